@@ -1,0 +1,57 @@
+// Effect: what a rule asks for. Returned by the evaluator, performed by its caller. `set` and the
+// level decision have already been applied to RobotState.
+#ifndef RIPS_POLICY_SERVER_ENGINE_EFFECT_H_
+#define RIPS_POLICY_SERVER_ENGINE_EFFECT_H_
+
+#include <cstdint>
+#include <string>
+#include <variant>
+#include <vector>
+
+#include "policy_server/levels/transition.h"
+
+namespace rips::engine {
+
+enum class Severity { kInfo, kLow, kMedium, kHigh, kCritical };
+absl::string_view ToString(Severity severity);
+
+struct AlertEffect {
+  std::string rule;
+  Severity severity = Severity::kMedium;
+  std::string text;
+  // Level and decision when it was raised.
+  levels::LevelIndex level = 0;
+  Mark mark;
+};
+
+// A decision, or a refusal seen for the first time or again (`count` > 1: the same refusal of the
+// same rule, from, to and reason; the record is updated, not added).
+struct TransitionEffect {
+  levels::Transition transition;
+  uint64_t count = 1;
+};
+
+// Run a program on the robot. The result goes to OnProgramResult(run_id).
+struct RunProgramEffect {
+  uint64_t run_id = 0;
+  std::string rule;
+  std::string program;
+  std::vector<std::string> args;
+};
+
+using Effect = std::variant<AlertEffect, TransitionEffect, RunProgramEffect>;
+
+struct Outcome {
+  // In the order they happened.
+  std::vector<Effect> effects;
+  // Variables changed: the checkpoint must be written.
+  bool variables_changed = false;
+  // Rules whose expression was true.
+  uint32_t fired = 0;
+  // Rules that faulted.
+  uint32_t faults = 0;
+};
+
+}  // namespace rips::engine
+
+#endif  // RIPS_POLICY_SERVER_ENGINE_EFFECT_H_

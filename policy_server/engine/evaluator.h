@@ -1,0 +1,44 @@
+// Runs the rules of one robot on one event. Pure: the result is a function of the arguments.
+//
+// Truth of `a op b` (left to right, the right side only if it can matter): a fault anywhere that is
+// evaluated makes the rule not fire and is alerted at most once per second and rule. Actions before
+// a fault in their chain stay done; the action whose argument faults fails.
+//
+// Chain: `a => b` runs b if a succeeded, `a !> b` if a failed, `a , b` always; the first connector
+// that says no ends the chain. exec and trigger answer later: the chain is parked (unless nothing
+// follows) and goes on in OnProgramResult, OnActuation or Expire.
+#ifndef RIPS_POLICY_SERVER_ENGINE_EVALUATOR_H_
+#define RIPS_POLICY_SERVER_ENGINE_EVALUATOR_H_
+
+#include <string>
+#include <vector>
+
+#include "policy_server/engine/effect.h"
+#include "policy_server/engine/event.h"
+#include "policy_server/engine/robot_state.h"
+#include "services/base/clock.h"
+
+namespace rips::engine {
+
+// Runs every rule of the event's class, in file order.
+Outcome Evaluate(const Event& event, Instant now, RobotState& state);
+
+// The program of a RunProgramEffect exited 0 in time (`ok`) or not; chains waiting for it go on.
+// Unknown and repeated ids do nothing.
+Outcome OnProgramResult(uint64_t run_id, bool ok, Instant now, RobotState& state);
+
+// `state.actuation` has changed, or the level has: chains waiting for a level go on with success if
+// the level they asked for is verified (raise: at it or above; lowering: at it), with failure if
+// the actuation failed or there is no lease.
+Outcome OnActuation(Instant now, RobotState& state);
+
+// Parked chains past their deadline go on with failure. Call at least once a second.
+Outcome Expire(Instant now, RobotState& state);
+
+// Names of the rules, in order, whose expression is true on the graph as it is now and whose first
+// action is trigger of a level above `level`: "what would raise it again". Changes nothing.
+std::vector<std::string> WouldRaise(levels::LevelIndex level, Instant now, const RobotState& state);
+
+}  // namespace rips::engine
+
+#endif  // RIPS_POLICY_SERVER_ENGINE_EVALUATOR_H_

@@ -1,0 +1,73 @@
+// Everything that rules of one robot remember and see. Owned by one shard; not thread-safe.
+#ifndef RIPS_POLICY_SERVER_ENGINE_ROBOT_STATE_H_
+#define RIPS_POLICY_SERVER_ENGINE_ROBOT_STATE_H_
+
+#include <cstdint>
+#include <memory>
+#include <string>
+#include <vector>
+
+#include "absl/container/btree_map.h"
+#include "policy_server/engine/program.h"
+#include "policy_server/lang/checked_rules.h"
+#include "policy_server/levels/level_machine.h"
+#include "services/ros2/ros_graph.h"
+
+namespace rips::engine {
+
+// What the actuators have reported of the current decision.
+enum class Actuation {
+  kNoLease,   // nobody obeys: trigger is false at once
+  kPending,   // under way: trigger waits
+  kVerified,  // read back from the robot
+  kFailed,    // reported as failed: trigger is false
+};
+
+struct StateLimits {
+  size_t parked_max = 64;
+  int64_t chain_deadline_ns = 25 * kNanosPerSecond;
+  int64_t program_deadline_ns = 10 * kNanosPerSecond;
+  // Code points of a string value; longer is cut, with a warning counted once per rule.
+  size_t string_max = 4'096;
+};
+
+class RobotState {
+ public:
+  // `started` is when this process began judging the robot (`Uptime`).
+  RobotState(std::shared_ptr<const Program> program, levels::LevelMachine level, Instant started,
+             StateLimits limits = {});
+  ~RobotState();
+  RobotState(RobotState&&) noexcept;
+  RobotState& operator=(RobotState&&) noexcept;
+
+  // Seen by rules. The caller keeps them up to date between events.
+  ros2::RosGraph graph;
+  levels::Evidence evidence;
+  Actuation actuation = Actuation::kNoLease;
+  levels::LevelMachine level;
+
+  const std::shared_ptr<const Program>& program() const { return program_; }
+
+  // By name; for checkpoints and tests.
+  absl::btree_map<std::string, lang::Value> Variables() const;
+  // Takes what fits by name and type, ignores the rest.
+  void RestoreVariables(const absl::btree_map<std::string, lang::Value>& values);
+
+  // Another policy, between two events: variables survive by name and type, the level by name.
+  // Parked chains finish under the old one. FailedPrecondition (nothing changes) if the new one
+  // lacks the current level.
+  absl::Status SwapProgram(std::shared_ptr<const Program> program);
+
+  // For the evaluator only.
+  struct Internal;
+  Internal& internal() { return *internal_; }
+  const Internal& internal() const { return *internal_; }
+
+ private:
+  std::shared_ptr<const Program> program_;
+  std::unique_ptr<Internal> internal_;
+};
+
+}  // namespace rips::engine
+
+#endif  // RIPS_POLICY_SERVER_ENGINE_ROBOT_STATE_H_

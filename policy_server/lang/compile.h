@@ -1,0 +1,37 @@
+// Text to checked rules, in one call.
+#ifndef RIPS_POLICY_SERVER_LANG_COMPILE_H_
+#define RIPS_POLICY_SERVER_LANG_COMPILE_H_
+
+#include <optional>
+#include <string>
+#include <vector>
+
+#include "policy_server/lang/checked_rules.h"
+#include "policy_server/lang/diagnostic.h"
+
+namespace rips::lang {
+
+struct SourceFile {
+  // As diagnostics name it.
+  std::string path;
+  std::string text;
+};
+
+struct CompileResult {
+  // Absent if there is any error.
+  std::optional<CheckedRules> rules;
+  // Sorted by file, then position; at most 50 errors a file, then a note.
+  std::vector<Diagnostic> diagnostics;
+};
+
+// Compiles the files as one program, in this order: names declared in one file hold in the next.
+CompileResult Compile(const std::vector<SourceFile>& files,
+                      CheckedRules::Dialect dialect = CheckedRules::Dialect::kRips);
+
+// All diagnostics as text: `path:line:col: error: message`, the line, a caret, the hint.
+std::string RenderText(const std::vector<SourceFile>& files,
+                       const std::vector<Diagnostic>& diagnostics);
+
+}  // namespace rips::lang
+
+#endif  // RIPS_POLICY_SERVER_LANG_COMPILE_H_

@@ -1,0 +1,35 @@
+// What is wrong with a rule file, for its author.
+#ifndef RIPS_POLICY_SERVER_LANG_DIAGNOSTIC_H_
+#define RIPS_POLICY_SERVER_LANG_DIAGNOSTIC_H_
+
+#include <string>
+
+#include "absl/strings/string_view.h"
+#include "policy_server/lang/checked_rules.h"
+
+namespace rips::lang {
+
+// One per mistake; names and default severities stand in diagnostic_kind.def.
+enum class DiagnosticKind {
+#define RIPS_DIAGNOSTIC(name, severity) k##name,
+#include "policy_server/lang/diagnostic_kind.def"
+};
+
+enum class DiagnosticSeverity { kError, kWarning, kNote };
+
+// "UnknownName"; the `kind` of JSON output.
+absl::string_view Name(DiagnosticKind kind);
+DiagnosticSeverity SeverityOf(DiagnosticKind kind);
+
+struct Diagnostic {
+  DiagnosticKind kind;
+  SourceRange range;
+  // Lower case, code in backticks, no final period.
+  std::string message;
+  // What to do about it; may be empty.
+  std::string hint;
+};
+
+}  // namespace rips::lang
+
+#endif  // RIPS_POLICY_SERVER_LANG_DIAGNOSTIC_H_

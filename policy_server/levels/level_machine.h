@@ -1,0 +1,89 @@
+// The level of one robot and the rules of its change. Pure: time is an argument.
+//
+// Request (a rule's trigger), by where `to` lies relative to the current level:
+//
+//   to            current soft   current hard
+//   above         decided        decided
+//   equal         unchanged      unchanged
+//   one below     decided*       refused kNeedsOperator
+//   further below refused kNeedsOperator
+//
+//   * unless late (kLate), blind (kBlind) or out of budget (kBudget), checked in this order.
+#ifndef RIPS_POLICY_SERVER_LEVELS_LEVEL_MACHINE_H_
+#define RIPS_POLICY_SERVER_LEVELS_LEVEL_MACHINE_H_
+
+#include <cstdint>
+#include <deque>
+#include <string>
+#include <vector>
+
+#include "policy_server/levels/level_table.h"
+#include "policy_server/levels/transition.h"
+#include "services/base/clock.h"
+#include "services/base/mark.h"
+
+namespace rips::levels {
+
+struct SoftBudget {
+  // At most this many soft lowerings within `window_ns`; one more suspends them until Resume().
+  int lowerings_max = 3;
+  int64_t window_ns = 600 * kNanosPerSecond;
+};
+
+// Why a soft lowering must wait; empty = evidence has been complete for soft_hold.
+struct Evidence {
+  std::vector<std::string> blind_because;
+};
+
+enum class Lateness { kTimely, kLate };
+
+// Not thread-safe. Invariant: the level goes down only by a soft Request or by DeEscalate.
+class LevelMachine {
+ public:
+  // `level` must be in `table`. `mark` names the decision that led to it (none = never decided).
+  // New decisions take `term`, which must be >= mark.term, and epochs above mark.epoch.
+  LevelMachine(LevelTable table, LevelIndex level, Mark mark, uint64_t term,
+               SoftBudget budget = {});
+
+  // A rule's trigger(to).
+  Transition Request(LevelIndex to, const Cause& cause, Instant now, const Evidence& evidence,
+                     Lateness lateness);
+  // An operator's decisions. `expected_*` is what the operator saw. The caller has authenticated
+  // the operator and checked the reason.
+  Transition Raise(LevelIndex to, const Cause& cause, Instant now);
+  Transition DeEscalate(LevelIndex to, const Cause& cause, Instant now, LevelIndex expected_level,
+                        const Mark& expected_mark);
+  // The robot holds `level` under a mark unknown here: takes the more restrictive of both, always
+  // as a new decision, above `seen` in term and epoch.
+  Transition Adopt(LevelIndex level, const Mark& seen, Instant now);
+  // A Hello showed a term above ours: later decisions use at least `term`.
+  void RaiseTerm(uint64_t term);
+  // Ends the suspension of soft lowerings.
+  void Resume();
+
+  // Another policy: the level is kept by name. False (and nothing changes) if `table` lacks it.
+  bool SwapTable(LevelTable table);
+
+  const LevelTable& table() const { return table_; }
+  LevelIndex level() const { return level_; }
+  const Mark& mark() const { return mark_; }
+  uint64_t term() const { return term_; }
+  bool soft_suspended() const { return suspended_; }
+
+ private:
+  Transition Decide(Transition transition);
+
+  LevelTable table_;
+  LevelIndex level_;
+  Mark mark_;
+  uint64_t term_;
+  // Highest epoch ever used; the next decision takes the one after.
+  uint64_t epoch_;
+  SoftBudget budget_;
+  std::deque<int64_t> lowered_at_ns_;
+  bool suspended_ = false;
+};
+
+}  // namespace rips::levels
+
+#endif  // RIPS_POLICY_SERVER_LEVELS_LEVEL_MACHINE_H_

@@ -1,0 +1,157 @@
+// The computation graph of one robot: participants, nodes and endpoints, and the questions that
+// rules ask of it (RIPS paper, "Expressions"). The sensor builds one from discovery; the server
+// keeps one per robot from snapshots and deltas.
+#ifndef RIPS_SERVICES_ROS2_ROS_GRAPH_H_
+#define RIPS_SERVICES_ROS2_ROS_GRAPH_H_
+
+#include <cstddef>
+#include <cstdint>
+#include <string>
+#include <utility>
+#include <vector>
+
+#include "absl/container/btree_map.h"
+#include "absl/container/btree_set.h"
+#include "absl/container/flat_hash_map.h"
+#include "absl/status/status.h"
+#include "absl/strings/string_view.h"
+#include "services/ros2/guid.h"
+
+namespace rips::ros2 {
+
+struct Participant {
+  Guid guid;
+  // Self-declared.
+  std::string host;
+  std::string enclave;
+  uint32_t pid = 0;
+  // RTPS vendor id, 4 hex digits.
+  std::string vendor;
+  bool authenticated = false;
+
+  friend bool operator==(const Participant&, const Participant&) = default;
+};
+
+struct Node {
+  // Fully qualified: "/ns/name".
+  std::string full_name;
+  Guid participant;
+
+  friend auto operator<=>(const Node&, const Node&) = default;
+};
+
+enum class EndpointKind { kPublisher, kSubscriber, kService, kClient };
+enum class Visibility { kUnspecified, kWatched, kNotNeeded, kNotVisible };
+
+struct Qos {
+  bool reliable = false;
+  bool transient_local = false;
+  bool keep_all = false;
+  uint32_t depth = 0;
+  std::vector<std::string> partitions;
+
+  friend bool operator==(const Qos&, const Qos&) = default;
+};
+
+struct Endpoint {
+  Guid guid;
+  EndpointKind kind = EndpointKind::kPublisher;
+  // ROS topic or service name with leading slash; the DDS topic name if !ros.
+  std::string name;
+  // ROS type, "std_msgs/msg/String"; the DDS type name if !ros.
+  std::string type;
+  // Full name of the owning node; empty = not attributed.
+  std::string node;
+  // Within the attribution grace: left out of every answer below.
+  bool pending = false;
+  Qos qos;
+  Visibility visibility = Visibility::kUnspecified;
+  std::string why;
+  bool ros = true;
+
+  friend bool operator==(const Endpoint&, const Endpoint&) = default;
+};
+
+// A change. What is gone is applied before what is upserted.
+struct GraphDelta {
+  std::vector<Participant> upsert_participants;
+  std::vector<Node> upsert_nodes;
+  std::vector<Endpoint> upsert_endpoints;
+  // Participants (with their nodes and endpoints) and endpoints. Unknown ones are ignored.
+  std::vector<Guid> gone_guids;
+  // Every node of that name goes; survivors are upserted again.
+  std::vector<std::string> gone_nodes;
+
+  bool empty() const {
+    return upsert_participants.empty() && upsert_nodes.empty() && upsert_endpoints.empty() &&
+           gone_guids.empty() && gone_nodes.empty();
+  }
+};
+
+// What is asked of one topic. One entry per endpoint: two publishers in one node give two. An
+// endpoint that is past its grace and has no node stands as "(unattributed GUID)".
+struct Topic {
+  // Sorted.
+  std::vector<std::string> publishers;
+  std::vector<std::string> subscribers;
+  // Distinct, sorted; a topic whose endpoints disagree has several.
+  std::vector<std::string> types;
+};
+
+struct GraphLimits {
+  size_t topics = 4'096;
+  size_t nodes = 2'048;
+  size_t endpoints = 16'384;
+};
+
+// Not thread-safe. Copyable. Only ROS endpoints (Endpoint::ros) that are not pending count in
+// answers.
+class RosGraph {
+ public:
+  explicit RosGraph(GraphLimits limits = {}) : limits_(limits) {}
+
+  // Applies `delta` whole or not at all. InvalidArgument if, afterwards, a node would name an
+  // unknown participant or an endpoint an unknown node or participant, or a name is malformed. Past a limit
+  // the excess is left out, counted in dropped(), and truncated() is true from then on until
+  // Clear().
+  absl::Status Apply(const GraphDelta& delta);
+  void Clear();
+
+  // What turns `from` into `to`; Apply(Diff(a, b)) on a gives b.
+  static GraphDelta Diff(const RosGraph& from, const RosGraph& to);
+
+  const absl::btree_map<Guid, Participant>& participants() const { return participants_; }
+  const absl::btree_set<Node>& nodes() const { return nodes_; }
+  const absl::btree_map<Guid, Endpoint>& endpoints() const { return endpoints_; }
+
+  // Topics that have a publisher or a subscriber, by name.
+  const absl::btree_map<std::string, Topic>& topics() const { return topics_; }
+  // Null if nobody publishes or subscribes.
+  const Topic* FindTopic(absl::string_view name) const;
+  // Services offered by the nodes of that full name, sorted; two nodes of one name are merged.
+  std::vector<std::string> ServicesOf(absl::string_view node) const;
+  const Endpoint* FindEndpoint(const Guid& guid) const;
+
+  // A limit was hit: "exactly these" cannot be answered with yes.
+  bool truncated() const { return dropped_ > 0; }
+  uint64_t dropped() const { return dropped_; }
+
+ private:
+  void Index(const Endpoint& endpoint);
+  void Unindex(const Endpoint& endpoint);
+
+  GraphLimits limits_;
+  absl::btree_map<Guid, Participant> participants_;
+  absl::btree_set<Node> nodes_;
+  absl::btree_map<Guid, Endpoint> endpoints_;
+  absl::btree_map<std::string, Topic> topics_;
+  uint64_t dropped_ = 0;
+};
+
+// True if `name` (as a rule writes it) means the node `full_name`: with a slash the whole name is
+// compared, without one the base name in any namespace.
+bool NodeNameMatches(absl::string_view name, absl::string_view full_name);
+
+}  // namespace rips::ros2
+
+#endif  // RIPS_SERVICES_ROS2_ROS_GRAPH_H_
