@@ -19,9 +19,9 @@ TEST(IdsTest, AcceptsNamesOfTheDocumentedShape) {
 }
 
 TEST(IdsTest, RefusesEverythingElse) {
-  for (const std::string& name : {std::string(), std::string("-a"), std::string("a-"),
-                                  std::string("R1"), std::string("a_b"), std::string("a/b"),
-                                  std::string("a\n"), std::string(64, 'x')}) {
+  for (const std::string& name :
+       {std::string(), std::string("-a"), std::string("a-"), std::string("R1"), std::string("a_b"),
+        std::string("a/b"), std::string("a\n"), std::string(64, 'x')}) {
     EXPECT_FALSE(IsValidName(name)) << name;
   }
 }

@@ -6,13 +6,12 @@
 #include <cstdio>
 #include <cstdlib>
 
-#define RIPS_CHECK(cond, why)                                                          \
-  do {                                                                                 \
-    if (!(cond)) {                                                                     \
-      std::fprintf(stderr, "%s:%d: check failed: %s: %s\n", __FILE__, __LINE__, #cond, \
-                   why);                                                               \
-      std::abort();                                                                    \
-    }                                                                                  \
+#define RIPS_CHECK(cond, why)                                                                \
+  do {                                                                                       \
+    if (!(cond)) {                                                                           \
+      std::fprintf(stderr, "%s:%d: check failed: %s: %s\n", __FILE__, __LINE__, #cond, why); \
+      std::abort();                                                                          \
+    }                                                                                        \
   } while (false)
 
 #endif  // RIPS_SERVICES_BASE_CHECK_H_

@@ -7,11 +7,11 @@
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
 
-#define RIPS_RETURN_IF_ERROR(expr)                     \
-  do {                                                 \
+#define RIPS_RETURN_IF_ERROR(expr)                                \
+  do {                                                            \
     if (absl::Status _rips_status = (expr); !_rips_status.ok()) { \
-      return _rips_status;                             \
-    }                                                  \
+      return _rips_status;                                        \
+    }                                                             \
   } while (false)
 
 #define RIPS_CONCAT_INNER_(a, b) a##b
@@ -20,8 +20,8 @@
 // RIPS_ASSIGN_OR_RETURN(auto x, F()): assigns F()'s value, or returns its status.
 #define RIPS_ASSIGN_OR_RETURN(lhs, expr) \
   RIPS_ASSIGN_OR_RETURN_IMPL_(RIPS_CONCAT_(_rips_statusor_, __LINE__), lhs, expr)
-#define RIPS_ASSIGN_OR_RETURN_IMPL_(statusor, lhs, expr) \
-  auto statusor = (expr);                                \
+#define RIPS_ASSIGN_OR_RETURN_IMPL_(statusor, lhs, expr)   \
+  auto statusor = (expr);                                  \
   if (!statusor.ok()) return std::move(statusor).status(); \
   lhs = *std::move(statusor)
 

@@ -1,0 +1,94 @@
+// Counters and gauges, and the HTTP page where Prometheus reads them.
+#ifndef RIPS_SERVICES_RUNTIME_METRICS_H_
+#define RIPS_SERVICES_RUNTIME_METRICS_H_
+
+#include <functional>
+#include <map>
+#include <memory>
+#include <string>
+
+#include "absl/status/status.h"
+#include "absl/status/statusor.h"
+#include "absl/strings/string_view.h"
+
+namespace rips {
+
+using MetricLabels = std::map<std::string, std::string>;
+
+// A value that only grows. Copies are the same metric; a default-made one counts nothing. Any
+// thread; valid while its Metrics lives.
+class Counter {
+ public:
+  Counter() = default;
+  // `by` must not be negative.
+  void Increment(double by = 1) const;
+  double Value() const;
+
+ private:
+  friend class Metrics;
+  explicit Counter(void* cell) : cell_(cell) {}
+  void* cell_ = nullptr;  // prometheus::Counter
+};
+
+// A value that goes up and down. As Counter otherwise.
+class Gauge {
+ public:
+  Gauge() = default;
+  void Set(double value) const;
+  void Add(double by) const;
+  double Value() const;
+
+ private:
+  friend class Metrics;
+  explicit Gauge(void* cell) : cell_(cell) {}
+  void* cell_ = nullptr;  // prometheus::Gauge
+};
+
+// The metrics of one process. Any thread.
+class Metrics {
+ public:
+  Metrics();
+  ~Metrics();
+  Metrics(const Metrics&) = delete;
+  Metrics& operator=(const Metrics&) = delete;
+
+  // The metric of this name and these labels, made if new. `name` is a constant such as
+  // `rips_observations_total` and always comes with the same kind, help and label names.
+  Counter AddCounter(const std::string& name, const std::string& help, MetricLabels labels = {});
+  Gauge AddGauge(const std::string& name, const std::string& help, MetricLabels labels = {});
+
+  // All metrics in the Prometheus text format 0.0.4.
+  std::string Text() const;
+
+ private:
+  struct Registry;
+  std::unique_ptr<Registry> registry_;
+};
+
+// Serves GET /metrics, /healthz (200 while the process runs) and /readyz (200, or 503 and why not).
+// Plain HTTP without authentication: meant for loopback or a trusted network.
+class MetricsServer {
+ public:
+  // Says whether the daemon does its job now. Called on the server's threads.
+  using Ready = std::function<absl::Status()>;
+
+  // Listens on `address` (`HOST:PORT` with a numeric host; port 0 = any). An empty address gives a
+  // server that does nothing. InvalidArgument for a bad address, Unavailable if it cannot bind.
+  // `metrics` is not owned and outlives the server.
+  static absl::StatusOr<std::unique_ptr<MetricsServer>> Start(absl::string_view address,
+                                                              const Metrics* metrics, Ready ready);
+  ~MetricsServer();
+
+  // Where it listens, `127.0.0.1:9464`; empty if it does not.
+  const std::string& address() const { return address_; }
+
+ private:
+  struct Http;
+  MetricsServer();
+  std::unique_ptr<Http> http_;
+  std::string address_;
+};
+
+}  // namespace rips
+
+#endif  // RIPS_SERVICES_RUNTIME_METRICS_H_

@@ -1,0 +1,113 @@
+#include "services/runtime/metrics.h"
+
+#include <arpa/inet.h>
+#include <netinet/in.h>
+#include <sys/socket.h>
+#include <unistd.h>
+
+#include "absl/strings/numbers.h"
+#include "absl/strings/str_cat.h"
+#include "gmock/gmock.h"
+#include "gtest/gtest.h"
+#include "services/base/status_matchers.h"
+
+namespace rips {
+namespace {
+
+using ::testing::HasSubstr;
+using ::testing::StartsWith;
+
+// The whole answer to one HTTP request to 127.0.0.1:PORT.
+std::string Request(absl::string_view address, absl::string_view request) {
+  int port = 0;
+  EXPECT_TRUE(absl::SimpleAtoi(address.substr(address.rfind(':') + 1), &port));
+  const int fd = socket(AF_INET, SOCK_STREAM, 0);
+  sockaddr_in to{};
+  to.sin_family = AF_INET;
+  to.sin_port = htons(static_cast<uint16_t>(port));
+  to.sin_addr.s_addr = htonl(INADDR_LOOPBACK);
+  EXPECT_EQ(connect(fd, reinterpret_cast<sockaddr*>(&to), sizeof to), 0);
+  const std::string text = absl::StrCat(request, " HTTP/1.1\r\nHost: x\r\n\r\n");
+  EXPECT_EQ(send(fd, text.data(), text.size(), 0), static_cast<ssize_t>(text.size()));
+  std::string answer;
+  char buffer[4096];
+  for (ssize_t n; (n = recv(fd, buffer, sizeof buffer, 0)) > 0;) answer.append(buffer, n);
+  close(fd);
+  return answer;
+}
+
+TEST(MetricsTest, GivesTheSameMetricForTheSameNameAndLabels) {
+  Metrics metrics;
+  const Counter r1 = metrics.AddCounter("rips_alerts_total", "Alerts.", {{"robot", "r1"}});
+  const Counter r2 = metrics.AddCounter("rips_alerts_total", "Alerts.", {{"robot", "r2"}});
+  const Gauge level = metrics.AddGauge("rips_level", "Level.");
+
+  r1.Increment();
+  metrics.AddCounter("rips_alerts_total", "Alerts.", {{"robot", "r1"}}).Increment(2);
+  level.Set(5);
+  level.Add(-1.5);
+
+  EXPECT_EQ(r1.Value(), 3);
+  EXPECT_EQ(r2.Value(), 0);
+  EXPECT_EQ(level.Value(), 3.5);
+  const std::string text = metrics.Text();
+  EXPECT_THAT(text, HasSubstr("# TYPE rips_alerts_total counter\n"));
+  EXPECT_THAT(text, HasSubstr("rips_alerts_total{robot=\"r1\"} 3\n"));
+  EXPECT_THAT(text, HasSubstr("rips_level 3.5\n"));
+}
+
+TEST(MetricsTest, ADefaultMadeMetricCountsNothing) {
+  const Counter counter;
+  const Gauge gauge;
+  counter.Increment();
+  gauge.Set(1);
+  gauge.Add(1);
+  EXPECT_EQ(counter.Value(), 0);
+  EXPECT_EQ(gauge.Value(), 0);
+}
+
+TEST(MetricsServerTest, ServesMetricsHealthAndReadiness) {
+  Metrics metrics;
+  metrics.AddCounter("rips_x_total", "X.").Increment();
+  absl::Status ready = absl::UnavailableError("no rules yet");
+  const auto server = MetricsServer::Start("127.0.0.1:0", &metrics, [&] { return ready; });
+  ASSERT_THAT(server, IsOk());
+  const std::string address = (*server)->address();
+  EXPECT_THAT(address, StartsWith("127.0.0.1:"));
+  EXPECT_NE(address, "127.0.0.1:0");
+
+  EXPECT_THAT(Request(address, "GET /metrics"), HasSubstr("\r\n\r\n# HELP rips_x_total X.\n"));
+  EXPECT_THAT(Request(address, "GET /healthz"), StartsWith("HTTP/1.1 200 "));
+  const std::string not_ready = Request(address, "GET /readyz");
+  EXPECT_THAT(not_ready, StartsWith("HTTP/1.1 503 "));
+  EXPECT_THAT(not_ready, HasSubstr("no rules yet\n"));
+  ready = absl::OkStatus();
+  EXPECT_THAT(Request(address, "GET /readyz"), StartsWith("HTTP/1.1 200 "));
+  EXPECT_THAT(Request(address, "GET /etc/passwd"), StartsWith("HTTP/1.1 404 "));
+  EXPECT_THAT(Request(address, "GET /"), StartsWith("HTTP/1.1 404 "));
+  EXPECT_THAT(Request(address, "POST /metrics"), StartsWith("HTTP/1.1 405 "));
+}
+
+TEST(MetricsServerTest, MayBeOff) {
+  Metrics metrics;
+  const auto server = MetricsServer::Start("", &metrics, nullptr);
+  ASSERT_THAT(server, IsOk());
+  EXPECT_EQ((*server)->address(), "");
+}
+
+TEST(MetricsServerTest, RefusesBadAndTakenAddresses) {
+  Metrics metrics;
+  for (const char* bad : {"9464", ":9464", "127.0.0.1:", "127.0.0.1:70000", "127.0.0.1:80,81",
+                          "127.0.0.1:80s", "localhost:80"}) {
+    EXPECT_THAT(MetricsServer::Start(bad, &metrics, nullptr),
+                StatusIs(absl::StatusCode::kInvalidArgument))
+        << bad;
+  }
+  const auto first = MetricsServer::Start("127.0.0.1:0", &metrics, nullptr);
+  ASSERT_THAT(first, IsOk());
+  EXPECT_THAT(MetricsServer::Start((*first)->address(), &metrics, nullptr),
+              StatusIs(absl::StatusCode::kUnavailable, HasSubstr("is the port in use?")));
+}
+
+}  // namespace
+}  // namespace rips
