@@ -102,6 +102,7 @@ struct GraphLimits {
   size_t topics = 4'096;
   size_t nodes = 2'048;
   size_t endpoints = 16'384;
+  size_t participants = 2'048;
 };
 
 // Not thread-safe. Copyable. Only ROS endpoints (Endpoint::ros) that are not pending count in
@@ -111,9 +112,10 @@ class RosGraph {
   explicit RosGraph(GraphLimits limits = {}) : limits_(limits) {}
 
   // Applies `delta` whole or not at all. InvalidArgument if, afterwards, a node would name an
-  // unknown participant or an endpoint an unknown node or participant, or a name is malformed. Past a limit
-  // the excess is left out, counted in dropped(), and truncated() is true from then on until
-  // Clear().
+  // unknown participant or an endpoint an unknown node or participant, or a name is malformed.
+  // Past a limit the excess is left out, with what refers to it, counted in dropped(), and
+  // truncated() is true from then on until Clear(); then unknown references are left out and
+  // counted too, since what they name may have been.
   absl::Status Apply(const GraphDelta& delta);
   void Clear();
 
@@ -137,7 +139,11 @@ class RosGraph {
   uint64_t dropped() const { return dropped_; }
 
  private:
-  void Index(const Endpoint& endpoint);
+  absl::Status Check(const GraphDelta& delta) const;
+  void RemoveParticipant(const Guid& guid);
+  void RemoveEndpoint(const Guid& guid);
+  // False if the topic would be one too many.
+  bool Index(const Endpoint& endpoint);
   void Unindex(const Endpoint& endpoint);
 
   GraphLimits limits_;
@@ -145,6 +151,10 @@ class RosGraph {
   absl::btree_set<Node> nodes_;
   absl::btree_map<Guid, Endpoint> endpoints_;
   absl::btree_map<std::string, Topic> topics_;
+  // How many endpoints stand behind each entry of Topic::types, and behind each service of a node.
+  using Counts = absl::btree_map<std::string, uint32_t>;
+  absl::flat_hash_map<std::string, Counts> types_of_topic_;
+  absl::flat_hash_map<std::string, Counts> services_of_node_;
   uint64_t dropped_ = 0;
 };
 

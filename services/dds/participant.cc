@@ -1,0 +1,111 @@
+#include "services/dds/participant.h"
+
+#include <algorithm>
+#include <cstdlib>
+#include <fstream>
+#include <utility>
+
+#include "absl/strings/ascii.h"
+#include "absl/strings/str_cat.h"
+#include "dds/dds.h"
+#include "services/base/status_macros.h"
+#include "services/dds/qos.h"
+#include "services/dds/raw_type.h"
+#include "services/ros2/ros_name.h"
+
+namespace rips::dds {
+namespace {
+
+constexpr uint32_t kDomainIdMax = 232;
+// IFNAMSIZ without the terminator.
+constexpr size_t kInterfaceCharsMax = 15;
+// Best-effort samples of several megabytes are lost whole with less.
+constexpr uint64_t kReceiveBufferBytes = 4 << 20;
+
+uint64_t ReadRmemMax() {
+  uint64_t bytes = 0;
+  std::ifstream("/proc/sys/net/core/rmem_max") >> bytes;
+  return bytes;
+}
+
+bool IsInterfaceName(absl::string_view name) {
+  return name.size() <= kInterfaceCharsMax && std::all_of(name.begin(), name.end(), [](char c) {
+           return absl::ascii_isalnum(c) ||
+                  absl::string_view("_-.:@").find(c) != absl::string_view::npos;
+         });
+}
+
+}  // namespace
+
+absl::StatusOr<std::string> DomainXml(const DomainOptions& options, uint64_t rmem_max) {
+  if (!IsInterfaceName(options.interface)) {
+    return absl::InvalidArgumentError(absl::StrCat("`", ros2::Printable(options.interface),
+                                                   "` is not a network interface; see `ip link`"));
+  }
+  std::string general;
+  if (!options.interface.empty()) {
+    // The loopback interface carries multicast although it lacks the flag that says so.
+    general = absl::StrCat("<General><Interfaces><NetworkInterface name=\"", options.interface,
+                           "\" multicast=\"", options.interface == "lo" ? "true" : "default",
+                           "\"/></Interfaces></General>");
+  }
+  std::string internal;
+  if (const uint64_t bytes = std::min(rmem_max, kReceiveBufferBytes); bytes > 0) {
+    internal = absl::StrCat("<Internal><SocketReceiveBufferSize min=\"", bytes, "B\"/></Internal>");
+  }
+  // Without an index there is no bound on the participants of a host; discovery is by multicast.
+  return absl::StrCat("<CycloneDDS><Domain>", general,
+                      "<Discovery><ParticipantIndex>none</ParticipantIndex></Discovery>", internal,
+                      "</Domain></CycloneDDS>");
+}
+
+absl::StatusOr<std::shared_ptr<const Domain>> Domain::Create(const DomainOptions& options) {
+  if (options.id > kDomainIdMax) {
+    return absl::InvalidArgumentError(
+        absl::StrCat("domain ", options.id, " exceeds limit ", kDomainIdMax));
+  }
+  RIPS_ASSIGN_OR_RETURN(std::string xml, DomainXml(options, ReadRmemMax()));
+  const char* operators_own = std::getenv("CYCLONEDDS_URI");
+  if (operators_own != nullptr && *operators_own != '\0') xml = operators_own;
+  DdsEntity entity(dds_create_domain(options.id, xml.c_str()));
+  if (entity.get() == DDS_RETCODE_PRECONDITION_NOT_MET) {
+    return absl::AlreadyExistsError(
+        absl::StrCat("domain ", options.id, " exists in this process already"));
+  }
+  if (entity.get() < 0) {
+    return DdsError(
+        absl::StrCat("creating domain ", options.id, " on interface `", options.interface, "`"),
+        entity.get());
+  }
+  return std::shared_ptr<const Domain>(new Domain(options.id, std::move(entity)));
+}
+
+absl::StatusOr<std::unique_ptr<Participant>> Participant::Create(
+    std::shared_ptr<const Domain> domain, const ParticipantOptions& options) {
+  const OwnedQos qos = MakeQos(absl::StrCat("enclave=", options.enclave, ";"));
+  DdsEntity entity(dds_create_participant(domain->id(), qos.get(), nullptr));
+  if (entity.get() < 0) {
+    return DdsError(absl::StrCat("creating a participant in domain ", domain->id()), entity.get());
+  }
+  RIPS_RETURN_IF_ERROR(RequireNoSharedMemory(entity.get()));
+  RIPS_ASSIGN_OR_RETURN(const ros2::Guid guid, GuidOf(entity.get()));
+  return std::unique_ptr<Participant>(new Participant(std::move(domain), std::move(entity), guid));
+}
+
+absl::StatusOr<std::unique_ptr<Participant>> Participant::Create(
+    const DomainOptions& domain, const ParticipantOptions& options) {
+  RIPS_ASSIGN_OR_RETURN(std::shared_ptr<const Domain> created, Domain::Create(domain));
+  return Create(std::move(created), options);
+}
+
+absl::StatusOr<ros2::Guid> GuidOf(EntityHandle entity) {
+  dds_guid_t guid;
+  if (const dds_return_t code = dds_get_guid(entity, &guid); code < 0) {
+    return DdsError("reading an entity's GUID", code);
+  }
+  ros2::Guid copy;
+  std::copy(std::begin(guid.v), std::end(guid.v), copy.bytes.begin());
+  return copy;
+}
+
+}  // namespace rips::dds

@@ -1,0 +1,81 @@
+// A DDS domain as this process sees it, and participants in it.
+#ifndef RIPS_SERVICES_DDS_PARTICIPANT_H_
+#define RIPS_SERVICES_DDS_PARTICIPANT_H_
+
+#include <cstdint>
+#include <memory>
+#include <string>
+
+#include "absl/status/statusor.h"
+#include "absl/strings/string_view.h"
+#include "services/dds/dds_entity.h"
+#include "services/ros2/guid.h"
+
+namespace rips::dds {
+
+struct DomainOptions {
+  // 0..232 (DDSI-RTPS 2.5 §9.6.2.3: beyond, the ports do not fit 16 bits).
+  uint32_t id = 0;
+  // Network interface to speak on ("lo", "eth0"); empty = Cyclone chooses. Used only when the
+  // environment has no CYCLONEDDS_URI: an operator's own configuration wins whole.
+  std::string interface;
+};
+
+// The XML with which a domain starts when CYCLONEDDS_URI is unset. `rmem_max` is the largest
+// socket receive buffer the kernel grants, in bytes (/proc/sys/net/core/rmem_max): Cyclone
+// refuses to start if it asks for more. InvalidArgument if `interface` is no interface name.
+absl::StatusOr<std::string> DomainXml(const DomainOptions& options, uint64_t rmem_max);
+
+// One per domain id and process. Any thread. Must outlive everything in it, which a Participant
+// ensures by sharing it.
+class Domain {
+ public:
+  // AlreadyExists if this process has that domain already.
+  static absl::StatusOr<std::shared_ptr<const Domain>> Create(const DomainOptions& options);
+
+  uint32_t id() const { return id_; }
+
+ private:
+  Domain(uint32_t id, DdsEntity entity) : id_(id), entity_(std::move(entity)) {}
+
+  uint32_t id_;
+  DdsEntity entity_;
+};
+
+struct ParticipantOptions {
+  // ROS enclave, announced as user data "enclave=/;".
+  std::string enclave = "/";
+};
+
+// Any thread. Must outlive every reader, writer and service made from it.
+class Participant {
+ public:
+  // FailedPrecondition if the configuration turns shared memory on: payloads would then bypass
+  // what we can read.
+  static absl::StatusOr<std::unique_ptr<Participant>> Create(
+      std::shared_ptr<const Domain> domain, const ParticipantOptions& options = {});
+  // With a domain of its own; the usual case: one participant per process.
+  static absl::StatusOr<std::unique_ptr<Participant>> Create(
+      const DomainOptions& domain, const ParticipantOptions& options = {});
+
+  EntityHandle entity() const { return entity_.get(); }
+  const ros2::Guid& guid() const { return guid_; }
+  uint32_t domain_id() const { return domain_->id(); }
+  // For a further participant in the same domain.
+  const std::shared_ptr<const Domain>& domain() const { return domain_; }
+
+ private:
+  Participant(std::shared_ptr<const Domain> domain, DdsEntity entity, const ros2::Guid& guid)
+      : domain_(std::move(domain)), entity_(std::move(entity)), guid_(guid) {}
+
+  std::shared_ptr<const Domain> domain_;
+  DdsEntity entity_;  // after domain_: goes first
+  ros2::Guid guid_;
+};
+
+// GUID of any entity of this process.
+absl::StatusOr<ros2::Guid> GuidOf(EntityHandle entity);
+
+}  // namespace rips::dds
+
+#endif  // RIPS_SERVICES_DDS_PARTICIPANT_H_

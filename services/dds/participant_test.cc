@@ -1,0 +1,68 @@
+#include "services/dds/participant.h"
+
+#include "gmock/gmock.h"
+#include "gtest/gtest.h"
+#include "services/base/status_matchers.h"
+#include "services/dds/test_world.h"
+
+namespace rips::dds {
+namespace {
+
+using ::testing::HasSubstr;
+using ::testing::Not;
+
+TEST(DomainXmlTest, PinsTheInterface) {
+  const auto lo = DomainXml({.interface = "lo"}, 4 << 20);
+  ASSERT_THAT(lo, IsOk());
+  EXPECT_THAT(*lo, HasSubstr("<NetworkInterface name=\"lo\" multicast=\"true\"/>"));
+  EXPECT_THAT(*lo, HasSubstr("<ParticipantIndex>none</ParticipantIndex>"));
+  EXPECT_THAT(*DomainXml({.interface = "eth0.7"}, 0), HasSubstr("multicast=\"default\""));
+  EXPECT_THAT(*DomainXml({}, 0), Not(HasSubstr("NetworkInterface")));
+}
+
+TEST(DomainXmlTest, AsksForNoMoreBufferThanTheKernelGrants) {
+  EXPECT_THAT(*DomainXml({}, 212'992), HasSubstr("min=\"212992B\""));
+  EXPECT_THAT(*DomainXml({}, 64 << 20), HasSubstr("min=\"4194304B\""));
+  EXPECT_THAT(*DomainXml({}, 0), Not(HasSubstr("SocketReceiveBufferSize")));
+}
+
+TEST(DomainXmlTest, RefusesWhatIsNoInterface) {
+  for (const char* name : {"lo\"/>", "a b", "sixteen-letters-", "<x>"}) {
+    EXPECT_THAT(DomainXml({.interface = name}, 0),
+                StatusIs(absl::StatusCode::kInvalidArgument, HasSubstr("network interface")));
+  }
+}
+
+TEST(ParticipantTest, OnTheLoopbackInterface) {
+  const auto first = Participant::Create({.id = RandomDomain(), .interface = "lo"});
+  ASSERT_THAT(first, IsOk());
+  EXPECT_EQ((*first)->domain_id(), RandomDomain());
+  EXPECT_EQ((*first)->guid(), (*first)->guid().Participant());
+  EXPECT_THAT(Participant::Create({.id = RandomDomain(), .interface = "lo"}),
+              StatusIs(absl::StatusCode::kAlreadyExists));
+  const auto second = Participant::Create((*first)->domain());
+  ASSERT_THAT(second, IsOk());
+  EXPECT_NE((*first)->guid(), (*second)->guid());
+}
+
+TEST(ParticipantTest, TheDomainEndsWithItsLastParticipant) {
+  for (int round = 0; round < 2; ++round) {
+    EXPECT_THAT(Participant::Create({.id = RandomDomain(), .interface = "lo"}), IsOk()) << round;
+  }
+}
+
+TEST(ParticipantTest, BadDomainOrInterface) {
+  EXPECT_THAT(Participant::Create({.id = 233}),
+              StatusIs(absl::StatusCode::kInvalidArgument, "domain 233 exceeds limit 232"));
+  EXPECT_FALSE(Participant::Create({.id = RandomDomain(), .interface = "nosuch0"}).ok());
+}
+
+TEST(ParticipantTest, TheEnvironmentWins) {
+  const ScopedCycloneUri uri(
+      "<CycloneDDS><Domain><General><Interfaces><NetworkInterface "
+      "name=\"nosuch0\"/></Interfaces></General></Domain></CycloneDDS>");
+  EXPECT_FALSE(Participant::Create({.id = RandomDomain(), .interface = "lo"}).ok());
+}
+
+}  // namespace
+}  // namespace rips::dds

@@ -1,0 +1,80 @@
+#include "services/dds/qos.h"
+
+#include <algorithm>
+
+#include "absl/strings/str_split.h"
+#include "absl/strings/strip.h"
+#include "services/ros2/ros_name.h"
+
+namespace rips::dds {
+
+OwnedQos MakeQos(absl::string_view user_data) {
+  OwnedQos qos(dds_create_qos());
+  if (!user_data.empty()) dds_qset_userdata(qos.get(), user_data.data(), user_data.size());
+  return qos;
+}
+
+void SetPartitions(dds_qos_t* qos, const std::vector<std::string>& partitions) {
+  if (partitions.empty()) return;
+  std::vector<const char*> names;
+  for (const std::string& partition : partitions) names.push_back(partition.c_str());
+  dds_qset_partition(qos, static_cast<uint32_t>(names.size()), names.data());
+}
+
+ros2::Qos ReadQos(const dds_qos_t* qos) {
+  ros2::Qos read;
+  dds_reliability_kind_t reliability = DDS_RELIABILITY_BEST_EFFORT;
+  dds_duration_t max_blocking = 0;
+  if (dds_qget_reliability(qos, &reliability, &max_blocking)) {
+    read.reliable = reliability == DDS_RELIABILITY_RELIABLE;
+  }
+  dds_durability_kind_t durability = DDS_DURABILITY_VOLATILE;
+  if (dds_qget_durability(qos, &durability)) {
+    // Stronger kinds include what transient-local promises.
+    read.transient_local = durability >= DDS_DURABILITY_TRANSIENT_LOCAL;
+  }
+  dds_history_kind_t history = DDS_HISTORY_KEEP_LAST;
+  int32_t depth = 0;
+  if (dds_qget_history(qos, &history, &depth)) {
+    read.keep_all = history == DDS_HISTORY_KEEP_ALL;
+    read.depth = read.keep_all ? 0 : static_cast<uint32_t>(std::max(depth, 0));
+  }
+  uint32_t count = 0;
+  char** partitions = nullptr;
+  if (dds_qget_partition(qos, &count, &partitions)) {
+    for (uint32_t i = 0; i < count; ++i) {
+      if (i < kPartitionsMax) read.partitions.push_back(ros2::Printable(partitions[i]));
+      dds_free(partitions[i]);
+    }
+    dds_free(partitions);
+  }
+  return read;
+}
+
+std::string ReadUserData(const dds_qos_t* qos) {
+  void* value = nullptr;
+  size_t size = 0;
+  if (!dds_qget_userdata(qos, &value, &size) || value == nullptr) return {};
+  std::string read(static_cast<const char*>(value), std::min(size, kUserDataBytesMax));
+  dds_free(value);
+  return read;
+}
+
+std::string ReadProperty(const dds_qos_t* qos, const char* name) {
+  char* value = nullptr;
+  if (!dds_qget_prop(qos, name, &value) || value == nullptr) return {};
+  std::string read = ros2::Printable(value);
+  dds_free(value);
+  return read;
+}
+
+std::string UserDataField(absl::string_view user_data, absl::string_view key) {
+  for (absl::string_view field : absl::StrSplit(user_data, ';')) {
+    if (absl::ConsumePrefix(&field, key) && absl::ConsumePrefix(&field, "=")) {
+      return std::string(field);
+    }
+  }
+  return {};
+}
+
+}  // namespace rips::dds

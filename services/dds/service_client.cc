@@ -1,0 +1,115 @@
+#include "services/dds/service_client.h"
+
+#include <optional>
+#include <utility>
+
+#include "absl/base/thread_annotations.h"
+#include "absl/strings/str_cat.h"
+#include "services/base/status_macros.h"
+#include "services/dds/service_endpoints.h"
+#include "services/ros2/service_header.h"
+#include "services/runtime/mutex.h"
+#include "services/runtime/real_clock.h"
+
+namespace rips::dds {
+namespace {
+
+// Between looks at what is matched; discovery itself takes milliseconds.
+constexpr absl::Duration kReadyPoll = absl::Milliseconds(2);
+
+int64_t DeadlineAfter(absl::Duration timeout) {
+  return RealClock().Now().boottime_ns + absl::ToInt64Nanoseconds(timeout);
+}
+
+}  // namespace
+
+struct ServiceClient::Impl {
+  // Keeps the reply that `awaited` waits for, drops every other one.
+  void OnReply(const RawWriter& writer, const RawSample& sample) ABSL_LOCKS_EXCLUDED(mu) {
+    absl::StatusOr<ros2::ServiceMessage> message = ros2::SplitServiceHeader(sample.payload);
+    if (!message.ok()) return;
+    MutexLock lock(&mu);
+    if (message->header != ros2::ServiceHeader{writer.instance(), awaited}) return;
+    reply = std::move(message->payload);
+    awaited = 0;
+    changed.NotifyAll();
+  }
+
+  absl::Status WaitForServer(int64_t deadline) ABSL_LOCKS_EXCLUDED(mu) {
+    while (!HasWholeServer(endpoints)) {
+      if (RealClock().Now().boottime_ns >= deadline) {
+        return absl::DeadlineExceededError(
+            absl::StrCat("no server for `", options.service, "` in time"));
+      }
+      MutexLock lock(&mu);
+      changed.WaitFor(lock, kReadyPoll);
+    }
+    return absl::OkStatus();
+  }
+
+  absl::StatusOr<std::string> WaitForReply(int64_t deadline) ABSL_LOCKS_EXCLUDED(mu) {
+    MutexLock lock(&mu);
+    while (!reply.has_value() && RealClock().Now().boottime_ns < deadline) {
+      changed.WaitUntil(lock, deadline);
+    }
+    awaited = 0;
+    if (!reply.has_value()) {
+      return absl::DeadlineExceededError(
+          absl::StrCat("no reply from `", options.service, "` in time"));
+    }
+    return *std::exchange(reply, std::nullopt);
+  }
+
+  ServiceOptions options;
+  Mutex calling;  // held for a whole call
+  int64_t last_sequence ABSL_GUARDED_BY(calling) = 0;
+  Mutex mu;
+  CondVar changed;
+  int64_t awaited ABSL_GUARDED_BY(mu) = 0;  // sequence; 0 = no call
+  std::optional<std::string> reply ABSL_GUARDED_BY(mu);
+  ServiceEndpoints endpoints;  // last, so it goes first: then OnReply runs no more
+};
+
+ServiceClient::ServiceClient(std::unique_ptr<Impl> impl) : impl_(std::move(impl)) {}
+ServiceClient::~ServiceClient() = default;
+
+absl::StatusOr<std::unique_ptr<ServiceClient>> ServiceClient::Create(
+    const Participant& participant, const ServiceOptions& options) {
+  auto impl = std::make_unique<Impl>();
+  impl->options = options;
+  RIPS_ASSIGN_OR_RETURN(
+      impl->endpoints,
+      CreateServiceEndpoints(participant, options, ServiceSide::kClient,
+                             [self = impl.get()](RawWriter& writer, const RawSample& sample) {
+                               self->OnReply(writer, sample);
+                             }));
+  return std::unique_ptr<ServiceClient>(new ServiceClient(std::move(impl)));
+}
+
+bool ServiceClient::ServerReady() const { return HasWholeServer(impl_->endpoints); }
+
+absl::Status ServiceClient::WaitForServer(absl::Duration timeout) {
+  return impl_->WaitForServer(DeadlineAfter(timeout));
+}
+
+absl::StatusOr<std::string> ServiceClient::Call(absl::string_view request, absl::Duration timeout) {
+  const int64_t deadline = DeadlineAfter(timeout);
+  MutexLock calling(&impl_->calling);
+  RIPS_RETURN_IF_ERROR(impl_->WaitForServer(deadline));
+  const ros2::ServiceHeader header = {.client_id = impl_->endpoints.writer->instance(),
+                                      .sequence = ++impl_->last_sequence};
+  RIPS_ASSIGN_OR_RETURN(const std::string payload, ros2::AddServiceHeader(request, header));
+  {
+    MutexLock lock(&impl_->mu);
+    impl_->awaited = header.sequence;
+    impl_->reply.reset();
+  }
+  RIPS_RETURN_IF_ERROR(impl_->endpoints.writer->Write(payload));
+  return impl_->WaitForReply(deadline);
+}
+
+const std::string& ServiceClient::service() const { return impl_->options.service; }
+ros2::Guid ServiceClient::request_writer() const { return impl_->endpoints.writer->guid(); }
+ros2::Guid ServiceClient::reply_reader() const { return impl_->endpoints.reader->guid(); }
+
+}  // namespace rips::dds
