@@ -1,0 +1,29 @@
+// Reading certificates with libcrypto. Inside services/rpc only; any thread.
+#ifndef RIPS_SERVICES_RPC_CERTIFICATE_H_
+#define RIPS_SERVICES_RPC_CERTIFICATE_H_
+
+#include "absl/status/status.h"
+#include "absl/status/statusor.h"
+#include "absl/strings/string_view.h"
+#include "absl/time/time.h"
+#include "services/rpc/identity.h"
+
+namespace rips::rpc {
+
+struct Leaf {
+  PeerIdentity identity;
+  absl::Time not_after;
+};
+
+// The first certificate in `pem`. InvalidArgument if there is none, if it has not exactly one URI
+// SAN (RFC 5280 §4.2.1.6), or if that is not a form of ParseSpiffeUri. Proves nothing about trust.
+absl::StatusOr<Leaf> ReadLeaf(absl::string_view pem);
+
+// OK if the first certificate of `cert_pem` belongs to the private key, is valid now, and chains
+// through the rest of `cert_pem` to one of `ca_pem`. InvalidArgument, with the reason, otherwise.
+absl::Status CheckChain(absl::string_view ca_pem, absl::string_view cert_pem,
+                        absl::string_view key_pem);
+
+}  // namespace rips::rpc
+
+#endif  // RIPS_SERVICES_RPC_CERTIFICATE_H_

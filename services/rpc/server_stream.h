@@ -1,0 +1,54 @@
+// The server's end of one bidirectional stream, over gRPC's callback API.
+#ifndef RIPS_SERVICES_RPC_SERVER_STREAM_H_
+#define RIPS_SERVICES_RPC_SERVER_STREAM_H_
+
+#include <memory>
+
+#include "grpcpp/support/server_callback.h"
+#include "services/rpc/stream_outbound.h"
+
+namespace rips::rpc {
+
+// Owned by gRPC from the handler's return until OnDone, which deletes it. Derived classes call
+// Begin() last in their constructor.
+template <typename In, typename Out>
+class ServerStream : public grpc::ServerBidiReactor<In, Out> {
+ public:
+  // What others hold of the stream: outlives it.
+  using Outbound = StreamOutbound<grpc::ServerBidiReactor<In, Out>, Out>;
+  const std::shared_ptr<Outbound>& outbound() const { return outbound_; }
+
+ protected:
+  ServerStream() : outbound_(std::make_shared<Outbound>(this)) {}
+  void Begin() { this->StartRead(&incoming_); }
+
+  // One message; may take its contents. Reactions of one stream's reads never overlap.
+  virtual void OnMessage(In& message) = 0;
+  // The stream is over; nothing is called afterwards.
+  virtual void OnEnded() = 0;
+
+ private:
+  // A message object is reused, but not one that has grown large.
+  static constexpr size_t kReuseBytesMax = 1 << 20;
+
+  void OnReadDone(bool ok) final {
+    if (!ok) return outbound_->Close(grpc::Status::OK);
+    OnMessage(incoming_);
+    if (incoming_.SpaceUsedLong() > kReuseBytesMax) incoming_ = In();
+    this->StartRead(&incoming_);
+  }
+  void OnWriteDone(bool ok) final { outbound_->OnWritten(ok); }
+  void OnCancel() final { outbound_->Close(grpc::Status::CANCELLED); }
+  void OnDone() final {
+    outbound_->Detach();
+    OnEnded();
+    delete this;
+  }
+
+  std::shared_ptr<Outbound> outbound_;
+  In incoming_;
+};
+
+}  // namespace rips::rpc
+
+#endif  // RIPS_SERVICES_RPC_SERVER_STREAM_H_

@@ -1,0 +1,86 @@
+// The writing half of a server's stream: a bounded queue in front of a gRPC reactor that may hold
+// one write at a time, safe to use from any thread and after the reactor is gone.
+#ifndef RIPS_SERVICES_RPC_STREAM_OUTBOUND_H_
+#define RIPS_SERVICES_RPC_STREAM_OUTBOUND_H_
+
+#include <cstddef>
+#include <deque>
+#include <utility>
+
+#include "absl/base/thread_annotations.h"
+#include "grpcpp/support/status.h"
+#include "services/runtime/mutex.h"
+
+namespace rips::rpc {
+
+// `Reactor` has StartWrite(const Out*) and Finish(grpc::Status). Any thread; never blocks.
+template <typename Reactor, typename Out>
+class StreamOutbound {
+ public:
+  // Messages waiting to be written; a peer that does not read is cut off.
+  static constexpr size_t kOutgoingMax = 4'096;
+
+  explicit StreamOutbound(Reactor* reactor) : reactor_(reactor) {}
+
+  // False if the call is ending. A full queue ends it with RESOURCE_EXHAUSTED.
+  bool Send(Out message) ABSL_LOCKS_EXCLUDED(mu_) {
+    MutexLock lock(&mu_);
+    if (reactor_ == nullptr || finishing_) return false;
+    if (outgoing_.size() >= kOutgoingMax) {
+      FinishLocked(grpc::Status(grpc::StatusCode::RESOURCE_EXHAUSTED,
+                                "the peer does not read what it is sent"));
+      return false;
+    }
+    outgoing_.push_back(std::move(message));
+    if (!writing_) WriteNextLocked();
+    return true;
+  }
+
+  bool open() const ABSL_LOCKS_EXCLUDED(mu_) {
+    MutexLock lock(&mu_);
+    return reactor_ != nullptr && !finishing_;
+  }
+
+  // Ends the call. Only the first one counts.
+  void Close(grpc::Status status) ABSL_LOCKS_EXCLUDED(mu_) {
+    MutexLock lock(&mu_);
+    FinishLocked(std::move(status));
+  }
+
+  // From the reactor's OnWriteDone.
+  void OnWritten(bool ok) ABSL_LOCKS_EXCLUDED(mu_) {
+    MutexLock lock(&mu_);
+    writing_ = false;
+    outgoing_.pop_front();  // only now may the message die
+    if (!ok) return FinishLocked(grpc::Status(grpc::StatusCode::UNAVAILABLE, "write failed"));
+    if (!finishing_ && !outgoing_.empty()) WriteNextLocked();
+  }
+
+  // From the reactor's OnDone, before it is deleted.
+  void Detach() ABSL_LOCKS_EXCLUDED(mu_) {
+    MutexLock lock(&mu_);
+    reactor_ = nullptr;
+  }
+
+ private:
+  void WriteNextLocked() ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_) {
+    writing_ = true;
+    reactor_->StartWrite(&outgoing_.front());
+  }
+  void FinishLocked(grpc::Status status) ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_) {
+    if (reactor_ == nullptr || finishing_) return;
+    finishing_ = true;
+    reactor_->Finish(std::move(status));
+  }
+
+  mutable Mutex mu_;
+  Reactor* reactor_ ABSL_GUARDED_BY(mu_);  // Not owned; null once it is done.
+  // The front one is being written while writing_; a deque's front stays where it is.
+  std::deque<Out> outgoing_ ABSL_GUARDED_BY(mu_);
+  bool writing_ ABSL_GUARDED_BY(mu_) = false;
+  bool finishing_ ABSL_GUARDED_BY(mu_) = false;
+};
+
+}  // namespace rips::rpc
+
+#endif  // RIPS_SERVICES_RPC_STREAM_OUTBOUND_H_
