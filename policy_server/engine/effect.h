@@ -39,6 +39,14 @@ struct RunProgramEffect {
   std::vector<std::string> args;
 };
 
+// An exec that was not asked of the robot; the action failed.
+struct RefusedProgram {
+  std::string rule;
+  std::string program;
+  // "late" | "too many in flight"
+  std::string reason;
+};
+
 using Effect = std::variant<AlertEffect, TransitionEffect, RunProgramEffect>;
 
 struct Outcome {
@@ -50,6 +58,9 @@ struct Outcome {
   uint32_t fired = 0;
   // Rules that faulted.
   uint32_t faults = 0;
+  std::vector<RefusedProgram> refused_programs;
+  // Names of rules that cut an over-long string for the first time under this policy.
+  std::vector<std::string> cut_strings;
 };
 
 }  // namespace rips::engine

@@ -2,7 +2,8 @@
 //
 // Truth of `a op b` (left to right, the right side only if it can matter): a fault anywhere that is
 // evaluated makes the rule not fire and is alerted at most once per second and rule. Actions before
-// a fault in their chain stay done; the action whose argument faults fails.
+// a fault in their chain stay done; the action whose argument faults fails, its chain goes on as
+// its connectors say, and the rule's later chains do not run.
 //
 // Chain: `a => b` runs b if a succeeded, `a !> b` if a failed, `a , b` always; the first connector
 // that says no ends the chain. exec and trigger answer later: the chain is parked (unless nothing
@@ -35,8 +36,9 @@ Outcome OnActuation(Instant now, RobotState& state);
 // Parked chains past their deadline go on with failure. Call at least once a second.
 Outcome Expire(Instant now, RobotState& state);
 
-// Names of the rules, in order, whose expression is true on the graph as it is now and whose first
-// action is trigger of a level above `level`: "what would raise it again". Changes nothing.
+// Names of the Graph rules, in order, whose expression would be true on the graph as it is now if
+// the robot were at `level`, and one of whose chains holds a trigger above it: "what would raise it
+// again". Whether the chain gets that far is not said. Changes nothing.
 std::vector<std::string> WouldRaise(levels::LevelIndex level, Instant now, const RobotState& state);
 
 }  // namespace rips::engine

@@ -22,7 +22,7 @@ class Program {
   const Compiled& compiled() const { return *compiled_; }
 
  private:
-  Program(lang::CheckedRules rules, std::unique_ptr<const Compiled> compiled);
+  explicit Program(lang::CheckedRules rules);
 
   lang::CheckedRules rules_;
   std::unique_ptr<const Compiled> compiled_;

@@ -24,6 +24,7 @@ enum class Actuation {
 };
 
 struct StateLimits {
+  // Chains waiting for the robot; also programs under way.
   size_t parked_max = 64;
   int64_t chain_deadline_ns = 25 * kNanosPerSecond;
   int64_t program_deadline_ns = 10 * kNanosPerSecond;
@@ -33,7 +34,8 @@ struct StateLimits {
 
 class RobotState {
  public:
-  // `started` is when this process began judging the robot (`Uptime`).
+  // `level` must have the program's table. `started` is when this process began judging the robot
+  // (`Uptime`).
   RobotState(std::shared_ptr<const Program> program, levels::LevelMachine level, Instant started,
              StateLimits limits = {});
   ~RobotState();
@@ -50,12 +52,14 @@ class RobotState {
 
   // By name; for checkpoints and tests.
   absl::btree_map<std::string, lang::Value> Variables() const;
-  // Takes what fits by name and type, ignores the rest.
+  // Takes what fits by name and type (and, for a variable handed to trigger, is a level), ignores
+  // the rest.
   void RestoreVariables(const absl::btree_map<std::string, lang::Value>& values);
 
-  // Another policy, between two events: variables survive by name and type, the level by name.
-  // Parked chains finish under the old one. FailedPrecondition (nothing changes) if the new one
-  // lacks the current level.
+  // Another policy, between two events: variables survive by name and type, the level by name, and
+  // so does the level in a variable handed to trigger. Parked chains finish under the old one: a
+  // variable that is gone keeps its last value for them and setting it does nothing.
+  // FailedPrecondition (nothing changes) if the new one lacks the current level.
   absl::Status SwapProgram(std::shared_ptr<const Program> program);
 
   // For the evaluator only.

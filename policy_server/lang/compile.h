@@ -32,6 +32,12 @@ CompileResult Compile(const std::vector<SourceFile>& files,
 std::string RenderText(const std::vector<SourceFile>& files,
                        const std::vector<Diagnostic>& diagnostics);
 
+// One line of JSON, valid UTF-8 whatever the files hold:
+// {"files":[{"path","ok":bool,"diagnostics":[{"line","column","severity","kind","message",
+// "hint"?}]}]}; lines and columns from 1, columns in code points. A contract: fields may be added.
+std::string RenderJson(const std::vector<SourceFile>& files,
+                       const std::vector<Diagnostic>& diagnostics);
+
 }  // namespace rips::lang
 
 #endif  // RIPS_POLICY_SERVER_LANG_COMPILE_H_

@@ -20,6 +20,8 @@ enum class DiagnosticSeverity { kError, kWarning, kNote };
 // "UnknownName"; the `kind` of JSON output.
 absl::string_view Name(DiagnosticKind kind);
 DiagnosticSeverity SeverityOf(DiagnosticKind kind);
+// "error", "warning", "note".
+absl::string_view Name(DiagnosticSeverity severity);
 
 struct Diagnostic {
   DiagnosticKind kind;

@@ -9,6 +9,15 @@
 //   further below refused kNeedsOperator
 //
 //   * unless late (kLate), blind (kBlind) or out of budget (kBudget), checked in this order.
+//   A level that is not in the table is refused kUnexpected.
+//
+// Invariants, whatever the order of calls:
+//   1. The level goes down only by a Request from a soft level to the next one below, timely, with
+//      complete evidence and budget left, or by a DeEscalate that names the current level and mark.
+//   2. Every decision has a mark of its own: its epoch is above every epoch used or adopted before,
+//      its term is not below any before.
+//   3. A refusal, and a request of the current level, change neither level nor mark.
+//   4. While soft lowerings are suspended no Request lowers; only Resume() ends that.
 #ifndef RIPS_POLICY_SERVER_LEVELS_LEVEL_MACHINE_H_
 #define RIPS_POLICY_SERVER_LEVELS_LEVEL_MACHINE_H_
 
@@ -37,9 +46,12 @@ struct Evidence {
 
 enum class Lateness { kTimely, kLate };
 
-// Not thread-safe. Invariant: the level goes down only by a soft Request or by DeEscalate.
+// Not thread-safe.
 class LevelMachine {
  public:
+  // Terms and epochs that a robot shows are believed up to here, so that none can use up all marks.
+  static constexpr uint64_t kCounterMax = uint64_t{1} << 62;
+
   // `level` must be in `table`. `mark` names the decision that led to it (none = never decided).
   // New decisions take `term`, which must be >= mark.term, and epochs above mark.epoch.
   LevelMachine(LevelTable table, LevelIndex level, Mark mark, uint64_t term,
@@ -54,11 +66,14 @@ class LevelMachine {
   Transition DeEscalate(LevelIndex to, const Cause& cause, Instant now, LevelIndex expected_level,
                         const Mark& expected_mark);
   // The robot holds `level` under a mark unknown here: takes the more restrictive of both, always
-  // as a new decision, above `seen` in term and epoch.
+  // as a new decision, above `seen` (cut to kCounterMax) in term and epoch. A level that is not in
+  // the table counts as the last one.
   Transition Adopt(LevelIndex level, const Mark& seen, Instant now);
-  // A Hello showed a term above ours: later decisions use at least `term`.
+  // A Hello showed a term above ours: later decisions use at least `term` (cut to kCounterMax).
   void RaiseTerm(uint64_t term);
-  // Ends the suspension of soft lowerings.
+  // Suspends soft lowerings, as they were before a restart.
+  void Suspend() { suspended_ = true; }
+  // Ends the suspension of soft lowerings and gives the whole budget back.
   void Resume();
 
   // Another policy: the level is kept by name. False (and nothing changes) if `table` lacks it.
@@ -71,7 +86,10 @@ class LevelMachine {
   bool soft_suspended() const { return suspended_; }
 
  private:
+  Transition Propose(LevelIndex to, const Cause& cause, Instant now) const;
   Transition Decide(Transition transition);
+  // Takes one soft lowering from the budget; false (and suspended) if there is none left.
+  bool SpendBudget(Instant now);
 
   LevelTable table_;
   LevelIndex level_;

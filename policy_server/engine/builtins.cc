@@ -1,0 +1,229 @@
+#include "policy_server/engine/builtins.h"
+
+#include <algorithm>
+#include <iterator>
+#include <string>
+#include <utility>
+#include <variant>
+#include <vector>
+
+#include "absl/strings/match.h"
+#include "policy_server/engine/name_set.h"
+
+namespace rips::engine {
+namespace {
+
+using lang::Builtin;
+using Args = absl::Span<const Scalar>;
+
+enum class Relation { kExactly, kCurrentInGiven, kGivenInCurrent };
+
+std::optional<absl::string_view> Text(Args args, size_t i) {
+  if (i >= args.size()) return std::nullopt;
+  const auto* text = std::get_if<absl::string_view>(&args[i]);
+  if (text == nullptr) return std::nullopt;
+  return *text;
+}
+
+// The two last arguments as an inclusive range.
+std::optional<bool> InRange(Args args, size_t from, size_t count) {
+  if (args.size() != from + 2) return std::nullopt;
+  const auto* min = std::get_if<int64_t>(&args[from]);
+  const auto* max = std::get_if<int64_t>(&args[from + 1]);
+  if (min == nullptr || max == nullptr) return std::nullopt;
+  const auto n = static_cast<int64_t>(count);
+  return *min <= n && n <= *max;
+}
+
+const std::string& NameOf(const std::string& name) { return name; }
+const std::string& NameOf(const ros2::Node& node) { return node.full_name; }
+const std::string& NameOf(const std::pair<const std::string, ros2::Topic>& topic) {
+  return topic.first;
+}
+
+// How the names from args[from] on compare with those in `current`.
+template <typename Range>
+std::optional<bool> Compare(NameSet::Kind kind, Args args, size_t from, const Range& current,
+                            Relation relation, bool truncated) {
+  NameSet names(kind);
+  for (size_t i = from; i < args.size(); ++i) {
+    const std::optional<absl::string_view> name = Text(args, i);
+    if (!name.has_value()) return std::nullopt;
+    names.Add(*name);
+  }
+  names.Seal();
+  for (const auto& item : current) names.See(NameOf(item));
+  switch (relation) {
+    case Relation::kExactly:
+      return !truncated && names.AllCurrentGiven() && names.AllGivenCurrent();
+    case Relation::kCurrentInGiven:
+      return !truncated && names.AllCurrentGiven();
+    case Relation::kGivenInCurrent:
+      return names.AllGivenCurrent();
+  }
+  return std::nullopt;
+}
+
+// Services of every node that `name` means.
+std::vector<std::string> ServicesOf(absl::string_view name, const ros2::RosGraph& graph) {
+  std::vector<std::string> services;
+  const std::string* last = nullptr;
+  for (const ros2::Node& node : graph.nodes()) {
+    // Nodes are sorted by name; those of one name are answered together.
+    if (last != nullptr && *last == node.full_name) continue;
+    if (!ros2::NodeNameMatches(name, node.full_name)) continue;
+    last = &node.full_name;
+    std::vector<std::string> more = graph.ServicesOf(node.full_name);
+    services.insert(services.end(), std::make_move_iterator(more.begin()),
+                    std::make_move_iterator(more.end()));
+  }
+  return services;
+}
+
+std::optional<bool> AskServices(Builtin builtin, Args args, const Scene& scene, Relation include) {
+  const std::optional<absl::string_view> node = Text(args, 0);
+  if (!node.has_value()) return std::nullopt;
+  const std::vector<std::string> services = ServicesOf(*node, scene.graph);
+  if (builtin == Builtin::kServiceCount) return InRange(args, 1, services.size());
+  if (builtin == Builtin::kService) {
+    const std::optional<absl::string_view> service = Text(args, 1);
+    if (!service.has_value() || args.size() != 2) return std::nullopt;
+    return std::find(services.begin(), services.end(), *service) != services.end();
+  }
+  return Compare(NameSet::Kind::kPlain, args, 1, services,
+                 builtin == Builtin::kServices ? Relation::kExactly : include,
+                 scene.graph.truncated());
+}
+
+const std::vector<std::string>& Nobody() {
+  static const auto* const kNobody = new std::vector<std::string>();
+  return *kNobody;
+}
+const std::vector<std::string>& Publishers(const ros2::Topic* topic) {
+  return topic == nullptr ? Nobody() : topic->publishers;
+}
+const std::vector<std::string>& Subscribers(const ros2::Topic* topic) {
+  return topic == nullptr ? Nobody() : topic->subscribers;
+}
+
+// Builtins whose first argument is a topic.
+std::optional<bool> AskTopic(Builtin builtin, Args args, const Scene& scene, Relation include) {
+  const std::optional<absl::string_view> name = Text(args, 0);
+  if (!name.has_value()) return std::nullopt;
+  const ros2::Topic* topic = scene.graph.FindTopic(*name);
+  const bool truncated = scene.graph.truncated();
+  const auto compare = [&](const std::vector<std::string>& current, Relation relation) {
+    return Compare(NameSet::Kind::kNodes, args, 1, current, relation, truncated);
+  };
+  switch (builtin) {
+    case Builtin::kTopicPublishers:
+      return compare(Publishers(topic), Relation::kExactly);
+    case Builtin::kTopicSubscribers:
+      return compare(Subscribers(topic), Relation::kExactly);
+    case Builtin::kTopicPublishersInclude:
+      return compare(Publishers(topic), include);
+    case Builtin::kTopicSubscribersInclude:
+      return compare(Subscribers(topic), include);
+    case Builtin::kTopicPublisherCount:
+      return InRange(args, 1, Publishers(topic).size());
+    case Builtin::kTopicSubscriberCount:
+      return InRange(args, 1, Subscribers(topic).size());
+    default:
+      return std::nullopt;
+  }
+}
+
+// Is any of the arguments `text` (whole), or the package of one of the types?
+std::optional<bool> AnyIs(Args args, absl::string_view text) {
+  bool found = false;
+  for (size_t i = 0; i < args.size(); ++i) {
+    const std::optional<absl::string_view> arg = Text(args, i);
+    if (!arg.has_value()) return std::nullopt;
+    found |= *arg == text;
+  }
+  return found;
+}
+
+std::optional<bool> TypeIn(Args args, const Scene& scene) {
+  bool found = false;
+  for (const absl::string_view type : scene.types) {
+    const std::optional<bool> is = AnyIs(args, type.substr(0, type.find('/')));
+    if (!is.has_value()) return std::nullopt;
+    found |= *is;
+  }
+  return found;
+}
+
+std::optional<bool> SubtypeIs(Args args, const Scene& scene) {
+  const std::optional<absl::string_view> package = Text(args, 0);
+  const std::optional<absl::string_view> name = Text(args, 1);
+  if (!package.has_value() || !name.has_value() || args.size() != 2) return std::nullopt;
+  constexpr absl::string_view kBetween = "/msg/";
+  return std::any_of(scene.types.begin(), scene.types.end(), [&](absl::string_view type) {
+    return type.size() == package->size() + kBetween.size() + name->size() &&
+           absl::StartsWith(type, *package) && absl::EndsWith(type, *name) &&
+           type.substr(package->size(), kBetween.size()) == kBetween;
+  });
+}
+
+}  // namespace
+
+std::optional<bool> Ask(Builtin builtin, Args args, const Scene& scene) {
+  const bool prototype = scene.dialect == lang::CheckedRules::Dialect::kPrototype;
+  const Relation include = prototype ? Relation::kGivenInCurrent : Relation::kCurrentInGiven;
+  const auto compare = [&](NameSet::Kind kind, const auto& current, Relation relation) {
+    return Compare(kind, args, 0, current, relation, scene.graph.truncated());
+  };
+  switch (builtin) {
+    case Builtin::kTopicIn:
+      return AnyIs(args, scene.topic);
+    case Builtin::kMsgTypeIn:
+      return TypeIn(args, scene);
+    case Builtin::kMsgSubtype:
+      return SubtypeIs(args, scene);
+    case Builtin::kPublisherCount:
+      return InRange(args, 0, Publishers(scene.facts).size());
+    case Builtin::kSubscriberCount:
+      return InRange(args, 0, Subscribers(scene.facts).size());
+    case Builtin::kPublishers:
+      return compare(NameSet::Kind::kNodes, Publishers(scene.facts), Relation::kExactly);
+    case Builtin::kSubscribers:
+      return compare(NameSet::Kind::kNodes, Subscribers(scene.facts), Relation::kExactly);
+    case Builtin::kPublishersInclude:
+      return compare(NameSet::Kind::kNodes, Publishers(scene.facts), Relation::kGivenInCurrent);
+    case Builtin::kSubscribersInclude:
+      return compare(NameSet::Kind::kNodes, Subscribers(scene.facts),
+                     prototype ? Relation::kCurrentInGiven : Relation::kGivenInCurrent);
+    case Builtin::kNodes:
+      return compare(NameSet::Kind::kNodes, scene.graph.nodes(), Relation::kExactly);
+    case Builtin::kNodesInclude:
+      return compare(NameSet::Kind::kNodes, scene.graph.nodes(), include);
+    case Builtin::kNodeCount:
+      return InRange(args, 0, scene.graph.nodes().size());
+    case Builtin::kTopics:
+      return compare(NameSet::Kind::kPlain, scene.graph.topics(), Relation::kExactly);
+    case Builtin::kTopicsInclude:
+      return compare(NameSet::Kind::kPlain, scene.graph.topics(), include);
+    case Builtin::kTopicCount:
+      return InRange(args, 0, scene.graph.topics().size());
+    case Builtin::kServices:
+    case Builtin::kServicesInclude:
+    case Builtin::kServiceCount:
+    case Builtin::kService:
+      return AskServices(builtin, args, scene, include);
+    case Builtin::kTopicPublishers:
+    case Builtin::kTopicSubscribers:
+    case Builtin::kTopicPublishersInclude:
+    case Builtin::kTopicSubscribersInclude:
+    case Builtin::kTopicPublisherCount:
+    case Builtin::kTopicSubscriberCount:
+      return AskTopic(builtin, args, scene, include);
+    case Builtin::kTopicMatches:
+    case Builtin::kLevelName:
+    case Builtin::kString:
+      return std::nullopt;
+  }
+  return std::nullopt;
+}
+
+}  // namespace rips::engine

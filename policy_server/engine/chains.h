@@ -1,0 +1,79 @@
+// Runs rules and chains of one robot, for one call of the evaluator.
+#ifndef RIPS_POLICY_SERVER_ENGINE_CHAINS_H_
+#define RIPS_POLICY_SERVER_ENGINE_CHAINS_H_
+
+#include <cstdint>
+#include <memory>
+#include <optional>
+#include <string>
+#include <vector>
+
+#include "policy_server/engine/effect.h"
+#include "policy_server/engine/frame.h"
+#include "policy_server/engine/internal.h"
+#include "policy_server/engine/robot_state.h"
+
+namespace rips::engine {
+
+// A parked chain and what it was told.
+struct Answered {
+  std::unique_ptr<ParkedChain> chain;
+  bool ok = false;
+};
+
+// What a chain that asked for a level is told now: true, false, or nothing yet.
+std::optional<bool> AnswerOf(levels::LevelIndex wants, bool lowering, const RobotState& state);
+
+// Borrows `state` and `outcome` for its life.
+class Runner {
+ public:
+  Runner(Instant now, RobotState& state, Outcome& outcome)
+      : now_(now), state_(state), in_(state.internal()), outcome_(outcome) {}
+
+  // Every rule of the event's class.
+  void Run(const Event& event);
+  // Lets them go on, in order.
+  void Resume(std::vector<Answered> answered);
+
+ private:
+  enum class Step { kSucceeded, kFailed, kParked };
+
+  // The rule under evaluation.
+  struct Current {
+    Frame& frame;
+    uint32_t rule_index;
+    const lang::TypedRule& rule;
+    bool faulted = false;
+  };
+
+  void RunRule(Frame& frame, uint32_t index);
+  void RunChain(Current& current, uint32_t chain, size_t action);
+  Step Act(Current& current, uint32_t chain, size_t index);
+  Step Alert(Current& current, const lang::TypedAction& action);
+  Step Set(Current& current, const lang::TypedAction& action);
+  Step Exec(Current& current, uint32_t chain, size_t index);
+  Step Trigger(Current& current, uint32_t chain, size_t index);
+
+  // Nullopt on a fault, which has then been reported.
+  std::optional<lang::Value> Arg(Current& current, const lang::TypedExpr& arg);
+  std::optional<std::string> TextArg(Current& current, const lang::TypedExpr& arg);
+  // The level that `trigger` names, in the table in force.
+  std::optional<levels::LevelIndex> LevelArg(Current& current, const lang::TypedExpr& arg);
+
+  void ReportFault(Current& current, absl::string_view what, absl::string_view consequence);
+  void ReportFull(const Current& current);
+  void NoteCut(const Current& current, const Expression& expression);
+  void Refuse(levels::Transition transition);
+  void Raise(const Current& current, Severity severity, std::string text);
+  std::unique_ptr<ParkedChain> MakeParked(const Current& current, uint32_t chain, size_t index);
+  bool Full() const { return in_.parked.size() >= in_.limits.parked_max; }
+
+  Instant now_;
+  RobotState& state_;
+  RobotState::Internal& in_;
+  Outcome& outcome_;
+};
+
+}  // namespace rips::engine
+
+#endif  // RIPS_POLICY_SERVER_ENGINE_CHAINS_H_

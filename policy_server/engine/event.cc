@@ -1,0 +1,38 @@
+#include "policy_server/engine/event.h"
+
+#include "absl/strings/str_cat.h"
+
+namespace rips::engine {
+namespace {
+
+struct Describer {
+  std::string operator()(const MessageEvent& message) const {
+    const std::string from = message.sender.empty()
+                                 ? absl::StrCat("(unattributed ", ToString(message.writer), ")")
+                                 : std::string(message.sender);
+    return absl::StrCat("message on ", message.topic, " from ", from);
+  }
+  std::string operator()(const GraphEvent&) const { return "graph change"; }
+  std::string operator()(const ExternalEvent& external) const {
+    return std::visit(*this, external);
+  }
+  std::string operator()(const IdsEvent& ids) const {
+    return absl::StrCat("ids alert ", ids.gid, ":", ids.sid, " ", ids.message);
+  }
+  std::string operator()(const SignalEvent& signal) const {
+    return absl::StrCat("signal ", signal.name);
+  }
+  std::string operator()(const AgentEvent& agent) const {
+    return absl::StrCat(agent.agent, " ", agent.state);
+  }
+  std::string operator()(const LossEvent& loss) const {
+    return absl::StrCat("loss of ", loss.count, " events");
+  }
+  std::string operator()(const TickEvent&) const { return "tick"; }
+};
+
+}  // namespace
+
+std::string Describe(const Event& event) { return std::visit(Describer(), event.what); }
+
+}  // namespace rips::engine

@@ -1,0 +1,261 @@
+// The calls among expressions: the part of ExprChecker that reads the table of builtins.
+#include <algorithm>
+#include <utility>
+
+#include "absl/strings/match.h"
+#include "absl/strings/str_cat.h"
+#include "policy_server/lang/expr_checker.h"
+#include "policy_server/lang/nearest.h"
+#include "policy_server/lang/type.h"
+#include "policy_server/lang/utf8.h"
+#include "policy_server/lang/value_text.h"
+#include "re2/re2.h"
+
+namespace rips::lang {
+namespace {
+
+bool IsConstant(const TypedExpr& expr) { return expr.kind == TypedExpr::Kind::kConstant; }
+
+// A call that is false for every event, by its arguments alone: a range without numbers, a list
+// without members.
+bool NeverTrue(const Signature& signature, const std::vector<TypedExpr>& args) {
+  if (signature.builtin == Builtin::kTopicIn || signature.builtin == Builtin::kMsgTypeIn) {
+    return args.empty();
+  }
+  for (size_t i = 1; i < signature.parameters.size(); ++i) {
+    if (signature.parameters[i].role != ParameterRole::kRangeMax || !IsConstant(args[i])) continue;
+    const int64_t max = std::get<int64_t>(args[i].constant);
+    if (max < 0) return true;
+    if (IsConstant(args[i - 1]) && std::get<int64_t>(args[i - 1].constant) > max) return true;
+  }
+  return false;
+}
+
+absl::string_view Subject(EventClass event_class) {
+  switch (event_class) {
+    case EventClass::kUniversal:
+      return "any event";
+    case EventClass::kMsg:
+      return "a message";
+    case EventClass::kGraph:
+      return "the graph";
+    case EventClass::kExternal:
+      return "an external event";
+  }
+  return "";
+}
+
+absl::string_view SectionsFor(EventClass event_class) {
+  switch (event_class) {
+    case EventClass::kUniversal:
+      return "any section";
+    case EventClass::kMsg:
+      return "a `rules Msg` section";
+    case EventClass::kGraph:
+      return "a `rules Graph` or `rules Msg` section";
+    case EventClass::kExternal:
+      return "a `rules External` section";
+  }
+  return "";
+}
+
+}  // namespace
+
+std::optional<ExprChecker::Checked> ExprChecker::CheckCall(const ast::Expr& expr,
+                                                           const ExprContext& context) {
+  const Symbol* symbol = scope_.Find(expr.text);
+  const Signature* signature = symbol == nullptr ? FindSignature(expr.text) : nullptr;
+  if (signature == nullptr) {
+    if (symbol == nullptr || symbol->kind != Symbol::Kind::kBroken) ReportNotCallable(expr);
+    // For the mistakes in them.
+    for (const ast::Expr& arg : expr.operands) {
+      const Symbol* set = arg.kind == ast::Expr::Kind::kName ? scope_.Find(arg.text) : nullptr;
+      if (set == nullptr || set->kind != Symbol::Kind::kSet) CheckExpr(arg, context);
+    }
+    return std::nullopt;
+  }
+  CheckClass(expr, *signature, context);
+  std::optional<std::vector<Checked>> args = CheckArgs(expr, *signature, context);
+  if (!args) return std::nullopt;
+  NoteDialect(expr, *signature);
+
+  Checked out;
+  out.typed.kind = TypedExpr::Kind::kCall;
+  out.typed.type = signature->result;
+  out.typed.range = expr.range;
+  out.typed.builtin = signature->builtin;
+  out.typed.args.reserve(args->size());
+  for (size_t i = 0; i < args->size(); ++i) {
+    if (i < expr.operands.size()) WarnDecided(expr.operands[i], (*args)[i], context);
+    out.depth = std::max(out.depth, (*args)[i].depth + 1);
+    out.typed.args.push_back(std::move((*args)[i].typed));
+  }
+  if (NeverTrue(*signature, out.typed.args)) out.truth.may_be_true = false;
+  FoldCall(*signature, out);
+  return out;
+}
+
+std::optional<std::vector<ExprChecker::Checked>> ExprChecker::CheckArgs(
+    const ast::Expr& call, const Signature& signature, const ExprContext& context) {
+  const size_t fixed = signature.parameters.size();
+  const size_t given = call.operands.size();
+  bool good = true;
+  if (given < fixed || (given > fixed && !signature.variadic())) {
+    sink_.Add(DiagnosticKind::kArgumentCount, call.name,
+              absl::StrCat(Quote(call.text), " takes ", signature.variadic() ? "at least " : "",
+                           fixed, fixed == 1 ? " argument, " : " arguments, ", given, " given"),
+              absl::StrCat("it is called like `", UsageOf(signature), "`"));
+    good = false;
+  }
+  std::vector<Checked> out;
+  for (size_t i = 0; i < given && (i < fixed || !signature.variadic()); ++i) {
+    std::optional<Checked> arg = CheckExpr(call.operands[i], context);
+    good = good && arg.has_value();
+    if (!arg || i >= fixed) continue;
+    good = CheckArgument(arg->typed, signature.parameters[i], call.text) && good;
+    out.push_back(std::move(*arg));
+  }
+  if (signature.variadic()) {
+    const size_t listed = out.size();
+    good = CheckList(call.operands, fixed, call.text, context, out) && good;
+    if (signature.list.role == ParameterRole::kTopic) {
+      for (size_t i = listed; i < out.size(); ++i) WarnRelativeTopic(out[i].typed);
+    }
+  }
+  if (!good) return std::nullopt;
+  return out;
+}
+
+bool ExprChecker::CheckList(const std::vector<ast::Expr>& list, size_t begin,
+                            absl::string_view owner, const ExprContext& context,
+                            std::vector<Checked>& out) {
+  bool good = true;
+  for (size_t i = begin; i < list.size(); ++i) {
+    const ast::Expr& expr = list[i];
+    const Symbol* set = expr.kind == ast::Expr::Kind::kName ? scope_.Find(expr.text) : nullptr;
+    if (set != nullptr && set->kind == Symbol::Kind::kSet) {
+      for (const std::string& member : set->members) {
+        Checked item;
+        item.typed.type = ValueType::kString;
+        item.typed.constant = member;
+        item.typed.range = expr.range;
+        out.push_back(std::move(item));
+      }
+      continue;
+    }
+    std::optional<Checked> item = CheckExpr(expr, context);
+    good = good && item.has_value();
+    if (!item) continue;
+    if (item->typed.type != ValueType::kString) {
+      sink_.Add(DiagnosticKind::kTypeMismatch, item->typed.range,
+                absl::StrCat(Quote(owner), " takes a list of strings; this is ",
+                             Quote(Name(item->typed.type))));
+      good = false;
+    }
+    out.push_back(std::move(*item));
+  }
+  return good;
+}
+
+bool ExprChecker::CheckArgument(const TypedExpr& arg, const Parameter& parameter,
+                                absl::string_view owner) {
+  if (parameter.role == ParameterRole::kAnyType) return true;
+  if (!Converts(arg.type, parameter.type)) {
+    sink_.Add(DiagnosticKind::kTypeMismatch, arg.range,
+              absl::StrCat("`", parameter.name, "` of ", Quote(owner), " is ",
+                           Quote(Name(parameter.type)), "; this is ", Quote(Name(arg.type))));
+    return false;
+  }
+  if (parameter.role == ParameterRole::kTopic) WarnRelativeTopic(arg);
+  return parameter.role != ParameterRole::kRegex || CheckRegex(arg);
+}
+
+bool ExprChecker::CheckRegex(const TypedExpr& arg) {
+  if (!IsConstant(arg)) {
+    sink_.Add(DiagnosticKind::kNotConstant, arg.range, "a regex must be constant");
+    return false;
+  }
+  const std::string& pattern = std::get<std::string>(arg.constant);
+  RE2::Options options;
+  options.set_log_errors(false);
+  const RE2 regex(pattern, options);
+  if (regex.ok()) return true;
+  sink_.Add(DiagnosticKind::kBadRegex, arg.range, absl::StrCat("bad regex: ", regex.error()),
+            "the syntax is RE2's");
+  return false;
+}
+
+void ExprChecker::CheckClass(const ast::Expr& call, const Signature& signature,
+                             const ExprContext& context) {
+  if (!context.section || Accepts(*context.section, signature.event_class)) return;
+  sink_.Add(DiagnosticKind::kClassMismatch, call.name,
+            absl::StrCat(Quote(call.text), " is about ", Subject(signature.event_class),
+                         "; it cannot be used in `rules ", context.section_name, "`"),
+            absl::StrCat("move the rule to ", SectionsFor(signature.event_class)));
+}
+
+void ExprChecker::WarnRelativeTopic(const TypedExpr& arg) {
+  if (!IsConstant(arg) || arg.type != ValueType::kString) return;
+  const std::string& topic = std::get<std::string>(arg.constant);
+  if (absl::StartsWith(topic, "/")) return;
+  sink_.Add(DiagnosticKind::kRelativeTopic, arg.range,
+            absl::StrCat("topic ", Quote(topic), " never matches: it does not start with `/`"),
+            absl::StrCat("write the full name, as in ", Quote(absl::StrCat("/", topic))));
+}
+
+void ExprChecker::FoldCall(const Signature& signature, Checked& call) const {
+  if (signature.event_class != EventClass::kUniversal || !IsConstant(call.typed.args[0])) return;
+  const Value& arg = call.typed.args[0].constant;
+  std::string value;
+  if (signature.builtin == Builtin::kString) {
+    value = ToText(arg);
+  } else if (signature.builtin == Builtin::kLevelName) {
+    const int64_t index = std::get<int64_t>(arg);
+    // A level of that number may be declared further on.
+    if (index >= static_cast<int64_t>(levels_.size())) return;
+    if (index >= 0) value = levels_[static_cast<size_t>(index)].name;
+  } else {
+    return;
+  }
+  call.typed.kind = TypedExpr::Kind::kConstant;
+  call.typed.constant = std::move(value);
+  call.typed.args.clear();
+  call.depth = 1;
+}
+
+void ExprChecker::ReportNotCallable(const ast::Expr& call) {
+  const std::string quoted = Quote(call.text);
+  if (scope_.Find(call.text) != nullptr || FindPredefined(call.text) != nullptr) {
+    sink_.Add(DiagnosticKind::kNotCallable, call.name,
+              absl::StrCat(quoted, " is a value, not a builtin"),
+              "write the name alone, without parentheses");
+  } else if (FindAction(call.text) != nullptr) {
+    sink_.Add(DiagnosticKind::kActionInExpression, call.name,
+              absl::StrCat(quoted, " is an action; it cannot be used in an expression"),
+              "actions stand after the `?`");
+  } else if (FindUnavailable(call.text) != nullptr) {
+    sink_.Add(DiagnosticKind::kNotAvailable, call.name,
+              absl::StrCat(quoted, " is not available in this version"));
+  } else if (!sink_.Full(call.name.file)) {
+    std::vector<absl::string_view> known;
+    for (const Signature& signature : Signatures()) known.push_back(signature.name);
+    for (const ActionSignature& action : ActionSignatures()) known.push_back(action.name);
+    sink_.Add(DiagnosticKind::kUnknownName, call.name, absl::StrCat("unknown builtin ", quoted),
+              NearestHint(call.text, known));
+  }
+}
+
+void ExprChecker::NoteDialect(const ast::Expr& call, const Signature& signature) {
+  if (!signature.include_form || dialect_noted_) return;
+  dialect_noted_ = true;
+  const bool rips = dialect_ == CheckedRules::Dialect::kRips;
+  sink_.Add(DiagnosticKind::kDialectChoice, call.name,
+            absl::StrCat("dialect `", rips ? "rips" : "prototype", "`: ",
+                         rips ? "`nodesinclude` and its like are true when the current ones are "
+                                "all among the given"
+                              : "`nodesinclude` and its like are true when the given are all "
+                                "among the current ones, and `subscribersinclude` is inverted"),
+            absl::StrCat("dialect `", rips ? "prototype" : "rips", "` reads them the other way"));
+}
+
+}  // namespace rips::lang

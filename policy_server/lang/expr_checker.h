@@ -1,0 +1,102 @@
+// Gives an expression its types and folds its constants.
+#ifndef RIPS_POLICY_SERVER_LANG_EXPR_CHECKER_H_
+#define RIPS_POLICY_SERVER_LANG_EXPR_CHECKER_H_
+
+#include <cstdint>
+#include <optional>
+#include <string>
+#include <vector>
+
+#include "policy_server/lang/ast.h"
+#include "policy_server/lang/checked_rules.h"
+#include "policy_server/lang/diagnostic_sink.h"
+#include "policy_server/lang/scope.h"
+#include "policy_server/lang/signature.h"
+#include "policy_server/lang/usage.h"
+
+namespace rips::lang {
+
+// Where an expression stands.
+struct ExprContext {
+  // The class of its section. None in an initialiser and in a section of unknown class.
+  std::optional<EventClass> section;
+  // As the file spells it, for messages.
+  std::string section_name;
+  // It decides whether a rule fires: parts that are always true or false get a warning.
+  bool condition = false;
+  // It is what this variable is set to. `set(x, x + 1)` alone does not count as reading `x`.
+  std::optional<uint32_t> set_target;
+};
+
+class ExprChecker {
+ public:
+  // Nothing is owned; all outlive this. Levels declared later are taken into account.
+  ExprChecker(const Scope& scope, const std::vector<levels::Level>& levels,
+              CheckedRules::Dialect dialect, Usage& usage, DiagnosticSink& sink)
+      : scope_(scope), levels_(levels), dialect_(dialect), usage_(usage), sink_(sink) {}
+
+  // None if the expression is wrong; that has been reported, all mistakes in it.
+  std::optional<TypedExpr> Check(const ast::Expr& expr, const ExprContext& context);
+
+  // A list of strings, list[begin] and what follows: expressions, and names of sets, which stand
+  // for their members. Appended to `out`; wrong ones are reported. `owner` is whose list it is.
+  void CheckStringList(const std::vector<ast::Expr>& list, size_t begin, absl::string_view owner,
+                       const ExprContext& context, std::vector<TypedExpr>& out);
+
+ private:
+  // What values a bool expression may have, if it has one.
+  struct Truth {
+    bool may_be_true = true;
+    bool may_be_false = true;
+
+    bool decided() const { return may_be_true != may_be_false; }
+  };
+  struct Checked {
+    TypedExpr typed;
+    Truth truth;
+    int depth = 1;
+  };
+
+  std::optional<Checked> CheckExpr(const ast::Expr& expr, const ExprContext& context);
+  std::optional<Checked> CheckName(const ast::Expr& expr, const ExprContext& context);
+  std::optional<Checked> CheckUnary(const ast::Expr& expr, const ExprContext& context);
+  std::optional<Checked> CheckRun(const ast::Expr& expr, const ExprContext& context);
+  std::optional<Checked> BuildRun(const ast::Expr& run, std::vector<Checked>& operands);
+  // Operands [begin, end) of a run of one associative operator.
+  std::optional<Checked> BuildBalanced(const ast::Expr& run, std::vector<Checked>& operands,
+                                       size_t begin, size_t end);
+  std::optional<Checked> Combine(const ast::Expr::Operator& op, Checked left, Checked right);
+
+  std::optional<Checked> CheckCall(const ast::Expr& expr, const ExprContext& context);
+  // The arguments of a call; none if any is wrong.
+  std::optional<std::vector<Checked>> CheckArgs(const ast::Expr& call, const Signature& signature,
+                                                const ExprContext& context);
+  // list[begin] and what follows, appended to `out`. False if any is wrong.
+  bool CheckList(const std::vector<ast::Expr>& list, size_t begin, absl::string_view owner,
+                 const ExprContext& context, std::vector<Checked>& out);
+  bool CheckArgument(const TypedExpr& arg, const Parameter& parameter, absl::string_view owner);
+  bool CheckRegex(const TypedExpr& arg);
+  void CheckClass(const ast::Expr& call, const Signature& signature, const ExprContext& context);
+  void WarnRelativeTopic(const TypedExpr& arg);
+  // Replaces a call by its value, if that is known.
+  void FoldCall(const Signature& signature, Checked& call) const;
+
+  void ReportNotAValue(const ast::Expr& name);
+  void ReportNotCallable(const ast::Expr& call);
+  void ReportTypes(const ast::Expr::Operator& op, const TypedExpr& left, const TypedExpr& right);
+  void WarnMixedBitOperators(const ast::Expr& run);
+  // `part` is an operand of something that is not decided itself.
+  void WarnDecided(const ast::Expr& part, const Checked& checked, const ExprContext& context);
+  void NoteDialect(const ast::Expr& call, const Signature& signature);
+
+  const Scope& scope_;
+  const std::vector<levels::Level>& levels_;
+  CheckedRules::Dialect dialect_;
+  Usage& usage_;
+  DiagnosticSink& sink_;
+  bool dialect_noted_ = false;
+};
+
+}  // namespace rips::lang
+
+#endif  // RIPS_POLICY_SERVER_LANG_EXPR_CHECKER_H_
