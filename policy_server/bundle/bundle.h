@@ -1,0 +1,49 @@
+// A policy, ready to run: the rule files of one directory compiled as one program. Immutable; the
+// directory may change afterwards without effect.
+#ifndef RIPS_POLICY_SERVER_BUNDLE_BUNDLE_H_
+#define RIPS_POLICY_SERVER_BUNDLE_BUNDLE_H_
+
+#include <cstddef>
+#include <memory>
+#include <string>
+
+#include "absl/status/statusor.h"
+#include "policy_server/bundle/manifest.h"
+#include "policy_server/engine/program.h"
+#include "policy_server/levels/level_table.h"
+
+namespace rips::bundle {
+
+inline constexpr size_t kManifestBytesMax = 64 << 10;
+// All rule files of a bundle together; a single one is limited by lang::kFileBytesMax.
+inline constexpr size_t kBundleBytesMax = 16 << 20;
+
+struct Bundle {
+  // `sha256:` + 64 hex digits of the SHA-256 of this listing, files in the order of the manifest:
+  //   rips-bundle 1\n
+  //   manifest.yaml SHA256\n
+  //   PATH SHA256\n        one line a rule file
+  // So it changes whenever the manifest or any rule file does.
+  std::string id;
+  Manifest manifest;
+  std::shared_ptr<const engine::Program> program;
+  levels::LevelIndex start_level = 0;
+  // Warnings of the compiler, ready to print; empty = none.
+  std::string warnings;
+
+  const levels::LevelTable& levels() const { return program->rules().levels; }
+};
+
+// Reads `dir`/manifest.yaml and the rule files it names, each once. Errors name the file and say
+// what to do:
+//   NotFound             the directory, the manifest or a rule file is not there
+//   InvalidArgument      the manifest or the rules are wrong (all their diagnostics as text), the
+//                        manifest's levels are not what the rules declare, a path leaves the
+//                        directory or leads through a symbolic link
+//   ResourceExhausted    a file or all together are too long
+//   Unavailable          reading failed
+absl::StatusOr<Bundle> LoadBundle(const std::string& dir);
+
+}  // namespace rips::bundle
+
+#endif  // RIPS_POLICY_SERVER_BUNDLE_BUNDLE_H_

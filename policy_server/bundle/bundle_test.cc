@@ -1,0 +1,247 @@
+#include "policy_server/bundle/bundle.h"
+
+#include <sys/stat.h>
+
+#include <filesystem>
+#include <fstream>
+#include <string>
+#include <system_error>
+
+#include "absl/strings/str_cat.h"
+#include "absl/strings/str_replace.h"
+#include "gmock/gmock.h"
+#include "gtest/gtest.h"
+#include "policy_server/bundle/bundle_files.h"
+#include "policy_server/lang/limits.h"
+#include "services/base/status_matchers.h"
+
+namespace rips::bundle {
+namespace {
+
+using ::testing::AllOf;
+using ::testing::ElementsAre;
+using ::testing::HasSubstr;
+using ::testing::IsEmpty;
+using ::testing::MatchesRegex;
+using ::testing::Not;
+
+namespace fs = std::filesystem;
+
+constexpr char kManifest[] = R"(name: warehouse
+rules: [base.rul, more/nodes.rul]
+levels: [DEFAULT, ALERT, HALT]
+)";
+class BundleTest : public testing::Test {
+ protected:
+  BundleTest() {
+    std::string name = (fs::temp_directory_path() / "rips-bundle-XXXXXX").string();
+    EXPECT_NE(mkdtemp(name.data()), nullptr);
+    root_ = name;
+    dir_ = root_ / "warehouse";
+    Write("manifest.yaml", kManifest);
+    Write("base.rul", "levels:\n  DEFAULT;\n  ALERT soft;\n  HALT;\n");
+    Write("more/nodes.rul", kNodes);
+  }
+  ~BundleTest() override {
+    std::error_code ignored;
+    fs::remove_all(root_, ignored);
+  }
+  void Write(const std::string& path, const std::string& text) {
+    fs::create_directories((dir_ / path).parent_path());
+    std::ofstream(dir_ / path, std::ios::binary) << text;
+  }
+  absl::StatusOr<Bundle> Load() { return LoadBundle(dir_.string()); }
+  // The bundle's id when the manifest is `text`; or the error.
+  absl::StatusOr<Bundle> LoadWith(const std::string& manifest) {
+    Write("manifest.yaml", manifest);
+    return Load();
+  }
+  static std::string With(const std::string& from, const std::string& to) {
+    return absl::StrReplaceAll(kManifest, {{from, to}});
+  }
+
+  static constexpr char kNodes[] =
+      "rules Graph:\n  unknown_node: !nodes(\"/talker\") ? alert(\"unknown node\") => "
+      "trigger(ALERT) "
+      "=> trigger(HALT);\n";
+  fs::path root_;
+  fs::path dir_;
+};
+
+TEST_F(BundleTest, CompilesTheFilesAsOneProgram) {
+  const auto bundle = Load();
+  ASSERT_THAT(bundle, IsOk());
+  EXPECT_THAT(bundle->id, MatchesRegex("sha256:[0-9a-f]*"));
+  EXPECT_EQ(bundle->id.size(), 7u + 64u);
+  EXPECT_EQ(bundle->manifest.name, "warehouse");
+  EXPECT_THAT(bundle->levels().names(), ElementsAre("DEFAULT", "ALERT", "HALT"));
+  EXPECT_EQ(bundle->start_level, 0);
+  EXPECT_EQ(bundle->manifest.soft_hold, absl::Seconds(5));
+  ASSERT_EQ(bundle->program->rules().rules.size(), 1u);
+  EXPECT_EQ(bundle->program->rules().rules[0].name, "unknown_node");
+  EXPECT_THAT(bundle->warnings, IsEmpty());
+}
+
+TEST_F(BundleTest, TheIdIsTheHashOfTheDocumentedListing) {
+  const auto bundle = Load();
+  ASSERT_THAT(bundle, IsOk());
+  const std::string listing =
+      absl::StrCat("rips-bundle 1\nmanifest.yaml ", Sha256Hex(kManifest), "\nbase.rul ",
+                   Sha256Hex("levels:\n  DEFAULT;\n  ALERT soft;\n  HALT;\n"), "\nmore/nodes.rul ",
+                   Sha256Hex(kNodes), "\n");
+  EXPECT_EQ(bundle->id, absl::StrCat("sha256:", Sha256Hex(listing)));
+  // FIPS 180-4: the hash of "abc".
+  EXPECT_EQ(Sha256Hex("abc"), "ba7816bf8f01cfea414140de5dae2223b00361a396177a9cb410ff61f20015ad");
+}
+
+TEST_F(BundleTest, TheIdChangesWithEveryFileItNames) {
+  const auto before = Load();
+  ASSERT_THAT(before, IsOk());
+  Write("unlisted.rul", "anything");
+  EXPECT_EQ(Load()->id, before->id);
+  Write("base.rul", "levels:\n  DEFAULT;\n  ALERT soft;\n  HALT;\n# a comment\n");
+  const auto rules_changed = Load();
+  ASSERT_THAT(rules_changed, IsOk());
+  EXPECT_NE(rules_changed->id, before->id);
+  const auto manifest_changed = LoadWith(absl::StrCat(kManifest, "soft_hold: 6s\n"));
+  ASSERT_THAT(manifest_changed, IsOk());
+  EXPECT_NE(manifest_changed->id, rules_changed->id);
+}
+
+TEST_F(BundleTest, TakesEveryKeyOfThisVersion) {
+  const auto bundle = LoadWith(absl::StrCat(kManifest, R"(yara: []
+plugins: []
+start_level: ALERT
+dialect: prototype
+on_inspection_error: alert
+two_person: []
+soft_hold: 2s
+scope: {namespaces: [], hosts: []}
+)"));
+  ASSERT_THAT(bundle, IsOk());
+  EXPECT_EQ(bundle->start_level, 1);
+  EXPECT_EQ(bundle->program->rules().dialect, lang::CheckedRules::Dialect::kPrototype);
+  EXPECT_EQ(bundle->manifest.soft_hold, absl::Seconds(2));
+  EXPECT_EQ(bundle->manifest.on_inspection_error, Manifest::OnInspectionError::kAlert);
+}
+
+TEST_F(BundleTest, RefusesWhatThisVersionWouldNotKeep) {
+  for (const char* text :
+       {"yara: [x.yar]", "two_person: [HALT]", "scope: {namespaces: [/a]}", "scope: {hosts: [h]}",
+        "plugins: [{id: p, path: plugins/p, sha256: \"00\"}]"}) {
+    EXPECT_THAT(
+        LoadWith(absl::StrCat(kManifest, text, "\n")),
+        StatusIs(absl::StatusCode::kInvalidArgument, HasSubstr("is not available in this version")))
+        << text;
+  }
+}
+
+TEST_F(BundleTest, RefusesABadManifest) {
+  const struct {
+    std::string manifest;
+    std::string message;
+  } cases[] = {
+      {"", "manifest.yaml"},
+      {With("name: warehouse", "name: Ware House"), "is not a valid bundle name"},
+      {With("rules:", "rule:"), "unknown key `rule`"},
+      {With("[base.rul, more/nodes.rul]", "[]"), "`rules` must not be empty"},
+      {With("more/nodes.rul", "base.rul"), "rule file `base.rul` is listed twice"},
+      {With("[DEFAULT, ALERT, HALT]", "[]"), "`levels` must not be empty"},
+      {absl::StrCat(kManifest, "start_level: GONE\n"), "start level `GONE` is not one of `levels`"},
+      {absl::StrCat(kManifest, "soft_hold: 0s\n"), "soft_hold"},
+      {absl::StrCat(kManifest, "soft_hold: 2h\n"), "soft_hold"},
+      {absl::StrCat(kManifest, "dialect: ours\n"), "write `rips` or `prototype`"},
+  };
+  for (const auto& each : cases) {
+    EXPECT_THAT(LoadWith(each.manifest),
+                StatusIs(absl::StatusCode::kInvalidArgument, HasSubstr(each.message)))
+        << each.manifest;
+  }
+}
+
+TEST_F(BundleTest, LevelsMustEqualTheDeclaredOnes) {
+  for (const char* levels : {"[DEFAULT, ALERT]", "[DEFAULT, HALT, ALERT]",
+                             "[DEFAULT, ALERT, HALT, MORE]", "[default, ALERT, HALT]"}) {
+    EXPECT_THAT(
+        LoadWith(With("[DEFAULT, ALERT, HALT]", levels)),
+        StatusIs(absl::StatusCode::kInvalidArgument,
+                 HasSubstr("the rule files declare [DEFAULT, ALERT, HALT]; make them equal")))
+        << levels;
+  }
+}
+
+TEST_F(BundleTest, ReportsMistakesInRulesWithTheirPlace) {
+  Write("more/nodes.rul", "rules Graph:\n  nodes(\"/a\") ? trigger(GONE);\n");
+  EXPECT_THAT(Load(), StatusIs(absl::StatusCode::kInvalidArgument,
+                               AllOf(HasSubstr("more/nodes.rul:2:"), HasSubstr("error:"),
+                                     HasSubstr("GONE"))));
+}
+
+TEST_F(BundleTest, SaysWhatIsMissing) {
+  EXPECT_THAT(LoadBundle((root_ / "none").string()),
+              StatusIs(absl::StatusCode::kNotFound, HasSubstr("none` does not exist")));
+  fs::remove(dir_ / "more/nodes.rul");
+  EXPECT_THAT(Load(),
+              StatusIs(absl::StatusCode::kNotFound, HasSubstr("`more/nodes.rul` does not exist")));
+  fs::remove(dir_ / "manifest.yaml");
+  EXPECT_THAT(Load(), StatusIs(absl::StatusCode::kNotFound, HasSubstr("manifest.yaml")));
+}
+
+TEST_F(BundleTest, IsNotLedOutOfItsDirectory) {
+  std::ofstream(root_ / "outside.rul") << kNodes;
+  for (const char* path : {"../outside.rul", "more/../../outside.rul", "/etc/passwd", "./base.rul",
+                           "more//nodes.rul", "more/nodes.rul/", "\"\"", "\"a b\""}) {
+    EXPECT_THAT(LoadWith(With("more/nodes.rul", path)),
+                StatusIs(absl::StatusCode::kInvalidArgument, HasSubstr("path `")))
+        << path;
+  }
+  fs::create_symlink(root_ / "outside.rul", dir_ / "link.rul");
+  EXPECT_THAT(LoadWith(With("more/nodes.rul", "link.rul")),
+              StatusIs(absl::StatusCode::kInvalidArgument, HasSubstr("symbolic link")));
+  fs::create_directory_symlink(root_, dir_ / "up");
+  EXPECT_THAT(LoadWith(With("more/nodes.rul", "up/outside.rul")), Not(IsOk()));
+  fs::create_directory(dir_ / "folder.rul");
+  EXPECT_THAT(LoadWith(With("more/nodes.rul", "folder.rul")), Not(IsOk()));
+  ASSERT_EQ(mkfifo((dir_ / "pipe.rul").c_str(), 0600), 0);
+  EXPECT_THAT(LoadWith(With("more/nodes.rul", "pipe.rul")),
+              StatusIs(absl::StatusCode::kInvalidArgument, HasSubstr("not a regular file")));
+}
+
+TEST_F(BundleTest, TheDirectoryItselfMayBeALink) {
+  fs::create_directory_symlink(dir_, root_ / "current");
+  EXPECT_THAT(LoadBundle((root_ / "current").string()), IsOk());
+}
+
+TEST_F(BundleTest, HasLimits) {
+  Write("base.rul", absl::StrCat("levels:\n  DEFAULT;\n  ALERT soft;\n  HALT;\n#",
+                                 std::string(lang::kFileBytesMax, 'x')));
+  EXPECT_THAT(Load(), StatusIs(absl::StatusCode::kResourceExhausted,
+                               HasSubstr("`base.rul` has more than 1048576 bytes")));
+
+  EXPECT_THAT(LoadWith(absl::StrCat(kManifest, "#", std::string(kManifestBytesMax, 'x'))),
+              StatusIs(absl::StatusCode::kResourceExhausted, HasSubstr("manifest.yaml")));
+
+  EXPECT_THAT(CheckBundlePath(std::string(kBundlePathBytesMax, 'x')), IsOk());
+  EXPECT_THAT(CheckBundlePath(std::string(kBundlePathBytesMax + 1, 'x')),
+              StatusIs(absl::StatusCode::kInvalidArgument, HasSubstr("256 bytes, limit 255")));
+
+  std::string many = "f0.rul";
+  for (size_t i = 1; i <= kRuleFilesMax; ++i) absl::StrAppend(&many, ", f", i, ".rul");
+  EXPECT_THAT(
+      LoadWith(With("base.rul, more/nodes.rul", many)),
+      StatusIs(absl::StatusCode::kInvalidArgument, HasSubstr("257 rule files exceed limit 256")));
+}
+
+TEST_F(BundleTest, AllFilesTogetherHaveALimit) {
+  const std::string filler = absl::StrCat("#", std::string(lang::kFileBytesMax - 2, 'x'), "\n");
+  std::string names = "base.rul";
+  for (int i = 0; i < 16; ++i) {
+    Write(absl::StrCat("f", i, ".rul"), filler);
+    absl::StrAppend(&names, ", f", i, ".rul");
+  }
+  EXPECT_THAT(LoadWith(With("base.rul, more/nodes.rul", names)),
+              StatusIs(absl::StatusCode::kResourceExhausted, HasSubstr("16777216 bytes together")));
+}
+
+}  // namespace
+}  // namespace rips::bundle

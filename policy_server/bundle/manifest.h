@@ -1,0 +1,42 @@
+// What a bundle says of itself: manifest.yaml.
+#ifndef RIPS_POLICY_SERVER_BUNDLE_MANIFEST_H_
+#define RIPS_POLICY_SERVER_BUNDLE_MANIFEST_H_
+
+#include <string>
+#include <vector>
+
+#include "absl/status/statusor.h"
+#include "absl/strings/string_view.h"
+#include "absl/time/time.h"
+#include "policy_server/lang/checked_rules.h"
+
+namespace rips::bundle {
+
+// Rule files of one bundle.
+inline constexpr size_t kRuleFilesMax = 256;
+
+struct Manifest {
+  // A name as in IsValidName; equal to the directory's.
+  std::string name;
+  // Paths inside the bundle, compiled as one program, in this order; distinct.
+  std::vector<std::string> rules;
+  // Least restrictive first; must equal what the rule files declare.
+  std::vector<std::string> levels;
+  // One of `levels`; default: the first.
+  std::string start_level;
+  lang::CheckedRules::Dialect dialect = lang::CheckedRules::Dialect::kRips;
+  // How long the evidence must have been complete before a rule may lower a soft level; 500 ms to
+  // 1 h.
+  absl::Duration soft_hold = absl::Seconds(5);
+  // What an inspection that could not be made counts as. Nothing is inspected in this version.
+  enum class OnInspectionError { kMatch, kAlert, kIgnore };
+  OnInspectionError on_inspection_error = OnInspectionError::kMatch;
+};
+
+// InvalidArgument with every problem and its place. Known, but refused unless empty, because this
+// version would not keep what they promise: yara, plugins, two_person, scope.
+absl::StatusOr<Manifest> ParseManifest(absl::string_view file, absl::string_view text);
+
+}  // namespace rips::bundle
+
+#endif  // RIPS_POLICY_SERVER_BUNDLE_MANIFEST_H_

@@ -1,0 +1,206 @@
+#include "policy_server/store/fake_store.h"
+
+#include <algorithm>
+#include <variant>
+
+#include "services/base/status_macros.h"
+
+namespace rips::store {
+namespace {
+
+TransitionRecord ToTransition(const DecisionRecord& decision) {
+  return {.id = decision.id,
+          .robot = decision.robot,
+          .time_unix_ns = decision.time_unix_ns,
+          .from = decision.from,
+          .to = decision.to,
+          .cause = decision.cause,
+          .reason = decision.reason,
+          .mark = decision.mark,
+          .based_on = decision.based_on,
+          .stage = "requested"};
+}
+
+TransitionRecord ToTransition(const RefusalRecord& refusal) {
+  return {.id = refusal.id,
+          .robot = refusal.robot,
+          .time_unix_ns = refusal.time_unix_ns,
+          .from = refusal.from,
+          .to = refusal.to,
+          .cause = refusal.cause,
+          .reason = refusal.reason,
+          .refused = true,
+          .count = refusal.count};
+}
+
+template <typename Record>
+std::vector<Record> Newest(const std::vector<Record>& records, absl::string_view robot,
+                           uint32_t limit) {
+  std::vector<Record> out;
+  for (auto it = records.rbegin(); it != records.rend() && out.size() < ListLimit(limit); ++it) {
+    if (robot.empty() || it->robot == robot) out.push_back(*it);
+  }
+  return out;
+}
+
+}  // namespace
+
+void FakeStore::FailWrites(absl::Status status) {
+  MutexLock lock(&mutex_);
+  write_status_ = std::move(status);
+}
+
+void FakeStore::FailReads(absl::Status status) {
+  MutexLock lock(&mutex_);
+  read_status_ = std::move(status);
+}
+
+void FakeStore::OnCommit(std::function<void()> hook) {
+  MutexLock lock(&mutex_);
+  on_commit_ = std::move(hook);
+}
+
+std::vector<size_t> FakeStore::commit_sizes() const {
+  MutexLock lock(&mutex_);
+  return commit_sizes_;
+}
+
+absl::StatusOr<RobotRecord> FakeStore::Load(absl::string_view robot) {
+  MutexLock lock(&mutex_);
+  RIPS_RETURN_IF_ERROR(read_status_);
+  auto it = state_.robots.find(robot);
+  return it == state_.robots.end() ? RobotRecord{} : it->second;
+}
+
+absl::StatusOr<uint64_t> FakeStore::NextTerm(absl::string_view robot, uint64_t above) {
+  MutexLock lock(&mutex_);
+  RIPS_RETURN_IF_ERROR(write_status_);
+  RobotRecord& record = state_.robots[std::string(robot)];
+  record.highest_term = std::max(record.highest_term, std::min(above, kTermAboveMax)) + 1;
+  return record.highest_term;
+}
+
+absl::StatusOr<bool> FakeStore::HasMark(absl::string_view robot, const Mark& mark) {
+  MutexLock lock(&mutex_);
+  RIPS_RETURN_IF_ERROR(read_status_);
+  return std::any_of(state_.transitions.begin(), state_.transitions.end(),
+                     [&](const TransitionRecord& transition) {
+                       return transition.robot == robot && !transition.refused &&
+                              transition.mark == mark;
+                     });
+}
+
+absl::Status FakeStore::CommitAll(std::span<const WriteBatch> batches) {
+  std::function<void()> hook;
+  {
+    MutexLock lock(&mutex_);
+    hook = on_commit_;
+  }
+  if (hook) hook();
+  MutexLock lock(&mutex_);
+  RIPS_RETURN_IF_ERROR(write_status_);
+  State next = state_;
+  for (const WriteBatch& batch : batches) {
+    RIPS_RETURN_IF_ERROR(Validate(batch));
+    RIPS_RETURN_IF_ERROR(next.Apply(batch));
+  }
+  state_ = std::move(next);
+  commit_sizes_.push_back(batches.size());
+  return absl::OkStatus();
+}
+
+absl::Status FakeStore::State::Apply(const WriteBatch& batch) {
+  for (const DecisionRecord& decision : batch.decisions) RIPS_RETURN_IF_ERROR(Apply(decision));
+  for (const RefusalRecord& refusal : batch.refusals) RIPS_RETURN_IF_ERROR(Apply(refusal));
+  for (const StageUpdate& update : batch.stages) Apply(update);
+  for (const AlertRecord& alert : batch.alerts) RIPS_RETURN_IF_ERROR(Apply(alert));
+  for (const Checkpoint& checkpoint : batch.checkpoints) Apply(checkpoint);
+  return absl::OkStatus();
+}
+
+absl::Status FakeStore::State::Apply(const DecisionRecord& decision) {
+  for (const TransitionRecord& known : transitions) {
+    const bool same_mark = known.robot == decision.robot && known.mark == decision.mark;
+    if (!same_mark && known.id != decision.id) continue;
+    TransitionRecord stored = known;
+    stored.stage = "requested";
+    stored.detail.clear();
+    if (stored == ToTransition(decision)) return absl::OkStatus();
+    return absl::AlreadyExistsError("the mark or id names another decision");
+  }
+  transitions.push_back(ToTransition(decision));
+  RobotRecord& robot = robots[decision.robot];
+  robot.highest_term = std::max(robot.highest_term, decision.mark.term);
+  if (decision.mark > robot.mark) {
+    robot.mark = decision.mark;
+    robot.level = decision.to;
+  }
+  return absl::OkStatus();
+}
+
+absl::Status FakeStore::State::Apply(const RefusalRecord& refusal) {
+  for (TransitionRecord& known : transitions) {
+    if (known.id != refusal.id) continue;
+    if (!known.refused || known.robot != refusal.robot) {
+      return absl::AlreadyExistsError("the id names another transition");
+    }
+    known.count = refusal.count;
+    known.time_unix_ns = refusal.time_unix_ns;
+    return absl::OkStatus();
+  }
+  transitions.push_back(ToTransition(refusal));
+  return absl::OkStatus();
+}
+
+void FakeStore::State::Apply(const StageUpdate& update) {
+  for (TransitionRecord& known : transitions) {
+    if (known.robot != update.robot || known.refused || known.mark != update.mark) continue;
+    known.stage = update.stage;
+    known.detail = update.detail;
+  }
+}
+
+absl::Status FakeStore::State::Apply(const AlertRecord& alert) {
+  for (const AlertRecord& known : alerts) {
+    if (known.id == alert.id) return absl::OkStatus();
+  }
+  alerts.push_back(alert);
+  return absl::OkStatus();
+}
+
+void FakeStore::State::Apply(const Checkpoint& checkpoint) {
+  RobotRecord& robot = robots[checkpoint.robot];
+  if (checkpoint.variables.has_value()) robot.variables = *checkpoint.variables;
+  if (checkpoint.soft_suspended.has_value()) robot.soft_suspended = *checkpoint.soft_suspended;
+  std::vector<LaneKey>& order = lanes[checkpoint.robot];
+  for (const auto& [key, sequence] : checkpoint.high_water) {
+    if (!robot.high_water.contains(key)) order.push_back(key);
+    uint64_t& stored = robot.high_water[key];
+    stored = std::max(stored, sequence);
+
+    const std::string& host = key.host;
+    const auto of_host = [&host](const LaneKey& lane) { return lane.host == host; };
+    if (std::count_if(order.begin(), order.end(), of_host) > ptrdiff_t{kHighWaterPerHostMax}) {
+      const auto oldest = std::find_if(order.begin(), order.end(), of_host);
+      robot.high_water.erase(*oldest);
+      order.erase(oldest);
+    }
+  }
+}
+
+absl::StatusOr<std::vector<TransitionRecord>> FakeStore::ListTransitions(absl::string_view robot,
+                                                                         uint32_t limit) {
+  MutexLock lock(&mutex_);
+  RIPS_RETURN_IF_ERROR(read_status_);
+  if (robot.empty()) return std::vector<TransitionRecord>();
+  return Newest(state_.transitions, robot, limit);
+}
+
+absl::StatusOr<std::vector<AlertRecord>> FakeStore::ListAlerts(absl::string_view robot,
+                                                               uint32_t limit) {
+  MutexLock lock(&mutex_);
+  RIPS_RETURN_IF_ERROR(read_status_);
+  return Newest(state_.alerts, robot, limit);
+}
+
+}  // namespace rips::store

@@ -1,0 +1,275 @@
+// What only a file can do: survive, and be damaged.
+#include "policy_server/store/sqlite_store.h"
+
+#include <signal.h>
+#include <sqlite3.h>
+#include <sys/stat.h>
+#include <sys/wait.h>
+#include <unistd.h>
+
+#include <cstdint>
+#include <filesystem>
+#include <fstream>
+#include <memory>
+#include <string>
+#include <thread>
+#include <vector>
+
+#include "absl/strings/str_cat.h"
+#include "gmock/gmock.h"
+#include "gtest/gtest.h"
+#include "policy_server/store/committer.h"
+#include "policy_server/store/store_test_data.h"
+#include "services/base/status_matchers.h"
+
+namespace rips::store {
+namespace {
+
+using ::testing::AllOf;
+using ::testing::ElementsAre;
+using ::testing::HasSubstr;
+using ::testing::SizeIs;
+
+class SqliteStoreTest : public testing::Test {
+ protected:
+  // Opens, commits two decisions and an alert, closes.
+  void MakeHistory() {
+    auto store = SqliteStore::Open(path_);
+    ASSERT_THAT(store, IsOk());
+    ASSERT_THAT((*store)->NextTerm("r1"), IsOkAndHolds(1u));
+    WriteBatch batch = Decide("r1", {1, 1}, "DEFAULT", "ALERT");
+    batch.alerts.push_back(MakeAlert("r1", "kept"));
+    ASSERT_THAT((*store)->Commit(batch), IsOk());
+    ASSERT_THAT((*store)->Commit(Decide("r1", {1, 2}, "ALERT", "HALT")), IsOk());
+  }
+  void Execute(const std::string& sql) {
+    sqlite3* db = nullptr;
+    ASSERT_EQ(sqlite3_open(path_.c_str(), &db), SQLITE_OK);
+    EXPECT_EQ(sqlite3_exec(db, sql.c_str(), nullptr, nullptr, nullptr), SQLITE_OK)
+        << sqlite3_errmsg(db);
+    sqlite3_close(db);
+  }
+
+  TempDir dir_;
+  const std::string path_ = dir_.File("state.db");
+};
+
+TEST_F(SqliteStoreTest, RemembersAcrossAReopen) {
+  MakeHistory();
+  auto store = SqliteStore::Open(path_);
+  ASSERT_THAT(store, IsOk());
+
+  auto record = (*store)->Load("r1");
+  ASSERT_THAT(record, IsOk());
+  EXPECT_EQ(record->level, "HALT");
+  EXPECT_EQ(record->mark, (Mark{1, 2}));
+  EXPECT_THAT((*store)->NextTerm("r1"), IsOkAndHolds(2u));
+  EXPECT_THAT((*store)->HasMark("r1", {1, 1}), IsOkAndHolds(true));
+  EXPECT_THAT(*(*store)->ListTransitions("r1", 0), SizeIs(2));
+}
+
+TEST_F(SqliteStoreTest, TheFileIsForItsOwnerOnly) {
+  MakeHistory();
+  struct stat info = {};
+  ASSERT_EQ(stat(path_.c_str(), &info), 0);
+  EXPECT_EQ(info.st_mode & 0777, 0600u);
+}
+
+TEST_F(SqliteStoreTest, OneProcessAtATime) {
+  auto store = SqliteStore::Open(path_);
+  ASSERT_THAT(store, IsOk());
+  EXPECT_THAT(SqliteStore::Open(path_), StatusIs(absl::StatusCode::kFailedPrecondition,
+                                                 HasSubstr("in use by another policy server")));
+  store->reset();
+  EXPECT_THAT(SqliteStore::Open(path_), IsOk());
+}
+
+TEST_F(SqliteStoreTest, NeedsADirectory) {
+  EXPECT_THAT(SqliteStore::Open(dir_.File("none/state.db")),
+              StatusIs(absl::StatusCode::kUnavailable, HasSubstr("No such file")));
+  EXPECT_THAT(SqliteStore::Open(dir_.File("")), testing::Not(IsOk()));
+}
+
+TEST_F(SqliteStoreTest, StartsFromAHalfMadeFile) {
+  std::ofstream(path_ + ".new") << "half";
+  MakeHistory();
+  EXPECT_FALSE(std::filesystem::exists(path_ + ".new"));
+}
+
+TEST_F(SqliteStoreTest, RefusesAnEmptyFile) {
+  std::ofstream(path_) << "";
+  EXPECT_THAT(SqliteStore::Open(path_),
+              StatusIs(absl::StatusCode::kDataLoss,
+                       AllOf(HasSubstr("is empty"), HasSubstr("restore it from a backup"))));
+  EXPECT_EQ(std::filesystem::file_size(path_), 0u);
+}
+
+TEST_F(SqliteStoreTest, RefusesAFileThatIsNotOurs) {
+  std::ofstream(path_) << std::string(5'000, 'x');
+  EXPECT_THAT(SqliteStore::Open(path_), StatusIs(absl::StatusCode::kDataLoss, HasSubstr(path_)));
+  std::filesystem::remove(path_);
+  Execute("CREATE TABLE other (x)");
+  EXPECT_THAT(SqliteStore::Open(path_),
+              StatusIs(absl::StatusCode::kDataLoss, HasSubstr("not a state file")));
+}
+
+TEST_F(SqliteStoreTest, RefusesALogWithoutItsFile) {
+  std::ofstream(path_ + "-wal") << "left over";
+  EXPECT_THAT(SqliteStore::Open(path_),
+              StatusIs(absl::StatusCode::kDataLoss, HasSubstr("write-ahead log")));
+  EXPECT_FALSE(std::filesystem::exists(path_));
+}
+
+TEST_F(SqliteStoreTest, RefusesANewerSchema) {
+  MakeHistory();
+  Execute("PRAGMA user_version = 2");
+  EXPECT_THAT(SqliteStore::Open(path_),
+              StatusIs(absl::StatusCode::kFailedPrecondition,
+                       HasSubstr("schema version 2, this program knows up to 1")));
+  Execute("PRAGMA user_version = 0");
+  EXPECT_THAT(SqliteStore::Open(path_), StatusIs(absl::StatusCode::kDataLoss));
+}
+
+TEST_F(SqliteStoreTest, NoticesATruncatedFileWhereverItIsCut) {
+  MakeHistory();
+  const std::uintmax_t size = std::filesystem::file_size(path_);
+  std::filesystem::copy_file(path_, path_ + ".whole");
+  for (std::uintmax_t cut = 512; cut < size; cut += 512) {
+    std::filesystem::copy_file(path_ + ".whole", path_,
+                               std::filesystem::copy_options::overwrite_existing);
+    std::filesystem::resize_file(path_, cut);
+    EXPECT_THAT(SqliteStore::Open(path_), StatusIs(absl::StatusCode::kDataLoss)) << cut;
+    EXPECT_EQ(std::filesystem::file_size(path_), cut) << "a damaged file is left as it is";
+  }
+}
+
+TEST_F(SqliteStoreTest, NeverAnswersWronglyFromAnOverwrittenPage) {
+  MakeHistory();
+  const std::uintmax_t size = std::filesystem::file_size(path_);
+  std::filesystem::copy_file(path_, path_ + ".whole");
+  int refused = 0;
+  for (std::uintmax_t page = 0; page < size; page += 4'096) {
+    std::filesystem::copy_file(path_ + ".whole", path_,
+                               std::filesystem::copy_options::overwrite_existing);
+    std::fstream file(path_, std::ios::in | std::ios::out | std::ios::binary);
+    file.seekp(static_cast<std::streamoff>(page));
+    file << std::string(4'096, '\xa5');
+    file.close();
+    const auto store = SqliteStore::Open(path_);
+    EXPECT_THAT(store, StatusIs(absl::StatusCode::kDataLoss)) << page;
+    refused += store.ok() ? 0 : 1;
+  }
+  EXPECT_GT(refused, 10);
+}
+
+TEST_F(SqliteStoreTest, ForgetsTheOldestAlertsBeyondTheLimit) {
+  auto store = SqliteStore::Open(path_, {.alerts_max = 3});
+  ASSERT_THAT(store, IsOk());
+  for (int i = 1; i <= 5; ++i) {
+    WriteBatch batch;
+    batch.alerts.push_back(MakeAlert("r1", absl::StrCat(i)));
+    ASSERT_THAT((*store)->Commit(batch), IsOk());
+  }
+  std::vector<std::string> texts;
+  const auto alerts = (*store)->ListAlerts("", 0);
+  ASSERT_THAT(alerts, IsOk());
+  for (const AlertRecord& alert : *alerts) texts.push_back(alert.text);
+  EXPECT_THAT(texts, ElementsAre("5", "4", "3"));
+}
+
+TEST_F(SqliteStoreTest, ForgetsOldRefusalsButNoDecision) {
+  auto store = SqliteStore::Open(path_, {.refusals_max = 3});
+  ASSERT_THAT(store, IsOk());
+  ASSERT_THAT((*store)->Commit(Decide("r1", {1, 1}, "A", "B", "decision")), IsOk());
+  for (int i = 1; i <= 5; ++i) {
+    WriteBatch batch;
+    batch.refusals.push_back({.id = absl::StrCat("f", i), .robot = "r1"});
+    ASSERT_THAT((*store)->Commit(batch), IsOk());
+  }
+  std::vector<std::string> ids;
+  const auto transitions = (*store)->ListTransitions("r1", 0);
+  ASSERT_THAT(transitions, IsOk());
+  for (const TransitionRecord& each : *transitions) ids.push_back(each.id);
+  EXPECT_THAT(ids, ElementsAre("f5", "f4", "f3", "decision"));
+  EXPECT_THAT((*store)->HasMark("r1", {1, 1}), IsOkAndHolds(true));
+}
+
+TEST_F(SqliteStoreTest, ABusyFileIsUnavailableAndLaterWorks) {
+  auto store = SqliteStore::Open(path_);
+  ASSERT_THAT(store, IsOk());
+  sqlite3* other = nullptr;
+  ASSERT_EQ(sqlite3_open(path_.c_str(), &other), SQLITE_OK);
+  ASSERT_EQ(sqlite3_exec(other, "BEGIN IMMEDIATE", nullptr, nullptr, nullptr), SQLITE_OK);
+
+  EXPECT_THAT((*store)->Commit(Decide("r1", {1, 1}, "A", "B")),
+              StatusIs(absl::StatusCode::kUnavailable, HasSubstr("locked")));
+  EXPECT_THAT((*store)->Load("r1"), IsOkAndHolds(RobotRecord{})) << "reads do not wait";
+
+  ASSERT_EQ(sqlite3_exec(other, "ROLLBACK", nullptr, nullptr, nullptr), SQLITE_OK);
+  sqlite3_close(other);
+  EXPECT_THAT((*store)->Commit(Decide("r1", {1, 1}, "A", "B")), IsOk());
+}
+
+// Commits decisions 1, 2, ... through a Committer and writes each number to `out` once its callback
+// has been told OK. Does not return.
+[[noreturn]] void CommitForEver(const std::string& path, int out) {
+  auto store = SqliteStore::Open(path);
+  if (!store.ok()) _exit(2);
+  Committer committer(store->get());
+  for (uint64_t epoch = 1;; ++epoch) {
+    WriteBatch batch = Decide("r1", {1, epoch}, "A", absl::StrCat("L", epoch));
+    batch.checkpoints.push_back(
+        {.robot = "r1", .variables = Variables{{"n", static_cast<int64_t>(epoch)}}});
+    auto done = [out, epoch](const absl::Status& status) {
+      if (!status.ok() || write(out, &epoch, sizeof(epoch)) != sizeof(epoch)) _exit(3);
+    };
+    while (!committer.Submit(batch, done).ok()) std::this_thread::yield();
+  }
+}
+
+TEST_F(SqliteStoreTest, WhatWasConfirmedSurvivesKill) {
+  for (int round = 0; round < 3; ++round) {
+    const std::string path = dir_.File(absl::StrCat("round", round, ".db"));
+    int ends[2] = {-1, -1};
+    ASSERT_EQ(pipe(ends), 0);
+    const pid_t child = fork();
+    ASSERT_GE(child, 0);
+    if (child == 0) {
+      close(ends[0]);
+      CommitForEver(path, ends[1]);
+    }
+    close(ends[1]);
+    uint64_t confirmed = 0;
+    uint64_t epoch = 0;
+    const uint64_t enough = 5 + 40 * static_cast<uint64_t>(round);
+    bool killed = false;
+    while (read(ends[0], &epoch, sizeof(epoch)) == sizeof(epoch)) {
+      EXPECT_EQ(epoch, confirmed + 1) << "callbacks come in order";
+      confirmed = epoch;
+      if (!killed && confirmed >= enough) {
+        kill(child, SIGKILL);
+        killed = true;
+      }
+    }
+    close(ends[0]);
+    int how = 0;
+    ASSERT_EQ(waitpid(child, &how, 0), child);
+    ASSERT_TRUE(WIFSIGNALED(how)) << how;
+
+    auto store = SqliteStore::Open(path);
+    ASSERT_THAT(store, IsOk());
+    auto record = (*store)->Load("r1");
+    ASSERT_THAT(record, IsOk());
+    EXPECT_GE(record->mark.epoch, confirmed);
+    EXPECT_EQ(record->level, absl::StrCat("L", record->mark.epoch));
+    EXPECT_EQ(record->variables, (Variables{{"n", static_cast<int64_t>(record->mark.epoch)}}))
+        << "a batch is all or nothing";
+    for (uint64_t i = 1; i <= confirmed; ++i) {
+      EXPECT_THAT((*store)->HasMark("r1", {1, i}), IsOkAndHolds(true)) << i;
+    }
+    EXPECT_GE(confirmed, enough);
+  }
+}
+
+}  // namespace
+}  // namespace rips::store

@@ -1,0 +1,49 @@
+// The writing side of SqliteStore: what a batch does to the tables. Internal to this folder.
+// One thread at a time.
+#ifndef RIPS_POLICY_SERVER_STORE_SQLITE_WRITER_H_
+#define RIPS_POLICY_SERVER_STORE_SQLITE_WRITER_H_
+
+#include <functional>
+#include <string>
+
+#include "policy_server/store/sqlite_db.h"
+#include "policy_server/store/sqlite_store.h"
+#include "policy_server/store/store.h"
+
+namespace rips::store {
+
+class SqliteWriter {
+ public:
+  static absl::StatusOr<SqliteWriter> Create(const std::string& path, SqliteLimits limits);
+
+  absl::StatusOr<uint64_t> NextTerm(absl::string_view robot, uint64_t above);
+  absl::Status CommitAll(std::span<const WriteBatch> batches);
+
+ private:
+  SqliteWriter(Database db, SqliteLimits limits) : db_(std::move(db)), limits_(limits) {}
+
+  absl::Status PrepareAll();
+  // `work` inside BEGIN IMMEDIATE and COMMIT; rolled back if either fails.
+  absl::Status InTransaction(const std::function<absl::Status()>& work);
+  absl::Status Write(const WriteBatch& batch);
+  absl::Status Write(const DecisionRecord& decision);
+  absl::Status Write(const RefusalRecord& refusal);
+  absl::Status Write(const StageUpdate& update);
+  absl::Status Write(const AlertRecord& alert);
+  absl::Status Write(const Checkpoint& checkpoint);
+  absl::Status WriteVariables(const std::string& robot, const Variables& variables);
+  absl::Status WriteHighWater(const std::string& robot, const HighWater& high_water);
+  // True if exactly this decision is stored; AlreadyExists if another has its mark or id.
+  absl::StatusOr<bool> IsStored(const DecisionRecord& decision);
+
+  Database db_;
+  SqliteLimits limits_;
+  Statement begin_, commit_, rollback_;
+  Statement add_robot_, next_term_, find_decision_, add_decision_, apply_decision_;
+  Statement put_refusal_, prune_refusals_, set_stage_, add_alert_, prune_alerts_;
+  Statement clear_variables_, add_variable_, set_suspended_, put_high_water_, prune_high_water_;
+};
+
+}  // namespace rips::store
+
+#endif  // RIPS_POLICY_SERVER_STORE_SQLITE_WRITER_H_

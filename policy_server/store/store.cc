@@ -1,0 +1,61 @@
+#include "policy_server/store/store.h"
+
+#include "absl/strings/str_cat.h"
+#include "services/base/status_macros.h"
+
+namespace rips::store {
+namespace {
+
+absl::Status Missing(absl::string_view record, absl::string_view field) {
+  return absl::InvalidArgumentError(absl::StrCat(record, " without ", field));
+}
+
+absl::Status CheckNames(absl::string_view record, const std::string& robot, const std::string& id) {
+  if (robot.empty()) return Missing(record, "robot");
+  if (id.empty()) return Missing(record, "id");
+  return absl::OkStatus();
+}
+
+absl::Status CheckNumber(absl::string_view what, uint64_t number) {
+  if (number <= kNumberMax) return absl::OkStatus();
+  return absl::InvalidArgumentError(absl::StrCat(what, " ", number, " exceeds ", kNumberMax));
+}
+
+absl::Status CheckMark(const Mark& mark) {
+  RIPS_RETURN_IF_ERROR(CheckNumber("term", mark.term));
+  return CheckNumber("epoch", mark.epoch);
+}
+
+}  // namespace
+
+absl::Status Validate(const WriteBatch& batch) {
+  for (const DecisionRecord& decision : batch.decisions) {
+    RIPS_RETURN_IF_ERROR(CheckNames("decision", decision.robot, decision.id));
+    if (decision.mark.term == 0 || decision.mark.epoch == 0) return Missing("decision", "mark");
+    if (decision.to.empty()) return Missing("decision", "level");
+    RIPS_RETURN_IF_ERROR(CheckMark(decision.mark));
+    RIPS_RETURN_IF_ERROR(CheckMark(decision.based_on));
+  }
+  for (const RefusalRecord& refusal : batch.refusals) {
+    RIPS_RETURN_IF_ERROR(CheckNames("refusal", refusal.robot, refusal.id));
+    RIPS_RETURN_IF_ERROR(CheckNumber("count", refusal.count));
+  }
+  for (const StageUpdate& update : batch.stages) {
+    if (update.robot.empty()) return Missing("stage", "robot");
+    if (update.stage.empty()) return Missing("stage", "name");
+    RIPS_RETURN_IF_ERROR(CheckMark(update.mark));
+  }
+  for (const AlertRecord& alert : batch.alerts) {
+    RIPS_RETURN_IF_ERROR(CheckNames("alert", alert.robot, alert.id));
+    RIPS_RETURN_IF_ERROR(CheckMark(alert.mark));
+  }
+  for (const Checkpoint& checkpoint : batch.checkpoints) {
+    if (checkpoint.robot.empty()) return Missing("checkpoint", "robot");
+    for (const auto& [key, sequence] : checkpoint.high_water) {
+      RIPS_RETURN_IF_ERROR(CheckNumber("sequence", sequence));
+    }
+  }
+  return absl::OkStatus();
+}
+
+}  // namespace rips::store

@@ -1,0 +1,369 @@
+// What the port promises, tried on every implementation.
+#include <cmath>
+#include <limits>
+#include <memory>
+#include <string>
+#include <vector>
+
+#include "absl/strings/str_cat.h"
+#include "gmock/gmock.h"
+#include "gtest/gtest.h"
+#include "policy_server/store/fake_store.h"
+#include "policy_server/store/sqlite_store.h"
+#include "policy_server/store/store.h"
+#include "policy_server/store/store_test_data.h"
+#include "services/base/status_matchers.h"
+
+namespace rips::store {
+namespace {
+
+using ::testing::ElementsAre;
+using ::testing::IsEmpty;
+using ::testing::SizeIs;
+
+enum class Kind { kFake, kSqlite };
+
+class StoreContractTest : public testing::TestWithParam<Kind> {
+ protected:
+  void SetUp() override {
+    if (GetParam() == Kind::kFake) {
+      store_ = std::make_unique<FakeStore>();
+      return;
+    }
+    absl::StatusOr<std::unique_ptr<SqliteStore>> opened = SqliteStore::Open(dir_.File("state.db"));
+    ASSERT_THAT(opened, IsOk());
+    store_ = *std::move(opened);
+  }
+
+  RobotRecord Load(absl::string_view robot) {
+    absl::StatusOr<RobotRecord> record = store_->Load(robot);
+    EXPECT_THAT(record, IsOk());
+    return record.value_or(RobotRecord{});
+  }
+  bool HasMark(absl::string_view robot, const Mark& mark) {
+    absl::StatusOr<bool> known = store_->HasMark(robot, mark);
+    EXPECT_THAT(known, IsOk());
+    return known.value_or(false);
+  }
+  std::vector<TransitionRecord> Transitions(absl::string_view robot, uint32_t limit = 0) {
+    auto list = store_->ListTransitions(robot, limit);
+    EXPECT_THAT(list, IsOk());
+    return list.ok() ? *list : std::vector<TransitionRecord>();
+  }
+  std::vector<std::string> AlertTexts(absl::string_view robot, uint32_t limit = 0) {
+    auto list = store_->ListAlerts(robot, limit);
+    EXPECT_THAT(list, IsOk());
+    std::vector<std::string> texts;
+    if (list.ok()) {
+      for (const AlertRecord& alert : *list) texts.push_back(alert.text);
+    }
+    return texts;
+  }
+
+  TempDir dir_;
+  std::unique_ptr<Store> store_;
+};
+
+TEST_P(StoreContractTest, KnowsNothingOfAnUnknownRobot) {
+  EXPECT_EQ(Load("r1"), RobotRecord{});
+  EXPECT_FALSE(HasMark("r1", {1, 1}));
+  EXPECT_FALSE(HasMark("r1", {}));
+  EXPECT_THAT(Transitions("r1"), IsEmpty());
+  EXPECT_THAT(AlertTexts(""), IsEmpty());
+}
+
+TEST_P(StoreContractTest, HandsOutEachTermOnce) {
+  EXPECT_THAT(store_->NextTerm("r1"), IsOkAndHolds(1u));
+  EXPECT_THAT(store_->NextTerm("r1"), IsOkAndHolds(2u));
+  EXPECT_THAT(store_->NextTerm("r2"), IsOkAndHolds(1u));
+  EXPECT_THAT(store_->NextTerm("r1", 10), IsOkAndHolds(11u));
+  EXPECT_THAT(store_->NextTerm("r1", 5), IsOkAndHolds(12u));
+  EXPECT_EQ(Load("r1").highest_term, 12u);
+}
+
+TEST_P(StoreContractTest, TermsCannotBeUsedUp) {
+  const uint64_t most = std::numeric_limits<uint64_t>::max();
+  EXPECT_THAT(store_->NextTerm("r1", most), IsOkAndHolds(kTermAboveMax + 1));
+  EXPECT_THAT(store_->NextTerm("r1", most), IsOkAndHolds(kTermAboveMax + 2));
+  EXPECT_THAT(store_->Commit(Decide("r1", {kTermAboveMax + 2, 1}, "A", "B")), IsOk());
+  EXPECT_EQ(Load("r1").highest_term, kTermAboveMax + 2);
+  EXPECT_TRUE(HasMark("r1", {kTermAboveMax + 2, 1}));
+}
+
+TEST_P(StoreContractTest, TakesTheLevelFromTheHighestMark) {
+  ASSERT_THAT(store_->Commit(Decide("r1", {1, 1}, "DEFAULT", "ALERT")), IsOk());
+  ASSERT_THAT(store_->Commit(Decide("r1", {1, 2}, "ALERT", "COMPROMISED")), IsOk());
+
+  const RobotRecord record = Load("r1");
+  EXPECT_EQ(record.level, "COMPROMISED");
+  EXPECT_EQ(record.mark, (Mark{1, 2}));
+  EXPECT_EQ(record.highest_term, 1u);
+  EXPECT_TRUE(HasMark("r1", {1, 1}));
+  EXPECT_TRUE(HasMark("r1", {1, 2}));
+  EXPECT_FALSE(HasMark("r1", {1, 3}));
+  EXPECT_FALSE(HasMark("r2", {1, 1}));
+  EXPECT_FALSE(HasMark("r1", {std::numeric_limits<uint64_t>::max(), 1}));
+}
+
+TEST_P(StoreContractTest, DoesNotSinkByALateWrite) {
+  ASSERT_THAT(store_->Commit(Decide("r1", {2, 7}, "ALERT", "HALT")), IsOk());
+  ASSERT_THAT(store_->Commit(Decide("r1", {1, 9}, "ALERT", "DEFAULT")), IsOk());
+
+  EXPECT_EQ(Load("r1").level, "HALT");
+  EXPECT_EQ(Load("r1").mark, (Mark{2, 7}));
+  EXPECT_EQ(Load("r1").highest_term, 2u);
+  EXPECT_TRUE(HasMark("r1", {1, 9}));
+}
+
+TEST_P(StoreContractTest, ADecisionRaisesTheTerm) {
+  ASSERT_THAT(store_->Commit(Decide("r1", {7, 1}, "DEFAULT", "ALERT")), IsOk());
+  EXPECT_THAT(store_->NextTerm("r1"), IsOkAndHolds(8u));
+}
+
+TEST_P(StoreContractTest, WritingADecisionAgainChangesNothing) {
+  const WriteBatch batch = Decide("r1", {1, 1}, "DEFAULT", "ALERT");
+  ASSERT_THAT(store_->Commit(batch), IsOk());
+  WriteBatch stage;
+  stage.stages.push_back({.robot = "r1", .mark = {1, 1}, .stage = "verified", .detail = "2 parts"});
+  ASSERT_THAT(store_->Commit(stage), IsOk());
+
+  EXPECT_THAT(store_->Commit(batch), IsOk());
+  ASSERT_THAT(Transitions("r1"), SizeIs(1));
+  EXPECT_EQ(Transitions("r1")[0].stage, "verified");
+}
+
+TEST_P(StoreContractTest, AMarkNamesOneDecisionForEver) {
+  ASSERT_THAT(store_->Commit(Decide("r1", {1, 1}, "DEFAULT", "HALT")), IsOk());
+  const std::vector<TransitionRecord> before = Transitions("r1");
+
+  WriteBatch other = Decide("r1", {1, 1}, "HALT", "DEFAULT");
+  EXPECT_THAT(store_->Commit(other), StatusIs(absl::StatusCode::kAlreadyExists));
+  other = Decide("r1", {1, 2}, "HALT", "DEFAULT");
+  other.decisions[0].id = before[0].id;
+  EXPECT_THAT(store_->Commit(other), StatusIs(absl::StatusCode::kAlreadyExists));
+
+  EXPECT_EQ(Transitions("r1"), before);
+  EXPECT_EQ(Load("r1").level, "HALT");
+}
+
+TEST_P(StoreContractTest, ABatchIsAllOrNothing) {
+  WriteBatch good = Decide("r1", {1, 1}, "DEFAULT", "ALERT");
+  WriteBatch bad;
+  bad.alerts.push_back({.id = "", .robot = "r1", .text = "no id"});
+  const std::vector<WriteBatch> both = {good, bad};
+
+  EXPECT_THAT(store_->CommitAll(both), StatusIs(absl::StatusCode::kInvalidArgument));
+  EXPECT_EQ(Load("r1"), RobotRecord{});
+  EXPECT_THAT(Transitions("r1"), IsEmpty());
+
+  ASSERT_THAT(store_->Commit(good), IsOk());
+  WriteBatch clash = Decide("r2", {1, 1}, "DEFAULT", "ALERT");
+  clash.decisions.push_back(Decide("r1", {1, 1}, "ALERT", "HALT").decisions[0]);
+  EXPECT_THAT(store_->Commit(clash), StatusIs(absl::StatusCode::kAlreadyExists));
+  EXPECT_EQ(Load("r2"), RobotRecord{});
+}
+
+TEST_P(StoreContractTest, RefusesRecordsThatSayTooLittleOrTooMuch) {
+  std::vector<WriteBatch> bad(9);
+  bad[0] = Decide("", {1, 1}, "A", "B");
+  bad[1] = Decide("r1", {0, 1}, "A", "B");
+  bad[2] = Decide("r1", {1, 0}, "A", "B");
+  bad[3] = Decide("r1", {1, 1}, "A", "");
+  bad[4] = Decide("r1", {1, kNumberMax + 1}, "A", "B");
+  bad[5].refusals.push_back({.id = "x", .robot = ""});
+  bad[6].stages.push_back({.robot = "r1", .mark = {1, 1}, .stage = ""});
+  bad[7].alerts.push_back({.id = "x", .robot = ""});
+  bad[8].checkpoints.push_back({.robot = "r1", .high_water = {{LaneKey{}, kNumberMax + 1}}});
+  for (size_t i = 0; i < bad.size(); ++i) {
+    EXPECT_THAT(store_->Commit(bad[i]), StatusIs(absl::StatusCode::kInvalidArgument)) << i;
+  }
+}
+
+TEST_P(StoreContractTest, ListsTransitionsAsTheyWereWrittenNewestFirst) {
+  WriteBatch batch = Decide("r1", {1, 1}, "DEFAULT", "ALERT");
+  batch.decisions[0].based_on = {0, 0};
+  batch.decisions[0].reason = "looked \"odd\"\n";
+  batch.refusals.push_back({.id = "f1",
+                            .robot = "r1",
+                            .from = "ALERT",
+                            .to = "DEFAULT",
+                            .cause = "rule calm",
+                            .reason = "blind",
+                            .count = 1,
+                            .time_unix_ns = 20});
+  batch.stages.push_back({.robot = "r1", .mark = {1, 1}, .stage = "failed", .detail = "timeout"});
+  batch.stages.push_back({.robot = "r1", .mark = {9, 9}, .stage = "verified"});
+  ASSERT_THAT(store_->Commit(batch), IsOk());
+  ASSERT_THAT(store_->Commit(Decide("r2", {1, 1}, "DEFAULT", "HALT")), IsOk());
+
+  const DecisionRecord& decision = batch.decisions[0];
+  EXPECT_THAT(Transitions("r1"), ElementsAre(TransitionRecord{.id = "f1",
+                                                              .robot = "r1",
+                                                              .time_unix_ns = 20,
+                                                              .from = "ALERT",
+                                                              .to = "DEFAULT",
+                                                              .cause = "rule calm",
+                                                              .reason = "blind",
+                                                              .refused = true},
+                                             TransitionRecord{.id = decision.id,
+                                                              .robot = "r1",
+                                                              .time_unix_ns = decision.time_unix_ns,
+                                                              .from = "DEFAULT",
+                                                              .to = "ALERT",
+                                                              .cause = decision.cause,
+                                                              .reason = "looked \"odd\"\n",
+                                                              .mark = {1, 1},
+                                                              .stage = "failed",
+                                                              .detail = "timeout"}));
+}
+
+TEST_P(StoreContractTest, ARepeatedRefusalIsUpdatedNotAdded) {
+  RefusalRecord refusal = {.id = "f1", .robot = "r1", .from = "B", .to = "A", .reason = "blind"};
+  WriteBatch batch;
+  batch.refusals = {refusal};
+  ASSERT_THAT(store_->Commit(batch), IsOk());
+  refusal.count = 17;
+  refusal.time_unix_ns = 99;
+  batch.refusals = {refusal};
+  ASSERT_THAT(store_->Commit(batch), IsOk());
+
+  ASSERT_THAT(Transitions("r1"), SizeIs(1));
+  EXPECT_EQ(Transitions("r1")[0].count, 17u);
+  EXPECT_EQ(Transitions("r1")[0].time_unix_ns, 99);
+  EXPECT_TRUE(Transitions("r1")[0].mark.none());
+
+  ASSERT_THAT(store_->Commit(Decide("r1", {1, 1}, "A", "B", "d1")), IsOk());
+  batch.refusals[0].id = "d1";
+  EXPECT_THAT(store_->Commit(batch), StatusIs(absl::StatusCode::kAlreadyExists));
+  EXPECT_EQ(Load("r1").level, "B");
+}
+
+TEST_P(StoreContractTest, ListsAlertsOfOneRobotOrOfAll) {
+  WriteBatch batch;
+  batch.alerts = {MakeAlert("r1", "one"), MakeAlert("r2", "two"), MakeAlert("r1", "three")};
+  ASSERT_THAT(store_->Commit(batch), IsOk());
+
+  EXPECT_THAT(AlertTexts(""), ElementsAre("three", "two", "one"));
+  EXPECT_THAT(AlertTexts("r1"), ElementsAre("three", "one"));
+  EXPECT_THAT(AlertTexts("", 1), ElementsAre("three"));
+  EXPECT_THAT(AlertTexts("r3"), IsEmpty());
+}
+
+TEST_P(StoreContractTest, AnAlertWrittenTwiceIsThereOnce) {
+  WriteBatch batch;
+  batch.alerts = {MakeAlert("r1", "first")};
+  ASSERT_THAT(store_->Commit(batch), IsOk());
+  batch.alerts[0].text = "second";
+  ASSERT_THAT(store_->Commit(batch), IsOk());
+  EXPECT_THAT(AlertTexts("r1"), ElementsAre("first"));
+}
+
+TEST_P(StoreContractTest, KeepsHostileTextAsItIs) {
+  const std::string hostile("\x1b[2J'; DROP TABLE alerts;--\xff\xfe\0tail", 34);
+  AlertRecord alert = MakeAlert("r1", hostile);
+  alert.event = hostile;
+  alert.rule = hostile;
+  WriteBatch batch;
+  batch.alerts = {alert};
+  batch.checkpoints.push_back({.robot = "r1", .variables = Variables{{"v", hostile}}});
+  ASSERT_THAT(store_->Commit(batch), IsOk());
+
+  auto list = store_->ListAlerts("r1", 0);
+  ASSERT_THAT(list, IsOk());
+  EXPECT_THAT(*list, ElementsAre(alert));
+  EXPECT_EQ(std::get<std::string>(Load("r1").variables.at("v")), hostile);
+}
+
+TEST_P(StoreContractTest, CutsListsToTheirLimit) {
+  WriteBatch batch;
+  for (uint64_t i = 1; i <= kListMax + 5; ++i) {
+    batch.alerts.push_back(MakeAlert("r1", absl::StrCat(i)));
+    batch.decisions.push_back(Decide("r1", {1, i}, "A", "B").decisions[0]);
+  }
+  ASSERT_THAT(store_->Commit(batch), IsOk());
+
+  EXPECT_THAT(AlertTexts("r1", 0), SizeIs(kListDefault));
+  EXPECT_THAT(AlertTexts("", kListMax + 5), SizeIs(kListMax));
+  EXPECT_THAT(Transitions("r1", 0), SizeIs(kListDefault));
+  EXPECT_THAT(Transitions("r1", kListMax + 5), SizeIs(kListMax));
+  EXPECT_EQ(Transitions("r1", 1)[0].mark, (Mark{1, kListMax + 5}));
+}
+
+TEST_P(StoreContractTest, RestoresVariablesExactly) {
+  const double nan = std::numeric_limits<double>::quiet_NaN();
+  const Variables variables = {
+      {"int", std::numeric_limits<int64_t>::min()},
+      {"float", 0.1},
+      {"huge", std::numeric_limits<double>::infinity()},
+      {"zero", -0.0},
+      {"nan", nan},
+      {"yes", true},
+      {"no", false},
+      {"one", int64_t{1}},
+      {"text", std::string("")},
+  };
+  WriteBatch batch;
+  batch.checkpoints.push_back({.robot = "r1", .variables = variables});
+  ASSERT_THAT(store_->Commit(batch), IsOk());
+
+  Variables read = Load("r1").variables;
+  ASSERT_TRUE(read.contains("nan"));
+  EXPECT_TRUE(std::isnan(std::get<double>(read.at("nan"))));
+  EXPECT_TRUE(std::signbit(std::get<double>(read.at("zero"))));
+  read.erase("nan");
+  Variables expected = variables;
+  expected.erase("nan");
+  EXPECT_EQ(read, expected);
+}
+
+TEST_P(StoreContractTest, ACheckpointReplacesWhatItHasAndKeepsTheRest) {
+  const LaneKey control = {.host = "base", .incarnation = "aa", .lane = LaneKey::Lane::kControl};
+  const LaneKey messages = {.host = "base", .incarnation = "aa", .lane = LaneKey::Lane::kMessages};
+  WriteBatch batch;
+  batch.checkpoints.push_back({.robot = "r1",
+                               .variables = Variables{{"a", int64_t{1}}, {"b", int64_t{2}}},
+                               .high_water = {{control, 5}, {messages, 100}},
+                               .soft_suspended = true});
+  ASSERT_THAT(store_->Commit(batch), IsOk());
+  WriteBatch later;
+  later.checkpoints.push_back({.robot = "r1", .high_water = {{control, 6}}});
+  ASSERT_THAT(store_->Commit(later), IsOk());
+  EXPECT_EQ(Load("r1").variables.size(), 2u);
+  EXPECT_TRUE(Load("r1").soft_suspended);
+  EXPECT_EQ(Load("r1").high_water, (HighWater{{control, 6}, {messages, 100}}));
+
+  later.checkpoints[0].variables = Variables{{"a", int64_t{3}}};
+  later.checkpoints[0].soft_suspended = false;
+  later.checkpoints[0].high_water = {{control, 2}};
+  ASSERT_THAT(store_->Commit(later), IsOk());
+  EXPECT_EQ(Load("r1").variables, (Variables{{"a", int64_t{3}}}));
+  EXPECT_FALSE(Load("r1").soft_suspended);
+  EXPECT_EQ(Load("r1").high_water.at(control), 6u) << "a sequence never goes back";
+  EXPECT_EQ(Load("r2"), RobotRecord{});
+}
+
+TEST_P(StoreContractTest, ForgetsTheOldestLanesOfAHostBeyondTheLimit) {
+  const LaneKey other = {.host = "laptop", .incarnation = "l"};
+  WriteBatch batch;
+  batch.checkpoints.push_back({.robot = "r1", .high_water = {{other, 1}}});
+  ASSERT_THAT(store_->Commit(batch), IsOk());
+  for (size_t i = 0; i <= kHighWaterPerHostMax; ++i) {
+    const LaneKey key = {.host = "base", .incarnation = absl::StrCat(1'000 - i)};
+    batch.checkpoints[0].high_water = {{key, i + 1}};
+    ASSERT_THAT(store_->Commit(batch), IsOk());
+  }
+
+  const HighWater kept = Load("r1").high_water;
+  EXPECT_THAT(kept, SizeIs(kHighWaterPerHostMax + 1));
+  EXPECT_TRUE(kept.contains(other));
+  EXPECT_FALSE(kept.contains(LaneKey{.host = "base", .incarnation = "1000"}));
+  EXPECT_TRUE(kept.contains(LaneKey{.host = "base", .incarnation = "999"}));
+}
+
+INSTANTIATE_TEST_SUITE_P(All, StoreContractTest, testing::Values(Kind::kFake, Kind::kSqlite),
+                         [](const testing::TestParamInfo<Kind>& param) {
+                           return param.param == Kind::kFake ? "Fake" : "Sqlite";
+                         });
+
+}  // namespace
+}  // namespace rips::store
