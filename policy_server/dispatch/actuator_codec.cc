@@ -1,0 +1,146 @@
+#include "policy_server/dispatch/actuator_codec.h"
+
+#include "absl/strings/escaping.h"
+#include "absl/strings/str_cat.h"
+#include "services/base/status_macros.h"
+
+namespace rips::dispatch {
+namespace {
+
+constexpr uint32_t kProtocol = 1;
+constexpr int kLevelsMax = 64;
+constexpr int kProgramsMax = 1'000;
+constexpr int kStepsMax = 256;
+constexpr size_t kOutputBytesMax = 64 * 1024;
+constexpr size_t kCommandIdBytes = 16;
+
+Mark DecodeMark(const rips::v1::Mark& mark) { return {.term = mark.term(), .epoch = mark.epoch()}; }
+
+void EncodeMark(const Mark& mark, rips::v1::Mark* out) {
+  out->set_term(mark.term);
+  out->set_epoch(mark.epoch);
+}
+
+absl::StatusOr<pipeline::Receipt::Stage> DecodeStage(rips::v1::Receipt::Stage stage) {
+  using Stage = pipeline::Receipt::Stage;
+  switch (stage) {
+    case rips::v1::Receipt::ACKNOWLEDGED:
+      return Stage::kAcknowledged;
+    case rips::v1::Receipt::VERIFIED:
+      return Stage::kVerified;
+    case rips::v1::Receipt::FAILED:
+      return Stage::kFailed;
+    case rips::v1::Receipt::SUPERSEDED:
+      return Stage::kSuperseded;
+    case rips::v1::Receipt::REFUSED_STALE:
+      return Stage::kRefusedStale;
+    case rips::v1::Receipt::REFUSED:
+      return Stage::kRefused;
+    case rips::v1::Receipt::UNKNOWN:
+      return Stage::kUnknown;
+    default:
+      return absl::InvalidArgumentError(
+          absl::StrCat("unknown receipt stage ", static_cast<int>(stage)));
+  }
+}
+
+absl::Status CheckCount(absl::string_view what, size_t count, size_t limit) {
+  if (count <= limit) return absl::OkStatus();
+  return absl::ResourceExhaustedError(absl::StrCat(count, " ", what, "; at most ", limit));
+}
+
+}  // namespace
+
+absl::StatusOr<pipeline::ActuatorHello> DecodeHello(const rips::v1::ActuatorHello& hello) {
+  if (hello.hello().protocol() == 0) {
+    return absl::InvalidArgumentError("hello has no protocol number");
+  }
+  if (hello.hello().protocol() > kProtocol) {
+    return absl::FailedPreconditionError(absl::StrCat("protocol ", hello.hello().protocol(),
+                                                      " is newer than this server's ", kProtocol,
+                                                      "; update the server first"));
+  }
+  RIPS_RETURN_IF_ERROR(CheckCount("levels", hello.levels_size(), kLevelsMax));
+  RIPS_RETURN_IF_ERROR(CheckCount("programs", hello.programs_size(), kProgramsMax));
+  pipeline::ActuatorHello decoded{
+      .levels = {hello.levels().begin(), hello.levels().end()},
+      .programs = {hello.programs().begin(), hello.programs().end()},
+      .mark = DecodeMark(hello.mark()),
+      .decided_level = hello.decided_level(),
+      .effective_level = hello.effective_level(),
+      .highest_term = hello.highest_term(),
+      .state_lost = hello.state_lost(),
+      .clock = {.boottime_ns = static_cast<int64_t>(hello.hello().clock().boottime_ns()),
+                .unix_ns = hello.hello().clock().unix_ns()}};
+  if (!hello.participant_guid().empty()) {
+    RIPS_ASSIGN_OR_RETURN(decoded.participant, ros2::GuidFromBytes(hello.participant_guid()));
+  }
+  return decoded;
+}
+
+absl::StatusOr<pipeline::Receipt> DecodeReceipt(const rips::v1::Receipt& receipt) {
+  if (receipt.command_id().size() > kCommandIdBytes) {
+    return absl::InvalidArgumentError(
+        absl::StrCat("command id has ", receipt.command_id().size(), " bytes"));
+  }
+  RIPS_RETURN_IF_ERROR(CheckCount("steps", receipt.steps_size(), kStepsMax));
+  RIPS_RETURN_IF_ERROR(
+      CheckCount("bytes of output", receipt.output_tail().size(), kOutputBytesMax));
+  pipeline::Receipt decoded{.command_id = absl::BytesToHexString(receipt.command_id()),
+                            .mark = DecodeMark(receipt.mark()),
+                            .exit_code = receipt.exit_code(),
+                            .output_tail = receipt.output_tail(),
+                            .detail = receipt.detail(),
+                            .effective_level = receipt.effective_level()};
+  RIPS_ASSIGN_OR_RETURN(decoded.stage, DecodeStage(receipt.stage()));
+  for (const rips::v1::StepResult& step : receipt.steps()) {
+    decoded.steps.push_back(
+        {.step = step.step(), .ok = step.ok(), .took_ms = step.took_ms(), .detail = step.detail()});
+  }
+  return decoded;
+}
+
+pipeline::ActuatorBeat DecodeBeat(const rips::v1::ActuatorHeartbeat& heartbeat) {
+  return {.boottime_ns = static_cast<int64_t>(heartbeat.heartbeat().clock().boottime_ns()),
+          .effective_level = heartbeat.effective_level(),
+          .observed = heartbeat.observed(),
+          .verified = heartbeat.verified(),
+          .floor_reason = heartbeat.floor_reason()};
+}
+
+rips::v1::Command EncodeCommand(const pipeline::Command& command) {
+  rips::v1::Command out;
+  out.set_id(absl::HexStringToBytes(command.id));
+  out.set_term(command.term);
+  out.set_ttl_ms(command.ttl_ms);
+  if (const auto* set = std::get_if<pipeline::SetLevel>(&command.what)) {
+    rips::v1::SetLevel* level = out.mutable_set_level();
+    EncodeMark(set->mark, level->mutable_mark());
+    level->set_from(set->from);
+    level->set_to(set->to);
+    level->set_cause(set->cause);
+    if (!set->based_on.none()) EncodeMark(set->based_on, level->mutable_based_on());
+  } else if (const auto* run = std::get_if<pipeline::RunProgram>(&command.what)) {
+    rips::v1::RunProgram* program = out.mutable_run_program();
+    program->set_program(run->program);
+    for (const std::string& arg : run->args) program->add_args(arg);
+    program->set_timeout_ms(run->timeout_ms);
+  }
+  return out;
+}
+
+rips::v1::Lease EncodeLease(const pipeline::LeaseGrant& lease, Instant now) {
+  rips::v1::Lease out;
+  rips::v1::Heartbeat* heartbeat = out.mutable_heartbeat();
+  heartbeat->mutable_clock()->set_boottime_ns(static_cast<uint64_t>(now.boottime_ns));
+  heartbeat->mutable_clock()->set_unix_ns(now.unix_ns);
+  heartbeat->set_echo_boottime_ns(static_cast<uint64_t>(lease.echo_boottime_ns));
+  out.set_term(lease.term);
+  EncodeMark(lease.mark, out.mutable_mark());
+  out.set_level(lease.level);
+  out.set_ttl_ms(lease.ttl_ms);
+  out.set_evidence_complete(lease.evidence_complete);
+  return out;
+}
+
+}  // namespace rips::dispatch

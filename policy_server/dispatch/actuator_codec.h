@@ -1,0 +1,25 @@
+// Commands to the wire, hellos, receipts and heartbeats from it.
+#ifndef RIPS_POLICY_SERVER_DISPATCH_ACTUATOR_CODEC_H_
+#define RIPS_POLICY_SERVER_DISPATCH_ACTUATOR_CODEC_H_
+
+#include "absl/status/statusor.h"
+#include "policy_server/pipeline/inbound.h"
+#include "policy_server/pipeline/links.h"
+#include "rips/v1/actuator.pb.h"
+#include "rips/v1/command.pb.h"
+
+namespace rips::dispatch {
+
+// FailedPrecondition for a newer protocol; InvalidArgument for wrong lengths, ResourceExhausted
+// past a limit (64 levels, 1,000 programs, 64 KiB of output, 256 steps).
+absl::StatusOr<pipeline::ActuatorHello> DecodeHello(const rips::v1::ActuatorHello& hello);
+absl::StatusOr<pipeline::Receipt> DecodeReceipt(const rips::v1::Receipt& receipt);
+pipeline::ActuatorBeat DecodeBeat(const rips::v1::ActuatorHeartbeat& heartbeat);
+
+rips::v1::Command EncodeCommand(const pipeline::Command& command);
+// `now` of the server goes into the heartbeat.
+rips::v1::Lease EncodeLease(const pipeline::LeaseGrant& lease, Instant now);
+
+}  // namespace rips::dispatch
+
+#endif  // RIPS_POLICY_SERVER_DISPATCH_ACTUATOR_CODEC_H_

@@ -1,0 +1,151 @@
+#include "policy_server/dispatch/actuator_service.h"
+
+#include <memory>
+#include <string>
+#include <utility>
+
+#include "policy_server/dispatch/actuator_codec.h"
+#include "services/rpc/peer.h"
+#include "services/rpc/server_stream.h"
+#include "services/rpc/status_conversion.h"
+#include "services/runtime/log.h"
+#include "services/runtime/real_clock.h"
+
+namespace rips::dispatch {
+namespace {
+
+using pipeline::Lane;
+using pipeline::Robot;
+using rips::v1::ActuatorMessage;
+using rips::v1::ActuatorReply;
+using Stream = rpc::ServerStream<ActuatorMessage, ActuatorReply>;
+
+// What the pipeline holds of one stream.
+class Link final : public pipeline::ActuatorLink {
+ public:
+  Link(std::shared_ptr<Stream::Outbound> outbound, Counter commands)
+      : outbound_(std::move(outbound)), commands_(commands) {}
+
+  void Grant(const pipeline::LeaseGrant& lease) override {
+    ActuatorReply reply;
+    *reply.mutable_lease() = EncodeLease(lease, RealClock().Now());
+    outbound_->Send(std::move(reply));
+  }
+  void Send(const pipeline::Command& command) override {
+    ActuatorReply reply;
+    *reply.mutable_command() = EncodeCommand(command);
+    outbound_->Send(std::move(reply));
+    commands_.Increment();
+  }
+  void Close(const absl::Status& status) override { outbound_->Close(rpc::ToGrpc(status)); }
+
+ private:
+  std::shared_ptr<Stream::Outbound> outbound_;
+  Counter commands_;
+};
+
+class ActuatorStream final : public Stream {
+ public:
+  ActuatorStream(const absl::StatusOr<rpc::Peer>& peer, pipeline::Pipeline* pipeline,
+                 rpc::SessionWatch* watch, const DispatchMetrics& metrics)
+      : pipeline_(pipeline),
+        metrics_(metrics),
+        link_(std::make_shared<Link>(outbound(), metrics.commands)) {
+    if (!peer.ok()) {
+      outbound()->Close(rpc::ToGrpc(peer.status()));
+    } else if (peer->identity.role != rpc::Role::kActuator) {
+      outbound()->Close(
+          grpc::Status(grpc::StatusCode::PERMISSION_DENIED,
+                       "the certificate is not an actuator's: " + rpc::ToString(peer->identity)));
+    } else {
+      robot_ = peer->identity.robot;
+      host_ = peer->identity.host;
+      session_ = watch->Add(peer->not_after, [outbound = outbound()](const grpc::Status& status) {
+        outbound->Close(status);
+      });
+      metrics_.streams.Increment();
+      Begin();
+    }
+  }
+
+ private:
+  void OnMessage(ActuatorMessage& message) override {
+    if (!session_->greeted && !message.has_hello()) {
+      return Refuse(absl::InvalidArgumentError("the first message must be a hello"));
+    }
+    switch (message.kind_case()) {
+      case ActuatorMessage::kHello:
+        return OnHello(message.hello());
+      case ActuatorMessage::kReceipt:
+        return OnReceipt(message.receipt());
+      case ActuatorMessage::kHeartbeat:
+        return Post([host = host_, link = link_, beat = DecodeBeat(message.heartbeat())](
+                        Robot& robot) { robot.OnActuatorBeat(host, link.get(), beat); });
+      case ActuatorMessage::KIND_NOT_SET:
+        return;  // a newer actuator's kind
+    }
+  }
+
+  void OnHello(const rips::v1::ActuatorHello& hello) {
+    if (session_->greeted.exchange(true)) {
+      return Refuse(absl::InvalidArgumentError("a second hello in one stream"));
+    }
+    if (hello.hello().host() != host_) {
+      return Refuse(
+          absl::PermissionDeniedError("the hello names another host than the certificate"));
+    }
+    absl::StatusOr<pipeline::ActuatorHello> decoded = DecodeHello(hello);
+    if (!decoded.ok()) return Refuse(decoded.status());
+    LogInfo("actuator connected", {{"robot", robot_}, {"host", host_}});
+    Post([host = host_, link = link_, hello = *std::move(decoded)](Robot& robot) {
+      robot.OnActuatorHello(host, link, hello);
+    });
+  }
+
+  void OnReceipt(const rips::v1::Receipt& receipt) {
+    absl::StatusOr<pipeline::Receipt> decoded = DecodeReceipt(receipt);
+    if (!decoded.ok()) return Refuse(decoded.status());
+    Post([host = host_, link = link_, receipt = *std::move(decoded)](Robot& robot) {
+      robot.OnReceipt(host, link.get(), receipt);
+    });
+  }
+
+  void Refuse(const absl::Status& status) {
+    metrics_.malformed.Increment();
+    LogWarning("actuator stream refused",
+               {{"robot", robot_}, {"host", host_}, {"reason", status.ToString()}});
+    outbound()->Close(rpc::ToGrpc(status));
+  }
+
+  void Post(std::function<void(Robot&)> task) {
+    const absl::Status posted = pipeline_->Post(robot_, Lane::kControl, std::move(task));
+    if (posted.ok()) return;
+    outbound()->Close(rpc::ToGrpc(
+        absl::IsNotFound(posted) ? absl::PermissionDeniedError(posted.message()) : posted));
+  }
+
+  void OnEnded() override {
+    if (robot_.empty()) return;
+    pipeline_
+        ->Post(
+            robot_, Lane::kControl,
+            [host = host_, link = link_](Robot& robot) { robot.OnActuatorGone(host, link.get()); })
+        .IgnoreError();  // an overloaded or stopping shard notices the silence by itself
+  }
+
+  pipeline::Pipeline* pipeline_;
+  DispatchMetrics metrics_;
+  std::shared_ptr<Link> link_;
+  std::shared_ptr<rpc::SessionWatch::Session> session_;
+  std::string robot_;
+  std::string host_;
+};
+
+}  // namespace
+
+grpc::ServerBidiReactor<ActuatorMessage, ActuatorReply>* ActuatorService::Attach(
+    grpc::CallbackServerContext* context) {
+  return new ActuatorStream(rpc::PeerOf(*context->auth_context()), pipeline_, watch_, metrics_);
+}
+
+}  // namespace rips::dispatch

@@ -1,0 +1,65 @@
+// Wire batches to what the pipeline judges. One per sensor stream: interned names live here.
+#ifndef RIPS_POLICY_SERVER_INGEST_OBSERVATION_DECODER_H_
+#define RIPS_POLICY_SERVER_INGEST_OBSERVATION_DECODER_H_
+
+#include <cstdint>
+#include <memory>
+#include <string>
+
+#include "absl/container/flat_hash_map.h"
+#include "absl/status/statusor.h"
+#include "policy_server/pipeline/inbound.h"
+#include "rips/v1/observation.pb.h"
+#include "rips/v1/sensor.pb.h"
+
+namespace rips::ingest {
+
+struct DecodeLimits {
+  int batch_observations = 256;
+  size_t inline_payload_bytes = 1 << 20;
+  // Interned topics, types and writers of one stream.
+  size_t interned = 65'536;
+  size_t name_bytes = 1'024;
+  size_t line_bytes = 64 * 1024;
+};
+
+// InvalidArgument: the hello is malformed (protocol, incarnation length, a range that ends before
+// it starts). FailedPrecondition: a protocol number above ours.
+absl::StatusOr<pipeline::SensorHello> DecodeHello(const rips::v1::SensorHello& hello);
+
+// Not thread-safe; one call at a time.
+class ObservationDecoder {
+ public:
+  explicit ObservationDecoder(DecodeLimits limits = {});
+
+  // InvalidArgument: unknown lane, ids never interned or interned twice, wrong lengths, one lane's
+  // kind in the other lane. ResourceExhausted: past a limit. An observation of a kind this version
+  // does not know becomes a loss of one. After a refusal the stream must be closed.
+  absl::StatusOr<pipeline::Batch> Decode(const rips::v1::ObservationBatch& batch);
+
+ private:
+  struct Writer {
+    ros2::Guid guid;
+    std::string node;
+    bool reliable = false;
+  };
+  // Shared with batches under judgement; entries are never changed.
+  struct Names {
+    absl::flat_hash_map<uint32_t, std::unique_ptr<const std::string>> topics;
+    absl::flat_hash_map<uint32_t, std::unique_ptr<const std::string>> types;
+    absl::flat_hash_map<uint32_t, std::unique_ptr<const Writer>> writers;
+  };
+
+  absl::Status TakeNames(const rips::v1::ObservationBatch& batch);
+  absl::StatusOr<pipeline::Observation> DecodeOne(const rips::v1::Observation& observation,
+                                                  pipeline::Lane lane) const;
+  absl::StatusOr<pipeline::MessageSeen> DecodeMessage(const rips::v1::MessageSeen& message) const;
+  absl::StatusOr<pipeline::LossSeen> DecodeLoss(const rips::v1::Loss& loss) const;
+
+  DecodeLimits limits_;
+  std::shared_ptr<Names> names_;
+};
+
+}  // namespace rips::ingest
+
+#endif  // RIPS_POLICY_SERVER_INGEST_OBSERVATION_DECODER_H_

@@ -1,0 +1,177 @@
+#include "policy_server/ingest/sensor_service.h"
+
+#include <memory>
+#include <string>
+#include <utility>
+
+#include "policy_server/ingest/observation_decoder.h"
+#include "services/rpc/peer.h"
+#include "services/rpc/server_stream.h"
+#include "services/rpc/status_conversion.h"
+#include "services/runtime/log.h"
+#include "services/runtime/real_clock.h"
+
+namespace rips::ingest {
+namespace {
+
+using pipeline::Lane;
+using pipeline::Robot;
+using rips::v1::SensorMessage;
+using rips::v1::SensorReply;
+using Stream = rpc::ServerStream<SensorMessage, SensorReply>;
+
+// What the pipeline holds of one stream.
+class Link final : public pipeline::SensorLink {
+ public:
+  explicit Link(std::shared_ptr<Stream::Outbound> outbound) : outbound_(std::move(outbound)) {}
+
+  void Setup(const pipeline::SensorSetup& setup) override {
+    SensorReply reply;
+    rips::v1::SensorConfig* config = reply.mutable_config();
+    config->set_linger_ms(setup.linger_ms);
+    config->set_batch_observations(setup.batch_observations);
+    config->set_batch_bytes(setup.batch_bytes);
+    config->set_primary(setup.primary);
+    config->set_want_snapshot(setup.want_snapshot);
+    for (const ros2::Guid& guid : setup.own_participants) {
+      config->add_own_participants(guid.ToBytes());
+    }
+    outbound_->Send(std::move(reply));
+  }
+  void Acknowledge(const std::string& incarnation, Lane lane, uint64_t sequence) override {
+    SensorReply reply;
+    reply.mutable_ack()->set_incarnation(incarnation);
+    reply.mutable_ack()->set_durable_sequence(sequence);
+    reply.mutable_ack()->set_lane(lane == Lane::kControl ? rips::v1::CONTROL : rips::v1::MESSAGES);
+    outbound_->Send(std::move(reply));
+  }
+  void Grant(uint64_t message_bytes) override {
+    SensorReply reply;
+    reply.mutable_credit()->set_message_bytes(message_bytes);
+    outbound_->Send(std::move(reply));
+  }
+  void Beat(int64_t echo_boottime_ns) override {
+    SensorReply reply;
+    const Instant now = RealClock().Now();
+    rips::v1::Heartbeat* heartbeat = reply.mutable_heartbeat();
+    heartbeat->mutable_clock()->set_boottime_ns(static_cast<uint64_t>(now.boottime_ns));
+    heartbeat->mutable_clock()->set_unix_ns(now.unix_ns);
+    heartbeat->set_echo_boottime_ns(static_cast<uint64_t>(echo_boottime_ns));
+    outbound_->Send(std::move(reply));
+  }
+  void Close(const absl::Status& status) override { outbound_->Close(rpc::ToGrpc(status)); }
+
+ private:
+  std::shared_ptr<Stream::Outbound> outbound_;
+};
+
+class SensorStream final : public Stream {
+ public:
+  SensorStream(const absl::StatusOr<rpc::Peer>& peer, pipeline::Pipeline* pipeline,
+               rpc::SessionWatch* watch, const IngestMetrics& metrics)
+      : pipeline_(pipeline), metrics_(metrics), link_(std::make_shared<Link>(outbound())) {
+    if (!peer.ok()) {
+      outbound()->Close(rpc::ToGrpc(peer.status()));
+    } else if (peer->identity.role != rpc::Role::kSensor) {
+      outbound()->Close(
+          grpc::Status(grpc::StatusCode::PERMISSION_DENIED,
+                       "the certificate is not a sensor's: " + rpc::ToString(peer->identity)));
+    } else {
+      robot_ = peer->identity.robot;
+      host_ = peer->identity.host;
+      session_ = watch->Add(peer->not_after, [outbound = outbound()](const grpc::Status& status) {
+        outbound->Close(status);
+      });
+      metrics_.streams.Increment();
+      Begin();
+    }
+  }
+
+ private:
+  void OnMessage(SensorMessage& message) override {
+    if (!session_->greeted && !message.has_hello()) {
+      return Refuse(absl::InvalidArgumentError("the first message must be a hello"));
+    }
+    switch (message.kind_case()) {
+      case SensorMessage::kHello:
+        return OnHello(message.hello());
+      case SensorMessage::kBatch:
+        return OnBatch(message.batch());
+      case SensorMessage::kHeartbeat:
+        return Post(Lane::kControl,
+                    [host = host_, link = link_,
+                     at = static_cast<int64_t>(message.heartbeat().clock().boottime_ns())](
+                        Robot& robot) { robot.OnSensorBeat(host, link.get(), at); });
+      case SensorMessage::kChunk:
+      case SensorMessage::kInterestApplied:
+      case SensorMessage::KIND_NOT_SET:
+        return;  // nothing this version asks for
+    }
+  }
+
+  void OnHello(const rips::v1::SensorHello& hello) {
+    if (session_->greeted.exchange(true)) {
+      return Refuse(absl::InvalidArgumentError("a second hello in one stream"));
+    }
+    if (hello.hello().host() != host_) {
+      return Refuse(
+          absl::PermissionDeniedError("the hello names another host than the certificate"));
+    }
+    absl::StatusOr<pipeline::SensorHello> decoded = DecodeHello(hello);
+    if (!decoded.ok()) return Refuse(decoded.status());
+    LogInfo("sensor connected", {{"robot", robot_}, {"host", host_}});
+    Post(Lane::kControl, [host = host_, link = link_, hello = *std::move(decoded)](Robot& robot) {
+      robot.OnSensorHello(host, link, hello);
+    });
+  }
+
+  void OnBatch(const rips::v1::ObservationBatch& batch) {
+    absl::StatusOr<pipeline::Batch> decoded = decoder_.Decode(batch);
+    if (!decoded.ok()) return Refuse(decoded.status());
+    const Lane lane = decoded->lane;
+    auto shared = std::make_shared<pipeline::Batch>(*std::move(decoded));
+    Post(lane, [host = host_, link = link_, shared](Robot& robot) {
+      robot.OnBatch(host, link.get(), *shared);
+    });
+  }
+
+  void Refuse(const absl::Status& status) {
+    metrics_.malformed.Increment();
+    LogWarning("sensor stream refused",
+               {{"robot", robot_}, {"host", host_}, {"reason", status.ToString()}});
+    outbound()->Close(rpc::ToGrpc(status));
+  }
+
+  void Post(Lane lane, std::function<void(Robot&)> task) {
+    const absl::Status posted = pipeline_->Post(robot_, lane, std::move(task));
+    if (posted.ok()) return;
+    const absl::Status status =
+        absl::IsNotFound(posted) ? absl::PermissionDeniedError(posted.message()) : posted;
+    outbound()->Close(rpc::ToGrpc(status));
+  }
+
+  void OnEnded() override {
+    if (robot_.empty()) return;
+    pipeline_
+        ->Post(robot_, Lane::kControl,
+               [host = host_, link = link_](Robot& robot) { robot.OnSensorGone(host, link.get()); })
+        .IgnoreError();  // an overloaded or stopping shard notices the silence by itself
+  }
+
+  pipeline::Pipeline* pipeline_;
+  IngestMetrics metrics_;
+  std::shared_ptr<Link> link_;
+  std::shared_ptr<rpc::SessionWatch::Session> session_;
+  std::string robot_;
+  std::string host_;
+  ObservationDecoder decoder_;
+};
+
+}  // namespace
+
+grpc::ServerBidiReactor<SensorMessage, SensorReply>* SensorService::Observe(
+    grpc::CallbackServerContext* context) {
+  return new SensorStream(rpc::PeerOf(*context->auth_context()), pipeline_, watch_, metrics_);
+}
+
+}  // namespace rips::ingest

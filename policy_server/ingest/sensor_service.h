@@ -1,0 +1,36 @@
+// SensorService: streams of sensors into the pipeline.
+#ifndef RIPS_POLICY_SERVER_INGEST_SENSOR_SERVICE_H_
+#define RIPS_POLICY_SERVER_INGEST_SENSOR_SERVICE_H_
+
+#include "policy_server/pipeline/pipeline.h"
+#include "rips/v1/sensor.grpc.pb.h"
+#include "services/rpc/session_watch.h"
+#include "services/runtime/metrics.h"
+
+namespace rips::ingest {
+
+struct IngestMetrics {
+  // Batches and hellos that were refused as malformed.
+  Counter malformed;
+  Counter streams;
+};
+
+// Robot, host and role are taken from the certificate alone.
+class SensorService final : public rips::v1::SensorService::CallbackService {
+ public:
+  // Not owned; both outlive every call.
+  SensorService(pipeline::Pipeline* pipeline, rpc::SessionWatch* watch, IngestMetrics metrics)
+      : pipeline_(pipeline), watch_(watch), metrics_(metrics) {}
+
+  grpc::ServerBidiReactor<rips::v1::SensorMessage, rips::v1::SensorReply>* Observe(
+      grpc::CallbackServerContext* context) override;
+
+ private:
+  pipeline::Pipeline* pipeline_;
+  rpc::SessionWatch* watch_;
+  IngestMetrics metrics_;
+};
+
+}  // namespace rips::ingest
+
+#endif  // RIPS_POLICY_SERVER_INGEST_SENSOR_SERVICE_H_

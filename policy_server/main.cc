@@ -1,0 +1,55 @@
+// rips-policy-server: holds the rule engine and the alert level of a fleet.
+#include <csignal>
+#include <cstdio>
+#include <memory>
+#include <string>
+
+#include "policy_server/config/config.h"
+#include "policy_server/server.h"
+#include "services/rpc/credentials.h"
+#include "services/rpc/grpc_logs.h"
+#include "services/runtime/config_sections.h"
+#include "services/runtime/daemon_flags.h"
+#include "services/runtime/log.h"
+#include "services/runtime/shutdown.h"
+
+int main(int argc, char** argv) {
+  using namespace rips;
+  rpc::RequireTls13();
+  rpc::RouteGrpcLogs();
+  DaemonFlags flags;
+  const DaemonInfo info{.name = "rips-policy-server",
+                        .description = "Judges what sensors see and commands mode actuators.",
+                        .default_config = "/etc/rips/policy-server.yaml"};
+  if (const auto code = ParseDaemonFlags(argc, argv, info, &flags)) return *code;
+
+  const absl::StatusOr<std::string> text = ReadConfigFile(flags.config);
+  if (!text.ok()) {
+    std::fprintf(stderr, "%s\n", std::string(text.status().message()).c_str());
+    return kExitConfig;
+  }
+  const auto parsed = server::ParseServerConfig(flags.config, *text);
+  if (!parsed.ok()) {
+    std::fprintf(stderr, "%s\n", std::string(parsed.status().message()).c_str());
+    return kExitConfig;
+  }
+  if (flags.check_config) {
+    std::fputs(parsed->effective.c_str(), stdout);
+    return 0;
+  }
+
+  BlockSignals();
+  auto server = server::Server::Start(parsed->config);
+  if (!server.ok()) {
+    LogError("cannot start", {{"reason", server.status().message()}});
+    return absl::IsInvalidArgument(server.status()) ? kExitConfig : kExitFailed;
+  }
+  SignalWaiter signals({{SIGHUP, [&] { (*server)->Reload(); }}});
+  if (const absl::Status ready = WriteReadyFile(flags, (*server)->address()); !ready.ok()) {
+    LogError("cannot write the ready file", {{"reason", ready.message()}});
+    return kExitFailed;
+  }
+  signals.WaitForShutdown();
+  (*server)->Stop();
+  return 0;
+}

@@ -1,0 +1,53 @@
+// Those who watch: alerts and robot states, from the pipeline to the alert file and to operators'
+// streams.
+#ifndef RIPS_POLICY_SERVER_OPERATOR_API_HUB_H_
+#define RIPS_POLICY_SERVER_OPERATOR_API_HUB_H_
+
+#include <cstdint>
+#include <functional>
+#include <map>
+#include <memory>
+#include <string>
+
+#include "absl/base/thread_annotations.h"
+#include "policy_server/pipeline/ports.h"
+#include "policy_server/store/alert_log.h"
+#include "services/runtime/mutex.h"
+
+namespace rips::operator_api {
+
+// Any thread.
+class Hub final : public pipeline::Audience {
+ public:
+  // Operator streams at one time; one more is refused.
+  static constexpr size_t kWatchersMax = 256;
+
+  // Must not block. False = no longer interested.
+  using AlertWatcher = std::function<bool(const store::AlertRecord&)>;
+  using StatusWatcher = std::function<bool(const pipeline::RobotStatus&)>;
+
+  // `alerts` may be null (no file). Not owned; outlives this.
+  explicit Hub(store::AlertLog* alerts) : alert_log_(alerts) {}
+
+  // False if there are kWatchersMax already.
+  bool WatchAlerts(AlertWatcher watcher) ABSL_LOCKS_EXCLUDED(mu_);
+  bool WatchStatus(StatusWatcher watcher) ABSL_LOCKS_EXCLUDED(mu_);
+
+  void OnAlert(const store::AlertRecord& alert) override ABSL_LOCKS_EXCLUDED(mu_);
+  void OnStatus(const pipeline::RobotStatus& status) override ABSL_LOCKS_EXCLUDED(mu_);
+
+ private:
+  template <typename Watcher, typename Item>
+  void Tell(std::map<uint64_t, std::shared_ptr<Watcher>>& watchers, const Item& item)
+      ABSL_LOCKS_EXCLUDED(mu_);
+
+  store::AlertLog* alert_log_;
+  Mutex mu_;
+  uint64_t next_id_ ABSL_GUARDED_BY(mu_) = 1;
+  std::map<uint64_t, std::shared_ptr<AlertWatcher>> alert_watchers_ ABSL_GUARDED_BY(mu_);
+  std::map<uint64_t, std::shared_ptr<StatusWatcher>> status_watchers_ ABSL_GUARDED_BY(mu_);
+};
+
+}  // namespace rips::operator_api
+
+#endif  // RIPS_POLICY_SERVER_OPERATOR_API_HUB_H_

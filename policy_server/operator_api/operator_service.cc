@@ -1,0 +1,333 @@
+#include "policy_server/operator_api/operator_service.h"
+
+#include <algorithm>
+#include <memory>
+#include <set>
+#include <string>
+#include <utility>
+
+#include "absl/strings/str_cat.h"
+#include "policy_server/ingest/graph_codec.h"
+#include "policy_server/operator_api/watch_stream.h"
+#include "services/rpc/peer.h"
+#include "services/rpc/status_conversion.h"
+#include "services/runtime/log.h"
+
+namespace rips::operator_api {
+namespace {
+
+using pipeline::Lane;
+using pipeline::Robot;
+using rpc::OperatorRole;
+
+void FillMark(const Mark& mark, rips::v1::Mark* out) {
+  out->set_term(mark.term);
+  out->set_epoch(mark.epoch);
+}
+
+rips::v1::RobotStatus Encode(const pipeline::RobotStatus& status) {
+  rips::v1::RobotStatus out;
+  out.set_robot(status.robot);
+  out.set_decided_level(status.decided_level);
+  out.set_effective_level(status.effective_level);
+  out.set_stage(status.stage);
+  FillMark(status.mark, out.mutable_mark());
+  out.set_bundle_version(status.bundle_version);
+  for (const std::string& reason : status.degraded) out.add_degraded(reason);
+  return out;
+}
+
+rips::v1::Alert Encode(const store::AlertRecord& alert) {
+  rips::v1::Alert out;
+  out.set_id(alert.id);
+  out.set_time_unix_ns(alert.time_unix_ns);
+  out.set_robot(alert.robot);
+  out.set_rule(alert.rule);
+  out.set_severity(alert.severity);
+  out.set_text(alert.text);
+  out.set_level(alert.level);
+  out.set_event(alert.event);
+  FillMark(alert.mark, out.mutable_mark());
+  return out;
+}
+
+rips::v1::Transition Encode(const store::TransitionRecord& record) {
+  rips::v1::Transition out;
+  out.set_id(record.id);
+  out.set_robot(record.robot);
+  out.set_time_unix_ns(record.time_unix_ns);
+  out.set_from(record.from);
+  out.set_to(record.to);
+  out.set_cause(record.cause);
+  out.set_reason(record.reason);
+  if (!record.refused) FillMark(record.mark, out.mutable_mark());
+  out.set_refused(record.refused);
+  out.set_count(static_cast<uint32_t>(std::min<uint64_t>(record.count, UINT32_MAX)));
+  out.set_stage(record.stage);
+  out.set_detail(record.detail);
+  return out;
+}
+
+// The operator behind the call, if the role is enough.
+absl::StatusOr<rpc::PeerIdentity> Authorize(grpc::CallbackServerContext* context,
+                                            OperatorRole needed) {
+  absl::StatusOr<rpc::Peer> peer = rpc::PeerOf(*context->auth_context());
+  if (!peer.ok()) return peer.status();
+  const rpc::PeerIdentity& identity = peer->identity;
+  if (identity.role != rpc::Role::kOperator) {
+    return absl::PermissionDeniedError(
+        absl::StrCat("the certificate is not an operator's: ", rpc::ToString(identity)));
+  }
+  if (identity.operator_role < needed) {
+    return absl::PermissionDeniedError(absl::StrCat(
+        "this needs the role `", rpc::OperatorRoleName(needed), "`; the certificate is a `",
+        rpc::OperatorRoleName(identity.operator_role), "`'s"));
+  }
+  return identity;
+}
+
+grpc::ServerUnaryReactor* Refuse(grpc::CallbackServerContext* context, const absl::Status& status) {
+  grpc::ServerUnaryReactor* reactor = context->DefaultReactor();
+  reactor->Finish(rpc::ToGrpc(status));
+  return reactor;
+}
+
+template <typename T>
+grpc::ServerWriteReactor<T>* RefuseWatch(const absl::Status& status) {
+  auto* stream = new WatchStream<T>();
+  stream->outbound()->Close(rpc::ToGrpc(status));
+  return stream;
+}
+
+}  // namespace
+
+OperatorService::OperatorService(pipeline::Pipeline* pipeline, store::Store* store, Hub* hub)
+    : pipeline_(pipeline), store_(store), hub_(hub), reader_([this] {
+        while (true) {
+          auto task = reads_.Pop(absl::InfiniteDuration());
+          if (!task) return;
+          (*task)();
+        }
+      }) {}
+
+OperatorService::~OperatorService() {
+  reads_.Close();
+  reader_.join();
+}
+
+void OperatorService::Read(grpc::ServerUnaryReactor* reactor, std::function<void()> task) {
+  if (reads_.Push(std::move(task))) return;
+  reactor->Finish(grpc::Status(grpc::StatusCode::RESOURCE_EXHAUSTED,
+                               "too many reads are waiting; try again later"));
+}
+
+grpc::ServerUnaryReactor* OperatorService::ListRobots(grpc::CallbackServerContext* context,
+                                                      const rips::v1::ListRobotsRequest*,
+                                                      rips::v1::ListRobotsResponse* response) {
+  const auto who = Authorize(context, OperatorRole::kViewer);
+  if (!who.ok()) return Refuse(context, who.status());
+  grpc::ServerUnaryReactor* reactor = context->DefaultReactor();
+  // Asks every robot on its own thread; must not be done on a gRPC thread, which may not block.
+  Read(reactor, [this, reactor, response] {
+    Mutex mu;
+    std::map<std::string, rips::v1::RobotStatus> statuses;
+    pipeline_->ForEach([&](Robot& robot) {
+      rips::v1::RobotStatus status = Encode(robot.Status());
+      MutexLock lock(&mu);
+      statuses[robot.id()] = std::move(status);
+    });
+    MutexLock lock(&mu);
+    for (auto& [id, status] : statuses) *response->add_robots() = std::move(status);
+    reactor->Finish(grpc::Status::OK);
+  });
+  return reactor;
+}
+
+grpc::ServerWriteReactor<rips::v1::RobotStatus>* OperatorService::WatchRobots(
+    grpc::CallbackServerContext* context, const rips::v1::WatchRobotsRequest* request) {
+  const auto who = Authorize(context, OperatorRole::kViewer);
+  if (!who.ok()) return RefuseWatch<rips::v1::RobotStatus>(who.status());
+  const std::set<std::string> wanted(request->robots().begin(), request->robots().end());
+  auto* stream = new WatchStream<rips::v1::RobotStatus>();
+  auto outbound = stream->outbound();
+  const bool watching = hub_->WatchStatus([outbound, wanted](const pipeline::RobotStatus& status) {
+    if (!wanted.empty() && !wanted.contains(status.robot)) return outbound->open();
+    return outbound->Send(Encode(status));
+  });
+  if (!watching) {
+    outbound->Close(grpc::Status(grpc::StatusCode::RESOURCE_EXHAUSTED, "too many watchers"));
+    return stream;
+  }
+  for (const std::string& robot : pipeline_->robots()) {
+    if (!wanted.empty() && !wanted.contains(robot)) continue;
+    pipeline_
+        ->Post(robot, Lane::kControl,
+               [outbound](Robot& each) { outbound->Send(Encode(each.Status())); })
+        .IgnoreError();  // the next change tells
+  }
+  return stream;
+}
+
+grpc::ServerUnaryReactor* OperatorService::GetGraph(grpc::CallbackServerContext* context,
+                                                    const rips::v1::GetGraphRequest* request,
+                                                    rips::v1::GetGraphResponse* response) {
+  const auto who = Authorize(context, OperatorRole::kViewer);
+  if (!who.ok()) return Refuse(context, who.status());
+  grpc::ServerUnaryReactor* reactor = context->DefaultReactor();
+  const absl::Status posted =
+      pipeline_->Post(request->robot(), Lane::kControl, [reactor, response](Robot& robot) {
+        *response->mutable_graph() = ingest::EncodeGraph(robot.graph());
+        response->set_changed_unix_ns(robot.graph_changed_unix_ns());
+        reactor->Finish(grpc::Status::OK);
+      });
+  if (!posted.ok()) reactor->Finish(rpc::ToGrpc(posted));
+  return reactor;
+}
+
+grpc::ServerUnaryReactor* OperatorService::GetLevel(grpc::CallbackServerContext* context,
+                                                    const rips::v1::GetLevelRequest* request,
+                                                    rips::v1::GetLevelResponse* response) {
+  const auto who = Authorize(context, OperatorRole::kViewer);
+  if (!who.ok()) return Refuse(context, who.status());
+  grpc::ServerUnaryReactor* reactor = context->DefaultReactor();
+  const absl::Status posted =
+      pipeline_->Post(request->robot(), Lane::kControl,
+                      [this, reactor, response, robot_id = request->robot()](Robot& robot) {
+                        *response->mutable_status() = Encode(robot.Status());
+                        for (int i = 0; i < robot.levels().size(); ++i) {
+                          response->add_levels(robot.levels().name(i));
+                          if (robot.levels().at(i).soft)
+                            response->add_soft_levels(robot.levels().name(i));
+                        }
+                        Read(reactor, [this, reactor, response, robot_id] {
+                          const auto last = store_->ListTransitions(robot_id, 1);
+                          if (last.ok() && !last->empty())
+                            *response->mutable_last() = Encode(last->front());
+                          reactor->Finish(rpc::ToGrpc(last.status()));
+                        });
+                      });
+  if (!posted.ok()) reactor->Finish(rpc::ToGrpc(posted));
+  return reactor;
+}
+
+grpc::ServerUnaryReactor* OperatorService::ListTransitions(
+    grpc::CallbackServerContext* context, const rips::v1::ListTransitionsRequest* request,
+    rips::v1::ListTransitionsResponse* response) {
+  const auto who = Authorize(context, OperatorRole::kViewer);
+  if (!who.ok()) return Refuse(context, who.status());
+  grpc::ServerUnaryReactor* reactor = context->DefaultReactor();
+  Read(reactor, [this, reactor, request, response] {
+    const auto records = store_->ListTransitions(request->robot(), request->limit());
+    if (records.ok()) {
+      for (const auto& record : *records) *response->add_transitions() = Encode(record);
+    }
+    reactor->Finish(rpc::ToGrpc(records.status()));
+  });
+  return reactor;
+}
+
+grpc::ServerUnaryReactor* OperatorService::ListAlerts(grpc::CallbackServerContext* context,
+                                                      const rips::v1::ListAlertsRequest* request,
+                                                      rips::v1::ListAlertsResponse* response) {
+  const auto who = Authorize(context, OperatorRole::kViewer);
+  if (!who.ok()) return Refuse(context, who.status());
+  grpc::ServerUnaryReactor* reactor = context->DefaultReactor();
+  Read(reactor, [this, reactor, request, response] {
+    const auto records = store_->ListAlerts(request->robot(), request->limit());
+    if (records.ok()) {
+      for (const auto& record : *records) *response->add_alerts() = Encode(record);
+    }
+    reactor->Finish(rpc::ToGrpc(records.status()));
+  });
+  return reactor;
+}
+
+grpc::ServerWriteReactor<rips::v1::Alert>* OperatorService::WatchAlerts(
+    grpc::CallbackServerContext* context, const rips::v1::WatchAlertsRequest* request) {
+  const auto who = Authorize(context, OperatorRole::kViewer);
+  if (!who.ok()) return RefuseWatch<rips::v1::Alert>(who.status());
+  auto* stream = new WatchStream<rips::v1::Alert>();
+  auto outbound = stream->outbound();
+  const bool watching =
+      hub_->WatchAlerts([outbound, robot = request->robot()](const store::AlertRecord& alert) {
+        if (!robot.empty() && robot != alert.robot) return outbound->open();
+        return outbound->Send(Encode(alert));
+      });
+  if (!watching) {
+    outbound->Close(grpc::Status(grpc::StatusCode::RESOURCE_EXHAUSTED, "too many watchers"));
+  }
+  return stream;
+}
+
+grpc::ServerUnaryReactor* OperatorService::DeEscalate(grpc::CallbackServerContext* context,
+                                                      const rips::v1::LevelRequest* request,
+                                                      rips::v1::LevelResponse* response) {
+  return ChangeLevel(context, request, response, Direction::kLower);
+}
+
+grpc::ServerUnaryReactor* OperatorService::Raise(grpc::CallbackServerContext* context,
+                                                 const rips::v1::LevelRequest* request,
+                                                 rips::v1::LevelResponse* response) {
+  return ChangeLevel(context, request, response, Direction::kRaise);
+}
+
+grpc::ServerUnaryReactor* OperatorService::ChangeLevel(grpc::CallbackServerContext* context,
+                                                       const rips::v1::LevelRequest* request,
+                                                       rips::v1::LevelResponse* response,
+                                                       Direction direction) {
+  const auto who = Authorize(context, OperatorRole::kOperator);
+  if (!who.ok()) return Refuse(context, who.status());
+  LogInfo(direction == Direction::kRaise ? "operator raises" : "operator lowers",
+          {{"operator", who->name},
+           {"robot", request->robot()},
+           {"to", request->to()},
+           {"reason", request->reason()},
+           {"dry_run", request->dry_run()}});
+  pipeline::LevelOrder order{.operator_name = who->name,
+                             .to = request->to(),
+                             .reason = request->reason(),
+                             .expected_level = request->expected_level(),
+                             .expected_mark = {.term = request->expected_mark().term(),
+                                               .epoch = request->expected_mark().epoch()},
+                             .dry_run = request->dry_run(),
+                             .accept_blind = request->accept_blind(),
+                             .request_id = request->request_id()};
+  grpc::ServerUnaryReactor* reactor = context->DefaultReactor();
+  pipeline::LevelReply reply = [reactor, response](const pipeline::LevelAnswer& answer) {
+    FillMark(answer.mark, response->mutable_mark());
+    response->set_decided_level(answer.decided_level);
+    for (const std::string& rule : answer.would_raise_again) {
+      response->add_would_raise_again(rule);
+    }
+    for (const std::string& reason : answer.blind_because) response->add_blind_because(reason);
+    reactor->Finish(rpc::ToGrpc(answer.status));
+  };
+  const absl::Status posted = pipeline_->Post(
+      request->robot(), Lane::kControl,
+      [direction, order = std::move(order), reply = std::move(reply)](Robot& robot) {
+        if (direction == Direction::kRaise) {
+          robot.Raise(order, reply);
+        } else {
+          robot.DeEscalate(order, reply);
+        }
+      });
+  if (!posted.ok()) reactor->Finish(rpc::ToGrpc(posted));
+  return reactor;
+}
+
+grpc::ServerUnaryReactor* OperatorService::ResumeRules(grpc::CallbackServerContext* context,
+                                                       const rips::v1::ResumeRulesRequest* request,
+                                                       rips::v1::ResumeRulesResponse*) {
+  const auto who = Authorize(context, OperatorRole::kOperator);
+  if (!who.ok()) return Refuse(context, who.status());
+  grpc::ServerUnaryReactor* reactor = context->DefaultReactor();
+  const absl::Status posted =
+      pipeline_->Post(request->robot(), Lane::kControl,
+                      [reactor, name = who->name, reason = request->reason()](Robot& robot) {
+                        reactor->Finish(rpc::ToGrpc(robot.ResumeRules(name, reason)));
+                      });
+  if (!posted.ok()) reactor->Finish(rpc::ToGrpc(posted));
+  return reactor;
+}
+
+}  // namespace rips::operator_api

@@ -1,0 +1,76 @@
+// OperatorService: what people and their tools may ask. Roles come from the certificate.
+//
+//   call                                             role
+//   ListRobots WatchRobots GetGraph GetLevel
+//   ListTransitions ListAlerts WatchAlerts           viewer
+//   Raise DeEscalate ResumeRules                     operator
+#ifndef RIPS_POLICY_SERVER_OPERATOR_API_OPERATOR_SERVICE_H_
+#define RIPS_POLICY_SERVER_OPERATOR_API_OPERATOR_SERVICE_H_
+
+#include <functional>
+#include <thread>
+
+#include "absl/status/statusor.h"
+#include "policy_server/operator_api/hub.h"
+#include "policy_server/pipeline/pipeline.h"
+#include "policy_server/store/store.h"
+#include "rips/v1/operator.grpc.pb.h"
+#include "services/rpc/identity.h"
+#include "services/runtime/bounded_queue.h"
+
+namespace rips::operator_api {
+
+class OperatorService final : public rips::v1::OperatorService::CallbackService {
+ public:
+  // Nothing is owned; all outlive every call. Reads of the store run on a thread of its own.
+  OperatorService(pipeline::Pipeline* pipeline, store::Store* store, Hub* hub);
+  ~OperatorService() override;
+
+  // As rips/v1/operator.proto.
+  grpc::ServerUnaryReactor* ListRobots(grpc::CallbackServerContext* context,
+                                       const rips::v1::ListRobotsRequest* request,
+                                       rips::v1::ListRobotsResponse* response) override;
+  grpc::ServerWriteReactor<rips::v1::RobotStatus>* WatchRobots(
+      grpc::CallbackServerContext* context, const rips::v1::WatchRobotsRequest* request) override;
+  grpc::ServerUnaryReactor* GetGraph(grpc::CallbackServerContext* context,
+                                     const rips::v1::GetGraphRequest* request,
+                                     rips::v1::GetGraphResponse* response) override;
+  grpc::ServerUnaryReactor* GetLevel(grpc::CallbackServerContext* context,
+                                     const rips::v1::GetLevelRequest* request,
+                                     rips::v1::GetLevelResponse* response) override;
+  grpc::ServerUnaryReactor* ListTransitions(grpc::CallbackServerContext* context,
+                                            const rips::v1::ListTransitionsRequest* request,
+                                            rips::v1::ListTransitionsResponse* response) override;
+  grpc::ServerUnaryReactor* ListAlerts(grpc::CallbackServerContext* context,
+                                       const rips::v1::ListAlertsRequest* request,
+                                       rips::v1::ListAlertsResponse* response) override;
+  grpc::ServerWriteReactor<rips::v1::Alert>* WatchAlerts(
+      grpc::CallbackServerContext* context, const rips::v1::WatchAlertsRequest* request) override;
+  grpc::ServerUnaryReactor* DeEscalate(grpc::CallbackServerContext* context,
+                                       const rips::v1::LevelRequest* request,
+                                       rips::v1::LevelResponse* response) override;
+  grpc::ServerUnaryReactor* Raise(grpc::CallbackServerContext* context,
+                                  const rips::v1::LevelRequest* request,
+                                  rips::v1::LevelResponse* response) override;
+  grpc::ServerUnaryReactor* ResumeRules(grpc::CallbackServerContext* context,
+                                        const rips::v1::ResumeRulesRequest* request,
+                                        rips::v1::ResumeRulesResponse* response) override;
+
+ private:
+  enum class Direction { kRaise, kLower };
+  grpc::ServerUnaryReactor* ChangeLevel(grpc::CallbackServerContext* context,
+                                        const rips::v1::LevelRequest* request,
+                                        rips::v1::LevelResponse* response, Direction direction);
+  // Runs `task` on the thread for store reads; it finishes `reactor`.
+  void Read(grpc::ServerUnaryReactor* reactor, std::function<void()> task);
+
+  pipeline::Pipeline* pipeline_;
+  store::Store* store_;
+  Hub* hub_;
+  BoundedQueue<std::function<void()>> reads_{{.capacity = 1'024}};
+  std::thread reader_;
+};
+
+}  // namespace rips::operator_api
+
+#endif  // RIPS_POLICY_SERVER_OPERATOR_API_OPERATOR_SERVICE_H_

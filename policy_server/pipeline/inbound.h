@@ -1,0 +1,153 @@
+// What agents say, decoded and free of protobuf: the pipeline's inbox.
+#ifndef RIPS_POLICY_SERVER_PIPELINE_INBOUND_H_
+#define RIPS_POLICY_SERVER_PIPELINE_INBOUND_H_
+
+#include <cstdint>
+#include <memory>
+#include <string>
+#include <variant>
+#include <vector>
+
+#include "absl/strings/string_view.h"
+#include "services/base/clock.h"
+#include "services/base/mark.h"
+#include "services/ros2/guid.h"
+#include "services/ros2/ros_graph.h"
+
+namespace rips::pipeline {
+
+enum class Lane { kControl, kMessages };
+inline constexpr int kLaneCount = 2;
+
+struct MessageSeen {
+  // Views into Batch::names.
+  absl::string_view topic;
+  absl::string_view type;
+  // Node the sensor named when it introduced the writer; the server's graph knows better.
+  absl::string_view sender;
+  ros2::Guid writer;
+  uint32_t size_bytes = 0;
+};
+
+struct GraphSnapshotSeen {
+  uint64_t version = 0;
+  bool settled = false;
+  // Only upserts.
+  ros2::GraphDelta content;
+};
+
+struct GraphDeltaSeen {
+  uint64_t from_version = 0;
+  uint64_t to_version = 0;
+  bool settled = false;
+  ros2::GraphDelta delta;
+};
+
+struct IdsAlertSeen {
+  std::string message;
+  uint32_t gid = 0;
+  uint32_t sid = 0;
+};
+
+struct SignalSeen {
+  std::string name;
+};
+
+struct LossSeen {
+  uint64_t count = 0;
+  // A gap of a best-effort writer: normal on a busy bus, does not spoil evidence.
+  bool tolerable = false;
+  // For people: "outbox shed", "queue full".
+  std::string cause;
+};
+
+struct SensorStateSeen {
+  bool overloaded = false;
+};
+
+struct Observation {
+  // CLOCK_BOOTTIME of the sensor's host.
+  int64_t boottime_ns = 0;
+  std::variant<MessageSeen, GraphSnapshotSeen, GraphDeltaSeen, IdsAlertSeen, SignalSeen, LossSeen,
+               SensorStateSeen>
+      what;
+};
+
+struct Batch {
+  std::string incarnation;
+  Lane lane = Lane::kMessages;
+  // Of observations[0]; the rest follow without gap.
+  uint64_t first_sequence = 0;
+  std::vector<Observation> observations;
+  // As counted against credit: serialized size on the wire.
+  size_t bytes = 0;
+  // Keeps the strings alive that the views point to.
+  std::shared_ptr<const void> names;
+};
+
+struct SpooledRange {
+  std::string incarnation;
+  Lane lane = Lane::kControl;
+  uint64_t first_sequence = 0;
+  uint64_t last_sequence = 0;
+};
+
+struct SensorHello {
+  std::string incarnation;
+  Instant clock;
+  std::vector<SpooledRange> spooled;
+  std::vector<std::string> not_visible;
+};
+
+struct ActuatorHello {
+  std::vector<std::string> levels;
+  std::vector<std::string> programs;
+  Mark mark;
+  std::string decided_level;
+  std::string effective_level;
+  uint64_t highest_term = 0;
+  bool state_lost = false;
+  ros2::Guid participant;
+  Instant clock;
+};
+
+struct ActuatorBeat {
+  // The actuator's own boottime, echoed in the next lease.
+  int64_t boottime_ns = 0;
+  std::string effective_level;
+  std::string observed;
+  bool verified = false;
+  std::string floor_reason;
+};
+
+struct StepReport {
+  std::string step;
+  bool ok = false;
+  uint32_t took_ms = 0;
+  std::string detail;
+};
+
+struct Receipt {
+  enum class Stage {
+    kAcknowledged,
+    kVerified,
+    kFailed,
+    kSuperseded,
+    kRefusedStale,
+    kRefused,
+    kUnknown
+  };
+  // 32 hex digits.
+  std::string command_id;
+  Mark mark;
+  Stage stage = Stage::kAcknowledged;
+  std::vector<StepReport> steps;
+  int32_t exit_code = 0;
+  std::string output_tail;
+  std::string detail;
+  std::string effective_level;
+};
+
+}  // namespace rips::pipeline
+
+#endif  // RIPS_POLICY_SERVER_PIPELINE_INBOUND_H_

@@ -1,0 +1,240 @@
+// The pipeline's small parts, and its threads.
+#include <atomic>
+
+#include "gmock/gmock.h"
+#include "policy_server/pipeline/pipeline.h"
+#include "policy_server/pipeline/robot_fixture.h"
+#include "services/base/status_matchers.h"
+#include "services/runtime/mutex.h"
+
+namespace rips::pipeline {
+namespace {
+
+using ::testing::HasSubstr;
+using ::testing::IsEmpty;
+using ::testing::SizeIs;
+
+constexpr int64_t kSecond = kNanosPerSecond;
+
+Instant At(int64_t seconds) { return {.boottime_ns = seconds * kSecond, .unix_ns = seconds}; }
+
+TEST(SequenceTrackTest, AcceptsInOrderAndSkipsWhatWasJudged) {
+  SequenceTrack track;
+
+  EXPECT_EQ(track.Accept("a", Lane::kControl, 1, 3)->skip, 0u);
+  EXPECT_EQ(track.Accept("a", Lane::kControl, 2, 4)->skip, 2u);
+  EXPECT_EQ(track.Accept("a", Lane::kControl, 1, 2)->skip, 2u);
+  EXPECT_EQ(track.Judged("a", Lane::kControl), 5u);
+  EXPECT_EQ(track.Judged("a", Lane::kMessages), 0u);
+  EXPECT_EQ(track.Judged("b", Lane::kControl), 0u);
+}
+
+TEST(SequenceTrackTest, CountsWhatIsMissingInTheMessageLane) {
+  SequenceTrack track;
+
+  EXPECT_EQ(track.Accept("a", Lane::kMessages, 11, 2)->missing, 10u);
+  EXPECT_EQ(track.Judged("a", Lane::kMessages), 12u);
+}
+
+TEST(SequenceTrackTest, RefusesGapsInTheControlLaneAndNonsense) {
+  SequenceTrack track;
+
+  EXPECT_THAT(track.Accept("a", Lane::kControl, 2, 1),
+              StatusIs(absl::StatusCode::kInvalidArgument));
+  EXPECT_THAT(track.Accept("a", Lane::kMessages, 0, 1),
+              StatusIs(absl::StatusCode::kInvalidArgument));
+  EXPECT_THAT(track.Accept("a", Lane::kMessages, UINT64_MAX, 2),
+              StatusIs(absl::StatusCode::kInvalidArgument));
+  EXPECT_EQ(track.Judged("a", Lane::kControl), 0u);
+}
+
+TEST(SequenceTrackTest, ForgetsTheOldestIncarnationPastItsLimit) {
+  SequenceTrack track;
+
+  for (size_t i = 0; i <= SequenceTrack::kIncarnationsMax; ++i) {
+    ASSERT_THAT(track.Accept(absl::StrCat("i", i), Lane::kControl, 1, 1), IsOk());
+  }
+
+  EXPECT_EQ(track.Judged("i0", Lane::kControl), 0u);
+  EXPECT_EQ(track.Judged("i1", Lane::kControl), 1u);
+}
+
+TEST(EvidenceGateTest, IsCompleteOnlyAfterTheWholeHold) {
+  EvidenceGate gate(5 * kSecond, At(100));
+
+  EXPECT_THAT(gate.Assess(At(104)).blind_because, SizeIs(1));
+  EXPECT_THAT(gate.Assess(At(105)).blind_because, IsEmpty());
+}
+
+TEST(EvidenceGateTest, AProblemOrADisturbanceStartsTheHoldAnew) {
+  EvidenceGate gate(5 * kSecond, At(100));
+  gate.Update({"sensor base is silent"}, At(106));
+  EXPECT_THAT(gate.Assess(At(106)).blind_because[0], HasSubstr("silent"));
+
+  gate.Update({}, At(107));
+  EXPECT_THAT(gate.Assess(At(110)).blind_because[0], HasSubstr("4.0 s of 5.0 s"));
+  EXPECT_THAT(gate.Assess(At(112)).blind_because, IsEmpty());
+
+  gate.Disturb("3 observations were lost", At(113));
+  EXPECT_THAT(gate.Assess(At(117)).blind_because[0], HasSubstr("were lost"));
+  EXPECT_THAT(gate.Assess(At(118)).blind_because, IsEmpty());
+}
+
+TEST(AlertLimiterTest, FoldsWhatExceedsTheBurst) {
+  AlertLimiter limiter({.per_second = 1, .burst = 3});
+  const engine::AlertEffect alert{.rule = "r", .text = "x"};
+
+  int admitted = 0;
+  for (int i = 0; i < 10; ++i) admitted += limiter.Admit(alert, At(100)) ? 1 : 0;
+
+  EXPECT_EQ(admitted, 3);
+  EXPECT_THAT(limiter.Due(At(100)), IsEmpty());
+  const auto due = limiter.Due(At(101));
+  ASSERT_THAT(due, SizeIs(1));
+  EXPECT_THAT(due[0].text, HasSubstr("7 more"));
+  EXPECT_THAT(limiter.Due(At(103)), IsEmpty());
+  EXPECT_TRUE(limiter.Admit(alert, At(103)));
+  EXPECT_TRUE(limiter.Admit({.rule = "other"}, At(100))) << "rules do not share";
+}
+
+class CommandLedgerTest : public ::testing::Test {
+ protected:
+  CommandLedgerTest() : ledger_({"a", "b"}, [this] { return absl::StrCat("c", ++ids_); }) {}
+
+  Receipt Answer(const Outgoing& outgoing, Receipt::Stage stage) {
+    return {.command_id = outgoing.command.id,
+            .mark = std::get<SetLevel>(outgoing.command.what).mark,
+            .stage = stage};
+  }
+
+  int ids_ = 0;
+  CommandLedger ledger_;
+};
+
+TEST_F(CommandLedgerTest, ALevelIsVerifiedWhenEveryListedActuatorSaysSo) {
+  ledger_.Order({1, 1}, 1, "ALERT", "rule x", /*lowers=*/false);
+  ledger_.Attach("a", {}, 0, "DEFAULT", {}, At(100));
+  const auto first = ledger_.Due(1, At(100));
+  ASSERT_THAT(first, SizeIs(1));
+
+  ledger_.OnReceipt("a", Answer(first[0], Receipt::Stage::kAcknowledged), At(100));
+  EXPECT_EQ(ledger_.stage(), Stage::kRequested) << "b has not answered";
+  ledger_.Attach("b", {}, 0, "DEFAULT", {}, At(101));
+  const auto second = ledger_.Due(1, At(101));
+  ASSERT_THAT(second, SizeIs(1));
+  ledger_.OnReceipt("b", Answer(second[0], Receipt::Stage::kVerified), At(101));
+  EXPECT_EQ(ledger_.stage(), Stage::kAcknowledged);
+  ledger_.OnReceipt("a", Answer(first[0], Receipt::Stage::kVerified), At(102));
+  EXPECT_EQ(ledger_.stage(), Stage::kVerified);
+}
+
+TEST_F(CommandLedgerTest, ALoweringNamesTheMarkTheActuatorHolds) {
+  ledger_.Attach("a", {1, 4}, 2, "COMPROMISED", {}, At(100));
+  ledger_.Order({1, 5}, 1, "ALERT", "operator alice", /*lowers=*/true);
+
+  const auto due = ledger_.Due(1, At(100));
+
+  ASSERT_THAT(due, SizeIs(1));
+  EXPECT_EQ(std::get<SetLevel>(due[0].command.what).based_on, (Mark{1, 4}));
+  EXPECT_EQ(std::get<SetLevel>(due[0].command.what).from, "COMPROMISED");
+}
+
+TEST_F(CommandLedgerTest, ReceiptsOfOlderDecisionsChangeNothing) {
+  ledger_.Attach("a", {}, 0, "DEFAULT", {}, At(100));
+  ledger_.Order({1, 1}, 1, "ALERT", "", /*lowers=*/false);
+  const auto old = ledger_.Due(1, At(100));
+  ledger_.Order({1, 2}, 2, "COMPROMISED", "", /*lowers=*/false);
+
+  ledger_.OnReceipt("a", Answer(old[0], Receipt::Stage::kVerified), At(101));
+
+  EXPECT_EQ(ledger_.stage(), Stage::kRequested);
+}
+
+TEST_F(CommandLedgerTest, ALoweringIsVerifiedOnlyAtItsLevelARaiseAlsoAbove) {
+  for (const bool lowers : {false, true}) {
+    CommandLedger ledger({"a"}, [] { return "id"; });
+    ledger.Attach("a", {1, 1}, 2, "COMPROMISED", {}, At(100));
+    ledger.Order({1, 2}, 1, "ALERT", "", lowers);
+    const auto due = ledger.Due(1, At(100));
+    ledger.OnReceipt("a", Answer(due[0], Receipt::Stage::kAcknowledged), At(100));
+
+    ledger.OnBeat("a", /*effective=*/2, /*verified=*/true);
+
+    EXPECT_EQ(ledger.stage() == Stage::kVerified, !lowers);
+  }
+}
+
+TEST_F(CommandLedgerTest, NoFinalReceiptInTimeIsAFailure) {
+  CommandLedger ledger({"a"}, [] { return "id"; });
+  ledger.Attach("a", {}, 0, "DEFAULT", {}, At(100));
+  ledger.Order({1, 1}, 1, "ALERT", "", /*lowers=*/false);
+  const auto due = ledger.Due(1, At(100));
+  ledger.OnReceipt("a", Answer(due[0], Receipt::Stage::kAcknowledged), At(101));
+
+  ledger.Due(1, At(119));
+  EXPECT_EQ(ledger.stage(), Stage::kAcknowledged);
+  ledger.Due(1, At(120));
+  EXPECT_EQ(ledger.stage(), Stage::kFailed);
+}
+
+TEST(PipelineTest, RunsTasksOnTheRobotsThreadInOrderControlFirst) {
+  FakeClock clock;
+  FakeRecorder recorder;
+  FakeAudience audience;
+  Pipeline pipeline(2, &clock);
+  const std::vector<lang::SourceFile> files = {{.path = "t.rul", .text = kPaperRules}};
+  const auto program = *engine::Program::Create(*lang::Compile(files).rules);
+  for (const char* id : {"r1", "r2", "r3"}) {
+    ASSERT_THAT(
+        pipeline.Add({.id = id}, {.program = program, .bundle_id = "b"}, Timing{}, {}, 1,
+                     {.recorder = &recorder, .audience = &audience, .new_id = [] { return "id"; }}),
+        IsOk());
+  }
+  // Before Start nothing runs: control overtakes messages that were posted earlier.
+  Mutex mu;
+  std::vector<int> order;
+  const auto note = [&](int n) {
+    return [&mu, &order, n](Robot&) {
+      MutexLock lock(&mu);
+      order.push_back(n);
+    };
+  };
+  ASSERT_THAT(pipeline.Post("r1", Lane::kMessages, note(3)), IsOk());
+  ASSERT_THAT(pipeline.Post("r1", Lane::kControl, note(1)), IsOk());
+  ASSERT_THAT(pipeline.Post("r1", Lane::kControl, note(2)), IsOk());
+
+  pipeline.Start();
+  std::atomic<int> seen = 0;
+  pipeline.ForEach([&](Robot&) { ++seen; });
+  while (true) {
+    MutexLock lock(&mu);
+    if (order.size() == 3) break;
+  }
+  pipeline.Stop();
+
+  EXPECT_EQ(seen, 3);
+  EXPECT_THAT(order, ::testing::ElementsAre(1, 2, 3));
+}
+
+TEST(PipelineTest, RefusesUnknownRobotsAndTasksPastItsLimit) {
+  FakeClock clock;
+  FakeRecorder recorder;
+  FakeAudience audience;
+  Pipeline pipeline(1, &clock, {.control_max = 2, .messages_max = 1});
+  const std::vector<lang::SourceFile> files = {{.path = "t.rul", .text = kPaperRules}};
+  ASSERT_THAT(
+      pipeline.Add({.id = "r1"}, {.program = *engine::Program::Create(*lang::Compile(files).rules)},
+                   Timing{}, {}, 1,
+                   {.recorder = &recorder, .audience = &audience, .new_id = [] { return "id"; }}),
+      IsOk());
+  const auto nothing = [](Robot&) {};
+
+  EXPECT_THAT(pipeline.Post("r9", Lane::kControl, nothing), StatusIs(absl::StatusCode::kNotFound));
+  EXPECT_THAT(pipeline.Post("r1", Lane::kMessages, nothing), IsOk());
+  EXPECT_THAT(pipeline.Post("r1", Lane::kMessages, nothing),
+              StatusIs(absl::StatusCode::kResourceExhausted));
+  EXPECT_THAT(pipeline.Post("r1", Lane::kControl, nothing), IsOk());
+}
+
+}  // namespace
+}  // namespace rips::pipeline

@@ -1,0 +1,72 @@
+// What a robot needs of the outside: to record, to be heard, to know the time.
+#ifndef RIPS_POLICY_SERVER_PIPELINE_PORTS_H_
+#define RIPS_POLICY_SERVER_PIPELINE_PORTS_H_
+
+#include <functional>
+#include <string>
+#include <vector>
+
+#include "absl/status/status.h"
+#include "policy_server/store/store.h"
+#include "services/base/clock.h"
+#include "services/base/mark.h"
+
+namespace rips::pipeline {
+
+// Makes records durable, in order. `done` may run on any thread.
+class Recorder {
+ public:
+  virtual ~Recorder() = default;
+  virtual void Record(store::WriteBatch batch, std::function<void(const absl::Status&)> done) = 0;
+  // The last write succeeded.
+  virtual bool healthy() const = 0;
+  // Blocking reads and the term counter; rare (an actuator's Hello).
+  virtual absl::StatusOr<bool> HasMark(const std::string& robot, const Mark& mark) = 0;
+  virtual absl::StatusOr<uint64_t> NextTerm(const std::string& robot, uint64_t above) = 0;
+};
+
+// As an operator sees a robot.
+struct RobotStatus {
+  std::string robot;
+  std::string decided_level;
+  // The most restrictive any attached actuator reports; empty = none attached.
+  std::string effective_level;
+  std::string stage;
+  Mark mark;
+  std::string bundle_version;
+  std::vector<std::string> degraded;
+
+  friend bool operator==(const RobotStatus&, const RobotStatus&) = default;
+};
+
+// Those who watch. Any thread; never blocks.
+class Audience {
+ public:
+  virtual ~Audience() = default;
+  // Durable already.
+  virtual void OnAlert(const store::AlertRecord& alert) = 0;
+  virtual void OnStatus(const RobotStatus& status) = 0;
+};
+
+// What is counted; a null entry is not.
+struct Counts {
+  std::function<void(uint64_t)> observations_judged;
+  std::function<void(uint64_t)> observations_lost;
+  std::function<void(uint64_t)> observations_duplicate;
+  std::function<void(uint64_t)> alerts;
+};
+
+struct Ports {
+  const Clock* clock = nullptr;
+  Recorder* recorder = nullptr;
+  Audience* audience = nullptr;
+  Counts counts;
+  // Runs a task on the robot's own thread, later.
+  std::function<void(std::function<void()>)> post;
+  // Draws ids of alerts, transitions and commands.
+  std::function<std::string()> new_id;
+};
+
+}  // namespace rips::pipeline
+
+#endif  // RIPS_POLICY_SERVER_PIPELINE_PORTS_H_

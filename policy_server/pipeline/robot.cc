@@ -1,0 +1,546 @@
+#include "policy_server/pipeline/robot.h"
+
+#include <algorithm>
+#include <utility>
+
+#include "absl/strings/escaping.h"
+#include "absl/strings/str_cat.h"
+#include "absl/strings/str_join.h"
+
+namespace rips::pipeline {
+namespace {
+
+constexpr size_t kReasonBytesMax = 1'000;
+constexpr size_t kAnswersKept = 64;
+// Alerts kept in memory while the store cannot be written; the oldest go first.
+constexpr size_t kUnrecordedAlertsMax = 1'000;
+constexpr absl::string_view kOwnRule = "(rips)";
+
+std::string CauseText(const levels::Cause& cause) {
+  switch (cause.kind) {
+    case levels::Cause::Kind::kRule:
+      return absl::StrCat("rule ", cause.name);
+    case levels::Cause::Kind::kOperator:
+      return absl::StrCat("operator ", cause.name);
+    case levels::Cause::Kind::kCrash:
+      return absl::StrCat("crash in rule ", cause.name);
+    case levels::Cause::Kind::kAdopted:
+      return "adopted";
+  }
+  return "";
+}
+
+template <typename T>
+void Prepend(std::vector<T>& front, std::vector<T>& back) {
+  std::move(back.begin(), back.end(), std::back_inserter(front));
+  back = std::move(front);
+}
+
+absl::Status RefusalStatus(const levels::Transition& transition, const levels::LevelTable& table) {
+  return absl::FailedPreconditionError(absl::StrCat(
+      "the level stays ", table.name(transition.from), ": ", levels::ToString(transition.refusal),
+      transition.detail.empty() ? "" : absl::StrCat("; ", transition.detail)));
+}
+
+}  // namespace
+
+absl::StatusOr<std::unique_ptr<Robot>> Robot::Create(RobotConfig config, Policy policy,
+                                                     Timing timing,
+                                                     const store::RobotRecord& record,
+                                                     uint64_t term, Ports ports) {
+  const levels::LevelTable& table = policy.program->rules().levels;
+  levels::LevelIndex level = policy.start_level;
+  if (!record.level.empty()) {
+    const auto found = table.Find(record.level);
+    if (!found) {
+      return absl::InvalidArgumentError(absl::StrCat(
+          "robot `", config.id, "` is recorded at level `", record.level,
+          "`, which its bundle does not declare (", absl::StrJoin(table.names(), ", "), ")"));
+    }
+    level = *found;
+  }
+  levels::LevelMachine machine(table, level, record.mark, term);
+  if (record.soft_suspended) machine.Suspend();
+  return std::unique_ptr<Robot>(new Robot(std::move(config), std::move(policy), timing, record,
+                                          std::move(machine), std::move(ports)));
+}
+
+Robot::Robot(RobotConfig config, Policy policy, Timing timing, const store::RobotRecord& record,
+             levels::LevelMachine level, Ports ports)
+    : config_(std::move(config)),
+      policy_(std::move(policy)),
+      timing_(timing),
+      ports_(std::move(ports)),
+      state_(policy_.program, std::move(level), ports_.clock->Now()),
+      evidence_(policy_.soft_hold_ns, ports_.clock->Now()),
+      ledger_(config_.actuator_hosts, ports_.new_id),
+      started_ns_(ports_.clock->Now().boottime_ns) {
+  state_.RestoreVariables(record.variables);
+  for (const std::string& host : config_.sensor_hosts) {
+    sensors_[host].gone_since_ns = started_ns_;
+  }
+  for (const std::string& host : config_.actuator_hosts) {
+    actuators_[host].gone_since_ns = started_ns_;
+  }
+  for (const auto& [key, sequence] : record.high_water) {
+    const auto it = sensors_.find(key.host);
+    if (it == sensors_.end()) continue;
+    const Lane lane = key.lane == store::LaneKey::Lane::kControl ? Lane::kControl : Lane::kMessages;
+    it->second.sequences.Restore(absl::HexStringToBytes(key.incarnation), lane, sequence);
+  }
+  if (record.mark.none()) {
+    TakeTransition(
+        {.transition = state_.level.Adopt(state_.level.level(), Mark{}, ports_.clock->Now())});
+  } else {
+    ledger_.Order(record.mark, state_.level.level(), record.level, "restored", /*lowers=*/false);
+  }
+}
+
+void Robot::Run(const engine::Event& event) {
+  const Instant now = ports_.clock->Now();
+  state_.evidence = evidence_.Assess(now);
+  const engine::Outcome outcome = engine::Evaluate(event, now, state_);
+  if (!outcome.effects.empty()) {
+    Perform(outcome, engine::Describe(event));
+  } else {
+    variables_changed_ |= outcome.variables_changed;
+  }
+}
+
+void Robot::External(engine::ExternalEvent event) {
+  Run({.what = std::move(event), .time_unix_ns = ports_.clock->Now().unix_ns});
+}
+
+void Robot::Perform(const engine::Outcome& outcome, const std::string& event) {
+  variables_changed_ |= outcome.variables_changed;
+  for (const engine::Effect& effect : outcome.effects) {
+    if (const auto* alert = std::get_if<engine::AlertEffect>(&effect)) {
+      const Instant now = ports_.clock->Now();
+      if (alert_limiter_.Admit(*alert, now)) Alert(*alert, event);
+    } else if (const auto* transition = std::get_if<engine::TransitionEffect>(&effect)) {
+      TakeTransition(*transition);
+    } else if (const auto* run = std::get_if<engine::RunProgramEffect>(&effect)) {
+      const Instant now = ports_.clock->Now();
+      ProgramResult refused{.run_id = run->run_id};
+      if (!ports_.recorder->healthy()) {
+        refused.detail = "the store cannot be written";
+      } else if (!ledger_.Run(run->run_id, run->program, run->args, now)) {
+        refused.detail = "no attached actuator offers it";
+      } else {
+        continue;
+      }
+      OwnAlert(engine::Severity::kHigh, absl::StrCat("program `", run->program, "` of rule ",
+                                                     run->rule, " was not run: ", refused.detail));
+      HandleProgramResult(refused, now);
+    }
+  }
+}
+
+void Robot::HandleProgramResult(const ProgramResult& result, Instant now) {
+  Perform(engine::OnProgramResult(result.run_id, result.ok, now, state_), "program result");
+}
+
+void Robot::TakeTransition(const engine::TransitionEffect& effect) {
+  const levels::Transition& transition = effect.transition;
+  const levels::LevelTable& table = state_.level.table();
+  if (transition.refused()) {
+    // One record per kind of refusal; its count moves on.
+    const std::string key = absl::StrCat(CauseText(transition.cause), "\n", transition.from, "\n",
+                                         transition.to, "\n", levels::ToString(transition.refusal));
+    auto [it, fresh] = refusal_ids_.try_emplace(key);
+    if (fresh || effect.count == 1) it->second = ports_.new_id();
+    const bool round = (effect.count & (effect.count - 1)) == 0;
+    if (!round) return;  // counts are written at 1, 2, 4, 8, ...
+    std::string reason(levels::ToString(transition.refusal));
+    if (!transition.detail.empty()) absl::StrAppend(&reason, ": ", transition.detail);
+    pending_.refusals.push_back({.id = it->second,
+                                 .robot = config_.id,
+                                 .from = table.name(transition.from),
+                                 .to = table.name(transition.to),
+                                 .cause = CauseText(transition.cause),
+                                 .reason = std::move(reason),
+                                 .count = effect.count,
+                                 .time_unix_ns = transition.at.unix_ns});
+    return;
+  }
+  if (!transition.decided()) return;
+  RecordDecision(transition);
+  failure_alerted_ = false;
+  if (transition.lowers()) {
+    pending_lowerings_.push_back(transition);
+    awaiting_durable_ = transition.mark;
+  } else {
+    Order(transition);
+  }
+}
+
+void Robot::RecordDecision(const levels::Transition& transition) {
+  const levels::LevelTable& table = state_.level.table();
+  pending_.decisions.push_back({.id = ports_.new_id(),
+                                .robot = config_.id,
+                                .mark = transition.mark,
+                                .based_on = transition.based_on,
+                                .from = table.name(transition.from),
+                                .to = table.name(transition.to),
+                                .cause = CauseText(transition.cause),
+                                .reason = transition.cause.reason,
+                                .time_unix_ns = transition.at.unix_ns});
+}
+
+void Robot::Order(const levels::Transition& transition) {
+  ledger_.Order(transition.mark, transition.to, state_.level.table().name(transition.to),
+                CauseText(transition.cause), transition.lowers());
+  reported_stage_ = Stage::kRequested;
+  SendCommands(ports_.clock->Now());
+}
+
+void Robot::Alert(engine::AlertEffect alert, const std::string& event) {
+  if (pending_.alerts.size() >= kUnrecordedAlertsMax) {
+    pending_.alerts.erase(pending_.alerts.begin());
+    if (ports_.counts.observations_lost) ports_.counts.observations_lost(0);
+  }
+  pending_.alerts.push_back({.id = ports_.new_id(),
+                             .time_unix_ns = ports_.clock->Now().unix_ns,
+                             .robot = config_.id,
+                             .rule = std::move(alert.rule),
+                             .severity = std::string(engine::ToString(alert.severity)),
+                             .text = std::move(alert.text),
+                             .level = state_.level.table().name(alert.level),
+                             .event = event,
+                             .mark = alert.mark});
+  if (ports_.counts.alerts) ports_.counts.alerts(1);
+}
+
+void Robot::OwnAlert(engine::Severity severity, const std::string& text) {
+  Alert({.rule = std::string(kOwnRule),
+         .severity = severity,
+         .text = text,
+         .level = state_.level.level(),
+         .mark = state_.level.mark()},
+        "");
+}
+
+// ---------------------------------------------------------------------------------- recording
+
+void Robot::Flush() {
+  if (pending_.empty() && !sequences_moved_ && !variables_changed_) return;
+  store::Checkpoint checkpoint{.robot = config_.id,
+                               .soft_suspended = state_.level.soft_suspended()};
+  if (variables_changed_) checkpoint.variables = state_.Variables();
+  for (const auto& [host, sensor] : sensors_) {
+    for (const auto& [key, sequence] : sensor.sequences.all()) {
+      const auto lane = key.second == Lane::kControl ? store::LaneKey::Lane::kControl
+                                                     : store::LaneKey::Lane::kMessages;
+      checkpoint.high_water[{
+          .host = host, .incarnation = absl::BytesToHexString(key.first), .lane = lane}] = sequence;
+    }
+  }
+  store::HighWater judged = checkpoint.high_water;
+  store::WriteBatch batch = std::exchange(pending_, {});
+  batch.checkpoints.push_back(std::move(checkpoint));
+  sequences_moved_ = variables_changed_ = false;
+  checkpoint_at_ns_ = ports_.clock->Now().boottime_ns + timing_.checkpoint_ns;
+
+  auto lowerings = std::exchange(pending_lowerings_, {});
+  auto kept = std::make_shared<store::WriteBatch>(batch);
+  ports_.recorder->Record(std::move(batch),
+                          [this, kept, judged, lowerings](const absl::Status& status) {
+                            if (status.ok()) {
+                              for (const store::AlertRecord& alert : kept->alerts)
+                                ports_.audience->OnAlert(alert);
+                            }
+                            ports_.post([this, kept, judged, lowerings, status] {
+                              if (!status.ok()) {
+                                // Nothing is forgotten: what was not written goes in front of what
+                                // comes next.
+                                kept->checkpoints.clear();
+                                Prepend(kept->decisions, pending_.decisions);
+                                Prepend(kept->refusals, pending_.refusals);
+                                Prepend(kept->stages, pending_.stages);
+                                Prepend(kept->alerts, pending_.alerts);
+                                sequences_moved_ = variables_changed_ = true;
+                              }
+                              OnRecorded(status, *kept, judged, lowerings);
+                            });
+                          });
+}
+
+void Robot::OnRecorded(const absl::Status& status, const store::WriteBatch& recorded,
+                       const store::HighWater& judged,
+                       const std::vector<levels::Transition>& lowerings) {
+  store_failing_ = !status.ok();
+  if (!status.ok()) {
+    for (const levels::Transition& lowering : lowerings) TakeBack(lowering, status);
+    PublishStatus();
+    return;
+  }
+  for (const auto& [key, sequence] : judged) {
+    const auto it = sensors_.find(key.host);
+    if (it == sensors_.end() || !it->second.session) continue;
+    const Lane lane = key.lane == store::LaneKey::Lane::kControl ? Lane::kControl : Lane::kMessages;
+    it->second.session->link->Acknowledge(absl::HexStringToBytes(key.incarnation), lane, sequence);
+  }
+  for (const levels::Transition& lowering : lowerings) {
+    if (lowering.mark == awaiting_durable_) awaiting_durable_ = Mark{};
+    // A raise may have been decided meanwhile: then that one has been commanded already.
+    if (lowering.mark == state_.level.mark()) Order(lowering);
+  }
+  for (const store::DecisionRecord& decision : recorded.decisions) {
+    const auto it = waiting_.find(decision.mark);
+    if (it == waiting_.end()) continue;
+    auto [reply, answer] = std::move(it->second);
+    waiting_.erase(it);
+    reply(answer);
+  }
+  PublishStatus();
+}
+
+void Robot::TakeBack(const levels::Transition& lowering, const absl::Status& why) {
+  if (const auto it = waiting_.find(lowering.mark); it != waiting_.end()) {
+    LevelAnswer answer = it->second.second;
+    answer.status = absl::UnavailableError(
+        absl::StrCat("the lowering could not be recorded and was taken back: ", why.message()));
+    it->second.first(answer);
+    waiting_.erase(it);
+  }
+  if (lowering.mark == awaiting_durable_) awaiting_durable_ = Mark{};
+  if (state_.level.level() >= lowering.from) return;
+  OwnAlert(engine::Severity::kCritical,
+           absl::StrCat("a lowering could not be recorded and was taken back: ", why.message()));
+  TakeTransition(
+      {.transition = state_.level.Adopt(lowering.from, state_.level.mark(), ports_.clock->Now())});
+}
+
+// ----------------------------------------------------------------------------------- evidence
+
+std::vector<std::string> Robot::EvidenceProblems(Instant now) const {
+  std::vector<std::string> problems;
+  for (const auto& [name, host] : sensors_) {
+    if (!host.session) {
+      problems.push_back(absl::StrCat("sensor ", name, " is not connected"));
+      continue;
+    }
+    if (now.boottime_ns - host.session->heard_ns > timing_.stale_ns) {
+      problems.push_back(absl::StrCat("sensor ", name, " is silent"));
+    }
+    if (name == config_.primary_sensor && !host.settled) {
+      problems.push_back(absl::StrCat("the graph of sensor ", name, " has not settled"));
+    }
+    for (const SpooledRange& range : host.session->spooled) {
+      if (host.sequences.Judged(range.incarnation, range.lane) < range.last_sequence) {
+        problems.push_back(absl::StrCat("observations of sensor ", name, " are not judged yet"));
+        break;
+      }
+    }
+  }
+  if (sensors_.empty()) problems.push_back("no sensor is listed in the inventory");
+  for (const auto& [name, host] : actuators_) {
+    if (!ActuatorLive(host, now)) {
+      problems.push_back(absl::StrCat("actuator ", name, " holds no live lease"));
+    }
+  }
+  if (!ports_.recorder->healthy()) problems.push_back("the store cannot be written");
+  return problems;
+}
+
+void Robot::UpdateEvidence(Instant now) {
+  std::vector<std::string> problems = EvidenceProblems(now);
+  if (!actuators_.empty() && ledger_.stage() != Stage::kVerified) {
+    problems.push_back("the last level is not verified");
+  }
+  evidence_.Update(std::move(problems), now);
+}
+
+// ----------------------------------------------------------------------------------- operators
+
+void Robot::Raise(const LevelOrder& order, LevelReply reply) {
+  LevelAnswer answer;
+  const auto to = levels().Find(order.to);
+  const levels::Cause cause{
+      .kind = levels::Cause::Kind::kOperator, .name = order.operator_name, .reason = order.reason};
+  if (!to) {
+    answer.status = absl::InvalidArgumentError(
+        absl::StrCat("`", absl::CHexEscape(order.to), "` is not a level of ", config_.id, " (",
+                     absl::StrJoin(levels().names(), ", "), ")"));
+    return reply(answer);
+  }
+  levels::LevelMachine trial = state_.level;
+  const Instant now = ports_.clock->Now();
+  const levels::Transition transition =
+      order.dry_run ? trial.Raise(*to, cause, now) : state_.level.Raise(*to, cause, now);
+  Decide(transition, order, std::move(reply), std::move(answer));
+}
+
+void Robot::DeEscalate(const LevelOrder& order, LevelReply reply) {
+  for (const auto& [id, answer] : answered_) {
+    if (!order.request_id.empty() && id == order.request_id) return reply(answer);
+  }
+  const Instant now = ports_.clock->Now();
+  LevelAnswer answer;
+  const auto to = levels().Find(order.to);
+  const auto expected = levels().Find(order.expected_level);
+  if (!to || !expected) {
+    answer.status = absl::InvalidArgumentError(absl::StrCat(
+        "`", absl::CHexEscape(to ? order.expected_level : order.to), "` is not a level of ",
+        config_.id, " (", absl::StrJoin(levels().names(), ", "), ")"));
+  } else if (order.reason.empty() || order.reason.size() > kReasonBytesMax) {
+    answer.status = absl::InvalidArgumentError(
+        absl::StrCat("a reason of 1 to ", kReasonBytesMax, " bytes is required"));
+  } else {
+    answer.blind_because = EvidenceProblems(now);
+    answer.would_raise_again = engine::WouldRaise(*to, now, state_);
+    if (!answer.blind_because.empty() && !order.accept_blind && !order.dry_run) {
+      answer.status = absl::FailedPreconditionError(
+          absl::StrCat("RIPS does not see all of ", config_.id,
+                       " now: ", absl::StrJoin(answer.blind_because, "; ")));
+    } else if (!ports_.recorder->healthy()) {
+      answer.status = absl::UnavailableError("the store cannot be written; a lowering must be");
+    }
+  }
+  if (!answer.status.ok()) return reply(answer);
+
+  const levels::Cause cause{
+      .kind = levels::Cause::Kind::kOperator, .name = order.operator_name, .reason = order.reason};
+  levels::LevelMachine trial = state_.level;
+  levels::LevelMachine& machine = order.dry_run ? trial : state_.level;
+  const levels::Transition transition =
+      machine.DeEscalate(*to, cause, now, *expected, order.expected_mark);
+  Decide(transition, order, std::move(reply), std::move(answer));
+}
+
+void Robot::Decide(const levels::Transition& transition, const LevelOrder& order, LevelReply reply,
+                   LevelAnswer answer) {
+  answer.mark = transition.decided() ? transition.mark : state_.level.mark();
+  answer.decided_level = levels().name(transition.refused() ? transition.from : transition.to);
+  if (transition.refused()) {
+    answer.status = RefusalStatus(transition, levels());
+    if (!order.dry_run) TakeTransition({.transition = transition});
+  } else if (transition.decided() && !order.dry_run) {
+    TakeTransition({.transition = transition});
+    answered_.emplace_back(order.request_id, answer);
+    if (answered_.size() > kAnswersKept) answered_.pop_front();
+    waiting_[transition.mark] = {std::move(reply), std::move(answer)};
+    reply = nullptr;
+  }
+  UpdateActuation(ports_.clock->Now());
+  Flush();
+  PublishStatus();
+  if (reply) reply(answer);
+}
+
+absl::Status Robot::ResumeRules(const std::string& operator_name, const std::string& reason) {
+  if (reason.empty() || reason.size() > kReasonBytesMax) {
+    return absl::InvalidArgumentError(
+        absl::StrCat("a reason of 1 to ", kReasonBytesMax, " bytes is required"));
+  }
+  state_.level.Resume();
+  OwnAlert(engine::Severity::kInfo, absl::StrCat("operator ", operator_name,
+                                                 " lets rules lower soft levels again: ", reason));
+  Flush();
+  PublishStatus();
+  return absl::OkStatus();
+}
+
+RobotStatus Robot::Status() const {
+  const Instant now = ports_.clock->Now();
+  RobotStatus status{.robot = config_.id,
+                     .decided_level = levels().name(state_.level.level()),
+                     .stage = std::string(ToString(ledger_.stage())),
+                     .mark = state_.level.mark(),
+                     .bundle_version = policy_.bundle_id,
+                     .degraded = EvidenceProblems(now)};
+  levels::LevelIndex effective = -1;
+  for (const auto& [name, host] : actuators_) {
+    if (!host.session) continue;
+    if (const auto level = levels().Find(host.session->beat.effective_level)) {
+      effective = std::max(effective, *level);
+    }
+    if (!host.session->beat.floor_reason.empty()) {
+      status.degraded.push_back(
+          absl::StrCat("actuator ", name, " holds a floor: ", host.session->beat.floor_reason));
+    }
+  }
+  status.effective_level = levels().name(effective);
+  if (!ledger_.failure().empty()) {
+    status.degraded.push_back(absl::StrCat("level not reached: ", ledger_.failure()));
+  }
+  if (state_.level.soft_suspended()) {
+    status.degraded.push_back("rules may not lower levels until an operator resumes them");
+  }
+  return status;
+}
+
+void Robot::PublishStatus() {
+  RobotStatus status = Status();
+  if (status == published_) return;
+  published_ = status;
+  ports_.audience->OnStatus(status);
+}
+
+// ---------------------------------------------------------------------------------------- time
+
+void Robot::OnTime() {
+  const Instant now = ports_.clock->Now();
+  CheckSensors(now);
+  CheckActuators(now);
+  UpdateEvidence(now);
+  if (now.boottime_ns >= beat_at_ns_) {
+    beat_at_ns_ = now.boottime_ns + timing_.heartbeat_ns;
+    for (auto& [name, host] : sensors_) {
+      if (host.session) host.session->link->Beat(host.session->peer_boottime_ns);
+    }
+    for (auto& [name, host] : actuators_) {
+      if (host.session) SendLease(*host.session);
+    }
+    PublishStatus();
+  }
+  if (now.boottime_ns >= tick_at_ns_) {
+    tick_at_ns_ = now.boottime_ns + timing_.tick_ns;
+    External(engine::TickEvent{});
+    Perform(engine::Expire(now, state_), "deadline");
+    for (engine::AlertEffect& summary : alert_limiter_.Due(now)) Alert(std::move(summary), "");
+  }
+  for (const ProgramResult& result : ledger_.ExpiredPrograms(now)) {
+    HandleProgramResult(result, now);
+  }
+  UpdateActuation(now);
+  SendCommands(now);
+  const bool due = now.boottime_ns >= checkpoint_at_ns_;
+  if (due || (!pending_.empty() && !store_failing_)) Flush();
+}
+
+absl::Status Robot::SwapPolicy(Policy policy) {
+  if (policy.bundle_id == policy_.bundle_id) return absl::OkStatus();
+  const bool attached = std::any_of(actuators_.begin(), actuators_.end(), [](const auto& actuator) {
+    return actuator.second.session.has_value();
+  });
+  absl::Status status = absl::OkStatus();
+  if (attached && policy.program->rules().levels.names() != levels().names()) {
+    status =
+        absl::FailedPreconditionError("its levels differ from those of the attached actuators");
+  } else {
+    status = state_.SwapProgram(policy.program);
+  }
+  if (!status.ok()) {
+    OwnAlert(engine::Severity::kHigh,
+             absl::StrCat("bundle ", policy.bundle_id, " was not taken: ", status.message()));
+  } else {
+    policy_ = std::move(policy);
+    evidence_.set_hold_ns(policy_.soft_hold_ns);
+    OwnAlert(engine::Severity::kInfo, absl::StrCat("bundle ", policy_.bundle_id, " is in force"));
+  }
+  Flush();
+  PublishStatus();
+  return status;
+}
+
+void Robot::Drain() {
+  draining_ = true;
+  for (auto& [name, host] : actuators_) {
+    if (host.session) SendLease(*host.session);
+  }
+  sequences_moved_ = true;
+  Flush();
+}
+
+}  // namespace rips::pipeline

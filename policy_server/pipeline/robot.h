@@ -1,0 +1,256 @@
+// One robot on the server: everything it is and everything that happens to it, in one thread.
+//
+// Observations come in, events are judged, effects are recorded and sent. Invariants kept here:
+//   - The level goes down only by a soft rule step with complete evidence, or by an operator.
+//   - A raise is commanded at once while it is being recorded; a lowering is commanded only when it
+//     is durable, and taken back (as a new, higher decision) if it cannot be recorded.
+//   - An observation is acknowledged only when its effects and its sequence number are durable.
+//   - What an agent says of itself grants nothing: host and role come from its certificate.
+#ifndef RIPS_POLICY_SERVER_PIPELINE_ROBOT_H_
+#define RIPS_POLICY_SERVER_PIPELINE_ROBOT_H_
+
+#include <cstdint>
+#include <deque>
+#include <functional>
+#include <memory>
+#include <optional>
+#include <string>
+#include <utility>
+#include <vector>
+
+#include "absl/container/btree_map.h"
+#include "absl/status/status.h"
+#include "policy_server/engine/evaluator.h"
+#include "policy_server/pipeline/alert_limiter.h"
+#include "policy_server/pipeline/command_ledger.h"
+#include "policy_server/pipeline/evidence_gate.h"
+#include "policy_server/pipeline/inbound.h"
+#include "policy_server/pipeline/links.h"
+#include "policy_server/pipeline/ports.h"
+#include "policy_server/pipeline/sequence_track.h"
+#include "policy_server/store/store.h"
+#include "services/base/clock.h"
+
+namespace rips::pipeline {
+
+struct RobotConfig {
+  std::string id;
+  // From the inventory. At most one sensor host is primary: graph and messages are its alone.
+  std::vector<std::string> sensor_hosts;
+  std::string primary_sensor;
+  std::vector<std::string> actuator_hosts;
+};
+
+// A bundle that is in force.
+struct Policy {
+  std::shared_ptr<const engine::Program> program;
+  // "sha256:" + 64 hex.
+  std::string bundle_id;
+  levels::LevelIndex start_level = 0;
+  int64_t soft_hold_ns = 5 * kNanosPerSecond;
+};
+
+struct Timing {
+  int64_t heartbeat_ns = 500 * kNanosPerMilli;
+  int64_t stale_ns = 1'500 * kNanosPerMilli;
+  int64_t lost_ns = 5 * kNanosPerSecond;
+  int64_t lease_ns = 15 * kNanosPerSecond;
+  int64_t drain_lease_ns = 60 * kNanosPerSecond;
+  int64_t late_after_ns = 5 * kNanosPerSecond;
+  int64_t backlog_ns = 1 * kNanosPerSecond;
+  int64_t tick_ns = 200 * kNanosPerMilli;
+  int64_t checkpoint_ns = 1 * kNanosPerSecond;
+  uint32_t linger_ms = 20;
+  // A sensor may have this many bytes of message batches not yet judged.
+  uint64_t credit_bytes = 1 << 20;
+};
+
+// What an operator asks of the level. Identity and role were checked by the caller.
+struct LevelOrder {
+  std::string operator_name;
+  std::string to;
+  std::string reason;
+  std::string expected_level;
+  Mark expected_mark;
+  bool dry_run = false;
+  bool accept_blind = false;
+  std::string request_id;
+};
+
+struct LevelAnswer {
+  absl::Status status;
+  Mark mark;
+  std::string decided_level;
+  std::vector<std::string> would_raise_again;
+  std::vector<std::string> blind_because;
+};
+using LevelReply = std::function<void(const LevelAnswer&)>;
+
+// Not thread-safe: one shard owns it and calls everything. Ports outlive it.
+class Robot {
+ public:
+  // `record` is what the store knows; `term` was drawn for this start. InvalidArgument if the
+  // recorded level is not one of the policy's.
+  static absl::StatusOr<std::unique_ptr<Robot>> Create(RobotConfig config, Policy policy,
+                                                       Timing timing,
+                                                       const store::RobotRecord& record,
+                                                       uint64_t term, Ports ports);
+
+  // ---- sensors; `link` names the session, calls of replaced sessions are ignored.
+  void OnSensorHello(const std::string& host, std::shared_ptr<SensorLink> link,
+                     const SensorHello& hello);
+  void OnSensorBeat(const std::string& host, const SensorLink* link, int64_t boottime_ns);
+  void OnBatch(const std::string& host, const SensorLink* link, const Batch& batch);
+  void OnSensorGone(const std::string& host, const SensorLink* link);
+
+  // ---- actuators
+  void OnActuatorHello(const std::string& host, std::shared_ptr<ActuatorLink> link,
+                       const ActuatorHello& hello);
+  void OnActuatorBeat(const std::string& host, const ActuatorLink* link, const ActuatorBeat& beat);
+  void OnReceipt(const std::string& host, const ActuatorLink* link, const Receipt& receipt);
+  void OnActuatorGone(const std::string& host, const ActuatorLink* link);
+
+  // ---- operators; `reply` is called once, later, on the shard's thread.
+  void Raise(const LevelOrder& order, LevelReply reply);
+  void DeEscalate(const LevelOrder& order, LevelReply reply);
+  absl::Status ResumeRules(const std::string& operator_name, const std::string& reason);
+  RobotStatus Status() const;
+  const ros2::RosGraph& graph() const { return state_.graph; }
+  int64_t graph_changed_unix_ns() const { return graph_changed_unix_ns_; }
+  const levels::LevelTable& levels() const { return state_.level.table(); }
+
+  // ---- time; call at least every 50 ms.
+  void OnTime();
+  // Another bundle, between two events. FailedPrecondition: the old one stays, with an alert.
+  absl::Status SwapPolicy(Policy policy);
+  // Leases from now on last drain_lease: the server is about to stop.
+  void Drain();
+
+  const std::string& id() const { return config_.id; }
+
+ private:
+  struct SensorSession {
+    std::shared_ptr<SensorLink> link;
+    std::string incarnation;
+    // Server time minus the sensor's boottime, fixed at Hello.
+    int64_t boottime_offset_ns = 0;
+    int64_t unix_offset_ns = 0;
+    int64_t heard_ns = 0;
+    int64_t peer_boottime_ns = 0;
+    // Announced in Hello: evidence is incomplete until judged up to here.
+    std::vector<SpooledRange> spooled;
+    uint64_t judged_bytes = 0;
+    uint64_t granted_bytes = 0;
+  };
+  struct SensorHost {
+    std::optional<SensorSession> session;
+    SequenceTrack sequences;
+    // Of the incarnation whose graph is held.
+    std::string graph_incarnation;
+    uint64_t graph_version = 0;
+    // Collects an unsettled snapshot; becomes the robot's graph when settled.
+    ros2::RosGraph graph;
+    bool settled = false;
+    bool lost = false;
+    int64_t gone_since_ns = 0;
+  };
+  struct ActuatorSession {
+    std::shared_ptr<ActuatorLink> link;
+    int64_t heard_ns = 0;
+    int64_t peer_boottime_ns = 0;
+    ActuatorBeat beat;
+    ros2::Guid participant;
+  };
+  struct ActuatorHost {
+    std::optional<ActuatorSession> session;
+    bool lost = false;
+    int64_t gone_since_ns = 0;
+  };
+
+  Robot(RobotConfig config, Policy policy, Timing timing, const store::RobotRecord& record,
+        levels::LevelMachine level, Ports ports);
+
+  // robot_sensors.cc
+  SensorSession* LiveSensor(const std::string& host, const SensorLink* link);
+  void Judge(SensorHost& host, SensorSession& session, bool primary, const Observation& seen);
+  void JudgeMessage(const SensorSession& session, const MessageSeen& message,
+                    const Observation& seen);
+  absl::Status TakeSnapshot(SensorHost& host, const std::string& incarnation,
+                            const GraphSnapshotSeen& snapshot);
+  absl::Status TakeDelta(SensorHost& host, const std::string& incarnation,
+                         const GraphDeltaSeen& delta);
+  void GraphChanged(SensorHost& host, engine::Event event);
+  void GrantCredit(SensorHost& host, SensorSession& session);
+  void SendSetup(const std::string& host_name, SensorHost& host, SensorSession& session);
+  void CheckSensors(Instant now);
+
+  // robot_actuators.cc
+  absl::Status Reconcile(const std::string& host_name, const ActuatorHello& hello);
+  void CheckActuators(Instant now);
+  void SendCommands(Instant now);
+  void SendLease(ActuatorSession& session);
+  void UpdateActuation(Instant now);
+  void HandleProgramResult(const ProgramResult& result, Instant now);
+  bool ActuatorLive(const ActuatorHost& host, Instant now) const;
+  std::vector<ros2::Guid> OwnParticipants() const;
+
+  // robot.cc
+  void Run(const engine::Event& event);
+  void External(engine::ExternalEvent event);
+  void Perform(const engine::Outcome& outcome, const std::string& event);
+  void TakeTransition(const engine::TransitionEffect& effect);
+  void RecordDecision(const levels::Transition& transition);
+  void Order(const levels::Transition& transition);
+  void Alert(engine::AlertEffect alert, const std::string& event);
+  void OwnAlert(engine::Severity severity, const std::string& text);
+  void UpdateEvidence(Instant now);
+  std::vector<std::string> EvidenceProblems(Instant now) const;
+  // Hands everything collected to the recorder; sequences up to now are acknowledged when durable.
+  void Flush();
+  void OnRecorded(const absl::Status& status, const store::WriteBatch& recorded,
+                  const store::HighWater& judged, const std::vector<levels::Transition>& lowerings);
+  void TakeBack(const levels::Transition& lowering, const absl::Status& why);
+  void PublishStatus();
+  void Decide(const levels::Transition& transition, const LevelOrder& order, LevelReply reply,
+              LevelAnswer answer);
+
+  RobotConfig config_;
+  Policy policy_;
+  Timing timing_;
+  Ports ports_;
+  engine::RobotState state_;
+  EvidenceGate evidence_;
+  AlertLimiter alert_limiter_;
+  CommandLedger ledger_;
+  absl::btree_map<std::string, SensorHost> sensors_;
+  absl::btree_map<std::string, ActuatorHost> actuators_;
+
+  // Collected since the last Flush.
+  store::WriteBatch pending_;
+  std::vector<levels::Transition> pending_lowerings_;
+  bool sequences_moved_ = false;
+  bool variables_changed_ = false;
+  // Refusals already recorded: rule, from, to, reason → id.
+  absl::btree_map<std::string, std::string> refusal_ids_;
+  // Operators waiting for a decision to be durable, by mark.
+  absl::btree_map<Mark, std::pair<LevelReply, LevelAnswer>> waiting_;
+  // The newest answers by request id, oldest first.
+  std::deque<std::pair<std::string, LevelAnswer>> answered_;
+
+  // A lowering that is not durable yet must not be commanded.
+  Mark awaiting_durable_;
+  Stage reported_stage_ = Stage::kRequested;
+  bool failure_alerted_ = false;
+  bool store_failing_ = false;
+  bool draining_ = false;
+  int64_t graph_changed_unix_ns_ = 0;
+  int64_t started_ns_ = 0;
+  int64_t beat_at_ns_ = 0;
+  int64_t tick_at_ns_ = 0;
+  int64_t checkpoint_at_ns_ = 0;
+  RobotStatus published_;
+};
+
+}  // namespace rips::pipeline
+
+#endif  // RIPS_POLICY_SERVER_PIPELINE_ROBOT_H_

@@ -1,0 +1,267 @@
+// Robot: what actuators are told and what they answer.
+#include <algorithm>
+#include <utility>
+
+#include "absl/strings/str_cat.h"
+#include "absl/strings/str_join.h"
+#include "policy_server/pipeline/robot.h"
+
+namespace rips::pipeline {
+namespace {
+
+// A term that leaves no room above it can only come from a broken or hostile peer.
+constexpr uint64_t kTermMax = uint64_t{1} << 62;
+
+}  // namespace
+
+bool Robot::ActuatorLive(const ActuatorHost& host, Instant now) const {
+  return host.session && now.boottime_ns - host.session->heard_ns <= timing_.lost_ns;
+}
+
+std::vector<ros2::Guid> Robot::OwnParticipants() const {
+  std::vector<ros2::Guid> own;
+  for (const auto& [name, host] : actuators_) {
+    if (host.session && !host.session->participant.none()) {
+      own.push_back(host.session->participant);
+    }
+  }
+  return own;
+}
+
+void Robot::OnActuatorHello(const std::string& host_name, std::shared_ptr<ActuatorLink> link,
+                            const ActuatorHello& hello) {
+  const auto it = actuators_.find(host_name);
+  if (it == actuators_.end()) {
+    return link->Close(absl::PermissionDeniedError(absl::StrCat(
+        "the inventory lists no actuator `", host_name, "` of robot `", config_.id, "`")));
+  }
+  ActuatorHost& host = it->second;
+  const Instant now = ports_.clock->Now();
+  if (host.session && now.boottime_ns - host.session->heard_ns < timing_.stale_ns) {
+    return link->Close(absl::AlreadyExistsError(
+        absl::StrCat("actuator ", config_.id, "/", host_name, " has a live session")));
+  }
+  if (hello.levels != levels().names()) {
+    const std::string text = absl::StrCat(
+        "actuator ", host_name, " is not armed: its levels (", absl::StrJoin(hello.levels, ", "),
+        ") are not those of the bundle (", absl::StrJoin(levels().names(), ", "), ")");
+    OwnAlert(engine::Severity::kCritical, text);
+    Flush();
+    return link->Close(absl::FailedPreconditionError(text));
+  }
+  if (hello.highest_term > kTermMax || hello.mark.term > kTermMax || hello.mark.epoch > kTermMax) {
+    return link->Close(absl::InvalidArgumentError("no term or epoch can be that high"));
+  }
+  if (absl::Status status = Reconcile(host_name, hello); !status.ok()) return link->Close(status);
+
+  if (host.session) host.session->link->Close(absl::AbortedError("replaced by a newer session"));
+  host.session = ActuatorSession{.link = std::move(link),
+                                 .heard_ns = now.boottime_ns,
+                                 .peer_boottime_ns = hello.clock.boottime_ns,
+                                 .beat = {.effective_level = hello.effective_level},
+                                 .participant = hello.participant};
+  const levels::LevelIndex held = levels().Find(hello.decided_level).value_or(levels().size() - 1);
+  ledger_.Attach(host_name, hello.mark, held, levels().name(held), hello.programs, now);
+  if (host.lost) {
+    OwnAlert(engine::Severity::kInfo, absl::StrCat("actuator ", host_name, " is back"));
+  }
+  host.lost = false;
+  SendLease(*host.session);
+  SendCommands(now);
+  for (auto& [name, sensor] : sensors_) {
+    if (sensor.session) SendSetup(name, sensor, *sensor.session);
+  }
+  External(engine::AgentEvent{.agent = "actuator", .state = "connected"});
+  if (hello.state_lost) {
+    OwnAlert(
+        engine::Severity::kHigh,
+        absl::StrCat("actuator ", host_name, " has no state of its own (first start, or it was ",
+                     "deleted); it starts from its fail-safe level"));
+    External(engine::AgentEvent{.agent = "actuator", .state = "state_lost"});
+  }
+  UpdateActuation(now);
+  Flush();
+  PublishStatus();
+}
+
+// Truth table of a Hello, by the mark the actuator holds:
+//   none                 it has no history; the newest decision goes out
+//   in our history       it is merely behind (or even): the newest decision goes out
+//   unknown              our history is incomplete: the more restrictive level, as a new decision
+absl::Status Robot::Reconcile(const std::string& host_name, const ActuatorHello& hello) {
+  const uint64_t seen_term = std::max(hello.highest_term, hello.mark.term);
+  if (seen_term > state_.level.term()) {
+    const absl::StatusOr<uint64_t> term = ports_.recorder->NextTerm(config_.id, seen_term);
+    if (!term.ok()) return absl::UnavailableError(term.status().message());
+    state_.level.RaiseTerm(*term);
+    OwnAlert(engine::Severity::kHigh,
+             absl::StrCat("actuator ", host_name, " has obeyed term ", seen_term,
+                          ", which is above ours; commands now carry term ", *term));
+  }
+  if (hello.mark.none() || hello.mark == state_.level.mark()) return absl::OkStatus();
+  const absl::StatusOr<bool> known = ports_.recorder->HasMark(config_.id, hello.mark);
+  if (!known.ok()) return absl::UnavailableError(known.status().message());
+  if (*known) return absl::OkStatus();
+  const levels::LevelIndex held = levels().Find(hello.decided_level).value_or(levels().size() - 1);
+  OwnAlert(engine::Severity::kCritical,
+           absl::StrCat("actuator ", host_name, " holds decision ", ToString(hello.mark), " (",
+                        levels().name(held), "), which this server does not know: the more ",
+                        "restrictive level is adopted"));
+  TakeTransition({.transition = state_.level.Adopt(held, hello.mark, ports_.clock->Now())});
+  return absl::OkStatus();
+}
+
+void Robot::SendLease(ActuatorSession& session) {
+  const Instant now = ports_.clock->Now();
+  bool evidence_complete = true;
+  for (const auto& [name, host] : sensors_) {
+    if (!host.session || now.boottime_ns - host.session->heard_ns > timing_.stale_ns ||
+        (name == config_.primary_sensor && !host.settled)) {
+      evidence_complete = false;
+      break;
+    }
+    for (const SpooledRange& range : host.session->spooled) {
+      evidence_complete &=
+          host.sequences.Judged(range.incarnation, range.lane) >= range.last_sequence;
+    }
+  }
+  const int64_t ttl_ns = draining_ ? timing_.drain_lease_ns : timing_.lease_ns;
+  // A lowering that is not durable yet is not announced.
+  const bool held_back = !awaiting_durable_.none();
+  session.link->Grant(
+      {.echo_boottime_ns = session.peer_boottime_ns,
+       .term = state_.level.term(),
+       .mark = held_back ? ledger_.mark() : state_.level.mark(),
+       .level = held_back ? ledger_.level_name() : levels().name(state_.level.level()),
+       .ttl_ms = static_cast<uint32_t>(ttl_ns / kNanosPerMilli),
+       .evidence_complete = evidence_complete});
+}
+
+void Robot::SendCommands(Instant now) {
+  for (const Outgoing& outgoing : ledger_.Due(state_.level.term(), now)) {
+    const auto it = actuators_.find(outgoing.host);
+    if (it != actuators_.end() && it->second.session) {
+      it->second.session->link->Send(outgoing.command);
+    }
+  }
+}
+
+void Robot::OnActuatorBeat(const std::string& host_name, const ActuatorLink* link,
+                           const ActuatorBeat& beat) {
+  const auto it = actuators_.find(host_name);
+  if (it == actuators_.end() || !it->second.session || it->second.session->link.get() != link) {
+    return;
+  }
+  const Instant now = ports_.clock->Now();
+  ActuatorSession& session = *it->second.session;
+  // On its way because a floor was raised or lifted: not drift.
+  const bool moving = session.beat.effective_level != beat.effective_level ||
+                      session.beat.floor_reason != beat.floor_reason;
+  session.heard_ns = now.boottime_ns;
+  session.peer_boottime_ns = beat.boottime_ns;
+  session.beat = beat;
+  const auto effective = levels().Find(beat.effective_level);
+  if (effective && ledger_.OnBeat(host_name, *effective, beat.verified) && !moving) {
+    OwnAlert(engine::Severity::kHigh,
+             absl::StrCat("the robot no longer is at ", beat.effective_level, " (", beat.observed,
+                          "); actuator ", host_name, " puts it back"));
+    External(engine::AgentEvent{.agent = "actuator", .state = "drift"});
+  }
+  UpdateActuation(now);
+}
+
+void Robot::OnReceipt(const std::string& host_name, const ActuatorLink* link,
+                      const Receipt& receipt) {
+  const auto it = actuators_.find(host_name);
+  if (it == actuators_.end() || !it->second.session || it->second.session->link.get() != link) {
+    return;
+  }
+  const Instant now = ports_.clock->Now();
+  it->second.session->heard_ns = now.boottime_ns;
+  const ReceiptResult result = ledger_.OnReceipt(host_name, receipt, now);
+  if (result.stale_term) {
+    OwnAlert(engine::Severity::kCritical,
+             absl::StrCat("actuator ", host_name, " refused term ", state_.level.term(),
+                          ": another server has commanded it"));
+  }
+  if (result.program) {
+    if (!result.program->ok && !result.program->detail.empty()) {
+      OwnAlert(engine::Severity::kLow,
+               absl::StrCat("a program failed on ", host_name, ": ", result.program->detail));
+    }
+    HandleProgramResult(*result.program, now);
+  }
+  UpdateActuation(now);
+  SendCommands(now);
+  if (!pending_.empty() && !store_failing_) Flush();
+  PublishStatus();
+}
+
+void Robot::UpdateActuation(Instant now) {
+  const Stage stage = ledger_.stage();
+  if (stage != reported_stage_) {
+    reported_stage_ = stage;
+    std::string detail = ledger_.failure();
+    pending_.stages.push_back({.robot = config_.id,
+                               .mark = ledger_.mark(),
+                               .stage = std::string(ToString(stage)),
+                               .detail = detail});
+    if (stage == Stage::kFailed && !failure_alerted_) {
+      failure_alerted_ = true;
+      OwnAlert(engine::Severity::kCritical,
+               absl::StrCat("level ", ledger_.level_name(), " was not reached: ", detail,
+                            "; the decision stands and is tried again"));
+      External(engine::AgentEvent{.agent = "actuator", .state = "failed"});
+    }
+  }
+  const bool leased = std::any_of(actuators_.begin(), actuators_.end(), [&](const auto& actuator) {
+    return ActuatorLive(actuator.second, now);
+  });
+  engine::Actuation actuation = engine::Actuation::kPending;
+  if (!leased) {
+    actuation = engine::Actuation::kNoLease;
+  } else if (ledger_.mark() == state_.level.mark()) {
+    if (stage == Stage::kVerified) actuation = engine::Actuation::kVerified;
+    if (stage == Stage::kFailed) actuation = engine::Actuation::kFailed;
+  }
+  UpdateEvidence(now);
+  if (actuation == state_.actuation) return;
+  state_.actuation = actuation;
+  Perform(engine::OnActuation(now, state_), "level report");
+}
+
+void Robot::OnActuatorGone(const std::string& host_name, const ActuatorLink* link) {
+  const auto it = actuators_.find(host_name);
+  if (it == actuators_.end() || !it->second.session || it->second.session->link.get() != link) {
+    return;
+  }
+  const Instant now = ports_.clock->Now();
+  it->second.session.reset();
+  it->second.gone_since_ns = now.boottime_ns;
+  ledger_.Detach(host_name);
+  for (auto& [name, sensor] : sensors_) {
+    if (sensor.session) SendSetup(name, sensor, *sensor.session);
+  }
+  UpdateActuation(now);
+  PublishStatus();
+}
+
+void Robot::CheckActuators(Instant now) {
+  for (auto& [name, host] : actuators_) {
+    if (host.session && now.boottime_ns - host.session->heard_ns > timing_.lost_ns) {
+      const std::shared_ptr<ActuatorLink> link = host.session->link;
+      link->Close(absl::DeadlineExceededError("no heartbeat"));
+      OnActuatorGone(name, link.get());
+    }
+    if (host.session || host.lost || now.boottime_ns - host.gone_since_ns < timing_.lost_ns) {
+      continue;
+    }
+    host.lost = true;
+    OwnAlert(engine::Severity::kHigh,
+             absl::StrCat("actuator ", name, " is lost: ", config_.id,
+                          " will take its fail-safe level when its lease ends"));
+    External(engine::AgentEvent{.agent = "actuator", .state = "lost"});
+  }
+}
+
+}  // namespace rips::pipeline

@@ -1,0 +1,257 @@
+// Robot: what sensors say.
+#include <algorithm>
+#include <utility>
+
+#include "absl/strings/str_cat.h"
+#include "policy_server/pipeline/robot.h"
+
+namespace rips::pipeline {
+namespace {
+
+void Count(const std::function<void(uint64_t)>& counter, uint64_t by) {
+  if (counter && by > 0) counter(by);
+}
+
+}  // namespace
+
+void Robot::OnSensorHello(const std::string& host_name, std::shared_ptr<SensorLink> link,
+                          const SensorHello& hello) {
+  const auto it = sensors_.find(host_name);
+  if (it == sensors_.end()) {
+    return link->Close(absl::PermissionDeniedError(absl::StrCat(
+        "the inventory lists no sensor `", host_name, "` of robot `", config_.id, "`")));
+  }
+  SensorHost& host = it->second;
+  const Instant now = ports_.clock->Now();
+  if (host.session) {
+    if (now.boottime_ns - host.session->heard_ns < timing_.stale_ns) {
+      return link->Close(absl::AlreadyExistsError(
+          absl::StrCat("sensor ", config_.id, "/", host_name, " has a live session")));
+    }
+    host.session->link->Close(absl::AbortedError("replaced by a newer session"));
+  }
+  host.session = SensorSession{
+      .link = std::move(link),
+      .incarnation = hello.incarnation,
+      .boottime_offset_ns = now.boottime_ns - hello.clock.boottime_ns,
+      .unix_offset_ns = now.unix_ns - hello.clock.boottime_ns,
+      .heard_ns = now.boottime_ns,
+      .peer_boottime_ns = hello.clock.boottime_ns,
+      .spooled = hello.spooled,
+  };
+  SensorSession& session = *host.session;
+  if (host.graph_incarnation != hello.incarnation) host.settled = false;
+  for (const SpooledRange& range : hello.spooled) {
+    // What lies between is neither with the sensor any more nor in the store: it is lost.
+    const uint64_t judged = host.sequences.Judged(range.incarnation, range.lane);
+    if (range.first_sequence <= judged + 1) continue;
+    Count(ports_.counts.observations_lost, range.first_sequence - judged - 1);
+    host.sequences.Restore(range.incarnation, range.lane, range.first_sequence - 1);
+  }
+  SendSetup(host_name, host, session);
+  GrantCredit(host, session);
+  for (const SpooledRange& range : hello.spooled) {
+    session.link->Acknowledge(range.incarnation, range.lane,
+                              host.sequences.Judged(range.incarnation, range.lane));
+  }
+  evidence_.Disturb(absl::StrCat("sensor ", host_name, " connected"), now);
+  if (host.lost) {
+    OwnAlert(engine::Severity::kInfo, absl::StrCat("sensor ", host_name, " is back"));
+  }
+  host.lost = false;
+  External(engine::AgentEvent{.agent = "sensor", .state = "connected"});
+  UpdateActuation(now);
+  Flush();
+  PublishStatus();
+}
+
+void Robot::SendSetup(const std::string& host_name, SensorHost& host, SensorSession& session) {
+  const bool primary = host_name == config_.primary_sensor;
+  session.link->Setup({.linger_ms = timing_.linger_ms,
+                       .own_participants = OwnParticipants(),
+                       .primary = primary,
+                       .want_snapshot = primary && host.graph_incarnation != session.incarnation});
+}
+
+void Robot::GrantCredit(SensorHost& host, SensorSession& session) {
+  // Messages are judged against the graph: none are asked for before there is one.
+  const uint64_t allowed = host.settled ? session.judged_bytes + timing_.credit_bytes : 0;
+  if (allowed < session.granted_bytes + timing_.credit_bytes / 2 && session.granted_bytes > 0) {
+    return;
+  }
+  session.granted_bytes = std::max(session.granted_bytes, allowed);
+  session.link->Grant(session.granted_bytes);
+}
+
+Robot::SensorSession* Robot::LiveSensor(const std::string& host, const SensorLink* link) {
+  const auto it = sensors_.find(host);
+  if (it == sensors_.end() || !it->second.session || it->second.session->link.get() != link) {
+    return nullptr;
+  }
+  it->second.session->heard_ns = ports_.clock->Now().boottime_ns;
+  return &*it->second.session;
+}
+
+void Robot::OnSensorBeat(const std::string& host, const SensorLink* link, int64_t boottime_ns) {
+  if (SensorSession* session = LiveSensor(host, link)) session->peer_boottime_ns = boottime_ns;
+}
+
+void Robot::OnBatch(const std::string& host_name, const SensorLink* link, const Batch& batch) {
+  SensorSession* session = LiveSensor(host_name, link);
+  if (session == nullptr) return;
+  SensorHost& host = sensors_[host_name];
+  const auto accepted = host.sequences.Accept(batch.incarnation, batch.lane, batch.first_sequence,
+                                              batch.observations.size());
+  if (!accepted.ok()) {
+    session->link->Close(accepted.status());
+    return OnSensorGone(host_name, link);
+  }
+  const Instant now = ports_.clock->Now();
+  if (accepted->missing > 0) {
+    Count(ports_.counts.observations_lost, accepted->missing);
+    evidence_.Disturb(absl::StrCat(accepted->missing, " messages were shed by the sensor"), now);
+  }
+  Count(ports_.counts.observations_duplicate, accepted->skip);
+  sequences_moved_ = true;
+  for (size_t i = accepted->skip; i < batch.observations.size(); ++i) {
+    Judge(host, *session, host_name == config_.primary_sensor, batch.observations[i]);
+    // Judging may have ended the session (a graph that contradicts itself).
+    if (!host.session || host.session->link.get() != link) break;
+  }
+  Count(ports_.counts.observations_judged, batch.observations.size() - accepted->skip);
+  if (host.session && host.session->link.get() == link) {
+    if (batch.lane == Lane::kMessages) host.session->judged_bytes += batch.bytes;
+    GrantCredit(host, *host.session);
+  }
+  UpdateActuation(now);
+  if (!pending_.empty() && !store_failing_) Flush();
+}
+
+void Robot::Judge(SensorHost& host, SensorSession& session, bool primary, const Observation& seen) {
+  const Instant now = ports_.clock->Now();
+  const int64_t age_ns = now.boottime_ns - (seen.boottime_ns + session.boottime_offset_ns);
+  engine::Event event{
+      .what = engine::GraphEvent{},
+      .time_unix_ns = std::min(seen.boottime_ns + session.unix_offset_ns, now.unix_ns),
+      .lateness =
+          age_ns > timing_.late_after_ns ? levels::Lateness::kLate : levels::Lateness::kTimely};
+  if (age_ns > timing_.backlog_ns) {
+    evidence_.Disturb("observations were judged more than a second after they were taken", now);
+  }
+  absl::Status status = absl::OkStatus();
+  if (const auto* message = std::get_if<MessageSeen>(&seen.what)) {
+    if (!primary) return;
+    event.what = engine::MessageEvent{.topic = message->topic,
+                                      .type = message->type,
+                                      .writer = message->writer,
+                                      .sender = message->sender,
+                                      .size_bytes = message->size_bytes};
+    auto& what = std::get<engine::MessageEvent>(event.what);
+    if (const ros2::Endpoint* endpoint = state_.graph.FindEndpoint(message->writer)) {
+      what.sender = endpoint->node;
+    }
+    return Run(event);
+  }
+  if (const auto* snapshot = std::get_if<GraphSnapshotSeen>(&seen.what)) {
+    if (!primary) return;
+    status = TakeSnapshot(host, session.incarnation, *snapshot);
+    if (status.ok() && host.settled) GraphChanged(host, event);
+  } else if (const auto* delta = std::get_if<GraphDeltaSeen>(&seen.what)) {
+    // Until a snapshot of this incarnation has come, deltas have nothing to change: the snapshot
+    // will contain them.
+    if (!primary || host.graph_incarnation != session.incarnation) return;
+    const bool news = delta->to_version > host.graph_version;
+    status = TakeDelta(host, session.incarnation, *delta);
+    if (status.ok() && news && host.settled) GraphChanged(host, event);
+  } else if (const auto* ids = std::get_if<IdsAlertSeen>(&seen.what)) {
+    event.what = engine::ExternalEvent(
+        engine::IdsEvent{.message = ids->message, .gid = ids->gid, .sid = ids->sid});
+    return Run(event);
+  } else if (const auto* signal = std::get_if<SignalSeen>(&seen.what)) {
+    event.what = engine::ExternalEvent(engine::SignalEvent{.name = signal->name});
+    return Run(event);
+  } else if (const auto* loss = std::get_if<LossSeen>(&seen.what)) {
+    Count(ports_.counts.observations_lost, loss->count);
+    if (!loss->tolerable) {
+      evidence_.Disturb(absl::StrCat(loss->count, " observations were lost: ", loss->cause), now);
+    }
+    event.what = engine::ExternalEvent(engine::LossEvent{.count = loss->count});
+    return Run(event);
+  } else if (const auto* state = std::get_if<SensorStateSeen>(&seen.what)) {
+    if (!state->overloaded) return;
+    evidence_.Disturb("the sensor is overloaded", now);
+    event.what =
+        engine::ExternalEvent(engine::AgentEvent{.agent = "sensor", .state = "overloaded"});
+    return Run(event);
+  }
+  if (status.ok()) return;
+  host.graph_incarnation.clear();
+  host.settled = false;
+  const std::shared_ptr<SensorLink> link = session.link;
+  link->Close(status);
+  for (auto& [name, other] : sensors_) {
+    if (&other == &host) return OnSensorGone(name, link.get());
+  }
+}
+
+absl::Status Robot::TakeSnapshot(SensorHost& host, const std::string& incarnation,
+                                 const GraphSnapshotSeen& snapshot) {
+  ros2::RosGraph graph;
+  if (absl::Status status = graph.Apply(snapshot.content); !status.ok()) return status;
+  host.graph = std::move(graph);
+  host.graph_incarnation = incarnation;
+  host.graph_version = snapshot.version;
+  host.settled = snapshot.settled;
+  return absl::OkStatus();
+}
+
+absl::Status Robot::TakeDelta(SensorHost& host, const std::string& incarnation,
+                              const GraphDeltaSeen& delta) {
+  if (delta.to_version <= host.graph_version) return absl::OkStatus();
+  if (delta.from_version != host.graph_version) {
+    return absl::InvalidArgumentError(absl::StrCat(
+        "graph delta starts at version ", delta.from_version, ", held is ", host.graph_version));
+  }
+  if (absl::Status status = host.graph.Apply(delta.delta); !status.ok()) return status;
+  host.graph_incarnation = incarnation;
+  host.graph_version = delta.to_version;
+  host.settled = host.settled || delta.settled;
+  return absl::OkStatus();
+}
+
+void Robot::GraphChanged(SensorHost& host, engine::Event event) {
+  state_.graph = host.graph;
+  graph_changed_unix_ns_ = event.time_unix_ns;
+  event.what = engine::GraphEvent{};
+  Run(event);
+  if (host.session) GrantCredit(host, *host.session);
+}
+
+void Robot::OnSensorGone(const std::string& host_name, const SensorLink* link) {
+  const auto it = sensors_.find(host_name);
+  if (it == sensors_.end() || !it->second.session || it->second.session->link.get() != link) return;
+  const Instant now = ports_.clock->Now();
+  it->second.session.reset();
+  it->second.gone_since_ns = now.boottime_ns;
+  UpdateEvidence(now);
+  PublishStatus();
+}
+
+void Robot::CheckSensors(Instant now) {
+  for (auto& [name, host] : sensors_) {
+    if (host.session && now.boottime_ns - host.session->heard_ns > timing_.lost_ns) {
+      host.session->link->Close(absl::DeadlineExceededError("no heartbeat"));
+      host.gone_since_ns = host.session->heard_ns;
+      host.session.reset();
+    }
+    if (host.session || host.lost || now.boottime_ns - host.gone_since_ns < timing_.lost_ns) {
+      continue;
+    }
+    host.lost = true;
+    OwnAlert(engine::Severity::kHigh,
+             absl::StrCat("sensor ", name, " is lost: ", config_.id, " is not watched"));
+    External(engine::AgentEvent{.agent = "sensor", .state = "lost"});
+  }
+}
+
+}  // namespace rips::pipeline

@@ -1,0 +1,393 @@
+// The paper's story, and what must not change it: RIPS paper, "Experimental Validation".
+#include "gmock/gmock.h"
+#include "policy_server/pipeline/robot_fixture.h"
+#include "services/base/status_matchers.h"
+
+namespace rips::pipeline {
+namespace {
+
+using ::testing::Contains;
+using ::testing::HasSubstr;
+using ::testing::IsEmpty;
+
+LevelOrder Lower(const std::string& to, const RobotStatus& seen) {
+  return {.operator_name = "alice",
+          .to = to,
+          .reason = "checked on site",
+          .expected_level = seen.decided_level,
+          .expected_mark = seen.mark,
+          .request_id = "q1"};
+}
+
+TEST_F(RobotTest, StartsWithARecordedDecisionAtTheStartLevel) {
+  Start();
+
+  robot_->OnTime();
+  Drain();
+
+  ASSERT_EQ(recorder_.decisions.size(), 1u);
+  EXPECT_EQ(recorder_.decisions[0].to, "DEFAULT");
+  EXPECT_EQ(recorder_.decisions[0].mark, (Mark{1, 1}));
+  EXPECT_EQ(Stage(), "requested");
+}
+
+TEST_F(RobotTest, TellsThePapersStory) {
+  Start();
+  Arm();
+  EXPECT_EQ(Level(), "DEFAULT");
+  EXPECT_EQ(Stage(), "verified");
+
+  IntruderAppears();
+  EXPECT_EQ(Level(), "ALERT");
+  EXPECT_EQ(actuator_->level()->to, "ALERT");
+  Obey();
+  Pass(200);
+
+  SendMessage(9);
+  EXPECT_EQ(Level(), "ALERT") << "the intruder does not publish: the graph says so";
+  ros2::GraphDelta delta;
+  AddNode(&delta, 9, "/intruder", "/cmd_vel");
+  SendDelta(std::move(delta));
+  SendMessage(9);
+  EXPECT_EQ(Level(), "COMPROMISED");
+  EXPECT_EQ(actuator_->level()->to, "COMPROMISED");
+  Obey();
+
+  IntruderLeaves();
+  Pass(20'000);
+  EXPECT_EQ(Level(), "COMPROMISED") << "a hard level needs a person";
+
+  LevelAnswer answer;
+  robot_->DeEscalate(Lower("ALERT", robot_->Status()), [&](const LevelAnswer& a) { answer = a; });
+  Drain();
+  EXPECT_THAT(answer.status, IsOk());
+  EXPECT_EQ(Level(), "ALERT");
+  EXPECT_EQ(actuator_->level()->based_on, (Mark{1, 3}));
+  Obey();
+
+  Pass(4'500);
+  EXPECT_EQ(Level(), "ALERT") << "soft_hold has not passed";
+  Pass(1'500);
+  EXPECT_EQ(Level(), "DEFAULT");
+  EXPECT_EQ(recorder_.decisions.back().cause, "rule quiet");
+}
+
+TEST_F(RobotTest, CommandsARaiseBeforeItIsRecorded) {
+  Start();
+  Arm();
+  recorder_.held = true;
+
+  IntruderAppears();
+
+  EXPECT_EQ(actuator_->level()->to, "ALERT");
+  EXPECT_EQ(recorder_.decisions.back().to, "DEFAULT");
+  EXPECT_EQ(audience_.Count("unknown node"), 0) << "nobody is told before it is durable";
+  recorder_.held = false;
+  recorder_.Release();
+  Drain();
+  EXPECT_EQ(recorder_.decisions.back().to, "ALERT");
+  EXPECT_EQ(audience_.Count("unknown node"), 1);
+}
+
+TEST_F(RobotTest, CommandsALoweringOnlyWhenItIsDurable) {
+  Start();
+  Arm();
+  IntruderAppears();
+  Obey();
+  recorder_.held = true;
+  LevelAnswer answer{.status = absl::UnknownError("not answered")};
+
+  robot_->DeEscalate(Lower("DEFAULT", robot_->Status()), [&](const LevelAnswer& a) { answer = a; });
+  Drain();
+
+  EXPECT_EQ(actuator_->level()->to, "ALERT");
+  Pass(600);
+  EXPECT_EQ(actuator_->leases.back().level, "ALERT") << "a lease does not announce it either";
+  EXPECT_THAT(answer.status, StatusIs(absl::StatusCode::kUnknown));
+  recorder_.held = false;
+  recorder_.Release();
+  Drain();
+  EXPECT_EQ(actuator_->level()->to, "DEFAULT");
+  EXPECT_THAT(answer.status, IsOk());
+}
+
+TEST_F(RobotTest, TakesALoweringBackThatCannotBeRecorded) {
+  Start();
+  Arm();
+  IntruderAppears();
+  Obey();
+  recorder_.held = true;
+  LevelAnswer answer;
+  robot_->DeEscalate(Lower("DEFAULT", robot_->Status()), [&](const LevelAnswer& a) { answer = a; });
+
+  recorder_.fail = absl::UnavailableError("disk full");
+  recorder_.held = false;
+  recorder_.Release();
+  Drain();
+
+  EXPECT_EQ(Level(), "ALERT");
+  EXPECT_THAT(answer.status, StatusIs(absl::StatusCode::kUnavailable, HasSubstr("disk full")));
+  for (const Command& command : actuator_->commands) {
+    const auto* set = std::get_if<SetLevel>(&command.what);
+    ASSERT_NE(set, nullptr);
+    EXPECT_FALSE(set->to == "DEFAULT" && set->mark > (Mark{1, 1}));
+  }
+  recorder_.fail = absl::OkStatus();
+  Pass(2'000);
+  EXPECT_EQ(recorder_.decisions.back().to, "ALERT") << "records are kept and written later";
+  EXPECT_EQ(audience_.Count("taken back"), 1);
+}
+
+TEST_F(RobotTest, RefusesToLowerWhileTheStoreFails) {
+  Start();
+  Arm();
+  IntruderAppears();
+  Obey();
+  recorder_.fail = absl::UnavailableError("disk full");
+  SendMessage(2);
+  Pass(1'500);
+
+  LevelAnswer answer;
+  LevelOrder order = Lower("DEFAULT", robot_->Status());
+  order.accept_blind = true;
+  robot_->DeEscalate(order, [&](const LevelAnswer& a) { answer = a; });
+  Drain();
+
+  EXPECT_THAT(answer.status, StatusIs(absl::StatusCode::kUnavailable));
+  EXPECT_EQ(Level(), "ALERT");
+}
+
+TEST_F(RobotTest, RestartKeepsLevelAndVariablesAndEntersNothingTwice) {
+  Start();
+  Arm();
+  IntruderAppears();
+  Obey();
+  Pass(1'100);
+  store::RobotRecord record{.level = "ALERT",
+                            .mark = recorder_.decisions.back().mark,
+                            .variables = recorder_.variables,
+                            .high_water = recorder_.high_water};
+
+  Start(kPaperRules, record, /*term=*/2);
+  ConnectActuator({.mark = record.mark, .decided_level = "ALERT", .effective_level = "ALERT"});
+  verified_ = true;
+  Pass(200);
+
+  EXPECT_EQ(Level(), "ALERT");
+  EXPECT_EQ(Stage(), "verified");
+  EXPECT_EQ(actuator_->level(), nullptr) << "it holds the newest decision already";
+  EXPECT_EQ(actuator_->leases.back().term, 2u);
+  ConnectSensor({{.incarnation = kIncarnation,
+                  .lane = Lane::kControl,
+                  .first_sequence = 1,
+                  .last_sequence = 2}});
+  EXPECT_EQ(sensor_->acknowledged[0], 2u);
+  EXPECT_TRUE(sensor_->setup.want_snapshot);
+  Pass(30'000);
+  EXPECT_EQ(Level(), "ALERT") << "the graph has not been seen again";
+}
+
+TEST_F(RobotTest, AdoptsAMoreRestrictiveLevelThatItDoesNotKnow) {
+  Start();
+
+  ConnectActuator({.mark = {1, 7},
+                   .decided_level = "COMPROMISED",
+                   .effective_level = "COMPROMISED",
+                   .highest_term = 1});
+
+  EXPECT_EQ(Level(), "COMPROMISED");
+  EXPECT_GT(robot_->Status().mark, (Mark{1, 7}));
+  EXPECT_EQ(audience_.Count("does not know"), 1);
+}
+
+TEST_F(RobotTest, AnUnknownLowerLevelDoesNotLower) {
+  Start(kPaperRules, {.level = "COMPROMISED", .mark = {1, 5}}, 2);
+
+  ConnectActuator({.mark = {1, 9}, .decided_level = "DEFAULT", .effective_level = "DEFAULT"});
+
+  EXPECT_EQ(Level(), "COMPROMISED");
+  EXPECT_EQ(actuator_->level()->to, "COMPROMISED");
+}
+
+TEST_F(RobotTest, GoesAboveATermThatTheActuatorHasSeen) {
+  Start();
+
+  ConnectActuator({.effective_level = "DEFAULT", .highest_term = 41});
+
+  EXPECT_EQ(actuator_->leases.back().term, 42u);
+  EXPECT_EQ(audience_.Count("above ours"), 1);
+}
+
+TEST_F(RobotTest, RefusesAnImpossibleTerm) {
+  Start();
+
+  ConnectActuator({.effective_level = "DEFAULT", .highest_term = UINT64_MAX});
+
+  EXPECT_THAT(actuator_->closed, StatusIs(absl::StatusCode::kInvalidArgument));
+}
+
+TEST_F(RobotTest, DoesNotArmAnActuatorWithOtherLevels) {
+  Start();
+  actuator_ = std::make_shared<FakeActuator>();
+
+  robot_->OnActuatorHello("base", actuator_, {.levels = {"DEFAULT", "HALT"}});
+  Drain();
+
+  EXPECT_THAT(actuator_->closed, StatusIs(absl::StatusCode::kFailedPrecondition));
+  EXPECT_THAT(actuator_->commands, IsEmpty());
+  EXPECT_EQ(audience_.Count("not armed"), 1);
+}
+
+TEST_F(RobotTest, AManagerThatDoesNothingEndsAsFailedAndTheDecisionStands) {
+  Start();
+  Arm();
+  IntruderAppears();
+
+  Obey(Receipt::Stage::kFailed, "/safety=DEFAULT, camera active");
+
+  EXPECT_EQ(Stage(), "failed");
+  EXPECT_EQ(Level(), "ALERT");
+  EXPECT_EQ(audience_.Count("was not reached"), 1);
+  const size_t before = actuator_->commands.size();
+  Pass(6'000);
+  EXPECT_EQ(actuator_->commands.size(), before + 1) << "it is tried again";
+  EXPECT_EQ(audience_.Count("was not reached"), 1) << "and told once";
+}
+
+TEST_F(RobotTest, ResendsACommandUntilItIsAcknowledged) {
+  Start();
+  Arm();
+  IntruderAppears();
+  const std::string id = actuator_->commands.back().id;
+  const size_t before = actuator_->commands.size();
+
+  Pass(2'100);
+
+  ASSERT_EQ(actuator_->commands.size(), before + 1);
+  EXPECT_EQ(actuator_->commands.back().id, id) << "the same command, so it is executed once";
+}
+
+TEST_F(RobotTest, ReportsDrift) {
+  Start();
+  Arm();
+
+  verified_ = false;
+  Pass(100);
+
+  EXPECT_EQ(audience_.Count("no longer is at"), 1);
+  EXPECT_EQ(Stage(), "acknowledged");
+}
+
+TEST_F(RobotTest, AFloorThatLiftsIsNotDrift) {
+  Start();
+  ConnectActuator({.effective_level = "ALERT"});
+  Obey();
+  floor_ = "state lost";
+  effective_ = "ALERT";
+  Pass(100);
+  EXPECT_EQ(Stage(), "verified") << "a raise is verified at its level or above";
+
+  floor_.clear();
+  verified_ = false;
+  Pass(100);
+  EXPECT_EQ(Stage(), "acknowledged");
+  effective_ = "DEFAULT";
+  verified_ = true;
+  Pass(100);
+
+  EXPECT_EQ(Stage(), "verified");
+  EXPECT_EQ(audience_.Count("no longer is at"), 0);
+}
+
+TEST_F(RobotTest, OperatorMustHaveSeenTheNewestDecision) {
+  Start();
+  Arm();
+  const RobotStatus seen = robot_->Status();
+  IntruderAppears();
+  Obey();
+
+  LevelAnswer answer;
+  robot_->DeEscalate(Lower("DEFAULT", seen), [&](const LevelAnswer& a) { answer = a; });
+  Drain();
+
+  EXPECT_THAT(answer.status, StatusIs(absl::StatusCode::kFailedPrecondition));
+  EXPECT_EQ(Level(), "ALERT");
+}
+
+TEST_F(RobotTest, OperatorMustGiveAReason) {
+  Start();
+  Arm();
+  IntruderAppears();
+  Obey();
+  LevelOrder order = Lower("DEFAULT", robot_->Status());
+
+  for (const size_t bytes : {size_t{0}, size_t{1'001}}) {
+    order.reason = std::string(bytes, 'x');
+    LevelAnswer answer;
+    robot_->DeEscalate(order, [&](const LevelAnswer& a) { answer = a; });
+    EXPECT_THAT(answer.status, StatusIs(absl::StatusCode::kInvalidArgument)) << bytes;
+  }
+  EXPECT_EQ(Level(), "ALERT");
+}
+
+TEST_F(RobotTest, OperatorIsRefusedWhileBlindUnlessAccepted) {
+  Start();
+  Arm();
+  IntruderAppears();
+  Obey();
+  robot_->OnSensorGone("base", sensor_.get());
+  LevelOrder order = Lower("DEFAULT", robot_->Status());
+
+  LevelAnswer refused;
+  robot_->DeEscalate(order, [&](const LevelAnswer& a) { refused = a; });
+  Drain();
+  EXPECT_THAT(refused.status, StatusIs(absl::StatusCode::kFailedPrecondition,
+                                       HasSubstr("sensor base is not connected")));
+
+  LevelAnswer accepted;
+  order.accept_blind = true;
+  robot_->DeEscalate(order, [&](const LevelAnswer& a) { accepted = a; });
+  Drain();
+  EXPECT_THAT(accepted.status, IsOk());
+  EXPECT_EQ(Level(), "DEFAULT");
+}
+
+TEST_F(RobotTest, ARepeatedRequestGetsItsFirstAnswer) {
+  Start();
+  Arm();
+  IntruderAppears();
+  Obey();
+  const LevelOrder order = Lower("DEFAULT", robot_->Status());
+  LevelAnswer first;
+  LevelAnswer second;
+
+  robot_->DeEscalate(order, [&](const LevelAnswer& a) { first = a; });
+  Drain();
+  const size_t decisions = recorder_.decisions.size();
+  robot_->DeEscalate(order, [&](const LevelAnswer& a) { second = a; });
+  Drain();
+
+  EXPECT_THAT(second.status, IsOk());
+  EXPECT_EQ(first.mark, second.mark);
+  EXPECT_EQ(recorder_.decisions.size(), decisions);
+}
+
+TEST_F(RobotTest, DryRunSaysWhatWouldRaiseItAgainAndChangesNothing) {
+  Start();
+  Arm();
+  IntruderAppears();
+  Obey();
+  LevelOrder order = Lower("DEFAULT", robot_->Status());
+  order.dry_run = true;
+
+  LevelAnswer answer;
+  robot_->DeEscalate(order, [&](const LevelAnswer& a) { answer = a; });
+  Drain();
+
+  EXPECT_THAT(answer.status, IsOk());
+  EXPECT_THAT(answer.would_raise_again, Contains("unknown_node"));
+  EXPECT_EQ(Level(), "ALERT");
+}
+
+}  // namespace
+}  // namespace rips::pipeline
