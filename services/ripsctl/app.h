@@ -1,0 +1,38 @@
+// The command line of ripsctl: finds the command, connects, runs it.
+#ifndef RIPS_SERVICES_RIPSCTL_APP_H_
+#define RIPS_SERVICES_RIPSCTL_APP_H_
+
+#include <functional>
+#include <memory>
+#include <ostream>
+#include <string>
+#include <vector>
+
+#include "absl/status/statusor.h"
+#include "rips/v1/operator.grpc.pb.h"
+#include "services/ripsctl/settings.h"
+
+namespace rips::ripsctl {
+
+// The world, as tests replace it.
+struct World {
+  std::ostream& out;
+  std::ostream& err;
+  GetEnv get_env;
+  // A stub for the server of the settings; an error means that the settings are wrong. It does not
+  // wait for a connection.
+  std::function<absl::StatusOr<std::unique_ptr<v1::OperatorService::StubInterface>>(
+      const RawSettings&)>
+      connect;
+};
+
+// Mutual TLS to `server` with the files of the settings.
+absl::StatusOr<std::unique_ptr<v1::OperatorService::StubInterface>> ConnectWithTls(
+    const RawSettings& settings);
+
+// `args` without the program's name. Gives the exit code of the process (ExitCode).
+int RunRipsctl(const std::vector<std::string>& args, const World& world);
+
+}  // namespace rips::ripsctl
+
+#endif  // RIPS_SERVICES_RIPSCTL_APP_H_

@@ -1,0 +1,683 @@
+// The whole command line against a server that plays OperatorService on a loopback port.
+#include <stdlib.h>
+
+#include <cstdio>
+#include <filesystem>
+#include <fstream>
+#include <map>
+#include <nlohmann/json.hpp>
+#include <optional>
+#include <sstream>
+#include <string>
+#include <vector>
+
+#include "absl/base/thread_annotations.h"
+#include "absl/strings/str_cat.h"
+#include "absl/strings/str_split.h"
+#include "gmock/gmock.h"
+#include "grpcpp/create_channel.h"
+#include "grpcpp/security/server_credentials.h"
+#include "grpcpp/server_builder.h"
+#include "gtest/gtest.h"
+#include "services/base/status_matchers.h"
+#include "services/ripsctl/app.h"
+#include "services/rpc/bidi_client.h"
+#include "services/rpc/credentials.h"
+#include "services/rpc/server_builder.h"
+#include "services/rpc/test_pki.h"
+#include "services/runtime/mutex.h"
+
+namespace rips::ripsctl {
+namespace {
+
+using ::testing::AllOf;
+using ::testing::HasSubstr;
+using ::testing::Not;
+using ::testing::SizeIs;
+using ::testing::StartsWith;
+
+constexpr int64_t kNewYear = 1'767'225'600'000'000'000;
+
+v1::Mark MakeMark(uint64_t term, uint64_t epoch) {
+  v1::Mark mark;
+  mark.set_term(term);
+  mark.set_epoch(epoch);
+  return mark;
+}
+
+v1::RobotStatus MakeStatus(const std::string& robot, const std::string& level) {
+  v1::RobotStatus status;
+  status.set_robot(robot);
+  status.set_decided_level(level);
+  status.set_effective_level(level);
+  status.set_stage("verified");
+  *status.mutable_mark() = MakeMark(3, 17);
+  status.set_bundle_version("sha256:" + std::string(64, 'b'));
+  return status;
+}
+
+v1::Transition MakeTransition() {
+  v1::Transition transition;
+  transition.set_id(std::string(32, '1'));
+  transition.set_robot("r1");
+  transition.set_time_unix_ns(kNewYear + 5);
+  transition.set_from("ALERT");
+  transition.set_to("COMPROMISED");
+  transition.set_cause("rule rogue_cmd_vel");
+  *transition.mutable_mark() = MakeMark(3, 17);
+  transition.set_count(1);
+  transition.set_stage("verified");
+  return transition;
+}
+
+v1::Alert MakeAlert(const std::string& text) {
+  v1::Alert alert;
+  alert.set_id(std::string(32, '2'));
+  alert.set_time_unix_ns(kNewYear);
+  alert.set_robot("r1");
+  alert.set_rule("unknown_node");
+  alert.set_severity("high");
+  alert.set_text(text);
+  alert.set_level("ALERT");
+  alert.set_event("graph change");
+  *alert.mutable_mark() = MakeMark(3, 16);
+  return alert;
+}
+
+void AddEndpoint(v1::GraphSnapshot* graph, v1::Endpoint::Kind kind, const std::string& node,
+                 const std::string& name, const std::string& type, bool ros = true) {
+  v1::Endpoint* endpoint = graph->add_endpoints();
+  endpoint->set_guid(std::string("\x01\x10\x4a\x3b", 4) + std::string(10, '\0') + "\x03\xc1");
+  endpoint->set_kind(kind);
+  endpoint->set_node(node);
+  endpoint->set_name(name);
+  endpoint->set_type(type);
+  endpoint->set_ros(ros);
+}
+
+// One robot `r1` at COMPROMISED (3.17). Remembers the last request; fails with `failure` if set.
+class FakeOperator final : public v1::OperatorService::Service {
+ public:
+  grpc::Status failure;
+  v1::LevelResponse level_response;
+  std::string alert_text = "unknown node /intruder";
+
+  v1::LevelRequest last_level_request() ABSL_LOCKS_EXCLUDED(mutex_) {
+    MutexLock lock(&mutex_);
+    return last_level_request_;
+  }
+  std::vector<std::string> calls() ABSL_LOCKS_EXCLUDED(mutex_) {
+    MutexLock lock(&mutex_);
+    return calls_;
+  }
+
+  grpc::Status ListRobots(grpc::ServerContext*, const v1::ListRobotsRequest*,
+                          v1::ListRobotsResponse* response) override {
+    *response->add_robots() = MakeStatus("r1", "COMPROMISED");
+    *response->add_robots() = MakeStatus("r2", "DEFAULT");
+    response->mutable_robots(1)->clear_effective_level();
+    response->mutable_robots(1)->add_degraded("sensor base lost");
+    response->mutable_robots(1)->add_degraded("\x1b[2Jactuator");
+    return Record("ListRobots");
+  }
+  grpc::Status WatchRobots(grpc::ServerContext*, const v1::WatchRobotsRequest* request,
+                           grpc::ServerWriter<v1::RobotStatus>* writer) override {
+    const std::string robot = request->robots().empty() ? "r9" : request->robots(0);
+    writer->Write(MakeStatus(robot, "ALERT"));
+    writer->Write(MakeStatus(robot, "COMPROMISED"));
+    return Record("WatchRobots");
+  }
+  grpc::Status GetGraph(grpc::ServerContext*, const v1::GetGraphRequest*,
+                        v1::GetGraphResponse* response) override {
+    v1::GraphSnapshot* graph = response->mutable_graph();
+    graph->set_settled(true);
+    graph->add_nodes()->set_full_name("/talker");
+    graph->add_nodes()->set_full_name("/listener");
+    AddEndpoint(graph, v1::Endpoint::SUBSCRIBER, "/rips", "/chatter", "std_msgs/msg/String");
+    AddEndpoint(graph, v1::Endpoint::SUBSCRIBER, "/listener", "/chatter", "std_msgs/msg/String");
+    AddEndpoint(graph, v1::Endpoint::PUBLISHER, "/talker", "/chatter", "std_msgs/msg/String");
+    AddEndpoint(graph, v1::Endpoint::PUBLISHER, "/talker", "/chatter", "std_msgs/msg/String");
+    AddEndpoint(graph, v1::Endpoint::SERVICE, "/talker", "/talker/get_parameters", "x");
+    AddEndpoint(graph, v1::Endpoint::CLIENT, "/listener", "/talker/get_parameters", "x");
+    AddEndpoint(graph, v1::Endpoint::PUBLISHER, "", "/cmd_vel", "geometry_msgs/msg/Twist");
+    AddEndpoint(graph, v1::Endpoint::SUBSCRIBER, "", "raw_topic", "T", false);
+    response->set_changed_unix_ns(kNewYear);
+    return Record("GetGraph");
+  }
+  grpc::Status GetLevel(grpc::ServerContext*, const v1::GetLevelRequest* request,
+                        v1::GetLevelResponse* response) override {
+    *response->mutable_status() = MakeStatus(request->robot(), "COMPROMISED");
+    for (const char* level : {"DEFAULT", "ALERT", "COMPROMISED"}) response->add_levels(level);
+    response->add_soft_levels("ALERT");
+    *response->mutable_last() = MakeTransition();
+    return Record("GetLevel");
+  }
+  grpc::Status ListTransitions(grpc::ServerContext*, const v1::ListTransitionsRequest* request,
+                               v1::ListTransitionsResponse* response) override {
+    *response->add_transitions() = MakeTransition();
+    v1::Transition* refused = response->add_transitions();
+    *refused = MakeTransition();
+    refused->clear_mark();
+    refused->set_refused(true);
+    refused->set_count(request->limit());
+    refused->set_reason("needs an operator");
+    return Record("ListTransitions");
+  }
+  grpc::Status ListAlerts(grpc::ServerContext*, const v1::ListAlertsRequest* request,
+                          v1::ListAlertsResponse* response) override {
+    *response->add_alerts() = MakeAlert(alert_text);
+    return Record(absl::StrCat("ListAlerts ", request->robot(), " ", request->limit()));
+  }
+  grpc::Status WatchAlerts(grpc::ServerContext*, const v1::WatchAlertsRequest*,
+                           grpc::ServerWriter<v1::Alert>* writer) override {
+    writer->Write(MakeAlert(alert_text));
+    return Record("WatchAlerts");
+  }
+  grpc::Status DeEscalate(grpc::ServerContext*, const v1::LevelRequest* request,
+                          v1::LevelResponse* response) override {
+    return Change("DeEscalate", *request, response);
+  }
+  grpc::Status Raise(grpc::ServerContext*, const v1::LevelRequest* request,
+                     v1::LevelResponse* response) override {
+    return Change("Raise", *request, response);
+  }
+  grpc::Status ResumeRules(grpc::ServerContext*, const v1::ResumeRulesRequest* request,
+                           v1::ResumeRulesResponse*) override {
+    return Record(absl::StrCat("ResumeRules ", request->robot(), " ", request->reason()));
+  }
+
+ private:
+  grpc::Status Record(const std::string& call) ABSL_LOCKS_EXCLUDED(mutex_) {
+    MutexLock lock(&mutex_);
+    calls_.push_back(call);
+    return failure;
+  }
+  grpc::Status Change(const std::string& call, const v1::LevelRequest& request,
+                      v1::LevelResponse* response) ABSL_LOCKS_EXCLUDED(mutex_) {
+    {
+      MutexLock lock(&mutex_);
+      last_level_request_ = request;
+    }
+    *response = level_response;
+    if (!request.dry_run()) {
+      response->set_decided_level(request.to());
+      *response->mutable_mark() = MakeMark(3, 18);
+    }
+    return Record(call);
+  }
+
+  Mutex mutex_;
+  v1::LevelRequest last_level_request_ ABSL_GUARDED_BY(mutex_);
+  std::vector<std::string> calls_ ABSL_GUARDED_BY(mutex_);
+};
+
+struct Result {
+  int code = -1;
+  std::string out;
+  std::string err;
+};
+
+class RipsctlTest : public testing::Test {
+ protected:
+  RipsctlTest() {
+    std::string name = (std::filesystem::temp_directory_path() / "ripsctl-XXXXXX").string();
+    EXPECT_NE(mkdtemp(name.data()), nullptr);
+    home_ = name;
+    grpc::ServerBuilder builder;
+    builder.AddListeningPort("127.0.0.1:0", grpc::InsecureServerCredentials(), &port_);
+    builder.RegisterService(&fake_);
+    server_ = builder.BuildAndStart();
+  }
+  ~RipsctlTest() override {
+    server_->Shutdown();
+    std::error_code ignored;
+    std::filesystem::remove_all(home_, ignored);
+  }
+
+  Result Run(const std::vector<std::string>& args) {
+    std::ostringstream out;
+    std::ostringstream err;
+    const int code = RunRipsctl(
+        args, {.out = out,
+               .err = err,
+               .get_env = [this](const std::string& name) -> std::optional<std::string> {
+                 if (name == "HOME") return home_;
+                 const auto it = env_.find(name);
+                 if (it == env_.end()) return std::nullopt;
+                 return it->second;
+               },
+               .connect = [this](const RawSettings& settings) { return Connect(settings); }});
+    return {code, out.str(), err.str()};
+  }
+  absl::StatusOr<std::unique_ptr<v1::OperatorService::StubInterface>> Connect(
+      const RawSettings& settings) {
+    used_ = settings;
+    if (tls_) return ConnectWithTls(settings);
+    return std::unique_ptr<v1::OperatorService::StubInterface>(
+        v1::OperatorService::NewStub(grpc::CreateChannel(absl::StrCat("127.0.0.1:", port_),
+                                                         grpc::InsecureChannelCredentials())));
+  }
+  nlohmann::json RunJson(std::vector<std::string> args, int expected_code = 0) {
+    args.insert(args.end(), {"--output", "json"});
+    const Result result = Run(args);
+    EXPECT_EQ(result.code, expected_code) << result.err;
+    EXPECT_TRUE(result.out.ends_with('\n'));
+    const nlohmann::json json = nlohmann::json::parse(result.out, nullptr, false);
+    EXPECT_FALSE(json.is_discarded()) << result.out;
+    return json;
+  }
+  std::string File(const std::string& name, const std::string& text) {
+    std::ofstream(home_ + "/" + name) << text;
+    return home_ + "/" + name;
+  }
+
+  std::string home_;
+  std::map<std::string, std::string> env_;
+  bool tls_ = false;
+  FakeOperator fake_;
+  std::unique_ptr<grpc::Server> server_;
+  int port_ = 0;
+  RawSettings used_;
+};
+
+TEST_F(RipsctlTest, ListsRobots) {
+  const Result result = Run({"robot", "list"});
+  EXPECT_EQ(result.code, 0);
+  EXPECT_EQ(result.out,
+            "ROBOT  DECIDED      EFFECTIVE    STAGE     MARK  BUNDLE               DEGRADED\n"
+            "r1     COMPROMISED  COMPROMISED  verified  3.17  sha256:bbbbbbbbbbbb  -\n"
+            "r2     DEFAULT      -            verified  3.17  sha256:bbbbbbbbbbbb  sensor base "
+            "lost; \\x1b[2Jactuator\n");
+  EXPECT_EQ(result.err, "");
+
+  const nlohmann::json robots = RunJson({"robot", "list"})["robots"];
+  ASSERT_THAT(robots, SizeIs(2));
+  EXPECT_EQ(robots[0], nlohmann::json({{"robot", "r1"},
+                                       {"decided_level", "COMPROMISED"},
+                                       {"effective_level", "COMPROMISED"},
+                                       {"stage", "verified"},
+                                       {"mark", "3.17"},
+                                       {"bundle", "sha256:" + std::string(64, 'b')},
+                                       {"degraded", nlohmann::json::array()}}));
+}
+
+TEST_F(RipsctlTest, WatchesRobotsUntilTheServerEndsIt) {
+  const Result result = Run({"robot", "watch", "r1"});
+  EXPECT_EQ(result.code, 0);
+  EXPECT_EQ(result.out,
+            "r1  decided ALERT  effective ALERT  verified  mark 3.17\n"
+            "r1  decided COMPROMISED  effective COMPROMISED  verified  mark 3.17\n");
+  const Result json = Run({"--output", "json", "robot", "watch"});
+  const std::vector<std::string> lines = absl::StrSplit(json.out, '\n', absl::SkipEmpty());
+  ASSERT_THAT(lines, SizeIs(2));
+  EXPECT_EQ(nlohmann::json::parse(lines[1])["decided_level"], "COMPROMISED");
+  fake_.failure = grpc::Status(grpc::StatusCode::UNAVAILABLE, "draining");
+  EXPECT_EQ(Run({"robot", "watch"}).code, 3);
+}
+
+TEST_F(RipsctlTest, ShowsOneRobot) {
+  const Result result = Run({"robot", "show", "r2"});
+  EXPECT_EQ(result.code, 0);
+  EXPECT_EQ(result.out, absl::StrCat("robot            r2\n"
+                                     "decided level    DEFAULT\n"
+                                     "effective level  -\n"
+                                     "stage            verified\n"
+                                     "mark             3.17\n"
+                                     "bundle           sha256:",
+                                     std::string(64, 'b'),
+                                     "\n"
+                                     "degraded         sensor base lost\n"
+                                     "degraded         \\x1b[2Jactuator\n"));
+  EXPECT_EQ(RunJson({"robot", "show", "r1"})["decided_level"], "COMPROMISED");
+  const Result missing = Run({"robot", "show", "r3"});
+  EXPECT_EQ(missing.code, 1);
+  EXPECT_EQ(missing.err, "error: robot `r3` is not in the inventory; see `ripsctl robot list`\n");
+}
+
+TEST_F(RipsctlTest, ShowsTheGraph) {
+  const nlohmann::json expected = nlohmann::json::parse(R"({
+    "nodes": [{"name": "/listener", "services": []},
+              {"name": "/rips", "services": []},
+              {"name": "/talker", "services": ["/talker/get_parameters"]}],
+    "topics": [{"name": "/chatter", "types": ["std_msgs/msg/String"],
+                "publishers": ["/talker", "/talker"], "subscribers": ["/listener", "/rips"]}],
+    "unattributed": [
+      {"guid": "01104a3b.00000000.00000000.000003c1", "topic": "/cmd_vel", "kind": "publisher"},
+      {"guid": "01104a3b.00000000.00000000.000003c1", "topic": "raw_topic", "kind": "subscriber"}]
+  })");
+  EXPECT_EQ(RunJson({"robot", "graph", "r1"}), expected);
+
+  const Result text = Run({"robot", "graph", "r1"});
+  EXPECT_EQ(text.code, 0);
+  EXPECT_EQ(text.out,
+            "changed 2026-01-01T00:00:00.000Z\n"
+            "\n"
+            "NODE       SERVICES\n"
+            "/listener  -\n"
+            "/rips      -\n"
+            "/talker    /talker/get_parameters\n"
+            "\n"
+            "TOPIC     TYPES                PUBLISHERS        SUBSCRIBERS\n"
+            "/chatter  std_msgs/msg/String  /talker, /talker  /listener, /rips\n"
+            "\n"
+            "WITHOUT A NODE  KIND        GUID\n"
+            "/cmd_vel        publisher   01104a3b.00000000.00000000.000003c1\n"
+            "raw_topic       subscriber  01104a3b.00000000.00000000.000003c1\n");
+}
+
+TEST_F(RipsctlTest, ShowsTheLevel) {
+  const Result text = Run({"level", "show", "r1"});
+  EXPECT_EQ(text.code, 0);
+  EXPECT_EQ(text.out,
+            "robot            r1\n"
+            "decided level    COMPROMISED\n"
+            "effective level  COMPROMISED\n"
+            "stage            verified\n"
+            "mark             3.17\n"
+            "levels           DEFAULT < ALERT (soft) < COMPROMISED\n"
+            "last change      2026-01-01T00:00:00.000Z ALERT -> COMPROMISED, rule rogue_cmd_vel\n"
+            "reason           -\n"
+            "detail           -\n");
+  const nlohmann::json json = RunJson({"level", "show", "r1"});
+  EXPECT_EQ(json["status"]["mark"], "3.17");
+  EXPECT_EQ(json["levels"][1], nlohmann::json({{"name", "ALERT"}, {"soft", true}}));
+  EXPECT_EQ(json["last"]["time"], "2026-01-01T00:00:00.000000005Z");
+}
+
+TEST_F(RipsctlTest, ListsTheHistory) {
+  const Result text = Run({"level", "history", "r1", "--limit", "7"});
+  EXPECT_EQ(text.code, 0);
+  EXPECT_EQ(
+      text.out,
+      "TIME                      FROM   TO           MARK  STAGE       CAUSE               REASON\n"
+      "2026-01-01T00:00:00.000Z  ALERT  COMPROMISED  3.17  verified    rule rogue_cmd_vel  -\n"
+      "2026-01-01T00:00:00.000Z  ALERT  COMPROMISED  -     refused x7  rule rogue_cmd_vel  needs "
+      "an operator\n");
+  const nlohmann::json list = RunJson({"level", "history", "r1"})["transitions"];
+  ASSERT_THAT(list, SizeIs(2));
+  EXPECT_EQ(list[0]["mark"], "3.17");
+  EXPECT_TRUE(list[1]["mark"].is_null());
+  EXPECT_EQ(list[1]["count"], 100);
+  EXPECT_EQ(Run({"level", "history", "r1", "--limit", "1001"}).code, 2);
+  EXPECT_EQ(Run({"level", "history", "r1", "--limit", "0"}).code, 2);
+}
+
+TEST_F(RipsctlTest, LowersWithWhatItReadAndShowed) {
+  fake_.level_response.add_would_raise_again("unknown_node");
+  const Result result =
+      Run({"level", "lower", "r1", "--to", "DEFAULT", "--reason", "intruder unplugged"});
+  EXPECT_EQ(result.code, 0);
+  EXPECT_EQ(result.out,
+            "r1 is at COMPROMISED (3.17) since 2026-01-01T00:00:00.000Z, rule rogue_cmd_vel\n"
+            "r1 is now at DEFAULT (3.18)\n"
+            "may be raised again by rule unknown_node\n");
+  EXPECT_THAT(fake_.calls(), testing::ElementsAre("GetLevel", "DeEscalate"));
+  const v1::LevelRequest request = fake_.last_level_request();
+  EXPECT_EQ(request.expected_level(), "COMPROMISED");
+  EXPECT_EQ(request.expected_mark().term(), 3u);
+  EXPECT_EQ(request.expected_mark().epoch(), 17u);
+  EXPECT_EQ(request.reason(), "intruder unplugged");
+  EXPECT_EQ(request.request_id().size(), 16u);
+  EXPECT_FALSE(request.accept_blind());
+  EXPECT_FALSE(request.dry_run());
+}
+
+TEST_F(RipsctlTest, LowersWithWhatTheOperatorExpects) {
+  const nlohmann::json json = RunJson({"level", "lower", "r1", "--to", "ALERT", "--reason", "x",
+                                       "--expect", "COMPROMISED@2.9", "--accept-blind"});
+  EXPECT_EQ(json, nlohmann::json({{"robot", "r1"},
+                                  {"to", "ALERT"},
+                                  {"dry_run", false},
+                                  {"decided_level", "ALERT"},
+                                  {"mark", "3.18"},
+                                  {"expected", "COMPROMISED@2.9"},
+                                  {"would_raise_again", nlohmann::json::array()},
+                                  {"blind_because", nlohmann::json::array()}}));
+  EXPECT_THAT(fake_.calls(), testing::ElementsAre("DeEscalate")) << "nothing is read first";
+  EXPECT_EQ(fake_.last_level_request().expected_mark().epoch(), 9u);
+  EXPECT_TRUE(fake_.last_level_request().accept_blind());
+}
+
+TEST_F(RipsctlTest, ADryRunSaysWhatWouldHappen) {
+  fake_.level_response.add_would_raise_again("unknown_node");
+  fake_.level_response.add_blind_because("sensor base lost");
+  const Result result =
+      Run({"level", "lower", "r1", "--to", "DEFAULT", "--reason", "x", "--dry-run"});
+  EXPECT_EQ(result.code, 0);
+  EXPECT_TRUE(fake_.last_level_request().dry_run());
+  EXPECT_THAT(result.out, HasSubstr("would lower r1 to DEFAULT; nothing was changed\n"
+                                    "blind: sensor base lost\n"
+                                    "would be raised again by rule unknown_node\n"));
+}
+
+TEST_F(RipsctlTest, Raises) {
+  const Result result = Run({"level", "raise", "r1", "--to", "HALT", "--reason", "smoke"});
+  EXPECT_EQ(result.code, 0);
+  EXPECT_EQ(result.out, "r1 is now at HALT (3.18)\n");
+  EXPECT_THAT(fake_.calls(), testing::ElementsAre("Raise"));
+  EXPECT_EQ(RunJson({"level", "raise", "r1", "--to", "HALT", "--reason", "smoke"})["mark"], "3.18");
+}
+
+TEST_F(RipsctlTest, ARefusalIsExitCodeOne) {
+  fake_.failure = grpc::Status(grpc::StatusCode::FAILED_PRECONDITION,
+                               "robot r1 is at HALT (3.19), not COMPROMISED (3.17)\x1b[1m");
+  const Result result = Run(
+      {"level", "lower", "r1", "--to", "DEFAULT", "--reason", "x", "--expect", "COMPROMISED@3.17"});
+  EXPECT_EQ(result.code, 1);
+  EXPECT_EQ(result.out, "");
+  EXPECT_EQ(result.err, "error: robot r1 is at HALT (3.19), not COMPROMISED (3.17)\\x1b[1m\n");
+  fake_.failure = grpc::Status(grpc::StatusCode::PERMISSION_DENIED, "alice is a viewer");
+  const Result denied = Run({"level", "raise", "r1", "--to", "HALT", "--reason", "x"});
+  EXPECT_EQ(denied.code, 1);
+  EXPECT_THAT(denied.err, HasSubstr("your certificate's role does not allow this"));
+}
+
+TEST_F(RipsctlTest, EveryVerbPassesOnRefusals) {
+  fake_.failure = grpc::Status(grpc::StatusCode::NOT_FOUND, "no such robot");
+  const std::vector<std::vector<std::string>> all = {
+      {"robot", "list"},
+      {"robot", "watch"},
+      {"robot", "show", "r1"},
+      {"robot", "graph", "r1"},
+      {"level", "show", "r1"},
+      {"level", "history", "r1"},
+      {"level", "raise", "r1", "--to", "A", "--reason", "x"},
+      {"level", "lower", "r1", "--to", "A", "--reason", "x"},
+      {"alert", "list"},
+      {"alert", "watch"},
+      {"rules", "resume", "r1", "--reason", "x"},
+  };
+  for (const auto& args : all) {
+    const Result result = Run(args);
+    EXPECT_EQ(result.code, 1) << args[0] << " " << args[1];
+    EXPECT_EQ(result.err, "error: no such robot\n") << args[0] << " " << args[1];
+  }
+}
+
+TEST_F(RipsctlTest, WrongFlagsAreExitCodeTwoAndCallNobody) {
+  const std::string long_reason(1'001, 'x');
+  const std::vector<std::vector<std::string>> all = {
+      {},
+      {"robot"},
+      {"robot", "dance"},
+      {"robot", "show"},
+      {"robot", "show", "R_1"},
+      {"robot", "show", "r1", "r2"},
+      {"robot", "watch", "../r1"},
+      {"alert", "list", "R"},
+      {"level", "lower", "r1"},
+      {"level", "lower", "r1", "--to", "A"},
+      {"level", "lower", "r1", "--to", "A", "--reason", "  "},
+      {"level", "lower", "r1", "--to", "A", "--reason", long_reason},
+      {"level", "lower", "r1", "--to", "A", "--reason", "\xff"},
+      {"level", "lower", "r1", "--to", "\xff", "--reason", "x"},
+      {"level", "lower", "r1", "--to", "A", "--reason", "x", "--expect", "COMPROMISED"},
+      {"level", "lower", "r1", "--to", "A", "--reason", "x", "--expect", "@3.17"},
+      {"level", "lower", "r1", "--to", "A", "--reason", "x", "--expect", "C@3"},
+      {"level", "lower", "r1", "--to", "A", "--reason", "x", "--expect", "C@3.x"},
+      {"rules", "resume", "r1"},
+      {"rules", "check"},
+      {"rules", "check", "/does/not/exist.rul"},
+      {"rules", "check", "--dialect", "other", "x"},
+      {"robot", "list", "--output", "xml"},
+      {"robot", "list", "--timeout", "10"},
+      {"robot", "list", "--timeout", "0s"},
+      {"robot", "list", "--server", "nowhere"},
+      {"robot", "list", "--no-such-flag"},
+  };
+  for (const auto& args : all) {
+    const Result result = Run(args);
+    EXPECT_EQ(result.code, 2) << testing::PrintToString(args) << result.out;
+    EXPECT_NE(result.err, "") << testing::PrintToString(args);
+  }
+  EXPECT_THAT(fake_.calls(), SizeIs(0));
+  EXPECT_EQ(Run({"level", "lower", "r1", "--to", "A", "--reason", "x", "--expect", "C@3"}).err,
+            "error: --expect is `C@3`; write LEVEL@TERM.EPOCH, for example COMPROMISED@3.17\n");
+}
+
+TEST_F(RipsctlTest, ListsAlertsWithHostileTextEscaped) {
+  fake_.alert_text = "node \xe2\x80\xae\x1b[2J";
+  const Result text = Run({"alert", "list"});
+  EXPECT_EQ(text.code, 0);
+  EXPECT_EQ(
+      text.out,
+      "TIME                      ROBOT  SEVERITY  LEVEL  RULE          TEXT\n"
+      "2026-01-01T00:00:00.000Z  r1     high      ALERT  unknown_node  node \\u202e\\x1b[2J\n");
+  const Result raw = Run({"alert", "list", "r1", "--limit", "5", "--output", "json"});
+  EXPECT_EQ(raw.out.find('\x1b'), std::string::npos);
+  EXPECT_EQ(nlohmann::json::parse(raw.out)["alerts"][0],
+            nlohmann::json({{"id", std::string(32, '2')},
+                            {"time", "2026-01-01T00:00:00.000000000Z"},
+                            {"robot", "r1"},
+                            {"rule", "unknown_node"},
+                            {"severity", "high"},
+                            {"text", fake_.alert_text},
+                            {"level", "ALERT"},
+                            {"event", "graph change"},
+                            {"mark", "3.16"}}));
+  EXPECT_THAT(fake_.calls(), testing::ElementsAre("ListAlerts  100", "ListAlerts r1 5"));
+}
+
+TEST_F(RipsctlTest, WatchesAlerts) {
+  EXPECT_EQ(Run({"alert", "watch"}).out,
+            "2026-01-01T00:00:00.000Z  r1  high  ALERT  unknown_node: unknown node /intruder\n");
+  EXPECT_EQ(RunJson({"alert", "watch", "r1"})["text"], "unknown node /intruder");
+}
+
+TEST_F(RipsctlTest, ResumesRules) {
+  EXPECT_EQ(Run({"rules", "resume", "r1", "--reason", "seen to"}).out,
+            "rules of r1 may lower soft levels again\n");
+  EXPECT_EQ(RunJson({"rules", "resume", "r1", "--reason", "seen to"}),
+            nlohmann::json({{"robot", "r1"}, {"resumed", true}}));
+  EXPECT_EQ(fake_.calls()[0], "ResumeRules r1 seen to");
+}
+
+TEST_F(RipsctlTest, ChecksRulesWithoutAServer) {
+  server_->Shutdown();
+  const std::string good = File("good.rul",
+                                "levels:\n  DEFAULT;\n  HALT;\nrules Graph:\n"
+                                "  r: !nodes(\"/talker\") ? alert(\"x\") => trigger(HALT);\n");
+  const Result ok = Run({"rules", "check", good});
+  EXPECT_EQ(ok.code, 0) << ok.out;
+  EXPECT_EQ(ok.out, "ok: 1 rules, 2 levels\n");
+  EXPECT_EQ(RunJson({"rules", "check", good})["files"][0]["ok"], true);
+
+  const std::string bad = File("bad.rul", "rules Graph:\n  nodes(\"/a\") ? trigger(GONE);\n");
+  const Result findings = Run({"rules", "check", good, bad});
+  EXPECT_EQ(findings.code, 1);
+  EXPECT_THAT(findings.out, AllOf(HasSubstr(absl::StrCat(bad, ":2:")), HasSubstr("error: "),
+                                  HasSubstr("GONE"), Not(HasSubstr("ok:"))));
+  const nlohmann::json json = RunJson({"rules", "check", good, bad}, 1);
+  EXPECT_EQ(json["files"][1]["ok"], false);
+  EXPECT_EQ(json["files"][1]["diagnostics"][0]["line"], 2);
+  EXPECT_THAT(fake_.calls(), SizeIs(0));
+}
+
+TEST_F(RipsctlTest, AnAbsentServerIsExitCodeThree) {
+  server_->Shutdown();
+  const Result result = Run({"robot", "list", "--timeout", "5s"});
+  EXPECT_EQ(result.code, 3);
+  EXPECT_THAT(result.err, StartsWith("error: cannot reach the policy server: "));
+  EXPECT_EQ(Run({"robot", "watch"}).code, 3);
+}
+
+TEST_F(RipsctlTest, TakesSettingsFromEveryPlace) {
+  std::filesystem::create_directories(home_ + "/.config/rips");
+  File(".config/rips/ripsctl.yaml", "server: file.example:1\noutput: json\nca: /f/ca.pem\n");
+  env_["RIPSCTL_SERVER"] = "env.example:2";
+  EXPECT_THAT(Run({"robot", "list"}).out, StartsWith("{\"robots\":"));
+  EXPECT_EQ(used_.server, "env.example:2");
+  EXPECT_EQ(used_.ca, "/f/ca.pem");
+  EXPECT_THAT(Run({"robot", "list", "--server", "flag.example:3", "--output", "text"}).out,
+              StartsWith("ROBOT"));
+  EXPECT_EQ(used_.server, "flag.example:3");
+
+  File(".config/rips/ripsctl.yaml", "servr: x\n");
+  const Result bad = Run({"robot", "list"});
+  EXPECT_EQ(bad.code, 2);
+  EXPECT_THAT(bad.err, HasSubstr("unknown key `servr`"));
+}
+
+TEST_F(RipsctlTest, SpeaksMutualTls) {
+  tls_ = true;
+  rpc::TestPki pki;
+  const auto credentials = rpc::Credentials::Load(pki.Server());
+  ASSERT_THAT(credentials, IsOk());
+  FakeOperator service;
+  auto server = rpc::RpcServer::Start(
+      {.listen = "127.0.0.1:0", .credentials = (*credentials)->ForServer()}, {&service});
+  ASSERT_THAT(server, IsOk());
+
+  const auto with = [&](const TlsFiles& files) {
+    return Run({"robot", "list", "--server", (*server)->address(), "--ca", files.ca, "--cert",
+                files.cert, "--key", files.key});
+  };
+  const Result good = with(pki.Operator("viewer", "vera"));
+  EXPECT_EQ(good.code, 0) << good.err;
+  EXPECT_THAT(good.out, StartsWith("ROBOT"));
+
+  rpc::TestPki foreign;
+  EXPECT_EQ(with(foreign.Operator()).code, 3);
+  const Result no_file = Run({"robot", "list", "--server", (*server)->address(), "--ca", "/none",
+                              "--cert", "/none", "--key", "/none"});
+  EXPECT_EQ(no_file.code, 2);
+  const Result no_flags = Run({"robot", "list"});
+  EXPECT_EQ(no_flags.code, 2);
+  EXPECT_THAT(no_flags.err, HasSubstr("--ca is missing; give --ca, --cert and --key"));
+}
+
+TEST_F(RipsctlTest, HelpIsAsPinned) {
+  const std::string path = std::string(RIPS_SOURCE_DIR) + "/services/ripsctl/testdata/help.txt";
+  std::string actual;
+  const std::vector<std::string> pages[] = {
+      {},
+      {"robot", "list"},
+      {"robot", "watch"},
+      {"robot", "show"},
+      {"robot", "graph"},
+      {"level", "show"},
+      {"level", "history"},
+      {"level", "raise"},
+      {"level", "lower"},
+      {"alert", "list"},
+      {"alert", "watch"},
+      {"rules", "check"},
+      {"rules", "resume"},
+  };
+  for (std::vector<std::string> args : pages) {
+    args.push_back("--help");
+    actual += "$ ripsctl";
+    for (const std::string& arg : args) absl::StrAppend(&actual, " ", arg);
+    const Result result = Run(args);
+    EXPECT_EQ(result.code, 0);
+    absl::StrAppend(&actual, "\n", result.out);
+  }
+  if (std::getenv("RIPS_UPDATE_GOLDENS") != nullptr) std::ofstream(path) << actual;
+  std::ifstream file(path);
+  std::ostringstream pinned;
+  pinned << file.rdbuf();
+  EXPECT_EQ(actual, pinned.str()) << "RIPS_UPDATE_GOLDENS=1 rewrites " << path;
+}
+
+}  // namespace
+}  // namespace rips::ripsctl

@@ -1,0 +1,13 @@
+// `ripsctl rules`: check, resume.
+#ifndef RIPS_SERVICES_RIPSCTL_RULES_COMMAND_H_
+#define RIPS_SERVICES_RIPSCTL_RULES_COMMAND_H_
+
+#include "services/ripsctl/command.h"
+
+namespace rips::ripsctl {
+
+Commands RulesCommands();
+
+}  // namespace rips::ripsctl
+
+#endif  // RIPS_SERVICES_RIPSCTL_RULES_COMMAND_H_
