@@ -1,0 +1,302 @@
+"""One robot, its agents and the policy server, as processes: what goes wrong must not lower a level.
+
+    fleet_test.py BINARIES SCENARIO      runs one; without SCENARIO prints their names
+"""
+
+import pathlib
+import shutil
+import signal
+import socket
+import sys
+import tempfile
+import time
+
+sys.path.insert(0, str(pathlib.Path(__file__).resolve().parents[1] / "support"))
+from fleet import LEVELS, Failed, Fleet  # noqa: E402
+
+
+def check(condition, text):
+    if not condition:
+        raise Failed(text)
+
+
+def decided(fleet):
+    return [each for each in fleet.history() if not each["refused"]]
+
+
+def never_lower(fleet, before):
+    """No decision since `before` (a list of decisions) went down."""
+    for each in decided(fleet)[len(before):]:
+        check(LEVELS.index(each["to"]) >= LEVELS.index(each["from"]),
+              f"the level went from {each['from']} to {each['to']}: {each['cause']}")
+
+
+def compromise(fleet):
+    driver = fleet.start_intruder("rogue-cmd-vel")
+    fleet.wait_level("COMPROMISED", 20)
+    return driver
+
+
+def applied(fleet):
+    """How often the actuator entered a level."""
+    return sum(" applying level " in text for _, text in fleet.actuator.lines)
+
+
+# ------------------------------------------------------------------------------------ scenarios
+
+
+def kill_server_while_compromised(fleet):
+    fleet.arm()
+    compromise(fleet)
+    before = decided(fleet)
+    entered = applied(fleet)
+    fleet.server.kill(signal.SIGKILL)
+    check(fleet.mode()["mode"] == "COMPROMISED", "the robot left its mode with the server")
+
+    fleet.server = fleet.start_server()
+
+    fleet.wait_level("COMPROMISED", 20)
+    after = decided(fleet)
+    check([d["mark"] for d in after] == [d["mark"] for d in before],
+          f"decisions changed from {before} to {after}")
+    check(applied(fleet) == entered, "a level was entered again")
+    time.sleep(8)  # longer than soft_hold
+    check(fleet.level()["decided_level"] == "COMPROMISED", "the level sank after the restart")
+    rogue = [a for a in fleet.alerts() if a["rule"] == "rogue_driver"]
+    check(len(rogue) == 1, f"the rule alerted {len(rogue)} times")
+
+
+def kill_server_at_the_moment_of_a_raise(fleet):
+    """Raises are commanded while they are recorded: whatever the store lost, the robot's own mark
+    brings back."""
+    fleet.arm()
+    driver = fleet.start_intruder("rogue-cmd-vel")
+    fleet.actuator.wait_for(
+        lambda line: " receipt " in line and "stage=acknowledged" in line and "mark=1.1 " not in line,
+        20, "a raise arrives")
+    fleet.server.kill(signal.SIGKILL)
+
+    fleet.server = fleet.start_server()
+
+    fleet.wait_level("COMPROMISED", 30)
+    driver.kill()
+    time.sleep(7)
+    check(fleet.level()["decided_level"] == "COMPROMISED", "the level sank")
+
+
+def kill_sensor_in_the_story(fleet):
+    fleet.arm()
+    spy = fleet.start_intruder("unknown-node")
+    fleet.wait_level("ALERT", 20)
+    before = decided(fleet)
+    fleet.sensor.kill(signal.SIGKILL)
+    spy.kill()  # nobody sees it leave
+
+    time.sleep(8)
+
+    never_lower(fleet, before)
+    check(any("sensor base is lost" in a["text"] for a in fleet.alerts()), "its loss is not told")
+    code, _, error = fleet.ripsctl("level", "lower", "r1", "--to", "DEFAULT", "--reason", "try",
+                                   check=False)
+    check(code == 1 and "sensor base is not connected" in error,
+          f"a blind lowering was not refused: {code} {error}")
+    fleet.sensor = fleet.start_agent("sensor")
+    fleet.wait_level("DEFAULT", 30)  # seen again, quiet, and by rule
+    check(decided(fleet)[-1]["cause"] == "rule calm", "not lowered by the rule")
+
+
+def kill_actuator_while_compromised(fleet):
+    fleet.arm()
+    driver = compromise(fleet)
+    before = decided(fleet)
+    fleet.actuator.kill(signal.SIGKILL)
+    check(fleet.mode()["mode"] == "COMPROMISED", "the robot left its mode")
+    driver.kill()
+
+    fleet.actuator = fleet.start_agent("actuator")
+
+    fleet.actuator.wait_for(lambda line: "effective=COMPROMISED" in line, 10,
+                            "the restarted actuator holds its level")
+    fleet.wait_level("COMPROMISED", 20)
+    check([d["mark"] for d in decided(fleet)] == [d["mark"] for d in before], "decisions changed")
+
+
+def server_absent_at_agent_start(fleet):
+    fleet.prepare()
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        fleet.port = probe.getsockname()[1]
+    fleet.robot = fleet.start_robot()
+    fleet.sensor = fleet.start_agent("sensor", wait=False)
+    fleet.actuator = fleet.start_agent("actuator", wait=False)
+    fleet.actuator.wait_for(lambda line: "effective=ALERT verified=true" in line, 15,
+                            "an actuator alone takes its fail-safe level")
+    spy = fleet.start_intruder("unknown-node")
+    time.sleep(2)
+
+    fleet.server = fleet.start_server()
+
+    fleet.wait_level("ALERT", 25)
+    spy.kill()
+    fleet.wait_level("DEFAULT", 30)
+
+
+def lost_lease_raises_the_floor(fleet):
+    fleet.arm()
+    before = decided(fleet)
+    fleet.server.kill(signal.SIGKILL)
+
+    fleet.actuator.wait_for(lambda line: "effective=ALERT verified=true" in line and
+                            "floor=ALERT" in line, 30, "the fail-safe level after the lease",
+                            start=len(fleet.actuator.lines))
+    check(fleet.mode()["mode"] == "ALERT", "the fail-safe mode was not read back")
+
+    fleet.server = fleet.start_server()
+    fleet.wait_level("DEFAULT", 40)
+    check([d["mark"] for d in decided(fleet)] == [d["mark"] for d in before],
+          "the floor became a decision")
+
+
+def manager_that_lies(fleet):
+    """It answers `success` and does nothing: failed, with an alert, and the decision stands."""
+    fleet.prepare()
+    fleet.robot = fleet.start_robot("--manager", "lie")
+    fleet.server = fleet.start_server()
+    fleet.sensor = fleet.start_agent("sensor")
+    fleet.actuator = fleet.start_agent("actuator")
+    fleet.start_intruder("unknown-node")
+
+    deadline = time.monotonic() + 60
+    while fleet.level()["stage"] != "failed":
+        check(time.monotonic() < deadline, f"not failed: {fleet.level()}")
+        time.sleep(0.2)
+
+    status = fleet.level()
+    check(status["decided_level"] == "ALERT", f"the decision does not stand: {status}")
+    alerts = [a for a in fleet.alerts() if "was not reached" in a["text"]]
+    check(alerts and alerts[-1]["severity"] == "critical", "no critical alert")
+    check("camera" in alerts[-1]["text"], f"the alert does not name the part: {alerts[-1]['text']}")
+    check(fleet.mode()["mode"] == "__DEFAULT__", "the simulated manager did not lie")
+
+
+def bad_discovery_messages(fleet):
+    """Malformed, truncated and foreign ros_discovery_info: the graph stays right, nobody falls."""
+    fleet.arm("--bad-discovery")
+    fleet.robot.wait_for(lambda line: '"bad_discovery"' in line, 20, "bad messages are sent")
+    time.sleep(1)
+
+    graph = fleet.query("robot", "graph", "r1")
+
+    names = [node["name"] for node in graph["nodes"]]
+    check(names == ["/base", "/camera", "/lidar", "/navigator", "/rips", "/safety"],
+          f"nodes are {names}")
+    check(fleet.sensor.running, "the sensor has ended")
+    check(fleet.level()["decided_level"] == "DEFAULT", "the level has changed")
+
+
+RULE_R = """
+levels:
+  DEFAULT;
+  ALERT soft;
+  COMPROMISED;
+  HALT;
+rules Graph:
+  R: !nodesinclude("/camera", "/lidar", "/base", "/navigator", "/safety", "/rips") && CurrLevel < HALT ? {
+    alert("info: rule R activated");
+    exec("usb_alarm") !> alert("warning: usb_alarm failed");
+    exec("siren") !> alert("warning: siren failed");
+    exec("flood") => alert("flood was drained");
+    trigger(HALT);
+  }
+  unused: false ? trigger(ALERT), trigger(COMPROMISED);
+"""
+
+
+def programs_that_misbehave(fleet):
+    """The paper's rule R, with programs that hang, flood their output, and are not allowed."""
+    fleet.bundle = "paper"
+    fleet.write("bundles/paper/manifest.yaml",
+                "name: paper\nrules: [r.rul]\nlevels: [DEFAULT, ALERT, COMPROMISED, HALT]\n")
+    fleet.write("bundles/paper/r.rul", RULE_R)
+    programs = fleet.dir / "programs"
+    programs.mkdir()
+    for name, text in (("hang", "trap '' TERM\nsleep 600\n"),
+                       ("flood", "head -c 3000000 /dev/zero\n")):
+        path = programs / name
+        path.write_text("#!/bin/sh\n" + text)
+        path.chmod(0o755)
+    fleet.programs = f"""programs:
+  - {{name: usb_alarm, path: {programs}/hang, timeout: 1s}}
+  - {{name: flood, path: {programs}/flood, timeout: 10s}}
+"""
+    fleet.arm()
+
+    fleet.start_intruder("unknown-node")
+
+    fleet.wait_level("HALT", 20)
+    deadline = time.monotonic() + 20
+    wanted = {"info: rule R activated", "warning: usb_alarm failed", "warning: siren failed",
+              "flood was drained"}
+    while not wanted <= {a["text"] for a in fleet.alerts()}:
+        check(time.monotonic() < deadline,
+              f"missing: {wanted - {a['text'] for a in fleet.alerts()}}")
+        time.sleep(0.2)
+    check(any("`siren`" in a["text"] and "not run" in a["text"] for a in fleet.alerts()),
+          "a program that is not on the allow-list is not told")
+
+
+def reload_of_a_broken_bundle(fleet):
+    shutil.copytree(pathlib.Path(__file__).resolve().parents[2] / "rules/warehouse",
+                    fleet.dir / "bundles/warehouse")
+    fleet.arm()
+    bundle = fleet.level()["bundle"]
+    rules = fleet.dir / "bundles/warehouse/warehouse.rul"
+    good = rules.read_text()
+    rules.write_text(good + "\nrules Graph:\n  broken: nodecount(1) ? alert(\"x\");\n")
+
+    fleet.server.child.send_signal(signal.SIGHUP)
+
+    fleet.server.wait_for(lambda line: "bundle refused" in line, 10, "the refusal is logged")
+    check(fleet.level()["bundle"] == bundle, "the old bundle is not in force")
+    rules.write_text(good + "\n# a comment\n")
+    fleet.server.child.send_signal(signal.SIGHUP)
+    deadline = time.monotonic() + 10
+    while fleet.level()["bundle"] == bundle:
+        check(time.monotonic() < deadline, "the new bundle is not in force")
+        time.sleep(0.1)
+    compromise(fleet)
+
+
+SCENARIOS = [kill_server_while_compromised, kill_server_at_the_moment_of_a_raise,
+             kill_sensor_in_the_story, kill_actuator_while_compromised,
+             server_absent_at_agent_start, lost_lease_raises_the_floor, manager_that_lies,
+             bad_discovery_messages, programs_that_misbehave, reload_of_a_broken_bundle]
+
+
+def main():
+    if len(sys.argv) < 3:
+        print("\n".join(scenario.__name__ for scenario in SCENARIOS))
+        return 0
+    scenario = next(each for each in SCENARIOS if each.__name__ == sys.argv[2])
+    # Programs of an allow-list must lie in directories that only root can write: not in /tmp.
+    parent = pathlib.Path(sys.argv[1]).resolve().parent / "scenarios"
+    parent.mkdir(exist_ok=True)
+    directory = pathlib.Path(tempfile.mkdtemp(prefix=scenario.__name__ + ".", dir=parent))
+    fleet = Fleet(sys.argv[1], directory, floor_hold="1s")
+    try:
+        scenario(fleet)
+    except Failed as failed:
+        print(f"FAILED {scenario.__name__}: {failed}")
+        for process in fleet.processes:
+            print(f"--- {process.name}")
+            print("\n".join(text for _, text in process.lines[-25:]))
+        return 1
+    finally:
+        fleet.stop()
+    shutil.rmtree(directory)
+    print(f"passed {scenario.__name__}")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

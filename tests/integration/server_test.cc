@@ -1,0 +1,407 @@
+// The policy server as its peers meet it: real gRPC, real certificates, real store.
+#include "policy_server/server.h"
+
+#include <fstream>
+#include <functional>
+#include <map>
+#include <string>
+
+#include "absl/strings/escaping.h"
+#include "absl/strings/str_cat.h"
+#include "absl/time/clock.h"
+#include "gmock/gmock.h"
+#include "grpcpp/create_channel.h"
+#include "grpcpp/security/credentials.h"
+#include "rips/v1/actuator.grpc.pb.h"
+#include "rips/v1/operator.grpc.pb.h"
+#include "rips/v1/sensor.grpc.pb.h"
+#include "services/base/status_matchers.h"
+#include "services/rpc/bidi_client.h"
+#include "services/rpc/test_pki.h"
+
+namespace rips {
+namespace {
+
+using ::testing::HasSubstr;
+using ::testing::SizeIs;
+
+constexpr char kIncarnation[] = "0123456789abcdef";
+
+// One certificate authority for all tests of this binary; another one is the foreign one.
+rpc::TestPki& Pki() {
+  static auto* pki = new rpc::TestPki;
+  return *pki;
+}
+
+std::string MakeDirectory() {
+  std::string path = absl::StrCat(::testing::TempDir(), "/rips-server-XXXXXX");
+  return mkdtemp(path.data());
+}
+
+class ServerTest : public ::testing::Test {
+ protected:
+  void SetUp() override {
+    dir_ = MakeDirectory();
+    std::ofstream(dir_ + "/robots.yaml")
+        << "robots:\n  - {id: r1, bundle: warehouse, sensors: [{host: base, primary: true}], "
+           "actuators: [base]}\n";
+    config_.id = "ps1";
+    config_.listen = "127.0.0.1:0";
+    config_.trust_domain = "fleet.example";
+    config_.tls = Pki().Server("ps1");
+    config_.inventory = dir_ + "/robots.yaml";
+    config_.bundles_source = RIPS_SOURCE_DIR "/rules";
+    config_.store_path = dir_ + "/state.db";
+    config_.alerts_file = dir_ + "/alerts.jsonl";
+    config_.metrics = "127.0.0.1:0";
+    Start();
+  }
+  void Start() {
+    auto server = server::Server::Start(config_);
+    ASSERT_TRUE(server.ok()) << server.status();
+    server_ = *std::move(server);
+  }
+
+  std::shared_ptr<grpc::Channel> Connect(const TlsFiles& files) {
+    // Kept: letting go of watched certificate files takes up to a second.
+    static auto* loaded = new std::map<std::string, std::shared_ptr<const rpc::Credentials>>;
+    std::shared_ptr<const rpc::Credentials>& credentials = (*loaded)[files.cert];
+    if (credentials == nullptr) {
+      auto fresh = rpc::Credentials::Load(files);
+      EXPECT_TRUE(fresh.ok()) << fresh.status();
+      credentials = *fresh;
+    }
+    return rpc::MakeChannel(server_->address(), credentials->ForClient());
+  }
+  static void SetDeadline(grpc::ClientContext& context, int seconds = 10) {
+    context.set_deadline(std::chrono::system_clock::now() + std::chrono::seconds(seconds));
+  }
+
+  // A sensor's stream as far as the test drives it.
+  struct Sensor {
+    explicit Sensor(const std::shared_ptr<grpc::Channel>& channel)
+        : stub(rips::v1::SensorService::NewStub(channel)) {
+      SetDeadline(context);
+      stream = stub->Observe(&context);
+    }
+    void Hello(const std::string& host = "base", uint32_t protocol = 1,
+               const std::string& incarnation = kIncarnation) {
+      rips::v1::SensorMessage message;
+      auto* hello = message.mutable_hello()->mutable_hello();
+      hello->set_protocol(protocol);
+      hello->set_incarnation(incarnation);
+      hello->set_host(host);
+      hello->mutable_clock()->set_boottime_ns(static_cast<uint64_t>(RealClock().Now().boottime_ns));
+      stream->Write(message);
+    }
+    void Send(const rips::v1::ObservationBatch& batch) {
+      rips::v1::SensorMessage message;
+      *message.mutable_batch() = batch;
+      stream->Write(message);
+    }
+    // Reads up to the first reply of `kind`.
+    bool ReadUntil(rips::v1::SensorReply::KindCase kind, rips::v1::SensorReply* reply) {
+      while (stream->Read(reply)) {
+        if (reply->kind_case() == kind) return true;
+      }
+      return false;
+    }
+    // How the server ends the stream.
+    grpc::Status End() {
+      rips::v1::SensorReply reply;
+      while (stream->Read(&reply)) {
+      }
+      return stream->Finish();
+    }
+    std::unique_ptr<rips::v1::SensorService::Stub> stub;
+    grpc::ClientContext context;
+    std::unique_ptr<grpc::ClientReaderWriter<rips::v1::SensorMessage, rips::v1::SensorReply>>
+        stream;
+  };
+
+  static rips::v1::ObservationBatch Batch(uint64_t first, rips::v1::Lane lane) {
+    rips::v1::ObservationBatch batch;
+    batch.set_incarnation(kIncarnation);
+    batch.set_first_sequence(first);
+    batch.set_lane(lane);
+    batch.set_base_boottime_ns(static_cast<uint64_t>(RealClock().Now().boottime_ns));
+    return batch;
+  }
+  static rips::v1::ObservationBatch Snapshot() {
+    rips::v1::ObservationBatch batch = Batch(1, rips::v1::CONTROL);
+    auto* snapshot = batch.add_observations()->mutable_snapshot();
+    snapshot->set_graph_version(1);
+    snapshot->set_settled(true);
+    const std::string participant = absl::StrCat("PARTICIPANT1", std::string("\0\0\x01\xc1", 4));
+    snapshot->add_participants()->set_guid(participant);
+    auto* node = snapshot->add_nodes();
+    node->set_full_name("/intruder");
+    node->set_participant_guid(participant);
+    return batch;
+  }
+
+  std::string dir_;
+  server::ServerConfig config_;
+  std::unique_ptr<server::Server> server_;
+};
+
+TEST_F(ServerTest, JudgesASensorsGraphAndAcknowledgesItWhenDurable) {
+  Sensor sensor(Connect(Pki().Sensor()));
+  sensor.Hello();
+  rips::v1::SensorReply reply;
+  ASSERT_TRUE(sensor.ReadUntil(rips::v1::SensorReply::kConfig, &reply));
+  EXPECT_TRUE(reply.config().primary());
+  EXPECT_TRUE(reply.config().want_snapshot());
+
+  sensor.Send(Snapshot());
+
+  ASSERT_TRUE(sensor.ReadUntil(rips::v1::SensorReply::kAck, &reply));
+  EXPECT_EQ(reply.ack().durable_sequence(), 1u);
+  auto operators = rips::v1::OperatorService::NewStub(Connect(Pki().Operator("viewer", "bob")));
+  grpc::ClientContext context;
+  SetDeadline(context);
+  rips::v1::ListAlertsRequest request;
+  rips::v1::ListAlertsResponse alerts;
+  ASSERT_TRUE(operators->ListAlerts(&context, request, &alerts).ok());
+  ASSERT_THAT(alerts.alerts(), SizeIs(1));
+  EXPECT_EQ(alerts.alerts(0).rule(), "stranger_came");
+}
+
+TEST_F(ServerTest, RefusesRobotsAndHostsThatAreNotListed) {
+  Sensor other_robot(Connect(Pki().Sensor("r2", "base")));
+  other_robot.Hello();
+  EXPECT_EQ(other_robot.End().error_code(), grpc::StatusCode::PERMISSION_DENIED);
+
+  Sensor other_host(Connect(Pki().Sensor("r1", "laptop")));
+  other_host.Hello("laptop");
+  EXPECT_EQ(other_host.End().error_code(), grpc::StatusCode::PERMISSION_DENIED);
+}
+
+TEST_F(ServerTest, AHelloCannotClaimAnotherHost) {
+  Sensor sensor(Connect(Pki().Sensor()));
+
+  sensor.Hello("laptop");
+
+  EXPECT_EQ(sensor.End().error_code(), grpc::StatusCode::PERMISSION_DENIED);
+}
+
+TEST_F(ServerTest, ARoleCannotPlayAnother) {
+  Sensor actuator_as_sensor(Connect(Pki().Actuator()));
+  actuator_as_sensor.Hello();
+  EXPECT_EQ(actuator_as_sensor.End().error_code(), grpc::StatusCode::PERMISSION_DENIED);
+
+  auto actuators = rips::v1::ActuatorService::NewStub(Connect(Pki().Sensor()));
+  grpc::ClientContext context;
+  SetDeadline(context);
+  auto stream = actuators->Attach(&context);
+  rips::v1::ActuatorReply reply;
+  EXPECT_FALSE(stream->Read(&reply));
+  EXPECT_EQ(stream->Finish().error_code(), grpc::StatusCode::PERMISSION_DENIED);
+
+  auto operators = rips::v1::OperatorService::NewStub(Connect(Pki().Sensor()));
+  grpc::ClientContext list;
+  SetDeadline(list);
+  rips::v1::ListRobotsResponse robots;
+  EXPECT_EQ(operators->ListRobots(&list, {}, &robots).error_code(),
+            grpc::StatusCode::PERMISSION_DENIED);
+}
+
+TEST_F(ServerTest, AViewerMayLookButNotChange) {
+  auto operators = rips::v1::OperatorService::NewStub(Connect(Pki().Operator("viewer", "bob")));
+  grpc::ClientContext list;
+  SetDeadline(list);
+  rips::v1::ListRobotsResponse robots;
+  ASSERT_TRUE(operators->ListRobots(&list, {}, &robots).ok());
+  ASSERT_THAT(robots.robots(), SizeIs(1));
+  EXPECT_EQ(robots.robots(0).decided_level(), "DEFAULT");
+
+  rips::v1::LevelRequest request;
+  request.set_robot("r1");
+  request.set_to("HALT");
+  request.set_reason("trying");
+  rips::v1::LevelResponse response;
+  for (const bool raise : {true, false}) {
+    grpc::ClientContext context;
+    SetDeadline(context);
+    const grpc::Status status = raise ? operators->Raise(&context, request, &response)
+                                      : operators->DeEscalate(&context, request, &response);
+    EXPECT_EQ(status.error_code(), grpc::StatusCode::PERMISSION_DENIED);
+    EXPECT_THAT(status.error_message(), HasSubstr("needs the role `operator`"));
+  }
+}
+
+TEST_F(ServerTest, RefusesAForeignAuthorityAndNoCertificate) {
+  rpc::TestPki foreign;
+  TlsFiles mixed = foreign.Sensor();
+  mixed.ca = Pki().Sensor().ca;
+  auto read = [](const std::string& path) {
+    std::ifstream in(path);
+    return std::string(std::istreambuf_iterator<char>(in), {});
+  };
+  for (const bool with_certificate : {true, false}) {
+    grpc::SslCredentialsOptions options{.pem_root_certs = read(mixed.ca)};
+    if (with_certificate) {
+      options.pem_private_key = read(mixed.key);
+      options.pem_cert_chain = read(mixed.cert);
+    }
+    grpc::ChannelArguments arguments;
+    auto channel =
+        grpc::CreateCustomChannel(server_->address(), grpc::SslCredentials(options), arguments);
+    auto operators = rips::v1::OperatorService::NewStub(channel);
+    grpc::ClientContext context;
+    SetDeadline(context);
+    rips::v1::ListRobotsResponse robots;
+    EXPECT_EQ(operators->ListRobots(&context, {}, &robots).error_code(),
+              grpc::StatusCode::UNAVAILABLE)
+        << with_certificate;
+  }
+}
+
+TEST_F(ServerTest, PlainTextOnTheTlsPortIsRefusedAndOthersAreServed) {
+  auto channel = grpc::CreateChannel(server_->address(), grpc::InsecureChannelCredentials());
+  auto plain = rips::v1::OperatorService::NewStub(channel);
+  grpc::ClientContext context;
+  SetDeadline(context);
+  rips::v1::ListRobotsResponse robots;
+  EXPECT_EQ(plain->ListRobots(&context, {}, &robots).error_code(), grpc::StatusCode::UNAVAILABLE);
+
+  auto operators = rips::v1::OperatorService::NewStub(Connect(Pki().Operator()));
+  grpc::ClientContext second;
+  SetDeadline(second);
+  EXPECT_TRUE(operators->ListRobots(&second, {}, &robots).ok());
+}
+
+TEST_F(ServerTest, ClosesMalformedStreamsWithAReason) {
+  struct Case {
+    const char* name;
+    std::function<void(Sensor&)> send;
+    grpc::StatusCode code;
+    const char* text;
+  };
+  const std::vector<Case> cases = {
+      {"no hello", [](Sensor& s) { s.Send(Snapshot()); }, grpc::StatusCode::INVALID_ARGUMENT,
+       "must be a hello"},
+      {"two hellos", [](Sensor& s) { s.Hello(), s.Hello(); }, grpc::StatusCode::INVALID_ARGUMENT,
+       "second hello"},
+      {"newer protocol", [](Sensor& s) { s.Hello("base", 2); },
+       grpc::StatusCode::FAILED_PRECONDITION, "newer"},
+      {"short incarnation", [](Sensor& s) { s.Hello("base", 1, "short"); },
+       grpc::StatusCode::INVALID_ARGUMENT, "incarnation has 5 bytes"},
+      {"empty batch", [](Sensor& s) { s.Hello(), s.Send(Batch(1, rips::v1::CONTROL)); },
+       grpc::StatusCode::INVALID_ARGUMENT, "empty batch"},
+      {"gap in control",
+       [](Sensor& s) {
+         auto batch = Snapshot();
+         batch.set_first_sequence(5);
+         s.Hello(), s.Send(batch);
+       },
+       grpc::StatusCode::INVALID_ARGUMENT, "is missing"},
+      {"no lane",
+       [](Sensor& s) {
+         auto batch = Snapshot();
+         batch.set_lane(rips::v1::LANE_UNSPECIFIED);
+         s.Hello(), s.Send(batch);
+       },
+       grpc::StatusCode::INVALID_ARGUMENT, "unknown lane"},
+      {"truncated guid",
+       [](Sensor& s) {
+         auto batch = Snapshot();
+         batch.mutable_observations(0)->mutable_snapshot()->mutable_participants(0)->set_guid("x");
+         s.Hello(), s.Send(batch);
+       },
+       grpc::StatusCode::INVALID_ARGUMENT, ""},
+      {"unknown participant",
+       [](Sensor& s) {
+         auto batch = Snapshot();
+         batch.mutable_observations(0)->mutable_snapshot()->clear_participants();
+         s.Hello(), s.Send(batch);
+       },
+       grpc::StatusCode::INVALID_ARGUMENT, ""},
+      {"ids never interned",
+       [](Sensor& s) {
+         auto batch = Batch(1, rips::v1::MESSAGES);
+         batch.add_observations()->mutable_message()->set_topic_id(7);
+         s.Hello(), s.Send(batch);
+       },
+       grpc::StatusCode::INVALID_ARGUMENT, "not interned"},
+      {"too many observations",
+       [](Sensor& s) {
+         auto batch = Batch(1, rips::v1::CONTROL);
+         for (int i = 0; i < 257; ++i) batch.add_observations()->mutable_signal()->set_name("x");
+         s.Hello(), s.Send(batch);
+       },
+       grpc::StatusCode::RESOURCE_EXHAUSTED, "limit of 256"},
+      {"too large a message",
+       [](Sensor& s) {
+         auto batch = Batch(1, rips::v1::CONTROL);
+         batch.add_observations()->mutable_signal()->set_name(std::string(5 << 20, 'x'));
+         s.Hello(), s.Send(batch);
+       },
+       grpc::StatusCode::RESOURCE_EXHAUSTED, ""},
+  };
+  const auto channel = Connect(Pki().Sensor());
+  for (const Case& each : cases) {
+    grpc::Status status;
+    // The server may learn a little later than we do that the former stream has ended.
+    for (int attempt = 0; attempt < 50; ++attempt) {
+      Sensor sensor(channel);
+      each.send(sensor);
+      status = sensor.End();
+      if (status.error_code() != grpc::StatusCode::ALREADY_EXISTS) break;
+      absl::SleepFor(absl::Milliseconds(50));
+    }
+    EXPECT_EQ(status.error_code(), each.code) << each.name << ": " << status.error_message();
+    EXPECT_THAT(status.error_message(), HasSubstr(each.text)) << each.name;
+  }
+}
+
+TEST_F(ServerTest, ARestartKeepsTheLevelAndDrawsAHigherTerm) {
+  auto raise = [&] {
+    auto operators = rips::v1::OperatorService::NewStub(Connect(Pki().Operator("operator", "al")));
+    grpc::ClientContext context;
+    SetDeadline(context);
+    rips::v1::LevelRequest request;
+    request.set_robot("r1");
+    request.set_to("COMPROMISED");
+    request.set_reason("drill");
+    rips::v1::LevelResponse response;
+    const grpc::Status status = operators->Raise(&context, request, &response);
+    EXPECT_TRUE(status.ok()) << status.error_message();
+    return response.mark().epoch();
+  };
+  EXPECT_EQ(raise(), 2u);
+
+  server_.reset();
+  Start();
+
+  auto operators = rips::v1::OperatorService::NewStub(Connect(Pki().Operator()));
+  grpc::ClientContext context;
+  SetDeadline(context);
+  rips::v1::GetLevelRequest request;
+  request.set_robot("r1");
+  rips::v1::GetLevelResponse level;
+  ASSERT_TRUE(operators->GetLevel(&context, request, &level).ok());
+  EXPECT_EQ(level.status().decided_level(), "COMPROMISED");
+  EXPECT_EQ(level.status().mark().term(), 1u);
+  EXPECT_EQ(level.last().cause(), "operator al");
+  EXPECT_EQ(level.last().reason(), "drill");
+}
+
+TEST_F(ServerTest, SaysWhatIsWrongWithItsFiles) {
+  server_.reset();
+  server::ServerConfig config = config_;
+  config.tls = Pki().Sensor();
+  EXPECT_THAT(server::Server::Start(config).status(),
+              StatusIs(absl::StatusCode::kInvalidArgument, HasSubstr("is the certificate of")));
+  config = config_;
+  config.inventory = dir_ + "/nowhere.yaml";
+  EXPECT_THAT(server::Server::Start(config).status(),
+              StatusIs(absl::StatusCode::kNotFound, HasSubstr("nowhere.yaml")));
+  config = config_;
+  config.bundles_source = dir_;
+  EXPECT_THAT(server::Server::Start(config).status(),
+              StatusIs(absl::StatusCode::kNotFound, HasSubstr("warehouse")));
+}
+
+}  // namespace
+}  // namespace rips

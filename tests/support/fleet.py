@@ -1,0 +1,328 @@
+"""One robot and its RIPS on this machine, from the real binaries: for the demo and for tests.
+
+Every process listens on a free port of the loopback interface, has its files in one directory and
+its DDS domain to itself, and is ended by pid.
+"""
+
+import datetime
+import json
+import os
+import pathlib
+import random
+import re
+import signal
+import subprocess
+import sys
+import threading
+import time
+
+SOURCE = pathlib.Path(__file__).resolve().parents[2]
+LEVELS = ["DEFAULT", "ALERT", "COMPROMISED", "HALT"]
+MODES = {"DEFAULT": "__DEFAULT__"}
+
+
+class Failed(Exception):
+    """A step did not come out as it must; the text says how."""
+
+
+def unix_ns(time_text):
+    """RFC 3339 in UTC, any number of decimals, to nanoseconds since the Unix epoch."""
+    whole, _, fraction = time_text.rstrip("Z").partition(".")
+    base = datetime.datetime.strptime(whole, "%Y-%m-%dT%H:%M:%S").replace(
+        tzinfo=datetime.timezone.utc)
+    return int(base.timestamp()) * 10**9 + int((fraction + "0" * 9)[:9])
+
+
+class Process:
+    """A child process. Its lines are kept, with the time they came, and written to NAME.log."""
+
+    def __init__(self, name, args, directory, env=None):
+        self.name = name
+        self.lines = []  # (monotonic seconds, text)
+        self._changed = threading.Condition()
+        self._log = open(pathlib.Path(directory) / f"{name}.log", "ab", buffering=0)
+        self.child = subprocess.Popen(
+            [str(arg) for arg in args], stdin=subprocess.DEVNULL, stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT, env=env, start_new_session=True)
+        self._reader = threading.Thread(target=self._read, daemon=True)
+        self._reader.start()
+
+    def _read(self):
+        for raw in self.child.stdout:
+            self._log.write(raw)
+            with self._changed:
+                self.lines.append((time.monotonic(), raw.decode("utf-8", "replace").rstrip("\n")))
+                self._changed.notify_all()
+
+    @property
+    def running(self):
+        return self.child.poll() is None
+
+    def events(self):
+        """The lines that are JSON objects."""
+        with self._changed:
+            texts = [text for _, text in self.lines if text.startswith("{")]
+        return [json.loads(text) for text in texts]
+
+    def wait_for(self, found, seconds, what, start=0):
+        """The first line from `start` on for which found(text) is true, as (index, its value)."""
+        deadline = time.monotonic() + seconds
+        index = start
+        with self._changed:
+            while True:
+                while index < len(self.lines):
+                    value = found(self.lines[index][1])
+                    if value:
+                        return index, value
+                    index += 1
+                left = deadline - time.monotonic()
+                if left <= 0:
+                    raise Failed(f"{what}: not within {seconds:g} s; see {self._log.name}")
+                if not self.running and not self._reader.is_alive():
+                    raise Failed(f"{what}: {self.name} ended with code {self.child.returncode}; "
+                                 f"see {self._log.name}")
+                self._changed.wait(min(left, 0.2))
+
+    def kill(self, sig=signal.SIGTERM, seconds=10):
+        if self.running:
+            os.kill(self.child.pid, sig)
+        try:
+            self.child.wait(seconds)
+        except subprocess.TimeoutExpired:
+            os.kill(self.child.pid, signal.SIGKILL)
+            self.child.wait(seconds)
+            if sig != signal.SIGKILL:
+                raise Failed(f"{self.name} did not end within {seconds} s of signal {sig}") from None
+        self._reader.join(2)
+        return self.child.returncode
+
+
+class Fleet:
+    """Robot `r1` with one host `base`, watched and commanded by one policy server."""
+
+    def __init__(self, binaries, directory, bundle="warehouse", fail_safe="ALERT",
+                 floor_hold="10s", programs=""):
+        self.bin = pathlib.Path(binaries).resolve()
+        self.dir = pathlib.Path(directory).resolve()
+        self.dir.mkdir(parents=True, exist_ok=True)
+        self.domain = random.randint(100, 220)
+        self.bundle = bundle
+        self.fail_safe = fail_safe
+        self.floor_hold = floor_hold
+        self.programs = programs  # YAML list of actuator.yaml
+        self.processes = []
+        self.port = None
+        self.smh = SOURCE / "tests/support/robot_sim/smh.yaml"
+        # Only loopback, whatever the caller's environment says.
+        self.env = {key: value for key, value in os.environ.items()
+                    if key != "CYCLONEDDS_URI" and not key.startswith("RIPSCTL_")}
+
+    # ------------------------------------------------------------------------------- set-up
+
+    def mint(self, *args):
+        subprocess.run([SOURCE / "deploy/pki/mint", "--dir", self.dir / "pki", "--trust-domain",
+                        "fleet.example", *args], check=True, stdout=subprocess.DEVNULL)
+
+    def tls(self, *path):
+        directory = self.dir.joinpath("pki", *path)
+        return (f"{{ca: {directory}/ca.pem, cert: {directory}/cert.pem, "
+                f"key: {directory}/key.pem}}")
+
+    def write(self, name, text):
+        path = self.dir / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(text)
+        return path
+
+    def prepare(self):
+        """Certificates, directories and the server's files; the agents' when its port is known."""
+        self.mint("init")
+        self.mint("server", "ps1")
+        self.mint("sensor", "r1", "base")
+        self.mint("actuator", "r1", "base")
+        self.mint("operator", "operator", "alice")
+        for name in ("server", "sensor", "actuator"):
+            (self.dir / name).mkdir(exist_ok=True)
+        self.write("robots.yaml", f"""robots:
+  - {{id: r1, bundle: {self.bundle}, sensors: [{{host: base, primary: true}}], actuators: [base]}}
+""")
+        self.write_server_config(0)
+
+    def write_server_config(self, port):
+        self.write("policy-server.yaml", f"""id: ps1
+listen: "127.0.0.1:{port}"
+trust_domain: fleet.example
+tls: {self.tls("server", "ps1")}
+inventory: {self.dir}/robots.yaml
+bundles: {{source: {self.bundles_source()}, dir: {self.dir}/server/bundles}}
+store: {{kind: sqlite, path: {self.dir}/server/state.db}}
+alerts: {{file: {self.dir}/server/alerts.jsonl}}
+metrics: "127.0.0.1:0"
+""")
+
+    def bundles_source(self):
+        own = self.dir / "bundles"
+        return own if own.exists() else SOURCE / "rules"
+
+    def write_agent_configs(self):
+        common = f"""robot: r1
+host: base
+servers: ["127.0.0.1:{self.port}"]
+dds: {{domain: {self.domain}, interface: lo}}
+metrics: "127.0.0.1:0"
+"""
+        self.write("sensor.yaml", common + f"""tls: {self.tls("sensor", "r1", "base")}
+state_dir: {self.dir}/sensor
+""")
+        levels = "".join(
+            f"""  - name: {level}
+    enter:
+      - {{system_mode: {{part: /safety, mode: {MODES.get(level, level)}}}, timeout: 4s, retries: 2}}
+    leave: []
+""" for level in LEVELS)
+        self.write("actuator.yaml", common + f"""tls: {self.tls("actuator", "r1", "base")}
+state_dir: {self.dir}/actuator
+fail_safe: {{level: {self.fail_safe}, after: 0s}}
+system_modes: {{smh: {self.smh}, verify: parts}}
+timing: {{floor_hold: {self.floor_hold}}}
+levels:
+{levels}{self.programs}""")
+
+    # ---------------------------------------------------------------------------- processes
+
+    def start(self, name, *args):
+        process = Process(name, args, self.dir, self.env)
+        self.processes.append(process)
+        return process
+
+    def start_robot(self, *options):
+        robot = self.start("robot", self.bin / "robot_sim", "robot", "--domain", self.domain,
+                           "--smh", self.smh, *options)
+        robot.wait_for(lambda line: '"event":"ready"' in line, 15, "the robot starts")
+        return robot
+
+    def _ready(self, process, path, what):
+        deadline = time.monotonic() + 15
+        while not path.exists() or not path.read_text().strip():
+            if not process.running:
+                last = process.lines[-1][1] if process.lines else "it printed nothing"
+                raise Failed(f"{what} ended with code {process.child.returncode}: {last}")
+            if time.monotonic() > deadline:
+                raise Failed(f"{what} is not ready after 15 s; see {self.dir}/{process.name}.log")
+            time.sleep(0.02)
+        return path.read_text().strip()
+
+    def start_server(self):
+        """Starts the policy server; again on the port it had."""
+        ready = self.dir / "server/ready"
+        ready.unlink(missing_ok=True)
+        if self.port is not None:
+            self.write_server_config(self.port)
+        server = self.start("policy-server", self.bin / "rips-policy-server", "--config",
+                            self.dir / "policy-server.yaml", "--ready-file", ready)
+        address = self._ready(server, ready, "the policy server")
+        self.port = int(address.rsplit(":", 1)[1])
+        return server
+
+    def start_agent(self, role, wait=True):
+        self.write_agent_configs()
+        ready = self.dir / role / "ready"
+        ready.unlink(missing_ok=True)
+        agent = self.start(role, self.bin / f"rips-{role}", "--config", self.dir / f"{role}.yaml",
+                           "--ready-file", ready)
+        if wait:
+            self._ready(agent, ready, f"the {role}")
+        return agent
+
+    def start_intruder(self, mode, *options):
+        return self.start("intruder", self.bin / "robot_sim", "intruder", "--domain", self.domain,
+                          "--mode", mode, *options)
+
+    def start_camera_probe(self):
+        return self.start("camera", self.bin / "robot_sim", "probe", "--domain", self.domain,
+                          "--window-ms", "1000")
+
+    def stop(self):
+        for process in reversed(self.processes):
+            try:
+                process.kill()
+            except Failed as failed:
+                print(f"warning: {failed}", file=sys.stderr)
+        self.processes = []
+
+    # ------------------------------------------------------------------------------ ripsctl
+
+    def ripsctl_args(self, *args):
+        pki = self.dir / "pki/operator/operator/alice"
+        return [str(self.bin / "ripsctl"), "--server", f"127.0.0.1:{self.port}", "--ca",
+                f"{pki}/ca.pem", "--cert", f"{pki}/cert.pem", "--key", f"{pki}/key.pem", *args]
+
+    def ripsctl(self, *args, check=True):
+        """Runs ripsctl; gives (exit code, stdout, stderr)."""
+        done = subprocess.run(self.ripsctl_args(*args), stdin=subprocess.DEVNULL,
+                              capture_output=True, text=True, timeout=30, env=self.env)
+        if check and done.returncode != 0:
+            raise Failed(f"ripsctl {' '.join(args)} ended with code {done.returncode}: "
+                         f"{done.stderr.strip()}")
+        return done.returncode, done.stdout, done.stderr
+
+    def query(self, *args):
+        """The JSON answer of a ripsctl command."""
+        return json.loads(self.ripsctl("--output", "json", *args)[1])
+
+    def level(self):
+        """The robot's status: decided_level, effective_level, stage, mark, degraded."""
+        return self.query("level", "show", "r1")["status"]
+
+    def history(self):
+        """Decisions and refusals, oldest first."""
+        return self.query("level", "history", "r1", "--limit", "1000")["transitions"][::-1]
+
+    def alerts(self):
+        """Alerts, oldest first."""
+        return self.query("alert", "list", "r1", "--limit", "1000")["alerts"][::-1]
+
+    def wait_level(self, level, seconds, stage="verified", effective=None):
+        """Waits until `level` is decided, has reached `stage`, and the robot is held at
+        `effective` (the same level unless said otherwise)."""
+        deadline = time.monotonic() + seconds
+        effective = effective or level
+        while True:
+            status = self.level()
+            if (status["decided_level"], status["stage"], status["effective_level"]) == (
+                    level, stage, effective):
+                return status
+            if time.monotonic() > deadline:
+                raise Failed(f"the robot is not at {level} ({stage}) after {seconds:g} s, but at "
+                             f"{status['decided_level']} ({status['stage']}), held at "
+                             f"{status['effective_level']}; {'; '.join(status['degraded'])}")
+            time.sleep(0.1)
+
+    def mode(self):
+        """The System Mode read back from the robot, with the state of each part."""
+        done = subprocess.run(
+            [self.bin / "robot_sim", "mode", "--domain", str(self.domain), "--smh", self.smh],
+            capture_output=True, text=True, timeout=30, env=self.env)
+        for line in done.stdout.splitlines():
+            event = json.loads(line)
+            if event.get("event") == "mode_of":
+                return event
+        raise Failed(f"the mode could not be read back: {done.stderr.strip()}")
+
+    def arm(self, *robot_options, seconds=40):
+        """Robot, server, sensor and actuator, up to DEFAULT verified and no floor."""
+        self.prepare()
+        self.robot = self.start_robot(*robot_options)
+        self.server = self.start_server()
+        self.sensor = self.start_agent("sensor")
+        self.actuator = self.start_agent("actuator")
+        return self.wait_level("DEFAULT", seconds)
+
+
+LOG_LINE = re.compile(r"^(\d{4}-\d\d-\d\dT[\d:.]+Z) (\w+) (.*)$")
+
+
+def log_time(text):
+    """Unix time in ns of a daemon's log line, or None."""
+    match = LOG_LINE.match(text)
+    return unix_ns(match.group(1)) if match else None

@@ -1,0 +1,96 @@
+// The subcommands of `robot_sim`. Each runs until it is done or `stop` is set, prints one JSON
+// object per line on stdout, and logs for people on stderr. Every line has "event" and "unix_ns"
+// (CLOCK_REALTIME); the rest is listed with each command.
+#ifndef RIPS_TESTS_SUPPORT_ROBOT_SIM_COMMANDS_H_
+#define RIPS_TESTS_SUPPORT_ROBOT_SIM_COMMANDS_H_
+
+#include <cstdint>
+#include <string>
+
+#include "absl/status/status.h"
+#include "absl/status/statusor.h"
+#include "absl/time/time.h"
+#include "services/dds/participant.h"
+#include "services/ros2/discovery_info.h"
+#include "tests/support/robot_sim/mode_machine.h"
+#include "tests/support/robot_sim/stop_flag.h"
+
+namespace rips::robot_sim {
+
+struct RobotCommand {
+  dds::DomainOptions domain;
+  std::string smh_file;
+  std::string system = "/safety";
+  // The node that serves the modes; mode_manager calls itself /__mode_manager.
+  std::string manager_node = "/safety";
+  ManagerConduct conduct = ManagerConduct::kHonest;
+  absl::Duration transition = absl::Milliseconds(150);
+  // How long change_mode takes to answer.
+  absl::Duration answer_delay = absl::ZeroDuration();
+  ros2::GidBytes gid_bytes = ros2::GidBytes::k24;
+  // A further participant that sends BadDiscoveryMessages, one every 100 ms.
+  bool bad_discovery = false;
+};
+// {"event":"ready","mode":"__DEFAULT__","nodes":[...]}
+// {"event":"mode","mode":"ALERT"}     when the mode is reached ("" = none fits)
+// {"event":"bad_discovery","sent":9}  when each message was sent once
+absl::Status RunRobot(const RobotCommand& command, StopFlag& stop);
+
+enum class IntruderKind {
+  kUnknownNode,  // subscribes to /camera/image_raw
+  kRogueCmdVel,  // publishes /cmd_vel at 20 Hz
+};
+
+struct IntruderCommand {
+  dds::DomainOptions domain;
+  IntruderKind kind = IntruderKind::kUnknownNode;
+  std::string node = "/intruder";
+  // Endpoints only: no node, nothing on `ros_discovery_info`.
+  bool anonymous = false;
+  ros2::GidBytes gid_bytes = ros2::GidBytes::k24;
+};
+// {"event":"announced","node":"/intruder"}           the node stands on ros_discovery_info
+// {"event":"first_sample","topic":"/cmd_vel"}        time taken just before the write (rogue)
+//                                                    or on reception (unknown node)
+absl::Status RunIntruder(const IntruderCommand& command, StopFlag& stop);
+
+struct ProbeCommand {
+  dds::DomainOptions domain;
+  std::string topic = "/camera/image_raw";
+  std::string type = "sensor_msgs/msg/Image";
+  absl::Duration window = absl::Seconds(1);
+  // Windows to measure; 0 = until stopped.
+  int64_t count = 0;
+  // Announce this node; empty = a plain DDS participant.
+  std::string node;
+};
+// {"event":"ready","topic":...}
+// {"event":"rate","topic":...,"hz":15.0,"samples":15,"window_ms":1000,"last_sample_unix_ns":...}
+absl::Status RunProbe(const ProbeCommand& command, StopFlag& stop);
+
+struct ModeCommand {
+  dds::DomainOptions domain;
+  std::string part = "/safety";
+  // For `mode`: also read back the nodes of the part named here, if given.
+  std::string smh_file;
+  // For `set-mode`.
+  std::string mode;
+  // For discovery and the answer, per service.
+  absl::Duration timeout = absl::Seconds(5);
+  // For `set-mode`: how long to wait for get_mode to give the mode; zero = do not ask.
+  absl::Duration wait = absl::ZeroDuration();
+};
+// {"event":"mode_of","part":"/safety","mode":"ALERT","state":"active","available":[...],
+//  "parts":[{"part":"/camera","state":"inactive","parameters":{"frame_rate":"15"}},...]}
+absl::Status RunMode(const ModeCommand& command, StopFlag& stop);
+// {"event":"set_mode","part":"/safety","mode":"ALERT","success":true}
+// {"event":"reached","part":"/safety","mode":"ALERT"}
+// FailedPrecondition if the answer is no; DeadlineExceeded if the mode was not reached.
+absl::Status RunSetMode(const ModeCommand& command, StopFlag& stop);
+
+// The file's text. NotFound if it cannot be read.
+absl::StatusOr<std::string> ReadFile(const std::string& path);
+
+}  // namespace rips::robot_sim
+
+#endif  // RIPS_TESTS_SUPPORT_ROBOT_SIM_COMMANDS_H_

@@ -1,0 +1,388 @@
+#include "tests/support/robot_sim/robot.h"
+
+#include <algorithm>
+#include <optional>
+#include <utility>
+#include <variant>
+
+#include "absl/strings/str_cat.h"
+#include "services/base/status_macros.h"
+#include "services/ros2/system_modes_messages.h"
+
+namespace rips::robot_sim {
+
+// One publisher of one part.
+struct Robot::TopicSpec {
+  enum class Content { kImage, kScan, kTwist, kOdometry };
+  Content content;
+  absl::string_view node;
+  absl::string_view topic;
+  absl::string_view type;
+  bool sensor_data;  // else reliable
+  // The parameter with the rate in Hz; `hz` where the node has none.
+  absl::string_view rate_parameter;
+  double hz;
+};
+
+namespace {
+
+constexpr absl::string_view kTwistType = "geometry_msgs/msg/Twist";
+constexpr absl::string_view kTransitionEventType = "lifecycle_msgs/msg/TransitionEvent";
+constexpr absl::string_view kModeEventType = "system_modes_msgs/msg/ModeEvent";
+// A base that hears no command for so long stands still.
+constexpr int64_t kCommandTimeoutNs = 500 * kNanosPerMilli;
+// Part of `max_speed` the navigator asks for.
+constexpr double kCruise = 0.8;
+constexpr double kOdometryHz = 20;
+
+// lifecycle_msgs/msg/State before, during and after a change.
+ros2::LifecycleLabel Settled(bool active) {
+  return active ? ros2::LifecycleLabel{3, "active"} : ros2::LifecycleLabel{2, "inactive"};
+}
+ros2::LifecycleLabel Changing(bool to_active) {
+  return to_active ? ros2::LifecycleLabel{13, "activating"}
+                   : ros2::LifecycleLabel{14, "deactivating"};
+}
+
+double NumberOr(const NodeState& node, absl::string_view parameter, double fallback) {
+  const auto it = node.parameters.find(parameter);
+  const double* value = it == node.parameters.end() ? nullptr : std::get_if<double>(&it->second);
+  return value == nullptr || *value <= 0 ? fallback : *value;
+}
+
+actuator::ParameterMap Changed(const actuator::ParameterMap& from,
+                               const actuator::ParameterMap& to) {
+  actuator::ParameterMap changed;
+  for (const auto& [name, value] : to) {
+    if (const auto it = from.find(name); it == from.end() || it->second != value) {
+      changed.emplace(name, value);
+    }
+  }
+  return changed;
+}
+
+// The process a part lives in: the two drivers share one, as composed nodes do.
+absl::string_view ProcessOf(absl::string_view part) {
+  return part == "/camera" || part == "/lidar" ? "drivers" : part;
+}
+
+}  // namespace
+
+Robot::Robot(ModeMachine machine, const RobotOptions& options)
+    : options_(options), machine_(std::move(machine)) {
+  told_nodes_ = machine_.nodes();
+  told_mode_ = machine_.TrueMode();
+}
+
+absl::StatusOr<std::unique_ptr<Robot>> Robot::Create(std::shared_ptr<const dds::Domain> domain,
+                                                     ModeMachine machine,
+                                                     const RobotOptions& options) {
+  const absl::btree_map<std::string, NodeState> parts = machine.nodes();
+  std::unique_ptr<Robot> robot(new Robot(std::move(machine), options));
+  absl::btree_map<std::string, RosProcess*> by_name;
+  const auto process_named = [&](absl::string_view name) -> absl::StatusOr<RosProcess*> {
+    RosProcess*& process = by_name[std::string(name)];
+    if (process == nullptr) {
+      RIPS_ASSIGN_OR_RETURN(std::unique_ptr<RosProcess> created,
+                            RosProcess::Create(domain, options.gid_bytes));
+      process = created.get();
+      robot->processes_.push_back(std::move(created));
+    }
+    return process;
+  };
+  for (const auto& [name, unused] : parts) {
+    RIPS_ASSIGN_OR_RETURN(RosProcess * process, process_named(ProcessOf(name)));
+    RIPS_RETURN_IF_ERROR(robot->AddPart(*process, name));
+  }
+  if (options.conduct != ManagerConduct::kAbsent) {
+    RIPS_ASSIGN_OR_RETURN(RosProcess * process, process_named(options.manager_node));
+    RIPS_RETURN_IF_ERROR(robot->AddManager(*process));
+  }
+  for (const std::unique_ptr<RosProcess>& process : robot->processes_) {
+    RIPS_RETURN_IF_ERROR(process->Announce());
+  }
+  return robot;
+}
+
+absl::Status Robot::AddPart(RosProcess& process, const std::string& name) {
+  RIPS_ASSIGN_OR_RETURN(RosNode * node, process.AddNode(name, [this, name] {
+    MutexLock lock(&mu_);
+    return machine_.nodes().at(name).parameters;
+  }));
+  part_writers_[name] = {.log = node->log(), .parameter_events = node->parameter_events()};
+  RIPS_RETURN_IF_ERROR(AddLifecycle(*node));
+  return AddTopics(*node);
+}
+
+absl::Status Robot::AddLifecycle(RosNode& node) {
+  const std::string name = node.full_name();
+  RIPS_ASSIGN_OR_RETURN(
+      part_writers_[name].transition_event,
+      node.Publish(absl::StrCat(name, "/transition_event"), kTransitionEventType, DefaultQos()));
+  RIPS_RETURN_IF_ERROR(
+      node.Serve(absl::StrCat(name, "/change_state"), ros2::kChangeStateType,
+                 [this, name](absl::string_view request) -> std::optional<std::string> {
+                   const auto transition = ros2::DecodeChangeStateRequest(request);
+                   if (!transition.ok()) {
+                     return std::nullopt;
+                   }
+                   MutexLock lock(&mu_);
+                   return ros2::EncodeSuccessReply(machine_.ChangeState(name, transition->id));
+                 }));
+  RIPS_RETURN_IF_ERROR(node.Serve(
+      absl::StrCat(name, "/get_state"), ros2::kGetStateType, [this, name](absl::string_view) {
+        MutexLock lock(&mu_);
+        const Lifecycle state = machine_.State(name);
+        return ros2::EncodeGetStateReply({static_cast<uint8_t>(state), std::string(Label(state))});
+      }));
+  RIPS_RETURN_IF_ERROR(node.Serve(absl::StrCat(name, "/get_available_states"),
+                                  "lifecycle_msgs/srv/GetAvailableStates"));
+  for (const absl::string_view service : {"/get_available_transitions", "/get_transition_graph"}) {
+    RIPS_RETURN_IF_ERROR(
+        node.Serve(absl::StrCat(name, service), "lifecycle_msgs/srv/GetAvailableTransitions"));
+  }
+  return absl::OkStatus();
+}
+
+absl::Status Robot::AddTopics(RosNode& node) {
+  using Content = TopicSpec::Content;
+  static constexpr TopicSpec kTopics[] = {
+      {Content::kImage, "/camera", "/camera/image_raw", "sensor_msgs/msg/Image", true, "frame_rate",
+       15},
+      {Content::kScan, "/lidar", "/scan", "sensor_msgs/msg/LaserScan", true, "scan_rate", 10},
+      {Content::kTwist, "/navigator", "/cmd_vel", kTwistType, false, "", 10},
+      {Content::kOdometry, "/base", "/odom", "nav_msgs/msg/Odometry", false, "", kOdometryHz},
+  };
+  for (const TopicSpec& spec : kTopics) {
+    if (spec.node != node.full_name()) {
+      continue;
+    }
+    RIPS_ASSIGN_OR_RETURN(
+        dds::RawWriter * writer,
+        node.Publish(spec.topic, spec.type, spec.sensor_data ? SensorDataQos() : DefaultQos()));
+    beats_.push_back({.spec = &spec, .writer = writer});
+  }
+  if (node.full_name() == "/base") {
+    return node.Subscribe("/cmd_vel", kTwistType, DefaultQos(),
+                          [this](const dds::RawSample& sample) { OnTwist(sample.payload); });
+  }
+  return absl::OkStatus();
+}
+
+absl::Status Robot::AddManager(RosProcess& process) {
+  RIPS_ASSIGN_OR_RETURN(RosNode * manager, process.AddNode(options_.manager_node));
+  std::vector<std::string> parts;
+  {
+    MutexLock lock(&mu_);
+    parts.push_back(machine_.system());
+    for (const auto& [name, unused] : machine_.nodes()) {
+      parts.push_back(name);
+    }
+  }
+  RIPS_RETURN_IF_ERROR(
+      manager->Subscribe("/parameter_events", "rcl_interfaces/msg/ParameterEvent", DefaultQos()));
+  // All publishers before any service: a request may come as soon as its service is there.
+  for (const std::string& part : parts) {
+    RIPS_RETURN_IF_ERROR(AddModeTopics(*manager, part));
+  }
+  for (const std::string& part : parts) {
+    RIPS_RETURN_IF_ERROR(AddModeServices(*manager, part));
+  }
+  return AddSystemState(*manager);
+}
+
+absl::Status Robot::AddModeTopics(RosNode& manager, const std::string& part) {
+  const ros2::Qos qos = DefaultQos(1);
+  RIPS_ASSIGN_OR_RETURN(mode_events_[part],
+                        manager.Publish(absl::StrCat(part, "/mode_event"), kModeEventType, qos));
+  RIPS_ASSIGN_OR_RETURN(
+      mode_requests_[part],
+      manager.Publish(absl::StrCat(part, "/mode_request_info"), kModeEventType, qos));
+  return manager.Publish(absl::StrCat(part, "/transition_request_info"), kTransitionEventType, qos)
+      .status();
+}
+
+absl::Status Robot::AddModeServices(RosNode& manager, const std::string& part) {
+  RIPS_RETURN_IF_ERROR(
+      manager.Serve(absl::StrCat(part, "/change_mode"), ros2::kChangeModeType,
+                    [this, part](absl::string_view request) -> std::optional<std::string> {
+                      const auto mode = ros2::DecodeChangeModeRequest(request);
+                      if (!mode.ok()) {
+                        return std::nullopt;
+                      }
+                      return ros2::EncodeSuccessReply(OrderMode(part, *mode));
+                    }));
+  RIPS_RETURN_IF_ERROR(manager.Serve(absl::StrCat(part, "/get_mode"), ros2::kGetModeType,
+                                     [this, part](absl::string_view) {
+                                       MutexLock lock(&mu_);
+                                       return ros2::EncodeGetModeReply(machine_.Mode(part));
+                                     }));
+  return manager.Serve(absl::StrCat(part, "/get_available_modes"), ros2::kGetAvailableModesType,
+                       [this, part](absl::string_view) {
+                         MutexLock lock(&mu_);
+                         return ros2::EncodeGetAvailableModesReply(machine_.AvailableModes(part));
+                       });
+}
+
+absl::Status Robot::AddSystemState(RosNode& manager) {
+  std::string system;
+  {
+    MutexLock lock(&mu_);
+    system = machine_.system();
+  }
+  RIPS_RETURN_IF_ERROR(manager.Serve(
+      absl::StrCat(system, "/get_state"), ros2::kGetStateType, [this, system](absl::string_view) {
+        MutexLock lock(&mu_);
+        const Lifecycle state = machine_.State(system);
+        return ros2::EncodeGetStateReply({static_cast<uint8_t>(state), std::string(Label(state))});
+      }));
+  // Activating a system is the same as ordering its default mode.
+  RIPS_RETURN_IF_ERROR(manager.Serve(
+      absl::StrCat(system, "/change_state"), ros2::kChangeStateType,
+      [this, system](absl::string_view request) -> std::optional<std::string> {
+        const auto transition = ros2::DecodeChangeStateRequest(request);
+        if (!transition.ok()) {
+          return std::nullopt;
+        }
+        return ros2::EncodeSuccessReply(transition->id == kTransitionActivate &&
+                                        OrderMode(system, std::string(actuator::kDefaultMode)));
+      }));
+  RIPS_RETURN_IF_ERROR(manager.Serve(absl::StrCat(system, "/get_available_states"),
+                                     "lifecycle_msgs/srv/GetAvailableStates"));
+  return manager
+      .Publish(absl::StrCat(system, "/transition_event"), kTransitionEventType, DefaultQos(1))
+      .status();
+}
+
+bool Robot::OrderMode(const std::string& part, const std::string& mode) {
+  bool accepted = false;
+  {
+    MutexLock lock(&mu_);
+    accepted = machine_.ChangeMode(part, mode, clock_.Now().boottime_ns);
+  }
+  if (accepted) {
+    // Nobody relies on it.
+    mode_requests_.at(part)->Write(EncodeModeEvent("", mode)).IgnoreError();
+  }
+  closing_.WaitFor(options_.answer_delay);
+  return accepted;
+}
+
+void Robot::OnTwist(absl::string_view payload) {
+  const absl::StatusOr<Twist> twist = DecodeTwist(payload);
+  if (!twist.ok()) {
+    return;
+  }
+  const int64_t unix_ns = clock_.Now().unix_ns;
+  MutexLock lock(&mu_);
+  commanded_ = *twist;
+  commanded_unix_ns_ = unix_ns;
+}
+
+bool Robot::Step(const Instant& now) {
+  std::vector<Outgoing> out;
+  bool another_mode = false;
+  {
+    MutexLock lock(&mu_);
+    machine_.Advance(now.boottime_ns);
+    const std::string before = told_mode_;
+    CollectChanges(now, out);
+    another_mode = told_mode_ != before;
+    CollectBeats(now, out);
+  }
+  for (const Outgoing& message : out) {
+    // A lost message of a robot is no reason for the robot to stop.
+    message.writer->Write(message.payload).IgnoreError();
+  }
+  return another_mode;
+}
+
+std::string Robot::Encode(const TopicSpec& spec, const NodeState& node, int64_t unix_ns) {
+  constexpr double kScanMetres = 4;
+  switch (spec.content) {
+    case TopicSpec::Content::kImage:
+      return EncodeImage(unix_ns, frames_++);
+    case TopicSpec::Content::kScan:
+      return EncodeLaserScan(unix_ns, kScanMetres);
+    case TopicSpec::Content::kTwist:
+      return EncodeTwist({.linear_x = kCruise * NumberOr(node, "max_speed", 0)});
+    case TopicSpec::Content::kOdometry:
+      return NextOdometry(node, unix_ns);
+  }
+  return "";
+}
+
+std::string Robot::NextOdometry(const NodeState& base, int64_t unix_ns) {
+  const double limit = NumberOr(base, "max_speed", 0);
+  const bool obeys = unix_ns - commanded_unix_ns_ <= kCommandTimeoutNs;
+  const double speed = obeys ? std::clamp(commanded_.linear_x, -limit, limit) : 0;
+  travelled_ += speed / kOdometryHz;
+  return EncodeOdometry(unix_ns, travelled_, speed);
+}
+
+void Robot::CollectBeats(const Instant& now, std::vector<Outgoing>& out) {
+  for (Beat& beat : beats_) {
+    const NodeState& node = machine_.nodes().find(beat.spec->node)->second;
+    if (!node.active) {
+      beat.next_ns = 0;
+      continue;
+    }
+    if (now.boottime_ns < beat.next_ns) {
+      continue;
+    }
+    const double hz = NumberOr(node, beat.spec->rate_parameter, beat.spec->hz);
+    const auto period_ns = static_cast<int64_t>(static_cast<double>(kNanosPerSecond) / hz);
+    // One that is a whole period late skips what it missed.
+    const bool in_step = beat.next_ns > now.boottime_ns - period_ns;
+    beat.next_ns = (in_step ? beat.next_ns : now.boottime_ns) + period_ns;
+    out.push_back({beat.writer, Encode(*beat.spec, node, now.unix_ns)});
+  }
+}
+
+void Robot::CollectChanges(const Instant& now, std::vector<Outgoing>& out) {
+  for (const auto& [name, node] : machine_.nodes()) {
+    NodeState& told = told_nodes_[name];
+    const PartWriters& writers = part_writers_.at(name);
+    if (told.active != node.active) {
+      const ros2::LifecycleLabel via = Changing(node.active);
+      out.push_back({writers.transition_event, EncodeTransitionEvent(Settled(told.active), via)});
+      out.push_back({writers.transition_event, EncodeTransitionEvent(via, Settled(node.active))});
+      out.push_back({writers.log, EncodeLog(now.unix_ns, name.substr(1),
+                                            node.active ? "activated" : "deactivated")});
+    }
+    if (told.parameters != node.parameters) {
+      out.push_back(
+          {writers.parameter_events,
+           EncodeParameterEvent(now.unix_ns, name, {}, Changed(told.parameters, node.parameters))});
+    }
+    if (const auto event = mode_events_.find(name);
+        event != mode_events_.end() && told.mode != node.mode) {
+      out.push_back({event->second, EncodeModeEvent(told.mode, node.mode)});
+    }
+    told = node;
+  }
+  const std::string mode = machine_.TrueMode();
+  if (const auto event = mode_events_.find(machine_.system());
+      event != mode_events_.end() && mode != told_mode_) {
+    out.push_back({event->second, EncodeModeEvent(told_mode_, mode)});
+  }
+  told_mode_ = mode;
+}
+
+std::string Robot::Mode() const {
+  MutexLock lock(&mu_);
+  return machine_.TrueMode();
+}
+
+std::vector<std::string> Robot::NodeNames() const {
+  std::vector<std::string> names;
+  for (const std::unique_ptr<RosProcess>& process : processes_) {
+    for (const std::unique_ptr<RosNode>& node : process->nodes()) {
+      names.push_back(node->full_name());
+    }
+  }
+  std::sort(names.begin(), names.end());
+  return names;
+}
+
+}  // namespace rips::robot_sim

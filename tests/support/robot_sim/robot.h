@@ -1,0 +1,126 @@
+// The simulated robot: drivers (camera, lidar), base, navigator and mode manager, each part a
+// lifecycle node whose publisher is silent while it is inactive.
+//
+//   /camera     publishes /camera/image_raw  at `frame_rate` (sensor-data QoS)
+//   /lidar      publishes /scan              at `scan_rate` (sensor-data QoS)
+//   /navigator  publishes /cmd_vel           10 Hz, at 80 % of `max_speed`
+//   /base       publishes /odom              20 Hz; obeys /cmd_vel up to `max_speed`
+//
+// The System Modes file says which parts there are; a part of another name gets no topics.
+#ifndef RIPS_TESTS_SUPPORT_ROBOT_SIM_ROBOT_H_
+#define RIPS_TESTS_SUPPORT_ROBOT_SIM_ROBOT_H_
+
+#include <cstdint>
+#include <memory>
+#include <string>
+#include <vector>
+
+#include "absl/base/thread_annotations.h"
+#include "absl/container/btree_map.h"
+#include "absl/status/status.h"
+#include "absl/status/statusor.h"
+#include "absl/time/time.h"
+#include "services/base/clock.h"
+#include "services/dds/participant.h"
+#include "services/dds/raw_writer.h"
+#include "services/ros2/discovery_info.h"
+#include "services/runtime/mutex.h"
+#include "services/runtime/real_clock.h"
+#include "tests/support/robot_sim/mode_machine.h"
+#include "tests/support/robot_sim/ros_messages.h"
+#include "tests/support/robot_sim/ros_process.h"
+#include "tests/support/robot_sim/stop_flag.h"
+
+namespace rips::robot_sim {
+
+struct RobotOptions {
+  std::string manager_node = "/safety";
+  ManagerConduct conduct = ManagerConduct::kHonest;
+  // How long the manager takes to answer change_mode; the transition starts with the request.
+  absl::Duration answer_delay = absl::ZeroDuration();
+  ros2::GidBytes gid_bytes = ros2::GidBytes::k24;
+};
+
+// Step from one thread; services and subscriptions run on their own.
+class Robot {
+ public:
+  static absl::StatusOr<std::unique_ptr<Robot>> Create(std::shared_ptr<const dds::Domain> domain,
+                                                       ModeMachine machine,
+                                                       const RobotOptions& options);
+  ~Robot() { closing_.Stop(); }
+
+  // Publishes what is due at `now` and switches modes that are due. Call every few milliseconds.
+  // True if the system's mode is another than at the last call.
+  bool Step(const Instant& now) ABSL_LOCKS_EXCLUDED(mu_);
+
+  // The system's mode by what its parts do; "" if none fits.
+  std::string Mode() const ABSL_LOCKS_EXCLUDED(mu_);
+  std::vector<std::string> NodeNames() const;
+
+ private:
+  struct TopicSpec;
+  // A publisher that speaks at a steady rate while its node is active.
+  struct Beat {
+    const TopicSpec* spec = nullptr;
+    dds::RawWriter* writer = nullptr;
+    int64_t next_ns = 0;  // boot time; 0 = at once
+  };
+  struct PartWriters {
+    dds::RawWriter* log = nullptr;
+    dds::RawWriter* parameter_events = nullptr;
+    dds::RawWriter* transition_event = nullptr;
+  };
+  struct Outgoing {
+    dds::RawWriter* writer = nullptr;
+    std::string payload;
+  };
+
+  Robot(ModeMachine machine, const RobotOptions& options);
+
+  absl::Status AddPart(RosProcess& process, const std::string& name);
+  absl::Status AddLifecycle(RosNode& node);
+  absl::Status AddTopics(RosNode& node);
+  absl::Status AddManager(RosProcess& process);
+  absl::Status AddModeTopics(RosNode& manager, const std::string& part);
+  absl::Status AddModeServices(RosNode& manager, const std::string& part);
+  absl::Status AddSystemState(RosNode& manager);
+
+  // Threads of the services.
+  bool OrderMode(const std::string& part, const std::string& mode) ABSL_LOCKS_EXCLUDED(mu_);
+  void OnTwist(absl::string_view payload) ABSL_LOCKS_EXCLUDED(mu_);
+
+  // The next message of a topic.
+  std::string Encode(const TopicSpec& spec, const NodeState& node, int64_t unix_ns)
+      ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
+  std::string NextOdometry(const NodeState& base, int64_t unix_ns)
+      ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
+  void CollectBeats(const Instant& now, std::vector<Outgoing>& out)
+      ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
+  void CollectChanges(const Instant& now, std::vector<Outgoing>& out)
+      ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
+
+  const RobotOptions options_;
+  const RealClock clock_;
+  StopFlag closing_;
+  mutable Mutex mu_;
+  ModeMachine machine_ ABSL_GUARDED_BY(mu_);
+  // What was told to the others last.
+  absl::btree_map<std::string, NodeState> told_nodes_ ABSL_GUARDED_BY(mu_);
+  std::string told_mode_ ABSL_GUARDED_BY(mu_);
+  Twist commanded_ ABSL_GUARDED_BY(mu_);
+  int64_t commanded_unix_ns_ ABSL_GUARDED_BY(mu_) = 0;
+  double travelled_ ABSL_GUARDED_BY(mu_) = 0;  // metres
+  uint32_t frames_ ABSL_GUARDED_BY(mu_) = 0;
+
+  std::vector<Beat> beats_;
+  absl::btree_map<std::string, PartWriters> part_writers_;
+  // By part; of the manager.
+  absl::btree_map<std::string, dds::RawWriter*> mode_events_;
+  absl::btree_map<std::string, dds::RawWriter*> mode_requests_;
+  // Last: their threads use what is above.
+  std::vector<std::unique_ptr<RosProcess>> processes_;
+};
+
+}  // namespace rips::robot_sim
+
+#endif  // RIPS_TESTS_SUPPORT_ROBOT_SIM_ROBOT_H_

@@ -1,0 +1,57 @@
+// The messages the simulated robot sends besides those of services/ros2: CDR payloads with
+// encapsulation header, little endian. Stamps come from nanoseconds since the Unix epoch.
+#ifndef RIPS_TESTS_SUPPORT_ROBOT_SIM_ROS_MESSAGES_H_
+#define RIPS_TESTS_SUPPORT_ROBOT_SIM_ROS_MESSAGES_H_
+
+#include <cstdint>
+#include <string>
+#include <vector>
+
+#include "absl/status/statusor.h"
+#include "absl/strings/string_view.h"
+#include "mode_actuator/smh.h"
+#include "services/ros2/system_modes_messages.h"
+
+namespace rips::robot_sim {
+
+// sensor_msgs/msg/Image, rgb8, 160 x 120; `frame` shifts the picture.
+inline constexpr uint32_t kImageWidth = 160;
+inline constexpr uint32_t kImageHeight = 120;
+std::string EncodeImage(int64_t unix_ns, uint32_t frame);
+
+// sensor_msgs/msg/LaserScan: 360 rays around the robot, `distance` metres each.
+std::string EncodeLaserScan(int64_t unix_ns, double distance);
+
+// nav_msgs/msg/Odometry: at `x` metres ahead of the start, moving at `speed` m/s.
+std::string EncodeOdometry(int64_t unix_ns, double x, double speed);
+
+// geometry_msgs/msg/Twist: m/s ahead, rad/s to the left; the other members are 0.
+struct Twist {
+  double linear_x = 0;
+  double angular_z = 0;
+};
+std::string EncodeTwist(const Twist& twist);
+// DataLoss if malformed.
+absl::StatusOr<Twist> DecodeTwist(absl::string_view payload);
+
+// rcl_interfaces/msg/Log at level INFO.
+std::string EncodeLog(int64_t unix_ns, absl::string_view node, absl::string_view text);
+
+// rcl_interfaces/msg/ParameterEvent: `added` are new, `changed` are changed.
+std::string EncodeParameterEvent(int64_t unix_ns, absl::string_view node,
+                                 const actuator::ParameterMap& added,
+                                 const actuator::ParameterMap& changed);
+
+// lifecycle_msgs/msg/TransitionEvent. Timestamp and transition stay empty, as rclcpp leaves them.
+std::string EncodeTransitionEvent(const ros2::LifecycleLabel& start,
+                                  const ros2::LifecycleLabel& goal);
+
+// system_modes_msgs/msg/ModeEvent. The timestamp stays 0, as mode_manager leaves it.
+std::string EncodeModeEvent(absl::string_view start, absl::string_view goal);
+
+// Reply of rcl_interfaces/srv/ListParameters.
+std::string EncodeListParametersReply(const std::vector<std::string>& names);
+
+}  // namespace rips::robot_sim
+
+#endif  // RIPS_TESTS_SUPPORT_ROBOT_SIM_ROS_MESSAGES_H_

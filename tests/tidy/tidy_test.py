@@ -1,0 +1,88 @@
+"""The rules of this tree that compilers do not know, as a test. Prints every breach."""
+
+import pathlib
+import re
+import subprocess
+import sys
+
+ROOT = pathlib.Path(__file__).resolve().parents[2]
+TOP = {"proto", "services", "sensor_agent", "policy_server", "mode_actuator", "deploy", "rules",
+       "tests", "README.md", "LICENSE", "CMakeLists.txt", "CMakePresets.json", ".clang-format",
+       ".clang-tidy", ".gitignore", ".ci"}
+PURE = ["services/base", "services/ros2", "policy_server/lang", "policy_server/levels",
+        "policy_server/engine", "mode_actuator/executor", "sensor_agent/graph_builder",
+        "sensor_agent/outbox"]
+IMPURE = re.compile(r"#include [<\"](thread|mutex|atomic|fstream|iostream|random|chrono|grpc.*|"
+                    r"dds/.*|sqlite3.*|.*\.pb\.h)[>\"]|absl::Now\(|getenv\(")
+# A line or file that breaks a rule with a good reason.
+ALLOWED = {
+    "services/base/fake_clock.h": "an atomic, so that a test's threads may share a stepped clock",
+}
+DDS_FOLDERS = ("services/dds/", "sensor_agent/dds/", "tests/support/robot_sim/", "mode_actuator/")
+BANNED = [
+    (re.compile(r"std::string_view"), "use absl::string_view: there is no conversion either way"),
+    (re.compile(r"\babsl::(Mutex|MutexLock|Notification|CondVar)\b"), "use services/runtime/mutex.h"),
+    (re.compile(r"std::(mutex|lock_guard|unique_lock|scoped_lock)\b"),
+     "use services/runtime/mutex.h"),
+    (re.compile(r"\bsystem\(\"|\bpopen\("), "no shell"),
+    (re.compile(r"//.*\b(TODO|FIXME|XXX|HACK)\b"), "finish it or leave it out"),
+]
+MUTEX_HOME = "services/runtime/mutex"
+CC_LINES_MAX = 800
+HEADER_LINES_MAX = 300
+
+
+def tracked():
+    listed = subprocess.run(["git", "ls-files", "-z", "--cached", "--others",
+                             "--exclude-standard"], cwd=ROOT, capture_output=True, check=False)
+    if listed.returncode == 0:
+        return [name for name in listed.stdout.decode().split("\0")
+                if name and (ROOT / name).is_file()]
+    return [str(path.relative_to(ROOT)) for path in ROOT.rglob("*")
+            if path.is_file() and not str(path.relative_to(ROOT)).startswith(("build/", ".git/"))]
+
+
+def breaches(files):
+    for top in sorted({name.split("/")[0] for name in files} - TOP):
+        yield f"{top}: not a top-level name of this project"
+    mentions = "\n".join((ROOT / name).read_text(errors="replace") for name in files
+                         if name.endswith(("CMakeLists.txt", ".cmake")))
+    for name in files:
+        if not name.endswith((".h", ".cc")):
+            continue
+        lines = (ROOT / name).read_text(encoding="utf-8").splitlines()
+        limit = CC_LINES_MAX if name.endswith(".cc") else HEADER_LINES_MAX
+        if len(lines) > limit:
+            yield f"{name}: {len(lines)} lines exceed the limit of {limit}; split it by idea"
+        if name.endswith(".h"):
+            guard = "RIPS_" + re.sub(r"[/.]", "_", name).upper() + "_"
+            if not any(line == f"#ifndef {guard}" for line in lines):
+                yield f"{name}: the include guard must be {guard}"
+        elif pathlib.Path(name).name not in mentions:
+            yield f"{name}: no CMakeLists.txt names it"
+        for number, line in enumerate(lines, 1):
+            if len(line) > 100 and "http" not in line and not name.startswith("tests/fuzz/corpus"):
+                if '"' not in line:  # a string literal may have to be long
+                    yield f"{name}:{number}: {len(line)} columns exceed 100"
+            if not name.startswith(MUTEX_HOME):
+                for pattern, why in BANNED:
+                    if pattern.search(line):
+                        yield f"{name}:{number}: {pattern.pattern}: {why}"
+            if "#include \"dds/" in line and not name.startswith(DDS_FOLDERS):
+                yield f"{name}:{number}: only the DDS adapters include dds/*.h"
+            pure = any(name.startswith(folder) for folder in PURE) and not name.endswith("_test.cc")
+            if pure and name not in ALLOWED and IMPURE.search(line):
+                yield f"{name}:{number}: a pure file must not: {line.strip()}"
+
+
+def main():
+    files = tracked()
+    found = list(breaches(files))
+    for breach in found:
+        print(breach)
+    print(f"{len(files)} files, {len(found)} breaches")
+    return 1 if found or not files else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
