@@ -20,10 +20,14 @@ absl::Status WithContext(absl::string_view context, const absl::Status& status) 
   return absl::Status(status.code(), absl::StrCat(context, ": ", status.message()));
 }
 
-absl::StatusOr<pipeline::Policy> LoadPolicy(const std::string& dir) {
+absl::StatusOr<pipeline::Policy> LoadPolicy(const std::string& dir, const std::string& name) {
   RIPS_ASSIGN_OR_RETURN(bundle::Bundle loaded, bundle::LoadBundle(dir));
+  if (loaded.manifest.name != name) {
+    return absl::InvalidArgumentError(absl::StrCat("its manifest calls it `", loaded.manifest.name,
+                                                   "`; the inventory wants `", name, "`"));
+  }
   if (!loaded.warnings.empty()) {
-    LogWarning("bundle compiled with warnings", {{"bundle", dir}, {"text", loaded.warnings}});
+    LogInfo("the rule compiler remarks", {{"bundle", dir}, {"text", loaded.warnings}});
   }
   LogInfo("bundle loaded", {{"bundle", loaded.manifest.name},
                             {"id", loaded.id},
@@ -84,7 +88,7 @@ absl::Status Server::LoadPolicies() {
   for (const bundle::InventoryRobot& robot : inventory_.robots) {
     if (policies_.contains(robot.bundle)) continue;
     const std::string dir = absl::StrCat(config_.bundles_source, "/", robot.bundle);
-    absl::StatusOr<pipeline::Policy> policy = LoadPolicy(dir);
+    absl::StatusOr<pipeline::Policy> policy = LoadPolicy(dir, robot.bundle);
     if (!policy.ok()) return WithContext(absl::StrCat("bundle ", dir), policy.status());
     policies_[robot.bundle] = *std::move(policy);
   }
@@ -175,7 +179,7 @@ void Server::Reload() {
   absl::btree_map<std::string, pipeline::Policy> loaded;
   for (const auto& [name, old] : policies_) {
     const std::string dir = absl::StrCat(config_.bundles_source, "/", name);
-    absl::StatusOr<pipeline::Policy> policy = LoadPolicy(dir);
+    absl::StatusOr<pipeline::Policy> policy = LoadPolicy(dir, name);
     if (policy.ok()) {
       loaded[name] = *std::move(policy);
     } else {

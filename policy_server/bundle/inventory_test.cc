@@ -17,7 +17,8 @@ using ::testing::SizeIs;
 TEST(InventoryTest, ReadsRobotsAndFindsThem) {
   const auto inventory = ParseInventory("robots.yaml", R"(robots:
   - {id: r2, bundle: warehouse, sensors: [{host: base, primary: true}]}
-  - {id: r1, bundle: warehouse, sensors: [{host: base, primary: true}, {host: laptop}], actuators: [base, laptop]}
+  - {id: r1, bundle: warehouse, sensors: [{host: base, primary: true}, {host: laptop}],
+     actuators: [base, laptop]}
 )");
   ASSERT_THAT(inventory, IsOk());
   ASSERT_THAT(inventory->robots, SizeIs(2));

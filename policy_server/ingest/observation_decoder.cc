@@ -14,6 +14,7 @@ using pipeline::Lane;
 constexpr uint32_t kProtocol = 1;
 constexpr size_t kIncarnationBytes = 16;
 constexpr int kSpooledRangesMax = 64;
+constexpr uint64_t kSequenceMax = uint64_t{1} << 62;
 
 absl::StatusOr<Lane> DecodeLane(rips::v1::Lane lane) {
   switch (lane) {
@@ -74,8 +75,9 @@ absl::StatusOr<pipeline::SensorHello> DecodeHello(const rips::v1::SensorHello& h
   for (const rips::v1::SpoolStream& range : hello.spooled()) {
     RIPS_RETURN_IF_ERROR(CheckIncarnation(range.incarnation()));
     RIPS_ASSIGN_OR_RETURN(const Lane lane, DecodeLane(range.lane()));
-    if (range.first_sequence() == 0) {
-      return absl::InvalidArgumentError("sequences count from 1");
+    if (range.first_sequence() == 0 || range.first_sequence() > kSequenceMax) {
+      return absl::InvalidArgumentError(
+          absl::StrCat("no range can start at sequence ", range.first_sequence()));
     }
     decoded.spooled.push_back({.incarnation = range.incarnation(),
                                .lane = lane,

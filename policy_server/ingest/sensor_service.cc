@@ -1,9 +1,11 @@
 #include "policy_server/ingest/sensor_service.h"
 
+#include <atomic>
 #include <memory>
 #include <string>
 #include <utility>
 
+#include "absl/strings/str_cat.h"
 #include "policy_server/ingest/observation_decoder.h"
 #include "services/rpc/peer.h"
 #include "services/rpc/server_stream.h"
@@ -46,6 +48,7 @@ class Link final : public pipeline::SensorLink {
     outbound_->Send(std::move(reply));
   }
   void Grant(uint64_t message_bytes) override {
+    granted_ = message_bytes;
     SensorReply reply;
     reply.mutable_credit()->set_message_bytes(message_bytes);
     outbound_->Send(std::move(reply));
@@ -60,9 +63,12 @@ class Link final : public pipeline::SensorLink {
     outbound_->Send(std::move(reply));
   }
   void Close(const absl::Status& status) override { outbound_->Close(rpc::ToGrpc(status)); }
+  // Bytes of message batches the peer may send in this stream.
+  uint64_t granted() const { return granted_; }
 
  private:
   std::shared_ptr<Stream::Outbound> outbound_;
+  std::atomic<uint64_t> granted_ = 0;
 };
 
 class SensorStream final : public Stream {
@@ -129,6 +135,11 @@ class SensorStream final : public Stream {
     absl::StatusOr<pipeline::Batch> decoded = decoder_.Decode(batch);
     if (!decoded.ok()) return Refuse(decoded.status());
     const Lane lane = decoded->lane;
+    if (lane == Lane::kMessages) message_bytes_ += decoded->bytes;
+    if (message_bytes_ > link_->granted()) {
+      return Refuse(absl::ResourceExhaustedError(absl::StrCat(
+          message_bytes_, " bytes of messages exceed the credit of ", link_->granted())));
+    }
     auto shared = std::make_shared<pipeline::Batch>(*std::move(decoded));
     Post(lane, [host = host_, link = link_, shared](Robot& robot) {
       robot.OnBatch(host, link.get(), *shared);
@@ -165,6 +176,7 @@ class SensorStream final : public Stream {
   std::string robot_;
   std::string host_;
   ObservationDecoder decoder_;
+  uint64_t message_bytes_ = 0;
 };
 
 }  // namespace

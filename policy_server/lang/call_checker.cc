@@ -5,6 +5,7 @@
 #include "absl/strings/match.h"
 #include "absl/strings/str_cat.h"
 #include "policy_server/lang/expr_checker.h"
+#include "policy_server/lang/limits.h"
 #include "policy_server/lang/nearest.h"
 #include "policy_server/lang/type.h"
 #include "policy_server/lang/utf8.h"
@@ -175,11 +176,25 @@ bool ExprChecker::CheckRegex(const TypedExpr& arg) {
     sink_.Add(DiagnosticKind::kNotConstant, arg.range, "a regex must be constant");
     return false;
   }
+  // Patterns can be slow to compile, so no more than what is needed for the answer.
+  if (regex_instructions_ > kRegexInstructionsMax || sink_.Full(arg.range.file)) return false;
   const std::string& pattern = std::get<std::string>(arg.constant);
   RE2::Options options;
   options.set_log_errors(false);
   const RE2 regex(pattern, options);
-  if (regex.ok()) return true;
+  if (regex.ok()) {
+    regex_instructions_ += static_cast<size_t>(regex.ProgramSize());
+    if (regex_instructions_ <= kRegexInstructionsMax) return true;
+    sink_.Add(DiagnosticKind::kRegexTooLarge, arg.range,
+              absl::StrCat("with this one, the patterns of the policy exceed limit ",
+                           kRegexInstructionsMax, " of RE2 instructions"),
+              "simplify the patterns; counted repetitions and Unicode classes are large");
+    return false;
+  }
+  // RE2 gave up on its size only after the work.
+  if (regex.error_code() == RE2::ErrorPatternTooLarge) {
+    regex_instructions_ += kRegexInstructionsMax / 10;
+  }
   sink_.Add(DiagnosticKind::kBadRegex, arg.range, absl::StrCat("bad regex: ", regex.error()),
             "the syntax is RE2's");
   return false;

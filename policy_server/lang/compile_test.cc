@@ -353,6 +353,15 @@ TEST(CompileLimitTest, DeepestNestingOfEveryPrecedence) {
   EXPECT_TRUE(Compile({{.path = "t", .text = good}}).rules.has_value());
 }
 
+TEST(CompileLimitTest, RegexInstructions) {
+  const auto text = [](size_t count) {
+    return "levels: A; rules Msg: " +
+           Repeat("topicmatches(\"(\\\\pL{9}){9}\") ? alert(\"\");\n", count);
+  };
+  EXPECT_THAT(DiagnoseText(text(10)), IsEmpty());
+  EXPECT_THAT(DiagnoseText(text(5000)), ElementsAre(HasSubstr("RegexTooLarge")));
+}
+
 TEST(CompileLimitTest, FoldedStrings) {
   const std::string half(kStringCodePointsMax / 2, 'x');
   const std::string head =

@@ -95,6 +95,8 @@ class ExprChecker {
   Usage& usage_;
   DiagnosticSink& sink_;
   bool dialect_noted_ = false;
+  // Of the patterns so far.
+  size_t regex_instructions_ = 0;
 };
 
 }  // namespace rips::lang

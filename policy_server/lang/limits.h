@@ -16,6 +16,9 @@ inline constexpr size_t kProgramNodesMax = 500'000;
 // Depth of a checked expression: a run such as `a - b - c` nests to the left when it is
 // evaluated, so this bounds recursion for runs that `kNestingMax` calls flat.
 inline constexpr int kExpressionDepthMax = 4096;
+// Size of the compiled patterns of all `topicmatches` together; bounds the time to load a policy
+// (RE2 itself bounds a single pattern by memory).
+inline constexpr size_t kRegexInstructionsMax = 1'000'000;
 inline constexpr size_t kLevelsMax = 64;
 inline constexpr size_t kVariablesMax = 1000;
 inline constexpr size_t kRulesMax = 10'000;

@@ -100,7 +100,8 @@ void Robot::Run(const engine::Event& event) {
   const Instant now = ports_.clock->Now();
   state_.evidence = evidence_.Assess(now);
   const engine::Outcome outcome = engine::Evaluate(event, now, state_);
-  if (!outcome.effects.empty()) {
+  if (!outcome.effects.empty() || !outcome.refused_programs.empty() ||
+      !outcome.cut_strings.empty()) {
     Perform(outcome, engine::Describe(event));
   } else {
     variables_changed_ |= outcome.variables_changed;
@@ -113,6 +114,15 @@ void Robot::External(engine::ExternalEvent event) {
 
 void Robot::Perform(const engine::Outcome& outcome, const std::string& event) {
   variables_changed_ |= outcome.variables_changed;
+  for (const auto& refused : outcome.refused_programs) {
+    OwnAlert(engine::Severity::kMedium,
+             absl::StrCat("program `", refused.program, "` of rule ", refused.rule,
+                          " was not run: ", refused.reason));
+  }
+  for (const std::string& rule : outcome.cut_strings) {
+    OwnAlert(engine::Severity::kLow,
+             absl::StrCat("rule ", rule, " made a string that is too long; it was cut"));
+  }
   for (const engine::Effect& effect : outcome.effects) {
     if (const auto* alert = std::get_if<engine::AlertEffect>(&effect)) {
       const Instant now = ports_.clock->Now();

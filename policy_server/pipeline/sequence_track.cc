@@ -1,7 +1,6 @@
 #include "policy_server/pipeline/sequence_track.h"
 
 #include <algorithm>
-#include <limits>
 
 #include "absl/status/status.h"
 #include "absl/strings/str_cat.h"
@@ -27,7 +26,7 @@ void SequenceTrack::Restore(const std::string& incarnation, Lane lane, uint64_t 
 absl::StatusOr<SequenceTrack::Accepted> SequenceTrack::Accept(const std::string& incarnation,
                                                               Lane lane, uint64_t first,
                                                               size_t count) {
-  if (first == 0 || count > std::numeric_limits<uint64_t>::max() - first) {
+  if (first == 0 || first > kSequenceMax || count > kSequenceMax - first) {
     return absl::InvalidArgumentError(
         absl::StrCat("batch of ", count, " observations cannot start at sequence ", first));
   }

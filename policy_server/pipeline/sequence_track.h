@@ -28,8 +28,8 @@ class SequenceTrack {
   // Takes up to here as judged (from the store, at start).
   void Restore(const std::string& incarnation, Lane lane, uint64_t judged);
 
-  // `first` is the batch's first sequence, `count` its length. InvalidArgument for sequence 0, an
-  // overflow, or a gap in the control lane, which is never shed.
+  // `first` is the batch's first sequence, `count` its length. InvalidArgument for sequence 0, one
+  // past kSequenceMax, or a gap in the control lane, which is never shed.
   absl::StatusOr<Accepted> Accept(const std::string& incarnation, Lane lane, uint64_t first,
                                   size_t count);
 
@@ -40,6 +40,8 @@ class SequenceTrack {
   const std::map<Key, uint64_t>& all() const { return judged_; }
 
   static constexpr size_t kIncarnationsMax = 16;
+  // What the store can hold; a peer that counts further is broken.
+  static constexpr uint64_t kSequenceMax = uint64_t{1} << 62;
 
  private:
   void Touch(const std::string& incarnation);

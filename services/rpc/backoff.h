@@ -38,14 +38,15 @@ class Backoff {
 };
 
 // What the end of a stream means for the next attempt.
-// | class           | status codes                                            | delays |
-// |-----------------|---------------------------------------------------------|--------------------|
-// | kRetry          | all others, also OK                                     | the agent's policy
-// | | kReidentify     | UNAUTHENTICATED: the certificate was not accepted       | the agent's
-// policy | | kSecondSession  | ALREADY_EXISTS: an older session is not yet given up    | 1 s, then
-// 2 s      | | kRefused        | PERMISSION_DENIED, UNIMPLEMENTED, FAILED_PRECONDITION,  | 1 s
-// doubled to     | |                 | INVALID_ARGUMENT: an error state, but never the end,    | 60
-// s               | |                 | else lifting a ban could not work                       | |
+// | class          | status codes                                       | delays                |
+// |----------------|----------------------------------------------------|-----------------------|
+// | kRetry         | all others, also OK                                | the agent's policy    |
+// | kReidentify    | UNAUTHENTICATED: the certificate was not accepted  | the agent's policy    |
+// | kSecondSession | ALREADY_EXISTS: an older one is not yet given up   | 1 s, then 2 s         |
+// | kRefused       | PERMISSION_DENIED, UNIMPLEMENTED,                  | 1 s doubled to 60 s   |
+// |                | FAILED_PRECONDITION, INVALID_ARGUMENT: an error    |                       |
+// |                | state, but never the end, else lifting a ban could |                       |
+// |                | not work                                           |                       |
 enum class CloseClass { kRetry, kReidentify, kSecondSession, kRefused };
 
 CloseClass ClassifyClose(absl::StatusCode code);

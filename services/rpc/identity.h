@@ -14,12 +14,12 @@ enum class Role { kPolicyServer, kSensor, kActuator, kOperator };
 // In ascending order of power; each may do what the ones before it may.
 enum class OperatorRole { kViewer, kOperator, kAdmin };
 
-// | role          | URI                                              | fields set |
-// |---------------|--------------------------------------------------|-----------------------------|
-// | kPolicyServer | spiffe://<td>/policy-server/<name>               | name | | kSensor       |
-// spiffe://<td>/robot/<robot>/sensor/<host>        | robot, host                 | | kActuator |
-// spiffe://<td>/robot/<robot>/actuator/<host>      | robot, host                 | | kOperator |
-// spiffe://<td>/operator/<viewer|operator|admin>/<name> | operator_role, name    |
+// | role          | URI                                                   | fields set          |
+// |---------------|-------------------------------------------------------|---------------------|
+// | kPolicyServer | spiffe://<td>/policy-server/<name>                    | name                |
+// | kSensor       | spiffe://<td>/robot/<robot>/sensor/<host>             | robot, host         |
+// | kActuator     | spiffe://<td>/robot/<robot>/actuator/<host>           | robot, host         |
+// | kOperator     | spiffe://<td>/operator/<viewer|operator|admin>/<name> | operator_role, name |
 struct PeerIdentity {
   Role role = Role::kSensor;
   std::string trust_domain;

@@ -17,6 +17,7 @@ IMPURE = re.compile(r"#include [<\"](thread|mutex|atomic|fstream|iostream|random
 # A line or file that breaks a rule with a good reason.
 ALLOWED = {
     "services/base/fake_clock.h": "an atomic, so that a test's threads may share a stepped clock",
+    "services/rpc/credentials_test.cc": "runs openssl as a peer that only speaks TLS 1.2",
 }
 DDS_FOLDERS = ("services/dds/", "sensor_agent/dds/", "tests/support/robot_sim/", "mode_actuator/")
 BANNED = [
@@ -29,7 +30,7 @@ BANNED = [
 ]
 MUTEX_HOME = "services/runtime/mutex"
 CC_LINES_MAX = 800
-HEADER_LINES_MAX = 300
+HEADER_LINES_MAX = 350
 
 
 def tracked():
@@ -64,7 +65,7 @@ def breaches(files):
             if len(line) > 100 and "http" not in line and not name.startswith("tests/fuzz/corpus"):
                 if '"' not in line:  # a string literal may have to be long
                     yield f"{name}:{number}: {len(line)} columns exceed 100"
-            if not name.startswith(MUTEX_HOME):
+            if not name.startswith(MUTEX_HOME) and name not in ALLOWED:
                 for pattern, why in BANNED:
                     if pattern.search(line):
                         yield f"{name}:{number}: {pattern.pattern}: {why}"

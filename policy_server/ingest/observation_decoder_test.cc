@@ -1,0 +1,256 @@
+#include "policy_server/ingest/observation_decoder.h"
+
+#include <random>
+#include <string>
+
+#include "gmock/gmock.h"
+#include "policy_server/ingest/graph_codec.h"
+#include "services/base/status_matchers.h"
+
+namespace rips::ingest {
+namespace {
+
+using ::testing::HasSubstr;
+using ::testing::SizeIs;
+
+const std::string kIncarnation(16, 'i');
+const std::string kGuid(16, 'g');
+
+rips::v1::ObservationBatch Batch(rips::v1::Lane lane) {
+  rips::v1::ObservationBatch batch;
+  batch.set_incarnation(kIncarnation);
+  batch.set_first_sequence(1);
+  batch.set_lane(lane);
+  batch.set_base_boottime_ns(1'000);
+  return batch;
+}
+
+// Topic 1, type 2, writer 3 and one message of them.
+rips::v1::ObservationBatch MessageBatch() {
+  rips::v1::ObservationBatch batch = Batch(rips::v1::MESSAGES);
+  auto* topic = batch.add_interned();
+  topic->set_id(1);
+  topic->set_topic("/cmd_vel");
+  auto* type = batch.add_interned();
+  type->set_id(2);
+  type->set_type("geometry_msgs/msg/Twist");
+  auto* writer = batch.add_interned();
+  writer->set_id(3);
+  writer->mutable_writer()->set_guid(kGuid);
+  writer->mutable_writer()->set_kind(rips::v1::Endpoint::PUBLISHER);
+  writer->mutable_writer()->set_node("/navigator");
+  auto* observation = batch.add_observations();
+  observation->set_offset_ns(5);
+  observation->mutable_message()->set_topic_id(1);
+  observation->mutable_message()->set_type_id(2);
+  observation->mutable_message()->set_writer_id(3);
+  observation->mutable_message()->set_size_bytes(52);
+  return batch;
+}
+
+TEST(ObservationDecoderTest, ResolvesInternedNamesAlsoInLaterBatches) {
+  ObservationDecoder decoder;
+  const rips::v1::ObservationBatch first = MessageBatch();
+  ASSERT_THAT(decoder.Decode(first), IsOk());
+  rips::v1::ObservationBatch second = first;
+  second.clear_interned();
+
+  const auto batch = decoder.Decode(second);
+
+  ASSERT_THAT(batch, IsOk());
+  ASSERT_THAT(batch->observations, SizeIs(1));
+  EXPECT_EQ(batch->observations[0].boottime_ns, 1'005);
+  EXPECT_EQ(batch->bytes, second.ByteSizeLong());
+  const auto& message = std::get<pipeline::MessageSeen>(batch->observations[0].what);
+  EXPECT_EQ(message.topic, "/cmd_vel");
+  EXPECT_EQ(message.type, "geometry_msgs/msg/Twist");
+  EXPECT_EQ(message.sender, "/navigator");
+  EXPECT_EQ(message.size_bytes, 52u);
+}
+
+TEST(ObservationDecoderTest, NamesOutliveTheDecoder) {
+  absl::StatusOr<pipeline::Batch> batch;
+  {
+    ObservationDecoder decoder;
+    batch = decoder.Decode(MessageBatch());
+  }
+  ASSERT_THAT(batch, IsOk());
+  EXPECT_EQ(std::get<pipeline::MessageSeen>(batch->observations[0].what).topic, "/cmd_vel");
+}
+
+struct Malformed {
+  const char* name;
+  void (*spoil)(rips::v1::ObservationBatch&);
+  absl::StatusCode code;
+  const char* text;
+};
+
+TEST(ObservationDecoderTest, RefusesWhatIsMalformedWithAReason) {
+  const auto invalid = absl::StatusCode::kInvalidArgument;
+  const auto exhausted = absl::StatusCode::kResourceExhausted;
+  const Malformed cases[] = {
+      {"incarnation", [](auto& b) { b.set_incarnation("short"); }, invalid, "5 bytes"},
+      {"lane", [](auto& b) { b.set_lane(static_cast<rips::v1::Lane>(9)); }, invalid,
+       "unknown lane 9"},
+      {"wrong lane", [](auto& b) { b.set_lane(rips::v1::CONTROL); }, invalid,
+       "a message in the control lane"},
+      {"empty", [](auto& b) { b.clear_observations(); }, invalid, "empty batch"},
+      {"id 0", [](auto& b) { b.mutable_interned(0)->set_id(0); }, invalid, "not allowed"},
+      {"id twice", [](auto& b) { b.mutable_interned(1)->set_id(1); }, invalid, "used twice"},
+      {"nothing named", [](auto& b) { b.mutable_interned(0)->clear_topic(); }, invalid,
+       "names nothing"},
+      {"writer guid", [](auto& b) { b.mutable_interned(2)->mutable_writer()->set_guid("short"); },
+       invalid, ""},
+      {"writer kind",
+       [](auto& b) {
+         b.mutable_interned(2)->mutable_writer()->set_kind(rips::v1::Endpoint::KIND_UNSPECIFIED);
+       },
+       invalid, "kind 0"},
+      {"unknown topic",
+       [](auto& b) { b.mutable_observations(0)->mutable_message()->set_topic_id(8); }, invalid,
+       "not interned"},
+      {"topic as type",
+       [](auto& b) { b.mutable_observations(0)->mutable_message()->set_type_id(1); }, invalid,
+       "not interned"},
+      {"long name", [](auto& b) { b.mutable_interned(0)->set_topic(std::string(1'025, 'x')); },
+       exhausted, "limit of 1024"},
+      {"payload",
+       [](auto& b) {
+         b.mutable_observations(0)->mutable_message()->set_payload(std::string((1 << 20) + 1, 'x'));
+       },
+       exhausted, "payload"},
+      {"control kind in message lane",
+       [](auto& b) { b.mutable_observations(0)->mutable_signal()->set_name("SIGUSR1"); }, invalid,
+       "in the message lane"},
+  };
+  for (const Malformed& each : cases) {
+    rips::v1::ObservationBatch batch = MessageBatch();
+    each.spoil(batch);
+    EXPECT_THAT(ObservationDecoder().Decode(batch), StatusIs(each.code, HasSubstr(each.text)))
+        << each.name;
+  }
+}
+
+TEST(ObservationDecoderTest, RefusesMoreNamesThanItsLimit) {
+  ObservationDecoder decoder({.interned = 3});
+  ASSERT_THAT(decoder.Decode(MessageBatch()), IsOk());
+  rips::v1::ObservationBatch batch = MessageBatch();
+  batch.clear_interned();
+  auto* more = batch.add_interned();
+  more->set_id(4);
+  more->set_topic("/one_more");
+
+  EXPECT_THAT(decoder.Decode(batch), StatusIs(absl::StatusCode::kResourceExhausted));
+}
+
+TEST(ObservationDecoderTest, AnUnknownKindIsALossOfOne) {
+  rips::v1::ObservationBatch batch = Batch(rips::v1::CONTROL);
+  batch.add_observations();
+
+  const auto decoded = ObservationDecoder().Decode(batch);
+
+  ASSERT_THAT(decoded, IsOk());
+  EXPECT_EQ(std::get<pipeline::LossSeen>(decoded->observations[0].what).count, 1u);
+}
+
+TEST(ObservationDecoderTest, OnlyGapsOfBestEffortWritersAreTolerable) {
+  for (const bool reliable : {false, true}) {
+    rips::v1::ObservationBatch batch = Batch(rips::v1::CONTROL);
+    auto* writer = batch.add_interned();
+    writer->set_id(1);
+    writer->mutable_writer()->set_guid(kGuid);
+    writer->mutable_writer()->set_kind(rips::v1::Endpoint::PUBLISHER);
+    writer->mutable_writer()->mutable_qos()->set_reliable(reliable);
+    auto* loss = batch.add_observations()->mutable_loss();
+    loss->set_cause(rips::v1::Loss::DDS_GAP);
+    loss->set_writer_id(1);
+    loss->set_count(2);
+
+    const auto decoded = ObservationDecoder().Decode(batch);
+
+    ASSERT_THAT(decoded, IsOk());
+    EXPECT_EQ(std::get<pipeline::LossSeen>(decoded->observations[0].what).tolerable, !reliable);
+  }
+}
+
+TEST(ObservationDecoderTest, AnyCutOrFlippedBatchIsDecodedOrRefused) {
+  const std::string good = MessageBatch().SerializeAsString();
+  std::mt19937 random(7);
+  for (size_t cut = 0; cut < good.size(); ++cut) {
+    rips::v1::ObservationBatch batch;
+    if (!batch.ParseFromString(good.substr(0, cut))) continue;
+    (void)ObservationDecoder().Decode(batch).ok();
+  }
+  for (int i = 0; i < 5'000; ++i) {
+    std::string bytes = good;
+    bytes[random() % bytes.size()] = static_cast<char>(random());
+    rips::v1::ObservationBatch batch;
+    if (!batch.ParseFromString(bytes)) continue;
+    const auto decoded = ObservationDecoder().Decode(batch);
+    if (decoded.ok()) {
+      EXPECT_EQ(decoded->observations.size(), static_cast<size_t>(batch.observations_size()));
+    }
+  }
+}
+
+TEST(GraphCodecTest, AGraphReadsBackAsItWasWritten) {
+  ros2::RosGraph graph;
+  ros2::GraphDelta delta;
+  const ros2::Guid participant =
+      *ros2::GuidFromBytes("PARTICIPANT1" + std::string("\0\0\1\xc1", 4));
+  const ros2::Guid writer = *ros2::GuidFromBytes("PARTICIPANT1" + std::string("\0\0\2\x03", 4));
+  delta.upsert_participants.push_back({.guid = participant, .host = "robot", .pid = 7});
+  delta.upsert_nodes.push_back({.full_name = "/camera", .participant = participant});
+  delta.upsert_endpoints.push_back({.guid = writer,
+                                    .kind = ros2::EndpointKind::kPublisher,
+                                    .name = "/image",
+                                    .type = "sensor_msgs/msg/Image",
+                                    .node = "/camera",
+                                    .qos = {.reliable = true, .depth = 5, .partitions = {"a"}},
+                                    .visibility = ros2::Visibility::kWatched});
+  ASSERT_THAT(graph.Apply(delta), IsOk());
+  rips::v1::GraphSnapshot wire = EncodeGraph(graph);
+  wire.set_graph_version(1);
+
+  const auto seen = DecodeSnapshot(wire);
+
+  ASSERT_THAT(seen, IsOk());
+  ros2::RosGraph copy;
+  ASSERT_THAT(copy.Apply(seen->content), IsOk());
+  EXPECT_EQ(copy.endpoints(), graph.endpoints());
+  EXPECT_EQ(copy.nodes(), graph.nodes());
+  EXPECT_EQ(copy.participants(), graph.participants());
+}
+
+TEST(GraphCodecTest, RefusesVersionsThatDoNotAdvance) {
+  rips::v1::GraphDelta delta;
+  delta.set_from_version(3);
+  delta.set_to_version(3);
+  EXPECT_THAT(DecodeDelta(delta), StatusIs(absl::StatusCode::kInvalidArgument));
+  EXPECT_THAT(DecodeSnapshot({}), StatusIs(absl::StatusCode::kInvalidArgument));
+}
+
+TEST(HelloTest, RefusesWhatIsMalformed) {
+  rips::v1::SensorHello good;
+  good.mutable_hello()->set_protocol(1);
+  good.mutable_hello()->set_incarnation(kIncarnation);
+  ASSERT_THAT(DecodeHello(good), IsOk());
+
+  rips::v1::SensorHello hello = good;
+  hello.mutable_hello()->set_protocol(0);
+  EXPECT_THAT(DecodeHello(hello), StatusIs(absl::StatusCode::kInvalidArgument));
+  hello.mutable_hello()->set_protocol(2);
+  EXPECT_THAT(DecodeHello(hello), StatusIs(absl::StatusCode::kFailedPrecondition));
+  hello = good;
+  auto* range = hello.add_spooled();
+  range->set_incarnation(kIncarnation);
+  range->set_lane(rips::v1::CONTROL);
+  EXPECT_THAT(DecodeHello(hello), StatusIs(absl::StatusCode::kInvalidArgument)) << "sequence 0";
+  range->set_first_sequence(UINT64_MAX);
+  EXPECT_THAT(DecodeHello(hello), StatusIs(absl::StatusCode::kInvalidArgument));
+  for (int i = 0; i < 64; ++i) hello.add_spooled();
+  EXPECT_THAT(DecodeHello(hello), StatusIs(absl::StatusCode::kResourceExhausted));
+}
+
+}  // namespace
+}  // namespace rips::ingest

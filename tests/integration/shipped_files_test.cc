@@ -1,0 +1,69 @@
+// What is shipped for people to start from is accepted by the programs it is for.
+#include <filesystem>
+#include <fstream>
+#include <string>
+
+#include "gmock/gmock.h"
+#include "mode_actuator/config.h"
+#include "policy_server/bundle/bundle.h"
+#include "policy_server/bundle/inventory.h"
+#include "policy_server/config/config.h"
+#include "policy_server/lang/compile.h"
+#include "sensor_agent/config.h"
+#include "services/base/status_matchers.h"
+
+namespace rips {
+namespace {
+
+using ::testing::HasSubstr;
+using ::testing::Not;
+
+std::string Read(const std::string& name) {
+  std::ifstream in(RIPS_SOURCE_DIR "/" + name);
+  EXPECT_TRUE(in) << name;
+  return std::string(std::istreambuf_iterator<char>(in), {});
+}
+
+TEST(ShippedFilesTest, ExampleConfigurationsAreAccepted) {
+  const std::string dir = "deploy/config/";
+  EXPECT_THAT(server::ParseServerConfig("policy-server.yaml", Read(dir + "policy-server.yaml")),
+              IsOk());
+  EXPECT_THAT(bundle::ParseInventory("robots.yaml", Read(dir + "robots.yaml")), IsOk());
+  EXPECT_THAT(sensor::ParseSensorConfig("sensor.yaml", Read(dir + "sensor.yaml")), IsOk());
+  const auto actuator = actuator::ParseConfig("actuator.yaml", Read(dir + "actuator.yaml"));
+  ASSERT_THAT(actuator, IsOk());
+  const auto smh = actuator::ParseSmh(Read(dir + "smh.yaml"), "smh.yaml");
+  ASSERT_THAT(smh, IsOk());
+  EXPECT_THAT(actuator::CheckLevelsAgainstSmh(actuator->config, *smh), IsOk());
+}
+
+TEST(ShippedFilesTest, PoliciesCompileWithoutWarnings) {
+  int bundles = 0;
+  for (const auto& entry : std::filesystem::directory_iterator(RIPS_SOURCE_DIR "/rules")) {
+    if (!entry.is_directory()) continue;
+    const auto loaded = bundle::LoadBundle(entry.path());
+    ASSERT_THAT(loaded, IsOk()) << entry.path();
+    EXPECT_THAT(loaded->warnings, Not(HasSubstr("warning:"))) << entry.path();
+    EXPECT_EQ(loaded->manifest.name, entry.path().filename());
+    ++bundles;
+  }
+  EXPECT_GE(bundles, 1);
+}
+
+// The rules in README.md are what a newcomer tries first.
+TEST(ShippedFilesTest, TheFirstRuleOfTheReadmeCompiles) {
+  const std::string text = Read("README.md");
+  const size_t begin = text.find("```\nlevels:");
+  ASSERT_NE(begin, std::string::npos);
+  const size_t end = text.find("```", begin + 4);
+  const std::vector<lang::SourceFile> files = {
+      {.path = "README.md", .text = text.substr(begin + 4, end - begin - 4)}};
+
+  const lang::CompileResult result = lang::Compile(files);
+
+  EXPECT_TRUE(result.rules) << lang::RenderText(files, result.diagnostics);
+  EXPECT_THAT(lang::RenderText(files, result.diagnostics), Not(HasSubstr("warning:")));
+}
+
+}  // namespace
+}  // namespace rips
