@@ -224,6 +224,7 @@ TEST_F(RawTest, AHangingBestEffortReaderDoesNotHoldAWriterUp) {
   constexpr int kWrites = 3'000;
   const ros2::Qos keep_all = {.reliable = true, .keep_all = true, .partitions = {}};
   {
+    SCOPED_TRACE("best effort");
     Gate gate;
     const auto writer = Writer(near(), keep_all);
     const auto reader = Reader(far(), gate.Callback());
@@ -232,6 +233,7 @@ TEST_F(RawTest, AHangingBestEffortReaderDoesNotHoldAWriterUp) {
   }
   {
     // The same with a reliable reader does, which is why best effort is the default.
+    SCOPED_TRACE("reliable");
     Gate gate;
     const auto writer = Writer(near(), keep_all);
     const auto reader = Reader(far(), gate.Callback(), {.reliable = true});

@@ -1,0 +1,547 @@
+#include "mode_actuator/agent.h"
+
+#include <sys/stat.h>
+
+#include <cerrno>
+#include <cstring>
+#include <optional>
+#include <thread>
+#include <utility>
+#include <variant>
+
+#include "absl/strings/escaping.h"
+#include "absl/strings/str_cat.h"
+#include "mode_actuator/downlink.h"
+#include "mode_actuator/exec_ledger.h"
+#include "mode_actuator/posix_runner.h"
+#include "mode_actuator/procedures.h"
+#include "mode_actuator/receipt_book.h"
+#include "mode_actuator/system_modes.h"
+#include "mode_actuator/workers.h"
+#include "services/base/ids.h"
+#include "services/base/status_macros.h"
+#include "services/dds/participant.h"
+#include "services/runtime/atomic_file.h"
+#include "services/runtime/log.h"
+#include "services/runtime/mutex.h"
+
+namespace rips::actuator {
+namespace {
+
+constexpr absl::Duration kTick = absl::Milliseconds(50);
+constexpr int64_t kHeartbeatNs = 500 * kNanosPerMilli;
+constexpr size_t kInputsMax = 4096;
+constexpr size_t kFileTasksMax = 256;
+
+// What other threads tell the agent's thread.
+struct Connected {};
+struct Persisted {
+  uint64_t sequence = 0;
+  absl::Status status;
+};
+struct ExecJournalled {
+  RunProgramCommand command;
+  absl::Status status;
+};
+struct ExecEnded {
+  std::string id;
+  ProgramResult result;
+};
+using Input = std::variant<SetLevelCommand, RunProgramCommand, LeaseGrant, Connected, LevelOutcome,
+                           Persisted, ExecJournalled, ExecEnded>;
+
+ExecutorOptions MakeExecutorOptions(const Config& config) {
+  ExecutorOptions options;
+  for (const LevelSpec& level : config.levels) options.levels.push_back(level.name);
+  if (config.fail_safe_level != "keep") options.fail_safe = config.fail_safe_level;
+  options.fail_safe_after_ns = absl::ToInt64Nanoseconds(config.fail_safe_after);
+  options.floor_hold_ns = absl::ToInt64Nanoseconds(config.floor_hold);
+  options.reconcile_ns = absl::ToInt64Nanoseconds(config.reconcile);
+  return options;
+}
+
+absl::string_view StageName(Receipt::Stage stage) {
+  switch (stage) {
+    case Receipt::Stage::kAcknowledged:
+      return "acknowledged";
+    case Receipt::Stage::kVerified:
+      return "verified";
+    case Receipt::Stage::kFailed:
+      return "failed";
+    case Receipt::Stage::kSuperseded:
+      return "superseded";
+    case Receipt::Stage::kRefusedStale:
+      return "refused_stale";
+    case Receipt::Stage::kRefused:
+      return "refused";
+    case Receipt::Stage::kUnknown:
+      return "unknown";
+  }
+  return "?";
+}
+
+absl::Status MakeDirectory(const std::string& path) {
+  struct stat info;
+  if (mkdir(path.c_str(), 0700) == 0) return absl::OkStatus();
+  if (errno == EEXIST && stat(path.c_str(), &info) == 0 && S_ISDIR(info.st_mode)) {
+    return absl::OkStatus();
+  }
+  return absl::UnavailableError(
+      absl::StrCat("cannot make the state directory `", path, "`: ", std::strerror(errno)));
+}
+
+struct Counters {
+  Gauge effective, verified, floor, lease_live;
+  Counter commands, receipts_failed, receipts_refused, malformed, dropped, write_failures;
+  Gauge drifts;
+};
+
+Counters MakeCounters(Metrics* m) {
+  return {
+      .effective = m->AddGauge("rips_actuator_effective_level", "index of the effective level"),
+      .verified = m->AddGauge("rips_actuator_verified", "1 = the effective level was read back"),
+      .floor = m->AddGauge("rips_actuator_floor", "1 = a floor of our own holds"),
+      .lease_live = m->AddGauge("rips_actuator_lease_live", "1 = the server's lease is live"),
+      .commands = m->AddCounter("rips_actuator_commands_total", "commands received"),
+      .receipts_failed = m->AddCounter("rips_actuator_failed_total", "commands that failed"),
+      .receipts_refused = m->AddCounter("rips_actuator_refused_total", "commands refused"),
+      .malformed = m->AddCounter("rips_actuator_malformed_total", "commands not understood"),
+      .dropped = m->AddCounter("rips_actuator_inputs_dropped_total", "inputs lost to the limit"),
+      .write_failures = m->AddCounter("rips_actuator_write_failures_total", "failed file writes"),
+      .drifts = m->AddGauge("rips_actuator_drifts", "times a verified level was found left"),
+  };
+}
+
+}  // namespace
+
+absl::StatusOr<LoadedConfig> LoadConfig(const std::string& path) {
+  LoadedConfig loaded;
+  RIPS_ASSIGN_OR_RETURN(const std::string text, ReadConfigFile(path));
+  RIPS_ASSIGN_OR_RETURN(ParsedConfig parsed, ParseConfig(path, text));
+  loaded.config = std::move(parsed.config);
+  loaded.effective = std::move(parsed.effective);
+  if (loaded.config.smh_file.empty()) return loaded;
+  RIPS_ASSIGN_OR_RETURN(const std::string smh_text, ReadFile(loaded.config.smh_file, kSmhBytesMax));
+  RIPS_ASSIGN_OR_RETURN(loaded.smh, ParseSmh(smh_text, loaded.config.smh_file));
+  RIPS_RETURN_IF_ERROR(CheckLevelsAgainstSmh(loaded.config, loaded.smh));
+  return loaded;
+}
+
+class Agent::Impl {
+ public:
+  Impl(Config config, const Clock* clock, Metrics* metrics)
+      : config_(std::move(config)),
+        clock_(clock),
+        counters_(MakeCounters(metrics)),
+        inputs_({.capacity = kInputsMax}) {}
+
+  ~Impl();
+  absl::Status Start(const Smh& smh, std::shared_ptr<const rpc::Credentials> credentials);
+  absl::Status Ready() const ABSL_LOCKS_EXCLUDED(report_mu_);
+
+ private:
+  std::string StatePath() const { return absl::StrCat(config_.state_dir, "/state"); }
+  std::string JournalPath() const { return absl::StrCat(config_.state_dir, "/journal"); }
+  int64_t NowNs() const { return clock_->Now().boottime_ns; }
+
+  absl::Status LoadState();
+  absl::Status StartModes(const Smh& smh);
+  void StartWorkers();
+  void StartDownlink(std::shared_ptr<const rpc::Credentials> credentials);
+  void PushFromNetwork(Input input);
+
+  // The agent's thread.
+  void Loop();
+  void Handle(Input input, int64_t now_ns);
+  void Do(Actions actions, int64_t now_ns);
+  void Tell(Receipt receipt);
+  void OnRunProgram(RunProgramCommand command);
+  void OnExecJournalled(const ExecJournalled& journalled);
+  void OnExecEnded(const ExecEnded& ended);
+  void EndExec(Receipt receipt);
+  bool IsAllowed(absl::string_view program) const;
+  void WriteJournal(std::function<void(const absl::Status&)> done);
+  void Publish(int64_t now_ns) ABSL_LOCKS_EXCLUDED(report_mu_);
+
+  const Config config_;
+  const Clock* const clock_;  // Not owned; outlives this.
+  const Counters counters_;
+  BoundedQueue<Input> inputs_;
+
+  // Of the agent's thread.
+  std::optional<Executor> executor_;
+  ExecLedger ledger_;
+  ReceiptBook receipts_;
+  size_t execs_ = 0;
+  int64_t next_heartbeat_ns_ = 0;
+
+  mutable Mutex report_mu_;
+  ExecutorReport report_ ABSL_GUARDED_BY(report_mu_);
+
+  // In the order of dependence; what is last goes first.
+  std::unique_ptr<dds::Participant> participant_;
+  std::unique_ptr<SystemModes> modes_;
+  std::unique_ptr<PosixRunner> programs_;  // killed at the end; the journal says "begun"
+  std::unique_ptr<Procedures> procedures_;
+  std::unique_ptr<FileWorker> files_;
+  std::unique_ptr<LevelWorker> levels_;
+  std::unique_ptr<Downlink> downlink_;
+  std::thread thread_;
+};
+
+// --- start and end
+
+absl::Status Agent::Impl::LoadState() {
+  RIPS_RETURN_IF_ERROR(MakeDirectory(config_.state_dir));
+  absl::StatusOr<ActuatorState> state = absl::NotFoundError("no state file");
+  if (absl::StatusOr<std::string> bytes = ReadFile(StatePath(), kStateBytesMax); bytes.ok()) {
+    state = DecodeState(*bytes);
+  } else {
+    state = bytes.status();
+  }
+  if (!state.ok()) LogWarning("state lost", {{"why", state.status().message()}});
+  RIPS_ASSIGN_OR_RETURN(Executor executor,
+                        Executor::Create(MakeExecutorOptions(config_), state, NowNs()));
+  executor_.emplace(std::move(executor));
+
+  const absl::StatusOr<std::string> journal = ReadFile(JournalPath(), kJournalBytesMax);
+  if (journal.ok()) {
+    absl::StatusOr<ExecLedger> ledger = ExecLedger::Decode(*journal);
+    if (ledger.ok()) {
+      ledger_ = *std::move(ledger);
+    } else {
+      LogError("journal lost", {{"why", ledger.status().message()}});
+    }
+  }
+  for (Receipt& receipt : ledger_.CloseUnfinished()) Tell(std::move(receipt));
+  return absl::OkStatus();
+}
+
+absl::Status Agent::Impl::StartModes(const Smh& smh) {
+  const SystemModes::Targets targets = ModeTargets(config_.levels);
+  if (targets.empty()) return absl::OkStatus();
+  RIPS_ASSIGN_OR_RETURN(participant_,
+                        dds::Participant::Create(dds::DomainOptions{
+                            .id = config_.dds.domain, .interface = config_.dds.interface}));
+  RIPS_ASSIGN_OR_RETURN(
+      modes_, SystemModes::Create(participant_.get(), smh,
+                                  config_.verify_parts ? Verify::kParts : Verify::kManager, targets,
+                                  clock_));
+  for (const std::string& warning : smh.warnings) LogWarning("smh", {{"warning", warning}});
+  for (const std::string& warning : MonotonyWarnings(config_, smh)) {
+    LogWarning("levels", {{"warning", warning}});
+  }
+  return absl::OkStatus();
+}
+
+void Agent::Impl::StartWorkers() {
+  procedures_ =
+      std::make_unique<Procedures>(&config_.levels, modes_.get(), programs_.get(), clock_);
+  files_ = std::make_unique<FileWorker>(kFileTasksMax);
+  LevelWorker::Callbacks callbacks;
+  callbacks.done = [this](LevelOutcome outcome) { inputs_.Push(std::move(outcome)); };
+  if (modes_ != nullptr) {
+    callbacks.idle_check = [this] { return modes_->CheckAvailable(); };
+    callbacks.idle_checked = [](const absl::Status& status) {
+      if (!status.ok()) LogWarning("degraded", {{"why", status.message()}});
+    };
+  }
+  levels_ = std::make_unique<LevelWorker>(procedures_.get(), std::move(callbacks));
+}
+
+void Agent::Impl::StartDownlink(std::shared_ptr<const rpc::Credentials> credentials) {
+  Downlink::Options options;
+  options.servers = config_.servers;
+  options.credentials = std::move(credentials);
+  options.host = config_.host;
+  options.incarnation = absl::HexStringToBytes(NewId());
+  for (const LevelSpec& level : config_.levels) options.levels.push_back(level.name);
+  options.fail_safe_level = config_.fail_safe_level;
+  for (const ProgramSpec& program : config_.programs) options.programs.push_back(program.name);
+  if (participant_ != nullptr) options.participant_guid = participant_->guid().ToBytes();
+
+  Downlink::Callbacks callbacks;
+  callbacks.connected = [this] {
+    inputs_.Push(Connected{});
+    LogInfo("connected");
+    MutexLock lock(&report_mu_);
+    return report_;
+  };
+  callbacks.set_level = [this](SetLevelCommand command) { PushFromNetwork(std::move(command)); };
+  callbacks.run_program = [this](RunProgramCommand command) {
+    PushFromNetwork(std::move(command));
+  };
+  callbacks.lease = [this](LeaseGrant lease) { PushFromNetwork(lease); };
+  callbacks.malformed = [this](const absl::Status& status) {
+    counters_.malformed.Increment();
+    LogWarning("malformed command", {{"why", status.message()}});
+  };
+  callbacks.disconnected = [](const absl::Status& status) {
+    LogWarning("disconnected", {{"status", status.ToString()}});
+  };
+  downlink_ = std::make_unique<Downlink>(std::move(options), std::move(callbacks), clock_);
+}
+
+absl::Status Agent::Impl::Start(const Smh& smh,
+                                std::shared_ptr<const rpc::Credentials> credentials) {
+  RIPS_RETURN_IF_ERROR(LoadState());
+  RIPS_ASSIGN_OR_RETURN(programs_, PosixRunner::Create(config_.programs, clock_));
+  RIPS_RETURN_IF_ERROR(StartModes(smh));
+  StartWorkers();
+  StartDownlink(std::move(credentials));
+  const int64_t now_ns = NowNs();
+  Do(executor_->Start(now_ns), now_ns);
+  Publish(now_ns);
+  thread_ = std::thread([this] { Loop(); });
+  downlink_->Start();
+  return absl::OkStatus();
+}
+
+Agent::Impl::~Impl() {
+  if (downlink_ != nullptr) downlink_->Stop();
+  inputs_.Close();
+  if (thread_.joinable()) thread_.join();
+  levels_.reset();
+  files_.reset();
+}
+
+void Agent::Impl::PushFromNetwork(Input input) {
+  if (inputs_.size() < kNetworkInputsMax && inputs_.Push(std::move(input))) return;
+  counters_.dropped.Increment();
+}
+
+// --- the agent's thread
+
+void Agent::Impl::Loop() {
+  while (true) {
+    std::vector<Input> batch = inputs_.PopAll(kTick);
+    if (batch.empty() && inputs_.closed()) return;
+    for (Input& input : batch) Handle(std::move(input), NowNs());
+    const int64_t now_ns = NowNs();
+    Do(executor_->OnTick(now_ns), now_ns);
+    Publish(now_ns);
+  }
+}
+
+void Agent::Impl::Handle(Input input, int64_t now_ns) {
+  if (auto* level = std::get_if<SetLevelCommand>(&input)) {
+    counters_.commands.Increment();
+    Do(executor_->OnSetLevel(*level, now_ns), now_ns);
+  } else if (auto* run = std::get_if<RunProgramCommand>(&input)) {
+    counters_.commands.Increment();
+    OnRunProgram(std::move(*run));
+  } else if (auto* lease = std::get_if<LeaseGrant>(&input)) {
+    executor_->OnLease(*lease, now_ns);
+  } else if (std::holds_alternative<Connected>(input)) {
+    receipts_.NewSession();
+  } else if (auto* outcome = std::get_if<LevelOutcome>(&input)) {
+    if (!outcome->reached) LogWarning("level not reached", {{"detail", outcome->detail}});
+    Do(executor_->OnOutcome(*outcome, now_ns), now_ns);
+  } else if (auto* persisted = std::get_if<Persisted>(&input)) {
+    if (!persisted->status.ok()) {
+      counters_.write_failures.Increment();
+      LogError("state not written", {{"why", persisted->status.message()}});
+    }
+    Do(executor_->OnPersisted(persisted->sequence, persisted->status, now_ns), now_ns);
+  } else if (auto* journalled = std::get_if<ExecJournalled>(&input)) {
+    OnExecJournalled(*journalled);
+  } else if (auto* ended = std::get_if<ExecEnded>(&input)) {
+    OnExecEnded(*ended);
+  }
+}
+
+void Agent::Impl::Do(Actions actions, int64_t now_ns) {
+  for (Action& action : actions) {
+    if (auto* apply = std::get_if<ApplyLevel>(&action)) {
+      if (apply->kind != JobKind::kCheck) {
+        LogInfo("applying level", {{"from", apply->from}, {"to", apply->to}});
+      }
+      levels_->Submit(std::move(*apply));
+    } else if (auto* persist = std::get_if<PersistState>(&action)) {
+      const uint64_t sequence = persist->sequence;
+      const bool taken = files_->Submit(
+          {StatePath(), EncodeState(persist->state), [this, sequence](const absl::Status& status) {
+             inputs_.Push(Persisted{sequence, status});
+           }});
+      if (!taken) {
+        const absl::Status full = absl::ResourceExhaustedError("too many writes wait");
+        Do(executor_->OnPersisted(sequence, full, now_ns), now_ns);
+      }
+    } else {
+      Tell(std::get<SendReceipt>(std::move(action)).receipt);
+    }
+  }
+}
+
+void Agent::Impl::Tell(Receipt receipt) {
+  if (receipt.stage == Receipt::Stage::kFailed) counters_.receipts_failed.Increment();
+  if (receipt.stage == Receipt::Stage::kRefused || receipt.stage == Receipt::Stage::kRefusedStale) {
+    counters_.receipts_refused.Increment();
+  }
+  LogInfo("receipt", {{"command", absl::BytesToHexString(receipt.command_id)},
+                      {"stage", StageName(receipt.stage)},
+                      {"mark", ToString(receipt.mark)},
+                      {"detail", receipt.detail}});
+  receipts_.Add(std::move(receipt));
+}
+
+void Agent::Impl::Publish(int64_t now_ns) {
+  const ExecutorReport report = executor_->Report(now_ns);
+  bool changed = false;
+  {
+    MutexLock lock(&report_mu_);
+    changed = report_ != report;
+    report_ = report;
+  }
+  if (changed) {
+    const std::vector<std::string>& levels = MakeExecutorOptions(config_).levels;
+    for (size_t i = 0; i < levels.size(); ++i) {
+      if (levels[i] == report.effective) counters_.effective.Set(static_cast<double>(i));
+    }
+    counters_.verified.Set(report.verified ? 1 : 0);
+    counters_.floor.Set(report.floor.empty() ? 0 : 1);
+    counters_.lease_live.Set(report.lease_live ? 1 : 0);
+    counters_.drifts.Set(static_cast<double>(report.drifts));
+    LogInfo("level", {{"decided", report.decided},
+                      {"effective", report.effective},
+                      {"verified", report.verified},
+                      {"observed", report.observed},
+                      {"floor", report.floor},
+                      {"floor_reason", report.floor_reason},
+                      {"mark", ToString(report.mark)}});
+  }
+  receipts_.Flush(now_ns,
+                  [this](const Receipt& receipt) { return downlink_->SendReceipt(receipt); });
+  // A change is told at once; otherwise every 500 ms.
+  if (changed || now_ns >= next_heartbeat_ns_) {
+    if (downlink_->SendHeartbeat(report)) next_heartbeat_ns_ = now_ns + kHeartbeatNs;
+  }
+}
+
+// --- exec
+
+bool Agent::Impl::IsAllowed(absl::string_view program) const {
+  for (const ProgramSpec& spec : config_.programs) {
+    if (spec.name == program) return true;
+  }
+  return false;
+}
+
+void Agent::Impl::WriteJournal(std::function<void(const absl::Status&)> done) {
+  if (files_->Submit({JournalPath(), ledger_.Encode(), done})) return;
+  if (done) done(absl::ResourceExhaustedError("too many writes wait"));
+}
+
+void Agent::Impl::OnRunProgram(RunProgramCommand command) {
+  Receipt receipt;
+  receipt.command_id = command.id;
+  receipt.stage = Receipt::Stage::kRefused;
+  if (!executor_->AdmitTerm(command.term)) {
+    receipt.stage = Receipt::Stage::kRefusedStale;
+    receipt.detail = absl::StrCat("term ", command.term, " is stale");
+  } else if (std::optional<Receipt> known = ledger_.Find(command.id)) {
+    receipt = *std::move(known);
+  } else if (!IsAllowed(command.program)) {
+    receipt.detail = absl::StrCat("program `", absl::CHexEscape(command.program.substr(0, 100)),
+                                  "` is not in the allow-list");
+  } else if (execs_ >= kExecsMax) {
+    receipt.detail = absl::StrCat("running programs exceed limit ", kExecsMax);
+  } else if (const absl::Status begun = ledger_.Begin(command.id); !begun.ok()) {
+    receipt.detail = std::string(begun.message());
+  } else {
+    ++execs_;
+    // Begun on the disk before it begins: should we die, it is not run a second time.
+    WriteJournal([this, command](const absl::Status& status) {
+      inputs_.Push(ExecJournalled{command, status});
+    });
+    return;
+  }
+  receipt.effective_level = executor_->Report(NowNs()).effective;
+  Tell(std::move(receipt));
+}
+
+void Agent::Impl::OnExecJournalled(const ExecJournalled& journalled) {
+  const RunProgramCommand& command = journalled.command;
+  Receipt receipt;
+  receipt.command_id = command.id;
+  if (!journalled.status.ok()) {
+    counters_.write_failures.Increment();
+    ledger_.Forget(command.id);
+    --execs_;
+    receipt.stage = Receipt::Stage::kRefused;
+    receipt.detail = absl::StrCat("cannot be recorded: ", journalled.status.message());
+    Tell(std::move(receipt));
+    return;
+  }
+  const absl::Duration timeout =
+      command.timeout > absl::ZeroDuration() ? command.timeout : absl::InfiniteDuration();
+  const absl::StatusOr<uint64_t> run =
+      programs_->Start({.name = command.program, .args = command.args, .timeout = timeout},
+                       [this, id = command.id](ProgramResult result) {
+                         inputs_.Push(ExecEnded{id, std::move(result)});
+                       });
+  if (run.ok()) {
+    receipt.stage = Receipt::Stage::kAcknowledged;
+    Tell(std::move(receipt));
+    return;
+  }
+  receipt.stage =
+      absl::IsUnavailable(run.status()) ? Receipt::Stage::kFailed : Receipt::Stage::kRefused;
+  receipt.detail = std::string(run.status().message());
+  EndExec(std::move(receipt));
+}
+
+void Agent::Impl::OnExecEnded(const ExecEnded& ended) {
+  Receipt receipt;
+  receipt.command_id = ended.id;
+  receipt.stage = ended.result.status.ok() ? Receipt::Stage::kVerified : Receipt::Stage::kFailed;
+  receipt.exit_code = ended.result.exit_code;
+  receipt.output_tail = ended.result.output_tail;
+  receipt.detail = std::string(ended.result.status.message());
+  EndExec(std::move(receipt));
+}
+
+void Agent::Impl::EndExec(Receipt receipt) {
+  --execs_;
+  ledger_.Finish(receipt.command_id, receipt.stage, receipt.exit_code);
+  WriteJournal([this](const absl::Status& status) {
+    if (!status.ok()) counters_.write_failures.Increment();
+  });
+  receipt.effective_level = executor_->Report(NowNs()).effective;
+  Tell(std::move(receipt));
+}
+
+absl::Status Agent::Impl::Ready() const {
+  if (!downlink_->connected()) return absl::UnavailableError("not connected to a policy server");
+  MutexLock lock(&report_mu_);
+  if (!report_.lease_live) return absl::UnavailableError("no live lease");
+  if (!report_.verified) return absl::UnavailableError("the level is not read back");
+  return absl::OkStatus();
+}
+
+// --- Agent
+
+Agent::Agent(std::unique_ptr<Impl> impl) : impl_(std::move(impl)) {}
+Agent::~Agent() = default;
+
+absl::StatusOr<std::unique_ptr<Agent>> Agent::Start(
+    const LoadedConfig& loaded, std::shared_ptr<const rpc::Credentials> credentials,
+    const Clock* clock, Metrics* metrics) {
+  const rpc::PeerIdentity& self = credentials->self();
+  if (self.role != rpc::Role::kActuator || self.robot != loaded.config.robot ||
+      self.host != loaded.config.host) {
+    return absl::PermissionDeniedError(
+        absl::StrCat("the certificate is of `", ToString(self),
+                     "`, but the configuration says "
+                     "robot `",
+                     loaded.config.robot, "`, host `", loaded.config.host,
+                     "` of an actuator; correct the one that is wrong"));
+  }
+  auto impl = std::make_unique<Impl>(loaded.config, clock, metrics);
+  RIPS_RETURN_IF_ERROR(impl->Start(loaded.smh, std::move(credentials)));
+  return std::unique_ptr<Agent>(new Agent(std::move(impl)));
+}
+
+absl::Status Agent::Ready() const { return impl_->Ready(); }
+
+}  // namespace rips::actuator

@@ -1,0 +1,54 @@
+// The mode actuator of one robot host, wired together.
+#ifndef RIPS_MODE_ACTUATOR_AGENT_H_
+#define RIPS_MODE_ACTUATOR_AGENT_H_
+
+#include <memory>
+#include <string>
+
+#include "absl/status/status.h"
+#include "absl/status/statusor.h"
+#include "mode_actuator/config.h"
+#include "mode_actuator/smh.h"
+#include "services/base/clock.h"
+#include "services/rpc/credentials.h"
+#include "services/runtime/metrics.h"
+
+namespace rips::actuator {
+
+// Inputs from the network waiting for the agent's thread; more are dropped and counted: the server
+// sends a command again until it sees its receipt, and a lease every 500 ms.
+inline constexpr size_t kNetworkInputsMax = 256;
+// exec programs at the same time, those being started included.
+inline constexpr size_t kExecsMax = 4;
+
+// Reads and checks the file: configuration errors and SMH errors are InvalidArgument.
+struct LoadedConfig {
+  Config config;
+  Smh smh;
+  std::string effective;
+};
+absl::StatusOr<LoadedConfig> LoadConfig(const std::string& path);
+
+class Agent {
+ public:
+  // Reads the state, joins the DDS domain, starts the threads. `clock` and `metrics` are not owned
+  // and outlive this. PermissionDenied if `credentials` are not of this robot's and host's
+  // actuator.
+  static absl::StatusOr<std::unique_ptr<Agent>> Start(
+      const LoadedConfig& loaded, std::shared_ptr<const rpc::Credentials> credentials,
+      const Clock* clock, Metrics* metrics);
+  // Ends the stream, the running job and programs. The robot stays where it is.
+  ~Agent();
+
+  // OK if connected, the lease live and the effective level read back. Any thread.
+  absl::Status Ready() const;
+
+ private:
+  class Impl;
+  explicit Agent(std::unique_ptr<Impl> impl);
+  std::unique_ptr<Impl> impl_;
+};
+
+}  // namespace rips::actuator
+
+#endif  // RIPS_MODE_ACTUATOR_AGENT_H_

@@ -1,0 +1,296 @@
+#include "mode_actuator/config.h"
+
+#include <algorithm>
+#include <set>
+#include <utility>
+#include <variant>
+
+#include "absl/strings/ascii.h"
+#include "absl/strings/escaping.h"
+#include "absl/strings/str_cat.h"
+#include "absl/strings/str_join.h"
+#include "services/base/status_macros.h"
+#include "services/runtime/config_reader.h"
+
+namespace rips::actuator {
+namespace {
+
+constexpr absl::string_view kNotYet = "not available in this version";
+constexpr absl::Duration kModeTimeout = absl::Seconds(3);
+constexpr int kModeRetries = 2;
+
+std::string Quote(absl::string_view text) {
+  return absl::StrCat("`", absl::CHexEscape(text.substr(0, 100)), "`");
+}
+
+void RefuseKey(const ConfigSection& section, absl::string_view key) {
+  if (section.Has(key)) section.Problem(key, absl::StrCat("`", key, "` is ", kNotYet));
+}
+
+// A key of a later version is asked for, so that it is not reported as unknown as well.
+void RefuseStep(const ConfigSection& step, absl::string_view key,
+                const std::vector<std::string>& keys) {
+  if (!step.Has(key)) return;
+  RefuseKey(step, key);
+  const ConfigSection body = step.OptionalSection(key);
+  std::string unused;
+  for (const std::string& each : keys) body.Optional(each, &unused);
+}
+
+bool IsLevelName(absl::string_view name) {
+  if (name.empty() || name.size() > kLevelNameBytesMax) return false;
+  return std::all_of(name.begin(), name.end(),
+                     [](char c) { return absl::ascii_isalnum(c) || c == '_'; });
+}
+
+void CheckArgs(const ConfigSection& section, const std::vector<std::string>& args) {
+  size_t longest = 0;
+  for (const std::string& arg : args) longest = std::max(longest, arg.size());
+  if (args.size() > 64 || longest > 4096) {
+    section.Problem("args", "at most 64 arguments of 4096 bytes");
+  }
+}
+
+// One of `system_mode` and `program`; false if it is neither.
+bool ReadWhat(const ConfigSection& section, const Config& config, Step* step) {
+  RefuseStep(section, "alarm", {"device", "state"});
+  RefuseStep(section, "firewall", {"file"});
+  if (section.Has("alarm") || section.Has("firewall")) return false;
+  const bool is_mode = section.Has("system_mode");
+  if (is_mode == section.Has("program")) {
+    section.Problem("", "a step needs exactly one of `system_mode` and `program`");
+    return false;
+  }
+  if (is_mode) {
+    const ConfigSection body = section.RequiredSection("system_mode");
+    SystemModeStep mode;
+    body.Required("part", &mode.part);
+    body.Required("mode", &mode.mode);
+    if (!mode.part.empty() && mode.part.front() != '/') {
+      body.Problem("part", absl::StrCat(Quote(mode.part), " is not absolute; write `/",
+                                        absl::CHexEscape(mode.part), "`"));
+    }
+    step->what = std::move(mode);
+    step->timeout = kModeTimeout;
+    step->retries = kModeRetries;
+    return true;
+  }
+  const ConfigSection body = section.RequiredSection("program");
+  ProgramStep program;
+  body.Required("name", &program.name);
+  body.Optional("args", &program.args);
+  CheckArgs(body, program.args);
+  const auto spec =
+      std::find_if(config.programs.begin(), config.programs.end(),
+                   [&](const ProgramSpec& each) { return each.name == program.name; });
+  step->timeout = absl::Seconds(10);
+  if (spec != config.programs.end()) {
+    step->timeout = spec->timeout;
+  } else if (!program.name.empty()) {
+    body.Problem("name", absl::StrCat("program ", Quote(program.name), " is not in `programs`"));
+  }
+  step->what = std::move(program);
+  return true;
+}
+
+std::vector<Step> ReadSteps(const ConfigSection& level, absl::string_view key,
+                            const Config& config) {
+  const std::vector<ConfigSection> sections = level.Sections(key);
+  if (sections.size() > kStepsMax) {
+    level.Problem(key, absl::StrCat(sections.size(), " steps exceed limit ", kStepsMax));
+  }
+  std::vector<Step> steps;
+  std::set<std::string> parts;
+  for (const ConfigSection& section : sections) {
+    Step step;
+    const bool complete = ReadWhat(section, config, &step);
+    section.Optional("timeout", &step.timeout, {absl::Milliseconds(10), kLevelBudget});
+    section.Optional("retries", &step.retries, {0, 20});
+    section.OptionalEnum<OnFailure>("on_failure", &step.on_failure,
+                                    {{"fail", OnFailure::kFail},
+                                     {"continue", OnFailure::kContinue},
+                                     {"stop", OnFailure::kStop}});
+    if (!complete) continue;
+    const auto* mode = std::get_if<SystemModeStep>(&step.what);
+    if (mode != nullptr && !parts.insert(mode->part).second) {
+      section.Problem("system_mode",
+                      absl::StrCat("part ", Quote(mode->part), " is ordered twice in one list"));
+    }
+    steps.push_back(std::move(step));
+  }
+  return steps;
+}
+
+void CheckBudget(const ConfigSection& level, const std::vector<Step>& enter) {
+  absl::Duration sum;
+  for (const Step& step : enter) sum += step.timeout * (1 + step.retries);
+  if (sum > kLevelBudget) {
+    level.Problem("enter", absl::StrCat("the steps may take ", absl::FormatDuration(sum),
+                                        " (timeout x (1 + retries), summed), limit ",
+                                        absl::FormatDuration(kLevelBudget)));
+  }
+}
+
+void ReadPrograms(const ConfigSection& root, Config* config) {
+  const std::vector<ConfigSection> sections = root.Sections("programs");
+  if (sections.size() > kProgramsMax) {
+    root.Problem("programs",
+                 absl::StrCat(sections.size(), " programs exceed limit ", kProgramsMax));
+  }
+  std::set<std::string> names;
+  for (const ConfigSection& section : sections) {
+    ProgramSpec program;
+    section.Required("name", &program.name);
+    section.Required("path", &program.path);
+    if (!program.path.empty() && program.path.front() != '/') {
+      section.Problem("path", absl::StrCat(Quote(program.path), " is not absolute"));
+    }
+    section.Optional("timeout", &program.timeout, {absl::Milliseconds(10), absl::Minutes(10)});
+    section.Optional("concurrency", &program.concurrency, {1, 16});
+    if (!program.name.empty() && !names.insert(program.name).second) {
+      section.Problem("name", absl::StrCat("program ", Quote(program.name), " is listed twice"));
+    }
+    config->programs.push_back(std::move(program));
+  }
+}
+
+void ReadLevels(const ConfigSection& root, Config* config) {
+  const std::vector<ConfigSection> sections = root.Sections("levels");
+  if (sections.empty()) root.Problem("levels", "needs at least one level");
+  if (sections.size() > kLevelsMax) {
+    root.Problem("levels", absl::StrCat(sections.size(), " levels exceed limit ", kLevelsMax));
+  }
+  std::set<std::string> names;
+  for (const ConfigSection& section : sections) {
+    LevelSpec level;
+    section.Required("name", &level.name);
+    if (!level.name.empty() && !IsLevelName(level.name)) {
+      section.Problem("name", absl::StrCat(Quote(level.name),
+                                           " is no level name; use letters, digits and `_`"));
+    } else if (!level.name.empty() && !names.insert(level.name).second) {
+      section.Problem("name", absl::StrCat("level ", Quote(level.name), " is listed twice"));
+    }
+    level.enter = ReadSteps(section, "enter", *config);
+    level.leave = ReadSteps(section, "leave", *config);
+    if (!section.Sections("on_drift").empty()) {
+      section.Problem("on_drift", absl::StrCat("`on_drift` steps are ", kNotYet));
+    }
+    RefuseKey(section, "scripts");
+    CheckBudget(section, level.enter);
+    config->levels.push_back(std::move(level));
+  }
+}
+
+void ReadFailSafe(const ConfigSection& root, Config* config) {
+  const ConfigSection section = root.RequiredSection("fail_safe");
+  section.Required("level", &config->fail_safe_level);
+  section.Required("after", &config->fail_safe_after, {absl::ZeroDuration(), absl::Hours(1)});
+  const std::string& level = config->fail_safe_level;
+  if (level.empty() || level == "keep") return;
+  const bool known = std::any_of(config->levels.begin(), config->levels.end(),
+                                 [&](const LevelSpec& each) { return each.name == level; });
+  if (!known) {
+    section.Problem("level", absl::StrCat(Quote(level), " is none of `levels`; or write `keep`"));
+  }
+}
+
+void ReadSystemModes(const ConfigSection& root, Config* config) {
+  const ConfigSection section = root.OptionalSection("system_modes");
+  if (section.present()) {
+    ReadPath(section, "smh", &config->smh_file);
+    section.OptionalEnum<bool>("verify", &config->verify_parts,
+                               {{"parts", true}, {"manager", false}});
+  } else if (!ModeTargets(config->levels).empty()) {
+    root.Problem("levels", "has `system_mode` steps but there is no `system_modes` section");
+  }
+}
+
+}  // namespace
+
+absl::StatusOr<ParsedConfig> ParseConfig(absl::string_view file, absl::string_view text) {
+  ConfigReader reader(file, text);
+  const ConfigSection root = reader.root();
+  ParsedConfig parsed;
+  Config& config = parsed.config;
+  ReadName(root, "robot", "robot id", &config.robot);
+  ReadName(root, "host", "host id", &config.host);
+  root.Required("servers", &config.servers);
+  for (const std::string& server : config.servers) {
+    if (!IsHostPort(server)) {
+      root.Problem("servers", absl::StrCat(Quote(server), " is not HOST:PORT"));
+    }
+  }
+  config.tls = ReadTls(root);
+  config.dds = ReadDds(root);
+  if (!config.dds.keystore.empty()) {
+    root.OptionalSection("dds").Problem("security", absl::StrCat("`security` is ", kNotYet));
+  }
+  if (root.Has("state_dir")) ReadPath(root, "state_dir", &config.state_dir);
+  if (!root.Sections("devices").empty()) {
+    root.Problem("devices", absl::StrCat("`devices` are ", kNotYet));
+  }
+  ReadPrograms(root, &config);
+  ReadLevels(root, &config);
+  ReadFailSafe(root, &config);
+  ReadSystemModes(root, &config);
+  const ConfigSection timing = root.OptionalSection("timing");
+  timing.Optional("floor_hold", &config.floor_hold, {absl::ZeroDuration(), absl::Minutes(5)});
+  timing.Optional("reconcile", &config.reconcile, {absl::Milliseconds(100), absl::Minutes(1)});
+  root.Optional("metrics", &config.metrics);
+  RIPS_RETURN_IF_ERROR(reader.Finish());
+  parsed.effective = reader.Effective();
+  return parsed;
+}
+
+std::vector<std::pair<std::string, std::string>> ModeTargets(const std::vector<LevelSpec>& levels) {
+  std::set<std::pair<std::string, std::string>> targets;
+  for (const LevelSpec& level : levels) {
+    for (const std::vector<Step>* steps : {&level.enter, &level.leave}) {
+      for (const Step& step : *steps) {
+        const auto* mode = std::get_if<SystemModeStep>(&step.what);
+        if (mode != nullptr) targets.emplace(mode->part, mode->mode);
+      }
+    }
+  }
+  return {targets.begin(), targets.end()};
+}
+
+absl::Status CheckLevelsAgainstSmh(const Config& config, const Smh& smh) {
+  std::vector<std::string> problems;
+  for (const LevelSpec& level : config.levels) {
+    for (const auto& [part, mode] : ModeTargets({level})) {
+      const auto expected = smh.Expected(part, mode);
+      if (expected.ok()) continue;
+      problems.push_back(absl::StrCat("level ", Quote(level.name), ": ",
+                                      expected.status().message(), " (", config.smh_file, ")"));
+    }
+  }
+  if (problems.empty()) return absl::OkStatus();
+  return absl::InvalidArgumentError(absl::StrJoin(problems, "\n"));
+}
+
+std::vector<std::string> MonotonyWarnings(const Config& config, const Smh& smh) {
+  std::vector<std::string> warnings;
+  std::set<std::string> off_before;
+  for (const LevelSpec& level : config.levels) {
+    std::set<std::string> off;
+    for (const Step& step : level.enter) {
+      const auto* mode = std::get_if<SystemModeStep>(&step.what);
+      if (mode == nullptr) continue;
+      const auto expected = smh.Expected(mode->part, mode->mode);
+      if (!expected.ok()) continue;
+      for (const ExpectedPart& node : *expected) {
+        if (node.state == PartState::kInactive) {
+          off.insert(node.node);
+        } else if (off_before.contains(node.node)) {
+          warnings.push_back(absl::StrCat("level `", level.name, "` activates ", node.node,
+                                          ", which the level before it has off"));
+        }
+      }
+    }
+    off_before = std::move(off);
+  }
+  return warnings;
+}
+
+}  // namespace rips::actuator

@@ -1,0 +1,297 @@
+#include "mode_actuator/procedures.h"
+
+#include <algorithm>
+#include <memory>
+#include <optional>
+#include <variant>
+
+#include "absl/base/thread_annotations.h"
+#include "absl/strings/escaping.h"
+#include "absl/strings/str_cat.h"
+#include "services/runtime/mutex.h"
+
+namespace rips::actuator {
+namespace {
+
+constexpr absl::Duration kPoll = absl::Milliseconds(20);
+// After its deadline a program is told to end, and killed kTermGrace later; then it must be over.
+constexpr absl::Duration kEndGrace = absl::Seconds(2);
+// A program that is busy (concurrency limit) is asked for again this often.
+constexpr absl::Duration kBusyRetry = absl::Milliseconds(100);
+
+// Where a program's result arrives from the runner's thread.
+class ResultSlot {
+ public:
+  void Set(ProgramResult result) ABSL_LOCKS_EXCLUDED(mu_) {
+    MutexLock lock(&mu_);
+    result_ = std::move(result);
+  }
+  std::optional<ProgramResult> Take() ABSL_LOCKS_EXCLUDED(mu_) {
+    MutexLock lock(&mu_);
+    return std::exchange(result_, std::nullopt);
+  }
+
+ private:
+  Mutex mu_;
+  std::optional<ProgramResult> result_ ABSL_GUARDED_BY(mu_);
+};
+
+// One program step with its retries, driven by polling.
+class ProgramAttempt {
+ public:
+  ProgramAttempt(const Step& step, ProgramRunner* runner, absl::Duration timeout, int64_t now_ns)
+      : step_(step),
+        program_(std::get<ProgramStep>(step.what)),
+        runner_(runner),
+        timeout_(timeout),
+        began_ns_(now_ns),
+        deadline_ns_(now_ns + absl::ToInt64Nanoseconds(timeout * (1 + step.retries))) {
+    result.step = StepName(step);
+  }
+
+  // True when finished; then `result` holds.
+  bool Poll(int64_t now_ns) {
+    if (finished_) return true;
+    if (run_ == 0) {
+      if (now_ns >= next_start_ns_) TryStart(now_ns);
+    } else if (std::optional<ProgramResult> ended = slot_->Take()) {
+      run_ = 0;
+      if (ended->status.ok() || ++tries_ > step_.retries) {
+        Finish(ended->status, now_ns);
+      }
+    } else if (now_ns >= deadline_ns_ + absl::ToInt64Nanoseconds(kEndGrace)) {
+      Finish(absl::DeadlineExceededError("the program runner gave no result"), now_ns);
+    }
+    return finished_;
+  }
+  void Cancel() {
+    tries_ = step_.retries;
+    if (run_ != 0) {
+      runner_->Cancel(run_);
+    } else if (!finished_) {
+      result.detail = "cancelled";
+      finished_ = true;
+    }
+  }
+
+  StepResult result;
+
+ private:
+  void TryStart(int64_t now_ns) {
+    slot_ = std::make_shared<ResultSlot>();
+    const absl::StatusOr<uint64_t> run =
+        runner_->Start({.name = program_.name, .args = program_.args, .timeout = timeout_},
+                       [slot = slot_](ProgramResult ended) { slot->Set(std::move(ended)); });
+    if (run.ok()) {
+      run_ = *run;
+    } else if (absl::IsResourceExhausted(run.status()) && now_ns < deadline_ns_) {
+      next_start_ns_ = now_ns + absl::ToInt64Nanoseconds(kBusyRetry);
+    } else {
+      Finish(run.status(), now_ns);
+    }
+  }
+  void Finish(const absl::Status& status, int64_t now_ns) {
+    finished_ = true;
+    result.ok = status.ok();
+    if (!status.ok()) result.detail = std::string(status.message());
+    result.took_ms = static_cast<uint32_t>((now_ns - began_ns_) / kNanosPerMilli);
+  }
+
+  const Step& step_;
+  const ProgramStep& program_;
+  ProgramRunner* const runner_;
+  const absl::Duration timeout_;
+  const int64_t began_ns_;
+  const int64_t deadline_ns_;
+  std::shared_ptr<ResultSlot> slot_;
+  uint64_t run_ = 0;
+  int tries_ = 0;
+  int64_t next_start_ns_ = 0;
+  bool finished_ = false;
+};
+
+void AddDetail(LevelOutcome& outcome, const StepResult& result) {
+  absl::StrAppend(&outcome.detail, outcome.detail.empty() ? "" : "; ", result.step, ": ",
+                  result.detail);
+}
+
+}  // namespace
+
+std::string StepName(const Step& step) {
+  if (const auto* mode = std::get_if<SystemModeStep>(&step.what)) {
+    return absl::StrCat("system_mode ", mode->part, "=", mode->mode);
+  }
+  return absl::StrCat("program ", std::get<ProgramStep>(step.what).name);
+}
+
+const LevelSpec* Procedures::Find(absl::string_view name) const {
+  for (const LevelSpec& level : *levels_) {
+    if (level.name == name) return &level;
+  }
+  return nullptr;
+}
+
+LevelOutcome Procedures::Run(const ApplyLevel& job, const CancelFlag& cancel) {
+  LevelOutcome outcome;
+  outcome.attempt = job.attempt;
+  const LevelSpec* to = Find(job.to);
+  const LevelSpec* from = Find(job.from);
+  if (to == nullptr) {
+    outcome.detail = absl::StrCat("no level `", job.to, "`");
+    return outcome;
+  }
+  if (job.kind == JobKind::kCheck) {
+    Check(*to, cancel, outcome);
+    return outcome;
+  }
+  if (job.kind == JobKind::kEnter) done_.clear();
+  Progress progress{.raise = job.raise};
+  progress.leave_until_ns = NowNs() + absl::ToInt64Nanoseconds(kLeaveBudget);
+  // A raise leaves once; what a lowering could not leave it tries again.
+  const bool leave = job.kind == JobKind::kEnter || !job.raise;
+  if (from != nullptr && from != to && leave) Leave(*from, progress, cancel, outcome);
+  Enter(*to, progress, cancel, outcome);
+  outcome.reached = !progress.failed && !cancel.cancelled();
+  if (cancel.cancelled()) outcome.detail = "superseded";
+  return outcome;
+}
+
+absl::Duration Procedures::LeaveLeft(const Progress& progress) const {
+  if (!progress.raise) return absl::InfiniteDuration();
+  return std::max(absl::Nanoseconds(progress.leave_until_ns - NowNs()), absl::ZeroDuration());
+}
+
+void Procedures::Leave(const LevelSpec& level, Progress& progress, const CancelFlag& cancel,
+                       LevelOutcome& outcome) {
+  for (size_t i = 0; i < level.leave.size() && !progress.stopped && !cancel.cancelled(); ++i) {
+    const Step& step = level.leave[i];
+    const absl::Duration left = LeaveLeft(progress);
+    StepResult result;
+    result.step = StepName(step);
+    if (done_.contains({Phase::kLeave, i})) continue;
+    if (left == absl::ZeroDuration()) {
+      result.detail = "not run: the time for leaving was over";
+    } else if (const auto* mode = std::get_if<SystemModeStep>(&step.what)) {
+      result = EnterMode(*mode, step, std::min(step.timeout, left),
+                         progress.raise ? 0 : step.retries, cancel, outcome);
+    } else {
+      result = RunPrograms(level.leave, {i}, left, cancel)[0];
+      if (result.ok) done_.insert({Phase::kLeave, i});
+    }
+    if (progress.raise) {
+      if (!result.ok) AddDetail(outcome, result);
+      outcome.steps.push_back(std::move(result));
+    } else {
+      Count(step, result, progress, outcome);
+    }
+  }
+}
+
+void Procedures::Enter(const LevelSpec& level, Progress& progress, const CancelFlag& cancel,
+                       LevelOutcome& outcome) {
+  std::vector<size_t> programs;
+  for (size_t i = 0; i < level.enter.size(); ++i) {
+    const Step& step = level.enter[i];
+    const auto* mode = std::get_if<SystemModeStep>(&step.what);
+    if (mode == nullptr) {
+      if (!done_.contains({Phase::kEnter, i})) programs.push_back(i);
+    } else if (progress.stopped || cancel.cancelled()) {
+      progress.failed = true;
+      outcome.steps.push_back({.step = StepName(step), .detail = "not run"});
+    } else {
+      Count(step, EnterMode(*mode, step, step.timeout, step.retries, cancel, outcome), progress,
+            outcome);
+    }
+  }
+  if (progress.stopped || cancel.cancelled()) {
+    if (!programs.empty()) progress.failed = true;
+    for (size_t i : programs) {
+      outcome.steps.push_back({.step = StepName(level.enter[i]), .detail = "not run"});
+    }
+    return;
+  }
+  std::vector<StepResult> results =
+      RunPrograms(level.enter, programs, absl::InfiniteDuration(), cancel);
+  for (size_t k = 0; k < programs.size(); ++k) {
+    if (results[k].ok) done_.insert({Phase::kEnter, programs[k]});
+    Count(level.enter[programs[k]], results[k], progress, outcome);
+  }
+}
+
+void Procedures::Check(const LevelSpec& level, const CancelFlag& cancel, LevelOutcome& outcome) {
+  outcome.reached = true;
+  for (const Step& step : level.enter) {
+    const auto* mode = std::get_if<SystemModeStep>(&step.what);
+    if (mode == nullptr) continue;
+    const ModeReading reading = modes_->Check(mode->part, mode->mode, cancel);
+    absl::StrAppend(&outcome.observed, outcome.observed.empty() ? "" : " ", mode->part, "=",
+                    reading.observed);
+    if (reading.status.ok()) continue;
+    outcome.reached = false;
+    AddDetail(outcome, {.step = StepName(step), .detail = std::string(reading.status.message())});
+  }
+}
+
+StepResult Procedures::EnterMode(const SystemModeStep& mode, const Step& step,
+                                 absl::Duration timeout, int retries, const CancelFlag& cancel,
+                                 LevelOutcome& outcome) {
+  const int64_t began_ns = NowNs();
+  const ModeReading reading = modes_->Enter(mode.part, mode.mode, timeout, retries, cancel);
+  absl::StrAppend(&outcome.observed, outcome.observed.empty() ? "" : " ", mode.part, "=",
+                  reading.observed);
+  StepResult result;
+  result.step = StepName(step);
+  result.ok = reading.status.ok();
+  result.took_ms = static_cast<uint32_t>((NowNs() - began_ns) / kNanosPerMilli);
+  if (!result.ok) result.detail = std::string(reading.status.message());
+  return result;
+}
+
+std::vector<StepResult> Procedures::RunPrograms(const std::vector<Step>& all,
+                                                const std::vector<size_t>& steps,
+                                                absl::Duration at_most, const CancelFlag& cancel) {
+  std::vector<std::unique_ptr<ProgramAttempt>> attempts;
+  for (size_t i : steps) {
+    attempts.push_back(std::make_unique<ProgramAttempt>(
+        all[i], programs_, std::min(all[i].timeout, at_most), NowNs()));
+  }
+  const int64_t cancel_at_ns =
+      at_most == absl::InfiniteDuration() ? INT64_MAX : NowNs() + absl::ToInt64Nanoseconds(at_most);
+  bool told = false;
+  while (true) {
+    bool finished = true;
+    for (const auto& attempt : attempts) {
+      if (!attempt->Poll(NowNs())) finished = false;
+    }
+    if (finished) break;
+    if (!told && (cancel.cancelled() || NowNs() >= cancel_at_ns)) {
+      told = true;
+      for (const auto& attempt : attempts) attempt->Cancel();
+    }
+    // A cancelled flag does not sleep, so what is told to end is waited for on a flag of our own.
+    if (told) {
+      CancelFlag().WaitFor(kPoll);
+    } else {
+      cancel.WaitFor(kPoll);
+    }
+  }
+  std::vector<StepResult> results;
+  for (const auto& attempt : attempts) results.push_back(std::move(attempt->result));
+  return results;
+}
+
+void Procedures::Count(const Step& step, const StepResult& result, Progress& progress,
+                       LevelOutcome& outcome) const {
+  if (!result.ok) {
+    const bool is_program = std::holds_alternative<ProgramStep>(step.what);
+    const bool tolerated = is_program && step.on_failure == OnFailure::kContinue;
+    if (!tolerated) progress.failed = true;
+    if (step.on_failure == OnFailure::kStop || (!progress.raise && !tolerated)) {
+      progress.stopped = true;
+    }
+    AddDetail(outcome, result);
+  }
+  outcome.steps.push_back(result);
+}
+
+}  // namespace rips::actuator

@@ -1,0 +1,98 @@
+// The sensor: watches one DDS domain, keeps its graph, and hands what it sees to the uplink.
+#ifndef RIPS_SENSOR_AGENT_AGENT_H_
+#define RIPS_SENSOR_AGENT_AGENT_H_
+
+#include <atomic>
+#include <cstdint>
+#include <memory>
+#include <optional>
+#include <string>
+#include <thread>
+#include <vector>
+
+#include "absl/base/thread_annotations.h"
+#include "absl/status/status.h"
+#include "absl/status/statusor.h"
+#include "grpcpp/security/credentials.h"
+#include "sensor_agent/config.h"
+#include "sensor_agent/dds/domain_watch.h"
+#include "sensor_agent/graph_builder.h"
+#include "sensor_agent/message_flow.h"
+#include "sensor_agent/uplink.h"
+#include "services/base/clock.h"
+#include "services/runtime/metrics.h"
+#include "services/runtime/mutex.h"
+
+namespace rips::sensor {
+
+class Agent {
+ public:
+  // Joins the domain; nothing runs yet. `clock` and `metrics` are not owned and outlive this. The
+  // middleware's errors.
+  static absl::StatusOr<std::unique_ptr<Agent>> Create(
+      const SensorConfig& config, std::shared_ptr<grpc::ChannelCredentials> credentials,
+      const Clock* clock, Metrics* metrics);
+  ~Agent();
+
+  void Start();
+  // Joins all threads. What is unacknowledged is gone with the process.
+  void Stop();
+
+  // A signal of this name came in. Any thread.
+  void OnSignal(const std::string& name) ABSL_LOCKS_EXCLUDED(inbox_mu_);
+  // OK while the policy server takes what is seen. Any thread.
+  absl::Status Ready() const { return uplink_->Ready(); }
+  const ros2::Guid& participant() const { return domain_->own(); }
+
+ private:
+  Agent(const SensorConfig& config, const Clock* clock, Metrics* metrics);
+
+  // Wakes the observer thread. Any thread; cheap when it is awake already.
+  void Wake() ABSL_LOCKS_EXCLUDED(inbox_mu_);
+  // Waits until woken, but not past `deadline_ns`. False when stopping.
+  bool WaitForWork(int64_t deadline_ns) ABSL_LOCKS_EXCLUDED(inbox_mu_);
+
+  // --- Observer thread
+  void Observe();
+  void TakeInbox(int64_t now_ns, Observations& seen) ABSL_LOCKS_EXCLUDED(inbox_mu_);
+  void TakeDiscovered(int64_t now_ns, Observations& seen);
+  void OnEndpoint(const EndpointFact& endpoint, bool alive, int64_t now_ns);
+  void TakeClaims(int64_t now_ns, Observations& seen);
+  void TakeSamples(int64_t now_ns, Observations& seen);
+  void CountLimits(int64_t now_ns, Observations& seen);
+  int64_t NextWork() const;
+
+  const SensorConfig config_;
+  const Clock* clock_;
+  Counter samples_;
+  Counter duplicates_;
+  Counter unattributed_;
+  Counter foreign_claims_;
+  Counter bad_claims_;
+  Counter lost_;
+  Gauge readers_;
+
+  std::atomic<bool> woken_ = false;
+  Mutex inbox_mu_;
+  CondVar inbox_cond_;
+  bool stopping_ ABSL_GUARDED_BY(inbox_mu_) = false;
+  std::vector<std::string> signals_ ABSL_GUARDED_BY(inbox_mu_);
+  std::optional<std::vector<ros2::Guid>> own_participants_ ABSL_GUARDED_BY(inbox_mu_);
+
+  // The observer thread's.
+  std::optional<GraphBuilder> graph_;
+  std::optional<MessageFlow> flow_;
+  // End of a renewed discovery; 0 = none is going on.
+  int64_t resync_until_ns_ = 0;
+  GraphCounters graph_counted_;
+  FlowCounters flow_counted_;
+
+  // In this order: what calls back goes before what it uses.
+  std::unique_ptr<Uplink> uplink_;
+  std::unique_ptr<DomainWatch> domain_;
+  std::thread observer_;
+};
+
+}  // namespace rips::sensor
+
+#endif  // RIPS_SENSOR_AGENT_AGENT_H_

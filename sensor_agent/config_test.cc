@@ -1,0 +1,132 @@
+#include "sensor_agent/config.h"
+
+#include "absl/strings/str_cat.h"
+#include "absl/strings/str_replace.h"
+#include "gmock/gmock.h"
+#include "gtest/gtest.h"
+#include "services/base/status_matchers.h"
+
+namespace rips::sensor {
+namespace {
+
+using ::testing::AllOf;
+using ::testing::ElementsAre;
+using ::testing::HasSubstr;
+using ::testing::IsEmpty;
+
+constexpr char kFull[] = R"(robot: r1
+host: base
+servers: ["policy.example:7443", "[::1]:7443"]
+tls: {ca: /etc/rips/pki/ca.pem, cert: /etc/rips/pki/cert.pem, key: /etc/rips/pki/key.pem}
+dds: {domain: 7, interface: lo, security: null}
+observer: hidden
+settle: 3s
+attribution_grace: 250ms
+unwatched: [/rosout]
+state_dir: /tmp/sensor
+outbox: {memory: 8MiB, disk: 0B, dir: /tmp/spool}
+ids: []
+signals: false
+wire: {enabled: false}
+metrics: "127.0.0.1:0"
+)";
+
+constexpr char kMinimal[] = R"(robot: r1
+host: base
+servers: ["policy.example:7443"]
+tls: {ca: /a, cert: /b, key: /c}
+)";
+
+TEST(SensorConfigTest, EveryKeyIsTaken) {
+  std::string effective;
+  const auto config = ParseSensorConfig("sensor.yaml", kFull, &effective);
+  ASSERT_THAT(config, IsOk());
+  EXPECT_EQ(config->robot, "r1");
+  EXPECT_EQ(config->host, "base");
+  EXPECT_THAT(config->servers, ElementsAre("policy.example:7443", "[::1]:7443"));
+  EXPECT_EQ(config->tls.cert, "/etc/rips/pki/cert.pem");
+  EXPECT_EQ(config->dds.domain, 7);
+  EXPECT_EQ(config->dds.interface, "lo");
+  EXPECT_TRUE(config->observer_hidden);
+  EXPECT_EQ(config->settle, absl::Seconds(3));
+  EXPECT_EQ(config->attribution_grace, absl::Milliseconds(250));
+  EXPECT_THAT(config->unwatched, ElementsAre("/rosout"));
+  EXPECT_EQ(config->outbox_memory.bytes, 8 << 20);
+  EXPECT_FALSE(config->signals);
+  EXPECT_EQ(config->metrics, "127.0.0.1:0");
+  EXPECT_THAT(effective, AllOf(HasSubstr("settle: 3s"), HasSubstr("outbox.memory: 8MiB")));
+}
+
+TEST(SensorConfigTest, DefaultsAreThoseOfTheStruct) {
+  const auto config = ParseSensorConfig("sensor.yaml", kMinimal);
+  ASSERT_THAT(config, IsOk());
+  SensorConfig expected;
+  expected.robot = "r1";
+  expected.host = "base";
+  expected.servers = {"policy.example:7443"};
+  expected.tls = {.ca = "/a", .cert = "/b", .key = "/c"};
+  EXPECT_EQ(*config, expected);
+  EXPECT_THAT(config->unwatched, ElementsAre("/rosout", "/parameter_events"));
+}
+
+TEST(SensorConfigTest, UnwatchedMayBeEmpty) {
+  const auto config = ParseSensorConfig("sensor.yaml", absl::StrCat(kMinimal, "unwatched: []\n"));
+  ASSERT_THAT(config, IsOk());
+  EXPECT_THAT(config->unwatched, IsEmpty());
+}
+
+struct BadCase {
+  const char* name;
+  // Replaced in kFull.
+  const char* from;
+  const char* to;
+  const char* place;
+  const char* says;
+};
+
+class BadSensorConfigTest : public testing::TestWithParam<BadCase> {};
+
+TEST_P(BadSensorConfigTest, IsRefusedWithItsPlace) {
+  const BadCase& bad = GetParam();
+  const std::string text = absl::StrReplaceAll(kFull, {{bad.from, bad.to}});
+  ASSERT_NE(text, kFull) << "the case changes nothing";
+  EXPECT_THAT(
+      ParseSensorConfig("sensor.yaml", text),
+      StatusIs(absl::StatusCode::kInvalidArgument,
+               AllOf(HasSubstr(absl::StrCat("sensor.yaml:", bad.place)), HasSubstr(bad.says))));
+}
+
+INSTANTIATE_TEST_SUITE_P(
+    All, BadSensorConfigTest,
+    testing::Values(
+        BadCase{"UnknownKey", "settle: 3s", "setle: 3s", "7:1", "did you mean `settle`"},
+        BadCase{"MissingRobot", "robot: r1\n", "", "", "robot"},
+        BadCase{"BadHost", "host: base", "host: Base_1", "2:", "host id"},
+        BadCase{"NoServers", R"(["policy.example:7443", "[::1]:7443"])", "[]", "3:", "servers"},
+        BadCase{"ServerWithoutPort", "policy.example:7443", "policy.example",
+                "3:", "`policy.example` is not HOST:PORT"},
+        BadCase{"BareNumber", "settle: 3s", "settle: 3", "7:9", "settle"},
+        BadCase{"SettleTooLong", "settle: 3s", "settle: 11s", "7:9", "settle"},
+        BadCase{"BadObserver", "observer: hidden", "observer: secret", "6:", "counted"},
+        BadCase{"RelativeKey", "/etc/rips/pki/key.pem", "key.pem", "4:", "absolute path"},
+        BadCase{"DomainTooHigh", "domain: 7", "domain: 400", "5:", "domain"},
+        BadCase{"BadTopic", "[/rosout]", "[rosout]", "9:", "rosout"},
+        BadCase{"OutboxTooSmall", "memory: 8MiB", "memory: 1KiB", "11:", "memory"},
+        BadCase{"Ids", "ids: []", "ids: [{format: eve, path: /var/log/eve.json}]",
+                "12:", "not available in this version"},
+        BadCase{"Wire", "wire: {enabled: false}", "wire: {enabled: true}", "14:17",
+                "not available in this version"},
+        BadCase{"Disk", "disk: 0B", "disk: 256MiB", "11:30", "not available in this version"},
+        BadCase{"Security", "security: null", "security: {keystore: /k, enclave: /rips/sensor}",
+                "5:", "DDS security is not available in this version"}),
+    [](const auto& param) { return param.param.name; });
+
+TEST(SensorConfigTest, EveryProblemIsToldAtOnce) {
+  EXPECT_THAT(
+      ParseSensorConfig("s", "robot: R\nhots: base\n"),
+      StatusIs(absl::StatusCode::kInvalidArgument, AllOf(HasSubstr("robot id"), HasSubstr("`hots`"),
+                                                         HasSubstr("servers"), HasSubstr("tls"))));
+}
+
+}  // namespace
+}  // namespace rips::sensor

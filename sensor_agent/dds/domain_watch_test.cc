@@ -1,0 +1,192 @@
+#include "sensor_agent/dds/domain_watch.h"
+
+#include <map>
+#include <optional>
+
+#include "gmock/gmock.h"
+#include "gtest/gtest.h"
+#include "sensor_agent/fake_robot.h"
+#include "services/base/status_matchers.h"
+#include "services/dds/test_world.h"
+
+namespace rips::sensor {
+namespace {
+
+using dds::Eventually;
+using ros2::Guid;
+using ::testing::ElementsAre;
+using ::testing::HasSubstr;
+using ::testing::IsEmpty;
+using ::testing::SizeIs;
+
+class DomainWatchTest : public testing::Test {
+ protected:
+  void Watch(DomainWatchOptions options = {}) {
+    options.domain = {.id = dds::RandomDomain(), .interface = "lo"};
+    auto watch = DomainWatch::Create(options, [this] { ++wakes_; });
+    ASSERT_THAT(watch, IsOk());
+    watch_ = *std::move(watch);
+  }
+  // Takes everything there is.
+  void Pump() {
+    for (const Discovered& each : watch_->TakeDiscovered()) {
+      if (const auto* endpoint = std::get_if<EndpointFact>(&each.what)) {
+        if (each.alive) {
+          endpoints_[endpoint->guid] = *endpoint;
+        } else {
+          endpoints_.erase(endpoint->guid);
+        }
+      } else if (each.alive) {
+        participants_.insert(std::get<ros2::Participant>(each.what).guid);
+      } else {
+        participants_.erase(std::get<ros2::Participant>(each.what).guid);
+      }
+    }
+    for (Claim& claim : watch_->TakeClaims()) claims_.push_back(std::move(claim));
+    for (Sample& sample : watch_->topics().Take(SIZE_MAX)) samples_.push_back(std::move(sample));
+  }
+  bool PumpUntil(const std::function<bool()>& done) {
+    return Eventually([&] {
+      Pump();
+      return done();
+    });
+  }
+  // Discovers `writer` and has it read.
+  void Read(FakeProcess& process, const std::string& topic, dds::RawWriter& writer) {
+    ASSERT_TRUE(PumpUntil([&] { return endpoints_.contains(writer.guid()); }));
+    ASSERT_THAT(watch_->topics().Watch(endpoints_.at(writer.guid())), IsOk());
+    ASSERT_TRUE(Eventually([&] { return process.MatchedReaders(topic) > 0; }));
+  }
+
+  FakeRobot robot_;
+  std::atomic<int> wakes_ = 0;
+  std::unique_ptr<DomainWatch> watch_;
+  std::map<Guid, EndpointFact> endpoints_;
+  std::set<Guid> participants_;
+  std::vector<Claim> claims_;
+  std::vector<Sample> samples_;
+};
+
+TEST_F(DomainWatchTest, TellsParticipantsEndpointsAndClaimsThatComeAndGo) {
+  auto process = robot_.AddProcess();
+  dds::RawWriter& writer = process->AddWriter("rt/chatter");
+  process->Announce("talker");
+  Watch();
+  ASSERT_TRUE(PumpUntil([&] {
+    return participants_.contains(process->participant().guid()) &&
+           endpoints_.contains(writer.guid()) && !claims_.empty();
+  }));
+  const EndpointFact fact = endpoints_.at(writer.guid());
+  EXPECT_TRUE(fact.writer);
+  EXPECT_EQ(fact.topic, "rt/chatter");
+  EXPECT_EQ(fact.type, "std_msgs::msg::dds_::String_");
+  EXPECT_TRUE(fact.qos.reliable);
+  EXPECT_TRUE(claims_[0].writer.SamePrefix(process->participant().guid()));
+  const auto claim = ros2::DecodeParticipantEntities(claims_[0].payload);
+  ASSERT_THAT(claim, IsOk());
+  EXPECT_EQ(claim->nodes[0].node_name, "talker");
+  EXPECT_GT(wakes_, 0);
+
+  const Guid gone = writer.guid();
+  process->RemoveWriter("rt/chatter");
+  EXPECT_TRUE(PumpUntil([&] { return !endpoints_.contains(gone); }));
+  const Guid participant = process->participant().guid();
+  process.reset();
+  EXPECT_TRUE(PumpUntil([&] { return !participants_.contains(participant); }));
+}
+
+TEST_F(DomainWatchTest, SamplesCarryWriterSequenceAndSizeButNoPayload) {
+  Watch();
+  auto process = robot_.AddProcess();
+  dds::RawWriter& writer = process->AddWriter("rt/chatter");
+  Read(*process, "rt/chatter", writer);
+  EXPECT_THAT(watch_->topics().Watch(endpoints_.at(writer.guid())), IsOk()) << "again";
+  EXPECT_EQ(watch_->topics().readers(), 1u);
+  process->Publish("rt/chatter", std::string(100'000, 'x'));
+  process->Publish("rt/chatter");
+  ASSERT_TRUE(PumpUntil([&] { return samples_.size() >= 2; }));
+  EXPECT_EQ(samples_[0].writer, writer.guid());
+  EXPECT_EQ(samples_[0].reader->topic, "/chatter");
+  EXPECT_EQ(samples_[0].reader->type, "std_msgs/msg/String");
+  EXPECT_GT(samples_[0].size_bytes, 100'000u);
+  EXPECT_EQ(samples_[1].sequence, samples_[0].sequence + 1);
+  EXPECT_GT(samples_[0].received_ns, 0);
+
+  watch_->topics().WriterGone(writer.guid());
+  EXPECT_EQ(watch_->topics().readers(), 0u);
+  EXPECT_TRUE(Eventually([&] { return process->MatchedReaders("rt/chatter") == 0; }));
+}
+
+TEST_F(DomainWatchTest, LatchedWriterIsReadFromItsHistory) {
+  auto process = robot_.AddProcess();
+  dds::RawWriter& writer =
+      process->AddWriter("rt/map", {.reliable = true, .transient_local = true, .depth = 3});
+  for (int i = 0; i < 3; ++i) process->Publish("rt/map");
+  Watch();
+  Read(*process, "rt/map", writer);
+  ASSERT_TRUE(PumpUntil([&] { return !samples_.empty(); }));
+  EXPECT_TRUE(samples_[0].reader->latched);
+  EXPECT_EQ(samples_.back().sequence, 3u);
+}
+
+TEST_F(DomainWatchTest, WritersInAnyPartitionAreRead) {
+  Watch();
+  auto process = robot_.AddProcess();
+  dds::RawWriter& writer =
+      process->AddWriter("rt/hidden", {.reliable = true, .depth = 1, .partitions = {"secret"}});
+  Read(*process, "rt/hidden", writer);
+  process->Publish("rt/hidden");
+  EXPECT_TRUE(PumpUntil([&] { return !samples_.empty(); }));
+}
+
+TEST_F(DomainWatchTest, OnlyWritersOfRosTopicsAreRead) {
+  Watch();
+  for (const char* topic : {"rq/enableRequest", "rr/enableReply", "Square", "ros_discovery_info"}) {
+    EXPECT_THAT(watch_->topics().Watch({.writer = true, .topic = topic, .type = "T"}),
+                StatusIs(absl::StatusCode::kInvalidArgument))
+        << topic;
+  }
+  EXPECT_THAT(watch_->topics().Watch({.writer = false, .topic = "rt/chatter", .type = "T"}),
+              StatusIs(absl::StatusCode::kInvalidArgument));
+  EXPECT_EQ(watch_->topics().readers(), 0u);
+}
+
+TEST_F(DomainWatchTest, FullQueuesLoseWithACount) {
+  Watch({.discovered = 2, .claims = 1, .topics = {.readers = 1, .queue = 5}});
+  auto process = robot_.AddProcess();
+  dds::RawWriter& writer = process->AddWriter("rt/chatter");
+  EndpointFact fact{.guid = writer.guid(),
+                    .writer = true,
+                    .topic = "rt/chatter",
+                    .type = "std_msgs::msg::dds_::String_",
+                    .qos = {.reliable = true}};
+  ASSERT_THAT(watch_->topics().Watch(fact), IsOk());
+  fact.guid.bytes[14] ^= 1;
+  fact.topic = "rt/one_more";
+  EXPECT_THAT(watch_->topics().Watch(fact),
+              StatusIs(absl::StatusCode::kResourceExhausted, HasSubstr("more than 1 topics")));
+  ASSERT_TRUE(Eventually([&] { return process->MatchedReaders("rt/chatter") > 0; }));
+  for (int i = 0; i < 12; ++i) process->Publish("rt/chatter");
+  uint64_t lost = 0;
+  ASSERT_TRUE(Eventually([&] {
+    for (const Loss& loss : watch_->topics().TakeLosses(7)) {
+      EXPECT_EQ(loss.cause, LossCause::kQueueFull);
+      EXPECT_EQ(loss.topic, "/chatter");
+      lost += loss.count;
+    }
+    return lost >= 7;
+  }));
+  EXPECT_EQ(lost, 7u);
+  EXPECT_THAT(watch_->topics().Take(SIZE_MAX), SizeIs(5));
+
+  for (int i = 0; i < 3; ++i) process->Announce("n");
+  EXPECT_TRUE(Eventually([&] { return watch_->TakeLostClaims() > 0; }));
+  EXPECT_TRUE(Eventually([&] { return watch_->TakeLostDiscovered() > 0; }));
+  // All that is there is told again, in whatever pieces the queue allows.
+  EXPECT_THAT(watch_->TakeDiscovered(), SizeIs(2));
+  ASSERT_THAT(watch_->Rediscover(), IsOk());
+  EXPECT_FALSE(watch_->TakeDiscovered().empty());
+}
+
+}  // namespace
+}  // namespace rips::sensor

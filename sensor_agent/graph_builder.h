@@ -1,0 +1,216 @@
+// From discovery facts to the robot's computation graph, and from the graph to the steps that are
+// sent: one settled snapshot, then deltas.
+//
+// Whose endpoint is it? The middleware tells which participant owns an endpoint; which node does is
+// told by the participant itself, in `ros_discovery_info`. What a participant claims about
+// endpoints of another is ignored and counted. An endpoint nobody claims is `pending` for the
+// attribution grace (the claim travels on another topic than the discovery of the endpoint), then
+// it stands in the graph without a node. The grace is given once more, once, when a claim is taken
+// back, since nodes do so just before they delete an endpoint; not again, or a participant could
+// stay pending for ever by claiming and unclaiming.
+//
+// RIPS itself is the node `/rips`: this sensor's participant subscribes to every ROS topic that
+// others use and that is watched, whether or not a reader exists just now, so that what rules count
+// does not depend on what we optimise. Its real endpoints are not shown.
+#ifndef RIPS_SENSOR_AGENT_GRAPH_BUILDER_H_
+#define RIPS_SENSOR_AGENT_GRAPH_BUILDER_H_
+
+#include <cstddef>
+#include <cstdint>
+#include <limits>
+#include <optional>
+#include <string>
+#include <utility>
+#include <vector>
+
+#include "absl/container/btree_map.h"
+#include "absl/container/btree_set.h"
+#include "absl/container/flat_hash_map.h"
+#include "absl/status/status.h"
+#include "sensor_agent/observation.h"
+#include "services/ros2/discovery_info.h"
+#include "services/ros2/guid.h"
+#include "services/ros2/ros_graph.h"
+
+namespace rips::sensor {
+
+inline constexpr char kOwnNode[] = "/rips";
+inline constexpr int64_t kNever = std::numeric_limits<int64_t>::max();
+
+struct GraphOptions {
+  // This sensor's participant.
+  ros2::Guid own;
+  // No node `/rips` in the graph.
+  bool observer_hidden = false;
+  // ROS topics whose messages nobody needs.
+  std::vector<std::string> unwatched = {"/rosout", "/parameter_events"};
+  int64_t attribution_grace_ns = 500'000'000;
+  // Settled once nothing was discovered for settle_ns, at the latest settle_max_ns after start.
+  int64_t settle_ns = 2'000'000'000;
+  int64_t settle_max_ns = 10'000'000'000;
+  // A burst of discovery ends when nothing came for quiet_ns, or after burst_max_ns.
+  int64_t quiet_ns = 20'000'000;
+  int64_t burst_max_ns = 100'000'000;
+  // How long a claim is kept whose participant has not been discovered.
+  int64_t orphan_claim_ns = 10'000'000'000;
+  // A little above the limits of RosGraph, so that whoever keeps the graph notices that it is
+  // truncated. What exceeds these is left out and counted.
+  size_t participants_max = 2'048 + 256;
+  size_t nodes_max = 2'048 + 256;
+  size_t endpoints_max = 16'384 + 256;
+  // Estimated size of one step; a larger one is sent in several, of which only the last is settled.
+  size_t step_bytes = size_t{1} << 20;
+};
+
+// An endpoint as the middleware discovered it; DDS names.
+struct EndpointFact {
+  ros2::Guid guid;
+  bool writer = false;  // else reader
+  std::string topic;
+  std::string type;
+  ros2::Qos qos;
+};
+
+struct GraphCounters {
+  // Messages of ros_discovery_info that speak for another participant, and endpoints of others
+  // listed in one.
+  uint64_t foreign_claims = 0;
+  // Participants, nodes and endpoints left out because of a limit.
+  uint64_t dropped = 0;
+};
+
+// Not thread-safe; no clock: times are CLOCK_BOOTTIME in nanoseconds and never go back.
+class GraphBuilder {
+ public:
+  GraphBuilder(GraphOptions options, int64_t start_ns);
+
+  void ParticipantSeen(const ros2::Participant& participant, int64_t now_ns);
+  // With its nodes and endpoints.
+  void ParticipantGone(const ros2::Guid& participant, int64_t now_ns);
+  // New or changed. Endpoints of this sensor's own participant are ignored.
+  void EndpointSeen(const EndpointFact& endpoint, int64_t now_ns);
+  void EndpointGone(const ros2::Guid& endpoint, int64_t now_ns);
+  // `claim` was published by the endpoint `writer`. PermissionDenied if it speaks for another
+  // participant or lists endpoints of another (those are ignored, the rest counts);
+  // ResourceExhausted if nodes were left out.
+  absl::Status NodesClaimed(const ros2::Guid& writer, const ros2::ParticipantEntities& claim,
+                            int64_t now_ns);
+  // Participants of other RIPS processes on this robot: node `/rips` too.
+  void SetOwnParticipants(const std::vector<ros2::Guid>& participants, int64_t now_ns);
+  // Messages of this writer cannot be read, because of `why`. Until it goes.
+  void SetNotVisible(const ros2::Guid& writer, const std::string& why, int64_t now_ns);
+
+  // Discovery is told anew from the start: whatever is not seen again until EndResync is gone.
+  void BeginResync() { ++generation_; }
+  void EndResync(int64_t now_ns);
+
+  // What is to be sent now, in order; usually nothing.
+  std::vector<GraphChange> Poll(int64_t now_ns);
+  // When Poll may next have something to say; kNever = not before another fact.
+  int64_t NextDue() const;
+  // The whole graph as the steps sent so far (and all that is known by now) add up to, as new
+  // versions. Empty until settled.
+  std::vector<GraphChange> Snapshot(int64_t now_ns);
+
+  bool settled() const { return settled_; }
+  // As it would be sent now; nullopt if not known or not shown.
+  std::optional<ros2::Endpoint> Find(const ros2::Guid& endpoint) const;
+  // Changes whenever an answer of Find may have changed; never 0.
+  uint64_t revision() const { return revision_; }
+  // Messages on this ROS topic are wanted.
+  bool Watched(absl::string_view topic) const;
+  const GraphCounters& counters() const { return counters_; }
+
+ private:
+  struct EndpointState {
+    bool hidden = false;   // reply side of a service, shown by its request side
+    ros2::Endpoint shown;  // without node and pending
+    // End of the attribution grace; 0 = over.
+    int64_t pending_until_ns = 0;
+    bool grace_renewed = false;
+    uint32_t generation = 0;
+  };
+  struct ParticipantState {
+    bool discovered = false;
+    ros2::Participant facts;
+    absl::btree_map<ros2::Guid, EndpointState> endpoints;
+    // As claimed.
+    absl::btree_set<std::string> nodes;
+    absl::flat_hash_map<ros2::Guid, std::string> node_of;
+    // A claim without a discovered participant is dropped then; 0 = not so.
+    int64_t orphan_until_ns = 0;
+    uint32_t generation = 0;
+    // As sent.
+    std::optional<ros2::Participant> sent;
+    absl::btree_set<std::string> sent_nodes;
+    absl::btree_map<ros2::Guid, ros2::Endpoint> sent_endpoints;
+
+    bool present() const { return discovered || !endpoints.empty(); }
+  };
+  struct TopicUse {
+    // Types of the endpoints of others, with how many have each.
+    absl::btree_map<std::string, int> types;
+    // Our subscription as sent.
+    std::optional<ros2::Endpoint> observer;
+  };
+
+  bool IsOwn(const ros2::Guid& participant) const;
+  // Null if the limit on participants is hit.
+  ParticipantState* Obtain(const ros2::Guid& participant);
+  EndpointState* FindState(const ros2::Guid& endpoint);
+  void SetShown(EndpointState& state, const EndpointFact& fact) const;
+  ros2::Endpoint Attributed(const ParticipantState& owner, const EndpointState& state) const;
+  void RenewGraces(ParticipantState& owner,
+                   const absl::flat_hash_map<ros2::Guid, std::string>& before, int64_t now_ns);
+  void DropClaims(ParticipantState& state);
+  // What is known of it goes; what was sent stays until the next step.
+  void Forget(const ros2::Guid& participant);
+  void Wait(EndpointState& state, int64_t now_ns);
+  // Something was discovered about `participant`.
+  void Touch(const ros2::Guid& participant, int64_t now_ns);
+  void EndGraces(int64_t now_ns);
+
+  ros2::GraphDelta TakeDelta();
+  void DiffParticipant(const ros2::Guid& guid, ParticipantState& state, ros2::GraphDelta& delta);
+  void DiffNodes(const ros2::Guid& guid, ParticipantState& state,
+                 absl::btree_set<std::string> nodes, ros2::GraphDelta& delta);
+  void DiffEndpoints(ParticipantState& state, ros2::GraphDelta& delta);
+  void DiffObserver(ros2::GraphDelta& delta);
+  void CountTopic(const ros2::Endpoint& endpoint, int by);
+  std::vector<GraphChange> Number(ros2::GraphDelta delta, bool snapshot);
+
+  const GraphOptions options_;
+  const int64_t start_ns_;
+  GraphCounters counters_;
+  absl::btree_set<ros2::Guid> own_participants_;
+  absl::btree_map<ros2::Guid, ParticipantState> participants_;
+  size_t endpoint_count_ = 0;
+  size_t node_count_ = 0;
+  size_t claim_count_ = 0;
+  uint32_t generation_ = 0;
+  uint64_t revision_ = 1;
+  // Deadlines of graces (by endpoint) and orphaned claims (by participant).
+  absl::btree_set<std::pair<int64_t, ros2::Guid>> deadlines_;
+
+  // What may differ from what was sent.
+  absl::btree_set<ros2::Guid> dirty_;
+  absl::btree_set<std::string> dirty_topics_;
+  int64_t burst_first_ns_ = 0;
+  int64_t last_discovery_ns_;
+  // A grace has ended: do not wait for the burst.
+  bool hurry_ = false;
+  bool settled_ = false;
+  uint64_t version_ = 0;
+  absl::btree_map<std::string, TopicUse> topics_;
+  // Participants that were sent as having a node of that name.
+  absl::btree_map<std::string, absl::btree_set<ros2::Guid>> node_owners_;
+  uint32_t observer_entities_ = 0;
+};
+
+// `delta` in pieces of at most about `bytes` each, in an order in which each can be applied after
+// the ones before. Never empty.
+std::vector<ros2::GraphDelta> SplitDelta(ros2::GraphDelta delta, size_t bytes);
+
+}  // namespace rips::sensor
+
+#endif  // RIPS_SENSOR_AGENT_GRAPH_BUILDER_H_

@@ -1,0 +1,564 @@
+#include "sensor_agent/graph_builder.h"
+
+#include <algorithm>
+
+#include "absl/strings/str_cat.h"
+#include "gmock/gmock.h"
+#include "gtest/gtest.h"
+#include "sensor_agent/outbox.h"
+#include "services/base/status_matchers.h"
+
+namespace rips::sensor {
+namespace {
+
+using ros2::Endpoint;
+using ros2::EndpointKind;
+using ros2::Guid;
+using ros2::RosGraph;
+using ros2::Visibility;
+using ::testing::AllOf;
+using ::testing::ElementsAre;
+using ::testing::Field;
+using ::testing::HasSubstr;
+using ::testing::IsEmpty;
+using ::testing::Not;
+using ::testing::SizeIs;
+
+constexpr int64_t kMs = 1'000'000;
+constexpr char kStringType[] = "std_msgs::msg::dds_::String_";
+
+Guid ParticipantGuid(uint8_t number) {
+  Guid guid;
+  guid.bytes = {0x01, 0x10, 0, 0, 0, 0, 0, 0, 0, 0, 0, number, 0, 0, 1, 0xc1};
+  return guid;
+}
+
+Guid EndpointGuid(uint8_t participant, uint16_t number, bool writer = true) {
+  Guid guid = ParticipantGuid(participant);
+  guid.bytes[13] = static_cast<uint8_t>(number >> 8);
+  guid.bytes[14] = static_cast<uint8_t>(number);
+  guid.bytes[12] = 1;
+  guid.bytes[15] = writer ? 0x03 : 0x04;
+  return guid;
+}
+
+constexpr uint8_t kOwn = 200;
+
+// Steps time, plays discovery, and keeps the graph as a server would.
+class GraphBuilderTest : public testing::Test {
+ protected:
+  explicit GraphBuilderTest(GraphOptions options = {}) : options_(std::move(options)) {
+    options_.own = ParticipantGuid(kOwn);
+    Restart();
+  }
+
+  void Restart() {
+    now_ns_ = 1'000'000 * kMs;
+    builder_.emplace(options_, now_ns_);
+    graph_.Clear();
+    version_ = 0;
+    changes_.clear();
+  }
+
+  void Participant(uint8_t number) {
+    builder_->ParticipantSeen({.guid = ParticipantGuid(number), .host = "base"}, now_ns_);
+  }
+  void Seen(const Guid& guid, bool writer, const std::string& topic,
+            const std::string& type = kStringType, ros2::Qos qos = {}) {
+    builder_->EndpointSeen(
+        {.guid = guid, .writer = writer, .topic = topic, .type = type, .qos = std::move(qos)},
+        now_ns_);
+  }
+  void Writer(uint8_t participant, uint16_t number, const std::string& topic) {
+    Seen(EndpointGuid(participant, number), true, topic);
+  }
+  absl::Status Claim(uint8_t participant, const std::string& node, std::vector<Guid> writers,
+                     std::vector<Guid> readers = {}) {
+    return builder_->NodesClaimed(EndpointGuid(participant, 999),
+                                  {.participant = ParticipantGuid(participant),
+                                   .nodes = {{.node_namespace = "/",
+                                              .node_name = node,
+                                              .readers = std::move(readers),
+                                              .writers = std::move(writers)}}},
+                                  now_ns_);
+  }
+  // A node with one publisher, as a well-behaved process shows it.
+  void Talker(uint8_t participant, const std::string& node, const std::string& topic) {
+    Participant(participant);
+    Writer(participant, 1, topic);
+    ASSERT_THAT(Claim(participant, node, {EndpointGuid(participant, 1)}), IsOk());
+  }
+
+  // Lets time pass in steps of 1 ms; changes are checked for contiguous versions and applied.
+  void Pass(int64_t ms) {
+    for (int64_t i = 0; i < ms; ++i) {
+      now_ns_ += kMs;
+      const int64_t due_ns = builder_->NextDue();
+      std::vector<GraphChange> changes = builder_->Poll(now_ns_);
+      if (!changes.empty()) {
+        EXPECT_LE(due_ns, now_ns_) << "a change that NextDue did not promise";
+      }
+      Apply(std::move(changes));
+    }
+  }
+  void Apply(std::vector<GraphChange> changes) {
+    for (GraphChange& change : changes) {
+      if (change.from_version == 0) {
+        graph_.Clear();
+        EXPECT_GT(change.to_version, version_);
+      } else {
+        EXPECT_EQ(change.from_version, version_);
+        EXPECT_EQ(change.to_version, version_ + 1);
+      }
+      version_ = change.to_version;
+      EXPECT_THAT(graph_.Apply(change.delta), IsOk());
+      changes_.push_back(std::move(change));
+    }
+  }
+  void Settle() {
+    Pass(2'000);
+    ASSERT_TRUE(builder_->settled());
+    ASSERT_THAT(changes_, Not(IsEmpty()));
+    changes_.clear();
+  }
+  std::vector<std::string> Publishers(const std::string& topic) {
+    const ros2::Topic* found = graph_.FindTopic(topic);
+    return found == nullptr ? std::vector<std::string>{} : found->publishers;
+  }
+  std::vector<std::string> Subscribers(const std::string& topic) {
+    const ros2::Topic* found = graph_.FindTopic(topic);
+    return found == nullptr ? std::vector<std::string>{} : found->subscribers;
+  }
+  std::vector<std::string> Nodes() {
+    std::vector<std::string> names;
+    for (const ros2::Node& node : graph_.nodes()) names.push_back(node.full_name);
+    return names;
+  }
+
+  GraphOptions options_;
+  std::optional<GraphBuilder> builder_;
+  int64_t now_ns_ = 0;
+  RosGraph graph_;
+  uint64_t version_ = 0;
+  std::vector<GraphChange> changes_;
+};
+
+TEST_F(GraphBuilderTest, SettlesAfterTwoQuietSecondsWithOneSnapshot) {
+  Talker(1, "talker", "rt/chatter");
+  Pass(1'500);
+  Talker(2, "late", "rt/late");
+  Pass(1'999);
+  EXPECT_FALSE(builder_->settled());
+  EXPECT_THAT(builder_->Snapshot(now_ns_), IsEmpty());
+
+  Pass(1);
+
+  EXPECT_TRUE(builder_->settled());
+  ASSERT_THAT(changes_, SizeIs(1));
+  EXPECT_EQ(changes_[0].from_version, 0);
+  EXPECT_EQ(changes_[0].to_version, 1);
+  EXPECT_TRUE(changes_[0].settled);
+  EXPECT_THAT(Nodes(), ElementsAre("/late", "/rips", "/talker"));
+  EXPECT_THAT(Publishers("/chatter"), ElementsAre("/talker"));
+  EXPECT_THAT(graph_.FindTopic("/chatter")->types, ElementsAre("std_msgs/msg/String"));
+}
+
+TEST_F(GraphBuilderTest, SettlesAfterTenSecondsOfEndlessDiscovery) {
+  for (int i = 0; i < 10'000 / 20 - 1; ++i) {
+    Participant(static_cast<uint8_t>(1 + i % 100));
+    Writer(static_cast<uint8_t>(1 + i % 100), static_cast<uint16_t>(1 + i), "rt/x");
+    Pass(20);
+  }
+  EXPECT_FALSE(builder_->settled());
+  Pass(20);
+  EXPECT_TRUE(builder_->settled());
+}
+
+TEST_F(GraphBuilderTest, EndpointBeforeItsNodeIsPendingThenAttributed) {
+  Settle();
+  Participant(1);
+  Writer(1, 1, "rt/chatter");
+  Pass(300);
+  EXPECT_EQ(graph_.FindTopic("/chatter"), nullptr) << "a pending endpoint counted";
+  EXPECT_TRUE(graph_.FindEndpoint(EndpointGuid(1, 1))->pending);
+
+  ASSERT_THAT(Claim(1, "talker", {EndpointGuid(1, 1)}), IsOk());
+  Pass(20);
+
+  EXPECT_THAT(Publishers("/chatter"), ElementsAre("/talker"));
+}
+
+TEST_F(GraphBuilderTest, NodeBeforeItsEndpoint) {
+  Settle();
+  ASSERT_THAT(Claim(1, "talker", {EndpointGuid(1, 1)}), IsOk());
+  Pass(100);
+  EXPECT_THAT(Nodes(), ElementsAre("/rips")) << "a claim alone made a node";
+  Participant(1);
+  Writer(1, 1, "rt/chatter");
+  Pass(20);
+  EXPECT_THAT(Publishers("/chatter"), ElementsAre("/talker"));
+}
+
+TEST_F(GraphBuilderTest, ClaimWhoseParticipantNeverComesIsForgotten) {
+  Settle();
+  ASSERT_THAT(Claim(1, "ghost", {EndpointGuid(1, 1)}), IsOk());
+  Pass(10'001);
+  Participant(1);
+  Pass(20);
+  EXPECT_THAT(Nodes(), ElementsAre("/rips"));
+}
+
+TEST_F(GraphBuilderTest, NodeThatNeverComesLeavesTheEndpointUnattributedAfterTheGrace) {
+  Settle();
+  Participant(1);
+  Writer(1, 1, "rt/chatter");
+  Pass(499);
+  EXPECT_EQ(graph_.FindTopic("/chatter"), nullptr);
+
+  Pass(1);
+
+  EXPECT_THAT(Publishers("/chatter"),
+              ElementsAre(absl::StrCat("(unattributed ", ToString(EndpointGuid(1, 1)), ")")));
+  ASSERT_THAT(Claim(1, "slow", {EndpointGuid(1, 1)}), IsOk());
+  Pass(20);
+  EXPECT_THAT(Publishers("/chatter"), ElementsAre("/slow")) << "a late claim must still count";
+}
+
+TEST_F(GraphBuilderTest, GraceIsRenewedOnceWhenAClaimIsTakenBack) {
+  Talker(1, "talker", "rt/chatter");
+  Settle();
+  // As when a node deletes a publisher: first the claim goes, then the endpoint.
+  ASSERT_THAT(Claim(1, "talker", {}), IsOk());
+  Pass(499);
+  EXPECT_EQ(graph_.FindTopic("/chatter"), nullptr);
+  ASSERT_THAT(Claim(1, "talker", {EndpointGuid(1, 1)}), IsOk());
+  Pass(100);
+
+  ASSERT_THAT(Claim(1, "talker", {}), IsOk());
+  Pass(20);
+
+  EXPECT_THAT(Publishers("/chatter"),
+              ElementsAre(absl::StrCat("(unattributed ", ToString(EndpointGuid(1, 1)), ")")))
+      << "claiming and unclaiming keeps an endpoint out of sight";
+}
+
+TEST_F(GraphBuilderTest, ClaimForAnotherParticipantIsIgnoredAndCounted) {
+  Talker(1, "talker", "rt/chatter");
+  Participant(2);
+  Settle();
+  EXPECT_THAT(builder_->NodesClaimed(EndpointGuid(2, 999),
+                                     {.participant = ParticipantGuid(1),
+                                      .nodes = {{.node_namespace = "/", .node_name = "evil"}}},
+                                     now_ns_),
+              StatusIs(absl::StatusCode::kPermissionDenied, HasSubstr("claims nodes for")));
+  Pass(200);
+  EXPECT_THAT(changes_, IsEmpty());
+  EXPECT_EQ(builder_->counters().foreign_claims, 1);
+}
+
+TEST_F(GraphBuilderTest, EndpointOfAnotherParticipantInAClaimIsIgnoredAndCounted) {
+  Settle();
+  Participant(1);
+  Writer(1, 1, "rt/cmd_vel");
+  Participant(2);
+  Writer(2, 1, "rt/other");
+  EXPECT_THAT(Claim(2, "thief", {EndpointGuid(1, 1), EndpointGuid(2, 1)}),
+              StatusIs(absl::StatusCode::kPermissionDenied,
+                       HasSubstr("lists 1 endpoints of other participants")));
+  Pass(600);
+  EXPECT_THAT(Publishers("/other"), ElementsAre("/thief"));
+  EXPECT_THAT(Publishers("/cmd_vel"), ElementsAre(HasSubstr("unattributed")));
+  EXPECT_EQ(builder_->counters().foreign_claims, 1);
+}
+
+TEST_F(GraphBuilderTest, ParticipantDiesWithNodesAndEndpoints) {
+  Talker(1, "talker", "rt/chatter");
+  Talker(2, "other", "rt/other");
+  Settle();
+  builder_->ParticipantGone(ParticipantGuid(1), now_ns_);
+  // As the middleware tells it: its endpoints go as well, and a queued claim may come after.
+  builder_->EndpointGone(EndpointGuid(1, 1), now_ns_);
+  Pass(20);
+  ASSERT_THAT(changes_, SizeIs(1));
+  EXPECT_THAT(Nodes(), ElementsAre("/other", "/rips"));
+  EXPECT_EQ(graph_.FindTopic("/chatter"), nullptr) << "our own subscription outlived the topic";
+  ASSERT_THAT(Claim(1, "talker", {EndpointGuid(1, 1)}), IsOk());
+  Pass(11'000);
+  EXPECT_THAT(Nodes(), ElementsAre("/other", "/rips"));
+  EXPECT_FALSE(graph_.participants().contains(ParticipantGuid(1)));
+}
+
+TEST_F(GraphBuilderTest, ParticipantThatComesBackIsShownAgain) {
+  Talker(1, "talker", "rt/chatter");
+  Settle();
+  builder_->ParticipantGone(ParticipantGuid(1), now_ns_);
+  Pass(50);
+  Talker(1, "talker", "rt/chatter");
+  Pass(50);
+  EXPECT_THAT(Publishers("/chatter"), ElementsAre("/talker"));
+}
+
+TEST_F(GraphBuilderTest, SecondNodeOfOneNameSurvivesTheFirst) {
+  Talker(1, "twin", "rt/a");
+  Talker(2, "twin", "rt/b");
+  Settle();
+  EXPECT_THAT(Nodes(), ElementsAre("/rips", "/twin", "/twin"));
+  ASSERT_THAT(Claim(1, "renamed", {EndpointGuid(1, 1)}), IsOk());
+  Pass(20);
+  EXPECT_THAT(Nodes(), ElementsAre("/renamed", "/rips", "/twin"));
+  EXPECT_THAT(Publishers("/b"), ElementsAre("/twin"));
+  EXPECT_THAT(Publishers("/a"), ElementsAre("/renamed"));
+}
+
+TEST_F(GraphBuilderTest, BurstBecomesOneDeltaAfterTwentyQuietMilliseconds) {
+  Settle();
+  for (uint8_t i = 1; i <= 9; ++i) {
+    Talker(i, absl::StrCat("n", i), "rt/chatter");
+    Pass(10);
+  }
+  EXPECT_THAT(changes_, IsEmpty());
+  Pass(9);
+  EXPECT_THAT(changes_, IsEmpty());
+  Pass(1);
+  ASSERT_THAT(changes_, SizeIs(1));
+  EXPECT_THAT(changes_[0].delta.upsert_nodes, SizeIs(9));
+}
+
+TEST_F(GraphBuilderTest, EndlessBurstIsCutAfterHundredMilliseconds) {
+  Settle();
+  for (uint8_t i = 1; i <= 30; ++i) {
+    Talker(i, absl::StrCat("n", i), "rt/chatter");
+    Pass(10);
+  }
+  EXPECT_THAT(changes_, SizeIs(testing::AllOf(testing::Ge(2), testing::Le(3))));
+}
+
+TEST_F(GraphBuilderTest, NothingChangedMeansNoDelta) {
+  Talker(1, "talker", "rt/chatter");
+  Settle();
+  Talker(1, "talker", "rt/chatter");
+  Pass(300);
+  EXPECT_THAT(changes_, IsEmpty());
+}
+
+TEST_F(GraphBuilderTest, ObserverSubscribesToWatchedTopicsOnly) {
+  Talker(1, "talker", "rt/chatter");
+  Writer(1, 2, "rt/rosout");
+  Seen(EndpointGuid(1, 3, false), false, "rt/only_read");
+  ASSERT_THAT(
+      Claim(1, "talker", {EndpointGuid(1, 1), EndpointGuid(1, 2)}, {EndpointGuid(1, 3, false)}),
+      IsOk());
+  Settle();
+  EXPECT_THAT(Subscribers("/chatter"), ElementsAre("/rips"));
+  EXPECT_THAT(Subscribers("/only_read"), ElementsAre("/rips", "/talker"));
+  EXPECT_THAT(Subscribers("/rosout"), IsEmpty());
+  EXPECT_EQ(graph_.FindEndpoint(EndpointGuid(1, 1))->visibility, Visibility::kWatched);
+  EXPECT_EQ(graph_.FindEndpoint(EndpointGuid(1, 2))->visibility, Visibility::kNotNeeded);
+  builder_->EndpointGone(EndpointGuid(1, 1), now_ns_);
+  Pass(20);
+  EXPECT_EQ(graph_.FindTopic("/chatter"), nullptr);
+}
+
+TEST_F(GraphBuilderTest, ObserverAddsNoTypeOfItsOwn) {
+  Talker(1, "talker", "rt/t");
+  Settle();
+  Seen(EndpointGuid(1, 2), true, "rt/t", "a_msgs::msg::dds_::A_");
+  ASSERT_THAT(Claim(1, "talker", {EndpointGuid(1, 1), EndpointGuid(1, 2)}), IsOk());
+  Pass(20);
+  EXPECT_THAT(graph_.FindTopic("/t")->types, ElementsAre("a_msgs/msg/A", "std_msgs/msg/String"));
+  builder_->EndpointGone(EndpointGuid(1, 2), now_ns_);
+  Pass(20);
+  EXPECT_THAT(graph_.FindTopic("/t")->types, ElementsAre("std_msgs/msg/String"));
+  EXPECT_THAT(Subscribers("/t"), ElementsAre("/rips"));
+}
+
+TEST_F(GraphBuilderTest, HiddenObserverAndItsProcessesLeaveNoTrace) {
+  options_.observer_hidden = true;
+  Restart();
+  Talker(1, "talker", "rt/chatter");
+  Participant(2);
+  builder_->SetOwnParticipants({ParticipantGuid(2)}, now_ns_);
+  Settle();
+  EXPECT_THAT(Nodes(), ElementsAre("/talker"));
+  EXPECT_THAT(Subscribers("/chatter"), IsEmpty());
+  EXPECT_THAT(graph_.participants(), SizeIs(1));
+}
+
+TEST_F(GraphBuilderTest, OwnParticipantsAreTheNodeRips) {
+  Talker(1, "manager", "rt/chatter");
+  Participant(2);
+  Seen(EndpointGuid(2, 1), true, "rq/safety/change_modeRequest",
+       "system_modes_msgs::srv::dds_::ChangeMode_Request_");
+  Settle();
+  EXPECT_TRUE(graph_.FindEndpoint(EndpointGuid(2, 1))->node.empty());
+
+  builder_->SetOwnParticipants({ParticipantGuid(2)}, now_ns_);
+  Pass(20);
+
+  EXPECT_EQ(graph_.FindEndpoint(EndpointGuid(2, 1))->node, "/rips");
+  EXPECT_THAT(Nodes(), ElementsAre("/manager", "/rips", "/rips"));
+  EXPECT_THAT(Claim(2, "disguise", {EndpointGuid(2, 1)}), IsOk());
+  Pass(20);
+  EXPECT_EQ(graph_.FindEndpoint(EndpointGuid(2, 1))->node, "/rips");
+
+  builder_->SetOwnParticipants({}, now_ns_);
+  Pass(20);
+  EXPECT_EQ(graph_.FindEndpoint(EndpointGuid(2, 1))->node, "");
+  EXPECT_THAT(Nodes(), ElementsAre("/manager", "/rips"));
+}
+
+TEST_F(GraphBuilderTest, OwnRealEndpointsAreNotShown) {
+  Settle();
+  Writer(kOwn, 5, "rt/ours");
+  Pass(600);
+  EXPECT_THAT(changes_, IsEmpty());
+  EXPECT_EQ(builder_->Find(EndpointGuid(kOwn, 5)), std::nullopt);
+}
+
+TEST_F(GraphBuilderTest, ServiceIsItsRequestReaderAndClientItsRequestWriter) {
+  Participant(1);
+  const std::string request = "std_srvs::srv::dds_::SetBool_Request_";
+  const std::string reply = "std_srvs::srv::dds_::SetBool_Response_";
+  Seen(EndpointGuid(1, 1, false), false, "rq/enableRequest", request);
+  Seen(EndpointGuid(1, 2), true, "rr/enableReply", reply);
+  ASSERT_THAT(Claim(1, "server", {EndpointGuid(1, 2)}, {EndpointGuid(1, 1, false)}), IsOk());
+  Participant(2);
+  Seen(EndpointGuid(2, 1), true, "rq/enableRequest", request);
+  Seen(EndpointGuid(2, 2, false), false, "rr/enableReply", reply);
+  ASSERT_THAT(Claim(2, "caller", {EndpointGuid(2, 1)}, {EndpointGuid(2, 2, false)}), IsOk());
+  Settle();
+  EXPECT_THAT(graph_.ServicesOf("/server"), ElementsAre("/enable"));
+  EXPECT_THAT(graph_.topics(), IsEmpty());
+  const Endpoint* client = graph_.FindEndpoint(EndpointGuid(2, 1));
+  ASSERT_NE(client, nullptr);
+  EXPECT_THAT(*client, AllOf(Field(&Endpoint::kind, EndpointKind::kClient),
+                             Field(&Endpoint::name, "/enable"),
+                             Field(&Endpoint::type, "std_srvs/srv/SetBool"),
+                             Field(&Endpoint::visibility, Visibility::kNotVisible),
+                             Field(&Endpoint::why, HasSubstr("requests are not read"))));
+  EXPECT_EQ(graph_.FindEndpoint(EndpointGuid(1, 2)), nullptr);
+}
+
+TEST_F(GraphBuilderTest, RawNamesAreNoTopics) {
+  Participant(1);
+  Seen(EndpointGuid(1, 1), true, "Square\x01", "Shape");
+  Seen(EndpointGuid(1, 2), true, "", "");
+  Seen(EndpointGuid(1, 3), true, "ros_discovery_info",
+       "rmw_dds_common::msg::dds_::ParticipantEntitiesInfo_");
+  Settle();
+  EXPECT_THAT(graph_.topics(), IsEmpty());
+  const Endpoint* square = graph_.FindEndpoint(EndpointGuid(1, 1));
+  ASSERT_NE(square, nullptr);
+  EXPECT_FALSE(square->ros);
+  EXPECT_FALSE(square->pending);
+  EXPECT_EQ(square->name, "Square\\x01");
+  EXPECT_EQ(square->visibility, Visibility::kNotNeeded);
+  EXPECT_NE(graph_.FindEndpoint(EndpointGuid(1, 2)), nullptr);
+  EXPECT_EQ(graph_.FindEndpoint(EndpointGuid(1, 3))->visibility, Visibility::kWatched);
+}
+
+TEST_F(GraphBuilderTest, UnreadableWriterSaysWhy) {
+  Talker(1, "talker", "rt/chatter");
+  Settle();
+  builder_->SetNotVisible(EndpointGuid(1, 1), "no reader", now_ns_);
+  Pass(20);
+  EXPECT_EQ(graph_.FindEndpoint(EndpointGuid(1, 1))->visibility, Visibility::kNotVisible);
+  EXPECT_EQ(graph_.FindEndpoint(EndpointGuid(1, 1))->why, "no reader");
+}
+
+TEST_F(GraphBuilderTest, SnapshotEqualsTheSumOfTheSteps) {
+  Talker(1, "talker", "rt/chatter");
+  Settle();
+  Talker(2, "second", "rt/chatter");
+  builder_->ParticipantGone(ParticipantGuid(1), now_ns_);
+  Pass(20);
+  Writer(2, 7, "rt/more");  // not yet sent: the snapshot has it
+  const RosGraph before = graph_;
+
+  Apply(builder_->Snapshot(now_ns_));
+
+  EXPECT_THAT(graph_.endpoints(), SizeIs(before.endpoints().size() + 1));
+  EXPECT_TRUE(graph_.FindEndpoint(EndpointGuid(2, 7))->pending);
+  changes_.clear();
+  Pass(600);
+  ASSERT_THAT(changes_, SizeIs(1)) << "what the snapshot said is said again";
+  EXPECT_THAT(Publishers("/more"), ElementsAre(HasSubstr("unattributed")));
+}
+
+TEST_F(GraphBuilderTest, ResyncRemovesWhatIsNotSeenAgain) {
+  Talker(1, "talker", "rt/chatter");
+  Writer(1, 2, "rt/stays");
+  ASSERT_THAT(Claim(1, "talker", {EndpointGuid(1, 1), EndpointGuid(1, 2)}), IsOk());
+  Talker(2, "gone", "rt/gone");
+  Settle();
+  builder_->BeginResync();
+  Participant(1);
+  Writer(1, 2, "rt/stays");
+  Pass(100);
+  builder_->EndResync(now_ns_);
+  Pass(20);
+  EXPECT_THAT(Nodes(), ElementsAre("/rips", "/talker"));
+  EXPECT_EQ(graph_.FindTopic("/chatter"), nullptr);
+  EXPECT_THAT(Publishers("/stays"), ElementsAre("/talker"));
+}
+
+class SmallLimitsTest : public GraphBuilderTest {
+ protected:
+  SmallLimitsTest()
+      : GraphBuilderTest(
+            {.participants_max = 3, .nodes_max = 2, .endpoints_max = 4, .step_bytes = 600}) {}
+};
+
+TEST_F(SmallLimitsTest, ExcessIsLeftOutAndCounted) {
+  Participant(1);
+  Participant(2);
+  Participant(3);  // with our own the fourth
+  EXPECT_EQ(builder_->counters().dropped, 1);
+  for (uint16_t i = 1; i <= 5; ++i) Writer(1, i, "rt/x");
+  EXPECT_EQ(builder_->counters().dropped, 2);
+  EXPECT_THAT(Claim(1, "a", {}), IsOk());
+  EXPECT_THAT(builder_->NodesClaimed(EndpointGuid(2, 9),
+                                     {.participant = ParticipantGuid(2),
+                                      .nodes = {{.node_namespace = "/", .node_name = "b"},
+                                                {.node_namespace = "/", .node_name = "c"}}},
+                                     now_ns_),
+              StatusIs(absl::StatusCode::kResourceExhausted, HasSubstr("more than 2 nodes")));
+  EXPECT_EQ(builder_->counters().dropped, 3);
+  Settle();
+  EXPECT_THAT(Nodes(), ElementsAre("/a", "/b", "/rips"));
+  // What goes makes room.
+  builder_->EndpointGone(EndpointGuid(1, 1), now_ns_);
+  Writer(1, 6, "rt/x");
+  EXPECT_THAT(Claim(1, "d", {}), IsOk());
+  EXPECT_EQ(builder_->counters().dropped, 3);
+}
+
+TEST_F(SmallLimitsTest, LargeStepIsSentInPiecesOfWhichTheLastIsSettled) {
+  Talker(1, "talker", "rt/chatter_with_a_long_name");
+  Participant(2);
+  for (uint16_t i = 1; i <= 3; ++i) {
+    Writer(2, i, absl::StrCat("rt/", std::string(60, 'x'), i));
+  }
+  Pass(2'000);
+  ASSERT_GT(changes_.size(), 1u);
+  for (size_t i = 0; i < changes_.size(); ++i) {
+    EXPECT_EQ(changes_[i].settled, i + 1 == changes_.size()) << i;
+  }
+  EXPECT_THAT(graph_.endpoints(), SizeIs(8)) << "4 of others and 4 of ours";
+}
+
+TEST(SplitDeltaTest, SurvivorsOfAGoneNameComeBackInTheSamePiece) {
+  ros2::GraphDelta delta;
+  for (uint8_t i = 1; i <= 3; ++i) {
+    delta.upsert_participants.push_back({.guid = ParticipantGuid(i)});
+  }
+  delta.upsert_nodes = {{"/twin", ParticipantGuid(1)}, {"/a", ParticipantGuid(2)}};
+  delta.gone_nodes = {"/twin"};
+  const std::vector<ros2::GraphDelta> pieces = SplitDelta(delta, 100);
+  ASSERT_GT(pieces.size(), 2u);
+  EXPECT_THAT(pieces.back().gone_nodes, ElementsAre("/twin"));
+  EXPECT_THAT(pieces.back().upsert_nodes, ElementsAre(ros2::Node{"/twin", ParticipantGuid(1)}));
+}
+
+}  // namespace
+}  // namespace rips::sensor

@@ -1,0 +1,77 @@
+// What this sensor saw, before it is put on the wire: plain values without protobuf. rips.v1
+// (observation.proto) says what each means; here strings stand where the wire has interned ids.
+#ifndef RIPS_SENSOR_AGENT_OBSERVATION_H_
+#define RIPS_SENSOR_AGENT_OBSERVATION_H_
+
+#include <cstdint>
+#include <memory>
+#include <string>
+#include <variant>
+
+#include "services/ros2/ros_graph.h"
+
+namespace rips::sensor {
+
+// Each lane has its own sequence and acknowledgement.
+enum class Lane { kControl, kMessages };
+
+// One writer on one topic. Immutable and shared by all its messages; when the writer's node
+// becomes known a new one takes its place.
+struct MessageSource {
+  std::string topic;  // ROS names
+  std::string type;
+  ros2::Endpoint writer;
+};
+
+struct MessageSeen {
+  int64_t boottime_ns = 0;  // reception
+  std::shared_ptr<const MessageSource> source;
+  uint64_t writer_sequence = 0;  // 0 = not known
+  int64_t source_unix_ns = 0;
+  uint32_t size_bytes = 0;  // whole payload with its CDR header
+  // First of its source: does not wait for a batch to fill.
+  bool urgent = false;
+};
+
+// A step of the graph. from_version 0 = a snapshot: `delta` holds everything and applies to the
+// empty graph.
+struct GraphChange {
+  uint64_t from_version = 0;
+  uint64_t to_version = 0;
+  // Rules may judge "exactly these" after this step.
+  bool settled = false;
+  ros2::GraphDelta delta;
+};
+
+struct SignalSeen {
+  std::string name;  // SIGUSR1, SIGUSR2
+  uint32_t count = 0;
+};
+
+enum class LossCause { kDdsGap, kQueueFull, kOutboxShed, kLimit, kUndecodable };
+
+struct Loss {
+  LossCause cause = LossCause::kLimit;
+  std::string topic;                            // ROS name; empty = several or none
+  std::shared_ptr<const MessageSource> source;  // null = several or not known
+  uint64_t count = 0;
+  int64_t first_boottime_ns = 0;
+  int64_t last_boottime_ns = 0;
+};
+
+struct SensorState {
+  bool overloaded = false;
+  uint64_t outbox_bytes = 0;
+  int64_t oldest_unacked_ns = 0;  // age
+
+  friend bool operator==(const SensorState&, const SensorState&) = default;
+};
+
+struct ControlObservation {
+  int64_t boottime_ns = 0;
+  std::variant<GraphChange, SignalSeen, Loss, SensorState> what;
+};
+
+}  // namespace rips::sensor
+
+#endif  // RIPS_SENSOR_AGENT_OBSERVATION_H_

@@ -1,0 +1,344 @@
+#include "sensor_agent/outbox.h"
+
+#include <algorithm>
+
+#include "absl/strings/str_cat.h"
+#include "services/base/check.h"
+
+namespace rips::sensor {
+
+namespace {
+
+// Of a map or deque node and its allocation.
+constexpr size_t kEntryOverheadBytes = 32;
+// The numbers of an item and its tags.
+constexpr size_t kItemOverheadBytes = 64;
+
+void MergeLoss(Loss& into, const Loss& loss) {
+  into.count += loss.count;
+  into.first_boottime_ns = std::min(into.first_boottime_ns, loss.first_boottime_ns);
+  into.last_boottime_ns = std::max(into.last_boottime_ns, loss.last_boottime_ns);
+}
+
+bool IsGraph(const ControlObservation& observation) {
+  return std::holds_alternative<GraphChange>(observation.what);
+}
+
+}  // namespace
+
+size_t CostOf(const MessageSeen&) { return sizeof(MessageSeen) + kEntryOverheadBytes / 2; }
+
+size_t CostOf(const ros2::Endpoint& endpoint) {
+  size_t bytes = kItemOverheadBytes + endpoint.name.size() + endpoint.type.size() +
+                 endpoint.node.size() + endpoint.why.size();
+  for (const std::string& partition : endpoint.qos.partitions) bytes += partition.size() + 4;
+  return bytes;
+}
+
+size_t CostOf(const ros2::GraphDelta& delta) {
+  size_t bytes = delta.gone_guids.size() * kItemOverheadBytes;
+  for (const ros2::Participant& each : delta.upsert_participants) {
+    bytes += kItemOverheadBytes + each.host.size() + each.enclave.size() + each.vendor.size();
+  }
+  for (const ros2::Node& each : delta.upsert_nodes) {
+    bytes += kItemOverheadBytes + each.full_name.size();
+  }
+  for (const ros2::Endpoint& each : delta.upsert_endpoints) bytes += CostOf(each);
+  for (const std::string& each : delta.gone_nodes) bytes += kItemOverheadBytes + each.size();
+  return bytes;
+}
+
+size_t CostOf(const ControlObservation& observation) {
+  size_t bytes = sizeof(ControlObservation) + kEntryOverheadBytes;
+  if (const auto* change = std::get_if<GraphChange>(&observation.what)) {
+    bytes += CostOf(change->delta);
+  } else if (const auto* loss = std::get_if<Loss>(&observation.what)) {
+    bytes += loss->topic.size();
+  }
+  return bytes;
+}
+
+// --- Filling
+
+void Outbox::AddMessage(MessageSeen message) {
+  if (!primary_) return;
+  messages_.urgent |= message.urgent;
+  messages_.bytes += CostOf(message);
+  messages_.entries.push_back(std::move(message));
+  if (messages_.bytes > limits_.message_bytes) Shed();
+}
+
+void Outbox::PushControl(ControlObservation observation) {
+  control_.bytes += CostOf(observation);
+  control_.urgent = true;
+  control_.entries.push_back(std::move(observation));
+}
+
+void Outbox::AddGraph(GraphChange change, int64_t now_ns) {
+  if (!primary_) return;
+  PushControl({.boottime_ns = now_ns, .what = std::move(change)});
+  if (control_.bytes <= limits_.control_bytes) return;
+  const size_t folded = DropUnnumberedGraph();
+  if (folded == 0) return;
+  snapshot_wanted_ = true;
+  AddLoss({.cause = LossCause::kLimit,
+           .count = folded,
+           .first_boottime_ns = now_ns,
+           .last_boottime_ns = now_ns});
+}
+
+void Outbox::AddLoss(Loss loss) {
+  LossKey key{loss.cause, {loss.topic, loss.source.get()}};
+  auto it = losses_.find(key);
+  if (it == losses_.end() && losses_.size() >= limits_.loss_records) {
+    key.second = {"", nullptr};
+    loss.topic.clear();
+    loss.source = nullptr;
+    it = losses_.find(key);
+  }
+  if (it == losses_.end()) {
+    losses_.emplace(std::move(key), std::move(loss));
+  } else {
+    MergeLoss(it->second, loss);
+  }
+}
+
+void Outbox::AddSignal(const std::string& name, int64_t now_ns) {
+  auto& [count, first_ns] = signals_.try_emplace(name, 0, now_ns).first->second;
+  ++count;
+}
+
+void Outbox::AddState(const SensorState& state, int64_t now_ns) {
+  const bool was_overloaded = state_.has_value() && state_->first.overloaded;
+  state_.emplace(state, now_ns);
+  state_->first.overloaded |= was_overloaded;
+}
+
+void Outbox::FlushMerged(int64_t now_ns) {
+  if (!HasMerged() || !MergedDue(now_ns)) return;
+  last_flush_ns_ = now_ns;
+  for (auto& [key, loss] : losses_) {
+    const int64_t at_ns = loss.last_boottime_ns;
+    PushControl({.boottime_ns = at_ns, .what = std::move(loss)});
+  }
+  losses_.clear();
+  for (const auto& [name, seen] : signals_) {
+    PushControl(
+        {.boottime_ns = seen.second, .what = SignalSeen{.name = name, .count = seen.first}});
+  }
+  signals_.clear();
+  if (state_.has_value()) PushControl({.boottime_ns = state_->second, .what = state_->first});
+  state_.reset();
+}
+
+void Outbox::CountShed(const MessageSeen& message) {
+  ++shed_messages_;
+  AddLoss({.cause = LossCause::kOutboxShed,
+           .topic = message.source->topic,
+           .source = message.source,
+           .count = 1,
+           .first_boottime_ns = message.boottime_ns,
+           .last_boottime_ns = message.boottime_ns});
+}
+
+void Outbox::Shed() {
+  const size_t goal = limits_.message_bytes / 8 * 7;
+  // Those not yet numbered first: what is in flight may be judged already.
+  auto begin = messages_.entries.begin() + static_cast<ptrdiff_t>(messages_.numbered);
+  auto end = begin;
+  while (messages_.bytes > goal && end != messages_.entries.end()) {
+    CountShed(*end);
+    messages_.bytes -= CostOf(*end);
+    ++end;
+  }
+  messages_.entries.erase(begin, end);
+  while (messages_.bytes > goal && !messages_.entries.empty()) {
+    CountShed(messages_.entries.front());
+    messages_.bytes -= CostOf(messages_.entries.front());
+    messages_.entries.pop_front();
+    ++messages_.first_sequence;
+    --messages_.numbered;
+    if (messages_.sent > 0) --messages_.sent;
+  }
+}
+
+// --- Sending
+
+size_t Outbox::unsent(Lane lane) const {
+  if (lane == Lane::kControl) return control_.entries.size() - control_.sent;
+  return messages_.entries.size() - messages_.sent;
+}
+
+const MessageSeen& Outbox::UnsentMessage(size_t index) const {
+  RIPS_CHECK(index < unsent(Lane::kMessages), "no such message");
+  return messages_.entries[messages_.sent + index];
+}
+
+const ControlObservation& Outbox::UnsentControl(size_t index) const {
+  RIPS_CHECK(index < unsent(Lane::kControl), "no such control observation");
+  return control_.entries[control_.sent + index];
+}
+
+uint64_t Outbox::NextSequence(Lane lane) const {
+  return lane == Lane::kControl ? control_.first_sequence + control_.sent
+                                : messages_.first_sequence + messages_.sent;
+}
+
+template <typename T>
+void Outbox::MarkSentIn(Queue<T>& queue, size_t count) {
+  RIPS_CHECK(count <= queue.entries.size() - queue.sent, "more was sent than there is");
+  queue.sent += count;
+  queue.numbered = std::max(queue.numbered, queue.sent);
+  if (queue.sent == queue.entries.size()) queue.urgent = false;
+}
+
+void Outbox::MarkSent(Lane lane, size_t count) {
+  if (lane == Lane::kControl) {
+    MarkSentIn(control_, count);
+  } else {
+    MarkSentIn(messages_, count);
+  }
+}
+
+template <typename T>
+std::optional<int64_t> Outbox::DueIn(const Queue<T>& queue, const BatchPolicy& policy,
+                                     int64_t last_batch_ns, int64_t now_ns) {
+  const size_t count = queue.entries.size() - queue.sent;
+  if (count == 0) return std::nullopt;
+  if (queue.urgent || queue.sent < queue.numbered || count >= policy.observations) return now_ns;
+  return std::max(now_ns, last_batch_ns + policy.linger_ns);
+}
+
+std::optional<int64_t> Outbox::DueAt(Lane lane, const BatchPolicy& policy, int64_t last_batch_ns,
+                                     int64_t now_ns) const {
+  if (snapshot_wanted_) return std::nullopt;
+  if (lane == Lane::kMessages) {
+    if (!messages_released_) return std::nullopt;
+    return DueIn(messages_, policy, last_batch_ns, now_ns);
+  }
+  std::optional<int64_t> due = DueIn(control_, policy, last_batch_ns, now_ns);
+  if (HasMerged()) {
+    const int64_t merged_ns = std::max(now_ns, last_flush_ns_ + limits_.merge_ns);
+    due = std::min(due.value_or(merged_ns), merged_ns);
+  }
+  return due;
+}
+
+// --- Acknowledging and resuming
+
+template <typename T>
+absl::Status Outbox::AcknowledgeIn(Queue<T>& queue, uint64_t sequence) {
+  if (sequence < queue.first_sequence) return absl::OkStatus();
+  const uint64_t count = sequence - queue.first_sequence + 1;
+  if (count > queue.numbered) {
+    return absl::InvalidArgumentError(absl::StrCat("acknowledgement of ", sequence,
+                                                   ", but the last sequence sent is ",
+                                                   queue.first_sequence + queue.numbered - 1));
+  }
+  for (uint64_t i = 0; i < count; ++i) {
+    queue.bytes -= CostOf(queue.entries.front());
+    queue.entries.pop_front();
+  }
+  queue.first_sequence += count;
+  queue.numbered -= count;
+  queue.sent -= std::min<uint64_t>(queue.sent, count);
+  return absl::OkStatus();
+}
+
+absl::Status Outbox::Acknowledge(Lane lane, uint64_t sequence) {
+  return lane == Lane::kControl ? AcknowledgeIn(control_, sequence)
+                                : AcknowledgeIn(messages_, sequence);
+}
+
+uint64_t Outbox::acknowledged(Lane lane) const {
+  return (lane == Lane::kControl ? control_.first_sequence : messages_.first_sequence) - 1;
+}
+
+SequenceRange Outbox::Unacked(Lane lane) const {
+  const uint64_t first =
+      lane == Lane::kControl ? control_.first_sequence : messages_.first_sequence;
+  const size_t count = lane == Lane::kControl ? control_.numbered : messages_.numbered;
+  return {.first = first, .last = first + count - 1};
+}
+
+void Outbox::Rewind() { control_.sent = messages_.sent = 0; }
+
+void Outbox::Renumber() {
+  control_.first_sequence = 1;
+  control_.numbered = control_.sent = 0;
+  messages_.first_sequence = 1;
+  messages_.numbered = messages_.sent = 0;
+  snapshot_wanted_ = true;
+}
+
+bool Outbox::GraphStartsWithSnapshot() const {
+  const auto first = std::find_if(control_.entries.begin(), control_.entries.end(), IsGraph);
+  return first != control_.entries.end() && std::get<GraphChange>(first->what).from_version == 0;
+}
+
+size_t Outbox::DropUnnumberedGraph() {
+  size_t dropped = 0;
+  auto& entries = control_.entries;
+  const auto begin = entries.begin() + static_cast<ptrdiff_t>(control_.numbered);
+  const auto kept = std::remove_if(begin, entries.end(), [&](const ControlObservation& each) {
+    if (!IsGraph(each)) return false;
+    ++dropped;
+    control_.bytes -= CostOf(each);
+    return true;
+  });
+  entries.erase(kept, entries.end());
+  return dropped;
+}
+
+void Outbox::ReplaceGraph(std::vector<GraphChange> snapshot, int64_t now_ns) {
+  snapshot_wanted_ = false;
+  for (size_t i = 0; i < control_.numbered; ++i) {
+    ControlObservation& each = control_.entries[i];
+    if (!IsGraph(each)) continue;
+    control_.bytes -= CostOf(each);
+    each.what = Loss{.cause = LossCause::kOutboxShed,
+                     .count = 1,
+                     .first_boottime_ns = each.boottime_ns,
+                     .last_boottime_ns = each.boottime_ns};
+    control_.bytes += CostOf(each);
+  }
+  DropUnnumberedGraph();
+  if (!primary_ || snapshot.empty()) return;
+  std::vector<ControlObservation> parts;
+  for (GraphChange& part : snapshot) {
+    parts.push_back({.boottime_ns = now_ns, .what = std::move(part)});
+    control_.bytes += CostOf(parts.back());
+  }
+  control_.entries.insert(control_.entries.begin() + static_cast<ptrdiff_t>(control_.numbered),
+                          std::make_move_iterator(parts.begin()),
+                          std::make_move_iterator(parts.end()));
+  control_.urgent = true;
+}
+
+void Outbox::SetPrimary(bool primary) {
+  if (primary == primary_) return;
+  primary_ = primary;
+  if (primary) {
+    snapshot_wanted_ = true;
+    return;
+  }
+  DropUnnumberedGraph();
+  while (messages_.entries.size() > messages_.numbered) {
+    messages_.bytes -= CostOf(messages_.entries.back());
+    messages_.entries.pop_back();
+  }
+}
+
+// --- Looking
+
+std::optional<int64_t> Outbox::OldestUnacked() const {
+  std::optional<int64_t> oldest;
+  if (!control_.entries.empty()) oldest = control_.entries.front().boottime_ns;
+  if (!messages_.entries.empty()) {
+    const int64_t message_ns = messages_.entries.front().boottime_ns;
+    oldest = std::min(oldest.value_or(message_ns), message_ns);
+  }
+  return oldest;
+}
+
+}  // namespace rips::sensor

@@ -1,0 +1,428 @@
+#include "sensor_agent/uplink.h"
+
+#include <algorithm>
+#include <utility>
+
+#include "absl/strings/escaping.h"
+#include "absl/strings/str_cat.h"
+#include "rips/v1/sensor.grpc.pb.h"
+#include "services/base/check.h"
+#include "services/base/ids.h"
+#include "services/rpc/status_conversion.h"
+#include "services/runtime/daemon_flags.h"
+#include "services/runtime/log.h"
+
+namespace rips::sensor {
+
+namespace {
+
+using rips::v1::SensorMessage;
+using rips::v1::SensorReply;
+
+constexpr uint32_t kProtocol = 1;
+// Batches handed to the client and not yet written. Few: what waits there is in front of control
+// observations that come later, and the outbox holds everything anyway.
+constexpr size_t kClientQueue = 32;
+constexpr int64_t kStallRetryNs = 10 * kNanosPerMilli;
+// What the server may set, whatever it says.
+constexpr uint32_t kBatchObservationsMax = 256;
+constexpr uint32_t kBatchBytesMin = 1024;
+constexpr uint32_t kBatchBytesMax = 1 << 20;
+constexpr uint32_t kLingerMsMax = 1000;
+// After this many refused streams in a row the incarnation is given up.
+constexpr int kRefusalsMax = 2;
+constexpr Lane kLanes[] = {Lane::kControl, Lane::kMessages};
+
+int Index(Lane lane) { return lane == Lane::kControl ? 0 : 1; }
+
+rips::v1::Lane ToWire(Lane lane) {
+  return lane == Lane::kControl ? rips::v1::CONTROL : rips::v1::MESSAGES;
+}
+
+std::string NewIncarnation() { return absl::HexStringToBytes(NewId()); }
+
+void SetClock(Instant now, rips::v1::Clock* clock) {
+  clock->set_boottime_ns(static_cast<uint64_t>(now.boottime_ns));
+  clock->set_unix_ns(now.unix_ns);
+}
+
+}  // namespace
+
+Uplink::Uplink(UplinkOptions options, Hooks hooks, const Clock* clock, Metrics* metrics)
+    : options_(std::move(options)),
+      hooks_(std::move(hooks)),
+      clock_(clock),
+      batches_(metrics->AddCounter("rips_sensor_batches_total", "Batches handed to the stream")),
+      observations_sent_(metrics->AddCounter("rips_sensor_observations_sent_total",
+                                             "Observations sent, repeated ones included")),
+      reconnects_(metrics->AddCounter("rips_sensor_stream_ends_total",
+                                      "Streams and attempts to connect that ended")),
+      shed_(metrics->AddCounter("rips_sensor_shed_total", "Messages shed by a full outbox")),
+      outbox_bytes_(metrics->AddGauge("rips_sensor_outbox_bytes",
+                                      "Estimated memory of observations not acknowledged")),
+      streaming_(metrics->AddGauge("rips_sensor_streaming", "1 while the stream carries batches")),
+      down_because_(absl::UnavailableError("not connected yet")),
+      incarnation_(NewIncarnation()),
+      outbox_(options_.outbox) {}
+
+Uplink::~Uplink() { Stop(); }
+
+std::unique_ptr<Uplink::Client> Uplink::MakeClient() {
+  rpc::BidiClientOptions options{.servers = options_.servers,
+                                 .credentials = options_.credentials,
+                                 .backoff = options_.backoff,
+                                 .queue_capacity = kClientQueue};
+  {
+    MutexLock lock(&mu_);
+    if (!redirect_.empty()) options.servers.insert(options.servers.begin(), redirect_);
+    redirect_.clear();
+  }
+  return std::make_unique<Client>(
+      std::move(options),
+      Client::Callbacks{
+          .start_stream =
+              [](const std::shared_ptr<grpc::Channel>& channel, grpc::ClientContext* context) {
+                return std::unique_ptr<Client::Stream>(
+                    rips::v1::SensorService::NewStub(channel)->Observe(context));
+              },
+          .on_connected = [this] { return OnConnected(); },
+          .on_message = [this](const SensorReply& reply) { OnMessage(reply); },
+          .on_disconnected =
+              [this](const grpc::Status& status, rpc::CloseClass close_class) {
+                OnDisconnected(status, close_class);
+              }});
+}
+
+void Uplink::Start() {
+  RIPS_CHECK(client_ == nullptr, "an uplink starts once");
+  client_ = MakeClient();
+  client_->Start();
+  sender_ = std::thread([this] { Run(); });
+}
+
+void Uplink::Stop() {
+  {
+    MutexLock lock(&mu_);
+    stopping_ = true;
+    WakeLocked();
+  }
+  if (sender_.joinable()) sender_.join();
+  if (client_ != nullptr) client_->Stop();
+}
+
+// --- Filling
+
+void Uplink::Append(Observations observations) {
+  const int64_t now_ns = clock_->Now().boottime_ns;
+  bool snapshot_wanted = false;
+  {
+    MutexLock lock(&mu_);
+    for (GraphChange& change : observations.graph) outbox_.AddGraph(std::move(change), now_ns);
+    for (MessageSeen& message : observations.messages) outbox_.AddMessage(std::move(message));
+    for (Loss& loss : observations.losses) outbox_.AddLoss(std::move(loss));
+    for (const std::string& signal : observations.signals) outbox_.AddSignal(signal, now_ns);
+    if (observations.settled) outbox_.ReleaseMessages();
+    snapshot_wanted = outbox_.snapshot_wanted();
+    if (NextWakeLocked(now_ns) < next_wake_ns_) WakeLocked();
+  }
+  if (snapshot_wanted) hooks_.on_snapshot_wanted();
+}
+
+bool Uplink::snapshot_wanted() const {
+  MutexLock lock(&mu_);
+  return outbox_.snapshot_wanted();
+}
+
+void Uplink::ReplaceGraph(std::vector<GraphChange> snapshot) {
+  MutexLock lock(&mu_);
+  outbox_.ReplaceGraph(std::move(snapshot), clock_->Now().boottime_ns);
+  WakeLocked();
+}
+
+absl::Status Uplink::Ready() const {
+  MutexLock lock(&mu_);
+  if (phase_ == Phase::kStreaming) return absl::OkStatus();
+  if (phase_ == Phase::kResuming) return absl::UnavailableError("connected, resuming");
+  return down_because_;
+}
+
+std::string Uplink::incarnation() const {
+  MutexLock lock(&mu_);
+  return incarnation_;
+}
+
+// --- The client's callbacks
+
+SensorMessage Uplink::OnConnected() {
+  const Instant now = clock_->Now();
+  MutexLock lock(&mu_);
+  if (refusals_ >= kRefusalsMax) {
+    LogWarning("server cannot go on with this incarnation; beginning a new one");
+    refusals_ = 0;
+    incarnation_ = NewIncarnation();
+    outbox_.Renumber();
+  }
+  outbox_.Rewind();
+  stream_.emplace(incarnation_, options_.encoder);
+  phase_ = Phase::kResuming;
+  SensorMessage message;
+  rips::v1::SensorHello* sensor = message.mutable_hello();
+  rips::v1::Hello* hello = sensor->mutable_hello();
+  hello->set_protocol(kProtocol);
+  hello->set_version(std::string(RipsVersion()));
+  hello->set_incarnation(incarnation_);
+  hello->set_host(options_.host);
+  SetClock(now, hello->mutable_clock());
+  sensor->set_domain(options_.domain);
+  sensor->add_not_visible("unicast-only writers");
+  sensor->add_not_visible("service requests");
+  for (const Lane lane : kLanes) {
+    const SequenceRange range = outbox_.Unacked(lane);
+    rips::v1::SpoolStream* spooled = sensor->add_spooled();
+    spooled->set_incarnation(incarnation_);
+    spooled->set_first_sequence(range.first);
+    spooled->set_last_sequence(range.last);
+    spooled->set_lane(ToWire(lane));
+  }
+  WakeLocked();
+  return message;
+}
+
+void Uplink::OnMessage(const SensorReply& reply) {
+  std::optional<std::vector<ros2::Guid>> own;
+  bool snapshot_wanted = false;
+  {
+    MutexLock lock(&mu_);
+    if (!stream_.has_value()) return;
+    switch (reply.kind_case()) {
+      case SensorReply::kConfig:
+        OnConfigLocked(reply.config());
+        own = own_participants_;
+        break;
+      case SensorReply::kAck:
+        OnAckLocked(reply.ack());
+        break;
+      case SensorReply::kCredit:
+        stream_->has_credit = true;
+        stream_->credit_granted = std::max(stream_->credit_granted, reply.credit().message_bytes());
+        break;
+      case SensorReply::kHeartbeat:
+        server_boottime_ns_ =
+            std::max(server_boottime_ns_, reply.heartbeat().clock().boottime_ns());
+        return;
+      case SensorReply::kInterest:
+        OnInterestLocked(reply.interest());
+        break;
+      case SensorReply::kRedirect:
+        redirect_ = reply.redirect().target();
+        ReopenLocked("redirected");
+        break;
+      case SensorReply::KIND_NOT_SET:
+        return;  // of a later version
+    }
+    FinishResumeLocked();
+    snapshot_wanted = phase_ == Phase::kStreaming && outbox_.snapshot_wanted();
+    WakeLocked();
+  }
+  if (own.has_value()) hooks_.on_own_participants(*std::move(own));
+  if (snapshot_wanted) hooks_.on_snapshot_wanted();
+}
+
+void Uplink::OnConfigLocked(const rips::v1::SensorConfig& config) {
+  stream_->has_config = true;
+  policy_.observations = std::clamp(config.batch_observations(), 1u, kBatchObservationsMax);
+  policy_.bytes = std::clamp(config.batch_bytes(), kBatchBytesMin, kBatchBytesMax);
+  policy_.linger_ns = std::min(config.linger_ms(), kLingerMsMax) * kNanosPerMilli;
+  own_participants_.clear();
+  for (const std::string& bytes : config.own_participants()) {
+    const absl::StatusOr<ros2::Guid> guid = ros2::GuidFromBytes(bytes);
+    if (guid.ok()) {
+      own_participants_.push_back(*guid);
+    } else {
+      LogWarning("server names a malformed participant", {{"error", guid.status().message()}});
+    }
+  }
+  outbox_.SetPrimary(config.primary());
+  stream_->wants_snapshot |= config.want_snapshot();
+}
+
+void Uplink::OnAckLocked(const rips::v1::Ack& ack) {
+  if (ack.incarnation() != incarnation_) return;
+  if (ack.lane() != rips::v1::CONTROL && ack.lane() != rips::v1::MESSAGES) return;
+  const Lane lane = ack.lane() == rips::v1::CONTROL ? Lane::kControl : Lane::kMessages;
+  const uint64_t before = outbox_.acknowledged(lane);
+  const bool resuming = !stream_->has_ack[Index(lane)];
+  stream_->has_ack[Index(lane)] = true;
+  if (resuming && lane == Lane::kControl && ack.durable_sequence() < before) {
+    stream_->wants_snapshot = true;  // the server has lost what it knew of us
+  }
+  if (phase_ == Phase::kStreaming && ack.durable_sequence() > before) refusals_ = 0;
+  const absl::Status acknowledged = outbox_.Acknowledge(lane, ack.durable_sequence());
+  if (!acknowledged.ok()) ReopenLocked(std::string(acknowledged.message()));
+}
+
+void Uplink::OnInterestLocked(const rips::v1::Interest& interest) {
+  SensorMessage message;
+  message.mutable_interest_applied()->set_interest(interest.id());
+  message.mutable_interest_applied()->set_problem("not available in this version");
+  if (!client_->Send(std::move(message))) LogDebug("answer to an interest dropped");
+}
+
+void Uplink::FinishResumeLocked() {
+  if (phase_ == Phase::kDown) return;
+  if (phase_ == Phase::kResuming) {
+    if (!stream_->has_config || !stream_->has_credit) return;
+    if (!stream_->has_ack[0] || !stream_->has_ack[1]) return;
+    phase_ = Phase::kStreaming;
+    logged_.reset();
+    streaming_.Set(1);
+    LogInfo("streaming", {{"unacked_bytes", outbox_.bytes()}});
+    if (refusals_ > 0) outbox_.WantSnapshot();
+  }
+  if (stream_->wants_snapshot && !outbox_.GraphStartsWithSnapshot()) outbox_.WantSnapshot();
+  stream_->wants_snapshot = false;
+}
+
+void Uplink::ReopenLocked(const std::string& why) {
+  LogWarning("reopening the stream", {{"reason", why}});
+  phase_ = Phase::kDown;
+  stream_.reset();
+  down_because_ = absl::UnavailableError(why);
+  streaming_.Set(0);
+  reopen_ = true;
+  WakeLocked();
+}
+
+void Uplink::OnDisconnected(const grpc::Status& status, rpc::CloseClass close_class) {
+  reconnects_.Increment();
+  const absl::Status why = rpc::FromGrpc(status);
+  MutexLock lock(&mu_);
+  const bool news = logged_ != why.code();
+  logged_ = why.code();
+  phase_ = Phase::kDown;
+  stream_.reset();
+  streaming_.Set(0);
+  if (absl::IsInvalidArgument(why)) ++refusals_;
+  down_because_ = why.ok() ? absl::UnavailableError("the server ended the stream") : why;
+  // The same again and again is said once.
+  Log(news ? LogLevel::kWarning : LogLevel::kDebug, "no stream to the policy server",
+      {{"class", rpc::CloseClassName(close_class)}, {"error", down_because_.ToString()}});
+}
+
+// --- Sending
+
+void Uplink::WakeLocked() {
+  wake_ = true;
+  wake_cond_.NotifyOne();
+}
+
+bool Uplink::SendLocked(SensorMessage message) { return client_->Send(std::move(message)); }
+
+void Uplink::Run() {
+  while (true) {
+    bool reopen = false;
+    {
+      MutexLock lock(&mu_);
+      Instant now = clock_->Now();
+      next_wake_ns_ = NextWakeLocked(now.boottime_ns);
+      while (!wake_ && !stopping_ && now.boottime_ns < next_wake_ns_) {
+        wake_cond_.WaitUntil(lock, next_wake_ns_);
+        now = clock_->Now();
+      }
+      if (stopping_) return;
+      wake_ = false;
+      next_wake_ns_ = 0;  // awake: nobody needs to wake us
+      reopen = std::exchange(reopen_, false);
+      if (!reopen) {
+        HeartbeatLocked(now);
+        if (phase_ == Phase::kStreaming) PumpLocked(now.boottime_ns);
+      }
+    }
+    if (!reopen) continue;
+    client_->Stop();
+    client_ = MakeClient();
+    client_->Start();
+  }
+}
+
+void Uplink::HeartbeatLocked(Instant now) {
+  if (now.boottime_ns < last_heartbeat_ns_ + absl::ToInt64Nanoseconds(options_.heartbeat)) return;
+  last_heartbeat_ns_ = now.boottime_ns;
+  outbox_bytes_.Set(static_cast<double>(outbox_.bytes()));
+  if (phase_ == Phase::kDown) return;
+  SensorMessage message;
+  SetClock(now, message.mutable_heartbeat()->mutable_clock());
+  message.mutable_heartbeat()->set_echo_boottime_ns(server_boottime_ns_);
+  if (!SendLocked(std::move(message))) LogDebug("heartbeat dropped: the stream does not move");
+  if (phase_ == Phase::kStreaming) ReportStateLocked(now.boottime_ns);
+}
+
+void Uplink::ReportStateLocked(int64_t now_ns) {
+  const uint64_t shed = outbox_.shed_messages() - shed_reported_;
+  shed_reported_ += shed;
+  shed_.Increment(static_cast<double>(shed));
+  const bool overloaded = shed > 0 || outbox_.bytes() > outbox_.limits().message_bytes / 2;
+  if (!overloaded && !overloaded_) return;
+  overloaded_ = overloaded;
+  outbox_.AddState({.overloaded = overloaded,
+                    .outbox_bytes = outbox_.bytes(),
+                    .oldest_unacked_ns = now_ns - outbox_.OldestUnacked().value_or(now_ns)},
+                   now_ns);
+}
+
+void Uplink::PumpLocked(int64_t now_ns) {
+  if (stream_->stalled.has_value()) {
+    if (!SendLocked(*stream_->stalled)) return;
+    stream_->stalled.reset();
+  }
+  for (const Lane lane : kLanes) {
+    while (outbox_.DueAt(lane, policy_, stream_->last_batch_ns[Index(lane)], now_ns) == now_ns) {
+      if (!SendBatchLocked(lane, now_ns)) break;
+      if (stream_->stalled.has_value()) return;
+    }
+    if (!stream_.has_value()) return;
+  }
+}
+
+bool Uplink::SendBatchLocked(Lane lane, int64_t now_ns) {
+  if (lane == Lane::kControl) outbox_.FlushMerged(now_ns);
+  const uint64_t credit = stream_->credit_granted - stream_->credit_used;
+  SensorMessage message;
+  *message.mutable_batch() = stream_->encoder.Encode(outbox_, lane, policy_, credit);
+  const int count = message.batch().observations_size();
+  if (count == 0) {
+    if (stream_->encoder.full()) {
+      ReopenLocked("this stream has no numbers left for new names");
+    } else {
+      stream_->exhausted_at = stream_->credit_granted;
+    }
+    return false;
+  }
+  if (lane == Lane::kMessages) stream_->credit_used += message.batch().ByteSizeLong();
+  outbox_.MarkSent(lane, static_cast<size_t>(count));
+  stream_->last_batch_ns[Index(lane)] = now_ns;
+  batches_.Increment();
+  observations_sent_.Increment(count);
+  // A copy, for it is lost if the queue is full, and with it the names it introduces.
+  if (!SendLocked(message)) stream_->stalled = std::move(message);
+  return true;
+}
+
+bool Uplink::HasCreditLocked(Lane lane) const {
+  return lane == Lane::kControl || stream_->exhausted_at != stream_->credit_granted;
+}
+
+int64_t Uplink::NextWakeLocked(int64_t now_ns) const {
+  int64_t wake_ns = last_heartbeat_ns_ + absl::ToInt64Nanoseconds(options_.heartbeat);
+  if (phase_ != Phase::kStreaming) return wake_ns;
+  if (stream_->stalled.has_value()) return std::min(wake_ns, now_ns + kStallRetryNs);
+  for (const Lane lane : kLanes) {
+    if (!HasCreditLocked(lane)) continue;  // the next Credit wakes us
+    const std::optional<int64_t> due =
+        outbox_.DueAt(lane, policy_, stream_->last_batch_ns[Index(lane)], now_ns);
+    if (due.has_value()) wake_ns = std::min(wake_ns, *due);
+  }
+  return wake_ns;
+}
+
+}  // namespace rips::sensor

@@ -1,0 +1,183 @@
+// The sensor's stream to the policy server: keeps what was seen in an outbox, sends it in batches,
+// and goes on where it stopped when the stream comes back.
+//
+//   down ──connected──► resuming ──config, credit and an ack per lane──► streaming
+//     ▲─────────────────────┴──────────────── stream ended ─────────────────┘
+//
+// While resuming only heartbeats are sent. What the server needs to go on:
+//
+// | the server ...                                    | then the next stream ...              |
+// |---------------------------------------------------|---------------------------------------|
+// | goes on from its graph                            | resends what is unacknowledged        |
+// | wants a snapshot, or acknowledged less than ever  | begins with a snapshot, unless the    |
+// |                                                   | first graph step held is one          |
+// | refused the last stream (INVALID_ARGUMENT)        | begins with a snapshot                |
+// | did so twice, acknowledging nothing in between    | is of a new incarnation               |
+//
+// Threads: one sender thread; the client's session thread calls back. One mutex guards all state;
+// it is held while a message is handed to the client's queue (which does not block), so that a
+// batch cannot slip into a stream it was not made for. Lock order: ours, then the client's.
+#ifndef RIPS_SENSOR_AGENT_UPLINK_H_
+#define RIPS_SENSOR_AGENT_UPLINK_H_
+
+#include <cstdint>
+#include <functional>
+#include <memory>
+#include <optional>
+#include <string>
+#include <thread>
+#include <vector>
+
+#include "absl/base/thread_annotations.h"
+#include "absl/status/status.h"
+#include "grpcpp/security/credentials.h"
+#include "rips/v1/sensor.pb.h"
+#include "sensor_agent/observation.h"
+#include "sensor_agent/outbox.h"
+#include "sensor_agent/wire_encoder.h"
+#include "services/base/clock.h"
+#include "services/ros2/guid.h"
+#include "services/rpc/bidi_client.h"
+#include "services/runtime/metrics.h"
+#include "services/runtime/mutex.h"
+
+namespace rips::sensor {
+
+// What was seen since the last Append, in order.
+struct Observations {
+  std::vector<GraphChange> graph;
+  std::vector<MessageSeen> messages;
+  std::vector<Loss> losses;
+  std::vector<std::string> signals;
+  // The settled snapshot is among `graph`: messages may follow.
+  bool settled = false;
+};
+
+struct UplinkOptions {
+  std::vector<std::string> servers;
+  std::shared_ptr<grpc::ChannelCredentials> credentials;
+  std::string host;
+  uint32_t domain = 0;
+  OutboxLimits outbox;
+  EncoderLimits encoder;
+  rpc::BackoffPolicy backoff = rpc::SensorBackoff();
+  absl::Duration heartbeat = absl::Milliseconds(500);
+};
+
+class Uplink {
+ public:
+  // Called on the session thread without locks held; return soon.
+  struct Hooks {
+    std::function<void(std::vector<ros2::Guid>)> on_own_participants;
+    // Call ReplaceGraph soon: nothing is sent until then.
+    std::function<void()> on_snapshot_wanted;
+  };
+
+  // `clock` and `metrics` are not owned and outlive this.
+  Uplink(UplinkOptions options, Hooks hooks, const Clock* clock, Metrics* metrics);
+  ~Uplink();
+
+  // Once each. Append may be called before Start: the outbox keeps.
+  void Start();
+  void Stop() ABSL_LOCKS_EXCLUDED(mu_);
+
+  // Any thread.
+  void Append(Observations observations) ABSL_LOCKS_EXCLUDED(mu_);
+  bool snapshot_wanted() const ABSL_LOCKS_EXCLUDED(mu_);
+  // The whole graph, as Outbox::ReplaceGraph takes it.
+  void ReplaceGraph(std::vector<GraphChange> snapshot) ABSL_LOCKS_EXCLUDED(mu_);
+  // OK while streaming; Unavailable with the reason otherwise.
+  absl::Status Ready() const ABSL_LOCKS_EXCLUDED(mu_);
+  // 16 bytes.
+  std::string incarnation() const ABSL_LOCKS_EXCLUDED(mu_);
+
+ private:
+  using Client = rpc::BidiClient<rips::v1::SensorMessage, rips::v1::SensorReply>;
+  enum class Phase { kDown, kResuming, kStreaming };
+
+  // What one stream knows; made anew for each.
+  struct Stream {
+    Stream(const std::string& incarnation, EncoderLimits limits) : encoder(incarnation, limits) {}
+    WireEncoder encoder;
+    bool has_config = false;
+    bool has_credit = false;
+    bool has_ack[2] = {false, false};
+    bool wants_snapshot = false;
+    uint64_t credit_granted = 0;
+    uint64_t credit_used = 0;
+    // The grant with which nothing more could be sent.
+    std::optional<uint64_t> exhausted_at;
+    // Encoded, but the client's queue was full.
+    std::optional<rips::v1::SensorMessage> stalled;
+    int64_t last_batch_ns[2] = {0, 0};
+  };
+
+  std::unique_ptr<Client> MakeClient();
+  rips::v1::SensorMessage OnConnected() ABSL_LOCKS_EXCLUDED(mu_);
+  void OnMessage(const rips::v1::SensorReply& reply) ABSL_LOCKS_EXCLUDED(mu_);
+  void OnDisconnected(const grpc::Status& status, rpc::CloseClass close_class)
+      ABSL_LOCKS_EXCLUDED(mu_);
+
+  void OnConfigLocked(const rips::v1::SensorConfig& config) ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
+  void OnAckLocked(const rips::v1::Ack& ack) ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
+  void OnInterestLocked(const rips::v1::Interest& interest) ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
+  // Resuming -> streaming, when everything has been said.
+  void FinishResumeLocked() ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
+  void WantSnapshotLocked() ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
+  // Ends this stream and begins another.
+  void ReopenLocked(const std::string& why) ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
+
+  void Run() ABSL_LOCKS_EXCLUDED(mu_);
+  void HeartbeatLocked(Instant now) ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
+  void ReportStateLocked(int64_t now_ns) ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
+  void PumpLocked(int64_t now_ns) ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
+  // False if nothing more of the lane can be sent now.
+  bool SendBatchLocked(Lane lane, int64_t now_ns) ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
+  bool SendLocked(rips::v1::SensorMessage message) ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
+  bool HasCreditLocked(Lane lane) const ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
+  int64_t NextWakeLocked(int64_t now_ns) const ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
+  void WakeLocked() ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
+
+  const UplinkOptions options_;
+  const Hooks hooks_;
+  const Clock* clock_;
+  Counter batches_;
+  Counter observations_sent_;
+  Counter reconnects_;
+  Counter shed_;
+  Gauge outbox_bytes_;
+  Gauge streaming_;
+
+  mutable Mutex mu_;
+  CondVar wake_cond_;
+  bool stopping_ ABSL_GUARDED_BY(mu_) = false;
+  bool wake_ ABSL_GUARDED_BY(mu_) = false;
+  bool reopen_ ABSL_GUARDED_BY(mu_) = false;
+  // When the sender thread wakes by itself.
+  int64_t next_wake_ns_ ABSL_GUARDED_BY(mu_) = 0;
+  Phase phase_ ABSL_GUARDED_BY(mu_) = Phase::kDown;
+  absl::Status down_because_ ABSL_GUARDED_BY(mu_);
+  // Why there is no stream, as last logged; none since the last one.
+  std::optional<absl::StatusCode> logged_ ABSL_GUARDED_BY(mu_);
+  std::string incarnation_ ABSL_GUARDED_BY(mu_);
+  Outbox outbox_ ABSL_GUARDED_BY(mu_);
+  std::optional<Stream> stream_ ABSL_GUARDED_BY(mu_);
+  BatchPolicy policy_ ABSL_GUARDED_BY(mu_);
+  std::vector<ros2::Guid> own_participants_ ABSL_GUARDED_BY(mu_);
+  // Streams refused in a row without a new acknowledgement.
+  int refusals_ ABSL_GUARDED_BY(mu_) = 0;
+  uint64_t server_boottime_ns_ ABSL_GUARDED_BY(mu_) = 0;
+  int64_t last_heartbeat_ns_ ABSL_GUARDED_BY(mu_) = 0;
+  bool overloaded_ ABSL_GUARDED_BY(mu_) = false;
+  uint64_t shed_reported_ ABSL_GUARDED_BY(mu_) = 0;
+  // Asked to go there first.
+  std::string redirect_ ABSL_GUARDED_BY(mu_);
+
+  // Replaced by the sender thread only, while the old one is stopped.
+  std::unique_ptr<Client> client_;
+  std::thread sender_;
+};
+
+}  // namespace rips::sensor
+
+#endif  // RIPS_SENSOR_AGENT_UPLINK_H_

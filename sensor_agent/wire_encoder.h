@@ -1,0 +1,69 @@
+// From observations to rips.v1 batches of one stream. Names are sent once and then stand as
+// numbers: from 1, never reused, valid for this stream only, so every stream has an encoder of its
+// own.
+#ifndef RIPS_SENSOR_AGENT_WIRE_ENCODER_H_
+#define RIPS_SENSOR_AGENT_WIRE_ENCODER_H_
+
+#include <cstddef>
+#include <cstdint>
+#include <memory>
+#include <string>
+#include <utility>
+
+#include "absl/container/flat_hash_map.h"
+#include "absl/strings/string_view.h"
+#include "rips/v1/observation.pb.h"
+#include "sensor_agent/outbox.h"
+
+namespace rips::sensor {
+
+struct EncoderLimits {
+  // What the server takes per stream is a little more; when it is reached a new stream is needed.
+  size_t names = 60'000;
+};
+
+// Not thread-safe.
+class WireEncoder {
+ public:
+  WireEncoder(std::string incarnation, EncoderLimits limits = {})
+      : incarnation_(std::move(incarnation)), limits_(limits) {}
+
+  // The next unsent observations of `lane`: as many as `policy` allows, at least one if there is
+  // one. No more of the message lane than fit `credit_bytes`, counted as the serialized batch; so
+  // there may be none. The batch is not marked sent.
+  rips::v1::ObservationBatch Encode(const Outbox& outbox, Lane lane, const BatchPolicy& policy,
+                                    uint64_t credit_bytes);
+
+  // Too few numbers are left for the names of one more observation; Encode gives nothing.
+  bool full() const { return next_id_ + kNamesPerObservation > limits_.names + 1; }
+
+ private:
+  // Topic, type and writer.
+  static constexpr size_t kNamesPerObservation = 3;
+
+  struct SourceIds {
+    uint32_t topic = 0;
+    uint32_t type = 0;
+    uint32_t writer = 0;
+    // Keeps the address, which is the key, from being used for another.
+    std::shared_ptr<const MessageSource> source;
+  };
+
+  void Add(const MessageSeen& message, rips::v1::ObservationBatch& batch);
+  void Add(const ControlObservation& observation, rips::v1::ObservationBatch& batch);
+  void AddLoss(const Loss& loss, rips::v1::Loss& wire, rips::v1::ObservationBatch& batch);
+  const SourceIds& IdsOf(const std::shared_ptr<const MessageSource>& source,
+                         rips::v1::ObservationBatch& batch);
+  uint32_t TopicId(const std::string& topic, rips::v1::ObservationBatch& batch);
+
+  const std::string incarnation_;
+  const EncoderLimits limits_;
+  uint32_t next_id_ = 1;
+  absl::flat_hash_map<std::string, uint32_t> topics_;
+  absl::flat_hash_map<std::string, uint32_t> types_;
+  absl::flat_hash_map<const MessageSource*, SourceIds> sources_;
+};
+
+}  // namespace rips::sensor
+
+#endif  // RIPS_SENSOR_AGENT_WIRE_ENCODER_H_

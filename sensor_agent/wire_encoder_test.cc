@@ -1,0 +1,197 @@
+#include "sensor_agent/wire_encoder.h"
+
+#include "absl/strings/str_cat.h"
+#include "gmock/gmock.h"
+#include "gtest/gtest.h"
+#include "services/base/status_matchers.h"
+
+namespace rips::sensor {
+namespace {
+
+using rips::v1::ObservationBatch;
+using ::testing::HasSubstr;
+using ::testing::SizeIs;
+
+constexpr uint64_t kPlenty = 1 << 30;
+const char kIncarnation[] = "0123456789abcdef";
+
+std::shared_ptr<const MessageSource> Source(const std::string& topic, uint8_t writer,
+                                            const std::string& node = "/talker") {
+  ros2::Endpoint endpoint{.name = topic,
+                          .type = "std_msgs/msg/String",
+                          .node = node,
+                          .qos = {.reliable = true, .depth = 7, .partitions = {"p"}},
+                          .visibility = ros2::Visibility::kWatched};
+  endpoint.guid.bytes[15] = writer;
+  return std::make_shared<const MessageSource>(
+      MessageSource{.topic = topic, .type = "std_msgs/msg/String", .writer = endpoint});
+}
+
+class WireEncoderTest : public testing::Test {
+ protected:
+  void Add(const std::shared_ptr<const MessageSource>& source, int64_t at_ns) {
+    outbox_.AddMessage({.boottime_ns = at_ns,
+                        .source = source,
+                        .writer_sequence = 5,
+                        .source_unix_ns = -7,
+                        .size_bytes = 24});
+  }
+  ObservationBatch Send(WireEncoder& encoder, Lane lane = Lane::kMessages,
+                        const BatchPolicy& policy = {}, uint64_t credit = kPlenty) {
+    ObservationBatch batch = encoder.Encode(outbox_, lane, policy, credit);
+    outbox_.MarkSent(lane, static_cast<size_t>(batch.observations_size()));
+    return batch;
+  }
+
+  Outbox outbox_;
+};
+
+TEST_F(WireEncoderTest, NamesAreInternedOncePerStreamAndNeverReused) {
+  const auto a = Source("/a", 1);
+  const auto b = Source("/b", 2);
+  const auto a2 = Source("/a", 1, "/known_now");
+  WireEncoder encoder(kIncarnation);
+  Add(a, 100);
+  Add(a, 90);
+  Add(b, 110);
+  const ObservationBatch first = Send(encoder);
+  ASSERT_THAT(first.interned(), SizeIs(5)) << "two topics, one type, two writers";
+  EXPECT_EQ(first.interned(0).id(), 1);
+  EXPECT_EQ(first.interned(0).topic(), "/a");
+  EXPECT_EQ(first.interned(1).type(), "std_msgs/msg/String");
+  EXPECT_EQ(first.interned(2).writer().node(), "/talker");
+  EXPECT_EQ(first.interned(2).writer().qos().partitions(0), "p");
+  EXPECT_EQ(first.interned(3).topic(), "/b");
+  EXPECT_EQ(first.interned(4).id(), 5);
+  EXPECT_EQ(first.observations(2).message().type_id(), 2);
+  EXPECT_EQ(first.incarnation(), kIncarnation);
+  EXPECT_EQ(first.first_sequence(), 1);
+  EXPECT_EQ(first.base_boottime_ns(), 90);
+  EXPECT_EQ(first.observations(0).offset_ns(), 10);
+  EXPECT_EQ(first.observations(1).offset_ns(), 0);
+  EXPECT_EQ(first.observations(0).message().source_unix_ns(), -7);
+  EXPECT_EQ(first.observations(0).message().writer_sequence(), 5);
+  EXPECT_TRUE(first.observations(0).message().truncated());
+
+  Add(b, 120);
+  Add(a2, 130);
+  const ObservationBatch second = Send(encoder);
+  ASSERT_THAT(second.interned(), SizeIs(1)) << "only the writer that has changed";
+  EXPECT_EQ(second.interned(0).id(), 6);
+  EXPECT_EQ(second.interned(0).writer().node(), "/known_now");
+  EXPECT_EQ(second.first_sequence(), 4);
+
+  // Another stream knows nothing yet.
+  outbox_.Rewind();
+  WireEncoder next(kIncarnation);
+  const ObservationBatch again = Send(next);
+  EXPECT_THAT(again.interned(), SizeIs(6));
+  EXPECT_EQ(again.first_sequence(), 1);
+  EXPECT_THAT(again.observations(), SizeIs(5));
+}
+
+TEST_F(WireEncoderTest, BatchEndsAtItsLimits) {
+  const auto source = Source("/a", 1);
+  for (int i = 0; i < 1'000; ++i) Add(source, i);
+  WireEncoder encoder(kIncarnation);
+  EXPECT_THAT(Send(encoder, Lane::kMessages, {.observations = 128}).observations(), SizeIs(128));
+  const ObservationBatch small =
+      Send(encoder, Lane::kMessages, {.observations = 256, .bytes = 2'000});
+  EXPECT_LT(small.observations_size(), 256);
+  EXPECT_GT(small.observations_size(), 10);
+  EXPECT_LE(small.ByteSizeLong(), 2'000u);
+}
+
+TEST_F(WireEncoderTest, CreditIsNeverExceeded) {
+  for (int i = 0; i < 50; ++i) {
+    Add(Source(absl::StrCat("/topic_with_a_name_", i), static_cast<uint8_t>(i)), i);
+  }
+  for (uint64_t credit = 0; credit < 3'000; credit += 37) {
+    WireEncoder encoder(kIncarnation);
+    const ObservationBatch batch = encoder.Encode(outbox_, Lane::kMessages, {}, credit);
+    EXPECT_LE(batch.ByteSizeLong(), credit);
+    if (credit < 100) {
+      EXPECT_EQ(batch.observations_size(), 0) << credit;
+    }
+    if (credit >= 500) {
+      EXPECT_GT(batch.observations_size(), 0) << credit;
+    }
+    if (credit >= 500) credit += 400;
+  }
+}
+
+TEST_F(WireEncoderTest, LargeControlObservationGoesAlone) {
+  GraphChange change{.from_version = 0, .to_version = 1, .settled = true};
+  for (uint8_t i = 0; i < 200; ++i) {
+    ros2::Endpoint endpoint{.name = std::string(200, 'x'), .type = "t"};
+    endpoint.guid.bytes[15] = i;
+    change.delta.upsert_endpoints.push_back(endpoint);
+  }
+  outbox_.AddGraph(change, 10);
+  outbox_.AddGraph({.from_version = 1, .to_version = 2, .settled = true}, 20);
+  WireEncoder encoder(kIncarnation);
+  const ObservationBatch first = Send(encoder, Lane::kControl);
+  ASSERT_THAT(first.observations(), SizeIs(1));
+  EXPECT_TRUE(first.observations(0).snapshot().settled());
+  EXPECT_THAT(first.observations(0).snapshot().endpoints(), SizeIs(200));
+  const ObservationBatch second = Send(encoder, Lane::kControl);
+  EXPECT_EQ(second.observations(0).delta().from_version(), 1);
+  EXPECT_EQ(second.lane(), rips::v1::CONTROL);
+}
+
+TEST_F(WireEncoderTest, ControlObservationsCarryWhatTheySay) {
+  const auto source = Source("/a", 1);
+  ros2::GraphDelta delta;
+  ros2::Guid guid;
+  guid.bytes[0] = 9;
+  delta.upsert_participants = {
+      {.guid = guid, .host = "h", .enclave = "/e", .pid = 4, .vendor = "0110"}};
+  delta.upsert_nodes = {{"/n", guid}};
+  delta.gone_guids = {guid};
+  delta.gone_nodes = {"/gone"};
+  outbox_.AddGraph({.from_version = 3, .to_version = 4, .delta = delta}, 10);
+  outbox_.AddLoss({.cause = LossCause::kDdsGap,
+                   .topic = "/a",
+                   .source = source,
+                   .count = 3,
+                   .first_boottime_ns = 5,
+                   .last_boottime_ns = 6});
+  outbox_.AddLoss({.cause = LossCause::kQueueFull, .topic = "/b", .count = 4});
+  outbox_.AddLoss({.cause = LossCause::kLimit, .count = 5});
+  outbox_.AddSignal("SIGUSR1", 1'000'000'000);
+  outbox_.AddState({.overloaded = true, .outbox_bytes = 8, .oldest_unacked_ns = 9}, 11);
+  outbox_.FlushMerged(1'000'000'000);
+  WireEncoder encoder(kIncarnation);
+  const ObservationBatch batch = Send(encoder, Lane::kControl);
+  ASSERT_THAT(batch.observations(), SizeIs(6));
+  const auto& graph = batch.observations(0).delta();
+  EXPECT_EQ(graph.upsert_participants(0).vendor(), "0110");
+  EXPECT_EQ(graph.upsert_nodes(0).full_name(), "/n");
+  EXPECT_EQ(graph.gone_guids(0), guid.ToBytes());
+  EXPECT_EQ(graph.gone_nodes(0), "/gone");
+  const auto& gap = batch.observations(1).loss();
+  EXPECT_EQ(gap.cause(), rips::v1::Loss::DDS_GAP);
+  EXPECT_EQ(gap.count(), 3);
+  EXPECT_EQ(gap.topic_id(), 1);
+  EXPECT_EQ(gap.writer_id(), 3);
+  EXPECT_EQ(batch.observations(2).loss().cause(), rips::v1::Loss::QUEUE_FULL);
+  EXPECT_EQ(batch.observations(2).loss().topic_id(), 4);
+  EXPECT_EQ(batch.observations(2).loss().writer_id(), 0);
+  EXPECT_EQ(batch.observations(3).loss().cause(), rips::v1::Loss::LIMIT);
+  EXPECT_EQ(batch.observations(4).signal().name(), "SIGUSR1");
+  EXPECT_TRUE(batch.observations(5).state().overloaded());
+}
+
+TEST_F(WireEncoderTest, StreamThatRunsOutOfNumbersSaysSo) {
+  WireEncoder encoder(kIncarnation, {.names = 7});
+  for (uint8_t i = 0; i < 5; ++i) Add(Source(absl::StrCat("/t", i), i), i);
+  const ObservationBatch batch = Send(encoder);
+  EXPECT_LT(batch.observations_size(), 5);
+  EXPECT_GT(batch.observations_size(), 0);
+  EXPECT_TRUE(encoder.full());
+  EXPECT_THAT(Send(encoder).observations(), SizeIs(0));
+  for (const auto& intern : batch.interned()) EXPECT_LE(intern.id(), 7);
+}
+
+}  // namespace
+}  // namespace rips::sensor
