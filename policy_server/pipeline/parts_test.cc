@@ -1,11 +1,13 @@
 // The pipeline's small parts, and its threads.
 #include <atomic>
 
+#include "absl/strings/str_format.h"
 #include "gmock/gmock.h"
 #include "policy_server/pipeline/pipeline.h"
 #include "policy_server/pipeline/robot_fixture.h"
+#include "policy_server/pipeline/store_recorder.h"
+#include "policy_server/store/fake_store.h"
 #include "services/base/status_matchers.h"
-#include "services/runtime/mutex.h"
 
 namespace rips::pipeline {
 namespace {
@@ -177,43 +179,60 @@ TEST_F(CommandLedgerTest, NoFinalReceiptInTimeIsAFailure) {
   EXPECT_EQ(ledger.stage(), Stage::kFailed);
 }
 
+// What several threads may tell at once.
+class CountingAudience final : public Audience {
+ public:
+  void OnAlert(const store::AlertRecord&) override { ++alerts; }
+  void OnStatus(const RobotStatus&) override { ++statuses; }
+  std::atomic<int> alerts = 0;
+  std::atomic<int> statuses = 0;
+};
+
 TEST(PipelineTest, RunsTasksOnTheRobotsThreadInOrderControlFirst) {
   FakeClock clock;
-  FakeRecorder recorder;
-  FakeAudience audience;
+  store::FakeStore store;
+  store::Committer committer(&store);
+  StoreRecorder recorder(&store, &committer);
+  CountingAudience audience;
+  std::atomic<int> ids = 0;
   Pipeline pipeline(2, &clock);
   const std::vector<lang::SourceFile> files = {{.path = "t.rul", .text = kPaperRules}};
   const auto program = *engine::Program::Create(*lang::Compile(files).rules);
   for (const char* id : {"r1", "r2", "r3"}) {
-    ASSERT_THAT(
-        pipeline.Add({.id = id}, {.program = program, .bundle_id = "b"}, Timing{}, {}, 1,
-                     {.recorder = &recorder, .audience = &audience, .new_id = [] { return "id"; }}),
-        IsOk());
+    ASSERT_THAT(pipeline.Add({.id = id}, {.program = program, .bundle_id = "b"}, Timing{}, {}, 1,
+                             {.recorder = &recorder,
+                              .audience = &audience,
+                              .new_id = [&ids] { return absl::StrFormat("%032x", ++ids); }}),
+                IsOk());
   }
   // Before Start nothing runs: control overtakes messages that were posted earlier.
-  Mutex mu;
-  std::vector<int> order;
-  const auto note = [&](int n) {
-    return [&mu, &order, n](Robot&) {
-      MutexLock lock(&mu);
-      order.push_back(n);
-    };
-  };
+  std::vector<int> order;  // touched on r1's thread alone
+  const auto note = [&order](int n) { return [&order, n](Robot&) { order.push_back(n); }; };
   ASSERT_THAT(pipeline.Post("r1", Lane::kMessages, note(3)), IsOk());
   ASSERT_THAT(pipeline.Post("r1", Lane::kControl, note(1)), IsOk());
   ASSERT_THAT(pipeline.Post("r1", Lane::kControl, note(2)), IsOk());
 
   pipeline.Start();
-  std::atomic<int> seen = 0;
-  pipeline.ForEach([&](Robot&) { ++seen; });
-  while (true) {
-    MutexLock lock(&mu);
-    if (order.size() == 3) break;
+  std::atomic<int> raised = 0;
+  pipeline.ForEach([&](Robot& robot) {
+    robot.Raise({.operator_name = "alice", .to = "HALT", .reason = "drill"},
+                [&raised](const LevelAnswer& answer) { raised += answer.status.ok() ? 1 : 0; });
+  });
+  // The answers come when the committer's thread has made the decisions durable.
+  while (raised < 3) pipeline.ForEach([](Robot&) {});
+  ASSERT_THAT(pipeline.Post("r1", Lane::kMessages, note(4)), IsOk());
+  std::atomic<bool> last = false;
+  while (!last) {
+    pipeline.ForEach([&](Robot& robot) {
+      if (robot.id() == "r1") last = order.size() == 4;
+    });
   }
   pipeline.Stop();
+  committer.Stop();
 
-  EXPECT_EQ(seen, 3);
-  EXPECT_THAT(order, ::testing::ElementsAre(1, 2, 3));
+  EXPECT_THAT(order, ::testing::ElementsAre(1, 2, 3, 4));
+  EXPECT_EQ(store.ListTransitions("r2", 10)->front().to, "HALT");
+  EXPECT_GE(audience.statuses, 3);
 }
 
 TEST(PipelineTest, RefusesUnknownRobotsAndTasksPastItsLimit) {
