@@ -19,11 +19,11 @@
 // | mark held already                              | as the held command's      | none          |
 // | mark below the held one                        | REFUSED_STALE              | none          |
 // | `to` below the held level, `based_on` not held | REFUSED                    | none          |
-// | `to` below the held level                      | ACKNOWLEDGED once recorded | recorded, then
-// applied | | else (raise, equal, or nothing decided yet)    | ACKNOWLEDGED               |
-// applied, and recorded meanwhile | After ACKNOWLEDGED comes VERIFIED (a lowering: at `to`; else at
-// `to` or above), FAILED (and perhaps VERIFIED later: trying goes on), or SUPERSEDED by a newer
-// decision.
+// | `to` below the held level                      | ACKNOWLEDGED once recorded | then applied  |
+// | else (raise, equal, or nothing decided yet)    | ACKNOWLEDGED               | applied, and  |
+// |                                                |                            | recorded too  |
+// After ACKNOWLEDGED comes VERIFIED (a lowering: at `to`; else at `to` or above), FAILED (and
+// perhaps VERIFIED later: trying goes on), or SUPERSEDED by a newer decision.
 #ifndef RIPS_MODE_ACTUATOR_EXECUTOR_H_
 #define RIPS_MODE_ACTUATOR_EXECUTOR_H_
 

@@ -6,6 +6,8 @@
 
 #include "absl/status/status.h"
 #include "mode_actuator/agent.h"
+#include "services/rpc/credentials.h"
+#include "services/rpc/grpc_logs.h"
 #include "services/runtime/daemon_flags.h"
 #include "services/runtime/log.h"
 #include "services/runtime/real_clock.h"
@@ -22,6 +24,7 @@ int Fail(int code, const absl::Status& status) {
 
 int main(int argc, char** argv) {
   rips::rpc::RequireTls13();
+  rips::rpc::RouteGrpcLogs();
   rips::DaemonFlags flags;
   const rips::DaemonInfo info = {.name = "rips-actuator",
                                  .description = "Applies alert levels to a ROS 2 robot.",

@@ -106,7 +106,9 @@ pipeline::Counts Server::MakeCounts() {
                                        "Observations that sensors report or show as lost."),
           .observations_duplicate = counter("rips_observations_duplicate_total",
                                             "Observations received again and not judged again."),
-          .alerts = counter("rips_alerts_total", "Alerts recorded.")};
+          .alerts = counter("rips_alerts_total", "Alerts raised."),
+          .alerts_lost = counter("rips_alerts_lost_total",
+                                 "Alerts dropped while the store could not be written.")};
 }
 
 absl::Status Server::AddRobots() {

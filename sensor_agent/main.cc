@@ -3,11 +3,13 @@
 
 #include "sensor_agent/daemon.h"
 #include "services/rpc/credentials.h"
+#include "services/rpc/grpc_logs.h"
 #include "services/runtime/daemon_flags.h"
 #include "services/runtime/shutdown.h"
 
 int main(int argc, char** argv) {
   rips::rpc::RequireTls13();
+  rips::rpc::RouteGrpcLogs();
   rips::DaemonFlags flags;
   const std::optional<int> exit_code =
       rips::ParseDaemonFlags(argc, argv,

@@ -1,10 +1,12 @@
 #include "policy_server/dispatch/actuator_service.h"
 
 #include <memory>
+#include <optional>
 #include <string>
 #include <utility>
 
 #include "policy_server/dispatch/actuator_codec.h"
+#include "policy_server/pipeline/mailbox.h"
 #include "services/rpc/peer.h"
 #include "services/rpc/server_stream.h"
 #include "services/rpc/status_conversion.h"
@@ -58,7 +60,7 @@ class ActuatorStream final : public Stream {
           grpc::Status(grpc::StatusCode::PERMISSION_DENIED,
                        "the certificate is not an actuator's: " + rpc::ToString(peer->identity)));
     } else {
-      robot_ = peer->identity.robot;
+      mailbox_.emplace(pipeline, peer->identity.robot);
       host_ = peer->identity.host;
       session_ = watch->Add(peer->not_after, [outbound = outbound()](const grpc::Status& status) {
         outbound->Close(status);
@@ -79,7 +81,8 @@ class ActuatorStream final : public Stream {
       case ActuatorMessage::kReceipt:
         return OnReceipt(message.receipt());
       case ActuatorMessage::kHeartbeat:
-        return Post([host = host_, link = link_, beat = DecodeBeat(message.heartbeat())](
+        return Post(message.ByteSizeLong(),
+                    [host = host_, link = link_, beat = DecodeBeat(message.heartbeat())](
                         Robot& robot) { robot.OnActuatorBeat(host, link.get(), beat); });
       case ActuatorMessage::KIND_NOT_SET:
         return;  // a newer actuator's kind
@@ -96,39 +99,35 @@ class ActuatorStream final : public Stream {
     }
     absl::StatusOr<pipeline::ActuatorHello> decoded = DecodeHello(hello);
     if (!decoded.ok()) return Refuse(decoded.status());
-    LogInfo("actuator connected", {{"robot", robot_}, {"host", host_}});
-    Post([host = host_, link = link_, hello = *std::move(decoded)](Robot& robot) {
-      robot.OnActuatorHello(host, link, hello);
-    });
+    LogInfo("actuator connected", {{"robot", mailbox_->robot()}, {"host", host_}});
+    Post(hello.ByteSizeLong(), [host = host_, link = link_, hello = *std::move(decoded)](
+                                   Robot& robot) { robot.OnActuatorHello(host, link, hello); });
   }
 
   void OnReceipt(const rips::v1::Receipt& receipt) {
     absl::StatusOr<pipeline::Receipt> decoded = DecodeReceipt(receipt);
     if (!decoded.ok()) return Refuse(decoded.status());
-    Post([host = host_, link = link_, receipt = *std::move(decoded)](Robot& robot) {
-      robot.OnReceipt(host, link.get(), receipt);
-    });
+    Post(receipt.ByteSizeLong(), [host = host_, link = link_, receipt = *std::move(decoded)](
+                                     Robot& robot) { robot.OnReceipt(host, link.get(), receipt); });
   }
 
   void Refuse(const absl::Status& status) {
     metrics_.malformed.Increment();
     LogWarning("actuator stream refused",
-               {{"robot", robot_}, {"host", host_}, {"reason", status.ToString()}});
+               {{"robot", mailbox_->robot()}, {"host", host_}, {"reason", status.ToString()}});
     outbound()->Close(rpc::ToGrpc(status));
   }
 
-  void Post(std::function<void(Robot&)> task) {
-    const absl::Status posted = pipeline_->Post(robot_, Lane::kControl, std::move(task));
-    if (posted.ok()) return;
-    outbound()->Close(rpc::ToGrpc(
-        absl::IsNotFound(posted) ? absl::PermissionDeniedError(posted.message()) : posted));
+  void Post(size_t bytes, std::function<void(Robot&)> task) {
+    const absl::Status posted = mailbox_->Post(Lane::kControl, bytes, std::move(task));
+    if (!posted.ok()) outbound()->Close(rpc::ToGrpc(posted));
   }
 
   void OnEnded() override {
-    if (robot_.empty()) return;
+    if (!mailbox_) return;
     pipeline_
         ->Post(
-            robot_, Lane::kControl,
+            mailbox_->robot(), Lane::kControl,
             [host = host_, link = link_](Robot& robot) { robot.OnActuatorGone(host, link.get()); })
         .IgnoreError();  // an overloaded or stopping shard notices the silence by itself
   }
@@ -137,7 +136,7 @@ class ActuatorStream final : public Stream {
   DispatchMetrics metrics_;
   std::shared_ptr<Link> link_;
   std::shared_ptr<rpc::SessionWatch::Session> session_;
-  std::string robot_;
+  std::optional<pipeline::Mailbox> mailbox_;
   std::string host_;
 };
 

@@ -2,11 +2,13 @@
 
 #include <atomic>
 #include <memory>
+#include <optional>
 #include <string>
 #include <utility>
 
 #include "absl/strings/str_cat.h"
 #include "policy_server/ingest/observation_decoder.h"
+#include "policy_server/pipeline/mailbox.h"
 #include "services/rpc/peer.h"
 #include "services/rpc/server_stream.h"
 #include "services/rpc/status_conversion.h"
@@ -83,7 +85,7 @@ class SensorStream final : public Stream {
           grpc::Status(grpc::StatusCode::PERMISSION_DENIED,
                        "the certificate is not a sensor's: " + rpc::ToString(peer->identity)));
     } else {
-      robot_ = peer->identity.robot;
+      mailbox_.emplace(pipeline, peer->identity.robot);
       host_ = peer->identity.host;
       session_ = watch->Add(peer->not_after, [outbound = outbound()](const grpc::Status& status) {
         outbound->Close(status);
@@ -104,7 +106,7 @@ class SensorStream final : public Stream {
       case SensorMessage::kBatch:
         return OnBatch(message.batch());
       case SensorMessage::kHeartbeat:
-        return Post(Lane::kControl,
+        return Post(Lane::kControl, message.ByteSizeLong(),
                     [host = host_, link = link_,
                      at = static_cast<int64_t>(message.heartbeat().clock().boottime_ns())](
                         Robot& robot) { robot.OnSensorBeat(host, link.get(), at); });
@@ -125,10 +127,11 @@ class SensorStream final : public Stream {
     }
     absl::StatusOr<pipeline::SensorHello> decoded = DecodeHello(hello);
     if (!decoded.ok()) return Refuse(decoded.status());
-    LogInfo("sensor connected", {{"robot", robot_}, {"host", host_}});
-    Post(Lane::kControl, [host = host_, link = link_, hello = *std::move(decoded)](Robot& robot) {
-      robot.OnSensorHello(host, link, hello);
-    });
+    LogInfo("sensor connected", {{"robot", mailbox_->robot()}, {"host", host_}});
+    Post(Lane::kControl, hello.ByteSizeLong(),
+         [host = host_, link = link_, hello = *std::move(decoded)](Robot& robot) {
+           robot.OnSensorHello(host, link, hello);
+         });
   }
 
   void OnBatch(const rips::v1::ObservationBatch& batch) {
@@ -141,7 +144,7 @@ class SensorStream final : public Stream {
           message_bytes_, " bytes of messages exceed the credit of ", link_->granted())));
     }
     auto shared = std::make_shared<pipeline::Batch>(*std::move(decoded));
-    Post(lane, [host = host_, link = link_, shared](Robot& robot) {
+    Post(lane, shared->bytes, [host = host_, link = link_, shared](Robot& robot) {
       robot.OnBatch(host, link.get(), *shared);
     });
   }
@@ -149,22 +152,19 @@ class SensorStream final : public Stream {
   void Refuse(const absl::Status& status) {
     metrics_.malformed.Increment();
     LogWarning("sensor stream refused",
-               {{"robot", robot_}, {"host", host_}, {"reason", status.ToString()}});
+               {{"robot", mailbox_->robot()}, {"host", host_}, {"reason", status.ToString()}});
     outbound()->Close(rpc::ToGrpc(status));
   }
 
-  void Post(Lane lane, std::function<void(Robot&)> task) {
-    const absl::Status posted = pipeline_->Post(robot_, lane, std::move(task));
-    if (posted.ok()) return;
-    const absl::Status status =
-        absl::IsNotFound(posted) ? absl::PermissionDeniedError(posted.message()) : posted;
-    outbound()->Close(rpc::ToGrpc(status));
+  void Post(Lane lane, size_t bytes, std::function<void(Robot&)> task) {
+    const absl::Status posted = mailbox_->Post(lane, bytes, std::move(task));
+    if (!posted.ok()) outbound()->Close(rpc::ToGrpc(posted));
   }
 
   void OnEnded() override {
-    if (robot_.empty()) return;
+    if (!mailbox_) return;
     pipeline_
-        ->Post(robot_, Lane::kControl,
+        ->Post(mailbox_->robot(), Lane::kControl,
                [host = host_, link = link_](Robot& robot) { robot.OnSensorGone(host, link.get()); })
         .IgnoreError();  // an overloaded or stopping shard notices the silence by itself
   }
@@ -173,7 +173,7 @@ class SensorStream final : public Stream {
   IngestMetrics metrics_;
   std::shared_ptr<Link> link_;
   std::shared_ptr<rpc::SessionWatch::Session> session_;
-  std::string robot_;
+  std::optional<pipeline::Mailbox> mailbox_;
   std::string host_;
   ObservationDecoder decoder_;
   uint64_t message_bytes_ = 0;

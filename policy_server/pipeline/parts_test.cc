@@ -3,6 +3,7 @@
 
 #include "absl/strings/str_format.h"
 #include "gmock/gmock.h"
+#include "policy_server/pipeline/mailbox.h"
 #include "policy_server/pipeline/pipeline.h"
 #include "policy_server/pipeline/robot_fixture.h"
 #include "policy_server/pipeline/store_recorder.h"
@@ -253,6 +254,33 @@ TEST(PipelineTest, RefusesUnknownRobotsAndTasksPastItsLimit) {
   EXPECT_THAT(pipeline.Post("r1", Lane::kMessages, nothing),
               StatusIs(absl::StatusCode::kResourceExhausted));
   EXPECT_THAT(pipeline.Post("r1", Lane::kControl, nothing), IsOk());
+}
+
+TEST(MailboxTest, CutsAFloodingPeerOffAndNobodyElse) {
+  FakeClock clock;
+  FakeRecorder recorder;
+  FakeAudience audience;
+  Pipeline pipeline(1, &clock, {.control_max = 100, .messages_max = 100});
+  const std::vector<lang::SourceFile> files = {{.path = "t.rul", .text = kPaperRules}};
+  ASSERT_THAT(
+      pipeline.Add({.id = "r1"}, {.program = *engine::Program::Create(*lang::Compile(files).rules)},
+                   Timing{}, {}, 1,
+                   {.recorder = &recorder, .audience = &audience, .new_id = [] { return "id"; }}),
+      IsOk());
+  const auto nothing = [](Robot&) {};
+  Mailbox flooding(&pipeline, "r1", {.tasks = 3, .bytes = 1'000});
+  Mailbox large(&pipeline, "r1", {.tasks = 3, .bytes = 1'000});
+  Mailbox other(&pipeline, "r1");
+  Mailbox unknown(&pipeline, "r9");
+
+  for (int i = 0; i < 3; ++i) ASSERT_THAT(flooding.Post(Lane::kControl, 1, nothing), IsOk());
+  EXPECT_THAT(flooding.Post(Lane::kControl, 1, nothing),
+              StatusIs(absl::StatusCode::kResourceExhausted));
+  EXPECT_THAT(large.Post(Lane::kMessages, 1'001, nothing),
+              StatusIs(absl::StatusCode::kResourceExhausted));
+  EXPECT_THAT(other.Post(Lane::kControl, 1, nothing), IsOk());
+  EXPECT_THAT(unknown.Post(Lane::kControl, 1, nothing),
+              StatusIs(absl::StatusCode::kPermissionDenied));
 }
 
 }  // namespace

@@ -54,6 +54,8 @@ struct Counts {
   std::function<void(uint64_t)> observations_lost;
   std::function<void(uint64_t)> observations_duplicate;
   std::function<void(uint64_t)> alerts;
+  // Not recorded because the store could not be written for too long.
+  std::function<void(uint64_t)> alerts_lost;
 };
 
 struct Ports {

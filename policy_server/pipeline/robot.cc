@@ -207,7 +207,7 @@ void Robot::Order(const levels::Transition& transition) {
 void Robot::Alert(engine::AlertEffect alert, const std::string& event) {
   if (pending_.alerts.size() >= kUnrecordedAlertsMax) {
     pending_.alerts.erase(pending_.alerts.begin());
-    if (ports_.counts.observations_lost) ports_.counts.observations_lost(0);
+    if (ports_.counts.alerts_lost) ports_.counts.alerts_lost(1);
   }
   pending_.alerts.push_back({.id = ports_.new_id(),
                              .time_unix_ns = ports_.clock->Now().unix_ns,
@@ -372,6 +372,11 @@ void Robot::Raise(const LevelOrder& order, LevelReply reply) {
     answer.status = absl::InvalidArgumentError(
         absl::StrCat("`", absl::CHexEscape(order.to), "` is not a level of ", config_.id, " (",
                      absl::StrJoin(levels().names(), ", "), ")"));
+    return reply(answer);
+  }
+  if (order.reason.empty() || order.reason.size() > kReasonBytesMax) {
+    answer.status = absl::InvalidArgumentError(
+        absl::StrCat("a reason of 1 to ", kReasonBytesMax, " bytes is required"));
     return reply(answer);
   }
   levels::LevelMachine trial = state_.level;
