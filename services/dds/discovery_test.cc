@@ -97,7 +97,6 @@ TEST_F(DiscoveryTest, AParticipantComesAndGoes) {
   EXPECT_NE(seen.instance, 0u);
   DropFar();
   ASSERT_TRUE(Eventually([&] { return !seen_.Alive(guid); }));
-  EXPECT_EQ(seen_.FindParticipant(guid)->instance, seen.instance);
 }
 
 TEST_F(DiscoveryTest, EndpointsComeAndGoWithTheirQos) {

@@ -15,6 +15,7 @@
 #include "absl/time/clock.h"
 #include "absl/time/time.h"
 #include "gtest/gtest.h"
+#include "services/base/ids.h"
 #include "services/dds/participant.h"
 
 namespace rips::dds {
@@ -33,6 +34,12 @@ class ScopedCycloneUri {
 inline uint32_t RandomDomain() {
   static const uint32_t domain = 100 + std::random_device()() % 121;
   return domain;
+}
+
+// Tests that happen to run in the same domain at the same time do not see each other.
+inline const std::string& Tag() {
+  static const std::string& tag = *new std::string(absl::StrCat("test-", NewId()));
+  return tag;
 }
 
 class TestWorld : public ::testing::Test {
