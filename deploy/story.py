@@ -232,6 +232,7 @@ def keep(fleet):
     print(f"""
 Left running. In another terminal:
 
+  export CYCLONEDDS_URI='{fleet.env["CYCLONEDDS_URI"]}'
   export RIPSCTL_SERVER=127.0.0.1:{fleet.port} RIPSCTL_CA={pki}/ca.pem \\
          RIPSCTL_CERT={pki}/cert.pem RIPSCTL_KEY={pki}/key.pem
   cd {fleet.bin}

@@ -89,8 +89,7 @@ Robot::Robot(RobotConfig config, Policy policy, Timing timing, const store::Robo
     it->second.sequences.Restore(absl::HexStringToBytes(key.incarnation), lane, sequence);
   }
   if (record.mark.none()) {
-    TakeTransition(
-        {.transition = state_.level.Adopt(state_.level.level(), Mark{}, ports_.clock->Now())});
+    Adopt(state_.level.level(), Mark{}, "first start");
   } else {
     ledger_.Order(record.mark, state_.level.level(), record.level, "restored", /*lowers=*/false);
   }
@@ -184,6 +183,12 @@ void Robot::TakeTransition(const engine::TransitionEffect& effect) {
   }
 }
 
+void Robot::Adopt(levels::LevelIndex level, const Mark& seen, const std::string& why) {
+  levels::Transition transition = state_.level.Adopt(level, seen, ports_.clock->Now());
+  transition.cause.reason = why;
+  TakeTransition({.transition = std::move(transition)});
+}
+
 void Robot::RecordDecision(const levels::Transition& transition) {
   const levels::LevelTable& table = state_.level.table();
   pending_.decisions.push_back({.id = ports_.new_id(),
@@ -198,6 +203,9 @@ void Robot::RecordDecision(const levels::Transition& transition) {
 }
 
 void Robot::Order(const levels::Transition& transition) {
+  if (!ledger_.mark().none() && reported_stage_ != Stage::kVerified) {
+    pending_.stages.push_back({.robot = config_.id, .mark = ledger_.mark(), .stage = "superseded"});
+  }
   ledger_.Order(transition.mark, transition.to, state_.level.table().name(transition.to),
                 CauseText(transition.cause), transition.lowers());
   reported_stage_ = Stage::kRequested;

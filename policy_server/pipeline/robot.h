@@ -199,6 +199,7 @@ class Robot {
   void External(engine::ExternalEvent event);
   void Perform(const engine::Outcome& outcome, const std::string& event);
   void TakeTransition(const engine::TransitionEffect& effect);
+  void Adopt(levels::LevelIndex level, const Mark& seen, const std::string& why);
   void RecordDecision(const levels::Transition& transition);
   void Order(const levels::Transition& transition);
   void Alert(engine::AlertEffect alert, const std::string& event);

@@ -107,7 +107,9 @@ absl::Status Robot::Reconcile(const std::string& host_name, const ActuatorHello&
            absl::StrCat("actuator ", host_name, " holds decision ", ToString(hello.mark), " (",
                         levels().name(held), "), which this server does not know: the more ",
                         "restrictive level is adopted"));
-  TakeTransition({.transition = state_.level.Adopt(held, hello.mark, ports_.clock->Now())});
+  Adopt(held, hello.mark,
+        absl::StrCat("actuator ", host_name, " holds ", ToString(hello.mark), " (",
+                     levels().name(held), ")"));
   return absl::OkStatus();
 }
 

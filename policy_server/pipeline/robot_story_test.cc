@@ -28,6 +28,7 @@ TEST_F(RobotTest, StartsWithARecordedDecisionAtTheStartLevel) {
   ASSERT_EQ(recorder_.decisions.size(), 1u);
   EXPECT_EQ(recorder_.decisions[0].to, "DEFAULT");
   EXPECT_EQ(recorder_.decisions[0].mark, (Mark{1, 1}));
+  EXPECT_EQ(recorder_.decisions[0].reason, "first start");
   EXPECT_EQ(Stage(), "requested");
 }
 
@@ -70,6 +71,24 @@ TEST_F(RobotTest, TellsThePapersStory) {
   Pass(1'500);
   EXPECT_EQ(Level(), "DEFAULT");
   EXPECT_EQ(recorder_.decisions.back().cause, "rule quiet");
+}
+
+TEST_F(RobotTest, ADecisionThatWasOvertakenIsRecordedAsSuperseded) {
+  Start();
+  Arm();
+  IntruderAppears();
+  const Mark overtaken = robot_->Status().mark;
+  ros2::GraphDelta delta;
+  AddNode(&delta, 9, "/intruder", "/cmd_vel");
+  SendDelta(std::move(delta));
+
+  SendMessage(9);
+  Obey();
+
+  EXPECT_THAT(recorder_.stages,
+              Contains(store::StageUpdate{
+                  .robot = "r1", .mark = overtaken, .stage = "superseded", .detail = ""}));
+  EXPECT_EQ(recorder_.stages.back().stage, "verified");
 }
 
 TEST_F(RobotTest, CommandsARaiseBeforeItIsRecorded) {

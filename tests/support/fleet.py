@@ -105,7 +105,8 @@ class Fleet:
         self.bin = pathlib.Path(binaries).resolve()
         self.dir = pathlib.Path(directory).resolve()
         self.dir.mkdir(parents=True, exist_ok=True)
-        self.domain = random.randint(100, 220)
+        # Ports of domains above 100 lie where Linux gives ports to others (DDSI-RTPS 2.5 §9.6.2.3).
+        self.domain = random.randint(10, 99)
         self.bundle = bundle
         self.fail_safe = fail_safe
         self.floor_hold = floor_hold
@@ -113,9 +114,15 @@ class Fleet:
         self.processes = []
         self.port = None
         self.smh = SOURCE / "tests/support/robot_sim/smh.yaml"
-        # Only loopback, whatever the caller's environment says.
+        # Only loopback, whatever the caller's environment says; and whoever happens to be in the
+        # same domain at the same time is neither seen nor sees us.
         self.env = {key: value for key, value in os.environ.items()
-                    if key != "CYCLONEDDS_URI" and not key.startswith("RIPSCTL_")}
+                    if not key.startswith("RIPSCTL_")}
+        self.env["CYCLONEDDS_URI"] = (
+            "<CycloneDDS><Domain><General><Interfaces><NetworkInterface name=\"lo\" "
+            "multicast=\"true\"/></Interfaces></General><Discovery><Tag>fleet-"
+            f"{random.getrandbits(64):016x}</Tag><ParticipantIndex>none</ParticipantIndex>"
+            "</Discovery></Domain></CycloneDDS>")
 
     # ------------------------------------------------------------------------------- set-up
 
