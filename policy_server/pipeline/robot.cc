@@ -325,8 +325,7 @@ void Robot::TakeBack(const levels::Transition& lowering, const absl::Status& why
   if (state_.level.level() >= lowering.from) return;
   OwnAlert(engine::Severity::kCritical,
            absl::StrCat("a lowering could not be recorded and was taken back: ", why.message()));
-  TakeTransition(
-      {.transition = state_.level.Adopt(lowering.from, state_.level.mark(), ports_.clock->Now())});
+  Adopt(lowering.from, state_.level.mark(), "the lowering could not be recorded");
 }
 
 // ----------------------------------------------------------------------------------- evidence
