@@ -2,6 +2,9 @@
 # rips_binary(NAME rips-sensor SRCS main.cc DEPS ...)         -> bin/rips-sensor
 # rips_test(NAME lang SRCS lexer_test.cc DEPS rips::lang [LABEL unit|component|integration])
 #
+# NO_UNITY: the files of the target share names inside anonymous namespaces, so the presets that
+# build several files as one must not.
+#
 # LAYER is one of: base < pure < port < adapter < shell. A target may link only rips:: targets of
 # its own layer or a lower one; `base`, `pure` and `port` may link no third-party target outside
 # RIPS_PURE_THIRD_PARTY. A violation stops the configure step.
@@ -38,7 +41,7 @@ function(_rips_check_dep target rank dep)
 endfunction()
 
 function(rips_library)
-  cmake_parse_arguments(A "" "NAME;LAYER" "SRCS;DEPS" ${ARGN})
+  cmake_parse_arguments(A "NO_UNITY" "NAME;LAYER" "SRCS;DEPS" ${ARGN})
   list(FIND RIPS_LAYERS "${A_LAYER}" rank)
   if(rank EQUAL -1)
     message(FATAL_ERROR "rips::${A_NAME}: unknown LAYER '${A_LAYER}'")
@@ -50,6 +53,9 @@ function(rips_library)
     add_library(rips_${A_NAME} STATIC ${A_SRCS})
     set(scope PUBLIC)
     target_compile_options(rips_${A_NAME} PRIVATE ${RIPS_WARNINGS})
+    if(A_NO_UNITY)
+      set_target_properties(rips_${A_NAME} PROPERTIES UNITY_BUILD OFF)
+    endif()
   else()
     add_library(rips_${A_NAME} INTERFACE)
     set(scope INTERFACE)
@@ -69,7 +75,7 @@ function(rips_binary)
 endfunction()
 
 function(rips_test)
-  cmake_parse_arguments(A "" "NAME;LABEL;TIMEOUT" "SRCS;DEPS" ${ARGN})
+  cmake_parse_arguments(A "NO_UNITY" "NAME;LABEL;TIMEOUT" "SRCS;DEPS" ${ARGN})
   if(NOT A_LABEL)
     set(A_LABEL unit)
   endif()
@@ -81,6 +87,9 @@ function(rips_test)
     RUNTIME_OUTPUT_DIRECTORY ${PROJECT_BINARY_DIR}/tests)
   # What is tested is optimised; the tests themselves are built quickly.
   target_compile_options(${A_NAME}_test PRIVATE ${RIPS_WARNINGS} -O0)
+  if(A_NO_UNITY)
+    set_target_properties(${A_NAME}_test PROPERTIES UNITY_BUILD OFF)
+  endif()
   target_compile_definitions(${A_NAME}_test PRIVATE
     RIPS_SOURCE_DIR="${PROJECT_SOURCE_DIR}" RIPS_BIN_DIR="${CMAKE_RUNTIME_OUTPUT_DIRECTORY}")
   target_include_directories(${A_NAME}_test PRIVATE ${PROJECT_SOURCE_DIR})

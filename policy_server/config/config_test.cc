@@ -27,8 +27,7 @@ inventory: /e/robots.yaml
 bundles: {source: /e/bundles, dir: /v/bundles}
 store: {kind: sqlite, path: /v/state.db}
 alerts: {file: /l/alerts.jsonl}
-timing: {heartbeat: 100ms, stale: 300ms, lost: 1s, lease: 3s, drain_lease: 10s, late_after: 2s,
-         linger: 0ms, tick: 50ms}
+timing: {heartbeat: 100ms, stale: 300ms, lost: 1s, lease: 3s, drain_lease: 10s, late_after: 2s, linger: 0ms, tick: 50ms}
 shards: 3
 metrics: "127.0.0.1:0"
 )";
