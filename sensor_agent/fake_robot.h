@@ -80,14 +80,17 @@ class FakeProcess {
 class FakeRobot {
  public:
   FakeRobot() {
-    const dds::ScopedCycloneUri uri(
-        absl::StrCat("<CycloneDDS><Domain><General><Interfaces><NetworkInterface name=\"lo\" "
-                     "multicast=\"true\"/></Interfaces></General><Discovery><ExternalDomainId>",
-                     dds::RandomDomain(), "</ExternalDomainId></Discovery></Domain></CycloneDDS>"));
-    auto domain = dds::Domain::Create({.id = 1});
-    EXPECT_TRUE(domain.ok()) << domain.status();
-    domain_ = *std::move(domain);
+    {
+      const dds::ScopedCycloneUri uri(
+          Xml(absl::StrCat("<ExternalDomainId>", dds::RandomDomain(), "</ExternalDomainId>")));
+      auto domain = dds::Domain::Create({.id = 1});
+      EXPECT_TRUE(domain.ok()) << domain.status();
+      domain_ = *std::move(domain);
+    }
+    // The sensor under test, here or in a child process, sees us and no other test.
+    setenv("CYCLONEDDS_URI", Xml("").c_str(), /*overwrite=*/1);
   }
+  ~FakeRobot() { unsetenv("CYCLONEDDS_URI"); }
 
   std::unique_ptr<FakeProcess> AddProcess() {
     auto participant = dds::Participant::Create(domain_);
@@ -96,6 +99,14 @@ class FakeRobot {
   }
 
  private:
+  static std::string Xml(const std::string& domain) {
+    return absl::StrCat(
+        "<CycloneDDS><Domain><General><Interfaces><NetworkInterface name=\"lo\" "
+        "multicast=\"true\"/></Interfaces></General><Discovery>",
+        domain, "<Tag>", dds::Tag(),
+        "</Tag><ParticipantIndex>none</ParticipantIndex></Discovery></Domain></CycloneDDS>");
+  }
+
   std::shared_ptr<const dds::Domain> domain_;
 };
 
