@@ -306,19 +306,21 @@ void Robot::OnRecorded(const absl::Status& status, const store::WriteBatch& reco
   for (const store::DecisionRecord& decision : recorded.decisions) {
     const auto it = waiting_.find(decision.mark);
     if (it == waiting_.end()) continue;
-    auto [reply, answer] = std::move(it->second);
+    const Waiting waiting = std::move(it->second);
     waiting_.erase(it);
-    reply(answer);
+    answered_.emplace_back(waiting.request_id, waiting.answer);
+    if (answered_.size() > kAnswersKept) answered_.pop_front();
+    waiting.reply(waiting.answer);
   }
   PublishStatus();
 }
 
 void Robot::TakeBack(const levels::Transition& lowering, const absl::Status& why) {
   if (const auto it = waiting_.find(lowering.mark); it != waiting_.end()) {
-    LevelAnswer answer = it->second.second;
+    LevelAnswer answer = it->second.answer;
     answer.status = absl::UnavailableError(
         absl::StrCat("the lowering could not be recorded and was taken back: ", why.message()));
-    it->second.first(answer);
+    it->second.reply(answer);
     waiting_.erase(it);
   }
   if (lowering.mark == awaiting_durable_) awaiting_durable_ = Mark{};
@@ -370,7 +372,25 @@ void Robot::UpdateEvidence(Instant now) {
 
 // ----------------------------------------------------------------------------------- operators
 
+bool Robot::AnswerRepeated(const LevelOrder& order, const LevelReply& reply) const {
+  if (order.request_id.empty()) return false;
+  for (const auto& [id, answer] : answered_) {
+    if (id == order.request_id) {
+      reply(answer);
+      return true;
+    }
+  }
+  for (const auto& [mark, waiting] : waiting_) {
+    if (waiting.request_id == order.request_id) {
+      reply({.status = absl::UnavailableError("this request is being recorded; repeat it")});
+      return true;
+    }
+  }
+  return false;
+}
+
 void Robot::Raise(const LevelOrder& order, LevelReply reply) {
+  if (AnswerRepeated(order, reply)) return;
   LevelAnswer answer;
   const auto to = levels().Find(order.to);
   const levels::Cause cause{
@@ -394,9 +414,7 @@ void Robot::Raise(const LevelOrder& order, LevelReply reply) {
 }
 
 void Robot::DeEscalate(const LevelOrder& order, LevelReply reply) {
-  for (const auto& [id, answer] : answered_) {
-    if (!order.request_id.empty() && id == order.request_id) return reply(answer);
-  }
+  if (AnswerRepeated(order, reply)) return;
   const Instant now = ports_.clock->Now();
   LevelAnswer answer;
   const auto to = levels().Find(order.to);
@@ -439,10 +457,8 @@ void Robot::Decide(const levels::Transition& transition, const LevelOrder& order
     if (!order.dry_run) TakeTransition({.transition = transition});
   } else if (transition.decided() && !order.dry_run) {
     TakeTransition({.transition = transition});
-    answered_.emplace_back(order.request_id, answer);
-    if (answered_.size() > kAnswersKept) answered_.pop_front();
-    waiting_[transition.mark] = {std::move(reply), std::move(answer)};
-    reply = nullptr;
+    // Told when it is durable (OnRecorded), or taken back.
+    waiting_[transition.mark] = {order.request_id, std::exchange(reply, nullptr), answer};
   }
   UpdateActuation(ports_.clock->Now());
   Flush();

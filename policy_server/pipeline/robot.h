@@ -212,6 +212,8 @@ class Robot {
                   const store::HighWater& judged, const std::vector<levels::Transition>& lowerings);
   void TakeBack(const levels::Transition& lowering, const absl::Status& why);
   void PublishStatus();
+  // True if the order repeats an earlier one: it was answered as that was.
+  bool AnswerRepeated(const LevelOrder& order, const LevelReply& reply) const;
   void Decide(const levels::Transition& transition, const LevelOrder& order, LevelReply reply,
               LevelAnswer answer);
 
@@ -233,8 +235,13 @@ class Robot {
   bool variables_changed_ = false;
   // Refusals already recorded: rule, from, to, reason → id.
   absl::btree_map<std::string, std::string> refusal_ids_;
+  struct Waiting {
+    std::string request_id;
+    LevelReply reply;
+    LevelAnswer answer;
+  };
   // Operators waiting for a decision to be durable, by mark.
-  absl::btree_map<Mark, std::pair<LevelReply, LevelAnswer>> waiting_;
+  absl::btree_map<Mark, Waiting> waiting_;
   // The newest answers by request id, oldest first.
   std::deque<std::pair<std::string, LevelAnswer>> answered_;
 

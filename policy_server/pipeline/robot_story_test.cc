@@ -391,6 +391,26 @@ TEST_F(RobotTest, ARepeatedRequestGetsItsFirstAnswer) {
   EXPECT_EQ(recorder_.decisions.size(), decisions);
 }
 
+TEST_F(RobotTest, ARepeatedRequestIsNotAnsweredBeforeTheFirstIsDurable) {
+  Start();
+  Arm();
+  IntruderAppears();
+  Obey();
+  recorder_.held = true;
+  const LevelOrder order = Lower("DEFAULT", robot_->Status());
+  LevelAnswer first{.status = absl::UnknownError("not answered")};
+  LevelAnswer second;
+
+  robot_->DeEscalate(order, [&](const LevelAnswer& a) { first = a; });
+  robot_->DeEscalate(order, [&](const LevelAnswer& a) { second = a; });
+
+  EXPECT_THAT(first.status, StatusIs(absl::StatusCode::kUnknown));
+  EXPECT_THAT(second.status, StatusIs(absl::StatusCode::kUnavailable));
+  recorder_.Release();
+  Drain();
+  EXPECT_THAT(first.status, IsOk());
+}
+
 TEST_F(RobotTest, DryRunSaysWhatWouldRaiseItAgainAndChangesNothing) {
   Start();
   Arm();
