@@ -173,8 +173,12 @@ class Robot {
   // robot_sensors.cc
   SensorSession* LiveSensor(const std::string& host, const SensorLink* link);
   void Judge(SensorHost& host, SensorSession& session, bool primary, const Observation& seen);
-  void JudgeMessage(const SensorSession& session, const MessageSeen& message,
-                    const Observation& seen);
+  void JudgeMessage(const MessageSeen& message, engine::Event event);
+  void JudgeSnapshot(SensorHost& host, const SensorSession& session,
+                     const GraphSnapshotSeen& snapshot, engine::Event event);
+  void JudgeDelta(SensorHost& host, const SensorSession& session, const GraphDeltaSeen& delta,
+                  engine::Event event);
+  void RefuseGraph(SensorHost& host, const SensorSession& session, const absl::Status& status);
   absl::Status TakeSnapshot(SensorHost& host, const std::string& incarnation,
                             const GraphSnapshotSeen& snapshot);
   absl::Status TakeDelta(SensorHost& host, const std::string& incarnation,

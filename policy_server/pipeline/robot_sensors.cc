@@ -130,61 +130,77 @@ void Robot::OnBatch(const std::string& host_name, const SensorLink* link, const 
 void Robot::Judge(SensorHost& host, SensorSession& session, bool primary, const Observation& seen) {
   const Instant now = ports_.clock->Now();
   const int64_t age_ns = now.boottime_ns - (seen.boottime_ns + session.boottime_offset_ns);
+  if (age_ns > timing_.backlog_ns) {
+    evidence_.Disturb("observations were judged more than a second after they were taken", now);
+  }
   engine::Event event{
       .what = engine::GraphEvent{},
       .time_unix_ns = std::min(seen.boottime_ns + session.unix_offset_ns, now.unix_ns),
       .lateness =
           age_ns > timing_.late_after_ns ? levels::Lateness::kLate : levels::Lateness::kTimely};
-  if (age_ns > timing_.backlog_ns) {
-    evidence_.Disturb("observations were judged more than a second after they were taken", now);
-  }
-  absl::Status status = absl::OkStatus();
   if (const auto* message = std::get_if<MessageSeen>(&seen.what)) {
-    if (!primary) return;
-    event.what = engine::MessageEvent{.topic = message->topic,
-                                      .type = message->type,
-                                      .writer = message->writer,
-                                      .sender = message->sender,
-                                      .size_bytes = message->size_bytes};
-    auto& what = std::get<engine::MessageEvent>(event.what);
-    if (const ros2::Endpoint* endpoint = state_.graph.FindEndpoint(message->writer)) {
-      what.sender = endpoint->node;
-    }
-    return Run(event);
-  }
-  if (const auto* snapshot = std::get_if<GraphSnapshotSeen>(&seen.what)) {
-    if (!primary) return;
-    status = TakeSnapshot(host, session.incarnation, *snapshot);
-    if (status.ok() && host.settled) GraphChanged(host, event);
+    if (primary) JudgeMessage(*message, std::move(event));
+  } else if (const auto* snapshot = std::get_if<GraphSnapshotSeen>(&seen.what)) {
+    if (primary) JudgeSnapshot(host, session, *snapshot, std::move(event));
   } else if (const auto* delta = std::get_if<GraphDeltaSeen>(&seen.what)) {
-    // Until a snapshot of this incarnation has come, deltas have nothing to change: the snapshot
-    // will contain them.
-    if (!primary || host.graph_incarnation != session.incarnation) return;
-    const bool news = delta->to_version > host.graph_version;
-    status = TakeDelta(host, session.incarnation, *delta);
-    if (status.ok() && news && host.settled) GraphChanged(host, event);
+    if (primary) JudgeDelta(host, session, *delta, std::move(event));
   } else if (const auto* ids = std::get_if<IdsAlertSeen>(&seen.what)) {
-    event.what = engine::ExternalEvent(
+    event.what.emplace<engine::ExternalEvent>(
         engine::IdsEvent{.message = ids->message, .gid = ids->gid, .sid = ids->sid});
-    return Run(event);
+    Run(event);
   } else if (const auto* signal = std::get_if<SignalSeen>(&seen.what)) {
-    event.what = engine::ExternalEvent(engine::SignalEvent{.name = signal->name});
-    return Run(event);
+    event.what.emplace<engine::ExternalEvent>(engine::SignalEvent{.name = signal->name});
+    Run(event);
   } else if (const auto* loss = std::get_if<LossSeen>(&seen.what)) {
     Count(ports_.counts.observations_lost, loss->count);
     if (!loss->tolerable) {
       evidence_.Disturb(absl::StrCat(loss->count, " observations were lost: ", loss->cause), now);
     }
-    event.what = engine::ExternalEvent(engine::LossEvent{.count = loss->count});
-    return Run(event);
+    event.what.emplace<engine::ExternalEvent>(engine::LossEvent{.count = loss->count});
+    Run(event);
   } else if (const auto* state = std::get_if<SensorStateSeen>(&seen.what)) {
     if (!state->overloaded) return;
     evidence_.Disturb("the sensor is overloaded", now);
-    event.what =
-        engine::ExternalEvent(engine::AgentEvent{.agent = "sensor", .state = "overloaded"});
-    return Run(event);
+    event.what.emplace<engine::ExternalEvent>(
+        engine::AgentEvent{.agent = "sensor", .state = "overloaded"});
+    Run(event);
   }
-  if (status.ok()) return;
+}
+
+void Robot::JudgeMessage(const MessageSeen& message, engine::Event event) {
+  absl::string_view sender = message.sender;
+  if (const ros2::Endpoint* endpoint = state_.graph.FindEndpoint(message.writer)) {
+    sender = endpoint->node;
+  }
+  event.what = engine::MessageEvent{.topic = message.topic,
+                                    .type = message.type,
+                                    .writer = message.writer,
+                                    .sender = sender,
+                                    .size_bytes = message.size_bytes};
+  Run(event);
+}
+
+void Robot::JudgeSnapshot(SensorHost& host, const SensorSession& session,
+                          const GraphSnapshotSeen& snapshot, engine::Event event) {
+  const absl::Status status = TakeSnapshot(host, session.incarnation, snapshot);
+  if (!status.ok()) return RefuseGraph(host, session, status);
+  if (host.settled) GraphChanged(host, std::move(event));
+}
+
+void Robot::JudgeDelta(SensorHost& host, const SensorSession& session, const GraphDeltaSeen& delta,
+                       engine::Event event) {
+  // Until a snapshot of this incarnation has come, deltas have nothing to change: the snapshot will
+  // contain them.
+  if (host.graph_incarnation != session.incarnation) return;
+  const bool news = delta.to_version > host.graph_version;
+  const absl::Status status = TakeDelta(host, session.incarnation, delta);
+  if (!status.ok()) return RefuseGraph(host, session, status);
+  if (news && host.settled) GraphChanged(host, std::move(event));
+}
+
+void Robot::RefuseGraph(SensorHost& host, const SensorSession& session,
+                        const absl::Status& status) {
+  // The next stream starts with a snapshot.
   host.graph_incarnation.clear();
   host.settled = false;
   const std::shared_ptr<SensorLink> link = session.link;
