@@ -324,6 +324,26 @@ TEST_F(ServerTest, ClosesMalformedStreamsWithAReason) {
          s.Hello(), s.Send(batch);
        },
        grpc::StatusCode::INVALID_ARGUMENT, "not interned"},
+      {"messages before there is credit",
+       [](Sensor& s) {
+         auto batch = Batch(1, rips::v1::MESSAGES);
+         auto* topic = batch.add_interned();
+         topic->set_id(1);
+         topic->set_topic("/cmd_vel");
+         auto* type = batch.add_interned();
+         type->set_id(2);
+         type->set_type("geometry_msgs/msg/Twist");
+         auto* writer = batch.add_interned();
+         writer->set_id(3);
+         writer->mutable_writer()->set_guid(std::string(16, 'g'));
+         writer->mutable_writer()->set_kind(rips::v1::Endpoint::PUBLISHER);
+         auto* message = batch.add_observations()->mutable_message();
+         message->set_topic_id(1);
+         message->set_type_id(2);
+         message->set_writer_id(3);
+         s.Hello(), s.Send(batch);
+       },
+       grpc::StatusCode::RESOURCE_EXHAUSTED, "exceed the credit of 0"},
       {"too many observations",
        [](Sensor& s) {
          auto batch = Batch(1, rips::v1::CONTROL);
