@@ -63,7 +63,7 @@ absl::StatusOr<Bundle> LoadBundle(const std::string& dir) {
   RIPS_ASSIGN_OR_RETURN(std::vector<lang::SourceFile> files,
                         ReadRuleFiles(dir, *directory, bundle.manifest));
 
-  lang::CompileResult compiled = lang::Compile(files, bundle.manifest.dialect);
+  lang::CompileResult compiled = lang::Compile(files, {.dialect = bundle.manifest.dialect});
   std::string diagnostics = lang::RenderText(files, compiled.diagnostics);
   if (!compiled.rules.has_value()) return absl::InvalidArgumentError(diagnostics);
   const std::vector<std::string> declared = compiled.rules->levels.names();

@@ -80,7 +80,45 @@ std::vector<std::string> ServicesOf(absl::string_view name, const ros2::RosGraph
   return services;
 }
 
-std::optional<bool> AskServices(Builtin builtin, Args args, const Scene& scene, Relation include) {
+// What a set form asks. Nullopt for builtins that compare no sets.
+std::optional<Relation> RelationOf(Builtin builtin, bool prototype) {
+  switch (builtin) {
+    case Builtin::kPublishers:
+    case Builtin::kSubscribers:
+    case Builtin::kNodes:
+    case Builtin::kTopics:
+    case Builtin::kServices:
+    case Builtin::kTopicPublishers:
+    case Builtin::kTopicSubscribers:
+      return Relation::kExactly;
+    case Builtin::kPublishersInclude:
+      return Relation::kGivenInCurrent;
+    case Builtin::kSubscribersInclude:
+      return prototype ? Relation::kCurrentInGiven : Relation::kGivenInCurrent;
+    case Builtin::kNodesInclude:
+    case Builtin::kTopicsInclude:
+    case Builtin::kServicesInclude:
+    case Builtin::kTopicPublishersInclude:
+    case Builtin::kTopicSubscribersInclude:
+      return prototype ? Relation::kGivenInCurrent : Relation::kCurrentInGiven;
+    case Builtin::kNodesOnly:
+    case Builtin::kTopicsOnly:
+    case Builtin::kServicesOnly:
+    case Builtin::kTopicPublishersOnly:
+    case Builtin::kTopicSubscribersOnly:
+      return Relation::kCurrentInGiven;
+    case Builtin::kHasNodes:
+    case Builtin::kHasTopics:
+    case Builtin::kHasServices:
+    case Builtin::kHasTopicPublishers:
+    case Builtin::kHasTopicSubscribers:
+      return Relation::kGivenInCurrent;
+    default:
+      return std::nullopt;
+  }
+}
+
+std::optional<bool> AskServices(Builtin builtin, Args args, const Scene& scene) {
   const std::optional<absl::string_view> node = Text(args, 0);
   if (!node.has_value()) return std::nullopt;
   const std::vector<std::string> services = ServicesOf(*node, scene.graph);
@@ -90,9 +128,9 @@ std::optional<bool> AskServices(Builtin builtin, Args args, const Scene& scene, 
     if (!service.has_value() || args.size() != 2) return std::nullopt;
     return std::find(services.begin(), services.end(), *service) != services.end();
   }
-  return Compare(NameSet::Kind::kPlain, args, 1, services,
-                 builtin == Builtin::kServices ? Relation::kExactly : include,
-                 scene.graph.truncated());
+  const auto relation = RelationOf(builtin, scene.prototype());
+  if (!relation.has_value()) return std::nullopt;
+  return Compare(NameSet::Kind::kPlain, args, 1, services, *relation, scene.graph.truncated());
 }
 
 const std::vector<std::string>& Nobody() {
@@ -106,31 +144,21 @@ const std::vector<std::string>& Subscribers(const ros2::Topic* topic) {
   return topic == nullptr ? Nobody() : topic->subscribers;
 }
 
-// Builtins whose first argument is a topic.
-std::optional<bool> AskTopic(Builtin builtin, Args args, const Scene& scene, Relation include) {
+// Who publishes on, or subscribes to, the topic that is the first argument.
+std::optional<bool> AskTopic(Builtin builtin, Args args, const Scene& scene) {
   const std::optional<absl::string_view> name = Text(args, 0);
   if (!name.has_value()) return std::nullopt;
   const ros2::Topic* topic = scene.graph.FindTopic(*name);
-  const bool truncated = scene.graph.truncated();
-  const auto compare = [&](const std::vector<std::string>& current, Relation relation) {
-    return Compare(NameSet::Kind::kNodes, args, 1, current, relation, truncated);
-  };
-  switch (builtin) {
-    case Builtin::kTopicPublishers:
-      return compare(Publishers(topic), Relation::kExactly);
-    case Builtin::kTopicSubscribers:
-      return compare(Subscribers(topic), Relation::kExactly);
-    case Builtin::kTopicPublishersInclude:
-      return compare(Publishers(topic), include);
-    case Builtin::kTopicSubscribersInclude:
-      return compare(Subscribers(topic), include);
-    case Builtin::kTopicPublisherCount:
-      return InRange(args, 1, Publishers(topic).size());
-    case Builtin::kTopicSubscriberCount:
-      return InRange(args, 1, Subscribers(topic).size());
-    default:
-      return std::nullopt;
-  }
+  if (builtin == Builtin::kTopicPublisherCount) return InRange(args, 1, Publishers(topic).size());
+  if (builtin == Builtin::kTopicSubscriberCount) return InRange(args, 1, Subscribers(topic).size());
+  const auto relation = RelationOf(builtin, scene.prototype());
+  if (!relation.has_value()) return std::nullopt;
+  const bool publishers =
+      builtin == Builtin::kTopicPublishers || builtin == Builtin::kTopicPublishersInclude ||
+      builtin == Builtin::kTopicPublishersOnly || builtin == Builtin::kHasTopicPublishers;
+  return Compare(NameSet::Kind::kNodes, args, 1,
+                 publishers ? Publishers(topic) : Subscribers(topic), *relation,
+                 scene.graph.truncated());
 }
 
 // Is any of the arguments `text` (whole), or the package of one of the types?
@@ -168,11 +196,31 @@ std::optional<bool> SubtypeIs(Args args, const Scene& scene) {
 
 }  // namespace
 
+bool NamesSubject(Builtin builtin) {
+  switch (builtin) {
+    case Builtin::kServices:
+    case Builtin::kServicesInclude:
+    case Builtin::kServicesOnly:
+    case Builtin::kHasServices:
+    case Builtin::kTopicPublishers:
+    case Builtin::kTopicPublishersInclude:
+    case Builtin::kTopicPublishersOnly:
+    case Builtin::kHasTopicPublishers:
+    case Builtin::kTopicSubscribers:
+    case Builtin::kTopicSubscribersInclude:
+    case Builtin::kTopicSubscribersOnly:
+    case Builtin::kHasTopicSubscribers:
+      return true;
+    default:
+      return false;
+  }
+}
+
 std::optional<bool> Ask(Builtin builtin, Args args, const Scene& scene) {
-  const bool prototype = scene.dialect == lang::CheckedRules::Dialect::kPrototype;
-  const Relation include = prototype ? Relation::kGivenInCurrent : Relation::kCurrentInGiven;
-  const auto compare = [&](NameSet::Kind kind, const auto& current, Relation relation) {
-    return Compare(kind, args, 0, current, relation, scene.graph.truncated());
+  const auto compare = [&](NameSet::Kind kind, const auto& current) -> std::optional<bool> {
+    const auto relation = RelationOf(builtin, scene.prototype());
+    if (!relation.has_value()) return std::nullopt;
+    return Compare(kind, args, 0, current, *relation, scene.graph.truncated());
   };
   switch (builtin) {
     case Builtin::kTopicIn:
@@ -186,44 +234,38 @@ std::optional<bool> Ask(Builtin builtin, Args args, const Scene& scene) {
     case Builtin::kSubscriberCount:
       return InRange(args, 0, Subscribers(scene.facts).size());
     case Builtin::kPublishers:
-      return compare(NameSet::Kind::kNodes, Publishers(scene.facts), Relation::kExactly);
-    case Builtin::kSubscribers:
-      return compare(NameSet::Kind::kNodes, Subscribers(scene.facts), Relation::kExactly);
     case Builtin::kPublishersInclude:
-      return compare(NameSet::Kind::kNodes, Publishers(scene.facts), Relation::kGivenInCurrent);
+      return compare(NameSet::Kind::kNodes, Publishers(scene.facts));
+    case Builtin::kSubscribers:
     case Builtin::kSubscribersInclude:
-      return compare(NameSet::Kind::kNodes, Subscribers(scene.facts),
-                     prototype ? Relation::kCurrentInGiven : Relation::kGivenInCurrent);
+      return compare(NameSet::Kind::kNodes, Subscribers(scene.facts));
     case Builtin::kNodes:
-      return compare(NameSet::Kind::kNodes, scene.graph.nodes(), Relation::kExactly);
     case Builtin::kNodesInclude:
-      return compare(NameSet::Kind::kNodes, scene.graph.nodes(), include);
+    case Builtin::kNodesOnly:
+    case Builtin::kHasNodes:
+      return compare(NameSet::Kind::kNodes, scene.graph.nodes());
     case Builtin::kNodeCount:
       return InRange(args, 0, scene.graph.nodes().size());
     case Builtin::kTopics:
-      return compare(NameSet::Kind::kPlain, scene.graph.topics(), Relation::kExactly);
     case Builtin::kTopicsInclude:
-      return compare(NameSet::Kind::kPlain, scene.graph.topics(), include);
+    case Builtin::kTopicsOnly:
+    case Builtin::kHasTopics:
+      return compare(NameSet::Kind::kPlain, scene.graph.topics());
     case Builtin::kTopicCount:
       return InRange(args, 0, scene.graph.topics().size());
     case Builtin::kServices:
     case Builtin::kServicesInclude:
+    case Builtin::kServicesOnly:
+    case Builtin::kHasServices:
     case Builtin::kServiceCount:
     case Builtin::kService:
-      return AskServices(builtin, args, scene, include);
-    case Builtin::kTopicPublishers:
-    case Builtin::kTopicSubscribers:
-    case Builtin::kTopicPublishersInclude:
-    case Builtin::kTopicSubscribersInclude:
+      return AskServices(builtin, args, scene);
     case Builtin::kTopicPublisherCount:
     case Builtin::kTopicSubscriberCount:
-      return AskTopic(builtin, args, scene, include);
-    case Builtin::kTopicMatches:
-    case Builtin::kLevelName:
-    case Builtin::kString:
-      return std::nullopt;
+      return AskTopic(builtin, args, scene);
+    default:
+      return NamesSubject(builtin) ? AskTopic(builtin, args, scene) : std::nullopt;
   }
-  return std::nullopt;
 }
 
 }  // namespace rips::engine

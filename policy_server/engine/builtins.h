@@ -22,6 +22,8 @@ struct Scene {
   absl::Span<const absl::string_view> types;
   // Who publishes and subscribes to the topic; null if the graph knows nobody.
   const ros2::Topic* facts = nullptr;
+
+  bool prototype() const { return dialect == lang::CheckedRules::Dialect::kPrototype; }
 };
 
 // The include forms, by dialect ("given" are the arguments, "current" is what is there):
@@ -31,13 +33,20 @@ struct Scene {
 //   topicpublishersinclude, topicsubscribersinclude
 //   publishersinclude                                 given in current   given in current
 //   subscribersinclude                                given in current   current in given
+//   nodesonly, topicsonly, servicesonly,              current in given   current in given
+//   topicpublishersonly, topicsubscribersonly
+//   hasnodes, hastopics, hasservices,                 given in current   given in current
+//   hastopicpublishers, hastopicsubscribers
 //
 // "Exactly these" and "current in given" are false while the graph is truncated: what was left out
 // could be anything.
 //
-// All builtins but topicmatches, levelname and string; nullopt for those, and if the arguments do
-// not fit the builtin.
+// What can be told from the graph, the topic and its types, but for topicmatches; nullopt for other
+// builtins, and if the arguments do not fit the builtin.
 std::optional<bool> Ask(lang::Builtin builtin, absl::Span<const Scalar> args, const Scene& scene);
+
+// The first argument is the node or topic that is asked about, the others are a set.
+bool NamesSubject(lang::Builtin builtin);
 
 }  // namespace rips::engine
 

@@ -4,7 +4,9 @@
 #include <utility>
 
 #include "absl/strings/str_cat.h"
+#include "absl/strings/str_join.h"
 #include "policy_server/engine/compiled.h"
+#include "policy_server/engine/text.h"
 
 namespace rips::engine {
 namespace {
@@ -63,25 +65,45 @@ std::optional<bool> AnswerOf(levels::LevelIndex wants, bool lowering, const Robo
   return false;
 }
 
+std::string SenderKey(const MessageEvent& message) {
+  return absl::StrCat(message.topic, absl::string_view("\0", 1), message.writer.ToBytes());
+}
+
 void Runner::Run(const Event& event) {
   in_.time_ns = std::max(in_.time_ns, event.time_unix_ns);
   const std::shared_ptr<const Program> program = state_.program();
-  Frame frame(state_, program, event, in_.time_ns, nullptr);
+  Frame frame(state_, program, event, in_.time_ns, now_, &in_.topics);
   const std::vector<uint32_t>* rules = &program->compiled().external_rules;
   if (std::holds_alternative<MessageEvent>(event.what)) {
-    const TopicVerdict& verdict = in_.verdicts.For(*program, frame.scene());
-    frame.set_verdict(&verdict);
-    rules = &verdict.rules;
+    Count(frame);
+    rules = &frame.topic()->verdict->rules;
   } else if (std::holds_alternative<GraphEvent>(event.what)) {
     rules = &program->compiled().graph_rules;
   }
-  for (const uint32_t index : *rules) RunRule(frame, index);
+  for (const uint32_t index : *rules) {
+    RunRule(frame, index);
+    if (state_.halted()) return;
+  }
+}
+
+void Runner::Count(const Frame& frame) {
+  const TopicVerdict& verdict = *frame.topic()->verdict;
+  const auto& message = std::get<MessageEvent>(frame.event().what);
+  if (verdict.topic_window_ns > 0) {
+    in_.counts.Add(message.topic, frame.time_ns(), verdict.topic_window_ns);
+  }
+  if (verdict.sender_window_ns > 0 && !message.writer.none()) {
+    in_.counts.Add(SenderKey(message), frame.time_ns(), verdict.sender_window_ns);
+  }
 }
 
 void Runner::Resume(std::vector<Answered> answered) {
   for (const Answered& answer : answered) {
+    if (state_.halted()) return;
     const ParkedChain& parked = *answer.chain;
-    Frame frame(state_, parked.program, parked.event, parked.time_ns, &parked);
+    const bool in_force = parked.program == state_.program();
+    Frame frame(state_, parked.program, parked.event, parked.time_ns, now_,
+                in_force ? &in_.topics : nullptr, &parked);
     const lang::TypedRule& rule = parked.program->rules().rules[parked.rule];
     Current current{.frame = frame, .rule_index = parked.rule, .rule = rule};
     if (GoesOn(rule.chains[parked.chain][parked.action].next, answer.ok)) {
@@ -93,38 +115,61 @@ void Runner::Resume(std::vector<Answered> answered) {
 void Runner::RunRule(Frame& frame, uint32_t index) {
   Current current{
       .frame = frame, .rule_index = index, .rule = frame.program().rules().rules[index]};
-  const Context context = frame.For(current.rule, state_.level.level(), now_);
-  Expression expression(context);
-  const std::optional<Scalar> value = expression.Eval(current.rule.condition);
-  NoteCut(current, expression);
-  if (!value.has_value()) {
-    ReportFault(current, expression.fault(), "it did not fire");
-    return;
-  }
-  const bool* truth = std::get_if<bool>(&*value);
-  if (truth == nullptr || !*truth) return;
-
+  if (!Fires(current)) return;
   ++outcome_.fired;
-  for (uint32_t chain = 0; chain < current.rule.chains.size() && !current.faulted; ++chain) {
+  for (uint32_t chain = 0;
+       chain < current.rule.chains.size() && !current.faulted && !state_.halted(); ++chain) {
     RunChain(current, chain, 0);
   }
+  Tell(current, RuleObserver::Came::kFired, current.fault);
+}
+
+bool Runner::Fires(Current& current) {
+  Evaluation& run = current.frame.Enter(current.rule, state_.level.level());
+  Cell value;
+  const Answer answer =
+      Eval(*current.frame.program().compiled().conditions[current.rule_index], run, value);
+  if (run.cut) NoteCut(current, run);
+  if (answer == Answer::kValue) {
+    if (!value.truth) Tell(current, RuleObserver::Came::kFalse);
+    return value.truth;
+  }
+  if (answer == Answer::kFault) {
+    const std::string what(run.fault);
+    ReportFault(current, what, "it did not fire");
+    Tell(current, RuleObserver::Came::kFaulted, what);
+    return false;
+  }
+  if (answer == Answer::kUndecidable) {
+    ++outcome_.undecidable;
+    Tell(current, RuleObserver::Came::kUndecidable);
+    return false;
+  }
+  ++outcome_.unscanned;
+  const OnInspectionError then = current.frame.program().options().on_inspection_error;
+  if (then == OnInspectionError::kMatch) return true;
+  if (then == OnInspectionError::kAlert) {
+    ReportFault(current, "the message could not be inspected", "it did not fire");
+  }
+  Tell(current, RuleObserver::Came::kUnscanned);
+  return false;
+}
+
+void Runner::Tell(const Current& current, RuleObserver::Came came, absl::string_view what) {
+  if (state_.observer != nullptr) state_.observer->OnRule(current.rule_index, came, what);
 }
 
 void Runner::RunChain(Current& current, uint32_t chain, size_t action) {
   const lang::TypedChain& actions = current.rule.chains[chain];
   for (; action < actions.size(); ++action) {
     const Step step = Act(current, chain, action);
-    if (step == Step::kParked) return;
+    if (step == Step::kParked || state_.halted()) return;
     if (!GoesOn(actions[action].next, step == Step::kSucceeded)) return;
   }
 }
 
 Runner::Step Runner::Act(Current& current, uint32_t chain, size_t index) {
   const lang::TypedAction& action = current.rule.chains[chain][index];
-  if (action.args.empty()) {
-    ReportFault(current, "an action without arguments", "the action failed");
-    return Step::kFailed;
-  }
   switch (action.kind) {
     case ActionKind::kAlert:
       return Alert(current, action);
@@ -134,6 +179,11 @@ Runner::Step Runner::Act(Current& current, uint32_t chain, size_t index) {
       return Exec(current, chain, index);
     case ActionKind::kTrigger:
       return Trigger(current, chain, index);
+    case ActionKind::kTrue:
+    case ActionKind::kFalse:
+      return Debug(current, action);
+    case ActionKind::kCrash:
+      return Crash(current, action);
   }
   return Step::kFailed;
 }
@@ -201,7 +251,7 @@ Runner::Step Runner::Exec(Current& current, uint32_t chain, size_t index) {
   }
   if (!joins) {
     const uint64_t id = ++in_.last_run_id;
-    outcome_.effects.push_back(RunProgramEffect{
+    Add(RunProgramEffect{
         .run_id = id, .rule = current.rule.name, .program = program, .args = args});
     run = in_.runs
               .emplace(id, ProgramRun{std::move(program), std::move(args),
@@ -229,7 +279,7 @@ Runner::Step Runner::Trigger(Current& current, uint32_t chain, size_t index) {
   }
   if (transition.decided()) {
     if (state_.actuation != Actuation::kNoLease) state_.actuation = Actuation::kPending;
-    outcome_.effects.push_back(TransitionEffect{.transition = std::move(transition)});
+    Add(TransitionEffect{.transition = std::move(transition)});
   }
 
   const std::optional<bool> answer = AnswerOf(*to, lowering, state_);
@@ -247,13 +297,48 @@ Runner::Step Runner::Trigger(Current& current, uint32_t chain, size_t index) {
   return Step::kParked;
 }
 
+Runner::Step Runner::Debug(Current& current, const lang::TypedAction& action) {
+  std::vector<std::string> values;
+  for (const lang::TypedExpr& arg : action.args) {
+    const std::optional<lang::Value> value = Arg(current, arg);
+    if (!value.has_value()) return Step::kFailed;
+    values.push_back(ToText(*value));
+  }
+  Add(LogEffect{.rule = current.rule.name, .text = absl::StrJoin(values, " ")});
+  return action.kind == ActionKind::kTrue ? Step::kSucceeded : Step::kFailed;
+}
+
+// Whatever the text comes to, the robot stops: a rule that wanted it crashed says so.
+Runner::Step Runner::Crash(Current& current, const lang::TypedAction& action) {
+  std::optional<std::string> text = TextArg(current, action.args[0]);
+  levels::Transition transition =
+      state_.level.Crash({.kind = levels::Cause::Kind::kCrash, .name = current.rule.name}, now_);
+  if (transition.decided()) {
+    if (state_.actuation != Actuation::kNoLease) state_.actuation = Actuation::kPending;
+    Add(TransitionEffect{.transition = std::move(transition)});
+  }
+  Raise(current, Severity::kCritical,
+        absl::StrCat("crash: ", std::move(text).value_or("(its text could not be made)")));
+  // Nothing of this robot's rules goes on.
+  in_.parked.clear();
+  in_.runs.clear();
+  state_.Halt();
+  outcome_.crashed = true;
+  return Step::kFailed;
+}
+
 std::optional<lang::Value> Runner::Arg(Current& current, const lang::TypedExpr& arg) {
-  const Context context = current.frame.For(current.rule, state_.level.level(), now_);
-  Expression expression(context);
-  const std::optional<Scalar> value = expression.Eval(arg);
-  NoteCut(current, expression);
-  if (value.has_value()) return Own(*value);
-  ReportFault(current, expression.fault(), "the action failed");
+  const Node& node = *current.frame.program().compiled().arguments.at(&arg);
+  Evaluation& run = current.frame.Enter(current.rule, state_.level.level());
+  Cell value;
+  const Answer answer = Eval(node, run, value);
+  if (run.cut) NoteCut(current, run);
+  if (answer == Answer::kValue) return Own(value, node.type);
+  const std::string what = answer == Answer::kFault ? std::string(run.fault)
+                           : answer == Answer::kUnscanned
+                               ? "an argument needs an inspection that was not made"
+                               : "an argument needs what the recording does not hold";
+  ReportFault(current, what, "the action failed");
   return std::nullopt;
 }
 
@@ -280,7 +365,10 @@ std::optional<levels::LevelIndex> Runner::LevelArg(Current& current, const lang:
 }
 
 void Runner::ReportFault(Current& current, absl::string_view what, absl::string_view consequence) {
-  if (!current.faulted) ++outcome_.faults;
+  if (!current.faulted) {
+    ++outcome_.faults;
+    current.fault = std::string(what);
+  }
   current.faulted = true;
   const auto last = in_.fault_alerted_ns.find(current.rule.name);
   if (last != in_.fault_alerted_ns.end() && !Apart(last->second, in_.time_ns, kAlertEveryNs)) {
@@ -303,8 +391,8 @@ void Runner::ReportFull(const Current& current) {
                      "action failed"));
 }
 
-void Runner::NoteCut(const Current& current, const Expression& expression) {
-  if (expression.cut() && in_.cut_rules.insert(current.rule.name).second) {
+void Runner::NoteCut(const Current& current, const Evaluation& run) {
+  if (run.cut && in_.cut_rules.insert(current.rule.name).second) {
     outcome_.cut_strings.push_back(current.rule.name);
   }
 }
@@ -317,16 +405,15 @@ void Runner::Refuse(levels::Transition transition) {
             .reason = transition.refusal,
             .based_on = transition.based_on,
             .count = again ? record.count + 1 : 1};
-  outcome_.effects.push_back(
-      TransitionEffect{.transition = std::move(transition), .count = record.count});
+  Add(TransitionEffect{.transition = std::move(transition), .count = record.count});
 }
 
 void Runner::Raise(const Current& current, Severity severity, std::string text) {
-  outcome_.effects.push_back(AlertEffect{.rule = current.rule.name,
-                                         .severity = severity,
-                                         .text = std::move(text),
-                                         .level = state_.level.level(),
-                                         .mark = state_.level.mark()});
+  Add(AlertEffect{.rule = current.rule.name,
+                  .severity = severity,
+                  .text = std::move(text),
+                  .level = state_.level.level(),
+                  .mark = state_.level.mark()});
 }
 
 std::unique_ptr<ParkedChain> Runner::MakeParked(const Current& current, uint32_t chain,
@@ -345,6 +432,8 @@ std::unique_ptr<ParkedChain> Runner::MakeParked(const Current& current, uint32_t
     message->topic = parked->topic;
     message->type = parked->type;
     message->sender = parked->sender;
+    parked->inspections.assign(message->inspections.begin(), message->inspections.end());
+    message->inspections = parked->inspections;
   }
   parked->time_ns = frame.time_ns();
   parked->deadline_ns = now_.boottime_ns + in_.limits.chain_deadline_ns;

@@ -6,6 +6,8 @@
 #include <memory>
 #include <optional>
 #include <string>
+#include <utility>
+#include <variant>
 #include <vector>
 
 #include "policy_server/engine/effect.h"
@@ -44,6 +46,8 @@ class Runner {
     uint32_t rule_index;
     const lang::TypedRule& rule;
     bool faulted = false;
+    // Why it faulted first.
+    std::string fault = {};
   };
 
   void RunRule(Frame& frame, uint32_t index);
@@ -53,7 +57,12 @@ class Runner {
   Step Set(Current& current, const lang::TypedAction& action);
   Step Exec(Current& current, uint32_t chain, size_t index);
   Step Trigger(Current& current, uint32_t chain, size_t index);
+  Step Debug(Current& current, const lang::TypedAction& action);
+  Step Crash(Current& current, const lang::TypedAction& action);
 
+  // Counts the message, where a rule that applies to its topic counts.
+  void Count(const Frame& frame);
+  bool Fires(Current& current);
   // Nullopt on a fault, which has then been reported.
   std::optional<lang::Value> Arg(Current& current, const lang::TypedExpr& arg);
   std::optional<std::string> TextArg(Current& current, const lang::TypedExpr& arg);
@@ -62,8 +71,14 @@ class Runner {
 
   void ReportFault(Current& current, absl::string_view what, absl::string_view consequence);
   void ReportFull(const Current& current);
-  void NoteCut(const Current& current, const Expression& expression);
+  void NoteCut(const Current& current, const Evaluation& run);
+  void Tell(const Current& current, RuleObserver::Came came, absl::string_view what = {});
   void Refuse(levels::Transition transition);
+  // Built in place: assigning a variant makes gcc 12 warn of what is not so.
+  template <typename What>
+  void Add(What effect) {
+    outcome_.effects.emplace_back(std::in_place_type<What>, std::move(effect));
+  }
   void Raise(const Current& current, Severity severity, std::string text);
   std::unique_ptr<ParkedChain> MakeParked(const Current& current, uint32_t chain, size_t index);
   bool Full() const { return in_.parked.size() >= in_.limits.parked_max; }

@@ -47,7 +47,13 @@ struct RefusedProgram {
   std::string reason;
 };
 
-using Effect = std::variant<AlertEffect, TransitionEffect, RunProgramEffect>;
+// A rule called True or False, to show values to whoever debugs it.
+struct LogEffect {
+  std::string rule;
+  std::string text;
+};
+
+using Effect = std::variant<AlertEffect, TransitionEffect, RunProgramEffect, LogEffect>;
 
 struct Outcome {
   // In the order they happened.
@@ -58,6 +64,12 @@ struct Outcome {
   uint32_t fired = 0;
   // Rules that faulted.
   uint32_t faults = 0;
+  // Rules that did not fire because the recording does not hold what they ask.
+  uint32_t undecidable = 0;
+  // Rules whose value depended on an inspection that was not told.
+  uint32_t unscanned = 0;
+  // A rule called `crash`: RobotState::halted() from now on.
+  bool crashed = false;
   std::vector<RefusedProgram> refused_programs;
   // Names of rules that cut an over-long string for the first time under this policy.
   std::vector<std::string> cut_strings;

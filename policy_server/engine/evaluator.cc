@@ -4,6 +4,7 @@
 #include <utility>
 
 #include "policy_server/engine/chains.h"
+#include "policy_server/engine/frame.h"
 
 namespace rips::engine {
 namespace {
@@ -25,22 +26,40 @@ std::vector<Answered> TakeAnswered(RobotState& state, const Answer& answer) {
   return answered;
 }
 
-bool IsTrue(const std::optional<Scalar>& value) {
-  const bool* truth = value.has_value() ? std::get_if<bool>(&*value) : nullptr;
-  return truth != nullptr && *truth;
-}
-
 }  // namespace
+
+std::vector<uint32_t> NeededInspections(const Event& event, Instant now, RobotState& state) {
+  std::vector<uint32_t> needed;
+  if (state.halted() || !std::holds_alternative<MessageEvent>(event.what)) return needed;
+  const std::shared_ptr<const Program> program = state.program();
+  if (program->rules().inspections.empty()) return needed;
+  Frame frame(state, program, event, state.internal().time_ns, now, &state.internal().topics);
+  const Program::Compiled& compiled = program->compiled();
+  for (const uint32_t index : frame.topic()->verdict->inspecting) {
+    Evaluation& run = frame.Enter(program->rules().rules[index], state.level.level());
+    run.foreseeing = true;
+    run.asked = &needed;
+    Cell out;
+    const Answer answer = Eval(*compiled.conditions[index], run, out);
+    if (answer == Answer::kValue && !out.truth) continue;
+    const std::vector<uint32_t>& in_arguments = compiled.needs[index].argument_inspections;
+    needed.insert(needed.end(), in_arguments.begin(), in_arguments.end());
+  }
+  std::sort(needed.begin(), needed.end());
+  needed.erase(std::unique(needed.begin(), needed.end()), needed.end());
+  return needed;
+}
 
 Outcome Evaluate(const Event& event, Instant now, RobotState& state) {
   Outcome outcome;
+  if (state.halted()) return outcome;
   Runner(now, state, outcome).Run(event);
   return outcome;
 }
 
 Outcome OnProgramResult(uint64_t run_id, bool ok, Instant now, RobotState& state) {
   Outcome outcome;
-  if (state.internal().runs.erase(run_id) == 0) return outcome;
+  if (state.internal().runs.erase(run_id) == 0 || state.halted()) return outcome;
   Runner(now, state, outcome).Resume(TakeAnswered(state, [&](const ParkedChain& chain) {
     return chain.run_id == run_id ? std::optional<bool>(ok) : std::nullopt;
   }));
@@ -76,21 +95,22 @@ std::vector<std::string> WouldRaise(levels::LevelIndex level, Instant now,
   if (!state.level.table().contains(level)) return names;
   const Program& program = *state.program();
   const Event event{.what = GraphEvent{}};
-  const Frame frame(state, state.program(), event, std::max(state.internal().time_ns, now.unix_ns),
-                    nullptr);
+  Frame frame(state, state.program(), event, std::max(state.internal().time_ns, now.unix_ns), now,
+              nullptr);
+  Cell out;
   for (const uint32_t index : program.compiled().graph_rules) {
     const lang::TypedRule& rule = program.rules().rules[index];
-    const Context context = frame.For(rule, level, now);
-    Expression expression(context);
-    if (!IsTrue(expression.Eval(rule.condition))) continue;
+    Evaluation& run = frame.Enter(rule, level);
+    if (Eval(*program.compiled().conditions[index], run, out) != Answer::kValue || !out.truth) {
+      continue;
+    }
     const bool raises =
         std::any_of(rule.chains.begin(), rule.chains.end(), [&](const lang::TypedChain& chain) {
           return std::any_of(chain.begin(), chain.end(), [&](const lang::TypedAction& action) {
             if (action.kind != lang::ActionKind::kTrigger || action.args.empty()) return false;
-            const std::optional<Scalar> to = expression.Eval(action.args[0]);
-            const int64_t* position = to.has_value() ? std::get_if<int64_t>(&*to) : nullptr;
-            return position != nullptr && *position > level &&
-                   *position < program.rules().levels.size();
+            const Node* to = program.compiled().arguments.at(&action.args[0]);
+            return Eval(*to, run, out) == Answer::kValue && out.integer > level &&
+                   out.integer < program.rules().levels.size();
           });
         });
     if (raises) names.push_back(rule.name);

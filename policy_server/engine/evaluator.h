@@ -1,7 +1,9 @@
 // Runs the rules of one robot on one event. Pure: the result is a function of the arguments.
 //
-// Truth of `a op b` (left to right, the right side only if it can matter): a fault anywhere that is
-// evaluated makes the rule not fire and is alerted at most once per second and rule. Actions before
+// Expressions are evaluated left to right, the right side only if it can matter (evaluation.h). A
+// fault anywhere that is evaluated makes the rule not fire and is alerted at most once per second
+// and rule. A rule whose value depends on an inspection that was not told fires, unless the program
+// says otherwise (ProgramOptions); in an argument of an action that is a fault. Actions before
 // a fault in their chain stay done; the action whose argument faults fails, its chain goes on as
 // its connectors say, and the rule's later chains do not run.
 //
@@ -21,7 +23,12 @@
 
 namespace rips::engine {
 
-// Runs every rule of the event's class, in file order.
+// What an inspection must be asked before the message is judged: all that its rules may look at,
+// whatever the graph, the variables and the level are by then. Indices into
+// CheckedRules::inspections of the program in force, ascending, distinct. Empty for other events.
+std::vector<uint32_t> NeededInspections(const Event& event, Instant now, RobotState& state);
+
+// Runs every rule of the event's class, in file order. Nothing while the robot's rules are halted.
 Outcome Evaluate(const Event& event, Instant now, RobotState& state);
 
 // The program of a RunProgramEffect exited 0 in time (`ok`) or not; chains waiting for it go on.

@@ -25,6 +25,9 @@ struct Describer {
   std::string operator()(const AgentEvent& agent) const {
     return absl::StrCat(agent.agent, " ", agent.state);
   }
+  std::string operator()(const FindingEvent& finding) const {
+    return absl::StrCat("finding ", finding.kind);
+  }
   std::string operator()(const LossEvent& loss) const {
     return absl::StrCat("loss of ", loss.count, " events");
   }

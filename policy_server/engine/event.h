@@ -7,6 +7,8 @@
 #include <variant>
 
 #include "absl/strings/string_view.h"
+#include "absl/types/span.h"
+#include "policy_server/engine/verdict.h"
 #include "policy_server/levels/level_machine.h"
 #include "services/ros2/guid.h"
 
@@ -22,30 +24,46 @@ struct MessageEvent {
   absl::string_view sender;
   // Serialized payload with its 4-byte CDR header.
   uint32_t size_bytes = 0;
+  // By index of CheckedRules::inspections of the program in force, which NeededInspections asked
+  // for. One that is not there was not told.
+  absl::Span<const Verdict> inspections;
 };
 
 // The graph in RobotState has changed.
 struct GraphEvent {};
 
-// What `rules External` are run on. Builtins that look into these come with a later version;
-// rules over Time, levels and variables run on all of them.
+// What `rules External` are run on.
+//
+// An alert of the host's intrusion detection system.
 struct IdsEvent {
   std::string message;
   uint32_t gid = 0;
   uint32_t sid = 0;
+  // The whole line, where the IDS writes lines of free text; else empty.
+  std::string line;
+  // Addresses; may be empty.
+  std::string source;
+  std::string target;
 };
 struct SignalEvent {
+  // With `SIG`.
   std::string name;
 };
 struct AgentEvent {
   std::string agent;  // sensor | actuator
   std::string state;  // connected | lost | restarting | drift | failed | state_lost | ...
 };
+// Something that sensors look for whatever the rules say.
+struct FindingEvent {
+  // duplicate_node | impostor | ...
+  std::string kind;
+};
 struct LossEvent {
   uint64_t count = 0;
 };
 struct TickEvent {};
-using ExternalEvent = std::variant<IdsEvent, SignalEvent, AgentEvent, LossEvent, TickEvent>;
+using ExternalEvent =
+    std::variant<IdsEvent, SignalEvent, AgentEvent, FindingEvent, LossEvent, TickEvent>;
 
 struct Event {
   std::variant<MessageEvent, GraphEvent, ExternalEvent> what;

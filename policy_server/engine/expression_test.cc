@@ -1,10 +1,9 @@
-#include "policy_server/engine/expression.h"
-
 #include <limits>
 #include <optional>
 #include <string>
 
 #include "gmock/gmock.h"
+#include "policy_server/engine/evaluation.h"
 #include "policy_server/engine/test_rules.h"
 
 namespace rips::engine {
@@ -140,19 +139,35 @@ TEST(ExpressionTest, WritesValuesAsText) {
   EXPECT_EQ(Show(L(2)), "2");
 }
 
-TEST(ExpressionTest, IllTypedOperandsFaultAndNothingElse) {
-  EXPECT_EQ(Show(Op(I(1), BinaryOp::kAdd, F(1))), std::nullopt);
-  EXPECT_EQ(Show(Op(B(true), BinaryOp::kAdd, B(true))), std::nullopt);
-  EXPECT_EQ(Show(Op(F(1), BinaryOp::kMod, F(1))), std::nullopt);
-  EXPECT_EQ(Show(Op(S("a"), BinaryOp::kSub, S("a"))), std::nullopt);
-  EXPECT_EQ(Show(And(I(1), B(true))), std::nullopt);
-  EXPECT_EQ(Show(And(B(true), I(1))), std::nullopt);
-  EXPECT_EQ(Show(Op(UnaryOp::kMinus, S("a"))), std::nullopt);
-  EXPECT_EQ(Show(Op(UnaryOp::kComplement, F(1))), std::nullopt);
-  EXPECT_EQ(Show(V(7)), std::nullopt);
-  EXPECT_EQ(Show(Call(Builtin::kNodeCount, Texts({"a", "b"}))), std::nullopt);
-  EXPECT_EQ(Show(Call(Builtin::kService, Texts({"a"}))), std::nullopt);
-  EXPECT_EQ(Show(Call(Builtin::kNodes, {I(1)})), std::nullopt);
+// The checker lets none of these through; the program is refused, not the server broken.
+TEST(ExpressionTest, IllTypedRulesAreRefused) {
+  const TypedExpr kWrong[] = {
+      Op(I(1), BinaryOp::kAdd, F(1)),
+      Op(B(true), BinaryOp::kAdd, B(true)),
+      Op(F(1), BinaryOp::kMod, F(1)),
+      Op(S("a"), BinaryOp::kSub, S("a")),
+      And(I(1), B(true)),
+      And(B(true), I(1)),
+      Op(UnaryOp::kMinus, S("a")),
+      Op(UnaryOp::kComplement, F(1)),
+      V(7),
+      Call(Builtin::kNodeCount, Texts({"a", "b"})),
+      Call(Builtin::kService, Texts({"a"})),
+      Call(Builtin::kNodes, {I(1)}),
+      Call(Builtin::kServices, {}),
+      Call(Builtin::kPayload, {}),
+      Call(Builtin::kMsgCount, {Op(I(1), BinaryOp::kAdd, I(1)), I(1), I(2)}),
+      Call(Builtin::kMsgCount, {I(0), I(1), I(2)}),
+      Call(Builtin::kEval, {}),
+  };
+  for (const TypedExpr& wrong : kWrong) {
+    TestRules rules;
+    rules.Msg("r", B(true), {{Alert(Text(wrong))}});
+    EXPECT_FALSE(Program::Create(rules.rules).ok());
+  }
+  TestRules rules;
+  rules.Msg("r", I(1), {{Alert("x")}});
+  EXPECT_FALSE(Program::Create(rules.rules).ok()) << "a condition that is no bool";
 }
 
 TEST(ExpressionTest, CutsLongStringsAndSaysSoOnceARule) {

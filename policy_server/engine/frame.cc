@@ -5,17 +5,46 @@
 
 namespace rips::engine {
 
-Frame::Frame(const RobotState& state, std::shared_ptr<const Program> program, const Event& event,
-             int64_t time_ns, const ParkedChain* parked)
+Frame::Frame(const RobotState& state, const std::shared_ptr<const Program>& program,
+             const Event& event, int64_t time_ns, Instant now, TopicCache* cache,
+             const ParkedChain* parked)
     : state_(state),
-      program_(std::move(program)),
+      program_(program),
       event_(event),
-      time_ns_(time_ns),
       parked_(parked),
-      in_force_(state.program() == program_),
-      variables_(FindVariables()),
-      scene_({.graph = state.graph, .dialect = program_->rules().dialect}) {
-  if (const auto* message = std::get_if<MessageEvent>(&event.what)) Look(*message);
+      in_force_(state.program() == program),
+      run_(state.graph.get()) {
+  run_.program = program_.get();
+  run_.compiled = &program_->compiled();
+  run_.state = &state_;
+  run_.scene.dialect = program_->rules().dialect;
+  run_.variables = FindVariables();
+  run_.time_ns = time_ns;
+  run_.uptime_ns =
+      static_cast<int64_t>(static_cast<uint64_t>(now.boottime_ns) -
+                           static_cast<uint64_t>(state_.internal().started.boottime_ns));
+  run_.string_max = state_.internal().limits.string_max;
+  run_.message = std::get_if<MessageEvent>(&event.what);
+  run_.external = std::get_if<ExternalEvent>(&event.what);
+  const uint64_t revision = state_.graph.revision();
+  if (cache != nullptr) run_.graph_answers = &cache->GraphAnswers(revision);
+  if (run_.message == nullptr) return;
+
+  Scene& scene = run_.scene;
+  scene.topic = run_.message->topic;
+  if (cache != nullptr) {
+    run_.topic = &cache->Look(*program_, scene.graph, revision, *run_.message);
+    scene.facts = run_.topic->facts;
+    scene.types = run_.topic->types;
+    return;
+  }
+  scene.facts = scene.graph.FindTopic(scene.topic);
+  if (scene.facts != nullptr) types_.assign(scene.facts->types.begin(), scene.facts->types.end());
+  const absl::string_view type = run_.message->type;
+  if (!type.empty() && std::find(types_.begin(), types_.end(), type) == types_.end()) {
+    types_.push_back(type);
+  }
+  scene.types = types_;
 }
 
 Variables Frame::FindVariables() const {
@@ -36,36 +65,16 @@ Variables Frame::FindVariables() const {
   return Variables(std::move(places));
 }
 
-void Frame::Look(const MessageEvent& message) {
-  scene_.topic = message.topic;
-  scene_.facts = state_.graph.FindTopic(message.topic);
-  if (scene_.facts != nullptr) {
-    types_.assign(scene_.facts->types.begin(), scene_.facts->types.end());
-  }
-  if (!message.type.empty() &&
-      std::find(types_.begin(), types_.end(), message.type) == types_.end()) {
-    types_.push_back(message.type);
-  }
-  scene_.types = types_;
-}
-
-Context Frame::For(const lang::TypedRule& rule, levels::LevelIndex level, Instant now) const {
-  const levels::LevelTable& table = state_.level.table();
-  const absl::string_view name = table.at(level).name;
+Evaluation& Frame::Enter(const lang::TypedRule& rule, levels::LevelIndex level) {
   const levels::LevelTable& own = program_->rules().levels;
-  const Instant& started = state_.internal().started;
-  return {.program = *program_,
-          .rule = rule,
-          .scene = scene_,
-          .verdict = verdict_,
-          .variables = variables_,
-          // A level that older rules do not know is above all that they know.
-          .level = in_force_ ? level : own.Find(name).value_or(own.size()),
-          .level_name = name,
-          .time_ns = time_ns_,
-          .uptime_ns = static_cast<int64_t>(static_cast<uint64_t>(now.boottime_ns) -
-                                            static_cast<uint64_t>(started.boottime_ns)),
-          .string_max = state_.internal().limits.string_max};
+  run_.level_name = state_.level.table().at(level).name;
+  // A level that older rules do not know is above all that they know.
+  run_.level = in_force_ ? level : own.Find(run_.level_name).value_or(own.size());
+  run_.rule_name = rule.name;
+  run_.fault = absl::string_view();
+  run_.cut = false;
+  run_.texts.clear();
+  return run_;
 }
 
 }  // namespace rips::engine

@@ -1,16 +1,12 @@
-// One event under one program: what its expressions are evaluated on.
+// One event under one program: sets up what its expressions are evaluated on.
 #ifndef RIPS_POLICY_SERVER_ENGINE_FRAME_H_
 #define RIPS_POLICY_SERVER_ENGINE_FRAME_H_
 
 #include <cstdint>
 #include <memory>
 
-#include "absl/container/inlined_vector.h"
-#include "policy_server/engine/compiled.h"
-#include "policy_server/engine/event.h"
-#include "policy_server/engine/expression.h"
+#include "policy_server/engine/evaluation.h"
 #include "policy_server/engine/internal.h"
-#include "policy_server/engine/robot_state.h"
 
 namespace rips::engine {
 
@@ -18,38 +14,36 @@ namespace rips::engine {
 class Frame {
  public:
   // `program` is the one in force, or that of `parked`, the chain that goes on (else null).
-  Frame(const RobotState& state, std::shared_ptr<const Program> program, const Event& event,
-        int64_t time_ns, const ParkedChain* parked);
+  // `cache`: what is remembered of topics and graph under the program in force; null: nothing.
+  Frame(const RobotState& state, const std::shared_ptr<const Program>& program, const Event& event,
+        int64_t time_ns, Instant now, TopicCache* cache, const ParkedChain* parked = nullptr);
   Frame(const Frame&) = delete;
   Frame& operator=(const Frame&) = delete;
 
-  // For one evaluation: the level and the clock go on meanwhile. `level` is of the table in force.
-  Context For(const lang::TypedRule& rule, levels::LevelIndex level, Instant now) const;
+  // For one evaluation: the level goes on meanwhile. `level` is of the table in force. What was
+  // evaluated before is no longer valid.
+  Evaluation& Enter(const lang::TypedRule& rule, levels::LevelIndex level);
 
   const Program& program() const { return *program_; }
   const std::shared_ptr<const Program>& shared_program() const { return program_; }
   const ParkedChain* parked() const { return parked_; }
   const Event& event() const { return event_; }
-  int64_t time_ns() const { return time_ns_; }
-  const Scene& scene() const { return scene_; }
+  int64_t time_ns() const { return run_.time_ns; }
+  // Null if the event is no message or nothing is remembered.
+  const TopicEntry* topic() const { return run_.topic; }
   bool in_force() const { return in_force_; }
-  // Answers topic predicates from now on.
-  void set_verdict(const TopicVerdict* verdict) { verdict_ = verdict; }
 
  private:
   Variables FindVariables() const;
-  void Look(const MessageEvent& message);
 
   const RobotState& state_;
-  std::shared_ptr<const Program> program_;
+  const std::shared_ptr<const Program>& program_;
   const Event& event_;
-  int64_t time_ns_;
   const ParkedChain* parked_;
   bool in_force_;
-  Variables variables_;
-  absl::InlinedVector<absl::string_view, 4> types_;
-  Scene scene_;
-  const TopicVerdict* verdict_ = nullptr;
+  // Of a message on a topic that is not remembered.
+  std::vector<absl::string_view> types_;
+  Evaluation run_;
 };
 
 }  // namespace rips::engine

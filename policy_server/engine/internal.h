@@ -13,9 +13,10 @@
 #include "absl/container/btree_map.h"
 #include "absl/container/flat_hash_map.h"
 #include "absl/container/flat_hash_set.h"
+#include "policy_server/engine/count_windows.h"
 #include "policy_server/engine/event.h"
 #include "policy_server/engine/robot_state.h"
-#include "policy_server/engine/topic_verdicts.h"
+#include "policy_server/engine/topic_cache.h"
 
 namespace rips::engine {
 
@@ -31,6 +32,7 @@ struct ParkedChain {
   std::string topic;
   std::string type;
   std::string sender;
+  std::vector<Verdict> inspections;
   Event event;
   int64_t time_ns = 0;
   int64_t deadline_ns = 0;
@@ -59,6 +61,9 @@ struct RefusalRecord {
   uint64_t count = 0;
 };
 
+// Names the messages of one writer on one topic in CountWindows; no topic holds a zero byte.
+std::string SenderKey(const MessageEvent& message);
+
 struct RobotState::Internal {
   StateLimits limits;
   Instant started;
@@ -66,7 +71,8 @@ struct RobotState::Internal {
   std::vector<lang::Value> values;
   // The highest `Time` so far.
   int64_t time_ns = std::numeric_limits<int64_t>::min();
-  TopicVerdicts verdicts;
+  TopicCache topics;
+  CountWindows counts;
   // In the order they were parked.
   std::vector<std::unique_ptr<ParkedChain>> parked;
   absl::btree_map<uint64_t, ProgramRun> runs;

@@ -9,22 +9,36 @@
 
 namespace rips::engine {
 
+// What becomes of a rule whose value depends on an inspection that was not told.
+enum class OnInspectionError {
+  kMatch,   // it fires: whoever can break the inspection gains nothing
+  kAlert,   // it does not fire, and that is an alert
+  kIgnore,  // it does not fire
+};
+
+struct ProgramOptions {
+  OnInspectionError on_inspection_error = OnInspectionError::kMatch;
+};
+
 class Program {
  public:
-  // InvalidArgument if a regular expression does not compile (the checker has refused it already).
-  static absl::StatusOr<std::shared_ptr<const Program>> Create(lang::CheckedRules rules);
+  // InvalidArgument for rules that the checker would have refused.
+  static absl::StatusOr<std::shared_ptr<const Program>> Create(lang::CheckedRules rules,
+                                                               ProgramOptions options = {});
   ~Program();
 
   const lang::CheckedRules& rules() const { return rules_; }
+  const ProgramOptions& options() const { return options_; }
 
   // For the evaluator only.
   struct Compiled;
   const Compiled& compiled() const { return *compiled_; }
 
  private:
-  explicit Program(lang::CheckedRules rules);
+  Program(lang::CheckedRules rules, ProgramOptions options);
 
   lang::CheckedRules rules_;
+  ProgramOptions options_;
   std::unique_ptr<const Compiled> compiled_;
 };
 

@@ -245,7 +245,7 @@ TEST(RandomTest, WhatIsRememberedOfTopicsChangesNothing) {
   }
 }
 
-TEST(RandomTest, IllTypedProgramsFaultAndDoNotCrash) {
+TEST(RandomTest, IllTypedProgramsAreRefusedOrRun) {
   std::mt19937 random(11);
   const auto pick = [&](size_t n) { return random() % n; };
   for (int round = 0; round < 3'000; ++round) {
@@ -262,7 +262,8 @@ TEST(RandomTest, IllTypedProgramsFaultAndDoNotCrash) {
           expr = Op(static_cast<UnaryOp>(pick(4)), a);
           break;
         default:
-          expr = Call(static_cast<Builtin>(pick(28)), pick(2) == 0 ? Exprs{a} : Exprs{a, b});
+          expr = Call(static_cast<Builtin>(pick(lang::kBuiltinCount)),
+                      pick(2) == 0 ? Exprs{a} : Exprs{a, b});
       }
       pool.push_back(std::move(expr));
     }

@@ -114,7 +114,7 @@ absl::Status RobotState::SwapProgram(std::shared_ptr<const Program> program) {
     parked->wants = Rename(parked->wants, old_table, program->rules().levels);
   }
   in.values = std::move(values);
-  in.verdicts.Clear();
+  in.topics.Clear();
   in.fault_alerted_ns.clear();
   in.cut_rules.clear();
   in.refusals.clear();

@@ -32,6 +32,33 @@ struct StateLimits {
   size_t string_max = 4'096;
 };
 
+// Told of every rule that is run, after it; for those who measure and those who replay.
+class RuleObserver {
+ public:
+  enum class Came { kFalse, kFired, kFaulted, kUndecidable, kUnscanned };
+  virtual ~RuleObserver() = default;
+  // `rule` is an index of the program in force. `what` says why it faulted, else it is empty.
+  virtual void OnRule(uint32_t rule, Came came, absl::string_view what) = 0;
+};
+
+// The graph as it is, and which one it is.
+class CurrentGraph {
+ public:
+  CurrentGraph& operator=(ros2::RosGraph graph) {
+    graph_ = std::move(graph);
+    ++revision_;
+    return *this;
+  }
+  const ros2::RosGraph& get() const { return graph_; }
+  const ros2::RosGraph* operator->() const { return &graph_; }
+  // Changes whenever the graph does.
+  uint64_t revision() const { return revision_; }
+
+ private:
+  ros2::RosGraph graph_;
+  uint64_t revision_ = 1;
+};
+
 class RobotState {
  public:
   // `level` must have the program's table. `started` is when this process began judging the robot
@@ -43,12 +70,25 @@ class RobotState {
   RobotState& operator=(RobotState&&) noexcept;
 
   // Seen by rules. The caller keeps them up to date between events.
-  ros2::RosGraph graph;
+  CurrentGraph graph;
+  // False: nothing is known of the graph, and questions about it are not decided.
+  bool graph_known = true;
   levels::Evidence evidence;
   Actuation actuation = Actuation::kNoLease;
   levels::LevelMachine level;
 
   const std::shared_ptr<const Program>& program() const { return program_; }
+  // `Robot`.
+  const std::string& robot_id() const { return robot_id_; }
+  void set_robot_id(std::string id) { robot_id_ = std::move(id); }
+
+  // A rule has called `crash`: none runs, and no chain goes on, until an operator resumes them.
+  bool halted() const { return halted_; }
+  void Halt() { halted_ = true; }
+  void Resume() { halted_ = false; }
+
+  // Not owned; may be null.
+  RuleObserver* observer = nullptr;
 
   // By name; for checkpoints and tests.
   absl::btree_map<std::string, lang::Value> Variables() const;
@@ -69,6 +109,8 @@ class RobotState {
 
  private:
   std::shared_ptr<const Program> program_;
+  std::string robot_id_;
+  bool halted_ = false;
   std::unique_ptr<Internal> internal_;
 };
 

@@ -77,6 +77,10 @@ inline TypedExpr Text(TypedExpr of) { return Call(Builtin::kString, {std::move(o
 inline TypedExpr Concat(TypedExpr a, TypedExpr b) {
   return Op(std::move(a), BinaryOp::kAdd, std::move(b));
 }
+// payload or plugin: the inspection of that index.
+inline TypedExpr Inspect(uint32_t inspection) {
+  return {.kind = TypedExpr::Kind::kCall, .builtin = Builtin::kPayload, .inspection = inspection};
+}
 inline TypedExpr V(uint32_t variable) {
   return {.kind = TypedExpr::Kind::kVariable, .variable = variable};
 }
@@ -88,6 +92,12 @@ inline TypedAction Set(uint32_t variable, TypedExpr value) {
 }
 inline TypedAction Exec(const std::vector<std::string>& argv) {
   return {.kind = lang::ActionKind::kExec, .args = Texts(argv)};
+}
+inline TypedAction Crash(const std::string& text) {
+  return {.kind = lang::ActionKind::kCrash, .args = Texts({text})};
+}
+inline TypedAction Show(lang::ActionKind kind, Exprs values) {
+  return {.kind = kind, .args = std::move(values)};
 }
 inline TypedAction Trigger(TypedExpr level) {
   return {.kind = lang::ActionKind::kTrigger, .args = {std::move(level)}};
@@ -112,6 +122,13 @@ struct TestRules {
     rules.variables.push_back({.name = name, .type = type, .initial = std::move(initial)});
     return static_cast<uint32_t>(rules.variables.size() - 1);
   }
+  // Files a, b, c, ... for Inspect.
+  TestRules& Inspections(int count) {
+    for (int i = 0; i < count; ++i) {
+      rules.inspections.push_back({.name = std::string(1, static_cast<char>('a' + i))});
+    }
+    return *this;
+  }
   uint32_t IntVar(const std::string& name, int64_t initial) {
     return Var(name, ValueType::kInt, initial);
   }
@@ -132,8 +149,8 @@ struct TestRules {
   TestRules& Graph(const std::string& name, TypedExpr condition, std::vector<TypedChain> chains) {
     return Rule(EventClass::kGraph, name, std::move(condition), std::move(chains));
   }
-  std::shared_ptr<const Program> Build() const {
-    absl::StatusOr<std::shared_ptr<const Program>> program = Program::Create(rules);
+  std::shared_ptr<const Program> Build(ProgramOptions options = {}) const {
+    absl::StatusOr<std::shared_ptr<const Program>> program = Program::Create(rules, options);
     RIPS_CHECK(program.ok(), "rules of a test are well formed");
     return *std::move(program);
   }
@@ -257,6 +274,8 @@ inline std::vector<std::string> Lines(const Outcome& outcome, const RobotState& 
       std::string line = absl::StrCat("run ", run->run_id, " ", run->rule, ": ", run->program);
       for (const std::string& arg : run->args) absl::StrAppend(&line, " ", arg);
       out.push_back(std::move(line));
+    } else if (const auto* log = std::get_if<LogEffect>(&effect)) {
+      out.push_back(absl::StrCat("log ", log->rule, ": ", log->text));
     }
   }
   return out;

@@ -65,4 +65,11 @@ std::string FormatFloat(double value) {
   return absl::StrCat(sign, digits.substr(0, whole), ".", digits.substr(whole));
 }
 
+std::string ToText(const lang::Value& value) {
+  if (const auto* integer = std::get_if<int64_t>(&value)) return absl::StrCat(*integer);
+  if (const auto* real = std::get_if<double>(&value)) return FormatFloat(*real);
+  if (const auto* truth = std::get_if<bool>(&value)) return *truth ? "true" : "false";
+  return std::get<std::string>(value);
+}
+
 }  // namespace rips::engine

@@ -6,6 +6,7 @@
 #include <string>
 
 #include "absl/strings/string_view.h"
+#include "policy_server/lang/checked_rules.h"
 
 namespace rips::engine {
 
@@ -16,6 +17,9 @@ absl::string_view CutCodePoints(absl::string_view text, size_t max);
 // The shortest decimal that reads back as `value`: `1`, `0.1`, `1e+21`, `1e-05`; with an exponent
 // below 1e-4 and from 1e21. NaN, +Inf, -Inf.
 std::string FormatFloat(double value);
+
+// As `string(x)` writes it.
+std::string ToText(const lang::Value& value);
 
 }  // namespace rips::engine
 

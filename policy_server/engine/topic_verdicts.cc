@@ -98,24 +98,35 @@ bool IsFalse(const Forecast& forecast) {
 }
 
 std::vector<bool> AllHolds(const Program& program, const Scene& scene) {
-  const std::vector<TopicPredicate>& predicates = program.compiled().predicates;
+  const Program::Compiled& compiled = program.compiled();
+  const std::vector<Predicate>& predicates = compiled.predicates;
   std::vector<bool> holds(predicates.size());
-  for (size_t i = 0; i < predicates.size(); ++i) holds[i] = Holds(predicates[i], scene);
+  const bool searched = compiled.patterns.Search(scene.topic, holds);
+  for (size_t i = 0; i < predicates.size(); ++i) {
+    if (!searched || predicates[i].regex == nullptr) holds[i] = Holds(predicates[i], scene);
+  }
   return holds;
 }
 
-std::vector<uint32_t> RulesThatMayFire(const Program& program, const std::vector<bool>& holds) {
-  std::vector<uint32_t> rules;
-  const Forecaster forecaster(&program.compiled(), &holds);
-  for (const uint32_t rule : program.compiled().message_rules) {
-    if (!IsFalse(forecaster.Of(program.rules().rules[rule].condition))) rules.push_back(rule);
+TopicVerdict Decide(const Program& program, std::vector<bool> holds) {
+  const Program::Compiled& compiled = program.compiled();
+  TopicVerdict verdict;
+  const Forecaster forecaster(&compiled, &holds);
+  for (const uint32_t rule : compiled.message_rules) {
+    if (IsFalse(forecaster.Of(program.rules().rules[rule].condition))) continue;
+    verdict.rules.push_back(rule);
+    const RuleNeeds& needs = compiled.needs[rule];
+    if (needs.inspects) verdict.inspecting.push_back(rule);
+    verdict.topic_window_ns = std::max(verdict.topic_window_ns, needs.topic_window_ns);
+    verdict.sender_window_ns = std::max(verdict.sender_window_ns, needs.sender_window_ns);
   }
-  return rules;
+  verdict.holds = std::move(holds);
+  return verdict;
 }
 
 }  // namespace
 
-bool Holds(const TopicPredicate& predicate, const Scene& scene) {
+bool Holds(const Predicate& predicate, const Scene& scene) {
   if (predicate.regex != nullptr) {
     return RE2::PartialMatch(re2::StringPiece(scene.topic.data(), scene.topic.size()),
                              *predicate.regex);
@@ -127,6 +138,12 @@ bool NeverFires(const lang::TypedExpr& condition) {
   return IsFalse(Forecaster(nullptr, nullptr).Of(condition));
 }
 
+bool TopicVerdicts::Remembers(const Scene& scene) {
+  return scene.types.size() <= kTypesMax && scene.topic.size() <= kNameBytesMax &&
+         std::all_of(scene.types.begin(), scene.types.end(),
+                     [](absl::string_view type) { return type.size() <= kNameBytesMax; });
+}
+
 const TopicVerdict& TopicVerdicts::For(const Program& program, const Scene& scene) {
   const auto known = topics_.find(scene.topic);
   if (known != topics_.end() && std::equal(known->second.types.begin(), known->second.types.end(),
@@ -135,13 +152,8 @@ const TopicVerdict& TopicVerdicts::For(const Program& program, const Scene& scen
   }
 
   std::vector<bool> holds = AllHolds(program, scene);
-  const bool remember =
-      scene.types.size() <= kTypesMax && scene.topic.size() <= kNameBytesMax &&
-      std::all_of(scene.types.begin(), scene.types.end(),
-                  [](absl::string_view type) { return type.size() <= kNameBytesMax; });
-  if (!remember) {
-    passing_.rules = RulesThatMayFire(program, holds);
-    passing_.holds = std::move(holds);
+  if (!Remembers(scene)) {
+    passing_ = Decide(program, std::move(holds));
     return passing_;
   }
   if ((known == topics_.end() && topics_.size() >= kTopicsMax) || verdicts_.size() >= kTopicsMax ||
@@ -150,10 +162,8 @@ const TopicVerdict& TopicVerdicts::For(const Program& program, const Scene& scen
   }
   std::unique_ptr<const TopicVerdict>& verdict = verdicts_[holds];
   if (verdict == nullptr) {
-    std::vector<uint32_t> rules = RulesThatMayFire(program, holds);
-    rules_ += rules.size();
-    verdict = std::make_unique<const TopicVerdict>(
-        TopicVerdict{.holds = std::move(holds), .rules = std::move(rules)});
+    verdict = std::make_unique<const TopicVerdict>(Decide(program, std::move(holds)));
+    rules_ += verdict->rules.size();
   }
   Known& entry = topics_[scene.topic];
   entry.types = std::vector<std::string>(scene.types.begin(), scene.types.end());
@@ -165,6 +175,7 @@ void TopicVerdicts::Clear() {
   topics_.clear();
   verdicts_.clear();
   rules_ = 0;
+  ++generation_;
 }
 
 }  // namespace rips::engine

@@ -20,10 +20,16 @@ struct TopicVerdict {
   std::vector<bool> holds;
   // Message rules that may fire or fault on this topic, in file order.
   std::vector<uint32_t> rules;
+  // Those of them that hold an inspection.
+  std::vector<uint32_t> inspecting;
+  // How far back one of them counts the messages of the topic, and of one writer; 0 = none does.
+  int64_t topic_window_ns = 0;
+  int64_t sender_window_ns = 0;
 };
 
-// Does the predicate hold of the scene's topic?
-bool Holds(const TopicPredicate& predicate, const Scene& scene);
+struct Predicate;
+// Does the predicate hold of the scene?
+bool Holds(const Predicate& predicate, const Scene& scene);
 
 // True if `condition` is false whatever happens, and cannot fault.
 bool NeverFires(const lang::TypedExpr& condition);
@@ -39,9 +45,14 @@ class TopicVerdicts {
   static constexpr size_t kTypesMax = 8;
   static constexpr size_t kNameBytesMax = 1'024;
 
-  // `program` must be the same at each call since Clear(). Valid until the next call.
+  // `program` must be the same at each call since Clear(). Valid until the next change of
+  // generation(); that of a topic that is not remembered until the next call.
   const TopicVerdict& For(const Program& program, const Scene& scene);
   void Clear();
+  static bool Remembers(const Scene& scene);
+
+  // Changes when verdicts that were handed out are no longer valid.
+  uint64_t generation() const { return generation_; }
 
   // Topics remembered; distinct verdicts remembered.
   size_t topics() const { return topics_.size(); }
@@ -57,6 +68,7 @@ class TopicVerdicts {
   // Topics about which every predicate answers the same share one.
   absl::flat_hash_map<std::vector<bool>, std::unique_ptr<const TopicVerdict>> verdicts_;
   size_t rules_ = 0;
+  uint64_t generation_ = 0;
   // The last one that is not remembered.
   TopicVerdict passing_;
 };

@@ -4,6 +4,7 @@
 
 #include "absl/strings/match.h"
 #include "absl/strings/str_cat.h"
+#include "absl/strings/str_join.h"
 #include "policy_server/lang/expr_checker.h"
 #include "policy_server/lang/limits.h"
 #include "policy_server/lang/nearest.h"
@@ -20,10 +21,11 @@ bool IsConstant(const TypedExpr& expr) { return expr.kind == TypedExpr::Kind::kC
 // A call that is false for every event, by its arguments alone: a range without numbers, a list
 // without members.
 bool NeverTrue(const Signature& signature, const std::vector<TypedExpr>& args) {
-  if (signature.builtin == Builtin::kTopicIn || signature.builtin == Builtin::kMsgTypeIn) {
+  if (signature.builtin == Builtin::kTopicIn || signature.builtin == Builtin::kMsgTypeIn ||
+      signature.builtin == Builtin::kSenderIn || signature.builtin == Builtin::kSenderEnclave) {
     return args.empty();
   }
-  for (size_t i = 1; i < signature.parameters.size(); ++i) {
+  for (size_t i = 1; i < std::min(signature.parameters.size(), args.size()); ++i) {
     if (signature.parameters[i].role != ParameterRole::kRangeMax || !IsConstant(args[i])) continue;
     const int64_t max = std::get<int64_t>(args[i].constant);
     if (max < 0) return true;
@@ -75,7 +77,8 @@ std::optional<ExprChecker::Checked> ExprChecker::CheckCall(const ast::Expr& expr
     }
     return std::nullopt;
   }
-  CheckClass(expr, *signature, context);
+  if (signature->builtin == Builtin::kEval) return CheckEval(expr, context);
+  CheckClass(expr.text, expr.name, signature->event_class, context);
   std::optional<std::vector<Checked>> args = CheckArgs(expr, *signature, context);
   if (!args) return std::nullopt;
   NoteDialect(expr, *signature);
@@ -85,6 +88,13 @@ std::optional<ExprChecker::Checked> ExprChecker::CheckCall(const ast::Expr& expr
   out.typed.type = signature->result;
   out.typed.range = expr.range;
   out.typed.builtin = signature->builtin;
+  const Builtin builtin = signature->builtin;
+  if (builtin == Builtin::kPayload || builtin == Builtin::kPlugin) {
+    const auto kind =
+        builtin == Builtin::kPayload ? Inspection::Kind::kPayload : Inspection::Kind::kPlugin;
+    if (!CheckInspection((*args)[0].typed, kind, out.typed.inspection)) return std::nullopt;
+    args->clear();
+  }
   out.typed.args.reserve(args->size());
   for (size_t i = 0; i < args->size(); ++i) {
     if (i < expr.operands.size()) WarnDecided(expr.operands[i], (*args)[i], context);
@@ -92,6 +102,10 @@ std::optional<ExprChecker::Checked> ExprChecker::CheckCall(const ast::Expr& expr
     out.typed.args.push_back(std::move((*args)[i].typed));
   }
   if (NeverTrue(*signature, out.typed.args)) out.truth.may_be_true = false;
+  const bool inspected = std::any_of(args->begin(), args->end(),
+                                     [](const Checked& arg) { return arg.reach.inspects; });
+  out.reach = ReachOf(out.typed);
+  out.reach.inspects |= inspected;
   FoldCall(*signature, out);
   return out;
 }
@@ -113,7 +127,7 @@ std::optional<std::vector<ExprChecker::Checked>> ExprChecker::CheckArgs(
     std::optional<Checked> arg = CheckExpr(call.operands[i], context);
     good = good && arg.has_value();
     if (!arg || i >= fixed) continue;
-    good = CheckArgument(arg->typed, signature.parameters[i], call.text) && good;
+    good = CheckArgument(arg->typed, signature.parameters[i], out, call.text) && good;
     out.push_back(std::move(*arg));
   }
   if (signature.variadic()) {
@@ -159,7 +173,7 @@ bool ExprChecker::CheckList(const std::vector<ast::Expr>& list, size_t begin,
 }
 
 bool ExprChecker::CheckArgument(const TypedExpr& arg, const Parameter& parameter,
-                                absl::string_view owner) {
+                                const std::vector<Checked>& before, absl::string_view owner) {
   if (parameter.role == ParameterRole::kAnyType) return true;
   if (!Converts(arg.type, parameter.type)) {
     sink_.Add(DiagnosticKind::kTypeMismatch, arg.range,
@@ -167,8 +181,72 @@ bool ExprChecker::CheckArgument(const TypedExpr& arg, const Parameter& parameter
                            Quote(Name(parameter.type)), "; this is ", Quote(Name(arg.type))));
     return false;
   }
-  if (parameter.role == ParameterRole::kTopic) WarnRelativeTopic(arg);
-  return parameter.role != ParameterRole::kRegex || CheckRegex(arg);
+  switch (parameter.role) {
+    case ParameterRole::kTopic:
+      WarnRelativeTopic(arg);
+      return true;
+    case ParameterRole::kRegex:
+      return CheckRegex(arg);
+    case ParameterRole::kWindow:
+      return CheckWindow(arg);
+    case ParameterRole::kWord:
+      return CheckWord(arg, parameter, before, owner);
+    default:
+      return true;
+  }
+}
+
+bool ExprChecker::CheckWord(const TypedExpr& arg, const Parameter& parameter,
+                            const std::vector<Checked>& before, absl::string_view owner) {
+  if (!IsConstant(arg)) return true;
+  std::span<const absl::string_view> words = parameter.words;
+  if (words.empty()) {
+    // It depends on the word before, which has been checked.
+    if (before.empty() || !IsConstant(before.back().typed)) return true;
+    words = AgentStates(std::get<std::string>(before.back().typed.constant));
+    if (words.empty()) return true;
+  }
+  const std::string& word = std::get<std::string>(arg.constant);
+  if (std::find(words.begin(), words.end(), word) != words.end()) return true;
+  sink_.Add(DiagnosticKind::kBadWord, arg.range,
+            absl::StrCat(Quote(word), " means nothing to ", Quote(owner)),
+            absl::StrCat("`", parameter.name, "` is one of `", absl::StrJoin(words, "`, `"), "`"));
+  return false;
+}
+
+bool ExprChecker::CheckWindow(const TypedExpr& arg) {
+  if (!IsConstant(arg)) {
+    sink_.Add(DiagnosticKind::kNotConstant, arg.range, "the window of a count must be constant",
+              "the server keeps what the longest window of the policy needs");
+    return false;
+  }
+  const int64_t window_ms = std::get<int64_t>(arg.constant);
+  if (window_ms >= 1 && window_ms <= kWindowMsMax) return true;
+  sink_.Add(DiagnosticKind::kBadWindow, arg.range,
+            absl::StrCat("a window of ", window_ms, " ms; it is 1 to ", kWindowMsMax));
+  return false;
+}
+
+ExprChecker::Reach ExprChecker::ReachOf(const TypedExpr& call) {
+  switch (call.builtin) {
+    case Builtin::kTopicIn:
+    case Builtin::kTopicMatches:
+    case Builtin::kMsgTypeIn:
+    case Builtin::kMsgSubtype:
+      return {.narrow = true};
+    case Builtin::kPayload:
+    case Builtin::kPlugin:
+      return {.inspects = true};
+    case Builtin::kIdsAlert:
+    case Builtin::kSignal:
+    case Builtin::kAgent:
+    case Builtin::kFinding:
+    case Builtin::kLostEvents:
+      return {.needs = uint32_t{1}
+                       << (static_cast<int>(call.builtin) - static_cast<int>(Builtin::kIdsAlert))};
+    default:
+      return {};
+  }
 }
 
 bool ExprChecker::CheckRegex(const TypedExpr& arg) {
@@ -181,6 +259,7 @@ bool ExprChecker::CheckRegex(const TypedExpr& arg) {
   const std::string& pattern = std::get<std::string>(arg.constant);
   RE2::Options options;
   options.set_log_errors(false);
+  options.set_max_mem(kRegexBytesMax);
   const RE2 regex(pattern, options);
   if (regex.ok()) {
     regex_instructions_ += static_cast<size_t>(regex.ProgramSize());
@@ -200,13 +279,13 @@ bool ExprChecker::CheckRegex(const TypedExpr& arg) {
   return false;
 }
 
-void ExprChecker::CheckClass(const ast::Expr& call, const Signature& signature,
+void ExprChecker::CheckClass(absl::string_view name, SourceRange range, EventClass of,
                              const ExprContext& context) {
-  if (!context.section || Accepts(*context.section, signature.event_class)) return;
-  sink_.Add(DiagnosticKind::kClassMismatch, call.name,
-            absl::StrCat(Quote(call.text), " is about ", Subject(signature.event_class),
-                         "; it cannot be used in `rules ", context.section_name, "`"),
-            absl::StrCat("move the rule to ", SectionsFor(signature.event_class)));
+  if (!context.section || Accepts(*context.section, of)) return;
+  sink_.Add(DiagnosticKind::kClassMismatch, range,
+            absl::StrCat(Quote(name), " is about ", Subject(of), "; it cannot be used in `rules ",
+                         context.section_name, "`"),
+            absl::StrCat("move the rule to ", SectionsFor(of)));
 }
 
 void ExprChecker::WarnRelativeTopic(const TypedExpr& arg) {
@@ -219,7 +298,10 @@ void ExprChecker::WarnRelativeTopic(const TypedExpr& arg) {
 }
 
 void ExprChecker::FoldCall(const Signature& signature, Checked& call) const {
-  if (signature.event_class != EventClass::kUniversal || !IsConstant(call.typed.args[0])) return;
+  if (signature.event_class != EventClass::kUniversal || call.typed.args.empty() ||
+      !IsConstant(call.typed.args[0])) {
+    return;
+  }
   const Value& arg = call.typed.args[0].constant;
   std::string value;
   if (signature.builtin == Builtin::kString) {
@@ -248,9 +330,6 @@ void ExprChecker::ReportNotCallable(const ast::Expr& call) {
     sink_.Add(DiagnosticKind::kActionInExpression, call.name,
               absl::StrCat(quoted, " is an action; it cannot be used in an expression"),
               "actions stand after the `?`");
-  } else if (FindUnavailable(call.text) != nullptr) {
-    sink_.Add(DiagnosticKind::kNotAvailable, call.name,
-              absl::StrCat(quoted, " is not available in this version"));
   } else if (!sink_.Full(call.name.file)) {
     std::vector<absl::string_view> known;
     for (const Signature& signature : Signatures()) known.push_back(signature.name);

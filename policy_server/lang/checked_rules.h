@@ -29,24 +29,115 @@ struct SourceRange {
   friend bool operator==(const SourceRange&, const SourceRange&) = default;
 };
 
-// Builtins of expressions that this version evaluates.
-enum class Builtin {
-  // Msg
-  kTopicIn, kTopicMatches, kPublisherCount, kSubscriberCount, kPublishersInclude,
-  kSubscribersInclude, kPublishers, kSubscribers, kMsgTypeIn, kMsgSubtype,
-  // Graph
-  kNodes, kTopics, kServices, kTopicPublishers, kTopicSubscribers, kNodeCount, kTopicCount,
-  kServiceCount, kTopicPublisherCount, kTopicSubscriberCount, kService, kNodesInclude,
-  kTopicsInclude, kServicesInclude, kTopicPublishersInclude, kTopicSubscribersInclude,
-  // Any class
-  kLevelName, kString,
+// What `payload` and `plugin` ask: a YARA file, or a plugin, about a message's payload.
+struct Inspection {
+  enum class Kind { kPayload, kPlugin };
+  Kind kind = Kind::kPayload;
+  // As the rule writes it: a path, or a plugin's id.
+  std::string name;
+  // kPayload: `name` seen from the directory of the rule file; kPlugin: `plugins/<name>` beside the
+  // rule file, unless the bundle declares a plugin of that id. Without `.` and inner `..`.
+  std::string path;
+
+  friend bool operator==(const Inspection&, const Inspection&) = default;
 };
 
-enum class Predefined { kCurrLevel, kLevel, kTime, kUptime, kCurrRule };
+// Builtins of expressions.
+enum class Builtin {
+  // Msg
+  kTopicIn,
+  kTopicMatches,
+  kPublisherCount,
+  kSubscriberCount,
+  kPublishersInclude,
+  kSubscribersInclude,
+  kPublishers,
+  kSubscribers,
+  kMsgTypeIn,
+  kMsgSubtype,
+  kPayload,
+  kPlugin,
+  kSenderEnclave,
+  kSenderIn,
+  kPayloadSize,
+  kMsgCount,
+  kSenderCount,
+  // Graph
+  kNodes,
+  kTopics,
+  kServices,
+  kTopicPublishers,
+  kTopicSubscribers,
+  kNodeCount,
+  kTopicCount,
+  kServiceCount,
+  kTopicPublisherCount,
+  kTopicSubscriberCount,
+  kService,
+  kNodesInclude,
+  kTopicsInclude,
+  kServicesInclude,
+  kTopicPublishersInclude,
+  kTopicSubscribersInclude,
+  kNodesOnly,
+  kTopicsOnly,
+  kServicesOnly,
+  kTopicPublishersOnly,
+  kTopicSubscribersOnly,
+  kHasNodes,
+  kHasTopics,
+  kHasServices,
+  kHasTopicPublishers,
+  kHasTopicSubscribers,
+  // External
+  kIdsAlert,
+  kSignal,
+  kAgent,
+  kFinding,
+  kLostEvents,
+  // Any class
+  kLevelName,
+  kString,
+  // Never in a checked program: `eval("x", "<", "1")` becomes `x < 1`.
+  kEval,
+};
+inline constexpr int kBuiltinCount = static_cast<int>(Builtin::kEval) + 1;
+
+enum class Predefined {
+  kCurrLevel,
+  kLevel,
+  kTime,
+  kUptime,
+  kCurrRule,
+  kRobot,
+  // Msg
+  kTopic,
+  kMsgType,
+  kSender,
+  kSenderGuid,
+  // External
+  kIdsSource,
+  kIdsTarget,
+};
 
 enum class UnaryOp { kPlus, kMinus, kNot, kComplement };
 enum class BinaryOp {
-  kOr, kAnd, kBitOr, kBitXor, kBitAnd, kEq, kNe, kLt, kLe, kGt, kGe, kAdd, kSub, kMul, kDiv, kMod,
+  kOr,
+  kAnd,
+  kBitOr,
+  kBitXor,
+  kBitAnd,
+  kEq,
+  kNe,
+  kLt,
+  kLe,
+  kGt,
+  kGe,
+  kAdd,
+  kSub,
+  kMul,
+  kDiv,
+  kMod,
 };
 
 // A well-typed expression. Which members mean something depends on `kind`.
@@ -55,16 +146,17 @@ struct TypedExpr {
   Kind kind = Kind::kConstant;
   ValueType type = ValueType::kBool;
   SourceRange range;
-  Value constant;                                   // kConstant
-  uint32_t variable = 0;                            // kVariable: index into CheckedRules::variables
-  Predefined predefined = Predefined::kCurrLevel;   // kPredefined
-  UnaryOp unary = UnaryOp::kPlus;                   // kUnary: one of args
-  BinaryOp binary = BinaryOp::kOr;                  // kBinary: two of args
-  Builtin builtin = Builtin::kTopicIn;              // kCall: the arguments in order
+  Value constant;                                  // kConstant
+  uint32_t variable = 0;                           // kVariable: index into CheckedRules::variables
+  Predefined predefined = Predefined::kCurrLevel;  // kPredefined
+  UnaryOp unary = UnaryOp::kPlus;                  // kUnary: one of args
+  BinaryOp binary = BinaryOp::kOr;                 // kBinary: two of args
+  Builtin builtin = Builtin::kTopicIn;             // kCall: the arguments in order
+  uint32_t inspection = 0;                         // kCall of payload and plugin, without arguments
   std::vector<TypedExpr> args;
 };
 
-enum class ActionKind { kAlert, kSet, kExec, kTrigger };
+enum class ActionKind { kAlert, kSet, kExec, kTrigger, kTrue, kFalse, kCrash };
 
 // Between an action and the next one of its chain (RIPS paper, "Actions").
 enum class Connector { kEnd, kIfSucceeded, kIfFailed, kAlways };
@@ -72,7 +164,8 @@ enum class Connector { kEnd, kIfSucceeded, kIfFailed, kAlways };
 struct TypedAction {
   ActionKind kind = ActionKind::kAlert;
   SourceRange range;
-  // alert: text [, severity]; set: the value; exec: constant program, then strings; trigger: level
+  // alert: text [, severity]; set: the value; exec: constant program, then strings; trigger: level;
+  // True, False: any values; crash: text
   std::vector<TypedExpr> args;
   uint32_t variable = 0;  // set
   Connector next = Connector::kEnd;
@@ -102,6 +195,8 @@ struct CheckedRules {
   std::vector<Variable> variables;
   // In file order; files in the order they were given.
   std::vector<TypedRule> rules;
+  // Distinct, in the order of first use; TypedExpr::inspection is an index into them.
+  std::vector<Inspection> inspections;
   // Programs named by exec, sorted, distinct.
   std::vector<std::string> programs;
   enum class Dialect { kRips, kPrototype };

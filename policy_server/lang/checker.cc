@@ -45,9 +45,12 @@ const TypedExpr& FirstNotConstant(const TypedExpr& expr) {
 
 class Checker {
  public:
-  Checker(CheckedRules::Dialect dialect, Syntax syntax, DiagnosticSink& sink)
-      : syntax_(syntax), sink_(sink), scope_(sink), exprs_(scope_, levels_, dialect, usage_, sink) {
-    out_.dialect = dialect;
+  Checker(const CheckInput& input, DiagnosticSink& sink)
+      : syntax_(input.syntax),
+        sink_(sink),
+        scope_(sink),
+        exprs_(scope_, levels_, input.dialect, input.paths, input.inspection_files, usage_, sink) {
+    out_.dialect = input.dialect;
   }
 
   CheckedRules Run(const std::vector<ast::File>& files) {
@@ -62,6 +65,7 @@ class Checker {
     if (syntax_ == Syntax::kClean && !sink_.has_errors() && !out_.rules.empty()) {
       usage_.ReportUnused(out_.variables, out_.levels, sink_);
     }
+    out_.inspections = exprs_.inspections();
     out_.programs.assign(programs_.begin(), programs_.end());
     return std::move(out_);
   }
@@ -307,6 +311,20 @@ class Checker {
       case ActionKind::kTrigger:
         CheckTrigger(action, context, out);
         break;
+      case ActionKind::kTrue:
+      case ActionKind::kFalse:
+        for (const ast::Expr& arg : action.args) {
+          if (std::optional<TypedExpr> value = exprs_.Check(arg, context)) {
+            out.args.push_back(std::move(*value));
+          }
+        }
+        break;
+      case ActionKind::kCrash:
+        if (std::optional<TypedExpr> text =
+                CheckString(action.args[0], "`text` of `crash`", context)) {
+          out.args.push_back(std::move(*text));
+        }
+        break;
     }
     return out;
   }
@@ -318,11 +336,6 @@ class Checker {
       sink_.Add(DiagnosticKind::kExpressionInChain, name.range,
                 absl::StrCat(quoted, " is not an action; it cannot stand in a chain"),
                 "expressions stand before the `?`");
-      return;
-    }
-    if (FindUnavailable(name.text) != nullptr) {
-      sink_.Add(DiagnosticKind::kNotAvailable, name.range,
-                absl::StrCat(quoted, " is not available in this version"));
       return;
     }
     std::vector<absl::string_view> known;
@@ -461,9 +474,8 @@ class Checker {
 
 }  // namespace
 
-CheckedRules Check(const std::vector<ast::File>& files, CheckedRules::Dialect dialect,
-                   Syntax syntax, DiagnosticSink& sink) {
-  return Checker(dialect, syntax, sink).Run(files);
+CheckedRules Check(const CheckInput& input, DiagnosticSink& sink) {
+  return Checker(input, sink).Run(input.files);
 }
 
 }  // namespace rips::lang

@@ -2,11 +2,13 @@
 #ifndef RIPS_POLICY_SERVER_LANG_CHECKER_H_
 #define RIPS_POLICY_SERVER_LANG_CHECKER_H_
 
+#include <string>
 #include <vector>
 
 #include "policy_server/lang/ast.h"
 #include "policy_server/lang/checked_rules.h"
 #include "policy_server/lang/diagnostic_sink.h"
+#include "policy_server/lang/inspection_files.h"
 
 namespace rips::lang {
 
@@ -14,10 +16,18 @@ namespace rips::lang {
 // not for those that the unread parts may explain.
 enum class Syntax { kClean, kBroken };
 
-// The files are one program, in this order. The result is meaningful if neither `syntax` nor
-// `sink` knows of an error.
-CheckedRules Check(const std::vector<ast::File>& files, CheckedRules::Dialect dialect,
-                   Syntax syntax, DiagnosticSink& sink);
+struct CheckInput {
+  // One program, in this order, and what the files are called.
+  const std::vector<ast::File>& files;
+  const std::vector<std::string>& paths;
+  CheckedRules::Dialect dialect = CheckedRules::Dialect::kRips;
+  Syntax syntax = Syntax::kClean;
+  // Not owned. Null: YARA files and plugins that rules name are not looked at.
+  InspectionFiles* inspection_files = nullptr;
+};
+
+// The result is meaningful if neither `input.syntax` nor `sink` knows of an error.
+CheckedRules Check(const CheckInput& input, DiagnosticSink& sink);
 
 }  // namespace rips::lang
 

@@ -108,7 +108,7 @@ bool HasErrors(const std::vector<Diagnostic>& diagnostics) {
 
 }  // namespace
 
-CompileResult Compile(const std::vector<SourceFile>& files, CheckedRules::Dialect dialect) {
+CompileResult Compile(const std::vector<SourceFile>& files, const CompileOptions& options) {
   Reader reader;
   DiagnosticSink meaning;
   std::vector<ast::File> trees;
@@ -131,7 +131,14 @@ CompileResult Compile(const std::vector<SourceFile>& files, CheckedRules::Dialec
     trees.push_back(std::move(*tree));
   }
   const Syntax syntax = reader.has_errors() || !all_read ? Syntax::kBroken : Syntax::kClean;
-  CheckedRules rules = Check(trees, dialect, syntax, meaning);
+  std::vector<std::string> paths;
+  for (const SourceFile& file : files) paths.push_back(file.path);
+  CheckedRules rules = Check({.files = trees,
+                              .paths = paths,
+                              .dialect = options.dialect,
+                              .syntax = syntax,
+                              .inspection_files = options.inspection_files},
+                             meaning);
   if (syntax == Syntax::kClean && reader.is_empty() && !files.empty() && !HasRules(trees)) {
     meaning.Add(DiagnosticKind::kNoRules, {.file = static_cast<uint32_t>(files.size() - 1)},
                 "there are no rules");

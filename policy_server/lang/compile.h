@@ -8,6 +8,7 @@
 
 #include "policy_server/lang/checked_rules.h"
 #include "policy_server/lang/diagnostic.h"
+#include "policy_server/lang/inspection_files.h"
 
 namespace rips::lang {
 
@@ -24,9 +25,14 @@ struct CompileResult {
   std::vector<Diagnostic> diagnostics;
 };
 
+struct CompileOptions {
+  CheckedRules::Dialect dialect = CheckedRules::Dialect::kRips;
+  // Not owned. Null: YARA files and plugins that rules name are not looked at.
+  InspectionFiles* inspection_files = nullptr;
+};
+
 // Compiles the files as one program, in this order: names declared in one file hold in the next.
-CompileResult Compile(const std::vector<SourceFile>& files,
-                      CheckedRules::Dialect dialect = CheckedRules::Dialect::kRips);
+CompileResult Compile(const std::vector<SourceFile>& files, const CompileOptions& options = {});
 
 // All diagnostics as text: `path:line:col: error: message`, the line, a caret, the hint.
 std::string RenderText(const std::vector<SourceFile>& files,

@@ -171,36 +171,64 @@ TEST(CompileTest, WarnsOnceAboutNothing) {
   EXPECT_TRUE(Compile({}).rules.has_value());
 }
 
-TEST(CompileTest, EveryUnavailableNameSaysSo) {
-  for (const UnavailableName& name : UnavailableNames()) {
-    std::string rule = absl::StrCat(name.name, "(\"x\") ? alert(\"x\");");
-    if (name.kind == UnavailableName::Kind::kAction) {
-      rule = absl::StrCat("true ? ", name.name, "(\"x\");");
-    } else if (name.kind == UnavailableName::Kind::kPredefined) {
-      rule = absl::StrCat(name.name, " == \"x\" ? alert(\"x\");");
-    }
-    const std::vector<std::string> got = DiagnoseText(absl::StrCat("levels: A; rules Msg: ", rule));
-    ASSERT_EQ(got.size(), 1u) << rule << absl::StrJoin(got, "\n");
-    EXPECT_THAT(got[0], HasSubstr(absl::StrCat("NotAvailable: `", name.name,
-                                               "` is not available in this version")));
-  }
-}
-
+// What was not in the paper's language may be taken over, what was may not.
 TEST(CompileTest, AFileMayKeepItsOwnMeaningOfExtensions) {
-  for (const UnavailableName& name : UnavailableNames()) {
+  const auto check = [](absl::string_view name, bool extension) {
     const std::vector<SourceFile> files = {
         {.path = "t",
-         .text = absl::StrCat("levels: A; vars: ", name.name, " int = 0; rules Msg: ", name.name,
-                              " > 1 ? set(", name.name, ", 1);")}};
+         .text = absl::StrCat("levels: A; vars: ", name, " int = 0; rules Msg: ", name,
+                              " > 1 ? set(", name, ", 1);")}};
     const CompileResult result = Compile(files);
-    EXPECT_EQ(result.rules.has_value(), name.extension) << name.name;
+    EXPECT_EQ(result.rules.has_value(), extension) << name;
     EXPECT_THAT(Lines(files, result),
-                Contains(HasSubstr(name.extension ? "OwnMeaning" : "HidesLanguageName")));
-  }
+                Contains(HasSubstr(extension ? "OwnMeaning" : "HidesLanguageName")));
+  };
+  for (const Signature& entry : Signatures()) check(entry.name, entry.extension);
+  for (const ActionSignature& entry : ActionSignatures()) check(entry.name, false);
+  for (const PredefinedName& entry : PredefinedNames()) check(entry.name, entry.extension);
   EXPECT_TRUE(Compile({{.path = "t",
                         .text = "levels: A; consts: Level int = 3; rules Msg: true ? "
                                 "alert(string(Level));"}})
                   .rules.has_value());
+}
+
+// Answers by the path that it is asked about.
+class FakeInspectionFiles : public InspectionFiles {
+ public:
+  std::vector<InspectionProblem> Check(const Inspection& inspection) override {
+    asked.push_back(inspection.path);
+    if (inspection.path == "d/ok.yar" || inspection.path == "d/plugins/ok") return {};
+    return {{.kind = InspectionProblem::Kind::kMissing, .message = "no such file"},
+            {.kind = InspectionProblem::Kind::kBroken, .message = "broken"},
+            {.kind = InspectionProblem::Kind::kSlow, .message = "slow"}};
+  }
+  std::vector<std::string> asked;
+};
+
+TEST(InspectionTest, PathsAreSeenFromTheRuleFileAndAskedOnce) {
+  FakeInspectionFiles disk;
+  const CompileResult result = Compile(
+      {{.path = "d/r.rul",
+        .text = "levels: A; rules Msg: topicin(\"/a\") && (payload(\"./x/../ok.yar\") || "
+                "payload(\"ok.yar\") || plugin(\"ok\") || payload(\"ok.yar\")) ? alert(\"\");"}},
+      {.inspection_files = &disk});
+  ASSERT_TRUE(result.rules.has_value());
+  EXPECT_THAT(disk.asked, ElementsAre("d/ok.yar", "d/plugins/ok"));
+  ASSERT_EQ(result.rules->inspections.size(), 2u);
+  EXPECT_EQ(result.rules->inspections[0].path, "d/ok.yar");
+  EXPECT_EQ(result.rules->inspections[1].name, "ok");
+}
+
+TEST(InspectionTest, WhatIsWrongWithAFileIsAnErrorAtItsFirstUse) {
+  FakeInspectionFiles disk;
+  const std::vector<SourceFile> files = {
+      {.path = "r.rul",
+       .text = "levels: A; rules Msg: topicin(\"/a\") && payload(\"b.yar\") ? alert(\"\");"}};
+  const CompileResult result = Compile(files, {.inspection_files = &disk});
+  EXPECT_FALSE(result.rules.has_value());
+  EXPECT_THAT(Lines(files, result), ElementsAre(HasSubstr("MissingInspection: no such file"),
+                                                HasSubstr("BrokenInspection: broken"),
+                                                HasSubstr("SlowInspection: slow")));
 }
 
 TEST(CompileTest, NotesTheDialectOnce) {
@@ -209,7 +237,7 @@ TEST(CompileTest, NotesTheDialectOnce) {
        .text =
            "levels: A; rules Graph: nodesinclude(\"a\") && topicsinclude(\"/b\") ? alert(\"\");"}};
   EXPECT_THAT(Diagnose(files), ElementsAre(HasSubstr("DialectChoice: dialect `rips`")));
-  const CompileResult prototype = Compile(files, CheckedRules::Dialect::kPrototype);
+  const CompileResult prototype = Compile(files, {.dialect = CheckedRules::Dialect::kPrototype});
   EXPECT_THAT(Lines(files, prototype),
               ElementsAre(HasSubstr("DialectChoice: dialect `prototype`")));
   EXPECT_EQ(prototype.rules->dialect, CheckedRules::Dialect::kPrototype);
@@ -360,6 +388,17 @@ TEST(CompileLimitTest, RegexInstructions) {
   };
   EXPECT_THAT(DiagnoseText(text(10)), IsEmpty());
   EXPECT_THAT(DiagnoseText(text(5000)), ElementsAre(HasSubstr("RegexTooLarge")));
+}
+
+TEST(CompileLimitTest, Inspections) {
+  std::string text = "levels: A; rules Msg:";
+  for (size_t i = 0; i < kInspectionsMax; ++i) {
+    absl::StrAppend(&text, " topicin(\"/a\") && plugin(\"p", i, "\") ? alert(\"\");");
+  }
+  EXPECT_THAT(DiagnoseText(text), IsEmpty());
+  EXPECT_THAT(DiagnoseText(text + " topicin(\"/a\") && payload(\"x\") ? alert(\"\");"),
+              ElementsAre(HasSubstr("TooManyInspections: too many YARA files and plugins; a policy "
+                                    "has at most 256")));
 }
 
 TEST(CompileLimitTest, FoldedStrings) {

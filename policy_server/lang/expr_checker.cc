@@ -70,6 +70,11 @@ std::optional<TypedExpr> ExprChecker::Check(const ast::Expr& expr, const ExprCon
                 "a rule that is meant never to fire is written `false ? ...`");
     }
   }
+  if (context.condition && checked->reach.inspects && !checked->reach.narrow) {
+    sink_.Add(DiagnosticKind::kInspectsEverything, expr.range,
+              "this rule inspects the payloads of every topic",
+              "say which with `topicin`, `topicmatches`, `msgtypein` or `msgsubtype`");
+  }
   return std::move(checked->typed);
 }
 
@@ -122,6 +127,7 @@ std::optional<ExprChecker::Checked> ExprChecker::CheckName(const ast::Expr& expr
       ReportNotAValue(expr);
       return std::nullopt;
     }
+    CheckClass(expr.text, expr.range, predefined->event_class, context);
     out.typed.kind = TypedExpr::Kind::kPredefined;
     out.typed.predefined = predefined->predefined;
     out.typed.type = predefined->type;
@@ -165,6 +171,7 @@ std::optional<ExprChecker::Checked> ExprChecker::CheckUnary(const ast::Expr& exp
   }
   Checked out;
   out.depth = operand->depth + 1;
+  out.reach.inspects = operand->reach.inspects;
   if (expr.unary == UnaryOp::kNot) {
     out.truth = {.may_be_true = operand->truth.may_be_false,
                  .may_be_false = operand->truth.may_be_true};
@@ -201,6 +208,13 @@ std::optional<ExprChecker::Checked> ExprChecker::CheckRun(const ast::Expr& expr,
   std::optional<Checked> out = BuildRun(expr, operands);
   if (!out) return std::nullopt;
   out->typed.range = expr.range;
+  if (context.condition && (out->reach.needs & (out->reach.needs - 1)) != 0 &&
+      expr.operators[0].op == BinaryOp::kAnd) {
+    sink_.Add(DiagnosticKind::kNeverTogether, expr.range,
+              "this can never be true: it asks one event to be two things at once",
+              "an event is an IDS alert, a signal, a change of an agent, a finding or a loss; join "
+              "them with `||`");
+  }
   if (!out->truth.decided()) {
     for (size_t i = 0; i < before.size(); ++i) {
       WarnDecided(expr.operands[i], before[i], context);
@@ -269,6 +283,7 @@ std::optional<ExprChecker::Checked> ExprChecker::Combine(const ast::Expr::Operat
     const auto any = [&](bool a, bool b) { return is_and ? a || b : a && b; };
     out.truth = {.may_be_true = both(left.truth.may_be_true, right.truth.may_be_true),
                  .may_be_false = any(left.truth.may_be_false, right.truth.may_be_false)};
+    out.reach = Join(op.op, left, right);
     // The right side is evaluated only if the left one leaves the result open.
     if (IsConstant(left.typed)) return IsTrue(left.typed) == is_and ? right : left;
   }
@@ -287,6 +302,8 @@ std::optional<ExprChecker::Checked> ExprChecker::Combine(const ast::Expr::Operat
     }
     return out;
   }
+  if (op.op == BinaryOp::kEq) out.reach = Join(op.op, left, right);
+  out.reach.inspects = left.reach.inspects || right.reach.inspects;
   out.typed.kind = TypedExpr::Kind::kBinary;
   out.typed.type = *type;
   out.typed.range = range;
@@ -295,6 +312,19 @@ std::optional<ExprChecker::Checked> ExprChecker::Combine(const ast::Expr::Operat
   out.typed.args.push_back(std::move(left.typed));
   out.typed.args.push_back(std::move(right.typed));
   return out;
+}
+
+ExprChecker::Reach ExprChecker::Join(BinaryOp op, const Checked& left, const Checked& right) {
+  const Reach& a = left.reach;
+  const Reach& b = right.reach;
+  const bool inspects = a.inspects || b.inspects;
+  if (op == BinaryOp::kAnd) return {a.narrow || b.narrow, inspects, a.needs | b.needs};
+  if (op == BinaryOp::kOr) return {a.narrow && b.narrow, inspects, a.needs & b.needs};
+  const auto names_topic = [](const TypedExpr& expr) {
+    return expr.kind == TypedExpr::Kind::kPredefined &&
+           (expr.predefined == Predefined::kTopic || expr.predefined == Predefined::kMsgType);
+  };
+  return {names_topic(left.typed) || names_topic(right.typed), inspects, 0};
 }
 
 void ExprChecker::ReportTypes(const ast::Expr::Operator& op, const TypedExpr& left,
@@ -356,9 +386,6 @@ void ExprChecker::ReportNotAValue(const ast::Expr& name) {
     sink_.Add(DiagnosticKind::kActionInExpression, name.range,
               absl::StrCat(quoted, " is an action; it cannot be used in an expression"),
               "actions stand after the `?`");
-  } else if (FindUnavailable(name.text) != nullptr) {
-    sink_.Add(DiagnosticKind::kNotAvailable, name.range,
-              absl::StrCat(quoted, " is not available in this version"));
   } else if (scope_.DeclaredLater(name.text)) {
     sink_.Add(DiagnosticKind::kUnknownName, name.range,
               absl::StrCat(quoted, " is declared only further on"),

@@ -10,6 +10,7 @@
 #include "policy_server/lang/ast.h"
 #include "policy_server/lang/checked_rules.h"
 #include "policy_server/lang/diagnostic_sink.h"
+#include "policy_server/lang/inspection_files.h"
 #include "policy_server/lang/scope.h"
 #include "policy_server/lang/signature.h"
 #include "policy_server/lang/usage.h"
@@ -30,10 +31,21 @@ struct ExprContext {
 
 class ExprChecker {
  public:
-  // Nothing is owned; all outlive this. Levels declared later are taken into account.
+  // Nothing is owned; all outlive this. Levels declared later are taken into account. `files` may
+  // be null: then files that rules name are not looked at.
   ExprChecker(const Scope& scope, const std::vector<levels::Level>& levels,
-              CheckedRules::Dialect dialect, Usage& usage, DiagnosticSink& sink)
-      : scope_(scope), levels_(levels), dialect_(dialect), usage_(usage), sink_(sink) {}
+              CheckedRules::Dialect dialect, const std::vector<std::string>& paths,
+              InspectionFiles* files, Usage& usage, DiagnosticSink& sink)
+      : scope_(scope),
+        levels_(levels),
+        dialect_(dialect),
+        paths_(paths),
+        files_(files),
+        usage_(usage),
+        sink_(sink) {}
+
+  // Of all calls of payload and plugin so far.
+  const std::vector<Inspection>& inspections() const { return inspections_; }
 
   // None if the expression is wrong; that has been reported, all mistakes in it.
   std::optional<TypedExpr> Check(const ast::Expr& expr, const ExprContext& context);
@@ -51,9 +63,19 @@ class ExprChecker {
 
     bool decided() const { return may_be_true != may_be_false; }
   };
+  // What is known of the events for which a bool expression is true or asked.
+  struct Reach {
+    // It is true only of messages on topics that it names, by name or by type.
+    bool narrow = false;
+    // It holds a call of payload or plugin.
+    bool inspects = false;
+    // External builtins that must be true for it to be true, one bit each.
+    uint32_t needs = 0;
+  };
   struct Checked {
     TypedExpr typed;
     Truth truth;
+    Reach reach;
     int depth = 1;
   };
 
@@ -68,15 +90,31 @@ class ExprChecker {
   std::optional<Checked> Combine(const ast::Expr::Operator& op, Checked left, Checked right);
 
   std::optional<Checked> CheckCall(const ast::Expr& expr, const ExprContext& context);
+  // eval("x", "<", "1") as `x < 1`.
+  std::optional<Checked> CheckEval(const ast::Expr& call, const ExprContext& context);
+  // `text` as a value of the type that `variable` has; none, and reported, if it is none.
+  std::optional<ast::Expr> EvalOperand(const ast::Expr& text, const ast::Expr& variable,
+                                       ValueType type);
+  // payload("path"), plugin("id").
+  bool CheckInspection(const TypedExpr& arg, Inspection::Kind kind, uint32_t& index);
+  std::optional<uint32_t> AddInspection(Inspection inspection, SourceRange range);
+  bool CheckWord(const TypedExpr& arg, const Parameter& parameter,
+                 const std::vector<Checked>& before, absl::string_view owner);
+  bool CheckWindow(const TypedExpr& arg);
+  static Reach ReachOf(const TypedExpr& call);
+  static Reach Join(BinaryOp op, const Checked& left, const Checked& right);
   // The arguments of a call; none if any is wrong.
   std::optional<std::vector<Checked>> CheckArgs(const ast::Expr& call, const Signature& signature,
                                                 const ExprContext& context);
   // list[begin] and what follows, appended to `out`. False if any is wrong.
   bool CheckList(const std::vector<ast::Expr>& list, size_t begin, absl::string_view owner,
                  const ExprContext& context, std::vector<Checked>& out);
-  bool CheckArgument(const TypedExpr& arg, const Parameter& parameter, absl::string_view owner);
+  bool CheckArgument(const TypedExpr& arg, const Parameter& parameter,
+                     const std::vector<Checked>& before, absl::string_view owner);
   bool CheckRegex(const TypedExpr& arg);
-  void CheckClass(const ast::Expr& call, const Signature& signature, const ExprContext& context);
+  // `of` is what a name at `range` speaks about.
+  void CheckClass(absl::string_view name, SourceRange range, EventClass of,
+                  const ExprContext& context);
   void WarnRelativeTopic(const TypedExpr& arg);
   // Replaces a call by its value, if that is known.
   void FoldCall(const Signature& signature, Checked& call) const;
@@ -92,6 +130,9 @@ class ExprChecker {
   const Scope& scope_;
   const std::vector<levels::Level>& levels_;
   CheckedRules::Dialect dialect_;
+  const std::vector<std::string>& paths_;
+  InspectionFiles* files_;
+  std::vector<Inspection> inspections_;
   Usage& usage_;
   DiagnosticSink& sink_;
   bool dialect_noted_ = false;

@@ -3,6 +3,7 @@
 #define RIPS_POLICY_SERVER_LANG_LIMITS_H_
 
 #include <cstddef>
+#include <cstdint>
 
 namespace rips::lang {
 
@@ -16,9 +17,15 @@ inline constexpr size_t kProgramNodesMax = 500'000;
 // Depth of a checked expression: a run such as `a - b - c` nests to the left when it is
 // evaluated, so this bounds recursion for runs that `kNestingMax` calls flat.
 inline constexpr int kExpressionDepthMax = 4096;
-// Size of the compiled patterns of all `topicmatches` together; bounds the time to load a policy
-// (RE2 itself bounds a single pattern by memory).
+// Memory that RE2 may take for one pattern.
+inline constexpr int64_t kRegexBytesMax = int64_t{1} << 20;
+// Size of the compiled patterns of all `topicmatches` together; bounds the time to load a policy.
 inline constexpr size_t kRegexInstructionsMax = 1'000'000;
+// Longest time that `msgcount` and `sendercount` look back: an hour.
+inline constexpr int64_t kWindowMsMax = 3'600'000;
+// Distinct YARA files and plugins.
+inline constexpr size_t kInspectionsMax = 256;
+inline constexpr size_t kPluginIdBytesMax = 64;
 inline constexpr size_t kLevelsMax = 64;
 inline constexpr size_t kVariablesMax = 1000;
 inline constexpr size_t kRulesMax = 10'000;

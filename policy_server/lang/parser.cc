@@ -52,6 +52,14 @@ class Parser {
     return std::move(file_);
   }
 
+  // The whole text as one expression.
+  std::optional<Expr> RunExpression() {
+    std::optional<Expr> out = ParseExpr();
+    if (!out || At(TokenKind::kEndOfFile)) return out;
+    Unexpected("the end of the expression");
+    return std::nullopt;
+  }
+
  private:
   // --- Tokens.
   const Token& Peek(size_t ahead = 0) const {
@@ -491,6 +499,11 @@ class Parser {
 
 ast::File Parse(const Source& source, const std::vector<Token>& tokens, DiagnosticSink& sink) {
   return Parser(source, tokens, sink).Run();
+}
+
+std::optional<ast::Expr> ParseExpression(const Source& source, const std::vector<Token>& tokens,
+                                         DiagnosticSink& sink) {
+  return Parser(source, tokens, sink).RunExpression();
 }
 
 }  // namespace rips::lang

@@ -22,6 +22,7 @@
 #ifndef RIPS_POLICY_SERVER_LANG_PARSER_H_
 #define RIPS_POLICY_SERVER_LANG_PARSER_H_
 
+#include <optional>
 #include <vector>
 
 #include "policy_server/lang/ast.h"
@@ -35,6 +36,10 @@ namespace rips::lang {
 // (kError tokens had theirs from the lexer): after a mistake parsing goes on at the next `;`, `}`
 // or section, so that one run finds all mistakes.
 ast::File Parse(const Source& source, const std::vector<Token>& tokens, DiagnosticSink& sink);
+
+// The text is one expression; none, and reported, if it is not.
+std::optional<ast::Expr> ParseExpression(const Source& source, const std::vector<Token>& tokens,
+                                         DiagnosticSink& sink);
 
 }  // namespace rips::lang
 

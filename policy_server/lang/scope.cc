@@ -12,22 +12,14 @@ namespace {
 // What a name already means in the language; empty if nothing.
 absl::string_view LanguageMeaning(absl::string_view name, bool& extension) {
   extension = false;
-  if (FindSignature(name) != nullptr) return "a builtin";
+  if (const Signature* signature = FindSignature(name)) {
+    extension = signature->extension;
+    return "a builtin";
+  }
   if (FindAction(name) != nullptr) return "an action";
   if (const PredefinedName* predefined = FindPredefined(name)) {
     extension = predefined->extension;
     return "a predefined name";
-  }
-  if (const UnavailableName* unavailable = FindUnavailable(name)) {
-    extension = unavailable->extension;
-    switch (unavailable->kind) {
-      case UnavailableName::Kind::kBuiltin:
-        return "a builtin";
-      case UnavailableName::Kind::kAction:
-        return "an action";
-      case UnavailableName::Kind::kPredefined:
-        return "a predefined name";
-    }
   }
   return "";
 }

@@ -18,13 +18,19 @@ enum class ParameterRole {
   kRegex,  // RE2 syntax; must be constant
   kRangeMin,
   kRangeMax,
-  kAnyType,  // the type does not matter
+  kAnyType,   // the type does not matter
+  kWindow,    // milliseconds to look back; constant, 1 to kWindowMsMax
+  kYaraFile,  // a path, seen from the rule file; constant
+  kPluginId,  // constant
+  kWord,      // one of Parameter::words, if it is constant
 };
 
 struct Parameter {
   absl::string_view name;
   ValueType type = ValueType::kString;
   ParameterRole role = ParameterRole::kPlain;
+  // kWord: what it may be. Empty: it depends on the argument before.
+  std::span<const absl::string_view> words = {};
 };
 
 struct Signature {
@@ -36,9 +42,11 @@ struct Signature {
   std::span<const Parameter> parameters;
   // Any number of further arguments, none included; not there if its name is empty.
   Parameter list;
+  absl::string_view help;
+  // Not in the paper's language: a program may declare the name as its own.
+  bool extension = false;
   // One of the forms whose meaning depends on the dialect.
   bool include_form = false;
-  absl::string_view help;
 
   bool variadic() const { return !list.name.empty(); }
 };
@@ -51,22 +59,18 @@ struct ActionSignature {
   int args_min;
   // -1 if there is no limit.
   int args_max;
+  // What it does, and when it has succeeded.
+  absl::string_view help;
 };
 
 struct PredefinedName {
   absl::string_view name;
   Predefined predefined;
+  EventClass event_class;
   ValueType type;
   // A program may declare the name as its own.
   bool extension;
-};
-
-// A name of the language that this version does not know how to judge.
-struct UnavailableName {
-  enum class Kind { kBuiltin, kAction, kPredefined };
-  absl::string_view name;
-  Kind kind;
-  bool extension;
+  absl::string_view help;
 };
 
 // In the order of enum Builtin.
@@ -75,13 +79,11 @@ std::span<const Signature> Signatures();
 std::span<const ActionSignature> ActionSignatures();
 // In the order of enum Predefined.
 std::span<const PredefinedName> PredefinedNames();
-std::span<const UnavailableName> UnavailableNames();
 
 // Null if there is none of that name.
 const Signature* FindSignature(absl::string_view name);
 const ActionSignature* FindAction(absl::string_view name);
 const PredefinedName* FindPredefined(absl::string_view name);
-const UnavailableName* FindUnavailable(absl::string_view name);
 
 const Signature& SignatureOf(Builtin builtin);
 
@@ -90,6 +92,8 @@ std::string UsageOf(const Signature& signature);
 
 // Severities of alerts, least severe first.
 std::span<const absl::string_view> Severities();
+// States that `agent(kind, state)` knows of that kind; empty for an unknown kind.
+std::span<const absl::string_view> AgentStates(absl::string_view kind);
 
 }  // namespace rips::lang
 

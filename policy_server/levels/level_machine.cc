@@ -95,6 +95,12 @@ Transition LevelMachine::Raise(LevelIndex to, const Cause& cause, Instant now) {
   return Decide(std::move(proposed));
 }
 
+Transition LevelMachine::Crash(const Cause& cause, Instant now) {
+  const LevelIndex last = table_.size() - 1;
+  Transition proposed = Propose(last, cause, now);
+  return last > level_ ? Decide(std::move(proposed)) : proposed;
+}
+
 Transition LevelMachine::DeEscalate(LevelIndex to, const Cause& cause, Instant now,
                                     LevelIndex expected_level, const Mark& expected_mark) {
   Transition proposed = Propose(to, cause, now);

@@ -60,6 +60,8 @@ class LevelMachine {
   // A rule's trigger(to).
   Transition Request(LevelIndex to, const Cause& cause, Instant now, const Evidence& evidence,
                      Lateness lateness);
+  // A rule gave up: the last level, whatever the current one is.
+  Transition Crash(const Cause& cause, Instant now);
   // An operator's decisions. `expected_*` is what the operator saw. The caller has authenticated
   // the operator and checked the reason.
   Transition Raise(LevelIndex to, const Cause& cause, Instant now);

@@ -12,6 +12,8 @@
 #include "policy_server/lang/limits.h"
 #include "services/ripsctl/json_view.h"
 #include "services/ripsctl/printer.h"
+#include "services/ripsctl/rules_builtins.h"
+#include "services/ripsctl/rules_fmt.h"
 #include "services/runtime/atomic_file.h"
 
 namespace rips::ripsctl {
@@ -44,7 +46,7 @@ class CheckRules final : public RulesCommand {
     }
     using Dialect = lang::CheckedRules::Dialect;
     const lang::CompileResult result =
-        lang::Compile(files, dialect_ == "rips" ? Dialect::kRips : Dialect::kPrototype);
+        lang::Compile(files, {.dialect = dialect_ == "rips" ? Dialect::kRips : Dialect::kPrototype});
     if (env.json()) {
       env.out << lang::RenderJson(files, result.diagnostics) << "\n";
     } else {
@@ -99,6 +101,8 @@ class ResumeRules final : public RulesCommand {
 Commands RulesCommands() {
   Commands commands;
   commands.push_back(std::make_unique<CheckRules>());
+  commands.push_back(FmtRules());
+  commands.push_back(RulesBuiltins());
   commands.push_back(std::make_unique<ResumeRules>());
   return commands;
 }

@@ -25,6 +25,10 @@ const std::map<absl::string_view, absl::string_view> kExempt = {
     {"TooManyRules", "needs 10001 rules: CompileLimitTest.Rules"},
     {"StringTooLong", "needs 4097 code points: LexerTest.LimitsNamesAndStrings"},
     {"RegexTooLarge", "needs many large patterns: CompileLimitTest.RegexInstructions"},
+    {"MissingInspection", "needs files: InspectionTest.WhatIsWrongWithAFileIsAnErrorAtItsFirstUse"},
+    {"BrokenInspection", "needs files: InspectionTest.WhatIsWrongWithAFileIsAnErrorAtItsFirstUse"},
+    {"SlowInspection", "needs files: InspectionTest.WhatIsWrongWithAFileIsAnErrorAtItsFirstUse"},
+    {"TooManyInspections", "needs 257 files: CompileLimitTest.Inspections"},
     {"ExpressionTooDeep", "needs 4097 operators: CompileLimitTest.ExpressionDepth"},
 };
 
