@@ -1,41 +1,39 @@
 #include "policy_server/operator_api/hub.h"
 
 #include <utility>
-#include <vector>
 
+#include "absl/strings/str_cat.h"
+#include "services/base/status_macros.h"
 #include "services/runtime/log.h"
 
 namespace rips::operator_api {
 
-bool Hub::WatchAlerts(AlertWatcher watcher) {
-  MutexLock lock(&mu_);
-  if (alert_watchers_.size() + status_watchers_.size() >= kWatchersMax) return false;
-  alert_watchers_[next_id_++] = std::make_shared<AlertWatcher>(std::move(watcher));
-  return true;
+absl::StatusOr<uint64_t> Hub::NewIdLocked() {
+  if (alert_watchers_.size() + status_watchers_.size() >= kWatchersMax) {
+    return absl::ResourceExhaustedError(
+        absl::StrCat(kWatchersMax, " operators watch already, the limit; try again later"));
+  }
+  return next_id_++;
 }
 
-bool Hub::WatchStatus(StatusWatcher watcher) {
+absl::StatusOr<uint64_t> Hub::WatchAlerts(AlertWatcher watcher) {
   MutexLock lock(&mu_);
-  if (alert_watchers_.size() + status_watchers_.size() >= kWatchersMax) return false;
-  status_watchers_[next_id_++] = std::make_shared<StatusWatcher>(std::move(watcher));
-  return true;
+  RIPS_ASSIGN_OR_RETURN(const uint64_t id, NewIdLocked());
+  alert_watchers_[id] = std::make_shared<AlertWatcher>(std::move(watcher));
+  return id;
 }
 
-template <typename Watcher, typename Item>
-void Hub::Tell(std::map<uint64_t, std::shared_ptr<Watcher>>& watchers, const Item& item) {
-  std::vector<std::pair<uint64_t, std::shared_ptr<Watcher>>> copy;
-  {
-    MutexLock lock(&mu_);
-    copy.assign(watchers.begin(), watchers.end());
-  }
-  // Called without the lock: a watcher may call back.
-  std::vector<uint64_t> gone;
-  for (const auto& [id, watcher] : copy) {
-    if (!(*watcher)(item)) gone.push_back(id);
-  }
-  if (gone.empty()) return;
+absl::StatusOr<uint64_t> Hub::WatchStatus(StatusWatcher watcher) {
   MutexLock lock(&mu_);
-  for (const uint64_t id : gone) watchers.erase(id);
+  RIPS_ASSIGN_OR_RETURN(const uint64_t id, NewIdLocked());
+  status_watchers_[id] = std::make_shared<StatusWatcher>(std::move(watcher));
+  return id;
+}
+
+void Hub::Unwatch(uint64_t id) {
+  MutexLock lock(&mu_);
+  alert_watchers_.erase(id);
+  status_watchers_.erase(id);
 }
 
 void Hub::OnAlert(const store::AlertRecord& alert) {
@@ -44,9 +42,30 @@ void Hub::OnAlert(const store::AlertRecord& alert) {
       LogError("alert file not written", {{"alert", alert.id}, {"reason", status.message()}});
     }
   }
-  Tell(alert_watchers_, alert);
+  std::map<uint64_t, std::shared_ptr<AlertWatcher>> watchers;
+  {
+    MutexLock lock(&mu_);
+    watchers = alert_watchers_;
+  }
+  // Without the lock: a watcher may call back.
+  for (const auto& [id, watcher] : watchers) {
+    if (!(*watcher)(alert)) Unwatch(id);
+  }
 }
 
-void Hub::OnStatus(const pipeline::RobotStatus& status) { Tell(status_watchers_, status); }
+void Hub::OnStatus(const pipeline::RobotStatus& status) {
+  std::map<uint64_t, std::shared_ptr<StatusWatcher>> watchers;
+  {
+    MutexLock lock(&mu_);
+    watchers = status_watchers_;
+  }
+  for (const auto& [id, watcher] : watchers) {
+    if (!(*watcher)(status)) Unwatch(id);
+  }
+}
+
+void Hub::OnRuleLog(const std::string& robot, const std::string& rule, const std::string& text) {
+  LogInfo("a rule shows", {{"robot", robot}, {"rule", rule}, {"text", text}});
+}
 
 }  // namespace rips::operator_api

@@ -10,6 +10,7 @@
 #include <string>
 
 #include "absl/base/thread_annotations.h"
+#include "absl/status/statusor.h"
 #include "policy_server/pipeline/ports.h"
 #include "policy_server/store/alert_log.h"
 #include "services/runtime/mutex.h"
@@ -19,27 +20,31 @@ namespace rips::operator_api {
 // Any thread.
 class Hub final : public pipeline::Audience {
  public:
-  // Operator streams at one time; one more is refused.
+  // Operator streams at one time, of both kinds together; one more is refused.
   static constexpr size_t kWatchersMax = 256;
 
-  // Must not block. False = no longer interested.
+  // Must not block. False = no longer interested, as Unwatch.
   using AlertWatcher = std::function<bool(const store::AlertRecord&)>;
   using StatusWatcher = std::function<bool(const pipeline::RobotStatus&)>;
 
   // `alerts` may be null (no file). Not owned; outlives this.
   explicit Hub(store::AlertLog* alerts) : alert_log_(alerts) {}
 
-  // False if there are kWatchersMax already.
-  bool WatchAlerts(AlertWatcher watcher) ABSL_LOCKS_EXCLUDED(mu_);
-  bool WatchStatus(StatusWatcher watcher) ABSL_LOCKS_EXCLUDED(mu_);
+  // An id for Unwatch. ResourceExhausted if there are kWatchersMax already.
+  absl::StatusOr<uint64_t> WatchAlerts(AlertWatcher watcher) ABSL_LOCKS_EXCLUDED(mu_);
+  absl::StatusOr<uint64_t> WatchStatus(StatusWatcher watcher) ABSL_LOCKS_EXCLUDED(mu_);
+  // The watcher may still be told what is being told now. An id that is gone does nothing.
+  void Unwatch(uint64_t id) ABSL_LOCKS_EXCLUDED(mu_);
 
   void OnAlert(const store::AlertRecord& alert) override ABSL_LOCKS_EXCLUDED(mu_);
   void OnStatus(const pipeline::RobotStatus& status) override ABSL_LOCKS_EXCLUDED(mu_);
+  // To the log.
+  void OnRuleLog(const std::string& robot, const std::string& rule,
+                 const std::string& text) override;
 
  private:
-  template <typename Watcher, typename Item>
-  void Tell(std::map<uint64_t, std::shared_ptr<Watcher>>& watchers, const Item& item)
-      ABSL_LOCKS_EXCLUDED(mu_);
+  // ResourceExhausted if there are kWatchersMax already.
+  absl::StatusOr<uint64_t> NewIdLocked() ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
 
   store::AlertLog* alert_log_;
   Mutex mu_;

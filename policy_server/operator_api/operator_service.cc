@@ -7,8 +7,8 @@
 #include <utility>
 
 #include "absl/strings/str_cat.h"
-#include "policy_server/ingest/graph_codec.h"
 #include "policy_server/operator_api/watch_stream.h"
+#include "services/ros2_proto/graph_codec.h"
 #include "services/rpc/peer.h"
 #include "services/rpc/status_conversion.h"
 #include "services/runtime/log.h"
@@ -117,8 +117,8 @@ OperatorService::~OperatorService() {
 
 void OperatorService::Read(grpc::ServerUnaryReactor* reactor, std::function<void()> task) {
   if (reads_.Push(std::move(task))) return;
-  reactor->Finish(grpc::Status(grpc::StatusCode::RESOURCE_EXHAUSTED,
-                               "too many reads are waiting; try again later"));
+  reactor->Finish(rpc::ToGrpc(absl::ResourceExhaustedError(
+      absl::StrCat(kReadsMax, " reads of the store wait already, the limit; try again later"))));
 }
 
 grpc::ServerUnaryReactor* OperatorService::ListRobots(grpc::CallbackServerContext* context,
@@ -150,14 +150,16 @@ grpc::ServerWriteReactor<rips::v1::RobotStatus>* OperatorService::WatchRobots(
   const std::set<std::string> wanted(request->robots().begin(), request->robots().end());
   auto* stream = new WatchStream<rips::v1::RobotStatus>();
   auto outbound = stream->outbound();
-  const bool watching = hub_->WatchStatus([outbound, wanted](const pipeline::RobotStatus& status) {
-    if (!wanted.empty() && !wanted.contains(status.robot)) return outbound->open();
-    return outbound->Send(Encode(status));
-  });
-  if (!watching) {
-    outbound->Close(grpc::Status(grpc::StatusCode::RESOURCE_EXHAUSTED, "too many watchers"));
+  const absl::StatusOr<uint64_t> id =
+      hub_->WatchStatus([outbound, wanted](const pipeline::RobotStatus& status) {
+        if (!wanted.empty() && !wanted.contains(status.robot)) return outbound->open();
+        return outbound->Send(Encode(status));
+      });
+  if (!id.ok()) {
+    outbound->Close(rpc::ToGrpc(id.status()));
     return stream;
   }
+  stream->set_on_ended([hub = hub_, id = *id] { hub->Unwatch(id); });
   for (const std::string& robot : pipeline_->robots()) {
     if (!wanted.empty() && !wanted.contains(robot)) continue;
     pipeline_
@@ -176,7 +178,8 @@ grpc::ServerUnaryReactor* OperatorService::GetGraph(grpc::CallbackServerContext*
   grpc::ServerUnaryReactor* reactor = context->DefaultReactor();
   const absl::Status posted =
       pipeline_->Post(request->robot(), Lane::kControl, [reactor, response](Robot& robot) {
-        *response->mutable_graph() = ingest::EncodeGraph(robot.graph());
+        response->mutable_graph()->set_settled(true);
+        ros2_proto::EncodeGraph(robot.graph(), *response->mutable_graph());
         response->set_changed_unix_ns(robot.graph_changed_unix_ns());
         reactor->Finish(grpc::Status::OK);
       });
@@ -248,14 +251,16 @@ grpc::ServerWriteReactor<rips::v1::Alert>* OperatorService::WatchAlerts(
   if (!who.ok()) return RefuseWatch<rips::v1::Alert>(who.status());
   auto* stream = new WatchStream<rips::v1::Alert>();
   auto outbound = stream->outbound();
-  const bool watching =
+  const absl::StatusOr<uint64_t> id =
       hub_->WatchAlerts([outbound, robot = request->robot()](const store::AlertRecord& alert) {
         if (!robot.empty() && robot != alert.robot) return outbound->open();
         return outbound->Send(Encode(alert));
       });
-  if (!watching) {
-    outbound->Close(grpc::Status(grpc::StatusCode::RESOURCE_EXHAUSTED, "too many watchers"));
+  if (!id.ok()) {
+    outbound->Close(rpc::ToGrpc(id.status()));
+    return stream;
   }
+  stream->set_on_ended([hub = hub_, id = *id] { hub->Unwatch(id); });
   return stream;
 }
 

@@ -22,6 +22,9 @@ namespace rips::operator_api {
 
 class OperatorService final : public rips::v1::OperatorService::CallbackService {
  public:
+  // Reads of the store waiting for the one that runs; one more is refused at once.
+  static constexpr size_t kReadsMax = 1'024;
+
   // Nothing is owned; all outlive every call. Reads of the store run on a thread of its own.
   OperatorService(pipeline::Pipeline* pipeline, store::Store* store, Hub* hub);
   ~OperatorService() override;
@@ -61,13 +64,14 @@ class OperatorService final : public rips::v1::OperatorService::CallbackService 
   grpc::ServerUnaryReactor* ChangeLevel(grpc::CallbackServerContext* context,
                                         const rips::v1::LevelRequest* request,
                                         rips::v1::LevelResponse* response, Direction direction);
-  // Runs `task` on the thread for store reads; it finishes `reactor`.
+  // Runs `task` on the thread for store reads; it finishes `reactor`. Beyond kReadsMax it is
+  // finished at once with RESOURCE_EXHAUSTED.
   void Read(grpc::ServerUnaryReactor* reactor, std::function<void()> task);
 
   pipeline::Pipeline* pipeline_;
   store::Store* store_;
   Hub* hub_;
-  BoundedQueue<std::function<void()>> reads_{{.capacity = 1'024}};
+  BoundedQueue<std::function<void()>> reads_{{.capacity = kReadsMax}};
   std::thread reader_;
 };
 

@@ -2,7 +2,9 @@
 #ifndef RIPS_POLICY_SERVER_OPERATOR_API_WATCH_STREAM_H_
 #define RIPS_POLICY_SERVER_OPERATOR_API_WATCH_STREAM_H_
 
+#include <functional>
 #include <memory>
+#include <utility>
 
 #include "grpcpp/support/server_callback.h"
 #include "services/rpc/stream_outbound.h"
@@ -17,16 +19,20 @@ class WatchStream final : public grpc::ServerWriteReactor<T> {
 
   WatchStream() : outbound_(std::make_shared<Outbound>(this)) {}
   const std::shared_ptr<Outbound>& outbound() const { return outbound_; }
+  // Called once, when the stream is over. Set before the handler returns.
+  void set_on_ended(std::function<void()> on_ended) { on_ended_ = std::move(on_ended); }
 
  private:
   void OnWriteDone(bool ok) override { outbound_->OnWritten(ok); }
   void OnCancel() override { outbound_->Close(grpc::Status::CANCELLED); }
   void OnDone() override {
     outbound_->Detach();
+    if (on_ended_) on_ended_();
     delete this;
   }
 
   std::shared_ptr<Outbound> outbound_;
+  std::function<void()> on_ended_;
 };
 
 }  // namespace rips::operator_api

@@ -100,12 +100,17 @@ absl::StatusOr<RawSettings> ReadSettingsFile(const World& world) {
 }
 
 // Checks what does not need a connection.
-absl::Status Apply(const RawSettings& settings, Env* env) {
-  if (settings.output != "text" && settings.output != "json") {
+absl::Status Apply(const RawSettings& settings, const Command& command, Env* env) {
+  if (settings.output == "junit" && command.writes_junit()) {
+    env->output = Output::kJunit;
+  } else if (settings.output == "text" || settings.output == "json") {
+    env->output = settings.output == "json" ? Output::kJson : Output::kText;
+  } else {
     return absl::InvalidArgumentError(
-        absl::StrCat("--output is `", settings.output, "`; write `text` or `json`"));
+        absl::StrCat("--output is `", settings.output,
+                     command.writes_junit() ? "`; write `text`, `json` or `junit`"
+                                            : "`; write `text` or `json`"));
   }
-  env->output = settings.output == "json" ? Output::kJson : Output::kText;
   RIPS_ASSIGN_OR_RETURN(env->timeout, ParseConfigDuration(settings.timeout));
   if (env->timeout <= absl::ZeroDuration()) {
     return absl::InvalidArgumentError("--timeout must be longer than 0s");
@@ -119,10 +124,11 @@ absl::Status Apply(const RawSettings& settings, Env* env) {
 
 ExitCode RunCommand(Command& command, const RawSettings& flags, const World& world) {
   Env env{.out = world.out, .err = world.err};
+  env.in = world.in;
   const absl::StatusOr<RawSettings> file = ReadSettingsFile(world);
   if (!file.ok()) return UsageError(env, file.status().message());
   const RawSettings settings = Merge(flags, world.get_env, *file);
-  if (const absl::Status status = Apply(settings, &env); !status.ok()) {
+  if (const absl::Status status = Apply(settings, command, &env); !status.ok()) {
     return UsageError(env, status.message());
   }
   std::unique_ptr<v1::OperatorService::StubInterface> stub;

@@ -3,6 +3,7 @@
 #define RIPS_SERVICES_RIPSCTL_APP_H_
 
 #include <functional>
+#include <istream>
 #include <memory>
 #include <ostream>
 #include <string>
@@ -24,6 +25,8 @@ struct World {
   std::function<absl::StatusOr<std::unique_ptr<v1::OperatorService::StubInterface>>(
       const RawSettings&)>
       connect;
+  // Standard input; nullptr is an empty one.
+  std::istream* in = nullptr;
 };
 
 // Mutual TLS to `server` with the files of the settings.

@@ -26,6 +26,8 @@ class Command {
   // One line for --help.
   virtual absl::string_view synopsis() const = 0;
   virtual bool needs_server() const { return true; }
+  // Knows `--output junit` too.
+  virtual bool writes_junit() const { return false; }
   // Declares arguments and flags, kept in members. Called once, before Run.
   virtual void AddFlags(CLI::App& app) = 0;
   // Prints the result to env.out and errors to env.err.

@@ -2,6 +2,7 @@
 #ifndef RIPS_SERVICES_RIPSCTL_ENV_H_
 #define RIPS_SERVICES_RIPSCTL_ENV_H_
 
+#include <istream>
 #include <ostream>
 
 #include "absl/time/time.h"
@@ -18,7 +19,8 @@ enum class ExitCode {
 };
 
 // Text is for people and may change; JSON is a contract to which fields may be added.
-enum class Output { kText, kJson };
+// kJunit: only for commands that write it (Command::writes_junit).
+enum class Output { kText, kJson, kJunit };
 
 struct Env {
   std::ostream& out;
@@ -28,6 +30,8 @@ struct Env {
   absl::Duration timeout = absl::Seconds(10);
   // Not owned; nullptr for commands that need no server.
   v1::OperatorService::StubInterface* server = nullptr;
+  // Standard input. Not owned; nullptr is an empty one.
+  std::istream* in = nullptr;
 
   bool json() const { return output == Output::kJson; }
 };

@@ -23,6 +23,7 @@ int main(int argc, char** argv) {
         return value;
       },
       .connect = rips::ripsctl::ConnectWithTls,
+      .in = &std::cin,
   };
   const std::vector<std::string> args(argv + 1, argv + argc);
   return rips::ripsctl::RunRipsctl(args, world);

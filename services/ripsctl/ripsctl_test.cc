@@ -662,6 +662,8 @@ TEST_F(RipsctlTest, HelpIsAsPinned) {
       {"alert", "list"},
       {"alert", "watch"},
       {"rules", "check"},
+      {"rules", "fmt"},
+      {"rules", "builtins"},
       {"rules", "resume"},
   };
   for (std::vector<std::string> args : pages) {

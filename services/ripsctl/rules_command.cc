@@ -14,6 +14,8 @@
 #include "services/ripsctl/printer.h"
 #include "services/ripsctl/rules_builtins.h"
 #include "services/ripsctl/rules_fmt.h"
+#include "services/ripsctl/rules_replay.h"
+#include "services/ripsctl/rules_test_command.h"
 #include "services/runtime/atomic_file.h"
 
 namespace rips::ripsctl {
@@ -103,6 +105,8 @@ Commands RulesCommands() {
   commands.push_back(std::make_unique<CheckRules>());
   commands.push_back(FmtRules());
   commands.push_back(RulesBuiltins());
+  commands.push_back(TestRules());
+  commands.push_back(ReplayRules());
   commands.push_back(std::make_unique<ResumeRules>());
   return commands;
 }

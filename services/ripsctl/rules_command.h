@@ -1,4 +1,4 @@
-// `ripsctl rules`: check, resume.
+// `ripsctl rules`: check, fmt, builtins, test, replay, resume.
 #ifndef RIPS_SERVICES_RIPSCTL_RULES_COMMAND_H_
 #define RIPS_SERVICES_RIPSCTL_RULES_COMMAND_H_
 

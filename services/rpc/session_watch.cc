@@ -2,12 +2,12 @@
 
 #include <utility>
 
-#include "absl/time/clock.h"
+#include "absl/strings/str_cat.h"
 
 namespace rips::rpc {
 
-SessionWatch::SessionWatch(absl::Duration hello_timeout, absl::Duration interval)
-    : hello_timeout_(hello_timeout), interval_(interval), thread_([this] { Run(); }) {}
+SessionWatch::SessionWatch(const Clock* clock, absl::Duration interval)
+    : clock_(clock), interval_(interval), thread_([this] { Run(); }) {}
 
 SessionWatch::~SessionWatch() {
   {
@@ -21,7 +21,7 @@ SessionWatch::~SessionWatch() {
 std::shared_ptr<SessionWatch::Session> SessionWatch::Add(
     absl::Time not_after, std::function<void(const grpc::Status&)> close) {
   auto session = std::make_shared<Session>();
-  session->opened = absl::Now();
+  session->opened_boottime_ns = clock_->Now().boottime_ns;
   session->not_after = not_after;
   session->close = std::move(close);
   MutexLock lock(&mu_);
@@ -47,22 +47,30 @@ void SessionWatch::CloseAll(const grpc::Status& status) {
   for (const auto& session : Live()) session->close(status);
 }
 
+void SessionWatch::Look() {
+  const Instant now = clock_->Now();
+  for (const auto& session : Live()) {
+    const int64_t open_ns = now.boottime_ns - session->opened_boottime_ns;
+    if (!session->greeted && open_ns > absl::ToInt64Nanoseconds(kHelloTimeout)) {
+      session->close(
+          grpc::Status(grpc::StatusCode::DEADLINE_EXCEEDED,
+                       absl::StrCat("no hello within ", absl::FormatDuration(kHelloTimeout))));
+    } else if (absl::FromUnixNanos(now.unix_ns) > session->not_after) {
+      session->close(
+          grpc::Status(grpc::StatusCode::UNAUTHENTICATED, "the certificate has expired"));
+    }
+  }
+}
+
 void SessionWatch::Run() {
   while (true) {
     {
       MutexLock lock(&mu_);
-      if (!stopping_) stop_cond_.WaitFor(lock, interval_);
+      while (!stopping_ && stop_cond_.WaitFor(lock, interval_)) {
+      }
       if (stopping_) return;
     }
-    const absl::Time now = absl::Now();
-    for (const auto& session : Live()) {
-      if (!session->greeted && now - session->opened > hello_timeout_) {
-        session->close(grpc::Status(grpc::StatusCode::DEADLINE_EXCEEDED, "no hello in time"));
-      } else if (now > session->not_after) {
-        session->close(
-            grpc::Status(grpc::StatusCode::UNAUTHENTICATED, "the certificate has expired"));
-      }
-    }
+    Look();
   }
 }
 

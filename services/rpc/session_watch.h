@@ -4,6 +4,7 @@
 #define RIPS_SERVICES_RPC_SESSION_WATCH_H_
 
 #include <atomic>
+#include <cstdint>
 #include <functional>
 #include <memory>
 #include <thread>
@@ -12,28 +13,35 @@
 #include "absl/base/thread_annotations.h"
 #include "absl/time/time.h"
 #include "grpcpp/support/status.h"
+#include "services/base/clock.h"
 #include "services/runtime/mutex.h"
 
 namespace rips::rpc {
 
+// Any thread.
 class SessionWatch {
  public:
+  // From a stream's opening to its hello, by CLOCK_BOOTTIME.
+  static constexpr absl::Duration kHelloTimeout = absl::Seconds(5);
+
   struct Session {
     std::atomic<bool> greeted = false;
-    absl::Time opened;
+    int64_t opened_boottime_ns = 0;
     absl::Time not_after;
     // Ends the stream; may be called after it has ended.
     std::function<void(const grpc::Status&)> close;
   };
 
-  // Looks every `interval`, on a thread of its own.
-  explicit SessionWatch(absl::Duration hello_timeout = absl::Seconds(5),
-                        absl::Duration interval = absl::Milliseconds(500));
+  // Looks every `interval`, on a thread of its own; InfiniteDuration = only when asked. `clock` is
+  // not owned and outlives this.
+  explicit SessionWatch(const Clock* clock, absl::Duration interval = absl::Milliseconds(500));
   ~SessionWatch();
 
-  // Watched until the caller drops what is returned. Any thread.
+  // Watched until the caller drops what is returned. `not_after` is by the wall clock, inclusive.
   std::shared_ptr<Session> Add(absl::Time not_after,
                                std::function<void(const grpc::Status&)> close);
+  // Ends what is due now: DEADLINE_EXCEEDED without a hello, UNAUTHENTICATED after `not_after`.
+  void Look();
   // Ends every stream with `status`.
   void CloseAll(const grpc::Status& status);
 
@@ -41,7 +49,7 @@ class SessionWatch {
   void Run();
   std::vector<std::shared_ptr<Session>> Live() ABSL_LOCKS_EXCLUDED(mu_);
 
-  const absl::Duration hello_timeout_;
+  const Clock* clock_;
   const absl::Duration interval_;
   Mutex mu_;
   CondVar stop_cond_;

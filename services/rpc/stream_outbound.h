@@ -17,7 +17,8 @@ namespace rips::rpc {
 template <typename Reactor, typename Out>
 class StreamOutbound {
  public:
-  // Messages waiting to be written; a peer that does not read is cut off.
+  // Messages waiting to be written, the one being written included; a peer that does not read is
+  // cut off.
   static constexpr size_t kOutgoingMax = 4'096;
 
   explicit StreamOutbound(Reactor* reactor) : reactor_(reactor) {}
@@ -41,7 +42,8 @@ class StreamOutbound {
     return reactor_ != nullptr && !finishing_;
   }
 
-  // Ends the call. Only the first one counts.
+  // Ends the call and drops what waits. Only the first one counts. A peer that does not read learns
+  // it, and OnDone comes, only after it has read what the network holds, or when it is gone.
   void Close(grpc::Status status) ABSL_LOCKS_EXCLUDED(mu_) {
     MutexLock lock(&mu_);
     FinishLocked(std::move(status));
@@ -53,7 +55,7 @@ class StreamOutbound {
     writing_ = false;
     outgoing_.pop_front();  // only now may the message die
     if (!ok) return FinishLocked(grpc::Status(grpc::StatusCode::UNAVAILABLE, "write failed"));
-    if (!finishing_ && !outgoing_.empty()) WriteNextLocked();
+    if (!outgoing_.empty()) WriteNextLocked();
   }
 
   // From the reactor's OnDone, before it is deleted.
@@ -70,12 +72,14 @@ class StreamOutbound {
   void FinishLocked(grpc::Status status) ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_) {
     if (reactor_ == nullptr || finishing_) return;
     finishing_ = true;
+    outgoing_.erase(outgoing_.begin() + (writing_ ? 1 : 0), outgoing_.end());
     reactor_->Finish(std::move(status));
   }
 
   mutable Mutex mu_;
   Reactor* reactor_ ABSL_GUARDED_BY(mu_);  // Not owned; null once it is done.
-  // The front one is being written while writing_; a deque's front stays where it is.
+  // The front one is being written while writing_, and stays where it is: only others are added
+  // and erased, at the back.
   std::deque<Out> outgoing_ ABSL_GUARDED_BY(mu_);
   bool writing_ ABSL_GUARDED_BY(mu_) = false;
   bool finishing_ ABSL_GUARDED_BY(mu_) = false;

@@ -29,11 +29,40 @@ def decided(fleet):
     return [each for each in fleet.history() if not each["refused"]]
 
 
-def never_lower(fleet, before):
-    """No decision since `before` (a list of decisions) went down."""
-    for each in decided(fleet)[len(before):]:
-        check(LEVELS.index(each["to"]) >= LEVELS.index(each["from"]),
-              f"the level went from {each['from']} to {each['to']}: {each['cause']}")
+def may_lower(*steps):
+    """The scenario asks for these lowerings, (cause, from, to), each once."""
+    def decorate(scenario):
+        scenario.lowers = steps
+        return scenario
+    return decorate
+
+
+def mark_of(record):
+    return tuple(int(part) for part in record["mark"].split("."))
+
+
+def never_lower(fleet, asked=()):
+    """No decision in the robot's history went down, but for the steps asked for; none is missing
+    between two others; and the robot's level is what was decided last."""
+    decisions = decided(fleet)
+    status = fleet.level()  # after the history: can only be newer
+    check(decisions, "no decision is recorded")
+    left = list(asked)
+    for former, each in zip([None] + decisions, decisions):
+        step = (each["cause"], each["from"], each["to"])
+        if LEVELS.index(each["to"]) < LEVELS.index(each["from"]):
+            check(step in left, f"the level went down: {step}, {each['reason']}")
+            left.remove(step)
+        if former is None:
+            continue
+        check(each["from"] == former["to"],
+              f"from {former['to']} to {each['from']} without a decision, before {each}")
+        check(mark_of(each) > mark_of(former), f"{each} is not later than {former}")
+    check(not left, f"asked for and not done: {left}")
+    last = decisions[-1]
+    if mark_of(status) == mark_of(last):
+        check(status["decided_level"] == last["to"], f"{status} is not as decided: {last}")
+    check(mark_of(status) >= mark_of(last), f"{status} is older than {last}")
 
 
 def compromise(fleet):
@@ -89,17 +118,18 @@ def kill_server_at_the_moment_of_a_raise(fleet):
     check(fleet.level()["decided_level"] == "COMPROMISED", "the level sank")
 
 
+@may_lower(("rule calm", "ALERT", "DEFAULT"))
 def kill_sensor_in_the_story(fleet):
     fleet.arm()
     spy = fleet.start_intruder("unknown-node")
     fleet.wait_level("ALERT", 20)
-    before = decided(fleet)
     fleet.sensor.kill(signal.SIGKILL)
     spy.kill()  # nobody sees it leave
 
     time.sleep(8)
 
-    never_lower(fleet, before)
+    never_lower(fleet)
+    check(fleet.level()["decided_level"] == "ALERT", "the level has changed")
     check(any("sensor base is lost" in a["text"] for a in fleet.alerts()), "its loss is not told")
     code, _, error = fleet.ripsctl("level", "lower", "r1", "--to", "DEFAULT", "--reason", "try",
                                    check=False)
@@ -126,6 +156,7 @@ def kill_actuator_while_compromised(fleet):
     check([d["mark"] for d in decided(fleet)] == [d["mark"] for d in before], "decisions changed")
 
 
+@may_lower(("rule calm", "ALERT", "DEFAULT"))
 def server_absent_at_agent_start(fleet):
     fleet.prepare()
     with socket.socket() as probe:
@@ -293,6 +324,7 @@ def main():
     fleet.leftovers = [directory]  # removed if all went well
     try:
         scenario(fleet)
+        never_lower(fleet, getattr(scenario, "lowers", ()))
     except Skipped as skipped:
         print(f"skipped {scenario.__name__}: {skipped}")
         return 77

@@ -11,6 +11,7 @@
 #include "policy_server/lang/compile.h"
 #include "sensor_agent/config.h"
 #include "services/base/status_matchers.h"
+#include "services/runtime/real_clock.h"
 
 namespace rips {
 namespace {
@@ -38,10 +39,11 @@ TEST(ShippedFilesTest, ExampleConfigurationsAreAccepted) {
 }
 
 TEST(ShippedFilesTest, PoliciesCompileWithoutWarnings) {
+  const RealClock clock;
   int bundles = 0;
   for (const auto& entry : std::filesystem::directory_iterator(RIPS_SOURCE_DIR "/rules")) {
     if (!entry.is_directory()) continue;
-    const auto loaded = bundle::LoadBundle(entry.path());
+    const auto loaded = bundle::LoadBundle(entry.path(), &clock);
     ASSERT_THAT(loaded, IsOk()) << entry.path();
     EXPECT_THAT(loaded->warnings, Not(HasSubstr("warning:"))) << entry.path();
     EXPECT_EQ(loaded->manifest.name, entry.path().filename());

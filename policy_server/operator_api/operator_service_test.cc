@@ -1,0 +1,270 @@
+// The limits of the operators' service, over real gRPC.
+#include "policy_server/operator_api/operator_service.h"
+
+#include <memory>
+#include <string>
+#include <utility>
+#include <vector>
+
+#include "gmock/gmock.h"
+#include "gtest/gtest.h"
+#include "policy_server/pipeline/robot_fixture.h"
+#include "policy_server/store/fake_store.h"
+#include "services/base/ids.h"
+#include "services/base/status_matchers.h"
+#include "services/rpc/bidi_client.h"
+#include "services/rpc/credentials.h"
+#include "services/rpc/server_builder.h"
+#include "services/rpc/test_pki.h"
+#include "services/runtime/real_clock.h"
+
+namespace rips::operator_api {
+namespace {
+
+using ::testing::HasSubstr;
+
+constexpr absl::Duration kPatience = absl::Seconds(60);
+// Calls on one connection: below the server's limit, beyond which a client waits without an error.
+constexpr size_t kCallsPerChannel = 90;
+
+// A store whose lists take until the test lets them.
+class SlowStore final : public store::Store {
+ public:
+  using Store::NextTerm;
+  absl::StatusOr<store::RobotRecord> Load(absl::string_view robot) override {
+    return inner_.Load(robot);
+  }
+  absl::StatusOr<uint64_t> NextTerm(absl::string_view robot, uint64_t above) override {
+    return inner_.NextTerm(robot, above);
+  }
+  absl::StatusOr<bool> HasMark(absl::string_view robot, const Mark& mark) override {
+    return inner_.HasMark(robot, mark);
+  }
+  absl::Status CommitAll(std::span<const store::WriteBatch> batches) override {
+    return inner_.CommitAll(batches);
+  }
+  absl::StatusOr<std::vector<store::TransitionRecord>> ListTransitions(absl::string_view robot,
+                                                                       uint32_t limit) override {
+    reading.Push(1);
+    gate.Pop(kPatience);
+    return inner_.ListTransitions(robot, limit);
+  }
+  absl::StatusOr<std::vector<store::AlertRecord>> ListAlerts(absl::string_view robot,
+                                                             uint32_t limit) override {
+    return inner_.ListAlerts(robot, limit);
+  }
+
+  // One item per list that has begun.
+  BoundedQueue<int> reading{{.capacity = 10'000}};
+  // Closed, it holds nobody back.
+  BoundedQueue<int> gate{{.capacity = 1}};
+
+ private:
+  store::FakeStore inner_;
+};
+
+// Lists of transitions that are under way together.
+struct Lists {
+  struct Call {
+    grpc::ClientContext context;
+    rips::v1::ListTransitionsRequest request;
+    rips::v1::ListTransitionsResponse response;
+  };
+  std::vector<std::unique_ptr<Call>> calls;
+  BoundedQueue<grpc::Status> ends{{.capacity = 10'000}};
+  size_t ended = 0;
+
+  // How the next one ended.
+  grpc::Status Next() {
+    const auto end = ends.Pop(kPatience);
+    if (!end) return grpc::Status(grpc::StatusCode::UNKNOWN, "none has ended");
+    ++ended;
+    return *end;
+  }
+};
+
+class OperatorServiceTest : public ::testing::Test {
+ protected:
+  static void SetUpTestSuite() {
+    pki_ = new rpc::TestPki();
+    server_credentials_ = new auto(*rpc::Credentials::Load(pki_->Server()));
+    operator_credentials_ = new auto(*rpc::Credentials::Load(pki_->Operator()));
+  }
+  static void TearDownTestSuite() {
+    delete operator_credentials_;
+    delete server_credentials_;
+    delete pki_;
+  }
+
+  void SetUp() override {
+    lang::CompileResult compiled =
+        lang::Compile({{.path = "test.rul", .text = pipeline::kPaperRules}});
+    ASSERT_TRUE(compiled.rules);
+    auto program = engine::Program::Create(*std::move(compiled.rules));
+    ASSERT_THAT(program, IsOk());
+    ASSERT_THAT(pipeline_.Add({.id = "r1",
+                               .sensor_hosts = {"base"},
+                               .primary_sensor = "base",
+                               .actuator_hosts = {"base"}},
+                              {.program = *program, .bundle_id = "sha256:0"}, {}, {}, 1,
+                              {.recorder = &recorder_, .audience = &hub_, .new_id = NewId}),
+                IsOk());
+    pipeline_.Start();
+    service_ = std::make_unique<OperatorService>(&pipeline_, &store_, &hub_);
+    auto server = rpc::RpcServer::Start(
+        {.listen = "127.0.0.1:0", .credentials = (*server_credentials_)->ForServer()},
+        {service_.get()});
+    ASSERT_THAT(server, IsOk());
+    server_ = *std::move(server);
+  }
+  void TearDown() override {
+    store_.gate.Close();
+    while (lists_.ended < lists_.calls.size()) lists_.Next();
+    server_.reset();
+    service_.reset();
+    pipeline_.Stop();
+  }
+
+  using Stub = rips::v1::OperatorService::Stub;
+  std::shared_ptr<Stub> Connect() {
+    return rips::v1::OperatorService::NewStub(
+        rpc::MakeChannel(server_->address(), (*operator_credentials_)->ForClient()));
+  }
+  // A stub for the `n`th of many calls, each on a connection with few others.
+  Stub& StubFor(size_t n) {
+    while (stubs_.size() <= n / kCallsPerChannel) stubs_.push_back(Connect());
+    return *stubs_[n / kCallsPerChannel];
+  }
+  static void SetDeadline(grpc::ClientContext& context) {
+    context.set_deadline(std::chrono::system_clock::now() + absl::ToChronoSeconds(kPatience));
+  }
+
+  void List() {
+    Lists::Call& call = *lists_.calls.emplace_back(std::make_unique<Lists::Call>());
+    SetDeadline(call.context);
+    call.request.set_robot("r1");
+    StubFor(lists_.calls.size())
+        .async()
+        ->ListTransitions(&call.context, &call.request, &call.response,
+                          [this](grpc::Status status) { lists_.ends.Push(std::move(status)); });
+  }
+  // One is being read, as many wait as may, and `over` more.
+  void FillReads(size_t over) {
+    List();
+    ASSERT_TRUE(store_.reading.Pop(kPatience).has_value());
+    for (size_t i = 0; i < OperatorService::kReadsMax + over; ++i) List();
+    for (size_t i = 0; i < over; ++i) {
+      const grpc::Status end = lists_.Next();
+      EXPECT_EQ(end.error_code(), grpc::StatusCode::RESOURCE_EXHAUSTED);
+      EXPECT_THAT(end.error_message(), HasSubstr("1024 reads of the store wait already"));
+    }
+  }
+
+  static rpc::TestPki* pki_;
+  static std::shared_ptr<const rpc::Credentials>* server_credentials_;
+  static std::shared_ptr<const rpc::Credentials>* operator_credentials_;
+  RealClock clock_;
+  SlowStore store_;
+  Hub hub_{nullptr};
+  pipeline::FakeRecorder recorder_;
+  pipeline::Pipeline pipeline_{1, &clock_};
+  std::unique_ptr<OperatorService> service_;
+  std::unique_ptr<rpc::RpcServer> server_;
+  std::vector<std::shared_ptr<Stub>> stubs_;
+  Lists lists_;
+};
+rpc::TestPki* OperatorServiceTest::pki_ = nullptr;
+std::shared_ptr<const rpc::Credentials>* OperatorServiceTest::server_credentials_ = nullptr;
+std::shared_ptr<const rpc::Credentials>* OperatorServiceTest::operator_credentials_ = nullptr;
+
+// A watch of the robots, or of alerts.
+template <typename T>
+struct Watch {
+  T item;
+  grpc::ClientContext context;
+  std::unique_ptr<grpc::ClientReader<T>> reader;
+
+  bool Read() { return reader->Read(&item); }
+  grpc::Status End() {
+    while (Read()) {
+    }
+    return reader->Finish();
+  }
+};
+
+TEST_F(OperatorServiceTest, RefusesOneWatchTooManyUntilAnotherEnds) {
+  const auto watch_robots = [&](Stub& stub) {
+    auto watch = std::make_unique<Watch<rips::v1::RobotStatus>>();
+    SetDeadline(watch->context);
+    watch->reader = stub.WatchRobots(&watch->context, {});
+    return watch;
+  };
+  std::vector<std::unique_ptr<Watch<rips::v1::RobotStatus>>> watches;
+  for (size_t i = 0; i < Hub::kWatchersMax; ++i) watches.push_back(watch_robots(StubFor(i)));
+  for (const auto& watch : watches) {
+    ASSERT_TRUE(watch->Read());  // from here on it counts
+    EXPECT_EQ(watch->item.robot(), "r1");
+  }
+
+  const grpc::Status refused = watch_robots(StubFor(Hub::kWatchersMax))->End();
+  EXPECT_EQ(refused.error_code(), grpc::StatusCode::RESOURCE_EXHAUSTED);
+  EXPECT_THAT(refused.error_message(), HasSubstr("256 operators watch already"));
+  Watch<rips::v1::Alert> alerts;
+  SetDeadline(alerts.context);
+  alerts.reader = StubFor(Hub::kWatchersMax).WatchAlerts(&alerts.context, {});
+  EXPECT_EQ(alerts.End().error_code(), grpc::StatusCode::RESOURCE_EXHAUSTED);
+
+  // Nothing happens on the robot meanwhile: leaving alone makes room.
+  watches[7]->context.TryCancel();
+  EXPECT_EQ(watches[7]->End().error_code(), grpc::StatusCode::CANCELLED);
+  const int64_t deadline_ns = BoottimeAfter(kPatience);
+  while (true) {
+    watches[7] = watch_robots(StubFor(Hub::kWatchersMax));
+    if (watches[7]->Read()) break;  // the server may learn of the end later than its peer
+    ASSERT_EQ(watches[7]->End().error_code(), grpc::StatusCode::RESOURCE_EXHAUSTED);
+    ASSERT_LT(BoottimeNow(), deadline_ns);
+  }
+
+  EXPECT_EQ(watches[7]->item.robot(), "r1");
+  EXPECT_EQ(watch_robots(StubFor(Hub::kWatchersMax))->End().error_code(),
+            grpc::StatusCode::RESOURCE_EXHAUSTED);
+}
+
+TEST_F(OperatorServiceTest, RefusesReadsBeyondTheLimitAtOnceAndAnswersTheRest) {
+  ASSERT_NO_FATAL_FAILURE(FillReads(20));
+  EXPECT_EQ(lists_.ends.size(), 0u);
+
+  store_.gate.Close();
+
+  for (size_t i = 0; i < OperatorService::kReadsMax + 1; ++i) {
+    const grpc::Status end = lists_.Next();
+    EXPECT_TRUE(end.ok()) << end.error_message();
+  }
+}
+
+TEST_F(OperatorServiceTest, LevelsCanBeChangedWhileReadsWait) {
+  ASSERT_NO_FATAL_FAILURE(FillReads(1));
+  const std::shared_ptr<Stub> stub = Connect();
+
+  grpc::ClientContext raise;
+  SetDeadline(raise);
+  rips::v1::LevelRequest request;
+  request.set_robot("r1");
+  request.set_to("HALT");
+  request.set_reason("drill");
+  rips::v1::LevelResponse response;
+  const grpc::Status raised = stub->Raise(&raise, request, &response);
+  EXPECT_TRUE(raised.ok()) << raised.error_message();
+  EXPECT_EQ(response.decided_level(), "HALT");
+
+  // Its answer ends with the newest transition, which must be read.
+  grpc::ClientContext get;
+  SetDeadline(get);
+  rips::v1::GetLevelRequest which;
+  which.set_robot("r1");
+  rips::v1::GetLevelResponse level;
+  EXPECT_EQ(stub->GetLevel(&get, which, &level).error_code(), grpc::StatusCode::RESOURCE_EXHAUSTED);
+}
+
+}  // namespace
+}  // namespace rips::operator_api

@@ -1,0 +1,137 @@
+#include "services/ripsctl/rules_fmt.h"
+
+#include <errno.h>
+#include <sys/stat.h>
+
+#include <CLI/CLI.hpp>
+#include <algorithm>
+#include <cstring>
+#include <filesystem>
+#include <nlohmann/json.hpp>
+#include <string>
+#include <system_error>
+#include <utility>
+#include <vector>
+
+#include "absl/strings/str_cat.h"
+#include "policy_server/lang/formatter.h"
+#include "policy_server/lang/limits.h"
+#include "services/base/status_macros.h"
+#include "services/ripsctl/json_view.h"
+#include "services/ripsctl/printer.h"
+#include "services/runtime/atomic_file.h"
+
+namespace rips::ripsctl {
+namespace {
+
+// As a path on the command line, and in diagnostics.
+constexpr absl::string_view kStandardInput = "-";
+constexpr absl::string_view kStandardInputName = "<stdin>";
+
+absl::StatusOr<std::string> ReadStandardInput(std::istream* in) {
+  if (in == nullptr) return "";
+  std::string text(lang::kFileBytesMax + 1, '\0');
+  in->read(text.data(), static_cast<std::streamsize>(text.size()));
+  if (in->bad()) return absl::UnavailableError("cannot read standard input");
+  text.resize(static_cast<size_t>(in->gcount()));
+  if (text.size() > lang::kFileBytesMax) {
+    return absl::ResourceExhaustedError(
+        absl::StrCat("standard input has more than ", lang::kFileBytesMax, " bytes"));
+  }
+  return text;
+}
+
+// Keeps the file's mode; follows a link to the file.
+absl::Status Rewrite(const std::string& path, absl::string_view text) {
+  std::error_code error;
+  const std::string target = std::filesystem::canonical(path, error).string();
+  if (error) return absl::UnavailableError(absl::StrCat(path, ": ", error.message()));
+  struct stat status = {};
+  if (stat(target.c_str(), &status) != 0) {
+    return absl::UnavailableError(absl::StrCat(path, ": ", std::strerror(errno)));
+  }
+  return WriteFileAtomically(target, text, status.st_mode & 07777);
+}
+
+class FmtRulesCommand final : public Command {
+ public:
+  absl::string_view noun() const override { return "rules"; }
+  absl::string_view verb() const override { return "fmt"; }
+  absl::string_view synopsis() const override {
+    return "Lay rule files out in one style, comments and all; needs no server";
+  }
+  bool needs_server() const override { return false; }
+  void AddFlags(CLI::App& app) override {
+    app.add_option("FILE", paths_, "Rule files; - is standard input")->required();
+    CLI::Option* write = app.add_flag("--write", write_, "Rewrite the files, name those changed");
+    app.add_flag("--check", check_, "Only name the files that would change; exit with 1 if any")
+        ->excludes(write);
+  }
+
+  ExitCode Run(Env& env) override {
+    const bool prints = !write_ && !check_;
+    if (prints && paths_.size() > 1) {
+      return UsageError(env, "to print, give one file; to treat several, add --write or --check");
+    }
+    std::vector<lang::SourceFile> files;
+    for (const std::string& path : paths_) {
+      absl::StatusOr<lang::SourceFile> file = Read(env, path);
+      if (!file.ok()) return UsageError(env, file.status().message());
+      files.push_back(*std::move(file));
+    }
+    Json all = Json::array();
+    ExitCode code = ExitCode::kDone;
+    for (const lang::SourceFile& file : files) {
+      const lang::FormatResult result = lang::Format(file);
+      const bool changed = result.text.has_value() && *result.text != file.text;
+      if (changed && write_) {
+        const absl::Status written = Rewrite(file.path, *result.text);
+        if (!written.ok()) return UsageError(env, written.message());
+      }
+      if (!result.text.has_value() || (changed && check_)) code = ExitCode::kRefused;
+      if (env.json()) {
+        all.push_back(ToJson(file, result, changed, prints));
+      } else if (!result.text.has_value()) {
+        env.err << lang::RenderText({file}, result.diagnostics);
+      } else if (prints) {
+        env.out << *result.text;
+      } else if (changed) {
+        env.out << EscapeText(file.path) << "\n";
+      }
+    }
+    if (env.json()) PrintJson({{"files", all}}, env.out);
+    return code;
+  }
+
+ private:
+  absl::StatusOr<lang::SourceFile> Read(Env& env, const std::string& path) const {
+    if (path != kStandardInput) {
+      RIPS_ASSIGN_OR_RETURN(std::string text, ReadFile(path, lang::kFileBytesMax));
+      return lang::SourceFile{.path = path, .text = std::move(text)};
+    }
+    if (write_) return absl::InvalidArgumentError("--write cannot rewrite standard input (`-`)");
+    if (std::count(paths_.begin(), paths_.end(), kStandardInput) > 1) {
+      return absl::InvalidArgumentError("standard input (`-`) can be read only once");
+    }
+    RIPS_ASSIGN_OR_RETURN(std::string text, ReadStandardInput(env.in));
+    return lang::SourceFile{.path = std::string(kStandardInputName), .text = std::move(text)};
+  }
+
+  static Json ToJson(const lang::SourceFile& file, const lang::FormatResult& result, bool changed,
+                     bool prints) {
+    Json out = Json::parse(lang::RenderJson({file}, result.diagnostics))["files"][0];
+    out["changed"] = changed;
+    if (prints && result.text.has_value()) out["text"] = *result.text;
+    return out;
+  }
+
+  std::vector<std::string> paths_;
+  bool write_ = false;
+  bool check_ = false;
+};
+
+}  // namespace
+
+std::unique_ptr<Command> FmtRules() { return std::make_unique<FmtRulesCommand>(); }
+
+}  // namespace rips::ripsctl

@@ -1,0 +1,140 @@
+#include "services/rpc/session_watch.h"
+
+#include <string>
+#include <vector>
+
+#include "gmock/gmock.h"
+#include "gtest/gtest.h"
+#include "services/base/fake_clock.h"
+#include "services/runtime/bounded_queue.h"
+
+namespace rips::rpc {
+namespace {
+
+using ::testing::IsEmpty;
+using ::testing::SizeIs;
+
+class SessionWatchTest : public ::testing::Test {
+ protected:
+  static constexpr int64_t kHelloNs = 5 * kNanosPerSecond;
+
+  struct Watched {
+    std::vector<grpc::Status> ends;
+    std::shared_ptr<SessionWatch::Session> session;
+  };
+  void Add(Watched* watched, absl::Time not_after = absl::InfiniteFuture()) {
+    watched->session = watch_.Add(
+        not_after, [watched](const grpc::Status& status) { watched->ends.push_back(status); });
+  }
+  absl::Time Wall() const { return absl::FromUnixNanos(clock_.Now().unix_ns); }
+
+  FakeClock clock_;
+  SessionWatch watch_{&clock_, absl::InfiniteDuration()};
+};
+
+TEST_F(SessionWatchTest, EndsAStreamWithoutHelloAfterFiveSeconds) {
+  Watched silent;
+  Add(&silent);
+
+  clock_.Advance(kHelloNs);
+  watch_.Look();
+  EXPECT_THAT(silent.ends, IsEmpty());
+  clock_.Advance(1);
+  watch_.Look();
+
+  ASSERT_THAT(silent.ends, SizeIs(1));
+  EXPECT_EQ(silent.ends[0].error_code(), grpc::StatusCode::DEADLINE_EXCEEDED);
+  EXPECT_EQ(silent.ends[0].error_message(), "no hello within 5s");
+}
+
+TEST_F(SessionWatchTest, EachStreamHasItsOwnFiveSeconds) {
+  Watched early;
+  Watched late;
+  Add(&early);
+  clock_.Advance(kHelloNs);
+  Add(&late);
+
+  clock_.Advance(1);
+  watch_.Look();
+
+  EXPECT_THAT(early.ends, SizeIs(1));
+  EXPECT_THAT(late.ends, IsEmpty());
+}
+
+TEST_F(SessionWatchTest, AStreamThatSaidHelloStays) {
+  Watched greeted;
+  Add(&greeted);
+  clock_.Advance(kHelloNs);
+  greeted.session->greeted = true;
+
+  clock_.Advance(3600 * kNanosPerSecond);
+  watch_.Look();
+
+  EXPECT_THAT(greeted.ends, IsEmpty());
+}
+
+TEST_F(SessionWatchTest, AJumpOfTheWallClockIsNoTimeWithoutHello) {
+  Watched silent;
+  Add(&silent);
+
+  clock_.JumpUnix(3600 * kNanosPerSecond);
+  watch_.Look();
+  EXPECT_THAT(silent.ends, IsEmpty());
+  clock_.JumpUnix(-7200 * kNanosPerSecond);
+  clock_.Advance(kHelloNs + 1);
+  watch_.Look();
+
+  EXPECT_THAT(silent.ends, SizeIs(1));
+}
+
+TEST_F(SessionWatchTest, EndsAStreamWhoseCertificateExpiresWhileItLives) {
+  Watched session;
+  Watched longer;
+  Add(&session, Wall() + absl::Hours(1));
+  Add(&longer, Wall() + absl::Hours(2));
+  session.session->greeted = true;
+  longer.session->greeted = true;
+
+  clock_.Advance(3600 * kNanosPerSecond);
+  watch_.Look();
+  EXPECT_THAT(session.ends, IsEmpty());  // still in its last instant
+  clock_.Advance(1);
+  watch_.Look();
+
+  ASSERT_THAT(session.ends, SizeIs(1));
+  EXPECT_EQ(session.ends[0].error_code(), grpc::StatusCode::UNAUTHENTICATED);
+  EXPECT_EQ(session.ends[0].error_message(), "the certificate has expired");
+  EXPECT_THAT(longer.ends, IsEmpty());
+}
+
+TEST_F(SessionWatchTest, ForgetsAStreamThatIsOver) {
+  Watched over;
+  Watched open;
+  Add(&over);
+  Add(&open);
+  over.session.reset();
+
+  clock_.Advance(kHelloNs + 1);
+  watch_.Look();
+  watch_.CloseAll(grpc::Status(grpc::StatusCode::UNAVAILABLE, "stopping"));
+
+  EXPECT_THAT(over.ends, IsEmpty());
+  ASSERT_THAT(open.ends, SizeIs(2));
+  EXPECT_EQ(open.ends[1].error_message(), "stopping");
+}
+
+TEST_F(SessionWatchTest, LooksByItselfAtTheInterval) {
+  BoundedQueue<grpc::Status> ends({.capacity = 1});
+  SessionWatch watch(&clock_, absl::Milliseconds(1));
+  const auto session =
+      watch.Add(absl::InfiniteFuture(), [&](const grpc::Status& status) { ends.Push(status); });
+
+  clock_.Advance(kHelloNs + 1);
+
+  const auto end = ends.Pop(absl::Seconds(30));
+  ASSERT_TRUE(end.has_value());
+  EXPECT_EQ(end->error_code(), grpc::StatusCode::DEADLINE_EXCEEDED);
+}
+
+}  // namespace
+}  // namespace rips::rpc

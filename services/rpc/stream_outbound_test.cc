@@ -1,0 +1,121 @@
+#include "services/rpc/stream_outbound.h"
+
+#include <memory>
+#include <string>
+#include <vector>
+
+#include "gmock/gmock.h"
+#include "gtest/gtest.h"
+
+namespace rips::rpc {
+namespace {
+
+using ::testing::ElementsAre;
+
+// Its copies say how many messages are held.
+using Token = std::shared_ptr<const int>;
+
+struct FakeReactor {
+  void StartWrite(const Token* message) { writing.push_back(**message); }
+  void Finish(grpc::Status status) { ends.push_back(std::move(status)); }
+  std::vector<int> writing;
+  std::vector<grpc::Status> ends;
+};
+using FakeOutbound = StreamOutbound<FakeReactor, Token>;
+
+Token MakeToken(int number) { return std::make_shared<const int>(number); }
+
+TEST(StreamOutboundTest, WritesOneAfterTheOtherInOrder) {
+  FakeReactor reactor;
+  FakeOutbound outbound(&reactor);
+
+  for (int i = 1; i <= 3; ++i) EXPECT_TRUE(outbound.Send(MakeToken(i)));
+
+  EXPECT_THAT(reactor.writing, ElementsAre(1));
+  for (int i = 1; i <= 3; ++i) outbound.OnWritten(true);
+  EXPECT_THAT(reactor.writing, ElementsAre(1, 2, 3));
+  EXPECT_TRUE(outbound.Send(MakeToken(4)));
+  EXPECT_THAT(reactor.writing, ElementsAre(1, 2, 3, 4));
+  EXPECT_TRUE(outbound.open());
+}
+
+TEST(StreamOutboundTest, OneMoreThanTheLimitEndsTheCallAndLetsGoOfWhatWaited) {
+  FakeReactor reactor;
+  FakeOutbound outbound(&reactor);
+  const Token message = MakeToken(1);
+  for (size_t i = 0; i < FakeOutbound::kOutgoingMax; ++i) ASSERT_TRUE(outbound.Send(message)) << i;
+  EXPECT_TRUE(outbound.open());
+  EXPECT_EQ(message.use_count(), 1 + static_cast<long>(FakeOutbound::kOutgoingMax));
+
+  EXPECT_FALSE(outbound.Send(message));
+
+  EXPECT_FALSE(outbound.open());
+  ASSERT_EQ(reactor.ends.size(), 1u);
+  EXPECT_EQ(reactor.ends[0].error_code(), grpc::StatusCode::RESOURCE_EXHAUSTED);
+  EXPECT_EQ(reactor.ends[0].error_message(), "the peer does not read what it is sent");
+  EXPECT_EQ(message.use_count(), 2);  // only the one that is being written
+  for (int i = 0; i < 10'000; ++i) EXPECT_FALSE(outbound.Send(message));
+  EXPECT_EQ(message.use_count(), 2);
+  outbound.OnWritten(true);
+  EXPECT_EQ(message.use_count(), 1);
+  EXPECT_EQ(reactor.writing.size(), 1u);
+  EXPECT_EQ(reactor.ends.size(), 1u);
+}
+
+TEST(StreamOutboundTest, RoomIsMadeByEachWrite) {
+  FakeReactor reactor;
+  FakeOutbound outbound(&reactor);
+  for (size_t i = 0; i < FakeOutbound::kOutgoingMax; ++i)
+    ASSERT_TRUE(outbound.Send(MakeToken(1))) << i;
+
+  outbound.OnWritten(true);
+
+  EXPECT_TRUE(outbound.Send(MakeToken(2)));
+  EXPECT_FALSE(outbound.Send(MakeToken(3)));
+}
+
+TEST(StreamOutboundTest, OnlyTheFirstEndCounts) {
+  FakeReactor reactor;
+  FakeOutbound outbound(&reactor);
+  const Token message = MakeToken(1);
+  outbound.Send(message);
+  outbound.Send(message);
+
+  outbound.Close(grpc::Status(grpc::StatusCode::ABORTED, "first"));
+  outbound.Close(grpc::Status::OK);
+  outbound.OnWritten(false);
+
+  ASSERT_EQ(reactor.ends.size(), 1u);
+  EXPECT_EQ(reactor.ends[0].error_message(), "first");
+  EXPECT_EQ(message.use_count(), 1);
+}
+
+TEST(StreamOutboundTest, AFailedWriteEndsTheCall) {
+  FakeReactor reactor;
+  FakeOutbound outbound(&reactor);
+  outbound.Send(MakeToken(1));
+  outbound.Send(MakeToken(2));
+
+  outbound.OnWritten(false);
+
+  ASSERT_EQ(reactor.ends.size(), 1u);
+  EXPECT_EQ(reactor.ends[0].error_code(), grpc::StatusCode::UNAVAILABLE);
+  EXPECT_FALSE(outbound.Send(MakeToken(3)));
+  EXPECT_THAT(reactor.writing, ElementsAre(1));
+}
+
+TEST(StreamOutboundTest, NothingReachesAReactorThatIsDone) {
+  FakeReactor reactor;
+  FakeOutbound outbound(&reactor);
+  outbound.Detach();
+
+  EXPECT_FALSE(outbound.Send(MakeToken(1)));
+  outbound.Close(grpc::Status::OK);
+
+  EXPECT_FALSE(outbound.open());
+  EXPECT_TRUE(reactor.writing.empty());
+  EXPECT_TRUE(reactor.ends.empty());
+}
+
+}  // namespace
+}  // namespace rips::rpc
