@@ -5,6 +5,7 @@
 #include <utility>
 
 #include "absl/strings/str_cat.h"
+#include "policy_server/pooled_inspector.h"
 #include "services/base/ids.h"
 #include "services/base/status_macros.h"
 #include "services/runtime/log.h"
@@ -18,24 +19,6 @@ constexpr absl::Duration kShutdownGrace = absl::Seconds(2);
 absl::Status WithContext(absl::string_view context, const absl::Status& status) {
   if (status.ok()) return status;
   return absl::Status(status.code(), absl::StrCat(context, ": ", status.message()));
-}
-
-absl::StatusOr<pipeline::Policy> LoadPolicy(const std::string& dir, const std::string& name) {
-  RIPS_ASSIGN_OR_RETURN(bundle::Bundle loaded, bundle::LoadBundle(dir));
-  if (loaded.manifest.name != name) {
-    return absl::InvalidArgumentError(absl::StrCat("its manifest calls it `", loaded.manifest.name,
-                                                   "`; the inventory wants `", name, "`"));
-  }
-  if (!loaded.warnings.empty()) {
-    LogInfo("the rule compiler remarks", {{"bundle", dir}, {"text", loaded.warnings}});
-  }
-  LogInfo("bundle loaded", {{"bundle", loaded.manifest.name},
-                            {"id", loaded.id},
-                            {"rules", loaded.program->rules().rules.size()}});
-  return pipeline::Policy{.program = loaded.program,
-                          .bundle_id = loaded.id,
-                          .start_level = loaded.start_level,
-                          .soft_hold_ns = absl::ToInt64Nanoseconds(loaded.manifest.soft_hold)};
 }
 
 pipeline::Timing ToPipeline(const Timing& timing) {
@@ -80,8 +63,36 @@ absl::Status Server::Open() {
   RIPS_ASSIGN_OR_RETURN(alert_log_, store::AlertLog::Open(config_.alerts_file));
   hub_ = std::make_unique<operator_api::Hub>(alert_log_.get());
   committer_ = std::make_unique<store::Committer>(store_.get());
+  // Half the machine at most: scanning must not keep shards from judging.
+  const int threads = static_cast<int>(std::thread::hardware_concurrency()) / 2;
+  inspections_ = std::make_unique<inspect::InspectionPool>(
+      inspect::PoolOptions{.threads = std::max(1, threads)}, &clock_);
   recorder_ = std::make_unique<pipeline::StoreRecorder>(store_.get(), committer_.get());
   return absl::OkStatus();
+}
+
+absl::StatusOr<pipeline::Policy> Server::LoadPolicy(const std::string& dir,
+                                                    const std::string& name) {
+  RIPS_ASSIGN_OR_RETURN(bundle::Bundle loaded, bundle::LoadBundle(dir, &clock_));
+  if (loaded.manifest.name != name) {
+    return absl::InvalidArgumentError(absl::StrCat("its manifest calls it `", loaded.manifest.name,
+                                                   "`; the inventory wants `", name, "`"));
+  }
+  if (!loaded.warnings.empty()) {
+    LogInfo("the rule compiler remarks", {{"bundle", dir}, {"text", loaded.warnings}});
+  }
+  LogInfo("bundle loaded", {{"bundle", loaded.manifest.name},
+                            {"id", loaded.id},
+                            {"rules", loaded.program->rules().rules.size()}});
+  std::shared_ptr<pipeline::Inspector> inspector;
+  if (loaded.inspections != nullptr) {
+    inspector = std::make_shared<PooledInspector>(inspections_.get(), loaded.inspections);
+  }
+  return pipeline::Policy{.program = loaded.program,
+                          .bundle_id = loaded.id,
+                          .start_level = loaded.start_level,
+                          .soft_hold_ns = absl::ToInt64Nanoseconds(loaded.manifest.soft_hold),
+                          .inspector = std::move(inspector)};
 }
 
 absl::Status Server::LoadPolicies() {
@@ -146,7 +157,7 @@ absl::Status Server::Listen() {
     return metrics_.AddCounter("rips_streams_total", "Streams opened by agents.",
                                {{"agent", agent}});
   };
-  watch_ = std::make_unique<rpc::SessionWatch>();
+  watch_ = std::make_unique<rpc::SessionWatch>(&clock_);
   sensors_ = std::make_unique<ingest::SensorService>(
       pipeline_.get(), watch_.get(),
       ingest::IngestMetrics{.malformed = malformed("sensor"), .streams = streams("sensor")});
@@ -215,7 +226,9 @@ void Server::Stop() {
     watch_->CloseAll(grpc::Status(grpc::StatusCode::UNAVAILABLE, "the server is stopping"));
     rpc_->Shutdown(kShutdownGrace);
   }
+  // What is still being inspected is judged by whoever gets it again.
   pipeline_->Stop();
+  inspections_->Stop();
   committer_->Stop();
 }
 

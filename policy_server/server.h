@@ -13,6 +13,7 @@
 #include "policy_server/config/config.h"
 #include "policy_server/dispatch/actuator_service.h"
 #include "policy_server/ingest/sensor_service.h"
+#include "policy_server/inspect/inspection_pool.h"
 #include "policy_server/operator_api/hub.h"
 #include "policy_server/operator_api/operator_service.h"
 #include "policy_server/pipeline/pipeline.h"
@@ -49,6 +50,7 @@ class Server {
   explicit Server(const ServerConfig& config);
   absl::Status Open();
   absl::Status LoadPolicies();
+  absl::StatusOr<pipeline::Policy> LoadPolicy(const std::string& dir, const std::string& name);
   absl::Status AddRobots();
   absl::Status Listen();
   pipeline::Counts MakeCounts();
@@ -61,6 +63,8 @@ class Server {
   bundle::Inventory inventory_;
   // By name.
   absl::btree_map<std::string, pipeline::Policy> policies_;
+  // After what plugins and scanners answer to, before what asks them.
+  std::unique_ptr<inspect::InspectionPool> inspections_;
   std::unique_ptr<store::Store> store_;
   std::unique_ptr<store::AlertLog> alert_log_;
   std::unique_ptr<operator_api::Hub> hub_;

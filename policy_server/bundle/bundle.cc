@@ -6,6 +6,8 @@
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_join.h"
 #include "policy_server/bundle/bundle_files.h"
+#include "policy_server/bundle/inspection_source.h"
+#include "policy_server/inspect/checked_files.h"
 #include "policy_server/lang/compile.h"
 #include "policy_server/lang/limits.h"
 #include "services/base/status_macros.h"
@@ -39,19 +41,25 @@ absl::StatusOr<std::vector<lang::SourceFile>> ReadRuleFiles(const std::string& d
   return files;
 }
 
-std::string BundleId(absl::string_view manifest_text, const Manifest& manifest,
-                     const std::vector<lang::SourceFile>& files) {
+absl::StatusOr<std::string> BundleId(absl::string_view manifest_text, const Manifest& manifest,
+                                     const std::vector<lang::SourceFile>& files,
+                                     const BundleDirectory& directory) {
   std::string listing =
       absl::StrCat("rips-bundle 1\n", kManifestName, " ", Sha256Hex(manifest_text), "\n");
   for (size_t i = 0; i < files.size(); ++i) {
     absl::StrAppend(&listing, manifest.rules[i], " ", Sha256Hex(files[i].text), "\n");
   }
+  for (const std::string& path : manifest.yara) {
+    RIPS_ASSIGN_OR_RETURN(const std::string text, directory.Read(path, kBundleBytesMax));
+    absl::StrAppend(&listing, path, " ", Sha256Hex(text), "\n");
+  }
+  // Plugins are in the manifest, with their hashes.
   return absl::StrCat("sha256:", Sha256Hex(listing));
 }
 
 }  // namespace
 
-absl::StatusOr<Bundle> LoadBundle(const std::string& dir) {
+absl::StatusOr<Bundle> LoadBundle(const std::string& dir, const Clock* clock) {
   absl::StatusOr<BundleDirectory> directory = BundleDirectory::Open(dir);
   if (!directory.ok()) return InContext(dir, directory.status());
   absl::StatusOr<std::string> manifest_text = directory->Read(kManifestName, kManifestBytesMax);
@@ -63,7 +71,10 @@ absl::StatusOr<Bundle> LoadBundle(const std::string& dir) {
   RIPS_ASSIGN_OR_RETURN(std::vector<lang::SourceFile> files,
                         ReadRuleFiles(dir, *directory, bundle.manifest));
 
-  lang::CompileResult compiled = lang::Compile(files, {.dialect = bundle.manifest.dialect});
+  const InspectionSource source(dir, *directory, bundle.manifest);
+  inspect::CheckedFiles checked(&source);
+  lang::CompileResult compiled =
+      lang::Compile(files, {.dialect = bundle.manifest.dialect, .inspection_files = &checked});
   std::string diagnostics = lang::RenderText(files, compiled.diagnostics);
   if (!compiled.rules.has_value()) return absl::InvalidArgumentError(diagnostics);
   const std::vector<std::string> declared = compiled.rules->levels.names();
@@ -75,8 +86,17 @@ absl::StatusOr<Bundle> LoadBundle(const std::string& dir) {
   }
   bundle.start_level = *compiled.rules->levels.Find(bundle.manifest.start_level);
   bundle.warnings = std::move(diagnostics);
-  RIPS_ASSIGN_OR_RETURN(bundle.program, engine::Program::Create(*std::move(compiled.rules)));
-  bundle.id = BundleId(*manifest_text, bundle.manifest, files);
+  if (!compiled.rules->inspections.empty()) {
+    RIPS_ASSIGN_OR_RETURN(bundle.inspections, inspect::LoadInspections(compiled.rules->inspections,
+                                                                       checked, {}, clock));
+  }
+  RIPS_ASSIGN_OR_RETURN(
+      bundle.program,
+      engine::Program::Create(*std::move(compiled.rules),
+                              {.on_inspection_error = bundle.manifest.on_inspection_error}));
+  absl::StatusOr<std::string> id = BundleId(*manifest_text, bundle.manifest, files, *directory);
+  if (!id.ok()) return InContext(dir, id.status());
+  bundle.id = *std::move(id);
   return bundle;
 }
 

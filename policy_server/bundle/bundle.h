@@ -10,7 +10,9 @@
 #include "absl/status/statusor.h"
 #include "policy_server/bundle/manifest.h"
 #include "policy_server/engine/program.h"
+#include "policy_server/inspect/inspection_set.h"
 #include "policy_server/levels/level_table.h"
+#include "services/base/clock.h"
 
 namespace rips::bundle {
 
@@ -22,11 +24,13 @@ struct Bundle {
   // `sha256:` + 64 hex digits of the SHA-256 of this listing, files in the order of the manifest:
   //   rips-bundle 1\n
   //   manifest.yaml SHA256\n
-  //   PATH SHA256\n        one line a rule file
-  // So it changes whenever the manifest or any rule file does.
+  //   PATH SHA256\n        one line a rule file, then one a YARA file
+  // So it changes whenever the manifest (which holds the hashes of plugins) or any of them does.
   std::string id;
   Manifest manifest;
   std::shared_ptr<const engine::Program> program;
+  // What rules inspect messages with; null if they do not.
+  std::shared_ptr<const inspect::InspectionSet> inspections;
   levels::LevelIndex start_level = 0;
   // Warnings of the compiler, ready to print; empty = none.
   std::string warnings;
@@ -42,7 +46,9 @@ struct Bundle {
 //                        directory or leads through a symbolic link
 //   ResourceExhausted    a file or all together are too long
 //   Unavailable          reading failed
-absl::StatusOr<Bundle> LoadBundle(const std::string& dir);
+// Plugins are started once to see how they want to be asked, which takes up to a second. `clock` is
+// not owned and outlives the bundle's inspections.
+absl::StatusOr<Bundle> LoadBundle(const std::string& dir, const Clock* clock);
 
 }  // namespace rips::bundle
 

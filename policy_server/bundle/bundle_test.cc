@@ -14,6 +14,7 @@
 #include "policy_server/bundle/bundle_files.h"
 #include "policy_server/lang/limits.h"
 #include "services/base/status_matchers.h"
+#include "services/runtime/real_clock.h"
 
 namespace rips::bundle {
 namespace {
@@ -50,7 +51,7 @@ class BundleTest : public testing::Test {
     fs::create_directories((dir_ / path).parent_path());
     std::ofstream(dir_ / path, std::ios::binary) << text;
   }
-  absl::StatusOr<Bundle> Load() { return LoadBundle(dir_.string()); }
+  absl::StatusOr<Bundle> Load() { return LoadBundle(dir_.string(), &clock_); }
   // The bundle's id when the manifest is `text`; or the error.
   absl::StatusOr<Bundle> LoadWith(const std::string& manifest) {
     Write("manifest.yaml", manifest);
@@ -66,6 +67,7 @@ class BundleTest : public testing::Test {
       "=> trigger(HALT);\n";
   fs::path root_;
   fs::path dir_;
+  RealClock clock_;
 };
 
 TEST_F(BundleTest, CompilesTheFilesAsOneProgram) {
@@ -122,13 +124,12 @@ scope: {namespaces: [], hosts: []}
   EXPECT_EQ(bundle->start_level, 1);
   EXPECT_EQ(bundle->program->rules().dialect, lang::CheckedRules::Dialect::kPrototype);
   EXPECT_EQ(bundle->manifest.soft_hold, absl::Seconds(2));
-  EXPECT_EQ(bundle->manifest.on_inspection_error, Manifest::OnInspectionError::kAlert);
+  EXPECT_EQ(bundle->manifest.on_inspection_error, engine::OnInspectionError::kAlert);
 }
 
 TEST_F(BundleTest, RefusesWhatThisVersionWouldNotKeep) {
   for (const char* text :
-       {"yara: [x.yar]", "two_person: [HALT]", "scope: {namespaces: [/a]}", "scope: {hosts: [h]}",
-        "plugins: [{id: p, path: plugins/p, sha256: \"00\"}]"}) {
+       {"two_person: [HALT]", "scope: {namespaces: [/a]}", "scope: {hosts: [h]}"}) {
     EXPECT_THAT(
         LoadWith(absl::StrCat(kManifest, text, "\n")),
         StatusIs(absl::StatusCode::kInvalidArgument, HasSubstr("is not available in this version")))
@@ -178,7 +179,7 @@ TEST_F(BundleTest, ReportsMistakesInRulesWithTheirPlace) {
 }
 
 TEST_F(BundleTest, SaysWhatIsMissing) {
-  EXPECT_THAT(LoadBundle((root_ / "none").string()),
+  EXPECT_THAT(LoadBundle((root_ / "none").string(), &clock_),
               StatusIs(absl::StatusCode::kNotFound, HasSubstr("none` does not exist")));
   fs::remove(dir_ / "more/nodes.rul");
   EXPECT_THAT(Load(),
@@ -209,7 +210,7 @@ TEST_F(BundleTest, IsNotLedOutOfItsDirectory) {
 
 TEST_F(BundleTest, TheDirectoryItselfMayBeALink) {
   fs::create_directory_symlink(dir_, root_ / "current");
-  EXPECT_THAT(LoadBundle((root_ / "current").string()), IsOk());
+  EXPECT_THAT(LoadBundle((root_ / "current").string(), &clock_), IsOk());
 }
 
 TEST_F(BundleTest, HasLimits) {
@@ -241,6 +242,58 @@ TEST_F(BundleTest, AllFilesTogetherHaveALimit) {
   }
   EXPECT_THAT(LoadWith(With("base.rul, more/nodes.rul", names)),
               StatusIs(absl::StatusCode::kResourceExhausted, HasSubstr("16777216 bytes together")));
+}
+
+constexpr char kInspects[] =
+    "rules Msg:\n  topicin(\"/a\") && (payload(\"x.yar\") || plugin(\"p\")) ? alert(\"bad\") => "
+    "trigger(ALERT) => trigger(HALT);\n";
+constexpr char kYara[] = "rule r { strings: $a = \"evil\" condition: $a }\n";
+
+class InspectingBundleTest : public BundleTest {
+ protected:
+  InspectingBundleTest() {
+    Write("more/nodes.rul", kInspects);
+    Write("more/x.yar", kYara);
+    Write("p", "#!/bin/sh\nexit 0\n");
+    fs::permissions(dir_ / "p", fs::perms::owner_all);
+  }
+  static std::string Manifest(const std::string& sha256) {
+    return absl::StrCat(kManifest, "yara: [more/x.yar]\nplugins: [{id: p, path: p, sha256: \"",
+                        sha256, "\"}]\non_inspection_error: alert\n");
+  }
+  static std::string Hash() { return Sha256Hex("#!/bin/sh\nexit 0\n"); }
+};
+
+TEST_F(InspectingBundleTest, LoadsWhatItsManifestLists) {
+  const auto bundle = LoadWith(Manifest(Hash()));
+  ASSERT_THAT(bundle, IsOk());
+  ASSERT_NE(bundle->inspections, nullptr);
+  EXPECT_EQ(bundle->inspections->size(), 2u);
+  EXPECT_EQ(bundle->program->options().on_inspection_error, engine::OnInspectionError::kAlert);
+  Write("more/x.yar", absl::StrCat("// changed\n", kYara));
+  const auto changed = Load();
+  ASSERT_THAT(changed, IsOk());
+  EXPECT_NE(changed->id, bundle->id);
+}
+
+TEST_F(InspectingBundleTest, RefusesWhatItDoesNotList) {
+  EXPECT_THAT(LoadWith(kManifest),
+              StatusIs(absl::StatusCode::kInvalidArgument,
+                       AllOf(HasSubstr("`more/x.yar` is not listed under `yara`"),
+                             HasSubstr("plugin `p` is not listed under `plugins`"))));
+  EXPECT_THAT(LoadWith(Manifest(std::string(64, '0'))),
+              StatusIs(absl::StatusCode::kInvalidArgument,
+                       HasSubstr(absl::StrCat("has SHA-256 ", Hash(), ", the manifest says 000"))));
+  EXPECT_THAT(LoadWith(Manifest("00")), StatusIs(absl::StatusCode::kInvalidArgument,
+                                                 HasSubstr("64 lower-case hexadecimal digits")));
+}
+
+TEST_F(InspectingBundleTest, RefusesFilesThatAreBrokenOrGone) {
+  Write("more/x.yar", "rule r { condition: nonsense }");
+  EXPECT_THAT(LoadWith(Manifest(Hash())),
+              StatusIs(absl::StatusCode::kInvalidArgument, HasSubstr("nonsense")));
+  fs::remove(dir_ / "more/x.yar");
+  EXPECT_THAT(Load(), StatusIs(absl::StatusCode::kInvalidArgument, HasSubstr("x.yar")));
 }
 
 }  // namespace

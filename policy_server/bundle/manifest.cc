@@ -1,8 +1,10 @@
 #include "policy_server/bundle/manifest.h"
 
 #include <algorithm>
+#include <utility>
 
 #include "absl/container/btree_set.h"
+#include "absl/strings/ascii.h"
 #include "absl/strings/str_cat.h"
 #include "policy_server/bundle/bundle_files.h"
 #include "policy_server/lang/limits.h"
@@ -45,6 +47,54 @@ void ReadLevels(const ConfigSection& root, Manifest* manifest) {
   }
 }
 
+void ReadYara(const ConfigSection& root, std::vector<std::string>* yara) {
+  root.Optional("yara", yara);
+  if (yara->size() > kInspectionFilesMax) {
+    root.Problem("yara",
+                 absl::StrCat(yara->size(), " YARA files exceed limit ", kInspectionFilesMax));
+  }
+  absl::btree_set<absl::string_view> seen;
+  for (const std::string& path : *yara) {
+    if (const absl::Status status = CheckBundlePath(path); !status.ok()) {
+      root.Problem("yara", status.message());
+    }
+    if (!seen.insert(path).second) {
+      root.Problem("yara", absl::StrCat("YARA file `", path, "` is listed twice"));
+    }
+  }
+}
+
+bool IsSha256(absl::string_view text) {
+  return text.size() == 64 && std::all_of(text.begin(), text.end(), [](char c) {
+           return absl::ascii_isdigit(c) || (c >= 'a' && c <= 'f');
+         });
+}
+
+void ReadPlugins(const ConfigSection& root, std::vector<ManifestPlugin>* plugins) {
+  const std::vector<ConfigSection> sections = root.Sections("plugins");
+  if (sections.size() > kInspectionFilesMax) {
+    root.Problem("plugins",
+                 absl::StrCat(sections.size(), " plugins exceed limit ", kInspectionFilesMax));
+  }
+  absl::btree_set<std::string> seen;
+  for (const ConfigSection& section : sections) {
+    ManifestPlugin plugin;
+    section.Required("id", &plugin.id);
+    section.Required("path", &plugin.path);
+    section.Required("sha256", &plugin.sha256);
+    if (const absl::Status status = CheckBundlePath(plugin.path); !status.ok()) {
+      section.Problem("path", status.message());
+    }
+    if (!IsSha256(plugin.sha256)) {
+      section.Problem("sha256", "it is 64 lower-case hexadecimal digits, as sha256sum prints");
+    }
+    if (!seen.insert(plugin.id).second) {
+      section.Problem("id", absl::StrCat("plugin `", plugin.id, "` is listed twice"));
+    }
+    plugins->push_back(std::move(plugin));
+  }
+}
+
 void RefuseIf(bool used, const ConfigSection& section, absl::string_view key,
               absl::string_view remedy) {
   if (!used) return;
@@ -52,17 +102,6 @@ void RefuseIf(bool used, const ConfigSection& section, absl::string_view key,
 }
 
 void ReadUnavailable(const ConfigSection& root) {
-  std::vector<std::string> yara;
-  root.Optional("yara", &yara);
-  RefuseIf(!yara.empty(), root, "yara", "remove it, and the rules that look into payloads");
-
-  const std::vector<ConfigSection> plugins = root.Sections("plugins");
-  for (const ConfigSection& plugin : plugins) {
-    std::string ignored;
-    for (const char* key : {"id", "path", "sha256"}) plugin.Required(key, &ignored);
-  }
-  RefuseIf(!plugins.empty(), root, "plugins", "remove it, and the rules that use plugins");
-
   std::vector<std::string> two_person;
   root.Optional("two_person", &two_person);
   RefuseIf(!two_person.empty(), root, "two_person", "remove it; one operator may lower a level");
@@ -88,10 +127,12 @@ absl::StatusOr<Manifest> ParseManifest(absl::string_view file, absl::string_view
   root.OptionalEnum<Dialect>("dialect", &manifest.dialect,
                              {{"rips", Dialect::kRips}, {"prototype", Dialect::kPrototype}});
   root.Optional("soft_hold", &manifest.soft_hold, {absl::Milliseconds(500), absl::Hours(1)});
-  using OnError = Manifest::OnInspectionError;
+  using OnError = engine::OnInspectionError;
   root.OptionalEnum<OnError>(
       "on_inspection_error", &manifest.on_inspection_error,
       {{"match", OnError::kMatch}, {"alert", OnError::kAlert}, {"ignore", OnError::kIgnore}});
+  ReadYara(root, &manifest.yara);
+  ReadPlugins(root, &manifest.plugins);
   ReadUnavailable(root);
   RIPS_RETURN_IF_ERROR(reader.Finish());
   return manifest;

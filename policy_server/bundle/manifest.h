@@ -8,12 +8,23 @@
 #include "absl/status/statusor.h"
 #include "absl/strings/string_view.h"
 #include "absl/time/time.h"
+#include "policy_server/engine/program.h"
 #include "policy_server/lang/checked_rules.h"
 
 namespace rips::bundle {
 
 // Rule files of one bundle.
 inline constexpr size_t kRuleFilesMax = 256;
+// YARA files of one bundle, and plugins of one bundle.
+inline constexpr size_t kInspectionFilesMax = 256;
+
+struct ManifestPlugin {
+  std::string id;
+  // Of the program, inside the bundle.
+  std::string path;
+  // Of the program: 64 lower-case hex digits.
+  std::string sha256;
+};
 
 struct Manifest {
   // A name as in IsValidName; equal to the directory's.
@@ -28,13 +39,16 @@ struct Manifest {
   // How long the evidence must have been complete before a rule may lower a soft level; 500 ms to
   // 1 h.
   absl::Duration soft_hold = absl::Seconds(5);
-  // What an inspection that could not be made counts as. Nothing is inspected in this version.
-  enum class OnInspectionError { kMatch, kAlert, kIgnore };
-  OnInspectionError on_inspection_error = OnInspectionError::kMatch;
+  // YARA files that `payload` may name; paths inside the bundle, distinct.
+  std::vector<std::string> yara;
+  // Plugins that `plugin` may name; ids are distinct.
+  std::vector<ManifestPlugin> plugins;
+  // What becomes of a rule whose value depends on an inspection that was not told.
+  engine::OnInspectionError on_inspection_error = engine::OnInspectionError::kMatch;
 };
 
 // InvalidArgument with every problem and its place. Known, but refused unless empty, because this
-// version would not keep what they promise: yara, plugins, two_person, scope.
+// version would not keep what they promise: two_person, scope.
 absl::StatusOr<Manifest> ParseManifest(absl::string_view file, absl::string_view text);
 
 }  // namespace rips::bundle

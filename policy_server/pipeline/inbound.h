@@ -26,7 +26,12 @@ struct MessageSeen {
   // Node the sensor named when it introduced the writer; the server's graph knows better.
   absl::string_view sender;
   ros2::Guid writer;
+  // Of the serialized payload on the robot.
   uint32_t size_bytes = 0;
+  // Its first bytes, if the sensor was asked for them.
+  std::string payload;
+  // `payload` is shorter than size_bytes.
+  bool truncated = false;
 };
 
 struct GraphSnapshotSeen {
@@ -47,6 +52,11 @@ struct IdsAlertSeen {
   std::string message;
   uint32_t gid = 0;
   uint32_t sid = 0;
+  // The whole line of an IDS that writes lines of free text; else empty.
+  std::string line;
+  // Addresses; may be empty.
+  std::string source;
+  std::string target;
 };
 
 struct SignalSeen {

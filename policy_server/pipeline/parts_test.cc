@@ -185,6 +185,7 @@ class CountingAudience final : public Audience {
  public:
   void OnAlert(const store::AlertRecord&) override { ++alerts; }
   void OnStatus(const RobotStatus&) override { ++statuses; }
+  void OnRuleLog(const std::string&, const std::string&, const std::string&) override {}
   std::atomic<int> alerts = 0;
   std::atomic<int> statuses = 0;
 };

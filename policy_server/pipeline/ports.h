@@ -2,14 +2,19 @@
 #ifndef RIPS_POLICY_SERVER_PIPELINE_PORTS_H_
 #define RIPS_POLICY_SERVER_PIPELINE_PORTS_H_
 
+#include <cstdint>
 #include <functional>
+#include <memory>
 #include <string>
 #include <vector>
 
 #include "absl/status/status.h"
+#include "absl/strings/string_view.h"
+#include "policy_server/engine/verdict.h"
 #include "policy_server/store/store.h"
 #include "services/base/clock.h"
 #include "services/base/mark.h"
+#include "services/ros2/guid.h"
 
 namespace rips::pipeline {
 
@@ -46,6 +51,33 @@ class Audience {
   // Durable already.
   virtual void OnAlert(const store::AlertRecord& alert) = 0;
   virtual void OnStatus(const RobotStatus& status) = 0;
+  // A rule has shown values with True or False; text of a robot, to be escaped.
+  virtual void OnRuleLog(const std::string& robot, const std::string& rule,
+                         const std::string& text) = 0;
+};
+
+// A message whose payload is inspected; keeps what it views alive.
+struct InspectedMessage {
+  absl::string_view topic;
+  absl::string_view type;
+  absl::string_view sender;
+  ros2::Guid writer;
+  int64_t time_unix_ns = 0;
+  // Empty: it was not sent.
+  absl::string_view payload;
+  uint32_t size_bytes = 0;
+  std::shared_ptr<const void> owner;
+};
+
+// Asks YARA files and plugins of one policy about messages.
+class Inspector {
+ public:
+  virtual ~Inspector() = default;
+  // `inspections` are indices into CheckedRules::inspections. `done` is called once, on any thread,
+  // maybe before this returns, with their verdicts in that order. Never blocks.
+  virtual void Inspect(const std::string& robot, const std::vector<uint32_t>& inspections,
+                       const InspectedMessage& message,
+                       std::function<void(std::vector<engine::Verdict>)> done) = 0;
 };
 
 // What is counted; a null entry is not.

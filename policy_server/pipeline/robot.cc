@@ -76,6 +76,8 @@ Robot::Robot(RobotConfig config, Policy policy, Timing timing, const store::Robo
       ledger_(config_.actuator_hosts, ports_.new_id),
       started_ns_(ports_.clock->Now().boottime_ns) {
   state_.RestoreVariables(record.variables);
+  state_.set_robot_id(config_.id);
+  if (record.rules_halted) state_.Halt();
   for (const std::string& host : config_.sensor_hosts) {
     sensors_[host].gone_since_ns = started_ns_;
   }
@@ -141,6 +143,8 @@ void Robot::Perform(const engine::Outcome& outcome, const std::string& event) {
       OwnAlert(engine::Severity::kHigh, absl::StrCat("program `", run->program, "` of rule ",
                                                      run->rule, " was not run: ", refused.detail));
       HandleProgramResult(refused, now);
+    } else if (const auto* log = std::get_if<engine::LogEffect>(&effect)) {
+      ports_.audience->OnRuleLog(config_.id, log->rule, log->text);
     }
   }
 }
@@ -243,7 +247,8 @@ void Robot::OwnAlert(engine::Severity severity, const std::string& text) {
 void Robot::Flush() {
   if (pending_.empty() && !sequences_moved_ && !variables_changed_) return;
   store::Checkpoint checkpoint{.robot = config_.id,
-                               .soft_suspended = state_.level.soft_suspended()};
+                               .soft_suspended = state_.level.soft_suspended(),
+                               .rules_halted = state_.halted()};
   if (variables_changed_) checkpoint.variables = state_.Variables();
   for (const auto& [host, sensor] : sensors_) {
     for (const auto& [key, sequence] : sensor.sequences.all()) {
@@ -472,8 +477,13 @@ absl::Status Robot::ResumeRules(const std::string& operator_name, const std::str
         absl::StrCat("a reason of 1 to ", kReasonBytesMax, " bytes is required"));
   }
   state_.level.Resume();
-  OwnAlert(engine::Severity::kInfo, absl::StrCat("operator ", operator_name,
-                                                 " lets rules lower soft levels again: ", reason));
+  const bool halted = state_.halted();
+  state_.Resume();
+  OwnAlert(engine::Severity::kInfo,
+           absl::StrCat("operator ", operator_name,
+                        halted ? " lets rules run again, and lower soft levels: "
+                               : " lets rules lower soft levels again: ",
+                        reason));
   Flush();
   PublishStatus();
   return absl::OkStatus();
@@ -504,6 +514,11 @@ RobotStatus Robot::Status() const {
   }
   if (state_.level.soft_suspended()) {
     status.degraded.push_back("rules may not lower levels until an operator resumes them");
+  }
+  if (state_.halted()) {
+    status.degraded.push_back(
+        "a rule has called `crash`: no rule runs until an operator resumes "
+        "them");
   }
   return status;
 }
@@ -566,6 +581,7 @@ absl::Status Robot::SwapPolicy(Policy policy) {
     policy_ = std::move(policy);
     evidence_.set_hold_ns(policy_.soft_hold_ns);
     OwnAlert(engine::Severity::kInfo, absl::StrCat("bundle ", policy_.bundle_id, " is in force"));
+    AdvanceMessages();
   }
   Flush();
   PublishStatus();

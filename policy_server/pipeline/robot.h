@@ -20,6 +20,7 @@
 
 #include "absl/container/btree_map.h"
 #include "absl/status/status.h"
+#include "absl/types/span.h"
 #include "policy_server/engine/evaluator.h"
 #include "policy_server/pipeline/alert_limiter.h"
 #include "policy_server/pipeline/command_ledger.h"
@@ -48,6 +49,8 @@ struct Policy {
   std::string bundle_id;
   levels::LevelIndex start_level = 0;
   int64_t soft_hold_ns = 5 * kNanosPerSecond;
+  // Null: no message is inspected, and rules that want it are not told.
+  std::shared_ptr<Inspector> inspector;
 };
 
 struct Timing {
@@ -100,7 +103,9 @@ class Robot {
   void OnSensorHello(const std::string& host, std::shared_ptr<SensorLink> link,
                      const SensorHello& hello);
   void OnSensorBeat(const std::string& host, const SensorLink* link, int64_t boottime_ns);
-  void OnBatch(const std::string& host, const SensorLink* link, const Batch& batch);
+  // Control batches are judged at once. A message batch waits for those before it and for the
+  // inspections that its messages need (robot_inspection.cc).
+  void OnBatch(const std::string& host, const SensorLink* link, std::shared_ptr<const Batch> batch);
   void OnSensorGone(const std::string& host, const SensorLink* link);
 
   // ---- actuators
@@ -113,9 +118,10 @@ class Robot {
   // ---- operators; `reply` is called once, later, on the shard's thread.
   void Raise(const LevelOrder& order, LevelReply reply);
   void DeEscalate(const LevelOrder& order, LevelReply reply);
+  // Rules may lower soft levels again, and run again after a `crash`.
   absl::Status ResumeRules(const std::string& operator_name, const std::string& reason);
   RobotStatus Status() const;
-  const ros2::RosGraph& graph() const { return state_.graph; }
+  const ros2::RosGraph& graph() const { return state_.graph.get(); }
   int64_t graph_changed_unix_ns() const { return graph_changed_unix_ns_; }
   const levels::LevelTable& levels() const { return state_.level.table(); }
 
@@ -170,10 +176,37 @@ class Robot {
   Robot(RobotConfig config, Policy policy, Timing timing, const store::RobotRecord& record,
         levels::LevelMachine level, Ports ports);
 
+  // A message batch and what its messages were told.
+  struct Inspecting {
+    uint64_t ticket = 0;
+    std::string host;
+    std::shared_ptr<SensorLink> link;
+    std::shared_ptr<const Batch> batch;
+    // Under which it was asked.
+    std::shared_ptr<const engine::Program> program;
+    // By observation, then by index of the program's inspections; empty where none is needed.
+    std::vector<std::vector<engine::Verdict>> verdicts;
+    // Observations before this one have been looked at.
+    size_t asked = 0;
+    // Answers that have not come.
+    size_t waiting = 0;
+  };
+
+  // robot_inspection.cc
+  void AdvanceMessages();
+  bool AskInspections(Inspecting& batch);
+  void AskInspection(Inspecting& batch, size_t index, std::vector<uint32_t> needed);
+  void OnInspected(uint64_t ticket, size_t index, const std::vector<uint32_t>& asked,
+                   const std::vector<engine::Verdict>& verdicts);
+
   // robot_sensors.cc
   SensorSession* LiveSensor(const std::string& host, const SensorLink* link);
-  void Judge(SensorHost& host, SensorSession& session, bool primary, const Observation& seen);
-  void JudgeMessage(const MessageSeen& message, engine::Event event);
+  // `verdicts` as in Inspecting; may be empty.
+  void JudgeBatch(const std::string& host, const SensorLink* link, const Batch& batch,
+                  const std::vector<std::vector<engine::Verdict>>& verdicts);
+  void Judge(SensorHost& host, SensorSession& session, bool primary, const Observation& seen,
+             absl::Span<const engine::Verdict> inspections);
+  engine::MessageEvent ToEvent(const MessageSeen& message) const;
   void JudgeSnapshot(SensorHost& host, const SensorSession& session,
                      const GraphSnapshotSeen& snapshot, engine::Event event);
   void JudgeDelta(SensorHost& host, const SensorSession& session, const GraphDeltaSeen& delta,
@@ -237,6 +270,10 @@ class Robot {
   std::vector<levels::Transition> pending_lowerings_;
   bool sequences_moved_ = false;
   bool variables_changed_ = false;
+  // Message batches in the order they came; only the first is being inspected.
+  std::deque<Inspecting> message_line_;
+  uint64_t last_ticket_ = 0;
+  bool advancing_ = false;
   // Refusals already recorded: rule, from, to, reason → id.
   absl::btree_map<std::string, std::string> refusal_ids_;
   struct Waiting {

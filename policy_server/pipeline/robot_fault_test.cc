@@ -196,11 +196,12 @@ TEST_F(RobotTest, MessagesOfAReplacedSessionAreIgnored) {
   Pass(1'600);
   ConnectSensor();
 
-  robot_->OnBatch("base", first.get(),
-                  {.incarnation = kIncarnation,
-                   .lane = Lane::kControl,
-                   .first_sequence = 999,
-                   .observations = {{.what = SignalSeen{"SIGUSR1"}}}});
+  robot_->OnBatch(
+      "base", first.get(),
+      std::make_shared<const Batch>(Batch{.incarnation = kIncarnation,
+                                          .lane = Lane::kControl,
+                                          .first_sequence = 999,
+                                          .observations = {{.what = SignalSeen{"SIGUSR1"}}}}));
 
   EXPECT_THAT(sensor_->closed, IsOk());
 }

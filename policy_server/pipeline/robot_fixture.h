@@ -72,6 +72,7 @@ class FakeRecorder final : public Recorder {
     for (const store::Checkpoint& checkpoint : batch.checkpoints) {
       for (const auto& [key, sequence] : checkpoint.high_water) high_water[key] = sequence;
       if (checkpoint.variables) variables = *checkpoint.variables;
+      if (checkpoint.rules_halted) rules_halted = *checkpoint.rules_halted;
     }
   }
 
@@ -82,6 +83,7 @@ class FakeRecorder final : public Recorder {
   std::vector<store::StageUpdate> stages;
   store::HighWater high_water;
   store::Variables variables;
+  bool rules_halted = false;
 
  private:
   bool healthy_ = true;
@@ -92,6 +94,9 @@ class FakeAudience final : public Audience {
  public:
   void OnAlert(const store::AlertRecord& alert) override { alerts.push_back(alert); }
   void OnStatus(const RobotStatus& status) override { statuses.push_back(status); }
+  void OnRuleLog(const std::string&, const std::string& rule, const std::string& text) override {
+    rule_logs.push_back(absl::StrCat(rule, ": ", text));
+  }
   int Count(absl::string_view part) const {
     int count = 0;
     for (const auto& alert : alerts) count += absl::StrContains(alert.text, part) ? 1 : 0;
@@ -99,6 +104,7 @@ class FakeAudience final : public Audience {
   }
   std::vector<store::AlertRecord> alerts;
   std::vector<RobotStatus> statuses;
+  std::vector<std::string> rule_logs;
 };
 
 struct FakeSensor final : SensorLink {
@@ -132,6 +138,36 @@ struct FakeActuator final : ActuatorLink {
   absl::Status closed;
 };
 
+// Keeps questions until the test answers.
+class FakeInspector final : public Inspector {
+ public:
+  struct Question {
+    std::vector<uint32_t> inspections;
+    std::string topic;
+    std::string sender;
+    std::string payload;
+    std::function<void(std::vector<engine::Verdict>)> done;
+  };
+  void Inspect(const std::string&, const std::vector<uint32_t>& inspections,
+               const InspectedMessage& message,
+               std::function<void(std::vector<engine::Verdict>)> done) override {
+    ++asked;
+    questions.push_back({.inspections = inspections,
+                         .topic = std::string(message.topic),
+                         .sender = std::string(message.sender),
+                         .payload = std::string(message.payload),
+                         .done = std::move(done)});
+  }
+  // Answers the oldest.
+  void Answer(engine::Verdict verdict) {
+    const Question question = std::move(questions.front());
+    questions.pop_front();
+    question.done(std::vector<engine::Verdict>(question.inspections.size(), verdict));
+  }
+  std::deque<Question> questions;
+  size_t asked = 0;
+};
+
 class RobotTest : public ::testing::Test {
  protected:
   static constexpr char kIncarnation[] = "0123456789abcdef";
@@ -148,12 +184,13 @@ class RobotTest : public ::testing::Test {
                 .audience = &audience_,
                 .post = [this](std::function<void()> task) { posted_.push_back(std::move(task)); },
                 .new_id = [this] { return absl::StrCat("id", ++ids_); }};
-    auto robot = Robot::Create({.id = "r1",
-                                .sensor_hosts = {"base"},
-                                .primary_sensor = "base",
-                                .actuator_hosts = {"base"}},
-                               {.program = *program, .bundle_id = "sha256:0"}, Timing{}, record,
-                               term, std::move(ports));
+    auto robot =
+        Robot::Create({.id = "r1",
+                       .sensor_hosts = {"base"},
+                       .primary_sensor = "base",
+                       .actuator_hosts = {"base"}},
+                      {.program = *program, .bundle_id = "sha256:0", .inspector = inspector_},
+                      Timing{}, record, term, std::move(ports));
     ASSERT_TRUE(robot.ok()) << robot.status();
     robot_ = *std::move(robot);
     Drain();
@@ -255,11 +292,11 @@ class RobotTest : public ::testing::Test {
     }
     const size_t count = observations.size();
     robot_->OnBatch("base", sensor_.get(),
-                    {.incarnation = kIncarnation,
-                     .lane = lane,
-                     .first_sequence = next,
-                     .observations = std::move(observations),
-                     .bytes = 100});
+                    std::make_shared<const Batch>(Batch{.incarnation = kIncarnation,
+                                                        .lane = lane,
+                                                        .first_sequence = next,
+                                                        .observations = std::move(observations),
+                                                        .bytes = 100}));
     next += count;
     Drain();
   }
@@ -309,6 +346,7 @@ class RobotTest : public ::testing::Test {
   std::deque<std::function<void()>> posted_;
   int ids_ = 0;
   std::unique_ptr<Robot> robot_;
+  std::shared_ptr<FakeInspector> inspector_ = std::make_shared<FakeInspector>();
   std::shared_ptr<FakeSensor> sensor_;
   std::shared_ptr<FakeActuator> actuator_;
   bool sensor_beats_ = true;

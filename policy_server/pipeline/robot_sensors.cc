@@ -96,7 +96,18 @@ void Robot::OnSensorBeat(const std::string& host, const SensorLink* link, int64_
   if (SensorSession* session = LiveSensor(host, link)) session->peer_boottime_ns = boottime_ns;
 }
 
-void Robot::OnBatch(const std::string& host_name, const SensorLink* link, const Batch& batch) {
+void Robot::OnBatch(const std::string& host, const SensorLink* link,
+                    std::shared_ptr<const Batch> batch) {
+  SensorSession* session = LiveSensor(host, link);
+  if (session == nullptr) return;
+  if (batch->lane == Lane::kControl) return JudgeBatch(host, link, *batch, {});
+  message_line_.push_back(
+      {.ticket = ++last_ticket_, .host = host, .link = session->link, .batch = std::move(batch)});
+  AdvanceMessages();
+}
+
+void Robot::JudgeBatch(const std::string& host_name, const SensorLink* link, const Batch& batch,
+                       const std::vector<std::vector<engine::Verdict>>& verdicts) {
   SensorSession* session = LiveSensor(host_name, link);
   if (session == nullptr) return;
   SensorHost& host = sensors_[host_name];
@@ -114,7 +125,9 @@ void Robot::OnBatch(const std::string& host_name, const SensorLink* link, const 
   Count(ports_.counts.observations_duplicate, accepted->skip);
   sequences_moved_ = true;
   for (size_t i = accepted->skip; i < batch.observations.size(); ++i) {
-    Judge(host, *session, host_name == config_.primary_sensor, batch.observations[i]);
+    const absl::Span<const engine::Verdict> inspections =
+        i < verdicts.size() ? verdicts[i] : absl::Span<const engine::Verdict>();
+    Judge(host, *session, host_name == config_.primary_sensor, batch.observations[i], inspections);
     // Judging may have ended the session (a graph that contradicts itself).
     if (!host.session || host.session->link.get() != link) break;
   }
@@ -127,7 +140,8 @@ void Robot::OnBatch(const std::string& host_name, const SensorLink* link, const 
   if (!pending_.empty() && !store_failing_) Flush();
 }
 
-void Robot::Judge(SensorHost& host, SensorSession& session, bool primary, const Observation& seen) {
+void Robot::Judge(SensorHost& host, SensorSession& session, bool primary, const Observation& seen,
+                  absl::Span<const engine::Verdict> inspections) {
   const Instant now = ports_.clock->Now();
   const int64_t age_ns = now.boottime_ns - (seen.boottime_ns + session.boottime_offset_ns);
   if (age_ns > timing_.backlog_ns) {
@@ -139,14 +153,22 @@ void Robot::Judge(SensorHost& host, SensorSession& session, bool primary, const 
       .lateness =
           age_ns > timing_.late_after_ns ? levels::Lateness::kLate : levels::Lateness::kTimely};
   if (const auto* message = std::get_if<MessageSeen>(&seen.what)) {
-    if (primary) JudgeMessage(*message, std::move(event));
+    if (!primary) return;
+    engine::MessageEvent judged = ToEvent(*message);
+    judged.inspections = inspections;
+    event.what = judged;
+    Run(event);
   } else if (const auto* snapshot = std::get_if<GraphSnapshotSeen>(&seen.what)) {
     if (primary) JudgeSnapshot(host, session, *snapshot, std::move(event));
   } else if (const auto* delta = std::get_if<GraphDeltaSeen>(&seen.what)) {
     if (primary) JudgeDelta(host, session, *delta, std::move(event));
   } else if (const auto* ids = std::get_if<IdsAlertSeen>(&seen.what)) {
-    event.what.emplace<engine::ExternalEvent>(
-        engine::IdsEvent{.message = ids->message, .gid = ids->gid, .sid = ids->sid});
+    event.what.emplace<engine::ExternalEvent>(engine::IdsEvent{.message = ids->message,
+                                                               .gid = ids->gid,
+                                                               .sid = ids->sid,
+                                                               .line = ids->line,
+                                                               .source = ids->source,
+                                                               .target = ids->target});
     Run(event);
   } else if (const auto* signal = std::get_if<SignalSeen>(&seen.what)) {
     event.what.emplace<engine::ExternalEvent>(engine::SignalEvent{.name = signal->name});
@@ -167,17 +189,16 @@ void Robot::Judge(SensorHost& host, SensorSession& session, bool primary, const 
   }
 }
 
-void Robot::JudgeMessage(const MessageSeen& message, engine::Event event) {
+engine::MessageEvent Robot::ToEvent(const MessageSeen& message) const {
   absl::string_view sender = message.sender;
-  if (const ros2::Endpoint* endpoint = state_.graph.FindEndpoint(message.writer)) {
+  if (const ros2::Endpoint* endpoint = state_.graph->FindEndpoint(message.writer)) {
     sender = endpoint->node;
   }
-  event.what = engine::MessageEvent{.topic = message.topic,
-                                    .type = message.type,
-                                    .writer = message.writer,
-                                    .sender = sender,
-                                    .size_bytes = message.size_bytes};
-  Run(event);
+  return {.topic = message.topic,
+          .type = message.type,
+          .writer = message.writer,
+          .sender = sender,
+          .size_bytes = message.size_bytes};
 }
 
 void Robot::JudgeSnapshot(SensorHost& host, const SensorSession& session,

@@ -172,6 +172,7 @@ void FakeStore::State::Apply(const Checkpoint& checkpoint) {
   RobotRecord& robot = robots[checkpoint.robot];
   if (checkpoint.variables.has_value()) robot.variables = *checkpoint.variables;
   if (checkpoint.soft_suspended.has_value()) robot.soft_suspended = *checkpoint.soft_suspended;
+  if (checkpoint.rules_halted.has_value()) robot.rules_halted = *checkpoint.rules_halted;
   std::vector<LaneKey>& order = lanes[checkpoint.robot];
   for (const auto& [key, sequence] : checkpoint.high_water) {
     if (!robot.high_water.contains(key)) order.push_back(key);

@@ -28,7 +28,8 @@ CREATE TABLE robots (
   term INTEGER NOT NULL DEFAULT 0,           -- the mark that decided it
   epoch INTEGER NOT NULL DEFAULT 0,
   highest_term INTEGER NOT NULL DEFAULT 0,
-  soft_suspended INTEGER NOT NULL DEFAULT 0
+  soft_suspended INTEGER NOT NULL DEFAULT 0,
+  rules_halted INTEGER NOT NULL DEFAULT 0
 ) STRICT, WITHOUT ROWID;
 CREATE TABLE transitions (                   -- decisions and refusals, in the order of writing
   seq INTEGER PRIMARY KEY AUTOINCREMENT,
@@ -134,7 +135,23 @@ absl::Status MakeStateFile(const std::string& path) {
   return SyncDirectoryOf(path);
 }
 
-absl::Status CheckVersion(const std::string& path, Database& db) {
+// What turns schema version N into N + 1, from version 1 on. `rips-policy-server` only ever moves a
+// file forward.
+constexpr const char* kUpgrades[] = {
+    "ALTER TABLE robots ADD COLUMN rules_halted INTEGER NOT NULL DEFAULT 0",
+};
+static_assert(std::size(kUpgrades) == kSchemaVersion - 1);
+
+absl::Status Upgrade(int from, Database& db) {
+  if (from == kSchemaVersion) return absl::OkStatus();
+  RIPS_RETURN_IF_ERROR(db.Execute("PRAGMA synchronous = FULL; BEGIN IMMEDIATE;"));
+  for (int version = from; version < kSchemaVersion; ++version) {
+    RIPS_RETURN_IF_ERROR(db.Execute(kUpgrades[version - 1]));
+  }
+  return db.Execute(absl::StrCat("PRAGMA user_version = ", kSchemaVersion, "; COMMIT;").c_str());
+}
+
+absl::StatusOr<int> CheckVersion(const std::string& path, Database& db) {
   RIPS_ASSIGN_OR_RETURN(const std::string application, db.Ask("PRAGMA application_id"));
   if (application != absl::StrCat(kApplicationId)) {
     return Damaged(path, "is not a state file of the policy server");
@@ -149,7 +166,7 @@ absl::Status CheckVersion(const std::string& path, Database& db) {
                                                       version, ", this program knows up to ",
                                                       kSchemaVersion, "; run the newer program"));
   }
-  return absl::OkStatus();
+  return version;
 }
 
 // SQLite reads a page that is cut short as if the rest were zero. After a clean end (no log left) a
@@ -171,10 +188,10 @@ absl::Status CheckStateFile(const std::string& path) {
   auto check = [&]() -> absl::Status {
     RIPS_ASSIGN_OR_RETURN(Database db, Database::Open(path, Database::Mode::kReadWrite));
     RIPS_RETURN_IF_ERROR(CheckWholePages(path, db));
-    RIPS_RETURN_IF_ERROR(CheckVersion(path, db));
+    RIPS_ASSIGN_OR_RETURN(const int version, CheckVersion(path, db));
     RIPS_ASSIGN_OR_RETURN(const std::string verdict, db.Ask("PRAGMA quick_check(1)"));
     if (verdict != "ok") return absl::DataLossError(verdict);
-    return absl::OkStatus();
+    return Upgrade(version, db);
   };
   const absl::Status status = check();
   if (absl::IsDataLoss(status) && !absl::StrContains(status.message(), path)) {

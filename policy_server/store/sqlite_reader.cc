@@ -61,7 +61,8 @@ absl::StatusOr<SqliteReader> SqliteReader::Create(const std::string& path) {
       {&reader.begin_, "BEGIN"},
       {&reader.end_, "ROLLBACK"},
       {&reader.robot_,
-       "SELECT level, term, epoch, highest_term, soft_suspended FROM robots WHERE robot = ?"},
+       "SELECT level, term, epoch, highest_term, soft_suspended, rules_halted "
+       "FROM robots WHERE robot = ?"},
       {&reader.variables_, "SELECT name, kind, number, text FROM variables WHERE robot = ?"},
       {&reader.high_water_,
        "SELECT host, incarnation, lane, sequence FROM high_water WHERE robot = ?"},
@@ -97,6 +98,7 @@ absl::StatusOr<RobotRecord> SqliteReader::Load(absl::string_view robot) {
     record.mark = {query.Unsigned(1), query.Unsigned(2)};
     record.highest_term = query.Unsigned(3);
     record.soft_suspended = query.Number(4) != 0;
+    record.rules_halted = query.Number(5) != 0;
     RIPS_RETURN_IF_ERROR(LoadVariables(robot, &record.variables));
     RIPS_RETURN_IF_ERROR(LoadHighWater(robot, &record.high_water));
     return record;

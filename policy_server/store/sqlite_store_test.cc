@@ -122,12 +122,26 @@ TEST_F(SqliteStoreTest, RefusesALogWithoutItsFile) {
 
 TEST_F(SqliteStoreTest, RefusesANewerSchema) {
   MakeHistory();
-  Execute("PRAGMA user_version = 2");
+  Execute("PRAGMA user_version = 3");
   EXPECT_THAT(SqliteStore::Open(path_),
               StatusIs(absl::StatusCode::kFailedPrecondition,
-                       HasSubstr("schema version 2, this program knows up to 1")));
+                       HasSubstr("schema version 3, this program knows up to 2")));
   Execute("PRAGMA user_version = 0");
   EXPECT_THAT(SqliteStore::Open(path_), StatusIs(absl::StatusCode::kDataLoss));
+}
+
+TEST_F(SqliteStoreTest, TakesAnOlderSchemaForward) {
+  MakeHistory();
+  const auto load = [&] {
+    const auto store = SqliteStore::Open(path_);
+    EXPECT_THAT(store, IsOk());
+    return *(*store)->Load("r1");
+  };
+  const RobotRecord before = load();
+  Execute("ALTER TABLE robots DROP COLUMN rules_halted");
+  Execute("PRAGMA user_version = 1");
+  EXPECT_EQ(load(), before);
+  EXPECT_EQ(load(), before) << "once is enough";
 }
 
 TEST_F(SqliteStoreTest, NoticesATruncatedFileWhereverItIsCut) {

@@ -67,6 +67,7 @@ absl::Status SqliteWriter::PrepareAll() {
       {&add_variable_,
        "INSERT INTO variables (robot, name, kind, number, text) VALUES (?, ?, ?, ?, ?)"},
       {&set_suspended_, "UPDATE robots SET soft_suspended = ?2 WHERE robot = ?1"},
+      {&set_halted_, "UPDATE robots SET rules_halted = ?2 WHERE robot = ?1"},
       {&put_high_water_,
        "INSERT INTO high_water (robot, host, incarnation, lane, sequence) VALUES (?, ?, ?, ?, ?) "
        "ON CONFLICT (robot, host, incarnation, lane) "
@@ -226,6 +227,10 @@ absl::Status SqliteWriter::Write(const Checkpoint& checkpoint) {
   if (checkpoint.soft_suspended.has_value()) {
     const int64_t suspended = *checkpoint.soft_suspended ? 1 : 0;
     RIPS_RETURN_IF_ERROR(set_suspended_.Start().Bind(checkpoint.robot).Bind(suspended).Run());
+  }
+  if (checkpoint.rules_halted.has_value()) {
+    const int64_t halted = *checkpoint.rules_halted ? 1 : 0;
+    RIPS_RETURN_IF_ERROR(set_halted_.Start().Bind(checkpoint.robot).Bind(halted).Run());
   }
   return WriteHighWater(checkpoint.robot, checkpoint.high_water);
 }

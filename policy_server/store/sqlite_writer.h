@@ -41,7 +41,8 @@ class SqliteWriter {
   Statement begin_, commit_, rollback_;
   Statement add_robot_, next_term_, find_decision_, add_decision_, apply_decision_;
   Statement put_refusal_, prune_refusals_, set_stage_, add_alert_, prune_alerts_;
-  Statement clear_variables_, add_variable_, set_suspended_, put_high_water_, prune_high_water_;
+  Statement clear_variables_, add_variable_, set_suspended_, set_halted_, put_high_water_,
+      prune_high_water_;
 };
 
 }  // namespace rips::store

@@ -68,6 +68,8 @@ struct RobotRecord {
   HighWater high_water;
   // Rules may not lower soft levels until an operator resumes them.
   bool soft_suspended = false;
+  // A rule has called `crash`: no rule runs until an operator resumes them.
+  bool rules_halted = false;
 
   friend bool operator==(const RobotRecord&, const RobotRecord&) = default;
 };
@@ -147,6 +149,7 @@ struct Checkpoint {
   HighWater high_water;
   // Absent = as before.
   std::optional<bool> soft_suspended;
+  std::optional<bool> rules_halted;
 
   friend bool operator==(const Checkpoint&, const Checkpoint&) = default;
 };

@@ -323,21 +323,25 @@ TEST_P(StoreContractTest, ACheckpointReplacesWhatItHasAndKeepsTheRest) {
   batch.checkpoints.push_back({.robot = "r1",
                                .variables = Variables{{"a", int64_t{1}}, {"b", int64_t{2}}},
                                .high_water = {{control, 5}, {messages, 100}},
-                               .soft_suspended = true});
+                               .soft_suspended = true,
+                               .rules_halted = true});
   ASSERT_THAT(store_->Commit(batch), IsOk());
   WriteBatch later;
   later.checkpoints.push_back({.robot = "r1", .high_water = {{control, 6}}});
   ASSERT_THAT(store_->Commit(later), IsOk());
   EXPECT_EQ(Load("r1").variables.size(), 2u);
   EXPECT_TRUE(Load("r1").soft_suspended);
+  EXPECT_TRUE(Load("r1").rules_halted);
   EXPECT_EQ(Load("r1").high_water, (HighWater{{control, 6}, {messages, 100}}));
 
   later.checkpoints[0].variables = Variables{{"a", int64_t{3}}};
   later.checkpoints[0].soft_suspended = false;
+  later.checkpoints[0].rules_halted = false;
   later.checkpoints[0].high_water = {{control, 2}};
   ASSERT_THAT(store_->Commit(later), IsOk());
   EXPECT_EQ(Load("r1").variables, (Variables{{"a", int64_t{3}}}));
   EXPECT_FALSE(Load("r1").soft_suspended);
+  EXPECT_FALSE(Load("r1").rules_halted);
   EXPECT_EQ(Load("r1").high_water.at(control), 6u) << "a sequence never goes back";
   EXPECT_EQ(Load("r2"), RobotRecord{});
 }
