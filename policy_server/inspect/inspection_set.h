@@ -1,0 +1,62 @@
+// All inspections of one policy, and what a thread needs to make them.
+#ifndef RIPS_POLICY_SERVER_INSPECT_INSPECTION_SET_H_
+#define RIPS_POLICY_SERVER_INSPECT_INSPECTION_SET_H_
+
+#include <cstddef>
+#include <cstdint>
+#include <memory>
+#include <vector>
+
+#include "absl/status/statusor.h"
+#include "absl/time/time.h"
+#include "policy_server/engine/verdict.h"
+#include "policy_server/inspect/checked_files.h"
+#include "policy_server/inspect/message.h"
+#include "policy_server/inspect/plugin.h"
+#include "policy_server/lang/checked_rules.h"
+#include "services/base/clock.h"
+
+namespace rips::inspect {
+
+// Different inspections of one policy.
+inline constexpr size_t kInspectionsMax = 256;
+
+// Scanners and plugin processes of one thread. One thread only.
+class Session {
+ public:
+  virtual ~Session() = default;
+  // Asks inspection `index` (from 0, as given to LoadInspections). kUnscanned if `message` has no
+  // payload or there is no such inspection. Blocks for its time limit at most.
+  virtual engine::Verdict Inspect(uint32_t index, const Message& message) = 0;
+};
+
+// Immutable; any thread.
+class InspectionSet {
+ public:
+  virtual ~InspectionSet() = default;
+  virtual size_t size() const = 0;
+  // Starts the plugins that are kept running. They live as long as the session and the calling
+  // thread. The session needs neither the set nor the thread that made the set.
+  virtual std::unique_ptr<Session> NewSession() const = 0;
+};
+
+struct InspectOptions {
+  // YARA sees this many bytes from the beginning (the sensor's coverage tells how much longer
+  // payloads were). No match among them is kNo, not kUnscanned. Plugins see all that was received.
+  size_t payload_bytes_max = size_t{64} << 10;
+  // One scan (YaraScanner::Scan).
+  absl::Duration scan_time = absl::Milliseconds(100);
+  PluginOptions plugin;
+};
+
+// Compiles what `files` has not compiled, and probes the plugins: their programs are run once
+// (ProbePlugins), so this takes up to a second if there are any. InvalidArgument with every problem
+// of every file; ResourceExhausted beyond kInspectionsMax; else as ProbePlugins. `clock` is not
+// owned, outlives the set and its sessions, and its boottime must really pass.
+absl::StatusOr<std::shared_ptr<const InspectionSet>> LoadInspections(
+    const std::vector<lang::Inspection>& inspections, CheckedFiles& files,
+    const InspectOptions& options, const Clock* clock);
+
+}  // namespace rips::inspect
+
+#endif  // RIPS_POLICY_SERVER_INSPECT_INSPECTION_SET_H_

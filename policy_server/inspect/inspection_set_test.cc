@@ -1,0 +1,255 @@
+#include "policy_server/inspect/inspection_set.h"
+
+#include <stdlib.h>
+#include <sys/stat.h>
+#include <unistd.h>
+
+#include <filesystem>
+#include <fstream>
+#include <map>
+#include <string>
+
+#include "absl/strings/str_cat.h"
+#include "gmock/gmock.h"
+#include "gtest/gtest.h"
+#include "services/base/status_matchers.h"
+#include "services/runtime/real_clock.h"
+
+namespace rips::inspect {
+namespace {
+
+using engine::Verdict;
+using lang::Inspection;
+using ::testing::AllOf;
+using ::testing::ElementsAre;
+using ::testing::Field;
+using ::testing::HasSubstr;
+using ::testing::IsEmpty;
+using Kind = lang::InspectionProblem::Kind;
+
+constexpr char kRule[] = "rule r { strings: $a = \"attack\" condition: $a }";
+
+Inspection Payload(const std::string& path) {
+  return {.kind = Inspection::Kind::kPayload, .name = path, .path = path};
+}
+Inspection PluginAt(const std::string& path) {
+  return {.kind = Inspection::Kind::kPlugin, .name = "p", .path = path};
+}
+
+auto OneProblem(Kind kind, const std::string& message) {
+  return ElementsAre(AllOf(Field(&lang::InspectionProblem::kind, kind),
+                           Field(&lang::InspectionProblem::message, HasSubstr(message))));
+}
+
+// Files in memory; counts how often each is read.
+class FakeFiles final : public FileSource {
+ public:
+  absl::StatusOr<std::string> Read(absl::string_view path, size_t bytes_max) const override {
+    ++reads[std::string(path)];
+    const auto found = texts.find(std::string(path));
+    if (found == texts.end()) return absl::NotFoundError(absl::StrCat("no file `", path, "`"));
+    if (found->second.size() > bytes_max) {
+      return absl::ResourceExhaustedError(absl::StrCat("`", path, "` is too long"));
+    }
+    return found->second;
+  }
+  absl::StatusOr<std::string> ProgramPath(const Inspection& plugin) const override {
+    if (plugin.path == "undeclared") return absl::NotFoundError("no plugin `undeclared`");
+    return plugin.path;
+  }
+
+  std::map<std::string, std::string> texts;
+  mutable std::map<std::string, int> reads;
+};
+
+class InspectionSetTest : public ::testing::Test {
+ protected:
+  InspectionSetTest() {
+    std::string name = ::testing::TempDir() + "/inspectXXXXXX";
+    dir_ = mkdtemp(name.data());
+    options_.scan_time = absl::Seconds(60);
+    options_.plugin.answer_time = absl::Seconds(60);
+  }
+  ~InspectionSetTest() override { std::filesystem::remove_all(dir_); }
+
+  std::string Write(const std::string& name, const std::string& text, mode_t mode = 0755) {
+    const std::string path = dir_ + "/" + name;
+    std::ofstream(path) << text;
+    EXPECT_EQ(chmod(path.c_str(), mode), 0);
+    return path;
+  }
+  absl::StatusOr<std::shared_ptr<const InspectionSet>> Load(
+      const std::vector<Inspection>& inspections) {
+    return LoadInspections(inspections, checked_, options_, &clock_);
+  }
+  static Message With(absl::string_view payload) {
+    return {.robot = "r1",
+            .payload = payload,
+            .size_bytes = static_cast<uint32_t>(payload.size()),
+            .available = true};
+  }
+
+  RealClock clock_;
+  std::string dir_;
+  FakeFiles files_;
+  CheckedFiles checked_{&files_};
+  InspectOptions options_;
+};
+
+TEST_F(InspectionSetTest, ChecksYaraFiles) {
+  files_.texts["good.yar"] = kRule;
+  files_.texts["broken.yar"] = "rule {";
+  files_.texts["slow.yar"] = "rule r { strings: $a = \"a\" condition: $a }";
+  files_.texts["long.yar"] = std::string(kYaraFileBytesMax + 1, ' ');
+
+  EXPECT_THAT(checked_.Check(Payload("good.yar")), IsEmpty());
+  EXPECT_THAT(checked_.Check(Payload("none.yar")),
+              OneProblem(Kind::kMissing, "no file `none.yar`"));
+  EXPECT_THAT(checked_.Check(Payload("broken.yar")), OneProblem(Kind::kBroken, "broken.yar:1: "));
+  EXPECT_THAT(checked_.Check(Payload("slow.yar")), OneProblem(Kind::kSlow, "slow.yar:1: "));
+  EXPECT_THAT(checked_.Check(Payload("long.yar")), OneProblem(Kind::kBroken, "is too long"));
+}
+
+TEST_F(InspectionSetTest, ChecksPluginsWithoutRunningThem) {
+  const std::string mark = dir_ + "/ran";
+  const std::string good = Write("good", "#!/bin/sh\nmkdir " + mark + "\n");
+  ASSERT_EQ(symlink(good.c_str(), (dir_ + "/link").c_str()), 0);
+
+  EXPECT_THAT(checked_.Check(PluginAt(good)), IsEmpty());
+  EXPECT_THAT(checked_.Check(PluginAt(dir_ + "/link")), IsEmpty());
+  EXPECT_THAT(checked_.Check(PluginAt(dir_ + "/none")), OneProblem(Kind::kMissing, "No such file"));
+  EXPECT_THAT(checked_.Check(PluginAt(dir_)), OneProblem(Kind::kBroken, "not a regular file"));
+  EXPECT_THAT(checked_.Check(PluginAt(Write("plain", "", 0644))),
+              OneProblem(Kind::kMissing, "not executable"));
+  EXPECT_THAT(checked_.Check(PluginAt("undeclared")),
+              OneProblem(Kind::kMissing, "no plugin `undeclared`"));
+  EXPECT_FALSE(std::filesystem::exists(mark));
+}
+
+TEST_F(InspectionSetTest, WhatWasCheckedIsWhatIsUsed) {
+  files_.texts["x.yar"] = kRule;
+  EXPECT_THAT(checked_.Check(Payload("x.yar")), IsEmpty());
+  files_.texts["x.yar"] = "rubbish";
+
+  const auto set = Load({Payload("x.yar")});
+
+  ASSERT_THAT(set, IsOk());
+  EXPECT_EQ((*set)->NewSession()->Inspect(0, With("attack")), Verdict::kYes);
+  EXPECT_EQ(files_.reads["x.yar"], 1);
+}
+
+TEST_F(InspectionSetTest, LoadReportsEveryProblemOfEveryFile) {
+  files_.texts["broken.yar"] = "rule a { condition: one }\nrule b { condition: two }";
+  EXPECT_THAT(Load({Payload("broken.yar"), Payload("none.yar"), PluginAt(dir_ + "/none")}),
+              StatusIs(absl::StatusCode::kInvalidArgument,
+                       AllOf(HasSubstr("broken.yar:1: undefined identifier \"one\"\n"),
+                             HasSubstr("broken.yar:2: undefined identifier \"two\"\n"),
+                             HasSubstr("no file `none.yar`\n"), HasSubstr("/none: No such file"))));
+}
+
+TEST_F(InspectionSetTest, LoadRefusesWhatCannotBeExecuted) {
+  EXPECT_THAT(Load({PluginAt(Write("text", "no program"))}),
+              StatusIs(absl::StatusCode::kInvalidArgument, HasSubstr("Exec format error")));
+}
+
+TEST_F(InspectionSetTest, InspectionsAreLimited) {
+  files_.texts["x.yar"] = kRule;
+  EXPECT_THAT(Load(std::vector<Inspection>(kInspectionsMax, Payload("x.yar"))), IsOk());
+  EXPECT_THAT(Load(std::vector<Inspection>(kInspectionsMax + 1, Payload("x.yar"))),
+              StatusIs(absl::StatusCode::kResourceExhausted, "257 inspections exceed limit 256"));
+}
+
+TEST_F(InspectionSetTest, AsksScannersAndPluginsByIndex) {
+  files_.texts["a.yar"] = kRule;
+  files_.texts["b.yar"] = "rule r { condition: filesize < 3 }";
+  options_.plugin.greeting_time = absl::Milliseconds(100);
+  const std::string plugin = Write("plugin", "#!/bin/sh\ngrep -q plug\n");
+  const auto set = Load({Payload("a.yar"), PluginAt(plugin), Payload("b.yar")});
+  ASSERT_THAT(set, IsOk());
+  EXPECT_EQ((*set)->size(), 3u);
+  const std::unique_ptr<Session> session = (*set)->NewSession();
+
+  EXPECT_EQ(session->Inspect(0, With("attack")), Verdict::kYes);
+  EXPECT_EQ(session->Inspect(0, With("plug")), Verdict::kNo);
+  EXPECT_EQ(session->Inspect(1, With("attack")), Verdict::kNo);
+  EXPECT_EQ(session->Inspect(1, With("plug")), Verdict::kYes);
+  EXPECT_EQ(session->Inspect(2, With("x")), Verdict::kYes);
+  EXPECT_EQ(session->Inspect(2, With("plug")), Verdict::kNo);
+  EXPECT_EQ(session->Inspect(3, With("x")), Verdict::kUnscanned) << "no such inspection";
+}
+
+TEST_F(InspectionSetTest, AMissingPayloadIsUnscannedAndAnEmptyOneIsNot) {
+  files_.texts["a.yar"] = kRule;
+  const auto set = Load({Payload("a.yar")});
+  ASSERT_THAT(set, IsOk());
+  const std::unique_ptr<Session> session = (*set)->NewSession();
+  Message missing = With("attack");
+  missing.available = false;
+
+  EXPECT_EQ(session->Inspect(0, missing), Verdict::kUnscanned);
+  EXPECT_EQ(session->Inspect(0, With("")), Verdict::kNo);
+}
+
+TEST_F(InspectionSetTest, ScansTheFirstBytesOnly) {
+  files_.texts["a.yar"] = kRule;
+  options_.payload_bytes_max = 100;
+  const auto set = Load({Payload("a.yar")});
+  ASSERT_THAT(set, IsOk());
+  const std::unique_ptr<Session> session = (*set)->NewSession();
+
+  EXPECT_EQ(session->Inspect(0, With(std::string(94, 'x') + "attack")), Verdict::kYes);
+  EXPECT_EQ(session->Inspect(0, With(std::string(95, 'x') + "attack")), Verdict::kNo);
+}
+
+TEST_F(InspectionSetTest, ASessionOutlivesItsSet) {
+  files_.texts["a.yar"] = kRule;
+  auto set = Load({Payload("a.yar")});
+  ASSERT_THAT(set, IsOk());
+  const std::unique_ptr<Session> session = (*set)->NewSession();
+  set->reset();
+  EXPECT_EQ(session->Inspect(0, With("attack")), Verdict::kYes);
+}
+
+TEST_F(InspectionSetTest, DiskFilesAreReadWhereTheyAre) {
+  const DiskFiles disk;
+  const std::string path = Write("x.yar", kRule);
+
+  EXPECT_THAT(disk.Read(path, 1000), IsOk());
+  EXPECT_THAT(disk.Read(path, 3), StatusIs(absl::StatusCode::kResourceExhausted));
+  EXPECT_THAT(disk.Read(dir_ + "/none", 1000), StatusIs(absl::StatusCode::kNotFound));
+  EXPECT_EQ(*disk.ProgramPath(PluginAt("/a/plugin")), "/a/plugin");
+  EXPECT_EQ(*disk.ProgramPath(PluginAt("plugins/x")),
+            (std::filesystem::current_path() / "plugins/x").string());
+}
+
+// The plugin that is shipped, through the real protocol.
+TEST_F(InspectionSetTest, TheShippedBlindingPluginIsFramed) {
+#ifdef __SANITIZE_THREAD__
+  GTEST_SKIP() << "a program built with ThreadSanitizer must write files, which plugins cannot";
+#endif
+  options_.plugin.greeting_time = absl::Seconds(60);
+  options_.plugin.process.address_space_bytes = 0;  // AddressSanitizer reserves terabytes
+  const auto set = Load({PluginAt(RIPS_BIN_DIR "/rips-plugin-blinding")});
+  ASSERT_THAT(set, IsOk());
+  const std::unique_ptr<Session> session = (*set)->NewSession();
+
+  // 8 x 8 mono8, little endian: stamp, frame id "", height, width, "mono8", big endian 0, step,
+  // data.
+  const auto image = [](char pixel) {
+    std::string cdr(
+        "\0\1\0\0"
+        "\0\0\0\0\0\0\0\0"
+        "\1\0\0\0\0\0\0\0"
+        "\x8\0\0\0\x8\0\0\0"
+        "\6\0\0\0mono8\0\0\0"
+        "\x8\0\0\0\x40\0\0\0",
+        48);
+    return cdr + std::string(64, pixel);
+  };
+  EXPECT_EQ(session->Inspect(0, With(image('\xff'))), Verdict::kYes);
+  EXPECT_EQ(session->Inspect(0, With(image('\x80'))), Verdict::kNo);
+  EXPECT_EQ(session->Inspect(0, With("rubbish")), Verdict::kUnscanned);
+}
+
+}  // namespace
+}  // namespace rips::inspect

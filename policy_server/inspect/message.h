@@ -1,0 +1,60 @@
+// What an inspection is told of one message.
+#ifndef RIPS_POLICY_SERVER_INSPECT_MESSAGE_H_
+#define RIPS_POLICY_SERVER_INSPECT_MESSAGE_H_
+
+#include <cstdint>
+#include <string>
+
+#include "absl/strings/string_view.h"
+
+namespace rips::inspect {
+
+// Views: valid during the call they are passed to.
+struct Message {
+  // Whose message it is. Blamed when a plugin fails on it; not told to plugins.
+  absl::string_view robot;
+  // As ROS users write them: `/camera/image`, `sensor_msgs/msg/Image`, `/ns/node` (empty if the
+  // writer is not attributed to a node).
+  absl::string_view topic;
+  absl::string_view type;
+  absl::string_view sender;
+  // The writer's GUID, 32 hex digits.
+  absl::string_view writer_hex;
+  int64_t time_unix_ns = 0;
+  // As received: 4-byte CDR header first. May be only the beginning.
+  absl::string_view payload;
+  // Of the whole payload on the robot.
+  uint32_t size_bytes = 0;
+  // False if the payload was not sent: every inspection is then unscanned.
+  bool available = false;
+};
+
+// The same, owning its texts: what waits in a queue.
+struct OwnedMessage {
+  std::string robot;
+  std::string topic;
+  std::string type;
+  std::string sender;
+  std::string writer_hex;
+  int64_t time_unix_ns = 0;
+  std::string payload;
+  uint32_t size_bytes = 0;
+  bool available = false;
+
+  // Valid as long as this is neither changed nor moved.
+  Message View() const {
+    return {.robot = robot,
+            .topic = topic,
+            .type = type,
+            .sender = sender,
+            .writer_hex = writer_hex,
+            .time_unix_ns = time_unix_ns,
+            .payload = payload,
+            .size_bytes = size_bytes,
+            .available = available};
+  }
+};
+
+}  // namespace rips::inspect
+
+#endif  // RIPS_POLICY_SERVER_INSPECT_MESSAGE_H_

@@ -1,0 +1,276 @@
+#include "policy_server/inspect/plugin.h"
+
+#include <algorithm>
+#include <utility>
+
+#include "absl/strings/match.h"
+#include "absl/strings/str_cat.h"
+#include "nlohmann/json.hpp"
+#include "services/base/status_macros.h"
+#include "services/runtime/log.h"
+
+namespace rips::inspect {
+namespace {
+
+using engine::Verdict;
+using Io = ChildProcess::Io;
+
+constexpr absl::string_view kGreeting = "rips-plugin 1\n";
+constexpr int64_t kLogPauseNs = 60 * kNanosPerSecond;
+// Exit statuses above this are the shells' words for "cannot be run" and "ended by a signal".
+constexpr int kExitNoMax = 125;
+
+enum class Greeting { kYes, kNo, kIncomplete };
+
+Greeting UnderstandGreeting(absl::string_view output) {
+  if (absl::StartsWith(output, kGreeting)) return Greeting::kYes;
+  return absl::StartsWith(kGreeting, output) ? Greeting::kIncomplete : Greeting::kNo;
+}
+
+absl::StatusOr<Verdict> UnderstandAnswer(absl::string_view line) {
+  if (line == "1\n") return Verdict::kYes;
+  if (line == "0\n") return Verdict::kNo;
+  if (line == "?\n") return Verdict::kUnscanned;
+  return absl::DataLossError("answered none of `1`, `0` and `?`");
+}
+
+absl::StatusOr<Verdict> UnderstandExit(int status) {
+  if (status == 0) return Verdict::kYes;
+  if (status > 0 && status <= kExitNoMax) return Verdict::kNo;
+  if (status < 0) return absl::AbortedError("ended by a signal");
+  return absl::AbortedError(absl::StrCat("exit status ", status));
+}
+
+absl::Status TooMuchOutput() {
+  return absl::ResourceExhaustedError(
+      absl::StrCat("wrote more than ", kPluginOutputBytesMax, " bytes"));
+}
+
+std::string LittleEndian32(uint32_t value) {
+  std::string bytes;
+  for (int shift = 0; shift < 32; shift += 8) bytes.push_back(static_cast<char>(value >> shift));
+  return bytes;
+}
+
+int64_t After(int64_t now_ns, absl::Duration delay) {
+  return now_ns + absl::ToInt64Nanoseconds(delay);
+}
+
+bool Greets(ChildProcess& process, int64_t deadline_ns, const Clock& clock) {
+  std::string output;
+  while (true) {
+    const bool ended = process.Exited().has_value();
+    const Io io = process.Read(output, kPluginOutputBytesMax);
+    const Greeting greeting = UnderstandGreeting(output);
+    if (greeting != Greeting::kIncomplete) return greeting == Greeting::kYes && !ended;
+    if (ended || io == Io::kClosed) return false;
+    if (!process.Wait(false, deadline_ns, clock)) return false;
+  }
+}
+
+}  // namespace
+
+absl::Status ProbePlugins(std::vector<PluginSpec>& plugins, const PluginOptions& options,
+                          const Clock& clock) {
+  std::vector<std::unique_ptr<ChildProcess>> processes;
+  for (const PluginSpec& plugin : plugins) {
+    RIPS_ASSIGN_OR_RETURN(auto process, ChildProcess::Start(plugin.path, options.process));
+    processes.push_back(std::move(process));
+  }
+  const int64_t deadline_ns = After(clock.Now().boottime_ns, options.greeting_time);
+  for (size_t i = 0; i < plugins.size(); ++i) {
+    plugins[i].protocol = Greets(*processes[i], deadline_ns, clock) ? PluginProtocol::kFramed
+                                                                    : PluginProtocol::kOneShot;
+  }
+  return absl::OkStatus();
+}
+
+std::string PluginHeader(const Message& message) {
+  const auto text = [](absl::string_view view) { return std::string(view); };
+  nlohmann::ordered_json header;
+  header["topic"] = text(message.topic);
+  header["type"] = text(message.type);
+  header["sender"] = text(message.sender);
+  header["writer"] = text(message.writer_hex);
+  header["time_unix_ns"] = message.time_unix_ns;
+  header["payload_bytes"] = message.payload.size();
+  header["size_bytes"] = message.size_bytes;
+  return header.dump(/*indent=*/-1, ' ', /*ensure_ascii=*/true,
+                     nlohmann::ordered_json::error_handler_t::replace);
+}
+
+Plugin::Plugin(PluginSpec spec, PluginOptions options, const Clock* clock)
+    : spec_(std::move(spec)),
+      options_(std::move(options)),
+      clock_(clock),
+      restart_(options_.restart) {}
+
+Plugin::~Plugin() = default;
+
+void Plugin::Warm() {
+  if (spec_.protocol == PluginProtocol::kFramed && process_ == nullptr) StartProcess();
+}
+
+Verdict Plugin::Ask(const Message& message) {
+  if (!message.available || message.payload.size() > kPluginPayloadBytesMax) {
+    return Verdict::kUnscanned;
+  }
+  const int64_t now_ns = Now();
+  if (!restart_.MayAsk(message.robot, now_ns)) return Verdict::kUnscanned;
+  const int64_t deadline_ns = After(now_ns, options_.answer_time);
+  return spec_.protocol == PluginProtocol::kFramed ? AskFramed(message, deadline_ns)
+                                                   : AskOneShot(message, deadline_ns);
+}
+
+Verdict Plugin::AskFramed(const Message& message, int64_t deadline_ns) {
+  DropIfUnfit();
+  if (process_ == nullptr) {
+    // Whoever made the last process unfit may be this robot.
+    if (!restart_.MayAsk(message.robot, Now()) || !StartProcess()) return Verdict::kUnscanned;
+  }
+  if (!greeted_ && !AwaitGreeting(deadline_ns)) return Verdict::kUnscanned;
+  const std::string header = PluginHeader(message);
+  if (header.size() > kPluginHeaderBytesMax) return Verdict::kUnscanned;
+  last_robot_ = std::string(message.robot);
+  const absl::StatusOr<Verdict> answer = Exchange(header, message.payload, deadline_ns);
+  if (answer.ok()) return *answer;
+  process_.reset();
+  restart_.AnswerFailed(message.robot, Now());
+  CountFailure(answer.status().message());
+  return Verdict::kUnscanned;
+}
+
+bool Plugin::StartProcess() {
+  absl::StatusOr<std::unique_ptr<ChildProcess>> started =
+      ChildProcess::Start(spec_.path, options_.process);
+  ++starts_;
+  if (!started.ok()) {
+    StartFailed(started.status().message());
+    return false;
+  }
+  process_ = *std::move(started);
+  greet_by_ns_ = After(Now(), options_.greeting_time);
+  greeted_ = false;
+  last_robot_.clear();
+  output_.clear();
+  return true;
+}
+
+bool Plugin::AwaitGreeting(int64_t deadline_ns) {
+  while (true) {
+    const bool ended = process_->Exited().has_value();
+    process_->Read(output_, kPluginOutputBytesMax);
+    const Greeting greeting = UnderstandGreeting(output_);
+    if (greeting == Greeting::kYes && output_.size() == kGreeting.size() && !ended) {
+      greeted_ = true;
+      output_.clear();
+      return true;
+    }
+    if (greeting != Greeting::kIncomplete) {
+      StartFailed("its first output is no greeting");
+      return false;
+    }
+    if (ended) {
+      StartFailed("ended before its greeting");
+      return false;
+    }
+    if (Now() >= greet_by_ns_) {
+      StartFailed("did not greet in time");
+      return false;
+    }
+    if (!process_->Wait(false, std::min(deadline_ns, greet_by_ns_), *clock_) &&
+        Now() < greet_by_ns_) {
+      return false;
+    }
+  }
+}
+
+void Plugin::DropIfUnfit() {
+  if (process_ == nullptr || !greeted_) return;
+  const bool ended = process_->Exited().has_value();
+  const Io io = process_->Read(output_, kPluginOutputBytesMax);
+  if (!ended && io != Io::kClosed && output_.empty()) return;
+  const absl::string_view why = output_.empty() ? "ended unasked" : "wrote unasked";
+  if (last_robot_.empty()) {
+    StartFailed(why);
+    return;
+  }
+  process_.reset();
+  restart_.AnswerFailed(last_robot_, Now());
+  CountFailure(why);
+}
+
+absl::StatusOr<Verdict> Plugin::Exchange(const std::string& header, absl::string_view payload,
+                                         int64_t deadline_ns) {
+  const std::string front =
+      absl::StrCat(LittleEndian32(static_cast<uint32_t>(header.size())), header);
+  absl::string_view front_rest = front;
+  absl::string_view payload_rest = payload;
+  while (true) {
+    Io written = process_->Write(front_rest);
+    if (written == Io::kDone) written = process_->Write(payload_rest);
+    const bool ended = process_->Exited().has_value();
+    const Io read = process_->Read(output_, kPluginOutputBytesMax);
+    if (read == Io::kDone) return TooMuchOutput();
+    const size_t line_end = output_.find('\n');
+    if (line_end != std::string::npos && written == Io::kDone) {
+      return UnderstandAnswer(std::exchange(output_, std::string()));
+    }
+    if (written == Io::kClosed || read == Io::kClosed || ended) {
+      return absl::AbortedError("ended or closed its side without an answer");
+    }
+    if (!process_->Wait(written != Io::kDone, deadline_ns, *clock_)) {
+      return absl::DeadlineExceededError("did not answer in time");
+    }
+  }
+}
+
+Verdict Plugin::AskOneShot(const Message& message, int64_t deadline_ns) {
+  absl::StatusOr<std::unique_ptr<ChildProcess>> process =
+      ChildProcess::Start(spec_.path, options_.process);
+  ++starts_;
+  if (!process.ok()) {
+    StartFailed(process.status().message());
+    return Verdict::kUnscanned;
+  }
+  const absl::StatusOr<Verdict> answer = AwaitExit(**process, message.payload, deadline_ns);
+  if (answer.ok()) return *answer;
+  CountFailure(answer.status().message());
+  return Verdict::kUnscanned;
+}
+
+absl::StatusOr<Verdict> Plugin::AwaitExit(ChildProcess& process, absl::string_view payload,
+                                          int64_t deadline_ns) {
+  std::string output;
+  while (true) {
+    // A program may well decide without reading everything.
+    const Io written = process.Write(payload);
+    if (written != Io::kBlocked) process.CloseInput();
+    const std::optional<ChildProcess::Exit> exit = process.Exited();
+    if (process.Read(output, kPluginOutputBytesMax) == Io::kDone) return TooMuchOutput();
+    if (UnderstandGreeting(output) == Greeting::kYes) {
+      spec_.protocol = PluginProtocol::kFramed;
+      return absl::FailedPreconditionError("greeted late; from now on it is kept running");
+    }
+    if (exit) return UnderstandExit(exit->status);
+    if (!process.Wait(written == Io::kBlocked, deadline_ns, *clock_)) {
+      return absl::DeadlineExceededError("did not end in time");
+    }
+  }
+}
+
+void Plugin::StartFailed(absl::string_view why) {
+  process_.reset();
+  restart_.StartFailed(Now());
+  CountFailure(why);
+}
+
+void Plugin::CountFailure(absl::string_view why) {
+  ++failures_;
+  const int64_t now_ns = Now();
+  if (logged_ns_ != 0 && now_ns - logged_ns_ < kLogPauseNs) return;
+  logged_ns_ = now_ns;
+  LogWarning("plugin failed", {{"plugin", spec_.id}, {"why", why}, {"failures", failures_}});
+}
+
+}  // namespace rips::inspect
