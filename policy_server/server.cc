@@ -160,7 +160,11 @@ absl::Status Server::Listen() {
   watch_ = std::make_unique<rpc::SessionWatch>(&clock_);
   sensors_ = std::make_unique<ingest::SensorService>(
       pipeline_.get(), watch_.get(),
-      ingest::IngestMetrics{.malformed = malformed("sensor"), .streams = streams("sensor")});
+      ingest::IngestMetrics{.malformed = malformed("sensor"),
+                            .streams = streams("sensor"),
+                            .interests_refused = metrics_.AddCounter(
+                                "rips_interests_refused_total",
+                                "Lists of wanted payloads that sensors could not apply.")});
   actuators_ = std::make_unique<dispatch::ActuatorService>(
       pipeline_.get(), watch_.get(),
       dispatch::DispatchMetrics{

@@ -23,6 +23,9 @@ constexpr int64_t kIdleNs = kNanosPerSecond;
 // How long a renewed discovery may take to tell everything that is there.
 constexpr int64_t kResyncNs = 2 * kNanosPerSecond;
 
+// Payloads that may be held between reception and the outbox, which has a limit of its own.
+constexpr size_t kPayloadsUnderwayBytes = size_t{16} << 20;
+
 Loss LimitLoss(uint64_t count, int64_t now_ns) {
   return {.cause = LossCause::kLimit,
           .count = count,
@@ -40,6 +43,9 @@ Agent::Agent(const SensorConfig& config, const Clock* clock, Metrics* metrics)
                                       "Samples that another reader delivered, too")),
       unattributed_(metrics->AddCounter("rips_sensor_unattributed_total",
                                         "Messages whose writer has no node")),
+      payloads_shed_(metrics->AddCounter(
+          "rips_sensor_payloads_shed_total",
+          "Payloads that were asked for and not kept; their messages were, as metadata")),
       foreign_claims_(metrics->AddCounter("rips_sensor_foreign_claims_total",
                                           "Claims on nodes or endpoints of other participants")),
       bad_claims_(metrics->AddCounter("rips_sensor_undecodable_claims_total",
@@ -68,12 +74,23 @@ absl::StatusOr<std::unique_ptr<Agent>> Agent::Create(
                           }
                           raw->Wake();
                         },
-                    .on_snapshot_wanted = [raw] { raw->Wake(); }},
+                    .on_snapshot_wanted = [raw] { raw->Wake(); },
+                    .on_interest =
+                        [raw](std::shared_ptr<const Interest> interest) {
+                          {
+                            MutexLock lock(&raw->inbox_mu_);
+                            raw->interest_ = std::move(interest);
+                          }
+                          raw->Wake();
+                        }},
       clock, metrics);
   RIPS_ASSIGN_OR_RETURN(
       agent->domain_,
-      DomainWatch::Create({.domain = {.id = config.dds.domain, .interface = config.dds.interface}},
-                          [raw] { raw->Wake(); }));
+      DomainWatch::Create(
+          {.domain = {.id = config.dds.domain, .interface = config.dds.interface},
+           .topics = {.payload_bytes = static_cast<size_t>(config.outbox_memory.bytes) +
+                                       kPayloadsUnderwayBytes}},
+          [raw] { raw->Wake(); }));
   const int64_t grace_ns = absl::ToInt64Nanoseconds(config.attribution_grace);
   const int64_t settle_ns = absl::ToInt64Nanoseconds(config.settle);
   GraphOptions options{.own = agent->domain_->own(),
@@ -155,10 +172,16 @@ int64_t Agent::NextWork() const {
 
 void Agent::TakeInbox(int64_t now_ns, Observations& seen) {
   std::optional<std::vector<ros2::Guid>> own;
+  std::shared_ptr<const Interest> interest;
   {
     MutexLock lock(&inbox_mu_);
     seen.signals.swap(signals_);
     own.swap(own_participants_);
+    interest.swap(interest_);
+  }
+  if (interest != nullptr) {
+    domain_->topics().SetInterest(interest);
+    uplink_->InterestInUse(interest->id());
   }
   if (own.has_value()) graph_->SetOwnParticipants(*own, now_ns);
 }
@@ -238,6 +261,7 @@ void Agent::TakeSamples(int64_t now_ns, Observations& seen) {
   flow_->Poll(now_ns, output);
   std::vector<Sample> samples = domain_->topics().Take(kSamplesAtOnce);
   samples_.Increment(static_cast<double>(samples.size()));
+  payloads_shed_.Increment(static_cast<double>(domain_->topics().TakePayloadsRefused()));
   for (Sample& sample : samples) flow_->Take(std::move(sample), now_ns, output);
   if (samples.size() == kSamplesAtOnce) woken_ = true;  // there is more
   seen.messages = std::move(output.messages);

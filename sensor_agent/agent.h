@@ -17,6 +17,7 @@
 #include "sensor_agent/config.h"
 #include "sensor_agent/dds/domain_watch.h"
 #include "sensor_agent/graph_builder.h"
+#include "sensor_agent/interest.h"
 #include "sensor_agent/message_flow.h"
 #include "sensor_agent/uplink.h"
 #include "services/base/clock.h"
@@ -67,6 +68,7 @@ class Agent {
   Counter samples_;
   Counter duplicates_;
   Counter unattributed_;
+  Counter payloads_shed_;
   Counter foreign_claims_;
   Counter bad_claims_;
   Counter lost_;
@@ -78,6 +80,8 @@ class Agent {
   bool stopping_ ABSL_GUARDED_BY(inbox_mu_) = false;
   std::vector<std::string> signals_ ABSL_GUARDED_BY(inbox_mu_);
   std::optional<std::vector<ros2::Guid>> own_participants_ ABSL_GUARDED_BY(inbox_mu_);
+  // Not yet observed; the newest takes the place of those before. Null = none.
+  std::shared_ptr<const Interest> interest_ ABSL_GUARDED_BY(inbox_mu_);
 
   // The observer thread's.
   std::optional<GraphBuilder> graph_;

@@ -8,6 +8,7 @@
 #include <cstdio>
 #include <filesystem>
 #include <fstream>
+#include <optional>
 #include <sstream>
 
 #include "absl/strings/str_cat.h"
@@ -75,6 +76,45 @@ class AgentTest : public testing::Test {
       process.Publish(absl::StrCat("rt", topic));
       for (const Recorded& each : s.received) {
         if (each.lane == MESSAGES && each.topic == topic && each.writer.node() == node) {
+          return true;
+        }
+      }
+      return false;
+    });
+  }
+
+  // Asks for the first bytes of the messages of topics that match.
+  void Ask(char id, const std::string& regex, uint32_t bytes) {
+    rips::v1::SensorReply reply;
+    reply.mutable_interest()->set_id(std::string(kInterestIdBytes, id));
+    rips::v1::InterestRule* rule = reply.mutable_interest()->add_rules();
+    rule->set_topic_regex(regex);
+    rule->set_depth(rips::v1::InterestRule::PAYLOAD);
+    rule->set_payload_bytes_max(bytes);
+    reply.mutable_interest()->add_rules()->set_depth(rips::v1::InterestRule::METADATA);
+    server_.Send(reply);
+  }
+  // That of the newest message of `topic`.
+  std::string PayloadOf(const std::string& topic) {
+    std::string payload;
+    EXPECT_TRUE(server_.WaitUntil([&](const FakePolicyServer& s) {
+      for (const Recorded& each : s.received) {
+        if (each.topic == topic && each.what.has_message()) payload = each.what.message().payload();
+      }
+      return true;
+    }));
+    return payload;
+  }
+  // Publishes until a new message of `topic` comes with that payload.
+  bool WaitForPayload(FakeProcess& process, const std::string& topic, const std::string& payload) {
+    std::optional<size_t> before;
+    return server_.WaitUntil([&](const FakePolicyServer& s) {
+      if (!before.has_value()) before = s.received.size();
+      process.Publish(absl::StrCat("rt", topic));
+      for (size_t i = *before; i < s.received.size(); ++i) {
+        const Recorded& each = s.received[i];
+        if (each.topic == topic && each.what.has_message() &&
+            each.what.message().payload() == payload) {
           return true;
         }
       }
@@ -158,6 +198,42 @@ TEST_F(AgentTest, GoesOnAfterTheServerWasAway) {
   EXPECT_TRUE(WaitForPublisher("/late", "/late"));
   EXPECT_TRUE(WaitForPublisher("/chatter", "/talker"));
   EXPECT_TRUE(WaitForMessage(*late, "/late", "/late"));
+}
+
+TEST_F(AgentTest, PayloadsComeForTheTopicsAskedForAndNoOthers) {
+  auto talker = robot_.AddProcess();
+  talker->AddWriter("rt/chatter");
+  talker->AddWriter("rt/camera");
+  talker->Announce("talker");
+  StartServer();
+  StartAgent();
+  ASSERT_TRUE(WaitForMessage(*talker, "/chatter", "/talker"));
+  ASSERT_TRUE(WaitForMessage(*talker, "/camera", "/talker"));
+  EXPECT_EQ(PayloadOf("/chatter"), "") << "nobody has asked";
+
+  // Header, length, six characters and padding.
+  const std::string whole("\0\1\0\0\6\0\0\0hello\0\0\0", 16);
+  Ask('a', "^/chatter$", 10);
+  ASSERT_TRUE(WaitForPayload(*talker, "/chatter", whole.substr(0, 10)));
+  ASSERT_TRUE(WaitForMessage(*talker, "/camera", "/talker"));
+  EXPECT_EQ(PayloadOf("/camera"), "");
+
+  Ask('b', "(", 10);
+  ASSERT_TRUE(server_.WaitUntil([](const auto& s) { return s.interests_applied.size() == 2; }));
+  ASSERT_TRUE(WaitForPayload(*talker, "/chatter", whole.substr(0, 10))) << "the one before stays";
+
+  Ask('c', "^/cam", 65'536);
+  ASSERT_TRUE(WaitForPayload(*talker, "/camera", whole));
+  ASSERT_TRUE(WaitForPayload(*talker, "/chatter", ""));
+
+  server_.Stop();
+  StartServer();
+  ASSERT_TRUE(WaitForPayload(*talker, "/camera", whole)) << "without being told again";
+  EXPECT_TRUE(server_.WaitUntil([](const FakePolicyServer& s) {
+    return s.hellos.back().interest_in_use() == std::string(kInterestIdBytes, 'c') &&
+           s.interests_applied.size() == 3 && s.interests_applied[0].problem().empty() &&
+           !s.interests_applied[1].problem().empty() && s.interests_applied[2].problem().empty();
+  }));
 }
 
 TEST_F(AgentTest, HiddenObserverIsNotInTheGraph) {

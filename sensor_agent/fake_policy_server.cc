@@ -198,6 +198,17 @@ void FakePolicyServer::TakeBatch(const rips::v1::ObservationBatch& batch, Names&
     violations.push_back(absl::StrCat("lane ", batch.lane(), ": batch at ", batch.first_sequence(),
                                       " after ", judged));
   }
+  size_t payload_bytes = 0;
+  for (const auto& each : batch.observations()) {
+    const rips::v1::MessageSeen& message = each.message();
+    payload_bytes += message.payload().size();
+    if (message.payload().size() > std::min(message.size_bytes(), 65'536u) ||
+        message.truncated() != (message.payload().size() < message.size_bytes())) {
+      violations.push_back(absl::StrCat("payload of ", message.payload().size(), " bytes of ",
+                                        message.size_bytes(), ", truncated ", message.truncated()));
+    }
+  }
+  if (payload_bytes > 1 << 20) violations.push_back(absl::StrCat(payload_bytes, " payload bytes"));
   for (int i = 0; i < batch.observations_size(); ++i) {
     const auto& what = batch.observations(i);
     Recorded one{.incarnation = batch.incarnation(),
@@ -244,6 +255,7 @@ grpc::Status FakePolicyServer::Observe(grpc::ServerContext* context, Stream* str
       beat.mutable_heartbeat()->set_echo_boottime_ns(message.heartbeat().clock().boottime_ns());
       if (!behaviour_.silent) stream->Write(beat);
     }
+    if (message.has_interest_applied()) interests_applied.push_back(message.interest_applied());
     if (!message.has_batch()) continue;
     if (behaviour_.silent) violations.push_back("a batch before the resume was answered");
     batches.push_back(message.batch());

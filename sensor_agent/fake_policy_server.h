@@ -77,6 +77,7 @@ class FakePolicyServer final : public rips::v1::SensorService::Service {
   std::vector<Recorded> received;
   std::vector<rips::v1::SensorHello> hellos;
   std::vector<rips::v1::ObservationBatch> batches;
+  std::vector<rips::v1::InterestApplied> interests_applied;
   int heartbeats = 0;
   // What contradicts the contract.
   std::vector<std::string> violations;

@@ -45,7 +45,8 @@ void MessageFlow::Run(const Sample& sample, Writer& writer, Output& output) {
   MessageSeen message{.boottime_ns = sample.received_ns,
                       .writer_sequence = sample.sequence,
                       .source_unix_ns = sample.source_unix_ns,
-                      .size_bytes = sample.size_bytes};
+                      .size_bytes = sample.size_bytes,
+                      .payload = sample.payload};
   Introduce(sample, writer, message.urgent);
   const Endpoint& endpoint = writer.source->writer;
   const bool read_elsewhere = Latched(endpoint) && !sample.reader->latched &&

@@ -35,6 +35,7 @@ struct Sample {
   ros2::Guid writer;  // none() = not known
   std::shared_ptr<const ReaderKey> reader;
   uint32_t size_bytes = 0;
+  Payload payload;
   uint64_t sequence = 0;  // RTPS; 0 = not known
   int64_t source_unix_ns = 0;
   int64_t received_ns = 0;  // CLOCK_BOOTTIME

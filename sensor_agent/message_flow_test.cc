@@ -80,6 +80,31 @@ class MessageFlowTest : public testing::Test {
   MessageFlow::Output output_;
 };
 
+TEST_F(MessageFlowTest, ThePayloadStaysWithItsMessageAndIsNotCopied) {
+  const Guid writer = WriterGuid(1);
+  const Payload payload = std::make_shared<const std::string>("abcd");
+  const auto take = [&](uint64_t sequence) {
+    flow_.Take({.writer = writer,
+                .reader = volatile_,
+                .size_bytes = 24,
+                .payload = payload,
+                .sequence = sequence},
+               now_ns_, output_);
+  };
+  take(1);
+  EXPECT_THAT(output_.messages, IsEmpty()) << "it waits for its writer's node";
+  EXPECT_EQ(payload.use_count(), 2);
+  Known(writer, "talker");
+  Pass(1);
+  take(1);
+  EXPECT_EQ(flow_.counters().duplicates, 1u);
+  Take(writer, 2);
+  ASSERT_THAT(output_.messages, SizeIs(2));
+  EXPECT_EQ(output_.messages[0].payload, payload);
+  EXPECT_EQ(output_.messages[1].payload, nullptr);
+  EXPECT_EQ(payload.use_count(), 2) << "that of the duplicate is let go";
+}
+
 TEST_F(MessageFlowTest, MessageOfAKnownWriterRunsAtOnceAndTheFirstIsUrgent) {
   Known(WriterGuid(1), "talker");
   Take(WriterGuid(1), 7);

@@ -3,6 +3,7 @@
 #ifndef RIPS_SENSOR_AGENT_OBSERVATION_H_
 #define RIPS_SENSOR_AGENT_OBSERVATION_H_
 
+#include <cstddef>
 #include <cstdint>
 #include <memory>
 #include <string>
@@ -23,12 +24,18 @@ struct MessageSource {
   ros2::Endpoint writer;
 };
 
+// The first bytes of a serialized payload, CDR header included. Null = none are held.
+using Payload = std::shared_ptr<const std::string>;
+// Estimated memory of a payload beyond its bytes.
+inline constexpr size_t kPayloadOverheadBytes = 96;
+
 struct MessageSeen {
   int64_t boottime_ns = 0;  // reception
   std::shared_ptr<const MessageSource> source;
   uint64_t writer_sequence = 0;  // 0 = not known
   int64_t source_unix_ns = 0;
   uint32_t size_bytes = 0;  // whole payload with its CDR header
+  Payload payload;
   // First of its source: does not wait for a batch to fill.
   bool urgent = false;
 };

@@ -26,7 +26,15 @@ bool IsGraph(const ControlObservation& observation) {
 
 }  // namespace
 
-size_t CostOf(const MessageSeen&) { return sizeof(MessageSeen) + kEntryOverheadBytes / 2; }
+size_t PayloadBytes(const MessageSeen& message) {
+  return message.payload == nullptr ? 0 : message.payload->size();
+}
+
+size_t CostOf(const MessageSeen& message) {
+  const size_t bytes = sizeof(MessageSeen) + kEntryOverheadBytes / 2;
+  if (message.payload == nullptr) return bytes;
+  return bytes + message.payload->size() + kPayloadOverheadBytes;
+}
 
 size_t CostOf(const ros2::Endpoint& endpoint) {
   size_t bytes = kItemOverheadBytes + endpoint.name.size() + endpoint.type.size() +
@@ -64,6 +72,7 @@ void Outbox::AddMessage(MessageSeen message) {
   if (!primary_) return;
   messages_.urgent |= message.urgent;
   messages_.bytes += CostOf(message);
+  fresh_payload_bytes_ += PayloadBytes(message);
   messages_.entries.push_back(std::move(message));
   if (messages_.bytes > limits_.message_bytes) Shed();
 }
@@ -141,14 +150,28 @@ void Outbox::CountShed(const MessageSeen& message) {
            .last_boottime_ns = message.boottime_ns});
 }
 
+void Outbox::ShedPayloads(size_t begin, size_t end, size_t goal) {
+  for (size_t i = begin; i < end && messages_.bytes > goal; ++i) {
+    MessageSeen& message = messages_.entries[i];
+    if (message.payload == nullptr) continue;
+    messages_.bytes -= CostOf(message);
+    if (i >= messages_.numbered) fresh_payload_bytes_ -= PayloadBytes(message);
+    message.payload = nullptr;
+    messages_.bytes += CostOf(message);
+    ++shed_payloads_;
+  }
+}
+
 void Outbox::Shed() {
   const size_t goal = limits_.message_bytes / 8 * 7;
   // Those not yet numbered first: what is in flight may be judged already.
+  ShedPayloads(messages_.numbered, messages_.entries.size(), goal);
+  ShedPayloads(0, messages_.numbered, goal);
   auto begin = messages_.entries.begin() + static_cast<ptrdiff_t>(messages_.numbered);
   auto end = begin;
   while (messages_.bytes > goal && end != messages_.entries.end()) {
     CountShed(*end);
-    messages_.bytes -= CostOf(*end);
+    messages_.bytes -= CostOf(*end);  // payloads are gone by now
     ++end;
   }
   messages_.entries.erase(begin, end);
@@ -196,7 +219,11 @@ void Outbox::MarkSent(Lane lane, size_t count) {
   if (lane == Lane::kControl) {
     MarkSentIn(control_, count);
   } else {
+    const size_t numbered = messages_.numbered;
     MarkSentIn(messages_, count);
+    for (size_t i = numbered; i < messages_.numbered; ++i) {
+      fresh_payload_bytes_ -= PayloadBytes(messages_.entries[i]);
+    }
   }
 }
 
@@ -214,6 +241,7 @@ std::optional<int64_t> Outbox::DueAt(Lane lane, const BatchPolicy& policy, int64
   if (snapshot_wanted_) return std::nullopt;
   if (lane == Lane::kMessages) {
     if (!messages_released_) return std::nullopt;
+    if (fresh_payload_bytes_ >= policy.bytes) return now_ns;
     return DueIn(messages_, policy, last_batch_ns, now_ns);
   }
   std::optional<int64_t> due = DueIn(control_, policy, last_batch_ns, now_ns);
@@ -268,6 +296,8 @@ void Outbox::Renumber() {
   control_.numbered = control_.sent = 0;
   messages_.first_sequence = 1;
   messages_.numbered = messages_.sent = 0;
+  fresh_payload_bytes_ = 0;
+  for (const MessageSeen& each : messages_.entries) fresh_payload_bytes_ += PayloadBytes(each);
   snapshot_wanted_ = true;
 }
 
@@ -327,6 +357,7 @@ void Outbox::SetPrimary(bool primary) {
     messages_.bytes -= CostOf(messages_.entries.back());
     messages_.entries.pop_back();
   }
+  fresh_payload_bytes_ = 0;
 }
 
 // --- Looking

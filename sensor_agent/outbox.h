@@ -23,8 +23,8 @@
 namespace rips::sensor {
 
 struct OutboxLimits {
-  // Beyond, the oldest messages are shed down to 7/8 of it, so that one run leaves one Loss record
-  // for each source and not one for each message.
+  // Beyond, first payloads and then messages are shed, the oldest first, down to 7/8 of it, so that
+  // one run leaves one Loss record for each source and not one for each message.
   size_t message_bytes = size_t{64} << 20;
   // Beyond, the graph steps not yet sent are folded into one snapshot and counted as Loss.
   size_t control_bytes = size_t{64} << 20;
@@ -78,7 +78,7 @@ class Outbox {
   void MarkSent(Lane lane, size_t count);
   // When the lane's next batch should leave, given when the last one did; nullopt = nothing to
   // send. At once (now_ns) if a batch is full, something urgent waits, what waits was sent on an
-  // earlier stream, or the line has been idle for the linger.
+  // earlier stream, or the line has been idle for the linger. Payloads fill a batch, too.
   std::optional<int64_t> DueAt(Lane lane, const BatchPolicy& policy, int64_t last_batch_ns,
                                int64_t now_ns) const;
 
@@ -112,6 +112,8 @@ class Outbox {
   size_t bytes() const { return messages_.bytes + control_.bytes; }
   const OutboxLimits& limits() const { return limits_; }
   uint64_t shed_messages() const { return shed_messages_; }
+  // Payloads shed; their messages stayed, as metadata.
+  uint64_t shed_payloads() const { return shed_payloads_; }
   // Reception time of the oldest unacknowledged observation.
   std::optional<int64_t> OldestUnacked() const;
 
@@ -139,6 +141,8 @@ class Outbox {
                                       int64_t last_batch_ns, int64_t now_ns);
   void PushControl(ControlObservation observation);
   void Shed();
+  // Those of the messages [begin, end), until `goal` is met.
+  void ShedPayloads(size_t begin, size_t end, size_t goal);
   void CountShed(const MessageSeen& message);
   // Removes the graph steps without number; how many there were.
   size_t DropUnnumberedGraph();
@@ -156,8 +160,12 @@ class Outbox {
   bool snapshot_wanted_ = false;
   bool primary_ = true;
   uint64_t shed_messages_ = 0;
+  uint64_t shed_payloads_ = 0;
+  // Of payloads whose message has no number yet.
+  size_t fresh_payload_bytes_ = 0;
 };
 
+size_t PayloadBytes(const MessageSeen& message);
 // Estimated memory of one held observation, bytes.
 size_t CostOf(const MessageSeen& message);
 size_t CostOf(const ControlObservation& observation);

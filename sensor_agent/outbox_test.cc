@@ -35,6 +35,19 @@ class OutboxTest : public testing::Test {
   void AddGraph(uint64_t from, uint64_t to) {
     outbox_.AddGraph({.from_version = from, .to_version = to, .settled = true}, now_ns_);
   }
+  void AddPayload(uint32_t size, size_t bytes) {
+    outbox_.AddMessage({.boottime_ns = size * kMs,
+                        .source = source_,
+                        .size_bytes = size,
+                        .payload = std::make_shared<const std::string>(bytes, 'x')});
+  }
+  std::vector<size_t> UnsentPayloads() {
+    std::vector<size_t> all;
+    for (size_t i = 0; i < outbox_.unsent(Lane::kMessages); ++i) {
+      all.push_back(PayloadBytes(outbox_.UnsentMessage(i)));
+    }
+    return all;
+  }
   // (sequence, size) of every unsent message.
   std::vector<std::pair<uint64_t, uint32_t>> UnsentMessages() {
     std::vector<std::pair<uint64_t, uint32_t>> all;
@@ -118,6 +131,35 @@ TEST_F(OutboxTest, AfterReconnectExactlyTheUnackedGoAgainUnderTheirNumbers) {
   EXPECT_THAT(UnsentMessages(), ElementsAre(std::pair(4, 4), std::pair(5, 5), std::pair(6, 6)));
   EXPECT_THAT(outbox_.DueAt(Lane::kMessages, {}, now_ns_, now_ns_), Optional(now_ns_))
       << "a backlog does not wait for the linger";
+}
+
+TEST_F(OutboxTest, PayloadsFillABatchAndAreAccounted) {
+  const BatchPolicy policy{.observations = 100, .bytes = 1'000, .linger_ns = 20 * kMs};
+  const auto due = [&] { return outbox_.DueAt(Lane::kMessages, policy, now_ns_, now_ns_); };
+  AddPayload(1, 999);
+  EXPECT_THAT(due(), Optional(now_ns_ + 20 * kMs));
+  AddPayload(2, 1);
+  EXPECT_THAT(due(), Optional(now_ns_)) << "a batch full of payload";
+  EXPECT_EQ(outbox_.bytes(), 2 * (CostOf(MessageSeen{}) + kPayloadOverheadBytes) + 1'000);
+
+  outbox_.MarkSent(Lane::kMessages, 1);
+  EXPECT_THAT(due(), Optional(now_ns_ + 20 * kMs));
+  outbox_.Renumber();
+  ASSERT_TRUE(outbox_.snapshot_wanted());
+  outbox_.ReplaceGraph({}, now_ns_);
+  EXPECT_THAT(due(), Optional(now_ns_)) << "all of it is to be sent again";
+  outbox_.MarkSent(Lane::kMessages, 2);
+  ASSERT_THAT(outbox_.Acknowledge(Lane::kMessages, 2), IsOk());
+  EXPECT_EQ(outbox_.bytes(), 0u);
+  AddPayload(3, 10);
+  EXPECT_THAT(due(), Optional(now_ns_ + 20 * kMs));
+
+  AddPayload(4, 2'000);
+  outbox_.SetPrimary(false);
+  outbox_.SetPrimary(true);
+  outbox_.ReplaceGraph({}, now_ns_);
+  AddPayload(5, 10);
+  EXPECT_THAT(due(), Optional(now_ns_ + 20 * kMs)) << "what was dropped counts no more";
 }
 
 TEST_F(OutboxTest, BatchIsDueWhenIdleUrgentFullOrAfterTheLinger) {
@@ -232,6 +274,56 @@ TEST_F(SmallOutboxTest, MessagesInFlightAreShedLast) {
   EXPECT_EQ(outbox_.Unacked(Lane::kMessages), (SequenceRange{3, 16}));
   EXPECT_THAT(outbox_.Acknowledge(Lane::kMessages, 2), IsOk()) << "came too late: no harm";
   EXPECT_EQ(outbox_.shed_messages(), 3 + 3 + 3);
+}
+
+// Fewer messages fit with a payload; the payloads go first, the oldest of them.
+TEST_F(SmallOutboxTest, PayloadsAreShedBeforeMessages) {
+  const size_t room = outbox_.limits().message_bytes;
+  for (uint32_t i = 1; outbox_.shed_payloads() == 0; ++i) {
+    ASSERT_LT(i, 100u);
+    AddPayload(i, 40);
+    EXPECT_LE(outbox_.bytes(), room);
+  }
+  std::vector<size_t> held = UnsentPayloads();
+  ASSERT_GE(held.size(), 3u);
+  EXPECT_EQ(held.front(), 0u);
+  EXPECT_EQ(held.back(), 40u);
+  EXPECT_TRUE(std::is_sorted(held.begin(), held.end())) << "the oldest";
+  EXPECT_EQ(std::count(held.begin(), held.end(), 0u), outbox_.shed_payloads());
+  EXPECT_EQ(outbox_.shed_messages(), 0u);
+  EXPECT_EQ(UnsentMessages().front(), (std::pair<uint64_t, uint32_t>(1, 1)));
+  outbox_.FlushMerged(now_ns_);
+  EXPECT_THAT(UnsentControl(), IsEmpty()) << "the messages are there: no loss";
+
+  // With messages alone the payloads go until none is left, then messages.
+  AddMessages(101, 101 + kRoom);
+  for (const size_t bytes : UnsentPayloads()) EXPECT_EQ(bytes, 0u);
+  EXPECT_GT(outbox_.shed_messages(), 0u);
+  EXPECT_LE(outbox_.bytes(), room);
+}
+
+TEST_F(SmallOutboxTest, PayloadsInFlightAreShedLastAndTheirNumbersStay) {
+  AddPayload(1, 40);
+  AddPayload(2, 400);
+  outbox_.MarkSent(Lane::kMessages, 1);
+  const auto until_shed = [&](uint64_t count) {
+    for (uint32_t i = 10; outbox_.shed_payloads() < count && i < 100; ++i) AddMessages(i, i);
+  };
+  until_shed(1);
+  outbox_.Rewind();
+  EXPECT_EQ(UnsentPayloads()[0], 40u);
+  EXPECT_EQ(UnsentPayloads()[1], 0u);
+  until_shed(2);
+  EXPECT_EQ(UnsentPayloads()[0], 0u);
+  EXPECT_EQ(UnsentMessages().front(), (std::pair<uint64_t, uint32_t>(1, 1)));
+  EXPECT_EQ(outbox_.Unacked(Lane::kMessages), (SequenceRange{1, 1}));
+}
+
+TEST_F(SmallOutboxTest, AMessageLargerThanTheOutboxStaysWithoutItsPayload) {
+  AddPayload(1, 64 * 1024);
+  EXPECT_THAT(UnsentPayloads(), ElementsAre(0u));
+  EXPECT_EQ(outbox_.shed_payloads(), 1u);
+  EXPECT_EQ(outbox_.bytes(), CostOf(MessageSeen{}));
 }
 
 TEST_F(SmallOutboxTest, ControlIsNeverShedButUnsentGraphStepsFoldIntoASnapshot) {

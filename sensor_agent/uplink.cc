@@ -23,6 +23,8 @@ constexpr uint32_t kProtocol = 1;
 // Batches handed to the client and not yet written. Few: what waits there is in front of control
 // observations that come later, and the outbox holds everything anyway.
 constexpr size_t kClientQueue = 32;
+// Answers to interests that wait for the client's queue.
+constexpr size_t kAnswersMax = 16;
 constexpr int64_t kStallRetryNs = 10 * kNanosPerMilli;
 // What the server may set, whatever it says.
 constexpr uint32_t kBatchObservationsMax = 256;
@@ -41,6 +43,29 @@ rips::v1::Lane ToWire(Lane lane) {
 
 std::string NewIncarnation() { return absl::HexStringToBytes(NewId()); }
 
+// InvalidArgument: a depth that is not known.
+absl::StatusOr<std::shared_ptr<const Interest>> FromWire(const rips::v1::Interest& wire) {
+  std::vector<InterestRule> rules;
+  for (const rips::v1::InterestRule& rule : wire.rules()) {
+    switch (rule.depth()) {
+      case rips::v1::InterestRule::NOTHING:
+      case rips::v1::InterestRule::METADATA:
+        rules.push_back({.topic_regex = rule.topic_regex(), .type = rule.type()});
+        break;
+      case rips::v1::InterestRule::PAYLOAD:
+        rules.push_back({.topic_regex = rule.topic_regex(),
+                         .type = rule.type(),
+                         .payload_bytes_max = rule.payload_bytes_max()});
+        break;
+      default:
+        return absl::InvalidArgumentError(absl::StrCat("rule ", rules.size() + 1, ": depth ",
+                                                       static_cast<int>(rule.depth()),
+                                                       " is not known"));
+    }
+  }
+  return Interest::Create(wire.id(), std::move(rules));
+}
+
 void SetClock(Instant now, rips::v1::Clock* clock) {
   clock->set_boottime_ns(static_cast<uint64_t>(now.boottime_ns));
   clock->set_unix_ns(now.unix_ns);
@@ -58,6 +83,9 @@ Uplink::Uplink(UplinkOptions options, Hooks hooks, const Clock* clock, Metrics* 
       reconnects_(metrics->AddCounter("rips_sensor_stream_ends_total",
                                       "Streams and attempts to connect that ended")),
       shed_(metrics->AddCounter("rips_sensor_shed_total", "Messages shed by a full outbox")),
+      payloads_shed_(metrics->AddCounter(
+          "rips_sensor_payloads_shed_total",
+          "Payloads that were asked for and not kept; their messages were, as metadata")),
       outbox_bytes_(metrics->AddGauge("rips_sensor_outbox_bytes",
                                       "Estimated memory of observations not acknowledged")),
       streaming_(metrics->AddGauge("rips_sensor_streaming", "1 while the stream carries batches")),
@@ -174,6 +202,7 @@ SensorMessage Uplink::OnConnected() {
   hello->set_host(options_.host);
   SetClock(now, hello->mutable_clock());
   sensor->set_domain(options_.domain);
+  sensor->set_interest_in_use(interest_in_use_);
   sensor->add_not_visible("unicast-only writers");
   sensor->add_not_visible("service requests");
   for (const Lane lane : kLanes) {
@@ -189,6 +218,7 @@ SensorMessage Uplink::OnConnected() {
 }
 
 void Uplink::OnMessage(const SensorReply& reply) {
+  if (reply.has_interest()) return OnInterest(reply.interest());
   std::optional<std::vector<ros2::Guid>> own;
   bool snapshot_wanted = false;
   {
@@ -210,13 +240,11 @@ void Uplink::OnMessage(const SensorReply& reply) {
         server_boottime_ns_ =
             std::max(server_boottime_ns_, reply.heartbeat().clock().boottime_ns());
         return;
-      case SensorReply::kInterest:
-        OnInterestLocked(reply.interest());
-        break;
       case SensorReply::kRedirect:
         redirect_ = reply.redirect().target();
         ReopenLocked("redirected");
         break;
+      case SensorReply::kInterest:  // above
       case SensorReply::KIND_NOT_SET:
         return;  // of a later version
     }
@@ -261,11 +289,46 @@ void Uplink::OnAckLocked(const rips::v1::Ack& ack) {
   if (!acknowledged.ok()) ReopenLocked(std::string(acknowledged.message()));
 }
 
-void Uplink::OnInterestLocked(const rips::v1::Interest& interest) {
-  SensorMessage message;
-  message.mutable_interest_applied()->set_interest(interest.id());
-  message.mutable_interest_applied()->set_problem("not available in this version");
-  if (!client_->Send(std::move(message))) LogDebug("answer to an interest dropped");
+void Uplink::OnInterest(const rips::v1::Interest& wire) {
+  {
+    MutexLock lock(&mu_);
+    if (wire.id() == interest_handed_on_) {
+      // Told again. If it is not in use yet the answer comes when it is.
+      if (wire.id() == interest_in_use_) AnswerInterestLocked(wire.id(), "");
+      return;
+    }
+  }
+  // Patterns take a while to compile: not under the lock.
+  absl::StatusOr<std::shared_ptr<const Interest>> interest = FromWire(wire);
+  {
+    MutexLock lock(&mu_);
+    if (!interest.ok()) {
+      const std::string problem = interest.status().ToString();
+      LogWarning("interest refused; the one before stays in use", {{"error", problem}});
+      AnswerInterestLocked(wire.id(), problem);
+      return;
+    }
+    interest_handed_on_ = wire.id();
+  }
+  hooks_.on_interest(*std::move(interest));
+}
+
+void Uplink::InterestInUse(const std::string& id) {
+  MutexLock lock(&mu_);
+  interest_in_use_ = id;
+  AnswerInterestLocked(id, "");
+}
+
+void Uplink::AnswerInterestLocked(const std::string& id, const std::string& problem) {
+  if (!stream_.has_value()) return;  // the next hello says it
+  if (stream_->answers.size() >= kAnswersMax) {
+    LogDebug("answer to an interest dropped: the stream does not move");
+    return;
+  }
+  rips::v1::InterestApplied& answer = stream_->answers.emplace_back();
+  answer.set_interest(id);
+  answer.set_problem(problem);
+  WakeLocked();
 }
 
 void Uplink::FinishResumeLocked() {
@@ -335,6 +398,7 @@ void Uplink::Run() {
       reopen = std::exchange(reopen_, false);
       if (!reopen) {
         HeartbeatLocked(now);
+        SendAnswersLocked();
         if (phase_ == Phase::kStreaming) PumpLocked(now.boottime_ns);
       }
     }
@@ -357,11 +421,26 @@ void Uplink::HeartbeatLocked(Instant now) {
   if (phase_ == Phase::kStreaming) ReportStateLocked(now.boottime_ns);
 }
 
+void Uplink::SendAnswersLocked() {
+  if (!stream_.has_value()) return;
+  std::vector<rips::v1::InterestApplied>& answers = stream_->answers;
+  while (!answers.empty()) {
+    SensorMessage message;
+    *message.mutable_interest_applied() = answers.front();
+    if (!SendLocked(std::move(message))) return;  // at the next wake-up
+    answers.erase(answers.begin());
+  }
+}
+
 void Uplink::ReportStateLocked(int64_t now_ns) {
   const uint64_t shed = outbox_.shed_messages() - shed_reported_;
   shed_reported_ += shed;
   shed_.Increment(static_cast<double>(shed));
-  const bool overloaded = shed > 0 || outbox_.bytes() > outbox_.limits().message_bytes / 2;
+  const uint64_t payloads_shed = outbox_.shed_payloads() - payloads_shed_reported_;
+  payloads_shed_reported_ += payloads_shed;
+  payloads_shed_.Increment(static_cast<double>(payloads_shed));
+  const bool overloaded =
+      shed > 0 || payloads_shed > 0 || outbox_.bytes() > outbox_.limits().message_bytes / 2;
   if (!overloaded && !overloaded_) return;
   overloaded_ = overloaded;
   outbox_.AddState({.overloaded = overloaded,

@@ -32,6 +32,7 @@
 #include "absl/status/status.h"
 #include "grpcpp/security/credentials.h"
 #include "rips/v1/sensor.pb.h"
+#include "sensor_agent/interest.h"
 #include "sensor_agent/observation.h"
 #include "sensor_agent/outbox.h"
 #include "sensor_agent/wire_encoder.h"
@@ -71,6 +72,8 @@ class Uplink {
     std::function<void(std::vector<ros2::Guid>)> on_own_participants;
     // Call ReplaceGraph soon: nothing is sent until then.
     std::function<void()> on_snapshot_wanted;
+    // What to watch has changed. Call InterestInUse when it is observed.
+    std::function<void(std::shared_ptr<const Interest>)> on_interest;
   };
 
   // `clock` and `metrics` are not owned and outlive this.
@@ -86,6 +89,8 @@ class Uplink {
   bool snapshot_wanted() const ABSL_LOCKS_EXCLUDED(mu_);
   // The whole graph, as Outbox::ReplaceGraph takes it.
   void ReplaceGraph(std::vector<GraphChange> snapshot) ABSL_LOCKS_EXCLUDED(mu_);
+  // The interest of this id is observed from now on: the server is told, now or in the next hello.
+  void InterestInUse(const std::string& id) ABSL_LOCKS_EXCLUDED(mu_);
   // OK while streaming; Unavailable with the reason otherwise.
   absl::Status Ready() const ABSL_LOCKS_EXCLUDED(mu_);
   // 16 bytes.
@@ -109,6 +114,8 @@ class Uplink {
     std::optional<uint64_t> exhausted_at;
     // Encoded, but the client's queue was full.
     std::optional<rips::v1::SensorMessage> stalled;
+    // To interests, not yet sent.
+    std::vector<rips::v1::InterestApplied> answers;
     int64_t last_batch_ns[2] = {0, 0};
   };
 
@@ -118,9 +125,12 @@ class Uplink {
   void OnDisconnected(const grpc::Status& status, rpc::CloseClass close_class)
       ABSL_LOCKS_EXCLUDED(mu_);
 
+  void OnInterest(const rips::v1::Interest& wire) ABSL_LOCKS_EXCLUDED(mu_);
+  // `problem` empty = in use.
+  void AnswerInterestLocked(const std::string& id, const std::string& problem)
+      ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
   void OnConfigLocked(const rips::v1::SensorConfig& config) ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
   void OnAckLocked(const rips::v1::Ack& ack) ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
-  void OnInterestLocked(const rips::v1::Interest& interest) ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
   // Resuming -> streaming, when everything has been said.
   void FinishResumeLocked() ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
   void WantSnapshotLocked() ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
@@ -129,6 +139,7 @@ class Uplink {
 
   void Run() ABSL_LOCKS_EXCLUDED(mu_);
   void HeartbeatLocked(Instant now) ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
+  void SendAnswersLocked() ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
   void ReportStateLocked(int64_t now_ns) ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
   void PumpLocked(int64_t now_ns) ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
   // False if nothing more of the lane can be sent now.
@@ -145,6 +156,7 @@ class Uplink {
   Counter observations_sent_;
   Counter reconnects_;
   Counter shed_;
+  Counter payloads_shed_;
   Gauge outbox_bytes_;
   Gauge streaming_;
 
@@ -170,6 +182,11 @@ class Uplink {
   int64_t last_heartbeat_ns_ ABSL_GUARDED_BY(mu_) = 0;
   bool overloaded_ ABSL_GUARDED_BY(mu_) = false;
   uint64_t shed_reported_ ABSL_GUARDED_BY(mu_) = 0;
+  uint64_t payloads_shed_reported_ ABSL_GUARDED_BY(mu_) = 0;
+  // Ids of the interest that is observed, and of the newest one handed on; empty = none yet. They
+  // outlive streams, so that watching goes on while the server is away.
+  std::string interest_in_use_ ABSL_GUARDED_BY(mu_);
+  std::string interest_handed_on_ ABSL_GUARDED_BY(mu_);
   // Asked to go there first.
   std::string redirect_ ABSL_GUARDED_BY(mu_);
 

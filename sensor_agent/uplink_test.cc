@@ -15,6 +15,7 @@ namespace {
 using rips::v1::CONTROL;
 using rips::v1::MESSAGES;
 using ::testing::ElementsAre;
+using ::testing::HasSubstr;
 using ::testing::IsEmpty;
 using ::testing::Le;
 using ::testing::SizeIs;
@@ -50,7 +51,17 @@ class UplinkTest : public testing::Test {
                   own_ = std::move(own);
                 },
             // As the observer would, with a graph of one version more.
-            .on_snapshot_wanted = [this] { uplink_->ReplaceGraph({Snapshot(++version_)}); }},
+            .on_snapshot_wanted = [this] { uplink_->ReplaceGraph({Snapshot(++version_)}); },
+            .on_interest =
+                [this](std::shared_ptr<const Interest> interest) {
+                  const std::string id = interest->id();
+                  {
+                    MutexLock lock(&mu_);
+                    interests_.push_back(std::move(interest));
+                    if (slow_) return;
+                  }
+                  uplink_->InterestInUse(id);
+                }},
         &clock_, &metrics_);
     uplink_->Start();
   }
@@ -79,6 +90,28 @@ class UplinkTest : public testing::Test {
   }
   bool WaitForStreams(size_t count) {
     return server_.WaitUntil([&](const FakePolicyServer& s) { return s.hellos.size() >= count; });
+  }
+  void AppendPayload(uint32_t size, size_t bytes) {
+    uplink_->Append({.messages = {{.boottime_ns = clock_.Now().boottime_ns,
+                                   .source = source_,
+                                   .size_bytes = size,
+                                   .payload = std::make_shared<const std::string>(bytes, 'x')}}});
+  }
+  // Sends what Interests of `letter` ask for: that many bytes of /a.
+  static std::string IdOf(char letter) { return std::string(kInterestIdBytes, letter); }
+  void SendInterest(char letter, const std::string& regex, uint32_t bytes,
+                    rips::v1::InterestRule::Depth depth = rips::v1::InterestRule::PAYLOAD) {
+    rips::v1::SensorReply reply;
+    reply.mutable_interest()->set_id(IdOf(letter));
+    rips::v1::InterestRule* rule = reply.mutable_interest()->add_rules();
+    rule->set_topic_regex(regex);
+    rule->set_depth(depth);
+    rule->set_payload_bytes_max(bytes);
+    reply.mutable_interest()->add_rules()->set_depth(rips::v1::InterestRule::METADATA);
+    server_.Send(reply);
+  }
+  bool WaitForAnswers(size_t count) {
+    return server_.WaitUntil([&](const auto& s) { return s.interests_applied.size() >= count; });
   }
   // Until the outbox is empty. The gauge is set at each heartbeat.
   bool WaitUntilAllIsAcknowledged() {
@@ -119,6 +152,9 @@ class UplinkTest : public testing::Test {
   std::atomic<uint64_t> version_ = 0;
   Mutex mu_;
   std::vector<ros2::Guid> own_ ABSL_GUARDED_BY(mu_);
+  std::vector<std::shared_ptr<const Interest>> interests_ ABSL_GUARDED_BY(mu_);
+  // Do not observe what was asked for, until told.
+  bool slow_ ABSL_GUARDED_BY(mu_) = false;
   std::unique_ptr<Uplink> uplink_;  // last: its callbacks use the above
 };
 
@@ -436,6 +472,132 @@ TEST_F(UplinkTest, OwnParticipantsAreHandedOn) {
   uplink_->Stop();
   MutexLock lock(&mu_);
   EXPECT_THAT(own_, ElementsAre(guid));
+}
+
+TEST_F(UplinkTest, AnInterestIsHandedOnAndAnsweredOnceItIsInUse) {
+  server_.Start();
+  StartUplink();
+  AppendSnapshot();
+  ASSERT_TRUE(server_.WaitUntil([](const auto& s) { return s.settled; }));
+  {
+    MutexLock lock(&mu_);
+    slow_ = true;
+  }
+  SendInterest('a', "^/a$", 10);
+  SendInterest('a', "^/a$", 10);
+  ASSERT_TRUE(server_.WaitUntil([&](const auto&) {
+    MutexLock lock(&mu_);
+    return !interests_.empty();
+  }));
+  uplink_->InterestInUse(IdOf('a'));
+  ASSERT_TRUE(WaitForAnswers(1));
+  SendInterest('a', "^/a$", 10);
+  ASSERT_TRUE(WaitForAnswers(2)) << "told again: in use already";
+  uplink_->Stop();
+  for (const auto& answer : server_.interests_applied) {
+    EXPECT_EQ(answer.interest(), IdOf('a'));
+    EXPECT_EQ(answer.problem(), "");
+  }
+  EXPECT_EQ(server_.hellos[0].interest_in_use(), "");
+  MutexLock lock(&mu_);
+  ASSERT_THAT(interests_, SizeIs(1)) << "the same is not handed on again";
+  EXPECT_EQ(interests_[0]->PayloadBytes("/a", "a/msg/A"), 10u);
+  EXPECT_EQ(interests_[0]->PayloadBytes("/b", "a/msg/A"), 0u);
+}
+
+TEST_F(UplinkTest, AnInterestThatMakesNoSenseIsRefusedAndTheOneBeforeStays) {
+  server_.Start();
+  StartUplink();
+  AppendSnapshot();
+  ASSERT_TRUE(server_.WaitUntil([](const auto& s) { return s.settled; }));
+  SendInterest('a', "^/a$", 10);
+  SendInterest('b', "(", 10);
+  SendInterest('c', "x", 10, rips::v1::InterestRule::DEPTH_UNSPECIFIED);
+  SendInterest('d', "x", 10, static_cast<rips::v1::InterestRule::Depth>(9));
+  rips::v1::SensorReply unnamed;
+  unnamed.mutable_interest()->set_id("short");
+  server_.Send(unnamed);
+  ASSERT_TRUE(WaitForAnswers(5));
+  AppendMessages(1, 3);
+  EXPECT_TRUE(WaitForMessages(3)) << "the stream goes on";
+  EXPECT_THAT(server_.hellos, SizeIs(1));
+  StopServer();
+  server_.Start();
+  ASSERT_TRUE(WaitForStreams(2));
+  uplink_->Stop();
+
+  const auto& answers = server_.interests_applied;
+  EXPECT_EQ(answers[0].problem(), "");
+  EXPECT_EQ(answers[1].interest(), IdOf('b'));
+  EXPECT_THAT(answers[1].problem(), HasSubstr("rule 1: bad pattern: missing )"));
+  EXPECT_THAT(answers[2].problem(), HasSubstr("rule 1: depth 0 is not known"));
+  EXPECT_THAT(answers[3].problem(), HasSubstr("rule 1: depth 9 is not known"));
+  EXPECT_THAT(answers[4].problem(), HasSubstr("5 bytes, not 32"));
+  EXPECT_EQ(server_.hellos[1].interest_in_use(), IdOf('a')) << "it outlives the stream";
+  MutexLock lock(&mu_);
+  EXPECT_THAT(interests_, SizeIs(1));
+}
+
+TEST_F(UplinkTest, AnInterestThatComesIntoUseWithoutAStreamIsInTheNextHello) {
+  server_.Start();
+  StartUplink();
+  ASSERT_TRUE(server_.WaitUntil([](const auto& s) { return s.heartbeats > 0; }));
+  StopServer();
+  uplink_->InterestInUse(IdOf('a'));
+  server_.Start();
+  ASSERT_TRUE(WaitForStreams(2));
+  uplink_->Stop();
+  EXPECT_EQ(server_.hellos[1].interest_in_use(), IdOf('a'));
+  EXPECT_THAT(server_.interests_applied, IsEmpty());
+}
+
+TEST_F(UplinkTest, PayloadsComeWithTheirMessagesWithinTheCredit) {
+  server_.Start();
+  StartUplink();
+  AppendSnapshot();
+  // 1 MiB of credit: the sixteenth does not fit.
+  for (int i = 0; i < 20; ++i) AppendPayload(70'000, 64 * 1024);
+  ASSERT_TRUE(WaitForMessages(15));
+  rips::v1::SensorReply credit;
+  credit.mutable_credit()->set_message_bytes(2 << 20);
+  server_.Send(credit);
+  ASSERT_TRUE(WaitForMessages(20));
+  AppendPayload(3, 3);
+  ASSERT_TRUE(WaitForMessages(21));
+  uplink_->Stop();
+  const std::vector<Recorded> distinct = server_.Distinct(MESSAGES);
+  EXPECT_EQ(distinct[19].what.message().payload().size(), 64u * 1024);
+  EXPECT_TRUE(distinct[19].what.message().truncated());
+  EXPECT_EQ(distinct[20].what.message().payload(), "xxx");
+  EXPECT_FALSE(distinct[20].what.message().truncated());
+}
+
+TEST_F(UplinkTest, AFullOutboxShedsPayloadsFirstAndCountsThem) {
+  server_.Start();
+  server_.Stop();
+  StartUplink({.message_bytes = 100'000});
+  AppendSnapshot();
+  for (uint32_t i = 1; i <= 50; ++i) AppendPayload(10'000 + i, 10'000);
+  server_.Start();
+  ASSERT_TRUE(WaitForMessages(50)) << "none is lost";
+  const Counter shed = metrics_.AddCounter(
+      "rips_sensor_payloads_shed_total",
+      "Payloads that were asked for and not kept; their messages were, as metadata");
+  EXPECT_TRUE(server_.WaitUntil([&](const FakePolicyServer& s) {
+    size_t without = 0;
+    for (const Recorded& each : s.Distinct(MESSAGES)) {
+      without += each.what.message().payload().empty();
+    }
+    return without == shed.Value() && without >= 41;
+  }));
+  EXPECT_TRUE(server_.WaitUntil([](const auto& s) {
+    for (const Recorded& each : s.Distinct(CONTROL)) {
+      if (each.what.state().overloaded()) return true;
+    }
+    return false;
+  })) << "shedding is overload";
+  uplink_->Stop();
+  for (const Recorded& each : server_.Distinct(CONTROL)) EXPECT_FALSE(each.what.has_loss());
 }
 
 TEST_F(UplinkTest, ABusyLineSendsBatchesNotSingleMessages) {

@@ -3,44 +3,18 @@
 #include <algorithm>
 #include <limits>
 
+#include "services/ros2_proto/graph_codec.h"
+
 namespace rips::sensor {
 
 namespace {
 
 using rips::v1::ObservationBatch;
 
-// A MessageSeen without payload, with its Observation and tags, never takes more than this.
+// A MessageSeen but for its payload, with its Observation and tags, never takes more than this.
 constexpr size_t kMessageWireBytesMax = 80;
 // Incarnation, sequence, time and lane of a batch.
 constexpr size_t kBatchWireBytesMax = 64;
-
-rips::v1::Endpoint::Kind ToWire(ros2::EndpointKind kind) {
-  switch (kind) {
-    case ros2::EndpointKind::kPublisher:
-      return rips::v1::Endpoint::PUBLISHER;
-    case ros2::EndpointKind::kSubscriber:
-      return rips::v1::Endpoint::SUBSCRIBER;
-    case ros2::EndpointKind::kService:
-      return rips::v1::Endpoint::SERVICE;
-    case ros2::EndpointKind::kClient:
-      return rips::v1::Endpoint::CLIENT;
-  }
-  return rips::v1::Endpoint::KIND_UNSPECIFIED;
-}
-
-rips::v1::Visibility ToWire(ros2::Visibility visibility) {
-  switch (visibility) {
-    case ros2::Visibility::kUnspecified:
-      return rips::v1::VISIBILITY_UNSPECIFIED;
-    case ros2::Visibility::kWatched:
-      return rips::v1::WATCHED;
-    case ros2::Visibility::kNotNeeded:
-      return rips::v1::NOT_NEEDED;
-    case ros2::Visibility::kNotVisible:
-      return rips::v1::NOT_VISIBLE;
-  }
-  return rips::v1::VISIBILITY_UNSPECIFIED;
-}
 
 rips::v1::Loss::Cause ToWire(LossCause cause) {
   switch (cause) {
@@ -58,56 +32,17 @@ rips::v1::Loss::Cause ToWire(LossCause cause) {
   return rips::v1::Loss::CAUSE_UNSPECIFIED;
 }
 
-void Fill(const ros2::Endpoint& endpoint, rips::v1::Endpoint& wire) {
-  wire.set_guid(endpoint.guid.ToBytes());
-  wire.set_kind(ToWire(endpoint.kind));
-  wire.set_name(endpoint.name);
-  wire.set_type(endpoint.type);
-  wire.set_node(endpoint.node);
-  wire.set_pending(endpoint.pending);
-  rips::v1::Qos* qos = wire.mutable_qos();
-  qos->set_reliable(endpoint.qos.reliable);
-  qos->set_transient_local(endpoint.qos.transient_local);
-  qos->set_keep_all(endpoint.qos.keep_all);
-  qos->set_depth(endpoint.qos.depth);
-  for (const std::string& partition : endpoint.qos.partitions) qos->add_partitions(partition);
-  wire.set_visibility(ToWire(endpoint.visibility));
-  wire.set_why(endpoint.why);
-  wire.set_ros(endpoint.ros);
-}
-
-void Fill(const ros2::Participant& participant, rips::v1::Participant& wire) {
-  wire.set_guid(participant.guid.ToBytes());
-  wire.set_host(participant.host);
-  wire.set_enclave(participant.enclave);
-  wire.set_pid(participant.pid);
-  wire.set_vendor(participant.vendor);
-  wire.set_authenticated(participant.authenticated);
-}
-
-void Fill(const ros2::Node& node, rips::v1::Node& wire) {
-  wire.set_full_name(node.full_name);
-  wire.set_participant_guid(node.participant.ToBytes());
-}
-
 void FillSnapshot(const GraphChange& change, rips::v1::GraphSnapshot& wire) {
   wire.set_graph_version(change.to_version);
   wire.set_settled(change.settled);
-  for (const auto& each : change.delta.upsert_participants) Fill(each, *wire.add_participants());
-  for (const auto& each : change.delta.upsert_nodes) Fill(each, *wire.add_nodes());
-  for (const auto& each : change.delta.upsert_endpoints) Fill(each, *wire.add_endpoints());
+  ros2_proto::EncodeGraph(change.delta, wire);
 }
 
 void FillDelta(const GraphChange& change, rips::v1::GraphDelta& wire) {
-  const ros2::GraphDelta& delta = change.delta;
   wire.set_from_version(change.from_version);
   wire.set_to_version(change.to_version);
   wire.set_settled(change.settled);
-  for (const auto& each : delta.upsert_participants) Fill(each, *wire.add_upsert_participants());
-  for (const auto& each : delta.upsert_nodes) Fill(each, *wire.add_upsert_nodes());
-  for (const auto& each : delta.upsert_endpoints) Fill(each, *wire.add_upsert_endpoints());
-  for (const ros2::Guid& guid : delta.gone_guids) wire.add_gone_guids(guid.ToBytes());
-  for (const std::string& name : delta.gone_nodes) wire.add_gone_nodes(name);
+  ros2_proto::EncodeGraph(change.delta, wire);
 }
 
 // Before the observation times are subtracted from it.
@@ -136,17 +71,19 @@ ObservationBatch WireEncoder::Encode(const Outbox& outbox, Lane lane, const Batc
   const size_t count = std::min(outbox.unsent(lane), policy.observations);
   // Upper bounds for messages, about the size for control observations.
   size_t bytes = kBatchWireBytesMax;
+  size_t payload_bytes = 0;
   for (size_t i = 0; i < count && !full(); ++i) {
     size_t more = 0;
     if (lane == Lane::kMessages) {
       const MessageSeen& message = outbox.UnsentMessage(i);
-      more = kMessageWireBytesMax;
+      more = kMessageWireBytesMax + PayloadBytes(message);
+      payload_bytes += PayloadBytes(message);
       if (!sources_.contains(message.source.get())) more += IntroductionBytes(*message.source);
       if (bytes + more > credit_bytes) break;
     } else {
       more = CostOf(outbox.UnsentControl(i));
     }
-    if (i > 0 && bytes + more > policy.bytes) break;
+    if (i > 0 && (bytes + more > policy.bytes || payload_bytes > kBatchPayloadBytesMax)) break;
     bytes += more;
     if (lane == Lane::kMessages) {
       Add(outbox.UnsentMessage(i), batch);
@@ -189,7 +126,7 @@ const WireEncoder::SourceIds& WireEncoder::IdsOf(const std::shared_ptr<const Mes
   ids.writer = next_id_++;
   rips::v1::Intern* intern = batch.add_interned();
   intern->set_id(ids.writer);
-  Fill(source->writer, *intern->mutable_writer());
+  ros2_proto::EncodeEndpoint(source->writer, *intern->mutable_writer());
   return ids;
 }
 
@@ -203,8 +140,8 @@ void WireEncoder::Add(const MessageSeen& message, ObservationBatch& batch) {
   seen->set_writer_id(ids.writer);
   seen->set_size_bytes(message.size_bytes);
   seen->set_writer_sequence(message.writer_sequence);
-  // The payload stays here: nothing in this version looks into it.
-  seen->set_truncated(message.size_bytes > 0);
+  if (message.payload != nullptr) seen->set_payload(*message.payload);
+  seen->set_truncated(PayloadBytes(message) < message.size_bytes);
   seen->set_source_unix_ns(message.source_unix_ns);
 }
 

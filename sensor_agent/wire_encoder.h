@@ -17,6 +17,9 @@
 
 namespace rips::sensor {
 
+// The server takes no batch with more bytes of payload.
+inline constexpr size_t kBatchPayloadBytesMax = size_t{1} << 20;
+
 struct EncoderLimits {
   // What the server takes per stream is a little more; when it is reached a new stream is needed.
   size_t names = 60'000;
@@ -28,9 +31,9 @@ class WireEncoder {
   WireEncoder(std::string incarnation, EncoderLimits limits = {})
       : incarnation_(std::move(incarnation)), limits_(limits) {}
 
-  // The next unsent observations of `lane`: as many as `policy` allows, at least one if there is
-  // one. No more of the message lane than fit `credit_bytes`, counted as the serialized batch; so
-  // there may be none. The batch is not marked sent.
+  // The next unsent observations of `lane`: as many as `policy` and kBatchPayloadBytesMax allow, at
+  // least one if there is one. No more of the message lane than fit `credit_bytes`, counted as the
+  // serialized batch; so there may be none. The batch is not marked sent.
   rips::v1::ObservationBatch Encode(const Outbox& outbox, Lane lane, const BatchPolicy& policy,
                                     uint64_t credit_bytes);
 

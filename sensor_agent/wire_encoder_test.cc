@@ -36,6 +36,12 @@ class WireEncoderTest : public testing::Test {
                         .source_unix_ns = -7,
                         .size_bytes = 24});
   }
+  void AddPayload(const std::shared_ptr<const MessageSource>& source, uint32_t size, size_t bytes) {
+    outbox_.AddMessage({.boottime_ns = 1,
+                        .source = source,
+                        .size_bytes = size,
+                        .payload = std::make_shared<const std::string>(bytes, 'x')});
+  }
   ObservationBatch Send(WireEncoder& encoder, Lane lane = Lane::kMessages,
                         const BatchPolicy& policy = {}, uint64_t credit = kPlenty) {
     ObservationBatch batch = encoder.Encode(outbox_, lane, policy, credit);
@@ -117,6 +123,61 @@ TEST_F(WireEncoderTest, CreditIsNeverExceeded) {
       EXPECT_GT(batch.observations_size(), 0) << credit;
     }
     if (credit >= 500) credit += 400;
+  }
+}
+
+TEST_F(WireEncoderTest, PayloadsComeAlongAndAreCalledTruncatedWhenShorter) {
+  const auto source = Source("/a", 1);
+  AddPayload(source, 24, 24);
+  AddPayload(source, 25, 24);
+  AddPayload(source, 24, 0);
+  AddPayload(source, 0, 0);
+  Add(source, 1);
+  WireEncoder encoder(kIncarnation);
+  const ObservationBatch batch = Send(encoder);
+  ASSERT_THAT(batch.observations(), SizeIs(5));
+  EXPECT_EQ(batch.observations(0).message().payload(), std::string(24, 'x'));
+  EXPECT_FALSE(batch.observations(0).message().truncated());
+  EXPECT_EQ(batch.observations(1).message().payload(), std::string(24, 'x'));
+  EXPECT_TRUE(batch.observations(1).message().truncated());
+  EXPECT_TRUE(batch.observations(2).message().truncated());
+  EXPECT_FALSE(batch.observations(3).message().truncated());
+  EXPECT_EQ(batch.observations(4).message().payload(), "");
+  EXPECT_TRUE(batch.observations(4).message().truncated());
+}
+
+TEST_F(WireEncoderTest, PayloadsKeepTheLimitsOfABatchAndTheCredit) {
+  const auto source = Source("/a", 1);
+  for (int i = 0; i < 40; ++i) AddPayload(source, 100'000, 64 * 1024);
+  WireEncoder encoder(kIncarnation);
+  // One goes, whatever it takes.
+  EXPECT_THAT(Send(encoder).observations(), SizeIs(1));
+  EXPECT_THAT(Send(encoder, Lane::kMessages, {.bytes = 150'000}).observations(), SizeIs(2));
+  EXPECT_THAT(Send(encoder, Lane::kMessages, {.bytes = size_t{4} << 20}).observations(), SizeIs(16))
+      << "1 MiB of payload";
+  EXPECT_THAT(Send(encoder, Lane::kMessages, {}, 64 * 1024).observations(), SizeIs(0));
+  for (uint64_t credit = 64 * 1024; credit < 64 * 1024 + 200; ++credit) {
+    const ObservationBatch batch = encoder.Encode(outbox_, Lane::kMessages, {}, credit);
+    EXPECT_LE(batch.ByteSizeLong(), credit);
+  }
+  EXPECT_THAT(Send(encoder, Lane::kMessages, {}, 64 * 1024 + 200).observations(), SizeIs(1));
+}
+
+TEST_F(WireEncoderTest, LargestNumbersStayWithinTheEstimate) {
+  const auto source = Source("/a", 1);
+  outbox_.AddMessage({.boottime_ns = 0, .source = source});
+  for (int i = 0; i < 100; ++i) {
+    outbox_.AddMessage({.boottime_ns = INT64_MAX,
+                        .source = source,
+                        .writer_sequence = UINT64_MAX,
+                        .source_unix_ns = -1,
+                        .size_bytes = UINT32_MAX,
+                        .payload = std::make_shared<const std::string>(300, 'x')});
+  }
+  for (uint64_t credit = 1'000; credit < 40'000; credit += 333) {
+    WireEncoder encoder(kIncarnation);
+    const BatchPolicy policy{.observations = 256, .bytes = size_t{1} << 20};
+    EXPECT_LE(encoder.Encode(outbox_, Lane::kMessages, policy, credit).ByteSizeLong(), credit);
   }
 }
 

@@ -335,5 +335,57 @@ TEST(ChainTest, AFullHouseDoesNotHoldUpARaise) {
   EXPECT_EQ(robot.state.level.level(), 3);
 }
 
+// A robot that answers at once, and what it was asked.
+class Script final : public ScriptedRobot {
+ public:
+  bool RunProgram(absl::string_view program, const std::vector<std::string>& args) override {
+    asked.push_back(absl::StrCat(program, " ", args.size()));
+    return program != "bad";
+  }
+  bool Reach(levels::LevelIndex level) override {
+    asked.push_back(absl::StrCat(level));
+    return level != 2;
+  }
+  std::vector<std::string> asked;
+};
+
+TEST(ChainTest, AScriptedRobotAnswersBeforeTheNextChain) {
+  TestRules rules;
+  rules.Tick("r", B(true),
+             {{Exec({"good", "x"}) >> kThen, Alert("ran")},
+              {Exec({"bad"}) >> kElse, Alert("failed")},
+              {Exec({"good", "x"})},
+              {Trigger(1) >> kThen, Alert("reached")},
+              {Trigger(2) >> kElse, Alert("not reached")},
+              {Trigger(2) >> kElse, Alert("still not")}});
+  TestRobot robot(rules);
+  Script script;
+  robot.state.scripted = &script;
+
+  EXPECT_THAT(Lines(robot.Tick(), robot.state),
+              ElementsAre("run 1 r: good x", "alert r medium: ran", "run 2 r: bad",
+                          "alert r medium: failed", "run 3 r: good x", "level r A->B 1.2",
+                          "alert r medium: reached", "level r B->C 1.3",
+                          "alert r medium: not reached", "alert r medium: still not"));
+  EXPECT_THAT(script.asked, ElementsAre("good 1", "bad 0", "good 1", "1", "2", "2"));
+  EXPECT_THAT(OnProgramResult(2, true, robot.now, robot.state).effects, IsEmpty());
+  robot.Advance(30 * kSecond);
+  EXPECT_THAT(Expire(robot.now, robot.state).effects, IsEmpty());
+}
+
+TEST(ChainTest, AScriptedRobotIsNotAskedForWhatIsRefused) {
+  TestRules rules;
+  rules.Tick("r", B(true),
+             {{Exec({"p"}) >> kElse, Alert("late")}, {Trigger(0) >> kElse, Alert("no")}});
+  TestRobot robot(rules, 3);
+  Script script;
+  robot.state.scripted = &script;
+
+  EXPECT_THAT(Lines(robot.Tick(levels::Lateness::kLate), robot.state),
+              ElementsAre("alert r medium: late", "refused r D->A needs an operator x1",
+                          "alert r medium: no"));
+  EXPECT_THAT(script.asked, IsEmpty());
+}
+
 }  // namespace
 }  // namespace rips::engine

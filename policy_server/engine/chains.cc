@@ -71,7 +71,8 @@ std::string SenderKey(const MessageEvent& message) {
 
 void Runner::Run(const Event& event) {
   in_.time_ns = std::max(in_.time_ns, event.time_unix_ns);
-  const std::shared_ptr<const Program> program = state_.program();
+  // Nobody swaps it while rules run.
+  const std::shared_ptr<const Program>& program = state_.program();
   Frame frame(state_, program, event, in_.time_ns, now_, &in_.topics);
   const std::vector<uint32_t>* rules = &program->compiled().external_rules;
   if (std::holds_alternative<MessageEvent>(event.what)) {
@@ -82,8 +83,9 @@ void Runner::Run(const Event& event) {
   }
   for (const uint32_t index : *rules) {
     RunRule(frame, index);
-    if (state_.halted()) return;
+    if (state_.halted()) break;
   }
+  outcome_.steps += frame.steps();
 }
 
 void Runner::Count(const Frame& frame) {
@@ -109,6 +111,7 @@ void Runner::Resume(std::vector<Answered> answered) {
     if (GoesOn(rule.chains[parked.chain][parked.action].next, answer.ok)) {
       RunChain(current, parked.chain, parked.action + 1);
     }
+    outcome_.steps += frame.steps();
   }
 }
 
@@ -237,6 +240,14 @@ Runner::Step Runner::Exec(Current& current, uint32_t chain, size_t index) {
     outcome_.refused_programs.push_back({current.rule.name, std::move(program), "late"});
     return Step::kFailed;
   }
+  if (state_.scripted != nullptr) {
+    const bool ok = state_.scripted->RunProgram(program, args);
+    Add(RunProgramEffect{.run_id = ++in_.last_run_id,
+                         .rule = current.rule.name,
+                         .program = std::move(program),
+                         .args = std::move(args)});
+    return ok ? Step::kSucceeded : Step::kFailed;
+  }
 
   const bool last = IsLast(actions, index);
   auto run = std::find_if(in_.runs.begin(), in_.runs.end(), [&](const auto& entry) {
@@ -282,7 +293,9 @@ Runner::Step Runner::Trigger(Current& current, uint32_t chain, size_t index) {
     Add(TransitionEffect{.transition = std::move(transition)});
   }
 
-  const std::optional<bool> answer = AnswerOf(*to, lowering, state_);
+  const std::optional<bool> answer = state_.scripted != nullptr
+                                         ? state_.scripted->Reach(*to)
+                                         : AnswerOf(*to, lowering, state_);
   if (answer.has_value()) return *answer ? Step::kSucceeded : Step::kFailed;
   if (IsLast(actions, index)) return Step::kSucceeded;
   if (Full()) {

@@ -26,10 +26,10 @@ struct Answered {
 // What a chain that asked for a level is told now: true, false, or nothing yet.
 std::optional<bool> AnswerOf(levels::LevelIndex wants, bool lowering, const RobotState& state);
 
-// Borrows `state` and `outcome` for its life.
+// Borrows all it is given, for its life.
 class Runner {
  public:
-  Runner(Instant now, RobotState& state, Outcome& outcome)
+  Runner(const Instant& now, RobotState& state, Outcome& outcome)
       : now_(now), state_(state), in_(state.internal()), outcome_(outcome) {}
 
   // Every rule of the event's class.
@@ -83,7 +83,7 @@ class Runner {
   std::unique_ptr<ParkedChain> MakeParked(const Current& current, uint32_t chain, size_t index);
   bool Full() const { return in_.parked.size() >= in_.limits.parked_max; }
 
-  Instant now_;
+  const Instant& now_;
   RobotState& state_;
   RobotState::Internal& in_;
   Outcome& outcome_;

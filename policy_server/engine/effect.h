@@ -68,6 +68,8 @@ struct Outcome {
   uint32_t undecidable = 0;
   // Rules whose value depended on an inspection that was not told.
   uint32_t unscanned = 0;
+  // Nodes of expressions that were evaluated, each at most once in one call.
+  uint64_t steps = 0;
   // A rule called `crash`: RobotState::halted() from now on.
   bool crashed = false;
   std::vector<RefusedProgram> refused_programs;

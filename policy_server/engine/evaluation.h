@@ -24,10 +24,11 @@ namespace rips::engine {
 class Variables {
  public:
   Variables() = default;
-  // Of the program in force.
-  explicit Variables(const std::vector<lang::Value>* values) : values_(values) {}
   // Of an older one: each stands somewhere else.
   explicit Variables(std::vector<const lang::Value*> places) : places_(std::move(places)) {}
+
+  // Of the program in force.
+  void Use(const std::vector<lang::Value>& values) { values_ = &values; }
 
   // Null if there is no such variable.
   const lang::Value* Find(size_t index) const {

@@ -31,7 +31,7 @@ std::vector<Answered> TakeAnswered(RobotState& state, const Answer& answer) {
 std::vector<uint32_t> NeededInspections(const Event& event, Instant now, RobotState& state) {
   std::vector<uint32_t> needed;
   if (state.halted() || !std::holds_alternative<MessageEvent>(event.what)) return needed;
-  const std::shared_ptr<const Program> program = state.program();
+  const std::shared_ptr<const Program>& program = state.program();
   if (program->rules().inspections.empty()) return needed;
   Frame frame(state, program, event, state.internal().time_ns, now, &state.internal().topics);
   const Program::Compiled& compiled = program->compiled();

@@ -18,7 +18,11 @@ Frame::Frame(const RobotState& state, const std::shared_ptr<const Program>& prog
   run_.compiled = &program_->compiled();
   run_.state = &state_;
   run_.scene.dialect = program_->rules().dialect;
-  run_.variables = FindVariables();
+  if (in_force_) {
+    run_.variables.Use(state_.internal().values);
+  } else {
+    run_.variables = FindVariables();
+  }
   run_.time_ns = time_ns;
   run_.uptime_ns =
       static_cast<int64_t>(static_cast<uint64_t>(now.boottime_ns) -
@@ -49,7 +53,6 @@ Frame::Frame(const RobotState& state, const std::shared_ptr<const Program>& prog
 
 Variables Frame::FindVariables() const {
   const std::vector<lang::Value>& values = state_.internal().values;
-  if (in_force_) return Variables(&values);
   const std::vector<lang::Variable>& declared = program_->rules().variables;
   const Program& current = *state_.program();
   std::vector<const lang::Value*> places(declared.size(), nullptr);
@@ -66,10 +69,13 @@ Variables Frame::FindVariables() const {
 }
 
 Evaluation& Frame::Enter(const lang::TypedRule& rule, levels::LevelIndex level) {
-  const levels::LevelTable& own = program_->rules().levels;
-  run_.level_name = state_.level.table().at(level).name;
-  // A level that older rules do not know is above all that they know.
-  run_.level = in_force_ ? level : own.Find(run_.level_name).value_or(own.size());
+  if (level != entered_) {
+    const levels::LevelTable& own = program_->rules().levels;
+    run_.level_name = state_.level.table().at(level).name;
+    // A level that older rules do not know is above all that they know.
+    run_.level = in_force_ ? level : own.Find(run_.level_name).value_or(own.size());
+    entered_ = level;
+  }
   run_.rule_name = rule.name;
   run_.fault = absl::string_view();
   run_.cut = false;

@@ -32,8 +32,11 @@ class Frame {
   // Null if the event is no message or nothing is remembered.
   const TopicEntry* topic() const { return run_.topic; }
   bool in_force() const { return in_force_; }
+  // Nodes evaluated.
+  uint64_t steps() const { return run_.steps; }
 
  private:
+  // Of `program`, which is not in force.
   Variables FindVariables() const;
 
   const RobotState& state_;
@@ -44,6 +47,8 @@ class Frame {
   // Of a message on a topic that is not remembered.
   std::vector<absl::string_view> types_;
   Evaluation run_;
+  // That run_.level and run_.level_name are of; none before the first Enter.
+  levels::LevelIndex entered_ = -1;
 };
 
 }  // namespace rips::engine

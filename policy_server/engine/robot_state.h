@@ -41,6 +41,16 @@ class RuleObserver {
   virtual void OnRule(uint32_t rule, Came came, absl::string_view what) = 0;
 };
 
+// Answers for the robot at once, where there is none: in a replay. No chain waits then.
+class ScriptedRobot {
+ public:
+  virtual ~ScriptedRobot() = default;
+  // The program exits 0 in time.
+  virtual bool RunProgram(absl::string_view program, const std::vector<std::string>& args) = 0;
+  // The robot reaches `level`, which has been decided, and holds it.
+  virtual bool Reach(levels::LevelIndex level) = 0;
+};
+
 // The graph as it is, and which one it is.
 class CurrentGraph {
  public:
@@ -89,6 +99,9 @@ class RobotState {
 
   // Not owned; may be null.
   RuleObserver* observer = nullptr;
+  // Not owned; null: results come through the evaluator's functions. Otherwise `actuation` does not
+  // matter, and a RunProgramEffect tells what was run and has had its answer.
+  ScriptedRobot* scripted = nullptr;
 
   // By name; for checkpoints and tests.
   absl::btree_map<std::string, lang::Value> Variables() const;

@@ -163,6 +163,22 @@ TEST(RobotStateTest, AWaitForALevelFollowsItsName) {
   EXPECT_THAT(Lines(robot.Verified(), robot.state), ElementsAre("alert r medium: yes"));
 }
 
+TEST(RobotStateTest, UptimeGoesOnAfterASwap) {
+  const auto rules = [](const std::string& name) {
+    TestRules out;
+    out.Tick(name, B(true), {{Alert(Text(Name(Predefined::kUptime)))}});
+    return out;
+  };
+  TestRobot robot(rules("before"));
+  robot.Advance(5);
+  EXPECT_THAT(Lines(robot.Tick(), robot.state), ElementsAre("alert before medium: 5"));
+
+  EXPECT_THAT(robot.state.SwapProgram(rules("after").Build()), IsOk());
+
+  robot.Advance(2);
+  EXPECT_THAT(Lines(robot.Tick(), robot.state), ElementsAre("alert after medium: 7"));
+}
+
 TEST(RobotStateTest, NewRulesRunAfterASwap) {
   TestRules before;
   before.Msg("before", Call(Builtin::kTopicIn, Texts({"/t"})), {{Alert("x")}});

@@ -3,8 +3,8 @@
 #include <utility>
 
 #include "absl/strings/str_cat.h"
-#include "policy_server/ingest/graph_codec.h"
 #include "services/base/status_macros.h"
+#include "services/ros2_proto/graph_codec.h"
 
 namespace rips::ingest {
 namespace {
@@ -31,6 +31,29 @@ absl::Status CheckIncarnation(const std::string& incarnation) {
   if (incarnation.size() == kIncarnationBytes) return absl::OkStatus();
   return absl::InvalidArgumentError(
       absl::StrCat("incarnation has ", incarnation.size(), " bytes, not ", kIncarnationBytes));
+}
+
+absl::StatusOr<pipeline::GraphSnapshotSeen> DecodeSnapshot(
+    const rips::v1::GraphSnapshot& snapshot) {
+  if (snapshot.graph_version() == 0) {
+    return absl::InvalidArgumentError("graph versions count from 1");
+  }
+  pipeline::GraphSnapshotSeen seen{.version = snapshot.graph_version(),
+                                   .settled = snapshot.settled()};
+  RIPS_ASSIGN_OR_RETURN(seen.content, ros2_proto::DecodeGraph(snapshot));
+  return seen;
+}
+
+absl::StatusOr<pipeline::GraphDeltaSeen> DecodeDelta(const rips::v1::GraphDelta& delta) {
+  if (delta.to_version() <= delta.from_version()) {
+    return absl::InvalidArgumentError(absl::StrCat(
+        "graph delta from version ", delta.from_version(), " to ", delta.to_version()));
+  }
+  pipeline::GraphDeltaSeen seen{.from_version = delta.from_version(),
+                                .to_version = delta.to_version(),
+                                .settled = delta.settled()};
+  RIPS_ASSIGN_OR_RETURN(seen.delta, ros2_proto::DecodeGraph(delta));
+  return seen;
 }
 
 const char* CauseName(rips::v1::Loss::Cause cause) {
@@ -117,9 +140,9 @@ absl::StatusOr<pipeline::Batch> ObservationDecoder::Decode(
                           .names = names_};
   decoded.observations.reserve(static_cast<size_t>(batch.observations_size()));
   for (const rips::v1::Observation& observation : batch.observations()) {
-    RIPS_ASSIGN_OR_RETURN(pipeline::Observation one, DecodeOne(observation, lane));
+    pipeline::Observation& one = decoded.observations.emplace_back();
     one.boottime_ns = static_cast<int64_t>(batch.base_boottime_ns() + observation.offset_ns());
-    decoded.observations.push_back(std::move(one));
+    RIPS_RETURN_IF_ERROR(DecodeOne(observation, lane, one));
   }
   return decoded;
 }
@@ -148,7 +171,7 @@ absl::Status ObservationDecoder::TakeNames(const rips::v1::ObservationBatch& bat
     } else if (intern.has_type()) {
       names_->types[id] = std::make_unique<const std::string>(intern.type());
     } else if (intern.has_writer()) {
-      RIPS_ASSIGN_OR_RETURN(ros2::Endpoint endpoint, DecodeEndpoint(intern.writer()));
+      RIPS_ASSIGN_OR_RETURN(ros2::Endpoint endpoint, ros2_proto::DecodeEndpoint(intern.writer()));
       names_->writers[id] =
           std::make_unique<const Writer>(Writer{.guid = endpoint.guid,
                                                 .node = std::move(endpoint.node),
@@ -160,8 +183,8 @@ absl::Status ObservationDecoder::TakeNames(const rips::v1::ObservationBatch& bat
   return absl::OkStatus();
 }
 
-absl::StatusOr<pipeline::MessageSeen> ObservationDecoder::DecodeMessage(
-    const rips::v1::MessageSeen& message) const {
+absl::Status ObservationDecoder::DecodeMessage(const rips::v1::MessageSeen& message,
+                                               pipeline::MessageSeen& seen) const {
   const auto topic = names_->topics.find(message.topic_id());
   const auto type = names_->types.find(message.type_id());
   const auto writer = names_->writers.find(message.writer_id());
@@ -171,11 +194,20 @@ absl::StatusOr<pipeline::MessageSeen> ObservationDecoder::DecodeMessage(
         absl::StrCat("message names ids that were not interned: ", message.topic_id(), ", ",
                      message.type_id(), ", ", message.writer_id()));
   }
-  return pipeline::MessageSeen{.topic = *topic->second,
-                               .type = *type->second,
-                               .sender = writer->second->node,
-                               .writer = writer->second->guid,
-                               .size_bytes = message.size_bytes()};
+  if (message.payload().size() > message.size_bytes()) {
+    return absl::InvalidArgumentError(absl::StrCat("a payload of ", message.payload().size(),
+                                                   " bytes in a message of ",
+                                                   message.size_bytes()));
+  }
+  seen.topic = *topic->second;
+  seen.type = *type->second;
+  seen.sender = writer->second->node;
+  seen.writer = writer->second->guid;
+  seen.size_bytes = message.size_bytes();
+  seen.payload = message.payload();
+  // Counted, not believed.
+  seen.truncated = message.payload().size() < message.size_bytes();
+  return absl::OkStatus();
 }
 
 absl::StatusOr<pipeline::LossSeen> ObservationDecoder::DecodeLoss(
@@ -193,20 +225,17 @@ absl::StatusOr<pipeline::LossSeen> ObservationDecoder::DecodeLoss(
   return seen;
 }
 
-absl::StatusOr<pipeline::Observation> ObservationDecoder::DecodeOne(
-    const rips::v1::Observation& observation, Lane lane) const {
+absl::Status ObservationDecoder::DecodeOne(const rips::v1::Observation& observation, Lane lane,
+                                           pipeline::Observation& one) const {
   const bool is_message = observation.has_message();
   if (observation.kind_case() != rips::v1::Observation::KIND_NOT_SET &&
       is_message != (lane == Lane::kMessages)) {
     return absl::InvalidArgumentError(is_message ? "a message in the control lane"
                                                  : "a control observation in the message lane");
   }
-  pipeline::Observation one;
   switch (observation.kind_case()) {
-    case rips::v1::Observation::kMessage: {
-      RIPS_ASSIGN_OR_RETURN(one.what, DecodeMessage(observation.message()));
-      break;
-    }
+    case rips::v1::Observation::kMessage:
+      return DecodeMessage(observation.message(), one.what.emplace<pipeline::MessageSeen>());
     case rips::v1::Observation::kSnapshot: {
       RIPS_ASSIGN_OR_RETURN(one.what, DecodeSnapshot(observation.snapshot()));
       break;
@@ -221,8 +250,12 @@ absl::StatusOr<pipeline::Observation> ObservationDecoder::DecodeOne(
         return absl::ResourceExhaustedError(
             absl::StrCat("an alert line exceeds the limit of ", limits_.line_bytes, " bytes"));
       }
-      one.what =
-          pipeline::IdsAlertSeen{.message = ids.message(), .gid = ids.gid(), .sid = ids.sid()};
+      one.what = pipeline::IdsAlertSeen{.message = ids.message(),
+                                        .gid = ids.gid(),
+                                        .sid = ids.sid(),
+                                        .line = ids.line(),
+                                        .source = ids.src(),
+                                        .target = ids.dst()};
       break;
     }
     case rips::v1::Observation::kSignal:
@@ -240,7 +273,7 @@ absl::StatusOr<pipeline::Observation> ObservationDecoder::DecodeOne(
       one.what = pipeline::LossSeen{.count = 1, .cause = "an observation of an unknown kind"};
       break;
   }
-  return one;
+  return absl::OkStatus();
 }
 
 }  // namespace rips::ingest

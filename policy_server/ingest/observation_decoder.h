@@ -33,8 +33,9 @@ class ObservationDecoder {
   explicit ObservationDecoder(DecodeLimits limits = {});
 
   // InvalidArgument: unknown lane, ids never interned or interned twice, wrong lengths, one lane's
-  // kind in the other lane. ResourceExhausted: past a limit. An observation of a kind this version
-  // does not know becomes a loss of one. After a refusal the stream must be closed.
+  // kind in the other lane, a payload longer than its message. ResourceExhausted: past a limit. An
+  // observation of a kind this version does not know becomes a loss of one. After a refusal the
+  // stream must be closed.
   absl::StatusOr<pipeline::Batch> Decode(const rips::v1::ObservationBatch& batch);
 
  private:
@@ -51,9 +52,11 @@ class ObservationDecoder {
   };
 
   absl::Status TakeNames(const rips::v1::ObservationBatch& batch);
-  absl::StatusOr<pipeline::Observation> DecodeOne(const rips::v1::Observation& observation,
-                                                  pipeline::Lane lane) const;
-  absl::StatusOr<pipeline::MessageSeen> DecodeMessage(const rips::v1::MessageSeen& message) const;
+  // Into `one` and `seen`, which are empty.
+  absl::Status DecodeOne(const rips::v1::Observation& observation, pipeline::Lane lane,
+                         pipeline::Observation& one) const;
+  absl::Status DecodeMessage(const rips::v1::MessageSeen& message,
+                             pipeline::MessageSeen& seen) const;
   absl::StatusOr<pipeline::LossSeen> DecodeLoss(const rips::v1::Loss& loss) const;
 
   DecodeLimits limits_;

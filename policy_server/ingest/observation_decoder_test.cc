@@ -4,7 +4,6 @@
 #include <string>
 
 #include "gmock/gmock.h"
-#include "policy_server/ingest/graph_codec.h"
 #include "services/base/status_matchers.h"
 
 namespace rips::ingest {
@@ -68,6 +67,38 @@ TEST(ObservationDecoderTest, ResolvesInternedNamesAlsoInLaterBatches) {
   EXPECT_EQ(message.size_bytes, 52u);
 }
 
+TEST(ObservationDecoderTest, PayloadsComeAlongAndAreCounted) {
+  rips::v1::ObservationBatch batch = MessageBatch();
+  for (const size_t bytes : {size_t{0}, size_t{51}, size_t{52}}) {
+    auto* message = batch.mutable_observations(0)->mutable_message();
+    message->set_payload(std::string(bytes, '\0'));
+    for (const bool claimed : {false, true}) {
+      message->set_truncated(claimed);
+      const auto decoded = ObservationDecoder().Decode(batch);
+      ASSERT_THAT(decoded, IsOk());
+      const auto& seen = std::get<pipeline::MessageSeen>(decoded->observations[0].what);
+      EXPECT_EQ(seen.payload, std::string(bytes, '\0'));
+      EXPECT_EQ(seen.truncated, bytes < 52) << "whatever the sensor claims";
+      EXPECT_EQ(decoded->bytes, batch.ByteSizeLong());
+    }
+  }
+}
+
+TEST(ObservationDecoderTest, PayloadsOfABatchAreBoundedTogether) {
+  rips::v1::ObservationBatch batch = MessageBatch();
+  batch.mutable_observations(0)->mutable_message()->set_size_bytes(64 * 1024);
+  batch.mutable_observations(0)->mutable_message()->set_payload(std::string(64 * 1024, 'x'));
+  for (int i = 1; i < 16; ++i) *batch.add_observations() = batch.observations(0);
+  EXPECT_THAT(ObservationDecoder().Decode(batch), IsOk());
+  auto* more = batch.add_observations();
+  *more = batch.observations(0);
+  more->mutable_message()->set_payload("x");
+  EXPECT_THAT(
+      ObservationDecoder().Decode(batch),
+      StatusIs(absl::StatusCode::kResourceExhausted,
+               HasSubstr("batch with 1048577 bytes of payload exceeds the limit of 1048576")));
+}
+
 TEST(ObservationDecoderTest, NamesOutliveTheDecoder) {
   absl::StatusOr<pipeline::Batch> batch;
   {
@@ -119,6 +150,11 @@ TEST(ObservationDecoderTest, RefusesWhatIsMalformedWithAReason) {
          b.mutable_observations(0)->mutable_message()->set_payload(std::string((1 << 20) + 1, 'x'));
        },
        exhausted, "payload"},
+      {"payload longer than the message",
+       [](auto& b) {
+         b.mutable_observations(0)->mutable_message()->set_payload(std::string(53, 'x'));
+       },
+       invalid, "a payload of 53 bytes in a message of 52"},
       {"control kind in message lane",
        [](auto& b) { b.mutable_observations(0)->mutable_signal()->set_name("SIGUSR1"); }, invalid,
        "in the message lane"},
@@ -193,41 +229,21 @@ TEST(ObservationDecoderTest, AnyCutOrFlippedBatchIsDecodedOrRefused) {
   }
 }
 
-TEST(GraphCodecTest, AGraphReadsBackAsItWasWritten) {
-  ros2::RosGraph graph;
-  ros2::GraphDelta delta;
-  const ros2::Guid participant =
-      *ros2::GuidFromBytes("PARTICIPANT1" + std::string("\0\0\1\xc1", 4));
-  const ros2::Guid writer = *ros2::GuidFromBytes("PARTICIPANT1" + std::string("\0\0\2\x03", 4));
-  delta.upsert_participants.push_back({.guid = participant, .host = "robot", .pid = 7});
-  delta.upsert_nodes.push_back({.full_name = "/camera", .participant = participant});
-  delta.upsert_endpoints.push_back({.guid = writer,
-                                    .kind = ros2::EndpointKind::kPublisher,
-                                    .name = "/image",
-                                    .type = "sensor_msgs/msg/Image",
-                                    .node = "/camera",
-                                    .qos = {.reliable = true, .depth = 5, .partitions = {"a"}},
-                                    .visibility = ros2::Visibility::kWatched});
-  ASSERT_THAT(graph.Apply(delta), IsOk());
-  rips::v1::GraphSnapshot wire = EncodeGraph(graph);
-  wire.set_graph_version(1);
+TEST(ObservationDecoderTest, GraphVersionsMustAdvance) {
+  rips::v1::ObservationBatch batch = Batch(rips::v1::CONTROL);
+  auto* delta = batch.add_observations()->mutable_delta();
+  delta->set_from_version(3);
+  delta->set_to_version(3);
+  EXPECT_THAT(ObservationDecoder().Decode(batch),
+              StatusIs(absl::StatusCode::kInvalidArgument, HasSubstr("from version 3 to 3")));
+  delta->set_to_version(4);
+  EXPECT_THAT(ObservationDecoder().Decode(batch), IsOk());
 
-  const auto seen = DecodeSnapshot(wire);
-
-  ASSERT_THAT(seen, IsOk());
-  ros2::RosGraph copy;
-  ASSERT_THAT(copy.Apply(seen->content), IsOk());
-  EXPECT_EQ(copy.endpoints(), graph.endpoints());
-  EXPECT_EQ(copy.nodes(), graph.nodes());
-  EXPECT_EQ(copy.participants(), graph.participants());
-}
-
-TEST(GraphCodecTest, RefusesVersionsThatDoNotAdvance) {
-  rips::v1::GraphDelta delta;
-  delta.set_from_version(3);
-  delta.set_to_version(3);
-  EXPECT_THAT(DecodeDelta(delta), StatusIs(absl::StatusCode::kInvalidArgument));
-  EXPECT_THAT(DecodeSnapshot({}), StatusIs(absl::StatusCode::kInvalidArgument));
+  batch.mutable_observations(0)->mutable_snapshot();
+  EXPECT_THAT(ObservationDecoder().Decode(batch),
+              StatusIs(absl::StatusCode::kInvalidArgument, HasSubstr("count from 1")));
+  batch.mutable_observations(0)->mutable_snapshot()->set_graph_version(1);
+  EXPECT_THAT(ObservationDecoder().Decode(batch), IsOk());
 }
 
 TEST(HelloTest, RefusesWhatIsMalformed) {

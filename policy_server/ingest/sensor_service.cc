@@ -6,13 +6,17 @@
 #include <string>
 #include <utility>
 
+#include "absl/base/thread_annotations.h"
 #include "absl/strings/str_cat.h"
+#include "policy_server/ingest/interest_codec.h"
 #include "policy_server/ingest/observation_decoder.h"
 #include "policy_server/pipeline/mailbox.h"
+#include "services/ros2/ros_name.h"
 #include "services/rpc/peer.h"
 #include "services/rpc/server_stream.h"
 #include "services/rpc/status_conversion.h"
 #include "services/runtime/log.h"
+#include "services/runtime/mutex.h"
 #include "services/runtime/real_clock.h"
 
 namespace rips::ingest {
@@ -64,6 +68,23 @@ class Link final : public pipeline::SensorLink {
     heartbeat->set_echo_boottime_ns(static_cast<uint64_t>(echo_boottime_ns));
     outbound_->Send(std::move(reply));
   }
+  // Sent unless it is what the sensor has.
+  void SetInterest(const std::vector<engine::TopicInterest>& topics) override
+      ABSL_LOCKS_EXCLUDED(mu_) {
+    SensorReply reply;
+    *reply.mutable_interest() = EncodeInterest(topics);
+    {
+      MutexLock lock(&mu_);
+      if (interest_ == reply.interest().id()) return;
+      interest_ = reply.interest().id();
+    }
+    outbound_->Send(std::move(reply));
+  }
+  // The sensor's word, at the beginning of a stream. What cannot be an id of ours is none.
+  void InterestInUse(const std::string& id) ABSL_LOCKS_EXCLUDED(mu_) {
+    MutexLock lock(&mu_);
+    if (id.size() == kInterestIdBytes) interest_ = id;
+  }
   void Close(const absl::Status& status) override { outbound_->Close(rpc::ToGrpc(status)); }
   // Bytes of message batches the peer may send in this stream.
   uint64_t granted() const { return granted_; }
@@ -71,6 +92,9 @@ class Link final : public pipeline::SensorLink {
  private:
   std::shared_ptr<Stream::Outbound> outbound_;
   std::atomic<uint64_t> granted_ = 0;
+  Mutex mu_;
+  // Id of the interest sent last, or found in use; empty = none.
+  std::string interest_ ABSL_GUARDED_BY(mu_);
 };
 
 class SensorStream final : public Stream {
@@ -110,8 +134,9 @@ class SensorStream final : public Stream {
                     [host = host_, link = link_,
                      at = static_cast<int64_t>(message.heartbeat().clock().boottime_ns())](
                         Robot& robot) { robot.OnSensorBeat(host, link.get(), at); });
-      case SensorMessage::kChunk:
       case SensorMessage::kInterestApplied:
+        return OnInterestApplied(message.interest_applied());
+      case SensorMessage::kChunk:
       case SensorMessage::KIND_NOT_SET:
         return;  // nothing this version asks for
     }
@@ -127,11 +152,23 @@ class SensorStream final : public Stream {
     }
     absl::StatusOr<pipeline::SensorHello> decoded = DecodeHello(hello);
     if (!decoded.ok()) return Refuse(decoded.status());
+    link_->InterestInUse(hello.interest_in_use());
     LogInfo("sensor connected", {{"robot", mailbox_->robot()}, {"host", host_}});
     Post(Lane::kControl, hello.ByteSizeLong(),
          [host = host_, link = link_, hello = *std::move(decoded)](Robot& robot) {
            robot.OnSensorHello(host, link, hello);
          });
+  }
+
+  // A sensor that cannot apply an interest goes on with the one before; messages whose payload was
+  // asked for then come without.
+  void OnInterestApplied(const rips::v1::InterestApplied& applied) {
+    if (applied.problem().empty()) return;
+    metrics_.interests_refused.Increment();
+    LogWarning("sensor cannot apply what it is asked to watch",
+               {{"robot", mailbox_->robot()},
+                {"host", host_},
+                {"problem", ros2::Printable(applied.problem())}});
   }
 
   void OnBatch(const rips::v1::ObservationBatch& batch) {
@@ -145,7 +182,7 @@ class SensorStream final : public Stream {
     }
     auto shared = std::make_shared<pipeline::Batch>(*std::move(decoded));
     Post(lane, shared->bytes, [host = host_, link = link_, shared](Robot& robot) {
-      robot.OnBatch(host, link.get(), *shared);
+      robot.OnBatch(host, link.get(), shared);
     });
   }
 

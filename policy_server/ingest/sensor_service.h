@@ -13,6 +13,8 @@ struct IngestMetrics {
   // Batches and hellos that were refused as malformed.
   Counter malformed;
   Counter streams;
+  // Interests that a sensor could not apply.
+  Counter interests_refused;
 };
 
 // Robot, host and role are taken from the certificate alone.

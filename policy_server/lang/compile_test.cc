@@ -243,6 +243,20 @@ TEST(CompileTest, NotesTheDialectOnce) {
   EXPECT_EQ(prototype.rules->dialect, CheckedRules::Dialect::kPrototype);
 }
 
+TEST(CompileTest, NamesAreNotNormalised) {
+  // One letter, and a letter with a combining accent, which no name may hold.
+  EXPECT_THAT(DiagnoseText("levels: A; consts: \u00E9 int = 1; E int = 2; rules Msg: true ? "
+                           "alert(string(\u00E9 + E));"),
+              IsEmpty());
+  EXPECT_THAT(DiagnoseText("levels: A; consts: e\u0301 int = 1; rules Msg: true ? alert(\"\");"),
+              Contains(HasSubstr("UnexpectedCharacter")));
+}
+
+TEST(CompileTest, ADirectiveForTheShellIsAComment) {
+  EXPECT_THAT(DiagnoseText("#!/usr/bin/env ripsctl\nlevels: A; rules Msg: true ? alert(\"\");"),
+              IsEmpty());
+}
+
 // --- trigger(variable) and what it reaches.
 
 TEST(CompileTest, TriggerTakesVariablesThatOnlyHoldLevels) {
@@ -280,6 +294,11 @@ TEST(CompileTest, ReportsUnreachableLevelsOnlyWhenAllElseIsClean) {
   EXPECT_THAT(DiagnoseText("levels: A; B; vars: v int = B; rules Msg: true ? trigger(v), "
                            "set(v, v);"),
               IsEmpty());
+}
+
+TEST(CompileTest, CrashReachesNoLevel) {
+  EXPECT_THAT(DiagnoseText("levels: A; B; rules Msg: false ? crash(\"x\");"),
+              ElementsAre("t:1:12 LevelUnreachable: no `trigger` reaches level `B`"));
 }
 
 TEST(CompileTest, SettingAVariableFromItselfIsNoReading) {

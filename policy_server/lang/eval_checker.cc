@@ -1,5 +1,5 @@
-// What calls name by a string: variables and values of `eval`, files of `payload`, plugins. The part
-// of ExprChecker that reads inside strings.
+// What calls name by a string: variables and values of `eval`, files of `payload`, plugins. The
+// part of ExprChecker that reads inside strings.
 #include <algorithm>
 #include <utility>
 

@@ -7,11 +7,14 @@
 #include <utility>
 
 #include "absl/strings/str_cat.h"
+#include "policy_server/operator_api/record_tap.h"
 #include "policy_server/operator_api/watch_stream.h"
 #include "services/ros2_proto/graph_codec.h"
 #include "services/rpc/peer.h"
 #include "services/rpc/status_conversion.h"
+#include "services/runtime/daemon_flags.h"
 #include "services/runtime/log.h"
+#include "services/runtime/real_clock.h"
 
 namespace rips::operator_api {
 namespace {
@@ -261,6 +264,34 @@ grpc::ServerWriteReactor<rips::v1::Alert>* OperatorService::WatchAlerts(
     return stream;
   }
   stream->set_on_ended([hub = hub_, id = *id] { hub->Unwatch(id); });
+  return stream;
+}
+
+grpc::ServerWriteReactor<rips::v1::Recording>* OperatorService::Record(
+    grpc::CallbackServerContext* context, const rips::v1::RecordRequest* request) {
+  const auto who = Authorize(context, OperatorRole::kOperator);
+  if (!who.ok()) return RefuseWatch<rips::v1::Recording>(who.status());
+  LogInfo("operator records", {{"operator", who->name}, {"robot", request->robot()}});
+  auto* stream = new WatchStream<rips::v1::Recording>();
+  auto outbound = stream->outbound();
+  const absl::Status posted =
+      pipeline_->Post(request->robot(), Lane::kControl, [outbound](Robot& robot) {
+        auto tap = std::make_shared<RecordTap>(
+            [outbound](rips::v1::Recording piece) { return outbound->Send(std::move(piece)); },
+            [outbound] { return outbound->open(); });
+        if (const absl::Status added = robot.AddTap(tap); !added.ok()) {
+          return outbound->Close(rpc::ToGrpc(added));
+        }
+        const pipeline::RobotStatus status = robot.Status();
+        rips::v1::RecordingHeader header;
+        header.set_robot(robot.id());
+        header.set_bundle_id(status.bundle_version);
+        header.set_level(status.decided_level);
+        header.set_start_unix_ns(RealClock().Now().unix_ns);
+        header.set_rips_version(std::string(RipsVersion()));
+        tap->Start(std::move(header), robot.graph(), robot.graph_changed_unix_ns() != 0);
+      });
+  if (!posted.ok()) outbound->Close(rpc::ToGrpc(posted));
   return stream;
 }
 

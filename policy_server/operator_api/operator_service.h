@@ -3,7 +3,7 @@
 //   call                                             role
 //   ListRobots WatchRobots GetGraph GetLevel
 //   ListTransitions ListAlerts WatchAlerts           viewer
-//   Raise DeEscalate ResumeRules                     operator
+//   Raise DeEscalate ResumeRules Record              operator
 #ifndef RIPS_POLICY_SERVER_OPERATOR_API_OPERATOR_SERVICE_H_
 #define RIPS_POLICY_SERVER_OPERATOR_API_OPERATOR_SERVICE_H_
 
@@ -49,6 +49,8 @@ class OperatorService final : public rips::v1::OperatorService::CallbackService 
                                        rips::v1::ListAlertsResponse* response) override;
   grpc::ServerWriteReactor<rips::v1::Alert>* WatchAlerts(
       grpc::CallbackServerContext* context, const rips::v1::WatchAlertsRequest* request) override;
+  grpc::ServerWriteReactor<rips::v1::Recording>* Record(
+      grpc::CallbackServerContext* context, const rips::v1::RecordRequest* request) override;
   grpc::ServerUnaryReactor* DeEscalate(grpc::CallbackServerContext* context,
                                        const rips::v1::LevelRequest* request,
                                        rips::v1::LevelResponse* response) override;

@@ -8,6 +8,7 @@
 #include <vector>
 
 #include "absl/status/status.h"
+#include "policy_server/engine/interest.h"
 #include "policy_server/pipeline/inbound.h"
 #include "services/base/mark.h"
 #include "services/ros2/guid.h"
@@ -34,6 +35,8 @@ class SensorLink {
   virtual void Grant(uint64_t message_bytes) = 0;
   // `echo_boottime_ns`: the peer's newest.
   virtual void Beat(int64_t echo_boottime_ns) = 0;
+  // The topics whose payloads are wanted from now on.
+  virtual void SetInterest(const std::vector<engine::TopicInterest>& topics) = 0;
   // Ends the stream with this status.
   virtual void Close(const absl::Status& status) = 0;
 };

@@ -10,11 +10,14 @@
 
 #include "absl/status/status.h"
 #include "absl/strings/string_view.h"
+#include "policy_server/engine/event.h"
 #include "policy_server/engine/verdict.h"
+#include "policy_server/pipeline/inbound.h"
 #include "policy_server/store/store.h"
 #include "services/base/clock.h"
 #include "services/base/mark.h"
 #include "services/ros2/guid.h"
+#include "services/ros2/ros_graph.h"
 
 namespace rips::pipeline {
 
@@ -67,6 +70,17 @@ struct InspectedMessage {
   absl::string_view payload;
   uint32_t size_bytes = 0;
   std::shared_ptr<const void> owner;
+};
+
+// One who records what a robot's rules are given to judge. Called on the robot's thread; must not
+// block.
+class Tap {
+ public:
+  virtual ~Tap() = default;
+  // `graph` as it is when the event is judged; `message` is what MessageEvent was made of, else
+  // null. False: no more, please.
+  virtual bool OnEvent(const engine::Event& event, const ros2::RosGraph& graph,
+                       const MessageSeen* message) = 0;
 };
 
 // Asks YARA files and plugins of one policy about messages.

@@ -12,6 +12,8 @@ namespace {
 
 constexpr size_t kReasonBytesMax = 1'000;
 constexpr size_t kAnswersKept = 64;
+// Of one message, that inspections look at.
+constexpr uint32_t kPayloadBytesMax = 64 << 10;
 // Alerts kept in memory while the store cannot be written; the oldest go first.
 constexpr size_t kUnrecordedAlertsMax = 1'000;
 constexpr absl::string_view kOwnRule = "(rips)";
@@ -73,6 +75,7 @@ Robot::Robot(RobotConfig config, Policy policy, Timing timing, const store::Robo
       ports_(std::move(ports)),
       state_(policy_.program, std::move(level), ports_.clock->Now()),
       evidence_(policy_.soft_hold_ns, ports_.clock->Now()),
+      interest_(engine::PayloadInterest(policy_.program->rules(), kPayloadBytesMax)),
       ledger_(config_.actuator_hosts, ports_.new_id),
       started_ns_(ports_.clock->Now().boottime_ns) {
   state_.RestoreVariables(record.variables);
@@ -97,8 +100,22 @@ Robot::Robot(RobotConfig config, Policy policy, Timing timing, const store::Robo
   }
 }
 
-void Robot::Run(const engine::Event& event) {
+absl::Status Robot::AddTap(std::shared_ptr<Tap> tap) {
+  if (taps_.size() >= kTapsMax) {
+    return absl::ResourceExhaustedError(
+        absl::StrCat(kTapsMax, " recordings of `", config_.id, "` run already, the limit"));
+  }
+  taps_.push_back(std::move(tap));
+  return absl::OkStatus();
+}
+
+void Robot::Run(const engine::Event& event, const MessageSeen* message) {
   const Instant now = ports_.clock->Now();
+  taps_.erase(std::remove_if(taps_.begin(), taps_.end(),
+                             [&](const std::shared_ptr<Tap>& tap) {
+                               return !tap->OnEvent(event, state_.graph.get(), message);
+                             }),
+              taps_.end());
   state_.evidence = evidence_.Assess(now);
   const engine::Outcome outcome = engine::Evaluate(event, now, state_);
   if (!outcome.effects.empty() || !outcome.refused_programs.empty() ||
@@ -581,6 +598,11 @@ absl::Status Robot::SwapPolicy(Policy policy) {
     policy_ = std::move(policy);
     evidence_.set_hold_ns(policy_.soft_hold_ns);
     OwnAlert(engine::Severity::kInfo, absl::StrCat("bundle ", policy_.bundle_id, " is in force"));
+    interest_ = engine::PayloadInterest(policy_.program->rules(), kPayloadBytesMax);
+    const auto primary = sensors_.find(config_.primary_sensor);
+    if (primary != sensors_.end() && primary->second.session) {
+      primary->second.session->link->SetInterest(interest_);
+    }
     AdvanceMessages();
   }
   Flush();

@@ -121,6 +121,10 @@ class Robot {
   // Rules may lower soft levels again, and run again after a `crash`.
   absl::Status ResumeRules(const std::string& operator_name, const std::string& reason);
   RobotStatus Status() const;
+  // Tells the tap every event from now on, before it is judged. ResourceExhausted if there are
+  // kTapsMax already.
+  static constexpr size_t kTapsMax = 4;
+  absl::Status AddTap(std::shared_ptr<Tap> tap);
   const ros2::RosGraph& graph() const { return state_.graph.get(); }
   int64_t graph_changed_unix_ns() const { return graph_changed_unix_ns_; }
   const levels::LevelTable& levels() const { return state_.level.table(); }
@@ -232,7 +236,8 @@ class Robot {
   std::vector<ros2::Guid> OwnParticipants() const;
 
   // robot.cc
-  void Run(const engine::Event& event);
+  // `message`: what a MessageEvent was made of.
+  void Run(const engine::Event& event, const MessageSeen* message = nullptr);
   void External(engine::ExternalEvent event);
   void Perform(const engine::Outcome& outcome, const std::string& event);
   void TakeTransition(const engine::TransitionEffect& effect);
@@ -260,6 +265,8 @@ class Robot {
   Ports ports_;
   engine::RobotState state_;
   EvidenceGate evidence_;
+  // Topics whose payloads the rules in force need.
+  std::vector<engine::TopicInterest> interest_;
   AlertLimiter alert_limiter_;
   CommandLedger ledger_;
   absl::btree_map<std::string, SensorHost> sensors_;
@@ -270,6 +277,7 @@ class Robot {
   std::vector<levels::Transition> pending_lowerings_;
   bool sequences_moved_ = false;
   bool variables_changed_ = false;
+  std::vector<std::shared_ptr<Tap>> taps_;
   // Message batches in the order they came; only the first is being inspected.
   std::deque<Inspecting> message_line_;
   uint64_t last_ticket_ = 0;

@@ -14,6 +14,7 @@
 #include "absl/strings/str_cat.h"
 #include "gtest/gtest.h"
 #include "policy_server/lang/compile.h"
+#include "policy_server/pipeline/fake_ports.h"
 #include "policy_server/pipeline/robot.h"
 #include "services/base/fake_clock.h"
 
@@ -88,84 +89,6 @@ class FakeRecorder final : public Recorder {
  private:
   bool healthy_ = true;
   std::deque<std::pair<store::WriteBatch, std::function<void(const absl::Status&)>>> waiting_;
-};
-
-class FakeAudience final : public Audience {
- public:
-  void OnAlert(const store::AlertRecord& alert) override { alerts.push_back(alert); }
-  void OnStatus(const RobotStatus& status) override { statuses.push_back(status); }
-  void OnRuleLog(const std::string&, const std::string& rule, const std::string& text) override {
-    rule_logs.push_back(absl::StrCat(rule, ": ", text));
-  }
-  int Count(absl::string_view part) const {
-    int count = 0;
-    for (const auto& alert : alerts) count += absl::StrContains(alert.text, part) ? 1 : 0;
-    return count;
-  }
-  std::vector<store::AlertRecord> alerts;
-  std::vector<RobotStatus> statuses;
-  std::vector<std::string> rule_logs;
-};
-
-struct FakeSensor final : SensorLink {
-  void Setup(const SensorSetup& s) override { setup = s; }
-  void Acknowledge(const std::string&, Lane lane, uint64_t sequence) override {
-    acknowledged[static_cast<int>(lane)] = sequence;
-  }
-  void Grant(uint64_t message_bytes) override { granted = message_bytes; }
-  void Beat(int64_t echo) override { echoed = echo; }
-  void Close(const absl::Status& status) override { closed = status; }
-  SensorSetup setup;
-  uint64_t acknowledged[kLaneCount] = {0, 0};
-  uint64_t granted = 0;
-  int64_t echoed = 0;
-  absl::Status closed;
-};
-
-struct FakeActuator final : ActuatorLink {
-  void Grant(const LeaseGrant& lease) override { leases.push_back(lease); }
-  void Send(const pipeline::Command& command) override { commands.push_back(command); }
-  void Close(const absl::Status& status) override { closed = status; }
-  // The newest level command.
-  const SetLevel* level() const {
-    for (auto it = commands.rbegin(); it != commands.rend(); ++it) {
-      if (const auto* set = std::get_if<SetLevel>(&it->what)) return set;
-    }
-    return nullptr;
-  }
-  std::vector<LeaseGrant> leases;
-  std::vector<pipeline::Command> commands;
-  absl::Status closed;
-};
-
-// Keeps questions until the test answers.
-class FakeInspector final : public Inspector {
- public:
-  struct Question {
-    std::vector<uint32_t> inspections;
-    std::string topic;
-    std::string sender;
-    std::string payload;
-    std::function<void(std::vector<engine::Verdict>)> done;
-  };
-  void Inspect(const std::string&, const std::vector<uint32_t>& inspections,
-               const InspectedMessage& message,
-               std::function<void(std::vector<engine::Verdict>)> done) override {
-    ++asked;
-    questions.push_back({.inspections = inspections,
-                         .topic = std::string(message.topic),
-                         .sender = std::string(message.sender),
-                         .payload = std::string(message.payload),
-                         .done = std::move(done)});
-  }
-  // Answers the oldest.
-  void Answer(engine::Verdict verdict) {
-    const Question question = std::move(questions.front());
-    questions.pop_front();
-    question.done(std::vector<engine::Verdict>(question.inspections.size(), verdict));
-  }
-  std::deque<Question> questions;
-  size_t asked = 0;
 };
 
 class RobotTest : public ::testing::Test {

@@ -67,6 +67,13 @@ TEST_F(RobotInspectionTest, MessagesWaitInOrderAndControlDoesNot) {
   EXPECT_EQ(sensor_->acknowledged[1], 4u);
 }
 
+TEST_F(RobotInspectionTest, ThePayloadsThatRulesNeedAreAskedFor) {
+  Begin();
+  ASSERT_THAT(sensor_->interest, SizeIs(1));
+  EXPECT_EQ(sensor_->interest[0].topic_regex, R"(^\/image$)");
+  EXPECT_EQ(sensor_->interest[0].payload_bytes_max, 65'536u);
+}
+
 TEST_F(RobotInspectionTest, ANoAndAnUnscanned) {
   Begin();
   SendBatch(Lane::kMessages, {On("/image")});
@@ -129,6 +136,7 @@ rules Msg:
                                 .bundle_id = "sha256:1",
                                 .inspector = inspector_})
                   .ok());
+  EXPECT_THAT(sensor_->interest, SizeIs(2));
   ASSERT_THAT(inspector_->questions, SizeIs(2));
   EXPECT_THAT(inspector_->questions[1].inspections, ElementsAre(1));
   Answer(Verdict::kYes);

@@ -71,6 +71,7 @@ void Robot::SendSetup(const std::string& host_name, SensorHost& host, SensorSess
                        .own_participants = OwnParticipants(),
                        .primary = primary,
                        .want_snapshot = primary && host.graph_incarnation != session.incarnation});
+  if (primary) session.link->SetInterest(interest_);
 }
 
 void Robot::GrantCredit(SensorHost& host, SensorSession& session) {
@@ -157,7 +158,7 @@ void Robot::Judge(SensorHost& host, SensorSession& session, bool primary, const 
     engine::MessageEvent judged = ToEvent(*message);
     judged.inspections = inspections;
     event.what = judged;
-    Run(event);
+    Run(event, message);
   } else if (const auto* snapshot = std::get_if<GraphSnapshotSeen>(&seen.what)) {
     if (primary) JudgeSnapshot(host, session, *snapshot, std::move(event));
   } else if (const auto* delta = std::get_if<GraphDeltaSeen>(&seen.what)) {

@@ -59,6 +59,13 @@ class DomainWatchTest : public testing::Test {
     ASSERT_TRUE(Eventually([&] { return process.MatchedReaders(topic) > 0; }));
   }
 
+  static std::shared_ptr<const Interest> Ask(const std::string& regex, uint32_t bytes) {
+    auto interest = Interest::Create(std::string(kInterestIdBytes, 'i'),
+                                     {{.topic_regex = regex, .payload_bytes_max = bytes}});
+    EXPECT_THAT(interest, IsOk());
+    return *interest;
+  }
+
   FakeRobot robot_;
   std::atomic<int> wakes_ = 0;
   std::unique_ptr<DomainWatch> watch_;
@@ -116,6 +123,60 @@ TEST_F(DomainWatchTest, SamplesCarryWriterSequenceAndSizeButNoPayload) {
   watch_->topics().WriterGone(writer.guid());
   EXPECT_EQ(watch_->topics().readers(), 0u);
   EXPECT_TRUE(Eventually([&] { return process->MatchedReaders("rt/chatter") == 0; }));
+}
+
+TEST_F(DomainWatchTest, PayloadsAreKeptForTheTopicsOfTheInterestAsLongAsItHolds) {
+  Watch();
+  auto process = robot_.AddProcess();
+  dds::RawWriter& chatter = process->AddWriter("rt/chatter");
+  dds::RawWriter& other = process->AddWriter("rt/other");
+  Read(*process, "rt/chatter", chatter);
+  // One topic is read before it is asked for, the other after.
+  watch_->topics().SetInterest(Ask("^/(chatter|other)$", 10));
+  Read(*process, "rt/other", other);
+  for (const char* topic : {"rt/chatter", "rt/other"}) {
+    samples_.clear();
+    process->Publish(topic, std::string(100'000, 'x'));
+    ASSERT_TRUE(PumpUntil([&] { return !samples_.empty(); }));
+    ASSERT_NE(samples_[0].payload, nullptr) << topic;
+    // Encapsulation header, length of the string, its first bytes.
+    EXPECT_EQ(*samples_[0].payload, std::string("\0\1\0\0\xa1\x86\1\0xx", 10));
+    EXPECT_GT(samples_[0].size_bytes, 100'000u);
+  }
+  const auto next = [&](std::shared_ptr<const Interest> interest) -> Payload {
+    watch_->topics().SetInterest(std::move(interest));
+    samples_.clear();
+    process->Publish("rt/chatter", std::string(100'000, 'x'));
+    if (!PumpUntil([&] { return !samples_.empty(); })) return nullptr;
+    return samples_[0].payload;
+  };
+  const Payload most = next(Ask("chatter", UINT32_MAX));
+  ASSERT_NE(most, nullptr);
+  EXPECT_EQ(most->size(), 64u * 1024);
+  EXPECT_EQ(next(Ask("^/other$", 10)), nullptr);
+  const Payload least = next(Ask("chatter", 1));
+  ASSERT_NE(least, nullptr);
+  EXPECT_EQ(least->size(), 1u);
+  EXPECT_EQ(next(nullptr), nullptr);
+  EXPECT_EQ(watch_->topics().TakePayloadsRefused(), 0u);
+}
+
+TEST_F(DomainWatchTest, PayloadsPastTheLimitAreCountedAndTheirSamplesKept) {
+  Watch({.topics = {.payload_bytes = 2'000}});
+  watch_->topics().SetInterest(Ask("", 1'000));
+  auto process = robot_.AddProcess();
+  dds::RawWriter& writer = process->AddWriter("rt/chatter");
+  Read(*process, "rt/chatter", writer);
+  process->Publish("rt/chatter", std::string(3'000, 'x'));
+  process->Publish("rt/chatter", std::string(3'000, 'x'));
+  ASSERT_TRUE(PumpUntil([&] { return samples_.size() == 2; }));
+  EXPECT_NE(samples_[0].payload, nullptr);
+  EXPECT_EQ(samples_[1].payload, nullptr);
+  EXPECT_EQ(watch_->topics().TakePayloadsRefused(), 1u);
+  samples_.clear();
+  process->Publish("rt/chatter", std::string(3'000, 'x'));
+  ASSERT_TRUE(PumpUntil([&] { return !samples_.empty(); }));
+  EXPECT_NE(samples_[0].payload, nullptr) << "there is room again";
 }
 
 TEST_F(DomainWatchTest, LatchedWriterIsReadFromItsHistory) {

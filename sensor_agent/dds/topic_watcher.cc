@@ -7,18 +7,12 @@
 
 namespace rips::sensor {
 
-namespace {
-
-// Of the payload only the encapsulation header is kept.
-constexpr uint32_t kPayloadBytesKept = 4;
-
-}  // namespace
-
 TopicWatcher::TopicWatcher(const dds::Participant* participant, TopicWatcherOptions options,
                            std::function<void()> wake)
     : participant_(participant),
       options_(options),
       wake_(std::move(wake)),
+      payloads_(options.payload_bytes),
       queue_({.capacity = options.queue}) {}
 
 absl::Status TopicWatcher::Watch(const EndpointFact& writer) {
@@ -48,12 +42,13 @@ absl::Status TopicWatcher::Open(const Key& key) {
       std::make_shared<const ReaderKey>(ReaderKey{.topic = ros2::DemangleTopic(topic).name,
                                                   .type = ros2::DemangleType(type),
                                                   .latched = latched});
+  *reader->wanted = Wanted(*reader->key);
   auto created = dds::RawReader::Create(
       *participant_,
       {.topic = topic,
        .type = type,
        .reliable_transient_local = latched,
-       .payload_bytes_max = kPayloadBytesKept},
+       .payload_limit = reader->wanted},
       [this, raw = reader.get()](const dds::RawSample& sample) { OnSample(*raw, sample); });
   if (!created.ok()) return created.status();
   reader->reader = *std::move(created);
@@ -61,10 +56,24 @@ absl::Status TopicWatcher::Open(const Key& key) {
   return absl::OkStatus();
 }
 
+uint32_t TopicWatcher::Wanted(const ReaderKey& key) const {
+  return interest_ == nullptr ? 0 : interest_->PayloadBytes(key.topic, key.type);
+}
+
+void TopicWatcher::SetInterest(std::shared_ptr<const Interest> interest) {
+  interest_ = std::move(interest);
+  for (auto& [key, reader] : readers_) *reader->wanted = Wanted(*reader->key);
+}
+
 void TopicWatcher::OnSample(Reader& reader, const dds::RawSample& sample) {
+  // The middleware may have kept more: under an earlier limit, and always the header.
+  const uint32_t wanted = *reader.wanted;
+  Payload payload;
+  if (wanted > 0) payload = payloads_.Keep(sample.payload.substr(0, wanted));
   const bool taken = queue_.Push({.writer = sample.writer,
                                   .reader = reader.key,
                                   .size_bytes = sample.size,
+                                  .payload = std::move(payload),
                                   .sequence = sample.writer_sequence,
                                   .source_unix_ns = sample.source_unix_ns,
                                   .received_ns = sample.received.boottime_ns});

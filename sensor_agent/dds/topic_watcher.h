@@ -1,5 +1,6 @@
 // Reads every topic that somebody writes: one reader for each (topic, type, latched or not) while
-// there is a writer for it. Of each sample only what describes it is kept, not the payload.
+// there is a writer for it. Of each sample only what describes it is kept, and of the payload what
+// the interest in the topic asks for; without one the payload is not even copied.
 //
 // A reader never asks for more than its writers offer, so nothing on the robot is slowed: volatile
 // and best-effort, or transient-local and reliable for writers that offer both. Request topics of
@@ -22,9 +23,12 @@
 #include "absl/container/flat_hash_set.h"
 #include "absl/status/status.h"
 #include "sensor_agent/graph_builder.h"
+#include "sensor_agent/interest.h"
 #include "sensor_agent/message_flow.h"
+#include "sensor_agent/payload_pool.h"
 #include "services/dds/participant.h"
 #include "services/dds/raw_reader.h"
+#include "services/dds/raw_type.h"
 #include "services/runtime/bounded_queue.h"
 
 namespace rips::sensor {
@@ -33,6 +37,8 @@ struct TopicWatcherOptions {
   size_t readers = 4'096;
   // Samples received and not yet taken; beyond, the new one is lost and counted.
   size_t queue = 65'536;
+  // Of payloads, from reception until they are acknowledged; beyond, the sample is kept without.
+  size_t payload_bytes = size_t{80} << 20;
 };
 
 // One thread, except that samples arrive on the middleware's receive threads.
@@ -48,11 +54,16 @@ class TopicWatcher {
   // if it is not a writer on `rt/`.
   absl::Status Watch(const EndpointFact& writer);
   void WriterGone(const ros2::Guid& writer);
+  // For what is received from now on, of topics read now and later.
+  void SetInterest(std::shared_ptr<const Interest> interest);
 
   // Received since the last call, in order of reception; at most `max`.
   std::vector<Sample> Take(size_t max);
   // Samples lost because the queue was full, since the last call: one record for each topic.
   std::vector<Loss> TakeLosses(int64_t now_ns);
+
+  // Payloads not kept because too many were held, since the last call.
+  uint64_t TakePayloadsRefused() { return payloads_.TakeRefused(); }
 
   size_t readers() const { return readers_.size(); }
 
@@ -62,18 +73,24 @@ class TopicWatcher {
   struct Reader {
     std::shared_ptr<const ReaderKey> key;
     std::atomic<uint64_t> overflow = 0;
+    // Bytes of each payload that are wanted; 0 = none.
+    const std::shared_ptr<dds::PayloadLimit> wanted = std::make_shared<dds::PayloadLimit>(0);
     absl::flat_hash_set<ros2::Guid> writers;
     std::unique_ptr<dds::RawReader> reader;  // last: goes first, then no callback runs
   };
 
   absl::Status Open(const Key& key);
   void OnSample(Reader& reader, const dds::RawSample& sample);
+  uint32_t Wanted(const ReaderKey& key) const;
   void CountOverflow(Reader& reader);
 
   const dds::Participant* participant_;
   const TopicWatcherOptions options_;
   const std::function<void()> wake_;
+  PayloadPool payloads_;
   BoundedQueue<Sample> queue_;
+  // Null = metadata of everything.
+  std::shared_ptr<const Interest> interest_;
   absl::flat_hash_map<ros2::Guid, Key> key_of_;
   // Losses not yet taken, by ROS topic.
   absl::btree_map<std::string, uint64_t> lost_;

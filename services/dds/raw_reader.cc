@@ -140,8 +140,9 @@ absl::StatusOr<std::unique_ptr<RawReader>> RawReader::Create(const Participant& 
                                                              const RawReaderOptions& options,
                                                              RawCallback callback) {
   auto impl = std::make_unique<Impl>(std::move(callback));
-  RIPS_ASSIGN_OR_RETURN(impl->topic, CreateRawTopic(participant.entity(), options.topic,
-                                                    options.type, options.payload_bytes_max));
+  RIPS_ASSIGN_OR_RETURN(impl->topic,
+                        CreateRawTopic(participant.entity(), options.topic, options.type,
+                                       options.payload_bytes_max, options.payload_limit));
   const OwnedQos qos = ReaderQos(options);
   dds_listener_t* listener = dds_create_listener(impl.get());
   dds_lset_data_available(listener, &Impl::OnDataAvailable);

@@ -33,6 +33,8 @@ struct RawReaderOptions {
   bool keep_all = false;
   // Bytes of each payload that are kept; RawSample::size tells the true size.
   uint32_t payload_bytes_max = kWholePayload;
+  // In place of payload_bytes_max, for a reader that keeps more or less as it goes.
+  std::shared_ptr<const PayloadLimit> payload_limit;
   // Receive from writers in any partition. Off only under DDS Security, which refuses a
   // partition list that its permissions do not name.
   bool every_partition = true;
@@ -44,7 +46,7 @@ struct RawReaderOptions {
 
 // Valid during the callback only.
 struct RawSample {
-  absl::string_view payload;  // encapsulation header and body, cut to payload_bytes_max
+  absl::string_view payload;  // encapsulation header and body, cut to the limit
   uint32_t size = 0;          // bytes of the whole payload
   // RTPS sequence number: counts from 1 per writer, a jump is a loss. 0 = not known (the writer
   // is in this process).

@@ -142,6 +142,30 @@ TEST_F(RawTest, LongPayloadsAreCutWhereAsked) {
   EXPECT_TRUE(whole.Get()[0].payload == payload);
 }
 
+TEST_F(RawTest, TheLimitMayChangeWhileReading) {
+  Log adjusted;
+  Log fixed;
+  const auto limit = std::make_shared<PayloadLimit>(0);
+  const auto writer = Writer(near());
+  // Of the same type and name: what is kept for one is not what is kept for the other.
+  const auto reader =
+      Reader(far(), adjusted.Callback(), {.reliable = true, .payload_limit = limit});
+  const auto other = Reader(far(), fixed.Callback(), {.reliable = true, .payload_bytes_max = 7});
+  ASSERT_TRUE(Matched(*writer, *reader) && Matched(*writer, *other));
+  ASSERT_TRUE(Eventually([&] { return writer->MatchedReaders() == 2; }));
+  const std::string payload = Pattern(100'000);
+  size_t count = 0;
+  for (const uint32_t bytes : {0u, 65'536u, 10u, kWholePayload}) {
+    *limit = bytes;
+    ASSERT_THAT(writer->Write(payload), IsOk());
+    ++count;
+    ASSERT_TRUE(Eventually([&] { return adjusted.size() == count && fixed.size() == count; }));
+    EXPECT_EQ(adjusted.Get().back().sample.size, payload.size());
+    EXPECT_TRUE(adjusted.Get().back().payload == payload.substr(0, std::max(bytes, 4u))) << bytes;
+    EXPECT_TRUE(fixed.Get().back().payload == payload.substr(0, 7));
+  }
+}
+
 TEST_F(RawTest, ALatchedSampleReachesALateReader) {
   Log latched;
   Log plain;

@@ -5,6 +5,7 @@
 #include <cstring>
 #include <memory>
 #include <type_traits>
+#include <utility>
 
 #include "absl/strings/str_cat.h"
 #include "dds/dds.h"
@@ -34,6 +35,8 @@ std::atomic<uint64_t> refused_samples = 0;
 struct RawSertype : ddsi_sertype {
   RawSertype() : ddsi_sertype{} {}
   uint32_t payload_bytes_max = kWholePayload;
+  // In place of it, unless null.
+  std::shared_ptr<const PayloadLimit> limit;
 };
 
 struct RawSerdata : ddsi_serdata {
@@ -75,7 +78,10 @@ ddsi_serdata* Refuse() noexcept {
 bool SizeMakesSense(size_t size) { return size >= kCdrHeaderBytes && size < UINT32_MAX - 4; }
 
 size_t KeptOf(const ddsi_sertype* type, size_t size) {
-  return std::min<size_t>(size, Raw(type)->payload_bytes_max);
+  const RawSertype* raw = Raw(type);
+  if (raw->limit == nullptr) return std::min<size_t>(size, raw->payload_bytes_max);
+  const uint32_t limit = raw->limit->load(std::memory_order_relaxed);
+  return std::min<size_t>(size, std::max<size_t>(limit, kCdrHeaderBytes));
 }
 
 // DDSI-RTPS 2.5 §9.4.5.4: the writer's sequence number, which Cyclone has put into host order.
@@ -237,7 +243,7 @@ void ReallocSamples(void**, const ddsi_sertype*, void*, size_t, size_t) noexcept
 void FreeSamples(const ddsi_sertype*, void**, size_t, dds_free_op_t) noexcept {}
 
 bool EqualType(const ddsi_sertype* a, const ddsi_sertype* b) noexcept {
-  return Raw(a)->payload_bytes_max == Raw(b)->payload_bytes_max;
+  return Raw(a)->payload_bytes_max == Raw(b)->payload_bytes_max && Raw(a)->limit == Raw(b)->limit;
 }
 
 uint32_t HashType(const ddsi_sertype* type) noexcept { return Raw(type)->payload_bytes_max; }
@@ -265,13 +271,15 @@ static_assert(sizeof(ddsi_sertype_ops) == 14 * sizeof(void*),
 }  // namespace
 
 absl::StatusOr<RawTopic> CreateRawTopic(EntityHandle participant, const std::string& topic,
-                                        const std::string& type, uint32_t payload_bytes_max) {
+                                        const std::string& type, uint32_t payload_bytes_max,
+                                        std::shared_ptr<const PayloadLimit> limit) {
   if (payload_bytes_max < kCdrHeaderBytes) {
     return absl::InvalidArgumentError(
         absl::StrCat("`payload_bytes_max` of ", payload_bytes_max, " is below ", kCdrHeaderBytes));
   }
   auto* raw = new RawSertype;
   raw->payload_bytes_max = payload_bytes_max;
+  raw->limit = std::move(limit);
   ddsi_sertype_init_flags(raw, type.c_str(), &kSertypeOps, &kSerdataOps,
                           DDSI_SERTYPE_FLAG_TOPICKIND_NO_KEY);
   raw->allowed_data_representation =

@@ -7,8 +7,10 @@
 #ifndef RIPS_SERVICES_DDS_RAW_TYPE_H_
 #define RIPS_SERVICES_DDS_RAW_TYPE_H_
 
+#include <atomic>
 #include <cstddef>
 #include <cstdint>
+#include <memory>
 #include <string>
 
 #include "absl/status/status.h"
@@ -24,6 +26,10 @@ namespace rips::dds {
 // Keep payloads whole.
 inline constexpr uint32_t kWholePayload = UINT32_MAX;
 
+// A limit on kept bytes that may be changed at any time, by any thread, for what is received from
+// then on. Less than an encapsulation header counts as one.
+using PayloadLimit = std::atomic<uint32_t>;
+
 struct RawTopic {
   // Before `entity` in every order of destruction: writers and readers of it.
   DdsEntity entity;
@@ -32,10 +38,11 @@ struct RawTopic {
 
 // A topic with that name, type name and raw samples, of which at most the first
 // `payload_bytes_max` bytes (>= 4) are kept on reception. Several in one participant may share
-// the name. InvalidArgument for a name DDS does not take.
+// the name. With `limit` that is what counts instead. InvalidArgument for a name DDS does not take.
 absl::StatusOr<RawTopic> CreateRawTopic(EntityHandle participant, const std::string& topic,
                                         const std::string& type,
-                                        uint32_t payload_bytes_max = kWholePayload);
+                                        uint32_t payload_bytes_max = kWholePayload,
+                                        std::shared_ptr<const PayloadLimit> limit = nullptr);
 
 // FailedPrecondition if the participant's domain has shared memory turned on.
 absl::Status RequireNoSharedMemory(EntityHandle participant);

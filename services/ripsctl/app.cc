@@ -9,6 +9,7 @@
 #include "services/ripsctl/alert_command.h"
 #include "services/ripsctl/command.h"
 #include "services/ripsctl/level_command.h"
+#include "services/ripsctl/record_command.h"
 #include "services/ripsctl/robot_command.h"
 #include "services/ripsctl/rules_command.h"
 #include "services/rpc/bidi_client.h"
@@ -31,6 +32,7 @@ constexpr Noun kNouns[] = {
     {"level", "Levels: what they are, were, and shall be", LevelCommands},
     {"alert", "Alerts", AlertCommands},
     {"rules", "Rules", RulesCommands},
+    {"record", "Record what a robot's rules are given to judge", RecordCommands},
 };
 
 // The whole command line.
@@ -71,12 +73,15 @@ class Parser {
  private:
   void AddNoun(const Noun& noun) {
     CLI::App* group = app_.add_subcommand(noun.name, noun.synopsis);
-    group->require_subcommand(1);
     group->fallthrough();
     for (std::unique_ptr<Command>& command : noun.commands()) {
-      CLI::App* verb =
-          group->add_subcommand(std::string(command->verb()), std::string(command->synopsis()));
-      verb->fallthrough();
+      CLI::App* verb = group;
+      if (!command->verb().empty()) {
+        group->require_subcommand(1);
+        verb =
+            group->add_subcommand(std::string(command->verb()), std::string(command->synopsis()));
+        verb->fallthrough();
+      }
       command->AddFlags(*verb);
       Command* borrowed = command.get();
       verb->callback([this, borrowed] { chosen_ = borrowed; });
@@ -106,10 +111,10 @@ absl::Status Apply(const RawSettings& settings, const Command& command, Env* env
   } else if (settings.output == "text" || settings.output == "json") {
     env->output = settings.output == "json" ? Output::kJson : Output::kText;
   } else {
-    return absl::InvalidArgumentError(
-        absl::StrCat("--output is `", settings.output,
-                     command.writes_junit() ? "`; write `text`, `json` or `junit`"
-                                            : "`; write `text` or `json`"));
+    return absl::InvalidArgumentError(absl::StrCat("--output is `", settings.output,
+                                                   command.writes_junit()
+                                                       ? "`; write `text`, `json` or `junit`"
+                                                       : "`; write `text` or `json`"));
   }
   RIPS_ASSIGN_OR_RETURN(env->timeout, ParseConfigDuration(settings.timeout));
   if (env->timeout <= absl::ZeroDuration()) {

@@ -22,6 +22,7 @@ class Command {
  public:
   virtual ~Command() = default;
   virtual absl::string_view noun() const = 0;
+  // Empty: the noun alone is the command.
   virtual absl::string_view verb() const = 0;
   // One line for --help.
   virtual absl::string_view synopsis() const = 0;

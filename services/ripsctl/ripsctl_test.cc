@@ -127,6 +127,18 @@ class FakeOperator final : public v1::OperatorService::Service {
     writer->Write(MakeStatus(robot, "COMPROMISED"));
     return Record("WatchRobots");
   }
+  grpc::Status Record(grpc::ServerContext*, const v1::RecordRequest* request,
+                      grpc::ServerWriter<v1::Recording>* writer) override {
+    v1::Recording piece;
+    piece.mutable_header()->set_robot(request->robot());
+    writer->Write(piece);
+    for (int i = 0; i < 2; ++i) {
+      piece.mutable_event()->set_time_unix_ns(kNewYear + i);
+      piece.mutable_event()->mutable_signal()->set_name("SIGUSR1");
+      writer->Write(piece);
+    }
+    return Record("Record");
+  }
   grpc::Status GetGraph(grpc::ServerContext*, const v1::GetGraphRequest*,
                         v1::GetGraphResponse* response) override {
     v1::GraphSnapshot* graph = response->mutable_graph();
@@ -664,6 +676,8 @@ TEST_F(RipsctlTest, HelpIsAsPinned) {
       {"rules", "check"},
       {"rules", "fmt"},
       {"rules", "builtins"},
+      {"rules", "test"},
+      {"rules", "replay"},
       {"rules", "resume"},
   };
   for (std::vector<std::string> args : pages) {
@@ -679,6 +693,33 @@ TEST_F(RipsctlTest, HelpIsAsPinned) {
   std::ostringstream pinned;
   pinned << file.rdbuf();
   EXPECT_EQ(actual, pinned.str()) << "RIPS_UPDATE_GOLDENS=1 rewrites " << path;
+}
+
+TEST_F(RipsctlTest, RecordsIntoANewFile) {
+  const std::string path = home_ + "/r1.rips";
+  const Result first = Run({"record", "r1", "--out", path});
+  EXPECT_EQ(first.code, 0) << first.err;
+  EXPECT_EQ(first.out, absl::StrCat("2 events of r1 in ", path, "\n"));
+  EXPECT_EQ(std::filesystem::status(path).permissions(),
+            std::filesystem::perms::owner_read | std::filesystem::perms::owner_write);
+  const Result again = Run({"record", "r1", "--out", path});
+  EXPECT_EQ(again.code, 2);
+  EXPECT_THAT(again.err, HasSubstr("is there already"));
+  EXPECT_EQ(Run({"record", "r1", "--out", path, "--force"}).code, 0);
+  EXPECT_EQ(Run({"record", "r1", "--out", path, "--force", "--for", "soon"}).code, 2);
+
+  const std::string rules = home_ + "/r.rul";
+  std::ofstream(rules) << "levels: A; rules External: signal(\"SIGUSR1\") ? alert(\"seen\");";
+  const Result replayed = Run({"rules", "replay", "--rules", rules, "--events", path});
+  EXPECT_EQ(replayed.code, 0) << replayed.err;
+  EXPECT_THAT(replayed.out, HasSubstr("seen"));
+}
+
+TEST_F(RipsctlTest, ARefusedRecordingSaysWhy) {
+  fake_.failure = grpc::Status(grpc::StatusCode::NOT_FOUND, "no robot `r2`");
+  const Result result = Run({"record", "r2", "--out", home_ + "/r2.rips"});
+  EXPECT_EQ(result.code, 1);
+  EXPECT_THAT(result.err, HasSubstr("no robot `r2`"));
 }
 
 }  // namespace

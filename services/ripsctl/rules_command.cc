@@ -8,6 +8,8 @@
 #include <vector>
 
 #include "absl/strings/str_cat.h"
+#include "policy_server/inspect/checked_files.h"
+#include "policy_server/inspect/file_source.h"
 #include "policy_server/lang/compile.h"
 #include "policy_server/lang/limits.h"
 #include "services/ripsctl/json_view.h"
@@ -47,8 +49,11 @@ class CheckRules final : public RulesCommand {
       files.push_back({.path = path, .text = *std::move(text)});
     }
     using Dialect = lang::CheckedRules::Dialect;
+    const inspect::DiskFiles disk;
+    inspect::CheckedFiles checked(&disk);
     const lang::CompileResult result =
-        lang::Compile(files, {.dialect = dialect_ == "rips" ? Dialect::kRips : Dialect::kPrototype});
+        lang::Compile(files, {.dialect = dialect_ == "rips" ? Dialect::kRips : Dialect::kPrototype,
+                              .inspection_files = &checked});
     if (env.json()) {
       env.out << lang::RenderJson(files, result.diagnostics) << "\n";
     } else {

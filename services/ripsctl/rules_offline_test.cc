@@ -1,4 +1,4 @@
-// `ripsctl rules fmt` and `ripsctl rules builtins`: the verbs that need neither server nor settings.
+// `ripsctl rules check`, `fmt` and `builtins`: verbs that need neither server nor settings.
 #include <stdlib.h>
 #include <sys/stat.h>
 
@@ -92,6 +92,26 @@ class RulesOfflineTest : public testing::Test {
 
   std::string folder_;
 };
+
+TEST_F(RulesOfflineTest, CheckLooksAtYaraFilesAndPlugins) {
+  const std::string rules = Write("r.rul",
+                                  "levels: A;\nrules Msg: topicin(\"/a\") && (payload(\"y.yar\") "
+                                  "|| plugin(\"p\")) ? alert(\"x\");\n");
+  const Outcome missing = Run({"rules", "check", rules});
+  EXPECT_EQ(missing.code, 1);
+  EXPECT_THAT(missing.out, AllOf(HasSubstr("y.yar"), HasSubstr("plugins/p"), Not(HasSubstr("ok"))));
+
+  Write("y.yar", "rule r { condition: nothing }");
+  std::filesystem::create_directory(folder_ + "/plugins");
+  const std::string plugin = Write("plugins/p", "#!/bin/sh\nexit 0\n");
+  EXPECT_EQ(chmod(plugin.c_str(), 0755), 0);
+  const nlohmann::json broken = RunJson({"rules", "check", rules}, 1)["files"][0]["diagnostics"];
+  ASSERT_EQ(broken.size(), 1u);
+  EXPECT_EQ(broken[0]["kind"], "BrokenInspection");
+
+  Write("y.yar", "rule r { strings: $a = \"attack\" condition: $a }");
+  EXPECT_EQ(Run({"rules", "check", rules}).out, "ok: 1 rules, 1 levels\n");
+}
 
 TEST_F(RulesOfflineTest, FmtPrintsOneFile) {
   const std::string path = Write("a.rul", kUgly);

@@ -34,10 +34,9 @@ constexpr int64_t kMillisMax = 3'600'000;
 
 // `12 +0.345s` in a recording without times, `12 2026-01-01T00:00:00.345Z` in one that has them.
 std::string MomentText(const replay::Moment& at, bool timed) {
-  const std::string time =
-      timed ? ShortTime(at.time_ns)
-            : absl::StrFormat("+%d.%03ds", at.time_ns / kNanosPerSecond,
-                              at.time_ns % kNanosPerSecond / kNanosPerMilli);
+  const std::string time = timed ? ShortTime(at.time_ns)
+                                 : absl::StrFormat("+%d.%03ds", at.time_ns / kNanosPerSecond,
+                                                   at.time_ns % kNanosPerSecond / kNanosPerMilli);
   return absl::StrCat(at.event, " ", time);
 }
 
@@ -78,9 +77,8 @@ const std::vector<std::string> kNoteHeader = {"EVENT", "RULE", "TEXT"};
 
 void PrintHits(const Result& result, bool profile, std::ostream& out) {
   std::vector<replay::RuleHits> rules = result.rules;
-  std::stable_sort(rules.begin(), rules.end(), [](const auto& a, const auto& b) {
-    return a.fired > b.fired;
-  });
+  std::stable_sort(rules.begin(), rules.end(),
+                   [](const auto& a, const auto& b) { return a.fired > b.fired; });
   out << "\nRules, those that fired most first\n";
   std::vector<std::string> header = {"FIRED", "OF", "SECTION", "RULE"};
   if (profile) header.insert(header.begin() + 2, "NS");

@@ -34,8 +34,9 @@ struct Tested {
 
   bool refused() const { return rules.program == nullptr; }
   size_t failed() const {
-    return static_cast<size_t>(std::count_if(outcome.tests.begin(), outcome.tests.end(),
-                                             [](const TestOutcome& test) { return !test.passed(); }));
+    return static_cast<size_t>(
+        std::count_if(outcome.tests.begin(), outcome.tests.end(),
+                      [](const TestOutcome& test) { return !test.passed(); }));
   }
 };
 
@@ -68,8 +69,9 @@ void PrintText(const std::vector<Tested>& all, std::ostream& out) {
     tests += one.outcome.tests.size();
     failed += one.failed();
     if (!one.outcome.not_exercised.empty()) {
-      out << path << ": rules not exercised: "
-          << EscapeText(absl::StrJoin(one.outcome.not_exercised, ", ")) << "\n";
+      out << path
+          << ": rules not exercised: " << EscapeText(absl::StrJoin(one.outcome.not_exercised, ", "))
+          << "\n";
     }
   }
   out << (failed + refused == 0 ? "ok: " : "failed: ") << tests << " tests, " << failed
@@ -226,7 +228,8 @@ class TestRulesCommand final : public Command {
   static ExitCode Unusable(Env& env, const std::vector<std::string>& problems) {
     for (const std::string& problem : problems) {
       env.err << "error: ";
-      for (absl::string_view line : absl::StrSplit(problem, '\n')) env.err << EscapeText(line) << "\n";
+      for (absl::string_view line : absl::StrSplit(problem, '\n'))
+        env.err << EscapeText(line) << "\n";
     }
     return ExitCode::kUsage;
   }

@@ -121,6 +121,19 @@ bool ConfigSection::Has(absl::string_view key) const {
   return node_ != nullptr && node_->Find(key) != nullptr;
 }
 
+std::vector<std::string> ConfigSection::Keys() const {
+  std::vector<std::string> keys;
+  if (node_ == nullptr) return keys;
+  for (const ConfigNode::Entry& entry : node_->entries) keys.push_back(entry.key);
+  return keys;
+}
+
+int ConfigSection::LineOf(absl::string_view key) const {
+  if (node_ == nullptr) return 0;
+  const ConfigNode::Entry* entry = node_->Find(key);
+  return (entry == nullptr ? node_->place : entry->value->place).line + 1;
+}
+
 void ConfigSection::Problem(absl::string_view key, absl::string_view message) const {
   if (node_ == nullptr) return;
   const ConfigNode::Entry* entry = node_->Find(key);

@@ -83,6 +83,12 @@ class ConfigSection {
   bool present() const { return node_ != nullptr; }
   // True if `key` is in the text. Does not make it known.
   bool Has(absl::string_view key) const;
+  // The keys of the mapping, in the order of the text: for mappings whose keys are names of the
+  // user's. Does not make them known.
+  std::vector<std::string> Keys() const;
+  // The line, from 1, of the value of `key`, or of the mapping if it has no such key; 0 if the
+  // mapping is not in the text.
+  int LineOf(absl::string_view key) const;
 
   // Types: std::string (any scalar, not empty), bool (`true`, `false`), integers in
   // `range`, absl::Duration and ByteSize in `range`, std::vector<std::string>.

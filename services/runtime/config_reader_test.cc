@@ -14,6 +14,7 @@ namespace {
 
 using ::testing::ElementsAre;
 using ::testing::HasSubstr;
+using ::testing::IsEmpty;
 using ::testing::Not;
 
 enum class Observer { kCounted, kHidden };
@@ -271,6 +272,22 @@ TEST(ConfigReaderTest, ReportsAProblemOfTheCallerAtTheValue) {
 
   EXPECT_THAT(reader.Finish(), StatusIs(absl::StatusCode::kInvalidArgument,
                                         "f.yaml:2:4: `b` must not exceed `a`\n  b: 2\n     ^"));
+}
+
+TEST(ConfigReaderTest, TellsTheKeysAndLinesOfAMapping) {
+  ConfigReader reader("x.yaml", "names:\n  /b: 1\n  /a:\n    [2]\n");
+  const ConfigSection names = reader.root().RequiredSection("names");
+
+  EXPECT_THAT(names.Keys(), ElementsAre("/b", "/a"));
+  EXPECT_EQ(names.LineOf("/b"), 2);
+  EXPECT_EQ(names.LineOf("/a"), 4);
+  EXPECT_EQ(names.LineOf("/c"), 2);
+  const ConfigSection absent = names.OptionalSection("/c");
+  EXPECT_THAT(absent.Keys(), IsEmpty());
+  EXPECT_EQ(absent.LineOf("/b"), 0);
+  // Listing them does not make them known.
+  EXPECT_THAT(reader.Finish(),
+              StatusIs(absl::StatusCode::kInvalidArgument, HasSubstr("unknown key `/b`")));
 }
 
 TEST(ConfigDurationTest, RoundTrips) {

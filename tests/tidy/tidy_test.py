@@ -9,7 +9,7 @@ ROOT = pathlib.Path(__file__).resolve().parents[2]
 TOP = {"proto", "services", "sensor_agent", "policy_server", "mode_actuator", "deploy", "rules",
        "tests", "README.md", "LICENSE", "CMakeLists.txt", "CMakePresets.json", ".clang-format",
        ".clang-tidy", ".gitignore", ".ci"}
-PURE = ["services/base", "services/ros2", "policy_server/lang", "policy_server/levels",
+PURE = ["services/base", "services/ros2/", "policy_server/lang", "policy_server/levels",
         "policy_server/engine", "mode_actuator/executor", "sensor_agent/graph_builder",
         "sensor_agent/outbox"]
 IMPURE = re.compile(r"#include [<\"](thread|mutex|atomic|fstream|iostream|random|chrono|grpc.*|"

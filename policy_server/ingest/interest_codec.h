@@ -1,0 +1,21 @@
+// What sensors are asked to watch, as rips.v1.Interest.
+#ifndef RIPS_POLICY_SERVER_INGEST_INTEREST_CODEC_H_
+#define RIPS_POLICY_SERVER_INGEST_INTEREST_CODEC_H_
+
+#include <cstddef>
+#include <vector>
+
+#include "policy_server/engine/interest.h"
+#include "rips/v1/sensor.pb.h"
+
+namespace rips::ingest {
+
+// Of an id: SHA-256.
+inline constexpr size_t kInterestIdBytes = 32;
+
+// The payloads of `topics`, and metadata of everything else. Equal topics give equal ids.
+rips::v1::Interest EncodeInterest(const std::vector<engine::TopicInterest>& topics);
+
+}  // namespace rips::ingest
+
+#endif  // RIPS_POLICY_SERVER_INGEST_INTEREST_CODEC_H_

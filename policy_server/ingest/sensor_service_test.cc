@@ -1,0 +1,178 @@
+// What a sensor is asked to watch, over real gRPC: sent once, not again if it is in use, and heard
+// if it cannot be.
+#include "policy_server/ingest/sensor_service.h"
+
+#include <chrono>
+#include <memory>
+#include <string>
+#include <utility>
+
+#include "gmock/gmock.h"
+#include "gtest/gtest.h"
+#include "policy_server/pipeline/robot_fixture.h"
+#include "services/base/ids.h"
+#include "services/base/status_matchers.h"
+#include "services/rpc/bidi_client.h"
+#include "services/rpc/credentials.h"
+#include "services/rpc/server_builder.h"
+#include "services/rpc/test_pki.h"
+#include "services/runtime/real_clock.h"
+
+namespace rips::ingest {
+namespace {
+
+using rips::v1::SensorMessage;
+using rips::v1::SensorReply;
+
+constexpr char kRules[] = R"(
+levels: DEFAULT;
+rules Msg:
+  r: topicin("/image", "/map") && payload("bad.yar") ? alert("bad");
+)";
+
+struct Sensor {
+  explicit Sensor(const std::shared_ptr<grpc::Channel>& channel)
+      : stub(rips::v1::SensorService::NewStub(channel)) {
+    context.set_deadline(std::chrono::system_clock::now() + std::chrono::seconds(60));
+    stream = stub->Observe(&context);
+  }
+  void Hello(const std::string& in_use = "") {
+    SensorMessage message;
+    auto* hello = message.mutable_hello()->mutable_hello();
+    hello->set_protocol(1);
+    hello->set_incarnation(std::string(16, 'i'));
+    hello->set_host("base");
+    hello->mutable_clock()->set_boottime_ns(static_cast<uint64_t>(BoottimeNow()));
+    message.mutable_hello()->set_interest_in_use(in_use);
+    stream->Write(message);
+  }
+  // The server has answered the hello: it has sent the configuration.
+  bool Greeted() {
+    SensorReply reply;
+    return stream->Read(&reply) && reply.has_config();
+  }
+  void Answer(const std::string& problem) {
+    SensorMessage message;
+    message.mutable_interest_applied()->set_interest("whatever");
+    message.mutable_interest_applied()->set_problem(problem);
+    stream->Write(message);
+  }
+  // Interests that have come when the server answers a heartbeat of now.
+  std::vector<rips::v1::Interest> InterestsUntilNow() {
+    const auto now_ns = static_cast<uint64_t>(BoottimeNow());
+    SensorMessage beat;
+    beat.mutable_heartbeat()->mutable_clock()->set_boottime_ns(now_ns);
+    EXPECT_TRUE(stream->Write(beat));
+    std::vector<rips::v1::Interest> interests;
+    SensorReply reply;
+    while (stream->Read(&reply)) {
+      if (reply.has_interest()) interests.push_back(reply.interest());
+      if (reply.heartbeat().echo_boottime_ns() == now_ns) return interests;
+    }
+    ADD_FAILURE() << "the stream ended: " << stream->Finish().error_message();
+    return interests;
+  }
+  void End() {
+    stream->WritesDone();
+    SensorReply reply;
+    while (stream->Read(&reply)) {
+    }
+    EXPECT_TRUE(stream->Finish().ok());
+  }
+
+  std::unique_ptr<rips::v1::SensorService::Stub> stub;
+  grpc::ClientContext context;
+  std::unique_ptr<grpc::ClientReaderWriter<SensorMessage, SensorReply>> stream;
+};
+
+class SensorServiceTest : public ::testing::Test {
+ protected:
+  void SetUp() override {
+    lang::CompileResult compiled = lang::Compile({{.path = "test.rul", .text = kRules}});
+    ASSERT_TRUE(compiled.rules);
+    auto program = engine::Program::Create(*std::move(compiled.rules));
+    ASSERT_THAT(program, IsOk());
+    ASSERT_THAT(pipeline_.Add({.id = "r1", .sensor_hosts = {"base"}, .primary_sensor = "base"},
+                              {.program = *program, .bundle_id = "sha256:0"}, {}, {}, 1,
+                              {.recorder = &recorder_, .audience = &audience_, .new_id = NewId}),
+                IsOk());
+    pipeline_.Start();
+    const auto server_ids = rpc::Credentials::Load(pki_.Server());
+    const auto sensor_ids = rpc::Credentials::Load(pki_.Sensor());
+    ASSERT_THAT(server_ids, IsOk());
+    ASSERT_THAT(sensor_ids, IsOk());
+    auto server = rpc::RpcServer::Start(
+        {.listen = "127.0.0.1:0", .credentials = (*server_ids)->ForServer()}, {&service_});
+    ASSERT_THAT(server, IsOk());
+    server_ = *std::move(server);
+    channel_ = rpc::MakeChannel(server_->address(), (*sensor_ids)->ForClient());
+  }
+  void TearDown() override {
+    server_.reset();
+    pipeline_.Stop();
+  }
+
+  // A sensor that was greeted. While the server has not noticed the end of the stream before, it
+  // refuses a second one.
+  std::unique_ptr<Sensor> Connect(const std::string& in_use = "") {
+    const int64_t deadline_ns = BoottimeAfter(absl::Seconds(60));
+    while (BoottimeNow() < deadline_ns) {
+      auto sensor = std::make_unique<Sensor>(channel_);
+      sensor->Hello(in_use);
+      if (sensor->Greeted()) return sensor;
+      EXPECT_EQ(sensor->stream->Finish().error_code(), grpc::StatusCode::ALREADY_EXISTS);
+    }
+    ADD_FAILURE() << "no sensor was greeted";
+    return nullptr;
+  }
+
+  rpc::TestPki pki_;
+  RealClock clock_;
+  Metrics metrics_;
+  Counter refused_ = metrics_.AddCounter("interests_refused_total", "Interests refused.");
+  pipeline::FakeRecorder recorder_;
+  pipeline::FakeAudience audience_;
+  pipeline::Pipeline pipeline_{1, &clock_};
+  rpc::SessionWatch watch_{&clock_};
+  SensorService service_{&pipeline_, &watch_, {.interests_refused = refused_}};
+  std::unique_ptr<rpc::RpcServer> server_;
+  std::shared_ptr<grpc::Channel> channel_;
+};
+
+TEST_F(SensorServiceTest, ASensorIsAskedForThePayloadsThatRulesNeedUnlessItKnows) {
+  const auto sensor = Connect();
+  ASSERT_NE(sensor, nullptr);
+  const std::vector<rips::v1::Interest> asked = sensor->InterestsUntilNow();
+  ASSERT_EQ(asked.size(), 1u);
+  EXPECT_EQ(asked[0].id().size(), 32u);
+  ASSERT_EQ(asked[0].rules_size(), 3);
+  EXPECT_EQ(asked[0].rules(0).topic_regex(), "^\\/image$");
+  EXPECT_EQ(asked[0].rules(0).depth(), rips::v1::InterestRule::PAYLOAD);
+  EXPECT_EQ(asked[0].rules(1).topic_regex(), "^\\/map$");
+  EXPECT_EQ(asked[0].rules(2).depth(), rips::v1::InterestRule::METADATA);
+  sensor->End();
+
+  const auto again = Connect(asked[0].id());
+  ASSERT_NE(again, nullptr);
+  EXPECT_TRUE(again->InterestsUntilNow().empty()) << "it is in use";
+  again->End();
+
+  const auto other = Connect(std::string(100'000, 'x'));
+  ASSERT_NE(other, nullptr);
+  EXPECT_EQ(other->InterestsUntilNow().size(), 1u) << "no interest of ours";
+  other->End();
+}
+
+TEST_F(SensorServiceTest, AnInterestThatASensorCannotApplyIsCountedAndTheStreamGoesOn) {
+  const auto sensor = Connect();
+  ASSERT_NE(sensor, nullptr);
+  sensor->Answer("");
+  sensor->Answer("rule 1: bad pattern\x1b[2J\n" + std::string(100'000, 'x'));
+  sensor->Answer("rule 2");
+  EXPECT_EQ(sensor->InterestsUntilNow().size(), 1u);
+  EXPECT_EQ(refused_.Value(), 2);
+  sensor->End();
+}
+
+}  // namespace
+}  // namespace rips::ingest

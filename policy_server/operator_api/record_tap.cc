@@ -1,0 +1,92 @@
+#include "policy_server/operator_api/record_tap.h"
+
+#include <string>
+#include <variant>
+
+#include "services/ros2_proto/graph_codec.h"
+
+namespace rips::operator_api {
+namespace {
+
+using rips::v1::RecordedEvent;
+
+void Fill(const engine::MessageEvent& message, const pipeline::MessageSeen* seen,
+          rips::v1::RecordedMessage* out) {
+  out->set_topic(std::string(message.topic));
+  out->set_type(std::string(message.type));
+  out->set_sender(std::string(message.sender));
+  if (!message.writer.none()) out->set_writer_guid(message.writer.ToBytes());
+  out->set_size_bytes(message.size_bytes);
+  if (seen != nullptr) out->set_payload(seen->payload);
+  out->set_truncated(out->payload().size() < message.size_bytes);
+}
+
+// False for what is not recorded.
+struct ExternalFiller {
+  RecordedEvent* out;
+
+  bool operator()(const engine::IdsEvent& ids) const {
+    out->mutable_ids()->set_message(ids.message);
+    out->mutable_ids()->set_gid(ids.gid);
+    out->mutable_ids()->set_sid(ids.sid);
+    out->mutable_ids()->set_line(ids.line);
+    out->mutable_ids()->set_src(ids.source);
+    out->mutable_ids()->set_dst(ids.target);
+    return true;
+  }
+  bool operator()(const engine::SignalEvent& signal) const {
+    out->mutable_signal()->set_name(signal.name);
+    out->mutable_signal()->set_count(1);
+    return true;
+  }
+  bool operator()(const engine::AgentEvent& agent) const {
+    out->mutable_agent()->set_agent(agent.agent);
+    out->mutable_agent()->set_state(agent.state);
+    return true;
+  }
+  bool operator()(const engine::FindingEvent& finding) const {
+    out->mutable_finding()->set_kind(finding.kind);
+    return true;
+  }
+  bool operator()(const engine::LossEvent& loss) const {
+    out->mutable_loss()->set_count(loss.count);
+    return true;
+  }
+  // A replay has ticks of its own.
+  bool operator()(const engine::TickEvent&) const { return false; }
+};
+
+}  // namespace
+
+void RecordTap::Start(rips::v1::RecordingHeader header, const ros2::RosGraph& graph, bool settled) {
+  graph_ = graph;
+  rips::v1::Recording first;
+  const int64_t start_unix_ns = header.start_unix_ns();
+  *first.mutable_header() = std::move(header);
+  if (!send_(std::move(first)) || !settled) return;
+  rips::v1::Recording second;
+  RecordedEvent* event = second.mutable_event();
+  event->set_time_unix_ns(start_unix_ns);
+  event->mutable_snapshot()->set_settled(true);
+  ros2_proto::EncodeGraph(graph, *event->mutable_snapshot());
+  send_(std::move(second));
+}
+
+bool RecordTap::OnEvent(const engine::Event& event, const ros2::RosGraph& graph,
+                        const pipeline::MessageSeen* message) {
+  rips::v1::Recording piece;
+  RecordedEvent* out = piece.mutable_event();
+  out->set_time_unix_ns(event.time_unix_ns);
+  if (const auto* sample = std::get_if<engine::MessageEvent>(&event.what)) {
+    Fill(*sample, message, out->mutable_message());
+  } else if (std::holds_alternative<engine::GraphEvent>(event.what)) {
+    out->mutable_delta()->set_settled(true);
+    ros2_proto::EncodeGraph(ros2::RosGraph::Diff(graph_, graph), *out->mutable_delta());
+    graph_ = graph;
+  } else if (!std::visit(ExternalFiller{out}, std::get<engine::ExternalEvent>(event.what))) {
+    return listening_();
+  }
+  return send_(std::move(piece));
+}
+
+}  // namespace rips::operator_api

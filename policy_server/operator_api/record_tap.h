@@ -1,0 +1,37 @@
+// A recording on its way to an operator.
+#ifndef RIPS_POLICY_SERVER_OPERATOR_API_RECORD_TAP_H_
+#define RIPS_POLICY_SERVER_OPERATOR_API_RECORD_TAP_H_
+
+#include <functional>
+#include <utility>
+
+#include "policy_server/pipeline/ports.h"
+#include "rips/v1/recording.pb.h"
+#include "services/ros2/ros_graph.h"
+
+namespace rips::operator_api {
+
+class RecordTap final : public pipeline::Tap {
+ public:
+  // False when nobody listens any more.
+  using Send = std::function<bool(rips::v1::Recording)>;
+
+  // `listening`: false when nobody listens any more.
+  RecordTap(Send send, std::function<bool()> listening)
+      : send_(std::move(send)), listening_(std::move(listening)) {}
+
+  // Header and graph; before the first event. `settled`: there is a graph.
+  void Start(rips::v1::RecordingHeader header, const ros2::RosGraph& graph, bool settled);
+  bool OnEvent(const engine::Event& event, const ros2::RosGraph& graph,
+               const pipeline::MessageSeen* message) override;
+
+ private:
+  Send send_;
+  std::function<bool()> listening_;
+  // As last told.
+  ros2::RosGraph graph_;
+};
+
+}  // namespace rips::operator_api
+
+#endif  // RIPS_POLICY_SERVER_OPERATOR_API_RECORD_TAP_H_

@@ -1,0 +1,91 @@
+// A recording of a robot, event by event.
+#include <string>
+#include <vector>
+
+#include "gmock/gmock.h"
+#include "policy_server/operator_api/record_tap.h"
+#include "policy_server/pipeline/robot_fixture.h"
+#include "services/base/status_matchers.h"
+
+namespace rips::operator_api {
+namespace {
+
+using pipeline::Lane;
+using rips::v1::RecordedEvent;
+
+class RecordTest : public pipeline::RobotTest {
+ protected:
+  std::shared_ptr<RecordTap> MakeTap() {
+    return std::make_shared<RecordTap>(
+        [this](rips::v1::Recording piece) {
+          pieces_.push_back(std::move(piece));
+          return listening_;
+        },
+        [this] { return listening_; });
+  }
+  void Begin() {
+    Start();
+    ConnectSensor();
+    SendSnapshot();
+    auto tap = MakeTap();
+    ASSERT_THAT(robot_->AddTap(tap), IsOk());
+    rips::v1::RecordingHeader header;
+    header.set_robot("r1");
+    tap->Start(std::move(header), robot_->graph(), true);
+  }
+  const RecordedEvent& Last() const { return pieces_.back().event(); }
+
+  std::vector<rips::v1::Recording> pieces_;
+  bool listening_ = true;
+};
+
+TEST_F(RecordTest, BeginsWithTheGraphAndGoesOnWithEachEvent) {
+  Begin();
+  ASSERT_EQ(pieces_.size(), 2u);
+  EXPECT_EQ(pieces_[0].header().robot(), "r1");
+  EXPECT_EQ(pieces_[1].event().snapshot().nodes_size(), 2);
+
+  SendBatch(Lane::kMessages, {{.what = pipeline::MessageSeen{.topic = "/cmd_vel",
+                                                             .type = "geometry_msgs/msg/Twist",
+                                                             .sender = "/claimed",
+                                                             .writer = Writer(2),
+                                                             .size_bytes = 5,
+                                                             .payload = "abc"}}});
+  EXPECT_EQ(Last().message().topic(), "/cmd_vel");
+  EXPECT_EQ(Last().message().sender(), "/navigator") << "as the server attributes it";
+  EXPECT_EQ(Last().message().payload(), "abc");
+  EXPECT_TRUE(Last().message().truncated());
+
+  ros2::GraphDelta delta;
+  AddNode(&delta, 9, "/intruder", "/cmd_vel");
+  SendDelta(delta);
+  EXPECT_EQ(Last().delta().upsert_nodes_size(), 1);
+  EXPECT_EQ(Last().delta().upsert_nodes(0).full_name(), "/intruder");
+
+  SendBatch(Lane::kControl, {{.what = pipeline::SignalSeen{"SIGUSR2"}}});
+  EXPECT_EQ(Last().signal().name(), "SIGUSR2");
+  SendBatch(Lane::kControl, {{.what = pipeline::IdsAlertSeen{.message = "scan",
+                                                             .gid = 1,
+                                                             .sid = 7,
+                                                             .line = "line",
+                                                             .source = "10.0.0.1",
+                                                             .target = "10.0.0.2"}}});
+  EXPECT_EQ(Last().ids().sid(), 7u);
+  EXPECT_EQ(Last().ids().src(), "10.0.0.1");
+}
+
+TEST_F(RecordTest, TicksAreLeftOutAndWhoLeavesIsForgotten) {
+  Begin();
+  const size_t before = pieces_.size();
+  Pass(1'000);
+  EXPECT_EQ(pieces_.size(), before);
+  listening_ = false;
+  Pass(1'000);
+  for (size_t i = 0; i < pipeline::Robot::kTapsMax; ++i) {
+    EXPECT_THAT(robot_->AddTap(MakeTap()), IsOk());
+  }
+  EXPECT_THAT(robot_->AddTap(MakeTap()), StatusIs(absl::StatusCode::kResourceExhausted));
+}
+
+}  // namespace
+}  // namespace rips::operator_api

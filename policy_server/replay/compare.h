@@ -1,0 +1,44 @@
+// What two rule sets did differently on one recording.
+#ifndef RIPS_POLICY_SERVER_REPLAY_COMPARE_H_
+#define RIPS_POLICY_SERVER_REPLAY_COMPARE_H_
+
+#include <optional>
+#include <string>
+#include <vector>
+
+#include "policy_server/replay/result.h"
+
+namespace rips::replay {
+
+// Entries that only one of the two has, in the order they happened.
+template <typename Record>
+struct OnlyOne {
+  std::vector<Record> before;
+  std::vector<Record> after;
+
+  bool none() const { return before.empty() && after.empty(); }
+};
+
+struct Difference {
+  // The first event at which the two did not do the same; nullopt: there is none.
+  std::optional<Moment> first;
+  OnlyOne<Changed> transitions;
+  OnlyOne<Alerted> alerts;
+  OnlyOne<Executed> execs;
+  // At the end.
+  std::string level_before;
+  std::string level_after;
+
+  bool none() const {
+    return transitions.none() && alerts.none() && execs.none() && level_before == level_after;
+  }
+};
+
+// Both results are of the same recording. An entry is the same if event and content are, whatever
+// rule it comes from and in whatever order an event's entries come; one that is there twice must be
+// there twice. Variables, faults and hits are not compared.
+Difference Compare(const Result& before, const Result& after);
+
+}  // namespace rips::replay
+
+#endif  // RIPS_POLICY_SERVER_REPLAY_COMPARE_H_

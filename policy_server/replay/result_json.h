@@ -1,0 +1,34 @@
+// Results as JSON; a contract, to which fields may be added. Text that is no UTF-8 is the printer's
+// business.
+#ifndef RIPS_POLICY_SERVER_REPLAY_RESULT_JSON_H_
+#define RIPS_POLICY_SERVER_REPLAY_RESULT_JSON_H_
+
+#include <nlohmann/json.hpp>
+
+#include "policy_server/replay/compare.h"
+#include "policy_server/replay/result.h"
+
+namespace rips::replay {
+
+// {"events":{"message","graph","external","undecidable"},"level",
+//  "transitions":[{"event","rule","from","to","result":"decided|refused"}],
+//  "alerts":[{"event","rule","text","severity"}],
+//  "execs":[{"event","rule","program","args":[..],"result":"ok|failed"}],
+//  "variables":{name:value},"faults":[{"event","rule","text"}],
+//  "rules":[{"name","section":"Msg|Graph|External","evaluated","fired","ns_mean"}]}
+// and, only if there is any: "logs":[{"event","rule","text"}] (of `True` and `False`),
+// "crashed":event, "left_out":count.
+nlohmann::ordered_json ToJson(const Result& result);
+
+// {"same":bool,"first_difference":event|null,"level":{"before","after"},
+//  "transitions":{"before":[..],"after":[..]},"alerts":{..},"execs":{..}}: entries as above that
+// only one of the two has.
+nlohmann::ordered_json ToJson(const Difference& difference);
+
+// A bool, a number, or a string: texts, and numbers that JSON or its readers do not hold: NaN,
+// +Inf, -Inf, and integers beyond 2^53.
+nlohmann::ordered_json ToJson(const lang::Value& value);
+
+}  // namespace rips::replay
+
+#endif  // RIPS_POLICY_SERVER_REPLAY_RESULT_JSON_H_

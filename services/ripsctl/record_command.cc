@@ -1,0 +1,130 @@
+#include "services/ripsctl/record_command.h"
+
+#include <fcntl.h>
+#include <unistd.h>
+
+#include <CLI/CLI.hpp>
+#include <cerrno>
+#include <nlohmann/json.hpp>
+#include <string>
+#include <utility>
+
+#include "absl/strings/str_cat.h"
+#include "absl/time/clock.h"
+#include "policy_server/recording/event_codec.h"
+#include "policy_server/recording/rips_writer.h"
+#include "services/base/status_macros.h"
+#include "services/ripsctl/json_view.h"
+#include "services/ripsctl/printer.h"
+
+namespace rips::ripsctl {
+namespace {
+
+// A new file, closed when this goes.
+class NewFile {
+ public:
+  static absl::StatusOr<NewFile> Create(const std::string& path, bool replace) {
+    const int fd =
+        open(path.c_str(), O_WRONLY | O_CREAT | O_CLOEXEC | (replace ? O_TRUNC : O_EXCL), 0600);
+    if (fd < 0 && errno == EEXIST) {
+      return absl::AlreadyExistsError(
+          absl::StrCat("`", path, "` is there already; choose another file, or --force"));
+    }
+    if (fd < 0) return absl::ErrnoToStatus(errno, absl::StrCat("cannot write `", path, "`"));
+    return NewFile(fd);
+  }
+  NewFile(NewFile&& other) noexcept : fd_(std::exchange(other.fd_, -1)) {}
+  NewFile& operator=(NewFile&&) = delete;
+  ~NewFile() {
+    if (fd_ >= 0) close(fd_);
+  }
+  int fd() const { return fd_; }
+
+ private:
+  explicit NewFile(int fd) : fd_(fd) {}
+  int fd_;
+};
+
+class Record final : public Command {
+ public:
+  absl::string_view noun() const override { return "record"; }
+  absl::string_view verb() const override { return ""; }
+  absl::string_view synopsis() const override {
+    return "Record what a robot's rules are given to judge, for `rules replay`";
+  }
+  void AddFlags(CLI::App& app) override {
+    app.add_option("ROBOT", robot_, "Robot id")->required();
+    app.add_option("--out", path_, "The file to write")->required();
+    app.add_option("--for", duration_, "How long, for example 60s; without it, until interrupted");
+    app.add_flag("--force", force_, "Replace the file if it is there");
+  }
+  ExitCode Run(Env& env) override {
+    if (const absl::Status valid = CheckRobot(robot_); !valid.ok()) {
+      return UsageError(env, valid.message());
+    }
+    absl::Duration duration = absl::InfiniteDuration();
+    if (!duration_.empty() &&
+        (!absl::ParseDuration(duration_, &duration) || duration <= absl::ZeroDuration())) {
+      return UsageError(env, absl::StrCat("--for is `", duration_, "`, not a time like `60s`"));
+    }
+    absl::StatusOr<NewFile> file = NewFile::Create(path_, force_);
+    if (!file.ok()) return UsageError(env, file.status().message());
+    grpc::ClientContext context;
+    if (duration != absl::InfiniteDuration()) {
+      context.set_deadline(absl::ToChronoTime(absl::Now() + duration));
+    }
+    v1::RecordRequest request;
+    request.set_robot(robot_);
+    const auto reader = env.server->Record(&context, request);
+    const absl::Status written = Write(*reader, file->fd());
+    if (!written.ok()) context.TryCancel();
+    const grpc::Status ended = reader->Finish();
+    if (!written.ok()) return Failed(env, written);
+    const bool in_time = ended.error_code() == grpc::StatusCode::DEADLINE_EXCEEDED && begun_ &&
+                         duration != absl::InfiniteDuration();
+    if (!ended.ok() && !in_time) return Ended(env, ended);
+    if (fsync(file->fd()) != 0) {
+      return Failed(env, absl::ErrnoToStatus(errno, absl::StrCat("cannot write `", path_, "`")));
+    }
+    if (env.json()) {
+      PrintJson({{"robot", robot_}, {"file", path_}, {"events", events_}}, env.out);
+    } else {
+      env.out << events_ << " events of " << robot_ << " in " << path_ << "\n";
+    }
+    return ExitCode::kDone;
+  }
+
+ private:
+  absl::Status Write(grpc::ClientReaderInterface<v1::Recording>& reader, int fd) {
+    v1::Recording piece;
+    if (!reader.Read(&piece)) return absl::OkStatus();  // the status of the call says why
+    if (!piece.has_header()) return absl::InternalError("the server sent no header");
+    RIPS_ASSIGN_OR_RETURN(
+        recording::RipsWriter writer,
+        recording::RipsWriter::Create(fd, recording::DecodeHeader(piece.header())));
+    begun_ = true;
+    while (reader.Read(&piece)) {
+      RIPS_ASSIGN_OR_RETURN(const recording::Recorded event, recording::DecodeEvent(piece.event()));
+      RIPS_RETURN_IF_ERROR(writer.Append(event));
+      ++events_;
+    }
+    return absl::OkStatus();
+  }
+
+  std::string robot_;
+  std::string path_;
+  std::string duration_;
+  bool force_ = false;
+  bool begun_ = false;
+  uint64_t events_ = 0;
+};
+
+}  // namespace
+
+Commands RecordCommands() {
+  Commands commands;
+  commands.push_back(std::make_unique<Record>());
+  return commands;
+}
+
+}  // namespace rips::ripsctl
