@@ -445,6 +445,7 @@ std::unique_ptr<ParkedChain> Runner::MakeParked(const Current& current, uint32_t
     message->topic = parked->topic;
     message->type = parked->type;
     message->sender = parked->sender;
+    message->memo = nullptr;
     parked->inspections.assign(message->inspections.begin(), message->inspections.end());
     message->inspections = parked->inspections;
   }

@@ -14,6 +14,17 @@
 
 namespace rips::engine {
 
+// Where the engine keeps what it knows of a topic, beside the topic's name, so that it need not look
+// the name up again. Belongs to whoever owns the name; the evaluator alone writes to it, on the
+// robot's thread.
+struct TopicMemo {
+  const void* cache = nullptr;
+  uint64_t epoch = 0;
+  void* entry = nullptr;
+  // Of the name of the type that came with the topic; it lives as long as the topic's.
+  const char* type = nullptr;
+};
+
 // A message on a topic. Views are borrowed for the call.
 struct MessageEvent {
   // ROS names.
@@ -24,6 +35,8 @@ struct MessageEvent {
   absl::string_view sender;
   // Serialized payload with its 4-byte CDR header.
   uint32_t size_bytes = 0;
+  // Of the very string that `topic` views; may be null.
+  TopicMemo* memo = nullptr;
   // By index of CheckedRules::inspections of the program in force, which NeededInspections asked
   // for. One that is not there was not told.
   absl::Span<const Verdict> inspections;

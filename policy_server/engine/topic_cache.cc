@@ -8,24 +8,37 @@ namespace rips::engine {
 
 TopicEntry& TopicCache::Look(const Program& program, const ros2::RosGraph& graph, uint64_t revision,
                              const MessageEvent& message) {
-  auto found = topics_.find(message.topic);
-  if (found == topics_.end()) {
-    if (message.topic.size() > TopicVerdicts::kNameBytesMax ||
-        message.type.size() > TopicVerdicts::kNameBytesMax) {
-      Refresh(program, graph, message, passing_);
-      return passing_;
-    }
-    const size_t each = program.compiled().facts.size();
-    if (topics_.size() >= kTopicsMax || (topics_.size() + 1) * each > kAnswersMax) Clear();
-    found = topics_.emplace(std::string(message.topic), std::make_unique<TopicEntry>()).first;
+  TopicMemo* const memo = message.memo;
+  const bool known = memo != nullptr && memo->cache == this && memo->epoch == epoch_ &&
+                     memo->type == message.type.data();
+  TopicEntry* entry = known ? static_cast<TopicEntry*>(memo->entry) : Find(program, message);
+  if (entry == nullptr) {
+    Refresh(program, graph, message, passing_);
+    return passing_;
   }
-  TopicEntry& entry = *found->second;
-  if (!entry.remembered || entry.revision != revision ||
-      entry.generation != verdicts_.generation() || entry.type != message.type) {
-    Refresh(program, graph, message, entry);
-    entry.revision = revision;
+  // A memo is of this type's name, but the entry may have been used for another meanwhile.
+  if (!entry->remembered || entry->revision != revision ||
+      entry->generation != verdicts_.generation() || entry->type != message.type) {
+    Refresh(program, graph, message, *entry);
+    entry->revision = revision;
   }
-  return entry;
+  if (memo != nullptr && !known) {
+    *memo = {.cache = this, .epoch = epoch_, .entry = entry, .type = message.type.data()};
+  }
+  return *entry;
+}
+
+TopicEntry* TopicCache::Find(const Program& program, const MessageEvent& message) {
+  const auto found = topics_.find(message.topic);
+  if (found != topics_.end()) return found->second.get();
+  if (message.topic.size() > TopicVerdicts::kNameBytesMax ||
+      message.type.size() > TopicVerdicts::kNameBytesMax) {
+    return nullptr;
+  }
+  const size_t each = program.compiled().facts.size();
+  if (topics_.size() >= kTopicsMax || (topics_.size() + 1) * each > kAnswersMax) Clear();
+  return topics_.emplace(std::string(message.topic), std::make_unique<TopicEntry>())
+      .first->second.get();
 }
 
 void TopicCache::Refresh(const Program& program, const ros2::RosGraph& graph,
@@ -61,6 +74,7 @@ Answers& TopicCache::GraphAnswers(uint64_t revision) {
 
 void TopicCache::Clear() {
   topics_.clear();
+  ++epoch_;
   verdicts_.Clear();
   graph_answers_.Reset();
 }

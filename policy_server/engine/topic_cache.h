@@ -76,10 +76,14 @@ class TopicCache {
   size_t topics() const { return topics_.size(); }
 
  private:
+  // Null: it is not to be remembered.
+  TopicEntry* Find(const Program& program, const MessageEvent& message);
   void Refresh(const Program& program, const ros2::RosGraph& graph, const MessageEvent& message,
                TopicEntry& entry);
 
   TopicVerdicts verdicts_;
+  // Counts the times that all entries were forgotten.
+  uint64_t epoch_ = 0;
   absl::flat_hash_map<std::string, std::unique_ptr<TopicEntry>> topics_;
   // Of a topic that is not remembered.
   TopicEntry passing_;

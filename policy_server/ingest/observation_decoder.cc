@@ -150,46 +150,48 @@ absl::StatusOr<pipeline::Batch> ObservationDecoder::Decode(
 absl::Status ObservationDecoder::TakeNames(const rips::v1::ObservationBatch& batch) {
   for (const rips::v1::Intern& intern : batch.interned()) {
     const uint32_t id = intern.id();
-    const size_t held = names_->topics.size() + names_->types.size() + names_->writers.size();
-    if (held >= limits_.interned) {
+    if (id > limits_.interned) {
       return absl::ResourceExhaustedError(
-          absl::StrCat("more than ", limits_.interned, " names interned in one stream"));
+          absl::StrCat("intern id ", id, " exceeds the limit of ", limits_.interned));
     }
-    const bool taken =
-        names_->topics.contains(id) || names_->types.contains(id) || names_->writers.contains(id);
-    if (id == 0 || taken) {
+    if (id >= names_->size()) names_->resize(id + 1);
+    if (id == 0 || (*names_)[id] != nullptr) {
       return absl::InvalidArgumentError(
           absl::StrCat("intern id ", id, id == 0 ? " is not allowed" : " is used twice"));
     }
-    const std::string& text = intern.has_topic() ? intern.topic() : intern.type();
-    if (text.size() > limits_.name_bytes) {
-      return absl::ResourceExhaustedError(absl::StrCat(
-          "name of ", text.size(), " bytes exceeds the limit of ", limits_.name_bytes));
-    }
-    if (intern.has_topic()) {
-      names_->topics[id] = std::make_unique<const std::string>(intern.topic());
-    } else if (intern.has_type()) {
-      names_->types[id] = std::make_unique<const std::string>(intern.type());
-    } else if (intern.has_writer()) {
-      RIPS_ASSIGN_OR_RETURN(ros2::Endpoint endpoint, ros2_proto::DecodeEndpoint(intern.writer()));
-      names_->writers[id] =
-          std::make_unique<const Writer>(Writer{.guid = endpoint.guid,
-                                                .node = std::move(endpoint.node),
-                                                .reliable = endpoint.qos.reliable});
-    } else {
-      return absl::InvalidArgumentError(absl::StrCat("intern id ", id, " names nothing"));
-    }
+    RIPS_ASSIGN_OR_RETURN((*names_)[id], TakeName(intern));
   }
   return absl::OkStatus();
 }
 
+absl::StatusOr<std::unique_ptr<const ObservationDecoder::Name>> ObservationDecoder::TakeName(
+    const rips::v1::Intern& intern) const {
+  auto name = std::make_unique<Name>();
+  if (intern.has_topic() || intern.has_type()) {
+    name->kind = intern.has_topic() ? Name::Kind::kTopic : Name::Kind::kType;
+    name->text = intern.has_topic() ? intern.topic() : intern.type();
+  } else if (intern.has_writer()) {
+    RIPS_ASSIGN_OR_RETURN(ros2::Endpoint endpoint, ros2_proto::DecodeEndpoint(intern.writer()));
+    name->kind = Name::Kind::kWriter;
+    name->text = std::move(endpoint.node);
+    name->guid = endpoint.guid;
+    name->reliable = endpoint.qos.reliable;
+  } else {
+    return absl::InvalidArgumentError(absl::StrCat("intern id ", intern.id(), " names nothing"));
+  }
+  if (name->text.size() > limits_.name_bytes) {
+    return absl::ResourceExhaustedError(absl::StrCat(
+        "name of ", name->text.size(), " bytes exceeds the limit of ", limits_.name_bytes));
+  }
+  return name;
+}
+
 absl::Status ObservationDecoder::DecodeMessage(const rips::v1::MessageSeen& message,
                                                pipeline::MessageSeen& seen) const {
-  const auto topic = names_->topics.find(message.topic_id());
-  const auto type = names_->types.find(message.type_id());
-  const auto writer = names_->writers.find(message.writer_id());
-  if (topic == names_->topics.end() || type == names_->types.end() ||
-      writer == names_->writers.end()) {
+  const Name* topic = Find(message.topic_id(), Name::Kind::kTopic);
+  const Name* type = Find(message.type_id(), Name::Kind::kType);
+  const Name* writer = Find(message.writer_id(), Name::Kind::kWriter);
+  if (topic == nullptr || type == nullptr || writer == nullptr) {
     return absl::InvalidArgumentError(
         absl::StrCat("message names ids that were not interned: ", message.topic_id(), ", ",
                      message.type_id(), ", ", message.writer_id()));
@@ -199,10 +201,11 @@ absl::Status ObservationDecoder::DecodeMessage(const rips::v1::MessageSeen& mess
                                                    " bytes in a message of ",
                                                    message.size_bytes()));
   }
-  seen.topic = *topic->second;
-  seen.type = *type->second;
-  seen.sender = writer->second->node;
-  seen.writer = writer->second->guid;
+  seen.topic = topic->text;
+  seen.memo = &topic->memo;
+  seen.type = type->text;
+  seen.sender = writer->text;
+  seen.writer = writer->guid;
   seen.size_bytes = message.size_bytes();
   seen.payload = message.payload();
   // Counted, not believed.
@@ -215,12 +218,12 @@ absl::StatusOr<pipeline::LossSeen> ObservationDecoder::DecodeLoss(
   if (loss.count() == 0) return absl::InvalidArgumentError("a loss of nothing");
   pipeline::LossSeen seen{.count = loss.count(), .cause = CauseName(loss.cause())};
   if (loss.writer_id() != 0) {
-    const auto writer = names_->writers.find(loss.writer_id());
-    if (writer == names_->writers.end()) {
+    const Name* writer = Find(loss.writer_id(), Name::Kind::kWriter);
+    if (writer == nullptr) {
       return absl::InvalidArgumentError(
           absl::StrCat("loss names writer ", loss.writer_id(), ", which was not interned"));
     }
-    seen.tolerable = loss.cause() == rips::v1::Loss::DDS_GAP && !writer->second->reliable;
+    seen.tolerable = loss.cause() == rips::v1::Loss::DDS_GAP && !writer->reliable;
   }
   return seen;
 }

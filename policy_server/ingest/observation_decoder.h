@@ -5,8 +5,8 @@
 #include <cstdint>
 #include <memory>
 #include <string>
+#include <vector>
 
-#include "absl/container/flat_hash_map.h"
 #include "absl/status/statusor.h"
 #include "policy_server/pipeline/inbound.h"
 #include "rips/v1/observation.pb.h"
@@ -17,7 +17,7 @@ namespace rips::ingest {
 struct DecodeLimits {
   int batch_observations = 256;
   size_t inline_payload_bytes = 1 << 20;
-  // Interned topics, types and writers of one stream.
+  // Interned topics, types and writers of one stream, and their highest id.
   size_t interned = 65'536;
   size_t name_bytes = 1'024;
   size_t line_bytes = 64 * 1024;
@@ -39,19 +39,28 @@ class ObservationDecoder {
   absl::StatusOr<pipeline::Batch> Decode(const rips::v1::ObservationBatch& batch);
 
  private:
-  struct Writer {
+  struct Name {
+    enum class Kind { kTopic, kType, kWriter };
+    Kind kind = Kind::kTopic;
+    // Of a writer: its node's name.
+    std::string text;
+    // Of a topic. Touched by whoever judges, never here.
+    mutable engine::TopicMemo memo;
+    // Of a writer.
     ros2::Guid guid;
-    std::string node;
     bool reliable = false;
   };
-  // Shared with batches under judgement; entries are never changed.
-  struct Names {
-    absl::flat_hash_map<uint32_t, std::unique_ptr<const std::string>> topics;
-    absl::flat_hash_map<uint32_t, std::unique_ptr<const std::string>> types;
-    absl::flat_hash_map<uint32_t, std::unique_ptr<const Writer>> writers;
-  };
+  // By id; null where none was interned. Shared with batches under judgement, so names stay where
+  // they are.
+  using Names = std::vector<std::unique_ptr<const Name>>;
 
   absl::Status TakeNames(const rips::v1::ObservationBatch& batch);
+  absl::StatusOr<std::unique_ptr<const Name>> TakeName(const rips::v1::Intern& intern) const;
+  // Null if `id` is none of a name of that kind.
+  const Name* Find(uint32_t id, Name::Kind kind) const {
+    const Name* name = id < names_->size() ? (*names_)[id].get() : nullptr;
+    return name != nullptr && name->kind == kind ? name : nullptr;
+  }
   // Into `one` and `seen`, which are empty.
   absl::Status DecodeOne(const rips::v1::Observation& observation, pipeline::Lane lane,
                          pipeline::Observation& one) const;

@@ -16,6 +16,7 @@ enum class ValueType { kInt, kFloat, kBool, kString, kLevel };
 
 // What a piece of an expression speaks about; a section accepts only some (signature.h).
 enum class EventClass { kUniversal, kMsg, kGraph, kExternal };
+inline constexpr int kEventClassCount = 4;
 
 // Alternatives in the order of ValueType; a level is its position, an int64_t.
 using Value = std::variant<int64_t, double, bool, std::string>;

@@ -9,6 +9,7 @@
 #include <vector>
 
 #include "absl/strings/string_view.h"
+#include "policy_server/engine/event.h"
 #include "services/base/clock.h"
 #include "services/base/mark.h"
 #include "services/ros2/guid.h"
@@ -22,6 +23,8 @@ inline constexpr int kLaneCount = 2;
 struct MessageSeen {
   // Views into Batch::names.
   absl::string_view topic;
+  // Beside that name; may be null.
+  engine::TopicMemo* memo = nullptr;
   absl::string_view type;
   // Node the sensor named when it introduced the writer; the server's graph knows better.
   absl::string_view sender;

@@ -199,7 +199,8 @@ engine::MessageEvent Robot::ToEvent(const MessageSeen& message) const {
           .type = message.type,
           .writer = message.writer,
           .sender = sender,
-          .size_bytes = message.size_bytes};
+          .size_bytes = message.size_bytes,
+          .memo = message.memo};
 }
 
 void Robot::JudgeSnapshot(SensorHost& host, const SensorSession& session,

@@ -255,18 +255,23 @@ void Replayer::Run(const engine::Event& event) {
   const Instant now{.boottime_ns = elapsed_ns_, .unix_ns = now_.time_ns};
   observer_->Start();
   const engine::Outcome outcome = engine::Evaluate(event, now, state_);
-  CountEvaluated(event, outcome.crashed);
+  ++judged_[static_cast<size_t>(event_class)];
   if (outcome.undecidable > 0) ++counts.undecidable;
-  if (outcome.crashed) result_.crashed = now_;
+  if (outcome.crashed) {
+    result_.crashed = now_;
+    crashed_rule_ = observer_->last();
+  }
   Take(outcome);
 }
 
-void Replayer::CountEvaluated(const engine::Event& event, bool crashed) {
-  const lang::EventClass event_class = ClassOf(event);
-  // The rules after the one that crashed were not run on this event.
-  const size_t end = crashed ? observer_->last() + size_t{1} : result_.rules.size();
-  for (size_t i = 0; i < end; ++i) {
-    if (result_.rules[i].section == event_class) ++result_.rules[i].evaluated;
+void Replayer::CountEvaluated(Result& result) const {
+  for (size_t i = 0; i < result.rules.size(); ++i) {
+    RuleHits& rule = result.rules[i];
+    rule.evaluated = judged_[static_cast<size_t>(rule.section)];
+    // The rules after the one that crashed were not run on that event.
+    const bool skipped = crashed_rule_.has_value() && i > *crashed_rule_ &&
+                         rule.section == result.rules[*crashed_rule_].section;
+    if (skipped) --rule.evaluated;
   }
 }
 
@@ -311,6 +316,7 @@ std::string Replayer::level() const { return state_.level.table().name(state_.le
 
 Result Replayer::Finish() const {
   Result result = result_;
+  CountEvaluated(result);
   result.level = level();
   result.variables = state_.Variables();
   return result;

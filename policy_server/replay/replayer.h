@@ -14,6 +14,7 @@
 #ifndef RIPS_POLICY_SERVER_REPLAY_REPLAYER_H_
 #define RIPS_POLICY_SERVER_REPLAY_REPLAYER_H_
 
+#include <array>
 #include <cstddef>
 #include <cstdint>
 #include <memory>
@@ -100,8 +101,9 @@ class Replayer {
   void Inspect(const recording::RecordedMessage& message, engine::Event& event,
                std::vector<engine::Verdict>& verdicts);
   void Take(const engine::Outcome& outcome);
-  void CountEvaluated(const engine::Event& event, bool crashed);
   void SetTime(uint64_t event, int64_t time_ns);
+  // Sets how often each rule was evaluated.
+  void CountEvaluated(Result& result) const;
   // Adds to a list of the result, if there is room.
   template <typename Record>
   void Keep(std::vector<Record>& list, Record record);
@@ -121,6 +123,10 @@ class Replayer {
   std::optional<int64_t> first_ns_;
   int64_t last_ns_ = 0;
   int64_t next_tick_ns_ = 0;
+  // Events that were judged, by class.
+  std::array<uint64_t, lang::kEventClassCount> judged_ = {};
+  // The rule that called `crash`.
+  std::optional<uint32_t> crashed_rule_;
   // Since the first event; never goes back.
   int64_t elapsed_ns_ = 0;
 };

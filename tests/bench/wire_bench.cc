@@ -131,7 +131,8 @@ uint32_t Judge(const pipeline::Batch& batch, engine::RobotState& robot) {
                                       .type = seen.type,
                                       .writer = seen.writer,
                                       .sender = seen.sender,
-                                      .size_bytes = seen.size_bytes};
+                                      .size_bytes = seen.size_bytes,
+                                      .memo = seen.memo};
     if (!engine::NeededInspections(event, Now(), robot).empty()) ++fired;
     fired += engine::Evaluate(event, Now(), robot).fired;
   }
