@@ -306,10 +306,58 @@ def reload_of_a_broken_bundle(fleet):
     compromise(fleet)
 
 
+INSPECTING = """
+levels:
+  DEFAULT;
+  ALERT soft;
+  COMPROMISED;
+  HALT;
+vars: seen bool = false;
+rules Msg:
+  spin:
+    topicin("/cmd_vel") && payload("yara/spin.yar") && !seen ?
+      set(seen, true) => alert(Sender + " makes it spin", "critical") => trigger(COMPROMISED);
+rules Graph:
+  unused: false ? trigger(ALERT), trigger(HALT);
+"""
+# A Twist is a CDR header of 4 bytes and six doubles; the last is the turn about z. 1.5 rad/s:
+SPIN = "rule spin { strings: $turn = { 00 00 00 00 00 00 F8 3F } condition: $turn at 44 }\n"
+
+
+def payloads_are_inspected_and_recorded(fleet):
+    """From the bytes of a DDS sample to a level: sensor, YARA, rule, actuator. What was recorded
+    meanwhile replays to the same end."""
+    fleet.bundle = "inspecting"
+    fleet.write("bundles/inspecting/manifest.yaml",
+                "name: inspecting\nrules: [spin.rul]\nyara: [yara/spin.yar]\n"
+                "levels: [DEFAULT, ALERT, COMPROMISED, HALT]\non_inspection_error: ignore\n")
+    fleet.write("bundles/inspecting/spin.rul", INSPECTING)
+    fleet.write("bundles/inspecting/yara/spin.yar", SPIN)
+    fleet.arm()
+    recording = fleet.dir / "r1.rips"
+    recorder = fleet.start("record", *fleet.ripsctl_args("record", "r1", "--out", str(recording)))
+    time.sleep(2)  # the navigator drives, its commands are inspected
+    check(fleet.level()["decided_level"] == "DEFAULT", "a good command was taken for a bad one")
+    check(recorder.running, "the recording has ended")
+
+    fleet.start_intruder("rogue-cmd-vel", "--node", "/rogue_driver")
+
+    fleet.wait_level("COMPROMISED", 20)
+    alerts = [a["text"] for a in fleet.alerts() if a["rule"] == "spin"]
+    check(len(alerts) == 1 and alerts[0].endswith(" makes it spin"), f"alerts are {alerts}")
+    recorder.kill()
+    rules = fleet.dir / "bundles/inspecting/spin.rul"
+    replayed = fleet.query("rules", "replay", "--rules", str(rules), "--events", str(recording))
+    check(replayed["level"] == "COMPROMISED", f"replayed to {replayed['level']}")
+    check([a["text"] for a in replayed["alerts"]] == alerts, f"replayed {replayed['alerts']}")
+    check(replayed["events"]["message"] > 10, f"recorded only {replayed['events']}")
+
+
 SCENARIOS = [kill_server_while_compromised, kill_server_at_the_moment_of_a_raise,
              kill_sensor_in_the_story, kill_actuator_while_compromised,
              server_absent_at_agent_start, lost_lease_raises_the_floor, manager_that_lies,
-             bad_discovery_messages, programs_that_misbehave, reload_of_a_broken_bundle]
+             bad_discovery_messages, programs_that_misbehave, reload_of_a_broken_bundle,
+             payloads_are_inspected_and_recorded]
 
 
 def main():
