@@ -14,9 +14,9 @@
 
 namespace rips::engine {
 
-// Where the engine keeps what it knows of a topic, beside the topic's name, so that it need not look
-// the name up again. Belongs to whoever owns the name; the evaluator alone writes to it, on the
-// robot's thread.
+// Where the engine keeps what it knows of a topic, beside the topic's name, so that it need not
+// look the name up again. Belongs to whoever owns the name; the evaluator alone writes to it, on
+// the robot's thread.
 struct TopicMemo {
   const void* cache = nullptr;
   uint64_t epoch = 0;

@@ -5,11 +5,15 @@
 
 #include <cerrno>
 #include <cstring>
+#include <fstream>
 #include <optional>
 #include <utility>
 
+#include "absl/strings/escaping.h"
+#include "absl/strings/match.h"
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_join.h"
+#include "absl/strings/strip.h"
 #include "services/base/status_macros.h"
 
 namespace rips::inspect {
@@ -18,11 +22,51 @@ namespace {
 using Kind = lang::InspectionProblem::Kind;
 using lang::InspectionProblem;
 
+// The kernel looks no further for an interpreter.
+constexpr size_t kFirstLineBytesMax = 256;
+
 InspectionProblem FromStatus(const absl::Status& status) {
   const bool missing =
       absl::IsNotFound(status) || absl::IsPermissionDenied(status) || absl::IsUnavailable(status);
   return {.kind = missing ? Kind::kMissing : Kind::kBroken,
           .message = std::string(status.message())};
+}
+
+// root may access() anything; a file without any x bit is still not to be executed.
+bool MayExecute(const std::string& path, const struct stat& info) {
+  return (info.st_mode & (S_IXUSR | S_IXGRP | S_IXOTH)) != 0 && access(path.c_str(), X_OK) == 0;
+}
+
+// What the first line of a script names, as the kernel reads it; empty for other files.
+std::string InterpreterOf(const std::string& path) {
+  std::string line(kFirstLineBytesMax, '\0');
+  std::ifstream in(path, std::ios::binary);
+  in.read(line.data(), static_cast<std::streamsize>(line.size()));
+  line.resize(static_cast<size_t>(in.gcount()));
+  absl::string_view rest = line;
+  if (!absl::ConsumePrefix(&rest, "#!")) return "";
+  rest = rest.substr(0, rest.find('\n'));
+  const size_t begin = rest.find_first_not_of(" \t");
+  if (begin == absl::string_view::npos) return "";
+  rest.remove_prefix(begin);
+  return std::string(rest.substr(0, rest.find_first_of(" \t")));
+}
+
+std::optional<InspectionProblem> CheckInterpreter(const std::string& name,
+                                                  const std::string& shown) {
+  // Plugins are started in `/`.
+  const std::string path = absl::StartsWith(name, "/") ? name : absl::StrCat("/", name);
+  struct stat info = {};
+  absl::string_view problem;
+  if (stat(path.c_str(), &info) != 0) {
+    problem = "not there";
+  } else if (!S_ISREG(info.st_mode) || !MayExecute(path, info)) {
+    problem = "not executable";
+  } else {
+    return std::nullopt;
+  }
+  return InspectionProblem{Kind::kMissing, absl::StrCat(shown, ": its interpreter `",
+                                                        absl::CHexEscape(name), "` is ", problem)};
 }
 
 std::optional<InspectionProblem> CheckProgram(const std::string& path, const std::string& shown) {
@@ -33,11 +77,11 @@ std::optional<InspectionProblem> CheckProgram(const std::string& path, const std
   if (!S_ISREG(info.st_mode)) {
     return InspectionProblem{Kind::kBroken, absl::StrCat(shown, ": not a regular file")};
   }
-  // root may access() anything; a file without any x bit is still not to be executed.
-  if ((info.st_mode & (S_IXUSR | S_IXGRP | S_IXOTH)) == 0 || access(path.c_str(), X_OK) != 0) {
+  if (!MayExecute(path, info)) {
     return InspectionProblem{Kind::kMissing, absl::StrCat(shown, ": not executable; chmod +x")};
   }
-  return std::nullopt;
+  const std::string interpreter = InterpreterOf(path);
+  return interpreter.empty() ? std::nullopt : CheckInterpreter(interpreter, shown);
 }
 
 absl::Status Refusal(const std::vector<InspectionProblem>& problems) {

@@ -21,8 +21,8 @@ class CheckedFiles final : public lang::InspectionFiles {
   // `source` is not owned and outlives this.
   explicit CheckedFiles(const FileSource* source) : source_(source) {}
 
-  // kPayload: as YaraRules::Compile. kPlugin: it must be a regular file that we may execute;
-  // nothing is run.
+  // kPayload: as YaraRules::Compile. kPlugin: it must be a regular file that we may execute, and
+  // so must be the interpreter that its first line may name; nothing is run.
   std::vector<lang::InspectionProblem> Check(const lang::Inspection& inspection) override;
 
   // The rules of a kPayload inspection, checked now if they were not before. InvalidArgument with

@@ -14,9 +14,12 @@
 #include <cerrno>
 #include <cstring>
 #include <utility>
+#include <vector>
 
+#include "absl/strings/ascii.h"
 #include "absl/strings/escaping.h"
 #include "absl/strings/str_cat.h"
+#include "absl/strings/str_split.h"
 #include "services/base/status_macros.h"
 
 namespace rips::inspect {
@@ -30,6 +33,8 @@ constexpr int kPollMsMax = 1000;
 // Looked at this often when the kernel has no descriptor for a process.
 constexpr int kPollMsWithoutPidfd = 5;
 constexpr size_t kReadBytes = 16 << 10;
+// So many reads empty a full pipe; whoever writes without end does not keep us longer.
+constexpr int kErrorReadsMax = 8;
 
 class UniqueFd {
  public:
@@ -81,7 +86,7 @@ struct ChildPlan {
   char* const* envp;
   int input;
   int output;
-  int null;
+  int errors;
   int report;
   pid_t parent;
   const ChildLimits* limits;
@@ -110,7 +115,7 @@ void Limit(int what, uint64_t value) {
   if (getppid() != plan.parent) _exit(127);
   prctl(PR_SET_NO_NEW_PRIVS, 1, 0, 0, 0);
   umask(077);
-  bool good = dup2(plan.input, 0) == 0 && dup2(plan.output, 1) == 1 && dup2(plan.null, 2) == 2 &&
+  bool good = dup2(plan.input, 0) == 0 && dup2(plan.output, 1) == 1 && dup2(plan.errors, 2) == 2 &&
               dup3(plan.report, kReportFd, O_CLOEXEC) == kReportFd && chdir("/") == 0;
   if (good) {
     CloseFrom(kReportFd + 1);
@@ -149,7 +154,7 @@ pid_t SpawnWithoutSignals(const ChildPlan& plan) {
 }
 
 pid_t SpawnProgram(const std::string& path, const ChildLimits& limits, int input, int output,
-                   int null, int report) {
+                   int errors, int report) {
   std::string name = path;
   std::string path_env = "PATH=/usr/bin:/bin";
   std::string lang_env = "LANG=C.UTF-8";
@@ -160,7 +165,7 @@ pid_t SpawnProgram(const std::string& path, const ChildLimits& limits, int input
                               .envp = envp,
                               .input = input,
                               .output = output,
-                              .null = null,
+                              .errors = errors,
                               .report = report,
                               .parent = getpid(),
                               .limits = &limits});
@@ -198,19 +203,19 @@ absl::StatusOr<std::unique_ptr<ChildProcess>> ChildProcess::Start(const std::str
                                                                   const ChildLimits& limits) {
   RIPS_ASSIGN_OR_RETURN(Pipe input, MakePipe());
   RIPS_ASSIGN_OR_RETURN(Pipe output, MakePipe());
+  RIPS_ASSIGN_OR_RETURN(Pipe errors, MakePipe());
   RIPS_ASSIGN_OR_RETURN(Pipe report, MakePipe());
-  RIPS_ASSIGN_OR_RETURN(const UniqueFd null,
-                        Raise(UniqueFd(open("/dev/null", O_WRONLY | O_CLOEXEC))));
   fcntl(input.write.get(), F_SETFL, O_NONBLOCK);
   fcntl(output.read.get(), F_SETFL, O_NONBLOCK);
+  fcntl(errors.read.get(), F_SETFL, O_NONBLOCK);
 
-  const pid_t pid = SpawnProgram(path, limits, input.read.get(), output.write.get(), null.get(),
-                                 report.write.get());
+  const pid_t pid = SpawnProgram(path, limits, input.read.get(), output.write.get(),
+                                 errors.write.get(), report.write.get());
   if (pid < 0) {
     return absl::UnavailableError(absl::StrCat("cannot make a process: ", std::strerror(errno)));
   }
   auto child = std::unique_ptr<ChildProcess>(
-      new ChildProcess(pid, input.write.Release(), output.read.Release()));
+      new ChildProcess(pid, input.write.Release(), output.read.Release(), errors.read.Release()));
   report.write = UniqueFd();
   int error = 0;
   ssize_t got;
@@ -224,12 +229,13 @@ absl::StatusOr<std::unique_ptr<ChildProcess>> ChildProcess::Start(const std::str
   return child;
 }
 
-ChildProcess::ChildProcess(pid_t pid, int input, int output)
+ChildProcess::ChildProcess(pid_t pid, int input, int output, int errors)
     : pid_(pid),
       // Free of races: nobody else waits for children, so the process cannot have been reaped.
       pidfd_(static_cast<int>(syscall(SYS_pidfd_open, pid, 0))),
       input_(input),
-      output_(output) {}
+      output_(output),
+      errors_(errors) {}
 
 ChildProcess::~ChildProcess() {
   if (!exit_) {
@@ -237,7 +243,7 @@ ChildProcess::~ChildProcess() {
     kill(pid_, SIGKILL);  // should it not have come to setsid()
     Reap();
   }
-  for (const int fd : {pidfd_, input_, output_}) {
+  for (const int fd : {pidfd_, input_, output_, errors_}) {
     if (fd >= 0) close(fd);
   }
 }
@@ -260,7 +266,44 @@ std::optional<ChildProcess::Exit> ChildProcess::Exited() {
   }
   kill(-pid_, SIGKILL);
   Reap();
+  ReadErrors();
   return exit_;
+}
+
+void ChildProcess::ReadErrors() {
+  char buffer[kReadBytes];
+  for (int reads = 0; reads < kErrorReadsMax && errors_ >= 0; ++reads) {
+    const ssize_t got = read(errors_, buffer, sizeof(buffer));
+    if (got > 0) {
+      const absl::string_view text(buffer, static_cast<size_t>(got));
+      absl::StrAppend(&errors_begin_, text.substr(0, kErrorLineBytesMax - errors_begin_.size()));
+      absl::StrAppend(&errors_end_, text);
+      if (errors_end_.size() > kErrorLineBytesMax) {
+        errors_end_.erase(0, errors_end_.size() - kErrorLineBytesMax);
+      }
+    } else if (got < 0 && errno == EAGAIN) {
+      return;
+    } else if (got == 0 || errno != EINTR) {
+      close(errors_);
+      errors_ = -1;
+    }
+  }
+}
+
+std::string ChildProcess::Errors() const {
+  if (errors_begin_.empty()) return "";
+  const std::vector<absl::string_view> begin =
+      absl::StrSplit(errors_begin_, '\n', absl::SkipWhitespace());
+  const std::vector<absl::string_view> end =
+      absl::StrSplit(errors_end_, '\n', absl::SkipWhitespace());
+  std::string shown(begin.empty() ? "(blank)" : absl::StripAsciiWhitespace(begin.front()));
+  if (!end.empty() && (begin.empty() || end.back() != begin.front())) {
+    absl::StrAppend(&shown, " ... ", absl::StripAsciiWhitespace(end.back()));
+  }
+  for (char& byte : shown) {
+    if (!absl::ascii_isprint(static_cast<unsigned char>(byte))) byte = '?';
+  }
+  return shown;
 }
 
 ChildProcess::Io ChildProcess::Write(absl::string_view& rest) {
@@ -309,10 +352,12 @@ bool ChildProcess::Wait(bool to_write, int64_t deadline_ns, const Clock& clock) 
   // Negative descriptors are skipped by poll().
   pollfd fds[] = {{.fd = pidfd_, .events = POLLIN, .revents = 0},
                   {.fd = output_, .events = POLLIN, .revents = 0},
+                  {.fd = errors_, .events = POLLIN, .revents = 0},
                   {.fd = to_write ? input_ : -1, .events = POLLOUT, .revents = 0}};
   const int64_t wait_ms = std::min<int64_t>(left_ns / kNanosPerMilli + 1,
                                             pidfd_ < 0 ? kPollMsWithoutPidfd : kPollMsMax);
   poll(fds, std::size(fds), static_cast<int>(wait_ms));
+  ReadErrors();  // else a process that writes much would block
   return true;
 }
 

@@ -24,11 +24,14 @@ struct ChildLimits {
   uint64_t open_files = 64;
 };
 
+// Bytes of a line that Errors shows.
+inline constexpr size_t kErrorLineBytesMax = 200;
+
 // Not thread-safe.
 //
-// The process has: descriptors 0 and 1 to us, 2 to /dev/null, no others; PATH and LANG and no other
-// variable; the directory `/`; default signal handling; a session and process group of its own; no
-// new privileges by setuid programs. It is killed when this is destroyed, and when the thread that
+// The process has: descriptors 0, 1 and 2 to us, no others; PATH and LANG and no other variable;
+// the directory `/`; default signal handling; a session and process group of its own; no new
+// privileges by setuid programs. It is killed when this is destroyed, and when the thread that
 // started it ends. What it starts is killed with it, but for what leaves the group by setsid():
 // nobody listens to that any more.
 class ChildProcess {
@@ -54,8 +57,8 @@ class ChildProcess {
   // Appends to `text` until it has `bytes_max` bytes (kDone). Never blocks.
   Io Read(std::string& text, size_t bytes_max);
 
-  // Waits until there is output, an end, or, if `to_write`, room for input. False once
-  // `deadline_ns` (boottime of `clock`) has passed. May return early.
+  // Waits until there is output (also on descriptor 2), an end, or, if `to_write`, room for input.
+  // False once `deadline_ns` (boottime of `clock`) has passed. May return early.
   bool Wait(bool to_write, int64_t deadline_ns, const Clock& clock);
 
   struct Exit {
@@ -65,16 +68,27 @@ class ChildProcess {
   // How it ended; nullopt while it runs. What it started is killed then too.
   std::optional<Exit> Exited();
 
+  // What it wrote to descriptor 2 as far as Wait has seen it, and all once Exited tells an end; it
+  // is read and dropped but for this. Empty if it wrote nothing. The first line and, if there are
+  // more, ` ... ` and the last, each cut to kErrorLineBytesMax and of printable ASCII only, for it
+  // may quote hostile messages; `(blank)` if that leaves nothing.
+  std::string Errors() const;
+
   pid_t pid() const { return pid_; }
 
  private:
-  ChildProcess(pid_t pid, int input, int output);
+  ChildProcess(pid_t pid, int input, int output, int errors);
   void Reap();
+  void ReadErrors();
 
   const pid_t pid_;
   int pidfd_;
   int input_;
   int output_;
+  int errors_;
+  // The first and the last bytes read from `errors_`.
+  std::string errors_begin_;
+  std::string errors_end_;
   std::optional<Exit> exit_;
 };
 

@@ -6,6 +6,7 @@
 
 #include <filesystem>
 #include <fstream>
+#include <iterator>
 #include <map>
 #include <string>
 
@@ -126,6 +127,31 @@ TEST_F(InspectionSetTest, ChecksPluginsWithoutRunningThem) {
   EXPECT_FALSE(std::filesystem::exists(mark));
 }
 
+TEST_F(InspectionSetTest, ChecksTheInterpreterOfAScript) {
+  const std::string none = dir_ + "/nonexist";
+  const auto script = [this](const std::string& text) { return PluginAt(Write("script", text)); };
+  for (const std::string& text :
+       {"#!" + none, "#!" + none + "\n", "#! \t" + none + " -S\nexit 0\n", "#!" + none + "\tx\n"}) {
+    EXPECT_THAT(checked_.Check(script(text)),
+                OneProblem(Kind::kMissing,
+                           absl::StrCat("script: its interpreter `", none, "` is not there")))
+        << text;
+  }
+  EXPECT_THAT(checked_.Check(script("#!/bin/sh\r\nexit 0\r\n")),
+              OneProblem(Kind::kMissing, "its interpreter `/bin/sh\\r` is not there"));
+  const std::string plain = Write("plain", "", 0644);
+  EXPECT_THAT(
+      checked_.Check(script("#!" + plain + "\n")),
+      OneProblem(Kind::kMissing, absl::StrCat("its interpreter `", plain, "` is not executable")));
+  EXPECT_THAT(checked_.Check(script("#!" + dir_ + "\n")),
+              OneProblem(Kind::kMissing, "is not executable"));
+  for (const char* good : {"#!/bin/sh", "#! /bin/sh -e\n", "#!bin/sh\n", "", "#", "#!\n", "\x7f"}) {
+    EXPECT_THAT(checked_.Check(script(good)), IsEmpty()) << good;
+  }
+  EXPECT_THAT(checked_.Check(script("#!/" + std::string(1 << 20, 'x'))),
+              OneProblem(Kind::kMissing, "is not there"));
+}
+
 TEST_F(InspectionSetTest, WhatWasCheckedIsWhatIsUsed) {
   files_.texts["x.yar"] = kRule;
   EXPECT_THAT(checked_.Check(Payload("x.yar")), IsEmpty());
@@ -150,6 +176,49 @@ TEST_F(InspectionSetTest, LoadReportsEveryProblemOfEveryFile) {
 TEST_F(InspectionSetTest, LoadRefusesWhatCannotBeExecuted) {
   EXPECT_THAT(Load({PluginAt(Write("text", "no program"))}),
               StatusIs(absl::StatusCode::kInvalidArgument, HasSubstr("Exec format error")));
+}
+
+TEST_F(InspectionSetTest, LoadRefusesAPluginThatCannotStart) {
+  options_.plugin.greeting_time = absl::Seconds(60);
+  const std::string plugin = Write("plugin", "#!/usr/bin/python3 -S\nimport no_such_module\n");
+  EXPECT_THAT(Load({PluginAt(plugin)}),
+              StatusIs(absl::StatusCode::kInvalidArgument,
+                       "plugin `p` does not start: exit status 1: Traceback (most recent call "
+                       "last): ... ModuleNotFoundError: No module named 'no_such_module'"));
+  EXPECT_THAT(Load({PluginAt(Write("silent", "#!/bin/sh\nexit 1\n"))}), IsOk());
+}
+
+// Whoever asks one message after another, as a replay, is not held up by each.
+TEST_F(InspectionSetTest, APluginThatHangsCostsASessionAFewQuestions) {
+  files_.texts["a.yar"] = kRule;
+  options_.plugin.greeting_time = absl::Milliseconds(200);
+  options_.plugin.answer_time = absl::Milliseconds(20);
+  options_.plugin.restart = {.first = absl::Hours(1), .longest = absl::Hours(1)};
+  // Plugins write no files, but may make directories: one for each start.
+  const auto plugin = [this](const std::string& name, const std::string& greeting) {
+    std::filesystem::create_directory(dir_ + "/starts-" + name);
+    return PluginAt(Write(name, absl::StrCat("#!/bin/sh\nmkdir ", dir_, "/starts-", name, "/$$\n",
+                                             greeting, "\nexec sleep 1000\n")));
+  };
+  const auto starts = [this](const std::string& name) {
+    const std::filesystem::directory_iterator made(dir_ + "/starts-" + name);
+    return std::distance(made, {});
+  };
+  const auto set =
+      Load({plugin("framed", "echo rips-plugin 1"), plugin("once", ""), Payload("a.yar")});
+  ASSERT_THAT(set, IsOk());
+  const std::unique_ptr<Session> session = (*set)->NewSession();
+
+  for (int i = 0; i < 1000; ++i) {
+    EXPECT_EQ(session->Inspect(0, With("x")), Verdict::kUnscanned);
+    EXPECT_EQ(session->Inspect(1, With("x")), Verdict::kUnscanned);
+    EXPECT_EQ(session->Inspect(2, With("attack")), Verdict::kYes);
+  }
+
+  // The probe, and what it takes to know it; a slow machine may take the framed one for the other
+  // first.
+  EXPECT_LE(starts("framed"), 2 * kPluginLateMax);
+  EXPECT_LE(starts("once"), 1 + kPluginLateMax);
 }
 
 TEST_F(InspectionSetTest, InspectionsAreLimited) {

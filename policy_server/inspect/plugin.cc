@@ -1,10 +1,12 @@
 #include "policy_server/inspect/plugin.h"
 
 #include <algorithm>
+#include <optional>
 #include <utility>
 
 #include "absl/strings/match.h"
 #include "absl/strings/str_cat.h"
+#include "absl/strings/str_join.h"
 #include "nlohmann/json.hpp"
 #include "services/base/status_macros.h"
 #include "services/runtime/log.h"
@@ -34,11 +36,30 @@ absl::StatusOr<Verdict> UnderstandAnswer(absl::string_view line) {
   return absl::DataLossError("answered none of `1`, `0` and `?`");
 }
 
-absl::StatusOr<Verdict> UnderstandExit(int status) {
+// How it ended, if it has, and what it wrote to its standard error.
+std::string EndOf(ChildProcess& process) {
+  const std::optional<ChildProcess::Exit> exit = process.Exited();
+  std::vector<std::string> parts;
+  if (exit) {
+    parts.push_back(exit->status < 0 ? "ended by a signal"
+                                     : absl::StrCat("exit status ", exit->status));
+  }
+  const std::string errors = process.Errors();
+  if (!errors.empty()) parts.push_back(errors);
+  return absl::StrJoin(parts, ": ");
+}
+
+// `why` a process failed, nullptr if there is none, with what it says about it.
+std::string Explain(absl::string_view why, ChildProcess* process) {
+  const std::string end = process == nullptr ? "" : EndOf(*process);
+  return end.empty() ? std::string(why) : absl::StrCat(why, ": ", end);
+}
+
+// `process` has ended with `status`.
+absl::StatusOr<Verdict> UnderstandExit(ChildProcess& process, int status) {
   if (status == 0) return Verdict::kYes;
-  if (status > 0 && status <= kExitNoMax) return Verdict::kNo;
-  if (status < 0) return absl::AbortedError("ended by a signal");
-  return absl::AbortedError(absl::StrCat("exit status ", status));
+  if (status > 0 && status <= kExitNoMax && process.Errors().empty()) return Verdict::kNo;
+  return absl::AbortedError(EndOf(process));
 }
 
 absl::Status TooMuchOutput() {
@@ -56,15 +77,19 @@ int64_t After(int64_t now_ns, absl::Duration delay) {
   return now_ns + absl::ToInt64Nanoseconds(delay);
 }
 
-bool Greets(ChildProcess& process, int64_t deadline_ns, const Clock& clock) {
+// InvalidArgument if it cannot start. One that does not greet is given all the time to show that.
+absl::StatusOr<bool> Greets(ChildProcess& process, int64_t deadline_ns, const Clock& clock) {
   std::string output;
   while (true) {
-    const bool ended = process.Exited().has_value();
+    const std::optional<ChildProcess::Exit> exit = process.Exited();
     const Io io = process.Read(output, kPluginOutputBytesMax);
-    const Greeting greeting = UnderstandGreeting(output);
-    if (greeting != Greeting::kIncomplete) return greeting == Greeting::kYes && !ended;
-    if (ended || io == Io::kClosed) return false;
-    if (!process.Wait(false, deadline_ns, clock)) return false;
+    if (exit) {
+      const bool fit = exit->status >= 0 && exit->status <= kExitNoMax && process.Errors().empty();
+      if (fit) return false;
+      return absl::InvalidArgumentError(EndOf(process));
+    }
+    if (UnderstandGreeting(output) == Greeting::kYes) return true;
+    if (io == Io::kDone || !process.Wait(false, deadline_ns, clock)) return false;
   }
 }
 
@@ -78,10 +103,21 @@ absl::Status ProbePlugins(std::vector<PluginSpec>& plugins, const PluginOptions&
     processes.push_back(std::move(process));
   }
   const int64_t deadline_ns = After(clock.Now().boottime_ns, options.greeting_time);
+  std::vector<std::string> problems;
   for (size_t i = 0; i < plugins.size(); ++i) {
-    plugins[i].protocol = Greets(*processes[i], deadline_ns, clock) ? PluginProtocol::kFramed
-                                                                    : PluginProtocol::kOneShot;
+    const absl::StatusOr<bool> greets = Greets(*processes[i], deadline_ns, clock);
+    if (!greets.ok()) {
+      problems.push_back(
+          absl::StrCat("plugin `", plugins[i].id, "` does not start: ", greets.status().message()));
+      continue;
+    }
+    plugins[i].protocol = *greets ? PluginProtocol::kFramed : PluginProtocol::kOneShot;
+    if (*greets) continue;
+    LogWarning("plugin did not greet and is asked once a message (one-shot)",
+               {{"plugin", plugins[i].id},
+                {"greeting_time", absl::FormatDuration(options.greeting_time)}});
   }
+  if (!problems.empty()) return absl::InvalidArgumentError(absl::StrJoin(problems, "\n"));
   return absl::OkStatus();
 }
 
@@ -134,9 +170,7 @@ Verdict Plugin::AskFramed(const Message& message, int64_t deadline_ns) {
   last_robot_ = std::string(message.robot);
   const absl::StatusOr<Verdict> answer = Exchange(header, message.payload, deadline_ns);
   if (answer.ok()) return *answer;
-  process_.reset();
-  restart_.AnswerFailed(message.robot, Now());
-  CountFailure(answer.status().message());
+  AnswerFailed(message.robot, answer.status().message());
   return Verdict::kUnscanned;
 }
 
@@ -195,9 +229,7 @@ void Plugin::DropIfUnfit() {
     StartFailed(why);
     return;
   }
-  process_.reset();
-  restart_.AnswerFailed(last_robot_, Now());
-  CountFailure(why);
+  AnswerFailed(last_robot_, why);
 }
 
 absl::StatusOr<Verdict> Plugin::Exchange(const std::string& header, absl::string_view payload,
@@ -234,7 +266,10 @@ Verdict Plugin::AskOneShot(const Message& message, int64_t deadline_ns) {
     return Verdict::kUnscanned;
   }
   const absl::StatusOr<Verdict> answer = AwaitExit(**process, message.payload, deadline_ns);
+  const bool late = absl::IsDeadlineExceeded(answer.status());
+  late_in_a_row_ = late ? late_in_a_row_ + 1 : 0;
   if (answer.ok()) return *answer;
+  if (late_in_a_row_ >= kPluginLateMax) restart_.AnswerFailed(message.robot, Now());
   CountFailure(answer.status().message());
   return Verdict::kUnscanned;
 }
@@ -252,17 +287,25 @@ absl::StatusOr<Verdict> Plugin::AwaitExit(ChildProcess& process, absl::string_vi
       spec_.protocol = PluginProtocol::kFramed;
       return absl::FailedPreconditionError("greeted late; from now on it is kept running");
     }
-    if (exit) return UnderstandExit(exit->status);
+    if (exit) return UnderstandExit(process, exit->status);
     if (!process.Wait(written == Io::kBlocked, deadline_ns, *clock_)) {
       return absl::DeadlineExceededError("did not end in time");
     }
   }
 }
 
+void Plugin::AnswerFailed(absl::string_view robot, absl::string_view why) {
+  const std::string shown = Explain(why, process_.get());
+  process_.reset();
+  restart_.AnswerFailed(robot, Now());
+  CountFailure(shown);
+}
+
 void Plugin::StartFailed(absl::string_view why) {
+  const std::string shown = Explain(why, process_.get());
   process_.reset();
   restart_.StartFailed(Now());
-  CountFailure(why);
+  CountFailure(shown);
 }
 
 void Plugin::CountFailure(absl::string_view why) {

@@ -10,13 +10,14 @@
 //     P bytes: the payload as received; fewer than S if only the beginning was sent
 // and answers `1\n` (yes), `0\n` (no) or `?\n` (it cannot tell: unscanned). Anything else, an
 // answer nobody asked for, a late answer and an end of the process mean unscanned, and that the
-// process is replaced.
+// process is replaced. What it writes to its standard error is ignored, and shown if it fails.
 //
 // One-shot, as the RIPS prototype: started for each message, the payload on standard input, which
-// then ends. Exit status 0 is yes, 1 to 125 no; others, an end by a signal, no end in time and
-// kPluginOutputBytesMax of output mean unscanned. Output is otherwise ignored. If it turns out
-// to greet like a framed one, which was only slow when it was probed, it is unscanned and framed
-// from then on.
+// then ends. Exit status 0 is yes; 1 to 125 is no if it wrote nothing to its standard error, else
+// unscanned, for so end programs that crashed: Python and the shells exit with 1 or 2 and say why.
+// Other statuses, an end by a signal, no end in time and kPluginOutputBytesMax of output mean
+// unscanned. Output is otherwise ignored. If it turns out to greet like a framed one, which was
+// only slow when it was probed, it is unscanned and framed from then on.
 #ifndef RIPS_POLICY_SERVER_INSPECT_PLUGIN_H_
 #define RIPS_POLICY_SERVER_INSPECT_PLUGIN_H_
 
@@ -45,6 +46,10 @@ inline constexpr size_t kPluginPayloadBytesMax = size_t{4} << 20;
 // A larger header (names that no ROS graph has) is unscanned.
 inline constexpr size_t kPluginHeaderBytesMax = size_t{16} << 10;
 
+// So many late ends of a one-shot program in a row, and its robots wait as after a failure of a
+// framed one: each costs all of `answer_time`.
+inline constexpr int kPluginLateMax = 3;
+
 enum class PluginProtocol { kFramed, kOneShot };
 
 struct PluginOptions {
@@ -64,8 +69,10 @@ struct PluginSpec {
 };
 
 // Starts each program once, all at a time, and sets its protocol: framed if it greets within
-// `greeting_time`, else one-shot. Takes at most that long. InvalidArgument if one cannot be
-// executed, Unavailable if there is no process to be had. `clock`'s boottime must really pass.
+// `greeting_time`, else one-shot, which is logged. Takes at most that long. InvalidArgument with
+// every program that cannot start: it ended within that time, and by a signal, with a status above
+// 125 or after it wrote to its standard error; the first that cannot be executed at all is the only
+// one named. Unavailable if there is no process to be had. `clock`'s boottime must really pass.
 absl::Status ProbePlugins(std::vector<PluginSpec>& plugins, const PluginOptions& options,
                           const Clock& clock);
 
@@ -84,7 +91,7 @@ class Plugin {
   void Warm();
   // Blocks for at most `answer_time`, and what it takes to kill the process. kUnscanned also while
   // a failed process must wait (RestartPolicy), without work. A failure is logged, at most once a
-  // minute, without anything of the message.
+  // minute, without anything of the message but what the program wrote to its standard error.
   engine::Verdict Ask(const Message& message);
 
   // Processes started, and questions that failed (refused ones not counted).
@@ -107,6 +114,8 @@ class Plugin {
                                            int64_t deadline_ns);
   absl::StatusOr<engine::Verdict> AwaitExit(ChildProcess& process, absl::string_view payload,
                                             int64_t deadline_ns);
+  // The framed process failed on a message of `robot`, and is given up.
+  void AnswerFailed(absl::string_view robot, absl::string_view why);
   void StartFailed(absl::string_view why);
   void CountFailure(absl::string_view why);
   int64_t Now() const { return clock_->Now().boottime_ns; }
@@ -123,6 +132,8 @@ class Plugin {
   // start.
   std::string last_robot_;
   std::string output_;  // read and not yet understood
+  // One-shot only.
+  int late_in_a_row_ = 0;
   uint64_t starts_ = 0;
   uint64_t failures_ = 0;
   int64_t logged_ns_ = 0;  // 0: never

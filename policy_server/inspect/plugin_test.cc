@@ -13,6 +13,7 @@
 
 #include "absl/strings/match.h"
 #include "absl/strings/str_cat.h"
+#include "absl/strings/str_split.h"
 #include "gmock/gmock.h"
 #include "gtest/gtest.h"
 #include "services/base/status_matchers.h"
@@ -22,7 +23,10 @@ namespace rips::inspect {
 namespace {
 
 using engine::Verdict;
+using ::testing::AllOf;
+using ::testing::ElementsAre;
 using ::testing::HasSubstr;
+using ::testing::StartsWith;
 
 // A framed plugin in Python; `answer` is a function body with `header` and `payload`.
 std::string Framed(const std::string& answer) {
@@ -113,6 +117,23 @@ TEST_F(PluginTest, OneShotAnswersByItsExitStatus) {
   EXPECT_EQ(OneShot("kill -KILL $$").Ask(With("x")), Verdict::kUnscanned);
 }
 
+TEST_F(PluginTest, OneShotThatSaysNoAndComplainsHasCrashed) {
+  EXPECT_EQ(OneShot("echo note >&2; exit 0").Ask(With("x")), Verdict::kYes);
+  EXPECT_EQ(OneShot("echo note >&2; exit 1").Ask(With("x")), Verdict::kUnscanned);
+  EXPECT_EQ(OneShot("echo >&2; exit 125").Ask(With("x")), Verdict::kUnscanned);
+  EXPECT_EQ(OneShot("exec 2>/dev/null; echo note >&2; exit 1").Ask(With("x")), Verdict::kNo);
+  EXPECT_EQ(OneShot("no-such-filter | grep -q x").Ask(With("x")), Verdict::kUnscanned);
+  Plugin missing_module({"p", Write("crash", "#!/usr/bin/python3 -S\nimport no_such_module\n")},
+                        Patient(), &clock_);
+
+  ::testing::internal::CaptureStderr();
+  EXPECT_EQ(missing_module.Ask(With("x")), Verdict::kUnscanned);
+
+  EXPECT_THAT(::testing::internal::GetCapturedStderr(),
+              HasSubstr("why=\"exit status 1: Traceback (most recent call last): ... "
+                        "ModuleNotFoundError: No module named 'no_such_module'\""));
+}
+
 TEST_F(PluginTest, OneShotReadsThePayloadAndItsEnd) {
   Plugin plugin = OneShot("test \"$(wc -c)\" -eq 4194304");
   const std::string large(kPluginPayloadBytesMax, 'x');
@@ -134,6 +155,24 @@ TEST_F(PluginTest, OneShotInTimeOrUnscanned) {
   Plugin plugin = OneShot("sleep 1000", Hasty());
   EXPECT_EQ(plugin.Ask(With("x")), Verdict::kUnscanned);
   EXPECT_EQ(plugin.failures(), 1u);
+}
+
+TEST_F(PluginTest, OneShotThatIsLateAgainAndAgainWaitsAsAFramedOne) {
+  PluginOptions options = Hasty();
+  options.restart = {.first = absl::Hours(1), .longest = absl::Hours(1)};
+  Plugin plugin = OneShot("sleep 1000", options);
+  for (int i = 0; i < 100; ++i) EXPECT_EQ(plugin.Ask(With("x")), Verdict::kUnscanned);
+  EXPECT_EQ(plugin.starts(), static_cast<uint64_t>(kPluginLateMax));
+  EXPECT_EQ(plugin.Ask(With("x", "r2")), Verdict::kUnscanned);
+  EXPECT_EQ(plugin.starts(), kPluginLateMax + 1u) << "another robot does not wait";
+}
+
+TEST_F(PluginTest, OneShotThatCrashesIsAskedAgain) {
+  PluginOptions options = Patient();
+  options.restart = {.first = absl::Hours(1), .longest = absl::Hours(1)};
+  Plugin plugin = OneShot("kill -9 $$", options);
+  for (int i = 0; i < 5; ++i) EXPECT_EQ(plugin.Ask(With("x")), Verdict::kUnscanned);
+  EXPECT_EQ(plugin.starts(), 5u);
 }
 
 TEST_F(PluginTest, WhatAPluginStartsEndsWithIt) {
@@ -186,34 +225,6 @@ TEST_F(PluginTest, FilesThatCannotBeExecutedAreUnscannedAndWait) {
   }
 }
 
-TEST_F(PluginTest, InheritsNothing) {
-  ASSERT_EQ(setenv("RIPS_SECRET", "hunter2", 1), 0);
-  const int open_file = open("/etc/hostname", O_RDONLY);  // no O_CLOEXEC, on purpose
-  signal(SIGPIPE, SIG_IGN);
-  const std::string path = Shell(
-      "test \"$(env | grep -v -e ^PATH= -e ^LANG=C.UTF-8 -e ^PWD= -e ^_= | wc -l)\" = 0 || exit 1\n"
-      "test \"$(pwd)\" = / || exit 2\n"
-      "ls -l /proc/$$/fd | grep -q -e hostname -e socket -e event && exit 3\n"
-      "test \"$(ulimit -n) $(ulimit -c) $(ulimit -f)\" = '64 0 0' || exit 4\n"
-      "test \"$(ulimit -v)\" = 1048576 || exit 5\n"
-      "grep -q 'NoNewPrivs:.*1' /proc/$$/status || exit 6\n"
-      "grep -q 'SigBlk:.*0000000000000000' /proc/$$/status || exit 7\n"
-      "grep -q 'SigIgn:.*0000000000000000' /proc/$$/status || exit 8\n"
-      "test \"$(readlink /proc/$$/fd/2)\" = /dev/null || exit 9\n"
-      "test \"$(cut -d' ' -f5,6 /proc/$$/stat)\" = \"$$ $$\" || exit 10\n"
-      "exit 0");
-
-  const auto process = ChildProcess::Start(path, {});
-  ASSERT_THAT(process, IsOk());
-  const int64_t deadline_ns = BoottimeAfter(absl::Seconds(60));
-  while (!(*process)->Exited() && (*process)->Wait(false, deadline_ns, clock_)) {
-  }
-  ASSERT_TRUE((*process)->Exited().has_value());
-  EXPECT_EQ((*process)->Exited()->status, 0) << "the number of the line that failed";
-  signal(SIGPIPE, SIG_DFL);
-  close(open_file);
-}
-
 TEST_F(PluginTest, ADyingReaderRaisesNoSignalHere) {
   signal(SIGPIPE, SIG_DFL);
   const std::string large(kPluginPayloadBytesMax, 'x');
@@ -232,14 +243,52 @@ TEST_F(PluginTest, TellsWhoGreetsFromWhoDoesNot) {
   PluginOptions options = Patient();
   options.greeting_time = absl::Seconds(3);  // what `d` costs
 
+  ::testing::internal::CaptureStderr();
   ASSERT_THAT(ProbePlugins(plugins, options, clock_), IsOk());
 
+  const std::string log = ::testing::internal::GetCapturedStderr();
   for (const PluginSpec& plugin : plugins) {
     EXPECT_EQ(plugin.protocol == PluginProtocol::kFramed, plugin.id == "b") << plugin.id;
+    const std::string said = absl::StrCat(
+        "plugin did not greet and is asked once a message (one-shot) plugin=", plugin.id,
+        " greeting_time=3s\n");
+    EXPECT_EQ(absl::StrContains(log, said), plugin.id != "b") << log;
   }
   std::vector<PluginSpec> none = {{"x", dir_ + "/none"}};
   EXPECT_THAT(ProbePlugins(none, options, clock_),
               StatusIs(absl::StatusCode::kInvalidArgument, HasSubstr("/none`: No such file")));
+}
+
+TEST_F(PluginTest, ProgramsThatCannotStartAreFoundByProbing) {
+  std::vector<PluginSpec> plugins = {
+      {"import",
+       Write("crash", "#!/usr/bin/python3 -S\nprint('loading', flush=True)\nimport nix\n")},
+      {"good", Write("kept", Framed(kJudge))},
+      {"env", Write("env", "#!/usr/bin/env no-such-program\n")},
+      {"signal", Shell("kill -9 $$")},
+      {"status", Shell("exit 126")},
+      {"chatty", Shell("echo hello >&2; exit 0")},
+      {"quiet", Shell("exit 1")}};
+
+  const absl::Status status = ProbePlugins(plugins, Patient(), clock_);
+
+  EXPECT_EQ(status.code(), absl::StatusCode::kInvalidArgument);
+  const std::vector<std::string> problems = absl::StrSplit(status.message(), '\n');
+  EXPECT_THAT(problems,
+              ElementsAre("plugin `import` does not start: exit status 1: Traceback (most recent "
+                          "call last): ... ModuleNotFoundError: No module named 'nix'",
+                          StartsWith("plugin `env` does not start: exit status 127: "),
+                          "plugin `signal` does not start: ended by a signal",
+                          "plugin `status` does not start: exit status 126",
+                          "plugin `chatty` does not start: exit status 0: hello"));
+}
+
+TEST_F(PluginTest, AKeptProcessMayWriteErrors) {
+  // More than a pipe holds, before its greeting and for each question.
+  Plugin plugin = Kept(
+      absl::StrCat("    os.write(2, b'x' * 100000)\n", kJudge, "os.write(2, b'y' * 100000)\n"));
+  for (int i = 0; i < 5; ++i) EXPECT_EQ(plugin.Ask(With("bad")), Verdict::kYes);
+  EXPECT_EQ(plugin.failures(), 0u);
 }
 
 TEST_F(PluginTest, AKeptProcessAnswersManyMessages) {
@@ -311,6 +360,17 @@ TEST_F(PluginTest, EveryFailureOfAKeptProcessIsUnscannedAndTheNextMessageFindsAN
     EXPECT_EQ(plugin.starts(), 2u) << what;
     EXPECT_EQ(plugin.failures(), 1u) << what;
   }
+}
+
+TEST_F(PluginTest, WhatAKeptProcessSaysWhenItFailsIsLogged) {
+  Plugin plugin = Kept("    raise ValueError('odd ' + payload.decode())\n");
+
+  ::testing::internal::CaptureStderr();
+  EXPECT_EQ(plugin.Ask(With("a\x1b[2J")), Verdict::kUnscanned);
+
+  EXPECT_THAT(::testing::internal::GetCapturedStderr(),
+              AllOf(HasSubstr("ended or closed its side without an answer: "),
+                    HasSubstr("Traceback (most recent call last): ... ValueError: odd a?[2J\"")));
 }
 
 TEST_F(PluginTest, AKeptProcessThatHangsIsKilled) {
@@ -419,21 +479,6 @@ TEST_F(PluginTest, AOneShotThatGreetsAfterAllIsKeptFromThenOn) {
   EXPECT_EQ(plugin.protocol(), PluginProtocol::kFramed);
   EXPECT_EQ(plugin.Ask(With("bad")), Verdict::kYes);
   EXPECT_EQ(plugin.Ask(With("good")), Verdict::kNo);
-}
-
-TEST_F(PluginTest, ProcessesEndWithTheThreadThatStartedThem) {
-  std::unique_ptr<ChildProcess> process;
-  const std::string path = Shell("exec cat");
-  std::thread([&] {
-    auto started = ChildProcess::Start(path, {});
-    ASSERT_THAT(started, IsOk());
-    process = *std::move(started);
-  }).join();
-  const int64_t deadline_ns = BoottimeAfter(absl::Seconds(30));
-  while (!process->Exited() && process->Wait(false, deadline_ns, clock_)) {
-  }
-  ASSERT_TRUE(process->Exited().has_value());
-  EXPECT_EQ(process->Exited()->status, -1);
 }
 
 }  // namespace

@@ -133,9 +133,7 @@ std::optional<std::vector<ExprChecker::Checked>> ExprChecker::CheckArgs(
   if (signature.variadic()) {
     const size_t listed = out.size();
     good = CheckList(call.operands, fixed, call.text, context, out) && good;
-    if (signature.list.role == ParameterRole::kTopic) {
-      for (size_t i = listed; i < out.size(); ++i) WarnRelativeTopic(out[i].typed);
-    }
+    for (size_t i = listed; i < out.size(); ++i) WarnName(out[i].typed, signature.list.role);
   }
   if (!good) return std::nullopt;
   return out;
@@ -182,9 +180,6 @@ bool ExprChecker::CheckArgument(const TypedExpr& arg, const Parameter& parameter
     return false;
   }
   switch (parameter.role) {
-    case ParameterRole::kTopic:
-      WarnRelativeTopic(arg);
-      return true;
     case ParameterRole::kRegex:
       return CheckRegex(arg);
     case ParameterRole::kWindow:
@@ -192,6 +187,7 @@ bool ExprChecker::CheckArgument(const TypedExpr& arg, const Parameter& parameter
     case ParameterRole::kWord:
       return CheckWord(arg, parameter, before, owner);
     default:
+      WarnName(arg, parameter.role);
       return true;
   }
 }
@@ -286,15 +282,6 @@ void ExprChecker::CheckClass(absl::string_view name, SourceRange range, EventCla
             absl::StrCat(Quote(name), " is about ", Subject(of), "; it cannot be used in `rules ",
                          context.section_name, "`"),
             absl::StrCat("move the rule to ", SectionsFor(of)));
-}
-
-void ExprChecker::WarnRelativeTopic(const TypedExpr& arg) {
-  if (!IsConstant(arg) || arg.type != ValueType::kString) return;
-  const std::string& topic = std::get<std::string>(arg.constant);
-  if (absl::StartsWith(topic, "/")) return;
-  sink_.Add(DiagnosticKind::kRelativeTopic, arg.range,
-            absl::StrCat("topic ", Quote(topic), " never matches: it does not start with `/`"),
-            absl::StrCat("write the full name, as in ", Quote(absl::StrCat("/", topic))));
 }
 
 void ExprChecker::FoldCall(const Signature& signature, Checked& call) const {

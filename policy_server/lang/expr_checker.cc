@@ -277,6 +277,7 @@ std::optional<ExprChecker::Checked> ExprChecker::Combine(const ast::Expr::Operat
               "every operator of a run like `a - b - c` adds one; group with parentheses");
     return std::nullopt;
   }
+  if (op.op == BinaryOp::kEq || op.op == BinaryOp::kNe) WarnComparison(left.typed, right.typed);
   const bool is_and = op.op == BinaryOp::kAnd;
   if (is_and || op.op == BinaryOp::kOr) {
     const auto both = [&](bool a, bool b) { return is_and ? a && b : a || b; };
@@ -337,6 +338,16 @@ void ExprChecker::ReportTypes(const ast::Expr::Operator& op, const TypedExpr& le
               absl::StrCat(spelling, " does not take ", Quote(Name(l))));
     return;
   }
+  const TypedExpr& text = l == ValueType::kString ? left : right;
+  const TypedExpr& other = l == ValueType::kString ? right : left;
+  if (other.type == ValueType::kLevel && text.type == ValueType::kString) {
+    sink_.Add(DiagnosticKind::kTypeMismatch, op.range,
+              absl::StrCat(spelling, " cannot join a level and text"),
+              text.kind == TypedExpr::Kind::kPredefined
+                  ? "`CurrLevel` is the level itself, `Level` is its name"
+                  : "levels are written without quotes");
+    return;
+  }
   std::string hint = "there is no implicit conversion";
   if (op.op == BinaryOp::kAdd && (l == ValueType::kString || r == ValueType::kString)) {
     absl::StrAppend(&hint, "; `string(x)` makes a string of any value");
@@ -393,8 +404,13 @@ void ExprChecker::ReportNotAValue(const ast::Expr& name) {
   } else if (!sink_.Full(name.range.file)) {
     std::vector<absl::string_view> known = scope_.names();
     for (const PredefinedName& predefined : PredefinedNames()) known.push_back(predefined.name);
+    std::string hint = NearestHint(name.text, known);
+    if (hint.empty()) {
+      hint = absl::StrCat("declare it under `vars:` or `consts:`; text is written in quotes: `\"",
+                          name.text, "\"`");
+    }
     sink_.Add(DiagnosticKind::kUnknownName, name.range, absl::StrCat("unknown name ", quoted),
-              NearestHint(name.text, known));
+              std::move(hint));
   }
 }
 

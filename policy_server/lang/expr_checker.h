@@ -115,7 +115,9 @@ class ExprChecker {
   // `of` is what a name at `range` speaks about.
   void CheckClass(absl::string_view name, SourceRange range, EventClass of,
                   const ExprContext& context);
-  void WarnRelativeTopic(const TypedExpr& arg);
+  // name_checker.cc: names that no robot can have, and comparisons with them.
+  void WarnName(const TypedExpr& arg, ParameterRole role);
+  void WarnComparison(const TypedExpr& left, const TypedExpr& right);
   // Replaces a call by its value, if that is known.
   void FoldCall(const Signature& signature, Checked& call) const;
 

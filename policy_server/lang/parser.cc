@@ -4,7 +4,9 @@
 #include <string>
 #include <utility>
 
+#include "absl/strings/match.h"
 #include "absl/strings/str_cat.h"
+#include "policy_server/lang/habits.h"
 #include "policy_server/lang/literal.h"
 #include "policy_server/lang/nearest.h"
 #include "policy_server/lang/token_operator.h"
@@ -106,8 +108,31 @@ class Parser {
     } else if (At(TokenKind::kIdentifier) || At(TokenKind::kInteger) || At(TokenKind::kFloat)) {
       found = Quote(TextOf(Peek()));
     }
+    if (hint.empty()) hint = HintFor(expected);
     sink_.Add(DiagnosticKind::kSyntaxError, range,
               absl::StrCat("expected ", expected, ", found ", found), std::move(hint));
+  }
+
+  // What the author may have meant.
+  std::string HintFor(absl::string_view expected) const {
+    if (At(TokenKind::kEndOfFile) || at_ == 0) return "";
+    const Token& token = Peek();
+    const int line_before = source_.PositionOf(tokens_[at_ - 1].end()).line;
+    if (absl::StartsWith(expected, "`;`") && !At(TokenKind::kSemicolon) &&
+        source_.PositionOf(token.offset).line > line_before) {
+      return absl::StrCat("is a `;` missing at the end of line ", line_before, "?");
+    }
+    if (absl::StartsWith(expected, "`?`") && At(TokenKind::kSemicolon)) {
+      return "several chains of one rule stand in braces: `... ? { a(); b(); }`";
+    }
+    if (absl::StartsWith(expected, "`;` after the level") && At(TokenKind::kComma)) {
+      return "each level ends with `;`";
+    }
+    absl::string_view hint = HabitHint(source_.text().substr(token.offset));
+    const Token& before = tokens_[at_ - 1];
+    // `not` and `if` look like names, so what follows them is the surprise.
+    if (hint.empty() && before.kind == TokenKind::kIdentifier) hint = HabitHint(TextOf(before));
+    return std::string(hint);
   }
 
   // Skips what is left of a statement: through the next `;`, or the `}` of its braces.

@@ -67,7 +67,8 @@ TEST(RenderJsonTest, ListsEveryFile) {
       "backslash "
       "is written \\\\\\\\\"},"
       "{\"line\":2,\"column\":1,\"severity\":\"error\",\"kind\":\"UnknownName\",\"message\":"
-      "\"unknown name `x`\"},"
+      "\"unknown name `x`\",\"hint\":\"declare it under `vars:` or `consts:`; text is written in "
+      "quotes: `\\\"x\\\"`\"},"
       "{\"line\":2,\"column\":16,\"severity\":\"warning\",\"kind\":\"LeadingZero\",\"message\":"
       "\"`017` is decimal\",\"hint\":\"octal is written `0o17`\"}]}]}");
 }

@@ -24,24 +24,26 @@ constexpr absl::string_view kFindings[] = {
 constexpr Parameter kTopicParameter = {"topic", kString, ParameterRole::kTopic};
 constexpr Parameter kMin = {"min", kInt, ParameterRole::kRangeMin};
 constexpr Parameter kMax = {"max", kInt, ParameterRole::kRangeMax};
-constexpr Parameter kNodeList = {"nodes", kString};
+constexpr Parameter kNodeList = {"nodes", kString, ParameterRole::kNode};
 constexpr Parameter kTopicList = {"topics", kString, ParameterRole::kTopic};
-constexpr Parameter kServiceList = {"services", kString};
+constexpr Parameter kServiceList = {"services", kString, ParameterRole::kService};
 constexpr Parameter kEnclaveList = {"enclaves", kString};
-constexpr Parameter kPackageList = {"packages", kString};
+constexpr Parameter kPackageList = {"packages", kString, ParameterRole::kPackage};
 constexpr Parameter kNoList = {};
 
 constexpr Parameter kRegex[] = {{"regex", kString, ParameterRole::kRegex}};
 constexpr Parameter kRange[] = {kMin, kMax};
-constexpr Parameter kSubtype[] = {{"package", kString}, {"name", kString}};
+constexpr Parameter kSubtype[] = {{"package", kString, ParameterRole::kPackage},
+                                  {"name", kString, ParameterRole::kTypeName}};
 constexpr Parameter kPath[] = {{"path", kString, ParameterRole::kYaraFile}};
 constexpr Parameter kId[] = {{"id", kString, ParameterRole::kPluginId}};
 constexpr Parameter kWindowRange[] = {{"window_ms", kInt, ParameterRole::kWindow}, kMin, kMax};
-constexpr Parameter kNode[] = {{"node", kString}};
+constexpr Parameter kNode[] = {{"node", kString, ParameterRole::kNode}};
 constexpr Parameter kTopic[] = {kTopicParameter};
-constexpr Parameter kNodeRange[] = {{"node", kString}, kMin, kMax};
+constexpr Parameter kNodeRange[] = {{"node", kString, ParameterRole::kNode}, kMin, kMax};
 constexpr Parameter kTopicRange[] = {kTopicParameter, kMin, kMax};
-constexpr Parameter kNodeService[] = {{"node", kString}, {"service", kString}};
+constexpr Parameter kNodeService[] = {{"node", kString, ParameterRole::kNode},
+                                      {"service", kString, ParameterRole::kService}};
 constexpr Parameter kText[] = {{"text", kString}};
 constexpr Parameter kSignalName[] = {{"name", kString, ParameterRole::kWord, kSignals}};
 constexpr Parameter kAgentState[] = {{"kind", kString, ParameterRole::kWord, kAgents},
@@ -225,6 +227,10 @@ const Signature* FindSignature(absl::string_view name) { return Find(Signatures(
 const ActionSignature* FindAction(absl::string_view name) { return Find(ActionSignatures(), name); }
 const PredefinedName* FindPredefined(absl::string_view name) {
   return Find(PredefinedNames(), name);
+}
+
+absl::string_view NameOf(Predefined predefined) {
+  return kPredefined[static_cast<size_t>(predefined)].name;
 }
 
 const Signature& SignatureOf(Builtin builtin) { return kSignatures[static_cast<size_t>(builtin)]; }

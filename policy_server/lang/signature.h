@@ -14,8 +14,12 @@ namespace rips::lang {
 // What a parameter means, beyond its type.
 enum class ParameterRole {
   kPlain,
-  kTopic,  // a topic's full name: one without a leading `/` never matches
-  kRegex,  // RE2 syntax; must be constant
+  kTopic,     // a topic's full name: one without a leading `/` never matches
+  kNode,      // a node's full name, or its base name
+  kService,   // a service's full name
+  kPackage,   // a package of message types
+  kTypeName,  // a message type without its package
+  kRegex,     // RE2 syntax; must be constant
   kRangeMin,
   kRangeMax,
   kAnyType,   // the type does not matter
@@ -86,6 +90,7 @@ const ActionSignature* FindAction(absl::string_view name);
 const PredefinedName* FindPredefined(absl::string_view name);
 
 const Signature& SignatureOf(Builtin builtin);
+absl::string_view NameOf(Predefined predefined);
 
 // "topicpublishercount(topic string, min int, max int)", "topicin(topics string...)".
 std::string UsageOf(const Signature& signature);

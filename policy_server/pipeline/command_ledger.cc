@@ -87,12 +87,30 @@ bool CommandLedger::attached(const std::string& host) const {
   return it != actuators_.end() && it->second.attached;
 }
 
+bool CommandLedger::Offers(const Actuator& actuator, const std::string& program) {
+  return actuator.programs.has_value() &&
+         std::find(actuator.programs->begin(), actuator.programs->end(), program) !=
+             actuator.programs->end();
+}
+
+std::vector<std::string> CommandLedger::NotOffered(const std::vector<std::string>& programs) const {
+  std::vector<std::string> missing;
+  for (const auto& [host, actuator] : actuators_) {
+    if (!actuator.programs.has_value()) return missing;
+  }
+  for (const std::string& program : programs) {
+    const bool offered = std::any_of(actuators_.begin(), actuators_.end(), [&](const auto& each) {
+      return Offers(each.second, program);
+    });
+    if (!offered) missing.push_back(program);
+  }
+  return missing;
+}
+
 bool CommandLedger::Run(uint64_t run_id, const std::string& program,
                         const std::vector<std::string>& args, Instant now) {
   for (const auto& [host, actuator] : actuators_) {
-    const bool offers = std::find(actuator.programs.begin(), actuator.programs.end(), program) !=
-                        actuator.programs.end();
-    if (!actuator.attached || !offers) continue;
+    if (!actuator.attached || !Offers(actuator, program)) continue;
     runs_[run_id] = {
         .command_id = new_id_(),
         .host = host,

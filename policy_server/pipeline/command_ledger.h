@@ -75,6 +75,10 @@ class CommandLedger {
   bool Run(uint64_t run_id, const std::string& program, const std::vector<std::string>& args,
            Instant now);
 
+  // Those of `programs` that are on no actuator's allow-list. Empty until every actuator has told
+  // its own.
+  std::vector<std::string> NotOffered(const std::vector<std::string>& programs) const;
+
   ReceiptResult OnReceipt(const std::string& host, const Receipt& receipt, Instant now);
   // What the actuator reports of itself between receipts. True if a level that was verified is no
   // longer so.
@@ -98,7 +102,8 @@ class CommandLedger {
     Mark held;
     levels::LevelIndex held_level = 0;
     std::string held_name;
-    std::vector<std::string> programs;
+    // None until it has attached for the first time.
+    std::optional<std::vector<std::string>> programs;
     // Of the newest decision.
     Stage stage = Stage::kRequested;
     std::string failure;
@@ -107,6 +112,8 @@ class CommandLedger {
     int64_t first_sent_ns = 0;
     int64_t retry_at_ns = 0;
   };
+  static bool Offers(const Actuator& actuator, const std::string& program);
+
   struct ProgramRun {
     std::string command_id;
     std::string host;

@@ -526,6 +526,7 @@ RobotStatus Robot::Status() const {
     }
   }
   status.effective_level = levels().name(effective);
+  if (!missing_programs_.empty()) status.degraded.push_back(missing_programs_);
   if (!ledger_.failure().empty()) {
     status.degraded.push_back(absl::StrCat("level not reached: ", ledger_.failure()));
   }
@@ -603,6 +604,7 @@ absl::Status Robot::SwapPolicy(Policy policy) {
     if (primary != sensors_.end() && primary->second.session) {
       primary->second.session->link->SetInterest(interest_);
     }
+    TellMissingPrograms();
     AdvanceMessages();
   }
   Flush();

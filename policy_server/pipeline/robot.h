@@ -229,6 +229,8 @@ class Robot {
   absl::Status Reconcile(const std::string& host_name, const ActuatorHello& hello);
   void CheckActuators(Instant now);
   void SendCommands(Instant now);
+  // Tells of programs that rules name and no actuator offers, once.
+  void TellMissingPrograms();
   void SendLease(ActuatorSession& session);
   void UpdateActuation(Instant now);
   void HandleProgramResult(const ProgramResult& result, Instant now);
@@ -297,6 +299,8 @@ class Robot {
   // A lowering that is not durable yet must not be commanded.
   Mark awaiting_durable_;
   Stage reported_stage_ = Stage::kRequested;
+  // As told last; empty = none.
+  std::string missing_programs_;
   bool failure_alerted_ = false;
   bool store_failing_ = false;
   bool draining_ = false;

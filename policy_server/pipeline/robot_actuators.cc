@@ -28,6 +28,18 @@ std::vector<ros2::Guid> Robot::OwnParticipants() const {
   return own;
 }
 
+void Robot::TellMissingPrograms() {
+  const std::vector<std::string> missing = ledger_.NotOffered(policy_.program->rules().programs);
+  std::string text;
+  if (!missing.empty()) {
+    text = absl::StrCat("rules run programs that no actuator offers, so they will fail: `",
+                        absl::StrJoin(missing, "`, `"), "`");
+  }
+  if (text == missing_programs_) return;
+  missing_programs_ = text;
+  if (!text.empty()) OwnAlert(engine::Severity::kHigh, text);
+}
+
 void Robot::OnActuatorHello(const std::string& host_name, std::shared_ptr<ActuatorLink> link,
                             const ActuatorHello& hello) {
   const auto it = actuators_.find(host_name);
@@ -79,6 +91,7 @@ void Robot::OnActuatorHello(const std::string& host_name, std::shared_ptr<Actuat
                      "deleted); it starts from its fail-safe level"));
     External(engine::AgentEvent{.agent = "actuator", .state = "state_lost"});
   }
+  TellMissingPrograms();
   UpdateActuation(now);
   Flush();
   PublishStatus();

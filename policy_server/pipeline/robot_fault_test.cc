@@ -318,6 +318,25 @@ TEST_F(RobotTest, RunsTheChainOfTheFailedProgram) {
   EXPECT_EQ(audience_.Count("usb_alarm failed"), 1);
 }
 
+TEST_F(RobotTest, ProgramsThatNobodyOffersAreToldWhenTheRobotIsArmed) {
+  Start(kExecRules);
+  EXPECT_EQ(audience_.Count("no actuator offers"), 0) << "nobody has said what it offers";
+  actuator_ = std::make_shared<FakeActuator>();
+  robot_->OnActuatorHello("base", actuator_,
+                          {.levels = {"DEFAULT", "HALT"}, .clock = clock_.Now()});
+  Drain();
+  EXPECT_EQ(audience_.Count("no actuator offers, so they will fail: `usb_alarm`"), 1);
+  EXPECT_THAT(robot_->Status().degraded,
+              ::testing::Contains(::testing::HasSubstr("no actuator offers")));
+  Pass(2'000);
+  robot_->OnActuatorGone("base", actuator_.get());
+  actuator_ = std::make_shared<FakeActuator>();
+  robot_->OnActuatorHello("base", actuator_,
+                          {.levels = {"DEFAULT", "HALT"}, .clock = clock_.Now()});
+  Drain();
+  EXPECT_EQ(audience_.Count("no actuator offers"), 1) << "once is enough";
+}
+
 TEST_F(RobotTest, AProgramThatNobodyOffersFailsAtOnce) {
   Start(kExecRules);
   ConnectSensor();
