@@ -6,16 +6,19 @@
 #include <cstddef>
 #include <memory>
 #include <string>
+#include <vector>
 
 #include "absl/status/statusor.h"
 #include "policy_server/bundle/manifest.h"
 #include "policy_server/engine/program.h"
 #include "policy_server/inspect/inspection_set.h"
+#include "policy_server/lang/compile.h"
 #include "policy_server/levels/level_table.h"
 #include "services/base/clock.h"
 
 namespace rips::bundle {
 
+inline constexpr char kManifestName[] = "manifest.yaml";
 inline constexpr size_t kManifestBytesMax = 64 << 10;
 // All rule files of a bundle together; a single one is limited by lang::kFileBytesMax.
 inline constexpr size_t kBundleBytesMax = 16 << 20;
@@ -49,6 +52,30 @@ struct Bundle {
 // Plugins are started once to see how they want to be asked, which takes up to a second. `clock` is
 // not owned and outlives the bundle's inspections.
 absl::StatusOr<Bundle> LoadBundle(const std::string& dir, const Clock* clock);
+
+// What there is to say of a bundle.
+struct BundleCheck {
+  // What its manifest calls it; empty if the manifest is refused.
+  std::string name;
+  // As Bundle::id; empty if the bundle is refused.
+  std::string id;
+  size_t rules = 0;
+  size_t levels = 0;
+  // The rule files that could be read, and what the compiler says of them if all could.
+  std::vector<lang::SourceFile> files;
+  std::vector<lang::Diagnostic> diagnostics;
+  // Why it is refused, besides the errors among `diagnostics`. Those of a manifest's text are one
+  // entry of several lines.
+  std::vector<std::string> problems;
+  // What is allowed and probably not meant: a name that is not the directory's; YARA files and
+  // plugins that are listed and no rule names.
+  std::vector<std::string> warnings;
+
+  bool ok() const { return !id.empty(); }
+};
+
+// Refuses what LoadBundle refuses, but runs nothing: a plugin is only looked at and hashed.
+BundleCheck CheckBundle(const std::string& dir);
 
 }  // namespace rips::bundle
 

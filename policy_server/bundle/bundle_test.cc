@@ -213,6 +213,80 @@ TEST_F(BundleTest, TheDirectoryItselfMayBeALink) {
   EXPECT_THAT(LoadBundle((root_ / "current").string(), &clock_), IsOk());
 }
 
+TEST_F(BundleTest, IsCheckedWithoutBeingLoaded) {
+  const BundleCheck check = CheckBundle(dir_.string());
+
+  EXPECT_TRUE(check.ok());
+  EXPECT_EQ(check.name, "warehouse");
+  EXPECT_EQ(check.id, Load()->id);
+  EXPECT_EQ(check.rules, 1u);
+  EXPECT_EQ(check.levels, 3u);
+  ASSERT_EQ(check.files.size(), 2u);
+  EXPECT_EQ(check.files[1].path, (dir_ / "more/nodes.rul").string());
+  EXPECT_THAT(check.diagnostics, IsEmpty());
+  EXPECT_THAT(check.problems, IsEmpty());
+  EXPECT_THAT(check.warnings, IsEmpty());
+}
+
+TEST_F(BundleTest, ACheckNamesEveryFileThatIsMissing) {
+  fs::remove(dir_ / "base.rul");
+  fs::remove(dir_ / "more/nodes.rul");
+
+  const BundleCheck check = CheckBundle(dir_.string());
+
+  EXPECT_FALSE(check.ok());
+  EXPECT_EQ(check.name, "warehouse");
+  EXPECT_THAT(check.problems, ElementsAre(HasSubstr("`base.rul` does not exist"),
+                                          HasSubstr("`more/nodes.rul` does not exist")));
+  EXPECT_THAT(check.files, IsEmpty());
+  EXPECT_THAT(check.diagnostics, IsEmpty());
+}
+
+TEST_F(BundleTest, ACheckRefusesWhatLoadingRefuses) {
+  const struct {
+    std::string manifest;
+    std::string problem;
+  } cases[] = {
+      {With("rules:", "rule:"), "unknown key `rule`"},
+      {With("more/nodes.rul", "../nodes.rul"), "leaves the bundle directory"},
+      {With("[DEFAULT, ALERT, HALT]", "[DEFAULT, HALT]"), "make them equal"},
+      {absl::StrCat(kManifest, "yara: [gone.yar]\n"), "`gone.yar` does not exist"},
+      {absl::StrCat(kManifest, "#", std::string(kManifestBytesMax, 'x')), "manifest.yaml"},
+  };
+  for (const auto& each : cases) {
+    const auto loaded = LoadWith(each.manifest);
+    const BundleCheck check = CheckBundle(dir_.string());
+    EXPECT_FALSE(check.ok()) << each.problem;
+    EXPECT_THAT(check.problems, ElementsAre(HasSubstr(each.problem)));
+    ASSERT_THAT(loaded, Not(IsOk()));
+    EXPECT_EQ(loaded.status().message(), check.problems[0]);
+  }
+  EXPECT_THAT(CheckBundle((root_ / "none").string()).problems,
+              ElementsAre(HasSubstr("none` does not exist")));
+}
+
+TEST_F(BundleTest, ACheckOfBadRulesHasTheirDiagnostics) {
+  Write("more/nodes.rul", "rules Graph:\n  nodes(\"/a\") ? trigger(GONE);\n");
+
+  const BundleCheck check = CheckBundle(dir_.string());
+
+  EXPECT_FALSE(check.ok());
+  EXPECT_EQ(check.name, "warehouse");
+  ASSERT_EQ(check.diagnostics.size(), 1u);
+  EXPECT_EQ(check.diagnostics[0].kind, lang::DiagnosticKind::kUnknownName);
+  EXPECT_THAT(check.problems, IsEmpty());
+}
+
+TEST_F(BundleTest, ACheckWarnsOfADirectoryOfAnotherName) {
+  fs::create_directory_symlink(dir_, root_ / "current");
+
+  const BundleCheck check = CheckBundle((root_ / "current/").string());
+
+  EXPECT_TRUE(check.ok());
+  EXPECT_THAT(check.warnings,
+              ElementsAre(AllOf(HasSubstr("calls it `warehouse`, its directory is `current`"))));
+}
+
 TEST_F(BundleTest, HasLimits) {
   Write("base.rul", absl::StrCat("levels:\n  DEFAULT;\n  ALERT soft;\n  HALT;\n#",
                                  std::string(lang::kFileBytesMax, 'x')));
@@ -286,6 +360,58 @@ TEST_F(InspectingBundleTest, RefusesWhatItDoesNotList) {
                        HasSubstr(absl::StrCat("has SHA-256 ", Hash(), ", the manifest says 000"))));
   EXPECT_THAT(LoadWith(Manifest("00")), StatusIs(absl::StatusCode::kInvalidArgument,
                                                  HasSubstr("64 lower-case hexadecimal digits")));
+}
+
+TEST_F(InspectingBundleTest, FindsItsFilesHoweverTheDirectoryIsWritten) {
+  Write("manifest.yaml", Manifest(Hash()));
+  for (const std::string& dir :
+       {absl::StrCat(dir_.string(), "/"), absl::StrCat(dir_.string(), "//."),
+        absl::StrCat(root_.string(), "/./warehouse"), absl::StrCat(dir_.string(), "/more/../"),
+        fs::relative(dir_).string(), absl::StrCat("./", fs::relative(dir_).string())}) {
+    EXPECT_THAT(LoadBundle(dir, &clock_), IsOk()) << dir;
+    const BundleCheck check = CheckBundle(dir);
+    EXPECT_TRUE(check.ok()) << dir << lang::RenderText(check.files, check.diagnostics);
+    EXPECT_THAT(check.warnings, IsEmpty()) << dir;
+  }
+}
+
+TEST_F(InspectingBundleTest, ACheckRunsNoPlugin) {
+  const std::string plugin = absl::StrCat("#!/bin/sh\ntouch ", (root_ / "ran").string(), "\n");
+  Write("p", plugin);
+  Write("manifest.yaml", Manifest(Sha256Hex(plugin)));
+
+  EXPECT_TRUE(CheckBundle(dir_.string()).ok());
+
+  EXPECT_FALSE(fs::exists(root_ / "ran"));
+}
+
+TEST_F(InspectingBundleTest, ACheckLooksAtWhatRulesInspectWith) {
+  const struct {
+    std::string manifest;
+    std::string message;
+  } cases[] = {
+      {kManifest, "`more/x.yar` is not listed under `yara`"},
+      {kManifest, "plugin `p` is not listed under `plugins`"},
+      {Manifest(std::string(64, '0')), "the manifest says 000"},
+      {absl::StrReplaceAll(Manifest(Hash()), {{"path: p", "path: q"}}), "`q` does not exist"},
+  };
+  for (const auto& each : cases) {
+    Write("manifest.yaml", each.manifest);
+    const BundleCheck check = CheckBundle(dir_.string());
+    EXPECT_FALSE(check.ok());
+    EXPECT_THAT(lang::RenderText(check.files, check.diagnostics), HasSubstr(each.message));
+  }
+}
+
+TEST_F(InspectingBundleTest, ACheckWarnsOfWhatIsListedInVain) {
+  Write("more/nodes.rul", kNodes);
+  Write("manifest.yaml", Manifest(Hash()));
+
+  const BundleCheck check = CheckBundle(dir_.string());
+
+  EXPECT_TRUE(check.ok());
+  EXPECT_THAT(check.warnings, ElementsAre("YARA file `more/x.yar` is listed, and no rule names it",
+                                          "plugin `p` is listed, and no rule names it"));
 }
 
 TEST_F(InspectingBundleTest, RefusesFilesThatAreBrokenOrGone) {

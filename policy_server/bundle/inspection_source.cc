@@ -12,7 +12,7 @@ namespace rips::bundle {
 
 absl::StatusOr<std::string> InspectionSource::Read(absl::string_view path, size_t bytes_max) const {
   absl::string_view inside = path;
-  if (!absl::ConsumePrefix(&inside, absl::StrCat(dir_, "/"))) {
+  if (!absl::ConsumePrefix(&inside, prefix_)) {
     return absl::FailedPreconditionError(absl::StrCat("`", path, "` is not inside the bundle"));
   }
   if (std::find(manifest_.yara.begin(), manifest_.yara.end(), inside) == manifest_.yara.end()) {

@@ -18,10 +18,11 @@ inline constexpr size_t kPluginBytesMax = size_t{64} << 20;
 
 class InspectionSource final : public inspect::FileSource {
  public:
-  // `dir` is how rule files are called in diagnostics; nothing is owned, all outlive this.
-  InspectionSource(const std::string& dir, const BundleDirectory& directory,
-                   const Manifest& manifest)
-      : dir_(dir), directory_(directory), manifest_(manifest) {}
+  // `prefix` is what paths of files in `dir` begin with in diagnostics, perhaps nothing. Nothing is
+  // owned, all outlive this.
+  InspectionSource(const std::string& dir, const std::string& prefix,
+                   const BundleDirectory& directory, const Manifest& manifest)
+      : dir_(dir), prefix_(prefix), directory_(directory), manifest_(manifest) {}
 
   // FailedPrecondition: the manifest does not list it.
   absl::StatusOr<std::string> Read(absl::string_view path, size_t bytes_max) const override;
@@ -31,6 +32,7 @@ class InspectionSource final : public inspect::FileSource {
 
  private:
   const std::string& dir_;
+  const std::string& prefix_;
   const BundleDirectory& directory_;
   const Manifest& manifest_;
 };

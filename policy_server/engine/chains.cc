@@ -124,7 +124,8 @@ void Runner::RunRule(Frame& frame, uint32_t index) {
        chain < current.rule.chains.size() && !current.faulted && !state_.halted(); ++chain) {
     RunChain(current, chain, 0);
   }
-  Tell(current, RuleObserver::Came::kFired, current.fault);
+  using Came = RuleObserver::Came;
+  Tell(current, current.unscanned ? Came::kFiredUnscanned : Came::kFired, current.fault);
 }
 
 bool Runner::Fires(Current& current) {
@@ -150,7 +151,8 @@ bool Runner::Fires(Current& current) {
   }
   ++outcome_.unscanned;
   const OnInspectionError then = current.frame.program().options().on_inspection_error;
-  if (then == OnInspectionError::kMatch) return true;
+  current.unscanned = then == OnInspectionError::kMatch;
+  if (current.unscanned) return true;
   if (then == OnInspectionError::kAlert) {
     ReportFault(current, "the message could not be inspected", "it did not fire");
   }
@@ -293,9 +295,8 @@ Runner::Step Runner::Trigger(Current& current, uint32_t chain, size_t index) {
     Add(TransitionEffect{.transition = std::move(transition)});
   }
 
-  const std::optional<bool> answer = state_.scripted != nullptr
-                                         ? state_.scripted->Reach(*to)
-                                         : AnswerOf(*to, lowering, state_);
+  const std::optional<bool> answer =
+      state_.scripted != nullptr ? state_.scripted->Reach(*to) : AnswerOf(*to, lowering, state_);
   if (answer.has_value()) return *answer ? Step::kSucceeded : Step::kFailed;
   if (IsLast(actions, index)) return Step::kSucceeded;
   if (Full()) {

@@ -46,6 +46,8 @@ class Runner {
     uint32_t rule_index;
     const lang::TypedRule& rule;
     bool faulted = false;
+    // It fired though an inspection was not told.
+    bool unscanned = false;
     // Why it faulted first.
     std::string fault = {};
   };

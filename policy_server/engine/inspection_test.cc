@@ -85,6 +85,30 @@ TEST(InspectionTest, TheBundleMayHaveItOtherwise) {
   EXPECT_EQ(ignore.outcome.unscanned, 1u);
 }
 
+TEST(InspectionTest, ObserversSeeWhatFiredWithoutBeingTold) {
+  class Seen final : public RuleObserver {
+   public:
+    void OnRule(uint32_t, Came came, absl::string_view) override { all.push_back(came); }
+    std::vector<Came> all;
+  };
+  using Came = RuleObserver::Came;
+  TestRules rules;
+  rules.Inspections(2);
+  rules.Msg("told", Inspect(1), {{Alert("told")}}).Msg("not told", Inspect(0), {{Alert("fired")}});
+  const std::vector<Verdict> verdicts = {kUnscanned, kYes};
+  const auto came = [&](OnInspectionError then) {
+    TestRobot robot(rules.Build({.on_inspection_error = then}));
+    Seen seen;
+    robot.state.observer = &seen;
+    robot.Judge(MessageEvent{.topic = "/a", .inspections = verdicts});
+    return seen.all;
+  };
+
+  EXPECT_THAT(came(OnInspectionError::kMatch), ElementsAre(Came::kFired, Came::kFiredUnscanned));
+  EXPECT_THAT(came(OnInspectionError::kAlert), ElementsAre(Came::kFired, Came::kUnscanned));
+  EXPECT_THAT(came(OnInspectionError::kIgnore), ElementsAre(Came::kFired, Came::kUnscanned));
+}
+
 TEST(InspectionTest, AnActionWhoseArgumentWasNotToldFails) {
   TestRules rules;
   const uint32_t flag = rules.Var("b", ValueType::kBool, false);

@@ -35,7 +35,15 @@ struct StateLimits {
 // Told of every rule that is run, after it; for those who measure and those who replay.
 class RuleObserver {
  public:
-  enum class Came { kFalse, kFired, kFaulted, kUndecidable, kUnscanned };
+  enum class Came {
+    kFalse,
+    kFired,
+    kFaulted,
+    kUndecidable,
+    // It depends on an inspection that was not told: it did not fire; it fired all the same.
+    kUnscanned,
+    kFiredUnscanned,
+  };
   virtual ~RuleObserver() = default;
   // `rule` is an index of the program in force. `what` says why it faulted, else it is empty.
   virtual void OnRule(uint32_t rule, Came came, absl::string_view what) = 0;

@@ -3,6 +3,8 @@
 #include <map>
 #include <tuple>
 
+#include "policy_server/lang/value_text.h"
+
 namespace rips::replay {
 namespace {
 
@@ -44,6 +46,20 @@ OnlyOne<Record> Only(const std::vector<Record>& before, const std::vector<Record
   return only;
 }
 
+using Variables = absl::btree_map<std::string, lang::Value>;
+
+// Those of `values` that `others` has not, or otherwise. NaN is the same as NaN.
+Variables Beyond(const Variables& values, const Variables& others) {
+  Variables out;
+  for (const auto& [name, value] : values) {
+    const auto other = others.find(name);
+    const bool same = other != others.end() && other->second.index() == value.index() &&
+                      lang::ToText(other->second) == lang::ToText(value);
+    if (!same) out.emplace(name, value);
+  }
+  return out;
+}
+
 }  // namespace
 
 Difference Compare(const Result& before, const Result& after) {
@@ -53,6 +69,9 @@ Difference Compare(const Result& before, const Result& after) {
   out.execs = Only(before.execs, after.execs, out.first);
   out.level_before = before.level;
   out.level_after = after.level;
+  out.variables_before = Beyond(before.variables, after.variables);
+  out.variables_after = Beyond(after.variables, before.variables);
+  out.left_out = before.left_out > 0 || after.left_out > 0;
   return out;
 }
 

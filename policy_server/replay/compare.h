@@ -6,6 +6,7 @@
 #include <string>
 #include <vector>
 
+#include "absl/container/btree_map.h"
 #include "policy_server/replay/result.h"
 
 namespace rips::replay {
@@ -28,15 +29,21 @@ struct Difference {
   // At the end.
   std::string level_before;
   std::string level_after;
+  // At the end: those that only one has, or both with other values.
+  absl::btree_map<std::string, lang::Value> variables_before;
+  absl::btree_map<std::string, lang::Value> variables_after;
+  // A list of one of them was cut (Result::left_out); what is not there is not compared.
+  bool left_out = false;
 
   bool none() const {
-    return transitions.none() && alerts.none() && execs.none() && level_before == level_after;
+    return transitions.none() && alerts.none() && execs.none() && level_before == level_after &&
+           variables_before.empty() && variables_after.empty();
   }
 };
 
 // Both results are of the same recording. An entry is the same if event and content are, whatever
 // rule it comes from and in whatever order an event's entries come; one that is there twice must be
-// there twice. Variables, faults and hits are not compared.
+// there twice. Faults, hits and what `True` and `False` show are not compared.
 Difference Compare(const Result& before, const Result& after);
 
 }  // namespace rips::replay

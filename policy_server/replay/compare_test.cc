@@ -1,5 +1,7 @@
 #include "policy_server/replay/compare.h"
 
+#include <limits>
+
 #include "policy_server/replay/replay_test_data.h"
 #include "policy_server/replay/result_json.h"
 
@@ -69,6 +71,37 @@ TEST(CompareTest, TheFirstDifferenceIsTheEarliestOfAnyKind) {
 
   EXPECT_EQ(Compare(before, after).first->event, 5u);
   EXPECT_EQ(Compare(after, before).first->event, 5u);
+}
+
+TEST(CompareTest, VariablesAtTheEndAreCompared) {
+  Result before;
+  before.variables = {{"same", int64_t{1}},
+                      {"other", int64_t{1}},
+                      {"gone", true},
+                      {"nan", std::numeric_limits<double>::quiet_NaN()},
+                      {"type", int64_t{1}}};
+  Result after = before;
+  EXPECT_TRUE(Compare(before, after).none());
+
+  after.variables.erase("gone");
+  after.variables["other"] = int64_t{2};
+  after.variables["new"] = std::string("x");
+  after.variables["type"] = std::string("1");
+  const Difference difference = Compare(before, after);
+
+  EXPECT_FALSE(difference.none());
+  EXPECT_FALSE(difference.first.has_value());
+  EXPECT_EQ(ToJson(difference)["variables"].dump(), R"({"before":{"gone":true,"other":1,"type":1},)"
+                                                    R"("after":{"new":"x","other":2,"type":"1"}})");
+  EXPECT_EQ(ToJson(difference)["same"], false);
+}
+
+TEST(CompareTest, SaysThatListsWereCut) {
+  Result cut;
+  cut.left_out = 1;
+  EXPECT_EQ(ToJson(Compare(Result(), cut))["left_out"], true);
+  EXPECT_EQ(ToJson(Compare(cut, Result()))["left_out"], true);
+  EXPECT_FALSE(ToJson(Compare(Result(), Result())).contains("left_out"));
 }
 
 TEST(CompareTest, TheLevelAtTheEndAloneIsADifference) {

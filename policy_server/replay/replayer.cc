@@ -54,7 +54,9 @@ class Replayer::Observer final : public RuleObserver {
   void OnRule(uint32_t rule, Came came, absl::string_view what) override {
     last_ = rule;
     RuleHits& hits = replayer_.result_.rules[rule];
-    if (came == Came::kFired) ++hits.fired;
+    if (came == Came::kFired || came == Came::kFiredUnscanned) ++hits.fired;
+    if (came == Came::kUnscanned || came == Came::kFiredUnscanned) ++hits.unscanned;
+    if (came == Came::kUndecidable) ++hits.undecidable;
     if (!what.empty()) {
       replayer_.Keep(replayer_.result_.faults,
                      {.at = replayer_.now_, .rule = hits.name, .text = std::string(what)});
@@ -179,6 +181,20 @@ void Replayer::JudgeTick(uint64_t event, int64_t time_ns) {
   JudgeExternal(engine::TickEvent{});
 }
 
+void Replayer::Order(uint64_t event, int64_t time_ns, bool raise, levels::LevelIndex to) {
+  SetTime(event, time_ns);
+  const Instant now{.boottime_ns = elapsed_ns_, .unix_ns = now_.time_ns};
+  const levels::Cause cause{.kind = levels::Cause::Kind::kOperator, .name = kOperatorName};
+  levels::LevelMachine& level = state_.level;
+  Take(raise ? level.Raise(to, cause, now)
+             : level.DeEscalate(to, cause, now, level.level(), level.mark()));
+}
+
+void Replayer::SetEvidence(bool complete) {
+  state_.evidence = {};
+  if (!complete) state_.evidence.blind_because = {"the test says so"};
+}
+
 absl::Status Replayer::TakeGraph(const RecordedGraph& graph) {
   if (graph.whole) {
     graph_.Clear();
@@ -201,6 +217,10 @@ void Replayer::JudgeMessage(const RecordedMessage& message) {
   if (sender.empty()) {
     const ros2::Endpoint* endpoint = state_.graph->FindEndpoint(message.writer);
     if (endpoint != nullptr) sender = endpoint->node;
+  }
+  if (sender.empty()) {
+    ++result_.events.unattributed;
+    if (message.writer.none()) ++result_.events.unattributed_writer;
   }
   engine::Event event{.what = engine::MessageEvent{.topic = message.topic,
                                                    .type = message.type,
@@ -275,20 +295,23 @@ void Replayer::CountEvaluated(Result& result) const {
   }
 }
 
-void Replayer::Take(const engine::Outcome& outcome) {
+void Replayer::Take(const levels::Transition& transition) {
   const levels::LevelTable& table = program_->rules().levels;
+  Keep(result_.transitions, {.at = now_,
+                             .rule = transition.cause.name,
+                             .from = table.name(transition.from),
+                             .to = table.name(transition.to),
+                             .refused = transition.refused(),
+                             .reason = std::string(levels::ToString(transition.refusal))});
+}
+
+void Replayer::Take(const engine::Outcome& outcome) {
   for (const engine::Effect& effect : outcome.effects) {
     if (const auto* alert = std::get_if<engine::AlertEffect>(&effect)) {
       Keep(result_.alerts,
            {.at = now_, .rule = alert->rule, .text = alert->text, .severity = alert->severity});
     } else if (const auto* change = std::get_if<engine::TransitionEffect>(&effect)) {
-      const levels::Transition& transition = change->transition;
-      Keep(result_.transitions, {.at = now_,
-                                 .rule = transition.cause.name,
-                                 .from = table.name(transition.from),
-                                 .to = table.name(transition.to),
-                                 .refused = transition.refused(),
-                                 .reason = std::string(levels::ToString(transition.refusal))});
+      Take(change->transition);
     } else if (const auto* run = std::get_if<engine::RunProgramEffect>(&effect)) {
       Keep(result_.execs, {.at = now_,
                            .rule = run->rule,

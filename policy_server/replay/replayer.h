@@ -5,8 +5,8 @@
 //     after the one before it, the first at 0. Of times that go back, the latest so far counts.
 //     `Uptime` counts from the first event.
 //   - Programs and levels have their answer at once, as the options say, so that a chain has ended
-//     before the next begins. Evidence is always complete, nothing is late, and each refused
-//     transition is recorded.
+//     before the next begins. Evidence is complete unless said otherwise, nothing is late, and each
+//     refused transition is recorded.
 //   - A graph that is not settled is not judged, as on the server; its changes are collected until
 //     it is. If the recording knows no graph, questions about it are undecidable.
 //   - The sender of a message is the recorded one; without, it is found in the graph.
@@ -35,6 +35,8 @@ namespace rips::replay {
 
 // Times of events, nanoseconds since the Unix epoch: 0 to this (the year 2116), inclusive.
 inline constexpr int64_t kTimeNsMax = int64_t{1} << 62;
+// In the place of a rule's name, where an operator changed the level.
+inline constexpr char kOperatorName[] = "operator";
 // Virtual ticks between two events.
 inline constexpr int64_t kTicksBetweenEventsMax = 1'000'000;
 
@@ -78,8 +80,13 @@ class Replayer {
   // so far. ResourceExhausted: too many ticks since the event before. The message names the event;
   // the replayer is of no more use then.
   absl::Status Judge(const recording::Recorded& event);
-  // A tick at `time_ns`, which is of event `event`.
+  // A tick at `time_ns`, which is of event `event`. Times are up to kTimeNsMax.
   void JudgeTick(uint64_t event, int64_t time_ns);
+  // An operator, who sees the current decision, raises or lowers the level. A transition of
+  // kOperatorName; no rule runs on it.
+  void Order(uint64_t event, int64_t time_ns, bool raise, levels::LevelIndex to);
+  // Complete at first. While it is not, soft lowerings are refused as blind.
+  void SetEvidence(bool complete);
 
   // The lists and counts so far; `level` and `variables` are not set.
   const Result& so_far() const { return result_; }
@@ -101,6 +108,7 @@ class Replayer {
   void Inspect(const recording::RecordedMessage& message, engine::Event& event,
                std::vector<engine::Verdict>& verdicts);
   void Take(const engine::Outcome& outcome);
+  void Take(const levels::Transition& transition);
   void SetTime(uint64_t event, int64_t time_ns);
   // Sets how often each rule was evaluated.
   void CountEvaluated(Result& result) const;

@@ -81,13 +81,47 @@ TEST(ReplayerTest, CrashEndsTheRulesAndNotTheCounting) {
   EXPECT_THAT(Alerts(result), ElementsAre("0 after after", "1 stop a", "1 stop crash: enough"));
   EXPECT_THAT(Transitions(result), ElementsAre("1 stop A->D"));
   EXPECT_EQ(result.crashed, (Moment{1, kNanosPerMilli}));
-  EXPECT_EQ(result.events, (EventCounts{.message = 1, .graph = 1, .external = 3}));
+  EXPECT_EQ(
+      result.events,
+      (EventCounts{
+          .message = 1, .graph = 1, .external = 3, .unattributed = 1, .unattributed_writer = 1}));
   EXPECT_EQ(result.level, "D");
   EXPECT_EQ(result.rules[0].evaluated, 2u);
   EXPECT_EQ(result.rules[1].evaluated, 2u);
   EXPECT_EQ(result.rules[1].fired, 1u);
   EXPECT_EQ(result.rules[2].evaluated, 1u);
   EXPECT_EQ(result.rules[3].evaluated, 0u);
+}
+
+TEST(ReplayerTest, AnOperatorRaisesAndLowersTheLevel) {
+  const auto program = MakeProgram("rules External: r: true ? alert(Level);");
+  Replayer replayer(program, {}, nullptr);
+
+  replayer.Order(0, 0, true, 3);
+  replayer.JudgeTick(1, 1);
+  replayer.Order(2, 2, false, 1);
+  replayer.JudgeTick(3, 3);
+  replayer.Order(4, 4, false, 2);
+  replayer.Order(5, 5, true, 1);
+
+  const Result result = replayer.Finish();
+  EXPECT_THAT(Transitions(result), ElementsAre("0 operator A->D", "2 operator D->B",
+                                               "4 operator B->C refused: not lower",
+                                               "5 operator B->B refused: not higher"));
+  EXPECT_THAT(Alerts(result), ElementsAre("1 r D", "3 r B"));
+}
+
+TEST(ReplayerTest, WithoutEvidenceSoftLoweringsAreBlind) {
+  const auto program = MakeProgram("rules External: down: CurrLevel == B ? trigger(A);");
+  Replayer replayer(program, {.start_level = 1}, nullptr);
+
+  replayer.SetEvidence(false);
+  replayer.JudgeTick(0, 0);
+  replayer.SetEvidence(true);
+  replayer.JudgeTick(1, 1);
+
+  EXPECT_THAT(Transitions(replayer.Finish()),
+              ElementsAre("0 down B->A refused: blind", "1 down B->A"));
 }
 
 // --------------------------------------------------------------------------------------- time
@@ -231,6 +265,10 @@ TEST(ReplayerTest, WithoutAGraphQuestionsAboutItAreUndecidable) {
 
   // Each event once, however many rules.
   EXPECT_EQ(result.events.undecidable, 2u);
+  EXPECT_EQ(result.rules[0].undecidable, 2u);
+  EXPECT_EQ(result.rules[2].undecidable, 1u);
+  EXPECT_EQ(result.rules[3].undecidable, 1u);
+  EXPECT_EQ(ToJson(result)["rules"][0]["undecidable"], 2);
   EXPECT_THAT(Alerts(result), ElementsAre("1 d d"));
   EXPECT_THAT(result.faults, IsEmpty());
 }
@@ -252,6 +290,21 @@ TEST(ReplayerTest, SendersAreRecordedOrFoundInTheGraph) {
 
   EXPECT_THAT(Alerts(result),
               ElementsAre("1 who /x", "1 in x", "2 who /y", "2 often often", "3 who ", "4 who "));
+  EXPECT_EQ(result.events.unattributed, 2u);
+  EXPECT_EQ(result.events.unattributed_writer, 2u);
+}
+
+TEST(ReplayerTest, MessagesWithoutASenderAreCounted) {
+  Recorded unclaimed = Message("/t");
+  std::get<RecordedMessage>(unclaimed.what).writer = WriterGuid(9);
+
+  const Result result = Replayed(MakeProgram("rules Msg: m: senderin(\"/x\") ? alert(\"x\");"),
+                                 {unclaimed, Message("/t"), Message("/t", "/x")});
+
+  EXPECT_EQ(result.events.unattributed, 2u);
+  EXPECT_EQ(result.events.unattributed_writer, 1u);
+  EXPECT_EQ(ToJson(result)["events"].dump(),
+            R"({"message":3,"graph":0,"external":0,"undecidable":0,"unattributed":2})");
 }
 
 // ------------------------------------------------------------------------------------- faults
@@ -312,6 +365,12 @@ TEST(ReplayerTest, PayloadsAreInspectedWhereRulesAsk) {
 
   EXPECT_THAT(session.asked, ElementsAre("0/t 4 ", "1/u 0 not there"));
   EXPECT_THAT(Alerts(result), ElementsAre("0 yes yes", "2 unknown unknown"));
+  EXPECT_EQ(result.rules[0].unscanned, 0u);
+  EXPECT_EQ(result.rules[1].unscanned, 1u);
+  EXPECT_EQ(result.rules[1].fired, 1u);
+  const nlohmann::ordered_json rules = ToJson(result)["rules"];
+  EXPECT_FALSE(rules[0].contains("unscanned"));
+  EXPECT_EQ(rules[1]["unscanned"], 1);
 }
 
 TEST(ReplayerTest, WhatIsUnscannedIsUpToTheProgram) {
@@ -323,6 +382,8 @@ TEST(ReplayerTest, WhatIsUnscannedIsUpToTheProgram) {
   const Result alert = Replayed(MakeProgram(kInspecting, {OnInspectionError::kAlert}), events);
   EXPECT_THAT(Alerts(alert), ElementsAre(HasSubstr("could not be inspected")));
   EXPECT_THAT(alert.faults, IsEmpty());
+  EXPECT_EQ(alert.rules[1].unscanned, 1u);
+  EXPECT_EQ(alert.rules[1].fired, 0u);
 }
 
 // --------------------------------------------------------------------------------- the result
@@ -422,7 +483,8 @@ TEST(ResultJsonTest, IsTheContract) {
 
   EXPECT_EQ(
       ToJson(result).dump(),
-      R"({"events":{"message":1,"graph":0,"external":1,"undecidable":0},"level":"A",)"
+      R"({"events":{"message":1,"graph":0,"external":1,"undecidable":0,"unattributed":1},)"
+      R"("level":"A",)"
       R"("transitions":[{"event":0,"rule":"m","from":"A","to":"B","result":"decided"},)"
       R"({"event":0,"rule":"m","from":"B","to":"A","result":"decided"}],)"
       R"("alerts":[{"event":0,"rule":"m","text":"hi","severity":"high"},)"

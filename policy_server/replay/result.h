@@ -72,6 +72,11 @@ struct RuleHits {
   // Events of its class that were judged, whether or not they could concern it.
   uint64_t evaluated = 0;
   uint64_t fired = 0;
+  // It asked what the recording does not hold, and did not fire.
+  uint64_t undecidable = 0;
+  // It asked an inspection that could not tell. It fired all the same, and is counted there, unless
+  // ProgramOptions::on_inspection_error has it otherwise.
+  uint64_t unscanned = 0;
   // Time it took, in all; 0 unless it was measured. What all rules of an event share counts for the
   // first that is run.
   int64_t total_ns = 0;
@@ -89,6 +94,9 @@ struct EventCounts {
   uint64_t external = 0;
   // Events of which at least one rule asked what the recording does not hold.
   uint64_t undecidable = 0;
+  // Messages that do not say which node sent them, and of these, those of no known writer either.
+  uint64_t unattributed = 0;
+  uint64_t unattributed_writer = 0;
 
   friend bool operator==(const EventCounts&, const EventCounts&) = default;
 };

@@ -40,11 +40,20 @@ Json One(const Noted& note) {
 }
 
 Json One(const RuleHits& rule) {
-  return {{"name", rule.name},
-          {"section", std::string(lang::Name(rule.section))},
-          {"evaluated", rule.evaluated},
-          {"fired", rule.fired},
-          {"ns_mean", rule.mean_ns()}};
+  Json out = {{"name", rule.name},
+              {"section", std::string(lang::Name(rule.section))},
+              {"evaluated", rule.evaluated},
+              {"fired", rule.fired},
+              {"ns_mean", rule.mean_ns()}};
+  if (rule.undecidable > 0) out["undecidable"] = rule.undecidable;
+  if (rule.unscanned > 0) out["unscanned"] = rule.unscanned;
+  return out;
+}
+
+Json Map(const absl::btree_map<std::string, lang::Value>& values) {
+  Json out = Json::object();
+  for (const auto& [name, value] : values) out[name] = ToJson(value);
+  return out;
 }
 
 template <typename Record>
@@ -75,8 +84,6 @@ Json ToJson(const lang::Value& value) {
 }
 
 Json ToJson(const Result& result) {
-  Json variables = Json::object();
-  for (const auto& [name, value] : result.variables) variables[name] = ToJson(value);
   Json out = {{"events",
                {{"message", result.events.message},
                 {"graph", result.events.graph},
@@ -86,9 +93,10 @@ Json ToJson(const Result& result) {
               {"transitions", List(result.transitions)},
               {"alerts", List(result.alerts)},
               {"execs", List(result.execs)},
-              {"variables", std::move(variables)},
+              {"variables", Map(result.variables)},
               {"faults", List(result.faults)},
               {"rules", List(result.rules)}};
+  if (result.events.unattributed > 0) out["events"]["unattributed"] = result.events.unattributed;
   if (!result.logs.empty()) out["logs"] = List(result.logs);
   if (result.crashed.has_value()) out["crashed"] = result.crashed->event;
   if (result.left_out > 0) out["left_out"] = result.left_out;
@@ -98,12 +106,17 @@ Json ToJson(const Result& result) {
 Json ToJson(const Difference& difference) {
   Json first;
   if (difference.first.has_value()) first = difference.first->event;
-  return {{"same", difference.none()},
-          {"first_difference", std::move(first)},
-          {"level", {{"before", difference.level_before}, {"after", difference.level_after}}},
-          {"transitions", Both(difference.transitions)},
-          {"alerts", Both(difference.alerts)},
-          {"execs", Both(difference.execs)}};
+  Json out = {
+      {"same", difference.none()},
+      {"first_difference", std::move(first)},
+      {"level", {{"before", difference.level_before}, {"after", difference.level_after}}},
+      {"transitions", Both(difference.transitions)},
+      {"alerts", Both(difference.alerts)},
+      {"execs", Both(difference.execs)},
+      {"variables",
+       {{"before", Map(difference.variables_before)}, {"after", Map(difference.variables_after)}}}};
+  if (difference.left_out) out["left_out"] = true;
+  return out;
 }
 
 }  // namespace rips::replay

@@ -17,12 +17,14 @@ namespace rips::replay {
 //  "variables":{name:value},"faults":[{"event","rule","text"}],
 //  "rules":[{"name","section":"Msg|Graph|External","evaluated","fired","ns_mean"}]}
 // and, only if there is any: "logs":[{"event","rule","text"}] (of `True` and `False`),
-// "crashed":event, "left_out":count.
+// "crashed":event, "left_out":count, "unattributed":count in "events", "undecidable":count and
+// "unscanned":count in an entry of "rules".
 nlohmann::ordered_json ToJson(const Result& result);
 
 // {"same":bool,"first_difference":event|null,"level":{"before","after"},
-//  "transitions":{"before":[..],"after":[..]},"alerts":{..},"execs":{..}}: entries as above that
-// only one of the two has.
+//  "transitions":{"before":[..],"after":[..]},"alerts":{..},"execs":{..},
+//  "variables":{"before":{name:value},"after":{name:value}}}: what only one of the two has, or has
+// otherwise; and "left_out":true if lists were cut, which are compared as far as they go.
 nlohmann::ordered_json ToJson(const Difference& difference);
 
 // A bool, a number, or a string: texts, and numbers that JSON or its readers do not hold: NaN,

@@ -79,10 +79,11 @@ Expectation ReadExpectation(const ConfigSection& section) {
   Expectation out;
   if (!section.present()) return out;
   out.alerts = ReadList(section, "alerts", {"rule", "text", "severity"});
-  out.transitions = ReadList(section, "transitions", {"rule", "from", "to", "result"});
+  out.transitions = ReadList(section, "transitions", {"rule", "from", "to", "result", "reason"});
   out.execs = ReadList(section, "execs", {"rule", "program", "args", "result"});
   out.faults = ReadList(section, "faults", {"rule", "text"});
   out.fired = ReadNames(section, "fired");
+  out.unscanned = ReadNames(section, "unscanned");
   WantedText level = ReadText(section, "level");
   if (section.Has("level")) out.level = std::move(level);
   out.variables = ReadTexts(section.OptionalSection("variables"));
@@ -95,6 +96,24 @@ bool Ask(const ConfigSection& section, absl::string_view key) {
   std::string absent;
   section.Optional(key, &absent);
   return false;
+}
+
+bool ReadEvidence(const ConfigSection& section) {
+  bool complete = true;
+  section.OptionalEnum<bool>("evidence", &complete, {{"complete", true}, {"incomplete", false}});
+  return complete;
+}
+
+OrderSpec ReadOrder(const ConfigSection& section) {
+  OrderSpec order{.raise = Ask(section, "raise")};
+  if (Ask(section, "lower") == order.raise) {
+    section.Problem("", "an order of the operator is `lower` or `raise`, and a level");
+  }
+  for (const absl::string_view key : {"lower", "raise"}) {
+    if (section.Has(key)) section.Required(key, &order.level.text);
+  }
+  order.level.line = section.LineOf(order.raise ? "raise" : "lower");
+  return order;
 }
 
 // The events of one test.
@@ -118,8 +137,9 @@ class EventReader {
 };
 
 TestEvent EventReader::Read(const ConfigSection& section) {
-  constexpr absl::string_view kKinds[] = {"graph",   "message", "ids",  "signal", "agent",
-                                          "finding", "lost",    "tick", "wait_ms"};
+  constexpr absl::string_view kKinds[] = {"graph",   "message",  "ids",     "signal",
+                                          "agent",   "finding",  "lost",    "tick",
+                                          "wait_ms", "operator", "evidence"};
   TestEvent event{.line = section.LineOf("")};
   const auto has = [&](absl::string_view kind) { return Ask(section, kind); };
   if (std::count_if(std::begin(kKinds), std::end(kKinds), has) != 1) {
@@ -151,6 +171,8 @@ TestEvent EventReader::Read(const ConfigSection& section) {
     event.every_ns = count * kNanosPerMilli;
     event.what = WaitSpec{};
   }
+  if (has("operator")) event.what = ReadOrder(section.RequiredSection("operator"));
+  if (has("evidence")) event.what = EvidenceSpec{.complete = ReadEvidence(section)};
   event.expect = ReadExpectation(section.OptionalSection("expect"));
   return event;
 }
@@ -263,8 +285,10 @@ RuleTest ReadTest(const ConfigSection& section, const std::string& folder) {
   test.start_level = ReadText(section, "start_level");
   test.variables = ReadTexts(section.OptionalSection("variables"));
   section.Optional("exec_fail", &test.exec_fail);
+  test.exec_fail_line = section.LineOf("exec_fail");
   section.Optional("trigger_fail", &test.trigger_fail);
   test.trigger_fail_line = section.LineOf("trigger_fail");
+  test.evidence_complete = ReadEvidence(section);
   EventReader events(folder);
   for (const ConfigSection& event : section.Sections("events")) {
     test.events.push_back(events.Read(event));

@@ -11,6 +11,7 @@
 //       variables: {stranger: true}         a level's name stands for its position
 //       exec_fail: [usb_alarm]    programs whose runs fail
 //       trigger_fail: [HALT]      levels that the robot does not reach
+//       evidence: incomplete      or complete, as it is unless said: may soft levels be lowered?
 //       events:                   each is one of the following, and may have an `expect`
 //         - graph:                the graph is this and nothing else
 //             nodes: [/camera, /base]             a name twice is two nodes
@@ -25,13 +26,16 @@
 //         - finding: impostor
 //         - lost: 12
 //         - tick: {repeat: 5, every_ms: 200}
+//         - operator: {lower: DEFAULT}               or raise: a level
+//         - evidence: complete                        or incomplete, from here on
 //         - wait_ms: 500
 //           expect:                               what this event, repeats included, brings about
 //             alerts: [{rule: r, text: t, severity: high}]
-//             transitions: [{rule: r, from: A, to: B, result: decided}]
+//             transitions: [{rule: r, from: A, to: B, result: refused, reason: blind}]
 //             execs: [{rule: r, program: p, args: [x], result: ok}]
 //             faults: [{rule: r, text: t}]
-//             fired: [r]                          rules whose expression was true, in file order
+//             fired: [r]                          rules that fired, each once, in file order
+//             unscanned: [r]                      rules that an inspection could not tell, likewise
 //             level: ALERT                        afterwards
 //             variables: {stranger: true}         afterwards, these of them
 //       expect: {...}                             the same, of all events of the test
@@ -44,7 +48,8 @@
 // default, may be given for one that is longer, or not there at all. The writer is the endpoint of
 // `sender` on that topic, or one of its own.
 //
-// Time starts at 0. An event takes 1 ms, a repeated one `every_ms` each (1, for ticks 200).
+// Time starts at kTestStartNs. An event takes 1 ms, a repeated one `every_ms` each (1, for ticks
+// 200).
 #ifndef RIPS_POLICY_SERVER_REPLAY_RULE_TEST_FILE_H_
 #define RIPS_POLICY_SERVER_REPLAY_RULE_TEST_FILE_H_
 
@@ -62,6 +67,8 @@
 
 namespace rips::replay {
 
+// 2026-01-01T00:00:00Z: some time, as on a robot, so that what happened at 0 is long ago.
+inline constexpr int64_t kTestStartNs = 1'767'225'600 * kNanosPerSecond;
 // Inclusive. The text as a whole is limited by kConfigBytesMax.
 inline constexpr int64_t kTestRepeatMax = 100'000;
 inline constexpr int64_t kTestWaitMsMax = 24 * 3'600 * 1'000;
@@ -93,18 +100,27 @@ struct Expectation {
   std::optional<WantedList> faults;
   // Each entry has the field `rule` alone.
   std::optional<WantedList> fired;
+  std::optional<WantedList> unscanned;
   std::optional<WantedText> level;
   absl::btree_map<std::string, WantedText> variables;
 };
 
 struct TickSpec {};
 struct WaitSpec {};
+// What an operator orders.
+struct OrderSpec {
+  bool raise = false;
+  WantedText level;
+};
+struct EvidenceSpec {
+  bool complete = true;
+};
 
 struct TestEvent {
   int line = 0;
   std::variant<recording::RecordedMessage, recording::RecordedGraph, recording::RecordedIds,
                recording::RecordedSignal, recording::RecordedAgent, recording::RecordedFinding,
-               recording::RecordedLoss, TickSpec, WaitSpec>
+               recording::RecordedLoss, TickSpec, WaitSpec, OrderSpec, EvidenceSpec>
       what;
   int64_t repeat = 1;
   // From one to the next.
@@ -119,8 +135,10 @@ struct RuleTest {
   WantedText start_level;
   absl::btree_map<std::string, WantedText> variables;
   std::vector<std::string> exec_fail;
+  int exec_fail_line = 0;
   std::vector<std::string> trigger_fail;
   int trigger_fail_line = 0;
+  bool evidence_complete = true;
   std::vector<TestEvent> events;
   Expectation expect;
 };

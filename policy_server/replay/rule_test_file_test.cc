@@ -16,6 +16,7 @@ namespace {
 using ::testing::AllOf;
 using ::testing::ElementsAre;
 using ::testing::HasSubstr;
+using ::testing::Not;
 
 // One test with these events.
 std::string WithEvents(const std::string& events) {
@@ -39,6 +40,7 @@ tests:
     variables: {n: 1, s: ""}
     exec_fail: [p]
     trigger_fail: [C]
+    evidence: incomplete
     events:
       - graph:
           nodes: [/a, /b, /b]
@@ -57,7 +59,11 @@ tests:
       - tick:
       - wait_ms: 500
         expect: {level: A, alerts: [{rule: r}], execs: [{program: p, args: []}], fired: [],
-                 faults: [], transitions: [{to: B}], variables: {n: 2}}
+                 faults: [], transitions: [{to: B}], variables: {n: 2}, unscanned: [r]}
+      - operator: {lower: A}
+      - operator: {raise: B}
+      - evidence: complete
+      - evidence: incomplete
     expect: {alerts: []}
 )");
   ASSERT_THAT(file, IsOk());
@@ -72,7 +78,8 @@ tests:
   EXPECT_EQ(test.start_level.text, "B");
   EXPECT_EQ(test.variables.at("n").text, "1");
   EXPECT_EQ(test.variables.at("s").text, "");
-  ASSERT_EQ(test.events.size(), 12u);
+  EXPECT_FALSE(test.evidence_complete);
+  ASSERT_EQ(test.events.size(), 16u);
 
   const auto& graph = std::get<recording::RecordedGraph>(test.events[0].what);
   EXPECT_TRUE(graph.whole && graph.settled);
@@ -108,7 +115,16 @@ tests:
   EXPECT_EQ(expect.alerts->entries[0].fields.at("rule"), "r");
   EXPECT_TRUE(expect.execs->entries[0].args->empty());
   EXPECT_TRUE(expect.fired->entries.empty());
+  EXPECT_EQ(expect.unscanned->entries[0].fields.at("rule"), "r");
   EXPECT_EQ(expect.variables.at("n").text, "2");
+  const auto& lower = std::get<OrderSpec>(test.events[12].what);
+  EXPECT_FALSE(lower.raise);
+  EXPECT_EQ(lower.level.text, "A");
+  const auto& raise = std::get<OrderSpec>(test.events[13].what);
+  EXPECT_TRUE(raise.raise);
+  EXPECT_EQ(raise.level.text, "B");
+  EXPECT_TRUE(std::get<EvidenceSpec>(test.events[14].what).complete);
+  EXPECT_FALSE(std::get<EvidenceSpec>(test.events[15].what).complete);
   EXPECT_FALSE(test.expect.level.has_value());
   EXPECT_TRUE(test.expect.alerts.has_value());
 }
@@ -171,7 +187,12 @@ TEST(RuleTestFileTest, SaysWhatIsWrongAndWhere) {
       {WithEvents("    - message: {topic: /t, size: 4294967296}\n"), "from 0 to 4294967295"},
       {WithEvents("    - ids: {sid: -1}\n"), "`sid` is -1"},
       {WithEvents("    - graph: {nodes: [camera]}\n"), "x_test.yaml:5:"},
-      {WithEvents("    - graph: {topics: {/t: {publishers: []}}}\n"), "missing key"},
+      {WithEvents("    - operator: {}\n"), "x_test.yaml:5:17: an order of the operator is"},
+      {WithEvents("    - operator: {lower: A, raise: B}\n"), "an order of the operator is"},
+      {WithEvents("    - operator: {loewr: A}\n"), "unknown key `loewr`; did you mean `lower`"},
+      {WithEvents("    - operator: A\n"), "write a mapping"},
+      {WithEvents("    - evidence: none\n"), "write `complete` or `incomplete`"},
+      {"rules: [a.rul]\ntests: [{name: t, evidence: 1}]\n", "write `complete` or `incomplete`"},
       {WithEvents("    - graph: {topics: {/t: {type: a/msg/B, publishers: [/x]}}}\n"),
        "`/x` is not among `nodes`"},
       {WithEvents("    - graph: {services: {/x: [/s]}}\n"), "`/x` is not among `nodes`"},
@@ -185,6 +206,35 @@ TEST(RuleTestFileTest, SaysWhatIsWrongAndWhere) {
     EXPECT_THAT(ErrorOf(text), StatusIs(absl::StatusCode::kInvalidArgument, HasSubstr(problem)))
         << text;
   }
+}
+
+TEST(RuleTestFileTest, ATopicNeedsNoType) {
+  const auto file = ParseRuleTestFile(
+      "d/x_test.yaml",
+      WithEvents("    - graph: {nodes: [/a], topics: {/t: {publishers: [/a]}, /u: {}}}\n"
+                 "    - message: {topic: /t, sender: /a}\n"));
+  ASSERT_THAT(file, IsOk());
+  const auto& graph = std::get<recording::RecordedGraph>(file->tests[0].events[0].what);
+  EXPECT_EQ(graph.content.upsert_endpoints.size(), 1u);
+  const auto& message = std::get<recording::RecordedMessage>(file->tests[0].events[1].what);
+  EXPECT_EQ(message.type, "");
+  EXPECT_EQ(message.writer, graph.content.upsert_endpoints[0].guid);
+}
+
+TEST(RuleTestFileTest, OneMistakeDoesNotMakeItsSiblingsWrong) {
+  for (const char* events :
+       {"    - graph: {nodes: [/a], topics: {t: {type: a/msg/B, publishers: [/a]}}}\n",
+        "    - message: {sender: /a, type: a/msg/B, size: 3, repeat: 2}\n",
+        "    - operator: {lower: A, raise: B}\n",
+        "    - message: {topic: /t, payload_hex: '00', payload_text: a, payload_file: b}\n"}) {
+    const std::string message(ErrorOf(WithEvents(events)).message());
+    EXPECT_THAT(message, HasSubstr("x_test.yaml:5:")) << events;
+    EXPECT_THAT(message, Not(HasSubstr("\nx_test.yaml"))) << message;
+    EXPECT_THAT(message, Not(HasSubstr("unknown key"))) << message;
+  }
+  const std::string no_name(
+      ErrorOf("rules: [a.rul]\ntests: [{start_level: A, events: []}]").message());
+  EXPECT_THAT(no_name, Not(HasSubstr("unknown key")));
 }
 
 TEST(RuleTestFileTest, TextsHaveALimit) {

@@ -9,6 +9,8 @@ namespace {
 // Last byte of the entity id of a writer and of a reader without key (DDSI-RTPS 2.5 §9.3.1.2).
 constexpr uint8_t kWriterKind = 0x03;
 constexpr uint8_t kReaderKind = 0x04;
+// RosGraph wants a type; this one is of no package.
+constexpr char kNoType[] = "?";
 
 bool Valid(const ConfigSection& section, absl::string_view key, const absl::Status& status) {
   if (!status.ok()) section.Problem(key, status.message());
@@ -48,10 +50,12 @@ recording::RecordedGraph RuleTestGraph::Read(const ConfigSection& graph) {
 void RuleTestGraph::ReadTopics(const ConfigSection& topics) {
   for (const std::string& name : topics.Keys()) {
     const ConfigSection topic = topics.RequiredSection(name);
-    if (!Valid(topics, name, ros2::ValidateTopicName(name))) continue;
-    ros2::Endpoint pattern{.name = name};
-    topic.Required("type", &pattern.type);
-    if (topic.present() && pattern.type.empty()) continue;  // reported
+    // Without a name it is read and not added.
+    const bool valid = Valid(topics, name, ros2::ValidateTopicName(name));
+    std::string type;
+    topic.Optional("type", &type);
+    ros2::Endpoint pattern{.name = valid ? name : std::string(),
+                           .type = type.empty() ? std::string(kNoType) : type};
     pattern.kind = ros2::EndpointKind::kPublisher;
     AddEndpoints(topic, "publishers", pattern);
     pattern.kind = ros2::EndpointKind::kSubscriber;
@@ -70,6 +74,7 @@ void RuleTestGraph::AddEndpoints(const ConfigSection& section, absl::string_view
       section.Problem(key, absl::StrCat("`", name, "` is not among `nodes`"));
       continue;
     }
+    if (pattern.name.empty()) continue;
     const Participants& same = found->second;
     ros2::Endpoint endpoint = pattern;
     endpoint.node = name;
@@ -110,7 +115,8 @@ void RuleTestGraph::ReadServices(const ConfigSection& services) {
 
 std::string RuleTestGraph::TypeOf(absl::string_view topic) const {
   const ros2::Topic* found = graph_.FindTopic(topic);
-  return found == nullptr || found->types.empty() ? "" : found->types.front();
+  const bool known = found != nullptr && !found->types.empty() && found->types.front() != kNoType;
+  return known ? found->types.front() : "";
 }
 
 ros2::Guid RuleTestGraph::WriterOf(absl::string_view node, absl::string_view topic) {

@@ -12,6 +12,7 @@
 #include "policy_server/lang/type.h"
 #include "policy_server/lang/value_text.h"
 #include "policy_server/replay/replayer.h"
+#include "policy_server/replay/rule_facts.h"
 
 namespace rips::replay {
 namespace {
@@ -42,6 +43,16 @@ std::optional<lang::Value> ParseValue(const std::string& text, lang::ValueType t
   return std::nullopt;
 }
 
+// Why a transition is refused.
+const std::vector<absl::string_view>& Reasons() {
+  using levels::Refusal;
+  static const auto& reasons = *new std::vector<absl::string_view>{
+      levels::ToString(Refusal::kNeedsOperator), levels::ToString(Refusal::kBlind),
+      levels::ToString(Refusal::kBudget), levels::ToString(Refusal::kNotLower),
+      levels::ToString(Refusal::kNotHigher)};
+  return reasons;
+}
+
 // Finds the names and values of a file that its rules do not have.
 class NameChecker {
  public:
@@ -56,8 +67,16 @@ class NameChecker {
     for (const RuleTest& test : file_.tests) {
       if (!test.start_level.text.empty()) Level(test.start_level.line, test.start_level.text);
       for (const std::string& level : test.trigger_fail) Level(test.trigger_fail_line, level);
+      for (const std::string& program : test.exec_fail) {
+        Among(test.exec_fail_line, "program", program, rules_.programs);
+      }
       Variables(test.variables);
-      for (const TestEvent& event : test.events) Expected(event.expect);
+      for (const TestEvent& event : test.events) {
+        if (const auto* order = std::get_if<OrderSpec>(&event.what)) {
+          Level(order->level.line, order->level.text);
+        }
+        Expected(event.expect);
+      }
       Expected(test.expect);
     }
     if (problems_.empty()) return absl::OkStatus();
@@ -93,12 +112,14 @@ class NameChecker {
     }
   }
 
-  void List(const std::optional<WantedList>& list) {
+  void List(const std::optional<WantedList>& list, bool of_transitions) {
     if (!list.has_value()) return;
     constexpr absl::string_view kResults[] = {"decided", "refused", "ok", "failed"};
     for (const WantedEntry& entry : list->entries) {
       for (const auto& [field, text] : entry.fields) {
-        if (field == "rule") Among(list->line, "rule", text, rule_names_);
+        const bool somebody = of_transitions && text == kOperatorName;
+        if (field == "rule" && !somebody) Among(list->line, "rule", text, rule_names_);
+        if (field == "reason") Word(list->line, field, text, Reasons());
         if (field == "from" || field == "to") Level(list->line, text);
         if (field == "program") Among(list->line, "program", text, rules_.programs);
         if (field == "severity") Word(list->line, field, text, lang::Severities());
@@ -114,9 +135,9 @@ class NameChecker {
   }
 
   void Expected(const Expectation& expect) {
-    for (const auto* list :
-         {&expect.alerts, &expect.transitions, &expect.execs, &expect.faults, &expect.fired}) {
-      List(*list);
+    for (const auto* list : {&expect.alerts, &expect.transitions, &expect.execs, &expect.faults,
+                             &expect.fired, &expect.unscanned}) {
+      List(*list, list == &expect.transitions);
     }
     if (expect.level.has_value()) Level(expect.level->line, expect.level->text);
     Variables(expect.variables);
@@ -136,10 +157,12 @@ WantedEntry EntryOf(const Alerted& alert) {
                      {"severity", std::string(engine::ToString(alert.severity))}}};
 }
 WantedEntry EntryOf(const Changed& change) {
-  return {.fields = {{"rule", change.rule},
-                     {"from", change.from},
-                     {"to", change.to},
-                     {"result", change.refused ? "refused" : "decided"}}};
+  WantedEntry entry{.fields = {{"rule", change.rule},
+                               {"from", change.from},
+                               {"to", change.to},
+                               {"result", change.refused ? "refused" : "decided"}}};
+  if (change.refused) entry.fields["reason"] = change.reason;
+  return entry;
 }
 WantedEntry EntryOf(const Executed& exec) {
   return {.fields = {{"rule", exec.rule},
@@ -160,8 +183,10 @@ std::vector<WantedEntry> Entries(const std::vector<Record>& records, size_t begi
 
 bool Matches(const WantedEntry& wanted, const WantedEntry& got) {
   if (wanted.args.has_value() && wanted.args != got.args) return false;
-  return std::all_of(wanted.fields.begin(), wanted.fields.end(),
-                     [&](const auto& field) { return got.fields.at(field.first) == field.second; });
+  return std::all_of(wanted.fields.begin(), wanted.fields.end(), [&](const auto& field) {
+    const auto found = got.fields.find(field.first);
+    return found != got.fields.end() && found->second == field.second;
+  });
 }
 
 std::vector<std::string> Show(const std::vector<WantedEntry>& entries) {
@@ -184,8 +209,11 @@ class Runner {
   Runner(const RuleTestFile& file, const RuleTest& test, const RuleSet& rules)
       : test_(test),
         rules_(rules.program->rules()),
+        fires_unscanned_(rules.program->options().on_inspection_error ==
+                         engine::OnInspectionError::kMatch),
         session_(rules.NewSession()),
         replayer_(rules.program, Options(file, test, rules_.levels), session_.get()) {
+    replayer_.SetEvidence(test.evidence_complete);
     Values values;
     for (const auto& [name, text] : test.variables) values[name] = *ParseAs(name, text.text);
     replayer_.SetVariables(values);
@@ -198,19 +226,25 @@ class Runner {
   }
 
   TestOutcome Run() {
-    const Before start = Mark();
+    start_ = Mark();
+    std::vector<uint64_t> meant(rules_.rules.size());
     for (size_t i = 0; i < test_.events.size(); ++i) {
       const TestEvent& event = test_.events[i];
       const Before before = Mark();
       if (!Happen(i, event)) break;
       Check(event.expect, before, "");
+      if (event.expect.unscanned.has_value()) AddUnscanned(before, meant);
     }
-    Check(test_.expect, start, " at the end");
+    Check(test_.expect, start_, " at the end");
+    if (test_.expect.unscanned.has_value()) meant = Mark().unscanned;
     if (replayer_.so_far().left_out > 0) {
       Fail(test_.line, "number of alerts, transitions, execs and faults",
            {absl::StrCat("at most ", ReplayOptions().records_max)}, {"more"});
     }
-    return {.name = test_.name, .line = test_.line, .failures = std::move(failures_)};
+    return {.name = test_.name,
+            .line = test_.line,
+            .failures = std::move(failures_),
+            .unscanned = RulesSince(meant, &RuleHits::unscanned)};
   }
   const std::vector<RuleHits>& hits() const { return replayer_.so_far().rules; }
 
@@ -221,7 +255,9 @@ class Runner {
     size_t transitions = 0;
     size_t execs = 0;
     size_t faults = 0;
+    // By rule.
     std::vector<uint64_t> fired;
+    std::vector<uint64_t> unscanned;
   };
 
   static ReplayOptions Options(const RuleTestFile& file, const RuleTest& test,
@@ -245,30 +281,42 @@ class Runner {
 
   // False if the test cannot go on.
   bool Happen(size_t index, const TestEvent& event) {
-    if (std::holds_alternative<WaitSpec>(event.what)) {
-      time_ns_ += event.every_ns;
-      return true;
-    }
-    for (int64_t i = 0; i < event.repeat; ++i, time_ns_ += event.every_ns) {
-      if (std::holds_alternative<TickSpec>(event.what)) {
-        replayer_.JudgeTick(index, time_ns_);
-        continue;
+    for (int64_t i = 0; i < event.repeat; ++i) {
+      const absl::Status judged =
+          std::visit([&](const auto& what) { return HappenOnce(index, what); }, event.what);
+      if (!judged.ok()) {
+        Fail(event.line, "the event itself", {"it can be judged"}, {std::string(judged.message())});
+        return false;
       }
-      recording::Recorded recorded{.index = index, .time_unix_ns = time_ns_};
-      std::visit(
-          [&](const auto& what) {
-            using What = std::decay_t<decltype(what)>;
-            if constexpr (!std::is_same_v<What, TickSpec> && !std::is_same_v<What, WaitSpec>) {
-              recorded.what = what;
-            }
-          },
-          event.what);
-      const absl::Status judged = replayer_.Judge(recorded);
-      if (judged.ok()) continue;
-      Fail(event.line, "the event itself", {"it can be judged"}, {std::string(judged.message())});
-      return false;
+      time_ns_ =
+          event.every_ns > kTimeNsMax - time_ns_ ? kTimeNsMax + 1 : time_ns_ + event.every_ns;
     }
     return true;
+  }
+
+  absl::Status HappenOnce(size_t, const WaitSpec&) { return absl::OkStatus(); }
+  absl::Status HappenOnce(size_t, const EvidenceSpec& evidence) {
+    replayer_.SetEvidence(evidence.complete);
+    return absl::OkStatus();
+  }
+  absl::Status HappenOnce(size_t index, const TickSpec&) {
+    if (time_ns_ > kTimeNsMax) return TooLate();
+    replayer_.JudgeTick(index, time_ns_);
+    return absl::OkStatus();
+  }
+  absl::Status HappenOnce(size_t index, const OrderSpec& order) {
+    if (time_ns_ > kTimeNsMax) return TooLate();
+    replayer_.Order(index, time_ns_, order.raise, rules_.levels.Find(order.level.text).value_or(0));
+    return absl::OkStatus();
+  }
+  template <typename What>
+  absl::Status HappenOnce(size_t index, const What& what) {
+    recording::Recorded recorded{.index = index, .time_unix_ns = time_ns_};
+    recorded.what = what;
+    return replayer_.Judge(recorded);
+  }
+  static absl::Status TooLate() {
+    return absl::InvalidArgumentError("it would happen after the year 2115");
   }
 
   Before Mark() const {
@@ -277,25 +325,48 @@ class Runner {
                .transitions = so_far.transitions.size(),
                .execs = so_far.execs.size(),
                .faults = so_far.faults.size()};
-    for (const RuleHits& rule : so_far.rules) out.fired.push_back(rule.fired);
+    for (const RuleHits& rule : so_far.rules) {
+      out.fired.push_back(rule.fired);
+      out.unscanned.push_back(rule.unscanned);
+    }
     return out;
+  }
+
+  // Names of the rules whose `count` is not what it was `before`.
+  std::vector<std::string> RulesSince(const std::vector<uint64_t>& before,
+                                      uint64_t RuleHits::*count) const {
+    std::vector<std::string> names;
+    for (size_t i = 0; i < hits().size(); ++i) {
+      if (hits()[i].*count != before[i]) names.push_back(hits()[i].name);
+    }
+    return names;
+  }
+  void AddUnscanned(const Before& before, std::vector<uint64_t>& to) const {
+    for (size_t i = 0; i < to.size(); ++i) to[i] += hits()[i].unscanned - before.unscanned[i];
+  }
+
+  std::string NoteSince(const Before& before) const {
+    const std::vector<std::string> rules = RulesSince(before.unscanned, &RuleHits::unscanned);
+    if (rules.empty()) return "";
+    return absl::StrCat("an inspection could not tell, so these rules ",
+                        fires_unscanned_ ? "fired" : "did not fire", ": ",
+                        absl::StrJoin(rules, ", "));
   }
 
   void Check(const Expectation& expect, const Before& before, absl::string_view when) {
     const Result& now = replayer_.so_far();
-    if (expect.fired.has_value()) {
-      std::vector<WantedEntry> fired;
-      for (size_t i = 0; i < now.rules.size(); ++i) {
-        if (now.rules[i].fired == before.fired[i]) continue;
-        fired.push_back({.fields = {{"rule", now.rules[i].name}}});
-      }
-      CheckList("fired", expect.fired, fired, when);
-    }
+    note_ = NoteSince(before);
+    CheckList("fired", expect.fired, Rules(before.fired, &RuleHits::fired), when);
     CheckList("alerts", expect.alerts, Entries(now.alerts, before.alerts), when);
     CheckList("transitions", expect.transitions, Entries(now.transitions, before.transitions),
               when);
     CheckList("execs", expect.execs, Entries(now.execs, before.execs), when);
     CheckList("faults", expect.faults, Entries(now.faults, before.faults), when);
+    note_ = "";
+    CheckList("unscanned", expect.unscanned, Rules(before.unscanned, &RuleHits::unscanned), when);
+
+    // These may be as they are since long ago.
+    note_ = NoteSince(start_);
     if (expect.level.has_value() && expect.level->text != replayer_.level()) {
       Fail(expect.level->line, absl::StrCat("level", when), {expect.level->text},
            {replayer_.level()});
@@ -307,6 +378,16 @@ class Runner {
       if (text == got) continue;
       Fail(wanted.line, absl::StrCat("variable `", name, "`", when), {text}, {got});
     }
+    note_ = "";
+  }
+
+  std::vector<WantedEntry> Rules(const std::vector<uint64_t>& before,
+                                 uint64_t RuleHits::*count) const {
+    std::vector<WantedEntry> out;
+    for (std::string& name : RulesSince(before, count)) {
+      out.push_back({.fields = {{"rule", std::move(name)}}});
+    }
+    return out;
   }
 
   void CheckList(absl::string_view what, const std::optional<WantedList>& wanted,
@@ -322,14 +403,20 @@ class Runner {
     failures_.push_back({.line = line,
                          .what = std::move(what),
                          .expected = std::move(expected),
-                         .got = std::move(got)});
+                         .got = std::move(got),
+                         .note = note_});
   }
 
   const RuleTest& test_;
   const lang::CheckedRules& rules_;
+  // Rules that an inspection could not tell.
+  const bool fires_unscanned_;
   const std::unique_ptr<inspect::Session> session_;
   Replayer replayer_;
-  int64_t time_ns_ = 0;
+  int64_t time_ns_ = kTestStartNs;
+  Before start_;
+  // Of failures that are found now.
+  std::string note_;
   std::vector<TestFailure> failures_;
 };
 
@@ -347,7 +434,8 @@ absl::StatusOr<FileOutcome> RunRuleTests(const RuleTestFile& file, const RuleSet
     for (size_t i = 0; i < fired.size(); ++i) fired[i] += runner.hits()[i].fired;
   }
   for (size_t i = 0; i < fired.size(); ++i) {
-    if (fired[i] == 0) out.not_exercised.push_back(checked.rules[i].name);
+    if (fired[i] == 0 && !NeverFires(checked.rules[i]))
+      out.not_exercised.push_back(checked.rules[i].name);
   }
   return out;
 }

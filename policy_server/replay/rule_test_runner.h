@@ -20,19 +20,25 @@ struct TestFailure {
   // One line an entry; "(none)" for an empty list.
   std::vector<std::string> expected;
   std::vector<std::string> got;
+  // What else may explain it; empty: nothing.
+  std::string note;
 };
 
 struct TestOutcome {
   std::string name;
   int line = 0;
   std::vector<TestFailure> failures;
+  // Rules that an inspection could not tell, and of which no `unscanned` says that they should, in
+  // file order.
+  std::vector<std::string> unscanned;
 
   bool passed() const { return failures.empty(); }
 };
 
 struct FileOutcome {
   std::vector<TestOutcome> tests;
-  // Rules that fired in none of the tests, in file order.
+  // Rules that fired in none of the tests, in file order; without those that never fire
+  // (rule_facts.h).
   std::vector<std::string> not_exercised;
 };
 

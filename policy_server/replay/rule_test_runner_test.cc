@@ -183,16 +183,122 @@ TEST_F(RuleTestRunnerTest, TestsDoNotSeeEachOther) {
 TEST_F(RuleTestRunnerTest, ListsRulesThatNeverFired) {
   const auto outcome = Run("tests: [{name: t, events: [{message: {topic: /t}}]}]");
   ASSERT_THAT(outcome, IsOk());
+  // `values` never fires, and says so.
   EXPECT_THAT(outcome->not_exercised,
-              ElementsAre("stranger", "flood", "bad", "run", "fault", "calm", "values"));
+              ElementsAre("stranger", "flood", "bad", "run", "fault", "calm"));
+}
+
+TEST_F(RuleTestRunnerTest, TimeStartsLongAfterZero) {
+  Write("a.rul", R"(levels: A; B;
+vars: never int = 0; now int = 0; up int = 7;
+rules External:
+  long_ago: Time - never > 10000000000 ? set(now, Time), set(up, Uptime), trigger(B);
+  use: now == 0 && up == 0 || false ? set(never, never);
+)");
+  EXPECT_THAT(Failures(R"(tests:
+  - name: t
+    events:
+      - tick: {}
+        expect: {fired: [long_ago], variables: {now: 1767225600000000000, up: 0}}
+  - name: more than there are years
+    events:
+      - {tick: {repeat: 100000, every_ms: 86400000}, expect: {level: B}}
+  - name: at that time nothing happens
+    events: [{wait_ms: 86400000}, {operator: {raise: B}, expect: {level: B}}]
+)"),
+              ElementsAre("9 the event itself: it can be judged | it would happen after the year "
+                          "2115"));
+}
+
+TEST_F(RuleTestRunnerTest, WhatWasUnscannedIsSaid) {
+  const std::string tests = R"(tests:
+  - name: not meant
+    events:
+      - message: {topic: /bad, size: 100}
+        expect: {alerts: [], level: B, unscanned: []}
+      - message: {topic: /t}
+        expect: {alerts: [{}]}
+  - name: meant
+    events:
+      - message: {topic: /bad, size: 100}
+        expect: {fired: [bad], unscanned: [bad]}
+      - message: {topic: /bad, payload_text: good}
+        expect: {fired: [], unscanned: []}
+  - name: meant in all
+    events: [{message: {topic: /bad, size: 100}}]
+    expect: {unscanned: [bad]}
+  - name: passes and is not meant
+    events: [{message: {topic: /bad, size: 100, repeat: 3}}]
+)";
+  const auto outcome = Run(tests);
+  ASSERT_THAT(outcome, IsOk());
+  const TestOutcome& first = outcome->tests[0];
+  ASSERT_EQ(first.failures.size(), 4u);
+  const std::string note = "an inspection could not tell, so these rules fired: bad";
+  EXPECT_EQ(first.failures[0].what, "alerts");
+  EXPECT_EQ(first.failures[0].note, note);
+  EXPECT_EQ(first.failures[1].what, "unscanned");
+  EXPECT_EQ(first.failures[1].note, "");
+  EXPECT_EQ(first.failures[2].what, "level");
+  EXPECT_EQ(first.failures[2].note, note);
+  // Nothing was asked on that event.
+  EXPECT_EQ(first.failures[3].what, "alerts");
+  EXPECT_EQ(first.failures[3].note, "");
+  EXPECT_THAT(first.unscanned, IsEmpty());
+  for (size_t i : {1, 2}) {
+    EXPECT_TRUE(outcome->tests[i].passed());
+    EXPECT_THAT(outcome->tests[i].unscanned, IsEmpty());
+  }
+  EXPECT_TRUE(outcome->tests[3].passed());
+  EXPECT_THAT(outcome->tests[3].unscanned, ElementsAre("bad"));
+
+  const auto ignored = Run("on_inspection_error: ignore\n" + tests);
+  ASSERT_THAT(ignored, IsOk());
+  EXPECT_EQ(ignored->tests[1].failures[0].what, "fired");
+  EXPECT_EQ(ignored->tests[1].failures[0].note,
+            "an inspection could not tell, so these rules did not fire: bad");
+}
+
+TEST_F(RuleTestRunnerTest, OperatorsAndEvidence) {
+  EXPECT_THAT(Failures(R"(tests:
+  - name: a person lowers what the rules may not
+    start_level: C
+    events:
+      - operator: {lower: A}
+        expect: {level: A, transitions: [{rule: operator, from: C, to: A, result: decided}]}
+      - operator: {raise: B}
+        expect: {level: B, fired: []}
+      - wait_ms: 5
+      - tick: {}
+        expect: {fired: [calm], level: A}
+      - operator: {lower: B}
+        expect: {transitions: [{rule: operator, result: refused, reason: not lower}], level: A}
+  - name: nobody lowers what is not seen
+    start_level: B
+    evidence: incomplete
+    events:
+      - signal: SIGUSR2
+      - tick: {}
+        expect: {transitions: [{rule: calm, to: A, result: refused, reason: blind}], level: B}
+      - evidence: complete
+      - tick: {}
+        expect: {level: A}
+      - evidence: incomplete
+      - operator: {raise: B}
+      - tick: {}
+        expect: {transitions: [{reason: blind}]}
+)"),
+              IsEmpty());
 }
 
 TEST_F(RuleTestRunnerTest, KnowsTheNamesOfTheRules) {
-  EXPECT_THAT(Run(R"(start_level: AA
+  EXPECT_THAT(
+      Run(R"(start_level: AA
 tests:
   - name: t
     start_level: X
     trigger_fail: [Y]
+    exec_fail: [usb]
     variables: {m: 1, n: 0.5, f: x, b: 1}
     events:
       - lost: 1
@@ -200,23 +306,28 @@ tests:
           level: Z
           alerts: [{rule: stragner, severity: urgent}]
           execs: [{program: q, result: perhaps}]
-          transitions: [{from: V, to: W}]
+          transitions: [{from: V, to: W, reason: tired}]
           fired: [r]
+          unscanned: [s]
           variables: {n: one}
+      - operator: {lower: O}
 )"),
-              StatusIs(absl::StatusCode::kInvalidArgument,
-                       AllOf(HasSubstr("a_test.yaml:2: the rules have no level `AA`"),
-                             HasSubstr("a_test.yaml:5: the rules have no level `X`"),
-                             HasSubstr("a_test.yaml:6: the rules have no level `Y`"),
-                             HasSubstr("a_test.yaml:7: the rules have no variable `m`"),
-                             HasSubstr("`0.5` is no int, which the variable `n` is"),
-                             HasSubstr("`x` is no float"), HasSubstr("`1` is no bool"),
-                             HasSubstr(":11: the rules have no level `Z`"),
-                             HasSubstr("no rule `stragner`; did you mean `stranger`?"),
-                             HasSubstr("`urgent` is no severity; write `info` or"),
-                             HasSubstr("no program `q`"), HasSubstr("`perhaps` is no result"),
-                             HasSubstr("no level `V`"), HasSubstr("no level `W`"),
-                             HasSubstr("no rule `r`"), HasSubstr("`one` is no int"))));
+      StatusIs(absl::StatusCode::kInvalidArgument,
+               AllOf(HasSubstr("a_test.yaml:2: the rules have no level `AA`"),
+                     HasSubstr("a_test.yaml:5: the rules have no level `X`"),
+                     HasSubstr("a_test.yaml:6: the rules have no level `Y`"),
+                     HasSubstr("a_test.yaml:7: the rules have no program `usb`"),
+                     HasSubstr("a_test.yaml:8: the rules have no variable `m`"),
+                     HasSubstr("`tired` is no reason; write `needs an operator` or `blind`"),
+                     HasSubstr("no rule `s`"), HasSubstr("no level `O`"),
+                     HasSubstr("`0.5` is no int, which the variable `n` is"),
+                     HasSubstr("`x` is no float"), HasSubstr("`1` is no bool"),
+                     HasSubstr(":12: the rules have no level `Z`"),
+                     HasSubstr("no rule `stragner`; did you mean `stranger`?"),
+                     HasSubstr("`urgent` is no severity; write `info` or"),
+                     HasSubstr("no program `q`"), HasSubstr("`perhaps` is no result"),
+                     HasSubstr("no level `V`"), HasSubstr("no level `W`"), HasSubstr("no rule `r`"),
+                     HasSubstr("`one` is no int"))));
 }
 
 TEST_F(RuleTestRunnerTest, AValueThatAVariableCannotTakeIsAFailure) {

@@ -10,36 +10,17 @@
 #include <nlohmann/json.hpp>
 #include <string>
 #include <system_error>
-#include <utility>
 #include <vector>
 
 #include "absl/strings/str_cat.h"
 #include "policy_server/lang/formatter.h"
-#include "policy_server/lang/limits.h"
-#include "services/base/status_macros.h"
 #include "services/ripsctl/json_view.h"
 #include "services/ripsctl/printer.h"
+#include "services/ripsctl/rule_input.h"
 #include "services/runtime/atomic_file.h"
 
 namespace rips::ripsctl {
 namespace {
-
-// As a path on the command line, and in diagnostics.
-constexpr absl::string_view kStandardInput = "-";
-constexpr absl::string_view kStandardInputName = "<stdin>";
-
-absl::StatusOr<std::string> ReadStandardInput(std::istream* in) {
-  if (in == nullptr) return "";
-  std::string text(lang::kFileBytesMax + 1, '\0');
-  in->read(text.data(), static_cast<std::streamsize>(text.size()));
-  if (in->bad()) return absl::UnavailableError("cannot read standard input");
-  text.resize(static_cast<size_t>(in->gcount()));
-  if (text.size() > lang::kFileBytesMax) {
-    return absl::ResourceExhaustedError(
-        absl::StrCat("standard input has more than ", lang::kFileBytesMax, " bytes"));
-  }
-  return text;
-}
 
 // Keeps the file's mode; follows a link to the file.
 absl::Status Rewrite(const std::string& path, absl::string_view text) {
@@ -73,15 +54,14 @@ class FmtRulesCommand final : public Command {
     if (prints && paths_.size() > 1) {
       return UsageError(env, "to print, give one file; to treat several, add --write or --check");
     }
-    std::vector<lang::SourceFile> files;
-    for (const std::string& path : paths_) {
-      absl::StatusOr<lang::SourceFile> file = Read(env, path);
-      if (!file.ok()) return UsageError(env, file.status().message());
-      files.push_back(*std::move(file));
+    if (write_ && std::find(paths_.begin(), paths_.end(), kStandardInput) != paths_.end()) {
+      return UsageError(env, "--write cannot rewrite standard input (`-`)");
     }
+    const absl::StatusOr<std::vector<lang::SourceFile>> files = ReadRuleFiles(env, paths_);
+    if (!files.ok()) return UsageError(env, files.status().message());
     Json all = Json::array();
     ExitCode code = ExitCode::kDone;
-    for (const lang::SourceFile& file : files) {
+    for (const lang::SourceFile& file : *files) {
       const lang::FormatResult result = lang::Format(file);
       const bool changed = result.text.has_value() && *result.text != file.text;
       if (changed && write_) {
@@ -104,19 +84,6 @@ class FmtRulesCommand final : public Command {
   }
 
  private:
-  absl::StatusOr<lang::SourceFile> Read(Env& env, const std::string& path) const {
-    if (path != kStandardInput) {
-      RIPS_ASSIGN_OR_RETURN(std::string text, ReadFile(path, lang::kFileBytesMax));
-      return lang::SourceFile{.path = path, .text = std::move(text)};
-    }
-    if (write_) return absl::InvalidArgumentError("--write cannot rewrite standard input (`-`)");
-    if (std::count(paths_.begin(), paths_.end(), kStandardInput) > 1) {
-      return absl::InvalidArgumentError("standard input (`-`) can be read only once");
-    }
-    RIPS_ASSIGN_OR_RETURN(std::string text, ReadStandardInput(env.in));
-    return lang::SourceFile{.path = std::string(kStandardInputName), .text = std::move(text)};
-  }
-
   static Json ToJson(const lang::SourceFile& file, const lang::FormatResult& result, bool changed,
                      bool prints) {
     Json out = Json::parse(lang::RenderJson({file}, result.diagnostics))["files"][0];

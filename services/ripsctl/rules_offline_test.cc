@@ -36,6 +36,7 @@ rules Msg:
   true ? trigger(B);
 )";
 constexpr char kBroken[] = "levels: A\nrules Msg: true ? trigger(;\n";
+constexpr char kFirstManifest[] = "name: first\nrules: [first.rul]\nlevels: [A, B]\n";
 
 struct Outcome {
   int code = -1;
@@ -85,6 +86,11 @@ class RulesOfflineTest : public testing::Test {
     std::ofstream(path, std::ios::binary) << text;
     return path;
   }
+  std::string Folder(const std::string& name) {
+    const std::string path = absl::StrCat(folder_, "/", name);
+    std::filesystem::create_directory(path);
+    return path;
+  }
   static std::string Read(const std::string& path) {
     std::ifstream file(path, std::ios::binary);
     return std::string(std::istreambuf_iterator<char>(file), {});
@@ -111,6 +117,135 @@ TEST_F(RulesOfflineTest, CheckLooksAtYaraFilesAndPlugins) {
 
   Write("y.yar", "rule r { strings: $a = \"attack\" condition: $a }");
   EXPECT_EQ(Run({"rules", "check", rules}).out, "ok: 1 rules, 1 levels\n");
+}
+
+TEST_F(RulesOfflineTest, CheckReadsStandardInput) {
+  EXPECT_EQ(Run({"rules", "check", "-"}, kPretty).out, "ok: 1 rules, 2 levels\n");
+  EXPECT_THAT(Run({"rules", "check", "-"}, kBroken).out, HasSubstr("<stdin>:2:1: error: "));
+  const std::string levels = Write("levels.rul", "levels: A; B;\n");
+  EXPECT_EQ(Run({"rules", "check", levels, "-"}, "rules Msg: true ? trigger(B);").code, 0);
+  EXPECT_EQ(Run({"rules", "check", "-", "-"}).code, 2);
+  const std::string large(lang::kFileBytesMax + 1, ' ');
+  EXPECT_EQ(Run({"rules", "check", "-"}, large).err,
+            "error: standard input has more than 1048576 bytes\n");
+}
+
+TEST_F(RulesOfflineTest, CheckRefusesWarningsIfAsked) {
+  const std::string clean = Write("clean.rul", kPretty);
+  const std::string warned =
+      Write("warned.rul", "levels: A;\nrules Msg: 017 < 20 ? alert(\"\");\n");
+
+  EXPECT_EQ(Run({"rules", "check", "--werror", clean}).out, "ok: 1 rules, 2 levels\n");
+  const Outcome tolerated = Run({"rules", "check", warned});
+  EXPECT_EQ(tolerated.code, 0);
+  EXPECT_THAT(tolerated.out, AllOf(HasSubstr("warning: "), HasSubstr("ok: 1 rules, 1 levels\n")));
+  const Outcome refused = Run({"rules", "check", "--werror", warned});
+  EXPECT_EQ(refused.code, 1);
+  EXPECT_THAT(refused.out, AllOf(HasSubstr("refused: 2 warnings, and --werror is given\n"),
+                                 Not(HasSubstr("ok:"))));
+  EXPECT_EQ(RunJson({"rules", "check", "--werror", warned}, 1)["files"][0]["ok"], true);
+  // A note is no warning.
+  const std::string noted =
+      Write("noted.rul", "levels: A;\nrules Graph: nodesinclude(\"a\") ? alert(\"\");\n");
+  EXPECT_EQ(Run({"rules", "check", "--werror", noted}).code, 0);
+}
+
+TEST_F(RulesOfflineTest, CheckTakesABundle) {
+  const std::string dir = Folder("first");
+  Write("first/manifest.yaml", kFirstManifest);
+  Write("first/first.rul", kPretty);
+  const std::string ok = "ok: bundle `first`, 1 rules, 2 levels, sha256:";
+
+  const Outcome result = Run({"rules", "check", dir});
+
+  EXPECT_EQ(result.code, 0) << result.out << result.err;
+  EXPECT_THAT(result.out, StartsWith(ok));
+  EXPECT_EQ(result.out.size(), ok.size() + 64 + 1);
+  EXPECT_EQ(Run({"rules", "check", dir + "/"}).out, result.out);
+  EXPECT_EQ(Run({"rules", "check", dir + "/manifest.yaml"}).out, result.out);
+  const nlohmann::json json = RunJson({"rules", "check", dir}, 0);
+  ASSERT_THAT(json["files"], SizeIs(1));
+  EXPECT_EQ(json["files"][0]["path"], dir + "/first.rul");
+  EXPECT_EQ(json["files"][0]["ok"], true);
+  const std::string id = result.out.substr(ok.size() - 7, 7 + 64);
+  EXPECT_EQ(json["bundle"], nlohmann::json({{"name", "first"},
+                                            {"id", id},
+                                            {"ok", true},
+                                            {"problems", nlohmann::json::array()},
+                                            {"warnings", nlohmann::json::array()}}));
+}
+
+TEST_F(RulesOfflineTest, CheckRefusesABundleAsTheServerDoes) {
+  const std::string dir = Folder("first");
+  Write("first/first.rul", kPretty);
+  const struct {
+    std::string manifest;
+    std::string message;
+  } cases[] = {
+      {"name: first\nrules: [gone.rul]\nlevels: [A, B]\n",
+       "error: bundle `" + dir + "`: `gone.rul` does not exist\n"},
+      {"name: first\nrules: [first.rul]\nlevels: [B, A]\n", "make them equal"},
+      {"name: first\nrules: [first.rul]\nlevels: [A, B]\nyara: [x.yar]\n",
+       "`x.yar` does not exist"},
+      {"name: first\nnme: x\nrules: [first.rul]\nlevels: [A, B]\n",
+       "error: " + dir + "/manifest.yaml:2:1: unknown key `nme`; did you mean `name`\n  nme: x\n"},
+      {"\x1b[2J: 1\n", "\\x1b"},
+  };
+  for (const auto& each : cases) {
+    Write("first/manifest.yaml", each.manifest);
+    const Outcome result = Run({"rules", "check", dir});
+    EXPECT_EQ(result.code, 1) << each.message;
+    EXPECT_THAT(result.out,
+                AllOf(HasSubstr(each.message), Not(HasSubstr("ok:")), Not(HasSubstr("\x1b"))));
+    const nlohmann::json bundle = RunJson({"rules", "check", dir}, 1)["bundle"];
+    EXPECT_EQ(bundle["ok"], false);
+    EXPECT_EQ(bundle["id"], "");
+    EXPECT_THAT(bundle["problems"], SizeIs(1));
+  }
+  Write("first/manifest.yaml", kFirstManifest);
+  Write("first/first.rul", kBroken);
+  const nlohmann::json json = RunJson({"rules", "check", dir}, 1);
+  EXPECT_THAT(json["files"][0]["diagnostics"], SizeIs(2));
+  EXPECT_EQ(json["bundle"]["ok"], false);
+  EXPECT_THAT(json["bundle"]["problems"], SizeIs(0));
+}
+
+TEST_F(RulesOfflineTest, CheckWarnsOfABundleThatTheServerWouldNotFind) {
+  const std::string dir = Folder("copy-of-first");
+  Write("copy-of-first/manifest.yaml", kFirstManifest);
+  Write("copy-of-first/first.rul", kPretty);
+
+  const Outcome result = Run({"rules", "check", dir});
+
+  EXPECT_EQ(result.code, 0);
+  EXPECT_THAT(result.out, AllOf(StartsWith("warning: the manifest calls it `first`"),
+                                HasSubstr("\nok: bundle `first`")));
+  EXPECT_EQ(Run({"rules", "check", "--werror", dir}).code, 1);
+  EXPECT_THAT(RunJson({"rules", "check", "--werror", dir}, 1)["bundle"]["warnings"], SizeIs(1));
+}
+
+TEST_F(RulesOfflineTest, CheckWithWrongArgumentsSaysWhat) {
+  const std::string dir = Folder("first");
+  Write("first/manifest.yaml", kFirstManifest);
+  const std::string rules = Write("first/first.rul", kPretty);
+  const struct {
+    std::vector<std::string> args;
+    std::string message;
+  } cases[] = {
+      {{"rules", "check"}, "FILE"},
+      {{"rules", "check", rules, dir}, "is a bundle; check it alone"},
+      {{"rules", "check", dir, dir}, "is a bundle; check it alone"},
+      {{"rules", "check", dir, "--dialect", "prototype"}, "a bundle's manifest says it"},
+      {{"rules", "check", folder_}, "has no `manifest.yaml`"},
+      {{"rules", "check", folder_ + "/none"}, "none"},
+      {{"rules", "check", folder_ + "/manifest.yaml"}, "manifest.yaml"},
+  };
+  for (const auto& each : cases) {
+    const Outcome result = Run(each.args);
+    EXPECT_EQ(result.code, 2) << each.message;
+    EXPECT_THAT(result.err, HasSubstr(each.message));
+    EXPECT_EQ(result.out, "");
+  }
 }
 
 TEST_F(RulesOfflineTest, FmtPrintsOneFile) {

@@ -4,6 +4,7 @@
 #include <algorithm>
 #include <nlohmann/json.hpp>
 #include <optional>
+#include <set>
 #include <string>
 #include <utility>
 #include <vector>
@@ -17,6 +18,7 @@
 #include "policy_server/recording/reader.h"
 #include "policy_server/replay/replayer.h"
 #include "policy_server/replay/result_json.h"
+#include "policy_server/replay/rule_facts.h"
 #include "policy_server/replay/rule_set.h"
 #include "services/base/status_macros.h"
 #include "services/ripsctl/json_view.h"
@@ -92,14 +94,51 @@ void PrintHits(const Result& result, bool profile, std::ostream& out) {
   table.Print(out);
 }
 
-void PrintResult(const Result& result, bool profile, std::ostream& out) {
+// Up to five of the rules whose `count` is not 0.
+std::string SomeRules(const Result& result, uint64_t replay::RuleHits::*count) {
+  constexpr size_t kShown = 5;
+  std::vector<std::string> names;
+  for (const replay::RuleHits& rule : result.rules) {
+    if (rule.*count > 0) names.push_back(EscapeText(rule.name));
+  }
+  const size_t more = names.size() > kShown ? names.size() - kShown : 0;
+  names.resize(names.size() - more);
+  return absl::StrCat(absl::StrJoin(names, ", "),
+                      more > 0 ? absl::StrCat(" and ", more, " more") : "");
+}
+
+// What the recording or the robot did not tell. Nothing, if all was told.
+void PrintNotTold(const Result& result, const RuleSet& rules, std::ostream& out) {
+  const replay::EventCounts& events = result.events;
+  if (events.undecidable > 0) {
+    out << "undecidable: at " << events.undecidable << " events a rule asked what the recording "
+        << "does not hold, so it did not fire: "
+        << SomeRules(result, &replay::RuleHits::undecidable) << "\n";
+  }
+  uint64_t unscanned = 0;
+  for (const replay::RuleHits& rule : result.rules) unscanned += rule.unscanned;
+  if (unscanned > 0) {
+    const bool fired =
+        rules.program->options().on_inspection_error == engine::OnInspectionError::kMatch;
+    out << "unscanned: " << unscanned
+        << " times a rule asked an inspection that could not tell; it "
+        << (fired ? "fired all the same" : "did not fire")
+        << " (see --on-inspection-error): " << SomeRules(result, &replay::RuleHits::unscanned)
+        << "\n";
+  }
+  if (events.unattributed > 0 && replay::AsksWhoSent(rules.program->rules())) {
+    const bool no_writers = events.unattributed_writer == events.unattributed;
+    out << "no sender: " << events.unattributed << " messages do not say who sent them; "
+        << (no_writers ? "`senderin` and `sendercount` are" : "`senderin` is")
+        << " false for them\n";
+  }
+}
+
+void PrintResult(const Result& result, const RuleSet& rules, bool profile, std::ostream& out) {
   const replay::EventCounts& events = result.events;
   out << "events: " << events.message << " messages, " << events.graph << " graph changes, "
       << events.external << " external\nlevel at the end: " << EscapeText(result.level) << "\n";
-  if (events.undecidable > 0) {
-    out << "undecidable: at " << events.undecidable << " events a rule asked what the recording "
-        << "does not hold, so it did not fire\n";
-  }
+  PrintNotTold(result, rules, out);
   if (result.crashed.has_value()) {
     out << "crashed: a rule called `crash` at event " << MomentText(*result.crashed, result.timed)
         << "; no rule ran afterwards\n";
@@ -128,9 +167,31 @@ void PrintBoth(const std::string& title, const std::vector<std::string>& header,
   PrintTable(absl::StrCat(title, " of --against only"), header, only.after, timed, out);
 }
 
+void PrintVariables(const replay::Difference& difference, std::ostream& out) {
+  if (difference.variables_before.empty() && difference.variables_after.empty()) return;
+  std::set<std::string> names;
+  for (const auto* values : {&difference.variables_before, &difference.variables_after}) {
+    for (const auto& [name, value] : *values) names.insert(name);
+  }
+  const auto text_in = [](const auto& values, const std::string& name) {
+    const auto found = values.find(name);
+    return found == values.end() ? "(none)" : lang::ToText(found->second);
+  };
+  out << "\nVariables that differ at the end\n";
+  Table table({"NAME", "WITH --rules", "WITH --against"});
+  for (const std::string& name : names) {
+    table.Add({name, text_in(difference.variables_before, name),
+               text_in(difference.variables_after, name)});
+  }
+  table.Print(out);
+}
+
 void PrintDifference(const replay::Difference& difference, bool timed, std::ostream& out) {
+  if (difference.left_out) {
+    out << "\nagainst: lists were cut; what was left out of them is not compared";
+  }
   if (difference.none()) {
-    out << "\nagainst: the other rules do the same\n";
+    out << "\nagainst: the same levels, alerts, programs and variables\n";
     return;
   }
   out << "\nagainst: the other rules differ";
@@ -142,6 +203,7 @@ void PrintDifference(const replay::Difference& difference, bool timed, std::ostr
   PrintBoth("Levels", kChangeHeader, difference.transitions, timed, out);
   PrintBoth("Alerts", kAlertHeader, difference.alerts, timed, out);
   PrintBoth("Programs", kExecHeader, difference.execs, timed, out);
+  PrintVariables(difference, out);
 }
 
 class ReplayRulesCommand final : public Command {
@@ -191,6 +253,10 @@ class ReplayRulesCommand final : public Command {
       if (set->program == nullptr && !set->files.empty()) return Refused(env, *set);
     }
 
+    if (const absl::Status known = CheckPrograms({&*rules, &*other}); !known.ok()) {
+      return UsageError(env, known.message());
+    }
+
     const absl::StatusOr<Result> result = Replay(env, *rules);
     if (!result.ok()) return UsageError(env, result.status().message());
     std::optional<replay::Difference> difference;
@@ -204,7 +270,7 @@ class ReplayRulesCommand final : public Command {
       if (difference.has_value()) json["against"] = replay::ToJson(*difference);
       PrintJson(json, env.out);
     } else {
-      PrintResult(*result, profile_, env.out);
+      PrintResult(*result, *rules, profile_, env.out);
       if (difference.has_value()) PrintDifference(*difference, result->timed, env.out);
     }
     return ExitCode::kDone;
@@ -241,6 +307,23 @@ class ReplayRulesCommand final : public Command {
     return absl::InvalidArgumentError(absl::StrCat(flag, ": the rules have no level `", name,
                                                    "`; they have ",
                                                    absl::StrJoin(levels.names(), ", ")));
+  }
+
+  // Some set runs each of --exec-fail.
+  absl::Status CheckPrograms(const std::vector<const RuleSet*>& sets) const {
+    std::set<std::string> programs;
+    for (const RuleSet* set : sets) {
+      if (set->program == nullptr) continue;
+      const std::vector<std::string>& named = set->program->rules().programs;
+      programs.insert(named.begin(), named.end());
+    }
+    for (const std::string& name : exec_fail_) {
+      if (programs.contains(name)) continue;
+      return absl::InvalidArgumentError(
+          absl::StrCat("--exec-fail: the rules run no program `", name, "`; they run ",
+                       programs.empty() ? "none" : absl::StrJoin(programs, ", ")));
+    }
+    return absl::OkStatus();
   }
 
   absl::StatusOr<levels::LevelIndex> StartLevel(const levels::LevelTable& levels,

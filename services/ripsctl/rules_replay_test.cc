@@ -16,6 +16,7 @@
 #include "absl/strings/str_cat.h"
 #include "gmock/gmock.h"
 #include "gtest/gtest.h"
+#include "policy_server/recording/recording_test_data.h"
 #include "services/ripsctl/app.h"
 
 namespace rips::ripsctl {
@@ -150,7 +151,8 @@ std::string Printed(const std::vector<std::string>& args, const std::string& fil
 }
 
 constexpr char kGolden[] =
-    R"({"events":{"message":2,"graph":1,"external":0,"undecidable":0},"level":"LOUD",)"
+    R"({"events":{"message":2,"graph":1,"external":0,"undecidable":0,"unattributed":2},)"
+    R"("level":"LOUD",)"
     R"("transitions":[{"event":3,"rule":"stranger","from":"QUIET","to":"LOUD",)"
     R"("result":"decided"}],)"
     R"("alerts":[{"event":3,"rule":"stranger","text":"a stranger","severity":"high"}],)"
@@ -235,10 +237,78 @@ TEST_F(RulesReplayTest, ShowsWhatOtherRulesWouldHaveDone) {
   EXPECT_EQ(against["alerts"], nlohmann::json::parse(R"({"before":[],"after":[]})"));
   EXPECT_EQ(ReplayJson({"--against", rules_})["against"]["same"], true);
   EXPECT_THAT(Replay({"--against", rules_}).out,
-              HasSubstr("\nagainst: the other rules do the same\n"));
+              HasSubstr("\nagainst: the same levels, alerts, programs and variables\n"));
   EXPECT_THAT(Replay({"--against", other}).out,
               AllOf(HasSubstr("against: the other rules differ from event 3 +0.003s on"),
                     HasSubstr("Levels of --against only")));
+}
+
+TEST_F(RulesReplayTest, ComparesVariablesToo) {
+  std::string other_text = kRules;
+  other_text.replace(other_text.find("n + 1"), 5, "n + 2");
+  other_text.replace(other_text.find("n == 2"), 6, "n == 4");
+  other_text += "vars: more int = 0;\nrules Msg: never: more > 0 ? set(more, 0);\n";
+  const std::string other = Write("other.rul", other_text);
+
+  EXPECT_THAT(Replay({"--against", other}).out, HasSubstr("\nVariables that differ at the end\n"
+                                                          "NAME  WITH --rules  WITH --against\n"
+                                                          "more  (none)        0\n"
+                                                          "n     2             4\n"));
+  const nlohmann::json against = ReplayJson({"--against", other})["against"];
+  EXPECT_EQ(against["same"], false);
+  EXPECT_EQ(against["first_difference"], nullptr);
+  EXPECT_EQ(against["variables"], nlohmann::json::parse(R"({"before":{"n":2},
+                                                            "after":{"more":0,"n":4}})"));
+  // What only one of them runs may fail.
+  EXPECT_EQ(Replay({"--against", other, "--exec-fail", "usb_alarm"}).code, 0);
+}
+
+TEST_F(RulesReplayTest, SaysWhatWasNotTold) {
+  EXPECT_THAT(Replay().out, Not(HasSubstr("no sender")));
+  EXPECT_THAT(Replay().out, Not(HasSubstr("unscanned")));
+  // The second message has no payload.
+  Write("x.yar", "rule x { strings: $a = \"EVIL\" condition: $a }\n");
+  const std::string rules = Write("told.rul", R"(levels: A;
+rules Msg:
+  inspects: topicin("/chatter") && payload("x.yar") ? alert("x");
+  asks: topicin("/chatter") ? alert("from " + Sender);
+)");
+  const auto replay = [&](const std::string& then, const std::string& output = "text") {
+    return RunArgs({"rules", "replay", "--rules", rules, "--events", events_,
+                    "--on-inspection-error", then, "--output", output})
+        .out;
+  };
+
+  EXPECT_THAT(
+      replay("match"),
+      AllOf(HasSubstr("\nunscanned: 1 times a rule asked an inspection that could not tell; "
+                      "it fired all the same (see --on-inspection-error): inspects\n"),
+            HasSubstr("\nno sender: 2 messages do not say who sent them; `senderin` and "
+                      "`sendercount` are false for them\n")));
+  EXPECT_THAT(replay("ignore"), HasSubstr("could not tell; it did not fire (see"));
+  const nlohmann::json json = nlohmann::json::parse(replay("match", "json"));
+  EXPECT_EQ(json["rules"][0]["unscanned"], 1);
+  EXPECT_FALSE(json["rules"][1].contains("unscanned"));
+}
+
+TEST_F(RulesReplayTest, NamesRulesThatAskWhatABagDoesNotHold) {
+  namespace bag = recording;
+  const std::string events = Write(
+      "bag.mcap", absl::StrCat(bag::McapHeader(), bag::McapSchema(1, "std_msgs/msg/String"),
+                               bag::McapChannel(1, 1, "/chatter"), bag::McapMessage(1, 10, "hello"),
+                               bag::McapDataEnd(), bag::McapFooter()));
+  std::string text = "levels: A;\nrules Msg:\n  told: topicin(\"/chatter\") ? True();\n";
+  const auto replay = [&] {
+    const std::string rules = Write("bag.rul", text);
+    return RunArgs({"rules", "replay", "--rules", rules, "--events", events}).out;
+  };
+  for (int i = 1; i <= 5; ++i) {
+    absl::StrAppend(&text, "  r", i, ": nodesonly(\"/n", i, "\") ? True();\n");
+  }
+  EXPECT_THAT(replay(), HasSubstr("undecidable: at 1 events a rule asked what the recording does "
+                                  "not hold, so it did not fire: r1, r2, r3, r4, r5\n"));
+  text += "  r6: nodesonly(\"/n6\") ? True();\n  r7: nodesonly(\"/n7\") ? True();\n";
+  EXPECT_THAT(replay(), HasSubstr("did not fire: r1, r2, r3, r4, r5 and 2 more\n"));
 }
 
 TEST_F(RulesReplayTest, RefusedRulesAreShownAsCheckDoes) {
@@ -270,6 +340,8 @@ TEST_F(RulesReplayTest, WhatCannotBeUsedIsAnError) {
       {ReplayArgs({"--start-level", "NO"}),
        "--start-level: the rules have no level `NO`; they have QUIET, LOUD, OFF"},
       {ReplayArgs({"--trigger-fail", "NO"}), "--trigger-fail: the rules have no level `NO`"},
+      {ReplayArgs({"--exec-fail", "usb"}),
+       "--exec-fail: the rules run no program `usb`; they run usb_alarm"},
       {ReplayArgs({"--virtual-tick", "-1"}), "--virtual-tick"},
       {ReplayArgs({"--virtual-tick", "3600001"}), "--virtual-tick"},
       {ReplayArgs({"--event-interval", "3600001"}), "--event-interval"},
@@ -293,9 +365,9 @@ TEST_F(RulesReplayTest, TestsThatPassExitWithZero) {
 
   const Ran text = RunArgs({"rules", "test", tests, tests});
   EXPECT_EQ(text.code, 0) << text.out << text.err;
-  EXPECT_EQ(text.out, absl::StrCat(tests, ": rules not exercised: count, alarm, calm, off\n", tests,
-                                   ": rules not exercised: count, alarm, calm, off\n",
-                                   "ok: 2 tests, 0 failed\n"));
+  EXPECT_EQ(text.out,
+            absl::StrCat(tests, ": rules not exercised: count, alarm, calm\n", tests,
+                         ": rules not exercised: count, alarm, calm\n", "ok: 2 tests, 0 failed\n"));
   const Ran json = RunArgs({"rules", "test", tests, "--output", "json"});
   EXPECT_EQ(nlohmann::json::parse(json.out),
             nlohmann::json({{"tests", 1},
@@ -308,7 +380,7 @@ TEST_F(RulesReplayTest, TestsThatPassExitWithZero) {
                                   {"line", 3},
                                   {"ok", true},
                                   {"failures", nlohmann::json::array()}}}},
-                               {"not_exercised", {"count", "alarm", "calm", "off"}}}}}}));
+                               {"not_exercised", {"count", "alarm", "calm"}}}}}}));
   const Ran junit = RunArgs({"rules", "test", tests, "--output", "junit"});
   EXPECT_EQ(junit.code, 0);
   EXPECT_THAT(junit.out, AllOf(HasSubstr("tests=\"1\" failures=\"0\" errors=\"0\""),
@@ -337,6 +409,34 @@ TEST_F(RulesReplayTest, TestsThatFailExitWithOneAndTheRestIsRun) {
   EXPECT_EQ(junit.code, 1);
   EXPECT_THAT(junit.out, AllOf(HasSubstr("failures=\"2\""), HasSubstr("another &lt;test&gt;"),
                                HasSubstr("a &lt;&amp;&gt;"), Not(HasSubstr("<&"))));
+}
+
+TEST_F(RulesReplayTest, TestsSayWhatWasUnscanned) {
+  Write("x.yar", "rule x { strings: $a = \"EVIL\" condition: $a }\n");
+  Write("x.rul",
+        "levels: A;\nrules Msg: r: topicin(\"/t\") && payload(\"x.yar\") ? alert(\"x\");\n");
+  const std::string tests = Write("x_test.yaml", R"(rules: [x.rul]
+tests:
+  - {name: lulled, events: [{message: {topic: /t, size: 9}}], expect: {fired: [r]}}
+  - name: surprised
+    events: [{message: {topic: /t, size: 9}}]
+    expect: {alerts: [], unscanned: [r]}
+)");
+  const std::string note = "note: an inspection could not tell, so these rules fired: r\n";
+
+  EXPECT_THAT(RunArgs({"rules", "test", tests}).out,
+              AllOf(HasSubstr(absl::StrCat(tests,
+                                           ":3: lulled: an inspection could not tell these "
+                                           "rules, and no `unscanned` expects it: r\n")),
+                    HasSubstr(absl::StrCat("  ", note)), HasSubstr("2 tests, 1 failed")));
+  const nlohmann::json json =
+      nlohmann::json::parse(RunArgs({"rules", "test", tests, "--output", "json"}).out);
+  const nlohmann::json& all = json["files"][0]["tests"];
+  EXPECT_EQ(all[0]["unscanned"], nlohmann::json({"r"}));
+  EXPECT_FALSE(all[1].contains("unscanned"));
+  EXPECT_THAT(absl::StrCat("note: ", all[1]["failures"][0]["note"].get<std::string>(), "\n"), note);
+  EXPECT_THAT(RunArgs({"rules", "test", tests, "--output", "junit"}).out,
+              HasSubstr(absl::StrCat(note, "</failure>")));
 }
 
 TEST_F(RulesReplayTest, RefusedRulesFailTheirTestsOnly) {

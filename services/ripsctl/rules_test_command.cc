@@ -64,7 +64,12 @@ void PrintText(const std::vector<Tested>& all, std::ostream& out) {
             << EscapeText(failure.what) << "\n  expected:\n"
             << Escaped(failure.expected, "    ") << "  got:\n"
             << Escaped(failure.got, "    ");
+        if (!failure.note.empty()) out << "  note: " << EscapeText(failure.note) << "\n";
       }
+      if (test.unscanned.empty()) continue;
+      out << path << ":" << test.line << ": " << EscapeText(test.name)
+          << ": an inspection could not tell these rules, and no `unscanned` expects it: "
+          << EscapeText(absl::StrJoin(test.unscanned, ", ")) << "\n";
     }
     tests += one.outcome.tests.size();
     failed += one.failed();
@@ -89,11 +94,13 @@ Json ToJson(const Tested& one) {
                           {"what", failure.what},
                           {"expected", failure.expected},
                           {"got", failure.got}});
+      if (!failure.note.empty()) failures.back()["note"] = failure.note;
     }
     tests.push_back({{"name", test.name},
                      {"line", test.line},
                      {"ok", test.passed()},
                      {"failures", std::move(failures)}});
+    if (!test.unscanned.empty()) tests.back()["unscanned"] = test.unscanned;
   }
   Json out = {{"path", one.file.path},
               {"ok", !one.refused() && one.failed() == 0},
@@ -167,7 +174,9 @@ void PrintJunit(const std::vector<Tested>& all, std::ostream& out) {
         out << "      <failure message=\"" << XmlLine(failure.what) << "\">" << suite << ":"
             << failure.line << "\nexpected:\n"
             << Xml(Escaped(failure.expected, "  ")) << "got:\n"
-            << Xml(Escaped(failure.got, "  ")) << "</failure>\n";
+            << Xml(Escaped(failure.got, "  "));
+        if (!failure.note.empty()) out << "note: " << XmlLine(failure.note) << "\n";
+        out << "</failure>\n";
       }
       out << "    </testcase>\n";
     }

@@ -12,7 +12,7 @@ Blocks, by what stands behind their three backticks; all of a page share one dir
     rul warning=A,B        accepted with exactly these
     yaml test [file=NAME]  unit tests for `ripsctl rules test`: all pass
     console                `$ ripsctl ...` lines, each followed by exactly what it prints, and
-                           `$ echo $?` by its exit code
+                           `$ echo $?` by its exit code; `$ mkdir` and `$ cp` are done, too
     LANGUAGE file=NAME     any other file; with `run`, one that may be executed
     sh, text, json         only shown
 """
@@ -124,9 +124,13 @@ class Manual:
                 out = f"{code}\n"
             else:
                 words = shlex.split(command)
-                if words[0] != "ripsctl":
+                if words[0] in ("mkdir", "cp"):
+                    done = subprocess.run(words, cwd=self.folder, capture_output=True, text=True)
+                    code, out, err = done.returncode, done.stdout, done.stderr
+                elif words[0] == "ripsctl":
+                    code, out, err = self.run(*words[1:])
+                else:
                     return self.fail(block, f"cannot run {words[0]}")
-                code, out, err = self.run(*words[1:])
                 out += err
             expected = "".join(line + "\n" for line in lines)
             # Trailing blanks are not to be had in a page.
