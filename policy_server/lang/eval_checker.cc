@@ -192,7 +192,9 @@ std::optional<uint32_t> ExprChecker::AddInspection(Inspection inspection, Source
   inspections_.push_back(inspection);
   if (files_ != nullptr) {
     for (const InspectionProblem& problem : files_->Check(inspection)) {
-      sink_.Add(KindOf(problem.kind), range, problem.message);
+      const bool missing = problem.kind == InspectionProblem::Kind::kMissing;
+      sink_.Add(KindOf(problem.kind), range, problem.message,
+                missing ? "it is looked for from the directory of the rule file" : "");
     }
   }
   return static_cast<uint32_t>(inspections_.size() - 1);

@@ -5,10 +5,13 @@
 #include <utility>
 
 #include "absl/strings/str_cat.h"
+#include "absl/strings/str_join.h"
+#include "policy_server/lang/nearest.h"
 #include "services/base/status_macros.h"
 #include "services/ripsctl/alert_command.h"
 #include "services/ripsctl/command.h"
 #include "services/ripsctl/level_command.h"
+#include "services/ripsctl/printer.h"
 #include "services/ripsctl/record_command.h"
 #include "services/ripsctl/robot_command.h"
 #include "services/ripsctl/rules_command.h"
@@ -57,6 +60,11 @@ class Parser {
 
   // The chosen command; nullptr after printing why there is none, with the code to exit with.
   Command* Parse(std::vector<std::string> args, const World& world, int* exit_code) {
+    if (const std::string wrong = UnknownVerb(args); !wrong.empty()) {
+      world.err << "error: " << wrong << "\n";
+      *exit_code = static_cast<int>(ExitCode::kUsage);
+      return nullptr;
+    }
     std::reverse(args.begin(), args.end());  // as CLI11 wants them
     try {
       app_.parse(args);
@@ -71,6 +79,21 @@ class Parser {
   const RawSettings& flags() const { return flags_; }
 
  private:
+  // What is wrong with `NOUN VERB`; empty if nothing is, or if CLI11 says it better.
+  std::string UnknownVerb(const std::vector<std::string>& args) const {
+    if (args.size() < 2 || args[1].empty() || args[1][0] == '-') return "";
+    std::vector<absl::string_view> verbs;
+    for (const std::unique_ptr<Command>& command : commands_) {
+      if (command->noun() != args[0]) continue;
+      if (command->verb().empty() || command->verb() == args[1]) return "";
+      verbs.push_back(command->verb());
+    }
+    if (verbs.empty()) return "";
+    const std::string hint = lang::NearestHint(args[1], verbs);
+    return absl::StrCat("`", args[0], "` has no `", EscapeText(args[1]), "`; ",
+                        hint.empty() ? absl::StrCat("it has ", absl::StrJoin(verbs, ", ")) : hint);
+  }
+
   void AddNoun(const Noun& noun) {
     CLI::App* group = app_.add_subcommand(noun.name, noun.synopsis);
     group->fallthrough();

@@ -695,6 +695,14 @@ TEST_F(RipsctlTest, HelpIsAsPinned) {
   EXPECT_EQ(actual, pinned.str()) << "RIPS_UPDATE_GOLDENS=1 rewrites " << path;
 }
 
+TEST_F(RipsctlTest, AVerbThatIsNoneIsNamed) {
+  const Result slip = Run({"rules", "chek", "r.rul"});
+  EXPECT_EQ(slip.code, 2);
+  EXPECT_EQ(slip.err, "error: `rules` has no `chek`; did you mean `check`?\n");
+  const Result other = Run({"level", "nonsense"});
+  EXPECT_EQ(other.err, "error: `level` has no `nonsense`; it has show, history, raise, lower\n");
+}
+
 TEST_F(RipsctlTest, RecordsIntoANewFile) {
   const std::string path = home_ + "/r1.rips";
   const Result first = Run({"record", "r1", "--out", path});
