@@ -20,6 +20,7 @@
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_split.h"
 #include "services/base/status_macros.h"
+#include "services/runtime/unique_fd.h"
 
 namespace rips::actuator {
 namespace {
@@ -27,25 +28,6 @@ namespace {
 constexpr int kPollMsMax = 1000;
 // Read from one program before the others get a turn.
 constexpr size_t kReadBytesPerTurn = 1 << 20;
-
-class UniqueFd {
- public:
-  explicit UniqueFd(int fd = -1) : fd_(fd) {}
-  UniqueFd(UniqueFd&& other) noexcept : fd_(std::exchange(other.fd_, -1)) {}
-  UniqueFd& operator=(UniqueFd&& other) noexcept {
-    std::swap(fd_, other.fd_);
-    return *this;
-  }
-  ~UniqueFd() { Reset(); }
-  int get() const { return fd_; }
-  void Reset() {
-    if (fd_ >= 0) close(fd_);
-    fd_ = -1;
-  }
-
- private:
-  int fd_;
-};
 
 std::string Quote(absl::string_view text) {
   return absl::StrCat("`", absl::CHexEscape(text.substr(0, 256)), "`");

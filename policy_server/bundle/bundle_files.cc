@@ -16,24 +16,10 @@
 #include "absl/strings/str_split.h"
 #include "services/base/check.h"
 #include "services/base/status_macros.h"
+#include "services/runtime/unique_fd.h"
 
 namespace rips::bundle {
 namespace {
-
-// Closes when it goes.
-class [[nodiscard]] Fd {
- public:
-  explicit Fd(int fd) : fd_(fd) {}
-  Fd(const Fd&) = delete;
-  Fd& operator=(const Fd&) = delete;
-  ~Fd() {
-    if (fd_ >= 0) close(fd_);
-  }
-  int get() const { return fd_; }
-
- private:
-  int fd_;
-};
 
 absl::Status FromErrno(absl::string_view path) {
   switch (errno) {
@@ -104,13 +90,13 @@ absl::StatusOr<std::string> BundleDirectory::Read(absl::string_view path, size_t
   const std::vector<std::string> parts = absl::StrSplit(path, '/');
   int dir = dup(fd_);
   for (size_t i = 0; i + 1 < parts.size() && dir >= 0; ++i) {
-    const Fd above(dir);
+    const UniqueFd above(dir);
     dir = openat(above.get(), parts[i].c_str(), O_RDONLY | O_DIRECTORY | O_NOFOLLOW | O_CLOEXEC);
   }
   if (dir < 0) return FromErrno(path);
-  const Fd last_dir(dir);
+  const UniqueFd last_dir(dir);
   // Non-blocking, because opening a pipe would wait for a writer.
-  const Fd file(openat(last_dir.get(), parts.back().c_str(),
+  const UniqueFd file(openat(last_dir.get(), parts.back().c_str(),
                        O_RDONLY | O_NOFOLLOW | O_NONBLOCK | O_NOCTTY | O_CLOEXEC));
   if (file.get() < 0) return FromErrno(path);
   struct stat info = {};

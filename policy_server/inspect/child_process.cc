@@ -21,6 +21,7 @@
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_split.h"
 #include "services/base/status_macros.h"
+#include "services/runtime/unique_fd.h"
 
 namespace rips::inspect {
 namespace {
@@ -35,24 +36,6 @@ constexpr int kPollMsWithoutPidfd = 5;
 constexpr size_t kReadBytes = 16 << 10;
 // So many reads empty a full pipe; whoever writes without end does not keep us longer.
 constexpr int kErrorReadsMax = 8;
-
-class UniqueFd {
- public:
-  explicit UniqueFd(int fd = -1) : fd_(fd) {}
-  UniqueFd(UniqueFd&& other) noexcept : fd_(std::exchange(other.fd_, -1)) {}
-  UniqueFd& operator=(UniqueFd&& other) noexcept {
-    std::swap(fd_, other.fd_);
-    return *this;
-  }
-  ~UniqueFd() {
-    if (fd_ >= 0) close(fd_);
-  }
-  int get() const { return fd_; }
-  int Release() { return std::exchange(fd_, -1); }
-
- private:
-  int fd_;
-};
 
 struct Pipe {
   UniqueFd read;

@@ -1,10 +1,8 @@
 #include "policy_server/lang/compile.h"
 
 #include <algorithm>
-#include <tuple>
 #include <utility>
 
-#include "absl/container/flat_hash_map.h"
 #include "absl/strings/str_cat.h"
 #include "policy_server/lang/checker.h"
 #include "policy_server/lang/diagnostic_sink.h"
@@ -32,33 +30,6 @@ bool CheckText(uint32_t file, absl::string_view text, DiagnosticSink& sink) {
     return false;
   }
   return true;
-}
-
-// Sorts by place and cuts each file's list after the limit, with a note.
-std::vector<Diagnostic> Finish(std::vector<Diagnostic> diagnostics) {
-  std::stable_sort(
-      diagnostics.begin(), diagnostics.end(), [](const Diagnostic& a, const Diagnostic& b) {
-        return std::tie(a.range.file, a.range.offset) < std::tie(b.range.file, b.range.offset);
-      });
-  std::vector<Diagnostic> out;
-  absl::flat_hash_map<std::pair<uint32_t, DiagnosticSeverity>, size_t> counts;
-  for (Diagnostic& diagnostic : diagnostics) {
-    const DiagnosticSeverity severity = SeverityOf(diagnostic.kind);
-    const auto errors = counts.find({diagnostic.range.file, DiagnosticSeverity::kError});
-    if (errors != counts.end() && errors->second > kDiagnosticsMax) continue;
-    const size_t count = ++counts[{diagnostic.range.file, severity}];
-    if (count <= kDiagnosticsMax) {
-      out.push_back(std::move(diagnostic));
-    } else if (count == kDiagnosticsMax + 1) {
-      const bool is_error = severity == DiagnosticSeverity::kError;
-      out.push_back({.kind = DiagnosticKind::kTooManyDiagnostics,
-                     .range = diagnostic.range,
-                     .message = absl::StrCat("more than ", kDiagnosticsMax,
-                                             is_error ? " errors" : " warnings",
-                                             " in this file; the rest is not shown")});
-    }
-  }
-  return out;
 }
 
 // One file from text to tree. The lexer and the parser each go through it in order, so each has a
@@ -149,7 +120,7 @@ CompileResult Compile(const std::vector<SourceFile>& files, const CompileOptions
   out.diagnostics.insert(out.diagnostics.end(), meaning.diagnostics().begin(),
                          meaning.diagnostics().end());
   if (!HasErrors(out.diagnostics)) out.rules = std::move(rules);
-  out.diagnostics = Finish(std::move(out.diagnostics));
+  out.diagnostics = SortAndCut(std::move(out.diagnostics));
   return out;
 }
 

@@ -3,6 +3,7 @@
 #define RIPS_POLICY_SERVER_LANG_DIAGNOSTIC_H_
 
 #include <string>
+#include <vector>
 
 #include "absl/strings/string_view.h"
 #include "policy_server/lang/checked_rules.h"
@@ -31,6 +32,10 @@ struct Diagnostic {
   // What to do about it; may be empty.
   std::string hint;
 };
+
+// By place. Of each file, at most kDiagnosticsMax errors, then a note; the same of what is no
+// error.
+std::vector<Diagnostic> SortAndCut(std::vector<Diagnostic> diagnostics);
 
 }  // namespace rips::lang
 

@@ -16,7 +16,6 @@
 namespace rips::lang {
 namespace {
 
-// The errors of both, by position.
 std::vector<Diagnostic> Errors(const DiagnosticSink& words, const DiagnosticSink& grammar) {
   std::vector<Diagnostic> out;
   for (const DiagnosticSink* sink : {&words, &grammar}) {
@@ -24,17 +23,7 @@ std::vector<Diagnostic> Errors(const DiagnosticSink& words, const DiagnosticSink
       if (SeverityOf(diagnostic.kind) == DiagnosticSeverity::kError) out.push_back(diagnostic);
     }
   }
-  std::stable_sort(out.begin(), out.end(), [](const Diagnostic& a, const Diagnostic& b) {
-    return a.range.offset < b.range.offset;
-  });
-  if (out.size() <= kDiagnosticsMax) return out;
-  const SourceRange range = out[kDiagnosticsMax].range;
-  out.resize(kDiagnosticsMax);
-  out.push_back({.kind = DiagnosticKind::kTooManyDiagnostics,
-                 .range = range,
-                 .message = absl::StrCat("more than ", kDiagnosticsMax,
-                                         " errors in this file; the rest is not shown")});
-  return out;
+  return SortAndCut(std::move(out));
 }
 
 // Both texts have the same tokens. Comments stand between tokens, so a comment that swallowed one

@@ -16,34 +16,21 @@
 #include "services/base/status_macros.h"
 #include "services/ripsctl/json_view.h"
 #include "services/ripsctl/printer.h"
+#include "services/runtime/unique_fd.h"
 
 namespace rips::ripsctl {
 namespace {
 
-// A new file, closed when this goes.
-class NewFile {
- public:
-  static absl::StatusOr<NewFile> Create(const std::string& path, bool replace) {
-    const int fd =
-        open(path.c_str(), O_WRONLY | O_CREAT | O_CLOEXEC | (replace ? O_TRUNC : O_EXCL), 0600);
-    if (fd < 0 && errno == EEXIST) {
-      return absl::AlreadyExistsError(
-          absl::StrCat("`", path, "` is there already; choose another file, or --force"));
-    }
-    if (fd < 0) return absl::ErrnoToStatus(errno, absl::StrCat("cannot write `", path, "`"));
-    return NewFile(fd);
+absl::StatusOr<UniqueFd> CreateFile(const std::string& path, bool replace) {
+  UniqueFd file(
+      open(path.c_str(), O_WRONLY | O_CREAT | O_CLOEXEC | (replace ? O_TRUNC : O_EXCL), 0600));
+  if (file.get() >= 0) return file;
+  if (errno == EEXIST) {
+    return absl::AlreadyExistsError(
+        absl::StrCat("`", path, "` is there already; choose another file, or --force"));
   }
-  NewFile(NewFile&& other) noexcept : fd_(std::exchange(other.fd_, -1)) {}
-  NewFile& operator=(NewFile&&) = delete;
-  ~NewFile() {
-    if (fd_ >= 0) close(fd_);
-  }
-  int fd() const { return fd_; }
-
- private:
-  explicit NewFile(int fd) : fd_(fd) {}
-  int fd_;
-};
+  return absl::ErrnoToStatus(errno, absl::StrCat("cannot write `", path, "`"));
+}
 
 class Record final : public Command {
  public:
@@ -67,7 +54,7 @@ class Record final : public Command {
         (!absl::ParseDuration(duration_, &duration) || duration <= absl::ZeroDuration())) {
       return UsageError(env, absl::StrCat("--for is `", duration_, "`, not a time like `60s`"));
     }
-    absl::StatusOr<NewFile> file = NewFile::Create(path_, force_);
+    const absl::StatusOr<UniqueFd> file = CreateFile(path_, force_);
     if (!file.ok()) return UsageError(env, file.status().message());
     grpc::ClientContext context;
     if (duration != absl::InfiniteDuration()) {
@@ -76,14 +63,14 @@ class Record final : public Command {
     v1::RecordRequest request;
     request.set_robot(robot_);
     const auto reader = env.server->Record(&context, request);
-    const absl::Status written = Write(*reader, file->fd());
+    const absl::Status written = Write(*reader, file->get());
     if (!written.ok()) context.TryCancel();
     const grpc::Status ended = reader->Finish();
     if (!written.ok()) return Failed(env, written);
     const bool in_time = ended.error_code() == grpc::StatusCode::DEADLINE_EXCEEDED && begun_ &&
                          duration != absl::InfiniteDuration();
     if (!ended.ok() && !in_time) return Ended(env, ended);
-    if (fsync(file->fd()) != 0) {
+    if (fsync(file->get()) != 0) {
       return Failed(env, absl::ErrnoToStatus(errno, absl::StrCat("cannot write `", path_, "`")));
     }
     if (env.json()) {

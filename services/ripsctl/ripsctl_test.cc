@@ -21,6 +21,7 @@
 #include "gtest/gtest.h"
 #include "services/base/status_matchers.h"
 #include "services/ripsctl/app.h"
+#include "services/ripsctl/offline_run.h"
 #include "services/rpc/bidi_client.h"
 #include "services/rpc/credentials.h"
 #include "services/rpc/server_builder.h"
@@ -223,28 +224,15 @@ class FakeOperator final : public v1::OperatorService::Service {
   std::vector<std::string> calls_ ABSL_GUARDED_BY(mutex_);
 };
 
-struct Result {
-  int code = -1;
-  std::string out;
-  std::string err;
-};
-
 class RipsctlTest : public testing::Test {
  protected:
   RipsctlTest() {
-    std::string name = (std::filesystem::temp_directory_path() / "ripsctl-XXXXXX").string();
-    EXPECT_NE(mkdtemp(name.data()), nullptr);
-    home_ = name;
     grpc::ServerBuilder builder;
     builder.AddListeningPort("127.0.0.1:0", grpc::InsecureServerCredentials(), &port_);
     builder.RegisterService(&fake_);
     server_ = builder.BuildAndStart();
   }
-  ~RipsctlTest() override {
-    server_->Shutdown();
-    std::error_code ignored;
-    std::filesystem::remove_all(home_, ignored);
-  }
+  ~RipsctlTest() override { server_->Shutdown(); }
 
   Result Run(const std::vector<std::string>& args) {
     std::ostringstream out;
@@ -279,11 +267,11 @@ class RipsctlTest : public testing::Test {
     return json;
   }
   std::string File(const std::string& name, const std::string& text) {
-    std::ofstream(home_ + "/" + name) << text;
-    return home_ + "/" + name;
+    return directory_.Write(name, text);
   }
 
-  std::string home_;
+  const TestDirectory directory_;
+  const std::string home_ = directory_.path();
   std::map<std::string, std::string> env_;
   bool tls_ = false;
   FakeOperator fake_;

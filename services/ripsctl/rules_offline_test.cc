@@ -1,13 +1,10 @@
 // `ripsctl rules check`, `fmt` and `builtins`: verbs that need neither server nor settings.
-#include <stdlib.h>
 #include <sys/stat.h>
 
 #include <algorithm>
 #include <filesystem>
 #include <fstream>
 #include <nlohmann/json.hpp>
-#include <optional>
-#include <sstream>
 #include <string>
 #include <vector>
 
@@ -16,7 +13,7 @@
 #include "gtest/gtest.h"
 #include "policy_server/lang/limits.h"
 #include "policy_server/lang/signature.h"
-#include "services/ripsctl/app.h"
+#include "services/ripsctl/offline_run.h"
 
 namespace rips::ripsctl {
 namespace {
@@ -38,53 +35,19 @@ rules Msg:
 constexpr char kBroken[] = "levels: A\nrules Msg: true ? trigger(;\n";
 constexpr char kFirstManifest[] = "name: first\nrules: [first.rul]\nlevels: [A, B]\n";
 
-struct Outcome {
-  int code = -1;
-  std::string out;
-  std::string err;
-};
-
 class RulesOfflineTest : public testing::Test {
  protected:
-  RulesOfflineTest() {
-    std::string name = (std::filesystem::temp_directory_path() / "ripsctl-XXXXXX").string();
-    EXPECT_NE(mkdtemp(name.data()), nullptr);
-    folder_ = name;
-  }
-  ~RulesOfflineTest() override {
-    std::error_code ignored;
-    std::filesystem::remove_all(folder_, ignored);
-  }
-
-  Outcome Run(const std::vector<std::string>& args, const std::string& input = "") {
-    std::istringstream in(input);
-    std::ostringstream out;
-    std::ostringstream err;
-    const int code = RunRipsctl(
-        args, {.out = out,
-               .err = err,
-               .get_env = [](const std::string&) { return std::optional<std::string>(); },
-               .connect = [](const RawSettings&)
-                   -> absl::StatusOr<std::unique_ptr<v1::OperatorService::StubInterface>> {
-                 ADD_FAILURE() << "connected";
-                 return absl::InternalError("connected");
-               },
-               .in = &in});
-    return {code, out.str(), err.str()};
-  }
   nlohmann::json RunJson(std::vector<std::string> args, int expected_code,
                          const std::string& input = "") {
     args.insert(args.end(), {"--output", "json"});
-    const Outcome result = Run(args, input);
+    const Result result = RunOffline(args, input);
     EXPECT_EQ(result.code, expected_code) << result.err;
     EXPECT_EQ(result.err, "");
     return nlohmann::json::parse(result.out, nullptr, false);
   }
 
   std::string Write(const std::string& name, const std::string& text) {
-    const std::string path = absl::StrCat(folder_, "/", name);
-    std::ofstream(path, std::ios::binary) << text;
-    return path;
+    return directory_.Write(name, text);
   }
   std::string Folder(const std::string& name) {
     const std::string path = absl::StrCat(folder_, "/", name);
@@ -96,16 +59,18 @@ class RulesOfflineTest : public testing::Test {
     return std::string(std::istreambuf_iterator<char>(file), {});
   }
 
-  std::string folder_;
+  const TestDirectory directory_;
+  const std::string folder_ = directory_.path();
 };
 
 TEST_F(RulesOfflineTest, CheckLooksAtYaraFilesAndPlugins) {
   const std::string rules = Write("r.rul",
                                   "levels: A;\nrules Msg: topicin(\"/a\") && (payload(\"y.yar\") "
                                   "|| plugin(\"p\")) ? alert(\"x\");\n");
-  const Outcome missing = Run({"rules", "check", rules});
+  const Result missing = RunOffline({"rules", "check", rules});
   EXPECT_EQ(missing.code, 1);
-  EXPECT_THAT(missing.out, AllOf(HasSubstr("y.yar"), HasSubstr("plugins/p"), Not(HasSubstr("ok:"))));
+  EXPECT_THAT(missing.out,
+              AllOf(HasSubstr("y.yar"), HasSubstr("plugins/p"), Not(HasSubstr("ok:"))));
 
   Write("y.yar", "rule r { condition: nothing }");
   std::filesystem::create_directory(folder_ + "/plugins");
@@ -116,17 +81,17 @@ TEST_F(RulesOfflineTest, CheckLooksAtYaraFilesAndPlugins) {
   EXPECT_EQ(broken[0]["kind"], "BrokenInspection");
 
   Write("y.yar", "rule r { strings: $a = \"attack\" condition: $a }");
-  EXPECT_EQ(Run({"rules", "check", rules}).out, "ok: 1 rules, 1 levels\n");
+  EXPECT_EQ(RunOffline({"rules", "check", rules}).out, "ok: 1 rules, 1 levels\n");
 }
 
 TEST_F(RulesOfflineTest, CheckReadsStandardInput) {
-  EXPECT_EQ(Run({"rules", "check", "-"}, kPretty).out, "ok: 1 rules, 2 levels\n");
-  EXPECT_THAT(Run({"rules", "check", "-"}, kBroken).out, HasSubstr("<stdin>:2:1: error: "));
+  EXPECT_EQ(RunOffline({"rules", "check", "-"}, kPretty).out, "ok: 1 rules, 2 levels\n");
+  EXPECT_THAT(RunOffline({"rules", "check", "-"}, kBroken).out, HasSubstr("<stdin>:2:1: error: "));
   const std::string levels = Write("levels.rul", "levels: A; B;\n");
-  EXPECT_EQ(Run({"rules", "check", levels, "-"}, "rules Msg: true ? trigger(B);").code, 0);
-  EXPECT_EQ(Run({"rules", "check", "-", "-"}).code, 2);
+  EXPECT_EQ(RunOffline({"rules", "check", levels, "-"}, "rules Msg: true ? trigger(B);").code, 0);
+  EXPECT_EQ(RunOffline({"rules", "check", "-", "-"}).code, 2);
   const std::string large(lang::kFileBytesMax + 1, ' ');
-  EXPECT_EQ(Run({"rules", "check", "-"}, large).err,
+  EXPECT_EQ(RunOffline({"rules", "check", "-"}, large).err,
             "error: standard input has more than 1048576 bytes\n");
 }
 
@@ -135,11 +100,11 @@ TEST_F(RulesOfflineTest, CheckRefusesWarningsIfAsked) {
   const std::string warned =
       Write("warned.rul", "levels: A;\nrules Msg: 017 < 20 ? alert(\"\");\n");
 
-  EXPECT_EQ(Run({"rules", "check", "--werror", clean}).out, "ok: 1 rules, 2 levels\n");
-  const Outcome tolerated = Run({"rules", "check", warned});
+  EXPECT_EQ(RunOffline({"rules", "check", "--werror", clean}).out, "ok: 1 rules, 2 levels\n");
+  const Result tolerated = RunOffline({"rules", "check", warned});
   EXPECT_EQ(tolerated.code, 0);
   EXPECT_THAT(tolerated.out, AllOf(HasSubstr("warning: "), HasSubstr("ok: 1 rules, 1 levels\n")));
-  const Outcome refused = Run({"rules", "check", "--werror", warned});
+  const Result refused = RunOffline({"rules", "check", "--werror", warned});
   EXPECT_EQ(refused.code, 1);
   EXPECT_THAT(refused.out, AllOf(HasSubstr("refused: 2 warnings, and --werror is given\n"),
                                  Not(HasSubstr("ok:"))));
@@ -147,7 +112,7 @@ TEST_F(RulesOfflineTest, CheckRefusesWarningsIfAsked) {
   // A note is no warning.
   const std::string noted =
       Write("noted.rul", "levels: A;\nrules Graph: nodesinclude(\"a\") ? alert(\"\");\n");
-  EXPECT_EQ(Run({"rules", "check", "--werror", noted}).code, 0);
+  EXPECT_EQ(RunOffline({"rules", "check", "--werror", noted}).code, 0);
 }
 
 TEST_F(RulesOfflineTest, CheckTakesABundle) {
@@ -156,13 +121,13 @@ TEST_F(RulesOfflineTest, CheckTakesABundle) {
   Write("first/first.rul", kPretty);
   const std::string ok = "ok: bundle `first`, 1 rules, 2 levels, sha256:";
 
-  const Outcome result = Run({"rules", "check", dir});
+  const Result result = RunOffline({"rules", "check", dir});
 
   EXPECT_EQ(result.code, 0) << result.out << result.err;
   EXPECT_THAT(result.out, StartsWith(ok));
   EXPECT_EQ(result.out.size(), ok.size() + 64 + 1);
-  EXPECT_EQ(Run({"rules", "check", dir + "/"}).out, result.out);
-  EXPECT_EQ(Run({"rules", "check", dir + "/manifest.yaml"}).out, result.out);
+  EXPECT_EQ(RunOffline({"rules", "check", dir + "/"}).out, result.out);
+  EXPECT_EQ(RunOffline({"rules", "check", dir + "/manifest.yaml"}).out, result.out);
   const nlohmann::json json = RunJson({"rules", "check", dir}, 0);
   ASSERT_THAT(json["files"], SizeIs(1));
   EXPECT_EQ(json["files"][0]["path"], dir + "/first.rul");
@@ -193,7 +158,7 @@ TEST_F(RulesOfflineTest, CheckRefusesABundleAsTheServerDoes) {
   };
   for (const auto& each : cases) {
     Write("first/manifest.yaml", each.manifest);
-    const Outcome result = Run({"rules", "check", dir});
+    const Result result = RunOffline({"rules", "check", dir});
     EXPECT_EQ(result.code, 1) << each.message;
     EXPECT_THAT(result.out,
                 AllOf(HasSubstr(each.message), Not(HasSubstr("ok:")), Not(HasSubstr("\x1b"))));
@@ -215,12 +180,12 @@ TEST_F(RulesOfflineTest, CheckWarnsOfABundleThatTheServerWouldNotFind) {
   Write("copy-of-first/manifest.yaml", kFirstManifest);
   Write("copy-of-first/first.rul", kPretty);
 
-  const Outcome result = Run({"rules", "check", dir});
+  const Result result = RunOffline({"rules", "check", dir});
 
   EXPECT_EQ(result.code, 0);
   EXPECT_THAT(result.out, AllOf(StartsWith("warning: the manifest calls it `first`"),
                                 HasSubstr("\nok: bundle `first`")));
-  EXPECT_EQ(Run({"rules", "check", "--werror", dir}).code, 1);
+  EXPECT_EQ(RunOffline({"rules", "check", "--werror", dir}).code, 1);
   EXPECT_THAT(RunJson({"rules", "check", "--werror", dir}, 1)["bundle"]["warnings"], SizeIs(1));
 }
 
@@ -241,7 +206,7 @@ TEST_F(RulesOfflineTest, CheckWithWrongArgumentsSaysWhat) {
       {{"rules", "check", folder_ + "/manifest.yaml"}, "manifest.yaml"},
   };
   for (const auto& each : cases) {
-    const Outcome result = Run(each.args);
+    const Result result = RunOffline(each.args);
     EXPECT_EQ(result.code, 2) << each.message;
     EXPECT_THAT(result.err, HasSubstr(each.message));
     EXPECT_EQ(result.out, "");
@@ -251,7 +216,7 @@ TEST_F(RulesOfflineTest, CheckWithWrongArgumentsSaysWhat) {
 TEST_F(RulesOfflineTest, FmtPrintsOneFile) {
   const std::string path = Write("a.rul", kUgly);
 
-  const Outcome result = Run({"rules", "fmt", path});
+  const Result result = RunOffline({"rules", "fmt", path});
 
   EXPECT_EQ(result.code, 0) << result.err;
   EXPECT_EQ(result.out, kPretty);
@@ -266,16 +231,16 @@ TEST_F(RulesOfflineTest, FmtPrintsOneFile) {
 }
 
 TEST_F(RulesOfflineTest, FmtReadsStandardInput) {
-  EXPECT_EQ(Run({"rules", "fmt", "-"}, kUgly).out, kPretty);
-  EXPECT_EQ(Run({"rules", "fmt", "-"}).out, "");
-  EXPECT_EQ(Run({"rules", "fmt", "--check", "-"}, kPretty).code, 0);
-  const Outcome check = Run({"rules", "fmt", "--check", "-"}, kUgly);
+  EXPECT_EQ(RunOffline({"rules", "fmt", "-"}, kUgly).out, kPretty);
+  EXPECT_EQ(RunOffline({"rules", "fmt", "-"}).out, "");
+  EXPECT_EQ(RunOffline({"rules", "fmt", "--check", "-"}, kPretty).code, 0);
+  const Result check = RunOffline({"rules", "fmt", "--check", "-"}, kUgly);
   EXPECT_EQ(check.code, 1);
   EXPECT_EQ(check.out, "<stdin>\n");
-  EXPECT_THAT(Run({"rules", "fmt", "-"}, kBroken).err, HasSubstr("<stdin>:2:1: error: "));
+  EXPECT_THAT(RunOffline({"rules", "fmt", "-"}, kBroken).err, HasSubstr("<stdin>:2:1: error: "));
   const std::string largest(lang::kFileBytesMax, ' ');
-  EXPECT_EQ(Run({"rules", "fmt", "-"}, largest).code, 0);
-  EXPECT_EQ(Run({"rules", "fmt", "-"}, largest + " ").err,
+  EXPECT_EQ(RunOffline({"rules", "fmt", "-"}, largest).code, 0);
+  EXPECT_EQ(RunOffline({"rules", "fmt", "-"}, largest + " ").err,
             "error: standard input has more than 1048576 bytes\n");
 }
 
@@ -285,7 +250,7 @@ TEST_F(RulesOfflineTest, FmtRewritesWhatChanges) {
   ASSERT_EQ(chmod(ugly.c_str(), 0640), 0);
   const auto untouched = std::filesystem::last_write_time(pretty);
 
-  const Outcome result = Run({"rules", "fmt", "--write", ugly, pretty, ugly});
+  const Result result = RunOffline({"rules", "fmt", "--write", ugly, pretty, ugly});
 
   EXPECT_EQ(result.code, 0) << result.err;
   EXPECT_THAT(result.out, StartsWith(absl::StrCat(ugly, "\n")));
@@ -295,7 +260,7 @@ TEST_F(RulesOfflineTest, FmtRewritesWhatChanges) {
   struct stat status = {};
   ASSERT_EQ(stat(ugly.c_str(), &status), 0);
   EXPECT_EQ(status.st_mode & 07777, 0640u);
-  const Outcome again = Run({"rules", "fmt", "--write", ugly, pretty});
+  const Result again = RunOffline({"rules", "fmt", "--write", ugly, pretty});
   EXPECT_EQ(again.code, 0);
   EXPECT_EQ(again.out, "");
 }
@@ -305,7 +270,7 @@ TEST_F(RulesOfflineTest, FmtRewritesTheFileBehindALink) {
   const std::string link = folder_ + "/link.rul";
   std::filesystem::create_symlink("a.rul", link);
 
-  EXPECT_EQ(Run({"rules", "fmt", "--write", link}).code, 0);
+  EXPECT_EQ(RunOffline({"rules", "fmt", "--write", link}).code, 0);
 
   EXPECT_TRUE(std::filesystem::is_symlink(link));
   EXPECT_EQ(Read(path), kPretty);
@@ -315,12 +280,12 @@ TEST_F(RulesOfflineTest, FmtChecksWithoutWriting) {
   const std::string ugly = Write("ugly.rul", kUgly);
   const std::string pretty = Write("pretty.rul", kPretty);
 
-  const Outcome result = Run({"rules", "fmt", "--check", pretty, ugly});
+  const Result result = RunOffline({"rules", "fmt", "--check", pretty, ugly});
 
   EXPECT_EQ(result.code, 1);
   EXPECT_EQ(result.out, absl::StrCat(ugly, "\n"));
   EXPECT_EQ(Read(ugly), kUgly);
-  EXPECT_EQ(Run({"rules", "fmt", "--check", pretty}).code, 0);
+  EXPECT_EQ(RunOffline({"rules", "fmt", "--check", pretty}).code, 0);
   const nlohmann::json json = RunJson({"rules", "fmt", "--check", pretty, ugly}, 1);
   EXPECT_EQ(json["files"][0]["changed"], false);
   EXPECT_EQ(json["files"][1]["changed"], true);
@@ -331,7 +296,7 @@ TEST_F(RulesOfflineTest, FmtLeavesABrokenFileAloneAndTreatsTheOthers) {
   const std::string broken = Write("broken.rul", kBroken);
   const std::string ugly = Write("ugly.rul", kUgly);
 
-  const Outcome result = Run({"rules", "fmt", "--write", broken, ugly});
+  const Result result = RunOffline({"rules", "fmt", "--write", broken, ugly});
 
   EXPECT_EQ(result.code, 1);
   EXPECT_EQ(result.out, absl::StrCat(ugly, "\n"));
@@ -339,7 +304,7 @@ TEST_F(RulesOfflineTest, FmtLeavesABrokenFileAloneAndTreatsTheOthers) {
                                 HasSubstr(absl::StrCat(broken, ":2:27: error: "))));
   EXPECT_EQ(Read(broken), kBroken);
   EXPECT_EQ(Read(ugly), kPretty);
-  EXPECT_EQ(Run({"rules", "fmt", broken}).out, "");
+  EXPECT_EQ(RunOffline({"rules", "fmt", broken}).out, "");
   const nlohmann::json json = RunJson({"rules", "fmt", broken}, 1);
   EXPECT_EQ(json["files"][0]["ok"], false);
   EXPECT_EQ(json["files"][0]["changed"], false);
@@ -360,7 +325,7 @@ TEST_F(RulesOfflineTest, FmtWithWrongArgumentsTouchesNothing) {
       {"rules", "fmt", "--write", ugly, large},
   };
   for (const auto& args : all) {
-    const Outcome result = Run(args);
+    const Result result = RunOffline(args);
     EXPECT_EQ(result.code, 2) << testing::PrintToString(args);
     EXPECT_NE(result.err, "") << testing::PrintToString(args);
     EXPECT_EQ(result.out, "") << testing::PrintToString(args);
@@ -373,8 +338,8 @@ TEST_F(RulesOfflineTest, BuiltinsNamesEverythingTheCheckerKnows) {
 
   EXPECT_EQ(json.size(), lang::Signatures().size() + lang::PredefinedNames().size() +
                              lang::ActionSignatures().size());
-  const Outcome text = Run({"rules", "builtins"});
-  const Outcome markdown = Run({"rules", "builtins", "--markdown"});
+  const Result text = RunOffline({"rules", "builtins"});
+  const Result markdown = RunOffline({"rules", "builtins", "--markdown"});
   EXPECT_EQ(text.code, 0);
   EXPECT_EQ(markdown.code, 0);
   for (const nlohmann::json& entry : json) {
@@ -388,7 +353,7 @@ TEST_F(RulesOfflineTest, BuiltinsNamesEverythingTheCheckerKnows) {
 }
 
 TEST_F(RulesOfflineTest, BuiltinsAreGroupedByWhereTheyMayStand) {
-  const Outcome text = Run({"rules", "builtins"});
+  const Result text = RunOffline({"rules", "builtins"});
 
   std::vector<size_t> places;
   for (const char* title : {"Expressions of all rules\n", "\n\nExpressions of `rules Msg`\n",
@@ -413,11 +378,11 @@ TEST_F(RulesOfflineTest, BuiltinsShowsOne) {
   EXPECT_EQ(RunJson({"rules", "builtins", "Robot"}, 0)[0]["extension"], true);
   EXPECT_EQ(RunJson({"rules", "builtins", "trigger"}, 0)[0]["kind"], "action");
 
-  const Outcome text = Run({"rules", "builtins", "nodes"});
+  const Result text = RunOffline({"rules", "builtins", "nodes"});
   EXPECT_THAT(text.out, StartsWith("Expressions of `rules Msg` and `rules Graph`\n"
                                    "USAGE                   RESULT  ADDED  MEANING\n"
                                    "nodes(nodes string...)  bool    -      "));
-  EXPECT_THAT(Run({"rules", "builtins", "--markdown", "nodes"}).out,
+  EXPECT_THAT(RunOffline({"rules", "builtins", "--markdown", "nodes"}).out,
               StartsWith("## Expressions of `rules Msg` and `rules Graph`\n\n"
                          "| usage | result | meaning |\n|---|---|---|\n"
                          "| `nodes(nodes string...)` | bool | "));
@@ -432,17 +397,17 @@ TEST_F(RulesOfflineTest, BuiltinsShowsTheWordsThatMeanSomething) {
   EXPECT_EQ(words.size(), 1 + words[0]["values"].size());
   for (const nlohmann::json& word : words) EXPECT_FALSE(word["values"].empty()) << word;
   EXPECT_EQ(RunJson({"rules", "builtins", "nodes"}, 0)[0]["words"], nlohmann::json::array());
-  EXPECT_THAT(Run({"rules", "builtins", "alert"}).out,
+  EXPECT_THAT(RunOffline({"rules", "builtins", "alert"}).out,
               HasSubstr("; severity: \"info\", \"low\", \"medium\", \"high\", \"critical\"\n"));
 }
 
 TEST_F(RulesOfflineTest, BuiltinsRefusesWhatItDoesNotKnow) {
-  const Outcome mistyped = Run({"rules", "builtins", "nodse"});
+  const Result mistyped = RunOffline({"rules", "builtins", "nodse"});
   EXPECT_EQ(mistyped.code, 2);
   EXPECT_EQ(mistyped.err, "error: the rule language has no `nodse`; did you mean `nodes`?\n");
-  EXPECT_EQ(Run({"rules", "builtins", "\x1b[2J"}).err,
+  EXPECT_EQ(RunOffline({"rules", "builtins", "\x1b[2J"}).err,
             "error: the rule language has no `\\x1b[2J`\n");
-  EXPECT_EQ(Run({"rules", "builtins", "--markdown", "--output", "json"}).code, 2);
+  EXPECT_EQ(RunOffline({"rules", "builtins", "--markdown", "--output", "json"}).code, 2);
 }
 
 }  // namespace

@@ -1,15 +1,12 @@
 // `ripsctl rules replay` and `ripsctl rules test`, from the command line on.
 #include <fcntl.h>
 #include <spawn.h>
-#include <stdlib.h>
 #include <sys/wait.h>
 #include <unistd.h>
 
 #include <filesystem>
 #include <fstream>
 #include <nlohmann/json.hpp>
-#include <optional>
-#include <sstream>
 #include <string>
 #include <vector>
 
@@ -17,7 +14,7 @@
 #include "gmock/gmock.h"
 #include "gtest/gtest.h"
 #include "policy_server/recording/recording_test_data.h"
-#include "services/ripsctl/app.h"
+#include "services/ripsctl/offline_run.h"
 
 namespace rips::ripsctl {
 namespace {
@@ -69,60 +66,31 @@ tests:
         expect: {alerts: [{text: a stranger}], level: LOUD}
 )";
 
-struct Ran {
-  int code = -1;
-  std::string out;
-  std::string err;
-};
-
 class RulesReplayTest : public testing::Test {
  protected:
   RulesReplayTest() {
-    std::string name = (std::filesystem::temp_directory_path() / "ripsctl-XXXXXX").string();
-    EXPECT_NE(mkdtemp(name.data()), nullptr);
-    folder_ = name;
     rules_ = Write("a.rul", kRules);
     events_ = Write("events.yaml", kEvents);
   }
-  ~RulesReplayTest() override {
-    std::error_code ignored;
-    std::filesystem::remove_all(folder_, ignored);
-  }
-
   std::string Write(const std::string& name, const std::string& text) {
-    const std::string path = absl::StrCat(folder_, "/", name);
-    std::ofstream(path, std::ios::binary) << text;
-    return path;
-  }
-  Ran RunArgs(const std::vector<std::string>& args) {
-    std::ostringstream out;
-    std::ostringstream err;
-    const int code = RunRipsctl(
-        args, {.out = out,
-               .err = err,
-               .get_env = [](const std::string&) { return std::optional<std::string>(); },
-               .connect = [](const RawSettings&)
-                   -> absl::StatusOr<std::unique_ptr<v1::OperatorService::StubInterface>> {
-                 ADD_FAILURE() << "connected";
-                 return absl::InternalError("connected");
-               }});
-    return {code, out.str(), err.str()};
+    return directory_.Write(name, text);
   }
   std::vector<std::string> ReplayArgs(const std::vector<std::string>& more) {
     std::vector<std::string> args = {"rules", "replay", "--rules", rules_, "--events", events_};
     args.insert(args.end(), more.begin(), more.end());
     return args;
   }
-  Ran Replay(const std::vector<std::string>& more = {}) { return RunArgs(ReplayArgs(more)); }
+  Result Replay(const std::vector<std::string>& more = {}) { return RunOffline(ReplayArgs(more)); }
   nlohmann::json ReplayJson(std::vector<std::string> more = {}) {
     more.insert(more.end(), {"--output", "json"});
-    const Ran result = Replay(more);
+    const Result result = Replay(more);
     EXPECT_EQ(result.code, 0) << result.err;
     EXPECT_EQ(result.err, "");
     return nlohmann::json::parse(result.out, nullptr, false);
   }
 
-  std::string folder_;
+  const TestDirectory directory_;
+  const std::string folder_ = directory_.path();
   std::string rules_;
   std::string events_;
 };
@@ -168,15 +136,15 @@ constexpr char kGolden[] =
 TEST_F(RulesReplayTest, JsonIsTheSameBytesInEveryProcess) {
   const std::vector<std::string> args = ReplayArgs({"--output", "json"});
 
-  EXPECT_EQ(RunArgs(args).out, kGolden);
+  EXPECT_EQ(RunOffline(args).out, kGolden);
   EXPECT_EQ(Printed(args, folder_ + "/first"), kGolden);
   EXPECT_EQ(Printed(args, folder_ + "/second"), kGolden);
   const std::vector<std::string> text = ReplayArgs({});
-  EXPECT_EQ(Printed(text, folder_ + "/third"), RunArgs(text).out);
+  EXPECT_EQ(Printed(text, folder_ + "/third"), RunOffline(text).out);
 }
 
 TEST_F(RulesReplayTest, TextIsForPeople) {
-  const Ran result = Replay({"--exec-fail", "usb_alarm"});
+  const Result result = Replay({"--exec-fail", "usb_alarm"});
 
   EXPECT_EQ(result.code, 0) << result.err;
   EXPECT_THAT(result.out, StartsWith("events: 2 messages, 1 graph changes, 0 external\n"
@@ -207,8 +175,8 @@ TEST_F(RulesReplayTest, FlagsSayWhatTheRobotDoes) {
                                 "levels: A;\nrules Graph: r: nodesinclude(\"/talker\") ? "
                                 "alert(\"there\");\n");
   const auto alerts = [&](const std::string& dialect) {
-    const Ran result = RunArgs({"rules", "replay", "--rules", old, "--events", events_, "--dialect",
-                                dialect, "--output", "json"});
+    const Result result = RunOffline({"rules", "replay", "--rules", old, "--events", events_,
+                                      "--dialect", dialect, "--output", "json"});
     return nlohmann::json::parse(result.out)["alerts"].size();
   };
   EXPECT_EQ(alerts("rips"), 0u);
@@ -217,8 +185,8 @@ TEST_F(RulesReplayTest, FlagsSayWhatTheRobotDoes) {
 
 TEST_F(RulesReplayTest, SeveralFilesAreOnePolicy) {
   const std::string more = Write("b.rul", "rules Graph: more: n == 2 ? alert(\"from b\");\n");
-  const Ran result = RunArgs({"rules", "replay", "--rules", rules_, "--rules", more, "--events",
-                              events_, "--output", "json"});
+  const Result result = RunOffline({"rules", "replay", "--rules", rules_, "--rules", more,
+                                    "--events", events_, "--output", "json"});
   EXPECT_THAT(result.out, HasSubstr("\"text\":\"from b\""));
 }
 
@@ -274,8 +242,8 @@ rules Msg:
   asks: topicin("/chatter") ? alert("from " + Sender);
 )");
   const auto replay = [&](const std::string& then, const std::string& output = "text") {
-    return RunArgs({"rules", "replay", "--rules", rules, "--events", events_,
-                    "--on-inspection-error", then, "--output", output})
+    return RunOffline({"rules", "replay", "--rules", rules, "--events", events_,
+                       "--on-inspection-error", then, "--output", output})
         .out;
   };
 
@@ -300,7 +268,7 @@ TEST_F(RulesReplayTest, NamesRulesThatAskWhatABagDoesNotHold) {
   std::string text = "levels: A;\nrules Msg:\n  told: topicin(\"/chatter\") ? True();\n";
   const auto replay = [&] {
     const std::string rules = Write("bag.rul", text);
-    return RunArgs({"rules", "replay", "--rules", rules, "--events", events}).out;
+    return RunOffline({"rules", "replay", "--rules", rules, "--events", events}).out;
   };
   for (int i = 1; i <= 5; ++i) {
     absl::StrAppend(&text, "  r", i, ": nodesonly(\"/n", i, "\") ? True();\n");
@@ -314,9 +282,9 @@ TEST_F(RulesReplayTest, NamesRulesThatAskWhatABagDoesNotHold) {
 TEST_F(RulesReplayTest, RefusedRulesAreShownAsCheckDoes) {
   const std::string broken = Write("broken.rul", "levels: A;\nrules Msg: nonsense() ? alert(1);\n");
   for (const std::string output : {"text", "json"}) {
-    const Ran check = RunArgs({"rules", "check", broken, "--output", output});
-    const Ran replay =
-        RunArgs({"rules", "replay", "--rules", broken, "--events", events_, "--output", output});
+    const Result check = RunOffline({"rules", "check", broken, "--output", output});
+    const Result replay =
+        RunOffline({"rules", "replay", "--rules", broken, "--events", events_, "--output", output});
     EXPECT_EQ(replay.code, 1);
     EXPECT_EQ(replay.out, check.out);
     EXPECT_EQ(replay.err, "");
@@ -353,7 +321,7 @@ TEST_F(RulesReplayTest, WhatCannotBeUsedIsAnError) {
       {{"rules", "replay", "--events", events_}, "--rules"},
   };
   for (const auto& [args, problem] : kCases) {
-    const Ran result = RunArgs(args);
+    const Result result = RunOffline(args);
     EXPECT_EQ(result.code, 2) << testing::PrintToString(args) << result.out;
     EXPECT_EQ(result.out, "") << testing::PrintToString(args);
     EXPECT_THAT(result.err, HasSubstr(problem)) << testing::PrintToString(args);
@@ -363,12 +331,12 @@ TEST_F(RulesReplayTest, WhatCannotBeUsedIsAnError) {
 TEST_F(RulesReplayTest, TestsThatPassExitWithZero) {
   const std::string tests = Write("a_test.yaml", kTests);
 
-  const Ran text = RunArgs({"rules", "test", tests, tests});
+  const Result text = RunOffline({"rules", "test", tests, tests});
   EXPECT_EQ(text.code, 0) << text.out << text.err;
   EXPECT_EQ(text.out,
             absl::StrCat(tests, ": rules not exercised: count, alarm, calm\n", tests,
                          ": rules not exercised: count, alarm, calm\n", "ok: 2 tests, 0 failed\n"));
-  const Ran json = RunArgs({"rules", "test", tests, "--output", "json"});
+  const Result json = RunOffline({"rules", "test", tests, "--output", "json"});
   EXPECT_EQ(nlohmann::json::parse(json.out),
             nlohmann::json({{"tests", 1},
                             {"failed", 0},
@@ -381,7 +349,7 @@ TEST_F(RulesReplayTest, TestsThatPassExitWithZero) {
                                   {"ok", true},
                                   {"failures", nlohmann::json::array()}}}},
                                {"not_exercised", {"count", "alarm", "calm"}}}}}}));
-  const Ran junit = RunArgs({"rules", "test", tests, "--output", "junit"});
+  const Result junit = RunOffline({"rules", "test", tests, "--output", "junit"});
   EXPECT_EQ(junit.code, 0);
   EXPECT_THAT(junit.out, AllOf(HasSubstr("tests=\"1\" failures=\"0\" errors=\"0\""),
                                HasSubstr("name=\"strangers\"/>")));
@@ -393,7 +361,7 @@ TEST_F(RulesReplayTest, TestsThatFailExitWithOneAndTheRestIsRun) {
   failing += "  - name: another <test>\n    events: [{lost: 1}]\n    expect: {level: OFF}\n";
   const std::string tests = Write("a_test.yaml", failing);
 
-  const Ran text = RunArgs({"rules", "test", tests});
+  const Result text = RunOffline({"rules", "test", tests});
   EXPECT_EQ(text.code, 1);
   EXPECT_EQ(text.err, "");
   EXPECT_THAT(
@@ -402,10 +370,10 @@ TEST_F(RulesReplayTest, TestsThatFailExitWithOneAndTheRestIsRun) {
             HasSubstr("  got:\n    rule: stranger, severity: high, text: a stranger\n"),
             HasSubstr(absl::StrCat(tests, ":9: another <test>: level at the end\n")),
             HasSubstr("failed: 2 tests, 2 failed\n")));
-  const Ran json = RunArgs({"rules", "test", tests, "--output", "json"});
+  const Result json = RunOffline({"rules", "test", tests, "--output", "json"});
   EXPECT_EQ(json.code, 1);
   EXPECT_EQ(nlohmann::json::parse(json.out)["failed"], 2);
-  const Ran junit = RunArgs({"rules", "test", tests, "--output", "junit"});
+  const Result junit = RunOffline({"rules", "test", tests, "--output", "junit"});
   EXPECT_EQ(junit.code, 1);
   EXPECT_THAT(junit.out, AllOf(HasSubstr("failures=\"2\""), HasSubstr("another &lt;test&gt;"),
                                HasSubstr("a &lt;&amp;&gt;"), Not(HasSubstr("<&"))));
@@ -424,18 +392,18 @@ tests:
 )");
   const std::string note = "note: an inspection could not tell, so these rules fired: r\n";
 
-  EXPECT_THAT(RunArgs({"rules", "test", tests}).out,
+  EXPECT_THAT(RunOffline({"rules", "test", tests}).out,
               AllOf(HasSubstr(absl::StrCat(tests,
                                            ":3: lulled: an inspection could not tell these "
                                            "rules, and no `unscanned` expects it: r\n")),
                     HasSubstr(absl::StrCat("  ", note)), HasSubstr("2 tests, 1 failed")));
   const nlohmann::json json =
-      nlohmann::json::parse(RunArgs({"rules", "test", tests, "--output", "json"}).out);
+      nlohmann::json::parse(RunOffline({"rules", "test", tests, "--output", "json"}).out);
   const nlohmann::json& all = json["files"][0]["tests"];
   EXPECT_EQ(all[0]["unscanned"], nlohmann::json({"r"}));
   EXPECT_FALSE(all[1].contains("unscanned"));
   EXPECT_THAT(absl::StrCat("note: ", all[1]["failures"][0]["note"].get<std::string>(), "\n"), note);
-  EXPECT_THAT(RunArgs({"rules", "test", tests, "--output", "junit"}).out,
+  EXPECT_THAT(RunOffline({"rules", "test", tests, "--output", "junit"}).out,
               HasSubstr(absl::StrCat(note, "</failure>")));
 }
 
@@ -445,15 +413,15 @@ TEST_F(RulesReplayTest, RefusedRulesFailTheirTestsOnly) {
   const std::string bad =
       Write("b_test.yaml", "rules: [broken.rul]\ntests: [{name: t, events: []}]\n");
 
-  const Ran text = RunArgs({"rules", "test", bad, good});
+  const Result text = RunOffline({"rules", "test", bad, good});
   EXPECT_EQ(text.code, 1);
   EXPECT_THAT(text.out, AllOf(HasSubstr("broken.rul:"), HasSubstr("its rules were refused"),
                               HasSubstr("failed: 1 tests, 0 failed, 1 files not run\n")));
   const nlohmann::json json =
-      nlohmann::json::parse(RunArgs({"rules", "test", bad, "--output", "json"}).out);
+      nlohmann::json::parse(RunOffline({"rules", "test", bad, "--output", "json"}).out);
   EXPECT_EQ(json["files"][0]["ok"], false);
   EXPECT_EQ(json["files"][0]["refused"]["files"][0]["ok"], false);
-  EXPECT_THAT(RunArgs({"rules", "test", bad, "--output", "junit"}).out,
+  EXPECT_THAT(RunOffline({"rules", "test", bad, "--output", "junit"}).out,
               HasSubstr("<error message=\"the rules were refused\">"));
 }
 
@@ -468,15 +436,15 @@ TEST_F(RulesReplayTest, TestFilesThatAreWrongExitWithTwo) {
   };
   for (const auto& [text, problem] : kCases) {
     const std::string bad = Write("b_test.yaml", text);
-    const Ran result = RunArgs({"rules", "test", good, bad});
+    const Result result = RunOffline({"rules", "test", good, bad});
     EXPECT_EQ(result.code, 2) << text;
     EXPECT_EQ(result.out, "") << text;
     EXPECT_THAT(result.err, AllOf(StartsWith("error: "), HasSubstr(problem))) << text;
   }
-  EXPECT_EQ(RunArgs({"rules", "test"}).code, 2);
-  EXPECT_EQ(RunArgs({"rules", "test", folder_ + "/none.yaml"}).code, 2);
-  EXPECT_EQ(RunArgs({"rules", "test", folder_}).code, 2);
-  EXPECT_THAT(RunArgs({"rules", "test", good, "--output", "xml"}).err,
+  EXPECT_EQ(RunOffline({"rules", "test"}).code, 2);
+  EXPECT_EQ(RunOffline({"rules", "test", folder_ + "/none.yaml"}).code, 2);
+  EXPECT_EQ(RunOffline({"rules", "test", folder_}).code, 2);
+  EXPECT_THAT(RunOffline({"rules", "test", good, "--output", "xml"}).err,
               HasSubstr("write `text`, `json` or `junit`"));
 }
 

@@ -84,7 +84,7 @@ TEST(IdentityTest, RefusesEverythingElse) {
       "spiffe://fleet.example/robot//sensor/base",
       "spiffe://fleet.example/robot/r1/sensor/base/x",
       "spiffe://fleet.example/robot/r1/policy-server/ps1",
-      "spiffe://fleet.example/operator/root/alice",
+      "spiffe://fleet.example/operator/owner/alice",
       "spiffe://fleet.example/operator/alice",
       "spiffe://fleet.example/operator/admin/",
       "spiffe://fleet.example/operator/admin/alice/x",

@@ -8,23 +8,10 @@
 
 #include "absl/strings/str_cat.h"
 #include "services/base/status_macros.h"
+#include "services/runtime/unique_fd.h"
 
 namespace rips {
 namespace {
-
-class [[nodiscard]] Fd {
- public:
-  explicit Fd(int fd) : fd_(fd) {}
-  ~Fd() {
-    if (fd_ >= 0) close(fd_);
-  }
-  Fd(const Fd&) = delete;
-  Fd& operator=(const Fd&) = delete;
-  int get() const { return fd_; }
-
- private:
-  int fd_;
-};
 
 absl::Status ErrnoStatus(absl::string_view what, const std::string& path) {
   const absl::Status status =
@@ -44,7 +31,8 @@ absl::Status WriteAll(int fd, absl::string_view bytes, const std::string& path) 
 }
 
 absl::Status WriteAndSync(const std::string& path, absl::string_view bytes, mode_t mode) {
-  const Fd file(open(path.c_str(), O_WRONLY | O_CREAT | O_TRUNC | O_CLOEXEC | O_NOFOLLOW, mode));
+  const UniqueFd file(
+      open(path.c_str(), O_WRONLY | O_CREAT | O_TRUNC | O_CLOEXEC | O_NOFOLLOW, mode));
   if (file.get() < 0) return ErrnoStatus("create", path);
   RIPS_RETURN_IF_ERROR(WriteAll(file.get(), bytes, path));
   if (fsync(file.get()) != 0) return ErrnoStatus("sync", path);
@@ -65,14 +53,14 @@ absl::Status WriteFileAtomically(const std::string& path, absl::string_view byte
   }
   const size_t slash = path.rfind('/');
   const std::string dir = slash == std::string::npos ? "." : path.substr(0, slash + 1);
-  const Fd folder(open(dir.c_str(), O_RDONLY | O_DIRECTORY | O_CLOEXEC));
+  const UniqueFd folder(open(dir.c_str(), O_RDONLY | O_DIRECTORY | O_CLOEXEC));
   if (folder.get() < 0 || fsync(folder.get()) != 0) return ErrnoStatus("sync", dir);
   return absl::OkStatus();
 }
 
 absl::StatusOr<std::string> ReadFile(const std::string& path, size_t bytes_max) {
   // O_NONBLOCK: opening a FIFO must not hang.
-  const Fd file(open(path.c_str(), O_RDONLY | O_CLOEXEC | O_NONBLOCK));
+  const UniqueFd file(open(path.c_str(), O_RDONLY | O_CLOEXEC | O_NONBLOCK));
   if (file.get() < 0) return ErrnoStatus("open", path);
   struct stat info {};
   if (fstat(file.get(), &info) != 0) return ErrnoStatus("read", path);
