@@ -74,9 +74,37 @@ struct SensorState {
   friend bool operator==(const SensorState&, const SensorState&) = default;
 };
 
+// An alert of the host's intrusion detection system.
+struct IdsAlert {
+  std::string source;  // snort, suricata
+  uint32_t gid = 0;
+  uint32_t sid = 0;
+  uint32_t rev = 0;
+  std::string message;
+  uint32_t severity = 0;  // 1 = most severe
+  std::string src;        // addresses; may be empty
+  std::string dst;
+  std::string line;  // of an IDS that writes lines of free text; else empty
+
+  friend bool operator==(const IdsAlert&, const IdsAlert&) = default;
+};
+
+// Something looked for whatever the rules say, when it begins and when it is over.
+struct Finding {
+  std::string kind;  // as rules name it
+  // Participant or endpoint it is about; none() = none in particular.
+  ros2::Guid guid;
+  std::string node;  // may be empty
+  std::string topic;
+  std::string detail;  // for people
+  bool over = false;
+
+  friend bool operator==(const Finding&, const Finding&) = default;
+};
+
 struct ControlObservation {
   int64_t boottime_ns = 0;
-  std::variant<GraphChange, SignalSeen, Loss, SensorState> what;
+  std::variant<GraphChange, SignalSeen, Loss, SensorState, IdsAlert, Finding> what;
 };
 
 }  // namespace rips::sensor

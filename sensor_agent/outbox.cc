@@ -62,6 +62,12 @@ size_t CostOf(const ControlObservation& observation) {
     bytes += CostOf(change->delta);
   } else if (const auto* loss = std::get_if<Loss>(&observation.what)) {
     bytes += loss->topic.size();
+  } else if (const auto* ids = std::get_if<IdsAlert>(&observation.what)) {
+    bytes += ids->source.size() + ids->message.size() + ids->src.size() + ids->dst.size() +
+             ids->line.size();
+  } else if (const auto* finding = std::get_if<Finding>(&observation.what)) {
+    bytes += finding->kind.size() + finding->node.size() + finding->topic.size() +
+             finding->detail.size();
   }
   return bytes;
 }
@@ -122,6 +128,8 @@ void Outbox::AddState(const SensorState& state, int64_t now_ns) {
   state_.emplace(state, now_ns);
   state_->first.overloaded |= was_overloaded;
 }
+
+void Outbox::AddControl(ControlObservation observation) { PushControl(std::move(observation)); }
 
 void Outbox::FlushMerged(int64_t now_ns) {
   if (!HasMerged() || !MergedDue(now_ns)) return;

@@ -61,6 +61,8 @@ class Outbox {
   void AddLoss(Loss loss);
   void AddSignal(const std::string& name, int64_t now_ns);
   void AddState(const SensorState& state, int64_t now_ns);
+  // An IdsAlert or a Finding; never shed.
+  void AddControl(ControlObservation observation);
   // Until this is called messages wait: the settled snapshot must be judged before them.
   void ReleaseMessages() { messages_released_ = true; }
   bool messages_released() const { return messages_released_; }

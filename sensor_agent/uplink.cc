@@ -149,6 +149,10 @@ void Uplink::Append(Observations observations) {
     for (MessageSeen& message : observations.messages) outbox_.AddMessage(std::move(message));
     for (Loss& loss : observations.losses) outbox_.AddLoss(std::move(loss));
     for (const std::string& signal : observations.signals) outbox_.AddSignal(signal, now_ns);
+    for (ControlObservation& alert : observations.ids_alerts) outbox_.AddControl(std::move(alert));
+    for (ControlObservation& finding : observations.findings) {
+      outbox_.AddControl(std::move(finding));
+    }
     if (observations.settled) outbox_.ReleaseMessages();
     snapshot_wanted = outbox_.snapshot_wanted();
     if (NextWakeLocked(now_ns) < next_wake_ns_) WakeLocked();

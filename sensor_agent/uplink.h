@@ -50,6 +50,9 @@ struct Observations {
   std::vector<MessageSeen> messages;
   std::vector<Loss> losses;
   std::vector<std::string> signals;
+  // With the time they were seen.
+  std::vector<ControlObservation> ids_alerts;
+  std::vector<ControlObservation> findings;
   // The settled snapshot is among `graph`: messages may follow.
   bool settled = false;
 };

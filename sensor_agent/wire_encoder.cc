@@ -63,6 +63,27 @@ size_t IntroductionBytes(const MessageSource& source) {
   return 3 * 16 + source.topic.size() + source.type.size() + 64 + CostOf(source.writer);
 }
 
+void FillIdsAlert(const IdsAlert& alert, rips::v1::IdsAlert& wire) {
+  wire.set_source(alert.source);
+  wire.set_gid(alert.gid);
+  wire.set_sid(alert.sid);
+  wire.set_rev(alert.rev);
+  wire.set_message(alert.message);
+  wire.set_severity(alert.severity);
+  wire.set_src(alert.src);
+  wire.set_dst(alert.dst);
+  wire.set_line(alert.line);
+}
+
+void FillFinding(const Finding& finding, rips::v1::Finding& wire) {
+  wire.set_kind(finding.kind);
+  if (!finding.guid.none()) wire.set_guid(finding.guid.ToBytes());
+  wire.set_node(finding.node);
+  wire.set_topic(finding.topic);
+  wire.set_detail(finding.detail);
+  wire.set_over(finding.over);
+}
+
 }  // namespace
 
 ObservationBatch WireEncoder::Encode(const Outbox& outbox, Lane lane, const BatchPolicy& policy,
@@ -173,6 +194,10 @@ void WireEncoder::Add(const ControlObservation& observation, ObservationBatch& b
   } else if (const auto* signal = std::get_if<SignalSeen>(&observation.what)) {
     wire->mutable_signal()->set_name(signal->name);
     wire->mutable_signal()->set_count(signal->count);
+  } else if (const auto* alert = std::get_if<IdsAlert>(&observation.what)) {
+    FillIdsAlert(*alert, *wire->mutable_ids());
+  } else if (const auto* finding = std::get_if<Finding>(&observation.what)) {
+    FillFinding(*finding, *wire->mutable_finding());
   } else {
     const SensorState& state = std::get<SensorState>(observation.what);
     wire->mutable_state()->set_overloaded(state.overloaded);

@@ -1,5 +1,6 @@
 #include "policy_server/ingest/observation_decoder.h"
 
+#include <algorithm>
 #include <utility>
 
 #include "absl/strings/str_cat.h"
@@ -228,6 +229,26 @@ absl::StatusOr<pipeline::LossSeen> ObservationDecoder::DecodeLoss(
   return seen;
 }
 
+absl::StatusOr<pipeline::FindingSeen> ObservationDecoder::DecodeFinding(
+    const rips::v1::Finding& finding) const {
+  const size_t longest = std::max({finding.kind().size(), finding.node().size(),
+                                   finding.topic().size(), finding.detail().size()});
+  if (longest > limits_.name_bytes) {
+    return absl::ResourceExhaustedError(absl::StrCat(
+        "text of ", longest, " bytes in a finding exceeds the limit of ", limits_.name_bytes));
+  }
+  if (finding.kind().empty()) return absl::InvalidArgumentError("a finding of no kind");
+  pipeline::FindingSeen seen{.kind = finding.kind(),
+                             .node = finding.node(),
+                             .topic = finding.topic(),
+                             .detail = finding.detail(),
+                             .over = finding.over()};
+  if (!finding.guid().empty()) {
+    RIPS_ASSIGN_OR_RETURN(seen.guid, ros2::GuidFromBytes(finding.guid()));
+  }
+  return seen;
+}
+
 absl::Status ObservationDecoder::DecodeOne(const rips::v1::Observation& observation, Lane lane,
                                            pipeline::Observation& one) const {
   const bool is_message = observation.has_message();
@@ -271,6 +292,10 @@ absl::Status ObservationDecoder::DecodeOne(const rips::v1::Observation& observat
     case rips::v1::Observation::kState:
       one.what = pipeline::SensorStateSeen{.overloaded = observation.state().overloaded()};
       break;
+    case rips::v1::Observation::kFinding: {
+      RIPS_ASSIGN_OR_RETURN(one.what, DecodeFinding(observation.finding()));
+      break;
+    }
     case rips::v1::Observation::KIND_NOT_SET:
       // A newer sensor's kind: not judged, so counted as lost.
       one.what = pipeline::LossSeen{.count = 1, .cause = "an observation of an unknown kind"};

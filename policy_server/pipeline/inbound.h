@@ -78,11 +78,24 @@ struct SensorStateSeen {
   bool overloaded = false;
 };
 
+struct FindingSeen {
+  // As rules name it.
+  std::string kind;
+  // Participant or endpoint it is about; none() = none in particular.
+  ros2::Guid guid;
+  std::string node;
+  std::string topic;
+  // For people; hostile text.
+  std::string detail;
+  // Told before, and no longer so.
+  bool over = false;
+};
+
 struct Observation {
   // CLOCK_BOOTTIME of the sensor's host.
   int64_t boottime_ns = 0;
   std::variant<MessageSeen, GraphSnapshotSeen, GraphDeltaSeen, IdsAlertSeen, SignalSeen, LossSeen,
-               SensorStateSeen>
+               SensorStateSeen, FindingSeen>
       what;
 };
 

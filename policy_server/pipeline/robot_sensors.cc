@@ -187,6 +187,10 @@ void Robot::Judge(SensorHost& host, SensorSession& session, bool primary, const 
     event.what.emplace<engine::ExternalEvent>(
         engine::AgentEvent{.agent = "sensor", .state = "overloaded"});
     Run(event);
+  } else if (const auto* finding = std::get_if<FindingSeen>(&seen.what)) {
+    if (finding->over) return;
+    event.what.emplace<engine::ExternalEvent>(engine::FindingEvent{.kind = finding->kind});
+    Run(event);
   }
 }
 
