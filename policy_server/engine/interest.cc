@@ -236,7 +236,10 @@ class Planner {
     rest.push_back(Row("", default_depth, [&](const Wanting& each) {
       return each.topics.all || each.depth() <= default_depth;
     }));
-    InterestPlan plan = Unnamed();
+    InterestPlan plan;
+    for (const std::string& topic : unnamed_) {
+      if (FirstMatch(rest, topic).depth != Depth::kNothing) plan.push_back(Nothing(topic));
+    }
     for (const std::string& name : literals_) {
       TopicInterest row = OfName(name);
       TopicInterest& otherwise = FirstMatch(rest, name);
@@ -247,10 +250,6 @@ class Planner {
       }
     }
     std::move(rest.begin(), rest.end(), std::back_inserter(plan));
-    if (std::all_of(plan.begin(), plan.end(),
-                    [](const TopicInterest& row) { return row.depth == Depth::kNothing; })) {
-      return {{.depth = Depth::kNothing}};
-    }
     return plan;
   }
 
@@ -276,10 +275,11 @@ class Planner {
 
   InterestPlan Unnamed() const {
     InterestPlan plan;
-    for (const std::string& topic : unnamed_) {
-      plan.push_back({.topic_regex = ExactRegex(topic), .depth = Depth::kNothing});
-    }
+    for (const std::string& topic : unnamed_) plan.push_back(Nothing(topic));
     return plan;
+  }
+  static TopicInterest Nothing(const std::string& topic) {
+    return {.topic_regex = ExactRegex(topic), .depth = Depth::kNothing};
   }
 
   // Of the rules of that depth that are not about all topics.
