@@ -92,7 +92,8 @@ absl::StatusOr<pipeline::Policy> Server::LoadPolicy(const std::string& dir,
                           .bundle_id = loaded.id,
                           .start_level = loaded.start_level,
                           .soft_hold_ns = absl::ToInt64Nanoseconds(loaded.manifest.soft_hold),
-                          .inspector = std::move(inspector)};
+                          .inspector = std::move(inspector),
+                          .interest = pipeline::MakeInterest(*loaded.program)};
 }
 
 absl::Status Server::LoadPolicies() {
@@ -111,7 +112,28 @@ pipeline::Counts Server::MakeCounts() {
     const Counter made = metrics_.AddCounter(name, help);
     return [made](uint64_t by) { made.Increment(static_cast<double>(by)); };
   };
-  return {.observations_judged =
+  return {.endpoints =
+              [this](const std::string& robot, const pipeline::EndpointCounts& counts) {
+                const auto set = [&](const char* visibility, size_t count) {
+                  metrics_
+                      .AddGauge("rips_endpoints",
+                                "Endpoints on the robot, by what is seen of them.",
+                                {{"robot", robot}, {"visibility", visibility}})
+                      .Set(static_cast<double>(count));
+                };
+                set("watched", counts.watched);
+                set("not_needed", counts.not_needed);
+                set("not_visible", counts.not_visible);
+              },
+          .clock_skew =
+              [this](const std::string& robot, const std::string& host, int64_t ns) {
+                metrics_
+                    .AddGauge("rips_sensor_clock_skew_seconds",
+                              "Wall clock of the sensor minus the server's, as estimated.",
+                              {{"robot", robot}, {"host", host}})
+                    .Set(static_cast<double>(ns) / kNanosPerSecond);
+              },
+          .observations_judged =
               counter("rips_observations_judged_total", "Observations judged by rules."),
           .observations_lost = counter("rips_observations_lost_total",
                                        "Observations that sensors report or show as lost."),

@@ -6,6 +6,7 @@
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_join.h"
 #include "policy_server/engine/compiled.h"
+#include "policy_server/engine/message_counts.h"
 #include "policy_server/engine/text.h"
 
 namespace rips::engine {
@@ -65,18 +66,17 @@ std::optional<bool> AnswerOf(levels::LevelIndex wants, bool lowering, const Robo
   return false;
 }
 
-std::string SenderKey(const MessageEvent& message) {
-  return absl::StrCat(message.topic, absl::string_view("\0", 1), message.writer.ToBytes());
-}
-
 void Runner::Run(const Event& event) {
   in_.time_ns = std::max(in_.time_ns, event.time_unix_ns);
   // Nobody swaps it while rules run.
   const std::shared_ptr<const Program>& program = state_.program();
+  if (const auto* external = std::get_if<ExternalEvent>(&event.what)) {
+    if (const auto* loss = std::get_if<LossEvent>(external)) CountLoss(*loss, in_.time_ns, state_);
+  }
   Frame frame(state_, program, event, in_.time_ns, now_, &in_.topics);
   const std::vector<uint32_t>* rules = &program->compiled().external_rules;
-  if (std::holds_alternative<MessageEvent>(event.what)) {
-    Count(frame);
+  if (const auto* message = std::get_if<MessageEvent>(&event.what)) {
+    CountMessage(*message, *frame.topic()->verdict, frame.time_ns(), in_);
     rules = &frame.topic()->verdict->rules;
   } else if (std::holds_alternative<GraphEvent>(event.what)) {
     rules = &program->compiled().graph_rules;
@@ -86,17 +86,6 @@ void Runner::Run(const Event& event) {
     if (state_.halted()) break;
   }
   outcome_.steps += frame.steps();
-}
-
-void Runner::Count(const Frame& frame) {
-  const TopicVerdict& verdict = *frame.topic()->verdict;
-  const auto& message = std::get<MessageEvent>(frame.event().what);
-  if (verdict.topic_window_ns > 0) {
-    in_.counts.Add(message.topic, frame.time_ns(), verdict.topic_window_ns);
-  }
-  if (verdict.sender_window_ns > 0 && !message.writer.none()) {
-    in_.counts.Add(SenderKey(message), frame.time_ns(), verdict.sender_window_ns);
-  }
 }
 
 void Runner::Resume(std::vector<Answered> answered) {

@@ -62,8 +62,6 @@ class Runner {
   Step Debug(Current& current, const lang::TypedAction& action);
   Step Crash(Current& current, const lang::TypedAction& action);
 
-  // Counts the message, where a rule that applies to its topic counts.
-  void Count(const Frame& frame);
   bool Fires(Current& current);
   // Nullopt on a fault, which has then been reported.
   std::optional<lang::Value> Arg(Current& current, const lang::TypedExpr& arg);

@@ -63,6 +63,10 @@ struct Program::Compiled {
   std::vector<uint32_t> graph_rules;
   std::vector<uint32_t> external_rules;
 
+  // How far back any message rule counts; 0 = none does.
+  int64_t topic_window_ns = 0;
+  int64_t sender_window_ns = 0;
+
   // By index of the rule.
   std::vector<const Node*> conditions;
   std::vector<RuleNeeds> needs;

@@ -123,6 +123,9 @@ class Compiler {
     switch (rule.section) {
       case EventClass::kMsg:
         out_->message_rules.push_back(index);
+        out_->topic_window_ns = std::max(out_->topic_window_ns, out_->needs[index].topic_window_ns);
+        out_->sender_window_ns =
+            std::max(out_->sender_window_ns, out_->needs[index].sender_window_ns);
         return absl::OkStatus();
       case EventClass::kGraph:
         out_->graph_rules.push_back(index);

@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <iterator>
 #include <limits>
+#include <utility>
 
 namespace rips::engine {
 namespace {
@@ -15,13 +16,15 @@ int64_t Before(int64_t time_ns, int64_t span_ns) {
 
 }  // namespace
 
+CountWindows::Window& CountWindows::Find(absl::string_view key) {
+  const auto found = windows_.find(key);
+  if (found != windows_.end()) return found->second;
+  if (windows_.size() >= kKeysMax) ForgetOldest();
+  return windows_.emplace(std::string(key), Window()).first->second;
+}
+
 void CountWindows::Add(absl::string_view key, int64_t time_ns, int64_t keep_ns) {
-  auto found = windows_.find(key);
-  if (found == windows_.end()) {
-    if (windows_.size() >= kKeysMax) ForgetOldest();
-    found = windows_.emplace(std::string(key), Window()).first;
-  }
-  Window& window = found->second;
+  Window& window = Find(key);
   std::vector<Instant>& instants = window.instants;
   if (!instants.empty() && instants.back().time_ns >= time_ns) {
     ++instants.back().total;
@@ -30,6 +33,38 @@ void CountWindows::Add(absl::string_view key, int64_t time_ns, int64_t keep_ns) 
   if (instants.size() >= kInstantsMax) Shorten(window, time_ns, keep_ns);
   const uint64_t total = instants.empty() ? window.forgotten : instants.back().total;
   instants.push_back({.time_ns = time_ns, .total = total + 1});
+}
+
+void CountWindows::AddLost(absl::string_view key, uint64_t count, int64_t first_ns, int64_t last_ns,
+                           int64_t keep_ns) {
+  if (count == 0) return;
+  const uint64_t span_ns = static_cast<uint64_t>(last_ns) - static_cast<uint64_t>(first_ns);
+  const uint64_t parts = span_ns == 0 ? 1 : std::min(count, kSpreadMax);
+  // What each instant adds, the lost ones among them.
+  std::vector<Instant> added;
+  added.reserve(parts);
+  uint64_t before = 0;
+  for (uint64_t i = 1; i <= parts; ++i) {
+    const uint64_t rest_ns = span_ns / parts * (parts - i);
+    const uint64_t upto = count / parts * i + count % parts * i / parts;
+    added.push_back({static_cast<int64_t>(static_cast<uint64_t>(last_ns) - rest_ns),
+                     upto - std::exchange(before, upto)});
+  }
+
+  Window& window = Find(key);
+  std::vector<Instant> merged;
+  merged.reserve(window.instants.size() + added.size());
+  uint64_t total = window.forgotten;
+  for (Instant& instant : window.instants) instant.total -= std::exchange(total, instant.total);
+  std::merge(window.instants.begin(), window.instants.end(), added.begin(), added.end(),
+             std::back_inserter(merged),
+             [](const Instant& a, const Instant& b) { return a.time_ns < b.time_ns; });
+  total = window.forgotten;
+  for (Instant& instant : merged) instant.total = total += instant.total;
+  window.instants = std::move(merged);
+  if (window.instants.size() > kInstantsMax) {
+    Shorten(window, window.instants.back().time_ns, keep_ns);
+  }
 }
 
 uint64_t CountWindows::Count(absl::string_view key, int64_t now_ns, int64_t window_ns) const {

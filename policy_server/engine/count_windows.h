@@ -22,10 +22,17 @@ class CountWindows {
   static constexpr size_t kKeysMax = 256;
   static constexpr size_t kInstantsMax = 1'024;
   static constexpr size_t kExactMax = 768;
+  static constexpr uint64_t kSpreadMax = 64;
 
-  // A message of `key` at `time_ns`, which never goes back. What is older than `keep_ns` may be
+  // A message of `key` at `time_ns`, which never goes back, not even behind what was lost. What is older than `keep_ns` may be
   // forgotten.
   void Add(absl::string_view key, int64_t time_ns, int64_t keep_ns);
+
+  // `count` messages of `key` that nobody saw, evenly from `first_ns` to `last_ns`: each of at most
+  // kSpreadMax parts of them at the end of its part of the time. Neither end is after a
+  // time that is added later; `first_ns` <= `last_ns`.
+  void AddLost(absl::string_view key, uint64_t count, int64_t first_ns, int64_t last_ns,
+               int64_t keep_ns);
 
   // Messages of `key` later than `now_ns - window_ns`.
   uint64_t Count(absl::string_view key, int64_t now_ns, int64_t window_ns) const;
@@ -46,6 +53,7 @@ class CountWindows {
     uint64_t forgotten = 0;
   };
 
+  Window& Find(absl::string_view key);
   void ForgetOldest();
   static void Shorten(Window& window, int64_t now_ns, int64_t keep_ns);
 

@@ -29,7 +29,8 @@ struct Describer {
     return absl::StrCat("finding ", finding.kind);
   }
   std::string operator()(const LossEvent& loss) const {
-    return absl::StrCat("loss of ", loss.count, " events");
+    const std::string of = loss.topic.empty() ? "" : absl::StrCat(" on ", loss.topic);
+    return absl::StrCat("loss of ", loss.count, " events", of);
   }
   std::string operator()(const TickEvent&) const { return "tick"; }
 };

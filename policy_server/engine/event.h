@@ -71,8 +71,23 @@ struct FindingEvent {
   // duplicate_node | impostor | ...
   std::string kind;
 };
+// Observations that were not taken or not kept. What is lost of a topic counts in its windows, and
+// what is lost of nobody knows which topic, in all windows.
 struct LossEvent {
+  // More than this of one event count as this many.
+  static constexpr uint64_t kCountedMax = uint64_t{1} << 32;
+
   uint64_t count = 0;
+  // Empty = several or not known.
+  std::string topic;
+  std::string type;
+  // none() = several or not known.
+  ros2::Guid writer;
+  // When the first and the last of them were due, nanoseconds since the Unix epoch; 0 = now.
+  int64_t first_unix_ns = 0;
+  int64_t last_unix_ns = 0;
+  // For people.
+  std::string cause;
 };
 struct TickEvent {};
 using ExternalEvent =

@@ -1,5 +1,16 @@
-// What a robot's sensors must tell so that the rules can be judged: which topics need more than
-// metadata. Derived from the rules alone.
+// What a robot's sensors must tell so that the rules can be judged: of which topics nothing, of
+// which metadata, of which payloads too. Derived from the rules alone.
+//
+// Rules judge the same, in the same way, whether they are given every message or only those that
+// the plan asks for:
+//   - A message is asked for if a message rule may fire, fault or count on its topic. What such a
+//     rule does to variables is therefore seen by all rules.
+//   - Graph and External rules need no messages.
+//   - /rosout and /parameter_events are busy and seldom meant: their messages are asked for only if
+//     a message rule names the topic as a literal in `topicin`.
+// Two things differ by what is not asked for: `Time`, which never goes back, may have been carried
+// further by a message that is not asked for; and the counts of a topic begin anew when rules come
+// into force that ask for it for the first time.
 #ifndef RIPS_POLICY_SERVER_ENGINE_INTEREST_H_
 #define RIPS_POLICY_SERVER_ENGINE_INTEREST_H_
 
@@ -12,25 +23,37 @@
 
 namespace rips::engine {
 
-// Messages of these topics are needed with the first bytes of their payload.
+// Each holds what is before it.
+enum class Depth { kNothing, kMetadata, kPayload };
+
+// What is needed of some topics. Types are never told apart: `msgtypein` and `msgsubtype` ask for
+// all types of a topic, of which a message has one.
 struct TopicInterest {
   // RE2, searched in the topic name; empty = every topic.
   std::string topic_regex;
-  // Bytes that are enough.
+  Depth depth = Depth::kMetadata;
+  // First bytes of the payload that are enough; 0 unless kPayload.
   uint32_t payload_bytes_max = 0;
+  // Names of message rules that are a reason for it, sorted, the first kWantedByMax.
+  std::vector<std::string> wanted_by;
 
   friend bool operator==(const TopicInterest&, const TopicInterest&) = default;
 };
 
-// Past either, one interest in all topics takes the place of the many.
+// The first match wins. The last one is about every topic.
+using InterestPlan = std::vector<TopicInterest>;
+
+// Past one of these more is asked for than is needed, never less: of topics that are named, or of
+// all topics.
 inline constexpr size_t kInterestsMax = 256;
 // RE2 instructions of all patterns together: sensors hold them in memory.
 inline constexpr size_t kInterestInstructionsMax = 100'000;
+// Rules times named topics that are looked at one by one.
+inline constexpr size_t kInterestForecastsMax = 1 << 20;
 
-// The topics on which a message rule may ask about a payload, in its condition or in an argument of
-// its actions: never too few, perhaps too many. Sorted by regex, distinct; none if no rule asks.
-std::vector<TopicInterest> PayloadInterest(const lang::CheckedRules& rules,
-                                           uint32_t payload_bytes_max);
+inline constexpr size_t kWantedByMax = 100;
+
+InterestPlan PlanInterest(const lang::CheckedRules& rules, uint32_t payload_bytes_max);
 
 }  // namespace rips::engine
 

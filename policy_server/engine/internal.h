@@ -61,9 +61,6 @@ struct RefusalRecord {
   uint64_t count = 0;
 };
 
-// Names the messages of one writer on one topic in CountWindows; no topic holds a zero byte.
-std::string SenderKey(const MessageEvent& message);
-
 struct RobotState::Internal {
   StateLimits limits;
   Instant started;
@@ -72,7 +69,12 @@ struct RobotState::Internal {
   // The highest `Time` so far.
   int64_t time_ns = std::numeric_limits<int64_t>::min();
   TopicCache topics;
+  // message_counts.h: by topic, and by topic and writer.
   CountWindows counts;
+  // Lost by topic, of writers that are not known.
+  CountWindows lost_by_anybody;
+  // Lost of nobody knows which topic; one key, which nobody can push out.
+  CountWindows lost_anywhere;
   // In the order they were parked.
   std::vector<std::unique_ptr<ParkedChain>> parked;
   absl::btree_map<uint64_t, ProgramRun> runs;

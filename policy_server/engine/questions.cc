@@ -10,6 +10,7 @@
 #include "policy_server/engine/builtins.h"
 #include "policy_server/engine/evaluation.h"
 #include "policy_server/engine/internal.h"
+#include "policy_server/engine/message_counts.h"
 #include "policy_server/engine/text.h"
 #include "policy_server/engine/topic_verdicts.h"
 
@@ -143,7 +144,7 @@ Answer MsgCount(const Node& node, Evaluation& run, Cell& out) {
   if (run.foreseeing) return Answer::kUndecidable;
   uint64_t count = 0;
   if (run.message != nullptr) {
-    count = run.state->internal().counts.Count(run.message->topic, run.time_ns, node.index);
+    count = CountOfTopic(*run.message, run.time_ns, node.index, run.state->internal());
   }
   return InRange(node, run, out, count);
 }
@@ -154,9 +155,8 @@ Answer SenderCount(const Node& node, Evaluation& run, Cell& out) {
     out.truth = false;
     return Answer::kValue;
   }
-  return InRange(
-      node, run, out,
-      run.state->internal().counts.Count(SenderKey(*run.message), run.time_ns, node.index));
+  return InRange(node, run, out,
+                 CountOfSender(*run.message, run.time_ns, node.index, run.state->internal()));
 }
 
 // Node::index is that of the inspection.

@@ -24,9 +24,7 @@ Truth ToTruth(bool value) { return value ? Truth::kTrue : Truth::kFalse; }
 
 class Forecaster {
  public:
-  // `compiled` and `holds` may be null: then nothing is known of the topic.
-  Forecaster(const Program::Compiled* compiled, const std::vector<bool>* holds)
-      : compiled_(compiled), holds_(holds) {}
+  explicit Forecaster(KnownCall known) : known_(known) {}
 
   Forecast Of(const TypedExpr& expr) const {
     // The left side of a run of operators is followed without recursion.
@@ -47,11 +45,9 @@ class Forecaster {
       const bool* value = std::get_if<bool>(&expr.constant);
       return {.value = value == nullptr ? Truth::kUnknown : ToTruth(*value)};
     }
-    if (expr.kind == TypedExpr::Kind::kCall && compiled_ != nullptr) {
-      const auto predicate = compiled_->predicate_of.find(&expr);
-      if (predicate != compiled_->predicate_of.end()) {
-        return {.value = ToTruth((*holds_)[predicate->second])};
-      }
+    if (expr.kind == TypedExpr::Kind::kCall) {
+      const std::optional<bool> holds = known_(expr);
+      if (holds.has_value()) return {.value = ToTruth(*holds)};
     }
     Forecast out;
     for (const TypedExpr& arg : expr.args) {
@@ -89,8 +85,7 @@ class Forecaster {
     return divisor.kind != TypedExpr::Kind::kConstant || (value != nullptr && *value == 0);
   }
 
-  const Program::Compiled* compiled_;
-  const std::vector<bool>* holds_;
+  KnownCall known_;
 };
 
 bool IsFalse(const Forecast& forecast) {
@@ -111,9 +106,13 @@ std::vector<bool> AllHolds(const Program& program, const Scene& scene) {
 TopicVerdict Decide(const Program& program, std::vector<bool> holds) {
   const Program::Compiled& compiled = program.compiled();
   TopicVerdict verdict;
-  const Forecaster forecaster(&compiled, &holds);
+  const auto known = [&](const TypedExpr& call) -> std::optional<bool> {
+    const auto predicate = compiled.predicate_of.find(&call);
+    if (predicate == compiled.predicate_of.end()) return std::nullopt;
+    return holds[predicate->second];
+  };
   for (const uint32_t rule : compiled.message_rules) {
-    if (IsFalse(forecaster.Of(program.rules().rules[rule].condition))) continue;
+    if (NeverFires(program.rules().rules[rule].condition, known)) continue;
     verdict.rules.push_back(rule);
     const RuleNeeds& needs = compiled.needs[rule];
     if (needs.inspects) verdict.inspecting.push_back(rule);
@@ -134,8 +133,12 @@ bool Holds(const Predicate& predicate, const Scene& scene) {
   return Ask(predicate.builtin, predicate.args, scene).value_or(false);
 }
 
+bool NeverFires(const lang::TypedExpr& condition, KnownCall known) {
+  return IsFalse(Forecaster(known).Of(condition));
+}
+
 bool NeverFires(const lang::TypedExpr& condition) {
-  return IsFalse(Forecaster(nullptr, nullptr).Of(condition));
+  return NeverFires(condition, [](const TypedExpr&) { return std::nullopt; });
 }
 
 bool TopicVerdicts::Remembers(const Scene& scene) {

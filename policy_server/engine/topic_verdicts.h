@@ -4,10 +4,12 @@
 
 #include <cstdint>
 #include <memory>
+#include <optional>
 #include <string>
 #include <vector>
 
 #include "absl/container/flat_hash_map.h"
+#include "absl/functional/function_ref.h"
 #include "absl/strings/string_view.h"
 #include "absl/types/span.h"
 #include "policy_server/engine/builtins.h"
@@ -31,7 +33,12 @@ struct Predicate;
 // Does the predicate hold of the scene?
 bool Holds(const Predicate& predicate, const Scene& scene);
 
-// True if `condition` is false whatever happens, and cannot fault.
+// What is known of a call beforehand; nullopt = nothing.
+using KnownCall = absl::FunctionRef<std::optional<bool>(const lang::TypedExpr& call)>;
+
+// True if `condition` is false whatever happens where `known` is so, and cannot fault.
+bool NeverFires(const lang::TypedExpr& condition, KnownCall known);
+// Where nothing is known.
 bool NeverFires(const lang::TypedExpr& condition);
 
 // Remembers verdicts of one program. Not thread-safe. Anybody on the robot can make up topic names,

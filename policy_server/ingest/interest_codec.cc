@@ -19,17 +19,28 @@ std::string Sha256(const std::string& bytes) {
   return std::string(digest.begin(), digest.end());
 }
 
+rips::v1::InterestRule::Depth EncodeDepth(engine::Depth depth) {
+  switch (depth) {
+    case engine::Depth::kNothing:
+      return rips::v1::InterestRule::NOTHING;
+    case engine::Depth::kMetadata:
+      return rips::v1::InterestRule::METADATA;
+    case engine::Depth::kPayload:
+      return rips::v1::InterestRule::PAYLOAD;
+  }
+  return rips::v1::InterestRule::DEPTH_UNSPECIFIED;
+}
+
 }  // namespace
 
-rips::v1::Interest EncodeInterest(const std::vector<engine::TopicInterest>& topics) {
+rips::v1::Interest EncodeInterest(const engine::InterestPlan& plan) {
   rips::v1::Interest interest;
-  for (const engine::TopicInterest& topic : topics) {
+  for (const engine::TopicInterest& topic : plan) {
     rips::v1::InterestRule* rule = interest.add_rules();
     rule->set_topic_regex(topic.topic_regex);
-    rule->set_depth(rips::v1::InterestRule::PAYLOAD);
+    rule->set_depth(EncodeDepth(topic.depth));
     rule->set_payload_bytes_max(topic.payload_bytes_max);
   }
-  interest.add_rules()->set_depth(rips::v1::InterestRule::METADATA);
   interest.set_id(Sha256(interest.SerializeAsString()));
   return interest;
 }

@@ -3,7 +3,6 @@
 #define RIPS_POLICY_SERVER_INGEST_INTEREST_CODEC_H_
 
 #include <cstddef>
-#include <vector>
 
 #include "policy_server/engine/interest.h"
 #include "rips/v1/sensor.pb.h"
@@ -13,8 +12,8 @@ namespace rips::ingest {
 // Of an id: SHA-256.
 inline constexpr size_t kInterestIdBytes = 32;
 
-// The payloads of `topics`, and metadata of everything else. Equal topics give equal ids.
-rips::v1::Interest EncodeInterest(const std::vector<engine::TopicInterest>& topics);
+// Without the reasons. Plans that ask for the same, in the same order, give equal ids.
+rips::v1::Interest EncodeInterest(const engine::InterestPlan& plan);
 
 }  // namespace rips::ingest
 

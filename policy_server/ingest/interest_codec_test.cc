@@ -7,10 +7,13 @@ namespace {
 
 using ::testing::SizeIs;
 
-TEST(InterestCodecTest, PayloadsFirstThenMetadataOfTheRest) {
-  const rips::v1::Interest interest =
-      EncodeInterest({{.topic_regex = "^/a$", .payload_bytes_max = 7},
-                      {.topic_regex = "b", .payload_bytes_max = 9}});
+using engine::Depth;
+
+TEST(InterestCodecTest, RowsInTheirOrder) {
+  const rips::v1::Interest interest = EncodeInterest(
+      {{.topic_regex = "^/a$", .depth = Depth::kPayload, .payload_bytes_max = 7},
+       {.topic_regex = "b", .depth = Depth::kPayload, .payload_bytes_max = 9},
+       {.depth = Depth::kMetadata}});
   ASSERT_THAT(interest.rules(), SizeIs(3));
   EXPECT_EQ(interest.rules(0).topic_regex(), "^/a$");
   EXPECT_EQ(interest.rules(0).depth(), rips::v1::InterestRule::PAYLOAD);
@@ -25,10 +28,13 @@ TEST(InterestCodecTest, TheIdTellsInterestsApart) {
   const std::string none = EncodeInterest({}).id();
   EXPECT_THAT(none, SizeIs(32));
   EXPECT_EQ(EncodeInterest({}).id(), none);
-  const std::string all = EncodeInterest({{.payload_bytes_max = 1}}).id();
+  const auto id = [](engine::TopicInterest row) { return EncodeInterest({std::move(row)}).id(); };
+  const std::string all = id({.depth = Depth::kPayload, .payload_bytes_max = 1});
   EXPECT_NE(all, none);
-  EXPECT_NE(EncodeInterest({{.payload_bytes_max = 2}}).id(), all);
-  EXPECT_NE(EncodeInterest({{.topic_regex = "a", .payload_bytes_max = 1}}).id(), all);
+  EXPECT_NE(id({.depth = Depth::kPayload, .payload_bytes_max = 2}), all);
+  EXPECT_NE(id({.topic_regex = "a", .depth = Depth::kPayload, .payload_bytes_max = 1}), all);
+  EXPECT_NE(id({.depth = Depth::kMetadata}), id({.depth = Depth::kNothing}));
+  EXPECT_EQ(id({.wanted_by = {"r"}}), id({})) << "reasons are not sent";
 }
 
 }  // namespace

@@ -4,6 +4,7 @@
 #include <utility>
 
 #include "absl/strings/str_cat.h"
+#include "policy_server/ingest/interest_codec.h"
 #include "services/base/status_macros.h"
 #include "services/ros2_proto/graph_codec.h"
 
@@ -16,6 +17,8 @@ constexpr uint32_t kProtocol = 1;
 constexpr size_t kIncarnationBytes = 16;
 constexpr int kSpooledRangesMax = 64;
 constexpr uint64_t kSequenceMax = uint64_t{1} << 62;
+// Nanoseconds: 146 years.
+constexpr uint64_t kBoottimeMax = uint64_t{1} << 62;
 
 absl::StatusOr<Lane> DecodeLane(rips::v1::Lane lane) {
   switch (lane) {
@@ -57,6 +60,21 @@ absl::StatusOr<pipeline::GraphDeltaSeen> DecodeDelta(const rips::v1::GraphDelta&
   return seen;
 }
 
+absl::Status CheckNotVisible(const google::protobuf::RepeatedPtrField<std::string>& kinds,
+                             const DecodeLimits& limits) {
+  if (kinds.size() > limits.not_visible) {
+    return absl::ResourceExhaustedError(absl::StrCat(
+        kinds.size(), " kinds of traffic that are not visible; at most ", limits.not_visible));
+  }
+  for (const std::string& kind : kinds) {
+    if (kind.size() > limits.name_bytes) {
+      return absl::ResourceExhaustedError(absl::StrCat(
+          "kind of traffic of ", kind.size(), " bytes exceeds the limit of ", limits.name_bytes));
+    }
+  }
+  return absl::OkStatus();
+}
+
 const char* CauseName(rips::v1::Loss::Cause cause) {
   switch (cause) {
     case rips::v1::Loss::DDS_GAP:
@@ -91,11 +109,15 @@ absl::StatusOr<pipeline::SensorHello> DecodeHello(const rips::v1::SensorHello& h
     return absl::ResourceExhaustedError(absl::StrCat("hello announces ", hello.spooled_size(),
                                                      " ranges; at most ", kSpooledRangesMax));
   }
+  RIPS_RETURN_IF_ERROR(CheckNotVisible(hello.not_visible(), DecodeLimits()));
   pipeline::SensorHello decoded{
       .incarnation = base.incarnation(),
       .clock = {.boottime_ns = static_cast<int64_t>(base.clock().boottime_ns()),
                 .unix_ns = base.clock().unix_ns()},
-      .not_visible = {hello.not_visible().begin(), hello.not_visible().end()}};
+      .not_visible = {hello.not_visible().begin(), hello.not_visible().end()},
+      .interest_in_use = hello.interest_in_use().size() == kInterestIdBytes
+                             ? hello.interest_in_use()
+                             : std::string()};
   for (const rips::v1::SpoolStream& range : hello.spooled()) {
     RIPS_RETURN_IF_ERROR(CheckIncarnation(range.incarnation()));
     RIPS_ASSIGN_OR_RETURN(const Lane lane, DecodeLane(range.lane()));
@@ -109,6 +131,15 @@ absl::StatusOr<pipeline::SensorHello> DecodeHello(const rips::v1::SensorHello& h
                                .last_sequence = range.last_sequence()});
   }
   return decoded;
+}
+
+pipeline::SensorBeat DecodeBeat(const rips::v1::Heartbeat& beat) {
+  const auto boottime = [](uint64_t ns) {
+    return ns > kBoottimeMax ? 0 : static_cast<int64_t>(ns);
+  };
+  return {.clock = {.boottime_ns = boottime(beat.clock().boottime_ns()),
+                    .unix_ns = beat.clock().unix_ns()},
+          .echo_boottime_ns = boottime(beat.echo_boottime_ns())};
 }
 
 ObservationDecoder::ObservationDecoder(DecodeLimits limits)
@@ -177,12 +208,18 @@ absl::StatusOr<std::unique_ptr<const ObservationDecoder::Name>> ObservationDecod
     name->text = std::move(endpoint.node);
     name->guid = endpoint.guid;
     name->reliable = endpoint.qos.reliable;
+    if (endpoint.ros) {
+      name->writes_topic = std::move(endpoint.name);
+      name->writes_type = std::move(endpoint.type);
+    }
   } else {
     return absl::InvalidArgumentError(absl::StrCat("intern id ", intern.id(), " names nothing"));
   }
-  if (name->text.size() > limits_.name_bytes) {
-    return absl::ResourceExhaustedError(absl::StrCat(
-        "name of ", name->text.size(), " bytes exceeds the limit of ", limits_.name_bytes));
+  const size_t longest =
+      std::max({name->text.size(), name->writes_topic.size(), name->writes_type.size()});
+  if (longest > limits_.name_bytes) {
+    return absl::ResourceExhaustedError(
+        absl::StrCat("name of ", longest, " bytes exceeds the limit of ", limits_.name_bytes));
   }
   return name;
 }
@@ -217,7 +254,21 @@ absl::Status ObservationDecoder::DecodeMessage(const rips::v1::MessageSeen& mess
 absl::StatusOr<pipeline::LossSeen> ObservationDecoder::DecodeLoss(
     const rips::v1::Loss& loss) const {
   if (loss.count() == 0) return absl::InvalidArgumentError("a loss of nothing");
-  pipeline::LossSeen seen{.count = loss.count(), .cause = CauseName(loss.cause())};
+  if (loss.first_boottime_ns() > kBoottimeMax || loss.last_boottime_ns() > kBoottimeMax) {
+    return absl::InvalidArgumentError("a loss at a time that no clock shows");
+  }
+  pipeline::LossSeen seen{.count = loss.count(),
+                          .cause = CauseName(loss.cause()),
+                          .first_boottime_ns = static_cast<int64_t>(loss.first_boottime_ns()),
+                          .last_boottime_ns = static_cast<int64_t>(loss.last_boottime_ns())};
+  if (loss.topic_id() != 0) {
+    const Name* topic = Find(loss.topic_id(), Name::Kind::kTopic);
+    if (topic == nullptr) {
+      return absl::InvalidArgumentError(
+          absl::StrCat("loss names topic ", loss.topic_id(), ", which was not interned"));
+    }
+    seen.topic = topic->text;
+  }
   if (loss.writer_id() != 0) {
     const Name* writer = Find(loss.writer_id(), Name::Kind::kWriter);
     if (writer == nullptr) {
@@ -225,8 +276,23 @@ absl::StatusOr<pipeline::LossSeen> ObservationDecoder::DecodeLoss(
           absl::StrCat("loss names writer ", loss.writer_id(), ", which was not interned"));
     }
     seen.tolerable = loss.cause() == rips::v1::Loss::DDS_GAP && !writer->reliable;
+    if (seen.topic.empty()) seen.topic = writer->writes_topic;
+    if (seen.topic == writer->writes_topic) seen.type = writer->writes_type;
+    seen.writer = writer->guid;
   }
   return seen;
+}
+
+absl::StatusOr<pipeline::SensorStateSeen> ObservationDecoder::DecodeState(
+    const rips::v1::SensorState& state) const {
+  RIPS_RETURN_IF_ERROR(CheckNotVisible(state.not_visible(), limits_));
+  return pipeline::SensorStateSeen{
+      .overloaded = state.overloaded(),
+      .outbox_bytes = state.outbox_bytes(),
+      .oldest_unacked_ns =
+          static_cast<int64_t>(std::min<uint64_t>(state.oldest_unacked_ns(), kBoottimeMax)),
+      .spool_bytes = state.spool_bytes(),
+      .not_visible = {state.not_visible().begin(), state.not_visible().end()}};
 }
 
 absl::StatusOr<pipeline::FindingSeen> ObservationDecoder::DecodeFinding(
@@ -289,9 +355,10 @@ absl::Status ObservationDecoder::DecodeOne(const rips::v1::Observation& observat
       RIPS_ASSIGN_OR_RETURN(one.what, DecodeLoss(observation.loss()));
       break;
     }
-    case rips::v1::Observation::kState:
-      one.what = pipeline::SensorStateSeen{.overloaded = observation.state().overloaded()};
+    case rips::v1::Observation::kState: {
+      RIPS_ASSIGN_OR_RETURN(one.what, DecodeState(observation.state()));
       break;
+    }
     case rips::v1::Observation::kFinding: {
       RIPS_ASSIGN_OR_RETURN(one.what, DecodeFinding(observation.finding()));
       break;

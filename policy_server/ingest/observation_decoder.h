@@ -20,12 +20,17 @@ struct DecodeLimits {
   // Interned topics, types and writers of one stream, and their highest id.
   size_t interned = 65'536;
   size_t name_bytes = 1'024;
+  // Of a sensor's words for what it cannot see, each at most name_bytes.
+  int not_visible = 64;
   size_t line_bytes = 64 * 1024;
 };
 
 // InvalidArgument: the hello is malformed (protocol, incarnation length, a range that ends before
 // it starts). FailedPrecondition: a protocol number above ours.
 absl::StatusOr<pipeline::SensorHello> DecodeHello(const rips::v1::SensorHello& hello);
+
+// Times that no clock shows become 0.
+pipeline::SensorBeat DecodeBeat(const rips::v1::Heartbeat& beat);
 
 // Not thread-safe; one call at a time.
 class ObservationDecoder {
@@ -46,8 +51,10 @@ class ObservationDecoder {
     std::string text;
     // Of a topic. Touched by whoever judges, never here.
     mutable engine::TopicMemo memo;
-    // Of a writer.
+    // Of a writer. Its topic and type are empty if they are not of ROS.
     ros2::Guid guid;
+    std::string writes_topic;
+    std::string writes_type;
     bool reliable = false;
   };
   // By id; null where none was interned. Shared with batches under judgement, so names stay where
@@ -67,6 +74,7 @@ class ObservationDecoder {
   absl::Status DecodeMessage(const rips::v1::MessageSeen& message,
                              pipeline::MessageSeen& seen) const;
   absl::StatusOr<pipeline::LossSeen> DecodeLoss(const rips::v1::Loss& loss) const;
+  absl::StatusOr<pipeline::SensorStateSeen> DecodeState(const rips::v1::SensorState& state) const;
   absl::StatusOr<pipeline::FindingSeen> DecodeFinding(const rips::v1::Finding& finding) const;
 
   DecodeLimits limits_;

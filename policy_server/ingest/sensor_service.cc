@@ -69,16 +69,17 @@ class Link final : public pipeline::SensorLink {
     outbound_->Send(std::move(reply));
   }
   // Sent unless it is what the sensor has.
-  void SetInterest(const std::vector<engine::TopicInterest>& topics) override
-      ABSL_LOCKS_EXCLUDED(mu_) {
+  std::string SetInterest(const engine::InterestPlan& plan) override ABSL_LOCKS_EXCLUDED(mu_) {
     SensorReply reply;
-    *reply.mutable_interest() = EncodeInterest(topics);
+    *reply.mutable_interest() = EncodeInterest(plan);
+    std::string id = reply.interest().id();
     {
       MutexLock lock(&mu_);
-      if (interest_ == reply.interest().id()) return;
-      interest_ = reply.interest().id();
+      if (interest_ == id) return id;
+      interest_ = id;
     }
     outbound_->Send(std::move(reply));
+    return id;
   }
   // The sensor's word, at the beginning of a stream. What cannot be an id of ours is none.
   void InterestInUse(const std::string& id) ABSL_LOCKS_EXCLUDED(mu_) {
@@ -131,9 +132,8 @@ class SensorStream final : public Stream {
         return OnBatch(message.batch());
       case SensorMessage::kHeartbeat:
         return Post(Lane::kControl, message.ByteSizeLong(),
-                    [host = host_, link = link_,
-                     at = static_cast<int64_t>(message.heartbeat().clock().boottime_ns())](
-                        Robot& robot) { robot.OnSensorBeat(host, link.get(), at); });
+                    [host = host_, link = link_, beat = DecodeBeat(message.heartbeat())](
+                        Robot& robot) { robot.OnSensorBeat(host, link.get(), beat); });
       case SensorMessage::kInterestApplied:
         return OnInterestApplied(message.interest_applied());
       case SensorMessage::kChunk:
@@ -160,9 +160,15 @@ class SensorStream final : public Stream {
          });
   }
 
-  // A sensor that cannot apply an interest goes on with the one before; messages whose payload was
-  // asked for then come without.
+  // A sensor that cannot apply an interest goes on with the one before.
   void OnInterestApplied(const rips::v1::InterestApplied& applied) {
+    if (applied.interest().size() == kInterestIdBytes) {
+      Post(Lane::kControl, applied.ByteSizeLong(),
+           [host = host_, link = link_,
+            answer =
+                pipeline::InterestAnswer{.id = applied.interest(), .problem = applied.problem()}](
+               Robot& robot) { robot.OnInterestAnswer(host, link.get(), answer); });
+    }
     if (applied.problem().empty()) return;
     metrics_.interests_refused.Increment();
     LogWarning("sensor cannot apply what it is asked to watch",

@@ -149,7 +149,7 @@ TEST_F(SensorServiceTest, ASensorIsAskedForThePayloadsThatRulesNeedUnlessItKnows
   EXPECT_EQ(asked[0].rules(0).topic_regex(), "^\\/image$");
   EXPECT_EQ(asked[0].rules(0).depth(), rips::v1::InterestRule::PAYLOAD);
   EXPECT_EQ(asked[0].rules(1).topic_regex(), "^\\/map$");
-  EXPECT_EQ(asked[0].rules(2).depth(), rips::v1::InterestRule::METADATA);
+  EXPECT_EQ(asked[0].rules(2).depth(), rips::v1::InterestRule::NOTHING);
   sensor->End();
 
   const auto again = Connect(asked[0].id());

@@ -7,6 +7,7 @@
 #include <utility>
 
 #include "absl/strings/str_cat.h"
+#include "policy_server/operator_api/coverage_codec.h"
 #include "policy_server/operator_api/record_tap.h"
 #include "policy_server/operator_api/watch_stream.h"
 #include "services/ros2_proto/graph_codec.h"
@@ -184,6 +185,36 @@ grpc::ServerUnaryReactor* OperatorService::GetGraph(grpc::CallbackServerContext*
         response->mutable_graph()->set_settled(true);
         ros2_proto::EncodeGraph(robot.graph(), *response->mutable_graph());
         response->set_changed_unix_ns(robot.graph_changed_unix_ns());
+        reactor->Finish(grpc::Status::OK);
+      });
+  if (!posted.ok()) reactor->Finish(rpc::ToGrpc(posted));
+  return reactor;
+}
+
+grpc::ServerUnaryReactor* OperatorService::GetInterest(grpc::CallbackServerContext* context,
+                                                       const rips::v1::GetInterestRequest* request,
+                                                       rips::v1::GetInterestResponse* response) {
+  const auto who = Authorize(context, OperatorRole::kViewer);
+  if (!who.ok()) return Refuse(context, who.status());
+  grpc::ServerUnaryReactor* reactor = context->DefaultReactor();
+  const absl::Status posted =
+      pipeline_->Post(request->robot(), Lane::kControl, [reactor, response](Robot& robot) {
+        EncodeInterest(robot, *response);
+        reactor->Finish(grpc::Status::OK);
+      });
+  if (!posted.ok()) reactor->Finish(rpc::ToGrpc(posted));
+  return reactor;
+}
+
+grpc::ServerUnaryReactor* OperatorService::GetCoverage(grpc::CallbackServerContext* context,
+                                                       const rips::v1::GetCoverageRequest* request,
+                                                       rips::v1::GetCoverageResponse* response) {
+  const auto who = Authorize(context, OperatorRole::kViewer);
+  if (!who.ok()) return Refuse(context, who.status());
+  grpc::ServerUnaryReactor* reactor = context->DefaultReactor();
+  const absl::Status posted =
+      pipeline_->Post(request->robot(), Lane::kControl, [reactor, response](Robot& robot) {
+        EncodeCoverage(robot, *response);
         reactor->Finish(grpc::Status::OK);
       });
   if (!posted.ok()) reactor->Finish(rpc::ToGrpc(posted));

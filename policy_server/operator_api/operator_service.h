@@ -1,8 +1,9 @@
 // OperatorService: what people and their tools may ask. Roles come from the certificate.
 //
 //   call                                             role
-//   ListRobots WatchRobots GetGraph GetLevel
-//   ListTransitions ListAlerts WatchAlerts           viewer
+//   ListRobots WatchRobots GetGraph GetInterest
+//   GetCoverage GetLevel ListTransitions ListAlerts
+//   WatchAlerts                                      viewer
 //   Raise DeEscalate ResumeRules Record              operator
 #ifndef RIPS_POLICY_SERVER_OPERATOR_API_OPERATOR_SERVICE_H_
 #define RIPS_POLICY_SERVER_OPERATOR_API_OPERATOR_SERVICE_H_
@@ -38,6 +39,12 @@ class OperatorService final : public rips::v1::OperatorService::CallbackService 
   grpc::ServerUnaryReactor* GetGraph(grpc::CallbackServerContext* context,
                                      const rips::v1::GetGraphRequest* request,
                                      rips::v1::GetGraphResponse* response) override;
+  grpc::ServerUnaryReactor* GetInterest(grpc::CallbackServerContext* context,
+                                        const rips::v1::GetInterestRequest* request,
+                                        rips::v1::GetInterestResponse* response) override;
+  grpc::ServerUnaryReactor* GetCoverage(grpc::CallbackServerContext* context,
+                                        const rips::v1::GetCoverageRequest* request,
+                                        rips::v1::GetCoverageResponse* response) override;
   grpc::ServerUnaryReactor* GetLevel(grpc::CallbackServerContext* context,
                                      const rips::v1::GetLevelRequest* request,
                                      rips::v1::GetLevelResponse* response) override;

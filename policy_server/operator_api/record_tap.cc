@@ -49,7 +49,14 @@ struct ExternalFiller {
     return true;
   }
   bool operator()(const engine::LossEvent& loss) const {
-    out->mutable_loss()->set_count(loss.count);
+    rips::v1::RecordedLoss* lost = out->mutable_loss();
+    lost->set_count(loss.count);
+    lost->set_topic(loss.topic);
+    lost->set_type(loss.type);
+    if (!loss.writer.none()) lost->set_writer_guid(loss.writer.ToBytes());
+    lost->set_first_unix_ns(loss.first_unix_ns);
+    lost->set_last_unix_ns(loss.last_unix_ns);
+    lost->set_cause(loss.cause);
     return true;
   }
   // A replay has ticks of its own.

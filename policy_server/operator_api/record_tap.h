@@ -11,6 +11,8 @@
 
 namespace rips::operator_api {
 
+// Holds what the rules were given: messages that they do not need are neither sent by the robot nor
+// recorded.
 class RecordTap final : public pipeline::Tap {
  public:
   // False when nobody listens any more.

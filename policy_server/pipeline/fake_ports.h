@@ -40,10 +40,16 @@ struct FakeSensor final : SensorLink {
   }
   void Grant(uint64_t message_bytes) override { granted = message_bytes; }
   void Beat(int64_t echo) override { echoed = echo; }
-  void SetInterest(const std::vector<engine::TopicInterest>& topics) override { interest = topics; }
+  std::string SetInterest(const engine::InterestPlan& plan) override {
+    if (plan != interest) ++interests;
+    interest = plan;
+    return interest_id();
+  }
+  std::string interest_id() const { return absl::StrCat("interest ", interests); }
   void Close(const absl::Status& status) override { closed = status; }
   SensorSetup setup;
-  std::vector<engine::TopicInterest> interest;
+  engine::InterestPlan interest;
+  int interests = 0;
   uint64_t acknowledged[kLaneCount] = {0, 0};
   uint64_t granted = 0;
   int64_t echoed = 0;

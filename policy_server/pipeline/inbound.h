@@ -72,10 +72,23 @@ struct LossSeen {
   bool tolerable = false;
   // For people: "outbox shed", "queue full".
   std::string cause;
+  // Empty = several or not known.
+  std::string topic;
+  std::string type;
+  // none() = several or not known.
+  ros2::Guid writer;
+  // When the first and the last were due, CLOCK_BOOTTIME of the sensor's host; 0 = not known.
+  int64_t first_boottime_ns = 0;
+  int64_t last_boottime_ns = 0;
 };
 
 struct SensorStateSeen {
   bool overloaded = false;
+  uint64_t outbox_bytes = 0;
+  int64_t oldest_unacked_ns = 0;
+  uint64_t spool_bytes = 0;
+  // Kinds of traffic the sensor cannot see, for people; hostile text.
+  std::vector<std::string> not_visible;
 };
 
 struct FindingSeen {
@@ -122,7 +135,24 @@ struct SensorHello {
   std::string incarnation;
   Instant clock;
   std::vector<SpooledRange> spooled;
+  // As in SensorStateSeen.
   std::vector<std::string> not_visible;
+  // Id of the interest it watches by; empty = none.
+  std::string interest_in_use;
+};
+
+struct SensorBeat {
+  // The sensor's own clocks when it sent this.
+  Instant clock;
+  // The newest boottime of the server that the sensor had seen by then; 0 = none.
+  int64_t echo_boottime_ns = 0;
+};
+
+// The sensor's answer to an interest.
+struct InterestAnswer {
+  std::string id;
+  // Why not, for people; hostile text. Empty = in use.
+  std::string problem;
 };
 
 struct ActuatorHello {

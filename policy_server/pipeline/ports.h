@@ -12,6 +12,7 @@
 #include "absl/strings/string_view.h"
 #include "policy_server/engine/event.h"
 #include "policy_server/engine/verdict.h"
+#include "policy_server/pipeline/coverage.h"
 #include "policy_server/pipeline/inbound.h"
 #include "policy_server/store/store.h"
 #include "services/base/clock.h"
@@ -72,7 +73,8 @@ struct InspectedMessage {
   std::shared_ptr<const void> owner;
 };
 
-// One who records what a robot's rules are given to judge. Called on the robot's thread; must not
+// One who records what a robot's rules are given to judge: messages that they do not need are never
+// sent. Called on the robot's thread; must not
 // block.
 class Tap {
  public:
@@ -96,6 +98,10 @@ class Inspector {
 
 // What is counted; a null entry is not.
 struct Counts {
+  // Of a robot, when they have changed.
+  std::function<void(const std::string& robot, const EndpointCounts&)> endpoints;
+  // Of a robot's sensor host, nanoseconds, as estimated.
+  std::function<void(const std::string& robot, const std::string& host, int64_t)> clock_skew;
   std::function<void(uint64_t)> observations_judged;
   std::function<void(uint64_t)> observations_lost;
   std::function<void(uint64_t)> observations_duplicate;

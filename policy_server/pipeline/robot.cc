@@ -12,8 +12,6 @@ namespace {
 
 constexpr size_t kReasonBytesMax = 1'000;
 constexpr size_t kAnswersKept = 64;
-// Of one message, that inspections look at.
-constexpr uint32_t kPayloadBytesMax = 64 << 10;
 // Alerts kept in memory while the store cannot be written; the oldest go first.
 constexpr size_t kUnrecordedAlertsMax = 1'000;
 constexpr absl::string_view kOwnRule = "(rips)";
@@ -75,13 +73,14 @@ Robot::Robot(RobotConfig config, Policy policy, Timing timing, const store::Robo
       ports_(std::move(ports)),
       state_(policy_.program, std::move(level), ports_.clock->Now()),
       evidence_(policy_.soft_hold_ns, ports_.clock->Now()),
-      interest_(engine::PayloadInterest(policy_.program->rules(), kPayloadBytesMax)),
       ledger_(config_.actuator_hosts, ports_.new_id),
       started_ns_(ports_.clock->Now().boottime_ns) {
   state_.RestoreVariables(record.variables);
   state_.set_robot_id(config_.id);
   if (record.rules_halted) state_.Halt();
+  UseInterest();
   for (const std::string& host : config_.sensor_hosts) {
+    sensors_[host].name = host;
     sensors_[host].gone_since_ns = started_ns_;
   }
   for (const std::string& host : config_.actuator_hosts) {
@@ -364,6 +363,9 @@ std::vector<std::string> Robot::EvidenceProblems(Instant now) const {
     if (now.boottime_ns - host.session->heard_ns > timing_.stale_ns) {
       problems.push_back(absl::StrCat("sensor ", name, " is silent"));
     }
+    if (std::string problem = InterestProblem(host); !problem.empty()) {
+      problems.push_back(std::move(problem));
+    }
     if (name == config_.primary_sensor && !host.settled) {
       problems.push_back(absl::StrCat("the graph of sensor ", name, " has not settled"));
     }
@@ -568,6 +570,7 @@ void Robot::OnTime() {
   if (now.boottime_ns >= tick_at_ns_) {
     tick_at_ns_ = now.boottime_ns + timing_.tick_ns;
     External(engine::TickEvent{});
+    UpdateCoverage(now);
     Perform(engine::Expire(now, state_), "deadline");
     for (engine::AlertEffect& summary : alert_limiter_.Due(now)) Alert(std::move(summary), "");
   }
@@ -599,11 +602,7 @@ absl::Status Robot::SwapPolicy(Policy policy) {
     policy_ = std::move(policy);
     evidence_.set_hold_ns(policy_.soft_hold_ns);
     OwnAlert(engine::Severity::kInfo, absl::StrCat("bundle ", policy_.bundle_id, " is in force"));
-    interest_ = engine::PayloadInterest(policy_.program->rules(), kPayloadBytesMax);
-    const auto primary = sensors_.find(config_.primary_sensor);
-    if (primary != sensors_.end() && primary->second.session) {
-      primary->second.session->link->SetInterest(interest_);
-    }
+    UseInterest();
     TellMissingPrograms();
     AdvanceMessages();
   }

@@ -24,10 +24,12 @@
 #include "policy_server/engine/evaluator.h"
 #include "policy_server/pipeline/alert_limiter.h"
 #include "policy_server/pipeline/command_ledger.h"
+#include "policy_server/pipeline/coverage.h"
 #include "policy_server/pipeline/evidence_gate.h"
 #include "policy_server/pipeline/inbound.h"
 #include "policy_server/pipeline/links.h"
 #include "policy_server/pipeline/ports.h"
+#include "policy_server/pipeline/sensor_health.h"
 #include "policy_server/pipeline/sequence_track.h"
 #include "policy_server/store/store.h"
 #include "services/base/clock.h"
@@ -51,7 +53,14 @@ struct Policy {
   int64_t soft_hold_ns = 5 * kNanosPerSecond;
   // Null: no message is inspected, and rules that want it are not told.
   std::shared_ptr<Inspector> inspector;
+  // What the program needs (MakeInterest), so that robots share it; null: each finds out itself.
+  std::shared_ptr<const engine::InterestPlan> interest;
 };
+
+// Of one message, that inspections look at.
+inline constexpr uint32_t kPayloadBytesMax = 64 << 10;
+// Takes as long as compiling the rules.
+std::shared_ptr<const engine::InterestPlan> MakeInterest(const engine::Program& program);
 
 struct Timing {
   int64_t heartbeat_ns = 500 * kNanosPerMilli;
@@ -102,7 +111,9 @@ class Robot {
   // ---- sensors; `link` names the session, calls of replaced sessions are ignored.
   void OnSensorHello(const std::string& host, std::shared_ptr<SensorLink> link,
                      const SensorHello& hello);
-  void OnSensorBeat(const std::string& host, const SensorLink* link, int64_t boottime_ns);
+  void OnSensorBeat(const std::string& host, const SensorLink* link, const SensorBeat& beat);
+  void OnInterestAnswer(const std::string& host, const SensorLink* link,
+                        const InterestAnswer& answer);
   // Control batches are judged at once. A message batch waits for those before it and for the
   // inspections that its messages need (robot_inspection.cc).
   void OnBatch(const std::string& host, const SensorLink* link, std::shared_ptr<const Batch> batch);
@@ -128,6 +139,14 @@ class Robot {
   const ros2::RosGraph& graph() const { return state_.graph.get(); }
   int64_t graph_changed_unix_ns() const { return graph_changed_unix_ns_; }
   const levels::LevelTable& levels() const { return state_.level.table(); }
+  // What the rules in force need of each topic.
+  const engine::InterestPlan& interest() const { return *interest_; }
+  // Of the sensors that report messages.
+  std::vector<SensorInterest> SensorInterests() const;
+  // Every sensor host of the inventory, sorted.
+  std::vector<SensorCoverage> Coverage() const;
+  // Findings that stand, oldest first.
+  std::vector<FindingSeen> StandingFindings() const { return {}; }
 
   // ---- time; call at least every 50 ms.
   void OnTime();
@@ -151,8 +170,15 @@ class Robot {
     std::vector<SpooledRange> spooled;
     uint64_t judged_bytes = 0;
     uint64_t granted_bytes = 0;
+    // Ids; what it uses is what it says.
+    std::string interest_wanted;
+    std::string interest_in_use;
+    // Why it does not use the one wanted; printable.
+    std::string interest_problem;
+    ClockSkew skew;
   };
   struct SensorHost {
+    std::string name;
     std::optional<SensorSession> session;
     SequenceTrack sequences;
     // Of the incarnation whose graph is held.
@@ -163,6 +189,9 @@ class Robot {
     bool settled = false;
     bool lost = false;
     int64_t gone_since_ns = 0;
+    RestartCount restarts;
+    RecentLosses losses;
+    SensorStateSeen state;
   };
   struct ActuatorSession {
     std::shared_ptr<ActuatorLink> link;
@@ -203,6 +232,18 @@ class Robot {
   void OnInspected(uint64_t ticket, size_t index, const std::vector<uint32_t>& asked,
                    const std::vector<engine::Verdict>& verdicts);
 
+  // robot_coverage.cc
+  // That of the policy in force.
+  void UseInterest();
+  void AskInterest(SensorSession& session);
+  // Empty if it watches what the rules need.
+  std::string InterestProblem(const SensorHost& host) const;
+  void TakeHello(SensorHost& host, const SensorHello& hello, Instant now);
+  // True if the sensor is overloaded now and was not before.
+  bool TakeState(SensorHost& host, const SensorStateSeen& state);
+  void CountLost(SensorHost& host, uint64_t count);
+  void UpdateCoverage(Instant now);
+
   // robot_sensors.cc
   SensorSession* LiveSensor(const std::string& host, const SensorLink* link);
   // `verdicts` as in Inspecting; may be empty.
@@ -211,6 +252,7 @@ class Robot {
   void Judge(SensorHost& host, SensorSession& session, bool primary, const Observation& seen,
              absl::Span<const engine::Verdict> inspections);
   engine::MessageEvent ToEvent(const MessageSeen& message) const;
+  static engine::LossEvent ToEvent(const LossSeen& loss, const SensorSession& session);
   void JudgeSnapshot(SensorHost& host, const SensorSession& session,
                      const GraphSnapshotSeen& snapshot, engine::Event event);
   void JudgeDelta(SensorHost& host, const SensorSession& session, const GraphDeltaSeen& delta,
@@ -267,8 +309,11 @@ class Robot {
   Ports ports_;
   engine::RobotState state_;
   EvidenceGate evidence_;
-  // Topics whose payloads the rules in force need.
-  std::vector<engine::TopicInterest> interest_;
+  // What the rules in force need.
+  std::shared_ptr<const engine::InterestPlan> interest_;
+  CoverageAlarm coverage_alarm_;
+  // Of the graph whose endpoints were counted last.
+  uint64_t counted_revision_ = 0;
   AlertLimiter alert_limiter_;
   CommandLedger ledger_;
   absl::btree_map<std::string, SensorHost> sensors_;

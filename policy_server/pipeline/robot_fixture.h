@@ -132,7 +132,7 @@ class RobotTest : public ::testing::Test {
   void Pass(int64_t ms) {
     for (int64_t passed = 0; passed < ms; passed += 50) {
       clock_.Advance(50 * kNanosPerMilli);
-      if (sensor_ && sensor_beats_) robot_->OnSensorBeat("base", sensor_.get(), Boottime());
+      if (sensor_ && sensor_beats_) BeatSensor();
       if (actuator_ && actuator_beats_) Beat();
       robot_->OnTime();
       Drain();
@@ -144,7 +144,16 @@ class RobotTest : public ::testing::Test {
     sensor_ = std::make_shared<FakeSensor>();
     robot_->OnSensorHello("base", sensor_,
                           {.incarnation = kIncarnation, .clock = clock_.Now(), .spooled = spooled});
+    AnswerInterest();
     Drain();
+  }
+  void BeatSensor() {
+    robot_->OnSensorBeat("base", sensor_.get(),
+                         {.clock = clock_.Now(), .echo_boottime_ns = Boottime()});
+  }
+  void AnswerInterest(const std::string& problem = "") {
+    robot_->OnInterestAnswer("base", sensor_.get(),
+                             {.id = sensor_->interest_id(), .problem = problem});
   }
   void ConnectActuator(ActuatorHello hello) {
     actuator_ = std::make_shared<FakeActuator>();
@@ -199,7 +208,8 @@ class RobotTest : public ::testing::Test {
                                        .kind = ros2::EndpointKind::kPublisher,
                                        .name = publishes,
                                        .type = "geometry_msgs/msg/Twist",
-                                       .node = name});
+                                       .node = name,
+                                       .visibility = ros2::Visibility::kWatched});
   }
   static ros2::GraphDelta NormalGraph() {
     ros2::GraphDelta graph;

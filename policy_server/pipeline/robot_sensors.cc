@@ -38,6 +38,7 @@ void Robot::OnSensorHello(const std::string& host_name, std::shared_ptr<SensorLi
       .heard_ns = now.boottime_ns,
       .peer_boottime_ns = hello.clock.boottime_ns,
       .spooled = hello.spooled,
+      .interest_in_use = hello.interest_in_use,
   };
   SensorSession& session = *host.session;
   if (host.graph_incarnation != hello.incarnation) host.settled = false;
@@ -45,9 +46,10 @@ void Robot::OnSensorHello(const std::string& host_name, std::shared_ptr<SensorLi
     // What lies between is neither with the sensor any more nor in the store: it is lost.
     const uint64_t judged = host.sequences.Judged(range.incarnation, range.lane);
     if (range.first_sequence <= judged + 1) continue;
-    Count(ports_.counts.observations_lost, range.first_sequence - judged - 1);
+    CountLost(host, range.first_sequence - judged - 1);
     host.sequences.Restore(range.incarnation, range.lane, range.first_sequence - 1);
   }
+  TakeHello(host, hello, now);
   SendSetup(host_name, host, session);
   GrantCredit(host, session);
   for (const SpooledRange& range : hello.spooled) {
@@ -71,7 +73,7 @@ void Robot::SendSetup(const std::string& host_name, SensorHost& host, SensorSess
                        .own_participants = OwnParticipants(),
                        .primary = primary,
                        .want_snapshot = primary && host.graph_incarnation != session.incarnation});
-  if (primary) session.link->SetInterest(interest_);
+  if (primary) AskInterest(session);
 }
 
 void Robot::GrantCredit(SensorHost& host, SensorSession& session) {
@@ -91,10 +93,6 @@ Robot::SensorSession* Robot::LiveSensor(const std::string& host, const SensorLin
   }
   it->second.session->heard_ns = ports_.clock->Now().boottime_ns;
   return &*it->second.session;
-}
-
-void Robot::OnSensorBeat(const std::string& host, const SensorLink* link, int64_t boottime_ns) {
-  if (SensorSession* session = LiveSensor(host, link)) session->peer_boottime_ns = boottime_ns;
 }
 
 void Robot::OnBatch(const std::string& host, const SensorLink* link,
@@ -120,7 +118,7 @@ void Robot::JudgeBatch(const std::string& host_name, const SensorLink* link, con
   }
   const Instant now = ports_.clock->Now();
   if (accepted->missing > 0) {
-    Count(ports_.counts.observations_lost, accepted->missing);
+    CountLost(host, accepted->missing);
     evidence_.Disturb(absl::StrCat(accepted->missing, " messages were shed by the sensor"), now);
   }
   Count(ports_.counts.observations_duplicate, accepted->skip);
@@ -175,15 +173,14 @@ void Robot::Judge(SensorHost& host, SensorSession& session, bool primary, const 
     event.what.emplace<engine::ExternalEvent>(engine::SignalEvent{.name = signal->name});
     Run(event);
   } else if (const auto* loss = std::get_if<LossSeen>(&seen.what)) {
-    Count(ports_.counts.observations_lost, loss->count);
+    CountLost(host, loss->count);
     if (!loss->tolerable) {
       evidence_.Disturb(absl::StrCat(loss->count, " observations were lost: ", loss->cause), now);
     }
-    event.what.emplace<engine::ExternalEvent>(engine::LossEvent{.count = loss->count});
+    event.what.emplace<engine::ExternalEvent>(ToEvent(*loss, session));
     Run(event);
   } else if (const auto* state = std::get_if<SensorStateSeen>(&seen.what)) {
-    if (!state->overloaded) return;
-    evidence_.Disturb("the sensor is overloaded", now);
+    if (!TakeState(host, *state)) return;
     event.what.emplace<engine::ExternalEvent>(
         engine::AgentEvent{.agent = "sensor", .state = "overloaded"});
     Run(event);
@@ -192,6 +189,19 @@ void Robot::Judge(SensorHost& host, SensorSession& session, bool primary, const 
     event.what.emplace<engine::ExternalEvent>(engine::FindingEvent{.kind = finding->kind});
     Run(event);
   }
+}
+
+engine::LossEvent Robot::ToEvent(const LossSeen& loss, const SensorSession& session) {
+  const auto unix_ns = [&](int64_t boottime_ns) {
+    return boottime_ns == 0 ? 0 : boottime_ns + session.unix_offset_ns;
+  };
+  return {.count = loss.count,
+          .topic = loss.topic,
+          .type = loss.type,
+          .writer = loss.writer,
+          .first_unix_ns = unix_ns(loss.first_boottime_ns),
+          .last_unix_ns = unix_ns(loss.last_boottime_ns),
+          .cause = loss.cause};
 }
 
 engine::MessageEvent Robot::ToEvent(const MessageSeen& message) const {

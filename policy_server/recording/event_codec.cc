@@ -45,6 +45,19 @@ RecordedIds DecodeIds(const rips::v1::IdsAlert& wire) {
           .line = wire.line()};
 }
 
+absl::StatusOr<RecordedLoss> DecodeLoss(const rips::v1::RecordedLoss& wire) {
+  RecordedLoss loss{.count = wire.count(),
+                    .topic = wire.topic(),
+                    .type = wire.type(),
+                    .first_unix_ns = wire.first_unix_ns(),
+                    .last_unix_ns = wire.last_unix_ns(),
+                    .cause = wire.cause()};
+  if (!wire.writer_guid().empty()) {
+    RIPS_ASSIGN_OR_RETURN(loss.writer, ros2::GuidFromBytes(wire.writer_guid()));
+  }
+  return loss;
+}
+
 void EncodeSnapshot(const RecordedGraph& graph, rips::v1::GraphSnapshot& wire) {
   wire.set_settled(graph.settled);
   ros2_proto::EncodeGraph(graph.content, wire);
@@ -88,7 +101,16 @@ struct Encoder {
   void operator()(const RecordedFinding& finding) const {
     wire.mutable_finding()->set_kind(finding.kind);
   }
-  void operator()(const RecordedLoss& loss) const { wire.mutable_loss()->set_count(loss.count); }
+  void operator()(const RecordedLoss& loss) const {
+    rips::v1::RecordedLoss* out = wire.mutable_loss();
+    out->set_count(loss.count);
+    out->set_topic(loss.topic);
+    out->set_type(loss.type);
+    if (!loss.writer.none()) out->set_writer_guid(loss.writer.ToBytes());
+    out->set_first_unix_ns(loss.first_unix_ns);
+    out->set_last_unix_ns(loss.last_unix_ns);
+    out->set_cause(loss.cause);
+  }
   void operator()(const RecordedOther& other) const { wire.mutable_other()->set_what(other.what); }
 
   rips::v1::RecordedEvent& wire;
@@ -137,9 +159,10 @@ absl::StatusOr<Recorded> DecodeEvent(const rips::v1::RecordedEvent& wire) {
     case Wire::kFinding:
       event.what = RecordedFinding{.kind = wire.finding().kind()};
       break;
-    case Wire::kLoss:
-      event.what = RecordedLoss{.count = wire.loss().count()};
+    case Wire::kLoss: {
+      RIPS_ASSIGN_OR_RETURN(event.what, DecodeLoss(wire.loss()));
       break;
+    }
     case Wire::kOther:
       event.what = RecordedOther{.what = wire.other().what()};
       break;

@@ -77,6 +77,15 @@ struct RecordedFinding {
 struct RecordedLoss {
   // Events that were not recorded.
   uint64_t count = 0;
+  // Of one topic, or of one writer on it; empty and none() = several or not known.
+  std::string topic;
+  std::string type;
+  ros2::Guid writer;
+  // When the first and the last were due, nanoseconds since the Unix epoch; 0 = not known.
+  int64_t first_unix_ns = 0;
+  int64_t last_unix_ns = 0;
+  // For people.
+  std::string cause;
 
   friend bool operator==(const RecordedLoss&, const RecordedLoss&) = default;
 };

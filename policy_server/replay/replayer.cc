@@ -146,7 +146,13 @@ absl::Status Replayer::Judge(const Recorded& event) {
   } else if (const auto* finding = std::get_if<recording::RecordedFinding>(&event.what)) {
     JudgeExternal(engine::FindingEvent{.kind = finding->kind});
   } else if (const auto* loss = std::get_if<recording::RecordedLoss>(&event.what)) {
-    JudgeExternal(engine::LossEvent{.count = loss->count});
+    JudgeExternal(engine::LossEvent{.count = loss->count,
+                                    .topic = loss->topic,
+                                    .type = loss->type,
+                                    .writer = loss->writer,
+                                    .first_unix_ns = loss->first_unix_ns,
+                                    .last_unix_ns = loss->last_unix_ns,
+                                    .cause = loss->cause});
   }
   return absl::OkStatus();
 }

@@ -1,0 +1,77 @@
+#include "policy_server/operator_api/coverage_codec.h"
+
+#include <algorithm>
+#include <string>
+#include <tuple>
+#include <vector>
+
+#include "policy_server/ingest/interest_codec.h"
+#include "services/ros2_proto/graph_codec.h"
+
+namespace rips::operator_api {
+namespace {
+
+void Encode(const pipeline::SensorCoverage& sensor, rips::v1::SensorCoverage& out) {
+  out.set_host(sensor.host);
+  out.set_primary(sensor.primary);
+  out.set_connected(sensor.connected);
+  out.set_settled(sensor.settled);
+  for (const std::string& kind : sensor.state.not_visible) {
+    out.add_not_visible(kind);
+    out.mutable_state()->add_not_visible(kind);
+  }
+  rips::v1::SensorState* state = out.mutable_state();
+  state->set_overloaded(sensor.state.overloaded);
+  state->set_outbox_bytes(sensor.state.outbox_bytes);
+  state->set_oldest_unacked_ns(static_cast<uint64_t>(sensor.state.oldest_unacked_ns));
+  state->set_spool_bytes(sensor.state.spool_bytes);
+  out.set_lost(sensor.lost);
+  if (sensor.clock_skew_ns.has_value()) out.set_clock_skew_ns(*sensor.clock_skew_ns);
+}
+
+void Encode(const pipeline::FindingSeen& finding, rips::v1::Finding& out) {
+  out.set_kind(finding.kind);
+  if (!finding.guid.none()) out.set_guid(finding.guid.ToBytes());
+  out.set_node(finding.node);
+  out.set_topic(finding.topic);
+  out.set_detail(finding.detail);
+}
+
+}  // namespace
+
+void EncodeInterest(const pipeline::Robot& robot, rips::v1::GetInterestResponse& out) {
+  *out.mutable_interest() = ingest::EncodeInterest(robot.interest());
+  for (const engine::TopicInterest& row : robot.interest()) {
+    rips::v1::InterestReason* reason = out.add_reasons();
+    for (const std::string& rule : row.wanted_by) reason->add_wanted_by(rule);
+  }
+  for (const pipeline::SensorInterest& sensor : robot.SensorInterests()) {
+    rips::v1::SensorInterest* one = out.add_sensors();
+    one->set_host(sensor.host);
+    one->set_connected(sensor.connected);
+    one->set_in_use(sensor.in_use);
+    one->set_problem(sensor.problem);
+  }
+}
+
+void EncodeCoverage(const pipeline::Robot& robot, rips::v1::GetCoverageResponse& out) {
+  for (const pipeline::SensorCoverage& sensor : robot.Coverage()) {
+    Encode(sensor, *out.add_sensors());
+  }
+  std::vector<const ros2::Endpoint*> endpoints;
+  endpoints.reserve(robot.graph().endpoints().size());
+  for (const auto& [guid, endpoint] : robot.graph().endpoints()) endpoints.push_back(&endpoint);
+  std::sort(endpoints.begin(), endpoints.end(),
+            [](const ros2::Endpoint* a, const ros2::Endpoint* b) {
+              return std::tie(a->name, a->kind, a->guid) < std::tie(b->name, b->kind, b->guid);
+            });
+  for (const ros2::Endpoint* endpoint : endpoints) {
+    ros2_proto::EncodeEndpoint(*endpoint, *out.add_endpoints());
+  }
+  for (const pipeline::FindingSeen& finding : robot.StandingFindings()) {
+    Encode(finding, *out.add_findings());
+  }
+  out.set_graph_truncated(robot.graph().truncated());
+}
+
+}  // namespace rips::operator_api

@@ -1,0 +1,147 @@
+// Robot: what is seen of it, and what its sensors are asked for.
+#include <utility>
+
+#include "absl/strings/str_cat.h"
+#include "policy_server/pipeline/robot.h"
+#include "services/ros2/ros_name.h"
+
+namespace rips::pipeline {
+
+std::shared_ptr<const engine::InterestPlan> MakeInterest(const engine::Program& program) {
+  return std::make_shared<const engine::InterestPlan>(
+      engine::PlanInterest(program.rules(), kPayloadBytesMax));
+}
+
+void Robot::UseInterest() {
+  std::shared_ptr<const engine::InterestPlan> plan =
+      policy_.interest != nullptr ? policy_.interest : MakeInterest(*policy_.program);
+  const bool changed = interest_ == nullptr || *plan != *interest_;
+  interest_ = std::move(plan);
+  const auto primary = sensors_.find(config_.primary_sensor);
+  if (!changed || primary == sensors_.end() || !primary->second.session) return;
+  AskInterest(*primary->second.session);
+  // Until the sensor has it in use, it may leave out what the new rules need.
+  evidence_.Disturb("the sensors are asked to watch something else", ports_.clock->Now());
+}
+
+void Robot::AskInterest(SensorSession& session) {
+  std::string id = session.link->SetInterest(*interest_);
+  if (id == session.interest_wanted) return;
+  session.interest_wanted = std::move(id);
+  session.interest_problem.clear();
+}
+
+void Robot::OnInterestAnswer(const std::string& host, const SensorLink* link,
+                             const InterestAnswer& answer) {
+  SensorSession* session = LiveSensor(host, link);
+  if (session == nullptr) return;
+  if (answer.problem.empty()) {
+    session->interest_in_use = answer.id;
+    if (answer.id == session->interest_wanted) session->interest_problem.clear();
+  } else if (answer.id == session->interest_wanted) {
+    // Whoever repeats it is not heard again.
+    if (!session->interest_problem.empty()) return;
+    session->interest_problem = ros2::Printable(answer.problem);
+    OwnAlert(engine::Severity::kHigh, InterestProblem(sensors_[host]));
+    Flush();
+  }
+  UpdateEvidence(ports_.clock->Now());
+  PublishStatus();
+}
+
+std::string Robot::InterestProblem(const SensorHost& host) const {
+  if (host.name != config_.primary_sensor || !host.session) return "";
+  const SensorSession& session = *host.session;
+  if (session.interest_in_use == session.interest_wanted) return "";
+  if (session.interest_problem.empty()) {
+    return absl::StrCat("sensor ", host.name, " does not watch yet what the rules need");
+  }
+  return absl::StrCat("sensor ", host.name,
+                      " does not watch what the rules need: ", session.interest_problem);
+}
+
+std::vector<SensorInterest> Robot::SensorInterests() const {
+  std::vector<SensorInterest> out;
+  const auto primary = sensors_.find(config_.primary_sensor);
+  if (primary == sensors_.end()) return out;
+  SensorInterest& one = out.emplace_back(SensorInterest{.host = primary->first});
+  if (!primary->second.session) return out;
+  const SensorSession& session = *primary->second.session;
+  one.connected = true;
+  one.in_use = session.interest_in_use == session.interest_wanted;
+  if (!one.in_use) one.problem = session.interest_problem;
+  return out;
+}
+
+void Robot::OnSensorBeat(const std::string& host, const SensorLink* link, const SensorBeat& beat) {
+  SensorSession* session = LiveSensor(host, link);
+  if (session == nullptr) return;
+  session->peer_boottime_ns = beat.clock.boottime_ns;
+  if (!session->skew.Beat(beat, ports_.clock->Now())) return;
+  OwnAlert(engine::Severity::kMedium,
+           absl::StrCat("the wall clock of sensor ", host, " is off by about ",
+                        *session->skew.estimate_ns() / kNanosPerMilli, " ms"));
+  External(engine::AgentEvent{.agent = "sensor", .state = "clock_skew"});
+}
+
+void Robot::TakeHello(SensorHost& host, const SensorHello& hello, Instant now) {
+  if (host.restarts.Began(hello.incarnation, now.boottime_ns)) {
+    OwnAlert(engine::Severity::kHigh,
+             absl::StrCat("sensor ", host.name, " has restarted ", RestartCount::kRestartsMax,
+                          " times within ten minutes"));
+    External(engine::AgentEvent{.agent = "sensor", .state = "restarting"});
+  }
+  host.state = {.not_visible = hello.not_visible};
+  coverage_alarm_.SetKinds(host.name, hello.not_visible);
+}
+
+bool Robot::TakeState(SensorHost& host, const SensorStateSeen& state) {
+  const bool was_overloaded = std::exchange(host.state, state).overloaded;
+  coverage_alarm_.SetKinds(host.name, state.not_visible);
+  if (!state.overloaded) return false;
+  evidence_.Disturb("the sensor is overloaded", ports_.clock->Now());
+  return !was_overloaded;
+}
+
+void Robot::CountLost(SensorHost& host, uint64_t count) {
+  if (count == 0) return;
+  if (ports_.counts.observations_lost) ports_.counts.observations_lost(count);
+  host.losses.Add(count, ports_.clock->Now().boottime_ns);
+}
+
+void Robot::UpdateCoverage(Instant now) {
+  if (counted_revision_ != state_.graph.revision()) {
+    counted_revision_ = state_.graph.revision();
+    const EndpointCounts counts = CountEndpoints(graph(), OwnParticipants());
+    coverage_alarm_.SetNotVisible(counts.not_visible);
+    if (ports_.counts.endpoints) ports_.counts.endpoints(config_.id, counts);
+  }
+  for (const auto& [name, host] : sensors_) {
+    if (!host.session || !ports_.counts.clock_skew) continue;
+    const std::optional<int64_t> skew_ns = host.session->skew.estimate_ns();
+    if (skew_ns.has_value()) ports_.counts.clock_skew(config_.id, name, *skew_ns);
+  }
+  if (const auto fallen = coverage_alarm_.Due(now.boottime_ns)) {
+    OwnAlert(engine::Severity::kMedium, absl::StrCat("less is seen: ", *fallen));
+  }
+}
+
+std::vector<SensorCoverage> Robot::Coverage() const {
+  const Instant now = ports_.clock->Now();
+  std::vector<SensorCoverage> out;
+  for (const auto& [name, host] : sensors_) {
+    SensorCoverage& one =
+        out.emplace_back(SensorCoverage{.host = name,
+                                        .primary = name == config_.primary_sensor,
+                                        .connected = host.session.has_value(),
+                                        .state = host.state,
+                                        .lost = host.losses.Total(now.boottime_ns)});
+    if (!host.session) continue;
+    // A sensor that reports no graph has nothing to settle.
+    one.settled = !one.primary || host.settled;
+    one.clock_skew_ns = host.session->skew.estimate_ns();
+  }
+  return out;
+}
+
+}  // namespace rips::pipeline
