@@ -142,6 +142,9 @@ void FakePolicyServer::AnswerHello(const rips::v1::SensorHello& hello, Stream* s
   for (const std::string& guid : behaviour_.own_participants) {
     config.mutable_config()->add_own_participants(guid);
   }
+  for (const std::string& part : behaviour_.protected_parts) {
+    config.mutable_config()->add_protected_parts(part);
+  }
   stream->Write(config);
   SensorReply credit;
   credit.mutable_credit()->set_message_bytes(behaviour_.credit);

@@ -70,6 +70,11 @@ struct AgentEvent {
 struct FindingEvent {
   // duplicate_node | impostor | ...
   std::string kind;
+  // What it is about, as far as it is about such; `detail` is for people.
+  ros2::Guid guid;
+  std::string node;
+  std::string topic;
+  std::string detail;
 };
 struct LossEvent {
   uint64_t count = 0;

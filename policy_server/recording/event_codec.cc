@@ -45,6 +45,15 @@ RecordedIds DecodeIds(const rips::v1::IdsAlert& wire) {
           .line = wire.line()};
 }
 
+absl::StatusOr<RecordedFinding> DecodeFinding(const rips::v1::RecordedFinding& wire) {
+  RecordedFinding finding{
+      .kind = wire.kind(), .node = wire.node(), .topic = wire.topic(), .detail = wire.detail()};
+  if (!wire.guid().empty()) {
+    RIPS_ASSIGN_OR_RETURN(finding.guid, ros2::GuidFromBytes(wire.guid()));
+  }
+  return finding;
+}
+
 void EncodeSnapshot(const RecordedGraph& graph, rips::v1::GraphSnapshot& wire) {
   wire.set_settled(graph.settled);
   ros2_proto::EncodeGraph(graph.content, wire);
@@ -86,7 +95,12 @@ struct Encoder {
     wire.mutable_agent()->set_state(agent.state);
   }
   void operator()(const RecordedFinding& finding) const {
-    wire.mutable_finding()->set_kind(finding.kind);
+    rips::v1::RecordedFinding* out = wire.mutable_finding();
+    out->set_kind(finding.kind);
+    if (!finding.guid.none()) out->set_guid(finding.guid.ToBytes());
+    out->set_node(finding.node);
+    out->set_topic(finding.topic);
+    out->set_detail(finding.detail);
   }
   void operator()(const RecordedLoss& loss) const { wire.mutable_loss()->set_count(loss.count); }
   void operator()(const RecordedOther& other) const { wire.mutable_other()->set_what(other.what); }
@@ -134,9 +148,10 @@ absl::StatusOr<Recorded> DecodeEvent(const rips::v1::RecordedEvent& wire) {
     case Wire::kAgent:
       event.what = RecordedAgent{.agent = wire.agent().agent(), .state = wire.agent().state()};
       break;
-    case Wire::kFinding:
-      event.what = RecordedFinding{.kind = wire.finding().kind()};
+    case Wire::kFinding: {
+      RIPS_ASSIGN_OR_RETURN(event.what, DecodeFinding(wire.finding()));
       break;
+    }
     case Wire::kLoss:
       event.what = RecordedLoss{.count = wire.loss().count()};
       break;
