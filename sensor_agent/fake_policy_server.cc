@@ -48,7 +48,9 @@ ros2::GraphDelta ToDelta(const Participants& participants, const Nodes& nodes,
                          const Endpoints& endpoints) {
   ros2::GraphDelta delta;
   for (const auto& each : participants) {
-    delta.upsert_participants.push_back({.guid = ToGuid(each.guid()), .host = each.host()});
+    delta.upsert_participants.push_back({.guid = ToGuid(each.guid()),
+                                         .host = each.host(),
+                                         .authenticated = each.authenticated()});
   }
   for (const auto& each : nodes) {
     delta.upsert_nodes.push_back({each.full_name(), ToGuid(each.participant_guid())});

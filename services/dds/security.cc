@@ -3,6 +3,7 @@
 #include <openssl/err.h>
 #include <openssl/pem.h>
 #include <openssl/pkcs7.h>
+#include <openssl/sha.h>
 #include <openssl/x509.h>
 
 #include <algorithm>
@@ -274,6 +275,28 @@ absl::StatusOr<Enclave> LoadEnclave(absl::string_view keystore, absl::string_vie
                  .crl = absl::StrCat(folder, "crl.pem")};
   RIPS_RETURN_IF_ERROR(Check(loaded, now));
   return loaded;
+}
+
+bool ProvesEnclave(const ros2::Guid& participant, absl::string_view enclave) {
+  // A longer common name is none (RFC 5280, ub-common-name).
+  constexpr size_t kNameBytesMax = 64;
+  if (enclave.empty() || enclave.size() > kNameBytesMax) return false;
+  const auto wrap = [](char tag, absl::string_view content) {
+    return absl::StrCat(absl::string_view(&tag, 1),
+                        std::string(1, static_cast<char>(content.size())), content);
+  };
+  // Name ::= SEQUENCE { SET { SEQUENCE { commonName, UTF8String } } }
+  const absl::string_view common_name("\x06\x03\x55\x04\x03", 5);
+  const std::string subject =
+      wrap(0x30, wrap(0x31, wrap(0x30, absl::StrCat(common_name, wrap(0x0c, enclave)))));
+  uint8_t hash[SHA256_DIGEST_LENGTH];
+  SHA256(reinterpret_cast<const uint8_t*>(subject.data()), subject.size(), hash);
+  if (participant.bytes[0] != (0x80 | hash[0] >> 1)) return false;
+  for (size_t i = 1; i < 6; ++i) {
+    const uint8_t shifted = static_cast<uint8_t>((hash[i - 1] & 1) << 7 | hash[i] >> 1);
+    if (participant.bytes[i] != shifted) return false;
+  }
+  return true;
 }
 
 absl::StatusOr<std::optional<Enclave>> LoadSecurity(const DdsSettings& settings, absl::Time now) {

@@ -16,6 +16,7 @@
 #include "absl/status/statusor.h"
 #include "absl/strings/string_view.h"
 #include "absl/time/time.h"
+#include "services/ros2/guid.h"
 #include "services/runtime/config_sections.h"
 
 namespace rips::dds {
@@ -55,6 +56,11 @@ struct Enclave {
 // | FailedPrecondition | at `now` the certificate or the permissions do not hold yet or any more |
 absl::StatusOr<Enclave> LoadEnclave(absl::string_view keystore, absl::string_view enclave,
                                     absl::Time now);
+
+// True if `participant` is the GUID of one whose certificate has the subject `CN=ENCLAVE` (as UTF-8
+// string): its first 47 bits are of that name's hash, and whoever authenticates it compares them
+// with the certificate (DDS Security 1.1 §9.3.3). What it says of its enclave is proof only then.
+bool ProvesEnclave(const ros2::Guid& participant, absl::string_view enclave);
 
 // As above, of `dds: {security: ...}`; none if there is no such setting.
 absl::StatusOr<std::optional<Enclave>> LoadSecurity(const DdsSettings& settings, absl::Time now);

@@ -12,6 +12,8 @@
 #include "services/dds/discovery.h"
 #include "services/dds/raw_reader.h"
 #include "services/dds/raw_writer.h"
+#include "services/dds/service_client.h"
+#include "services/dds/service_server.h"
 #include "services/dds/test_keystore.h"
 #include "services/dds/test_world.h"
 #include "services/ros2/cdr.h"
@@ -323,6 +325,37 @@ TEST_F(SecuredDomainTest, SensorSeesEndpointsAndMessagesAndStrangersByNameOnly) 
   EXPECT_EQ(samples[writers[2]->guid()], 0);
 }
 
+TEST(EnclaveProofTest, IsInTheFirstBitsOfTheGuid) {
+  const auto guid = ros2::ParseGuid("93eb4bd1.65cd75d8.cf19a7be.000001c1");
+  ASSERT_THAT(guid, IsOk());
+  EXPECT_TRUE(ProvesEnclave(*guid, "/talker"));
+  EXPECT_FALSE(ProvesEnclave(*guid, "/talkes"));
+  EXPECT_FALSE(ProvesEnclave(*guid, ""));
+  EXPECT_FALSE(ProvesEnclave(*guid, std::string(200, 'x')));
+  for (size_t byte = 0; byte < 6; ++byte) {
+    ros2::Guid other = *guid;
+    other.bytes[byte] ^= 1;
+    EXPECT_FALSE(ProvesEnclave(other, "/talker")) << byte;
+  }
+}
+
+TEST_F(SecuredDomainTest, EnclaveThatTheCertificateDoesNotNameIsNotBelieved) {
+  const auto sensor = Secured(keystore_, "/rips/sensor", "sensor");
+  const auto talker = Secured(keystore_, "/talker", "node");
+  keystore_.Mint("/liar", "node");
+  Enclave lie = keystore_.Load("/liar");
+  lie.name = "/talker";
+  const auto liar = Side(lie);
+  Sight sight;
+  const auto discovery = Discovery::Create(*sensor, sight.Callbacks());
+  ASSERT_THAT(discovery, IsOk());
+  ASSERT_TRUE(Eventually([&] { return sight.Knows(talker->guid()) && sight.Knows(liar->guid()); }));
+  MutexLock lock(&sight.mu);
+  EXPECT_EQ(sight.participants[sensor->guid()].enclave, "/rips/sensor");
+  EXPECT_EQ(sight.participants[talker->guid()].enclave, "/talker");
+  EXPECT_EQ(sight.participants[liar->guid()].enclave, "");
+}
+
 TEST_F(SecuredDomainTest, KeyOfASensorCommandsNothing) {
   const auto sensor = Secured(keystore_, "/rips/sensor", "sensor");
   for (const char* topic : {"rt/cmd_vel", "rq/safety/change_modeRequest", "ros_discovery_info"}) {
@@ -343,6 +376,21 @@ TEST_F(SecuredDomainTest, KeyOfAnActuatorCallsServicesOnly) {
       IsOk());
   EXPECT_THAT(RawReader::Create(*actuator, {.topic = "rt/camera", .type = "t"}, nothing),
               StatusIs(absl::StatusCode::kPermissionDenied));
+}
+
+TEST_F(SecuredDomainTest, ActuatorCallsAServiceOfASecuredNode) {
+  const auto actuator = Secured(keystore_, "/rips/actuator", "actuator");
+  const auto manager = Secured(keystore_, "/mode_manager", "node");
+  const ServiceOptions service = {.service = "/safety/change_mode",
+                                  .type = "system_modes_msgs/srv/ChangeMode"};
+  const auto server = ServiceServer::Create(
+      *manager, service, [](absl::string_view request) { return std::string(request); });
+  ASSERT_THAT(server, IsOk());
+  const auto client = ServiceClient::Create(*actuator, service);
+  ASSERT_THAT(client, IsOk());
+  const auto reply = (*client)->Call(Message(), absl::Seconds(20));
+  ASSERT_THAT(reply, IsOk());
+  EXPECT_EQ(*reply, Message());
 }
 
 }  // namespace
