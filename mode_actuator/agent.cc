@@ -147,7 +147,7 @@ class Agent::Impl {
   absl::Status LoadState();
   absl::Status StartModes(const Smh& smh);
   void StartWorkers();
-  void StartDownlink(std::shared_ptr<const rpc::Credentials> credentials);
+  void StartDownlink(const Smh& smh, std::shared_ptr<const rpc::Credentials> credentials);
   void PushFromNetwork(Input input);
 
   // The agent's thread.
@@ -220,9 +220,12 @@ absl::Status Agent::Impl::LoadState() {
 absl::Status Agent::Impl::StartModes(const Smh& smh) {
   const SystemModes::Targets targets = ModeTargets(config_.levels);
   if (targets.empty()) return absl::OkStatus();
-  RIPS_ASSIGN_OR_RETURN(participant_,
-                        dds::Participant::Create(dds::DomainOptions{
-                            .id = config_.dds.domain, .interface = config_.dds.interface}));
+  RIPS_ASSIGN_OR_RETURN(std::optional<dds::Enclave> enclave,
+                        dds::LoadSecurity(config_.dds, absl::FromUnixNanos(clock_->Now().unix_ns)));
+  RIPS_ASSIGN_OR_RETURN(
+      participant_, dds::Participant::Create(dds::DomainOptions{.id = config_.dds.domain,
+                                                                .interface = config_.dds.interface},
+                                             {.security = std::move(enclave)}));
   RIPS_ASSIGN_OR_RETURN(
       modes_, SystemModes::Create(participant_.get(), smh,
                                   config_.verify_parts ? Verify::kParts : Verify::kManager, targets,
@@ -249,7 +252,8 @@ void Agent::Impl::StartWorkers() {
   levels_ = std::make_unique<LevelWorker>(procedures_.get(), std::move(callbacks));
 }
 
-void Agent::Impl::StartDownlink(std::shared_ptr<const rpc::Credentials> credentials) {
+void Agent::Impl::StartDownlink(const Smh& smh,
+                                std::shared_ptr<const rpc::Credentials> credentials) {
   Downlink::Options options;
   options.servers = config_.servers;
   options.credentials = std::move(credentials);
@@ -258,6 +262,10 @@ void Agent::Impl::StartDownlink(std::shared_ptr<const rpc::Credentials> credenti
   for (const LevelSpec& level : config_.levels) options.levels.push_back(level.name);
   options.fail_safe_level = config_.fail_safe_level;
   for (const ProgramSpec& program : config_.programs) options.programs.push_back(program.name);
+  options.protected_parts = ProtectedParts(config_.levels, smh);
+  if (options.protected_parts.size() == kProtectedPartsMax) {
+    LogWarning("sensors watch over the first parts only", {{"parts", kProtectedPartsMax}});
+  }
   if (participant_ != nullptr) options.participant_guid = participant_->guid().ToBytes();
 
   Downlink::Callbacks callbacks;
@@ -288,7 +296,7 @@ absl::Status Agent::Impl::Start(const Smh& smh,
   RIPS_ASSIGN_OR_RETURN(programs_, PosixRunner::Create(config_.programs, clock_));
   RIPS_RETURN_IF_ERROR(StartModes(smh));
   StartWorkers();
-  StartDownlink(std::move(credentials));
+  StartDownlink(smh, std::move(credentials));
   const int64_t now_ns = NowNs();
   Do(executor_->Start(now_ns), now_ns);
   Publish(now_ns);

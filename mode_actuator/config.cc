@@ -10,6 +10,7 @@
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_join.h"
 #include "services/base/status_macros.h"
+#include "services/ros2/ros_name.h"
 #include "services/runtime/config_reader.h"
 
 namespace rips::actuator {
@@ -222,9 +223,6 @@ absl::StatusOr<ParsedConfig> ParseConfig(absl::string_view file, absl::string_vi
   }
   config.tls = ReadTls(root);
   config.dds = ReadDds(root);
-  if (!config.dds.keystore.empty()) {
-    root.OptionalSection("dds").Problem("security", absl::StrCat("`security` is ", kNotYet));
-  }
   if (root.Has("state_dir")) ReadPath(root, "state_dir", &config.state_dir);
   if (!root.Sections("devices").empty()) {
     root.Problem("devices", absl::StrCat("`devices` are ", kNotYet));
@@ -253,6 +251,19 @@ std::vector<std::pair<std::string, std::string>> ModeTargets(const std::vector<L
     }
   }
   return {targets.begin(), targets.end()};
+}
+
+std::vector<std::string> ProtectedParts(const std::vector<LevelSpec>& levels, const Smh& smh) {
+  std::vector<std::string> parts;
+  std::set<std::string> known;
+  const auto add = [&](const std::string& part) {
+    if (!ros2::ValidateNodeName(part).ok() || parts.size() >= kProtectedPartsMax) return;
+    if (known.insert(part).second) parts.push_back(part);
+  };
+  for (const auto& [part, mode] : ModeTargets(levels)) add(part);
+  for (const auto& [part, system] : smh.systems) add(part);
+  for (const auto& [part, node] : smh.nodes) add(part);
+  return parts;
 }
 
 absl::Status CheckLevelsAgainstSmh(const Config& config, const Smh& smh) {

@@ -100,8 +100,8 @@ TEST(ConfigTest, SaysWhereEachMistakeIs) {
       {"    on_drift: []", "    scripts: /x", "`scripts` is not available in this version"},
       {"metrics:", "devices: [{name: relay}]\nmetrics:",
        "`devices` are not available in this version"},
-      {"security: null", "security: {keystore: /k, enclave: /rips}",
-       "`security` is not available in this version"},
+      {"security: null", "security: {keystore: k, enclave: /rips}", "write an absolute path"},
+      {"security: null", "security: {keystore: /k}", "enclave"},
       {"system_modes: {smh: /etc/rips/smh.yaml, verify: parts}\n", "",
        "has `system_mode` steps but there is no `system_modes` section"},
       {"policy.example:7443", "policy.example", "`policy.example` is not HOST:PORT"},
@@ -166,6 +166,29 @@ arm: {ros__parameters: {type: node, modes: {__DEFAULT__: {ros__parameters: {a: 1
   EXPECT_THAT(CheckLevelsAgainstSmh(other->config, *smh),
               StatusIs(absl::StatusCode::kInvalidArgument,
                        AllOf(HasSubstr("level `ALERT`"), HasSubstr("has no mode `ALARM`"))));
+}
+
+TEST(ConfigTest, PartsOfLevelsAndOfTheSmhFileAreProtected) {
+  const auto smh = ParseSmh(R"(safety:
+  ros__parameters:
+    type: system
+    modes:
+      __DEFAULT__: {cam: active}
+cam: {ros__parameters: {type: node, modes: {__DEFAULT__: {ros__parameters: {a: 1}}}}}
+)");
+  ASSERT_THAT(smh, IsOk());
+  std::vector<LevelSpec> levels(1);
+  levels[0].enter.push_back({.what = SystemModeStep{.part = "/zoom", .mode = "m"}});
+  levels[0].leave.push_back({.what = SystemModeStep{.part = "/cam", .mode = "m"}});
+  levels[0].leave.push_back({.what = SystemModeStep{.part = "/no name", .mode = "m"}});
+  EXPECT_THAT(ProtectedParts(levels, *smh), ElementsAre("/cam", "/zoom", "/safety"));
+  EXPECT_THAT(ProtectedParts({}, Smh{}), ElementsAre());
+
+  Smh many;
+  for (size_t i = 0; i < kProtectedPartsMax; ++i) many.nodes[absl::StrCat("/n", i)] = {};
+  const std::vector<std::string> parts = ProtectedParts(levels, many);
+  EXPECT_EQ(parts.size(), kProtectedPartsMax);
+  EXPECT_EQ(parts[1], "/zoom") << "those of the levels first";
 }
 
 TEST(ConfigTest, EveryCutIsReadOrRefusedWithoutHarm) {

@@ -136,6 +136,7 @@ class Downlink::Impl {
     for (const std::string& level : options_.levels) hello->add_levels(level);
     hello->set_fail_safe_level(options_.fail_safe_level);
     for (const std::string& program : options_.programs) hello->add_programs(program);
+    for (const std::string& part : options_.protected_parts) hello->add_protected_parts(part);
     if (!report.mark.none()) ToProto(report.mark, hello->mutable_mark());
     hello->set_decided_level(report.decided);
     hello->set_effective_level(report.effective);

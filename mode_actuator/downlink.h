@@ -54,6 +54,7 @@ class Downlink {
     std::vector<std::string> levels;
     std::string fail_safe_level;
     std::vector<std::string> programs;
+    std::vector<std::string> protected_parts;
     std::string participant_guid;  // 16 bytes, or empty without DDS
   };
   // All on the session thread, never two at once, not after Stop().

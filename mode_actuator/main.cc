@@ -5,7 +5,9 @@
 #include <optional>
 
 #include "absl/status/status.h"
+#include "absl/time/clock.h"
 #include "mode_actuator/agent.h"
+#include "services/dds/security.h"
 #include "services/rpc/credentials.h"
 #include "services/rpc/grpc_logs.h"
 #include "services/runtime/daemon_flags.h"
@@ -34,6 +36,10 @@ int main(int argc, char** argv) {
 
   const auto loaded = rips::actuator::LoadConfig(flags.config);
   if (!loaded.ok()) return Fail(rips::kExitConfig, loaded.status());
+  if (const auto enclave = rips::dds::LoadSecurity(loaded->config.dds, absl::Now());
+      !enclave.ok()) {
+    return Fail(rips::kExitConfig, enclave.status());
+  }
   if (flags.check_config) {
     std::printf("%s", loaded->effective.c_str());
     return 0;

@@ -26,6 +26,12 @@ constexpr int64_t kResyncNs = 2 * kNanosPerSecond;
 // Payloads that may be held between reception and the outbox, which has a limit of its own.
 constexpr size_t kPayloadsUnderwayBytes = size_t{16} << 20;
 
+void AddFinding(Finding finding, int64_t now_ns, Observations& seen) {
+  ControlObservation& observation = seen.findings.emplace_back();
+  observation.boottime_ns = now_ns;
+  observation.what = std::move(finding);
+}
+
 Loss LimitLoss(uint64_t count, int64_t now_ns) {
   return {.cause = LossCause::kLimit,
           .count = count,
@@ -74,6 +80,14 @@ absl::StatusOr<std::unique_ptr<Agent>> Agent::Create(
                           }
                           raw->Wake();
                         },
+                    .on_protected_parts =
+                        [raw](std::vector<std::string> parts) {
+                          {
+                            MutexLock lock(&raw->inbox_mu_);
+                            raw->protected_parts_ = std::move(parts);
+                          }
+                          raw->Wake();
+                        },
                     .on_snapshot_wanted = [raw] { raw->Wake(); },
                     .on_interest =
                         [raw](std::shared_ptr<const Interest> interest) {
@@ -84,22 +98,35 @@ absl::StatusOr<std::unique_ptr<Agent>> Agent::Create(
                           raw->Wake();
                         }},
       clock, metrics);
+  RIPS_ASSIGN_OR_RETURN(std::optional<dds::Enclave> enclave,
+                        dds::LoadSecurity(config.dds, absl::FromUnixNanos(clock->Now().unix_ns)));
+  const bool secured = enclave.has_value();
+  const bool admits_strangers = secured && enclave->admits_unauthenticated;
+  if (admits_strangers) {
+    LogWarning(
+        "the governance admits participants that have not authenticated; who has is not "
+        "known, and nobody is a finding for it");
+  }
   RIPS_ASSIGN_OR_RETURN(
       agent->domain_,
       DomainWatch::Create(
           {.domain = {.id = config.dds.domain, .interface = config.dds.interface},
+           .participant = {.security = std::move(enclave)},
            .topics = {.payload_bytes = static_cast<size_t>(config.outbox_memory.bytes) +
                                        kPayloadsUnderwayBytes}},
           [raw] { raw->Wake(); }));
   const int64_t grace_ns = absl::ToInt64Nanoseconds(config.attribution_grace);
   const int64_t settle_ns = absl::ToInt64Nanoseconds(config.settle);
   GraphOptions options{.own = agent->domain_->own(),
+                       .secured = secured && !admits_strangers,
                        .observer_hidden = config.observer_hidden,
                        .unwatched = config.unwatched,
                        .attribution_grace_ns = grace_ns,
                        .settle_ns = settle_ns};
   agent->graph_.emplace(std::move(options), clock->Now().boottime_ns);
   agent->flow_.emplace(FlowOptions{.attribution_grace_ns = grace_ns}, &*agent->graph_);
+  agent->findings_.emplace(
+      FindingsOptions{.own = agent->domain_->own(), .secured = secured && !admits_strangers});
   return agent;
 }
 
@@ -159,31 +186,38 @@ void Agent::Observe() {
     seen.graph = graph_->Poll(now_ns);
     seen.settled = graph_->settled();
     TakeSamples(now_ns, seen);
+    TakeFindings(now_ns, seen);
     CountLimits(now_ns, seen);
     uplink_->Append(std::move(seen));
-    if (uplink_->snapshot_wanted()) uplink_->ReplaceGraph(graph_->Snapshot(now_ns));
+    if (uplink_->snapshot_wanted()) TellAnew(now_ns);
   }
 }
 
 int64_t Agent::NextWork() const {
-  const int64_t work_ns = std::min(graph_->NextDue(), flow_->NextDue());
+  const int64_t work_ns = std::min({graph_->NextDue(), flow_->NextDue(), findings_->NextDue()});
   return resync_until_ns_ == 0 ? work_ns : std::min(work_ns, resync_until_ns_);
 }
 
 void Agent::TakeInbox(int64_t now_ns, Observations& seen) {
   std::optional<std::vector<ros2::Guid>> own;
+  std::optional<std::vector<std::string>> parts;
   std::shared_ptr<const Interest> interest;
   {
     MutexLock lock(&inbox_mu_);
     seen.signals.swap(signals_);
     own.swap(own_participants_);
+    parts.swap(protected_parts_);
     interest.swap(interest_);
   }
   if (interest != nullptr) {
     domain_->topics().SetInterest(interest);
     uplink_->InterestInUse(interest->id());
   }
-  if (own.has_value()) graph_->SetOwnParticipants(*own, now_ns);
+  if (own.has_value()) {
+    graph_->SetOwnParticipants(*own, now_ns);
+    findings_->SetOwnParticipants(*own);
+  }
+  if (parts.has_value()) findings_->SetProtectedParts(*parts);
 }
 
 void Agent::TakeDiscovered(int64_t now_ns, Observations& seen) {
@@ -247,6 +281,7 @@ void Agent::TakeClaims(int64_t now_ns, Observations& seen) {
       continue;
     }
     const absl::Status taken = graph_->NodesClaimed(claim.writer, *entities, now_ns);
+    findings_->OnClaim(claim.writer, taken, now_ns);
     if (!taken.ok()) LogWarning("claim about nodes refused", {{"error", taken.ToString()}});
   }
   const uint64_t lost = domain_->TakeLostClaims();
@@ -270,6 +305,37 @@ void Agent::TakeSamples(int64_t now_ns, Observations& seen) {
     lost_.Increment(static_cast<double>(loss.count));
     seen.losses.push_back(std::move(loss));
   }
+}
+
+void Agent::TakeFindings(int64_t now_ns, Observations& seen) {
+  for (const GraphChange& change : seen.graph) findings_->OnGraph(change, now_ns);
+  findings_->SetConnected(uplink_->Ready().ok(), now_ns);
+  for (Finding& finding : findings_->Poll(now_ns)) {
+    Log(finding.over ? LogLevel::kInfo : LogLevel::kWarning,
+        finding.over ? "finding over" : "finding",
+        {{"kind", finding.kind},
+         {"guid", ToString(finding.guid)},
+         {"node", finding.node},
+         {"topic", finding.topic},
+         {"detail", finding.detail}});
+    AddFinding(std::move(finding), now_ns, seen);
+  }
+  uplink_->SetKindVisible(kSecuredParticipants, findings_->secured_strangers() == 0);
+  const uint64_t dropped = findings_->dropped() - findings_dropped_;
+  findings_dropped_ += dropped;
+  if (dropped > 0) seen.losses.push_back(LimitLoss(dropped, now_ns));
+  lost_.Increment(static_cast<double>(dropped));
+}
+
+void Agent::TellAnew(int64_t now_ns) {
+  std::vector<GraphChange> snapshot = graph_->Snapshot(now_ns);
+  for (const GraphChange& change : snapshot) findings_->OnGraph(change, now_ns);
+  uplink_->ReplaceGraph(std::move(snapshot));
+  Observations again;
+  for (Finding& finding : findings_->Told()) {
+    AddFinding(std::move(finding), now_ns, again);
+  }
+  if (!again.findings.empty()) uplink_->Append(std::move(again));
 }
 
 void Agent::CountLimits(int64_t now_ns, Observations& seen) {

@@ -16,6 +16,7 @@
 #include "grpcpp/security/credentials.h"
 #include "sensor_agent/config.h"
 #include "sensor_agent/dds/domain_watch.h"
+#include "sensor_agent/findings.h"
 #include "sensor_agent/graph_builder.h"
 #include "sensor_agent/interest.h"
 #include "sensor_agent/message_flow.h"
@@ -60,7 +61,10 @@ class Agent {
   void OnEndpoint(const EndpointFact& endpoint, bool alive, int64_t now_ns);
   void TakeClaims(int64_t now_ns, Observations& seen);
   void TakeSamples(int64_t now_ns, Observations& seen);
+  void TakeFindings(int64_t now_ns, Observations& seen);
   void CountLimits(int64_t now_ns, Observations& seen);
+  // The whole graph in place of its steps, and what stands of the findings.
+  void TellAnew(int64_t now_ns);
   int64_t NextWork() const;
 
   const SensorConfig config_;
@@ -80,12 +84,15 @@ class Agent {
   bool stopping_ ABSL_GUARDED_BY(inbox_mu_) = false;
   std::vector<std::string> signals_ ABSL_GUARDED_BY(inbox_mu_);
   std::optional<std::vector<ros2::Guid>> own_participants_ ABSL_GUARDED_BY(inbox_mu_);
+  std::optional<std::vector<std::string>> protected_parts_ ABSL_GUARDED_BY(inbox_mu_);
   // Not yet observed; the newest takes the place of those before. Null = none.
   std::shared_ptr<const Interest> interest_ ABSL_GUARDED_BY(inbox_mu_);
 
   // The observer thread's.
   std::optional<GraphBuilder> graph_;
   std::optional<MessageFlow> flow_;
+  std::optional<Findings> findings_;
+  uint64_t findings_dropped_ = 0;
   // End of a renewed discovery; 0 = none is going on.
   int64_t resync_until_ns_ = 0;
   GraphCounters graph_counted_;

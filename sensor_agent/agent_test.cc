@@ -12,6 +12,7 @@
 #include <sstream>
 
 #include "absl/strings/str_cat.h"
+#include "absl/strings/str_replace.h"
 #include "gmock/gmock.h"
 #include "gtest/gtest.h"
 #include "sensor_agent/fake_policy_server.h"
@@ -344,6 +345,20 @@ TEST_F(DaemonTest, UnknownKeyEndsWithTwoAndItsPlace) {
   Spawn();
   EXPECT_EQ(WaitForExit(), 2);
   EXPECT_THAT(Output(), HasSubstr("sensor.yaml:7:1: unknown key `setle`"));
+}
+
+TEST_F(DaemonTest, CheckConfigNamesAMissingFileOfTheKeystore) {
+  WriteConfig("r1");
+  std::ostringstream text;
+  text << std::ifstream(dir_ / "sensor.yaml").rdbuf();
+  const std::string keystore = (dir_ / "keystore").string();
+  std::ofstream(dir_ / "sensor.yaml") << absl::StrReplaceAll(
+      text.str(), {{"interface: lo",
+                    absl::StrCat("security: {keystore: ", keystore, ", enclave: /rips/sensor}")}});
+  Spawn({"--check-config"});
+  EXPECT_EQ(WaitForExit(), 2);
+  EXPECT_THAT(Output(),
+              HasSubstr(absl::StrCat(keystore, "/enclaves/rips/sensor/identity_ca.cert.pem")));
 }
 
 TEST_F(DaemonTest, CheckConfigPrintsTheEffectiveConfiguration) {

@@ -49,10 +49,6 @@ absl::StatusOr<SensorConfig> ParseSensorConfig(absl::string_view file, absl::str
   }
   config.tls = ReadTls(root);
   config.dds = ReadDds(root);
-  if (!config.dds.keystore.empty()) {
-    root.OptionalSection("dds").Problem("security",
-                                        absl::StrCat("DDS security is ", kNotAvailable));
-  }
   root.OptionalEnum<bool>("observer", &config.observer_hidden,
                           {{"counted", false}, {"hidden", true}});
   root.Optional("settle", &config.settle, {absl::ZeroDuration(), absl::Seconds(10)});

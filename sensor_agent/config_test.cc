@@ -117,9 +117,20 @@ INSTANTIATE_TEST_SUITE_P(
         BadCase{"Wire", "wire: {enabled: false}", "wire: {enabled: true}", "14:17",
                 "not available in this version"},
         BadCase{"Disk", "disk: 0B", "disk: 256MiB", "11:30", "not available in this version"},
-        BadCase{"Security", "security: null", "security: {keystore: /k, enclave: /rips/sensor}",
-                "5:", "DDS security is not available in this version"}),
+        BadCase{"Keystore", "security: null", "security: {keystore: k, enclave: /rips/sensor}",
+                "5:", "write an absolute path"},
+        BadCase{"Enclave", "security: null", "security: {keystore: /k, enclave: rips}",
+                "5:", "`enclave` must begin with `/`"}),
     [](const auto& param) { return param.param.name; });
+
+TEST(SensorConfigTest, SecurityNamesKeystoreAndEnclave) {
+  const std::string text = absl::StrReplaceAll(
+      kFull, {{"security: null", "security: {keystore: /k, enclave: /rips/sensor}"}});
+  const auto config = ParseSensorConfig("sensor.yaml", text);
+  ASSERT_THAT(config, IsOk());
+  EXPECT_EQ(config->dds.keystore, "/k");
+  EXPECT_EQ(config->dds.enclave, "/rips/sensor");
+}
 
 TEST(SensorConfigTest, EveryProblemIsToldAtOnce) {
   EXPECT_THAT(

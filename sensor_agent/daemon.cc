@@ -6,9 +6,11 @@
 #include <string>
 
 #include "absl/strings/str_cat.h"
+#include "absl/time/clock.h"
 #include "sensor_agent/agent.h"
 #include "sensor_agent/config.h"
 #include "services/base/status_macros.h"
+#include "services/dds/security.h"
 #include "services/rpc/credentials.h"
 #include "services/runtime/config_sections.h"
 #include "services/runtime/log.h"
@@ -78,6 +80,9 @@ int RunDaemon(const DaemonFlags& flags) {
   if (!config.ok()) {
     std::fprintf(stderr, "%s\n", std::string(config.status().message()).c_str());
     return kExitConfig;
+  }
+  if (const auto enclave = dds::LoadSecurity(config->dds, absl::Now()); !enclave.ok()) {
+    return Fail(kExitConfig, "cannot use the keystore", enclave.status());
   }
   if (flags.check_config) {
     std::fputs(effective.c_str(), stdout);

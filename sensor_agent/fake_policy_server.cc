@@ -48,7 +48,9 @@ ros2::GraphDelta ToDelta(const Participants& participants, const Nodes& nodes,
                          const Endpoints& endpoints) {
   ros2::GraphDelta delta;
   for (const auto& each : participants) {
-    delta.upsert_participants.push_back({.guid = ToGuid(each.guid()), .host = each.host()});
+    delta.upsert_participants.push_back({.guid = ToGuid(each.guid()),
+                                         .host = each.host(),
+                                         .authenticated = each.authenticated()});
   }
   for (const auto& each : nodes) {
     delta.upsert_nodes.push_back({each.full_name(), ToGuid(each.participant_guid())});
@@ -141,6 +143,9 @@ void FakePolicyServer::AnswerHello(const rips::v1::SensorHello& hello, Stream* s
                                              graph_incarnation_ != hello.hello().incarnation());
   for (const std::string& guid : behaviour_.own_participants) {
     config.mutable_config()->add_own_participants(guid);
+  }
+  for (const std::string& part : behaviour_.protected_parts) {
+    config.mutable_config()->add_protected_parts(part);
   }
   stream->Write(config);
   SensorReply credit;

@@ -41,6 +41,7 @@ class FakePolicyServer final : public rips::v1::SensorService::Service {
     uint64_t credit = 1 << 20;
     bool primary = true;
     std::vector<std::string> own_participants;
+    std::vector<std::string> protected_parts;
     // Say so while no snapshot of the incarnation was seen.
     bool ask_for_snapshot = true;
     // Forget the graph and the sequences of the incarnation at the next stream.

@@ -5,6 +5,7 @@
 
 #include <map>
 #include <memory>
+#include <optional>
 #include <string>
 #include <utility>
 #include <vector>
@@ -79,11 +80,13 @@ class FakeProcess {
 // dds::RandomDomain().
 class FakeRobot {
  public:
-  FakeRobot() {
+  // `domain_id` tells robots of one process apart; they share the bus all the same. Processes of
+  // one robot all use DDS Security, or none does.
+  explicit FakeRobot(uint32_t domain_id = 1) {
     {
       const dds::ScopedCycloneUri uri(
           Xml(absl::StrCat("<ExternalDomainId>", dds::RandomDomain(), "</ExternalDomainId>")));
-      auto domain = dds::Domain::Create({.id = 1});
+      auto domain = dds::Domain::Create({.id = domain_id});
       EXPECT_TRUE(domain.ok()) << domain.status();
       domain_ = *std::move(domain);
     }
@@ -92,10 +95,15 @@ class FakeRobot {
   }
   ~FakeRobot() { unsetenv("CYCLONEDDS_URI"); }
 
-  std::unique_ptr<FakeProcess> AddProcess() {
-    auto participant = dds::Participant::Create(domain_);
+  std::unique_ptr<FakeProcess> AddProcess(std::optional<dds::Enclave> enclave = std::nullopt) {
+    return std::make_unique<FakeProcess>(AddParticipant(std::move(enclave)));
+  }
+  // A process that is no ROS process.
+  std::unique_ptr<dds::Participant> AddParticipant(
+      std::optional<dds::Enclave> enclave = std::nullopt) {
+    auto participant = dds::Participant::Create(domain_, {.security = std::move(enclave)});
     EXPECT_TRUE(participant.ok()) << participant.status();
-    return std::make_unique<FakeProcess>(*std::move(participant));
+    return *std::move(participant);
   }
 
  private:

@@ -40,6 +40,9 @@ inline constexpr int64_t kNever = std::numeric_limits<int64_t>::max();
 struct GraphOptions {
   // This sensor's participant.
   ros2::Guid own;
+  // This sensor uses DDS Security in a domain that admits nobody without it: whoever shows an
+  // endpoint has authenticated.
+  bool secured = false;
   // No node `/rips` in the graph.
   bool observer_hidden = false;
   // ROS topics whose messages nobody needs.

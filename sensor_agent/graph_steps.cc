@@ -184,9 +184,12 @@ void GraphBuilder::DiffParticipant(const Guid& guid, ParticipantState& state, Gr
     state.sent_endpoints.clear();
     return;
   }
-  if (state.sent != state.facts) {
-    state.sent = state.facts;
-    delta.upsert_participants.push_back(state.facts);
+  ros2::Participant shown = state.facts;
+  shown.authenticated = options_.secured && (guid == options_.own || !state.endpoints.empty() ||
+                                             (state.sent && state.sent->authenticated));
+  if (state.sent != shown) {
+    delta.upsert_participants.push_back(shown);
+    state.sent = std::move(shown);
   }
   DiffNodes(guid, state, own ? absl::btree_set<std::string>{kOwnNode} : state.nodes, delta);
   DiffEndpoints(state, delta);

@@ -8,6 +8,7 @@
 #include "rips/v1/sensor.grpc.pb.h"
 #include "services/base/check.h"
 #include "services/base/ids.h"
+#include "services/ros2/ros_name.h"
 #include "services/rpc/status_conversion.h"
 #include "services/runtime/daemon_flags.h"
 #include "services/runtime/log.h"
@@ -25,6 +26,8 @@ constexpr uint32_t kProtocol = 1;
 constexpr size_t kClientQueue = 32;
 // Answers to interests that wait for the client's queue.
 constexpr size_t kAnswersMax = 16;
+// Parts watched over; the server sends no more.
+constexpr size_t kProtectedPartsMax = 1'024;
 constexpr int64_t kStallRetryNs = 10 * kNanosPerMilli;
 // What the server may set, whatever it says.
 constexpr uint32_t kBatchObservationsMax = 256;
@@ -64,6 +67,24 @@ absl::StatusOr<std::shared_ptr<const Interest>> FromWire(const rips::v1::Interes
     }
   }
   return Interest::Create(wire.id(), std::move(rules));
+}
+
+// The valid ones.
+std::vector<std::string> ProtectedParts(const rips::v1::SensorConfig& config) {
+  std::vector<std::string> parts;
+  for (const std::string& part : config.protected_parts()) {
+    const absl::Status valid = parts.size() < kProtectedPartsMax
+                                   ? ros2::ValidateNodeName(part)
+                                   : absl::ResourceExhaustedError(absl::StrCat(
+                                         "more than ", kProtectedPartsMax, " protected parts"));
+    if (valid.ok()) {
+      parts.push_back(part);
+      continue;
+    }
+    LogWarning("a part cannot be watched over", {{"error", valid.message()}});
+    if (parts.size() >= kProtectedPartsMax) break;
+  }
+  return parts;
 }
 
 void SetClock(Instant now, rips::v1::Clock* clock) {
@@ -171,6 +192,13 @@ void Uplink::ReplaceGraph(std::vector<GraphChange> snapshot) {
   WakeLocked();
 }
 
+void Uplink::SetKindVisible(const std::string& kind, bool visible) {
+  MutexLock lock(&mu_);
+  const auto it = std::find(not_visible_.begin(), not_visible_.end(), kind);
+  if (visible && it != not_visible_.end()) not_visible_.erase(it);
+  if (!visible && it == not_visible_.end()) not_visible_.push_back(kind);
+}
+
 absl::Status Uplink::Ready() const {
   MutexLock lock(&mu_);
   if (phase_ == Phase::kStreaming) return absl::OkStatus();
@@ -207,8 +235,8 @@ SensorMessage Uplink::OnConnected() {
   SetClock(now, hello->mutable_clock());
   sensor->set_domain(options_.domain);
   sensor->set_interest_in_use(interest_in_use_);
-  sensor->add_not_visible("unicast-only writers");
-  sensor->add_not_visible("service requests");
+  for (const std::string& kind : not_visible_) sensor->add_not_visible(kind);
+  not_visible_told_ = not_visible_;
   for (const Lane lane : kLanes) {
     const SequenceRange range = outbox_.Unacked(lane);
     rips::v1::SpoolStream* spooled = sensor->add_spooled();
@@ -256,7 +284,10 @@ void Uplink::OnMessage(const SensorReply& reply) {
     snapshot_wanted = phase_ == Phase::kStreaming && outbox_.snapshot_wanted();
     WakeLocked();
   }
-  if (own.has_value()) hooks_.on_own_participants(*std::move(own));
+  if (own.has_value()) {
+    hooks_.on_own_participants(*std::move(own));
+    if (hooks_.on_protected_parts) hooks_.on_protected_parts(ProtectedParts(reply.config()));
+  }
   if (snapshot_wanted) hooks_.on_snapshot_wanted();
 }
 
@@ -445,12 +476,14 @@ void Uplink::ReportStateLocked(int64_t now_ns) {
   payloads_shed_.Increment(static_cast<double>(payloads_shed));
   const bool overloaded =
       shed > 0 || payloads_shed > 0 || outbox_.bytes() > outbox_.limits().message_bytes / 2;
-  if (!overloaded && !overloaded_) return;
+  if (!overloaded && !overloaded_ && not_visible_ == not_visible_told_) return;
   overloaded_ = overloaded;
   outbox_.AddState({.overloaded = overloaded,
                     .outbox_bytes = outbox_.bytes(),
-                    .oldest_unacked_ns = now_ns - outbox_.OldestUnacked().value_or(now_ns)},
+                    .oldest_unacked_ns = now_ns - outbox_.OldestUnacked().value_or(now_ns),
+                    .not_visible = not_visible_},
                    now_ns);
+  not_visible_told_ = not_visible_;
 }
 
 void Uplink::PumpLocked(int64_t now_ns) {

@@ -68,11 +68,18 @@ struct UplinkOptions {
   absl::Duration heartbeat = absl::Milliseconds(500);
 };
 
+// Kinds of traffic that may not be visible.
+inline constexpr char kUnicastOnlyWriters[] = "unicast-only writers";
+inline constexpr char kServiceRequests[] = "service requests";
+inline constexpr char kSecuredParticipants[] = "participants with DDS Security";
+
 class Uplink {
  public:
   // Called on the session thread without locks held; return soon.
   struct Hooks {
     std::function<void(std::vector<ros2::Guid>)> on_own_participants;
+    // Full names of the parts whose modes are RIPS's to set. Told after the participants.
+    std::function<void(std::vector<std::string>)> on_protected_parts;
     // Call ReplaceGraph soon: nothing is sent until then.
     std::function<void()> on_snapshot_wanted;
     // What to watch has changed. Call InterestInUse when it is observed.
@@ -94,6 +101,9 @@ class Uplink {
   void ReplaceGraph(std::vector<GraphChange> snapshot) ABSL_LOCKS_EXCLUDED(mu_);
   // The interest of this id is observed from now on: the server is told, now or in the next hello.
   void InterestInUse(const std::string& id) ABSL_LOCKS_EXCLUDED(mu_);
+  // Whether this kind of traffic is visible from now on: the server is told, now or in the next
+  // hello.
+  void SetKindVisible(const std::string& kind, bool visible) ABSL_LOCKS_EXCLUDED(mu_);
   // OK while streaming; Unavailable with the reason otherwise.
   absl::Status Ready() const ABSL_LOCKS_EXCLUDED(mu_);
   // 16 bytes.
@@ -184,6 +194,9 @@ class Uplink {
   uint64_t server_boottime_ns_ ABSL_GUARDED_BY(mu_) = 0;
   int64_t last_heartbeat_ns_ ABSL_GUARDED_BY(mu_) = 0;
   bool overloaded_ ABSL_GUARDED_BY(mu_) = false;
+  std::vector<std::string> not_visible_ ABSL_GUARDED_BY(mu_) = {kUnicastOnlyWriters,
+                                                                kServiceRequests};
+  std::vector<std::string> not_visible_told_ ABSL_GUARDED_BY(mu_);
   uint64_t shed_reported_ ABSL_GUARDED_BY(mu_) = 0;
   uint64_t payloads_shed_reported_ ABSL_GUARDED_BY(mu_) = 0;
   // Ids of the interest that is observed, and of the newest one handed on; empty = none yet. They

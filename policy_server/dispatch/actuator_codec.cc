@@ -3,6 +3,7 @@
 #include "absl/strings/escaping.h"
 #include "absl/strings/str_cat.h"
 #include "services/base/status_macros.h"
+#include "services/ros2/ros_name.h"
 
 namespace rips::dispatch {
 namespace {
@@ -11,6 +12,7 @@ constexpr uint32_t kProtocol = 1;
 constexpr int kLevelsMax = 64;
 constexpr int kProgramsMax = 1'000;
 constexpr int kStepsMax = 256;
+constexpr int kProtectedPartsMax = 256;
 constexpr size_t kOutputBytesMax = 64 * 1024;
 constexpr size_t kCommandIdBytes = 16;
 
@@ -62,6 +64,8 @@ absl::StatusOr<pipeline::ActuatorHello> DecodeHello(const rips::v1::ActuatorHell
   }
   RIPS_RETURN_IF_ERROR(CheckCount("levels", hello.levels_size(), kLevelsMax));
   RIPS_RETURN_IF_ERROR(CheckCount("programs", hello.programs_size(), kProgramsMax));
+  RIPS_RETURN_IF_ERROR(
+      CheckCount("protected parts", hello.protected_parts_size(), kProtectedPartsMax));
   pipeline::ActuatorHello decoded{
       .levels = {hello.levels().begin(), hello.levels().end()},
       .programs = {hello.programs().begin(), hello.programs().end()},
@@ -74,6 +78,10 @@ absl::StatusOr<pipeline::ActuatorHello> DecodeHello(const rips::v1::ActuatorHell
                 .unix_ns = hello.hello().clock().unix_ns()}};
   if (!hello.participant_guid().empty()) {
     RIPS_ASSIGN_OR_RETURN(decoded.participant, ros2::GuidFromBytes(hello.participant_guid()));
+  }
+  for (const std::string& part : hello.protected_parts()) {
+    RIPS_RETURN_IF_ERROR(ros2::ValidateNodeName(part));
+    decoded.protected_parts.push_back(part);
   }
   return decoded;
 }

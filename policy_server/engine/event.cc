@@ -26,7 +26,8 @@ struct Describer {
     return absl::StrCat(agent.agent, " ", agent.state);
   }
   std::string operator()(const FindingEvent& finding) const {
-    return absl::StrCat("finding ", finding.kind);
+    const std::string& about = finding.node.empty() ? finding.topic : finding.node;
+    return absl::StrCat("finding ", finding.kind, about.empty() ? "" : ": ", about);
   }
   std::string operator()(const LossEvent& loss) const {
     const std::string of = loss.topic.empty() ? "" : absl::StrCat(" on ", loss.topic);

@@ -70,6 +70,11 @@ struct AgentEvent {
 struct FindingEvent {
   // duplicate_node | impostor | ...
   std::string kind;
+  // What it is about, as far as it is about such; `detail` is for people.
+  ros2::Guid guid;
+  std::string node;
+  std::string topic;
+  std::string detail;
 };
 // Observations that were not taken or not kept. What is lost of a topic counts in its windows, and
 // what is lost of nobody knows which topic, in all windows.

@@ -6,6 +6,7 @@
 #include "absl/strings/str_cat.h"
 #include "policy_server/ingest/interest_codec.h"
 #include "services/base/status_macros.h"
+#include "services/ros2/ros_name.h"
 #include "services/ros2_proto/graph_codec.h"
 
 namespace rips::ingest {
@@ -304,10 +305,11 @@ absl::StatusOr<pipeline::FindingSeen> ObservationDecoder::DecodeFinding(
         "text of ", longest, " bytes in a finding exceeds the limit of ", limits_.name_bytes));
   }
   if (finding.kind().empty()) return absl::InvalidArgumentError("a finding of no kind");
-  pipeline::FindingSeen seen{.kind = finding.kind(),
-                             .node = finding.node(),
-                             .topic = finding.topic(),
-                             .detail = finding.detail(),
+  // A stranger's words, and they go into alerts: nothing that a terminal or a log would obey.
+  pipeline::FindingSeen seen{.kind = ros2::Printable(finding.kind()),
+                             .node = ros2::Printable(finding.node()),
+                             .topic = ros2::Printable(finding.topic()),
+                             .detail = ros2::Printable(finding.detail()),
                              .over = finding.over()};
   if (!finding.guid().empty()) {
     RIPS_ASSIGN_OR_RETURN(seen.guid, ros2::GuidFromBytes(finding.guid()));

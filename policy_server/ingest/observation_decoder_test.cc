@@ -246,6 +246,45 @@ TEST(ObservationDecoderTest, GraphVersionsMustAdvance) {
   EXPECT_THAT(ObservationDecoder().Decode(batch), IsOk());
 }
 
+TEST(ObservationDecoderTest, FindingsAreTakenAndTheirTextMadeHarmless) {
+  rips::v1::ObservationBatch batch = Batch(rips::v1::CONTROL);
+  rips::v1::Finding* finding = batch.add_observations()->mutable_finding();
+  finding->set_kind("of_a_later_version");
+  finding->set_guid(std::string(16, '\1'));
+  finding->set_node("/n");
+  finding->set_topic("/t");
+  finding->set_detail("a\x1b[2Jb\n");
+  finding->set_over(true);
+  const auto decoded = ObservationDecoder().Decode(batch);
+  ASSERT_THAT(decoded, IsOk());
+  const auto& seen = std::get<pipeline::FindingSeen>(decoded->observations[0].what);
+  EXPECT_EQ(seen.kind, "of_a_later_version");
+  EXPECT_EQ(seen.guid.ToBytes(), std::string(16, '\1'));
+  EXPECT_EQ(seen.node, "/n");
+  EXPECT_EQ(seen.topic, "/t");
+  EXPECT_EQ(seen.detail, "a\\x1b[2Jb\\x0a");
+  EXPECT_TRUE(seen.over);
+}
+
+TEST(ObservationDecoderTest, FindingsThatMakeNoSenseAreRefused) {
+  rips::v1::ObservationBatch good = Batch(rips::v1::CONTROL);
+  good.add_observations()->mutable_finding()->set_kind("impostor");
+  ASSERT_THAT(ObservationDecoder().Decode(good), IsOk());
+
+  rips::v1::ObservationBatch batch = good;
+  batch.mutable_observations(0)->mutable_finding()->set_kind("");
+  EXPECT_THAT(ObservationDecoder().Decode(batch), StatusIs(absl::StatusCode::kInvalidArgument));
+  batch = good;
+  batch.mutable_observations(0)->mutable_finding()->set_guid("short");
+  EXPECT_THAT(ObservationDecoder().Decode(batch), StatusIs(absl::StatusCode::kInvalidArgument));
+  batch = good;
+  batch.mutable_observations(0)->mutable_finding()->set_detail(std::string(1'025, 'x'));
+  EXPECT_THAT(ObservationDecoder().Decode(batch), StatusIs(absl::StatusCode::kResourceExhausted));
+  batch = good;
+  batch.set_lane(rips::v1::MESSAGES);
+  EXPECT_THAT(ObservationDecoder().Decode(batch), StatusIs(absl::StatusCode::kInvalidArgument));
+}
+
 TEST(HelloTest, RefusesWhatIsMalformed) {
   rips::v1::SensorHello good;
   good.mutable_hello()->set_protocol(1);

@@ -44,6 +44,7 @@ class Link final : public pipeline::SensorLink {
     for (const ros2::Guid& guid : setup.own_participants) {
       config->add_own_participants(guid.ToBytes());
     }
+    for (const std::string& part : setup.protected_parts) config->add_protected_parts(part);
     outbound_->Send(std::move(reply));
   }
   void Acknowledge(const std::string& incarnation, Lane lane, uint64_t sequence) override {

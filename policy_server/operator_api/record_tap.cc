@@ -46,6 +46,10 @@ struct ExternalFiller {
   }
   bool operator()(const engine::FindingEvent& finding) const {
     out->mutable_finding()->set_kind(finding.kind);
+    if (!finding.guid.none()) out->mutable_finding()->set_guid(finding.guid.ToBytes());
+    out->mutable_finding()->set_node(finding.node);
+    out->mutable_finding()->set_topic(finding.topic);
+    out->mutable_finding()->set_detail(finding.detail);
     return true;
   }
   bool operator()(const engine::LossEvent& loss) const {

@@ -164,6 +164,8 @@ struct ActuatorHello {
   uint64_t highest_term = 0;
   bool state_lost = false;
   ros2::Guid participant;
+  // Full names of the parts whose modes its levels set.
+  std::vector<std::string> protected_parts;
   Instant clock;
 };
 

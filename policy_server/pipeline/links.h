@@ -20,6 +20,8 @@ struct SensorSetup {
   uint32_t batch_observations = 128;
   uint32_t batch_bytes = 32 * 1024;
   std::vector<ros2::Guid> own_participants;
+  // Full names.
+  std::vector<std::string> protected_parts;
   bool primary = false;
   // The server holds no graph of this incarnation: send a snapshot.
   bool want_snapshot = true;

@@ -14,7 +14,6 @@ constexpr size_t kReasonBytesMax = 1'000;
 constexpr size_t kAnswersKept = 64;
 // Alerts kept in memory while the store cannot be written; the oldest go first.
 constexpr size_t kUnrecordedAlertsMax = 1'000;
-constexpr absl::string_view kOwnRule = "(rips)";
 
 std::string CauseText(const levels::Cause& cause) {
   switch (cause.kind) {
@@ -556,6 +555,7 @@ void Robot::OnTime() {
   const Instant now = ports_.clock->Now();
   CheckSensors(now);
   CheckActuators(now);
+  ExpireFindings(now);
   UpdateEvidence(now);
   if (now.boottime_ns >= beat_at_ns_) {
     beat_at_ns_ = now.boottime_ns + timing_.heartbeat_ns;

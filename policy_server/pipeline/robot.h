@@ -26,6 +26,7 @@
 #include "policy_server/pipeline/command_ledger.h"
 #include "policy_server/pipeline/coverage.h"
 #include "policy_server/pipeline/evidence_gate.h"
+#include "policy_server/pipeline/findings_book.h"
 #include "policy_server/pipeline/inbound.h"
 #include "policy_server/pipeline/links.h"
 #include "policy_server/pipeline/ports.h"
@@ -43,6 +44,9 @@ struct RobotConfig {
   std::string primary_sensor;
   std::vector<std::string> actuator_hosts;
 };
+
+// Named as the rule of what RIPS says by itself.
+inline constexpr absl::string_view kOwnRule = "(rips)";
 
 // A bundle that is in force.
 struct Policy {
@@ -137,6 +141,8 @@ class Robot {
   static constexpr size_t kTapsMax = 4;
   absl::Status AddTap(std::shared_ptr<Tap> tap);
   const ros2::RosGraph& graph() const { return state_.graph.get(); }
+  // What sensors find whatever the rules say, and what stands; oldest first.
+  std::vector<FindingSeen> findings() const { return findings_.standing(); }
   int64_t graph_changed_unix_ns() const { return graph_changed_unix_ns_; }
   const levels::LevelTable& levels() const { return state_.level.table(); }
   // What the rules in force need of each topic.
@@ -198,10 +204,12 @@ class Robot {
     int64_t heard_ns = 0;
     int64_t peer_boottime_ns = 0;
     ActuatorBeat beat;
-    ros2::Guid participant;
   };
   struct ActuatorHost {
     std::optional<ActuatorSession> session;
+    // As it said last; they stand while it is away.
+    ros2::Guid participant;
+    std::vector<std::string> protected_parts;
     bool lost = false;
     int64_t gone_since_ns = 0;
   };
@@ -267,6 +275,12 @@ class Robot {
   void SendSetup(const std::string& host_name, SensorHost& host, SensorSession& session);
   void CheckSensors(Instant now);
 
+  // robot_findings.cc
+  // True if rules are to judge it.
+  bool TakeFinding(const std::string& host, const std::string& incarnation,
+                   const FindingSeen& finding);
+  void ExpireFindings(Instant now);
+
   // robot_actuators.cc
   absl::Status Reconcile(const std::string& host_name, const ActuatorHello& hello);
   void CheckActuators(Instant now);
@@ -278,6 +292,8 @@ class Robot {
   void HandleProgramResult(const ProgramResult& result, Instant now);
   bool ActuatorLive(const ActuatorHost& host, Instant now) const;
   std::vector<ros2::Guid> OwnParticipants() const;
+  // Of all actuators, sorted, each once.
+  std::vector<std::string> ProtectedParts() const;
 
   // robot.cc
   // `message`: what a MessageEvent was made of.
@@ -315,6 +331,7 @@ class Robot {
   // Of the graph whose endpoints were counted last.
   uint64_t counted_revision_ = 0;
   AlertLimiter alert_limiter_;
+  FindingsBook findings_;
   CommandLedger ledger_;
   absl::btree_map<std::string, SensorHost> sensors_;
   absl::btree_map<std::string, ActuatorHost> actuators_;

@@ -2,6 +2,7 @@
 #include <algorithm>
 #include <utility>
 
+#include "absl/container/btree_set.h"
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_join.h"
 #include "policy_server/pipeline/robot.h"
@@ -21,11 +22,17 @@ bool Robot::ActuatorLive(const ActuatorHost& host, Instant now) const {
 std::vector<ros2::Guid> Robot::OwnParticipants() const {
   std::vector<ros2::Guid> own;
   for (const auto& [name, host] : actuators_) {
-    if (host.session && !host.session->participant.none()) {
-      own.push_back(host.session->participant);
-    }
+    if (!host.participant.none()) own.push_back(host.participant);
   }
   return own;
+}
+
+std::vector<std::string> Robot::ProtectedParts() const {
+  absl::btree_set<std::string> parts;
+  for (const auto& [name, host] : actuators_) {
+    parts.insert(host.protected_parts.begin(), host.protected_parts.end());
+  }
+  return {parts.begin(), parts.end()};
 }
 
 void Robot::TellMissingPrograms() {
@@ -70,8 +77,9 @@ void Robot::OnActuatorHello(const std::string& host_name, std::shared_ptr<Actuat
   host.session = ActuatorSession{.link = std::move(link),
                                  .heard_ns = now.boottime_ns,
                                  .peer_boottime_ns = hello.clock.boottime_ns,
-                                 .beat = {.effective_level = hello.effective_level},
-                                 .participant = hello.participant};
+                                 .beat = {.effective_level = hello.effective_level}};
+  host.participant = hello.participant;
+  host.protected_parts = hello.protected_parts;
   const levels::LevelIndex held = levels().Find(hello.decided_level).value_or(levels().size() - 1);
   ledger_.Attach(host_name, hello.mark, held, levels().name(held), hello.programs, now);
   if (host.lost) {

@@ -41,6 +41,7 @@ void Robot::OnSensorHello(const std::string& host_name, std::shared_ptr<SensorLi
       .interest_in_use = hello.interest_in_use,
   };
   SensorSession& session = *host.session;
+  findings_.OnIncarnation(host_name, hello.incarnation, now.boottime_ns);
   if (host.graph_incarnation != hello.incarnation) host.settled = false;
   for (const SpooledRange& range : hello.spooled) {
     // What lies between is neither with the sensor any more nor in the store: it is lost.
@@ -71,6 +72,7 @@ void Robot::SendSetup(const std::string& host_name, SensorHost& host, SensorSess
   const bool primary = host_name == config_.primary_sensor;
   session.link->Setup({.linger_ms = timing_.linger_ms,
                        .own_participants = OwnParticipants(),
+                       .protected_parts = ProtectedParts(),
                        .primary = primary,
                        .want_snapshot = primary && host.graph_incarnation != session.incarnation});
   if (primary) AskInterest(session);
@@ -126,6 +128,8 @@ void Robot::JudgeBatch(const std::string& host_name, const SensorLink* link, con
   for (size_t i = accepted->skip; i < batch.observations.size(); ++i) {
     const absl::Span<const engine::Verdict> inspections =
         i < verdicts.size() ? verdicts[i] : absl::Span<const engine::Verdict>();
+    const auto* finding = std::get_if<FindingSeen>(&batch.observations[i].what);
+    if (finding != nullptr && !TakeFinding(host_name, batch.incarnation, *finding)) continue;
     Judge(host, *session, host_name == config_.primary_sensor, batch.observations[i], inspections);
     // Judging may have ended the session (a graph that contradicts itself).
     if (!host.session || host.session->link.get() != link) break;
@@ -185,8 +189,11 @@ void Robot::Judge(SensorHost& host, SensorSession& session, bool primary, const 
         engine::AgentEvent{.agent = "sensor", .state = "overloaded"});
     Run(event);
   } else if (const auto* finding = std::get_if<FindingSeen>(&seen.what)) {
-    if (finding->over) return;
-    event.what.emplace<engine::ExternalEvent>(engine::FindingEvent{.kind = finding->kind});
+    event.what.emplace<engine::ExternalEvent>(engine::FindingEvent{.kind = finding->kind,
+                                                                   .guid = finding->guid,
+                                                                   .node = finding->node,
+                                                                   .topic = finding->topic,
+                                                                   .detail = finding->detail});
     Run(event);
   }
 }

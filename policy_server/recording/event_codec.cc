@@ -58,6 +58,15 @@ absl::StatusOr<RecordedLoss> DecodeLoss(const rips::v1::RecordedLoss& wire) {
   return loss;
 }
 
+absl::StatusOr<RecordedFinding> DecodeFinding(const rips::v1::RecordedFinding& wire) {
+  RecordedFinding finding{
+      .kind = wire.kind(), .node = wire.node(), .topic = wire.topic(), .detail = wire.detail()};
+  if (!wire.guid().empty()) {
+    RIPS_ASSIGN_OR_RETURN(finding.guid, ros2::GuidFromBytes(wire.guid()));
+  }
+  return finding;
+}
+
 void EncodeSnapshot(const RecordedGraph& graph, rips::v1::GraphSnapshot& wire) {
   wire.set_settled(graph.settled);
   ros2_proto::EncodeGraph(graph.content, wire);
@@ -99,7 +108,12 @@ struct Encoder {
     wire.mutable_agent()->set_state(agent.state);
   }
   void operator()(const RecordedFinding& finding) const {
-    wire.mutable_finding()->set_kind(finding.kind);
+    rips::v1::RecordedFinding* out = wire.mutable_finding();
+    out->set_kind(finding.kind);
+    if (!finding.guid.none()) out->set_guid(finding.guid.ToBytes());
+    out->set_node(finding.node);
+    out->set_topic(finding.topic);
+    out->set_detail(finding.detail);
   }
   void operator()(const RecordedLoss& loss) const {
     rips::v1::RecordedLoss* out = wire.mutable_loss();
@@ -156,9 +170,10 @@ absl::StatusOr<Recorded> DecodeEvent(const rips::v1::RecordedEvent& wire) {
     case Wire::kAgent:
       event.what = RecordedAgent{.agent = wire.agent().agent(), .state = wire.agent().state()};
       break;
-    case Wire::kFinding:
-      event.what = RecordedFinding{.kind = wire.finding().kind()};
+    case Wire::kFinding: {
+      RIPS_ASSIGN_OR_RETURN(event.what, DecodeFinding(wire.finding()));
       break;
+    }
     case Wire::kLoss: {
       RIPS_ASSIGN_OR_RETURN(event.what, DecodeLoss(wire.loss()));
       break;

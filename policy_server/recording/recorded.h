@@ -70,6 +70,11 @@ struct RecordedAgent {
 
 struct RecordedFinding {
   std::string kind;
+  // What it is about; none() and empty where it is not about such, or the recording does not tell.
+  ros2::Guid guid;
+  std::string node;
+  std::string topic;
+  std::string detail;
 
   friend bool operator==(const RecordedFinding&, const RecordedFinding&) = default;
 };

@@ -59,6 +59,10 @@ std::vector<Recorded> Events() {
   events.push_back({.time_unix_ns = 0, .what = RecordedSignal{.name = "SIGUSR1"}});
   events.push_back({.what = RecordedAgent{.agent = "sensor", .state = "lost"}});
   events.push_back({.what = RecordedFinding{.kind = "impostor"}});
+  RecordedFinding finding{
+      .kind = "non_ros_writer", .node = "/n", .topic = "/t", .detail = "for people"};
+  finding.guid.bytes[15] = 3;
+  events.push_back({.what = finding});
   events.push_back({.what = RecordedLoss{.count = UINT64_MAX}});
   events.push_back({.what = RecordedOther{.what = "tick"}});
   for (size_t i = 0; i < events.size(); ++i) events[i].index = i;

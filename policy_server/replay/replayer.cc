@@ -144,7 +144,11 @@ absl::Status Replayer::Judge(const Recorded& event) {
   } else if (const auto* agent = std::get_if<recording::RecordedAgent>(&event.what)) {
     JudgeExternal(engine::AgentEvent{.agent = agent->agent, .state = agent->state});
   } else if (const auto* finding = std::get_if<recording::RecordedFinding>(&event.what)) {
-    JudgeExternal(engine::FindingEvent{.kind = finding->kind});
+    JudgeExternal(engine::FindingEvent{.kind = finding->kind,
+                                       .guid = finding->guid,
+                                       .node = finding->node,
+                                       .topic = finding->topic,
+                                       .detail = finding->detail});
   } else if (const auto* loss = std::get_if<recording::RecordedLoss>(&event.what)) {
     JudgeExternal(engine::LossEvent{.count = loss->count,
                                     .topic = loss->topic,

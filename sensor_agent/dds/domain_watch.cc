@@ -42,7 +42,8 @@ absl::StatusOr<std::unique_ptr<DomainWatch>> DomainWatch::Create(DomainWatchOpti
                                                                  std::function<void()> wake) {
   std::unique_ptr<DomainWatch> watch(new DomainWatch(std::move(options), std::move(wake)));
   DomainWatch* raw = watch.get();
-  RIPS_ASSIGN_OR_RETURN(watch->participant_, dds::Participant::Create(watch->options_.domain));
+  RIPS_ASSIGN_OR_RETURN(watch->participant_, dds::Participant::Create(watch->options_.domain,
+                                                                      watch->options_.participant));
   watch->topics_ = std::make_unique<TopicWatcher>(watch->participant_.get(), watch->options_.topics,
                                                   watch->wake_);
   // Before discovery, so that claims are on their way when endpoints become known. All are kept

@@ -25,6 +25,7 @@ namespace rips::sensor {
 
 struct DomainWatchOptions {
   dds::DomainOptions domain;
+  dds::ParticipantOptions participant;
   // Facts of discovery not yet taken. Beyond, discovery must be told anew (Rediscover).
   size_t discovered = 65'536;
   // Messages of ros_discovery_info not yet taken, and their bytes together.

@@ -27,13 +27,14 @@ ros2::Guid ToGuid(const dds_guid_t& guid) {
 }
 
 ParticipantSeen Describe(const dds_builtintopic_participant_t& sample,
-                         const dds_sample_info_t& info) {
+                         const dds_sample_info_t& info, bool secured) {
   ParticipantSeen seen;
   seen.alive = info.valid_data && info.instance_state == DDS_ALIVE_INSTANCE_STATE;
   seen.guid = ToGuid(sample.key);
   seen.instance = info.instance_handle;
   if (!seen.alive) return seen;
-  seen.enclave = ros2::Printable(UserDataField(ReadUserData(sample.qos), "enclave"));
+  const std::string enclave = UserDataField(ReadUserData(sample.qos), "enclave");
+  if (!secured || ProvesEnclave(seen.guid, enclave)) seen.enclave = ros2::Printable(enclave);
   seen.host = ReadProperty(sample.qos, "__Hostname");
   seen.process = ReadProperty(sample.qos, "__ProcessName");
   seen.addresses = ReadProperty(sample.qos, "__NetworkAddresses");
@@ -77,7 +78,8 @@ void TakeAll(EntityHandle reader, Use use) {
 }  // namespace
 
 struct Discovery::Impl {
-  explicit Impl(DiscoveryCallbacks to_call) : callbacks(std::move(to_call)) {}
+  Impl(DiscoveryCallbacks to_call, bool with_security)
+      : callbacks(std::move(to_call)), secured(with_security) {}
 
   static void OnParticipants(dds_entity_t reader, void* impl) noexcept {
     static_cast<Impl*>(impl)->DrainParticipants(reader);
@@ -94,7 +96,7 @@ struct Discovery::Impl {
     TakeAll<dds_builtintopic_participant_t>(
         reader,
         [this](const dds_builtintopic_participant_t& sample, const dds_sample_info_t& info) {
-          if (callbacks.on_participant) callbacks.on_participant(Describe(sample, info));
+          if (callbacks.on_participant) callbacks.on_participant(Describe(sample, info, secured));
         });
   }
 
@@ -122,6 +124,7 @@ struct Discovery::Impl {
   }
 
   const DiscoveryCallbacks callbacks;
+  const bool secured;
   Mutex mu;  // held during callbacks, so that they never overlap
   // Last, so they go first: then no callback runs any more.
   DdsEntity participants;
@@ -134,7 +137,7 @@ Discovery::~Discovery() = default;
 
 absl::StatusOr<std::unique_ptr<Discovery>> Discovery::Create(const Participant& participant,
                                                              DiscoveryCallbacks callbacks) {
-  auto impl = std::make_unique<Impl>(std::move(callbacks));
+  auto impl = std::make_unique<Impl>(std::move(callbacks), participant.secured());
   struct Source {
     EntityHandle topic;
     dds_on_data_available_fn on_data;

@@ -22,7 +22,9 @@ struct ParticipantSeen {
   ros2::Guid guid;
   InstanceHandle instance = 0;
   // All of this is what the participant says of itself, made printable.
-  std::string enclave;  // from user data "enclave=/x;"; empty if not given
+  // From user data "enclave=/x;"; empty if not given, and under DDS Security if its GUID does not
+  // prove it.
+  std::string enclave;
   std::string host;     // empty, and pid 0, for participants that do not tell
   std::string process;
   uint32_t pid = 0;

@@ -35,6 +35,32 @@ bool IsInterfaceName(absl::string_view name) {
          });
 }
 
+// DDS Security 1.1 §9.3.1, §9.4.1, and what the middleware calls its plugins.
+void SetSecurity(dds_qos_t* qos, const Enclave& enclave) {
+  const auto set = [qos](const char* name, const std::string& value) {
+    dds_qset_prop(qos, name, value.c_str());
+  };
+  const auto set_file = [&set](const char* name, const std::string& path) {
+    if (!path.empty()) set(name, absl::StrCat("file:", path));
+  };
+  set("dds.sec.auth.library.path", "dds_security_auth");
+  set("dds.sec.auth.library.init", "init_authentication");
+  set("dds.sec.auth.library.finalize", "finalize_authentication");
+  set("dds.sec.crypto.library.path", "dds_security_crypto");
+  set("dds.sec.crypto.library.init", "init_crypto");
+  set("dds.sec.crypto.library.finalize", "finalize_crypto");
+  set("dds.sec.access.library.path", "dds_security_ac");
+  set("dds.sec.access.library.init", "init_access_control");
+  set("dds.sec.access.library.finalize", "finalize_access_control");
+  set_file("dds.sec.auth.identity_ca", enclave.identity_ca);
+  set_file("dds.sec.auth.identity_certificate", enclave.certificate);
+  set_file("dds.sec.auth.private_key", enclave.private_key);
+  set_file("dds.sec.access.permissions_ca", enclave.permissions_ca);
+  set_file("dds.sec.access.governance", enclave.governance);
+  set_file("dds.sec.access.permissions", enclave.permissions);
+  set_file("org.eclipse.cyclonedds.sec.auth.crl", enclave.crl);
+}
+
 }  // namespace
 
 absl::StatusOr<std::string> DomainXml(const DomainOptions& options, uint64_t rmem_max) {
@@ -82,14 +108,21 @@ absl::StatusOr<std::shared_ptr<const Domain>> Domain::Create(const DomainOptions
 
 absl::StatusOr<std::unique_ptr<Participant>> Participant::Create(
     std::shared_ptr<const Domain> domain, const ParticipantOptions& options) {
-  const OwnedQos qos = MakeQos(absl::StrCat("enclave=", options.enclave, ";"));
+  const bool secured = options.security.has_value();
+  const std::string& enclave = secured ? options.security->name : options.enclave;
+  const OwnedQos qos = MakeQos(absl::StrCat("enclave=", enclave, ";"));
+  if (secured) SetSecurity(qos.get(), *options.security);
   DdsEntity entity(dds_create_participant(domain->id(), qos.get(), nullptr));
   if (entity.get() < 0) {
-    return DdsError(absl::StrCat("creating a participant in domain ", domain->id()), entity.get());
+    return DdsError(absl::StrCat("creating a participant in domain ", domain->id(),
+                                 secured ? absl::StrCat(" as enclave `", enclave, "`") : ""),
+                    entity.get());
   }
-  RIPS_RETURN_IF_ERROR(RequireNoSharedMemory(entity.get()));
+  RIPS_RETURN_IF_ERROR(RequireNoSharedMemory(
+      entity.get(), secured ? options.security->permitted_topic : "rips_probe"));
   RIPS_ASSIGN_OR_RETURN(const ros2::Guid guid, GuidOf(entity.get()));
-  return std::unique_ptr<Participant>(new Participant(std::move(domain), std::move(entity), guid));
+  return std::unique_ptr<Participant>(
+      new Participant(std::move(domain), std::move(entity), guid, secured));
 }
 
 absl::StatusOr<std::unique_ptr<Participant>> Participant::Create(

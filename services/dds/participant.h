@@ -4,11 +4,13 @@
 
 #include <cstdint>
 #include <memory>
+#include <optional>
 #include <string>
 
 #include "absl/status/statusor.h"
 #include "absl/strings/string_view.h"
 #include "services/dds/dds_entity.h"
+#include "services/dds/security.h"
 #include "services/ros2/guid.h"
 
 namespace rips::dds {
@@ -43,15 +45,19 @@ class Domain {
 };
 
 struct ParticipantOptions {
-  // ROS enclave, announced as user data "enclave=/;".
+  // ROS enclave, announced as user data "enclave=/;". Under `security` that one's name.
   std::string enclave = "/";
+  // With DDS Security as this enclave. All participants of a domain in this process have it, or
+  // none.
+  std::optional<Enclave> security;
 };
 
 // Any thread. Must outlive every reader, writer and service made from it.
 class Participant {
  public:
   // FailedPrecondition if the configuration turns shared memory on: payloads would then bypass
-  // what we can read.
+  // what we can read. PermissionDenied or Internal if DDS Security cannot be had; LoadEnclave finds
+  // most of the reasons before, and tells them better.
   static absl::StatusOr<std::unique_ptr<Participant>> Create(
       std::shared_ptr<const Domain> domain, const ParticipantOptions& options = {});
   // With a domain of its own; the usual case: one participant per process.
@@ -60,17 +66,21 @@ class Participant {
 
   EntityHandle entity() const { return entity_.get(); }
   const ros2::Guid& guid() const { return guid_; }
+  // It uses DDS Security.
+  bool secured() const { return secured_; }
   uint32_t domain_id() const { return domain_->id(); }
   // For a further participant in the same domain.
   const std::shared_ptr<const Domain>& domain() const { return domain_; }
 
  private:
-  Participant(std::shared_ptr<const Domain> domain, DdsEntity entity, const ros2::Guid& guid)
-      : domain_(std::move(domain)), entity_(std::move(entity)), guid_(guid) {}
+  Participant(std::shared_ptr<const Domain> domain, DdsEntity entity, const ros2::Guid& guid,
+              bool secured)
+      : domain_(std::move(domain)), entity_(std::move(entity)), guid_(guid), secured_(secured) {}
 
   std::shared_ptr<const Domain> domain_;
   DdsEntity entity_;  // after domain_: goes first
   ros2::Guid guid_;
+  bool secured_;
 };
 
 // GUID of any entity of this process.

@@ -24,7 +24,7 @@ constexpr size_t kTakeMax = 64;
 // that are gone are then no longer known.
 constexpr size_t kWritersMax = 4'096;
 
-OwnedQos ReaderQos(const RawReaderOptions& options) {
+OwnedQos ReaderQos(const RawReaderOptions& options, bool secured) {
   OwnedQos qos = MakeQos(options.user_data);
   const bool reliable = options.reliable || options.reliable_transient_local;
   dds_qset_reliability(qos.get(), reliable ? DDS_RELIABILITY_RELIABLE : DDS_RELIABILITY_BEST_EFFORT,
@@ -35,7 +35,7 @@ OwnedQos ReaderQos(const RawReaderOptions& options) {
                    static_cast<int32_t>(std::clamp<uint32_t>(options.depth, 1, INT32_MAX)));
   // DDS 1.4 §2.2.3.8: a writer that offers a longer budget than the reader asks does not match.
   dds_qset_latency_budget(qos.get(), DDS_INFINITY);
-  if (options.every_partition) SetPartitions(qos.get(), {"", "*"});
+  if (options.every_partition && !secured) SetPartitions(qos.get(), {"", "*"});
   if (options.ignore_own) dds_qset_ignorelocal(qos.get(), DDS_IGNORELOCAL_PARTICIPANT);
   const dds_data_representation_id_t representations[] = {DDS_DATA_REPRESENTATION_XCDR1,
                                                           DDS_DATA_REPRESENTATION_XCDR2};
@@ -143,7 +143,7 @@ absl::StatusOr<std::unique_ptr<RawReader>> RawReader::Create(const Participant& 
   RIPS_ASSIGN_OR_RETURN(impl->topic,
                         CreateRawTopic(participant.entity(), options.topic, options.type,
                                        options.payload_bytes_max, options.payload_limit));
-  const OwnedQos qos = ReaderQos(options);
+  const OwnedQos qos = ReaderQos(options, participant.secured());
   dds_listener_t* listener = dds_create_listener(impl.get());
   dds_lset_data_available(listener, &Impl::OnDataAvailable);
   impl->entity = DdsEntity(

@@ -35,8 +35,8 @@ struct RawReaderOptions {
   uint32_t payload_bytes_max = kWholePayload;
   // In place of payload_bytes_max, for a reader that keeps more or less as it goes.
   std::shared_ptr<const PayloadLimit> payload_limit;
-  // Receive from writers in any partition. Off only under DDS Security, which refuses a
-  // partition list that its permissions do not name.
+  // Receive from writers in any partition. Not done under DDS Security, which refuses a partition
+  // list that its permissions do not name.
   bool every_partition = true;
   // Do not match writers of our own participant.
   bool ignore_own = true;

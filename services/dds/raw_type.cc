@@ -297,10 +297,10 @@ absl::StatusOr<RawTopic> CreateRawTopic(EntityHandle participant, const std::str
   return RawTopic{.entity = std::move(entity), .type = registered};
 }
 
-absl::Status RequireNoSharedMemory(EntityHandle participant) {
+absl::Status RequireNoSharedMemory(EntityHandle participant, const std::string& topic) {
   // Only a registered type leads to the domain's configuration. No endpoint uses the topic, so
   // nobody else learns of it.
-  RIPS_ASSIGN_OR_RETURN(const RawTopic probe, CreateRawTopic(participant, "rips_probe", "none"));
+  RIPS_ASSIGN_OR_RETURN(const RawTopic probe, CreateRawTopic(participant, topic, "none"));
   if (rips_dds_uses_shared_memory(probe.type)) {
     return absl::FailedPreconditionError(
         "`SharedMemory/Enable` is on in the Cyclone configuration; samples sent through shared "

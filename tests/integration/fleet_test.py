@@ -8,6 +8,7 @@ import pathlib
 import shutil
 import signal
 import socket
+import subprocess
 import sys
 import tempfile
 import time
@@ -353,11 +354,80 @@ def payloads_are_inspected_and_recorded(fleet):
     check(replayed["events"]["message"] > 10, f"recorded only {replayed['events']}")
 
 
+FINDING = """
+levels:
+  DEFAULT;
+  ALERT soft;
+  COMPROMISED;
+  HALT;
+rules External:
+  R: finding("impostor") && CurrLevel < ALERT ? alert("somebody plays RIPS") => trigger(ALERT);
+  unused: false ? trigger(COMPROMISED), trigger(HALT);
+"""
+
+
+def findings_are_told(fleet):
+    """What is wrong on the bus whatever the rules say: alerts of their own and events for rules; and
+    RIPS's own processes are none of it, whoever is started again."""
+    fleet.bundle = "finding"
+    fleet.write("bundles/finding/manifest.yaml",
+                "name: finding\nrules: [r.rul]\nlevels: [DEFAULT, ALERT, COMPROMISED, HALT]\n")
+    fleet.write("bundles/finding/r.rul", FINDING)
+    fleet.arm()
+
+    def told(kind=""):
+        return [a["text"] for a in fleet.alerts() if f"finding {kind}" in a["text"]]
+
+    def wait_told(kind, count=1):
+        deadline = time.monotonic() + 25
+        while len(told(kind)) < count:
+            check(time.monotonic() < deadline, f"{kind} is not told: {told()}")
+            time.sleep(0.2)
+        return told(kind)[-1]
+
+    fleet.actuator.kill(signal.SIGKILL)
+    fleet.actuator = fleet.start_agent("actuator")
+    fleet.wait_level("DEFAULT", 30)
+    time.sleep(7)  # longer than the grace for those whom the server does not name
+    check(not told(), f"told without a reason: {told()}")
+
+    impostor = fleet.start_intruder("unknown-node", "--node", "/rips")
+
+    text = wait_told("impostor")
+    check("sensor base: " in text and "node /rips" in text and "GUID " in text, text)
+    fleet.wait_level("ALERT", 20)
+    alert = [a for a in fleet.alerts() if "finding impostor" in a["text"]][0]
+    check((alert["rule"], alert["severity"]) == ("(rips)", "high"), f"{alert}")
+    check(len([a for a in fleet.alerts() if a["text"] == "somebody plays RIPS"]) == 1,
+          "the rule did not see it once")
+    # Somebody steers the robot, and is gone before anybody asks who it was.
+    done = subprocess.run([fleet.bin / "robot_sim", "set-mode", "--domain", str(fleet.domain),
+                           "--part", "/safety", "--mode", "ALERT"], env=fleet.env,
+                          capture_output=True, timeout=30, check=False)
+    check(done.returncode == 0, f"the mode could not be set: {done.stderr}")
+    text = wait_told("foreign_mode_writer")
+    check("topic /safety/change_mode" in text and "it has left: " in text, text)
+    impostor.kill()
+    fleet.server.wait_for(lambda line: "no longer: finding impostor" in line, 20,
+                          "the end of the finding is on record")
+    fleet.start_intruder("rogue-cmd-vel", "--anonymous")
+    check("topic /cmd_vel" in wait_told("non_ros_writer"), "the topic is not named")
+    before = len(told())
+
+    fleet.server.kill(signal.SIGKILL)
+    fleet.server = fleet.start_server()
+
+    fleet.wait_level("ALERT", 40)
+    wait_told("non_ros_writer", 2)  # it stands, and the server has forgotten
+    time.sleep(7)
+    check(len(told()) == before + 1, f"more is told than stands: {told()}")
+
+
 SCENARIOS = [kill_server_while_compromised, kill_server_at_the_moment_of_a_raise,
              kill_sensor_in_the_story, kill_actuator_while_compromised,
              server_absent_at_agent_start, lost_lease_raises_the_floor, manager_that_lies,
              bad_discovery_messages, programs_that_misbehave, reload_of_a_broken_bundle,
-             payloads_are_inspected_and_recorded]
+             payloads_are_inspected_and_recorded, findings_are_told]
 
 
 def main():

@@ -1,0 +1,52 @@
+#include "policy_server/dispatch/actuator_codec.h"
+
+#include "absl/strings/str_cat.h"
+#include "gmock/gmock.h"
+#include "gtest/gtest.h"
+#include "services/base/status_matchers.h"
+
+namespace rips::dispatch {
+namespace {
+
+using ::testing::ElementsAre;
+using ::testing::HasSubstr;
+using ::testing::SizeIs;
+
+rips::v1::ActuatorHello Hello() {
+  rips::v1::ActuatorHello hello;
+  hello.mutable_hello()->set_protocol(1);
+  return hello;
+}
+
+TEST(ActuatorCodecTest, ProtectedPartsAreTaken) {
+  rips::v1::ActuatorHello hello = Hello();
+  hello.add_protected_parts("/safety");
+  hello.add_protected_parts("/ns/camera");
+  const auto decoded = DecodeHello(hello);
+  ASSERT_THAT(decoded, IsOk());
+  EXPECT_THAT(decoded->protected_parts, ElementsAre("/safety", "/ns/camera"));
+}
+
+TEST(ActuatorCodecTest, PartsThatAreNoNamesAreRefused) {
+  const std::string bad[] = {"", "safety", "/", "/a b", "/\x1b[2J", std::string(300, 'x')};
+  for (const std::string& part : bad) {
+    rips::v1::ActuatorHello hello = Hello();
+    hello.add_protected_parts(part);
+    EXPECT_TRUE(absl::IsInvalidArgument(DecodeHello(hello).status())) << part;
+  }
+}
+
+TEST(ActuatorCodecTest, MorePartsThanTheLimitAreRefused) {
+  rips::v1::ActuatorHello hello = Hello();
+  for (int i = 0; i < 256; ++i) hello.add_protected_parts(absl::StrCat("/part", i));
+  const auto most = DecodeHello(hello);
+  ASSERT_THAT(most, IsOk());
+  EXPECT_THAT(most->protected_parts, SizeIs(256));
+  hello.add_protected_parts("/one_more");
+  const absl::Status status = DecodeHello(hello).status();
+  EXPECT_TRUE(absl::IsResourceExhausted(status));
+  EXPECT_THAT(std::string(status.message()), HasSubstr("257 protected parts; at most 256"));
+}
+
+}  // namespace
+}  // namespace rips::dispatch
