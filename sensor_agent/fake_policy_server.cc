@@ -40,6 +40,19 @@ ros2::Endpoint ToEndpoint(const rips::v1::Endpoint& wire) {
     default:
       break;
   }
+  switch (wire.visibility()) {
+    case rips::v1::WATCHED:
+      endpoint.visibility = ros2::Visibility::kWatched;
+      break;
+    case rips::v1::NOT_NEEDED:
+      endpoint.visibility = ros2::Visibility::kNotNeeded;
+      break;
+    case rips::v1::NOT_VISIBLE:
+      endpoint.visibility = ros2::Visibility::kNotVisible;
+      break;
+    default:
+      break;
+  }
   return endpoint;
 }
 

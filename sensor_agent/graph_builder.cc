@@ -24,7 +24,10 @@ std::string NameOrPlaceholder(std::string name) {
 }  // namespace
 
 GraphBuilder::GraphBuilder(GraphOptions options, int64_t start_ns)
-    : options_(std::move(options)), start_ns_(start_ns), last_discovery_ns_(start_ns) {
+    : options_(std::move(options)),
+      start_ns_(start_ns),
+      plan_(std::make_shared<WatchPlan>(WatchOptions{.unwatched = options_.unwatched})),
+      last_discovery_ns_(start_ns) {
   ParticipantState* own = Obtain(options_.own);
   own->discovered = true;
   dirty_.insert(options_.own);
@@ -34,7 +37,7 @@ bool GraphBuilder::IsOwn(const Guid& participant) const {
   return participant == options_.own || own_participants_.contains(participant);
 }
 
-bool GraphBuilder::Watched(absl::string_view topic) const {
+bool GraphBuilder::Observes(absl::string_view topic) const {
   return std::find(options_.unwatched.begin(), options_.unwatched.end(), topic) ==
          options_.unwatched.end();
 }
@@ -117,15 +120,49 @@ void GraphBuilder::SetShown(EndpointState& state, const EndpointFact& fact) cons
   if (shown.qos.partitions.size() > kPartitionsMax) shown.qos.partitions.resize(kPartitionsMax);
   for (std::string& partition : shown.qos.partitions) partition = ros2::Printable(partition);
   shown.why.clear();
+  state.topic = topic.kind == ros2::DdsTopicKind::kTopic;
   if (topic.kind == ros2::DdsTopicKind::kServiceRequest) {
     shown.visibility = Visibility::kNotVisible;
     shown.why = "requests are not read: one more reader would make clients wait for ever";
-  } else if (topic.kind == ros2::DdsTopicKind::kTopic) {
-    shown.visibility = Watched(shown.name) ? Visibility::kWatched : Visibility::kNotNeeded;
-  } else {
+  } else if (!state.topic) {
     shown.visibility =
         fact.topic == ros2::kDiscoveryTopic ? Visibility::kWatched : Visibility::kNotNeeded;
   }
+  SetVisibility(state);
+}
+
+void GraphBuilder::SetVisibility(EndpointState& state) const {
+  if (!state.topic) return;
+  Endpoint& shown = state.shown;
+  shown.why.clear();
+  if (!plan_->Of(shown.name, shown.type).messages) {
+    shown.visibility = Visibility::kNotNeeded;
+    state.not_visible_because.clear();
+  } else if (state.not_visible_because.empty()) {
+    shown.visibility = Visibility::kWatched;
+  } else {
+    shown.visibility = Visibility::kNotVisible;
+    shown.why = state.not_visible_because;
+  }
+}
+
+void GraphBuilder::SetPlan(std::shared_ptr<const WatchPlan> plan, int64_t now_ns) {
+  plan_ = std::move(plan);
+  for (auto& [guid, participant] : participants_) {
+    bool changed = false;
+    for (auto& [endpoint, state] : participant.endpoints) {
+      const Visibility before = state.shown.visibility;
+      SetVisibility(state);
+      changed |= state.shown.visibility != before;
+    }
+    if (changed) Refresh(guid, now_ns);
+  }
+}
+
+void GraphBuilder::Refresh(const Guid& participant, int64_t now_ns) {
+  if (dirty_.empty()) burst_first_ns_ = now_ns;
+  dirty_.insert(participant);
+  ++revision_;
 }
 
 void GraphBuilder::EndpointSeen(const EndpointFact& endpoint, int64_t now_ns) {
@@ -249,11 +286,10 @@ void GraphBuilder::SetOwnParticipants(const std::vector<Guid>& participants, int
 
 void GraphBuilder::SetNotVisible(const Guid& writer, const std::string& why, int64_t now_ns) {
   EndpointState* state = FindState(writer);
-  if (state == nullptr) return;
-  if (state->shown.visibility == Visibility::kNotVisible && state->shown.why == why) return;
-  state->shown.visibility = Visibility::kNotVisible;
-  state->shown.why = why;
-  Touch(writer.Participant(), now_ns);
+  if (state == nullptr || state->not_visible_because == why) return;
+  state->not_visible_because = why;
+  SetVisibility(*state);
+  Refresh(writer.Participant(), now_ns);
 }
 
 void GraphBuilder::EndResync(int64_t now_ns) {
@@ -290,10 +326,8 @@ void GraphBuilder::EndGraces(int64_t now_ns) {
     }
     state->pending_until_ns = 0;
     if (owner->second.node_of.contains(guid)) continue;
-    if (dirty_.empty()) burst_first_ns_ = now_ns;
-    dirty_.insert(owner_guid);
+    Refresh(owner_guid, now_ns);
     hurry_ = true;
-    ++revision_;
   }
 }
 

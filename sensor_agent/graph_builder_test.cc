@@ -464,6 +464,68 @@ TEST_F(GraphBuilderTest, UnreadableWriterSaysWhy) {
   Pass(20);
   EXPECT_EQ(graph_.FindEndpoint(EndpointGuid(1, 1))->visibility, Visibility::kNotVisible);
   EXPECT_EQ(graph_.FindEndpoint(EndpointGuid(1, 1))->why, "no reader");
+  // What discovery says again does not make it visible; news does.
+  Writer(1, 1, "rt/chatter");
+  Pass(20);
+  EXPECT_EQ(graph_.FindEndpoint(EndpointGuid(1, 1))->visibility, Visibility::kNotVisible);
+  builder_->SetNotVisible(EndpointGuid(1, 1), "", now_ns_);
+  Pass(20);
+  EXPECT_EQ(graph_.FindEndpoint(EndpointGuid(1, 1))->visibility, Visibility::kWatched);
+  EXPECT_EQ(graph_.FindEndpoint(EndpointGuid(1, 1))->why, "");
+}
+
+TEST_F(GraphBuilderTest, ThePlanDecidesWhatIsWatchedAndNotWhatIsCounted) {
+  Talker(1, "talker", "rt/chatter");
+  Seen(EndpointGuid(1, 2), false, "rt/other", "std_msgs::msg::dds_::String_");
+  Seen(EndpointGuid(1, 3), true, "rt/rosout", "rcl_interfaces::msg::dds_::Log_");
+  Seen(EndpointGuid(1, 4), false, "rq/enableRequest", "std_srvs::srv::dds_::SetBool_Request_");
+  Settle();
+  const auto of = [this](uint8_t number) {
+    return graph_.FindEndpoint(EndpointGuid(1, number))->visibility;
+  };
+  const auto follow = [this](std::vector<InterestRule> rules) {
+    builder_->SetPlan(
+        std::make_shared<WatchPlan>(WatchOptions{
+            .unwatched = {"/rosout"},
+            .interest = *Interest::Create(std::string(kInterestIdBytes, 'i'), std::move(rules))}),
+        now_ns_);
+    Pass(20);
+  };
+  EXPECT_EQ(of(1), Visibility::kWatched);
+  EXPECT_EQ(of(2), Visibility::kWatched);
+  EXPECT_EQ(of(3), Visibility::kNotNeeded);
+  EXPECT_EQ(of(4), Visibility::kNotVisible);
+  const std::vector<std::string> subscribers = graph_.FindTopic("/chatter")->subscribers;
+  EXPECT_THAT(subscribers, ElementsAre("/rips"));
+
+  follow({{.topic_regex = "^/(other|rosout)$"}, {.topic_regex = "^/rosout$"}});
+  EXPECT_EQ(of(1), Visibility::kNotNeeded);
+  EXPECT_EQ(of(2), Visibility::kWatched);
+  EXPECT_EQ(of(3), Visibility::kWatched) << "named";
+  EXPECT_EQ(of(4), Visibility::kNotVisible);
+  EXPECT_EQ(graph_.FindTopic("/chatter")->subscribers, subscribers);
+  EXPECT_THAT(graph_.FindTopic("/rosout")->subscribers, IsEmpty()) << "as without an interest";
+
+  // What comes under the plan follows it, and an excuse does not outlive the need.
+  builder_->SetNotVisible(EndpointGuid(1, 3), "no reader", now_ns_);
+  Writer(1, 5, "rt/chatter");
+  Pass(600);
+  EXPECT_EQ(of(3), Visibility::kNotVisible);
+  EXPECT_EQ(of(5), Visibility::kNotNeeded);
+  follow({});
+  EXPECT_EQ(of(3), Visibility::kNotNeeded);
+  follow({{}, {.topic_regex = "^/rosout$"}});
+  EXPECT_EQ(of(3), Visibility::kWatched);
+  EXPECT_EQ(of(1), Visibility::kWatched);
+}
+
+TEST_F(GraphBuilderTest, APlanThatChangesNothingIsNoStep) {
+  Talker(1, "talker", "rt/chatter");
+  Settle();
+  changes_.clear();
+  builder_->SetPlan(std::make_shared<WatchPlan>(WatchOptions{}), now_ns_);
+  Pass(20);
+  EXPECT_THAT(changes_, IsEmpty());
 }
 
 TEST_F(GraphBuilderTest, SnapshotEqualsTheSumOfTheSteps) {

@@ -249,7 +249,7 @@ void GraphBuilder::DiffObserver(GraphDelta& delta) {
     const auto it = topics_.find(topic);
     if (it == topics_.end()) continue;
     TopicUse& use = it->second;
-    const bool wanted = !use.types.empty() && Watched(topic) && !options_.observer_hidden;
+    const bool wanted = !use.types.empty() && Observes(topic) && !options_.observer_hidden;
     if (!wanted && use.observer.has_value()) {
       delta.gone_guids.push_back(use.observer->guid);
       use.observer.reset();

@@ -58,7 +58,8 @@ void MessageFlow::Run(const Sample& sample, Writer& writer, Output& output) {
   }
   if (sample.sequence != 0) {
     const uint64_t missing = sample.sequence - writer.highest_sequence - 1;
-    if (writer.highest_sequence != 0 && missing > 0) {
+    const bool resumed = sample.reader->resumed && sample.reader != writer.reader;
+    if (writer.highest_sequence != 0 && missing > 0 && !resumed) {
       output.losses.push_back({.cause = LossCause::kDdsGap,
                                .topic = sample.reader->topic,
                                .source = writer.source,
@@ -67,6 +68,7 @@ void MessageFlow::Run(const Sample& sample, Writer& writer, Output& output) {
                                .last_boottime_ns = sample.received_ns});
     }
     writer.highest_sequence = sample.sequence;
+    writer.reader = sample.reader;
   }
   if (endpoint.node.empty()) ++counters_.unattributed;
   message.source = writer.source;
@@ -133,6 +135,10 @@ void MessageFlow::Bury(int64_t now_ns) {
     graves_.pop_front();
     const auto it = writers_.find(guid);
     if (it == writers_.end() || it->second->gone_ns != gone_ns) continue;
+    if (graph_->Find(guid).has_value()) {  // it has come back
+      it->second->gone_ns = 0;
+      continue;
+    }
     waiting_ -= it->second->waiting.size();
     waiting_writers_.erase(guid);
     writers_.erase(it);

@@ -6,6 +6,7 @@
 #include "absl/strings/escaping.h"
 #include "absl/strings/str_cat.h"
 #include "rips/v1/sensor.grpc.pb.h"
+#include "sensor_agent/interest_file.h"
 #include "services/base/check.h"
 #include "services/base/ids.h"
 #include "services/rpc/status_conversion.h"
@@ -42,29 +43,6 @@ rips::v1::Lane ToWire(Lane lane) {
 }
 
 std::string NewIncarnation() { return absl::HexStringToBytes(NewId()); }
-
-// InvalidArgument: a depth that is not known.
-absl::StatusOr<std::shared_ptr<const Interest>> FromWire(const rips::v1::Interest& wire) {
-  std::vector<InterestRule> rules;
-  for (const rips::v1::InterestRule& rule : wire.rules()) {
-    switch (rule.depth()) {
-      case rips::v1::InterestRule::NOTHING:
-      case rips::v1::InterestRule::METADATA:
-        rules.push_back({.topic_regex = rule.topic_regex(), .type = rule.type()});
-        break;
-      case rips::v1::InterestRule::PAYLOAD:
-        rules.push_back({.topic_regex = rule.topic_regex(),
-                         .type = rule.type(),
-                         .payload_bytes_max = rule.payload_bytes_max()});
-        break;
-      default:
-        return absl::InvalidArgumentError(absl::StrCat("rule ", rules.size() + 1, ": depth ",
-                                                       static_cast<int>(rule.depth()),
-                                                       " is not known"));
-    }
-  }
-  return Interest::Create(wire.id(), std::move(rules));
-}
 
 void SetClock(Instant now, rips::v1::Clock* clock) {
   clock->set_boottime_ns(static_cast<uint64_t>(now.boottime_ns));
@@ -209,6 +187,7 @@ SensorMessage Uplink::OnConnected() {
   sensor->set_interest_in_use(interest_in_use_);
   sensor->add_not_visible("unicast-only writers");
   sensor->add_not_visible("service requests");
+  sensor->add_not_visible("participants that speak shared memory alone");
   for (const Lane lane : kLanes) {
     const SequenceRange range = outbox_.Unacked(lane);
     rips::v1::SpoolStream* spooled = sensor->add_spooled();
@@ -257,6 +236,7 @@ void Uplink::OnMessage(const SensorReply& reply) {
     WakeLocked();
   }
   if (own.has_value()) hooks_.on_own_participants(*std::move(own));
+  if (reply.has_config() && hooks_.on_primary) hooks_.on_primary(reply.config().primary());
   if (snapshot_wanted) hooks_.on_snapshot_wanted();
 }
 
@@ -303,7 +283,7 @@ void Uplink::OnInterest(const rips::v1::Interest& wire) {
     }
   }
   // Patterns take a while to compile: not under the lock.
-  absl::StatusOr<std::shared_ptr<const Interest>> interest = FromWire(wire);
+  absl::StatusOr<std::shared_ptr<const Interest>> interest = InterestFromWire(wire);
   {
     MutexLock lock(&mu_);
     if (!interest.ok()) {
@@ -313,6 +293,11 @@ void Uplink::OnInterest(const rips::v1::Interest& wire) {
       return;
     }
     interest_handed_on_ = wire.id();
+  }
+  if (!options_.interest_file.empty()) {
+    if (absl::Status kept = SaveInterest(options_.interest_file, wire); !kept.ok()) {
+      LogWarning("interest cannot be kept for the next start", {{"error", kept.ToString()}});
+    }
   }
   hooks_.on_interest(*std::move(interest));
 }
