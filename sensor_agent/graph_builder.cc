@@ -1,6 +1,7 @@
 #include "sensor_agent/graph_builder.h"
 
 #include <algorithm>
+#include <utility>
 
 #include "absl/strings/str_cat.h"
 #include "services/ros2/ros_name.h"
@@ -78,6 +79,7 @@ void GraphBuilder::ParticipantSeen(const ros2::Participant& participant, int64_t
   ParticipantState* state = Obtain(participant.guid);
   if (state == nullptr) return;
   state->generation = generation_;
+  leaving_.erase(participant.guid);
   if (state->discovered && state->facts == participant) return;
   state->discovered = true;
   state->facts = participant;
@@ -85,9 +87,39 @@ void GraphBuilder::ParticipantSeen(const ros2::Participant& participant, int64_t
 }
 
 void GraphBuilder::ParticipantGone(const Guid& participant, int64_t now_ns) {
-  if (participant == options_.own || !participants_.contains(participant)) return;
-  Forget(participant);
+  const auto it = participants_.find(participant);
+  if (participant == options_.own || it == participants_.end()) return;
+  if (Unseen(it->second)) {
+    leaving_.insert(participant);
+  } else {
+    Forget(participant);
+  }
   Touch(participant, now_ns);
+}
+
+bool GraphBuilder::Unseen(EndpointState& state) const {
+  if (!settled_ || state.was_shown || state.hidden || !state.shown.ros) return false;
+  state.pending_until_ns = 0;  // who knew its node has gone
+  return true;
+}
+
+bool GraphBuilder::Unseen(ParticipantState& state) const {
+  if (!settled_ || IsOwn(state.facts.guid)) return false;
+  bool unseen = state.present() && !std::includes(state.sent_nodes.begin(), state.sent_nodes.end(),
+                                                  state.nodes.begin(), state.nodes.end());
+  for (auto& [guid, endpoint] : state.endpoints) unseen |= Unseen(endpoint);
+  return unseen;
+}
+
+void GraphBuilder::EndVisits(int64_t now_ns) {
+  for (const Guid& guid : std::exchange(leaving_, {})) {
+    if (guid != guid.Participant()) {
+      Remove(guid, now_ns);
+    } else if (participants_.contains(guid)) {
+      Forget(guid);
+      Touch(guid, now_ns);
+    }
+  }
 }
 
 void GraphBuilder::DropClaims(ParticipantState& state) {
@@ -171,6 +203,7 @@ void GraphBuilder::EndpointSeen(const EndpointFact& endpoint, int64_t now_ns) {
   EndpointState* known = FindState(endpoint.guid);
   if (known != nullptr) {
     known->generation = generation_;
+    leaving_.erase(endpoint.guid);
     const Endpoint before = known->shown;
     SetShown(*known, endpoint);
     if (!(known->shown == before)) Touch(owner_guid, now_ns);
@@ -191,6 +224,14 @@ void GraphBuilder::EndpointSeen(const EndpointFact& endpoint, int64_t now_ns) {
 }
 
 void GraphBuilder::EndpointGone(const Guid& endpoint, int64_t now_ns) {
+  EndpointState* state = FindState(endpoint);
+  if (state == nullptr) return;
+  if (!Unseen(*state)) return Remove(endpoint, now_ns);
+  leaving_.insert(endpoint);
+  Touch(endpoint.Participant(), now_ns);
+}
+
+void GraphBuilder::Remove(const Guid& endpoint, int64_t now_ns) {
   const Guid owner_guid = endpoint.Participant();
   const auto owner = participants_.find(owner_guid);
   if (owner == participants_.end() || owner->second.endpoints.erase(endpoint) == 0) return;

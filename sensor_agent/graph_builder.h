@@ -15,14 +15,17 @@
 //
 // Every endpoint says how far it is seen:
 //
-// | endpoint                        | watched                   | not needed         | not visible   |
-// |---------------------------------|---------------------------|--------------------|---------------|
-// | writer of a ROS topic           | what it writes is read    | nobody needs it    | else, and why |
-// | reader of a ROS topic           | what reaches it is read,  | nobody needs it    | never         |
-// |                                 | where the writers say so  |                    |               |
-// | service or client               | never                     | never              | always        |
-// | `ros_discovery_info`            | always                    | never              | never         |
-// | any other DDS topic             | never                     | always             | never         |
+// | endpoint                 | watched                  | not needed      | not visible       |
+// |--------------------------|--------------------------|-----------------|-------------------|
+// | writer of a ROS topic    | what it writes is read   | nobody needs it | else, and why     |
+// | reader of a ROS topic    | what its writers, as     | nobody needs it | never             |
+// |                          | they say, let us read    |                 |                   |
+// | service, client          | never                    | never           | always: requests  |
+// | `ros_discovery_info`     | always                   | never           | never             |
+// | any other DDS topic      | never                    | always          | never             |
+//
+// What comes and goes between two steps is shown in one all the same, and is gone with the next: a
+// short visit is no way past the rules. It is shown without a node if none is known by then.
 #ifndef RIPS_SENSOR_AGENT_GRAPH_BUILDER_H_
 #define RIPS_SENSOR_AGENT_GRAPH_BUILDER_H_
 
@@ -55,8 +58,8 @@ struct GraphOptions {
   ros2::Guid own;
   // No node `/rips` in the graph.
   bool observer_hidden = false;
-  // ROS topics to which `/rips` does not subscribe. Their messages are read all the same if the plan
-  // says so; before the first SetPlan it says metadata of every topic but these.
+  // ROS topics to which `/rips` does not subscribe. Their messages are read all the same if the
+  // plan says so; before the first SetPlan it says metadata of every topic but these.
   std::vector<std::string> unwatched = {"/rosout", "/parameter_events"};
   int64_t attribution_grace_ns = 500'000'000;
   // Settled once nothing was discovered for settle_ns, at the latest settle_max_ns after start.
@@ -147,6 +150,8 @@ class GraphBuilder {
     // End of the attribution grace; 0 = over.
     int64_t pending_until_ns = 0;
     bool grace_renewed = false;
+    // It stood in a step, not as pending.
+    bool was_shown = false;
     uint32_t generation = 0;
   };
   struct ParticipantState {
@@ -189,6 +194,12 @@ class GraphBuilder {
   void DropClaims(ParticipantState& state);
   // What is known of it goes; what was sent stays until the next step.
   void Forget(const ros2::Guid& participant);
+  void Remove(const ros2::Guid& endpoint, int64_t now_ns);
+  // True if it must not go before it was shown; it is no longer pending then.
+  bool Unseen(EndpointState& state) const;
+  bool Unseen(ParticipantState& state) const;
+  // Those that were to go once they have been shown.
+  void EndVisits(int64_t now_ns);
   void Wait(EndpointState& state, int64_t now_ns);
   // Something was discovered about `participant`.
   void Touch(const ros2::Guid& participant, int64_t now_ns);
@@ -219,6 +230,8 @@ class GraphBuilder {
 
   // What may differ from what was sent.
   absl::btree_set<ros2::Guid> dirty_;
+  // Endpoints and participants that have gone and stay until they were shown.
+  absl::btree_set<ros2::Guid> leaving_;
   absl::btree_set<std::string> dirty_topics_;
   int64_t burst_first_ns_ = 0;
   int64_t last_discovery_ns_;

@@ -81,9 +81,9 @@ class Interest {
   absl::flat_hash_set<std::string> literal_;
 };
 
-// The topics that `regex` names literally: those of `^NAME$` and of `^(?:NAME|NAME...)$`, where NAME
-// is a ROS topic name, any character of which may be quoted as RE2::QuoteMeta does. None for every
-// other pattern, also for one that matches a single name in another way.
+// The topics that `regex` names literally: those of `^NAME$` and of `^(?:NAME|NAME...)$`, where
+// NAME is a ROS topic name, any character of which may be quoted as RE2::QuoteMeta does. None for
+// every other pattern, also for one that matches a single name in another way.
 std::vector<std::string> LiteralTopics(absl::string_view regex);
 
 struct WatchOptions {

@@ -1,8 +1,8 @@
 // The interest as it stands on the wire and, for the time until the policy server is heard again
 // after a start, on the disk.
 //
-// The file `interest` of the state directory is a serialized rips.v1.Interest as the server sent it.
-// Its id is its checksum.
+// The file `interest` of the state directory is a serialized rips.v1.Interest as the server sent
+// it. Its id is its checksum.
 #ifndef RIPS_SENSOR_AGENT_INTEREST_FILE_H_
 #define RIPS_SENSOR_AGENT_INTEREST_FILE_H_
 

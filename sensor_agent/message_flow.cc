@@ -57,7 +57,10 @@ void MessageFlow::Run(const Sample& sample, Writer& writer, Output& output) {
     return;
   }
   if (sample.sequence != 0) {
-    const uint64_t missing = sample.sequence - writer.highest_sequence - 1;
+    uint64_t missing = sample.sequence - writer.highest_sequence - 1;
+    const uint64_t counted = std::min(missing, writer.queue_lost);
+    writer.queue_lost -= counted;
+    missing -= counted;
     const bool resumed = sample.reader->resumed && sample.reader != writer.reader;
     if (writer.highest_sequence != 0 && missing > 0 && !resumed) {
       output.losses.push_back({.cause = LossCause::kDdsGap,
@@ -107,6 +110,18 @@ void MessageFlow::Take(Sample sample, int64_t now_ns, Output& output) {
   ++waiting_;
   waiting_writers_.insert(sample.writer);
   writer.waiting.emplace_back(now_ns + options_.attribution_grace_ns, std::move(sample));
+}
+
+void MessageFlow::QueueLost(const Guid& writer, const std::string& topic, uint64_t count,
+                            int64_t now_ns, Output& output) {
+  const auto it = writers_.find(writer);
+  if (it != writers_.end()) it->second->queue_lost += count;
+  output.losses.push_back({.cause = LossCause::kQueueFull,
+                           .topic = topic,
+                           .source = it != writers_.end() ? it->second->source : nullptr,
+                           .count = count,
+                           .first_boottime_ns = now_ns,
+                           .last_boottime_ns = now_ns});
 }
 
 void MessageFlow::Poll(int64_t now_ns, Output& output) {

@@ -77,6 +77,10 @@ class MessageFlow {
   MessageFlow(FlowOptions options, const GraphBuilder* graph) : options_(options), graph_(graph) {}
 
   void Take(Sample sample, int64_t now_ns, Output& output);
+  // `count` samples of `writer` on `topic` were received and could not be queued. They are a loss of
+  // their own and no gap as well: tell of them before the samples that were queued after them.
+  void QueueLost(const ros2::Guid& writer, const std::string& topic, uint64_t count, int64_t now_ns,
+                 Output& output);
   // Call after the graph has changed: what was waiting for it runs.
   void Poll(int64_t now_ns, Output& output);
   void WriterGone(const ros2::Guid& writer, int64_t now_ns);
@@ -92,6 +96,8 @@ class MessageFlow {
     // Of the graph, when `source` was taken from it and not pending; 0 = must look again.
     uint64_t revision = 0;
     uint64_t highest_sequence = 0;
+    // Missing samples that are counted already.
+    uint64_t queue_lost = 0;
     // Of the newest sample that was not a duplicate.
     std::shared_ptr<const ReaderKey> reader;
     std::deque<std::pair<int64_t, Sample>> waiting;  // with the end of its wait

@@ -129,6 +129,25 @@ TEST_F(MessageFlowTest, ATopicReadAnewJudgesNothingTwiceAndCountsNoLoss) {
   EXPECT_EQ(flow_.counters().duplicates, 3u);
 }
 
+TEST_F(MessageFlowTest, WhatTheQueueLostIsNoGapAsWell) {
+  const Guid writer = WriterGuid(1);
+  Known(writer, "talker");
+  Take(writer, 1);
+  // 2 and 3 were lost by the network, 4 to 9 by the queue.
+  flow_.QueueLost(writer, "/chatter", 6, now_ns_, output_);
+  Take(writer, 10);
+  Take(writer, 12);
+  flow_.QueueLost(WriterGuid(2), "/chatter", 4, now_ns_, output_);
+  uint64_t lost = 0;
+  for (const Loss& loss : output_.losses) lost += loss.count;
+  EXPECT_EQ(lost, 6u + 2 + 1 + 4);
+  EXPECT_EQ(output_.losses[0].cause, LossCause::kQueueFull);
+  EXPECT_EQ(output_.losses[0].source->writer.guid, writer);
+  EXPECT_EQ(output_.losses[1].count, 2u);
+  EXPECT_EQ(output_.losses[1].cause, LossCause::kDdsGap);
+  EXPECT_EQ(output_.losses[3].source, nullptr);
+}
+
 TEST_F(MessageFlowTest, AWriterThatComesBackIsRemembered) {
   const Guid writer = WriterGuid(1);
   Known(writer, "talker");

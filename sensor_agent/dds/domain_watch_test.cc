@@ -390,14 +390,14 @@ TEST_F(DomainWatchTest, FullQueuesLoseWithACount) {
   }));
   absl::SleepFor(absl::Milliseconds(100));  // what is still on its way
   watch_->topics().Take(SIZE_MAX);
-  watch_->topics().TakeLosses(7);
+  watch_->topics().TakeLosses();
 
   for (int i = 0; i < 12; ++i) process->Publish("rt/chatter");
   uint64_t lost = 0;
   ASSERT_TRUE(Eventually([&] {
-    for (const Loss& loss : watch_->topics().TakeLosses(7)) {
-      EXPECT_EQ(loss.cause, LossCause::kQueueFull);
+    for (const QueueLoss& loss : watch_->topics().TakeLosses()) {
       EXPECT_EQ(loss.topic, "/chatter");
+      EXPECT_EQ(loss.writer, writer.guid());
       lost += loss.count;
     }
     return lost >= 7;

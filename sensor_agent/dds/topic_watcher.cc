@@ -268,7 +268,10 @@ void TopicWatcher::OnSample(Reader& reader, const dds::RawSample& sample) {
                                   .source_unix_ns = sample.source_unix_ns,
                                   .received_ns = sample.received.boottime_ns});
   if (!taken) {
-    ++reader.overflow;
+    MutexLock lock(&reader.mu);
+    const bool room = reader.overflow.size() < kOverflowWritersMax;
+    ++reader
+          .overflow[room || reader.overflow.contains(sample.writer) ? sample.writer : ros2::Guid{}];
     overflowed_ = true;
   }
   wake_();
@@ -279,26 +282,23 @@ std::vector<Sample> TopicWatcher::Take(size_t max) {
 }
 
 void TopicWatcher::CountOverflow(Reader& reader) {
-  const uint64_t count = reader.overflow.exchange(0);
-  if (count > 0) lost_[reader.key->topic] += count;
+  absl::flat_hash_map<ros2::Guid, uint64_t> overflow;
+  {
+    MutexLock lock(&reader.mu);
+    overflow.swap(reader.overflow);
+  }
+  for (const auto& [writer, count] : overflow) {
+    lost_.push_back({.topic = reader.key->topic, .writer = writer, .count = count});
+  }
 }
 
-std::vector<Loss> TopicWatcher::TakeLosses(int64_t now_ns) {
+std::vector<QueueLoss> TopicWatcher::TakeLosses() {
   if (overflowed_.exchange(false)) {
     for (auto& [key, group] : groups_) {
       if (group.reader != nullptr) CountOverflow(*group.reader);
     }
   }
-  std::vector<Loss> losses;
-  for (const auto& [topic, count] : lost_) {
-    losses.push_back({.cause = LossCause::kQueueFull,
-                      .topic = topic,
-                      .count = count,
-                      .first_boottime_ns = now_ns,
-                      .last_boottime_ns = now_ns});
-  }
-  lost_.clear();
-  return losses;
+  return std::exchange(lost_, {});
 }
 
 }  // namespace rips::sensor

@@ -22,6 +22,7 @@
 #include <tuple>
 #include <vector>
 
+#include "absl/base/thread_annotations.h"
 #include "absl/container/btree_map.h"
 #include "absl/container/btree_set.h"
 #include "absl/container/flat_hash_map.h"
@@ -35,6 +36,7 @@
 #include "services/dds/raw_reader.h"
 #include "services/dds/raw_type.h"
 #include "services/runtime/bounded_queue.h"
+#include "services/runtime/mutex.h"
 
 namespace rips::sensor {
 
@@ -52,11 +54,21 @@ struct TopicWatcherOptions {
   bool secured = false;
 };
 
+// Writers of one topic whose overflow is counted apart.
+inline constexpr size_t kOverflowWritersMax = 1'024;
+
 // News about a writer whose topic is wanted. Until there is news it is taken for visible.
 struct Coverage {
   ros2::Guid writer;
   // Why its messages do not come; empty = they do.
   std::string not_visible;
+};
+
+// Samples of one writer that were received and not queued.
+struct QueueLoss {
+  std::string topic;  // ROS name
+  ros2::Guid writer;  // none() = several or not known
+  uint64_t count = 0;
 };
 
 // One thread, except that samples arrive on the middleware's receive threads. Times are
@@ -79,8 +91,9 @@ class TopicWatcher {
 
   // Received since the last call, in order of reception; at most `max`.
   std::vector<Sample> Take(size_t max);
-  // Samples lost because the queue was full, since the last call: one record for each topic.
-  std::vector<Loss> TakeLosses(int64_t now_ns);
+  // Samples lost because the queue was full, since the last call: one record for each topic and
+  // writer. Called after Take, it tells of all that were lost before the samples taken.
+  std::vector<QueueLoss> TakeLosses();
   // What has turned out about writers since the last call.
   std::vector<Coverage> TakeCoverage(int64_t now_ns);
   // When TakeCoverage may have something to say without anything happening; kNever = not before.
@@ -98,7 +111,9 @@ class TopicWatcher {
 
   struct Reader {
     std::shared_ptr<const ReaderKey> key;
-    std::atomic<uint64_t> overflow = 0;
+    // Past kOverflowWritersMax the rest is of none() in particular.
+    Mutex mu;
+    absl::flat_hash_map<ros2::Guid, uint64_t> overflow ABSL_GUARDED_BY(mu);
     std::atomic<bool> matches_changed = false;
     // Bytes of each payload that are wanted; 0 = none.
     const std::shared_ptr<dds::PayloadLimit> wanted = std::make_shared<dds::PayloadLimit>(0);
@@ -147,8 +162,8 @@ class TopicWatcher {
   BoundedQueue<Sample> queue_;
   std::shared_ptr<const WatchPlan> plan_;
   absl::flat_hash_map<ros2::Guid, Member> members_;
-  // Losses not yet taken, by ROS topic.
-  absl::btree_map<std::string, uint64_t> lost_;
+  // Losses not yet taken, of readers that are closed.
+  std::vector<QueueLoss> lost_;
   std::vector<Coverage> coverage_;
   absl::btree_set<std::pair<int64_t, Key>> looks_;
   size_t readers_ = 0;
