@@ -92,6 +92,8 @@ class FakeRobot {
   }
   ~FakeRobot() { unsetenv("CYCLONEDDS_URI"); }
 
+  const std::shared_ptr<const dds::Domain>& domain() const { return domain_; }
+
   std::unique_ptr<FakeProcess> AddProcess() {
     auto participant = dds::Participant::Create(domain_);
     EXPECT_TRUE(participant.ok()) << participant.status();
