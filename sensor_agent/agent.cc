@@ -4,6 +4,7 @@
 #include <utility>
 
 #include "absl/time/clock.h"
+#include "sensor_agent/interest_file.h"
 #include "services/base/status_macros.h"
 #include "services/ros2/discovery_info.h"
 #include "services/ros2/ros_name.h"
@@ -39,6 +40,17 @@ Loss LimitLoss(uint64_t count, int64_t now_ns) {
           .last_boottime_ns = now_ns};
 }
 
+// What was in use when the last process ended. Null, for metadata of everything, if there is none.
+std::shared_ptr<const Interest> KeptInterest(const std::string& state_dir) {
+  auto interest = LoadInterest(InterestFile(state_dir));
+  if (interest.ok()) return *std::move(interest);
+  if (!absl::IsNotFound(interest.status())) {
+    LogWarning("the interest of the last run cannot be used; metadata of everything is watched",
+               {{"file", InterestFile(state_dir)}, {"error", interest.status().ToString()}});
+  }
+  return nullptr;
+}
+
 }  // namespace
 
 Agent::Agent(const SensorConfig& config, const Clock* clock, Metrics* metrics)
@@ -70,6 +82,7 @@ absl::StatusOr<std::unique_ptr<Agent>> Agent::Create(
                     .credentials = std::move(credentials),
                     .host = config.host,
                     .domain = config.dds.domain,
+                    .interest_file = InterestFile(config.state_dir),
                     .outbox = {.message_bytes = static_cast<size_t>(config.outbox_memory.bytes),
                                .control_bytes = static_cast<size_t>(config.outbox_memory.bytes)}},
       Uplink::Hooks{.on_own_participants =
@@ -96,6 +109,14 @@ absl::StatusOr<std::unique_ptr<Agent>> Agent::Create(
                             raw->interest_ = std::move(interest);
                           }
                           raw->Wake();
+                        },
+                    .on_primary =
+                        [raw](bool primary) {
+                          {
+                            MutexLock lock(&raw->inbox_mu_);
+                            raw->primary_ = primary;
+                          }
+                          raw->Wake();
                         }},
       clock, metrics);
   RIPS_ASSIGN_OR_RETURN(std::optional<dds::Enclave> enclave,
@@ -112,8 +133,9 @@ absl::StatusOr<std::unique_ptr<Agent>> Agent::Create(
       DomainWatch::Create(
           {.domain = {.id = config.dds.domain, .interface = config.dds.interface},
            .participant = {.security = std::move(enclave)},
-           .topics = {.payload_bytes = static_cast<size_t>(config.outbox_memory.bytes) +
-                                       kPayloadsUnderwayBytes}},
+           .topics = {.payload_bytes =
+                          static_cast<size_t>(config.outbox_memory.bytes) + kPayloadsUnderwayBytes,
+                      .secured = secured}},
           [raw] { raw->Wake(); }));
   const int64_t grace_ns = absl::ToInt64Nanoseconds(config.attribution_grace);
   const int64_t settle_ns = absl::ToInt64Nanoseconds(config.settle);
@@ -127,6 +149,12 @@ absl::StatusOr<std::unique_ptr<Agent>> Agent::Create(
   agent->flow_.emplace(FlowOptions{.attribution_grace_ns = grace_ns}, &*agent->graph_);
   agent->findings_.emplace(
       FindingsOptions{.own = agent->domain_->own(), .secured = secured && !admits_strangers});
+  agent->watch_.unwatched = config.unwatched;
+  agent->watch_.interest = KeptInterest(config.state_dir);
+  if (agent->watch_.interest != nullptr) {
+    agent->uplink_->InterestInUse(agent->watch_.interest->id());
+  }
+  agent->FollowPlan(clock->Now().boottime_ns);
   return agent;
 }
 
@@ -182,6 +210,7 @@ void Agent::Observe() {
     Observations seen;
     TakeInbox(now_ns, seen);
     TakeDiscovered(now_ns, seen);
+    TakeCoverage(now_ns);
     TakeClaims(now_ns, seen);
     seen.graph = graph_->Poll(now_ns);
     seen.settled = graph_->settled();
@@ -194,7 +223,8 @@ void Agent::Observe() {
 }
 
 int64_t Agent::NextWork() const {
-  const int64_t work_ns = std::min({graph_->NextDue(), flow_->NextDue(), findings_->NextDue()});
+  const int64_t work_ns = std::min({graph_->NextDue(), flow_->NextDue(), findings_->NextDue(),
+                                    domain_->topics().NextDue()});
   return resync_until_ns_ == 0 ? work_ns : std::min(work_ns, resync_until_ns_);
 }
 
@@ -202,22 +232,45 @@ void Agent::TakeInbox(int64_t now_ns, Observations& seen) {
   std::optional<std::vector<ros2::Guid>> own;
   std::optional<std::vector<std::string>> parts;
   std::shared_ptr<const Interest> interest;
+  std::optional<bool> primary;
   {
     MutexLock lock(&inbox_mu_);
     seen.signals.swap(signals_);
     own.swap(own_participants_);
     parts.swap(protected_parts_);
     interest.swap(interest_);
-  }
-  if (interest != nullptr) {
-    domain_->topics().SetInterest(interest);
-    uplink_->InterestInUse(interest->id());
+    primary.swap(primary_);
   }
   if (own.has_value()) {
     graph_->SetOwnParticipants(*own, now_ns);
     findings_->SetOwnParticipants(*own);
   }
   if (parts.has_value()) findings_->SetProtectedParts(*parts);
+  const bool idle = primary.has_value() ? !*primary : watch_.idle;
+  if (interest == nullptr && idle == watch_.idle) return;
+  watch_.idle = idle;
+  if (interest != nullptr) watch_.interest = interest;
+  FollowPlan(now_ns);
+  if (interest != nullptr) uplink_->InterestInUse(interest->id());
+}
+
+void Agent::FollowPlan(int64_t now_ns) {
+  const auto plan = std::make_shared<const WatchPlan>(watch_);
+  graph_->SetPlan(plan, now_ns);
+  domain_->topics().SetPlan(plan, now_ns);
+}
+
+void Agent::TakeCoverage(int64_t now_ns) {
+  for (const Coverage& news : domain_->topics().TakeCoverage(now_ns)) {
+    const std::string why = ros2::Printable(news.not_visible);
+    if (!why.empty()) {
+      const std::optional<ros2::Endpoint> writer = graph_->Find(news.writer);
+      LogWarning("a writer cannot be read", {{"topic", writer.has_value() ? writer->name : ""},
+                                             {"writer", ToString(news.writer)},
+                                             {"error", why}});
+    }
+    graph_->SetNotVisible(news.writer, why, now_ns);
+  }
 }
 
 void Agent::TakeDiscovered(int64_t now_ns, Observations& seen) {
@@ -253,18 +306,14 @@ void Agent::OnEndpoint(const EndpointFact& endpoint, bool alive, int64_t now_ns)
   if (!alive) {
     graph_->EndpointGone(endpoint.guid, now_ns);
     flow_->WriterGone(endpoint.guid, now_ns);
-    domain_->topics().WriterGone(endpoint.guid);
+    domain_->topics().EndpointGone(endpoint.guid);
     return;
   }
   if (endpoint.guid.SamePrefix(domain_->own())) return;
   graph_->EndpointSeen(endpoint, now_ns);
-  if (!endpoint.writer) return;
-  const ros2::DemangledTopic topic = ros2::DemangleTopic(endpoint.topic);
-  if (topic.kind != ros2::DdsTopicKind::kTopic || !graph_->Watched(topic.name)) return;
-  const absl::Status watched = domain_->topics().Watch(endpoint);
-  if (watched.ok()) return;
-  LogWarning("a writer cannot be read", {{"topic", topic.name}, {"error", watched.ToString()}});
-  graph_->SetNotVisible(endpoint.guid, ros2::Printable(watched.message()), now_ns);
+  if (ros2::DemangleTopic(endpoint.topic).kind != ros2::DdsTopicKind::kTopic) return;
+  // What goes wrong is news of TakeCoverage.
+  domain_->topics().Watch(endpoint, now_ns).IgnoreError();
 }
 
 void Agent::TakeClaims(int64_t now_ns, Observations& seen) {
@@ -297,14 +346,15 @@ void Agent::TakeSamples(int64_t now_ns, Observations& seen) {
   std::vector<Sample> samples = domain_->topics().Take(kSamplesAtOnce);
   samples_.Increment(static_cast<double>(samples.size()));
   payloads_shed_.Increment(static_cast<double>(domain_->topics().TakePayloadsRefused()));
+  // After the samples were taken, and before they are looked at.
+  for (const QueueLoss& loss : domain_->topics().TakeLosses()) {
+    lost_.Increment(static_cast<double>(loss.count));
+    flow_->QueueLost(loss.writer, loss.topic, loss.count, now_ns, output);
+  }
   for (Sample& sample : samples) flow_->Take(std::move(sample), now_ns, output);
   if (samples.size() == kSamplesAtOnce) woken_ = true;  // there is more
   seen.messages = std::move(output.messages);
   for (Loss& loss : output.losses) seen.losses.push_back(std::move(loss));
-  for (Loss& loss : domain_->topics().TakeLosses(now_ns)) {
-    lost_.Increment(static_cast<double>(loss.count));
-    seen.losses.push_back(std::move(loss));
-  }
 }
 
 void Agent::TakeFindings(int64_t now_ns, Observations& seen) {

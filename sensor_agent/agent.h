@@ -58,6 +58,9 @@ class Agent {
   void Observe();
   void TakeInbox(int64_t now_ns, Observations& seen) ABSL_LOCKS_EXCLUDED(inbox_mu_);
   void TakeDiscovered(int64_t now_ns, Observations& seen);
+  void TakeCoverage(int64_t now_ns);
+  // Has what `watch_` says read from now on.
+  void FollowPlan(int64_t now_ns);
   void OnEndpoint(const EndpointFact& endpoint, bool alive, int64_t now_ns);
   void TakeClaims(int64_t now_ns, Observations& seen);
   void TakeSamples(int64_t now_ns, Observations& seen);
@@ -87,12 +90,14 @@ class Agent {
   std::optional<std::vector<std::string>> protected_parts_ ABSL_GUARDED_BY(inbox_mu_);
   // Not yet observed; the newest takes the place of those before. Null = none.
   std::shared_ptr<const Interest> interest_ ABSL_GUARDED_BY(inbox_mu_);
+  std::optional<bool> primary_ ABSL_GUARDED_BY(inbox_mu_);
 
   // The observer thread's.
   std::optional<GraphBuilder> graph_;
   std::optional<MessageFlow> flow_;
   std::optional<Findings> findings_;
   uint64_t findings_dropped_ = 0;
+  WatchOptions watch_;
   // End of a renewed discovery; 0 = none is going on.
   int64_t resync_until_ns_ = 0;
   GraphCounters graph_counted_;

@@ -17,6 +17,8 @@
 #include "gtest/gtest.h"
 #include "sensor_agent/fake_policy_server.h"
 #include "sensor_agent/fake_robot.h"
+#include "sensor_agent/interest_file.h"
+#include "services/base/ids.h"
 #include "services/base/status_matchers.h"
 #include "services/rpc/credentials.h"
 #include "services/rpc/test_pki.h"
@@ -36,10 +38,15 @@ using ::testing::StartsWith;
 
 class AgentTest : public testing::Test {
  protected:
+  AgentTest()
+      : dir_(std::filesystem::temp_directory_path() / absl::StrCat("rips-sensor-", NewId())) {
+    std::filesystem::create_directories(dir_);
+  }
   ~AgentTest() override {
     if (agent_ != nullptr) agent_->Stop();
     server_.Stop();
     EXPECT_THAT(server_.violations, IsEmpty());
+    std::filesystem::remove_all(dir_);
   }
 
   void StartServer() {
@@ -53,7 +60,8 @@ class AgentTest : public testing::Test {
                         .servers = {server_.address()},
                         .dds = {.domain = dds::RandomDomain(), .interface = "lo"},
                         .observer_hidden = hidden,
-                        .settle = absl::Milliseconds(500)};
+                        .settle = absl::Milliseconds(500),
+                        .state_dir = dir_.string()};
     const auto credentials = rpc::Credentials::Load(pki_.Sensor());
     ASSERT_THAT(credentials, IsOk());
     auto agent = Agent::Create(config, (*credentials)->ForClient(), &clock_, &metrics_);
@@ -123,6 +131,35 @@ class AgentTest : public testing::Test {
     });
   }
 
+  // Only topics that match, as metadata. With the id that the server would give it.
+  std::string AskOnlyFor(const std::string& regex) {
+    rips::v1::SensorReply reply;
+    rips::v1::InterestRule* rule = reply.mutable_interest()->add_rules();
+    rule->set_topic_regex(regex);
+    rule->set_depth(rips::v1::InterestRule::METADATA);
+    reply.mutable_interest()->add_rules()->set_depth(rips::v1::InterestRule::NOTHING);
+    const std::string id = InterestId(reply.interest());
+    reply.mutable_interest()->set_id(id);
+    server_.Send(reply);
+    return id;
+  }
+  int Count(const std::function<bool(const Recorded&)>& counts) {
+    int count = 0;
+    EXPECT_TRUE(server_.WaitUntil([&](const FakePolicyServer& s) {
+      for (const Recorded& each : s.received) count += counts(each) ? 1 : 0;
+      return true;
+    }));
+    return count;
+  }
+  bool WaitForVisibility(const ros2::Guid& endpoint, ros2::Visibility visibility,
+                         const std::string& why = "") {
+    return server_.WaitUntil([&](const FakePolicyServer& s) {
+      const ros2::Endpoint* found = s.graph.FindEndpoint(endpoint);
+      return found != nullptr && found->visibility == visibility && found->why == why;
+    });
+  }
+
+  const std::filesystem::path dir_;
   rpc::TestPki pki_;
   const RealClock clock_;
   Metrics metrics_;
@@ -237,6 +274,172 @@ TEST_F(AgentTest, PayloadsComeForTheTopicsAskedForAndNoOthers) {
   }));
 }
 
+TEST_F(AgentTest, WhatNobodyNeedsIsNotReadAndIsCountedAllTheSame) {
+  auto talker = robot_.AddProcess();
+  const ros2::Guid chatter = talker->AddWriter("rt/chatter").guid();
+  const ros2::Guid camera = talker->AddWriter("rt/camera").guid();
+  talker->Announce("talker");
+  StartServer();
+  StartAgent();
+  ASSERT_TRUE(WaitForMessage(*talker, "/camera", "/talker"));
+  ASSERT_TRUE(WaitForVisibility(camera, ros2::Visibility::kWatched));
+
+  AskOnlyFor("^/chatter$");
+  ASSERT_TRUE(WaitForVisibility(camera, ros2::Visibility::kNotNeeded));
+  EXPECT_TRUE(Eventually([&] { return talker->MatchedReaders("rt/camera") == 0; }));
+  EXPECT_EQ(talker->MatchedReaders("rt/chatter"), 1u);
+  EXPECT_TRUE(WaitForVisibility(chatter, ros2::Visibility::kWatched));
+  EXPECT_TRUE(server_.WaitUntil([](const FakePolicyServer& s) {
+    return s.graph.FindTopic("/camera")->subscribers == std::vector<std::string>{"/rips"};
+  }));
+  // A topic that comes under the interest, also while the server is away.
+  server_.Stop();
+  auto late = robot_.AddProcess();
+  late->AddWriter("rt/late");
+  late->AddWriter("rt/chatter");
+  late->Announce("late");
+  EXPECT_TRUE(Eventually([&] { return late->MatchedReaders("rt/chatter") == 1; }));
+  EXPECT_EQ(late->MatchedReaders("rt/late"), 0u);
+
+  StartServer();
+  ASSERT_TRUE(server_.WaitUntil([](const auto& s) { return s.hellos.size() == 2; }));
+  ASSERT_TRUE(WaitForMessage(*late, "/chatter", "/late"));
+  AskOnlyFor("^/camera$");
+  ASSERT_TRUE(WaitForVisibility(camera, ros2::Visibility::kWatched));
+  EXPECT_TRUE(WaitForMessage(*talker, "/camera", "/talker"));
+  EXPECT_EQ(Count([](const Recorded& each) { return each.what.has_loss(); }), 0)
+      << "what was not needed is no loss";
+}
+
+TEST_F(AgentTest, ALatchedMessageIsJudgedOnceHoweverOftenItsTopicIsReadAnew) {
+  auto mapper = robot_.AddProcess();
+  const ros2::Guid map =
+      mapper->AddWriter("rt/map", {.reliable = true, .transient_local = true, .depth = 5}).guid();
+  mapper->Announce("mapper");
+  mapper->Publish("rt/map");
+  mapper->Publish("rt/map");
+  StartServer();
+  StartAgent();
+  std::vector<uint64_t> sequences;
+  const auto come = [&sequences](size_t count) {
+    return [&sequences, count](const FakePolicyServer& s) {
+      sequences.clear();
+      for (const Recorded& each : s.Distinct(MESSAGES)) {
+        if (each.topic == "/map") sequences.push_back(each.what.message().writer_sequence());
+      }
+      return sequences.size() >= count;
+    };
+  };
+  ASSERT_TRUE(server_.WaitUntil(come(2)));
+  for (int round = 0; round < 2; ++round) {
+    AskOnlyFor("^/none$");
+    ASSERT_TRUE(WaitForVisibility(map, ros2::Visibility::kNotNeeded));
+    ASSERT_TRUE(Eventually([&] { return mapper->MatchedReaders("rt/map") == 0; }));
+    if (round == 1) mapper->Publish("rt/map");
+    AskOnlyFor("^/map$");
+    ASSERT_TRUE(WaitForVisibility(map, ros2::Visibility::kWatched));
+    ASSERT_TRUE(Eventually([&] { return mapper->MatchedReaders("rt/map") == 1; }));
+  }
+  // Behind the history comes what shows that all of it has come.
+  mapper->Publish("rt/map");
+  ASSERT_TRUE(server_.WaitUntil(come(4)));
+  EXPECT_THAT(sequences, ElementsAre(1, 2, 3, 4));
+}
+
+TEST_F(AgentTest, TheInterestOutlivesTheProcess) {
+  StartServer();
+  StartAgent();
+  ASSERT_TRUE(server_.WaitUntil([](const auto& s) { return s.settled; }));
+  const std::string id = AskOnlyFor("^/chatter$");
+  ASSERT_TRUE(server_.WaitUntil([](const auto& s) { return s.interests_applied.size() == 1; }));
+  agent_->Stop();
+  agent_.reset();
+  server_.Stop();
+
+  StartAgent();
+  auto talker = robot_.AddProcess();
+  talker->AddWriter("rt/chatter");
+  talker->AddWriter("rt/other");
+  EXPECT_TRUE(Eventually([&] { return talker->MatchedReaders("rt/chatter") == 1; }));
+  EXPECT_EQ(talker->MatchedReaders("rt/other"), 0u);
+  StartServer();
+  EXPECT_TRUE(server_.WaitUntil(
+      [&](const FakePolicyServer& s) { return s.hellos.back().interest_in_use() == id; }));
+}
+
+TEST_F(AgentTest, WithACorruptInterestEverythingIsWatched) {
+  std::ofstream(dir_ / "interest") << "no interest";
+  StartServer();
+  StartAgent();
+  auto talker = robot_.AddProcess();
+  talker->AddWriter("rt/other");
+  talker->Announce("talker");
+  EXPECT_TRUE(WaitForMessage(*talker, "/other", "/talker"));
+  EXPECT_TRUE(server_.WaitUntil(
+      [](const FakePolicyServer& s) { return s.hellos.back().interest_in_use().empty(); }));
+}
+
+TEST_F(AgentTest, RosoutIsReadOnlyIfItIsNamedAndNeverCounted) {
+  auto talker = robot_.AddProcess();
+  const ros2::Guid log = talker->AddWriter("rt/rosout").guid();
+  talker->Announce("talker");
+  StartServer();
+  StartAgent();
+  ASSERT_TRUE(WaitForVisibility(log, ros2::Visibility::kNotNeeded));
+  const auto subscribers = [](const FakePolicyServer& s) {
+    return s.graph.FindTopic("/rosout")->subscribers;
+  };
+  EXPECT_TRUE(server_.WaitUntil([&](const auto& s) { return subscribers(s).empty(); }));
+  AskOnlyFor("^/rosout$");
+  ASSERT_TRUE(WaitForVisibility(log, ros2::Visibility::kWatched));
+  EXPECT_TRUE(WaitForMessage(*talker, "/rosout", "/talker"));
+  EXPECT_TRUE(server_.WaitUntil([&](const auto& s) { return subscribers(s).empty(); }));
+}
+
+TEST_F(AgentTest, AWriterThatCannotBeReadIsShownWithItsReason) {
+  auto process = robot_.AddProcess();
+  const auto exclusive = dds::RawWriter::Create(
+      process->participant(),
+      {.topic = "rt/chatter", .type = "std_msgs::msg::dds_::String_", .exclusive = true});
+  ASSERT_THAT(exclusive, IsOk());
+  StartServer();
+  StartAgent();
+  EXPECT_TRUE(WaitForVisibility((*exclusive)->guid(), ros2::Visibility::kNotVisible,
+                                "QoS: exclusive ownership"));
+  AskOnlyFor("^/none$");
+  EXPECT_TRUE(WaitForVisibility((*exclusive)->guid(), ros2::Visibility::kNotNeeded));
+  AskOnlyFor("^/chatter$");
+  EXPECT_TRUE(WaitForVisibility((*exclusive)->guid(), ros2::Visibility::kNotVisible,
+                                "QoS: exclusive ownership"));
+}
+
+TEST_F(AgentTest, AHostThatIsNotPrimaryReadsNothingUntilItIs) {
+  auto talker = robot_.AddProcess();
+  talker->AddWriter("rt/chatter");
+  talker->Announce("talker");
+  server_.Set([](auto& b) { b.primary = false; });
+  StartServer();
+  StartAgent();
+  ASSERT_TRUE(server_.WaitUntil([](const auto& s) { return !s.hellos.empty(); }));
+  ASSERT_TRUE(Eventually(
+      [&] { return metrics_.Text().find("rips_sensor_streaming 1") != std::string::npos; }));
+  EXPECT_TRUE(Eventually([&] { return talker->MatchedReaders("rt/chatter") == 0; }));
+  agent_->OnSignal("SIGUSR1");
+  ASSERT_TRUE(server_.WaitUntil([](const FakePolicyServer& s) {
+    return !s.received.empty() && s.received.back().what.has_signal();
+  })) << "what is of the host is told";
+  EXPECT_EQ(Count([](const Recorded& each) {
+              return each.what.has_message() || each.what.has_snapshot() || each.what.has_delta();
+            }),
+            0);
+
+  server_.Stop();
+  server_.Set([](auto& b) { b.primary = true; });
+  StartServer();
+  ASSERT_TRUE(WaitForPublisher("/chatter", "/talker"));
+  EXPECT_TRUE(WaitForMessage(*talker, "/chatter", "/talker"));
+}
+
 TEST_F(AgentTest, HiddenObserverIsNotInTheGraph) {
   auto talker = robot_.AddProcess();
   talker->AddWriter("rt/chatter");
@@ -268,16 +471,11 @@ TEST_F(AgentTest, UndecodableClaimIsALoss) {
 
 class DaemonTest : public AgentTest {
  protected:
-  DaemonTest() {
-    dir_ = std::filesystem::temp_directory_path() / absl::StrCat("rips-sensor-", getpid());
-    std::filesystem::create_directories(dir_);
-  }
   ~DaemonTest() override {
     if (pid_ > 0) {
       kill(pid_, SIGKILL);
       waitpid(pid_, nullptr, 0);
     }
-    std::filesystem::remove_all(dir_);
   }
 
   void WriteConfig(const std::string& robot, const std::string& more = "") {
@@ -286,7 +484,7 @@ class DaemonTest : public AgentTest {
         << "robot: " << robot << "\nhost: base\nservers: [\"127.0.0.1:1\"]\n"
         << "tls: {ca: " << tls.ca << ", cert: " << tls.cert << ", key: " << tls.key << "}\n"
         << "dds: {domain: " << dds::RandomDomain() << ", interface: lo}\n"
-        << "metrics: \"127.0.0.1:0\"\n"
+        << "metrics: \"127.0.0.1:0\"\nstate_dir: " << dir_.string() << "\n"
         << more;
   }
   void Spawn(std::vector<std::string> more = {}) {
@@ -318,7 +516,6 @@ class DaemonTest : public AgentTest {
     return text.str();
   }
 
-  std::filesystem::path dir_;
   pid_t pid_ = 0;
 };
 
@@ -344,7 +541,7 @@ TEST_F(DaemonTest, UnknownKeyEndsWithTwoAndItsPlace) {
   WriteConfig("r1", "setle: 2s\n");
   Spawn();
   EXPECT_EQ(WaitForExit(), 2);
-  EXPECT_THAT(Output(), HasSubstr("sensor.yaml:7:1: unknown key `setle`"));
+  EXPECT_THAT(Output(), HasSubstr("sensor.yaml:8:1: unknown key `setle`"));
 }
 
 TEST_F(DaemonTest, CheckConfigNamesAMissingFileOfTheKeystore) {

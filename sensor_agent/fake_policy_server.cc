@@ -40,6 +40,19 @@ ros2::Endpoint ToEndpoint(const rips::v1::Endpoint& wire) {
     default:
       break;
   }
+  switch (wire.visibility()) {
+    case rips::v1::WATCHED:
+      endpoint.visibility = ros2::Visibility::kWatched;
+      break;
+    case rips::v1::NOT_NEEDED:
+      endpoint.visibility = ros2::Visibility::kNotNeeded;
+      break;
+    case rips::v1::NOT_VISIBLE:
+      endpoint.visibility = ros2::Visibility::kNotVisible;
+      break;
+    default:
+      break;
+  }
   return endpoint;
 }
 
@@ -50,6 +63,9 @@ ros2::GraphDelta ToDelta(const Participants& participants, const Nodes& nodes,
   for (const auto& each : participants) {
     delta.upsert_participants.push_back({.guid = ToGuid(each.guid()),
                                          .host = each.host(),
+                                         .enclave = each.enclave(),
+                                         .pid = each.pid(),
+                                         .vendor = each.vendor(),
                                          .authenticated = each.authenticated()});
   }
   for (const auto& each : nodes) {
@@ -138,7 +154,9 @@ void FakePolicyServer::AnswerHello(const rips::v1::SensorHello& hello, Stream* s
   config.mutable_config()->set_linger_ms(5);
   config.mutable_config()->set_batch_observations(16);
   config.mutable_config()->set_batch_bytes(32 * 1024);
-  config.mutable_config()->set_primary(behaviour_.primary);
+  const std::string& primary = behaviour_.primary_host;
+  config.mutable_config()->set_primary(behaviour_.primary &&
+                                       (primary.empty() || primary == hello.hello().host()));
   config.mutable_config()->set_want_snapshot(behaviour_.ask_for_snapshot &&
                                              graph_incarnation_ != hello.hello().incarnation());
   for (const std::string& guid : behaviour_.own_participants) {
@@ -163,7 +181,8 @@ void FakePolicyServer::AnswerHello(const rips::v1::SensorHello& hello, Stream* s
   stream_ = stream;
 }
 
-void FakePolicyServer::TakeGraph(const rips::v1::Observation& observation) {
+void FakePolicyServer::TakeGraph(const std::string& incarnation,
+                                 const rips::v1::Observation& observation) {
   absl::Status applied;
   if (observation.has_snapshot()) {
     const auto& snapshot = observation.snapshot();
@@ -172,7 +191,7 @@ void FakePolicyServer::TakeGraph(const rips::v1::Observation& observation) {
     graph = fresh;
     graph_version = snapshot.graph_version();
     settled = snapshot.settled();
-    graph_incarnation_ = hellos.back().hello().incarnation();
+    graph_incarnation_ = incarnation;
   } else {
     const auto& delta = observation.delta();
     if (graph_incarnation_.empty() || delta.to_version() <= graph_version) return;
@@ -229,7 +248,7 @@ void FakePolicyServer::TakeBatch(const rips::v1::ObservationBatch& batch, Names&
     }
     if (one.sequence > judged) {
       judged = one.sequence;
-      if (what.has_snapshot() || what.has_delta()) TakeGraph(what);
+      if (what.has_snapshot() || what.has_delta()) TakeGraph(one.incarnation, what);
     }
     received.push_back(std::move(one));
   }

@@ -40,6 +40,8 @@ class FakePolicyServer final : public rips::v1::SensorService::Service {
     bool acknowledge = true;
     uint64_t credit = 1 << 20;
     bool primary = true;
+    // Of several sensors only that of this host is; empty = all are.
+    std::string primary_host;
     std::vector<std::string> own_participants;
     std::vector<std::string> protected_parts;
     // Say so while no snapshot of the incarnation was seen.
@@ -101,7 +103,8 @@ class FakePolicyServer final : public rips::v1::SensorService::Service {
   void AnswerHello(const rips::v1::SensorHello& hello, Stream* stream) ABSL_LOCKS_EXCLUDED(mu_);
   void TakeBatch(const rips::v1::ObservationBatch& batch, Names& names)
       ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
-  void TakeGraph(const rips::v1::Observation& observation) ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
+  void TakeGraph(const std::string& incarnation, const rips::v1::Observation& observation)
+      ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
   rips::v1::SensorReply AckLocked(const LaneKey& key) ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
 
   mutable Mutex mu_;

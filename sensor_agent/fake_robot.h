@@ -95,6 +95,8 @@ class FakeRobot {
   }
   ~FakeRobot() { unsetenv("CYCLONEDDS_URI"); }
 
+  const std::shared_ptr<const dds::Domain>& domain() const { return domain_; }
+
   std::unique_ptr<FakeProcess> AddProcess(std::optional<dds::Enclave> enclave = std::nullopt) {
     return std::make_unique<FakeProcess>(AddParticipant(std::move(enclave)));
   }

@@ -1,6 +1,7 @@
 #include "sensor_agent/graph_builder.h"
 
 #include <algorithm>
+#include <utility>
 
 #include "absl/strings/str_cat.h"
 #include "services/ros2/ros_name.h"
@@ -24,7 +25,10 @@ std::string NameOrPlaceholder(std::string name) {
 }  // namespace
 
 GraphBuilder::GraphBuilder(GraphOptions options, int64_t start_ns)
-    : options_(std::move(options)), start_ns_(start_ns), last_discovery_ns_(start_ns) {
+    : options_(std::move(options)),
+      start_ns_(start_ns),
+      plan_(std::make_shared<WatchPlan>(WatchOptions{.unwatched = options_.unwatched})),
+      last_discovery_ns_(start_ns) {
   ParticipantState* own = Obtain(options_.own);
   own->discovered = true;
   dirty_.insert(options_.own);
@@ -34,7 +38,7 @@ bool GraphBuilder::IsOwn(const Guid& participant) const {
   return participant == options_.own || own_participants_.contains(participant);
 }
 
-bool GraphBuilder::Watched(absl::string_view topic) const {
+bool GraphBuilder::Observes(absl::string_view topic) const {
   return std::find(options_.unwatched.begin(), options_.unwatched.end(), topic) ==
          options_.unwatched.end();
 }
@@ -75,6 +79,7 @@ void GraphBuilder::ParticipantSeen(const ros2::Participant& participant, int64_t
   ParticipantState* state = Obtain(participant.guid);
   if (state == nullptr) return;
   state->generation = generation_;
+  leaving_.erase(participant.guid);
   if (state->discovered && state->facts == participant) return;
   state->discovered = true;
   state->facts = participant;
@@ -82,9 +87,39 @@ void GraphBuilder::ParticipantSeen(const ros2::Participant& participant, int64_t
 }
 
 void GraphBuilder::ParticipantGone(const Guid& participant, int64_t now_ns) {
-  if (participant == options_.own || !participants_.contains(participant)) return;
-  Forget(participant);
+  const auto it = participants_.find(participant);
+  if (participant == options_.own || it == participants_.end()) return;
+  if (Unseen(it->second)) {
+    leaving_.insert(participant);
+  } else {
+    Forget(participant);
+  }
   Touch(participant, now_ns);
+}
+
+bool GraphBuilder::Unseen(EndpointState& state) const {
+  if (!settled_ || state.was_shown || state.hidden || !state.shown.ros) return false;
+  state.pending_until_ns = 0;  // who knew its node has gone
+  return true;
+}
+
+bool GraphBuilder::Unseen(ParticipantState& state) const {
+  if (!settled_ || IsOwn(state.facts.guid)) return false;
+  bool unseen = state.present() && !std::includes(state.sent_nodes.begin(), state.sent_nodes.end(),
+                                                  state.nodes.begin(), state.nodes.end());
+  for (auto& [guid, endpoint] : state.endpoints) unseen |= Unseen(endpoint);
+  return unseen;
+}
+
+void GraphBuilder::EndVisits(int64_t now_ns) {
+  for (const Guid& guid : std::exchange(leaving_, {})) {
+    if (guid != guid.Participant()) {
+      Remove(guid, now_ns);
+    } else if (participants_.contains(guid)) {
+      Forget(guid);
+      Touch(guid, now_ns);
+    }
+  }
 }
 
 void GraphBuilder::DropClaims(ParticipantState& state) {
@@ -117,15 +152,49 @@ void GraphBuilder::SetShown(EndpointState& state, const EndpointFact& fact) cons
   if (shown.qos.partitions.size() > kPartitionsMax) shown.qos.partitions.resize(kPartitionsMax);
   for (std::string& partition : shown.qos.partitions) partition = ros2::Printable(partition);
   shown.why.clear();
+  state.topic = topic.kind == ros2::DdsTopicKind::kTopic;
   if (topic.kind == ros2::DdsTopicKind::kServiceRequest) {
     shown.visibility = Visibility::kNotVisible;
     shown.why = "requests are not read: one more reader would make clients wait for ever";
-  } else if (topic.kind == ros2::DdsTopicKind::kTopic) {
-    shown.visibility = Watched(shown.name) ? Visibility::kWatched : Visibility::kNotNeeded;
-  } else {
+  } else if (!state.topic) {
     shown.visibility =
         fact.topic == ros2::kDiscoveryTopic ? Visibility::kWatched : Visibility::kNotNeeded;
   }
+  SetVisibility(state);
+}
+
+void GraphBuilder::SetVisibility(EndpointState& state) const {
+  if (!state.topic) return;
+  Endpoint& shown = state.shown;
+  shown.why.clear();
+  if (!plan_->Of(shown.name, shown.type).messages) {
+    shown.visibility = Visibility::kNotNeeded;
+    state.not_visible_because.clear();
+  } else if (state.not_visible_because.empty()) {
+    shown.visibility = Visibility::kWatched;
+  } else {
+    shown.visibility = Visibility::kNotVisible;
+    shown.why = state.not_visible_because;
+  }
+}
+
+void GraphBuilder::SetPlan(std::shared_ptr<const WatchPlan> plan, int64_t now_ns) {
+  plan_ = std::move(plan);
+  for (auto& [guid, participant] : participants_) {
+    bool changed = false;
+    for (auto& [endpoint, state] : participant.endpoints) {
+      const Visibility before = state.shown.visibility;
+      SetVisibility(state);
+      changed |= state.shown.visibility != before;
+    }
+    if (changed) Refresh(guid, now_ns);
+  }
+}
+
+void GraphBuilder::Refresh(const Guid& participant, int64_t now_ns) {
+  if (dirty_.empty()) burst_first_ns_ = now_ns;
+  dirty_.insert(participant);
+  ++revision_;
 }
 
 void GraphBuilder::EndpointSeen(const EndpointFact& endpoint, int64_t now_ns) {
@@ -134,6 +203,7 @@ void GraphBuilder::EndpointSeen(const EndpointFact& endpoint, int64_t now_ns) {
   EndpointState* known = FindState(endpoint.guid);
   if (known != nullptr) {
     known->generation = generation_;
+    leaving_.erase(endpoint.guid);
     const Endpoint before = known->shown;
     SetShown(*known, endpoint);
     if (!(known->shown == before)) Touch(owner_guid, now_ns);
@@ -154,6 +224,14 @@ void GraphBuilder::EndpointSeen(const EndpointFact& endpoint, int64_t now_ns) {
 }
 
 void GraphBuilder::EndpointGone(const Guid& endpoint, int64_t now_ns) {
+  EndpointState* state = FindState(endpoint);
+  if (state == nullptr) return;
+  if (!Unseen(*state)) return Remove(endpoint, now_ns);
+  leaving_.insert(endpoint);
+  Touch(endpoint.Participant(), now_ns);
+}
+
+void GraphBuilder::Remove(const Guid& endpoint, int64_t now_ns) {
   const Guid owner_guid = endpoint.Participant();
   const auto owner = participants_.find(owner_guid);
   if (owner == participants_.end() || owner->second.endpoints.erase(endpoint) == 0) return;
@@ -249,11 +327,10 @@ void GraphBuilder::SetOwnParticipants(const std::vector<Guid>& participants, int
 
 void GraphBuilder::SetNotVisible(const Guid& writer, const std::string& why, int64_t now_ns) {
   EndpointState* state = FindState(writer);
-  if (state == nullptr) return;
-  if (state->shown.visibility == Visibility::kNotVisible && state->shown.why == why) return;
-  state->shown.visibility = Visibility::kNotVisible;
-  state->shown.why = why;
-  Touch(writer.Participant(), now_ns);
+  if (state == nullptr || state->not_visible_because == why) return;
+  state->not_visible_because = why;
+  SetVisibility(*state);
+  Refresh(writer.Participant(), now_ns);
 }
 
 void GraphBuilder::EndResync(int64_t now_ns) {
@@ -290,10 +367,8 @@ void GraphBuilder::EndGraces(int64_t now_ns) {
     }
     state->pending_until_ns = 0;
     if (owner->second.node_of.contains(guid)) continue;
-    if (dirty_.empty()) burst_first_ns_ = now_ns;
-    dirty_.insert(owner_guid);
+    Refresh(owner_guid, now_ns);
     hurry_ = true;
-    ++revision_;
   }
 }
 

@@ -10,14 +10,29 @@
 // stay pending for ever by claiming and unclaiming.
 //
 // RIPS itself is the node `/rips`: this sensor's participant subscribes to every ROS topic that
-// others use and that is watched, whether or not a reader exists just now, so that what rules count
-// does not depend on what we optimise. Its real endpoints are not shown.
+// others use but the `unwatched` ones, whether or not a reader exists just now, so that what rules
+// count depends neither on the interest nor on what we optimise. Its real endpoints are not shown.
+//
+// Every endpoint says how far it is seen:
+//
+// | endpoint                 | watched                  | not needed      | not visible       |
+// |--------------------------|--------------------------|-----------------|-------------------|
+// | writer of a ROS topic    | what it writes is read   | nobody needs it | else, and why     |
+// | reader of a ROS topic    | what its writers, as     | nobody needs it | never             |
+// |                          | they say, let us read    |                 |                   |
+// | service, client          | never                    | never           | always: requests  |
+// | `ros_discovery_info`     | always                   | never           | never             |
+// | any other DDS topic      | never                    | always          | never             |
+//
+// What comes and goes between two steps is shown in one all the same, and is gone with the next: a
+// short visit is no way past the rules. It is shown without a node if none is known by then.
 #ifndef RIPS_SENSOR_AGENT_GRAPH_BUILDER_H_
 #define RIPS_SENSOR_AGENT_GRAPH_BUILDER_H_
 
 #include <cstddef>
 #include <cstdint>
 #include <limits>
+#include <memory>
 #include <optional>
 #include <string>
 #include <utility>
@@ -27,6 +42,7 @@
 #include "absl/container/btree_set.h"
 #include "absl/container/flat_hash_map.h"
 #include "absl/status/status.h"
+#include "sensor_agent/interest.h"
 #include "sensor_agent/observation.h"
 #include "services/ros2/discovery_info.h"
 #include "services/ros2/guid.h"
@@ -45,7 +61,8 @@ struct GraphOptions {
   bool secured = false;
   // No node `/rips` in the graph.
   bool observer_hidden = false;
-  // ROS topics whose messages nobody needs.
+  // ROS topics to which `/rips` does not subscribe. Their messages are read all the same if the
+  // plan says so; before the first SetPlan it says metadata of every topic but these.
   std::vector<std::string> unwatched = {"/rosout", "/parameter_events"};
   int64_t attribution_grace_ns = 500'000'000;
   // Settled once nothing was discovered for settle_ns, at the latest settle_max_ns after start.
@@ -72,6 +89,8 @@ struct EndpointFact {
   std::string topic;
   std::string type;
   ros2::Qos qos;
+  // Why no reader of ours can match this writer; empty = one can.
+  std::string unreadable;
 };
 
 struct GraphCounters {
@@ -100,7 +119,10 @@ class GraphBuilder {
                             int64_t now_ns);
   // Participants of other RIPS processes on this robot: node `/rips` too.
   void SetOwnParticipants(const std::vector<ros2::Guid>& participants, int64_t now_ns);
-  // Messages of this writer cannot be read, because of `why`. Until it goes.
+  // What is read from now on.
+  void SetPlan(std::shared_ptr<const WatchPlan> plan, int64_t now_ns);
+  // Messages of this writer cannot be read, because of `why`; empty = they can, again. Counts while
+  // they are needed.
   void SetNotVisible(const ros2::Guid& writer, const std::string& why, int64_t now_ns);
 
   // Discovery is told anew from the start: whatever is not seen again until EndResync is gone.
@@ -120,17 +142,19 @@ class GraphBuilder {
   std::optional<ros2::Endpoint> Find(const ros2::Guid& endpoint) const;
   // Changes whenever an answer of Find may have changed; never 0.
   uint64_t revision() const { return revision_; }
-  // Messages on this ROS topic are wanted.
-  bool Watched(absl::string_view topic) const;
   const GraphCounters& counters() const { return counters_; }
 
  private:
   struct EndpointState {
     bool hidden = false;   // reply side of a service, shown by its request side
     ros2::Endpoint shown;  // without node and pending
+    bool topic = false;    // of a ROS topic
+    std::string not_visible_because;
     // End of the attribution grace; 0 = over.
     int64_t pending_until_ns = 0;
     bool grace_renewed = false;
+    // It stood in a step, not as pending.
+    bool was_shown = false;
     uint32_t generation = 0;
   };
   struct ParticipantState {
@@ -162,12 +186,23 @@ class GraphBuilder {
   ParticipantState* Obtain(const ros2::Guid& participant);
   EndpointState* FindState(const ros2::Guid& endpoint);
   void SetShown(EndpointState& state, const EndpointFact& fact) const;
+  void SetVisibility(EndpointState& state) const;
+  // `/rips` subscribes to this ROS topic if others use it.
+  bool Observes(absl::string_view topic) const;
+  // What is shown of a participant has changed, though nothing was discovered.
+  void Refresh(const ros2::Guid& participant, int64_t now_ns);
   ros2::Endpoint Attributed(const ParticipantState& owner, const EndpointState& state) const;
   void RenewGraces(ParticipantState& owner,
                    const absl::flat_hash_map<ros2::Guid, std::string>& before, int64_t now_ns);
   void DropClaims(ParticipantState& state);
   // What is known of it goes; what was sent stays until the next step.
   void Forget(const ros2::Guid& participant);
+  void Remove(const ros2::Guid& endpoint, int64_t now_ns);
+  // True if it must not go before it was shown; it is no longer pending then.
+  bool Unseen(EndpointState& state) const;
+  bool Unseen(ParticipantState& state) const;
+  // Those that were to go once they have been shown.
+  void EndVisits(int64_t now_ns);
   void Wait(EndpointState& state, int64_t now_ns);
   // Something was discovered about `participant`.
   void Touch(const ros2::Guid& participant, int64_t now_ns);
@@ -184,6 +219,7 @@ class GraphBuilder {
 
   const GraphOptions options_;
   const int64_t start_ns_;
+  std::shared_ptr<const WatchPlan> plan_;
   GraphCounters counters_;
   absl::btree_set<ros2::Guid> own_participants_;
   absl::btree_map<ros2::Guid, ParticipantState> participants_;
@@ -197,6 +233,8 @@ class GraphBuilder {
 
   // What may differ from what was sent.
   absl::btree_set<ros2::Guid> dirty_;
+  // Endpoints and participants that have gone and stay until they were shown.
+  absl::btree_set<ros2::Guid> leaving_;
   absl::btree_set<std::string> dirty_topics_;
   int64_t burst_first_ns_ = 0;
   int64_t last_discovery_ns_;

@@ -464,6 +464,145 @@ TEST_F(GraphBuilderTest, UnreadableWriterSaysWhy) {
   Pass(20);
   EXPECT_EQ(graph_.FindEndpoint(EndpointGuid(1, 1))->visibility, Visibility::kNotVisible);
   EXPECT_EQ(graph_.FindEndpoint(EndpointGuid(1, 1))->why, "no reader");
+  // What discovery says again does not make it visible; news does.
+  Writer(1, 1, "rt/chatter");
+  Pass(20);
+  EXPECT_EQ(graph_.FindEndpoint(EndpointGuid(1, 1))->visibility, Visibility::kNotVisible);
+  builder_->SetNotVisible(EndpointGuid(1, 1), "", now_ns_);
+  Pass(20);
+  EXPECT_EQ(graph_.FindEndpoint(EndpointGuid(1, 1))->visibility, Visibility::kWatched);
+  EXPECT_EQ(graph_.FindEndpoint(EndpointGuid(1, 1))->why, "");
+}
+
+TEST_F(GraphBuilderTest, AVisitBetweenTwoStepsIsShownAndOver) {
+  Settle();
+  changes_.clear();
+  // A writer, a whole process, and a process that tells its node, all gone before a step.
+  Participant(1);
+  Talker(2, "stays", "rt/stays");
+  Writer(2, 9, "rt/a");
+  builder_->EndpointGone(EndpointGuid(2, 9), now_ns_);
+  Writer(1, 1, "rt/b");
+  builder_->ParticipantGone(ParticipantGuid(1), now_ns_);
+  Talker(3, "brief", "rt/c");
+  builder_->ParticipantGone(ParticipantGuid(3), now_ns_);
+  Pass(20);
+  EXPECT_THAT(Publishers("/a"), ElementsAre(HasSubstr("unattributed")));
+  EXPECT_THAT(Publishers("/b"), ElementsAre(HasSubstr("unattributed")));
+  EXPECT_THAT(Publishers("/c"), ElementsAre("/brief"));
+  EXPECT_THAT(Nodes(), ElementsAre("/brief", "/rips", "/stays"));
+  Pass(20);
+  for (const char* topic : {"/a", "/b", "/c"}) EXPECT_EQ(graph_.FindTopic(topic), nullptr) << topic;
+  EXPECT_THAT(Nodes(), ElementsAre("/rips", "/stays"));
+  EXPECT_THAT(changes_, SizeIs(2));
+}
+
+TEST_F(GraphBuilderTest, AVisitorThatWasPendingIsShownWhenItGoes) {
+  Participant(1);
+  Settle();
+  Writer(1, 1, "rt/a");
+  Pass(20);
+  EXPECT_EQ(graph_.FindTopic("/a"), nullptr) << "within the grace";
+  builder_->EndpointGone(EndpointGuid(1, 1), now_ns_);
+  Pass(20);
+  EXPECT_THAT(Publishers("/a"), ElementsAre(HasSubstr("unattributed")));
+  Pass(20);
+  EXPECT_EQ(graph_.FindTopic("/a"), nullptr);
+  // One that comes back stays.
+  Writer(1, 2, "rt/a");
+  builder_->EndpointGone(EndpointGuid(1, 2), now_ns_);
+  Writer(1, 2, "rt/a");
+  Pass(20);
+  Pass(1'000);
+  EXPECT_THAT(Publishers("/a"), ElementsAre(HasSubstr("unattributed")));
+}
+
+TEST_F(GraphBuilderTest, AnHonestNodeThatLeavesIsNeverShownWithoutItsNode) {
+  Talker(1, "talker", "rt/chatter");
+  Settle();
+  // As rmw does it: first the claim, then the endpoint.
+  ASSERT_THAT(Claim(1, "talker", {}), IsOk());
+  Pass(20);
+  EXPECT_EQ(graph_.FindTopic("/chatter"), nullptr);
+  builder_->EndpointGone(EndpointGuid(1, 1), now_ns_);
+  Pass(20);
+  EXPECT_EQ(graph_.FindTopic("/chatter"), nullptr);
+  EXPECT_EQ(graph_.FindEndpoint(EndpointGuid(1, 1)), nullptr);
+}
+
+TEST_F(GraphBuilderTest, AHundredThousandEndpointsStayWithinTheLimits) {
+  Settle();
+  for (int i = 0; i < 100'000; ++i) {
+    Guid guid =
+        EndpointGuid(static_cast<uint8_t>(1 + i / 20'000), static_cast<uint16_t>(i % 20'000));
+    guid.bytes[3] = static_cast<uint8_t>(i >> 16);
+    Seen(guid, i % 2 == 0, absl::StrCat("rt/t", i % 1'000), "std_msgs::msg::dds_::String_");
+    builder_->EndpointGone(guid, now_ns_);
+    Seen(guid, i % 2 == 0, absl::StrCat("rt/t", i % 1'000), "std_msgs::msg::dds_::String_");
+  }
+  EXPECT_EQ(builder_->counters().dropped % 2, 0u) << "each is refused twice";
+  EXPECT_EQ(builder_->counters().dropped / 2, 100'000 - GraphOptions().endpoints_max);
+  Pass(20);
+  for (const GraphChange& change : changes_) {
+    EXPECT_LE(CostOf(change.delta), GraphOptions().step_bytes + 4'096);
+  }
+  // The server's graph is a little smaller, so it knows that something is missing.
+  EXPECT_TRUE(graph_.truncated());
+  EXPECT_EQ(graph_.endpoints().size(), ros2::GraphLimits().endpoints);
+}
+
+TEST_F(GraphBuilderTest, ThePlanDecidesWhatIsWatchedAndNotWhatIsCounted) {
+  Talker(1, "talker", "rt/chatter");
+  Seen(EndpointGuid(1, 2), false, "rt/other", "std_msgs::msg::dds_::String_");
+  Seen(EndpointGuid(1, 3), true, "rt/rosout", "rcl_interfaces::msg::dds_::Log_");
+  Seen(EndpointGuid(1, 4), false, "rq/enableRequest", "std_srvs::srv::dds_::SetBool_Request_");
+  Settle();
+  const auto of = [this](uint8_t number) {
+    return graph_.FindEndpoint(EndpointGuid(1, number))->visibility;
+  };
+  const auto follow = [this](std::vector<InterestRule> rules) {
+    builder_->SetPlan(
+        std::make_shared<WatchPlan>(WatchOptions{
+            .unwatched = {"/rosout"},
+            .interest = *Interest::Create(std::string(kInterestIdBytes, 'i'), std::move(rules))}),
+        now_ns_);
+    Pass(20);
+  };
+  EXPECT_EQ(of(1), Visibility::kWatched);
+  EXPECT_EQ(of(2), Visibility::kWatched);
+  EXPECT_EQ(of(3), Visibility::kNotNeeded);
+  EXPECT_EQ(of(4), Visibility::kNotVisible);
+  const std::vector<std::string> subscribers = graph_.FindTopic("/chatter")->subscribers;
+  EXPECT_THAT(subscribers, ElementsAre("/rips"));
+
+  follow({{.topic_regex = "^/(other|rosout)$"}, {.topic_regex = "^/rosout$"}});
+  EXPECT_EQ(of(1), Visibility::kNotNeeded);
+  EXPECT_EQ(of(2), Visibility::kWatched);
+  EXPECT_EQ(of(3), Visibility::kWatched) << "named";
+  EXPECT_EQ(of(4), Visibility::kNotVisible);
+  EXPECT_EQ(graph_.FindTopic("/chatter")->subscribers, subscribers);
+  EXPECT_THAT(graph_.FindTopic("/rosout")->subscribers, IsEmpty()) << "as without an interest";
+
+  // What comes under the plan follows it, and an excuse does not outlive the need.
+  builder_->SetNotVisible(EndpointGuid(1, 3), "no reader", now_ns_);
+  Writer(1, 5, "rt/chatter");
+  Pass(600);
+  EXPECT_EQ(of(3), Visibility::kNotVisible);
+  EXPECT_EQ(of(5), Visibility::kNotNeeded);
+  follow({});
+  EXPECT_EQ(of(3), Visibility::kNotNeeded);
+  follow({{}, {.topic_regex = "^/rosout$"}});
+  EXPECT_EQ(of(3), Visibility::kWatched);
+  EXPECT_EQ(of(1), Visibility::kWatched);
+}
+
+TEST_F(GraphBuilderTest, APlanThatChangesNothingIsNoStep) {
+  Talker(1, "talker", "rt/chatter");
+  Settle();
+  changes_.clear();
+  builder_->SetPlan(std::make_shared<WatchPlan>(WatchOptions{}), now_ns_);
+  Pass(20);
+  EXPECT_THAT(changes_, IsEmpty());
 }
 
 TEST_F(GraphBuilderTest, SnapshotEqualsTheSumOfTheSteps) {

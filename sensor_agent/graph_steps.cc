@@ -107,6 +107,7 @@ std::vector<GraphChange> GraphBuilder::Poll(int64_t now_ns) {
                      now_ns < burst_first_ns_ + options_.burst_max_ns;
   if (burst && !hurry_) return {};
   GraphDelta delta = TakeDelta();
+  EndVisits(now_ns);
   if (delta.empty()) return {};
   return Number(std::move(delta), /*snapshot=*/false);
 }
@@ -125,6 +126,7 @@ std::vector<GraphChange> GraphBuilder::Snapshot(int64_t now_ns) {
   for (const auto& [topic, use] : topics_) {
     if (use.observer.has_value()) all.upsert_endpoints.push_back(*use.observer);
   }
+  EndVisits(now_ns);
   return Number(std::move(all), /*snapshot=*/true);
 }
 
@@ -224,9 +226,10 @@ void GraphBuilder::DiffEndpoints(ParticipantState& state, GraphDelta& delta) {
     CountTopic(it->second, -1);
     it = sent.erase(it);
   }
-  for (const auto& [guid, each] : state.endpoints) {
+  for (auto& [guid, each] : state.endpoints) {
     if (each.hidden) continue;
     Endpoint now = Attributed(state, each);
+    each.was_shown |= !now.pending;
     const auto it = sent.find(guid);
     if (it != sent.end() && it->second == now) continue;
     if (it != sent.end()) CountTopic(it->second, -1);
@@ -252,7 +255,7 @@ void GraphBuilder::DiffObserver(GraphDelta& delta) {
     const auto it = topics_.find(topic);
     if (it == topics_.end()) continue;
     TopicUse& use = it->second;
-    const bool wanted = !use.types.empty() && Watched(topic) && !options_.observer_hidden;
+    const bool wanted = !use.types.empty() && Observes(topic) && !options_.observer_hidden;
     if (!wanted && use.observer.has_value()) {
       delta.gone_guids.push_back(use.observer->guid);
       use.observer.reset();

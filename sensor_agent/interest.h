@@ -1,4 +1,9 @@
 // What the policy server wants to be told of each topic: an ordered table, the first match wins.
+//
+// Two lists decide what is read of a topic. The interest comes from the server and follows its
+// rules. `unwatched` is the robot owner's: its topics are read only if a rule of the interest that
+// wants messages names the topic literally (LiteralTopics). A pattern that happens to match, as one
+// for everything does, is not enough.
 #ifndef RIPS_SENSOR_AGENT_INTEREST_H_
 #define RIPS_SENSOR_AGENT_INTEREST_H_
 
@@ -6,8 +11,11 @@
 #include <cstdint>
 #include <memory>
 #include <string>
+#include <utility>
 #include <vector>
 
+#include "absl/container/flat_hash_map.h"
+#include "absl/container/flat_hash_set.h"
 #include "absl/status/statusor.h"
 #include "absl/strings/string_view.h"
 #include "re2/re2.h"
@@ -21,6 +29,17 @@ struct InterestRule {
   std::string type;
   // First bytes of each payload that are sent along; 0 = metadata only.
   uint32_t payload_bytes_max = 0;
+  // False: messages are not needed, not even their metadata.
+  bool messages = true;
+};
+
+// What is read of one topic.
+struct Wanted {
+  bool messages = false;
+  // At most kPayloadBytesMax; 0 = metadata only.
+  uint32_t payload_bytes = 0;
+
+  friend bool operator==(const Wanted&, const Wanted&) = default;
 };
 
 // Bytes of a table's id.
@@ -44,20 +63,55 @@ class Interest {
                                                                 std::vector<InterestRule> rules);
 
   const std::string& id() const { return id_; }
-  // At most kPayloadBytesMax. Topics that no rule is about are watched as metadata: 0.
-  uint32_t PayloadBytes(absl::string_view topic, absl::string_view type) const;
+  // As the first rule says that matches; nothing if none does.
+  Wanted Of(absl::string_view topic, absl::string_view type) const;
+  // A rule that wants messages names this topic literally, whatever its type.
+  bool Names(absl::string_view topic) const { return literal_.contains(topic); }
 
  private:
   struct Rule {
     std::unique_ptr<const RE2> topic;  // null = every topic
     std::string type;
-    uint32_t payload_bytes_max = 0;
+    Wanted wanted;
   };
   explicit Interest(std::string id) : id_(std::move(id)) {}
 
   const std::string id_;
   std::vector<Rule> rules_;
+  absl::flat_hash_set<std::string> literal_;
 };
+
+// The topics that `regex` names literally: those of `^NAME$` and of `^(?:NAME|NAME...)$`, where
+// NAME is a ROS topic name, any character of which may be quoted as RE2::QuoteMeta does. None for
+// every other pattern, also for one that matches a single name in another way.
+std::vector<std::string> LiteralTopics(absl::string_view regex);
+
+struct WatchOptions {
+  // ROS topics that are not read unless the interest names them literally.
+  std::vector<std::string> unwatched;
+  // Null = metadata of everything.
+  std::shared_ptr<const Interest> interest;
+  // Nothing is read: graph and messages are another host's to report.
+  bool idle = false;
+};
+
+// What is read of every topic, all told. Its answers never change. One thread.
+class WatchPlan {
+ public:
+  explicit WatchPlan(WatchOptions options) : options_(std::move(options)) {}
+
+  Wanted Of(absl::string_view topic, absl::string_view type) const;
+
+ private:
+  Wanted Find(absl::string_view topic, absl::string_view type) const;
+
+  const WatchOptions options_;
+  // By topic and type: hundreds of patterns are asked once.
+  mutable absl::flat_hash_map<std::pair<std::string, std::string>, Wanted> answers_;
+};
+
+// Answers a WatchPlan remembers; past them it begins anew.
+inline constexpr size_t kWatchAnswersMax = 16'384;
 
 }  // namespace rips::sensor
 

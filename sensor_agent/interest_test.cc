@@ -21,29 +21,101 @@ TEST(InterestTest, TheFirstMatchWins) {
                              {.payload_bytes_max = 40}});
   ASSERT_THAT(interest, IsOk());
   EXPECT_EQ((*interest)->id(), kId);
-  EXPECT_EQ((*interest)->PayloadBytes("/camera/raw", "b/msg/B"), 10u);
-  EXPECT_EQ((*interest)->PayloadBytes("/cmd_vel", "a/msg/A"), 20u);
-  EXPECT_EQ((*interest)->PayloadBytes("/cmd_vel", "a/msg/AB"), 40u) << "types are exact";
-  EXPECT_EQ((*interest)->PayloadBytes("/x", "b/msg/B"), 30u);
-  EXPECT_EQ((*interest)->PayloadBytes("/quiet", "c/msg/C"), 0u) << "metadata";
-  EXPECT_EQ((*interest)->PayloadBytes("", ""), 40u);
+  EXPECT_EQ((*interest)->Of("/camera/raw", "b/msg/B").payload_bytes, 10u);
+  EXPECT_EQ((*interest)->Of("/cmd_vel", "a/msg/A").payload_bytes, 20u);
+  EXPECT_EQ((*interest)->Of("/cmd_vel", "a/msg/AB").payload_bytes, 40u) << "types are exact";
+  EXPECT_EQ((*interest)->Of("/x", "b/msg/B").payload_bytes, 30u);
+  EXPECT_EQ((*interest)->Of("/quiet", "c/msg/C").payload_bytes, 0u) << "metadata";
+  EXPECT_EQ((*interest)->Of("", "").payload_bytes, 40u);
 }
 
-TEST(InterestTest, WithoutAMatchMetadataIsEnough) {
+TEST(InterestTest, WithoutAMatchNothingIsWanted) {
   const auto none = Interest::Create(kId, {});
   ASSERT_THAT(none, IsOk());
-  EXPECT_EQ((*none)->PayloadBytes("/a", "a/msg/A"), 0u);
+  EXPECT_EQ((*none)->Of("/a", "a/msg/A"), Wanted{});
   const auto one = Interest::Create(kId, {{.topic_regex = "^/a$", .payload_bytes_max = 1}});
   ASSERT_THAT(one, IsOk());
-  EXPECT_EQ((*one)->PayloadBytes("/a\n", "t"), 0u) << "$ is the end of the name";
-  EXPECT_EQ((*one)->PayloadBytes(std::string("/a\0b", 4), "t"), 0u);
-  EXPECT_EQ((*one)->PayloadBytes("/\xff\xfe", "t"), 0u) << "no UTF-8";
+  EXPECT_EQ((*one)->Of("/a", "t"), (Wanted{.messages = true, .payload_bytes = 1}));
+  EXPECT_EQ((*one)->Of("/a\n", "t"), Wanted{}) << "$ is the end of the name";
+  EXPECT_EQ((*one)->Of(std::string("/a\0b", 4), "t"), Wanted{});
+  EXPECT_EQ((*one)->Of("/\xff\xfe", "t"), Wanted{}) << "no UTF-8";
+}
+
+TEST(InterestTest, NothingMayBeAskedForBeforeEverything) {
+  const auto interest =
+      Interest::Create(kId, {{.topic_regex = "^/quiet", .payload_bytes_max = 9, .messages = false},
+                             {.payload_bytes_max = 5}});
+  ASSERT_THAT(interest, IsOk());
+  EXPECT_EQ((*interest)->Of("/quiet/x", "t"), Wanted{});
+  EXPECT_EQ((*interest)->Of("/loud", "t"), (Wanted{.messages = true, .payload_bytes = 5}));
+}
+
+TEST(InterestTest, LiteralNamesAreRecognised) {
+  const std::vector<std::pair<std::string, std::vector<std::string>>> cases = {
+      {"^/rosout$", {"/rosout"}},
+      {"^\\/parameter_events$", {"/parameter_events"}},
+      {absl::StrCat("^", RE2::QuoteMeta("/a/b_c1"), "$"), {"/a/b_c1"}},
+      {"^(?:/a|\\/b)$", {"/a", "/b"}},
+      {"^(?:/a)$", {"/a"}},
+      // May match more than it names, or is not written as a name.
+      {"", {}},
+      {"/rosout", {}},
+      {"^/rosout", {}},
+      {"/rosout$", {}},
+      {"^/ro.out$", {}},
+      {"^/(rosout|a)$", {}},
+      {"^/a|/rosout$", {}},
+      {"^/rosou[t]$", {}},
+      {"^/rosout\\$", {}},
+      {"^/ros\\out$", {}},
+      {"^(?:/a|/b$", {}},
+      {"^(?:)$", {}},
+      {"^(?:/a|.*)$", {}},
+      {"^$", {}},
+      {"^rosout$", {}},
+      {"^/a\\|/b$", {}},
+      {"(?i)^/rosout$", {}}};
+  for (const auto& [regex, names] : cases) EXPECT_EQ(LiteralTopics(regex), names) << regex;
+}
+
+TEST(WatchPlanTest, UnwatchedTopicsAreReadOnlyIfARuleNamesThem) {
+  const auto plan = [](std::vector<InterestRule> rules) {
+    return WatchPlan(
+        {.unwatched = {"/rosout"}, .interest = *Interest::Create(kId, std::move(rules))});
+  };
+  const WatchPlan none({.unwatched = {"/rosout"}});
+  EXPECT_FALSE(none.Of("/rosout", "t").messages);
+  EXPECT_EQ(none.Of("/a", "t"), Wanted{.messages = true}) << "metadata of everything else";
+  EXPECT_FALSE(plan({{}}).Of("/rosout", "t").messages);
+  EXPECT_FALSE(plan({{.topic_regex = "rosout"}}).Of("/rosout", "t").messages);
+  EXPECT_TRUE(plan({{.topic_regex = "^/rosout$"}}).Of("/rosout", "t").messages);
+  // Once it is named the table alone decides.
+  const auto named = plan({{.topic_regex = "out", .payload_bytes_max = 7},
+                           {.topic_regex = "^/rosout$", .type = "other"}});
+  EXPECT_EQ(named.Of("/rosout", "t"), (Wanted{.messages = true, .payload_bytes = 7}));
+  EXPECT_FALSE(
+      plan({{.topic_regex = "^/rosout$", .messages = false}, {}}).Of("/rosout", "t").messages);
+}
+
+TEST(WatchPlanTest, AnIdleHostReadsNothing) {
+  const WatchPlan plan({.idle = true});
+  EXPECT_EQ(plan.Of("/a", "t"), Wanted{});
+}
+
+TEST(WatchPlanTest, AnswersStayTheSameWhenMoreAreAskedThanRemembered) {
+  const WatchPlan plan(
+      {.interest = *Interest::Create(kId, {{.topic_regex = "7$", .payload_bytes_max = 3}})});
+  for (int round = 0; round < 2; ++round) {
+    for (size_t i = 0; i < kWatchAnswersMax + 20; ++i) {
+      ASSERT_EQ(plan.Of(absl::StrCat("/t", i), "t").messages, i % 10 == 7) << i;
+    }
+  }
 }
 
 TEST(InterestTest, NoRuleGetsMoreThanTheLimit) {
   const auto interest = Interest::Create(kId, {{.payload_bytes_max = UINT32_MAX}});
   ASSERT_THAT(interest, IsOk());
-  EXPECT_EQ((*interest)->PayloadBytes("/a", ""), kPayloadBytesMax);
+  EXPECT_EQ((*interest)->Of("/a", "").payload_bytes, kPayloadBytesMax);
 }
 
 TEST(InterestTest, RefusesWhatItCannotHold) {

@@ -57,8 +57,12 @@ void MessageFlow::Run(const Sample& sample, Writer& writer, Output& output) {
     return;
   }
   if (sample.sequence != 0) {
-    const uint64_t missing = sample.sequence - writer.highest_sequence - 1;
-    if (writer.highest_sequence != 0 && missing > 0) {
+    uint64_t missing = sample.sequence - writer.highest_sequence - 1;
+    const uint64_t counted = std::min(missing, writer.queue_lost);
+    writer.queue_lost -= counted;
+    missing -= counted;
+    const bool resumed = sample.reader->resumed && sample.reader != writer.reader;
+    if (writer.highest_sequence != 0 && missing > 0 && !resumed) {
       output.losses.push_back({.cause = LossCause::kDdsGap,
                                .topic = sample.reader->topic,
                                .source = writer.source,
@@ -67,6 +71,7 @@ void MessageFlow::Run(const Sample& sample, Writer& writer, Output& output) {
                                .last_boottime_ns = sample.received_ns});
     }
     writer.highest_sequence = sample.sequence;
+    writer.reader = sample.reader;
   }
   if (endpoint.node.empty()) ++counters_.unattributed;
   message.source = writer.source;
@@ -107,6 +112,18 @@ void MessageFlow::Take(Sample sample, int64_t now_ns, Output& output) {
   writer.waiting.emplace_back(now_ns + options_.attribution_grace_ns, std::move(sample));
 }
 
+void MessageFlow::QueueLost(const Guid& writer, const std::string& topic, uint64_t count,
+                            int64_t now_ns, Output& output) {
+  const auto it = writers_.find(writer);
+  if (it != writers_.end()) it->second->queue_lost += count;
+  output.losses.push_back({.cause = LossCause::kQueueFull,
+                           .topic = topic,
+                           .source = it != writers_.end() ? it->second->source : nullptr,
+                           .count = count,
+                           .first_boottime_ns = now_ns,
+                           .last_boottime_ns = now_ns});
+}
+
 void MessageFlow::Poll(int64_t now_ns, Output& output) {
   for (auto it = waiting_writers_.begin(); it != waiting_writers_.end();) {
     Writer& writer = *writers_.find(*it)->second;
@@ -133,6 +150,10 @@ void MessageFlow::Bury(int64_t now_ns) {
     graves_.pop_front();
     const auto it = writers_.find(guid);
     if (it == writers_.end() || it->second->gone_ns != gone_ns) continue;
+    if (graph_->Find(guid).has_value()) {  // it has come back
+      it->second->gone_ns = 0;
+      continue;
+    }
     waiting_ -= it->second->waiting.size();
     waiting_writers_.erase(guid);
     writers_.erase(it);

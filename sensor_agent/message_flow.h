@@ -1,6 +1,10 @@
 // From received samples to observations: every message attributed to its writer's node, each once,
 // and gaps in a writer's sequence reported.
 //
+// A writer's sequence is remembered as long as the writer lives, also while its topic is not read.
+// So when a topic is read anew and a latched writer sends its history again, what was judged before
+// is a duplicate; what is newer is judged now, and what lies between and was not kept is no loss.
+//
 // A sample whose writer is still without a node waits until the graph attributes it or the grace is
 // over; then it runs as it is. Samples of one writer keep their order.
 #ifndef RIPS_SENSOR_AGENT_MESSAGE_FLOW_H_
@@ -29,6 +33,9 @@ struct ReaderKey {
   // Reliable and transient-local; such writers are matched by the other reader of the topic, too,
   // if there is one.
   bool latched = false;
+  // Opened after a time in which the topic was not needed: what its writers wrote meanwhile is no
+  // loss.
+  bool resumed = false;
 };
 
 struct Sample {
@@ -70,6 +77,10 @@ class MessageFlow {
   MessageFlow(FlowOptions options, const GraphBuilder* graph) : options_(options), graph_(graph) {}
 
   void Take(Sample sample, int64_t now_ns, Output& output);
+  // `count` samples of `writer` on `topic` were received and could not be queued. They are a loss of
+  // their own and no gap as well: tell of them before the samples that were queued after them.
+  void QueueLost(const ros2::Guid& writer, const std::string& topic, uint64_t count, int64_t now_ns,
+                 Output& output);
   // Call after the graph has changed: what was waiting for it runs.
   void Poll(int64_t now_ns, Output& output);
   void WriterGone(const ros2::Guid& writer, int64_t now_ns);
@@ -85,6 +96,10 @@ class MessageFlow {
     // Of the graph, when `source` was taken from it and not pending; 0 = must look again.
     uint64_t revision = 0;
     uint64_t highest_sequence = 0;
+    // Missing samples that are counted already.
+    uint64_t queue_lost = 0;
+    // Of the newest sample that was not a duplicate.
+    std::shared_ptr<const ReaderKey> reader;
     std::deque<std::pair<int64_t, Sample>> waiting;  // with the end of its wait
     int64_t gone_ns = 0;                             // 0 = alive
   };

@@ -105,6 +105,65 @@ TEST_F(MessageFlowTest, ThePayloadStaysWithItsMessageAndIsNotCopied) {
   EXPECT_EQ(payload.use_count(), 2) << "that of the duplicate is let go";
 }
 
+TEST_F(MessageFlowTest, ATopicReadAnewJudgesNothingTwiceAndCountsNoLoss) {
+  const Guid writer = WriterGuid(1);
+  Known(writer, "mapper", {.reliable = true, .transient_local = true});
+  const auto take = [&](const std::shared_ptr<const ReaderKey>& reader, uint64_t sequence) {
+    flow_.Take({.writer = writer, .reader = reader, .size_bytes = 24, .sequence = sequence},
+               now_ns_, output_);
+  };
+  for (uint64_t sequence = 1; sequence <= 3; ++sequence) take(latched_, sequence);
+  // Meanwhile 4 to 9 were written; the writer keeps two, and later three of them.
+  auto again = std::make_shared<ReaderKey>(*latched_);
+  again->resumed = true;
+  Pass(60'000);
+  for (const uint64_t sequence : {2, 3, 8, 9}) take(again, sequence);
+  EXPECT_THAT(Sequences(), ElementsAre(1, 2, 3, 8, 9));
+  EXPECT_THAT(output_.losses, IsEmpty()) << "what nobody needed is no loss";
+  EXPECT_EQ(flow_.counters().duplicates, 2u);
+  take(again, 12);
+  ASSERT_THAT(output_.losses, SizeIs(1)) << "only what came before the first is excused";
+  EXPECT_EQ(output_.losses[0].count, 2u);
+  // A sample under the old reader that was still on its way.
+  take(latched_, 9);
+  EXPECT_EQ(flow_.counters().duplicates, 3u);
+}
+
+TEST_F(MessageFlowTest, WhatTheQueueLostIsNoGapAsWell) {
+  const Guid writer = WriterGuid(1);
+  Known(writer, "talker");
+  Take(writer, 1);
+  // 2 and 3 were lost by the network, 4 to 9 by the queue.
+  flow_.QueueLost(writer, "/chatter", 6, now_ns_, output_);
+  Take(writer, 10);
+  Take(writer, 12);
+  flow_.QueueLost(WriterGuid(2), "/chatter", 4, now_ns_, output_);
+  uint64_t lost = 0;
+  for (const Loss& loss : output_.losses) lost += loss.count;
+  EXPECT_EQ(lost, 6u + 2 + 1 + 4);
+  EXPECT_EQ(output_.losses[0].cause, LossCause::kQueueFull);
+  EXPECT_EQ(output_.losses[0].source->writer.guid, writer);
+  EXPECT_EQ(output_.losses[1].count, 2u);
+  EXPECT_EQ(output_.losses[1].cause, LossCause::kDdsGap);
+  EXPECT_EQ(output_.losses[3].source, nullptr);
+}
+
+TEST_F(MessageFlowTest, AWriterThatComesBackIsRemembered) {
+  const Guid writer = WriterGuid(1);
+  Known(writer, "talker");
+  Take(writer, 1);
+  graph_.EndpointGone(writer, now_ns_);
+  flow_.WriterGone(writer, now_ns_);
+  Pass(5'000);
+  Known(writer, "talker");
+  Pass(20'000);
+  Take(writer, 1);
+  Take(writer, 4);
+  EXPECT_THAT(Sequences(), ElementsAre(1, 4));
+  ASSERT_THAT(output_.losses, SizeIs(1)) << "what it wrote while it was out of reach";
+  EXPECT_EQ(output_.losses[0].count, 2u);
+}
+
 TEST_F(MessageFlowTest, MessageOfAKnownWriterRunsAtOnceAndTheFirstIsUrgent) {
   Known(WriterGuid(1), "talker");
   Take(WriterGuid(1), 7);

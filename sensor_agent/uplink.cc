@@ -6,6 +6,7 @@
 #include "absl/strings/escaping.h"
 #include "absl/strings/str_cat.h"
 #include "rips/v1/sensor.grpc.pb.h"
+#include "sensor_agent/interest_file.h"
 #include "services/base/check.h"
 #include "services/base/ids.h"
 #include "services/ros2/ros_name.h"
@@ -45,29 +46,6 @@ rips::v1::Lane ToWire(Lane lane) {
 }
 
 std::string NewIncarnation() { return absl::HexStringToBytes(NewId()); }
-
-// InvalidArgument: a depth that is not known.
-absl::StatusOr<std::shared_ptr<const Interest>> FromWire(const rips::v1::Interest& wire) {
-  std::vector<InterestRule> rules;
-  for (const rips::v1::InterestRule& rule : wire.rules()) {
-    switch (rule.depth()) {
-      case rips::v1::InterestRule::NOTHING:
-      case rips::v1::InterestRule::METADATA:
-        rules.push_back({.topic_regex = rule.topic_regex(), .type = rule.type()});
-        break;
-      case rips::v1::InterestRule::PAYLOAD:
-        rules.push_back({.topic_regex = rule.topic_regex(),
-                         .type = rule.type(),
-                         .payload_bytes_max = rule.payload_bytes_max()});
-        break;
-      default:
-        return absl::InvalidArgumentError(absl::StrCat("rule ", rules.size() + 1, ": depth ",
-                                                       static_cast<int>(rule.depth()),
-                                                       " is not known"));
-    }
-  }
-  return Interest::Create(wire.id(), std::move(rules));
-}
 
 // The valid ones.
 std::vector<std::string> ProtectedParts(const rips::v1::SensorConfig& config) {
@@ -288,6 +266,7 @@ void Uplink::OnMessage(const SensorReply& reply) {
     hooks_.on_own_participants(*std::move(own));
     if (hooks_.on_protected_parts) hooks_.on_protected_parts(ProtectedParts(reply.config()));
   }
+  if (reply.has_config() && hooks_.on_primary) hooks_.on_primary(reply.config().primary());
   if (snapshot_wanted) hooks_.on_snapshot_wanted();
 }
 
@@ -334,7 +313,7 @@ void Uplink::OnInterest(const rips::v1::Interest& wire) {
     }
   }
   // Patterns take a while to compile: not under the lock.
-  absl::StatusOr<std::shared_ptr<const Interest>> interest = FromWire(wire);
+  absl::StatusOr<std::shared_ptr<const Interest>> interest = InterestFromWire(wire);
   {
     MutexLock lock(&mu_);
     if (!interest.ok()) {
@@ -344,6 +323,11 @@ void Uplink::OnInterest(const rips::v1::Interest& wire) {
       return;
     }
     interest_handed_on_ = wire.id();
+  }
+  if (!options_.interest_file.empty()) {
+    if (absl::Status kept = SaveInterest(options_.interest_file, wire); !kept.ok()) {
+      LogWarning("interest cannot be kept for the next start", {{"error", kept.ToString()}});
+    }
   }
   hooks_.on_interest(*std::move(interest));
 }

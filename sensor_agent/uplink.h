@@ -62,6 +62,8 @@ struct UplinkOptions {
   std::shared_ptr<grpc::ChannelCredentials> credentials;
   std::string host;
   uint32_t domain = 0;
+  // Interests are kept there, for the next start; empty = nowhere.
+  std::string interest_file;
   OutboxLimits outbox;
   EncoderLimits encoder;
   rpc::BackoffPolicy backoff = rpc::SensorBackoff();
@@ -84,6 +86,8 @@ class Uplink {
     std::function<void()> on_snapshot_wanted;
     // What to watch has changed. Call InterestInUse when it is observed.
     std::function<void(std::shared_ptr<const Interest>)> on_interest;
+    // Graph and messages are this host's to report, or not. May be empty.
+    std::function<void(bool)> on_primary;
   };
 
   // `clock` and `metrics` are not owned and outlive this.

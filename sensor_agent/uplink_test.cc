@@ -501,8 +501,8 @@ TEST_F(UplinkTest, AnInterestIsHandedOnAndAnsweredOnceItIsInUse) {
   EXPECT_EQ(server_.hellos[0].interest_in_use(), "");
   MutexLock lock(&mu_);
   ASSERT_THAT(interests_, SizeIs(1)) << "the same is not handed on again";
-  EXPECT_EQ(interests_[0]->PayloadBytes("/a", "a/msg/A"), 10u);
-  EXPECT_EQ(interests_[0]->PayloadBytes("/b", "a/msg/A"), 0u);
+  EXPECT_EQ(interests_[0]->Of("/a", "a/msg/A").payload_bytes, 10u);
+  EXPECT_EQ(interests_[0]->Of("/b", "a/msg/A").payload_bytes, 0u);
 }
 
 TEST_F(UplinkTest, AnInterestThatMakesNoSenseIsRefusedAndTheOneBeforeStays) {

@@ -27,7 +27,8 @@ Discovered FromDds(const dds::EndpointSeen& seen) {
                                .writer = seen.writer,
                                .topic = seen.topic,
                                .type = seen.type,
-                               .qos = seen.qos}};
+                               .qos = seen.qos,
+                               .unreadable = seen.unreadable}};
 }
 
 }  // namespace

@@ -20,6 +20,8 @@ using ::testing::HasSubstr;
 using ::testing::IsEmpty;
 using ::testing::SizeIs;
 
+constexpr int64_t kNowNs = 1'000'000;
+
 class DomainWatchTest : public testing::Test {
  protected:
   void Watch(DomainWatchOptions options = {}) {
@@ -55,13 +57,24 @@ class DomainWatchTest : public testing::Test {
   // Discovers `writer` and has it read.
   void Read(FakeProcess& process, const std::string& topic, dds::RawWriter& writer) {
     ASSERT_TRUE(PumpUntil([&] { return endpoints_.contains(writer.guid()); }));
-    ASSERT_THAT(watch_->topics().Watch(endpoints_.at(writer.guid())), IsOk());
+    ASSERT_THAT(watch_->topics().Watch(endpoints_.at(writer.guid()), kNowNs), IsOk());
     ASSERT_TRUE(Eventually([&] { return process.MatchedReaders(topic) > 0; }));
   }
 
+  void Follow(std::shared_ptr<const Interest> interest) {
+    watch_->topics().SetPlan(
+        std::make_shared<WatchPlan>(WatchOptions{.interest = std::move(interest)}), kNowNs);
+  }
+  // Payloads of topics that match, metadata of the others.
   static std::shared_ptr<const Interest> Ask(const std::string& regex, uint32_t bytes) {
     auto interest = Interest::Create(std::string(kInterestIdBytes, 'i'),
-                                     {{.topic_regex = regex, .payload_bytes_max = bytes}});
+                                     {{.topic_regex = regex, .payload_bytes_max = bytes}, {}});
+    EXPECT_THAT(interest, IsOk());
+    return *interest;
+  }
+  // Metadata of topics that match, and nothing else.
+  static std::shared_ptr<const Interest> AskOnlyFor(const std::string& regex) {
+    auto interest = Interest::Create(std::string(kInterestIdBytes, 'i'), {{.topic_regex = regex}});
     EXPECT_THAT(interest, IsOk());
     return *interest;
   }
@@ -108,7 +121,7 @@ TEST_F(DomainWatchTest, SamplesCarryWriterSequenceAndSizeButNoPayload) {
   auto process = robot_.AddProcess();
   dds::RawWriter& writer = process->AddWriter("rt/chatter");
   Read(*process, "rt/chatter", writer);
-  EXPECT_THAT(watch_->topics().Watch(endpoints_.at(writer.guid())), IsOk()) << "again";
+  EXPECT_THAT(watch_->topics().Watch(endpoints_.at(writer.guid()), kNowNs), IsOk()) << "again";
   EXPECT_EQ(watch_->topics().readers(), 1u);
   process->Publish("rt/chatter", std::string(100'000, 'x'));
   process->Publish("rt/chatter");
@@ -120,7 +133,7 @@ TEST_F(DomainWatchTest, SamplesCarryWriterSequenceAndSizeButNoPayload) {
   EXPECT_EQ(samples_[1].sequence, samples_[0].sequence + 1);
   EXPECT_GT(samples_[0].received_ns, 0);
 
-  watch_->topics().WriterGone(writer.guid());
+  watch_->topics().EndpointGone(writer.guid());
   EXPECT_EQ(watch_->topics().readers(), 0u);
   EXPECT_TRUE(Eventually([&] { return process->MatchedReaders("rt/chatter") == 0; }));
 }
@@ -132,7 +145,7 @@ TEST_F(DomainWatchTest, PayloadsAreKeptForTheTopicsOfTheInterestAsLongAsItHolds)
   dds::RawWriter& other = process->AddWriter("rt/other");
   Read(*process, "rt/chatter", chatter);
   // One topic is read before it is asked for, the other after.
-  watch_->topics().SetInterest(Ask("^/(chatter|other)$", 10));
+  Follow(Ask("^/(chatter|other)$", 10));
   Read(*process, "rt/other", other);
   for (const char* topic : {"rt/chatter", "rt/other"}) {
     samples_.clear();
@@ -144,7 +157,7 @@ TEST_F(DomainWatchTest, PayloadsAreKeptForTheTopicsOfTheInterestAsLongAsItHolds)
     EXPECT_GT(samples_[0].size_bytes, 100'000u);
   }
   const auto next = [&](std::shared_ptr<const Interest> interest) -> Payload {
-    watch_->topics().SetInterest(std::move(interest));
+    Follow(std::move(interest));
     samples_.clear();
     process->Publish("rt/chatter", std::string(100'000, 'x'));
     if (!PumpUntil([&] { return !samples_.empty(); })) return nullptr;
@@ -163,7 +176,7 @@ TEST_F(DomainWatchTest, PayloadsAreKeptForTheTopicsOfTheInterestAsLongAsItHolds)
 
 TEST_F(DomainWatchTest, PayloadsPastTheLimitAreCountedAndTheirSamplesKept) {
   Watch({.topics = {.payload_bytes = 2'000}});
-  watch_->topics().SetInterest(Ask("", 1'000));
+  Follow(Ask("", 1'000));
   auto process = robot_.AddProcess();
   dds::RawWriter& writer = process->AddWriter("rt/chatter");
   Read(*process, "rt/chatter", writer);
@@ -201,16 +214,158 @@ TEST_F(DomainWatchTest, WritersInAnyPartitionAreRead) {
   EXPECT_TRUE(PumpUntil([&] { return !samples_.empty(); }));
 }
 
-TEST_F(DomainWatchTest, OnlyWritersOfRosTopicsAreRead) {
+TEST_F(DomainWatchTest, OnlyRosTopicsAreRead) {
   Watch();
   for (const char* topic : {"rq/enableRequest", "rr/enableReply", "Square", "ros_discovery_info"}) {
-    EXPECT_THAT(watch_->topics().Watch({.writer = true, .topic = topic, .type = "T"}),
+    EXPECT_THAT(watch_->topics().Watch({.writer = true, .topic = topic, .type = "T"}, kNowNs),
                 StatusIs(absl::StatusCode::kInvalidArgument))
         << topic;
   }
-  EXPECT_THAT(watch_->topics().Watch({.writer = false, .topic = "rt/chatter", .type = "T"}),
-              StatusIs(absl::StatusCode::kInvalidArgument));
   EXPECT_EQ(watch_->topics().readers(), 0u);
+}
+
+TEST_F(DomainWatchTest, ThereIsNoReaderForWhatNobodyNeeds) {
+  Watch();
+  auto process = robot_.AddProcess();
+  dds::RawWriter& chatter = process->AddWriter("rt/chatter");
+  dds::RawWriter& other = process->AddWriter("rt/other");
+  Follow(AskOnlyFor("^/other$"));
+  Read(*process, "rt/other", other);
+  ASSERT_TRUE(PumpUntil([&] { return endpoints_.contains(chatter.guid()); }));
+  ASSERT_THAT(watch_->topics().Watch(endpoints_.at(chatter.guid()), kNowNs), IsOk());
+  EXPECT_EQ(watch_->topics().readers(), 1u);
+  EXPECT_EQ(process->MatchedReaders("rt/chatter"), 0u);
+
+  Follow(AskOnlyFor("^/chatter$"));
+  EXPECT_EQ(watch_->topics().readers(), 1u);
+  EXPECT_TRUE(Eventually([&] {
+    return process->MatchedReaders("rt/chatter") == 1 && process->MatchedReaders("rt/other") == 0;
+  }));
+  process->Publish("rt/chatter");
+  ASSERT_TRUE(PumpUntil([&] { return !samples_.empty(); }));
+  EXPECT_EQ(samples_[0].reader->topic, "/chatter");
+  EXPECT_TRUE(samples_[0].reader->resumed);
+
+  watch_->topics().SetPlan(std::make_shared<WatchPlan>(WatchOptions{.idle = true}), kNowNs);
+  EXPECT_EQ(watch_->topics().readers(), 0u);
+  EXPECT_TRUE(Eventually([&] { return process->MatchedReaders("rt/chatter") == 0; }));
+}
+
+TEST_F(DomainWatchTest, ALatchedTopicReadAnewGivesItsHistoryUnderTheSameNumbers) {
+  Watch();
+  auto process = robot_.AddProcess();
+  dds::RawWriter& writer =
+      process->AddWriter("rt/map", {.reliable = true, .transient_local = true, .depth = 2});
+  Read(*process, "rt/map", writer);
+  for (int i = 0; i < 3; ++i) process->Publish("rt/map");
+  ASSERT_TRUE(PumpUntil([&] { return !samples_.empty() && samples_.back().sequence == 3; }));
+  Follow(AskOnlyFor("none"));
+  ASSERT_TRUE(Eventually([&] { return process->MatchedReaders("rt/map") == 0; }));
+  process->Publish("rt/map");
+  samples_.clear();
+  Follow(nullptr);
+  ASSERT_TRUE(PumpUntil([&] { return samples_.size() == 2; }));
+  EXPECT_EQ(samples_[0].sequence, 3u);
+  EXPECT_EQ(samples_[1].sequence, 4u);
+}
+
+TEST_F(DomainWatchTest, AWriterThatCannotBeReadSaysWhy) {
+  Watch();
+  auto process = robot_.AddProcess();
+  dds::RawWriter& good = process->AddWriter("rt/chatter");
+  const auto exclusive = dds::RawWriter::Create(
+      process->participant(),
+      {.topic = "rt/chatter", .type = "std_msgs::msg::dds_::String_", .exclusive = true});
+  ASSERT_THAT(exclusive, IsOk());
+  const Guid guid = (*exclusive)->guid();
+  Read(*process, "rt/chatter", good);
+  ASSERT_TRUE(PumpUntil([&] { return endpoints_.contains(guid); }));
+  ASSERT_THAT(watch_->topics().Watch(endpoints_.at(guid), kNowNs), IsOk());
+  EndpointFact ghost = endpoints_.at(good.guid());
+  ghost.guid.bytes[14] ^= 0x55;
+  ASSERT_THAT(watch_->topics().Watch(ghost, kNowNs), IsOk());
+  const int64_t grace_ns = TopicWatcherOptions().match_ns;
+  EXPECT_THAT(watch_->topics().TakeCoverage(kNowNs + grace_ns - 1), IsEmpty());
+  const int64_t due_ns = watch_->topics().NextDue();
+  EXPECT_LT(due_ns, kNowNs + 2 * grace_ns);
+  std::map<Guid, std::string> news;
+  for (const Coverage& each : watch_->topics().TakeCoverage(due_ns)) {
+    news[each.writer] = each.not_visible;
+  }
+  EXPECT_THAT(news, SizeIs(2));
+  EXPECT_EQ(news[guid], "QoS: exclusive ownership");
+  EXPECT_EQ(news[ghost.guid], "it has not matched our reader within 2s");
+  EXPECT_THAT(watch_->topics().TakeCoverage(10 * grace_ns), IsEmpty()) << "told once";
+  EXPECT_EQ(watch_->topics().NextDue(), kNever);
+}
+
+TEST_F(DomainWatchTest, AWriterInPartitionPatternsIsReadThroughANameThatTheyMatch) {
+  Watch();
+  auto process = robot_.AddProcess();
+  dds::RawWriter& writer = process->AddWriter(
+      "rt/hidden", {.reliable = true, .depth = 1, .partitions = {"ev?l*", "o*"}});
+  Read(*process, "rt/hidden", writer);
+  process->Publish("rt/hidden");
+  EXPECT_TRUE(PumpUntil([&] { return !samples_.empty(); }));
+}
+
+TEST_F(DomainWatchTest, AWriterIsReadBeforeItIsDiscoveredIfSomebodySubscribes) {
+  Watch();
+  auto base = robot_.AddProcess();
+  const auto subscriber = *dds::RawReader::Create(
+      base->participant(), {.topic = "rt/cmd_vel", .type = "std_msgs::msg::dds_::String_"},
+      [](const dds::RawSample&) {});
+  ASSERT_TRUE(PumpUntil([&] { return endpoints_.contains(subscriber->guid()); }));
+  ASSERT_THAT(watch_->topics().Watch(endpoints_.at(subscriber->guid()), kNowNs), IsOk());
+  EXPECT_EQ(watch_->topics().readers(), 1u) << "though nobody writes";
+
+  auto intruder = robot_.AddProcess();
+  dds::RawWriter& writer = intruder->AddWriter("rt/cmd_vel");
+  const Guid guid = writer.guid();
+  ASSERT_TRUE(Eventually([&] { return writer.MatchedReaders() == 2; }));
+  // The reader may learn of the match after the writer. The watcher is not told at all.
+  ASSERT_TRUE(Eventually([&] {
+    intruder->Publish("rt/cmd_vel");
+    samples_ = watch_->topics().Take(SIZE_MAX);
+    return !samples_.empty();
+  }));
+  EXPECT_EQ(samples_[0].writer, guid);
+  watch_->topics().EndpointGone(subscriber->guid());
+  EXPECT_EQ(watch_->topics().readers(), 0u);
+}
+
+TEST_F(DomainWatchTest, PastTheLimitOnReadersAWriterWaitsForRoom) {
+  Watch({.topics = {.readers = 1, .endpoints = 3}});
+  const auto fact = [](uint8_t number, const std::string& topic) {
+    EndpointFact made{.writer = true, .topic = topic, .type = "T"};
+    made.guid.bytes[14] = number;
+    made.guid.bytes[15] = 0x03;
+    return made;
+  };
+  const auto exhausted = absl::StatusCode::kResourceExhausted;
+  ASSERT_THAT(watch_->topics().Watch(fact(1, "rt/a"), kNowNs), IsOk());
+  EXPECT_THAT(watch_->topics().Watch(fact(2, "rt/b"), kNowNs),
+              StatusIs(exhausted, HasSubstr("more than 1 topics to read")));
+  EXPECT_THAT(watch_->topics().Watch(fact(3, "rt/b"), kNowNs), StatusIs(exhausted));
+  EXPECT_THAT(watch_->topics().Watch(fact(4, "rt/a"), kNowNs),
+              StatusIs(exhausted, HasSubstr("more than 3 endpoints")));
+  std::map<Guid, std::string> news;
+  for (const Coverage& each : watch_->topics().TakeCoverage(kNowNs)) {
+    news[each.writer] = each.not_visible;
+  }
+  EXPECT_EQ(news[fact(2, "").guid], "more than 1 topics to read");
+  EXPECT_EQ(news[fact(3, "").guid], "more than 1 topics to read");
+  EXPECT_EQ(news[fact(4, "").guid], "more than 3 endpoints of topics");
+  EXPECT_EQ(news.size(), 3u);
+
+  // Room comes when a topic goes, or is not needed any more.
+  watch_->topics().EndpointGone(fact(1, "").guid);
+  watch_->topics().TakeCoverage(kNowNs);
+  EXPECT_EQ(watch_->topics().readers(), 1u);
+  ASSERT_THAT(watch_->topics().Watch(fact(4, "rt/a"), kNowNs), StatusIs(exhausted));
+  Follow(AskOnlyFor("^/a$"));
+  EXPECT_EQ(watch_->topics().readers(), 1u);
+  EXPECT_THAT(watch_->topics().Watch(fact(4, "rt/a"), kNowNs), IsOk());
 }
 
 TEST_F(DomainWatchTest, FullQueuesLoseWithACount) {
@@ -222,10 +377,10 @@ TEST_F(DomainWatchTest, FullQueuesLoseWithACount) {
                     .topic = "rt/chatter",
                     .type = "std_msgs::msg::dds_::String_",
                     .qos = {.reliable = true}};
-  ASSERT_THAT(watch_->topics().Watch(fact), IsOk());
+  ASSERT_THAT(watch_->topics().Watch(fact, kNowNs), IsOk());
   fact.guid.bytes[14] ^= 1;
   fact.topic = "rt/one_more";
-  EXPECT_THAT(watch_->topics().Watch(fact),
+  EXPECT_THAT(watch_->topics().Watch(fact, kNowNs),
               StatusIs(absl::StatusCode::kResourceExhausted, HasSubstr("more than 1 topics")));
   ASSERT_TRUE(Eventually([&] { return process->MatchedReaders("rt/chatter") > 0; }));
   // The reader may learn of the match after the writer: only when one has come do all come.
@@ -235,14 +390,14 @@ TEST_F(DomainWatchTest, FullQueuesLoseWithACount) {
   }));
   absl::SleepFor(absl::Milliseconds(100));  // what is still on its way
   watch_->topics().Take(SIZE_MAX);
-  watch_->topics().TakeLosses(7);
+  watch_->topics().TakeLosses();
 
   for (int i = 0; i < 12; ++i) process->Publish("rt/chatter");
   uint64_t lost = 0;
   ASSERT_TRUE(Eventually([&] {
-    for (const Loss& loss : watch_->topics().TakeLosses(7)) {
-      EXPECT_EQ(loss.cause, LossCause::kQueueFull);
+    for (const QueueLoss& loss : watch_->topics().TakeLosses()) {
       EXPECT_EQ(loss.topic, "/chatter");
+      EXPECT_EQ(loss.writer, writer.guid());
       lost += loss.count;
     }
     return lost >= 7;

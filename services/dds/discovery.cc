@@ -55,6 +55,7 @@ EndpointSeen Describe(const dds_builtintopic_endpoint_t& sample, const dds_sampl
   seen.topic = sample.topic_name;
   seen.type = sample.type_name;
   seen.qos = ReadQos(sample.qos);
+  if (writer) seen.unreadable = WhyUnreadable(sample.qos);
   seen.user_data = ReadUserData(sample.qos);
   return seen;
 }

@@ -47,6 +47,9 @@ struct EndpointSeen {
   std::string topic;
   std::string type;
   ros2::Qos qos;
+  // Of a writer: why no RawReader can match it, whatever its options, but for DDS Security; empty =
+  // one can.
+  std::string unreadable;
   // "typehash=..;", "serviceid=..;" or whatever else.
   std::string user_data;
 };

@@ -2,6 +2,7 @@
 
 #include <algorithm>
 
+#include "absl/strings/str_cat.h"
 #include "absl/strings/str_split.h"
 #include "absl/strings/strip.h"
 #include "services/ros2/ros_name.h"
@@ -49,6 +50,23 @@ ros2::Qos ReadQos(const dds_qos_t* qos) {
     dds_free(partitions);
   }
   return read;
+}
+
+std::string WhyUnreadable(const dds_qos_t* qos) {
+  // Our readers ask for less than any writer offers in all that is ordered; what is left are kinds
+  // that must be equal (DDS 1.4 §2.2.3.9) and encodings (DDS-XTypes 1.3 §7.6.3.1.1).
+  dds_ownership_kind_t ownership = DDS_OWNERSHIP_SHARED;
+  if (dds_qget_ownership(qos, &ownership) && ownership != DDS_OWNERSHIP_SHARED) {
+    return "QoS: exclusive ownership";
+  }
+  uint32_t count = 0;
+  dds_data_representation_id_t* offered = nullptr;
+  if (!dds_qget_data_representation(qos, &count, &offered)) return {};
+  // None = the first version of CDR. A writer sends in the first it lists.
+  const int first = count == 0 ? DDS_DATA_REPRESENTATION_XCDR1 : offered[0];
+  if (offered != nullptr) dds_free(offered);
+  if (first == DDS_DATA_REPRESENTATION_XCDR1 || first == DDS_DATA_REPRESENTATION_XCDR2) return {};
+  return absl::StrCat("QoS: data representation ", first, " is not known");
 }
 
 std::string ReadUserData(const dds_qos_t* qos) {

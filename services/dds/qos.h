@@ -29,6 +29,9 @@ void SetPartitions(dds_qos_t* qos, const std::vector<std::string>& partitions);
 inline constexpr uint32_t kPartitionsMax = 64;
 ros2::Qos ReadQos(const dds_qos_t* qos);
 
+// Why no RawReader can match a writer that offers this, "QoS: exclusive ownership"; empty = one can.
+std::string WhyUnreadable(const dds_qos_t* qos);
+
 // User data, cut to kUserDataBytesMax.
 inline constexpr size_t kUserDataBytesMax = 1'024;
 std::string ReadUserData(const dds_qos_t* qos);

@@ -35,7 +35,11 @@ OwnedQos ReaderQos(const RawReaderOptions& options, bool secured) {
                    static_cast<int32_t>(std::clamp<uint32_t>(options.depth, 1, INT32_MAX)));
   // DDS 1.4 §2.2.3.8: a writer that offers a longer budget than the reader asks does not match.
   dds_qset_latency_budget(qos.get(), DDS_INFINITY);
-  if (options.every_partition && !secured) SetPartitions(qos.get(), {"", "*"});
+  if (options.every_partition && !secured) {
+    std::vector<std::string> partitions = {"", "*"};
+    partitions.insert(partitions.end(), options.partitions.begin(), options.partitions.end());
+    SetPartitions(qos.get(), partitions);
+  }
   if (options.ignore_own) dds_qset_ignorelocal(qos.get(), DDS_IGNORELOCAL_PARTICIPANT);
   const dds_data_representation_id_t representations[] = {DDS_DATA_REPRESENTATION_XCDR1,
                                                           DDS_DATA_REPRESENTATION_XCDR2};
@@ -82,10 +86,14 @@ class TakenSamples {
 }  // namespace
 
 struct RawReader::Impl {
-  explicit Impl(RawCallback to_call) : callback(std::move(to_call)) {}
+  Impl(RawCallback to_call, std::function<void()> when_matched)
+      : callback(std::move(to_call)), on_match(std::move(when_matched)) {}
 
   static void OnDataAvailable(dds_entity_t reader, void* impl) noexcept {
     static_cast<Impl*>(impl)->Drain(reader);
+  }
+  static void OnMatch(dds_entity_t, const dds_subscription_matched_status_t, void* impl) noexcept {
+    static_cast<Impl*>(impl)->on_match();
   }
 
   // Takes all there is. The reader comes as an argument because data may be there before
@@ -124,6 +132,7 @@ struct RawReader::Impl {
   }
 
   const RawCallback callback;
+  const std::function<void()> on_match;
   const RealClock clock;
   // Held during callbacks, so that they never overlap.
   Mutex mu;
@@ -139,13 +148,14 @@ RawReader::~RawReader() = default;
 absl::StatusOr<std::unique_ptr<RawReader>> RawReader::Create(const Participant& participant,
                                                              const RawReaderOptions& options,
                                                              RawCallback callback) {
-  auto impl = std::make_unique<Impl>(std::move(callback));
+  auto impl = std::make_unique<Impl>(std::move(callback), options.on_match);
   RIPS_ASSIGN_OR_RETURN(impl->topic,
                         CreateRawTopic(participant.entity(), options.topic, options.type,
                                        options.payload_bytes_max, options.payload_limit));
   const OwnedQos qos = ReaderQos(options, participant.secured());
   dds_listener_t* listener = dds_create_listener(impl.get());
   dds_lset_data_available(listener, &Impl::OnDataAvailable);
+  if (impl->on_match) dds_lset_subscription_matched(listener, &Impl::OnMatch);
   impl->entity = DdsEntity(
       dds_create_reader(participant.entity(), impl->topic.entity.get(), qos.get(), listener));
   dds_delete_listener(listener);

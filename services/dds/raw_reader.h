@@ -42,6 +42,12 @@ struct RawReaderOptions {
   bool ignore_own = true;
   // Announced with the endpoint; the services use it.
   std::string user_data;
+  // Further partitions to receive from: names that a writer's patterns match, which
+  // `every_partition` does not (DDS 1.4 §2.2.3.13: a pattern never matches a pattern).
+  std::vector<std::string> partitions;
+  // A writer was matched or is no longer. On Cyclone's threads, perhaps before Create returns; set
+  // a flag and return.
+  std::function<void()> on_match;
 };
 
 // Valid during the callback only.

@@ -21,9 +21,15 @@ absl::StatusOr<std::unique_ptr<RawWriter>> RawWriter::Create(const Participant& 
       kMaxBlocking);
   dds_qset_durability(qos.get(), options.qos.transient_local ? DDS_DURABILITY_TRANSIENT_LOCAL
                                                              : DDS_DURABILITY_VOLATILE);
-  dds_qset_history(qos.get(), options.qos.keep_all ? DDS_HISTORY_KEEP_ALL : DDS_HISTORY_KEEP_LAST,
-                   static_cast<int32_t>(std::max<uint32_t>(options.qos.depth, 1)));
+  const dds_history_kind_t history =
+      options.qos.keep_all ? DDS_HISTORY_KEEP_ALL : DDS_HISTORY_KEEP_LAST;
+  const auto depth = static_cast<int32_t>(std::max<uint32_t>(options.qos.depth, 1));
+  dds_qset_history(qos.get(), history, depth);
+  // What readers that come later are given; by itself it would be the last sample only.
+  dds_qset_durability_service(qos.get(), 0, history, depth, DDS_LENGTH_UNLIMITED,
+                              DDS_LENGTH_UNLIMITED, DDS_LENGTH_UNLIMITED);
   SetPartitions(qos.get(), options.qos.partitions);
+  if (options.exclusive) dds_qset_ownership(qos.get(), DDS_OWNERSHIP_EXCLUSIVE);
   dds_qset_writer_data_lifecycle(qos.get(), /*autodispose=*/false);
   // What every ROS 2 distribution reads.
   const dds_data_representation_id_t xcdr1 = DDS_DATA_REPRESENTATION_XCDR1;

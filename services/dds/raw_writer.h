@@ -25,6 +25,8 @@ struct RawWriterOptions {
   // depth 0 = 1; partitions empty = the default partition.
   ros2::Qos qos = {.reliable = true, .depth = 10, .partitions = {}};
   std::string user_data;
+  // Exclusive ownership: readers that ask for a shared one, as all of ROS do, do not match.
+  bool exclusive = false;
 };
 
 // Any thread. Must not outlive its participant.

@@ -1,0 +1,180 @@
+// One process on the bus for tests: a participant that publishes what it is told, honest or not.
+//
+//   dds_peer --domain 7 --node /talker --publish rt/chatter,std_msgs::msg::dds_::String_,reliable
+//
+// Prints `up`, `matched` once every writer has its readers, and `sent TOPIC COUNT` for each topic
+// at the end. SIGTERM ends it in order; SIGKILL is a crash.
+#include <csignal>
+#include <cstdio>
+#include <memory>
+#include <string>
+#include <vector>
+
+#include "CLI/CLI.hpp"
+#include "absl/strings/numbers.h"
+#include "absl/strings/str_split.h"
+#include "absl/strings/strip.h"
+#include "absl/time/clock.h"
+#include "services/base/status_macros.h"
+#include "services/dds/participant.h"
+#include "services/dds/raw_writer.h"
+#include "services/ros2/cdr.h"
+#include "services/ros2/discovery_info.h"
+#include "services/ros2/ros_name.h"
+#include "services/runtime/shutdown.h"
+#include "tests/support/robot_sim/stop_flag.h"
+
+namespace rips::dds_peer {
+namespace {
+
+struct Options {
+  dds::DomainOptions domain;
+  std::string enclave = "/";
+  std::vector<std::string> nodes;
+  bool long_gids = true;
+  // TOPIC,TYPE[,reliable][,latched][,exclusive][,depth=N][,partition=P]
+  std::vector<std::string> publish;
+  size_t bytes = 24;
+  // Samples of each topic; 0 = until it is ended.
+  uint64_t count = 0;
+  int64_t period_us = 20'000;
+  // After the last, one more so often until it is ended; 0 = end.
+  int64_t tail_ms = 0;
+  // Readers that each writer waits for before it writes.
+  size_t readers = 0;
+};
+
+struct Topic {
+  std::string name;
+  std::unique_ptr<dds::RawWriter> writer;
+  uint64_t sent = 0;
+};
+
+absl::StatusOr<Topic> MakeTopic(const dds::Participant& participant, const std::string& text) {
+  const std::vector<std::string> fields = absl::StrSplit(text, ',');
+  if (fields.size() < 2) return absl::InvalidArgumentError("--publish wants TOPIC,TYPE");
+  dds::RawWriterOptions options{.topic = fields[0], .type = fields[1], .qos = {.depth = 1}};
+  for (size_t i = 2; i < fields.size(); ++i) {
+    absl::string_view field = fields[i];
+    if (field == "reliable") {
+      options.qos.reliable = true;
+    } else if (field == "latched") {
+      options.qos.reliable = options.qos.transient_local = true;
+    } else if (field == "exclusive") {
+      options.exclusive = true;
+    } else if (absl::ConsumePrefix(&field, "partition=")) {
+      options.qos.partitions.push_back(std::string(field));
+    } else if (!absl::ConsumePrefix(&field, "depth=") ||
+               !absl::SimpleAtoi(field, &options.qos.depth)) {
+      return absl::InvalidArgumentError(std::string(fields[i]));
+    }
+  }
+  RIPS_ASSIGN_OR_RETURN(auto writer, dds::RawWriter::Create(participant, options));
+  return Topic{.name = fields[0], .writer = std::move(writer)};
+}
+
+// All writers belong to the first node.
+ros2::ParticipantEntities Claim(const dds::Participant& participant, const Options& options,
+                                const std::vector<Topic>& topics) {
+  ros2::ParticipantEntities claim{
+      .participant = participant.guid(),
+      .gid_bytes = options.long_gids ? ros2::GidBytes::k24 : ros2::GidBytes::k16};
+  for (const std::string& node : options.nodes) {
+    const size_t slash = node.rfind('/');
+    claim.nodes.push_back({.node_namespace = slash == 0 ? "/" : node.substr(0, slash),
+                           .node_name = node.substr(slash + 1)});
+  }
+  for (const Topic& topic : topics) claim.nodes[0].writers.push_back(topic.writer->guid());
+  return claim;
+}
+
+// A string of the size that was asked for.
+std::string Payload(size_t bytes) {
+  ros2::CdrWriter cdr;
+  cdr.String(std::string(bytes < 9 ? 0 : bytes - 9, 'x'));
+  return std::move(cdr).Finish();
+}
+
+void Publish(const Options& options, std::vector<Topic>& topics, robot_sim::StopFlag& stop) {
+  const std::string payload = Payload(options.bytes);
+  // What cannot be written in time is not counted as sent; the writer numbers it all the same.
+  const auto write = [&payload](Topic& topic) {
+    ++topic.sent;
+    topic.writer->Write(payload).IgnoreError();
+  };
+  for (uint64_t i = 0; options.count == 0 || i < options.count; ++i) {
+    for (Topic& topic : topics) write(topic);
+    if (stop.WaitFor(absl::Microseconds(options.period_us))) return;
+  }
+  while (options.tail_ms > 0 && !stop.WaitFor(absl::Milliseconds(options.tail_ms))) {
+    for (Topic& topic : topics) write(topic);
+  }
+}
+
+absl::Status Run(const Options& options, robot_sim::StopFlag& stop) {
+  RIPS_ASSIGN_OR_RETURN(auto domain, dds::Domain::Create(options.domain));
+  RIPS_ASSIGN_OR_RETURN(auto participant,
+                        dds::Participant::Create(domain, {.enclave = options.enclave}));
+  std::vector<Topic> topics;
+  for (const std::string& text : options.publish) {
+    RIPS_ASSIGN_OR_RETURN(Topic topic, MakeTopic(*participant, text));
+    topics.push_back(std::move(topic));
+  }
+  std::unique_ptr<dds::RawWriter> info;
+  if (!options.nodes.empty()) {
+    RIPS_ASSIGN_OR_RETURN(
+        info, dds::RawWriter::Create(
+                  *participant, {.topic = ros2::kDiscoveryTopic,
+                                 .type = ros2::kDiscoveryType,
+                                 .qos = {.reliable = true, .transient_local = true, .depth = 1}}));
+    RIPS_RETURN_IF_ERROR(
+        info->Write(ros2::EncodeParticipantEntities(Claim(*participant, options, topics))));
+  }
+  std::printf("up\n");
+  std::fflush(stdout);
+  for (const Topic& topic : topics) {
+    while (topic.writer->MatchedReaders() < options.readers) {
+      if (stop.WaitFor(absl::Milliseconds(1))) return absl::OkStatus();
+    }
+  }
+  std::printf("matched\n");
+  std::fflush(stdout);
+  if (topics.empty()) {
+    while (!stop.WaitFor(absl::Seconds(1))) {
+    }
+  }
+  Publish(options, topics, stop);
+  for (const Topic& topic : topics) {
+    std::printf("sent %s %llu\n", topic.name.c_str(), static_cast<unsigned long long>(topic.sent));
+  }
+  return absl::OkStatus();
+}
+
+int Main(int argc, char** argv) {
+  Options options;
+  CLI::App app("a process on the bus");
+  app.add_option("--domain", options.domain.id)->required();
+  app.add_option("--interface", options.domain.interface)->default_val("lo");
+  app.add_option("--enclave", options.enclave);
+  app.add_option("--node", options.nodes);
+  app.add_flag("--short-gids{false}", options.long_gids);
+  app.add_option("--publish", options.publish);
+  app.add_option("--bytes", options.bytes);
+  app.add_option("--count", options.count);
+  app.add_option("--period-us", options.period_us);
+  app.add_option("--tail-ms", options.tail_ms);
+  app.add_option("--readers", options.readers);
+  CLI11_PARSE(app, argc, argv);
+  BlockSignals();
+  robot_sim::StopFlag stop;
+  SignalWaiter signals({{SIGTERM, [&stop] { stop.Stop(); }}});
+  const absl::Status status = Run(options, stop);
+  if (status.ok()) return 0;
+  std::fprintf(stderr, "%s\n", status.ToString().c_str());
+  return 1;
+}
+
+}  // namespace
+}  // namespace rips::dds_peer
+
+int main(int argc, char** argv) { return rips::dds_peer::Main(argc, argv); }
