@@ -23,6 +23,10 @@ constexpr int64_t kIdleNs = kNanosPerSecond;
 // How long a renewed discovery may take to tell everything that is there.
 constexpr int64_t kResyncNs = 2 * kNanosPerSecond;
 
+// What was received when the sensor is stopped is taken in so many steps at most; a busy bus would
+// never let it stop.
+constexpr int kLastLooks = 20;
+
 // Payloads that may be held between reception and the outbox, which has a limit of its own.
 constexpr size_t kPayloadsUnderwayBytes = size_t{16} << 20;
 
@@ -59,13 +63,19 @@ absl::StatusOr<std::unique_ptr<Agent>> Agent::Create(
     const Clock* clock, Metrics* metrics) {
   std::unique_ptr<Agent> agent(new Agent(config, clock, metrics));
   Agent* raw = agent.get();
+  const auto memory = static_cast<size_t>(config.outbox_memory.bytes);
   agent->uplink_ = std::make_unique<Uplink>(
-      UplinkOptions{.servers = config.servers,
-                    .credentials = std::move(credentials),
-                    .host = config.host,
-                    .domain = config.dds.domain,
-                    .outbox = {.message_bytes = static_cast<size_t>(config.outbox_memory.bytes),
-                               .control_bytes = static_cast<size_t>(config.outbox_memory.bytes)}},
+      UplinkOptions{
+          .servers = config.servers,
+          .credentials = std::move(credentials),
+          .host = config.host,
+          .domain = config.dds.domain,
+          .outbox = {.message_bytes = memory / 2, .control_bytes = memory},
+          .backlog = {.memory_bytes = memory / 2,
+                      .spool = {.dir = config.spool_dir,
+                                .disk_bytes = static_cast<uint64_t>(config.outbox_disk.bytes),
+                                .boot_id = BootId(),
+                                .now = clock->Now()}}},
       Uplink::Hooks{.on_own_participants =
                         [raw](std::vector<ros2::Guid> participants) {
                           {
@@ -84,6 +94,7 @@ absl::StatusOr<std::unique_ptr<Agent>> Agent::Create(
                           raw->Wake();
                         }},
       clock, metrics);
+  RIPS_RETURN_IF_ERROR(agent->uplink_->Open());
   RIPS_ASSIGN_OR_RETURN(
       agent->domain_,
       DomainWatch::Create(
@@ -149,20 +160,28 @@ void Agent::Observe() {
     // The next sample has come close behind the last: let some more come.
     const int64_t rest_ns = last_look_ns + kBusyIntervalNs - clock_->Now().boottime_ns;
     if (rest_ns > 0) absl::SleepFor(absl::Nanoseconds(rest_ns));
-    woken_ = false;
-    const int64_t now_ns = clock_->Now().boottime_ns;
-    last_look_ns = now_ns;
-    Observations seen;
-    TakeInbox(now_ns, seen);
-    TakeDiscovered(now_ns, seen);
-    TakeClaims(now_ns, seen);
-    seen.graph = graph_->Poll(now_ns);
-    seen.settled = graph_->settled();
-    TakeSamples(now_ns, seen);
-    CountLimits(now_ns, seen);
-    uplink_->Append(std::move(seen));
-    if (uplink_->snapshot_wanted()) uplink_->ReplaceGraph(graph_->Snapshot(now_ns));
+    last_look_ns = clock_->Now().boottime_ns;
+    Look(last_look_ns);
+    if (uplink_->snapshot_wanted()) uplink_->ReplaceGraph(graph_->Snapshot(last_look_ns));
   }
+  // What has been received so far is not lost with the process, either.
+  for (int i = 0; i < kLastLooks; ++i) {
+    Look(clock_->Now().boottime_ns);
+    if (!woken_) break;
+  }
+}
+
+void Agent::Look(int64_t now_ns) {
+  woken_ = false;
+  Observations seen;
+  TakeInbox(now_ns, seen);
+  TakeDiscovered(now_ns, seen);
+  TakeClaims(now_ns, seen);
+  seen.graph = graph_->Poll(now_ns);
+  seen.settled = graph_->settled();
+  TakeSamples(now_ns, seen);
+  CountLimits(now_ns, seen);
+  uplink_->Append(std::move(seen));
 }
 
 int64_t Agent::NextWork() const {

@@ -55,7 +55,7 @@ struct SignalSeen {
   uint32_t count = 0;
 };
 
-enum class LossCause { kDdsGap, kQueueFull, kOutboxShed, kLimit, kUndecodable };
+enum class LossCause { kDdsGap, kQueueFull, kOutboxShed, kSpoolLost, kLimit, kUndecodable };
 
 struct Loss {
   LossCause cause = LossCause::kLimit;
@@ -70,6 +70,7 @@ struct SensorState {
   bool overloaded = false;
   uint64_t outbox_bytes = 0;
   int64_t oldest_unacked_ns = 0;  // age
+  uint64_t spool_bytes = 0;       // on disk
 
   friend bool operator==(const SensorState&, const SensorState&) = default;
 };

@@ -184,7 +184,8 @@ void Outbox::Shed() {
   }
   messages_.entries.erase(begin, end);
   while (messages_.bytes > goal && !messages_.entries.empty()) {
-    CountShed(messages_.entries.front());
+    // Its number does not come, which the server counts; a Loss would count it twice.
+    ++shed_messages_;
     messages_.bytes -= CostOf(messages_.entries.front());
     messages_.entries.pop_front();
     ++messages_.first_sequence;
@@ -260,6 +261,59 @@ std::optional<int64_t> Outbox::DueAt(Lane lane, const BatchPolicy& policy, int64
   return due;
 }
 
+// --- Setting aside
+
+std::optional<int64_t> Outbox::OldestUnnumbered() const {
+  if (messages_.numbered == messages_.entries.size()) return std::nullopt;
+  return messages_.entries[messages_.numbered].boottime_ns;
+}
+
+std::vector<MessageSeen> Outbox::TakeOldest(const BatchPolicy& policy, int64_t until_ns) {
+  std::vector<MessageSeen> taken;
+  size_t bytes = 0;
+  const auto begin = messages_.entries.begin() + static_cast<ptrdiff_t>(messages_.numbered);
+  auto end = begin;
+  for (; end != messages_.entries.end() && taken.size() < policy.observations; ++end) {
+    if (end->boottime_ns >= until_ns || (!taken.empty() && bytes > policy.bytes)) break;
+    bytes += PayloadBytes(*end);
+    messages_.bytes -= CostOf(*end);
+    fresh_payload_bytes_ -= PayloadBytes(*end);
+    taken.push_back(std::move(*end));
+  }
+  messages_.entries.erase(begin, end);
+  if (messages_.sent == messages_.entries.size()) messages_.urgent = false;
+  return taken;
+}
+
+std::vector<ControlObservation> Outbox::TakeOldestControl(const BatchPolicy& policy) {
+  std::vector<ControlObservation> taken;
+  size_t bytes = 0;
+  auto& entries = control_.entries;
+  const auto begin = entries.begin() + static_cast<ptrdiff_t>(control_.numbered);
+  auto end = begin;
+  auto kept = begin;
+  for (; end != entries.end() && taken.size() < policy.observations; ++end) {
+    if (IsGraph(*end)) {
+      if (kept != end) *kept = std::move(*end);
+      ++kept;
+      continue;
+    }
+    if (!taken.empty() && bytes > policy.bytes) break;
+    bytes += CostOf(*end);
+    control_.bytes -= CostOf(*end);
+    taken.push_back(std::move(*end));
+  }
+  entries.erase(kept, end);
+  if (control_.sent == control_.entries.size()) control_.urgent = false;
+  return taken;
+}
+
+void Outbox::ShedPayload(MessageSeen& message) {
+  if (message.payload == nullptr) return;
+  message.payload = nullptr;
+  ++shed_payloads_;
+}
+
 // --- Acknowledging and resuming
 
 template <typename T>
@@ -328,8 +382,7 @@ size_t Outbox::DropUnnumberedGraph() {
   return dropped;
 }
 
-void Outbox::ReplaceGraph(std::vector<GraphChange> snapshot, int64_t now_ns) {
-  snapshot_wanted_ = false;
+size_t Outbox::DropGraph() {
   for (size_t i = 0; i < control_.numbered; ++i) {
     ControlObservation& each = control_.entries[i];
     if (!IsGraph(each)) continue;
@@ -340,7 +393,12 @@ void Outbox::ReplaceGraph(std::vector<GraphChange> snapshot, int64_t now_ns) {
                      .last_boottime_ns = each.boottime_ns};
     control_.bytes += CostOf(each);
   }
-  DropUnnumberedGraph();
+  return DropUnnumberedGraph();
+}
+
+void Outbox::ReplaceGraph(std::vector<GraphChange> snapshot, int64_t now_ns) {
+  snapshot_wanted_ = false;
+  DropGraph();
   if (!primary_ || snapshot.empty()) return;
   std::vector<ControlObservation> parts;
   for (GraphChange& part : snapshot) {

@@ -84,6 +84,19 @@ class Outbox {
   std::optional<int64_t> DueAt(Lane lane, const BatchPolicy& policy, int64_t last_batch_ns,
                                int64_t now_ns) const;
 
+  // --- Setting aside
+  // Reception time of the oldest message that has no number yet.
+  std::optional<int64_t> OldestUnnumbered() const;
+  // Removes and gives the oldest messages without number: as many as `policy` allows for a batch,
+  // none received at `until_ns` or later.
+  std::vector<MessageSeen> TakeOldest(const BatchPolicy& policy, int64_t until_ns);
+  // The same of control observations other than graph steps, which stay.
+  std::vector<ControlObservation> TakeOldestControl(const BatchPolicy& policy);
+  // Counts `message` as one whose payload was shed, and sheds it.
+  void ShedPayload(MessageSeen& message);
+  size_t message_bytes() const { return messages_.bytes; }
+  size_t control_bytes() const { return control_.bytes; }
+
   // --- Acknowledging and resuming
   // Forgets up to and including `sequence`. Repeated and older ones do nothing. InvalidArgument
   // if that was never sent.
@@ -105,6 +118,9 @@ class Outbox {
   // graph step held. A step that already has a number becomes a Loss of 1 under that number; the
   // snapshot goes before everything that has none.
   void ReplaceGraph(std::vector<GraphChange> snapshot, int64_t now_ns);
+
+  // Forgets all graph steps; those with a number become a Loss of 1 under it. How many had none.
+  size_t DropGraph();
 
   // Whether this sensor reports graph and messages. While it does not, both are refused here; on
   // becoming so a snapshot is wanted.
