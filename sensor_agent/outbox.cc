@@ -316,8 +316,8 @@ void Outbox::ShedPayload(MessageSeen& message) {
 
 // --- Acknowledging and resuming
 
-template <typename T>
-absl::Status Outbox::AcknowledgeIn(Queue<T>& queue, uint64_t sequence) {
+template <typename T, typename Forget>
+absl::Status Outbox::AcknowledgeIn(Queue<T>& queue, uint64_t sequence, const Forget& forget) {
   if (sequence < queue.first_sequence) return absl::OkStatus();
   const uint64_t count = sequence - queue.first_sequence + 1;
   if (count > queue.numbered) {
@@ -326,6 +326,7 @@ absl::Status Outbox::AcknowledgeIn(Queue<T>& queue, uint64_t sequence) {
                                                    queue.first_sequence + queue.numbered - 1));
   }
   for (uint64_t i = 0; i < count; ++i) {
+    forget(queue.entries.front());
     queue.bytes -= CostOf(queue.entries.front());
     queue.entries.pop_front();
   }
@@ -336,8 +337,10 @@ absl::Status Outbox::AcknowledgeIn(Queue<T>& queue, uint64_t sequence) {
 }
 
 absl::Status Outbox::Acknowledge(Lane lane, uint64_t sequence) {
-  return lane == Lane::kControl ? AcknowledgeIn(control_, sequence)
-                                : AcknowledgeIn(messages_, sequence);
+  if (lane == Lane::kMessages) return AcknowledgeIn(messages_, sequence, [](const auto&) {});
+  return AcknowledgeIn(control_, sequence, [this](const ControlObservation& each) {
+    if (IsGraph(each)) graph_base_.Take(std::get<GraphChange>(each.what));
+  });
 }
 
 uint64_t Outbox::acknowledged(Lane lane) const {
@@ -368,7 +371,34 @@ bool Outbox::GraphStartsWithSnapshot() const {
   return first != control_.entries.end() && std::get<GraphChange>(first->what).from_version == 0;
 }
 
+bool Outbox::StartGraphWithSnapshot(int64_t now_ns) {
+  if (!primary_ || snapshot_wanted_) return false;
+  auto& entries = control_.entries;
+  const auto first = std::find_if(entries.begin(), entries.end(), IsGraph);
+  if (first != entries.end() && first - entries.begin() < static_cast<ptrdiff_t>(control_.numbered)) {
+    std::optional<GraphChange> after =
+        graph_base_.SnapshotAfter(std::get<GraphChange>(first->what));
+    if (!after.has_value()) return false;
+    control_.bytes -= CostOf(*first);
+    first->what = *std::move(after);
+    control_.bytes += CostOf(*first);
+    return true;
+  }
+  if (first != entries.end() &&
+      std::get<GraphChange>(first->what).from_version != graph_base_.version()) {
+    return false;
+  }
+  std::optional<GraphChange> base = graph_base_.Snapshot();
+  if (!base.has_value()) return false;
+  ControlObservation snapshot{.boottime_ns = now_ns, .what = *std::move(base)};
+  control_.bytes += CostOf(snapshot);
+  entries.insert(entries.begin() + static_cast<ptrdiff_t>(control_.numbered), std::move(snapshot));
+  control_.urgent = true;
+  return true;
+}
+
 size_t Outbox::DropUnnumberedGraph() {
+  graph_base_.Forget();
   size_t dropped = 0;
   auto& entries = control_.entries;
   const auto begin = entries.begin() + static_cast<ptrdiff_t>(control_.numbered);

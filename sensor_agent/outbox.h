@@ -18,6 +18,7 @@
 #include <vector>
 
 #include "absl/status/status.h"
+#include "sensor_agent/graph_base.h"
 #include "sensor_agent/observation.h"
 
 namespace rips::sensor {
@@ -114,6 +115,10 @@ class Outbox {
   bool snapshot_wanted() const { return snapshot_wanted_; }
   // The oldest graph step held is a snapshot: a server without a graph can start from it.
   bool GraphStartsWithSnapshot() const;
+  // Makes it so without leaving a step out: the oldest step becomes a snapshot of the graph after
+  // it (the same observation, told otherwise), or, if it has no number, a snapshot of the graph
+  // before it goes ahead of it. False if that is not known: then a snapshot of now is needed.
+  bool StartGraphWithSnapshot(int64_t now_ns);
   // Takes `snapshot` (its parts, in order; none before discovery has settled) in place of every
   // graph step held. A step that already has a number becomes a Loss of 1 under that number; the
   // snapshot goes before everything that has none.
@@ -150,8 +155,9 @@ class Outbox {
   };
   using LossKey = std::pair<LossCause, std::pair<std::string, const MessageSource*>>;
 
-  template <typename T>
-  static absl::Status AcknowledgeIn(Queue<T>& queue, uint64_t sequence);
+  // `forget` is called with each entry that goes.
+  template <typename T, typename Forget>
+  static absl::Status AcknowledgeIn(Queue<T>& queue, uint64_t sequence, const Forget& forget);
   template <typename T>
   static void MarkSentIn(Queue<T>& queue, size_t count);
   template <typename T>
@@ -170,6 +176,7 @@ class Outbox {
   OutboxLimits limits_;
   Queue<MessageSeen> messages_;
   Queue<ControlObservation> control_;
+  GraphBase graph_base_;
   std::map<LossKey, Loss> losses_;
   std::map<std::string, std::pair<uint32_t, int64_t>> signals_;
   std::optional<std::pair<SensorState, int64_t>> state_;

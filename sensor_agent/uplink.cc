@@ -388,7 +388,10 @@ void Uplink::FinishResumeLocked() {
     LogInfo("streaming", {{"unacked_bytes", outbox_.bytes()}});
     if (refusals_ > 0) outbox_.WantSnapshot();
   }
-  if (stream_->wants_snapshot && !outbox_.GraphStartsWithSnapshot()) outbox_.WantSnapshot();
+  if (stream_->wants_snapshot && !outbox_.GraphStartsWithSnapshot() &&
+      !outbox_.StartGraphWithSnapshot(clock_->Now().boottime_ns)) {
+    outbox_.WantSnapshot();
+  }
   stream_->wants_snapshot = false;
 }
 
