@@ -24,6 +24,10 @@ constexpr int64_t kIdleNs = kNanosPerSecond;
 // How long a renewed discovery may take to tell everything that is there.
 constexpr int64_t kResyncNs = 2 * kNanosPerSecond;
 
+// What was received when the sensor is stopped is taken in so many steps at most; a busy bus would
+// never let it stop.
+constexpr int kLastLooks = 20;
+
 // Payloads that may be held between reception and the outbox, which has a limit of its own.
 constexpr size_t kPayloadsUnderwayBytes = size_t{16} << 20;
 
@@ -77,48 +81,56 @@ absl::StatusOr<std::unique_ptr<Agent>> Agent::Create(
     const Clock* clock, Metrics* metrics) {
   std::unique_ptr<Agent> agent(new Agent(config, clock, metrics));
   Agent* raw = agent.get();
+  const auto memory = static_cast<size_t>(config.outbox_memory.bytes);
   agent->uplink_ = std::make_unique<Uplink>(
-      UplinkOptions{.servers = config.servers,
-                    .credentials = std::move(credentials),
-                    .host = config.host,
-                    .domain = config.dds.domain,
-                    .interest_file = InterestFile(config.state_dir),
-                    .outbox = {.message_bytes = static_cast<size_t>(config.outbox_memory.bytes),
-                               .control_bytes = static_cast<size_t>(config.outbox_memory.bytes)}},
-      Uplink::Hooks{.on_own_participants =
-                        [raw](std::vector<ros2::Guid> participants) {
-                          {
-                            MutexLock lock(&raw->inbox_mu_);
-                            raw->own_participants_ = std::move(participants);
-                          }
-                          raw->Wake();
-                        },
-                    .on_protected_parts =
-                        [raw](std::vector<std::string> parts) {
-                          {
-                            MutexLock lock(&raw->inbox_mu_);
-                            raw->protected_parts_ = std::move(parts);
-                          }
-                          raw->Wake();
-                        },
-                    .on_snapshot_wanted = [raw] { raw->Wake(); },
-                    .on_interest =
-                        [raw](std::shared_ptr<const Interest> interest) {
-                          {
-                            MutexLock lock(&raw->inbox_mu_);
-                            raw->interest_ = std::move(interest);
-                          }
-                          raw->Wake();
-                        },
-                    .on_primary =
-                        [raw](bool primary) {
-                          {
-                            MutexLock lock(&raw->inbox_mu_);
-                            raw->primary_ = primary;
-                          }
-                          raw->Wake();
-                        }},
+      UplinkOptions{
+          .servers = config.servers,
+          .credentials = std::move(credentials),
+          .host = config.host,
+          .domain = config.dds.domain,
+          .interest_file = InterestFile(config.state_dir),
+          .outbox = {.message_bytes = memory / 2, .control_bytes = memory},
+          .backlog = {.memory_bytes = memory / 2,
+                      .spool = {.dir = config.spool_dir,
+                                .disk_bytes = static_cast<uint64_t>(config.outbox_disk.bytes),
+                                .boot_id = BootId(),
+                                .now = clock->Now()}}},
+      Uplink::Hooks{
+          .on_own_participants =
+              [raw](std::vector<ros2::Guid> participants) {
+                {
+                  MutexLock lock(&raw->inbox_mu_);
+                  raw->own_participants_ = std::move(participants);
+                }
+                raw->Wake();
+              },
+          .on_protected_parts =
+              [raw](std::vector<std::string> parts) {
+                {
+                  MutexLock lock(&raw->inbox_mu_);
+                  raw->protected_parts_ = std::move(parts);
+                }
+                raw->Wake();
+              },
+          .on_snapshot_wanted = [raw] { raw->Wake(); },
+          .on_interest =
+              [raw](std::shared_ptr<const Interest> interest) {
+                {
+                  MutexLock lock(&raw->inbox_mu_);
+                  raw->interest_ = std::move(interest);
+                }
+                raw->Wake();
+              },
+          .on_primary =
+              [raw](bool primary) {
+                {
+                  MutexLock lock(&raw->inbox_mu_);
+                  raw->primary_ = primary;
+                }
+                raw->Wake();
+              }},
       clock, metrics);
+  RIPS_RETURN_IF_ERROR(agent->uplink_->Open());
   RIPS_ASSIGN_OR_RETURN(std::optional<dds::Enclave> enclave,
                         dds::LoadSecurity(config.dds, absl::FromUnixNanos(clock->Now().unix_ns)));
   const bool secured = enclave.has_value();
@@ -204,27 +216,35 @@ void Agent::Observe() {
     // The next sample has come close behind the last: let some more come.
     const int64_t rest_ns = last_look_ns + kBusyIntervalNs - clock_->Now().boottime_ns;
     if (rest_ns > 0) absl::SleepFor(absl::Nanoseconds(rest_ns));
-    woken_ = false;
-    const int64_t now_ns = clock_->Now().boottime_ns;
-    last_look_ns = now_ns;
-    Observations seen;
-    TakeInbox(now_ns, seen);
-    TakeDiscovered(now_ns, seen);
-    TakeCoverage(now_ns);
-    TakeClaims(now_ns, seen);
-    seen.graph = graph_->Poll(now_ns);
-    seen.settled = graph_->settled();
-    TakeSamples(now_ns, seen);
-    TakeFindings(now_ns, seen);
-    CountLimits(now_ns, seen);
-    uplink_->Append(std::move(seen));
-    if (uplink_->snapshot_wanted()) TellAnew(now_ns);
+    last_look_ns = clock_->Now().boottime_ns;
+    Look(last_look_ns);
+    if (uplink_->snapshot_wanted()) TellAnew(last_look_ns);
+  }
+  // What has been received so far is not lost with the process, either.
+  for (int i = 0; i < kLastLooks; ++i) {
+    Look(clock_->Now().boottime_ns);
+    if (!woken_) break;
   }
 }
 
+void Agent::Look(int64_t now_ns) {
+  woken_ = false;
+  Observations seen;
+  TakeInbox(now_ns, seen);
+  TakeDiscovered(now_ns, seen);
+  TakeCoverage(now_ns);
+  TakeClaims(now_ns, seen);
+  seen.graph = graph_->Poll(now_ns);
+  seen.settled = graph_->settled();
+  TakeSamples(now_ns, seen);
+  TakeFindings(now_ns, seen);
+  CountLimits(now_ns, seen);
+  uplink_->Append(std::move(seen));
+}
+
 int64_t Agent::NextWork() const {
-  const int64_t work_ns = std::min({graph_->NextDue(), flow_->NextDue(), findings_->NextDue(),
-                                    domain_->topics().NextDue()});
+  const int64_t work_ns = std::min(
+      {graph_->NextDue(), flow_->NextDue(), findings_->NextDue(), domain_->topics().NextDue()});
   return resync_until_ns_ == 0 ? work_ns : std::min(work_ns, resync_until_ns_);
 }
 

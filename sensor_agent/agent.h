@@ -37,7 +37,8 @@ class Agent {
   ~Agent();
 
   void Start();
-  // Joins all threads. What is unacknowledged is gone with the process.
+  // Joins all threads. What is unacknowledged is spooled for the next process, or gone if there is
+  // no spool.
   void Stop();
 
   // A signal of this name came in. Any thread.
@@ -56,6 +57,8 @@ class Agent {
 
   // --- Observer thread
   void Observe();
+  // Takes what has come and hands it to the uplink.
+  void Look(int64_t now_ns);
   void TakeInbox(int64_t now_ns, Observations& seen) ABSL_LOCKS_EXCLUDED(inbox_mu_);
   void TakeDiscovered(int64_t now_ns, Observations& seen);
   void TakeCoverage(int64_t now_ns);

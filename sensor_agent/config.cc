@@ -8,10 +8,12 @@ namespace rips::sensor {
 
 namespace {
 
+// Some segments.
+constexpr int64_t kSpoolBytesMin = int64_t{16} << 20;
 constexpr char kNotAvailable[] = "not available in this version";
 
 // Sections of later versions: their keys are known, their use is not.
-void RefuseWhatIsNotAvailable(const ConfigSection& root, const ConfigSection& outbox) {
+void RefuseWhatIsNotAvailable(const ConfigSection& root) {
   for (const ConfigSection& source : root.Sections("ids")) {
     int format = 0;
     std::string path;
@@ -24,13 +26,6 @@ void RefuseWhatIsNotAvailable(const ConfigSection& root, const ConfigSection& ou
   const ConfigSection section = root.OptionalSection("wire");
   section.Optional("enabled", &wire);
   if (wire) section.Problem("enabled", absl::StrCat("the wire reader is ", kNotAvailable));
-  ByteSize disk;
-  outbox.Optional("disk", &disk);
-  if (disk.bytes != 0) {
-    outbox.Problem("disk", absl::StrCat("a spool on disk is ", kNotAvailable, "; use `0B`"));
-  }
-  std::string dir = "/var/lib/rips/sensor/spool";
-  outbox.Optional("dir", &dir);
 }
 
 }  // namespace
@@ -64,7 +59,14 @@ absl::StatusOr<SensorConfig> ParseSensorConfig(absl::string_view file, absl::str
   const ConfigSection outbox = root.OptionalSection("outbox");
   outbox.Optional("memory", &config.outbox_memory,
                   {ByteSize{int64_t{1} << 20}, ByteSize{int64_t{4} << 30}});
-  RefuseWhatIsNotAvailable(root, outbox);
+  outbox.Optional("disk", &config.outbox_disk, {ByteSize{0}, ByteSize{int64_t{64} << 30}});
+  if (config.outbox_disk.bytes != 0 && config.outbox_disk.bytes < kSpoolBytesMin) {
+    outbox.Problem("disk", "a spool needs at least 16MiB; `0B` = none");
+  }
+  config.spool_dir = absl::StrCat(config.state_dir, "/spool");
+  outbox.Optional("dir", &config.spool_dir);
+  if (config.spool_dir.front() != '/') outbox.Problem("dir", "needs an absolute path");
+  RefuseWhatIsNotAvailable(root);
   root.Optional("signals", &config.signals);
   root.Optional("metrics", &config.metrics);
   RIPS_RETURN_IF_ERROR(reader.Finish());

@@ -29,6 +29,11 @@ struct SensorConfig {
   std::vector<std::string> unwatched = {"/rosout", "/parameter_events"};
   std::string state_dir = "/var/lib/rips/sensor";
   ByteSize outbox_memory = {int64_t{64} << 20};
+  // What is not acknowledged goes on in `spool_dir` when memory is short or the process ends; 0 =
+  // never.
+  ByteSize outbox_disk = {int64_t{256} << 20};
+  // `spool` in state_dir, unless the file says otherwise; empty = no spool.
+  std::string spool_dir;
   // SIGUSR1 and SIGUSR2 are reported.
   bool signals = true;
   std::string metrics = "127.0.0.1:9465";
@@ -37,8 +42,8 @@ struct SensorConfig {
 };
 
 // `file` is the name used in messages. InvalidArgument with every problem and its place. What the
-// format knows but this version does not do (ids, wire, a disk spool) is a problem,
-// too: a sensor must not pretend to see what it does not. `effective`, if not null, takes the
+// format knows but this version does not do (ids, wire) is a problem, too: a sensor must not
+// pretend to see what it does not. `effective`, if not null, takes the
 // effective configuration as text.
 absl::StatusOr<SensorConfig> ParseSensorConfig(absl::string_view file, absl::string_view text,
                                                std::string* effective = nullptr);

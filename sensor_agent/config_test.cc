@@ -24,7 +24,7 @@ settle: 3s
 attribution_grace: 250ms
 unwatched: [/rosout]
 state_dir: /tmp/sensor
-outbox: {memory: 8MiB, disk: 0B, dir: /tmp/spool}
+outbox: {memory: 8MiB, disk: 32MiB, dir: /tmp/spool}
 ids: []
 signals: false
 wire: {enabled: false}
@@ -52,6 +52,8 @@ TEST(SensorConfigTest, EveryKeyIsTaken) {
   EXPECT_EQ(config->attribution_grace, absl::Milliseconds(250));
   EXPECT_THAT(config->unwatched, ElementsAre("/rosout"));
   EXPECT_EQ(config->outbox_memory.bytes, 8 << 20);
+  EXPECT_EQ(config->outbox_disk.bytes, 32 << 20);
+  EXPECT_EQ(config->spool_dir, "/tmp/spool");
   EXPECT_FALSE(config->signals);
   EXPECT_EQ(config->metrics, "127.0.0.1:0");
   EXPECT_THAT(effective, AllOf(HasSubstr("settle: 3s"), HasSubstr("outbox.memory: 8MiB")));
@@ -65,6 +67,7 @@ TEST(SensorConfigTest, DefaultsAreThoseOfTheStruct) {
   expected.host = "base";
   expected.servers = {"policy.example:7443"};
   expected.tls = {.ca = "/a", .cert = "/b", .key = "/c"};
+  expected.spool_dir = "/var/lib/rips/sensor/spool";
   EXPECT_EQ(*config, expected);
   EXPECT_THAT(config->unwatched, ElementsAre("/rosout", "/parameter_events"));
 }
@@ -116,7 +119,9 @@ INSTANTIATE_TEST_SUITE_P(
                 "12:", "not available in this version"},
         BadCase{"Wire", "wire: {enabled: false}", "wire: {enabled: true}", "14:17",
                 "not available in this version"},
-        BadCase{"Disk", "disk: 0B", "disk: 256MiB", "11:30", "not available in this version"},
+        BadCase{"DiskTooSmall", "disk: 32MiB", "disk: 1MiB", "11:30", "at least 16MiB"},
+        BadCase{"DiskTooLarge", "disk: 32MiB", "disk: 1000GiB", "11:30", "disk"},
+        BadCase{"RelativeSpool", "dir: /tmp/spool", "dir: spool", "11:", "absolute path"},
         BadCase{"Keystore", "security: null", "security: {keystore: k, enclave: /rips/sensor}",
                 "5:", "write an absolute path"},
         BadCase{"Enclave", "security: null", "security: {keystore: /k, enclave: rips}",

@@ -45,7 +45,7 @@ int Serve(const DaemonFlags& flags, const SensorConfig& config,
   Metrics metrics;
   absl::StatusOr<std::unique_ptr<Agent>> agent =
       Agent::Create(config, std::move(credentials), &clock, &metrics);
-  if (!agent.ok()) return Fail(kExitFailed, "cannot join the DDS domain", agent.status());
+  if (!agent.ok()) return Fail(kExitFailed, "cannot begin to watch", agent.status());
   Agent& sensor = **agent;
   auto pages = MetricsServer::Start(config.metrics, &metrics, [&] { return sensor.Ready(); });
   if (!pages.ok()) return Fail(kExitFailed, "cannot serve metrics", pages.status());

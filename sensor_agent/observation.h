@@ -56,7 +56,7 @@ struct SignalSeen {
   uint32_t count = 0;
 };
 
-enum class LossCause { kDdsGap, kQueueFull, kOutboxShed, kLimit, kUndecodable };
+enum class LossCause { kDdsGap, kQueueFull, kOutboxShed, kSpoolLost, kLimit, kUndecodable };
 
 struct Loss {
   LossCause cause = LossCause::kLimit;
@@ -71,6 +71,7 @@ struct SensorState {
   bool overloaded = false;
   uint64_t outbox_bytes = 0;
   int64_t oldest_unacked_ns = 0;  // age
+  uint64_t spool_bytes = 0;       // on disk
   // Kinds of traffic that cannot be seen now.
   std::vector<std::string> not_visible;
 

@@ -184,7 +184,8 @@ void Outbox::Shed() {
   }
   messages_.entries.erase(begin, end);
   while (messages_.bytes > goal && !messages_.entries.empty()) {
-    CountShed(messages_.entries.front());
+    // Its number does not come, which the server counts; a Loss would count it twice.
+    ++shed_messages_;
     messages_.bytes -= CostOf(messages_.entries.front());
     messages_.entries.pop_front();
     ++messages_.first_sequence;
@@ -260,10 +261,63 @@ std::optional<int64_t> Outbox::DueAt(Lane lane, const BatchPolicy& policy, int64
   return due;
 }
 
+// --- Setting aside
+
+std::optional<int64_t> Outbox::OldestUnnumbered() const {
+  if (messages_.numbered == messages_.entries.size()) return std::nullopt;
+  return messages_.entries[messages_.numbered].boottime_ns;
+}
+
+std::vector<MessageSeen> Outbox::TakeOldest(const BatchPolicy& policy, int64_t until_ns) {
+  std::vector<MessageSeen> taken;
+  size_t bytes = 0;
+  const auto begin = messages_.entries.begin() + static_cast<ptrdiff_t>(messages_.numbered);
+  auto end = begin;
+  for (; end != messages_.entries.end() && taken.size() < policy.observations; ++end) {
+    if (end->boottime_ns >= until_ns || (!taken.empty() && bytes > policy.bytes)) break;
+    bytes += PayloadBytes(*end);
+    messages_.bytes -= CostOf(*end);
+    fresh_payload_bytes_ -= PayloadBytes(*end);
+    taken.push_back(std::move(*end));
+  }
+  messages_.entries.erase(begin, end);
+  if (messages_.sent == messages_.entries.size()) messages_.urgent = false;
+  return taken;
+}
+
+std::vector<ControlObservation> Outbox::TakeOldestControl(const BatchPolicy& policy) {
+  std::vector<ControlObservation> taken;
+  size_t bytes = 0;
+  auto& entries = control_.entries;
+  const auto begin = entries.begin() + static_cast<ptrdiff_t>(control_.numbered);
+  auto end = begin;
+  auto kept = begin;
+  for (; end != entries.end() && taken.size() < policy.observations; ++end) {
+    if (IsGraph(*end)) {
+      if (kept != end) *kept = std::move(*end);
+      ++kept;
+      continue;
+    }
+    if (!taken.empty() && bytes > policy.bytes) break;
+    bytes += CostOf(*end);
+    control_.bytes -= CostOf(*end);
+    taken.push_back(std::move(*end));
+  }
+  entries.erase(kept, end);
+  if (control_.sent == control_.entries.size()) control_.urgent = false;
+  return taken;
+}
+
+void Outbox::ShedPayload(MessageSeen& message) {
+  if (message.payload == nullptr) return;
+  message.payload = nullptr;
+  ++shed_payloads_;
+}
+
 // --- Acknowledging and resuming
 
-template <typename T>
-absl::Status Outbox::AcknowledgeIn(Queue<T>& queue, uint64_t sequence) {
+template <typename T, typename Forget>
+absl::Status Outbox::AcknowledgeIn(Queue<T>& queue, uint64_t sequence, const Forget& forget) {
   if (sequence < queue.first_sequence) return absl::OkStatus();
   const uint64_t count = sequence - queue.first_sequence + 1;
   if (count > queue.numbered) {
@@ -272,6 +326,7 @@ absl::Status Outbox::AcknowledgeIn(Queue<T>& queue, uint64_t sequence) {
                                                    queue.first_sequence + queue.numbered - 1));
   }
   for (uint64_t i = 0; i < count; ++i) {
+    forget(queue.entries.front());
     queue.bytes -= CostOf(queue.entries.front());
     queue.entries.pop_front();
   }
@@ -282,8 +337,10 @@ absl::Status Outbox::AcknowledgeIn(Queue<T>& queue, uint64_t sequence) {
 }
 
 absl::Status Outbox::Acknowledge(Lane lane, uint64_t sequence) {
-  return lane == Lane::kControl ? AcknowledgeIn(control_, sequence)
-                                : AcknowledgeIn(messages_, sequence);
+  if (lane == Lane::kMessages) return AcknowledgeIn(messages_, sequence, [](const auto&) {});
+  return AcknowledgeIn(control_, sequence, [this](const ControlObservation& each) {
+    if (IsGraph(each)) graph_base_.Take(std::get<GraphChange>(each.what));
+  });
 }
 
 uint64_t Outbox::acknowledged(Lane lane) const {
@@ -314,7 +371,35 @@ bool Outbox::GraphStartsWithSnapshot() const {
   return first != control_.entries.end() && std::get<GraphChange>(first->what).from_version == 0;
 }
 
+bool Outbox::StartGraphWithSnapshot(int64_t now_ns) {
+  if (!primary_ || snapshot_wanted_) return false;
+  auto& entries = control_.entries;
+  const auto first = std::find_if(entries.begin(), entries.end(), IsGraph);
+  if (first != entries.end() &&
+      first - entries.begin() < static_cast<ptrdiff_t>(control_.numbered)) {
+    std::optional<GraphChange> after =
+        graph_base_.SnapshotAfter(std::get<GraphChange>(first->what));
+    if (!after.has_value()) return false;
+    control_.bytes -= CostOf(*first);
+    first->what = *std::move(after);
+    control_.bytes += CostOf(*first);
+    return true;
+  }
+  if (first != entries.end() &&
+      std::get<GraphChange>(first->what).from_version != graph_base_.version()) {
+    return false;
+  }
+  std::optional<GraphChange> base = graph_base_.Snapshot();
+  if (!base.has_value()) return false;
+  ControlObservation snapshot{.boottime_ns = now_ns, .what = *std::move(base)};
+  control_.bytes += CostOf(snapshot);
+  entries.insert(entries.begin() + static_cast<ptrdiff_t>(control_.numbered), std::move(snapshot));
+  control_.urgent = true;
+  return true;
+}
+
 size_t Outbox::DropUnnumberedGraph() {
+  graph_base_.Forget();
   size_t dropped = 0;
   auto& entries = control_.entries;
   const auto begin = entries.begin() + static_cast<ptrdiff_t>(control_.numbered);
@@ -328,8 +413,7 @@ size_t Outbox::DropUnnumberedGraph() {
   return dropped;
 }
 
-void Outbox::ReplaceGraph(std::vector<GraphChange> snapshot, int64_t now_ns) {
-  snapshot_wanted_ = false;
+size_t Outbox::DropGraph() {
   for (size_t i = 0; i < control_.numbered; ++i) {
     ControlObservation& each = control_.entries[i];
     if (!IsGraph(each)) continue;
@@ -340,7 +424,12 @@ void Outbox::ReplaceGraph(std::vector<GraphChange> snapshot, int64_t now_ns) {
                      .last_boottime_ns = each.boottime_ns};
     control_.bytes += CostOf(each);
   }
-  DropUnnumberedGraph();
+  return DropUnnumberedGraph();
+}
+
+void Outbox::ReplaceGraph(std::vector<GraphChange> snapshot, int64_t now_ns) {
+  snapshot_wanted_ = false;
+  DropGraph();
   if (!primary_ || snapshot.empty()) return;
   std::vector<ControlObservation> parts;
   for (GraphChange& part : snapshot) {

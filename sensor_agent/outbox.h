@@ -18,6 +18,7 @@
 #include <vector>
 
 #include "absl/status/status.h"
+#include "sensor_agent/graph_base.h"
 #include "sensor_agent/observation.h"
 
 namespace rips::sensor {
@@ -84,6 +85,19 @@ class Outbox {
   std::optional<int64_t> DueAt(Lane lane, const BatchPolicy& policy, int64_t last_batch_ns,
                                int64_t now_ns) const;
 
+  // --- Setting aside
+  // Reception time of the oldest message that has no number yet.
+  std::optional<int64_t> OldestUnnumbered() const;
+  // Removes and gives the oldest messages without number: as many as `policy` allows for a batch,
+  // none received at `until_ns` or later.
+  std::vector<MessageSeen> TakeOldest(const BatchPolicy& policy, int64_t until_ns);
+  // The same of control observations other than graph steps, which stay.
+  std::vector<ControlObservation> TakeOldestControl(const BatchPolicy& policy);
+  // Counts `message` as one whose payload was shed, and sheds it.
+  void ShedPayload(MessageSeen& message);
+  size_t message_bytes() const { return messages_.bytes; }
+  size_t control_bytes() const { return control_.bytes; }
+
   // --- Acknowledging and resuming
   // Forgets up to and including `sequence`. Repeated and older ones do nothing. InvalidArgument
   // if that was never sent.
@@ -101,10 +115,17 @@ class Outbox {
   bool snapshot_wanted() const { return snapshot_wanted_; }
   // The oldest graph step held is a snapshot: a server without a graph can start from it.
   bool GraphStartsWithSnapshot() const;
+  // Makes it so without leaving a step out: the oldest step becomes a snapshot of the graph after
+  // it (the same observation, told otherwise), or, if it has no number, a snapshot of the graph
+  // before it goes ahead of it. False if that is not known: then a snapshot of now is needed.
+  bool StartGraphWithSnapshot(int64_t now_ns);
   // Takes `snapshot` (its parts, in order; none before discovery has settled) in place of every
   // graph step held. A step that already has a number becomes a Loss of 1 under that number; the
   // snapshot goes before everything that has none.
   void ReplaceGraph(std::vector<GraphChange> snapshot, int64_t now_ns);
+
+  // Forgets all graph steps; those with a number become a Loss of 1 under it. How many had none.
+  size_t DropGraph();
 
   // Whether this sensor reports graph and messages. While it does not, both are refused here; on
   // becoming so a snapshot is wanted.
@@ -134,8 +155,9 @@ class Outbox {
   };
   using LossKey = std::pair<LossCause, std::pair<std::string, const MessageSource*>>;
 
-  template <typename T>
-  static absl::Status AcknowledgeIn(Queue<T>& queue, uint64_t sequence);
+  // `forget` is called with each entry that goes.
+  template <typename T, typename Forget>
+  static absl::Status AcknowledgeIn(Queue<T>& queue, uint64_t sequence, const Forget& forget);
   template <typename T>
   static void MarkSentIn(Queue<T>& queue, size_t count);
   template <typename T>
@@ -154,6 +176,7 @@ class Outbox {
   OutboxLimits limits_;
   Queue<MessageSeen> messages_;
   Queue<ControlObservation> control_;
+  GraphBase graph_base_;
   std::map<LossKey, Loss> losses_;
   std::map<std::string, std::pair<uint32_t, int64_t>> signals_;
   std::optional<std::pair<SensorState, int64_t>> state_;

@@ -85,12 +85,26 @@ Uplink::Uplink(UplinkOptions options, Hooks hooks, const Clock* clock, Metrics* 
       payloads_shed_(metrics->AddCounter(
           "rips_sensor_payloads_shed_total",
           "Payloads that were asked for and not kept; their messages were, as metadata")),
+      spool_unreadable_(metrics->AddCounter("rips_sensor_spool_lost_total",
+                                            "Observations that the spool could not give back")),
       outbox_bytes_(metrics->AddGauge("rips_sensor_outbox_bytes",
                                       "Estimated memory of observations not acknowledged")),
+      backlog_bytes_(metrics->AddGauge("rips_sensor_backlog_bytes",
+                                       "Memory of observations set aside, in part on disk, too")),
+      spool_bytes_(metrics->AddGauge("rips_sensor_spool_bytes",
+                                     "Observations on disk that are not acknowledged, bytes")),
+      spool_refuses_(metrics->AddGauge("rips_sensor_spool_refuses",
+                                       "1 while the disk does not take what should be spooled")),
+      oldest_unacked_(metrics->AddGauge("rips_sensor_oldest_unacked_seconds",
+                                        "Age of the oldest observation not acknowledged")),
       streaming_(metrics->AddGauge("rips_sensor_streaming", "1 while the stream carries batches")),
       down_because_(absl::UnavailableError("not connected yet")),
       incarnation_(NewIncarnation()),
-      outbox_(options_.outbox) {}
+      outbox_(options_.outbox),
+      backlog_(options_.backlog, NewIncarnation(), clock, [this] {
+        MutexLock lock(&mu_);
+        WakeLocked();
+      }) {}
 
 Uplink::~Uplink() { Stop(); }
 
@@ -122,8 +136,8 @@ std::unique_ptr<Uplink::Client> Uplink::MakeClient() {
 
 void Uplink::Start() {
   RIPS_CHECK(client_ == nullptr, "an uplink starts once");
+  backlog_.Start();
   client_ = MakeClient();
-  client_->Start();
   sender_ = std::thread([this] { Run(); });
 }
 
@@ -134,7 +148,14 @@ void Uplink::Stop() {
     WakeLocked();
   }
   if (sender_.joinable()) sender_.join();
-  if (client_ != nullptr) client_->Stop();
+  if (client_ == nullptr || std::exchange(stopped_, true)) return;
+  client_->Stop();
+  if (backlog_.on_disk()) SaveRest();
+  const uint64_t left = backlog_.Stop();
+  if (left > 0) {
+    LogError("observations end with this process: there is no room on disk",
+             {{"observations", left}});
+  }
 }
 
 // --- Filling
@@ -152,7 +173,10 @@ void Uplink::Append(Observations observations) {
     for (ControlObservation& finding : observations.findings) {
       outbox_.AddControl(std::move(finding));
     }
-    if (observations.settled) outbox_.ReleaseMessages();
+    if (observations.settled && !outbox_.messages_released()) {
+      outbox_.ReleaseMessages();
+      released_ns_ = now_ns;
+    }
     snapshot_wanted = outbox_.snapshot_wanted();
     if (NextWakeLocked(now_ns) < next_wake_ns_) WakeLocked();
   }
@@ -215,16 +239,27 @@ SensorMessage Uplink::OnConnected() {
   sensor->set_interest_in_use(interest_in_use_);
   for (const std::string& kind : not_visible_) sensor->add_not_visible(kind);
   not_visible_told_ = not_visible_;
-  for (const Lane lane : kLanes) {
-    const SequenceRange range = outbox_.Unacked(lane);
-    rips::v1::SpoolStream* spooled = sensor->add_spooled();
-    spooled->set_incarnation(incarnation_);
-    spooled->set_first_sequence(range.first);
-    spooled->set_last_sequence(range.last);
-    spooled->set_lane(ToWire(lane));
-  }
+  AnnounceLocked(*sensor);
   WakeLocked();
   return message;
+}
+
+void Uplink::AnnounceLocked(rips::v1::SensorHello& hello) {
+  std::vector<BacklogRange> ranges;
+  for (const Lane lane : kLanes) {
+    const SequenceRange range = outbox_.Unacked(lane);
+    ranges.push_back({.stream = {.incarnation = incarnation_, .lane = lane},
+                      .first_sequence = range.first,
+                      .last_sequence = range.last});
+  }
+  for (BacklogRange& range : backlog_.Rewind()) ranges.push_back(std::move(range));
+  for (const BacklogRange& range : ranges) {
+    rips::v1::SpoolStream* spooled = hello.add_spooled();
+    spooled->set_incarnation(range.stream.incarnation);
+    spooled->set_first_sequence(range.first_sequence);
+    spooled->set_last_sequence(range.last_sequence);
+    spooled->set_lane(ToWire(range.stream.lane));
+  }
 }
 
 void Uplink::OnMessage(const SensorReply& reply) {
@@ -245,6 +280,8 @@ void Uplink::OnMessage(const SensorReply& reply) {
       case SensorReply::kCredit:
         stream_->has_credit = true;
         stream_->credit_granted = std::max(stream_->credit_granted, reply.credit().message_bytes());
+        stream_->credit_window =
+            std::max(stream_->credit_window, stream_->credit_granted - stream_->credit_used);
         break;
       case SensorReply::kHeartbeat:
         server_boottime_ns_ =
@@ -289,9 +326,14 @@ void Uplink::OnConfigLocked(const rips::v1::SensorConfig& config) {
 }
 
 void Uplink::OnAckLocked(const rips::v1::Ack& ack) {
-  if (ack.incarnation() != incarnation_) return;
   if (ack.lane() != rips::v1::CONTROL && ack.lane() != rips::v1::MESSAGES) return;
   const Lane lane = ack.lane() == rips::v1::CONTROL ? Lane::kControl : Lane::kMessages;
+  if (ack.incarnation() != incarnation_) {
+    const absl::Status taken = backlog_.Acknowledge(
+        {.incarnation = ack.incarnation(), .lane = lane}, ack.durable_sequence());
+    if (!taken.ok()) ReopenLocked(std::string(taken.message()));
+    return;
+  }
   const uint64_t before = outbox_.acknowledged(lane);
   const bool resuming = !stream_->has_ack[Index(lane)];
   stream_->has_ack[Index(lane)] = true;
@@ -361,7 +403,10 @@ void Uplink::FinishResumeLocked() {
     LogInfo("streaming", {{"unacked_bytes", outbox_.bytes()}});
     if (refusals_ > 0) outbox_.WantSnapshot();
   }
-  if (stream_->wants_snapshot && !outbox_.GraphStartsWithSnapshot()) outbox_.WantSnapshot();
+  if (stream_->wants_snapshot && !outbox_.GraphStartsWithSnapshot() &&
+      !outbox_.StartGraphWithSnapshot(clock_->Now().boottime_ns)) {
+    outbox_.WantSnapshot();
+  }
   stream_->wants_snapshot = false;
 }
 
@@ -401,6 +446,9 @@ void Uplink::WakeLocked() {
 bool Uplink::SendLocked(SensorMessage message) { return client_->Send(std::move(message)); }
 
 void Uplink::Run() {
+  // Not before it is known what former processes left: the hello announces it.
+  backlog_.WaitUntilRecovered();
+  client_->Start();
   while (true) {
     bool reopen = false;
     {
@@ -419,6 +467,7 @@ void Uplink::Run() {
         HeartbeatLocked(now);
         SendAnswersLocked();
         if (phase_ == Phase::kStreaming) PumpLocked(now.boottime_ns);
+        wake_ |= SetAsideLocked(now.boottime_ns);
       }
     }
     if (!reopen) continue;
@@ -431,7 +480,7 @@ void Uplink::Run() {
 void Uplink::HeartbeatLocked(Instant now) {
   if (now.boottime_ns < last_heartbeat_ns_ + absl::ToInt64Nanoseconds(options_.heartbeat)) return;
   last_heartbeat_ns_ = now.boottime_ns;
-  outbox_bytes_.Set(static_cast<double>(outbox_.bytes()));
+  LookAtBacklogLocked(now.boottime_ns);
   if (phase_ == Phase::kDown) return;
   SensorMessage message;
   SetClock(now, message.mutable_heartbeat()->mutable_clock());
@@ -458,13 +507,19 @@ void Uplink::ReportStateLocked(int64_t now_ns) {
   const uint64_t payloads_shed = outbox_.shed_payloads() - payloads_shed_reported_;
   payloads_shed_reported_ += payloads_shed;
   payloads_shed_.Increment(static_cast<double>(payloads_shed));
-  const bool overloaded =
-      shed > 0 || payloads_shed > 0 || outbox_.bytes() > outbox_.limits().message_bytes / 2;
-  if (!overloaded && !overloaded_ && not_visible_ == not_visible_told_) return;
+  const BacklogState backlog = backlog_.state();
+  const bool overloaded = shed > 0 || payloads_shed > 0 ||
+                          (backlog.disk_refuses && backlog.observations > 0) ||
+                          outbox_.bytes() > outbox_.limits().message_bytes / 2;
+  const bool news = overloaded || overloaded_ || backlog.observations > 0 || had_backlog_ ||
+                    not_visible_ != not_visible_told_;
   overloaded_ = overloaded;
+  had_backlog_ = backlog.observations > 0;
+  if (!news) return;
   outbox_.AddState({.overloaded = overloaded,
-                    .outbox_bytes = outbox_.bytes(),
-                    .oldest_unacked_ns = now_ns - outbox_.OldestUnacked().value_or(now_ns),
+                    .outbox_bytes = outbox_.bytes() + backlog.memory_bytes,
+                    .oldest_unacked_ns = now_ns - OldestUnackedLocked(backlog).value_or(now_ns),
+                    .spool_bytes = backlog.disk_bytes,
                     .not_visible = not_visible_},
                    now_ns);
   not_visible_told_ = not_visible_;
@@ -475,12 +530,17 @@ void Uplink::PumpLocked(int64_t now_ns) {
     if (!SendLocked(*stream_->stalled)) return;
     stream_->stalled.reset();
   }
-  for (const Lane lane : kLanes) {
-    while (outbox_.DueAt(lane, policy_, stream_->last_batch_ns[Index(lane)], now_ns) == now_ns) {
-      if (!SendBatchLocked(lane, now_ns)) break;
-      if (stream_->stalled.has_value()) return;
+  bool backlog = true;
+  while (backlog) {
+    backlog = SendBacklogLocked(now_ns);
+    if (!stream_.has_value() || stream_->stalled.has_value()) return;
+    for (const Lane lane : kLanes) {
+      while (outbox_.DueAt(lane, policy_, stream_->last_batch_ns[Index(lane)], now_ns) == now_ns) {
+        if (!SendBatchLocked(lane, now_ns)) break;
+        if (stream_->stalled.has_value()) return;
+      }
+      if (!stream_.has_value()) return;
     }
-    if (!stream_.has_value()) return;
   }
 }
 
@@ -514,7 +574,9 @@ bool Uplink::HasCreditLocked(Lane lane) const {
 
 int64_t Uplink::NextWakeLocked(int64_t now_ns) const {
   int64_t wake_ns = last_heartbeat_ns_ + absl::ToInt64Nanoseconds(options_.heartbeat);
+  if (OutboxIsFullLocked()) return now_ns;
   if (phase_ != Phase::kStreaming) return wake_ns;
+  wake_ns = std::min(wake_ns, BacklogDueLocked(now_ns).value_or(wake_ns));
   if (stream_->stalled.has_value()) return std::min(wake_ns, now_ns + kStallRetryNs);
   for (const Lane lane : kLanes) {
     if (!HasCreditLocked(lane)) continue;  // the next Credit wakes us

@@ -14,9 +14,16 @@
 // | refused the last stream (INVALID_ARGUMENT)        | begins with a snapshot                |
 // | did so twice, acknowledging nothing in between    | is of a new incarnation               |
 //
+// What is not live any more (older than 2 s, unsent; or the outbox has no room) is set aside in a
+// backlog, on disk if there is much of it. After an outage its control observations go first; then
+// what is live; and of the credit the backlog leaves at least half, at a rate of its own. What it
+// holds when the process ends in order goes to disk, with all that is unacknowledged, and the next
+// process sends it.
+//
 // Threads: one sender thread; the client's session thread calls back. One mutex guards all state;
 // it is held while a message is handed to the client's queue (which does not block), so that a
-// batch cannot slip into a stream it was not made for. Lock order: ours, then the client's.
+// batch cannot slip into a stream it was not made for. Lock order: ours, then the client's or the
+// backlog's.
 #ifndef RIPS_SENSOR_AGENT_UPLINK_H_
 #define RIPS_SENSOR_AGENT_UPLINK_H_
 
@@ -35,6 +42,7 @@
 #include "sensor_agent/interest.h"
 #include "sensor_agent/observation.h"
 #include "sensor_agent/outbox.h"
+#include "sensor_agent/spool/backlog.h"
 #include "sensor_agent/wire_encoder.h"
 #include "services/base/clock.h"
 #include "services/ros2/guid.h"
@@ -66,6 +74,11 @@ struct UplinkOptions {
   std::string interest_file;
   OutboxLimits outbox;
   EncoderLimits encoder;
+  BacklogOptions backlog;
+  // Of the backlog, so that a server that comes back is not flooded by its robots.
+  uint64_t backlog_bytes_per_second = 512 * 1024;
+  // What waits longer to be sent is not live any more.
+  absl::Duration live = absl::Seconds(2);
   rpc::BackoffPolicy backoff = rpc::SensorBackoff();
   absl::Duration heartbeat = absl::Milliseconds(500);
 };
@@ -73,6 +86,7 @@ struct UplinkOptions {
 // Kinds of traffic that may not be visible.
 inline constexpr char kUnicastOnlyWriters[] = "unicast-only writers";
 inline constexpr char kServiceRequests[] = "service requests";
+inline constexpr char kSharedMemory[] = "participants that speak shared memory alone";
 inline constexpr char kSecuredParticipants[] = "participants with DDS Security";
 
 class Uplink {
@@ -94,7 +108,10 @@ class Uplink {
   Uplink(UplinkOptions options, Hooks hooks, const Clock* clock, Metrics* metrics);
   ~Uplink();
 
-  // Once each. Append may be called before Start: the outbox keeps.
+  // Takes the backlog's directory, before Start. FailedPrecondition: another process has it.
+  absl::Status Open() { return backlog_.Open(); }
+  // Once each. Append may be called before Start: the outbox keeps. Stop writes what is not
+  // acknowledged to the backlog's directory, if there is one.
   void Start();
   void Stop() ABSL_LOCKS_EXCLUDED(mu_);
 
@@ -127,6 +144,8 @@ class Uplink {
     bool wants_snapshot = false;
     uint64_t credit_granted = 0;
     uint64_t credit_used = 0;
+    // What the server lets be underway: the most credit there ever was at once.
+    uint64_t credit_window = 0;
     // The grant with which nothing more could be sent.
     std::optional<uint64_t> exhausted_at;
     // Encoded, but the client's queue was full.
@@ -161,6 +180,21 @@ class Uplink {
   void PumpLocked(int64_t now_ns) ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
   // False if nothing more of the lane can be sent now.
   bool SendBatchLocked(Lane lane, int64_t now_ns) ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
+  void AnnounceLocked(rips::v1::SensorHello& hello) ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
+  // uplink_backlog.cc
+  // When the backlog may send next, if it has something to send; nullopt = when it wakes us.
+  std::optional<int64_t> BacklogDueLocked(int64_t now_ns) const ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
+  // One batch, if one is due. False if none was sent.
+  bool SendBacklogLocked(int64_t now_ns) ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
+  bool MakeBacklogBatchLocked(const BacklogBatch& next, rips::v1::ObservationBatch& batch)
+      ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
+  // Moves what is not live any more to the backlog, some of it at a time. True: there is more.
+  bool SetAsideLocked(int64_t now_ns) ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
+  bool OutboxIsFullLocked() const ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
+  void LookAtBacklogLocked(int64_t now_ns) ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
+  std::optional<int64_t> OldestUnackedLocked(const BacklogState& backlog) const
+      ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
+  void SaveRest() ABSL_LOCKS_EXCLUDED(mu_);
   bool SendLocked(rips::v1::SensorMessage message) ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
   bool HasCreditLocked(Lane lane) const ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
   int64_t NextWakeLocked(int64_t now_ns) const ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
@@ -174,7 +208,12 @@ class Uplink {
   Counter reconnects_;
   Counter shed_;
   Counter payloads_shed_;
+  Counter spool_unreadable_;
   Gauge outbox_bytes_;
+  Gauge backlog_bytes_;
+  Gauge spool_bytes_;
+  Gauge spool_refuses_;
+  Gauge oldest_unacked_;
   Gauge streaming_;
 
   mutable Mutex mu_;
@@ -190,6 +229,12 @@ class Uplink {
   std::optional<absl::StatusCode> logged_ ABSL_GUARDED_BY(mu_);
   std::string incarnation_ ABSL_GUARDED_BY(mu_);
   Outbox outbox_ ABSL_GUARDED_BY(mu_);
+  // Has a mutex of its own.
+  Backlog backlog_;
+  // When messages were released; what was received before then is not older for it.
+  int64_t released_ns_ ABSL_GUARDED_BY(mu_) = 0;
+  // The backlog's rate allows nothing before.
+  int64_t backlog_next_ns_ ABSL_GUARDED_BY(mu_) = 0;
   std::optional<Stream> stream_ ABSL_GUARDED_BY(mu_);
   BatchPolicy policy_ ABSL_GUARDED_BY(mu_);
   std::vector<ros2::Guid> own_participants_ ABSL_GUARDED_BY(mu_);
@@ -197,11 +242,13 @@ class Uplink {
   int refusals_ ABSL_GUARDED_BY(mu_) = 0;
   uint64_t server_boottime_ns_ ABSL_GUARDED_BY(mu_) = 0;
   int64_t last_heartbeat_ns_ ABSL_GUARDED_BY(mu_) = 0;
+  bool had_backlog_ ABSL_GUARDED_BY(mu_) = false;
   bool overloaded_ ABSL_GUARDED_BY(mu_) = false;
   std::vector<std::string> not_visible_ ABSL_GUARDED_BY(mu_) = {kUnicastOnlyWriters,
-                                                                kServiceRequests};
+                                                                kServiceRequests, kSharedMemory};
   std::vector<std::string> not_visible_told_ ABSL_GUARDED_BY(mu_);
   uint64_t shed_reported_ ABSL_GUARDED_BY(mu_) = 0;
+  uint64_t unreadable_reported_ ABSL_GUARDED_BY(mu_) = 0;
   uint64_t payloads_shed_reported_ ABSL_GUARDED_BY(mu_) = 0;
   // Ids of the interest that is observed, and of the newest one handed on; empty = none yet. They
   // outlive streams, so that watching goes on while the server is away.
@@ -212,6 +259,7 @@ class Uplink {
 
   // Replaced by the sender thread only, while the old one is stopped.
   std::unique_ptr<Client> client_;
+  bool stopped_ = false;
   std::thread sender_;
 };
 

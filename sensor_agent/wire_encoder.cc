@@ -24,6 +24,8 @@ rips::v1::Loss::Cause ToWire(LossCause cause) {
       return rips::v1::Loss::QUEUE_FULL;
     case LossCause::kOutboxShed:
       return rips::v1::Loss::OUTBOX_SHED;
+    case LossCause::kSpoolLost:
+      return rips::v1::Loss::SPOOL_LOST;
     case LossCause::kLimit:
       return rips::v1::Loss::LIMIT;
     case LossCause::kUndecodable:
@@ -56,6 +58,23 @@ void SetBase(ObservationBatch& batch) {
   for (const auto& each : batch.observations()) base = std::min(base, each.offset_ns());
   batch.set_base_boottime_ns(base);
   for (auto& each : *batch.mutable_observations()) each.set_offset_ns(each.offset_ns() - base);
+}
+
+// Every id in `batch` becomes change(id).
+template <typename Change>
+void ForEachId(ObservationBatch& batch, const Change& change) {
+  for (rips::v1::Observation& each : *batch.mutable_observations()) {
+    if (each.has_message()) {
+      rips::v1::MessageSeen* message = each.mutable_message();
+      message->set_topic_id(change(message->topic_id()));
+      message->set_type_id(change(message->type_id()));
+      message->set_writer_id(change(message->writer_id()));
+    } else if (each.has_loss()) {
+      rips::v1::Loss* loss = each.mutable_loss();
+      loss->set_topic_id(change(loss->topic_id()));
+      loss->set_writer_id(change(loss->writer_id()));
+    }
+  }
 }
 
 // Upper bound of what introducing `source` adds to a batch.
@@ -118,6 +137,54 @@ ObservationBatch WireEncoder::Encode(const Outbox& outbox, Lane lane, const Batc
   batch.set_lane(lane == Lane::kControl ? rips::v1::CONTROL : rips::v1::MESSAGES);
   SetBase(batch);
   return batch;
+}
+
+template <typename Seen>
+ObservationBatch WireEncoder::EncodeAlone(const std::vector<Seen>& observations) {
+  ObservationBatch batch;
+  WireEncoder encoder("");
+  for (const Seen& each : observations) encoder.Add(each, batch);
+  SetBase(batch);
+  return batch;
+}
+
+template ObservationBatch WireEncoder::EncodeAlone(const std::vector<MessageSeen>&);
+template ObservationBatch WireEncoder::EncodeAlone(const std::vector<ControlObservation>&);
+
+absl::Status WireEncoder::Rename(ObservationBatch& batch) {
+  if (next_id_ + static_cast<size_t>(batch.interned_size()) > limits_.names + 1) {
+    return absl::ResourceExhaustedError("this stream has no numbers left for new names");
+  }
+  absl::flat_hash_map<uint32_t, uint32_t> here = {{0, 0}};
+  for (const rips::v1::Intern& intern : batch.interned()) here[intern.id()] = 0;
+  bool known = true;
+  ForEachId(batch, [&](uint32_t id) {
+    known = known && here.contains(id);
+    return id;
+  });
+  if (!known) return absl::DataLossError("a batch that uses names it does not bring");
+  ObservationBatch named;
+  for (const rips::v1::Intern& intern : batch.interned()) {
+    here[intern.id()] = IdOf(intern, named);
+  }
+  batch.mutable_interned()->Swap(named.mutable_interned());
+  ForEachId(batch, [&](uint32_t id) { return here[id]; });
+  return absl::OkStatus();
+}
+
+uint32_t WireEncoder::IdOf(const rips::v1::Intern& intern, ObservationBatch& batch) {
+  std::string key = intern.writer().SerializeAsString();
+  auto* names = &writers_;
+  if (!intern.has_writer()) {
+    names = intern.has_topic() ? &topics_ : &types_;
+    key = intern.has_topic() ? intern.topic() : intern.type();
+  }
+  const auto [it, is_new] = names->try_emplace(std::move(key), next_id_);
+  if (!is_new) return it->second;
+  rips::v1::Intern* own = batch.add_interned();
+  *own = intern;
+  own->set_id(next_id_++);
+  return it->second;
 }
 
 uint32_t WireEncoder::TopicId(const std::string& topic, ObservationBatch& batch) {
@@ -205,6 +272,7 @@ void WireEncoder::Add(const ControlObservation& observation, ObservationBatch& b
     wire->mutable_state()->set_oldest_unacked_ns(
         static_cast<uint64_t>(std::max<int64_t>(state.oldest_unacked_ns, 0)));
     for (const std::string& kind : state.not_visible) wire->mutable_state()->add_not_visible(kind);
+    wire->mutable_state()->set_spool_bytes(state.spool_bytes);
   }
 }
 

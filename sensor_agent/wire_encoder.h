@@ -9,8 +9,10 @@
 #include <memory>
 #include <string>
 #include <utility>
+#include <vector>
 
 #include "absl/container/flat_hash_map.h"
+#include "absl/status/status.h"
 #include "absl/strings/string_view.h"
 #include "rips/v1/observation.pb.h"
 #include "sensor_agent/outbox.h"
@@ -37,6 +39,15 @@ class WireEncoder {
   rips::v1::ObservationBatch Encode(const Outbox& outbox, Lane lane, const BatchPolicy& policy,
                                     uint64_t credit_bytes);
 
+  // All of `observations` (MessageSeen or ControlObservation), with every name they use: for the
+  // backlog. Incarnation, lane and sequence are not set.
+  template <typename Seen>
+  static rips::v1::ObservationBatch EncodeAlone(const std::vector<Seen>& observations);
+  // From names that stand in the batch alone to those of this stream; what is new to it is
+  // introduced. Otherwise nothing has changed. ResourceExhausted: no numbers are left. DataLoss: an
+  // id that nothing introduces.
+  absl::Status Rename(rips::v1::ObservationBatch& batch);
+
   // Too few numbers are left for the names of one more observation; Encode gives nothing.
   bool full() const { return next_id_ + kNamesPerObservation > limits_.names + 1; }
 
@@ -58,6 +69,7 @@ class WireEncoder {
   const SourceIds& IdsOf(const std::shared_ptr<const MessageSource>& source,
                          rips::v1::ObservationBatch& batch);
   uint32_t TopicId(const std::string& topic, rips::v1::ObservationBatch& batch);
+  uint32_t IdOf(const rips::v1::Intern& intern, rips::v1::ObservationBatch& batch);
 
   const std::string incarnation_;
   const EncoderLimits limits_;
@@ -65,6 +77,8 @@ class WireEncoder {
   absl::flat_hash_map<std::string, uint32_t> topics_;
   absl::flat_hash_map<std::string, uint32_t> types_;
   absl::flat_hash_map<const MessageSource*, SourceIds> sources_;
+  // Of renamed batches, by what they serialize to.
+  absl::flat_hash_map<std::string, uint32_t> writers_;
 };
 
 }  // namespace rips::sensor

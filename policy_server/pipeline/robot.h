@@ -257,8 +257,11 @@ class Robot {
   // `verdicts` as in Inspecting; may be empty.
   void JudgeBatch(const std::string& host, const SensorLink* link, const Batch& batch,
                   const std::vector<std::vector<engine::Verdict>>& verdicts);
-  void Judge(SensorHost& host, SensorSession& session, bool primary, const Observation& seen,
-             absl::Span<const engine::Verdict> inspections);
+  // Numbers that a sensor gave and that will not come: counted here, once. Its own Loss records
+  // tell of what never had a number.
+  void Missing(SensorHost& host, uint64_t count);
+  void Judge(SensorHost& host, SensorSession& session, bool primary, const Batch& batch,
+             size_t index, absl::Span<const engine::Verdict> inspections);
   engine::MessageEvent ToEvent(const MessageSeen& message) const;
   static engine::LossEvent ToEvent(const LossSeen& loss, const SensorSession& session);
   void JudgeSnapshot(SensorHost& host, const SensorSession& session,

@@ -43,11 +43,12 @@ void Robot::OnSensorHello(const std::string& host_name, std::shared_ptr<SensorLi
   SensorSession& session = *host.session;
   findings_.OnIncarnation(host_name, hello.incarnation, now.boottime_ns);
   if (host.graph_incarnation != hello.incarnation) host.settled = false;
+  uint64_t missing = 0;
   for (const SpooledRange& range : hello.spooled) {
     // What lies between is neither with the sensor any more nor in the store: it is lost.
     const uint64_t judged = host.sequences.Judged(range.incarnation, range.lane);
-    if (range.first_sequence <= judged + 1) continue;
-    CountLost(host, range.first_sequence - judged - 1);
+    if (range.first_sequence > judged + 1) missing += range.first_sequence - judged - 1;
+    // Older incarnations that are announced are not the ones to be forgotten.
     host.sequences.Restore(range.incarnation, range.lane, range.first_sequence - 1);
   }
   TakeHello(host, hello, now);
@@ -58,6 +59,7 @@ void Robot::OnSensorHello(const std::string& host_name, std::shared_ptr<SensorLi
                               host.sequences.Judged(range.incarnation, range.lane));
   }
   evidence_.Disturb(absl::StrCat("sensor ", host_name, " connected"), now);
+  if (missing > 0) Missing(host, missing);
   if (host.lost) {
     OwnAlert(engine::Severity::kInfo, absl::StrCat("sensor ", host_name, " is back"));
   }
@@ -119,10 +121,7 @@ void Robot::JudgeBatch(const std::string& host_name, const SensorLink* link, con
     return OnSensorGone(host_name, link);
   }
   const Instant now = ports_.clock->Now();
-  if (accepted->missing > 0) {
-    CountLost(host, accepted->missing);
-    evidence_.Disturb(absl::StrCat(accepted->missing, " messages were shed by the sensor"), now);
-  }
+  if (accepted->missing > 0) Missing(host, accepted->missing);
   Count(ports_.counts.observations_duplicate, accepted->skip);
   sequences_moved_ = true;
   for (size_t i = accepted->skip; i < batch.observations.size(); ++i) {
@@ -130,7 +129,7 @@ void Robot::JudgeBatch(const std::string& host_name, const SensorLink* link, con
         i < verdicts.size() ? verdicts[i] : absl::Span<const engine::Verdict>();
     const auto* finding = std::get_if<FindingSeen>(&batch.observations[i].what);
     if (finding != nullptr && !TakeFinding(host_name, batch.incarnation, *finding)) continue;
-    Judge(host, *session, host_name == config_.primary_sensor, batch.observations[i], inspections);
+    Judge(host, *session, host_name == config_.primary_sensor, batch, i, inspections);
     // Judging may have ended the session (a graph that contradicts itself).
     if (!host.session || host.session->link.get() != link) break;
   }
@@ -143,8 +142,18 @@ void Robot::JudgeBatch(const std::string& host_name, const SensorLink* link, con
   if (!pending_.empty() && !store_failing_) Flush();
 }
 
-void Robot::Judge(SensorHost& host, SensorSession& session, bool primary, const Observation& seen,
-                  absl::Span<const engine::Verdict> inspections) {
+void Robot::Missing(SensorHost& host, uint64_t count) {
+  CountLost(host, count);
+  evidence_.Disturb(absl::StrCat(count, " observations have a number and did not come"),
+                    ports_.clock->Now());
+  External(engine::LossEvent{.count = count});
+}
+
+void Robot::Judge(SensorHost& host, SensorSession& session, bool primary, const Batch& batch,
+                  size_t index, absl::Span<const engine::Verdict> inspections) {
+  const Observation& seen = batch.observations[index];
+  // The graph of an incarnation that is over leads nowhere.
+  const bool has_graph = primary && batch.incarnation == session.incarnation;
   const Instant now = ports_.clock->Now();
   const int64_t age_ns = now.boottime_ns - (seen.boottime_ns + session.boottime_offset_ns);
   if (age_ns > timing_.backlog_ns) {
@@ -162,9 +171,9 @@ void Robot::Judge(SensorHost& host, SensorSession& session, bool primary, const 
     event.what = judged;
     Run(event, message);
   } else if (const auto* snapshot = std::get_if<GraphSnapshotSeen>(&seen.what)) {
-    if (primary) JudgeSnapshot(host, session, *snapshot, std::move(event));
+    if (has_graph) JudgeSnapshot(host, session, *snapshot, std::move(event));
   } else if (const auto* delta = std::get_if<GraphDeltaSeen>(&seen.what)) {
-    if (primary) JudgeDelta(host, session, *delta, std::move(event));
+    if (has_graph) JudgeDelta(host, session, *delta, std::move(event));
   } else if (const auto* ids = std::get_if<IdsAlertSeen>(&seen.what)) {
     event.what.emplace<engine::ExternalEvent>(engine::IdsEvent{.message = ids->message,
                                                                .gid = ids->gid,

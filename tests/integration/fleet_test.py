@@ -3,18 +3,20 @@
     fleet_test.py BINARIES SCENARIO      runs one; without SCENARIO prints their names
 """
 
+import json
 import os
 import pathlib
 import shutil
 import signal
 import socket
+import sqlite3
 import subprocess
 import sys
 import tempfile
 import time
 
 sys.path.insert(0, str(pathlib.Path(__file__).resolve().parents[1] / "support"))
-from fleet import LEVELS, Failed, Fleet  # noqa: E402
+from fleet import LEVELS, Failed, Fleet, cpu_seconds, metrics  # noqa: E402
 
 
 class Skipped(Exception):
@@ -423,11 +425,167 @@ def findings_are_told(fleet):
     check(len(told()) == before + 1, f"more is told than stands: {told()}")
 
 
+LOAD_RULES = """
+levels:
+  DEFAULT;
+  ALERT soft;
+  COMPROMISED;
+  HALT;
+vars:
+  came bool = false;
+  passed bool = false;
+rules Graph:
+  stays: hasnodes("/stays") && !came ? set(came, true) => alert("one came that stays");
+  passes: hasnodes("/passes") && !passed ? set(passed, true) => alert("one came that left again");
+rules External:
+  told: signal("SIGUSR1") ? alert("told by a signal") => trigger(ALERT);
+  unused: false ? trigger(COMPROMISED), trigger(HALT);
+"""
+LOAD_RATE = 2_000
+
+
+def arm_under_load(fleet):
+    """A server and a sensor with little memory; no robot, so that all messages are counted."""
+    fleet.bundle = "load"
+    fleet.write("bundles/load/manifest.yaml",
+                "name: load\nrules: [load.rul]\nlevels: [DEFAULT, ALERT, COMPROMISED, HALT]\n")
+    fleet.write("bundles/load/load.rul", LOAD_RULES)
+    fleet.sensor_options = "outbox: {memory: 1MiB, disk: 64MiB}\n"
+    fleet.prepare()
+    fleet.server = fleet.start_server()
+    fleet.sensor = fleet.start_agent("sensor")
+    fleet.sensor.wait_for(lambda line: " streaming " in line, 20, "the sensor streams")
+
+
+def published(load):
+    """Ends a publisher; how many messages it sent."""
+    load.child.send_signal(signal.SIGTERM)
+    _, line = load.wait_for(lambda text: '"published"' in text and text, 20, "the count is told")
+    load.kill()
+    return json.loads(line)["sent"]
+
+
+def wait_all_is_judged(fleet, seconds):
+    """Until the sensor holds nothing that is not acknowledged, for three looks in a row."""
+    deadline = time.monotonic() + seconds
+    quiet = 0
+    while quiet < 3:
+        time.sleep(0.7)
+        held = metrics(fleet.sensor)
+        left = {name: value for name, value in held.items() if value > 0 and name in (
+            "rips_sensor_outbox_bytes", "rips_sensor_backlog_bytes", "rips_sensor_spool_bytes")}
+        quiet = 0 if left else quiet + 1
+        check(time.monotonic() < deadline, f"not acknowledged after {seconds} s: {left}")
+
+
+def backlogged(fleet):
+    held = metrics(fleet.sensor)
+    return held["rips_sensor_backlog_bytes"] + held["rips_sensor_spool_bytes"] > 0
+
+
+def judged_messages(fleet):
+    """Messages judged, each once, whatever died in between: the highest sequence of each message
+    lane, as the server's store has it. Sequences begin at 1 and have no gaps, or those are counted
+    as lost."""
+    with sqlite3.connect(f"file:{fleet.dir}/server/state.db?mode=ro", uri=True) as store:
+        return dict(store.execute("SELECT incarnation, sequence FROM high_water WHERE lane = 2"))
+
+
+def server_killed_under_load(fleet):
+    """Everything seen in a minute without server is judged afterwards, or counted as lost; and the
+    server that comes back is not flooded."""
+    arm_under_load(fleet)
+    load = fleet.start_publisher("--rate", LOAD_RATE)
+    load.wait_for(lambda line: '"publishing"' in line, 20, "the publisher is read")
+    time.sleep(5)
+    before = cpu_seconds(fleet.server)
+    time.sleep(10)
+    steady = (cpu_seconds(fleet.server) - before) / 10
+    lost = metrics(fleet.server)["rips_observations_lost_total"]
+
+    fleet.server.kill(signal.SIGKILL)
+    spooled = 0
+    for second in range(60):
+        time.sleep(1)
+        if second == 20:
+            fleet.sensor.child.send_signal(signal.SIGUSR1)
+        if second == 25:
+            passing = fleet.start_intruder("unknown-node", "--node", "/passes")
+        if second == 35:
+            passing.kill()
+            fleet.start_intruder("unknown-node", "--node", "/stays")
+        spooled = max(spooled, metrics(fleet.sensor)["rips_sensor_spool_bytes"])
+    check(spooled > 0, "nothing went to disk")
+    so_far = len(fleet.sensor.lines)
+    fleet.server = fleet.start_server()
+    fleet.sensor.wait_for(lambda line: " streaming " in line, 30, "the sensor streams again",
+                          start=so_far)
+    before, at = cpu_seconds(fleet.server), time.monotonic()
+    busiest = 0.0
+    deadline = at + 60
+    while backlogged(fleet):
+        time.sleep(1)
+        now, now_at = cpu_seconds(fleet.server), time.monotonic()
+        busiest = max(busiest, (now - before) / (now_at - at))
+        before, at = now, now_at
+        check(now_at < deadline, "the backlog does not become less")
+    sent = published(load)
+    wait_all_is_judged(fleet, 30)
+
+    judged = judged_messages(fleet)
+    lost += metrics(fleet.server)["rips_observations_lost_total"]
+    check(len(judged) == 2, f"one lane for what is live and one for the backlog: {judged}")
+    check(sum(judged.values()) + lost == sent, f"sent {sent}, judged {judged}, lost {lost:g}")
+    check(sent > 70 * LOAD_RATE * 0.9, f"only {sent} messages were sent")
+    texts = [alert["text"] for alert in fleet.alerts()]
+    for text in ("told by a signal", "one came that stays", "one came that left again"):
+        check(texts.count(text) == 1, f"`{text}` is told {texts.count(text)} times: {texts}")
+    check(fleet.level()["decided_level"] == "ALERT", "the signal was not judged")
+    print(f"server: {steady:.3f} processors in steady state, at most {busiest:.3f} catching up")
+    check(busiest < 15 * max(steady, 0.02), f"catching up took {busiest:.3f} processors, steady "
+          f"state {steady:.3f}")
+
+
+def sensor_restarted_while_the_server_is_away(fleet):
+    """What a sensor holds when it ends in order is sent by the next one."""
+    arm_under_load(fleet)
+    first = fleet.start_publisher("--rate", LOAD_RATE)
+    first.wait_for(lambda line: '"publishing"' in line, 20, "the publisher is read")
+    time.sleep(3)
+    lost = metrics(fleet.server)["rips_observations_lost_total"]
+    fleet.server.kill(signal.SIGKILL)
+    time.sleep(6)
+    fleet.sensor.child.send_signal(signal.SIGUSR1)
+    sent = published(first)
+    time.sleep(1)
+
+    check(fleet.sensor.kill() == 0, "the sensor did not end in order")
+
+    segments = list((fleet.dir / "sensor/spool").glob("*.seg"))
+    check(segments, "nothing is spooled")
+    check(not (fleet.dir / "sensor/spool/running").exists(), "it did not end in order")
+    fleet.sensor = fleet.start_agent("sensor")
+    second = fleet.start_publisher("--rate", LOAD_RATE, "--count", 4_000)
+    _, line = second.wait_for(lambda text: '"published"' in text and text, 30, "more is sent")
+    sent += json.loads(line)["sent"]
+    fleet.server = fleet.start_server()
+    fleet.sensor.wait_for(lambda line: " streaming " in line, 30, "the sensor streams")
+    wait_all_is_judged(fleet, 60)
+
+    judged = judged_messages(fleet)
+    lost += metrics(fleet.server)["rips_observations_lost_total"]
+    check(sum(judged.values()) + lost == sent, f"sent {sent}, judged {judged}, lost {lost:g}")
+    texts = [alert["text"] for alert in fleet.alerts()]
+    check(texts.count("told by a signal") == 1, f"the signal is told in {texts}")
+    check(not list((fleet.dir / "sensor/spool").glob("*.seg")), "segments stay behind")
+
+
 SCENARIOS = [kill_server_while_compromised, kill_server_at_the_moment_of_a_raise,
              kill_sensor_in_the_story, kill_actuator_while_compromised,
              server_absent_at_agent_start, lost_lease_raises_the_floor, manager_that_lies,
              bad_discovery_messages, programs_that_misbehave, reload_of_a_broken_bundle,
-             payloads_are_inspected_and_recorded, findings_are_told]
+             payloads_are_inspected_and_recorded, findings_are_told, server_killed_under_load,
+             sensor_restarted_while_the_server_is_away]
 
 
 def main():

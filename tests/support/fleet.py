@@ -15,6 +15,7 @@ import subprocess
 import sys
 import threading
 import time
+import urllib.request
 
 SOURCE = pathlib.Path(__file__).resolve().parents[2]
 LEVELS = ["DEFAULT", "ALERT", "COMPROMISED", "HALT"]
@@ -111,6 +112,7 @@ class Fleet:
         self.fail_safe = fail_safe
         self.floor_hold = floor_hold
         self.programs = programs  # YAML list of actuator.yaml
+        self.sensor_options = ""  # more lines of sensor.yaml
         self.processes = []
         self.port = None
         self.smh = SOURCE / "tests/support/robot_sim/smh.yaml"
@@ -180,7 +182,7 @@ metrics: "127.0.0.1:0"
 """
         self.write("sensor.yaml", common + f"""tls: {self.tls("sensor", "r1", "base")}
 state_dir: {self.dir}/sensor
-""")
+{self.sensor_options}""")
         levels = "".join(
             f"""  - name: {level}
     enter:
@@ -244,6 +246,11 @@ levels:
     def start_intruder(self, mode, *options):
         return self.start("intruder", self.bin / "robot_sim", "intruder", "--domain", self.domain,
                           "--mode", mode, *options)
+
+    def start_publisher(self, *options):
+        """A node `/load` that publishes on `/load`, from when somebody reads."""
+        return self.start("load", self.bin / "robot_sim", "publish", "--domain", self.domain,
+                          *options)
 
     def start_camera_probe(self):
         return self.start("camera", self.bin / "robot_sim", "probe", "--domain", self.domain,
@@ -324,6 +331,27 @@ levels:
         self.sensor = self.start_agent("sensor")
         self.actuator = self.start_agent("actuator")
         return self.wait_level("DEFAULT", seconds)
+
+
+def metrics(process):
+    """The metrics page of a daemon: name to value, the values of all labels added up."""
+    _, address = process.wait_for(
+        lambda line: re.search(r" listening .*?(?:metrics|address)=(127\.0\.0\.1:\d+)$", line), 15,
+        f"{process.name} listens")
+    values = {}
+    with urllib.request.urlopen(f"http://{address.group(1)}/metrics", timeout=10) as page:
+        for line in page.read().decode().splitlines():
+            if not line.startswith("#"):
+                name, _, value = line.rpartition(" ")
+                name = name.partition("{")[0]
+                values[name] = values.get(name, 0.0) + float(value)
+    return values
+
+
+def cpu_seconds(process):
+    """What a running process has used of its processors so far."""
+    fields = pathlib.Path(f"/proc/{process.child.pid}/stat").read_text().rpartition(")")[2].split()
+    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 
 
 LOG_LINE = re.compile(r"^(\d{4}-\d\d-\d\dT[\d:.]+Z) (\w+) (.*)$")

@@ -68,6 +68,22 @@ struct ProbeCommand {
 // {"event":"rate","topic":...,"hz":15.0,"samples":15,"window_ms":1000,"last_sample_unix_ns":...}
 absl::Status RunProbe(const ProbeCommand& command, StopFlag& stop);
 
+struct PublishCommand {
+  dds::DomainOptions domain;
+  std::string node = "/load";
+  std::string topic = "/load";
+  std::string type = "std_msgs/msg/String";
+  // Messages a second, and bytes of each after the CDR header.
+  int64_t rate = 2'000;
+  int64_t bytes = 64;
+  // Messages to send; 0 = until stopped.
+  int64_t count = 0;
+};
+// Publishes from when somebody reads; then waits to be stopped.
+// {"event":"publishing","topic":...}
+// {"event":"published","sent":4000}
+absl::Status RunPublish(const PublishCommand& command, StopFlag& stop);
+
 struct ModeCommand {
   dds::DomainOptions domain;
   std::string part = "/safety";

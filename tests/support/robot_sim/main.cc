@@ -1,5 +1,5 @@
 // A small ROS 2 robot on real DDS, its intruders, and what is needed to look at it:
-// robot_sim robot|intruder|probe|mode|set-mode; see commands.h.
+// robot_sim robot|intruder|probe|publish|mode|set-mode; see commands.h.
 #include <csignal>
 #include <functional>
 #include <map>
@@ -83,6 +83,17 @@ void AddProbe(CLI::App& app, ProbeCommand& command, Run& run) {
   sub->callback([&] { run = [&command](StopFlag& stop) { return RunProbe(command, stop); }; });
 }
 
+void AddPublish(CLI::App& app, PublishCommand& command, Run& run) {
+  CLI::App* sub = Subcommand(app, "publish", "publish messages at a rate", command.domain);
+  sub->add_option("--node", command.node, "node name");
+  sub->add_option("--topic", command.topic, "ROS topic");
+  sub->add_option("--type", command.type, "ROS type");
+  sub->add_option("--rate", command.rate, "messages a second")->check(CLI::Range(1, 100'000));
+  sub->add_option("--bytes", command.bytes, "bytes of each")->check(CLI::Range(1, 60'000));
+  sub->add_option("--count", command.count, "messages; 0 = until stopped");
+  sub->callback([&] { run = [&command](StopFlag& stop) { return RunPublish(command, stop); }; });
+}
+
 void AddModes(CLI::App& app, ModeCommand& command, Run& run) {
   CLI::App* get = Subcommand(app, "mode", "read the mode of a part back", command.domain);
   CLI::App* set = Subcommand(app, "set-mode", "order a mode", command.domain);
@@ -101,6 +112,7 @@ int Main(int argc, char** argv) {
   RobotCommand robot;
   IntruderCommand intruder;
   ProbeCommand probe;
+  PublishCommand publish;
   ModeCommand mode;
   Run run;
   CLI::App app("A simulated ROS 2 robot on DDS.");
@@ -108,6 +120,7 @@ int Main(int argc, char** argv) {
   AddRobot(app, robot, run);
   AddIntruder(app, intruder, run);
   AddProbe(app, probe, run);
+  AddPublish(app, publish, run);
   AddModes(app, mode, run);
   try {
     app.parse(argc, argv);

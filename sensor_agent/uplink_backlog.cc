@@ -1,0 +1,195 @@
+// Uplink: what is not live any more.
+#include <algorithm>
+#include <limits>
+#include <utility>
+
+#include "sensor_agent/uplink.h"
+#include "services/base/check.h"
+#include "services/runtime/log.h"
+
+namespace rips::sensor {
+
+namespace {
+
+// Batches set aside while the lock is held once.
+constexpr int kSetAsideAtOnce = 8;
+// Batches of the backlog are as large whatever the server says: it may say something else by the
+// time they are sent.
+constexpr BatchPolicy kAsidePolicy = {.observations = 128, .bytes = 32 * 1024};
+
+// What a batch of the backlog grows at most when it takes the numbers of a stream: three ids of an
+// observation by two bytes each, and what is written only now.
+size_t WireBytesMax(const BacklogBatch& batch) {
+  return batch.bytes->size() + 8 * size_t{batch.count} + 64;
+}
+
+int64_t OldestOf(const rips::v1::ObservationBatch& batch) {
+  return static_cast<int64_t>(batch.base_boottime_ns());
+}
+
+}  // namespace
+
+// --- Setting aside
+
+bool Uplink::OutboxIsFullLocked() const {
+  const OutboxLimits& limits = outbox_.limits();
+  const bool full = outbox_.message_bytes() > limits.message_bytes / 4 * 3 ||
+                    outbox_.control_bytes() > limits.control_bytes / 4 * 3;
+  return full && backlog_.HasRoom();
+}
+
+bool Uplink::SetAsideLocked(int64_t now_ns) {
+  const OutboxLimits& limits = outbox_.limits();
+  const int64_t live_ns = absl::ToInt64Nanoseconds(options_.live);
+  for (int i = 0; i < kSetAsideAtOnce; ++i) {
+    if (!backlog_.HasRoom()) return false;
+    if (outbox_.control_bytes() > limits.control_bytes / 4 * 3) {
+      const std::vector<ControlObservation> control = outbox_.TakeOldestControl(kAsidePolicy);
+      if (!control.empty()) {
+        const auto batch = WireEncoder::EncodeAlone(control);
+        backlog_.SetAside(Lane::kControl, static_cast<uint32_t>(control.size()), OldestOf(batch),
+                          batch.SerializeAsString());
+      }
+    }
+    const std::optional<int64_t> oldest_ns = outbox_.OldestUnnumbered();
+    if (!oldest_ns.has_value()) return false;
+    int64_t until_ns = 0;
+    if (outbox_.message_bytes() > limits.message_bytes / 4 * 3) {
+      until_ns = std::numeric_limits<int64_t>::max();
+    } else if (outbox_.messages_released() &&
+               std::max(*oldest_ns, released_ns_) < now_ns - live_ns) {
+      // Some younger ones, too, so that batches do not hold one message each.
+      until_ns = phase_ == Phase::kDown ? now_ns : now_ns - live_ns / 2;
+    } else {
+      return false;
+    }
+    std::vector<MessageSeen> messages = outbox_.TakeOldest(kAsidePolicy, until_ns);
+    if (messages.empty()) return false;
+    if (backlog_.ShouldShedPayloads()) {
+      for (MessageSeen& each : messages) outbox_.ShedPayload(each);
+    }
+    const auto batch = WireEncoder::EncodeAlone(messages);
+    backlog_.SetAside(Lane::kMessages, static_cast<uint32_t>(messages.size()), OldestOf(batch),
+                      batch.SerializeAsString());
+  }
+  return true;
+}
+
+// --- Sending
+
+std::optional<int64_t> Uplink::BacklogDueLocked(int64_t now_ns) const {
+  if (phase_ != Phase::kStreaming || outbox_.snapshot_wanted()) return std::nullopt;
+  if (stream_->stalled.has_value()) return std::nullopt;
+  const int64_t due_ns = std::max(now_ns, backlog_next_ns_);
+  if (backlog_.Front(Lane::kControl).has_value()) return due_ns;
+  const std::optional<BacklogBatch> next = backlog_.Front(Lane::kMessages);
+  if (!next.has_value()) return std::nullopt;
+  // A Credit wakes us.
+  const uint64_t credit = stream_->credit_granted - stream_->credit_used;
+  if (credit <= stream_->credit_window / 2 || credit < WireBytesMax(*next)) return std::nullopt;
+  return due_ns;
+}
+
+bool Uplink::MakeBacklogBatchLocked(const BacklogBatch& next, rips::v1::ObservationBatch& batch) {
+  if (next.bytes == nullptr) {
+    batch.set_base_boottime_ns(static_cast<uint64_t>(clock_->Now().boottime_ns));
+    for (uint32_t i = 0; i < next.count; ++i) {
+      rips::v1::Loss* loss = batch.add_observations()->mutable_loss();
+      loss->set_cause(rips::v1::Loss::SPOOL_LOST);
+      loss->set_count(1);
+      loss->set_first_boottime_ns(batch.base_boottime_ns());
+      loss->set_last_boottime_ns(batch.base_boottime_ns());
+    }
+  } else {
+    absl::Status taken = absl::DataLossError("bytes that are no batch");
+    if (batch.ParseFromString(*next.bytes) &&
+        batch.observations_size() == static_cast<int>(next.count)) {
+      taken = stream_->encoder.Rename(batch);
+    }
+    if (absl::IsResourceExhausted(taken)) {
+      ReopenLocked(std::string(taken.message()));
+      return false;
+    }
+    if (!taken.ok()) {
+      backlog_.Discard(next.stream, next.first_sequence, taken);
+      return false;
+    }
+    const int64_t base_ns = static_cast<int64_t>(batch.base_boottime_ns()) + next.time_shift_ns;
+    batch.set_base_boottime_ns(static_cast<uint64_t>(std::max<int64_t>(base_ns, 0)));
+  }
+  batch.set_incarnation(next.stream.incarnation);
+  batch.set_first_sequence(next.first_sequence);
+  batch.set_lane(next.stream.lane == Lane::kControl ? rips::v1::CONTROL : rips::v1::MESSAGES);
+  return true;
+}
+
+bool Uplink::SendBacklogLocked(int64_t now_ns) {
+  const std::optional<int64_t> due_ns = BacklogDueLocked(now_ns);
+  if (!due_ns.has_value() || *due_ns > now_ns) return false;
+  std::optional<BacklogBatch> next = backlog_.Front(Lane::kControl);
+  if (!next.has_value()) next = backlog_.Front(Lane::kMessages);
+  rips::v1::SensorMessage message;
+  if (!MakeBacklogBatchLocked(*next, *message.mutable_batch())) return false;
+  const size_t bytes = message.batch().ByteSizeLong();
+  if (next->stream.lane == Lane::kMessages) stream_->credit_used += bytes;
+  backlog_.MarkSent(next->stream);
+  backlog_next_ns_ =
+      std::max(backlog_next_ns_, now_ns) +
+      static_cast<int64_t>(bytes * uint64_t{kNanosPerSecond} / options_.backlog_bytes_per_second);
+  batches_.Increment();
+  observations_sent_.Increment(next->count);
+  if (!SendLocked(message)) stream_->stalled = std::move(message);
+  return true;
+}
+
+// --- Looking and ending
+
+std::optional<int64_t> Uplink::OldestUnackedLocked(const BacklogState& backlog) const {
+  const std::optional<int64_t> live_ns = outbox_.OldestUnacked();
+  if (!backlog.oldest_ns.has_value()) return live_ns;
+  return std::min(live_ns.value_or(*backlog.oldest_ns), *backlog.oldest_ns);
+}
+
+void Uplink::LookAtBacklogLocked(int64_t now_ns) {
+  const BacklogState backlog = backlog_.state();
+  outbox_bytes_.Set(static_cast<double>(outbox_.bytes()));
+  backlog_bytes_.Set(static_cast<double>(backlog.memory_bytes));
+  spool_bytes_.Set(static_cast<double>(backlog.disk_bytes));
+  spool_refuses_.Set(backlog.disk_refuses ? 1 : 0);
+  const int64_t age_ns = now_ns - OldestUnackedLocked(backlog).value_or(now_ns);
+  oldest_unacked_.Set(static_cast<double>(age_ns) / kNanosPerSecond);
+  spool_unreadable_.Increment(static_cast<double>(backlog.unreadable - unreadable_reported_));
+  unreadable_reported_ = backlog.unreadable;
+  for (Loss& loss : backlog_.TakeLosses()) outbox_.AddLoss(std::move(loss));
+}
+
+void Uplink::SaveRest() {
+  MutexLock lock(&mu_);
+  const int64_t now_ns = clock_->Now().boottime_ns;
+  for (Loss& loss : backlog_.TakeLosses()) outbox_.AddLoss(std::move(loss));
+  // The next process begins with a snapshot; steps of this one's graph lead nowhere.
+  const size_t steps = outbox_.DropGraph();
+  if (steps > 0) {
+    outbox_.AddLoss({.cause = LossCause::kOutboxShed,
+                     .count = steps,
+                     .first_boottime_ns = now_ns,
+                     .last_boottime_ns = now_ns});
+  }
+  outbox_.FlushMerged(now_ns + outbox_.limits().merge_ns);
+  outbox_.Rewind();
+  for (const Lane lane : {Lane::kControl, Lane::kMessages}) {
+    while (outbox_.unsent(lane) > 0) {
+      WireEncoder encoder(incarnation_);  // each batch brings all its names
+      const auto batch =
+          encoder.Encode(outbox_, lane, kAsidePolicy, std::numeric_limits<uint64_t>::max());
+      const auto count = static_cast<uint32_t>(batch.observations_size());
+      RIPS_CHECK(count > 0, "nothing was encoded");
+      backlog_.Put({.incarnation = incarnation_, .lane = lane}, batch.first_sequence(), count,
+                   OldestOf(batch), batch.SerializeAsString());
+      outbox_.MarkSent(lane, count);
+      RIPS_CHECK(outbox_.Acknowledge(lane, batch.first_sequence() + count - 1).ok(), "was sent");
+    }
+  }
+}
+
+}  // namespace rips::sensor
