@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <utility>
 
+#include "absl/strings/str_cat.h"
 #include "absl/time/clock.h"
 #include "services/base/status_macros.h"
 #include "services/ros2/discovery_info.h"
@@ -31,6 +32,19 @@ Loss LimitLoss(uint64_t count, int64_t now_ns) {
           .count = count,
           .first_boottime_ns = now_ns,
           .last_boottime_ns = now_ns};
+}
+
+IdsFeedOptions IdsOptions(const SensorConfig& config) {
+  return {.logs = config.ids, .offsets_file = absl::StrCat(config.state_dir, "/ids-offsets")};
+}
+
+IdsSink SinkInto(Uplink* uplink) {
+  return {.ready = [uplink] { return uplink->Ready().ok(); },
+          .take =
+              [uplink](std::vector<ControlObservation> alerts, std::vector<Loss> losses) {
+                uplink->Append({.losses = std::move(losses), .ids_alerts = std::move(alerts)});
+              },
+          .acknowledged = [uplink] { return uplink->acknowledged_ids_alerts(); }};
 }
 
 }  // namespace
@@ -100,6 +114,10 @@ absl::StatusOr<std::unique_ptr<Agent>> Agent::Create(
                        .settle_ns = settle_ns};
   agent->graph_.emplace(std::move(options), clock->Now().boottime_ns);
   agent->flow_.emplace(FlowOptions{.attribution_grace_ns = grace_ns}, &*agent->graph_);
+  if (!config.ids.empty()) {
+    agent->ids_ = std::make_unique<IdsFeed>(IdsOptions(config), SinkInto(agent->uplink_.get()),
+                                            clock, metrics);
+  }
   return agent;
 }
 
@@ -108,6 +126,7 @@ Agent::~Agent() { Stop(); }
 void Agent::Start() {
   uplink_->Start();
   observer_ = std::thread([this] { Observe(); });
+  if (ids_ != nullptr) ids_->Start();
 }
 
 void Agent::Stop() {
@@ -117,6 +136,7 @@ void Agent::Stop() {
     inbox_cond_.NotifyOne();
   }
   if (observer_.joinable()) observer_.join();
+  if (ids_ != nullptr) ids_->Stop();
   if (uplink_ != nullptr) uplink_->Stop();
 }
 

@@ -8,6 +8,7 @@
 #include "absl/status/statusor.h"
 #include "absl/strings/string_view.h"
 #include "absl/time/time.h"
+#include "sensor_agent/ids/ids_feed.h"
 #include "services/runtime/config_reader.h"
 #include "services/runtime/config_sections.h"
 
@@ -29,6 +30,8 @@ struct SensorConfig {
   std::vector<std::string> unwatched = {"/rosout", "/parameter_events"};
   std::string state_dir = "/var/lib/rips/sensor";
   ByteSize outbox_memory = {int64_t{64} << 20};
+  // Logs of the host's intrusion detection system.
+  std::vector<IdsLog> ids;
   // SIGUSR1 and SIGUSR2 are reported.
   bool signals = true;
   std::string metrics = "127.0.0.1:9465";
@@ -37,8 +40,7 @@ struct SensorConfig {
 };
 
 // `file` is the name used in messages. InvalidArgument with every problem and its place. What the
-// format knows but this version does not do (ids, wire, a disk spool, DDS security) is a problem,
-// too: a sensor must not pretend to see what it does not. `effective`, if not null, takes the
+// format knows but this version does not do (wire, a disk spool, DDS security) is a problem, too: a sensor must not pretend to see what it does not. `effective`, if not null, takes the
 // effective configuration as text.
 absl::StatusOr<SensorConfig> ParseSensorConfig(absl::string_view file, absl::string_view text,
                                                std::string* effective = nullptr);

@@ -273,6 +273,7 @@ absl::Status Outbox::AcknowledgeIn(Queue<T>& queue, uint64_t sequence) {
   }
   for (uint64_t i = 0; i < count; ++i) {
     queue.bytes -= CostOf(queue.entries.front());
+    CountAcknowledged(queue.entries.front());
     queue.entries.pop_front();
   }
   queue.first_sequence += count;

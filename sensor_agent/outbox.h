@@ -91,6 +91,8 @@ class Outbox {
   // Highest acknowledged sequence (or shed in flight); 0 = none.
   uint64_t acknowledged(Lane lane) const;
   SequenceRange Unacked(Lane lane) const;
+  // How many alerts of the IDS have left by an acknowledgement; they leave in the order added.
+  uint64_t acknowledged_ids_alerts() const { return acknowledged_ids_alerts_; }
   // A new stream: everything unacknowledged is unsent again, numbers stay.
   void Rewind();
   // A new incarnation: numbers start at 1 again, nothing counts as sent; asks for a snapshot.
@@ -135,7 +137,11 @@ class Outbox {
   using LossKey = std::pair<LossCause, std::pair<std::string, const MessageSource*>>;
 
   template <typename T>
-  static absl::Status AcknowledgeIn(Queue<T>& queue, uint64_t sequence);
+  absl::Status AcknowledgeIn(Queue<T>& queue, uint64_t sequence);
+  void CountAcknowledged(const MessageSeen&) {}
+  void CountAcknowledged(const ControlObservation& observation) {
+    if (std::holds_alternative<IdsAlert>(observation.what)) ++acknowledged_ids_alerts_;
+  }
   template <typename T>
   static void MarkSentIn(Queue<T>& queue, size_t count);
   template <typename T>
@@ -163,6 +169,7 @@ class Outbox {
   bool primary_ = true;
   uint64_t shed_messages_ = 0;
   uint64_t shed_payloads_ = 0;
+  uint64_t acknowledged_ids_alerts_ = 0;
   // Of payloads whose message has no number yet.
   size_t fresh_payload_bytes_ = 0;
 };

@@ -96,6 +96,8 @@ class Uplink {
   void InterestInUse(const std::string& id) ABSL_LOCKS_EXCLUDED(mu_);
   // OK while streaming; Unavailable with the reason otherwise.
   absl::Status Ready() const ABSL_LOCKS_EXCLUDED(mu_);
+  // Of the alerts of the IDS that were appended, how many are acknowledged.
+  uint64_t acknowledged_ids_alerts() const ABSL_LOCKS_EXCLUDED(mu_);
   // 16 bytes.
   std::string incarnation() const ABSL_LOCKS_EXCLUDED(mu_);
 
