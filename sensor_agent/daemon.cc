@@ -8,6 +8,7 @@
 #include "absl/strings/str_cat.h"
 #include "sensor_agent/agent.h"
 #include "sensor_agent/config.h"
+#include "sensor_agent/host_metrics.h"
 #include "services/base/status_macros.h"
 #include "services/rpc/credentials.h"
 #include "services/runtime/config_sections.h"
@@ -53,6 +54,8 @@ int Serve(const DaemonFlags& flags, const SensorConfig& config,
     callbacks[SIGUSR2] = [&] { sensor.OnSignal("SIGUSR2"); };
   }
   SignalWaiter signals(std::move(callbacks));
+  HostMetrics host({.disk = config.state_dir}, &metrics);
+  host.Start();
   sensor.Start();
   LogInfo("watching", {{"robot", config.robot},
                        {"host", config.host},

@@ -9,7 +9,7 @@
 // | replaced by a copy of itself          | on from the same offset                               |
 // | replaced by something else            | from 0                                                |
 // | not there, or its directory           | from 0 when it comes                                  |
-// | renamed or truncated while not watched| as above; a gap if what was not read cannot be found  |
+// | any of this while nobody reads        | as above; a gap if what was not read cannot be found  |
 //
 // A new file counts from its first byte on: until then the writer has not come over, and the old one
 // goes on. Afterwards the old one is still read for kFormerNs. Bytes that changed before the place
