@@ -5,6 +5,8 @@
 #include <unistd.h>
 
 #include <algorithm>
+#include <filesystem>
+#include <system_error>
 #include <utility>
 
 #include "absl/time/clock.h"
@@ -61,6 +63,10 @@ IdsFeed::IdsFeed(IdsFeedOptions options, IdsSink sink, const Clock* clock, Metri
       unsaved_(metrics->AddGauge("rips_sensor_ids_unsaved",
                                  "1 while positions in IDS logs cannot be saved")),
       stop_(eventfd(0, EFD_NONBLOCK | EFD_CLOEXEC)) {
+  // If that fails, so does saving, which says so.
+  std::error_code ignored;
+  std::filesystem::create_directories(std::filesystem::path(options_.offsets_file).parent_path(),
+                                      ignored);
   const LogOffsets before = LoadOffsets();
   for (const IdsLog& each : options_.logs) {
     const auto it = before.logs.find(each.path);
@@ -90,6 +96,12 @@ LogOffsets IdsFeed::LoadOffsets() {
 
 void IdsFeed::Lose(LossCause cause, uint64_t count, int64_t now_ns) {
   if (count == 0) return;
+  for (Loss& each : losses_) {
+    if (each.cause != cause) continue;
+    each.count += count;
+    each.last_boottime_ns = now_ns;
+    return;
+  }
   losses_.push_back(
       {.cause = cause, .count = count, .first_boottime_ns = now_ns, .last_boottime_ns = now_ns});
 }

@@ -304,16 +304,27 @@ TEST_F(IdsFeedTest, CorruptOffsetsBeginAtTheEndWithALoss) {
 }
 
 TEST_F(IdsFeedTest, WithoutAPlaceForOffsetsAlertsStillCome) {
-  options_.offsets_file = dir_ + "/absent/ids-offsets";
+  options_.offsets_file = dir_ + "/state/ids-offsets";
+  std::ofstream(dir_ + "/state") << "no directory";
   Begin();
   Pass();
+  EXPECT_EQ(server_->lost(LossCause::kLimit), 1) << "where to go on is not known";
   Append(Line(1));
   Pass();
   EXPECT_THAT(server_->taken, ElementsAre(1));
   EXPECT_THAT(metrics_->Text(), HasSubstr("rips_sensor_ids_unsaved 1"));
-  fs::create_directory(dir_ + "/absent");
+  fs::remove(dir_ + "/state");
+  fs::create_directory(dir_ + "/state");
   Pass(60 * kNanosPerSecond);
   EXPECT_THAT(metrics_->Text(), HasSubstr("rips_sensor_ids_unsaved 0"));
+}
+
+TEST_F(IdsFeedTest, MakesTheDirectoryOfItsOffsets) {
+  options_.offsets_file = dir_ + "/a/b/ids-offsets";
+  Begin();
+  Pass();
+  EXPECT_TRUE(fs::exists(options_.offsets_file));
+  EXPECT_THAT(server_->losses, IsEmpty());
 }
 
 TEST_F(IdsFeedTest, SeveralLogsKeepTheirOwnPlaces) {
@@ -345,6 +356,7 @@ TEST_F(IdsFeedTest, LinesThatMakeNoSenseAreCountedLosses) {
   Pass();
   EXPECT_THAT(server_->taken, ElementsAre(1, 2));
   EXPECT_EQ(server_->lost(LossCause::kUndecodable), 2);
+  EXPECT_THAT(server_->losses, SizeIs(2)) << "one record of each cause";
   EXPECT_EQ(server_->lost(LossCause::kLimit), 1);
   EXPECT_THAT(
       metrics_->Text(),

@@ -78,7 +78,8 @@ bool LogTail::Seek(File& file, uint64_t offset, uint64_t fingerprint) {
   std::string before(size, '\0');
   const ssize_t got = ReadAt(file.fd.get(), before.data(), size, offset - size);
   if (got != static_cast<ssize_t>(size) || Fingerprint(before) != fingerprint) return false;
-  file.skipping = size > 0 && before.back() != '\n';
+  // Behind a hole a line begins, too.
+  file.skipping = size > 0 && before.back() != '\n' && before.back() != '\0';
   file.begin = file.scanned = size;
   file.buffer = std::move(before);
   file.offset = offset;
@@ -242,11 +243,17 @@ void LogTail::Enqueue(const std::string& name) {
   if (file_.has_value() && is_it(*file_)) return;
   if (former_.has_value() && is_it(*former_)) return;
   if (std::any_of(rotated_.begin(), rotated_.end(), is_it)) return;
-  if (rotated_.size() >= limits_.rotated_files) {
+  if (rotated_.size() >= limits_.rotated_files && !IsEmpty(rotated_.front())) {
     ++counters_.gaps;
     return;
   }
+  if (rotated_.size() >= limits_.rotated_files) rotated_.pop_front();
   rotated_.push_back(*std::move(file));
+}
+
+bool LogTail::IsEmpty(const File& file) {
+  struct stat status;
+  return fstat(file.fd.get(), &status) != 0 || status.st_size == 0;
 }
 
 // --- Reading
@@ -343,9 +350,11 @@ void LogTail::Replace(File next, int64_t now_ns) {
 }
 
 bool LogTail::Follow(int64_t now_ns) {
-  if (!rotated_.empty()) {
-    File next = std::move(rotated_.front());
-    rotated_.pop_front();
+  // A writer that was not told of the renaming goes on in ours, and leaves the others empty.
+  const auto written = std::find_if_not(rotated_.begin(), rotated_.end(), IsEmpty);
+  if (written != rotated_.end()) {
+    File next = std::move(*written);
+    rotated_.erase(rotated_.begin(), written + 1);
     Replace(std::move(next), now_ns);
     return true;
   }
@@ -363,6 +372,7 @@ bool LogTail::Follow(int64_t now_ns) {
   }
   // It may have become another one in between, or ours again.
   if (next->inode == file_->inode && next->device == file_->device) return false;
+  rotated_.clear();
   Replace(*std::move(next), now_ns);
   return true;
 }

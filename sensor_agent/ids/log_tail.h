@@ -11,9 +11,9 @@
 // | not there, or its directory           | from 0 when it comes                                  |
 // | any of this while nobody reads        | as above; a gap if what was not read cannot be found  |
 //
-// A new file counts from its first byte on: until then the writer has not come over, and the old one
-// goes on. Afterwards the old one is still read for kFormerNs. Bytes that changed before the place
-// read up to are how a truncation shows that grew again in the meantime.
+// A new file counts from its first byte on: until then the writer has not come over, and the old
+// one goes on. Afterwards the old one is still read for a few seconds. That bytes have changed before
+// the place read up to is how a truncation shows that grew again in the meantime.
 //
 // Not thread-safe.
 #ifndef RIPS_SENSOR_AGENT_IDS_LOG_TAIL_H_
@@ -97,6 +97,7 @@ class LogTail {
   };
 
   static absl::StatusOr<File> Open(const std::string& path);
+  static bool IsEmpty(const File& file);
   // Takes `file` to `offset` if what is before that has this fingerprint.
   static bool Seek(File& file, uint64_t offset, uint64_t fingerprint);
   // `back` bytes before what was read.

@@ -216,6 +216,22 @@ TEST_F(LogTailTest, SeveralRotationsBetweenLooksAreReadInOrder) {
   EXPECT_EQ(tail.counters().gaps, 0);
 }
 
+TEST_F(LogTailTest, AWriterThatIsNeverToldOfARotationIsFollowed) {
+  LogTail tail = Tail(LogPosition(), {.rotated_files = 2});
+  std::ofstream writer = Writer();
+  for (int i = 0; i < 5; ++i) {
+    writer << i << "\n" << std::flush;
+    EXPECT_THAT(Read(tail), ElementsAre(absl::StrCat(i)));
+    fs::rename(path_, absl::StrCat(path_, ".", i));
+    Append("");
+    now_ns_ += 60 * kNanosPerSecond;
+    EXPECT_THAT(Read(tail), IsEmpty());
+  }
+  Append("told\n");
+  EXPECT_THAT(Read(tail), ElementsAre("told"));
+  EXPECT_EQ(tail.counters().gaps, 0);
+}
+
 TEST_F(LogTailTest, ARotatedFileThatIsGoneIsAGap) {
   LogTail tail = Tail();
   Append("0\n");
