@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <utility>
 
+#include "absl/strings/str_cat.h"
 #include "absl/time/clock.h"
 #include "sensor_agent/interest_file.h"
 #include "services/base/status_macros.h"
@@ -53,6 +54,21 @@ std::shared_ptr<const Interest> KeptInterest(const std::string& state_dir) {
                {{"file", InterestFile(state_dir)}, {"error", interest.status().ToString()}});
   }
   return nullptr;
+}
+
+IdsFeedOptions IdsOptions(const SensorConfig& config) {
+  return {.logs = config.ids,
+          .offsets_file = absl::StrCat(config.state_dir, "/ids-offsets"),
+          .outbox_survives_stop = config.outbox_disk.bytes > 0};
+}
+
+IdsSink SinkInto(Uplink* uplink) {
+  return {.ready = [uplink] { return uplink->Ready().ok(); },
+          .take =
+              [uplink](std::vector<ControlObservation> alerts, std::vector<Loss> losses) {
+                uplink->Append({.losses = std::move(losses), .ids_alerts = std::move(alerts)});
+              },
+          .acknowledged = [uplink] { return uplink->acknowledged_ids_alerts(); }};
 }
 
 }  // namespace
@@ -167,6 +183,10 @@ absl::StatusOr<std::unique_ptr<Agent>> Agent::Create(
     agent->uplink_->InterestInUse(agent->watch_.interest->id());
   }
   agent->FollowPlan(clock->Now().boottime_ns);
+  if (!config.ids.empty()) {
+    agent->ids_ = std::make_unique<IdsFeed>(IdsOptions(config), SinkInto(agent->uplink_.get()),
+                                            clock, metrics);
+  }
   return agent;
 }
 
@@ -175,6 +195,7 @@ Agent::~Agent() { Stop(); }
 void Agent::Start() {
   uplink_->Start();
   observer_ = std::thread([this] { Observe(); });
+  if (ids_ != nullptr) ids_->Start();
 }
 
 void Agent::Stop() {
@@ -184,6 +205,7 @@ void Agent::Stop() {
     inbox_cond_.NotifyOne();
   }
   if (observer_.joinable()) observer_.join();
+  if (ids_ != nullptr) ids_->Stop();
   if (uplink_ != nullptr) uplink_->Stop();
 }
 

@@ -18,6 +18,7 @@
 #include "sensor_agent/dds/domain_watch.h"
 #include "sensor_agent/findings.h"
 #include "sensor_agent/graph_builder.h"
+#include "sensor_agent/ids/ids_feed.h"
 #include "sensor_agent/interest.h"
 #include "sensor_agent/message_flow.h"
 #include "sensor_agent/uplink.h"
@@ -109,6 +110,8 @@ class Agent {
   // In this order: what calls back goes before what it uses.
   std::unique_ptr<Uplink> uplink_;
   std::unique_ptr<DomainWatch> domain_;
+  // Null if there is no log to read.
+  std::unique_ptr<IdsFeed> ids_;
   std::thread observer_;
 };
 

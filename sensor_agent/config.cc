@@ -1,5 +1,7 @@
 #include "sensor_agent/config.h"
 
+#include <algorithm>
+
 #include "absl/strings/str_cat.h"
 #include "services/base/status_macros.h"
 #include "services/ros2/ros_name.h"
@@ -14,18 +16,30 @@ constexpr char kNotAvailable[] = "not available in this version";
 
 // Sections of later versions: their keys are known, their use is not.
 void RefuseWhatIsNotAvailable(const ConfigSection& root) {
-  for (const ConfigSection& source : root.Sections("ids")) {
-    int format = 0;
-    std::string path;
-    source.RequiredEnum<int>("format", &format, {{"eve", 0}, {"fast", 1}, {"snort3_json", 2}});
-    ReadPath(source, "path", &path);
-    source.Problem("format", absl::StrCat("reading alerts of an intrusion detection system is ",
-                                          kNotAvailable, "; remove `ids`"));
-  }
   bool wire = false;
   const ConfigSection section = root.OptionalSection("wire");
   section.Optional("enabled", &wire);
   if (wire) section.Problem("enabled", absl::StrCat("the wire reader is ", kNotAvailable));
+}
+
+std::vector<IdsLog> ReadIds(const ConfigSection& root) {
+  std::vector<IdsLog> logs;
+  for (const ConfigSection& source : root.Sections("ids")) {
+    IdsLog& log = logs.emplace_back();
+    source.RequiredEnum<IdsFormat>("format", &log.format,
+                                   {{"eve", IdsFormat::kEve},
+                                    {"fast", IdsFormat::kFast},
+                                    {"snort3_json", IdsFormat::kSnort3Json}});
+    ReadPath(source, "path", &log.path);
+    const auto same = [&](const IdsLog& each) { return &each != &log && each.path == log.path; };
+    if (std::any_of(logs.begin(), logs.end(), same)) {
+      source.Problem("path", absl::StrCat("`", log.path, "` is read already"));
+    }
+  }
+  if (logs.size() > kIdsLogsMax) {
+    root.Problem("ids", absl::StrCat(logs.size(), " logs exceed the limit of ", kIdsLogsMax));
+  }
+  return logs;
 }
 
 }  // namespace
@@ -67,6 +81,7 @@ absl::StatusOr<SensorConfig> ParseSensorConfig(absl::string_view file, absl::str
   outbox.Optional("dir", &config.spool_dir);
   if (config.spool_dir.front() != '/') outbox.Problem("dir", "needs an absolute path");
   RefuseWhatIsNotAvailable(root);
+  config.ids = ReadIds(root);
   root.Optional("signals", &config.signals);
   root.Optional("metrics", &config.metrics);
   RIPS_RETURN_IF_ERROR(reader.Finish());

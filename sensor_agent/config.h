@@ -8,6 +8,7 @@
 #include "absl/status/statusor.h"
 #include "absl/strings/string_view.h"
 #include "absl/time/time.h"
+#include "sensor_agent/ids/ids_feed.h"
 #include "services/runtime/config_reader.h"
 #include "services/runtime/config_sections.h"
 
@@ -34,6 +35,8 @@ struct SensorConfig {
   ByteSize outbox_disk = {int64_t{256} << 20};
   // `spool` in state_dir, unless the file says otherwise; empty = no spool.
   std::string spool_dir;
+  // Logs of the host's intrusion detection system.
+  std::vector<IdsLog> ids;
   // SIGUSR1 and SIGUSR2 are reported.
   bool signals = true;
   std::string metrics = "127.0.0.1:9465";
@@ -42,9 +45,8 @@ struct SensorConfig {
 };
 
 // `file` is the name used in messages. InvalidArgument with every problem and its place. What the
-// format knows but this version does not do (ids, wire) is a problem, too: a sensor must not
-// pretend to see what it does not. `effective`, if not null, takes the
-// effective configuration as text.
+// format knows but this version does not do (wire) is a problem, too: a sensor must not pretend to
+// see what it does not. `effective`, if not null, takes the effective configuration as text.
 absl::StatusOr<SensorConfig> ParseSensorConfig(absl::string_view file, absl::string_view text,
                                                std::string* effective = nullptr);
 

@@ -25,7 +25,7 @@ attribution_grace: 250ms
 unwatched: [/rosout]
 state_dir: /tmp/sensor
 outbox: {memory: 8MiB, disk: 32MiB, dir: /tmp/spool}
-ids: []
+ids: [{format: eve, path: /var/log/suricata/eve.json}, {format: fast, path: /var/log/snort/alert}]
 signals: false
 wire: {enabled: false}
 metrics: "127.0.0.1:0"
@@ -54,6 +54,8 @@ TEST(SensorConfigTest, EveryKeyIsTaken) {
   EXPECT_EQ(config->outbox_memory.bytes, 8 << 20);
   EXPECT_EQ(config->outbox_disk.bytes, 32 << 20);
   EXPECT_EQ(config->spool_dir, "/tmp/spool");
+  EXPECT_THAT(config->ids, ElementsAre(IdsLog{IdsFormat::kEve, "/var/log/suricata/eve.json"},
+                                       IdsLog{IdsFormat::kFast, "/var/log/snort/alert"}));
   EXPECT_FALSE(config->signals);
   EXPECT_EQ(config->metrics, "127.0.0.1:0");
   EXPECT_THAT(effective, AllOf(HasSubstr("settle: 3s"), HasSubstr("outbox.memory: 8MiB")));
@@ -76,6 +78,16 @@ TEST(SensorConfigTest, UnwatchedMayBeEmpty) {
   const auto config = ParseSensorConfig("sensor.yaml", absl::StrCat(kMinimal, "unwatched: []\n"));
   ASSERT_THAT(config, IsOk());
   EXPECT_THAT(config->unwatched, IsEmpty());
+}
+
+TEST(SensorConfigTest, OnlySoManyLogsOfAnIds) {
+  std::string ids = "ids:\n";
+  for (size_t i = 0; i <= kIdsLogsMax; ++i) {
+    absl::StrAppend(&ids, "  - {format: fast, path: /log/", i, "}\n");
+  }
+  EXPECT_THAT(
+      ParseSensorConfig("s", absl::StrCat(kMinimal, ids)),
+      StatusIs(absl::StatusCode::kInvalidArgument, HasSubstr("17 logs exceed the limit of 16")));
 }
 
 struct BadCase {
@@ -115,8 +127,12 @@ INSTANTIATE_TEST_SUITE_P(
         BadCase{"DomainTooHigh", "domain: 7", "domain: 400", "5:", "domain"},
         BadCase{"BadTopic", "[/rosout]", "[rosout]", "9:", "rosout"},
         BadCase{"OutboxTooSmall", "memory: 8MiB", "memory: 1KiB", "11:", "memory"},
-        BadCase{"Ids", "ids: []", "ids: [{format: eve, path: /var/log/eve.json}]",
-                "12:", "not available in this version"},
+        BadCase{"IdsFormat", "format: eve", "format: evil", "12:16", "snort3_json"},
+        BadCase{"IdsPath", "/var/log/snort/alert", "alert", "12:", "absolute path"},
+        BadCase{"IdsTwice", "/var/log/snort/alert", "/var/log/suricata/eve.json",
+                "12:", "is read already"},
+        BadCase{"IdsKey", "format: fast, path", "format: fast, paths",
+                "12:", "did you mean `path`"},
         BadCase{"Wire", "wire: {enabled: false}", "wire: {enabled: true}", "14:17",
                 "not available in this version"},
         BadCase{"DiskTooSmall", "disk: 32MiB", "disk: 1MiB", "11:30", "at least 16MiB"},

@@ -9,6 +9,7 @@
 #include "absl/time/clock.h"
 #include "sensor_agent/agent.h"
 #include "sensor_agent/config.h"
+#include "sensor_agent/host_metrics.h"
 #include "services/base/status_macros.h"
 #include "services/dds/security.h"
 #include "services/rpc/credentials.h"
@@ -55,6 +56,8 @@ int Serve(const DaemonFlags& flags, const SensorConfig& config,
     callbacks[SIGUSR2] = [&] { sensor.OnSignal("SIGUSR2"); };
   }
   SignalWaiter signals(std::move(callbacks));
+  HostMetrics host({.disk = config.state_dir}, &metrics);
+  host.Start();
   sensor.Start();
   LogInfo("watching", {{"robot", config.robot},
                        {"host", config.host},

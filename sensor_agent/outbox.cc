@@ -285,6 +285,10 @@ std::vector<MessageSeen> Outbox::TakeOldest(const BatchPolicy& policy, int64_t u
   return taken;
 }
 
+void Outbox::CountIdsAlert(const ControlObservation& gone) {
+  if (std::holds_alternative<IdsAlert>(gone.what)) ++acknowledged_ids_alerts_;
+}
+
 std::vector<ControlObservation> Outbox::TakeOldestControl(const BatchPolicy& policy) {
   std::vector<ControlObservation> taken;
   size_t bytes = 0;
@@ -301,6 +305,7 @@ std::vector<ControlObservation> Outbox::TakeOldestControl(const BatchPolicy& pol
     if (!taken.empty() && bytes > policy.bytes) break;
     bytes += CostOf(*end);
     control_.bytes -= CostOf(*end);
+    CountIdsAlert(*end);
     taken.push_back(std::move(*end));
   }
   entries.erase(kept, end);
@@ -340,6 +345,7 @@ absl::Status Outbox::Acknowledge(Lane lane, uint64_t sequence) {
   if (lane == Lane::kMessages) return AcknowledgeIn(messages_, sequence, [](const auto&) {});
   return AcknowledgeIn(control_, sequence, [this](const ControlObservation& each) {
     if (IsGraph(each)) graph_base_.Take(std::get<GraphChange>(each.what));
+    CountIdsAlert(each);
   });
 }
 

@@ -105,6 +105,9 @@ class Outbox {
   // Highest acknowledged sequence (or shed in flight); 0 = none.
   uint64_t acknowledged(Lane lane) const;
   SequenceRange Unacked(Lane lane) const;
+  // How many alerts of the IDS have left, by an acknowledgement or by TakeOldestControl; they leave
+  // in the order added.
+  uint64_t acknowledged_ids_alerts() const { return acknowledged_ids_alerts_; }
   // A new stream: everything unacknowledged is unsent again, numbers stay.
   void Rewind();
   // A new incarnation: numbers start at 1 again, nothing counts as sent; asks for a snapshot.
@@ -155,6 +158,7 @@ class Outbox {
   };
   using LossKey = std::pair<LossCause, std::pair<std::string, const MessageSource*>>;
 
+  void CountIdsAlert(const ControlObservation& gone);
   // `forget` is called with each entry that goes.
   template <typename T, typename Forget>
   static absl::Status AcknowledgeIn(Queue<T>& queue, uint64_t sequence, const Forget& forget);
@@ -186,6 +190,7 @@ class Outbox {
   bool primary_ = true;
   uint64_t shed_messages_ = 0;
   uint64_t shed_payloads_ = 0;
+  uint64_t acknowledged_ids_alerts_ = 0;
   // Of payloads whose message has no number yet.
   size_t fresh_payload_bytes_ = 0;
 };

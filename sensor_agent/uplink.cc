@@ -208,6 +208,11 @@ absl::Status Uplink::Ready() const {
   return down_because_;
 }
 
+uint64_t Uplink::acknowledged_ids_alerts() const {
+  MutexLock lock(&mu_);
+  return outbox_.acknowledged_ids_alerts();
+}
+
 std::string Uplink::incarnation() const {
   MutexLock lock(&mu_);
   return incarnation_;

@@ -127,6 +127,8 @@ class Uplink {
   void SetKindVisible(const std::string& kind, bool visible) ABSL_LOCKS_EXCLUDED(mu_);
   // OK while streaming; Unavailable with the reason otherwise.
   absl::Status Ready() const ABSL_LOCKS_EXCLUDED(mu_);
+  // Of the alerts of the IDS that were appended, how many are acknowledged or in the backlog.
+  uint64_t acknowledged_ids_alerts() const ABSL_LOCKS_EXCLUDED(mu_);
   // 16 bytes.
   std::string incarnation() const ABSL_LOCKS_EXCLUDED(mu_);
 

@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <utility>
 
+#include "absl/strings/match.h"
 #include "absl/strings/str_cat.h"
 #include "policy_server/ingest/interest_codec.h"
 #include "services/base/status_macros.h"
@@ -36,6 +37,17 @@ absl::Status CheckIncarnation(const std::string& incarnation) {
   if (incarnation.size() == kIncarnationBytes) return absl::OkStatus();
   return absl::InvalidArgumentError(
       absl::StrCat("incarnation has ", incarnation.size(), " bytes, not ", kIncarnationBytes));
+}
+
+// `10.0.0.1`, `10.0.0.1:80`, `fe80::1`, `[fe80::1]:80` without the port.
+std::string AddressOf(absl::string_view endpoint) {
+  const size_t bracket = endpoint.find(']');
+  if (absl::StartsWith(endpoint, "[") && bracket != absl::string_view::npos) {
+    return std::string(endpoint.substr(1, bracket - 1));
+  }
+  const size_t colon = endpoint.find(':');
+  const bool port = colon != absl::string_view::npos && colon == endpoint.rfind(':');
+  return std::string(port ? endpoint.substr(0, colon) : endpoint);
 }
 
 absl::StatusOr<pipeline::GraphSnapshotSeen> DecodeSnapshot(
@@ -296,6 +308,24 @@ absl::StatusOr<pipeline::SensorStateSeen> ObservationDecoder::DecodeState(
       .not_visible = {state.not_visible().begin(), state.not_visible().end()}};
 }
 
+absl::StatusOr<pipeline::IdsAlertSeen> ObservationDecoder::DecodeIds(
+    const rips::v1::IdsAlert& ids) const {
+  if (std::max(ids.line().size(), ids.message().size()) > limits_.line_bytes) {
+    return absl::ResourceExhaustedError(
+        absl::StrCat("an alert line exceeds the limit of ", limits_.line_bytes, " bytes"));
+  }
+  if (std::max(ids.src().size(), ids.dst().size()) > limits_.name_bytes) {
+    return absl::ResourceExhaustedError(
+        absl::StrCat("an address in an alert exceeds the limit of ", limits_.name_bytes, " bytes"));
+  }
+  return pipeline::IdsAlertSeen{.message = ids.message(),
+                                .gid = ids.gid(),
+                                .sid = ids.sid(),
+                                .line = ids.line(),
+                                .source = AddressOf(ids.src()),
+                                .target = AddressOf(ids.dst())};
+}
+
 absl::StatusOr<pipeline::FindingSeen> ObservationDecoder::DecodeFinding(
     const rips::v1::Finding& finding) const {
   const size_t longest = std::max({finding.kind().size(), finding.node().size(),
@@ -337,17 +367,7 @@ absl::Status ObservationDecoder::DecodeOne(const rips::v1::Observation& observat
       break;
     }
     case rips::v1::Observation::kIds: {
-      const rips::v1::IdsAlert& ids = observation.ids();
-      if (ids.line().size() > limits_.line_bytes || ids.message().size() > limits_.line_bytes) {
-        return absl::ResourceExhaustedError(
-            absl::StrCat("an alert line exceeds the limit of ", limits_.line_bytes, " bytes"));
-      }
-      one.what = pipeline::IdsAlertSeen{.message = ids.message(),
-                                        .gid = ids.gid(),
-                                        .sid = ids.sid(),
-                                        .line = ids.line(),
-                                        .source = ids.src(),
-                                        .target = ids.dst()};
+      RIPS_ASSIGN_OR_RETURN(one.what, DecodeIds(observation.ids()));
       break;
     }
     case rips::v1::Observation::kSignal:

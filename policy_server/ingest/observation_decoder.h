@@ -75,6 +75,7 @@ class ObservationDecoder {
                              pipeline::MessageSeen& seen) const;
   absl::StatusOr<pipeline::LossSeen> DecodeLoss(const rips::v1::Loss& loss) const;
   absl::StatusOr<pipeline::SensorStateSeen> DecodeState(const rips::v1::SensorState& state) const;
+  absl::StatusOr<pipeline::IdsAlertSeen> DecodeIds(const rips::v1::IdsAlert& ids) const;
   absl::StatusOr<pipeline::FindingSeen> DecodeFinding(const rips::v1::Finding& finding) const;
 
   DecodeLimits limits_;

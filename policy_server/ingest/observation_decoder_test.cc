@@ -189,6 +189,46 @@ TEST(ObservationDecoderTest, AnUnknownKindIsALossOfOne) {
   EXPECT_EQ(std::get<pipeline::LossSeen>(decoded->observations[0].what).count, 1u);
 }
 
+TEST(ObservationDecoderTest, AlertsOfAnIdsHaveAddressesWithoutPorts) {
+  rips::v1::ObservationBatch batch = Batch(rips::v1::CONTROL);
+  rips::v1::IdsAlert* ids = batch.add_observations()->mutable_ids();
+  ids->set_message("scan");
+  ids->set_gid(1);
+  ids->set_sid(7);
+  ids->set_line("11/21 scan");
+  for (const auto& [wire, address] :
+       std::vector<std::pair<std::string, std::string>>{{"10.0.0.1:80", "10.0.0.1"},
+                                                        {"10.0.0.1", "10.0.0.1"},
+                                                        {"fe80::1", "fe80::1"},
+                                                        {"[fe80::1]:80", "fe80::1"},
+                                                        {"[fe80::1", "[fe80::1"},
+                                                        {"", ""}}) {
+    ids->set_src(wire);
+    ids->set_dst(wire);
+    const auto decoded = ObservationDecoder().Decode(batch);
+    ASSERT_THAT(decoded, IsOk());
+    const auto& seen = std::get<pipeline::IdsAlertSeen>(decoded->observations[0].what);
+    EXPECT_EQ(seen.source, address);
+    EXPECT_EQ(seen.target, address);
+    EXPECT_EQ(seen.message, "scan");
+    EXPECT_EQ(seen.sid, 7u);
+    EXPECT_EQ(seen.line, "11/21 scan");
+  }
+}
+
+TEST(ObservationDecoderTest, AlertsOfAnIdsPastALimitAreRefused) {
+  using Spoil = void (*)(rips::v1::IdsAlert&);
+  for (const Spoil spoil : {Spoil([](auto& i) { i.set_line(std::string(65'537, 'x')); }),
+                            Spoil([](auto& i) { i.set_message(std::string(65'537, 'x')); }),
+                            Spoil([](auto& i) { i.set_src(std::string(1'025, 'x')); }),
+                            Spoil([](auto& i) { i.set_dst(std::string(1'025, 'x')); })}) {
+    rips::v1::ObservationBatch batch = Batch(rips::v1::CONTROL);
+    spoil(*batch.add_observations()->mutable_ids());
+    EXPECT_THAT(ObservationDecoder().Decode(batch),
+                StatusIs(absl::StatusCode::kResourceExhausted, HasSubstr("exceeds the limit")));
+  }
+}
+
 TEST(ObservationDecoderTest, OnlyGapsOfBestEffortWritersAreTolerable) {
   for (const bool reliable : {false, true}) {
     rips::v1::ObservationBatch batch = Batch(rips::v1::CONTROL);

@@ -1,0 +1,397 @@
+#include "sensor_agent/ids/log_tail.h"
+
+#include <dirent.h>
+#include <fcntl.h>
+#include <sys/inotify.h>
+
+#include <algorithm>
+#include <cerrno>
+#include <cstring>
+#include <map>
+#include <memory>
+#include <utility>
+#include <vector>
+
+#include "absl/strings/str_cat.h"
+#include "services/base/clock.h"
+
+namespace rips::sensor {
+
+namespace {
+
+constexpr size_t kChunkBytes = 64 * 1024;
+// How long a file that was replaced is read for what comes late.
+constexpr int64_t kFormerNs = 5 * kNanosPerSecond;
+constexpr uint32_t kDirectoryEvents = IN_CREATE | IN_MOVED_FROM | IN_MOVED_TO | IN_DELETE |
+                                      IN_DELETE_SELF | IN_MOVE_SELF | IN_ONLYDIR;
+
+absl::Status ErrnoStatus(absl::string_view what, const std::string& path) {
+  return absl::ErrnoToStatus(errno, absl::StrCat("cannot ", what, " `", path, "`"));
+}
+
+std::string DirectoryOf(const std::string& path) {
+  return path.substr(0, std::max<size_t>(path.rfind('/'), 1));
+}
+
+// As many bytes as there are, up to `size`; negative on error.
+ssize_t ReadAt(int fd, char* to, size_t size, uint64_t offset) {
+  size_t done = 0;
+  while (done < size) {
+    const ssize_t got = pread(fd, to + done, size - done, static_cast<off_t>(offset + done));
+    if (got < 0 && errno == EINTR) continue;
+    if (got < 0) return -1;
+    if (got == 0) break;
+    done += static_cast<size_t>(got);
+  }
+  return static_cast<ssize_t>(done);
+}
+
+}  // namespace
+
+LogTail::LogTail(std::string path, std::optional<LogPosition> from, LogTailLimits limits)
+    : path_(std::move(path)),
+      directory_(DirectoryOf(path_)),
+      name_(path_.substr(path_.rfind('/') + 1)),
+      limits_(limits),
+      from_(from),
+      inotify_(inotify_init1(IN_NONBLOCK | IN_CLOEXEC)) {}
+
+// --- Opening
+
+absl::StatusOr<LogTail::File> LogTail::Open(const std::string& path) {
+  File file;
+  // Without waiting for the other end, should it be a pipe.
+  file.fd = UniqueFd(open(path.c_str(), O_RDONLY | O_CLOEXEC | O_NONBLOCK | O_NOCTTY));
+  if (file.fd.get() < 0) return ErrnoStatus("open", path);
+  struct stat status;
+  if (fstat(file.fd.get(), &status) != 0) return ErrnoStatus("look at", path);
+  if (!S_ISREG(status.st_mode)) {
+    return absl::FailedPreconditionError(absl::StrCat("`", path, "` is no regular file"));
+  }
+  file.device = status.st_dev;
+  file.inode = status.st_ino;
+  return file;
+}
+
+bool LogTail::Seek(File& file, uint64_t offset, uint64_t fingerprint) {
+  const size_t size = static_cast<size_t>(std::min<uint64_t>(offset, kFingerprintBytes));
+  std::string before(size, '\0');
+  const ssize_t got = ReadAt(file.fd.get(), before.data(), size, offset - size);
+  if (got != static_cast<ssize_t>(size) || Fingerprint(before) != fingerprint) return false;
+  // Behind a hole a line begins, too.
+  file.skipping = size > 0 && before.back() != '\n' && before.back() != '\0';
+  file.begin = file.scanned = size;
+  file.buffer = std::move(before);
+  file.offset = offset;
+  return true;
+}
+
+void LogTail::SeekEnd(File& file) const {
+  struct stat status;
+  if (fstat(file.fd.get(), &status) != 0 || status.st_size <= 0) return;
+  const uint64_t end = static_cast<uint64_t>(status.st_size);
+  const size_t size = static_cast<size_t>(std::min<uint64_t>(end, kFingerprintBytes));
+  std::string before(size, '\0');
+  // If it has just been truncated the place is found wrong at the first look, as ever.
+  const ssize_t got = ReadAt(file.fd.get(), before.data(), size, end - size);
+  if (got != static_cast<ssize_t>(size)) return;
+  Seek(file, end, Fingerprint(before));
+}
+
+LogPosition LogTail::PositionIn(const File& file, size_t back) {
+  const size_t end = file.begin - back;
+  const size_t size = std::min(end, kFingerprintBytes);
+  return {.device = file.device,
+          .inode = file.inode,
+          .offset = file.offset - back,
+          .fingerprint = Fingerprint(absl::string_view(file.buffer).substr(end - size, size))};
+}
+
+std::optional<LogPosition> LogTail::position() const {
+  if (file_.has_value()) return PositionIn(*file_);
+  return from_;
+}
+
+std::optional<LogTail::File> LogTail::FindRenamed(const LogPosition& position) const {
+  const std::unique_ptr<DIR, int (*)(DIR*)> directory(opendir(directory_.c_str()), closedir);
+  if (directory == nullptr) return std::nullopt;
+  while (const dirent* entry = readdir(directory.get())) {
+    struct stat status;
+    if (fstatat(dirfd(directory.get()), entry->d_name, &status, 0) != 0) continue;
+    if (status.st_ino != position.inode || !S_ISREG(status.st_mode)) continue;
+    absl::StatusOr<File> file = Open(absl::StrCat(directory_, "/", entry->d_name));
+    if (file.ok() && file->inode == position.inode &&
+        Seek(*file, position.offset, position.fingerprint)) {
+      return *std::move(file);
+    }
+  }
+  return std::nullopt;
+}
+
+void LogTail::Begin() {
+  absl::StatusOr<File> file = Open(path_);
+  status_ = file.status();
+  const bool absent = absl::IsNotFound(status_);
+  // What cannot be read now may be old.
+  if (!file.ok() && !absent) return;
+  begun_ = true;
+  if (!from_.has_value()) {
+    if (file.ok()) {
+      SeekEnd(*file);
+    } else {
+      from_.emplace();
+    }
+  } else if (from_->inode != 0) {
+    const bool same =
+        file.ok() && file->inode == from_->inode && Seek(*file, from_->offset, from_->fingerprint);
+    std::optional<File> renamed;
+    if (!same) renamed = FindRenamed(*from_);
+    if (renamed.has_value()) {
+      file = *std::move(renamed);
+    } else if (!same) {
+      // Without a byte before it, everything is a copy.
+      const bool copy =
+          file.ok() && from_->offset > 0 && Seek(*file, from_->offset, from_->fingerprint);
+      if (!copy) ++counters_.gaps;
+      if (!file.ok()) from_.emplace();
+    }
+  }
+  if (!file.ok()) return;
+  file_ = *std::move(file);
+  WatchFile();
+}
+
+bool LogTail::OpenFirst() {
+  if (!rotated_.empty()) {
+    file_ = std::move(rotated_.front());
+    rotated_.pop_front();
+  } else {
+    absl::StatusOr<File> file = Open(path_);
+    status_ = file.status();
+    if (!file.ok()) return false;
+    file_ = *std::move(file);
+  }
+  WatchFile();
+  return true;
+}
+
+// --- Watching
+
+void LogTail::Watch() {
+  if (directory_watch_ >= 0 || inotify_.get() < 0) return;
+  directory_watch_ = inotify_add_watch(inotify_.get(), directory_.c_str(), kDirectoryEvents);
+}
+
+void LogTail::WatchFile() {
+  if (inotify_.get() < 0) return;
+  // The file that is open, whatever its name is by now.
+  const std::string opened = absl::StrCat("/proc/self/fd/", file_->fd.get());
+  const int watch = inotify_add_watch(inotify_.get(), opened.c_str(), IN_MODIFY);
+  if (file_watch_ >= 0 && watch != file_watch_) inotify_rm_watch(inotify_.get(), file_watch_);
+  file_watch_ = watch;
+}
+
+void LogTail::TakeEvents() {
+  if (inotify_.get() < 0) return;
+  alignas(inotify_event) char events[16 * 1024];
+  // Names, in the order in which they were renamed away from ours, as they are now.
+  std::vector<std::string> rotated;
+  std::map<uint32_t, std::string> moving;
+  while (true) {
+    const ssize_t size = read(inotify_.get(), events, sizeof(events));
+    if (size <= 0) break;
+    for (const char* at = events; at < events + size;) {
+      const auto* event = reinterpret_cast<const inotify_event*>(at);
+      at += sizeof(inotify_event) + event->len;
+      if ((event->mask & IN_Q_OVERFLOW) != 0) ++counters_.gaps;
+      if (event->wd != directory_watch_) continue;
+      if ((event->mask & (IN_DELETE_SELF | IN_MOVE_SELF | IN_IGNORED)) != 0) {
+        if ((event->mask & IN_MOVE_SELF) != 0) inotify_rm_watch(inotify_.get(), event->wd);
+        directory_watch_ = -1;
+        continue;
+      }
+      const std::string name = event->len > 0 ? std::string(event->name) : "";
+      if ((event->mask & IN_MOVED_FROM) != 0) moving[event->cookie] = name;
+      if ((event->mask & IN_MOVED_TO) == 0) continue;
+      const auto from = moving.find(event->cookie);
+      if (from == moving.end()) continue;
+      // What had this name is overwritten.
+      rotated.erase(std::remove(rotated.begin(), rotated.end(), name), rotated.end());
+      if (from->second == name_) rotated.push_back(name);
+      std::replace(rotated.begin(), rotated.end(), from->second, name);
+      moving.erase(from);
+    }
+  }
+  for (const std::string& name : rotated) Enqueue(name);
+}
+
+void LogTail::Enqueue(const std::string& name) {
+  // Before the beginning, that looks at everything that is there.
+  if (!begun_) return;
+  absl::StatusOr<File> file = Open(absl::StrCat(directory_, "/", name));
+  if (!file.ok()) {
+    // Removed as well, which does not matter if it is the one that is being read.
+    struct stat status;
+    const bool ours =
+        file_.has_value() && fstat(file_->fd.get(), &status) == 0 && status.st_nlink == 0;
+    if (!ours) ++counters_.gaps;
+    return;
+  }
+  const auto is_it = [&](const File& each) {
+    return each.inode == file->inode && each.device == file->device;
+  };
+  if (file_.has_value() && is_it(*file_)) return;
+  if (former_.has_value() && is_it(*former_)) return;
+  if (std::any_of(rotated_.begin(), rotated_.end(), is_it)) return;
+  if (rotated_.size() >= limits_.rotated_files && !IsEmpty(rotated_.front())) {
+    ++counters_.gaps;
+    return;
+  }
+  if (rotated_.size() >= limits_.rotated_files) rotated_.pop_front();
+  rotated_.push_back(*std::move(file));
+}
+
+bool LogTail::IsEmpty(const File& file) {
+  struct stat status;
+  return fstat(file.fd.get(), &status) != 0 || status.st_size == 0;
+}
+
+// --- Reading
+
+void LogTail::StartOver(File& file) {
+  if (file.buffer.size() > file.begin) ++counters_.cut_off;
+  file.buffer.clear();
+  file.begin = file.scanned = 0;
+  file.offset = 0;
+  file.skipping = false;
+}
+
+void LogTail::Lines(File& file, const OnLine& on_line) {
+  while (true) {
+    const void* found =
+        memchr(file.buffer.data() + file.scanned, '\n', file.buffer.size() - file.scanned);
+    if (found == nullptr) break;
+    const size_t end = static_cast<size_t>(static_cast<const char*>(found) - file.buffer.data());
+    absl::string_view line = absl::string_view(file.buffer).substr(file.begin, end - file.begin);
+    file.offset += line.size() + 1;
+    file.begin = file.scanned = end + 1;
+    line_bytes_ = file_.has_value() && &file == &*file_ ? line.size() + 1 : 0;
+    if (std::exchange(file.skipping, false)) continue;
+    // A writer that goes on where it was leaves a hole in a truncated file.
+    while (!line.empty() && line.front() == '\0') line.remove_prefix(1);
+    if (line.size() > limits_.line_bytes) {
+      ++counters_.too_long;
+      continue;
+    }
+    if (!line.empty() && line.back() == '\r') line.remove_suffix(1);
+    on_line(line);
+  }
+  file.scanned = file.buffer.size();
+  const size_t unfinished = file.buffer.size() - file.begin;
+  const bool hole = unfinished > 0 && file.buffer[file.begin] == '\0' &&
+                    file.buffer.find_first_not_of('\0', file.begin) == std::string::npos;
+  if (hole || file.skipping || unfinished > limits_.line_bytes) {
+    if (!hole && !std::exchange(file.skipping, true)) ++counters_.too_long;
+    file.offset += unfinished;
+    file.begin = file.buffer.size();
+  }
+  if (file.begin > kFingerprintBytes) {
+    const size_t gone = file.begin - kFingerprintBytes;
+    file.buffer.erase(0, gone);
+    file.begin -= gone;
+    file.scanned -= gone;
+  }
+}
+
+bool LogTail::ReadFile(File& file, const OnLine& on_line, size_t& budget) {
+  std::string chunk;
+  while (budget > 0) {
+    // The last bytes again: if they are others now, so is the file.
+    const size_t known = std::min(file.buffer.size(), kFingerprintBytes);
+    const uint64_t read_to = file.offset + (file.buffer.size() - file.begin);
+    chunk.resize(known + std::min(budget, kChunkBytes));
+    const ssize_t got = ReadAt(file.fd.get(), chunk.data(), chunk.size(), read_to - known);
+    if (got < 0) {
+      status_ = ErrnoStatus("read", path_);
+      return false;
+    }
+    const absl::string_view bytes = absl::string_view(chunk).substr(0, static_cast<size_t>(got));
+    const absl::string_view last =
+        absl::string_view(file.buffer).substr(file.buffer.size() - known);
+    if (bytes.substr(0, known) != last) {
+      StartOver(file);
+      continue;
+    }
+    const absl::string_view fresh = bytes.substr(known);
+    if (fresh.empty()) return false;
+    budget -= fresh.size();
+    file.buffer.append(fresh.data(), fresh.size());
+    Lines(file, on_line);
+  }
+  return true;
+}
+
+void LogTail::DropFormer() {
+  if (former_.has_value() && former_->buffer.size() > former_->begin) ++counters_.cut_off;
+  former_.reset();
+}
+
+void LogTail::Replace(File next, int64_t now_ns) {
+  // An editor, or a copy with another name's inode: what was read stays read.
+  const LogPosition here = PositionIn(*file_);
+  const bool copy = here.offset > 0 && Seek(next, here.offset, here.fingerprint);
+  if (!copy) {
+    DropFormer();
+    former_ = std::move(file_);
+    former_until_ns_ = now_ns + kFormerNs;
+  }
+  file_ = std::move(next);
+  WatchFile();
+}
+
+bool LogTail::Follow(int64_t now_ns) {
+  // A writer that was not told of the renaming goes on in ours, and leaves the others empty.
+  const auto written = std::find_if_not(rotated_.begin(), rotated_.end(), IsEmpty);
+  if (written != rotated_.end()) {
+    File next = std::move(*written);
+    rotated_.erase(rotated_.begin(), written + 1);
+    Replace(std::move(next), now_ns);
+    return true;
+  }
+  struct stat status;
+  if (stat(path_.c_str(), &status) != 0) {
+    status_ = ErrnoStatus("look at", path_);
+    return false;
+  }
+  if (status.st_ino == file_->inode && status.st_dev == file_->device) return false;
+  if (status.st_size == 0) return false;
+  absl::StatusOr<File> next = Open(path_);
+  if (!next.ok()) {
+    status_ = next.status();
+    return false;
+  }
+  // It may have become another one in between, or ours again.
+  if (next->inode == file_->inode && next->device == file_->device) return false;
+  rotated_.clear();
+  Replace(*std::move(next), now_ns);
+  return true;
+}
+
+bool LogTail::Read(int64_t now_ns, const OnLine& on_line) {
+  Watch();
+  TakeEvents();
+  if (!begun_) Begin();
+  if (!begun_) return false;
+  if (!file_.has_value() && !OpenFirst()) return false;
+  status_ = absl::OkStatus();
+  size_t budget = limits_.turn_bytes;
+  // What was written to it before the first byte of the next one comes before that.
+  if (former_.has_value()) {
+    if (ReadFile(*former_, on_line, budget)) return true;
+    if (now_ns >= former_until_ns_) DropFormer();
+  }
+  if (ReadFile(*file_, on_line, budget)) return true;
+  return Follow(now_ns);
+}
+
+}  // namespace rips::sensor

@@ -1,0 +1,150 @@
+// Follows one growing log file line by line, through everything that is done to logs:
+//
+// | what happens                          | what is read                                          |
+// |---------------------------------------|-------------------------------------------------------|
+// | renamed, a new file in its place      | the old one to its end, then the new one from 0       |
+// | renamed several times between looks   | each in turn, unless it is gone by then (a gap)       |
+// | unlinked                              | the unlinked one, until there is a new one            |
+// | copied and truncated                  | again from 0                                          |
+// | replaced by a copy of itself          | on from the same offset                               |
+// | replaced by something else            | from 0                                                |
+// | not there, or its directory           | from 0 when it comes                                  |
+// | any of this while nobody reads        | as above; a gap if what was not read cannot be found  |
+//
+// A new file counts from its first byte on: until then the writer has not come over, and the old
+// one goes on. Afterwards the old one is still read for a few seconds. That bytes have changed before
+// the place read up to is how a truncation shows that grew again in the meantime.
+//
+// Not thread-safe.
+#ifndef RIPS_SENSOR_AGENT_IDS_LOG_TAIL_H_
+#define RIPS_SENSOR_AGENT_IDS_LOG_TAIL_H_
+
+#include <sys/stat.h>
+
+#include <cstddef>
+#include <cstdint>
+#include <deque>
+#include <functional>
+#include <optional>
+#include <string>
+
+#include "absl/status/status.h"
+#include "absl/status/statusor.h"
+#include "absl/strings/string_view.h"
+#include "sensor_agent/ids/log_position.h"
+#include "services/runtime/unique_fd.h"
+
+namespace rips::sensor {
+
+struct LogTailLimits {
+  // A longer line is dropped and counted.
+  size_t line_bytes = size_t{1} << 20;
+  // Read at most so much in one Read; a little more if a line needs it.
+  size_t turn_bytes = size_t{1} << 20;
+  // Renamed files that wait to be read; beyond is a gap.
+  size_t rotated_files = 16;
+};
+
+struct LogTailCounters {
+  uint64_t too_long = 0;
+  // Lines that lost their end or their beginning to a truncation or replacement.
+  uint64_t cut_off = 0;
+  // Times that something may have been written which was not read and cannot be any more.
+  uint64_t gaps = 0;
+};
+
+class LogTail {
+ public:
+  using OnLine = std::function<void(absl::string_view line)>;
+
+  // `path` is absolute. Goes on at `from`; nullopt = at the end of what is there at the first Read,
+  // whose lines are old. Nothing is opened yet.
+  LogTail(std::string path, std::optional<LogPosition> from, LogTailLimits limits = {});
+
+  // Gives `on_line` the complete lines that have come, without line break, in order. True if there
+  // is more to read at once. `now_ns` is CLOCK_BOOTTIME.
+  bool Read(int64_t now_ns, const OnLine& on_line);
+
+  // Behind the last line given. Nullopt until it is known where to begin.
+  std::optional<LogPosition> position() const;
+  // Only within on_line: before that line. For a late line of a file that was replaced: in the file
+  // that took its place.
+  LogPosition line_position() const { return PositionIn(*file_, line_bytes_); }
+  // OK while a file is being followed that is there; else why it is not.
+  const absl::Status& status() const { return status_; }
+  const LogTailCounters& counters() const { return counters_; }
+  // Becomes readable when there may be something to do; Read empties it. Not everything shows here
+  // (a network file system, a link to another directory): look each second anyway.
+  int wake_fd() const { return inotify_.get(); }
+  const std::string& path() const { return path_; }
+
+ private:
+  // An open file and what of it has been read.
+  struct File {
+    UniqueFd fd;
+    uint64_t device = 0;
+    uint64_t inode = 0;
+    // [0, begin) are the last bytes before `offset`, at most kFingerprintBytes between calls; the
+    // rest is the beginning of a line.
+    std::string buffer;
+    size_t begin = 0;
+    // No line break in buffer[begin, scanned).
+    size_t scanned = 0;
+    // In the file, of buffer[begin].
+    uint64_t offset = 0;
+    // In a line that is not given: too long, or begun before we were there.
+    bool skipping = false;
+  };
+
+  static absl::StatusOr<File> Open(const std::string& path);
+  static bool IsEmpty(const File& file);
+  // Takes `file` to `offset` if what is before that has this fingerprint.
+  static bool Seek(File& file, uint64_t offset, uint64_t fingerprint);
+  // `back` bytes before what was read.
+  static LogPosition PositionIn(const File& file, size_t back = 0);
+  // At its end, or behind the end's unfinished line.
+  void SeekEnd(File& file) const;
+  // Of the file `from_` is in: at the path, renamed beside it, or copied to the path.
+  void Begin();
+  // The file that came after there was none; false while there is none.
+  bool OpenFirst();
+  std::optional<File> FindRenamed(const LogPosition& position) const;
+
+  void Watch();
+  void WatchFile();
+  void TakeEvents();
+  // Opens what was renamed away from the path, if it is not being read already.
+  void Enqueue(const std::string& name);
+  // Reads up to the end of the file; true if the turn ended first.
+  bool ReadFile(File& file, const OnLine& on_line, size_t& budget);
+  void Lines(File& file, const OnLine& on_line);
+  // The file begins anew.
+  void StartOver(File& file);
+  // At the end of file_: goes over to what took its place. True if it did.
+  bool Follow(int64_t now_ns);
+  void DropFormer();
+  void Replace(File next, int64_t now_ns);
+
+  const std::string path_;
+  const std::string directory_;
+  const std::string name_;
+  const LogTailLimits limits_;
+  std::optional<LogPosition> from_;
+  // Begin has been through.
+  bool begun_ = false;
+  absl::Status status_;
+  LogTailCounters counters_;
+  UniqueFd inotify_;
+  int directory_watch_ = -1;
+  int file_watch_ = -1;
+  std::optional<File> file_;
+  // Of the line being given, if it is of file_; else 0.
+  size_t line_bytes_ = 0;
+  std::deque<File> rotated_;
+  std::optional<File> former_;
+  int64_t former_until_ns_ = 0;
+};
+
+}  // namespace rips::sensor
+
+#endif  // RIPS_SENSOR_AGENT_IDS_LOG_TAIL_H_
