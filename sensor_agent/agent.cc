@@ -91,6 +91,12 @@ absl::StatusOr<std::unique_ptr<Agent>> Agent::Create(
            .topics = {.payload_bytes = static_cast<size_t>(config.outbox_memory.bytes) +
                                        kPayloadsUnderwayBytes}},
           [raw] { raw->Wake(); }));
+  if (config.wire) {
+    RIPS_ASSIGN_OR_RETURN(agent->wire_,
+                          wire::WireInput::Create(
+                              {.socket = config.wire_socket, .domain = config.dds.domain},
+                              [raw] { raw->Wake(); }, metrics));
+  }
   const int64_t grace_ns = absl::ToInt64Nanoseconds(config.attribution_grace);
   const int64_t settle_ns = absl::ToInt64Nanoseconds(config.settle);
   GraphOptions options{.own = agent->domain_->own(),
@@ -159,6 +165,7 @@ void Agent::Observe() {
     seen.graph = graph_->Poll(now_ns);
     seen.settled = graph_->settled();
     TakeSamples(now_ns, seen);
+    TakeWire(now_ns, seen);
     CountLimits(now_ns, seen);
     uplink_->Append(std::move(seen));
     if (uplink_->snapshot_wanted()) uplink_->ReplaceGraph(graph_->Snapshot(now_ns));
@@ -188,6 +195,7 @@ void Agent::TakeInbox(int64_t now_ns, Observations& seen) {
 
 void Agent::TakeDiscovered(int64_t now_ns, Observations& seen) {
   for (const Discovered& each : domain_->TakeDiscovered()) {
+    if (wire_ != nullptr) wire_->OnDiscovered(each, now_ns);
     if (const auto* endpoint = std::get_if<EndpointFact>(&each.what)) {
       OnEndpoint(*endpoint, each.alive, now_ns);
       continue;
@@ -209,6 +217,7 @@ void Agent::TakeDiscovered(int64_t now_ns, Observations& seen) {
   seen.losses.push_back(LimitLoss(lost, now_ns));
   lost_.Increment(static_cast<double>(lost));
   graph_->BeginResync();
+  if (wire_ != nullptr) wire_->OnRediscovery(now_ns);
   resync_until_ns_ = now_ns + kResyncNs;
   if (absl::Status status = domain_->Rediscover(); !status.ok()) {
     LogError("discovery cannot be asked again", {{"error", status.ToString()}});
@@ -228,7 +237,10 @@ void Agent::OnEndpoint(const EndpointFact& endpoint, bool alive, int64_t now_ns)
   const ros2::DemangledTopic topic = ros2::DemangleTopic(endpoint.topic);
   if (topic.kind != ros2::DdsTopicKind::kTopic || !graph_->Watched(topic.name)) return;
   const absl::Status watched = domain_->topics().Watch(endpoint);
-  if (watched.ok()) return;
+  if (watched.ok()) {
+    if (wire_ != nullptr) wire_->OnRead(endpoint.guid, now_ns);
+    return;
+  }
   LogWarning("a writer cannot be read", {{"topic", topic.name}, {"error", watched.ToString()}});
   graph_->SetNotVisible(endpoint.guid, ros2::Printable(watched.message()), now_ns);
 }
@@ -270,6 +282,18 @@ void Agent::TakeSamples(int64_t now_ns, Observations& seen) {
     lost_.Increment(static_cast<double>(loss.count));
     seen.losses.push_back(std::move(loss));
   }
+}
+
+void Agent::TakeWire(int64_t now_ns, Observations& seen) {
+  if (wire_ == nullptr) return;
+  for (ControlObservation& finding : wire_->Poll(*graph_, *flow_, now_ns)) {
+    seen.findings.push_back(std::move(finding));
+  }
+  const bool visible = wire_->visible(now_ns);
+  if (visible == wire_visible_) return;
+  wire_visible_ = visible;
+  uplink_->SetNotVisible(visible ? std::vector<std::string>{}
+                                 : std::vector<std::string>{kUnicastOnlyWriters});
 }
 
 void Agent::CountLimits(int64_t now_ns, Observations& seen) {

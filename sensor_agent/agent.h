@@ -20,6 +20,7 @@
 #include "sensor_agent/interest.h"
 #include "sensor_agent/message_flow.h"
 #include "sensor_agent/uplink.h"
+#include "sensor_agent/wire/wire_input.h"
 #include "services/base/clock.h"
 #include "services/runtime/metrics.h"
 #include "services/runtime/mutex.h"
@@ -60,6 +61,7 @@ class Agent {
   void OnEndpoint(const EndpointFact& endpoint, bool alive, int64_t now_ns);
   void TakeClaims(int64_t now_ns, Observations& seen);
   void TakeSamples(int64_t now_ns, Observations& seen);
+  void TakeWire(int64_t now_ns, Observations& seen);
   void CountLimits(int64_t now_ns, Observations& seen);
   int64_t NextWork() const;
 
@@ -90,10 +92,12 @@ class Agent {
   int64_t resync_until_ns_ = 0;
   GraphCounters graph_counted_;
   FlowCounters flow_counted_;
+  bool wire_visible_ = false;
 
   // In this order: what calls back goes before what it uses.
   std::unique_ptr<Uplink> uplink_;
   std::unique_ptr<DomainWatch> domain_;
+  std::unique_ptr<wire::WireInput> wire_;  // null = without a tap
   std::thread observer_;
 };
 

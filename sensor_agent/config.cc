@@ -1,6 +1,7 @@
 #include "sensor_agent/config.h"
 
 #include "absl/strings/str_cat.h"
+#include "sensor_agent/wire/socket_address.h"
 #include "services/base/status_macros.h"
 #include "services/ros2/ros_name.h"
 
@@ -20,10 +21,6 @@ void RefuseWhatIsNotAvailable(const ConfigSection& root, const ConfigSection& ou
     source.Problem("format", absl::StrCat("reading alerts of an intrusion detection system is ",
                                           kNotAvailable, "; remove `ids`"));
   }
-  bool wire = false;
-  const ConfigSection section = root.OptionalSection("wire");
-  section.Optional("enabled", &wire);
-  if (wire) section.Problem("enabled", absl::StrCat("the wire reader is ", kNotAvailable));
   ByteSize disk;
   outbox.Optional("disk", &disk);
   if (disk.bytes != 0) {
@@ -31,6 +28,13 @@ void RefuseWhatIsNotAvailable(const ConfigSection& root, const ConfigSection& ou
   }
   std::string dir = "/var/lib/rips/sensor/spool";
   outbox.Optional("dir", &dir);
+}
+
+void ReadSocket(const ConfigSection& section, std::string* path) {
+  section.Optional("socket", path);
+  if (absl::Status valid = wire::LocalAddress(*path).status(); !valid.ok()) {
+    section.Problem("socket", valid.message());
+  }
 }
 
 }  // namespace
@@ -69,6 +73,9 @@ absl::StatusOr<SensorConfig> ParseSensorConfig(absl::string_view file, absl::str
   outbox.Optional("memory", &config.outbox_memory,
                   {ByteSize{int64_t{1} << 20}, ByteSize{int64_t{4} << 30}});
   RefuseWhatIsNotAvailable(root, outbox);
+  const ConfigSection wire = root.OptionalSection("wire");
+  wire.Optional("enabled", &config.wire);
+  ReadSocket(wire, &config.wire_socket);
   root.Optional("signals", &config.signals);
   root.Optional("metrics", &config.metrics);
   RIPS_RETURN_IF_ERROR(reader.Finish());

@@ -29,6 +29,9 @@ struct SensorConfig {
   std::vector<std::string> unwatched = {"/rosout", "/parameter_events"};
   std::string state_dir = "/var/lib/rips/sensor";
   ByteSize outbox_memory = {int64_t{64} << 20};
+  // rips-wire reports what is on the wire; this is where.
+  bool wire = false;
+  std::string wire_socket = "/run/rips/wire.sock";
   // SIGUSR1 and SIGUSR2 are reported.
   bool signals = true;
   std::string metrics = "127.0.0.1:9465";
@@ -37,7 +40,7 @@ struct SensorConfig {
 };
 
 // `file` is the name used in messages. InvalidArgument with every problem and its place. What the
-// format knows but this version does not do (ids, wire, a disk spool, DDS security) is a problem,
+// format knows but this version does not do (ids, a disk spool, DDS security) is a problem,
 // too: a sensor must not pretend to see what it does not. `effective`, if not null, takes the
 // effective configuration as text.
 absl::StatusOr<SensorConfig> ParseSensorConfig(absl::string_view file, absl::string_view text,

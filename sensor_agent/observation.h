@@ -8,6 +8,7 @@
 #include <memory>
 #include <string>
 #include <variant>
+#include <vector>
 
 #include "services/ros2/ros_graph.h"
 
@@ -70,6 +71,8 @@ struct SensorState {
   bool overloaded = false;
   uint64_t outbox_bytes = 0;
   int64_t oldest_unacked_ns = 0;  // age
+  // Kinds of traffic that cannot be seen now.
+  std::vector<std::string> not_visible;
 
   friend bool operator==(const SensorState&, const SensorState&) = default;
 };

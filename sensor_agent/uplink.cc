@@ -171,6 +171,12 @@ void Uplink::ReplaceGraph(std::vector<GraphChange> snapshot) {
   WakeLocked();
 }
 
+void Uplink::SetNotVisible(std::vector<std::string> kinds) {
+  kinds.push_back(kServiceRequests);
+  MutexLock lock(&mu_);
+  not_visible_ = std::move(kinds);
+}
+
 absl::Status Uplink::Ready() const {
   MutexLock lock(&mu_);
   if (phase_ == Phase::kStreaming) return absl::OkStatus();
@@ -207,8 +213,8 @@ SensorMessage Uplink::OnConnected() {
   SetClock(now, hello->mutable_clock());
   sensor->set_domain(options_.domain);
   sensor->set_interest_in_use(interest_in_use_);
-  sensor->add_not_visible("unicast-only writers");
-  sensor->add_not_visible("service requests");
+  for (const std::string& kind : not_visible_) sensor->add_not_visible(kind);
+  not_visible_told_ = not_visible_;
   for (const Lane lane : kLanes) {
     const SequenceRange range = outbox_.Unacked(lane);
     rips::v1::SpoolStream* spooled = sensor->add_spooled();
@@ -445,12 +451,14 @@ void Uplink::ReportStateLocked(int64_t now_ns) {
   payloads_shed_.Increment(static_cast<double>(payloads_shed));
   const bool overloaded =
       shed > 0 || payloads_shed > 0 || outbox_.bytes() > outbox_.limits().message_bytes / 2;
-  if (!overloaded && !overloaded_) return;
+  if (!overloaded && !overloaded_ && not_visible_ == not_visible_told_) return;
   overloaded_ = overloaded;
   outbox_.AddState({.overloaded = overloaded,
                     .outbox_bytes = outbox_.bytes(),
-                    .oldest_unacked_ns = now_ns - outbox_.OldestUnacked().value_or(now_ns)},
+                    .oldest_unacked_ns = now_ns - outbox_.OldestUnacked().value_or(now_ns),
+                    .not_visible = not_visible_},
                    now_ns);
+  not_visible_told_ = not_visible_;
 }
 
 void Uplink::PumpLocked(int64_t now_ns) {

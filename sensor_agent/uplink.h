@@ -68,6 +68,10 @@ struct UplinkOptions {
   absl::Duration heartbeat = absl::Milliseconds(500);
 };
 
+// Kinds of traffic that may not be visible: the first without a tap, the second never.
+inline constexpr char kUnicastOnlyWriters[] = "unicast-only writers";
+inline constexpr char kServiceRequests[] = "service requests";
+
 class Uplink {
  public:
   // Called on the session thread without locks held; return soon.
@@ -94,6 +98,9 @@ class Uplink {
   void ReplaceGraph(std::vector<GraphChange> snapshot) ABSL_LOCKS_EXCLUDED(mu_);
   // The interest of this id is observed from now on: the server is told, now or in the next hello.
   void InterestInUse(const std::string& id) ABSL_LOCKS_EXCLUDED(mu_);
+  // Kinds of traffic that cannot be seen from now on, besides what never can: the server is told, now
+  // or in the next hello.
+  void SetNotVisible(std::vector<std::string> kinds) ABSL_LOCKS_EXCLUDED(mu_);
   // OK while streaming; Unavailable with the reason otherwise.
   absl::Status Ready() const ABSL_LOCKS_EXCLUDED(mu_);
   // 16 bytes.
@@ -184,6 +191,9 @@ class Uplink {
   uint64_t server_boottime_ns_ ABSL_GUARDED_BY(mu_) = 0;
   int64_t last_heartbeat_ns_ ABSL_GUARDED_BY(mu_) = 0;
   bool overloaded_ ABSL_GUARDED_BY(mu_) = false;
+  std::vector<std::string> not_visible_ ABSL_GUARDED_BY(mu_) = {kUnicastOnlyWriters,
+                                                                kServiceRequests};
+  std::vector<std::string> not_visible_told_ ABSL_GUARDED_BY(mu_);
   uint64_t shed_reported_ ABSL_GUARDED_BY(mu_) = 0;
   uint64_t payloads_shed_reported_ ABSL_GUARDED_BY(mu_) = 0;
   // Ids of the interest that is observed, and of the newest one handed on; empty = none yet. They

@@ -204,6 +204,7 @@ void WireEncoder::Add(const ControlObservation& observation, ObservationBatch& b
     wire->mutable_state()->set_outbox_bytes(state.outbox_bytes);
     wire->mutable_state()->set_oldest_unacked_ns(
         static_cast<uint64_t>(std::max<int64_t>(state.oldest_unacked_ns, 0)));
+    for (const std::string& kind : state.not_visible) wire->mutable_state()->add_not_visible(kind);
   }
 }
 

@@ -18,7 +18,8 @@ Discovered FromDds(const dds::ParticipantSeen& seen) {
                                     .host = seen.host,
                                     .enclave = seen.enclave,
                                     .pid = seen.pid,
-                                    .vendor = seen.vendor}};
+                                    .vendor = seen.vendor},
+          .addresses = seen.addresses};
 }
 
 Discovered FromDds(const dds::EndpointSeen& seen) {
@@ -27,7 +28,8 @@ Discovered FromDds(const dds::EndpointSeen& seen) {
                                .writer = seen.writer,
                                .topic = seen.topic,
                                .type = seen.type,
-                               .qos = seen.qos}};
+                               .qos = seen.qos},
+          .addresses = {}};
 }
 
 }  // namespace
