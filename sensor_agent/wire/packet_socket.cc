@@ -46,8 +46,11 @@ struct PacketSocket::Buffers {
   std::array<mmsghdr, kReadMax> messages;
 };
 
-PacketSocket::PacketSocket(std::string interface, UniqueFd fd)
-    : interface_(std::move(interface)), fd_(std::move(fd)), buffers_(std::make_unique<Buffers>()) {}
+PacketSocket::PacketSocket(std::string interface, int index, UniqueFd fd)
+    : interface_(std::move(interface)),
+      index_(index),
+      fd_(std::move(fd)),
+      buffers_(std::make_unique<Buffers>()) {}
 
 PacketSocket::~PacketSocket() = default;
 
@@ -81,7 +84,7 @@ absl::StatusOr<std::unique_ptr<PacketSocket>> PacketSocket::Open(
   if (bind(fd.get(), reinterpret_cast<const sockaddr*>(&address), sizeof address) != 0) {
     return Errno(absl::StrCat("listening on interface `", ros2::Printable(interface), "`"));
   }
-  return std::unique_ptr<PacketSocket>(new PacketSocket(interface, std::move(fd)));
+  return std::unique_ptr<PacketSocket>(new PacketSocket(interface, index, std::move(fd)));
 }
 
 absl::StatusOr<size_t> PacketSocket::Read(const Use& use) {
@@ -97,13 +100,11 @@ absl::StatusOr<size_t> PacketSocket::Read(const Use& use) {
   const int count = recvmmsg(fd_.get(), b.messages.data(), kReadMax, MSG_DONTWAIT, nullptr);
   if (count < 0) {
     if (errno == EAGAIN || errno == EINTR) return 0;
-    // Down: it goes on by itself when the interface is up again, unless that was removed.
-    if (errno == ENETDOWN && IndexOf(interface_).ok()) {
+    if (errno == ENETDOWN) {  // it goes on by itself when the interface is up again
       LogWarning("the interface is down", {{"interface", interface_}});
       return 0;
     }
-    return absl::UnavailableError(
-        absl::StrCat("reading packets of `", interface_, "`: ", Errno("recvmmsg").message()));
+    return Errno(absl::StrCat("reading packets of `", interface_, "`"));
   }
   for (int i = 0; i < count; ++i) {
     const size_t captured = std::min<size_t>(b.messages[i].msg_len, kSnapBytes);
@@ -113,6 +114,13 @@ absl::StatusOr<size_t> PacketSocket::Read(const Use& use) {
     }
   }
   return static_cast<size_t>(count);
+}
+
+absl::Status PacketSocket::CheckInterface() const {
+  if (index_ == 0) return absl::OkStatus();
+  const absl::StatusOr<int> index = IndexOf(interface_);
+  if (index.ok() && *index == index_) return absl::OkStatus();
+  return absl::UnavailableError(absl::StrCat("interface `", interface_, "` is gone"));
 }
 
 uint64_t PacketSocket::TakeDrops() {

@@ -37,10 +37,13 @@ class PacketSocket {
   // For poll.
   int fd() const { return fd_.get(); }
   // Hands on what is there, at most kReadMax. How many packets were read, whatever they held. OK
-  // while the interface is down; Unavailable once it is gone for good.
+  // while the interface is down. The system's error otherwise.
   static constexpr size_t kReadMax = 64;
   using Use = std::function<void(const UdpDatagram&)>;
   absl::StatusOr<size_t> Read(const Use& use);
+  // Unavailable once the interface is gone; nothing comes any more then, even if another of its name
+  // appears.
+  absl::Status CheckInterface() const;
   // Packets the kernel had no room for, since the last call.
   uint64_t TakeDrops();
   // Bytes granted.
@@ -49,9 +52,10 @@ class PacketSocket {
 
  private:
   struct Buffers;
-  PacketSocket(std::string interface, UniqueFd fd);
+  PacketSocket(std::string interface, int index, UniqueFd fd);
 
   const std::string interface_;
+  const int index_;  // 0 = all
   UniqueFd fd_;
   std::unique_ptr<Buffers> buffers_;
 };

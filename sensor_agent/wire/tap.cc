@@ -60,6 +60,7 @@ absl::Status Tap::Run(int stop_fd) {
   for (;;) {
     const int64_t now_ns = clock_->Now().boottime_ns;
     if (now_ns >= next_report_ns) {
+      for (const auto& socket : sockets_) RIPS_RETURN_IF_ERROR(socket->CheckInterface());
       Report(now_ns);
       next_report_ns = now_ns + kReportIntervalNs;
     }
