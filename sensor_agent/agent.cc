@@ -165,6 +165,12 @@ absl::StatusOr<std::unique_ptr<Agent>> Agent::Create(
                           static_cast<size_t>(config.outbox_memory.bytes) + kPayloadsUnderwayBytes,
                       .secured = secured}},
           [raw] { raw->Wake(); }));
+  if (config.wire) {
+    RIPS_ASSIGN_OR_RETURN(agent->wire_,
+                          wire::WireInput::Create(
+                              {.socket = config.wire_socket, .domain = config.dds.domain},
+                              [raw] { raw->Wake(); }, metrics));
+  }
   const int64_t grace_ns = absl::ToInt64Nanoseconds(config.attribution_grace);
   const int64_t settle_ns = absl::ToInt64Nanoseconds(config.settle);
   GraphOptions options{.own = agent->domain_->own(),
@@ -260,6 +266,7 @@ void Agent::Look(int64_t now_ns) {
   seen.settled = graph_->settled();
   TakeSamples(now_ns, seen);
   TakeFindings(now_ns, seen);
+  TakeWire(now_ns, seen);
   CountLimits(now_ns, seen);
   uplink_->Append(std::move(seen));
 }
@@ -300,10 +307,18 @@ void Agent::FollowPlan(int64_t now_ns) {
   const auto plan = std::make_shared<const WatchPlan>(watch_);
   graph_->SetPlan(plan, now_ns);
   domain_->topics().SetPlan(plan, now_ns);
+  TellReaders(now_ns);
+}
+
+void Agent::TellReaders(int64_t now_ns) {
+  if (wire_ == nullptr) return;
+  wire_->OnReaders([this](const ros2::Guid& writer) { return domain_->topics().Reads(writer); },
+                   now_ns);
 }
 
 void Agent::TakeCoverage(int64_t now_ns) {
-  for (const Coverage& news : domain_->topics().TakeCoverage(now_ns)) {
+  const std::vector<Coverage> all = domain_->topics().TakeCoverage(now_ns);
+  for (const Coverage& news : all) {
     const std::string why = ros2::Printable(news.not_visible);
     if (!why.empty()) {
       const std::optional<ros2::Endpoint> writer = graph_->Find(news.writer);
@@ -313,10 +328,12 @@ void Agent::TakeCoverage(int64_t now_ns) {
     }
     graph_->SetNotVisible(news.writer, why, now_ns);
   }
+  if (!all.empty()) TellReaders(now_ns);
 }
 
 void Agent::TakeDiscovered(int64_t now_ns, Observations& seen) {
   for (const Discovered& each : domain_->TakeDiscovered()) {
+    if (wire_ != nullptr) wire_->OnDiscovered(each, now_ns);
     if (const auto* endpoint = std::get_if<EndpointFact>(&each.what)) {
       OnEndpoint(*endpoint, each.alive, now_ns);
       continue;
@@ -338,6 +355,7 @@ void Agent::TakeDiscovered(int64_t now_ns, Observations& seen) {
   seen.losses.push_back(LimitLoss(lost, now_ns));
   lost_.Increment(static_cast<double>(lost));
   graph_->BeginResync();
+  if (wire_ != nullptr) wire_->OnRediscovery(now_ns);
   resync_until_ns_ = now_ns + kResyncNs;
   if (absl::Status status = domain_->Rediscover(); !status.ok()) {
     LogError("discovery cannot be asked again", {{"error", status.ToString()}});
@@ -356,6 +374,9 @@ void Agent::OnEndpoint(const EndpointFact& endpoint, bool alive, int64_t now_ns)
   if (ros2::DemangleTopic(endpoint.topic).kind != ros2::DdsTopicKind::kTopic) return;
   // What goes wrong is news of TakeCoverage.
   domain_->topics().Watch(endpoint, now_ns).IgnoreError();
+  if (wire_ != nullptr && domain_->topics().Reads(endpoint.guid)) {
+    wire_->OnRead(endpoint.guid, now_ns);
+  }
 }
 
 void Agent::TakeClaims(int64_t now_ns, Observations& seen) {
@@ -427,7 +448,20 @@ void Agent::TellAnew(int64_t now_ns) {
   for (Finding& finding : findings_->Told()) {
     AddFinding(std::move(finding), now_ns, again);
   }
+  if (wire_ != nullptr) {
+    for (ControlObservation& finding : wire_->Standing(now_ns)) {
+      again.findings.push_back(std::move(finding));
+    }
+  }
   if (!again.findings.empty()) uplink_->Append(std::move(again));
+}
+
+void Agent::TakeWire(int64_t now_ns, Observations& seen) {
+  if (wire_ == nullptr) return;
+  for (ControlObservation& finding : wire_->Poll(*graph_, *flow_, now_ns)) {
+    seen.findings.push_back(std::move(finding));
+  }
+  uplink_->SetKindVisible(kUnicastOnlyWriters, wire_->visible(now_ns));
 }
 
 void Agent::CountLimits(int64_t now_ns, Observations& seen) {

@@ -22,6 +22,7 @@
 #include "sensor_agent/interest.h"
 #include "sensor_agent/message_flow.h"
 #include "sensor_agent/uplink.h"
+#include "sensor_agent/wire/wire_input.h"
 #include "services/base/clock.h"
 #include "services/runtime/metrics.h"
 #include "services/runtime/mutex.h"
@@ -69,6 +70,9 @@ class Agent {
   void TakeClaims(int64_t now_ns, Observations& seen);
   void TakeSamples(int64_t now_ns, Observations& seen);
   void TakeFindings(int64_t now_ns, Observations& seen);
+  void TakeWire(int64_t now_ns, Observations& seen);
+  // Which writers are read, for the judgement of what is on the wire.
+  void TellReaders(int64_t now_ns);
   void CountLimits(int64_t now_ns, Observations& seen);
   // The whole graph in place of its steps, and what stands of the findings.
   void TellAnew(int64_t now_ns);
@@ -112,6 +116,7 @@ class Agent {
   std::unique_ptr<DomainWatch> domain_;
   // Null if there is no log to read.
   std::unique_ptr<IdsFeed> ids_;
+  std::unique_ptr<wire::WireInput> wire_;  // null = without a tap
   std::thread observer_;
 };
 

@@ -3,6 +3,7 @@
 #include <algorithm>
 
 #include "absl/strings/str_cat.h"
+#include "sensor_agent/wire/socket_address.h"
 #include "services/base/status_macros.h"
 #include "services/ros2/ros_name.h"
 
@@ -12,16 +13,6 @@ namespace {
 
 // Some segments.
 constexpr int64_t kSpoolBytesMin = int64_t{16} << 20;
-constexpr char kNotAvailable[] = "not available in this version";
-
-// Sections of later versions: their keys are known, their use is not.
-void RefuseWhatIsNotAvailable(const ConfigSection& root) {
-  bool wire = false;
-  const ConfigSection section = root.OptionalSection("wire");
-  section.Optional("enabled", &wire);
-  if (wire) section.Problem("enabled", absl::StrCat("the wire reader is ", kNotAvailable));
-}
-
 std::vector<IdsLog> ReadIds(const ConfigSection& root) {
   std::vector<IdsLog> logs;
   for (const ConfigSection& source : root.Sections("ids")) {
@@ -40,6 +31,13 @@ std::vector<IdsLog> ReadIds(const ConfigSection& root) {
     root.Problem("ids", absl::StrCat(logs.size(), " logs exceed the limit of ", kIdsLogsMax));
   }
   return logs;
+}
+
+void ReadSocket(const ConfigSection& section, std::string* path) {
+  section.Optional("socket", path);
+  if (absl::Status valid = wire::LocalAddress(*path).status(); !valid.ok()) {
+    section.Problem("socket", valid.message());
+  }
 }
 
 }  // namespace
@@ -80,8 +78,10 @@ absl::StatusOr<SensorConfig> ParseSensorConfig(absl::string_view file, absl::str
   config.spool_dir = absl::StrCat(config.state_dir, "/spool");
   outbox.Optional("dir", &config.spool_dir);
   if (config.spool_dir.front() != '/') outbox.Problem("dir", "needs an absolute path");
-  RefuseWhatIsNotAvailable(root);
   config.ids = ReadIds(root);
+  const ConfigSection wire = root.OptionalSection("wire");
+  wire.Optional("enabled", &config.wire);
+  ReadSocket(wire, &config.wire_socket);
   root.Optional("signals", &config.signals);
   root.Optional("metrics", &config.metrics);
   RIPS_RETURN_IF_ERROR(reader.Finish());

@@ -37,6 +37,9 @@ struct SensorConfig {
   std::string spool_dir;
   // Logs of the host's intrusion detection system.
   std::vector<IdsLog> ids;
+  // rips-wire reports what is on the wire; this is where.
+  bool wire = false;
+  std::string wire_socket = "/run/rips/wire.sock";
   // SIGUSR1 and SIGUSR2 are reported.
   bool signals = true;
   std::string metrics = "127.0.0.1:9465";
@@ -44,9 +47,8 @@ struct SensorConfig {
   friend bool operator==(const SensorConfig&, const SensorConfig&) = default;
 };
 
-// `file` is the name used in messages. InvalidArgument with every problem and its place. What the
-// format knows but this version does not do (wire) is a problem, too: a sensor must not pretend to
-// see what it does not. `effective`, if not null, takes the effective configuration as text.
+// `file` is the name used in messages. InvalidArgument with every problem and its place.
+// `effective`, if not null, takes the effective configuration as text.
 absl::StatusOr<SensorConfig> ParseSensorConfig(absl::string_view file, absl::string_view text,
                                                std::string* effective = nullptr);
 

@@ -160,6 +160,11 @@ void MessageFlow::Bury(int64_t now_ns) {
   }
 }
 
+uint64_t MessageFlow::HighestSequence(const ros2::Guid& writer) const {
+  const auto it = writers_.find(writer);
+  return it == writers_.end() ? 0 : it->second->highest_sequence;
+}
+
 int64_t MessageFlow::NextDue() const {
   int64_t due = kNever;
   for (const Guid& guid : waiting_writers_) {

@@ -86,6 +86,8 @@ class MessageFlow {
   void WriterGone(const ros2::Guid& writer, int64_t now_ns);
   // kNever = not before another sample.
   int64_t NextDue() const;
+  // Of what was received of this writer; 0 = nothing, or nothing that is remembered.
+  uint64_t HighestSequence(const ros2::Guid& writer) const;
 
   const FlowCounters& counters() const { return counters_; }
 

@@ -83,7 +83,8 @@ struct UplinkOptions {
   absl::Duration heartbeat = absl::Milliseconds(500);
 };
 
-// Kinds of traffic that may not be visible.
+// Kinds of traffic that may not be visible: the first without a tap; the next two never; the last
+// without DDS Security.
 inline constexpr char kUnicastOnlyWriters[] = "unicast-only writers";
 inline constexpr char kServiceRequests[] = "service requests";
 inline constexpr char kSharedMemory[] = "participants that speak shared memory alone";

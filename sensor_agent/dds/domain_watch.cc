@@ -18,7 +18,8 @@ Discovered FromDds(const dds::ParticipantSeen& seen) {
                                     .host = seen.host,
                                     .enclave = seen.enclave,
                                     .pid = seen.pid,
-                                    .vendor = seen.vendor}};
+                                    .vendor = seen.vendor},
+          .addresses = seen.addresses};
 }
 
 Discovered FromDds(const dds::EndpointSeen& seen) {
@@ -28,7 +29,8 @@ Discovered FromDds(const dds::EndpointSeen& seen) {
                                .topic = seen.topic,
                                .type = seen.type,
                                .qos = seen.qos,
-                               .unreadable = seen.unreadable}};
+                               .unreadable = seen.unreadable},
+          .addresses = {}};
 }
 
 }  // namespace

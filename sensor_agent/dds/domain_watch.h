@@ -38,6 +38,8 @@ struct DomainWatchOptions {
 struct Discovered {
   bool alive = false;
   std::variant<ros2::Participant, EndpointFact> what;
+  // Of a participant: the locators it is reached at, as the middleware prints them.
+  std::string addresses;
 };
 
 // A message of ros_discovery_info.

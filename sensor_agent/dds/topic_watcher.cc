@@ -277,6 +277,13 @@ void TopicWatcher::OnSample(Reader& reader, const dds::RawSample& sample) {
   wake_();
 }
 
+bool TopicWatcher::Reads(const ros2::Guid& writer) const {
+  const auto member = members_.find(writer);
+  if (member == members_.end() || !member->second.visible) return false;
+  const auto group = groups_.find(member->second.key);
+  return group != groups_.end() && group->second.reader != nullptr;
+}
+
 std::vector<Sample> TopicWatcher::Take(size_t max) {
   return queue_.PopAll(absl::ZeroDuration(), max);
 }

@@ -103,6 +103,8 @@ class TopicWatcher {
   uint64_t TakePayloadsRefused() { return payloads_.TakeRefused(); }
 
   size_t readers() const { return readers_; }
+  // There is a reader for this writer, and nothing is known against it.
+  bool Reads(const ros2::Guid& writer) const;
 
  private:
   // DDS topic, DDS type, latched, and a partition to receive from besides all that have a name

@@ -1,0 +1,129 @@
+#include "sensor_agent/wire/wire_input.h"
+
+#include <utility>
+#include <variant>
+
+#include "services/base/clock.h"
+#include "services/base/status_macros.h"
+#include "services/ros2/ros_name.h"
+#include "services/runtime/log.h"
+
+namespace rips::wire {
+
+namespace {
+
+// A tap reports every 200 ms; one that is silent for so long is as good as none.
+constexpr int64_t kSilenceNs = 2 * kNanosPerSecond;
+
+void CountSince(const Counter& counter, uint64_t now, uint64_t& before) {
+  if (now > before) counter.Increment(static_cast<double>(now - before));
+  before = now;
+}
+
+}  // namespace
+
+WireInput::WireInput(const WireInputOptions& options, Metrics* metrics)
+    : packets_(
+          metrics->AddCounter("rips_sensor_wire_packets_total", "RTPS datagrams that the tap saw")),
+      malformed_(metrics->AddCounter("rips_sensor_wire_malformed_total",
+                                     "Datagrams that broke off at a senseless submessage")),
+      cut_(metrics->AddCounter("rips_sensor_wire_cut_total",
+                               "Datagrams with submessages beyond what is captured")),
+      dropped_(metrics->AddCounter(
+          "rips_sensor_wire_dropped_total",
+          "Datagrams, reports and findings of the tap left out because of a limit")),
+      connected_(metrics->AddGauge("rips_sensor_wire_connected", "A tap reports")),
+      standing_(metrics->AddGauge("rips_sensor_wire_findings", "Findings of the tap that stand")),
+      watch_(WatchOptions{.domain = options.domain}) {}
+
+absl::StatusOr<std::unique_ptr<WireInput>> WireInput::Create(const WireInputOptions& options,
+                                                             std::function<void()> wake,
+                                                             Metrics* metrics) {
+  std::unique_ptr<WireInput> input(new WireInput(options, metrics));
+  RIPS_ASSIGN_OR_RETURN(
+      input->socket_,
+      WireSocket::Listen({.path = options.socket, .domain = options.domain}, std::move(wake)));
+  return input;
+}
+
+void WireInput::OnDiscovered(const sensor::Discovered& discovered, int64_t now_ns) {
+  if (const auto* endpoint = std::get_if<sensor::EndpointFact>(&discovered.what)) {
+    if (!discovered.alive) {
+      watch_.WriterGone(endpoint->guid, now_ns);  // which a reader is not
+    } else if (endpoint->writer) {
+      watch_.WriterSeen(endpoint->guid, ros2::DemangleTopic(endpoint->topic).name);
+    }
+    return;
+  }
+  const ros2::Guid& participant = std::get<ros2::Participant>(discovered.what).guid;
+  if (discovered.alive) {
+    watch_.ParticipantSeen(participant, ParseLocators(discovered.addresses));
+  } else {
+    watch_.ParticipantGone(participant, now_ns);
+  }
+}
+
+bool WireInput::visible(int64_t now_ns) const {
+  return socket_->connected() && last_report_ns_ != 0 && now_ns - last_report_ns_ < kSilenceNs;
+}
+
+void WireInput::TakeReport(const TapReport& report, int64_t now_ns) {
+  last_report_ns_ = now_ns;
+  CountSince(packets_, report.counters.packets, tap_counted_.packets);
+  CountSince(malformed_, report.counters.malformed, tap_counted_.malformed);
+  CountSince(cut_, report.counters.cut, tap_counted_.cut);
+  CountSince(dropped_, report.counters.kernel_drops, tap_counted_.kernel_drops);
+  CountSince(dropped_, report.counters.table_drops, tap_counted_.table_drops);
+  watch_.Take(report, now_ns);
+}
+
+void WireInput::CountLimits() {
+  const WatchCounters& watch = watch_.counters();
+  CountSince(dropped_, watch.dropped + watch.findings_dropped + socket_->dropped(),
+             dropped_counted_);
+  if (watch_.blind() && !blind_logged_) {
+    LogError("discovery shows more than the tap is judged by; unknown writers are not told");
+    blind_logged_ = true;
+  }
+}
+
+std::vector<sensor::ControlObservation> WireInput::Poll(const sensor::GraphBuilder& graph,
+                                                        const sensor::MessageFlow& flow,
+                                                        int64_t now_ns) {
+  for (const Received& each : socket_->Take()) {
+    if (each.connected) {
+      watch_.TapChanged();
+      tap_counted_ = {};
+      last_report_ns_ = 0;
+    } else {
+      TakeReport(each.report, now_ns);
+    }
+  }
+  connected_.Set(visible(now_ns) ? 1 : 0);
+  std::vector<sensor::ControlObservation> observations;
+  const auto received = [&flow](const ros2::Guid& writer) { return flow.HighestSequence(writer); };
+  for (sensor::Finding& finding : watch_.Poll(graph.settled(), received, now_ns)) {
+    if (const auto endpoint = graph.Find(finding.guid)) finding.node = endpoint->node;
+    Log(finding.over ? LogLevel::kInfo : LogLevel::kWarning,
+        finding.over ? "finding over" : "finding",
+        {{"kind", finding.kind},
+         {"guid", ToString(finding.guid)},
+         {"node", finding.node},
+         {"topic", finding.topic},
+         {"detail", finding.detail}});
+    observations.push_back({.boottime_ns = now_ns, .what = std::move(finding)});
+  }
+  standing_.Set(static_cast<double>(watch_.standing().size()));
+  CountLimits();
+  return observations;
+}
+
+std::vector<sensor::ControlObservation> WireInput::Standing(int64_t now_ns) const {
+  std::vector<sensor::ControlObservation> observations;
+  for (const auto& [key, finding] : watch_.standing()) {
+    observations.push_back({.boottime_ns = now_ns, .what = finding});
+  }
+  return observations;
+}
+
+}  // namespace rips::wire

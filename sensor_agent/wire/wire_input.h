@@ -1,0 +1,81 @@
+// The tap as the sensor's observer thread sees it: takes its reports, judges them by what discovery
+// shows, and hands over findings.
+#ifndef RIPS_SENSOR_AGENT_WIRE_WIRE_INPUT_H_
+#define RIPS_SENSOR_AGENT_WIRE_WIRE_INPUT_H_
+
+#include <cstdint>
+#include <functional>
+#include <memory>
+#include <string>
+#include <vector>
+
+#include "absl/status/statusor.h"
+#include "sensor_agent/dds/domain_watch.h"
+#include "sensor_agent/graph_builder.h"
+#include "sensor_agent/message_flow.h"
+#include "sensor_agent/observation.h"
+#include "sensor_agent/wire/wire_socket.h"
+#include "sensor_agent/wire/wire_watch.h"
+#include "services/runtime/metrics.h"
+
+namespace rips::wire {
+
+struct WireInputOptions {
+  std::string socket;
+  uint32_t domain = 0;
+};
+
+// One thread, but for `wake`.
+class WireInput {
+ public:
+  // The errors of WireSocket::Listen. `metrics` is not owned and outlives this; `wake` is called
+  // from another thread when there is something to poll for.
+  static absl::StatusOr<std::unique_ptr<WireInput>> Create(const WireInputOptions& options,
+                                                           std::function<void()> wake,
+                                                           Metrics* metrics);
+
+  // Everything that is discovered, in order; `now_ns` is CLOCK_BOOTTIME.
+  void OnDiscovered(const sensor::Discovered& discovered, int64_t now_ns);
+  // We have a reader for this writer.
+  void OnRead(const ros2::Guid& writer, int64_t now_ns) { watch_.WriterRead(writer, now_ns); }
+  // Perhaps we have readers for others than before; `reads` tells of which writers.
+  void OnReaders(const std::function<bool(const ros2::Guid&)>& reads, int64_t now_ns) {
+    watch_.SetReaders(reads, now_ns);
+  }
+  // Discovery is told anew: what is not seen again is gone.
+  void OnRediscovery(int64_t now_ns) { watch_.Rediscover(now_ns); }
+
+  // Findings that begin or are over, logged too; `graph` names the nodes. `flow` tells what our
+  // readers got.
+  std::vector<sensor::ControlObservation> Poll(const sensor::GraphBuilder& graph,
+                                               const sensor::MessageFlow& flow, int64_t now_ns);
+  // Those that stand: for a server that has forgotten them.
+  std::vector<sensor::ControlObservation> Standing(int64_t now_ns) const;
+  // A tap reports.
+  bool visible(int64_t now_ns) const;
+
+ private:
+  WireInput(const WireInputOptions& options, Metrics* metrics);
+
+  void TakeReport(const TapReport& report, int64_t now_ns);
+  void CountLimits();
+
+  Counter packets_;
+  Counter malformed_;
+  Counter cut_;
+  Counter dropped_;
+  Gauge connected_;
+  Gauge standing_;
+  WireWatch watch_;
+  // Of the last report; the tap counts from its start.
+  TapCounters tap_counted_;
+  uint64_t dropped_counted_ = 0;
+  int64_t last_report_ns_ = 0;  // 0 = none of this tap yet
+  bool blind_logged_ = false;
+  // Last: it goes first.
+  std::unique_ptr<WireSocket> socket_;
+};
+
+}  // namespace rips::wire
+
+#endif  // RIPS_SENSOR_AGENT_WIRE_WIRE_INPUT_H_

@@ -1,0 +1,382 @@
+#include "sensor_agent/wire/wire_watch.h"
+
+#include <algorithm>
+
+#include "absl/strings/str_cat.h"
+
+namespace rips::wire {
+
+namespace {
+
+constexpr char kUnicastWriter[] = "unicast_writer";
+constexpr char kSpoofedWriter[] = "spoofed_writer";
+constexpr char kDirectedData[] = "directed_data";
+
+// DDSI-RTPS 2.5 §9.6.2.3: ports of a domain.
+constexpr uint32_t kPortBase = 7'400;
+constexpr uint32_t kPortsPerDomain = 250;
+
+// Ports of one address that a participant sends from at the same time. Cyclone DDS has one socket
+// for each address; Fast DDS has one more than there are interfaces, and one process of it may use
+// several transports.
+constexpr uint16_t kCyclone = 0x0110;
+constexpr size_t kPortsOfCyclone = 1;
+constexpr size_t kPortsOfOthers = 8;
+
+bool HasUnicast(const std::vector<Locator>& locators) {
+  return std::any_of(locators.begin(), locators.end(),
+                     [](const Locator& each) { return !each.address.multicast(); });
+}
+
+bool ToMulticast(const Traffic& traffic) {
+  return std::any_of(traffic.destinations.begin(), traffic.destinations.end(),
+                     [](const Destination& each) { return each.to.address.multicast(); });
+}
+
+std::string Datagrams(uint64_t count) {
+  return absl::StrCat(count, count == 1 ? " datagram" : " datagrams");
+}
+
+}  // namespace
+
+// ------------------------------------------------------------------------------------ discovery
+
+void WireWatch::ParticipantSeen(const ros2::Guid& participant,
+                                const std::vector<Locator>& advertised) {
+  const auto it = known_participants_.find(participant);
+  if (it == known_participants_.end() &&
+      known_participants_.size() >= options_.known_participants) {
+    blind_ = true;
+    return;
+  }
+  KnownParticipant& known = known_participants_[participant];
+  if (known.gone_ns != 0) {
+    // Started again under its old name: from another port, rightly.
+    const auto seen = participants_.find(participant);
+    if (seen != participants_.end()) seen->second.sources.clear();
+  }
+  for (const Locator& each : known.advertised) {
+    if (--advertised_[each] == 0) advertised_.erase(each);
+  }
+  known.advertised = advertised;
+  for (const Locator& each : known.advertised) ++advertised_[each];
+  known.gone_ns = 0;
+}
+
+void WireWatch::ParticipantGone(const ros2::Guid& participant, int64_t now_ns) {
+  const auto it = known_participants_.find(participant);
+  if (it == known_participants_.end() || it->second.gone_ns != 0) return;
+  it->second.gone_ns = now_ns;
+  graves_.emplace_back(now_ns, participant);
+}
+
+void WireWatch::WriterSeen(const ros2::Guid& writer, const std::string& topic) {
+  const auto it = known_writers_.find(writer);
+  if (it == known_writers_.end() && known_writers_.size() >= options_.known_writers) {
+    blind_ = true;
+    return;
+  }
+  KnownWriter& known = known_writers_[writer];
+  known.topic = topic;
+  known.gone_ns = 0;
+}
+
+void WireWatch::WriterGone(const ros2::Guid& writer, int64_t now_ns) {
+  const auto it = known_writers_.find(writer);
+  if (it == known_writers_.end() || it->second.gone_ns != 0) return;
+  it->second.gone_ns = now_ns;
+  it->second.read = false;
+  graves_.emplace_back(now_ns, writer);
+}
+
+void WireWatch::WriterRead(const ros2::Guid& writer, int64_t now_ns) {
+  const auto it = known_writers_.find(writer);
+  if (it == known_writers_.end() || it->second.read) return;
+  KnownWriter& known = it->second;
+  known.read = true;
+  known.progress_ns = now_ns;
+  known.on_wire = known.on_wire_then = known.received = 0;
+}
+
+void WireWatch::SetReaders(const std::function<bool(const ros2::Guid&)>& reads, int64_t now_ns) {
+  for (auto& [guid, known] : known_writers_) {
+    if (reads(guid)) {
+      WriterRead(guid, now_ns);
+    } else {
+      known.read = false;
+    }
+  }
+}
+
+void WireWatch::Rediscover(int64_t now_ns) {
+  for (auto& [guid, known] : known_participants_) ParticipantGone(guid, now_ns);
+  for (auto& [guid, known] : known_writers_) WriterGone(guid, now_ns);
+}
+
+// ---------------------------------------------------------------------------------------- facts
+
+bool WireWatch::Knows(const ros2::Guid& participant) const {
+  return known_participants_.contains(participant);
+}
+
+bool WireWatch::IsOurs(const Traffic& traffic) const {
+  if (traffic.elsewhere > 0 || Knows(traffic.writer.Participant())) return true;
+  const uint32_t first = kPortBase + kPortsPerDomain * options_.domain;
+  return std::any_of(
+      traffic.destinations.begin(), traffic.destinations.end(), [&](const Destination& each) {
+        const uint32_t port = each.to.port;
+        return (port >= first && port < first + kPortsPerDomain) || advertised_.contains(each.to);
+      });
+}
+
+bool WireWatch::Local(const Address& address) const {
+  return address.loopback() || std::binary_search(local_.begin(), local_.end(), address);
+}
+
+bool WireWatch::MaySendFrom(const ros2::Guid& participant, const Participant& seen,
+                            const Address& address) const {
+  const auto known = known_participants_.find(participant);
+  if (known == known_participants_.end()) return true;  // that it is unknown is told elsewhere
+  std::vector<Locator> advertised = known->second.advertised;
+  if (!HasUnicast(advertised)) advertised = {seen.sources.front().from};
+  return std::any_of(advertised.begin(), advertised.end(), [&](const Locator& each) {
+    if (each.address.multicast()) return false;
+    // A host may send to itself from any of its addresses.
+    return each.address == address || (Local(each.address) && Local(address));
+  });
+}
+
+std::string WireWatch::TopicOf(const ros2::Guid& writer) const {
+  const auto it = known_writers_.find(writer);
+  return it == known_writers_.end() ? std::string() : it->second.topic;
+}
+
+// -------------------------------------------------------------------------------------- the tap
+
+void WireWatch::TapChanged() {
+  for (auto& [guid, seen] : participants_) seen.sources.clear();
+}
+
+void WireWatch::Take(const TapReport& report, int64_t now_ns) {
+  local_ = report.local_addresses;
+  std::sort(local_.begin(), local_.end());
+  for (const Traffic& traffic : report.traffic) {
+    if (!IsOurs(traffic)) {
+      ++counters_.foreign;
+      continue;
+    }
+    const ros2::Guid guid = traffic.writer.Participant();
+    if (!participants_.contains(guid) && participants_.size() >= options_.participants) {
+      ++counters_.dropped;
+      continue;
+    }
+    Participant& seen = participants_[guid];
+    seen.last_ns = now_ns;
+    if (IsParticipantWriter(traffic.writer) && ToMulticast(traffic)) seen.announced = true;
+    TakeSource(traffic, now_ns, seen);
+    if (!Knows(guid)) TakeSuspect(traffic, now_ns, seen.whole);
+    const auto known = known_writers_.find(traffic.writer);
+    if (known != known_writers_.end()) {
+      KnownWriter& writer = known->second;
+      const uint64_t last = std::max(traffic.data_last, traffic.heartbeat_last);
+      // What was written before we came is not ours to miss.
+      if (writer.on_wire == 0) writer.on_wire_then = last;
+      writer.on_wire = std::max(writer.on_wire, last);
+    } else if (ClassOf(traffic.writer) == EntityClass::kUser && !NamesNoEntity(traffic.writer)) {
+      if (!seen.writers.contains(traffic.writer) && seen.writers.size() >= options_.writers_each) {
+        ++counters_.dropped;
+        continue;
+      }
+      TakeSuspect(traffic, now_ns, seen.writers[traffic.writer]);
+    }
+  }
+}
+
+void WireWatch::TakeSuspect(const Traffic& traffic, int64_t now_ns, Suspect& suspect) const {
+  if (suspect.packets == 0) suspect.first_ns = now_ns;
+  suspect.last_ns = now_ns;
+  suspect.packets += traffic.packets;
+  suspect.from = traffic.source;
+  if (!traffic.destinations.empty()) suspect.to = traffic.destinations.front().to;
+}
+
+void WireWatch::TakeSource(const Traffic& traffic, int64_t now_ns, Participant& seen) {
+  const ros2::Guid about =
+      ClassOf(traffic.writer) == EntityClass::kUser && !NamesNoEntity(traffic.writer)
+          ? traffic.writer
+          : traffic.writer.Participant();
+  auto it = std::find_if(seen.sources.begin(), seen.sources.end(),
+                         [&](const Source& each) { return each.from == traffic.source; });
+  if (it == seen.sources.end()) {
+    if (seen.sources.size() >= options_.sources_each) {
+      ++counters_.dropped;
+      return;
+    }
+    seen.sources.push_back({.from = traffic.source,
+                            .vendor = traffic.vendor,
+                            .first_ns = now_ns,
+                            .first_packet = traffic.first_packet,
+                            .about = about});
+    it = seen.sources.end() - 1;
+  }
+  if (ClassOf(it->about) != EntityClass::kUser) it->about = about;
+  it->last_ns = now_ns;
+  it->first_packet = std::min(it->first_packet, traffic.first_packet);
+  it->last_packet = std::max(it->last_packet, traffic.last_packet);
+}
+
+void WireWatch::Forget(int64_t now_ns) {
+  while (!graves_.empty() && now_ns - graves_.front().first >= options_.tombstone_ns) {
+    const auto [gone_ns, guid] = graves_.front();
+    graves_.pop_front();
+    // It may have come back since, and gone again.
+    const auto writer = known_writers_.find(guid);
+    if (writer != known_writers_.end() && writer->second.gone_ns == gone_ns) {
+      known_writers_.erase(writer);
+    }
+    const auto participant = known_participants_.find(guid);
+    if (participant != known_participants_.end() && participant->second.gone_ns == gone_ns) {
+      for (const Locator& each : participant->second.advertised) {
+        if (--advertised_[each] == 0) advertised_.erase(each);
+      }
+      known_participants_.erase(participant);
+    }
+  }
+  const auto old = [&](int64_t last_ns) { return now_ns - last_ns >= options_.forget_ns; };
+  for (auto it = participants_.begin(); it != participants_.end();) {
+    Participant& seen = it->second;
+    if (old(seen.last_ns)) {
+      it = participants_.erase(it);
+      continue;
+    }
+    if (Knows(it->first)) seen.whole.packets = 0;
+    std::erase_if(seen.sources, [&](const Source& each) { return old(each.last_ns); });
+    absl::erase_if(seen.writers, [&](const auto& each) {
+      return known_writers_.contains(each.first) || old(each.second.last_ns);
+    });
+    ++it;
+  }
+}
+
+// ----------------------------------------------------------------------------------- judgements
+
+std::vector<sensor::Finding> WireWatch::Poll(bool settled, const Received& received,
+                                             int64_t now_ns) {
+  if (settled && settled_ns_ == 0) settled_ns_ = now_ns;
+  if (settled_ns_ == 0 || now_ns < next_judgement_ns_) return {};
+  next_judgement_ns_ = now_ns + options_.judge_interval_ns;
+  Forget(now_ns);
+  Findings found;
+  for (const auto& [guid, seen] : participants_) {
+    if (!blind_) JudgeUnknown(guid, seen, now_ns, found);
+    JudgeSources(guid, seen, now_ns, found);
+  }
+  JudgeBypass(received, now_ns, found);
+  return Tell(std::move(found));
+}
+
+void WireWatch::JudgeUnknown(const ros2::Guid& guid, const Participant& seen, int64_t now_ns,
+                             Findings& found) const {
+  const int64_t grace_ns =
+      seen.announced && !Knows(guid) ? options_.announced_grace_ns : options_.grace_ns;
+  const auto ripe = [&](const Suspect& suspect) {
+    return now_ns - std::max(suspect.first_ns, settled_ns_) >= grace_ns;
+  };
+  const auto add = [&](const ros2::Guid& about, const Suspect& suspect, absl::string_view what) {
+    found[{kUnicastWriter, about}] = {
+        .kind = kUnicastWriter,
+        .guid = about,
+        .detail = absl::StrCat("from ", ToString(suspect.from), " to ", ToString(suspect.to), ", ",
+                               Datagrams(suspect.packets), ": ", what)};
+  };
+  for (const auto& [writer, suspect] : seen.writers) {
+    if (ripe(suspect)) add(writer, suspect, "data of a writer that discovery does not show");
+  }
+  if (seen.whole.packets > 0 && seen.writers.empty() && ripe(seen.whole)) {
+    add(guid, seen.whole, "a participant that discovery does not show");
+  }
+}
+
+void WireWatch::JudgeSources(const ros2::Guid& guid, const Participant& seen, int64_t now_ns,
+                             Findings& found) const {
+  if (!Knows(guid)) return;
+  const auto add = [&](const Source& source, absl::string_view why) {
+    if (now_ns - std::max(source.first_ns, settled_ns_) < options_.grace_ns) return;
+    found[{kSpoofedWriter, source.about}] = {
+        .kind = kSpoofedWriter,
+        .guid = source.about,
+        .topic = TopicOf(source.about),
+        .detail = absl::StrCat(ToString(source.from), " sends under this name, ", why)};
+  };
+  const bool cyclone = std::any_of(seen.sources.begin(), seen.sources.end(),
+                                   [](const Source& each) { return each.vendor == kCyclone; });
+  const size_t ports_max = cyclone ? kPortsOfCyclone : kPortsOfOthers;
+  for (const Source& source : seen.sources) {
+    if (!MaySendFrom(guid, seen, source.from.address)) {
+      add(source, "an address that its participant does not advertise");
+      continue;
+    }
+    // Others of that address that were there before and still are. A process that was started
+    // again under its old name has left its old port.
+    const Source* other = nullptr;
+    size_t others = 0;
+    for (const Source& each : seen.sources) {
+      if (each.from.address != source.from.address || each.first_packet >= source.first_packet ||
+          each.last_packet <= source.first_packet) {
+        continue;
+      }
+      ++others;
+      other = &each;
+    }
+    if (others >= ports_max) {
+      add(source, absl::StrCat("which its participant uses from ", ToString(other->from)));
+    }
+  }
+}
+
+void WireWatch::JudgeBypass(const Received& received, int64_t now_ns, Findings& found) {
+  for (auto& [guid, writer] : known_writers_) {
+    if (!writer.read || writer.on_wire == 0) continue;
+    const uint64_t sequence = received(guid);
+    if (sequence != writer.received) {
+      writer.received = sequence;
+      writer.progress_ns = now_ns;
+      writer.on_wire_then = std::max(writer.on_wire, sequence);
+      continue;
+    }
+    const int64_t since_ns = std::max(writer.progress_ns, settled_ns_);
+    const uint64_t missed =
+        writer.on_wire > writer.on_wire_then ? writer.on_wire - writer.on_wire_then : 0;
+    if (now_ns - since_ns < options_.bypass_ns || missed < options_.bypass_samples) continue;
+    found[{kDirectedData, guid}] = {
+        .kind = kDirectedData,
+        .guid = guid,
+        .topic = writer.topic,
+        .detail = "the writer goes on, and its data does not come to our reader"};
+  }
+}
+
+std::vector<sensor::Finding> WireWatch::Tell(Findings found) {
+  std::vector<sensor::Finding> told;
+  for (auto it = standing_.begin(); it != standing_.end();) {
+    if (found.contains(it->first)) {
+      ++it;
+      continue;
+    }
+    it->second.over = true;
+    told.push_back(std::move(it->second));
+    it = standing_.erase(it);
+  }
+  for (auto& [key, finding] : found) {
+    if (standing_.contains(key)) continue;
+    if (standing_.size() >= options_.findings) {
+      ++counters_.findings_dropped;
+      continue;
+    }
+    told.push_back(finding);
+    standing_.emplace(key, std::move(finding));
+  }
+  return told;
+}
+
+}  // namespace rips::wire

@@ -1,0 +1,430 @@
+"""Attacks on a DDS domain that discovery does not show, in network namespaces of their own: a robot,
+and another host on its network. Real processes: rips-sensor, rips-wire, DDS participants.
+
+    wire_test.py BINARIES SCENARIO      runs one; without SCENARIO prints their names
+"""
+
+import os
+import pathlib
+import random
+import shlex
+import shutil
+import signal
+import socket
+import struct
+import subprocess
+import sys
+import tempfile
+import time
+
+sys.path.insert(0, str(pathlib.Path(__file__).resolve().parents[1] / "support"))
+from fleet import SOURCE, Failed, Process  # noqa: E402
+
+ROBOT = "10.77.0.1"
+OTHER = "10.77.0.9"
+VICTIM_INDEX = 3
+
+
+class Skipped(Exception):
+    """The scenario cannot be played here; the text says why."""
+
+
+def check(condition, text):
+    if not condition:
+        raise Failed(text)
+
+
+def fields(line):
+    """The key=value fields of a log line."""
+    return dict(part.split("=", 1) for part in shlex.split(line) if "=" in part)
+
+
+class World:
+    """Two hosts with a wire between them. `robot` and `other` are network namespaces; in both the
+    interface is eth0."""
+
+    def __init__(self, binaries, directory):
+        self.bin = pathlib.Path(binaries).resolve()
+        self.dir = pathlib.Path(directory).resolve()
+        self.domain = random.randint(10, 99)
+        self.socket = f"{self.dir}/wire.sock"
+        self.processes = []
+        tag = f"{random.getrandbits(32):08x}"
+        self.robot, self.other = f"rips-{tag}-robot", f"rips-{tag}-other"
+        self.made = []
+
+    def build(self):
+        for namespace in (self.robot, self.other):
+            done = subprocess.run(["ip", "netns", "add", namespace], capture_output=True, text=True)
+            if done.returncode != 0:
+                raise Skipped(f"no network namespace: {done.stderr.strip()}")
+            self.made.append(namespace)
+        self.ip("-n", self.robot, "link", "add", "eth0", "type", "veth", "peer", "name", "eth0",
+                "netns", self.other)
+        for namespace, address in ((self.robot, ROBOT), (self.other, OTHER)):
+            for interface in ("lo", "eth0"):
+                self.ip("-n", namespace, "link", "set", interface, "up")
+            self.ip("-n", namespace, "addr", "add", f"{address}/24", "dev", "eth0")
+            self.ip("-n", namespace, "route", "add", "224.0.0.0/4", "dev", "eth0")
+
+    @staticmethod
+    def ip(*args):
+        subprocess.run(["ip", *args], check=True, stdout=subprocess.DEVNULL)
+
+    def start(self, name, namespace, *args, xml=None):
+        env = {key: value for key, value in os.environ.items() if key != "CYCLONEDDS_URI"}
+        if xml is not None:
+            env["CYCLONEDDS_URI"] = f"<CycloneDDS><Domain>{xml}</Domain></CycloneDDS>"
+        process = Process(name, ["ip", "netns", "exec", namespace, *args], self.dir, env)
+        self.processes.append(process)
+        return process
+
+    def start_probe(self, name, namespace, topic="/cmd_vel", xml=None):
+        """A subscriber; it counts what it gets."""
+        probe = self.start(name, namespace, self.bin / "robot_sim", "probe", "--domain",
+                           self.domain, "--interface", "eth0", "--topic", topic, "--type",
+                           "geometry_msgs/msg/Twist", "--window-ms", "200", xml=xml)
+        probe.wait_for(lambda line: '"event":"ready"' in line, 15, f"{name} starts")
+        return probe
+
+    def start_driver(self, name, namespace, *options, xml=None):
+        """A publisher of /cmd_vel, 20 samples a second."""
+        driver = self.start(name, namespace, self.bin / "robot_sim", "intruder", "--domain",
+                            self.domain, "--interface", "eth0", "--mode", "rogue-cmd-vel",
+                            "--node", f"/{name}", *options, xml=xml)
+        driver.wait_for(lambda line: '"event":"first_sample"' in line, 15, f"{name} starts")
+        return driver
+
+    def start_sensor(self):
+        """rips-sensor without a policy server: what it finds it also logs."""
+        mint = [SOURCE / "deploy/pki/mint", "--dir", self.dir / "pki", "--trust-domain",
+                "wire.example"]
+        subprocess.run([*mint, "init"], check=True, stdout=subprocess.DEVNULL)
+        subprocess.run([*mint, "sensor", "r1", "base"], check=True, stdout=subprocess.DEVNULL)
+        pki = self.dir / "pki/sensor/r1/base"
+        (self.dir / "sensor.yaml").write_text(f"""robot: r1
+host: base
+servers: ["127.0.0.1:1"]
+tls: {{ca: {pki}/ca.pem, cert: {pki}/cert.pem, key: {pki}/key.pem}}
+dds: {{domain: {self.domain}, interface: eth0}}
+wire: {{enabled: true, socket: {self.socket}}}
+state_dir: {self.dir}/sensor
+metrics: ""
+""")
+        sensor = self.start("sensor", self.robot, self.bin / "rips-sensor", "--config",
+                            self.dir / "sensor.yaml")
+        sensor.wait_for(lambda line: " watching " in line, 15, "the sensor starts")
+        return sensor
+
+    def start_tap(self, *options):
+        return self.start("tap", self.robot, self.bin / "rips-wire", "--domain", self.domain,
+                          "--socket", self.socket, *options)
+
+    def watch(self):
+        """Sensor and tap, connected."""
+        self.sensor = self.start_sensor()
+        self.tap = self.start_tap()
+        self.sensor.wait_for(lambda line: "the tap is connected" in line, 15, "the tap connects")
+
+    def findings(self, word=" finding "):
+        return [fields(text) for _, text in self.sensor.lines if word in text]
+
+    def wait_finding(self, kind, seconds=30, word=" finding ", **wanted):
+        def found(line):
+            if word not in line or f"kind={kind}" not in line:
+                return None
+            have = fields(line)
+            return have if all(have[key] == value for key, value in wanted.items()) else None
+        return self.sensor.wait_for(found, seconds, f"{kind} is found")[1]
+
+    def wait_samples(self, probe, seconds=20, start=0):
+        return probe.wait_for(lambda line: '"event":"rate"' in line and '"samples":0,' not in line,
+                              seconds, "samples arrive", start)
+
+    def stop(self):
+        for process in reversed(self.processes):
+            try:
+                process.kill()
+            except Failed as failed:
+                print(f"warning: {failed}", file=sys.stderr)
+        for namespace in self.made:
+            subprocess.run(["ip", "netns", "del", namespace], check=False)
+
+
+ETH0 = '<General><Interfaces><NetworkInterface name="eth0"/></Interfaces>{}</General>'
+# As ROS 2 processes come: multicast, unicast ports from the kernel.
+USUAL = ETH0.format("") + "<Discovery><ParticipantIndex>none</ParticipantIndex></Discovery>"
+# No multicast but for discovery, as for wireless networks.
+SPDP = (ETH0.format("<AllowMulticast>spdp</AllowMulticast>") +
+        "<Discovery><ParticipantIndex>none</ParticipantIndex></Discovery>")
+
+
+def hiding(*peers):
+    """Speaks to those peers alone, and never by multicast."""
+    listed = "".join(f'<Peer address="{each}"/>' for each in peers)
+    return (ETH0.format("<AllowMulticast>false</AllowMulticast>") +
+            f"<Discovery><ParticipantIndex>none</ParticipantIndex><Peers>{listed}</Peers>"
+            "</Discovery>")
+
+
+def at_index(index):
+    """Receives on the ports of that participant index (DDSI-RTPS 2.5 §9.6.2.3)."""
+    return ETH0.format("") + f"<Discovery><ParticipantIndex>{index}</ParticipantIndex></Discovery>"
+
+
+def meta_port(domain, index):
+    return 7400 + 250 * domain + 10 + 2 * index
+
+
+class Sniffer:
+    """Datagrams with DATA of users' writers that a host sends or gets."""
+
+    def __init__(self, world, namespace):
+        # A socket belongs to the namespace of the thread that makes it.
+        here = os.open("/proc/self/ns/net", os.O_RDONLY)
+        there = os.open(f"/run/netns/{namespace}", os.O_RDONLY)
+        try:
+            setns(there)
+            self.packets = socket.socket(socket.AF_PACKET, socket.SOCK_DGRAM, socket.htons(3))
+        finally:
+            setns(here)
+            os.close(here)
+            os.close(there)
+        self.packets.settimeout(15)
+
+    def data_from(self, address):
+        """(UDP payload, offset of the DATA submessage) of a writer at `address` that goes on and on,
+        unlike that of ros_discovery_info."""
+        deadline = time.monotonic() + 15
+        seen = {}
+        while time.monotonic() < deadline:
+            packet, _ = self.packets.recvfrom(65536)
+            if packet[0] >> 4 != 4 or packet[9] != 17 or socket.inet_ntoa(packet[12:16]) != address:
+                continue
+            payload = packet[(packet[0] & 15) * 4 + 8:]
+            at = find_data(payload)
+            if at is None:
+                continue
+            guid = writer_of(payload, at)
+            seen[guid] = seen.get(guid, 0) + 1
+            if seen[guid] == 5:
+                return payload, at
+        raise Failed(f"no data of {address} is on the wire")
+
+    def close(self):
+        self.packets.close()
+
+
+def setns(fd):
+    import ctypes
+    if ctypes.CDLL(None, use_errno=True).setns(fd, 0) != 0:
+        raise Failed(f"setns: {os.strerror(ctypes.get_errno())}")
+
+
+def find_data(payload):
+    """Where the first DATA of a user's writer begins; None if there is none."""
+    at = 20
+    while payload[:4] == b"RTPS" and at + 24 <= len(payload):
+        kind, flags = payload[at], payload[at + 1]
+        length = struct.unpack("<H" if flags & 1 else ">H", payload[at + 2:at + 4])[0]
+        if kind == 0x15 and payload[at + 15] < 0x40:
+            return at
+        at += 4 + (length or (0 if kind in (1, 9) else len(payload)))
+    return None
+
+
+def writer_of(payload, at):
+    """The GUID as it is logged."""
+    guid = (payload[8:20] + payload[at + 12:at + 16]).hex()
+    return ".".join(guid[i:i + 8] for i in range(0, 32, 8))
+
+
+def with_sequence(payload, at, sequence):
+    order = "<" if payload[at + 1] & 1 else ">"
+    return payload[:at + 16] + struct.pack(order + "iI", 0, sequence) + payload[at + 24:]
+
+
+def send_from(namespace, payload, port, source_port=0):
+    """One datagram to the robot from an ordinary socket of that host."""
+    code = ("import socket, sys; s = socket.socket(socket.AF_INET, socket.SOCK_DGRAM); "
+            f"s.bind(('', {source_port})); "
+            f"s.sendto(bytes.fromhex('{payload.hex()}'), ('{ROBOT}', {port}))")
+    subprocess.run(["ip", "netns", "exec", namespace, sys.executable, "-c", code], check=True)
+
+
+# ------------------------------------------------------------------------------------ scenarios
+
+
+def unicast_only_writer(world):
+    """The victim gets its commands; discovery shows the sensor nothing of it."""
+    victim = world.start_probe("victim", world.robot, xml=at_index(VICTIM_INDEX))
+    world.watch()
+    port = meta_port(world.domain, VICTIM_INDEX)
+    world.start_driver("attacker", world.other, "--anonymous", xml=hiding(f"{ROBOT}:{port}"))
+
+    world.wait_samples(victim)
+    found = world.wait_finding("unicast_writer")
+
+    check(f"from {OTHER}:" in found["detail"] and f" to {ROBOT}:{port + 1}," in found["detail"],
+          f"not from there to there: {found}")
+    check(found["guid"].startswith("0110") and found["guid"].endswith("03"), f"no writer: {found}")
+    check({each["guid"] for each in world.findings()} == {found["guid"]},
+          f"more was found: {world.findings()}")
+
+
+def unicast_only_writer_to_a_port_of_the_kernel(world):
+    """As processes are set up by default: their unicast ports are anywhere."""
+    world.watch()
+    victim = world.start_probe("victim", world.robot, xml=USUAL)
+    ports = subprocess.run(["ip", "netns", "exec", world.robot, "ss", "-Hulnp"],
+                           capture_output=True, text=True).stdout
+    own = [int(line.split()[3].rsplit(":", 1)[1]) for line in ports.splitlines()
+           if f"pid={victim.child.pid}," in line]
+    own = [port for port in own if port >= 32768]
+    check(own, f"the victim has no port of the kernel's: {ports}")
+
+    peers = [f"{ROBOT}:{port}" for port in own]
+    world.start_driver("attacker", world.other, "--anonymous", xml=hiding(*peers))
+
+    found = world.wait_finding("unicast_writer")
+    check(any(f" to {peer}," in found["detail"] for peer in peers), f"not to the victim: {found}")
+
+
+def injected_data(world):
+    """One datagram under the name of a writer that is there."""
+    world.start_probe("victim", world.robot, xml=at_index(VICTIM_INDEX))
+    world.watch()
+    sniffer = Sniffer(world, world.robot)
+    world.start_driver("driver", world.robot, xml=USUAL)
+    payload, at = sniffer.data_from(ROBOT)
+    sniffer.close()
+    guid = writer_of(payload, at)
+
+    send_from(world.other, with_sequence(payload, at, 1000),
+              meta_port(world.domain, VICTIM_INDEX) + 1, 45678)
+
+    found = world.wait_finding("spoofed_writer", guid=guid)
+    check(found["detail"].startswith(f"{OTHER}:45678 sends under this name"), f"{found}")
+    check(found["topic"] == "/cmd_vel" and found["node"] == "/driver", f"{found}")
+    check(len(world.findings()) == 1, f"more was found: {world.findings()}")
+
+
+def injected_data_from_the_same_host(world):
+    world.start_probe("victim", world.robot, xml=at_index(VICTIM_INDEX))
+    world.watch()
+    sniffer = Sniffer(world, world.robot)
+    world.start_driver("driver", world.robot, xml=USUAL)
+    payload, at = sniffer.data_from(ROBOT)
+    sniffer.close()
+
+    send_from(world.robot, with_sequence(payload, at, 1000),
+              meta_port(world.domain, VICTIM_INDEX) + 1, 45678)
+
+    found = world.wait_finding("spoofed_writer", guid=writer_of(payload, at))
+    check(f"{ROBOT}:45678 sends under this name, which its participant uses from {ROBOT}:"
+          in found["detail"], f"{found}")
+
+
+def quiet_traffic(world):
+    """Five participants on two hosts, with multicast and without, that come and go: no finding."""
+    world.watch()
+    probes = [world.start_probe("probe1", world.robot, xml=USUAL),
+              world.start_probe("probe2", world.other, xml=SPDP)]
+    for round_number in range(3):
+        drivers = [world.start_driver(f"near{round_number}", world.robot, xml=USUAL),
+                   world.start_driver(f"far{round_number}", world.other, xml=USUAL),
+                   world.start_driver(f"wireless{round_number}", world.other, xml=SPDP)]
+        starts = [len(each.lines) for each in probes]
+        for probe, start in zip(probes, starts):
+            world.wait_samples(probe, start=start)
+        time.sleep(4)  # longer than the grace
+        # One leaves, two die.
+        drivers[0].kill()
+        for each in drivers[1:]:
+            each.kill(signal.SIGKILL)
+    time.sleep(13)  # longer than the lease of the dead, and the grace of those who announce
+    check(not world.findings(), f"found in quiet traffic: {world.findings()}")
+    check(world.tap.running and world.sensor.running, "tap or sensor has ended")
+
+
+def tap_and_sensor_come_and_go(world):
+    """Each finds the other again; what was on the wire in between is not lost."""
+    world.watch()
+    world.tap.kill()
+    check(world.tap.child.returncode == 0, f"the tap ended with {world.tap.child.returncode}")
+    world.sensor.wait_for(lambda line: "the tap is gone" in line, 10, "the tap is missed")
+    world.sensor.kill()
+    check(not os.path.exists(world.socket), "the socket is left over")
+    world.tap = world.start_tap()
+    world.tap.wait_for(lambda line: "listening" in line, 10, "the tap listens")
+    victim = world.start_probe("victim", world.robot, xml=at_index(VICTIM_INDEX))
+    port = meta_port(world.domain, VICTIM_INDEX)
+    attacker = world.start_driver("attacker", world.other, "--anonymous",
+                                  xml=hiding(f"{ROBOT}:{port}"))
+    world.wait_samples(victim)
+    attacker.kill()
+
+    world.sensor = world.start_sensor()
+
+    world.wait_finding("unicast_writer")
+
+
+def tap_gives_up_its_privileges(world):
+    world.watch()
+    status = pathlib.Path(f"/proc/{world.tap.child.pid}/status").read_text()
+    held = dict(line.split(":", 1) for line in status.splitlines())
+    for name in ("CapPrm", "CapEff", "CapInh", "CapAmb"):
+        check(int(held[name], 16) == 0, f"{name} is {held[name]}")
+    check(held["NoNewPrivs"].strip() == "1", "it may gain privileges")
+
+def tap_ends_with_its_interface(world):
+    named = world.start("named", world.robot, world.bin / "rips-wire", "--domain", world.domain,
+                        "--socket", world.socket, "--interface", "eth0")
+    named.wait_for(lambda line: " listening " in line, 10, "the tap listens")
+    world.ip("-n", world.robot, "link", "set", "eth0", "down")
+    named.wait_for(lambda line: "the interface is down" in line, 10, "it notices")
+    check(named.running, "an interface that is down ended it")
+    world.ip("-n", world.robot, "link", "del", "eth0")
+    named.wait_for(lambda line: "is gone" in line, 10, "it notices that, too")
+    check(named.child.wait(10) == 1, f"it ended with {named.child.returncode}")
+
+
+SCENARIOS = [unicast_only_writer, unicast_only_writer_to_a_port_of_the_kernel, injected_data,
+             injected_data_from_the_same_host, quiet_traffic, tap_and_sensor_come_and_go,
+             tap_gives_up_its_privileges, tap_ends_with_its_interface]
+
+
+def main():
+    if len(sys.argv) < 3:
+        print("\n".join(scenario.__name__ for scenario in SCENARIOS))
+        return 0
+    scenario = next(each for each in SCENARIOS if each.__name__ == sys.argv[2])
+    if os.geteuid() != 0:
+        print(f"skipped {scenario.__name__}: needs root, for network namespaces")
+        return 77
+    if shutil.which("ip") is None:
+        print(f"skipped {scenario.__name__}: needs ip of iproute2")
+        return 77
+    directory = pathlib.Path(tempfile.mkdtemp(prefix="rips-wire."))
+    world = World(sys.argv[1], directory)
+    try:
+        world.build()
+        scenario(world)
+    except Skipped as skipped:
+        print(f"skipped {scenario.__name__}: {skipped}")
+        return 77
+    except Failed as failed:
+        print(f"FAILED {scenario.__name__}: {failed}")
+        for process in world.processes:
+            print(f"--- {process.name}")
+            print("\n".join(text for _, text in process.lines[-25:]))
+        return 1
+    finally:
+        world.stop()
+        shutil.rmtree(directory, ignore_errors=True)
+    print(f"passed {scenario.__name__}")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
