@@ -60,6 +60,13 @@ std::vector<Recorded> Events() {
   events.push_back({.what = RecordedAgent{.agent = "sensor", .state = "lost"}});
   events.push_back({.what = RecordedFinding{.kind = "impostor"}});
   events.push_back({.what = RecordedLoss{.count = UINT64_MAX}});
+  events.push_back({.what = RecordedLoss{.count = 2,
+                                         .topic = "/a",
+                                         .type = "a/msg/A",
+                                         .writer = *ros2::GuidFromBytes("0123456789abcdef"),
+                                         .first_unix_ns = 5,
+                                         .last_unix_ns = 9,
+                                         .cause = "queue full"}});
   events.push_back({.what = RecordedOther{.what = "tick"}});
   for (size_t i = 0; i < events.size(); ++i) events[i].index = i;
   return events;
