@@ -1,5 +1,5 @@
-// `ripsctl robot interest` and `ripsctl robot coverage`: what is asked of a robot's sensors, what is
-// seen of it and what is not.
+// `ripsctl robot interest` and `ripsctl robot coverage`: what is asked of a robot's sensors, what
+// is seen of it and what is not.
 #ifndef RIPS_SERVICES_RIPSCTL_ROBOT_COVERAGE_H_
 #define RIPS_SERVICES_RIPSCTL_ROBOT_COVERAGE_H_
 
