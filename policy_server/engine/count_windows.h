@@ -24,8 +24,8 @@ class CountWindows {
   static constexpr size_t kExactMax = 768;
   static constexpr uint64_t kSpreadMax = 64;
 
-  // A message of `key` at `time_ns`, which never goes back, not even behind what was lost. What is older than `keep_ns` may be
-  // forgotten.
+  // A message of `key` at `time_ns`, which never goes back, not even behind what was lost. What is
+  // older than `keep_ns` may be forgotten.
   void Add(absl::string_view key, int64_t time_ns, int64_t keep_ns);
 
   // `count` messages of `key` that nobody saw, evenly from `first_ns` to `last_ns`: each of at most

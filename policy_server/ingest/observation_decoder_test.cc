@@ -249,6 +249,105 @@ TEST(ObservationDecoderTest, OnlyGapsOfBestEffortWritersAreTolerable) {
   }
 }
 
+rips::v1::Loss* AddLoss(rips::v1::ObservationBatch& batch) {
+  auto* topic = batch.add_interned();
+  topic->set_id(1);
+  topic->set_topic("/a");
+  auto* writer = batch.add_interned();
+  writer->set_id(2);
+  writer->mutable_writer()->set_guid(kGuid);
+  writer->mutable_writer()->set_kind(rips::v1::Endpoint::PUBLISHER);
+  writer->mutable_writer()->set_name("/a");
+  writer->mutable_writer()->set_type("a/msg/A");
+  writer->mutable_writer()->set_ros(true);
+  auto* loss = batch.add_observations()->mutable_loss();
+  loss->set_cause(rips::v1::Loss::QUEUE_FULL);
+  loss->set_count(2);
+  loss->set_first_boottime_ns(5);
+  loss->set_last_boottime_ns(9);
+  return loss;
+}
+
+TEST(ObservationDecoderTest, ALossSaysOfWhat) {
+  const auto decode = [](uint32_t topic_id, uint32_t writer_id) {
+    rips::v1::ObservationBatch batch = Batch(rips::v1::CONTROL);
+    rips::v1::Loss* loss = AddLoss(batch);
+    loss->set_topic_id(topic_id);
+    loss->set_writer_id(writer_id);
+    const auto decoded = ObservationDecoder().Decode(batch);
+    EXPECT_THAT(decoded, IsOk());
+    return std::get<pipeline::LossSeen>(decoded->observations[0].what);
+  };
+  const pipeline::LossSeen several = decode(0, 0);
+  EXPECT_EQ(several.topic, "");
+  EXPECT_TRUE(several.writer.none());
+  EXPECT_EQ(several.first_boottime_ns, 5);
+  EXPECT_EQ(several.last_boottime_ns, 9);
+  EXPECT_EQ(decode(1, 0).topic, "/a");
+  EXPECT_EQ(decode(1, 0).type, "") << "a topic may have several";
+  for (const uint32_t topic_id : {0, 1}) {
+    const pipeline::LossSeen one = decode(topic_id, 2);
+    EXPECT_EQ(one.topic, "/a");
+    EXPECT_EQ(one.type, "a/msg/A");
+    EXPECT_EQ(one.writer.ToBytes(), kGuid);
+    EXPECT_FALSE(one.tolerable);
+  }
+}
+
+TEST(ObservationDecoderTest, ALossOfWhatWasNotInternedIsRefused) {
+  for (const auto& [topic_id, writer_id] :
+       {std::pair<uint32_t, uint32_t>{3, 0}, {2, 0}, {0, 3}, {0, 1}, {UINT32_MAX, 0}}) {
+    rips::v1::ObservationBatch batch = Batch(rips::v1::CONTROL);
+    rips::v1::Loss* loss = AddLoss(batch);
+    loss->set_topic_id(topic_id);
+    loss->set_writer_id(writer_id);
+    EXPECT_THAT(ObservationDecoder().Decode(batch),
+                StatusIs(absl::StatusCode::kInvalidArgument, HasSubstr("not interned")));
+  }
+}
+
+TEST(ObservationDecoderTest, ALossAtATimeThatCannotBeIsRefused) {
+  rips::v1::ObservationBatch batch = Batch(rips::v1::CONTROL);
+  AddLoss(batch)->set_last_boottime_ns(UINT64_MAX);
+  EXPECT_THAT(ObservationDecoder().Decode(batch), StatusIs(absl::StatusCode::kInvalidArgument));
+}
+
+TEST(ObservationDecoderTest, SensorsSayHowTheyFareAndWhatTheyDoNotSee) {
+  rips::v1::ObservationBatch batch = Batch(rips::v1::CONTROL);
+  rips::v1::SensorState* state = batch.add_observations()->mutable_state();
+  state->set_overloaded(true);
+  state->set_outbox_bytes(1);
+  state->set_oldest_unacked_ns(UINT64_MAX);
+  state->set_spool_bytes(3);
+  state->add_not_visible("x");
+  const auto decoded = ObservationDecoder().Decode(batch);
+  ASSERT_THAT(decoded, IsOk());
+  const auto& seen = std::get<pipeline::SensorStateSeen>(decoded->observations[0].what);
+  EXPECT_TRUE(seen.overloaded);
+  EXPECT_EQ(seen.outbox_bytes, 1u);
+  EXPECT_GT(seen.oldest_unacked_ns, 0);
+  EXPECT_EQ(seen.spool_bytes, 3u);
+  EXPECT_THAT(seen.not_visible, testing::ElementsAre("x"));
+
+  state->set_not_visible(0, std::string(1'025, 'x'));
+  EXPECT_THAT(ObservationDecoder().Decode(batch), StatusIs(absl::StatusCode::kResourceExhausted));
+  state->clear_not_visible();
+  for (int i = 0; i < 65; ++i) state->add_not_visible("x");
+  EXPECT_THAT(ObservationDecoder().Decode(batch), StatusIs(absl::StatusCode::kResourceExhausted));
+}
+
+TEST(ObservationDecoderTest, ABeatHasClocksAndAnEcho) {
+  rips::v1::Heartbeat beat;
+  beat.mutable_clock()->set_boottime_ns(3);
+  beat.mutable_clock()->set_unix_ns(-4);
+  beat.set_echo_boottime_ns(5);
+  pipeline::SensorBeat decoded = DecodeBeat(beat);
+  EXPECT_EQ(decoded.clock, (Instant{.boottime_ns = 3, .unix_ns = -4}));
+  EXPECT_EQ(decoded.echo_boottime_ns, 5);
+  beat.set_echo_boottime_ns(UINT64_MAX);
+  EXPECT_EQ(DecodeBeat(beat).echo_boottime_ns, 0);
+}
+
 TEST(ObservationDecoderTest, AnyCutOrFlippedBatchIsDecodedOrRefused) {
   const std::string good = MessageBatch().SerializeAsString();
   std::mt19937 random(7);

@@ -21,6 +21,7 @@
 namespace rips::operator_api {
 namespace {
 
+using pipeline::Lane;
 using ::testing::HasSubstr;
 
 constexpr absl::Duration kPatience = absl::Seconds(60);
@@ -134,6 +135,16 @@ class OperatorServiceTest : public ::testing::Test {
   Stub& StubFor(size_t n) {
     while (stubs_.size() <= n / kCallsPerChannel) stubs_.push_back(Connect());
     return *stubs_[n / kCallsPerChannel];
+  }
+  // Runs on the robot's thread; returns when it has.
+  absl::Status OnRobot(std::function<void(pipeline::Robot&)> task) {
+    BoundedQueue<int> done{{.capacity = 1}};
+    const absl::Status posted = pipeline_.Post("r1", Lane::kControl, [&](pipeline::Robot& robot) {
+      task(robot);
+      done.Push(1);
+    });
+    if (posted.ok()) done.Pop(kPatience);
+    return posted;
   }
   static void SetDeadline(grpc::ClientContext& context) {
     context.set_deadline(std::chrono::system_clock::now() + absl::ToChronoSeconds(kPatience));
@@ -264,6 +275,105 @@ TEST_F(OperatorServiceTest, LevelsCanBeChangedWhileReadsWait) {
   which.set_robot("r1");
   rips::v1::GetLevelResponse level;
   EXPECT_EQ(stub->GetLevel(&get, which, &level).error_code(), grpc::StatusCode::RESOURCE_EXHAUSTED);
+}
+
+TEST_F(OperatorServiceTest, TellsWhatIsAskedOfTheSensors) {
+  auto sensor = std::make_shared<pipeline::FakeSensor>();
+  ASSERT_THAT(OnRobot([&](pipeline::Robot& robot) {
+                robot.OnSensorHello("base", sensor, {.incarnation = std::string(16, 'i')});
+                robot.OnInterestAnswer("base", sensor.get(),
+                                       {.id = sensor->interest_id(), .problem = "why\n"});
+              }),
+              IsOk());
+  grpc::ClientContext context;
+  SetDeadline(context);
+  rips::v1::GetInterestRequest request;
+  request.set_robot("r1");
+  rips::v1::GetInterestResponse response;
+  const grpc::Status status = Connect()->GetInterest(&context, request, &response);
+  ASSERT_TRUE(status.ok()) << status.error_message();
+  ASSERT_EQ(response.interest().rules_size(), 2);
+  EXPECT_EQ(response.interest().id().size(), 32u);
+  EXPECT_EQ(response.interest().rules(0).topic_regex(), "^\\/cmd_vel$");
+  EXPECT_EQ(response.interest().rules(0).depth(), rips::v1::InterestRule::METADATA);
+  ASSERT_EQ(response.reasons_size(), 2);
+  EXPECT_EQ(response.reasons(0).wanted_by(0), "rogue");
+  EXPECT_EQ(response.reasons(1).wanted_by_size(), 0);
+  ASSERT_EQ(response.sensors_size(), 1);
+  EXPECT_EQ(response.sensors(0).host(), "base");
+  EXPECT_TRUE(response.sensors(0).connected());
+  EXPECT_FALSE(response.sensors(0).in_use());
+  EXPECT_EQ(response.sensors(0).problem(), "why\\x0a");
+}
+
+TEST_F(OperatorServiceTest, TellsWhatIsSeen) {
+  auto sensor = std::make_shared<pipeline::FakeSensor>();
+  ros2::GraphDelta graph;
+  ros2::Guid participant;
+  participant.bytes = {1, 0x10, 1, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 1, 0xc1};
+  graph.upsert_participants.push_back({.guid = participant});
+  for (const char* name : {"/b", "/a"}) {
+    ros2::Guid guid = participant;
+    guid.bytes[14] = static_cast<uint8_t>(name[1]);
+    guid.bytes[15] = 3;
+    graph.upsert_endpoints.push_back({.guid = guid,
+                                      .name = name,
+                                      .type = "a/msg/A",
+                                      .visibility = ros2::Visibility::kNotVisible,
+                                      .why = "why"});
+  }
+  const std::string incarnation(16, 'i');
+  pipeline::Batch batch{.incarnation = incarnation, .lane = Lane::kControl, .first_sequence = 1};
+  batch.observations.push_back(
+      {.boottime_ns = BoottimeNow(),
+       .what = pipeline::GraphSnapshotSeen{.version = 1, .settled = true, .content = graph}});
+  batch.observations.push_back(
+      {.boottime_ns = BoottimeNow(), .what = pipeline::LossSeen{.count = 3}});
+  batch.observations.push_back(
+      {.boottime_ns = BoottimeNow(),
+       .what = pipeline::SensorStateSeen{
+           .outbox_bytes = 5, .oldest_unacked_ns = 6, .spool_bytes = 7, .not_visible = {"x"}}});
+  ASSERT_THAT(OnRobot([&](pipeline::Robot& robot) {
+                robot.OnSensorHello("base", sensor,
+                                    {.incarnation = incarnation, .clock = clock_.Now()});
+                robot.OnBatch("base", sensor.get(),
+                              std::make_shared<const pipeline::Batch>(std::move(batch)));
+                robot.OnSensorBeat("base", sensor.get(), {.clock = clock_.Now()});
+              }),
+              IsOk());
+  grpc::ClientContext context;
+  SetDeadline(context);
+  rips::v1::GetCoverageRequest request;
+  request.set_robot("r1");
+  rips::v1::GetCoverageResponse response;
+  const grpc::Status status = Connect()->GetCoverage(&context, request, &response);
+  ASSERT_TRUE(status.ok()) << status.error_message();
+  ASSERT_EQ(response.sensors_size(), 1);
+  const rips::v1::SensorCoverage& base = response.sensors(0);
+  EXPECT_TRUE(base.primary() && base.connected() && base.settled());
+  EXPECT_EQ(base.not_visible(0), "x");
+  EXPECT_EQ(base.state().outbox_bytes(), 5u);
+  EXPECT_EQ(base.state().oldest_unacked_ns(), 6u);
+  EXPECT_EQ(base.state().spool_bytes(), 7u);
+  EXPECT_EQ(base.lost(), 3u);
+  EXPECT_TRUE(base.has_clock_skew_ns());
+  ASSERT_EQ(response.endpoints_size(), 2);
+  EXPECT_EQ(response.endpoints(0).name(), "/a");
+  EXPECT_EQ(response.endpoints(1).why(), "why");
+  EXPECT_EQ(response.findings_size(), 0);
+  EXPECT_FALSE(response.graph_truncated());
+}
+
+TEST_F(OperatorServiceTest, TellsNothingOfARobotThatIsNone) {
+  const std::shared_ptr<Stub> stub = Connect();
+  grpc::ClientContext interest;
+  SetDeadline(interest);
+  rips::v1::GetInterestResponse needed;
+  EXPECT_EQ(stub->GetInterest(&interest, {}, &needed).error_code(), grpc::StatusCode::NOT_FOUND);
+  grpc::ClientContext coverage;
+  SetDeadline(coverage);
+  rips::v1::GetCoverageResponse seen;
+  EXPECT_EQ(stub->GetCoverage(&coverage, {}, &seen).error_code(), grpc::StatusCode::NOT_FOUND);
 }
 
 }  // namespace

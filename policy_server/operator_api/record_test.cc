@@ -74,6 +74,30 @@ TEST_F(RecordTest, BeginsWithTheGraphAndGoesOnWithEachEvent) {
   EXPECT_EQ(Last().ids().src(), "10.0.0.1");
 }
 
+TEST_F(RecordTest, LossesSayOfWhatAndWhen) {
+  Begin();
+  const int64_t now = Boottime();
+  SendBatch(Lane::kControl, {{.what = pipeline::LossSeen{.count = 7,
+                                                         .cause = "queue full",
+                                                         .topic = "/cmd_vel",
+                                                         .type = "a/msg/A",
+                                                         .writer = Writer(2),
+                                                         .first_boottime_ns = now - 5,
+                                                         .last_boottime_ns = now}}});
+  const rips::v1::RecordedLoss& loss = Last().loss();
+  EXPECT_EQ(loss.count(), 7u);
+  EXPECT_EQ(loss.topic(), "/cmd_vel");
+  EXPECT_EQ(loss.type(), "a/msg/A");
+  EXPECT_EQ(loss.writer_guid(), Writer(2).ToBytes());
+  EXPECT_EQ(loss.last_unix_ns(), clock_.Now().unix_ns);
+  EXPECT_EQ(loss.first_unix_ns(), clock_.Now().unix_ns - 5);
+  EXPECT_EQ(loss.cause(), "queue full");
+
+  SendBatch(Lane::kControl, {{.what = pipeline::LossSeen{.count = 1}}});
+  EXPECT_EQ(Last().loss().writer_guid(), "");
+  EXPECT_EQ(Last().loss().first_unix_ns(), 0);
+}
+
 TEST_F(RecordTest, TicksAreLeftOutAndWhoLeavesIsForgotten) {
   Begin();
   const size_t before = pieces_.size();

@@ -28,7 +28,9 @@
 #include "policy_server/pipeline/evidence_gate.h"
 #include "policy_server/pipeline/findings_book.h"
 #include "policy_server/pipeline/inbound.h"
+#include "policy_server/pipeline/level_order.h"
 #include "policy_server/pipeline/links.h"
+#include "policy_server/pipeline/policy.h"
 #include "policy_server/pipeline/ports.h"
 #include "policy_server/pipeline/sensor_health.h"
 #include "policy_server/pipeline/sequence_track.h"
@@ -48,24 +50,6 @@ struct RobotConfig {
 // Named as the rule of what RIPS says by itself.
 inline constexpr absl::string_view kOwnRule = "(rips)";
 
-// A bundle that is in force.
-struct Policy {
-  std::shared_ptr<const engine::Program> program;
-  // "sha256:" + 64 hex.
-  std::string bundle_id;
-  levels::LevelIndex start_level = 0;
-  int64_t soft_hold_ns = 5 * kNanosPerSecond;
-  // Null: no message is inspected, and rules that want it are not told.
-  std::shared_ptr<Inspector> inspector;
-  // What the program needs (MakeInterest), so that robots share it; null: each finds out itself.
-  std::shared_ptr<const engine::InterestPlan> interest;
-};
-
-// Of one message, that inspections look at.
-inline constexpr uint32_t kPayloadBytesMax = 64 << 10;
-// Takes as long as compiling the rules.
-std::shared_ptr<const engine::InterestPlan> MakeInterest(const engine::Program& program);
-
 struct Timing {
   int64_t heartbeat_ns = 500 * kNanosPerMilli;
   int64_t stale_ns = 1'500 * kNanosPerMilli;
@@ -80,27 +64,6 @@ struct Timing {
   // A sensor may have this many bytes of message batches not yet judged.
   uint64_t credit_bytes = 1 << 20;
 };
-
-// What an operator asks of the level. Identity and role were checked by the caller.
-struct LevelOrder {
-  std::string operator_name;
-  std::string to;
-  std::string reason;
-  std::string expected_level;
-  Mark expected_mark;
-  bool dry_run = false;
-  bool accept_blind = false;
-  std::string request_id;
-};
-
-struct LevelAnswer {
-  absl::Status status;
-  Mark mark;
-  std::string decided_level;
-  std::vector<std::string> would_raise_again;
-  std::vector<std::string> blind_because;
-};
-using LevelReply = std::function<void(const LevelAnswer&)>;
 
 // Not thread-safe: one shard owns it and calls everything. Ports outlive it.
 class Robot {
@@ -243,7 +206,8 @@ class Robot {
   // robot_coverage.cc
   // That of the policy in force.
   void UseInterest();
-  void AskInterest(SensorSession& session);
+  // True if that is something else than before.
+  bool AskInterest(SensorSession& session);
   // Empty if it watches what the rules need.
   std::string InterestProblem(const SensorHost& host) const;
   void TakeHello(SensorHost& host, const SensorHello& hello, Instant now);
@@ -331,8 +295,9 @@ class Robot {
   // What the rules in force need.
   std::shared_ptr<const engine::InterestPlan> interest_;
   CoverageAlarm coverage_alarm_;
-  // Of the graph whose endpoints were counted last.
+  // Of the graph whose endpoints were counted last, and participants of RIPS.
   uint64_t counted_revision_ = 0;
+  std::vector<ros2::Guid> counted_without_;
   AlertLimiter alert_limiter_;
   FindingsBook findings_;
   CommandLedger ledger_;

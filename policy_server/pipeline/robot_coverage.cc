@@ -13,22 +13,20 @@ std::shared_ptr<const engine::InterestPlan> MakeInterest(const engine::Program& 
 }
 
 void Robot::UseInterest() {
-  std::shared_ptr<const engine::InterestPlan> plan =
-      policy_.interest != nullptr ? policy_.interest : MakeInterest(*policy_.program);
-  const bool changed = interest_ == nullptr || *plan != *interest_;
-  interest_ = std::move(plan);
+  interest_ = policy_.interest != nullptr ? policy_.interest : MakeInterest(*policy_.program);
   const auto primary = sensors_.find(config_.primary_sensor);
-  if (!changed || primary == sensors_.end() || !primary->second.session) return;
-  AskInterest(*primary->second.session);
+  if (primary == sensors_.end() || !primary->second.session) return;
+  if (!AskInterest(*primary->second.session)) return;
   // Until the sensor has it in use, it may leave out what the new rules need.
   evidence_.Disturb("the sensors are asked to watch something else", ports_.clock->Now());
 }
 
-void Robot::AskInterest(SensorSession& session) {
+bool Robot::AskInterest(SensorSession& session) {
   std::string id = session.link->SetInterest(*interest_);
-  if (id == session.interest_wanted) return;
+  if (id == session.interest_wanted) return false;
   session.interest_wanted = std::move(id);
   session.interest_problem.clear();
+  return true;
 }
 
 void Robot::OnInterestAnswer(const std::string& host, const SensorLink* link,
@@ -38,7 +36,7 @@ void Robot::OnInterestAnswer(const std::string& host, const SensorLink* link,
   if (answer.problem.empty()) {
     session->interest_in_use = answer.id;
     if (answer.id == session->interest_wanted) session->interest_problem.clear();
-  } else if (answer.id == session->interest_wanted) {
+  } else if (answer.id == session->interest_wanted && answer.id != session->interest_in_use) {
     // Whoever repeats it is not heard again.
     if (!session->interest_problem.empty()) return;
     session->interest_problem = ros2::Printable(answer.problem);
@@ -110,9 +108,11 @@ void Robot::CountLost(SensorHost& host, uint64_t count) {
 }
 
 void Robot::UpdateCoverage(Instant now) {
-  if (counted_revision_ != state_.graph.revision()) {
+  std::vector<ros2::Guid> own = OwnParticipants();
+  if (counted_revision_ != state_.graph.revision() || counted_without_ != own) {
     counted_revision_ = state_.graph.revision();
-    const EndpointCounts counts = CountEndpoints(graph(), OwnParticipants());
+    counted_without_ = std::move(own);
+    const EndpointCounts counts = CountEndpoints(graph(), counted_without_);
     coverage_alarm_.SetNotVisible(counts.not_visible);
     if (ports_.counts.endpoints) ports_.counts.endpoints(config_.id, counts);
   }

@@ -90,6 +90,36 @@ TEST_F(RobotCoverageTest, UntilTheSensorWatchesWhatRulesNeedEvidenceIsIncomplete
   }
 }
 
+TEST_F(RobotCoverageTest, OtherRulesAskAnewIfTheyNeedSomethingElse) {
+  Begin();
+  const auto swap = [&](const std::string& id, const std::string& topic, const std::string& name) {
+    const std::string text = absl::StrCat(
+        "levels: DEFAULT; ALERT soft; COMPROMISED; HALT;\nrules Msg:\n  ", name, ": topicin(\"",
+        topic, "\") ? trigger(ALERT), trigger(COMPROMISED), trigger(HALT);\n");
+    const std::vector<lang::SourceFile> files = {{.path = "new.rul", .text = text}};
+    lang::CompileResult compiled = lang::Compile(files);
+    ASSERT_TRUE(compiled.rules) << lang::RenderText(files, compiled.diagnostics);
+    const auto program = engine::Program::Create(*std::move(compiled.rules));
+    ASSERT_TRUE(robot_->SwapPolicy({.program = *program, .bundle_id = id}).ok());
+  };
+  swap("sha256:1", "/other", "r");
+  EXPECT_EQ(sensor_->interest[0].topic_regex, "^\\/other$");
+  EXPECT_FALSE(robot_->SensorInterests().at(0).in_use);
+  AnswerInterest();
+  EXPECT_TRUE(robot_->SensorInterests().at(0).in_use);
+}
+
+TEST_F(RobotCoverageTest, RobotsShareThePlanOfTheirBundle) {
+  Begin();
+  const std::vector<lang::SourceFile> files = {{.path = "test.rul", .text = kRules}};
+  const auto program = engine::Program::Create(*lang::Compile(files).rules);
+  const auto plan = MakeInterest(**program);
+  ASSERT_TRUE(
+      robot_->SwapPolicy({.program = *program, .bundle_id = "sha256:1", .interest = plan}).ok());
+  EXPECT_EQ(&robot_->interest(), plan.get());
+  EXPECT_TRUE(robot_->SensorInterests().at(0).in_use) << "it asks for the same";
+}
+
 TEST_F(RobotCoverageTest, AnswersToWhatIsNotWantedChangeNothing) {
   Begin();
   robot_->OnInterestAnswer("base", sensor_.get(), {.id = "older", .problem = "why"});

@@ -16,8 +16,8 @@
 
 namespace rips::pipeline {
 
-// The sensor's wall clock minus the server's. A heartbeat was sent at some time between the server's
-// beat that it echoes and its arrival, so each one bounds the difference from both sides.
+// The sensor's wall clock minus the server's. A heartbeat was sent at some time between the
+// server's beat that it echoes and its arrival, so each one bounds the difference from both sides.
 class ClockSkew {
  public:
   // A clock is off when it is further off than this for so many heartbeats in a row.

@@ -64,6 +64,13 @@ std::vector<Recorded> Events() {
   finding.guid.bytes[15] = 3;
   events.push_back({.what = finding});
   events.push_back({.what = RecordedLoss{.count = UINT64_MAX}});
+  events.push_back({.what = RecordedLoss{.count = 2,
+                                         .topic = "/a",
+                                         .type = "a/msg/A",
+                                         .writer = *ros2::GuidFromBytes("0123456789abcdef"),
+                                         .first_unix_ns = 5,
+                                         .last_unix_ns = 9,
+                                         .cause = "queue full"}});
   events.push_back({.what = RecordedOther{.what = "tick"}});
   for (size_t i = 0; i < events.size(); ++i) events[i].index = i;
   return events;

@@ -407,6 +407,26 @@ TEST(ReplayerTest, ExternalEventsAreAsRecorded) {
   EXPECT_EQ(result.events, (EventCounts{.external = 4}));
 }
 
+TEST(ReplayerTest, LossesCountInTheWindowsAsTheyDidOnTheRobot) {
+  const auto program = MakeProgram(R"(
+    rules Msg:
+      flood: msgcount(1000, 5, 1000) ? alert("flood");
+  )");
+  constexpr int64_t kStart = 1'700'000'000 * kNanosPerSecond;
+  const auto loss = [&](int64_t last_ns) {
+    Recorded event = Event(recording::RecordedLoss{.count = 4,
+                                                   .topic = "/t",
+                                                   .type = "p/msg/T",
+                                                   .first_unix_ns = last_ns,
+                                                   .last_unix_ns = last_ns});
+    event.time_unix_ns = kStart;
+    return event;
+  };
+  const Recorded here = Message("/t", "", kStart + 1);
+  EXPECT_THAT(Alerts(Replayed(program, {loss(kStart), here})), ElementsAre("1 flood flood"));
+  EXPECT_THAT(Alerts(Replayed(program, {loss(kStart - kNanosPerSecond), here})), IsEmpty());
+}
+
 TEST(ReplayerTest, CountsTheEventsOfARulesClass) {
   const auto program = MakeProgram(R"(
     rules Msg: m: topicin("/t") ? alert("m");

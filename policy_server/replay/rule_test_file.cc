@@ -131,6 +131,7 @@ class EventReader {
   recording::RecordedIds ReadIds(const ConfigSection& section);
   recording::RecordedAgent ReadAgent(const ConfigSection& section);
   recording::RecordedFinding ReadFinding(const ConfigSection& section);
+  recording::RecordedLoss ReadLoss(const ConfigSection& section, uint64_t count);
 
   const std::string& folder_;  // Not owned; outlives this.
   RuleTestGraph graph_;
@@ -159,7 +160,7 @@ TestEvent EventReader::Read(const ConfigSection& section) {
   }
   if (has("lost")) {
     section.Required<int64_t>("lost", &count, {1, std::numeric_limits<int64_t>::max()});
-    event.what = recording::RecordedLoss{.count = static_cast<uint64_t>(count)};
+    event.what = ReadLoss(section, static_cast<uint64_t>(count));
   }
   if (has("tick")) {
     event.every_ns = kTickMs * kNanosPerMilli;
@@ -175,6 +176,16 @@ TestEvent EventReader::Read(const ConfigSection& section) {
   if (has("evidence")) event.what = EvidenceSpec{.complete = ReadEvidence(section)};
   event.expect = ReadExpectation(section.OptionalSection("expect"));
   return event;
+}
+
+recording::RecordedLoss EventReader::ReadLoss(const ConfigSection& section, uint64_t count) {
+  recording::RecordedLoss loss{.count = count};
+  section.Optional("lost_on", &loss.topic);
+  if (loss.topic.empty()) return loss;
+  const absl::Status valid = ros2::ValidateTopicName(loss.topic);
+  if (!valid.ok()) section.Problem("lost_on", valid.message());
+  loss.type = graph_.TypeOf(loss.topic);
+  return loss;
 }
 
 void EventReader::ReadRepeat(const ConfigSection& section, TestEvent& event) {

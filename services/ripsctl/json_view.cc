@@ -24,6 +24,19 @@ Json Strings(const google::protobuf::RepeatedPtrField<std::string>& strings) {
   return list;
 }
 
+struct Topic {
+  absl::btree_set<std::string> types;
+  std::vector<std::string> publishers;
+  std::vector<std::string> subscribers;
+};
+
+Json SortedList(std::vector<std::string> names) {
+  std::sort(names.begin(), names.end());
+  return names;
+}
+
+}  // namespace
+
 const char* KindName(v1::Endpoint::Kind kind) {
   switch (kind) {
     case v1::Endpoint::PUBLISHER:
@@ -43,19 +56,6 @@ std::string GuidText(const std::string& bytes) {
   const absl::StatusOr<ros2::Guid> guid = ros2::GuidFromBytes(bytes);
   return guid.ok() ? ros2::ToString(*guid) : "invalid";
 }
-
-struct Topic {
-  absl::btree_set<std::string> types;
-  std::vector<std::string> publishers;
-  std::vector<std::string> subscribers;
-};
-
-Json SortedList(std::vector<std::string> names) {
-  std::sort(names.begin(), names.end());
-  return names;
-}
-
-}  // namespace
 
 std::string MarkText(const v1::Mark& mark) {
   if (mark.term() == 0 && mark.epoch() == 0) return "-";

@@ -28,6 +28,10 @@ Json ToJson(const v1::GetLevelResponse& response);
 // those that are not ROS are under `unattributed`.
 Json ToJson(const v1::GraphSnapshot& graph);
 
+// "publisher", "subscriber", "service", "client" or "unknown".
+const char* KindName(v1::Endpoint::Kind kind);
+// As hexadecimal digits; "invalid" if it is no GUID.
+std::string GuidText(const std::string& bytes);
 // "3.17"; "-" when unset.
 std::string MarkText(const v1::Mark& mark);
 

@@ -655,6 +655,8 @@ TEST_F(RipsctlTest, HelpIsAsPinned) {
       {"robot", "watch"},
       {"robot", "show"},
       {"robot", "graph"},
+      {"robot", "interest"},
+      {"robot", "coverage"},
       {"level", "show"},
       {"level", "history"},
       {"level", "raise"},

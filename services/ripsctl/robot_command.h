@@ -1,4 +1,4 @@
-// `ripsctl robot`: list, watch, show, graph.
+// `ripsctl robot`: list, watch, show, graph, interest, coverage.
 #ifndef RIPS_SERVICES_RIPSCTL_ROBOT_COMMAND_H_
 #define RIPS_SERVICES_RIPSCTL_ROBOT_COMMAND_H_
 

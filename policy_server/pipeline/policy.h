@@ -1,0 +1,37 @@
+// Policy: what a robot is judged by.
+#ifndef RIPS_POLICY_SERVER_PIPELINE_POLICY_H_
+#define RIPS_POLICY_SERVER_PIPELINE_POLICY_H_
+
+#include <cstdint>
+#include <memory>
+#include <string>
+
+#include "policy_server/engine/interest.h"
+#include "policy_server/engine/program.h"
+#include "policy_server/levels/level_table.h"
+#include "policy_server/pipeline/ports.h"
+#include "services/base/clock.h"
+
+namespace rips::pipeline {
+
+// A bundle that is in force.
+struct Policy {
+  std::shared_ptr<const engine::Program> program;
+  // "sha256:" + 64 hex.
+  std::string bundle_id;
+  levels::LevelIndex start_level = 0;
+  int64_t soft_hold_ns = 5 * kNanosPerSecond;
+  // Null: no message is inspected, and rules that want it are not told.
+  std::shared_ptr<Inspector> inspector;
+  // What the program needs (MakeInterest), so that robots share it; null: each finds out itself.
+  std::shared_ptr<const engine::InterestPlan> interest;
+};
+
+// Of one message, that inspections look at.
+inline constexpr uint32_t kPayloadBytesMax = 64 << 10;
+// Takes as long as compiling the rules.
+std::shared_ptr<const engine::InterestPlan> MakeInterest(const engine::Program& program);
+
+}  // namespace rips::pipeline
+
+#endif  // RIPS_POLICY_SERVER_PIPELINE_POLICY_H_
