@@ -375,7 +375,8 @@ bool Outbox::StartGraphWithSnapshot(int64_t now_ns) {
   if (!primary_ || snapshot_wanted_) return false;
   auto& entries = control_.entries;
   const auto first = std::find_if(entries.begin(), entries.end(), IsGraph);
-  if (first != entries.end() && first - entries.begin() < static_cast<ptrdiff_t>(control_.numbered)) {
+  if (first != entries.end() &&
+      first - entries.begin() < static_cast<ptrdiff_t>(control_.numbered)) {
     std::optional<GraphChange> after =
         graph_base_.SnapshotAfter(std::get<GraphChange>(first->what));
     if (!after.has_value()) return false;
@@ -428,7 +429,13 @@ size_t Outbox::DropGraph() {
 
 void Outbox::ReplaceGraph(std::vector<GraphChange> snapshot, int64_t now_ns) {
   snapshot_wanted_ = false;
-  DropGraph();
+  const size_t left_out = DropGraph();
+  if (left_out > 0) {
+    AddLoss({.cause = LossCause::kOutboxShed,
+             .count = left_out,
+             .first_boottime_ns = now_ns,
+             .last_boottime_ns = now_ns});
+  }
   if (!primary_ || snapshot.empty()) return;
   std::vector<ControlObservation> parts;
   for (GraphChange& part : snapshot) {
