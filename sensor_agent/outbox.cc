@@ -435,7 +435,13 @@ size_t Outbox::DropGraph() {
 
 void Outbox::ReplaceGraph(std::vector<GraphChange> snapshot, int64_t now_ns) {
   snapshot_wanted_ = false;
-  DropGraph();
+  const size_t left_out = DropGraph();
+  if (left_out > 0) {
+    AddLoss({.cause = LossCause::kOutboxShed,
+             .count = left_out,
+             .first_boottime_ns = now_ns,
+             .last_boottime_ns = now_ns});
+  }
   if (!primary_ || snapshot.empty()) return;
   std::vector<ControlObservation> parts;
   for (GraphChange& part : snapshot) {

@@ -272,6 +272,8 @@ TEST_F(SmallOutboxTest, MessagesInFlightAreShedLast) {
   outbox_.MarkSent(Lane::kMessages, 2);
   AddMessages(23, 23);  // now the one unsent and two in flight go
   EXPECT_EQ(outbox_.Unacked(Lane::kMessages), (SequenceRange{3, 16}));
+  outbox_.FlushMerged(now_ns_);
+  EXPECT_EQ(UnsentControl().back(), "1:loss /t 7") << "numbers that do not come tell themselves";
   EXPECT_THAT(outbox_.Acknowledge(Lane::kMessages, 2), IsOk()) << "came too late: no harm";
   EXPECT_EQ(outbox_.shed_messages(), 3 + 3 + 3);
 }
@@ -404,6 +406,95 @@ TEST_F(OutboxTest, SecondarySensorReportsNeitherGraphNorMessages) {
 
   outbox_.SetPrimary(true);
   EXPECT_TRUE(outbox_.snapshot_wanted());
+}
+
+TEST_F(OutboxTest, TheOldestWithoutNumberAreTakenAndTheRestGoesOn) {
+  AddMessages(1, 10);
+  outbox_.MarkSent(Lane::kMessages, 2);
+  EXPECT_EQ(outbox_.OldestUnnumbered(), 3 * kMs);
+
+  const std::vector<MessageSeen> taken = outbox_.TakeOldest({.observations = 4}, 100 * kMs);
+
+  ASSERT_THAT(taken, SizeIs(4));
+  EXPECT_EQ(taken.front().size_bytes, 3u);
+  EXPECT_EQ(outbox_.Unacked(Lane::kMessages), (SequenceRange{1, 2}));
+  EXPECT_EQ(UnsentMessages().front(), (std::pair<uint64_t, uint32_t>(3, 7)));
+  EXPECT_THAT(outbox_.TakeOldest({}, 9 * kMs), SizeIs(2)) << "none of 9 ms or later";
+  EXPECT_THAT(outbox_.TakeOldest({}, 100 * kMs), SizeIs(2));
+  EXPECT_EQ(outbox_.OldestUnnumbered(), std::nullopt);
+  EXPECT_EQ(outbox_.message_bytes(), 2 * CostOf(MessageSeen{}));
+}
+
+TEST_F(OutboxTest, PayloadsEndABatchThatIsTaken) {
+  for (uint32_t i = 1; i <= 3; ++i) AddPayload(i, 600);
+  EXPECT_THAT(outbox_.TakeOldest({.observations = 10, .bytes = 1'000}, 100 * kMs), SizeIs(2));
+  EXPECT_THAT(outbox_.TakeOldest({.observations = 10, .bytes = 1}, 100 * kMs), SizeIs(1))
+      << "one in any case";
+}
+
+TEST_F(OutboxTest, ControlThatIsTakenLeavesTheGraph) {
+  AddGraph(0, 1);
+  outbox_.AddControl({.boottime_ns = 1, .what = IdsAlert{.message = "a"}});
+  AddGraph(1, 2);
+  for (int i = 0; i < 3; ++i) outbox_.AddControl({.boottime_ns = 2, .what = IdsAlert{}});
+  outbox_.MarkSent(Lane::kControl, 1);
+
+  EXPECT_THAT(outbox_.TakeOldestControl({.observations = 3}), SizeIs(3));
+
+  EXPECT_THAT(UnsentControl(), ElementsAre("2:graph 1-2", "3:state"));
+  EXPECT_THAT(outbox_.TakeOldestControl({}), SizeIs(1));
+  EXPECT_THAT(outbox_.TakeOldestControl({}), IsEmpty());
+  outbox_.MarkSent(Lane::kControl, 1);
+  ASSERT_THAT(outbox_.Acknowledge(Lane::kControl, 2), IsOk());
+  EXPECT_EQ(outbox_.control_bytes(), 0u);
+}
+
+TEST_F(OutboxTest, AServerWithoutGraphGetsEveryStepAfterASnapshotOfWhatWasAcknowledged) {
+  AddGraph(0, 1);
+  AddGraph(1, 2);
+  outbox_.MarkSent(Lane::kControl, 2);
+  ASSERT_THAT(outbox_.Acknowledge(Lane::kControl, 2), IsOk());
+  AddGraph(2, 3);
+  AddGraph(3, 4);
+
+  EXPECT_FALSE(outbox_.GraphStartsWithSnapshot());
+  EXPECT_TRUE(outbox_.StartGraphWithSnapshot(now_ns_));
+
+  EXPECT_THAT(UnsentControl(), ElementsAre("3:graph 0-2", "4:graph 2-3", "5:graph 3-4"));
+  EXPECT_TRUE(outbox_.GraphStartsWithSnapshot());
+}
+
+TEST_F(OutboxTest, AStepWithANumberBecomesASnapshotUnderIt) {
+  AddGraph(0, 1);
+  outbox_.MarkSent(Lane::kControl, 1);
+  ASSERT_THAT(outbox_.Acknowledge(Lane::kControl, 1), IsOk());
+  AddGraph(1, 2);
+  outbox_.MarkSent(Lane::kControl, 1);
+  AddGraph(2, 3);
+  outbox_.Rewind();
+
+  EXPECT_TRUE(outbox_.StartGraphWithSnapshot(now_ns_));
+
+  EXPECT_THAT(UnsentControl(), ElementsAre("2:graph 0-2", "3:graph 2-3"));
+}
+
+TEST_F(OutboxTest, WithoutAStepTheSnapshotIsOfWhatWasAcknowledged) {
+  EXPECT_FALSE(outbox_.StartGraphWithSnapshot(now_ns_)) << "nothing was acknowledged";
+  AddGraph(0, 1);
+  outbox_.MarkSent(Lane::kControl, 1);
+  ASSERT_THAT(outbox_.Acknowledge(Lane::kControl, 1), IsOk());
+  EXPECT_TRUE(outbox_.StartGraphWithSnapshot(now_ns_));
+  EXPECT_THAT(UnsentControl(), ElementsAre("2:graph 0-1"));
+}
+
+TEST_F(OutboxTest, StepsThatWereLeftOutNeedASnapshotOfNow) {
+  AddGraph(0, 1);
+  outbox_.MarkSent(Lane::kControl, 1);
+  ASSERT_THAT(outbox_.Acknowledge(Lane::kControl, 1), IsOk());
+  AddGraph(1, 2);
+  EXPECT_EQ(outbox_.DropGraph(), 1u);
+  AddGraph(2, 3);
+  EXPECT_FALSE(outbox_.StartGraphWithSnapshot(now_ns_));
 }
 
 TEST_F(OutboxTest, BytesReturnToZeroWhenAllIsAcknowledged) {

@@ -41,10 +41,6 @@ constexpr Lane kLanes[] = {Lane::kControl, Lane::kMessages};
 
 int Index(Lane lane) { return lane == Lane::kControl ? 0 : 1; }
 
-rips::v1::Lane ToWire(Lane lane) {
-  return lane == Lane::kControl ? rips::v1::CONTROL : rips::v1::MESSAGES;
-}
-
 std::string NewIncarnation() { return absl::HexStringToBytes(NewId()); }
 
 // The valid ones.
@@ -204,8 +200,11 @@ void Uplink::SetKindVisible(const std::string& kind, bool visible) {
 absl::Status Uplink::Ready() const {
   MutexLock lock(&mu_);
   if (phase_ == Phase::kStreaming) return absl::OkStatus();
-  if (phase_ == Phase::kResuming) return absl::UnavailableError("connected, resuming");
-  return down_because_;
+  const BacklogState backlog = backlog_.state();
+  const std::string held = absl::StrCat("; ", outbox_.bytes() + backlog.memory_bytes,
+                                        " bytes wait in memory, ", backlog.disk_bytes, " on disk");
+  if (phase_ == Phase::kResuming) return absl::UnavailableError("connected, resuming" + held);
+  return absl::Status(down_because_.code(), absl::StrCat(down_because_.message(), held));
 }
 
 uint64_t Uplink::acknowledged_ids_alerts() const {
@@ -247,24 +246,6 @@ SensorMessage Uplink::OnConnected() {
   AnnounceLocked(*sensor);
   WakeLocked();
   return message;
-}
-
-void Uplink::AnnounceLocked(rips::v1::SensorHello& hello) {
-  std::vector<BacklogRange> ranges;
-  for (const Lane lane : kLanes) {
-    const SequenceRange range = outbox_.Unacked(lane);
-    ranges.push_back({.stream = {.incarnation = incarnation_, .lane = lane},
-                      .first_sequence = range.first,
-                      .last_sequence = range.last});
-  }
-  for (BacklogRange& range : backlog_.Rewind()) ranges.push_back(std::move(range));
-  for (const BacklogRange& range : ranges) {
-    rips::v1::SpoolStream* spooled = hello.add_spooled();
-    spooled->set_incarnation(range.stream.incarnation);
-    spooled->set_first_sequence(range.first_sequence);
-    spooled->set_last_sequence(range.last_sequence);
-    spooled->set_lane(ToWire(range.stream.lane));
-  }
 }
 
 void Uplink::OnMessage(const SensorReply& reply) {
@@ -434,7 +415,10 @@ void Uplink::OnDisconnected(const grpc::Status& status, rpc::CloseClass close_cl
   phase_ = Phase::kDown;
   stream_.reset();
   streaming_.Set(0);
-  if (absl::IsInvalidArgument(why)) ++refusals_;
+  if (absl::IsInvalidArgument(why)) {
+    ++refusals_;
+    backlog_.Refused(why);
+  }
   down_because_ = why.ok() ? absl::UnavailableError("the server ended the stream") : why;
   // The same again and again is said once.
   Log(news ? LogLevel::kWarning : LogLevel::kDebug, "no stream to the policy server",
@@ -503,31 +487,6 @@ void Uplink::SendAnswersLocked() {
     if (!SendLocked(std::move(message))) return;  // at the next wake-up
     answers.erase(answers.begin());
   }
-}
-
-void Uplink::ReportStateLocked(int64_t now_ns) {
-  const uint64_t shed = outbox_.shed_messages() - shed_reported_;
-  shed_reported_ += shed;
-  shed_.Increment(static_cast<double>(shed));
-  const uint64_t payloads_shed = outbox_.shed_payloads() - payloads_shed_reported_;
-  payloads_shed_reported_ += payloads_shed;
-  payloads_shed_.Increment(static_cast<double>(payloads_shed));
-  const BacklogState backlog = backlog_.state();
-  const bool overloaded = shed > 0 || payloads_shed > 0 ||
-                          (backlog.disk_refuses && backlog.observations > 0) ||
-                          outbox_.bytes() > outbox_.limits().message_bytes / 2;
-  const bool news = overloaded || overloaded_ || backlog.observations > 0 || had_backlog_ ||
-                    not_visible_ != not_visible_told_;
-  overloaded_ = overloaded;
-  had_backlog_ = backlog.observations > 0;
-  if (!news) return;
-  outbox_.AddState({.overloaded = overloaded,
-                    .outbox_bytes = outbox_.bytes() + backlog.memory_bytes,
-                    .oldest_unacked_ns = now_ns - OldestUnackedLocked(backlog).value_or(now_ns),
-                    .spool_bytes = backlog.disk_bytes,
-                    .not_visible = not_visible_},
-                   now_ns);
-  not_visible_told_ = not_visible_;
 }
 
 void Uplink::PumpLocked(int64_t now_ns) {

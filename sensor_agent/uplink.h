@@ -13,6 +13,7 @@
 // |                                                   | first graph step held is one          |
 // | refused the last stream (INVALID_ARGUMENT)        | begins with a snapshot                |
 // | did so twice, acknowledging nothing in between    | is of a new incarnation               |
+// | did so twice with batches of the backlog underway | leaves the oldest of them out: lost   |
 //
 // What is not live any more (older than 2 s, unsent; or the outbox has no room) is set aside in a
 // backlog, on disk if there is much of it. After an outage its control observations go first; then
@@ -126,7 +127,7 @@ class Uplink {
   // Whether this kind of traffic is visible from now on: the server is told, now or in the next
   // hello.
   void SetKindVisible(const std::string& kind, bool visible) ABSL_LOCKS_EXCLUDED(mu_);
-  // OK while streaming; Unavailable with the reason otherwise.
+  // OK while streaming; otherwise an error with the reason, and how much waits.
   absl::Status Ready() const ABSL_LOCKS_EXCLUDED(mu_);
   // Of the alerts of the IDS that were appended, how many are acknowledged or in the backlog.
   uint64_t acknowledged_ids_alerts() const ABSL_LOCKS_EXCLUDED(mu_);

@@ -23,6 +23,10 @@ size_t WireBytesMax(const BacklogBatch& batch) {
   return batch.bytes->size() + 8 * size_t{batch.count} + 64;
 }
 
+rips::v1::Lane ToWire(Lane lane) {
+  return lane == Lane::kControl ? rips::v1::CONTROL : rips::v1::MESSAGES;
+}
+
 int64_t OldestOf(const rips::v1::ObservationBatch& batch) {
   return static_cast<int64_t>(batch.base_boottime_ns());
 }
@@ -77,6 +81,24 @@ bool Uplink::SetAsideLocked(int64_t now_ns) {
 
 // --- Sending
 
+void Uplink::AnnounceLocked(rips::v1::SensorHello& hello) {
+  std::vector<BacklogRange> ranges;
+  for (const Lane lane : {Lane::kControl, Lane::kMessages}) {
+    const SequenceRange range = outbox_.Unacked(lane);
+    ranges.push_back({.stream = {.incarnation = incarnation_, .lane = lane},
+                      .first_sequence = range.first,
+                      .last_sequence = range.last});
+  }
+  for (BacklogRange& range : backlog_.Rewind()) ranges.push_back(std::move(range));
+  for (const BacklogRange& range : ranges) {
+    rips::v1::SpoolStream* spooled = hello.add_spooled();
+    spooled->set_incarnation(range.stream.incarnation);
+    spooled->set_first_sequence(range.first_sequence);
+    spooled->set_last_sequence(range.last_sequence);
+    spooled->set_lane(ToWire(range.stream.lane));
+  }
+}
+
 std::optional<int64_t> Uplink::BacklogDueLocked(int64_t now_ns) const {
   if (phase_ != Phase::kStreaming || outbox_.snapshot_wanted()) return std::nullopt;
   if (stream_->stalled.has_value()) return std::nullopt;
@@ -119,7 +141,7 @@ bool Uplink::MakeBacklogBatchLocked(const BacklogBatch& next, rips::v1::Observat
   }
   batch.set_incarnation(next.stream.incarnation);
   batch.set_first_sequence(next.first_sequence);
-  batch.set_lane(next.stream.lane == Lane::kControl ? rips::v1::CONTROL : rips::v1::MESSAGES);
+  batch.set_lane(ToWire(next.stream.lane));
   return true;
 }
 
@@ -143,6 +165,31 @@ bool Uplink::SendBacklogLocked(int64_t now_ns) {
 }
 
 // --- Looking and ending
+
+void Uplink::ReportStateLocked(int64_t now_ns) {
+  const uint64_t shed = outbox_.shed_messages() - shed_reported_;
+  shed_reported_ += shed;
+  shed_.Increment(static_cast<double>(shed));
+  const uint64_t payloads_shed = outbox_.shed_payloads() - payloads_shed_reported_;
+  payloads_shed_reported_ += payloads_shed;
+  payloads_shed_.Increment(static_cast<double>(payloads_shed));
+  const BacklogState backlog = backlog_.state();
+  const bool overloaded = shed > 0 || payloads_shed > 0 ||
+                          (backlog.disk_refuses && backlog.observations > 0) ||
+                          outbox_.bytes() > outbox_.limits().message_bytes / 2;
+  const bool news = overloaded || overloaded_ || backlog.observations > 0 || had_backlog_ ||
+                    not_visible_ != not_visible_told_;
+  overloaded_ = overloaded;
+  had_backlog_ = backlog.observations > 0;
+  if (!news) return;
+  outbox_.AddState({.overloaded = overloaded,
+                    .outbox_bytes = outbox_.bytes() + backlog.memory_bytes,
+                    .oldest_unacked_ns = now_ns - OldestUnackedLocked(backlog).value_or(now_ns),
+                    .spool_bytes = backlog.disk_bytes,
+                    .not_visible = not_visible_},
+                   now_ns);
+  not_visible_told_ = not_visible_;
+}
 
 std::optional<int64_t> Uplink::OldestUnackedLocked(const BacklogState& backlog) const {
   const std::optional<int64_t> live_ns = outbox_.OldestUnacked();

@@ -1,5 +1,8 @@
 #include "sensor_agent/wire_encoder.h"
 
+#include <map>
+#include <utility>
+
 #include "absl/strings/str_cat.h"
 #include "gmock/gmock.h"
 #include "gtest/gtest.h"
@@ -252,6 +255,71 @@ TEST_F(WireEncoderTest, StreamThatRunsOutOfNumbersSaysSo) {
   EXPECT_TRUE(encoder.full());
   EXPECT_THAT(Send(encoder).observations(), SizeIs(0));
   for (const auto& intern : batch.interned()) EXPECT_LE(intern.id(), 7);
+}
+
+TEST_F(WireEncoderTest, ABatchAloneTakesTheNamesOfTheStreamThatSendsIt) {
+  const auto a = Source("/a", 1);
+  const auto b = Source("/b", 2);
+  const std::vector<MessageSeen> seen = {{.boottime_ns = 300, .source = b, .size_bytes = 1},
+                                         {.boottime_ns = 200, .source = a, .size_bytes = 2}};
+  ObservationBatch first = WireEncoder::EncodeAlone(seen);
+  ObservationBatch second = WireEncoder::EncodeAlone(seen);
+  EXPECT_EQ(first.base_boottime_ns(), 200u);
+  EXPECT_THAT(first.interned(), SizeIs(5)) << "two topics, one type, two writers";
+  WireEncoder encoder(kIncarnation);
+  Add(a, 100);
+  const ObservationBatch live = Send(encoder);  // takes 1 to 3
+
+  ASSERT_THAT(encoder.Rename(first), IsOk());
+  ASSERT_THAT(encoder.Rename(second), IsOk());
+
+  std::map<uint32_t, std::string> names;
+  for (const ObservationBatch* batch : {&live, &std::as_const(first), &std::as_const(second)}) {
+    for (const rips::v1::Intern& each : batch->interned()) {
+      const std::string name =
+          each.has_writer() ? each.writer().name() : each.topic() + each.type();
+      EXPECT_TRUE(names.emplace(each.id(), name).second) << "number " << each.id() << " twice";
+    }
+    for (const rips::v1::Observation& each : batch->observations()) {
+      const std::string& topic = names[each.message().topic_id()];
+      EXPECT_EQ(topic, each.message().size_bytes() == 1 ? "/b" : "/a");
+      EXPECT_EQ(names[each.message().writer_id()], topic);
+      EXPECT_EQ(names[each.message().type_id()], "std_msgs/msg/String");
+    }
+  }
+  EXPECT_THAT(second.interned(), SizeIs(0));
+}
+
+TEST_F(WireEncoderTest, LossesAloneKeepTheirNamesToo) {
+  const auto a = Source("/a", 1);
+  ObservationBatch batch = WireEncoder::EncodeAlone(std::vector<ControlObservation>{
+      {.boottime_ns = 5, .what = Loss{.topic = "/a", .source = a, .count = 3}},
+      {.boottime_ns = 6, .what = IdsAlert{.message = "scan"}}});
+  WireEncoder encoder(kIncarnation);
+  Add(Source("/z", 9), 1);
+  Send(encoder);
+  ASSERT_THAT(encoder.Rename(batch), IsOk());
+  EXPECT_EQ(batch.observations(0).loss().topic_id(), batch.interned(0).id());
+  EXPECT_GT(batch.observations(0).loss().topic_id(), 3u);
+  EXPECT_EQ(batch.observations(1).ids().message(), "scan");
+}
+
+TEST_F(WireEncoderTest, ABatchThatUsesUnknownNamesIsRefusedAndNothingHasChanged) {
+  ObservationBatch batch =
+      WireEncoder::EncodeAlone(std::vector<MessageSeen>{{.source = Source("/a", 1)}});
+  batch.mutable_observations(0)->mutable_message()->set_topic_id(99);
+  WireEncoder encoder(kIncarnation);
+  EXPECT_TRUE(absl::IsDataLoss(encoder.Rename(batch)));
+  Add(Source("/a", 1), 1);
+  EXPECT_EQ(Send(encoder).interned(0).id(), 1u);
+}
+
+TEST_F(WireEncoderTest, ABatchWithMoreNamesThanAreLeftNeedsAnotherStream) {
+  ObservationBatch batch =
+      WireEncoder::EncodeAlone(std::vector<MessageSeen>{{.source = Source("/a", 1)}});
+  WireEncoder encoder(kIncarnation, {.names = 2});
+  EXPECT_TRUE(absl::IsResourceExhausted(encoder.Rename(batch)));
+  EXPECT_THAT(batch.interned(), SizeIs(3));
 }
 
 }  // namespace

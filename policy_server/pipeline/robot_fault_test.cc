@@ -9,6 +9,7 @@ namespace {
 
 using ::testing::Contains;
 using ::testing::HasSubstr;
+using ::testing::Not;
 
 constexpr char kExecRules[] = R"(
 levels:
@@ -68,6 +69,58 @@ TEST_F(RobotTest, AGapInTheMessageLaneIsLossAndMakesBlind) {
   EXPECT_EQ(Level(), "ALERT") << "soft_hold starts anew";
   Pass(4'000);
   EXPECT_EQ(Level(), "DEFAULT");
+}
+
+TEST_F(RobotTest, OlderIncarnationsAreJudgedAndAcknowledgedForThemselves) {
+  const std::string former(16, 'f');
+  Start();
+  ConnectSensor(
+      {{.incarnation = former, .lane = Lane::kControl, .first_sequence = 1, .last_sequence = 2}});
+  ConnectActuator({.effective_level = "DEFAULT"});
+  SendSnapshot();
+  Obey();
+  EXPECT_THAT(robot_->Status().degraded, Contains(HasSubstr("not judged yet")));
+  const auto graph = robot_->graph().nodes();
+  ros2::GraphDelta old;
+  AddNode(&old, 7, "/long_gone");
+
+  robot_->OnBatch(
+      "base", sensor_.get(),
+      std::make_shared<const Batch>(
+          Batch{.incarnation = former,
+                .lane = Lane::kControl,
+                .first_sequence = 1,
+                .observations = {
+                    {.what = GraphSnapshotSeen{.version = 1, .settled = true, .content = old}},
+                    {.what = SignalSeen{.name = "SIGUSR1"}}}}));
+  Drain();
+  Pass(2'000);
+
+  EXPECT_THAT(sensor_->closed, IsOk());
+  EXPECT_EQ(recorder_.high_water.size(), 2u);
+  EXPECT_EQ(robot_->graph().nodes(), graph) << "the graph of an incarnation that is over";
+  EXPECT_THAT(robot_->Status().degraded, Not(Contains(HasSubstr("not judged yet"))));
+}
+
+TEST_F(RobotTest, AnnouncedIncarnationsAreNotForgottenForOthers) {
+  Start();
+  std::vector<SpooledRange> spooled;
+  for (size_t i = 0; i < SequenceTrack::kIncarnationsMax - 2; ++i) {
+    spooled.push_back({.incarnation = std::string(16, static_cast<char>('A' + i)),
+                       .lane = Lane::kMessages,
+                       .first_sequence = 11,
+                       .last_sequence = 20});
+  }
+  ConnectSensor(spooled);
+  SendSnapshot();
+  robot_->OnSensorGone("base", sensor_.get());
+
+  ConnectSensor({{.incarnation = std::string(16, 'A'),
+                  .lane = Lane::kMessages,
+                  .first_sequence = 1,
+                  .last_sequence = 20}});
+
+  EXPECT_EQ(sensor_->acknowledged[1], 10u) << "what came before the range will not come";
 }
 
 TEST_F(RobotTest, ADeltaThatDoesNotFitEndsTheStreamAndASnapshotIsAskedFor) {

@@ -15,6 +15,7 @@ namespace {
 
 // Lost control observations in one batch.
 constexpr uint64_t kGapBatch = 128;
+constexpr int kRefusalsMax = 2;
 
 }  // namespace
 
@@ -119,6 +120,7 @@ void Backlog::SetBytes(Entry& entry, std::shared_ptr<const std::string> bytes) {
 }
 
 void Backlog::PutLocked(Queue& queue, Entry entry) {
+  if (queue.entries.empty()) queue.acknowledged = entry.first_sequence - 1;
   queue.next_sequence = entry.last_sequence() + 1;
   if (entry.bytes != nullptr) {
     memory_bytes_ += entry.bytes->size();
@@ -136,6 +138,7 @@ void Backlog::AdvanceWritten(Queue& queue) {
 
 void Backlog::PopFront(Queue& queue) {
   Entry& entry = queue.entries.front();
+  queue.acknowledged = entry.last_sequence();
   SetBytes(entry, nullptr);
   if (entry.record.has_value()) to_release_.push_back(*entry.record);
   queue.entries.pop_front();
@@ -255,6 +258,7 @@ absl::Status Backlog::Acknowledge(const StreamKey& stream, uint64_t sequence) {
   if (resuming) queue->highest_sent = sequence;
   while (!queue->entries.empty() && queue->entries.front().last_sequence() <= sequence) {
     PopFront(*queue);
+    refusals_ = 0;
   }
   if (!to_release_.empty() || NextToRead().has_value()) work_.NotifyOne();
   return absl::OkStatus();
@@ -461,9 +465,26 @@ void Backlog::ReadOne(const Place& place) {
 }
 
 void Backlog::Discard(const StreamKey& stream, uint64_t first_sequence, const absl::Status& why) {
+  MutexLock lock(&mu_);
+  DiscardLocked(stream, first_sequence, why);
+}
+
+void Backlog::Refused(const absl::Status& why) {
+  MutexLock lock(&mu_);
+  std::vector<Place> oldest;
+  for (const Queue& each : queues_) {
+    if (each.sent == 0) continue;
+    oldest.push_back({.stream = each.stream, .first_sequence = each.entries[0].first_sequence});
+  }
+  if (oldest.empty() || ++refusals_ < kRefusalsMax) return;
+  refusals_ = 0;
+  for (const Place& each : oldest) DiscardLocked(each.stream, each.first_sequence, why);
+}
+
+void Backlog::DiscardLocked(const StreamKey& stream, uint64_t first_sequence,
+                            const absl::Status& why) {
   LogError("observations of the backlog are lost",
            {{"first_sequence", first_sequence}, {"error", why.message()}});
-  MutexLock lock(&mu_);
   Queue* queue = FindQueue(stream);
   Entry* entry = Find({.stream = stream, .first_sequence = first_sequence});
   if (entry == nullptr) return;
@@ -474,7 +495,13 @@ void Backlog::Discard(const StreamKey& stream, uint64_t first_sequence, const ab
   entry->gap = true;
   work_.NotifyOne();
   if (stream.lane == Lane::kControl) return AdvanceWritten(*queue);
-  if (entry == &queue->entries.back()) AddLoss(entry->count);
+  if (entry == &queue->entries.back()) {
+    // No number behind them shows that they, and what was lost just before them, are missing.
+    const size_t count = queue->entries.size();
+    const uint64_t before =
+        count > 1 ? queue->entries[count - 2].last_sequence() : queue->acknowledged;
+    AddLoss(entry->last_sequence() - before);
+  }
   const size_t index = static_cast<size_t>(
       std::count_if(queue->entries.begin(), queue->entries.end(),
                     [&](const Entry& each) { return each.first_sequence < first_sequence; }));

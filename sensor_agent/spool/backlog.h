@@ -132,6 +132,11 @@ class Backlog {
   void Discard(const StreamKey& stream, uint64_t first_sequence, const absl::Status& why)
       ABSL_LOCKS_EXCLUDED(mu_);
 
+  // The server ended the connection because of what it was told. If that happens twice with
+  // batches underway and none acknowledged in between, the oldest of them are lost: otherwise they
+  // would be refused for ever.
+  void Refused(const absl::Status& why) ABSL_LOCKS_EXCLUDED(mu_);
+
   // --- Looking
   // Lost observations that no number tells of, since the last call.
   std::vector<Loss> TakeLosses() ABSL_LOCKS_EXCLUDED(mu_);
@@ -155,6 +160,8 @@ class Backlog {
     StreamKey stream;
     std::deque<Entry> entries;
     uint64_t next_sequence = 1;
+    // Of the newest entry that was acknowledged.
+    uint64_t acknowledged = 0;
     // Leading entries that have gone out, and that are on disk or gaps.
     size_t sent = 0;
     size_t written = 0;
@@ -177,6 +184,8 @@ class Backlog {
   static void AdvanceWritten(Queue& queue);
   void PopFront(Queue& queue) ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
   uint64_t UnwrittenLocked() const ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
+  void DiscardLocked(const StreamKey& stream, uint64_t first_sequence, const absl::Status& why)
+      ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
   void AddLoss(uint64_t count) ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
   void AddGap(Queue& queue, uint64_t first_sequence, uint64_t count)
       ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
@@ -214,6 +223,8 @@ class Backlog {
   size_t memory_bytes_ ABSL_GUARDED_BY(mu_) = 0;
   uint64_t disk_bytes_ ABSL_GUARDED_BY(mu_) = 0;
   uint64_t unreadable_ ABSL_GUARDED_BY(mu_) = 0;
+  // Connections refused in a row with batches underway.
+  int refusals_ ABSL_GUARDED_BY(mu_) = 0;
   // The disk is not asked before; 0 = it takes what it is given.
   int64_t refuses_until_ns_ ABSL_GUARDED_BY(mu_) = 0;
   std::vector<SpoolRecord> to_release_ ABSL_GUARDED_BY(mu_);

@@ -218,7 +218,7 @@ TEST_F(BacklogTest, AProcessThatDiesLeavesAnUnknownLoss) {
   EXPECT_EQ(TotalLost(), 1u);
 }
 
-TEST_F(BacklogTest, ADamagedControlObservationIsTenToldUnderItsNumber) {
+TEST_F(BacklogTest, DamagedControlObservationsAreToldUnderTheirNumbers) {
   options_.spool.segment_bytes = 1 << 20;
   Start(kFormer);
   SetAside(1, 3, Lane::kControl);
@@ -268,33 +268,45 @@ TEST_F(BacklogTest, DamagedMessagesAreAGapAndTheLastOnesALoss) {
   EXPECT_EQ(backlog_->state().unreadable, 4u);
 }
 
-TEST_F(BacklogTest, WhatBecomesUnreadableLaterIsLostAndTheRestGoesOn) {
-  Start(kFormer);
-  SetAside(1, 30);
-  ASSERT_EQ(backlog_->Stop(), 0u);
-  options_.read_ahead_bytes = 1;
-  Start();
-  const std::vector<BacklogRange> ranges = backlog_->Rewind();
-  ASSERT_THAT(ranges, SizeIs(1));
-  fs::remove(SegmentPaths()[1]);
-  ASSERT_THAT(backlog_->Acknowledge(ranges[0].stream, 0), IsOk());
-
-  uint64_t sent = 0;
-  while (backlog_->state().observations > 0) {
-    ASSERT_NE(Send(), "nothing");
-    ++sent;
-    ASSERT_THAT(backlog_->Acknowledge(last_, backlog_->state().observations > 0 ? 2 * sent : 0),
-                IsOk());
-    if (sent > 30) break;
-    std::optional<BacklogBatch> next;
-    if (sent + backlog_->state().unreadable / 2 == 30) break;
-    ASSERT_TRUE(Eventually([&] {
-      return backlog_->Front(Lane::kMessages).has_value() ||
-             sent + backlog_->state().unreadable / 2 == 30;
+// 60 observations in three segments, of which `missing` is deleted after they were found.
+class UnreadableBacklogTest : public BacklogTest {
+ protected:
+  void Play(size_t missing) {
+    Start(kFormer);
+    SetAside(1, 40);
+    ASSERT_EQ(backlog_->Stop(), 0u);
+    options_.read_ahead_bytes = 1;
+    Start();
+    const std::vector<BacklogRange> ranges = backlog_->Rewind();
+    ASSERT_THAT(ranges, SizeIs(1));
+    ASSERT_THAT(SegmentPaths(), SizeIs(3));
+    fs::remove(SegmentPaths()[missing]);
+    ASSERT_THAT(backlog_->Acknowledge(ranges[0].stream, 0), IsOk());
+    EXPECT_TRUE(Eventually([&] {
+      if (backlog_->Front(Lane::kMessages).has_value()) {
+        ++batches_;
+        Send();
+      }
+      return batches_ + backlog_->state().unreadable / 2 == 40;
     }));
+    EXPECT_GT(backlog_->state().unreadable, 0u);
   }
-  EXPECT_GT(backlog_->state().unreadable, 0u);
-  EXPECT_EQ(sent + backlog_->state().unreadable / 2, 30u);
+
+  uint64_t batches_ = 0;
+};
+
+TEST_F(UnreadableBacklogTest, InTheMiddleTheNumbersTell) {
+  Play(1);
+  EXPECT_EQ(TotalLost(), 0u);
+  ASSERT_THAT(backlog_->Acknowledge(last_, 80), IsOk());
+  EXPECT_EQ(backlog_->state().observations, 0u);
+}
+
+TEST_F(UnreadableBacklogTest, AtTheEndALossTells) {
+  Play(2);
+  EXPECT_EQ(TotalLost(), backlog_->state().unreadable);
+  ASSERT_THAT(backlog_->Acknowledge(last_, 2 * batches_), IsOk());
+  EXPECT_EQ(backlog_->state().observations, 0u);
 }
 
 TEST_F(BacklogTest, AFullDiskLeavesTheRestInMemoryUntilThereIsRoomAgain) {
@@ -314,8 +326,29 @@ TEST_F(BacklogTest, AFullDiskLeavesTheRestInMemoryUntilThereIsRoomAgain) {
     ASSERT_THAT(backlog_->Acknowledge(last_, 2 * static_cast<uint64_t>(i)), IsOk());
   }
   EXPECT_TRUE(backlog_->HasRoom());
-  EXPECT_FALSE(backlog_->ShouldShedPayloads());
+  EXPECT_TRUE(Eventually([&] { return !backlog_->ShouldShedPayloads(); }));
   EXPECT_EQ(TotalLost(), 0u);
+}
+
+TEST_F(BacklogTest, WhatTheServerRefusesTwiceIsLostAndTheRestGoesOn) {
+  Start();
+  SetAside(1, 2);
+  SetAside(11, 12, Lane::kControl);
+  const absl::Status why = absl::InvalidArgumentError("nonsense");
+  backlog_->Refused(why);
+  backlog_->Refused(why);
+  EXPECT_EQ(backlog_->state().unreadable, 0u) << "none of it was underway";
+  for (int i = 0; i < 2; ++i) {
+    EXPECT_EQ(Send(), "1 at 1");
+    EXPECT_EQ(Send(Lane::kControl), "11 at 1");
+    backlog_->Refused(why);
+    for (const BacklogRange& each : backlog_->Rewind()) {
+      ASSERT_THAT(backlog_->Acknowledge(each.stream, each.first_sequence - 1), IsOk());
+    }
+  }
+  EXPECT_EQ(Send(), "2 at 3");
+  EXPECT_THAT(SendAll(2, Lane::kControl), ElementsAre("lost at 1", "12 at 3"));
+  EXPECT_EQ(backlog_->state().unreadable, 4u);
 }
 
 TEST_F(BacklogTest, ASecondProcessOnTheDirectoryIsRefused) {

@@ -171,12 +171,21 @@ TEST_F(SpoolTest, ADirectoryThatIsNoneIsUnavailable) {
   EXPECT_TRUE(absl::IsUnavailable(Spool::Open(options_).status()));
 }
 
-TEST_F(SpoolTest, AnUnwritableDirectoryIsRefusedAtOnce) {
-  if (geteuid() == 0) GTEST_SKIP() << "root may write everywhere";
+TEST_F(SpoolTest, AnUnwritableOrUnreadableDirectoryIsRefusedAtOnce) {
+  const bool root = geteuid() == 0;  // who may write everywhere, so be somebody else meanwhile
+  ASSERT_EQ(chmod(dir_.c_str(), 0755), 0);
   fs::create_directories(options_.dir);
-  chmod(options_.dir.c_str(), 0500);
-  EXPECT_FALSE(Spool::Open(options_).ok());
+  ASSERT_EQ(chmod(options_.dir.c_str(), root ? 0700 : 0500), 0);
+  if (root) {
+    ASSERT_EQ(seteuid(65'534), 0);
+  }
+  const auto spool = Spool::Open(options_);
+  if (root) {
+    ASSERT_EQ(seteuid(0), 0);
+  }
   chmod(options_.dir.c_str(), 0700);
+  EXPECT_TRUE(absl::IsUnavailable(spool.status())) << spool.status();
+  EXPECT_THAT(spool.status().message(), HasSubstr("Permission denied"));
 }
 
 TEST_F(SpoolTest, TheDirectoryIsOursAlone) {
