@@ -12,6 +12,7 @@
 #include <utility>
 #include <vector>
 
+#include "absl/strings/match.h"
 #include "absl/strings/str_cat.h"
 #include "services/base/clock.h"
 
@@ -112,20 +113,35 @@ std::optional<LogPosition> LogTail::position() const {
   return from_;
 }
 
-std::optional<LogTail::File> LogTail::FindRenamed(const LogPosition& position) const {
+template <typename IsIt>
+std::optional<LogTail::File> LogTail::Find(const LogPosition& position, const IsIt& is_it) const {
   const std::unique_ptr<DIR, int (*)(DIR*)> directory(opendir(directory_.c_str()), closedir);
   if (directory == nullptr) return std::nullopt;
   while (const dirent* entry = readdir(directory.get())) {
     struct stat status;
     if (fstatat(dirfd(directory.get()), entry->d_name, &status, 0) != 0) continue;
-    if (status.st_ino != position.inode || !S_ISREG(status.st_mode)) continue;
+    if (!S_ISREG(status.st_mode) || !is_it(entry->d_name, status)) continue;
     absl::StatusOr<File> file = Open(absl::StrCat(directory_, "/", entry->d_name));
-    if (file.ok() && file->inode == position.inode &&
+    if (file.ok() && file->inode == status.st_ino &&
         Seek(*file, position.offset, position.fingerprint)) {
       return *std::move(file);
     }
   }
   return std::nullopt;
+}
+
+std::optional<LogTail::File> LogTail::FindRenamed(const LogPosition& position) const {
+  return Find(position, [&](absl::string_view, const struct stat& status) {
+    return status.st_ino == position.inode;
+  });
+}
+
+std::optional<LogTail::File> LogTail::FindCopy(const LogPosition& position) const {
+  // Without a byte before it, everything is a copy.
+  if (position.offset == 0) return std::nullopt;
+  return Find(position, [&](absl::string_view name, const struct stat&) {
+    return absl::StartsWith(name, name_) && name != name_;
+  });
 }
 
 void LogTail::Begin() {
@@ -148,11 +164,13 @@ void LogTail::Begin() {
     if (!same) renamed = FindRenamed(*from_);
     if (renamed.has_value()) {
       file = *std::move(renamed);
-    } else if (!same) {
-      // Without a byte before it, everything is a copy.
-      const bool copy =
-          file.ok() && from_->offset > 0 && Seek(*file, from_->offset, from_->fingerprint);
-      if (!copy) ++counters_.gaps;
+    } else if (!same && !(file.ok() && from_->offset > 0 &&
+                          Seek(*file, from_->offset, from_->fingerprint))) {
+      if (std::optional<File> copy = FindCopy(*from_); copy.has_value()) {
+        SetFormer(*std::move(copy));
+      } else {
+        ++counters_.gaps;
+      }
       if (!file.ok()) from_.emplace();
     }
   }
@@ -259,7 +277,13 @@ bool LogTail::IsEmpty(const File& file) {
 // --- Reading
 
 void LogTail::StartOver(File& file) {
-  if (file.buffer.size() > file.begin) ++counters_.cut_off;
+  std::optional<File> copy;
+  if (file_.has_value() && &file == &*file_) copy = FindCopy(PositionIn(file));
+  if (copy.has_value()) {
+    SetFormer(*std::move(copy));
+  } else if (file.buffer.size() > file.begin) {
+    ++counters_.cut_off;
+  }
   file.buffer.clear();
   file.begin = file.scanned = 0;
   file.offset = 0;
@@ -319,8 +343,12 @@ bool LogTail::ReadFile(File& file, const OnLine& on_line, size_t& budget) {
     const absl::string_view last =
         absl::string_view(file.buffer).substr(file.buffer.size() - known);
     if (bytes.substr(0, known) != last) {
+      if (former_.has_value() && &file == &*former_) {
+        DropFormer();  // what it has now is no log of ours
+        return false;
+      }
       StartOver(file);
-      continue;
+      return true;
     }
     const absl::string_view fresh = bytes.substr(known);
     if (fresh.empty()) return false;
@@ -336,26 +364,28 @@ void LogTail::DropFormer() {
   former_.reset();
 }
 
-void LogTail::Replace(File next, int64_t now_ns) {
+void LogTail::SetFormer(File file) {
+  DropFormer();
+  former_ = std::move(file);
+  former_until_ns_ = now_ns_ + kFormerNs;
+}
+
+void LogTail::Replace(File next) {
   // An editor, or a copy with another name's inode: what was read stays read.
   const LogPosition here = PositionIn(*file_);
   const bool copy = here.offset > 0 && Seek(next, here.offset, here.fingerprint);
-  if (!copy) {
-    DropFormer();
-    former_ = std::move(file_);
-    former_until_ns_ = now_ns + kFormerNs;
-  }
+  if (!copy) SetFormer(*std::move(file_));
   file_ = std::move(next);
   WatchFile();
 }
 
-bool LogTail::Follow(int64_t now_ns) {
+bool LogTail::Follow() {
   // A writer that was not told of the renaming goes on in ours, and leaves the others empty.
   const auto written = std::find_if_not(rotated_.begin(), rotated_.end(), IsEmpty);
   if (written != rotated_.end()) {
     File next = std::move(*written);
     rotated_.erase(rotated_.begin(), written + 1);
-    Replace(std::move(next), now_ns);
+    Replace(std::move(next));
     return true;
   }
   struct stat status;
@@ -373,11 +403,12 @@ bool LogTail::Follow(int64_t now_ns) {
   // It may have become another one in between, or ours again.
   if (next->inode == file_->inode && next->device == file_->device) return false;
   rotated_.clear();
-  Replace(*std::move(next), now_ns);
+  Replace(*std::move(next));
   return true;
 }
 
 bool LogTail::Read(int64_t now_ns, const OnLine& on_line) {
+  now_ns_ = now_ns;
   Watch();
   TakeEvents();
   if (!begun_) Begin();
@@ -388,10 +419,10 @@ bool LogTail::Read(int64_t now_ns, const OnLine& on_line) {
   // What was written to it before the first byte of the next one comes before that.
   if (former_.has_value()) {
     if (ReadFile(*former_, on_line, budget)) return true;
-    if (now_ns >= former_until_ns_) DropFormer();
+    if (now_ns_ >= former_until_ns_) DropFormer();
   }
   if (ReadFile(*file_, on_line, budget)) return true;
-  return Follow(now_ns);
+  return Follow();
 }
 
 }  // namespace rips::sensor

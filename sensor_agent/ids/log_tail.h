@@ -5,7 +5,7 @@
 // | renamed, a new file in its place      | the old one to its end, then the new one from 0       |
 // | renamed several times between looks   | each in turn, unless it is gone by then (a gap)       |
 // | unlinked                              | the unlinked one, until there is a new one            |
-// | copied and truncated                  | again from 0                                          |
+// | copied and truncated                  | the rest of the copy beside it, then again from 0     |
 // | replaced by a copy of itself          | on from the same offset                               |
 // | replaced by something else            | from 0                                                |
 // | not there, or its directory           | from 0 when it comes                                  |
@@ -109,6 +109,12 @@ class LogTail {
   // The file that came after there was none; false while there is none.
   bool OpenFirst();
   std::optional<File> FindRenamed(const LogPosition& position) const;
+  // A file beside ours, named after it, that has the same bytes before the position: what was copied
+  // before ours was truncated.
+  std::optional<File> FindCopy(const LogPosition& position) const;
+  // A file of the directory for which `is_it` is true, at the position.
+  template <typename IsIt>
+  std::optional<File> Find(const LogPosition& position, const IsIt& is_it) const;
 
   void Watch();
   void WatchFile();
@@ -118,12 +124,13 @@ class LogTail {
   // Reads up to the end of the file; true if the turn ended first.
   bool ReadFile(File& file, const OnLine& on_line, size_t& budget);
   void Lines(File& file, const OnLine& on_line);
-  // The file begins anew.
+  // The file begins anew; what it had is read from its copy, if there is one.
   void StartOver(File& file);
   // At the end of file_: goes over to what took its place. True if it did.
-  bool Follow(int64_t now_ns);
+  bool Follow();
   void DropFormer();
-  void Replace(File next, int64_t now_ns);
+  void Replace(File next);
+  void SetFormer(File file);
 
   const std::string path_;
   const std::string directory_;
@@ -143,6 +150,7 @@ class LogTail {
   std::deque<File> rotated_;
   std::optional<File> former_;
   int64_t former_until_ns_ = 0;
+  int64_t now_ns_ = 0;
 };
 
 }  // namespace rips::sensor

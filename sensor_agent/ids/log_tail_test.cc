@@ -198,6 +198,19 @@ TEST_F(LogTailTest, LinesAfterTheNewFileBeganAreReadToo) {
   EXPECT_EQ(tail.counters().cut_off, 1) << "the half line";
 }
 
+TEST_F(LogTailTest, AFormerFileThatIsUsedForSomethingElseIsLeftAlone) {
+  LogTail tail = Tail();
+  Append("one\n");
+  Read(tail);
+  fs::rename(path_, path_ + ".1");
+  Append("two\n");
+  EXPECT_THAT(Read(tail), ElementsAre("two"));
+  Overwrite(path_ + ".1", "something else\n");
+  EXPECT_THAT(Read(tail), IsEmpty());
+  Append("three\n");
+  EXPECT_THAT(Read(tail), ElementsAre("three"));
+}
+
 TEST_F(LogTailTest, SeveralRotationsBetweenLooksAreReadInOrder) {
   LogTail tail = Tail();
   Append("0\n");
@@ -281,7 +294,43 @@ TEST_F(LogTailTest, CopyTruncateBeginsAgain) {
   }
   Append("short\n");
   EXPECT_THAT(Read(tail), ElementsAre("short"));
+  now_ns_ += 60 * kNanosPerSecond;
+  Read(tail);
   EXPECT_EQ(tail.counters().cut_off, 3);
+}
+
+TEST_F(LogTailTest, WhatWasCopiedBeforeItWasReadIsReadFromTheCopy) {
+  LogTail tail = Tail();
+  for (int i = 0; i < 3; ++i) {
+    Append(absl::StrCat(i, " one\n", i, " tw"));
+    EXPECT_THAT(Read(tail), ElementsAre(absl::StrCat(i, " one")));
+    Append(absl::StrCat("o\n", i, " three\n"));
+    fs::copy_file(path_, absl::StrCat(path_, ".", i));
+    fs::resize_file(path_, 0);
+    Append(absl::StrCat(i, " four\n"));
+    EXPECT_THAT(Read(tail), ElementsAre(absl::StrCat(i, " two"), absl::StrCat(i, " three"),
+                                        absl::StrCat(i, " four")));
+  }
+  EXPECT_EQ(tail.counters().cut_off, 0);
+}
+
+TEST_F(LogTailTest, CopiedAndTruncatedInTheMeantimeIsReadFromTheCopy) {
+  LogTail tail = Tail();
+  Append("one\ntwo\n");
+  Read(tail);
+  Append("three\n");
+  fs::copy_file(path_, path_ + ".1");
+  Overwrite(path_, "4\n");
+  LogTail next = Tail(tail.position());
+  EXPECT_THAT(Read(next), ElementsAre("three", "4"));
+  EXPECT_EQ(next.counters().gaps, 0);
+  // Files that only look alike by their name are none.
+  Overwrite(path_ + ".2", "another text of that length\n");
+  Overwrite(path_, "5\n");
+  fs::remove(path_ + ".1");
+  LogTail last = Tail(tail.position());
+  EXPECT_THAT(Read(last), ElementsAre("5"));
+  EXPECT_EQ(last.counters().gaps, 1);
 }
 
 TEST_F(LogTailTest, ATruncationThatGrewAgainIsNoticed) {
