@@ -75,8 +75,12 @@ class BusTest : public testing::Test {
     for (const ros2::Node& node : server.graph.nodes()) nodes.push_back(node.full_name);
     return nodes;
   }
-  bool WaitForNodes(const std::vector<std::string>& nodes) {
-    return server_.WaitUntil([&](const FakePolicyServer& s) { return Nodes(s) == nodes; });
+  testing::AssertionResult WaitForNodes(const std::vector<std::string>& nodes) {
+    std::vector<std::string> last;
+    if (server_.WaitUntil([&](const FakePolicyServer& s) { return (last = Nodes(s)) == nodes; })) {
+      return testing::AssertionSuccess();
+    }
+    return testing::AssertionFailure() << "nodes are " << testing::PrintToString(last);
   }
   // Of `topic`, by writer, each number once.
   std::map<std::string, std::vector<uint64_t>> Sequences(const std::string& topic) {
@@ -198,7 +202,8 @@ TEST_F(BusTest, AProcessThatDiesWithoutAWordLeavesAfterItsLease) {
                       "<Discovery><LeaseDuration>2s</LeaseDuration>")
              .c_str(),
          1);
-  Child victim("dds_peer", Arguments({"--node", "/victim", "--publish", Publish("rt/a", "")}));
+  Child victim("dds_peer",
+               Arguments({"--node", "/victim", "--publish", Publish("rt/a", "depth=1")}));
   Child twin("dds_peer", Arguments({"--node", "/twin", "--enclave", "/cell"}));
   Child other("dds_peer", Arguments({"--node", "/twin"}));
   setenv("CYCLONEDDS_URI", uri.c_str(), 1);
