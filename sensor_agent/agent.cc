@@ -168,7 +168,11 @@ void Agent::Observe() {
     TakeWire(now_ns, seen);
     CountLimits(now_ns, seen);
     uplink_->Append(std::move(seen));
-    if (uplink_->snapshot_wanted()) uplink_->ReplaceGraph(graph_->Snapshot(now_ns));
+    if (uplink_->snapshot_wanted()) {
+      uplink_->ReplaceGraph(graph_->Snapshot(now_ns));
+      // A server without the graph has none of the findings either.
+      if (wire_ != nullptr) uplink_->Append({.findings = wire_->Standing(now_ns)});
+    }
   }
 }
 

@@ -27,7 +27,7 @@ state_dir: /tmp/sensor
 outbox: {memory: 8MiB, disk: 0B, dir: /tmp/spool}
 ids: []
 signals: false
-wire: {enabled: false}
+wire: {enabled: true, socket: /run/rips/tap.sock}
 metrics: "127.0.0.1:0"
 )";
 
@@ -53,6 +53,8 @@ TEST(SensorConfigTest, EveryKeyIsTaken) {
   EXPECT_THAT(config->unwatched, ElementsAre("/rosout"));
   EXPECT_EQ(config->outbox_memory.bytes, 8 << 20);
   EXPECT_FALSE(config->signals);
+  EXPECT_TRUE(config->wire);
+  EXPECT_EQ(config->wire_socket, "/run/rips/tap.sock");
   EXPECT_EQ(config->metrics, "127.0.0.1:0");
   EXPECT_THAT(effective, AllOf(HasSubstr("settle: 3s"), HasSubstr("outbox.memory: 8MiB")));
 }
@@ -114,8 +116,8 @@ INSTANTIATE_TEST_SUITE_P(
         BadCase{"OutboxTooSmall", "memory: 8MiB", "memory: 1KiB", "11:", "memory"},
         BadCase{"Ids", "ids: []", "ids: [{format: eve, path: /var/log/eve.json}]",
                 "12:", "not available in this version"},
-        BadCase{"Wire", "wire: {enabled: false}", "wire: {enabled: true}", "14:17",
-                "not available in this version"},
+        BadCase{"WireSocketRelative", "/run/rips/tap.sock", "tap.sock", "14:31", "absolute"},
+        BadCase{"WireUnknownKey", "socket: /run", "sockets: /run", "14:23", "did you mean `socket`"},
         BadCase{"Disk", "disk: 0B", "disk: 256MiB", "11:30", "not available in this version"},
         BadCase{"Security", "security: null", "security: {keystore: /k, enclave: /rips/sensor}",
                 "5:", "DDS security is not available in this version"}),
