@@ -71,19 +71,19 @@ class WireInputTest : public testing::Test {
     const auto port = static_cast<uint16_t>(7'400 + 250 * dds::RandomDomain() + 1);
     ++packets_;
     tap_->Send({.domain = dds::RandomDomain(),
-               .boottime_ns = now_ns,
-               .counters = {.packets = packets_},
-               .local_addresses = {wire::FromV4(loopback)},
-               .traffic = {{.writer = writer,
-                            .source = {wire::FromV4(loopback), 40'001},
-                            .vendor = 0x0110,
-                            .packets = 1,
-                            .data = 1,
-                            .data_last = sequence,
-                            .first_packet = packets_,
-                            .last_packet = packets_,
-                            .destinations = {{{wire::FromV4(everybody), port}, 1}}}}},
-              now_ns);
+                .boottime_ns = now_ns,
+                .counters = {.packets = packets_},
+                .local_addresses = {wire::FromV4(loopback)},
+                .traffic = {{.writer = writer,
+                             .source = {wire::FromV4(loopback), 40'001},
+                             .vendor = 0x0110,
+                             .packets = 1,
+                             .data = 1,
+                             .data_last = sequence,
+                             .first_packet = packets_,
+                             .last_packet = packets_,
+                             .destinations = {{{wire::FromV4(everybody), port}, 1}}}}},
+               now_ns);
   }
   // "unicast_writer GUID", with kOver.
   static std::vector<std::string> Findings(const FakePolicyServer& server) {
