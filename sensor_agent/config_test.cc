@@ -27,7 +27,7 @@ state_dir: /tmp/sensor
 outbox: {memory: 8MiB, disk: 32MiB, dir: /tmp/spool}
 ids: [{format: eve, path: /var/log/suricata/eve.json}, {format: fast, path: /var/log/snort/alert}]
 signals: false
-wire: {enabled: false}
+wire: {enabled: true, socket: /run/rips/tap.sock}
 metrics: "127.0.0.1:0"
 )";
 
@@ -57,6 +57,8 @@ TEST(SensorConfigTest, EveryKeyIsTaken) {
   EXPECT_THAT(config->ids, ElementsAre(IdsLog{IdsFormat::kEve, "/var/log/suricata/eve.json"},
                                        IdsLog{IdsFormat::kFast, "/var/log/snort/alert"}));
   EXPECT_FALSE(config->signals);
+  EXPECT_TRUE(config->wire);
+  EXPECT_EQ(config->wire_socket, "/run/rips/tap.sock");
   EXPECT_EQ(config->metrics, "127.0.0.1:0");
   EXPECT_THAT(effective, AllOf(HasSubstr("settle: 3s"), HasSubstr("outbox.memory: 8MiB")));
 }
@@ -133,8 +135,9 @@ INSTANTIATE_TEST_SUITE_P(
                 "12:", "is read already"},
         BadCase{"IdsKey", "format: fast, path", "format: fast, paths",
                 "12:", "did you mean `path`"},
-        BadCase{"WireSocket", "wire: {enabled: false}", "wire: {enabled: true, socket: w}",
-                "14:", "absolute"},
+        BadCase{"WireSocketRelative", "/run/rips/tap.sock", "tap.sock", "14:31", "absolute"},
+        BadCase{"WireUnknownKey", "socket: /run", "sockets: /run",
+                "14:23", "did you mean `socket`"},
         BadCase{"DiskTooSmall", "disk: 32MiB", "disk: 1MiB", "11:30", "at least 16MiB"},
         BadCase{"DiskTooLarge", "disk: 32MiB", "disk: 1000GiB", "11:30", "disk"},
         BadCase{"RelativeSpool", "dir: /tmp/spool", "dir: spool", "11:", "absolute path"},

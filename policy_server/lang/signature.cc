@@ -19,7 +19,7 @@ constexpr absl::string_view kActuatorStates[] = {"connected", "lost", "drift", "
                                                  "state_lost"};
 constexpr absl::string_view kFindings[] = {
     "duplicate_node", "impostor",        "false_claim",   "foreign_mode_writer",
-    "non_ros_writer", "unauthenticated", "unicast_writer"};
+    "non_ros_writer", "unauthenticated", "unicast_writer", "spoofed_writer", "directed_data"};
 
 constexpr Parameter kTopicParameter = {"topic", kString, ParameterRole::kTopic};
 constexpr Parameter kMin = {"min", kInt, ParameterRole::kRangeMin};

@@ -103,12 +103,13 @@ void Tap::Report(int64_t now_ns) {
     }
     drops_logged_ = drops;
   }
-  // Until the sensor is there the interval grows, within the limits of the table.
   const bool ready = sender_.Ready(now_ns);
   if (sender_.connected() != was_connected_) {
     was_connected_ = sender_.connected();
     if (was_connected_) {
       LogInfo("the sensor is connected", {{"socket", options_.socket}});
+      // Who has left before the sensor came is nobody it could have discovered.
+      table_.Take();
     } else {
       LogWarning("the sensor is gone", {{"error", sender_.status().message()}});
     }

@@ -1,6 +1,7 @@
 #include "sensor_agent/wire/wire_watch.h"
 
 #include <algorithm>
+#include <limits>
 
 #include "absl/strings/str_cat.h"
 
@@ -17,11 +18,20 @@ constexpr uint32_t kPortBase = 7'400;
 constexpr uint32_t kPortsPerDomain = 250;
 
 // Ports of one address that a participant sends from at the same time. Cyclone DDS has one socket
-// for each address; Fast DDS has one more than there are interfaces, and one process of it may use
-// several transports.
-constexpr uint16_t kCyclone = 0x0110;
-constexpr size_t kPortsOfCyclone = 1;
-constexpr size_t kPortsOfOthers = 8;
+// for each address; Fast DDS one for unicast on all addresses, and one for multicast on each. What
+// others have is not known; some processes use several transports.
+size_t PortsOf(uint16_t vendor) {
+  constexpr uint16_t kCyclone = 0x0110;
+  constexpr uint16_t kFast = 0x010f;
+  switch (vendor) {
+    case kCyclone:
+      return 1;
+    case kFast:
+      return 2;
+    default:
+      return 8;
+  }
+}
 
 bool HasUnicast(const std::vector<Locator>& locators) {
   return std::any_of(locators.begin(), locators.end(),
@@ -280,6 +290,8 @@ void WireWatch::JudgeUnknown(const ros2::Guid& guid, const Participant& seen, in
   const int64_t grace_ns =
       seen.announced && !Knows(guid) ? options_.announced_grace_ns : options_.grace_ns;
   const auto ripe = [&](const Suspect& suspect) {
+    // It was leaving while we were still looking around.
+    if (seen.announced && suspect.last_ns < settled_ns_) return false;
     return now_ns - std::max(suspect.first_ns, settled_ns_) >= grace_ns;
   };
   const auto add = [&](const ros2::Guid& about, const Suspect& suspect, absl::string_view what) {
@@ -308,9 +320,9 @@ void WireWatch::JudgeSources(const ros2::Guid& guid, const Participant& seen, in
         .topic = TopicOf(source.about),
         .detail = absl::StrCat(ToString(source.from), " sends under this name, ", why)};
   };
-  const bool cyclone = std::any_of(seen.sources.begin(), seen.sources.end(),
-                                   [](const Source& each) { return each.vendor == kCyclone; });
-  const size_t ports_max = cyclone ? kPortsOfCyclone : kPortsOfOthers;
+  // Whoever uses this name may not claim another vendor for more.
+  size_t ports_max = std::numeric_limits<size_t>::max();
+  for (const Source& each : seen.sources) ports_max = std::min(ports_max, PortsOf(each.vendor));
   for (const Source& source : seen.sources) {
     if (!MaySendFrom(guid, seen, source.from.address)) {
       add(source, "an address that its participant does not advertise");

@@ -245,6 +245,19 @@ TEST_F(WireWatchTest, NothingBeginsBeforeDiscoveryHasSettled) {
   EXPECT_THAT(PollAfter(2 * kSecond), ElementsAre(Begins("unicast_writer", kHidden)));
 }
 
+TEST_F(WireWatchTest, WhoAnnouncedItselfAndLeftBeforeDiscoveryHadSettledIsNoFinding) {
+  watch_.emplace(WatchOptions{.domain = 42});
+  Send(TestGuid(9, kParticipantWriterId), At(9, 50'000), Multicast(7'400 + 250 * 42));
+  Send(kHidden, At(9, 50'000), At(1, kDomainPort));
+  now_ns_ += kSecond;
+  Poll();
+
+  EXPECT_THAT(PollAfter(20 * kSecond), IsEmpty());
+  // It has not left.
+  Send(kHidden, At(9, 50'000), At(1, kDomainPort));
+  EXPECT_THAT(Poll(), ElementsAre(Begins("unicast_writer", kHidden)));
+}
+
 // ------------------------------------------------------------------------------- spoofed_writer
 
 TEST_F(WireWatchTest, FindsAnAddressThatIsNotAdvertised) {
@@ -303,16 +316,19 @@ TEST_F(WireWatchTest, AProcessStartedAgainUnderItsNameMayUseAnotherPort) {
 }
 
 TEST_F(WireWatchTest, OtherMiddlewareMayUseSeveralPorts) {
-  MeetRobot();
-  constexpr uint16_t kFast = 0x010f;
-  for (int round = 0; round < 2; ++round) {
-    for (uint16_t port = 1; port <= 8; ++port) Send(kWriter, At(1, port), At(2, 20), 1, kFast);
-  }
-  EXPECT_THAT(PollAfter(20 * kSecond), IsEmpty());
+  const std::pair<uint16_t, uint16_t> ports_of_vendors[] = {{0x010f, 2}, {0x0101, 8}};
+  for (const auto& [vendor, ports] : ports_of_vendors) {
+    Reset({.domain = 42});
+    MeetRobot();
+    for (int round = 0; round < 2; ++round) {
+      for (uint16_t i = 1; i <= ports; ++i) Send(kWriter, At(1, i), At(2, 20), 1, vendor);
+    }
+    EXPECT_THAT(PollAfter(20 * kSecond), IsEmpty());
 
-  Send(kWriter, At(1, 9), At(2, 20), 1, kFast);
-  for (uint16_t port = 1; port <= 8; ++port) Send(kWriter, At(1, port), At(2, 20), 1, kFast);
-  EXPECT_THAT(PollAfter(2 * kSecond), ElementsAre(Begins("spoofed_writer", kWriter)));
+    Send(kWriter, At(1, 99), At(2, 20), 1, vendor);
+    for (uint16_t i = 1; i <= ports; ++i) Send(kWriter, At(1, i), At(2, 20), 1, vendor);
+    EXPECT_THAT(PollAfter(2 * kSecond), ElementsAre(Begins("spoofed_writer", kWriter)));
+  }
 }
 
 TEST_F(WireWatchTest, AnotherVendorIdDoesNotWidenWhatCycloneMay) {

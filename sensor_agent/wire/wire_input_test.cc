@@ -1,0 +1,176 @@
+// The whole sensor with a tap that is played by the test.
+#include "sensor_agent/wire/wire_input.h"
+
+#include <cstdlib>
+#include <filesystem>
+#include <optional>
+#include <string>
+
+#include "absl/strings/str_cat.h"
+#include "gmock/gmock.h"
+#include "gtest/gtest.h"
+#include "sensor_agent/agent.h"
+#include "sensor_agent/fake_policy_server.h"
+#include "sensor_agent/fake_robot.h"
+#include "sensor_agent/wire/report_sender.h"
+#include "sensor_agent/wire/rtps_bytes.h"
+#include "services/base/status_matchers.h"
+#include "services/rpc/credentials.h"
+#include "services/rpc/test_pki.h"
+#include "services/runtime/real_clock.h"
+
+namespace rips::sensor {
+namespace {
+
+using ::testing::Contains;
+using ::testing::ElementsAre;
+using ::testing::HasSubstr;
+using ::testing::IsEmpty;
+
+constexpr char kOver[] = " over";
+
+class WireInputTest : public testing::Test {
+ protected:
+  WireInputTest() {
+    std::string name = (std::filesystem::temp_directory_path() / "wire_input.XXXXXX").string();
+    dir_ = mkdtemp(name.data());
+    path_ = absl::StrCat(dir_, "/wire.sock");
+    tap_.emplace(path_);
+    const auto server = rpc::Credentials::Load(pki_.Server());
+    EXPECT_THAT(server, IsOk());
+    server_.Start((*server)->ForServer());
+  }
+  ~WireInputTest() override {
+    if (agent_ != nullptr) agent_->Stop();
+    server_.Stop();
+    EXPECT_THAT(server_.violations, IsEmpty());
+    std::filesystem::remove_all(dir_);
+  }
+
+  void StartAgent() {
+    const auto sensor = rpc::Credentials::Load(pki_.Sensor());
+    ASSERT_THAT(sensor, IsOk());
+    auto agent = Agent::Create({.robot = "r1",
+                                .host = "base",
+                                .servers = {server_.address()},
+                                .dds = {.domain = dds::RandomDomain(), .interface = "lo"},
+                                .settle = absl::Milliseconds(200),
+                                .wire = true,
+                                .wire_socket = path_},
+                               (*sensor)->ForClient(), &clock_, &metrics_);
+    ASSERT_THAT(agent, IsOk());
+    agent_ = *std::move(agent);
+    agent_->Start();
+  }
+  // One datagram of `writer` to everybody in our domain.
+  void Report(const ros2::Guid& writer, uint64_t sequence = 1) {
+    const int64_t now_ns = clock_.Now().boottime_ns;
+    if (!tap_->Ready(now_ns)) return;
+    const uint8_t loopback[] = {127, 0, 0, 1};
+    const uint8_t everybody[] = {239, 255, 0, 1};
+    const auto port = static_cast<uint16_t>(7'400 + 250 * dds::RandomDomain() + 1);
+    ++packets_;
+    tap_->Send({.domain = dds::RandomDomain(),
+                .boottime_ns = now_ns,
+                .counters = {.packets = packets_},
+                .local_addresses = {wire::FromV4(loopback)},
+                .traffic = {{.writer = writer,
+                             .source = {wire::FromV4(loopback), 40'001},
+                             .vendor = 0x0110,
+                             .packets = 1,
+                             .data = 1,
+                             .data_last = sequence,
+                             .first_packet = packets_,
+                             .last_packet = packets_,
+                             .destinations = {{{wire::FromV4(everybody), port}, 1}}}}},
+               now_ns);
+  }
+  // "unicast_writer GUID", with kOver.
+  static std::vector<std::string> Findings(const FakePolicyServer& server) {
+    std::vector<std::string> findings;
+    for (const Recorded& each : server.received) {
+      if (!each.what.has_finding()) continue;
+      const rips::v1::Finding& finding = each.what.finding();
+      const auto guid = ros2::GuidFromBytes(finding.guid());
+      findings.push_back(absl::StrCat(finding.kind(), " ", guid.ok() ? ToString(*guid) : "none",
+                                      finding.over() ? kOver : ""));
+    }
+    return findings;
+  }
+  static std::vector<std::string> NotVisible(const FakePolicyServer& server) {
+    std::vector<std::string> kinds;
+    for (const auto& hello : server.hellos) {
+      kinds.assign(hello.not_visible().begin(), hello.not_visible().end());
+    }
+    for (const Recorded& each : server.received) {
+      if (!each.what.has_state()) continue;
+      kinds.assign(each.what.state().not_visible().begin(), each.what.state().not_visible().end());
+    }
+    return kinds;
+  }
+
+  rpc::TestPki pki_;
+  const RealClock clock_;
+  Metrics metrics_;
+  std::string dir_;
+  std::string path_;
+  FakeRobot robot_;
+  FakePolicyServer server_;
+  std::unique_ptr<Agent> agent_;
+  std::optional<wire::ReportSender> tap_;
+  uint64_t packets_ = 0;
+};
+
+TEST_F(WireInputTest, TellsWhatDiscoveryDoesNotShow) {
+  auto talker = robot_.AddProcess();
+  const ros2::Guid known = talker->AddWriter("rt/chatter").guid();
+  const ros2::Guid hidden = wire::TestGuid(9, 0x103);
+  StartAgent();
+
+  EXPECT_TRUE(server_.WaitUntil([&](const FakePolicyServer& s) {
+    Report(known);
+    Report(hidden);
+    return !Findings(s).empty();
+  }));
+
+  EXPECT_TRUE(server_.WaitUntil([&](const FakePolicyServer& s) {
+    EXPECT_THAT(Findings(s), ElementsAre(absl::StrCat("unicast_writer ", ToString(hidden))));
+    return true;
+  }));
+}
+
+TEST_F(WireInputTest, SaysWhetherItSeesUnicastOnlyWriters) {
+  StartAgent();
+  ASSERT_TRUE(server_.WaitUntil([](const FakePolicyServer& s) { return !s.hellos.empty(); }));
+  EXPECT_TRUE(server_.WaitUntil([](const FakePolicyServer& s) {
+    return testing::Matches(Contains("unicast-only writers"))(NotVisible(s));
+  }));
+
+  EXPECT_TRUE(server_.WaitUntil([&](const FakePolicyServer& s) {
+    Report(wire::TestGuid(9, 0x103));
+    return testing::Matches(ElementsAre("service requests"))(NotVisible(s));
+  }));
+
+  // The tap hangs: connected, and silent.
+  EXPECT_TRUE(server_.WaitUntil([](const FakePolicyServer& s) {
+    return testing::Matches(ElementsAre("unicast-only writers", "service requests"))(NotVisible(s));
+  }));
+}
+
+TEST_F(WireInputTest, DoesNotStartWithoutItsSocket) {
+  std::filesystem::remove_all(dir_);
+  const auto sensor = rpc::Credentials::Load(pki_.Sensor());
+  ASSERT_THAT(sensor, IsOk());
+  const auto agent = Agent::Create({.robot = "r1",
+                                    .host = "base",
+                                    .servers = {server_.address()},
+                                    .dds = {.domain = dds::RandomDomain(), .interface = "lo"},
+                                    .wire = true,
+                                    .wire_socket = path_},
+                                   (*sensor)->ForClient(), &clock_, &metrics_);
+
+  EXPECT_THAT(agent.status(), StatusIs(absl::StatusCode::kNotFound, HasSubstr(path_)));
+}
+
+}  // namespace
+}  // namespace rips::sensor
