@@ -78,8 +78,10 @@ struct PublishCommand {
   int64_t bytes = 64;
   // Messages to send; 0 = until stopped.
   int64_t count = 0;
+  // Readers to wait for.
+  int64_t readers = 1;
 };
-// Publishes from when somebody reads; then waits to be stopped.
+// Publishes from when enough of them read; then waits to be stopped.
 // {"event":"publishing","topic":...}
 // {"event":"published","sent":4000}
 absl::Status RunPublish(const PublishCommand& command, StopFlag& stop);

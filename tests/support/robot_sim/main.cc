@@ -91,6 +91,7 @@ void AddPublish(CLI::App& app, PublishCommand& command, Run& run) {
   sub->add_option("--rate", command.rate, "messages a second")->check(CLI::Range(1, 100'000));
   sub->add_option("--bytes", command.bytes, "bytes of each")->check(CLI::Range(1, 60'000));
   sub->add_option("--count", command.count, "messages; 0 = until stopped");
+  sub->add_option("--readers", command.readers, "readers to wait for (1)")->check(CLI::Range(0, 99));
   sub->callback([&] { run = [&command](StopFlag& stop) { return RunPublish(command, stop); }; });
 }
 

@@ -1,6 +1,7 @@
 #include <algorithm>
 #include <memory>
 #include <string>
+#include <utility>
 
 #include "absl/strings/str_cat.h"
 #include "absl/time/clock.h"
@@ -17,7 +18,7 @@ namespace {
 
 // Messages leave in handfuls of this many milliseconds.
 constexpr int64_t kPeriodMs = 5;
-// Whether somebody reads.
+// Whether enough of them read.
 constexpr absl::Duration kLook = absl::Milliseconds(20);
 // The last message comes alone: it shows whether those before it arrived.
 constexpr absl::Duration kLastPause = absl::Milliseconds(500);
@@ -25,7 +26,7 @@ constexpr absl::Duration kLastPause = absl::Milliseconds(500);
 absl::Status PublishMessages(const PublishCommand& command, dds::RawWriter& writer,
                              StopFlag& stop) {
   const RealClock clock;
-  while (writer.MatchedReaders() == 0) {
+  while (std::cmp_less(writer.MatchedReaders(), command.readers)) {
     if (stop.WaitFor(kLook)) return absl::OkStatus();
   }
   const std::string payload = absl::StrCat(std::string("\0\1\0\0", 4),
