@@ -21,6 +21,8 @@ namespace rips::sensor {
 namespace {
 
 constexpr size_t kChunkBytes = 64 * 1024;
+// Files whose reading has ended that are remembered, should they come back.
+constexpr size_t kFinishedMax = 64;
 // How long a file that was replaced is read for what comes late.
 constexpr int64_t kFormerNs = 5 * kNanosPerSecond;
 constexpr uint32_t kDirectoryEvents = IN_CREATE | IN_MOVED_FROM | IN_MOVED_TO | IN_DELETE |
@@ -55,7 +57,7 @@ LogTail::LogTail(std::string path, std::optional<LogPosition> from, LogTailLimit
       name_(path_.substr(path_.rfind('/') + 1)),
       limits_(limits),
       from_(from),
-      inotify_(inotify_init1(IN_NONBLOCK | IN_CLOEXEC)) {}
+      inotify_(limits.events ? inotify_init1(IN_NONBLOCK | IN_CLOEXEC) : -1) {}
 
 // --- Opening
 
@@ -114,20 +116,31 @@ std::optional<LogPosition> LogTail::position() const {
 }
 
 template <typename IsIt>
-std::optional<LogTail::File> LogTail::Find(const LogPosition& position, const IsIt& is_it) const {
+bool LogTail::Any(const IsIt& is_it) const {
   const std::unique_ptr<DIR, int (*)(DIR*)> directory(opendir(directory_.c_str()), closedir);
-  if (directory == nullptr) return std::nullopt;
+  if (directory == nullptr) return false;
   while (const dirent* entry = readdir(directory.get())) {
     struct stat status;
     if (fstatat(dirfd(directory.get()), entry->d_name, &status, 0) != 0) continue;
-    if (!S_ISREG(status.st_mode) || !is_it(entry->d_name, status)) continue;
-    absl::StatusOr<File> file = Open(absl::StrCat(directory_, "/", entry->d_name));
-    if (file.ok() && file->inode == status.st_ino &&
-        Seek(*file, position.offset, position.fingerprint)) {
-      return *std::move(file);
-    }
+    if (S_ISREG(status.st_mode) && is_it(entry->d_name, status)) return true;
   }
-  return std::nullopt;
+  return false;
+}
+
+template <typename IsIt>
+std::optional<LogTail::File> LogTail::Find(const LogPosition& position, const IsIt& is_it) const {
+  std::optional<File> found;
+  Any([&](absl::string_view name, const struct stat& status) {
+    if (!is_it(name, status)) return false;
+    absl::StatusOr<File> file = Open(absl::StrCat(directory_, "/", name));
+    if (!file.ok() || file->inode != status.st_ino ||
+        !Seek(*file, position.offset, position.fingerprint)) {
+      return false;
+    }
+    found = *std::move(file);
+    return true;
+  });
+  return found;
 }
 
 std::optional<LogTail::File> LogTail::FindRenamed(const LogPosition& position) const {
@@ -144,51 +157,75 @@ std::optional<LogTail::File> LogTail::FindCopy(const LogPosition& position) cons
   });
 }
 
+bool LogTail::HasLater(const File& file) const {
+  struct stat ours;
+  if (fstat(file.fd.get(), &ours) != 0) return false;
+  return Any([&](absl::string_view name, const struct stat& status) {
+    return absl::StartsWith(name, name_) && name != name_ && status.st_ino != ours.st_ino &&
+           std::pair(status.st_mtim.tv_sec, status.st_mtim.tv_nsec) >
+               std::pair(ours.st_mtim.tv_sec, ours.st_mtim.tv_nsec);
+  });
+}
+
+absl::StatusOr<LogTail::File> LogTail::GoOn(absl::StatusOr<File> file) {
+  const LogPosition& from = *from_;
+  if (from.inode == 0) return file;
+  if (file.ok() && file->inode == from.inode && Seek(*file, from.offset, from.fingerprint)) {
+    return file;
+  }
+  if (std::optional<File> renamed = FindRenamed(from); renamed.has_value()) {
+    // Those in between have been read by nobody, and which they are is a guess.
+    if (HasLater(*renamed)) ++counters_.gaps;
+    return *std::move(renamed);
+  }
+  // Without a byte before it, everything is a copy.
+  if (file.ok() && from.offset > 0 && Seek(*file, from.offset, from.fingerprint)) return file;
+  if (std::optional<File> copy = FindCopy(from); copy.has_value()) {
+    SetFormer(*std::move(copy));
+  } else {
+    ++counters_.gaps;
+  }
+  return file;
+}
+
 void LogTail::Begin() {
   absl::StatusOr<File> file = Open(path_);
   status_ = file.status();
-  const bool absent = absl::IsNotFound(status_);
   // What cannot be read now may be old.
-  if (!file.ok() && !absent) return;
+  if (!file.ok() && !absl::IsNotFound(status_)) return;
+  // Renamings until here are of old files; if ours is one of them this is tried again.
+  TakeEvents();
+  if (file.ok() && !IsAtPath(*file)) return;
   begun_ = true;
-  if (!from_.has_value()) {
-    if (file.ok()) {
-      SeekEnd(*file);
-    } else {
-      from_.emplace();
-    }
-  } else if (from_->inode != 0) {
-    const bool same =
-        file.ok() && file->inode == from_->inode && Seek(*file, from_->offset, from_->fingerprint);
-    std::optional<File> renamed;
-    if (!same) renamed = FindRenamed(*from_);
-    if (renamed.has_value()) {
-      file = *std::move(renamed);
-    } else if (!same && !(file.ok() && from_->offset > 0 &&
-                          Seek(*file, from_->offset, from_->fingerprint))) {
-      if (std::optional<File> copy = FindCopy(*from_); copy.has_value()) {
-        SetFormer(*std::move(copy));
-      } else {
-        ++counters_.gaps;
-      }
-      if (!file.ok()) from_.emplace();
-    }
+  if (from_.has_value()) {
+    file = GoOn(std::move(file));
+  } else if (file.ok()) {
+    SeekEnd(*file);
   }
-  if (!file.ok()) return;
-  file_ = *std::move(file);
-  WatchFile();
+  if (file.ok()) {
+    file_ = *std::move(file);
+    WatchFile();
+  } else {
+    from_.emplace();
+  }
+}
+
+bool LogTail::IsAtPath(const File& file) const {
+  struct stat status;
+  return stat(path_.c_str(), &status) == 0 && status.st_ino == file.inode &&
+         status.st_dev == file.device;
 }
 
 bool LogTail::OpenFirst() {
+  absl::StatusOr<File> file = Open(path_);
+  status_ = file.status();
+  TakeEvents();  // what was renamed away before comes first
   if (!rotated_.empty()) {
-    file_ = std::move(rotated_.front());
+    file = std::move(rotated_.front());
     rotated_.pop_front();
-  } else {
-    absl::StatusOr<File> file = Open(path_);
-    status_ = file.status();
-    if (!file.ok()) return false;
-    file_ = *std::move(file);
   }
+  if (!file.ok()) return false;
+  file_ = *std::move(file);
   WatchFile();
   return true;
 }
@@ -360,7 +397,10 @@ bool LogTail::ReadFile(File& file, const OnLine& on_line, size_t& budget) {
 }
 
 void LogTail::DropFormer() {
-  if (former_.has_value() && former_->buffer.size() > former_->begin) ++counters_.cut_off;
+  if (!former_.has_value()) return;
+  if (former_->buffer.size() > former_->begin) ++counters_.cut_off;
+  if (finished_.size() >= kFinishedMax) finished_.pop_front();
+  finished_.push_back(PositionIn(*former_));
   former_.reset();
 }
 
@@ -370,39 +410,57 @@ void LogTail::SetFormer(File file) {
   former_until_ns_ = now_ns_ + kFormerNs;
 }
 
+bool LogTail::SeekRead(File& file) const {
+  for (auto it = finished_.rbegin(); it != finished_.rend(); ++it) {
+    if (it->inode == file.inode && it->device == file.device &&
+        Seek(file, it->offset, it->fingerprint)) {
+      return true;
+    }
+  }
+  return false;
+}
+
 void LogTail::Replace(File next) {
-  // An editor, or a copy with another name's inode: what was read stays read.
   const LogPosition here = PositionIn(*file_);
-  const bool copy = here.offset > 0 && Seek(next, here.offset, here.fingerprint);
-  if (!copy) SetFormer(*std::move(file_));
-  file_ = std::move(next);
+  if (former_.has_value() && former_->inode == next.inode && former_->device == next.device) {
+    // Renamed back.
+    std::swap(*former_, *file_);
+  } else if (SeekRead(next)) {
+    SetFormer(*std::exchange(file_, std::move(next)));
+  } else if (here.offset > 0 && Seek(next, here.offset, here.fingerprint)) {
+    // An editor's, or another copy: what was read stays read.
+    file_ = std::move(next);
+  } else {
+    SetFormer(*std::exchange(file_, std::move(next)));
+  }
   WatchFile();
 }
 
 bool LogTail::Follow() {
+  struct stat status;
+  std::optional<File> next;
+  if (stat(path_.c_str(), &status) != 0) {
+    status_ = ErrnoStatus("look at", path_);
+  } else if ((status.st_ino != file_->inode || status.st_dev != file_->device) &&
+             status.st_size > 0) {
+    absl::StatusOr<File> opened = Open(path_);
+    if (opened.ok()) next = *std::move(opened);
+    status_ = opened.status();
+  }
+  // After the opening: what was renamed away before it is in `rotated_` now, and comes first.
+  TakeEvents();
   // A writer that was not told of the renaming goes on in ours, and leaves the others empty.
   const auto written = std::find_if_not(rotated_.begin(), rotated_.end(), IsEmpty);
   if (written != rotated_.end()) {
-    File next = std::move(*written);
+    next = std::move(*written);
     rotated_.erase(rotated_.begin(), written + 1);
-    Replace(std::move(next));
-    return true;
+  } else if (next.has_value()) {
+    rotated_.clear();
   }
-  struct stat status;
-  if (stat(path_.c_str(), &status) != 0) {
-    status_ = ErrnoStatus("look at", path_);
+  // It may have become ours again since it was looked at.
+  if (!next.has_value() || (next->inode == file_->inode && next->device == file_->device)) {
     return false;
   }
-  if (status.st_ino == file_->inode && status.st_dev == file_->device) return false;
-  if (status.st_size == 0) return false;
-  absl::StatusOr<File> next = Open(path_);
-  if (!next.ok()) {
-    status_ = next.status();
-    return false;
-  }
-  // It may have become another one in between, or ours again.
-  if (next->inode == file_->inode && next->device == file_->device) return false;
-  rotated_.clear();
   Replace(*std::move(next));
   return true;
 }

@@ -6,6 +6,7 @@
 // | renamed several times between looks   | each in turn, unless it is gone by then (a gap)       |
 // | unlinked                              | the unlinked one, until there is a new one            |
 // | copied and truncated                  | the rest of the copy beside it, then again from 0     |
+// | renamed back                          | on from where it was read to                          |
 // | replaced by a copy of itself          | on from the same offset                               |
 // | replaced by something else            | from 0                                                |
 // | not there, or its directory           | from 0 when it comes                                  |
@@ -43,6 +44,9 @@ struct LogTailLimits {
   size_t turn_bytes = size_t{1} << 20;
   // Renamed files that wait to be read; beyond is a gap.
   size_t rotated_files = 16;
+  // Ask the kernel for events. Without, or where it has none left, wake_fd is -1, and of several
+  // renamings between two looks only the first and the last file are read.
+  bool events = true;
 };
 
 struct LogTailCounters {
@@ -104,15 +108,22 @@ class LogTail {
   static LogPosition PositionIn(const File& file, size_t back = 0);
   // At its end, or behind the end's unfinished line.
   void SeekEnd(File& file) const;
-  // Of the file `from_` is in: at the path, renamed beside it, or copied to the path.
   void Begin();
+  // The file that `from_` is in: at the path (`file`), renamed beside it, or copied.
+  absl::StatusOr<File> GoOn(absl::StatusOr<File> file);
+  bool IsAtPath(const File& file) const;
   // The file that came after there was none; false while there is none.
   bool OpenFirst();
   std::optional<File> FindRenamed(const LogPosition& position) const;
   // A file beside ours, named after it, that has the same bytes before the position: what was copied
   // before ours was truncated.
   std::optional<File> FindCopy(const LogPosition& position) const;
-  // A file of the directory for which `is_it` is true, at the position.
+  // Files named after ours were written after this one.
+  bool HasLater(const File& file) const;
+  // True if `is_it` is, for a regular file of the directory (name, struct stat).
+  template <typename IsIt>
+  bool Any(const IsIt& is_it) const;
+  // A file of the directory for which `is_it` is true and that has the position.
   template <typename IsIt>
   std::optional<File> Find(const LogPosition& position, const IsIt& is_it) const;
 
@@ -131,6 +142,8 @@ class LogTail {
   void DropFormer();
   void Replace(File next);
   void SetFormer(File file);
+  // Takes a file that was read before to where that ended.
+  bool SeekRead(File& file) const;
 
   const std::string path_;
   const std::string directory_;
@@ -150,6 +163,8 @@ class LogTail {
   std::deque<File> rotated_;
   std::optional<File> former_;
   int64_t former_until_ns_ = 0;
+  // Where reading of former files ended.
+  std::deque<LogPosition> finished_;
   int64_t now_ns_ = 0;
 };
 

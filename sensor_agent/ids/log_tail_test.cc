@@ -4,6 +4,7 @@
 #include <sys/stat.h>
 #include <unistd.h>
 
+#include <chrono>
 #include <filesystem>
 #include <fstream>
 #include <string>
@@ -388,6 +389,30 @@ TEST_F(LogTailTest, ReplacedBySomethingElseBeginsAnew) {
   EXPECT_THAT(Read(tail), ElementsAre("1", "2", "3", "4", "5"));
 }
 
+TEST_F(LogTailTest, RenamedBackItIsNotReadAgain) {
+  for (const int64_t later_ns : {int64_t{0}, 60 * kNanosPerSecond}) {
+    fs::remove(path_);
+    LogTail tail = Tail();
+    Append("one\n");
+    EXPECT_THAT(Read(tail), ElementsAre("one"));
+    fs::rename(path_, path_ + ".1");
+    Append("two\n");
+    EXPECT_THAT(Read(tail), ElementsAre("two"));
+    now_ns_ += later_ns;
+    EXPECT_THAT(Read(tail), IsEmpty());
+    fs::rename(path_, path_ + ".2");
+    fs::rename(path_ + ".1", path_);
+    Append("three\n");
+    EXPECT_THAT(Read(tail), ElementsAre("three"));
+    now_ns_ += later_ns;
+    fs::rename(path_, path_ + ".1");
+    fs::rename(path_ + ".2", path_);
+    Append("four\n");
+    EXPECT_THAT(Read(tail), ElementsAre("four"));
+    EXPECT_EQ(tail.counters().gaps, 0);
+  }
+}
+
 TEST_F(LogTailTest, ADirectoryThatComesLater) {
   path_ = dir_ + "/sub/eve.json";
   LogTail tail = Tail(std::nullopt);
@@ -440,6 +465,17 @@ TEST_F(LogTailTest, NewBytesAndRotationsWake) {
   EXPECT_TRUE(wakes());
 }
 
+TEST_F(LogTailTest, WithoutEventsItSeesWhatIsThere) {
+  LogTail tail = Tail(LogPosition(), {.events = false});
+  EXPECT_EQ(tail.wake_fd(), -1);
+  Append("one\n");
+  EXPECT_THAT(Read(tail), ElementsAre("one"));
+  Append("two\n");
+  fs::rename(path_, path_ + ".1");
+  Append("three\n");
+  EXPECT_THAT(Read(tail), ElementsAre("two", "three"));
+}
+
 // --- Going on in another process
 
 TEST_F(LogTailTest, GoesOnAtThePosition) {
@@ -486,6 +522,22 @@ TEST_F(LogTailTest, FindsTheFileThatWasRenamedInTheMeantime) {
   LogTail next = Tail(tail.position());
   EXPECT_THAT(Read(next), ElementsAre("three", "four"));
   EXPECT_EQ(next.counters().gaps, 0);
+}
+
+TEST_F(LogTailTest, RenamedSeveralTimesInTheMeantimeIsAGap) {
+  LogTail tail = Tail();
+  Append("one\n");
+  Read(tail);
+  Append("two\n");
+  fs::rename(path_, path_ + ".1");
+  Append("three\n");
+  fs::rename(path_, path_ + ".2");
+  // Coarse clocks give both the same time.
+  fs::last_write_time(path_ + ".2", fs::last_write_time(path_ + ".1") + std::chrono::seconds(1));
+  Append("four\n");
+  LogTail next = Tail(tail.position());
+  EXPECT_THAT(Read(next), ElementsAre("two", "four"));
+  EXPECT_EQ(next.counters().gaps, 1);
 }
 
 TEST_F(LogTailTest, RenamedAndNothingNewYet) {

@@ -21,7 +21,7 @@
 namespace rips::sensor {
 namespace {
 
-constexpr LogTailLimits kLimits = {.line_bytes = 2'000, .turn_bytes = 700};
+constexpr LogTailLimits kLimits = {.line_bytes = 2'000, .turn_bytes = 700, .events = false};
 
 void CheckText(const std::string& text, size_t bytes_max) {
   RIPS_CHECK(text.size() <= bytes_max, "a text exceeds its limit");
