@@ -433,7 +433,10 @@ void Agent::TakeFindings(int64_t now_ns, Observations& seen) {
          {"detail", finding.detail}});
     AddFinding(std::move(finding), now_ns, seen);
   }
-  uplink_->SetKindVisible(kSecuredParticipants, findings_->secured_strangers() == 0);
+  if (const bool hidden = findings_->secured_strangers() > 0; hidden != secured_hidden_) {
+    secured_hidden_ = hidden;
+    uplink_->SetKindVisible(kSecuredParticipants, !hidden);
+  }
   const uint64_t dropped = findings_->dropped() - findings_dropped_;
   findings_dropped_ += dropped;
   if (dropped > 0) seen.losses.push_back(LimitLoss(dropped, now_ns));

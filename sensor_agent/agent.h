@@ -106,6 +106,8 @@ class Agent {
   std::optional<Findings> findings_;
   uint64_t findings_dropped_ = 0;
   WatchOptions watch_;
+  // There are participants with DDS Security that show us nothing.
+  bool secured_hidden_ = false;
   // End of a renewed discovery; 0 = none is going on.
   int64_t resync_until_ns_ = 0;
   GraphCounters graph_counted_;

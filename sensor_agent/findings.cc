@@ -201,7 +201,7 @@ std::string Findings::Describe(const Guid& participant) const {
                       ", process ", party->second.pid, ")");
 }
 
-void Findings::CollectNodes(WantedMap& wanted) const {
+void Findings::CollectNodes(WantedMap& wanted) {
   for (const auto& [name, owners] : now_.owners) {
     std::vector<Guid> others;
     for (const Guid& guid : owners) {
@@ -209,13 +209,17 @@ void Findings::CollectNodes(WantedMap& wanted) const {
     }
     if (IsRipsName(name)) {
       for (const Guid& guid : others) {
-        wanted[{kImpostor, guid, name}].finding = {
-            .guid = guid,
-            .node = name,
-            .detail = absl::StrCat("claimed by ", Describe(guid), ", which is none of RIPS")};
+        if (Wanted* fresh = Want({kImpostor, guid, name}, 0, wanted)) {
+          fresh->finding = {
+              .guid = guid,
+              .node = name,
+              .detail = absl::StrCat("claimed by ", Describe(guid), ", which is none of RIPS")};
+        }
       }
     }
     if (others.size() < 2) continue;
+    Wanted* fresh = Want({kDuplicateNode, Guid{}, name}, 0, wanted);
+    if (fresh == nullptr) continue;
     // The last one to come is the more likely intruder.
     const Guid last =
         *std::max_element(others.begin(), others.end(), [&](const Guid& a, const Guid& b) {
@@ -225,8 +229,7 @@ void Findings::CollectNodes(WantedMap& wanted) const {
     for (size_t i = 0; i < std::min(others.size(), kNamedMax); ++i) {
       absl::StrAppend(&detail, i == 0 ? " " : ", ", Describe(others[i]));
     }
-    wanted[{kDuplicateNode, Guid{}, name}].finding = {
-        .guid = last, .node = name, .detail = std::move(detail)};
+    fresh->finding = {.guid = last, .node = name, .detail = std::move(detail)};
   }
 }
 
@@ -234,7 +237,9 @@ void Findings::CollectClaims(int64_t now_ns, WantedMap& wanted) {
   for (auto it = false_claims_.begin(); it != false_claims_.end();) {
     const auto& [guid, claim] = *it;
     if (now_.parties.contains(guid)) {
-      wanted[{kFalseClaim, guid, ""}].finding = {.guid = guid, .detail = claim.second};
+      if (Wanted* fresh = Want({kFalseClaim, guid, ""}, 0, wanted)) {
+        fresh->finding = {.guid = guid, .detail = claim.second};
+      }
     } else if (now_ns >= claim.first + options_.orphan_claim_ns) {
       it = false_claims_.erase(it);
       continue;
@@ -243,63 +248,69 @@ void Findings::CollectClaims(int64_t now_ns, WantedMap& wanted) {
   }
 }
 
-std::optional<Guid> Findings::ManagerOf(absl::string_view part) const {
-  const std::string service = absl::StrCat(part, kChangeMode);
-  std::optional<Guid> manager;
-  int64_t first_ns = kNever;
-  for (const auto& [guid, suspect] : now_.suspects) {
-    if (suspect.kind != EndpointKind::kService || suspect.name != service) continue;
-    if (suspect.seen_ns > first_ns) continue;
-    const Guid server = guid.Participant();
-    const bool tie = suspect.seen_ns == first_ns && manager != server;
-    first_ns = suspect.seen_ns;
-    manager = tie ? std::nullopt : std::optional<Guid>(server);
-  }
-  return manager;
+Findings::Wanted* Findings::Want(const Key& key, int64_t due_ns, WantedMap& wanted) {
+  const bool is_held = held_.contains(key);
+  if (!is_held && ++fresh_ > options_.findings_max) return nullptr;
+  Wanted& each = wanted[key];
+  each.due_ns = due_ns;
+  return is_held ? nullptr : &each;
 }
 
-void Findings::CollectModeWriters(WantedMap& wanted) const {
-  absl::btree_map<std::string, std::optional<Guid>> managers;
+Findings::Servers Findings::CollectServers() const {
+  Servers servers;
+  for (const auto& [guid, suspect] : now_.suspects) {
+    if (suspect.kind != EndpointKind::kService) continue;
+    const absl::string_view part = PartOf(suspect.name);
+    if (!protected_parts_.contains(part)) continue;
+    Server& of_part = servers[std::string(part)];
+    const Guid server = guid.Participant();
+    of_part.all.insert(server);
+    if (suspect.seen_ns > of_part.first_ns) continue;
+    const bool tie = suspect.seen_ns == of_part.first_ns && of_part.manager != server;
+    of_part.first_ns = suspect.seen_ns;
+    of_part.manager = tie ? std::nullopt : std::optional<Guid>(server);
+  }
+  return servers;
+}
+
+void Findings::CollectModeWriters(WantedMap& wanted) {
+  const Servers servers = CollectServers();
   for (const auto& [guid, suspect] : now_.suspects) {
     if (suspect.kind != EndpointKind::kClient) continue;
-    const std::string part(PartOf(suspect.name));
+    const absl::string_view part = PartOf(suspect.name);
     const Guid participant = guid.Participant();
     if (!protected_parts_.contains(part) || IsOwn(participant)) continue;
-    auto manager = managers.find(part);
-    if (manager == managers.end()) manager = managers.emplace(part, ManagerOf(part)).first;
-    if (manager->second == participant) continue;
-    const bool rival = std::any_of(
-        now_.suspects.begin(), now_.suspects.end(), [&, &client = guid](const auto& each) {
-          return each.second.kind == EndpointKind::kService && each.first.SamePrefix(client) &&
-                 each.second.name == absl::StrCat(part, kChangeMode);
-        });
-    const int64_t grace_ns = rival ? options_.rival_grace_ns : options_.foreign_grace_ns;
-    wanted[{kForeignModeWriter, guid, ""}] = {
-        .finding = {.guid = guid,
-                    .node = suspect.node,
-                    .topic = suspect.name,
-                    .detail = absl::StrCat(Describe(participant),
-                                           rival ? " serves change_mode of this part beside its "
-                                                   "mode manager, and"
-                                                 : "",
-                                           " may steer this part")},
-        .due_ns = std::max(suspect.seen_ns, connected_ns_) + grace_ns};
+    const auto server = servers.find(part);
+    const bool serves = server != servers.end() && server->second.all.contains(participant);
+    if (serves && server->second.manager == participant) continue;
+    const int64_t grace_ns = serves ? options_.rival_grace_ns : options_.foreign_grace_ns;
+    Wanted* fresh = Want({kForeignModeWriter, guid, ""},
+                         std::max(suspect.seen_ns, connected_ns_) + grace_ns, wanted);
+    if (fresh == nullptr) continue;
+    fresh->finding = {
+        .guid = guid,
+        .node = suspect.node,
+        .topic = suspect.name,
+        .detail = absl::StrCat(
+            Describe(participant),
+            serves ? " serves change_mode of this part beside its mode manager, and" : "",
+            " may steer this part")};
   }
 }
 
-void Findings::CollectNonRosWriters(WantedMap& wanted) const {
+void Findings::CollectNonRosWriters(WantedMap& wanted) {
   for (const auto& [guid, suspect] : now_.suspects) {
     const Guid participant = guid.Participant();
     if (suspect.kind != EndpointKind::kPublisher || IsOwn(participant)) continue;
-    const Party& party = now_.parties.at(participant);
-    const bool announces = !party.announcer.none();
-    wanted[{kNonRosWriter, guid, ""}] = {
-        .finding = {.guid = guid,
-                    .topic = suspect.name,
-                    .detail = absl::StrCat(Describe(participant),
-                                           announces ? " does not claim this writer for a node"
-                                                     : " is no ROS process")},
-        .due_ns = suspect.seen_ns + (announces ? options_.slow_node_ns : 0)};
+    const bool announces = !now_.parties.at(participant).announcer.none();
+    Wanted* fresh = Want({kNonRosWriter, guid, ""},
+                         suspect.seen_ns + (announces ? options_.slow_node_ns : 0), wanted);
+    if (fresh == nullptr) continue;
+    fresh->finding = {.guid = guid,
+                      .topic = suspect.name,
+                      .detail = absl::StrCat(Describe(participant),
+                                             announces ? " does not claim this writer for a node"
+                                                       : " is no ROS process")};
   }
 }
 
@@ -310,10 +321,10 @@ void Findings::CollectStrangers(int64_t now_ns, WantedMap& wanted) {
     if (party.shown || IsOwn(guid)) continue;
     const int64_t due_ns = party.seen_ns + options_.handshake_ns;
     if (options_.secured) {
-      wanted[{kUnauthenticated, guid, ""}] = {
-          .finding = {.guid = guid,
-                      .detail = absl::StrCat(Describe(guid), " has not authenticated")},
-          .due_ns = due_ns};
+      if (Wanted* fresh = Want({kUnauthenticated, guid, ""}, due_ns, wanted)) {
+        fresh->finding = {.guid = guid,
+                          .detail = absl::StrCat(Describe(guid), " has not authenticated")};
+      }
     } else if (HasSecurePrefix(guid)) {
       if (due_ns <= now_ns) {
         ++secured_strangers_;
@@ -326,6 +337,7 @@ void Findings::CollectStrangers(int64_t now_ns, WantedMap& wanted) {
 
 Findings::WantedMap Findings::Collect(int64_t now_ns) {
   WantedMap wanted;
+  fresh_ = 0;
   CollectNodes(wanted);
   CollectClaims(now_ns, wanted);
   CollectModeWriters(wanted);
@@ -378,7 +390,7 @@ void Findings::End(const WantedMap& wanted, std::vector<Finding>& told) {
 }
 
 void Findings::Begin(WantedMap wanted) {
-  size_t not_held = 0;
+  size_t not_held = fresh_ > options_.findings_max ? fresh_ - options_.findings_max : 0;
   for (auto& [key, each] : wanted) {
     const auto it = held_.find(key);
     if (it != held_.end()) {

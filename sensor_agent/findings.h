@@ -1,16 +1,17 @@
 // What is wrong on a bus whatever the rules say: begins, and ends.
 //
-// | kind                | stands while                                               | told        |
-// |---------------------|------------------------------------------------------------|-------------|
-// | duplicate_node      | two participants claim a node of that name                 | at once     |
-// | impostor            | a participant that is none of RIPS's claims a node `rips`  | at once     |
-// | false_claim         | the newest claim of a participant speaks for another       | at once     |
-// | foreign_mode_writer | a client of change_mode, change_state, set_parameters or   | foreign     |
-// |                     | set_parameters_atomically of a protected part is neither   | grace, or   |
-// |                     | RIPS's nor in the participant that serves its change_mode  | rival grace |
-// | non_ros_writer      | a ROS topic has a writer that no node claims, past the     | at once, or |
-// |                     | attribution grace                                          | slow node   |
-// | unauthenticated     | with DDS Security: a participant shows no endpoint         | handshake   |
+// | kind                | stands while                                              | told        |
+// |---------------------|-----------------------------------------------------------|-------------|
+// | duplicate_node      | two participants claim a node of that name                | at once     |
+// | impostor            | one that is none of RIPS's claims a node `rips`           | at once     |
+// | false_claim         | the newest claim of a participant speaks for another      | at once     |
+// | foreign_mode_writer | a client of change_mode, change_state, set_parameters or  | foreign     |
+// |                     | set_parameters_atomically of a protected part is neither  | grace, or   |
+// |                     | RIPS's nor in the participant that serves its change_mode | rival       |
+// |                     |                                                           | grace       |
+// | non_ros_writer      | a ROS topic has a writer that no node claims, past the    | at once, or |
+// |                     | attribution grace                                         | slow node   |
+// | unauthenticated     | with DDS Security: a participant shows no endpoint        | handshake   |
 //
 // "At once" is after the graph step that shows it, so never before discovery has settled.
 // A node that died without farewell and was started again is a duplicate until its lease ends.
@@ -148,12 +149,20 @@ class Findings {
     // No longer so, and still to be told.
     bool gone = false;
   };
+  // Of one part's change_mode.
+  struct Server {
+    absl::btree_set<ros2::Guid> all;
+    int64_t first_ns = kNever;
+    // The first of them; nullopt = it cannot be told.
+    std::optional<ros2::Guid> manager;
+  };
   struct Window {
     int64_t start_ns = 0;
     size_t told = 0;
     uint64_t folded = 0;
   };
   using WantedMap = absl::btree_map<Key, Wanted>;
+  using Servers = absl::btree_map<std::string, Server>;
 
   bool IsOwn(const ros2::Guid& participant) const;
   void UpsertParticipant(const ros2::Participant& participant, int64_t now_ns);
@@ -163,13 +172,14 @@ class Findings {
   void DropGuid(const ros2::Guid& guid);
 
   WantedMap Collect(int64_t now_ns);
-  void CollectNodes(WantedMap& wanted) const;
+  void CollectNodes(WantedMap& wanted);
   void CollectClaims(int64_t now_ns, WantedMap& wanted);
-  void CollectModeWriters(WantedMap& wanted) const;
-  void CollectNonRosWriters(WantedMap& wanted) const;
+  Servers CollectServers() const;
+  void CollectModeWriters(WantedMap& wanted);
+  void CollectNonRosWriters(WantedMap& wanted);
   void CollectStrangers(int64_t now_ns, WantedMap& wanted);
-  // Who serves the part's change_mode; nullopt = nobody, or it cannot be told.
-  std::optional<ros2::Guid> ManagerOf(absl::string_view part) const;
+  // `key` stands. Where to say what it is, unless it is held already or too many are new.
+  Wanted* Want(const Key& key, int64_t due_ns, WantedMap& wanted);
   std::string Describe(const ros2::Guid& participant) const;
 
   void Begin(WantedMap wanted);
@@ -197,6 +207,8 @@ class Findings {
   int64_t strangers_due_ns_ = kNever;
   int64_t next_due_ns_ = kNever;
   size_t secured_strangers_ = 0;
+  // New ones in the Collect that is going on.
+  size_t fresh_ = 0;
   size_t not_held_ = 0;
   uint64_t dropped_ = 0;
 };

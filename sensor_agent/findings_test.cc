@@ -452,6 +452,29 @@ TEST_F(FindingsTest, MoreThanTheLimitAreCountedAndComeInWhenThereIsRoom) {
   EXPECT_EQ(findings_->dropped(), 2 + 7) << "claims, too";
 }
 
+TEST_F(FindingsTest, ThousandsOfHostileEndpointsAreBounded) {
+  findings_->SetProtectedParts({"/safety"});
+  GraphDelta flood;
+  for (uint16_t participant = 300; participant < 364; ++participant) {
+    flood.upsert_participants.push_back({.guid = ParticipantGuid(participant)});
+    for (uint8_t i = 1; i < 81; ++i) {
+      flood.upsert_endpoints.push_back(Publisher(participant, i, ""));
+      flood.upsert_endpoints.push_back(Client(participant, 80 + i, "/safety/change_mode"));
+      flood.upsert_endpoints.push_back(Service(participant, i, "/safety/change_mode"));
+    }
+  }
+  Step(flood);
+  EXPECT_THAT(Poll(), IsEmpty()) << "the mode writers come first, and wait";
+  EXPECT_EQ(findings_->dropped(), 2 * 64 * 80 - 1'024);
+  EXPECT_THAT(After(15 * kSecond), SizeIs(30));
+  GraphDelta gone;
+  for (const ros2::Participant& each : flood.upsert_participants) {
+    gone.gone_guids.push_back(each.guid);
+  }
+  Step(std::move(gone));
+  EXPECT_THAT(Poll(), SizeIs(30)) << "their ends";
+}
+
 TEST_F(FindingsTest, SnapshotKeepsWhatStandsAndEndsWhatIsNotInIt) {
   findings_->SetProtectedParts({"/camera"});
   StartManager(1);

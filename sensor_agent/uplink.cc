@@ -27,7 +27,7 @@ constexpr uint32_t kProtocol = 1;
 constexpr size_t kClientQueue = 32;
 // Answers to interests that wait for the client's queue.
 constexpr size_t kAnswersMax = 16;
-// Parts watched over; the server sends no more.
+// Parts watched over; four actuators tell no more.
 constexpr size_t kProtectedPartsMax = 1'024;
 constexpr int64_t kStallRetryNs = 10 * kNanosPerMilli;
 // What the server may set, whatever it says.

@@ -186,7 +186,14 @@ TEST_F(RobotFindingsTest, SensorsAreToldWhichPartsToWatchOverAlsoWhileTheActuato
                    .participant = Participant(8),
                    .protected_parts = {"/safety"}});
   EXPECT_THAT(sensor_->setup.protected_parts, ElementsAre("/safety"));
-  EXPECT_THAT(sensor_->setup.own_participants, ElementsAre(Participant(8)));
+  EXPECT_THAT(sensor_->setup.own_participants, ElementsAre(Participant(7), Participant(8)))
+      << "what was killed stays on the bus for a while";
+  for (uint8_t i = 9; i < 30; ++i) {
+    robot_->OnActuatorGone("base", actuator_.get());
+    ConnectActuator({.effective_level = "DEFAULT", .participant = Participant(i)});
+  }
+  EXPECT_THAT(sensor_->setup.own_participants, SizeIs(8));
+  EXPECT_EQ(sensor_->setup.own_participants.back(), Participant(29));
 }
 
 }  // namespace

@@ -170,8 +170,10 @@ class Robot {
   };
   struct ActuatorHost {
     std::optional<ActuatorSession> session;
-    // As it said last; they stand while it is away.
-    ros2::Guid participant;
+    // The newest it said, oldest first; they stand while it is away. More than one: on the bus a
+    // process that was killed goes on until its lease ends, and is no stranger for that.
+    std::deque<ros2::Guid> participants;
+    // As it said last.
     std::vector<std::string> protected_parts;
     bool lost = false;
     int64_t gone_since_ns = 0;

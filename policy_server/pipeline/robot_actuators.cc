@@ -12,6 +12,15 @@ namespace {
 
 // A term that leaves no room above it can only come from a broken or hostile peer.
 constexpr uint64_t kTermMax = uint64_t{1} << 62;
+// Of one actuator that are known as ours.
+constexpr size_t kParticipantsKept = 8;
+
+void TakeParticipant(const ros2::Guid& participant, std::deque<ros2::Guid>& known) {
+  if (participant.none()) return;
+  known.erase(std::remove(known.begin(), known.end(), participant), known.end());
+  known.push_back(participant);
+  if (known.size() > kParticipantsKept) known.pop_front();
+}
 
 }  // namespace
 
@@ -22,7 +31,7 @@ bool Robot::ActuatorLive(const ActuatorHost& host, Instant now) const {
 std::vector<ros2::Guid> Robot::OwnParticipants() const {
   std::vector<ros2::Guid> own;
   for (const auto& [name, host] : actuators_) {
-    if (!host.participant.none()) own.push_back(host.participant);
+    own.insert(own.end(), host.participants.begin(), host.participants.end());
   }
   return own;
 }
@@ -78,7 +87,7 @@ void Robot::OnActuatorHello(const std::string& host_name, std::shared_ptr<Actuat
                                  .heard_ns = now.boottime_ns,
                                  .peer_boottime_ns = hello.clock.boottime_ns,
                                  .beat = {.effective_level = hello.effective_level}};
-  host.participant = hello.participant;
+  TakeParticipant(hello.participant, host.participants);
   host.protected_parts = hello.protected_parts;
   const levels::LevelIndex held = levels().Find(hello.decided_level).value_or(levels().size() - 1);
   ledger_.Attach(host_name, hello.mark, held, levels().name(held), hello.programs, now);

@@ -44,8 +44,8 @@ absl::StatusOr<RawTopic> CreateRawTopic(EntityHandle participant, const std::str
                                         uint32_t payload_bytes_max = kWholePayload,
                                         std::shared_ptr<const PayloadLimit> limit = nullptr);
 
-// FailedPrecondition if the participant's domain has shared memory turned on. `topic` is one that the
-// participant may use; no endpoint of it is made.
+// FailedPrecondition if the participant's domain has shared memory turned on. `topic` is one that
+// the participant may use; no endpoint of it is made.
 absl::Status RequireNoSharedMemory(EntityHandle participant, const std::string& topic);
 
 // What a received raw sample holds. Views live as long as the sample.
