@@ -98,8 +98,8 @@ class Uplink {
   void ReplaceGraph(std::vector<GraphChange> snapshot) ABSL_LOCKS_EXCLUDED(mu_);
   // The interest of this id is observed from now on: the server is told, now or in the next hello.
   void InterestInUse(const std::string& id) ABSL_LOCKS_EXCLUDED(mu_);
-  // Kinds of traffic that cannot be seen from now on, besides what never can: the server is told, now
-  // or in the next hello.
+  // Kinds of traffic that cannot be seen from now on, besides what never can: the server is told,
+  // now or in the next hello.
   void SetNotVisible(std::vector<std::string> kinds) ABSL_LOCKS_EXCLUDED(mu_);
   // OK while streaming; Unavailable with the reason otherwise.
   absl::Status Ready() const ABSL_LOCKS_EXCLUDED(mu_);
