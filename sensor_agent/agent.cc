@@ -464,7 +464,10 @@ void Agent::TakeWire(int64_t now_ns, Observations& seen) {
   for (ControlObservation& finding : wire_->Poll(*graph_, *flow_, now_ns)) {
     seen.findings.push_back(std::move(finding));
   }
-  uplink_->SetKindVisible(kUnicastOnlyWriters, wire_->visible(now_ns));
+  if (const bool visible = wire_->visible(now_ns); visible != wire_visible_) {
+    wire_visible_ = visible;
+    uplink_->SetKindVisible(kUnicastOnlyWriters, visible);
+  }
 }
 
 void Agent::CountLimits(int64_t now_ns, Observations& seen) {

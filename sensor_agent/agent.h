@@ -106,6 +106,8 @@ class Agent {
   std::optional<Findings> findings_;
   uint64_t findings_dropped_ = 0;
   WatchOptions watch_;
+  // A tap reports.
+  bool wire_visible_ = false;
   // There are participants with DDS Security that show us nothing.
   bool secured_hidden_ = false;
   // End of a renewed discovery; 0 = none is going on.

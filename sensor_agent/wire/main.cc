@@ -1,4 +1,5 @@
-// rips-wire: tells the sensor what is on the wire of a DDS domain, whether discovery shows it or not.
+// rips-wire: tells the sensor what is on the wire of a DDS domain, whether discovery shows it or
+// not.
 #include <sys/eventfd.h>
 
 #include <cerrno>

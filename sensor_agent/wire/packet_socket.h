@@ -41,8 +41,8 @@ class PacketSocket {
   static constexpr size_t kReadMax = 64;
   using Use = std::function<void(const UdpDatagram&)>;
   absl::StatusOr<size_t> Read(const Use& use);
-  // Unavailable once the interface is gone; nothing comes any more then, even if another of its name
-  // appears.
+  // Unavailable once the interface is gone; nothing comes any more then, even if another of its
+  // name appears.
   absl::Status CheckInterface() const;
   // Packets the kernel had no room for, since the last call.
   uint64_t TakeDrops();

@@ -33,8 +33,8 @@ class Tap {
   // PacketSocket::Open. `clock` is not owned and outlives this.
   static absl::StatusOr<std::unique_ptr<Tap>> Create(TapOptions options, const Clock* clock);
 
-  // Tells the sensor what came since it has been connected. Until `stop_fd` becomes readable. Unavailable when an interface is gone: privileges to open
-  // another are gone, too.
+  // Tells the sensor what came since it has been connected, until `stop_fd` becomes readable.
+  // Unavailable when an interface is gone: privileges to open another are gone, too.
   absl::Status Run(int stop_fd);
 
  private:

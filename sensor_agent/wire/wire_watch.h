@@ -1,13 +1,14 @@
-// Judges what the tap saw by what discovery shows: writers that discovery never showed, participants
-// that speak from places where they are not, data that goes past our readers.
+// Judges what the tap saw by what discovery shows: writers that discovery never showed,
+// participants that speak from places where they are not, data that goes past our readers.
 //
-// | finding         | when                                                                          |
-// |-----------------|-------------------------------------------------------------------------------|
-// | unicast_writer  | a writer (or a participant that only sends discovery or acknowledges) is on the |
-// |                 | wire of this domain and unknown to discovery for longer than the grace        |
-// | spoofed_writer  | datagrams of a known participant come from an address that it does not        |
-// |                 | advertise, or by turns from more ports of one address than its middleware uses |
-// | directed_data   | a writer that we read goes on writing, and nothing of it reaches our reader   |
+// | finding        | when                                                                       |
+// |----------------|----------------------------------------------------------------------------|
+// | unicast_writer | a writer, or a participant that only announces itself or acknowledges, is  |
+// |                | on the wire of this domain and unknown to discovery past the grace         |
+// | spoofed_writer | datagrams of a known participant come from an address that it does not     |
+// |                | advertise, or by turns from more ports of one address than its middleware  |
+// |                | uses                                                                       |
+// | directed_data  | a writer that we read goes on writing, and nothing of it reaches our reader|
 //
 // A finding stands as long as its evidence does: until discovery shows the writer, until data
 // reaches us again, or until nothing more of it was on the wire for forget_ns.
@@ -98,9 +99,8 @@ class WireWatch {
   // The tap is another process now: its counts begin anew.
   void TapChanged();
 
-  // What begins to stand and what is over, in this order: over first. Nothing begins until discovery
-  // has `settled`. `received` gives the highest sequence number that our reader has of a writer, 0 =
-  // none.
+  // What is over and then what begins to stand. Nothing begins until discovery has `settled`.
+  // `received` gives the highest sequence number that our reader has of a writer, 0 = none.
   using Received = std::function<uint64_t(const ros2::Guid&)>;
   std::vector<sensor::Finding> Poll(bool settled, const Received& received, int64_t now_ns);
 

@@ -255,7 +255,7 @@ TEST_F(WireWatchTest, WhoAnnouncedItselfAndLeftBeforeDiscoveryHadSettledIsNoFind
   EXPECT_THAT(PollAfter(20 * kSecond), IsEmpty());
   // It has not left.
   Send(kHidden, At(9, 50'000), At(1, kDomainPort));
-  EXPECT_THAT(Poll(), ElementsAre(Begins("unicast_writer", kHidden)));
+  EXPECT_THAT(PollAfter(kSecond), ElementsAre(Begins("unicast_writer", kHidden)));
 }
 
 // ------------------------------------------------------------------------------- spoofed_writer
