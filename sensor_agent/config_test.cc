@@ -117,7 +117,7 @@ INSTANTIATE_TEST_SUITE_P(
         BadCase{"Ids", "ids: []", "ids: [{format: eve, path: /var/log/eve.json}]",
                 "12:", "not available in this version"},
         BadCase{"WireSocketRelative", "/run/rips/tap.sock", "tap.sock", "14:31", "absolute"},
-        BadCase{"WireUnknownKey", "socket: /run", "sockets: /run", "14:23", "did you mean `socket`"},
+        BadCase{"WireUnknownKey", "socket: /run", "sockets: /run", "14:23", "`socket`"},
         BadCase{"Disk", "disk: 0B", "disk: 256MiB", "11:30", "not available in this version"},
         BadCase{"Security", "security: null", "security: {keystore: /k, enclave: /rips/sensor}",
                 "5:", "DDS security is not available in this version"}),
