@@ -137,7 +137,7 @@ INSTANTIATE_TEST_SUITE_P(
                 "12:", "did you mean `path`"},
         BadCase{"WireSocketRelative", "/run/rips/tap.sock", "tap.sock", "14:31", "absolute"},
         BadCase{"WireUnknownKey", "socket: /run", "sockets: /run",
-                "14:23", "did you mean `socket`"},
+                "14:23", "`socket`"},
         BadCase{"DiskTooSmall", "disk: 32MiB", "disk: 1MiB", "11:30", "at least 16MiB"},
         BadCase{"DiskTooLarge", "disk: 32MiB", "disk: 1000GiB", "11:30", "disk"},
         BadCase{"RelativeSpool", "dir: /tmp/spool", "dir: spool", "11:", "absolute path"},

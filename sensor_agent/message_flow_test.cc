@@ -80,6 +80,18 @@ class MessageFlowTest : public testing::Test {
   MessageFlow::Output output_;
 };
 
+TEST_F(MessageFlowTest, KnowsHowFarAWriterHasCome) {
+  const Guid writer = WriterGuid(1);
+  Known(writer, "talker");
+  EXPECT_EQ(flow_.HighestSequence(writer), 0);
+
+  Take(writer, 7);
+  Take(writer, 5);
+
+  EXPECT_EQ(flow_.HighestSequence(writer), 7);
+  EXPECT_EQ(flow_.HighestSequence(WriterGuid(2)), 0);
+}
+
 TEST_F(MessageFlowTest, ThePayloadStaysWithItsMessageAndIsNotCopied) {
   const Guid writer = WriterGuid(1);
   const Payload payload = std::make_shared<const std::string>("abcd");

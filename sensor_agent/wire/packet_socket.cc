@@ -12,6 +12,7 @@
 #include <array>
 #include <cerrno>
 #include <fstream>
+#include <limits>
 #include <utility>
 
 #include "absl/strings/str_cat.h"
@@ -23,7 +24,7 @@ namespace rips::wire {
 
 namespace {
 
-constexpr PortRange kUsualEphemeral = {.first = 32'768, .last = 60'999};
+constexpr uint16_t kUsualFirstEphemeral = 32'768;
 
 absl::Status Errno(absl::string_view doing) {
   return absl::ErrnoToStatus(errno, absl::StrCat(doing));
@@ -138,10 +139,10 @@ int PacketSocket::receive_buffer_bytes() const {
 }
 
 PortRange EphemeralPorts() {
-  PortRange range;
+  uint16_t first = 0;
   std::ifstream in("/proc/sys/net/ipv4/ip_local_port_range");
-  if (in >> range.first >> range.last && range.first <= range.last) return range;
-  return kUsualEphemeral;
+  if (!(in >> first)) first = kUsualFirstEphemeral;
+  return {.first = first, .last = std::numeric_limits<uint16_t>::max()};
 }
 
 std::vector<Address> LocalAddresses() {

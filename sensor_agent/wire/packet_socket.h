@@ -60,9 +60,9 @@ class PacketSocket {
   std::unique_ptr<Buffers> buffers_;
 };
 
-// Ports that Linux gives to sockets that ask for none (net.ipv4.ip_local_port_range): Cyclone DDS
-// receives on such a port unless a participant index is configured. 32768-60999 if it cannot be
-// read.
+// Ports that systems give to sockets that ask for none: Cyclone DDS receives on such a port unless a
+// participant index is configured. From the first one that this host gives
+// (net.ipv4.ip_local_port_range; 32768 if it cannot be read) to 65535, which others may give.
 PortRange EphemeralPorts();
 
 // Addresses of this host's interfaces now, sorted.

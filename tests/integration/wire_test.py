@@ -392,9 +392,28 @@ def tap_ends_with_its_interface(world):
     check(named.child.wait(10) == 1, f"it ended with {named.child.returncode}")
 
 
+def tap_tells_what_is_wrong_with_its_flags(world):
+    def run(*args):
+        done = subprocess.run([world.bin / "rips-wire", *args], capture_output=True, text=True,
+                              timeout=30, check=False)
+        return done.returncode, done.stdout + done.stderr
+
+    for args, code, text in (
+            (("--domain", "233"), 2, "domain 233 exceeds limit 232"),
+            (("--domain", "x"), 2, "--domain"),
+            (("--nonsense",), 2, "nonsense"),
+            (("--log-level", "loud"), 2, "loud"),
+            (sum((("--interface", "lo") for _ in range(17)), ()), 2, "17 interfaces exceed limit 16"),
+            (("--interface", "none0"), 1, "there is no network interface `none0`"),
+            (("--version",), 0, "rips-wire ")):
+        have = run(*args)
+        check(have[0] == code and text in have[1], f"{args}: {have}")
+
+
 SCENARIOS = [unicast_only_writer, unicast_only_writer_to_a_port_of_the_kernel, injected_data,
              injected_data_from_the_same_host, quiet_traffic, tap_and_sensor_come_and_go,
-             tap_gives_up_its_privileges, tap_ends_with_its_interface]
+             tap_gives_up_its_privileges, tap_ends_with_its_interface,
+             tap_tells_what_is_wrong_with_its_flags]
 
 
 def main():
