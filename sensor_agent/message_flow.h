@@ -77,8 +77,8 @@ class MessageFlow {
   MessageFlow(FlowOptions options, const GraphBuilder* graph) : options_(options), graph_(graph) {}
 
   void Take(Sample sample, int64_t now_ns, Output& output);
-  // `count` samples of `writer` on `topic` were received and could not be queued. They are a loss of
-  // their own and no gap as well: tell of them before the samples that were queued after them.
+  // `count` samples of `writer` on `topic` were received and could not be queued. They are a loss
+  // of their own and no gap as well: tell of them before the samples that were queued after them.
   void QueueLost(const ros2::Guid& writer, const std::string& topic, uint64_t count, int64_t now_ns,
                  Output& output);
   // Call after the graph has changed: what was waiting for it runs.
