@@ -42,8 +42,9 @@ struct SensorConfig {
 };
 
 // `file` is the name used in messages. InvalidArgument with every problem and its place. What the
-// format knows but this version does not do (ids, wire, DDS security) is a problem, too: a sensor must not pretend to see what it does not. `effective`, if not null, takes the
-// effective configuration as text.
+// format knows but this version does not do (ids, wire, DDS security) is a problem, too: a sensor
+// must not pretend to see what it does not. `effective`, if not null, takes the effective
+// configuration as text.
 absl::StatusOr<SensorConfig> ParseSensorConfig(absl::string_view file, absl::string_view text,
                                                std::string* effective = nullptr);
 
