@@ -174,7 +174,7 @@ void Uplink::Append(Observations observations) {
       released_ns_ = now_ns;
     }
     snapshot_wanted = outbox_.snapshot_wanted();
-    if (NextWakeLocked(now_ns) < next_wake_ns_) WakeLocked();
+    if (OutboxIsFullLocked() || NextWakeLocked(now_ns) < next_wake_ns_) WakeLocked();
   }
   if (snapshot_wanted) hooks_.on_snapshot_wanted();
 }
@@ -538,7 +538,6 @@ bool Uplink::HasCreditLocked(Lane lane) const {
 
 int64_t Uplink::NextWakeLocked(int64_t now_ns) const {
   int64_t wake_ns = last_heartbeat_ns_ + absl::ToInt64Nanoseconds(options_.heartbeat);
-  if (OutboxIsFullLocked()) return now_ns;
   if (phase_ != Phase::kStreaming) return wake_ns;
   wake_ns = std::min(wake_ns, BacklogDueLocked(now_ns).value_or(wake_ns));
   if (stream_->stalled.has_value()) return std::min(wake_ns, now_ns + kStallRetryNs);

@@ -1,9 +1,11 @@
 // Uplink: what is set aside, and what a former process left.
 #include <unistd.h>
 
+#include <algorithm>
 #include <cstdlib>
 #include <filesystem>
 #include <map>
+#include <set>
 
 #include "absl/strings/str_cat.h"
 #include "absl/time/clock.h"
@@ -36,7 +38,7 @@ class UplinkBacklogTest : public testing::Test {
     dir_ = mkdtemp(name.data());
     options_.host = "base";
     options_.credentials = grpc::InsecureChannelCredentials();
-    options_.outbox = {.message_bytes = 64 * 1024, .control_bytes = 64 * 1024};
+    options_.outbox = {.message_bytes = 8 << 20, .control_bytes = 64 * 1024};
     options_.backlog.memory_bytes = 64 * 1024;
     options_.backlog.spool = {.dir = dir_ + "/spool",
                               .disk_bytes = 8 << 20,
@@ -172,7 +174,6 @@ TEST_F(UplinkBacklogTest, LiveMessagesDoNotWaitForTheBacklog) {
 
 TEST_F(UplinkBacklogTest, TheBacklogLeavesHalfOfTheCreditToWhatIsLive) {
   server_.Set([](auto& b) { b.credit = 20'000; });
-  options_.outbox.message_bytes = 1 << 20;
   Start();
   ASSERT_TRUE(WaitForStreams(1));
   StopServer();
@@ -248,6 +249,7 @@ TEST_F(UplinkBacklogTest, StateTellsWhatIsOnDisk) {
 }
 
 TEST_F(UplinkBacklogTest, FullMemoryAndFullDiskShedWithALossThatIsExact) {
+  options_.outbox.message_bytes = 64 * 1024;
   options_.backlog.spool.disk_bytes = 128 * 1024;
   Start();
   ASSERT_TRUE(WaitForStreams(1));

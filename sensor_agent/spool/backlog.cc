@@ -403,7 +403,7 @@ void Backlog::WriteOne(const Place& place) {
   {
     MutexLock lock(&mu_);
     const Entry* entry = Find(place);
-    if (entry == nullptr) return;
+    if (entry == nullptr || entry->gap) return;
     RIPS_CHECK(entry->bytes != nullptr, "neither in memory nor on disk");
     bytes = entry->bytes;
     frame = {.first_sequence = entry->first_sequence,
@@ -435,7 +435,8 @@ void Backlog::WriteOne(const Place& place) {
 void Backlog::TakeRecord(const Place& place, const SpoolRecord& record) {
   Queue* queue = FindQueue(place.stream);
   Entry* entry = Find(place);
-  if (entry == nullptr) return to_release_.push_back(record);  // acknowledged meanwhile
+  // Acknowledged or refused meanwhile.
+  if (entry == nullptr || entry->gap) return to_release_.push_back(record);
   unwritten_bytes_ -= entry->bytes->size();
   entry->record = record;
   AdvanceWritten(*queue);

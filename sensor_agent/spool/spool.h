@@ -2,9 +2,9 @@
 // bytes, not what they mean.
 //
 // What was appended is handed to the kernel at once and written through when its segment is full,
-// so the end of a process loses nothing of it; a power cut may lose the last segment of each stream.
-// The file `running` lies there while a process uses the directory: found at start, the process
-// before did not end in order, and nobody knows what it held in memory.
+// so the end of a process loses nothing of it; a power cut may lose the last segment of each
+// stream. The file `running` lies there while a process uses the directory: found at start, the
+// process before did not end in order, and nobody knows what it held in memory.
 #ifndef RIPS_SENSOR_AGENT_SPOOL_SPOOL_H_
 #define RIPS_SENSOR_AGENT_SPOOL_SPOOL_H_
 
