@@ -129,6 +129,14 @@ absl::StatusOr<std::unique_ptr<Agent>> Agent::Create(
                 raw->Wake();
               },
           .on_snapshot_wanted = [raw] { raw->Wake(); },
+          .on_server_forgot =
+              [raw] {
+                {
+                  MutexLock lock(&raw->inbox_mu_);
+                  raw->server_forgot_ = true;
+                }
+                raw->Wake();
+              },
           .on_interest =
               [raw](std::shared_ptr<const Interest> interest) {
                 {
@@ -246,7 +254,7 @@ void Agent::Observe() {
     if (rest_ns > 0) absl::SleepFor(absl::Nanoseconds(rest_ns));
     last_look_ns = clock_->Now().boottime_ns;
     Look(last_look_ns);
-    if (uplink_->snapshot_wanted()) TellAnew(last_look_ns);
+    if (uplink_->snapshot_wanted()) TellGraphAnew(last_look_ns);
   }
   // What has been received so far is not lost with the process, either.
   for (int i = 0; i < kLastLooks; ++i) {
@@ -282,6 +290,7 @@ void Agent::TakeInbox(int64_t now_ns, Observations& seen) {
   std::optional<std::vector<std::string>> parts;
   std::shared_ptr<const Interest> interest;
   std::optional<bool> primary;
+  bool forgot = false;
   {
     MutexLock lock(&inbox_mu_);
     seen.signals.swap(signals_);
@@ -289,7 +298,9 @@ void Agent::TakeInbox(int64_t now_ns, Observations& seen) {
     parts.swap(protected_parts_);
     interest.swap(interest_);
     primary.swap(primary_);
+    forgot = std::exchange(server_forgot_, false);
   }
+  if (forgot) TellFindingsAgain(now_ns, seen);
   if (own.has_value()) {
     graph_->SetOwnParticipants(*own, now_ns);
     findings_->SetOwnParticipants(*own);
@@ -443,20 +454,18 @@ void Agent::TakeFindings(int64_t now_ns, Observations& seen) {
   lost_.Increment(static_cast<double>(dropped));
 }
 
-void Agent::TellAnew(int64_t now_ns) {
+void Agent::TellGraphAnew(int64_t now_ns) {
   std::vector<GraphChange> snapshot = graph_->Snapshot(now_ns);
   for (const GraphChange& change : snapshot) findings_->OnGraph(change, now_ns);
   uplink_->ReplaceGraph(std::move(snapshot));
-  Observations again;
-  for (Finding& finding : findings_->Told()) {
-    AddFinding(std::move(finding), now_ns, again);
+}
+
+void Agent::TellFindingsAgain(int64_t now_ns, Observations& seen) {
+  for (Finding& finding : findings_->Told()) AddFinding(std::move(finding), now_ns, seen);
+  if (wire_ == nullptr) return;
+  for (ControlObservation& finding : wire_->Standing(now_ns)) {
+    seen.findings.push_back(std::move(finding));
   }
-  if (wire_ != nullptr) {
-    for (ControlObservation& finding : wire_->Standing(now_ns)) {
-      again.findings.push_back(std::move(finding));
-    }
-  }
-  if (!again.findings.empty()) uplink_->Append(std::move(again));
 }
 
 void Agent::TakeWire(int64_t now_ns, Observations& seen) {

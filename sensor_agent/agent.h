@@ -74,8 +74,10 @@ class Agent {
   // Which writers are read, for the judgement of what is on the wire.
   void TellReaders(int64_t now_ns);
   void CountLimits(int64_t now_ns, Observations& seen);
-  // The whole graph in place of its steps, and what stands of the findings.
-  void TellAnew(int64_t now_ns);
+  // The whole graph in place of its steps.
+  void TellGraphAnew(int64_t now_ns);
+  // Those that stand.
+  void TellFindingsAgain(int64_t now_ns, Observations& seen);
   int64_t NextWork() const;
 
   const SensorConfig config_;
@@ -99,6 +101,7 @@ class Agent {
   // Not yet observed; the newest takes the place of those before. Null = none.
   std::shared_ptr<const Interest> interest_ ABSL_GUARDED_BY(inbox_mu_);
   std::optional<bool> primary_ ABSL_GUARDED_BY(inbox_mu_);
+  bool server_forgot_ ABSL_GUARDED_BY(inbox_mu_) = false;
 
   // The observer thread's.
   std::optional<GraphBuilder> graph_;

@@ -252,6 +252,7 @@ void Uplink::OnMessage(const SensorReply& reply) {
   if (reply.has_interest()) return OnInterest(reply.interest());
   std::optional<std::vector<ros2::Guid>> own;
   bool snapshot_wanted = false;
+  bool forgot = false;
   {
     MutexLock lock(&mu_);
     if (!stream_.has_value()) return;
@@ -281,7 +282,7 @@ void Uplink::OnMessage(const SensorReply& reply) {
       case SensorReply::KIND_NOT_SET:
         return;  // of a later version
     }
-    FinishResumeLocked();
+    forgot = FinishResumeLocked();
     snapshot_wanted = phase_ == Phase::kStreaming && outbox_.snapshot_wanted();
     WakeLocked();
   }
@@ -290,6 +291,7 @@ void Uplink::OnMessage(const SensorReply& reply) {
     if (hooks_.on_protected_parts) hooks_.on_protected_parts(ProtectedParts(reply.config()));
   }
   if (reply.has_config() && hooks_.on_primary) hooks_.on_primary(reply.config().primary());
+  if (forgot && hooks_.on_server_forgot) hooks_.on_server_forgot();
   if (snapshot_wanted) hooks_.on_snapshot_wanted();
 }
 
@@ -378,22 +380,23 @@ void Uplink::AnswerInterestLocked(const std::string& id, const std::string& prob
   WakeLocked();
 }
 
-void Uplink::FinishResumeLocked() {
-  if (phase_ == Phase::kDown) return;
+bool Uplink::FinishResumeLocked() {
+  if (phase_ == Phase::kDown) return false;
   if (phase_ == Phase::kResuming) {
-    if (!stream_->has_config || !stream_->has_credit) return;
-    if (!stream_->has_ack[0] || !stream_->has_ack[1]) return;
+    if (!stream_->has_config || !stream_->has_credit) return false;
+    if (!stream_->has_ack[0] || !stream_->has_ack[1]) return false;
     phase_ = Phase::kStreaming;
     logged_.reset();
     streaming_.Set(1);
     LogInfo("streaming", {{"unacked_bytes", outbox_.bytes()}});
     if (refusals_ > 0) outbox_.WantSnapshot();
   }
-  if (stream_->wants_snapshot && !outbox_.GraphStartsWithSnapshot() &&
-      !outbox_.StartGraphWithSnapshot(clock_->Now().boottime_ns)) {
+  const bool forgot = stream_->wants_snapshot && !outbox_.GraphStartsWithSnapshot();
+  if (forgot && !outbox_.StartGraphWithSnapshot(clock_->Now().boottime_ns)) {
     outbox_.WantSnapshot();
   }
   stream_->wants_snapshot = false;
+  return forgot;
 }
 
 void Uplink::ReopenLocked(const std::string& why) {

@@ -100,6 +100,9 @@ class Uplink {
     std::function<void(std::vector<std::string>)> on_protected_parts;
     // Call ReplaceGraph soon: nothing is sent until then.
     std::function<void()> on_snapshot_wanted;
+    // The server has forgotten what it acknowledged: append what stands again. The graph is taken
+    // care of. May be empty.
+    std::function<void()> on_server_forgot;
     // What to watch has changed. Call InterestInUse when it is observed.
     std::function<void(std::shared_ptr<const Interest>)> on_interest;
     // Graph and messages are this host's to report, or not. May be empty.
@@ -172,7 +175,8 @@ class Uplink {
   void OnConfigLocked(const rips::v1::SensorConfig& config) ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
   void OnAckLocked(const rips::v1::Ack& ack) ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
   // Resuming -> streaming, when everything has been said.
-  void FinishResumeLocked() ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
+  // True if the server has forgotten what it acknowledged.
+  bool FinishResumeLocked() ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
   void WantSnapshotLocked() ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
   // Ends this stream and begins another.
   void ReopenLocked(const std::string& why) ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);

@@ -122,7 +122,8 @@ def alerts_are_judged_once(fleet):
     fleet.wait_level("COMPROMISED", 20)
     check(texts(fleet, "each") == ["counted"] * 6, f"counted {texts(fleet, 'each')}")
     check(len(texts(fleet, "sweep")) == 1 and len(texts(fleet, "marker")) == 1, fleet.alerts())
-    check(not texts(fleet, "lost"), f"losses: {texts(fleet, 'lost')}")
+    # Each process that was killed may have held something, and the next one says so.
+    check(len(texts(fleet, "lost")) == 2, f"losses: {texts(fleet, 'lost')}")
     check(fleet.sensor.kill(signal.SIGTERM) == 0, "the sensor does not end well")
 
 
