@@ -83,7 +83,8 @@ def main():
                 process.kill()
                 process.wait()
     print(f"{participants} participants with 5 topics each, {seconds:g} s")
-    for what, (packets, size), duration in (("alone", alone, seconds), ("with sensor", beside, seconds),
+    for what, (packets, size), duration in (("alone", alone, seconds),
+                                            ("with sensor", beside, seconds),
                                             ("its first 5 s", joining, 5)):
         print(f"{what:14} {packets / duration:8.1f} packets/s {size / duration:10.0f} bytes/s")
 

@@ -3,8 +3,8 @@
 //   dds_peer --domain 7 --node /talker --publish rt/chatter,std_msgs::msg::dds_::String_,reliable
 //
 // Prints `up`, `matched` once every writer has its readers, `written` when all were written but
-// the tail, and `sent TOPIC COUNT` for each topic at the end. SIGTERM ends it in order; SIGKILL is a
-// crash.
+// the tail, and `sent TOPIC COUNT` for each topic at the end. SIGTERM ends it in order; SIGKILL is
+// a crash.
 #include <csignal>
 #include <cstdio>
 #include <memory>
