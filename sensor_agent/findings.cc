@@ -397,6 +397,8 @@ void Findings::Begin(WantedMap wanted) {
       if (it->second.told) continue;
       it->second.gone = false;
       it->second.due_ns = each.due_ns;
+      // Its node may have become known meanwhile.
+      it->second.finding = std::move(each.finding);
     } else if (held_.size() >= options_.findings_max) {
       ++not_held;
     } else {

@@ -276,6 +276,22 @@ TEST_F(FindingsTest, ForeignClientOfAProtectedPart) {
   EXPECT_THAT(findings_->Told(), IsEmpty());
 }
 
+TEST_F(FindingsTest, NodeThatBecomesKnownDuringTheGraceIsNamed) {
+  findings_->SetProtectedParts({"/safety"});
+  StartManager();
+  GraphDelta delta = Process(2);
+  Endpoint client = Client(2, 2, "/safety/change_mode");
+  delta.upsert_endpoints.push_back(client);
+  Step(delta);
+  EXPECT_THAT(Poll(), IsEmpty());
+  client.node = "/late";
+  Step({.upsert_nodes = {{.full_name = "/late", .participant = ParticipantGuid(2)}},
+        .upsert_endpoints = {client}});
+  const std::vector<Finding> told = After(6 * kSecond);
+  ASSERT_THAT(told, ElementsAre(Begins("foreign_mode_writer", EndpointGuid(2, 2))));
+  EXPECT_EQ(told[0].node, "/late");
+}
+
 TEST_F(FindingsTest, ForeignClientThatLeavesSoonIsToldAllTheSame) {
   findings_->SetProtectedParts({"/safety"});
   StartManager();
