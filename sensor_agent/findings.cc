@@ -249,11 +249,12 @@ void Findings::CollectClaims(int64_t now_ns, WantedMap& wanted) {
 }
 
 Findings::Wanted* Findings::Want(const Key& key, int64_t due_ns, WantedMap& wanted) {
-  const bool is_held = held_.contains(key);
+  const auto held = held_.find(key);
+  const bool is_held = held != held_.end();
   if (!is_held && ++fresh_ > options_.findings_max) return nullptr;
   Wanted& each = wanted[key];
   each.due_ns = due_ns;
-  return is_held ? nullptr : &each;
+  return is_held && held->second.told ? nullptr : &each;
 }
 
 Findings::Servers Findings::CollectServers() const {

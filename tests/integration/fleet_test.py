@@ -435,7 +435,7 @@ vars:
   came bool = false;
   passed bool = false;
 rules Msg:
-  flood: topicin("/load") && msgcount(1000, 1000000, 2000000) ? alert("a flood");
+  flood: topicmatches("^/load") && msgcount(1000, 1000000, 2000000) ? alert("a flood");
 rules Graph:
   stays: hasnodes("/stays") && !came ? set(came, true) => alert("one came that stays");
   passes: hasnodes("/passes") && !passed ? set(passed, true) => alert("one came that left again");
