@@ -178,7 +178,7 @@ class Findings {
   void CollectModeWriters(WantedMap& wanted);
   void CollectNonRosWriters(WantedMap& wanted);
   void CollectStrangers(int64_t now_ns, WantedMap& wanted);
-  // `key` stands. Where to say what it is, unless it is held already or too many are new.
+  // `key` stands. Where to say what it is, unless it was told already or too many are new.
   Wanted* Want(const Key& key, int64_t due_ns, WantedMap& wanted);
   std::string Describe(const ros2::Guid& participant) const;
 

@@ -36,6 +36,8 @@ size_t CharacterBytes(absl::string_view text) {
 
 bool IsAddress(const std::string& text, int family) {
   unsigned char bytes[sizeof(in6_addr)];
+  // What is behind a NUL would not be looked at.
+  if (text.find('\0') != std::string::npos) return false;
   return inet_pton(family, text.c_str(), bytes) == 1;
 }
 

@@ -195,6 +195,12 @@ TEST(FastAlertTest, CutAnywhereItIsNoOtherAlert) {
   }
 }
 
+TEST(FastAlertTest, NothingHidesBehindANul) {
+  std::string line = "11/21-10:11:12.1  [**] [1:7:2] m [**] {ICMP} fe80::1 -> ff02::1";
+  line.append(200, '\0');
+  EXPECT_EQ(Text(IdsFormat::kFast, line), "snort 1:7:2 m p0 fe80::1 ");
+}
+
 TEST(FastAlertTest, LongTextIsCut) {
   const std::string message(kIdsMessageBytesMax + 1, 'm');
   const std::string line =
@@ -340,6 +346,7 @@ TEST(IdsEndpointTest, Forms) {
   EXPECT_EQ(IdsEndpoint("::1", "5"), "[::1]:5");
   EXPECT_EQ(IdsEndpoint("host", "5"), "");
   EXPECT_EQ(IdsEndpoint("", ""), "");
+  EXPECT_EQ(IdsEndpoint(absl::string_view("::1\0x", 5), ""), "");
   EXPECT_EQ(IdsEndpoint(std::string(1'000, '1'), ""), "");
 }
 

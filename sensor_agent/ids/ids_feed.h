@@ -80,8 +80,8 @@ struct IdsSink {
 
 class IdsFeed {
  public:
-  // `clock` and `metrics` are not owned and outlive this. Reads the offsets file, whose directory
-  // is made if it is missing; one that makes no sense is told in the log and as a loss.
+  // `clock` and `metrics` are not owned and outlive this. Reads the offsets file and makes its
+  // directory if that is missing; a file that makes no sense is told in the log and as a loss.
   IdsFeed(IdsFeedOptions options, IdsSink sink, const Clock* clock, Metrics* metrics);
   ~IdsFeed();
   IdsFeed(const IdsFeed&) = delete;

@@ -13,8 +13,8 @@
 // | any of this while nobody reads        | as above; a gap if what was not read cannot be found  |
 //
 // A new file counts from its first byte on: until then the writer has not come over, and the old
-// one goes on. Afterwards the old one is still read for a few seconds. That bytes have changed
-// before the place read up to is how a truncation shows that grew again in the meantime.
+// one goes on. Afterwards the old one is still read for a few seconds. A truncation shows even if
+// the file has grown again: the bytes before the place read up to are others then.
 //
 // Not thread-safe.
 #ifndef RIPS_SENSOR_AGENT_IDS_LOG_TAIL_H_
@@ -115,8 +115,8 @@ class LogTail {
   // The file that came after there was none; false while there is none.
   bool OpenFirst();
   std::optional<File> FindRenamed(const LogPosition& position) const;
-  // A file beside ours, named after it, that has the same bytes before the position: what was
-  // copied before ours was truncated.
+  // A file beside ours, named after it, with the same bytes before the position: what was copied
+  // before ours was truncated.
   std::optional<File> FindCopy(const LogPosition& position) const;
   // Files named after ours were written after this one.
   bool HasLater(const File& file) const;
