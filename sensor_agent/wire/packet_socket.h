@@ -60,8 +60,8 @@ class PacketSocket {
   std::unique_ptr<Buffers> buffers_;
 };
 
-// Ports that systems give to sockets that ask for none: Cyclone DDS receives on such a port unless a
-// participant index is configured. From the first one that this host gives
+// Ports that systems give to sockets that ask for none: Cyclone DDS receives on such a port unless
+// a participant index is configured. From the first one that this host gives
 // (net.ipv4.ip_local_port_range; 32768 if it cannot be read) to 65535, which others may give.
 PortRange EphemeralPorts();
 
