@@ -4,6 +4,7 @@
 #include <limits>
 
 #include "absl/strings/str_cat.h"
+#include "sensor_agent/wire/packet_filter.h"
 
 namespace rips::wire {
 
@@ -12,10 +13,6 @@ namespace {
 constexpr char kUnicastWriter[] = "unicast_writer";
 constexpr char kSpoofedWriter[] = "spoofed_writer";
 constexpr char kDirectedData[] = "directed_data";
-
-// DDSI-RTPS 2.5 §9.6.2.3: ports of a domain.
-constexpr uint32_t kPortBase = 7'400;
-constexpr uint32_t kPortsPerDomain = 250;
 
 // Ports of one address that a participant sends from at the same time. Cyclone DDS has one socket
 // for each address; Fast DDS one for unicast on all addresses, and one for multicast on each. What
@@ -131,12 +128,12 @@ bool WireWatch::Knows(const ros2::Guid& participant) const {
 
 bool WireWatch::IsOurs(const Traffic& traffic) const {
   if (traffic.elsewhere > 0 || Knows(traffic.writer.Participant())) return true;
-  const uint32_t first = kPortBase + kPortsPerDomain * options_.domain;
-  return std::any_of(
-      traffic.destinations.begin(), traffic.destinations.end(), [&](const Destination& each) {
-        const uint32_t port = each.to.port;
-        return (port >= first && port < first + kPortsPerDomain) || advertised_.contains(each.to);
-      });
+  const PortRange ports = PortsOfDomain(options_.domain);
+  for (const Destination& each : traffic.destinations) {
+    if (each.to.port >= ports.first && each.to.port <= ports.last) return true;
+    if (advertised_.contains(each.to)) return true;
+  }
+  return false;
 }
 
 bool WireWatch::Local(const Address& address) const {
