@@ -422,7 +422,8 @@ TEST(ReplayerTest, LossesCountInTheWindowsAsTheyDidOnTheRobot) {
     event.time_unix_ns = kStart;
     return event;
   };
-  const Recorded here = Message("/t", "", kStart + 1);
+  Recorded here = Message("/t");
+  here.time_unix_ns = kStart + 1;
   EXPECT_THAT(Alerts(Replayed(program, {loss(kStart), here})), ElementsAre("1 flood flood"));
   EXPECT_THAT(Alerts(Replayed(program, {loss(kStart - kNanosPerSecond), here})), IsEmpty());
 }
