@@ -412,8 +412,7 @@ TEST(ReplayerTest, LossesCountInTheWindowsAsTheyDidOnTheRobot) {
     rules Msg:
       flood: msgcount(1000, 5, 1000) ? alert("flood");
   )");
-  constexpr int64_t kStartMs = 1'700'000'000'000;
-  constexpr int64_t kStart = kStartMs * kNanosPerMilli;
+  constexpr int64_t kStart = 1'700'000'000 * kNanosPerSecond;
   const auto loss = [&](int64_t last_ns) {
     Recorded event = Event(recording::RecordedLoss{.count = 4,
                                                    .topic = "/t",
@@ -423,7 +422,8 @@ TEST(ReplayerTest, LossesCountInTheWindowsAsTheyDidOnTheRobot) {
     event.time_unix_ns = kStart;
     return event;
   };
-  const Recorded here = Message("/t", "", kStartMs + 1);
+  Recorded here = Message("/t");
+  here.time_unix_ns = kStart + 1;
   EXPECT_THAT(Alerts(Replayed(program, {loss(kStart), here})), ElementsAre("1 flood flood"));
   EXPECT_THAT(Alerts(Replayed(program, {loss(kStart - kNanosPerSecond), here})), IsEmpty());
 }
