@@ -252,12 +252,14 @@ void Agent::TakeDiscovered(int64_t now_ns, Observations& seen) {
 void Agent::OnEndpoint(const EndpointFact& endpoint, bool alive, int64_t now_ns) {
   if (!alive) {
     graph_->EndpointGone(endpoint.guid, now_ns);
+    findings_->OnEndpointGone(endpoint.guid);
     flow_->WriterGone(endpoint.guid, now_ns);
     domain_->topics().WriterGone(endpoint.guid);
     return;
   }
   if (endpoint.guid.SamePrefix(domain_->own())) return;
   graph_->EndpointSeen(endpoint, now_ns);
+  findings_->OnEndpointSeen(endpoint, now_ns);
   if (!endpoint.writer) return;
   const ros2::DemangledTopic topic = ros2::DemangleTopic(endpoint.topic);
   if (topic.kind != ros2::DdsTopicKind::kTopic || !graph_->Watched(topic.name)) return;
