@@ -376,12 +376,14 @@ void Agent::TakeDiscovered(int64_t now_ns, Observations& seen) {
 void Agent::OnEndpoint(const EndpointFact& endpoint, bool alive, int64_t now_ns) {
   if (!alive) {
     graph_->EndpointGone(endpoint.guid, now_ns);
+    findings_->OnEndpointGone(endpoint.guid);
     flow_->WriterGone(endpoint.guid, now_ns);
     domain_->topics().EndpointGone(endpoint.guid);
     return;
   }
   if (endpoint.guid.SamePrefix(domain_->own())) return;
   graph_->EndpointSeen(endpoint, now_ns);
+  findings_->OnEndpointSeen(endpoint, now_ns);
   if (ros2::DemangleTopic(endpoint.topic).kind != ros2::DdsTopicKind::kTopic) return;
   // What goes wrong is news of TakeCoverage.
   domain_->topics().Watch(endpoint, now_ns).IgnoreError();

@@ -150,6 +150,40 @@ void Findings::DropGuid(const Guid& guid) {
   now_.suspects.erase(begin, end);
 }
 
+void Findings::OnEndpointSeen(const EndpointFact& endpoint, int64_t now_ns) {
+  if (!endpoint.writer || glimpses_.contains(endpoint.guid)) return;
+  ros2::DemangledTopic topic = ros2::DemangleTopic(endpoint.topic);
+  if (topic.kind != ros2::DdsTopicKind::kServiceRequest || PartOf(topic.name).empty()) return;
+  if (glimpses_.size() >= options_.findings_max) return;  // the graph shows most of them
+  glimpses_[endpoint.guid] = {now_ns, std::move(topic.name)};
+}
+
+void Findings::OnEndpointGone(const Guid& endpoint) {
+  const auto it = glimpses_.find(endpoint);
+  if (it == glimpses_.end()) return;
+  const auto [seen_ns, service] = std::move(it->second);
+  glimpses_.erase(it);
+  const Key key{kForeignModeWriter, endpoint, ""};
+  const Guid participant = endpoint.Participant();
+  const absl::string_view part = PartOf(service);
+  if (now_.suspects.contains(endpoint) || held_.contains(key)) return;  // the graph has shown it
+  if (!protected_parts_.contains(part) || IsOwn(participant)) return;
+  const Servers servers = CollectServers();
+  const auto server = servers.find(part);
+  if (server != servers.end() && server->second.manager == participant) return;
+  if (held_.size() >= options_.findings_max) {
+    ++dropped_;
+    return;
+  }
+  held_[key] = {.finding = {.kind = kKindNames[kForeignModeWriter],
+                            .guid = endpoint,
+                            .topic = service,
+                            .detail = absl::StrCat(Describe(participant), " may steer this part")},
+                .due_ns = std::max(seen_ns, connected_ns_) + options_.foreign_grace_ns,
+                .gone = true};
+  dirty_ = true;
+}
+
 void Findings::OnClaim(const Guid& writer, const absl::Status& taken, int64_t now_ns) {
   const Guid participant = writer.Participant();
   if (!absl::IsPermissionDenied(taken)) {

@@ -75,6 +75,10 @@ class Findings {
   // A step of the graph, in order; a snapshot (from_version 0) with all its parts before the next
   // Poll. Snapshots that replace steps count, too.
   void OnGraph(const GraphChange& change, int64_t now_ns);
+  // As discovered, before the graph step that shows it: a client may come, call and leave within
+  // the burst that makes one step, and then the graph never shows it.
+  void OnEndpointSeen(const EndpointFact& endpoint, int64_t now_ns);
+  void OnEndpointGone(const ros2::Guid& endpoint);
   // What GraphBuilder::NodesClaimed said of a claim published by the endpoint `writer`.
   void OnClaim(const ros2::Guid& writer, const absl::Status& taken, int64_t now_ns);
   // As the server says. `parts`: full names.
@@ -197,6 +201,8 @@ class Findings {
   Tables now_;
   // What was known before the snapshot that is being taken.
   Tables before_;
+  // Clients that may steer a part, by GUID: since when, and what service. At most findings_max.
+  absl::btree_map<ros2::Guid, std::pair<int64_t, std::string>> glimpses_;
   // By participant: when and what.
   absl::btree_map<ros2::Guid, std::pair<int64_t, std::string>> false_claims_;
 

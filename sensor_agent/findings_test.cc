@@ -310,6 +310,28 @@ TEST_F(FindingsTest, ForeignClientThatLeavesSoonIsToldAllTheSame) {
   EXPECT_EQ(findings_->NextDue(), kNever);
 }
 
+TEST_F(FindingsTest, ForeignClientThatTheGraphNeverShowsIsToldAllTheSame) {
+  findings_->SetProtectedParts({"/safety"});
+  StartManager();
+  findings_->SetOwnParticipants({ParticipantGuid(kActuator)});
+  const auto call = [&](uint16_t participant, const std::string& topic) {
+    const Guid guid = EndpointGuid(participant, 9);
+    findings_->OnEndpointSeen({.guid = guid, .writer = true, .topic = topic}, now_ns_);
+    findings_->OnEndpointGone(guid);
+    findings_->OnEndpointGone(guid);
+  };
+  call(2, "rq/safety/change_modeRequest");
+  call(3, "rq/safety/get_modeRequest");
+  call(4, "rq/lidar/change_modeRequest");
+  call(5, "rt/safety/change_mode");
+  call(1, "rq/safety/change_modeRequest");          // the manager
+  call(kActuator, "rq/safety/change_modeRequest");  // RIPS
+  EXPECT_THAT(Poll(), IsEmpty());
+  EXPECT_THAT(After(5 * kSecond), ElementsAre(Begins("foreign_mode_writer", EndpointGuid(2, 9)),
+                                              Ends("foreign_mode_writer", EndpointGuid(2, 9))));
+  EXPECT_THAT(After(60 * kSecond), IsEmpty());
+}
+
 TEST_F(FindingsTest, WithoutAServerNobodyIsForeignYet) {
   findings_->SetConnected(false, now_ns_);
   findings_->SetProtectedParts({"/safety"});
