@@ -286,6 +286,7 @@ class DaemonTest : public AgentTest {
         << "tls: {ca: " << tls.ca << ", cert: " << tls.cert << ", key: " << tls.key << "}\n"
         << "dds: {domain: " << dds::RandomDomain() << ", interface: lo}\n"
         << "metrics: \"127.0.0.1:0\"\n"
+        << "state_dir: " << dir_.string() << "\n"
         << more;
   }
   void Spawn(std::vector<std::string> more = {}) {
