@@ -484,7 +484,8 @@ class DaemonTest : public AgentTest {
         << "robot: " << robot << "\nhost: base\nservers: [\"127.0.0.1:1\"]\n"
         << "tls: {ca: " << tls.ca << ", cert: " << tls.cert << ", key: " << tls.key << "}\n"
         << "dds: {domain: " << dds::RandomDomain() << ", interface: lo}\n"
-        << "metrics: \"127.0.0.1:0\"\nstate_dir: " << dir_.string() << "\n"
+        << "metrics: \"127.0.0.1:0\"\n"
+        << "state_dir: " << dir_.string() << "\n"
         << more;
   }
   void Spawn(std::vector<std::string> more = {}) {
