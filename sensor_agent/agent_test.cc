@@ -485,8 +485,7 @@ class DaemonTest : public AgentTest {
         << "tls: {ca: " << tls.ca << ", cert: " << tls.cert << ", key: " << tls.key << "}\n"
         << "dds: {domain: " << dds::RandomDomain() << ", interface: lo}\n"
         << "metrics: \"127.0.0.1:0\"\n"
-        << "state_dir: " << dir_.string() << "\n"
-        << more;
+        << more << "state_dir: " << dir_.string() << "\n";
   }
   void Spawn(std::vector<std::string> more = {}) {
     std::vector<std::string> arguments = {absl::StrCat(RIPS_BIN_DIR, "/rips-sensor"), "--config",

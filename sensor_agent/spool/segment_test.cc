@@ -85,7 +85,8 @@ TEST(SegmentTest, HeaderDamagedAnywhereIsDataLoss) {
 }
 
 TEST(SegmentTest, FramesRoundTrip) {
-  FrameScanner scanner(FrameSeed(kHeader), Segment({}));
+  const std::string empty = Segment({});
+  FrameScanner scanner(FrameSeed(kHeader), empty);
   EXPECT_FALSE(scanner.Next().has_value());
   const std::string file = Segment(kThree);
   FrameScanner three(FrameSeed(kHeader), file);
@@ -96,7 +97,8 @@ TEST(SegmentTest, FramesRoundTrip) {
     EXPECT_EQ(frame->count, expected.count);
     EXPECT_EQ(frame->oldest_ns, expected.oldest_ns);
     EXPECT_EQ(frame->payload, expected.payload);
-    const auto again = DecodeFrame(FrameSeed(kHeader), file.substr(frame->offset));
+    const auto again =
+        DecodeFrame(FrameSeed(kHeader), absl::string_view(file).substr(frame->offset));
     ASSERT_THAT(again, IsOk());
     EXPECT_EQ(again->payload, expected.payload);
   }
