@@ -68,7 +68,7 @@ void EncodeCoverage(const pipeline::Robot& robot, rips::v1::GetCoverageResponse&
   for (const ros2::Endpoint* endpoint : endpoints) {
     ros2_proto::EncodeEndpoint(*endpoint, *out.add_endpoints());
   }
-  for (const pipeline::FindingSeen& finding : robot.StandingFindings()) {
+  for (const pipeline::FindingSeen& finding : robot.findings()) {
     Encode(finding, *out.add_findings());
   }
   out.set_graph_truncated(robot.graph().truncated());

@@ -114,8 +114,6 @@ class Robot {
   std::vector<SensorInterest> SensorInterests() const;
   // Every sensor host of the inventory, sorted.
   std::vector<SensorCoverage> Coverage() const;
-  // Findings that stand, oldest first.
-  std::vector<FindingSeen> StandingFindings() const { return {}; }
 
   // ---- time; call at least every 50 ms.
   void OnTime();

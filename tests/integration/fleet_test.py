@@ -415,6 +415,8 @@ def findings_are_told(fleet):
     fleet.start_intruder("rogue-cmd-vel", "--anonymous")
     check("topic /cmd_vel" in wait_told("non_ros_writer"), "the topic is not named")
     before = len(told())
+    code, text, _ = fleet.ripsctl("robot", "coverage", "r1", check=False)
+    check(code == 1 and "non_ros_writer" in text and "impostor" not in text, f"{code}: {text}")
 
     fleet.server.kill(signal.SIGKILL)
     fleet.server = fleet.start_server()
