@@ -541,7 +541,7 @@ TEST_F(DaemonTest, UnknownKeyEndsWithTwoAndItsPlace) {
   WriteConfig("r1", "setle: 2s\n");
   Spawn();
   EXPECT_EQ(WaitForExit(), 2);
-  EXPECT_THAT(Output(), HasSubstr("sensor.yaml:8:1: unknown key `setle`"));
+  EXPECT_THAT(Output(), HasSubstr("sensor.yaml:7:1: unknown key `setle`"));
 }
 
 TEST_F(DaemonTest, CheckConfigNamesAMissingFileOfTheKeystore) {

@@ -208,6 +208,9 @@ void Uplink::LookAtBacklogLocked(int64_t now_ns) {
   spool_unreadable_.Increment(static_cast<double>(backlog.unreadable - unreadable_reported_));
   unreadable_reported_ = backlog.unreadable;
   for (Loss& loss : backlog_.TakeLosses()) outbox_.AddLoss(std::move(loss));
+  if (backlog.announced_too_much && phase_ != Phase::kDown) {
+    ReopenLocked("the end of the backlog that was announced cannot be read");
+  }
 }
 
 void Uplink::SaveRest() {

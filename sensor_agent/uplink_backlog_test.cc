@@ -4,6 +4,7 @@
 #include <algorithm>
 #include <cstdlib>
 #include <filesystem>
+#include <fstream>
 #include <map>
 #include <set>
 
@@ -228,6 +229,41 @@ TEST_F(UplinkBacklogTest, ASensorThatIsStoppedLeavesEverythingToTheNext) {
     return found == 2;
   }));
   EXPECT_NE(uplink_->incarnation(), former);
+  EXPECT_TRUE(WaitForValue("rips_sensor_spool_bytes", [](double v) { return v == 0; }));
+}
+
+TEST_F(UplinkBacklogTest, AnEndThatCannotBeReadIsAnnouncedNoMore) {
+  options_.backlog.read_ahead_bytes = 1;
+  Start();
+  Append(1, 10);
+  ASSERT_TRUE(WaitForMessages(10));
+  StopServer();
+  Append(11, 2'000);
+  uplink_->Stop();
+  Start();
+  ASSERT_TRUE(WaitForValue("rips_sensor_spool_bytes", [](double v) { return v > 0; }));
+  // Read back by now is only the first of it.
+  for (const auto& file : fs::directory_iterator(dir_ + "/spool")) {
+    if (file.path().extension() != ".seg") continue;
+    std::fstream segment(file.path(), std::ios::in | std::ios::out | std::ios::binary);
+    segment.seekp(-8, std::ios::end);
+    segment.write("damaged!", 8);
+  }
+
+  server_.Start();
+
+  const auto last_announced = [&](const rips::v1::SensorHello& hello) {
+    uint64_t last = 0;
+    for (const rips::v1::SpoolStream& each : hello.spooled()) {
+      if (each.incarnation() != uplink_->incarnation() && each.lane() == MESSAGES) {
+        last = std::max(last, each.last_sequence());
+      }
+    }
+    return last;
+  };
+  EXPECT_TRUE(server_.WaitUntil([&](const FakePolicyServer& s) {
+    return s.hellos.size() >= 3 && last_announced(s.hellos.back()) < last_announced(s.hellos[1]);
+  }));
   EXPECT_TRUE(WaitForValue("rips_sensor_spool_bytes", [](double v) { return v == 0; }));
 }
 

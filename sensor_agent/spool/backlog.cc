@@ -204,6 +204,7 @@ void Backlog::Put(const StreamKey& stream, uint64_t first_sequence, uint32_t cou
 std::vector<BacklogRange> Backlog::Rewind() {
   MutexLock lock(&mu_);
   std::vector<BacklogRange> ranges;
+  announced_too_much_ = false;
   for (Queue& each : queues_) {
     each.sent = 0;
     each.highest_sent = 0;
@@ -276,7 +277,8 @@ BacklogState Backlog::state() const {
   BacklogState state{.memory_bytes = memory_bytes_,
                      .disk_bytes = disk_bytes_,
                      .disk_refuses = refuses_until_ns_ != 0,
-                     .unreadable = unreadable_};
+                     .unreadable = unreadable_,
+                     .announced_too_much = announced_too_much_};
   for (const Queue& queue : queues_) {
     if (queue.entries.empty()) continue;
     state.observations +=
@@ -502,6 +504,7 @@ void Backlog::DiscardLocked(const StreamKey& stream, uint64_t first_sequence,
     const uint64_t before =
         count > 1 ? queue->entries[count - 2].last_sequence() : queue->acknowledged;
     AddLoss(entry->last_sequence() - before);
+    announced_too_much_ = true;
   }
   const size_t index = static_cast<size_t>(
       std::count_if(queue->entries.begin(), queue->entries.end(),

@@ -78,6 +78,9 @@ struct BacklogState {
   bool disk_refuses = false;
   // Numbered observations that could not be read back, since the start.
   uint64_t unreadable = 0;
+  // The end of a stream could not be read back after Rewind had given it: who was told of it waits
+  // in vain until there is a new connection.
+  bool announced_too_much = false;
   // CLOCK_BOOTTIME of the oldest observation.
   std::optional<int64_t> oldest_ns;
 };
@@ -223,6 +226,7 @@ class Backlog {
   size_t memory_bytes_ ABSL_GUARDED_BY(mu_) = 0;
   uint64_t disk_bytes_ ABSL_GUARDED_BY(mu_) = 0;
   uint64_t unreadable_ ABSL_GUARDED_BY(mu_) = 0;
+  bool announced_too_much_ ABSL_GUARDED_BY(mu_) = false;
   // Connections refused in a row with batches underway.
   int refusals_ ABSL_GUARDED_BY(mu_) = 0;
   // The disk is not asked before; 0 = it takes what it is given.
