@@ -320,6 +320,7 @@ TEST_F(AgentTest, AfterAReconnectTheServerGetsTheReceiptAgainAndNothingIsEntered
   auto server = std::make_unique<FakeServer>(Pki().Server());
   const int port = server->port();
   ASSERT_THAT(Start(port, Pki().Actuator()), IsOk());
+  ASSERT_TRUE(Verified(*server, "ALERT"));
   server->SetLevel(Id('a'), "COMPROMISED", {1, 1});
   ASSERT_TRUE(server->HasReceipt(Id('a'), Receipt::VERIFIED));
 
