@@ -246,8 +246,9 @@ TEST_F(UplinkBacklogTest, AnEndThatCannotBeReadIsAnnouncedNoMore) {
   for (const auto& file : fs::directory_iterator(dir_ + "/spool")) {
     if (file.path().extension() != ".seg") continue;
     std::fstream segment(file.path(), std::ios::in | std::ios::out | std::ios::binary);
-    segment.seekp(-8, std::ios::end);
-    segment.write("damaged!", 8);
+    const auto size = static_cast<std::streamoff>(fs::file_size(file.path()));
+    segment.seekp(size / 2);
+    segment << std::string(static_cast<size_t>(size - size / 2), '!');
   }
 
   server_.Start();
