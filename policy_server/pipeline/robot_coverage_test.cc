@@ -10,7 +10,7 @@ using ::testing::HasSubstr;
 using ::testing::IsEmpty;
 using ::testing::SizeIs;
 
-constexpr char kRules[] = R"(
+constexpr char kCoverageRules[] = R"(
 levels: DEFAULT; ALERT soft; COMPROMISED; HALT;
 rules Msg:
   flood: topicin("/cmd_vel") && msgcount(1000, 5, 1000000) ? alert("flood");
@@ -25,7 +25,7 @@ rules External:
 class RobotCoverageTest : public RobotTest {
  protected:
   void Begin() {
-    Start(kRules);
+    Start(kCoverageRules);
     ConnectSensor();
     SendSnapshot();
     Pass(200);
@@ -61,7 +61,7 @@ TEST_F(RobotCoverageTest, ASensorIsAskedForWhatTheRulesNeed) {
 }
 
 TEST_F(RobotCoverageTest, UntilTheSensorWatchesWhatRulesNeedEvidenceIsIncomplete) {
-  Start(kRules);
+  Start(kCoverageRules);
   EXPECT_FALSE(robot_->SensorInterests().at(0).connected);
   Restart("an incarnation.");
   SendSnapshot();
@@ -111,7 +111,7 @@ TEST_F(RobotCoverageTest, OtherRulesAskAnewIfTheyNeedSomethingElse) {
 
 TEST_F(RobotCoverageTest, RobotsShareThePlanOfTheirBundle) {
   Begin();
-  const std::vector<lang::SourceFile> files = {{.path = "test.rul", .text = kRules}};
+  const std::vector<lang::SourceFile> files = {{.path = "test.rul", .text = kCoverageRules}};
   const auto program = engine::Program::Create(*lang::Compile(files).rules);
   const auto plan = MakeInterest(**program);
   ASSERT_TRUE(
@@ -131,7 +131,7 @@ TEST_F(RobotCoverageTest, AnswersToWhatIsNotWantedChangeNothing) {
 }
 
 TEST_F(RobotCoverageTest, WhatASensorUsesAlreadyNeedsNoAnswer) {
-  Start(kRules);
+  Start(kCoverageRules);
   sensor_ = std::make_shared<FakeSensor>();
   robot_->OnSensorHello("base", sensor_,
                         {.incarnation = kIncarnation,
@@ -243,7 +243,7 @@ TEST_F(RobotCoverageTest, EndpointsOfRipsItselfAreNotTold) {
 }
 
 TEST_F(RobotCoverageTest, ANewKindOfInvisibleTrafficIsTold) {
-  Start(kRules);
+  Start(kCoverageRules);
   sensor_ = std::make_shared<FakeSensor>();
   robot_->OnSensorHello("base", sensor_,
                         {.incarnation = kIncarnation,
@@ -261,7 +261,7 @@ TEST_F(RobotCoverageTest, ANewKindOfInvisibleTrafficIsTold) {
 }
 
 TEST_F(RobotCoverageTest, CoverageListsEverySensorOfTheInventory) {
-  Start(kRules);
+  Start(kCoverageRules);
   EXPECT_FALSE(Base().connected);
   EXPECT_TRUE(Base().primary);
   EXPECT_FALSE(Base().settled);

@@ -21,7 +21,7 @@ using ::testing::HasSubstr;
 using ::testing::Not;
 using ::testing::SizeIs;
 
-class FakeOperator final : public v1::OperatorService::Service {
+class ObservingOperator final : public v1::OperatorService::Service {
  public:
   grpc::Status failure;
   v1::GetInterestResponse interest;
@@ -117,7 +117,7 @@ class RobotCoverageTest : public testing::Test {
   }
 
   const TestDirectory directory_;
-  FakeOperator fake_;
+  ObservingOperator fake_;
   std::unique_ptr<grpc::Server> server_;
   int port_ = 0;
 };
