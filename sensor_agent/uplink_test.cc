@@ -44,6 +44,7 @@ class UplinkTest : public testing::Test {
                       .domain = 7,
                       .outbox = limits,
                       .encoder = encoder,
+                      .backlog = {.memory_bytes = backlog_bytes_},
                       .backoff = {.initial = absl::Milliseconds(20), .max = absl::Milliseconds(50)},
                       .heartbeat = absl::Milliseconds(50)},
         Uplink::Hooks{
@@ -153,6 +154,7 @@ class UplinkTest : public testing::Test {
 
   const RealClock clock_;
   Metrics metrics_;
+  size_t backlog_bytes_ = BacklogOptions().memory_bytes;
   FakePolicyServer server_;
   const std::shared_ptr<const MessageSource> source_ = Source("/chatter");
   std::atomic<uint64_t> version_ = 0;
@@ -580,6 +582,7 @@ TEST_F(UplinkTest, PayloadsComeWithTheirMessagesWithinTheCredit) {
 }
 
 TEST_F(UplinkTest, AFullOutboxShedsPayloadsFirstAndCountsThem) {
+  backlog_bytes_ = 0;  // nothing can be set aside
   server_.Start();
   server_.Stop();
   StartUplink({.message_bytes = 100'000});
