@@ -445,7 +445,8 @@ rules External:
   told: signal("SIGUSR1") ? alert("told by a signal") => trigger(ALERT);
   unused: false ? trigger(COMPROMISED), trigger(HALT);
 """
-LOAD_RATE = 2_000
+# Sanitizers take most of what the machine has.
+LOAD_RATE = 500 if os.environ.get("RIPS_SANITIZE") else 2_000
 
 
 def arm_under_load(fleet):
