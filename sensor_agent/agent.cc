@@ -424,13 +424,15 @@ void Agent::TakeSamples(int64_t now_ns, Observations& seen) {
   payloads_shed_.Increment(static_cast<double>(domain_->topics().TakePayloadsRefused()));
   // After the samples were taken, and before they are looked at.
   for (const QueueLoss& loss : domain_->topics().TakeLosses()) {
-    lost_.Increment(static_cast<double>(loss.count));
     flow_->QueueLost(loss.writer, loss.topic, loss.count, now_ns, output);
   }
   for (Sample& sample : samples) flow_->Take(std::move(sample), now_ns, output);
   if (samples.size() == kSamplesAtOnce) woken_ = true;  // there is more
   seen.messages = std::move(output.messages);
-  for (Loss& loss : output.losses) seen.losses.push_back(std::move(loss));
+  for (Loss& loss : output.losses) {
+    lost_.Increment(static_cast<double>(loss.count));
+    seen.losses.push_back(std::move(loss));
+  }
 }
 
 void Agent::TakeFindings(int64_t now_ns, Observations& seen) {
