@@ -11,8 +11,11 @@
 
 #include "absl/strings/escaping.h"
 #include "absl/strings/str_cat.h"
+#include "mode_actuator/alarm/alarm_board.h"
+#include "mode_actuator/alarm/drivers.h"
 #include "mode_actuator/downlink.h"
 #include "mode_actuator/exec_ledger.h"
+#include "mode_actuator/firewall/fw_client.h"
 #include "mode_actuator/posix_runner.h"
 #include "mode_actuator/procedures.h"
 #include "mode_actuator/receipt_book.h"
@@ -93,7 +96,7 @@ absl::Status MakeDirectory(const std::string& path) {
 struct Counters {
   Gauge effective, verified, floor, lease_live;
   Counter commands, receipts_failed, receipts_refused, malformed, dropped, write_failures;
-  Gauge drifts;
+  Gauge drifts, alarms_missing;
 };
 
 Counters MakeCounters(Metrics* m) {
@@ -109,6 +112,8 @@ Counters MakeCounters(Metrics* m) {
       .dropped = m->AddCounter("rips_actuator_inputs_dropped_total", "inputs lost to the limit"),
       .write_failures = m->AddCounter("rips_actuator_write_failures_total", "failed file writes"),
       .drifts = m->AddGauge("rips_actuator_drifts", "times a verified level was found left"),
+      .alarms_missing =
+          m->AddGauge("rips_actuator_alarms_missing", "alarm devices that cannot be used"),
   };
 }
 
@@ -120,6 +125,7 @@ absl::StatusOr<LoadedConfig> LoadConfig(const std::string& path) {
   RIPS_ASSIGN_OR_RETURN(ParsedConfig parsed, ParseConfig(path, text));
   loaded.config = std::move(parsed.config);
   loaded.effective = std::move(parsed.effective);
+  RIPS_RETURN_IF_ERROR(CheckFirewallFiles(loaded.config.levels));
   if (loaded.config.smh_file.empty()) return loaded;
   RIPS_ASSIGN_OR_RETURN(const std::string smh_text, ReadFile(loaded.config.smh_file, kSmhBytesMax));
   RIPS_ASSIGN_OR_RETURN(loaded.smh, ParseSmh(smh_text, loaded.config.smh_file));
@@ -133,7 +139,8 @@ class Agent::Impl {
       : config_(std::move(config)),
         clock_(clock),
         counters_(MakeCounters(metrics)),
-        inputs_({.capacity = kInputsMax}) {}
+        inputs_({.capacity = kInputsMax}),
+        firewall_(config_.firewall.socket) {}
 
   ~Impl();
   absl::Status Start(const Smh& smh, std::shared_ptr<const rpc::Credentials> credentials);
@@ -182,6 +189,8 @@ class Agent::Impl {
   std::unique_ptr<dds::Participant> participant_;
   std::unique_ptr<SystemModes> modes_;
   std::unique_ptr<PosixRunner> programs_;  // killed at the end; the journal says "begun"
+  std::unique_ptr<AlarmBoard> alarms_;     // none if there are no devices
+  FwClient firewall_;
   std::unique_ptr<Procedures> procedures_;
   std::unique_ptr<FileWorker> files_;
   std::unique_ptr<LevelWorker> levels_;
@@ -238,8 +247,12 @@ absl::Status Agent::Impl::StartModes(const Smh& smh) {
 }
 
 void Agent::Impl::StartWorkers() {
+  if (!config_.devices.empty()) {
+    alarms_ = std::make_unique<AlarmBoard>(config_.devices, RealAlarms(), clock_);
+  }
   procedures_ =
-      std::make_unique<Procedures>(&config_.levels, modes_.get(), programs_.get(), clock_);
+      std::make_unique<Procedures>(&config_.levels, modes_.get(), programs_.get(), alarms_.get(),
+                                   clock_, StepRunners{.firewall = &firewall_});
   files_ = std::make_unique<FileWorker>(kFileTasksMax);
   LevelWorker::Callbacks callbacks;
   callbacks.done = [this](LevelOutcome outcome) { inputs_.Push(std::move(outcome)); };
@@ -394,6 +407,7 @@ void Agent::Impl::Tell(Receipt receipt) {
 }
 
 void Agent::Impl::Publish(int64_t now_ns) {
+  if (alarms_ != nullptr) counters_.alarms_missing.Set(static_cast<double>(alarms_->missing()));
   const ExecutorReport report = executor_->Report(now_ns);
   bool changed = false;
   {

@@ -20,6 +20,7 @@
 #include "absl/strings/str_replace.h"
 #include "gmock/gmock.h"
 #include "gtest/gtest.h"
+#include "mode_actuator/alarm/fake_lcus.h"
 #include "mode_actuator/exec_ledger.h"
 #include "rips/v1/actuator.grpc.pb.h"
 #include "services/base/status_matchers.h"
@@ -231,6 +232,7 @@ metrics: "127.0.0.1:0"
          {"CA", tls.ca},
          {"CERT", tls.cert},
          {"KEY", tls.key},
+         {"programs:\n", alarms_ + "programs:\n"},
          {"DIR", dir_}});
   }
   std::string WriteConfig(int port, const TlsFiles& tls) const {
@@ -261,6 +263,7 @@ metrics: "127.0.0.1:0"
   RealClock clock_;
   Metrics metrics_;
   std::string dir_;
+  std::string alarms_;  // further lines of the configuration: levels and devices
   std::unique_ptr<Agent> agent_;
 };
 
@@ -341,6 +344,36 @@ TEST_F(AgentTest, AStepThatFailsIsTold) {
   EXPECT_EQ(server.Last(Id('a')).detail(), "program bad: exit code 1");
   EXPECT_TRUE(server.Until([&] { return server.heartbeat_.effective_level() == "HALT"; }));
   EXPECT_FALSE(server.Heartbeat().verified());
+}
+
+TEST_F(AgentTest, AnAlarmIsReadBackAndToldAgainWhenItWasSwitchedOff) {
+  const std::string link = dir_ + "/siren";
+  alarms_ = absl::StrCat(
+      "  - {name: SIREN, enter: [{alarm: {device: siren, state: \"on\"}}],\n"
+      "     leave: [{alarm: {device: siren, state: \"off\"}}]}\n"
+      "devices: [{name: siren, kind: lcus_serial, path: ",
+      link, "}]\n");
+  FakeServer server(Pki().Server());
+  ASSERT_THAT(Start(server.port(), Pki().Actuator()), IsOk());
+  // Not plugged in: that is degraded, not fatal.
+  server.SetLevel(Id('a'), "SIREN", {1, 1});
+  ASSERT_TRUE(server.HasReceipt(Id('a'), Receipt::FAILED));
+  EXPECT_THAT(server.Last(Id('a')).detail(), HasSubstr("is the device plugged in?"));
+
+  FakeLcus board(FakeLcus::Answer::kText);
+  ASSERT_EQ(symlink(board.path().c_str(), link.c_str()), 0);
+  ASSERT_TRUE(server.HasReceipt(Id('a'), Receipt::VERIFIED));
+  EXPECT_EQ(server.Last(Id('a')).steps(0).step(), "alarm siren=on");
+  EXPECT_EQ(server.Last(Id('a')).steps(0).detail(), "relay 1 is on (read back)");
+  ASSERT_TRUE(Verified(server, "SIREN"));
+  EXPECT_EQ(server.Heartbeat().observed(), "siren=on");
+
+  board.Force(1, false);
+  ASSERT_TRUE(server.Until([&] { return server.heartbeat_.verified() && board.is_on(1); }));
+
+  server.SetLevel(Id('b'), "DEFAULT", {1, 2}, Mark{1, 1});
+  ASSERT_TRUE(server.HasReceipt(Id('b'), Receipt::VERIFIED));
+  EXPECT_FALSE(board.is_on(1));
 }
 
 TEST_F(AgentTest, RunsAProgramAtMostOnce) {
@@ -450,10 +483,10 @@ class BinaryTest : public AgentTest {
     waitpid(pid, &status, 0);
     return WIFEXITED(status) ? WEXITSTATUS(status) : 128 + WTERMSIG(status);
   }
-  Ended RunBinary(const std::string& args) const {
+  Ended RunBinary(const std::string& args, const std::string& name = "rips-actuator") const {
     const std::string out = dir_ + "/out";
     const int status =
-        system((RIPS_BIN_DIR "/rips-actuator " + args + " > " + out + " 2>&1").c_str());
+        system((RIPS_BIN_DIR "/" + name + " " + args + " > " + out + " 2>&1").c_str());
     return {WIFEXITED(status) ? WEXITSTATUS(status) : -1, Slurp(out)};
   }
 };
@@ -470,6 +503,35 @@ TEST_F(BinaryTest, ChecksItsConfiguration) {
   EXPECT_THAT(bad.output, HasSubstr("actuator.yaml:17:1: unknown key `colour`"));
   EXPECT_EQ(RunBinary("--config " + dir_ + "/nothing.yaml").code, 2);
   EXPECT_EQ(RunBinary("--colour").code, 2);
+}
+
+TEST_F(BinaryTest, AlarmsAreTriedByHand) {
+  FakeLcus board(FakeLcus::Answer::kText);
+  const std::string link = dir_ + "/siren";
+  alarms_ = absl::StrCat("devices:\n  - {name: siren, kind: lcus_serial, path: ", link,
+                         ", channel: 2}\n");
+  const std::string config = "--config " + WriteConfig(7443, Pki().Actuator());
+  const auto alarm = [&](const std::string& args) {
+    return RunBinary(config + " " + args, "rips-alarm");
+  };
+
+  const Ended absent = alarm("");
+  EXPECT_EQ(absent.code, 1);
+  EXPECT_EQ(absent.output, "siren: no `" + link + "`; is the device plugged in?\n");
+  ASSERT_EQ(symlink(board.path().c_str(), link.c_str()), 0);
+  EXPECT_EQ(alarm("siren").output, "siren: off\n");
+  const Ended on = alarm("siren on");
+  EXPECT_EQ(on.code, 0);
+  EXPECT_EQ(on.output, "siren: relay 2 is on (read back)\n");
+  EXPECT_TRUE(board.is_on(2));
+  EXPECT_EQ(alarm("").output, "siren: on\n");
+
+  const Ended unknown = alarm("siren steady");
+  EXPECT_EQ(unknown.code, 2);
+  EXPECT_THAT(unknown.output, HasSubstr("`steady` is no state of a lcus_serial; did you mean"));
+  EXPECT_THAT(alarm("bell on").output, HasSubstr("no device `bell` in `devices`"));
+  EXPECT_EQ(alarm("siren on more").code, 2);
+  EXPECT_EQ(RunBinary("--config " + dir_ + "/nothing.yaml", "rips-alarm").code, 1);
 }
 
 TEST_F(BinaryTest, HoldsItsLevelAcrossAKillAndEndsOnSigterm) {

@@ -9,6 +9,7 @@
 #include "absl/strings/escaping.h"
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_join.h"
+#include "mode_actuator/alarm/alarm_config.h"
 #include "services/base/status_macros.h"
 #include "services/ros2/ros_name.h"
 #include "services/runtime/config_reader.h"
@@ -24,18 +25,12 @@ std::string Quote(absl::string_view text) {
   return absl::StrCat("`", absl::CHexEscape(text.substr(0, 100)), "`");
 }
 
-void RefuseKey(const ConfigSection& section, absl::string_view key) {
-  if (section.Has(key)) section.Problem(key, absl::StrCat("`", key, "` is ", kNotYet));
-}
-
 // A key of a later version is asked for, so that it is not reported as unknown as well.
-void RefuseStep(const ConfigSection& step, absl::string_view key,
-                const std::vector<std::string>& keys) {
-  if (!step.Has(key)) return;
-  RefuseKey(step, key);
-  const ConfigSection body = step.OptionalSection(key);
+void RefuseKey(const ConfigSection& section, absl::string_view key) {
+  if (!section.Has(key)) return;
+  section.Problem(key, absl::StrCat("`", key, "` is ", kNotYet));
   std::string unused;
-  for (const std::string& each : keys) body.Optional(each, &unused);
+  section.Optional(key, &unused);
 }
 
 bool IsLevelName(absl::string_view name) {
@@ -52,15 +47,28 @@ void CheckArgs(const ConfigSection& section, const std::vector<std::string>& arg
   }
 }
 
-// One of `system_mode` and `program`; false if it is neither.
+// One of `system_mode`, `program`, `alarm` and `firewall`; false if it is none of them.
 bool ReadWhat(const ConfigSection& section, const Config& config, Step* step) {
-  RefuseStep(section, "alarm", {"device", "state"});
-  RefuseStep(section, "firewall", {"file"});
-  if (section.Has("alarm") || section.Has("firewall")) return false;
   const bool is_mode = section.Has("system_mode");
-  if (is_mode == section.Has("program")) {
-    section.Problem("", "a step needs exactly one of `system_mode` and `program`");
+  const bool is_alarm = section.Has("alarm");
+  const bool is_firewall = section.Has("firewall");
+  if (is_mode + is_alarm + is_firewall + section.Has("program") != 1) {
+    section.Problem("",
+                    "a step needs exactly one of `system_mode`, `program`, `alarm` and `firewall`");
     return false;
+  }
+  if (is_alarm) {
+    step->timeout = kAlarmTimeout;
+    step->retries = kAlarmRetries;
+    step->what = ReadAlarmStep(section.RequiredSection("alarm"), config.devices);
+    return true;
+  }
+  if (is_firewall) {
+    step->timeout = kFirewallStepTimeout;
+    step->retries = kFirewallStepRetries;
+    step->what =
+        ReadFirewallStep(section.RequiredSection("firewall"), config.firewall, config.servers);
+    return true;
   }
   if (is_mode) {
     const ConfigSection body = section.RequiredSection("system_mode");
@@ -102,6 +110,7 @@ std::vector<Step> ReadSteps(const ConfigSection& level, absl::string_view key,
   }
   std::vector<Step> steps;
   std::set<std::string> parts;
+  std::set<std::string> alarms;
   for (const ConfigSection& section : sections) {
     Step step;
     const bool complete = ReadWhat(section, config, &step);
@@ -117,8 +126,14 @@ std::vector<Step> ReadSteps(const ConfigSection& level, absl::string_view key,
       section.Problem("system_mode",
                       absl::StrCat("part ", Quote(mode->part), " is ordered twice in one list"));
     }
+    const auto* alarm = std::get_if<AlarmStep>(&step.what);
+    if (alarm != nullptr && !alarms.insert(alarm->device).second) {
+      section.Problem("alarm",
+                      absl::StrCat("device ", Quote(alarm->device), " is told twice in one list"));
+    }
     steps.push_back(std::move(step));
   }
+  CheckFirewallSteps(level, std::string(key), steps);
   return steps;
 }
 
@@ -175,6 +190,7 @@ void ReadLevels(const ConfigSection& root, Config* config) {
     level.leave = ReadSteps(section, "leave", *config);
     if (!section.Sections("on_drift").empty()) {
       section.Problem("on_drift", absl::StrCat("`on_drift` steps are ", kNotYet));
+      ReadSteps(section, "on_drift", *config);
     }
     RefuseKey(section, "scripts");
     CheckBudget(section, level.enter);
@@ -224,10 +240,9 @@ absl::StatusOr<ParsedConfig> ParseConfig(absl::string_view file, absl::string_vi
   config.tls = ReadTls(root);
   config.dds = ReadDds(root);
   if (root.Has("state_dir")) ReadPath(root, "state_dir", &config.state_dir);
-  if (!root.Sections("devices").empty()) {
-    root.Problem("devices", absl::StrCat("`devices` are ", kNotYet));
-  }
+  config.devices = ReadAlarmDevices(root);
   ReadPrograms(root, &config);
+  config.firewall = ReadFirewall(root);
   ReadLevels(root, &config);
   ReadFailSafe(root, &config);
   ReadSystemModes(root, &config);

@@ -9,6 +9,8 @@
 #include "absl/status/statusor.h"
 #include "absl/strings/string_view.h"
 #include "absl/time/time.h"
+#include "mode_actuator/alarm/alarm_state.h"
+#include "mode_actuator/firewall/firewall_config.h"
 #include "mode_actuator/level_plan.h"
 #include "mode_actuator/smh.h"
 #include "services/runtime/config_sections.h"
@@ -35,8 +37,10 @@ struct Config {
   absl::Duration fail_safe_after;  // counts from the end of the lease
   std::string smh_file;            // empty: no level has a system mode
   bool verify_parts = true;        // read back each node, not only the mode manager
+  std::vector<AlarmSpec> devices;  // alarms
   std::vector<LevelSpec> levels;   // least restrictive first, as in the bundle
   std::vector<ProgramSpec> programs;
+  FirewallSettings firewall;
   absl::Duration floor_hold = absl::Seconds(10);  // live lease needed before a floor lifts
   absl::Duration reconcile = absl::Seconds(2);    // between two looks at the robot
   std::string metrics = "127.0.0.1:9466";         // empty: none

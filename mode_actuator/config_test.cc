@@ -4,6 +4,7 @@
 #include "absl/strings/str_replace.h"
 #include "gmock/gmock.h"
 #include "gtest/gtest.h"
+#include "mode_actuator/firewall/target.h"
 #include "services/base/status_matchers.h"
 
 namespace rips::actuator {
@@ -90,16 +91,19 @@ TEST(ConfigTest, SaysWhereEachMistakeIs) {
       {"name: DEFAULT,", "name: ALERT,", "level `ALERT` is listed twice"},
       {"name: DEFAULT,", "name: DE FAULT,", "`DE FAULT` is no level name"},
       {"{program: {name: usb_alarm, args: [\"on\"]}", "{alarm: {device: x, state: \"on\"}",
-       "14:17: `alarm` is not available in this version"},
-      {"{program: {name: usb_alarm, args: [\"on\"]}", "{firewall: {file: /x.nft}",
-       "`firewall` is not available in this version"},
+       "14:26: device `x` is not in `devices`"},
       {"{program: {name: usb_alarm, args: [\"on\"]}", "{retries: 1",
-       "a step needs exactly one of `system_mode` and `program`"},
+       "a step needs exactly one of `system_mode`, `program`, `alarm` and `firewall`"},
+      {"{program: {name: usb_alarm, args: [\"on\"]}",
+       "{program: {name: usb_alarm}, alarm: {device: x, state: \"on\"}",
+       "a step needs exactly one of `system_mode`, `program`, `alarm` and `firewall`"},
+      {"{program: {name: usb_alarm, args: [\"on\"]}",
+       "{alarm: {device: x, state: \"on\"}, firewall: {release: all}",
+       "a step needs exactly one of `system_mode`, `program`, `alarm` and `firewall`"},
       {"on_drift: []", "on_drift: [{program: {name: usb_alarm}}]",
        "`on_drift` steps are not available in this version"},
       {"    on_drift: []", "    scripts: /x", "`scripts` is not available in this version"},
-      {"metrics:", "devices: [{name: relay}]\nmetrics:",
-       "`devices` are not available in this version"},
+      {"metrics:", "devices: [{name: relay}]\nmetrics:", "missing key `devices[0].kind`"},
       {"security: null", "security: {keystore: k, enclave: /rips}", "write an absolute path"},
       {"security: null", "security: {keystore: /k}", "enclave"},
       {"system_modes: {smh: /etc/rips/smh.yaml, verify: parts}\n", "",
@@ -114,10 +118,49 @@ TEST(ConfigTest, SaysWhereEachMistakeIs) {
   }
 }
 
-TEST(ConfigTest, ReportsALaterVersionsStepOnce) {
+TEST(ConfigTest, ReportsALaterVersionsKeyOnce) {
+  for (const char* text : {"scripts: /x", "on_drift: [{program: {name: usb_alarm}}]"}) {
+    const auto parsed = ParseConfig("a.yaml", Edited("on_drift: []", text));
+    EXPECT_THAT(parsed.status().message(), Not(HasSubstr("unknown key"))) << text;
+  }
+}
+
+TEST(ConfigTest, ReadsAlarms) {
   const auto parsed = ParseConfig(
-      "a.yaml", Edited("{program: {name: usb_alarm, args: [\"on\"]}", "{firewall: {file: /x.nft}"));
-  EXPECT_THAT(parsed.status().message(), Not(HasSubstr("unknown key")));
+      "a.yaml", Edited("    leave: []\n    on_drift: []\nprograms:",
+                       "      - {alarm: {device: bell, state: \"on\"}, on_failure: continue}\n"
+                       "    leave: [{alarm: {device: bell, state: \"off\"}, timeout: 500ms}]\n"
+                       "devices: [{name: bell, kind: usb_relay, serial: A1B2C, channel: 2}]\n"
+                       "programs:"));
+  ASSERT_THAT(parsed, IsOk());
+  const Config& config = parsed->config;
+  ASSERT_EQ(config.devices.size(), 1u);
+  EXPECT_EQ(config.devices[0], (AlarmSpec{"bell", AlarmKind::kUsbRelay, "A1B2C", "", 2}));
+  ASSERT_EQ(config.levels[1].enter.size(), 3u);
+  const Step& on = config.levels[1].enter[2];
+  EXPECT_EQ(std::get<AlarmStep>(on.what), (AlarmStep{"bell", {AlarmPattern::kOn, {}}}));
+  EXPECT_EQ(on.timeout, absl::Seconds(1));
+  EXPECT_EQ(on.retries, 2);
+  EXPECT_EQ(on.on_failure, OnFailure::kContinue);
+  EXPECT_EQ(config.levels[1].leave[0].timeout, absl::Milliseconds(500));
+  EXPECT_THAT(parsed->effective,
+              AllOf(HasSubstr("devices[0].kind: usb_relay"), HasSubstr("devices[0].channel: 2"),
+                    HasSubstr("enter[2].alarm.state: \"on\"")));
+}
+
+TEST(ConfigTest, TellsADeviceOnlyOncePerList) {
+  EXPECT_THAT(
+      ParseConfig("a.yaml", Edited("    on_drift: []\nprograms:",
+                                   "devices: [{name: bell, kind: lcus, serial: x}]\nprograms:"))
+          .status(),
+      IsOk());
+  EXPECT_THAT(
+      ParseConfig("a.yaml", Edited("    leave: []\n    on_drift: []\nprograms:",
+                                   "    leave: [{alarm: {device: bell, state: \"on\"}}, "
+                                   "{alarm: {device: bell, state: \"off\"}}]\n"
+                                   "devices: [{name: bell, kind: lcus, serial: x}]\nprograms:")),
+      StatusIs(absl::StatusCode::kInvalidArgument,
+               HasSubstr("device `bell` is told twice in one list")));
 }
 
 TEST(ConfigTest, OrdersAPartOnlyOncePerList) {
@@ -126,6 +169,83 @@ TEST(ConfigTest, OrdersAPartOnlyOncePerList) {
                                            "enter: [{system_mode: {part: /safety, mode: A}}, "
                                            "{system_mode: {part: /safety, mode: B}}]")),
               StatusIs(absl::StatusCode::kInvalidArgument, HasSubstr("is ordered twice")));
+}
+
+constexpr absl::string_view kProgramStep =
+    "{program: {name: usb_alarm, args: [\"on\"]}, on_failure: continue}";
+
+TEST(ConfigTest, ReadsFirewallSteps) {
+  const auto parsed = ParseConfig(
+      "a.yaml",
+      absl::StrReplaceAll(
+          Edited(kProgramStep,
+                 "{firewall: {file: /etc/rips/alert.nft, for: 1h}}\n"
+                 "      - {firewall: {isolate_host: [10.0.0.7, \"FD00::07\", "
+                 "\"02:00:5E:00:53:01\", 10.0.0.7]}}\n"
+                 "      - {firewall: {isolate_participant: "
+                 "[01104A3B0000000000000001]}, retries: 0}"),
+          {{"leave: []\n    on", "leave: [{firewall: {release: all}}]\n    on"},
+           {"metrics:", "firewall: {socket: /run/fw, user: \"7\", hold: 25s}\nmetrics:"}}));
+  ASSERT_THAT(parsed, IsOk());
+
+  const FirewallSettings& settings = parsed->config.firewall;
+  EXPECT_EQ(settings.socket, "/run/fw");
+  EXPECT_EQ(settings.user, "7");
+  EXPECT_EQ(settings.hold, absl::Seconds(25));
+  const LevelSpec& level = parsed->config.levels[1];
+  ASSERT_EQ(level.enter.size(), 4u);
+  EXPECT_EQ(std::get<FirewallStep>(level.enter[1].what),
+            (FirewallStep{.kind = FirewallStep::Kind::kRules,
+                          .file = "/etc/rips/alert.nft",
+                          .hold_for = absl::Hours(1)}));
+  EXPECT_EQ(level.enter[1].timeout, kFirewallStepTimeout);
+  EXPECT_EQ(std::get<FirewallStep>(level.enter[2].what),
+            (FirewallStep{.kind = FirewallStep::Kind::kIsolateHosts,
+                          .targets = {"10.0.0.7", "fd00::7", "02:00:5e:00:53:01"}}));
+  EXPECT_EQ(std::get<FirewallStep>(level.enter[3].what),
+            (FirewallStep{.kind = FirewallStep::Kind::kIsolateParticipants,
+                          .targets = {"01104a3b0000000000000001"}}));
+  EXPECT_EQ(level.enter[3].retries, 0);
+  EXPECT_EQ(std::get<FirewallStep>(level.leave[0].what),
+            FirewallStep{.kind = FirewallStep::Kind::kRelease});
+  EXPECT_THAT(FirewallFiles(parsed->config.levels), ElementsAre("/etc/rips/alert.nft"));
+}
+
+TEST(ConfigTest, RefusesFirewallStepsThatCannotBe) {
+  std::string many;
+  for (size_t i = 0; i <= kTargetsMax; ++i)
+    absl::StrAppend(&many, i == 0 ? "" : ", ", "10.1.0.", i);
+  const struct {
+    std::string step;
+    absl::string_view message;
+  } kCases[] = {
+      {"{}", "exactly one of `file`, `isolate_host`, `isolate_participant` and `release`"},
+      {"{file: /a, release: all}", "exactly one of `file`"},
+      {"{file: a.nft}", "write an absolute path"},
+      {"{file: /a.nft, for: 1s}", "`for`"},
+      {"{file: /a.nft, for: 25h}", "`for`"},
+      {"{file: /a.nft, rules: x}", "unknown key `rules`"},
+      {"{isolate_host: []}", "isolate_host"},
+      {"{isolate_host: [base.example]}", "names are not looked up"},
+      {"{isolate_host: [127.0.0.1]}", "a loopback address"},
+      {"{isolate_host: [10.9.8.7]}", "`10.9.8.7` is a policy server, which is never isolated"},
+      {absl::StrCat("{isolate_host: [", many, "]}"), "65 targets exceed limit 64"},
+      {"{isolate_participant: [1234]}", "24 hexadecimal digits"},
+      {"{release: some}", "write `release: all`"},
+      {"{release: all, for: 1h}", "a release has no time limit"},
+      {"{file: /a}}, {firewall: {file: /b}", "has two firewall files"},
+      {"{file: /a}}, {firewall: {release: all}", "release in `leave`"},
+  };
+  for (const auto& test : kCases) {
+    const std::string text = absl::StrReplaceAll(
+        Edited("policy.example:7443", "10.9.8.7:7443"),
+        {{"leave: []\n    on", absl::StrCat("leave: [{firewall: ", test.step, "}]\n    on")}});
+    EXPECT_THAT(ParseConfig("a.yaml", text),
+                StatusIs(absl::StatusCode::kInvalidArgument, HasSubstr(test.message)))
+        << test.step;
+  }
+  EXPECT_THAT(ParseConfig("a.yaml", Edited("metrics:", "firewall: {hold: 5s}\nmetrics:")),
+              StatusIs(absl::StatusCode::kInvalidArgument, HasSubstr("`hold`")));
 }
 
 TEST(ConfigTest, KeepIsLegal) {

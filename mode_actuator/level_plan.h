@@ -7,16 +7,18 @@
 #include <vector>
 
 #include "absl/time/time.h"
+#include "mode_actuator/alarm/alarm_state.h"
 
 namespace rips::actuator {
 
 // | on_failure | later steps, entering on a raise | the level                             |
 // |------------|----------------------------------|---------------------------------------|
 // | fail       | are run                          | failed                                |
-// | continue   | are run                          | a program: reached all the same; a    |
-// |            |                                  | system mode: failed, it was not read  |
+// | continue   | are run                          | a program or alarm: reached all the   |
+// |            |                                  | same; any other: failed, it was not   |
+// |            |                                  | read                                  |
 // | stop       | are not run                      | failed                                |
-// `fail` is the default. On a lowering a failed step always stops, except a program with
+// `fail` is the default. On a lowering a failed step always stops, except a program or alarm with
 // `continue`.
 enum class OnFailure { kFail, kContinue, kStop };
 
@@ -32,8 +34,30 @@ struct ProgramStep {
   friend bool operator==(const ProgramStep&, const ProgramStep&) = default;
 };
 
+struct AlarmStep {
+  std::string device;  // in `devices`
+  AlarmState state;    // one that its kind has
+  friend bool operator==(const AlarmStep&, const AlarmStep&) = default;
+};
+
+// What rips-fw is asked for. All but kRelease end by themselves after `hold_for`, in the kernel, so
+// that a robot nobody looks after opens again; while the level holds, its check renews them.
+struct FirewallStep {
+  enum class Kind {
+    kRules,                // the rules of `file` take the place of any level's rules before
+    kIsolateHosts,         // nothing to or from `targets`: IPv4, IPv6 or MAC addresses
+    kIsolateParticipants,  // nothing from `targets`: GUID prefixes, 24 hexadecimal digits
+    kRelease,              // ends all of the above
+  };
+  Kind kind = Kind::kRelease;
+  std::string file;
+  std::vector<std::string> targets;
+  absl::Duration hold_for = absl::Minutes(10);
+  friend bool operator==(const FirewallStep&, const FirewallStep&) = default;
+};
+
 struct Step {
-  std::variant<SystemModeStep, ProgramStep> what;
+  std::variant<SystemModeStep, ProgramStep, AlarmStep, FirewallStep> what;
   absl::Duration timeout;  // of one attempt
   int retries = 0;         // attempts after the first
   OnFailure on_failure = OnFailure::kFail;

@@ -8,6 +8,9 @@
 #include "absl/base/thread_annotations.h"
 #include "absl/strings/escaping.h"
 #include "absl/strings/str_cat.h"
+#include "absl/strings/str_join.h"
+#include "absl/strings/str_replace.h"
+#include "mode_actuator/alarm/alarm_attempt.h"
 #include "services/runtime/mutex.h"
 
 namespace rips::actuator {
@@ -37,7 +40,7 @@ class ResultSlot {
 };
 
 // One program step with its retries, driven by polling.
-class ProgramAttempt {
+class ProgramAttempt final : public StepAttempt {
  public:
   ProgramAttempt(const Step& step, ProgramRunner* runner, absl::Duration timeout, int64_t now_ns)
       : step_(step),
@@ -49,8 +52,7 @@ class ProgramAttempt {
     result.step = StepName(step);
   }
 
-  // True when finished; then `result` holds.
-  bool Poll(int64_t now_ns) {
+  bool Poll(int64_t now_ns) override {
     if (finished_) return true;
     if (run_ == 0) {
       if (now_ns >= next_start_ns_) TryStart(now_ns);
@@ -64,7 +66,7 @@ class ProgramAttempt {
     }
     return finished_;
   }
-  void Cancel() {
+  void Cancel() override {
     tries_ = step_.retries;
     if (run_ != 0) {
       runner_->Cancel(run_);
@@ -73,8 +75,6 @@ class ProgramAttempt {
       finished_ = true;
     }
   }
-
-  StepResult result;
 
  private:
   void TryStart(int64_t now_ns) {
@@ -110,6 +110,49 @@ class ProgramAttempt {
   bool finished_ = false;
 };
 
+// System modes and firewall steps: one by one, each read back before the next. Programs and alarms
+// run at the same time.
+bool IsInOrder(const Step& step) {
+  return std::holds_alternative<SystemModeStep>(step.what) ||
+         std::holds_alternative<FirewallStep>(step.what);
+}
+
+bool IsRelease(const Step& step) {
+  const auto* firewall = std::get_if<FirewallStep>(&step.what);
+  return firewall != nullptr && firewall->kind == FirewallStep::Kind::kRelease;
+}
+
+std::string FirewallName(const FirewallStep& step) {
+  switch (step.kind) {
+    case FirewallStep::Kind::kRules:
+      return absl::StrCat("firewall ", step.file);
+    case FirewallStep::Kind::kIsolateHosts:
+      return absl::StrCat("firewall isolate_host ", absl::StrJoin(step.targets, ","));
+    case FirewallStep::Kind::kIsolateParticipants:
+      return absl::StrCat("firewall isolate_participant ", absl::StrJoin(step.targets, ","));
+    case FirewallStep::Kind::kRelease:
+      return "firewall release";
+  }
+  return "firewall";
+}
+
+// `observed` as in StepReading; several stand in a line.
+void AddObserved(LevelOutcome& outcome, absl::string_view observed) {
+  if (observed.empty()) return;
+  absl::StrAppend(&outcome.observed, outcome.observed.empty() ? "" : " ", observed);
+}
+
+void AddObserved(LevelOutcome& outcome, const AlarmStep& alarm, const AlarmAttempt& attempt) {
+  const std::string word = absl::StrReplaceAll(attempt.observed(), {{" ", "_"}});
+  AddObserved(outcome, absl::StrCat(alarm.device, "=", word));
+}
+
+StepReading ToReading(const SystemModeStep& mode, const ModeReading& reading) {
+  return {.status = reading.status,
+          .observed = absl::StrCat(mode.part, "=", reading.observed),
+          .note = {}};
+}
+
 void AddDetail(LevelOutcome& outcome, const StepResult& result) {
   absl::StrAppend(&outcome.detail, outcome.detail.empty() ? "" : "; ", result.step, ": ",
                   result.detail);
@@ -121,6 +164,10 @@ std::string StepName(const Step& step) {
   if (const auto* mode = std::get_if<SystemModeStep>(&step.what)) {
     return absl::StrCat("system_mode ", mode->part, "=", mode->mode);
   }
+  if (const auto* alarm = std::get_if<AlarmStep>(&step.what)) {
+    return absl::StrCat("alarm ", alarm->device, "=", ToString(alarm->state));
+  }
+  if (const auto* firewall = std::get_if<FirewallStep>(&step.what)) return FirewallName(*firewall);
   return absl::StrCat("program ", std::get<ProgramStep>(step.what).name);
 }
 
@@ -144,7 +191,10 @@ LevelOutcome Procedures::Run(const ApplyLevel& job, const CancelFlag& cancel) {
     Check(*to, cancel, outcome);
     return outcome;
   }
-  if (job.kind == JobKind::kEnter) done_.clear();
+  if (job.kind == JobKind::kEnter) {
+    done_.clear();
+    stubborn_.clear();
+  }
   Progress progress{.raise = job.raise};
   progress.leave_until_ns = NowNs() + absl::ToInt64Nanoseconds(kLeaveBudget);
   // A raise leaves once; what a lowering could not leave it tries again.
@@ -171,12 +221,15 @@ void Procedures::Leave(const LevelSpec& level, Progress& progress, const CancelF
     if (done_.contains({Phase::kLeave, i})) continue;
     if (left == absl::ZeroDuration()) {
       result.detail = "not run: the time for leaving was over";
-    } else if (const auto* mode = std::get_if<SystemModeStep>(&step.what)) {
-      result = EnterMode(*mode, step, std::min(step.timeout, left),
-                         progress.raise ? 0 : step.retries, cancel, outcome);
+    } else if (progress.raise && IsRelease(step)) {
+      // The next level's own rules take the place of ours; until then there must be no gap.
+      result.ok = true;
+      result.detail = "not run: a raise opens nothing; what is in force ends with its time";
+    } else if (IsInOrder(step)) {
+      result = EnterRead(step, std::min(step.timeout, left), progress.raise ? 0 : step.retries,
+                         cancel, outcome);
     } else {
-      result = RunPrograms(level.leave, {i}, left, cancel)[0];
-      if (result.ok) done_.insert({Phase::kLeave, i});
+      result = RunTogether(Phase::kLeave, level.leave, {i}, left, cancel, outcome)[0];
     }
     if (progress.raise) {
       if (!result.ok) AddDetail(outcome, result);
@@ -189,84 +242,156 @@ void Procedures::Leave(const LevelSpec& level, Progress& progress, const CancelF
 
 void Procedures::Enter(const LevelSpec& level, Progress& progress, const CancelFlag& cancel,
                        LevelOutcome& outcome) {
-  std::vector<size_t> programs;
+  std::vector<size_t> others;
   for (size_t i = 0; i < level.enter.size(); ++i) {
     const Step& step = level.enter[i];
-    const auto* mode = std::get_if<SystemModeStep>(&step.what);
-    if (mode == nullptr) {
-      if (!done_.contains({Phase::kEnter, i})) programs.push_back(i);
+    if (!IsInOrder(step)) {
+      if (!done_.contains({Phase::kEnter, i})) others.push_back(i);
     } else if (progress.stopped || cancel.cancelled()) {
       progress.failed = true;
       outcome.steps.push_back({.step = StepName(step), .detail = "not run"});
     } else {
-      Count(step, EnterMode(*mode, step, step.timeout, step.retries, cancel, outcome), progress,
-            outcome);
+      Count(step, EnterRead(step, step.timeout, step.retries, cancel, outcome), progress, outcome);
     }
   }
   if (progress.stopped || cancel.cancelled()) {
-    if (!programs.empty()) progress.failed = true;
-    for (size_t i : programs) {
+    if (!others.empty()) progress.failed = true;
+    for (size_t i : others) {
       outcome.steps.push_back({.step = StepName(level.enter[i]), .detail = "not run"});
     }
     return;
   }
-  std::vector<StepResult> results =
-      RunPrograms(level.enter, programs, absl::InfiniteDuration(), cancel);
-  for (size_t k = 0; k < programs.size(); ++k) {
-    if (results[k].ok) done_.insert({Phase::kEnter, programs[k]});
-    Count(level.enter[programs[k]], results[k], progress, outcome);
+  const std::vector<StepResult> results =
+      RunTogether(Phase::kEnter, level.enter, others, absl::InfiniteDuration(), cancel, outcome);
+  for (size_t k = 0; k < others.size(); ++k) {
+    Count(level.enter[others[k]], results[k], progress, outcome);
   }
 }
 
 void Procedures::Check(const LevelSpec& level, const CancelFlag& cancel, LevelOutcome& outcome) {
   outcome.reached = true;
   for (const Step& step : level.enter) {
-    const auto* mode = std::get_if<SystemModeStep>(&step.what);
-    if (mode == nullptr) continue;
-    const ModeReading reading = modes_->Check(mode->part, mode->mode, cancel);
-    absl::StrAppend(&outcome.observed, outcome.observed.empty() ? "" : " ", mode->part, "=",
-                    reading.observed);
+    if (!IsInOrder(step)) continue;
+    const StepReading reading = CheckOne(step, cancel);
+    AddObserved(outcome, reading.observed);
     if (reading.status.ok()) continue;
     outcome.reached = false;
     AddDetail(outcome, {.step = StepName(step), .detail = std::string(reading.status.message())});
   }
+  CheckAlarms(level, cancel, outcome);
 }
 
-StepResult Procedures::EnterMode(const SystemModeStep& mode, const Step& step,
-                                 absl::Duration timeout, int retries, const CancelFlag& cancel,
-                                 LevelOutcome& outcome) {
+void Procedures::CheckAlarms(const LevelSpec& level, const CancelFlag& cancel,
+                             LevelOutcome& outcome) {
+  std::vector<size_t> steps;
+  std::vector<std::unique_ptr<AlarmAttempt>> looks;
+  std::vector<StepAttempt*> attempts;
+  for (size_t i = 0; i < level.enter.size(); ++i) {
+    const auto* alarm = std::get_if<AlarmStep>(&level.enter[i].what);
+    if (alarm == nullptr) continue;
+    steps.push_back(i);
+    const AlarmAttempt::Options look = {.order = AlarmOrder::kLook, .timeout = kAlarmLookTime};
+    looks.push_back(
+        std::make_unique<AlarmAttempt>(*alarm, StepName(level.enter[i]), alarms_, look, NowNs()));
+    attempts.push_back(looks.back().get());
+  }
+  Drive(attempts, kAlarmLookTime, cancel);
+  for (size_t k = 0; k < steps.size(); ++k) {
+    AddObserved(outcome, std::get<AlarmStep>(level.enter[steps[k]].what), *looks[k]);
+    if (looks[k]->status().ok()) {
+      stubborn_.erase(steps[k]);
+      continue;
+    }
+    AddDetail(outcome, looks[k]->result);
+    if (!Tolerates(level, steps[k], looks[k]->status())) outcome.reached = false;
+  }
+}
+
+bool Procedures::Tolerates(const LevelSpec& level, size_t index, const absl::Status& status) const {
+  if (level.enter[index].on_failure != OnFailure::kContinue) return false;
+  return !absl::IsFailedPrecondition(status) || stubborn_.contains(index);
+}
+
+StepReading Procedures::EnterOne(const Step& step, absl::Duration timeout, int retries,
+                                 const CancelFlag& cancel) {
+  if (const auto* mode = std::get_if<SystemModeStep>(&step.what)) {
+    return ToReading(*mode, modes_->Enter(mode->part, mode->mode, timeout, retries, cancel));
+  }
+  return runners_.firewall->Enter(step, timeout, retries, cancel);
+}
+
+StepReading Procedures::CheckOne(const Step& step, const CancelFlag& cancel) {
+  if (const auto* mode = std::get_if<SystemModeStep>(&step.what)) {
+    return ToReading(*mode, modes_->Check(mode->part, mode->mode, cancel));
+  }
+  return runners_.firewall->Check(step, cancel);
+}
+
+StepResult Procedures::EnterRead(const Step& step, absl::Duration timeout, int retries,
+                                 const CancelFlag& cancel, LevelOutcome& outcome) {
   const int64_t began_ns = NowNs();
-  const ModeReading reading = modes_->Enter(mode.part, mode.mode, timeout, retries, cancel);
-  absl::StrAppend(&outcome.observed, outcome.observed.empty() ? "" : " ", mode.part, "=",
-                  reading.observed);
+  StepReading reading = EnterOne(step, timeout, retries, cancel);
+  AddObserved(outcome, reading.observed);
   StepResult result;
   result.step = StepName(step);
   result.ok = reading.status.ok();
   result.took_ms = static_cast<uint32_t>((NowNs() - began_ns) / kNanosPerMilli);
-  if (!result.ok) result.detail = std::string(reading.status.message());
+  result.detail = result.ok ? std::move(reading.note) : std::string(reading.status.message());
   return result;
 }
 
-std::vector<StepResult> Procedures::RunPrograms(const std::vector<Step>& all,
+std::vector<StepResult> Procedures::RunTogether(Phase phase, const std::vector<Step>& all,
                                                 const std::vector<size_t>& steps,
-                                                absl::Duration at_most, const CancelFlag& cancel) {
-  std::vector<std::unique_ptr<ProgramAttempt>> attempts;
+                                                absl::Duration at_most, const CancelFlag& cancel,
+                                                LevelOutcome& outcome) {
+  std::vector<std::unique_ptr<StepAttempt>> owned;
+  std::vector<StepAttempt*> attempts;
   for (size_t i : steps) {
-    attempts.push_back(std::make_unique<ProgramAttempt>(
-        all[i], programs_, std::min(all[i].timeout, at_most), NowNs()));
+    const Step& step = all[i];
+    const absl::Duration timeout = std::min(step.timeout, at_most);
+    if (const auto* alarm = std::get_if<AlarmStep>(&step.what)) {
+      const AlarmAttempt::Options options = {.timeout = timeout, .retries = step.retries};
+      owned.push_back(
+          std::make_unique<AlarmAttempt>(*alarm, StepName(step), alarms_, options, NowNs()));
+    } else {
+      owned.push_back(std::make_unique<ProgramAttempt>(step, programs_, timeout, NowNs()));
+    }
+    attempts.push_back(owned.back().get());
   }
+  Drive(attempts, at_most, cancel);
+  std::vector<StepResult> results;
+  for (size_t k = 0; k < steps.size(); ++k) {
+    const size_t i = steps[k];
+    if (const auto* alarm = std::get_if<AlarmStep>(&all[i].what)) {
+      // Told again by every retry: that does no harm, and an alarm may have been unplugged.
+      const auto& attempt = static_cast<const AlarmAttempt&>(*attempts[k]);
+      if (phase == Phase::kEnter) {
+        AddObserved(outcome, *alarm, attempt);
+        stubborn_.erase(i);
+        if (absl::IsFailedPrecondition(attempt.status())) stubborn_.insert(i);
+      }
+    } else if (attempts[k]->result.ok) {
+      done_.insert({phase, i});
+    }
+    results.push_back(std::move(attempts[k]->result));
+  }
+  return results;
+}
+
+void Procedures::Drive(const std::vector<StepAttempt*>& attempts, absl::Duration at_most,
+                       const CancelFlag& cancel) const {
   const int64_t cancel_at_ns =
       at_most == absl::InfiniteDuration() ? INT64_MAX : NowNs() + absl::ToInt64Nanoseconds(at_most);
   bool told = false;
   while (true) {
     bool finished = true;
-    for (const auto& attempt : attempts) {
+    for (StepAttempt* attempt : attempts) {
       if (!attempt->Poll(NowNs())) finished = false;
     }
     if (finished) break;
     if (!told && (cancel.cancelled() || NowNs() >= cancel_at_ns)) {
       told = true;
-      for (const auto& attempt : attempts) attempt->Cancel();
+      for (StepAttempt* attempt : attempts) attempt->Cancel();
     }
     // A cancelled flag does not sleep, so what is told to end is waited for on a flag of our own.
     if (told) {
@@ -275,16 +400,12 @@ std::vector<StepResult> Procedures::RunPrograms(const std::vector<Step>& all,
       cancel.WaitFor(kPoll);
     }
   }
-  std::vector<StepResult> results;
-  for (const auto& attempt : attempts) results.push_back(std::move(attempt->result));
-  return results;
 }
 
 void Procedures::Count(const Step& step, const StepResult& result, Progress& progress,
                        LevelOutcome& outcome) const {
   if (!result.ok) {
-    const bool is_program = std::holds_alternative<ProgramStep>(step.what);
-    const bool tolerated = is_program && step.on_failure == OnFailure::kContinue;
+    const bool tolerated = !IsInOrder(step) && step.on_failure == OnFailure::kContinue;
     if (!tolerated) progress.failed = true;
     if (step.on_failure == OnFailure::kStop || (!progress.raise && !tolerated)) {
       progress.stopped = true;

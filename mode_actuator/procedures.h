@@ -1,9 +1,20 @@
 // Carries out one job of the executor: the leave and enter steps of levels, or a look at the robot.
 //
 // Entering: the leave steps of the old level one by one, then of the new level first the system
-// modes in order, then all programs at once. On a raise the leave steps together get
-// kLeaveBudget and cannot stop what follows; on a lowering a failed step stops (level_plan.h).
-// A level is reached when every system mode of it was read back and no program counts as failed.
+// modes and firewall steps in order, then all programs and alarms at once. On a raise the leave
+// steps together get kLeaveBudget and cannot stop what follows, and a firewall release among them
+// is not run; on a lowering a failed step stops (level_plan.h).
+// A level is reached when every system mode and firewall step of it was read back and no program or
+// alarm counts as failed.
+//
+// A check looks at all but programs, and firewall steps renew themselves by it. What an alarm with
+// `continue` is worth there:
+// | the alarm                                            | the level |
+// |------------------------------------------------------|-----------|
+// | is otherwise, or was plugged in and not told since   | left      |
+// | is otherwise, as it was right after it was told      | held      |
+// | is not there, or does not answer                     | held      |
+// Any other step that is not as wanted, or cannot be looked at, means that the level was left.
 #ifndef RIPS_MODE_ACTUATOR_PROCEDURES_H_
 #define RIPS_MODE_ACTUATOR_PROCEDURES_H_
 
@@ -14,25 +25,42 @@
 
 #include "absl/strings/string_view.h"
 #include "absl/time/time.h"
+#include "mode_actuator/alarm/alarms.h"
 #include "mode_actuator/cancel_flag.h"
 #include "mode_actuator/executor.h"
 #include "mode_actuator/level_plan.h"
 #include "mode_actuator/part_modes.h"
 #include "mode_actuator/program_runner.h"
+#include "mode_actuator/step_attempt.h"
+#include "mode_actuator/step_runner.h"
 #include "services/base/clock.h"
 
 namespace rips::actuator {
 
 // All leave steps of one raise.
 inline constexpr absl::Duration kLeaveBudget = absl::Seconds(2);
+// Looking at all alarms of a level, which may be eight relays of one slow board.
+inline constexpr absl::Duration kAlarmLookTime = absl::Seconds(3);
+
+// Who carries out the further kinds of steps that are entered in order and checked. Not owned; null
+// if no level has such a step.
+struct StepRunners {
+  StepRunner* firewall = nullptr;
+};
 
 // One thread at a time.
 class Procedures {
  public:
-  // Nothing is owned; all outlive this. `modes` may be null if no level has a system mode.
+  // Nothing is owned; all outlive this. `modes` may be null if no level has a system mode, `alarms`
+  // if none has an alarm.
   Procedures(const std::vector<LevelSpec>* levels, PartModes* modes, ProgramRunner* programs,
-             const Clock* clock)
-      : levels_(levels), modes_(modes), programs_(programs), clock_(clock) {}
+             Alarms* alarms, const Clock* clock, StepRunners runners = {})
+      : levels_(levels),
+        modes_(modes),
+        programs_(programs),
+        alarms_(alarms),
+        clock_(clock),
+        runners_(runners) {}
 
   // Returns when done or soon after `cancel`.
   LevelOutcome Run(const ApplyLevel& job, const CancelFlag& cancel);
@@ -53,12 +81,22 @@ class Procedures {
   void Enter(const LevelSpec& level, Progress& progress, const CancelFlag& cancel,
              LevelOutcome& outcome);
   void Check(const LevelSpec& level, const CancelFlag& cancel, LevelOutcome& outcome);
-  StepResult EnterMode(const SystemModeStep& mode, const Step& step, absl::Duration timeout,
-                       int retries, const CancelFlag& cancel, LevelOutcome& outcome);
-  // Runs `steps` (indices into `all`, programs only) at the same time.
-  std::vector<StepResult> RunPrograms(const std::vector<Step>& all,
+  // Of a system mode or firewall step.
+  StepReading EnterOne(const Step& step, absl::Duration timeout, int retries,
+                       const CancelFlag& cancel);
+  StepReading CheckOne(const Step& step, const CancelFlag& cancel);
+  StepResult EnterRead(const Step& step, absl::Duration timeout, int retries,
+                       const CancelFlag& cancel, LevelOutcome& outcome);
+  void CheckAlarms(const LevelSpec& level, const CancelFlag& cancel, LevelOutcome& outcome);
+  // True if the level holds although the look at alarm `index` of `level` gave `status`.
+  bool Tolerates(const LevelSpec& level, size_t index, const absl::Status& status) const;
+  // Runs `steps` (indices into `all`, programs and alarms) at the same time; gives their results.
+  std::vector<StepResult> RunTogether(Phase phase, const std::vector<Step>& all,
                                       const std::vector<size_t>& steps, absl::Duration at_most,
-                                      const CancelFlag& cancel);
+                                      const CancelFlag& cancel, LevelOutcome& outcome);
+  // Until all are over; after `at_most` they are cancelled.
+  void Drive(const std::vector<StepAttempt*>& attempts, absl::Duration at_most,
+             const CancelFlag& cancel) const;
   void Count(const Step& step, const StepResult& result, Progress& progress,
              LevelOutcome& outcome) const;
   absl::Duration LeaveLeft(const Progress& progress) const;
@@ -67,12 +105,17 @@ class Procedures {
   const std::vector<LevelSpec>* const levels_;  // Not owned; outlives this.
   PartModes* const modes_;                      // Not owned; outlives this.
   ProgramRunner* const programs_;               // Not owned; outlives this.
+  Alarms* const alarms_;                        // Not owned; outlives this.
   const Clock* const clock_;                    // Not owned; outlives this.
+  const StepRunners runners_;
   // Programs of the present transition that succeeded, by phase and index: a retry skips them.
   std::set<std::pair<Phase, size_t>> done_;
+  // Alarms, by index into the enter steps, that were not as told right after they were told.
+  std::set<size_t> stubborn_;
 };
 
-// `system_mode /safety=ALERT`, `program usb_alarm`.
+// `system_mode /safety=ALERT`, `program usb_alarm`, `alarm relay-A1=on`,
+// `firewall /etc/rips/alert.nft`.
 std::string StepName(const Step& step);
 
 }  // namespace rips::actuator

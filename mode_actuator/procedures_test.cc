@@ -1,5 +1,6 @@
 #include "mode_actuator/procedures.h"
 
+#include <deque>
 #include <map>
 
 #include "absl/strings/str_cat.h"
@@ -72,6 +73,78 @@ class FakePrograms : public ProgramRunner {
   std::map<uint64_t, Done> hanging_;
 };
 
+// Alarms that do as they are told, except where the test says otherwise.
+class FakeAlarms : public Alarms {
+ public:
+  absl::StatusOr<uint64_t> Begin(absl::string_view alarm, AlarmOrder order,
+                                 const AlarmState& state) override {
+    const std::string name(alarm);
+    AlarmResult result;
+    if (order == AlarmOrder::kSet) {
+      told.push_back(absl::StrCat(alarm, "=", ToString(state)));
+      if (!failures[name].empty()) {
+        result.status = failures[name].front();
+        failures[name].pop_front();
+      } else if (!stuck) {
+        now[name] = state;
+      }
+    }
+    if (gone) result.status = absl::NotFoundError("not plugged in");
+    if (result.status.ok() && now[name] != state) {
+      result.status = absl::FailedPreconditionError("it is otherwise");
+    }
+    if (result.status.ok()) result.detail = "it is as told (read back)";
+    result.observed = gone ? "?" : ToString(now[name]);
+    results_[++orders_] = std::move(result);
+    return orders_;
+  }
+  std::optional<AlarmResult> Poll(uint64_t order) override {
+    if (silent) return std::nullopt;
+    return results_.at(order);
+  }
+  void Drop(uint64_t order) override { results_.erase(order); }
+
+  bool gone = false;                                         // nothing is plugged in
+  bool stuck = false;                                        // orders have no effect
+  bool silent = false;                                       // orders do not end
+  std::map<std::string, std::deque<absl::Status>> failures;  // of the next orders to set
+  std::map<std::string, AlarmState> now;
+  std::vector<std::string> told;
+
+ private:
+  uint64_t orders_ = 0;
+  std::map<uint64_t, AlarmResult> results_;
+};
+
+Step Alarm(const std::string& device, AlarmPattern pattern, OnFailure on_failure = OnFailure::kFail,
+           int retries = 0) {
+  return {AlarmStep{device, {pattern, {}}}, absl::Seconds(1), retries, on_failure};
+}
+
+// A firewall that does as it is told, except where the test says otherwise.
+class FakeFirewall : public StepRunner {
+ public:
+  StepReading Enter(const Step& step, absl::Duration timeout, int retries,
+                    const CancelFlag&) override {
+    orders.push_back(StepName(step));
+    timeouts.push_back(timeout);
+    tries.push_back(retries);
+    return {status, "firewall=x", note};
+  }
+  StepReading Check(const Step&, const CancelFlag&) override { return {status, "firewall=x", ""}; }
+
+  absl::Status status;
+  std::string note;
+  std::vector<std::string> orders;
+  std::vector<absl::Duration> timeouts;
+  std::vector<int> tries;
+};
+
+Step Wall(FirewallStep::Kind kind, OnFailure on_failure = OnFailure::kFail) {
+  return {FirewallStep{.kind = kind, .file = "/a.nft", .targets = {"10.0.0.7"}}, absl::Seconds(3),
+          1, on_failure};
+}
+
 Step Mode(const std::string& mode, OnFailure on_failure = OnFailure::kFail) {
   return {SystemModeStep{"/safety", mode}, absl::Seconds(5), 0, on_failure};
 }
@@ -88,7 +161,8 @@ class ProceduresTest : public ::testing::Test {
   }
   Procedures& Get() {
     if (!procedures_) {
-      procedures_ = std::make_unique<Procedures>(&levels_, &modes_, &programs_, &clock_);
+      procedures_ = std::make_unique<Procedures>(&levels_, &modes_, &programs_, &alarms_, &clock_,
+                                                 StepRunners{.firewall = &firewall_});
     }
     return *procedures_;
   }
@@ -100,6 +174,8 @@ class ProceduresTest : public ::testing::Test {
   RealClock clock_;
   FakeModes modes_;
   FakePrograms programs_;
+  FakeAlarms alarms_;
+  FakeFirewall firewall_;
   CancelFlag cancel_;
   std::unique_ptr<Procedures> procedures_;
 };
@@ -203,6 +279,111 @@ TEST_F(ProceduresTest, ACheckOnlyLooks) {
   EXPECT_TRUE(programs_.runs.empty());
 }
 
+// --- alarms
+
+TEST_F(ProceduresTest, AlarmsRunAfterTheSystemModesBesideThePrograms) {
+  levels_[1].enter = {Alarm("relay", AlarmPattern::kOn), Program("horn"), Mode("ALERT")};
+  const LevelOutcome outcome = Run("DEFAULT", "ALERT", true);
+  EXPECT_TRUE(outcome.reached) << outcome.detail;
+  EXPECT_THAT(Names(outcome),
+              ElementsAre("system_mode /safety=ALERT", "alarm relay=on", "program horn"));
+  EXPECT_EQ(outcome.steps[1].detail, "it is as told (read back)");
+  EXPECT_EQ(outcome.observed, "/safety=ALERT relay=on");
+}
+
+TEST_F(ProceduresTest, AStoppedRaiseDoesNotTellTheAlarms) {
+  levels_[1].enter = {Alarm("relay", AlarmPattern::kOn), Mode("ALERT", OnFailure::kStop)};
+  modes_.lies = true;
+  EXPECT_THAT(Names(Run("DEFAULT", "ALERT", true)),
+              ElementsAre("system_mode /safety=ALERT !", "alarm relay=on !"));
+  EXPECT_TRUE(alarms_.told.empty());
+}
+
+TEST_F(ProceduresTest, AnAlarmIsTriedAgain) {
+  levels_[1].enter = {Alarm("relay", AlarmPattern::kOn, OnFailure::kFail, /*retries=*/2)};
+  alarms_.failures["relay"] = {absl::UnavailableError("EIO"), absl::NotFoundError("gone")};
+  EXPECT_TRUE(Run("DEFAULT", "ALERT", true).reached);
+  EXPECT_EQ(alarms_.told.size(), 3u);
+}
+
+TEST_F(ProceduresTest, AnAlarmMayFailWhereTheFileSaysContinue) {
+  levels_[1].enter = {Alarm("relay", AlarmPattern::kOn)};
+  alarms_.gone = true;
+  const LevelOutcome failed = Run("DEFAULT", "ALERT", true);
+  EXPECT_FALSE(failed.reached);
+  EXPECT_EQ(failed.detail, "alarm relay=on: not plugged in");
+  EXPECT_EQ(failed.observed, "relay=?");
+  levels_[1].enter[0].on_failure = OnFailure::kContinue;
+  const LevelOutcome outcome = Run("DEFAULT", "ALERT", true);
+  EXPECT_TRUE(outcome.reached);
+  EXPECT_EQ(outcome.detail, "alarm relay=on: not plugged in");
+}
+
+TEST_F(ProceduresTest, ALoweringStopsAtAnAlarmThatCannotBeSwitchedOff) {
+  levels_[1].leave = {Alarm("relay", AlarmPattern::kOff)};
+  alarms_.now["relay"] = {AlarmPattern::kOn, {}};
+  alarms_.stuck = true;
+  EXPECT_FALSE(Run("ALERT", "DEFAULT", false).reached);
+  EXPECT_TRUE(modes_.orders.empty());
+  alarms_.stuck = false;
+  EXPECT_TRUE(Run("ALERT", "DEFAULT", false, JobKind::kRetry).reached);
+}
+
+TEST_F(ProceduresTest, ARetryTellsAlarmsAgain) {
+  levels_[1].enter = {Alarm("relay", AlarmPattern::kOn), Program("horn")};
+  programs_.results["horn"] = absl::AbortedError("exit code 1");
+  EXPECT_FALSE(Run("DEFAULT", "ALERT", true).reached);
+  programs_.results["horn"] = absl::OkStatus();
+  EXPECT_TRUE(Run("DEFAULT", "ALERT", true, JobKind::kRetry).reached);
+  EXPECT_THAT(alarms_.told, ElementsAre("relay=on", "relay=on"));
+}
+
+TEST_F(ProceduresTest, ASilentAlarmHoldsUpNeitherARaiseNorItsEnd) {
+  levels_.push_back({"HALT", {Mode("HALT")}, {}});
+  levels_[1].leave = {Alarm("relay", AlarmPattern::kOff, OnFailure::kFail, /*retries=*/20)};
+  alarms_.silent = true;
+  const LevelOutcome outcome = Run("ALERT", "HALT", true);
+  EXPECT_TRUE(outcome.reached);
+  EXPECT_THAT(Names(outcome), ElementsAre("alarm relay=off !", "system_mode /safety=HALT"));
+}
+
+TEST_F(ProceduresTest, ACheckLooksAtAlarms) {
+  levels_[1].enter = {Alarm("relay", AlarmPattern::kOn)};
+  EXPECT_TRUE(Run("DEFAULT", "ALERT", true).reached);
+  alarms_.told.clear();
+  const LevelOutcome held = Run("", "ALERT", true, JobKind::kCheck);
+  EXPECT_TRUE(held.reached);
+  EXPECT_EQ(held.observed, "relay=on");
+  alarms_.now["relay"] = {AlarmPattern::kOff, {}};
+  const LevelOutcome left = Run("", "ALERT", true, JobKind::kCheck);
+  EXPECT_FALSE(left.reached);
+  EXPECT_EQ(left.detail, "alarm relay=on: it is otherwise");
+  EXPECT_EQ(left.observed, "relay=off");
+  EXPECT_TRUE(alarms_.told.empty()) << "a check only looks";
+  alarms_.silent = true;
+  EXPECT_FALSE(Run("", "ALERT", true, JobKind::kCheck).reached);
+}
+
+TEST_F(ProceduresTest, WhatACheckMakesOfAnAlarmWithContinue) {
+  levels_[1].enter = {Alarm("relay", AlarmPattern::kOn, OnFailure::kContinue)};
+  EXPECT_TRUE(Run("DEFAULT", "ALERT", true).reached);
+  // Not there: held, there is nothing to do. Back again and off: left, it is told again.
+  alarms_.gone = true;
+  EXPECT_TRUE(Run("", "ALERT", true, JobKind::kCheck).reached);
+  alarms_.gone = false;
+  alarms_.now["relay"] = {AlarmPattern::kOff, {}};
+  EXPECT_FALSE(Run("", "ALERT", true, JobKind::kCheck).reached);
+  // It does not do as told: held, telling it for ever does not help.
+  alarms_.stuck = true;
+  EXPECT_TRUE(Run("", "ALERT", true, JobKind::kRetry).reached);
+  EXPECT_TRUE(Run("", "ALERT", true, JobKind::kCheck).reached);
+  // It was once as told, by whoever, and then is not: left.
+  alarms_.now["relay"] = {AlarmPattern::kOn, {}};
+  EXPECT_TRUE(Run("", "ALERT", true, JobKind::kCheck).reached);
+  alarms_.now["relay"] = {AlarmPattern::kOff, {}};
+  EXPECT_FALSE(Run("", "ALERT", true, JobKind::kCheck).reached);
+}
+
 TEST_F(ProceduresTest, ANewJobEndsTheRunningOne) {
   levels_[1].enter = {Mode("ALERT"), Program("hang")};
   levels_.push_back({"HALT", {Mode("HALT")}, {}});
@@ -228,6 +409,88 @@ TEST_F(ProceduresTest, ANewJobEndsTheRunningOne) {
   if (outcomes.size() == 2) {
     EXPECT_FALSE(outcomes.front().reached);
   }
+}
+
+using Kind = FirewallStep::Kind;
+
+TEST_F(ProceduresTest, FirewallStepsComeInOrderWithTheModesAndBeforePrograms) {
+  levels_[1].enter = {Program("horn"), Wall(Kind::kRules), Mode("ALERT"),
+                      Wall(Kind::kIsolateHosts)};
+  firewall_.note = "all is well";
+  const LevelOutcome outcome = Run("DEFAULT", "ALERT", true);
+  EXPECT_TRUE(outcome.reached) << outcome.detail;
+  EXPECT_THAT(Names(outcome), ElementsAre("firewall /a.nft", "system_mode /safety=ALERT",
+                                          "firewall isolate_host 10.0.0.7", "program horn"));
+  EXPECT_EQ(outcome.observed, "firewall=x /safety=ALERT firewall=x");
+  EXPECT_EQ(outcome.steps[0].detail, "all is well");
+  EXPECT_THAT(firewall_.tries, ElementsAre(1, 1));
+}
+
+TEST_F(ProceduresTest, AllKindsOfStepsInOneLevel) {
+  levels_[1].enter = {Alarm("relay", AlarmPattern::kOn), Wall(Kind::kRules), Program("horn"),
+                      Mode("ALERT")};
+  const LevelOutcome entered = Run("DEFAULT", "ALERT", true);
+  EXPECT_TRUE(entered.reached) << entered.detail;
+  EXPECT_THAT(Names(entered), ElementsAre("firewall /a.nft", "system_mode /safety=ALERT",
+                                          "alarm relay=on", "program horn"));
+  EXPECT_EQ(entered.observed, "firewall=x /safety=ALERT relay=on");
+  const LevelOutcome held = Run("", "ALERT", true, JobKind::kCheck);
+  EXPECT_TRUE(held.reached) << held.detail;
+  EXPECT_EQ(held.observed, "firewall=x /safety=ALERT relay=on");
+}
+
+TEST_F(ProceduresTest, AFirewallThatFailsDoesNotSilenceTheAlarmsUnlessItStops) {
+  levels_[1].enter = {Wall(Kind::kRules), Alarm("relay", AlarmPattern::kOn)};
+  firewall_.status = absl::UnavailableError("nobody there");
+  EXPECT_FALSE(Run("DEFAULT", "ALERT", true).reached);
+  EXPECT_THAT(alarms_.told, ElementsAre("relay=on"));
+  levels_[1].enter[0].on_failure = OnFailure::kStop;
+  alarms_.told.clear();
+  EXPECT_FALSE(Run("DEFAULT", "ALERT", true).reached);
+  EXPECT_TRUE(alarms_.told.empty());
+}
+
+TEST_F(ProceduresTest, AFirewallThatFailsFailsTheLevelWithItsReason) {
+  levels_[1].enter = {Wall(Kind::kRules, OnFailure::kContinue), Mode("ALERT")};
+  firewall_.status = absl::UnavailableError("nobody there");
+  const LevelOutcome outcome = Run("DEFAULT", "ALERT", true);
+  EXPECT_FALSE(outcome.reached);
+  EXPECT_EQ(outcome.detail, "firewall /a.nft: nobody there");
+  EXPECT_THAT(Names(outcome), ElementsAre("firewall /a.nft !", "system_mode /safety=ALERT"));
+}
+
+TEST_F(ProceduresTest, AFirewallThatFailsCanStop) {
+  levels_[1].enter = {Wall(Kind::kRules, OnFailure::kStop), Mode("ALERT"), Program("horn")};
+  firewall_.status = absl::UnavailableError("nobody there");
+  const LevelOutcome outcome = Run("DEFAULT", "ALERT", true);
+  EXPECT_FALSE(outcome.reached);
+  EXPECT_TRUE(modes_.orders.empty());
+  EXPECT_TRUE(programs_.runs.empty());
+}
+
+TEST_F(ProceduresTest, AFirewallThatWasChangedIsADrift) {
+  levels_[1].enter = {Wall(Kind::kRules)};
+  ASSERT_TRUE(Run("DEFAULT", "ALERT", true).reached);
+  EXPECT_TRUE(Run("", "ALERT", true, JobKind::kCheck).reached);
+  firewall_.status = absl::FailedPreconditionError("table deleted");
+  const LevelOutcome outcome = Run("", "ALERT", true, JobKind::kCheck);
+  EXPECT_FALSE(outcome.reached);
+  EXPECT_EQ(outcome.detail, "firewall /a.nft: table deleted");
+}
+
+TEST_F(ProceduresTest, ARaiseDoesNotReleaseAndALoweringDoes) {
+  levels_[1].enter = {Wall(Kind::kRules)};
+  levels_[1].leave = {Wall(Kind::kRelease)};
+  levels_.push_back({"HALT", {}, {}});
+  const LevelOutcome raise = Run("ALERT", "HALT", true);
+  EXPECT_TRUE(raise.reached);
+  EXPECT_THAT(Names(raise), ElementsAre("firewall release"));
+  EXPECT_THAT(raise.steps[0].detail, HasSubstr("a raise opens nothing"));
+  EXPECT_TRUE(firewall_.orders.empty());
+
+  const LevelOutcome lowering = Run("ALERT", "DEFAULT", false);
+  EXPECT_TRUE(lowering.reached);
+  EXPECT_THAT(firewall_.orders, ElementsAre("firewall release"));
 }
 
 }  // namespace

@@ -1,40 +1,56 @@
-// One process on the bus for tests: a participant that publishes what it is told, honest or not.
+// One process on the bus for tests: a participant that publishes what it is told, honest or not,
+// and tells what it hears.
 //
 //   dds_peer --domain 7 --node /talker --publish rt/chatter,std_msgs::msg::dds_::String_,reliable
+//   dds_peer --domain 7 --hear rt/chatter,std_msgs::msg::dds_::String_
 //
-// Prints `up`, `matched` once every writer has its readers, `written` when all were written but
-// the tail, and `sent TOPIC COUNT` for each topic at the end. SIGTERM ends it in order; SIGKILL is
+// Prints `up PREFIX` (its GUID prefix, 24 hexadecimal digits), `matched` once every writer has its
+// readers, `written` when all were written but the tail, and `sent TOPIC COUNT` for each topic at
+// the end; with --hear five times a second `heard` and for each participant so far
+// `PREFIX=SAMPLES/NEWEST`, the newest by the writer's numbers. SIGTERM ends it in order; SIGKILL is
 // a crash.
+#include <algorithm>
 #include <csignal>
 #include <cstdio>
+#include <map>
 #include <memory>
 #include <string>
 #include <vector>
 
 #include "CLI/CLI.hpp"
+#include "absl/base/thread_annotations.h"
+#include "absl/strings/escaping.h"
 #include "absl/strings/numbers.h"
+#include "absl/strings/str_cat.h"
 #include "absl/strings/str_split.h"
 #include "absl/strings/strip.h"
 #include "absl/time/clock.h"
 #include "services/base/status_macros.h"
 #include "services/dds/participant.h"
+#include "services/dds/raw_reader.h"
 #include "services/dds/raw_writer.h"
 #include "services/ros2/cdr.h"
 #include "services/ros2/discovery_info.h"
 #include "services/ros2/ros_name.h"
+#include "services/runtime/mutex.h"
 #include "services/runtime/shutdown.h"
 #include "tests/support/robot_sim/stop_flag.h"
 
 namespace rips::dds_peer {
 namespace {
 
+constexpr size_t kPrefixBytes = 12;
+constexpr absl::Duration kHeardPeriod = absl::Milliseconds(200);
+
 struct Options {
   dds::DomainOptions domain;
   std::string enclave = "/";
   std::vector<std::string> nodes;
   bool long_gids = true;
-  // TOPIC,TYPE[,reliable][,latched][,exclusive][,depth=N][,partition=P]
+  // TOPIC,TYPE[,reliable][,latched][,keep_all][,exclusive][,depth=N][,partition=P]
   std::vector<std::string> publish;
+  // TOPIC,TYPE[,reliable]; in place of publishing.
+  std::string hear;
   size_t bytes = 24;
   // Samples of each topic; 0 = until it is ended.
   uint64_t count = 0;
@@ -61,6 +77,8 @@ absl::StatusOr<Topic> MakeTopic(const dds::Participant& participant, const std::
       options.qos.reliable = true;
     } else if (field == "latched") {
       options.qos.reliable = options.qos.transient_local = true;
+    } else if (field == "keep_all") {
+      options.qos.keep_all = true;
     } else if (field == "exclusive") {
       options.exclusive = true;
     } else if (absl::ConsumePrefix(&field, "partition=")) {
@@ -117,6 +135,57 @@ void Publish(const Options& options, std::vector<Topic>& topics, robot_sim::Stop
   }
 }
 
+std::string PrefixOf(const ros2::Guid& guid) {
+  return absl::BytesToHexString(guid.ToBytes().substr(0, kPrefixBytes));
+}
+
+// What came from whom, by GUID prefix.
+class Heard {
+ public:
+  void Add(const dds::RawSample& sample) ABSL_LOCKS_EXCLUDED(mu_) {
+    MutexLock lock(&mu_);
+    Count& count = counts_[PrefixOf(sample.writer)];
+    ++count.samples;
+    count.newest = std::max(count.newest, sample.writer_sequence);
+  }
+  std::string Line() const ABSL_LOCKS_EXCLUDED(mu_) {
+    std::string line = "heard";
+    MutexLock lock(&mu_);
+    for (const auto& [prefix, count] : counts_) {
+      absl::StrAppend(&line, " ", prefix, "=", count.samples, "/", count.newest);
+    }
+    return line;
+  }
+
+ private:
+  struct Count {
+    uint64_t samples = 0;
+    uint64_t newest = 0;
+  };
+  mutable Mutex mu_;
+  std::map<std::string, Count> counts_ ABSL_GUARDED_BY(mu_);
+};
+
+absl::Status Hear(const dds::Participant& participant, const std::string& text,
+                  robot_sim::StopFlag& stop) {
+  const std::vector<std::string> fields = absl::StrSplit(text, ',');
+  if (fields.size() < 2 || fields.size() > 3 || (fields.size() == 3 && fields[2] != "reliable")) {
+    return absl::InvalidArgumentError("--hear wants TOPIC,TYPE[,reliable]");
+  }
+  Heard heard;
+  RIPS_ASSIGN_OR_RETURN(
+      const auto reader,
+      dds::RawReader::Create(
+          participant,
+          {.topic = fields[0], .type = fields[1], .reliable = fields.size() == 3, .depth = 10'000},
+          [&heard](const dds::RawSample& sample) { heard.Add(sample); }));
+  while (!stop.WaitFor(kHeardPeriod)) {
+    std::printf("%s\n", heard.Line().c_str());
+    std::fflush(stdout);
+  }
+  return absl::OkStatus();
+}
+
 absl::Status Run(const Options& options, robot_sim::StopFlag& stop) {
   RIPS_ASSIGN_OR_RETURN(auto domain, dds::Domain::Create(options.domain));
   RIPS_ASSIGN_OR_RETURN(auto participant,
@@ -136,8 +205,9 @@ absl::Status Run(const Options& options, robot_sim::StopFlag& stop) {
     RIPS_RETURN_IF_ERROR(
         info->Write(ros2::EncodeParticipantEntities(Claim(*participant, options, topics))));
   }
-  std::printf("up\n");
+  std::printf("up %s\n", PrefixOf(participant->guid()).c_str());
   std::fflush(stdout);
+  if (!options.hear.empty()) return Hear(*participant, options.hear, stop);
   for (const Topic& topic : topics) {
     while (topic.writer->MatchedReaders() < options.readers) {
       if (stop.WaitFor(absl::Milliseconds(1))) return absl::OkStatus();
@@ -164,7 +234,8 @@ int Main(int argc, char** argv) {
   app.add_option("--enclave", options.enclave);
   app.add_option("--node", options.nodes);
   app.add_flag("--short-gids{false}", options.long_gids);
-  app.add_option("--publish", options.publish);
+  CLI::Option* publish = app.add_option("--publish", options.publish);
+  app.add_option("--hear", options.hear)->excludes(publish);
   app.add_option("--bytes", options.bytes);
   app.add_option("--count", options.count);
   app.add_option("--period-us", options.period_us);

@@ -1,0 +1,39 @@
+// The firewall steps of levels, carried out by rips-fw.
+#ifndef RIPS_MODE_ACTUATOR_FIREWALL_FW_CLIENT_H_
+#define RIPS_MODE_ACTUATOR_FIREWALL_FW_CLIENT_H_
+
+#include <string>
+#include <utility>
+
+#include "absl/status/statusor.h"
+#include "absl/time/time.h"
+#include "mode_actuator/firewall/fw_message.h"
+#include "mode_actuator/step_runner.h"
+
+namespace rips::actuator {
+
+// What a check waits for its answer.
+inline constexpr absl::Duration kFwCheckTimeout = absl::Seconds(3);
+
+// A connection for each request: rips-fw may be started by it, or anew between two.
+class FwClient final : public StepRunner {
+ public:
+  explicit FwClient(std::string socket_path) : socket_path_(std::move(socket_path)) {}
+
+  // The steps are FirewallSteps.
+  StepReading Enter(const Step& step, absl::Duration timeout, int retries,
+                    const CancelFlag& cancel) override;
+  StepReading Check(const Step& step, const CancelFlag& cancel) override;
+
+  // Unavailable if rips-fw is not there or goes away, DeadlineExceeded, Cancelled, DataLoss if the
+  // answer is none. What rips-fw says is in the response.
+  absl::StatusOr<FwResponse> Call(const FwRequest& request, absl::Duration timeout,
+                                  const CancelFlag& cancel) const;
+
+ private:
+  const std::string socket_path_;
+};
+
+}  // namespace rips::actuator
+
+#endif  // RIPS_MODE_ACTUATOR_FIREWALL_FW_CLIENT_H_

@@ -1,0 +1,536 @@
+"""rips-fw on real DDS traffic: robot, intruder and policy server as network namespaces on a bridge.
+
+    firewall_test.py BINARIES SCENARIO   runs one; without SCENARIO prints their names
+
+Each namespace has a packet filter of its own: that of the host is not touched.
+"""
+
+import os
+import pathlib
+import random
+import re
+import shutil
+import signal
+import socket
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+
+sys.path.insert(0, str(pathlib.Path(__file__).resolve().parents[1] / "support"))
+from fleet import Failed, Fleet, Process  # noqa: E402
+
+CONTROL_PORT = 7443
+HOSTS = {"robot": "10.77.0.1", "intruder": "10.77.0.2", "server": "10.77.0.3"}
+TOPIC = "rt/peer,std_msgs::msg::dds_::String_"
+LIMIT = 90  # seconds anything here may take on a busy machine
+OK, INVALID, DENIED, PRECONDITION = 0, 3, 7, 9  # codes of absl::Status
+
+RULES = """# Nothing but what is always open.
+chain input {
+  counter drop
+}
+chain output {
+  counter drop
+}
+"""
+
+
+class Skipped(Exception):
+    """The scenario cannot be played here; the text says why."""
+
+
+def check(condition, text):
+    if not condition:
+        raise Failed(text)
+
+
+def run(*args, ok=True):
+    done = subprocess.run([str(arg) for arg in args], capture_output=True, text=True, timeout=LIMIT)
+    if ok and done.returncode != 0:
+        raise Failed(f"{' '.join(map(str, args))}: {done.stderr.strip()}")
+    return done
+
+
+class World:
+    """The namespaces, and what runs in them."""
+
+    def __init__(self, binaries, directory):
+        self.bin = pathlib.Path(binaries).resolve()
+        self.dir = directory
+        self.tag = f"ripsfw{random.getrandbits(32):08x}"
+        self.domain = str(random.randint(10, 99))
+        self.processes = []
+        self.socket = self.dir / "fw.sock"
+        self.env = dict(os.environ, CYCLONEDDS_URI=(
+            "<CycloneDDS><Domain><General><Interfaces><NetworkInterface name=\"eth0\" "
+            f"multicast=\"true\"/></Interfaces></General><Discovery><Tag>{self.tag}</Tag>"
+            "<ParticipantIndex>none</ParticipantIndex></Discovery></Domain></CycloneDDS>"))
+
+    def ns(self, host):
+        return f"{self.tag}-{host}"
+
+    def build(self):
+        switch = self.ns("switch")
+        run("ip", "netns", "add", switch)
+        run("ip", "-n", switch, "link", "add", "br0", "type", "bridge", "mcast_snooping", "0")
+        run("ip", "-n", switch, "link", "set", "br0", "up")
+        for host, address in HOSTS.items():
+            run("ip", "netns", "add", self.ns(host))
+            run("ip", "-n", switch, "link", "add", host, "type", "veth", "peer", "name", "eth0",
+                "netns", self.ns(host))
+            run("ip", "-n", switch, "link", "set", host, "master", "br0", "up")
+            run("ip", "-n", self.ns(host), "link", "set", "lo", "up")
+            run("ip", "-n", self.ns(host), "link", "set", "eth0", "up")
+            run("ip", "-n", self.ns(host), "address", "add", f"{address}/24", "dev", "eth0")
+
+    def stop(self):
+        for process in self.processes:
+            if process.running:
+                process.kill(signal.SIGKILL)
+        for host in [*HOSTS, "switch"]:
+            run("ip", "netns", "delete", self.ns(host), ok=False)
+
+    def start(self, host, name, *args, env=None):
+        process = Process(name, ["ip", "netns", "exec", self.ns(host), *args], self.dir,
+                          env or self.env)
+        self.processes.append(process)
+        return process
+
+    def nft(self, *args, ok=True):
+        return run("ip", "netns", "exec", self.ns("robot"), "nft", *args, ok=ok)
+
+    # -------------------------------------------------------------------------------- rips-fw
+
+    def write_config(self):
+        rules = self.dir / "alert.nft"
+        rules.write_text(RULES)
+        path = self.dir / "actuator.yaml"
+        path.write_text(f"""robot: r1
+host: base
+servers: ["{HOSTS['server']}:{CONTROL_PORT}"]
+tls: {{ca: /etc/ca.pem, cert: /etc/cert.pem, key: /etc/key.pem}}
+dds: {{domain: 0, interface: lo}}
+fail_safe: {{level: keep, after: 0s}}
+firewall: {{socket: {self.socket}, user: "65534"}}
+levels:
+  - {{name: DEFAULT, enter: [{{firewall: {{release: all}}}}]}}
+  - {{name: ALERT, enter: [{{firewall: {{file: {rules}}}}}]}}
+""")
+        return path
+
+    def start_fw(self, *before):
+        ready = self.dir / "ready"
+        ready.unlink(missing_ok=True)
+        fw = self.start("robot", f"fw{len(self.processes)}", *before, self.bin / "rips-fw",
+                        "--config", self.write_config(), "--ready-file", ready)
+        fw.wait_for(lambda text: "listening" in text, LIMIT, "rips-fw listens")
+        return fw
+
+    def ask(self, *lines):
+        """(code, {key: text}) of the answer."""
+        with socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET) as asking:
+            asking.settimeout(LIMIT)
+            asking.connect(str(self.socket))
+            asking.send(("\n".join(["rips-fw 1", *lines]) + "\n").encode())
+            answer = asking.recv(65536).decode()
+        check(answer.startswith("rips-fw 1\ncode "), f"the answer is {answer!r}")
+        fields = dict(line.split(" ", 1) for line in answer.splitlines()[1:])
+        return int(fields.pop("code")), fields
+
+    def enter(self, *lines):
+        code, fields = self.ask("verb enter", *lines)
+        check(code == OK, f"{lines}: {code} {fields}")
+        return fields
+
+    def isolate_host(self, address, seconds=600):
+        return self.enter("kind isolate_hosts", f"target {address}", f"for_ms {seconds * 1000}")
+
+    def rules_step(self):
+        return ["kind rules", f"file {self.dir / 'alert.nft'}", "for_ms 600000"]
+
+    # -------------------------------------------------------------------------------- traffic
+
+    def start_writer(self, host, name, options=""):
+        """20 samples a second, reliable. Returns its GUID prefix, as 24 hexadecimal digits."""
+        writer = self.start(host, name, self.bin / "dds_peer", "--domain", self.domain,
+                            "--publish", f"{TOPIC},reliable{options}", "--period-us", 50_000)
+        return writer.wait_for(lambda text: text.startswith("up ") and text.split()[1], LIMIT,
+                               f"{name} is ready")[1]
+
+    def start_reader(self, options=""):
+        self.reader = self.start("robot", "reader", self.bin / "dds_peer", "--domain", self.domain,
+                                 "--hear", f"{TOPIC}{options}")
+
+    def seen(self, found, what):
+        """Waits until found(former, now) is true of two reports ten apart; the later one.
+
+        A report is {GUID prefix: (samples, the newest's number)}.
+        """
+        reports = []
+
+        def look(text):
+            if not text.startswith("heard"):
+                return False
+            counts = (word.split("=") for word in text.split()[1:])
+            reports.append({prefix: tuple(map(int, count.split("/"))) for prefix, count in counts})
+            return len(reports) > 10 and found(reports[-11], reports[-1])
+
+        self.reader.wait_for(look, LIMIT, what, start=len(self.reader.lines))
+        return reports[-1]
+
+    def flows(self, on, off=()):
+        """Waits until all of `on` are heard, and none of `off`, for two seconds."""
+        def count(report, prefix):
+            return report.get(prefix, (0, 0))[0]
+
+        return self.seen(
+            lambda former, now: all(count(now, p) >= count(former, p) + 5 for p in on)
+            and all(count(now, p) == count(former, p) for p in off),
+            f"{on} are heard and {off} are not")
+
+    def start_control(self):
+        """A TCP connection between robot and server, as the actuator's stream is one."""
+        echo = self.start("server", "echo", sys.executable, "-B", __file__, "--echo",
+                          HOSTS["server"])
+        echo.wait_for(lambda text: text == "listening", LIMIT, "the server listens")
+        return self.start_pings("control")
+
+    def start_pings(self, name):
+        pings = self.start("robot", name, sys.executable, "-B", __file__, "--ping", HOSTS["server"])
+        pings.wait_for(lambda text: text.startswith("pong"), LIMIT, f"{name} is up")
+        return pings
+
+    def control_lives(self, pings):
+        """Ten messages there and back, from now on, on the same connection."""
+        begin = len(pings.lines)
+        last = int(pings.lines[-1][1].split()[1])
+        pings.wait_for(lambda text: text == f"pong {last + 10}", LIMIT, "the control channel lives",
+                       start=begin)
+
+
+def echo(address):
+    def serve(peer):
+        while data := peer.recv(100):
+            peer.sendall(data)
+
+    listener = socket.create_server((address, CONTROL_PORT))
+    print("listening", flush=True)
+    while True:
+        threading.Thread(target=serve, args=[listener.accept()[0]], daemon=True).start()
+
+
+def ping(address):
+    with socket.create_connection((address, CONTROL_PORT), timeout=LIMIT) as peer:
+        for number in range(1_000_000):
+            peer.sendall(b"x")
+            check(peer.recv(1) == b"x", "closed")
+            print("pong", number, flush=True)
+            time.sleep(0.05)
+
+
+# ------------------------------------------------------------------------------------ scenarios
+
+def one_participant_is_isolated(world):
+    bad = world.start_writer("intruder", "bad")
+    neighbour = world.start_writer("intruder", "neighbour")
+    world.start_reader()
+    world.start_fw()
+    control = world.start_control()
+    world.flows([bad, neighbour])
+
+    world.enter("kind isolate_participants", f"target {bad}", "for_ms 600000")
+
+    world.flows([neighbour], [bad])
+    world.control_lives(control)
+    code, fields = world.ask("verb check", "kind isolate_participants", f"target {bad}",
+                             "for_ms 600000")
+    check(code == OK, f"check says {fields}")
+    counted = re.findall(r"@bad_guid counter packets (\d+)", world.nft("list", "chain", "inet",
+                                                                       "rips", "input").stdout)
+    check(counted and int(counted[0]) > 0, f"no packet was dropped: {counted}")
+
+
+def one_host_is_isolated_until_its_time_is_over(world):
+    bad = world.start_writer("intruder", "bad")
+    own = world.start_writer("robot", "own")
+    world.start_reader()
+    world.start_fw()
+    control = world.start_control()
+    world.flows([bad, own])
+
+    world.isolate_host(HOSTS["intruder"], 12)
+
+    world.flows([own], [bad])
+    world.control_lives(control)
+    for target in (HOSTS["server"], HOSTS["robot"]):
+        code, fields = world.ask("verb enter", "kind isolate_hosts", f"target {target}",
+                                 "for_ms 600000")
+        check(code == INVALID and "never isolated" in fields["message"], f"{code} {fields}")
+    # Nobody renews it: the kernel ends it, and discovery finds the writer again.
+    world.flows([bad, own])
+    code, fields = world.ask("verb check", "kind isolate_hosts", f"target {HOSTS['intruder']}",
+                             "for_ms 12000")
+    check(code == PRECONDITION and "no longer isolated" in fields["message"], f"{code} {fields}")
+
+
+def a_level_that_drops_everything_keeps_the_server(world):
+    bad = world.start_writer("intruder", "bad")
+    own = world.start_writer("robot", "own")
+    world.start_reader()
+    fw = world.start_fw()
+    control = world.start_control()
+    world.flows([bad, own])
+
+    world.enter(*world.rules_step())
+    world.flows([own], [bad])
+    world.control_lives(control)
+    world.control_lives(world.start_pings("new-control"))
+
+    # The administrator deletes the table: told, and mended.
+    world.nft("delete", "table", "inet", "rips")
+    code, fields = world.ask("verb check", *world.rules_step())
+    check(code == PRECONDITION and "was deleted" in fields["message"], f"{code} {fields}")
+    world.flows([bad, own])
+    world.enter(*world.rules_step())
+    world.flows([own], [bad])
+
+    # rips-fw dies: the kernel holds on; the next one says that it does not know, and mends.
+    fw.kill(signal.SIGKILL)
+    world.flows([own], [bad])
+    world.start_fw()
+    code, fields = world.ask("verb check", *world.rules_step())
+    check(code == PRECONDITION and "started anew" in fields["message"], f"{code} {fields}")
+    world.enter(*world.rules_step())
+    code, fields = world.ask("verb check", *world.rules_step())
+    check(code == OK, f"check says {fields}")
+    world.flows([own], [bad])
+    world.control_lives(control)
+
+    world.enter("kind release")
+    world.flows([bad, own])
+
+
+def a_release_holds_until_the_lease_has_ended(world):
+    bad = world.start_writer("intruder", "bad", ",keep_all")
+    own = world.start_writer("robot", "own")
+    world.start_reader(",reliable")
+    world.start_fw()
+    world.flows([bad, own])
+
+    world.isolate_host(HOSTS["intruder"])
+    before = world.flows([own], [bad])
+    fields = world.enter("kind release")
+    check(f"until their leases have ended: {HOSTS['intruder']} in" in fields.get("note", ""),
+          f"not held: {fields}")
+    check("have kept for us comes at once" in fields["note"], f"not told: {fields}")
+    world.flows([own], [bad])
+    after = world.flows([bad, own])
+    # The intruder went on hearing our multicast: what the note says comes true.
+    samples, written = (now - then for now, then in zip(after[bad], before[bad]))
+    print(f"{samples} samples came of the {written} that were written meanwhile")
+
+
+def capability_and_socket_from_outside(world):
+    listener = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+    listener.bind(str(world.socket))
+    listener.listen(8)
+    os.chmod(world.socket, 0o666)
+    os.chmod(world.dir, 0o755)
+    os.set_inheritable(listener.fileno(), True)
+    shell = f"exec 3<&{listener.fileno()}; export LISTEN_PID=$$ LISTEN_FDS=1; exec \"$@\""
+    config = world.write_config()
+    child = subprocess.Popen(
+        ["ip", "netns", "exec", world.ns("robot"), "setpriv", "--reuid=65534", "--regid=65534",
+         "--clear-groups", "--inh-caps=-all,+net_admin", "--ambient-caps=-all,+net_admin",
+         "--bounding-set=-all,+net_admin", "--no-new-privs",
+         "sh", "-c", shell, "sh", str(world.bin / "rips-fw"), "--config", str(config)],
+        pass_fds=[listener.fileno()], stdin=subprocess.DEVNULL)
+    try:
+        check(world.enter(*world.rules_step())["observed"] == "firewall=alert.nft", "not entered")
+        check("rips 1" in world.nft("list", "table", "inet", "rips").stdout, "no rule in the kernel")
+        # Another user is refused, although the socket's mode lets it in.
+        refused = run("setpriv", "--reuid=65533", "--clear-groups", sys.executable, "-B", "-c",
+                      "import socket, sys; s = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)\n"
+                      "s.connect(sys.argv[1]); print(s.recv(1000).decode())", world.socket)
+        check(f"code {DENIED}\n" in refused.stdout, f"{refused.stdout} {refused.stderr}")
+        check("user 65533 may not ask" in refused.stdout, refused.stdout)
+    finally:
+        child.terminate()
+        check(child.wait(LIMIT) == 0, f"ended with {child.returncode}")
+        listener.close()
+
+
+def what_is_missing_is_told_at_the_start(world):
+    config = world.write_config()
+    fw = [world.bin / "rips-fw", "--config", config]
+    inside = ["ip", "netns", "exec", world.ns("robot")]
+    os.chmod(world.dir, 0o755)
+    without = run(*inside, "setpriv", "--reuid=65534", "--clear-groups", "--bounding-set=-all", *fw,
+                  ok=False)
+    check(without.returncode != 0 and "not permitted" in without.stderr,
+          f"{without.returncode} {without.stderr}")
+    for text, why in [("chain input {\n frob\n}\n", "syntax error"),
+                      ("chain input {\n drop; flush ruleset\n}\n", "alert.nft:2: a rule cannot"),
+                      ("table inet other {\n}\n", "alert.nft:1:")]:
+        (world.dir / "alert.nft").write_text(text)
+        bad = run(*inside, *fw, ok=False)
+        check(bad.returncode == 2 and why in bad.stderr, f"{bad.returncode} {bad.stderr}")
+    (world.dir / "alert.nft").unlink()
+    gone = run(*inside, *fw, "--check-config", ok=False)
+    check(gone.returncode == 2 and "No such file" in gone.stderr, f"{gone.stderr}")
+    check("table" not in world.nft("list", "ruleset").stdout, "something was loaded")
+
+
+def levels_with_a_firewall(world):
+    """The whole of RIPS inside the robot's namespace, whose loopback it uses."""
+    directory = world.dir / "fleet"
+    inside = world.start("robot", "fleet", sys.executable, "-B", __file__, world.bin,
+                         "levels_with_a_firewall", directory)
+    try:
+        inside.wait_for(lambda text: text == "passed", 4 * LIMIT, "the robot's part")
+    finally:
+        inside.kill()
+
+
+class FirewalledFleet(Fleet):
+    """ALERT and above drop everything but loopback and the server; DEFAULT releases."""
+
+    STEPS = {"DEFAULT": "{release: all}", "ALERT": "{file: RULES}", "COMPROMISED": "{file: RULES}"}
+
+    def write_agent_configs(self):
+        super().write_agent_configs()
+        rules = self.write("alert.nft", RULES)
+        path = self.dir / "actuator.yaml"
+        text = path.read_text() + f"firewall: {{socket: {self.dir}/fw.sock, user: \"0\"}}\n"
+        for level, step in self.STEPS.items():
+            text = text.replace(f"  - name: {level}\n    enter:\n", f"  - name: {level}\n    enter:\n"
+                                f"      - {{firewall: {step.replace('RULES', str(rules))}}}\n")
+        path.write_text(text)
+
+    def start_fw(self):
+        fw = self.start(f"fw{len(self.processes)}", self.bin / "rips-fw", "--config",
+                        self.dir / "actuator.yaml")
+        fw.wait_for(lambda text: "listening" in text, LIMIT, "rips-fw listens")
+        return fw
+
+    def until(self, found, what):
+        deadline = time.monotonic() + LIMIT
+        while not found():
+            check(time.monotonic() < deadline, f"{what}: not within {LIMIT} s")
+            time.sleep(0.1)
+
+    def held(self):
+        """Whether the level's rules are in force in the kernel."""
+        listed = run("nft", "list", "table", "inet", "rips", ok=False).stdout
+        return "ipv4 timeout" in listed and "rips 1" in listed
+
+    def told(self, text, start):
+        self.actuator.wait_for(lambda line: text in line, LIMIT, f"`{text}` is told", start=start)
+
+
+def play_inside(fleet):
+    fleet.prepare()
+    fleet.start_robot()
+    fleet.start_server()
+    fleet.write_agent_configs()
+    fw = fleet.start_fw()
+    fleet.start_agent("sensor")
+    fleet.actuator = fleet.start_agent("actuator")
+    fleet.wait_level("DEFAULT", LIMIT)
+    check(not fleet.held(), "DEFAULT has not released")
+
+    fleet.ripsctl("level", "raise", "r1", "--to", "ALERT", "--reason", "test")
+    fleet.wait_level("ALERT", LIMIT)
+    check(fleet.held(), "verified without the rules")
+
+    start = len(fleet.actuator.lines)
+    run("nft", "delete", "table", "inet", "rips")
+    fleet.until(fleet.held, "the deleted table is loaded again")
+    fleet.told("table `inet rips` was deleted", start)
+    fleet.wait_level("ALERT", LIMIT)
+
+    # Without rips-fw a level with rules is not reached, and says why.
+    start = len(fleet.actuator.lines)
+    fw.kill(signal.SIGKILL)
+    fleet.told("cannot reach rips-fw", start)
+    check(fleet.held(), "the kernel has let go")
+    fleet.ripsctl("level", "raise", "r1", "--to", "COMPROMISED", "--reason", "test")
+    fleet.wait_level("COMPROMISED", LIMIT, stage="failed")
+    fleet.start_fw()
+    fleet.until(lambda: fleet.level()["effective_level"] == "COMPROMISED"
+                and not fleet.level()["degraded"], "the level is reached after all")
+
+    fleet.ripsctl("level", "lower", "r1", "--to", "DEFAULT", "--reason", "test")
+    fleet.wait_level("DEFAULT", LIMIT)
+    check(not fleet.held(), "DEFAULT has not released")
+
+
+SCENARIOS = [levels_with_a_firewall, one_participant_is_isolated, one_host_is_isolated_until_its_time_is_over,
+             a_level_that_drops_everything_keeps_the_server,
+             a_release_holds_until_the_lease_has_ended, capability_and_socket_from_outside,
+             what_is_missing_is_told_at_the_start]
+
+
+def play(scenario, world):
+    if os.geteuid() != 0:
+        raise Skipped("network namespaces need root")
+    for tool in ("ip", "nft", "setpriv"):
+        if shutil.which(tool, path="/usr/sbin:/usr/bin:/sbin:/bin") is None:
+            raise Skipped(f"{tool} is not installed")
+    world.build()
+    scenario(world)
+
+
+def inside(binaries, directory):
+    fleet = FirewalledFleet(binaries, directory, floor_hold="1s")
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(1))
+    try:
+        play_inside(fleet)
+    except Failed as failed:
+        for process in fleet.processes:
+            print(f"--- {process.name}")
+            print("\n".join(text for _, text in process.lines[-12:]))
+        print(f"FAILED inside: {failed}", flush=True)
+        return 1
+    finally:
+        fleet.stop()
+    print("passed", flush=True)
+    return 0
+
+
+def main():
+    if len(sys.argv) < 3:
+        print("\n".join(scenario.__name__ for scenario in SCENARIOS))
+        return 0
+    if sys.argv[1] in ("--echo", "--ping"):
+        return {"--echo": echo, "--ping": ping}[sys.argv[1]](sys.argv[2])
+    if len(sys.argv) > 3:
+        return inside(sys.argv[1], sys.argv[3])
+    scenario = next(each for each in SCENARIOS if each.__name__ == sys.argv[2])
+    # A short path: a Unix socket's may have 107 bytes.
+    directory = pathlib.Path(tempfile.mkdtemp(prefix="rips-firewall-"))
+    world = World(sys.argv[1], directory)
+    # So that the namespaces are removed then, too.
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(1))
+    try:
+        play(scenario, world)
+    except Skipped as skipped:
+        print(f"skipped {scenario.__name__}: {skipped}")
+        return 77
+    except Failed as failed:
+        print(f"FAILED {scenario.__name__}: {failed}")
+        for process in world.processes:
+            print(f"--- {process.name}")
+            print("\n".join(text for _, text in process.lines[-80:]))
+        return 1
+    finally:
+        world.stop()
+        shutil.rmtree(directory)
+    print(f"passed {scenario.__name__}")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
