@@ -41,6 +41,8 @@ void ToProto(const Receipt& receipt, v1::Receipt* out) {
     result->set_ok(step.ok);
     result->set_took_ms(step.took_ms);
     result->set_detail(step.detail.substr(0, kReceiptDetailBytesMax));
+    result->set_drilled(static_cast<v1::StepResult::Drilled>(step.drilled));
+    result->set_output_tail(step.output_tail);
   }
   out->set_exit_code(receipt.exit_code);
   out->set_output_tail(receipt.output_tail);

@@ -10,11 +10,24 @@
 
 namespace rips::actuator {
 
+// Of a program step's output, the last bytes; a receipt has up to 64 steps.
+inline constexpr size_t kStepOutputBytesMax = 4 << 10;
+
+// How far a drill went with a step. Values as in rips.v1.StepResult.Drilled.
+enum class Drilled : uint8_t {
+  kNoDrill = 0,  // carried out
+  kDone = 1,     // carried out as a drill, or carried out and taken back
+  kLooked = 2,   // looked only whether what it needs is there and answers
+  kNot = 3,      // not tried
+};
+
 struct StepResult {
   std::string step;  // `system_mode /safety=ALERT`, `program usb_alarm`
   bool ok = false;
   uint32_t took_ms = 0;
   std::string detail;
+  Drilled drilled = Drilled::kNoDrill;
+  std::string output_tail;  // of a program, at most kStepOutputBytesMax
 };
 
 struct Receipt {

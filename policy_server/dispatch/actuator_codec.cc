@@ -14,6 +14,7 @@ constexpr int kProgramsMax = 1'000;
 constexpr int kStepsMax = 256;
 constexpr int kProtectedPartsMax = 256;
 constexpr size_t kOutputBytesMax = 64 * 1024;
+constexpr size_t kStepOutputBytesMax = 4 << 10;
 constexpr size_t kCommandIdBytes = 16;
 
 Mark DecodeMark(const rips::v1::Mark& mark) { return {.term = mark.term(), .epoch = mark.epoch()}; }
@@ -43,6 +44,21 @@ absl::StatusOr<pipeline::Receipt::Stage> DecodeStage(rips::v1::Receipt::Stage st
     default:
       return absl::InvalidArgumentError(
           absl::StrCat("unknown receipt stage ", static_cast<int>(stage)));
+  }
+}
+
+// A value of a newer protocol counts as not tried.
+pipeline::StepReport::Drilled DecodeDrilled(rips::v1::StepResult::Drilled drilled) {
+  using Drilled = pipeline::StepReport::Drilled;
+  switch (drilled) {
+    case rips::v1::StepResult::DRILLED_UNSPECIFIED:
+      return Drilled::kNoDrill;
+    case rips::v1::StepResult::DRILLED_DONE:
+      return Drilled::kDone;
+    case rips::v1::StepResult::DRILLED_LOOKED:
+      return Drilled::kLooked;
+    default:
+      return Drilled::kNot;
   }
 }
 
@@ -102,8 +118,14 @@ absl::StatusOr<pipeline::Receipt> DecodeReceipt(const rips::v1::Receipt& receipt
                             .effective_level = receipt.effective_level()};
   RIPS_ASSIGN_OR_RETURN(decoded.stage, DecodeStage(receipt.stage()));
   for (const rips::v1::StepResult& step : receipt.steps()) {
-    decoded.steps.push_back(
-        {.step = step.step(), .ok = step.ok(), .took_ms = step.took_ms(), .detail = step.detail()});
+    RIPS_RETURN_IF_ERROR(
+        CheckCount("bytes of a step's output", step.output_tail().size(), kStepOutputBytesMax));
+    decoded.steps.push_back({.step = step.step(),
+                             .ok = step.ok(),
+                             .took_ms = step.took_ms(),
+                             .detail = step.detail(),
+                             .drilled = DecodeDrilled(step.drilled()),
+                             .output_tail = step.output_tail()});
   }
   return decoded;
 }

@@ -48,5 +48,20 @@ TEST(ActuatorCodecTest, MorePartsThanTheLimitAreRefused) {
   EXPECT_THAT(std::string(status.message()), HasSubstr("257 protected parts; at most 256"));
 }
 
+TEST(ActuatorCodecTest, StepsKeepWhatTheyPrintedAndWhetherTheyWereDrilled) {
+  rips::v1::Receipt receipt;
+  receipt.set_stage(rips::v1::Receipt::VERIFIED);
+  rips::v1::StepResult* step = receipt.add_steps();
+  step->set_drilled(rips::v1::StepResult::DRILLED_LOOKED);
+  step->set_output_tail(std::string(4096, 'x'));
+  const auto decoded = DecodeReceipt(receipt);
+  ASSERT_THAT(decoded, IsOk());
+  EXPECT_EQ(decoded->steps[0].drilled, pipeline::StepReport::Drilled::kLooked);
+  EXPECT_EQ(decoded->steps[0].output_tail, std::string(4096, 'x'));
+
+  step->set_output_tail(std::string(4097, 'x'));
+  EXPECT_TRUE(absl::IsResourceExhausted(DecodeReceipt(receipt).status()));
+}
+
 }  // namespace
 }  // namespace rips::dispatch

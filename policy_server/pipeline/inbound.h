@@ -179,10 +179,14 @@ struct ActuatorBeat {
 };
 
 struct StepReport {
+  // How far a drill went with it.
+  enum class Drilled { kNoDrill, kDone, kLooked, kNot };
   std::string step;
   bool ok = false;
   uint32_t took_ms = 0;
   std::string detail;
+  Drilled drilled = Drilled::kNoDrill;
+  std::string output_tail;
 };
 
 struct Receipt {
