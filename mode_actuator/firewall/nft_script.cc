@@ -65,6 +65,9 @@ void AddChainEnd(absl::string_view chain, absl::string_view level_chain,
   // A packet that leaves has no Ethernet header yet.
   if (chain != "output") AddRule(chain, "ether saddr @quarantine_mac counter drop", script);
   for (const absl::string_view rule : kReachable) AddRule(chain, rule, script);
+  // What our own nodes send by multicast comes back on the interface it left by. From outside, the
+  // kernel takes no packet with our own source address.
+  if (chain == "input") AddRule(chain, "fib saddr type local accept", script);
   AddRule(chain, absl::StrCat("meta nfproto @level_hold jump ", level_chain), script);
 }
 

@@ -145,7 +145,7 @@ ReceiptResult CommandLedger::OnReceipt(const std::string& host, const Receipt& r
       actuator.failure.clear();
       break;
     case Receipt::Stage::kFailed:
-      Hold(actuator);
+      // Not held by that alone: a lowering that could not be recorded was never acknowledged.
       Fail(actuator, absl::StrCat(host, ": ", receipt.detail), now);
       break;
     case Receipt::Stage::kRefusedStale:

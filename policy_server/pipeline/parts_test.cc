@@ -142,6 +142,19 @@ TEST_F(CommandLedgerTest, ALoweringNamesTheMarkTheActuatorHolds) {
   EXPECT_EQ(std::get<SetLevel>(due[0].command.what).from, "COMPROMISED");
 }
 
+TEST_F(CommandLedgerTest, ALoweringThatFailedUnacknowledgedIsStillBasedOnTheMarkBefore) {
+  ledger_.Attach("a", {1, 4}, 2, "COMPROMISED", {}, At(100));
+  ledger_.Order({1, 5}, 1, "ALERT", "operator alice", /*lowers=*/true);
+  const auto due = ledger_.Due(1, At(100));
+  ledger_.OnReceipt("a", Answer(due[0], Receipt::Stage::kFailed), At(100));
+
+  const auto again = ledger_.Due(1, At(110));
+
+  ASSERT_THAT(again, SizeIs(1));
+  EXPECT_NE(again[0].command.id, due[0].command.id);
+  EXPECT_EQ(std::get<SetLevel>(again[0].command.what).based_on, (Mark{1, 4}));
+}
+
 TEST_F(CommandLedgerTest, ReceiptsOfOlderDecisionsChangeNothing) {
   ledger_.Attach("a", {}, 0, "DEFAULT", {}, At(100));
   ledger_.Order({1, 1}, 1, "ALERT", "", /*lowers=*/false);
