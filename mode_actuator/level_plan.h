@@ -31,6 +31,7 @@ struct SystemModeStep {
 struct ProgramStep {
   std::string name;  // in the allow-list
   std::vector<std::string> args;
+  bool level_args = false;  // the arguments are the level gone to and the level come from
   friend bool operator==(const ProgramStep&, const ProgramStep&) = default;
 };
 

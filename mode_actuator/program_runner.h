@@ -44,6 +44,13 @@ struct ProgramResult {
   uint32_t took_ms = 0;
 };
 
+// The message of its status and its note.
+inline std::string ProgramDetail(const ProgramResult& result) {
+  std::string detail(result.status.message());
+  if (!detail.empty() && !result.note.empty()) detail += "; ";
+  return detail + result.note;
+}
+
 // Any thread.
 class ProgramRunner {
  public:
