@@ -15,6 +15,7 @@
 namespace rips::actuator {
 
 inline constexpr size_t kOutputBytesMax = 64 << 10;  // kept, from the end
+inline constexpr size_t kProgramNameBytesMax = 256;
 inline constexpr size_t kArgsMax = 64;
 inline constexpr size_t kArgBytesMax = 4096;
 inline constexpr int kRunsMax = 16;  // programs at the same time

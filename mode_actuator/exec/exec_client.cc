@@ -33,7 +33,7 @@ ProgramResult NotBegun(absl::Status why) {
 }
 
 absl::Status CheckRequest(const ProgramRequest& request) {
-  if (request.name.size() > kExecNameBytesMax) {
+  if (request.name.size() > kProgramNameBytesMax) {
     return absl::PermissionDeniedError(
         absl::StrCat("a program name of ", request.name.size(), " bytes is not in the allow-list"));
   }

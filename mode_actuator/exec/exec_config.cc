@@ -6,6 +6,7 @@
 #include "absl/strings/numbers.h"
 #include "absl/strings/str_cat.h"
 #include "absl/strings/strip.h"
+#include "mode_actuator/program_runner.h"
 #include "services/runtime/config_sections.h"
 
 namespace rips::actuator {
@@ -49,6 +50,10 @@ ExecSettings ReadExec(const ConfigSection& root) {
 }
 
 void ReadProgramGuards(const ConfigSection& section, ProgramSpec* program) {
+  if (program->name.size() > kProgramNameBytesMax) {
+    section.Problem("name", absl::StrCat("a name of ", program->name.size(),
+                                         " bytes exceeds limit ", kProgramNameBytesMax));
+  }
   ReadRate(section, program);
   ReadSha256(section, program);
   section.Optional("drill", &program->drill);

@@ -20,7 +20,7 @@ struct ExecSettings {
 // The section `exec` of the file.
 ExecSettings ReadExec(const ConfigSection& root);
 
-// `rate`, `sha256` and `drill` of one entry of `programs`.
+// `rate`, `sha256` and `drill`, and the length of the name, of one entry of `programs`.
 void ReadProgramGuards(const ConfigSection& section, ProgramSpec* program);
 
 }  // namespace rips::actuator

@@ -45,7 +45,7 @@ void AddField(absl::string_view key, absl::string_view bytes, std::string* messa
 }
 
 void AddText(absl::string_view key, absl::string_view text, std::string* message) {
-  if (!text.empty()) AddField(key, text.substr(0, kExecTextBytesMax), message);
+  AddField(key, text.substr(0, kExecTextBytesMax), message);
 }
 
 void AddNumber(absl::string_view key, int64_t number, std::string* message) {
@@ -89,7 +89,7 @@ bool ReadCallField(absl::string_view key, absl::string_view bytes, ExecCall* cal
     program.args.emplace_back(bytes);
     return true;
   }
-  if (bytes.size() > kExecNameBytesMax) return false;
+  if (bytes.size() > kProgramNameBytesMax) return false;
   if (key == "name") program.name = std::string(bytes);
   if (key == "level_from") program.level_from = std::string(bytes);
   if (key == "level_to") program.level_to = std::string(bytes);
@@ -215,7 +215,7 @@ std::string EncodeExecAnswer(const ExecAnswer& answer) {
   AddNumber("output_bytes", static_cast<int64_t>(result.output_bytes), &message);
   AddNumber("took_ms", result.took_ms, &message);
   AddText("note", result.note, &message);
-  if (!result.output_tail.empty()) AddField("output", result.output_tail, &message);
+  AddField("output", result.output_tail, &message);
   return message;
 }
 

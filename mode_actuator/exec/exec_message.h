@@ -30,7 +30,6 @@ namespace rips::actuator {
 inline constexpr size_t kExecPacketBytesMax = 16 << 10;
 // A call with kArgsMax arguments of kArgBytesMax bytes fits.
 inline constexpr size_t kExecMessageBytesMax = 288 << 10;
-inline constexpr size_t kExecNameBytesMax = 256;
 // Of each text of an answer; longer ones are cut.
 inline constexpr size_t kExecTextBytesMax = 2048;
 inline constexpr absl::Duration kExecTimeoutMax = absl::Hours(24);

@@ -346,6 +346,7 @@ int PosixRunner::StepAll(bool stopping) {
         runs_.erase(id);
       }
       run->done(std::move(run->result));
+      wait_ms = 0;
       continue;
     }
     const int64_t next_ns = run->kill_at_ns != 0 ? run->kill_at_ns : run->deadline_ns;

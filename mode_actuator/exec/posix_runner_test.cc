@@ -325,6 +325,119 @@ TEST(RunCgroupsTest, APlaceThatIsNoneIsTold) {
               StatusIs(absl::StatusCode::kFailedPrecondition, HasSubstr("cannot make a cgroup")));
 }
 
+// --- what they are told, and what is checked
+
+TEST_F(PosixRunnerTest, TheEnvironmentIsTheirsAlone) {
+  MakeRunner({{.name = "env", .path = "/usr/bin/env"}});
+  EXPECT_EQ(Run("env", {}).output_tail,
+            "PATH=/usr/sbin:/usr/bin\nLANG=C.UTF-8\nRIPS_ROBOT=r1\nRIPS_HOST=base\n");
+  Waiter waiter;
+  ProgramRequest request = {.name = "env", .timeout = absl::Seconds(10), .drill = true};
+  request.level_from = "DEFAULT";
+  request.level_to = "ALERT";
+  ASSERT_THAT(runner_->Start(request, waiter.Callback()), IsOk());
+  EXPECT_THAT(waiter.Wait().output_tail,
+              HasSubstr("RIPS_LEVEL_FROM=DEFAULT\nRIPS_LEVEL_TO=ALERT\nRIPS_DRILL=1\n"));
+}
+
+TEST_F(PosixRunnerTest, DumpsNoCore) { EXPECT_EQ(Script("ulimit -c").output_tail, "0\n"); }
+
+TEST_F(PosixRunnerTest, StartsPerMinuteAreLimited) {
+  MakeRunner({{.name = "true", .path = "/usr/bin/true", .starts_per_minute = 2}});
+  EXPECT_THAT(Run("true", {}).status, IsOk());
+  EXPECT_THAT(Run("true", {}).status, IsOk());
+  EXPECT_THAT(runner_->Start({"true", {}, absl::Seconds(1)}, [](ProgramResult) {}),
+              StatusIs(absl::StatusCode::kResourceExhausted,
+                       "program `true` was started 2 times within a minute, rate limit 2/min"));
+}
+
+class ScriptFileTest : public PosixRunnerTest {
+ protected:
+  void SetUp() override {
+    if (geteuid() != 0) GTEST_SKIP() << "programs must belong to root";
+    // Every directory on the way must be root's alone, which /tmp is not.
+    char name[] = "/opt/rips-runner-XXXXXX";
+    ASSERT_NE(mkdtemp(name), nullptr);
+    directory_ = name;
+    chmod(name, 0755);
+  }
+  void TearDown() override {
+    runner_.reset();
+    if (directory_.empty()) return;
+    [[maybe_unused]] const int ended = system(("rm -rf " + directory_).c_str());
+  }
+  void Write(const std::string& text, const std::string& sha256 = "") {
+    std::ofstream(directory_ + "/run") << text;
+    chmod((directory_ + "/run").c_str(), 0755);
+    MakeRunner({{.name = "run", .path = directory_ + "/run", .sha256 = sha256}});
+  }
+
+  std::string directory_;
+};
+
+TEST_F(ScriptFileTest, AScriptRunsAndIsCalledByItsDescriptor) {
+  Write("#!/bin/sh\necho \"$0 $1\"\n");
+  EXPECT_EQ(Run("run", {"a b"}).output_tail, "/dev/fd/3 a b\n");
+}
+
+TEST_F(ScriptFileTest, WhatCannotBeExecutedIsTold) {
+  const auto start = [&] {
+    return runner_->Start({"run", {}, absl::Seconds(1)}, [](ProgramResult) {}).status();
+  };
+  Write("#!/no/such/interpreter\n");
+  EXPECT_THAT(start(), StatusIs(absl::StatusCode::kUnavailable,
+                                HasSubstr("/run`: cannot be executed: No such file")));
+  Write("no program\n");
+  EXPECT_THAT(start(), StatusIs(absl::StatusCode::kUnavailable, HasSubstr("Exec format error")));
+  Write("");
+  EXPECT_THAT(start(), StatusIs(absl::StatusCode::kUnavailable, HasSubstr("Exec format error")));
+  EXPECT_THAT(runner_->Examine("run"), IsOk()) << "it only looks at the file";
+}
+
+TEST_F(ScriptFileTest, AFileWithAnotherSha256IsNotRun) {
+  // sha256sum of `#!/bin/sh` and a line feed.
+  const std::string sha256 = "a8076d3d28d21e02012b20eaf7dbf75409a6277134439025f282e368e3305abf";
+  Write("#!/bin/sh\n", sha256);
+  EXPECT_THAT(Run("run", {}).status, IsOk());
+  EXPECT_THAT(runner_->Examine("run"), IsOk());
+  std::ofstream(directory_ + "/run", std::ios::app) << "# changed\n";
+  EXPECT_THAT(runner_->Examine("run"),
+              StatusIs(absl::StatusCode::kPermissionDenied, HasSubstr("the file's SHA-256 is ")));
+  EXPECT_THAT(runner_->Start({"run", {}, absl::Seconds(1)}, [](ProgramResult) {}),
+              StatusIs(absl::StatusCode::kPermissionDenied, HasSubstr("/run`: the file's")));
+}
+
+TEST_F(PosixRunnerTest, AGigabyteOfOutputIsDrained) {
+  const ProgramResult result = Script("head -c 1073741824 /dev/zero", absl::Seconds(60));
+  EXPECT_THAT(result.status, IsOk());
+  EXPECT_EQ(result.output_bytes, 1u << 30);
+  EXPECT_EQ(result.output_tail.size(), kOutputBytesMax);
+}
+
+TEST_F(PosixRunnerTest, ManyAndLongArgumentsArrive) {
+  MakeRunner({{.name = "wc", .path = kBash}});
+  std::vector<std::string> args = {"-c", "echo $# ${#1} ${#61}", "bash"};
+  args.resize(kArgsMax, std::string(kArgBytesMax, 'a'));
+  EXPECT_EQ(Run("wc", args).output_tail, "61 4096 4096\n");
+}
+
+TEST_F(PosixRunnerTest, ExaminesWithoutRunning) {
+  EXPECT_THAT(runner_->Examine("bash"), IsOk());
+  EXPECT_THAT(runner_->Examine("gone"), StatusIs(absl::StatusCode::kNotFound));
+  EXPECT_THAT(runner_->Examine("linked"), StatusIs(absl::StatusCode::kPermissionDenied));
+  EXPECT_THAT(runner_->Examine("rm"), StatusIs(absl::StatusCode::kPermissionDenied));
+  EXPECT_THAT(runner_->Examine(absl::string_view("bash\0x", 6)),
+              StatusIs(absl::StatusCode::kPermissionDenied));
+}
+
+TEST_F(PosixRunnerTest, WithoutRipsExecNothingStarts) {
+  runner_ = *PosixRunner::Create({.allowed = {{.name = "true", .path = "/usr/bin/true"}},
+                                  .enter = "/usr/lib/rips/no-such-rips-exec"},
+                                 &clock_);
+  EXPECT_THAT(runner_->Start({"true", {}, absl::Seconds(1)}, [](ProgramResult) {}),
+              StatusIs(absl::StatusCode::kUnavailable, HasSubstr("cannot start")));
+}
+
 // --- refusals
 
 TEST_F(PosixRunnerTest, RefusesWhatIsNotAllowed) {
