@@ -14,9 +14,9 @@
 #include "mode_actuator/alarm/alarm_board.h"
 #include "mode_actuator/alarm/drivers.h"
 #include "mode_actuator/downlink.h"
+#include "mode_actuator/exec/exec_client.h"
 #include "mode_actuator/exec_ledger.h"
 #include "mode_actuator/firewall/fw_client.h"
-#include "mode_actuator/posix_runner.h"
 #include "mode_actuator/procedures.h"
 #include "mode_actuator/receipt_book.h"
 #include "mode_actuator/system_modes.h"
@@ -83,6 +83,16 @@ absl::string_view StageName(Receipt::Stage stage) {
   return "?";
 }
 
+Receipt::Stage NotBegunStage(const absl::Status& why) {
+  return absl::IsUnavailable(why) ? Receipt::Stage::kFailed : Receipt::Stage::kRefused;
+}
+
+Receipt::Stage EndedStage(const ProgramResult& result) {
+  if (result.status.ok()) return Receipt::Stage::kVerified;
+  if (absl::IsUnknown(result.status)) return Receipt::Stage::kUnknown;
+  return result.begun ? Receipt::Stage::kFailed : NotBegunStage(result.status);
+}
+
 absl::Status MakeDirectory(const std::string& path) {
   struct stat info;
   if (mkdir(path.c_str(), 0700) == 0) return absl::OkStatus();
@@ -123,6 +133,7 @@ absl::StatusOr<LoadedConfig> LoadConfig(const std::string& path) {
   LoadedConfig loaded;
   RIPS_ASSIGN_OR_RETURN(const std::string text, ReadConfigFile(path));
   RIPS_ASSIGN_OR_RETURN(ParsedConfig parsed, ParseConfig(path, text));
+  RIPS_RETURN_IF_ERROR(AddScripts(&parsed));
   loaded.config = std::move(parsed.config);
   loaded.effective = std::move(parsed.effective);
   RIPS_RETURN_IF_ERROR(CheckFirewallFiles(loaded.config.levels));
@@ -188,8 +199,8 @@ class Agent::Impl {
   // In the order of dependence; what is last goes first.
   std::unique_ptr<dds::Participant> participant_;
   std::unique_ptr<SystemModes> modes_;
-  std::unique_ptr<PosixRunner> programs_;  // killed at the end; the journal says "begun"
-  std::unique_ptr<AlarmBoard> alarms_;     // none if there are no devices
+  std::unique_ptr<ExecClient> programs_;  // killed at the end; the journal says "begun"
+  std::unique_ptr<AlarmBoard> alarms_;    // none if there are no devices
   FwClient firewall_;
   std::unique_ptr<Procedures> procedures_;
   std::unique_ptr<FileWorker> files_;
@@ -274,7 +285,9 @@ void Agent::Impl::StartDownlink(const Smh& smh,
   options.incarnation = absl::HexStringToBytes(NewId());
   for (const LevelSpec& level : config_.levels) options.levels.push_back(level.name);
   options.fail_safe_level = config_.fail_safe_level;
-  for (const ProgramSpec& program : config_.programs) options.programs.push_back(program.name);
+  for (const ProgramSpec& program : config_.programs) {
+    if (!program.script) options.programs.push_back(program.name);
+  }
   options.protected_parts = ProtectedParts(config_.levels, smh);
   if (options.protected_parts.size() == kProtectedPartsMax) {
     LogWarning("sensors watch over the first parts only", {{"parts", kProtectedPartsMax}});
@@ -306,7 +319,7 @@ void Agent::Impl::StartDownlink(const Smh& smh,
 absl::Status Agent::Impl::Start(const Smh& smh,
                                 std::shared_ptr<const rpc::Credentials> credentials) {
   RIPS_RETURN_IF_ERROR(LoadState());
-  RIPS_ASSIGN_OR_RETURN(programs_, PosixRunner::Create(config_.programs, clock_));
+  RIPS_ASSIGN_OR_RETURN(programs_, ExecClient::Create({.socket = config_.exec.socket}));
   RIPS_RETURN_IF_ERROR(StartModes(smh));
   StartWorkers();
   StartDownlink(smh, std::move(credentials));
@@ -444,7 +457,7 @@ void Agent::Impl::Publish(int64_t now_ns) {
 
 bool Agent::Impl::IsAllowed(absl::string_view program) const {
   for (const ProgramSpec& spec : config_.programs) {
-    if (spec.name == program) return true;
+    if (spec.name == program) return !spec.script;
   }
   return false;
 }
@@ -507,8 +520,7 @@ void Agent::Impl::OnExecJournalled(const ExecJournalled& journalled) {
     Tell(std::move(receipt));
     return;
   }
-  receipt.stage =
-      absl::IsUnavailable(run.status()) ? Receipt::Stage::kFailed : Receipt::Stage::kRefused;
+  receipt.stage = NotBegunStage(run.status());
   receipt.detail = std::string(run.status().message());
   EndExec(std::move(receipt));
 }
@@ -516,10 +528,10 @@ void Agent::Impl::OnExecJournalled(const ExecJournalled& journalled) {
 void Agent::Impl::OnExecEnded(const ExecEnded& ended) {
   Receipt receipt;
   receipt.command_id = ended.id;
-  receipt.stage = ended.result.status.ok() ? Receipt::Stage::kVerified : Receipt::Stage::kFailed;
+  receipt.stage = EndedStage(ended.result);
   receipt.exit_code = ended.result.exit_code;
   receipt.output_tail = ended.result.output_tail;
-  receipt.detail = std::string(ended.result.status.message());
+  receipt.detail = ProgramDetail(ended.result);
   EndExec(std::move(receipt));
 }
 

@@ -15,6 +15,7 @@
 #include <optional>
 #include <sstream>
 #include <thread>
+#include <utility>
 
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_replace.h"
@@ -206,6 +207,7 @@ class AgentTest : public ::testing::Test {
   }
   ~AgentTest() override {
     agent_.reset();
+    StopExec();
     [[maybe_unused]] const int ended = system(("rm -rf " + dir_).c_str());
   }
 
@@ -218,10 +220,11 @@ tls: {ca: CA, cert: CERT, key: KEY}
 state_dir: DIR/state
 fail_safe: {level: ALERT, after: 0s}
 timing: {floor_hold: 0ms, reconcile: 200ms}
+exec: {socket: DIR/exec.sock, user: "UID"}
 levels:
   - {name: DEFAULT}
   - {name: ALERT, enter: [{program: {name: note, args: ["-c", "echo alert >> DIR/log"]}}]}
-  - {name: COMPROMISED, enter: [{program: {name: note, args: ["-c", "echo comp >> DIR/log"]}}]}
+  - {name: COMPROMISED, enter: [{program: {name: note, args: ["-c", "echo comp >> DIR/log; echo $RIPS_LEVEL_FROM to $RIPS_LEVEL_TO on $RIPS_ROBOT $RIPS_HOST"]}}]}
   - {name: HALT, enter: [{program: {name: bad}}]}
 programs:
   - {name: note, path: /usr/bin/bash, concurrency: 2}
@@ -233,6 +236,7 @@ metrics: "127.0.0.1:0"
          {"CERT", tls.cert},
          {"KEY", tls.key},
          {"programs:\n", alarms_ + "programs:\n"},
+         {"UID", absl::StrCat(geteuid())},
          {"DIR", dir_}});
   }
   std::string WriteConfig(int port, const TlsFiles& tls) const {
@@ -240,9 +244,33 @@ metrics: "127.0.0.1:0"
     std::ofstream(path) << ConfigText(port, tls);
     return path;
   }
+  // rips-exec, ready, with the configuration as it is.
+  void StartExec() {
+    unlink((dir_ + "/exec.ready").c_str());
+    exec_ = SpawnDaemon("rips-exec", dir_ + "/actuator.yaml", dir_ + "/exec.ready");
+    for (int i = 0; i < 2000 && Slurp(dir_ + "/exec.ready") != "ready\n"; ++i) usleep(10'000);
+    EXPECT_EQ(Slurp(dir_ + "/exec.ready"), "ready\n");
+  }
+  void StopExec(int signal = SIGTERM) {
+    if (exec_ == 0) return;
+    kill(exec_, signal);
+    waitpid(std::exchange(exec_, 0), nullptr, 0);
+  }
+  static pid_t SpawnDaemon(const std::string& name, const std::string& config,
+                           const std::string& ready) {
+    std::vector<std::string> words = {absl::StrCat(RIPS_BIN_DIR "/", name), "--config", config,
+                                      "--ready-file", ready};
+    std::vector<char*> argv;
+    for (std::string& word : words) argv.push_back(word.data());
+    argv.push_back(nullptr);
+    pid_t pid = 0;
+    EXPECT_EQ(posix_spawn(&pid, argv[0], nullptr, nullptr, argv.data(), environ), 0);
+    return pid;
+  }
   absl::Status Start(int port, const TlsFiles& tls) {
     const auto loaded = LoadConfig(WriteConfig(port, tls));
     EXPECT_THAT(loaded, IsOk());
+    if (exec_ == 0 && with_exec_) StartExec();
     const auto credentials = rpc::Credentials::Load(tls);
     EXPECT_THAT(credentials, IsOk());
     auto agent = Agent::Start(*loaded, *credentials, &clock_, &metrics_);
@@ -264,6 +292,8 @@ metrics: "127.0.0.1:0"
   Metrics metrics_;
   std::string dir_;
   std::string alarms_;  // further lines of the configuration: levels and devices
+  bool with_exec_ = true;
+  pid_t exec_ = 0;  // 0 = not running
   std::unique_ptr<Agent> agent_;
 };
 
@@ -298,6 +328,7 @@ TEST_F(AgentTest, RaisesLowersAndSurvivesARestart) {
   ASSERT_TRUE(server.HasReceipt(Id('b'), Receipt::VERIFIED));
   EXPECT_EQ(server.Last(Id('b')).effective_level(), "COMPROMISED");
   EXPECT_EQ(server.Last(Id('b')).steps(0).step(), "program note");
+  EXPECT_EQ(server.Last(Id('b')).steps(0).output_tail(), "DEFAULT to COMPROMISED on r1 base\n");
   server.SetLevel(Id('c'), "DEFAULT", {1, 3});
   ASSERT_TRUE(server.HasReceipt(Id('c'), Receipt::REFUSED));
   EXPECT_THAT(server.Last(Id('c')).detail(), HasSubstr("must be based on mark 1.2"));
@@ -398,6 +429,38 @@ TEST_F(AgentTest, RunsAProgramAtMostOnce) {
   EXPECT_EQ(server.Last(Id('c')).detail(), "program `/usr/bin/id` is not in the allow-list");
 }
 
+TEST_F(AgentTest, WithoutRipsExecStepsFailUntilItComes) {
+  with_exec_ = false;
+  FakeServer server(Pki().Server());
+  ASSERT_THAT(Start(server.port(), Pki().Actuator()), IsOk());
+  server.SetLevel(Id('a'), "COMPROMISED", {1, 1});
+  ASSERT_TRUE(server.HasReceipt(Id('a'), Receipt::FAILED));
+  EXPECT_THAT(server.Last(Id('a')).detail(), HasSubstr("cannot reach rips-exec at `"));
+  server.Run(Id('b'), "note", {"-c", "true"});
+  ASSERT_TRUE(server.HasReceipt(Id('b'), Receipt::FAILED));
+  EXPECT_THAT(server.Last(Id('b')).detail(), HasSubstr("cannot reach rips-exec at `"));
+
+  StartExec();
+  ASSERT_TRUE(server.HasReceipt(Id('a'), Receipt::VERIFIED));
+  ASSERT_TRUE(Verified(server, "COMPROMISED"));
+}
+
+TEST_F(AgentTest, AProgramWhoseRipsExecDiedIsUnknownAndTheNextOneRuns) {
+  FakeServer server(Pki().Server());
+  ASSERT_THAT(Start(server.port(), Pki().Actuator()), IsOk());
+  server.Run(Id('a'), "note", {"-c", "echo ran >> " + dir_ + "/ran; sleep 60"});
+  ASSERT_TRUE(server.Until([&] { return Slurp(dir_ + "/ran") == "ran\n"; }));
+  StopExec(SIGKILL);
+  ASSERT_TRUE(server.HasReceipt(Id('a'), Receipt::UNKNOWN));
+  EXPECT_EQ(server.Last(Id('a')).detail(), "rips-exec ended while it ran");
+
+  StartExec();
+  server.Run(Id('a'), "note", {"-c", "echo ran >> " + dir_ + "/ran"});
+  server.Run(Id('b'), "note", {"-c", "true"});
+  ASSERT_TRUE(server.HasReceipt(Id('b'), Receipt::VERIFIED));
+  EXPECT_EQ(Slurp(dir_ + "/ran"), "ran\n");
+}
+
 TEST_F(AgentTest, AProgramFoundUnfinishedIsUnknownAndNotRunAgain) {
   ExecLedger ledger;
   ASSERT_THAT(ledger.Begin(Id('a')), IsOk());
@@ -469,14 +532,7 @@ class BinaryTest : public AgentTest {
     std::string output;
   };
   pid_t Spawn(const std::string& config) const {
-    std::vector<std::string> words = {RIPS_BIN_DIR "/rips-actuator", "--config", config,
-                                      "--ready-file", dir_ + "/ready"};
-    std::vector<char*> argv;
-    for (std::string& word : words) argv.push_back(word.data());
-    argv.push_back(nullptr);
-    pid_t pid = 0;
-    EXPECT_EQ(posix_spawn(&pid, argv[0], nullptr, nullptr, argv.data(), environ), 0);
-    return pid;
+    return SpawnDaemon("rips-actuator", config, dir_ + "/ready");
   }
   static int WaitFor(pid_t pid) {
     int status = 0;
@@ -500,7 +556,7 @@ TEST_F(BinaryTest, ChecksItsConfiguration) {
   std::ofstream(path, std::ios::app) << "colour: red\n";
   const Ended bad = RunBinary("--check-config --config " + path);
   EXPECT_EQ(bad.code, 2);
-  EXPECT_THAT(bad.output, HasSubstr("actuator.yaml:17:1: unknown key `colour`"));
+  EXPECT_THAT(bad.output, HasSubstr("actuator.yaml:18:1: unknown key `colour`"));
   EXPECT_EQ(RunBinary("--config " + dir_ + "/nothing.yaml").code, 2);
   EXPECT_EQ(RunBinary("--colour").code, 2);
 }
@@ -537,10 +593,16 @@ TEST_F(BinaryTest, AlarmsAreTriedByHand) {
 TEST_F(BinaryTest, HoldsItsLevelAcrossAKillAndEndsOnSigterm) {
   FakeServer server(Pki().Server());
   const std::string config = WriteConfig(server.port(), Pki().Actuator());
+  StartExec();
   const pid_t first = Spawn(config);
   server.SetLevel(Id('a'), "COMPROMISED", {1, 1});
   ASSERT_TRUE(server.HasReceipt(Id('a'), Receipt::VERIFIED));
   EXPECT_EQ(Slurp(dir_ + "/ready"), "ready\n");
+  // A raise is carried out while it is being recorded.
+  for (int i = 0; i < 2000 && Slurp(dir_ + "/state/state").find("COMPROMISED") == std::string::npos;
+       ++i) {
+    usleep(10'000);
+  }
   kill(first, SIGKILL);
   EXPECT_EQ(WaitFor(first), 128 + SIGKILL);
 

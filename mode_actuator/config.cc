@@ -10,6 +10,7 @@
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_join.h"
 #include "mode_actuator/alarm/alarm_config.h"
+#include "mode_actuator/exec/level_scripts.h"
 #include "services/base/status_macros.h"
 #include "services/ros2/ros_name.h"
 #include "services/runtime/config_reader.h"
@@ -23,14 +24,6 @@ constexpr int kModeRetries = 2;
 
 std::string Quote(absl::string_view text) {
   return absl::StrCat("`", absl::CHexEscape(text.substr(0, 100)), "`");
-}
-
-// A key of a later version is asked for, so that it is not reported as unknown as well.
-void RefuseKey(const ConfigSection& section, absl::string_view key) {
-  if (!section.Has(key)) return;
-  section.Problem(key, absl::StrCat("`", key, "` is ", kNotYet));
-  std::string unused;
-  section.Optional(key, &unused);
 }
 
 bool IsLevelName(absl::string_view name) {
@@ -137,14 +130,18 @@ std::vector<Step> ReadSteps(const ConfigSection& level, absl::string_view key,
   return steps;
 }
 
-void CheckBudget(const ConfigSection& level, const std::vector<Step>& enter) {
+// What is wrong with how long the steps may take; mostly nothing.
+std::string OverBudget(const std::vector<Step>& enter) {
   absl::Duration sum;
   for (const Step& step : enter) sum += step.timeout * (1 + step.retries);
-  if (sum > kLevelBudget) {
-    level.Problem("enter", absl::StrCat("the steps may take ", absl::FormatDuration(sum),
-                                        " (timeout x (1 + retries), summed), limit ",
-                                        absl::FormatDuration(kLevelBudget)));
-  }
+  if (sum <= kLevelBudget) return "";
+  return absl::StrCat("the steps may take ", absl::FormatDuration(sum),
+                      " (timeout x (1 + retries), summed), limit ",
+                      absl::FormatDuration(kLevelBudget));
+}
+
+void CheckBudget(const ConfigSection& level, const std::vector<Step>& enter) {
+  if (const std::string over = OverBudget(enter); !over.empty()) level.Problem("enter", over);
 }
 
 void ReadPrograms(const ConfigSection& root, Config* config) {
@@ -163,6 +160,7 @@ void ReadPrograms(const ConfigSection& root, Config* config) {
     }
     section.Optional("timeout", &program.timeout, {absl::Milliseconds(10), absl::Minutes(10)});
     section.Optional("concurrency", &program.concurrency, {1, 16});
+    ReadProgramGuards(section, &program);
     if (!program.name.empty() && !names.insert(program.name).second) {
       section.Problem("name", absl::StrCat("program ", Quote(program.name), " is listed twice"));
     }
@@ -192,7 +190,6 @@ void ReadLevels(const ConfigSection& root, Config* config) {
       section.Problem("on_drift", absl::StrCat("`on_drift` steps are ", kNotYet));
       ReadSteps(section, "on_drift", *config);
     }
-    RefuseKey(section, "scripts");
     CheckBudget(section, level.enter);
     config->levels.push_back(std::move(level));
   }
@@ -242,6 +239,8 @@ absl::StatusOr<ParsedConfig> ParseConfig(absl::string_view file, absl::string_vi
   if (root.Has("state_dir")) ReadPath(root, "state_dir", &config.state_dir);
   config.devices = ReadAlarmDevices(root);
   ReadPrograms(root, &config);
+  config.exec = ReadExec(root);
+  if (root.Has("scripts")) ReadPath(root, "scripts", &config.scripts);
   config.firewall = ReadFirewall(root);
   ReadLevels(root, &config);
   ReadFailSafe(root, &config);
@@ -253,6 +252,20 @@ absl::StatusOr<ParsedConfig> ParseConfig(absl::string_view file, absl::string_vi
   RIPS_RETURN_IF_ERROR(reader.Finish());
   parsed.effective = reader.Effective();
   return parsed;
+}
+
+absl::Status AddScripts(ParsedConfig* parsed) {
+  Config& config = parsed->config;
+  if (config.scripts.empty()) return absl::OkStatus();
+  RIPS_RETURN_IF_ERROR(
+      AddLevelScripts(config.scripts, &config.levels, &config.programs, &parsed->effective));
+  for (const LevelSpec& level : config.levels) {
+    const std::string over = OverBudget(level.enter);
+    if (over.empty()) continue;
+    return absl::InvalidArgumentError(
+        absl::StrCat("level ", Quote(level.name), " with its script: ", over));
+  }
+  return absl::OkStatus();
 }
 
 std::vector<std::pair<std::string, std::string>> ModeTargets(const std::vector<LevelSpec>& levels) {

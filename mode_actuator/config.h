@@ -10,6 +10,7 @@
 #include "absl/strings/string_view.h"
 #include "absl/time/time.h"
 #include "mode_actuator/alarm/alarm_state.h"
+#include "mode_actuator/exec/exec_config.h"
 #include "mode_actuator/firewall/firewall_config.h"
 #include "mode_actuator/level_plan.h"
 #include "mode_actuator/smh.h"
@@ -40,6 +41,8 @@ struct Config {
   std::vector<AlarmSpec> devices;  // alarms
   std::vector<LevelSpec> levels;   // least restrictive first, as in the bundle
   std::vector<ProgramSpec> programs;
+  std::string scripts;  // directory of level scripts (exec/level_scripts.h); empty: none
+  ExecSettings exec;
   FirewallSettings firewall;
   absl::Duration floor_hold = absl::Seconds(10);  // live lease needed before a floor lifts
   absl::Duration reconcile = absl::Seconds(2);    // between two looks at the robot
@@ -53,6 +56,10 @@ struct ParsedConfig {
 
 // InvalidArgument with all problems, each with its place in the text.
 absl::StatusOr<ParsedConfig> ParseConfig(absl::string_view file, absl::string_view text);
+
+// Adds the level scripts of `config.scripts` to levels, programs and the effective text.
+// InvalidArgument as AddLevelScripts, and if a level exceeds kLevelBudget with its script.
+absl::Status AddScripts(ParsedConfig* parsed);
 
 // Every (part, mode) of the levels once.
 std::vector<std::pair<std::string, std::string>> ModeTargets(const std::vector<LevelSpec>& levels);

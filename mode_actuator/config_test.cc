@@ -102,7 +102,15 @@ TEST(ConfigTest, SaysWhereEachMistakeIs) {
        "a step needs exactly one of `system_mode`, `program`, `alarm` and `firewall`"},
       {"on_drift: []", "on_drift: [{program: {name: usb_alarm}}]",
        "`on_drift` steps are not available in this version"},
-      {"    on_drift: []", "    scripts: /x", "`scripts` is not available in this version"},
+      {"    on_drift: []", "    scripts: /x", "unknown key `levels[1].scripts`"},
+      {"metrics:", "scripts: x\nmetrics:", "write an absolute path"},
+      {"metrics:", "exec: {socket: exec.sock}\nmetrics:", "write an absolute path"},
+      {"concurrency: 1", "rate: 3", "write `N/min`, N from 1 to 600"},
+      {"concurrency: 1", "rate: 0/min", "write `N/min`"},
+      {"concurrency: 1", "rate: 601/min", "write `N/min`"},
+      {"concurrency: 1", "rate: -1/min", "write `N/min`"},
+      {"concurrency: 1", "sha256: abc", "write 64 hexadecimal digits"},
+      {"concurrency: 1", "drill: maybe", "`drill`: `maybe`"},
       {"metrics:", "devices: [{name: relay}]\nmetrics:", "missing key `devices[0].kind`"},
       {"security: null", "security: {keystore: k, enclave: /rips}", "write an absolute path"},
       {"security: null", "security: {keystore: /k}", "enclave"},
@@ -119,10 +127,36 @@ TEST(ConfigTest, SaysWhereEachMistakeIs) {
 }
 
 TEST(ConfigTest, ReportsALaterVersionsKeyOnce) {
-  for (const char* text : {"scripts: /x", "on_drift: [{program: {name: usb_alarm}}]"}) {
+  for (const char* text : {"on_drift: [{program: {name: usb_alarm}}]"}) {
     const auto parsed = ParseConfig("a.yaml", Edited("on_drift: []", text));
     EXPECT_THAT(parsed.status().message(), Not(HasSubstr("unknown key"))) << text;
   }
+}
+
+TEST(ConfigTest, ReadsWhatGuardsPrograms) {
+  const auto plain = ParseConfig("a.yaml", kConfig);
+  ASSERT_THAT(plain, IsOk());
+  EXPECT_EQ(plain->config.exec.socket, "/run/rips/exec.sock");
+  EXPECT_EQ(plain->config.exec.user, "rips");
+  EXPECT_EQ(plain->config.programs[0].starts_per_minute, 0);
+
+  const auto parsed = ParseConfig(
+      "a.yaml", Edited("concurrency: 1}",
+                       absl::StrCat("rate: 6/min, drill: true, sha256: ", std::string(64, 'A'),
+                                    "}\nexec: {socket: /s, user: rx, cgroup: /sys/fs/cgroup/x}")));
+  ASSERT_THAT(parsed, IsOk());
+  EXPECT_EQ(parsed->config.exec.socket, "/s");
+  EXPECT_EQ(parsed->config.exec.user, "rx");
+  EXPECT_EQ(parsed->config.exec.cgroup, "/sys/fs/cgroup/x");
+  EXPECT_EQ(parsed->config.programs[0].starts_per_minute, 6);
+  EXPECT_TRUE(parsed->config.programs[0].drill);
+  EXPECT_EQ(parsed->config.programs[0].sha256, std::string(64, 'a'));
+}
+
+TEST(ConfigTest, AProgramsNameHasALimit) {
+  EXPECT_THAT(ParseConfig("a.yaml", Edited("usb_alarm", std::string(257, 'n'))),
+              StatusIs(absl::StatusCode::kInvalidArgument,
+                       HasSubstr("a name of 257 bytes exceeds limit 256")));
 }
 
 TEST(ConfigTest, ReadsAlarms) {

@@ -42,14 +42,20 @@ class ResultSlot {
 // One program step with its retries, driven by polling.
 class ProgramAttempt final : public StepAttempt {
  public:
-  ProgramAttempt(const Step& step, ProgramRunner* runner, absl::Duration timeout, int64_t now_ns)
+  // `request` says which levels are left and entered.
+  ProgramAttempt(const Step& step, ProgramRunner* runner, ProgramRequest request,
+                 absl::Duration timeout, int64_t now_ns)
       : step_(step),
-        program_(std::get<ProgramStep>(step.what)),
+        request_(std::move(request)),
         runner_(runner),
-        timeout_(timeout),
         began_ns_(now_ns),
         deadline_ns_(now_ns + absl::ToInt64Nanoseconds(timeout * (1 + step.retries))) {
     result.step = StepName(step);
+    const auto& program = std::get<ProgramStep>(step.what);
+    request_.name = program.name;
+    request_.args = program.args;
+    if (program.level_args) request_.args = {request_.level_to, request_.level_from};
+    request_.timeout = timeout;
   }
 
   bool Poll(int64_t now_ns) override {
@@ -58,16 +64,20 @@ class ProgramAttempt final : public StepAttempt {
       if (now_ns >= next_start_ns_) TryStart(now_ns);
     } else if (std::optional<ProgramResult> ended = slot_->Take()) {
       run_ = 0;
-      if (ended->status.ok() || ++tries_ > step_.retries) {
-        Finish(ended->status, now_ns);
+      if (!ended->begun && !cancelled_ && absl::IsResourceExhausted(ended->status) &&
+          now_ns < deadline_ns_) {
+        next_start_ns_ = now_ns + absl::ToInt64Nanoseconds(kBusyRetry);
+      } else if (ended->status.ok() || ++tries_ > step_.retries) {
+        Finish(*ended, now_ns);
       }
     } else if (now_ns >= deadline_ns_ + absl::ToInt64Nanoseconds(kEndGrace)) {
-      Finish(absl::DeadlineExceededError("the program runner gave no result"), now_ns);
+      Finish({.status = absl::DeadlineExceededError("the program runner gave no result")}, now_ns);
     }
     return finished_;
   }
   void Cancel() override {
     tries_ = step_.retries;
+    cancelled_ = true;
     if (run_ != 0) {
       runner_->Cancel(run_);
     } else if (!finished_) {
@@ -79,34 +89,36 @@ class ProgramAttempt final : public StepAttempt {
  private:
   void TryStart(int64_t now_ns) {
     slot_ = std::make_shared<ResultSlot>();
-    const absl::StatusOr<uint64_t> run =
-        runner_->Start({.name = program_.name, .args = program_.args, .timeout = timeout_},
-                       [slot = slot_](ProgramResult ended) { slot->Set(std::move(ended)); });
+    const absl::StatusOr<uint64_t> run = runner_->Start(
+        request_, [slot = slot_](ProgramResult ended) { slot->Set(std::move(ended)); });
     if (run.ok()) {
       run_ = *run;
     } else if (absl::IsResourceExhausted(run.status()) && now_ns < deadline_ns_) {
       next_start_ns_ = now_ns + absl::ToInt64Nanoseconds(kBusyRetry);
     } else {
-      Finish(run.status(), now_ns);
+      Finish({.status = run.status()}, now_ns);
     }
   }
-  void Finish(const absl::Status& status, int64_t now_ns) {
+  void Finish(const ProgramResult& ended, int64_t now_ns) {
     finished_ = true;
-    result.ok = status.ok();
-    if (!status.ok()) result.detail = std::string(status.message());
+    result.ok = ended.status.ok();
+    result.detail = ProgramDetail(ended);
+    const size_t skip =
+        ended.output_tail.size() - std::min(ended.output_tail.size(), kStepOutputBytesMax);
+    result.output_tail = ended.output_tail.substr(skip);
     result.took_ms = static_cast<uint32_t>((now_ns - began_ns_) / kNanosPerMilli);
   }
 
   const Step& step_;
-  const ProgramStep& program_;
+  ProgramRequest request_;
   ProgramRunner* const runner_;
-  const absl::Duration timeout_;
   const int64_t began_ns_;
   const int64_t deadline_ns_;
   std::shared_ptr<ResultSlot> slot_;
   uint64_t run_ = 0;
   int tries_ = 0;
   int64_t next_start_ns_ = 0;
+  bool cancelled_ = false;
   bool finished_ = false;
 };
 
@@ -195,6 +207,7 @@ LevelOutcome Procedures::Run(const ApplyLevel& job, const CancelFlag& cancel) {
     done_.clear();
     stubborn_.clear();
   }
+  request_ = {.level_from = job.from, .level_to = job.to};
   Progress progress{.raise = job.raise};
   progress.leave_until_ns = NowNs() + absl::ToInt64Nanoseconds(kLeaveBudget);
   // A raise leaves once; what a lowering could not leave it tries again.
@@ -354,7 +367,8 @@ std::vector<StepResult> Procedures::RunTogether(Phase phase, const std::vector<S
       owned.push_back(
           std::make_unique<AlarmAttempt>(*alarm, StepName(step), alarms_, options, NowNs()));
     } else {
-      owned.push_back(std::make_unique<ProgramAttempt>(step, programs_, timeout, NowNs()));
+      owned.push_back(
+          std::make_unique<ProgramAttempt>(step, programs_, request_, timeout, NowNs()));
     }
     attempts.push_back(owned.back().get());
   }

@@ -108,6 +108,7 @@ class Procedures {
   Alarms* const alarms_;                        // Not owned; outlives this.
   const Clock* const clock_;                    // Not owned; outlives this.
   const StepRunners runners_;
+  ProgramRequest request_;  // of the programs of the present transition: its levels
   // Programs of the present transition that succeeded, by phase and index: a retry skips them.
   std::set<std::pair<Phase, size_t>> done_;
   // Alarms, by index into the enter steps, that were not as told right after they were told.

@@ -1,16 +1,13 @@
 #include "mode_actuator/firewall/fw_client.h"
 
 #include <poll.h>
-#include <sys/socket.h>
-#include <sys/un.h>
 
 #include <algorithm>
-#include <cerrno>
-#include <cstring>
 #include <utility>
 #include <variant>
 
 #include "absl/strings/str_cat.h"
+#include "mode_actuator/helper_socket/helper_socket.h"
 #include "services/base/clock.h"
 #include "services/base/status_macros.h"
 #include "services/runtime/real_clock.h"
@@ -23,22 +20,6 @@ namespace {
 constexpr int kPollMs = 20;
 constexpr absl::Duration kRetryAfter = absl::Milliseconds(100);
 
-absl::StatusOr<UniqueFd> Connect(const std::string& path) {
-  sockaddr_un address = {};
-  address.sun_family = AF_UNIX;
-  if (path.size() >= sizeof(address.sun_path)) {
-    return absl::InvalidArgumentError("the path of rips-fw's socket is too long");
-  }
-  std::memcpy(address.sun_path, path.data(), path.size());
-  UniqueFd fd(socket(AF_UNIX, SOCK_SEQPACKET | SOCK_CLOEXEC | SOCK_NONBLOCK, 0));
-  const auto* raw = reinterpret_cast<const sockaddr*>(&address);
-  if (fd.get() < 0 || connect(fd.get(), raw, sizeof(address)) != 0) {
-    return absl::UnavailableError(
-        absl::StrCat("cannot reach rips-fw at `", path, "`: ", std::strerror(errno)));
-  }
-  return fd;
-}
-
 bool Final(const absl::Status& status) {
   return absl::IsInvalidArgument(status) || absl::IsPermissionDenied(status) ||
          absl::IsCancelled(status);
@@ -48,25 +29,19 @@ bool Final(const absl::Status& status) {
 
 absl::StatusOr<FwResponse> FwClient::Call(const FwRequest& request, absl::Duration timeout,
                                           const CancelFlag& cancel) const {
-  RIPS_ASSIGN_OR_RETURN(const UniqueFd fd, Connect(socket_path_));
-  const std::string packet = EncodeFwRequest(request);
+  RIPS_ASSIGN_OR_RETURN(const UniqueFd fd, ConnectToHelper(socket_path_, "rips-fw"));
   // Refused at the door: the answer is there before the question.
-  const bool sent = send(fd.get(), packet.data(), packet.size(), MSG_NOSIGNAL) >= 0;
-  const int send_error = errno;
+  const absl::Status sent = SendPacket(fd.get(), EncodeFwRequest(request));
   const int64_t deadline_ns = BoottimeAfter(timeout);
-  char answer[kFwPacketBytesMax];
   bool reset = false;
   while (true) {
-    const ssize_t got = recv(fd.get(), answer, sizeof(answer), 0);
-    if (got > 0) return DecodeFwResponse(absl::string_view(answer, static_cast<size_t>(got)));
-    if (got < 0 && errno == ECONNRESET && !std::exchange(reset, true)) {
-      // It closed without reading what we sent; what it said before that comes now.
-      continue;
-    }
-    if (got == 0 || (errno != EAGAIN && errno != EINTR)) {
-      return absl::UnavailableError(
-          sent ? "rips-fw went away before it answered"
-               : absl::StrCat("cannot ask rips-fw: ", std::strerror(send_error)));
+    const absl::StatusOr<std::string> answer = ReceivePacket(fd.get(), kFwPacketBytesMax);
+    if (answer.ok()) return DecodeFwResponse(*answer);
+    if (absl::IsAborted(answer.status()) && !std::exchange(reset, true)) continue;
+    if (!absl::IsUnavailable(answer.status())) {
+      return absl::UnavailableError(sent.ok()
+                                        ? "rips-fw went away before it answered"
+                                        : absl::StrCat("cannot ask rips-fw: ", sent.message()));
     }
     const int64_t left_ns = deadline_ns - BoottimeNow();
     if (cancel.cancelled()) return absl::CancelledError("cancelled");

@@ -14,6 +14,7 @@
 #include "absl/status/statusor.h"
 #include "absl/time/time.h"
 #include "mode_actuator/firewall/fw_message.h"
+#include "mode_actuator/helper_socket/helper_socket.h"
 #include "services/runtime/unique_fd.h"
 
 namespace rips::actuator {
@@ -21,15 +22,6 @@ namespace rips::actuator {
 inline constexpr size_t kFwConnectionsMax = 16;
 // A connection that says nothing is closed after this.
 inline constexpr absl::Duration kFwIdleMax = absl::Seconds(30);
-
-// A listening SOCK_SEQPACKET socket at `path`, for `user` alone (and root). A socket file that
-// nobody listens at any more is replaced; AlreadyExists if somebody does, FailedPrecondition if
-// `path` is something else, Unavailable otherwise.
-absl::StatusOr<UniqueFd> ListenAt(const std::string& path, uid_t user);
-
-// The socket systemd has opened for us, as the environment says (sd_listen_fds(3)); none: a
-// negative descriptor. InvalidArgument if it is of another kind, or if there are several.
-absl::StatusOr<UniqueFd> InheritedListener();
 
 class FwServer {
  public:

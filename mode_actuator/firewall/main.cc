@@ -1,7 +1,5 @@
 // rips-fw: changes the packet filter of one robot host for rips-actuator. The only process of RIPS
 // that needs CAP_NET_ADMIN; it speaks with nobody but root and one user, on a Unix socket.
-#include <pwd.h>
-
 #include <cstdio>
 #include <memory>
 #include <optional>
@@ -11,14 +9,12 @@
 
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
-#include "absl/strings/escaping.h"
-#include "absl/strings/numbers.h"
-#include "absl/strings/str_cat.h"
 #include "mode_actuator/config.h"
 #include "mode_actuator/firewall/firewall.h"
 #include "mode_actuator/firewall/fw_server.h"
 #include "mode_actuator/firewall/nft_runner.h"
 #include "mode_actuator/firewall/real_host.h"
+#include "mode_actuator/helper_socket/helper_socket.h"
 #include "services/base/status_macros.h"
 #include "services/runtime/daemon_flags.h"
 #include "services/runtime/log.h"
@@ -34,21 +30,6 @@ using rips::actuator::ParsedConfig;
 int Fail(int code, const absl::Status& status) {
   std::fprintf(stderr, "%s\n", std::string(status.message()).c_str());
   return code;
-}
-
-absl::StatusOr<uid_t> UserId(const std::string& user) {
-  uint32_t number = 0;
-  if (absl::SimpleAtoi(user, &number)) return static_cast<uid_t>(number);
-  const passwd* entry = getpwnam(user.c_str());
-  if (entry != nullptr) return entry->pw_uid;
-  return absl::InvalidArgumentError(
-      absl::StrCat("firewall.user: no user `", absl::CHexEscape(user.substr(0, 100)), "`"));
-}
-
-absl::StatusOr<rips::UniqueFd> Listen(const std::string& path, uid_t user) {
-  RIPS_ASSIGN_OR_RETURN(rips::UniqueFd inherited, rips::actuator::InheritedListener());
-  if (inherited.get() >= 0) return inherited;
-  return rips::actuator::ListenAt(path, user);
 }
 
 absl::StatusOr<ParsedConfig> Load(const std::string& path) {
@@ -74,7 +55,7 @@ int main(int argc, char** argv) {
     return 0;
   }
   const rips::actuator::Config& config = loaded->config;
-  const auto user = UserId(config.firewall.user);
+  const auto user = rips::actuator::FindUser(config.firewall.user, "firewall.user");
   if (!user.ok()) return Fail(rips::kExitConfig, user.status());
 
   const rips::RealClock clock;
@@ -88,7 +69,7 @@ int main(int argc, char** argv) {
     return Fail(theirs ? rips::kExitConfig : rips::kExitFailed, files);
   }
   rips::SignalWaiter signals({});
-  auto listener = Listen(config.firewall.socket, *user);
+  auto listener = rips::actuator::ListenForHelper(config.firewall.socket, *user);
   if (!listener.ok()) return Fail(rips::kExitFailed, listener.status());
   const auto server = FwServer::Create(
       *std::move(listener), *user,

@@ -114,6 +114,7 @@ class Fleet:
         self.programs = programs  # YAML list of actuator.yaml
         self.sensor_options = ""  # more lines of sensor.yaml
         self.processes = []
+        self.exec = None
         self.port = None
         self.smh = SOURCE / "tests/support/robot_sim/smh.yaml"
         # Only loopback, whatever the caller's environment says; and whoever happens to be in the
@@ -194,6 +195,7 @@ state_dir: {self.dir}/actuator
 fail_safe: {{level: {self.fail_safe}, after: 0s}}
 system_modes: {{smh: {self.smh}, verify: parts}}
 timing: {{floor_hold: {self.floor_hold}}}
+exec: {{socket: {self.dir}/exec.sock, user: "{os.geteuid()}"}}
 levels:
 {levels}{self.programs}""")
 
@@ -235,6 +237,8 @@ levels:
 
     def start_agent(self, role, wait=True):
         self.write_agent_configs()
+        if role == "actuator" and self.programs:
+            self.start_exec()
         ready = self.dir / role / "ready"
         ready.unlink(missing_ok=True)
         agent = self.start(role, self.bin / f"rips-{role}", "--config", self.dir / f"{role}.yaml",
@@ -242,6 +246,16 @@ levels:
         if wait:
             self._ready(agent, ready, f"the {role}")
         return agent
+
+    def start_exec(self):
+        """rips-exec, unless it runs already."""
+        if self.exec is None or not self.exec.running:
+            ready = self.dir / "exec.ready"
+            ready.unlink(missing_ok=True)
+            self.exec = self.start("exec", self.bin / "rips-exec", "--config",
+                                   self.dir / "actuator.yaml", "--ready-file", ready)
+            self._ready(self.exec, ready, "rips-exec")
+        return self.exec
 
     def start_intruder(self, mode, *options):
         return self.start("intruder", self.bin / "robot_sim", "intruder", "--domain", self.domain,
