@@ -12,7 +12,7 @@
 #include "mode_actuator/alarm/alarm_state.h"
 #include "mode_actuator/firewall/firewall_config.h"
 #include "mode_actuator/level_plan.h"
-#include "mode_actuator/smh.h"
+#include "mode_actuator/modes/smh.h"
 #include "services/runtime/config_sections.h"
 
 namespace rips::actuator {

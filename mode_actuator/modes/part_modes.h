@@ -1,6 +1,6 @@
 // Port: bringing a part of the robot into a mode, and seeing whether it is there.
-#ifndef RIPS_MODE_ACTUATOR_PART_MODES_H_
-#define RIPS_MODE_ACTUATOR_PART_MODES_H_
+#ifndef RIPS_MODE_ACTUATOR_MODES_PART_MODES_H_
+#define RIPS_MODE_ACTUATOR_MODES_PART_MODES_H_
 
 #include <string>
 
@@ -36,4 +36,4 @@ class PartModes {
 
 }  // namespace rips::actuator
 
-#endif  // RIPS_MODE_ACTUATOR_PART_MODES_H_
+#endif  // RIPS_MODE_ACTUATOR_MODES_PART_MODES_H_

@@ -7,8 +7,8 @@
 // With Verify::kParts both are asked. The parts decide; the manager may be silent (no answer,
 // state unknown, mode "" or "unknown") once kManagerSilence has passed, but must not name another
 // mode. With Verify::kManager only the manager is asked.
-#ifndef RIPS_MODE_ACTUATOR_SYSTEM_MODES_H_
-#define RIPS_MODE_ACTUATOR_SYSTEM_MODES_H_
+#ifndef RIPS_MODE_ACTUATOR_MODES_SYSTEM_MODES_H_
+#define RIPS_MODE_ACTUATOR_MODES_SYSTEM_MODES_H_
 
 #include <memory>
 #include <string>
@@ -19,8 +19,8 @@
 #include "absl/status/statusor.h"
 #include "absl/strings/string_view.h"
 #include "absl/time/time.h"
-#include "mode_actuator/part_modes.h"
-#include "mode_actuator/smh.h"
+#include "mode_actuator/modes/part_modes.h"
+#include "mode_actuator/modes/smh.h"
 #include "services/base/clock.h"
 #include "services/dds/participant.h"
 
@@ -69,4 +69,4 @@ class SystemModes final : public PartModes {
 
 }  // namespace rips::actuator
 
-#endif  // RIPS_MODE_ACTUATOR_SYSTEM_MODES_H_
+#endif  // RIPS_MODE_ACTUATOR_MODES_SYSTEM_MODES_H_

@@ -1,5 +1,5 @@
 // SystemModes over real DDS, against a scripted robot in another participant.
-#include "mode_actuator/system_modes.h"
+#include "mode_actuator/modes/system_modes.h"
 
 #include <functional>
 #include <map>

@@ -1,4 +1,4 @@
-#include "mode_actuator/system_modes.h"
+#include "mode_actuator/modes/system_modes.h"
 
 #include <algorithm>
 #include <optional>
