@@ -16,6 +16,8 @@ struct ModeReading {
   absl::Status status;
   // The mode the robot says it is in; `?` if it does not say.
   std::string observed = "?";
+  // What people should know although it went well; empty mostly.
+  std::string note = {};
 };
 
 // One thread at a time.
