@@ -60,7 +60,7 @@ ManagerView ManagerClient::Look(absl::string_view mode) {
   view.answers = true;
   const bool named = !now->empty() && *now != "unknown";
   const std::string shown = ros2::Printable(absl::string_view(*now).substr(0, kModeBytesShown));
-  view.silent = state->id == kUnknown || !named;
+  view.silent = state->id == kUnknown || !named || *now == mode;
   if (named) view.observed = shown;
   view.agrees = state->id == kActive && *now == mode;
   view.elsewhere = state->id == kActive && named && *now != mode;

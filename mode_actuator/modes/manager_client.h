@@ -23,7 +23,8 @@ inline constexpr absl::Duration kOrderTimeout = absl::Seconds(1);  // one change
 struct ManagerView {
   bool answers = false;  // both questions
   bool agrees = false;   // active, and in the mode asked for
-  // It does not know: no answer, state unknown, mode "" or "unknown".
+  // It contradicts nothing: no answer, state unknown, mode "" or "unknown"; or it names the mode, in
+  // whatever state.
   bool silent = true;
   bool elsewhere = false;  // active, and in another mode: it is not on its way
   std::string observed;    // the mode it names, safe to print; empty if none

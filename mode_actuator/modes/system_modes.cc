@@ -282,8 +282,9 @@ void SystemModes::Impl::Follow(Part& part, absl::string_view mode, const View& v
                                ModeReading& reading) {
   if (part.manager == nullptr || !part.hold.holds(mode)) return;
   if (!reading.status.ok()) {
-    const std::string& other = view.manager.observed;
-    if (!other.empty() && !view.manager.agrees && other != mode) {
+    // It was asked before the parts; they may have moved in between.
+    const std::string other = part.manager->Look(mode).observed;
+    if (!other.empty() && other != mode) {
       part.hold.Left(mode, other, NowNs());
       reading.status = absl::FailedPreconditionError(
           absl::StrCat(reading.status.message(), "; the mode manager left ", absl::CHexEscape(mode),

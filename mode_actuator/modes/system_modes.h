@@ -4,9 +4,9 @@
 // what it infers can stay unknown for ever after its restart. So every order is read back:
 //   manager  /part/get_state is active and /part/get_mode is the mode
 //   parts    every node's /node/get_state and /node/get_parameters are as the SMH file says
-// With Verify::kParts both are asked. The parts decide; the manager may be silent (no answer,
-// state unknown, mode "" or "unknown") once kManagerSilence has passed, but must not name another
-// mode. With Verify::kManager only the manager is asked.
+// With Verify::kParts both are asked. The parts decide; once kManagerSilence has passed the manager
+// may be silent (no answer, state unknown, mode "" or "unknown") or still be in transition, but must
+// not name another mode. With Verify::kManager only the manager is asked.
 //
 // With Fallback::kDirect a mode manager that fails is gone without. A step has timeout x (1 +
 // retries); the nodes themselves are ordered (direct_modes.h) with what is left of it once
