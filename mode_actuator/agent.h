@@ -8,7 +8,7 @@
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
 #include "mode_actuator/config.h"
-#include "mode_actuator/smh.h"
+#include "mode_actuator/modes/smh.h"
 #include "services/base/clock.h"
 #include "services/rpc/credentials.h"
 #include "services/runtime/metrics.h"

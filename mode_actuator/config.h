@@ -13,7 +13,7 @@
 #include "mode_actuator/exec/exec_config.h"
 #include "mode_actuator/firewall/firewall_config.h"
 #include "mode_actuator/level_plan.h"
-#include "mode_actuator/smh.h"
+#include "mode_actuator/modes/smh.h"
 #include "services/runtime/config_sections.h"
 
 namespace rips::actuator {

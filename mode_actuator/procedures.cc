@@ -162,7 +162,7 @@ void AddObserved(LevelOutcome& outcome, const AlarmStep& alarm, const AlarmAttem
 StepReading ToReading(const SystemModeStep& mode, const ModeReading& reading) {
   return {.status = reading.status,
           .observed = absl::StrCat(mode.part, "=", reading.observed),
-          .note = {}};
+          .note = reading.note};
 }
 
 void AddDetail(LevelOutcome& outcome, const StepResult& result) {

@@ -29,7 +29,7 @@
 #include "mode_actuator/cancel_flag.h"
 #include "mode_actuator/executor.h"
 #include "mode_actuator/level_plan.h"
-#include "mode_actuator/part_modes.h"
+#include "mode_actuator/modes/part_modes.h"
 #include "mode_actuator/program_runner.h"
 #include "mode_actuator/step_attempt.h"
 #include "mode_actuator/step_runner.h"

@@ -117,7 +117,9 @@ struct RawReader::Impl {
               .source_unix_ns = info.source_timestamp,
               .received = clock.Now(),
               .publication = info.publication_handle,
-              .writer = WriterOf(reader, info.publication_handle)});
+              .writer = WriterOf(reader, info.publication_handle),
+              .related_writer = content.related_writer,
+              .related_sequence = content.related_sequence});
   }
 
   ros2::Guid WriterOf(EntityHandle reader, InstanceHandle publication)

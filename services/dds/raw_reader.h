@@ -64,6 +64,9 @@ struct RawSample {
   InstanceHandle publication = 0;
   // The writer; none() if it was gone before its first sample was taken and was never seen here.
   ros2::Guid writer;
+  // The sample that this one answers, if its writer says so beside the payload (Fast DDS).
+  ros2::Guid related_writer;
+  uint64_t related_sequence = 0;
 };
 
 // Runs on Cyclone's receive threads (unicast and multicast), or on the writing thread for writers

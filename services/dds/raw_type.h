@@ -17,6 +17,7 @@
 #include "absl/status/statusor.h"
 #include "absl/strings/string_view.h"
 #include "services/dds/dds_entity.h"
+#include "services/ros2/guid.h"
 
 struct ddsi_serdata;
 struct ddsi_sertype;
@@ -53,6 +54,9 @@ struct RawContent {
   absl::string_view payload;     // encapsulation header and body, possibly cut
   uint32_t size = 0;             // of the whole payload, in bytes
   uint64_t writer_sequence = 0;  // RTPS sequence number; 0 if written by this process
+  // The sample that this one answers, if its writer says so beside the payload (Fast DDS).
+  ros2::Guid related_writer;
+  uint64_t related_sequence = 0;
 };
 // `sample` must have come from a raw topic and hold data.
 RawContent ContentOf(const ddsi_serdata* sample);

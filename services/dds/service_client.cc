@@ -26,17 +26,50 @@ int64_t DeadlineAfter(absl::Duration timeout) {
 struct ServiceClient::Impl {
   // Keeps the reply that `awaited` waits for, drops every other one.
   void OnReply(const RawWriter& writer, const RawSample& sample) ABSL_LOCKS_EXCLUDED(mu) {
+    if (!sample.related_writer.none()) {
+      MutexLock lock(&mu);
+      if (awaited_sample == 0 || sample.related_writer != writer.guid()) return;
+      if (sample.related_sequence != awaited_sample) return;
+      TakeReply(std::string(sample.payload));
+      return;
+    }
     absl::StatusOr<ros2::ServiceMessage> message = ros2::SplitServiceHeader(sample.payload);
     if (!message.ok()) return;
     MutexLock lock(&mu);
+    if (awaited == 0) return;
     if (message->header != ros2::ServiceHeader{writer.instance(), awaited}) return;
-    reply = std::move(message->payload);
+    TakeReply(std::move(message->payload));
+  }
+  void TakeReply(std::string payload) ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu) {
+    reply = std::move(payload);
     awaited = 0;
+    awaited_sample = 0;
     changed.NotifyAll();
   }
 
+  // Sends the request in the words of the server that is there.
+  absl::Status Send(absl::string_view request, bool fastrtps) ABSL_EXCLUSIVE_LOCKS_REQUIRED(calling)
+      ABSL_LOCKS_EXCLUDED(mu) {
+    const ros2::ServiceHeader header = {.client_id = endpoints.writer->instance(),
+                                        .sequence = ++last_sequence};
+    std::string payload(request);
+    if (!fastrtps) {
+      RIPS_ASSIGN_OR_RETURN(payload, ros2::AddServiceHeader(request, header));
+    }
+    {
+      MutexLock lock(&mu);
+      awaited = fastrtps ? 0 : header.sequence;
+      // The server names the request by its RTPS sequence number, which counts writes from 1.
+      awaited_sample = fastrtps ? written + 1 : 0;
+      reply.reset();
+    }
+    RIPS_RETURN_IF_ERROR(endpoints.writer->Write(payload));
+    ++written;
+    return absl::OkStatus();
+  }
+
   absl::Status WaitForServer(int64_t deadline) ABSL_LOCKS_EXCLUDED(mu) {
-    while (!HasWholeServer(endpoints)) {
+    while (!FindWholeServer(endpoints).has_value()) {
       if (RealClock().Now().boottime_ns >= deadline) {
         return absl::DeadlineExceededError(
             absl::StrCat("no server for `", options.service, "` in time"));
@@ -53,6 +86,7 @@ struct ServiceClient::Impl {
       changed.WaitUntil(lock, deadline);
     }
     awaited = 0;
+    awaited_sample = 0;
     if (!reply.has_value()) {
       return absl::DeadlineExceededError(
           absl::StrCat("no reply from `", options.service, "` in time"));
@@ -63,9 +97,11 @@ struct ServiceClient::Impl {
   ServiceOptions options;
   Mutex calling;  // held for a whole call
   int64_t last_sequence ABSL_GUARDED_BY(calling) = 0;
+  uint64_t written ABSL_GUARDED_BY(calling) = 0;
   Mutex mu;
   CondVar changed;
-  int64_t awaited ABSL_GUARDED_BY(mu) = 0;  // sequence; 0 = no call
+  int64_t awaited ABSL_GUARDED_BY(mu) = 0;          // sequence; 0 = no call
+  uint64_t awaited_sample ABSL_GUARDED_BY(mu) = 0;  // the same of a call to rmw_fastrtps
   std::optional<std::string> reply ABSL_GUARDED_BY(mu);
   ServiceEndpoints endpoints;  // last, so it goes first: then OnReply runs no more
 };
@@ -86,7 +122,12 @@ absl::StatusOr<std::unique_ptr<ServiceClient>> ServiceClient::Create(
   return std::unique_ptr<ServiceClient>(new ServiceClient(std::move(impl)));
 }
 
-bool ServiceClient::ServerReady() const { return HasWholeServer(impl_->endpoints); }
+bool ServiceClient::ServerReady() const { return FindWholeServer(impl_->endpoints).has_value(); }
+
+std::optional<ros2::Guid> ServiceClient::Server() const {
+  const std::optional<WholeServer> server = FindWholeServer(impl_->endpoints);
+  return server.has_value() ? std::optional(server->request_reader) : std::nullopt;
+}
 
 absl::Status ServiceClient::WaitForServer(absl::Duration timeout) {
   return impl_->WaitForServer(DeadlineAfter(timeout));
@@ -96,15 +137,8 @@ absl::StatusOr<std::string> ServiceClient::Call(absl::string_view request, absl:
   const int64_t deadline = DeadlineAfter(timeout);
   MutexLock calling(&impl_->calling);
   RIPS_RETURN_IF_ERROR(impl_->WaitForServer(deadline));
-  const ros2::ServiceHeader header = {.client_id = impl_->endpoints.writer->instance(),
-                                      .sequence = ++impl_->last_sequence};
-  RIPS_ASSIGN_OR_RETURN(const std::string payload, ros2::AddServiceHeader(request, header));
-  {
-    MutexLock lock(&impl_->mu);
-    impl_->awaited = header.sequence;
-    impl_->reply.reset();
-  }
-  RIPS_RETURN_IF_ERROR(impl_->endpoints.writer->Write(payload));
+  const std::optional<WholeServer> server = FindWholeServer(impl_->endpoints);
+  RIPS_RETURN_IF_ERROR(impl_->Send(request, server.has_value() && server->fastrtps));
   return impl_->WaitForReply(deadline);
 }
 

@@ -1,8 +1,9 @@
-// Client of one ROS 2 service that is served through rmw_cyclonedds.
+// Client of one ROS 2 service, served through rmw_cyclonedds or rmw_fastrtps.
 #ifndef RIPS_SERVICES_DDS_SERVICE_CLIENT_H_
 #define RIPS_SERVICES_DDS_SERVICE_CLIENT_H_
 
 #include <memory>
+#include <optional>
 #include <string>
 
 #include "absl/status/status.h"
@@ -36,6 +37,8 @@ class ServiceClient {
   // A server's request reader and reply writer are both matched: a request now will reach it and
   // its reply will reach us.
   bool ServerReady() const;
+  // Where the next request would go: the server's endpoint, another one after its restart.
+  std::optional<ros2::Guid> Server() const;
 
   // Waits for ServerReady. DeadlineExceeded, naming the service, after `timeout`.
   absl::Status WaitForServer(absl::Duration timeout);

@@ -25,6 +25,11 @@ constexpr size_t kPeersMax = 256;
 struct Peer {
   std::string service_id;
   ros2::Guid participant;
+  ros2::Guid endpoint;
+
+  bool IsFastDds() const {
+    return service_id.empty() && participant.bytes[0] == 0x01 && participant.bytes[1] == 0x0f;
+  }
 
   bool SameServer(const Peer& other) const {
     return service_id.empty() && other.service_id.empty() ? participant == other.participant
@@ -63,6 +68,7 @@ std::vector<Peer> PeersOf(EntityHandle entity, ListMatched list, DescribeMatched
     peer.service_id = UserDataField(ReadUserData(data->qos), "serviceid");
     std::copy(std::begin(data->participant_key.v), std::end(data->participant_key.v),
               peer.participant.bytes.begin());
+    std::copy(std::begin(data->key.v), std::end(data->key.v), peer.endpoint.bytes.begin());
     dds_builtintopic_free_endpoint(data);
     peers.push_back(std::move(peer));
   }
@@ -111,15 +117,20 @@ absl::StatusOr<ServiceEndpoints> CreateServiceEndpoints(const Participant& parti
   return endpoints;
 }
 
-bool HasWholeServer(const ServiceEndpoints& client) {
+std::optional<WholeServer> FindWholeServer(const ServiceEndpoints& client) {
   const std::vector<Peer> readers = ReadersMatchedBy(*client.writer);
-  if (readers.empty()) return false;
+  if (readers.empty()) return std::nullopt;
   const std::vector<Peer> writers = PeersOf(client.reader->entity(), dds_get_matched_publications,
                                             dds_get_matched_publication_data);
-  return std::any_of(readers.begin(), readers.end(), [&](const Peer& reader) {
-    return std::any_of(writers.begin(), writers.end(),
-                       [&](const Peer& writer) { return reader.SameServer(writer); });
-  });
+  std::optional<WholeServer> found;
+  for (const Peer& reader : readers) {
+    const bool whole = std::any_of(writers.begin(), writers.end(),
+                                   [&](const Peer& writer) { return reader.SameServer(writer); });
+    if (!whole || (found.has_value() && reader.IsFastDds())) continue;
+    found = WholeServer{.request_reader = reader.endpoint, .fastrtps = reader.IsFastDds()};
+    if (!found->fastrtps) break;
+  }
+  return found;
 }
 
 bool MatchesReaderOf(const RawWriter& writer, const ros2::Guid& participant) {

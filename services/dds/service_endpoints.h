@@ -4,6 +4,7 @@
 
 #include <functional>
 #include <memory>
+#include <optional>
 
 #include "absl/status/statusor.h"
 #include "services/dds/participant.h"
@@ -30,9 +31,15 @@ absl::StatusOr<ServiceEndpoints> CreateServiceEndpoints(const Participant& parti
                                                         ServiceSide side,
                                                         ServiceCallback on_sample);
 
-// A peer is matched by `writer` and by `reader`, and both of its endpoints carry the same
-// "serviceid", or, if they carry none, belong to one participant.
-bool HasWholeServer(const ServiceEndpoints& client);
+// A peer that is matched by `writer` and by `reader`, and both of whose endpoints carry the same
+// "serviceid", or, if they carry none, belong to one participant. Of several, one of rmw_cyclonedds.
+struct WholeServer {
+  ros2::Guid request_reader;
+  // It pairs replies with requests as rmw_fastrtps does: no header in the payload, but a related
+  // sample identity beside it. Told by the vendor in the GUID (DDSI-RTPS 2.5 §9.3.1.5).
+  bool fastrtps = false;
+};
+std::optional<WholeServer> FindWholeServer(const ServiceEndpoints& client);
 
 // Some reader of `participant` is matched by `writer`.
 bool MatchesReaderOf(const RawWriter& writer, const ros2::Guid& participant);

@@ -144,6 +144,44 @@ absl::StatusOr<std::vector<ParameterValue>> DecodeGetParametersReply(absl::strin
   return values;
 }
 
+std::string EncodeSetParametersRequest(const std::vector<NamedParameter>& parameters) {
+  CdrWriter writer;
+  writer.U32(static_cast<uint32_t>(parameters.size()));
+  for (const NamedParameter& parameter : parameters) {
+    writer.String(parameter.name);
+    WriteValue(writer, parameter.value);
+  }
+  return std::move(writer).Finish();
+}
+
+absl::StatusOr<std::vector<NamedParameter>> DecodeSetParametersRequest(absl::string_view payload) {
+  CdrReader reader(payload);
+  std::vector<NamedParameter> parameters;
+  const uint32_t count = reader.Count(kStringBytesMin + kValueBytesMin, kParametersMax);
+  for (uint32_t i = 0; i < count && reader.ok(); ++i) {
+    std::string name(reader.String());
+    parameters.push_back({std::move(name), ReadValue(reader)});
+  }
+  RIPS_RETURN_IF_ERROR(reader.Finish());
+  return parameters;
+}
+
+std::string EncodeSetParametersReply(const SetParametersResult& result) {
+  CdrWriter writer;
+  writer.Bool(result.successful);
+  writer.String(result.reason);
+  return std::move(writer).Finish();
+}
+
+absl::StatusOr<SetParametersResult> DecodeSetParametersReply(absl::string_view payload) {
+  CdrReader reader(payload);
+  SetParametersResult result;
+  result.successful = reader.Bool();
+  result.reason = std::string(reader.String());
+  RIPS_RETURN_IF_ERROR(reader.Finish());
+  return result;
+}
+
 std::string ToString(const ParameterValue& value) {
   return std::visit([](const auto& held) { return Text(held); }, value);
 }

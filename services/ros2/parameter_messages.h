@@ -1,5 +1,5 @@
-// Request and reply of rcl_interfaces/srv/GetParameters, as CDR payloads without a service
-// header. Decode* fail with DataLoss.
+// Request and reply of rcl_interfaces/srv/GetParameters and SetParametersAtomically, as CDR payloads
+// without a service header. Decode* fail with DataLoss.
 #ifndef RIPS_SERVICES_ROS2_PARAMETER_MESSAGES_H_
 #define RIPS_SERVICES_ROS2_PARAMETER_MESSAGES_H_
 
@@ -15,6 +15,7 @@
 namespace rips::ros2 {
 
 inline constexpr char kGetParametersType[] = "rcl_interfaces/srv/GetParameters";
+inline constexpr char kSetParametersAtomicallyType[] = "rcl_interfaces/srv/SetParametersAtomically";
 
 // Most parameters in one request or reply, and most elements of one array value.
 inline constexpr size_t kParametersMax = 1'024;
@@ -37,6 +38,23 @@ absl::StatusOr<std::vector<std::string>> DecodeGetParametersRequest(absl::string
 // One value per requested name, in that order; a node answers with an empty list if it refuses.
 std::string EncodeGetParametersReply(const std::vector<ParameterValue>& values);
 absl::StatusOr<std::vector<ParameterValue>> DecodeGetParametersReply(absl::string_view payload);
+
+// SetParametersAtomically: all of them or none.
+struct NamedParameter {
+  std::string name;
+  ParameterValue value;
+  friend bool operator==(const NamedParameter&, const NamedParameter&) = default;
+};
+std::string EncodeSetParametersRequest(const std::vector<NamedParameter>& parameters);
+absl::StatusOr<std::vector<NamedParameter>> DecodeSetParametersRequest(absl::string_view payload);
+
+struct SetParametersResult {
+  bool successful = false;
+  std::string reason;  // the node's own words
+  friend bool operator==(const SetParametersResult&, const SetParametersResult&) = default;
+};
+std::string EncodeSetParametersReply(const SetParametersResult& result);
+absl::StatusOr<SetParametersResult> DecodeSetParametersReply(absl::string_view payload);
 
 // As ROS tools print it: "true", "7", "0.5", "text", "[1, 2]"; "not set" for monostate.
 std::string ToString(const ParameterValue& value);

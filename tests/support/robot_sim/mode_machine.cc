@@ -15,6 +15,8 @@ absl::string_view Label(Lifecycle state) {
   switch (state) {
     case Lifecycle::kUnknown:
       return "unknown";
+    case Lifecycle::kUnconfigured:
+      return "unconfigured";
     case Lifecycle::kInactive:
       return "inactive";
     case Lifecycle::kActive:
@@ -70,12 +72,83 @@ bool ModeMachine::ChangeState(absl::string_view node, uint8_t transition) {
   if (it == nodes_.end()) {
     return false;
   }
-  const bool activate = transition == kTransitionActivate && !it->second.active;
-  const bool deactivate = transition == kTransitionDeactivate && it->second.active;
-  if (activate || deactivate) {
-    it->second.active = activate;
+  NodeState& state = it->second;
+  const bool inactive = state.configured && !state.active;
+  const bool possible = (transition == kTransitionConfigure && !state.configured) ||
+                        (transition == kTransitionCleanup && inactive) ||
+                        (transition == kTransitionActivate && inactive) ||
+                        (transition == kTransitionDeactivate && state.active);
+  if (!possible || state.stuck) {
+    return false;
   }
-  return activate || deactivate;
+  state.configured = transition != kTransitionCleanup;
+  state.active = transition == kTransitionActivate;
+  not_inferred_.erase(it->first);
+  return true;
+}
+
+std::string ModeMachine::SetParameters(absl::string_view node,
+                                       const actuator::ParameterMap& parameters) {
+  const auto it = nodes_.find(node);
+  if (it == nodes_.end() || it->second.stuck) {
+    return "not now";
+  }
+  NodeState& state = it->second;
+  for (const auto& [name, value] : parameters) {
+    const auto declared = state.parameters.find(name);
+    if (declared == state.parameters.end()) {
+      return absl::StrCat("parameter '", name, "' has not been declared");
+    }
+    if (declared->second.index() != value.index()) {
+      return absl::StrCat("wrong parameter type of '", name, "'");
+    }
+  }
+  for (const auto& [name, value] : parameters) {
+    state.parameters[name] = value;
+  }
+  state.mode.clear();
+  for (const auto& [mode, wanted] : smh_.nodes.find(node)->second.modes) {
+    if (wanted == state.parameters) {
+      state.mode = mode;
+    }
+  }
+  return "";
+}
+
+void ModeMachine::SetPull(absl::string_view from, absl::string_view to) {
+  options_.conduct = ManagerConduct::kPull;
+  options_.pull_from = std::string(from);
+  options_.pull_to = std::string(to);
+}
+
+void ModeMachine::Unconfigure(absl::string_view node) {
+  NodeState& state = nodes_.at(std::string(node));
+  state.active = false;
+  state.configured = false;
+}
+
+void ModeMachine::ForgetModes() {
+  pending_.clear();
+  target_.clear();
+  claimed_.clear();
+  for (const auto& [node, unused] : nodes_) {
+    not_inferred_.insert(node);
+  }
+}
+
+void ModeMachine::PullIfRuled(int64_t now_ns) {
+  if (options_.conduct != ManagerConduct::kPull || pending_.contains(options_.system) ||
+      target_ != options_.pull_from || TrueMode() != options_.pull_from) {
+    pull_at_ns_ = 0;
+    return;
+  }
+  if (pull_at_ns_ == 0) {
+    pull_at_ns_ = now_ns + options_.pull_ns;
+  }
+  if (now_ns < pull_at_ns_) {
+    return;
+  }
+  pending_[options_.system] = {options_.pull_to, now_ns + options_.transition_ns};
 }
 
 bool ModeMachine::Advance(int64_t now_ns) {
@@ -89,6 +162,7 @@ bool ModeMachine::Advance(int64_t now_ns) {
     changed = true;
     it = pending_.erase(it);
   }
+  PullIfRuled(now_ns);
   return changed;
 }
 
@@ -105,6 +179,10 @@ void ModeMachine::Apply(absl::string_view part, absl::string_view mode) {
 
 void ModeMachine::SetNode(absl::string_view node, const PartTarget& target) {
   NodeState& state = nodes_[node];
+  if (state.stuck || !state.configured) {
+    return;
+  }
+  not_inferred_.erase(std::string(node));
   state.active = target.state == PartState::kActive;
   if (!state.active && !state.mode.empty()) {
     return;
@@ -126,10 +204,11 @@ bool ModeMachine::Fits(absl::string_view mode) const {
 }
 
 std::string ModeMachine::TrueMode() const {
-  if (Fits(target_)) {
+  const auto& modes = smh_.systems.find(options_.system)->second.modes;
+  if (modes.contains(target_) && Fits(target_)) {
     return target_;
   }
-  for (const std::string& mode : AvailableModes(options_.system)) {
+  for (const auto& [mode, unused] : modes) {
     if (Fits(mode)) {
       return mode;
     }
@@ -139,6 +218,9 @@ std::string ModeMachine::TrueMode() const {
 
 std::string ModeMachine::Mode(absl::string_view part) const {
   if (part == options_.system) {
+    if (!not_inferred_.empty()) {
+      return "unknown";
+    }
     return options_.conduct == ManagerConduct::kDeceive && !claimed_.empty() ? claimed_
                                                                              : TrueMode();
   }
@@ -151,12 +233,18 @@ std::string ModeMachine::Mode(absl::string_view part) const {
 
 Lifecycle ModeMachine::State(absl::string_view part) const {
   if (part == options_.system) {
+    if (!not_inferred_.empty()) {
+      return Lifecycle::kUnknown;
+    }
     return pending_.contains(part) || Mode(part).empty() ? Lifecycle::kActivating
                                                          : Lifecycle::kActive;
   }
   const auto node = nodes_.find(part);
   if (node == nodes_.end()) {
     return Lifecycle::kUnknown;
+  }
+  if (!node->second.configured) {
+    return Lifecycle::kUnconfigured;
   }
   return node->second.active ? Lifecycle::kActive : Lifecycle::kInactive;
 }
@@ -166,7 +254,9 @@ std::vector<std::string> ModeMachine::AvailableModes(absl::string_view part) con
   if (const auto system = smh_.systems.find(part);
       system != smh_.systems.end() && part == options_.system) {
     for (const auto& [name, unused] : system->second.modes) {
-      modes.push_back(name);
+      if (!removed_.contains(name)) {
+        modes.push_back(name);
+      }
     }
   } else if (const auto node = smh_.nodes.find(part);
              node != smh_.nodes.end() && nodes_.contains(part)) {

@@ -68,8 +68,9 @@ absl::string_view ProcessOf(absl::string_view part) {
 
 }  // namespace
 
-Robot::Robot(ModeMachine machine, const RobotOptions& options)
-    : options_(options), machine_(std::move(machine)) {
+Robot::Robot(std::shared_ptr<const dds::Domain> domain, ModeMachine machine,
+             const RobotOptions& options)
+    : domain_(std::move(domain)), options_(options), machine_(std::move(machine)) {
   told_nodes_ = machine_.nodes();
   told_mode_ = machine_.TrueMode();
 }
@@ -78,7 +79,7 @@ absl::StatusOr<std::unique_ptr<Robot>> Robot::Create(std::shared_ptr<const dds::
                                                      ModeMachine machine,
                                                      const RobotOptions& options) {
   const absl::btree_map<std::string, NodeState> parts = machine.nodes();
-  std::unique_ptr<Robot> robot(new Robot(std::move(machine), options));
+  std::unique_ptr<Robot> robot(new Robot(domain, std::move(machine), options));
   absl::btree_map<std::string, RosProcess*> by_name;
   const auto process_named = [&](absl::string_view name) -> absl::StatusOr<RosProcess*> {
     RosProcess*& process = by_name[std::string(name)];
@@ -95,8 +96,7 @@ absl::StatusOr<std::unique_ptr<Robot>> Robot::Create(std::shared_ptr<const dds::
     RIPS_RETURN_IF_ERROR(robot->AddPart(*process, name));
   }
   if (options.conduct != ManagerConduct::kAbsent) {
-    RIPS_ASSIGN_OR_RETURN(RosProcess * process, process_named(options.manager_node));
-    RIPS_RETURN_IF_ERROR(robot->AddManager(*process));
+    RIPS_RETURN_IF_ERROR(robot->StartManager());
   }
   for (const std::unique_ptr<RosProcess>& process : robot->processes_) {
     RIPS_RETURN_IF_ERROR(process->Announce());
@@ -104,11 +104,33 @@ absl::StatusOr<std::unique_ptr<Robot>> Robot::Create(std::shared_ptr<const dds::
   return robot;
 }
 
+void Robot::StopManager() {
+  {
+    MutexLock lock(&mu_);
+    mode_events_.clear();
+    machine_.ForgetModes();
+  }
+  manager_.reset();
+  mode_requests_.clear();
+}
+
+absl::Status Robot::StartManager() {
+  RIPS_ASSIGN_OR_RETURN(manager_, RosProcess::Create(domain_, options_.gid_bytes));
+  RIPS_RETURN_IF_ERROR(AddManager(*manager_));
+  return manager_->Announce();
+}
+
 absl::Status Robot::AddPart(RosProcess& process, const std::string& name) {
-  RIPS_ASSIGN_OR_RETURN(RosNode * node, process.AddNode(name, [this, name] {
+  const auto parameters = [this, name] {
     MutexLock lock(&mu_);
     return machine_.nodes().at(name).parameters;
-  }));
+  };
+  const auto set = [this, name](const actuator::ParameterMap& wanted) {
+    ++direct_orders_;
+    MutexLock lock(&mu_);
+    return machine_.SetParameters(name, wanted);
+  };
+  RIPS_ASSIGN_OR_RETURN(RosNode * node, process.AddNode(name, parameters, set));
   part_writers_[name] = {.log = node->log(), .parameter_events = node->parameter_events()};
   RIPS_RETURN_IF_ERROR(AddLifecycle(*node));
   return AddTopics(*node);
@@ -126,6 +148,7 @@ absl::Status Robot::AddLifecycle(RosNode& node) {
                    if (!transition.ok()) {
                      return std::nullopt;
                    }
+                   ++direct_orders_;
                    MutexLock lock(&mu_);
                    return ros2::EncodeSuccessReply(machine_.ChangeState(name, transition->id));
                  }));
@@ -255,6 +278,7 @@ absl::Status Robot::AddSystemState(RosNode& manager) {
 }
 
 bool Robot::OrderMode(const std::string& part, const std::string& mode) {
+  ++orders_;
   bool accepted = false;
   {
     MutexLock lock(&mu_);
@@ -381,6 +405,7 @@ std::vector<std::string> Robot::NodeNames() const {
       names.push_back(node->full_name());
     }
   }
+  if (manager_ != nullptr) names.push_back(options_.manager_node);
   std::sort(names.begin(), names.end());
   return names;
 }

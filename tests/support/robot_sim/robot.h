@@ -10,6 +10,7 @@
 #ifndef RIPS_TESTS_SUPPORT_ROBOT_SIM_ROBOT_H_
 #define RIPS_TESTS_SUPPORT_ROBOT_SIM_ROBOT_H_
 
+#include <atomic>
 #include <cstdint>
 #include <memory>
 #include <string>
@@ -55,6 +56,19 @@ class Robot {
 
   // The system's mode by what its parts do; "" if none fits.
   std::string Mode() const ABSL_LOCKS_EXCLUDED(mu_);
+  // What a test does to the robot or wants to know of it.
+  template <typename Change>
+  auto With(Change change) ABSL_LOCKS_EXCLUDED(mu_) {
+    MutexLock lock(&mu_);
+    return change(machine_);
+  }
+  // The mode manager's process ends; one of the same name starts, which knows nothing. From the
+  // thread of Step.
+  void StopManager() ABSL_LOCKS_EXCLUDED(mu_);
+  absl::Status StartManager() ABSL_LOCKS_EXCLUDED(mu_);
+  // Orders that came to the manager and to the nodes themselves, of all parts.
+  int orders() const { return orders_; }
+  int direct_orders() const { return direct_orders_; }
   std::vector<std::string> NodeNames() const;
 
  private:
@@ -75,7 +89,8 @@ class Robot {
     std::string payload;
   };
 
-  Robot(ModeMachine machine, const RobotOptions& options);
+  Robot(std::shared_ptr<const dds::Domain> domain, ModeMachine machine,
+        const RobotOptions& options);
 
   absl::Status AddPart(RosProcess& process, const std::string& name);
   absl::Status AddLifecycle(RosNode& node);
@@ -99,8 +114,11 @@ class Robot {
   void CollectChanges(const Instant& now, std::vector<Outgoing>& out)
       ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
 
+  const std::shared_ptr<const dds::Domain> domain_;
   const RobotOptions options_;
   const RealClock clock_;
+  std::atomic<int> orders_ = 0;
+  std::atomic<int> direct_orders_ = 0;
   StopFlag closing_;
   mutable Mutex mu_;
   ModeMachine machine_ ABSL_GUARDED_BY(mu_);
@@ -119,6 +137,7 @@ class Robot {
   absl::btree_map<std::string, dds::RawWriter*> mode_requests_;
   // Last: their threads use what is above.
   std::vector<std::unique_ptr<RosProcess>> processes_;
+  std::unique_ptr<RosProcess> manager_;  // null if there is none, or it lives with a part
 };
 
 }  // namespace rips::robot_sim

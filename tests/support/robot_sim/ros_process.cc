@@ -20,7 +20,6 @@ constexpr uint32_t kSensorDataDepth = 5;
 constexpr absl::string_view kSilentParameterServices[][2] = {
     {"get_parameter_types", "GetParameterTypes"},
     {"set_parameters", "SetParameters"},
-    {"set_parameters_atomically", "SetParametersAtomically"},
     {"describe_parameters", "DescribeParameters"},
 };
 
@@ -41,6 +40,20 @@ std::optional<std::string> AnswerGetParameters(const ParameterSource& source,
     values.push_back(it->second);
   }
   return ros2::EncodeGetParametersReply(values);
+}
+
+std::optional<std::string> AnswerSetParameters(const ParameterSink& sink,
+                                               absl::string_view request) {
+  const auto parameters = ros2::DecodeSetParametersRequest(request);
+  if (!parameters.ok() || !sink) {
+    return std::nullopt;
+  }
+  actuator::ParameterMap wanted;
+  for (const ros2::NamedParameter& parameter : *parameters) {
+    wanted[parameter.name] = parameter.value;
+  }
+  const std::string problem = sink(wanted);
+  return ros2::EncodeSetParametersReply({.successful = problem.empty(), .reason = problem});
 }
 
 std::string AnswerListParameters(const ParameterSource& source) {
@@ -80,12 +93,14 @@ absl::StatusOr<std::unique_ptr<RosNode>> RosNode::CreateBare(const dds::Particip
 
 absl::StatusOr<std::unique_ptr<RosNode>> RosNode::Create(const dds::Participant& participant,
                                                          absl::string_view full_name,
-                                                         ParameterSource parameters) {
+                                                         ParameterSource parameters,
+                                                         ParameterSink sink) {
   RIPS_ASSIGN_OR_RETURN(std::unique_ptr<RosNode> node, CreateBare(participant, full_name));
   ros2::Qos latched = DefaultQos(kLogDepth);
   latched.transient_local = true;
   RIPS_ASSIGN_OR_RETURN(node->log_, node->Publish("/rosout", "rcl_interfaces/msg/Log", latched));
-  RIPS_RETURN_IF_ERROR(node->AddParameterServices(WithSimTime(std::move(parameters))));
+  RIPS_RETURN_IF_ERROR(
+      node->AddParameterServices(WithSimTime(std::move(parameters)), std::move(sink)));
   const ros2::Qos events = DefaultQos(kParameterEventsDepth);
   constexpr absl::string_view kEvent = "rcl_interfaces/msg/ParameterEvent";
   RIPS_ASSIGN_OR_RETURN(node->parameter_events_,
@@ -94,7 +109,12 @@ absl::StatusOr<std::unique_ptr<RosNode>> RosNode::Create(const dds::Participant&
   return node;
 }
 
-absl::Status RosNode::AddParameterServices(ParameterSource parameters) {
+absl::Status RosNode::AddParameterServices(ParameterSource parameters, ParameterSink sink) {
+  RIPS_RETURN_IF_ERROR(Serve(absl::StrCat(full_name_, "/set_parameters_atomically"),
+                             ros2::kSetParametersAtomicallyType,
+                             [sink = std::move(sink)](absl::string_view request) {
+                               return AnswerSetParameters(sink, request);
+                             }));
   RIPS_RETURN_IF_ERROR(Serve(absl::StrCat(full_name_, "/get_parameters"), ros2::kGetParametersType,
                              [parameters](absl::string_view request) {
                                return AnswerGetParameters(parameters, request);
@@ -180,9 +200,10 @@ absl::StatusOr<std::unique_ptr<RosProcess>> RosProcess::Create(
 }
 
 absl::StatusOr<RosNode*> RosProcess::AddNode(absl::string_view full_name,
-                                             ParameterSource parameters) {
-  RIPS_ASSIGN_OR_RETURN(std::unique_ptr<RosNode> node,
-                        RosNode::Create(*participant_, full_name, std::move(parameters)));
+                                             ParameterSource parameters, ParameterSink sink) {
+  RIPS_ASSIGN_OR_RETURN(
+      std::unique_ptr<RosNode> node,
+      RosNode::Create(*participant_, full_name, std::move(parameters), std::move(sink)));
   nodes_.push_back(std::move(node));
   return nodes_.back().get();
 }

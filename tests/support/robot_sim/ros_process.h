@@ -12,7 +12,7 @@
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
 #include "absl/strings/string_view.h"
-#include "mode_actuator/smh.h"
+#include "mode_actuator/modes/smh.h"
 #include "services/dds/participant.h"
 #include "services/dds/raw_reader.h"
 #include "services/dds/raw_writer.h"
@@ -28,16 +28,20 @@ ros2::Qos SensorDataQos();                  // best effort, volatile, depth 5
 
 // The parameters of a node as they are now. Called on the threads of its services.
 using ParameterSource = std::function<actuator::ParameterMap()>;
+// Sets all of them: empty, or why not. Called on the thread of the service.
+using ParameterSink = std::function<std::string(const actuator::ParameterMap&)>;
 
 // One node. Names are ROS names, absolute: "/camera/image_raw", "sensor_msgs/msg/Image". Not
 // thread-safe while it is built; the writers it gives out are.
 class RosNode {
  public:
   // With what rclcpp gives every node: log, parameter services, parameter events. get_parameters
-  // and list_parameters answer; the other parameter services are there and stay silent.
+  // and list_parameters answer, and set_parameters_atomically if there is a `sink`; the other
+  // parameter services are there and stay silent.
   static absl::StatusOr<std::unique_ptr<RosNode>> Create(const dds::Participant& participant,
                                                          absl::string_view full_name,
-                                                         ParameterSource parameters);
+                                                         ParameterSource parameters,
+                                                         ParameterSink sink = {});
 
   // Only the endpoints that are added; what a program on plain DDS would have.
   static absl::StatusOr<std::unique_ptr<RosNode>> CreateBare(const dds::Participant& participant,
@@ -60,7 +64,7 @@ class RosNode {
 
  private:
   RosNode(const dds::Participant& participant, absl::string_view full_name);
-  absl::Status AddParameterServices(ParameterSource parameters);
+  absl::Status AddParameterServices(ParameterSource parameters, ParameterSink sink);
 
   const dds::Participant& participant_;  // Not owned; outlives this.
   std::string full_name_;
@@ -79,7 +83,8 @@ class RosProcess {
       std::shared_ptr<const dds::Domain> domain, ros2::GidBytes gid_bytes);
 
   // The node lives as long as the process.
-  absl::StatusOr<RosNode*> AddNode(absl::string_view full_name, ParameterSource parameters = {});
+  absl::StatusOr<RosNode*> AddNode(absl::string_view full_name, ParameterSource parameters = {},
+                                   ParameterSink sink = {});
   // Publishes the nodes and their endpoints as they are now; latched.
   absl::Status Announce();
 

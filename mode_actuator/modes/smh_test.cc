@@ -1,4 +1,4 @@
-#include "mode_actuator/smh.h"
+#include "mode_actuator/modes/smh.h"
 
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_replace.h"

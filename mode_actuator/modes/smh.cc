@@ -1,4 +1,4 @@
-#include "mode_actuator/smh.h"
+#include "mode_actuator/modes/smh.h"
 
 #include <algorithm>
 #include <optional>

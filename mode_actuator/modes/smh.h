@@ -11,8 +11,8 @@
 //  - `active.MODE` of a mode the part does not have; a system that contains itself;
 //  - rules (`if_target`, `if_part`, `new_target`) that name what is not there.
 // `parts:` is ignored, as upstream does: the parts of a system are the keys of its `__DEFAULT__`.
-#ifndef RIPS_MODE_ACTUATOR_SMH_H_
-#define RIPS_MODE_ACTUATOR_SMH_H_
+#ifndef RIPS_MODE_ACTUATOR_MODES_SMH_H_
+#define RIPS_MODE_ACTUATOR_MODES_SMH_H_
 
 #include <cstdint>
 #include <string>
@@ -80,4 +80,4 @@ absl::StatusOr<Smh> ParseSmh(absl::string_view text, absl::string_view name = "s
 
 }  // namespace rips::actuator
 
-#endif  // RIPS_MODE_ACTUATOR_SMH_H_
+#endif  // RIPS_MODE_ACTUATOR_MODES_SMH_H_

@@ -1,6 +1,6 @@
 // Port: bringing a part of the robot into a mode, and seeing whether it is there.
-#ifndef RIPS_MODE_ACTUATOR_PART_MODES_H_
-#define RIPS_MODE_ACTUATOR_PART_MODES_H_
+#ifndef RIPS_MODE_ACTUATOR_MODES_PART_MODES_H_
+#define RIPS_MODE_ACTUATOR_MODES_PART_MODES_H_
 
 #include <string>
 
@@ -16,6 +16,8 @@ struct ModeReading {
   absl::Status status;
   // The mode the robot says it is in; `?` if it does not say.
   std::string observed = "?";
+  // What people should know although it went well; empty mostly.
+  std::string note = {};
 };
 
 // One thread at a time.
@@ -36,4 +38,4 @@ class PartModes {
 
 }  // namespace rips::actuator
 
-#endif  // RIPS_MODE_ACTUATOR_PART_MODES_H_
+#endif  // RIPS_MODE_ACTUATOR_MODES_PART_MODES_H_

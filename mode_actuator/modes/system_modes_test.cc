@@ -1,5 +1,6 @@
-// SystemModes over real DDS, against a scripted robot in another participant.
-#include "mode_actuator/system_modes.h"
+// SystemModes over real DDS, against a scripted robot in another participant. What follows when the
+// manager fails is in tests/integration/modes_test.cc.
+#include "mode_actuator/modes/system_modes.h"
 
 #include <functional>
 #include <map>
@@ -148,7 +149,7 @@ class FakeRobot {
 class SystemModesTest : public dds::TestWorld {
  protected:
   SystemModes& Modes(Verify verify = Verify::kParts) {
-    modes_ = *SystemModes::Create(&near(), smh_, verify,
+    modes_ = *SystemModes::Create(&near(), smh_, {.verify = verify, .fallback = Fallback::kNone},
                                   {{"/safety", "ALERT"}, {"/safety", "__DEFAULT__"}}, &clock_);
     return *modes_;
   }
@@ -316,7 +317,7 @@ TEST_F(SystemModesTest, CancelEndsAnOrder) {
 }
 
 TEST_F(SystemModesTest, RefusesTargetsTheFileDoesNotHave) {
-  EXPECT_THAT(SystemModes::Create(&near(), smh_, Verify::kParts, {{"/safety", "X"}}, &clock_),
+  EXPECT_THAT(SystemModes::Create(&near(), smh_, {}, {{"/safety", "X"}}, &clock_),
               StatusIs(absl::StatusCode::kNotFound));
   EXPECT_THAT(Modes().Check("/other", "ALERT", cancel_).status,
               StatusIs(absl::StatusCode::kInvalidArgument));
