@@ -16,7 +16,7 @@
 #include "mode_actuator/downlink.h"
 #include "mode_actuator/exec_ledger.h"
 #include "mode_actuator/firewall/fw_client.h"
-#include "mode_actuator/posix_runner.h"
+#include "mode_actuator/exec/posix_runner.h"
 #include "mode_actuator/procedures.h"
 #include "mode_actuator/receipt_book.h"
 #include "mode_actuator/system_modes.h"

@@ -163,6 +163,7 @@ void ReadPrograms(const ConfigSection& root, Config* config) {
     }
     section.Optional("timeout", &program.timeout, {absl::Milliseconds(10), absl::Minutes(10)});
     section.Optional("concurrency", &program.concurrency, {1, 16});
+    section.Optional("drill", &program.drill);
     if (!program.name.empty() && !names.insert(program.name).second) {
       section.Problem("name", absl::StrCat("program ", Quote(program.name), " is listed twice"));
     }

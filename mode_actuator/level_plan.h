@@ -73,7 +73,11 @@ struct ProgramSpec {
   std::string name;
   std::string path;
   absl::Duration timeout = absl::Seconds(10);
-  int concurrency = 1;  // runs at the same time, level steps included
+  int concurrency = 1;        // runs at the same time, level steps included
+  int starts_per_minute = 0;  // 0 = no limit
+  std::string sha256;         // of the file, 64 lower case hexadecimal digits; empty = not checked
+  bool drill = false;         // may be run as a drill: it does nothing in earnest when RIPS_DRILL=1
+  bool script = false;        // of the directory `scripts`: for its level alone, not for `exec`
 };
 
 }  // namespace rips::actuator

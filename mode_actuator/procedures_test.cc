@@ -56,6 +56,7 @@ class FakePrograms : public ProgramRunner {
     }
     return id;
   }
+  absl::Status Examine(absl::string_view) override { return absl::OkStatus(); }
   void Cancel(uint64_t run) override {
     MutexLock lock(&mu_);
     const auto hanging = hanging_.find(run);

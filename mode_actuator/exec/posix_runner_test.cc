@@ -1,4 +1,4 @@
-#include "mode_actuator/posix_runner.h"
+#include "mode_actuator/exec/posix_runner.h"
 
 #include <fcntl.h>
 #include <signal.h>

@@ -1,4 +1,4 @@
-#include "mode_actuator/posix_runner.h"
+#include "mode_actuator/exec/posix_runner.h"
 
 #include <fcntl.h>
 #include <poll.h>
@@ -184,14 +184,22 @@ void PosixRunner::Wake() const {
   [[maybe_unused]] const ssize_t written = write(wake_fd_, &one, sizeof(one));
 }
 
+absl::StatusOr<const ProgramSpec*> PosixRunner::Find(absl::string_view name) const {
+  const auto spec = std::find_if(allowed_.begin(), allowed_.end(),
+                                 [&](const ProgramSpec& each) { return each.name == name; });
+  if (spec != allowed_.end()) return &*spec;
+  return absl::PermissionDeniedError(
+      absl::StrCat("program ", Quote(name), " is not in the allow-list"));
+}
+
+absl::Status PosixRunner::Examine(absl::string_view name) {
+  RIPS_ASSIGN_OR_RETURN(const ProgramSpec* spec, Find(name));
+  const UniqueFd root(open("/", O_PATH | O_DIRECTORY | O_CLOEXEC));
+  return CheckProgramPath(root.get(), spec->path);
+}
+
 absl::StatusOr<const ProgramSpec*> PosixRunner::Admit(const ProgramRequest& request) const {
-  const auto spec = std::find_if(allowed_.begin(), allowed_.end(), [&](const ProgramSpec& each) {
-    return each.name == request.name;
-  });
-  if (spec == allowed_.end()) {
-    return absl::PermissionDeniedError(
-        absl::StrCat("program ", Quote(request.name), " is not in the allow-list"));
-  }
+  RIPS_ASSIGN_OR_RETURN(const ProgramSpec* spec, Find(request.name));
   if (request.args.size() > kArgsMax) {
     return absl::InvalidArgumentError(
         absl::StrCat(request.args.size(), " arguments exceed limit ", kArgsMax));
@@ -207,7 +215,7 @@ absl::StatusOr<const ProgramSpec*> PosixRunner::Admit(const ProgramRequest& requ
   }
   UniqueFd root(open("/", O_PATH | O_DIRECTORY | O_CLOEXEC));
   RIPS_RETURN_IF_ERROR(CheckProgramPath(root.get(), spec->path));
-  return &*spec;
+  return spec;
 }
 
 absl::StatusOr<uint64_t> PosixRunner::Start(const ProgramRequest& request, Done done) {

@@ -4,8 +4,8 @@
 // One thread watches all running programs (pidfd, pipe, deadline). posix_spawn is used rather than
 // fork because it copies no page tables and runs no pthread_atfork handlers, of which gRPC has
 // several. A program that leaves its session by setsid() escapes the kill; its output is cut off.
-#ifndef RIPS_MODE_ACTUATOR_POSIX_RUNNER_H_
-#define RIPS_MODE_ACTUATOR_POSIX_RUNNER_H_
+#ifndef RIPS_MODE_ACTUATOR_EXEC_POSIX_RUNNER_H_
+#define RIPS_MODE_ACTUATOR_EXEC_POSIX_RUNNER_H_
 
 #include <sys/types.h>
 
@@ -43,12 +43,14 @@ class PosixRunner final : public ProgramRunner {
   absl::StatusOr<uint64_t> Start(const ProgramRequest& request, Done done) override
       ABSL_LOCKS_EXCLUDED(mu_);
   void Cancel(uint64_t run) override ABSL_LOCKS_EXCLUDED(mu_);
+  absl::Status Examine(absl::string_view name) override;
 
  private:
   struct Run;
 
   PosixRunner(std::vector<ProgramSpec> allowed, const Clock* clock, int wake_fd);
 
+  absl::StatusOr<const ProgramSpec*> Find(absl::string_view name) const;
   absl::StatusOr<const ProgramSpec*> Admit(const ProgramRequest& request) const;
   void Loop();
   void PollOnce(int timeout_ms);
@@ -71,4 +73,4 @@ class PosixRunner final : public ProgramRunner {
 
 }  // namespace rips::actuator
 
-#endif  // RIPS_MODE_ACTUATOR_POSIX_RUNNER_H_
+#endif  // RIPS_MODE_ACTUATOR_EXEC_POSIX_RUNNER_H_
