@@ -76,6 +76,7 @@ class SystemModes::Impl {
   ModeReading Enter(absl::string_view part, absl::string_view mode, absl::Duration timeout,
                     int retries, const CancelFlag& cancel);
   ModeReading Check(absl::string_view part, absl::string_view mode, const CancelFlag& cancel);
+  ModeReading Probe(absl::string_view part, absl::string_view mode, const CancelFlag& cancel);
   absl::Status CheckAvailable();
 
  private:
@@ -329,6 +330,50 @@ absl::Status SystemModes::Impl::CheckAvailable() {
   return absl::OkStatus();
 }
 
+ModeReading SystemModes::Impl::Probe(absl::string_view part, absl::string_view mode,
+                                     const CancelFlag& cancel) {
+  ModeReading reading;
+  const auto target = targets_.find(std::make_pair(std::string(part), std::string(mode)));
+  if (target == targets_.end()) {
+    reading.status = absl::InternalError("not a target");
+    return reading;
+  }
+  Part& asked = parts_.at(target->first.first);
+  std::vector<std::string> silent;
+  const absl::StatusOr<std::string> reply =
+      Ask(*asked.get_available_modes, ros2::EncodeEmptyRequest());
+  const auto available = reply.ok() ? ros2::DecodeGetAvailableModesReply(*reply) : reply.status();
+  const bool managed = asked.change_mode->ServerReady() && available.ok();
+  if (!managed) silent.push_back(absl::StrCat("no mode manager of ", Quote(part), " answers"));
+  if (verify_ == Verify::kParts) {
+    for (const ExpectedPart& expected : target->second.expected) {
+      if (cancel.cancelled()) break;
+      const absl::StatusOr<std::string> state =
+          Ask(*nodes_.at(expected.node).get_state, ros2::EncodeEmptyRequest());
+      if (state.ok() && ros2::DecodeGetStateReply(*state).ok()) continue;
+      silent.push_back(absl::StrCat(expected.node, " does not answer"));
+    }
+  }
+  if (cancel.cancelled()) {
+    reading.status = absl::CancelledError("cancelled");
+  } else if (!silent.empty()) {
+    const size_t shown = std::min(silent.size(), kDetailPartsMax);
+    std::string why = absl::StrJoin(silent.begin(), silent.begin() + shown, ", ");
+    if (shown < silent.size()) absl::StrAppend(&why, " and ", silent.size() - shown, " more");
+    reading.status = absl::UnavailableError(why);
+  } else if (std::find(available->begin(), available->end(), mode) == available->end()) {
+    reading.status = absl::FailedPreconditionError(
+        absl::StrCat("the mode manager of ", Quote(part), " has no mode ", Quote(mode),
+                     "; it runs with another SMH file"));
+  }
+  if (managed) {
+    View view;
+    AskManager(asked, mode, view);
+    reading.observed = view.observed;
+  }
+  return reading;
+}
+
 SystemModes::SystemModes(std::unique_ptr<Impl> impl) : impl_(std::move(impl)) {}
 SystemModes::~SystemModes() = default;
 
@@ -348,6 +393,11 @@ ModeReading SystemModes::Enter(absl::string_view part, absl::string_view mode,
 ModeReading SystemModes::Check(absl::string_view part, absl::string_view mode,
                                const CancelFlag& cancel) {
   return impl_->Check(part, mode, cancel);
+}
+
+ModeReading SystemModes::Probe(absl::string_view part, absl::string_view mode,
+                               const CancelFlag& cancel) {
+  return impl_->Probe(part, mode, cancel);
 }
 
 absl::Status SystemModes::CheckAvailable() { return impl_->CheckAvailable(); }

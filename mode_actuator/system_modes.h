@@ -53,6 +53,9 @@ class SystemModes final : public PartModes {
   ModeReading Check(absl::string_view part, absl::string_view mode,
                     const CancelFlag& cancel) override;
 
+  ModeReading Probe(absl::string_view part, absl::string_view mode,
+                    const CancelFlag& cancel) override;
+
   // OK if the manager lists every target mode; Unavailable if it does not answer;
   // FailedPrecondition if it works with another SMH file. Same thread as Enter.
   absl::Status CheckAvailable();
