@@ -76,7 +76,7 @@ class SpawnSetup {
   SpawnSetup& operator=(const SpawnSetup&) = delete;
 
   // 0, or the error number.
-  int Spawn(const std::string& path, const std::vector<std::string>& args, pid_t* pid) {
+  int Spawn(const std::string& path, const std::vector<std::string>& args, bool drill, pid_t* pid) {
     std::vector<std::string> words = {path};
     words.insert(words.end(), args.begin(), args.end());
     std::vector<char*> argv;
@@ -84,7 +84,8 @@ class SpawnSetup {
     argv.push_back(nullptr);
     std::string path_env = "PATH=/usr/sbin:/usr/bin";
     std::string lang_env = "LANG=C.UTF-8";
-    char* envp[] = {path_env.data(), lang_env.data(), nullptr};
+    std::string drill_env = "RIPS_DRILL=1";
+    char* envp[] = {path_env.data(), lang_env.data(), drill ? drill_env.data() : nullptr, nullptr};
     return posix_spawn(pid, path.c_str(), &files_, &attr_, argv.data(), envp);
   }
 
@@ -240,7 +241,8 @@ absl::StatusOr<uint64_t> PosixRunner::Start(const ProgramRequest& request, Done 
   if (runs_.size() >= static_cast<size_t>(kRunsMax)) {
     return absl::ResourceExhaustedError(absl::StrCat("running programs exceed limit ", kRunsMax));
   }
-  const int error = SpawnSetup(child_end.get()).Spawn(spec->path, request.args, &run->pid);
+  const int error =
+      SpawnSetup(child_end.get()).Spawn(spec->path, request.args, request.drill, &run->pid);
   if (error != 0) {
     return absl::UnavailableError(
         absl::StrCat("cannot start ", Quote(spec->path), ": ", std::strerror(error)));
