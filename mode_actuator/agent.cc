@@ -14,6 +14,8 @@
 #include "mode_actuator/alarm/alarm_board.h"
 #include "mode_actuator/alarm/drivers.h"
 #include "mode_actuator/downlink.h"
+#include "mode_actuator/drill.h"
+#include "mode_actuator/drill_desk.h"
 #include "mode_actuator/exec/exec_client.h"
 #include "mode_actuator/exec_ledger.h"
 #include "mode_actuator/firewall/fw_client.h"
@@ -50,8 +52,8 @@ struct ExecEnded {
   std::string id;
   ProgramResult result;
 };
-using Input = std::variant<SetLevelCommand, RunProgramCommand, LeaseGrant, Connected, LevelOutcome,
-                           Persisted, ExecJournalled, ExecEnded>;
+using Input = std::variant<SetLevelCommand, RunProgramCommand, DrillCommand, LeaseGrant, Connected,
+                           LevelOutcome, DrillOutcome, Persisted, ExecJournalled, ExecEnded>;
 
 ExecutorOptions MakeExecutorOptions(const Config& config) {
   ExecutorOptions options;
@@ -151,6 +153,7 @@ class Agent::Impl {
         clock_(clock),
         counters_(MakeCounters(metrics)),
         inputs_({.capacity = kInputsMax}),
+        desk_(MakeExecutorOptions(config_).levels),
         firewall_(config_.firewall.socket) {}
 
   ~Impl();
@@ -173,6 +176,7 @@ class Agent::Impl {
   void Handle(Input input, int64_t now_ns);
   void Do(Actions actions, int64_t now_ns);
   void Tell(Receipt receipt);
+  void OnDrill(const DrillCommand& command);
   void OnRunProgram(RunProgramCommand command);
   void OnExecJournalled(const ExecJournalled& journalled);
   void OnExecEnded(const ExecEnded& ended);
@@ -189,6 +193,7 @@ class Agent::Impl {
   // Of the agent's thread.
   std::optional<Executor> executor_;
   ExecLedger ledger_;
+  DrillDesk desk_;
   ReceiptBook receipts_;
   size_t execs_ = 0;
   int64_t next_heartbeat_ns_ = 0;
@@ -203,6 +208,7 @@ class Agent::Impl {
   std::unique_ptr<AlarmBoard> alarms_;    // none if there are no devices
   FwClient firewall_;
   std::unique_ptr<Procedures> procedures_;
+  std::unique_ptr<Drill> drill_;
   std::unique_ptr<FileWorker> files_;
   std::unique_ptr<LevelWorker> levels_;
   std::unique_ptr<Downlink> downlink_;
@@ -264,6 +270,14 @@ void Agent::Impl::StartWorkers() {
   procedures_ =
       std::make_unique<Procedures>(&config_.levels, modes_.get(), programs_.get(), alarms_.get(),
                                    clock_, StepRunners{.firewall = &firewall_});
+  drill_ = std::make_unique<Drill>(Drill::Robot{.levels = &config_.levels,
+                                                .allowed = &config_.programs,
+                                                .devices = &config_.devices,
+                                                .modes = modes_.get(),
+                                                .programs = programs_.get(),
+                                                .alarms = alarms_.get(),
+                                                .firewall = &firewall_,
+                                                .clock = clock_});
   files_ = std::make_unique<FileWorker>(kFileTasksMax);
   LevelWorker::Callbacks callbacks;
   callbacks.done = [this](LevelOutcome outcome) { inputs_.Push(std::move(outcome)); };
@@ -305,6 +319,7 @@ void Agent::Impl::StartDownlink(const Smh& smh,
   callbacks.run_program = [this](RunProgramCommand command) {
     PushFromNetwork(std::move(command));
   };
+  callbacks.drill = [this](DrillCommand command) { PushFromNetwork(std::move(command)); };
   callbacks.lease = [this](LeaseGrant lease) { PushFromNetwork(lease); };
   callbacks.malformed = [this](const absl::Status& status) {
     counters_.malformed.Increment();
@@ -364,6 +379,11 @@ void Agent::Impl::Handle(Input input, int64_t now_ns) {
   } else if (auto* run = std::get_if<RunProgramCommand>(&input)) {
     counters_.commands.Increment();
     OnRunProgram(std::move(*run));
+  } else if (auto* drill = std::get_if<DrillCommand>(&input)) {
+    counters_.commands.Increment();
+    OnDrill(*drill);
+  } else if (auto* drilled = std::get_if<DrillOutcome>(&input)) {
+    Tell(desk_.OnOutcome(std::move(*drilled)));
   } else if (auto* lease = std::get_if<LeaseGrant>(&input)) {
     executor_->OnLease(*lease, now_ns);
   } else if (std::holds_alternative<Connected>(input)) {
@@ -451,6 +471,19 @@ void Agent::Impl::Publish(int64_t now_ns) {
   if (changed || now_ns >= next_heartbeat_ns_) {
     if (downlink_->SendHeartbeat(report)) next_heartbeat_ns_ = now_ns + kHeartbeatNs;
   }
+}
+
+// --- drills
+
+void Agent::Impl::OnDrill(const DrillCommand& command) {
+  const std::string held = executor_->Report(NowNs()).effective;
+  const bool admitted = executor_->AdmitTerm(command.term);
+  Tell(desk_.OnCommand(command, admitted, held, [this](const DrillJob& job) {
+    return levels_->SubmitDrill(
+        [this, job](const CancelFlag& cancel, const std::function<void()>& between) {
+          inputs_.Push(drill_->Run(job, cancel, between));
+        });
+  }));
 }
 
 // --- exec

@@ -17,6 +17,7 @@
 #include <thread>
 #include <utility>
 
+#include "absl/strings/match.h"
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_replace.h"
 #include "gmock/gmock.h"
@@ -114,6 +115,15 @@ class FakeServer final : public v1::ActuatorService::Service {
     command->set_term(1);
     command->mutable_run_program()->set_program(program);
     for (const std::string& arg : args) command->mutable_run_program()->add_args(arg);
+    Push(std::move(reply));
+  }
+
+  void Drill(const std::string& id, const std::string& level, uint64_t term = 1) {
+    v1::ActuatorReply reply;
+    v1::Command* command = reply.mutable_command();
+    command->set_id(id);
+    command->set_term(term);
+    command->mutable_drill()->set_level(level);
     Push(std::move(reply));
   }
 
@@ -235,7 +245,7 @@ metrics: "127.0.0.1:0"
          {"CA", tls.ca},
          {"CERT", tls.cert},
          {"KEY", tls.key},
-         {"programs:\n", alarms_ + "programs:\n"},
+         {"programs:\n", alarms_ + "programs:\n" + programs_},
          {"UID", absl::StrCat(geteuid())},
          {"DIR", dir_}});
   }
@@ -291,7 +301,8 @@ metrics: "127.0.0.1:0"
   RealClock clock_;
   Metrics metrics_;
   std::string dir_;
-  std::string alarms_;  // further lines of the configuration: levels and devices
+  std::string alarms_;    // further lines of the configuration: levels and devices
+  std::string programs_;  // and of programs
   bool with_exec_ = true;
   pid_t exec_ = 0;  // 0 = not running
   std::unique_ptr<Agent> agent_;
@@ -407,6 +418,79 @@ TEST_F(AgentTest, AnAlarmIsReadBackAndToldAgainWhenItWasSwitchedOff) {
   EXPECT_FALSE(board.is_on(1));
 }
 
+TEST_F(AgentTest, ADrillTriesALevelAndLeavesTheRobotWhereItIs) {
+  const std::string link = dir_ + "/siren";
+  alarms_ = absl::StrCat(
+      "  - {name: SIREN, enter: [{alarm: {device: siren, state: \"on\"}},\n"
+      "     {program: {name: drilled, args: [\"-c\", \"echo drill=$RIPS_DRILL\"]}}],\n"
+      "     leave: [{alarm: {device: siren, state: \"off\"}}]}\n"
+      "devices: [{name: siren, kind: lcus_serial, drill: flash, path: ",
+      link, "}]\n");
+  programs_ = "  - {name: drilled, path: /usr/bin/bash, drill: true}\n";
+  FakeLcus board(FakeLcus::Answer::kText);
+  ASSERT_EQ(symlink(board.path().c_str(), link.c_str()), 0);
+  FakeServer server(Pki().Server());
+  ASSERT_THAT(Start(server.port(), Pki().Actuator()), IsOk());
+  server.SetLevel(Id('a'), "DEFAULT", {1, 1});
+  ASSERT_TRUE(server.HasReceipt(Id('a'), Receipt::VERIFIED));
+  ASSERT_TRUE(Verified(server, "DEFAULT"));
+  ASSERT_TRUE(server.Until(
+      [&] { return absl::StrContains(Slurp(dir_ + "/state/state"), "effective DEFAULT"); }));
+  const std::string log = Slurp(dir_ + "/log");
+  const std::string state = Slurp(dir_ + "/state/state");
+
+  server.Drill(Id('b'), "SIREN");
+  ASSERT_TRUE(server.HasReceipt(Id('b'), Receipt::VERIFIED)) << server.Last(Id('b')).DebugString();
+  const Receipt drilled = server.Last(Id('b'));
+  EXPECT_EQ(drilled.effective_level(), "DEFAULT");
+  ASSERT_EQ(drilled.steps_size(), 3);
+  EXPECT_EQ(drilled.steps(0).drilled(), v1::StepResult::DRILLED_DONE);
+  EXPECT_THAT(drilled.steps(0).detail(), HasSubstr("flashed on, then off again"));
+  EXPECT_EQ(drilled.steps(1).drilled(), v1::StepResult::DRILLED_DONE);
+  EXPECT_EQ(drilled.steps(1).output_tail(), "drill=1\n");
+  EXPECT_EQ(drilled.steps(2).step(), "leave: alarm siren=off");
+  EXPECT_EQ(drilled.steps(2).drilled(), v1::StepResult::DRILLED_LOOKED);
+  EXPECT_FALSE(board.is_on(1));
+
+  // Another level: its programs have no drill, so they are looked at and do not run.
+  server.Drill(Id('c'), "COMPROMISED");
+  ASSERT_TRUE(server.HasReceipt(Id('c'), Receipt::VERIFIED));
+  EXPECT_EQ(server.Last(Id('c')).steps(0).drilled(), v1::StepResult::DRILLED_LOOKED);
+  EXPECT_EQ(Slurp(dir_ + "/log"), log);
+  EXPECT_EQ(Slurp(dir_ + "/state/state"), state);
+  EXPECT_TRUE(Verified(server, "DEFAULT"));
+
+  // Repeated, of no level of ours, of a stale term.
+  server.Drill(Id('b'), "SIREN");
+  server.Drill(Id('d'), "PANIC");
+  server.Drill(Id('e'), "SIREN", 0);
+  ASSERT_TRUE(server.HasReceipt(Id('e'), Receipt::REFUSED_STALE));
+  EXPECT_EQ(server.Last(Id('d')).stage(), Receipt::REFUSED);
+  EXPECT_EQ(server.Last(Id('b')).stage(), Receipt::VERIFIED);
+}
+
+TEST_F(AgentTest, ALevelThatComesDuringADrillIsEnteredAtOnce) {
+  programs_ = "  - {name: slow, path: /usr/bin/bash, drill: true}\n";
+  alarms_ = absl::StrCat("  - {name: SLOW, enter: [{program: {name: slow, args: [\"-c\", ",
+                         "\"touch ", dir_, "/begun; exec sleep 60\"]}}]}\n");
+  FakeServer server(Pki().Server());
+  ASSERT_THAT(Start(server.port(), Pki().Actuator()), IsOk());
+  server.SetLevel(Id('a'), "DEFAULT", {1, 1});
+  ASSERT_TRUE(server.HasReceipt(Id('a'), Receipt::VERIFIED));
+  ASSERT_TRUE(Verified(server, "DEFAULT"));
+  server.Drill(Id('b'), "SLOW");
+  ASSERT_TRUE(server.HasReceipt(Id('b'), Receipt::ACKNOWLEDGED));
+  ASSERT_TRUE(server.Until([&] { return access((dir_ + "/begun").c_str(), F_OK) == 0; }));
+  server.Drill(Id('c'), "ALERT");
+  ASSERT_TRUE(server.HasReceipt(Id('c'), Receipt::REFUSED));
+  EXPECT_EQ(server.Last(Id('c')).detail(), "another drill runs");
+
+  server.SetLevel(Id('d'), "ALERT", {1, 2});
+  ASSERT_TRUE(server.HasReceipt(Id('b'), Receipt::SUPERSEDED));
+  ASSERT_TRUE(server.HasReceipt(Id('d'), Receipt::VERIFIED));
+  EXPECT_TRUE(Verified(server, "ALERT"));
+}
+
 TEST_F(AgentTest, RunsAProgramAtMostOnce) {
   FakeServer server(Pki().Server());
   ASSERT_THAT(Start(server.port(), Pki().Actuator()), IsOk());
@@ -496,6 +580,7 @@ TEST_F(AgentTest, MalformedCommandsDoNothing) {
   empty.mutable_command()->set_id(Id('x'));
   server.Push(empty);
   server.Run(Id('y'), "", {});
+  server.Drill(Id('z'), "");
   server.SetLevel(Id('a'), "ALERT", {1, 1});
   ASSERT_TRUE(server.HasReceipt(Id('a'), Receipt::VERIFIED));
   for (const Receipt& receipt : server.Receipts()) EXPECT_EQ(receipt.command_id(), Id('a'));

@@ -54,8 +54,7 @@ int64_t Nanos(uint64_t wire) { return static_cast<int64_t>(std::min<uint64_t>(wi
 
 }  // namespace
 
-absl::StatusOr<std::variant<SetLevelCommand, RunProgramCommand>> DecodeCommand(
-    const v1::Command& command) {
+absl::StatusOr<AnyCommand> DecodeCommand(const v1::Command& command) {
   if (command.id().size() != kCommandIdBytes) {
     return absl::InvalidArgumentError(
         absl::StrCat("a command id of ", command.id().size(), " bytes, expected 16"));
@@ -80,7 +79,11 @@ absl::StatusOr<std::variant<SetLevelCommand, RunProgramCommand>> DecodeCommand(
     decoded.timeout = absl::Milliseconds(run.timeout_ms());
     return decoded;
   }
-  return absl::InvalidArgumentError("a command that is neither a level nor a program");
+  if (command.has_drill() && !command.drill().level().empty()) {
+    return DrillCommand{
+        .id = command.id(), .term = command.term(), .level = command.drill().level()};
+  }
+  return absl::InvalidArgumentError("a command that is no level, program or drill");
 }
 
 LeaseGrant DecodeLease(const v1::Lease& lease) {
@@ -159,6 +162,8 @@ class Downlink::Impl {
         callbacks_.malformed(command.status());
       } else if (auto* level = std::get_if<SetLevelCommand>(&*command)) {
         callbacks_.set_level(std::move(*level));
+      } else if (auto* drill = std::get_if<DrillCommand>(&*command)) {
+        callbacks_.drill(std::move(*drill));
       } else {
         callbacks_.run_program(std::get<RunProgramCommand>(*std::move(command)));
       }

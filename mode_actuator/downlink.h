@@ -16,6 +16,7 @@
 #include "absl/status/statusor.h"
 #include "absl/strings/string_view.h"
 #include "absl/time/time.h"
+#include "mode_actuator/drill_desk.h"
 #include "mode_actuator/executor.h"
 #include "mode_actuator/receipt.h"
 #include "services/base/clock.h"
@@ -36,10 +37,11 @@ struct RunProgramCommand {
   absl::Duration timeout;  // zero = the program's own
 };
 
+using AnyCommand = std::variant<SetLevelCommand, RunProgramCommand, DrillCommand>;
+
 // A command by its kind. InvalidArgument, saying what is wrong, for a message that no policy server
-// of ours sends: an id that is not 16 bytes, no kind, a program without a name.
-absl::StatusOr<std::variant<SetLevelCommand, RunProgramCommand>> DecodeCommand(
-    const v1::Command& command);
+// of ours sends: an id that is not 16 bytes, no kind, a program without a name, a drill of no level.
+absl::StatusOr<AnyCommand> DecodeCommand(const v1::Command& command);
 // `ttl` and echo as sent; what they are worth is the executor's to say.
 LeaseGrant DecodeLease(const v1::Lease& lease);
 
@@ -63,6 +65,7 @@ class Downlink {
     std::function<ExecutorReport()> connected;
     std::function<void(SetLevelCommand)> set_level;
     std::function<void(RunProgramCommand)> run_program;
+    std::function<void(DrillCommand)> drill;
     std::function<void(LeaseGrant)> lease;
     std::function<void(const absl::Status&)> malformed;
     std::function<void(const absl::Status&)> disconnected;

@@ -104,6 +104,7 @@ class FakeAlarms : public Alarms {
     return results_.at(order);
   }
   void Drop(uint64_t order) override { results_.erase(order); }
+  void Leave(uint64_t order) override { results_.erase(order); }
 
   bool gone = false;                                         // nothing is plugged in
   bool stuck = false;                                        // orders have no effect

@@ -20,7 +20,8 @@
 
 namespace rips::actuator {
 
-// Runs one job at a time. A new one ends the running one and replaces one that waits.
+// Runs one job at a time. A new one ends the running one and replaces one that waits. Between them
+// it may run a drill.
 class LevelWorker {
  public:
   struct Callbacks {
@@ -37,8 +38,28 @@ class LevelWorker {
 
   void Submit(ApplyLevel job) ABSL_LOCKS_EXCLUDED(mu_);
 
+  // A drill; it calls `between` often: what looks at the level is done there, and does not wait for
+  // its end.
+  using DrillTask =
+      std::function<void(const CancelFlag& cancel, const std::function<void()>& between)>;
+  // Runs `drill` on the worker's thread. False, and nothing happens, if a job that enters a level
+  // runs or waits, or another drill does. A job that enters a level ends it, also if it has not
+  // begun: then it is run with its flag cancelled, before that job.
+  bool SubmitDrill(DrillTask drill) ABSL_LOCKS_EXCLUDED(mu_);
+
  private:
+  // What is to be done next; the drill if there is no `job`.
+  struct Work {
+    std::optional<ApplyLevel> job;
+    DrillTask drill;
+    std::shared_ptr<CancelFlag> cancel;
+  };
+
   void Loop();
+  // None: it stops.
+  std::optional<Work> NextWork() ABSL_LOCKS_EXCLUDED(mu_);
+  void RunDrill(const DrillTask& drill, const CancelFlag& cancel) ABSL_LOCKS_EXCLUDED(mu_);
+  void RunWaitingCheck(const CancelFlag& cancel) ABSL_LOCKS_EXCLUDED(mu_);
 
   Procedures* const procedures_;  // Not owned; outlives this.
   const Callbacks callbacks_;
@@ -47,6 +68,10 @@ class LevelWorker {
   bool stopping_ ABSL_GUARDED_BY(mu_) = false;
   std::optional<ApplyLevel> next_ ABSL_GUARDED_BY(mu_);
   std::shared_ptr<CancelFlag> running_ ABSL_GUARDED_BY(mu_);
+  bool entering_ ABSL_GUARDED_BY(mu_) = false;  // the running job enters a level
+  DrillTask drill_ ABSL_GUARDED_BY(mu_);        // that waits
+  // Of the drill that waits or runs.
+  std::shared_ptr<CancelFlag> drill_cancel_ ABSL_GUARDED_BY(mu_);
   std::thread thread_;
 };
 

@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <deque>
+#include <set>
 #include <thread>
 #include <tuple>
 #include <utility>
@@ -51,6 +52,7 @@ class AlarmBoard::Line : public std::enable_shared_from_this<AlarmBoard::Line> {
       ABSL_LOCKS_EXCLUDED(mu_);
   std::optional<AlarmResult> Poll(uint64_t id) ABSL_LOCKS_EXCLUDED(mu_);
   void Drop(uint64_t id) ABSL_LOCKS_EXCLUDED(mu_);
+  void Leave(uint64_t id) ABSL_LOCKS_EXCLUDED(mu_);
   bool missing() const ABSL_LOCKS_EXCLUDED(mu_) {
     MutexLock lock(&mu_);
     return missing_;
@@ -93,6 +95,7 @@ class AlarmBoard::Line : public std::enable_shared_from_this<AlarmBoard::Line> {
   uint64_t running_ ABSL_GUARDED_BY(mu_) = 0;  // 0 = none, or nobody waits for it
   bool busy_ ABSL_GUARDED_BY(mu_) = false;     // with an order, waited for or not
   std::map<uint64_t, AlarmResult> results_ ABSL_GUARDED_BY(mu_);
+  std::set<uint64_t> left_ ABSL_GUARDED_BY(mu_);  // whose results nobody waits for
 };
 
 // --- those who wait
@@ -133,6 +136,11 @@ void AlarmBoard::Line::DropLocked(uint64_t id) {
   if (running_ != id) return;
   running_ = 0;
   gate_.Close();
+}
+
+void AlarmBoard::Line::Leave(uint64_t id) {
+  MutexLock lock(&mu_);
+  if (results_.erase(id) == 0) left_.insert(id);
 }
 
 void AlarmBoard::Line::AskToStop() {
@@ -177,7 +185,14 @@ void AlarmBoard::Line::Loop() {
     AlarmResult result = Run(order);
     MutexLock lock(&mu_);
     busy_ = false;
-    if (running_ == order.id) results_.emplace(order.id, std::move(result));
+    if (left_.erase(order.id) != 0) {
+      if (!result.status.ok()) {
+        LogWarning("alarm order failed",
+                   {{"device", spec_.name}, {"why", result.status.message()}});
+      }
+    } else if (running_ == order.id) {
+      results_.emplace(order.id, std::move(result));
+    }
     running_ = 0;
   }
   device_.reset();
@@ -311,6 +326,13 @@ void AlarmBoard::Drop(uint64_t order) {
   const auto found = orders_.find(order);
   if (found == orders_.end()) return;
   found->second->Drop(order);
+  orders_.erase(found);
+}
+
+void AlarmBoard::Leave(uint64_t order) {
+  const auto found = orders_.find(order);
+  if (found == orders_.end()) return;
+  found->second->Leave(order);
   orders_.erase(found);
 }
 

@@ -37,6 +37,7 @@ class AlarmBoard final : public Alarms {
                                  const AlarmState& state) override;
   std::optional<AlarmResult> Poll(uint64_t order) override;
   void Drop(uint64_t order) override;
+  void Leave(uint64_t order) override;
 
   // Devices that could not be used when that was last tried. Any thread.
   size_t missing() const;

@@ -246,6 +246,31 @@ TEST_F(AlarmBoardTest, WhatCannotBeReadBackIsNotedAsTold) {
   EXPECT_THAT(Look(*board_, "left", kTestOn).status, StatusIs(StatusCode::kFailedPrecondition));
 }
 
+TEST_F(AlarmBoardTest, WhatNobodyWaitsForIsCarriedOutAllTheSame) {
+  world_->With("A", [](World::Plugged& device) { device.stuck = true; });
+  Start();
+  const auto first = board_->Begin("left", AlarmOrder::kSet, kTestOn);
+  const auto second = board_->Begin("left", AlarmOrder::kSet, kTestOff);
+  ASSERT_THAT(first, IsOk());
+  ASSERT_THAT(second, IsOk());
+  board_->Leave(*first);
+  board_->Leave(*second);
+  EXPECT_THAT(board_->Poll(*second)->status, StatusIs(StatusCode::kInternal));
+  board_->Leave(*second);  // not known any more
+  world_->With("A", [](World::Plugged& device) { device.stuck = false; });
+  EXPECT_TRUE(world_->Until("A", [](const World::Plugged& device) {
+    return device.sets == std::vector<std::string>{"1=on", "1=off"};
+  }));
+  // Their results take nobody's place.
+  for (size_t i = 0; i < kAlarmOrdersMax; ++i) {
+    EXPECT_THAT(Tell(*board_, "left", kTestOff).status, IsOk());
+    const auto order = board_->Begin("left", AlarmOrder::kSet, kTestOff);
+    ASSERT_THAT(order, IsOk());
+    board_->Leave(*order);
+  }
+  EXPECT_THAT(Tell(*board_, "left", kTestOff).status, IsOk());
+}
+
 TEST_F(AlarmBoardTest, OrdersOfADeviceHaveALimit) {
   world_->With("A", [](World::Plugged& device) { device.stuck = true; });
   Start();
@@ -290,6 +315,7 @@ class FakeAlarms final : public Alarms {
     return result;
   }
   void Drop(uint64_t order) override { dropped.push_back(order); }
+  void Leave(uint64_t) override {}
 
   absl::Status begin;
   uint64_t orders = 0;

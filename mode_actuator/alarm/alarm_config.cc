@@ -78,6 +78,7 @@ AlarmSpec ReadDevice(const ConfigSection& section) {
   }
   section.RequiredEnum<AlarmKind>("kind", &device.kind, AlarmKinds());
   ReadIdentity(section, &device);
+  section.OptionalEnum<bool>("drill", &device.flash_in_drills, {{"look", false}, {"flash", true}});
   if (IsRelay(device.kind)) {
     section.Optional("channel", &device.channel, {1, kAlarmChannelsMax});
   } else if (section.Has("channel")) {

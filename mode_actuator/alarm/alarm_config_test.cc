@@ -52,6 +52,20 @@ TEST(AlarmConfigTest, ReadsWhatItSays) {
   EXPECT_THAT(parsed->effective, HasSubstr("devices[1].channel: 2"));
 }
 
+TEST(AlarmConfigTest, ADrillMayFlashADevice) {
+  const auto parsed = Parse(
+      "devices:\n"
+      "  - {name: a, kind: lcus, serial: x, drill: flash}\n"
+      "  - {name: b, kind: lcus, serial: y, drill: look}\n"
+      "  - {name: c, kind: lcus, serial: z}\n");
+  ASSERT_THAT(parsed, IsOk());
+  EXPECT_TRUE(parsed->devices[0].flash_in_drills);
+  EXPECT_FALSE(parsed->devices[1].flash_in_drills);
+  EXPECT_FALSE(parsed->devices[2].flash_in_drills);
+  EXPECT_THAT(Parse("devices:\n  - {name: a, kind: lcus, serial: x, drill: on}\n"),
+              StatusIs(absl::StatusCode::kInvalidArgument, HasSubstr("drill")));
+}
+
 TEST(AlarmConfigTest, OnNeedsNoQuotes) {
   const auto parsed = Parse(Step("{device: siren, state: on}"));
   ASSERT_THAT(parsed, IsOk());

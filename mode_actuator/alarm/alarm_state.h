@@ -75,6 +75,8 @@ struct AlarmSpec {
   std::string serial;  // exactly one of `serial` and `path` is set
   std::string path;    // a link that udev keeps, never /dev/hidrawN
   int channel = 1;     // relays: 1 to kAlarmChannelsMax
+  // A drill may switch it on for a moment, and off again.
+  bool flash_in_drills = false;
   friend bool operator==(const AlarmSpec&, const AlarmSpec&) = default;
 };
 

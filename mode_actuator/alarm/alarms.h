@@ -50,6 +50,8 @@ class Alarms {
   virtual std::optional<AlarmResult> Poll(uint64_t order) = 0;
   // Nobody will ask again. What has not been sent is not sent.
   virtual void Drop(uint64_t order) = 0;
+  // Nobody will ask again, but it is carried out.
+  virtual void Leave(uint64_t order) = 0;
 };
 
 }  // namespace rips::actuator

@@ -108,6 +108,8 @@ FwResponse Firewall::Handle(const FwRequest& request) {
       return Enter(request.step);
     case FwVerb::kCheck:
       return Check(request.step);
+    case FwVerb::kTry:
+      return Try(request.step);
     case FwVerb::kStatus:
       return Status();
   }
@@ -195,20 +197,30 @@ absl::StatusOr<std::vector<Target>> Firewall::Targets(const FirewallStep& step) 
   return targets;
 }
 
+absl::StatusOr<std::vector<Target>> Firewall::AllowedTargets(const FirewallStep& step) {
+  RIPS_ASSIGN_OR_RETURN(std::vector<Target> targets, Targets(step));
+  RIPS_ASSIGN_OR_RETURN(const KeptOpen kept, host_->Kept());
+  for (const Target& target : targets) RIPS_RETURN_IF_ERROR(CheckMayBeIsolated(target, kept));
+  return targets;
+}
+
+absl::StatusOr<std::string> Firewall::RulesScript(const FirewallStep& step) {
+  if (std::find(options_.files.begin(), options_.files.end(), step.file) == options_.files.end()) {
+    return absl::PermissionDeniedError(
+        absl::StrCat("`", ros2::Printable(step.file), "` is in no step of the configuration"));
+  }
+  RIPS_ASSIGN_OR_RETURN(const std::vector<FragmentRule> rules, ReadFragment(step.file));
+  RIPS_ASSIGN_OR_RETURN(const std::vector<ControlAddress> control, host_->Control());
+  return absl::StrCat(TableScript(control), LevelScript(rules, step.hold_for));
+}
+
 FwResponse Firewall::EnterRules(const FirewallStep& step) {
   const auto body = [&]() -> absl::StatusOr<std::string> {
-    if (std::find(options_.files.begin(), options_.files.end(), step.file) ==
-        options_.files.end()) {
-      return absl::PermissionDeniedError(
-          absl::StrCat("`", ros2::Printable(step.file), "` is in no step of the configuration"));
-    }
-    RIPS_ASSIGN_OR_RETURN(const std::vector<FragmentRule> rules, ReadFragment(step.file));
-    RIPS_ASSIGN_OR_RETURN(const std::vector<ControlAddress> control, host_->Control());
+    RIPS_ASSIGN_OR_RETURN(const std::string script, RulesScript(step));
     // Until it is there for certain, nothing is known of the level's rules.
     file_.clear();
     level_.clear();
-    RIPS_ASSIGN_OR_RETURN(const Ruleset now, Load(absl::StrCat(TableScript(control),
-                                                               LevelScript(rules, step.hold_for))));
+    RIPS_ASSIGN_OR_RETURN(const Ruleset now, Load(script));
     file_ = step.file;
     RIPS_RETURN_IF_ERROR(CompareTable(now));
     RIPS_RETURN_IF_ERROR(CompareRules(step, now));
@@ -219,33 +231,37 @@ FwResponse Firewall::EnterRules(const FirewallStep& step) {
   return {.status = absl::OkStatus(), .observed = *observed};
 }
 
+absl::StatusOr<std::string> Firewall::IsolationScript(const FirewallStep& step,
+                                                      const std::vector<Target>& targets,
+                                                      const Ruleset& before) {
+  const int64_t now_s = clock_->Now().boottime_ns / kNanosPerSecond;
+  std::vector<Isolation> isolations;
+  absl::btree_map<std::string, size_t> sizes;
+  for (const Target& target : targets) {
+    const std::string set(SetOf(target.kind));
+    const auto elements = before.sets.find(set);
+    const size_t there = elements == before.sets.end() ? 0 : elements->second.size();
+    const SetElement* old = FindElement(before, set, target.text);
+    Isolation isolation = {target, std::max(step.hold_for, options_.hold), now_s};
+    if (old != nullptr) {
+      if (old->since_s > 0 && old->since_s <= now_s) isolation.since_s = old->since_s;
+      isolation.hold_for = std::max(isolation.hold_for, absl::Seconds(old->expires_s));
+    } else if (there + ++sizes[set] > kIsolatedMax) {
+      return absl::ResourceExhaustedError(
+          absl::StrCat("isolated in `", set, "` exceed limit ", kIsolatedMax));
+    }
+    isolations.push_back(std::move(isolation));
+  }
+  return IsolateScript(isolations);
+}
+
 FwResponse Firewall::EnterIsolation(const FirewallStep& step) {
   const auto body = [&]() -> absl::StatusOr<std::string> {
-    RIPS_ASSIGN_OR_RETURN(const std::vector<Target> targets, Targets(step));
+    RIPS_ASSIGN_OR_RETURN(const std::vector<Target> targets, AllowedTargets(step));
     RIPS_ASSIGN_OR_RETURN(const std::vector<ControlAddress> control, host_->Control());
-    RIPS_ASSIGN_OR_RETURN(const KeptOpen kept, host_->Kept());
-    for (const Target& target : targets) RIPS_RETURN_IF_ERROR(CheckMayBeIsolated(target, kept));
     RIPS_ASSIGN_OR_RETURN(const Ruleset before, ListOrMend(TableScript(control)));
-    const int64_t now_s = clock_->Now().boottime_ns / kNanosPerSecond;
-    std::vector<Isolation> isolations;
-    absl::btree_map<std::string, size_t> sizes;
-    for (const Target& target : targets) {
-      const std::string set(SetOf(target.kind));
-      const auto elements = before.sets.find(set);
-      const size_t there = elements == before.sets.end() ? 0 : elements->second.size();
-      const SetElement* old = FindElement(before, set, target.text);
-      Isolation isolation = {target, std::max(step.hold_for, options_.hold), now_s};
-      if (old != nullptr) {
-        if (old->since_s > 0 && old->since_s <= now_s) isolation.since_s = old->since_s;
-        isolation.hold_for = std::max(isolation.hold_for, absl::Seconds(old->expires_s));
-      } else if (there + ++sizes[set] > kIsolatedMax) {
-        return absl::ResourceExhaustedError(
-            absl::StrCat("isolated in `", set, "` exceed limit ", kIsolatedMax));
-      }
-      isolations.push_back(std::move(isolation));
-    }
-    RIPS_ASSIGN_OR_RETURN(const Ruleset now,
-                          Load(absl::StrCat(TableScript(control), IsolateScript(isolations))));
+    RIPS_ASSIGN_OR_RETURN(const std::string script, IsolationScript(step, targets, before));
+    RIPS_ASSIGN_OR_RETURN(const Ruleset now, Load(absl::StrCat(TableScript(control), script)));
     RIPS_RETURN_IF_ERROR(CompareTable(now));
     RIPS_RETURN_IF_ERROR(CompareTargets(targets, now));
     return Observed(step);
@@ -380,6 +396,32 @@ FwResponse Firewall::Check(const FirewallStep& step) {
   const absl::StatusOr<std::string> observed = body();
   if (!observed.ok()) return {.status = observed.status(), .observed = "firewall=?"};
   return {.status = absl::OkStatus(), .observed = *observed};
+}
+
+FwResponse Firewall::Try(const FirewallStep& step) {
+  const auto body = [&]() -> absl::StatusOr<std::string> {
+    if (step.kind == Kind::kRules) return RulesScript(step);
+    std::vector<Target> targets;
+    if (step.kind != Kind::kRelease) {
+      RIPS_ASSIGN_OR_RETURN(targets, AllowedTargets(step));
+    }
+    // A table that is switched off is told, not mended.
+    RIPS_ASSIGN_OR_RETURN(const Ruleset now, List());
+    if (now.dormant) return Left("table `inet rips` was switched off (dormant)");
+    const absl::StatusOr<std::vector<ControlAddress>> control = host_->Control();
+    if (step.kind == Kind::kRelease) {
+      return absl::StrCat(TableScript(control.ok() ? *control : std::vector<ControlAddress>()),
+                          ReleaseScript({}));
+    }
+    RIPS_RETURN_IF_ERROR(control.status());
+    RIPS_ASSIGN_OR_RETURN(const std::string script, IsolationScript(step, targets, now));
+    return absl::StrCat(TableScript(*control), script);
+  };
+  const absl::StatusOr<std::string> script = body();
+  const absl::Status status =
+      script.ok() ? nft_->Load(*script, NftMode::kDryRun) : script.status();
+  if (!status.ok()) return {.status = status};
+  return {.status = status, .note = "nft and the kernel would take it (dry run)"};
 }
 
 FwResponse Firewall::Status() {

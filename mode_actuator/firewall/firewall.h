@@ -63,6 +63,8 @@ class Firewall {
   FwResponse EnterIsolation(const FirewallStep& step);
   FwResponse EnterRelease();
   FwResponse Check(const FirewallStep& step);
+  // A dry run of what Enter would load.
+  FwResponse Try(const FirewallStep& step);
   FwResponse Status();
 
   absl::StatusOr<Ruleset> List();
@@ -77,6 +79,13 @@ class Firewall {
   absl::Status CompareRules(const FirewallStep& step, const Ruleset& now) const;
   absl::Status CompareTargets(const std::vector<Target>& targets, const Ruleset& now) const;
   absl::StatusOr<std::vector<Target>> Targets(const FirewallStep& step);
+  // The same, if all of them may be isolated.
+  absl::StatusOr<std::vector<Target>> AllowedTargets(const FirewallStep& step);
+  absl::StatusOr<std::string> RulesScript(const FirewallStep& step);
+  // Without the table. `before`: what is in force.
+  absl::StatusOr<std::string> IsolationScript(const FirewallStep& step,
+                                              const std::vector<Target>& targets,
+                                              const Ruleset& before);
 
   const FirewallOptions options_;
   Nft* const nft_;            // Not owned; outlives this.

@@ -94,6 +94,7 @@ class FirewallTest : public ::testing::Test {
   }
   FwResponse Enter(const FirewallStep& step) { return firewall_->Handle({FwVerb::kEnter, step}); }
   FwResponse Check(const FirewallStep& step) { return firewall_->Handle({FwVerb::kCheck, step}); }
+  FwResponse Try(const FirewallStep& step) { return firewall_->Handle({FwVerb::kTry, step}); }
   FwResponse Release() { return Enter({.kind = Kind::kRelease}); }
 
   // What somebody else does.
@@ -264,6 +265,42 @@ TEST_F(FirewallTest, ATableThatWasSwitchedOffIsSwitchedOn) {
     EXPECT_THAT(Check(step).status, IsOk());
     EXPECT_FALSE(Now().dormant);
   }
+}
+
+TEST_F(FirewallTest, ATryLoadsNothing) {
+  const FirewallStep steps[] = {Rules(), Hosts({"10.0.0.7"}), {.kind = Kind::kRelease}};
+  for (const FirewallStep& step : steps) {
+    const FwResponse tried = Try(step);
+    EXPECT_THAT(tried.status, IsOk());
+    EXPECT_EQ(tried.note, "nft and the kernel would take it (dry run)");
+    EXPECT_FALSE(Now().present) << "a dry run has loaded something";
+  }
+  ASSERT_THAT(Enter(Rules()).status, IsOk());
+  ASSERT_THAT(Enter(Hosts({"10.0.0.8"})).status, IsOk());
+  const absl::StatusOr<std::string> before = nft_.ListTable();
+  for (const FirewallStep& step : steps) EXPECT_THAT(Try(step).status, IsOk());
+  const Ruleset now = Now();
+  EXPECT_THAT(now.sets.at("quarantine4"), SizeIs(1));
+  EXPECT_THAT(now.chains.at("level_in").comments, ElementsAre("rips 1", "rips 2"));
+  // What is in force is still as it was loaded.
+  EXPECT_THAT(Check(Rules()).status, IsOk());
+  EXPECT_THAT(Check(Hosts({"10.0.0.8"})).status, IsOk());
+}
+
+TEST_F(FirewallTest, ATryTellsWhatWouldNotWork) {
+  EXPECT_THAT(Try(Hosts({"10.0.0.1"})).status,
+              StatusIs(absl::StatusCode::kInvalidArgument, HasSubstr("is a policy server")));
+  EXPECT_THAT(Try({.kind = Kind::kRules, .file = "/etc/passwd"}).status,
+              StatusIs(absl::StatusCode::kPermissionDenied));
+  ASSERT_THAT(WriteFileAtomically(file_, "chain input {\n  nonsense\n}\n"), IsOk());
+  EXPECT_THAT(Try(Rules()).status, StatusIs(absl::StatusCode::kInvalidArgument));
+  unlink(file_.c_str());
+  EXPECT_FALSE(Try(Rules()).status.ok());
+  // A table that was switched off is told, and left so.
+  ASSERT_THAT(Enter(Hosts({"10.0.0.8"})).status, IsOk());
+  Admin("table inet rips { flags dormant; }\n");
+  EXPECT_FALSE(Try(Hosts({"10.0.0.7"})).status.ok());
+  EXPECT_FALSE(Try({.kind = Kind::kRelease}).status.ok());
 }
 
 TEST_F(FirewallTest, TellsWhoIsNoLongerIsolated) {

@@ -71,11 +71,19 @@ StepReading FwClient::Enter(const Step& step, absl::Duration timeout, int retrie
   return reading;
 }
 
-StepReading FwClient::Check(const Step& step, const CancelFlag& cancel) {
-  const FwRequest request = {FwVerb::kCheck, std::get<FirewallStep>(step.what)};
+StepReading FwClient::CallOnce(FwVerb verb, const Step& step, const CancelFlag& cancel) const {
+  const FwRequest request = {verb, std::get<FirewallStep>(step.what)};
   absl::StatusOr<FwResponse> response = Call(request, kFwCheckTimeout, cancel);
   if (!response.ok()) return {.status = response.status(), .observed = "firewall=?"};
   return {response->status, std::move(response->observed), std::move(response->note)};
+}
+
+StepReading FwClient::Check(const Step& step, const CancelFlag& cancel) {
+  return CallOnce(FwVerb::kCheck, step, cancel);
+}
+
+StepReading FwClient::Drill(const Step& step, const CancelFlag& cancel) {
+  return CallOnce(FwVerb::kTry, step, cancel);
 }
 
 }  // namespace rips::actuator

@@ -12,7 +12,7 @@
 
 namespace rips::actuator {
 
-// What a check waits for its answer.
+// What a check or a drill waits for its answer.
 inline constexpr absl::Duration kFwCheckTimeout = absl::Seconds(3);
 
 // A connection for each request: rips-fw may be started by it, or anew between two.
@@ -24,6 +24,7 @@ class FwClient final : public StepRunner {
   StepReading Enter(const Step& step, absl::Duration timeout, int retries,
                     const CancelFlag& cancel) override;
   StepReading Check(const Step& step, const CancelFlag& cancel) override;
+  StepReading Drill(const Step& step, const CancelFlag& cancel) override;
 
   // Unavailable if rips-fw is not there or goes away, DeadlineExceeded, Cancelled, DataLoss if the
   // answer is none. What rips-fw says is in the response.
@@ -31,6 +32,8 @@ class FwClient final : public StepRunner {
                                   const CancelFlag& cancel) const;
 
  private:
+  StepReading CallOnce(FwVerb verb, const Step& step, const CancelFlag& cancel) const;
+
   const std::string socket_path_;
 };
 

@@ -22,7 +22,10 @@ constexpr size_t kTargetBytesMax = 48;
 
 using Kind = FirewallStep::Kind;
 constexpr std::pair<absl::string_view, FwVerb> kVerbs[] = {
-    {"enter", FwVerb::kEnter}, {"check", FwVerb::kCheck}, {"status", FwVerb::kStatus}};
+    {"enter", FwVerb::kEnter},
+    {"check", FwVerb::kCheck},
+    {"try", FwVerb::kTry},
+    {"status", FwVerb::kStatus}};
 constexpr std::pair<absl::string_view, Kind> kKinds[] = {
     {"rules", Kind::kRules},
     {"isolate_hosts", Kind::kIsolateHosts},

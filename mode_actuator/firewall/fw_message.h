@@ -27,6 +27,7 @@ inline constexpr absl::Duration kFirewallForMax = absl::Hours(24);
 enum class FwVerb {
   kEnter,   // do it and read it back
   kCheck,   // look whether it is so, and renew its time
+  kTry,     // look whether it could be done; nothing is loaded
   kStatus,  // what is in force; no step
 };
 

@@ -21,6 +21,8 @@ TEST(FwMessageTest, RequestsComeBackAsTheyWere) {
       {.verb = FwVerb::kStatus},
       {FwVerb::kEnter, {.kind = Kind::kRules, .file = "/etc/rips/a b.nft"}},
       {FwVerb::kCheck, many},
+      {FwVerb::kTry, many},
+      {FwVerb::kTry, {.kind = Kind::kRelease}},
       {FwVerb::kEnter,
        {.kind = Kind::kIsolateParticipants,
         .targets = {"01104a3b0000000000000001"},

@@ -26,6 +26,8 @@ absl::string_view VerbName(FwVerb verb) {
       return "enter";
     case FwVerb::kCheck:
       return "check";
+    case FwVerb::kTry:
+      return "try";
     case FwVerb::kStatus:
       return "status";
   }

@@ -98,7 +98,10 @@ TEST_F(FwServerTest, AnswersStepsOfTheActuator) {
   EXPECT_EQ(entered.observed, "/a.nft");
   EXPECT_EQ(entered.note, "note");
   EXPECT_THAT(client.Check(step, CancelFlag()).status, IsOk());
-  EXPECT_EQ(served_, 2);
+  const StepReading tried = client.Drill(step, CancelFlag());
+  EXPECT_THAT(tried.status, IsOk());
+  EXPECT_EQ(tried.note, "note");
+  EXPECT_EQ(served_, 3);
 }
 
 TEST_F(FwServerTest, AConnectionMayAskAgain) {

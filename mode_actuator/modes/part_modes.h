@@ -34,6 +34,13 @@ class PartModes {
   // Looks once. FailedPrecondition if `part` is in another mode.
   virtual ModeReading Check(absl::string_view part, absl::string_view mode,
                             const CancelFlag& cancel) = 0;
+
+  // Looks whether Enter could work now, and orders nothing: OK if all that it needs answers and
+  // knows the mode. Unavailable or FailedPrecondition saying who does not, Cancelled;
+  // Unimplemented if it cannot be told.
+  virtual ModeReading Probe(absl::string_view, absl::string_view, const CancelFlag&) {
+    return {.status = absl::UnimplementedError("not tried: a mode can only be ordered")};
+  }
 };
 
 }  // namespace rips::actuator

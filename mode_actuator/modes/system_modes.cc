@@ -78,6 +78,7 @@ class SystemModes::Impl {
   ModeReading Enter(absl::string_view part, absl::string_view mode, absl::Duration timeout,
                     int retries, const CancelFlag& cancel);
   ModeReading Check(absl::string_view part, absl::string_view mode, const CancelFlag& cancel);
+  ModeReading Probe(absl::string_view part, absl::string_view mode, const CancelFlag& cancel);
   absl::Status CheckAvailable();
   std::vector<std::string> Degraded() const;
 
@@ -98,7 +99,9 @@ class SystemModes::Impl {
   ModeReading Direct(Task& task, std::string why);
   // What the manager must hear, and what is known of it, after a look at a part in `mode`.
   void Follow(Part& part, absl::string_view mode, const View& view, ModeReading& reading);
-  absl::Status CheckManager(const std::string& name, Part& part) const;
+  absl::Status CheckManager(const std::string& name, Part& part,
+                            const std::vector<std::string>& modes) const;
+  static absl::Status CheckNode(const std::string& name, NodeClient& node);
   int64_t NowNs() const { return clock_->Now().boottime_ns; }
 
   const dds::Participant* const participant_;  // Not owned; outlives this.
@@ -323,17 +326,32 @@ ModeReading SystemModes::Impl::Check(absl::string_view part_name, absl::string_v
   return reading;
 }
 
-absl::Status SystemModes::Impl::CheckManager(const std::string& name, Part& part) const {
+absl::Status SystemModes::Impl::CheckManager(const std::string& name, Part& part,
+                                             const std::vector<std::string>& modes) const {
   const absl::StatusOr<std::vector<std::string>> available = part.manager->AvailableModes();
   if (absl::IsDataLoss(available.status())) return available.status();
   if (!available.ok()) {
     return absl::UnavailableError(absl::StrCat("no mode manager of ", Quote(name), " answers"));
   }
-  for (const std::string& mode : part.modes) {
+  for (const std::string& mode : modes) {
     if (std::find(available->begin(), available->end(), mode) != available->end()) continue;
     return absl::FailedPreconditionError(absl::StrCat("the mode manager of ", Quote(name),
                                                       " has no mode ", Quote(mode),
                                                       "; it runs with another SMH file"));
+  }
+  return absl::OkStatus();
+}
+
+absl::Status SystemModes::Impl::CheckNode(const std::string& name, NodeClient& node) {
+  const absl::StatusOr<uint8_t> state = node.State();
+  if (!state.ok()) return absl::UnavailableError(absl::StrCat(name, " does not answer"));
+  if (*state == kStateUnconfigured) {
+    return absl::FailedPreconditionError(
+        absl::StrCat(name, " is unconfigured: the mode manager will never configure it"));
+  }
+  if (*state == kStateFinalized) {
+    return absl::FailedPreconditionError(
+        absl::StrCat(name, " is finalized: its process must be started again"));
   }
   return absl::OkStatus();
 }
@@ -348,20 +366,9 @@ absl::Status SystemModes::Impl::CheckAvailable() {
     if (worst.ok() || (absl::IsUnavailable(worst) && !absl::IsUnavailable(status))) worst = status;
   };
   for (auto& [name, part] : parts_) {
-    if (part.manager != nullptr) found(CheckManager(name, part));
+    if (part.manager != nullptr) found(CheckManager(name, part, part.modes));
   }
-  for (auto& [name, node] : nodes_) {
-    const absl::StatusOr<uint8_t> state = node->State();
-    if (!state.ok()) {
-      found(absl::UnavailableError(absl::StrCat(name, " does not answer")));
-    } else if (*state == kStateUnconfigured) {
-      found(absl::FailedPreconditionError(
-          absl::StrCat(name, " is unconfigured: the mode manager will never configure it")));
-    } else if (*state == kStateFinalized) {
-      found(absl::FailedPreconditionError(
-          absl::StrCat(name, " is finalized: its process must be started again")));
-    }
-  }
+  for (auto& [name, node] : nodes_) found(CheckNode(name, *node));
   return worst;
 }
 
@@ -373,6 +380,36 @@ std::vector<std::string> SystemModes::Impl::Degraded() const {
   }
   degraded.insert(degraded.end(), unavailable_.begin(), unavailable_.end());
   return degraded;
+}
+
+ModeReading SystemModes::Impl::Probe(absl::string_view part_name, absl::string_view mode,
+                                     const CancelFlag& cancel) {
+  ModeReading reading;
+  const auto target = targets_.find({std::string(part_name), std::string(mode)});
+  if (target == targets_.end()) {
+    reading.status = absl::InvalidArgumentError("no target of any level");
+    return reading;
+  }
+  Part& part = parts_.at(target->first.first);
+  std::vector<std::string> wrong;
+  if (part.manager != nullptr) {
+    const absl::Status manager = CheckManager(target->first.first, part, {target->first.second});
+    if (!manager.ok()) wrong.emplace_back(manager.message());
+    const ManagerView view = part.manager->Look(mode);
+    if (!view.observed.empty()) reading.observed = view.observed;
+  }
+  for (const ExpectedPart& expected : target->second) {
+    const auto node = nodes_.find(expected.node);
+    if (node == nodes_.end() || cancel.cancelled()) continue;
+    const absl::Status status = CheckNode(node->first, *node->second);
+    if (!status.ok()) wrong.emplace_back(status.message());
+  }
+  if (cancel.cancelled()) {
+    reading.status = absl::CancelledError("cancelled");
+  } else if (!wrong.empty()) {
+    reading.status = absl::UnavailableError(JoinParts(wrong));
+  }
+  return reading;
 }
 
 SystemModes::SystemModes(std::unique_ptr<Impl> impl) : impl_(std::move(impl)) {}
@@ -398,6 +435,11 @@ ModeReading SystemModes::Enter(absl::string_view part, absl::string_view mode,
 ModeReading SystemModes::Check(absl::string_view part, absl::string_view mode,
                                const CancelFlag& cancel) {
   return impl_->Check(part, mode, cancel);
+}
+
+ModeReading SystemModes::Probe(absl::string_view part, absl::string_view mode,
+                               const CancelFlag& cancel) {
+  return impl_->Probe(part, mode, cancel);
 }
 
 absl::Status SystemModes::CheckAvailable() { return impl_->CheckAvailable(); }

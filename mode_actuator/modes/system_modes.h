@@ -72,6 +72,9 @@ class SystemModes final : public PartModes {
   ModeReading Check(absl::string_view part, absl::string_view mode,
                     const CancelFlag& cancel) override;
 
+  ModeReading Probe(absl::string_view part, absl::string_view mode,
+                    const CancelFlag& cancel) override;
+
   // OK if the manager lists every target mode, and every node answers and is inactive or active.
   // Unavailable if somebody does not answer; FailedPrecondition if the manager works with another
   // SMH file, or a node is in a state the manager does nothing with. Same thread as Enter.

@@ -310,6 +310,41 @@ TEST_F(SystemModesTest, FindsAManagerWithAnotherFile) {
                                HasSubstr("has no mode `ALERT`; it runs with another SMH file")));
 }
 
+TEST_F(SystemModesTest, AProbeLooksAndOrdersNothing) {
+  FakeRobot& robot = Robot();
+  SystemModes& modes = Modes();
+  Warm(modes);
+  const int orders = robot.orders();
+  // Clients match one after the other.
+  ModeReading probe;
+  for (int i = 0; i < 100 && (i == 0 || !probe.status.ok()); ++i) {
+    probe = modes.Probe("/safety", "ALERT", cancel_);
+    cancel_.WaitFor(absl::Milliseconds(50));
+  }
+  EXPECT_THAT(probe.status, IsOk());
+  EXPECT_EQ(probe.observed, "__DEFAULT__");
+  EXPECT_EQ(robot.orders(), orders);
+
+  robot.Set(&FakeRobot::available_, std::vector<std::string>{"__DEFAULT__"});
+  EXPECT_THAT(modes.Probe("/safety", "ALERT", cancel_).status,
+              StatusIs(absl::StatusCode::kFailedPrecondition,
+                       HasSubstr("has no mode `ALERT`; it runs with another SMH file")));
+  robot.StopNodes();
+  EXPECT_THAT(
+      modes.Probe("/safety", "ALERT", cancel_).status,
+      StatusIs(absl::StatusCode::kUnavailable,
+               AllOf(HasSubstr("/camera does not answer"), HasSubstr("/motors does not answer"))));
+  robot.StopManager();
+  probe = modes.Probe("/safety", "ALERT", cancel_);
+  EXPECT_THAT(probe.status, StatusIs(absl::StatusCode::kUnavailable,
+                                     HasSubstr("no mode manager of `/safety` answers")));
+  EXPECT_EQ(probe.observed, "?");
+  EXPECT_EQ(modes.Probe("/safety", "none", cancel_).status.code(), absl::StatusCode::kInternal);
+  EXPECT_EQ(robot.orders(), orders);
+  cancel_.Cancel();
+  EXPECT_TRUE(absl::IsCancelled(modes.Probe("/safety", "ALERT", cancel_).status));
+}
+
 TEST_F(SystemModesTest, CancelEndsAnOrder) {
   SystemModes& modes = Modes();
   cancel_.Cancel();

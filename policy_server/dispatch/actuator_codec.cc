@@ -155,6 +155,8 @@ rips::v1::Command EncodeCommand(const pipeline::Command& command) {
     program->set_program(run->program);
     for (const std::string& arg : run->args) program->add_args(arg);
     program->set_timeout_ms(run->timeout_ms);
+  } else if (const auto* drill = std::get_if<pipeline::Drill>(&command.what)) {
+    out.mutable_drill()->set_level(drill->level);
   }
   return out;
 }

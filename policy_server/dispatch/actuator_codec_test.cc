@@ -48,6 +48,17 @@ TEST(ActuatorCodecTest, MorePartsThanTheLimitAreRefused) {
   EXPECT_THAT(std::string(status.message()), HasSubstr("257 protected parts; at most 256"));
 }
 
+TEST(ActuatorCodecTest, ADrillIsACommandOfItsOwn) {
+  const rips::v1::Command command = EncodeCommand({.id = std::string(32, 'a'),
+                                                   .term = 7,
+                                                   .ttl_ms = 15'000,
+                                                   .what = pipeline::Drill{.level = "ALERT"}});
+  EXPECT_EQ(command.drill().level(), "ALERT");
+  EXPECT_EQ(command.term(), 7u);
+  EXPECT_EQ(command.ttl_ms(), 15'000u);
+  EXPECT_EQ(command.id().size(), 16u);
+}
+
 TEST(ActuatorCodecTest, StepsKeepWhatTheyPrintedAndWhetherTheyWereDrilled) {
   rips::v1::Receipt receipt;
   receipt.set_stage(rips::v1::Receipt::VERIFIED);

@@ -8,6 +8,7 @@
 
 #include "absl/strings/str_cat.h"
 #include "policy_server/operator_api/coverage_codec.h"
+#include "policy_server/operator_api/receipt_codec.h"
 #include "policy_server/operator_api/record_tap.h"
 #include "policy_server/operator_api/watch_stream.h"
 #include "services/ros2_proto/graph_codec.h"
@@ -298,6 +299,24 @@ grpc::ServerWriteReactor<rips::v1::Alert>* OperatorService::WatchAlerts(
   return stream;
 }
 
+grpc::ServerUnaryReactor* OperatorService::ListReceipts(
+    grpc::CallbackServerContext* context, const rips::v1::ListReceiptsRequest* request,
+    rips::v1::ListReceiptsResponse* response) {
+  const auto who = Authorize(context, OperatorRole::kViewer);
+  if (!who.ok()) return Refuse(context, who.status());
+  grpc::ServerUnaryReactor* reactor = context->DefaultReactor();
+  const absl::Status posted = pipeline_->Post(
+      request->robot(), Lane::kControl,
+      [reactor, response, limit = request->limit()](Robot& robot) {
+        for (const pipeline::LoggedReceipt& receipt : robot.receipts().Newest(limit)) {
+          Encode(receipt, response->add_receipts());
+        }
+        reactor->Finish(grpc::Status::OK);
+      });
+  if (!posted.ok()) reactor->Finish(rpc::ToGrpc(posted));
+  return reactor;
+}
+
 grpc::ServerWriteReactor<rips::v1::Recording>* OperatorService::Record(
     grpc::CallbackServerContext* context, const rips::v1::RecordRequest* request) {
   const auto who = Authorize(context, OperatorRole::kOperator);
@@ -392,6 +411,28 @@ grpc::ServerUnaryReactor* OperatorService::ResumeRules(grpc::CallbackServerConte
       pipeline_->Post(request->robot(), Lane::kControl,
                       [reactor, name = who->name, reason = request->reason()](Robot& robot) {
                         reactor->Finish(rpc::ToGrpc(robot.ResumeRules(name, reason)));
+                      });
+  if (!posted.ok()) reactor->Finish(rpc::ToGrpc(posted));
+  return reactor;
+}
+
+grpc::ServerUnaryReactor* OperatorService::DrillRobot(grpc::CallbackServerContext* context,
+                                                      const rips::v1::DrillRobotRequest* request,
+                                                      rips::v1::DrillRobotResponse* response) {
+  const auto who = Authorize(context, OperatorRole::kOperator);
+  if (!who.ok()) return Refuse(context, who.status());
+  LogInfo("operator drills",
+          {{"operator", who->name}, {"robot", request->robot()}, {"level", request->level()}});
+  grpc::ServerUnaryReactor* reactor = context->DefaultReactor();
+  pipeline::DrillOrder order{.operator_name = who->name, .level = request->level()};
+  pipeline::DrillReply reply = [reactor, response](const pipeline::DrillAnswer& answer) {
+    for (const pipeline::DrillEntry& drill : answer.drills) Encode(drill, response->add_drills());
+    reactor->Finish(rpc::ToGrpc(answer.status));
+  };
+  const absl::Status posted =
+      pipeline_->Post(request->robot(), Lane::kControl,
+                      [order = std::move(order), reply = std::move(reply)](Robot& robot) {
+                        robot.StartDrill(order, reply);
                       });
   if (!posted.ok()) reactor->Finish(rpc::ToGrpc(posted));
   return reactor;

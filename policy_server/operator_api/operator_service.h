@@ -3,8 +3,8 @@
 //   call                                             role
 //   ListRobots WatchRobots GetGraph GetInterest
 //   GetCoverage GetLevel ListTransitions ListAlerts
-//   WatchAlerts                                      viewer
-//   Raise DeEscalate ResumeRules Record              operator
+//   WatchAlerts ListReceipts                         viewer
+//   Raise DeEscalate ResumeRules Record DrillRobot   operator
 #ifndef RIPS_POLICY_SERVER_OPERATOR_API_OPERATOR_SERVICE_H_
 #define RIPS_POLICY_SERVER_OPERATOR_API_OPERATOR_SERVICE_H_
 
@@ -56,6 +56,9 @@ class OperatorService final : public rips::v1::OperatorService::CallbackService 
                                        rips::v1::ListAlertsResponse* response) override;
   grpc::ServerWriteReactor<rips::v1::Alert>* WatchAlerts(
       grpc::CallbackServerContext* context, const rips::v1::WatchAlertsRequest* request) override;
+  grpc::ServerUnaryReactor* ListReceipts(grpc::CallbackServerContext* context,
+                                         const rips::v1::ListReceiptsRequest* request,
+                                         rips::v1::ListReceiptsResponse* response) override;
   grpc::ServerWriteReactor<rips::v1::Recording>* Record(
       grpc::CallbackServerContext* context, const rips::v1::RecordRequest* request) override;
   grpc::ServerUnaryReactor* DeEscalate(grpc::CallbackServerContext* context,
@@ -67,6 +70,9 @@ class OperatorService final : public rips::v1::OperatorService::CallbackService 
   grpc::ServerUnaryReactor* ResumeRules(grpc::CallbackServerContext* context,
                                         const rips::v1::ResumeRulesRequest* request,
                                         rips::v1::ResumeRulesResponse* response) override;
+  grpc::ServerUnaryReactor* DrillRobot(grpc::CallbackServerContext* context,
+                                       const rips::v1::DrillRobotRequest* request,
+                                       rips::v1::DrillRobotResponse* response) override;
 
  private:
   enum class Direction { kRaise, kLower };

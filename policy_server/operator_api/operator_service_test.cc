@@ -2,8 +2,10 @@
 #include "policy_server/operator_api/operator_service.h"
 
 #include <memory>
+#include <optional>
 #include <string>
 #include <utility>
+#include <variant>
 #include <vector>
 
 #include "gmock/gmock.h"
@@ -374,6 +376,137 @@ TEST_F(OperatorServiceTest, TellsNothingOfARobotThatIsNone) {
   SetDeadline(coverage);
   rips::v1::GetCoverageResponse seen;
   EXPECT_EQ(stub->GetCoverage(&coverage, {}, &seen).error_code(), grpc::StatusCode::NOT_FOUND);
+  grpc::ClientContext receipts;
+  SetDeadline(receipts);
+  rips::v1::ListReceiptsResponse answered;
+  EXPECT_EQ(stub->ListReceipts(&receipts, {}, &answered).error_code(), grpc::StatusCode::NOT_FOUND);
+  grpc::ClientContext drill;
+  SetDeadline(drill);
+  rips::v1::DrillRobotResponse drilled;
+  EXPECT_EQ(stub->DrillRobot(&drill, {}, &drilled).error_code(), grpc::StatusCode::NOT_FOUND);
+}
+
+// Answers each drill at once, on the robot's thread, with one step that failed.
+struct DrilledActuator final : pipeline::ActuatorLink {
+  void Grant(const pipeline::LeaseGrant&) override {}
+  void Send(const pipeline::Command& command) override { commands.Push(command); }
+  void Close(const absl::Status&) override {}
+  BoundedQueue<pipeline::Command> commands{{.capacity = 100}};
+};
+
+TEST_F(OperatorServiceTest, DrillsAndListsReceipts) {
+  auto link = std::make_shared<DrilledActuator>();
+  ASSERT_THAT(OnRobot([&](pipeline::Robot& robot) {
+                robot.OnActuatorHello("base", link,
+                                      {.levels = {"DEFAULT", "ALERT", "COMPROMISED", "HALT"},
+                                       .effective_level = "DEFAULT"});
+              }),
+              IsOk());
+  const std::shared_ptr<Stub> stub = Connect();
+  grpc::ClientContext context;
+  SetDeadline(context);
+  rips::v1::DrillRobotRequest request;
+  request.set_robot("r1");
+  request.set_level("ALERT");
+  rips::v1::DrillRobotResponse response;
+  BoundedQueue<grpc::Status> ended{{.capacity = 1}};
+  stub->async()->DrillRobot(&context, &request, &response,
+                            [&](grpc::Status status) { ended.Push(std::move(status)); });
+  std::optional<pipeline::Command> command;
+  do {
+    command = link->commands.Pop(kPatience);
+    ASSERT_TRUE(command.has_value());
+  } while (!std::holds_alternative<pipeline::Drill>(command->what));
+
+  // Meanwhile others are answered: nothing waits on the robot's thread.
+  grpc::ClientContext second;
+  SetDeadline(second);
+  rips::v1::DrillRobotResponse none;
+  const grpc::Status refused = stub->DrillRobot(&second, request, &none);
+  EXPECT_EQ(refused.error_code(), grpc::StatusCode::FAILED_PRECONDITION);
+  EXPECT_THAT(refused.error_message(), HasSubstr("a drill of r1 by"));
+
+  using Told = pipeline::Receipt::Stage;
+  ASSERT_THAT(OnRobot([&](pipeline::Robot& robot) {
+                robot.OnReceipt("base", link.get(),
+                                {.command_id = command->id,
+                                 .stage = Told::kFailed,
+                                 .steps = {{.step = "program horn",
+                                            .took_ms = 7,
+                                            .detail = "not \xff there",
+                                            .drilled = pipeline::StepReport::Drilled::kLooked,
+                                            .output_tail = "\xff"}},
+                                 .detail = "in short"});
+              }),
+              IsOk());
+  const std::optional<grpc::Status> end = ended.Pop(kPatience);
+  ASSERT_TRUE(end.has_value());
+  ASSERT_TRUE(end->ok()) << end->error_message();
+  ASSERT_EQ(response.drills_size(), 1);
+  EXPECT_EQ(response.drills(0).level(), "ALERT");
+  EXPECT_EQ(response.drills(0).host(), "base");
+  EXPECT_EQ(response.drills(0).stage(), rips::v1::Receipt::FAILED);
+  EXPECT_EQ(response.drills(0).detail(), "in short");
+  ASSERT_EQ(response.drills(0).steps_size(), 1);
+  const rips::v1::StepResult& step = response.drills(0).steps(0);
+  EXPECT_EQ(step.detail(), "not \\xff there");
+  EXPECT_EQ(step.output_tail(), "\xff");
+  EXPECT_EQ(step.took_ms(), 7u);
+  EXPECT_EQ(step.drilled(), rips::v1::StepResult::DRILLED_LOOKED);
+
+  grpc::ClientContext list;
+  SetDeadline(list);
+  rips::v1::ListReceiptsRequest which;
+  which.set_robot("r1");
+  which.set_limit(1);
+  rips::v1::ListReceiptsResponse receipts;
+  ASSERT_TRUE(stub->ListReceipts(&list, which, &receipts).ok());
+  ASSERT_EQ(receipts.receipts_size(), 1);
+  EXPECT_EQ(receipts.receipts(0).command(), "drill ALERT");
+  EXPECT_EQ(receipts.receipts(0).host(), "base");
+  EXPECT_EQ(receipts.receipts(0).receipt().stage(), rips::v1::Receipt::FAILED);
+  EXPECT_EQ(receipts.receipts(0).receipt().command_id().size(), 16u);
+  EXPECT_EQ(receipts.receipts(0).receipt().steps_size(), 1);
+  EXPECT_GT(receipts.receipts(0).unix_ns(), 0);
+}
+
+TEST_F(OperatorServiceTest, DrillsAreRefusedWithWords) {
+  const std::shared_ptr<Stub> stub = Connect();
+  rips::v1::DrillRobotRequest request;
+  request.set_robot("r1");
+  rips::v1::DrillRobotResponse response;
+  grpc::ClientContext nobody;
+  SetDeadline(nobody);
+  grpc::Status status = stub->DrillRobot(&nobody, request, &response);
+  EXPECT_EQ(status.error_code(), grpc::StatusCode::FAILED_PRECONDITION);
+  EXPECT_EQ(status.error_message(), "no actuator of r1 is attached");
+  request.set_level("PANIC");
+  grpc::ClientContext unknown;
+  SetDeadline(unknown);
+  status = stub->DrillRobot(&unknown, request, &response);
+  EXPECT_EQ(status.error_code(), grpc::StatusCode::INVALID_ARGUMENT);
+  EXPECT_THAT(status.error_message(), HasSubstr("(DEFAULT, ALERT, COMPROMISED, HALT)"));
+}
+
+TEST_F(OperatorServiceTest, AViewerMayReadReceiptsAndNotDrill) {
+  const auto viewer = rpc::Credentials::Load(pki_->Operator("viewer", "bob"));
+  ASSERT_THAT(viewer, IsOk());
+  const auto stub = rips::v1::OperatorService::NewStub(
+      rpc::MakeChannel(server_->address(), (*viewer)->ForClient()));
+  grpc::ClientContext drill;
+  SetDeadline(drill);
+  rips::v1::DrillRobotRequest request;
+  request.set_robot("r1");
+  rips::v1::DrillRobotResponse drilled;
+  EXPECT_EQ(stub->DrillRobot(&drill, request, &drilled).error_code(),
+            grpc::StatusCode::PERMISSION_DENIED);
+  grpc::ClientContext list;
+  SetDeadline(list);
+  rips::v1::ListReceiptsRequest which;
+  which.set_robot("r1");
+  rips::v1::ListReceiptsResponse receipts;
+  EXPECT_TRUE(stub->ListReceipts(&list, which, &receipts).ok());
+  EXPECT_EQ(receipts.receipts_size(), 0);
 }
 
 }  // namespace

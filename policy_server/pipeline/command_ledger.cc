@@ -4,6 +4,7 @@
 #include <utility>
 
 #include "absl/strings/str_cat.h"
+#include "policy_server/pipeline/receipt_log.h"
 
 namespace rips::pipeline {
 
@@ -146,21 +147,21 @@ ReceiptResult CommandLedger::OnReceipt(const std::string& host, const Receipt& r
       break;
     case Receipt::Stage::kFailed:
       // Not held by that alone: a lowering that could not be recorded was never acknowledged.
-      Fail(actuator, absl::StrCat(host, ": ", receipt.detail), now);
+      Fail(actuator, absl::StrCat(host, ": ", FailureText(receipt)), now);
       break;
     case Receipt::Stage::kRefusedStale:
       result.stale_term = true;
       [[fallthrough]];
     case Receipt::Stage::kRefused:
     case Receipt::Stage::kUnknown:
-      Fail(actuator, absl::StrCat(host, ": ", receipt.detail), now);
+      Fail(actuator, absl::StrCat(host, ": ", FailureText(receipt)), now);
       break;
     case Receipt::Stage::kSuperseded:
       // Of the newest decision: a repeat of our own order overtook it; its own receipt follows.
       break;
   }
   result.level_changed_stage = actuator.stage != before;
-  result.detail = receipt.detail;
+  result.detail = FailureText(receipt);
   return result;
 }
 
@@ -168,7 +169,7 @@ ReceiptResult CommandLedger::OnProgramReceipt(uint64_t run_id, const Receipt& re
   ReceiptResult result;
   if (receipt.stage == Receipt::Stage::kAcknowledged) return result;
   const bool ok = receipt.stage == Receipt::Stage::kVerified && receipt.exit_code == 0;
-  result.program = ProgramResult{.run_id = run_id, .ok = ok, .detail = receipt.detail};
+  result.program = ProgramResult{.run_id = run_id, .ok = ok, .detail = FailureText(receipt)};
   runs_.erase(run_id);
   return result;
 }

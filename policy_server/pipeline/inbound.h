@@ -187,6 +187,8 @@ struct StepReport {
   std::string detail;
   Drilled drilled = Drilled::kNoDrill;
   std::string output_tail;
+
+  friend bool operator==(const StepReport&, const StepReport&) = default;
 };
 
 struct Receipt {
@@ -208,6 +210,8 @@ struct Receipt {
   std::string output_tail;
   std::string detail;
   std::string effective_level;
+
+  friend bool operator==(const Receipt&, const Receipt&) = default;
 };
 
 }  // namespace rips::pipeline

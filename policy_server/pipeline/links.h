@@ -72,12 +72,19 @@ struct RunProgram {
   friend bool operator==(const RunProgram&, const RunProgram&) = default;
 };
 
+// Tries what `level` does without doing it.
+struct Drill {
+  std::string level;
+
+  friend bool operator==(const Drill&, const Drill&) = default;
+};
+
 struct Command {
   // 32 hex digits.
   std::string id;
   uint64_t term = 0;
   uint32_t ttl_ms = 0;
-  std::variant<SetLevel, RunProgram> what;
+  std::variant<SetLevel, RunProgram, Drill> what;
 };
 
 // Any thread; never blocks. Calls after the stream has ended do nothing.

@@ -579,6 +579,7 @@ void Robot::OnTime() {
   }
   UpdateActuation(now);
   SendCommands(now);
+  AdvanceDrill(now);
   const bool due = now.boottime_ns >= checkpoint_at_ns_;
   if (due || (!pending_.empty() && !store_failing_)) Flush();
 }
@@ -613,6 +614,7 @@ absl::Status Robot::SwapPolicy(Policy policy) {
 
 void Robot::Drain() {
   draining_ = true;
+  AdvanceDrill(ports_.clock->Now());
   for (auto& [name, host] : actuators_) {
     if (host.session) SendLease(*host.session);
   }

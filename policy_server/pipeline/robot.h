@@ -25,6 +25,7 @@
 #include "policy_server/pipeline/alert_limiter.h"
 #include "policy_server/pipeline/command_ledger.h"
 #include "policy_server/pipeline/coverage.h"
+#include "policy_server/pipeline/drill_run.h"
 #include "policy_server/pipeline/evidence_gate.h"
 #include "policy_server/pipeline/findings_book.h"
 #include "policy_server/pipeline/inbound.h"
@@ -32,38 +33,14 @@
 #include "policy_server/pipeline/links.h"
 #include "policy_server/pipeline/policy.h"
 #include "policy_server/pipeline/ports.h"
+#include "policy_server/pipeline/receipt_log.h"
+#include "policy_server/pipeline/robot_config.h"
 #include "policy_server/pipeline/sensor_health.h"
 #include "policy_server/pipeline/sequence_track.h"
 #include "policy_server/store/store.h"
 #include "services/base/clock.h"
 
 namespace rips::pipeline {
-
-struct RobotConfig {
-  std::string id;
-  // From the inventory. At most one sensor host is primary: graph and messages are its alone.
-  std::vector<std::string> sensor_hosts;
-  std::string primary_sensor;
-  std::vector<std::string> actuator_hosts;
-};
-
-// Named as the rule of what RIPS says by itself.
-inline constexpr absl::string_view kOwnRule = "(rips)";
-
-struct Timing {
-  int64_t heartbeat_ns = 500 * kNanosPerMilli;
-  int64_t stale_ns = 1'500 * kNanosPerMilli;
-  int64_t lost_ns = 5 * kNanosPerSecond;
-  int64_t lease_ns = 15 * kNanosPerSecond;
-  int64_t drain_lease_ns = 60 * kNanosPerSecond;
-  int64_t late_after_ns = 5 * kNanosPerSecond;
-  int64_t backlog_ns = 1 * kNanosPerSecond;
-  int64_t tick_ns = 200 * kNanosPerMilli;
-  int64_t checkpoint_ns = 1 * kNanosPerSecond;
-  uint32_t linger_ms = 20;
-  // A sensor may have this many bytes of message batches not yet judged.
-  uint64_t credit_bytes = 1 << 20;
-};
 
 // Not thread-safe: one shard owns it and calls everything. Ports outlive it.
 class Robot {
@@ -98,6 +75,11 @@ class Robot {
   void DeEscalate(const LevelOrder& order, LevelReply reply);
   // Rules may lower soft levels again, and run again after a `crash`.
   absl::Status ResumeRules(const std::string& operator_name, const std::string& reason);
+  // Answered when each actuator has, or after kDrillAnswerNs. InvalidArgument for no level of the
+  // robot, FailedPrecondition if no actuator is attached or another drill is under way.
+  void StartDrill(const DrillOrder& order, DrillReply reply);
+  // What the actuators answered since the start.
+  const ReceiptLog& receipts() const { return receipts_; }
   RobotStatus Status() const;
   // Tells the tap every event from now on, before it is judged. ResourceExhausted if there are
   // kTapsMax already.
@@ -262,6 +244,10 @@ class Robot {
   // Of all actuators, sorted, each once.
   std::vector<std::string> ProtectedParts() const;
 
+  // robot_drill.cc
+  void AdvanceDrill(Instant now);
+  void EndDrill();
+
   // robot.cc
   // `message`: what a MessageEvent was made of.
   void Run(const engine::Event& event, const MessageSeen* message = nullptr);
@@ -303,6 +289,14 @@ class Robot {
   CommandLedger ledger_;
   absl::btree_map<std::string, SensorHost> sensors_;
   absl::btree_map<std::string, ActuatorHost> actuators_;
+
+  ReceiptLog receipts_;
+  struct RunningDrill {
+    DrillOrder order;
+    DrillRun run;
+    DrillReply reply;
+  };
+  std::optional<RunningDrill> drill_;
 
   // Collected since the last Flush.
   store::WriteBatch pending_;

@@ -83,6 +83,7 @@ void Robot::OnActuatorHello(const std::string& host_name, std::shared_ptr<Actuat
   if (absl::Status status = Reconcile(host_name, hello); !status.ok()) return link->Close(status);
 
   if (host.session) host.session->link->Close(absl::AbortedError("replaced by a newer session"));
+  if (drill_) drill_->run.OnGone(host_name);
   host.session = ActuatorSession{.link = std::move(link),
                                  .heard_ns = now.boottime_ns,
                                  .peer_boottime_ns = hello.clock.boottime_ns,
@@ -173,6 +174,7 @@ void Robot::SendCommands(Instant now) {
   for (const Outgoing& outgoing : ledger_.Due(state_.level.term(), now)) {
     const auto it = actuators_.find(outgoing.host);
     if (it != actuators_.end() && it->second.session) {
+      receipts_.Sent(outgoing.host, outgoing.command);
       it->second.session->link->Send(outgoing.command);
     }
   }
@@ -210,6 +212,11 @@ void Robot::OnReceipt(const std::string& host_name, const ActuatorLink* link,
   }
   const Instant now = ports_.clock->Now();
   it->second.session->heard_ns = now.boottime_ns;
+  receipts_.Received(host_name, receipt, now.unix_ns);
+  if (drill_ && drill_->run.OnReceipt(host_name, receipt)) {
+    AdvanceDrill(now);
+    return Flush();
+  }
   const ReceiptResult result = ledger_.OnReceipt(host_name, receipt, now);
   if (result.stale_term) {
     OwnAlert(engine::Severity::kCritical,
@@ -271,6 +278,7 @@ void Robot::OnActuatorGone(const std::string& host_name, const ActuatorLink* lin
   it->second.session.reset();
   it->second.gone_since_ns = now.boottime_ns;
   ledger_.Detach(host_name);
+  if (drill_) drill_->run.OnGone(host_name);
   for (auto& [name, sensor] : sensors_) {
     if (sensor.session) SendSetup(name, sensor, *sensor.session);
   }

@@ -10,6 +10,7 @@
 #include "absl/strings/str_join.h"
 #include "services/ripsctl/json_view.h"
 #include "services/ripsctl/printer.h"
+#include "services/ripsctl/robot_actuators.h"
 #include "services/ripsctl/robot_coverage.h"
 
 namespace rips::ripsctl {
@@ -208,8 +209,8 @@ Commands RobotCommands() {
   commands.push_back(std::make_unique<WatchRobots>());
   commands.push_back(std::make_unique<ShowRobot>());
   commands.push_back(std::make_unique<ShowGraph>());
-  for (std::unique_ptr<Command>& command : CoverageCommands()) {
-    commands.push_back(std::move(command));
+  for (const auto more : {CoverageCommands, ActuatorCommands}) {
+    for (std::unique_ptr<Command>& command : more()) commands.push_back(std::move(command));
   }
   return commands;
 }

@@ -10,6 +10,7 @@
 #include "absl/strings/str_join.h"
 #include "services/ripsctl/json_view.h"
 #include "services/ripsctl/printer.h"
+#include "services/ripsctl/robot_verb.h"
 
 namespace rips::ripsctl {
 namespace {
@@ -99,26 +100,6 @@ Json Strings(const google::protobuf::RepeatedPtrField<std::string>& strings) {
   for (const std::string& each : strings) list.push_back(each);
   return list;
 }
-
-class RobotVerb : public Command {
- public:
-  absl::string_view noun() const final { return "robot"; }
-  void AddFlags(CLI::App& app) final {
-    app.add_option("ROBOT", robot_, "Robot id")->required();
-    AddMore(app);
-  }
-  ExitCode Run(Env& env) final {
-    const absl::Status valid = CheckRobot(robot_);
-    return valid.ok() ? RunFor(env, robot_) : UsageError(env, valid.message());
-  }
-
- protected:
-  virtual void AddMore(CLI::App&) {}
-  virtual ExitCode RunFor(Env& env, const std::string& robot) = 0;
-
- private:
-  std::string robot_;
-};
 
 class ShowInterest final : public RobotVerb {
  public:

@@ -233,6 +233,87 @@ def bad_discovery_messages(fleet):
     check(fleet.level()["decided_level"] == "DEFAULT", "the level has changed")
 
 
+HORN = """#!/bin/sh
+cd "${0%/*}"
+echo "${RIPS_DRILL:-earnest}" >> horn.runs
+[ -e slow ] || exit 0
+touch begun
+exec sleep 60
+"""
+
+
+def drill(fleet):
+    """It says what would work and what would not; the level stays, and a raise goes first."""
+    if os.geteuid() != 0:
+        raise Skipped("programs of an allow-list must belong to root")
+    programs = pathlib.Path(tempfile.mkdtemp(prefix="rips-test-", dir="/opt"))
+    fleet.leftovers.append(programs)
+    for name, text in (("horn", HORN), ("plain", "#!/bin/sh\n")):
+        (programs / name).write_text(text)
+        (programs / name).chmod(0o755)
+    fleet.programs = f"""programs:
+  - {{name: horn, path: {programs}/horn, timeout: 12s, drill: true}}
+  - {{name: plain, path: {programs}/plain}}
+"""
+    fleet.steps = {"COMPROMISED": ["{program: {name: horn}, timeout: 5s}"],
+                   "HALT": ["{program: {name: plain}, timeout: 2s}"]}
+    before = fleet.arm()
+    decisions, entered = decided(fleet), applied(fleet)
+
+    # Whole: every level, what was done with each step, and nothing else.
+    code, out, err = fleet.ripsctl("robot", "drill", "r1", check=False)
+    check(code == 0, f"code {code}: {out}{err}")
+    check(out.endswith("5 steps were only looked at: what it needs is there, but it was not carried "
+                       "out\n6 of 6 steps work\n"), out)
+    check([line.split()[0] for line in out.splitlines()[1:7]] ==
+          ["DEFAULT", "ALERT", "COMPROMISED", "COMPROMISED", "HALT", "HALT"], out)
+    check((programs / "horn.runs").read_text() == "1\n", "the horn was not run as a drill, once")
+    after = fleet.level()
+    for key in ("decided_level", "effective_level", "stage", "mark"):
+        check(after[key] == before[key], f"{before} has become {after}")
+    check(fleet.mode()["mode"] == "__DEFAULT__", "the robot's mode has changed")
+    check((decided(fleet), applied(fleet)) == (decisions, entered), "a level was entered")
+    texts = [alert["text"] for alert in fleet.alerts()]
+    check("drill by alice is over: 6 of 6 steps work" in texts, texts)
+    receipts = fleet.query("robot", "receipts", "r1", "--limit", "64")["receipts"]
+    check([each["command"] for each in receipts[:4]] ==
+          ["drill HALT", "drill COMPROMISED", "drill ALERT", "drill DEFAULT"], receipts)
+
+    # A program that has gone.
+    (programs / "plain").unlink()
+    code, out, _ = fleet.ripsctl("robot", "drill", "r1", "--level", "HALT", check=False)
+    check(code == 1 and out.splitlines()[-1].startswith(
+        "1 of 2 steps work; 1 does not: program plain on base (HALT)"), f"code {code}: {out}")
+
+    # A raise while the drill runs.
+    (programs / "slow").touch()
+    drilling = fleet.start("drill", *fleet.ripsctl_args("robot", "drill", "r1", "--level",
+                                                        "COMPROMISED"))
+    deadline = time.monotonic() + 30
+    while not (programs / "begun").exists():
+        check(time.monotonic() < deadline, "the drill does not begin")
+        time.sleep(0.05)
+    fleet.ripsctl("level", "raise", "r1", "--to", "ALERT", "--reason", "in the middle")
+    fleet.wait_level("ALERT", 20)
+    drilling.wait_for(lambda line: "superseded" in line, 20, "the drill is told to be superseded")
+    check(drilling.child.wait(20) == 1, "a drill that was broken off counts as one that works")
+    (programs / "slow").unlink()
+
+    # A mode manager that is not there. The actuator tries to put the level back, which goes first.
+    fleet.robot.kill()
+    fleet.robot = fleet.start_robot("--manager", "absent")
+    deadline = time.monotonic() + 90
+    while True:
+        code, out, err = fleet.ripsctl("robot", "drill", "r1", "--level", "DEFAULT", check=False)
+        check(code == 1, f"code {code}: {out}{err}")
+        if "no mode manager of `/safety` answers" in out:
+            break
+        check(time.monotonic() < deadline, f"the manager's absence is not told: {out}{err}")
+        time.sleep(0.3)
+    check("0 of 1 steps work; 1 does not: system_mode /safety=__DEFAULT__ on base (DEFAULT)" in out,
+          out)
+
+
 RULE_R = """
 levels:
   DEFAULT;
@@ -592,7 +673,7 @@ def sensor_restarted_while_the_server_is_away(fleet):
 SCENARIOS = [kill_server_while_compromised, kill_server_at_the_moment_of_a_raise,
              kill_sensor_in_the_story, kill_actuator_while_compromised,
              server_absent_at_agent_start, lost_lease_raises_the_floor, manager_that_lies,
-             bad_discovery_messages, programs_that_misbehave, reload_of_a_broken_bundle,
+             bad_discovery_messages, programs_that_misbehave, drill, reload_of_a_broken_bundle,
              payloads_are_inspected_and_recorded, findings_are_told, server_killed_under_load,
              sensor_restarted_while_the_server_is_away]
 

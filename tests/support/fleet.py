@@ -112,6 +112,7 @@ class Fleet:
         self.fail_safe = fail_safe
         self.floor_hold = floor_hold
         self.programs = programs  # YAML list of actuator.yaml
+        self.steps = {}  # further enter steps of a level, each a YAML list item in one line
         self.sensor_options = ""  # more lines of sensor.yaml
         self.processes = []
         self.exec = None
@@ -188,7 +189,7 @@ state_dir: {self.dir}/sensor
             f"""  - name: {level}
     enter:
       - {{system_mode: {{part: /safety, mode: {MODES.get(level, level)}}}, timeout: 4s, retries: 2}}
-    leave: []
+{"".join(f"      - {step}{chr(10)}" for step in self.steps.get(level, []))}    leave: []
 """ for level in LEVELS)
         self.write("actuator.yaml", common + f"""tls: {self.tls("actuator", "r1", "base")}
 state_dir: {self.dir}/actuator

@@ -1,0 +1,42 @@
+// What a robot of the inventory is, and the times that the server keeps with it.
+#ifndef RIPS_POLICY_SERVER_PIPELINE_ROBOT_CONFIG_H_
+#define RIPS_POLICY_SERVER_PIPELINE_ROBOT_CONFIG_H_
+
+#include <cstdint>
+#include <string>
+#include <vector>
+
+#include "absl/strings/string_view.h"
+#include "services/base/clock.h"
+
+namespace rips::pipeline {
+
+struct RobotConfig {
+  std::string id;
+  // From the inventory. At most one sensor host is primary: graph and messages are its alone.
+  std::vector<std::string> sensor_hosts;
+  std::string primary_sensor;
+  std::vector<std::string> actuator_hosts;
+};
+
+// Named as the rule of what RIPS says by itself.
+inline constexpr absl::string_view kOwnRule = "(rips)";
+
+struct Timing {
+  int64_t heartbeat_ns = 500 * kNanosPerMilli;
+  int64_t stale_ns = 1'500 * kNanosPerMilli;
+  int64_t lost_ns = 5 * kNanosPerSecond;
+  int64_t lease_ns = 15 * kNanosPerSecond;
+  int64_t drain_lease_ns = 60 * kNanosPerSecond;
+  int64_t late_after_ns = 5 * kNanosPerSecond;
+  int64_t backlog_ns = 1 * kNanosPerSecond;
+  int64_t tick_ns = 200 * kNanosPerMilli;
+  int64_t checkpoint_ns = 1 * kNanosPerSecond;
+  uint32_t linger_ms = 20;
+  // A sensor may have this many bytes of message batches not yet judged.
+  uint64_t credit_bytes = 1 << 20;
+};
+
+}  // namespace rips::pipeline
+
+#endif  // RIPS_POLICY_SERVER_PIPELINE_ROBOT_CONFIG_H_
