@@ -6,8 +6,10 @@
 #include <variant>
 
 #include "absl/strings/str_cat.h"
+#include "absl/strings/strip.h"
 #include "services/base/status_macros.h"
 #include "services/ros2/system_modes_messages.h"
+#include "tests/support/robot_sim/commands.h"
 
 namespace rips::robot_sim {
 
@@ -83,8 +85,11 @@ absl::StatusOr<std::unique_ptr<Robot>> Robot::Create(std::shared_ptr<const dds::
   const auto process_named = [&](absl::string_view name) -> absl::StatusOr<RosProcess*> {
     RosProcess*& process = by_name[std::string(name)];
     if (process == nullptr) {
+      const std::string enclave = absl::StrCat("/", absl::StripPrefix(name, "/"));
+      RIPS_ASSIGN_OR_RETURN(const dds::ParticipantOptions identity,
+                            Identity({.keystore = options.keystore, .enclave = enclave}));
       RIPS_ASSIGN_OR_RETURN(std::unique_ptr<RosProcess> created,
-                            RosProcess::Create(domain, options.gid_bytes));
+                            RosProcess::Create(domain, options.gid_bytes, identity));
       process = created.get();
       robot->processes_.push_back(std::move(created));
     }

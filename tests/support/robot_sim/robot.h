@@ -39,6 +39,8 @@ struct RobotOptions {
   // How long the manager takes to answer change_mode; the transition starts with the request.
   absl::Duration answer_delay = absl::ZeroDuration();
   ros2::GidBytes gid_bytes = ros2::GidBytes::k24;
+  // With DDS Security: each process has the enclave of its name. Empty = without.
+  std::string keystore;
 };
 
 // Step from one thread; services and subscriptions run on their own.

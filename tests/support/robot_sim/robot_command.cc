@@ -1,6 +1,7 @@
 #include <cstdint>
 #include <fstream>
 #include <memory>
+#include <optional>
 #include <sstream>
 #include <string>
 #include <utility>
@@ -9,9 +10,11 @@
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
 #include "absl/strings/str_cat.h"
+#include "absl/time/clock.h"
 #include "nlohmann/json.hpp"
 #include "services/base/status_macros.h"
 #include "services/dds/raw_writer.h"
+#include "services/dds/security.h"
 #include "services/ros2/ros_name.h"
 #include "services/runtime/log.h"
 #include "services/runtime/real_clock.h"
@@ -67,6 +70,12 @@ class BadDiscoverySender {
 
 }  // namespace
 
+absl::StatusOr<dds::ParticipantOptions> Identity(const DdsSettings& security) {
+  RIPS_ASSIGN_OR_RETURN(std::optional<dds::Enclave> enclave,
+                        dds::LoadSecurity(security, absl::Now()));
+  return dds::ParticipantOptions{.security = std::move(enclave)};
+}
+
 absl::StatusOr<std::string> ReadFile(const std::string& path) {
   const std::ifstream in(path, std::ios::binary);
   if (!in) {
@@ -96,7 +105,8 @@ absl::Status RunRobot(const RobotCommand& command, StopFlag& stop) {
                                       {.manager_node = command.manager_node,
                                        .conduct = command.conduct,
                                        .answer_delay = command.answer_delay,
-                                       .gid_bytes = command.gid_bytes}));
+                                       .gid_bytes = command.gid_bytes,
+                                       .keystore = command.keystore}));
   std::unique_ptr<BadDiscoverySender> bad;
   if (command.bad_discovery) {
     RIPS_ASSIGN_OR_RETURN(bad, BadDiscoverySender::Create(domain));
