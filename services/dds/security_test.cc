@@ -380,7 +380,7 @@ TEST_F(SecuredDomainTest, KeyOfAnActuatorCallsServicesOnly) {
 
 TEST_F(SecuredDomainTest, ActuatorCallsAServiceOfASecuredNode) {
   const auto actuator = Secured(keystore_, "/rips/actuator", "actuator");
-  const auto manager = Secured(keystore_, "/mode_manager", "node");
+  const auto manager = Secured(keystore_, "/mode_manager", "manager");
   const ServiceOptions service = {.service = "/safety/change_mode",
                                   .type = "system_modes_msgs/srv/ChangeMode"};
   const auto server = ServiceServer::Create(

@@ -1,4 +1,5 @@
 #include <cstdint>
+#include <cstdlib>
 #include <fstream>
 #include <memory>
 #include <optional>
@@ -68,6 +69,19 @@ class BadDiscoverySender {
   int64_t next_ns_ = 0;
 };
 
+// Whatever its number within this process, a domain has this one outside.
+absl::Status SetOuterDomain(const dds::DomainOptions& domain) {
+  const char* set = std::getenv("CYCLONEDDS_URI");
+  std::string uri = set == nullptr ? "" : set;
+  if (uri.empty()) {
+    RIPS_ASSIGN_OR_RETURN(uri, dds::DomainXml(domain, 0));
+  }
+  absl::StrAppend(&uri, ",<CycloneDDS><Domain><Discovery><ExternalDomainId>", domain.id,
+                  "</ExternalDomainId></Discovery></Domain></CycloneDDS>");
+  setenv("CYCLONEDDS_URI", uri.c_str(), 1);
+  return absl::OkStatus();
+}
+
 }  // namespace
 
 absl::StatusOr<dds::ParticipantOptions> Identity(const DdsSettings& security) {
@@ -98,6 +112,7 @@ absl::Status RunRobot(const RobotCommand& command, StopFlag& stop) {
                           {.system = command.system,
                            .transition_ns = absl::ToInt64Nanoseconds(command.transition),
                            .conduct = command.conduct}));
+  if (!command.keystore.empty()) RIPS_RETURN_IF_ERROR(SetOuterDomain(command.domain));
   RIPS_ASSIGN_OR_RETURN(std::shared_ptr<const dds::Domain> domain,
                         dds::Domain::Create(command.domain));
   RIPS_ASSIGN_OR_RETURN(std::unique_ptr<Robot> robot,
