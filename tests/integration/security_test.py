@@ -208,14 +208,17 @@ def nodes_cannot_steer(world):
                       "rq/planner/planRequest,t,reliable", "--count", 1, *node)
     peer.wait_for(lambda line: line.startswith("sent rq/"), 20, "other services are open")
 
-    # One that has freed itself from its own middleware's judgement: permissions that it signed.
+    # One that its own middleware lets do it, by permissions that it has signed itself.
     forger = Keystore(world.dir / "forger")
     forger.mint("/intruder", OPEN_DOOR)
     for name in ("permissions_ca.cert.pem", "governance.p7s", "permissions.p7s"):
         fleet.keys.put("/intruder", name, forger.file("/intruder", name))
+    start = len(fleet.robot.lines)
     code, text = fleet.robot_sim("set-mode", "--part", "/safety", "--mode", "HALT", *node)
-    check(code == 1 and "Not Allowed" not in text and '"event":"set_mode"' not in text,
+    check(code == 1 and "no server for `/safety/change_mode`" in text and '"event":"set_mode"' not in text,
           f"{code}: {text}")
+    fleet.robot.wait_for(lambda line: "Could not get remote participant" in line, 5,
+                         "the robot refuses its permissions", start)
 
     fleet.check_mode("__DEFAULT__")
     check(len(fleet.modes()) == modes, f"the mode was switched: {fleet.modes()}")
@@ -317,16 +320,22 @@ def topic_that_is_hidden_from_the_sensor(world):
     fleet.keys.mint("/rips/sensor", fleet.keys.variant("sensor", "blind", "<allow_rule>", deny))
     fleet.up()
 
-    def coverage():
-        code, text, _ = fleet.ripsctl("robot", "coverage", "r1", check=False)
-        return code, text
+    def publishers():
+        code, text, _ = fleet.ripsctl("--output", "json", "robot", "coverage", "r1", check=False)
+        return code, {each["name"]: (each["state"], each["why"])
+                      for each in json.loads(text)["endpoints"] if each["kind"] == "publisher"}
 
     deadline = time.monotonic() + 30
-    while "/scan" not in coverage()[1] or "security" not in coverage()[1].lower():
-        check(time.monotonic() < deadline, f"nothing is missed: {coverage()}")
+    while publishers()[1].get("/scan", ("",))[0] != "not visible":
+        check(time.monotonic() < deadline, f"nothing is missed: {publishers()}")
         time.sleep(0.2)
-    print(coverage())
-    print(fleet.ripsctl("--output", "json", "robot", "coverage", "r1", check=False))
+    code, states = publishers()
+    check(code == 1, f"incomplete, and it ends with {code}")
+    check("rt/scan" in states["/scan"][1] and "Not Allowed By Security" in states["/scan"][1],
+          f"{states['/scan']}")
+    check(states["/odom"] == ("watched", ""), f"{states['/odom']}")
+    text = fleet.ripsctl("robot", "coverage", "r1", check=False)[1]
+    check("not visible: creating topic `rt/scan`" in text, text)
 
 
 wire_test.SCENARIOS = [secured_robot, stranger_without_authentication, nodes_cannot_steer,

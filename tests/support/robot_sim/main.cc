@@ -64,7 +64,8 @@ void AddRobot(CLI::App& app, RobotCommand& command, Run& run) {
                   "how long change_mode takes to answer (0)");
   AddGidSize(sub, command.gid_bytes);
   sub->add_flag("--bad-discovery", command.bad_discovery,
-                "also send malformed and foreign discovery messages");
+                "also send malformed and foreign discovery messages")
+      ->excludes("--keystore");
   sub->callback([&] { run = [&command](StopFlag& stop) { return RunRobot(command, stop); }; });
 }
 

@@ -48,6 +48,7 @@ struct RobotOptions {
 // Step from one thread; services and subscriptions run on their own.
 class Robot {
  public:
+  // `domain` is not used with a keystore.
   static absl::StatusOr<std::unique_ptr<Robot>> Create(std::shared_ptr<const dds::Domain> domain,
                                                        ModeMachine machine,
                                                        const RobotOptions& options);

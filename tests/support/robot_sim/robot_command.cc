@@ -112,9 +112,12 @@ absl::Status RunRobot(const RobotCommand& command, StopFlag& stop) {
                           {.system = command.system,
                            .transition_ns = absl::ToInt64Nanoseconds(command.transition),
                            .conduct = command.conduct}));
-  if (!command.keystore.empty()) RIPS_RETURN_IF_ERROR(SetOuterDomain(command.domain));
-  RIPS_ASSIGN_OR_RETURN(std::shared_ptr<const dds::Domain> domain,
-                        dds::Domain::Create(command.domain));
+  std::shared_ptr<const dds::Domain> domain;
+  if (command.keystore.empty()) {
+    RIPS_ASSIGN_OR_RETURN(domain, dds::Domain::Create(command.domain));
+  } else {
+    RIPS_RETURN_IF_ERROR(SetOuterDomain(command.domain));
+  }
   RIPS_ASSIGN_OR_RETURN(std::unique_ptr<Robot> robot,
                         Robot::Create(domain, std::move(machine),
                                       {.manager_node = command.manager_node,
