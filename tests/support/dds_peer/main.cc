@@ -37,6 +37,7 @@
 #include "services/ros2/ros_name.h"
 #include "services/runtime/mutex.h"
 #include "services/runtime/shutdown.h"
+#include "tests/support/dds_peer/lawless.h"
 #include "tests/support/dds_peer/withhold.h"
 #include "tests/support/robot_sim/stop_flag.h"
 
@@ -53,6 +54,10 @@ struct Options {
   std::string keystore;
   // ADDRESS:PORT that gets nothing of what is sent there.
   std::string withhold;
+  // Does what its permissions forbid.
+  bool lawless = false;
+  // Of each sample, with the CDR header; empty = a string of `bytes`.
+  std::string payload;
   std::vector<std::string> nodes;
   bool long_gids = true;
   // TOPIC,TYPE[,reliable][,latched][,keep_all][,exclusive][,depth=N][,partition=P]
@@ -123,7 +128,7 @@ std::string Payload(size_t bytes) {
 }
 
 void Publish(const Options& options, std::vector<Topic>& topics, robot_sim::StopFlag& stop) {
-  const std::string payload = Payload(options.bytes);
+  const std::string payload = options.payload.empty() ? Payload(options.bytes) : options.payload;
   const absl::Time start = absl::Now();
   // What cannot be written in time is not counted as sent; the writer numbers it all the same.
   const auto write = [&payload](Topic& topic) {
@@ -198,6 +203,7 @@ absl::Status Run(const Options& options, robot_sim::StopFlag& stop) {
   RIPS_ASSIGN_OR_RETURN(
       std::optional<dds::Enclave> security,
       dds::LoadSecurity({.keystore = options.keystore, .enclave = options.enclave}, absl::Now()));
+  if (options.lawless) IgnoreOwnPermissions();
   if (!options.withhold.empty()) RIPS_RETURN_IF_ERROR(Withhold(options.withhold));
   RIPS_ASSIGN_OR_RETURN(auto domain, dds::Domain::Create(options.domain));
   RIPS_ASSIGN_OR_RETURN(auto participant,
@@ -247,6 +253,10 @@ int Main(int argc, char** argv) {
   app.add_option("--enclave", options.enclave);
   app.add_option("--keystore", options.keystore);
   app.add_option("--withhold", options.withhold);
+  app.add_flag("--lawless", options.lawless);
+  app.add_option_function<std::string>("--payload", [&options](const std::string& hex) {
+    options.payload = absl::HexStringToBytes(hex);
+  });
   app.add_option("--node", options.nodes);
   app.add_flag("--short-gids{false}", options.long_gids);
   CLI::Option* publish = app.add_option("--publish", options.publish);

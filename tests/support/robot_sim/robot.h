@@ -39,9 +39,9 @@ struct RobotOptions {
   // How long the manager takes to answer change_mode; the transition starts with the request.
   absl::Duration answer_delay = absl::ZeroDuration();
   ros2::GidBytes gid_bytes = ros2::GidBytes::k24;
-  // With DDS Security: each process has the enclave of its name, and, since the middleware holds one
-  // enclave's permissions for each domain, a domain of its own that looks like the others from
-  // outside (CYCLONEDDS_URI has an ExternalDomainId). Empty = without.
+  // With DDS Security: each process has the enclave of its name and, since the middleware holds the
+  // permissions of one enclave for each domain, a domain of its own that looks like the others
+  // from outside (CYCLONEDDS_URI has an ExternalDomainId). Empty = without.
   std::string keystore;
 };
 
