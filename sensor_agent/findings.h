@@ -57,7 +57,9 @@ struct FindingsOptions {
   // Above the longest usual lease, 10 s with Cyclone DDS.
   int64_t rival_grace_ns = 15'000'000'000;
   int64_t slow_node_ns = 5'000'000'000;
-  int64_t handshake_ns = 10'000'000'000;
+  // Above that, too: the middleware believes no farewell of a participant that has not
+  // authenticated, and who came and left within the handshake is nobody's finding.
+  int64_t handshake_ns = 15'000'000'000;
   // A refused claim whose participant the graph does not show is forgotten then.
   int64_t orphan_claim_ns = 30'000'000'000;
   // Findings held, told or not. Further ones are counted in dropped().

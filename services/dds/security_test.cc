@@ -221,6 +221,17 @@ TEST_F(KeystoreTest, GovernanceThatAdmitsStrangersIsKnown) {
   EXPECT_TRUE(lax.Load(kEnclave).admits_unauthenticated);
 }
 
+TEST_F(KeystoreTest, EnclaveThatWasCopiedIsMintedAnew) {
+  const std::string copy = keystore_.dir() + "/copy";
+  const std::string folder = keystore_.dir() + "/enclaves/rips/sensor";
+  TestKeystore::Run(absl::StrCat("cp -rL ", folder, " ", copy, " && rm -r ", folder, " && mv ",
+                                 copy, " ", folder));
+  ASSERT_FALSE(std::filesystem::is_symlink(File("governance.p7s")));
+  keystore_.Mint(kEnclave, "sensor", "--renew");
+  EXPECT_THAT(Load(), IsOk());
+  EXPECT_TRUE(std::filesystem::is_symlink(File("governance.p7s")));
+}
+
 // --- On the wire
 
 std::string Message() {
@@ -378,9 +389,47 @@ TEST_F(SecuredDomainTest, KeyOfAnActuatorCallsServicesOnly) {
               StatusIs(absl::StatusCode::kPermissionDenied));
 }
 
+TEST_F(SecuredDomainTest, KeyOfANodeSteersNothingAndAnswersForItsOwnNodesOnly) {
+  keystore_.Mint("/drivers", "node /camera /ns/lidar");
+  const auto drivers = Side(keystore_.Load("/drivers"));
+  const auto writes = [&](const std::string& topic) {
+    return RawWriter::Create(*drivers, {.topic = topic, .type = "t"}).status();
+  };
+  const auto reads = [&](const std::string& topic) {
+    return RawReader::Create(*drivers, {.topic = topic, .type = "t"}, [](const RawSample&) {})
+        .status();
+  };
+  for (const char* service :
+       {"change_mode", "change_state", "set_parameters", "set_parameters_atomically"}) {
+    for (const char* part : {"/safety", "/base", "/camera", "/a/b"}) {
+      EXPECT_THAT(writes(absl::StrCat("rq", part, "/", service, "Request")),
+                  StatusIs(absl::StatusCode::kPermissionDenied))
+          << part << service;
+    }
+    EXPECT_THAT(reads(absl::StrCat("rq/safety/", service, "Request")),
+                StatusIs(absl::StatusCode::kPermissionDenied));
+    EXPECT_THAT(reads(absl::StrCat("rq/camera/", service, "Request")), IsOk());
+    EXPECT_THAT(writes(absl::StrCat("rr/base/", service, "Reply")),
+                StatusIs(absl::StatusCode::kPermissionDenied));
+    EXPECT_THAT(writes(absl::StrCat("rr/ns/lidar/", service, "Reply")), IsOk());
+  }
+  for (const char* service : {"get_mode", "get_available_modes", "get_state", "get_parameters"}) {
+    EXPECT_THAT(writes(absl::StrCat("rr/base/", service, "Reply")),
+                StatusIs(absl::StatusCode::kPermissionDenied));
+    EXPECT_THAT(writes(absl::StrCat("rr/camera/", service, "Reply")), IsOk());
+    EXPECT_THAT(writes(absl::StrCat("rq/base/", service, "Request")), IsOk());
+  }
+  EXPECT_THAT(writes("rt/base/transition_event"), StatusIs(absl::StatusCode::kPermissionDenied));
+  EXPECT_THAT(writes("rt/camera/transition_event"), IsOk());
+  for (const char* topic : {"ros_discovery_info", "rt/image", "rq/planner/planRequest"}) {
+    EXPECT_THAT(writes(topic), IsOk()) << topic;
+    EXPECT_THAT(reads(topic), IsOk()) << topic;
+  }
+}
+
 TEST_F(SecuredDomainTest, ActuatorCallsAServiceOfASecuredNode) {
   const auto actuator = Secured(keystore_, "/rips/actuator", "actuator");
-  const auto manager = Secured(keystore_, "/mode_manager", "node");
+  const auto manager = Secured(keystore_, "/mode_manager", "manager");
   const ServiceOptions service = {.service = "/safety/change_mode",
                                   .type = "system_modes_msgs/srv/ChangeMode"};
   const auto server = ServiceServer::Create(

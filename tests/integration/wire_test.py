@@ -18,11 +18,12 @@ import tempfile
 import time
 
 sys.path.insert(0, str(pathlib.Path(__file__).resolve().parents[1] / "support"))
-from fleet import SOURCE, Failed, Process  # noqa: E402
+from fleet import SOURCE, Failed, Fleet, Process  # noqa: E402
 
 ROBOT = "10.77.0.1"
 OTHER = "10.77.0.9"
 VICTIM_INDEX = 3
+SENSOR_INDEX = 4
 
 
 class Skipped(Exception):
@@ -126,6 +127,33 @@ metrics: ""
         self.tap = self.start_tap()
         self.sensor.wait_for(lambda line: "the tap is connected" in line, 15, "the tap connects")
 
+    def watch_and_tell(self, rules):
+        """Policy server, sensor and tap on the robot; gives the fleet."""
+        fleet = Fleet(self.bin, self.dir / "fleet", bundle="wire")
+        fleet.within = ["ip", "netns", "exec", self.robot]
+        fleet.domain, fleet.processes = self.domain, self.processes
+        fleet.env["CYCLONEDDS_URI"] = (
+            f"<CycloneDDS><Domain>{at_index(SENSOR_INDEX)}</Domain></CycloneDDS>")
+        fleet.sensor_options = f"wire: {{enabled: true, socket: {self.socket}}}\n"
+        fleet.write("bundles/wire/manifest.yaml",
+                    "name: wire\nrules: [wire.rul]\nlevels: [DEFAULT, ALERT, COMPROMISED, HALT]\n")
+        fleet.write("bundles/wire/wire.rul", rules)
+        fleet.prepare()
+        fleet.start_server()
+        self.sensor = fleet.start_agent("sensor")
+        self.tap = self.start_tap()
+        self.sensor.wait_for(lambda line: "the tap is connected" in line, 15, "the tap connects")
+        return fleet
+
+    def start_writer(self, *options):
+        """Node /navigator of another host; writes /cmd_vel without multicast, 50 samples a second."""
+        writer = self.start("writer", self.other, self.bin / "dds_peer", "--domain", self.domain,
+                            "--interface", "eth0", "--node", "/navigator", "--publish",
+                            "rt/cmd_vel,geometry_msgs::msg::dds_::Twist_,reliable", "--readers", 2,
+                            *options, xml=SPDP)
+        writer.wait_for(lambda line: line == "matched", 20, "the writer has both its readers")
+        return writer
+
     def findings(self, word=" finding "):
         return [fields(text) for _, text in self.sensor.lines if word in text]
 
@@ -174,6 +202,10 @@ def at_index(index):
 
 def meta_port(domain, index):
     return 7400 + 250 * domain + 10 + 2 * index
+
+
+def data_port(domain, index):
+    return meta_port(domain, index) + 1
 
 
 class Sniffer:
@@ -325,6 +357,61 @@ def injected_data_from_the_same_host(world):
           in found["detail"], f"{found}")
 
 
+READS_COMMANDS = """levels: DEFAULT; ALERT soft; COMPROMISED; HALT;
+rules Msg:
+  here: topicin("/cmd_vel") && publishersinclude("/navigator") && CurrLevel < ALERT ?
+    alert("a command") => trigger(ALERT);
+rules Graph:
+  unused: false ? trigger(COMPROMISED), trigger(HALT);
+"""
+
+
+def told(fleet, text):
+    return [each["text"] for each in fleet.alerts() if text in each["text"]]
+
+
+def wait_told(fleet, text, seconds=30):
+    deadline = time.monotonic() + seconds
+    while not told(fleet, text):
+        check(time.monotonic() < deadline, f"`{text}` is not told: {fleet.alerts()}")
+        time.sleep(0.2)
+    return told(fleet, text)[0]
+
+
+def directed_data(world):
+    """A writer that discovery shows and that has matched our reader sends to the victim alone."""
+    victim = world.start_probe("victim", world.robot, xml=at_index(VICTIM_INDEX))
+    fleet = world.watch_and_tell(READS_COMMANDS)
+
+    writer = world.start_writer("--withhold", f"{ROBOT}:{data_port(world.domain, SENSOR_INDEX)}")
+    prefix = next(text.split()[1] for _, text in writer.lines if text.startswith("up "))
+
+    world.wait_samples(victim)
+    text = wait_told(fleet, "finding directed_data")
+    check("topic /cmd_vel" in text and f"GUID {prefix[:8]}.{prefix[8:16]}." in text, text)
+    check(not told(fleet, "a command"), "the rule saw what was kept from the sensor")
+    world.wait_samples(victim, start=len(victim.lines))
+    # Its node's name is data, too, and does not reach us either.
+    kinds = {each["kind"] for each in world.findings()}
+    check(kinds == {"directed_data", "non_ros_writer"}, f"{world.findings()}")
+
+
+def undirected_data(world):
+    """The same writer when it keeps nothing back, also when it stops for a while and goes on."""
+    victim = world.start_probe("victim", world.robot, xml=at_index(VICTIM_INDEX))
+    fleet = world.watch_and_tell(READS_COMMANDS)
+
+    writer = world.start_writer()
+
+    wait_told(fleet, "a command")
+    for sig in (signal.SIGSTOP, signal.SIGCONT):
+        os.kill(writer.child.pid, sig)
+        time.sleep(6)  # longer than a writer may go on without us
+    world.wait_samples(victim, start=len(victim.lines))
+    check(not world.findings(), f"found in quiet traffic: {world.findings()}")
+    check(not told(fleet, "finding"), f"told without a reason: {told(fleet, 'finding')}")
+
+
 def quiet_traffic(world):
     """Five participants on two hosts, with multicast and without, that come and go: no finding."""
     world.watch()
@@ -411,7 +498,7 @@ def tap_tells_what_is_wrong_with_its_flags(world):
 
 
 SCENARIOS = [unicast_only_writer, unicast_only_writer_to_a_port_of_the_kernel, injected_data,
-             injected_data_from_the_same_host, quiet_traffic, tap_and_sensor_come_and_go,
+             injected_data_from_the_same_host, directed_data, undirected_data, quiet_traffic, tap_and_sensor_come_and_go,
              tap_gives_up_its_privileges, tap_ends_with_its_interface,
              tap_tells_what_is_wrong_with_its_flags]
 

@@ -114,6 +114,8 @@ class Fleet:
         self.programs = programs  # YAML list of actuator.yaml
         self.steps = {}  # further enter steps of a level, each a YAML list item in one line
         self.sensor_options = ""  # more lines of sensor.yaml
+        self.within = []  # what each command begins with, such as `ip netns exec NAME`
+        self.keystore = None  # with DDS Security: the enclaves /rips/sensor and /rips/actuator
         self.processes = []
         self.exec = None
         self.port = None
@@ -176,13 +178,16 @@ metrics: "127.0.0.1:0"
         return own if own.exists() else SOURCE / "rules"
 
     def write_agent_configs(self):
-        common = f"""robot: r1
+        def common(role):
+            security = (f", security: {{keystore: {self.keystore}, enclave: /rips/{role}}}"
+                        if self.keystore else "")
+            return f"""robot: r1
 host: base
 servers: ["127.0.0.1:{self.port}"]
-dds: {{domain: {self.domain}, interface: lo}}
+dds: {{domain: {self.domain}, interface: lo{security}}}
 metrics: "127.0.0.1:0"
 """
-        self.write("sensor.yaml", common + f"""tls: {self.tls("sensor", "r1", "base")}
+        self.write("sensor.yaml", common("sensor") + f"""tls: {self.tls("sensor", "r1", "base")}
 state_dir: {self.dir}/sensor
 {self.sensor_options}""")
         levels = "".join(
@@ -191,7 +196,7 @@ state_dir: {self.dir}/sensor
       - {{system_mode: {{part: /safety, mode: {MODES.get(level, level)}}}, timeout: 4s, retries: 2}}
 {"".join(f"      - {step}{chr(10)}" for step in self.steps.get(level, []))}    leave: []
 """ for level in LEVELS)
-        self.write("actuator.yaml", common + f"""tls: {self.tls("actuator", "r1", "base")}
+        self.write("actuator.yaml", common("actuator") + f"""tls: {self.tls("actuator", "r1", "base")}
 state_dir: {self.dir}/actuator
 fail_safe: {{level: {self.fail_safe}, after: 0s}}
 system_modes: {{smh: {self.smh}, verify: parts}}
@@ -203,7 +208,7 @@ levels:
     # ---------------------------------------------------------------------------- processes
 
     def start(self, name, *args):
-        process = Process(name, args, self.dir, self.env)
+        process = Process(name, [*self.within, *args], self.dir, self.env)
         self.processes.append(process)
         return process
 
@@ -283,7 +288,7 @@ levels:
 
     def ripsctl_args(self, *args):
         pki = self.dir / "pki/operator/operator/alice"
-        return [str(self.bin / "ripsctl"), "--server", f"127.0.0.1:{self.port}", "--ca",
+        return [*self.within, str(self.bin / "ripsctl"), "--server", f"127.0.0.1:{self.port}", "--ca",
                 f"{pki}/ca.pem", "--cert", f"{pki}/cert.pem", "--key", f"{pki}/key.pem", *args]
 
     def ripsctl(self, *args, check=True):
@@ -327,10 +332,11 @@ levels:
                              f"{status['effective_level']}; {'; '.join(status['degraded'])}")
             time.sleep(0.1)
 
-    def mode(self):
+    def mode(self, *options):
         """The System Mode read back from the robot, with the state of each part."""
         done = subprocess.run(
-            [self.bin / "robot_sim", "mode", "--domain", str(self.domain), "--smh", self.smh],
+            [*self.within, self.bin / "robot_sim", "mode", "--domain", str(self.domain), "--smh",
+             self.smh, *options],
             capture_output=True, text=True, timeout=30, env=self.env)
         for line in done.stdout.splitlines():
             event = json.loads(line)

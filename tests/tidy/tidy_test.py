@@ -20,7 +20,8 @@ ALLOWED = {
     "services/base/fake_clock.h": "an atomic, so that a test's threads may share a stepped clock",
     "services/rpc/credentials_test.cc": "runs openssl as a peer that only speaks TLS 1.2",
 }
-DDS_FOLDERS = ("services/dds/", "sensor_agent/dds/", "tests/support/robot_sim/", "mode_actuator/")
+DDS_FOLDERS = ("services/dds/", "sensor_agent/dds/", "tests/support/robot_sim/", "mode_actuator/",
+               "tests/support/dds_peer/lawless.cc")
 BANNED = [
     (re.compile(r"std::string_view"), "use absl::string_view: there is no conversion either way"),
     (re.compile(r"\babsl::(Mutex|MutexLock|Notification|CondVar)\b"), "use services/runtime/mutex.h"),

@@ -8,12 +8,14 @@
 // readers, `written` when all were written but the tail, and `sent TOPIC COUNT` for each topic at
 // the end; with --hear five times a second `heard` and for each participant so far
 // `PREFIX=SAMPLES/NEWEST`, the newest by the writer's numbers. SIGTERM ends it in order; SIGKILL is
-// a crash.
+// a crash. With --withhold 10.0.0.1:17417 nothing goes out to that place: who listens there is left
+// out.
 #include <algorithm>
 #include <csignal>
 #include <cstdio>
 #include <map>
 #include <memory>
+#include <optional>
 #include <string>
 #include <vector>
 
@@ -29,11 +31,14 @@
 #include "services/dds/participant.h"
 #include "services/dds/raw_reader.h"
 #include "services/dds/raw_writer.h"
+#include "services/dds/security.h"
 #include "services/ros2/cdr.h"
 #include "services/ros2/discovery_info.h"
 #include "services/ros2/ros_name.h"
 #include "services/runtime/mutex.h"
 #include "services/runtime/shutdown.h"
+#include "tests/support/dds_peer/lawless.h"
+#include "tests/support/dds_peer/withhold.h"
 #include "tests/support/robot_sim/stop_flag.h"
 
 namespace rips::dds_peer {
@@ -44,7 +49,15 @@ constexpr absl::Duration kHeardPeriod = absl::Milliseconds(200);
 
 struct Options {
   dds::DomainOptions domain;
+  // Announced; with a keystore it is proved.
   std::string enclave = "/";
+  std::string keystore;
+  // ADDRESS:PORT that gets nothing of what is sent there.
+  std::string withhold;
+  // Does what its permissions forbid.
+  bool lawless = false;
+  // Of each sample, with the CDR header; empty = a string of `bytes`.
+  std::string payload;
   std::vector<std::string> nodes;
   bool long_gids = true;
   // TOPIC,TYPE[,reliable][,latched][,keep_all][,exclusive][,depth=N][,partition=P]
@@ -115,7 +128,7 @@ std::string Payload(size_t bytes) {
 }
 
 void Publish(const Options& options, std::vector<Topic>& topics, robot_sim::StopFlag& stop) {
-  const std::string payload = Payload(options.bytes);
+  const std::string payload = options.payload.empty() ? Payload(options.bytes) : options.payload;
   const absl::Time start = absl::Now();
   // What cannot be written in time is not counted as sent; the writer numbers it all the same.
   const auto write = [&payload](Topic& topic) {
@@ -187,9 +200,15 @@ absl::Status Hear(const dds::Participant& participant, const std::string& text,
 }
 
 absl::Status Run(const Options& options, robot_sim::StopFlag& stop) {
+  RIPS_ASSIGN_OR_RETURN(
+      std::optional<dds::Enclave> security,
+      dds::LoadSecurity({.keystore = options.keystore, .enclave = options.enclave}, absl::Now()));
+  if (options.lawless) IgnoreOwnPermissions();
+  if (!options.withhold.empty()) RIPS_RETURN_IF_ERROR(Withhold(options.withhold));
   RIPS_ASSIGN_OR_RETURN(auto domain, dds::Domain::Create(options.domain));
   RIPS_ASSIGN_OR_RETURN(auto participant,
-                        dds::Participant::Create(domain, {.enclave = options.enclave}));
+                        dds::Participant::Create(
+                            domain, {.enclave = options.enclave, .security = std::move(security)}));
   std::vector<Topic> topics;
   for (const std::string& text : options.publish) {
     RIPS_ASSIGN_OR_RETURN(Topic topic, MakeTopic(*participant, text));
@@ -232,6 +251,12 @@ int Main(int argc, char** argv) {
   app.add_option("--domain", options.domain.id)->required();
   app.add_option("--interface", options.domain.interface)->default_val("lo");
   app.add_option("--enclave", options.enclave);
+  app.add_option("--keystore", options.keystore);
+  app.add_option("--withhold", options.withhold);
+  app.add_flag("--lawless", options.lawless);
+  app.add_option_function<std::string>("--payload", [&options](const std::string& hex) {
+    options.payload = absl::HexStringToBytes(hex);
+  });
   app.add_option("--node", options.nodes);
   app.add_flag("--short-gids{false}", options.long_gids);
   CLI::Option* publish = app.add_option("--publish", options.publish);

@@ -12,6 +12,7 @@
 #include "absl/time/time.h"
 #include "services/dds/participant.h"
 #include "services/ros2/discovery_info.h"
+#include "services/runtime/config_sections.h"
 #include "tests/support/robot_sim/mode_machine.h"
 #include "tests/support/robot_sim/stop_flag.h"
 
@@ -19,6 +20,8 @@ namespace rips::robot_sim {
 
 struct RobotCommand {
   dds::DomainOptions domain;
+  // Each process has the enclave of its name: /drivers, /base, ..., and that of the manager's node.
+  std::string keystore;
   std::string smh_file;
   std::string system = "/safety";
   // The node that serves the modes; mode_manager calls itself /__mode_manager.
@@ -43,6 +46,7 @@ enum class IntruderKind {
 
 struct IntruderCommand {
   dds::DomainOptions domain;
+  DdsSettings security;
   IntruderKind kind = IntruderKind::kUnknownNode;
   std::string node = "/intruder";
   // Endpoints only: no node, nothing on `ros_discovery_info`.
@@ -56,6 +60,7 @@ absl::Status RunIntruder(const IntruderCommand& command, StopFlag& stop);
 
 struct ProbeCommand {
   dds::DomainOptions domain;
+  DdsSettings security;
   std::string topic = "/camera/image_raw";
   std::string type = "sensor_msgs/msg/Image";
   absl::Duration window = absl::Seconds(1);
@@ -70,6 +75,7 @@ absl::Status RunProbe(const ProbeCommand& command, StopFlag& stop);
 
 struct PublishCommand {
   dds::DomainOptions domain;
+  DdsSettings security;
   std::string node = "/load";
   std::string topic = "/load";
   std::string type = "std_msgs/msg/String";
@@ -88,6 +94,7 @@ absl::Status RunPublish(const PublishCommand& command, StopFlag& stop);
 
 struct ModeCommand {
   dds::DomainOptions domain;
+  DdsSettings security;
   std::string part = "/safety";
   // For `mode`: also read back the nodes of the part named here, if given.
   std::string smh_file;
@@ -105,6 +112,9 @@ absl::Status RunMode(const ModeCommand& command, StopFlag& stop);
 // {"event":"reached","part":"/safety","mode":"ALERT"}
 // FailedPrecondition if the answer is no; DeadlineExceeded if the mode was not reached.
 absl::Status RunSetMode(const ModeCommand& command, StopFlag& stop);
+
+// What a process joins its domain as: keystore and enclave of `security`, if there is a keystore.
+absl::StatusOr<dds::ParticipantOptions> Identity(const DdsSettings& security);
 
 // The file's text. NotFound if it cannot be read.
 absl::StatusOr<std::string> ReadFile(const std::string& path);

@@ -44,6 +44,7 @@ absl::Status PublishUntilStopped(dds::RawWriter& writer, StopFlag& stop) {
 absl::Status RunIntruder(const IntruderCommand& command, StopFlag& stop) {
   const RealClock clock;
   std::atomic<int64_t> first_received_unix_ns{0};
+  RIPS_ASSIGN_OR_RETURN(const dds::ParticipantOptions identity, Identity(command.security));
   RIPS_ASSIGN_OR_RETURN(std::shared_ptr<const dds::Domain> domain,
                         dds::Domain::Create(command.domain));
   std::unique_ptr<RosProcess> process;
@@ -51,11 +52,11 @@ absl::Status RunIntruder(const IntruderCommand& command, StopFlag& stop) {
   std::unique_ptr<RosNode> bare;
   RosNode* node = nullptr;
   if (command.anonymous) {
-    RIPS_ASSIGN_OR_RETURN(participant, dds::Participant::Create(domain));
+    RIPS_ASSIGN_OR_RETURN(participant, dds::Participant::Create(domain, identity));
     RIPS_ASSIGN_OR_RETURN(bare, RosNode::CreateBare(*participant, command.node));
     node = bare.get();
   } else {
-    RIPS_ASSIGN_OR_RETURN(process, RosProcess::Create(domain, command.gid_bytes));
+    RIPS_ASSIGN_OR_RETURN(process, RosProcess::Create(domain, command.gid_bytes, identity));
     RIPS_ASSIGN_OR_RETURN(node, process->AddNode(command.node));
   }
   dds::RawWriter* rogue = nullptr;

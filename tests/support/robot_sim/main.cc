@@ -17,11 +17,19 @@ namespace {
 using Run = std::function<absl::Status(StopFlag&)>;
 
 CLI::App* Subcommand(CLI::App& app, const std::string& name, const std::string& about,
-                     dds::DomainOptions& domain) {
+                     dds::DomainOptions& domain, std::string& keystore) {
   CLI::App* sub = app.add_subcommand(name, about);
   sub->add_option("--domain", domain.id, "DDS domain id")->required()->check(CLI::Range(0, 232));
   sub->add_option("--interface", domain.interface, "network interface; empty = Cyclone chooses")
       ->default_val("lo");
+  sub->add_option("--keystore", keystore, "DDS Security with this keystore");
+  return sub;
+}
+
+CLI::App* Subcommand(CLI::App& app, const std::string& name, const std::string& about,
+                     dds::DomainOptions& domain, DdsSettings& security) {
+  CLI::App* sub = Subcommand(app, name, about, domain, security.keystore);
+  sub->add_option("--enclave", security.enclave, "its own, such as /talker")->needs("--keystore");
   return sub;
 }
 
@@ -39,7 +47,7 @@ void AddGidSize(CLI::App* sub, ros2::GidBytes& gid_bytes) {
 }
 
 void AddRobot(CLI::App& app, RobotCommand& command, Run& run) {
-  CLI::App* sub = Subcommand(app, "robot", "run the robot", command.domain);
+  CLI::App* sub = Subcommand(app, "robot", "run the robot", command.domain, command.keystore);
   sub->add_option("--smh", command.smh_file, "System Modes file")->required();
   sub->add_option("--system", command.system, "the system whose modes are switched");
   sub->add_option("--manager-node", command.manager_node, "node that serves the modes");
@@ -56,12 +64,13 @@ void AddRobot(CLI::App& app, RobotCommand& command, Run& run) {
                   "how long change_mode takes to answer (0)");
   AddGidSize(sub, command.gid_bytes);
   sub->add_flag("--bad-discovery", command.bad_discovery,
-                "also send malformed and foreign discovery messages");
+                "also send malformed and foreign discovery messages")
+      ->excludes("--keystore");
   sub->callback([&] { run = [&command](StopFlag& stop) { return RunRobot(command, stop); }; });
 }
 
 void AddIntruder(CLI::App& app, IntruderCommand& command, Run& run) {
-  CLI::App* sub = Subcommand(app, "intruder", "run an intruder", command.domain);
+  CLI::App* sub = Subcommand(app, "intruder", "run an intruder", command.domain, command.security);
   const std::map<std::string, IntruderKind> kinds = {{"unknown-node", IntruderKind::kUnknownNode},
                                                      {"rogue-cmd-vel", IntruderKind::kRogueCmdVel}};
   sub->add_option("--mode", command.kind, "unknown-node or rogue-cmd-vel")
@@ -74,7 +83,8 @@ void AddIntruder(CLI::App& app, IntruderCommand& command, Run& run) {
 }
 
 void AddProbe(CLI::App& app, ProbeCommand& command, Run& run) {
-  CLI::App* sub = Subcommand(app, "probe", "measure the rate of a topic", command.domain);
+  CLI::App* sub =
+      Subcommand(app, "probe", "measure the rate of a topic", command.domain, command.security);
   sub->add_option("--topic", command.topic, "ROS topic");
   sub->add_option("--type", command.type, "ROS type");
   AddMilliseconds(sub, "--window-ms", command.window, "length of a measurement (1000)");
@@ -84,20 +94,23 @@ void AddProbe(CLI::App& app, ProbeCommand& command, Run& run) {
 }
 
 void AddPublish(CLI::App& app, PublishCommand& command, Run& run) {
-  CLI::App* sub = Subcommand(app, "publish", "publish messages at a rate", command.domain);
+  CLI::App* sub =
+      Subcommand(app, "publish", "publish messages at a rate", command.domain, command.security);
   sub->add_option("--node", command.node, "node name");
   sub->add_option("--topic", command.topic, "ROS topic");
   sub->add_option("--type", command.type, "ROS type");
   sub->add_option("--rate", command.rate, "messages a second")->check(CLI::Range(1, 100'000));
   sub->add_option("--bytes", command.bytes, "bytes of each")->check(CLI::Range(1, 60'000));
   sub->add_option("--count", command.count, "messages; 0 = until stopped");
-  sub->add_option("--readers", command.readers, "readers to wait for (1)")->check(CLI::Range(0, 99));
+  sub->add_option("--readers", command.readers, "readers to wait for (1)")
+      ->check(CLI::Range(0, 99));
   sub->callback([&] { run = [&command](StopFlag& stop) { return RunPublish(command, stop); }; });
 }
 
 void AddModes(CLI::App& app, ModeCommand& command, Run& run) {
-  CLI::App* get = Subcommand(app, "mode", "read the mode of a part back", command.domain);
-  CLI::App* set = Subcommand(app, "set-mode", "order a mode", command.domain);
+  CLI::App* get =
+      Subcommand(app, "mode", "read the mode of a part back", command.domain, command.security);
+  CLI::App* set = Subcommand(app, "set-mode", "order a mode", command.domain, command.security);
   for (CLI::App* sub : {get, set}) {
     sub->add_option("--part", command.part, "a system or a node");
     AddMilliseconds(sub, "--timeout-ms", command.timeout, "for each service call (5000)");

@@ -88,8 +88,9 @@ absl::StatusOr<Json> Parts(const dds::Participant& participant, const ModeComman
 }  // namespace
 
 absl::Status RunMode(const ModeCommand& command, StopFlag& stop) {
+  RIPS_ASSIGN_OR_RETURN(const dds::ParticipantOptions identity, Identity(command.security));
   RIPS_ASSIGN_OR_RETURN(std::unique_ptr<dds::Participant> participant,
-                        dds::Participant::Create(command.domain));
+                        dds::Participant::Create(command.domain, identity));
   RIPS_ASSIGN_OR_RETURN(const std::string mode_reply,
                         CallOnce(*participant, command, command.part, "/get_mode",
                                  ros2::kGetModeType, ros2::EncodeEmptyRequest()));
@@ -116,8 +117,9 @@ absl::Status RunMode(const ModeCommand& command, StopFlag& stop) {
 
 absl::Status RunSetMode(const ModeCommand& command, StopFlag& stop) {
   const RealClock clock;
+  RIPS_ASSIGN_OR_RETURN(const dds::ParticipantOptions identity, Identity(command.security));
   RIPS_ASSIGN_OR_RETURN(std::unique_ptr<dds::Participant> participant,
-                        dds::Participant::Create(command.domain));
+                        dds::Participant::Create(command.domain, identity));
   RIPS_ASSIGN_OR_RETURN(
       const std::string reply,
       CallOnce(*participant, command, command.part, "/change_mode", ros2::kChangeModeType,

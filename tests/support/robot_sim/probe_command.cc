@@ -56,18 +56,19 @@ absl::Status RunProbe(const ProbeCommand& command, StopFlag& stop) {
     seen.samples.fetch_add(1);
     seen.last_unix_ns.store(sample.received.unix_ns);
   };
+  RIPS_ASSIGN_OR_RETURN(const dds::ParticipantOptions identity, Identity(command.security));
   RIPS_ASSIGN_OR_RETURN(std::shared_ptr<const dds::Domain> domain,
                         dds::Domain::Create(command.domain));
   if (!command.node.empty()) {
     RIPS_ASSIGN_OR_RETURN(std::unique_ptr<RosProcess> process,
-                          RosProcess::Create(domain, ros2::GidBytes::k24));
+                          RosProcess::Create(domain, ros2::GidBytes::k24, identity));
     RIPS_ASSIGN_OR_RETURN(RosNode * node, process->AddNode(command.node));
     RIPS_RETURN_IF_ERROR(node->Subscribe(command.topic, command.type, SensorDataQos(), callback));
     RIPS_RETURN_IF_ERROR(process->Announce());
     return MeasureUntilStopped(command, seen, stop);
   }
   RIPS_ASSIGN_OR_RETURN(std::unique_ptr<dds::Participant> participant,
-                        dds::Participant::Create(domain));
+                        dds::Participant::Create(domain, identity));
   RIPS_ASSIGN_OR_RETURN(std::unique_ptr<dds::RawReader> reader,
                         dds::RawReader::Create(*participant,
                                                {.topic = ros2::MangleTopic(command.topic),

@@ -56,10 +56,11 @@ absl::Status PublishMessages(const PublishCommand& command, dds::RawWriter& writ
 
 absl::Status RunPublish(const PublishCommand& command, StopFlag& stop) {
   RIPS_RETURN_IF_ERROR(ros2::ValidateTopicName(command.topic));
+  RIPS_ASSIGN_OR_RETURN(const dds::ParticipantOptions identity, Identity(command.security));
   RIPS_ASSIGN_OR_RETURN(std::shared_ptr<const dds::Domain> domain,
                         dds::Domain::Create(command.domain));
   RIPS_ASSIGN_OR_RETURN(std::unique_ptr<RosProcess> process,
-                        RosProcess::Create(domain, ros2::GidBytes::k24));
+                        RosProcess::Create(domain, ros2::GidBytes::k24, identity));
   RIPS_ASSIGN_OR_RETURN(RosNode * node, process->AddNode(command.node));
   RIPS_ASSIGN_OR_RETURN(dds::RawWriter * writer,
                         node->Publish(command.topic, command.type, DefaultQos(1'000)));

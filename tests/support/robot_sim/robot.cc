@@ -6,8 +6,10 @@
 #include <variant>
 
 #include "absl/strings/str_cat.h"
+#include "absl/strings/strip.h"
 #include "services/base/status_macros.h"
 #include "services/ros2/system_modes_messages.h"
+#include "tests/support/robot_sim/commands.h"
 
 namespace rips::robot_sim {
 
@@ -26,6 +28,8 @@ struct Robot::TopicSpec {
 
 namespace {
 
+// Numbers of domains beyond are those of secured processes within this one.
+constexpr uint32_t kSecuredDomain = 110;
 constexpr absl::string_view kTwistType = "geometry_msgs/msg/Twist";
 constexpr absl::string_view kTransitionEventType = "lifecycle_msgs/msg/TransitionEvent";
 constexpr absl::string_view kModeEventType = "system_modes_msgs/msg/ModeEvent";
@@ -66,6 +70,20 @@ absl::string_view ProcessOf(absl::string_view part) {
   return part == "/camera" || part == "/lidar" ? "drivers" : part;
 }
 
+// `number` is its own; 1 or more.
+absl::StatusOr<std::unique_ptr<RosProcess>> MakeProcess(std::shared_ptr<const dds::Domain> domain,
+                                                        absl::string_view name,
+                                                        const RobotOptions& options,
+                                                        size_t number) {
+  if (options.keystore.empty()) return RosProcess::Create(std::move(domain), options.gid_bytes);
+  const std::string enclave = absl::StrCat("/", absl::StripPrefix(name, "/"));
+  RIPS_ASSIGN_OR_RETURN(const dds::ParticipantOptions identity,
+                        Identity({.keystore = options.keystore, .enclave = enclave}));
+  const uint32_t id = kSecuredDomain + static_cast<uint32_t>(number);
+  RIPS_ASSIGN_OR_RETURN(std::shared_ptr<const dds::Domain> own, dds::Domain::Create({.id = id}));
+  return RosProcess::Create(std::move(own), options.gid_bytes, identity);
+}
+
 }  // namespace
 
 Robot::Robot(std::shared_ptr<const dds::Domain> domain, ModeMachine machine,
@@ -85,7 +103,7 @@ absl::StatusOr<std::unique_ptr<Robot>> Robot::Create(std::shared_ptr<const dds::
     RosProcess*& process = by_name[std::string(name)];
     if (process == nullptr) {
       RIPS_ASSIGN_OR_RETURN(std::unique_ptr<RosProcess> created,
-                            RosProcess::Create(domain, options.gid_bytes));
+                            MakeProcess(domain, name, options, by_name.size()));
       process = created.get();
       robot->processes_.push_back(std::move(created));
     }

@@ -40,11 +40,16 @@ struct RobotOptions {
   // How long the manager takes to answer change_mode; the transition starts with the request.
   absl::Duration answer_delay = absl::ZeroDuration();
   ros2::GidBytes gid_bytes = ros2::GidBytes::k24;
+  // With DDS Security: each process has the enclave of its name and, since the middleware holds the
+  // permissions of one enclave for each domain, a domain of its own that looks like the others
+  // from outside (CYCLONEDDS_URI has an ExternalDomainId). Empty = without.
+  std::string keystore;
 };
 
 // Step from one thread; services and subscriptions run on their own.
 class Robot {
  public:
+  // `domain` is not used with a keystore.
   static absl::StatusOr<std::unique_ptr<Robot>> Create(std::shared_ptr<const dds::Domain> domain,
                                                        ModeMachine machine,
                                                        const RobotOptions& options);

@@ -1,6 +1,8 @@
 #include <cstdint>
+#include <cstdlib>
 #include <fstream>
 #include <memory>
+#include <optional>
 #include <sstream>
 #include <string>
 #include <utility>
@@ -9,9 +11,11 @@
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
 #include "absl/strings/str_cat.h"
+#include "absl/time/clock.h"
 #include "nlohmann/json.hpp"
 #include "services/base/status_macros.h"
 #include "services/dds/raw_writer.h"
+#include "services/dds/security.h"
 #include "services/ros2/ros_name.h"
 #include "services/runtime/log.h"
 #include "services/runtime/real_clock.h"
@@ -65,7 +69,26 @@ class BadDiscoverySender {
   int64_t next_ns_ = 0;
 };
 
+// Whatever its number within this process, a domain has this one outside.
+absl::Status SetOuterDomain(const dds::DomainOptions& domain) {
+  const char* set = std::getenv("CYCLONEDDS_URI");
+  std::string uri = set == nullptr ? "" : set;
+  if (uri.empty()) {
+    RIPS_ASSIGN_OR_RETURN(uri, dds::DomainXml(domain, 0));
+  }
+  absl::StrAppend(&uri, ",<CycloneDDS><Domain><Discovery><ExternalDomainId>", domain.id,
+                  "</ExternalDomainId></Discovery></Domain></CycloneDDS>");
+  setenv("CYCLONEDDS_URI", uri.c_str(), 1);
+  return absl::OkStatus();
+}
+
 }  // namespace
+
+absl::StatusOr<dds::ParticipantOptions> Identity(const DdsSettings& security) {
+  RIPS_ASSIGN_OR_RETURN(std::optional<dds::Enclave> enclave,
+                        dds::LoadSecurity(security, absl::Now()));
+  return dds::ParticipantOptions{.security = std::move(enclave)};
+}
 
 absl::StatusOr<std::string> ReadFile(const std::string& path) {
   const std::ifstream in(path, std::ios::binary);
@@ -89,14 +112,19 @@ absl::Status RunRobot(const RobotCommand& command, StopFlag& stop) {
                           {.system = command.system,
                            .transition_ns = absl::ToInt64Nanoseconds(command.transition),
                            .conduct = command.conduct}));
-  RIPS_ASSIGN_OR_RETURN(std::shared_ptr<const dds::Domain> domain,
-                        dds::Domain::Create(command.domain));
+  std::shared_ptr<const dds::Domain> domain;
+  if (command.keystore.empty()) {
+    RIPS_ASSIGN_OR_RETURN(domain, dds::Domain::Create(command.domain));
+  } else {
+    RIPS_RETURN_IF_ERROR(SetOuterDomain(command.domain));
+  }
   RIPS_ASSIGN_OR_RETURN(std::unique_ptr<Robot> robot,
                         Robot::Create(domain, std::move(machine),
                                       {.manager_node = command.manager_node,
                                        .conduct = command.conduct,
                                        .answer_delay = command.answer_delay,
-                                       .gid_bytes = command.gid_bytes}));
+                                       .gid_bytes = command.gid_bytes,
+                                       .keystore = command.keystore}));
   std::unique_ptr<BadDiscoverySender> bad;
   if (command.bad_discovery) {
     RIPS_ASSIGN_OR_RETURN(bad, BadDiscoverySender::Create(domain));

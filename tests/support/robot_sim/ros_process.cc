@@ -178,9 +178,10 @@ absl::Status RosNode::Serve(absl::string_view service, absl::string_view type,
 }
 
 absl::StatusOr<std::unique_ptr<RosProcess>> RosProcess::Create(
-    std::shared_ptr<const dds::Domain> domain, ros2::GidBytes gid_bytes) {
+    std::shared_ptr<const dds::Domain> domain, ros2::GidBytes gid_bytes,
+    const dds::ParticipantOptions& options) {
   RIPS_ASSIGN_OR_RETURN(std::unique_ptr<dds::Participant> participant,
-                        dds::Participant::Create(std::move(domain)));
+                        dds::Participant::Create(std::move(domain), options));
   std::unique_ptr<RosProcess> process(new RosProcess(std::move(participant), gid_bytes));
   RIPS_ASSIGN_OR_RETURN(
       process->discovery_writer_,

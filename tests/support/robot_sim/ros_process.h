@@ -80,7 +80,8 @@ class RosNode {
 class RosProcess {
  public:
   static absl::StatusOr<std::unique_ptr<RosProcess>> Create(
-      std::shared_ptr<const dds::Domain> domain, ros2::GidBytes gid_bytes);
+      std::shared_ptr<const dds::Domain> domain, ros2::GidBytes gid_bytes,
+      const dds::ParticipantOptions& participant = {});
 
   // The node lives as long as the process.
   absl::StatusOr<RosNode*> AddNode(absl::string_view full_name, ParameterSource parameters = {},
