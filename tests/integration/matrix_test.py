@@ -159,7 +159,7 @@ class Rig(Fleet):
     def write_agent_configs(self):
         super().write_agent_configs()
         path = self.dir / "actuator.yaml"
-        text = path.read_text().partition("levels:\n")[0]
+        text = re.sub("^exec: .*\n", "", path.read_text().partition("levels:\n")[0], flags=re.M)
         text = text.replace("floor_hold: ", "reconcile: 500ms, floor_hold: ")
         rules = self.write("rules.nft", "chain input {\n  udp dport 9 counter drop\n}\n")
         steps = {"DEFAULT": "{firewall: {release: all}}"}
@@ -177,6 +177,7 @@ class Rig(Fleet):
 """
         text += f"""programs:
   - {{name: note, path: {self.programs}/note, timeout: 1s}}
+exec: {{socket: {self.dir}/exec.sock, user: root}}
 devices:
   - {{name: siren, kind: lcus_serial, path: {self.siren.link}}}
 firewall: {{socket: {self.dir}/fw.sock, user: root}}
@@ -201,6 +202,7 @@ firewall: {{socket: {self.dir}/fw.sock, user: root}}
         self.server = self.start_server()
         self.write_agent_configs()
         self.start_fw()
+        self.start_exec()
         self.sensor = self.start_agent("sensor")
         self.start_actuator()
         self.wait_level("DEFAULT", LIMIT)
@@ -385,9 +387,60 @@ class ProgramHangs(Program):
     text = "trap '' TERM\nsleep 60 & wait; sleep 60"
 
 
+class ProgramForks(Program):
+    """the program leaves a daemon behind"""
+
+    def begin(self):
+        self.pids = self.rig.dir / "daemons"
+        self.text = f"setsid sh -c 'echo $$ >> {self.pids}; exec sleep 600' & sleep 0.2"
+        super().begin()
+
+    def judge(self, ordered):
+        outcome = super().judge(ordered)
+        wait_for("what it left is killed", lambda: not any(
+            pathlib.Path("/proc", pid).exists() for pid in self.pids.read_text().split()))
+        return outcome
+
+
 class ProgramFloods(Program):
     """the program writes a gigabyte"""
     text = "exec head -c 1000000000 /dev/zero"
+
+
+class ExecKilled(Fault):
+    """rips-exec is killed"""
+
+    def begin(self):
+        self.rig.exec.kill(signal.SIGKILL)
+
+    def end(self):
+        self.rig.start_exec()
+
+
+class ExecKilledInRun(Fault):
+    """rips-exec is killed while the program runs"""
+
+    def order(self, level):
+        began = self.rig.dir / "began"
+        began.unlink(missing_ok=True)
+        self.rig.program("note", f"touch {began}; sleep 0.5")
+        super().order(level)
+        wait_for("the program runs", began.exists)
+        self.rig.exec.kill(signal.SIGKILL)
+        self.rig.program("note", "exit 0")
+
+    def end(self):
+        self.rig.start_exec()
+
+
+class ExecHangs(Fault):
+    """rips-exec hangs"""
+
+    def begin(self):
+        os.kill(self.rig.exec.child.pid, signal.SIGSTOP)
+
+    def end(self):
+        os.kill(self.rig.exec.child.pid, signal.SIGCONT)
 
 
 class ProgramGone(Fault):
@@ -645,7 +698,12 @@ def alarms(rig):
 
 def programs(rig):
     rig.build()
-    play(rig, [ProgramFails, ProgramHangs, ProgramFloods, ProgramGone, ProgramUnsafe])
+    play(rig, [ProgramFails, ProgramHangs, ProgramForks, ProgramFloods, ProgramGone, ProgramUnsafe])
+
+
+def runner(rig):
+    rig.build()
+    play(rig, [ExecKilled, ExecKilledInRun, ExecHangs])
 
 
 def firewall(rig):
@@ -694,7 +752,7 @@ def disk(rig):
         subprocess.run(["umount", rig.state_dir], check=True)
 
 
-SCENARIOS = [alarms, programs, firewall, orders, outage, restarts, disk, clock]
+SCENARIOS = [alarms, programs, runner, firewall, orders, outage, restarts, disk, clock]
 
 
 def main():
