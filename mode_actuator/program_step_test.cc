@@ -1,6 +1,10 @@
 // Program steps of levels: what they are told, and what is kept of what they say.
+#include <unistd.h>
+
+#include <atomic>
 #include <memory>
 #include <string>
+#include <thread>
 #include <utility>
 #include <vector>
 
@@ -19,13 +23,16 @@ class ScriptedPrograms final : public ProgramRunner {
  public:
   absl::StatusOr<uint64_t> Start(const ProgramRequest& request, Done done) override {
     requests.push_back(request);
+    if (request.name == "hang") return requests.size();
     done(results.front());
     if (results.size() > 1) results.erase(results.begin());
     return requests.size();
   }
-  void Cancel(uint64_t) override {}
+  // As one that hangs.
+  void Cancel(uint64_t) override { ++cancelled; }
   absl::Status Examine(absl::string_view) override { return absl::OkStatus(); }
 
+  std::atomic<int> cancelled = 0;
   std::vector<ProgramRequest> requests;
   std::vector<ProgramResult> results = {ProgramResult{}};
 };
@@ -106,6 +113,21 @@ TEST_F(ProgramStepTest, ALateRefusalForTheLimitIsAskedForAgainAndIsNoAttempt) {
   const LevelOutcome outcome = Run("DEFAULT", "ALERT");
   EXPECT_TRUE(outcome.reached) << outcome.detail;
   EXPECT_EQ(programs_.requests.size(), 3u);
+}
+
+TEST_F(ProgramStepTest, WhoDoesNotCancelIsNotWaitedFor) {
+  levels_[1].enter = {Program({.name = "hang"})};
+  levels_[1].enter[0].timeout = absl::Hours(1);
+  std::thread canceller([this] {
+    usleep(50'000);
+    cancel_.Cancel();
+  });
+  const LevelOutcome outcome = Run("DEFAULT", "ALERT");
+  canceller.join();
+  EXPECT_FALSE(outcome.reached);
+  EXPECT_EQ(programs_.cancelled, 1);
+  ASSERT_EQ(outcome.steps.size(), 1u);
+  EXPECT_EQ(outcome.steps[0].detail, "the program runner gave no result");
 }
 
 TEST_F(ProgramStepTest, WhatNobodyKnowsTheEndOfIsAFailureAndTriedAgain) {
