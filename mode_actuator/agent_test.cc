@@ -529,6 +529,30 @@ TEST_F(AgentTest, WithoutRipsExecStepsFailUntilItComes) {
   ASSERT_TRUE(Verified(server, "COMPROMISED"));
 }
 
+TEST_F(AgentTest, WithoutAJournalNothingRuns) {
+  // In place of the file, as if the disk took nothing.
+  mkdir((dir_ + "/state").c_str(), 0700);
+  mkdir((dir_ + "/state/journal").c_str(), 0700);
+  std::ofstream(dir_ + "/state/journal/x") << "x";
+  FakeServer server(Pki().Server());
+  ASSERT_THAT(Start(server.port(), Pki().Actuator()), IsOk());
+  server.Run(Id('a'), "note", {"-c", "echo ran >> " + dir_ + "/ran"});
+  ASSERT_TRUE(server.HasReceipt(Id('a'), Receipt::REFUSED));
+  EXPECT_THAT(server.Last(Id('a')).detail(), HasSubstr("cannot be recorded: "));
+  EXPECT_EQ(Slurp(dir_ + "/ran"), "");
+}
+
+TEST_F(AgentTest, WhatAProgramLeavesBehindIsTold) {
+  FakeServer server(Pki().Server());
+  ASSERT_THAT(Start(server.port(), Pki().Actuator()), IsOk());
+  server.Run(Id('a'), "note", {"-c", "setsid sleep 60 & exit 0"});
+  ASSERT_TRUE(server.HasReceipt(Id('a'), Receipt::VERIFIED));
+  if (Slurp("/proc/self/mountinfo").find(" cgroup2 ") == std::string::npos || geteuid() != 0) {
+    GTEST_SKIP() << "cgroup v2 cannot be used here";
+  }
+  EXPECT_EQ(server.Last(Id('a')).detail(), "left 1 process behind, killed");
+}
+
 TEST_F(AgentTest, AProgramWhoseRipsExecDiedIsUnknownAndTheNextOneRuns) {
   FakeServer server(Pki().Server());
   ASSERT_THAT(Start(server.port(), Pki().Actuator()), IsOk());

@@ -60,6 +60,8 @@ class ProgramAttempt final : public StepAttempt {
 
   bool Poll(int64_t now_ns) override {
     if (finished_) return true;
+    // Whoever is told to end it may hang: that is waited for kEndGrace, as at the deadline.
+    if (cancelled_) deadline_ns_ = std::min(deadline_ns_, now_ns);
     if (run_ == 0) {
       if (now_ns >= next_start_ns_) TryStart(now_ns);
     } else if (std::optional<ProgramResult> ended = slot_->Take()) {
@@ -113,7 +115,7 @@ class ProgramAttempt final : public StepAttempt {
   ProgramRequest request_;
   ProgramRunner* const runner_;
   const int64_t began_ns_;
-  const int64_t deadline_ns_;
+  int64_t deadline_ns_;
   std::shared_ptr<ResultSlot> slot_;
   uint64_t run_ = 0;
   int tries_ = 0;

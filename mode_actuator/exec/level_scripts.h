@@ -1,5 +1,6 @@
 // The directory of level scripts: `L.from` is run when level L is left, `L.to` when it is entered,
-// both with the arguments TO FROM, the level gone to and the level come from.
+// both with the arguments TO FROM, the level gone to and the level come from; after a start of the
+// actuator FROM is empty.
 #ifndef RIPS_MODE_ACTUATOR_EXEC_LEVEL_SCRIPTS_H_
 #define RIPS_MODE_ACTUATOR_EXEC_LEVEL_SCRIPTS_H_
 
@@ -17,11 +18,11 @@ inline constexpr absl::Duration kScriptTimeout = absl::Seconds(5);
 // Files of the directory; each level has two at most, and there are 64 levels.
 inline constexpr size_t kScriptFilesMax = 256;
 
-// Adds what is in `directory` to `levels`, as one more step at the end of `leave` or `enter`, and to
-// `programs`, named as the file; a line for each to `*told`, `levels[1].enter[2]: ...`. Files whose
-// names begin with a dot, and those that end with `~`, are passed over. InvalidArgument with all
-// problems, one a line: a file that is no level's, one that could not be run (CheckProgramPath), a
-// name that a program has already.
+// Adds what is in `directory` to `levels`, as one more step at the end of `leave` or `enter`, to
+// `programs`, named as the file, and as a line each, `levels[1].enter[2]: ...`, to `*told`. Files
+// whose names begin with a dot, and those that end with `~`, are passed over. InvalidArgument with
+// all problems, one a line: a file that is no level's, one that could not be run
+// (CheckProgramPath), a name that a program has already.
 absl::Status AddLevelScripts(const std::string& directory, std::vector<LevelSpec>* levels,
                              std::vector<ProgramSpec>* programs, std::string* told);
 

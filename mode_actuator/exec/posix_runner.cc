@@ -284,6 +284,10 @@ absl::Status PosixRunner::Spawn(const ProgramRequest& request, int program_fd, R
 
 absl::StatusOr<uint64_t> PosixRunner::Start(const ProgramRequest& request, Done done) {
   RIPS_ASSIGN_OR_RETURN(const ProgramSpec* spec, Find(request.name));
+  if (request.drill && !spec->drill) {
+    return absl::PermissionDeniedError(
+        absl::StrCat("program ", Quote(spec->name), " may not be run as a drill"));
+  }
   RIPS_RETURN_IF_ERROR(CheckProgramArgs(request.args));
   RIPS_ASSIGN_OR_RETURN(const UniqueFd file, Open(*spec));
   MutexLock start_lock(&start_mu_);

@@ -328,7 +328,8 @@ TEST(RunCgroupsTest, APlaceThatIsNoneIsTold) {
 // --- what they are told, and what is checked
 
 TEST_F(PosixRunnerTest, TheEnvironmentIsTheirsAlone) {
-  MakeRunner({{.name = "env", .path = "/usr/bin/env"}});
+  MakeRunner({{.name = "env", .path = "/usr/bin/env", .drill = true},
+              {.name = "true", .path = "/usr/bin/true"}});
   EXPECT_EQ(Run("env", {}).output_tail,
             "PATH=/usr/sbin:/usr/bin\nLANG=C.UTF-8\nRIPS_ROBOT=r1\nRIPS_HOST=base\n");
   Waiter waiter;
@@ -338,6 +339,10 @@ TEST_F(PosixRunnerTest, TheEnvironmentIsTheirsAlone) {
   ASSERT_THAT(runner_->Start(request, waiter.Callback()), IsOk());
   EXPECT_THAT(waiter.Wait().output_tail,
               HasSubstr("RIPS_LEVEL_FROM=DEFAULT\nRIPS_LEVEL_TO=ALERT\nRIPS_DRILL=1\n"));
+  request.name = "true";
+  EXPECT_THAT(
+      runner_->Start(request, [](ProgramResult) {}),
+      StatusIs(absl::StatusCode::kPermissionDenied, "program `true` may not be run as a drill"));
 }
 
 TEST_F(PosixRunnerTest, DumpsNoCore) { EXPECT_EQ(Script("ulimit -c").output_tail, "0\n"); }

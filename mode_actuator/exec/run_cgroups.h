@@ -48,9 +48,9 @@ class RunCgroup {
 // Any thread.
 class RunCgroups {
  public:
-  // Below `parent`, or below our own cgroup if it is empty, in a directory that `key` names: whoever
-  // gives the same key is our predecessor. What it has left there is killed and removed;
-  // `*left_behind` counts the processes. FailedPrecondition or NotFound, saying why, if cgroups
+  // Below `parent`, or below our own cgroup if that is empty, in a directory that `key` names: who
+  // gave the same key is our predecessor. What it has left there is killed and removed, and its
+  // processes are counted in `*left_behind`. FailedPrecondition or NotFound, saying why, if cgroups
   // cannot be used.
   static absl::StatusOr<std::unique_ptr<RunCgroups>> Open(const std::string& parent,
                                                           absl::string_view key, int* left_behind);

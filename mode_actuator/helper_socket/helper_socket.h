@@ -36,7 +36,7 @@ struct Accepted {
 };
 Accepted AcceptFrom(int listener, uid_t user);
 
-// A connection to `helper`, `rips-fw`, that does not block. Unavailable if it cannot be reached now.
+// A connection to `helper`, `rips-fw`, that does not block. Unavailable: it cannot be reached now.
 absl::StatusOr<UniqueFd> ConnectToHelper(const std::string& path, absl::string_view helper);
 
 // One whole packet. Unavailable: none is there now. OutOfRange: the other side has closed. Aborted:

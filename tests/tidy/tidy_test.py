@@ -10,7 +10,7 @@ TOP = {"proto", "services", "sensor_agent", "policy_server", "mode_actuator", "d
        "tests", "README.md", "LICENSE", "CMakeLists.txt", "CMakePresets.json", ".clang-format",
        ".clang-tidy", ".gitignore", ".ci"}
 PURE = ["services/base", "services/ros2/", "policy_server/lang", "policy_server/levels",
-        "policy_server/engine", "mode_actuator/executor", "sensor_agent/graph_builder",
+        "policy_server/engine", "mode_actuator/executor", "mode_actuator/exec/exec_message", "sensor_agent/graph_builder",
         "sensor_agent/outbox", "sensor_agent/wire/locator", "sensor_agent/wire/rtps_parser",
         "sensor_agent/wire/traffic", "sensor_agent/wire/wire_watch"]
 IMPURE = re.compile(r"#include [<\"](thread|mutex|atomic|fstream|iostream|random|chrono|grpc.*|"
