@@ -339,6 +339,7 @@ ModeReading SystemModes::Impl::Probe(absl::string_view part, absl::string_view m
     return reading;
   }
   Part& asked = parts_.at(target->first.first);
+  const int64_t end_ns = NowNs() + absl::ToInt64Nanoseconds(kProbeTime);
   std::vector<std::string> silent;
   const absl::StatusOr<std::string> reply =
       Ask(*asked.get_available_modes, ros2::EncodeEmptyRequest());
@@ -348,6 +349,10 @@ ModeReading SystemModes::Impl::Probe(absl::string_view part, absl::string_view m
   if (verify_ == Verify::kParts) {
     for (const ExpectedPart& expected : target->second.expected) {
       if (cancel.cancelled()) break;
+      if (NowNs() >= end_ns) {
+        silent.push_back(absl::StrCat(expected.node, " was not asked for want of time"));
+        continue;
+      }
       const absl::StatusOr<std::string> state =
           Ask(*nodes_.at(expected.node).get_state, ros2::EncodeEmptyRequest());
       if (state.ok() && ros2::DecodeGetStateReply(*state).ok()) continue;
@@ -362,9 +367,9 @@ ModeReading SystemModes::Impl::Probe(absl::string_view part, absl::string_view m
     if (shown < silent.size()) absl::StrAppend(&why, " and ", silent.size() - shown, " more");
     reading.status = absl::UnavailableError(why);
   } else if (std::find(available->begin(), available->end(), mode) == available->end()) {
-    reading.status = absl::FailedPreconditionError(
-        absl::StrCat("the mode manager of ", Quote(part), " has no mode ", Quote(mode),
-                     "; it runs with another SMH file"));
+    reading.status = absl::FailedPreconditionError(absl::StrCat("the mode manager of ", Quote(part),
+                                                                " has no mode ", Quote(mode),
+                                                                "; it runs with another SMH file"));
   }
   if (managed) {
     View view;

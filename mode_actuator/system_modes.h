@@ -32,7 +32,8 @@ inline constexpr absl::Duration kOrderTimeout = absl::Seconds(1);        // one 
 inline constexpr absl::Duration kReadTimeout = absl::Milliseconds(500);  // one get_* call
 inline constexpr absl::Duration kReadPeriod = absl::Milliseconds(100);   // between two looks
 inline constexpr absl::Duration kManagerSilence = absl::Milliseconds(500);
-inline constexpr size_t kDetailPartsMax = 8;  // parts named in one message
+inline constexpr absl::Duration kProbeTime = absl::Seconds(3);  // all calls of a Probe
+inline constexpr size_t kDetailPartsMax = 8;                    // parts named in one message
 
 class SystemModes final : public PartModes {
  public:
