@@ -40,7 +40,8 @@ struct RunProgramCommand {
 using AnyCommand = std::variant<SetLevelCommand, RunProgramCommand, DrillCommand>;
 
 // A command by its kind. InvalidArgument, saying what is wrong, for a message that no policy server
-// of ours sends: an id that is not 16 bytes, no kind, a program without a name, a drill of no level.
+// of ours sends: an id that is not 16 bytes, no kind, a program without a name, a drill without a
+// level.
 absl::StatusOr<AnyCommand> DecodeCommand(const v1::Command& command);
 // `ttl` and echo as sent; what they are worth is the executor's to say.
 LeaseGrant DecodeLease(const v1::Lease& lease);

@@ -21,23 +21,6 @@ constexpr absl::Duration kPoll = absl::Milliseconds(20);
 constexpr absl::Duration kEndGrace = absl::Seconds(2);
 constexpr AlarmState kOff = {};
 
-// Where a program's result arrives from the runner's thread.
-class ResultSlot {
- public:
-  void Set(ProgramResult result) ABSL_LOCKS_EXCLUDED(mu_) {
-    MutexLock lock(&mu_);
-    result_ = std::move(result);
-  }
-  std::optional<ProgramResult> Take() ABSL_LOCKS_EXCLUDED(mu_) {
-    MutexLock lock(&mu_);
-    return std::exchange(result_, std::nullopt);
-  }
-
- private:
-  Mutex mu_;
-  std::optional<ProgramResult> result_ ABSL_GUARDED_BY(mu_);
-};
-
 StepResult Result(Drilled drilled, const absl::Status& status, std::string detail) {
   StepResult result;
   result.ok = status.ok();
@@ -60,6 +43,23 @@ void Drive(StepAttempt& attempt, const Clock& clock, const CancelFlag& cancel) {
 }
 
 }  // namespace
+
+// Where a program's result arrives from the runner's thread.
+class Drill::ResultSlot {
+ public:
+  void Set(ProgramResult result) ABSL_LOCKS_EXCLUDED(mu_) {
+    MutexLock lock(&mu_);
+    result_ = std::move(result);
+  }
+  std::optional<ProgramResult> Take() ABSL_LOCKS_EXCLUDED(mu_) {
+    MutexLock lock(&mu_);
+    return std::exchange(result_, std::nullopt);
+  }
+
+ private:
+  Mutex mu_;
+  std::optional<ProgramResult> result_ ABSL_GUARDED_BY(mu_);
+};
 
 const LevelSpec* Drill::Find(absl::string_view name) const {
   const auto level = std::find_if(robot_.levels->begin(), robot_.levels->end(),
@@ -89,6 +89,7 @@ DrillOutcome Drill::Run(const DrillJob& job, const CancelFlag& cancel,
     return outcome;
   }
   alarmed_ = HoldsAlarm(job.held);
+  between_ = between;
   const int64_t end_ns = NowNs() + absl::ToInt64Nanoseconds(kDrillTime);
   for (const std::vector<Step>* steps : {&level->enter, &level->leave}) {
     for (const Step& step : *steps) {
@@ -145,28 +146,38 @@ StepResult Drill::RunProgram(const Step& step, absl::Duration left, const Cancel
       robot_.programs->Start(request, [slot](ProgramResult ended) { slot->Set(std::move(ended)); });
   if (!run.ok()) return Result(Drilled::kNot, run.status(), "");
   const int64_t end_ns = NowNs() + absl::ToInt64Nanoseconds(request.timeout + kEndGrace);
-  std::optional<ProgramResult> ended;
+  const std::optional<ProgramResult> ended = AwaitProgram(*run, slot, end_ns, cancel);
+  if (!ended.has_value()) {
+    return Result(Drilled::kDone, absl::DeadlineExceededError("the program runner gave no result"),
+                  "");
+  }
+  StepResult result = Result(ended->begun ? Drilled::kDone : Drilled::kNot, ended->status,
+                             "run as a drill; it exited with 0");
+  const std::string& output = ended->output_tail;
+  result.output_tail = output.substr(output.size() - std::min(output.size(), kStepOutputBytesMax));
+  return result;
+}
+
+std::optional<ProgramResult> Drill::AwaitProgram(uint64_t run,
+                                                 const std::shared_ptr<ResultSlot>& slot,
+                                                 int64_t end_ns, const CancelFlag& cancel) {
+  const CancelFlag own;
   bool told = false;
-  while (!(ended = slot->Take()).has_value()) {
-    if (NowNs() >= end_ns) {
-      return Result(Drilled::kDone,
-                    absl::DeadlineExceededError("the program runner gave no result"), "");
-    }
-    if (cancel.cancelled() && !std::exchange(told, true)) robot_.programs->Cancel(*run);
+  while (NowNs() < end_ns) {
+    if (std::optional<ProgramResult> ended = slot->Take()) return ended;
+    if (cancel.cancelled() && !std::exchange(told, true)) robot_.programs->Cancel(run);
+    // What looks at the level, and renews its rules, does not wait for a slow program.
+    if (between_ && !told) between_();
     // A cancelled flag does not sleep, so what is told to end is waited for on a flag of our own.
-    const CancelFlag own;
     (told ? own : cancel).WaitFor(kPoll);
   }
-  StepResult result = Result(Drilled::kDone, ended->status, "run as a drill; it exited with 0");
-  const size_t from =
-      ended->output_tail.size() - std::min(ended->output_tail.size(), kStepOutputBytesMax);
-  result.output_tail = ended->output_tail.substr(from);
-  return result;
+  robot_.programs->Cancel(run);
+  return slot->Take();
 }
 
 StepResult Drill::TryAlarm(const Step& step, absl::Duration left, const CancelFlag& cancel) {
   const auto& alarm = std::get<AlarmStep>(step.what);
-  const absl::Duration timeout = std::min(step.timeout, left);
+  const absl::Duration timeout = std::min({step.timeout, left, kDrillAlarmTime});
   AlarmAttempt look({alarm.device, kOff}, StepName(step), robot_.alarms,
                     {.order = AlarmOrder::kLook, .timeout = timeout}, NowNs());
   Drive(look, *robot_.clock, cancel);
@@ -227,8 +238,11 @@ absl::Status Drill::SwitchOff(const std::string& device, absl::Duration timeout,
       cancel.WaitFor(kPoll);
     }
     status = ended->status;
-    if (status.ok() || cancel.cancelled()) break;
+    if (status.ok() || cancel.WaitFor(kAlarmRetryPause)) return status;
   }
+  // Once more, when it answers again.
+  const absl::StatusOr<uint64_t> last = robot_.alarms->Begin(device, AlarmOrder::kSet, kOff);
+  if (last.ok()) robot_.alarms->Leave(*last);
   return status;
 }
 

@@ -18,7 +18,10 @@
 #ifndef RIPS_MODE_ACTUATOR_DRILL_H_
 #define RIPS_MODE_ACTUATOR_DRILL_H_
 
+#include <cstdint>
 #include <functional>
+#include <memory>
+#include <optional>
 #include <string>
 #include <vector>
 
@@ -38,6 +41,8 @@ namespace rips::actuator {
 
 // Of a whole drill; steps that have not begun by then are not tried.
 inline constexpr absl::Duration kDrillTime = absl::Seconds(15);
+// Of one order to an alarm, at most.
+inline constexpr absl::Duration kDrillAlarmTime = absl::Seconds(3);
 // How long an alarm is on.
 inline constexpr absl::Duration kFlashTime = absl::Milliseconds(300);
 
@@ -60,16 +65,21 @@ class Drill {
   explicit Drill(const Robot& robot) : robot_(robot) {}
 
   // Returns when done, after kDrillTime and what its last step takes, or soon after `cancel`.
-  // `between` is called before each step; may be empty.
+  // `between` is called before each step and while a program runs; may be empty.
   DrillOutcome Run(const DrillJob& job, const CancelFlag& cancel,
                    const std::function<void()>& between);
 
  private:
+  class ResultSlot;
+
   const LevelSpec* Find(absl::string_view name) const;
   bool HoldsAlarm(absl::string_view level) const;
   StepResult Try(const Step& step, absl::Duration left, const CancelFlag& cancel);
   StepResult TryProgram(const Step& step, absl::Duration left, const CancelFlag& cancel);
   StepResult RunProgram(const Step& step, absl::Duration left, const CancelFlag& cancel);
+  // Until the program is over; nothing if the runner does not say so by `end_ns`.
+  std::optional<ProgramResult> AwaitProgram(uint64_t run, const std::shared_ptr<ResultSlot>& slot,
+                                            int64_t end_ns, const CancelFlag& cancel);
   StepResult TryAlarm(const Step& step, absl::Duration left, const CancelFlag& cancel);
   StepResult Flash(const AlarmStep& alarm, absl::Duration timeout, const CancelFlag& cancel);
   // Tells the alarm to be off; waits for it unless it is cancelled.
@@ -78,8 +88,9 @@ class Drill {
   int64_t NowNs() const { return robot_.clock->Now().boottime_ns; }
 
   const Robot robot_;
-  // An alarm of the level held is on: none is flashed.
+  // Of the present run: an alarm of the level held is on, so none is flashed.
   bool alarmed_ = false;
+  std::function<void()> between_;
 };
 
 }  // namespace rips::actuator

@@ -391,6 +391,7 @@ ModeReading SystemModes::Impl::Probe(absl::string_view part_name, absl::string_v
     return reading;
   }
   Part& part = parts_.at(target->first.first);
+  const int64_t end_ns = NowNs() + absl::ToInt64Nanoseconds(kProbeTime);
   std::vector<std::string> wrong;
   if (part.manager != nullptr) {
     const absl::Status manager = CheckManager(target->first.first, part, {target->first.second});
@@ -401,6 +402,10 @@ ModeReading SystemModes::Impl::Probe(absl::string_view part_name, absl::string_v
   for (const ExpectedPart& expected : target->second) {
     const auto node = nodes_.find(expected.node);
     if (node == nodes_.end() || cancel.cancelled()) continue;
+    if (NowNs() >= end_ns) {
+      wrong.push_back(absl::StrCat(expected.node, " was not asked for want of time"));
+      continue;
+    }
     const absl::Status status = CheckNode(node->first, *node->second);
     if (!status.ok()) wrong.emplace_back(status.message());
   }

@@ -71,8 +71,8 @@ std::string Harmless(absl::string_view text, size_t bytes_max);
 // A receipt of harmless texts and `bytes_max` at most; outputs stay bytes.
 Receipt Trimmed(const Receipt& receipt, size_t bytes_max = kReceiptBytesKept);
 
-// `program horn: exit code 1; ...` of the steps that failed, or else the receipt's detail; harmless,
-// cut to kDetailBytesKept.
+// `program horn: exit code 1; ...` of the steps that failed, or else the receipt's detail;
+// harmless, cut to kDetailBytesKept.
 std::string FailureText(const Receipt& receipt);
 
 }  // namespace rips::pipeline

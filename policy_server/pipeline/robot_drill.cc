@@ -35,8 +35,8 @@ void Robot::StartDrill(const DrillOrder& order, DrillReply reply) {
   const Instant now = ports_.clock->Now();
   const std::vector<std::string> wanted =
       order.level.empty() ? levels().names() : std::vector<std::string>{order.level};
-  OwnAlert(engine::Severity::kInfo, absl::StrCat("drill by ", order.operator_name, ": ",
-                                                 absl::StrJoin(wanted, ", "), " begins"));
+  OwnAlert(engine::Severity::kInfo, absl::StrCat("drill by ", order.operator_name,
+                                                 " begins: ", absl::StrJoin(wanted, ", ")));
   drill_.emplace(RunningDrill{.order = order,
                               .run = DrillRun(wanted, hosts, ports_.new_id, now),
                               .reply = std::move(reply)});

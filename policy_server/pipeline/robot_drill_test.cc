@@ -67,7 +67,7 @@ TEST_F(RobotDrillTest, IsAnsweredWhenTheActuatorHas) {
   EXPECT_EQ(after, before);
   EXPECT_EQ(recorder_.decisions.size(), decisions);
   EXPECT_EQ(audience_.Count("was not reached"), 0);
-  EXPECT_EQ(audience_.Count("drill by alice: ALERT begins"), 1);
+  EXPECT_EQ(audience_.Count("drill by alice begins: ALERT"), 1);
   EXPECT_EQ(audience_.Count("drill by alice is over: 1 of 2 steps work; these do not: base: "
                             "program horn (ALERT): not there"),
             1);

@@ -7,8 +7,8 @@
 #include <vector>
 
 #include "absl/strings/escaping.h"
-#include "absl/strings/match.h"
 #include "absl/strings/str_cat.h"
+#include "absl/strings/str_format.h"
 #include "absl/strings/str_join.h"
 #include "absl/strings/str_split.h"
 #include "absl/strings/strip.h"
@@ -155,6 +155,12 @@ class ListReceipts final : public RobotVerb {
     PrintOutput(receipt.output_tail(), "  ", out);
     PrintSteps(receipt.steps(), out);
   }
+  // Seven characters; of a drill what was done.
+  static std::string ResultText(const v1::StepResult& step) {
+    if (!step.ok()) return "FAILED ";
+    const bool drill = step.drilled() != v1::StepResult::DRILLED_UNSPECIFIED;
+    return absl::StrFormat("%-7s", drill ? DrilledName(step.drilled()) : "ok");
+  }
   static void PrintSteps(const Steps& steps, std::ostream& out) {
     size_t width = 0;
     for (const v1::StepResult& step : steps) {
@@ -162,13 +168,13 @@ class ListReceipts final : public RobotVerb {
     }
     for (const v1::StepResult* step : FailedFirst(steps)) {
       const std::string name = EscapeText(step->step());
-      out << (step->ok() ? "  ok      " : "  FAILED  ") << name;
+      out << "  " << ResultText(*step) << "  " << name;
       const std::string took = absl::StrCat(step->took_ms(), " ms");
       out << std::string(width - name.size() + 2 + (took.size() < 8 ? 8 - took.size() : 0), ' ')
           << took;
       if (!step->detail().empty()) out << "  " << EscapeText(step->detail());
       out << "\n";
-      PrintOutput(step->output_tail(), "          ", out);
+      PrintOutput(step->output_tail(), "           ", out);
     }
   }
 

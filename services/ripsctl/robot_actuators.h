@@ -1,5 +1,5 @@
-// `ripsctl robot receipts` and `ripsctl robot drill`: what a robot's actuators answered, and whether
-// they could carry out its levels.
+// `ripsctl robot receipts` and `ripsctl robot drill`: what a robot's actuators answered, and
+// whether they could carry out its levels.
 #ifndef RIPS_SERVICES_RIPSCTL_ROBOT_ACTUATORS_H_
 #define RIPS_SERVICES_RIPSCTL_ROBOT_ACTUATORS_H_
 

@@ -246,11 +246,11 @@ TEST_F(RobotActuatorsTest, ShowsReceiptsFailedStepsFirst) {
   EXPECT_THAT(result.out,
               HasSubstr("2026-01-01T00:00:00.000Z  base  level ALERT  failed  mark 3.17  held at "
                         "ALERT\n"
-                        "  FAILED  program horn                  12 ms  exit code 1\n"
-                        "          | (2 more above)\n"
-                        "          | line 3\\x1b\n"));
-  EXPECT_THAT(result.out, HasSubstr("          | line 12\\x1b\n"
-                                    "  ok      system_mode /safety=ALERT     12 ms\n"
+                        "  FAILED   program horn                  12 ms  exit code 1\n"
+                        "           | (2 more above)\n"
+                        "           | line 3\\x1b\n"));
+  EXPECT_THAT(result.out, HasSubstr("           | line 12\\x1b\n"
+                                    "  ok       system_mode /safety=ALERT     12 ms\n"
                                     "\n"
                                     "2026-01-01T00:00:00.000Z  base  exec usb_alarm  failed  exit "
                                     "code 3\n"
