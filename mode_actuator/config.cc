@@ -137,13 +137,14 @@ std::vector<Step> ReadSteps(const ConfigSection& level, absl::string_view key,
   return steps;
 }
 
-void CheckBudget(const ConfigSection& level, const std::vector<Step>& enter) {
+void CheckBudget(const ConfigSection& level, absl::string_view key,
+                 const std::vector<Step>& steps) {
   absl::Duration sum;
-  for (const Step& step : enter) sum += step.timeout * (1 + step.retries);
+  for (const Step& step : steps) sum += step.timeout * (1 + step.retries);
   if (sum > kLevelBudget) {
-    level.Problem("enter", absl::StrCat("the steps may take ", absl::FormatDuration(sum),
-                                        " (timeout x (1 + retries), summed), limit ",
-                                        absl::FormatDuration(kLevelBudget)));
+    level.Problem(key, absl::StrCat("the steps may take ", absl::FormatDuration(sum),
+                                    " (timeout x (1 + retries), summed), limit ",
+                                    absl::FormatDuration(kLevelBudget)));
   }
 }
 
@@ -188,12 +189,10 @@ void ReadLevels(const ConfigSection& root, Config* config) {
     }
     level.enter = ReadSteps(section, "enter", *config);
     level.leave = ReadSteps(section, "leave", *config);
-    if (!section.Sections("on_drift").empty()) {
-      section.Problem("on_drift", absl::StrCat("`on_drift` steps are ", kNotYet));
-      ReadSteps(section, "on_drift", *config);
-    }
+    level.on_drift = ReadSteps(section, "on_drift", *config);
+    CheckBudget(section, "on_drift", level.on_drift);
     RefuseKey(section, "scripts");
-    CheckBudget(section, level.enter);
+    CheckBudget(section, "enter", level.enter);
     config->levels.push_back(std::move(level));
   }
 }
@@ -211,12 +210,31 @@ void ReadFailSafe(const ConfigSection& root, Config* config) {
   }
 }
 
+void ReadModesOptions(const ConfigSection& section, ModesOptions* options) {
+  section.OptionalEnum<Verify>("verify", &options->verify,
+                               {{"parts", Verify::kParts}, {"manager", Verify::kManager}});
+  section.OptionalEnum<Backend>("backend", &options->backend,
+                                {{"manager", Backend::kManager}, {"direct", Backend::kDirect}});
+  const bool parts = options->verify == Verify::kParts;
+  options->fallback = parts ? Fallback::kDirect : Fallback::kNone;
+  section.OptionalEnum<Fallback>("fallback", &options->fallback,
+                                 {{"direct", Fallback::kDirect}, {"none", Fallback::kNone}});
+  if (parts) return;
+  if (options->backend == Backend::kDirect) {
+    section.Problem("backend",
+                    "orders to the nodes are read back from them; write `verify: parts`");
+  }
+  if (options->fallback == Fallback::kDirect) {
+    section.Problem("fallback",
+                    "orders to the nodes are read back from them; write `verify: parts`");
+  }
+}
+
 void ReadSystemModes(const ConfigSection& root, Config* config) {
   const ConfigSection section = root.OptionalSection("system_modes");
   if (section.present()) {
     ReadPath(section, "smh", &config->smh_file);
-    section.OptionalEnum<bool>("verify", &config->verify_parts,
-                               {{"parts", true}, {"manager", false}});
+    ReadModesOptions(section, &config->modes);
   } else if (!ModeTargets(config->levels).empty()) {
     root.Problem("levels", "has `system_mode` steps but there is no `system_modes` section");
   }
@@ -258,7 +276,7 @@ absl::StatusOr<ParsedConfig> ParseConfig(absl::string_view file, absl::string_vi
 std::vector<std::pair<std::string, std::string>> ModeTargets(const std::vector<LevelSpec>& levels) {
   std::set<std::pair<std::string, std::string>> targets;
   for (const LevelSpec& level : levels) {
-    for (const std::vector<Step>* steps : {&level.enter, &level.leave}) {
+    for (const std::vector<Step>* steps : {&level.enter, &level.leave, &level.on_drift}) {
       for (const Step& step : *steps) {
         const auto* mode = std::get_if<SystemModeStep>(&step.what);
         if (mode != nullptr) targets.emplace(mode->part, mode->mode);
