@@ -305,6 +305,9 @@ levels:
   HALT;
 rules External:
   left: agent("actuator", "drift") ? alert("left", "low");
+  a: false ? trigger(ALERT);
+  c: false ? trigger(COMPROMISED);
+  h: false ? trigger(HALT);
 )";
 
 TEST_F(RobotTest, EachNewDriftIsAnEventAlsoWhenItIsOverBeforeTheHeartbeat) {
