@@ -2,6 +2,7 @@
 
 #include <sys/stat.h>
 
+#include <algorithm>
 #include <cerrno>
 #include <cstring>
 #include <optional>
@@ -13,6 +14,7 @@
 #include "absl/strings/str_cat.h"
 #include "mode_actuator/alarm/alarm_board.h"
 #include "mode_actuator/alarm/drivers.h"
+#include "mode_actuator/degraded_book.h"
 #include "mode_actuator/downlink.h"
 #include "mode_actuator/drill.h"
 #include "mode_actuator/drill_desk.h"
@@ -58,6 +60,9 @@ using Input = std::variant<SetLevelCommand, RunProgramCommand, DrillCommand, Lea
 ExecutorOptions MakeExecutorOptions(const Config& config) {
   ExecutorOptions options;
   for (const LevelSpec& level : config.levels) options.levels.push_back(level.name);
+  for (const LevelSpec& level : config.levels) {
+    if (!level.on_drift.empty()) options.on_drift.insert(level.name);
+  }
   if (config.fail_safe_level != "keep") options.fail_safe = config.fail_safe_level;
   options.fail_safe_after_ns = absl::ToInt64Nanoseconds(config.fail_safe_after);
   options.floor_hold_ns = absl::ToInt64Nanoseconds(config.floor_hold);
@@ -103,6 +108,14 @@ absl::Status MakeDirectory(const std::string& path) {
   }
   return absl::UnavailableError(
       absl::StrCat("cannot make the state directory `", path, "`: ", std::strerror(errno)));
+}
+
+void LogDegraded(const std::vector<std::string>& before, const std::vector<std::string>& now) {
+  for (const std::string& text : now) {
+    if (std::find(before.begin(), before.end(), text) != before.end()) continue;
+    LogWarning("degraded", {{"why", text}});
+  }
+  if (now.empty() && !before.empty()) LogInfo("no longer degraded");
 }
 
 struct Counters {
@@ -195,6 +208,7 @@ class Agent::Impl {
   ExecLedger ledger_;
   DrillDesk desk_;
   ReceiptBook receipts_;
+  DegradedBook degraded_;
   size_t execs_ = 0;
   int64_t next_heartbeat_ns_ = 0;
 
@@ -253,9 +267,7 @@ absl::Status Agent::Impl::StartModes(const Smh& smh) {
                                                                 .interface = config_.dds.interface},
                                              {.security = std::move(enclave)}));
   RIPS_ASSIGN_OR_RETURN(
-      modes_, SystemModes::Create(participant_.get(), smh,
-                                  config_.verify_parts ? Verify::kParts : Verify::kManager, targets,
-                                  clock_));
+      modes_, SystemModes::Create(participant_.get(), smh, config_.modes, targets, clock_));
   for (const std::string& warning : smh.warnings) LogWarning("smh", {{"warning", warning}});
   for (const std::string& warning : MonotonyWarnings(config_, smh)) {
     LogWarning("levels", {{"warning", warning}});
@@ -280,11 +292,14 @@ void Agent::Impl::StartWorkers() {
                                                 .clock = clock_});
   files_ = std::make_unique<FileWorker>(kFileTasksMax);
   LevelWorker::Callbacks callbacks;
-  callbacks.done = [this](LevelOutcome outcome) { inputs_.Push(std::move(outcome)); };
+  callbacks.done = [this](LevelOutcome outcome) {
+    if (modes_ != nullptr) degraded_.Set("modes", modes_->Degraded());
+    inputs_.Push(std::move(outcome));
+  };
   if (modes_ != nullptr) {
     callbacks.idle_check = [this] { return modes_->CheckAvailable(); };
-    callbacks.idle_checked = [](const absl::Status& status) {
-      if (!status.ok()) LogWarning("degraded", {{"why", status.message()}});
+    callbacks.idle_checked = [this](const absl::Status&) {
+      degraded_.Set("modes", modes_->Degraded());
     };
   }
   levels_ = std::make_unique<LevelWorker>(procedures_.get(), std::move(callbacks));
@@ -389,7 +404,7 @@ void Agent::Impl::Handle(Input input, int64_t now_ns) {
   } else if (std::holds_alternative<Connected>(input)) {
     receipts_.NewSession();
   } else if (auto* outcome = std::get_if<LevelOutcome>(&input)) {
-    if (!outcome->reached) LogWarning("level not reached", {{"detail", outcome->detail}});
+    if (!outcome->reached) LogWarning("not reached", {{"detail", outcome->detail}});
     Do(executor_->OnOutcome(*outcome, now_ns), now_ns);
   } else if (auto* persisted = std::get_if<Persisted>(&input)) {
     if (!persisted->status.ok()) {
@@ -407,7 +422,9 @@ void Agent::Impl::Handle(Input input, int64_t now_ns) {
 void Agent::Impl::Do(Actions actions, int64_t now_ns) {
   for (Action& action : actions) {
     if (auto* apply = std::get_if<ApplyLevel>(&action)) {
-      if (apply->kind != JobKind::kCheck) {
+      if (apply->kind == JobKind::kOnDrift) {
+        LogWarning("left too often: running on_drift steps", {{"level", apply->to}});
+      } else if (apply->kind != JobKind::kCheck) {
         LogInfo("applying level", {{"from", apply->from}, {"to", apply->to}});
       }
       levels_->Submit(std::move(*apply));
@@ -441,13 +458,18 @@ void Agent::Impl::Tell(Receipt receipt) {
 
 void Agent::Impl::Publish(int64_t now_ns) {
   if (alarms_ != nullptr) counters_.alarms_missing.Set(static_cast<double>(alarms_->missing()));
-  const ExecutorReport report = executor_->Report(now_ns);
+  ExecutorReport report = executor_->Report(now_ns);
+  for (std::string& text : degraded_.All()) report.degraded.push_back(std::move(text));
+  report.degraded = LimitDegraded(std::move(report.degraded));
   bool changed = false;
+  std::vector<std::string> degraded_before;
   {
     MutexLock lock(&report_mu_);
     changed = report_ != report;
+    degraded_before = std::move(report_.degraded);
     report_ = report;
   }
+  LogDegraded(degraded_before, report.degraded);
   if (changed) {
     const std::vector<std::string>& levels = MakeExecutorOptions(config_).levels;
     for (size_t i = 0; i < levels.size(); ++i) {

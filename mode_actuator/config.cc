@@ -18,7 +18,6 @@
 namespace rips::actuator {
 namespace {
 
-constexpr absl::string_view kNotYet = "not available in this version";
 constexpr absl::Duration kModeTimeout = absl::Seconds(3);
 constexpr int kModeRetries = 2;
 
@@ -131,17 +130,18 @@ std::vector<Step> ReadSteps(const ConfigSection& level, absl::string_view key,
 }
 
 // What is wrong with how long the steps may take; mostly nothing.
-std::string OverBudget(const std::vector<Step>& enter) {
+std::string OverBudget(const std::vector<Step>& steps) {
   absl::Duration sum;
-  for (const Step& step : enter) sum += step.timeout * (1 + step.retries);
+  for (const Step& step : steps) sum += step.timeout * (1 + step.retries);
   if (sum <= kLevelBudget) return "";
   return absl::StrCat("the steps may take ", absl::FormatDuration(sum),
                       " (timeout x (1 + retries), summed), limit ",
                       absl::FormatDuration(kLevelBudget));
 }
 
-void CheckBudget(const ConfigSection& level, const std::vector<Step>& enter) {
-  if (const std::string over = OverBudget(enter); !over.empty()) level.Problem("enter", over);
+void CheckBudget(const ConfigSection& level, absl::string_view key,
+                 const std::vector<Step>& steps) {
+  if (const std::string over = OverBudget(steps); !over.empty()) level.Problem(key, over);
 }
 
 void ReadPrograms(const ConfigSection& root, Config* config) {
@@ -186,11 +186,9 @@ void ReadLevels(const ConfigSection& root, Config* config) {
     }
     level.enter = ReadSteps(section, "enter", *config);
     level.leave = ReadSteps(section, "leave", *config);
-    if (!section.Sections("on_drift").empty()) {
-      section.Problem("on_drift", absl::StrCat("`on_drift` steps are ", kNotYet));
-      ReadSteps(section, "on_drift", *config);
-    }
-    CheckBudget(section, level.enter);
+    level.on_drift = ReadSteps(section, "on_drift", *config);
+    CheckBudget(section, "on_drift", level.on_drift);
+    CheckBudget(section, "enter", level.enter);
     config->levels.push_back(std::move(level));
   }
 }
@@ -208,12 +206,31 @@ void ReadFailSafe(const ConfigSection& root, Config* config) {
   }
 }
 
+void ReadModesOptions(const ConfigSection& section, ModesOptions* options) {
+  section.OptionalEnum<Verify>("verify", &options->verify,
+                               {{"parts", Verify::kParts}, {"manager", Verify::kManager}});
+  section.OptionalEnum<Backend>("backend", &options->backend,
+                                {{"manager", Backend::kManager}, {"direct", Backend::kDirect}});
+  const bool parts = options->verify == Verify::kParts;
+  options->fallback = parts ? Fallback::kDirect : Fallback::kNone;
+  section.OptionalEnum<Fallback>("fallback", &options->fallback,
+                                 {{"direct", Fallback::kDirect}, {"none", Fallback::kNone}});
+  if (parts) return;
+  if (options->backend == Backend::kDirect) {
+    section.Problem("backend",
+                    "orders to the nodes are read back from them; write `verify: parts`");
+  }
+  if (options->fallback == Fallback::kDirect) {
+    section.Problem("fallback",
+                    "orders to the nodes are read back from them; write `verify: parts`");
+  }
+}
+
 void ReadSystemModes(const ConfigSection& root, Config* config) {
   const ConfigSection section = root.OptionalSection("system_modes");
   if (section.present()) {
     ReadPath(section, "smh", &config->smh_file);
-    section.OptionalEnum<bool>("verify", &config->verify_parts,
-                               {{"parts", true}, {"manager", false}});
+    ReadModesOptions(section, &config->modes);
   } else if (!ModeTargets(config->levels).empty()) {
     root.Problem("levels", "has `system_mode` steps but there is no `system_modes` section");
   }
@@ -271,7 +288,7 @@ absl::Status AddScripts(ParsedConfig* parsed) {
 std::vector<std::pair<std::string, std::string>> ModeTargets(const std::vector<LevelSpec>& levels) {
   std::set<std::pair<std::string, std::string>> targets;
   for (const LevelSpec& level : levels) {
-    for (const std::vector<Step>* steps : {&level.enter, &level.leave}) {
+    for (const std::vector<Step>* steps : {&level.enter, &level.leave, &level.on_drift}) {
       for (const Step& step : *steps) {
         const auto* mode = std::get_if<SystemModeStep>(&step.what);
         if (mode != nullptr) targets.emplace(mode->part, mode->mode);

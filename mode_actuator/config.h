@@ -13,6 +13,7 @@
 #include "mode_actuator/exec/exec_config.h"
 #include "mode_actuator/firewall/firewall_config.h"
 #include "mode_actuator/level_plan.h"
+#include "mode_actuator/modes/modes_options.h"
 #include "mode_actuator/modes/smh.h"
 #include "services/runtime/config_sections.h"
 
@@ -37,7 +38,8 @@ struct Config {
   std::string fail_safe_level;
   absl::Duration fail_safe_after;  // counts from the end of the lease
   std::string smh_file;            // empty: no level has a system mode
-  bool verify_parts = true;        // read back each node, not only the mode manager
+  // `fallback` is kNone if only the mode manager is read back, unless the file says otherwise.
+  ModesOptions modes;
   std::vector<AlarmSpec> devices;  // alarms
   std::vector<LevelSpec> levels;   // least restrictive first, as in the bundle
   std::vector<ProgramSpec> programs;

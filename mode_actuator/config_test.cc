@@ -11,6 +11,7 @@ namespace rips::actuator {
 namespace {
 
 using ::testing::AllOf;
+using ::testing::Contains;
 using ::testing::ElementsAre;
 using ::testing::HasSubstr;
 using ::testing::Not;
@@ -51,7 +52,9 @@ TEST(ConfigTest, ReadsWhatItSays) {
   EXPECT_EQ(config.robot, "r1");
   EXPECT_EQ(config.fail_safe_level, "ALERT");
   EXPECT_EQ(config.fail_safe_after, absl::ZeroDuration());
-  EXPECT_TRUE(config.verify_parts);
+  EXPECT_EQ(config.modes.verify, Verify::kParts);
+  EXPECT_EQ(config.modes.backend, Backend::kManager);
+  EXPECT_EQ(config.modes.fallback, Fallback::kDirect);
   ASSERT_EQ(config.levels.size(), 2u);
   const Step& mode = config.levels[1].enter[0];
   EXPECT_EQ(std::get<SystemModeStep>(mode.what), (SystemModeStep{"/safety", "ALERT"}));
@@ -100,8 +103,13 @@ TEST(ConfigTest, SaysWhereEachMistakeIs) {
       {"{program: {name: usb_alarm, args: [\"on\"]}",
        "{alarm: {device: x, state: \"on\"}, firewall: {release: all}",
        "a step needs exactly one of `system_mode`, `program`, `alarm` and `firewall`"},
-      {"on_drift: []", "on_drift: [{program: {name: usb_alarm}}]",
-       "`on_drift` steps are not available in this version"},
+      {"on_drift: []", "on_drift: [{program: {name: bell}}]",
+       "program `bell` is not in `programs`"},
+      {"on_drift: []", "on_drift: [{program: {name: usb_alarm}, retries: 2}]",
+       "may take 30s (timeout x (1 + retries), summed), limit 20s"},
+      {"verify: parts", "verify: manager, backend: direct", "write `verify: parts`"},
+      {"verify: parts", "verify: manager, fallback: direct", "write `verify: parts`"},
+      {"verify: parts", "backend: both", "`both`"},
       {"    on_drift: []", "    scripts: /x", ":16:5: unknown key `scripts`"},
       {"metrics:", "scripts: x\nmetrics:", "write an absolute path"},
       {"metrics:", "exec: {socket: exec.sock}\nmetrics:", "write an absolute path"},
@@ -126,11 +134,24 @@ TEST(ConfigTest, SaysWhereEachMistakeIs) {
   }
 }
 
-TEST(ConfigTest, ReportsALaterVersionsKeyOnce) {
-  for (const char* text : {"on_drift: [{program: {name: usb_alarm}}]"}) {
-    const auto parsed = ParseConfig("a.yaml", Edited("on_drift: []", text));
-    EXPECT_THAT(parsed.status().message(), Not(HasSubstr("unknown key"))) << text;
-  }
+TEST(ConfigTest, ReadsOnDriftSteps) {
+  const auto parsed =
+      ParseConfig("a.yaml", Edited("on_drift: []",
+                                   "on_drift: [{system_mode: {part: /arm, mode: STOP}}, "
+                                   "{program: {name: usb_alarm}}]"));
+  ASSERT_THAT(parsed, IsOk());
+  EXPECT_EQ(parsed->config.levels[1].on_drift.size(), 2u);
+  EXPECT_THAT(ModeTargets(parsed->config.levels), Contains(Pair("/arm", "STOP")));
+}
+
+TEST(ConfigTest, ReadsWhoBringsThePartsThere) {
+  const auto with = [](absl::string_view text) {
+    return ParseConfig("a.yaml", Edited("verify: parts", text))->config.modes;
+  };
+  EXPECT_EQ(with("fallback: none").fallback, Fallback::kNone);
+  EXPECT_EQ(with("backend: direct").backend, Backend::kDirect);
+  // What is not read back from the nodes is not ordered from them.
+  EXPECT_EQ(with("verify: manager").fallback, Fallback::kNone);
 }
 
 TEST(ConfigTest, ReadsWhatGuardsPrograms) {

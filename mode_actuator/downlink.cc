@@ -124,6 +124,8 @@ class Downlink::Impl {
     heartbeat->set_observed(report.observed);
     heartbeat->set_verified(report.verified);
     heartbeat->set_floor_reason(report.floor_reason);
+    for (const std::string& text : report.degraded) heartbeat->add_degraded(text);
+    heartbeat->set_drifts(report.drifts);
     return message;
   }
 

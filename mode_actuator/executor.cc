@@ -321,19 +321,27 @@ void Executor::Reconcile(int64_t now_ns, Actions& actions) {
   } else if (position_ != goal) {
     StartJob(JobKind::kEnter, goal, actions);
   } else if (!job_.has_value()) {
-    if (verified_ && effective_ == goal) {
-      if (now_ns >= next_check_ns_) StartJob(JobKind::kCheck, goal, actions);
-    } else if (now_ns >= retry_at_ns_) {
-      StartJob(JobKind::kRetry, goal, actions);
-    }
+    if (const std::optional<JobKind> next = NextJob(goal, now_ns)) StartJob(*next, goal, actions);
   }
   if (raised) Persist(actions);
+}
+
+std::optional<JobKind> Executor::NextJob(int goal, int64_t now_ns) {
+  const bool there = verified_ && effective_ == goal;
+  if (!there && now_ns >= retry_at_ns_) return JobKind::kRetry;
+  // After the level was ordered again: that waits for nothing.
+  if (drift_watch_.Take(now_ns) && options_.on_drift.contains(options_.levels[goal])) {
+    return JobKind::kOnDrift;
+  }
+  if (there && now_ns >= next_check_ns_) return JobKind::kCheck;
+  return std::nullopt;
 }
 
 void Executor::StartJob(JobKind kind, int to, Actions& actions) {
   if (kind == JobKind::kEnter) {
     verified_ = false;
     retry_delay_ns_ = 0;
+    drift_watch_.Reset();
     entered_from_ = position_;
     position_ = to;
   }
@@ -350,11 +358,15 @@ Actions Executor::OnOutcome(const LevelOutcome& outcome, int64_t now_ns) {
   if (!job_.has_value() || job_->attempt != outcome.attempt) return actions;
   const Job job = *job_;
   job_.reset();
-  if (!outcome.observed.empty()) observed_ = outcome.observed;
-  if (outcome.reached) {
-    OnReached(outcome, job.level, now_ns, actions);
+  if (job.kind == JobKind::kOnDrift) {
+    drift_watch_.Ran(outcome.reached ? absl::string_view() : outcome.detail);
   } else {
-    OnMissed(outcome, job, now_ns, actions);
+    if (!outcome.observed.empty()) observed_ = outcome.observed;
+    if (outcome.reached) {
+      OnReached(outcome, job.level, now_ns, actions);
+    } else {
+      OnMissed(outcome, job, now_ns, actions);
+    }
   }
   Reconcile(now_ns, actions);
   return actions;
@@ -376,6 +388,7 @@ void Executor::OnMissed(const LevelOutcome& outcome, const Job& job, int64_t now
   verified_ = false;
   if (job.kind == JobKind::kCheck) {
     ++drifts_;
+    drift_watch_.Left(now_ns);
     retry_at_ns_ = now_ns;
     return;
   }
@@ -410,6 +423,8 @@ ExecutorReport Executor::Report(int64_t now_ns) const {
   report.floor_reason = floor_reason_;
   report.lease_live = LeaseLive(now_ns);
   report.drifts = drifts_;
+  std::string left = drift_watch_.Degraded(report.effective, now_ns);
+  if (!left.empty()) report.degraded.push_back(std::move(left));
   return report;
 }
 

@@ -30,6 +30,7 @@
 #include <cstdint>
 #include <deque>
 #include <optional>
+#include <set>
 #include <string>
 #include <utility>
 #include <variant>
@@ -39,6 +40,7 @@
 #include "absl/status/statusor.h"
 #include "absl/strings/string_view.h"
 #include "mode_actuator/actuator_state.h"
+#include "mode_actuator/drift_watch.h"
 #include "mode_actuator/receipt.h"
 #include "services/base/clock.h"
 #include "services/base/mark.h"
@@ -63,6 +65,7 @@ struct ExecutorOptions {
   int64_t fail_safe_after_ns = 0;        // counts from the end of the lease
   int64_t floor_hold_ns = 10 * kNanosPerSecond;
   int64_t reconcile_ns = 2 * kNanosPerSecond;
+  std::set<std::string> on_drift;  // levels that have such steps
 };
 
 // --- inputs
@@ -84,9 +87,10 @@ struct LeaseGrant {
 };
 
 enum class JobKind {
-  kEnter,  // leave steps of `from`, enter steps of `to`
-  kRetry,  // as the last kEnter, without the programs that have succeeded
-  kCheck,  // only read back
+  kEnter,    // leave steps of `from`, enter steps of `to`
+  kRetry,    // as the last kEnter, without the programs that have succeeded
+  kCheck,    // only read back
+  kOnDrift,  // the on_drift steps of `to`
 };
 
 struct LevelOutcome {
@@ -130,7 +134,8 @@ struct ExecutorReport {
   std::string floor;  // empty: none
   std::string floor_reason;
   bool lease_live = false;
-  uint64_t drifts = 0;  // times a verified level was found left
+  uint64_t drifts = 0;                // times a verified level was found left
+  std::vector<std::string> degraded;  // what people must hear although the level may hold
   friend bool operator==(const ExecutorReport&, const ExecutorReport&) = default;
 };
 
@@ -197,6 +202,8 @@ class Executor {
 
   // Starts what brings the robot to the target, if nothing fitting is under way.
   void Reconcile(int64_t now_ns, Actions& actions);
+  // What to do for the level that was entered last, if anything.
+  std::optional<JobKind> NextJob(int goal, int64_t now_ns);
   void StartJob(JobKind kind, int to, Actions& actions);
   void OnReached(const LevelOutcome& outcome, int level, int64_t now_ns, Actions& actions);
   void OnMissed(const LevelOutcome& outcome, const Job& job, int64_t now_ns, Actions& actions);
@@ -240,6 +247,7 @@ class Executor {
   int64_t retry_at_ns_ = 0;
   int64_t retry_delay_ns_ = 0;
   uint64_t drifts_ = 0;
+  DriftWatch drift_watch_;  // of the level that was entered last
 };
 
 }  // namespace rips::actuator

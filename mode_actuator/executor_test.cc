@@ -309,6 +309,78 @@ TEST(ExecutorTest, AFailedLoweringKeepsTheEffectiveLevel) {
   EXPECT_THAT(rig.TakeReceipts(), ElementsAre("id-1.2 verified"));
 }
 
+// Finds the level left, and enters it again, `times`.
+void LeaveLevel(ExecutorRig& rig, int times) {
+  for (int i = 0; i < times; ++i) {
+    for (int step = 0; step < 100 && !rig.job().has_value(); ++step) rig.Advance(50);
+    ASSERT_TRUE(rig.job().has_value());
+    ASSERT_EQ(rig.job()->kind, JobKind::kCheck);
+    rig.Finish(false);
+    ASSERT_EQ(rig.job()->kind, JobKind::kRetry);
+    if (i + 1 < times) rig.Finish(true);
+  }
+}
+
+ExecutorOptions WithOnDrift() {
+  ExecutorOptions options = ExecutorRig::Options();
+  options.on_drift = {"ALERT"};
+  return options;
+}
+
+TEST(ExecutorTest, OnDriftFollowsTheThirdDriftOnceAfterTheLevelWasOrderedAgain) {
+  ExecutorRig rig(ExecutorRig::At("ALERT"), WithOnDrift());
+  rig.auto_finish = false;
+  rig.lease = true;
+  rig.TakeJobs();
+  LeaveLevel(rig, 3);
+  EXPECT_THAT(rig.report().degraded,
+              ElementsAre("ALERT was left again and again: 3 times in 60 s"));
+  rig.Finish(false, "lies");  // that it does not help is no reason to wait
+  ASSERT_TRUE(rig.job().has_value());
+  EXPECT_EQ(rig.job()->kind, JobKind::kOnDrift);
+  EXPECT_EQ(rig.job()->to, "ALERT");
+  rig.Finish(false, "program horn: exit code 1");
+  EXPECT_THAT(rig.report().degraded, ElementsAre(HasSubstr("failed: program horn: exit code 1")));
+  EXPECT_EQ(rig.TakeJobs(), ">ALERT retry, >ALERT retry, >ALERT retry, >ALERT on_drift");
+  rig.Advance(3 * kS);
+  rig.Finish(true);
+  LeaveLevel(rig, 1);
+  rig.Finish(true);
+  EXPECT_EQ(rig.TakeJobs(), ">ALERT retry, >ALERT retry");  // not again within the window
+  EXPECT_EQ(rig.report().drifts, 4u);
+  rig.auto_finish = true;
+  rig.Advance(61 * kS);
+  EXPECT_THAT(rig.report().degraded, IsEmpty());
+}
+
+TEST(ExecutorTest, WithoutOnDriftStepsItIsToldOnly) {
+  ExecutorRig rig(ExecutorRig::At("ALERT"));
+  rig.auto_finish = false;
+  rig.lease = true;
+  LeaveLevel(rig, 3);
+  rig.Finish(true);
+  EXPECT_FALSE(rig.job().has_value());
+  EXPECT_THAT(rig.report().degraded, ElementsAre(HasSubstr("left again and again")));
+}
+
+TEST(ExecutorTest, ARaiseDoesNotWaitForOnDriftSteps) {
+  ExecutorRig rig(ExecutorRig::At("ALERT"), WithOnDrift());
+  rig.auto_finish = false;
+  rig.lease = true;
+  LeaveLevel(rig, 3);
+  rig.Finish(true);
+  ASSERT_EQ(rig.job()->kind, JobKind::kOnDrift);
+  const ApplyLevel on_drift = *rig.job();
+  rig.TakeJobs();
+  rig.Level("COMPROMISED", {1, 2});
+  EXPECT_EQ(rig.TakeJobs(), "ALERT>COMPROMISED");
+  rig.FinishJob(on_drift, true);  // late, and of a job that was replaced
+  EXPECT_THAT(rig.report().degraded, IsEmpty());
+  rig.Finish(true);
+  EXPECT_EQ(rig.report().effective, "COMPROMISED");
+  EXPECT_TRUE(rig.report().verified);
+}
+
 TEST(ExecutorTest, DriftIsCountedAndTheLevelIsReassertedAtOnce) {
   ExecutorRig rig(ExecutorRig::At("ALERT"));
   rig.auto_finish = false;

@@ -120,6 +120,7 @@ class ExecutorRig {
         if (apply->kind != JobKind::kCheck) {
           absl::StrAppend(&jobs_, jobs_.empty() ? "" : ", ", apply->from, ">", apply->to,
                           apply->kind == JobKind::kRetry ? " retry" : "",
+                          apply->kind == JobKind::kOnDrift ? " on_drift" : "",
                           apply->raise ? "" : " down");
         }
         order_.push_back(absl::StrCat("apply ", apply->to));

@@ -68,6 +68,9 @@ struct LevelSpec {
   std::string name;
   std::vector<Step> enter;
   std::vector<Step> leave;
+  // Run when the level was found left too often (drift_watch.h). A part whose mode they order stays
+  // in it until a level is entered anew.
+  std::vector<Step> on_drift;
 };
 
 struct ProgramSpec {

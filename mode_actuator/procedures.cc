@@ -205,7 +205,12 @@ LevelOutcome Procedures::Run(const ApplyLevel& job, const CancelFlag& cancel) {
     Check(*to, cancel, outcome);
     return outcome;
   }
+  if (job.kind == JobKind::kOnDrift) {
+    OnDrift(*to, cancel, outcome);
+    return outcome;
+  }
   if (job.kind == JobKind::kEnter) {
+    overridden_.clear();
     done_.clear();
     stubborn_.clear();
   }
@@ -283,6 +288,38 @@ void Procedures::Enter(const LevelSpec& level, Progress& progress, const CancelF
   }
 }
 
+void Procedures::OnDrift(const LevelSpec& level, const CancelFlag& cancel, LevelOutcome& outcome) {
+  Progress progress;
+  std::vector<size_t> others;
+  for (size_t i = 0; i < level.on_drift.size(); ++i) {
+    const Step& step = level.on_drift[i];
+    if (!IsInOrder(step)) {
+      others.push_back(i);
+    } else if (!progress.stopped && !cancel.cancelled()) {
+      const auto* mode = std::get_if<SystemModeStep>(&step.what);
+      if (mode != nullptr) overridden_.erase(mode->part);
+      const StepResult result = EnterRead(step, step.timeout, step.retries, cancel, outcome);
+      if (mode != nullptr && result.ok) overridden_[mode->part] = mode->mode;
+      Count(step, result, progress, outcome);
+    }
+  }
+  if (!progress.stopped && !cancel.cancelled()) {
+    const std::vector<StepResult> results = RunTogether(Phase::kOnDrift, level.on_drift, others,
+                                                        absl::InfiniteDuration(), cancel, outcome);
+    for (size_t k = 0; k < others.size(); ++k) {
+      Count(level.on_drift[others[k]], results[k], progress, outcome);
+    }
+  }
+  outcome.reached = !progress.failed && !cancel.cancelled();
+  if (cancel.cancelled()) outcome.detail = "superseded";
+}
+
+SystemModeStep Procedures::Wanted(const SystemModeStep& step) const {
+  const auto overridden = overridden_.find(step.part);
+  if (overridden == overridden_.end()) return step;
+  return {.part = step.part, .mode = overridden->second};
+}
+
 void Procedures::Check(const LevelSpec& level, const CancelFlag& cancel, LevelOutcome& outcome) {
   outcome.reached = true;
   for (const Step& step : level.enter) {
@@ -330,14 +367,16 @@ bool Procedures::Tolerates(const LevelSpec& level, size_t index, const absl::Sta
 StepReading Procedures::EnterOne(const Step& step, absl::Duration timeout, int retries,
                                  const CancelFlag& cancel) {
   if (const auto* mode = std::get_if<SystemModeStep>(&step.what)) {
-    return ToReading(*mode, modes_->Enter(mode->part, mode->mode, timeout, retries, cancel));
+    const SystemModeStep wanted = Wanted(*mode);
+    return ToReading(wanted, modes_->Enter(wanted.part, wanted.mode, timeout, retries, cancel));
   }
   return runners_.firewall->Enter(step, timeout, retries, cancel);
 }
 
 StepReading Procedures::CheckOne(const Step& step, const CancelFlag& cancel) {
   if (const auto* mode = std::get_if<SystemModeStep>(&step.what)) {
-    return ToReading(*mode, modes_->Check(mode->part, mode->mode, cancel));
+    const SystemModeStep wanted = Wanted(*mode);
+    return ToReading(wanted, modes_->Check(wanted.part, wanted.mode, cancel));
   }
   return runners_.firewall->Check(step, cancel);
 }

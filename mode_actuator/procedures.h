@@ -7,6 +7,8 @@
 // A level is reached when every system mode and firewall step of it was read back and no program or
 // alarm counts as failed.
 //
+// The on_drift steps run as enter steps do on a raise; what a failed one stops is the rest of them.
+//
 // A check looks at all but programs, and firewall steps renew themselves by it. What an alarm with
 // `continue` is worth there:
 // | the alarm                                            | the level |
@@ -18,6 +20,7 @@
 #ifndef RIPS_MODE_ACTUATOR_PROCEDURES_H_
 #define RIPS_MODE_ACTUATOR_PROCEDURES_H_
 
+#include <map>
 #include <set>
 #include <string>
 #include <utility>
@@ -66,7 +69,7 @@ class Procedures {
   LevelOutcome Run(const ApplyLevel& job, const CancelFlag& cancel);
 
  private:
-  enum class Phase { kLeave, kEnter };
+  enum class Phase { kLeave, kEnter, kOnDrift };
 
   struct Progress {
     bool raise = true;
@@ -80,7 +83,10 @@ class Procedures {
              LevelOutcome& outcome);
   void Enter(const LevelSpec& level, Progress& progress, const CancelFlag& cancel,
              LevelOutcome& outcome);
+  void OnDrift(const LevelSpec& level, const CancelFlag& cancel, LevelOutcome& outcome);
   void Check(const LevelSpec& level, const CancelFlag& cancel, LevelOutcome& outcome);
+  // As the step says, or as `overridden_` does.
+  SystemModeStep Wanted(const SystemModeStep& step) const;
   // Of a system mode or firewall step.
   StepReading EnterOne(const Step& step, absl::Duration timeout, int retries,
                        const CancelFlag& cancel);
@@ -111,6 +117,8 @@ class Procedures {
   ProgramRequest request_;  // of the programs of the present transition: its levels
   // Programs of the present transition that succeeded, by phase and index: a retry skips them.
   std::set<std::pair<Phase, size_t>> done_;
+  // Part -> mode: what on_drift steps have ordered since a level was entered.
+  std::map<std::string, std::string> overridden_;
   // Alarms, by index into the enter steps, that were not as told right after they were told.
   std::set<size_t> stubborn_;
 };

@@ -204,6 +204,35 @@ TEST_F(ProceduresTest, ARaiseWhoseModeIsNotReachedStillRunsTheProgramsAndFails) 
   EXPECT_THAT(programs_.runs, ElementsAre("horn", "light"));
 }
 
+TEST_F(ProceduresTest, OnDriftRunsItsStepsAndItsModeHoldsUntilALevelIsEntered) {
+  levels_[1].on_drift = {Mode("HALT"), Program("siren")};
+  ASSERT_TRUE(Run("DEFAULT", "ALERT", true).reached);
+  const LevelOutcome outcome = Run("DEFAULT", "ALERT", true, JobKind::kOnDrift);
+  EXPECT_TRUE(outcome.reached) << outcome.detail;
+  EXPECT_THAT(Names(outcome), ElementsAre("system_mode /safety=HALT", "program siren"));
+
+  const LevelOutcome check = Run("DEFAULT", "ALERT", true, JobKind::kCheck);
+  EXPECT_TRUE(check.reached);
+  EXPECT_EQ(check.observed, "/safety=HALT");
+  ASSERT_TRUE(Run("DEFAULT", "ALERT", true, JobKind::kRetry).reached);
+  EXPECT_EQ(modes_.now["/safety"], "HALT");
+  ASSERT_TRUE(Run("DEFAULT", "ALERT", true).reached);
+  EXPECT_EQ(modes_.now["/safety"], "ALERT");
+}
+
+TEST_F(ProceduresTest, AFailedOnDriftStepIsToldAndItsModeIsNotWaitedFor) {
+  levels_[1].on_drift = {Mode("HALT", OnFailure::kStop), Program("siren")};
+  ASSERT_TRUE(Run("DEFAULT", "ALERT", true).reached);
+  modes_.lies = true;
+  const LevelOutcome outcome = Run("DEFAULT", "ALERT", true, JobKind::kOnDrift);
+  EXPECT_FALSE(outcome.reached);
+  EXPECT_EQ(outcome.detail, "system_mode /safety=HALT: not reached");
+  EXPECT_THAT(programs_.runs, ElementsAre("horn", "light"));
+  EXPECT_TRUE(Run("DEFAULT", "ALERT", true, JobKind::kCheck).reached);
+  cancel_.Cancel();
+  EXPECT_FALSE(Run("DEFAULT", "ALERT", true, JobKind::kOnDrift).reached);
+}
+
 TEST_F(ProceduresTest, StopStopsARaise) {
   levels_[1].enter[1].on_failure = OnFailure::kStop;
   modes_.lies = true;

@@ -115,7 +115,7 @@ void CheckFirewallSteps(const ConfigSection& level, const std::string& key,
 
 bool HasFirewallSteps(const std::vector<LevelSpec>& levels) {
   for (const LevelSpec& level : levels) {
-    for (const std::vector<Step>* steps : {&level.enter, &level.leave}) {
+    for (const std::vector<Step>* steps : {&level.enter, &level.leave, &level.on_drift}) {
       for (const Step& step : *steps) {
         if (std::holds_alternative<FirewallStep>(step.what)) return true;
       }
@@ -127,7 +127,7 @@ bool HasFirewallSteps(const std::vector<LevelSpec>& levels) {
 std::vector<std::string> FirewallFiles(const std::vector<LevelSpec>& levels) {
   std::set<std::string> files;
   for (const LevelSpec& level : levels) {
-    for (const std::vector<Step>* steps : {&level.enter, &level.leave}) {
+    for (const std::vector<Step>* steps : {&level.enter, &level.leave, &level.on_drift}) {
       for (const Step& step : *steps) {
         const auto* firewall = std::get_if<FirewallStep>(&step.what);
         if (firewall != nullptr && !firewall->file.empty()) files.insert(firewall->file);

@@ -50,6 +50,7 @@ inline constexpr absl::Duration kReorderAfter = absl::Milliseconds(500);
 // After an order that was given up half-way, the next one counts as carried out only when it is
 // seen so for this long: the first may still take effect.
 inline constexpr absl::Duration kFlipTime = absl::Milliseconds(500);
+inline constexpr absl::Duration kProbeTime = absl::Seconds(3);  // all questions of one Probe
 
 class SystemModes final : public PartModes {
  public:

@@ -62,6 +62,18 @@ pipeline::StepReport::Drilled DecodeDrilled(rips::v1::StepResult::Drilled drille
   }
 }
 
+// More than the limits is cut: a heartbeat must not fail for a text.
+std::vector<std::string> DecodeDegraded(const rips::v1::ActuatorHeartbeat& heartbeat) {
+  std::vector<std::string> degraded;
+  for (const std::string& text : heartbeat.degraded()) {
+    if (degraded.size() == pipeline::kActuatorDegradedMax) break;
+    const absl::string_view cut =
+        absl::string_view(text).substr(0, pipeline::kActuatorDegradedBytesMax);
+    degraded.push_back(ros2::Printable(cut).substr(0, pipeline::kActuatorDegradedBytesMax));
+  }
+  return degraded;
+}
+
 absl::Status CheckCount(absl::string_view what, size_t count, size_t limit) {
   if (count <= limit) return absl::OkStatus();
   return absl::ResourceExhaustedError(absl::StrCat(count, " ", what, "; at most ", limit));
@@ -135,7 +147,9 @@ pipeline::ActuatorBeat DecodeBeat(const rips::v1::ActuatorHeartbeat& heartbeat) 
           .effective_level = heartbeat.effective_level(),
           .observed = heartbeat.observed(),
           .verified = heartbeat.verified(),
-          .floor_reason = heartbeat.floor_reason()};
+          .floor_reason = heartbeat.floor_reason(),
+          .degraded = DecodeDegraded(heartbeat),
+          .drifts = heartbeat.drifts()};
 }
 
 rips::v1::Command EncodeCommand(const pipeline::Command& command) {

@@ -59,6 +59,23 @@ TEST(ActuatorCodecTest, ADrillIsACommandOfItsOwn) {
   EXPECT_EQ(command.id().size(), 16u);
 }
 
+TEST(ActuatorCodecTest, WhatIsDegradedIsTakenWithinLimits) {
+  rips::v1::ActuatorHeartbeat heartbeat;
+  heartbeat.add_degraded("held without the mode manager");
+  heartbeat.add_degraded("\x1b[2J");
+  heartbeat.add_degraded(std::string(300, 'x'));
+  heartbeat.add_degraded(std::string(300, '\x01'));
+  for (int i = 0; i < 20; ++i) heartbeat.add_degraded("more");
+  heartbeat.set_drifts(7);
+  const pipeline::ActuatorBeat beat = DecodeBeat(heartbeat);
+  ASSERT_THAT(beat.degraded, SizeIs(8));
+  EXPECT_EQ(beat.degraded[0], "held without the mode manager");
+  EXPECT_EQ(beat.degraded[1], "\\x1b[2J");
+  EXPECT_EQ(beat.degraded[2], std::string(256, 'x'));
+  EXPECT_THAT(beat.degraded[3], SizeIs(256));
+  EXPECT_EQ(beat.drifts, 7u);
+}
+
 TEST(ActuatorCodecTest, StepsKeepWhatTheyPrintedAndWhetherTheyWereDrilled) {
   rips::v1::Receipt receipt;
   receipt.set_stage(rips::v1::Receipt::VERIFIED);

@@ -176,7 +176,15 @@ struct ActuatorBeat {
   std::string observed;
   bool verified = false;
   std::string floor_reason;
+  // What does not work although the level may hold, for people. At most kActuatorDegradedMax,
+  // printable, kActuatorDegradedBytesMax each.
+  std::vector<std::string> degraded;
+  // Times a verified level was found left since the actuator started.
+  uint64_t drifts = 0;
 };
+
+inline constexpr size_t kActuatorDegradedMax = 8;
+inline constexpr size_t kActuatorDegradedBytesMax = 256;
 
 struct StepReport {
   // How far a drill went with it.

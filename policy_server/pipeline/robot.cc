@@ -525,6 +525,9 @@ RobotStatus Robot::Status() const {
       status.degraded.push_back(
           absl::StrCat("actuator ", name, " holds a floor: ", host.session->beat.floor_reason));
     }
+    for (const std::string& text : host.session->beat.degraded) {
+      status.degraded.push_back(absl::StrCat("actuator ", name, ": ", text));
+    }
   }
   status.effective_level = levels().name(effective);
   if (!missing_programs_.empty()) status.degraded.push_back(missing_programs_);

@@ -14,12 +14,22 @@ namespace {
 constexpr uint64_t kTermMax = uint64_t{1} << 62;
 // Of one actuator that are known as ours.
 constexpr size_t kParticipantsKept = 8;
+// Events of drifts that one heartbeat makes.
+constexpr uint64_t kDriftsToldMax = 8;
 
 void TakeParticipant(const ros2::Guid& participant, std::deque<ros2::Guid>& known) {
   if (participant.none()) return;
   known.erase(std::remove(known.begin(), known.end(), participant), known.end());
   known.push_back(participant);
   if (known.size() > kParticipantsKept) known.pop_front();
+}
+
+// What is said of a mode or a node may change its numbers; the part before the colon names it.
+absl::string_view Subject(absl::string_view text) { return text.substr(0, text.find(": ")); }
+
+bool TellsOf(const std::vector<std::string>& texts, absl::string_view subject) {
+  return std::any_of(texts.begin(), texts.end(),
+                     [&](const std::string& text) { return Subject(text) == subject; });
 }
 
 }  // namespace
@@ -195,13 +205,42 @@ void Robot::OnActuatorBeat(const std::string& host_name, const ActuatorLink* lin
   session.peer_boottime_ns = beat.boottime_ns;
   session.beat = beat;
   const auto effective = levels().Find(beat.effective_level);
-  if (effective && ledger_.OnBeat(host_name, *effective, beat.verified) && !moving) {
+  const bool left = effective && ledger_.OnBeat(host_name, *effective, beat.verified) && !moving;
+  const uint64_t drifts = TakeDrifts(it->second, beat.drifts);
+  if (left || drifts > 0) {
     OwnAlert(engine::Severity::kHigh,
              absl::StrCat("the robot no longer is at ", beat.effective_level, " (", beat.observed,
-                          "); actuator ", host_name, " puts it back"));
-    External(engine::AgentEvent{.agent = "actuator", .state = "drift"});
+                          "); actuator ", host_name, " puts it back",
+                          drifts > 1 ? absl::StrCat(", ", drifts, " times by now") : ""));
+    for (uint64_t i = 0; i < std::clamp<uint64_t>(drifts, 1, kDriftsToldMax); ++i) {
+      External(engine::AgentEvent{.agent = "actuator", .state = "drift"});
+    }
   }
+  TellDegraded(host_name, it->second, beat.degraded);
   UpdateActuation(now);
+}
+
+// New ones. A count that went down is of an actuator that started anew; the first that this server
+// hears says nothing of when they were.
+uint64_t Robot::TakeDrifts(ActuatorHost& host, uint64_t drifts) {
+  const uint64_t known = host.drifts.value_or(drifts);
+  host.drifts = drifts;
+  return drifts >= known ? drifts - known : drifts;
+}
+
+void Robot::TellDegraded(const std::string& host_name, ActuatorHost& host,
+                         const std::vector<std::string>& degraded) {
+  if (degraded == host.degraded) return;
+  for (const std::string& text : degraded) {
+    if (TellsOf(host.degraded, Subject(text))) continue;
+    OwnAlert(engine::Severity::kHigh, absl::StrCat("actuator ", host_name, ": ", text));
+  }
+  if (degraded.empty()) {
+    OwnAlert(engine::Severity::kInfo,
+             absl::StrCat("actuator ", host_name, " is no longer degraded"));
+  }
+  host.degraded = degraded;
+  PublishStatus();
 }
 
 void Robot::OnReceipt(const std::string& host_name, const ActuatorLink* link,

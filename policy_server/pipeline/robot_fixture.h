@@ -170,7 +170,9 @@ class RobotTest : public ::testing::Test {
                             .effective_level = effective_,
                             .observed = absl::StrCat("/safety=", effective_),
                             .verified = verified_,
-                            .floor_reason = floor_});
+                            .floor_reason = floor_,
+                            .degraded = degraded_,
+                            .drifts = drifts_});
   }
   // The actuator obeys its newest level command.
   void Obey(Receipt::Stage stage = Receipt::Stage::kVerified, const std::string& detail = "") {
@@ -287,6 +289,8 @@ class RobotTest : public ::testing::Test {
   std::string effective_;
   bool verified_ = false;
   std::string floor_;
+  std::vector<std::string> degraded_;
+  uint64_t drifts_ = 0;
   uint64_t next_sequence_[kLaneCount] = {1, 1};
   uint64_t graph_version_ = 0;
 };

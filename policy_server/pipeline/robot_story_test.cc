@@ -297,6 +297,66 @@ TEST_F(RobotTest, ReportsDrift) {
   EXPECT_EQ(Stage(), "acknowledged");
 }
 
+constexpr char kDriftRules[] = R"(
+levels:
+  DEFAULT;
+  ALERT soft;
+  COMPROMISED;
+  HALT;
+rules External:
+  left: agent("actuator", "drift") ? alert("left", "low");
+  a: false ? trigger(ALERT);
+  c: false ? trigger(COMPROMISED);
+  h: false ? trigger(HALT);
+)";
+
+TEST_F(RobotTest, EachNewDriftIsAnEventAlsoWhenItIsOverBeforeTheHeartbeat) {
+  Start(kDriftRules);
+  Arm();
+  drifts_ = 1;  // found left and put back since the last heartbeat
+  Pass(100);
+  EXPECT_EQ(audience_.Count("no longer is at"), 1);
+  EXPECT_EQ(audience_.Count("left"), 1);
+  Pass(1'000);
+  EXPECT_EQ(audience_.Count("left"), 1) << "told once";
+
+  drifts_ = 4;
+  verified_ = false;
+  Pass(50);
+  EXPECT_EQ(audience_.Count("3 times by now"), 1);
+  EXPECT_EQ(audience_.Count("left"), 4);
+
+  drifts_ = 2;  // of an actuator that started anew
+  Pass(50);
+  EXPECT_EQ(audience_.Count("left"), 6);
+}
+
+TEST_F(RobotTest, DriftsBeforeTheFirstHeartbeatSayNothingOfNow) {
+  Start(kDriftRules);
+  drifts_ = 40;
+  Arm();
+  Pass(1'000);
+  EXPECT_EQ(audience_.Count("left"), 0);
+}
+
+TEST_F(RobotTest, WhatIsDegradedIsStatusAndAlertsWhenItBeginsAndEnds) {
+  Start();
+  Arm();
+  degraded_ = {"/safety=ALERT is held without the mode manager: it left 2 times"};
+  Pass(1'000);
+  EXPECT_EQ(audience_.Count("actuator base: /safety=ALERT is held without"), 1);
+  EXPECT_THAT(robot_->Status().degraded, ::testing::Contains("actuator base: " + degraded_[0]));
+  degraded_ = {"/safety=ALERT is held without the mode manager: it left 3 times", "/camera is off"};
+  Pass(1'000);
+  EXPECT_EQ(audience_.Count("actuator base: /safety=ALERT is held without"), 1) << "the same";
+  EXPECT_EQ(audience_.Count("actuator base: /camera is off"), 1);
+  degraded_.clear();
+  Pass(1'000);
+  EXPECT_EQ(audience_.Count("actuator base is no longer degraded"), 1);
+  EXPECT_THAT(robot_->Status().degraded,
+              ::testing::Not(::testing::Contains(::testing::HasSubstr("actuator base:"))));
+}
+
 TEST_F(RobotTest, AFloorThatLiftsIsNotDrift) {
   Start();
   ConnectActuator({.effective_level = "ALERT"});
