@@ -301,10 +301,10 @@ absl::StatusOr<uint64_t> PosixRunner::Start(const ProgramRequest& request, Done 
   auto run = std::make_shared<Run>();
   run->spec = spec;
   run->done = std::move(done);
+  RIPS_RETURN_IF_ERROR(Spawn(request, file.get(), *run));
   run->started_ns = clock_->Now().boottime_ns;
   run->deadline_ns =
       run->started_ns + absl::ToInt64Nanoseconds(std::min(request.timeout, spec->timeout));
-  RIPS_RETURN_IF_ERROR(Spawn(request, file.get(), *run));
   // Free of races: nobody else waits for children, so the process cannot have been reaped.
   run->pidfd = UniqueFd(static_cast<int>(syscall(SYS_pidfd_open, run->pid, 0)));
   MutexLock lock(&mu_);

@@ -148,10 +148,10 @@ TEST_F(PosixRunnerTest, TheProgramsOwnTimeoutIsTheLimit) {
 
 TEST_F(PosixRunnerTest, KillsWhatIgnoresSigterm) {
   const ProgramResult result =
-      Script("trap '' TERM; while true; do sleep 0.05; done", absl::Milliseconds(200));
+      Script("trap '' TERM; while true; do sleep 0.05; done", absl::Seconds(2));
   EXPECT_THAT(result.status, StatusIs(absl::StatusCode::kDeadlineExceeded));
   EXPECT_EQ(result.exit_code, 128 + SIGKILL);
-  EXPECT_GE(result.took_ms, 500u);  // 200 ms and the grace
+  EXPECT_GE(result.took_ms, 2'300u);  // 2 s and the grace
 }
 
 TEST_F(PosixRunnerTest, KillsGrandchildren) {
@@ -234,7 +234,7 @@ TEST_F(CgroupRunnerTest, ADaemonIsKilledAtTheDeadlineAndByCancel) {
   const std::string script =
       "setsid bash -c \"trap '' TERM; while true; do sleep 1; done\" & "
       "echo $!; trap '' TERM; while true; do sleep 1; done";
-  const ProgramResult late = Script(script, absl::Milliseconds(300));
+  const ProgramResult late = Script(script, absl::Seconds(2));
   EXPECT_THAT(late.status, StatusIs(absl::StatusCode::kDeadlineExceeded));
   int daemon = 0;
   ASSERT_TRUE(absl::SimpleAtoi(late.output_tail, &daemon)) << late.output_tail;
