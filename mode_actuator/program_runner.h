@@ -67,7 +67,7 @@ class ProgramRunner {
   // SIGTERM to its process group, SIGKILL after kTermGrace; `done` follows. No-op when over.
   virtual void Cancel(uint64_t run) = 0;
   // OK if the program could be started now: in the allow-list, its file there and safe, whoever
-  // starts it there. Else as Start says. May take a second.
+  // starts it there. Else as Start says. May take seconds.
   virtual absl::Status Examine(absl::string_view name) = 0;
 };
 

@@ -23,6 +23,7 @@ class ScriptedPrograms final : public ProgramRunner {
  public:
   absl::StatusOr<uint64_t> Start(const ProgramRequest& request, Done done) override {
     requests.push_back(request);
+    ++started;
     if (request.name == "hang") return requests.size();
     done(results.front());
     if (results.size() > 1) results.erase(results.begin());
@@ -32,6 +33,7 @@ class ScriptedPrograms final : public ProgramRunner {
   void Cancel(uint64_t) override { ++cancelled; }
   absl::Status Examine(absl::string_view) override { return absl::OkStatus(); }
 
+  std::atomic<int> started = 0;
   std::atomic<int> cancelled = 0;
   std::vector<ProgramRequest> requests;
   std::vector<ProgramResult> results = {ProgramResult{}};
@@ -119,7 +121,7 @@ TEST_F(ProgramStepTest, WhoDoesNotCancelIsNotWaitedFor) {
   levels_[1].enter = {Program({.name = "hang"})};
   levels_[1].enter[0].timeout = absl::Hours(1);
   std::thread canceller([this] {
-    usleep(50'000);
+    while (programs_.started == 0) usleep(1'000);
     cancel_.Cancel();
   });
   const LevelOutcome outcome = Run("DEFAULT", "ALERT");

@@ -36,6 +36,7 @@ int EnterAndExec(int argc, char** argv) {
   const bool script = pread(kEnterProgramFd, start, sizeof(start), 0) == sizeof(start) &&
                       start[0] == '#' && start[1] == '!';
   if (!script) fcntl(kEnterProgramFd, F_SETFD, FD_CLOEXEC);
+  if (write(kEnterReportFd, &kEnterReady, 1) != 1) return kCannotStart;
   execveat(kEnterProgramFd, "", argv + 2, environ, AT_EMPTY_PATH);
   return Fail("cannot be executed");
 }

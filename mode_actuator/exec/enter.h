@@ -4,7 +4,8 @@
 // with
 //   kEnterProgramFd  the program's file, open for reading
 //   kEnterCgroupFd   the cgroup.procs of the run's cgroup, or /dev/null, open for writing
-//   kEnterReportFd   a pipe: what keeps it from starting is written there; closed by the exec
+//   kEnterReportFd   a pipe: kEnterReady is written there and then, if it cannot be executed, why;
+//                    closed by the exec. No kEnterReady: it did not come that far
 // and the environment and the standard descriptors that the program is to have. No core is dumped.
 //
 // A program that begins with `#!` is opened by its interpreter, by the name /dev/fd/3: so it keeps
@@ -18,6 +19,7 @@ inline constexpr char kEnterFlag[] = "--enter";
 inline constexpr int kEnterProgramFd = 3;
 inline constexpr int kEnterCgroupFd = 4;
 inline constexpr int kEnterReportFd = 5;
+inline constexpr char kEnterReady = '+';
 
 // True if main was called to do this.
 bool IsEnter(int argc, char* const* argv);

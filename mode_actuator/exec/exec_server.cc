@@ -21,6 +21,12 @@ using Kind = ExecAnswer::Kind;
 
 constexpr int kPollMs = 500;
 
+// True if the other side has closed; what it sent before may still be there to read.
+bool IsGone(int fd) {
+  pollfd poll_fd = {fd, POLLRDHUP, 0};
+  return poll(&poll_fd, 1, 0) > 0;
+}
+
 void LogEnd(const std::string& program, const ProgramResult& result, bool told) {
   if (result.status.ok() && told && result.note.empty()) {
     LogInfo("ended", {{"program", ros2::Printable(program)}});
@@ -75,8 +81,7 @@ void ExecServer::Run() {
     const int64_t now_ns = BoottimeNow();
     for (size_t i = 0; i < ids.size(); ++i) {
       Connection& each = connections_.at(ids[i]);
-      const int events = fds[i + 2].revents;
-      const bool keep = events == 0 || Serve(ids[i], each, events);
+      const bool keep = fds[i + 2].revents == 0 || Serve(ids[i], each);
       if (!keep || Impatient(each, now_ns)) connections_.erase(ids[i]);
     }
     TellEnded();
@@ -110,8 +115,7 @@ void ExecServer::Accept() {
   connections_.emplace(next_++, std::move(connection));
 }
 
-bool ExecServer::Serve(uint64_t id, Connection& connection, int events) {
-  const bool gone = (events & (POLLHUP | POLLRDHUP | POLLERR)) != 0;
+bool ExecServer::Serve(uint64_t id, Connection& connection) {
   while (true) {
     absl::StatusOr<std::optional<std::string>> message = connection.channel.Receive();
     if (absl::IsAborted(message.status())) continue;
@@ -122,14 +126,13 @@ bool ExecServer::Serve(uint64_t id, Connection& connection, int events) {
       return false;
     }
     if (!message->has_value()) break;
-    if (!Handle(id, connection, **message, gone)) return false;
+    if (!Handle(id, connection, **message)) return false;
   }
   if (!connection.channel.Flush().ok()) return false;
   return !connection.answered || connection.channel.unsent();
 }
 
-bool ExecServer::Handle(uint64_t id, Connection& connection, const std::string& message,
-                        bool gone) {
+bool ExecServer::Handle(uint64_t id, Connection& connection, const std::string& message) {
   const absl::StatusOr<ExecCall> call = DecodeExecCall(message);
   if (!call.ok()) {
     LogWarning("malformed request", {{"why", call.status().message()}});
@@ -152,7 +155,7 @@ bool ExecServer::Handle(uint64_t id, Connection& connection, const std::string& 
     answer.result.status = runner_->Examine(call->program.name);
     return Answer(connection, answer);
   }
-  if (gone) {
+  if (IsGone(connection.channel.fd())) {
     // Whoever asked has given up, and has told so: a program that starts now would surprise.
     LogWarning("not started", {{"program", ros2::Printable(call->program.name)},
                                {"why", "whoever asked for it is gone"}});

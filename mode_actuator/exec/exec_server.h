@@ -62,8 +62,8 @@ class ExecServer {
 
   void Accept();
   // False if the connection is to be closed.
-  bool Serve(uint64_t id, Connection& connection, int events);
-  bool Handle(uint64_t id, Connection& connection, const std::string& message, bool gone);
+  bool Serve(uint64_t id, Connection& connection);
+  bool Handle(uint64_t id, Connection& connection, const std::string& message);
   bool Start(uint64_t id, Connection& connection, const ProgramRequest& request);
   // After which it is killed.
   absl::Duration TimeoutOf(const ProgramRequest& request) const;

@@ -25,33 +25,37 @@ namespace {
 
 using ::testing::HasSubstr;
 
+// Waits for one result, which may come after it is gone.
 class Waiter {
  public:
   ProgramRunner::Done Callback() {
-    return [this](ProgramResult result) {
-      MutexLock lock(&mu_);
-      EXPECT_FALSE(result_.has_value()) << "told twice";
-      result_ = std::move(result);
-      changed_.NotifyAll();
+    return [slot = slot_](ProgramResult result) {
+      MutexLock lock(&slot->mu);
+      EXPECT_FALSE(slot->result.has_value()) << "told twice";
+      slot->result = std::move(result);
+      slot->changed.NotifyAll();
     };
   }
   ProgramResult Wait() {
-    MutexLock lock(&mu_);
-    for (int i = 0; i < 600 && !result_.has_value(); ++i) {
-      changed_.WaitFor(lock, absl::Milliseconds(100));
+    MutexLock lock(&slot_->mu);
+    for (int i = 0; i < 600 && !slot_->result.has_value(); ++i) {
+      slot_->changed.WaitFor(lock, absl::Milliseconds(100));
     }
-    EXPECT_TRUE(result_.has_value()) << "no result within 60 s";
-    return result_.value_or(ProgramResult{.status = absl::InternalError("none")});
+    EXPECT_TRUE(slot_->result.has_value()) << "no result within 60 s";
+    return slot_->result.value_or(ProgramResult{.status = absl::InternalError("none")});
   }
   bool told() {
-    MutexLock lock(&mu_);
-    return result_.has_value();
+    MutexLock lock(&slot_->mu);
+    return slot_->result.has_value();
   }
 
  private:
-  Mutex mu_;
-  CondVar changed_;
-  std::optional<ProgramResult> result_;
+  struct Slot {
+    Mutex mu;
+    CondVar changed;
+    std::optional<ProgramResult> result;
+  };
+  const std::shared_ptr<Slot> slot_ = std::make_shared<Slot>();
 };
 
 bool Soon(const std::function<bool()>& condition) {

@@ -108,21 +108,27 @@ std::vector<std::string> Environment(const PosixRunnerOptions& options,
   return environment;
 }
 
-// Until the other end is closed: empty if that was the program's own start.
-absl::StatusOr<std::string> ReadReport(int fd) {
+// OK if the other end was closed by the program's own start.
+absl::Status ReadReport(int fd) {
   const int64_t until_ns = BoottimeAfter(kEnterTimeout);
   std::string report;
   char buffer[512];
   while (true) {
     pollfd poll_fd = {fd, POLLIN, 0};
     const int64_t left_ns = until_ns - BoottimeNow();
-    if (left_ns <= 0) return absl::DeadlineExceededError("it did not start in time");
+    if (left_ns <= 0) {
+      return absl::UnavailableError(
+          absl::StrCat("it did not start within ", absl::FormatDuration(kEnterTimeout)));
+    }
     if (poll(&poll_fd, 1, static_cast<int>(left_ns / kNanosPerMilli + 1)) <= 0) continue;
     const ssize_t got = read(fd, buffer, sizeof(buffer));
     if (got < 0 && errno == EINTR) continue;
-    if (got <= 0 || report.size() > sizeof(buffer)) return report;
+    if (got <= 0 || report.size() > sizeof(buffer)) break;
     report.append(buffer, static_cast<size_t>(got));
   }
+  if (report == absl::string_view(&kEnterReady, 1)) return absl::OkStatus();
+  if (report.empty()) return absl::UnavailableError("rips-exec ended before it became the program");
+  return absl::UnavailableError(report.substr(report.front() == kEnterReady ? 1 : 0));
 }
 
 }  // namespace
@@ -150,7 +156,7 @@ struct PosixRunner::Run {
   }
 
   void Read() {
-    char buffer[16 << 10];
+    char buffer[64 << 10];  // as much as a pipe holds
     for (size_t taken = 0; output.get() >= 0 && taken < kReadBytesPerTurn;) {
       const ssize_t got = read(output.get(), buffer, sizeof(buffer));
       if (got > 0) {
@@ -273,13 +279,13 @@ absl::Status PosixRunner::Spawn(const ProgramRequest& request, int program_fd, R
   }
   child_output.Reset();
   child_report.Reset();
-  const absl::StatusOr<std::string> why = ReadReport(report_end.get());
-  if (why.ok() && why->empty()) return absl::OkStatus();
+  const absl::Status started = ReadReport(report_end.get());
+  if (started.ok()) return started;
   run.KillAll();
   siginfo_t info;
   waitid(P_PID, run.pid, &info, WEXITED);
-  return absl::UnavailableError(absl::StrCat("cannot start ", Quote(run.spec->path), ": ",
-                                             why.ok() ? *why : why.status().message()));
+  return absl::UnavailableError(
+      absl::StrCat("cannot start ", Quote(run.spec->path), ": ", started.message()));
 }
 
 absl::StatusOr<uint64_t> PosixRunner::Start(const ProgramRequest& request, Done done) {
@@ -295,10 +301,10 @@ absl::StatusOr<uint64_t> PosixRunner::Start(const ProgramRequest& request, Done 
   auto run = std::make_shared<Run>();
   run->spec = spec;
   run->done = std::move(done);
+  RIPS_RETURN_IF_ERROR(Spawn(request, file.get(), *run));
   run->started_ns = clock_->Now().boottime_ns;
   run->deadline_ns =
       run->started_ns + absl::ToInt64Nanoseconds(std::min(request.timeout, spec->timeout));
-  RIPS_RETURN_IF_ERROR(Spawn(request, file.get(), *run));
   // Free of races: nobody else waits for children, so the process cannot have been reaped.
   run->pidfd = UniqueFd(static_cast<int>(syscall(SYS_pidfd_open, run->pid, 0)));
   MutexLock lock(&mu_);
