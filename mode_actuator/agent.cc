@@ -159,6 +159,14 @@ absl::StatusOr<LoadedConfig> LoadConfig(const std::string& path) {
   return loaded;
 }
 
+std::vector<std::string> Warnings(const LoadedConfig& loaded) {
+  std::vector<std::string> warnings = loaded.smh.warnings;
+  for (std::string& warning : MonotonyWarnings(loaded.config, loaded.smh)) {
+    warnings.push_back(std::move(warning));
+  }
+  return warnings;
+}
+
 class Agent::Impl {
  public:
   Impl(Config config, const Clock* clock, Metrics* metrics)
@@ -268,10 +276,6 @@ absl::Status Agent::Impl::StartModes(const Smh& smh) {
                                              {.security = std::move(enclave)}));
   RIPS_ASSIGN_OR_RETURN(
       modes_, SystemModes::Create(participant_.get(), smh, config_.modes, targets, clock_));
-  for (const std::string& warning : smh.warnings) LogWarning("smh", {{"warning", warning}});
-  for (const std::string& warning : MonotonyWarnings(config_, smh)) {
-    LogWarning("levels", {{"warning", warning}});
-  }
   return absl::OkStatus();
 }
 
@@ -625,6 +629,9 @@ absl::StatusOr<std::unique_ptr<Agent>> Agent::Start(
                      "robot `",
                      loaded.config.robot, "`, host `", loaded.config.host,
                      "` of an actuator; correct the one that is wrong"));
+  }
+  for (const std::string& warning : Warnings(loaded)) {
+    LogWarning("configuration", {{"warning", warning}});
   }
   auto impl = std::make_unique<Impl>(loaded.config, clock, metrics);
   RIPS_RETURN_IF_ERROR(impl->Start(loaded.smh, std::move(credentials)));

@@ -4,6 +4,7 @@
 
 #include <memory>
 #include <string>
+#include <vector>
 
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
@@ -28,6 +29,8 @@ struct LoadedConfig {
   std::string effective;
 };
 absl::StatusOr<LoadedConfig> LoadConfig(const std::string& path);
+// What is legal there and yet likely to be wrong, for people.
+std::vector<std::string> Warnings(const LoadedConfig& loaded);
 
 class Agent {
  public:

@@ -491,6 +491,36 @@ TEST_F(AgentTest, ALevelThatComesDuringADrillIsEnteredAtOnce) {
   EXPECT_TRUE(Verified(server, "ALERT"));
 }
 
+TEST_F(AgentTest, ALevelThatIsLeftAgainAndAgainIsToldAndRunsItsOnDriftSteps) {
+  FakeLcus board(FakeLcus::Answer::kText);
+  const std::string link = dir_ + "/siren";
+  ASSERT_EQ(symlink(board.path().c_str(), link.c_str()), 0);
+  alarms_ = absl::StrCat(
+      "  - {name: SIREN, enter: [{alarm: {device: siren, state: \"on\"}}],\n"
+      "     on_drift: [{program: {name: note, args: [\"-c\", \"echo drift >> DIR/log\"]}}]}\n"
+      "devices: [{name: siren, kind: lcus_serial, path: ",
+      link, "}]\n");
+  FakeServer server(Pki().Server());
+  ASSERT_THAT(Start(server.port(), Pki().Actuator()), IsOk());
+  server.SetLevel(Id('a'), "SIREN", {1, 1});
+  ASSERT_TRUE(Verified(server, "SIREN"));
+  EXPECT_EQ(server.Heartbeat().drifts(), 0u);
+  EXPECT_EQ(server.Heartbeat().degraded_size(), 0);
+  for (uint64_t drift = 1; drift <= 3; ++drift) {
+    board.Force(1, false);
+    ASSERT_TRUE(server.Until([&] {
+      return server.heartbeat_.drifts() == drift && server.heartbeat_.verified() && board.is_on(1);
+    })) << drift;
+  }
+  ASSERT_TRUE(server.Until([&] {
+    return server.heartbeat_.degraded_size() == 1 &&
+           server.heartbeat_.degraded(0) ==
+               "SIREN was left again and again: 3 times in 60 s; its "
+               "on_drift steps were run";
+  }));
+  EXPECT_THAT(Slurp(dir_ + "/log"), HasSubstr("drift\n"));
+}
+
 TEST_F(AgentTest, RunsAProgramAtMostOnce) {
   FakeServer server(Pki().Server());
   ASSERT_THAT(Start(server.port(), Pki().Actuator()), IsOk());

@@ -1,6 +1,7 @@
 #include "mode_actuator/config.h"
 
 #include <algorithm>
+#include <map>
 #include <set>
 #include <utility>
 #include <variant>
@@ -325,10 +326,28 @@ absl::Status CheckLevelsAgainstSmh(const Config& config, const Smh& smh) {
   return absl::InvalidArgumentError(absl::StrJoin(problems, "\n"));
 }
 
+namespace {
+
+// `node` is active, and was so with the same parameters.
+bool IsSame(const std::map<std::string, ParameterMap>& active, const ExpectedPart& node) {
+  const auto was = active.find(node.node);
+  return was != active.end() && was->second == node.parameters;
+}
+
+}  // namespace
+
 std::vector<std::string> MonotonyWarnings(const Config& config, const Smh& smh) {
   std::vector<std::string> warnings;
   std::set<std::string> off_before;
+  std::map<std::string, ParameterMap> in_first;
+  const auto place = [&smh](const SystemModeStep& step) {
+    const auto system = smh.systems.find(step.part);
+    if (system == smh.systems.end()) return std::string();
+    return absl::StrCat(system->second.places.at(step.mode), ": ");
+  };
   for (const LevelSpec& level : config.levels) {
+    const bool is_first = &level == &config.levels.front();
+    const bool is_last = !is_first && &level == &config.levels.back();
     std::set<std::string> off;
     for (const Step& step : level.enter) {
       const auto* mode = std::get_if<SystemModeStep>(&step.what);
@@ -339,9 +358,14 @@ std::vector<std::string> MonotonyWarnings(const Config& config, const Smh& smh) 
         if (node.state == PartState::kInactive) {
           off.insert(node.node);
         } else if (off_before.contains(node.node)) {
-          warnings.push_back(absl::StrCat("level `", level.name, "` activates ", node.node,
-                                          ", which the level before it has off"));
+          warnings.push_back(absl::StrCat(place(*mode), "level `", level.name, "` activates ",
+                                          node.node, ", which the level before it has off"));
+        } else if (is_last && IsSame(in_first, node)) {
+          warnings.push_back(absl::StrCat(place(*mode), "level `", level.name,
+                                          "` is the most restrictive and leaves ", node.node,
+                                          " as it is in the first level"));
         }
+        if (is_first) in_first.emplace(node.node, node.parameters);
       }
     }
     off_before = std::move(off);

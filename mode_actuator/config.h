@@ -74,7 +74,8 @@ std::vector<std::string> ProtectedParts(const std::vector<LevelSpec>& levels, co
 // InvalidArgument if a level names a part or mode that the SMH file does not have.
 absl::Status CheckLevelsAgainstSmh(const Config& config, const Smh& smh);
 
-// A line for each node that a level has active and the level before it has not.
+// A line for each node that a level has active and the level before it has not, and for each that
+// the last level has active just as the first has it.
 std::vector<std::string> MonotonyWarnings(const Config& config, const Smh& smh);
 
 }  // namespace rips::actuator

@@ -334,13 +334,35 @@ arm: {ros__parameters: {type: node, modes: {__DEFAULT__: {ros__parameters: {a: 1
   ASSERT_THAT(parsed, IsOk());
   EXPECT_THAT(CheckLevelsAgainstSmh(parsed->config, *smh), IsOk());
   EXPECT_THAT(MonotonyWarnings(parsed->config, *smh),
-              ElementsAre("level `ALERT` activates /cam, which the level before it has off"));
+              ElementsAre("smh.yaml:6:7: level `ALERT` activates /cam, which the level before it "
+                          "has off"));
 
   const auto other = ParseConfig("a.yaml", Edited("mode: ALERT}", "mode: ALARM}"));
   ASSERT_THAT(other, IsOk());
   EXPECT_THAT(CheckLevelsAgainstSmh(other->config, *smh),
               StatusIs(absl::StatusCode::kInvalidArgument,
                        AllOf(HasSubstr("level `ALERT`"), HasSubstr("has no mode `ALARM`"))));
+}
+
+// As the listing of the paper: its HALT leaves the planner active.
+TEST(ConfigTest, TheLastLevelShouldNotLeaveANodeAsItWas) {
+  const auto smh = ParseSmh(R"(safety:
+  ros__parameters:
+    type: system
+    modes:
+      __DEFAULT__: {twist: active, planner: active, arm: active}
+      ALERT: {twist: inactive, planner: active, arm: active.SLOW}
+twist: {ros__parameters: {type: node, modes: {__DEFAULT__: {ros__parameters: {a: 1}}}}}
+planner: {ros__parameters: {type: node, modes: {__DEFAULT__: {ros__parameters: {a: 1}}}}}
+arm:
+  ros__parameters:
+    type: node
+    modes: {__DEFAULT__: {ros__parameters: {a: 1}}, SLOW: {ros__parameters: {a: 2}}}
+)");
+  ASSERT_THAT(smh, IsOk());
+  EXPECT_THAT(MonotonyWarnings(ParseConfig("a.yaml", kConfig)->config, *smh),
+              ElementsAre("smh.yaml:6:7: level `ALERT` is the most restrictive and leaves /planner "
+                          "as it is in the first level"));
 }
 
 TEST(ConfigTest, PartsOfLevelsAndOfTheSmhFileAreProtected) {

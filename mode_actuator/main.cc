@@ -42,6 +42,9 @@ int main(int argc, char** argv) {
   }
   if (flags.check_config) {
     std::printf("%s", loaded->effective.c_str());
+    for (const std::string& warning : rips::actuator::Warnings(*loaded)) {
+      std::fprintf(stderr, "warning: %s\n", warning.c_str());
+    }
     return 0;
   }
   const auto credentials = rips::rpc::Credentials::Load(loaded->config.tls);

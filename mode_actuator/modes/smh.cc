@@ -1,6 +1,7 @@
 #include "mode_actuator/modes/smh.h"
 
 #include <algorithm>
+#include <iterator>
 #include <optional>
 #include <set>
 #include <utility>
@@ -12,13 +13,13 @@
 #include "absl/strings/str_join.h"
 #include "absl/strings/str_split.h"
 #include "absl/strings/strip.h"
-#include "services/base/status_macros.h"
 #include "yaml-cpp/yaml.h"
 
 namespace rips::actuator {
 namespace {
 
-constexpr int kNestingMax = 16;  // namespaces, and dots of a parameter name
+constexpr size_t kPartsShown = 8;  // in one message
+constexpr int kNestingMax = 16;    // namespaces, and dots of a parameter name
 
 std::string Quote(absl::string_view text) {
   return absl::StrCat("`", absl::CHexEscape(text.substr(0, 100)), "`");
@@ -37,6 +38,8 @@ struct RawTarget {
 struct RawSystem {
   std::vector<std::pair<std::string, absl::btree_map<std::string, RawTarget>>> modes;
   std::vector<std::string> default_order;
+  absl::btree_map<std::string, YAML::Mark> places;  // of modes
+  YAML::Node parts;
   YAML::Node rules;
 };
 
@@ -63,7 +66,10 @@ class SmhReader {
     } catch (const YAML::Exception& e) {
       Problem(e.mark, absl::CHexEscape(e.msg));
     }
-    if (!problems_.empty()) return absl::InvalidArgumentError(absl::StrJoin(problems_, "\n"));
+    if (!problems_.empty()) {
+      problems_.insert(problems_.end(), smh_.warnings.begin(), smh_.warnings.end());
+      return absl::InvalidArgumentError(absl::StrJoin(problems_, "\n"));
+    }
     return std::move(smh_);
   }
 
@@ -153,7 +159,8 @@ class SmhReader {
       faulty_.insert(part);
       Problem(at.Mark(), absl::StrCat(Quote(part),
                                       " has no modes; the mode manager crashes at the "
-                                      "first order, give it `__DEFAULT__`"));
+                                      "first order, give it `__DEFAULT__` with a parameter "
+                                      "(`use_sim_time: false` if it has none of its own)"));
       return;
     }
     if (!modes.begin()->first.IsScalar() || modes.begin()->first.Scalar() != kDefaultMode) {
@@ -166,6 +173,7 @@ class SmhReader {
       ReadNodeModes(part, modes);
     } else {
       ReadSystemModes(part, modes);
+      if (const YAML::Node parts = body["parts"]) raw_[part].parts.reset(parts);
       if (const YAML::Node rules = body["rules"]) raw_[part].rules.reset(rules);
     }
   }
@@ -249,6 +257,7 @@ class SmhReader {
                 absl::StrCat("mode ", Quote(mode), " of system ", Quote(part), " names no part"));
         return;
       }
+      system.places[mode] = at.Mark();
       absl::btree_map<std::string, RawTarget> targets;
       ForEach(value,
               [&](const std::string& key, const YAML::Node& key_at, const YAML::Node& state) {
@@ -322,8 +331,40 @@ class SmhReader {
         auto& complete = system.modes[mode];
         for (const auto& [part, target] : *defaults) complete[part] = target.target;
         for (const auto& [part, target] : targets) complete[part] = target.target;
+        system.places[mode] = absl::StrCat(name_, ":", Position(raw.places.at(mode)));
+      }
+      CompareParts(name, raw);
+    }
+  }
+
+  // The list that upstream ignores, against what counts.
+  void CompareParts(const std::string& name, const RawSystem& raw) {
+    if (!raw.parts.IsDefined() || raw.parts.IsNull() || raw.default_order.empty()) return;
+    std::set<std::string> listed;
+    if (raw.parts.IsScalar()) {
+      for (absl::string_view part :
+           absl::StrSplit(raw.parts.Scalar(), absl::ByAnyChar(" \t\n"), absl::SkipEmpty())) {
+        listed.insert(Absolute(part));
+      }
+    } else if (raw.parts.IsSequence()) {
+      for (const YAML::Node& part : raw.parts) {
+        if (Charge(part) && part.IsScalar()) listed.insert(Absolute(part.Scalar()));
       }
     }
+    const std::set<std::string> used(raw.default_order.begin(), raw.default_order.end());
+    if (listed == used) return;
+    std::vector<std::string> differing;
+    std::set_symmetric_difference(listed.begin(), listed.end(), used.begin(), used.end(),
+                                  std::back_inserter(differing));
+    const size_t shown = std::min(differing.size(), kPartsShown);
+    smh_.warnings.push_back(absl::StrCat(
+        name_, ":", Position(raw.parts.Mark()), ": `parts` of ", Quote(name), " names ",
+        listed.size(), ", its `__DEFAULT__` ", used.size(),
+        ", which is what counts; in one of them only: ",
+        absl::StrJoin(
+            differing.begin(), differing.begin() + shown, ", ",
+            [](std::string* out, const std::string& part) { absl::StrAppend(out, Quote(part)); }),
+        shown < differing.size() ? ", ..." : ""));
   }
 
   // --- rules
@@ -421,56 +462,7 @@ class SmhReader {
   size_t visited_ = 0;
 };
 
-// Adds what `part` in `target` asks of its nodes; merges by node.
-absl::Status Collect(const Smh& smh, const std::string& part, const PartTarget& target,
-                     absl::btree_map<std::string, ExpectedPart>& out) {
-  if (const auto node = smh.nodes.find(part); node != smh.nodes.end()) {
-    ExpectedPart expected{part, target.state, {}};
-    if (target.state == PartState::kActive) {
-      const auto mode = node->second.modes.find(target.mode);
-      if (mode == node->second.modes.end()) {
-        return absl::NotFoundError(
-            absl::StrCat("node ", Quote(part), " has no mode ", Quote(target.mode)));
-      }
-      expected.parameters = mode->second;
-    }
-    const auto [at, inserted] = out.emplace(part, expected);
-    if (!inserted &&
-        (at->second.state != expected.state || at->second.parameters != expected.parameters)) {
-      return absl::FailedPreconditionError(
-          absl::StrCat("two systems want different things of node ", Quote(part)));
-    }
-    return absl::OkStatus();
-  }
-  const auto system = smh.systems.find(part);
-  if (system == smh.systems.end()) {
-    return absl::NotFoundError(absl::StrCat("no part ", Quote(part), " in the SMH file"));
-  }
-  const bool active = target.state == PartState::kActive;
-  const auto mode = system->second.modes.find(active ? target.mode : std::string(kDefaultMode));
-  if (mode == system->second.modes.end()) {
-    return absl::NotFoundError(
-        absl::StrCat("system ", Quote(part), " has no mode ", Quote(target.mode)));
-  }
-  for (const auto& [child, child_target] : mode->second) {
-    const PartTarget wanted = active ? child_target : PartTarget{PartState::kInactive, ""};
-    RIPS_RETURN_IF_ERROR(Collect(smh, child, wanted, out));
-  }
-  return absl::OkStatus();
-}
-
 }  // namespace
-
-absl::StatusOr<std::vector<ExpectedPart>> Smh::Expected(absl::string_view part,
-                                                        absl::string_view mode) const {
-  absl::btree_map<std::string, ExpectedPart> merged;
-  RIPS_RETURN_IF_ERROR(
-      Collect(*this, Absolute(part), {PartState::kActive, std::string(mode)}, merged));
-  std::vector<ExpectedPart> expected;
-  expected.reserve(merged.size());
-  for (auto& [unused, node] : merged) expected.push_back(std::move(node));
-  return expected;
-}
 
 absl::StatusOr<Smh> ParseSmh(absl::string_view text, absl::string_view name) {
   return SmhReader(name).Read(text);

@@ -10,7 +10,8 @@
 //  - a state other than `active` and `inactive` (upstream reads `ACTIVE` as "unknown");
 //  - `active.MODE` of a mode the part does not have; a system that contains itself;
 //  - rules (`if_target`, `if_part`, `new_target`) that name what is not there.
-// `parts:` is ignored, as upstream does: the parts of a system are the keys of its `__DEFAULT__`.
+// `parts:` is ignored, as upstream does: the parts of a system are the keys of its `__DEFAULT__`. A
+// list that differs from them is a warning.
 #ifndef RIPS_MODE_ACTUATOR_MODES_SMH_H_
 #define RIPS_MODE_ACTUATOR_MODES_SMH_H_
 
@@ -48,6 +49,7 @@ struct SmhSystem {
   std::vector<std::string> parts;  // in file order; each is in `systems` or `nodes`
   // mode -> part -> target; complete: what a mode leaves out is taken from `__DEFAULT__`.
   absl::btree_map<std::string, absl::btree_map<std::string, PartTarget>> modes;
+  absl::btree_map<std::string, std::string> places;  // mode -> "NAME:LINE:COLUMN"
 };
 
 struct SmhNode {
@@ -65,7 +67,8 @@ struct ExpectedPart {
 struct Smh {
   absl::btree_map<std::string, SmhSystem> systems;
   absl::btree_map<std::string, SmhNode> nodes;
-  // "LINE:COLUMN: text": legal, but worth a line in the log (rules that fight an order).
+  // "NAME:LINE:COLUMN: text": legal, but worth a line in the log (rules that fight an order, names
+  // under `parts` that are not those of the modes).
   std::vector<std::string> warnings;
 
   // Every node under `part` (a system or a node) when `part` is in `mode`, sorted by name; a node
@@ -75,7 +78,8 @@ struct Smh {
                                                      absl::string_view mode) const;
 };
 
-// InvalidArgument lists every problem, one per line, as "NAME:LINE:COLUMN: text" (both 1-based).
+// InvalidArgument lists every problem and then every warning, one per line, as
+// "NAME:LINE:COLUMN: text" (both 1-based).
 absl::StatusOr<Smh> ParseSmh(absl::string_view text, absl::string_view name = "smh.yaml");
 
 }  // namespace rips::actuator

@@ -1,7 +1,12 @@
 #include "mode_actuator/modes/smh.h"
 
+#include <fstream>
+#include <iterator>
+#include <sstream>
+
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_replace.h"
+#include "absl/strings/str_split.h"
 #include "gmock/gmock.h"
 #include "gtest/gtest.h"
 #include "services/base/status_matchers.h"
@@ -11,6 +16,7 @@ namespace {
 
 using ros2::ParameterValue;
 using ::testing::AllOf;
+using ::testing::Contains;
 using ::testing::ElementsAre;
 using ::testing::HasSubstr;
 using ::testing::Not;
@@ -19,7 +25,7 @@ using ::testing::Pair;
 constexpr absl::string_view kRobot = R"(safety:
   ros__parameters:
     type: system
-    parts: camera motors
+    parts: camera ns/motors
     modes:
       __DEFAULT__:
         camera: active
@@ -107,37 +113,78 @@ TEST(SmhTest, SystemsNest) {
   }
 }
 
-// The shape of the listing in the RIPS paper's section on System Modes: names under `parts:`, four
-// modes, and no block for any part.
-TEST(SmhTest, DiagnosesAListingWithoutBlocksForItsParts) {
-  constexpr absl::string_view kListing = R"(safety:
-  ros__parameters:
-    type: system
-    parts:
-      image_bridge
-      twist_bridge
-    modes:
-      __DEFAULT__:
-        image_bridge: active
-        twist_bridge: active
-        planner: active
-      ALERT:
-        image_bridge: inactive
-        twist_bridge: active
-        planner: active
-      HALT:
-        image_bridge: inactive
-        twist_bridge: inactive
-        planner: active
-)";
-  EXPECT_THAT(ParseSmh(kListing, "smh.yaml"),
+std::string PaperListing() {
+  const std::ifstream file(RIPS_SOURCE_DIR "/mode_actuator/modes/testdata/paper_smh.yaml");
+  std::ostringstream text;
+  text << file.rdbuf();
+  return text.str();
+}
+
+constexpr const char* kPaperParts[] = {"image_1_to_2",
+                                       "imu_1_to_2",
+                                       "odom_1_to_2",
+                                       "pc2_1_to_2",
+                                       "scan_1_to_2",
+                                       "tf_1_to_2",
+                                       "tf_static_1_to_2",
+                                       "twist_2_to_1",
+                                       "planner_server",
+                                       "filter_mask_server",
+                                       "costmap_filter_info_server",
+                                       "filter_mask_server_clean",
+                                       "costmap_filter_clean"};
+
+TEST(SmhTest, DiagnosesThePapersListing) {
+  const absl::Status status = ParseSmh(PaperListing(), "smh.yaml").status();
+  EXPECT_TRUE(absl::IsInvalidArgument(status));
+  const std::vector<std::string> lines = absl::StrSplit(status.message(), '\n');
+  ASSERT_EQ(lines.size(), std::size(kPaperParts) + 1) << status;
+  for (const char* part : kPaperParts) {
+    EXPECT_THAT(lines, Contains(HasSubstr(absl::StrCat(
+                           ": part `/", part,
+                           "` (mode `__DEFAULT__` of `/safety`) has no block; the mode manager "
+                           "crashes at the first order, add one"))));
+  }
+  EXPECT_THAT(lines, Contains(HasSubstr("smh.yaml:25:25: part `/planner_server`")));
+  EXPECT_EQ(lines.back(),
+            "smh.yaml:7:7: `parts` of `/safety` names 8, its `__DEFAULT__` 13, which is what "
+            "counts; in one of them only: `/costmap_filter_clean`, `/costmap_filter_info_server`, "
+            "`/filter_mask_server`, `/filter_mask_server_clean`, `/planner_server`");
+}
+
+// What the mode manager needs beyond the listing.
+TEST(SmhTest, ThePapersListingWithBlocksIsReadButForABlockWithoutModes) {
+  std::string text = PaperListing();
+  for (const char* part : kPaperParts) {
+    absl::StrAppend(&text, part, ":\n  ros__parameters:\n    type: node\n");
+  }
+  EXPECT_THAT(ParseSmh(text, "smh.yaml"),
               StatusIs(absl::StatusCode::kInvalidArgument,
-                       "smh.yaml:9:23: part `/image_bridge` (mode `__DEFAULT__` of `/safety`) has "
-                       "no block; the mode manager crashes at the first order, add one\n"
-                       "smh.yaml:11:18: part `/planner` (mode `__DEFAULT__` of `/safety`) has no "
-                       "block; the mode manager crashes at the first order, add one\n"
-                       "smh.yaml:10:23: part `/twist_bridge` (mode `__DEFAULT__` of `/safety`) has "
-                       "no block; the mode manager crashes at the first order, add one"));
+                       HasSubstr("smh.yaml:72:1: `/image_1_to_2` has no modes; the mode manager "
+                                 "crashes at the first order, give it `__DEFAULT__` with a "
+                                 "parameter (`use_sim_time: false` if it has none of its own)")));
+  const std::string whole = absl::StrReplaceAll(
+      text, {{"type: node\n",
+              "type: node\n    modes: {__DEFAULT__: {ros__parameters: {use_sim_time: false}}}\n"}});
+  const auto smh = ParseSmh(whole, "smh.yaml");
+  ASSERT_THAT(smh, IsOk());
+  EXPECT_THAT(smh->warnings, ElementsAre(HasSubstr("`parts` of `/safety` names 8")));
+  // The level is called otherwise than the mode.
+  EXPECT_THAT(
+      smh->Expected("/safety", "DEFAULT"),
+      StatusIs(absl::StatusCode::kNotFound,
+               "system `/safety` has no mode `DEFAULT`; it has `ALERT`, `COMPROMISED`, `HALT`, "
+               "`__DEFAULT__`"));
+  EXPECT_EQ(smh->systems.at("/safety").places.at("HALT"), "smh.yaml:58:7");
+}
+
+TEST(SmhTest, PartsThatAreThoseOfTheModesAreNoWarning) {
+  EXPECT_TRUE(
+      ParseSmh(Edited("parts: camera ns/motors", "parts: [camera, ns/motors]"))->warnings.empty());
+  EXPECT_THAT(ParseSmh(Edited("camera ns/motors", "camera motors"))->warnings,
+              ElementsAre(HasSubstr("in one of them only: `/motors`, "
+                                    "`/ns/motors`")));
+  EXPECT_TRUE(ParseSmh(Edited("    parts: camera ns/motors\n", ""))->warnings.empty());
 }
 
 TEST(SmhTest, DiagnosesAPartWithATypeAndNothingElse) {

@@ -12,7 +12,7 @@
 // retries); the nodes themselves are ordered (direct_modes.h) with what is left of it once
 // | the mode manager                                      | at the latest                         |
 // |-------------------------------------------------------|---------------------------------------|
-// | is not there, or does not answer an order              | after kOrderTimeout                   |
+// | is not there, or does not answer an order             | after kOrderTimeout                   |
 // | refuses                                               | at once                               |
 // | did not get the parts there, or names another mode    | before the last attempt; with one     |
 // |                                                       | attempt at half of it                 |

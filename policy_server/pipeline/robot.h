@@ -155,8 +155,7 @@ class Robot {
     std::deque<ros2::Guid> participants;
     // As it said last.
     std::vector<std::string> protected_parts;
-    // Of its newest heartbeat; unknown until the first.
-    std::optional<uint64_t> drifts;
+    std::optional<uint64_t> drifts;  // of its newest heartbeat
     std::vector<std::string> degraded;
     bool lost = false;
     int64_t gone_since_ns = 0;
@@ -239,7 +238,6 @@ class Robot {
   void SendCommands(Instant now);
   // Tells of programs that rules name and no actuator offers, once.
   void TellMissingPrograms();
-  static uint64_t TakeDrifts(ActuatorHost& host, uint64_t drifts);
   void TellDegraded(const std::string& host_name, ActuatorHost& host,
                     const std::vector<std::string>& degraded);
   void SendLease(ActuatorSession& session);

@@ -32,6 +32,14 @@ bool TellsOf(const std::vector<std::string>& texts, absl::string_view subject) {
                      [&](const std::string& text) { return Subject(text) == subject; });
 }
 
+// New ones. A count that went down is of an actuator that started anew; the first that this server
+// hears says nothing of when they were.
+uint64_t TakeDrifts(std::optional<uint64_t>& last, uint64_t drifts) {
+  const uint64_t known = last.value_or(drifts);
+  last = drifts;
+  return drifts >= known ? drifts - known : drifts;
+}
+
 }  // namespace
 
 bool Robot::ActuatorLive(const ActuatorHost& host, Instant now) const {
@@ -206,7 +214,7 @@ void Robot::OnActuatorBeat(const std::string& host_name, const ActuatorLink* lin
   session.beat = beat;
   const auto effective = levels().Find(beat.effective_level);
   const bool left = effective && ledger_.OnBeat(host_name, *effective, beat.verified) && !moving;
-  const uint64_t drifts = TakeDrifts(it->second, beat.drifts);
+  const uint64_t drifts = TakeDrifts(it->second.drifts, beat.drifts);
   if (left || drifts > 0) {
     OwnAlert(engine::Severity::kHigh,
              absl::StrCat("the robot no longer is at ", beat.effective_level, " (", beat.observed,
@@ -218,14 +226,6 @@ void Robot::OnActuatorBeat(const std::string& host_name, const ActuatorLink* lin
   }
   TellDegraded(host_name, it->second, beat.degraded);
   UpdateActuation(now);
-}
-
-// New ones. A count that went down is of an actuator that started anew; the first that this server
-// hears says nothing of when they were.
-uint64_t Robot::TakeDrifts(ActuatorHost& host, uint64_t drifts) {
-  const uint64_t known = host.drifts.value_or(drifts);
-  host.drifts = drifts;
-  return drifts >= known ? drifts - known : drifts;
 }
 
 void Robot::TellDegraded(const std::string& host_name, ActuatorHost& host,

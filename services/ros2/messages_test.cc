@@ -207,5 +207,38 @@ TEST(MessagesTest, TruncationAtEveryByte) {
   }
 }
 
+TEST(SetParametersTest, RoundTrips) {
+  const std::vector<NamedParameter> parameters = {{"speed", 0.2},
+                                                  {"limits.gear", int64_t{2}},
+                                                  {"on", true},
+                                                  {"name", std::string("x")},
+                                                  {"", {}}};
+  const std::string request = EncodeSetParametersRequest(parameters);
+  const auto decoded = DecodeSetParametersRequest(request);
+  ASSERT_THAT(decoded, IsOk());
+  EXPECT_EQ(*decoded, parameters);
+  for (const SetParametersResult& result :
+       {SetParametersResult{true, ""}, SetParametersResult{false, "not declared"}}) {
+    const auto reply = DecodeSetParametersReply(EncodeSetParametersReply(result));
+    ASSERT_THAT(reply, IsOk());
+    EXPECT_EQ(*reply, result);
+  }
+}
+
+TEST(SetParametersTest, WhatIsCutOrTooMuchIsRefused) {
+  const std::string request = EncodeSetParametersRequest({{"speed", 0.2}, {"gear", int64_t{1}}});
+  for (size_t length = 0; length < request.size(); ++length) {
+    EXPECT_FALSE(DecodeSetParametersRequest(request.substr(0, length)).ok()) << length;
+  }
+  const std::string reply = EncodeSetParametersReply({false, "no"});
+  for (size_t length = 0; length < reply.size(); ++length) {
+    EXPECT_FALSE(DecodeSetParametersReply(reply.substr(0, length)).ok()) << length;
+  }
+  std::vector<NamedParameter> many(kParametersMax);
+  EXPECT_THAT(DecodeSetParametersRequest(EncodeSetParametersRequest(many)), IsOk());
+  many.emplace_back();
+  EXPECT_FALSE(DecodeSetParametersRequest(EncodeSetParametersRequest(many)).ok());
+}
+
 }  // namespace
 }  // namespace rips::ros2

@@ -1,5 +1,5 @@
-// Request and reply of rcl_interfaces/srv/GetParameters and SetParametersAtomically, as CDR payloads
-// without a service header. Decode* fail with DataLoss.
+// Request and reply of rcl_interfaces/srv/GetParameters and SetParametersAtomically, as CDR
+// payloads without a service header. Decode* fail with DataLoss.
 #ifndef RIPS_SERVICES_ROS2_PARAMETER_MESSAGES_H_
 #define RIPS_SERVICES_ROS2_PARAMETER_MESSAGES_H_
 

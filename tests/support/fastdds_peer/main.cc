@@ -4,9 +4,11 @@
 //   fastdds_peer --domain 7 --node /talker --publish rt/chatter [--latched]
 //   fastdds_peer --domain 7 --node /server --serve /enable
 //   fastdds_peer --domain 7 --node /client --call /enable
+//   fastdds_peer --domain 7 --node /manager --modes /safety --mode __DEFAULT__ --mode ALERT
 //
-// Topics are std_msgs/msg/String, services std_srvs/srv/SetBool. Prints `up`, `ready` when the
-// service counts as available (by the rule of rmw_fastrtps: as many readers of requests as writers
+// The last is a mode manager of one part: it takes any of the modes it was given, is in it at once,
+// and prints `order MODE`. Topics are std_msgs/msg/String, services std_srvs/srv/SetBool. Prints
+// `up`, `ready` when the service counts as available (by the rule of rmw_fastrtps: as many readers of requests as writers
 // of replies are known, and all are matched), `reply` for each answer, `counts READERS WRITERS`
 // when those of the service change. SIGTERM ends it.
 #include <csignal>
@@ -17,6 +19,7 @@
 #include <memory>
 #include <string>
 #include <utility>
+#include <vector>
 
 #include "CLI/CLI.hpp"
 #include "absl/time/time.h"
@@ -34,6 +37,7 @@
 #include "services/ros2/cdr.h"
 #include "services/ros2/discovery_info.h"
 #include "services/ros2/ros_name.h"
+#include "services/ros2/system_modes_messages.h"
 #include "services/runtime/mutex.h"
 #include "services/runtime/shutdown.h"
 #include "tests/support/robot_sim/stop_flag.h"
@@ -56,6 +60,8 @@ struct Options {
   bool udp_only = false;
   std::string serve;
   std::string call;
+  std::string modes;
+  std::vector<std::string> mode;
 };
 
 void Say(const std::string& text) {
@@ -193,7 +199,8 @@ class Peer {
     if (!options_.publish.empty()) {
       Own(topic_ = Writer(options_.publish, kStringType, options_.latched, 7));
     }
-    if (!options_.serve.empty()) Serve();
+    if (!options_.serve.empty()) Serve(options_.serve, kServiceType, SetBool);
+    if (!options_.modes.empty()) ServeModes();
     if (!options_.call.empty()) Client();
     return Claim();
   }
@@ -259,25 +266,55 @@ class Peer {
     return info_->write(&payload);
   }
 
+  using Answer = std::function<std::string(const std::string& request)>;
+
+  static std::string SetBool(const std::string&) {
+    ros2::CdrWriter cdr;
+    cdr.Bool(true);
+    cdr.String("done");
+    return std::move(cdr).Finish();
+  }
+
   // The reply goes to whom the request names, or else to its writer, under the request's number.
-  void Serve() {
-    Own(reply_ = Writer(ros2::MangleServiceReply(options_.serve),
-                        ros2::MangleServiceReplyType(kServiceType), false, 10));
-    Own(Reader(ros2::MangleServiceRequest(options_.serve),
-               ros2::MangleServiceRequestType(kServiceType), false,
-               [this](const std::string&, const fast::SampleInfo& info) {
+  void Serve(const std::string& service, const std::string& type, Answer answer) {
+    fast::DataWriter* const reply =
+        Writer(ros2::MangleServiceReply(service), ros2::MangleServiceReplyType(type), false, 10);
+    Own(reply);
+    Own(Reader(ros2::MangleServiceRequest(service), ros2::MangleServiceRequestType(type), false,
+               [reply, answer = std::move(answer)](const std::string& request,
+                                                   const fast::SampleInfo& info) {
                  rtps::WriteParams to;
                  to.related_sample_identity() = info.sample_identity;
                  const rtps::GUID_t& named = info.related_sample_identity.writer_guid();
                  if (named != rtps::GUID_t::unknown()) {
                    to.related_sample_identity().writer_guid() = named;
                  }
-                 ros2::CdrWriter cdr;
-                 cdr.Bool(true);
-                 cdr.String("done");
-                 std::string payload = std::move(cdr).Finish();
-                 reply_->write(&payload, to);
+                 std::string payload = answer(request);
+                 reply->write(&payload, to);
                }));
+  }
+
+  void ServeModes() {
+    const std::string& part = options_.modes;
+    now_ = options_.mode.empty() ? "" : options_.mode[0];
+    Serve(part + "/change_mode", ros2::kChangeModeType, [this](const std::string& request) {
+      const auto mode = ros2::DecodeChangeModeRequest(request);
+      bool known = false;
+      for (const std::string& each : options_.mode) known |= mode.ok() && *mode == each;
+      MutexLock lock(&mu_);
+      if (known) now_ = *mode;
+      Say("order " + (mode.ok() ? *mode : std::string("?")));
+      return ros2::EncodeSuccessReply(known);
+    });
+    Serve(part + "/get_mode", ros2::kGetModeType, [this](const std::string&) {
+      MutexLock lock(&mu_);
+      return ros2::EncodeGetModeReply(now_);
+    });
+    Serve(part + "/get_state", ros2::kGetStateType, [](const std::string&) {
+      return ros2::EncodeGetStateReply({3, "active"});
+    });
+    Serve(part + "/get_available_modes", ros2::kGetAvailableModesType,
+          [this](const std::string&) { return ros2::EncodeGetAvailableModesReply(options_.mode); });
   }
 
   void Client() {
@@ -315,6 +352,8 @@ class Peer {
 
   const Options options_;
   Graph graph_;
+  Mutex mu_;
+  std::string now_ ABSL_GUARDED_BY(mu_);  // the mode
   ros2::NodeEntities entities_;
   std::vector<std::unique_ptr<ReaderListener>> listeners_;
   fast::DomainParticipant* participant_ = nullptr;
@@ -322,7 +361,6 @@ class Peer {
   fast::Subscriber* subscriber_ = nullptr;
   fast::DataWriter* info_ = nullptr;
   fast::DataWriter* topic_ = nullptr;
-  fast::DataWriter* reply_ = nullptr;
   fast::DataWriter* request_ = nullptr;
   fast::DataReader* replies_ = nullptr;
 };
@@ -337,6 +375,8 @@ int Main(int argc, char** argv) {
   app.add_flag("--udp-only", options.udp_only);
   app.add_option("--serve", options.serve);
   app.add_option("--call", options.call);
+  app.add_option("--modes", options.modes);
+  app.add_option("--mode", options.mode);
   CLI11_PARSE(app, argc, argv);
   BlockSignals();
   robot_sim::StopFlag stop;

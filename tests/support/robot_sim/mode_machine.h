@@ -78,8 +78,8 @@ class ModeMachine {
 
   // The answer of PART/change_mode; `part` is the system or one of its nodes.
   bool ChangeMode(absl::string_view part, absl::string_view mode, int64_t now_ns);
-  // The answer of NODE/change_state: false unless the transition starts from the node's state, or if
-  // the node is stuck. Takes effect at once.
+  // The answer of NODE/change_state: false if the transition does not start from the node's state,
+  // or the node is stuck. Takes effect at once.
   bool ChangeState(absl::string_view node, uint8_t transition);
   // The answer of NODE/set_parameters_atomically: empty, or why not. All must be declared, with the
   // type they have. The node is then in the mode whose parameters these are, or in none.

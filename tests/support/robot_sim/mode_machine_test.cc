@@ -161,5 +161,79 @@ TEST(ModeMachineTest, RefusesFilesItCannotSimulate) {
               StatusIs(absl::StatusCode::kInvalidArgument, HasSubstr("`/safety` is not a node")));
 }
 
+TEST(ModeMachineTest, NodesMakeTheTransitionsOfTheLifecycle) {
+  ModeMachine machine = Machine();
+  EXPECT_FALSE(machine.ChangeState("/eye", kTransitionActivate));
+  EXPECT_FALSE(machine.ChangeState("/eye", kTransitionCleanup));
+  EXPECT_TRUE(machine.ChangeState("/eye", kTransitionDeactivate));
+  EXPECT_TRUE(machine.ChangeState("/eye", kTransitionCleanup));
+  EXPECT_EQ(machine.State("/eye"), Lifecycle::kUnconfigured);
+  EXPECT_FALSE(machine.ChangeState("/eye", kTransitionActivate));
+  // The mode manager does nothing with it.
+  EXPECT_TRUE(machine.ChangeMode("/safety", "__DEFAULT__", 0));
+  machine.Advance(kDelay);
+  EXPECT_EQ(machine.State("/eye"), Lifecycle::kUnconfigured);
+  EXPECT_TRUE(machine.ChangeState("/eye", kTransitionConfigure));
+  EXPECT_EQ(machine.State("/eye"), Lifecycle::kInactive);
+  EXPECT_TRUE(machine.ChangeState("/eye", kTransitionActivate));
+  EXPECT_EQ(machine.TrueMode(), "__DEFAULT__");
+}
+
+TEST(ModeMachineTest, ParametersAreSetAllOrNoneAndMakeTheMode) {
+  ModeMachine machine = Machine();
+  EXPECT_EQ(machine.SetParameters("/wheels", {{"max_speed", 0.2}}), "");
+  EXPECT_EQ(machine.Mode("/wheels"), "SLOW");
+  EXPECT_THAT(machine.SetParameters("/wheels", {{"max_speed", 1.0}, {"x", 1.0}}),
+              HasSubstr("not been declared"));
+  EXPECT_THAT(machine.SetParameters("/wheels", {{"max_speed", std::string("1")}}),
+              HasSubstr("wrong parameter type"));
+  EXPECT_EQ(machine.Mode("/wheels"), "SLOW");
+  EXPECT_EQ(machine.SetParameters("/wheels", {{"max_speed", 0.7}}), "");
+  EXPECT_EQ(machine.Mode("/wheels"), "");
+  EXPECT_NE(machine.SetParameters("/nobody", {}), "");
+}
+
+TEST(ModeMachineTest, AStuckNodeStaysAsItIs) {
+  ModeMachine machine = Machine();
+  machine.SetStuck("/eye", true);
+  EXPECT_FALSE(machine.ChangeState("/eye", kTransitionDeactivate));
+  EXPECT_NE(machine.SetParameters("/eye", {{"rate", 1.0}}), "");
+  machine.ChangeMode("/safety", "HALT", 0);
+  machine.Advance(kDelay);
+  EXPECT_EQ(machine.State("/eye"), Lifecycle::kActive);
+  EXPECT_EQ(machine.State("/wheels"), Lifecycle::kInactive);
+}
+
+TEST(ModeMachineTest, ARestartedManagerKnowsNothingUntilEachNodeHasMoved) {
+  ModeMachine machine = Machine();
+  machine.ChangeMode("/safety", "ALERT", 0);
+  machine.ForgetModes();
+  machine.Advance(kDelay);
+  EXPECT_EQ(machine.TrueMode(), "__DEFAULT__") << "what was pending is forgotten";
+  EXPECT_EQ(machine.Mode("/safety"), "unknown");
+  EXPECT_EQ(machine.State("/safety"), Lifecycle::kUnknown);
+  machine.ChangeMode("/safety", "ALERT", kDelay);
+  machine.Advance(2 * kDelay);
+  EXPECT_EQ(machine.Mode("/safety"), "ALERT");
+}
+
+TEST(ModeMachineTest, AManagerWithRulesLeavesTheMode) {
+  ModeMachine machine = Machine();
+  machine.SetPull("ALERT", "__DEFAULT__");
+  machine.ChangeMode("/safety", "ALERT", 0);
+  machine.Advance(kDelay);
+  EXPECT_EQ(machine.Mode("/safety"), "ALERT");
+  machine.Advance(kDelay + 1'000'000'000);
+  machine.Advance(2 * kDelay + 1'000'000'000);
+  EXPECT_EQ(machine.Mode("/safety"), "__DEFAULT__");
+}
+
+TEST(ModeMachineTest, ARemovedModeIsNotTaken) {
+  ModeMachine machine = Machine();
+  machine.RemoveMode("ALERT");
+  EXPECT_THAT(machine.AvailableModes("/safety"), ElementsAre("HALT", "__DEFAULT__"));
+  EXPECT_FALSE(machine.ChangeMode("/safety", "ALERT", 0));
+}
+
 }  // namespace
 }  // namespace rips::robot_sim
