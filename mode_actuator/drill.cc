@@ -16,9 +16,9 @@
 namespace rips::actuator {
 namespace {
 
-constexpr absl::Duration kPoll = absl::Milliseconds(20);
+constexpr absl::Duration kDrillPoll = absl::Milliseconds(20);
 // After its deadline a program is told to end, and killed kTermGrace later; then it must be over.
-constexpr absl::Duration kEndGrace = absl::Seconds(2);
+constexpr absl::Duration kDrillEndGrace = absl::Seconds(2);
 constexpr AlarmState kOff = {};
 
 StepResult Result(Drilled drilled, const absl::Status& status, std::string detail) {
@@ -38,7 +38,7 @@ StepResult Looked(const absl::Status& status, std::string detail) {
 // Polls `attempt` to its end; a cancelled one ends soon.
 void Drive(StepAttempt& attempt, const Clock& clock, const CancelFlag& cancel) {
   while (!attempt.Poll(clock.Now().boottime_ns)) {
-    if (cancel.WaitFor(kPoll)) attempt.Cancel();
+    if (cancel.WaitFor(kDrillPoll)) attempt.Cancel();
   }
 }
 
@@ -93,7 +93,7 @@ DrillOutcome Drill::Run(const DrillJob& job, const CancelFlag& cancel,
   const int64_t end_ns = NowNs() + absl::ToInt64Nanoseconds(kDrillTime);
   for (const std::vector<Step>* steps : {&level->enter, &level->leave}) {
     for (const Step& step : *steps) {
-      if (between) between();
+      if (between && !cancel.cancelled()) between();
       const int64_t began_ns = NowNs();
       StepResult result;
       if (cancel.cancelled()) {
@@ -145,7 +145,7 @@ StepResult Drill::RunProgram(const Step& step, absl::Duration left, const Cancel
   const absl::StatusOr<uint64_t> run =
       robot_.programs->Start(request, [slot](ProgramResult ended) { slot->Set(std::move(ended)); });
   if (!run.ok()) return Result(Drilled::kNot, run.status(), "");
-  const int64_t end_ns = NowNs() + absl::ToInt64Nanoseconds(request.timeout + kEndGrace);
+  const int64_t end_ns = NowNs() + absl::ToInt64Nanoseconds(request.timeout + kDrillEndGrace);
   const std::optional<ProgramResult> ended = AwaitProgram(*run, slot, end_ns, cancel);
   if (!ended.has_value()) {
     return Result(Drilled::kDone, absl::DeadlineExceededError("the program runner gave no result"),
@@ -169,7 +169,7 @@ std::optional<ProgramResult> Drill::AwaitProgram(uint64_t run,
     // What looks at the level, and renews its rules, does not wait for a slow program.
     if (between_ && !told) between_();
     // A cancelled flag does not sleep, so what is told to end is waited for on a flag of our own.
-    (told ? own : cancel).WaitFor(kPoll);
+    (told ? own : cancel).WaitFor(kDrillPoll);
   }
   robot_.programs->Cancel(run);
   return slot->Take();
@@ -235,7 +235,7 @@ absl::Status Drill::SwitchOff(const std::string& device, absl::Duration timeout,
         return cancel.cancelled() ? absl::CancelledError("a level had to be applied")
                                   : absl::DeadlineExceededError("it does not answer");
       }
-      cancel.WaitFor(kPoll);
+      cancel.WaitFor(kDrillPoll);
     }
     status = ended->status;
     if (status.ok() || cancel.WaitFor(kAlarmRetryPause)) return status;

@@ -84,9 +84,9 @@ TEST_F(LevelScriptsTest, EachMistakeIsTold) {
         "/DEFAULT.to` is a symbolic link", "a program is called `DEFAULT.from` already"}) {
     EXPECT_THAT(std::string(status.message()), HasSubstr(part));
   }
-  directory_ += "/no";
-  EXPECT_THAT(Add(), StatusIs(absl::StatusCode::kInvalidArgument,
-                              HasSubstr("/no`: No such file or directory")));
+  EXPECT_THAT(
+      AddLevelScripts(directory_ + "/no", &levels_, &programs_, &told_),
+      StatusIs(absl::StatusCode::kInvalidArgument, HasSubstr("/no`: No such file or directory")));
 }
 
 TEST_F(LevelScriptsTest, TheirNumberHasALimit) {

@@ -15,7 +15,7 @@ using ::testing::ElementsAre;
 using ::testing::HasSubstr;
 using ::testing::IsEmpty;
 using ::testing::SizeIs;
-using Stage = Receipt::Stage;
+using Told = Receipt::Stage;
 
 class DrillRunTest : public ::testing::Test {
  protected:
@@ -30,7 +30,7 @@ class DrillRunTest : public ::testing::Test {
     }
     return texts;
   }
-  void Answer(const std::string& host, Stage stage, std::vector<StepReport> steps = {}) {
+  void Answer(const std::string& host, Told stage, std::vector<StepReport> steps = {}) {
     EXPECT_TRUE(run_.OnReceipt(host, {.command_id = ids_[host],
                                       .stage = stage,
                                       .steps = std::move(steps),
@@ -50,14 +50,14 @@ class DrillRunTest : public ::testing::Test {
 TEST_F(DrillRunTest, LevelsComeInTurnOnEachActuator) {
   EXPECT_THAT(Due(), ElementsAre("arm DEFAULT", "base DEFAULT"));
   EXPECT_THAT(Due(), IsEmpty());
-  Answer("arm", Stage::kAcknowledged);
-  Answer("arm", Stage::kVerified, {{.step = "x", .ok = true}});
+  Answer("arm", Told::kAcknowledged);
+  Answer("arm", Told::kVerified, {{.step = "x", .ok = true}});
   EXPECT_THAT(Due(), ElementsAre("arm ALERT"));
-  Answer("base", Stage::kFailed);
+  Answer("base", Told::kFailed);
   EXPECT_THAT(Due(), ElementsAre("base ALERT"));
-  Answer("base", Stage::kRefused);
+  Answer("base", Told::kRefused);
   EXPECT_FALSE(run_.Over(now_));
-  Answer("arm", Stage::kVerified);
+  Answer("arm", Told::kVerified);
   EXPECT_TRUE(run_.Over(now_));
 
   const std::vector<DrillEntry> entries = run_.TakeEntries();
@@ -78,27 +78,27 @@ TEST_F(DrillRunTest, LevelsComeInTurnOnEachActuator) {
 TEST_F(DrillRunTest, WhatIsNotAcknowledgedIsSentAgain) {
   EXPECT_THAT(Due(), SizeIs(2));
   const std::string id = ids_["base"];
-  Answer("arm", Stage::kAcknowledged);
+  Answer("arm", Told::kAcknowledged);
   Pass(kDrillResendNs);
   EXPECT_THAT(Due(), ElementsAre("base DEFAULT"));
   EXPECT_EQ(ids_["base"], id);
-  Answer("base", Stage::kAcknowledged);
+  Answer("base", Told::kAcknowledged);
   Pass(kDrillResendNs);
   EXPECT_THAT(Due(), IsEmpty());
 }
 
 TEST_F(DrillRunTest, ALevelThatIsAppliedEndsThatActuatorsDrill) {
   Due();
-  Answer("arm", Stage::kSuperseded);
+  Answer("arm", Told::kSuperseded);
   EXPECT_THAT(Due(), IsEmpty());
-  Answer("base", Stage::kVerified);
+  Answer("base", Told::kVerified);
   Due();
-  Answer("base", Stage::kVerified);
+  Answer("base", Told::kVerified);
   ASSERT_TRUE(run_.Over(now_));
   const std::vector<DrillEntry> entries = run_.TakeEntries();
-  EXPECT_EQ(entries[3].stage, Stage::kSuperseded);
+  EXPECT_EQ(entries[3].stage, Told::kSuperseded);
   EXPECT_EQ(entries[3].detail, "not tried: as told");
-  EXPECT_EQ(entries[5].stage, Stage::kVerified);
+  EXPECT_EQ(entries[5].stage, Told::kVerified);
 }
 
 TEST_F(DrillRunTest, OneThatGoesAwaySaysSo) {
@@ -107,14 +107,14 @@ TEST_F(DrillRunTest, OneThatGoesAwaySaysSo) {
   run_.OnGone("arm");
   EXPECT_THAT(Due(), IsEmpty());
   const std::vector<DrillEntry> entries = run_.TakeEntries();
-  EXPECT_EQ(entries[0].stage, Stage::kUnknown);
+  EXPECT_EQ(entries[0].stage, Told::kUnknown);
   EXPECT_EQ(entries[0].detail, "the actuator went away during the drill");
   EXPECT_EQ(entries[3].detail, "not tried: the actuator went away");
 }
 
 TEST_F(DrillRunTest, TheTimeIsUpAtLast) {
   Due();
-  Answer("base", Stage::kAcknowledged);
+  Answer("base", Told::kAcknowledged);
   Pass(kDrillAnswerNs - 1);
   EXPECT_FALSE(run_.Over(now_));
   Pass(1);
@@ -126,21 +126,21 @@ TEST_F(DrillRunTest, TheTimeIsUpAtLast) {
 
 TEST_F(DrillRunTest, ReceiptsOfOthersAndRepeatedOnesChangeNothing) {
   Due();
-  EXPECT_FALSE(run_.OnReceipt("base", {.command_id = "other", .stage = Stage::kVerified}));
-  EXPECT_FALSE(run_.OnReceipt("arm", {.command_id = ids_["base"], .stage = Stage::kVerified}));
-  Answer("base", Stage::kFailed);
-  Answer("base", Stage::kVerified);
-  Answer("base", Stage::kAcknowledged);
+  EXPECT_FALSE(run_.OnReceipt("base", {.command_id = "other", .stage = Told::kVerified}));
+  EXPECT_FALSE(run_.OnReceipt("arm", {.command_id = ids_["base"], .stage = Told::kVerified}));
+  Answer("base", Told::kFailed);
+  Answer("base", Told::kVerified);
+  Answer("base", Told::kAcknowledged);
   // Of a level that nobody has asked for yet.
-  EXPECT_TRUE(run_.OnReceipt("base", {.command_id = "id6", .stage = Stage::kVerified}));
+  EXPECT_TRUE(run_.OnReceipt("base", {.command_id = "id6", .stage = Told::kVerified}));
   EXPECT_THAT(Due(), ElementsAre("base ALERT"));
-  EXPECT_EQ(run_.TakeEntries()[2].stage, Stage::kFailed);
+  EXPECT_EQ(run_.TakeEntries()[2].stage, Told::kFailed);
 }
 
 TEST_F(DrillRunTest, AnswersAreHarmlessAndBounded) {
   Due();
   std::vector<StepReport> steps(300, {.step = "\x1b[2J", .output_tail = std::string(4096, 'x')});
-  Answer("base", Stage::kFailed, steps);
+  Answer("base", Told::kFailed, steps);
   const DrillEntry entry = run_.TakeEntries()[2];
   ASSERT_THAT(entry.steps, SizeIs(kReceiptStepsKept));
   EXPECT_EQ(entry.steps[0].step, "\\x1b[2J");
@@ -151,12 +151,12 @@ TEST_F(DrillRunTest, AnswersAreHarmlessAndBounded) {
 
 TEST(DrillSummaryTest, CountsWhatWorksAndNamesTheRest) {
   std::vector<DrillEntry> drills = {
-      {.level = "ALERT", .host = "base", .stage = Stage::kVerified, .steps = {{.ok = true}}}};
+      {.level = "ALERT", .host = "base", .stage = Told::kVerified, .steps = {{.ok = true}}}};
   EXPECT_EQ(Summary(drills), "1 of 1 steps work");
   EXPECT_TRUE(AllWork(drills));
   drills.push_back({.level = "HALT",
                     .host = "base",
-                    .stage = Stage::kFailed,
+                    .stage = Told::kFailed,
                     .steps = {{.step = "program horn", .detail = "exit code 1"}, {.ok = true}},
                     .detail = "program horn: exit code 1"});
   drills.push_back({.level = "HALT", .host = "arm", .detail = "no answer in time"});

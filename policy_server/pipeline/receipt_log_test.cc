@@ -11,9 +11,9 @@ using ::testing::ElementsAre;
 using ::testing::HasSubstr;
 using ::testing::IsEmpty;
 using ::testing::SizeIs;
-using Stage = Receipt::Stage;
+using Told = Receipt::Stage;
 
-Receipt Of(const std::string& id, Stage stage, const std::string& detail = "") {
+Receipt Of(const std::string& id, Told stage, const std::string& detail = "") {
   return {.command_id = id, .stage = stage, .detail = detail};
 }
 Command Level(const std::string& id, const std::string& to = "ALERT") {
@@ -33,9 +33,9 @@ TEST(ReceiptLogTest, NamesCommandsAndGivesTheNewestFirst) {
   log.Sent("base", Level("1"));
   log.Sent("base", {.id = "2", .what = RunProgram{.program = "usb_alarm"}});
   log.Sent("arm", {.id = "3", .what = Drill{.level = "HALT"}});
-  log.Received("base", Of("1", Stage::kVerified), 10);
-  log.Received("base", Of("2", Stage::kFailed, "exit code 1"), 20);
-  log.Received("arm", Of("3", Stage::kAcknowledged), 30);
+  log.Received("base", Of("1", Told::kVerified), 10);
+  log.Received("base", Of("2", Told::kFailed, "exit code 1"), 20);
+  log.Received("arm", Of("3", Told::kAcknowledged), 30);
   EXPECT_THAT(Commands(log),
               ElementsAre("arm drill HALT", "base exec usb_alarm", "base level ALERT"));
   EXPECT_THAT(Commands(log, 2), ElementsAre("arm drill HALT", "base exec usb_alarm"));
@@ -44,10 +44,10 @@ TEST(ReceiptLogTest, NamesCommandsAndGivesTheNewestFirst) {
 }
 
 TEST(ReceiptLogTest, TheStageOfACommandNeverGoesBack) {
-  const Stage order[] = {Stage::kAcknowledged, Stage::kUnknown,    Stage::kRefused,
-                         Stage::kFailed,       Stage::kSuperseded, Stage::kVerified};
-  for (const Stage before : order) {
-    for (const Stage after : order) {
+  const Told order[] = {Told::kAcknowledged, Told::kUnknown,    Told::kRefused,
+                        Told::kFailed,       Told::kSuperseded, Told::kVerified};
+  for (const Told before : order) {
+    for (const Told after : order) {
       ReceiptLog log;
       log.Sent("base", Level("1"));
       log.Received("base", Of("1", before, "before"), 1);
@@ -68,9 +68,9 @@ TEST(ReceiptLogTest, ARepeatedReceiptIsNoNews) {
   ReceiptLog log;
   log.Sent("base", Level("1"));
   log.Sent("base", Level("2"));
-  log.Received("base", Of("1", Stage::kVerified), 1);
-  log.Received("base", Of("2", Stage::kVerified), 2);
-  log.Received("base", Of("1", Stage::kVerified), 3);
+  log.Received("base", Of("1", Told::kVerified), 1);
+  log.Received("base", Of("2", Told::kVerified), 2);
+  log.Received("base", Of("1", Told::kVerified), 3);
   EXPECT_EQ(log.Newest(0)[0].receipt.command_id, "2");
   EXPECT_EQ(log.Newest(0)[1].unix_ns, 1);
 }
@@ -78,16 +78,16 @@ TEST(ReceiptLogTest, ARepeatedReceiptIsNoNews) {
 TEST(ReceiptLogTest, AnotherHostsCommandIsNotRecognised) {
   ReceiptLog log;
   log.Sent("base", Level("1"));
-  log.Received("arm", Of("1", Stage::kVerified), 1);
-  log.Received("base", Of("1", Stage::kFailed), 2);
+  log.Received("arm", Of("1", Told::kVerified), 1);
+  log.Received("base", Of("1", Told::kFailed), 2);
   EXPECT_THAT(Commands(log), ElementsAre("base level ALERT", "arm unknown command"));
 }
 
 TEST(ReceiptLogTest, StrangeReceiptsDoNotPushOutTheOthers) {
   ReceiptLog log;
   log.Sent("base", Level("mine"));
-  log.Received("base", Of("mine", Stage::kFailed), 1);
-  for (size_t i = 0; i < 1000; ++i) log.Received("base", Of(absl::StrCat(i), Stage::kVerified), 2);
+  log.Received("base", Of("mine", Told::kFailed), 1);
+  for (size_t i = 0; i < 1000; ++i) log.Received("base", Of(absl::StrCat(i), Told::kVerified), 2);
   EXPECT_THAT(log.Newest(0), SizeIs(kStrangeReceiptsKept + 1));
   EXPECT_EQ(log.Newest(0).back().receipt.command_id, "mine");
   EXPECT_EQ(log.Newest(0).front().receipt.command_id, "999");
@@ -97,7 +97,7 @@ TEST(ReceiptLogTest, KeepsALimitedNumber) {
   ReceiptLog log;
   for (size_t i = 0; i < 2 * kReceiptsKept; ++i) {
     log.Sent("base", Level(absl::StrCat(i)));
-    log.Received("base", Of(absl::StrCat(i), Stage::kVerified), 1);
+    log.Received("base", Of(absl::StrCat(i), Told::kVerified), 1);
   }
   EXPECT_THAT(log.Newest(0), SizeIs(kReceiptsKept));
   EXPECT_EQ(log.Newest(0).front().receipt.command_id, "127");
@@ -107,10 +107,10 @@ TEST(ReceiptLogTest, KeepsALimitedNumber) {
 TEST(ReceiptLogTest, ALevelThatIsTriedAgainAndAgainIsNotAll) {
   ReceiptLog log;
   log.Sent("base", Level("first"));
-  log.Received("base", Of("first", Stage::kVerified), 1);
+  log.Received("base", Of("first", Told::kVerified), 1);
   for (size_t i = 0; i < 100; ++i) {
     log.Sent("base", Level(absl::StrCat(i)));
-    Receipt receipt = Of(absl::StrCat(i), Stage::kFailed);
+    Receipt receipt = Of(absl::StrCat(i), Told::kFailed);
     receipt.mark = {.term = 1, .epoch = 2};
     log.Received("base", receipt, 2);
   }
@@ -124,13 +124,13 @@ TEST(ReceiptLogTest, OnlySoManyCommandsAreRemembered) {
     log.Sent("base", Level(absl::StrCat(i)));
     log.Sent("base", Level(absl::StrCat(i)));  // sent again: no second entry
   }
-  log.Received("base", Of("0", Stage::kVerified), 1);
-  log.Received("base", Of("1", Stage::kVerified), 1);
+  log.Received("base", Of("0", Told::kVerified), 1);
+  log.Received("base", Of("1", Told::kVerified), 1);
   EXPECT_THAT(Commands(log), ElementsAre("base level ALERT", "base unknown command"));
 }
 
 TEST(ReceiptLogTest, HostileTextsAreMadeHarmlessAndCut) {
-  Receipt receipt = Of("id", Stage::kFailed, "\x1b[2J\n\xff");
+  Receipt receipt = Of("id", Told::kFailed, "\x1b[2J\n\xff");
   receipt.steps = {{.step = std::string(500, 's'), .detail = std::string(5000, 'd')}};
   const Receipt kept = Trimmed(receipt);
   EXPECT_EQ(kept.detail, "\\x1b[2J\\x0a\\xff");
@@ -143,7 +143,7 @@ TEST(ReceiptLogTest, HostileTextsAreMadeHarmlessAndCut) {
 }
 
 TEST(ReceiptLogTest, FailedStepsKeepTheirWordsWhereThereIsTooMuch) {
-  Receipt receipt = Of("id", Stage::kFailed);
+  Receipt receipt = Of("id", Told::kFailed);
   for (size_t i = 0; i < 2 * kReceiptStepsKept; ++i) {
     receipt.steps.push_back({.step = "s", .ok = i != 100, .output_tail = std::string(4096, 'o')});
     receipt.steps.back().detail = std::string(1024, 'd');
@@ -163,7 +163,7 @@ TEST(ReceiptLogTest, FailedStepsKeepTheirWordsWhereThereIsTooMuch) {
 }
 
 TEST(ReceiptLogTest, AFailureNamesTheStepsThatFailed) {
-  Receipt receipt = Of("id", Stage::kFailed, "in short");
+  Receipt receipt = Of("id", Told::kFailed, "in short");
   EXPECT_EQ(FailureText(receipt), "in short");
   receipt.steps = {{.step = "system_mode /safety=ALERT", .ok = true},
                    {.step = "program horn", .detail = "exit code 1\n"},

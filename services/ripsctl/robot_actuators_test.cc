@@ -23,7 +23,7 @@ using ::testing::HasSubstr;
 using ::testing::Not;
 using ::testing::SizeIs;
 
-constexpr int64_t kNewYear = 1'767'225'600'000'000'000;
+constexpr int64_t kAnsweredNs = 1'767'225'600'000'000'000;
 
 class AnsweringOperator final : public v1::OperatorService::Service {
  public:
@@ -216,7 +216,7 @@ TEST_F(RobotActuatorsTest, RefusalsAndUsage) {
 
 TEST_F(RobotActuatorsTest, ShowsReceiptsFailedStepsFirst) {
   v1::ReceivedReceipt* level = fake_.receipts.add_receipts();
-  level->set_unix_ns(kNewYear);
+  level->set_unix_ns(kAnsweredNs);
   level->set_host("base");
   level->set_command("level ALERT");
   level->mutable_receipt()->set_stage(v1::Receipt::FAILED);
@@ -231,7 +231,7 @@ TEST_F(RobotActuatorsTest, ShowsReceiptsFailedStepsFirst) {
   *level->mutable_receipt()->add_steps() =
       Step("program horn", false, v1::StepResult::DRILLED_UNSPECIFIED, "exit code 1", output);
   v1::ReceivedReceipt* exec = fake_.receipts.add_receipts();
-  exec->set_unix_ns(kNewYear);
+  exec->set_unix_ns(kAnsweredNs);
   exec->set_host("base");
   exec->set_command("exec usb_alarm");
   exec->mutable_receipt()->set_stage(v1::Receipt::FAILED);
@@ -260,7 +260,7 @@ TEST_F(RobotActuatorsTest, ShowsReceiptsFailedStepsFirst) {
 
 TEST_F(RobotActuatorsTest, ReceiptsAsJson) {
   v1::ReceivedReceipt* exec = fake_.receipts.add_receipts();
-  exec->set_unix_ns(kNewYear);
+  exec->set_unix_ns(kAnsweredNs);
   exec->set_host("base");
   exec->set_command("exec usb_alarm");
   exec->mutable_receipt()->set_command_id(std::string(16, '\xab'));
