@@ -155,7 +155,7 @@ class Robot {
     std::deque<ros2::Guid> participants;
     // As it said last.
     std::vector<std::string> protected_parts;
-    std::optional<uint64_t> drifts;  // of its newest heartbeat
+    std::optional<uint64_t> drifts;
     std::vector<std::string> degraded;
     bool lost = false;
     int64_t gone_since_ns = 0;
@@ -188,8 +188,7 @@ class Robot {
                    const std::vector<engine::Verdict>& verdicts);
 
   // robot_coverage.cc
-  // That of the policy in force.
-  void UseInterest();
+  void UseInterest();  // that of the policy in force
   // True if that is something else than before.
   bool AskInterest(SensorSession& session);
   // Empty if it watches what the rules need.

@@ -8,9 +8,9 @@
 //
 // The last is a mode manager of one part: it takes any of the modes it was given, is in it at once,
 // and prints `order MODE`. Topics are std_msgs/msg/String, services std_srvs/srv/SetBool. Prints
-// `up`, `ready` when the service counts as available (by the rule of rmw_fastrtps: as many readers of requests as writers
-// of replies are known, and all are matched), `reply` for each answer, `counts READERS WRITERS`
-// when those of the service change. SIGTERM ends it.
+// `up`, `ready` when the service counts as available (by the rule of rmw_fastrtps: as many readers
+// of requests as writers of replies are known, and all are matched), `reply` for each answer,
+// `counts READERS WRITERS` when those of the service change. SIGTERM ends it.
 #include <csignal>
 #include <cstdio>
 #include <cstring>
