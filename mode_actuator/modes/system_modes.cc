@@ -392,10 +392,15 @@ ModeReading SystemModes::Impl::Probe(absl::string_view part_name, absl::string_v
   }
   Part& part = parts_.at(target->first.first);
   const int64_t end_ns = NowNs() + absl::ToInt64Nanoseconds(kProbeTime);
+  absl::StatusCode code = absl::StatusCode::kUnavailable;
   std::vector<std::string> wrong;
+  const auto found = [&](const absl::Status& status) {
+    if (status.ok()) return;
+    if (!absl::IsUnavailable(status)) code = status.code();
+    wrong.emplace_back(status.message());
+  };
   if (part.manager != nullptr) {
-    const absl::Status manager = CheckManager(target->first.first, part, {target->first.second});
-    if (!manager.ok()) wrong.emplace_back(manager.message());
+    found(CheckManager(target->first.first, part, {target->first.second}));
     const ManagerView view = part.manager->Look(mode);
     if (!view.observed.empty()) reading.observed = view.observed;
   }
@@ -406,13 +411,12 @@ ModeReading SystemModes::Impl::Probe(absl::string_view part_name, absl::string_v
       wrong.push_back(absl::StrCat(expected.node, " was not asked for want of time"));
       continue;
     }
-    const absl::Status status = CheckNode(node->first, *node->second);
-    if (!status.ok()) wrong.emplace_back(status.message());
+    found(CheckNode(node->first, *node->second));
   }
   if (cancel.cancelled()) {
     reading.status = absl::CancelledError("cancelled");
   } else if (!wrong.empty()) {
-    reading.status = absl::UnavailableError(JoinParts(wrong));
+    reading.status = absl::Status(code, JoinParts(wrong));
   }
   return reading;
 }

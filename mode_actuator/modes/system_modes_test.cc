@@ -332,14 +332,15 @@ TEST_F(SystemModesTest, AProbeLooksAndOrdersNothing) {
   robot.StopNodes();
   EXPECT_THAT(
       modes.Probe("/safety", "ALERT", cancel_).status,
-      StatusIs(absl::StatusCode::kUnavailable,
+      StatusIs(absl::StatusCode::kFailedPrecondition,
                AllOf(HasSubstr("/camera does not answer"), HasSubstr("/motors does not answer"))));
   robot.StopManager();
   probe = modes.Probe("/safety", "ALERT", cancel_);
   EXPECT_THAT(probe.status, StatusIs(absl::StatusCode::kUnavailable,
                                      HasSubstr("no mode manager of `/safety` answers")));
   EXPECT_EQ(probe.observed, "?");
-  EXPECT_EQ(modes.Probe("/safety", "none", cancel_).status.code(), absl::StatusCode::kInternal);
+  EXPECT_EQ(modes.Probe("/safety", "none", cancel_).status.code(),
+            absl::StatusCode::kInvalidArgument);
   EXPECT_EQ(robot.orders(), orders);
   cancel_.Cancel();
   EXPECT_TRUE(absl::IsCancelled(modes.Probe("/safety", "ALERT", cancel_).status));

@@ -197,7 +197,9 @@ def lost_lease_raises_the_floor(fleet):
 
 
 def manager_that_lies(fleet):
-    """It answers `success` and does nothing: failed, with an alert, and the decision stands."""
+    """It answers `success` and does nothing, and nobody else may order the nodes: failed, with an
+    alert, and the decision stands."""
+    fleet.mode_options = ", fallback: none"
     fleet.prepare()
     fleet.robot = fleet.start_robot("--manager", "lie")
     fleet.server = fleet.start_server()
@@ -234,7 +236,7 @@ def bad_discovery_messages(fleet):
 
 
 HORN = """#!/bin/sh
-cd "${0%/*}"
+cd PROGRAMS
 echo "${RIPS_DRILL:-earnest}" >> horn.runs
 [ -e slow ] || exit 0
 touch begun
@@ -249,7 +251,7 @@ def drill(fleet):
     programs = pathlib.Path(tempfile.mkdtemp(prefix="rips-test-", dir="/opt"))
     fleet.leftovers.append(programs)
     for name, text in (("horn", HORN), ("plain", "#!/bin/sh\n")):
-        (programs / name).write_text(text)
+        (programs / name).write_text(text.replace("PROGRAMS", str(programs)))
         (programs / name).chmod(0o755)
     fleet.programs = f"""programs:
   - {{name: horn, path: {programs}/horn, timeout: 12s, drill: true}}

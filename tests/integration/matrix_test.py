@@ -134,6 +134,7 @@ class Rig(Fleet):
         self.siren = Siren(self.dir / "siren")
         self.fw = None
         self.actuator_env = {}
+        self.robot_options = []
         self.state_dir = self.dir / "actuator"
         self.program("note", "exit 0")
 
@@ -198,7 +199,7 @@ firewall: {{socket: {self.dir}/fw.sock, user: root}}
         subprocess.run(["ip", "netns", "add", self.namespace], check=True)
         subprocess.run(["ip", "-n", self.namespace, "link", "set", "lo", "up"], check=True)
         self.prepare()
-        self.robot = self.start_robot()
+        self.robot = self.start_robot("--control", self.dir / "robot.control", *self.robot_options)
         self.server = self.start_server()
         self.write_agent_configs()
         self.start_fw()
@@ -212,6 +213,12 @@ firewall: {{socket: {self.dir}/fw.sock, user: root}}
         if pathlib.Path("/run/netns", self.namespace).exists():
             subprocess.run(["ip", "netns", "delete", self.namespace], check=False)
         shutil.rmtree(self.programs, ignore_errors=True)
+
+    def tell_robot(self, line):
+        start = len(self.robot.lines)
+        with open(self.dir / "robot.control", "w", encoding="ascii") as pipe:
+            pipe.write(line + "\n")
+        self.robot.wait_for(lambda text: f'"line":"{line}"' in text, LIMIT, line, start)
 
     def nft(self, *args):
         done = subprocess.run(["ip", "netns", "exec", self.namespace, "nft", *args],
@@ -505,6 +512,104 @@ class TableDeleted(Fault):
         self.rig.nft("delete", "table", "inet", "rips")
 
 
+class Manager(Fault):
+    """`begins` and `ends` are orders to the simulated robot (robot_sim/control.h)."""
+    begins = ends = ()
+
+    def begin(self):
+        for line in self.begins:
+            self.rig.tell_robot(line)
+
+    def end(self):
+        for line in self.ends:
+            self.rig.tell_robot(line)
+
+
+class ManagerLies(Manager):
+    """the manager lies: `success`, and nothing"""
+    begins, ends = ["conduct lie"], ["conduct honest"]
+
+
+class ManagerDeceives(Manager):
+    """the manager says that it is done, and is not"""
+    begins, ends = ["conduct deceive"], ["conduct honest"]
+
+
+class ManagerRefuses(Manager):
+    """the manager refuses"""
+    begins, ends = ["conduct refuse"], ["conduct honest"]
+
+
+class ManagerAbsent(Manager):
+    """there is no manager"""
+    begins, ends = ["manager stop"], ["manager start"]
+
+
+class ManagerRestarts(Manager):
+    """the manager restarts in the middle"""
+
+    def order(self, level):
+        super().order(level)
+        for line in ("manager stop", "manager start"):
+            self.rig.tell_robot(line)
+
+
+class ManagerForgets(Manager):
+    """the manager knows no modes of the parts"""
+    begins = ["modes forget"]
+
+
+class ManagerChangesFile(Manager):
+    """the manager's file lacks the mode"""
+    ends = ["mode restore"]
+
+    def order(self, level):
+        self.rig.tell_robot(f"mode remove {MODES.get(level, level)}")
+        super().order(level)
+
+
+class ManagerPullsBack(Manager):
+    """the manager's rules pull the mode back"""
+    ends = ["conduct honest"]
+
+    def order(self, level):
+        before = self.rig.level()["decided_level"]
+        self.rig.tell_robot(f"pull {MODES.get(level, level)} {MODES.get(before, before)}")
+        super().order(level)
+
+    def judge(self, ordered):
+        """For as long as it pulls, the mode is put back; in the end it stays."""
+        super().judge(ordered)
+        time.sleep(3)
+        return super().judge(ordered)
+
+
+class Attacked(Manager):
+    """somebody else orders the mode of before"""
+
+    def order(self, level):
+        rig = self.rig
+        before = rig.level()["decided_level"]
+        super().order(level)
+        subprocess.run([rig.bin / "robot_sim", "set-mode", "--domain", str(rig.domain), "--part",
+                        "/safety", "--mode", MODES.get(before, before)], check=True, env=rig.env,
+                       stdout=subprocess.DEVNULL, timeout=LIMIT)
+
+
+class NodeStuck(Manager):
+    """a node does not do as it is told"""
+    begins, ends = ["stuck /camera on"], ["stuck /camera off"]
+
+    def judge(self, ordered):
+        """Nobody can move it: what is asked is that people hear of it."""
+        status = self.rig.settled()
+        if status["stage"] == "verified":
+            return verdict(self.rig, status, ordered)
+        check(any("/camera" in text for text in status["degraded"]),
+              f"the server does not name the node: {status}")
+        return "!"
+
+
 class Twice(Fault):
     """ordered twice at once"""
 
@@ -691,6 +796,30 @@ def play(rig, faults):
         print(flush=True)
 
 
+def managers(rig):
+    rig.build()
+    play(rig, [ManagerLies, ManagerDeceives, ManagerRefuses, ManagerAbsent])
+
+
+def restarting_managers(rig):
+    rig.build()
+    play(rig, [ManagerRestarts, ManagerForgets, ManagerChangesFile])
+
+
+def slow_manager(rig):
+    class ManagerSlow(Fault):
+        """the manager takes 900 ms to answer"""
+
+    rig.robot_options = ["--answer-ms", "900"]
+    rig.build()
+    play(rig, [ManagerSlow])
+
+
+def strangers(rig):
+    rig.build()
+    play(rig, [ManagerPullsBack, Attacked, NodeStuck])
+
+
 def alarms(rig):
     rig.build()
     play(rig, [Silent, Unplugged, UnpluggedInWrite, DeadLine])
@@ -752,7 +881,7 @@ def disk(rig):
         subprocess.run(["umount", rig.state_dir], check=True)
 
 
-SCENARIOS = [alarms, programs, runner, firewall, orders, outage, restarts, disk, clock]
+SCENARIOS = [managers, restarting_managers, slow_manager, strangers, alarms, programs, runner, firewall, orders, outage, restarts, disk, clock]
 
 
 def main():

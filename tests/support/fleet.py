@@ -112,6 +112,7 @@ class Fleet:
         self.fail_safe = fail_safe
         self.floor_hold = floor_hold
         self.programs = programs  # YAML list of actuator.yaml
+        self.mode_options = ""  # more of `system_modes`, each after a comma
         self.steps = {}  # further enter steps of a level, each a YAML list item in one line
         self.sensor_options = ""  # more lines of sensor.yaml
         self.within = []  # what each command begins with, such as `ip netns exec NAME`
@@ -199,7 +200,7 @@ state_dir: {self.dir}/sensor
         self.write("actuator.yaml", common("actuator") + f"""tls: {self.tls("actuator", "r1", "base")}
 state_dir: {self.dir}/actuator
 fail_safe: {{level: {self.fail_safe}, after: 0s}}
-system_modes: {{smh: {self.smh}, verify: parts}}
+system_modes: {{smh: {self.smh}, verify: parts{self.mode_options}}}
 timing: {{floor_hold: {self.floor_hold}}}
 exec: {{socket: {self.dir}/exec.sock, user: "{os.geteuid()}"}}
 levels:

@@ -33,10 +33,13 @@ struct RobotCommand {
   ros2::GidBytes gid_bytes = ros2::GidBytes::k24;
   // A further participant that sends BadDiscoveryMessages, one every 100 ms.
   bool bad_discovery = false;
+  // A named pipe that is made, for orders to the robot (control.h); empty = none.
+  std::string control;
 };
 // {"event":"ready","mode":"__DEFAULT__","nodes":[...]}
 // {"event":"mode","mode":"ALERT"}     when the mode is reached ("" = none fits)
 // {"event":"bad_discovery","sent":9}  when each message was sent once
+// {"event":"control","line":"..."}    what was ordered through `control` is done
 absl::Status RunRobot(const RobotCommand& command, StopFlag& stop);
 
 enum class IntruderKind {

@@ -63,6 +63,7 @@ void AddRobot(CLI::App& app, RobotCommand& command, Run& run) {
   AddMilliseconds(sub, "--answer-ms", command.answer_delay,
                   "how long change_mode takes to answer (0)");
   AddGidSize(sub, command.gid_bytes);
+  sub->add_option("--control", command.control, "named pipe to make, for orders to the robot");
   sub->add_flag("--bad-discovery", command.bad_discovery,
                 "also send malformed and foreign discovery messages")
       ->excludes("--keystore");

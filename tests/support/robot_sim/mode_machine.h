@@ -96,6 +96,7 @@ class ModeMachine {
   void ForgetModes();
   // The manager's file has no such mode of the system any more.
   void RemoveMode(absl::string_view mode) { removed_.insert(std::string(mode)); }
+  void RestoreModes() { removed_.clear(); }
   // Applies what is due. True if something was.
   bool Advance(int64_t now_ns);
 

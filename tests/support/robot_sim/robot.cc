@@ -133,7 +133,8 @@ void Robot::StopManager() {
 }
 
 absl::Status Robot::StartManager() {
-  RIPS_ASSIGN_OR_RETURN(manager_, RosProcess::Create(domain_, options_.gid_bytes));
+  RIPS_ASSIGN_OR_RETURN(
+      manager_, MakeProcess(domain_, options_.manager_node, options_, processes_.size() + 1));
   RIPS_RETURN_IF_ERROR(AddManager(*manager_));
   return manager_->Announce();
 }

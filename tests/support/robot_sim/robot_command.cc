@@ -21,6 +21,7 @@
 #include "services/runtime/real_clock.h"
 #include "tests/support/robot_sim/bad_discovery.h"
 #include "tests/support/robot_sim/commands.h"
+#include "tests/support/robot_sim/control.h"
 #include "tests/support/robot_sim/events.h"
 #include "tests/support/robot_sim/robot.h"
 
@@ -129,6 +130,10 @@ absl::Status RunRobot(const RobotCommand& command, StopFlag& stop) {
   if (command.bad_discovery) {
     RIPS_ASSIGN_OR_RETURN(bad, BadDiscoverySender::Create(domain));
   }
+  std::unique_ptr<Control> control;
+  if (!command.control.empty()) {
+    RIPS_ASSIGN_OR_RETURN(control, Control::Create(command.control));
+  }
   const RealClock clock;
   PrintEvent({{"event", "ready"},
               {"mode", robot->Mode()},
@@ -141,6 +146,7 @@ absl::Status RunRobot(const RobotCommand& command, StopFlag& stop) {
       LogInfo("mode reached", {{"mode", mode}});
       PrintEvent({{"event", "mode"}, {"mode", mode}, {"unix_ns", now.unix_ns}});
     }
+    if (control != nullptr) RIPS_RETURN_IF_ERROR(control->Step(*robot));
     if (bad != nullptr) {
       RIPS_RETURN_IF_ERROR(bad->Step(now));
     }
