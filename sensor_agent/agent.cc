@@ -167,7 +167,9 @@ absl::StatusOr<std::unique_ptr<Agent>> Agent::Create(
   RIPS_ASSIGN_OR_RETURN(
       agent->domain_,
       DomainWatch::Create(
-          {.domain = {.id = config.dds.domain, .interface = config.dds.interface},
+          {.domain = {.id = config.dds.domain,
+                      .interface = config.dds.interface,
+                      .unicast_data = true},
            .participant = {.security = std::move(enclave)},
            .topics = {.payload_bytes =
                           static_cast<size_t>(config.outbox_memory.bytes) + kPayloadsUnderwayBytes,

@@ -71,18 +71,19 @@ absl::StatusOr<std::string> DomainXml(const DomainOptions& options, uint64_t rme
   std::string general;
   if (!options.interface.empty()) {
     // The loopback interface carries multicast although it lacks the flag that says so.
-    general = absl::StrCat("<General><Interfaces><NetworkInterface name=\"", options.interface,
-                           "\" multicast=\"", options.interface == "lo" ? "true" : "default",
-                           "\"/></Interfaces></General>");
+    general =
+        absl::StrCat("<Interfaces><NetworkInterface name=\"", options.interface, "\" multicast=\"",
+                     options.interface == "lo" ? "true" : "default", "\"/></Interfaces>");
   }
+  if (options.unicast_data) absl::StrAppend(&general, "<AllowMulticast>spdp</AllowMulticast>");
   std::string internal;
   if (const uint64_t bytes = std::min(rmem_max, kReceiveBufferBytes); bytes > 0) {
     internal = absl::StrCat("<Internal><SocketReceiveBufferSize min=\"", bytes, "B\"/></Internal>");
   }
   // Without an index there is no bound on the participants of a host; discovery is by multicast.
-  return absl::StrCat("<CycloneDDS><Domain>", general,
-                      "<Discovery><ParticipantIndex>none</ParticipantIndex></Discovery>", internal,
-                      "</Domain></CycloneDDS>");
+  return absl::StrCat("<CycloneDDS><Domain><General>", general,
+                      "</General><Discovery><ParticipantIndex>none</ParticipantIndex></Discovery>",
+                      internal, "</Domain></CycloneDDS>");
 }
 
 absl::StatusOr<std::shared_ptr<const Domain>> Domain::Create(const DomainOptions& options) {

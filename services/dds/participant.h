@@ -21,6 +21,9 @@ struct DomainOptions {
   // Network interface to speak on ("lo", "eth0"); empty = Cyclone chooses. Used only when the
   // environment has no CYCLONEDDS_URI: an operator's own configuration wins whole.
   std::string interface;
+  // Readers announce no multicast address, so that no writer sends its data by multicast for them:
+  // that would reach every process of the domain on the host. Costs such a writer one more send.
+  bool unicast_data = false;
 };
 
 // The XML with which a domain starts when CYCLONEDDS_URI is unset. `rmem_max` is the largest

@@ -20,6 +20,12 @@ TEST(DomainXmlTest, PinsTheInterface) {
   EXPECT_THAT(*DomainXml({}, 0), Not(HasSubstr("NetworkInterface")));
 }
 
+TEST(DomainXmlTest, DataByUnicastIsAChoice) {
+  EXPECT_THAT(*DomainXml({}, 0), Not(HasSubstr("AllowMulticast")));
+  EXPECT_THAT(*DomainXml({.interface = "lo", .unicast_data = true}, 0),
+              HasSubstr("</Interfaces><AllowMulticast>spdp</AllowMulticast></General>"));
+}
+
 TEST(DomainXmlTest, AsksForNoMoreBufferThanTheKernelGrants) {
   EXPECT_THAT(*DomainXml({}, 212'992), HasSubstr("min=\"212992B\""));
   EXPECT_THAT(*DomainXml({}, 64 << 20), HasSubstr("min=\"4194304B\""));

@@ -248,8 +248,13 @@ levels:
             self.start_exec()
         ready = self.dir / role / "ready"
         ready.unlink(missing_ok=True)
+        everybodys, self.env = self.env, dict(self.env)
+        if role == "sensor":  # as it is without CYCLONEDDS_URI
+            self.env["CYCLONEDDS_URI"] = self.env["CYCLONEDDS_URI"].replace(
+                "</General>", "<AllowMulticast>spdp</AllowMulticast></General>")
         agent = self.start(role, self.bin / f"rips-{role}", "--config", self.dir / f"{role}.yaml",
                            "--ready-file", ready)
+        self.env = everybodys
         if wait:
             self._ready(agent, ready, f"the {role}")
         return agent

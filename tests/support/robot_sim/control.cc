@@ -13,6 +13,7 @@
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_join.h"
 #include "absl/strings/str_split.h"
+#include "nlohmann/json.hpp"
 #include "services/base/status_macros.h"
 #include "tests/support/robot_sim/events.h"
 
@@ -82,7 +83,7 @@ absl::Status Control::Step(Robot& robot) {
   for (size_t end = 0; (end = input_.find('\n')) != std::string::npos; input_.erase(0, end + 1)) {
     const std::string line = input_.substr(0, end);
     RIPS_RETURN_IF_ERROR(Obey(absl::StrSplit(line, ' '), robot));
-    PrintEvent({{"event", "control"}, {"line", line}});
+    PrintEvent(nlohmann::ordered_json::object({{"event", "control"}, {"line", line}}));
   }
   return absl::OkStatus();
 }
