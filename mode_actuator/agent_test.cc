@@ -497,7 +497,9 @@ TEST_F(AgentTest, ALevelThatIsLeftAgainAndAgainIsToldAndRunsItsOnDriftSteps) {
   ASSERT_EQ(symlink(board.path().c_str(), link.c_str()), 0);
   alarms_ = absl::StrCat(
       "  - {name: SIREN, enter: [{alarm: {device: siren, state: \"on\"}}],\n"
-      "     on_drift: [{program: {name: note, args: [\"-c\", \"echo drift >> DIR/log\"]}}]}\n"
+      "     on_drift: [{program: {name: note, args: [\"-c\", \"echo drift >> ",
+      dir_,
+      "/log\"]}}]}\n"
       "devices: [{name: siren, kind: lcus_serial, path: ",
       link, "}]\n");
   FakeServer server(Pki().Server());
