@@ -230,7 +230,7 @@ TEST(SetParametersTest, WhatIsCutOrTooMuchIsRefused) {
   for (size_t length = 0; length < request.size(); ++length) {
     EXPECT_FALSE(DecodeSetParametersRequest(request.substr(0, length)).ok()) << length;
   }
-  const std::string reply = EncodeSetParametersReply({false, "no"});
+  const std::string reply = EncodeSetParametersReply({false, "not"});  // ends without padding
   for (size_t length = 0; length < reply.size(); ++length) {
     EXPECT_FALSE(DecodeSetParametersReply(reply.substr(0, length)).ok()) << length;
   }

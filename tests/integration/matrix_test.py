@@ -303,7 +303,7 @@ class Fault:
         return verdict(self.rig, status, ordered)
 
 
-LEGEND = """    =  reached and verified; robot, siren and packet filter are so
+LEGEND = """    =  reached and verified: so it is with robot, siren and packet filter
     +  the robot is above the level decided, and the server says what failed
     !  the robot's mode is the level's, a further step failed, and the server says which
     F  at the fail-safe level or above while nobody commands, then as decided
@@ -594,6 +594,12 @@ class Attacked(Manager):
         subprocess.run([rig.bin / "robot_sim", "set-mode", "--domain", str(rig.domain), "--part",
                         "/safety", "--mode", MODES.get(before, before)], check=True, env=rig.env,
                        stdout=subprocess.DEVNULL, timeout=LIMIT)
+
+    def judge(self, ordered):
+        """The stranger is obeyed for as long as it takes to see it."""
+        time.sleep(0.5)
+        wait_for("the mode is put back", lambda: self.rig.robot_mode() == ordered)
+        return super().judge(ordered)
 
 
 class NodeStuck(Manager):
