@@ -153,6 +153,7 @@ void Robot::Perform(const engine::Outcome& outcome, const std::string& event) {
       } else if (!ledger_.Run(run->run_id, run->program, run->args, now)) {
         refused.detail = "no attached actuator offers it";
       } else {
+        SendCommands(now);
         continue;
       }
       OwnAlert(engine::Severity::kHigh, absl::StrCat("program `", run->program, "` of rule ",

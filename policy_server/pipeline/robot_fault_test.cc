@@ -371,6 +371,29 @@ TEST_F(RobotTest, RunsTheChainOfTheFailedProgram) {
   EXPECT_EQ(audience_.Count("usb_alarm failed"), 1);
 }
 
+TEST_F(RobotTest, AProgramWaitsForNoTick) {
+  Start(R"(
+levels:
+  DEFAULT;
+  HALT;
+rules Graph:
+  R: nodecount(3, 100) ? exec("usb_alarm");
+  never: false ? trigger(HALT);
+)");
+  actuator_ = std::make_shared<FakeActuator>();
+  robot_->OnActuatorHello(
+      "base", actuator_,
+      {.levels = {"DEFAULT", "HALT"}, .programs = {"usb_alarm"}, .clock = clock_.Now()});
+  ConnectSensor();
+  SendSnapshot();
+  const size_t before = actuator_->commands.size();
+
+  IntruderAppears();
+
+  ASSERT_EQ(actuator_->commands.size(), before + 1);
+  EXPECT_TRUE(std::holds_alternative<RunProgram>(actuator_->commands.back().what));
+}
+
 TEST_F(RobotTest, ProgramsThatNobodyOffersAreToldWhenTheRobotIsArmed) {
   Start(kExecRules);
   EXPECT_EQ(audience_.Count("no actuator offers"), 0) << "nobody has said what it offers";

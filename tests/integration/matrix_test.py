@@ -2,6 +2,7 @@
 level, and the server knows which.
 
     matrix_test.py BINARIES SCENARIO      runs one; without SCENARIO prints their names
+    matrix_test.py BINARIES --table       prints what the last run of each found
 
 Each scenario is a few faults. For each fault, every pair of levels: the fault sets in, an operator
 orders the second level, and when all is settled the robot itself, its alarm, its packet filter and
@@ -28,12 +29,15 @@ sys.path.insert(0, str(pathlib.Path(__file__).resolve().parents[1] / "support"))
 from fleet import LEVELS, MODES, Failed, Fleet, log_time  # noqa: E402
 
 # Each ordered pair of levels once, as one walk from DEFAULT back to DEFAULT.
-WALK = "DEFAULT ALERT DEFAULT COMPROMISED DEFAULT HALT ALERT COMPROMISED ALERT HALT COMPROMISED HALT"
-PAIRS = list(zip(WALK.split(), WALK.split()[1:] + ["DEFAULT"]))
+STOPS = "DEFAULT ALERT DEFAULT COMPROMISED DEFAULT HALT ALERT COMPROMISED ALERT HALT COMPROMISED HALT"
+WALK = list(zip(STOPS.split(), STOPS.split()[1:] + ["DEFAULT"]))
 # Sanitizers slow the whole fleet down: one pair of each kind.
-SHORT_WALK = [("DEFAULT", "COMPROMISED"), ("COMPROMISED", "ALERT"), ("ALERT", "HALT"),
-              ("HALT", "DEFAULT")]
 SANITIZED = bool(os.environ.get("RIPS_SANITIZE"))
+if SANITIZED:
+    WALK = [("DEFAULT", "COMPROMISED"), ("COMPROMISED", "ALERT"), ("ALERT", "HALT"),
+            ("HALT", "DEFAULT")]
+WIDTH = 52
+HEADER = " " * WIDTH + "".join(f"{a[0]}>{b[0]}".center(4) for a, b in WALK)
 LIMIT = 90 if SANITIZED else 45  # seconds anything here may take on a busy machine
 FAIL_SAFE = "COMPROMISED"
 LEASE = "5s" if SANITIZED else "2s"
@@ -776,13 +780,12 @@ class ClockJumps(Fault):
 
 
 def play(rig, faults):
-    pairs = SHORT_WALK if SANITIZED else PAIRS
-    width = max(len(fault.__doc__) for fault in faults) + 2
-    header = " " * width + " ".join(f"{a[0]}>{b[0]}" for a, b in pairs)
-    print(LEGEND + "\n" + header, flush=True)
+    print(LEGEND + "\n" + HEADER, flush=True)
+    rows = []
     for kind in faults:
-        print(kind.__doc__.ljust(width), end="", flush=True)
-        for before, level in pairs:
+        rows.append(kind.__doc__.ljust(WIDTH))
+        print(rows[-1], end="", flush=True)
+        for before, level in WALK:
             fault = kind(rig)
             fault.begin()
             fault.order(level)
@@ -798,8 +801,20 @@ def play(rig, faults):
                 rig.at_peace(level)
             except Failed as failed:
                 raise Failed(f"after {kind.__doc__}, {before} to {level}: {failed}") from None
-            print(outcome.center(3), end=" ", flush=True)
+            rows[-1] += outcome.center(4)
+            print(outcome.center(4), end="", flush=True)
         print(flush=True)
+    rig.table.parent.mkdir(exist_ok=True)
+    rig.table.write_text("\n".join(rows) + "\n")
+
+
+def print_table(tables):
+    """False if there is none."""
+    parts = [tables / f"{scenario.__name__}.txt" for scenario in SCENARIOS]
+    parts = [part.read_text() for part in parts if part.exists()]
+    if parts:
+        print(LEGEND + "\n" + HEADER + "\n" + "".join(parts), end="")
+    return bool(parts)
 
 
 def managers(rig):
@@ -894,6 +909,9 @@ def main():
     if len(sys.argv) < 3:
         print("\n".join(scenario.__name__ for scenario in SCENARIOS))
         return 0
+    tables = pathlib.Path(sys.argv[1]).resolve().parent / "matrix"
+    if sys.argv[2] == "--table":
+        return 0 if print_table(tables) else 1
     scenario = next(each for each in SCENARIOS if each.__name__ == sys.argv[2])
     if os.geteuid() != 0:
         print("skipped: network namespaces and programs of an allow-list need root")
@@ -902,6 +920,7 @@ def main():
     parent.mkdir(exist_ok=True)
     directory = pathlib.Path(tempfile.mkdtemp(prefix=f"matrix.{scenario.__name__}.", dir=parent))
     rig = Rig(sys.argv[1], directory)
+    rig.table = tables / f"{scenario.__name__}.txt"
     try:
         scenario(rig)
     except Skipped as skipped:
