@@ -31,11 +31,10 @@ from fleet import LEVELS, MODES, Failed, Fleet, log_time  # noqa: E402
 # Each ordered pair of levels once, as one walk from DEFAULT back to DEFAULT.
 STOPS = "DEFAULT ALERT DEFAULT COMPROMISED DEFAULT HALT ALERT COMPROMISED ALERT HALT COMPROMISED HALT"
 WALK = list(zip(STOPS.split(), STOPS.split()[1:] + ["DEFAULT"]))
-# Sanitizers slow the whole fleet down: one pair of each kind.
+# Sanitizers slow the whole fleet down: a raise and a lowering.
 SANITIZED = bool(os.environ.get("RIPS_SANITIZE"))
 if SANITIZED:
-    WALK = [("DEFAULT", "COMPROMISED"), ("COMPROMISED", "ALERT"), ("ALERT", "HALT"),
-            ("HALT", "DEFAULT")]
+    WALK = [("DEFAULT", "COMPROMISED"), ("COMPROMISED", "DEFAULT")]
 WIDTH = 52
 HEADER = " " * WIDTH + "".join(f"{a[0]}>{b[0]}".center(4) for a, b in WALK)
 LIMIT = 90 if SANITIZED else 45  # seconds anything here may take on a busy machine
@@ -529,6 +528,17 @@ class Manager(Fault):
             self.rig.tell_robot(line)
 
 
+    def judge_in_the_end(self, ordered):
+        deadline = time.monotonic() + LIMIT
+        while True:
+            try:
+                return super().judge(ordered)
+            except Failed:
+                if time.monotonic() > deadline:
+                    raise
+            time.sleep(0.3)
+
+
 class ManagerLies(Manager):
     """the manager lies: `success`, and nothing"""
     begins, ends = ["conduct lie"], ["conduct honest"]
@@ -583,9 +593,8 @@ class ManagerPullsBack(Manager):
 
     def judge(self, ordered):
         """For as long as it pulls, the mode is put back; in the end it stays."""
-        super().judge(ordered)
         time.sleep(3)
-        return super().judge(ordered)
+        return self.judge_in_the_end(ordered)
 
 
 class Attacked(Manager):
@@ -602,8 +611,7 @@ class Attacked(Manager):
     def judge(self, ordered):
         """The stranger is obeyed for as long as it takes to see it."""
         time.sleep(0.5)
-        wait_for("the mode is put back", lambda: self.rig.robot_mode() == ordered)
-        return super().judge(ordered)
+        return self.judge_in_the_end(ordered)
 
 
 class NodeStuck(Manager):
