@@ -156,7 +156,7 @@ TEST_F(PosixRunnerTest, KillsWhatIgnoresSigterm) {
 
 TEST_F(PosixRunnerTest, KillsGrandchildren) {
   for (const char* script : {"sleep 60 & echo $!; exit 0", "sleep 60 & echo $!; wait"}) {
-    const ProgramResult result = Script(script, absl::Milliseconds(300));
+    const ProgramResult result = Script(script, absl::Seconds(2));
     int grandchild = 0;
     ASSERT_TRUE(absl::SimpleAtoi(result.output_tail, &grandchild)) << result.output_tail;
     EXPECT_TRUE(EndsSoon(grandchild)) << script;
