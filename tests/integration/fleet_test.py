@@ -221,7 +221,8 @@ def manager_that_lies(fleet):
 
 
 def bad_discovery_messages(fleet):
-    """Malformed, truncated and foreign ros_discovery_info: the graph stays right, nobody falls."""
+    """Malformed, truncated and foreign ros_discovery_info: the graph stays right, nobody falls, and
+    a claim on another's endpoints is told."""
     fleet.arm("--bad-discovery")
     fleet.robot.wait_for(lambda line: '"bad_discovery"' in line, 20, "bad messages are sent")
     time.sleep(1)
@@ -233,6 +234,10 @@ def bad_discovery_messages(fleet):
           f"nodes are {names}")
     check(fleet.sensor.running, "the sensor has ended")
     check(fleet.level()["decided_level"] == "DEFAULT", "the level has changed")
+    deadline = time.monotonic() + 20
+    while not any("finding false_claim" in alert["text"] for alert in fleet.alerts()):
+        check(time.monotonic() < deadline, f"the false claim is not told: {fleet.alerts()}")
+        time.sleep(0.2)
 
 
 HORN = """#!/bin/sh
@@ -495,6 +500,9 @@ def findings_are_told(fleet):
     impostor.kill()
     fleet.server.wait_for(lambda line: "no longer: finding impostor" in line, 20,
                           "the end of the finding is on record")
+    second = fleet.start_publisher("--node", "/camera")
+    check("node /camera" in wait_told("duplicate_node"), "the node is not named")
+    second.kill()
     fleet.start_intruder("rogue-cmd-vel", "--anonymous")
     check("topic /cmd_vel" in wait_told("non_ros_writer"), "the topic is not named")
     before = len(told())

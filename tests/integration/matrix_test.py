@@ -43,6 +43,12 @@ LEASE = "5s" if SANITIZED else "2s"
 FAKETIME = "/usr/lib/x86_64-linux-gnu/faketime/libfaketimeMT.so.1"
 
 
+# Of the robot's System Modes file.
+INACTIVE = {"DEFAULT": set(), "ALERT": {"/camera"},
+            "COMPROMISED": {"/camera", "/base", "/navigator"},
+            "HALT": {"/camera", "/lidar", "/base", "/navigator"}}
+
+
 class Skipped(Exception):
     """The scenario cannot be played here; the text says why."""
 
@@ -311,6 +317,7 @@ LEGEND = """    =  reached and verified: so it is with robot, siren and packet f
     !  the robot's mode is the level's, a further step failed, and the server says which
     F  at the fail-safe level or above while nobody commands, then as decided
     x  the other order came last, and holds
+    n  a node obeys nobody, and the server names it; all others are as ordered
 """
 
 
@@ -625,7 +632,10 @@ class NodeStuck(Manager):
             return verdict(self.rig, status, ordered)
         check(any("/camera" in text for text in status["degraded"]),
               f"the server does not name the node: {status}")
-        return "!"
+        states = {each["part"]: each["state"] for each in self.rig.mode()["parts"]}
+        others = {part for part in states if part != "/camera" and states[part] == "inactive"}
+        check(others == INACTIVE[ordered] - {"/camera"}, f"{states}, although only /camera is stuck")
+        return "n"
 
 
 class Twice(Fault):
