@@ -21,12 +21,14 @@
 #include "mode_actuator/exec/exec_client.h"
 #include "mode_actuator/exec_ledger.h"
 #include "mode_actuator/firewall/fw_client.h"
+#include "mode_actuator/modes/missing_modes.h"
 #include "mode_actuator/modes/system_modes.h"
 #include "mode_actuator/procedures.h"
 #include "mode_actuator/receipt_book.h"
 #include "mode_actuator/workers.h"
 #include "services/base/ids.h"
 #include "services/base/status_macros.h"
+#include "services/dds/node_announcer.h"
 #include "services/dds/participant.h"
 #include "services/runtime/atomic_file.h"
 #include "services/runtime/log.h"
@@ -121,7 +123,7 @@ void LogDegraded(const std::vector<std::string>& before, const std::vector<std::
 struct Counters {
   Gauge effective, verified, floor, lease_live;
   Counter commands, receipts_failed, receipts_refused, malformed, dropped, write_failures;
-  Gauge drifts, alarms_missing;
+  Gauge drifts, alarms_missing, announced;
 };
 
 Counters MakeCounters(Metrics* m) {
@@ -139,7 +141,17 @@ Counters MakeCounters(Metrics* m) {
       .drifts = m->AddGauge("rips_actuator_drifts", "times a verified level was found left"),
       .alarms_missing =
           m->AddGauge("rips_actuator_alarms_missing", "alarm devices that cannot be used"),
+      .announced = m->AddGauge("rips_actuator_announced",
+                               "1 = ROS tools are told that this is the node /rips"),
   };
+}
+
+absl::StatusOr<std::unique_ptr<dds::Participant>> Join(const Config& config, const Clock* clock) {
+  RIPS_ASSIGN_OR_RETURN(std::optional<dds::Enclave> enclave,
+                        dds::LoadSecurity(config.dds, absl::FromUnixNanos(clock->Now().unix_ns)));
+  return dds::Participant::Create(
+      dds::DomainOptions{.id = config.dds.domain, .interface = config.dds.interface},
+      {.security = std::move(enclave)});
 }
 
 }  // namespace
@@ -178,7 +190,9 @@ class Agent::Impl {
         firewall_(config_.firewall.socket) {}
 
   ~Impl();
-  absl::Status Start(const Smh& smh, std::shared_ptr<const rpc::Credentials> credentials);
+  absl::Status Start(const Smh& smh, rpc::CredentialsSource credentials,
+                     rpc::CertificateMonitor* monitor);
+  const absl::Status& modes_problem() const { return modes_problem_; }
   absl::Status Ready() const ABSL_LOCKS_EXCLUDED(report_mu_);
 
  private:
@@ -188,8 +202,13 @@ class Agent::Impl {
 
   absl::Status LoadState();
   absl::Status StartModes(const Smh& smh);
+  void StartAnnouncing();
   void StartWorkers();
-  void StartDownlink(const Smh& smh, std::shared_ptr<const rpc::Credentials> credentials);
+  PartModes* Modes() {
+    return modes_ != nullptr ? modes_.get() : static_cast<PartModes*>(&missing_);
+  }
+  void StartDownlink(const Smh& smh, rpc::CredentialsSource credentials,
+                     rpc::CertificateMonitor* monitor);
   void PushFromNetwork(Input input);
 
   // The agent's thread.
@@ -205,6 +224,7 @@ class Agent::Impl {
   bool IsAllowed(absl::string_view program) const;
   void WriteJournal(std::function<void(const absl::Status&)> done);
   void Publish(int64_t now_ns) ABSL_LOCKS_EXCLUDED(report_mu_);
+  void Announce(int64_t now_ns);
 
   const Config config_;
   const Clock* const clock_;  // Not owned; outlives this.
@@ -219,6 +239,7 @@ class Agent::Impl {
   DegradedBook degraded_;
   size_t execs_ = 0;
   int64_t next_heartbeat_ns_ = 0;
+  bool announcing_ = true;  // the last claim was published
 
   mutable Mutex report_mu_;
   ExecutorReport report_ ABSL_GUARDED_BY(report_mu_);
@@ -226,6 +247,10 @@ class Agent::Impl {
   // In the order of dependence; what is last goes first.
   std::unique_ptr<dds::Participant> participant_;
   std::unique_ptr<SystemModes> modes_;
+  // Null if it is not to announce, or may not, or is not on the bus.
+  std::unique_ptr<dds::NodeAnnouncer> announcer_;
+  absl::Status modes_problem_;  // of the start
+  MissingModes missing_;
   std::unique_ptr<ExecClient> programs_;  // killed at the end; the journal says "begun"
   std::unique_ptr<AlarmBoard> alarms_;    // none if there are no devices
   FwClient firewall_;
@@ -268,15 +293,52 @@ absl::Status Agent::Impl::LoadState() {
 absl::Status Agent::Impl::StartModes(const Smh& smh) {
   const SystemModes::Targets targets = ModeTargets(config_.levels);
   if (targets.empty()) return absl::OkStatus();
-  RIPS_ASSIGN_OR_RETURN(std::optional<dds::Enclave> enclave,
-                        dds::LoadSecurity(config_.dds, absl::FromUnixNanos(clock_->Now().unix_ns)));
-  RIPS_ASSIGN_OR_RETURN(
-      participant_, dds::Participant::Create(dds::DomainOptions{.id = config_.dds.domain,
-                                                                .interface = config_.dds.interface},
-                                             {.security = std::move(enclave)}));
+  auto joined = Join(config_, clock_);
+  if (!joined.ok()) {
+    modes_problem_ = joined.status();
+    missing_.set_why(modes_problem_);
+    LogError("no way to the System Modes; levels are entered without them until there is",
+             {{"reason", modes_problem_.message()}});
+    degraded_.Set("modes", {absl::StrCat("no System Modes: ", modes_problem_.message())});
+    return absl::OkStatus();
+  }
+  participant_ = *std::move(joined);
   RIPS_ASSIGN_OR_RETURN(
       modes_, SystemModes::Create(participant_.get(), smh, config_.modes, targets, clock_));
+  if (config_.dds.announce) StartAnnouncing();
   return absl::OkStatus();
+}
+
+void Agent::Impl::StartAnnouncing() {
+  // All its endpoints are there by now.
+  dds::NodeAnnouncerOptions options = dds::AnnouncerOptions(config_.dds);
+  options.listen = true;
+  auto announcer = dds::NodeAnnouncer::Create(*participant_, std::move(options), NowNs());
+  if (!announcer.ok()) {
+    LogWarning(
+        "this actuator cannot announce itself to ROS, whose tools show its clients without a node; "
+        "under DDS Security its permissions must let it publish ros_discovery_info",
+        {{"error", announcer.status().ToString()}});
+    return;
+  }
+  announcer_ = *std::move(announcer);
+  counters_.announced.Set(1);
+  if (const absl::Status& reading = announcer_->reading_status(); !reading.ok()) {
+    LogWarning(
+        "this actuator cannot read how others announce themselves to ROS; it does so as Humble "
+        "does; see `dds: {gid_bytes}`",
+        {{"error", reading.ToString()}});
+  }
+}
+
+void Agent::Impl::Announce(int64_t now_ns) {
+  if (announcer_ == nullptr) return;
+  const absl::Status told = announcer_->Poll(now_ns);
+  if (told.ok() == announcing_) return;
+  announcing_ = told.ok();
+  counters_.announced.Set(announcing_ ? 1 : 0);
+  if (announcing_) return;
+  LogWarning("this actuator's node was not announced; trying again", {{"error", told.ToString()}});
 }
 
 void Agent::Impl::StartWorkers() {
@@ -284,12 +346,12 @@ void Agent::Impl::StartWorkers() {
     alarms_ = std::make_unique<AlarmBoard>(config_.devices, RealAlarms(), clock_);
   }
   procedures_ =
-      std::make_unique<Procedures>(&config_.levels, modes_.get(), programs_.get(), alarms_.get(),
-                                   clock_, StepRunners{.firewall = &firewall_});
+      std::make_unique<Procedures>(&config_.levels, Modes(), programs_.get(), alarms_.get(), clock_,
+                                   StepRunners{.firewall = &firewall_});
   drill_ = std::make_unique<Drill>(Drill::Robot{.levels = &config_.levels,
                                                 .allowed = &config_.programs,
                                                 .devices = &config_.devices,
-                                                .modes = modes_.get(),
+                                                .modes = Modes(),
                                                 .programs = programs_.get(),
                                                 .alarms = alarms_.get(),
                                                 .firewall = &firewall_,
@@ -309,9 +371,12 @@ void Agent::Impl::StartWorkers() {
   levels_ = std::make_unique<LevelWorker>(procedures_.get(), std::move(callbacks));
 }
 
-void Agent::Impl::StartDownlink(const Smh& smh,
-                                std::shared_ptr<const rpc::Credentials> credentials) {
+void Agent::Impl::StartDownlink(const Smh& smh, rpc::CredentialsSource credentials,
+                                rpc::CertificateMonitor* monitor) {
   Downlink::Options options;
+  if (monitor != nullptr) {
+    options.on_peer = [monitor](const rpc::Peer& peer) { monitor->Seen(peer); };
+  }
   options.servers = config_.servers;
   options.credentials = std::move(credentials);
   options.host = config_.host;
@@ -344,19 +409,22 @@ void Agent::Impl::StartDownlink(const Smh& smh,
     counters_.malformed.Increment();
     LogWarning("malformed command", {{"why", status.message()}});
   };
-  callbacks.disconnected = [](const absl::Status& status) {
-    LogWarning("disconnected", {{"status", status.ToString()}});
+  // The same again and again is said once.
+  callbacks.disconnected = [last = absl::Status()](const absl::Status& status) mutable {
+    const LogLevel level = status == last ? LogLevel::kDebug : LogLevel::kWarning;
+    Log(level, "disconnected", {{"status", status.ToString()}});
+    last = status;
   };
   downlink_ = std::make_unique<Downlink>(std::move(options), std::move(callbacks), clock_);
 }
 
-absl::Status Agent::Impl::Start(const Smh& smh,
-                                std::shared_ptr<const rpc::Credentials> credentials) {
+absl::Status Agent::Impl::Start(const Smh& smh, rpc::CredentialsSource credentials,
+                                rpc::CertificateMonitor* monitor) {
   RIPS_RETURN_IF_ERROR(LoadState());
   RIPS_ASSIGN_OR_RETURN(programs_, ExecClient::Create({.socket = config_.exec.socket}));
   RIPS_RETURN_IF_ERROR(StartModes(smh));
   StartWorkers();
-  StartDownlink(smh, std::move(credentials));
+  StartDownlink(smh, std::move(credentials), monitor);
   const int64_t now_ns = NowNs();
   Do(executor_->Start(now_ns), now_ns);
   Publish(now_ns);
@@ -388,6 +456,7 @@ void Agent::Impl::Loop() {
     const int64_t now_ns = NowNs();
     Do(executor_->OnTick(now_ns), now_ns);
     Publish(now_ns);
+    Announce(now_ns);
   }
 }
 
@@ -605,6 +674,7 @@ void Agent::Impl::EndExec(Receipt receipt) {
 }
 
 absl::Status Agent::Impl::Ready() const {
+  RIPS_RETURN_IF_ERROR(modes_problem_);
   if (!downlink_->connected()) return absl::UnavailableError("not connected to a policy server");
   MutexLock lock(&report_mu_);
   if (!report_.lease_live) return absl::UnavailableError("no live lease");
@@ -617,27 +687,36 @@ absl::Status Agent::Impl::Ready() const {
 Agent::Agent(std::unique_ptr<Impl> impl) : impl_(std::move(impl)) {}
 Agent::~Agent() = default;
 
-absl::StatusOr<std::unique_ptr<Agent>> Agent::Start(
-    const LoadedConfig& loaded, std::shared_ptr<const rpc::Credentials> credentials,
-    const Clock* clock, Metrics* metrics) {
-  const rpc::PeerIdentity& self = credentials->self();
-  if (self.role != rpc::Role::kActuator || self.robot != loaded.config.robot ||
-      self.host != loaded.config.host) {
-    return absl::PermissionDeniedError(
-        absl::StrCat("the certificate is of `", ToString(self),
-                     "`, but the configuration says "
-                     "robot `",
-                     loaded.config.robot, "`, host `", loaded.config.host,
-                     "` of an actuator; correct the one that is wrong"));
+absl::StatusOr<std::unique_ptr<Agent>> Agent::Start(const LoadedConfig& loaded,
+                                                    rpc::CredentialsSource credentials,
+                                                    const Clock* clock, Metrics* metrics,
+                                                    rpc::CertificateMonitor* monitor) {
+  credentials.Require([robot = loaded.config.robot,
+                       host = loaded.config.host](const rpc::PeerIdentity& self) -> absl::Status {
+    if (self.role == rpc::Role::kActuator && self.robot == robot && self.host == host) {
+      return absl::OkStatus();
+    }
+    return absl::PermissionDeniedError(absl::StrCat(
+        "the certificate is of `", ToString(self), "`, but the configuration says robot `", robot,
+        "`, host `", host, "` of an actuator; correct the one that is wrong"));
+  });
+  // Whatever else is wrong with them may pass: the robot is kept safe meanwhile.
+  if (const absl::Status mine = credentials.Get().status(); absl::IsPermissionDenied(mine)) {
+    return mine;
   }
   for (const std::string& warning : Warnings(loaded)) {
     LogWarning("configuration", {{"warning", warning}});
   }
   auto impl = std::make_unique<Impl>(loaded.config, clock, metrics);
-  RIPS_RETURN_IF_ERROR(impl->Start(loaded.smh, std::move(credentials)));
+  RIPS_RETURN_IF_ERROR(impl->Start(loaded.smh, std::move(credentials), monitor));
   return std::unique_ptr<Agent>(new Agent(std::move(impl)));
 }
 
 absl::Status Agent::Ready() const { return impl_->Ready(); }
+absl::Status Agent::modes_problem() const { return impl_->modes_problem(); }
+
+absl::Status Agent::TryModes(const LoadedConfig& loaded, const Clock* clock) {
+  return Join(loaded.config, clock).status();
+}
 
 }  // namespace rips::actuator

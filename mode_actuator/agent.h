@@ -11,6 +11,7 @@
 #include "mode_actuator/config.h"
 #include "mode_actuator/modes/smh.h"
 #include "services/base/clock.h"
+#include "services/rpc/certificate_monitor.h"
 #include "services/rpc/credentials.h"
 #include "services/runtime/metrics.h"
 
@@ -34,14 +35,28 @@ std::vector<std::string> Warnings(const LoadedConfig& loaded);
 
 class Agent {
  public:
-  // Reads the state, joins the DDS domain, starts the threads. `clock` and `metrics` are not owned
-  // and outlive this. PermissionDenied if `credentials` are not of this robot's and host's
-  // actuator.
-  static absl::StatusOr<std::unique_ptr<Agent>> Start(
-      const LoadedConfig& loaded, std::shared_ptr<const rpc::Credentials> credentials,
-      const Clock* clock, Metrics* metrics);
+  // Reads the state, joins the DDS domain, starts the threads and enters the level that the state
+  // demands. `clock` and `metrics` are not owned and outlive this.
+  //
+  // | what is missing now                    | what happens                                       |
+  // |----------------------------------------|----------------------------------------------------|
+  // | usable credentials                     | the same as without a server: the lease runs out,  |
+  // |                                        | the floor comes; connects when they can be used    |
+  // | the DDS keystore, or its network       | `modes_problem()`; steps of System Modes fail, the |
+  // |                                        | others are taken. Start another when TryModes is OK|
+  // | credentials of this robot's and host's | PermissionDenied, nothing was done                 |
+  // | actuator: they are somebody else's     |                                                    |
+  static absl::StatusOr<std::unique_ptr<Agent>> Start(const LoadedConfig& loaded,
+                                                      rpc::CredentialsSource credentials,
+                                                      const Clock* clock, Metrics* metrics,
+                                                      rpc::CertificateMonitor* monitor = nullptr);
   // Ends the stream, the running job and programs. The robot stays where it is.
   ~Agent();
+
+  // Why there is no way to the robot's System Modes; OK if there is, or none is needed.
+  absl::Status modes_problem() const;
+  // OK if there would be a way now.
+  static absl::Status TryModes(const LoadedConfig& loaded, const Clock* clock);
 
   // OK if connected, the lease live and the effective level read back. Any thread.
   absl::Status Ready() const;

@@ -85,6 +85,8 @@ class FakeServer final : public v1::ActuatorService::Service {
       changed_.NotifyAll();
     }
     writer.join();
+    MutexLock lock(&mu_);
+    if (ended_ == context) ended_ = nullptr;  // the next stream's may be at the same address
     return grpc::Status::OK;
   }
 

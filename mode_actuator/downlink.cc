@@ -99,7 +99,8 @@ class Downlink::Impl {
       : options_(std::move(options)), callbacks_(std::move(callbacks)), clock_(clock) {
     rpc::BidiClientOptions rpc_options;
     rpc_options.servers = options_.servers;
-    rpc_options.credentials = options_.credentials->ForClient();
+    rpc_options.credentials = options_.credentials;
+    rpc_options.on_peer = options_.on_peer;
     rpc_options.backoff = rpc::ActuatorBackoff();
     Client::Callbacks rpc_callbacks;
     rpc_callbacks.start_stream = [](const auto& channel, auto* context) {

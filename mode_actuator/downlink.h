@@ -50,7 +50,9 @@ class Downlink {
  public:
   struct Options {
     std::vector<std::string> servers;
-    std::shared_ptr<const rpc::Credentials> credentials;
+    rpc::CredentialsSource credentials;
+    // See BidiClientOptions.
+    std::function<void(const rpc::Peer&)> on_peer;
     // What does not change while the process lives, for ActuatorHello.
     std::string host;
     std::string incarnation;  // 16 random bytes

@@ -8,23 +8,92 @@
 #include "absl/time/clock.h"
 #include "mode_actuator/agent.h"
 #include "services/dds/security.h"
+#include "services/rpc/certificate_monitor.h"
 #include "services/rpc/credentials.h"
 #include "services/rpc/grpc_logs.h"
+#include "services/runtime/core_dumps.h"
 #include "services/runtime/daemon_flags.h"
 #include "services/runtime/log.h"
+#include "services/runtime/metrics.h"
+#include "services/runtime/mutex.h"
 #include "services/runtime/real_clock.h"
 #include "services/runtime/shutdown.h"
 
 namespace {
+
+using rips::actuator::Agent;
+using rips::actuator::LoadedConfig;
+
+// Between attempts to find the way to the System Modes.
+constexpr absl::Duration kModesRetry = absl::Seconds(5);
 
 int Fail(int code, const absl::Status& status) {
   std::fprintf(stderr, "%s\n", std::string(status.message()).c_str());
   return code;
 }
 
+int CheckConfig(const LoadedConfig& loaded) {
+  if (const auto enclave = rips::dds::LoadSecurity(loaded.config.dds, absl::Now()); !enclave.ok()) {
+    return Fail(rips::kExitConfig, enclave.status());
+  }
+  std::printf("%s", loaded.effective.c_str());
+  for (const std::string& warning : rips::actuator::Warnings(loaded)) {
+    std::fprintf(stderr, "warning: %s\n", warning.c_str());
+  }
+  return 0;
+}
+
+// The agent, started again when it can do what it could not at its start. The robot stays at its
+// level meanwhile.
+class Running {
+ public:
+  Running(const LoadedConfig* loaded, rips::Metrics* metrics)
+      : loaded_(loaded), metrics_(metrics), credentials_(loaded->config.tls) {
+    monitor_.emplace(rips::rpc::CertificateMonitor::Options{.own = loaded->config.tls}, &clock_,
+                     metrics);
+  }
+
+  absl::Status Start() {
+    auto agent = Agent::Start(*loaded_, credentials_, &clock_, metrics_, &*monitor_);
+    if (!agent.ok()) return agent.status();
+    rips::MutexLock lock(&mu_);
+    agent_ = *std::move(agent);
+    return absl::OkStatus();
+  }
+  absl::Status Ready() {
+    rips::MutexLock lock(&mu_);
+    return agent_ == nullptr ? absl::UnavailableError("starting anew") : agent_->Ready();
+  }
+  // Until SIGTERM. Not OK: it cannot be started again.
+  absl::Status Wait(rips::SignalWaiter& signals) {
+    while (!agent_->modes_problem().ok()) {
+      if (signals.WaitForShutdown(kModesRetry)) return absl::OkStatus();
+      if (!Agent::TryModes(*loaded_, &clock_).ok()) continue;
+      rips::LogInfo("there is a way to the System Modes now; starting anew");
+      {
+        rips::MutexLock lock(&mu_);
+        agent_.reset();
+      }
+      if (absl::Status again = Start(); !again.ok()) return again;
+    }
+    signals.WaitForShutdown();
+    return absl::OkStatus();
+  }
+
+ private:
+  const LoadedConfig* loaded_;
+  rips::Metrics* metrics_;
+  const rips::RealClock clock_;
+  rips::rpc::CredentialsSource credentials_;
+  std::optional<rips::rpc::CertificateMonitor> monitor_;
+  rips::Mutex mu_;  // agent_ is changed by the main thread alone
+  std::unique_ptr<Agent> agent_;
+};
+
 }  // namespace
 
 int main(int argc, char** argv) {
+  rips::ForbidCoreDumps();
   rips::rpc::RequireTls13();
   rips::rpc::RouteGrpcLogs();
   rips::DaemonFlags flags;
@@ -36,34 +105,24 @@ int main(int argc, char** argv) {
 
   const auto loaded = rips::actuator::LoadConfig(flags.config);
   if (!loaded.ok()) return Fail(rips::kExitConfig, loaded.status());
-  if (const auto enclave = rips::dds::LoadSecurity(loaded->config.dds, absl::Now());
-      !enclave.ok()) {
-    return Fail(rips::kExitConfig, enclave.status());
-  }
-  if (flags.check_config) {
-    std::printf("%s", loaded->effective.c_str());
-    for (const std::string& warning : rips::actuator::Warnings(*loaded)) {
-      std::fprintf(stderr, "warning: %s\n", warning.c_str());
-    }
-    return 0;
-  }
-  const auto credentials = rips::rpc::Credentials::Load(loaded->config.tls);
-  if (!credentials.ok()) return Fail(rips::kExitConfig, credentials.status());
+  if (flags.check_config) return CheckConfig(*loaded);
 
-  const rips::RealClock clock;
   rips::Metrics metrics;
   rips::SignalWaiter signals({});
-  const auto agent = rips::actuator::Agent::Start(*loaded, *credentials, &clock, &metrics);
-  if (absl::IsPermissionDenied(agent.status())) return Fail(rips::kExitConfig, agent.status());
-  if (!agent.ok()) return Fail(rips::kExitFailed, agent.status());
-  const auto page = rips::MetricsServer::Start(loaded->config.metrics, &metrics,
-                                               [&] { return (*agent)->Ready(); });
-  if (!page.ok()) return Fail(rips::kExitFailed, page.status());
+  Running running(&*loaded, &metrics);
+  // Before anything else that may fail: the robot is at the level its state demands, or on its way.
+  const absl::Status started = running.Start();
+  if (absl::IsPermissionDenied(started)) return Fail(rips::kExitConfig, started);
+  if (!started.ok()) return Fail(rips::kExitFailed, started);
+  const auto page =
+      rips::MetricsPage::Start(loaded->config.metrics, &metrics, [&] { return running.Ready(); });
+  if (!page.ok()) return Fail(rips::kExitConfig, page.status());
   rips::LogInfo("listening", {{"address", (*page)->address()}});
   if (const absl::Status ready = rips::WriteReadyFile(flags, "ready"); !ready.ok()) {
     return Fail(rips::kExitFailed, ready);
   }
-  signals.WaitForShutdown();
+  const absl::Status ended = running.Wait(signals);
+  if (!ended.ok()) return Fail(rips::kExitFailed, ended);
   rips::LogInfo("stopping");
   return 0;
 }

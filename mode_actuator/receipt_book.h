@@ -23,10 +23,15 @@ inline constexpr int64_t kReceiptKeepNs = 30 * kNanosPerSecond;
 class ReceiptBook {
  public:
   void Add(Receipt receipt) {
-    // Of one command only the newest stage is of use, and of the levels the newest mark's.
+    // Of one command only the newest stage is of use; of one decision only the newest receipt, so
+    // that a failure that has been mended is not reported again after a reconnect.
     entries_.erase(std::remove_if(entries_.begin(), entries_.end(),
                                   [&](const Entry& old) {
-                                    return old.receipt.command_id == receipt.command_id;
+                                    const bool same_decision = !receipt.mark.none() &&
+                                                               old.receipt.mark == receipt.mark &&
+                                                               old.sent_ns != 0;
+                                    return same_decision ||
+                                           old.receipt.command_id == receipt.command_id;
                                   }),
                    entries_.end());
     if (!receipt.mark.none() && receipt.mark >= newest_mark_) newest_mark_ = receipt.mark;

@@ -67,6 +67,16 @@ TEST_F(ReceiptBookTest, TheNewestLevelReceiptIsSentOnEveryConnection) {
   EXPECT_THAT(Flush(1'000), ElementsAre("second"));
 }
 
+TEST_F(ReceiptBookTest, AFailureThatWasMendedIsNotReportedAgainAfterAReconnect) {
+  book_.NewSession();
+  Add("attempt 1", {1, 2}, Stage::kFailed);
+  EXPECT_THAT(Flush(0), ElementsAre("attempt 1"));
+  Add("attempt 2", {1, 2}, Stage::kVerified);
+  EXPECT_THAT(Flush(1), ElementsAre("attempt 2"));
+  book_.NewSession();
+  EXPECT_THAT(Flush(2), ElementsAre("attempt 2"));
+}
+
 TEST_F(ReceiptBookTest, HasALimit) {
   for (size_t i = 0; i < kReceiptsKeptMax + 5; ++i) Add(absl::StrCat(i));
   EXPECT_EQ(book_.size(), kReceiptsKeptMax);

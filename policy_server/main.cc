@@ -1,20 +1,24 @@
 // rips-policy-server: holds the rule engine and the alert level of a fleet.
+#include <atomic>
 #include <csignal>
 #include <cstdio>
 #include <memory>
 #include <string>
+#include <utility>
 
 #include "policy_server/config/config.h"
 #include "policy_server/server.h"
 #include "services/rpc/credentials.h"
 #include "services/rpc/grpc_logs.h"
 #include "services/runtime/config_sections.h"
+#include "services/runtime/core_dumps.h"
 #include "services/runtime/daemon_flags.h"
 #include "services/runtime/log.h"
 #include "services/runtime/shutdown.h"
 
 int main(int argc, char** argv) {
   using namespace rips;
+  ForbidCoreDumps();
   rpc::RequireTls13();
   rpc::RouteGrpcLogs();
   DaemonFlags flags;
@@ -39,17 +43,26 @@ int main(int argc, char** argv) {
   }
 
   BlockSignals();
-  auto server = server::Server::Start(parsed->config);
-  if (!server.ok()) {
-    LogError("cannot start", {{"reason", server.status().message()}});
-    return absl::IsInvalidArgument(server.status()) ? kExitConfig : kExitFailed;
+  // Signals are taken from here on: the start may wait for a certificate, and must end if told to.
+  std::unique_ptr<server::Server> owned;  // outlives `signals`, which calls it
+  std::atomic<server::Server*> running = nullptr;
+  SignalWaiter signals({{SIGHUP, [&running] {
+                           if (server::Server* each = running) each->Reload();
+                         }}});
+  auto started = server::Server::Start(
+      parsed->config, [&](absl::Duration pause) { return signals.WaitForShutdown(pause); });
+  if (absl::IsCancelled(started.status())) return 0;
+  if (!started.ok()) {
+    LogError("cannot start", {{"reason", started.status().message()}});
+    return absl::IsInvalidArgument(started.status()) ? kExitConfig : kExitFailed;
   }
-  SignalWaiter signals({{SIGHUP, [&] { (*server)->Reload(); }}});
-  if (const absl::Status ready = WriteReadyFile(flags, (*server)->address()); !ready.ok()) {
+  owned = *std::move(started);
+  running = owned.get();
+  if (const absl::Status ready = WriteReadyFile(flags, owned->address()); !ready.ok()) {
     LogError("cannot write the ready file", {{"reason", ready.message()}});
     return kExitFailed;
   }
   signals.WaitForShutdown();
-  (*server)->Stop();
+  owned->Stop();
   return 0;
 }

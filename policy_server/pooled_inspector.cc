@@ -17,7 +17,8 @@ void PooledInspector::Inspect(const std::string& robot, const std::vector<uint32
                   .sender = std::string(message.sender),
                   .writer_hex = absl::BytesToHexString(message.writer.ToBytes()),
                   .time_unix_ns = message.time_unix_ns,
-                  .payload = std::string(message.payload),
+                  .payload = message.payload,
+                  .owner = message.owner,
                   .size_bytes = message.size_bytes,
                   .available = !message.payload.empty()}};
   const inspect::Skipped skipped = pool_->Submit(

@@ -1,6 +1,8 @@
 #include "policy_server/server.h"
 
 #include <algorithm>
+#include <limits>
+#include <optional>
 #include <thread>
 #include <utility>
 
@@ -8,6 +10,7 @@
 #include "policy_server/pooled_inspector.h"
 #include "services/base/ids.h"
 #include "services/base/status_macros.h"
+#include "services/runtime/await.h"
 #include "services/runtime/log.h"
 
 namespace rips::server {
@@ -15,11 +18,6 @@ namespace {
 
 // What clients get to finish after a shutdown was announced.
 constexpr absl::Duration kShutdownGrace = absl::Seconds(2);
-
-absl::Status WithContext(absl::string_view context, const absl::Status& status) {
-  if (status.ok()) return status;
-  return absl::Status(status.code(), absl::StrCat(context, ": ", status.message()));
-}
 
 pipeline::Timing ToPipeline(const Timing& timing) {
   return {.heartbeat_ns = absl::ToInt64Nanoseconds(timing.heartbeat),
@@ -38,48 +36,157 @@ Server::Server(const ServerConfig& config) : config_(config) {}
 
 Server::~Server() { Stop(); }
 
-absl::StatusOr<std::unique_ptr<Server>> Server::Start(const ServerConfig& config) {
+absl::StatusOr<std::unique_ptr<Server>> Server::Start(const ServerConfig& config,
+                                                      const Pause& pause) {
   std::unique_ptr<Server> server(new Server(config));
   RIPS_RETURN_IF_ERROR(server->Open());
-  RIPS_RETURN_IF_ERROR(server->LoadPolicies());
+  RIPS_RETURN_IF_ERROR(server->ServePage());
+  // Before the robots: their terms are drawn, and their sensors missed, only by a server that can
+  // be reached.
+  RIPS_RETURN_IF_ERROR(server->AwaitCredentials(pause));
   RIPS_RETURN_IF_ERROR(server->AddRobots());
   server->pipeline_->Start();
+  RIPS_RETURN_IF_ERROR(server->GuardPeers());
   RIPS_RETURN_IF_ERROR(server->Listen());
   return server;
 }
 
 absl::Status Server::Open() {
-  RIPS_ASSIGN_OR_RETURN(credentials_, rpc::Credentials::Load(config_.tls));
-  const rpc::PeerIdentity& self = credentials_->self();
-  if (self.role != rpc::Role::kPolicyServer || self.name != config_.id ||
-      self.trust_domain != config_.trust_domain) {
-    return absl::InvalidArgumentError(
-        absl::StrCat(config_.tls.cert, " is the certificate of ", rpc::ToString(self),
-                     ", not of spiffe://", config_.trust_domain, "/policy-server/", config_.id));
-  }
+  // Read again with the robots; what is malformed must not wait for certificates.
   RIPS_ASSIGN_OR_RETURN(const std::string text, ReadConfigFile(config_.inventory));
-  RIPS_ASSIGN_OR_RETURN(inventory_, bundle::ParseInventory(config_.inventory, text));
+  RIPS_RETURN_IF_ERROR(bundle::ParseInventory(config_.inventory, text).status());
   RIPS_ASSIGN_OR_RETURN(store_, store::SqliteStore::Open(config_.store_path));
   RIPS_ASSIGN_OR_RETURN(alert_log_, store::AlertLog::Open(config_.alerts_file));
-  hub_ = std::make_unique<operator_api::Hub>(alert_log_.get());
-  committer_ = std::make_unique<store::Committer>(store_.get());
-  // Half the machine at most: scanning must not keep shards from judging.
+  const Counter file_failures = metrics_.AddCounter(
+      "rips_alert_file_failures_total", "Attempts to write the alert file that failed.");
+  hub_ = std::make_unique<operator_api::Hub>(
+      store_.get(), alert_log_.get(),
+      operator_api::FeedCounts{.file_failures = [file_failures](uint64_t by) {
+        file_failures.Increment(static_cast<double>(by));
+      }});
+  committer_ = std::make_unique<store::Committer>(store_.get(), store::CommitterLimits(), &clock_);
+  alerts_ = std::make_unique<pipeline::ServerAlerts>(committer_.get(), hub_.get(), &clock_, NewId);
+  store_watch_ = std::make_unique<pipeline::StoreWatch>(committer_.get(), alerts_.get(), &clock_,
+                                                        config_.store_path, MakeStoreCounts());
+  RIPS_RETURN_IF_ERROR(OpenJail());
+  // Half the machine at most: scanning must not keep shards from judging. At least two, so that a
+  // robot whose scans are slow leaves one to the others.
   const int threads = static_cast<int>(std::thread::hardware_concurrency()) / 2;
   inspections_ = std::make_unique<inspect::InspectionPool>(
-      inspect::PoolOptions{.threads = std::max(1, threads)}, &clock_);
+      inspect::PoolOptions{.threads = std::max(2, threads)}, &clock_);
   recorder_ = std::make_unique<pipeline::StoreRecorder>(store_.get(), committer_.get());
+  return absl::OkStatus();
+}
+
+absl::Status Server::AwaitCredentials(const Pause& pause) {
+  const auto attempt = [this]() -> absl::Status {
+    auto own = rpc::LoadOwn(config_.tls, [this](const rpc::PeerIdentity& self) -> absl::Status {
+      if (self.role == rpc::Role::kPolicyServer && self.name == config_.id &&
+          self.trust_domain == config_.trust_domain) {
+        return absl::OkStatus();
+      }
+      return absl::PermissionDeniedError(
+          absl::StrCat(config_.tls.cert, " is the certificate of ", rpc::ToString(self),
+                       ", not of spiffe://", config_.trust_domain, "/policy-server/", config_.id));
+    });
+    if (own.ok()) credentials_ = *own;
+    return own.status();
+  };
+  const absl::Status status = pause ? Await("a usable certificate", attempt, pause) : attempt();
+  // Somebody else's.
+  if (absl::IsPermissionDenied(status)) return absl::InvalidArgumentError(status.message());
+  return status;
+}
+
+absl::Status Server::ServePage() {
+  absl::Status taken;
+  absl::StatusOr<std::unique_ptr<MetricsPage>> page = MetricsPage::Start(
+      config_.metrics, &metrics_, [this] { return Readiness(); },
+      [&](const absl::Status& why) { taken = why; });
+  if (!page.ok()) return page.status();
+  page_ = *std::move(page);
+  if (!taken.ok()) OwnAlert(engine::Severity::kCritical, absl::StrCat(taken.message()));
+  return absl::OkStatus();
+}
+
+void Server::OwnAlert(engine::Severity severity, const std::string& text) {
+  alerts_->Raise(std::string(store::kServerRobot), severity, text);
+}
+
+absl::Status Server::GuardPeers() {
+  RIPS_ASSIGN_OR_RETURN(bans_, operator_api::BanList::Load(store_.get()));
+  certificates_ = std::make_unique<rpc::CertificateMonitor>(
+      rpc::CertificateMonitor::Options{
+          .own = config_.tls, .notify = [this](const auto& notice) { OnCertificate(notice); }},
+      &clock_, &metrics_);
+  certificates_->Look();  // so that readiness is known from the start
+  gate_ = std::make_unique<rpc::CallGate>(
+      &clock_,
+      [this](const rpc::Peer& peer) {
+        const std::optional<rpc::Refusal> revoked = credentials_->Revoked(peer);
+        return revoked ? revoked : bans_->Against(peer);
+      },
+      &metrics_);
+  gate_->set_on_admitted([this](const rpc::Peer& peer) { certificates_->Seen(peer); });
+  revocation_problem_ = metrics_.AddGauge(
+      "rips_revocation_problem", "1 = the revocation lists are out of date or cannot be read.");
+  watch_ = std::make_unique<rpc::SessionWatch>(&clock_, absl::Milliseconds(500), gate_.get());
+  watch_->set_before_look([this] { LookAtRevocations(); });
+  return absl::OkStatus();
+}
+
+void Server::LookAtRevocations() {
+  credentials_->Refresh();
+  const absl::Status problem =
+      credentials_->RevocationProblem(absl::FromUnixNanos(clock_.Now().unix_ns));
+  revocation_problem_.Set(problem.ok() ? 0 : 1);
+  {
+    MutexLock lock(&revocation_mu_);
+    if (revocation_told_ == problem.message()) return;
+    revocation_told_ = std::string(problem.message());
+  }
+  if (!problem.ok()) OwnAlert(engine::Severity::kCritical, std::string(problem.message()));
+}
+
+void Server::OnCertificate(const rpc::CertificateMonitor::Notice& notice) {
+  const engine::Severity severity = notice.stage == rpc::LifeStage::kThird
+                                        ? engine::Severity::kMedium
+                                    : notice.own ? engine::Severity::kCritical
+                                                 : engine::Severity::kHigh;
+  const std::string text = rpc::CertificateMonitor::Text(notice);
+  if (notice.own) return OwnAlert(severity, text);
+  const std::string& robot = notice.certificate.identity.robot;
+  if (robot.empty()) return;  // an operator's: logged
+  pipeline_
+      ->Post(robot, pipeline::Lane::kControl,
+             [severity, text](pipeline::Robot& each) { each.Report(severity, text); })
+      .IgnoreError();  // not of ours
+}
+
+absl::Status Server::OpenJail() {
+  RIPS_ASSIGN_OR_RETURN(jail_, MakePluginJail(config_));
+  for (const std::string& missing : jail_.missing) {
+    LogWarning("containment of plugins is not complete", {{"why", missing}});
+  }
+  metrics_
+      .AddGauge("rips_containment_missing",
+                "Parts of the containment of plugins and scans that this machine cannot enforce.")
+      .Set(static_cast<double>(jail_.missing.size()));
   return absl::OkStatus();
 }
 
 absl::StatusOr<pipeline::Policy> Server::LoadPolicy(const std::string& dir,
                                                     const std::string& name) {
-  RIPS_ASSIGN_OR_RETURN(bundle::Bundle loaded, bundle::LoadBundle(dir, &clock_));
-  if (loaded.manifest.name != name) {
+  RIPS_ASSIGN_OR_RETURN(
+      bundle::Bundle loaded,
+      bundle::LoadBundle(dir, &clock_, {.plugin = {.contain = jail_.containment}}));
+  if (!name.empty() && loaded.manifest.name != name) {
     return absl::InvalidArgumentError(absl::StrCat("its manifest calls it `", loaded.manifest.name,
                                                    "`; the inventory wants `", name, "`"));
   }
   if (!loaded.warnings.empty()) {
-    LogInfo("the rule compiler remarks", {{"bundle", dir}, {"text", loaded.warnings}});
+    // Rule text stays out of logs; `ripsctl rules check` shows it to its author.
+    LogWarning("rule compiler warnings", {{"bundle", dir}, {"warnings", loaded.warnings}});
   }
   LogInfo("bundle loaded", {{"bundle", loaded.manifest.name},
                             {"id", loaded.id},
@@ -93,21 +200,33 @@ absl::StatusOr<pipeline::Policy> Server::LoadPolicy(const std::string& dir,
                           .start_level = loaded.start_level,
                           .soft_hold_ns = absl::ToInt64Nanoseconds(loaded.manifest.soft_hold),
                           .inspector = std::move(inspector),
-                          .interest = pipeline::MakeInterest(*loaded.program)};
+                          .interest = pipeline::MakeInterest(*loaded.program),
+                          .payload_limits = loaded.manifest.payload_limits};
 }
 
-absl::Status Server::LoadPolicies() {
-  for (const bundle::InventoryRobot& robot : inventory_.robots) {
-    if (policies_.contains(robot.bundle)) continue;
-    const std::string dir = absl::StrCat(config_.bundles_source, "/", robot.bundle);
-    absl::StatusOr<pipeline::Policy> policy = LoadPolicy(dir, robot.bundle);
-    if (!policy.ok()) return WithContext(absl::StrCat("bundle ", dir), policy.status());
-    policies_[robot.bundle] = *std::move(policy);
-  }
-  return absl::OkStatus();
+pipeline::StoreCounts Server::MakeStoreCounts() {
+  const Gauge healthy =
+      metrics_.AddGauge("rips_store_healthy", "1 while the store can be written, else 0.");
+  const Counter failures =
+      metrics_.AddCounter("rips_store_failures_total", "Writes that the store could not make.");
+  return {.healthy = [healthy](bool ok) { healthy.Set(ok ? 1 : 0); },
+          .failures = [failures](uint64_t by) { failures.Increment(static_cast<double>(by)); }};
+}
+
+Gauge Server::ClockSkew(const std::string& robot, const std::string& host) {
+  return metrics_.AddGauge("rips_sensor_clock_skew_seconds",
+                           "Wall clock of the sensor minus the server's; NaN until estimated.",
+                           {{"robot", robot}, {"host", host}});
+}
+
+Counter Server::InspectionsSkipped(const std::string& reason) {
+  return metrics_.AddCounter("rips_inspections_skipped_total",
+                             "Inspections that rules needed and that were not made.",
+                             {{"reason", reason}});
 }
 
 pipeline::Counts Server::MakeCounts() {
+  for (const char* reason : pipeline::kSkipReasons) InspectionsSkipped(reason);
   const auto counter = [this](const char* name, const char* help) {
     const Counter made = metrics_.AddCounter(name, help);
     return [made](uint64_t by) { made.Increment(static_cast<double>(by)); };
@@ -125,13 +244,21 @@ pipeline::Counts Server::MakeCounts() {
                 set("not_needed", counts.not_needed);
                 set("not_visible", counts.not_visible);
               },
+          .blind =
+              [this](const std::string& robot, size_t reasons) {
+                metrics_
+                    .AddGauge("rips_blind_reasons",
+                              "Why a robot or an input of its sensors is not seen; 0 = it is.",
+                              {{"robot", robot}})
+                    .Set(static_cast<double>(reasons));
+              },
           .clock_skew =
               [this](const std::string& robot, const std::string& host, int64_t ns) {
-                metrics_
-                    .AddGauge("rips_sensor_clock_skew_seconds",
-                              "Wall clock of the sensor minus the server's, as estimated.",
-                              {{"robot", robot}, {"host", host}})
-                    .Set(static_cast<double>(ns) / kNanosPerSecond);
+                ClockSkew(robot, host).Set(static_cast<double>(ns) / kNanosPerSecond);
+              },
+          .inspections_skipped =
+              [this](const std::string& reason, uint64_t by) {
+                InspectionsSkipped(reason).Increment(static_cast<double>(by));
               },
           .observations_judged =
               counter("rips_observations_judged_total", "Observations judged by rules."),
@@ -139,6 +266,15 @@ pipeline::Counts Server::MakeCounts() {
                                        "Observations that sensors report or show as lost."),
           .observations_duplicate = counter("rips_observations_duplicate_total",
                                             "Observations received again and not judged again."),
+          .messages_unattributed =
+              counter("rips_messages_unattributed_total",
+                      "Writers whose messages were judged without a node, since the graph did not "
+                      "show them in time."),
+          .sessions_refused =
+              counter("rips_second_sessions_total",
+                      "Sessions refused because the agent of that certificate has a live one."),
+          .payloads_cut = counter("rips_payloads_cut_total",
+                                  "Messages whose payload was longer than its limit."),
           .alerts = counter("rips_alerts_total", "Alerts raised."),
           .alerts_lost = counter("rips_alerts_lost_total",
                                  "Alerts dropped while the store could not be written.")};
@@ -150,24 +286,37 @@ absl::Status Server::AddRobots() {
                          : static_cast<int>(std::clamp(std::thread::hardware_concurrency(), 1u,
                                                        static_cast<unsigned>(kShardsMax)));
   pipeline_ = std::make_unique<pipeline::Pipeline>(shards, &clock_);
+  const auto robots = [this](const char* policy, size_t count) {
+    metrics_
+        .AddGauge("rips_robots", "Robots of the inventory, by the policy that judges them.",
+                  {{"policy", policy}})
+        .Set(static_cast<double>(count));
+  };
   const pipeline::Counts counts = MakeCounts();
-  for (const bundle::InventoryRobot& robot : inventory_.robots) {
-    pipeline::RobotConfig config{.id = robot.id, .actuator_hosts = robot.actuators};
-    for (const bundle::InventorySensor& sensor : robot.sensors) {
-      config.sensor_hosts.push_back(sensor.host);
-      if (sensor.primary) config.primary_sensor = sensor.host;
-    }
-    RIPS_ASSIGN_OR_RETURN(const store::RobotRecord record, store_->Load(robot.id));
-    RIPS_ASSIGN_OR_RETURN(const uint64_t term, store_->NextTerm(robot.id));
-    RIPS_RETURN_IF_ERROR(pipeline_->Add(
-        std::move(config), policies_[robot.bundle], ToPipeline(config_.timing), record, term,
-        {.recorder = recorder_.get(), .audience = hub_.get(), .counts = counts, .new_id = NewId}));
-    LogInfo("robot", {{"robot", robot.id},
-                      {"level", record.level.empty() ? "(first start)" : record.level},
-                      {"mark", ToString(record.mark)},
-                      {"term", term}});
-  }
-  return absl::OkStatus();
+  fleet_ = std::make_unique<Fleet>(
+      FleetOptions{.inventory = config_.inventory,
+                   .bundles_source = config_.bundles_source,
+                   .bundles_dir = config_.bundles_dir,
+                   .timing = ToPipeline(config_.timing)},
+      store_.get(), pipeline_.get(), alerts_.get(),
+      [this](const std::string& dir, const std::string& name) { return LoadPolicy(dir, name); },
+      pipeline::Ports{
+          .recorder = recorder_.get(), .audience = hub_.get(), .counts = counts, .new_id = NewId},
+      FleetCounts{
+          .robots =
+              [robots](size_t armed, size_t on_last_good, size_t held) {
+                robots("current", armed);
+                robots("last_good", on_last_good);
+                robots("none", held);
+              },
+          .listed =
+              [this, counts](const bundle::InventoryRobot& robot) {
+                counts.endpoints(robot.id, {});
+                for (const bundle::InventorySensor& sensor : robot.sensors) {
+                  ClockSkew(robot.id, sensor.host).Set(std::numeric_limits<double>::quiet_NaN());
+                }
+              }});
+  return fleet_->Start();
 }
 
 absl::Status Server::Listen() {
@@ -179,7 +328,6 @@ absl::Status Server::Listen() {
     return metrics_.AddCounter("rips_streams_total", "Streams opened by agents.",
                                {{"agent", agent}});
   };
-  watch_ = std::make_unique<rpc::SessionWatch>(&clock_);
   sensors_ = std::make_unique<ingest::SensorService>(
       pipeline_.get(), watch_.get(),
       ingest::IngestMetrics{.malformed = malformed("sensor"),
@@ -193,54 +341,33 @@ absl::Status Server::Listen() {
           .malformed = malformed("actuator"),
           .streams = streams("actuator"),
           .commands = metrics_.AddCounter("rips_commands_total", "Commands sent to actuators.")});
-  operators_ =
-      std::make_unique<operator_api::OperatorService>(pipeline_.get(), store_.get(), hub_.get());
+  operators_ = std::make_unique<operator_api::OperatorService>(
+      pipeline_.get(), store_.get(), hub_.get(),
+      operator_api::OperatorService::Access{
+          .watch = watch_.get(), .bans = bans_.get(), .certificates = certificates_.get()});
   RIPS_ASSIGN_OR_RETURN(
       rpc_,
       rpc::RpcServer::Start({.listen = config_.listen, .credentials = credentials_->ForServer()},
                             {sensors_.get(), actuators_.get(), operators_.get()}));
-  RIPS_ASSIGN_OR_RETURN(metrics_server_, MetricsServer::Start(config_.metrics, &metrics_,
-                                                              [this] { return Readiness(); }));
-  LogInfo("listening", {{"address", rpc_->address()}, {"metrics", metrics_server_->address()}});
+  listening_ = true;
+  LogInfo("listening", {{"address", rpc_->address()}, {"metrics", page_->address()}});
   return absl::OkStatus();
 }
 
 absl::Status Server::Readiness() const {
-  if (committer_->healthy()) return absl::OkStatus();
+  if (!listening_) return absl::UnavailableError("waiting for a usable certificate");
+  RIPS_RETURN_IF_ERROR(certificates_->own_status());
+  const absl::Status health = committer_->health();
+  if (health.ok()) return absl::OkStatus();
   return absl::UnavailableError(
-      absl::StrCat("the store ", config_.store_path, " cannot be written"));
+      absl::StrCat("the store ", config_.store_path, " cannot be written: ", health.message()));
 }
 
 void Server::Reload() {
   if (const absl::Status status = alert_log_->Reopen(); !status.ok()) {
     LogError("alert file not reopened", {{"reason", status.message()}});
   }
-  absl::btree_map<std::string, pipeline::Policy> loaded;
-  for (const auto& [name, old] : policies_) {
-    const std::string dir = absl::StrCat(config_.bundles_source, "/", name);
-    absl::StatusOr<pipeline::Policy> policy = LoadPolicy(dir, name);
-    if (policy.ok()) {
-      loaded[name] = *std::move(policy);
-    } else {
-      LogError("bundle refused; the old one stays in force",
-               {{"bundle", dir}, {"reason", policy.status().message()}});
-    }
-  }
-  for (const bundle::InventoryRobot& robot : inventory_.robots) {
-    const auto it = loaded.find(robot.bundle);
-    if (it == loaded.end()) continue;
-    const absl::Status posted = pipeline_->Post(
-        robot.id, pipeline::Lane::kControl, [policy = it->second](pipeline::Robot& each) {
-          const absl::Status swapped = each.SwapPolicy(policy);
-          if (!swapped.ok()) {
-            LogError("bundle not taken", {{"robot", each.id()}, {"reason", swapped.message()}});
-          }
-        });
-    if (!posted.ok()) {
-      LogError("bundle not offered", {{"robot", robot.id}, {"reason", posted.message()}});
-    }
-  }
-  for (auto& [name, policy] : loaded) policies_[name] = std::move(policy);
+  fleet_->Reload();
 }
 
 void Server::Stop() {
@@ -248,14 +375,21 @@ void Server::Stop() {
   if (rpc_ != nullptr) {
     LogInfo("stopping");
     rpc_->SetServing(false);
-    pipeline_->ForEach([](pipeline::Robot& robot) { robot.Drain(); });
+    for (const std::string& robot :
+         pipeline_->ForEach([](pipeline::Robot& each) { each.Drain(); })) {
+      LogWarning("robot not drained in time; its lease is the last one it was given",
+                 {{"robot", robot}});
+    }
     watch_->CloseAll(grpc::Status(grpc::StatusCode::UNAVAILABLE, "the server is stopping"));
     rpc_->Shutdown(kShutdownGrace);
   }
   // What is still being inspected is judged by whoever gets it again.
   pipeline_->Stop();
   inspections_->Stop();
+  // Its last alerts are written with the rest.
+  store_watch_.reset();
   committer_->Stop();
+  hub_->feed().Stop();
 }
 
 }  // namespace rips::server

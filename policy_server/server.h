@@ -2,43 +2,55 @@
 #ifndef RIPS_POLICY_SERVER_SERVER_H_
 #define RIPS_POLICY_SERVER_SERVER_H_
 
+#include <atomic>
+#include <functional>
 #include <memory>
 #include <string>
 
-#include "absl/container/btree_map.h"
+#include "absl/base/thread_annotations.h"
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
 #include "policy_server/bundle/bundle.h"
-#include "policy_server/bundle/inventory.h"
 #include "policy_server/config/config.h"
 #include "policy_server/dispatch/actuator_service.h"
+#include "policy_server/fleet.h"
 #include "policy_server/ingest/sensor_service.h"
 #include "policy_server/inspect/inspection_pool.h"
+#include "policy_server/operator_api/ban_list.h"
 #include "policy_server/operator_api/hub.h"
 #include "policy_server/operator_api/operator_service.h"
 #include "policy_server/pipeline/pipeline.h"
+#include "policy_server/pipeline/server_alerts.h"
 #include "policy_server/pipeline/store_recorder.h"
+#include "policy_server/pipeline/store_watch.h"
+#include "policy_server/plugin_jail.h"
 #include "policy_server/store/alert_log.h"
 #include "policy_server/store/committer.h"
 #include "policy_server/store/sqlite_store.h"
+#include "services/rpc/call_gate.h"
+#include "services/rpc/certificate_monitor.h"
 #include "services/rpc/credentials.h"
 #include "services/rpc/server_builder.h"
 #include "services/rpc/session_watch.h"
 #include "services/runtime/metrics.h"
+#include "services/runtime/mutex.h"
 #include "services/runtime/real_clock.h"
 
 namespace rips::server {
 
 class Server {
  public:
-  // Reads certificates, inventory, bundles and the store, then listens. Every error names the file
-  // and the remedy.
-  static absl::StatusOr<std::unique_ptr<Server>> Start(const ServerConfig& config);
+  // Waits so long; true ends the wait for good.
+  using Pause = std::function<bool(absl::Duration)>;
+  // Reads inventory, bundles and the store, serves /metrics, waits for usable certificates, then
+  // listens. Every error names the file and the remedy; InvalidArgument: no waiting mends it.
+  // Cancelled: `pause` ended the wait; without one nothing is waited for.
+  static absl::StatusOr<std::unique_ptr<Server>> Start(const ServerConfig& config,
+                                                       const Pause& pause = nullptr);
   // As Stop.
   ~Server();
 
-  // Reads the bundles anew and opens the alert file anew. A bundle that is refused leaves the old
-  // one in force and says so.
+  // Reads inventory and bundles anew (Fleet) and opens the alert file anew.
   void Reload();
   // Grants long leases, ends all streams, makes everything durable. Idempotent.
   void Stop();
@@ -49,34 +61,56 @@ class Server {
  private:
   explicit Server(const ServerConfig& config);
   absl::Status Open();
-  absl::Status LoadPolicies();
+  absl::Status ServePage();
+  absl::Status AwaitCredentials(const Pause& pause);
+  // Judges peers, and watches certificates, our own among them.
+  absl::Status GuardPeers();
+  // RIPS's own alert that is no robot's: of robot `(server)`. Any thread.
+  void OwnAlert(engine::Severity severity, const std::string& text);
+  void OnCertificate(const rpc::CertificateMonitor::Notice& notice);
+  // Reads the revocation lists if they have changed, and says what is wrong with them.
+  void LookAtRevocations();
+  absl::Status OpenJail();
+  // `name` empty: whatever the manifest calls it.
   absl::StatusOr<pipeline::Policy> LoadPolicy(const std::string& dir, const std::string& name);
   absl::Status AddRobots();
   absl::Status Listen();
+  Gauge ClockSkew(const std::string& robot, const std::string& host);
+  Counter InspectionsSkipped(const std::string& reason);
   pipeline::Counts MakeCounts();
+  pipeline::StoreCounts MakeStoreCounts();
   absl::Status Readiness() const;
 
   const ServerConfig config_;
   RealClock clock_;
   Metrics metrics_;
   std::shared_ptr<const rpc::Credentials> credentials_;
-  bundle::Inventory inventory_;
-  // By name.
-  absl::btree_map<std::string, pipeline::Policy> policies_;
+  // What plugins and scanners run in.
+  PluginJail jail_;
   // After what plugins and scanners answer to, before what asks them.
   std::unique_ptr<inspect::InspectionPool> inspections_;
-  std::unique_ptr<store::Store> store_;
+  std::unique_ptr<store::SqliteStore> store_;
   std::unique_ptr<store::AlertLog> alert_log_;
   std::unique_ptr<operator_api::Hub> hub_;
   std::unique_ptr<store::Committer> committer_;
+  std::unique_ptr<pipeline::ServerAlerts> alerts_;
+  std::unique_ptr<pipeline::StoreWatch> store_watch_;
   std::unique_ptr<pipeline::StoreRecorder> recorder_;
   std::unique_ptr<pipeline::Pipeline> pipeline_;
+  std::unique_ptr<Fleet> fleet_;
+  std::unique_ptr<operator_api::BanList> bans_;
+  std::unique_ptr<rpc::CertificateMonitor> certificates_;
+  std::unique_ptr<rpc::CallGate> gate_;
+  Gauge revocation_problem_;
+  Mutex revocation_mu_;
+  std::string revocation_told_ ABSL_GUARDED_BY(revocation_mu_);
   std::unique_ptr<rpc::SessionWatch> watch_;
   std::unique_ptr<ingest::SensorService> sensors_;
   std::unique_ptr<dispatch::ActuatorService> actuators_;
   std::unique_ptr<operator_api::OperatorService> operators_;
   std::unique_ptr<rpc::RpcServer> rpc_;
-  std::unique_ptr<MetricsServer> metrics_server_;
+  std::atomic<bool> listening_ = false;
+  std::unique_ptr<MetricsPage> page_;
   bool stopped_ = false;
 };
 

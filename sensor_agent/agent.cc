@@ -32,6 +32,9 @@ constexpr int kLastLooks = 20;
 // Payloads that may be held between reception and the outbox, which has a limit of its own.
 constexpr size_t kPayloadsUnderwayBytes = size_t{16} << 20;
 
+constexpr char kGraphShort[] =
+    "graph: a limit was hit, so not every participant, node and endpoint is in it";
+
 void AddFinding(Finding finding, int64_t now_ns, Observations& seen) {
   ControlObservation& observation = seen.findings.emplace_back();
   observation.boottime_ns = now_ns;
@@ -68,7 +71,11 @@ IdsSink SinkInto(Uplink* uplink) {
               [uplink](std::vector<ControlObservation> alerts, std::vector<Loss> losses) {
                 uplink->Append({.losses = std::move(losses), .ids_alerts = std::move(alerts)});
               },
-          .acknowledged = [uplink] { return uplink->acknowledged_ids_alerts(); }};
+          .acknowledged = [uplink] { return uplink->acknowledged_ids_alerts(); },
+          .blind =
+              [uplink](std::vector<std::string> reasons) {
+                uplink->SetBlind("ids", std::move(reasons));
+              }};
 }
 
 }  // namespace
@@ -90,18 +97,24 @@ Agent::Agent(const SensorConfig& config, const Clock* clock, Metrics* metrics)
                                       "Messages of ros_discovery_info that make no sense")),
       lost_(metrics->AddCounter("rips_sensor_lost_total",
                                 "Observations not taken, whatever the cause")),
-      readers_(metrics->AddGauge("rips_sensor_readers", "Topics being read")) {}
+      readers_(metrics->AddGauge("rips_sensor_readers", "Topics being read")),
+      announced_(metrics->AddGauge("rips_sensor_announced",
+                                   "1 while ROS tools are told that this is the node /rips")) {}
 
-absl::StatusOr<std::unique_ptr<Agent>> Agent::Create(
-    const SensorConfig& config, std::shared_ptr<grpc::ChannelCredentials> credentials,
-    const Clock* clock, Metrics* metrics) {
+absl::StatusOr<std::unique_ptr<Agent>> Agent::Create(const SensorConfig& config,
+                                                     rpc::CredentialsSource credentials,
+                                                     const Clock* clock, Metrics* metrics,
+                                                     rpc::CertificateMonitor* monitor) {
   std::unique_ptr<Agent> agent(new Agent(config, clock, metrics));
   Agent* raw = agent.get();
   const auto memory = static_cast<size_t>(config.outbox_memory.bytes);
+  std::function<void(const rpc::Peer&)> on_peer;
+  if (monitor != nullptr) on_peer = [monitor](const rpc::Peer& peer) { monitor->Seen(peer); };
   agent->uplink_ = std::make_unique<Uplink>(
       UplinkOptions{
           .servers = config.servers,
           .credentials = std::move(credentials),
+          .on_peer = std::move(on_peer),
           .host = config.host,
           .domain = config.dds.domain,
           .interest_file = InterestFile(config.state_dir),
@@ -199,6 +212,8 @@ absl::StatusOr<std::unique_ptr<Agent>> Agent::Create(
     agent->uplink_->InterestInUse(agent->watch_.interest->id());
   }
   agent->FollowPlan(clock->Now().boottime_ns);
+  agent->uplink_->SetParticipant(agent->domain_->own());
+  if (config.dds.announce) agent->StartAnnouncing();
   if (!config.ids.empty()) {
     agent->ids_ = std::make_unique<IdsFeed>(IdsOptions(config), SinkInto(agent->uplink_.get()),
                                             clock, metrics);
@@ -207,6 +222,30 @@ absl::StatusOr<std::unique_ptr<Agent>> Agent::Create(
 }
 
 Agent::~Agent() { Stop(); }
+
+void Agent::StartAnnouncing() {
+  auto announcer = dds::NodeAnnouncer::Create(
+      domain_->participant(), dds::AnnouncerOptions(config_.dds), clock_->Now().boottime_ns);
+  if (announcer.ok()) {
+    announcer_ = *std::move(announcer);
+    announced_.Set(1);
+    return;
+  }
+  LogWarning(
+      "this sensor cannot announce itself to ROS, whose tools show its readers without a node; "
+      "under DDS Security its permissions must let it publish ros_discovery_info",
+      {{"error", announcer.status().ToString()}});
+}
+
+void Agent::Announce(int64_t now_ns) {
+  if (announcer_ == nullptr) return;
+  const absl::Status told = announcer_->Poll(now_ns);
+  if (told.ok() == announcing_) return;
+  announcing_ = told.ok();
+  announced_.Set(announcing_ ? 1 : 0);
+  if (announcing_) return;
+  LogWarning("this sensor's node was not announced; trying again", {{"error", told.ToString()}});
+}
 
 void Agent::Start() {
   uplink_->Start();
@@ -271,6 +310,8 @@ void Agent::Look(int64_t now_ns) {
   TakeInbox(now_ns, seen);
   TakeDiscovered(now_ns, seen);
   TakeCoverage(now_ns);
+  // Now that readers have been opened and closed.
+  Announce(now_ns);
   TakeClaims(now_ns, seen);
   seen.graph = graph_->Poll(now_ns);
   seen.settled = graph_->settled();
@@ -282,8 +323,9 @@ void Agent::Look(int64_t now_ns) {
 }
 
 int64_t Agent::NextWork() const {
-  const int64_t work_ns = std::min(
-      {graph_->NextDue(), flow_->NextDue(), findings_->NextDue(), domain_->topics().NextDue()});
+  const int64_t work_ns =
+      std::min({graph_->NextDue(), flow_->NextDue(), findings_->NextDue(),
+                domain_->topics().NextDue(), announcer_ ? announcer_->NextDue() : kNever});
   return resync_until_ns_ == 0 ? work_ns : std::min(work_ns, resync_until_ns_);
 }
 
@@ -303,10 +345,7 @@ void Agent::TakeInbox(int64_t now_ns, Observations& seen) {
     forgot = std::exchange(server_forgot_, false);
   }
   if (forgot) TellFindingsAgain(now_ns, seen);
-  if (own.has_value()) {
-    graph_->SetOwnParticipants(*own, now_ns);
-    findings_->SetOwnParticipants(*own);
-  }
+  if (own.has_value() && own_.Told(*own)) TellOwnParticipants(now_ns);
   if (parts.has_value()) findings_->SetProtectedParts(*parts);
   const bool idle = primary.has_value() ? !*primary : watch_.idle;
   if (interest == nullptr && idle == watch_.idle) return;
@@ -314,6 +353,11 @@ void Agent::TakeInbox(int64_t now_ns, Observations& seen) {
   if (interest != nullptr) watch_.interest = interest;
   FollowPlan(now_ns);
   if (interest != nullptr) uplink_->InterestInUse(interest->id());
+}
+
+void Agent::TellOwnParticipants(int64_t now_ns) {
+  graph_->SetOwnParticipants(own_.known(), now_ns);
+  findings_->SetOwnParticipants(own_.known());
 }
 
 void Agent::FollowPlan(int64_t now_ns) {
@@ -351,12 +395,7 @@ void Agent::TakeDiscovered(int64_t now_ns, Observations& seen) {
       OnEndpoint(*endpoint, each.alive, now_ns);
       continue;
     }
-    const auto& participant = std::get<ros2::Participant>(each.what);
-    if (each.alive) {
-      graph_->ParticipantSeen(participant, now_ns);
-    } else {
-      graph_->ParticipantGone(participant.guid, now_ns);
-    }
+    OnParticipant(std::get<ros2::Participant>(each.what), each.alive, now_ns);
   }
   if (resync_until_ns_ != 0 && now_ns >= resync_until_ns_) {
     resync_until_ns_ = 0;
@@ -367,12 +406,30 @@ void Agent::TakeDiscovered(int64_t now_ns, Observations& seen) {
   LogError("discovery outran the sensor; asking for all of it again", {{"lost_facts", lost}});
   seen.losses.push_back(LimitLoss(lost, now_ns));
   lost_.Increment(static_cast<double>(lost));
+  Rediscover(now_ns);
+}
+
+void Agent::Rediscover(int64_t now_ns) {
   graph_->BeginResync();
   if (wire_ != nullptr) wire_->OnRediscovery(now_ns);
   resync_until_ns_ = now_ns + kResyncNs;
   if (absl::Status status = domain_->Rediscover(); !status.ok()) {
     LogError("discovery cannot be asked again", {{"error", status.ToString()}});
   }
+}
+
+void Agent::WatchGraphLimits(uint64_t left_out, int64_t now_ns) {
+  const bool was_short = graph_limits_.is_short();
+  if (graph_limits_.Look(left_out, now_ns)) Rediscover(now_ns);
+  if (graph_limits_.is_short() == was_short) return;
+  uplink_->SetBlind("graph",
+                    was_short ? std::vector<std::string>() : std::vector<std::string>{kGraphShort});
+}
+
+void Agent::OnParticipant(const ros2::Participant& participant, bool alive, int64_t now_ns) {
+  if (alive) return graph_->ParticipantSeen(participant, now_ns);
+  graph_->ParticipantGone(participant.guid, now_ns);
+  if (announcer_ != nullptr) announcer_->Gone(participant.guid);
 }
 
 void Agent::OnEndpoint(const EndpointFact& endpoint, bool alive, int64_t now_ns) {
@@ -407,6 +464,7 @@ void Agent::TakeClaims(int64_t now_ns, Observations& seen) {
                              .last_boottime_ns = now_ns});
       continue;
     }
+    if (announcer_ != nullptr) announcer_->Heard(claim.writer.Participant(), claim.payload);
     const absl::Status taken = graph_->NodesClaimed(claim.writer, *entities, now_ns);
     findings_->OnClaim(claim.writer, taken, now_ns);
     if (!taken.ok()) LogWarning("claim about nodes refused", {{"error", taken.ToString()}});
@@ -483,6 +541,11 @@ void Agent::TakeWire(int64_t now_ns, Observations& seen) {
     wire_visible_ = visible;
     uplink_->SetKindVisible(kUnicastOnlyWriters, visible);
   }
+  const std::string blind = wire_->Blind(now_ns);
+  if (blind == wire_blind_) return;
+  wire_blind_ = blind;
+  uplink_->SetBlind("wire",
+                    blind.empty() ? std::vector<std::string>() : std::vector<std::string>{blind});
 }
 
 void Agent::CountLimits(int64_t now_ns, Observations& seen) {
@@ -498,6 +561,7 @@ void Agent::CountLimits(int64_t now_ns, Observations& seen) {
   if (graph.dropped > graph_counted_.dropped) {
     seen.losses.push_back(LimitLoss(graph.dropped - graph_counted_.dropped, now_ns));
   }
+  WatchGraphLimits(graph.dropped - graph_counted_.dropped, now_ns);
   graph_counted_ = graph;
   flow_counted_ = flow;
   readers_.Set(static_cast<double>(domain_->topics().readers()));

@@ -13,17 +13,21 @@
 #include "absl/base/thread_annotations.h"
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
-#include "grpcpp/security/credentials.h"
 #include "sensor_agent/config.h"
 #include "sensor_agent/dds/domain_watch.h"
 #include "sensor_agent/findings.h"
 #include "sensor_agent/graph_builder.h"
+#include "sensor_agent/graph_limits_watch.h"
 #include "sensor_agent/ids/ids_feed.h"
 #include "sensor_agent/interest.h"
 #include "sensor_agent/message_flow.h"
+#include "sensor_agent/own_participants.h"
 #include "sensor_agent/uplink.h"
 #include "sensor_agent/wire/wire_input.h"
 #include "services/base/clock.h"
+#include "services/dds/node_announcer.h"
+#include "services/rpc/certificate_monitor.h"
+#include "services/rpc/credentials.h"
 #include "services/runtime/metrics.h"
 #include "services/runtime/mutex.h"
 
@@ -31,11 +35,13 @@ namespace rips::sensor {
 
 class Agent {
  public:
-  // Joins the domain; nothing runs yet. `clock` and `metrics` are not owned and outlive this. The
-  // middleware's errors.
-  static absl::StatusOr<std::unique_ptr<Agent>> Create(
-      const SensorConfig& config, std::shared_ptr<grpc::ChannelCredentials> credentials,
-      const Clock* clock, Metrics* metrics);
+  // Joins the domain; nothing runs yet. `clock`, `metrics` and `monitor` (may be null) are not
+  // owned and outlive this. While `credentials` cannot be used, what is seen is kept as if the
+  // server were away. The middleware's errors.
+  static absl::StatusOr<std::unique_ptr<Agent>> Create(const SensorConfig& config,
+                                                       rpc::CredentialsSource credentials,
+                                                       const Clock* clock, Metrics* metrics,
+                                                       rpc::CertificateMonitor* monitor = nullptr);
   ~Agent();
 
   void Start();
@@ -64,6 +70,11 @@ class Agent {
   void TakeInbox(int64_t now_ns, Observations& seen) ABSL_LOCKS_EXCLUDED(inbox_mu_);
   void TakeDiscovered(int64_t now_ns, Observations& seen);
   void TakeCoverage(int64_t now_ns);
+  void OnParticipant(const ros2::Participant& participant, bool alive, int64_t now_ns);
+  // RIPS's participants have changed.
+  void TellOwnParticipants(int64_t now_ns);
+  void StartAnnouncing();
+  void Announce(int64_t now_ns);
   // Has what `watch_` says read from now on.
   void FollowPlan(int64_t now_ns);
   void OnEndpoint(const EndpointFact& endpoint, bool alive, int64_t now_ns);
@@ -74,6 +85,10 @@ class Agent {
   // Which writers are read, for the judgement of what is on the wire.
   void TellReaders(int64_t now_ns);
   void CountLimits(int64_t now_ns, Observations& seen);
+  // `left_out` of the graph by a limit since the last call.
+  void WatchGraphLimits(uint64_t left_out, int64_t now_ns);
+  // Discovery tells all that is there once more.
+  void Rediscover(int64_t now_ns);
   // The whole graph in place of its steps.
   void TellGraphAnew(int64_t now_ns);
   // Those that stand.
@@ -90,6 +105,7 @@ class Agent {
   Counter bad_claims_;
   Counter lost_;
   Gauge readers_;
+  Gauge announced_;
 
   std::atomic<bool> woken_ = false;
   Mutex inbox_mu_;
@@ -107,20 +123,27 @@ class Agent {
   std::optional<GraphBuilder> graph_;
   std::optional<MessageFlow> flow_;
   std::optional<Findings> findings_;
+  OwnParticipants own_;
   uint64_t findings_dropped_ = 0;
   WatchOptions watch_;
   // A tap reports.
   bool wire_visible_ = false;
+  // Why the tap does not see what it should, as told.
+  std::string wire_blind_;
   // There are participants with DDS Security that show us nothing.
   bool secured_hidden_ = false;
   // End of a renewed discovery; 0 = none is going on.
   int64_t resync_until_ns_ = 0;
+  GraphLimitsWatch graph_limits_;
   GraphCounters graph_counted_;
   FlowCounters flow_counted_;
 
   // In this order: what calls back goes before what it uses.
   std::unique_ptr<Uplink> uplink_;
   std::unique_ptr<DomainWatch> domain_;
+  // Null if it is not to announce, or may not.
+  std::unique_ptr<dds::NodeAnnouncer> announcer_;
+  bool announcing_ = true;  // the last claim was published
   // Null if there is no log to read.
   std::unique_ptr<IdsFeed> ids_;
   std::unique_ptr<wire::WireInput> wire_;  // null = without a tap

@@ -1,9 +1,11 @@
 #include "sensor_agent/daemon.h"
 
+#include <atomic>
 #include <csignal>
 #include <cstdio>
 #include <memory>
 #include <string>
+#include <utility>
 
 #include "absl/strings/str_cat.h"
 #include "absl/time/clock.h"
@@ -12,7 +14,9 @@
 #include "sensor_agent/host_metrics.h"
 #include "services/base/status_macros.h"
 #include "services/dds/security.h"
+#include "services/rpc/certificate_monitor.h"
 #include "services/rpc/credentials.h"
+#include "services/runtime/await.h"
 #include "services/runtime/config_sections.h"
 #include "services/runtime/log.h"
 #include "services/runtime/metrics.h"
@@ -29,7 +33,7 @@ absl::Status CheckIdentity(const SensorConfig& config, const rpc::PeerIdentity& 
   const bool same =
       self.role == rpc::Role::kSensor && self.robot == config.robot && self.host == config.host;
   if (same) return absl::OkStatus();
-  return absl::InvalidArgumentError(
+  return absl::PermissionDeniedError(
       absl::StrCat("certificate `", config.tls.cert, "` is of `", rpc::ToString(self),
                    "`, but the configuration says robot `", config.robot, "`, host `", config.host,
                    "`; use the certificate of this sensor"));
@@ -40,22 +44,8 @@ int Fail(int exit_code, absl::string_view doing, const absl::Status& status) {
   return exit_code;
 }
 
-int Serve(const DaemonFlags& flags, const SensorConfig& config,
-          std::shared_ptr<grpc::ChannelCredentials> credentials) {
-  const RealClock clock;
-  Metrics metrics;
-  absl::StatusOr<std::unique_ptr<Agent>> agent =
-      Agent::Create(config, std::move(credentials), &clock, &metrics);
-  if (!agent.ok()) return Fail(kExitFailed, "cannot begin to watch", agent.status());
-  Agent& sensor = **agent;
-  auto pages = MetricsServer::Start(config.metrics, &metrics, [&] { return sensor.Ready(); });
-  if (!pages.ok()) return Fail(kExitFailed, "cannot serve metrics", pages.status());
-  SignalWaiter::Callbacks callbacks;
-  if (config.signals) {
-    callbacks[SIGUSR1] = [&] { sensor.OnSignal("SIGUSR1"); };
-    callbacks[SIGUSR2] = [&] { sensor.OnSignal("SIGUSR2"); };
-  }
-  SignalWaiter signals(std::move(callbacks));
+int Watch(const DaemonFlags& flags, const SensorConfig& config, Agent& sensor,
+          SignalWaiter& signals, Metrics& metrics, const std::string& page) {
   HostMetrics host({.disk = config.state_dir}, &metrics);
   host.Start();
   sensor.Start();
@@ -63,7 +53,7 @@ int Serve(const DaemonFlags& flags, const SensorConfig& config,
                        {"host", config.host},
                        {"domain", config.dds.domain},
                        {"participant", ToString(sensor.participant())}});
-  LogInfo("listening", {{"address", (*pages)->address()}});
+  LogInfo("listening", {{"address", page}});
   if (absl::Status written = WriteReadyFile(flags, "ready"); !written.ok()) {
     return Fail(kExitFailed, "cannot write the ready file", written);
   }
@@ -71,6 +61,46 @@ int Serve(const DaemonFlags& flags, const SensorConfig& config,
   LogInfo("stopping", {{"signal", signal}});
   sensor.Stop();
   return 0;
+}
+
+int Serve(const DaemonFlags& flags, const SensorConfig& config,
+          rpc::CredentialsSource credentials) {
+  const RealClock clock;
+  Metrics metrics;
+  rpc::CertificateMonitor monitor({.own = config.tls}, &clock, &metrics);
+  std::atomic<Agent*> running = nullptr;
+  SignalWaiter::Callbacks callbacks;
+  if (config.signals) {
+    const auto tell = [&running](const char* name) {
+      if (Agent* sensor = running) sensor->OnSignal(name);
+    };
+    callbacks[SIGUSR1] = [tell] { tell("SIGUSR1"); };
+    callbacks[SIGUSR2] = [tell] { tell("SIGUSR2"); };
+  }
+  std::unique_ptr<Agent> agent;  // before what calls it
+  auto pages = MetricsPage::Start(config.metrics, &metrics, [&running] {
+    const Agent* sensor = running;
+    return sensor == nullptr ? absl::UnavailableError("waiting for the DDS keystore")
+                             : sensor->Ready();
+  });
+  if (!pages.ok()) return Fail(kExitConfig, "cannot serve metrics", pages.status());
+  SignalWaiter signals(std::move(callbacks));
+  const absl::Status awaited = Await(
+      "the DDS keystore",
+      [&]() -> absl::Status {
+        const auto enclave = dds::LoadSecurity(config.dds, absl::Now());
+        // PermissionDenied of a file may pass, too.
+        return enclave.ok() ? absl::OkStatus() : absl::UnavailableError(enclave.status().message());
+      },
+      [&](absl::Duration pause) { return signals.WaitForShutdown(pause); });
+  if (!awaited.ok()) return 0;  // told to end
+  auto created = Agent::Create(config, std::move(credentials), &clock, &metrics, &monitor);
+  if (!created.ok()) return Fail(kExitFailed, "cannot begin to watch", created.status());
+  agent = *std::move(created);
+  running = agent.get();
+  const int code = Watch(flags, config, *agent, signals, metrics, (*pages)->address());
+  running = nullptr;
+  return code;
 }
 
 }  // namespace
@@ -84,20 +114,21 @@ int RunDaemon(const DaemonFlags& flags) {
     std::fprintf(stderr, "%s\n", std::string(config.status().message()).c_str());
     return kExitConfig;
   }
-  if (const auto enclave = dds::LoadSecurity(config->dds, absl::Now()); !enclave.ok()) {
-    return Fail(kExitConfig, "cannot use the keystore", enclave.status());
-  }
   if (flags.check_config) {
+    if (const auto enclave = dds::LoadSecurity(config->dds, absl::Now()); !enclave.ok()) {
+      return Fail(kExitConfig, "cannot use the keystore", enclave.status());
+    }
     std::fputs(effective.c_str(), stdout);
     return 0;
   }
-  const auto credentials = rpc::Credentials::Load(config->tls);
-  if (!credentials.ok())
-    return Fail(kExitConfig, "cannot use the certificate", credentials.status());
-  if (absl::Status same = CheckIdentity(*config, (*credentials)->self()); !same.ok()) {
-    return Fail(kExitConfig, "wrong certificate", same);
+  rpc::CredentialsSource credentials(config->tls);
+  credentials.Require(
+      [&config](const rpc::PeerIdentity& self) { return CheckIdentity(*config, self); });
+  // Whatever else is wrong with them may pass: what is seen meanwhile is kept.
+  if (const absl::Status mine = credentials.Get().status(); absl::IsPermissionDenied(mine)) {
+    return Fail(kExitConfig, "wrong certificate", mine);
   }
-  return Serve(flags, *config, (*credentials)->ForClient());
+  return Serve(flags, *config, std::move(credentials));
 }
 
 }  // namespace rips::sensor

@@ -7,7 +7,9 @@
 namespace rips::sensor {
 
 // Runs until SIGTERM or SIGINT. Signals must be blocked. The exit code: 0, kExitConfig if the
-// configuration or the certificate is wrong or they contradict each other, kExitFailed otherwise.
+// configuration is wrong or the certificate is of another, kExitFailed otherwise. A certificate
+// that is missing or not valid now is waited for, and what is seen is kept meanwhile; a DDS
+// keystore is waited for with nothing seen.
 int RunDaemon(const DaemonFlags& flags);
 
 }  // namespace rips::sensor

@@ -138,6 +138,7 @@ SensorReply FakePolicyServer::AckLocked(const LaneKey& key) {
 
 void FakePolicyServer::Send(const SensorReply& reply) {
   MutexLock lock(&mu_);
+  payload_granted_ = std::max(payload_granted_, reply.credit().payload_bytes());
   if (stream_ != nullptr) stream_->Write(reply);
 }
 
@@ -168,6 +169,8 @@ void FakePolicyServer::AnswerHello(const rips::v1::SensorHello& hello, Stream* s
   stream->Write(config);
   SensorReply credit;
   credit.mutable_credit()->set_message_bytes(behaviour_.credit);
+  credit.mutable_credit()->set_payload_bytes(behaviour_.payload_credit);
+  payload_granted_ = behaviour_.payload_credit;
   stream->Write(credit);
   for (const auto& spooled : hello.spooled()) {
     const LaneKey key(spooled.incarnation(), spooled.lane());
@@ -210,6 +213,37 @@ void FakePolicyServer::TakeGraph(const std::string& incarnation,
   if (!applied.ok()) violations.push_back(applied.ToString());
 }
 
+void FakePolicyServer::TakeChunk(const rips::v1::PayloadChunk& chunk, Names& names) {
+  const uint64_t id = chunk.chunked_payload_id();
+  if (id == names.last_payload + 1) names.payloads[++names.last_payload];
+  std::string& payload = names.payloads[id];
+  if (id != names.last_payload || chunk.offset() != payload.size() || chunk.data().empty() ||
+      chunk.data().size() > 65'536 || payload.size() % 65'536 != 0) {
+    violations.push_back(absl::StrCat("chunk of ", chunk.data().size(), " bytes at ",
+                                      chunk.offset(), " of payload ", id, " after ", payload.size(),
+                                      " of ", names.last_payload));
+  }
+  payload += chunk.data();
+  names.payload_bytes += chunk.data().size();
+  chunk_bytes += chunk.data().size();
+  ++chunks;
+  order += 'c';
+}
+
+void FakePolicyServer::Assemble(rips::v1::ObservationBatch& batch, Names& names) {
+  uint64_t last = 0;
+  for (auto& each : *batch.mutable_observations()) {
+    const uint64_t id = each.message().chunked_payload_id();
+    if (id == 0) continue;
+    if (id <= last || !names.payloads.contains(id) || !each.message().payload().empty()) {
+      violations.push_back(absl::StrCat("a message names payload ", id));
+    }
+    last = id;
+    each.mutable_message()->set_payload(names.payloads[id]);
+  }
+  if (batch.lane() == rips::v1::MESSAGES) names.payloads.clear();
+}
+
 void FakePolicyServer::TakeBatch(const rips::v1::ObservationBatch& batch, Names& names) {
   for (const auto& intern : batch.interned()) {
     if (intern.id() == 0 || !names.by_id.emplace(intern.id(), intern).second) {
@@ -225,8 +259,10 @@ void FakePolicyServer::TakeBatch(const rips::v1::ObservationBatch& batch, Names&
   size_t payload_bytes = 0;
   for (const auto& each : batch.observations()) {
     const rips::v1::MessageSeen& message = each.message();
-    payload_bytes += message.payload().size();
-    if (message.payload().size() > std::min(message.size_bytes(), 65'536u) ||
+    const bool chunked = message.chunked_payload_id() != 0;
+    if (!chunked) payload_bytes += message.payload().size();
+    if (message.payload().size() > message.size_bytes() ||
+        chunked != (message.payload().size() > 65'536) ||
         message.truncated() != (message.payload().size() < message.size_bytes())) {
       violations.push_back(absl::StrCat("payload of ", message.payload().size(), " bytes of ",
                                         message.size_bytes(), ", truncated ", message.truncated()));
@@ -280,8 +316,20 @@ grpc::Status FakePolicyServer::Observe(grpc::ServerContext* context, Stream* str
       if (!behaviour_.silent) stream->Write(beat);
     }
     if (message.has_interest_applied()) interests_applied.push_back(message.interest_applied());
+    if (message.has_chunk()) {
+      TakeChunk(message.chunk(), names);
+      if (names.payload_bytes > payload_granted_) violations.push_back("payload credit");
+      if (behaviour_.chunks_until_close > 0 && --behaviour_.chunks_until_close == 0) {
+        status = behaviour_.close_with;
+        break;
+      }
+    }
     if (!message.has_batch()) continue;
     if (behaviour_.silent) violations.push_back("a batch before the resume was answered");
+    const bool messages = message.batch().lane() == rips::v1::MESSAGES;
+    order += messages ? 'm' : 'l';
+    if (messages) names.message_bytes += message.batch().ByteSizeLong();
+    Assemble(*message.mutable_batch(), names);
     batches.push_back(message.batch());
     const bool close = behaviour_.batches_until_close == 1;
     if (behaviour_.batches_until_close > 0) --behaviour_.batches_until_close;
@@ -291,6 +339,13 @@ grpc::Status FakePolicyServer::Observe(grpc::ServerContext* context, Stream* str
     if (close) {
       status = behaviour_.close_with;
       break;
+    }
+    if (behaviour_.renew_credit && messages) {
+      SensorReply credit;
+      credit.mutable_credit()->set_message_bytes(names.message_bytes + behaviour_.credit);
+      payload_granted_ = names.payload_bytes + behaviour_.payload_credit;
+      credit.mutable_credit()->set_payload_bytes(payload_granted_);
+      stream->Write(credit);
     }
     if (behaviour_.acknowledge) {
       stream->Write(AckLocked({message.batch().incarnation(), message.batch().lane()}));

@@ -39,6 +39,11 @@ class FakePolicyServer final : public rips::v1::SensorService::Service {
   struct Behaviour {
     bool acknowledge = true;
     uint64_t credit = 1 << 20;
+    uint64_t payload_credit = 8 << 20;
+    // Grant anew what was used of both.
+    bool renew_credit = false;
+    // End the stream after so many chunks more; 0 = never.
+    int chunks_until_close = 0;
     bool primary = true;
     // Of several sensors only that of this host is; empty = all are.
     std::string primary_host;
@@ -80,6 +85,11 @@ class FakePolicyServer final : public rips::v1::SensorService::Service {
   std::vector<Recorded> received;
   std::vector<rips::v1::SensorHello> hellos;
   std::vector<rips::v1::ObservationBatch> batches;
+  // Of all streams. What is in `batches` and `received` has the payloads in their place.
+  int chunks = 0;
+  uint64_t chunk_bytes = 0;
+  // Kinds of messages in order of arrival: 'c'hunk, 'm'essages, 'l' for control, per stream.
+  std::string order;
   std::vector<rips::v1::InterestApplied> interests_applied;
   int heartbeats = 0;
   // What contradicts the contract.
@@ -95,12 +105,22 @@ class FakePolicyServer final : public rips::v1::SensorService::Service {
  private:
   using Stream = grpc::ServerReaderWriter<rips::v1::SensorReply, rips::v1::SensorMessage>;
   using LaneKey = std::pair<std::string, rips::v1::Lane>;
+  // Of one stream.
   struct Names {
     std::map<uint32_t, rips::v1::Intern> by_id;
+    uint64_t last_payload = 0;
+    uint64_t message_bytes = 0;
+    uint64_t payload_bytes = 0;
+    // Since the last batch of the message lane.
+    std::map<uint64_t, std::string> payloads;
   };
 
   grpc::Status Observe(grpc::ServerContext* context, Stream* stream) override;
   void AnswerHello(const rips::v1::SensorHello& hello, Stream* stream) ABSL_LOCKS_EXCLUDED(mu_);
+  void TakeChunk(const rips::v1::PayloadChunk& chunk, Names& names)
+      ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
+  // Puts payloads that came in chunks into the batch.
+  void Assemble(rips::v1::ObservationBatch& batch, Names& names) ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
   void TakeBatch(const rips::v1::ObservationBatch& batch, Names& names)
       ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
   void TakeGraph(const std::string& incarnation, const rips::v1::Observation& observation)
@@ -119,6 +139,8 @@ class FakePolicyServer final : public rips::v1::SensorService::Service {
   bool stopping_ ABSL_GUARDED_BY(mu_) = false;
   std::unique_ptr<grpc::Server> server_;
   int port_ = 0;
+  // In the newest stream.
+  uint64_t payload_granted_ ABSL_GUARDED_BY(mu_) = 0;
 };
 
 }  // namespace rips::sensor

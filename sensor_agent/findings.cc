@@ -241,18 +241,21 @@ void Findings::CollectNodes(WantedMap& wanted) {
     for (const Guid& guid : owners) {
       if (!IsOwn(guid)) others.push_back(guid);
     }
+    int64_t due_ns = 0;
     if (IsRipsName(name)) {
       for (const Guid& guid : others) {
-        if (Wanted* fresh = Want({kImpostor, guid, name}, 0, wanted)) {
-          fresh->finding = {
-              .guid = guid,
-              .node = name,
-              .detail = absl::StrCat("claimed by ", Describe(guid), ", which is none of RIPS")};
+        const int64_t impostor_due_ns = ForeignDue(now_.parties.at(guid).seen_ns);
+        due_ns = std::max(due_ns, impostor_due_ns);
+        if (Wanted* fresh = Want({kImpostor, guid, name}, impostor_due_ns, wanted)) {
+          fresh->finding = {.guid = guid,
+                            .node = name,
+                            .detail = absl::StrCat("claimed by ", Describe(guid),
+                                                   ", which is no agent that the server knows")};
         }
       }
     }
     if (others.size() < 2) continue;
-    Wanted* fresh = Want({kDuplicateNode, Guid{}, name}, 0, wanted);
+    Wanted* fresh = Want({kDuplicateNode, Guid{}, name}, due_ns, wanted);
     if (fresh == nullptr) continue;
     // The last one to come is the more likely intruder.
     const Guid last =
@@ -280,6 +283,21 @@ void Findings::CollectClaims(int64_t now_ns, WantedMap& wanted) {
     }
     ++it;
   }
+}
+
+bool Findings::MayBeOurs(const Key& key) {
+  return key.kind == kForeignModeWriter || key.kind == kImpostor ||
+         (key.kind == kDuplicateNode && IsRipsName(key.node));
+}
+
+bool Findings::IsToldLate(const Key& key) const {
+  if (IsOwn(key.guid.Participant())) return false;
+  return key.kind == kImpostor ||
+         (key.kind == kForeignModeWriter && !now_.suspects.contains(key.guid));
+}
+
+int64_t Findings::ForeignDue(int64_t seen_ns) const {
+  return std::max(seen_ns, connected_ns_) + options_.foreign_grace_ns;
 }
 
 Findings::Wanted* Findings::Want(const Key& key, int64_t due_ns, WantedMap& wanted) {
@@ -412,8 +430,7 @@ void Findings::End(const WantedMap& wanted, std::vector<Finding>& told) {
     if (held.told) {
       told.push_back(held.finding);
       told.back().over = true;
-    } else if (key.kind == kForeignModeWriter && !now_.suspects.contains(key.guid) &&
-               !IsOwn(key.guid.Participant())) {
+    } else if (IsToldLate(key)) {
       it->second.gone = true;
       ++it;
       continue;
@@ -463,7 +480,7 @@ void Findings::TurnWindows(int64_t now_ns, std::vector<Finding>& told) {
 void Findings::Tell(int64_t now_ns, std::vector<Finding>& told) {
   for (auto it = held_.begin(); it != held_.end();) {
     Held& held = it->second;
-    if (held.told || held.due_ns > now_ns || !CanBeTold(it->first.kind)) {
+    if (held.told || held.due_ns > now_ns || !CanBeTold(it->first)) {
       ++it;
       continue;
     }
@@ -490,7 +507,7 @@ void Findings::Tell(int64_t now_ns, std::vector<Finding>& told) {
 void Findings::ScheduleNext() {
   next_due_ns_ = strangers_due_ns_;
   for (const auto& [key, held] : held_) {
-    if (held.told || !CanBeTold(key.kind)) continue;
+    if (held.told || !CanBeTold(key)) continue;
     const int64_t due_ns = held.withheld ? windows_[key.kind].start_ns + kMinuteNs : held.due_ns;
     next_due_ns_ = std::min(next_due_ns_, due_ns);
   }

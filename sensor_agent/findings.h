@@ -3,7 +3,8 @@
 // | kind                | stands while                                              | told        |
 // |---------------------|-----------------------------------------------------------|-------------|
 // | duplicate_node      | two participants claim a node of that name                | at once     |
-// | impostor            | one that is none of RIPS's claims a node `rips`           | at once     |
+// | impostor            | one that is none of RIPS's claims a node `rips`           | foreign     |
+// |                     |                                                           | grace       |
 // | false_claim         | the newest claim of a participant speaks for another      | at once     |
 // | foreign_mode_writer | a client of change_mode, change_state, set_parameters or  | foreign     |
 // |                     | set_parameters_atomically of a protected part is neither  | grace, or   |
@@ -19,7 +20,9 @@
 // `ros_discovery_info`; one that does not publish it is no ROS process.
 // A foreign mode writer waits because RIPS's own processes are on the bus before the server tells
 // us that they are; the grace counts from when the server can tell us, so while there is no stream
-// none is told. One that has left by then is told all the same: it may have written. Who serves
+// none is told. One that has left by then is told all the same: it may have written. An impostor
+// waits for the same reason, and so does a duplicate of its name: RIPS's processes, too, call
+// themselves `rips`. Who serves
 // change_mode is taken from discovery: the first one seen. A second one waits the rival grace: the
 // mode manager may have died and been started again, and then the first goes with its lease. Of
 // several in the same snapshot none is trusted.
@@ -192,7 +195,12 @@ class Findings {
   void End(const WantedMap& wanted, std::vector<Finding>& told);
   void Tell(int64_t now_ns, std::vector<Finding>& told);
   void TurnWindows(int64_t now_ns, std::vector<Finding>& told);
-  bool CanBeTold(Kind kind) const { return connected_ || kind != kForeignModeWriter; }
+  // The server may still tell us that it is RIPS's.
+  static bool MayBeOurs(const Key& key);
+  // It is told although it has left.
+  bool IsToldLate(const Key& key) const;
+  int64_t ForeignDue(int64_t seen_ns) const;
+  bool CanBeTold(const Key& key) const { return connected_ || !MayBeOurs(key); }
   void ScheduleNext();
 
   const FindingsOptions options_;

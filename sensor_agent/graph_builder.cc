@@ -393,4 +393,16 @@ std::optional<Endpoint> GraphBuilder::Find(const Guid& endpoint) const {
   return Attributed(owner->second, it->second);
 }
 
+std::optional<uint64_t> GraphBuilder::VersionShowing(const Guid& endpoint) const {
+  const std::optional<Endpoint> now = Find(endpoint);
+  if (!now.has_value()) return std::nullopt;
+  const absl::btree_map<Guid, Endpoint>& sent =
+      participants_.find(endpoint.Participant())->second.sent_endpoints;
+  const auto it = sent.find(endpoint);
+  const bool shown = it != sent.end() && it->second.node == now->node &&
+                     it->second.pending == now->pending && it->second.name == now->name &&
+                     it->second.type == now->type;
+  return shown ? version_ : version_ + 1;
+}
+
 }  // namespace rips::sensor

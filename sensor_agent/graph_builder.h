@@ -140,6 +140,11 @@ class GraphBuilder {
   bool settled() const { return settled_; }
   // As it would be sent now; nullopt if not known or not shown.
   std::optional<ros2::Endpoint> Find(const ros2::Guid& endpoint) const;
+  // The version of the graph that shows this endpoint with the owner that Find gives: the newest
+  // that was sent, or the next one. nullopt if Find does not know the endpoint.
+  std::optional<uint64_t> VersionShowing(const ros2::Guid& endpoint) const;
+  // The newest that was sent; 0 = none yet.
+  uint64_t version() const { return version_; }
   // Changes whenever an answer of Find may have changed; never 0.
   uint64_t revision() const { return revision_; }
   const GraphCounters& counters() const { return counters_; }

@@ -407,6 +407,29 @@ TEST_F(GraphBuilderTest, OwnParticipantsAreTheNodeRips) {
   EXPECT_THAT(Nodes(), ElementsAre("/manager", "/rips"));
 }
 
+TEST_F(GraphBuilderTest, AgentThatAnnouncesItselfIsTheSameNodeBeforeAndAfterTheServerNamesIt) {
+  Talker(1, "manager", "rt/chatter");
+  Participant(2);
+  Seen(EndpointGuid(2, 1), true, "rq/safety/change_modeRequest",
+       "system_modes_msgs::srv::dds_::ChangeMode_Request_");
+  ASSERT_THAT(Claim(2, "rips", {EndpointGuid(2, 1)}), IsOk());
+  Settle();
+  EXPECT_EQ(graph_.FindEndpoint(EndpointGuid(2, 1))->node, "/rips");
+  EXPECT_THAT(Nodes(), ElementsAre("/manager", "/rips", "/rips"));
+  const uint64_t nodes = graph_.nodes().size();
+
+  builder_->SetOwnParticipants({ParticipantGuid(2)}, now_ns_);
+  EXPECT_THAT(Claim(2, "rips", {EndpointGuid(2, 1)}), IsOk());
+  Pass(20);
+
+  EXPECT_EQ(graph_.FindEndpoint(EndpointGuid(2, 1))->node, "/rips");
+  EXPECT_EQ(graph_.nodes().size(), nodes) << "announced, and counted once";
+  // What this sensor announces does not count beside what it is anyway.
+  EXPECT_THAT(Claim(kOwn, "rips", {EndpointGuid(kOwn, 1, false)}), IsOk());
+  Pass(20);
+  EXPECT_EQ(graph_.nodes().size(), nodes);
+}
+
 TEST_F(GraphBuilderTest, OwnRealEndpointsAreNotShown) {
   Settle();
   Writer(kOwn, 5, "rt/ours");

@@ -7,6 +7,7 @@
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_split.h"
 #include "absl/strings/strip.h"
+#include "services/base/status_macros.h"
 #include "services/ros2/ros_name.h"
 
 namespace rips::sensor {
@@ -30,8 +31,35 @@ absl::StatusOr<std::unique_ptr<const RE2>> Compile(const std::string& pattern) {
     return absl::ResourceExhaustedError(
         absl::StrCat("the pattern needs more than ", kInterestPatternBytesMax, " bytes"));
   }
-  return absl::InvalidArgumentError(absl::StrCat("bad pattern: ", regex->error()));
+  // RE2's own words quote the pattern, which is rule text.
+  return absl::InvalidArgumentError(
+      absl::StrCat("bad pattern: RE2 error ", static_cast<int>(regex->error_code())));
 }
+
+// Of one table: compiles its patterns, and counts their instructions.
+class Patterns {
+ public:
+  // Null for an empty pattern. `what` is put before the text of an error.
+  absl::StatusOr<std::unique_ptr<const RE2>> Compile(const std::string& pattern,
+                                                     absl::string_view what) {
+    if (pattern.empty()) return nullptr;
+    absl::StatusOr<std::unique_ptr<const RE2>> regex = sensor::Compile(pattern);
+    if (!regex.ok()) {
+      return absl::Status(regex.status().code(),
+                          absl::StrCat(what, ": ", regex.status().message()));
+    }
+    instructions_ += static_cast<size_t>((*regex)->ProgramSize());
+    if (instructions_ > kInterestInstructionsMax) {
+      return absl::ResourceExhaustedError(
+          absl::StrCat(what, ": with it, the patterns exceed the limit of ",
+                       kInterestInstructionsMax, " instructions"));
+    }
+    return regex;
+  }
+
+ private:
+  size_t instructions_ = 0;
+};
 
 // The text that a pattern without operators matches; empty if it has any.
 std::string Unquote(absl::string_view pattern) {
@@ -69,7 +97,8 @@ std::vector<std::string> LiteralTopics(absl::string_view regex) {
 }
 
 absl::StatusOr<std::shared_ptr<const Interest>> Interest::Create(std::string id,
-                                                                 std::vector<InterestRule> rules) {
+                                                                 std::vector<InterestRule> rules,
+                                                                 std::vector<PayloadLimit> limits) {
   if (id.size() != kInterestIdBytes) {
     return absl::InvalidArgumentError(
         absl::StrCat("the id has ", id.size(), " bytes, not ", kInterestIdBytes));
@@ -78,32 +107,30 @@ absl::StatusOr<std::shared_ptr<const Interest>> Interest::Create(std::string id,
     return absl::ResourceExhaustedError(
         absl::StrCat(rules.size(), " rules exceed the limit of ", kInterestRulesMax));
   }
+  if (limits.size() > kPayloadLimitsMax) {
+    return absl::ResourceExhaustedError(
+        absl::StrCat(limits.size(), " payload limits exceed the limit of ", kPayloadLimitsMax));
+  }
   std::shared_ptr<Interest> interest(new Interest(std::move(id)));
-  size_t instructions = 0;
+  Patterns patterns;
   for (size_t i = 0; i < rules.size(); ++i) {
     Rule rule{.type = std::move(rules[i].type)};
     if (rules[i].messages) {
       rule.wanted = {.messages = true,
-                     .payload_bytes = std::min(rules[i].payload_bytes_max, kPayloadBytesMax)};
+                     .payload_bytes = std::min(rules[i].payload_bytes_max, kPayloadBytesHard)};
       for (std::string& name : LiteralTopics(rules[i].topic_regex)) {
         interest->literal_.insert(std::move(name));
       }
     }
-    if (!rules[i].topic_regex.empty()) {
-      absl::StatusOr<std::unique_ptr<const RE2>> regex = Compile(rules[i].topic_regex);
-      if (!regex.ok()) {
-        return absl::Status(regex.status().code(),
-                            absl::StrCat("rule ", i + 1, ": ", regex.status().message()));
-      }
-      rule.topic = *std::move(regex);
-      instructions += static_cast<size_t>(rule.topic->ProgramSize());
-    }
-    if (instructions > kInterestInstructionsMax) {
-      return absl::ResourceExhaustedError(
-          absl::StrCat("rule ", i + 1, ": with it, the patterns exceed the limit of ",
-                       kInterestInstructionsMax, " instructions"));
-    }
+    RIPS_ASSIGN_OR_RETURN(rule.topic,
+                          patterns.Compile(rules[i].topic_regex, absl::StrCat("rule ", i + 1)));
     interest->rules_.push_back(std::move(rule));
+  }
+  for (size_t i = 0; i < limits.size(); ++i) {
+    Limit limit{.bytes = std::min(limits[i].bytes, kPayloadBytesHard)};
+    RIPS_ASSIGN_OR_RETURN(limit.topic, patterns.Compile(limits[i].topic_regex,
+                                                        absl::StrCat("payload limit ", i + 1)));
+    interest->limits_.push_back(std::move(limit));
   }
   return interest;
 }
@@ -112,7 +139,15 @@ Wanted Interest::Of(absl::string_view topic, absl::string_view type) const {
   const re2::StringPiece name(topic.data(), topic.size());
   for (const Rule& rule : rules_) {
     if (!rule.type.empty() && rule.type != type) continue;
-    if (rule.topic == nullptr || RE2::PartialMatch(name, *rule.topic)) return rule.wanted;
+    if (rule.topic != nullptr && !RE2::PartialMatch(name, *rule.topic)) continue;
+    Wanted wanted = rule.wanted;
+    if (wanted.payload_bytes == 0) return wanted;
+    for (const Limit& limit : limits_) {
+      if (limit.topic != nullptr && !RE2::PartialMatch(name, *limit.topic)) continue;
+      wanted.payload_bytes = limit.bytes;
+      break;
+    }
+    return wanted;
   }
   return {};
 }

@@ -19,6 +19,7 @@
 #include "absl/status/statusor.h"
 #include "absl/strings/string_view.h"
 #include "re2/re2.h"
+#include "services/base/payload_limits.h"
 
 namespace rips::sensor {
 
@@ -33,10 +34,17 @@ struct InterestRule {
   bool messages = true;
 };
 
+// Of payloads that a rule asks for: instead of its payload_bytes_max.
+struct PayloadLimit {
+  // RE2, searched in the topic name; empty = every topic.
+  std::string topic_regex;
+  uint32_t bytes = 0;
+};
+
 // What is read of one topic.
 struct Wanted {
   bool messages = false;
-  // At most kPayloadBytesMax; 0 = metadata only.
+  // At most kPayloadBytesHard; 0 = metadata only.
   uint32_t payload_bytes = 0;
 
   friend bool operator==(const Wanted&, const Wanted&) = default;
@@ -51,16 +59,15 @@ inline constexpr size_t kInterestInstructionsMax = 200'000;
 // bounded by their instructions.
 inline constexpr int64_t kInterestPatternBytes = int64_t{64} << 10;
 inline constexpr int64_t kInterestPatternBytesMax = int64_t{1} << 20;
-// Whatever a rule asks for, this much of a payload is sent at most.
-inline constexpr uint32_t kPayloadBytesMax = 64 * 1024;
 
 // Immutable; any thread.
 class Interest {
  public:
   // InvalidArgument: an id of another length, a bad pattern. ResourceExhausted: past a limit. The
-  // message names the rule, counted from 1.
-  static absl::StatusOr<std::shared_ptr<const Interest>> Create(std::string id,
-                                                                std::vector<InterestRule> rules);
+  // message names the rule or the payload limit, counted from 1. The first of `limits` that matches
+  // counts.
+  static absl::StatusOr<std::shared_ptr<const Interest>> Create(
+      std::string id, std::vector<InterestRule> rules, std::vector<PayloadLimit> limits = {});
 
   const std::string& id() const { return id_; }
   // As the first rule says that matches; nothing if none does.
@@ -74,10 +81,15 @@ class Interest {
     std::string type;
     Wanted wanted;
   };
+  struct Limit {
+    std::unique_ptr<const RE2> topic;  // null = every topic
+    uint32_t bytes = 0;
+  };
   explicit Interest(std::string id) : id_(std::move(id)) {}
 
   const std::string id_;
   std::vector<Rule> rules_;
+  std::vector<Limit> limits_;
   absl::flat_hash_set<std::string> literal_;
 };
 

@@ -36,7 +36,11 @@ absl::StatusOr<std::shared_ptr<const Interest>> InterestFromWire(const rips::v1:
             "rule ", rules.size(), ": depth ", static_cast<int>(rule.depth()), " is not known"));
     }
   }
-  return Interest::Create(wire.id(), std::move(rules));
+  std::vector<PayloadLimit> limits;
+  for (const rips::v1::PayloadLimit& limit : wire.payload_limits()) {
+    limits.push_back({.topic_regex = limit.topic_regex(), .bytes = limit.bytes()});
+  }
+  return Interest::Create(wire.id(), std::move(rules), std::move(limits));
 }
 
 std::string InterestId(rips::v1::Interest interest) {

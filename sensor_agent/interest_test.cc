@@ -115,7 +115,32 @@ TEST(WatchPlanTest, AnswersStayTheSameWhenMoreAreAskedThanRemembered) {
 TEST(InterestTest, NoRuleGetsMoreThanTheLimit) {
   const auto interest = Interest::Create(kId, {{.payload_bytes_max = UINT32_MAX}});
   ASSERT_THAT(interest, IsOk());
-  EXPECT_EQ((*interest)->Of("/a", "").payload_bytes, kPayloadBytesMax);
+  EXPECT_EQ((*interest)->Of("/a", "").payload_bytes, kPayloadBytesHard);
+}
+
+TEST(InterestTest, TheFirstPayloadLimitThatMatchesCountsForTopicsWithAPayload) {
+  const auto interest = Interest::Create(kId,
+                                         {{.topic_regex = "^/meta$"},
+                                          {.topic_regex = "^/none$", .messages = false},
+                                          {.payload_bytes_max = 1'000}},
+                                         {{.topic_regex = "^/camera/", .bytes = 2'000},
+                                          {.topic_regex = "raw", .bytes = 10},
+                                          {.topic_regex = "huge", .bytes = UINT32_MAX}});
+  ASSERT_THAT(interest, IsOk());
+  const auto bytes = [&](const char* topic) { return (*interest)->Of(topic, "t").payload_bytes; };
+  EXPECT_EQ(bytes("/camera/raw"), 2'000u);
+  EXPECT_EQ(bytes("/raw"), 10u);
+  EXPECT_EQ(bytes("/scan"), 1'000u) << "as the rule says";
+  EXPECT_EQ(bytes("/huge"), kPayloadBytesHard);
+  EXPECT_EQ(bytes("/meta"), 0u);
+  EXPECT_EQ((*interest)->Of("/none", "t"), Wanted{});
+
+  EXPECT_THAT(Interest::Create(kId, {}, {{.topic_regex = "a"}, {.topic_regex = "("}}),
+              StatusIs(absl::StatusCode::kInvalidArgument,
+                       HasSubstr("payload limit 2: bad pattern: RE2 error 6")));
+  EXPECT_THAT(Interest::Create(kId, {}, std::vector<PayloadLimit>(kPayloadLimitsMax + 1)),
+              StatusIs(absl::StatusCode::kResourceExhausted,
+                       HasSubstr("65 payload limits exceed the limit of 64")));
 }
 
 TEST(InterestTest, RefusesWhatItCannotHold) {
@@ -123,9 +148,9 @@ TEST(InterestTest, RefusesWhatItCannotHold) {
   const auto exhausted = absl::StatusCode::kResourceExhausted;
   EXPECT_THAT(Interest::Create("short", {}), StatusIs(invalid, HasSubstr("5 bytes, not 32")));
   EXPECT_THAT(Interest::Create(kId, {{.topic_regex = "a"}, {.topic_regex = "("}}),
-              StatusIs(invalid, HasSubstr("rule 2: bad pattern: missing )")));
+              StatusIs(invalid, HasSubstr("rule 2: bad pattern: RE2 error 6")));
   EXPECT_THAT(Interest::Create(kId, {{.topic_regex = "\xff"}}),
-              StatusIs(invalid, HasSubstr("invalid UTF-8")));
+              StatusIs(invalid, HasSubstr("RE2 error 13")));
 
   EXPECT_THAT(Interest::Create(kId, std::vector<InterestRule>(kInterestRulesMax)), IsOk());
   EXPECT_THAT(Interest::Create(kId, std::vector<InterestRule>(kInterestRulesMax + 1)),

@@ -4,10 +4,12 @@
 #include "sensor_agent/daemon.h"
 #include "services/rpc/credentials.h"
 #include "services/rpc/grpc_logs.h"
+#include "services/runtime/core_dumps.h"
 #include "services/runtime/daemon_flags.h"
 #include "services/runtime/shutdown.h"
 
 int main(int argc, char** argv) {
+  rips::ForbidCoreDumps();
   rips::rpc::RequireTls13();
   rips::rpc::RouteGrpcLogs();
   rips::DaemonFlags flags;

@@ -41,6 +41,21 @@ void MessageFlow::Introduce(const Sample& sample, Writer& writer, bool& urgent) 
       .topic = sample.reader->topic, .type = sample.reader->type, .writer = std::move(endpoint)});
 }
 
+uint64_t MessageFlow::GraphVersion(const Guid& guid, Writer& writer) const {
+  if (writer.shown_revision == graph_->revision()) {
+    writer.graph_version = graph_->version();
+    return writer.graph_version;
+  }
+  const std::optional<uint64_t> showing = graph_->VersionShowing(guid);
+  if (showing.has_value()) {
+    writer.graph_version = *showing;
+    writer.shown_revision = *showing <= graph_->version() ? graph_->revision() : 0;
+  } else if (writer.graph_version == 0) {
+    writer.graph_version = std::max<uint64_t>(graph_->version(), 1);
+  }
+  return writer.graph_version;
+}
+
 void MessageFlow::Run(const Sample& sample, Writer& writer, Output& output) {
   MessageSeen message{.boottime_ns = sample.received_ns,
                       .writer_sequence = sample.sequence,
@@ -75,6 +90,7 @@ void MessageFlow::Run(const Sample& sample, Writer& writer, Output& output) {
   }
   if (endpoint.node.empty()) ++counters_.unattributed;
   message.source = writer.source;
+  message.graph_version = GraphVersion(sample.writer, writer);
   output.messages.push_back(std::move(message));
 }
 

@@ -7,6 +7,16 @@
 //
 // A sample whose writer is still without a node waits until the graph attributes it or the grace is
 // over; then it runs as it is. Samples of one writer keep their order.
+//
+// Every message names a version of the graph, so that the server judges it against that one,
+// whichever of the two arrives first:
+//
+// | the writer                           | the version named                          |
+// |--------------------------------------|--------------------------------------------|
+// | stands in the newest version sent    | that one                                   |
+// | is known, and not in a step sent yet | the next one, which will show it           |
+// | has gone                             | the one that its last message named        |
+// | was never discovered                 | the newest one (the first, if none is sent) |
 #ifndef RIPS_SENSOR_AGENT_MESSAGE_FLOW_H_
 #define RIPS_SENSOR_AGENT_MESSAGE_FLOW_H_
 
@@ -97,6 +107,10 @@ class MessageFlow {
     std::shared_ptr<const MessageSource> source;
     // Of the graph, when `source` was taken from it and not pending; 0 = must look again.
     uint64_t revision = 0;
+    // Named by the newest message; 0 = none yet.
+    uint64_t graph_version = 0;
+    // Of the graph, when the newest version sent showed the writer; 0 = must look again.
+    uint64_t shown_revision = 0;
     uint64_t highest_sequence = 0;
     // Missing samples that are counted already.
     uint64_t queue_lost = 0;
@@ -110,6 +124,8 @@ class MessageFlow {
   void Run(const Sample& sample, Writer& writer, Output& output);
   void RunFront(Writer& writer, Output& output);
   void Introduce(const Sample& sample, Writer& writer, bool& urgent);
+  // The version of the graph that a message of this writer names.
+  uint64_t GraphVersion(const ros2::Guid& guid, Writer& writer) const;
   void Bury(int64_t now_ns);
 
   const FlowOptions options_;

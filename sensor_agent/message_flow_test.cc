@@ -141,6 +141,49 @@ TEST_F(MessageFlowTest, ATopicReadAnewJudgesNothingTwiceAndCountsNoLoss) {
   EXPECT_EQ(flow_.counters().duplicates, 3u);
 }
 
+TEST_F(MessageFlowTest, AMessageNamesTheGraphThatShowsItsWriter) {
+  const auto version = [&] { return output_.messages.back().graph_version; };
+  const Guid old = WriterGuid(1);
+  Known(old, "talker");
+  Take(old, 1);
+  EXPECT_EQ(version(), 1u) << "nothing was sent yet";
+  Pass(10'000);
+  ASSERT_EQ(graph_.version(), 1u);
+  Take(old, 2);
+  EXPECT_EQ(version(), 1u);
+
+  const Guid fresh = WriterGuid(2);
+  Known(fresh, "other");
+  Take(fresh, 1);
+  EXPECT_EQ(version(), 2u) << "the step that will show it is still to come";
+  Take(old, 3);
+  EXPECT_EQ(version(), 1u) << "which is no reason to wait";
+  Pass(200);
+  ASSERT_EQ(graph_.version(), 2u);
+  Take(fresh, 2);
+  EXPECT_EQ(version(), 2u);
+
+  graph_.EndpointGone(fresh, now_ns_);
+  flow_.WriterGone(fresh, now_ns_);
+  Pass(200);
+  ASSERT_EQ(graph_.version(), 3u);
+  Take(fresh, 3);
+  EXPECT_EQ(version(), 2u) << "in the newest graph it stands no more";
+}
+
+TEST_F(MessageFlowTest, AWriterWhoseNodeBecomesKnownNamesTheStepThatSaysSo) {
+  const Guid writer = WriterGuid(1);
+  Pass(10'000);
+  Discover(writer);
+  Pass(100);
+  ASSERT_EQ(graph_.version(), 2u) << "it stands there as pending";
+  Take(writer, 1);
+  Claim(writer, "talker");
+  flow_.Poll(now_ns_, output_);
+  ASSERT_THAT(output_.messages, SizeIs(1));
+  EXPECT_EQ(output_.messages[0].graph_version, 3u);
+}
+
 TEST_F(MessageFlowTest, WhatTheQueueLostIsNoGapAsWell) {
   const Guid writer = WriterGuid(1);
   Known(writer, "talker");

@@ -37,6 +37,11 @@ struct MessageSeen {
   int64_t source_unix_ns = 0;
   uint32_t size_bytes = 0;  // whole payload with its CDR header
   Payload payload;
+  // It was sent with its payload, which is no longer held (Outbox::DropSentPayloads).
+  bool payload_dropped = false;
+  // Version of the graph, within this incarnation, in which the writer stands as `source` says: the
+  // one in force when the message was taken, or the next one. 0 = not named.
+  uint64_t graph_version = 0;
   // First of its source: does not wait for a batch to fill.
   bool urgent = false;
 };
@@ -74,6 +79,8 @@ struct SensorState {
   uint64_t spool_bytes = 0;       // on disk
   // Kinds of traffic that cannot be seen now.
   std::vector<std::string> not_visible;
+  // Inputs that are configured and cannot be seen now, with the reason.
+  std::vector<std::string> blind;
 
   friend bool operator==(const SensorState&, const SensorState&) = default;
 };

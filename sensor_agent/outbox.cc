@@ -1,6 +1,7 @@
 #include "sensor_agent/outbox.h"
 
 #include <algorithm>
+#include <utility>
 
 #include "absl/strings/str_cat.h"
 #include "services/base/check.h"
@@ -160,14 +161,16 @@ void Outbox::CountShed(const MessageSeen& message) {
 
 void Outbox::ShedPayloads(size_t begin, size_t end, size_t goal) {
   for (size_t i = begin; i < end && messages_.bytes > goal; ++i) {
-    MessageSeen& message = messages_.entries[i];
-    if (message.payload == nullptr) continue;
-    messages_.bytes -= CostOf(message);
-    if (i >= messages_.numbered) fresh_payload_bytes_ -= PayloadBytes(message);
-    message.payload = nullptr;
-    messages_.bytes += CostOf(message);
-    ++shed_payloads_;
+    ShedPayloadAt(i);
   }
+}
+
+void Outbox::ShedPayloadAt(size_t index) {
+  MessageSeen& message = messages_.entries[index];
+  messages_.bytes -= CostOf(message);
+  if (index >= messages_.numbered) fresh_payload_bytes_ -= PayloadBytes(message);
+  ShedPayload(message);
+  messages_.bytes += CostOf(message);
 }
 
 void Outbox::Shed() {
@@ -319,6 +322,30 @@ void Outbox::ShedPayload(MessageSeen& message) {
   ++shed_payloads_;
 }
 
+void Outbox::ShedUnsentPayloads(int64_t before_ns, size_t bytes) {
+  for (size_t i = messages_.sent; i < messages_.entries.size(); ++i) {
+    const MessageSeen& message = messages_.entries[i];
+    if (message.boottime_ns < before_ns && PayloadBytes(message) > bytes) ShedPayloadAt(i);
+  }
+}
+
+void Outbox::DropSentPayloads(size_t goal, size_t bytes) {
+  for (size_t i = 0; i < messages_.sent && messages_.bytes > goal; ++i) {
+    MessageSeen& message = messages_.entries[i];
+    if (PayloadBytes(message) <= bytes) continue;
+    messages_.bytes -= CostOf(message);
+    message.payload = nullptr;
+    message.payload_dropped = true;
+    messages_.bytes += CostOf(message);
+  }
+}
+
+void Outbox::ShedUnsentPayload(const Payload& payload) {
+  for (size_t i = messages_.sent; i < messages_.entries.size(); ++i) {
+    if (messages_.entries[i].payload == payload) return ShedPayloadAt(i);
+  }
+}
+
 // --- Acknowledging and resuming
 
 template <typename T, typename Forget>
@@ -360,7 +387,12 @@ SequenceRange Outbox::Unacked(Lane lane) const {
   return {.first = first, .last = first + count - 1};
 }
 
-void Outbox::Rewind() { control_.sent = messages_.sent = 0; }
+void Outbox::Rewind() {
+  control_.sent = messages_.sent = 0;
+  for (MessageSeen& each : messages_.entries) {
+    if (std::exchange(each.payload_dropped, false)) ++shed_payloads_;
+  }
+}
 
 void Outbox::Renumber() {
   control_.first_sequence = 1;

@@ -95,6 +95,15 @@ class Outbox {
   std::vector<ControlObservation> TakeOldestControl(const BatchPolicy& policy);
   // Counts `message` as one whose payload was shed, and sheds it.
   void ShedPayload(MessageSeen& message);
+  // The same for unsent messages received before `before_ns` with more than `bytes` of payload: the
+  // line does not carry them in time.
+  void ShedUnsentPayloads(int64_t before_ns, size_t bytes);
+  // Lets go of payloads of more than `bytes` whose messages were sent on this stream and are not
+  // acknowledged, the oldest first, until message_bytes() is at most `goal`. They count as shed if
+  // their messages must be sent again.
+  void DropSentPayloads(size_t goal, size_t bytes);
+  // As ShedUnsentPayloads, of the message that holds this very payload, if there is one.
+  void ShedUnsentPayload(const Payload& payload);
   size_t message_bytes() const { return messages_.bytes; }
   size_t control_bytes() const { return control_.bytes; }
 
@@ -169,6 +178,7 @@ class Outbox {
                                       int64_t last_batch_ns, int64_t now_ns);
   void PushControl(ControlObservation observation);
   void Shed();
+  void ShedPayloadAt(size_t index);
   // Those of the messages [begin, end), until `goal` is met.
   void ShedPayloads(size_t begin, size_t end, size_t goal);
   void CountShed(const MessageSeen& message);

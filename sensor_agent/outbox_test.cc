@@ -511,5 +511,39 @@ TEST_F(OutboxTest, BytesReturnToZeroWhenAllIsAcknowledged) {
   EXPECT_EQ(outbox_.OldestUnacked(), std::nullopt);
 }
 
+TEST_F(OutboxTest, PayloadsThatWereSentAreLetGoOfFirstAndCountIfTheyMustGoAgain) {
+  for (const uint32_t size : {1u, 2u, 3u, 4u}) AddPayload(size, size == 2 ? 10 : 1'000);
+  outbox_.MarkSent(Lane::kMessages, 3);
+  const size_t bytes = outbox_.message_bytes();
+  outbox_.DropSentPayloads(bytes, 100);
+  EXPECT_EQ(outbox_.message_bytes(), bytes) << "there is room";
+  outbox_.DropSentPayloads(bytes - 1, 100);
+  EXPECT_EQ(outbox_.message_bytes(), bytes - 1'000 - kPayloadOverheadBytes) << "the oldest";
+  outbox_.DropSentPayloads(0, 100);
+  EXPECT_THAT(UnsentPayloads(), ElementsAre(1'000)) << "what is not sent stays";
+  EXPECT_EQ(outbox_.shed_payloads(), 0u) << "the server has them";
+  ASSERT_THAT(outbox_.Acknowledge(Lane::kMessages, 1), IsOk());
+  outbox_.Rewind();
+  EXPECT_THAT(UnsentPayloads(), ElementsAre(10, 0, 1'000));
+  EXPECT_EQ(outbox_.shed_payloads(), 1u);
+  outbox_.Rewind();
+  EXPECT_EQ(outbox_.shed_payloads(), 1u);
+}
+
+TEST_F(OutboxTest, LatePayloadsOfUnsentMessagesAreShed) {
+  for (const uint32_t size : {1u, 2u, 3u, 4u, 5u}) AddPayload(size, size == 3 ? 10 : 1'000);
+  outbox_.MarkSent(Lane::kMessages, 1);
+  const size_t bytes = outbox_.bytes();
+  outbox_.ShedUnsentPayloads(5 * kMs, 100);
+  EXPECT_THAT(UnsentPayloads(), ElementsAre(0, 10, 0, 1'000)) << "neither small nor young ones";
+  EXPECT_EQ(outbox_.shed_payloads(), 2u);
+  EXPECT_EQ(outbox_.bytes(), bytes - 2 * (1'000 + kPayloadOverheadBytes));
+  outbox_.ShedUnsentPayload(outbox_.UnsentMessage(3).payload);
+  EXPECT_THAT(UnsentPayloads(), ElementsAre(0, 10, 0, 0));
+  outbox_.Rewind();
+  EXPECT_THAT(UnsentPayloads(), ElementsAre(1'000, 0, 10, 0, 0)) << "what was sent kept its own";
+  EXPECT_EQ(outbox_.shed_payloads(), 3u);
+}
+
 }  // namespace
 }  // namespace rips::sensor

@@ -21,6 +21,8 @@ namespace {
 using rips::v1::SensorMessage;
 using rips::v1::SensorReply;
 
+// Streams whose acknowledgements are remembered; a hello announces fewer.
+constexpr size_t kAcknowledgedMax = 256;
 constexpr uint32_t kProtocol = 1;
 // Batches handed to the client and not yet written. Few: what waits there is in front of control
 // observations that come later, and the outbox holds everything anyway.
@@ -81,6 +83,8 @@ Uplink::Uplink(UplinkOptions options, Hooks hooks, const Clock* clock, Metrics* 
       payloads_shed_(metrics->AddCounter(
           "rips_sensor_payloads_shed_total",
           "Payloads that were asked for and not kept; their messages were, as metadata")),
+      payload_bytes_(metrics->AddCounter("rips_sensor_payload_bytes_total",
+                                         "Bytes of payloads above 64 KiB sent in chunks")),
       spool_unreadable_(metrics->AddCounter("rips_sensor_spool_lost_total",
                                             "Observations that the spool could not give back")),
       outbox_bytes_(metrics->AddGauge("rips_sensor_outbox_bytes",
@@ -94,6 +98,8 @@ Uplink::Uplink(UplinkOptions options, Hooks hooks, const Clock* clock, Metrics* 
       oldest_unacked_(metrics->AddGauge("rips_sensor_oldest_unacked_seconds",
                                         "Age of the oldest observation not acknowledged")),
       streaming_(metrics->AddGauge("rips_sensor_streaming", "1 while the stream carries batches")),
+      blind_reasons_(
+          metrics->AddGauge("rips_sensor_blind_reasons", "Configured inputs that are not seen")),
       down_because_(absl::UnavailableError("not connected yet")),
       incarnation_(NewIncarnation()),
       outbox_(options_.outbox),
@@ -107,6 +113,7 @@ Uplink::~Uplink() { Stop(); }
 std::unique_ptr<Uplink::Client> Uplink::MakeClient() {
   rpc::BidiClientOptions options{.servers = options_.servers,
                                  .credentials = options_.credentials,
+                                 .on_peer = options_.on_peer,
                                  .backoff = options_.backoff,
                                  .queue_capacity = kClientQueue};
   {
@@ -127,7 +134,8 @@ std::unique_ptr<Uplink::Client> Uplink::MakeClient() {
           .on_disconnected =
               [this](const grpc::Status& status, rpc::CloseClass close_class) {
                 OnDisconnected(status, close_class);
-              }});
+              },
+          .on_bulk_written = [this] { OnWritten(); }});
 }
 
 void Uplink::Start() {
@@ -197,6 +205,25 @@ void Uplink::SetKindVisible(const std::string& kind, bool visible) {
   if (!visible && it == not_visible_.end()) not_visible_.push_back(kind);
 }
 
+void Uplink::SetBlind(const std::string& input, std::vector<std::string> reasons) {
+  for (std::string& reason : reasons) reason = ros2::Printable(reason);
+  MutexLock lock(&mu_);
+  if (reasons.empty()) {
+    blind_.erase(input);
+  } else {
+    blind_[input] = std::move(reasons);
+  }
+  blind_reasons_.Set(static_cast<double>(BlindLocked().size()));
+}
+
+std::vector<std::string> Uplink::BlindLocked() const {
+  std::vector<std::string> all;
+  for (const auto& [input, reasons] : blind_) {
+    all.insert(all.end(), reasons.begin(), reasons.end());
+  }
+  return all;
+}
+
 absl::Status Uplink::Ready() const {
   MutexLock lock(&mu_);
   if (phase_ == Phase::kStreaming) return absl::OkStatus();
@@ -240,9 +267,12 @@ SensorMessage Uplink::OnConnected() {
   hello->set_host(options_.host);
   SetClock(now, hello->mutable_clock());
   sensor->set_domain(options_.domain);
+  if (!participant_.none()) sensor->set_participant_guid(participant_.ToBytes());
   sensor->set_interest_in_use(interest_in_use_);
   for (const std::string& kind : not_visible_) sensor->add_not_visible(kind);
   not_visible_told_ = not_visible_;
+  blind_told_ = BlindLocked();
+  for (const std::string& reason : blind_told_) sensor->add_blind(reason);
   AnnounceLocked(*sensor);
   WakeLocked();
   return message;
@@ -269,6 +299,10 @@ void Uplink::OnMessage(const SensorReply& reply) {
         stream_->credit_granted = std::max(stream_->credit_granted, reply.credit().message_bytes());
         stream_->credit_window =
             std::max(stream_->credit_window, stream_->credit_granted - stream_->credit_used);
+        stream_->payload_granted =
+            std::max(stream_->payload_granted, reply.credit().payload_bytes());
+        stream_->payload_window =
+            std::max(stream_->payload_window, stream_->payload_granted - stream_->payload_used);
         break;
       case SensorReply::kHeartbeat:
         server_boottime_ns_ =
@@ -313,9 +347,17 @@ void Uplink::OnConfigLocked(const rips::v1::SensorConfig& config) {
   stream_->wants_snapshot |= config.want_snapshot();
 }
 
+void Uplink::NoteAcknowledgedLocked(const StreamKey& stream, uint64_t sequence) {
+  // Only of streams that the last hello announced; a server may not fill our memory.
+  if (acknowledged_.size() >= kAcknowledgedMax && !acknowledged_.contains(stream)) return;
+  uint64_t& known = acknowledged_[stream];
+  known = std::max(known, sequence);
+}
+
 void Uplink::OnAckLocked(const rips::v1::Ack& ack) {
   if (ack.lane() != rips::v1::CONTROL && ack.lane() != rips::v1::MESSAGES) return;
   const Lane lane = ack.lane() == rips::v1::CONTROL ? Lane::kControl : Lane::kMessages;
+  NoteAcknowledgedLocked({.incarnation = ack.incarnation(), .lane = lane}, ack.durable_sequence());
   if (ack.incarnation() != incarnation_) {
     const absl::Status taken = backlog_.Acknowledge(
         {.incarnation = ack.incarnation(), .lane = lane}, ack.durable_sequence());
@@ -362,6 +404,11 @@ void Uplink::OnInterest(const rips::v1::Interest& wire) {
   hooks_.on_interest(*std::move(interest));
 }
 
+void Uplink::SetParticipant(const ros2::Guid& participant) {
+  MutexLock lock(&mu_);
+  participant_ = participant;
+}
+
 void Uplink::InterestInUse(const std::string& id) {
   MutexLock lock(&mu_);
   interest_in_use_ = id;
@@ -386,6 +433,7 @@ bool Uplink::FinishResumeLocked() {
     if (!stream_->has_config || !stream_->has_credit) return false;
     if (!stream_->has_ack[0] || !stream_->has_ack[1]) return false;
     phase_ = Phase::kStreaming;
+    stream_->began_ns = clock_->Now().boottime_ns;
     logged_.reset();
     streaming_.Set(1);
     LogInfo("streaming", {{"unacked_bytes", outbox_.bytes()}});
@@ -497,25 +545,54 @@ void Uplink::PumpLocked(int64_t now_ns) {
     if (!SendLocked(*stream_->stalled)) return;
     stream_->stalled.reset();
   }
-  bool backlog = true;
-  while (backlog) {
-    backlog = SendBacklogLocked(now_ns);
+  bool more = true;
+  while (more) {
+    if (stream_->upload.has_value()) {
+      SendDueLocked(Lane::kControl, now_ns);
+      if (!stream_.has_value() || stream_->stalled.has_value()) return;
+      if (!AdvanceUploadLocked(now_ns)) return;
+    }
+    more = SendBacklogLocked(now_ns);
     if (!stream_.has_value() || stream_->stalled.has_value()) return;
     for (const Lane lane : kLanes) {
-      while (outbox_.DueAt(lane, policy_, stream_->last_batch_ns[Index(lane)], now_ns) == now_ns) {
-        if (!SendBatchLocked(lane, now_ns)) break;
-        if (stream_->stalled.has_value()) return;
-      }
-      if (!stream_.has_value()) return;
+      if (stream_->upload.has_value()) break;
+      SendDueLocked(lane, now_ns);
+      if (!stream_.has_value() || stream_->stalled.has_value()) return;
     }
+    more |= stream_->upload.has_value();
+  }
+}
+
+void Uplink::SendDueLocked(Lane lane, int64_t now_ns) {
+  while (stream_.has_value() && !stream_->stalled.has_value() &&
+         outbox_.DueAt(lane, policy_, stream_->last_batch_ns[Index(lane)], now_ns) == now_ns) {
+    if (!SendBatchLocked(lane, now_ns)) return;
   }
 }
 
 bool Uplink::SendBatchLocked(Lane lane, int64_t now_ns) {
-  if (lane == Lane::kControl) outbox_.FlushMerged(now_ns);
+  SentPayload sent;
+  if (lane == Lane::kControl) {
+    outbox_.FlushMerged(now_ns);
+  } else {
+    if (stream_->upload.has_value()) sent = stream_->upload->sent;
+    Payload next = stream_->encoder.NextToChunk(outbox_, policy_);
+    if (next != nullptr && next != sent.payload) {
+      ShedLatePayloadsLocked(now_ns, /*all=*/false);
+      next = stream_->encoder.NextToChunk(outbox_, policy_);
+    }
+    // What is before it goes first: with an upload after the other, none of which finds credit, it
+    // would never go, and nor would what gives the credit back.
+    if (next != nullptr && next != sent.payload && next == outbox_.UnsentMessage(0).payload) {
+      PayloadUpload upload;
+      upload.sent.payload = std::move(next);
+      BeginUploadLocked(std::move(upload), now_ns);
+      return false;
+    }
+  }
   const uint64_t credit = stream_->credit_granted - stream_->credit_used;
   SensorMessage message;
-  *message.mutable_batch() = stream_->encoder.Encode(outbox_, lane, policy_, credit);
+  *message.mutable_batch() = stream_->encoder.Encode(outbox_, lane, policy_, credit, sent);
   const int count = message.batch().observations_size();
   if (count == 0) {
     if (stream_->encoder.full()) {
@@ -525,7 +602,10 @@ bool Uplink::SendBatchLocked(Lane lane, int64_t now_ns) {
     }
     return false;
   }
-  if (lane == Lane::kMessages) stream_->credit_used += message.batch().ByteSizeLong();
+  if (lane == Lane::kMessages) {
+    stream_->credit_used += message.batch().ByteSizeLong();
+    stream_->upload.reset();
+  }
   outbox_.MarkSent(lane, static_cast<size_t>(count));
   stream_->last_batch_ns[Index(lane)] = now_ns;
   batches_.Increment();
@@ -542,10 +622,16 @@ bool Uplink::HasCreditLocked(Lane lane) const {
 int64_t Uplink::NextWakeLocked(int64_t now_ns) const {
   int64_t wake_ns = last_heartbeat_ns_ + absl::ToInt64Nanoseconds(options_.heartbeat);
   if (phase_ != Phase::kStreaming) return wake_ns;
-  wake_ns = std::min(wake_ns, BacklogDueLocked(now_ns).value_or(wake_ns));
   if (stream_->stalled.has_value()) return std::min(wake_ns, now_ns + kStallRetryNs);
+  const bool uploading = stream_->upload.has_value();
+  if (!uploading) {
+    wake_ns = std::min(wake_ns, BacklogDueLocked(now_ns).value_or(wake_ns));
+  } else if (!stream_->upload->written) {
+    wake_ns = std::min(wake_ns, std::max(now_ns, stream_->upload->until_ns));
+  }
   for (const Lane lane : kLanes) {
-    if (!HasCreditLocked(lane)) continue;  // the next Credit wakes us
+    // The next Credit wakes us, or what is written.
+    if (!HasCreditLocked(lane) || (uploading && lane == Lane::kMessages)) continue;
     const std::optional<int64_t> due =
         outbox_.DueAt(lane, policy_, stream_->last_batch_ns[Index(lane)], now_ns);
     if (due.has_value()) wake_ns = std::min(wake_ns, *due);

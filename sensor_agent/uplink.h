@@ -15,6 +15,17 @@
 // | did so twice, acknowledging nothing in between    | is of a new incarnation               |
 // | did so twice with batches of the backlog underway | leaves the oldest of them out: lost   |
 //
+// A payload of more than 64 KiB goes in chunks ahead of the batch that names it, one payload at a
+// time:
+//
+//   none ──its message is next to be sent──► chunks ──all are sent──► its batch ──► none
+//                                              │
+//                                              └─ not all sent in `live` / 2: shed ──► none
+//
+// Everything else goes before chunks that are not yet written, but for the batch that names them,
+// which waits until they are. While they wait for credit or for the line, nothing else of the
+// message lane is sent.
+//
 // What is not live any more (older than 2 s, unsent; or the outbox has no room) is set aside in a
 // backlog, on disk if there is much of it. After an outage its control observations go first; then
 // what is live; and of the credit the backlog leaves at least half, at a rate of its own. What it
@@ -28,8 +39,10 @@
 #ifndef RIPS_SENSOR_AGENT_UPLINK_H_
 #define RIPS_SENSOR_AGENT_UPLINK_H_
 
+#include <atomic>
 #include <cstdint>
 #include <functional>
+#include <map>
 #include <memory>
 #include <optional>
 #include <string>
@@ -38,12 +51,12 @@
 
 #include "absl/base/thread_annotations.h"
 #include "absl/status/status.h"
-#include "grpcpp/security/credentials.h"
 #include "rips/v1/sensor.pb.h"
 #include "sensor_agent/interest.h"
 #include "sensor_agent/observation.h"
 #include "sensor_agent/outbox.h"
 #include "sensor_agent/spool/backlog.h"
+#include "sensor_agent/uplink_stream.h"
 #include "sensor_agent/wire_encoder.h"
 #include "services/base/clock.h"
 #include "services/ros2/guid.h"
@@ -68,7 +81,9 @@ struct Observations {
 
 struct UplinkOptions {
   std::vector<std::string> servers;
-  std::shared_ptr<grpc::ChannelCredentials> credentials;
+  rpc::CredentialsSource credentials;
+  // See BidiClientOptions.
+  std::function<void(const rpc::Peer&)> on_peer;
   std::string host;
   uint32_t domain = 0;
   // Interests are kept there, for the next start; empty = nowhere.
@@ -127,9 +142,15 @@ class Uplink {
   void ReplaceGraph(std::vector<GraphChange> snapshot) ABSL_LOCKS_EXCLUDED(mu_);
   // The interest of this id is observed from now on: the server is told, now or in the next hello.
   void InterestInUse(const std::string& id) ABSL_LOCKS_EXCLUDED(mu_);
+  // This sensor on the bus, for the next hello; none() = not known.
+  void SetParticipant(const ros2::Guid& participant) ABSL_LOCKS_EXCLUDED(mu_);
   // Whether this kind of traffic is visible from now on: the server is told, now or in the next
   // hello.
   void SetKindVisible(const std::string& kind, bool visible) ABSL_LOCKS_EXCLUDED(mu_);
+  // Why what `input` stands for is not seen, for people; empty = it is. While there is a reason the
+  // server holds its evidence for incomplete. Told as kinds are. `input` is "ids", "wire", "graph".
+  void SetBlind(const std::string& input, std::vector<std::string> reasons)
+      ABSL_LOCKS_EXCLUDED(mu_);
   // OK while streaming; otherwise an error with the reason, and how much waits.
   absl::Status Ready() const ABSL_LOCKS_EXCLUDED(mu_);
   // Of the alerts of the IDS that were appended, how many are acknowledged or in the backlog.
@@ -140,27 +161,6 @@ class Uplink {
  private:
   using Client = rpc::BidiClient<rips::v1::SensorMessage, rips::v1::SensorReply>;
   enum class Phase { kDown, kResuming, kStreaming };
-
-  // What one stream knows; made anew for each.
-  struct Stream {
-    Stream(const std::string& incarnation, EncoderLimits limits) : encoder(incarnation, limits) {}
-    WireEncoder encoder;
-    bool has_config = false;
-    bool has_credit = false;
-    bool has_ack[2] = {false, false};
-    bool wants_snapshot = false;
-    uint64_t credit_granted = 0;
-    uint64_t credit_used = 0;
-    // What the server lets be underway: the most credit there ever was at once.
-    uint64_t credit_window = 0;
-    // The grant with which nothing more could be sent.
-    std::optional<uint64_t> exhausted_at;
-    // Encoded, but the client's queue was full.
-    std::optional<rips::v1::SensorMessage> stalled;
-    // To interests, not yet sent.
-    std::vector<rips::v1::InterestApplied> answers;
-    int64_t last_batch_ns[2] = {0, 0};
-  };
 
   std::unique_ptr<Client> MakeClient();
   rips::v1::SensorMessage OnConnected() ABSL_LOCKS_EXCLUDED(mu_);
@@ -173,6 +173,8 @@ class Uplink {
   void AnswerInterestLocked(const std::string& id, const std::string& problem)
       ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
   void OnConfigLocked(const rips::v1::SensorConfig& config) ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
+  void NoteAcknowledgedLocked(const StreamKey& stream, uint64_t sequence)
+      ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
   void OnAckLocked(const rips::v1::Ack& ack) ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
   // Resuming -> streaming, when everything has been said.
   // True if the server has forgotten what it acknowledged.
@@ -188,18 +190,47 @@ class Uplink {
   void PumpLocked(int64_t now_ns) ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
   // False if nothing more of the lane can be sent now.
   bool SendBatchLocked(Lane lane, int64_t now_ns) ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
+  // All of the lane that is due.
+  void SendDueLocked(Lane lane, int64_t now_ns) ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
+  // uplink_payloads.cc
+  void BeginUploadLocked(PayloadUpload upload, int64_t now_ns) ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
+  // Sends what may be sent of the upload, and the batch behind it. False: it waits.
+  bool AdvanceUploadLocked(int64_t now_ns) ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
+  // So many chunks are not yet written, or more; then what is written wakes us.
+  bool LineHoldsLocked(size_t chunks) ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
+  // False: it waits for credit, or for the line.
+  bool SendChunkLocked(PayloadUpload& upload) ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
+  // The line did not carry the payload in time: its message goes without.
+  void GiveUpUploadLocked(int64_t now_ns) ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
+  // The batch of the backlog whose payload has gone out, or was given up. False: it waits.
+  bool SendUploadedBacklogLocked(int64_t now_ns) ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
+  // Sheds payloads of messages that waited longer than `live` / 2 on a line that works, or of all
+  // that wait: where it is too slow for payloads, metadata stays live.
+  void ShedLatePayloadsLocked(int64_t now_ns, bool all) ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
+  // On the client's writer thread.
+  void OnWritten() ABSL_LOCKS_EXCLUDED(mu_);
   void AnnounceLocked(rips::v1::SensorHello& hello) ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
   // uplink_backlog.cc
   // When the backlog may send next, if it has something to send; nullopt = when it wakes us.
   std::optional<int64_t> BacklogDueLocked(int64_t now_ns) const ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
   // One batch, if one is due. False if none was sent.
   bool SendBacklogLocked(int64_t now_ns) ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
+  // Its observations, with the names they bring. False: it makes no sense, and is discarded.
+  bool ParseBacklogBatchLocked(const BacklogBatch& next, rips::v1::ObservationBatch& batch)
+      ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
+  // Puts the parsed batch into this stream's names. False: it cannot be sent.
   bool MakeBacklogBatchLocked(const BacklogBatch& next, rips::v1::ObservationBatch& batch)
       ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
+  // Begins the upload of the batch's payload that is too long to go inline. False: it has none.
+  bool UploadOfBacklogLocked(const BacklogBatch& next, rips::v1::ObservationBatch& batch,
+                             int64_t now_ns) ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
+  void SendBacklogBatchLocked(const BacklogBatch& next, rips::v1::ObservationBatch batch,
+                              int64_t now_ns) ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
   // Moves what is not live any more to the backlog, some of it at a time. True: there is more.
   bool SetAsideLocked(int64_t now_ns) ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
   bool OutboxIsFullLocked() const ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
   void LookAtBacklogLocked(int64_t now_ns) ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
+  std::vector<std::string> BlindLocked() const ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
   std::optional<int64_t> OldestUnackedLocked(const BacklogState& backlog) const
       ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
   void SaveRest() ABSL_LOCKS_EXCLUDED(mu_);
@@ -216,6 +247,7 @@ class Uplink {
   Counter reconnects_;
   Counter shed_;
   Counter payloads_shed_;
+  Counter payload_bytes_;
   Counter spool_unreadable_;
   Gauge outbox_bytes_;
   Gauge backlog_bytes_;
@@ -223,6 +255,7 @@ class Uplink {
   Gauge spool_refuses_;
   Gauge oldest_unacked_;
   Gauge streaming_;
+  Gauge blind_reasons_;
 
   mutable Mutex mu_;
   CondVar wake_cond_;
@@ -236,6 +269,8 @@ class Uplink {
   // Why there is no stream, as last logged; none since the last one.
   std::optional<absl::StatusCode> logged_ ABSL_GUARDED_BY(mu_);
   std::string incarnation_ ABSL_GUARDED_BY(mu_);
+  // The highest that a server has told is durable, of what was announced last.
+  std::map<StreamKey, uint64_t> acknowledged_ ABSL_GUARDED_BY(mu_);
   Outbox outbox_ ABSL_GUARDED_BY(mu_);
   // Has a mutex of its own.
   Backlog backlog_;
@@ -243,7 +278,7 @@ class Uplink {
   int64_t released_ns_ ABSL_GUARDED_BY(mu_) = 0;
   // The backlog's rate allows nothing before.
   int64_t backlog_next_ns_ ABSL_GUARDED_BY(mu_) = 0;
-  std::optional<Stream> stream_ ABSL_GUARDED_BY(mu_);
+  std::optional<UplinkStream> stream_ ABSL_GUARDED_BY(mu_);
   BatchPolicy policy_ ABSL_GUARDED_BY(mu_);
   std::vector<ros2::Guid> own_participants_ ABSL_GUARDED_BY(mu_);
   // Streams refused in a row without a new acknowledgement.
@@ -255,15 +290,22 @@ class Uplink {
   std::vector<std::string> not_visible_ ABSL_GUARDED_BY(mu_) = {kUnicastOnlyWriters,
                                                                 kServiceRequests, kSharedMemory};
   std::vector<std::string> not_visible_told_ ABSL_GUARDED_BY(mu_);
+  // By input; none is without a reason.
+  std::map<std::string, std::vector<std::string>> blind_ ABSL_GUARDED_BY(mu_);
+  std::vector<std::string> blind_told_ ABSL_GUARDED_BY(mu_);
   uint64_t shed_reported_ ABSL_GUARDED_BY(mu_) = 0;
   uint64_t unreadable_reported_ ABSL_GUARDED_BY(mu_) = 0;
   uint64_t payloads_shed_reported_ ABSL_GUARDED_BY(mu_) = 0;
   // Ids of the interest that is observed, and of the newest one handed on; empty = none yet. They
   // outlive streams, so that watching goes on while the server is away.
   std::string interest_in_use_ ABSL_GUARDED_BY(mu_);
+  ros2::Guid participant_ ABSL_GUARDED_BY(mu_);
   std::string interest_handed_on_ ABSL_GUARDED_BY(mu_);
   // Asked to go there first.
   std::string redirect_ ABSL_GUARDED_BY(mu_);
+
+  // The sender waits for something to be written.
+  std::atomic<bool> waits_for_line_ = false;
 
   // Replaced by the sender thread only, while the old one is stopped.
   std::unique_ptr<Client> client_;

@@ -1,6 +1,7 @@
 // Uplink: what is not live any more.
 #include <algorithm>
 #include <limits>
+#include <map>
 #include <utility>
 
 #include "sensor_agent/uplink.h"
@@ -55,9 +56,19 @@ bool Uplink::SetAsideLocked(int64_t now_ns) {
                           batch.SerializeAsString());
       }
     }
+    if (outbox_.message_bytes() > limits.message_bytes / 4 * 3 && phase_ == Phase::kStreaming) {
+      // What the server has is judged, if not durably; what it does not have yet comes first.
+      outbox_.DropSentPayloads(limits.message_bytes / 8 * 5, kPayloadChunkBytes);
+    }
+    // Not the message whose payload is on its way: that is the oldest one.
+    const bool uploading = phase_ == Phase::kStreaming && stream_->upload.has_value() &&
+                           !stream_->upload->backlog.has_value();
     const std::optional<int64_t> oldest_ns = outbox_.OldestUnnumbered();
-    if (!oldest_ns.has_value()) return false;
+    if (!oldest_ns.has_value() || uploading) return false;
     int64_t until_ns = 0;
+    if (outbox_.message_bytes() > limits.message_bytes / 4 * 3) {
+      ShedLatePayloadsLocked(now_ns, /*all=*/true);
+    }
     if (outbox_.message_bytes() > limits.message_bytes / 4 * 3) {
       until_ns = std::numeric_limits<int64_t>::max();
     } else if (outbox_.messages_released() &&
@@ -90,26 +101,73 @@ void Uplink::AnnounceLocked(rips::v1::SensorHello& hello) {
                       .last_sequence = range.last});
   }
   for (BacklogRange& range : backlog_.Rewind()) ranges.push_back(std::move(range));
+  std::map<StreamKey, uint64_t> told;
   for (const BacklogRange& range : ranges) {
+    const auto known = acknowledged_.find(range.stream);
+    if (known != acknowledged_.end()) told.insert(*known);
     rips::v1::SpoolStream* spooled = hello.add_spooled();
+    if (known != acknowledged_.end()) spooled->set_acknowledged_sequence(known->second);
     spooled->set_incarnation(range.stream.incarnation);
     spooled->set_first_sequence(range.first_sequence);
     spooled->set_last_sequence(range.last_sequence);
     spooled->set_lane(ToWire(range.stream.lane));
   }
+  // What is not announced any more is of no use to anybody.
+  acknowledged_ = std::move(told);
 }
 
 std::optional<int64_t> Uplink::BacklogDueLocked(int64_t now_ns) const {
   if (phase_ != Phase::kStreaming || outbox_.snapshot_wanted()) return std::nullopt;
-  if (stream_->stalled.has_value()) return std::nullopt;
+  if (stream_->stalled.has_value() || stream_->upload.has_value()) return std::nullopt;
   const int64_t due_ns = std::max(now_ns, backlog_next_ns_);
   if (backlog_.Front(Lane::kControl).has_value()) return due_ns;
   const std::optional<BacklogBatch> next = backlog_.Front(Lane::kMessages);
   if (!next.has_value()) return std::nullopt;
   // A Credit wakes us.
   const uint64_t credit = stream_->credit_granted - stream_->credit_used;
-  if (credit <= stream_->credit_window / 2 || credit < WireBytesMax(*next)) return std::nullopt;
+  if (credit <= stream_->credit_window / 2 ||
+      stream_->backlog_blocked_at == stream_->credit_granted) {
+    return std::nullopt;
+  }
+  // A longer batch may hold a payload that goes in chunks: that is known when it is parsed.
+  const uint64_t bytes = WireBytesMax(*next);
+  const uint64_t payload_credit = stream_->payload_granted - stream_->payload_used;
+  const bool fits =
+      bytes <= kPayloadChunkBytes ? bytes <= credit : payload_credit >= stream_->payload_window / 2;
+  if (!fits) return std::nullopt;
   return due_ns;
+}
+
+bool Uplink::ParseBacklogBatchLocked(const BacklogBatch& next, rips::v1::ObservationBatch& batch) {
+  if (next.bytes == nullptr) return true;
+  if (batch.ParseFromString(*next.bytes) &&
+      batch.observations_size() == static_cast<int>(next.count)) {
+    return true;
+  }
+  backlog_.Discard(next.stream, next.first_sequence,
+                   absl::DataLossError("bytes that are no batch"));
+  return false;
+}
+
+bool Uplink::UploadOfBacklogLocked(const BacklogBatch& next, rips::v1::ObservationBatch& batch,
+                                   int64_t now_ns) {
+  PayloadUpload upload{.backlog = next};
+  for (int i = 0; i < batch.observations_size(); ++i) {
+    if (batch.observations(i).message().payload().size() <= kPayloadChunkBytes) continue;
+    std::string* payload = batch.mutable_observations(i)->mutable_message()->mutable_payload();
+    // One each batch (TakeOldest, Encode); more are of nobody's making.
+    if (upload.sent.payload == nullptr) {
+      upload.sent.payload = std::make_shared<const std::string>(std::move(*payload));
+      upload.index = i;
+    } else {
+      batch.mutable_observations(i)->mutable_message()->set_truncated(true);
+    }
+    payload->clear();
+  }
+  if (upload.sent.payload == nullptr) return false;
+  upload.batch.Swap(&batch);
+  BeginUploadLocked(std::move(upload), now_ns);
+  return true;
 }
 
 bool Uplink::MakeBacklogBatchLocked(const BacklogBatch& next, rips::v1::ObservationBatch& batch) {
@@ -123,11 +181,7 @@ bool Uplink::MakeBacklogBatchLocked(const BacklogBatch& next, rips::v1::Observat
       loss->set_last_boottime_ns(batch.base_boottime_ns());
     }
   } else {
-    absl::Status taken = absl::DataLossError("bytes that are no batch");
-    if (batch.ParseFromString(*next.bytes) &&
-        batch.observations_size() == static_cast<int>(next.count)) {
-      taken = stream_->encoder.Rename(batch);
-    }
+    const absl::Status taken = stream_->encoder.Rename(batch);
     if (absl::IsResourceExhausted(taken)) {
       ReopenLocked(std::string(taken.message()));
       return false;
@@ -150,18 +204,35 @@ bool Uplink::SendBacklogLocked(int64_t now_ns) {
   if (!due_ns.has_value() || *due_ns > now_ns) return false;
   std::optional<BacklogBatch> next = backlog_.Front(Lane::kControl);
   if (!next.has_value()) next = backlog_.Front(Lane::kMessages);
+  rips::v1::ObservationBatch batch;
+  if (!ParseBacklogBatchLocked(*next, batch)) return false;
+  if (next->stream.lane == Lane::kMessages) {
+    if (UploadOfBacklogLocked(*next, batch, now_ns)) return false;
+    if (stream_->credit_granted - stream_->credit_used < WireBytesMax(*next)) {
+      stream_->backlog_blocked_at = stream_->credit_granted;
+      return false;
+    }
+  }
+  if (!MakeBacklogBatchLocked(*next, batch)) return false;
+  SendBacklogBatchLocked(*next, std::move(batch), now_ns);
+  return true;
+}
+
+void Uplink::SendBacklogBatchLocked(const BacklogBatch& next, rips::v1::ObservationBatch batch,
+                                    int64_t now_ns) {
   rips::v1::SensorMessage message;
-  if (!MakeBacklogBatchLocked(*next, *message.mutable_batch())) return false;
+  message.mutable_batch()->Swap(&batch);
   const size_t bytes = message.batch().ByteSizeLong();
-  if (next->stream.lane == Lane::kMessages) stream_->credit_used += bytes;
-  backlog_.MarkSent(next->stream);
+  if (next.stream.lane == Lane::kMessages) stream_->credit_used += bytes;
+  backlog_.MarkSent(next.stream);
+  // What went in chunks counts as well.
+  const uint64_t paced = next.bytes == nullptr ? bytes : std::max(bytes, next.bytes->size());
   backlog_next_ns_ =
       std::max(backlog_next_ns_, now_ns) +
-      static_cast<int64_t>(bytes * uint64_t{kNanosPerSecond} / options_.backlog_bytes_per_second);
+      static_cast<int64_t>(paced * uint64_t{kNanosPerSecond} / options_.backlog_bytes_per_second);
   batches_.Increment();
-  observations_sent_.Increment(next->count);
+  observations_sent_.Increment(next.count);
   if (!SendLocked(message)) stream_->stalled = std::move(message);
-  return true;
 }
 
 // --- Looking and ending
@@ -177,8 +248,9 @@ void Uplink::ReportStateLocked(int64_t now_ns) {
   const bool overloaded = shed > 0 || payloads_shed > 0 ||
                           (backlog.disk_refuses && backlog.observations > 0) ||
                           outbox_.bytes() > outbox_.limits().message_bytes / 2;
+  std::vector<std::string> blind = BlindLocked();
   const bool news = overloaded || overloaded_ || backlog.observations > 0 || had_backlog_ ||
-                    not_visible_ != not_visible_told_;
+                    not_visible_ != not_visible_told_ || blind != blind_told_;
   overloaded_ = overloaded;
   had_backlog_ = backlog.observations > 0;
   if (!news) return;
@@ -186,9 +258,11 @@ void Uplink::ReportStateLocked(int64_t now_ns) {
                     .outbox_bytes = outbox_.bytes() + backlog.memory_bytes,
                     .oldest_unacked_ns = now_ns - OldestUnackedLocked(backlog).value_or(now_ns),
                     .spool_bytes = backlog.disk_bytes,
-                    .not_visible = not_visible_},
+                    .not_visible = not_visible_,
+                    .blind = blind},
                    now_ns);
   not_visible_told_ = not_visible_;
+  blind_told_ = std::move(blind);
 }
 
 std::optional<int64_t> Uplink::OldestUnackedLocked(const BacklogState& backlog) const {
@@ -229,7 +303,9 @@ void Uplink::SaveRest() {
   outbox_.Rewind();
   for (const Lane lane : {Lane::kControl, Lane::kMessages}) {
     while (outbox_.unsent(lane) > 0) {
-      WireEncoder encoder(incarnation_);  // each batch brings all its names
+      // Each batch brings all its names, and all its payloads.
+      WireEncoder encoder(incarnation_,
+                          {.inline_payload_bytes = std::numeric_limits<size_t>::max()});
       const auto batch =
           encoder.Encode(outbox_, lane, kAsidePolicy, std::numeric_limits<uint64_t>::max());
       const auto count = static_cast<uint32_t>(batch.observations_size());

@@ -12,9 +12,9 @@ namespace {
 using rips::v1::ObservationBatch;
 
 // A MessageSeen but for its payload, with its Observation and tags, never takes more than this.
-constexpr size_t kMessageWireBytesMax = 80;
+constexpr size_t kMessageWireBytesMax = 96;
 // Incarnation, sequence, time and lane of a batch.
-constexpr size_t kBatchWireBytesMax = 64;
+constexpr size_t kBatchWireBytesMax = 80;
 
 rips::v1::Loss::Cause ToWire(LossCause cause) {
   switch (cause) {
@@ -105,28 +105,46 @@ void FillFinding(const Finding& finding, rips::v1::Finding& wire) {
 
 }  // namespace
 
+Payload WireEncoder::NextToChunk(const Outbox& outbox, const BatchPolicy& policy) const {
+  const size_t count = std::min(outbox.unsent(Lane::kMessages), policy.observations);
+  size_t bytes = kBatchWireBytesMax;
+  for (size_t i = 0; i < count; ++i) {
+    const MessageSeen& message = outbox.UnsentMessage(i);
+    if (IsChunked(message)) return message.payload;
+    bytes += kMessageWireBytesMax + PayloadBytes(message);
+    if (!sources_.contains(message.source.get())) bytes += IntroductionBytes(*message.source);
+    if (bytes > policy.bytes) return nullptr;
+  }
+  return nullptr;
+}
+
 ObservationBatch WireEncoder::Encode(const Outbox& outbox, Lane lane, const BatchPolicy& policy,
-                                     uint64_t credit_bytes) {
+                                     uint64_t credit_bytes, const SentPayload& sent) {
   ObservationBatch batch;
   const size_t count = std::min(outbox.unsent(lane), policy.observations);
   // Upper bounds for messages, about the size for control observations.
   size_t bytes = kBatchWireBytesMax;
   size_t payload_bytes = 0;
-  for (size_t i = 0; i < count && !full(); ++i) {
+  bool ended = false;
+  for (size_t i = 0; i < count && !full() && !ended; ++i) {
     size_t more = 0;
     if (lane == Lane::kMessages) {
       const MessageSeen& message = outbox.UnsentMessage(i);
-      more = kMessageWireBytesMax + PayloadBytes(message);
-      payload_bytes += PayloadBytes(message);
+      ended = IsChunked(message);
+      if (ended && message.payload != sent.payload) break;
+      const size_t inline_bytes = ended ? 0 : PayloadBytes(message);
+      more = kMessageWireBytesMax + inline_bytes;
+      payload_bytes += inline_bytes;
       if (!sources_.contains(message.source.get())) more += IntroductionBytes(*message.source);
       if (bytes + more > credit_bytes) break;
     } else {
       more = CostOf(outbox.UnsentControl(i));
     }
-    if (i > 0 && (bytes + more > policy.bytes || payload_bytes > kBatchPayloadBytesMax)) break;
+    const bool fits = bytes + more <= policy.bytes && payload_bytes <= kBatchPayloadBytesMax;
+    if (i > 0 && !fits && !ended) break;
     bytes += more;
     if (lane == Lane::kMessages) {
-      Add(outbox.UnsentMessage(i), batch);
+      Add(outbox.UnsentMessage(i), batch, ended ? sent.id : 0);
     } else {
       Add(outbox.UnsentControl(i), batch);
     }
@@ -142,7 +160,7 @@ ObservationBatch WireEncoder::Encode(const Outbox& outbox, Lane lane, const Batc
 template <typename Seen>
 ObservationBatch WireEncoder::EncodeAlone(const std::vector<Seen>& observations) {
   ObservationBatch batch;
-  WireEncoder encoder("");
+  WireEncoder encoder("", {.inline_payload_bytes = std::numeric_limits<size_t>::max()});
   for (const Seen& each : observations) encoder.Add(each, batch);
   SetBase(batch);
   return batch;
@@ -218,7 +236,7 @@ const WireEncoder::SourceIds& WireEncoder::IdsOf(const std::shared_ptr<const Mes
   return ids;
 }
 
-void WireEncoder::Add(const MessageSeen& message, ObservationBatch& batch) {
+void WireEncoder::Add(const MessageSeen& message, ObservationBatch& batch, uint64_t chunked_id) {
   const SourceIds& ids = IdsOf(message.source, batch);
   rips::v1::Observation* wire = batch.add_observations();
   SetTime(message.boottime_ns, *wire);
@@ -228,9 +246,17 @@ void WireEncoder::Add(const MessageSeen& message, ObservationBatch& batch) {
   seen->set_writer_id(ids.writer);
   seen->set_size_bytes(message.size_bytes);
   seen->set_writer_sequence(message.writer_sequence);
-  if (message.payload != nullptr) seen->set_payload(*message.payload);
+  if (chunked_id != 0) {
+    seen->set_chunked_payload_id(chunked_id);
+  } else if (message.payload != nullptr) {
+    seen->set_payload(*message.payload);
+  }
   seen->set_truncated(PayloadBytes(message) < message.size_bytes);
   seen->set_source_unix_ns(message.source_unix_ns);
+  if (batch.graph_version() == 0) batch.set_graph_version(message.graph_version);
+  if (message.graph_version != batch.graph_version()) {
+    seen->set_graph_version(message.graph_version);
+  }
 }
 
 void WireEncoder::AddLoss(const Loss& loss, rips::v1::Loss& wire, ObservationBatch& batch) {
@@ -272,6 +298,7 @@ void WireEncoder::Add(const ControlObservation& observation, ObservationBatch& b
     wire->mutable_state()->set_oldest_unacked_ns(
         static_cast<uint64_t>(std::max<int64_t>(state.oldest_unacked_ns, 0)));
     for (const std::string& kind : state.not_visible) wire->mutable_state()->add_not_visible(kind);
+    for (const std::string& reason : state.blind) wire->mutable_state()->add_blind(reason);
     wire->mutable_state()->set_spool_bytes(state.spool_bytes);
   }
 }

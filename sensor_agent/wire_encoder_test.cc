@@ -166,6 +166,62 @@ TEST_F(WireEncoderTest, PayloadsKeepTheLimitsOfABatchAndTheCredit) {
   EXPECT_THAT(Send(encoder, Lane::kMessages, {}, 64 * 1024 + 200).observations(), SizeIs(1));
 }
 
+TEST_F(WireEncoderTest, TheGraphVersionIsSaidOncePerBatchUnlessItDiffers) {
+  const auto source = Source("/a", 1);
+  for (const uint64_t version : {7, 7, 8}) {
+    outbox_.AddMessage({.boottime_ns = 1, .source = source, .graph_version = version});
+  }
+  WireEncoder encoder(kIncarnation);
+  const ObservationBatch batch = Send(encoder);
+  EXPECT_EQ(batch.graph_version(), 7u);
+  EXPECT_EQ(batch.observations(0).message().graph_version(), 0u);
+  EXPECT_EQ(batch.observations(1).message().graph_version(), 0u);
+  EXPECT_EQ(batch.observations(2).message().graph_version(), 8u);
+}
+
+TEST_F(WireEncoderTest, ALongPayloadIsNamedAndEndsItsBatch) {
+  const auto source = Source("/a", 1);
+  AddPayload(source, 10, 10);
+  AddPayload(source, 70'000, 65'537);
+  AddPayload(source, 11, 11);
+  AddPayload(source, 70'001, 65'536);
+  WireEncoder encoder(kIncarnation);
+  const Payload next = encoder.NextToChunk(outbox_, {});
+  ASSERT_NE(next, nullptr);
+  EXPECT_EQ(next->size(), 65'537u);
+  EXPECT_EQ(encoder.NextToChunk(outbox_, {.observations = 1}), nullptr);
+
+  // While it was not sent, what is before it goes.
+  EXPECT_THAT(encoder.Encode(outbox_, Lane::kMessages, {}, kPlenty).observations(), SizeIs(1));
+  const Payload other = std::make_shared<const std::string>(65'537, 'x');
+  EXPECT_THAT(encoder.Encode(outbox_, Lane::kMessages, {}, kPlenty, {other, 7}).observations(),
+              SizeIs(1));
+
+  const ObservationBatch batch =
+      encoder.Encode(outbox_, Lane::kMessages, {.bytes = 1'024}, 1'024, {next, 7});
+  ASSERT_THAT(batch.observations(), SizeIs(2));
+  EXPECT_EQ(batch.observations(0).message().chunked_payload_id(), 0);
+  EXPECT_EQ(batch.observations(1).message().chunked_payload_id(), 7);
+  EXPECT_EQ(batch.observations(1).message().payload(), "");
+  EXPECT_TRUE(batch.observations(1).message().truncated());
+  EXPECT_LT(batch.ByteSizeLong(), 1'024u);
+  outbox_.MarkSent(Lane::kMessages, 2);
+
+  EXPECT_EQ(encoder.NextToChunk(outbox_, {}), nullptr);
+  const ObservationBatch rest = Send(encoder);
+  ASSERT_THAT(rest.observations(), SizeIs(1)) << "32 KiB";
+  EXPECT_EQ(Send(encoder).observations(0).message().payload().size(), 65'536u) << "inline";
+
+  // On disk everything is inline.
+  outbox_.Rewind();
+  WireEncoder aside(kIncarnation, {.inline_payload_bytes = SIZE_MAX});
+  EXPECT_EQ(aside.NextToChunk(outbox_, {}), nullptr);
+  const ObservationBatch whole =
+      aside.Encode(outbox_, Lane::kMessages, {.bytes = 1 << 20}, kPlenty);
+  ASSERT_THAT(whole.observations(), SizeIs(4));
+  EXPECT_EQ(whole.observations(1).message().payload().size(), 65'537u);
+}
+
 TEST_F(WireEncoderTest, LargestNumbersStayWithinTheEstimate) {
   const auto source = Source("/a", 1);
   outbox_.AddMessage({.boottime_ns = 0, .source = source});
@@ -223,7 +279,8 @@ TEST_F(WireEncoderTest, ControlObservationsCarryWhatTheySay) {
   outbox_.AddLoss({.cause = LossCause::kQueueFull, .topic = "/b", .count = 4});
   outbox_.AddLoss({.cause = LossCause::kLimit, .count = 5});
   outbox_.AddSignal("SIGUSR1", 1'000'000'000);
-  outbox_.AddState({.overloaded = true, .outbox_bytes = 8, .oldest_unacked_ns = 9}, 11);
+  outbox_.AddState(
+      {.overloaded = true, .outbox_bytes = 8, .oldest_unacked_ns = 9, .blind = {"no log"}}, 11);
   outbox_.FlushMerged(1'000'000'000);
   WireEncoder encoder(kIncarnation);
   const ObservationBatch batch = Send(encoder, Lane::kControl);
@@ -244,6 +301,7 @@ TEST_F(WireEncoderTest, ControlObservationsCarryWhatTheySay) {
   EXPECT_EQ(batch.observations(3).loss().cause(), rips::v1::Loss::LIMIT);
   EXPECT_EQ(batch.observations(4).signal().name(), "SIGUSR1");
   EXPECT_TRUE(batch.observations(5).state().overloaded());
+  EXPECT_EQ(batch.observations(5).state().blind(0), "no log");
 }
 
 TEST_F(WireEncoderTest, StreamThatRunsOutOfNumbersSaysSo) {

@@ -15,21 +15,22 @@
 #include "mode_actuator/exec/enter.h"
 #include "mode_actuator/exec/exec_server.h"
 #include "mode_actuator/exec/posix_runner.h"
-#include "mode_actuator/exec/run_cgroups.h"
 #include "mode_actuator/helper_socket/helper_socket.h"
 #include "services/base/status_macros.h"
+#include "services/runtime/core_dumps.h"
 #include "services/runtime/daemon_flags.h"
 #include "services/runtime/log.h"
 #include "services/runtime/real_clock.h"
+#include "services/runtime/run_cgroups.h"
 #include "services/runtime/shutdown.h"
 
 namespace {
 
+using rips::RunCgroups;
 using rips::actuator::Config;
 using rips::actuator::ExecServer;
 using rips::actuator::ParsedConfig;
 using rips::actuator::PosixRunner;
-using rips::actuator::RunCgroups;
 
 constexpr char kWithoutCgroups[] =
     "without cgroups: a program that leaves its session is not killed with its run";
@@ -48,10 +49,10 @@ absl::StatusOr<ParsedConfig> Load(const std::string& path) {
 
 // Our predecessor is who listened at the same socket.
 absl::StatusOr<std::unique_ptr<RunCgroups>> OpenCgroups(const Config& config, bool check_only) {
-  std::string key = absl::StrFormat("%08x", rips::actuator::Crc32(config.exec.socket));
-  if (check_only) key += "-check";
+  std::string name = absl::StrFormat("rips-exec-%08x", rips::actuator::Crc32(config.exec.socket));
+  if (check_only) name += "-check";
   int left_behind = 0;
-  auto cgroups = RunCgroups::Open(config.exec.cgroup, key, &left_behind);
+  auto cgroups = RunCgroups::Open(config.exec.cgroup, name, &left_behind);
   if (left_behind > 0) {
     rips::LogWarning("killed what an earlier rips-exec left", {{"processes", left_behind}});
   }
@@ -72,6 +73,7 @@ int CheckConfig(const ParsedConfig& parsed) {
 
 int main(int argc, char** argv) {
   if (rips::actuator::IsEnter(argc, argv)) return rips::actuator::EnterAndExec(argc, argv);
+  rips::ForbidCoreDumps();
   rips::DaemonFlags flags;
   const rips::DaemonInfo info = {.name = "rips-exec",
                                  .description = "Runs programs for rips-actuator.",

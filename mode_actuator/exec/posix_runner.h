@@ -23,11 +23,11 @@
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
 #include "absl/strings/string_view.h"
-#include "mode_actuator/exec/run_cgroups.h"
 #include "mode_actuator/level_plan.h"
 #include "mode_actuator/program_runner.h"
 #include "services/base/clock.h"
 #include "services/runtime/mutex.h"
+#include "services/runtime/run_cgroups.h"
 #include "services/runtime/unique_fd.h"
 
 namespace rips::actuator {

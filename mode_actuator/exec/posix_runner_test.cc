@@ -215,7 +215,7 @@ class CgroupRunnerTest : public PosixRunnerTest {
     runner_.reset();
     cgroups_.reset();
   }
-  static std::string Key() { return absl::StrCat("test-", getpid()); }
+  static std::string Key() { return absl::StrCat("rips-exec-test-", getpid()); }
   RunCgroups* cgroups() override { return cgroups_.get(); }
 
   std::unique_ptr<RunCgroups> cgroups_;

@@ -152,6 +152,8 @@ absl::StatusOr<FwRequest> DecodeFwRequest(absl::string_view packet) {
     }
   }
   RIPS_RETURN_IF_ERROR(CheckShape(request, has_verb, has_kind, has_for));
+  // Strict by printing it again: order, forms of numbers.
+  if (EncodeFwRequest(request) != packet) return Malformed("lines out of place");
   return request;
 }
 
@@ -183,6 +185,8 @@ absl::StatusOr<FwResponse> DecodeFwResponse(absl::string_view packet) {
   }
   if (code < 0) return bad;
   response.status = absl::Status(static_cast<absl::StatusCode>(code), message);
+  // Strict by printing it again: order, forms of numbers, characters.
+  if (EncodeFwResponse(response) != packet) return bad;
   return response;
 }
 

@@ -53,6 +53,9 @@ TEST(FwMessageTest, RefusesRequestsOfAnotherShape) {
       {"verb flush\n", "unknown verb"},
       {"verb status\nverb status\n", "unknown or repeated line `verb`"},
       {"verb status\nkind release\n", "`status` takes no step"},
+      {"kind release\nverb enter\n", "lines out of place"},
+      {"verb enter\nkind isolate_hosts\nfor_ms 5\ntarget 10.0.0.7\n", "lines out of place"},
+      {"verb enter\nkind isolate_hosts\ntarget 10.0.0.7\nfor_ms 05\n", "lines out of place"},
       {"verb enter\n", "no kind"},
       {"verb enter\nkind table\n", "unknown kind"},
       {"verb enter\nkind rules\nfor_ms 5\n", "`file` is for `rules`"},
@@ -115,7 +118,9 @@ TEST(FwMessageTest, TextsOfResponsesAreMadeHarmlessAndCut) {
 TEST(FwMessageTest, RefusesResponsesOfAnotherShape) {
   for (const absl::string_view packet :
        {"", "rips-fw 1\n", "rips-fw 1\ncode 17\n", "rips-fw 1\ncode -1\n", "rips-fw 1\ncode x\n",
-        "rips-fw 1\ncode 0\ncode 0\n", "rips-fw 1\ncode 0\nmore x\n", "hello\ncode 0\n"}) {
+        "rips-fw 1\ncode 0\ncode 0\n", "rips-fw 1\ncode 0\nmore x\n", "hello\ncode 0\n",
+        "rips-fw 1\ncode 00\n", "rips-fw 1\ncode +0\n", "rips-fw 1\nnote x\ncode 0\n",
+        "rips-fw 1\ncode 0\nnote \x1b[2J\n", "rips-fw 1\ncode 0\nmessage x\n"}) {
     EXPECT_THAT(DecodeFwResponse(packet), StatusIs(absl::StatusCode::kDataLoss)) << packet;
   }
 }

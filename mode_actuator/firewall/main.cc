@@ -16,6 +16,7 @@
 #include "mode_actuator/firewall/real_host.h"
 #include "mode_actuator/helper_socket/helper_socket.h"
 #include "services/base/status_macros.h"
+#include "services/runtime/core_dumps.h"
 #include "services/runtime/daemon_flags.h"
 #include "services/runtime/log.h"
 #include "services/runtime/real_clock.h"
@@ -42,6 +43,7 @@ absl::StatusOr<ParsedConfig> Load(const std::string& path) {
 }  // namespace
 
 int main(int argc, char** argv) {
+  rips::ForbidCoreDumps();
   rips::DaemonFlags flags;
   const rips::DaemonInfo info = {.name = "rips-fw",
                                  .description = "Changes the packet filter for rips-actuator.",

@@ -180,21 +180,29 @@ std::string DirectoryName(const std::string& dir) {
 
 }  // namespace
 
-absl::StatusOr<Bundle> LoadBundle(const std::string& dir, const Clock* clock) {
+absl::StatusOr<Bundle> LoadBundle(const std::string& dir, const Clock* clock,
+                                  const inspect::InspectOptions& options) {
   Reading reading(dir);
-  std::string diagnostics = lang::RenderText(reading.files(), reading.diagnostics());
+  std::vector<lang::Diagnostic> wrong = reading.diagnostics();
+  std::erase_if(wrong, [](const lang::Diagnostic& each) {
+    return lang::SeverityOf(each.kind) == lang::DiagnosticSeverity::kNote;
+  });
+  std::string places = lang::RenderPlaces(reading.files(), wrong);
   if (!reading.problems().empty()) return reading.problems().front();
-  if (!reading.ok()) return absl::InvalidArgumentError(diagnostics);
+  if (!reading.ok()) {
+    return absl::InvalidArgumentError(
+        absl::StrCat(places, "`ripsctl rules check ", dir, "` shows them"));
+  }
   Bundle bundle;
   bundle.id = reading.id();
   bundle.manifest = reading.manifest();
   bundle.program = reading.program();
-  bundle.warnings = std::move(diagnostics);
+  bundle.warnings = std::move(places);
   bundle.start_level = *bundle.levels().Find(bundle.manifest.start_level);
   const std::vector<lang::Inspection>& inspections = bundle.program->rules().inspections;
   if (!inspections.empty()) {
     RIPS_ASSIGN_OR_RETURN(bundle.inspections,
-                          inspect::LoadInspections(inspections, reading.checked(), {}, clock));
+                          inspect::LoadInspections(inspections, reading.checked(), options, clock));
   }
   return bundle;
 }

@@ -35,7 +35,7 @@ struct Bundle {
   // What rules inspect messages with; null if they do not.
   std::shared_ptr<const inspect::InspectionSet> inspections;
   levels::LevelIndex start_level = 0;
-  // Warnings of the compiler, ready to print; empty = none.
+  // Warnings of the compiler as lang::RenderPlaces; empty = none.
   std::string warnings;
 
   const levels::LevelTable& levels() const { return program->rules().levels; }
@@ -44,14 +44,16 @@ struct Bundle {
 // Reads `dir`/manifest.yaml and the rule files it names, each once. Errors name the file and say
 // what to do:
 //   NotFound             the directory, the manifest or a rule file is not there
-//   InvalidArgument      the manifest or the rules are wrong (all their diagnostics as text), the
+//   InvalidArgument      the manifest or the rules are wrong (of the rules: the places of all their
+//                        diagnostics, nothing of their text, as errors end up in logs), the
 //                        manifest's levels are not what the rules declare, a path leaves the
 //                        directory or leads through a symbolic link
 //   ResourceExhausted    a file or all together are too long
 //   Unavailable          reading failed
 // Plugins are started once to see how they want to be asked, which takes up to a second. `clock` is
-// not owned and outlives the bundle's inspections.
-absl::StatusOr<Bundle> LoadBundle(const std::string& dir, const Clock* clock);
+// not owned and outlives the bundle's inspections, as does what `options` name.
+absl::StatusOr<Bundle> LoadBundle(const std::string& dir, const Clock* clock,
+                                  const inspect::InspectOptions& options = {});
 
 // What there is to say of a bundle.
 struct BundleCheck {

@@ -43,4 +43,10 @@ absl::StatusOr<std::string> InspectionSource::ProgramPath(const lang::Inspection
   return (dir / listed->path).string();
 }
 
+std::string InspectionSource::ReadableRoot(absl::string_view /*path*/) const {
+  std::error_code error;
+  const std::filesystem::path dir = std::filesystem::absolute(dir_, error);
+  return error ? "" : dir.string();
+}
+
 }  // namespace rips::bundle

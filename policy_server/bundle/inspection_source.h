@@ -29,6 +29,8 @@ class InspectionSource final : public inspect::FileSource {
   // FailedPrecondition: the manifest does not list it, or it is not the program whose SHA-256 the
   // manifest gives.
   absl::StatusOr<std::string> ProgramPath(const lang::Inspection& plugin) const override;
+  // The bundle.
+  std::string ReadableRoot(absl::string_view path) const override;
 
  private:
   const std::string& dir_;

@@ -8,6 +8,8 @@
 #include "absl/strings/str_cat.h"
 #include "policy_server/bundle/bundle_files.h"
 #include "policy_server/lang/limits.h"
+#include "re2/re2.h"
+#include "services/base/payload_limits.h"
 #include "services/base/status_macros.h"
 #include "services/runtime/config_reader.h"
 #include "services/runtime/config_sections.h"
@@ -61,6 +63,49 @@ void ReadYara(const ConfigSection& root, std::vector<std::string>* yara) {
     if (!seen.insert(path).second) {
       root.Problem("yara", absl::StrCat("YARA file `", path, "` is listed twice"));
     }
+  }
+}
+
+// Why sensors would not take the pattern; empty if they do. Its size is added to `instructions`.
+std::string PatternProblem(const std::string& pattern, size_t* instructions) {
+  // As sensors compile it first (kInterestPatternBytes).
+  constexpr int64_t kPatternBytes = int64_t{64} << 10;
+  // Of all limits together; sensors take 200,000 of these and the rules' patterns.
+  constexpr size_t kInstructionsMax = 50'000;
+  RE2::Options options;
+  options.set_log_errors(false);
+  options.set_max_mem(kPatternBytes);
+  const RE2 regex(pattern, options);
+  if (!regex.ok()) return absl::StrCat("bad pattern: ", regex.error());
+  *instructions += static_cast<size_t>(regex.ProgramSize());
+  if (*instructions <= kInstructionsMax) return "";
+  return absl::StrCat("with it, the patterns exceed the limit of ", kInstructionsMax,
+                      " instructions");
+}
+
+void ReadPayloadLimits(const ConfigSection& root, engine::PayloadLimits* limits) {
+  const std::vector<ConfigSection> sections = root.Sections("payload_limits");
+  if (sections.size() > kPayloadLimitsMax) {
+    root.Problem("payload_limits",
+                 absl::StrCat(sections.size(), " payload limits exceed limit ", kPayloadLimitsMax));
+  }
+  absl::btree_set<std::string> seen;
+  size_t instructions = 0;
+  for (const ConfigSection& section : sections) {
+    engine::PayloadLimit limit;
+    ByteSize bytes;
+    section.Required("topics", &limit.topic_regex);
+    section.Required("bytes", &bytes,
+                     ConfigRange<ByteSize>{{kPayloadBytesLeast}, {kPayloadBytesHard}});
+    limit.bytes = static_cast<uint32_t>(bytes.bytes);
+    if (const std::string problem = PatternProblem(limit.topic_regex, &instructions);
+        !problem.empty()) {
+      section.Problem("topics", problem);
+    }
+    if (!seen.insert(limit.topic_regex).second) {
+      section.Problem("topics", absl::StrCat("`", limit.topic_regex, "` is listed twice"));
+    }
+    limits->push_back(std::move(limit));
   }
 }
 
@@ -133,6 +178,7 @@ absl::StatusOr<Manifest> ParseManifest(absl::string_view file, absl::string_view
       {{"match", OnError::kMatch}, {"alert", OnError::kAlert}, {"ignore", OnError::kIgnore}});
   ReadYara(root, &manifest.yara);
   ReadPlugins(root, &manifest.plugins);
+  ReadPayloadLimits(root, &manifest.payload_limits);
   ReadUnavailable(root);
   RIPS_RETURN_IF_ERROR(reader.Finish());
   return manifest;

@@ -8,6 +8,7 @@
 #include "absl/status/statusor.h"
 #include "absl/strings/string_view.h"
 #include "absl/time/time.h"
+#include "policy_server/engine/interest.h"
 #include "policy_server/engine/program.h"
 #include "policy_server/lang/checked_rules.h"
 
@@ -43,6 +44,8 @@ struct Manifest {
   std::vector<std::string> yara;
   // Plugins that `plugin` may name; ids are distinct.
   std::vector<ManifestPlugin> plugins;
+  // Bytes of payloads that inspections look at, by topic; kPayloadBytesLeast to kPayloadBytesHard.
+  engine::PayloadLimits payload_limits;
   // What becomes of a rule whose value depends on an inspection that was not told.
   engine::OnInspectionError on_inspection_error = engine::OnInspectionError::kMatch;
 };

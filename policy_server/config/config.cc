@@ -87,6 +87,28 @@ void ReadShards(const ConfigSection& root, int* shards) {
   }
 }
 
+void ReadPlugins(const ConfigSection& root, ServerConfig* config) {
+  const ConfigSection section = root.OptionalSection("plugins");
+  section.Optional("user", &config->plugin_user);
+  if (config->plugin_user == "root" || config->plugin_user == "0") {
+    section.Problem("user",
+                    "`user` is root; name a user that owns nothing, for example "
+                    "`rips-plugin`");
+  }
+  section.Optional("readable", &config->plugin_readable);
+  for (const std::string& path : config->plugin_readable) {
+    if (path.empty() || path.front() != '/' || path == "/") {
+      section.Problem("readable", absl::StrCat("`readable` has `", path,
+                                               "`; write absolute paths of what plugins need"));
+    }
+  }
+  section.Optional("helpers", &config->plugin_helpers);
+  if (!config->plugin_helpers.empty() && config->plugin_helpers.front() != '/') {
+    section.Problem("helpers", absl::StrCat("`helpers` is `", config->plugin_helpers,
+                                            "`; write an absolute path"));
+  }
+}
+
 void RefuseAudit(const ConfigSection& root) {
   if (!root.Has("audit")) return;
   root.Problem(
@@ -123,6 +145,7 @@ absl::StatusOr<ParsedServerConfig> ParseServerConfig(absl::string_view file,
   ReadOptionalPath(alerts, "file", &config.alerts_file);
   ReadTiming(root, &config.timing);
   ReadShards(root, &config.shards);
+  ReadPlugins(root, &config);
   ReadAddress(root, "metrics", &config.metrics);
   RefuseAudit(root);
   RIPS_RETURN_IF_ERROR(reader.Finish());

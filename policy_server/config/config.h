@@ -3,6 +3,7 @@
 #define RIPS_POLICY_SERVER_CONFIG_CONFIG_H_
 
 #include <string>
+#include <vector>
 
 #include "absl/status/statusor.h"
 #include "absl/strings/string_view.h"
@@ -12,6 +13,7 @@
 namespace rips::server {
 
 inline constexpr int kShardsMax = 64;
+inline constexpr char kPluginUser[] = "rips-plugin";
 
 // Ordered: heartbeat < stale < lost < lease <= drain_lease.
 struct Timing {
@@ -57,6 +59,13 @@ struct ServerConfig {
   Timing timing;
   // Threads that judge; 0 = one a core (`auto`), at most kShardsMax.
   int shards = 0;
+  // Whom plugins and YARA scans run as if we are root: a name or a number. Empty: kPluginUser, or
+  // `nobody` if there is no such user.
+  std::string plugin_user;
+  // What plugins may read and execute besides their bundle and the system's programs and libraries.
+  std::vector<std::string> plugin_readable;
+  // The directory of rips-inspect and rips-scan; empty: that of our own binary.
+  std::string plugin_helpers;
   // Where /metrics, /healthz and /readyz are served.
   std::string metrics = "127.0.0.1:9464";
 

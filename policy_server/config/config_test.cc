@@ -29,6 +29,7 @@ store: {kind: sqlite, path: /v/state.db}
 alerts: {file: /l/alerts.jsonl}
 timing: {heartbeat: 100ms, stale: 300ms, lost: 1s, lease: 3s, drain_lease: 10s, late_after: 2s, linger: 0ms, tick: 50ms}
 shards: 3
+plugins: {user: detectors, readable: [/opt/detectors, /srv/models], helpers: /opt/rips/bin}
 metrics: "127.0.0.1:0"
 )";
 
@@ -45,6 +46,15 @@ TEST(ServerConfigTest, FillsInTheDefaults) {
               AllOf(HasSubstr("timing.lease: 15s"), HasSubstr("listen: \"0.0.0.0:7443\"")));
 }
 
+TEST(ServerConfigTest, PluginsAreKeptFromRootAndFromAllFiles) {
+  const auto parsed = ParseServerConfig(
+      "ps.yaml", absl::StrCat(kShort, "plugins: {user: root, readable: [/, opt], helpers: bin}\n"));
+  EXPECT_THAT(parsed,
+              StatusIs(absl::StatusCode::kInvalidArgument,
+                       AllOf(HasSubstr("`user` is root"), HasSubstr("`readable` has `/`"),
+                             HasSubstr("`readable` has `opt`"), HasSubstr("`helpers` is `bin`"))));
+}
+
 TEST(ServerConfigTest, ReadsEveryKey) {
   const auto parsed = ParseServerConfig("ps.yaml", kFull);
   ASSERT_THAT(parsed, IsOk());
@@ -55,6 +65,9 @@ TEST(ServerConfigTest, ReadsEveryKey) {
   EXPECT_EQ(config.bundles_dir, "/v/bundles");
   EXPECT_EQ(config.store_path, "/v/state.db");
   EXPECT_EQ(config.alerts_file, "/l/alerts.jsonl");
+  EXPECT_EQ(config.plugin_user, "detectors");
+  EXPECT_EQ(config.plugin_readable, (std::vector<std::string>{"/opt/detectors", "/srv/models"}));
+  EXPECT_EQ(config.plugin_helpers, "/opt/rips/bin");
   EXPECT_EQ(config.timing, (Timing{.heartbeat = absl::Milliseconds(100),
                                    .stale = absl::Milliseconds(300),
                                    .lost = absl::Seconds(1),

@@ -7,6 +7,7 @@
 
 #include "policy_server/dispatch/actuator_codec.h"
 #include "policy_server/pipeline/mailbox.h"
+#include "services/ros2/ros_name.h"
 #include "services/rpc/peer.h"
 #include "services/rpc/server_stream.h"
 #include "services/rpc/status_conversion.h"
@@ -25,10 +26,23 @@ using Stream = rpc::ServerStream<ActuatorMessage, ActuatorReply>;
 // What the pipeline holds of one stream.
 class Link final : public pipeline::ActuatorLink {
  public:
-  Link(std::shared_ptr<Stream::Outbound> outbound, Counter commands)
-      : outbound_(std::move(outbound)), commands_(commands) {}
+  Link(std::shared_ptr<Stream::Outbound> outbound, Counter commands, pipeline::LogLimiter* logs)
+      : outbound_(std::move(outbound)), commands_(commands), logs_(logs) {}
+
+  // Once, before the hello is posted.
+  void SetPeer(std::string robot, std::string host, std::string address) {
+    robot_ = std::move(robot);
+    host_ = std::move(host);
+    address_ = std::move(address);
+  }
 
   void Grant(const pipeline::LeaseGrant& lease) override {
+    if (!std::exchange(admitted_, true)) {
+      if (const auto left_out = logs_->Admit(robot_)) {
+        LogInfo("actuator connected",
+                {{"robot", robot_}, {"host", host_}, {"peer", address_}, {"left_out", *left_out}});
+      }
+    }
     ActuatorReply reply;
     *reply.mutable_lease() = EncodeLease(lease, RealClock().Now());
     outbound_->Send(std::move(reply));
@@ -39,32 +53,47 @@ class Link final : public pipeline::ActuatorLink {
     outbound_->Send(std::move(reply));
     commands_.Increment();
   }
-  void Close(const absl::Status& status) override { outbound_->Close(rpc::ToGrpc(status)); }
+  void Close(const absl::Status& status) override {
+    if (const auto left_out = logs_->Admit(robot_)) {
+      LogWarning(admitted_ ? "actuator stream closed" : "actuator refused",
+                 {{"robot", robot_},
+                  {"host", host_},
+                  {"peer", address_},
+                  {"reason", ros2::Printable(status.message())},
+                  {"left_out", *left_out}});
+    }
+    outbound_->Close(rpc::ToGrpc(status));
+  }
 
  private:
   std::shared_ptr<Stream::Outbound> outbound_;
+  std::string robot_;
+  std::string host_;
+  std::string address_;
+  // The robot's thread has taken it as a session; of that thread.
+  bool admitted_ = false;
   Counter commands_;
+  pipeline::LogLimiter* logs_;
 };
 
 class ActuatorStream final : public Stream {
  public:
-  ActuatorStream(const absl::StatusOr<rpc::Peer>& peer, pipeline::Pipeline* pipeline,
-                 rpc::SessionWatch* watch, const DispatchMetrics& metrics)
+  ActuatorStream(const absl::StatusOr<rpc::Peer>& peer, std::string address,
+                 pipeline::Pipeline* pipeline, rpc::SessionWatch* watch,
+                 const DispatchMetrics& metrics)
       : pipeline_(pipeline),
+        watch_(watch),
         metrics_(metrics),
-        link_(std::make_shared<Link>(outbound(), metrics.commands)) {
+        link_(std::make_shared<Link>(outbound(), metrics.commands, &pipeline->logs())) {
     if (!peer.ok()) {
       outbound()->Close(rpc::ToGrpc(peer.status()));
-    } else if (peer->identity.role != rpc::Role::kActuator) {
-      outbound()->Close(
-          grpc::Status(grpc::StatusCode::PERMISSION_DENIED,
-                       "the certificate is not an actuator's: " + rpc::ToString(peer->identity)));
     } else {
       mailbox_.emplace(pipeline, peer->identity.robot);
       host_ = peer->identity.host;
-      session_ = watch->Add(peer->not_after, [outbound = outbound()](const grpc::Status& status) {
-        outbound->Close(status);
-      });
+      address_ = std::move(address);
+      session_ = watch->Add(
+          *peer, [outbound = outbound()](const grpc::Status& status) { outbound->Close(status); },
+          [outbound = outbound()](const grpc::Status& status) { outbound->CloseWhenSent(status); });
       metrics_.streams.Increment();
       Begin();
     }
@@ -94,12 +123,15 @@ class ActuatorStream final : public Stream {
       return Refuse(absl::InvalidArgumentError("a second hello in one stream"));
     }
     if (hello.hello().host() != host_) {
-      return Refuse(
-          absl::PermissionDeniedError("the hello names another host than the certificate"));
+      return Refuse(watch_->gate().Refuse(
+          {"claim",
+           absl::PermissionDeniedError("the hello names another host than the certificate")},
+          &session_->peer, address_));
     }
     absl::StatusOr<pipeline::ActuatorHello> decoded = DecodeHello(hello);
     if (!decoded.ok()) return Refuse(decoded.status());
-    LogInfo("actuator connected", {{"robot", mailbox_->robot()}, {"host", host_}});
+    link_->SetPeer(mailbox_->robot(), host_, address_);
+    decoded->peer = address_;
     Post(hello.ByteSizeLong(), [host = host_, link = link_, hello = *std::move(decoded)](
                                    Robot& robot) { robot.OnActuatorHello(host, link, hello); });
   }
@@ -113,8 +145,12 @@ class ActuatorStream final : public Stream {
 
   void Refuse(const absl::Status& status) {
     metrics_.malformed.Increment();
-    LogWarning("actuator stream refused",
-               {{"robot", mailbox_->robot()}, {"host", host_}, {"reason", status.ToString()}});
+    if (const auto left_out = pipeline_->logs().Admit(mailbox_->robot())) {
+      LogWarning("actuator stream refused", {{"robot", mailbox_->robot()},
+                                             {"host", host_},
+                                             {"reason", status.ToString()},
+                                             {"left_out", *left_out}});
+    }
     outbound()->Close(rpc::ToGrpc(status));
   }
 
@@ -133,18 +169,21 @@ class ActuatorStream final : public Stream {
   }
 
   pipeline::Pipeline* pipeline_;
+  rpc::SessionWatch* watch_;
   DispatchMetrics metrics_;
   std::shared_ptr<Link> link_;
   std::shared_ptr<rpc::SessionWatch::Session> session_;
   std::optional<pipeline::Mailbox> mailbox_;
   std::string host_;
+  std::string address_;
 };
 
 }  // namespace
 
 grpc::ServerBidiReactor<ActuatorMessage, ActuatorReply>* ActuatorService::Attach(
     grpc::CallbackServerContext* context) {
-  return new ActuatorStream(rpc::PeerOf(*context->auth_context()), pipeline_, watch_, metrics_);
+  return new ActuatorStream(watch_->Admit(*context, rpc::Role::kActuator), context->peer(),
+                            pipeline_, watch_, metrics_);
 }
 
 }  // namespace rips::dispatch

@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <iterator>
+#include <limits>
 #include <string>
 #include <utility>
 #include <variant>
@@ -130,7 +131,7 @@ std::optional<bool> AskServices(Builtin builtin, Args args, const Scene& scene) 
   }
   const auto relation = RelationOf(builtin, scene.prototype());
   if (!relation.has_value()) return std::nullopt;
-  return Compare(NameSet::Kind::kPlain, args, 1, services, *relation, scene.graph.truncated());
+  return Compare(NameSet::Kind::kPlain, args, 1, services, *relation, scene.truncated());
 }
 
 const std::vector<std::string>& Nobody() {
@@ -157,8 +158,7 @@ std::optional<bool> AskTopic(Builtin builtin, Args args, const Scene& scene) {
       builtin == Builtin::kTopicPublishers || builtin == Builtin::kTopicPublishersInclude ||
       builtin == Builtin::kTopicPublishersOnly || builtin == Builtin::kHasTopicPublishers;
   return Compare(NameSet::Kind::kNodes, args, 1,
-                 publishers ? Publishers(topic) : Subscribers(topic), *relation,
-                 scene.graph.truncated());
+                 publishers ? Publishers(topic) : Subscribers(topic), *relation, scene.truncated());
 }
 
 // Is any of the arguments `text` (whole), or the package of one of the types?
@@ -196,6 +196,39 @@ std::optional<bool> SubtypeIs(Args args, const Scene& scene) {
 
 }  // namespace
 
+bool LeftOpen(Builtin builtin, Args args, const Scene& scene) {
+  if (!scene.graph.truncated()) return false;
+  switch (builtin) {
+    case Builtin::kTopicIn:
+    case Builtin::kMsgTypeIn:
+    case Builtin::kMsgSubtype:
+      return false;
+    case Builtin::kPublisherCount:
+    case Builtin::kSubscriberCount:
+    case Builtin::kNodeCount:
+    case Builtin::kTopicCount:
+    case Builtin::kServiceCount:
+    case Builtin::kTopicPublisherCount:
+    case Builtin::kTopicSubscriberCount: {
+      // Those that are there are at most as many: with any more, there are too many already.
+      if (args.size() < 2) return false;
+      std::vector<Scalar> at_most(args.begin(), args.end());
+      at_most[at_most.size() - 2] = std::numeric_limits<int64_t>::min();
+      return Ask(builtin, at_most, scene).value_or(false);
+    }
+    case Builtin::kService:
+      return !Ask(builtin, args, scene).value_or(true);
+    default:
+      break;
+  }
+  const auto relation = RelationOf(builtin, scene.prototype());
+  if (!relation.has_value() || *relation == Relation::kExactly) return false;
+  if (*relation == Relation::kGivenInCurrent) return !Ask(builtin, args, scene).value_or(true);
+  Scene whole = scene;
+  whole.as_if_whole = true;
+  return Ask(builtin, args, whole).value_or(false);
+}
+
 bool NamesSubject(Builtin builtin) {
   switch (builtin) {
     case Builtin::kServices:
@@ -220,7 +253,7 @@ std::optional<bool> Ask(Builtin builtin, Args args, const Scene& scene) {
   const auto compare = [&](NameSet::Kind kind, const auto& current) -> std::optional<bool> {
     const auto relation = RelationOf(builtin, scene.prototype());
     if (!relation.has_value()) return std::nullopt;
-    return Compare(kind, args, 0, current, *relation, scene.graph.truncated());
+    return Compare(kind, args, 0, current, *relation, scene.truncated());
   };
   switch (builtin) {
     case Builtin::kTopicIn:

@@ -22,8 +22,11 @@ struct Scene {
   absl::Span<const absl::string_view> types;
   // Who publishes and subscribes to the topic; null if the graph knows nobody.
   const ros2::Topic* facts = nullptr;
+  // Ask as though nothing were left out of the graph.
+  bool as_if_whole = false;
 
   bool prototype() const { return dialect == lang::CheckedRules::Dialect::kPrototype; }
+  bool truncated() const { return graph.truncated() && !as_if_whole; }
 };
 
 // The include forms, by dialect ("given" are the arguments, "current" is what is there):
@@ -39,11 +42,21 @@ struct Scene {
 //   hastopicpublishers, hastopicsubscribers
 //
 // "Exactly these" and "current in given" are false while the graph is truncated: what was left out
-// could be anything.
+// could be anything. LeftOpen says whether that is more than is known.
 //
 // What can be told from the graph, the topic and its types, but for topicmatches; nullopt for other
 // builtins, and if the arguments do not fit the builtin.
 std::optional<bool> Ask(lang::Builtin builtin, absl::Span<const Scalar> args, const Scene& scene);
+
+// True if what was left out of a truncated graph may turn the answer of Ask:
+//
+//   form              false for good                       true for good           else
+//   exactly           always                                                       -
+//   current in given  what is there is not in given                                open
+//   given in current                                       all of given is there   open
+//   service                                                it is there             open
+//   counts            more than the range are there                                open
+bool LeftOpen(lang::Builtin builtin, absl::Span<const Scalar> args, const Scene& scene);
 
 // The first argument is the node or topic that is asked about, the others are a set.
 bool NamesSubject(lang::Builtin builtin);

@@ -218,14 +218,71 @@ TEST_F(BuiltinsTest, ATruncatedGraphNeverSaysNothingElse) {
   ASSERT_TRUE(graph_.truncated());
 
   EXPECT_FALSE(Ask(Builtin::kNodes, {"talker", "camera", "nav"}));
-  EXPECT_FALSE(Ask(Builtin::kNodesInclude, {"talker", "camera", "nav"}));
   EXPECT_FALSE(Ask(Builtin::kTopics, {"/chatter", "/cmd_vel"}));
   EXPECT_FALSE(Ask(Builtin::kTopicPublishers, {"/cmd_vel", "nav"}));
-  EXPECT_FALSE(Ask(Builtin::kTopicPublishersInclude, {"/cmd_vel", "nav"}));
   EXPECT_FALSE(Ask(Builtin::kPublishers, {"talker"}));
   EXPECT_FALSE(Ask(Builtin::kServices, {"ghost"}));
   EXPECT_TRUE(Ask(Builtin::kPublishersInclude, {"talker"}));
-  EXPECT_TRUE(Count(Builtin::kNodeCount, 4, 4));
+}
+
+// A rule whose value depends on what was left out fires, and so does its opposite: an attacker who
+// fills the graph does not hide behind it.
+TEST_F(BuiltinsTest, WhatATruncatedGraphLeavesOpenFiresBothWays) {
+  graph_ = Robot().Build({.nodes = 4, .endpoints = 6});
+  ASSERT_TRUE(graph_.truncated());
+  enum { kTrue, kFalse, kOpen };
+  const auto answer = [&](Builtin builtin, const Exprs& args) {
+    const bool yes = AskOn(builtin, args);
+    TestRules rules;
+    rules.Msg("r", Not(Call(builtin, args)), {{Alert("no")}});
+    TestRobot robot(rules);
+    robot.state.graph = graph_;
+    const bool no = robot.Message("/chatter", "std_msgs/msg/String").fired == 1;
+    EXPECT_TRUE(yes || no);
+    return yes && no ? kOpen : yes ? kTrue : kFalse;
+  };
+  const auto names = [&](Builtin builtin, const std::vector<std::string>& texts) {
+    return answer(builtin, Texts(texts));
+  };
+  const auto range = [&](Builtin builtin, int64_t min, int64_t max,
+                         const std::vector<std::string>& of = {}) {
+    Exprs args = Texts(of);
+    args.push_back(I(min));
+    args.push_back(I(max));
+    return answer(builtin, args);
+  };
+  EXPECT_EQ(names(Builtin::kNodes, {"talker", "camera", "nav"}), kFalse);
+  // Current in given.
+  EXPECT_EQ(names(Builtin::kNodesInclude, {"talker", "camera", "nav"}), kOpen);
+  EXPECT_EQ(names(Builtin::kNodesInclude, {"talker", "camera"}), kFalse);
+  EXPECT_EQ(names(Builtin::kTopicPublishersInclude, {"/cmd_vel", "nav"}), kOpen);
+  EXPECT_EQ(names(Builtin::kTopicPublishersInclude, {"/cmd_vel", "other"}), kFalse);
+  EXPECT_EQ(names(Builtin::kTopicsOnly, {"/chatter", "/cmd_vel"}), kOpen);
+  EXPECT_EQ(names(Builtin::kServicesOnly, {"ghost"}), kOpen);
+  // Given in current.
+  EXPECT_EQ(names(Builtin::kHasNodes, {"talker"}), kTrue);
+  EXPECT_EQ(names(Builtin::kHasNodes, {"ghost"}), kOpen);
+  EXPECT_EQ(names(Builtin::kPublishersInclude, {"talker"}), kTrue);
+  EXPECT_EQ(names(Builtin::kPublishersInclude, {"ghost"}), kOpen);
+  EXPECT_EQ(names(Builtin::kService, {"ghost", "/x"}), kOpen);
+  // Counts: there may be more, and are not fewer.
+  EXPECT_EQ(range(Builtin::kNodeCount, 4, 4), kOpen);
+  EXPECT_EQ(range(Builtin::kNodeCount, 0, 3), kFalse);
+  EXPECT_EQ(range(Builtin::kNodeCount, 5, 9), kOpen);
+  EXPECT_EQ(range(Builtin::kPublisherCount, 2, 2), kOpen);
+  EXPECT_EQ(range(Builtin::kTopicPublisherCount, 0, 1, {"/chatter"}), kFalse);
+  EXPECT_EQ(range(Builtin::kServiceCount, 1, 2, {"ghost"}), kOpen);
+  // What does not ask the graph is as ever.
+  EXPECT_EQ(names(Builtin::kTopicIn, {"/chatter"}), kTrue);
+  EXPECT_EQ(names(Builtin::kMsgTypeIn, {"geometry_msgs"}), kFalse);
+  // Arguments that are not constant, which nobody remembers the answer of.
+  EXPECT_EQ(answer(Builtin::kHasNodes, {Concat(Name(Predefined::kRobot), S("ghost"))}), kOpen);
+}
+
+TEST_F(BuiltinsTest, AWholeGraphLeavesNothingOpen) {
+  ASSERT_FALSE(graph_.truncated());
+  EXPECT_FALSE(Ask(Builtin::kHasNodes, {"ghost"}));
+  EXPECT_FALSE(Count(Builtin::kNodeCount, 5, 9));
 }
 
 TEST_F(BuiltinsTest, TwoNodesOfOneNameCountAsTwo) {

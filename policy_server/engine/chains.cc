@@ -143,7 +143,11 @@ bool Runner::Fires(Current& current) {
   current.unscanned = then == OnInspectionError::kMatch;
   if (current.unscanned) return true;
   if (then == OnInspectionError::kAlert) {
-    ReportFault(current, "the message could not be inspected", "it did not fire");
+    const bool truncated = state_.graph->truncated();
+    ReportFault(current,
+                truncated ? "the graph is truncated, or the message could not be inspected"
+                          : "the message could not be inspected",
+                "it did not fire");
   }
   Tell(current, RuleObserver::Came::kUnscanned);
   return false;
@@ -271,15 +275,19 @@ Runner::Step Runner::Trigger(Current& current, uint32_t chain, size_t index) {
   const lang::TypedChain& actions = current.rule.chains[chain];
   const std::optional<levels::LevelIndex> to = LevelArg(current, actions[index].args[0]);
   if (!to.has_value()) return Step::kFailed;
-  levels::Transition transition =
-      state_.level.Request(*to, {.kind = levels::Cause::Kind::kRule, .name = current.rule.name},
-                           now_, state_.evidence, current.frame.event().lateness);
+  // What was seen before a change says nothing about the level it led to.
+  static const levels::Evidence kNoneYet = {
+      .blind_because = {"the level has changed within this event"}};
+  levels::Transition transition = state_.level.Request(
+      *to, {.kind = levels::Cause::Kind::kRule, .name = current.rule.name}, now_,
+      decided_ ? kNoneYet : state_.evidence, current.frame.event().lateness);
   const bool lowering = transition.lowers();
   if (transition.refused()) {
     Refuse(std::move(transition));
     return Step::kFailed;
   }
   if (transition.decided()) {
+    decided_ = true;
     if (state_.actuation != Actuation::kNoLease) state_.actuation = Actuation::kPending;
     Add(TransitionEffect{.transition = std::move(transition)});
   }
@@ -317,6 +325,7 @@ Runner::Step Runner::Crash(Current& current, const lang::TypedAction& action) {
   levels::Transition transition =
       state_.level.Crash({.kind = levels::Cause::Kind::kCrash, .name = current.rule.name}, now_);
   if (transition.decided()) {
+    decided_ = true;
     if (state_.actuation != Actuation::kNoLease) state_.actuation = Actuation::kPending;
     Add(TransitionEffect{.transition = std::move(transition)});
   }

@@ -85,6 +85,8 @@ class Runner {
 
   const Instant& now_;
   RobotState& state_;
+  // A rule has changed the level since this was made.
+  bool decided_ = false;
   RobotState::Internal& in_;
   Outcome& outcome_;
 };

@@ -43,6 +43,18 @@ struct TopicInterest {
 // The first match wins. The last one is about every topic.
 using InterestPlan = std::vector<TopicInterest>;
 
+// Payloads of topics of which these many bytes are asked for, instead of the plan's.
+struct PayloadLimit {
+  // RE2, searched in the topic name.
+  std::string topic_regex;
+  uint32_t bytes = 0;
+
+  friend bool operator==(const PayloadLimit&, const PayloadLimit&) = default;
+};
+
+// The first match wins; without one, the plan's payload_bytes_max counts.
+using PayloadLimits = std::vector<PayloadLimit>;
+
 // Past one of these more is asked for than is needed, never less: of topics that are named, or of
 // all topics.
 inline constexpr size_t kInterestsMax = 256;

@@ -30,23 +30,33 @@ Answer TopicPredicate(const Node& node, Evaluation& run, Cell& out) {
 // The graph may change before the message is judged, and some recordings hold none.
 bool GraphOpen(const Evaluation& run) { return !run.foreseeing && run.state->graph_known; }
 
+// What the graph tells of predicates[index], remembered in `answers` unless that is null. Of a
+// truncated graph two answers are remembered, the second behind all the first ones: whether what
+// was left out may turn it.
+Answer AskGraph(const std::vector<Predicate>& predicates, size_t index, Answers* answers,
+                const Scene& scene, Cell& out) {
+  const Predicate& predicate = predicates[index];
+  const bool truncated = scene.graph.truncated();
+  const size_t count = truncated ? 2 * predicates.size() : predicates.size();
+  const auto decide = [&] { return Holds(predicate, scene); };
+  out.truth = answers != nullptr ? answers->Get(index, count, decide) : decide();
+  if (!truncated) return Answer::kValue;
+  const auto left_open = [&] { return LeftOpen(predicate.builtin, predicate.args, scene); };
+  const bool open =
+      answers != nullptr ? answers->Get(predicates.size() + index, count, left_open) : left_open();
+  return open ? Answer::kUnscanned : Answer::kValue;
+}
+
 Answer FactsPredicate(const Node& node, Evaluation& run, Cell& out) {
   if (!GraphOpen(run)) return Answer::kUndecidable;
-  const auto index = static_cast<size_t>(node.index);
-  const std::vector<Predicate>& facts = run.compiled->facts;
-  const auto decide = [&] { return Holds(facts[index], run.scene); };
-  out.truth = run.topic != nullptr ? run.topic->answers.Get(index, facts.size(), decide) : decide();
-  return Answer::kValue;
+  return AskGraph(run.compiled->facts, static_cast<size_t>(node.index),
+                  run.topic != nullptr ? &run.topic->answers : nullptr, run.scene, out);
 }
 
 Answer GraphPredicate(const Node& node, Evaluation& run, Cell& out) {
   if (!GraphOpen(run)) return Answer::kUndecidable;
-  const auto index = static_cast<size_t>(node.index);
-  const std::vector<Predicate>& graph = run.compiled->graph;
-  const auto decide = [&] { return Holds(graph[index], run.scene); };
-  out.truth =
-      run.graph_answers != nullptr ? run.graph_answers->Get(index, graph.size(), decide) : decide();
-  return Answer::kValue;
+  return AskGraph(run.compiled->graph, static_cast<size_t>(node.index), run.graph_answers,
+                  run.scene, out);
 }
 
 // Evaluates all arguments. kValue, or why not.
@@ -72,7 +82,7 @@ Answer AskNow(const Node& node, Evaluation& run, Cell& out) {
   const std::optional<bool> told = Ask(node.builtin, args, run.scene);
   if (!told.has_value()) return run.Fault("internal: arguments that do not fit");
   out.truth = *told;
-  return Answer::kValue;
+  return LeftOpen(node.builtin, args, run.scene) ? Answer::kUnscanned : Answer::kValue;
 }
 
 // topicin and its like need no graph.

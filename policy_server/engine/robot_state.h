@@ -59,22 +59,31 @@ class ScriptedRobot {
   virtual bool Reach(levels::LevelIndex level) = 0;
 };
 
-// The graph as it is, and which one it is.
+// The graph that rules are judged against, and which one it is.
 class CurrentGraph {
  public:
+  // A graph as it was at one time. Two of one revision are the same.
+  struct Version {
+    std::shared_ptr<const ros2::RosGraph> graph;
+    uint64_t revision = 0;
+  };
+
   CurrentGraph& operator=(ros2::RosGraph graph) {
-    graph_ = std::move(graph);
-    ++revision_;
+    version_ = {std::make_shared<const ros2::RosGraph>(std::move(graph)), ++newest_};
     return *this;
   }
-  const ros2::RosGraph& get() const { return graph_; }
-  const ros2::RosGraph* operator->() const { return &graph_; }
+  const ros2::RosGraph& get() const { return *version_.graph; }
+  const ros2::RosGraph* operator->() const { return version_.graph.get(); }
   // Changes whenever the graph does.
-  uint64_t revision() const { return revision_; }
+  uint64_t revision() const { return version_.revision; }
+
+  const Version& version() const { return version_; }
+  // An earlier one takes its place until the newest is shown again; for an event of that time.
+  void Show(Version version) { version_ = std::move(version); }
 
  private:
-  ros2::RosGraph graph_;
-  uint64_t revision_ = 1;
+  Version version_ = {std::make_shared<const ros2::RosGraph>(), 1};
+  uint64_t newest_ = 1;
 };
 
 class RobotState {

@@ -33,13 +33,19 @@ rips::v1::InterestRule::Depth EncodeDepth(engine::Depth depth) {
 
 }  // namespace
 
-rips::v1::Interest EncodeInterest(const engine::InterestPlan& plan) {
+rips::v1::Interest EncodeInterest(const engine::InterestPlan& plan,
+                                  const engine::PayloadLimits& limits) {
   rips::v1::Interest interest;
   for (const engine::TopicInterest& topic : plan) {
     rips::v1::InterestRule* rule = interest.add_rules();
     rule->set_topic_regex(topic.topic_regex);
     rule->set_depth(EncodeDepth(topic.depth));
     rule->set_payload_bytes_max(topic.payload_bytes_max);
+  }
+  for (const engine::PayloadLimit& limit : limits) {
+    rips::v1::PayloadLimit* out = interest.add_payload_limits();
+    out->set_topic_regex(limit.topic_regex);
+    out->set_bytes(limit.bytes);
   }
   interest.set_id(Sha256(interest.SerializeAsString()));
   return interest;

@@ -12,8 +12,9 @@ namespace rips::ingest {
 // Of an id: SHA-256.
 inline constexpr size_t kInterestIdBytes = 32;
 
-// Without the reasons. Plans that ask for the same, in the same order, give equal ids.
-rips::v1::Interest EncodeInterest(const engine::InterestPlan& plan);
+// Without the reasons. Plans and limits that ask for the same, in the same order, give equal ids.
+rips::v1::Interest EncodeInterest(const engine::InterestPlan& plan,
+                                  const engine::PayloadLimits& limits = {});
 
 }  // namespace rips::ingest
 

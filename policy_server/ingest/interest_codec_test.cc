@@ -34,6 +34,10 @@ TEST(InterestCodecTest, TheIdTellsInterestsApart) {
   EXPECT_NE(id({.depth = Depth::kPayload, .payload_bytes_max = 2}), all);
   EXPECT_NE(id({.topic_regex = "a", .depth = Depth::kPayload, .payload_bytes_max = 1}), all);
   EXPECT_NE(id({.depth = Depth::kMetadata}), id({.depth = Depth::kNothing}));
+  const engine::PayloadLimits limits = {{.topic_regex = "^/camera", .bytes = 2'000'000}};
+  EXPECT_NE(EncodeInterest({}, limits).id(), none);
+  EXPECT_EQ(EncodeInterest({}, limits).payload_limits(0).topic_regex(), "^/camera");
+  EXPECT_EQ(EncodeInterest({}, limits).payload_limits(0).bytes(), 2'000'000);
   EXPECT_EQ(id({.wanted_by = {"r"}}), id({})) << "reasons are not sent";
 }
 

@@ -88,6 +88,22 @@ absl::Status CheckNotVisible(const google::protobuf::RepeatedPtrField<std::strin
   return absl::OkStatus();
 }
 
+absl::Status CheckBlind(const google::protobuf::RepeatedPtrField<std::string>& reasons,
+                        const DecodeLimits& limits) {
+  if (reasons.size() > limits.blind) {
+    return absl::ResourceExhaustedError(
+        absl::StrCat(reasons.size(), " reasons why inputs are not seen; at most ", limits.blind));
+  }
+  for (const std::string& reason : reasons) {
+    if (reason.size() > limits.name_bytes) {
+      return absl::ResourceExhaustedError(
+          absl::StrCat("reason why an input is not seen of ", reason.size(),
+                       " bytes exceeds the limit of ", limits.name_bytes));
+    }
+  }
+  return absl::OkStatus();
+}
+
 const char* CauseName(rips::v1::Loss::Cause cause) {
   switch (cause) {
     case rips::v1::Loss::DDS_GAP:
@@ -123,14 +139,20 @@ absl::StatusOr<pipeline::SensorHello> DecodeHello(const rips::v1::SensorHello& h
                                                      " ranges; at most ", kSpooledRangesMax));
   }
   RIPS_RETURN_IF_ERROR(CheckNotVisible(hello.not_visible(), DecodeLimits()));
+  RIPS_RETURN_IF_ERROR(CheckBlind(hello.blind(), DecodeLimits()));
   pipeline::SensorHello decoded{
       .incarnation = base.incarnation(),
       .clock = {.boottime_ns = static_cast<int64_t>(base.clock().boottime_ns()),
                 .unix_ns = base.clock().unix_ns()},
+      .domain = hello.domain(),
       .not_visible = {hello.not_visible().begin(), hello.not_visible().end()},
+      .blind = {hello.blind().begin(), hello.blind().end()},
       .interest_in_use = hello.interest_in_use().size() == kInterestIdBytes
                              ? hello.interest_in_use()
                              : std::string()};
+  if (!hello.participant_guid().empty()) {
+    RIPS_ASSIGN_OR_RETURN(decoded.participant, ros2::GuidFromBytes(hello.participant_guid()));
+  }
   for (const rips::v1::SpoolStream& range : hello.spooled()) {
     RIPS_RETURN_IF_ERROR(CheckIncarnation(range.incarnation()));
     RIPS_ASSIGN_OR_RETURN(const Lane lane, DecodeLane(range.lane()));
@@ -138,10 +160,15 @@ absl::StatusOr<pipeline::SensorHello> DecodeHello(const rips::v1::SensorHello& h
       return absl::InvalidArgumentError(
           absl::StrCat("no range can start at sequence ", range.first_sequence()));
     }
+    if (range.acknowledged_sequence() > kSequenceMax) {
+      return absl::InvalidArgumentError(
+          absl::StrCat("no sequence can be ", range.acknowledged_sequence()));
+    }
     decoded.spooled.push_back({.incarnation = range.incarnation(),
                                .lane = lane,
                                .first_sequence = range.first_sequence(),
-                               .last_sequence = range.last_sequence()});
+                               .last_sequence = range.last_sequence(),
+                               .acknowledged = range.acknowledged_sequence()});
   }
   return decoded;
 }
@@ -188,7 +215,12 @@ absl::StatusOr<pipeline::Batch> ObservationDecoder::Decode(
     pipeline::Observation& one = decoded.observations.emplace_back();
     one.boottime_ns = static_cast<int64_t>(batch.base_boottime_ns() + observation.offset_ns());
     RIPS_RETURN_IF_ERROR(DecodeOne(observation, lane, one));
+    auto* message = std::get_if<pipeline::MessageSeen>(&one.what);
+    if (message == nullptr) continue;
+    const uint64_t version = observation.message().graph_version();
+    message->graph_version = version != 0 ? version : batch.graph_version();
   }
+  if (lane == Lane::kMessages) decoded.payload_bytes = payloads_.FinishBatch();
   return decoded;
 }
 
@@ -238,7 +270,7 @@ absl::StatusOr<std::unique_ptr<const ObservationDecoder::Name>> ObservationDecod
 }
 
 absl::Status ObservationDecoder::DecodeMessage(const rips::v1::MessageSeen& message,
-                                               pipeline::MessageSeen& seen) const {
+                                               pipeline::MessageSeen& seen) {
   const Name* topic = Find(message.topic_id(), Name::Kind::kTopic);
   const Name* type = Find(message.type_id(), Name::Kind::kType);
   const Name* writer = Find(message.writer_id(), Name::Kind::kWriter);
@@ -247,10 +279,18 @@ absl::Status ObservationDecoder::DecodeMessage(const rips::v1::MessageSeen& mess
         absl::StrCat("message names ids that were not interned: ", message.topic_id(), ", ",
                      message.type_id(), ", ", message.writer_id()));
   }
-  if (message.payload().size() > message.size_bytes()) {
-    return absl::InvalidArgumentError(absl::StrCat("a payload of ", message.payload().size(),
-                                                   " bytes in a message of ",
-                                                   message.size_bytes()));
+  if (message.chunked_payload_id() == 0) {
+    seen.payload = message.payload();
+  } else {
+    if (!message.payload().empty()) {
+      return absl::InvalidArgumentError(
+          absl::StrCat("a message with a payload names payload ", message.chunked_payload_id()));
+    }
+    RIPS_ASSIGN_OR_RETURN(seen.payload, payloads_.Claim(message.chunked_payload_id()));
+  }
+  if (seen.payload.size() > message.size_bytes()) {
+    return absl::InvalidArgumentError(absl::StrCat(
+        "a payload of ", seen.payload.size(), " bytes in a message of ", message.size_bytes()));
   }
   seen.topic = topic->text;
   seen.memo = &topic->memo;
@@ -258,9 +298,8 @@ absl::Status ObservationDecoder::DecodeMessage(const rips::v1::MessageSeen& mess
   seen.sender = writer->text;
   seen.writer = writer->guid;
   seen.size_bytes = message.size_bytes();
-  seen.payload = message.payload();
   // Counted, not believed.
-  seen.truncated = message.payload().size() < message.size_bytes();
+  seen.truncated = seen.payload.size() < message.size_bytes();
   return absl::OkStatus();
 }
 
@@ -299,13 +338,15 @@ absl::StatusOr<pipeline::LossSeen> ObservationDecoder::DecodeLoss(
 absl::StatusOr<pipeline::SensorStateSeen> ObservationDecoder::DecodeState(
     const rips::v1::SensorState& state) const {
   RIPS_RETURN_IF_ERROR(CheckNotVisible(state.not_visible(), limits_));
+  RIPS_RETURN_IF_ERROR(CheckBlind(state.blind(), limits_));
   return pipeline::SensorStateSeen{
       .overloaded = state.overloaded(),
       .outbox_bytes = state.outbox_bytes(),
       .oldest_unacked_ns =
           static_cast<int64_t>(std::min<uint64_t>(state.oldest_unacked_ns(), kBoottimeMax)),
       .spool_bytes = state.spool_bytes(),
-      .not_visible = {state.not_visible().begin(), state.not_visible().end()}};
+      .not_visible = {state.not_visible().begin(), state.not_visible().end()},
+      .blind = {state.blind().begin(), state.blind().end()}};
 }
 
 absl::StatusOr<pipeline::IdsAlertSeen> ObservationDecoder::DecodeIds(
@@ -348,7 +389,7 @@ absl::StatusOr<pipeline::FindingSeen> ObservationDecoder::DecodeFinding(
 }
 
 absl::Status ObservationDecoder::DecodeOne(const rips::v1::Observation& observation, Lane lane,
-                                           pipeline::Observation& one) const {
+                                           pipeline::Observation& one) {
   const bool is_message = observation.has_message();
   if (observation.kind_case() != rips::v1::Observation::KIND_NOT_SET &&
       is_message != (lane == Lane::kMessages)) {

@@ -8,6 +8,7 @@
 #include <vector>
 
 #include "absl/status/statusor.h"
+#include "policy_server/ingest/chunk_assembler.h"
 #include "policy_server/pipeline/inbound.h"
 #include "rips/v1/observation.pb.h"
 #include "rips/v1/sensor.pb.h"
@@ -22,6 +23,8 @@ struct DecodeLimits {
   size_t name_bytes = 1'024;
   // Of a sensor's words for what it cannot see, each at most name_bytes.
   int not_visible = 64;
+  // Of its reasons why it does not see an input, likewise.
+  int blind = 32;
   size_t line_bytes = 64 * 1024;
 };
 
@@ -42,6 +45,9 @@ class ObservationDecoder {
   // observation of a kind this version does not know becomes a loss of one. After a refusal the
   // stream must be closed.
   absl::StatusOr<pipeline::Batch> Decode(const rips::v1::ObservationBatch& batch);
+  // Takes the contents of `chunk`, of a payload that the next batch of the message lane may name.
+  // Errors as ChunkAssembler; the stream must then be closed, too.
+  absl::Status TakeChunk(rips::v1::PayloadChunk& chunk) { return payloads_.Add(chunk); }
 
  private:
   struct Name {
@@ -70,15 +76,15 @@ class ObservationDecoder {
   }
   // Into `one` and `seen`, which are empty.
   absl::Status DecodeOne(const rips::v1::Observation& observation, pipeline::Lane lane,
-                         pipeline::Observation& one) const;
-  absl::Status DecodeMessage(const rips::v1::MessageSeen& message,
-                             pipeline::MessageSeen& seen) const;
+                         pipeline::Observation& one);
+  absl::Status DecodeMessage(const rips::v1::MessageSeen& message, pipeline::MessageSeen& seen);
   absl::StatusOr<pipeline::LossSeen> DecodeLoss(const rips::v1::Loss& loss) const;
   absl::StatusOr<pipeline::SensorStateSeen> DecodeState(const rips::v1::SensorState& state) const;
   absl::StatusOr<pipeline::IdsAlertSeen> DecodeIds(const rips::v1::IdsAlert& ids) const;
   absl::StatusOr<pipeline::FindingSeen> DecodeFinding(const rips::v1::Finding& finding) const;
 
   DecodeLimits limits_;
+  ChunkAssembler payloads_;
   std::shared_ptr<Names> names_;
 };
 

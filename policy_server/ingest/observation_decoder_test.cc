@@ -67,6 +67,20 @@ TEST(ObservationDecoderTest, ResolvesInternedNamesAlsoInLaterBatches) {
   EXPECT_EQ(message.size_bytes, 52u);
 }
 
+TEST(ObservationDecoderTest, AMessageWithoutAGraphVersionHasThatOfItsBatch) {
+  rips::v1::ObservationBatch batch = MessageBatch();
+  batch.set_graph_version(7);
+  *batch.add_observations() = batch.observations(0);
+  batch.mutable_observations(1)->mutable_message()->set_graph_version(8);
+  const auto decoded = ObservationDecoder().Decode(batch);
+  ASSERT_THAT(decoded, IsOk());
+  const auto version = [&](size_t index) {
+    return std::get<pipeline::MessageSeen>(decoded->observations[index].what).graph_version;
+  };
+  EXPECT_EQ(version(0), 7u);
+  EXPECT_EQ(version(1), 8u);
+}
+
 TEST(ObservationDecoderTest, PayloadsComeAlongAndAreCounted) {
   rips::v1::ObservationBatch batch = MessageBatch();
   for (const size_t bytes : {size_t{0}, size_t{51}, size_t{52}}) {
@@ -97,6 +111,66 @@ TEST(ObservationDecoderTest, PayloadsOfABatchAreBoundedTogether) {
       ObservationDecoder().Decode(batch),
       StatusIs(absl::StatusCode::kResourceExhausted,
                HasSubstr("batch with 1048577 bytes of payload exceeds the limit of 1048576")));
+}
+
+rips::v1::PayloadChunk Chunk(uint64_t id, const std::string& data) {
+  rips::v1::PayloadChunk chunk;
+  chunk.set_chunked_payload_id(id);
+  chunk.set_data(data);
+  return chunk;
+}
+
+TEST(ObservationDecoderTest, PayloadsThatComeInChunksBelongToTheNextBatchOfMessages) {
+  ObservationDecoder decoder;
+  for (const uint64_t id : {1, 2, 3}) {
+    rips::v1::PayloadChunk chunk = Chunk(id, std::string(10 * id, static_cast<char>('0' + id)));
+    ASSERT_THAT(decoder.TakeChunk(chunk), IsOk());
+  }
+  // A control batch in between takes none of them.
+  rips::v1::ObservationBatch control = Batch(rips::v1::CONTROL);
+  control.add_observations()->mutable_signal()->set_name("SIGUSR1");
+  const auto signal = decoder.Decode(control);
+  ASSERT_THAT(signal, IsOk());
+  EXPECT_EQ(signal->payload_bytes, 0u);
+
+  rips::v1::ObservationBatch batch = MessageBatch();
+  *batch.add_observations() = batch.observations(0);
+  batch.mutable_observations(0)->mutable_message()->set_chunked_payload_id(1);
+  batch.mutable_observations(1)->mutable_message()->set_chunked_payload_id(3);
+  const auto decoded = decoder.Decode(batch);
+  ASSERT_THAT(decoded, IsOk());
+  const auto seen = [&](size_t i) {
+    return std::get<pipeline::MessageSeen>(decoded->observations[i].what);
+  };
+  EXPECT_EQ(seen(0).payload, std::string(10, '1'));
+  EXPECT_EQ(seen(1).payload, std::string(30, '3'));
+  EXPECT_TRUE(seen(1).truncated) << "30 bytes of 52";
+  EXPECT_EQ(decoded->payload_bytes, 60u) << "the one that was not named counts, too";
+  EXPECT_EQ(decoded->bytes, batch.ByteSizeLong());
+
+  batch.clear_interned();
+  EXPECT_THAT(decoder.Decode(batch), StatusIs(absl::StatusCode::kInvalidArgument,
+                                              HasSubstr("payload 1, which did not come")));
+}
+
+TEST(ObservationDecoderTest, AMessageHasOnePayloadAndNoMoreThanItsSize) {
+  rips::v1::ObservationBatch batch = MessageBatch();
+  auto* message = batch.mutable_observations(0)->mutable_message();
+  message->set_chunked_payload_id(1);
+  {
+    ObservationDecoder decoder;
+    rips::v1::PayloadChunk chunk = Chunk(1, std::string(53, 'x'));
+    ASSERT_THAT(decoder.TakeChunk(chunk), IsOk());
+    EXPECT_THAT(decoder.Decode(batch),
+                StatusIs(absl::StatusCode::kInvalidArgument,
+                         HasSubstr("a payload of 53 bytes in a message of 52")));
+  }
+  message->set_payload("x");
+  ObservationDecoder decoder;
+  rips::v1::PayloadChunk chunk = Chunk(1, "y");
+  ASSERT_THAT(decoder.TakeChunk(chunk), IsOk());
+  EXPECT_THAT(decoder.Decode(batch), StatusIs(absl::StatusCode::kInvalidArgument,
+                                              HasSubstr("with a payload names payload 1")));
 }
 
 TEST(ObservationDecoderTest, NamesOutliveTheDecoder) {
@@ -320,6 +394,7 @@ TEST(ObservationDecoderTest, SensorsSayHowTheyFareAndWhatTheyDoNotSee) {
   state->set_oldest_unacked_ns(UINT64_MAX);
   state->set_spool_bytes(3);
   state->add_not_visible("x");
+  state->add_blind("y");
   const auto decoded = ObservationDecoder().Decode(batch);
   ASSERT_THAT(decoded, IsOk());
   const auto& seen = std::get<pipeline::SensorStateSeen>(decoded->observations[0].what);
@@ -328,7 +403,14 @@ TEST(ObservationDecoderTest, SensorsSayHowTheyFareAndWhatTheyDoNotSee) {
   EXPECT_GT(seen.oldest_unacked_ns, 0);
   EXPECT_EQ(seen.spool_bytes, 3u);
   EXPECT_THAT(seen.not_visible, testing::ElementsAre("x"));
+  EXPECT_THAT(seen.blind, testing::ElementsAre("y"));
 
+  state->set_blind(0, std::string(1'025, 'x'));
+  EXPECT_THAT(ObservationDecoder().Decode(batch), StatusIs(absl::StatusCode::kResourceExhausted));
+  state->clear_blind();
+  for (int i = 0; i < 33; ++i) state->add_blind("x");
+  EXPECT_THAT(ObservationDecoder().Decode(batch), StatusIs(absl::StatusCode::kResourceExhausted));
+  state->clear_blind();
   state->set_not_visible(0, std::string(1'025, 'x'));
   EXPECT_THAT(ObservationDecoder().Decode(batch), StatusIs(absl::StatusCode::kResourceExhausted));
   state->clear_not_visible();
@@ -436,12 +518,26 @@ TEST(HelloTest, RefusesWhatIsMalformed) {
   hello.mutable_hello()->set_protocol(2);
   EXPECT_THAT(DecodeHello(hello), StatusIs(absl::StatusCode::kFailedPrecondition));
   hello = good;
+  hello.set_participant_guid("short");
+  EXPECT_THAT(DecodeHello(hello), StatusIs(absl::StatusCode::kInvalidArgument));
+  hello.set_participant_guid(std::string(16, '\x01'));
+  ASSERT_THAT(DecodeHello(hello), IsOk());
+  EXPECT_EQ(DecodeHello(hello)->participant.ToBytes(), std::string(16, '\x01'));
+  hello = good;
+  EXPECT_TRUE(DecodeHello(hello)->participant.none());
   auto* range = hello.add_spooled();
   range->set_incarnation(kIncarnation);
   range->set_lane(rips::v1::CONTROL);
   EXPECT_THAT(DecodeHello(hello), StatusIs(absl::StatusCode::kInvalidArgument)) << "sequence 0";
   range->set_first_sequence(UINT64_MAX);
   EXPECT_THAT(DecodeHello(hello), StatusIs(absl::StatusCode::kInvalidArgument));
+  range->set_first_sequence(391);
+  range->set_acknowledged_sequence(UINT64_MAX);
+  EXPECT_THAT(DecodeHello(hello), StatusIs(absl::StatusCode::kInvalidArgument));
+  range->set_acknowledged_sequence(390);
+  const auto decoded = DecodeHello(hello);
+  ASSERT_THAT(decoded, IsOk());
+  EXPECT_EQ(decoded->spooled[0].acknowledged, 390u);
   for (int i = 0; i < 64; ++i) hello.add_spooled();
   EXPECT_THAT(DecodeHello(hello), StatusIs(absl::StatusCode::kResourceExhausted));
 }

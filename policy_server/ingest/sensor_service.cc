@@ -31,9 +31,23 @@ using Stream = rpc::ServerStream<SensorMessage, SensorReply>;
 // What the pipeline holds of one stream.
 class Link final : public pipeline::SensorLink {
  public:
-  explicit Link(std::shared_ptr<Stream::Outbound> outbound) : outbound_(std::move(outbound)) {}
+  Link(std::shared_ptr<Stream::Outbound> outbound, pipeline::LogLimiter* logs)
+      : outbound_(std::move(outbound)), logs_(logs) {}
+
+  // Once, before the hello is posted.
+  void SetPeer(std::string robot, std::string host, std::string address) {
+    robot_ = std::move(robot);
+    host_ = std::move(host);
+    address_ = std::move(address);
+  }
 
   void Setup(const pipeline::SensorSetup& setup) override {
+    if (!std::exchange(admitted_, true)) {
+      if (const auto left_out = logs_->Admit(robot_)) {
+        LogInfo("sensor connected",
+                {{"robot", robot_}, {"host", host_}, {"peer", address_}, {"left_out", *left_out}});
+      }
+    }
     SensorReply reply;
     rips::v1::SensorConfig* config = reply.mutable_config();
     config->set_linger_ms(setup.linger_ms);
@@ -54,10 +68,12 @@ class Link final : public pipeline::SensorLink {
     reply.mutable_ack()->set_lane(lane == Lane::kControl ? rips::v1::CONTROL : rips::v1::MESSAGES);
     outbound_->Send(std::move(reply));
   }
-  void Grant(uint64_t message_bytes) override {
+  void Grant(uint64_t message_bytes, uint64_t payload_bytes) override {
     granted_ = message_bytes;
+    payload_granted_ = payload_bytes;
     SensorReply reply;
     reply.mutable_credit()->set_message_bytes(message_bytes);
+    reply.mutable_credit()->set_payload_bytes(payload_bytes);
     outbound_->Send(std::move(reply));
   }
   void Beat(int64_t echo_boottime_ns) override {
@@ -70,9 +86,10 @@ class Link final : public pipeline::SensorLink {
     outbound_->Send(std::move(reply));
   }
   // Sent unless it is what the sensor has.
-  std::string SetInterest(const engine::InterestPlan& plan) override ABSL_LOCKS_EXCLUDED(mu_) {
+  std::string SetInterest(const engine::InterestPlan& plan,
+                          const engine::PayloadLimits& limits) override ABSL_LOCKS_EXCLUDED(mu_) {
     SensorReply reply;
-    *reply.mutable_interest() = EncodeInterest(plan);
+    *reply.mutable_interest() = EncodeInterest(plan, limits);
     std::string id = reply.interest().id();
     {
       MutexLock lock(&mu_);
@@ -87,13 +104,32 @@ class Link final : public pipeline::SensorLink {
     MutexLock lock(&mu_);
     if (id.size() == kInterestIdBytes) interest_ = id;
   }
-  void Close(const absl::Status& status) override { outbound_->Close(rpc::ToGrpc(status)); }
+  void Close(const absl::Status& status) override {
+    if (const auto left_out = logs_->Admit(robot_)) {
+      LogWarning(admitted_ ? "sensor stream closed" : "sensor refused",
+                 {{"robot", robot_},
+                  {"host", host_},
+                  {"peer", address_},
+                  {"reason", ros2::Printable(status.message())},
+                  {"left_out", *left_out}});
+    }
+    outbound_->Close(rpc::ToGrpc(status));
+  }
   // Bytes of message batches the peer may send in this stream.
   uint64_t granted() const { return granted_; }
+  // And of payloads in chunks.
+  uint64_t payload_granted() const { return payload_granted_; }
 
  private:
   std::shared_ptr<Stream::Outbound> outbound_;
+  pipeline::LogLimiter* logs_;
+  std::string robot_;
+  std::string host_;
+  std::string address_;
+  // The robot's thread has taken it as a session; of that thread.
+  bool admitted_ = false;
   std::atomic<uint64_t> granted_ = 0;
+  std::atomic<uint64_t> payload_granted_ = 0;
   Mutex mu_;
   // Id of the interest sent last, or found in use; empty = none.
   std::string interest_ ABSL_GUARDED_BY(mu_);
@@ -101,21 +137,21 @@ class Link final : public pipeline::SensorLink {
 
 class SensorStream final : public Stream {
  public:
-  SensorStream(const absl::StatusOr<rpc::Peer>& peer, pipeline::Pipeline* pipeline,
-               rpc::SessionWatch* watch, const IngestMetrics& metrics)
-      : pipeline_(pipeline), metrics_(metrics), link_(std::make_shared<Link>(outbound())) {
+  SensorStream(const absl::StatusOr<rpc::Peer>& peer, std::string address,
+               pipeline::Pipeline* pipeline, rpc::SessionWatch* watch, const IngestMetrics& metrics)
+      : pipeline_(pipeline),
+        watch_(watch),
+        metrics_(metrics),
+        link_(std::make_shared<Link>(outbound(), &pipeline->logs())) {
     if (!peer.ok()) {
       outbound()->Close(rpc::ToGrpc(peer.status()));
-    } else if (peer->identity.role != rpc::Role::kSensor) {
-      outbound()->Close(
-          grpc::Status(grpc::StatusCode::PERMISSION_DENIED,
-                       "the certificate is not a sensor's: " + rpc::ToString(peer->identity)));
     } else {
       mailbox_.emplace(pipeline, peer->identity.robot);
       host_ = peer->identity.host;
-      session_ = watch->Add(peer->not_after, [outbound = outbound()](const grpc::Status& status) {
-        outbound->Close(status);
-      });
+      address_ = std::move(address);
+      session_ = watch->Add(
+          *peer, [outbound = outbound()](const grpc::Status& status) { outbound->Close(status); },
+          [outbound = outbound()](const grpc::Status& status) { outbound->CloseWhenSent(status); });
       metrics_.streams.Increment();
       Begin();
     }
@@ -138,6 +174,7 @@ class SensorStream final : public Stream {
       case SensorMessage::kInterestApplied:
         return OnInterestApplied(message.interest_applied());
       case SensorMessage::kChunk:
+        return OnChunk(*message.mutable_chunk());
       case SensorMessage::KIND_NOT_SET:
         return;  // nothing this version asks for
     }
@@ -148,13 +185,16 @@ class SensorStream final : public Stream {
       return Refuse(absl::InvalidArgumentError("a second hello in one stream"));
     }
     if (hello.hello().host() != host_) {
-      return Refuse(
-          absl::PermissionDeniedError("the hello names another host than the certificate"));
+      return Refuse(watch_->gate().Refuse(
+          {"claim",
+           absl::PermissionDeniedError("the hello names another host than the certificate")},
+          &session_->peer, address_));
     }
     absl::StatusOr<pipeline::SensorHello> decoded = DecodeHello(hello);
     if (!decoded.ok()) return Refuse(decoded.status());
     link_->InterestInUse(hello.interest_in_use());
-    LogInfo("sensor connected", {{"robot", mailbox_->robot()}, {"host", host_}});
+    link_->SetPeer(mailbox_->robot(), host_, address_);
+    decoded->peer = address_;
     Post(Lane::kControl, hello.ByteSizeLong(),
          [host = host_, link = link_, hello = *std::move(decoded)](Robot& robot) {
            robot.OnSensorHello(host, link, hello);
@@ -172,10 +212,24 @@ class SensorStream final : public Stream {
     }
     if (applied.problem().empty()) return;
     metrics_.interests_refused.Increment();
+    const auto left_out = pipeline_->logs().Admit(mailbox_->robot());
+    if (!left_out.has_value()) return;
     LogWarning("sensor cannot apply what it is asked to watch",
                {{"robot", mailbox_->robot()},
                 {"host", host_},
-                {"problem", ros2::Printable(applied.problem())}});
+                {"problem", ros2::Printable(applied.problem())},
+                {"left_out", *left_out}});
+  }
+
+  // Held by the decoder until a batch names it; the credit bounds both together.
+  void OnChunk(rips::v1::PayloadChunk& chunk) {
+    payload_bytes_ += chunk.data().size();
+    if (payload_bytes_ > link_->payload_granted()) {
+      return Refuse(absl::ResourceExhaustedError(absl::StrCat(
+          payload_bytes_, " bytes of payloads exceed the credit of ", link_->payload_granted())));
+    }
+    const absl::Status taken = decoder_.TakeChunk(chunk);
+    if (!taken.ok()) Refuse(taken);
   }
 
   void OnBatch(const rips::v1::ObservationBatch& batch) {
@@ -188,15 +242,20 @@ class SensorStream final : public Stream {
           message_bytes_, " bytes of messages exceed the credit of ", link_->granted())));
     }
     auto shared = std::make_shared<pipeline::Batch>(*std::move(decoded));
-    Post(lane, shared->bytes, [host = host_, link = link_, shared](Robot& robot) {
-      robot.OnBatch(host, link.get(), shared);
-    });
+    Post(lane, shared->bytes + shared->payload_bytes,
+         [host = host_, link = link_, shared](Robot& robot) {
+           robot.OnBatch(host, link.get(), shared);
+         });
   }
 
   void Refuse(const absl::Status& status) {
     metrics_.malformed.Increment();
-    LogWarning("sensor stream refused",
-               {{"robot", mailbox_->robot()}, {"host", host_}, {"reason", status.ToString()}});
+    if (const auto left_out = pipeline_->logs().Admit(mailbox_->robot())) {
+      LogWarning("sensor stream refused", {{"robot", mailbox_->robot()},
+                                           {"host", host_},
+                                           {"reason", status.ToString()},
+                                           {"left_out", *left_out}});
+    }
     outbound()->Close(rpc::ToGrpc(status));
   }
 
@@ -214,20 +273,24 @@ class SensorStream final : public Stream {
   }
 
   pipeline::Pipeline* pipeline_;
+  rpc::SessionWatch* watch_;
   IngestMetrics metrics_;
   std::shared_ptr<Link> link_;
   std::shared_ptr<rpc::SessionWatch::Session> session_;
   std::optional<pipeline::Mailbox> mailbox_;
   std::string host_;
+  std::string address_;
   ObservationDecoder decoder_;
   uint64_t message_bytes_ = 0;
+  uint64_t payload_bytes_ = 0;
 };
 
 }  // namespace
 
 grpc::ServerBidiReactor<SensorMessage, SensorReply>* SensorService::Observe(
     grpc::CallbackServerContext* context) {
-  return new SensorStream(rpc::PeerOf(*context->auth_context()), pipeline_, watch_, metrics_);
+  return new SensorStream(watch_->Admit(*context, rpc::Role::kSensor), context->peer(), pipeline_,
+                          watch_, metrics_);
 }
 
 }  // namespace rips::ingest

@@ -72,6 +72,38 @@ struct Sensor {
     ADD_FAILURE() << "the stream ended: " << stream->Finish().error_message();
     return interests;
   }
+  void Snapshot() {
+    SensorMessage message;
+    rips::v1::ObservationBatch* batch = message.mutable_batch();
+    batch->set_incarnation(std::string(16, 'i'));
+    batch->set_first_sequence(1);
+    batch->set_lane(rips::v1::CONTROL);
+    batch->add_observations()->mutable_snapshot()->set_graph_version(1);
+    batch->mutable_observations(0)->mutable_snapshot()->set_settled(true);
+    stream->Write(message);
+  }
+  void Chunk(uint64_t id, size_t offset, size_t bytes) {
+    SensorMessage message;
+    message.mutable_chunk()->set_chunked_payload_id(id);
+    message.mutable_chunk()->set_offset(static_cast<uint32_t>(offset));
+    message.mutable_chunk()->set_data(std::string(bytes, 'x'));
+    stream->Write(message);
+  }
+  // Payload bytes granted, once there are some.
+  uint64_t AwaitPayloadCredit() {
+    SensorReply reply;
+    while (stream->Read(&reply)) {
+      if (reply.credit().payload_bytes() > 0) return reply.credit().payload_bytes();
+    }
+    return 0;
+  }
+  // How the server ended the stream.
+  grpc::Status Ended() {
+    SensorReply reply;
+    while (stream->Read(&reply)) {
+    }
+    return stream->Finish();
+  }
   void End() {
     stream->WritesDone();
     SensorReply reply;
@@ -134,7 +166,9 @@ class SensorServiceTest : public ::testing::Test {
   pipeline::FakeAudience audience_;
   pipeline::Pipeline pipeline_{1, &clock_};
   rpc::SessionWatch watch_{&clock_};
-  SensorService service_{&pipeline_, &watch_, {.interests_refused = refused_}};
+  Counter malformed_ = metrics_.AddCounter("malformed_total", "Refused as malformed.");
+  SensorService service_{
+      &pipeline_, &watch_, {.malformed = malformed_, .interests_refused = refused_}};
   std::unique_ptr<rpc::RpcServer> server_;
   std::shared_ptr<grpc::Channel> channel_;
 };
@@ -172,6 +206,43 @@ TEST_F(SensorServiceTest, AnInterestThatASensorCannotApplyIsCountedAndTheStreamG
   EXPECT_EQ(sensor->InterestsUntilNow().size(), 1u);
   EXPECT_EQ(refused_.Value(), 2);
   sensor->End();
+}
+
+TEST_F(SensorServiceTest, ChunksWithoutCreditEndTheStream) {
+  const auto early = Connect();
+  ASSERT_NE(early, nullptr);
+  early->Chunk(1, 0, 1);
+  const grpc::Status before_the_graph = early->Ended();
+  EXPECT_EQ(before_the_graph.error_code(), grpc::StatusCode::RESOURCE_EXHAUSTED);
+  EXPECT_EQ(before_the_graph.error_message(), "1 bytes of payloads exceed the credit of 0");
+  EXPECT_EQ(malformed_.Value(), 1);
+
+  // Payloads that no batch names: their bytes are never granted again.
+  const auto hoarder = Connect();
+  ASSERT_NE(hoarder, nullptr);
+  hoarder->Snapshot();
+  const uint64_t credit = hoarder->AwaitPayloadCredit();
+  ASSERT_EQ(credit, 8u << 20);
+  for (uint64_t sent = 0; sent <= credit; sent += 65'536) {
+    hoarder->Chunk(sent / (4 << 20) + 1, sent % (4 << 20), 65'536);
+  }
+  const grpc::Status too_much = hoarder->Ended();
+  EXPECT_EQ(too_much.error_code(), grpc::StatusCode::RESOURCE_EXHAUSTED);
+  EXPECT_EQ(too_much.error_message(), "8454144 bytes of payloads exceed the credit of 8388608");
+  EXPECT_EQ(malformed_.Value(), 2);
+}
+
+TEST_F(SensorServiceTest, AMalformedChunkEndsTheStreamAndIsCounted) {
+  const auto sensor = Connect();
+  ASSERT_NE(sensor, nullptr);
+  sensor->Snapshot();
+  ASSERT_GT(sensor->AwaitPayloadCredit(), 0u);
+  sensor->Chunk(1, 0, 65'536);
+  sensor->Chunk(1, 65'535, 10);
+  const grpc::Status status = sensor->Ended();
+  EXPECT_EQ(status.error_code(), grpc::StatusCode::INVALID_ARGUMENT);
+  EXPECT_EQ(status.error_message(), "payload 1: chunk at offset 65535; 65536 bytes came before it");
+  EXPECT_EQ(malformed_.Value(), 1);
 }
 
 }  // namespace

@@ -30,6 +30,10 @@ class CheckedFiles final : public lang::InspectionFiles {
   absl::StatusOr<std::shared_ptr<const YaraRules>> Rules(const lang::Inspection& inspection);
   // The program of a kPlugin inspection; it is looked at anew. InvalidArgument with every problem.
   absl::StatusOr<std::string> Program(const lang::Inspection& inspection);
+  // As FileSource::ReadableRoot.
+  std::string ReadableRoot(absl::string_view program) const {
+    return source_->ReadableRoot(program);
+  }
 
  private:
   const YaraCompiled& Compiled(const std::string& path);

@@ -13,6 +13,8 @@
 #include <algorithm>
 #include <cerrno>
 #include <cstring>
+#include <filesystem>
+#include <system_error>
 #include <utility>
 #include <vector>
 
@@ -21,19 +23,24 @@
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_split.h"
 #include "services/base/status_macros.h"
+#include "services/runtime/real_clock.h"
 #include "services/runtime/unique_fd.h"
 
 namespace rips::inspect {
 namespace {
 
-// Where the child reports why it cannot run the program; closed when it can.
-constexpr int kReportFd = 3;
+// From the start until the program runs, or the rules are loaded.
+constexpr absl::Duration kStartMax = absl::Seconds(10);
+// For rips-inspect to find and kill what its program started, without a PID namespace.
+constexpr absl::Duration kSweepMax = absl::Seconds(2);
+constexpr size_t kReportBytesMax = 16 << 10;
 // Ours lie above what the child renumbers.
 constexpr int kLowestFd = 10;
 constexpr int kPollMsMax = 1000;
 // Looked at this often when the kernel has no descriptor for a process.
 constexpr int kPollMsWithoutPidfd = 5;
 constexpr size_t kReadBytes = 16 << 10;
+constexpr int kInputPipeBytes = 1 << 20;
 // So many reads empty a full pipe; whoever writes without end does not keep us longer.
 constexpr int kErrorReadsMax = 8;
 
@@ -71,8 +78,9 @@ struct ChildPlan {
   int output;
   int errors;
   int report;
+  int cgroup;
+  const std::vector<int>* more;  // from kRulesFd on
   pid_t parent;
-  const ChildLimits* limits;
 };
 
 void CloseFrom(unsigned lowest) {
@@ -83,11 +91,6 @@ void CloseFrom(unsigned lowest) {
   for (unsigned fd = lowest; fd < end; ++fd) close(static_cast<int>(fd));
 }
 
-void Limit(int what, uint64_t value) {
-  const rlimit limit = {.rlim_cur = value, .rlim_max = value};
-  setrlimit(static_cast<__rlimit_resource>(what), &limit);
-}
-
 // Runs in the child, which shares our memory until execve: system calls only, nothing is changed.
 [[noreturn]] void RunChild(const ChildPlan& plan) {
   setsid();
@@ -96,23 +99,24 @@ void Limit(int what, uint64_t value) {
   for (int number = 1; number < NSIG; ++number) sigaction(number, &standard, nullptr);
   prctl(PR_SET_PDEATHSIG, SIGKILL);
   if (getppid() != plan.parent) _exit(127);
-  prctl(PR_SET_NO_NEW_PRIVS, 1, 0, 0, 0);
   umask(077);
   bool good = dup2(plan.input, 0) == 0 && dup2(plan.output, 1) == 1 && dup2(plan.errors, 2) == 2 &&
-              dup3(plan.report, kReportFd, O_CLOEXEC) == kReportFd && chdir("/") == 0;
+              dup2(plan.report, kReportFd) == kReportFd &&
+              dup2(plan.cgroup, kCgroupFd) == kCgroupFd && chdir("/") == 0;
+  int next = kRulesFd;
+  for (const int fd : *plan.more) good = good && dup2(fd, next++) >= 0;
   if (good) {
-    CloseFrom(kReportFd + 1);
-    Limit(RLIMIT_CORE, 0);
-    Limit(RLIMIT_FSIZE, 0);
-    Limit(RLIMIT_NOFILE, plan.limits->open_files);
-    if (plan.limits->address_space_bytes > 0) Limit(RLIMIT_AS, plan.limits->address_space_bytes);
+    CloseFrom(static_cast<unsigned>(next));
     sigset_t none;
     sigemptyset(&none);
     sigprocmask(SIG_SETMASK, &none, nullptr);
     execve(plan.path, plan.argv, plan.envp);
   }
   const int error = errno;
-  [[maybe_unused]] const ssize_t written = write(kReportFd, &error, sizeof(error));
+  char report[1 + sizeof(error)] = {kReportExec};
+  std::memcpy(report + 1, &error, sizeof(error));
+  [[maybe_unused]] const ssize_t written =
+      write(good ? kReportFd : plan.report, report, sizeof(report));
   _exit(127);
 }
 
@@ -136,22 +140,39 @@ pid_t SpawnWithoutSignals(const ChildPlan& plan) {
   return pid;
 }
 
-pid_t SpawnProgram(const std::string& path, const ChildLimits& limits, int input, int output,
-                   int errors, int report) {
-  std::string name = path;
+// The first of `words` is the file that is executed.
+pid_t SpawnWords(std::vector<std::string> words, ChildPlan plan) {
   std::string path_env = "PATH=/usr/bin:/bin";
   std::string lang_env = "LANG=C.UTF-8";
-  char* argv[] = {name.data(), nullptr};
+  std::vector<char*> argv;
+  for (std::string& word : words) argv.push_back(word.data());
+  argv.push_back(nullptr);
   char* envp[] = {path_env.data(), lang_env.data(), nullptr};
-  return SpawnWithoutSignals({.path = path.c_str(),
-                              .argv = argv,
-                              .envp = envp,
-                              .input = input,
-                              .output = output,
-                              .errors = errors,
-                              .report = report,
-                              .parent = getpid(),
-                              .limits = &limits});
+  plan.path = words[0].c_str();
+  plan.argv = argv.data();
+  plan.envp = envp;
+  plan.parent = getpid();
+  return SpawnWithoutSignals(plan);
+}
+
+absl::StatusOr<std::string> FindHelper(const std::string& name, const Containment& containment) {
+  if (!containment.helpers.empty()) return absl::StrCat(containment.helpers, "/", name);
+  std::error_code error;
+  const std::filesystem::path own = std::filesystem::read_symlink("/proc/self/exe", error);
+  if (!error) return (own.parent_path() / name).string();
+  return absl::UnavailableError(absl::StrCat("cannot read /proc/self/exe to find ", name));
+}
+
+std::vector<std::string> HelperWords(const std::string& helper, const std::string& mode,
+                                     const ChildLimits& limits, const Containment& containment) {
+  const auto& ids = containment.ids;
+  return {helper,
+          mode,
+          ids ? absl::StrCat(ids->uid) : "-",
+          ids ? absl::StrCat(ids->gid) : "-",
+          absl::StrCat(limits.address_space_bytes),
+          absl::StrCat(limits.open_files),
+          absl::StrCat(limits.tasks)};
 }
 
 // Keeps SIGPIPE, which a write may raise, from this thread.
@@ -182,38 +203,122 @@ class [[nodiscard]] SigpipeBlock {
 
 }  // namespace
 
-absl::StatusOr<std::unique_ptr<ChildProcess>> ChildProcess::Start(const std::string& path,
-                                                                  const ChildLimits& limits) {
+struct ChildProcess::Command {
+  std::string helper;
+  std::string mode;
+  std::vector<std::string> words;  // after the limits
+  std::vector<int> descriptors;    // from kRulesFd on
+};
+
+absl::StatusOr<std::unique_ptr<ChildProcess>> ChildProcess::StartPlugin(
+    const std::string& program, const std::string& root, const ChildLimits& limits,
+    const Containment& containment) {
+  Command command{.helper = "rips-inspect", .mode = "plugin", .words = containment.readable};
+  for (const std::string& word : {root, std::string("--"), program}) command.words.push_back(word);
+  return Start(command, limits, containment);
+}
+
+absl::StatusOr<std::unique_ptr<ChildProcess>> ChildProcess::StartScanner(
+    int rules_fd, int payload_fd, const ChildLimits& limits, const Containment& containment) {
+  return Start({.helper = "rips-scan",
+                .mode = "yara",
+                .words = {"--"},
+                .descriptors = {rules_fd, payload_fd}},
+               limits, containment);
+}
+
+absl::StatusOr<std::vector<std::string>> ProbeContainment(const Containment& containment) {
+  RIPS_ASSIGN_OR_RETURN(
+      const auto process,
+      ChildProcess::Start({.helper = "rips-inspect", .mode = "probe", .words = {"--"}},
+                          ChildLimits{}, containment));
+  std::vector<std::string> missing = process->missing();
+  if (containment.cgroups == nullptr) {
+    missing.push_back("no cgroup: what a plugin started is killed without one");
+  }
+  return missing;
+}
+
+absl::StatusOr<std::unique_ptr<ChildProcess>> ChildProcess::Start(const Command& command,
+                                                                  const ChildLimits& limits,
+                                                                  const Containment& containment) {
+  RIPS_ASSIGN_OR_RETURN(const std::string helper, FindHelper(command.helper, containment));
+  std::vector<std::string> words = HelperWords(helper, command.mode, limits, containment);
+  words.insert(words.end(), command.words.begin(), command.words.end());
   RIPS_ASSIGN_OR_RETURN(Pipe input, MakePipe());
   RIPS_ASSIGN_OR_RETURN(Pipe output, MakePipe());
   RIPS_ASSIGN_OR_RETURN(Pipe errors, MakePipe());
   RIPS_ASSIGN_OR_RETURN(Pipe report, MakePipe());
-  fcntl(input.write.get(), F_SETFL, O_NONBLOCK);
-  fcntl(output.read.get(), F_SETFL, O_NONBLOCK);
-  fcntl(errors.read.get(), F_SETFL, O_NONBLOCK);
+  for (const int fd : {input.write.get(), output.read.get(), errors.read.get()}) {
+    fcntl(fd, F_SETFL, O_NONBLOCK);
+  }
+  // A payload in one write, if the kernel lets us.
+  fcntl(input.write.get(), F_SETPIPE_SZ, kInputPipeBytes);
+  std::unique_ptr<RunCgroup> cgroup;
+  UniqueFd procs(open("/dev/null", O_WRONLY | O_CLOEXEC));
+  if (containment.cgroups != nullptr) {
+    RIPS_ASSIGN_OR_RETURN(cgroup, containment.cgroups->Make());
+    RIPS_ASSIGN_OR_RETURN(procs, cgroup->OpenProcs());
+    cgroup->Limit(limits.tasks, limits.memory_bytes);
+  }
+  RIPS_ASSIGN_OR_RETURN(procs, Raise(std::move(procs)));
+  std::vector<UniqueFd> raised;
+  std::vector<int> more;
+  for (const int fd : command.descriptors) {
+    raised.emplace_back(fcntl(fd, F_DUPFD_CLOEXEC, kLowestFd));
+    if (raised.back().get() < 0) return NoDescriptor();
+    more.push_back(raised.back().get());
+  }
 
-  const pid_t pid = SpawnProgram(path, limits, input.read.get(), output.write.get(),
-                                 errors.write.get(), report.write.get());
+  const pid_t pid = SpawnWords(std::move(words), {.input = input.read.get(),
+                                                  .output = output.write.get(),
+                                                  .errors = errors.write.get(),
+                                                  .report = report.write.get(),
+                                                  .cgroup = procs.get(),
+                                                  .more = &more});
   if (pid < 0) {
     return absl::UnavailableError(absl::StrCat("cannot make a process: ", std::strerror(errno)));
   }
-  auto child = std::unique_ptr<ChildProcess>(
-      new ChildProcess(pid, input.write.Release(), output.read.Release(), errors.read.Release()));
+  auto child = std::unique_ptr<ChildProcess>(new ChildProcess(
+      pid, input.write.Release(), output.read.Release(), errors.read.Release(), std::move(cgroup)));
   report.write = UniqueFd();
-  int error = 0;
-  ssize_t got;
-  do {
-    got = read(report.read.get(), &error, sizeof(error));
-  } while (got < 0 && errno == EINTR);
-  if (got > 0) {
-    return absl::InvalidArgumentError(
-        absl::StrCat("cannot execute `", absl::CHexEscape(path), "`: ", std::strerror(error)));
-  }
+  RIPS_RETURN_IF_ERROR(child->ReadReport(report.read.get(), helper));
   return child;
 }
 
-ChildProcess::ChildProcess(pid_t pid, int input, int output, int errors)
+absl::Status ChildProcess::ReadReport(int fd, const std::string& helper) {
+  const int64_t until_ns = BoottimeAfter(kStartMax);
+  std::string report;
+  while (report.size() < kReportBytesMax) {
+    const int64_t left_ns = until_ns - BoottimeNow();
+    if (left_ns <= 0) return absl::InvalidArgumentError(absl::StrCat(helper, " does not come up"));
+    pollfd poll_fd = {.fd = fd, .events = POLLIN, .revents = 0};
+    if (poll(&poll_fd, 1, static_cast<int>(left_ns / kNanosPerMilli + 1)) <= 0) continue;
+    char buffer[512];
+    const ssize_t got = read(fd, buffer, sizeof(buffer));
+    if (got == 0) break;
+    if (got > 0) report.append(buffer, static_cast<size_t>(got));
+  }
+  for (absl::string_view line : absl::StrSplit(report, '\n', absl::SkipEmpty())) {
+    const char kind = line.front();
+    line.remove_prefix(1);
+    if (kind == kReportMissing) missing_.emplace_back(line);
+    if (kind == kReportSweeps) sweeps_ = true;
+    if (kind == kReportFailed) return absl::InvalidArgumentError(line);
+    if (kind == kReportExec) {
+      int error = 0;
+      std::memcpy(&error, report.data() + 1, std::min(sizeof(error), report.size() - 1));
+      return absl::InvalidArgumentError(
+          absl::StrCat("cannot execute `", absl::CHexEscape(helper), "`: ", std::strerror(error)));
+    }
+  }
+  return absl::OkStatus();
+}
+
+ChildProcess::ChildProcess(pid_t pid, int input, int output, int errors,
+                           std::unique_ptr<RunCgroup> cgroup)
     : pid_(pid),
+      cgroup_(std::move(cgroup)),
       // Free of races: nobody else waits for children, so the process cannot have been reaped.
       pidfd_(static_cast<int>(syscall(SYS_pidfd_open, pid, 0))),
       input_(input),
@@ -222,13 +327,28 @@ ChildProcess::ChildProcess(pid_t pid, int input, int output, int errors)
 
 ChildProcess::~ChildProcess() {
   if (!exit_) {
-    kill(-pid_, SIGKILL);
-    kill(pid_, SIGKILL);  // should it not have come to setsid()
+    KillAll();
     Reap();
   }
   for (const int fd : {pidfd_, input_, output_, errors_}) {
     if (fd >= 0) close(fd);
   }
+  if (cgroup_ == nullptr) return;
+  // Killed already; the cgroup can be removed when nothing is left.
+  const int64_t until_ns = BoottimeAfter(kGoneWait);
+  while (cgroup_->Populated() && BoottimeNow() < until_ns) poll(nullptr, 0, 1);
+}
+
+void ChildProcess::KillAll() {
+  if (cgroup_ != nullptr) {
+    cgroup_->Kill();
+  } else if (sweeps_) {
+    kill(pid_, SIGTERM);
+    pollfd ended = {.fd = pidfd_, .events = POLLIN, .revents = 0};
+    poll(&ended, 1, static_cast<int>(absl::ToInt64Milliseconds(kSweepMax)));
+  }
+  kill(-pid_, SIGKILL);
+  kill(pid_, SIGKILL);  // should it not have come to setsid()
 }
 
 void ChildProcess::Reap() {
@@ -247,6 +367,7 @@ std::optional<ChildProcess::Exit> ChildProcess::Exited() {
   if (waitid(P_PID, pid_, &info, WEXITED | WNOHANG | WNOWAIT) != 0 || info.si_pid == 0) {
     return std::nullopt;
   }
+  if (cgroup_ != nullptr) cgroup_->Kill();
   kill(-pid_, SIGKILL);
   Reap();
   ReadErrors();

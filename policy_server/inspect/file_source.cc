@@ -21,4 +21,9 @@ absl::StatusOr<std::string> DiskFiles::ProgramPath(const lang::Inspection& plugi
   return path.string();
 }
 
+std::string DiskFiles::ReadableRoot(absl::string_view path) const {
+  const std::filesystem::path directory = std::filesystem::path(std::string(path)).parent_path();
+  return (directory.filename() == "plugins" ? directory.parent_path() : directory).string();
+}
+
 }  // namespace rips::inspect

@@ -21,6 +21,8 @@ class FileSource {
   // Absolute path of the program of `plugin`, which need not exist. It is looked at by
   // CheckedFiles and executed, so it stays what it is as long as the inspection is used.
   virtual absl::StatusOr<std::string> ProgramPath(const lang::Inspection& plugin) const = 0;
+  // The directory that the program at `path` may read, with all below; empty: its own.
+  virtual std::string ReadableRoot(absl::string_view /*path*/) const { return ""; }
 };
 
 // Paths as they are, relative ones from the working directory of the process.
@@ -28,6 +30,8 @@ class DiskFiles final : public FileSource {
  public:
   absl::StatusOr<std::string> Read(absl::string_view path, size_t bytes_max) const override;
   absl::StatusOr<std::string> ProgramPath(const lang::Inspection& plugin) const override;
+  // Where the rule file is: the directory above `plugins`.
+  std::string ReadableRoot(absl::string_view path) const override;
 };
 
 }  // namespace rips::inspect

@@ -13,11 +13,6 @@ constexpr absl::Duration kIdleMax = absl::Seconds(10);
 // Policies whose sessions a thread keeps; the longest unused goes first.
 constexpr size_t kSessionsMax = 16;
 
-size_t BytesOf(const OwnedMessage& message) {
-  return sizeof(OwnedMessage) + message.robot.size() + message.topic.size() + message.type.size() +
-         message.sender.size() + message.writer_hex.size() + message.payload.size();
-}
-
 }  // namespace
 
 // One thread's sessions, the one used last at the end.
@@ -98,20 +93,17 @@ size_t InspectionPool::threads() const {
 
 Skipped InspectionPool::Submit(InspectionRequest request, Done done) {
   const int64_t now_ns = clock_->Now().boottime_ns;
-  const size_t bytes = BytesOf(request.message);
   MutexLock lock(&mu_);
   if (!stopping_ && slots_.size() < kPoolThreadsMax && AllStuckLocked(now_ns)) StartThreadLocked();
   Robot* robot = stopping_ ? nullptr : FindRobotLocked(request.message.robot, now_ns);
-  const Skipped refused = AdmitLocked(robot, bytes);
+  const Skipped refused = AdmitLocked(robot);
   if (refused != Skipped::kNot) return Count(refused);
 
   robot->items.push_back({.request = std::move(request),
                           .done = std::move(done),
                           .submitted_ns = now_ns,
-                          .bytes = bytes});
-  robot->bytes += bytes;
+                          .worked_before_ns = robot->worked_ns});
   ++waiting_;
-  waiting_bytes_ += bytes;
   if (robot->items.size() == 1 && !robot->served) {
     line_.push_back(robot);
     changed_.NotifyOne();
@@ -119,16 +111,10 @@ Skipped InspectionPool::Submit(InspectionRequest request, Done done) {
   return Skipped::kNot;
 }
 
-Skipped InspectionPool::AdmitLocked(const Robot* robot, size_t bytes) const {
+Skipped InspectionPool::AdmitLocked(const Robot* robot) const {
   if (stopping_) return Skipped::kStopped;
-  if (robot == nullptr || waiting_ >= options_.waiting_max ||
-      waiting_bytes_ + bytes > options_.waiting_bytes_max) {
-    return Skipped::kFull;
-  }
-  if (robot->items.size() >= options_.waiting_per_robot_max ||
-      robot->bytes + bytes > options_.waiting_bytes_per_robot_max) {
-    return Skipped::kRobotFull;
-  }
+  if (robot == nullptr) return Skipped::kFull;
+  if (robot->items.size() >= options_.waiting_per_robot_max) return Skipped::kRobotFull;
   return Skipped::kNot;
 }
 
@@ -172,26 +158,37 @@ void InspectionPool::Run(Slot& slot) {
   }
 }
 
+InspectionPool::Robot* InspectionPool::NextRobotLocked(int64_t now_ns) {
+  const size_t slow_max = std::max<size_t>(slots_.size(), 2) - 1;
+  for (auto each = line_.begin(); each != line_.end(); ++each) {
+    Robot* robot = *each;
+    const bool slow = now_ns < robot->slow_until_ns;
+    if (slow && slow_served_ >= slow_max && !stopping_) continue;
+    line_.erase(each);
+    robot->served = true;
+    robot->served_as_slow = slow;
+    slow_served_ += slow ? 1 : 0;
+    return robot;
+  }
+  return nullptr;
+}
+
 std::optional<InspectionPool::Turn> InspectionPool::TakeTurn() {
   MutexLock lock(&mu_);
-  while (line_.empty()) {
-    if (stopping_ || !changed_.WaitFor(lock, kIdleMax)) return std::nullopt;
+  Robot* robot = nullptr;
+  while ((robot = NextRobotLocked(clock_->Now().boottime_ns)) == nullptr) {
+    if ((stopping_ && line_.empty()) || !changed_.WaitFor(lock, kIdleMax)) return std::nullopt;
   }
-  Robot* robot = line_.front();
-  line_.pop_front();
   Turn turn{.robot = robot, .item = std::move(robot->items.front())};
   robot->items.pop_front();
-  robot->bytes -= turn.item.bytes;
-  robot->served = true;
   --waiting_;
-  waiting_bytes_ -= turn.item.bytes;
 
   const int64_t now_ns = clock_->Now().boottime_ns;
   RefillLocked(*robot, now_ns);
   const int64_t queue_ns_max = absl::ToInt64Nanoseconds(options_.queue_time_max);
   if (stopping_) {
     turn.skipped = Skipped::kStopped;
-  } else if (now_ns - turn.item.submitted_ns > queue_ns_max) {
+  } else if (robot->worked_ns - turn.item.worked_before_ns > queue_ns_max) {
     turn.skipped = Skipped::kLate;
   } else if (robot->budget_ns <= 0) {
     turn.skipped = Skipped::kBudget;
@@ -223,7 +220,8 @@ std::vector<Verdict> InspectionPool::Inspect(const Turn& turn, Session& session,
     slot.busy_since_ns = before_ns;
     verdicts[i] = session.Inspect(request.indices[i], message);
     slot.busy_since_ns = 0;
-    const int64_t took_ns = clock_->Now().boottime_ns - before_ns;
+    const int64_t took_ns =
+        std::max<int64_t>(0, clock_->Now().boottime_ns - before_ns - session.TakeStartNs());
     ++verdicts_[static_cast<size_t>(verdicts[i])];
     stats.worked_ns += took_ns;
     if (!Charge(turn.robot, took_ns) && i + 1 < verdicts.size()) {
@@ -237,15 +235,24 @@ std::vector<Verdict> InspectionPool::Inspect(const Turn& turn, Session& session,
 bool InspectionPool::Charge(Robot* robot, int64_t worked_ns) {
   MutexLock lock(&mu_);
   robot->budget_ns -= static_cast<double>(worked_ns);
+  robot->worked_ns += worked_ns;
+  if (worked_ns >= absl::ToInt64Nanoseconds(options_.slow_after)) {
+    robot->slow_until_ns = clock_->Now().boottime_ns + absl::ToInt64Nanoseconds(options_.slow_for);
+  }
   return robot->budget_ns > 0;
 }
 
 void InspectionPool::EndTurn(Robot* robot) {
   MutexLock lock(&mu_);
   robot->served = false;
-  if (robot->items.empty()) return;
-  line_.push_back(robot);
-  changed_.NotifyOne();
+  if (!robot->items.empty()) line_.push_back(robot);
+  if (robot->served_as_slow) {
+    --slow_served_;
+    // Those that were passed over may come now.
+    changed_.NotifyAll();
+  } else if (!robot->items.empty()) {
+    changed_.NotifyOne();
+  }
 }
 
 }  // namespace rips::inspect

@@ -1,5 +1,27 @@
-// Threads that make inspections, so that no stream and no shard ever waits for one. Whatever cannot
-// be inspected in time is told so: unscanned is a verdict.
+// Threads that make inspections, so that no stream and no shard ever waits for one. What its own
+// robot leaves no time for is unscanned, which is a verdict; what waits for others is not judged.
+//
+//   a request whose turn has come                                     answer
+//   its robot owes nothing and is in time                             inspected
+//   its robot's own inspections since Submit took > queue_time_max    kLate, unscanned
+//   its robot has used up its time (work_per_second)                  kBudget, unscanned
+//   others kept the threads busy, however long                        inspected
+//
+// It always comes: robots take turns, one request each, and an inspection is bounded, since what
+// makes it can be killed (YARA: scan_time; plugins: answer_time, and greeting_time to start anew).
+// While others keep all threads busy, requests wait here, their batches in the robots' message
+// lanes, and their sensors run out of credit: the robot's backlog and loss tell, no verdict does.
+//
+// A robot is *slow* for slow_for after one of its inspections took slow_after or more. All slow
+// robots together get all threads but one:
+//
+//   threads   busy with slow robots   next in line is     its turn
+//   1         0                       slow or not         comes
+//   n > 1     fewer than n - 1        slow or not         comes
+//   n > 1     n - 1                   not slow            comes
+//   n > 1     n - 1                   slow                waits for one of the slow, others pass it
+//
+// So whoever is stuck again and again holds up the others at most once, for one inspection.
 #ifndef RIPS_POLICY_SERVER_INSPECT_INSPECTION_POOL_H_
 #define RIPS_POLICY_SERVER_INSPECT_INSPECTION_POOL_H_
 
@@ -30,19 +52,22 @@ struct PoolOptions {
   // 1 to kPoolThreadsMax; others are taken as the nearest.
   int threads = 1;
   // When every thread has been in one inspection for this long, Submit starts one more, up to
-  // kPoolThreadsMax: a scan that cannot be stopped holds up its own robot, not the others.
-  absl::Duration stuck_after = absl::Milliseconds(500);
-  // Requests waiting, and their bytes, in all and of one robot.
-  size_t waiting_max = 1'024;
+  // kPoolThreadsMax. Longer than what can be killed takes: only for a process that the kernel does
+  // not let go.
+  absl::Duration stuck_after = absl::Seconds(3);
+  absl::Duration slow_after = absl::Milliseconds(50);
+  absl::Duration slow_for = absl::Seconds(10);
+  // Requests of one robot waiting. There is no limit in all: others' requests must not make this
+  // robot's unscanned, and payloads stay in the robots' lanes, which are bounded by credit.
   size_t waiting_per_robot_max = 64;
-  size_t waiting_bytes_max = size_t{128} << 20;
-  size_t waiting_bytes_per_robot_max = size_t{16} << 20;
-  // From Submit to the start of the work.
+  // Inspection time of the same robot between Submit and the start of the work.
   absl::Duration queue_time_max = absl::Milliseconds(250);
   // Inspection time of one robot per second of wall time; also what it may save up. What an
-  // inspection takes beyond it is a debt.
-  absl::Duration work_per_second = absl::Milliseconds(200);
-  // Robots remembered for the above. Those that owe and wait for nothing are forgotten first.
+  // inspection takes beyond it is a debt. 30 pictures of 0.9 MB a second take a plugin and a YARA
+  // file 100 to 200 ms of it (tests/bench/README.md).
+  absl::Duration work_per_second = absl::Milliseconds(400);
+  // Robots remembered for the above, more than a server has. Those that owe nothing and wait for
+  // nothing are forgotten.
   size_t robots_max = 4'096;
 };
 
@@ -52,9 +77,9 @@ inline constexpr int kPoolThreadsMax = 16;
 // Why a request, or the rest of it, was answered without work.
 enum class Skipped {
   kNot,        // it was not
-  kFull,       // too much waits, or too many robots are known
+  kFull,       // more robots than robots_max
   kRobotFull,  // too much of this robot waits
-  kLate,       // it waited longer than queue_time_max
+  kLate,       // it waited longer than queue_time_max for its own robot's inspections
   kBudget,     // its robot has used up its time
   kStopped,    // Stop was called
 };
@@ -90,8 +115,7 @@ class InspectionPool {
   InspectionPool& operator=(const InspectionPool&) = delete;
 
   // Any thread; never blocks. kNot: `done` will be called. kFull, kRobotFull, kStopped: it will
-  // not, and every verdict is kUnscanned. A late request is answered when a thread is free: after
-  // the inspection that runs (at most `scan_time` or `answer_time`) and those in turn before it.
+  // not, and every verdict is kUnscanned.
   Skipped Submit(InspectionRequest request, Done done) ABSL_LOCKS_EXCLUDED(mu_);
 
   // Waits for what is being inspected, answers what waits with kUnscanned, ends the threads and
@@ -115,16 +139,20 @@ class InspectionPool {
     InspectionRequest request;
     Done done;
     int64_t submitted_ns = 0;
-    size_t bytes = 0;
+    // `worked_ns` of its robot then.
+    int64_t worked_before_ns = 0;
   };
   struct Robot {
     std::deque<Item> items;
-    size_t bytes = 0;
+    // In all inspections so far.
+    int64_t worked_ns = 0;
+    int64_t slow_until_ns = 0;
     // Time it may still use; negative when it owes.
     double budget_ns = 0;
     int64_t refilled_ns = 0;
-    // A thread works for it: its next request waits for that.
+    // A thread works for it: its next request waits for that. As a slow one, if it was then.
     bool served = false;
+    bool served_as_slow = false;
   };
   struct Turn {
     Robot* robot = nullptr;
@@ -154,7 +182,9 @@ class InspectionPool {
   bool Charge(Robot* robot, int64_t worked_ns) ABSL_LOCKS_EXCLUDED(mu_);
   void RefillLocked(Robot& robot, int64_t now_ns) const ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
   Robot* FindRobotLocked(const std::string& id, int64_t now_ns) ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
-  Skipped AdmitLocked(const Robot* robot, size_t bytes) const ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
+  // Taken from the line; nullptr if all in it must wait (see above).
+  Robot* NextRobotLocked(int64_t now_ns) ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
+  Skipped AdmitLocked(const Robot* robot) const ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
   Skipped Count(Skipped how);
 
   const PoolOptions options_;
@@ -163,7 +193,8 @@ class InspectionPool {
   CondVar changed_;
   bool stopping_ ABSL_GUARDED_BY(mu_) = false;
   size_t waiting_ ABSL_GUARDED_BY(mu_) = 0;
-  size_t waiting_bytes_ ABSL_GUARDED_BY(mu_) = 0;
+  // Threads that work for slow robots.
+  size_t slow_served_ ABSL_GUARDED_BY(mu_) = 0;
   // Those served are not erased.
   absl::flat_hash_map<std::string, std::unique_ptr<Robot>> robots_ ABSL_GUARDED_BY(mu_);
   // Each robot with requests that is not served, once, in turn.

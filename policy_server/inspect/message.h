@@ -3,6 +3,7 @@
 #define RIPS_POLICY_SERVER_INSPECT_MESSAGE_H_
 
 #include <cstdint>
+#include <memory>
 #include <string>
 
 #include "absl/strings/string_view.h"
@@ -29,7 +30,7 @@ struct Message {
   bool available = false;
 };
 
-// The same, owning its texts: what waits in a queue.
+// The same, owning its texts and keeping its payload alive: what waits in a queue.
 struct OwnedMessage {
   std::string robot;
   std::string topic;
@@ -37,7 +38,10 @@ struct OwnedMessage {
   std::string sender;
   std::string writer_hex;
   int64_t time_unix_ns = 0;
-  std::string payload;
+  // Lives as long as `owner`, which may be null for one that lives longer than this: payloads are
+  // not copied, so what waits costs no memory but its sender's.
+  absl::string_view payload;
+  std::shared_ptr<const void> owner;
   uint32_t size_bytes = 0;
   bool available = false;
 

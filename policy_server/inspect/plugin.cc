@@ -1,9 +1,11 @@
 #include "policy_server/inspect/plugin.h"
 
 #include <algorithm>
+#include <filesystem>
 #include <optional>
 #include <utility>
 
+#include "absl/cleanup/cleanup.h"
 #include "absl/strings/match.h"
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_join.h"
@@ -77,6 +79,14 @@ int64_t After(int64_t now_ns, absl::Duration delay) {
   return now_ns + absl::ToInt64Nanoseconds(delay);
 }
 
+absl::StatusOr<std::unique_ptr<ChildProcess>> Run(const PluginSpec& spec,
+                                                  const PluginOptions& options) {
+  std::string root =
+      spec.root.empty() ? std::filesystem::path(spec.path).parent_path().string() : spec.root;
+  if (root == "/") root = spec.path;  // else it could read everything
+  return ChildProcess::StartPlugin(spec.path, root, options.process, options.contain);
+}
+
 // InvalidArgument if it cannot start. One that does not greet is given all the time to show that.
 absl::StatusOr<bool> Greets(ChildProcess& process, int64_t deadline_ns, const Clock& clock) {
   std::string output;
@@ -99,7 +109,7 @@ absl::Status ProbePlugins(std::vector<PluginSpec>& plugins, const PluginOptions&
                           const Clock& clock) {
   std::vector<std::unique_ptr<ChildProcess>> processes;
   for (const PluginSpec& plugin : plugins) {
-    RIPS_ASSIGN_OR_RETURN(auto process, ChildProcess::Start(plugin.path, options.process));
+    RIPS_ASSIGN_OR_RETURN(auto process, Run(plugin, options));
     processes.push_back(std::move(process));
   }
   const int64_t deadline_ns = After(clock.Now().boottime_ns, options.greeting_time);
@@ -154,29 +164,35 @@ Verdict Plugin::Ask(const Message& message) {
   const int64_t now_ns = Now();
   if (!restart_.MayAsk(message.robot, now_ns)) return Verdict::kUnscanned;
   const int64_t deadline_ns = After(now_ns, options_.answer_time);
-  return spec_.protocol == PluginProtocol::kFramed ? AskFramed(message, deadline_ns)
+  return spec_.protocol == PluginProtocol::kFramed ? AskFramed(message)
                                                    : AskOneShot(message, deadline_ns);
 }
 
-Verdict Plugin::AskFramed(const Message& message, int64_t deadline_ns) {
+void Plugin::AwaitWarm() {
+  if (process_ != nullptr && !greeted_) AwaitGreeting();
+}
+
+Verdict Plugin::AskFramed(const Message& message) {
   DropIfUnfit();
   if (process_ == nullptr) {
     // Whoever made the last process unfit may be this robot.
     if (!restart_.MayAsk(message.robot, Now()) || !StartProcess()) return Verdict::kUnscanned;
   }
-  if (!greeted_ && !AwaitGreeting(deadline_ns)) return Verdict::kUnscanned;
+  if (!greeted_ && !AwaitGreeting()) return Verdict::kUnscanned;
   const std::string header = PluginHeader(message);
   if (header.size() > kPluginHeaderBytesMax) return Verdict::kUnscanned;
   last_robot_ = std::string(message.robot);
-  const absl::StatusOr<Verdict> answer = Exchange(header, message.payload, deadline_ns);
+  const absl::StatusOr<Verdict> answer =
+      Exchange(header, message.payload, After(Now(), options_.answer_time));
   if (answer.ok()) return *answer;
   AnswerFailed(message.robot, answer.status().message());
   return Verdict::kUnscanned;
 }
 
 bool Plugin::StartProcess() {
-  absl::StatusOr<std::unique_ptr<ChildProcess>> started =
-      ChildProcess::Start(spec_.path, options_.process);
+  const int64_t before_ns = Now();
+  absl::StatusOr<std::unique_ptr<ChildProcess>> started = Run(spec_, options_);
+  start_ns_ += Now() - before_ns;
   ++starts_;
   if (!started.ok()) {
     StartFailed(started.status().message());
@@ -190,7 +206,9 @@ bool Plugin::StartProcess() {
   return true;
 }
 
-bool Plugin::AwaitGreeting(int64_t deadline_ns) {
+bool Plugin::AwaitGreeting() {
+  const int64_t before_ns = Now();
+  const auto counted = absl::MakeCleanup([&] { start_ns_ += Now() - before_ns; });
   while (true) {
     const bool ended = process_->Exited().has_value();
     process_->Read(output_, kPluginOutputBytesMax);
@@ -212,10 +230,7 @@ bool Plugin::AwaitGreeting(int64_t deadline_ns) {
       StartFailed("did not greet in time");
       return false;
     }
-    if (!process_->Wait(false, std::min(deadline_ns, greet_by_ns_), *clock_) &&
-        Now() < greet_by_ns_) {
-      return false;
-    }
+    process_->Wait(false, greet_by_ns_, *clock_);
   }
 }
 
@@ -258,8 +273,7 @@ absl::StatusOr<Verdict> Plugin::Exchange(const std::string& header, absl::string
 }
 
 Verdict Plugin::AskOneShot(const Message& message, int64_t deadline_ns) {
-  absl::StatusOr<std::unique_ptr<ChildProcess>> process =
-      ChildProcess::Start(spec_.path, options_.process);
+  absl::StatusOr<std::unique_ptr<ChildProcess>> process = Run(spec_, options_);
   ++starts_;
   if (!process.ok()) {
     StartFailed(process.status().message());

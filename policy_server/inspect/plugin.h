@@ -25,6 +25,7 @@
 #include <cstdint>
 #include <memory>
 #include <string>
+#include <utility>
 #include <vector>
 
 #include "absl/status/status.h"
@@ -53,12 +54,13 @@ inline constexpr int kPluginLateMax = 3;
 enum class PluginProtocol { kFramed, kOneShot };
 
 struct PluginOptions {
-  // One question, a start of the process that it needs included.
+  // One question; for a one-shot program its start included.
   absl::Duration answer_time = absl::Milliseconds(250);
   // From the start of a framed process to its greeting.
   absl::Duration greeting_time = absl::Seconds(1);
   RestartLimits restart;
   ChildLimits process;
+  Containment contain;
 };
 
 struct PluginSpec {
@@ -66,6 +68,8 @@ struct PluginSpec {
   // Absolute.
   std::string path;
   PluginProtocol protocol = PluginProtocol::kOneShot;
+  // The directory of its bundle, which it may read; empty: that of `path`.
+  std::string root = {};
 };
 
 // Starts each program once, all at a time, and sets its protocol: framed if it greets within
@@ -89,10 +93,18 @@ class Plugin {
 
   // Starts a framed process, so that it is ready when the first message comes. Does not wait.
   void Warm();
-  // Blocks for at most `answer_time`, and what it takes to kill the process. kUnscanned also while
-  // a failed process must wait (RestartPolicy), without work. A failure is logged, at most once a
-  // minute, without anything of the message but what the program wrote to its standard error.
+  // Waits until what Warm started has greeted; at most `greeting_time` since.
+  void AwaitWarm();
+  // Blocks for at most `answer_time`, and what it takes to kill the process, and for a framed one
+  // that must be started, because it is new or failed on another robot's message, `greeting_time`.
+  // kUnscanned also while a failed process must wait (RestartPolicy), without work. A failure is
+  // logged, at most once a minute, without anything of the message but what the program wrote to
+  // its standard error.
   engine::Verdict Ask(const Message& message);
+
+  // Time spent since the last call in starting framed processes: the robot whose question waited is
+  // not at fault.
+  int64_t TakeStartNs() { return std::exchange(start_ns_, 0); }
 
   // Processes started, and questions that failed (refused ones not counted).
   uint64_t starts() const { return starts_; }
@@ -102,12 +114,12 @@ class Plugin {
   PluginProtocol protocol() const { return spec_.protocol; }
 
  private:
-  engine::Verdict AskFramed(const Message& message, int64_t deadline_ns);
+  engine::Verdict AskFramed(const Message& message);
   engine::Verdict AskOneShot(const Message& message, int64_t deadline_ns);
   // False if it failed, which is then counted and blamed.
   bool StartProcess();
-  // False if it failed, or if the greeting has not come by `deadline_ns` but still may.
-  bool AwaitGreeting(int64_t deadline_ns);
+  // False if it failed.
+  bool AwaitGreeting();
   // Gives up a process that ended, or spoke, since the last question.
   void DropIfUnfit();
   absl::StatusOr<engine::Verdict> Exchange(const std::string& header, absl::string_view payload,
@@ -134,6 +146,7 @@ class Plugin {
   std::string output_;  // read and not yet understood
   // One-shot only.
   int late_in_a_row_ = 0;
+  int64_t start_ns_ = 0;
   uint64_t starts_ = 0;
   uint64_t failures_ = 0;
   int64_t logged_ns_ = 0;  // 0: never

@@ -2,6 +2,7 @@
 
 #include <yara.h>
 
+#include <cstring>
 #include <string>
 #include <utility>
 
@@ -11,6 +12,7 @@
 #include "absl/strings/str_split.h"
 #include "absl/strings/strip.h"
 #include "policy_server/inspect/yara_speed.h"
+#include "services/base/status_macros.h"
 
 namespace rips::inspect {
 namespace {
@@ -68,6 +70,20 @@ void OnIncludeFree(const char* /*text*/, void* /*user_data*/) {}
 bool LibraryIsReady() {
   static const int code = yr_initialize();
   return code == ERROR_SUCCESS;
+}
+
+// As fread and fwrite.
+size_t ReadFromView(void* to, size_t size, size_t count, void* user_data) {
+  auto& rest = *static_cast<absl::string_view*>(user_data);
+  if (size == 0 || rest.size() / size < count) return 0;
+  std::memcpy(to, rest.data(), size * count);
+  rest.remove_prefix(size * count);
+  return count;
+}
+
+size_t AppendToString(const void* from, size_t size, size_t count, void* user_data) {
+  static_cast<std::string*>(user_data)->append(static_cast<const char*>(from), size * count);
+  return count;
 }
 
 int OnImport(YR_SCAN_CONTEXT* /*context*/, int message, void* data, void* user_data) {
@@ -188,6 +204,32 @@ absl::StatusOr<std::shared_ptr<const YaraRules>> YaraRules::Create(absl::string_
       compiled.problems, "\n", [](std::string* out, const lang::InspectionProblem& problem) {
         out->append(problem.message);
       }));
+}
+
+absl::Status YaraRules::Prepare() {
+  if (LibraryIsReady()) return absl::OkStatus();
+  return absl::InternalError("libyara cannot be started; is memory short?");
+}
+
+absl::StatusOr<std::shared_ptr<const YaraRules>> YaraRules::Load(absl::string_view compiled) {
+  RIPS_RETURN_IF_ERROR(Prepare());
+  YR_STREAM stream = {.user_data = &compiled, .read = ReadFromView, .write = nullptr};
+  YR_RULES* rules = nullptr;
+  if (const int code = yr_rules_load_stream(&stream, &rules); code != ERROR_SUCCESS) {
+    return absl::InvalidArgumentError(
+        absl::StrCat("libyara does not take compiled rules (error ", code, ")"));
+  }
+  return std::shared_ptr<const YaraRules>(new YaraRules(rules));
+}
+
+absl::StatusOr<std::string> YaraRules::Serialize() const {
+  std::string compiled;
+  YR_STREAM stream = {.user_data = &compiled, .read = nullptr, .write = AppendToString};
+  if (const int code = yr_rules_save_stream(rules_, &stream); code != ERROR_SUCCESS) {
+    return absl::InternalError(
+        absl::StrCat("libyara cannot write compiled rules (error ", code, ")"));
+  }
+  return compiled;
 }
 
 YaraRules::~YaraRules() { yr_rules_destroy(rules_); }

@@ -8,8 +8,10 @@
 
 #include <cstddef>
 #include <memory>
+#include <string>
 #include <vector>
 
+#include "absl/status/status.h"
 #include "absl/status/statusor.h"
 #include "absl/strings/string_view.h"
 #include "policy_server/lang/inspection_files.h"
@@ -35,9 +37,18 @@ class YaraRules {
   // As Compile; InvalidArgument with every problem on a line of its own.
   static absl::StatusOr<std::shared_ptr<const YaraRules>> Create(absl::string_view text,
                                                                  absl::string_view name);
+  // Makes libyara ready, which the functions here do by themselves. Internal: it cannot be.
+  static absl::Status Prepare();
+  // What Serialize gave, of the same libyara: it is not checked, so of trusted origin only.
+  // InvalidArgument if libyara does not take it.
+  static absl::StatusOr<std::shared_ptr<const YaraRules>> Load(absl::string_view compiled);
   ~YaraRules();
   YaraRules(const YaraRules&) = delete;
   YaraRules& operator=(const YaraRules&) = delete;
+
+  // For Load, in another process. Not while anybody scans with these rules: libyara changes them
+  // and changes them back. Internal: libyara refuses, or memory is short.
+  absl::StatusOr<std::string> Serialize() const;
 
   // For yr_scanner_create, which takes it unchanged. Valid as long as this.
   YR_RULES* raw() const { return rules_; }

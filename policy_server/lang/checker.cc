@@ -11,6 +11,7 @@
 #include "absl/strings/str_format.h"
 #include "policy_server/lang/expr_checker.h"
 #include "policy_server/lang/limits.h"
+#include "policy_server/lang/lowering.h"
 #include "policy_server/lang/nearest.h"
 #include "policy_server/lang/scope.h"
 #include "policy_server/lang/signature.h"
@@ -64,6 +65,7 @@ class Checker {
     out_.levels = levels::LevelTable(levels_);
     if (syntax_ == Syntax::kClean && !sink_.has_errors() && !out_.rules.empty()) {
       usage_.ReportUnused(out_.variables, out_.levels, sink_);
+      if (!sink_.has_errors()) WarnLowerings(out_, usage_.LevelsOfVariables(), sink_);
     }
     out_.inspections = exprs_.inspections();
     out_.programs.assign(programs_.begin(), programs_.end());

@@ -38,6 +38,11 @@ CompileResult Compile(const std::vector<SourceFile>& files, const CompileOptions
 std::string RenderText(const std::vector<SourceFile>& files,
                        const std::vector<Diagnostic>& diagnostics);
 
+// Where each diagnostic is and of which kind, without anything of the text: for logs, which must
+// not hold rules. One `path:line:col: error TypeMismatch` a line.
+std::string RenderPlaces(const std::vector<SourceFile>& files,
+                         const std::vector<Diagnostic>& diagnostics);
+
 // One line of JSON, valid UTF-8 whatever the files hold:
 // {"files":[{"path","ok":bool,"diagnostics":[{"line","column","severity","kind","message",
 // "hint"?}]}]}; lines and columns from 1, columns in code points. A contract: fields may be added.

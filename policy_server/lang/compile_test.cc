@@ -325,7 +325,7 @@ TEST(CompileLimitTest, Levels) {
     std::string triggers;
     for (size_t i = 0; i < count; ++i) {
       absl::StrAppend(&text, "L", i, "; ");
-      absl::StrAppend(&triggers, i == 0 ? "" : ", ", "trigger(L", i, ")");
+      if (i > 0) absl::StrAppend(&triggers, i == 1 ? "" : ", ", "trigger(L", i, ")");
     }
     return absl::StrCat(text, "rules Msg: true ? ", triggers, ";");
   };

@@ -111,6 +111,19 @@ std::string RenderText(const std::vector<SourceFile>& files,
   return out;
 }
 
+std::string RenderPlaces(const std::vector<SourceFile>& files,
+                         const std::vector<Diagnostic>& diagnostics) {
+  const std::vector<Source> sources = Sources(files);
+  std::string out;
+  for (const Diagnostic& diagnostic : diagnostics) {
+    const Position position = sources.at(diagnostic.range.file).PositionOf(diagnostic.range.offset);
+    absl::StrAppend(&out, PrintableText(files[diagnostic.range.file].path), ":", position.line, ":",
+                    position.column, ": ", Name(SeverityOf(diagnostic.kind)), " ",
+                    Name(diagnostic.kind), "\n");
+  }
+  return out;
+}
+
 std::string RenderJson(const std::vector<SourceFile>& files,
                        const std::vector<Diagnostic>& diagnostics) {
   const std::vector<Source> sources = Sources(files);

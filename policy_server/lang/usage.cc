@@ -30,6 +30,8 @@ void Usage::Flow(uint32_t variable, const TypedExpr& value) {
     if (!use.other) use.other = value.range;
   } else if (value.kind == TypedExpr::Kind::kConstant) {
     use.levels |= Bit(static_cast<int>(std::get<int64_t>(value.constant)));
+  } else {
+    use.any_level = true;
   }
 }
 
@@ -46,14 +48,22 @@ std::vector<Usage::VariableUse> Usage::Closure() const {
     for (VariableUse& use : out) {
       for (const uint32_t source : use.sources) {
         const VariableUse& from = out[source];
-        if ((from.levels & ~use.levels) != 0 || (from.other && !use.other)) {
+        if ((from.levels & ~use.levels) != 0 || (from.any_level && !use.any_level) ||
+            (from.other && !use.other)) {
           use.levels |= from.levels;
+          use.any_level |= from.any_level;
           if (!use.other) use.other = from.other;
           changed = true;
         }
       }
     }
   }
+  return out;
+}
+
+std::vector<uint64_t> Usage::LevelsOfVariables() const {
+  std::vector<uint64_t> out;
+  for (const VariableUse& use : Closure()) out.push_back(use.any_level ? ~uint64_t{0} : use.levels);
   return out;
 }
 

@@ -25,6 +25,9 @@ class Usage {
   // trigger(variable), an int one.
   void TriggerVariable(uint32_t variable, SourceRange range);
 
+  // By index of the variable: the levels that may flow into it, one bit each.
+  std::vector<uint64_t> LevelsOfVariables() const;
+
   // Reports triggers of variables that may hold something else than a level: every value that
   // flows into such a variable, from its initialiser, from a `set` or from another variable, must
   // be a level name or `CurrLevel`.
@@ -42,6 +45,8 @@ class Usage {
     bool set = false;
     // Bit i: level i flows into it.
     uint64_t levels = 0;
+    // `CurrLevel` flows into it.
+    bool any_level = false;
     // Where something that is no level flows into it.
     std::optional<SourceRange> other;
     // Variables that are copied into it.

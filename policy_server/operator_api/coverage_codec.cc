@@ -20,6 +20,7 @@ void Encode(const pipeline::SensorCoverage& sensor, rips::v1::SensorCoverage& ou
     out.add_not_visible(kind);
     out.mutable_state()->add_not_visible(kind);
   }
+  for (const std::string& reason : sensor.state.blind) out.mutable_state()->add_blind(reason);
   rips::v1::SensorState* state = out.mutable_state();
   state->set_overloaded(sensor.state.overloaded);
   state->set_outbox_bytes(sensor.state.outbox_bytes);
@@ -40,7 +41,7 @@ void Encode(const pipeline::FindingSeen& finding, rips::v1::Finding& out) {
 }  // namespace
 
 void EncodeInterest(const pipeline::Robot& robot, rips::v1::GetInterestResponse& out) {
-  *out.mutable_interest() = ingest::EncodeInterest(robot.interest());
+  *out.mutable_interest() = ingest::EncodeInterest(robot.interest(), robot.payload_limits());
   for (const engine::TopicInterest& row : robot.interest()) {
     rips::v1::InterestReason* reason = out.add_reasons();
     for (const std::string& rule : row.wanted_by) reason->add_wanted_by(rule);
@@ -72,6 +73,19 @@ void EncodeCoverage(const pipeline::Robot& robot, rips::v1::GetCoverageResponse&
     Encode(finding, *out.add_findings());
   }
   out.set_graph_truncated(robot.graph().truncated());
+  for (const auto& [reason, count] : robot.Skipped()) {
+    rips::v1::SkippedInspections* skipped = out.add_skipped();
+    skipped->set_reason(reason);
+    skipped->set_count(count);
+  }
+  for (const std::string& reason : robot.blind()) out.add_blind(reason);
+  for (const pipeline::CutPayloads::Topic& cut : robot.CutTopics()) {
+    rips::v1::CutPayloads* one = out.add_cut_payloads();
+    one->set_topic(cut.topic);
+    one->set_limit_bytes(cut.limit_bytes);
+    one->set_longest_bytes(cut.longest_bytes);
+    one->set_count(cut.count);
+  }
 }
 
 }  // namespace rips::operator_api

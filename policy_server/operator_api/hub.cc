@@ -16,10 +16,19 @@ absl::StatusOr<uint64_t> Hub::NewIdLocked() {
   return next_id_++;
 }
 
-absl::StatusOr<uint64_t> Hub::WatchAlerts(AlertWatcher watcher) {
-  MutexLock lock(&mu_);
-  RIPS_ASSIGN_OR_RETURN(const uint64_t id, NewIdLocked());
-  alert_watchers_[id] = std::make_shared<AlertWatcher>(std::move(watcher));
+Hub::Hub(store::Store* store, store::AlertLog* alerts, FeedCounts counts, absl::Duration interval)
+    : feed_(store, alerts, std::move(counts), interval) {
+  feed_.set_on_left([this](uint64_t id) { Unwatch(id); });
+}
+
+absl::StatusOr<uint64_t> Hub::WatchAlerts(std::optional<Cursor> after, AlertWatcher watcher) {
+  uint64_t id = 0;
+  {
+    MutexLock lock(&mu_);
+    RIPS_ASSIGN_OR_RETURN(id, NewIdLocked());
+    alert_watchers_.insert(id);
+  }
+  feed_.Watch(id, std::move(after), std::move(watcher));
   return id;
 }
 
@@ -31,26 +40,10 @@ absl::StatusOr<uint64_t> Hub::WatchStatus(StatusWatcher watcher) {
 }
 
 void Hub::Unwatch(uint64_t id) {
+  feed_.Unwatch(id);
   MutexLock lock(&mu_);
   alert_watchers_.erase(id);
   status_watchers_.erase(id);
-}
-
-void Hub::OnAlert(const store::AlertRecord& alert) {
-  if (alert_log_ != nullptr) {
-    if (const absl::Status status = alert_log_->Append({&alert, 1}); !status.ok()) {
-      LogError("alert file not written", {{"alert", alert.id}, {"reason", status.message()}});
-    }
-  }
-  std::map<uint64_t, std::shared_ptr<AlertWatcher>> watchers;
-  {
-    MutexLock lock(&mu_);
-    watchers = alert_watchers_;
-  }
-  // Without the lock: a watcher may call back.
-  for (const auto& [id, watcher] : watchers) {
-    if (!(*watcher)(alert)) Unwatch(id);
-  }
 }
 
 void Hub::OnStatus(const pipeline::RobotStatus& status) {
@@ -65,7 +58,10 @@ void Hub::OnStatus(const pipeline::RobotStatus& status) {
 }
 
 void Hub::OnRuleLog(const std::string& robot, const std::string& rule, const std::string& text) {
-  LogInfo("a rule shows", {{"robot", robot}, {"rule", rule}, {"text", text}});
+  const auto admitted = rule_logs_.Admit(robot);
+  if (!admitted.has_value()) return;
+  LogInfo("a rule shows",
+          {{"robot", robot}, {"rule", rule}, {"text", text}, {"left_out", *admitted}});
 }
 
 }  // namespace rips::operator_api

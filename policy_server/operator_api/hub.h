@@ -1,5 +1,5 @@
-// Those who watch: alerts and robot states, from the pipeline to the alert file and to operators'
-// streams.
+// Those who watch: alerts (through the feed, in the order of the store) and robot states, from the
+// pipeline to the alert file and to operators' streams.
 #ifndef RIPS_POLICY_SERVER_OPERATOR_API_HUB_H_
 #define RIPS_POLICY_SERVER_OPERATOR_API_HUB_H_
 
@@ -7,10 +7,15 @@
 #include <functional>
 #include <map>
 #include <memory>
+#include <optional>
+#include <set>
 #include <string>
 
 #include "absl/base/thread_annotations.h"
 #include "absl/status/statusor.h"
+#include "absl/time/time.h"
+#include "policy_server/operator_api/alert_feed.h"
+#include "policy_server/pipeline/log_limiter.h"
 #include "policy_server/pipeline/ports.h"
 #include "policy_server/store/alert_log.h"
 #include "services/runtime/mutex.h"
@@ -24,21 +29,25 @@ class Hub final : public pipeline::Audience {
   static constexpr size_t kWatchersMax = 256;
 
   // Must not block. False = no longer interested, as Unwatch.
-  using AlertWatcher = std::function<bool(const store::AlertRecord&)>;
   using StatusWatcher = std::function<bool(const pipeline::RobotStatus&)>;
 
-  // `alerts` may be null (no file). Not owned; outlives this.
-  explicit Hub(store::AlertLog* alerts) : alert_log_(alerts) {}
+  // `alerts` may be null (no file). Not owned; both outlive this. `interval` as AlertFeed's.
+  Hub(store::Store* store, store::AlertLog* alerts, FeedCounts counts = {},
+      absl::Duration interval = absl::Seconds(1));
 
-  // An id for Unwatch. ResourceExhausted if there are kWatchersMax already.
-  absl::StatusOr<uint64_t> WatchAlerts(AlertWatcher watcher) ABSL_LOCKS_EXCLUDED(mu_);
+  // An id for Unwatch. ResourceExhausted if there are kWatchersMax already. `after` as
+  // AlertFeed::Watch.
+  absl::StatusOr<uint64_t> WatchAlerts(std::optional<Cursor> after, AlertWatcher watcher)
+      ABSL_LOCKS_EXCLUDED(mu_);
   absl::StatusOr<uint64_t> WatchStatus(StatusWatcher watcher) ABSL_LOCKS_EXCLUDED(mu_);
   // The watcher may still be told what is being told now. An id that is gone does nothing.
   void Unwatch(uint64_t id) ABSL_LOCKS_EXCLUDED(mu_);
 
-  void OnAlert(const store::AlertRecord& alert) override ABSL_LOCKS_EXCLUDED(mu_);
+  void OnAlert(const store::AlertRecord&) override { feed_.Wake(); }
+  void OnNotice(const std::string& text) override { feed_.Notify(text); }
   void OnStatus(const pipeline::RobotStatus& status) override ABSL_LOCKS_EXCLUDED(mu_);
-  // To the log.
+  AlertFeed& feed() { return feed_; }
+  // To the log, so many lines a robot.
   void OnRuleLog(const std::string& robot, const std::string& rule,
                  const std::string& text) override;
 
@@ -46,11 +55,13 @@ class Hub final : public pipeline::Audience {
   // ResourceExhausted if there are kWatchersMax already.
   absl::StatusOr<uint64_t> NewIdLocked() ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
 
-  store::AlertLog* alert_log_;
+  pipeline::LogLimiter rule_logs_;
   Mutex mu_;
   uint64_t next_id_ ABSL_GUARDED_BY(mu_) = 1;
-  std::map<uint64_t, std::shared_ptr<AlertWatcher>> alert_watchers_ ABSL_GUARDED_BY(mu_);
+  std::set<uint64_t> alert_watchers_ ABSL_GUARDED_BY(mu_);
   std::map<uint64_t, std::shared_ptr<StatusWatcher>> status_watchers_ ABSL_GUARDED_BY(mu_);
+  // Last: its thread calls the others.
+  AlertFeed feed_;
 };
 
 }  // namespace rips::operator_api

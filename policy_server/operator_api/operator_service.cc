@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <memory>
+#include <optional>
 #include <set>
 #include <string>
 #include <utility>
@@ -24,6 +25,10 @@ namespace {
 using pipeline::Lane;
 using pipeline::Robot;
 using rpc::OperatorRole;
+
+// Of one watch; beyond, it is told more when it has read. A page of the feed fits besides.
+constexpr size_t kAlertsWaitingMax = 1'024;
+constexpr size_t kBanReasonBytesMax = 1'000;
 
 void FillMark(const Mark& mark, rips::v1::Mark* out) {
   out->set_term(mark.term);
@@ -73,22 +78,9 @@ rips::v1::Transition Encode(const store::TransitionRecord& record) {
   return out;
 }
 
-// The operator behind the call, if the role is enough.
-absl::StatusOr<rpc::PeerIdentity> Authorize(grpc::CallbackServerContext* context,
-                                            OperatorRole needed) {
-  absl::StatusOr<rpc::Peer> peer = rpc::PeerOf(*context->auth_context());
-  if (!peer.ok()) return peer.status();
-  const rpc::PeerIdentity& identity = peer->identity;
-  if (identity.role != rpc::Role::kOperator) {
-    return absl::PermissionDeniedError(
-        absl::StrCat("the certificate is not an operator's: ", rpc::ToString(identity)));
-  }
-  if (identity.operator_role < needed) {
-    return absl::PermissionDeniedError(absl::StrCat(
-        "this needs the role `", rpc::OperatorRoleName(needed), "`; the certificate is a `",
-        rpc::OperatorRoleName(identity.operator_role), "`'s"));
-  }
-  return identity;
+// Who records name: `alice (spiffe://td/operator/admin/alice serial 0f)`.
+std::string OperatorName(const rpc::Peer& peer) {
+  return absl::StrCat(peer.identity.name, " (", rpc::Describe(peer), ")");
 }
 
 grpc::ServerUnaryReactor* Refuse(grpc::CallbackServerContext* context, const absl::Status& status) {
@@ -106,8 +98,14 @@ grpc::ServerWriteReactor<T>* RefuseWatch(const absl::Status& status) {
 
 }  // namespace
 
-OperatorService::OperatorService(pipeline::Pipeline* pipeline, store::Store* store, Hub* hub)
-    : pipeline_(pipeline), store_(store), hub_(hub), reader_([this] {
+OperatorService::OperatorService(pipeline::Pipeline* pipeline, store::Store* store, Hub* hub,
+                                 Access access, absl::Duration patience)
+    : pipeline_(pipeline),
+      store_(store),
+      hub_(hub),
+      access_(access),
+      patience_(patience),
+      reader_([this] {
         while (true) {
           auto task = reads_.Pop(absl::InfiniteDuration());
           if (!task) return;
@@ -118,6 +116,40 @@ OperatorService::OperatorService(pipeline::Pipeline* pipeline, store::Store* sto
 OperatorService::~OperatorService() {
   reads_.Close();
   reader_.join();
+}
+
+absl::StatusOr<rpc::Peer> OperatorService::Authorize(grpc::CallbackServerContext* context,
+                                                     OperatorRole needed) {
+  absl::StatusOr<rpc::Peer> peer = access_.watch->Admit(*context, rpc::Role::kOperator);
+  if (!peer.ok() || peer->identity.operator_role >= needed) return peer;
+  return access_.watch->gate().Refuse(
+      {"role",
+       absl::PermissionDeniedError(absl::StrCat(
+           "this needs the role `", rpc::OperatorRoleName(needed), "`; the certificate is a `",
+           rpc::OperatorRoleName(peer->identity.operator_role), "`'s"))},
+      &*peer, context->peer());
+}
+
+template <typename T>
+void OperatorService::Keep(WatchStream<T>* stream, const rpc::Peer& peer) {
+  const auto session = access_.watch->Add(
+      peer,
+      [outbound = stream->outbound()](const grpc::Status& status) { outbound->Close(status); });
+  session->greeted = true;
+  stream->set_session(session);
+}
+
+void OperatorService::RecordRefusal(const grpc::CallbackServerContext& context,
+                                    const rips::v1::LevelRequest& request,
+                                    const absl::Status& why) {
+  const absl::StatusOr<rpc::Peer> peer = rpc::PeerOf(*context.auth_context());
+  if (!peer.ok() || peer->identity.role != rpc::Role::kOperator) return;
+  pipeline_
+      ->Post(
+          request.robot(), Lane::kControl,
+          [order = pipeline::LevelOrder{.operator_name = OperatorName(*peer), .to = request.to()},
+           why](Robot& robot) { robot.RecordRefusedOrder(order, why); })
+      .IgnoreError();  // of an unknown robot there is no record
 }
 
 void OperatorService::Read(grpc::ServerUnaryReactor* reactor, std::function<void()> task) {
@@ -134,15 +166,13 @@ grpc::ServerUnaryReactor* OperatorService::ListRobots(grpc::CallbackServerContex
   grpc::ServerUnaryReactor* reactor = context->DefaultReactor();
   // Asks every robot on its own thread; must not be done on a gRPC thread, which may not block.
   Read(reactor, [this, reactor, response] {
-    Mutex mu;
-    std::map<std::string, rips::v1::RobotStatus> statuses;
-    pipeline_->ForEach([&](Robot& robot) {
-      rips::v1::RobotStatus status = Encode(robot.Status());
-      MutexLock lock(&mu);
-      statuses[robot.id()] = std::move(status);
-    });
-    MutexLock lock(&mu);
-    for (auto& [id, status] : statuses) *response->add_robots() = std::move(status);
+    auto gathered = pipeline_->Gather<rips::v1::RobotStatus>(
+        [](Robot& robot) { return Encode(robot.Status()); }, patience_);
+    for (const pipeline::RobotStatus& held : pipeline_->held()) {
+      gathered.answers.insert_or_assign(held.robot, Encode(held));
+    }
+    for (auto& [id, status] : gathered.answers) *response->add_robots() = std::move(status);
+    for (const std::string& robot : gathered.silent) response->add_no_answer(robot);
     reactor->Finish(grpc::Status::OK);
   });
   return reactor;
@@ -154,6 +184,7 @@ grpc::ServerWriteReactor<rips::v1::RobotStatus>* OperatorService::WatchRobots(
   if (!who.ok()) return RefuseWatch<rips::v1::RobotStatus>(who.status());
   const std::set<std::string> wanted(request->robots().begin(), request->robots().end());
   auto* stream = new WatchStream<rips::v1::RobotStatus>();
+  Keep(stream, *who);
   auto outbound = stream->outbound();
   const absl::StatusOr<uint64_t> id =
       hub_->WatchStatus([outbound, wanted](const pipeline::RobotStatus& status) {
@@ -171,6 +202,9 @@ grpc::ServerWriteReactor<rips::v1::RobotStatus>* OperatorService::WatchRobots(
         ->Post(robot, Lane::kControl,
                [outbound](Robot& each) { outbound->Send(Encode(each.Status())); })
         .IgnoreError();  // the next change tells
+  }
+  for (const pipeline::RobotStatus& held : pipeline_->held()) {
+    if (wanted.empty() || wanted.contains(held.robot)) outbound->Send(Encode(held));
   }
   return stream;
 }
@@ -228,6 +262,12 @@ grpc::ServerUnaryReactor* OperatorService::GetLevel(grpc::CallbackServerContext*
   const auto who = Authorize(context, OperatorRole::kViewer);
   if (!who.ok()) return Refuse(context, who.status());
   grpc::ServerUnaryReactor* reactor = context->DefaultReactor();
+  for (const pipeline::RobotStatus& held : pipeline_->held()) {
+    if (held.robot != request->robot()) continue;
+    *response->mutable_status() = Encode(held);
+    reactor->Finish(grpc::Status::OK);
+    return reactor;
+  }
   const absl::Status posted =
       pipeline_->Post(request->robot(), Lane::kControl,
                       [this, reactor, response, robot_id = request->robot()](Robot& robot) {
@@ -284,18 +324,44 @@ grpc::ServerWriteReactor<rips::v1::Alert>* OperatorService::WatchAlerts(
     grpc::CallbackServerContext* context, const rips::v1::WatchAlertsRequest* request) {
   const auto who = Authorize(context, OperatorRole::kViewer);
   if (!who.ok()) return RefuseWatch<rips::v1::Alert>(who.status());
+  std::optional<Cursor> after;
+  if (!request->after().empty()) {
+    absl::StatusOr<Cursor> parsed = ParseCursor(request->after());
+    if (!parsed.ok()) return RefuseWatch<rips::v1::Alert>(parsed.status());
+    after = *std::move(parsed);
+  }
   auto* stream = new WatchStream<rips::v1::Alert>();
+  Keep(stream, *who);
   auto outbound = stream->outbound();
-  const absl::StatusOr<uint64_t> id =
-      hub_->WatchAlerts([outbound, robot = request->robot()](const store::AlertRecord& alert) {
-        if (!robot.empty() && robot != alert.robot) return outbound->open();
-        return outbound->Send(Encode(alert));
-      });
+  const absl::StatusOr<uint64_t> id = hub_->WatchAlerts(
+      std::move(after),
+      {.robot = request->robot(),
+       .room = [outbound] { return outbound->waiting() < kAlertsWaitingMax; },
+       .alert =
+           [outbound](const store::AlertRecord& alert) {
+             rips::v1::Alert message = Encode(alert);
+             message.set_cursor(FormatCursor({.sequence = alert.sequence, .id = alert.id}));
+             return outbound->Send(std::move(message));
+           },
+       .position =
+           [outbound](const Cursor& at) {
+             rips::v1::Alert message;
+             message.set_cursor(FormatCursor(at));
+             return outbound->Send(std::move(message));
+           },
+       .gap =
+           [outbound](const std::string& text) {
+             rips::v1::Alert message;
+             message.set_gap(text);
+             return outbound->Send(std::move(message));
+           }});
   if (!id.ok()) {
     outbound->Close(rpc::ToGrpc(id.status()));
     return stream;
   }
   stream->set_on_ended([hub = hub_, id = *id] { hub->Unwatch(id); });
+  // One that could not be told all goes on.
+  stream->set_on_drained([hub = hub_] { hub->feed().Wake(); });
   return stream;
 }
 
@@ -321,8 +387,9 @@ grpc::ServerWriteReactor<rips::v1::Recording>* OperatorService::Record(
     grpc::CallbackServerContext* context, const rips::v1::RecordRequest* request) {
   const auto who = Authorize(context, OperatorRole::kOperator);
   if (!who.ok()) return RefuseWatch<rips::v1::Recording>(who.status());
-  LogInfo("operator records", {{"operator", who->name}, {"robot", request->robot()}});
+  LogInfo("operator records", {{"operator", rpc::Describe(*who)}, {"robot", request->robot()}});
   auto* stream = new WatchStream<rips::v1::Recording>();
+  Keep(stream, *who);
   auto outbound = stream->outbound();
   const absl::Status posted =
       pipeline_->Post(request->robot(), Lane::kControl, [outbound](Robot& robot) {
@@ -339,7 +406,7 @@ grpc::ServerWriteReactor<rips::v1::Recording>* OperatorService::Record(
         header.set_level(status.decided_level);
         header.set_start_unix_ns(RealClock().Now().unix_ns);
         header.set_rips_version(std::string(RipsVersion()));
-        tap->Start(std::move(header), robot.graph(), robot.graph_changed_unix_ns() != 0);
+        tap->Start(std::move(header), robot.shared_graph(), robot.graph_changed_unix_ns() != 0);
       });
   if (!posted.ok()) outbound->Close(rpc::ToGrpc(posted));
   return stream;
@@ -362,14 +429,17 @@ grpc::ServerUnaryReactor* OperatorService::ChangeLevel(grpc::CallbackServerConte
                                                        rips::v1::LevelResponse* response,
                                                        Direction direction) {
   const auto who = Authorize(context, OperatorRole::kOperator);
-  if (!who.ok()) return Refuse(context, who.status());
+  if (!who.ok()) {
+    RecordRefusal(*context, *request, who.status());
+    return Refuse(context, who.status());
+  }
   LogInfo(direction == Direction::kRaise ? "operator raises" : "operator lowers",
-          {{"operator", who->name},
+          {{"operator", rpc::Describe(*who)},
            {"robot", request->robot()},
            {"to", request->to()},
            {"reason", request->reason()},
            {"dry_run", request->dry_run()}});
-  pipeline::LevelOrder order{.operator_name = who->name,
+  pipeline::LevelOrder order{.operator_name = OperatorName(*who),
                              .to = request->to(),
                              .reason = request->reason(),
                              .expected_level = request->expected_level(),
@@ -407,11 +477,11 @@ grpc::ServerUnaryReactor* OperatorService::ResumeRules(grpc::CallbackServerConte
   const auto who = Authorize(context, OperatorRole::kOperator);
   if (!who.ok()) return Refuse(context, who.status());
   grpc::ServerUnaryReactor* reactor = context->DefaultReactor();
-  const absl::Status posted =
-      pipeline_->Post(request->robot(), Lane::kControl,
-                      [reactor, name = who->name, reason = request->reason()](Robot& robot) {
-                        reactor->Finish(rpc::ToGrpc(robot.ResumeRules(name, reason)));
-                      });
+  const absl::Status posted = pipeline_->Post(
+      request->robot(), Lane::kControl,
+      [reactor, name = OperatorName(*who), reason = request->reason()](Robot& robot) {
+        reactor->Finish(rpc::ToGrpc(robot.ResumeRules(name, reason)));
+      });
   if (!posted.ok()) reactor->Finish(rpc::ToGrpc(posted));
   return reactor;
 }
@@ -421,10 +491,11 @@ grpc::ServerUnaryReactor* OperatorService::DrillRobot(grpc::CallbackServerContex
                                                       rips::v1::DrillRobotResponse* response) {
   const auto who = Authorize(context, OperatorRole::kOperator);
   if (!who.ok()) return Refuse(context, who.status());
-  LogInfo("operator drills",
-          {{"operator", who->name}, {"robot", request->robot()}, {"level", request->level()}});
+  LogInfo("operator drills", {{"operator", rpc::Describe(*who)},
+                              {"robot", request->robot()},
+                              {"level", request->level()}});
   grpc::ServerUnaryReactor* reactor = context->DefaultReactor();
-  pipeline::DrillOrder order{.operator_name = who->name, .level = request->level()};
+  pipeline::DrillOrder order{.operator_name = OperatorName(*who), .level = request->level()};
   pipeline::DrillReply reply = [reactor, response](const pipeline::DrillAnswer& answer) {
     for (const pipeline::DrillEntry& drill : answer.drills) Encode(drill, response->add_drills());
     reactor->Finish(rpc::ToGrpc(answer.status));
@@ -435,6 +506,97 @@ grpc::ServerUnaryReactor* OperatorService::DrillRobot(grpc::CallbackServerContex
                         robot.StartDrill(order, reply);
                       });
   if (!posted.ok()) reactor->Finish(rpc::ToGrpc(posted));
+  return reactor;
+}
+
+// --- who is served
+
+grpc::ServerUnaryReactor* OperatorService::ListAgents(grpc::CallbackServerContext* context,
+                                                      const rips::v1::ListAgentsRequest*,
+                                                      rips::v1::ListAgentsResponse* response) {
+  const auto who = Authorize(context, OperatorRole::kViewer);
+  if (!who.ok()) return Refuse(context, who.status());
+  if (access_.bans == nullptr) return Refuse(context, absl::UnimplementedError("no deny list"));
+  for (const rpc::Peer& peer : access_.certificates->peers()) {
+    rips::v1::AgentCertificate* agent = response->add_agents();
+    agent->set_uri(rpc::ToString(peer.identity));
+    agent->set_serial(peer.serial);
+    agent->set_not_after_unix_ns(absl::ToUnixNanos(peer.not_after));
+  }
+  for (const store::BanRecord& ban : access_.bans->bans()) {
+    rips::v1::CertificateBan* out = response->add_bans();
+    out->set_uri(ban.uri);
+    out->set_serial(ban.serial);
+    out->set_reason(ban.reason);
+    out->set_by(ban.by);
+    out->set_time_unix_ns(ban.time_unix_ns);
+  }
+  grpc::ServerUnaryReactor* reactor = context->DefaultReactor();
+  reactor->Finish(grpc::Status::OK);
+  return reactor;
+}
+
+void OperatorService::TellRobotOf(const std::string& uri, const std::string& text) {
+  const absl::StatusOr<rpc::PeerIdentity> identity = rpc::ParseSpiffeUri(uri);
+  if (!identity.ok() || identity->robot.empty()) return;
+  pipeline_
+      ->Post(identity->robot, Lane::kControl,
+             [text](Robot& robot) { robot.Report(engine::Severity::kHigh, text); })
+      .IgnoreError();  // an unknown robot may be banned, too
+}
+
+grpc::ServerUnaryReactor* OperatorService::Ban(grpc::CallbackServerContext* context,
+                                               const rips::v1::BanRequest* request,
+                                               rips::v1::BanResponse*) {
+  const auto who = Authorize(context, OperatorRole::kAdmin);
+  if (!who.ok()) return Refuse(context, who.status());
+  if (access_.bans == nullptr) return Refuse(context, absl::UnimplementedError("no deny list"));
+  if (request->reason().empty() || request->reason().size() > kBanReasonBytesMax) {
+    return Refuse(context, absl::InvalidArgumentError(absl::StrCat(
+                               "a reason of 1 to ", kBanReasonBytesMax, " bytes is required")));
+  }
+  if (request->uri() == rpc::ToString(who->identity)) {
+    return Refuse(context, absl::InvalidArgumentError("this would ban the caller"));
+  }
+  LogInfo("operator bans", {{"operator", rpc::Describe(*who)},
+                            {"uri", request->uri()},
+                            {"serial", request->serial()},
+                            {"reason", request->reason()}});
+  grpc::ServerUnaryReactor* reactor = context->DefaultReactor();
+  Read(reactor, [this, reactor, request, by = rpc::Describe(*who)] {
+    const absl::Status status = access_.bans->Ban({.uri = request->uri(),
+                                                   .serial = request->serial(),
+                                                   .reason = request->reason(),
+                                                   .by = by,
+                                                   .time_unix_ns = RealClock().Now().unix_ns});
+    if (!absl::IsInvalidArgument(status)) {
+      access_.watch->Look();  // what is open ends now
+      TellRobotOf(request->uri(),
+                  absl::StrCat(request->uri(), " is banned by ", by, ": ", request->reason()));
+    }
+    reactor->Finish(rpc::ToGrpc(status));
+  });
+  return reactor;
+}
+
+grpc::ServerUnaryReactor* OperatorService::Unban(grpc::CallbackServerContext* context,
+                                                 const rips::v1::UnbanRequest* request,
+                                                 rips::v1::UnbanResponse*) {
+  const auto who = Authorize(context, OperatorRole::kAdmin);
+  if (!who.ok()) return Refuse(context, who.status());
+  if (access_.bans == nullptr) return Refuse(context, absl::UnimplementedError("no deny list"));
+  LogInfo(
+      "operator lifts a ban",
+      {{"operator", rpc::Describe(*who)}, {"uri", request->uri()}, {"serial", request->serial()}});
+  grpc::ServerUnaryReactor* reactor = context->DefaultReactor();
+  Read(reactor, [this, reactor, request, by = rpc::Describe(*who)] {
+    const absl::Status status = access_.bans->Unban(request->uri(), request->serial());
+    if (status.ok()) {
+      TellRobotOf(request->uri(),
+                  absl::StrCat("the ban of ", request->uri(), " is lifted by ", by));
+    }
+    reactor->Finish(rpc::ToGrpc(status));
+  });
   return reactor;
 }
 

@@ -3,8 +3,12 @@
 //   call                                             role
 //   ListRobots WatchRobots GetGraph GetInterest
 //   GetCoverage GetLevel ListTransitions ListAlerts
-//   WatchAlerts ListReceipts                         viewer
+//   WatchAlerts ListReceipts ListAgents              viewer
 //   Raise DeEscalate ResumeRules Record DrillRobot   operator
+//   Ban Unban                                        admin
+//
+// Each call on an open connection is judged anew, and streams for as long as they are open: an
+// expired, revoked or banned certificate gets nothing (CallGate).
 #ifndef RIPS_POLICY_SERVER_OPERATOR_API_OPERATOR_SERVICE_H_
 #define RIPS_POLICY_SERVER_OPERATOR_API_OPERATOR_SERVICE_H_
 
@@ -12,11 +16,16 @@
 #include <thread>
 
 #include "absl/status/statusor.h"
+#include "policy_server/operator_api/ban_list.h"
 #include "policy_server/operator_api/hub.h"
+#include "policy_server/operator_api/watch_stream.h"
 #include "policy_server/pipeline/pipeline.h"
 #include "policy_server/store/store.h"
 #include "rips/v1/operator.grpc.pb.h"
+#include "services/rpc/certificate_monitor.h"
 #include "services/rpc/identity.h"
+#include "services/rpc/peer.h"
+#include "services/rpc/session_watch.h"
 #include "services/runtime/bounded_queue.h"
 
 namespace rips::operator_api {
@@ -26,8 +35,17 @@ class OperatorService final : public rips::v1::OperatorService::CallbackService 
   // Reads of the store waiting for the one that runs; one more is refused at once.
   static constexpr size_t kReadsMax = 1'024;
 
+  struct Access {
+    rpc::SessionWatch* watch = nullptr;
+    // Null: Ban, Unban and ListAgents are UNIMPLEMENTED.
+    BanList* bans = nullptr;
+    rpc::CertificateMonitor* certificates = nullptr;
+  };
+
   // Nothing is owned; all outlive every call. Reads of the store run on a thread of its own.
-  OperatorService(pipeline::Pipeline* pipeline, store::Store* store, Hub* hub);
+  // `patience`: how long robots are waited for in all when each is asked.
+  OperatorService(pipeline::Pipeline* pipeline, store::Store* store, Hub* hub, Access access,
+                  absl::Duration patience = pipeline::Pipeline::kPatience);
   ~OperatorService() override;
 
   // As rips/v1/operator.proto.
@@ -74,6 +92,16 @@ class OperatorService final : public rips::v1::OperatorService::CallbackService 
                                        const rips::v1::DrillRobotRequest* request,
                                        rips::v1::DrillRobotResponse* response) override;
 
+  grpc::ServerUnaryReactor* ListAgents(grpc::CallbackServerContext* context,
+                                       const rips::v1::ListAgentsRequest* request,
+                                       rips::v1::ListAgentsResponse* response) override;
+  grpc::ServerUnaryReactor* Ban(grpc::CallbackServerContext* context,
+                                const rips::v1::BanRequest* request,
+                                rips::v1::BanResponse* response) override;
+  grpc::ServerUnaryReactor* Unban(grpc::CallbackServerContext* context,
+                                  const rips::v1::UnbanRequest* request,
+                                  rips::v1::UnbanResponse* response) override;
+
  private:
   enum class Direction { kRaise, kLower };
   grpc::ServerUnaryReactor* ChangeLevel(grpc::CallbackServerContext* context,
@@ -83,9 +111,23 @@ class OperatorService final : public rips::v1::OperatorService::CallbackService 
   // finished at once with RESOURCE_EXHAUSTED.
   void Read(grpc::ServerUnaryReactor* reactor, std::function<void()> task);
 
+  // The operator behind the call, if it is served and its role is enough; refusals are counted.
+  absl::StatusOr<rpc::Peer> Authorize(grpc::CallbackServerContext* context,
+                                      rpc::OperatorRole needed);
+  // Ends `stream` when its operator is not served any more.
+  template <typename T>
+  void Keep(WatchStream<T>* stream, const rpc::Peer& peer);
+  // A robot's record of what an operator asked of it and was not allowed to.
+  void RecordRefusal(const grpc::CallbackServerContext& context,
+                     const rips::v1::LevelRequest& request, const absl::Status& why);
+  // The robot that `uri` is of, if any, gets an alert.
+  void TellRobotOf(const std::string& uri, const std::string& text);
+
   pipeline::Pipeline* pipeline_;
   store::Store* store_;
   Hub* hub_;
+  Access access_;
+  const absl::Duration patience_;
   BoundedQueue<std::function<void()>> reads_{{.capacity = kReadsMax}};
   std::thread reader_;
 };

@@ -42,8 +42,9 @@ class SlowStore final : public store::Store {
   absl::StatusOr<uint64_t> NextTerm(absl::string_view robot, uint64_t above) override {
     return inner_.NextTerm(robot, above);
   }
-  absl::StatusOr<bool> HasMark(absl::string_view robot, const Mark& mark) override {
-    return inner_.HasMark(robot, mark);
+  absl::StatusOr<std::optional<std::string>> FindDecision(absl::string_view robot,
+                                                          const Mark& mark) override {
+    return inner_.FindDecision(robot, mark);
   }
   absl::Status CommitAll(std::span<const store::WriteBatch> batches) override {
     return inner_.CommitAll(batches);
@@ -57,6 +58,16 @@ class SlowStore final : public store::Store {
   absl::StatusOr<std::vector<store::AlertRecord>> ListAlerts(absl::string_view robot,
                                                              uint32_t limit) override {
     return inner_.ListAlerts(robot, limit);
+  }
+  absl::StatusOr<store::AlertPage> AlertsAfter(absl::string_view robot, uint64_t sequence,
+                                               uint32_t limit) override {
+    return inner_.AlertsAfter(robot, sequence, limit);
+  }
+  absl::StatusOr<uint64_t> FindAlert(absl::string_view id) override { return inner_.FindAlert(id); }
+  absl::StatusOr<store::AlertRecord> NewestAlert() override { return inner_.NewestAlert(); }
+  absl::StatusOr<std::string> Note(absl::string_view name) override { return inner_.Note(name); }
+  absl::Status SetNote(absl::string_view name, absl::string_view value) override {
+    return inner_.SetNote(name, value);
   }
 
   // One item per list that has begun.
@@ -115,7 +126,9 @@ class OperatorServiceTest : public ::testing::Test {
                               {.recorder = &recorder_, .audience = &hub_, .new_id = NewId}),
                 IsOk());
     pipeline_.Start();
-    service_ = std::make_unique<OperatorService>(&pipeline_, &store_, &hub_);
+    service_ = std::make_unique<OperatorService>(&pipeline_, &store_, &hub_,
+                                                 OperatorService::Access{.watch = &watch_},
+                                                 absl::Milliseconds(500));
     auto server = rpc::RpcServer::Start(
         {.listen = "127.0.0.1:0", .credentials = (*server_credentials_)->ForServer()},
         {service_.get()});
@@ -180,9 +193,10 @@ class OperatorServiceTest : public ::testing::Test {
   static std::shared_ptr<const rpc::Credentials>* operator_credentials_;
   RealClock clock_;
   SlowStore store_;
-  Hub hub_{nullptr};
+  Hub hub_{&store_, nullptr};
   pipeline::FakeRecorder recorder_;
   pipeline::Pipeline pipeline_{1, &clock_};
+  rpc::SessionWatch watch_{&clock_};
   std::unique_ptr<OperatorService> service_;
   std::unique_ptr<rpc::RpcServer> server_;
   std::vector<std::shared_ptr<Stub>> stubs_;
@@ -243,6 +257,86 @@ TEST_F(OperatorServiceTest, RefusesOneWatchTooManyUntilAnotherEnds) {
   EXPECT_EQ(watches[7]->item.robot(), "r1");
   EXPECT_EQ(watch_robots(StubFor(Hub::kWatchersMax))->End().error_code(),
             grpc::StatusCode::RESOURCE_EXHAUSTED);
+}
+
+TEST_F(OperatorServiceTest, SaysWhichRobotsDidNotAnswer) {
+  BoundedQueue<int> blocked{{.capacity = 1}};
+  BoundedQueue<int> gate{{.capacity = 1}};
+  ASSERT_THAT(pipeline_.Post("r1", Lane::kControl,
+                             [&](pipeline::Robot&) {
+                               blocked.Push(1);
+                               gate.Pop(kPatience);
+                             }),
+              IsOk());
+  ASSERT_TRUE(blocked.Pop(kPatience).has_value());
+  ASSERT_THAT(pipeline_.Hold({.robot = "r0", .decided_level = "HALT", .degraded = {"no policy"}},
+                             absl::FailedPreconditionError("no policy")),
+              IsOk());
+  const auto list = [&](rips::v1::ListRobotsResponse& response) {
+    grpc::ClientContext context;
+    SetDeadline(context);
+    return Connect()->ListRobots(&context, {}, &response);
+  };
+  rips::v1::ListRobotsResponse response;
+  ASSERT_TRUE(list(response).ok());
+  ASSERT_EQ(response.robots_size(), 1);
+  EXPECT_EQ(response.robots(0).robot(), "r0");
+  EXPECT_EQ(response.robots(0).degraded(0), "no policy");
+  ASSERT_EQ(response.no_answer_size(), 1);
+  EXPECT_EQ(response.no_answer(0), "r1");
+
+  gate.Close();
+  ASSERT_THAT(OnRobot([](pipeline::Robot&) {}), IsOk());
+  response.Clear();
+  ASSERT_TRUE(list(response).ok());
+  EXPECT_EQ(response.robots_size(), 2);
+  EXPECT_EQ(response.no_answer_size(), 0);
+}
+
+TEST_F(OperatorServiceTest, AWatchOfAlertsResumesAfterItsCursor) {
+  const auto raise = [&](const std::string& text) {
+    store::WriteBatch batch;
+    batch.alerts.push_back({.id = NewId(), .robot = "r1", .text = text});
+    ASSERT_THAT(store_.Commit(batch), IsOk());
+    hub_.OnAlert(batch.alerts[0]);
+  };
+  raise("before");
+  std::string cursor;
+  {
+    Watch<rips::v1::Alert> watch;
+    SetDeadline(watch.context);
+    watch.reader = StubFor(0).WatchAlerts(&watch.context, {});
+    ASSERT_TRUE(watch.Read());
+    EXPECT_EQ(watch.item.id(), "");
+    EXPECT_NE(watch.item.cursor(), "") << "first where it begins";
+    raise("one");
+    ASSERT_TRUE(watch.Read());
+    EXPECT_EQ(watch.item.text(), "one");
+    cursor = watch.item.cursor();
+    watch.context.TryCancel();
+    watch.End();
+  }
+  raise("two");
+  raise("three");
+  Watch<rips::v1::Alert> watch;
+  SetDeadline(watch.context);
+  rips::v1::WatchAlertsRequest request;
+  request.set_after(cursor);
+  watch.reader = StubFor(0).WatchAlerts(&watch.context, request);
+  ASSERT_TRUE(watch.Read());
+  EXPECT_EQ(watch.item.cursor(), cursor);
+  for (const char* text : {"two", "three"}) {
+    ASSERT_TRUE(watch.Read());
+    EXPECT_EQ(watch.item.text(), text);
+  }
+  watch.context.TryCancel();
+  watch.End();
+
+  Watch<rips::v1::Alert> wrong;
+  SetDeadline(wrong.context);
+  request.set_after("nonsense");
+  wrong.reader = StubFor(0).WatchAlerts(&wrong.context, request);
+  EXPECT_EQ(wrong.End().error_code(), grpc::StatusCode::INVALID_ARGUMENT);
 }
 
 TEST_F(OperatorServiceTest, RefusesReadsBeyondTheLimitAtOnceAndAnswersTheRest) {
@@ -311,6 +405,7 @@ TEST_F(OperatorServiceTest, TellsWhatIsAskedOfTheSensors) {
 }
 
 TEST_F(OperatorServiceTest, TellsWhatIsSeen) {
+  const Instant connected = clock_.Now();
   auto sensor = std::make_shared<pipeline::FakeSensor>();
   ros2::GraphDelta graph;
   ros2::Guid participant;
@@ -333,13 +428,15 @@ TEST_F(OperatorServiceTest, TellsWhatIsSeen) {
        .what = pipeline::GraphSnapshotSeen{.version = 1, .settled = true, .content = graph}});
   batch.observations.push_back(
       {.boottime_ns = BoottimeNow(), .what = pipeline::LossSeen{.count = 3}});
-  batch.observations.push_back(
-      {.boottime_ns = BoottimeNow(),
-       .what = pipeline::SensorStateSeen{
-           .outbox_bytes = 5, .oldest_unacked_ns = 6, .spool_bytes = 7, .not_visible = {"x"}}});
+  batch.observations.push_back({.boottime_ns = BoottimeNow(),
+                                .what = pipeline::SensorStateSeen{.outbox_bytes = 5,
+                                                                  .oldest_unacked_ns = 6,
+                                                                  .spool_bytes = 7,
+                                                                  .not_visible = {"x"},
+                                                                  .blind = {"log"}}});
   ASSERT_THAT(OnRobot([&](pipeline::Robot& robot) {
                 robot.OnSensorHello("base", sensor,
-                                    {.incarnation = incarnation, .clock = clock_.Now()});
+                                    {.incarnation = incarnation, .clock = connected});
                 robot.OnBatch("base", sensor.get(),
                               std::make_shared<const pipeline::Batch>(std::move(batch)));
                 robot.OnSensorBeat("base", sensor.get(), {.clock = clock_.Now()});
@@ -366,6 +463,9 @@ TEST_F(OperatorServiceTest, TellsWhatIsSeen) {
   EXPECT_EQ(response.endpoints(1).why(), "why");
   EXPECT_EQ(response.findings_size(), 0);
   EXPECT_FALSE(response.graph_truncated());
+  EXPECT_EQ(base.state().blind(0), "log");
+  ASSERT_EQ(response.blind_size(), 1);
+  EXPECT_EQ(response.blind(0), "sensor base: log");
 }
 
 TEST_F(OperatorServiceTest, TellsNothingOfARobotThatIsNone) {

@@ -1,6 +1,8 @@
 #include "policy_server/operator_api/record_tap.h"
 
+#include <memory>
 #include <string>
+#include <utility>
 #include <variant>
 
 #include "services/ros2_proto/graph_codec.h"
@@ -69,8 +71,9 @@ struct ExternalFiller {
 
 }  // namespace
 
-void RecordTap::Start(rips::v1::RecordingHeader header, const ros2::RosGraph& graph, bool settled) {
-  graph_ = graph;
+void RecordTap::Start(rips::v1::RecordingHeader header,
+                      std::shared_ptr<const ros2::RosGraph> graph, bool settled) {
+  graph_ = std::move(graph);
   rips::v1::Recording first;
   const int64_t start_unix_ns = header.start_unix_ns();
   *first.mutable_header() = std::move(header);
@@ -79,11 +82,12 @@ void RecordTap::Start(rips::v1::RecordingHeader header, const ros2::RosGraph& gr
   RecordedEvent* event = second.mutable_event();
   event->set_time_unix_ns(start_unix_ns);
   event->mutable_snapshot()->set_settled(true);
-  ros2_proto::EncodeGraph(graph, *event->mutable_snapshot());
+  ros2_proto::EncodeGraph(*graph_, *event->mutable_snapshot());
   send_(std::move(second));
 }
 
-bool RecordTap::OnEvent(const engine::Event& event, const ros2::RosGraph& graph,
+bool RecordTap::OnEvent(const engine::Event& event,
+                        const std::shared_ptr<const ros2::RosGraph>& graph,
                         const pipeline::MessageSeen* message) {
   rips::v1::Recording piece;
   RecordedEvent* out = piece.mutable_event();
@@ -92,10 +96,16 @@ bool RecordTap::OnEvent(const engine::Event& event, const ros2::RosGraph& graph,
     Fill(*sample, message, out->mutable_message());
   } else if (std::holds_alternative<engine::GraphEvent>(event.what)) {
     out->mutable_delta()->set_settled(true);
-    ros2_proto::EncodeGraph(ros2::RosGraph::Diff(graph_, graph), *out->mutable_delta());
+    ros2_proto::EncodeGraph(ros2::RosGraph::Diff(*graph_, *graph), *out->mutable_delta());
     graph_ = graph;
   } else if (!std::visit(ExternalFiller{out}, std::get<engine::ExternalEvent>(event.what))) {
     return listening_();
+  }
+  if (graph != graph_) {
+    // A message that was taken under an earlier graph, or what comes after it.
+    out->mutable_context()->set_settled(true);
+    ros2_proto::EncodeGraph(*graph, *out->mutable_context());
+    graph_ = graph;
   }
   return send_(std::move(piece));
 }

@@ -3,6 +3,7 @@
 #define RIPS_POLICY_SERVER_OPERATOR_API_RECORD_TAP_H_
 
 #include <functional>
+#include <memory>
 #include <utility>
 
 #include "policy_server/pipeline/ports.h"
@@ -23,15 +24,16 @@ class RecordTap final : public pipeline::Tap {
       : send_(std::move(send)), listening_(std::move(listening)) {}
 
   // Header and graph; before the first event. `settled`: there is a graph.
-  void Start(rips::v1::RecordingHeader header, const ros2::RosGraph& graph, bool settled);
-  bool OnEvent(const engine::Event& event, const ros2::RosGraph& graph,
+  void Start(rips::v1::RecordingHeader header, std::shared_ptr<const ros2::RosGraph> graph,
+             bool settled);
+  bool OnEvent(const engine::Event& event, const std::shared_ptr<const ros2::RosGraph>& graph,
                const pipeline::MessageSeen* message) override;
 
  private:
   Send send_;
   std::function<bool()> listening_;
-  // As last told.
-  ros2::RosGraph graph_;
+  // The one that the recording has come to.
+  std::shared_ptr<const ros2::RosGraph> graph_;
 };
 
 }  // namespace rips::operator_api

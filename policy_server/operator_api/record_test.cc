@@ -31,7 +31,7 @@ class RecordTest : public pipeline::RobotTest {
     ASSERT_THAT(robot_->AddTap(tap), IsOk());
     rips::v1::RecordingHeader header;
     header.set_robot("r1");
-    tap->Start(std::move(header), robot_->graph(), true);
+    tap->Start(std::move(header), robot_->shared_graph(), true);
   }
   const RecordedEvent& Last() const { return pieces_.back().event(); }
 
@@ -96,6 +96,29 @@ TEST_F(RecordTest, LossesSayOfWhatAndWhen) {
   SendBatch(Lane::kControl, {{.what = pipeline::LossSeen{.count = 1}}});
   EXPECT_EQ(Last().loss().writer_guid(), "");
   EXPECT_EQ(Last().loss().first_unix_ns(), 0);
+}
+
+TEST_F(RecordTest, AMessageOfAnEarlierGraphBringsThatGraphAndWhatFollowsTheNewest) {
+  Begin();
+  const auto drive = [this] {
+    SendBatch(Lane::kMessages, {{.what = pipeline::MessageSeen{.topic = "/cmd_vel",
+                                                               .type = "geometry_msgs/msg/Twist",
+                                                               .writer = Writer(2),
+                                                               .graph_version = 1}}});
+  };
+  drive();
+  EXPECT_FALSE(Last().has_context()) << "it is the graph that the recording began with";
+  ros2::GraphDelta gone;
+  gone.gone_guids = {Participant(2)};
+  SendDelta(gone);
+
+  drive();
+  EXPECT_EQ(Last().message().sender(), "/navigator");
+  EXPECT_EQ(Last().context().nodes_size(), 2);
+  drive();
+  EXPECT_FALSE(Last().has_context()) << "said once";
+  SendBatch(Lane::kControl, {{.what = pipeline::SignalSeen{"SIGUSR2"}}});
+  EXPECT_EQ(Last().context().nodes_size(), 1);
 }
 
 TEST_F(RecordTest, TicksAreLeftOutAndWhoLeavesIsForgotten) {

@@ -19,11 +19,18 @@ class WatchStream final : public grpc::ServerWriteReactor<T> {
 
   WatchStream() : outbound_(std::make_shared<Outbound>(this)) {}
   const std::shared_ptr<Outbound>& outbound() const { return outbound_; }
+  // Dropped when the stream is over. Set before the handler returns.
+  void set_session(std::shared_ptr<void> session) { session_ = std::move(session); }
   // Called once, when the stream is over. Set before the handler returns.
   void set_on_ended(std::function<void()> on_ended) { on_ended_ = std::move(on_ended); }
+  // Called whenever everything that waited has been written. Set before the handler returns.
+  void set_on_drained(std::function<void()> on_drained) { on_drained_ = std::move(on_drained); }
 
  private:
-  void OnWriteDone(bool ok) override { outbound_->OnWritten(ok); }
+  void OnWriteDone(bool ok) override {
+    outbound_->OnWritten(ok);
+    if (ok && on_drained_ && outbound_->waiting() == 0) on_drained_();
+  }
   void OnCancel() override { outbound_->Close(grpc::Status::CANCELLED); }
   void OnDone() override {
     outbound_->Detach();
@@ -33,6 +40,8 @@ class WatchStream final : public grpc::ServerWriteReactor<T> {
 
   std::shared_ptr<Outbound> outbound_;
   std::function<void()> on_ended_;
+  std::function<void()> on_drained_;
+  std::shared_ptr<void> session_;
 };
 
 }  // namespace rips::operator_api

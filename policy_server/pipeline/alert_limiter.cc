@@ -6,8 +6,8 @@
 
 namespace rips::pipeline {
 
-bool AlertLimiter::Admit(const engine::AlertEffect& alert, Instant now) {
-  auto [it, fresh] = buckets_.try_emplace(alert.rule);
+bool AlertLimiter::Admit(const std::string& kind, const engine::AlertEffect& alert, Instant now) {
+  auto [it, fresh] = buckets_.try_emplace(kind);
   Bucket& bucket = it->second;
   if (fresh) {
     bucket.tokens = limits_.burst;
@@ -33,11 +33,13 @@ bool AlertLimiter::Admit(const engine::AlertEffect& alert, Instant now) {
 
 std::vector<engine::AlertEffect> AlertLimiter::Due(Instant now) {
   std::vector<engine::AlertEffect> due;
-  for (auto& [rule, bucket] : buckets_) {
-    if (bucket.folded == 0 || now.boottime_ns - bucket.folded_since_ns < kNanosPerSecond) continue;
+  for (auto& [kind, bucket] : buckets_) {
+    if (bucket.folded == 0 || now.boottime_ns - bucket.folded_since_ns < limits_.summary_ns) {
+      continue;
+    }
     engine::AlertEffect summary = bucket.last;
-    summary.text = absl::StrCat(
-        bucket.folded, " more alerts of this rule within a second; last: ", bucket.last.text);
+    summary.text = absl::StrCat(bucket.folded, " more alerts of this ", limits_.kind, " within ",
+                                limits_.within, "; last: ", bucket.last.text);
     due.push_back(std::move(summary));
     bucket.folded = 0;
   }

@@ -1,5 +1,7 @@
-// Keeps a rule that fires on every message from drowning people: beyond 10 alerts a second (burst
-// 100) per rule, alerts are folded into one summary a second with their count.
+// Keeps what fires on every message from drowning people and filling disks. Beyond a rate, alerts
+// of one kind are folded into a summary with their count, the newest text and the highest severity:
+//   a rule               10 a second, burst 100; a summary a second
+//   a kind of RIPS's own  1 a minute, burst 20; a summary a minute
 #ifndef RIPS_POLICY_SERVER_PIPELINE_ALERT_LIMITER_H_
 #define RIPS_POLICY_SERVER_PIPELINE_ALERT_LIMITER_H_
 
@@ -16,7 +18,18 @@ namespace rips::pipeline {
 struct AlertLimits {
   double per_second = 10;
   double burst = 100;
+  int64_t summary_ns = kNanosPerSecond;
+  // Of what there is one bucket each, for people, and how long that is.
+  const char* kind = "rule";
+  const char* within = "a second";
 };
+
+// For what RIPS says by itself: much of it can be caused by whoever holds a robot's key.
+inline constexpr AlertLimits kOwnAlertLimits{.per_second = 1.0 / 60,
+                                             .burst = 20,
+                                             .summary_ns = 60 * kNanosPerSecond,
+                                             .kind = "kind",
+                                             .within = "a minute"};
 
 // One per robot. Not thread-safe.
 class AlertLimiter {
@@ -24,7 +37,11 @@ class AlertLimiter {
   explicit AlertLimiter(AlertLimits limits = {}) : limits_(limits) {}
 
   // True if the alert may go out now; false if it was folded away.
-  bool Admit(const engine::AlertEffect& alert, Instant now);
+  bool Admit(const engine::AlertEffect& alert, Instant now) {
+    return Admit(alert.rule, alert, now);
+  }
+  // The same with a kind of its own. `kind` is of a bounded set: each has its bucket for ever.
+  bool Admit(const std::string& kind, const engine::AlertEffect& alert, Instant now);
   // Summaries that are due: "N more like: TEXT", with the severity of the most severe.
   std::vector<engine::AlertEffect> Due(Instant now);
 

@@ -28,6 +28,15 @@ CommandLedger::CommandLedger(std::vector<std::string> hosts, std::function<std::
   for (std::string& host : hosts) actuators_[std::move(host)] = Actuator{};
 }
 
+void CommandLedger::SetHosts(const std::vector<std::string>& hosts) {
+  absl::btree_map<std::string, Actuator> listed;
+  for (const std::string& host : hosts) {
+    const auto it = actuators_.find(host);
+    listed[host] = it == actuators_.end() ? Actuator{} : std::move(it->second);
+  }
+  actuators_ = std::move(listed);
+}
+
 void CommandLedger::Order(const Mark& mark, levels::LevelIndex level, const std::string& level_name,
                           const std::string& cause, bool lowers) {
   if (mark == mark_) return;
@@ -36,6 +45,8 @@ void CommandLedger::Order(const Mark& mark, levels::LevelIndex level, const std:
   level_name_ = level_name;
   cause_ = cause;
   lowers_ = lowers;
+  orders_.push_back({.mark = mark, .level = level, .level_name = level_name});
+  if (orders_.size() > kOrdersKept) orders_.pop_front();
   for (auto& [host, actuator] : actuators_) {
     StartAnew(actuator);
   }
@@ -48,10 +59,21 @@ void CommandLedger::StartAnew(Actuator& actuator) const {
   actuator.sent_ns = actuator.first_sent_ns = actuator.retry_at_ns = 0;
 }
 
-void CommandLedger::Hold(Actuator& actuator) const {
-  actuator.held = mark_;
-  actuator.held_level = level_;
-  actuator.held_name = level_name_;
+void CommandLedger::Hold(Actuator& actuator, const Mark& mark) const {
+  if (mark < actuator.held) return;
+  for (const Ordered& order : orders_) {
+    if (order.mark != mark) continue;
+    actuator.held = mark;
+    actuator.held_level = order.level;
+    actuator.held_name = order.level_name;
+  }
+}
+
+std::optional<std::string> CommandLedger::OrderedLevel(const Mark& mark) const {
+  for (const Ordered& order : orders_) {
+    if (order.mark == mark) return order.level_name;
+  }
+  return std::nullopt;
 }
 
 void CommandLedger::Fail(Actuator& actuator, const std::string& why, Instant now) const {
@@ -65,13 +87,15 @@ void CommandLedger::Attach(const std::string& host, const Mark& held, levels::Le
                            Instant now) {
   Actuator& actuator = actuators_[host];
   actuator.attached = true;
+  actuator.beaten = false;
+  actuator.old_failure.clear();
   actuator.held = held;
   actuator.held_level = held_level;
   actuator.held_name = held_name;
   actuator.programs = std::move(programs);
   // Whatever was reported in an earlier session, the read-back is asked for again.
   StartAnew(actuator);
-  if (!mark_.none() && held == mark_) {
+  if (!mark_.none() && held == mark_ && held_level == level_) {
     actuator.stage = Stage::kAcknowledged;
     actuator.first_sent_ns = now.boottime_ns;
   }
@@ -133,15 +157,23 @@ ReceiptResult CommandLedger::OnReceipt(const std::string& host, const Receipt& r
   }
   Actuator& actuator = actuators_[host];
   ReceiptResult result;
+  const bool obeyed =
+      receipt.stage == Receipt::Stage::kAcknowledged || receipt.stage == Receipt::Stage::kVerified;
+  // Also of a decision that has been overtaken: what comes next is based on it.
+  if (!receipt.mark.none() && obeyed) Hold(actuator, receipt.mark);
   if (receipt.mark.none() || receipt.mark != mark_) return result;
+  if (receipt.stage == Receipt::Stage::kFailed && !actuator.beaten &&
+      receipt.command_id != actuator.command_id) {
+    // It may be minutes old: the first heartbeat says whether the level holds.
+    actuator.old_failure = absl::StrCat(host, ": ", FailureText(receipt));
+    return result;
+  }
   const Stage before = actuator.stage;
   switch (receipt.stage) {
     case Receipt::Stage::kAcknowledged:
-      Hold(actuator);
       if (before == Stage::kRequested) actuator.stage = Stage::kAcknowledged;
       break;
     case Receipt::Stage::kVerified:
-      Hold(actuator);
       actuator.stage = Stage::kVerified;
       actuator.failure.clear();
       break;
@@ -174,8 +206,11 @@ ReceiptResult CommandLedger::OnProgramReceipt(uint64_t run_id, const Receipt& re
   return result;
 }
 
-bool CommandLedger::OnBeat(const std::string& host, levels::LevelIndex effective, bool verified) {
+bool CommandLedger::OnBeat(const std::string& host, levels::LevelIndex effective, bool verified,
+                           Instant now) {
   Actuator& actuator = actuators_[host];
+  actuator.beaten = true;
+  const std::string old_failure = std::exchange(actuator.old_failure, "");
   if (actuator.held != mark_) return false;
   const bool reached = verified && (effective == level_ || (effective > level_ && !lowers_));
   if (actuator.stage == Stage::kVerified && !reached) {
@@ -186,6 +221,8 @@ bool CommandLedger::OnBeat(const std::string& host, levels::LevelIndex effective
   if (reached && actuator.stage != Stage::kRequested) {
     actuator.stage = Stage::kVerified;
     actuator.failure.clear();
+  } else if (!reached && !old_failure.empty()) {
+    Fail(actuator, old_failure, now);
   }
   return false;
 }

@@ -3,6 +3,7 @@
 #define RIPS_POLICY_SERVER_PIPELINE_COMMAND_LEDGER_H_
 
 #include <cstdint>
+#include <deque>
 #include <functional>
 #include <optional>
 #include <string>
@@ -63,11 +64,18 @@ class CommandLedger {
   void Order(const Mark& mark, levels::LevelIndex level, const std::string& level_name,
              const std::string& cause, bool lowers);
 
+  // Other actuators are listed from now on. A new one has to reach the newest decision too; of one
+  // that is no longer listed nothing is known any more.
+  void SetHosts(const std::vector<std::string>& hosts);
+
   // `held_*`: what the actuator says it holds (none = nothing). One that holds the newest decision
-  // already is not commanded again; its beats tell whether the level is verified.
+  // and its level already is not commanded again; its beats tell whether the level is verified.
   void Attach(const std::string& host, const Mark& held, levels::LevelIndex held_level,
               const std::string& held_name, std::vector<std::string> programs, Instant now);
   void Detach(const std::string& host);
+  // The level of one of the newest kOrdersKept decisions that were ordered; nullopt if the decision
+  // is older or not of this process.
+  std::optional<std::string> OrderedLevel(const Mark& mark) const;
   bool attached(const std::string& host) const;
 
   // Takes the run to the first attached actuator whose allow-list has the program. False if there
@@ -82,7 +90,7 @@ class CommandLedger {
   ReceiptResult OnReceipt(const std::string& host, const Receipt& receipt, Instant now);
   // What the actuator reports of itself between receipts. True if a level that was verified is no
   // longer so.
-  bool OnBeat(const std::string& host, levels::LevelIndex effective, bool verified);
+  bool OnBeat(const std::string& host, levels::LevelIndex effective, bool verified, Instant now);
 
   // Commands to send now. `term` fences them. Call after every change and at least each 100 ms.
   std::vector<Outgoing> Due(uint64_t term, Instant now);
@@ -102,6 +110,10 @@ class CommandLedger {
     Mark held;
     levels::LevelIndex held_level = 0;
     std::string held_name;
+    // A heartbeat has come in this session.
+    bool beaten = false;
+    // Reported before the first heartbeat, of a command that this session did not send.
+    std::string old_failure;
     // None until it has attached for the first time.
     std::optional<std::vector<std::string>> programs;
     // Of the newest decision.
@@ -122,7 +134,15 @@ class CommandLedger {
     bool sent = false;
   };
 
-  void Hold(Actuator& actuator) const;
+  struct Ordered {
+    Mark mark;
+    levels::LevelIndex level = 0;
+    std::string level_name;
+  };
+  static constexpr size_t kOrdersKept = 64;
+
+  // The actuator holds the decision of this mark, unless it holds a newer one.
+  void Hold(Actuator& actuator, const Mark& mark) const;
   void StartAnew(Actuator& actuator) const;
   void Fail(Actuator& actuator, const std::string& why, Instant now) const;
   std::optional<Command> LevelCommandDue(Actuator& actuator, uint64_t term, Instant now);
@@ -132,6 +152,8 @@ class CommandLedger {
   LedgerTiming timing_;
   absl::btree_map<std::string, Actuator> actuators_;
   absl::btree_map<uint64_t, ProgramRun> runs_;
+  // The newest decisions, oldest first.
+  std::deque<Ordered> orders_;
   Mark mark_;
   levels::LevelIndex level_ = 0;
   std::string level_name_;

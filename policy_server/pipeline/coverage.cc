@@ -77,4 +77,29 @@ std::optional<std::string> CoverageAlarm::Due(int64_t now_ns) {
   return absl::StrJoin(fallen, "; ");
 }
 
+void CutPayloads::Add(absl::string_view topic, uint32_t came_bytes, uint32_t size_bytes,
+                      int64_t now_ns) {
+  auto it = topics_.find(topic);
+  if (it == topics_.end() && topics_.size() >= kTopicsMax) {
+    topics_.erase(std::min_element(
+        topics_.begin(), topics_.end(),
+        [](const auto& a, const auto& b) { return a.second.last_ns < b.second.last_ns; }));
+  }
+  if (it == topics_.end()) it = topics_.emplace(topic, Topic{.topic = std::string(topic)}).first;
+  Topic& cut = it->second;
+  if (now_ns - cut.last_ns > kKeptNs) cut = {.topic = std::move(cut.topic)};
+  cut.limit_bytes = came_bytes;
+  cut.longest_bytes = std::max(cut.longest_bytes, size_bytes);
+  ++cut.count;
+  cut.last_ns = now_ns;
+}
+
+std::vector<CutPayloads::Topic> CutPayloads::Recent(int64_t now_ns) const {
+  std::vector<Topic> recent;
+  for (const auto& [name, topic] : topics_) {
+    if (now_ns - topic.last_ns <= kKeptNs) recent.push_back(topic);
+  }
+  return recent;
+}
+
 }  // namespace rips::pipeline

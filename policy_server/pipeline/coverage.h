@@ -10,6 +10,7 @@
 
 #include "absl/container/btree_map.h"
 #include "absl/container/btree_set.h"
+#include "absl/strings/string_view.h"
 #include "policy_server/pipeline/inbound.h"
 #include "services/base/clock.h"
 #include "services/ros2/guid.h"
@@ -85,6 +86,33 @@ class CoverageAlarm {
   size_t told_not_visible_ = 0;
   absl::btree_map<std::string, Kinds> kinds_;
   std::optional<int64_t> told_ns_;
+};
+
+// Topics of which payloads were longer than the sensor sends.
+class CutPayloads {
+ public:
+  // A topic is forgotten this long after the last one.
+  static constexpr int64_t kKeptNs = 600 * kNanosPerSecond;
+  // Further topics are not told apart: they take the place of the one whose last is oldest.
+  static constexpr size_t kTopicsMax = 64;
+
+  struct Topic {
+    std::string topic;
+    // Bytes of the last one that came.
+    uint32_t limit_bytes = 0;
+    // Of the longest one on the robot.
+    uint32_t longest_bytes = 0;
+    // Messages since the first of them.
+    uint64_t count = 0;
+    int64_t last_ns = 0;
+  };
+
+  void Add(absl::string_view topic, uint32_t came_bytes, uint32_t size_bytes, int64_t now_ns);
+  // By name.
+  std::vector<Topic> Recent(int64_t now_ns) const;
+
+ private:
+  absl::btree_map<std::string, Topic> topics_;
 };
 
 }  // namespace rips::pipeline

@@ -108,5 +108,21 @@ TEST(CoverageAlarmTest, ManyAndLongKindsAreCut) {
   EXPECT_LT(text->size(), CoverageAlarm::kKindsMax * (CoverageAlarm::kKindBytesMax + 10));
 }
 
+TEST(CutPayloadsTest, ForgetsTopicsAfterAWhileAndHoldsFewOfThem) {
+  CutPayloads cut;
+  cut.Add("/a", 10, 20, 0);
+  cut.Add("/b", 10, 30, CutPayloads::kKeptNs);
+  EXPECT_EQ(cut.Recent(CutPayloads::kKeptNs).size(), 2u);
+  ASSERT_EQ(cut.Recent(CutPayloads::kKeptNs + 1).size(), 1u);
+  EXPECT_EQ(cut.Recent(CutPayloads::kKeptNs + 1)[0].topic, "/b");
+  cut.Add("/a", 11, 15, CutPayloads::kKeptNs + 1);
+  EXPECT_EQ(cut.Recent(CutPayloads::kKeptNs + 1)[0].longest_bytes, 15u) << "it begins anew";
+
+  for (size_t i = 0; i < 10 * CutPayloads::kTopicsMax; ++i) {
+    cut.Add("/made_up_" + std::to_string(i), 1, 2, CutPayloads::kKeptNs + 2);
+  }
+  EXPECT_EQ(cut.Recent(CutPayloads::kKeptNs + 2).size(), CutPayloads::kTopicsMax);
+}
+
 }  // namespace
 }  // namespace rips::pipeline

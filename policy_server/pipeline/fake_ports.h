@@ -19,6 +19,7 @@ namespace rips::pipeline {
 class FakeAudience final : public Audience {
  public:
   void OnAlert(const store::AlertRecord& alert) override { alerts.push_back(alert); }
+  void OnNotice(const std::string&) override {}
   void OnStatus(const RobotStatus& status) override { statuses.push_back(status); }
   void OnRuleLog(const std::string&, const std::string& rule, const std::string& text) override {
     rule_logs.push_back(absl::StrCat(rule, ": ", text));
@@ -38,20 +39,27 @@ struct FakeSensor final : SensorLink {
   void Acknowledge(const std::string&, Lane lane, uint64_t sequence) override {
     acknowledged[static_cast<int>(lane)] = sequence;
   }
-  void Grant(uint64_t message_bytes) override { granted = message_bytes; }
+  void Grant(uint64_t message_bytes, uint64_t payload_bytes) override {
+    granted = message_bytes;
+    payload_granted = payload_bytes;
+  }
   void Beat(int64_t echo) override { echoed = echo; }
-  std::string SetInterest(const engine::InterestPlan& plan) override {
-    if (plan != interest) ++interests;
+  std::string SetInterest(const engine::InterestPlan& plan,
+                          const engine::PayloadLimits& limits) override {
+    if (plan != interest || limits != payload_limits) ++interests;
     interest = plan;
+    payload_limits = limits;
     return interest_id();
   }
   std::string interest_id() const { return absl::StrCat("interest ", interests); }
   void Close(const absl::Status& status) override { closed = status; }
   SensorSetup setup;
   engine::InterestPlan interest;
+  engine::PayloadLimits payload_limits;
   int interests = 0;
   uint64_t acknowledged[kLaneCount] = {0, 0};
   uint64_t granted = 0;
+  uint64_t payload_granted = 0;
   int64_t echoed = 0;
   absl::Status closed;
 };

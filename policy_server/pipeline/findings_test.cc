@@ -196,5 +196,22 @@ TEST_F(RobotFindingsTest, SensorsAreToldWhichPartsToWatchOverAlsoWhileTheActuato
   EXPECT_EQ(sensor_->setup.own_participants.back(), Participant(29));
 }
 
+TEST_F(RobotFindingsTest, SensorsAreToldOfEachOther) {
+  sensor_hosts_ = {"base", "laptop"};
+  Start(kRules);
+  robot_->OnSensorHello(
+      "base", sensor_ = std::make_shared<FakeSensor>(),
+      {.incarnation = kIncarnation, .clock = clock_.Now(), .participant = Participant(1)});
+  EXPECT_THAT(sensor_->setup.own_participants, ElementsAre(Participant(1)));
+  const auto laptop = std::make_shared<FakeSensor>();
+  robot_->OnSensorHello(
+      "laptop", laptop,
+      {.incarnation = "fedcba9876543210", .clock = clock_.Now(), .participant = Participant(2)});
+  EXPECT_THAT(sensor_->setup.own_participants, ElementsAre(Participant(1), Participant(2)));
+  EXPECT_THAT(laptop->setup.own_participants, ElementsAre(Participant(1), Participant(2)));
+  EXPECT_TRUE(sensor_->setup.primary);
+  EXPECT_FALSE(laptop->setup.primary);
+}
+
 }  // namespace
 }  // namespace rips::pipeline

@@ -31,10 +31,12 @@ struct MessageSeen {
   ros2::Guid writer;
   // Of the serialized payload on the robot.
   uint32_t size_bytes = 0;
-  // Its first bytes, if the sensor was asked for them.
+  // Its first bytes, if the sensor was asked for them; at most kPayloadBytesHard.
   std::string payload;
   // `payload` is shorter than size_bytes.
   bool truncated = false;
+  // Of the sensor's graph, that shows the writer; 0 = not named.
+  uint64_t graph_version = 0;
 };
 
 struct GraphSnapshotSeen {
@@ -89,6 +91,8 @@ struct SensorStateSeen {
   uint64_t spool_bytes = 0;
   // Kinds of traffic the sensor cannot see, for people; hostile text.
   std::vector<std::string> not_visible;
+  // Inputs that it was told to watch and cannot, with the reason; hostile text.
+  std::vector<std::string> blind;
 };
 
 struct FindingSeen {
@@ -120,6 +124,8 @@ struct Batch {
   std::vector<Observation> observations;
   // As counted against credit: serialized size on the wire.
   size_t bytes = 0;
+  // As counted against the credit of payloads: what came in chunks before this batch.
+  size_t payload_bytes = 0;
   // Keeps the strings alive that the views point to.
   std::shared_ptr<const void> names;
 };
@@ -129,16 +135,25 @@ struct SpooledRange {
   Lane lane = Lane::kControl;
   uint64_t first_sequence = 0;
   uint64_t last_sequence = 0;
+  // The highest number that the sensor was told is durable; 0 = none, or it does not say.
+  uint64_t acknowledged = 0;
 };
 
 struct SensorHello {
   std::string incarnation;
   Instant clock;
   std::vector<SpooledRange> spooled;
-  // As in SensorStateSeen.
+  // DDS domain it watches.
+  uint32_t domain = 0;
+  // Both as in SensorStateSeen.
   std::vector<std::string> not_visible;
+  std::vector<std::string> blind;
   // Id of the interest it watches by; empty = none.
   std::string interest_in_use;
+  // Its address, as the transport says.
+  std::string peer;
+  // On the robot's bus; none() = it does not say.
+  ros2::Guid participant;
 };
 
 struct SensorBeat {
@@ -167,6 +182,8 @@ struct ActuatorHello {
   // Full names of the parts whose modes its levels set.
   std::vector<std::string> protected_parts;
   Instant clock;
+  // Its address, as the transport says.
+  std::string peer;
 };
 
 struct ActuatorBeat {

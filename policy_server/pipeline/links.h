@@ -33,13 +33,14 @@ class SensorLink {
   virtual ~SensorLink() = default;
   virtual void Setup(const SensorSetup& setup) = 0;
   virtual void Acknowledge(const std::string& incarnation, Lane lane, uint64_t sequence) = 0;
-  // Cumulative since stream start, bytes of message batches.
-  virtual void Grant(uint64_t message_bytes) = 0;
+  // Cumulative since stream start: bytes of message batches, and of payloads that come in chunks.
+  virtual void Grant(uint64_t message_bytes, uint64_t payload_bytes) = 0;
   // `echo_boottime_ns`: the peer's newest.
   virtual void Beat(int64_t echo_boottime_ns) = 0;
   // What to watch from now on. Returns the id by which the sensor answers (InterestAnswer); one
   // that has it in use already need not.
-  virtual std::string SetInterest(const engine::InterestPlan& plan) = 0;
+  virtual std::string SetInterest(const engine::InterestPlan& plan,
+                                  const engine::PayloadLimits& limits) = 0;
   // Ends the stream with this status.
   virtual void Close(const absl::Status& status) = 0;
 };

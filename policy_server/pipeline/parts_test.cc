@@ -155,6 +155,63 @@ TEST_F(CommandLedgerTest, ALoweringThatFailedUnacknowledgedIsStillBasedOnTheMark
   EXPECT_EQ(std::get<SetLevel>(again[0].command.what).based_on, (Mark{1, 4}));
 }
 
+TEST_F(CommandLedgerTest, ALoweringRightAfterARaiseIsBasedOnTheRaiseOnceThatIsHeld) {
+  ledger_.Attach("a", {1, 1}, 0, "DEFAULT", {}, At(100));
+  ledger_.Order({1, 2}, 2, "COMPROMISED", "rule up", /*lowers=*/false);
+  const auto raise = ledger_.Due(1, At(100));
+  ledger_.Order({1, 3}, 1, "ALERT", "operator alice", /*lowers=*/true);
+  // The raise was acknowledged after it had been overtaken.
+  ledger_.OnReceipt("a", Answer(raise[0], Receipt::Stage::kAcknowledged), At(100));
+
+  const auto lowering = ledger_.Due(1, At(100));
+
+  ASSERT_THAT(lowering, SizeIs(1));
+  EXPECT_EQ(std::get<SetLevel>(lowering[0].command.what).based_on, (Mark{1, 2}));
+  EXPECT_EQ(std::get<SetLevel>(lowering[0].command.what).from, "COMPROMISED");
+}
+
+TEST_F(CommandLedgerTest, ARefusedLoweringIsTriedAgainWithTheDecisionThatIsHeldByThen) {
+  ledger_.Attach("a", {1, 1}, 1, "ALERT", {}, At(100));
+  ledger_.Order({1, 2}, 2, "COMPROMISED", "rule up", /*lowers=*/false);
+  const auto raise = ledger_.Due(1, At(100));
+  ledger_.Order({1, 3}, 0, "DEFAULT", "operator alice", /*lowers=*/true);
+  const auto early = ledger_.Due(1, At(100));
+  EXPECT_EQ(std::get<SetLevel>(early[0].command.what).based_on, (Mark{1, 1}));
+  ledger_.OnReceipt("a", Answer(raise[0], Receipt::Stage::kAcknowledged), At(101));
+  ledger_.OnReceipt("a", Answer(early[0], Receipt::Stage::kRefused), At(101));
+
+  const auto again = ledger_.Due(1, At(110));
+
+  ASSERT_THAT(again, SizeIs(1));
+  EXPECT_EQ(std::get<SetLevel>(again[0].command.what).based_on, (Mark{1, 2}));
+}
+
+TEST_F(CommandLedgerTest, TheNewestMarkUnderAnotherLevelIsNotTheNewestDecision) {
+  ledger_.Order({1, 5}, 0, "DEFAULT", "", /*lowers=*/true);
+  ledger_.Attach("a", {1, 5}, 3, "HALT", {}, At(100));
+  EXPECT_EQ(ledger_.stage(), Stage::kRequested);
+}
+
+TEST_F(CommandLedgerTest, AFailureFromBeforeTheSessionWaitsForTheFirstHeartbeat) {
+  for (const bool verified : {true, false}) {
+    CommandLedger ledger({"a"}, [] { return "id"; });
+    ledger.Order({1, 5}, 2, "COMPROMISED", "restored", /*lowers=*/false);
+    ledger.Attach("a", {1, 5}, 2, "COMPROMISED", {}, At(100));
+    ledger.OnReceipt("a",
+                     {.command_id = "of another process",
+                      .mark = {1, 5},
+                      .stage = Receipt::Stage::kFailed,
+                      .detail = "minutes ago"},
+                     At(100));
+    EXPECT_EQ(ledger.stage(), Stage::kAcknowledged);
+
+    ledger.OnBeat("a", /*effective=*/2, verified, At(101));
+
+    EXPECT_EQ(ledger.stage(), verified ? Stage::kVerified : Stage::kFailed);
+    EXPECT_EQ(ledger.failure().empty(), verified);
+  }
+}
+
 TEST_F(CommandLedgerTest, ReceiptsOfOlderDecisionsChangeNothing) {
   ledger_.Attach("a", {}, 0, "DEFAULT", {}, At(100));
   ledger_.Order({1, 1}, 1, "ALERT", "", /*lowers=*/false);
@@ -174,7 +231,7 @@ TEST_F(CommandLedgerTest, ALoweringIsVerifiedOnlyAtItsLevelARaiseAlsoAbove) {
     const auto due = ledger.Due(1, At(100));
     ledger.OnReceipt("a", Answer(due[0], Receipt::Stage::kAcknowledged), At(100));
 
-    ledger.OnBeat("a", /*effective=*/2, /*verified=*/true);
+    ledger.OnBeat("a", /*effective=*/2, /*verified=*/true, At(100));
 
     EXPECT_EQ(ledger.stage() == Stage::kVerified, !lowers);
   }
@@ -197,6 +254,7 @@ TEST_F(CommandLedgerTest, NoFinalReceiptInTimeIsAFailure) {
 class CountingAudience final : public Audience {
  public:
   void OnAlert(const store::AlertRecord&) override { ++alerts; }
+  void OnNotice(const std::string&) override {}
   void OnStatus(const RobotStatus&) override { ++statuses; }
   void OnRuleLog(const std::string&, const std::string&, const std::string&) override {}
   std::atomic<int> alerts = 0;

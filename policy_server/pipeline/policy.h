@@ -25,10 +25,10 @@ struct Policy {
   std::shared_ptr<Inspector> inspector;
   // What the program needs (MakeInterest), so that robots share it; null: each finds out itself.
   std::shared_ptr<const engine::InterestPlan> interest;
+  // Of payloads that inspections look at; kPayloadBytesDefault where none matches.
+  engine::PayloadLimits payload_limits;
 };
 
-// Of one message, that inspections look at.
-inline constexpr uint32_t kPayloadBytesMax = 64 << 10;
 // Takes as long as compiling the rules.
 std::shared_ptr<const engine::InterestPlan> MakeInterest(const engine::Program& program);
 

@@ -5,6 +5,7 @@
 #include <cstdint>
 #include <functional>
 #include <memory>
+#include <optional>
 #include <string>
 #include <vector>
 
@@ -30,7 +31,8 @@ class Recorder {
   // The last write succeeded.
   virtual bool healthy() const = 0;
   // Blocking reads and the term counter; rare (an actuator's Hello).
-  virtual absl::StatusOr<bool> HasMark(const std::string& robot, const Mark& mark) = 0;
+  virtual absl::StatusOr<std::optional<std::string>> FindDecision(const std::string& robot,
+                                                                  const Mark& mark) = 0;
   virtual absl::StatusOr<uint64_t> NextTerm(const std::string& robot, uint64_t above) = 0;
 };
 
@@ -54,6 +56,8 @@ class Audience {
   virtual ~Audience() = default;
   // Durable already.
   virtual void OnAlert(const store::AlertRecord& alert) = 0;
+  // What those who watch must know before it can be durable: that the store cannot be written.
+  virtual void OnNotice(const std::string& text) = 0;
   virtual void OnStatus(const RobotStatus& status) = 0;
   // A rule has shown values with True or False; text of a robot, to be escaped.
   virtual void OnRuleLog(const std::string& robot, const std::string& rule,
@@ -79,9 +83,11 @@ struct InspectedMessage {
 class Tap {
  public:
   virtual ~Tap() = default;
-  // `graph` as it is when the event is judged; `message` is what MessageEvent was made of, else
-  // null. False: no more, please.
-  virtual bool OnEvent(const engine::Event& event, const ros2::RosGraph& graph,
+  // `graph`: the one that the event is judged against. An event may be judged against an earlier
+  // one than the event before. `message` is what MessageEvent was made of, else null. False: no
+  // more, please.
+  virtual bool OnEvent(const engine::Event& event,
+                       const std::shared_ptr<const ros2::RosGraph>& graph,
                        const MessageSeen* message) = 0;
 };
 
@@ -96,15 +102,28 @@ class Inspector {
                        std::function<void(std::vector<engine::Verdict>)> done) = 0;
 };
 
+// Why an inspection was not made: nothing came, it was cut at a limit, or nobody answered in time.
+inline constexpr const char* kSkipReasons[] = {"no payload", "cut payload", "not answered"};
+
 // What is counted; a null entry is not.
 struct Counts {
   // Of a robot, when they have changed.
   std::function<void(const std::string& robot, const EndpointCounts&)> endpoints;
+  // Of a robot: why it is not seen, at first and when that has changed.
+  std::function<void(const std::string& robot, size_t reasons)> blind;
   // Of a robot's sensor host, nanoseconds, as estimated.
   std::function<void(const std::string& robot, const std::string& host, int64_t)> clock_skew;
+  // Inspections that were not made, by reason.
+  std::function<void(const std::string& reason, uint64_t)> inspections_skipped;
   std::function<void(uint64_t)> observations_judged;
   std::function<void(uint64_t)> observations_lost;
   std::function<void(uint64_t)> observations_duplicate;
+  // Judged without a node, since the graph did not show their writer in time.
+  std::function<void(uint64_t)> messages_unattributed;
+  // Of agents that have a live session already.
+  std::function<void(uint64_t)> sessions_refused;
+  // Messages of which a payload was asked for and only the first bytes came.
+  std::function<void(uint64_t)> payloads_cut;
   std::function<void(uint64_t)> alerts;
   // Not recorded because the store could not be written for too long.
   std::function<void(uint64_t)> alerts_lost;

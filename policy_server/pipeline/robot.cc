@@ -90,6 +90,7 @@ Robot::Robot(RobotConfig config, Policy policy, Timing timing, const store::Robo
     if (it == sensors_.end()) continue;
     const Lane lane = key.lane == store::LaneKey::Lane::kControl ? Lane::kControl : Lane::kMessages;
     it->second.sequences.Restore(absl::HexStringToBytes(key.incarnation), lane, sequence);
+    it->second.durable.Restore(absl::HexStringToBytes(key.incarnation), lane, sequence);
   }
   if (record.mark.none()) {
     Adopt(state_.level.level(), Mark{}, "first start");
@@ -107,18 +108,18 @@ absl::Status Robot::AddTap(std::shared_ptr<Tap> tap) {
   return absl::OkStatus();
 }
 
-void Robot::Run(const engine::Event& event, const MessageSeen* message) {
+void Robot::Run(const engine::Event& event, const MessageSeen* message, absl::string_view remark) {
   const Instant now = ports_.clock->Now();
   taps_.erase(std::remove_if(taps_.begin(), taps_.end(),
                              [&](const std::shared_ptr<Tap>& tap) {
-                               return !tap->OnEvent(event, state_.graph.get(), message);
+                               return !tap->OnEvent(event, state_.graph.version().graph, message);
                              }),
               taps_.end());
   state_.evidence = evidence_.Assess(now);
   const engine::Outcome outcome = engine::Evaluate(event, now, state_);
   if (!outcome.effects.empty() || !outcome.refused_programs.empty() ||
       !outcome.cut_strings.empty()) {
-    Perform(outcome, engine::Describe(event));
+    Perform(outcome, absl::StrCat(engine::Describe(event), remark));
   } else {
     variables_changed_ |= outcome.variables_changed;
   }
@@ -194,6 +195,8 @@ void Robot::TakeTransition(const engine::TransitionEffect& effect) {
   }
   if (!transition.decided()) return;
   RecordDecision(transition);
+  // What was seen so far says nothing about the level that this leads to.
+  evidence_.Disturb("the level has changed", ports_.clock->Now());
   failure_alerted_ = false;
   if (transition.lowers()) {
     pending_lowerings_.push_back(transition);
@@ -235,6 +238,7 @@ void Robot::Order(const levels::Transition& transition) {
 void Robot::Alert(engine::AlertEffect alert, const std::string& event) {
   if (pending_.alerts.size() >= kUnrecordedAlertsMax) {
     pending_.alerts.erase(pending_.alerts.begin());
+    ++alerts_dropped_;
     if (ports_.counts.alerts_lost) ports_.counts.alerts_lost(1);
   }
   pending_.alerts.push_back({.id = ports_.new_id(),
@@ -249,23 +253,51 @@ void Robot::Alert(engine::AlertEffect alert, const std::string& event) {
   if (ports_.counts.alerts) ports_.counts.alerts(1);
 }
 
-void Robot::OwnAlert(engine::Severity severity, const std::string& text) {
-  Alert({.rule = std::string(kOwnRule),
-         .severity = severity,
-         .text = text,
-         .level = state_.level.level(),
-         .mark = state_.level.mark()},
-        "");
+void Robot::OwnAlert(engine::Severity severity, const std::string& text,
+                     std::source_location where) {
+  engine::AlertEffect alert{.rule = std::string(kOwnRule),
+                            .severity = severity,
+                            .text = text,
+                            .level = state_.level.level(),
+                            .mark = state_.level.mark()};
+  const std::string kind = absl::StrCat(where.file_name(), ":", where.line());
+  if (own_alert_limiter_.Admit(kind, alert, ports_.clock->Now())) Alert(std::move(alert), "");
+}
+
+void Robot::RefuseSecond(SecondHolder& second, const std::string& peer) {
+  second.Refused(peer, ports_.clock->Now().boottime_ns);
+  if (ports_.counts.sessions_refused) ports_.counts.sessions_refused(1);
+}
+
+void Robot::BeginSession(absl::string_view agent, const std::string& host, SecondHolder& second,
+                         const std::string& peer) {
+  const std::string before = second.Begin(peer);
+  if (before.empty()) return;
+  OwnAlert(
+      engine::Severity::kMedium,
+      absl::StrCat(agent, " ", config_.id, "/", host, " now comes from ", peer, ", before from ",
+                   before, "; if it was not moved, its key may be in other hands"));
+}
+
+void Robot::TellSecond(absl::string_view agent, const std::string& host, SecondHolder& second) {
+  const auto report = second.Heard(ports_.clock->Now().boottime_ns);
+  if (!report) return;
+  OwnAlert(engine::Severity::kCritical,
+           absl::StrCat("a second process uses the key of ", agent, " ", config_.id, "/", host,
+                        ": refused ", report->refused, " times, last from ", report->peer,
+                        "; the session in use is from ", report->holder,
+                        "; find out which of them is the robot, and replace the key"));
 }
 
 // ---------------------------------------------------------------------------------- recording
 
 void Robot::Flush() {
-  if (pending_.empty() && !sequences_moved_ && !variables_changed_) return;
+  if (pending_.empty() && !sequences_moved_ && !variables_changed_ && !bundle_changed_) return;
   store::Checkpoint checkpoint{.robot = config_.id,
                                .soft_suspended = state_.level.soft_suspended(),
                                .rules_halted = state_.halted()};
   if (variables_changed_) checkpoint.variables = state_.Variables();
+  if (bundle_changed_) checkpoint.bundle = policy_.bundle_id;
   for (const auto& [host, sensor] : sensors_) {
     for (const auto& [key, sequence] : sensor.sequences.all()) {
       const auto lane = key.second == Lane::kControl ? store::LaneKey::Lane::kControl
@@ -277,31 +309,33 @@ void Robot::Flush() {
   store::HighWater judged = checkpoint.high_water;
   store::WriteBatch batch = std::exchange(pending_, {});
   batch.checkpoints.push_back(std::move(checkpoint));
-  sequences_moved_ = variables_changed_ = false;
+  sequences_moved_ = variables_changed_ = bundle_changed_ = false;
   checkpoint_at_ns_ = ports_.clock->Now().boottime_ns + timing_.checkpoint_ns;
 
   auto lowerings = std::exchange(pending_lowerings_, {});
   auto kept = std::make_shared<store::WriteBatch>(batch);
-  ports_.recorder->Record(std::move(batch),
-                          [this, kept, judged, lowerings](const absl::Status& status) {
-                            if (status.ok()) {
-                              for (const store::AlertRecord& alert : kept->alerts)
-                                ports_.audience->OnAlert(alert);
-                            }
-                            ports_.post([this, kept, judged, lowerings, status] {
-                              if (!status.ok()) {
-                                // Nothing is forgotten: what was not written goes in front of what
-                                // comes next.
-                                kept->checkpoints.clear();
-                                Prepend(kept->decisions, pending_.decisions);
-                                Prepend(kept->refusals, pending_.refusals);
-                                Prepend(kept->stages, pending_.stages);
-                                Prepend(kept->alerts, pending_.alerts);
-                                sequences_moved_ = variables_changed_ = true;
-                              }
-                              OnRecorded(status, *kept, judged, lowerings);
-                            });
-                          });
+  ++recording_;
+  // On another thread this robot may be gone by then; what is posted is dropped if it is.
+  ports_.recorder->Record(std::move(batch), [this, audience = ports_.audience, post = ports_.post,
+                                             kept, judged, lowerings](const absl::Status& status) {
+    if (status.ok()) {
+      for (const store::AlertRecord& alert : kept->alerts) audience->OnAlert(alert);
+    }
+    post([this, kept, judged, lowerings, status] {
+      --recording_;
+      if (!status.ok()) {
+        // Nothing is forgotten: what was not written goes in front of what
+        // comes next.
+        kept->checkpoints.clear();
+        Prepend(kept->decisions, pending_.decisions);
+        Prepend(kept->refusals, pending_.refusals);
+        Prepend(kept->stages, pending_.stages);
+        Prepend(kept->alerts, pending_.alerts);
+        sequences_moved_ = variables_changed_ = bundle_changed_ = true;
+      }
+      OnRecorded(status, *kept, judged, lowerings);
+    });
+  });
 }
 
 void Robot::OnRecorded(const absl::Status& status, const store::WriteBatch& recorded,
@@ -309,15 +343,22 @@ void Robot::OnRecorded(const absl::Status& status, const store::WriteBatch& reco
                        const std::vector<levels::Transition>& lowerings) {
   store_failing_ = !status.ok();
   if (!status.ok()) {
+    if (absl::IsResourceExhausted(status)) SaveRaises();
     for (const levels::Transition& lowering : lowerings) TakeBack(lowering, status);
     PublishStatus();
     return;
   }
+  if (const uint64_t dropped = std::exchange(alerts_dropped_, 0); dropped > 0) {
+    OwnAlert(engine::Severity::kHigh,
+             absl::StrCat(dropped, " alerts were dropped while the store could not be written"));
+  }
   for (const auto& [key, sequence] : judged) {
     const auto it = sensors_.find(key.host);
-    if (it == sensors_.end() || !it->second.session) continue;
+    if (it == sensors_.end()) continue;
     const Lane lane = key.lane == store::LaneKey::Lane::kControl ? Lane::kControl : Lane::kMessages;
-    it->second.session->link->Acknowledge(absl::HexStringToBytes(key.incarnation), lane, sequence);
+    const std::string incarnation = absl::HexStringToBytes(key.incarnation);
+    it->second.durable.Restore(incarnation, lane, sequence);
+    if (it->second.session) it->second.session->link->Acknowledge(incarnation, lane, sequence);
   }
   for (const levels::Transition& lowering : lowerings) {
     if (lowering.mark == awaiting_durable_) awaiting_durable_ = Mark{};
@@ -325,24 +366,39 @@ void Robot::OnRecorded(const absl::Status& status, const store::WriteBatch& reco
     if (lowering.mark == state_.level.mark()) Order(lowering);
   }
   for (const store::DecisionRecord& decision : recorded.decisions) {
-    const auto it = waiting_.find(decision.mark);
-    if (it == waiting_.end()) continue;
-    const Waiting waiting = std::move(it->second);
-    waiting_.erase(it);
-    answered_.emplace_back(waiting.request_id, waiting.answer);
-    if (answered_.size() > kAnswersKept) answered_.pop_front();
+    const auto it = orders_.waiting.find(decision.mark);
+    if (it == orders_.waiting.end()) continue;
+    const WaitingOrder waiting = std::move(it->second);
+    orders_.waiting.erase(it);
+    orders_.answered.emplace_back(waiting.request_id, waiting.answer);
+    if (orders_.answered.size() > kAnswersKept) orders_.answered.pop_front();
     waiting.reply(waiting.answer);
   }
   PublishStatus();
 }
 
+void Robot::SaveRaises() {
+  store::WriteBatch raises{.uses_reserve = true};
+  for (const store::DecisionRecord& decision : pending_.decisions) {
+    // A lowering that is not commanded must not be what a restart finds.
+    const auto from = levels().Find(decision.from);
+    const auto to = levels().Find(decision.to);
+    if (from && to && *to < *from) continue;
+    raises.decisions.push_back(decision);
+  }
+  // Written again with the rest when that can be written, which changes nothing.
+  if (!raises.decisions.empty()) {
+    ports_.recorder->Record(std::move(raises), [](const absl::Status&) {});
+  }
+}
+
 void Robot::TakeBack(const levels::Transition& lowering, const absl::Status& why) {
-  if (const auto it = waiting_.find(lowering.mark); it != waiting_.end()) {
+  if (const auto it = orders_.waiting.find(lowering.mark); it != orders_.waiting.end()) {
     LevelAnswer answer = it->second.answer;
-    answer.status = absl::UnavailableError(
+    answer.status = absl::FailedPreconditionError(
         absl::StrCat("the lowering could not be recorded and was taken back: ", why.message()));
     it->second.reply(answer);
-    waiting_.erase(it);
+    orders_.waiting.erase(it);
   }
   if (lowering.mark == awaiting_durable_) awaiting_durable_ = Mark{};
   if (state_.level.level() >= lowering.from) return;
@@ -369,14 +425,12 @@ std::vector<std::string> Robot::EvidenceProblems(Instant now) const {
     if (name == config_.primary_sensor && !host.settled) {
       problems.push_back(absl::StrCat("the graph of sensor ", name, " has not settled"));
     }
-    for (const SpooledRange& range : host.session->spooled) {
-      if (host.sequences.Judged(range.incarnation, range.lane) < range.last_sequence) {
-        problems.push_back(absl::StrCat("observations of sensor ", name, " are not judged yet"));
-        break;
-      }
+    if (host.HasBacklog()) {
+      problems.push_back(absl::StrCat("observations of sensor ", name, " are not judged yet"));
     }
   }
   if (sensors_.empty()) problems.push_back("no sensor is listed in the inventory");
+  problems.insert(problems.end(), sight_.blind.begin(), sight_.blind.end());
   for (const auto& [name, host] : actuators_) {
     if (!ActuatorLive(host, now)) {
       problems.push_back(absl::StrCat("actuator ", name, " holds no live lease"));
@@ -386,9 +440,15 @@ std::vector<std::string> Robot::EvidenceProblems(Instant now) const {
   return problems;
 }
 
+bool Robot::HasBacklog() const {
+  return std::any_of(sensors_.begin(), sensors_.end(),
+                     [](const auto& sensor) { return sensor.second.HasBacklog(); });
+}
+
 void Robot::UpdateEvidence(Instant now) {
   std::vector<std::string> problems = EvidenceProblems(now);
-  if (!actuators_.empty() && ledger_.stage() != Stage::kVerified) {
+  const bool newest_ordered = ledger_.mark() == state_.level.mark();
+  if (!actuators_.empty() && (ledger_.stage() != Stage::kVerified || !newest_ordered)) {
     problems.push_back("the last level is not verified");
   }
   evidence_.Update(std::move(problems), now);
@@ -398,13 +458,13 @@ void Robot::UpdateEvidence(Instant now) {
 
 bool Robot::AnswerRepeated(const LevelOrder& order, const LevelReply& reply) const {
   if (order.request_id.empty()) return false;
-  for (const auto& [id, answer] : answered_) {
+  for (const auto& [id, answer] : orders_.answered) {
     if (id == order.request_id) {
       reply(answer);
       return true;
     }
   }
-  for (const auto& [mark, waiting] : waiting_) {
+  for (const auto& [mark, waiting] : orders_.waiting) {
     if (waiting.request_id == order.request_id) {
       reply({.status = absl::UnavailableError("this request is being recorded; repeat it")});
       return true;
@@ -458,7 +518,8 @@ void Robot::DeEscalate(const LevelOrder& order, LevelReply reply) {
           absl::StrCat("RIPS does not see all of ", config_.id,
                        " now: ", absl::StrJoin(answer.blind_because, "; ")));
     } else if (!ports_.recorder->healthy()) {
-      answer.status = absl::UnavailableError("the store cannot be written; a lowering must be");
+      answer.status = absl::FailedPreconditionError(
+          "the server's store cannot be written, and a lowering must be recorded first");
     }
   }
   if (!answer.status.ok()) return reply(answer);
@@ -482,7 +543,7 @@ void Robot::Decide(const levels::Transition& transition, const LevelOrder& order
   } else if (transition.decided() && !order.dry_run) {
     TakeTransition({.transition = transition});
     // Told when it is durable (OnRecorded), or taken back.
-    waiting_[transition.mark] = {order.request_id, std::exchange(reply, nullptr), answer};
+    orders_.waiting[transition.mark] = {order.request_id, std::exchange(reply, nullptr), answer};
   }
   UpdateActuation(ports_.clock->Now());
   Flush();
@@ -506,6 +567,32 @@ absl::Status Robot::ResumeRules(const std::string& operator_name, const std::str
   Flush();
   PublishStatus();
   return absl::OkStatus();
+}
+
+void Robot::RecordRefusedOrder(const LevelOrder& order, const absl::Status& why) {
+  constexpr size_t kRefusedOrdersMax = 256;
+  const std::string cause = absl::StrCat("operator ", order.operator_name);
+  const std::string key = absl::StrCat(cause, "\n", order.to);
+  if (!levels().Find(order.to)) return;
+  if (refused_orders_.size() >= kRefusedOrdersMax && !refused_orders_.contains(key)) return;
+  auto [it, fresh] = refused_orders_.try_emplace(key);
+  if (fresh) it->second.first = ports_.new_id();
+  const uint64_t count = ++it->second.second;
+  if ((count & (count - 1)) != 0) return;  // written at 1, 2, 4, 8, ...
+  pending_.refusals.push_back({.id = it->second.first,
+                               .robot = config_.id,
+                               .from = levels().name(state_.level.level()),
+                               .to = order.to,
+                               .cause = cause,
+                               .reason = std::string(why.message()),
+                               .count = count,
+                               .time_unix_ns = ports_.clock->Now().unix_ns});
+  Flush();
+}
+
+void Robot::Report(engine::Severity severity, const std::string& text) {
+  OwnAlert(severity, text);
+  Flush();
 }
 
 RobotStatus Robot::Status() const {
@@ -532,6 +619,10 @@ RobotStatus Robot::Status() const {
   }
   status.effective_level = levels().name(effective);
   if (!missing_programs_.empty()) status.degraded.push_back(missing_programs_);
+  if (!policy_problem_.empty()) status.degraded.push_back(policy_problem_);
+  if (std::string skipped = SkippedText(now); !skipped.empty()) {
+    status.degraded.push_back(std::move(skipped));
+  }
   if (!ledger_.failure().empty()) {
     status.degraded.push_back(absl::StrCat("level not reached: ", ledger_.failure()));
   }
@@ -557,9 +648,16 @@ void Robot::PublishStatus() {
 
 void Robot::OnTime() {
   const Instant now = ports_.clock->Now();
+  if (retired_) {
+    if (recording_ == 0 && now.boottime_ns >= checkpoint_at_ns_) Flush();
+    return;
+  }
   CheckSensors(now);
   CheckActuators(now);
   ExpireFindings(now);
+  UpdateBlind(now);
+  AdvanceMessages();
+  graph_history_.Expire(now.boottime_ns, HasBacklog());
   UpdateEvidence(now);
   if (now.boottime_ns >= beat_at_ns_) {
     beat_at_ns_ = now.boottime_ns + timing_.heartbeat_ns;
@@ -575,8 +673,11 @@ void Robot::OnTime() {
     tick_at_ns_ = now.boottime_ns + timing_.tick_ns;
     External(engine::TickEvent{});
     UpdateCoverage(now);
+    TellBlind(now);
     Perform(engine::Expire(now, state_), "deadline");
+    TellLosses(now);
     for (engine::AlertEffect& summary : alert_limiter_.Due(now)) Alert(std::move(summary), "");
+    for (engine::AlertEffect& summary : own_alert_limiter_.Due(now)) Alert(std::move(summary), "");
   }
   for (const ProgramResult& result : ledger_.ExpiredPrograms(now)) {
     HandleProgramResult(result, now);
@@ -605,6 +706,8 @@ absl::Status Robot::SwapPolicy(Policy policy) {
              absl::StrCat("bundle ", policy.bundle_id, " was not taken: ", status.message()));
   } else {
     policy_ = std::move(policy);
+    bundle_changed_ = true;
+    policy_problem_.clear();
     evidence_.set_hold_ns(policy_.soft_hold_ns);
     OwnAlert(engine::Severity::kInfo, absl::StrCat("bundle ", policy_.bundle_id, " is in force"));
     UseInterest();

@@ -14,6 +14,7 @@
 #include <functional>
 #include <memory>
 #include <optional>
+#include <source_location>
 #include <string>
 #include <utility>
 #include <vector>
@@ -24,19 +25,15 @@
 #include "policy_server/engine/evaluator.h"
 #include "policy_server/pipeline/alert_limiter.h"
 #include "policy_server/pipeline/command_ledger.h"
-#include "policy_server/pipeline/coverage.h"
-#include "policy_server/pipeline/drill_run.h"
 #include "policy_server/pipeline/evidence_gate.h"
 #include "policy_server/pipeline/findings_book.h"
-#include "policy_server/pipeline/inbound.h"
-#include "policy_server/pipeline/level_order.h"
-#include "policy_server/pipeline/links.h"
+#include "policy_server/pipeline/graph_history.h"
+#include "policy_server/pipeline/loss_alarm.h"
 #include "policy_server/pipeline/policy.h"
 #include "policy_server/pipeline/ports.h"
 #include "policy_server/pipeline/receipt_log.h"
 #include "policy_server/pipeline/robot_config.h"
-#include "policy_server/pipeline/sensor_health.h"
-#include "policy_server/pipeline/sequence_track.h"
+#include "policy_server/pipeline/robot_parts.h"
 #include "policy_server/store/store.h"
 #include "services/base/clock.h"
 
@@ -58,8 +55,8 @@ class Robot {
   void OnSensorBeat(const std::string& host, const SensorLink* link, const SensorBeat& beat);
   void OnInterestAnswer(const std::string& host, const SensorLink* link,
                         const InterestAnswer& answer);
-  // Control batches are judged at once. A message batch waits for those before it and for the
-  // inspections that its messages need (robot_inspection.cc).
+  // Control batches are judged at once. A message waits for those before it, for the inspections
+  // that it needs, and for the version of the graph that it names (robot_messages.cc).
   void OnBatch(const std::string& host, const SensorLink* link, std::shared_ptr<const Batch> batch);
   void OnSensorGone(const std::string& host, const SensorLink* link);
 
@@ -75,6 +72,11 @@ class Robot {
   void DeEscalate(const LevelOrder& order, LevelReply reply);
   // Rules may lower soft levels again, and run again after a `crash`.
   absl::Status ResumeRules(const std::string& operator_name, const std::string& reason);
+  // A record of an order that its sender had no right to: among the refused transitions, once for
+  // each operator and level, with a count. Not of a level that the robot does not have.
+  void RecordRefusedOrder(const LevelOrder& order, const absl::Status& why);
+  // RIPS's own alert of what others found out about this robot's agents.
+  void Report(engine::Severity severity, const std::string& text);
   // Answered when each actuator has, or after kDrillAnswerNs. InvalidArgument for no level of the
   // robot, FailedPrecondition if no actuator is attached or another drill is under way.
   void StartDrill(const DrillOrder& order, DrillReply reply);
@@ -86,6 +88,9 @@ class Robot {
   static constexpr size_t kTapsMax = 4;
   absl::Status AddTap(std::shared_ptr<Tap> tap);
   const ros2::RosGraph& graph() const { return state_.graph.get(); }
+  std::shared_ptr<const ros2::RosGraph> shared_graph() const {
+    return state_.graph.version().graph;
+  }
   // What sensors find whatever the rules say, and what stands; oldest first.
   std::vector<FindingSeen> findings() const { return findings_.standing(); }
   int64_t graph_changed_unix_ns() const { return graph_changed_unix_ns_; }
@@ -96,6 +101,13 @@ class Robot {
   std::vector<SensorInterest> SensorInterests() const;
   // Every sensor host of the inventory, sorted.
   std::vector<SensorCoverage> Coverage() const;
+  // Inspections that were not made in the last ten minutes, by reason.
+  absl::btree_map<std::string, uint64_t> Skipped() const;
+  // Why the robot, or an input that a sensor was told to watch, is not seen; printable.
+  const std::vector<std::string>& blind() const { return sight_.blind; }
+  const engine::PayloadLimits& payload_limits() const { return policy_.payload_limits; }
+  // Topics of which payloads were cut lately.
+  std::vector<CutPayloads::Topic> CutTopics() const;
 
   // ---- time; call at least every 50 ms.
   void OnTime();
@@ -104,86 +116,36 @@ class Robot {
   // Leases from now on last drain_lease: the server is about to stop.
   void Drain();
 
+  // ---- inventory (robot_inventory.cc)
+  // Other hosts, or another primary sensor, are listed from now on. Sessions of hosts that are no
+  // longer listed, or whose part has changed, are ended with words. `config.id` is this robot's.
+  void SetHosts(const RobotConfig& config);
+  // Why the bundle that the inventory names is not the one in force; empty = it is.
+  void SetPolicyProblem(std::string problem);
+  // No longer listed: ends its sessions with `why`, answers who waits, and records what is left.
+  // Afterwards only OnTime is called, until gone().
+  void Retire(const absl::Status& why);
+  // Retired, and everything it decided is durable.
+  bool gone() const;
+
   const std::string& id() const { return config_.id; }
 
  private:
-  struct SensorSession {
-    std::shared_ptr<SensorLink> link;
-    std::string incarnation;
-    // Server time minus the sensor's boottime, fixed at Hello.
-    int64_t boottime_offset_ns = 0;
-    int64_t unix_offset_ns = 0;
-    int64_t heard_ns = 0;
-    int64_t peer_boottime_ns = 0;
-    // Announced in Hello: evidence is incomplete until judged up to here.
-    std::vector<SpooledRange> spooled;
-    uint64_t judged_bytes = 0;
-    uint64_t granted_bytes = 0;
-    // Ids; what it uses is what it says.
-    std::string interest_wanted;
-    std::string interest_in_use;
-    // Why it does not use the one wanted; printable.
-    std::string interest_problem;
-    ClockSkew skew;
-  };
-  struct SensorHost {
-    std::string name;
-    std::optional<SensorSession> session;
-    SequenceTrack sequences;
-    // Of the incarnation whose graph is held.
-    std::string graph_incarnation;
-    uint64_t graph_version = 0;
-    // Collects an unsettled snapshot; becomes the robot's graph when settled.
-    ros2::RosGraph graph;
-    bool settled = false;
-    bool lost = false;
-    int64_t gone_since_ns = 0;
-    RestartCount restarts;
-    RecentLosses losses;
-    SensorStateSeen state;
-  };
-  struct ActuatorSession {
-    std::shared_ptr<ActuatorLink> link;
-    int64_t heard_ns = 0;
-    int64_t peer_boottime_ns = 0;
-    ActuatorBeat beat;
-  };
-  struct ActuatorHost {
-    std::optional<ActuatorSession> session;
-    // The newest it said, oldest first; they stand while it is away. More than one: on the bus a
-    // process that was killed goes on until its lease ends, and is no stranger for that.
-    std::deque<ros2::Guid> participants;
-    // As it said last.
-    std::vector<std::string> protected_parts;
-    std::optional<uint64_t> drifts;
-    std::vector<std::string> degraded;
-    bool lost = false;
-    int64_t gone_since_ns = 0;
-  };
-
   Robot(RobotConfig config, Policy policy, Timing timing, const store::RobotRecord& record,
         levels::LevelMachine level, Ports ports);
 
-  // A message batch and what its messages were told.
-  struct Inspecting {
-    uint64_t ticket = 0;
-    std::string host;
-    std::shared_ptr<SensorLink> link;
-    std::shared_ptr<const Batch> batch;
-    // Under which it was asked.
-    std::shared_ptr<const engine::Program> program;
-    // By observation, then by index of the program's inspections; empty where none is needed.
-    std::vector<std::vector<engine::Verdict>> verdicts;
-    // Observations before this one have been looked at.
-    size_t asked = 0;
-    // Answers that have not come.
-    size_t waiting = 0;
-  };
-
-  // robot_inspection.cc
+  // robot_messages.cc
   void AdvanceMessages();
-  bool AskInspections(Inspecting& batch);
-  void AskInspection(Inspecting& batch, size_t index, std::vector<uint32_t> needed);
+  // Asks for inspections as far as messages know their graph. How many observations can be judged.
+  size_t AskInspections(WaitingBatch& batch);
+  void AskInspection(WaitingBatch& batch, size_t index, std::vector<uint32_t> needed);
+  // Against which graph the message is judged.
+  GraphHistory::Choice ChooseGraph(const SensorHost& host, const Batch& batch,
+                                   const MessageSeen& message) const;
+  // True when the message has a graph, or has waited for one long enough.
+  bool KnowsGraph(const WaitingBatch& batch, const MessageSeen& message);
+  void JudgeMessage(SensorHost& host, const Batch& batch, const MessageSeen& message,
+                    engine::Event event, absl::Span<const engine::Verdict> inspections);
   void OnInspected(uint64_t ticket, size_t index, const std::vector<uint32_t>& asked,
                    const std::vector<engine::Verdict>& verdicts);
 
@@ -194,36 +156,62 @@ class Robot {
   // Empty if it watches what the rules need.
   std::string InterestProblem(const SensorHost& host) const;
   void TakeHello(SensorHost& host, const SensorHello& hello, Instant now);
-  // True if the sensor is overloaded now and was not before.
-  bool TakeState(SensorHost& host, const SensorStateSeen& state);
+  // True if the sensor is overloaded now and was not before. `boottime_ns` is the sensor's.
+  bool TakeState(SensorHost& host, SensorStateSeen state, int64_t boottime_ns);
   void CountLost(SensorHost& host, uint64_t count);
+  void CountCut(const MessageSeen& message);
   void UpdateCoverage(Instant now);
 
+  // robot_blind.cc
+  // What is not seen now. Call it when the graph, the parts of actuators or what a sensor says of
+  // its inputs may have changed, before the evidence is asked for.
+  void UpdateBlind(Instant now);
+  void TellBlind(Instant now);
+  void TellTruncated(Instant now);
+  // A truncated graph stays so; when there is room again, the sensor tells it anew.
+  void RecoverTruncated(Instant now);
+  // Of the primary sensor's graph; no problem while there is none.
+  void ExamineOwnGraph();
+  // An actuator has read back, from the parts whose modes it sets, that they are where they must
+  // be.
+  bool PartsVerified(Instant now) const;
+
   // robot_sensors.cc
-  SensorSession* LiveSensor(const std::string& host, const SensorLink* link);
-  // `verdicts` as in Inspecting; may be empty.
-  void JudgeBatch(const std::string& host, const SensorLink* link, const Batch& batch,
-                  const std::vector<std::vector<engine::Verdict>>& verdicts);
+  // Null if `link` is not the session's.
+  SensorSession* SessionOf(const std::string& host, const SensorLink* link);
+  // The same, for what has just come from the sensor: it lives.
+  SensorSession* HearSensor(const std::string& host, const SensorLink* link);
+  // The observations [from, to) of the batch. `verdicts` as in WaitingBatch; may be empty.
+  void JudgeBatch(const std::string& host, const SensorLink* link, const Batch& batch, size_t from,
+                  size_t to, const std::vector<std::vector<engine::Verdict>>& verdicts);
   // Numbers that a sensor gave and that will not come: counted here, once. Its own Loss records
   // tell of what never had a number.
   void Missing(SensorHost& host, uint64_t count);
   void Judge(SensorHost& host, SensorSession& session, bool primary, const Batch& batch,
              size_t index, absl::Span<const engine::Verdict> inspections);
-  engine::MessageEvent ToEvent(const MessageSeen& message) const;
-  static engine::LossEvent ToEvent(const LossSeen& loss, const SensorSession& session);
   void JudgeSnapshot(SensorHost& host, const SensorSession& session,
                      const GraphSnapshotSeen& snapshot, engine::Event event);
   void JudgeDelta(SensorHost& host, const SensorSession& session, const GraphDeltaSeen& delta,
                   engine::Event event);
   void RefuseGraph(SensorHost& host, const SensorSession& session, const absl::Status& status);
-  absl::Status TakeSnapshot(SensorHost& host, const std::string& incarnation,
-                            const GraphSnapshotSeen& snapshot);
-  absl::Status TakeDelta(SensorHost& host, const std::string& incarnation,
-                         const GraphDeltaSeen& delta);
   void GraphChanged(SensorHost& host, engine::Event event);
   void GrantCredit(SensorHost& host, SensorSession& session);
   void SendSetup(const std::string& host_name, SensorHost& host, SensorSession& session);
   void CheckSensors(Instant now);
+
+  // robot_inventory.cc
+  void SetSensors(const RobotConfig& config, Instant now);
+  void SetActuators(const RobotConfig& config, Instant now);
+
+  // robot_losses.cc
+  void TellLosses(Instant now);
+  // Of the observations that a sensor's Hello leaves out, those that are lost. Those that it was
+  // told are durable are not: then the store is older than it was, which is told once.
+  uint64_t LostBefore(const SensorHost& host, const SpooledRange& range);
+  // A message was not told what inspections say of it.
+  void CountSkipped(const MessageSeen& message, uint64_t inspections);
+  // Reasons of the last ten minutes; empty = every message was inspected.
+  std::string SkippedText(Instant now) const;
 
   // robot_findings.cc
   // True if rules are to judge it.
@@ -232,11 +220,17 @@ class Robot {
   void ExpireFindings(Instant now);
 
   // robot_actuators.cc
-  absl::Status Reconcile(const std::string& host_name, const ActuatorHello& hello);
+  absl::Status Reconcile(const std::string& host_name, ActuatorHost& host,
+                         const ActuatorHello& hello);
+  absl::Status RaiseTerm(const std::string& host_name, ActuatorHost& host,
+                         const ActuatorHello& hello);
+  // The level of the decision of this mark; nullopt if no decision of ours has it.
+  absl::StatusOr<std::optional<std::string>> KnownLevel(const Mark& mark) const;
   void CheckActuators(Instant now);
   void SendCommands(Instant now);
   // Tells of programs that rules name and no actuator offers, once.
   void TellMissingPrograms();
+  void TellFloor(const std::string& host_name, ActuatorHost& host);
   void TellDegraded(const std::string& host_name, ActuatorHost& host,
                     const std::vector<std::string>& degraded);
   void SendLease(ActuatorSession& session);
@@ -247,13 +241,20 @@ class Robot {
   // Of all actuators, sorted, each once.
   std::vector<std::string> ProtectedParts() const;
 
+  // Sessions and refusals of processes with one agent's key (second_holder.h).
+  void BeginSession(absl::string_view agent, const std::string& host, SecondHolder& second,
+                    const std::string& peer);
+  void RefuseSecond(SecondHolder& second, const std::string& peer);
+  void TellSecond(absl::string_view agent, const std::string& host, SecondHolder& second);
+
   // robot_drill.cc
   void AdvanceDrill(Instant now);
   void EndDrill();
 
   // robot.cc
-  // `message`: what a MessageEvent was made of.
-  void Run(const engine::Event& event, const MessageSeen* message = nullptr);
+  // `message`: what a MessageEvent was made of. `remark`: added to what alerts say of the event.
+  void Run(const engine::Event& event, const MessageSeen* message = nullptr,
+           absl::string_view remark = "");
   void External(engine::ExternalEvent event);
   void Perform(const engine::Outcome& outcome, const std::string& event);
   void TakeTransition(const engine::TransitionEffect& effect);
@@ -261,14 +262,19 @@ class Robot {
   void RecordDecision(const levels::Transition& transition);
   void Order(const levels::Transition& transition);
   void Alert(engine::AlertEffect alert, const std::string& event);
-  void OwnAlert(engine::Severity severity, const std::string& text);
+  // What one place in the code says is one kind, for the limit.
+  void OwnAlert(engine::Severity severity, const std::string& text,
+                std::source_location where = std::source_location::current());
   void UpdateEvidence(Instant now);
+  bool HasBacklog() const;
   std::vector<std::string> EvidenceProblems(Instant now) const;
   // Hands everything collected to the recorder; sequences up to now are acknowledged when durable.
   void Flush();
   void OnRecorded(const absl::Status& status, const store::WriteBatch& recorded,
                   const store::HighWater& judged, const std::vector<levels::Transition>& lowerings);
   void TakeBack(const levels::Transition& lowering, const absl::Status& why);
+  // The raises among what is not recorded yet, from the store's reserve.
+  void SaveRaises();
   void PublishStatus();
   // True if the order repeats an earlier one: it was answered as that was.
   bool AnswerRepeated(const LevelOrder& order, const LevelReply& reply) const;
@@ -281,24 +287,23 @@ class Robot {
   Ports ports_;
   engine::RobotState state_;
   EvidenceGate evidence_;
+  Sight sight_;
   // What the rules in force need.
   std::shared_ptr<const engine::InterestPlan> interest_;
   CoverageAlarm coverage_alarm_;
-  // Of the graph whose endpoints were counted last, and participants of RIPS.
-  uint64_t counted_revision_ = 0;
-  std::vector<ros2::Guid> counted_without_;
+  LossAlarm loss_alarm_;
+  bool store_went_back_ = false;
+  // By reason: inspections that were not made.
+  absl::btree_map<std::string, RecentLosses> skipped_;
   AlertLimiter alert_limiter_;
+  AlertLimiter own_alert_limiter_{kOwnAlertLimits};
   FindingsBook findings_;
   CommandLedger ledger_;
+  GraphHistory graph_history_;
   absl::btree_map<std::string, SensorHost> sensors_;
   absl::btree_map<std::string, ActuatorHost> actuators_;
 
   ReceiptLog receipts_;
-  struct RunningDrill {
-    DrillOrder order;
-    DrillRun run;
-    DrillReply reply;
-  };
   std::optional<RunningDrill> drill_;
 
   // Collected since the last Flush.
@@ -306,22 +311,21 @@ class Robot {
   std::vector<levels::Transition> pending_lowerings_;
   bool sequences_moved_ = false;
   bool variables_changed_ = false;
+  // The store does not know yet which bundle is in force.
+  bool bundle_changed_ = true;
+  // Batches that the recorder has not answered for.
+  size_t recording_ = 0;
+  bool retired_ = false;
+  std::string policy_problem_;
+  // Alerts dropped since the store failed.
+  uint64_t alerts_dropped_ = 0;
   std::vector<std::shared_ptr<Tap>> taps_;
-  // Message batches in the order they came; only the first is being inspected.
-  std::deque<Inspecting> message_line_;
-  uint64_t last_ticket_ = 0;
-  bool advancing_ = false;
+  MessageLine message_line_;
   // Refusals already recorded: rule, from, to, reason → id.
   absl::btree_map<std::string, std::string> refusal_ids_;
-  struct Waiting {
-    std::string request_id;
-    LevelReply reply;
-    LevelAnswer answer;
-  };
-  // Operators waiting for a decision to be durable, by mark.
-  absl::btree_map<Mark, Waiting> waiting_;
-  // The newest answers by request id, oldest first.
-  std::deque<std::pair<std::string, LevelAnswer>> answered_;
+  // By cause and level: record and count.
+  absl::btree_map<std::string, std::pair<std::string, uint64_t>> refused_orders_;
+  LevelOrders orders_;
 
   // A lowering that is not durable yet must not be commanded.
   Mark awaiting_durable_;

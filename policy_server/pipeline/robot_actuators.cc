@@ -12,17 +12,8 @@ namespace {
 
 // A term that leaves no room above it can only come from a broken or hostile peer.
 constexpr uint64_t kTermMax = uint64_t{1} << 62;
-// Of one actuator that are known as ours.
-constexpr size_t kParticipantsKept = 8;
 // Events of drifts that one heartbeat makes.
 constexpr uint64_t kDriftsToldMax = 8;
-
-void TakeParticipant(const ros2::Guid& participant, std::deque<ros2::Guid>& known) {
-  if (participant.none()) return;
-  known.erase(std::remove(known.begin(), known.end(), participant), known.end());
-  known.push_back(participant);
-  if (known.size() > kParticipantsKept) known.pop_front();
-}
 
 // What is said of a mode or a node may change its numbers; the part before the colon names it.
 absl::string_view Subject(absl::string_view text) { return text.substr(0, text.find(": ")); }
@@ -49,6 +40,9 @@ bool Robot::ActuatorLive(const ActuatorHost& host, Instant now) const {
 std::vector<ros2::Guid> Robot::OwnParticipants() const {
   std::vector<ros2::Guid> own;
   for (const auto& [name, host] : actuators_) {
+    own.insert(own.end(), host.participants.begin(), host.participants.end());
+  }
+  for (const auto& [name, host] : sensors_) {
     own.insert(own.end(), host.participants.begin(), host.participants.end());
   }
   return own;
@@ -84,9 +78,11 @@ void Robot::OnActuatorHello(const std::string& host_name, std::shared_ptr<Actuat
   ActuatorHost& host = it->second;
   const Instant now = ports_.clock->Now();
   if (host.session && now.boottime_ns - host.session->heard_ns < timing_.stale_ns) {
+    RefuseSecond(host.second, hello.peer);
     return link->Close(absl::AlreadyExistsError(
         absl::StrCat("actuator ", config_.id, "/", host_name, " has a live session")));
   }
+  BeginSession("actuator", host_name, host.second, hello.peer);
   if (hello.levels != levels().names()) {
     const std::string text = absl::StrCat(
         "actuator ", host_name, " is not armed: its levels (", absl::StrJoin(hello.levels, ", "),
@@ -98,7 +94,10 @@ void Robot::OnActuatorHello(const std::string& host_name, std::shared_ptr<Actuat
   if (hello.highest_term > kTermMax || hello.mark.term > kTermMax || hello.mark.epoch > kTermMax) {
     return link->Close(absl::InvalidArgumentError("no term or epoch can be that high"));
   }
-  if (absl::Status status = Reconcile(host_name, hello); !status.ok()) return link->Close(status);
+  if (absl::Status status = Reconcile(host_name, host, hello); !status.ok()) {
+    return link->Close(status);
+  }
+  host.met = true;
 
   if (host.session) host.session->link->Close(absl::AbortedError("replaced by a newer session"));
   if (drill_) drill_->run.OnGone(host_name);
@@ -108,6 +107,8 @@ void Robot::OnActuatorHello(const std::string& host_name, std::shared_ptr<Actuat
                                  .beat = {.effective_level = hello.effective_level}};
   TakeParticipant(hello.participant, host.participants);
   host.protected_parts = hello.protected_parts;
+  ++sight_.actuator_hellos;
+  UpdateBlind(now);
   const levels::LevelIndex held = levels().Find(hello.decided_level).value_or(levels().size() - 1);
   ledger_.Attach(host_name, hello.mark, held, levels().name(held), hello.programs, now);
   if (host.lost) {
@@ -133,48 +134,69 @@ void Robot::OnActuatorHello(const std::string& host_name, std::shared_ptr<Actuat
   PublishStatus();
 }
 
-// Truth table of a Hello, by the mark the actuator holds:
-//   none                 it has no history; the newest decision goes out
-//   in our history       it is merely behind (or even): the newest decision goes out
-//   unknown              our history is incomplete: the more restrictive level, as a new decision
-absl::Status Robot::Reconcile(const std::string& host_name, const ActuatorHello& hello) {
-  const uint64_t seen_term = std::max(hello.highest_term, hello.mark.term);
-  if (seen_term > state_.level.term()) {
-    const absl::StatusOr<uint64_t> term = ports_.recorder->NextTerm(config_.id, seen_term);
-    if (!term.ok()) return absl::UnavailableError(term.status().message());
-    state_.level.RaiseTerm(*term);
-    OwnAlert(engine::Severity::kHigh,
-             absl::StrCat("actuator ", host_name, " has obeyed term ", seen_term,
-                          ", which is above ours; commands now carry term ", *term));
-  }
-  if (hello.mark.none() || hello.mark == state_.level.mark()) return absl::OkStatus();
-  const absl::StatusOr<bool> known = ports_.recorder->HasMark(config_.id, hello.mark);
+// Truth table of a Hello, by the decision that the actuator holds:
+//   none                            it has no history; the newest decision goes out
+//   in our history, same level      it is behind or even: the newest decision goes out
+//   in our history, another level   our history is not the one it obeyed, as after a backup was
+//                                   restored: the more restrictive level, as a new decision
+//   unknown                         our history is incomplete: the same
+absl::Status Robot::Reconcile(const std::string& host_name, ActuatorHost& host,
+                              const ActuatorHello& hello) {
+  if (absl::Status status = RaiseTerm(host_name, host, hello); !status.ok()) return status;
+  if (hello.mark.none()) return absl::OkStatus();
+  const absl::StatusOr<std::optional<std::string>> known = KnownLevel(hello.mark);
   if (!known.ok()) return absl::UnavailableError(known.status().message());
-  if (*known) return absl::OkStatus();
+  if (*known == hello.decided_level) return absl::OkStatus();
   const levels::LevelIndex held = levels().Find(hello.decided_level).value_or(levels().size() - 1);
+  const std::string ours = *known ? absl::StrCat("which is ", **known, " in this server's history")
+                                  : std::string("which this server does not know");
   OwnAlert(engine::Severity::kCritical,
            absl::StrCat("actuator ", host_name, " holds decision ", ToString(hello.mark), " (",
-                        levels().name(held), "), which this server does not know: the more ",
-                        "restrictive level is adopted"));
+                        levels().name(held), "), ", ours, ": the more restrictive level is ",
+                        "adopted; was the store restored from a backup?"));
   Adopt(held, hello.mark,
         absl::StrCat("actuator ", host_name, " holds ", ToString(hello.mark), " (",
                      levels().name(held), ")"));
   return absl::OkStatus();
 }
 
+// A term that an actuator has obeyed is never used for other decisions. Ours was drawn at this
+// start: an actuator that this process has not met yet cannot know it.
+absl::Status Robot::RaiseTerm(const std::string& host_name, ActuatorHost& host,
+                              const ActuatorHello& hello) {
+  const uint64_t seen_term = std::max(hello.highest_term, hello.mark.term);
+  const uint64_t free_below = host.met ? state_.level.term() + 1 : state_.level.term();
+  if (seen_term >= free_below) {
+    const absl::StatusOr<uint64_t> term = ports_.recorder->NextTerm(config_.id, seen_term);
+    if (!term.ok()) return absl::UnavailableError(term.status().message());
+    OwnAlert(engine::Severity::kHigh,
+             absl::StrCat("actuator ", host_name, " has obeyed term ", seen_term, ", and ours is ",
+                          state_.level.term(), "; commands now carry term ", *term));
+    state_.level.RaiseTerm(*term);
+  }
+  return absl::OkStatus();
+}
+
+absl::StatusOr<std::optional<std::string>> Robot::KnownLevel(const Mark& mark) const {
+  if (mark == state_.level.mark()) {
+    return std::optional<std::string>(levels().name(state_.level.level()));
+  }
+  // Perhaps not recorded yet.
+  if (std::optional<std::string> ordered = ledger_.OrderedLevel(mark)) return ordered;
+  return ports_.recorder->FindDecision(config_.id, mark);
+}
+
 void Robot::SendLease(ActuatorSession& session) {
   const Instant now = ports_.clock->Now();
-  bool evidence_complete = true;
+  // What a sensor that sees nothing has sent is judged, and says nothing: a floor stays.
+  bool evidence_complete = sight_.blind.empty();
   for (const auto& [name, host] : sensors_) {
     if (!host.session || now.boottime_ns - host.session->heard_ns > timing_.stale_ns ||
         (name == config_.primary_sensor && !host.settled)) {
       evidence_complete = false;
       break;
     }
-    for (const SpooledRange& range : host.session->spooled) {
-      evidence_complete &=
-          host.sequences.Judged(range.incarnation, range.lane) >= range.last_sequence;
-    }
+    evidence_complete &= !host.HasBacklog();
   }
   const int64_t ttl_ns = draining_ ? timing_.drain_lease_ns : timing_.lease_ns;
   // A lowering that is not durable yet is not announced.
@@ -211,9 +233,11 @@ void Robot::OnActuatorBeat(const std::string& host_name, const ActuatorLink* lin
                       session.beat.floor_reason != beat.floor_reason;
   session.heard_ns = now.boottime_ns;
   session.peer_boottime_ns = beat.boottime_ns;
+  TellSecond("actuator", host_name, it->second.second);
   session.beat = beat;
   const auto effective = levels().Find(beat.effective_level);
-  const bool left = effective && ledger_.OnBeat(host_name, *effective, beat.verified) && !moving;
+  const bool left =
+      effective && ledger_.OnBeat(host_name, *effective, beat.verified, now) && !moving;
   const uint64_t drifts = TakeDrifts(it->second.drifts, beat.drifts);
   if (left || drifts > 0) {
     OwnAlert(engine::Severity::kHigh,
@@ -224,8 +248,23 @@ void Robot::OnActuatorBeat(const std::string& host_name, const ActuatorLink* lin
       External(engine::AgentEvent{.agent = "actuator", .state = "drift"});
     }
   }
+  TellFloor(host_name, it->second);
   TellDegraded(host_name, it->second, beat.degraded);
   UpdateActuation(now);
+}
+
+void Robot::TellFloor(const std::string& host_name, ActuatorHost& host) {
+  const ActuatorBeat& beat = host.session->beat;
+  if (host.floor_told == beat.floor_reason) return;
+  if (beat.floor_reason.empty()) {
+    OwnAlert(engine::Severity::kInfo, absl::StrCat("actuator ", host_name, " no longer holds ",
+                                                   config_.id, " at a level of its own"));
+  } else {
+    OwnAlert(engine::Severity::kHigh,
+             absl::StrCat("actuator ", host_name, " holds ", config_.id, " at ",
+                          beat.effective_level, " by itself: ", beat.floor_reason));
+  }
+  host.floor_told = beat.floor_reason;
 }
 
 void Robot::TellDegraded(const std::string& host_name, ActuatorHost& host,

@@ -30,11 +30,16 @@ struct Timing {
   int64_t drain_lease_ns = 60 * kNanosPerSecond;
   int64_t late_after_ns = 5 * kNanosPerSecond;
   int64_t backlog_ns = 1 * kNanosPerSecond;
+  // A message waits so long for the version of the graph that it names, then it is judged without.
+  int64_t graph_wait_ns = 500 * kNanosPerMilli;
   int64_t tick_ns = 200 * kNanosPerMilli;
   int64_t checkpoint_ns = 1 * kNanosPerSecond;
   uint32_t linger_ms = 20;
   // A sensor may have this many bytes of message batches not yet judged.
   uint64_t credit_bytes = 1 << 20;
+  // And this many of payloads in chunks. When all else is judged, more than half of it is free: the
+  // largest payload (kPayloadBytesHard) must fit.
+  uint64_t payload_credit_bytes = 8 << 20;
 };
 
 }  // namespace rips::pipeline

@@ -3,13 +3,14 @@
 
 #include "absl/strings/str_cat.h"
 #include "policy_server/pipeline/robot.h"
+#include "services/base/payload_limits.h"
 #include "services/ros2/ros_name.h"
 
 namespace rips::pipeline {
 
 std::shared_ptr<const engine::InterestPlan> MakeInterest(const engine::Program& program) {
   return std::make_shared<const engine::InterestPlan>(
-      engine::PlanInterest(program.rules(), kPayloadBytesMax));
+      engine::PlanInterest(program.rules(), kPayloadBytesDefault));
 }
 
 void Robot::UseInterest() {
@@ -22,7 +23,7 @@ void Robot::UseInterest() {
 }
 
 bool Robot::AskInterest(SensorSession& session) {
-  std::string id = session.link->SetInterest(*interest_);
+  std::string id = session.link->SetInterest(*interest_, policy_.payload_limits);
   if (id == session.interest_wanted) return false;
   session.interest_wanted = std::move(id);
   session.interest_problem.clear();
@@ -31,7 +32,7 @@ bool Robot::AskInterest(SensorSession& session) {
 
 void Robot::OnInterestAnswer(const std::string& host, const SensorLink* link,
                              const InterestAnswer& answer) {
-  SensorSession* session = LiveSensor(host, link);
+  SensorSession* session = HearSensor(host, link);
   if (session == nullptr) return;
   if (answer.problem.empty()) {
     session->interest_in_use = answer.id;
@@ -72,9 +73,10 @@ std::vector<SensorInterest> Robot::SensorInterests() const {
 }
 
 void Robot::OnSensorBeat(const std::string& host, const SensorLink* link, const SensorBeat& beat) {
-  SensorSession* session = LiveSensor(host, link);
+  SensorSession* session = HearSensor(host, link);
   if (session == nullptr) return;
   session->peer_boottime_ns = beat.clock.boottime_ns;
+  TellSecond("sensor", host, sensors_[host].second);
   if (!session->skew.Beat(beat, ports_.clock->Now())) return;
   OwnAlert(engine::Severity::kMedium,
            absl::StrCat("the wall clock of sensor ", host, " is off by about ",
@@ -89,15 +91,33 @@ void Robot::TakeHello(SensorHost& host, const SensorHello& hello, Instant now) {
                           " times within ten minutes"));
     External(engine::AgentEvent{.agent = "sensor", .state = "restarting"});
   }
-  host.state = {.not_visible = hello.not_visible};
+  host.state = {.not_visible = hello.not_visible, .blind = hello.blind};
+  host.state_boottime_ns = hello.clock.boottime_ns;
+  UpdateBlind(now);
   coverage_alarm_.SetKinds(host.name, hello.not_visible);
+  if (hello.participant.none()) return;
+  TakeParticipant(hello.participant, host.participants);
+  for (auto& [name, other] : sensors_) {
+    if (&other != &host && other.session) SendSetup(name, other, *other.session);
+  }
 }
 
-bool Robot::TakeState(SensorHost& host, const SensorStateSeen& state) {
-  const bool was_overloaded = std::exchange(host.state, state).overloaded;
-  coverage_alarm_.SetKinds(host.name, state.not_visible);
-  if (!state.overloaded) return false;
-  evidence_.Disturb("the sensor is overloaded", ports_.clock->Now());
+bool Robot::TakeState(SensorHost& host, SensorStateSeen state, int64_t boottime_ns) {
+  const Instant now = ports_.clock->Now();
+  if (boottime_ns < host.state_boottime_ns) {
+    // Of the backlog: what the sensor sees was said anew since then.
+    state.not_visible = host.state.not_visible;
+    state.blind = host.state.blind;
+  } else {
+    host.state_boottime_ns = boottime_ns;
+  }
+  const bool overloaded = state.overloaded;
+  const bool was_overloaded = std::exchange(host.state, std::move(state)).overloaded;
+  coverage_alarm_.SetKinds(host.name, host.state.not_visible);
+  UpdateBlind(now);
+  UpdateEvidence(now);
+  if (!overloaded) return false;
+  evidence_.Disturb("the sensor is overloaded", now);
   return !was_overloaded;
 }
 
@@ -109,10 +129,10 @@ void Robot::CountLost(SensorHost& host, uint64_t count) {
 
 void Robot::UpdateCoverage(Instant now) {
   std::vector<ros2::Guid> own = OwnParticipants();
-  if (counted_revision_ != state_.graph.revision() || counted_without_ != own) {
-    counted_revision_ = state_.graph.revision();
-    counted_without_ = std::move(own);
-    const EndpointCounts counts = CountEndpoints(graph(), counted_without_);
+  if (sight_.counted_revision != state_.graph.revision() || sight_.counted_without != own) {
+    sight_.counted_revision = state_.graph.revision();
+    sight_.counted_without = std::move(own);
+    const EndpointCounts counts = CountEndpoints(graph(), sight_.counted_without);
     coverage_alarm_.SetNotVisible(counts.not_visible);
     if (ports_.counts.endpoints) ports_.counts.endpoints(config_.id, counts);
   }
@@ -124,6 +144,18 @@ void Robot::UpdateCoverage(Instant now) {
   if (const auto fallen = coverage_alarm_.Due(now.boottime_ns)) {
     OwnAlert(engine::Severity::kMedium, absl::StrCat("less is seen: ", *fallen));
   }
+}
+
+void Robot::CountCut(const MessageSeen& message) {
+  // Without any payload it was not asked for, or shed: then it was not cut.
+  if (!message.truncated || message.payload.empty()) return;
+  if (ports_.counts.payloads_cut) ports_.counts.payloads_cut(1);
+  sight_.cut_payloads.Add(message.topic, static_cast<uint32_t>(message.payload.size()),
+                          message.size_bytes, ports_.clock->Now().boottime_ns);
+}
+
+std::vector<CutPayloads::Topic> Robot::CutTopics() const {
+  return sight_.cut_payloads.Recent(ports_.clock->Now().boottime_ns);
 }
 
 std::vector<SensorCoverage> Robot::Coverage() const {

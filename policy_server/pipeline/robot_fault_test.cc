@@ -229,6 +229,68 @@ TEST_F(RobotTest, ASecondLiveSessionIsRefusedAndASilentOneReplaced) {
   EXPECT_THAT(first->closed, StatusIs(absl::StatusCode::kAborted));
 }
 
+TEST_F(RobotTest, ASecondHolderOfASensorsKeyIsToldOnceAMinuteWithItsAddress) {
+  Start();
+  Arm();
+  for (int i = 0; i < 5; ++i) {
+    FakeSensor second;
+    robot_->OnSensorHello(
+        "base", std::make_shared<FakeSensor>(),
+        {.incarnation = "fedcba9876543210", .clock = clock_.Now(), .peer = "ipv4:10.0.0.66:4711"});
+    Pass(100);
+  }
+  Pass(2'000);
+  EXPECT_EQ(audience_.Count("a second process uses the key of sensor r1/base"), 1);
+  EXPECT_EQ(audience_.Count("ipv4:10.0.0.66:4711"), 1);
+  EXPECT_EQ(audience_.alerts.back().severity, "critical");
+}
+
+TEST_F(RobotTest, ASessionFromAnotherAddressIsTold) {
+  Start();
+  Arm();
+  const auto connect = [this](const std::string& peer) {
+    sensor_beats_ = false;
+    Pass(1'600);
+    robot_->OnSensorHello("base", std::make_shared<FakeSensor>(),
+                          {.incarnation = "fedcba9876543210", .clock = clock_.Now(), .peer = peer});
+  };
+  connect("ipv4:10.0.0.7:4711");
+  connect("ipv4:10.0.0.7:4712");
+  EXPECT_EQ(audience_.Count("now comes from"), 0);
+
+  connect("ipv4:10.0.0.66:4711");
+  EXPECT_EQ(audience_.Count("sensor r1/base now comes from ipv4:10.0.0.66:4711, before from "
+                            "ipv4:10.0.0.7:4712"),
+            1);
+}
+
+TEST_F(RobotTest, ASecondHolderOfAnActuatorsKeyIsTold) {
+  Start();
+  Arm();
+  robot_->OnActuatorHello("base", std::make_shared<FakeActuator>(),
+                          {.levels = {"DEFAULT", "ALERT", "COMPROMISED", "HALT"},
+                           .clock = clock_.Now(),
+                           .peer = "ipv4:10.0.0.66:4711"});
+  Pass(2'000);
+  EXPECT_EQ(audience_.Count("a second process uses the key of actuator r1/base"), 1);
+}
+
+TEST_F(RobotTest, AnAgentThatStartsAnewIsNoSecondHolder) {
+  Start();
+  Arm();
+  sensor_beats_ = false;
+  Pass(200);
+  robot_->OnSensorHello("base", std::make_shared<FakeSensor>(),
+                        {.incarnation = "fedcba9876543210", .clock = clock_.Now()});
+  // A heartbeat of the process that is gone was underway.
+  BeatSensor();
+  Pass(1'500);
+  sensor_beats_ = true;
+  ConnectSensor();
+  Pass(3'000);
+  EXPECT_EQ(audience_.Count("a second process"), 0);
+}
+
 TEST_F(RobotTest, HostsThatAreNotListedAreRefused) {
   Start();
   auto sensor = std::make_shared<FakeSensor>();
@@ -333,6 +395,30 @@ TEST_F(RobotTest, AcknowledgesOnlyWhatIsDurable) {
   recorder_.Release();
   Drain();
   EXPECT_EQ(sensor_->acknowledged[1], before + 1);
+}
+
+TEST_F(RobotTest, AReconnectWhileTheStoreHangsAcknowledgesWhatIsDurableOnly) {
+  Start();
+  Arm();
+  Pass(1'000);
+  const uint64_t durable = sensor_->acknowledged[static_cast<int>(Lane::kControl)];
+  recorder_.held = true;
+  IntruderAppears();
+  ASSERT_EQ(Level(), "ALERT");
+  ASSERT_EQ(audience_.Count("unknown node"), 0) << "not durable";
+
+  robot_->OnSensorGone("base", sensor_.get());
+  ConnectSensor({{.incarnation = kIncarnation,
+                  .lane = Lane::kControl,
+                  .first_sequence = durable + 1,
+                  .last_sequence = durable + 1}});
+  EXPECT_EQ(sensor_->acknowledged[static_cast<int>(Lane::kControl)], durable)
+      << "a crash now would lose the alert, and the sensor would have forgotten it";
+
+  recorder_.held = false;
+  recorder_.Release();
+  Drain();
+  EXPECT_EQ(sensor_->acknowledged[static_cast<int>(Lane::kControl)], durable + 1);
 }
 
 TEST_F(RobotTest, GrantsCreditForWhatWasJudged) {

@@ -48,11 +48,12 @@ class FakeRecorder final : public Recorder {
     if (!held) Release();
   }
   bool healthy() const override { return healthy_; }
-  absl::StatusOr<bool> HasMark(const std::string&, const Mark& mark) override {
+  absl::StatusOr<std::optional<std::string>> FindDecision(const std::string&,
+                                                          const Mark& mark) override {
     for (const store::DecisionRecord& decision : decisions) {
-      if (decision.mark == mark) return true;
+      if (decision.mark == mark) return decision.to;
     }
-    return false;
+    return std::nullopt;
   }
   absl::StatusOr<uint64_t> NextTerm(const std::string&, uint64_t above) override {
     return above + 1;
@@ -61,9 +62,10 @@ class FakeRecorder final : public Recorder {
     while (!waiting_.empty()) {
       auto [batch, done] = std::move(waiting_.front());
       waiting_.pop_front();
-      healthy_ = fail.ok();
-      if (fail.ok()) Take(batch);
-      done(fail);
+      const absl::Status status = reserve && batch.uses_reserve ? absl::OkStatus() : fail;
+      if (!batch.uses_reserve) healthy_ = fail.ok();
+      if (status.ok()) Take(batch);
+      done(status);
     }
   }
   void Take(const store::WriteBatch& batch) {
@@ -79,6 +81,8 @@ class FakeRecorder final : public Recorder {
 
   bool held = false;
   absl::Status fail;
+  // What may use the reserve succeeds all the same.
+  bool reserve = false;
   std::vector<store::DecisionRecord> decisions;
   std::vector<store::RefusalRecord> refusals;
   std::vector<store::StageUpdate> stages;
@@ -109,7 +113,7 @@ class RobotTest : public ::testing::Test {
                 .new_id = [this] { return absl::StrCat("id", ++ids_); }};
     auto robot =
         Robot::Create({.id = "r1",
-                       .sensor_hosts = {"base"},
+                       .sensor_hosts = sensor_hosts_,
                        .primary_sensor = "base",
                        .actuator_hosts = {"base"}},
                       {.program = *program, .bundle_id = "sha256:0", .inspector = inspector_},
@@ -220,7 +224,7 @@ class RobotTest : public ::testing::Test {
     return graph;
   }
 
-  void SendBatch(Lane lane, std::vector<Observation> observations) {
+  void SendBatch(Lane lane, std::vector<Observation> observations, size_t payload_bytes = 0) {
     uint64_t& next = next_sequence_[static_cast<int>(lane)];
     for (Observation& observation : observations) {
       if (observation.boottime_ns == 0) observation.boottime_ns = Boottime();
@@ -231,7 +235,8 @@ class RobotTest : public ::testing::Test {
                                                         .lane = lane,
                                                         .first_sequence = next,
                                                         .observations = std::move(observations),
-                                                        .bytes = 100}));
+                                                        .bytes = 100,
+                                                        .payload_bytes = payload_bytes}));
     next += count;
     Drain();
   }
@@ -275,6 +280,7 @@ class RobotTest : public ::testing::Test {
   std::string Level() const { return robot_->Status().decided_level; }
   std::string Stage() const { return robot_->Status().stage; }
 
+  std::vector<std::string> sensor_hosts_ = {"base"};
   FakeClock clock_;
   FakeRecorder recorder_;
   FakeAudience audience_;

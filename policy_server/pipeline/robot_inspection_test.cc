@@ -79,7 +79,52 @@ TEST_F(RobotInspectionTest, ThePayloadsThatRulesNeedAreAskedFor) {
   const std::vector<engine::TopicInterest> payloads = PayloadsAskedFor();
   ASSERT_THAT(payloads, SizeIs(1));
   EXPECT_EQ(payloads[0].topic_regex, R"(^\/image$)");
-  EXPECT_EQ(payloads[0].payload_bytes_max, 65'536u);
+  EXPECT_EQ(payloads[0].payload_bytes_max, 1u << 20);
+  EXPECT_THAT(sensor_->payload_limits, IsEmpty());
+
+  // A policy with the same rules and other limits is another thing to ask for.
+  const int before = sensor_->interests;
+  Policy policy{.program = *engine::Program::Create(
+                    *lang::Compile({{.path = "test.rul", .text = kInspecting}}).rules),
+                .bundle_id = "sha256:1",
+                .inspector = inspector_,
+                .payload_limits = {{.topic_regex = "^/image$", .bytes = 4 << 20}}};
+  ASSERT_TRUE(robot_->SwapPolicy(std::move(policy)).ok());
+  EXPECT_EQ(sensor_->interests, before + 1);
+  ASSERT_THAT(sensor_->payload_limits, SizeIs(1));
+  EXPECT_EQ(sensor_->payload_limits[0].bytes, 4u << 20);
+}
+
+TEST_F(RobotInspectionTest, PayloadCreditComesBackWhenItsMessagesAreJudged) {
+  Begin();
+  constexpr uint64_t kWindow = 8 << 20;
+  EXPECT_EQ(sensor_->payload_granted, kWindow);
+  SendBatch(Lane::kMessages, {On("/image")}, /*payload_bytes=*/3 << 20);
+  SendBatch(Lane::kMessages, {On("/image")}, 2 << 20);
+  Answer(Verdict::kNo);
+  EXPECT_EQ(sensor_->payload_granted, kWindow) << "less than half of it";
+  Answer(Verdict::kNo);
+  EXPECT_EQ(sensor_->payload_granted, kWindow + (5 << 20));
+}
+
+TEST_F(RobotInspectionTest, CoverageNamesTheTopicsWhosePayloadsWereCut) {
+  Begin();
+  const auto cut = [](absl::string_view topic, size_t came, uint32_t size) {
+    Observation one = On(topic, std::string(came, 'x'));
+    std::get<MessageSeen>(one.what).size_bytes = size;
+    std::get<MessageSeen>(one.what).truncated = came < size;
+    return one;
+  };
+  SendBatch(Lane::kMessages, {cut("/image", 100, 250), cut("/image", 100, 300), cut("/a", 7, 7),
+                              cut("/shed", 0, 9), cut("/b", 50, 60)});
+  for (int i = 0; i < 2; ++i) Answer(Verdict::kNo);
+  const std::vector<CutPayloads::Topic> topics = robot_->CutTopics();
+  ASSERT_THAT(topics, SizeIs(2));
+  EXPECT_EQ(topics[0].topic, "/b");
+  EXPECT_EQ(topics[1].topic, "/image");
+  EXPECT_EQ(topics[1].limit_bytes, 100u);
+  EXPECT_EQ(topics[1].longest_bytes, 300u);
+  EXPECT_EQ(topics[1].count, 2u);
 }
 
 TEST_F(RobotInspectionTest, ANoAndAnUnscanned) {

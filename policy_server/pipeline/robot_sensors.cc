@@ -12,6 +12,19 @@ void Count(const std::function<void(uint64_t)>& counter, uint64_t by) {
   if (counter && by > 0) counter(by);
 }
 
+engine::LossEvent ToEvent(const LossSeen& loss, const SensorSession& session) {
+  const auto unix_ns = [&](int64_t boottime_ns) {
+    return boottime_ns == 0 ? 0 : boottime_ns + session.unix_offset_ns;
+  };
+  return {.count = loss.count,
+          .topic = loss.topic,
+          .type = loss.type,
+          .writer = loss.writer,
+          .first_unix_ns = unix_ns(loss.first_boottime_ns),
+          .last_unix_ns = unix_ns(loss.last_boottime_ns),
+          .cause = loss.cause};
+}
+
 }  // namespace
 
 void Robot::OnSensorHello(const std::string& host_name, std::shared_ptr<SensorLink> link,
@@ -25,11 +38,13 @@ void Robot::OnSensorHello(const std::string& host_name, std::shared_ptr<SensorLi
   const Instant now = ports_.clock->Now();
   if (host.session) {
     if (now.boottime_ns - host.session->heard_ns < timing_.stale_ns) {
+      RefuseSecond(host.second, hello.peer);
       return link->Close(absl::AlreadyExistsError(
           absl::StrCat("sensor ", config_.id, "/", host_name, " has a live session")));
     }
     host.session->link->Close(absl::AbortedError("replaced by a newer session"));
   }
+  BeginSession("sensor", host_name, host.second, hello.peer);
   host.session = SensorSession{
       .link = std::move(link),
       .incarnation = hello.incarnation,
@@ -37,6 +52,7 @@ void Robot::OnSensorHello(const std::string& host_name, std::shared_ptr<SensorLi
       .unix_offset_ns = now.unix_ns - hello.clock.boottime_ns,
       .heard_ns = now.boottime_ns,
       .peer_boottime_ns = hello.clock.boottime_ns,
+      .domain = hello.domain,
       .spooled = hello.spooled,
       .interest_in_use = hello.interest_in_use,
   };
@@ -46,17 +62,17 @@ void Robot::OnSensorHello(const std::string& host_name, std::shared_ptr<SensorLi
   uint64_t missing = 0;
   for (const SpooledRange& range : hello.spooled) {
     // What lies between is neither with the sensor any more nor in the store: it is lost.
-    const uint64_t judged = host.sequences.Judged(range.incarnation, range.lane);
-    if (range.first_sequence > judged + 1) missing += range.first_sequence - judged - 1;
+    missing += LostBefore(host, range);
     // Older incarnations that are announced are not the ones to be forgotten.
     host.sequences.Restore(range.incarnation, range.lane, range.first_sequence - 1);
   }
   TakeHello(host, hello, now);
   SendSetup(host_name, host, session);
   GrantCredit(host, session);
+  // Not what is judged: its alerts may still wait for the disk.
   for (const SpooledRange& range : hello.spooled) {
     session.link->Acknowledge(range.incarnation, range.lane,
-                              host.sequences.Judged(range.incarnation, range.lane));
+                              host.durable.Judged(range.incarnation, range.lane));
   }
   evidence_.Disturb(absl::StrCat("sensor ", host_name, " connected"), now);
   if (missing > 0) Missing(host, missing);
@@ -83,39 +99,56 @@ void Robot::SendSetup(const std::string& host_name, SensorHost& host, SensorSess
 void Robot::GrantCredit(SensorHost& host, SensorSession& session) {
   // Messages are judged against the graph: none are asked for before there is one.
   const uint64_t allowed = host.settled ? session.judged_bytes + timing_.credit_bytes : 0;
-  if (allowed < session.granted_bytes + timing_.credit_bytes / 2 && session.granted_bytes > 0) {
+  const uint64_t payloads =
+      host.settled ? session.judged_payload_bytes + timing_.payload_credit_bytes : 0;
+  if (allowed < session.granted_bytes + timing_.credit_bytes / 2 &&
+      payloads < session.granted_payload_bytes + timing_.payload_credit_bytes / 2 &&
+      session.granted_bytes > 0) {
     return;
   }
   session.granted_bytes = std::max(session.granted_bytes, allowed);
-  session.link->Grant(session.granted_bytes);
+  session.granted_payload_bytes = std::max(session.granted_payload_bytes, payloads);
+  session.link->Grant(session.granted_bytes, session.granted_payload_bytes);
 }
 
-Robot::SensorSession* Robot::LiveSensor(const std::string& host, const SensorLink* link) {
+SensorSession* Robot::SessionOf(const std::string& host, const SensorLink* link) {
   const auto it = sensors_.find(host);
   if (it == sensors_.end() || !it->second.session || it->second.session->link.get() != link) {
     return nullptr;
   }
-  it->second.session->heard_ns = ports_.clock->Now().boottime_ns;
   return &*it->second.session;
+}
+
+SensorSession* Robot::HearSensor(const std::string& host, const SensorLink* link) {
+  SensorSession* session = SessionOf(host, link);
+  if (session != nullptr) session->heard_ns = ports_.clock->Now().boottime_ns;
+  return session;
 }
 
 void Robot::OnBatch(const std::string& host, const SensorLink* link,
                     std::shared_ptr<const Batch> batch) {
-  SensorSession* session = LiveSensor(host, link);
+  SensorSession* session = HearSensor(host, link);
   if (session == nullptr) return;
-  if (batch->lane == Lane::kControl) return JudgeBatch(host, link, *batch, {});
-  message_line_.push_back(
-      {.ticket = ++last_ticket_, .host = host, .link = session->link, .batch = std::move(batch)});
+  if (batch->lane == Lane::kControl) {
+    JudgeBatch(host, link, *batch, 0, batch->observations.size(), {});
+  } else {
+    message_line_.batches.push_back({.ticket = ++message_line_.last_ticket,
+                                     .host = host,
+                                     .link = session->link,
+                                     .batch = std::move(batch),
+                                     .arrived_ns = ports_.clock->Now().boottime_ns});
+  }
   AdvanceMessages();
 }
 
 void Robot::JudgeBatch(const std::string& host_name, const SensorLink* link, const Batch& batch,
+                       size_t from, size_t to,
                        const std::vector<std::vector<engine::Verdict>>& verdicts) {
-  SensorSession* session = LiveSensor(host_name, link);
+  SensorSession* session = SessionOf(host_name, link);
   if (session == nullptr) return;
   SensorHost& host = sensors_[host_name];
-  const auto accepted = host.sequences.Accept(batch.incarnation, batch.lane, batch.first_sequence,
-                                              batch.observations.size());
+  const auto accepted =
+      host.sequences.Accept(batch.incarnation, batch.lane, batch.first_sequence + from, to - from);
   if (!accepted.ok()) {
     session->link->Close(accepted.status());
     return OnSensorGone(host_name, link);
@@ -124,7 +157,7 @@ void Robot::JudgeBatch(const std::string& host_name, const SensorLink* link, con
   if (accepted->missing > 0) Missing(host, accepted->missing);
   Count(ports_.counts.observations_duplicate, accepted->skip);
   sequences_moved_ = true;
-  for (size_t i = accepted->skip; i < batch.observations.size(); ++i) {
+  for (size_t i = from + accepted->skip; i < to; ++i) {
     const absl::Span<const engine::Verdict> inspections =
         i < verdicts.size() ? verdicts[i] : absl::Span<const engine::Verdict>();
     const auto* finding = std::get_if<FindingSeen>(&batch.observations[i].what);
@@ -133,9 +166,13 @@ void Robot::JudgeBatch(const std::string& host_name, const SensorLink* link, con
     // Judging may have ended the session (a graph that contradicts itself).
     if (!host.session || host.session->link.get() != link) break;
   }
-  Count(ports_.counts.observations_judged, batch.observations.size() - accepted->skip);
+  Count(ports_.counts.observations_judged, to - from - accepted->skip);
   if (host.session && host.session->link.get() == link) {
-    if (batch.lane == Lane::kMessages) host.session->judged_bytes += batch.bytes;
+    const bool whole = to == batch.observations.size();
+    if (batch.lane == Lane::kMessages && whole) {
+      host.session->judged_bytes += batch.bytes;
+      host.session->judged_payload_bytes += batch.payload_bytes;
+    }
     GrantCredit(host, *host.session);
   }
   UpdateActuation(now);
@@ -144,6 +181,7 @@ void Robot::JudgeBatch(const std::string& host_name, const SensorLink* link, con
 
 void Robot::Missing(SensorHost& host, uint64_t count) {
   CountLost(host, count);
+  loss_alarm_.Add("they have a number and did not come", count, ports_.clock->Now().boottime_ns);
   evidence_.Disturb(absl::StrCat(count, " observations have a number and did not come"),
                     ports_.clock->Now());
   External(engine::LossEvent{.count = count});
@@ -166,10 +204,8 @@ void Robot::Judge(SensorHost& host, SensorSession& session, bool primary, const 
           age_ns > timing_.late_after_ns ? levels::Lateness::kLate : levels::Lateness::kTimely};
   if (const auto* message = std::get_if<MessageSeen>(&seen.what)) {
     if (!primary) return;
-    engine::MessageEvent judged = ToEvent(*message);
-    judged.inspections = inspections;
-    event.what = judged;
-    Run(event, message);
+    CountCut(*message);
+    JudgeMessage(host, batch, *message, std::move(event), inspections);
   } else if (const auto* snapshot = std::get_if<GraphSnapshotSeen>(&seen.what)) {
     if (has_graph) JudgeSnapshot(host, session, *snapshot, std::move(event));
   } else if (const auto* delta = std::get_if<GraphDeltaSeen>(&seen.what)) {
@@ -188,12 +224,13 @@ void Robot::Judge(SensorHost& host, SensorSession& session, bool primary, const 
   } else if (const auto* loss = std::get_if<LossSeen>(&seen.what)) {
     CountLost(host, loss->count);
     if (!loss->tolerable) {
+      loss_alarm_.Add(loss->cause, loss->count, now.boottime_ns);
       evidence_.Disturb(absl::StrCat(loss->count, " observations were lost: ", loss->cause), now);
     }
     event.what.emplace<engine::ExternalEvent>(ToEvent(*loss, session));
     Run(event);
   } else if (const auto* state = std::get_if<SensorStateSeen>(&seen.what)) {
-    if (!TakeState(host, *state)) return;
+    if (!TakeState(host, *state, seen.boottime_ns)) return;
     event.what.emplace<engine::ExternalEvent>(
         engine::AgentEvent{.agent = "sensor", .state = "overloaded"});
     Run(event);
@@ -207,35 +244,9 @@ void Robot::Judge(SensorHost& host, SensorSession& session, bool primary, const 
   }
 }
 
-engine::LossEvent Robot::ToEvent(const LossSeen& loss, const SensorSession& session) {
-  const auto unix_ns = [&](int64_t boottime_ns) {
-    return boottime_ns == 0 ? 0 : boottime_ns + session.unix_offset_ns;
-  };
-  return {.count = loss.count,
-          .topic = loss.topic,
-          .type = loss.type,
-          .writer = loss.writer,
-          .first_unix_ns = unix_ns(loss.first_boottime_ns),
-          .last_unix_ns = unix_ns(loss.last_boottime_ns),
-          .cause = loss.cause};
-}
-
-engine::MessageEvent Robot::ToEvent(const MessageSeen& message) const {
-  absl::string_view sender = message.sender;
-  if (const ros2::Endpoint* endpoint = state_.graph->FindEndpoint(message.writer)) {
-    sender = endpoint->node;
-  }
-  return {.topic = message.topic,
-          .type = message.type,
-          .writer = message.writer,
-          .sender = sender,
-          .size_bytes = message.size_bytes,
-          .memo = message.memo};
-}
-
 void Robot::JudgeSnapshot(SensorHost& host, const SensorSession& session,
                           const GraphSnapshotSeen& snapshot, engine::Event event) {
-  const absl::Status status = TakeSnapshot(host, session.incarnation, snapshot);
+  const absl::Status status = host.TakeSnapshot(session.incarnation, snapshot);
   if (!status.ok()) return RefuseGraph(host, session, status);
   if (host.settled) GraphChanged(host, std::move(event));
 }
@@ -246,7 +257,7 @@ void Robot::JudgeDelta(SensorHost& host, const SensorSession& session, const Gra
   // contain them.
   if (host.graph_incarnation != session.incarnation) return;
   const bool news = delta.to_version > host.graph_version;
-  const absl::Status status = TakeDelta(host, session.incarnation, delta);
+  const absl::Status status = host.TakeDelta(session.incarnation, delta);
   if (!status.ok()) return RefuseGraph(host, session, status);
   if (news && host.settled) GraphChanged(host, std::move(event));
 }
@@ -263,34 +274,14 @@ void Robot::RefuseGraph(SensorHost& host, const SensorSession& session,
   }
 }
 
-absl::Status Robot::TakeSnapshot(SensorHost& host, const std::string& incarnation,
-                                 const GraphSnapshotSeen& snapshot) {
-  ros2::RosGraph graph;
-  if (absl::Status status = graph.Apply(snapshot.content); !status.ok()) return status;
-  host.graph = std::move(graph);
-  host.graph_incarnation = incarnation;
-  host.graph_version = snapshot.version;
-  host.settled = snapshot.settled;
-  return absl::OkStatus();
-}
-
-absl::Status Robot::TakeDelta(SensorHost& host, const std::string& incarnation,
-                              const GraphDeltaSeen& delta) {
-  if (delta.to_version <= host.graph_version) return absl::OkStatus();
-  if (delta.from_version != host.graph_version) {
-    return absl::InvalidArgumentError(absl::StrCat(
-        "graph delta starts at version ", delta.from_version, ", held is ", host.graph_version));
-  }
-  if (absl::Status status = host.graph.Apply(delta.delta); !status.ok()) return status;
-  host.graph_incarnation = incarnation;
-  host.graph_version = delta.to_version;
-  host.settled = host.settled || delta.settled;
-  return absl::OkStatus();
-}
-
 void Robot::GraphChanged(SensorHost& host, engine::Event event) {
   state_.graph = host.graph;
+  graph_history_.Add(host.graph_incarnation, host.graph_version, state_.graph.version(),
+                     ports_.clock->Now().boottime_ns);
   graph_changed_unix_ns_ = event.time_unix_ns;
+  // A graph that shows nobody must not lower a level in the very event that shows it.
+  UpdateBlind(ports_.clock->Now());
+  UpdateEvidence(ports_.clock->Now());
   event.what = engine::GraphEvent{};
   Run(event);
   if (host.session) GrantCredit(host, *host.session);

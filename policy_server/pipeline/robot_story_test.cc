@@ -108,6 +108,108 @@ TEST_F(RobotTest, CommandsARaiseBeforeItIsRecorded) {
   EXPECT_EQ(audience_.Count("unknown node"), 1);
 }
 
+TEST_F(RobotTest, ASoftLevelDoesNotSinkInTheEventThatRaisedIt) {
+  Start(R"(
+levels:
+  DEFAULT;
+  ALERT soft;
+  COMPROMISED;
+  HALT;
+rules External:
+  up: signal("SIGUSR1") ? trigger(ALERT);
+  down: CurrLevel == ALERT ? trigger(DEFAULT);
+  last: false ? trigger(COMPROMISED), trigger(HALT);
+)");
+  ConnectSensor();
+  ConnectActuator({.effective_level = "DEFAULT"});
+  actuator_->commands.clear();
+  SendSnapshot();
+  Pass(100);
+  effective_ = "DEFAULT";
+  verified_ = true;
+  Pass(10'000);
+
+  SendBatch(Lane::kControl, {{.what = SignalSeen{.name = "SIGUSR1"}}});
+  EXPECT_EQ(Level(), "ALERT");
+  Pass(1'000);
+  EXPECT_EQ(Level(), "ALERT") << "not verified";
+  Obey();
+  Pass(4'500);
+  EXPECT_EQ(Level(), "ALERT") << "soft_hold has not passed";
+  Pass(1'500);
+  EXPECT_EQ(Level(), "DEFAULT");
+}
+
+TEST_F(RobotTest, EvidenceStartsAnewWithARaiseOfTheSameBatch) {
+  Start();
+  Arm();
+  Pass(10'000);
+  ros2::GraphDelta gone;
+  gone.gone_guids = {Participant(9)};
+  ros2::GraphDelta came;
+  AddNode(&came, 9, "/intruder");
+  // Raised, and the reason gone, before anything else could run.
+  SendBatch(
+      Lane::kControl,
+      {{.what = GraphDeltaSeen{.from_version = 1, .to_version = 2, .settled = true, .delta = came}},
+       {.what = GraphDeltaSeen{.from_version = 2, .to_version = 3, .settled = true, .delta = gone}},
+       {.what = SignalSeen{.name = "SIGUSR2"}}});
+  EXPECT_EQ(Level(), "ALERT");
+}
+
+TEST_F(RobotTest, ARestoredHistoryLowersNothing) {
+  struct Case {
+    const char* what;
+    Mark held;
+    const char* held_level;
+    const char* expected;
+  };
+  const Case cases[] = {
+      {"a known decision under another level", {6, 9}, "HALT", "HALT"},
+      {"the newest decision under another level", {6, 10}, "HALT", "HALT"},
+      {"the newest decision under a lower level", {6, 10}, "ALERT", "COMPROMISED"},
+      {"a known decision under its own level", {6, 9}, "ALERT", "COMPROMISED"},
+      {"an unknown decision", {6, 11}, "HALT", "HALT"},
+  };
+  for (const Case& each : cases) {
+    SCOPED_TRACE(each.what);
+    recorder_.decisions = {{.robot = "r1", .mark = {6, 9}, .to = "ALERT"},
+                           {.robot = "r1", .mark = {6, 10}, .to = "COMPROMISED"}};
+    audience_.alerts.clear();
+    Start(kPaperRules, {.level = "COMPROMISED", .mark = {6, 10}}, 7);
+    ConnectSensor();
+    ConnectActuator({.mark = each.held,
+                     .decided_level = each.held_level,
+                     .effective_level = each.held_level,
+                     .highest_term = 6});
+    EXPECT_EQ(Level(), each.expected);
+    const bool contradicts = std::string(each.what) != "a known decision under its own level";
+    EXPECT_EQ(audience_.Count("the more restrictive level is adopted"), contradicts ? 1 : 0);
+    EXPECT_NE(Stage(), "verified");
+    EXPECT_EQ(robot_->Status().mark > each.held, contradicts || each.held.epoch == 9);
+  }
+}
+
+TEST_F(RobotTest, ATermThatAnActuatorKnowsBeforeItMetUsIsNotOurs) {
+  Start(kPaperRules, {.level = "DEFAULT", .mark = {6, 10}}, 7);
+  recorder_.decisions = {{.robot = "r1", .mark = {6, 10}, .to = "DEFAULT"}};
+  ConnectActuator({.mark = {6, 10},
+                   .decided_level = "DEFAULT",
+                   .effective_level = "DEFAULT",
+                   .highest_term = 7});
+  Pass(100);
+  EXPECT_EQ(audience_.Count("has obeyed term 7, and ours is 7"), 1);
+  EXPECT_EQ(actuator_->leases.back().term, 8u);
+
+  actuator_beats_ = false;
+  Pass(3'000);
+  ConnectActuator({.mark = {6, 10},
+                   .decided_level = "DEFAULT",
+                   .effective_level = "DEFAULT",
+                   .highest_term = 8});
+  EXPECT_EQ(actuator_->leases.back().term, 8u) << "that is the term it has from us";
+}
+
 TEST_F(RobotTest, CommandsALoweringOnlyWhenItIsDurable) {
   Start();
   Arm();
@@ -145,7 +247,8 @@ TEST_F(RobotTest, TakesALoweringBackThatCannotBeRecorded) {
   Drain();
 
   EXPECT_EQ(Level(), "ALERT");
-  EXPECT_THAT(answer.status, StatusIs(absl::StatusCode::kUnavailable, HasSubstr("disk full")));
+  EXPECT_THAT(answer.status,
+              StatusIs(absl::StatusCode::kFailedPrecondition, HasSubstr("disk full")));
   for (const Command& command : actuator_->commands) {
     const auto* set = std::get_if<SetLevel>(&command.what);
     ASSERT_NE(set, nullptr);
@@ -172,7 +275,7 @@ TEST_F(RobotTest, RefusesToLowerWhileTheStoreFails) {
   robot_->DeEscalate(order, [&](const LevelAnswer& a) { answer = a; });
   Drain();
 
-  EXPECT_THAT(answer.status, StatusIs(absl::StatusCode::kUnavailable));
+  EXPECT_THAT(answer.status, StatusIs(absl::StatusCode::kFailedPrecondition, HasSubstr("store")));
   EXPECT_EQ(Level(), "ALERT");
 }
 
@@ -234,7 +337,7 @@ TEST_F(RobotTest, GoesAboveATermThatTheActuatorHasSeen) {
   ConnectActuator({.effective_level = "DEFAULT", .highest_term = 41});
 
   EXPECT_EQ(actuator_->leases.back().term, 42u);
-  EXPECT_EQ(audience_.Count("above ours"), 1);
+  EXPECT_EQ(audience_.Count("and ours is"), 1);
 }
 
 TEST_F(RobotTest, RefusesAnImpossibleTerm) {
@@ -355,6 +458,21 @@ TEST_F(RobotTest, WhatIsDegradedIsStatusAndAlertsWhenItBeginsAndEnds) {
   EXPECT_EQ(audience_.Count("actuator base is no longer degraded"), 1);
   EXPECT_THAT(robot_->Status().degraded,
               ::testing::Not(::testing::Contains(::testing::HasSubstr("actuator base:"))));
+}
+
+TEST_F(RobotTest, AFailSafeThatAnActuatorTookIsToldOnce) {
+  Start();
+  ConnectActuator({.effective_level = "COMPROMISED"});
+  Obey();
+  floor_ = "lease expired";
+  effective_ = "COMPROMISED";
+  Pass(3'000);
+  EXPECT_EQ(audience_.Count("actuator base holds r1 at COMPROMISED by itself: lease expired"), 1);
+
+  floor_.clear();
+  effective_ = "DEFAULT";
+  Pass(3'000);
+  EXPECT_EQ(audience_.Count("actuator base no longer holds r1 at a level of its own"), 1);
 }
 
 TEST_F(RobotTest, AFloorThatLiftsIsNotDrift) {

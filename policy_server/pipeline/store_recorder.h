@@ -23,8 +23,9 @@ class StoreRecorder final : public Recorder {
     if (!taken.ok()) (*shared)(taken);
   }
   bool healthy() const override { return committer_->healthy(); }
-  absl::StatusOr<bool> HasMark(const std::string& robot, const Mark& mark) override {
-    return store_->HasMark(robot, mark);
+  absl::StatusOr<std::optional<std::string>> FindDecision(const std::string& robot,
+                                                          const Mark& mark) override {
+    return store_->FindDecision(robot, mark);
   }
   absl::StatusOr<uint64_t> NextTerm(const std::string& robot, uint64_t above) override {
     return store_->NextTerm(robot, above);

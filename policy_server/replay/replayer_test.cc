@@ -53,16 +53,17 @@ TEST(ReplayerTest, EvidenceIsCompleteAndEachRefusalIsRecorded) {
 TEST(ReplayerTest, TheBudgetOfSoftLoweringsHoldsInRecordedTime) {
   const auto program = MakeProgram(R"(
     rules External:
-      up: CurrLevel == A ? trigger(B);
       down: CurrLevel == B ? trigger(A) !> alert("refused");
+      up: CurrLevel == A ? trigger(B);
   )");
+  // The first raises; each after it lowers and would raise again.
   std::vector<Recorded> events;
-  for (int i = 0; i < 4; ++i) events.push_back(Signal(i * 1'000));
-  events.push_back(Signal(601'000 + 3'000));
+  for (int i = 0; i < 5; ++i) events.push_back(Signal(i * 1'000));
+  events.push_back(Signal(601'000 + 4'000));
 
   const Result result = Replayed(program, events);
 
-  EXPECT_THAT(Alerts(result), ElementsAre("3 down refused", "4 down refused"));
+  EXPECT_THAT(Alerts(result), ElementsAre("4 down refused", "5 down refused"));
 }
 
 TEST(ReplayerTest, CrashEndsTheRulesAndNotTheCounting) {
@@ -505,9 +506,9 @@ TEST(ResultJsonTest, IsTheContract) {
   EXPECT_EQ(
       ToJson(result).dump(),
       R"({"events":{"message":1,"graph":0,"external":1,"undecidable":0,"unattributed":1},)"
-      R"("level":"A",)"
+      R"("level":"B",)"
       R"("transitions":[{"event":0,"rule":"m","from":"A","to":"B","result":"decided"},)"
-      R"({"event":0,"rule":"m","from":"B","to":"A","result":"decided"}],)"
+      R"({"event":0,"rule":"m","from":"B","to":"A","result":"refused"}],)"
       R"("alerts":[{"event":0,"rule":"m","text":"hi","severity":"high"},)"
       R"({"event":1,"rule":"z","text":"fault in rule `z`: integer division by zero; it did not fire",)"
       R"("severity":"high"}],)"

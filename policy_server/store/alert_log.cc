@@ -24,9 +24,23 @@ absl::Status FromErrno(const std::string& doing) {
   return absl::UnavailableError(text);
 }
 
-bool EndsInsideALine(int fd, off_t size) {
-  char last = '\n';
-  return size > 0 && pread(fd, &last, 1, size - 1) == 1 && last != '\n';
+// Longer than any line of ours.
+constexpr off_t kTailBytesMax = 4 << 20;
+
+// The end of the file, at most kTailBytesMax; shorter if it cannot be read.
+std::string ReadTail(int fd, off_t size) {
+  const off_t from = size > kTailBytesMax ? size - kTailBytesMax : 0;
+  std::string tail(static_cast<size_t>(size - from), '\0');
+  size_t done = 0;
+  while (done < tail.size()) {
+    const ssize_t got =
+        pread(fd, tail.data() + done, tail.size() - done, from + static_cast<off_t>(done));
+    if (got < 0 && errno == EINTR) continue;
+    if (got <= 0) break;
+    done += static_cast<size_t>(got);
+  }
+  tail.resize(done);
+  return tail;
 }
 
 }  // namespace
@@ -72,8 +86,29 @@ absl::Status AlertLog::OpenLocked() {
   }
   if (fd_ >= 0) close(fd_);
   fd_ = fd;
-  torn_ = EndsInsideALine(fd, info.st_size);
+  torn_ = false;
+  const std::string tail = ReadTail(fd, info.st_size);
+  if (!tail.empty() && tail.back() != '\n') {
+    const size_t whole = tail.rfind('\n');
+    const size_t cut = whole == std::string::npos ? tail.size() : tail.size() - whole - 1;
+    CutLocked(info.st_size - static_cast<off_t>(cut));
+  }
   return absl::OkStatus();
+}
+
+void AlertLog::CutLocked(off_t size) { torn_ = ftruncate(fd_, size) != 0; }
+
+absl::StatusOr<std::string> AlertLog::LastId() {
+  MutexLock lock(&mutex_);
+  struct stat info = {};
+  if (fstat(fd_, &info) != 0) return FromErrno(absl::StrCat("reading alert file `", path_, "`"));
+  std::string tail = ReadTail(fd_, info.st_size);
+  if (!tail.empty() && tail.back() == '\n') tail.pop_back();
+  const size_t before = tail.rfind('\n');
+  const auto line = nlohmann::json::parse(
+      before == std::string::npos ? tail : tail.substr(before + 1), nullptr, false);
+  if (!line.is_object() || !line.contains("id") || !line["id"].is_string()) return std::string();
+  return line["id"].get<std::string>();
 }
 
 bool AlertLog::MovedLocked() const {
@@ -91,6 +126,8 @@ absl::Status AlertLog::Append(std::span<const AlertRecord> alerts) {
   MutexLock lock(&mutex_);
   if (MovedLocked()) RIPS_RETURN_IF_ERROR(OpenLocked());
   if (torn_) text.insert(text.begin(), '\n');
+  struct stat before = {};
+  const bool sized = fstat(fd_, &before) == 0;
   size_t done = 0;
   while (done < text.size()) {
     const ssize_t wrote = write(fd_, text.data() + done, text.size() - done);
@@ -98,6 +135,7 @@ absl::Status AlertLog::Append(std::span<const AlertRecord> alerts) {
     if (wrote < 0) {
       const absl::Status status = FromErrno(absl::StrCat("writing alert file `", path_, "`"));
       if (done > 0) torn_ = text[done - 1] != '\n';
+      if (done > 0 && sized) CutLocked(before.st_size);
       return status;
     }
     done += static_cast<size_t>(wrote);

@@ -5,10 +5,13 @@
 // included, is \u-escaped, so that text from a robot cannot act on a terminal; bytes that are not
 // UTF-8 become U+FFFD.
 //
-// The store is the record; this is a copy, written after the alert is durable. A crash in between
-// leaves the alert in the store only.
+// The store is the record; this is a copy without holes, written after the alert is durable:
+// whoever appends asks where the file ends (LastId) and goes on from there (AlertFeed). What a
+// crash or a full disk left of a line is cut off, and its alert is written again.
 #ifndef RIPS_POLICY_SERVER_STORE_ALERT_LOG_H_
 #define RIPS_POLICY_SERVER_STORE_ALERT_LOG_H_
+
+#include <sys/types.h>
 
 #include <memory>
 #include <span>
@@ -36,18 +39,24 @@ class AlertLog {
   AlertLog& operator=(const AlertLog&) = delete;
 
   // Writes one line an alert, to a new file if the old one was moved or removed. Unavailable or
-  // ResourceExhausted (disk full): some of the lines may be missing or cut; the next call starts on
-  // a line of its own. A later call may succeed.
+  // ResourceExhausted (disk full): none of them is there, or, where what was written cannot be cut
+  // off again, the first of them and a piece of one, after which the next call starts on a line of
+  // its own. A later call may succeed.
   absl::Status Append(std::span<const AlertRecord> alerts) ABSL_LOCKS_EXCLUDED(mutex_);
 
   // Opens the path anew, as after a rotation. On failure the old file stays in use.
   absl::Status Reopen() ABSL_LOCKS_EXCLUDED(mutex_);
+
+  // The id of the alert on the last line; empty if the file has no line, or none of an alert.
+  absl::StatusOr<std::string> LastId() ABSL_LOCKS_EXCLUDED(mutex_);
 
  private:
   explicit AlertLog(std::string path) : path_(std::move(path)) {}
 
   absl::Status OpenLocked() ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_);
   bool MovedLocked() const ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_);
+  // Back to `size`; else the next line begins anew.
+  void CutLocked(off_t size) ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_);
 
   const std::string path_;
   Mutex mutex_;

@@ -100,14 +100,36 @@ TEST(AlertLogTest, FollowsARotation) {
   EXPECT_THAT(Texts(path), ElementsAre("newer"));
 }
 
-TEST(AlertLogTest, StartsANewLineAfterATornOne) {
+TEST(AlertLogTest, CutsATornLineOffWhenItOpens) {
   TempDir dir;
   const std::string path = dir.File("alerts.jsonl");
   std::ofstream(path) << "{\"id\":\"cut";
+  {
+    auto log = AlertLog::Open(path);
+    ASSERT_THAT(log, IsOk());
+    EXPECT_EQ(*(*log)->LastId(), "");
+    ASSERT_THAT(Append(**log, "whole"), IsOk());
+  }
+  std::ofstream(path, std::ios::app) << "{\"id\":\"cut again";
   auto log = AlertLog::Open(path);
   ASSERT_THAT(log, IsOk());
-  ASSERT_THAT(Append(**log, "whole"), IsOk());
-  EXPECT_THAT(Texts(path), ElementsAre("?", "whole"));
+  ASSERT_THAT(Append(**log, "next"), IsOk());
+  EXPECT_THAT(Texts(path), ElementsAre("whole", "next"));
+}
+
+TEST(AlertLogTest, KnowsTheAlertOnItsLastLine) {
+  TempDir dir;
+  const std::string path = dir.File("alerts.jsonl");
+  auto log = AlertLog::Open(path);
+  ASSERT_THAT(log, IsOk());
+  EXPECT_EQ(*(*log)->LastId(), "");
+  const AlertRecord first = MakeAlert("r1", "one");
+  const AlertRecord last = MakeAlert("r1", std::string(100'000, 'x'));
+  const AlertRecord both[] = {first, last};
+  ASSERT_THAT((*log)->Append(both), IsOk());
+  EXPECT_EQ(*(*log)->LastId(), last.id);
+  std::ofstream(path, std::ios::app) << "somebody's note\n";
+  EXPECT_EQ(*(*log)->LastId(), "");
 }
 
 TEST(AlertLogTest, ReportsAFullDiskAndGoesOn) {
@@ -128,7 +150,7 @@ TEST(AlertLogTest, ReportsAFullDiskAndGoesOn) {
 
   EXPECT_THAT(full, StatusIs(absl::StatusCode::kResourceExhausted, HasSubstr(path)));
   ASSERT_THAT(Append(**log, "after"), IsOk());
-  EXPECT_THAT(Texts(path), ElementsAre("before", "?", "after"));
+  EXPECT_THAT(Texts(path), ElementsAre("before", "after"));
 }
 
 TEST(AlertLogTest, RefusesWhatIsNotAFile) {

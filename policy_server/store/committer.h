@@ -2,20 +2,25 @@
 // while the last transaction was flushed goes into the next one.
 //
 // One thread of its own. Order: batches are applied, and their callbacks called, in the order of
-// Submit. Nothing is tried twice: the caller is told and decides.
+// Submit. Nothing is tried twice: the caller is told and decides. PutFirst alone is kept until it
+// is written, before everything else.
 #ifndef RIPS_POLICY_SERVER_STORE_COMMITTER_H_
 #define RIPS_POLICY_SERVER_STORE_COMMITTER_H_
 
 #include <atomic>
 #include <cstddef>
 #include <cstdint>
+#include <deque>
 #include <thread>
 #include <vector>
 
+#include "absl/base/thread_annotations.h"
 #include "absl/functional/any_invocable.h"
 #include "absl/status/status.h"
 #include "policy_server/store/store.h"
+#include "services/base/clock.h"
 #include "services/runtime/bounded_queue.h"
+#include "services/runtime/mutex.h"
 
 namespace rips::store {
 
@@ -24,6 +29,10 @@ struct CommitterLimits {
   size_t waiting_max = 4'096;
   // Batches in one transaction; bounds how long the first of them waits for its callback.
   size_t group_max = 256;
+  // A transaction that takes longer is an outage: a disk that hangs fails nobody's call.
+  int64_t hang_ns = 5 * kNanosPerSecond;
+  // Of PutFirst; the oldest go first, and are counted.
+  size_t first_max = 1'000;
 };
 
 class Committer {
@@ -32,8 +41,9 @@ class Committer {
   // call Submit in a loop that waits for itself, must not destroy the Committer.
   using Done = absl::AnyInvocable<void(const absl::Status&) &&>;
 
-  // Starts the thread. `store` is not owned and outlives this.
-  explicit Committer(Store* store, CommitterLimits limits = {});
+  // Starts the thread. `store` and `clock` are not owned and outlive this. Without a clock nothing
+  // is taken for hanging.
+  explicit Committer(Store* store, CommitterLimits limits = {}, const Clock* clock = nullptr);
   // As Stop.
   ~Committer();
   Committer(const Committer&) = delete;
@@ -44,13 +54,24 @@ class Committer {
   // Stop.
   absl::Status Submit(WriteBatch batch, Done done);
 
+  // The batch is written before all that waits, and again until it has been: then `done` is called,
+  // with OK, or with InvalidArgument or AlreadyExists if it will never do. For what must not be
+  // lost in an outage. Any thread; never blocks on the disk.
+  void PutFirst(WriteBatch batch, Done done) ABSL_LOCKS_EXCLUDED(mu_);
+
   // Commits what waits, calls the callbacks, ends the thread. Any thread but the committer's; later
   // calls do nothing.
   void Stop();
 
-  // False from a transaction that the store could not write until the next one that it could. A
-  // batch refused for what it says (InvalidArgument, AlreadyExists) does not count.
-  bool healthy() const { return healthy_.load(); }
+  // Not OK, with the reason, from a transaction that the store could not write until the next one
+  // that it could, and while one takes longer than hang_ns. A batch refused for what it says
+  // (InvalidArgument, AlreadyExists) does not count, nor does a write from the reserve alone.
+  absl::Status health() const ABSL_LOCKS_EXCLUDED(mu_);
+  bool healthy() const { return health().ok(); }
+  // Transactions that the store could not write.
+  uint64_t failures() const { return failures_.load(); }
+  // Batches of PutFirst that were dropped because too many waited.
+  uint64_t first_dropped() const { return first_dropped_.load(); }
   // Batches refused because too many waited.
   uint64_t refused() const { return queue_.dropped(); }
   size_t waiting() const { return queue_.size(); }
@@ -63,11 +84,24 @@ class Committer {
 
   void Run();
   void CommitGroup(std::vector<Item> items);
+  // Of PutFirst.
+  std::vector<Item> TakeFirst() ABSL_LOCKS_EXCLUDED(mu_);
+  void PutBack(std::vector<Item> first) ABSL_LOCKS_EXCLUDED(mu_);
+  absl::Status Commit(const std::vector<WriteBatch>& batches) ABSL_LOCKS_EXCLUDED(mu_);
+  void TakeVerdict(const absl::Status& status) ABSL_LOCKS_EXCLUDED(mu_);
 
   Store* store_;  // Not owned; outlives this.
   const CommitterLimits limits_;
   BoundedQueue<Item> queue_;
-  std::atomic<bool> healthy_ = true;
+  const Clock* clock_;  // Not owned; may be null.
+  mutable Mutex mu_;
+  // The last transaction's.
+  absl::Status verdict_ ABSL_GUARDED_BY(mu_);
+  // When the one that runs began; 0 = none runs.
+  int64_t began_ns_ ABSL_GUARDED_BY(mu_) = 0;
+  std::deque<Item> first_ ABSL_GUARDED_BY(mu_);
+  std::atomic<uint64_t> failures_ = 0;
+  std::atomic<uint64_t> first_dropped_ = 0;
   std::atomic<bool> stopped_ = false;
   std::thread thread_;
 };

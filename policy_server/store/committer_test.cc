@@ -10,6 +10,7 @@
 #include "gtest/gtest.h"
 #include "policy_server/store/fake_store.h"
 #include "policy_server/store/store_test_data.h"
+#include "services/base/fake_clock.h"
 #include "services/base/status_matchers.h"
 #include "services/runtime/mutex.h"
 
@@ -160,6 +161,90 @@ TEST(CommitterTest, TellsOfAFailingDiskAndRecovers) {
   EXPECT_TRUE(committer.healthy());
   EXPECT_THAT(told.codes(), ElementsAre(absl::StatusCode::kUnavailable, absl::StatusCode::kOk));
   EXPECT_EQ(store.Load("r1")->mark, (Mark{1, 2})) << "a failed batch is not tried again";
+}
+
+WriteBatch OneAlert(const std::string& text) {
+  WriteBatch batch;
+  batch.alerts.push_back(MakeAlert("r1", text));
+  return batch;
+}
+
+TEST(CommitterTest, WhatIsPutFirstIsKeptAndWrittenBeforeTheRest) {
+  FakeStore store;
+  Told told;
+  Committer committer(&store);
+  store.FailWrites(absl::UnavailableError("disk on fire"));
+  const auto try_one = [&](int id) {
+    Gate gate;
+    gate.Open();
+    ASSERT_THAT(committer.Submit(OneAlert(absl::StrCat("later ", id)),
+                                 [&](const absl::Status&) { gate.Pass(); }),
+                IsOk());
+    gate.WaitForArrival();
+  };
+  committer.PutFirst(OneAlert("outage"), told.Next(1));
+  try_one(1);
+  try_one(2);
+  EXPECT_THAT(told.ids(), ElementsAre());
+  EXPECT_GE(committer.failures(), 2u);
+  EXPECT_THAT(committer.health(),
+              StatusIs(absl::StatusCode::kUnavailable, HasSubstr("disk on fire")));
+
+  store.FailWrites(absl::OkStatus());
+  try_one(3);
+  committer.Stop();
+
+  EXPECT_THAT(told.codes(), ElementsAre(absl::StatusCode::kOk));
+  EXPECT_THAT(committer.health(), IsOk());
+  const auto alerts = store.AlertsAfter("", 0, 0);
+  ASSERT_THAT(alerts->alerts, SizeIs(2));
+  EXPECT_EQ(alerts->alerts[0].text, "outage");
+  EXPECT_EQ(alerts->alerts[1].text, "later 3");
+}
+
+TEST(CommitterTest, AWriteThatDoesNotEndIsAnOutage) {
+  FakeStore store;
+  FakeClock clock;
+  Told told;
+  Gate disk;
+  store.OnCommit([&] { disk.Pass(); });
+  Committer committer(&store, {.hang_ns = 5 * kNanosPerSecond}, &clock);
+  ASSERT_THAT(committer.Submit(Decision(1), told.Next(1)), IsOk());
+  disk.WaitForArrival();
+  clock.Advance(4 * kNanosPerSecond);
+  EXPECT_TRUE(committer.healthy());
+  clock.Advance(2 * kNanosPerSecond);
+  EXPECT_THAT(committer.health(), StatusIs(absl::StatusCode::kUnavailable,
+                                           HasSubstr("has not ended for more than 5 s")));
+  disk.Open();
+  committer.Stop();
+  EXPECT_TRUE(committer.healthy());
+  EXPECT_THAT(told.codes(), ElementsAre(absl::StatusCode::kOk));
+}
+
+TEST(CommitterTest, OnAFullDiskRaisesAreWrittenFromTheReserve) {
+  FakeStore store;
+  store.FillDisk(true);
+  Told told;
+  Gate disk;
+  store.OnCommit([&] { disk.Pass(); });
+  Committer committer(&store);
+  // The first holds the disk, so that the others are one group.
+  ASSERT_THAT(committer.Submit(OneAlert("first"), told.Next(1)), IsOk());
+  disk.WaitForArrival();
+  WriteBatch raise = Decision(1);
+  raise.uses_reserve = true;
+  ASSERT_THAT(committer.Submit(OneAlert("second"), told.Next(2)), IsOk());
+  ASSERT_THAT(committer.Submit(std::move(raise), told.Next(3)), IsOk());
+  disk.Open();
+  committer.Stop();
+
+  EXPECT_THAT(told.ids(), ElementsAre(1, 2, 3));
+  EXPECT_THAT(told.codes(),
+              ElementsAre(absl::StatusCode::kResourceExhausted,
+                          absl::StatusCode::kResourceExhausted, absl::StatusCode::kOk));
+  EXPECT_EQ(store.Load("r1")->mark, (Mark{1, 1}));
+  EXPECT_FALSE(committer.healthy()) << "the reserve alone is no health";
 }
 
 TEST(CommitterTest, ABadBatchHurtsNoOther) {

@@ -50,6 +50,11 @@ void FakeStore::FailWrites(absl::Status status) {
   write_status_ = std::move(status);
 }
 
+void FakeStore::FillDisk(bool full) {
+  MutexLock lock(&mutex_);
+  full_ = full;
+}
+
 void FakeStore::FailReads(absl::Status status) {
   MutexLock lock(&mutex_);
   read_status_ = std::move(status);
@@ -80,14 +85,14 @@ absl::StatusOr<uint64_t> FakeStore::NextTerm(absl::string_view robot, uint64_t a
   return record.highest_term;
 }
 
-absl::StatusOr<bool> FakeStore::HasMark(absl::string_view robot, const Mark& mark) {
+absl::StatusOr<std::optional<std::string>> FakeStore::FindDecision(absl::string_view robot,
+                                                                   const Mark& mark) {
   MutexLock lock(&mutex_);
   RIPS_RETURN_IF_ERROR(read_status_);
-  return std::any_of(state_.transitions.begin(), state_.transitions.end(),
-                     [&](const TransitionRecord& transition) {
-                       return transition.robot == robot && !transition.refused &&
-                              transition.mark == mark;
-                     });
+  for (const TransitionRecord& each : state_.transitions) {
+    if (each.robot == robot && !each.refused && each.mark == mark) return each.to;
+  }
+  return std::nullopt;
 }
 
 absl::Status FakeStore::CommitAll(std::span<const WriteBatch> batches) {
@@ -99,6 +104,10 @@ absl::Status FakeStore::CommitAll(std::span<const WriteBatch> batches) {
   if (hook) hook();
   MutexLock lock(&mutex_);
   RIPS_RETURN_IF_ERROR(write_status_);
+  if (full_ && !std::all_of(batches.begin(), batches.end(),
+                            [](const WriteBatch& batch) { return batch.uses_reserve; })) {
+    return absl::ResourceExhaustedError("the disk is full");
+  }
   State next = state_;
   for (const WriteBatch& batch : batches) {
     RIPS_RETURN_IF_ERROR(Validate(batch));
@@ -173,6 +182,7 @@ void FakeStore::State::Apply(const Checkpoint& checkpoint) {
   if (checkpoint.variables.has_value()) robot.variables = *checkpoint.variables;
   if (checkpoint.soft_suspended.has_value()) robot.soft_suspended = *checkpoint.soft_suspended;
   if (checkpoint.rules_halted.has_value()) robot.rules_halted = *checkpoint.rules_halted;
+  if (checkpoint.bundle.has_value()) robot.bundle = *checkpoint.bundle;
   std::vector<LaneKey>& order = lanes[checkpoint.robot];
   for (const auto& [key, sequence] : checkpoint.high_water) {
     if (!robot.high_water.contains(key)) order.push_back(key);
@@ -202,6 +212,75 @@ absl::StatusOr<std::vector<AlertRecord>> FakeStore::ListAlerts(absl::string_view
   MutexLock lock(&mutex_);
   RIPS_RETURN_IF_ERROR(read_status_);
   return Newest(state_.alerts, robot, limit);
+}
+
+absl::StatusOr<AlertPage> FakeStore::AlertsAfter(absl::string_view robot, uint64_t sequence,
+                                                 uint32_t limit) {
+  MutexLock lock(&mutex_);
+  RIPS_RETURN_IF_ERROR(read_status_);
+  AlertPage page;
+  for (uint64_t i = sequence; i < state_.alerts.size() && page.alerts.size() < ListLimit(limit);
+       ++i) {
+    if (!robot.empty() && state_.alerts[i].robot != robot) continue;
+    page.alerts.push_back(state_.alerts[i]);
+    page.alerts.back().sequence = i + 1;
+  }
+  return page;
+}
+
+absl::StatusOr<uint64_t> FakeStore::FindAlert(absl::string_view id) {
+  MutexLock lock(&mutex_);
+  RIPS_RETURN_IF_ERROR(read_status_);
+  for (size_t i = 0; i < state_.alerts.size(); ++i) {
+    if (state_.alerts[i].id == id) return uint64_t{i + 1};
+  }
+  return 0;
+}
+
+absl::StatusOr<AlertRecord> FakeStore::NewestAlert() {
+  MutexLock lock(&mutex_);
+  RIPS_RETURN_IF_ERROR(read_status_);
+  if (state_.alerts.empty()) return AlertRecord{};
+  AlertRecord newest = state_.alerts.back();
+  newest.sequence = state_.alerts.size();
+  return newest;
+}
+
+absl::StatusOr<std::string> FakeStore::Note(absl::string_view name) {
+  MutexLock lock(&mutex_);
+  RIPS_RETURN_IF_ERROR(read_status_);
+  const auto it = state_.notes.find(name);
+  return it == state_.notes.end() ? "" : it->second;
+}
+
+absl::Status FakeStore::SetNote(absl::string_view name, absl::string_view value) {
+  MutexLock lock(&mutex_);
+  RIPS_RETURN_IF_ERROR(write_status_);
+  RIPS_RETURN_IF_ERROR(CheckNote(name, value));
+  state_.notes[std::string(name)] = std::string(value);
+  return absl::OkStatus();
+}
+
+absl::Status FakeStore::PutBan(const BanRecord& ban) {
+  if (ban.uri.empty()) return absl::InvalidArgumentError("a ban needs a URI");
+  MutexLock lock(&mutex_);
+  RIPS_RETURN_IF_ERROR(write_status_);
+  bans_[{ban.uri, ban.serial}] = ban;
+  return absl::OkStatus();
+}
+
+absl::StatusOr<bool> FakeStore::RemoveBan(absl::string_view uri, absl::string_view serial) {
+  MutexLock lock(&mutex_);
+  RIPS_RETURN_IF_ERROR(write_status_);
+  return bans_.erase({std::string(uri), std::string(serial)}) > 0;
+}
+
+absl::StatusOr<std::vector<BanRecord>> FakeStore::ListBans() {
+  MutexLock lock(&mutex_);
+  RIPS_RETURN_IF_ERROR(read_status_);
+  std::vector<BanRecord> bans;
+  for (const auto& [key, ban] : bans_) bans.push_back(ban);
+  return bans;
 }
 
 }  // namespace rips::store

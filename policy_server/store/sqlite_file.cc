@@ -29,7 +29,13 @@ CREATE TABLE robots (
   epoch INTEGER NOT NULL DEFAULT 0,
   highest_term INTEGER NOT NULL DEFAULT 0,
   soft_suspended INTEGER NOT NULL DEFAULT 0,
-  rules_halted INTEGER NOT NULL DEFAULT 0
+  rules_halted INTEGER NOT NULL DEFAULT 0,
+  bundle TEXT NOT NULL DEFAULT '',           -- id of the bundle that was in force last
+  alerts_forgotten INTEGER NOT NULL DEFAULT 0  -- highest sequence of an alert that was pruned
+) STRICT, WITHOUT ROWID;
+CREATE TABLE notes (
+  name TEXT PRIMARY KEY,
+  value TEXT NOT NULL
 ) STRICT, WITHOUT ROWID;
 CREATE TABLE transitions (                   -- decisions and refusals, in the order of writing
   seq INTEGER PRIMARY KEY AUTOINCREMENT,
@@ -83,6 +89,14 @@ CREATE TABLE high_water (                    -- in the order in which a lane was
   sequence INTEGER NOT NULL,
   UNIQUE (robot, host, incarnation, lane)
 ) STRICT;
+CREATE TABLE bans (                          -- certificates that are not served any more
+  uri TEXT NOT NULL,
+  serial TEXT NOT NULL,                      -- empty = every certificate of the identity
+  reason TEXT NOT NULL,
+  by TEXT NOT NULL,
+  time_unix_ns INTEGER NOT NULL,
+  PRIMARY KEY (uri, serial)
+) STRICT, WITHOUT ROWID;
 )sql";
 
 absl::Status FromErrno(const std::string& doing) {
@@ -139,6 +153,11 @@ absl::Status MakeStateFile(const std::string& path) {
 // file forward.
 constexpr const char* kUpgrades[] = {
     "ALTER TABLE robots ADD COLUMN rules_halted INTEGER NOT NULL DEFAULT 0",
+    "CREATE TABLE bans (uri TEXT NOT NULL, serial TEXT NOT NULL, reason TEXT NOT NULL, by TEXT NOT "
+    "NULL, time_unix_ns INTEGER NOT NULL, PRIMARY KEY (uri, serial)) STRICT, WITHOUT ROWID",
+    "ALTER TABLE robots ADD COLUMN bundle TEXT NOT NULL DEFAULT '';"
+    "ALTER TABLE robots ADD COLUMN alerts_forgotten INTEGER NOT NULL DEFAULT 0;"
+    "CREATE TABLE notes (name TEXT PRIMARY KEY, value TEXT NOT NULL) STRICT, WITHOUT ROWID;",
 };
 static_assert(std::size(kUpgrades) == kSchemaVersion - 1);
 

@@ -61,13 +61,14 @@ absl::StatusOr<SqliteReader> SqliteReader::Create(const std::string& path) {
       {&reader.begin_, "BEGIN"},
       {&reader.end_, "ROLLBACK"},
       {&reader.robot_,
-       "SELECT level, term, epoch, highest_term, soft_suspended, rules_halted "
+       "SELECT level, term, epoch, highest_term, soft_suspended, rules_halted, bundle "
        "FROM robots WHERE robot = ?"},
       {&reader.variables_, "SELECT name, kind, number, text FROM variables WHERE robot = ?"},
       {&reader.high_water_,
        "SELECT host, incarnation, lane, sequence FROM high_water WHERE robot = ?"},
       {&reader.mark_,
-       "SELECT 1 FROM transitions WHERE robot = ? AND term = ? AND epoch = ? AND refused = 0"},
+       "SELECT to_level FROM transitions "
+       "WHERE robot = ? AND term = ? AND epoch = ? AND refused = 0"},
       {&reader.transitions_,
        "SELECT id, robot, time_unix_ns, from_level, to_level, cause, reason, refused, term, epoch,"
        " based_term, based_epoch, count, stage, detail FROM transitions "
@@ -78,6 +79,20 @@ absl::StatusOr<SqliteReader> SqliteReader::Create(const std::string& path) {
       {&reader.robot_alerts_,
        "SELECT id, time_unix_ns, robot, rule, severity, text, level, event, term, epoch "
        "FROM alerts WHERE robot = ? ORDER BY seq DESC LIMIT ?"},
+      {&reader.alerts_after_,
+       "SELECT id, time_unix_ns, robot, rule, severity, text, level, event, term, epoch, seq "
+       "FROM alerts WHERE seq > ? ORDER BY seq LIMIT ?"},
+      {&reader.robot_alerts_after_,
+       "SELECT id, time_unix_ns, robot, rule, severity, text, level, event, term, epoch, seq "
+       "FROM alerts WHERE robot = ? AND seq > ? ORDER BY seq LIMIT ?"},
+      {&reader.forgotten_, "SELECT ifnull(max(alerts_forgotten), 0) FROM robots"},
+      {&reader.robot_forgotten_,
+       "SELECT ifnull(max(alerts_forgotten), 0) FROM robots WHERE robot = ?"},
+      {&reader.find_alert_, "SELECT seq FROM alerts WHERE id = ?"},
+      {&reader.newest_alert_, "SELECT id, seq FROM alerts ORDER BY seq DESC LIMIT 1"},
+      {&reader.note_, "SELECT value FROM notes WHERE name = ?"},
+      {&reader.bans_,
+       "SELECT uri, serial, reason, by, time_unix_ns FROM bans ORDER BY uri, serial"},
   };
   for (const auto& [statement, sql] : statements) {
     RIPS_ASSIGN_OR_RETURN(*statement, reader.db_.Prepare(sql));
@@ -99,6 +114,7 @@ absl::StatusOr<RobotRecord> SqliteReader::Load(absl::string_view robot) {
     record.highest_term = query.Unsigned(3);
     record.soft_suspended = query.Number(4) != 0;
     record.rules_halted = query.Number(5) != 0;
+    record.bundle = query.Text(6);
     RIPS_RETURN_IF_ERROR(LoadVariables(robot, &record.variables));
     RIPS_RETURN_IF_ERROR(LoadHighWater(robot, &record.high_water));
     return record;
@@ -138,12 +154,15 @@ absl::Status SqliteReader::LoadHighWater(absl::string_view robot, HighWater* hig
   }
 }
 
-absl::StatusOr<bool> SqliteReader::HasMark(absl::string_view robot, const Mark& mark) {
+absl::StatusOr<std::optional<std::string>> SqliteReader::FindDecision(absl::string_view robot,
+                                                                      const Mark& mark) {
   // What is above cannot be stored, and would wrap around.
-  if (mark.none() || mark.term > kNumberMax || mark.epoch > kNumberMax) return false;
+  if (mark.none() || mark.term > kNumberMax || mark.epoch > kNumberMax) return std::nullopt;
   Query query = mark_.Start();
   query.Bind(robot).Bind(mark.term).Bind(mark.epoch);
-  return query.Step();
+  RIPS_ASSIGN_OR_RETURN(const bool found, query.Step());
+  if (!found) return std::nullopt;
+  return query.Text(0);
 }
 
 absl::StatusOr<std::vector<TransitionRecord>> SqliteReader::ListTransitions(absl::string_view robot,
@@ -168,6 +187,74 @@ absl::StatusOr<std::vector<AlertRecord>> SqliteReader::ListAlerts(absl::string_v
     RIPS_ASSIGN_OR_RETURN(const bool row, query.Step());
     if (!row) return out;
     out.push_back(ReadAlert(query));
+  }
+}
+
+absl::StatusOr<AlertPage> SqliteReader::AlertsAfter(absl::string_view robot, uint64_t sequence,
+                                                    uint32_t limit) {
+  // Nothing is stored above it.
+  if (sequence > kNumberMax) return AlertPage{};
+  // One transaction: what is pruned in between must show.
+  RIPS_RETURN_IF_ERROR(begin_.Start().Run());
+  auto read = [&]() -> absl::StatusOr<AlertPage> {
+    AlertPage page;
+    {
+      Query query = robot.empty() ? forgotten_.Start() : robot_forgotten_.Start();
+      if (!robot.empty()) query.Bind(robot);
+      RIPS_ASSIGN_OR_RETURN(const bool row, query.Step());
+      page.forgotten = row && query.Unsigned(0) > sequence;
+    }
+    Query query = robot.empty() ? alerts_after_.Start() : robot_alerts_after_.Start();
+    if (!robot.empty()) query.Bind(robot);
+    query.Bind(sequence).Bind(int64_t{ListLimit(limit)});
+    while (true) {
+      RIPS_ASSIGN_OR_RETURN(const bool row, query.Step());
+      if (!row) return page;
+      page.alerts.push_back(ReadAlert(query));
+      page.alerts.back().sequence = query.Unsigned(10);
+    }
+  };
+  absl::StatusOr<AlertPage> page = read();
+  const absl::Status ended = end_.Start().Run();
+  if (page.ok() && !ended.ok()) return ended;
+  return page;
+}
+
+absl::StatusOr<uint64_t> SqliteReader::FindAlert(absl::string_view id) {
+  Query query = find_alert_.Start();
+  query.Bind(id);
+  RIPS_ASSIGN_OR_RETURN(const bool row, query.Step());
+  return row ? query.Unsigned(0) : 0;
+}
+
+absl::StatusOr<AlertRecord> SqliteReader::NewestAlert() {
+  Query query = newest_alert_.Start();
+  RIPS_ASSIGN_OR_RETURN(const bool row, query.Step());
+  AlertRecord newest;
+  if (!row) return newest;
+  newest.id = query.Text(0);
+  newest.sequence = query.Unsigned(1);
+  return newest;
+}
+
+absl::StatusOr<std::string> SqliteReader::Note(absl::string_view name) {
+  Query query = note_.Start();
+  query.Bind(name);
+  RIPS_ASSIGN_OR_RETURN(const bool row, query.Step());
+  return row ? query.Text(0) : std::string();
+}
+
+absl::StatusOr<std::vector<BanRecord>> SqliteReader::ListBans() {
+  std::vector<BanRecord> out;
+  Query query = bans_.Start();
+  while (true) {
+    RIPS_ASSIGN_OR_RETURN(const bool row, query.Step());
+    if (!row) return out;
+    out.push_back({.uri = query.Text(0),
+                   .serial = query.Text(1),
+                   .reason = query.Text(2),
+                   .by = query.Text(3),
+                   .time_unix_ns = query.Number(4)});
   }
 }
 

@@ -2,6 +2,7 @@
 #ifndef RIPS_POLICY_SERVER_STORE_SQLITE_READER_H_
 #define RIPS_POLICY_SERVER_STORE_SQLITE_READER_H_
 
+#include <optional>
 #include <string>
 #include <utility>
 #include <vector>
@@ -17,10 +18,16 @@ class SqliteReader {
   static absl::StatusOr<SqliteReader> Create(const std::string& path);
 
   absl::StatusOr<RobotRecord> Load(absl::string_view robot);
-  absl::StatusOr<bool> HasMark(absl::string_view robot, const Mark& mark);
+  absl::StatusOr<std::optional<std::string>> FindDecision(absl::string_view robot,
+                                                          const Mark& mark);
   absl::StatusOr<std::vector<TransitionRecord>> ListTransitions(absl::string_view robot,
                                                                 uint32_t limit);
   absl::StatusOr<std::vector<AlertRecord>> ListAlerts(absl::string_view robot, uint32_t limit);
+  absl::StatusOr<AlertPage> AlertsAfter(absl::string_view robot, uint64_t sequence, uint32_t limit);
+  absl::StatusOr<uint64_t> FindAlert(absl::string_view id);
+  absl::StatusOr<AlertRecord> NewestAlert();
+  absl::StatusOr<std::string> Note(absl::string_view name);
+  absl::StatusOr<std::vector<BanRecord>> ListBans();
 
  private:
   explicit SqliteReader(Database db) : db_(std::move(db)) {}
@@ -30,7 +37,9 @@ class SqliteReader {
 
   Database db_;
   Statement begin_, end_;
-  Statement robot_, variables_, high_water_, mark_, transitions_, alerts_, robot_alerts_;
+  Statement robot_, variables_, high_water_, mark_, transitions_, alerts_, robot_alerts_, bans_;
+  Statement alerts_after_, robot_alerts_after_, forgotten_, robot_forgotten_, find_alert_,
+      newest_alert_, note_;
 };
 
 }  // namespace rips::store

@@ -1,8 +1,10 @@
 // What only a file can do: survive, and be damaged.
 #include "policy_server/store/sqlite_store.h"
 
+#include <sched.h>
 #include <signal.h>
 #include <sqlite3.h>
+#include <sys/mount.h>
 #include <sys/stat.h>
 #include <sys/wait.h>
 #include <unistd.h>
@@ -51,7 +53,7 @@ class SqliteStoreTest : public testing::Test {
   }
 
   TempDir dir_;
-  const std::string path_ = dir_.File("state.db");
+  std::string path_ = dir_.File("state.db");
 };
 
 TEST_F(SqliteStoreTest, RemembersAcrossAReopen) {
@@ -64,7 +66,7 @@ TEST_F(SqliteStoreTest, RemembersAcrossAReopen) {
   EXPECT_EQ(record->level, "HALT");
   EXPECT_EQ(record->mark, (Mark{1, 2}));
   EXPECT_THAT((*store)->NextTerm("r1"), IsOkAndHolds(2u));
-  EXPECT_THAT((*store)->HasMark("r1", {1, 1}), IsOkAndHolds(true));
+  EXPECT_TRUE((*store)->FindDecision("r1", {1, 1})->has_value());
   EXPECT_THAT(*(*store)->ListTransitions("r1", 0), SizeIs(2));
 }
 
@@ -122,10 +124,10 @@ TEST_F(SqliteStoreTest, RefusesALogWithoutItsFile) {
 
 TEST_F(SqliteStoreTest, RefusesANewerSchema) {
   MakeHistory();
-  Execute("PRAGMA user_version = 3");
+  Execute("PRAGMA user_version = 5");
   EXPECT_THAT(SqliteStore::Open(path_),
               StatusIs(absl::StatusCode::kFailedPrecondition,
-                       HasSubstr("schema version 3, this program knows up to 2")));
+                       HasSubstr("schema version 5, this program knows up to 4")));
   Execute("PRAGMA user_version = 0");
   EXPECT_THAT(SqliteStore::Open(path_), StatusIs(absl::StatusCode::kDataLoss));
 }
@@ -138,7 +140,16 @@ TEST_F(SqliteStoreTest, TakesAnOlderSchemaForward) {
     return *(*store)->Load("r1");
   };
   const RobotRecord before = load();
+  Execute("ALTER TABLE robots DROP COLUMN bundle");
+  Execute("ALTER TABLE robots DROP COLUMN alerts_forgotten");
+  Execute("DROP TABLE notes");
+  Execute("PRAGMA user_version = 3");
+  EXPECT_EQ(load(), before);
+  Execute("ALTER TABLE robots DROP COLUMN bundle");
+  Execute("ALTER TABLE robots DROP COLUMN alerts_forgotten");
+  Execute("DROP TABLE notes");
   Execute("ALTER TABLE robots DROP COLUMN rules_halted");
+  Execute("DROP TABLE bans");
   Execute("PRAGMA user_version = 1");
   EXPECT_EQ(load(), before);
   EXPECT_EQ(load(), before) << "once is enough";
@@ -177,7 +188,7 @@ TEST_F(SqliteStoreTest, NeverAnswersWronglyFromAnOverwrittenPage) {
 }
 
 TEST_F(SqliteStoreTest, ForgetsTheOldestAlertsBeyondTheLimit) {
-  auto store = SqliteStore::Open(path_, {.alerts_max = 3});
+  auto store = SqliteStore::Open(path_, {.alerts_per_robot_max = 3});
   ASSERT_THAT(store, IsOk());
   for (int i = 1; i <= 5; ++i) {
     WriteBatch batch;
@@ -189,6 +200,116 @@ TEST_F(SqliteStoreTest, ForgetsTheOldestAlertsBeyondTheLimit) {
   ASSERT_THAT(alerts, IsOk());
   for (const AlertRecord& alert : *alerts) texts.push_back(alert.text);
   EXPECT_THAT(texts, ElementsAre("5", "4", "3"));
+}
+
+TEST_F(SqliteStoreTest, ARobotsAlertsPushOutNoOtherRobots) {
+  auto store = SqliteStore::Open(path_, {.alerts_per_robot_max = 3});
+  ASSERT_THAT(store, IsOk());
+  const auto write = [&](const std::string& robot, const std::string& text) {
+    WriteBatch batch;
+    batch.alerts.push_back(MakeAlert(robot, text));
+    ASSERT_THAT((*store)->Commit(batch), IsOk());
+  };
+  write("quiet", "the only one");
+  for (int i = 0; i < 50; ++i) write("noisy", absl::StrCat(i));
+
+  EXPECT_THAT(*(*store)->ListAlerts("quiet", 0), SizeIs(1));
+  EXPECT_THAT(*(*store)->ListAlerts("noisy", 0), SizeIs(3));
+  const auto of_quiet = (*store)->AlertsAfter("quiet", 0, 0);
+  ASSERT_THAT(of_quiet, IsOk());
+  EXPECT_FALSE(of_quiet->forgotten);
+  const auto of_all = (*store)->AlertsAfter("", 0, 0);
+  ASSERT_THAT(of_all, IsOk());
+  EXPECT_TRUE(of_all->forgotten);
+  ASSERT_THAT(of_all->alerts, SizeIs(4));
+  EXPECT_EQ(of_all->alerts.back().sequence, 51u);
+  EXPECT_FALSE((*store)->AlertsAfter("noisy", 48, 0)->forgotten);
+  EXPECT_TRUE((*store)->AlertsAfter("noisy", 47, 0)->forgotten);
+}
+
+// A small disk of its own, if this process may mount one.
+class FullDiskTest : public SqliteStoreTest {
+ protected:
+  void SetUp() override {
+    SqliteStoreTest::SetUp();
+    disk_ = dir_.File("disk");
+    std::filesystem::create_directory(disk_);
+    if (unshare(CLONE_NEWNS) != 0 ||
+        mount("none", "/", nullptr, MS_REC | MS_PRIVATE, nullptr) != 0 ||
+        mount("tmpfs", disk_.c_str(), "tmpfs", 0, "size=4m") != 0) {
+      GTEST_SKIP() << "needs the right to mount a file system";
+    }
+    path_ = disk_ + "/state.db";
+  }
+  void TearDown() override {
+    umount2(disk_.c_str(), MNT_DETACH);
+    SqliteStoreTest::TearDown();
+  }
+  void FillDisk() {
+    std::ofstream filler(disk_ + "/filler", std::ios::app);
+    for (const size_t piece : {64 << 10, 4 << 10, 1}) {
+      const std::string bytes(piece, 'x');
+      while (filler.write(bytes.data(), static_cast<std::streamsize>(piece)).flush()) {
+      }
+      filler.clear();
+    }
+  }
+  std::string disk_;
+};
+
+TEST_F(FullDiskTest, RecordsRaisesAndTermsFromTheReserveAndNothingElse) {
+  auto store = SqliteStore::Open(path_, {.reserve_bytes = 2 << 20});
+  ASSERT_THAT(store, IsOk());
+  ASSERT_THAT((*store)->Commit(Decide("r1", {1, 1}, "", "DEFAULT", "d1")), IsOk());
+  FillDisk();
+  WriteBatch chatter;
+  for (int i = 0; i < 2'000; ++i) {
+    chatter.alerts.push_back(MakeAlert("r1", std::string(200, 'x')));
+  }
+  ASSERT_THAT((*store)->Commit(chatter), StatusIs(absl::StatusCode::kResourceExhausted));
+
+  for (uint64_t i = 2; i < 12; ++i) {
+    WriteBatch raise = Decide("r1", {1, i}, "DEFAULT", "HALT", absl::StrCat("d", i));
+    raise.uses_reserve = true;
+    ASSERT_THAT((*store)->Commit(raise), IsOk()) << i;
+    if (i == 4) FillDisk();  // others take what is given up
+  }
+  EXPECT_THAT((*store)->NextTerm("r1"), IsOk());
+  EXPECT_EQ((*store)->Load("r1")->level, "HALT");
+  WriteBatch alert;
+  alert.alerts.push_back(MakeAlert("r1", "small"));
+  EXPECT_THAT((*store)->Commit(alert), StatusIs(absl::StatusCode::kResourceExhausted))
+      << "the reserve is not for others";
+
+  std::filesystem::remove(disk_ + "/filler");
+  EXPECT_THAT((*store)->Commit(alert), IsOk());
+  EXPECT_EQ(std::filesystem::file_size(path_ + ".reserve"), 2u << 20) << "made again";
+  store->reset();
+  store = SqliteStore::Open(path_, {.reserve_bytes = 2 << 20});
+  ASSERT_THAT(store, IsOk());
+  EXPECT_EQ((*store)->Load("r1")->mark, (Mark{1, 11}));
+}
+
+TEST_F(FullDiskTest, OpensOnAFullDiskByItsReserve) {
+  auto store = SqliteStore::Open(path_, {.reserve_bytes = 2 << 20});
+  ASSERT_THAT(store, IsOk());
+  ASSERT_THAT((*store)->Commit(Decide("r1", {1, 1}, "", "HALT", "d1")), IsOk());
+  store->reset();
+  FillDisk();
+
+  store = SqliteStore::Open(path_, {.reserve_bytes = 2 << 20});
+
+  ASSERT_THAT(store, IsOk());
+  EXPECT_EQ((*store)->Load("r1")->level, "HALT");
+  EXPECT_THAT((*store)->NextTerm("r1"), IsOk());
+}
+
+TEST_F(SqliteStoreTest, RefusesAReserveForOtherThanDecisions) {
+  auto store = SqliteStore::Open(path_);
+  ASSERT_THAT(store, IsOk());
+  WriteBatch batch{.uses_reserve = true};
+  batch.alerts.push_back(MakeAlert("r1", "text"));
+  EXPECT_THAT((*store)->Commit(batch), StatusIs(absl::StatusCode::kInvalidArgument));
 }
 
 TEST_F(SqliteStoreTest, ForgetsOldRefusalsButNoDecision) {
@@ -205,7 +326,7 @@ TEST_F(SqliteStoreTest, ForgetsOldRefusalsButNoDecision) {
   ASSERT_THAT(transitions, IsOk());
   for (const TransitionRecord& each : *transitions) ids.push_back(each.id);
   EXPECT_THAT(ids, ElementsAre("f5", "f4", "f3", "decision"));
-  EXPECT_THAT((*store)->HasMark("r1", {1, 1}), IsOkAndHolds(true));
+  EXPECT_TRUE((*store)->FindDecision("r1", {1, 1})->has_value());
 }
 
 TEST_F(SqliteStoreTest, ABusyFileIsUnavailableAndLaterWorks) {
@@ -279,7 +400,7 @@ TEST_F(SqliteStoreTest, WhatWasConfirmedSurvivesKill) {
     EXPECT_EQ(record->variables, (Variables{{"n", static_cast<int64_t>(record->mark.epoch)}}))
         << "a batch is all or nothing";
     for (uint64_t i = 1; i <= confirmed; ++i) {
-      EXPECT_THAT((*store)->HasMark("r1", {1, i}), IsOkAndHolds(true)) << i;
+      EXPECT_TRUE((*store)->FindDecision("r1", {1, i})->has_value()) << i;
     }
     EXPECT_GE(confirmed, enough);
   }

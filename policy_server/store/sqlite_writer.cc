@@ -62,7 +62,13 @@ absl::Status SqliteWriter::PrepareAll() {
       {&add_alert_,
        "INSERT INTO alerts (id, time_unix_ns, robot, rule, severity, text, level, event, term,"
        " epoch) VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?) ON CONFLICT (id) DO NOTHING"},
-      {&prune_alerts_, "DELETE FROM alerts WHERE seq <= (SELECT max(seq) FROM alerts) - ?"},
+      {&find_prune_, "SELECT seq FROM alerts WHERE robot = ? ORDER BY seq DESC LIMIT 1 OFFSET ?"},
+      {&prune_alerts_, "DELETE FROM alerts WHERE robot = ? AND seq <= ?"},
+      {&note_prune_, "UPDATE robots SET alerts_forgotten = ?2 WHERE robot = ?1"},
+      {&set_note_,
+       "INSERT INTO notes (name, value) VALUES (?, ?) "
+       "ON CONFLICT (name) DO UPDATE SET value = excluded.value"},
+      {&set_bundle_, "UPDATE robots SET bundle = ?2 WHERE robot = ?1"},
       {&clear_variables_, "DELETE FROM variables WHERE robot = ?"},
       {&add_variable_,
        "INSERT INTO variables (robot, name, kind, number, text) VALUES (?, ?, ?, ?, ?)"},
@@ -75,6 +81,11 @@ absl::Status SqliteWriter::PrepareAll() {
       {&prune_high_water_,
        "DELETE FROM high_water WHERE robot = ?1 AND host = ?2 AND seq <= (SELECT seq FROM "
        "high_water WHERE robot = ?1 AND host = ?2 ORDER BY seq DESC LIMIT 1 OFFSET ?3)"},
+      {&put_ban_,
+       "INSERT INTO bans (uri, serial, reason, by, time_unix_ns) VALUES (?, ?, ?, ?, ?) "
+       "ON CONFLICT (uri, serial) DO UPDATE SET reason = excluded.reason, by = excluded.by,"
+       " time_unix_ns = excluded.time_unix_ns"},
+      {&remove_ban_, "DELETE FROM bans WHERE uri = ? AND serial = ? RETURNING 1"},
   };
   for (const auto& [statement, sql] : statements) {
     RIPS_ASSIGN_OR_RETURN(*statement, db_.Prepare(sql));
@@ -123,9 +134,7 @@ absl::Status SqliteWriter::Write(const WriteBatch& batch) {
   }
   for (const StageUpdate& update : batch.stages) RIPS_RETURN_IF_ERROR(Write(update));
   for (const AlertRecord& alert : batch.alerts) RIPS_RETURN_IF_ERROR(Write(alert));
-  if (!batch.alerts.empty()) {
-    RIPS_RETURN_IF_ERROR(prune_alerts_.Start().Bind(limits_.alerts_max).Run());
-  }
+  for (const AlertRecord& alert : batch.alerts) RIPS_RETURN_IF_ERROR(PruneAlerts(alert.robot));
   for (const Checkpoint& checkpoint : batch.checkpoints) RIPS_RETURN_IF_ERROR(Write(checkpoint));
   return absl::OkStatus();
 }
@@ -219,6 +228,27 @@ absl::Status SqliteWriter::Write(const AlertRecord& alert) {
       .Run();
 }
 
+absl::Status SqliteWriter::PruneAlerts(const std::string& robot) {
+  const auto [it, first] = unpruned_.try_emplace(robot);
+  if (!first && ++it->second <= limits_.alerts_per_robot_max / 16) return absl::OkStatus();
+  it->second = 0;
+  int64_t last = 0;
+  {
+    Query query = find_prune_.Start();
+    query.Bind(robot).Bind(limits_.alerts_per_robot_max);
+    RIPS_ASSIGN_OR_RETURN(const bool row, query.Step());
+    if (!row) return absl::OkStatus();
+    last = query.Number(0);
+  }
+  RIPS_RETURN_IF_ERROR(add_robot_.Start().Bind(robot).Run());
+  RIPS_RETURN_IF_ERROR(prune_alerts_.Start().Bind(robot).Bind(last).Run());
+  return note_prune_.Start().Bind(robot).Bind(last).Run();
+}
+
+absl::Status SqliteWriter::SetNote(absl::string_view name, absl::string_view value) {
+  return InTransaction([&] { return set_note_.Start().Bind(name).Bind(value).Run(); });
+}
+
 absl::Status SqliteWriter::Write(const Checkpoint& checkpoint) {
   RIPS_RETURN_IF_ERROR(add_robot_.Start().Bind(checkpoint.robot).Run());
   if (checkpoint.variables.has_value()) {
@@ -231,6 +261,9 @@ absl::Status SqliteWriter::Write(const Checkpoint& checkpoint) {
   if (checkpoint.rules_halted.has_value()) {
     const int64_t halted = *checkpoint.rules_halted ? 1 : 0;
     RIPS_RETURN_IF_ERROR(set_halted_.Start().Bind(checkpoint.robot).Bind(halted).Run());
+  }
+  if (checkpoint.bundle.has_value()) {
+    RIPS_RETURN_IF_ERROR(set_bundle_.Start().Bind(checkpoint.robot).Bind(*checkpoint.bundle).Run());
   }
   return WriteHighWater(checkpoint.robot, checkpoint.high_water);
 }
@@ -272,6 +305,31 @@ absl::Status SqliteWriter::WriteHighWater(const std::string& robot, const HighWa
                              .Run());
   }
   return absl::OkStatus();
+}
+
+absl::Status SqliteWriter::PutBan(const BanRecord& ban) {
+  if (ban.uri.empty()) return absl::InvalidArgumentError("a ban needs a URI");
+  return InTransaction([&] {
+    return put_ban_.Start()
+        .Bind(ban.uri)
+        .Bind(ban.serial)
+        .Bind(ban.reason)
+        .Bind(ban.by)
+        .Bind(ban.time_unix_ns)
+        .Run();
+  });
+}
+
+absl::StatusOr<bool> SqliteWriter::RemoveBan(absl::string_view uri, absl::string_view serial) {
+  bool removed = false;
+  RIPS_RETURN_IF_ERROR(InTransaction([&]() -> absl::Status {
+    Query query = remove_ban_.Start();
+    query.Bind(uri).Bind(serial);
+    RIPS_ASSIGN_OR_RETURN(removed, query.Step());
+    // A statement with RETURNING has to be run to its end.
+    return removed ? query.Run() : absl::OkStatus();
+  }));
+  return removed;
 }
 
 }  // namespace rips::store

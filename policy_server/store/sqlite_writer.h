@@ -6,6 +6,7 @@
 #include <functional>
 #include <string>
 
+#include "absl/container/btree_map.h"
 #include "policy_server/store/sqlite_db.h"
 #include "policy_server/store/sqlite_store.h"
 #include "policy_server/store/store.h"
@@ -18,6 +19,9 @@ class SqliteWriter {
 
   absl::StatusOr<uint64_t> NextTerm(absl::string_view robot, uint64_t above);
   absl::Status CommitAll(std::span<const WriteBatch> batches);
+  absl::Status SetNote(absl::string_view name, absl::string_view value);
+  absl::Status PutBan(const BanRecord& ban);
+  absl::StatusOr<bool> RemoveBan(absl::string_view uri, absl::string_view serial);
 
  private:
   SqliteWriter(Database db, SqliteLimits limits) : db_(std::move(db)), limits_(limits) {}
@@ -31,6 +35,8 @@ class SqliteWriter {
   absl::Status Write(const StageUpdate& update);
   absl::Status Write(const AlertRecord& alert);
   absl::Status Write(const Checkpoint& checkpoint);
+  // Forgets the oldest alerts of a robot that has more than its share.
+  absl::Status PruneAlerts(const std::string& robot);
   absl::Status WriteVariables(const std::string& robot, const Variables& variables);
   absl::Status WriteHighWater(const std::string& robot, const HighWater& high_water);
   // True if exactly this decision is stored; AlreadyExists if another has its mark or id.
@@ -38,11 +44,15 @@ class SqliteWriter {
 
   Database db_;
   SqliteLimits limits_;
+  // Alerts of a robot since it was looked at for pruning; looking costs as much as the limit.
+  absl::btree_map<std::string, int64_t> unpruned_;
   Statement begin_, commit_, rollback_;
   Statement add_robot_, next_term_, find_decision_, add_decision_, apply_decision_;
-  Statement put_refusal_, prune_refusals_, set_stage_, add_alert_, prune_alerts_;
+  Statement put_refusal_, prune_refusals_, set_stage_, add_alert_, find_prune_, prune_alerts_,
+      note_prune_, set_note_, set_bundle_;
   Statement clear_variables_, add_variable_, set_suspended_, set_halted_, put_high_water_,
       prune_high_water_;
+  Statement put_ban_, remove_ban_;
 };
 
 }  // namespace rips::store

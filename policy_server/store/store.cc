@@ -29,6 +29,10 @@ absl::Status CheckMark(const Mark& mark) {
 }  // namespace
 
 absl::Status Validate(const WriteBatch& batch) {
+  if (batch.uses_reserve && (!batch.refusals.empty() || !batch.stages.empty() ||
+                             !batch.alerts.empty() || !batch.checkpoints.empty())) {
+    return absl::InvalidArgumentError("the reserve is for decisions alone");
+  }
   for (const DecisionRecord& decision : batch.decisions) {
     RIPS_RETURN_IF_ERROR(CheckNames("decision", decision.robot, decision.id));
     if (decision.mark.term == 0 || decision.mark.epoch == 0) return Missing("decision", "mark");
@@ -51,11 +55,21 @@ absl::Status Validate(const WriteBatch& batch) {
   }
   for (const Checkpoint& checkpoint : batch.checkpoints) {
     if (checkpoint.robot.empty()) return Missing("checkpoint", "robot");
+    if (checkpoint.bundle.has_value() && checkpoint.bundle->size() > kNoteBytesMax) {
+      return absl::InvalidArgumentError("the id of a bundle is too long");
+    }
     for (const auto& [key, sequence] : checkpoint.high_water) {
       RIPS_RETURN_IF_ERROR(CheckNumber("sequence", sequence));
     }
   }
   return absl::OkStatus();
+}
+
+absl::Status CheckNote(absl::string_view name, absl::string_view value) {
+  if (name.empty()) return Missing("note", "name");
+  if (value.size() <= kNoteBytesMax) return absl::OkStatus();
+  return absl::InvalidArgumentError(
+      absl::StrCat("note of ", value.size(), " bytes, limit ", kNoteBytesMax));
 }
 
 }  // namespace rips::store

@@ -70,6 +70,8 @@ struct RobotRecord {
   bool soft_suspended = false;
   // A rule has called `crash`: no rule runs until an operator resumes them.
   bool rules_halted = false;
+  // Id of the bundle that was in force last; empty = none yet.
+  std::string bundle;
 
   friend bool operator==(const RobotRecord&, const RobotRecord&) = default;
 };
@@ -136,9 +138,26 @@ struct AlertRecord {
   // What was being judged, for people.
   std::string event;
   Mark mark;
+  // Its place in the order of writing, from 1, never given twice; 0 = not told. Set by AlertsAfter.
+  uint64_t sequence = 0;
 
   friend bool operator==(const AlertRecord&, const AlertRecord&) = default;
 };
+
+// A run of alerts, in the order of writing.
+struct AlertPage {
+  // With their sequences.
+  std::vector<AlertRecord> alerts;
+  // Alerts between the one asked for and the first of these were forgotten by the limit.
+  bool forgotten = false;
+
+  friend bool operator==(const AlertPage&, const AlertPage&) = default;
+};
+
+// Stands for the server itself where a record names a robot; no robot can be called so.
+inline constexpr absl::string_view kServerRobot = "(server)";
+// Bytes of a note's value.
+inline constexpr size_t kNoteBytesMax = 1'000;
 
 // Variables and judged sequences of one robot, of one instant.
 struct Checkpoint {
@@ -150,6 +169,7 @@ struct Checkpoint {
   // Absent = as before.
   std::optional<bool> soft_suspended;
   std::optional<bool> rules_halted;
+  std::optional<std::string> bundle;
 
   friend bool operator==(const Checkpoint&, const Checkpoint&) = default;
 };
@@ -161,6 +181,9 @@ struct WriteBatch {
   std::vector<StageUpdate> stages;
   std::vector<AlertRecord> alerts;
   std::vector<Checkpoint> checkpoints;
+  // On a full disk the store gives up a piece of its reserve for this: only decisions, and no
+  // lowering among them.
+  bool uses_reserve = false;
 
   bool empty() const {
     return decisions.empty() && refusals.empty() && stages.empty() && alerts.empty() &&
@@ -202,8 +225,10 @@ class Store {
   virtual absl::StatusOr<uint64_t> NextTerm(absl::string_view robot, uint64_t above) = 0;
   absl::StatusOr<uint64_t> NextTerm(absl::string_view robot) { return NextTerm(robot, 0); }
 
-  // True if a decision of this robot has that mark. False for none.
-  virtual absl::StatusOr<bool> HasMark(absl::string_view robot, const Mark& mark) = 0;
+  // The level that this robot's decision of that mark leads to, by name; nullopt if no decision has
+  // that mark.
+  virtual absl::StatusOr<std::optional<std::string>> FindDecision(absl::string_view robot,
+                                                                  const Mark& mark) = 0;
 
   // One transaction of all batches, applied in order. A decision whose mark exists: OK if it is the
   // same in every field, else AlreadyExists and nothing is written. InvalidArgument: see Validate.
@@ -216,11 +241,53 @@ class Store {
   // Of one robot, or of all if `robot` is empty; the one written last first.
   virtual absl::StatusOr<std::vector<AlertRecord>> ListAlerts(absl::string_view robot,
                                                               uint32_t limit) = 0;
+  // Of one robot, or of all if `robot` is empty: those written after the one of that sequence, the
+  // one written first first.
+  virtual absl::StatusOr<AlertPage> AlertsAfter(absl::string_view robot, uint64_t sequence,
+                                                uint32_t limit) = 0;
+  // The sequence of the alert with that id; 0 = there is none (any more).
+  virtual absl::StatusOr<uint64_t> FindAlert(absl::string_view id) = 0;
+  // The alert written last, sequence and id alone matter; sequence 0 = there is none.
+  virtual absl::StatusOr<AlertRecord> NewestAlert() = 0;
+
+  // A small text under a name, for whoever must remember where it was; empty = none.
+  virtual absl::StatusOr<std::string> Note(absl::string_view name) = 0;
+  // InvalidArgument for an empty name or a value beyond kNoteBytesMax.
+  virtual absl::Status SetNote(absl::string_view name, absl::string_view value) = 0;
+};
+
+// A certificate identity that is not served any more.
+struct BanRecord {
+  // As rpc::ToString gives it.
+  std::string uri;
+  // Lower-case hex; empty = whatever certificate the identity shows.
+  std::string serial;
+  std::string reason;
+  // Who banned it, as rpc::Describe gives it.
+  std::string by;
+  int64_t time_unix_ns = 0;
+
+  friend bool operator==(const BanRecord&, const BanRecord&) = default;
+};
+
+// Deny list. Durable when a method returns OK; errors as for Store.
+class BanStore {
+ public:
+  virtual ~BanStore() = default;
+  // In place of one of the same URI and serial. InvalidArgument without a URI.
+  virtual absl::Status PutBan(const BanRecord& ban) = 0;
+  // False if there was none.
+  virtual absl::StatusOr<bool> RemoveBan(absl::string_view uri, absl::string_view serial) = 0;
+  // Sorted by URI and serial.
+  virtual absl::StatusOr<std::vector<BanRecord>> ListBans() = 0;
 };
 
 // InvalidArgument if CommitAll must refuse the batch whatever is stored: an empty robot or id, a
 // decision without mark or level, a number above kNumberMax. Shared by implementations.
 absl::Status Validate(const WriteBatch& batch);
+
+// InvalidArgument if SetNote must refuse it. Shared by implementations.
+absl::Status CheckNote(absl::string_view name, absl::string_view value);
 
 // `limit` as queries apply it.
 inline uint32_t ListLimit(uint32_t limit) {

@@ -40,10 +40,11 @@ class StoreContractTest : public testing::TestWithParam<Kind> {
     EXPECT_THAT(record, IsOk());
     return record.value_or(RobotRecord{});
   }
-  bool HasMark(absl::string_view robot, const Mark& mark) {
-    absl::StatusOr<bool> known = store_->HasMark(robot, mark);
+  // Empty if there is none.
+  std::string Decision(absl::string_view robot, const Mark& mark) {
+    const auto known = store_->FindDecision(robot, mark);
     EXPECT_THAT(known, IsOk());
-    return known.value_or(false);
+    return known.ok() ? known->value_or("") : "";
   }
   std::vector<TransitionRecord> Transitions(absl::string_view robot, uint32_t limit = 0) {
     auto list = store_->ListTransitions(robot, limit);
@@ -64,10 +65,35 @@ class StoreContractTest : public testing::TestWithParam<Kind> {
   std::unique_ptr<Store> store_;
 };
 
+TEST_P(StoreContractTest, KeepsBansByIdentityAndSerial) {
+  auto& bans = dynamic_cast<BanStore&>(*store_);
+  const BanRecord all{.uri = "spiffe://td/robot/r1/sensor/base",
+                      .reason = "stolen",
+                      .by = "spiffe://td/operator/admin/alice serial 0a",
+                      .time_unix_ns = 7};
+  BanRecord one = all;
+  one.serial = "0f";
+  EXPECT_THAT(bans.PutBan(one), IsOk());
+  EXPECT_THAT(bans.PutBan(all), IsOk());
+  one.reason = "seen in the wild";
+  EXPECT_THAT(bans.PutBan(one), IsOk());
+  auto listed = bans.ListBans();
+  ASSERT_THAT(listed, IsOk());
+  EXPECT_THAT(*listed, ElementsAre(all, one));
+
+  EXPECT_EQ(bans.RemoveBan(all.uri, "ff").value_or(true), false);
+  EXPECT_EQ(bans.RemoveBan(all.uri, "").value_or(false), true);
+  EXPECT_EQ(bans.RemoveBan(all.uri, "").value_or(true), false);
+  listed = bans.ListBans();
+  ASSERT_THAT(listed, IsOk());
+  EXPECT_THAT(*listed, ElementsAre(one));
+  EXPECT_THAT(bans.PutBan({.uri = ""}), StatusIs(absl::StatusCode::kInvalidArgument));
+}
+
 TEST_P(StoreContractTest, KnowsNothingOfAnUnknownRobot) {
   EXPECT_EQ(Load("r1"), RobotRecord{});
-  EXPECT_FALSE(HasMark("r1", {1, 1}));
-  EXPECT_FALSE(HasMark("r1", {}));
+  EXPECT_EQ(Decision("r1", {1, 1}), "");
+  EXPECT_EQ(Decision("r1", {}), "");
   EXPECT_THAT(Transitions("r1"), IsEmpty());
   EXPECT_THAT(AlertTexts(""), IsEmpty());
 }
@@ -87,7 +113,7 @@ TEST_P(StoreContractTest, TermsCannotBeUsedUp) {
   EXPECT_THAT(store_->NextTerm("r1", most), IsOkAndHolds(kTermAboveMax + 2));
   EXPECT_THAT(store_->Commit(Decide("r1", {kTermAboveMax + 2, 1}, "A", "B")), IsOk());
   EXPECT_EQ(Load("r1").highest_term, kTermAboveMax + 2);
-  EXPECT_TRUE(HasMark("r1", {kTermAboveMax + 2, 1}));
+  EXPECT_EQ(Decision("r1", {kTermAboveMax + 2, 1}), "B");
 }
 
 TEST_P(StoreContractTest, TakesTheLevelFromTheHighestMark) {
@@ -98,11 +124,11 @@ TEST_P(StoreContractTest, TakesTheLevelFromTheHighestMark) {
   EXPECT_EQ(record.level, "COMPROMISED");
   EXPECT_EQ(record.mark, (Mark{1, 2}));
   EXPECT_EQ(record.highest_term, 1u);
-  EXPECT_TRUE(HasMark("r1", {1, 1}));
-  EXPECT_TRUE(HasMark("r1", {1, 2}));
-  EXPECT_FALSE(HasMark("r1", {1, 3}));
-  EXPECT_FALSE(HasMark("r2", {1, 1}));
-  EXPECT_FALSE(HasMark("r1", {std::numeric_limits<uint64_t>::max(), 1}));
+  EXPECT_EQ(Decision("r1", {1, 1}), "ALERT");
+  EXPECT_EQ(Decision("r1", {1, 2}), "COMPROMISED");
+  EXPECT_EQ(Decision("r1", {1, 3}), "");
+  EXPECT_EQ(Decision("r2", {1, 1}), "");
+  EXPECT_EQ(Decision("r1", {std::numeric_limits<uint64_t>::max(), 1}), "");
 }
 
 TEST_P(StoreContractTest, DoesNotSinkByALateWrite) {
@@ -112,7 +138,7 @@ TEST_P(StoreContractTest, DoesNotSinkByALateWrite) {
   EXPECT_EQ(Load("r1").level, "HALT");
   EXPECT_EQ(Load("r1").mark, (Mark{2, 7}));
   EXPECT_EQ(Load("r1").highest_term, 2u);
-  EXPECT_TRUE(HasMark("r1", {1, 9}));
+  EXPECT_EQ(Decision("r1", {1, 9}), "DEFAULT");
 }
 
 TEST_P(StoreContractTest, ADecisionRaisesTheTerm) {
@@ -258,6 +284,44 @@ TEST_P(StoreContractTest, AnAlertWrittenTwiceIsThereOnce) {
   EXPECT_THAT(AlertTexts("r1"), ElementsAre("first"));
 }
 
+TEST_P(StoreContractTest, ListsAlertsAfterOneInTheOrderOfWriting) {
+  EXPECT_EQ(store_->NewestAlert()->sequence, 0u);
+  WriteBatch batch;
+  batch.alerts = {MakeAlert("r1", "one"), MakeAlert("r2", "two"), MakeAlert("r1", "three")};
+  ASSERT_THAT(store_->Commit(batch), IsOk());
+  ASSERT_THAT(store_->Commit(batch), IsOk());  // again: no new sequence
+
+  const auto newest = store_->NewestAlert();
+  ASSERT_THAT(newest, IsOk());
+  EXPECT_EQ(newest->id, batch.alerts[2].id);
+  EXPECT_THAT(store_->FindAlert(newest->id), IsOkAndHolds(newest->sequence));
+  EXPECT_THAT(store_->FindAlert("no such"), IsOkAndHolds(0u));
+
+  const auto all = store_->AlertsAfter("", 0, 2);
+  ASSERT_THAT(all, IsOk());
+  EXPECT_FALSE(all->forgotten);
+  ASSERT_THAT(all->alerts, SizeIs(2));
+  EXPECT_EQ(all->alerts[0].text, "one");
+  EXPECT_GT(all->alerts[0].sequence, 0u);
+  EXPECT_LT(all->alerts[0].sequence, all->alerts[1].sequence);
+  const auto rest = store_->AlertsAfter("r1", all->alerts[0].sequence, 0);
+  ASSERT_THAT(rest, IsOk());
+  ASSERT_THAT(rest->alerts, SizeIs(1));
+  EXPECT_EQ(rest->alerts[0].text, "three");
+  EXPECT_THAT(store_->AlertsAfter("", newest->sequence, 0)->alerts, IsEmpty());
+  EXPECT_THAT(store_->AlertsAfter("", ~uint64_t{0}, 0)->alerts, IsEmpty());
+}
+
+TEST_P(StoreContractTest, RemembersNotes) {
+  EXPECT_THAT(store_->Note("where"), IsOkAndHolds(""));
+  ASSERT_THAT(store_->SetNote("where", "here"), IsOk());
+  ASSERT_THAT(store_->SetNote("where", "there"), IsOk());
+  EXPECT_THAT(store_->Note("where"), IsOkAndHolds("there"));
+  EXPECT_THAT(store_->SetNote("", "x"), StatusIs(absl::StatusCode::kInvalidArgument));
+  EXPECT_THAT(store_->SetNote("where", std::string(kNoteBytesMax + 1, 'x')),
+              StatusIs(absl::StatusCode::kInvalidArgument));
+}
+
 TEST_P(StoreContractTest, KeepsHostileTextAsItIs) {
   const std::string hostile("\x1b[2J'; DROP TABLE alerts;--\xff\xfe\0tail", 34);
   AlertRecord alert = MakeAlert("r1", hostile);
@@ -324,7 +388,8 @@ TEST_P(StoreContractTest, ACheckpointReplacesWhatItHasAndKeepsTheRest) {
                                .variables = Variables{{"a", int64_t{1}}, {"b", int64_t{2}}},
                                .high_water = {{control, 5}, {messages, 100}},
                                .soft_suspended = true,
-                               .rules_halted = true});
+                               .rules_halted = true,
+                               .bundle = "sha256:b"});
   ASSERT_THAT(store_->Commit(batch), IsOk());
   WriteBatch later;
   later.checkpoints.push_back({.robot = "r1", .high_water = {{control, 6}}});
@@ -332,6 +397,7 @@ TEST_P(StoreContractTest, ACheckpointReplacesWhatItHasAndKeepsTheRest) {
   EXPECT_EQ(Load("r1").variables.size(), 2u);
   EXPECT_TRUE(Load("r1").soft_suspended);
   EXPECT_TRUE(Load("r1").rules_halted);
+  EXPECT_EQ(Load("r1").bundle, "sha256:b");
   EXPECT_EQ(Load("r1").high_water, (HighWater{{control, 6}, {messages, 100}}));
 
   later.checkpoints[0].variables = Variables{{"a", int64_t{3}}};

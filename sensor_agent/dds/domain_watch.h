@@ -57,6 +57,7 @@ class DomainWatch {
                                                              std::function<void()> wake);
 
   const ros2::Guid& own() const { return participant_->guid(); }
+  const dds::Participant& participant() const { return *participant_; }
 
   std::vector<Discovered> TakeDiscovered();
   std::vector<Claim> TakeClaims();

@@ -9,8 +9,8 @@
 #include <system_error>
 #include <utility>
 
+#include "absl/strings/str_cat.h"
 #include "absl/time/clock.h"
-#include "services/ros2/ros_name.h"
 #include "services/runtime/atomic_file.h"
 #include "services/runtime/log.h"
 
@@ -114,6 +114,11 @@ void IdsFeed::OnLine(Log& log, absl::string_view line, int64_t now_ns) {
     LogError("alerts of Snort 3 lack what rules ask for; set `fields` of its alert_json",
              {{"log", log.what.path}, {"fields", kSnort3FieldsNeeded}});
   }
+  if (parsed.kind == IdsLineKind::kNotUnderstood) {
+    ++log.nonsense_lines;
+  } else if (!line.empty()) {
+    log.nonsense_lines = 0;
+  }
   switch (parsed.kind) {
     case IdsLineKind::kOther:
       return;
@@ -124,7 +129,7 @@ void IdsFeed::OnLine(Log& log, absl::string_view line, int64_t now_ns) {
         LogWarning("a line of an IDS log makes no sense; further ones are only counted",
                    {{"log", log.what.path},
                     {"format", IdsFormatName(log.what.format)},
-                    {"line", ros2::Printable(line)}});
+                    {"bytes", line.size()}});  // not the line: it may hold what was sent
       }
       return;
     case IdsLineKind::kAlert:
@@ -161,6 +166,7 @@ void IdsFeed::LookAt(Log& log, int64_t now_ns) {
   const absl::Status& status = log.tail.status();
   log.open.Set(status.ok() ? 1 : 0);
   if (status.ok()) {
+    log.was_open = true;
     if (std::exchange(log.told_not_open, false)) {
       LogInfo("an IDS log is followed again", {{"log", log.what.path}});
     }
@@ -168,10 +174,32 @@ void IdsFeed::LookAt(Log& log, int64_t now_ns) {
     return;
   }
   if (log.not_open_since_ns == 0) log.not_open_since_ns = now_ns;
-  if (now_ns - log.not_open_since_ns < kNotOpenNs) return;
+  if (log.was_open && now_ns - log.not_open_since_ns < kNotOpenNs) return;
   if (std::exchange(log.told_not_open, true)) return;
   LogWarning("an IDS log cannot be read; its alerts are not seen",
              {{"log", log.what.path}, {"error", status.ToString()}});
+}
+
+std::string IdsFeed::BlindTo(const Log& log, int64_t now_ns) {
+  const absl::string_view format = IdsFormatName(log.what.format);
+  const bool closed =
+      log.not_open_since_ns != 0 && (!log.was_open || now_ns - log.not_open_since_ns >= kNotOpenNs);
+  if (closed) {
+    return absl::StrCat("IDS log (", format, "): ", log.tail.status().message());
+  }
+  if (log.nonsense_lines < kNonsenseLines) return "";
+  return absl::StrCat("IDS log (", format, "): no line of `", log.what.path,
+                      "` makes sense; is its format right?");
+}
+
+void IdsFeed::TellBlind(int64_t now_ns) {
+  std::vector<std::string> blind;
+  for (const auto& log : logs_) {
+    if (std::string why = BlindTo(*log, now_ns); !why.empty()) blind.push_back(std::move(why));
+  }
+  if (blind == blind_told_) return;
+  blind_told_ = blind;
+  if (sink_.blind) sink_.blind(std::move(blind));
 }
 
 // --- Handing over
@@ -248,6 +276,7 @@ bool IdsFeed::Turn() {
     more |= log->tail.Read(now_ns, [&](absl::string_view line) { OnLine(*log, line, now_ns); });
     LookAt(*log, now_ns);
   }
+  TellBlind(now_ns);
   TellLosses();
   TakeAcknowledged();
   HandOver(now_ns);

@@ -17,6 +17,16 @@
 // could write it was; and after a first start, or without a usable offsets file, reading begins at
 // the end of each log, because what stands there may be days old.
 //
+// A log that cannot be read, or none of whose lines makes sense, is told to the sink as long as
+// that lasts:
+//
+// | what is wrong                                               | told          | over when    |
+// |-------------------------------------------------------------|---------------|--------------|
+// | it cannot be opened and never could: missing, no permission | at once       | it is open   |
+// | it was open and is not any more                             | 10 s later: a | it is open   |
+// |                                                             | rotation      |              |
+// | kNonsenseLines lines in a row make no sense in its format   | at once       | a line does  |
+//
 // A wake-up costs one read; saving costs an fsync, at most ten times a second.
 #ifndef RIPS_SENSOR_AGENT_IDS_IDS_FEED_H_
 #define RIPS_SENSOR_AGENT_IDS_IDS_FEED_H_
@@ -41,6 +51,8 @@
 namespace rips::sensor {
 
 inline constexpr size_t kIdsLogsMax = 16;
+// So many lines in a row that make no sense: it is the wrong format, not a damaged line.
+inline constexpr uint64_t kNonsenseLines = 3;
 
 // One entry of `ids` in sensor.yaml.
 struct IdsLog {
@@ -76,6 +88,9 @@ struct IdsSink {
   std::function<void(std::vector<ControlObservation> alerts, std::vector<Loss>)> take;
   // How many of the alerts taken are durable at the server; never goes back.
   std::function<uint64_t()> acknowledged;
+  // The logs that are not read, and why, one text for each; empty = all are. Called when it
+  // changes.
+  std::function<void(std::vector<std::string>)> blind;
 };
 
 class IdsFeed {
@@ -111,6 +126,9 @@ class IdsFeed {
     LogTailCounters counted;
     // 0 = it is being followed.
     int64_t not_open_since_ns = 0;
+    bool was_open = false;
+    // In a row, up to now.
+    uint64_t nonsense_lines = 0;
     bool told_not_open = false;
     bool told_not_understood = false;
     bool told_fields = false;
@@ -126,6 +144,9 @@ class IdsFeed {
   LogOffsets LoadOffsets();
   void OnLine(Log& log, absl::string_view line, int64_t now_ns);
   void LookAt(Log& log, int64_t now_ns);
+  // Why its alerts are not seen; empty = they are.
+  static std::string BlindTo(const Log& log, int64_t now_ns);
+  void TellBlind(int64_t now_ns);
   void TakeAcknowledged();
   void HandOver(int64_t now_ns);
   void SaveIfDue(int64_t now_ns);
@@ -146,6 +167,7 @@ class IdsFeed {
   std::deque<Queued> queue_;
   size_t queued_bytes_ = 0;
   std::vector<Loss> losses_;
+  std::vector<std::string> blind_told_;
   uint64_t handed_ = 0;
   uint64_t in_flight_ = 0;
   // What the offsets file says, if it could be written.

@@ -48,7 +48,12 @@ class FakeServer {
                 [this] {
                   MutexLock lock(&mu);
                   return acknowledged;
-                }};
+                },
+            .blind = [this](std::vector<std::string> reasons) { blind.push_back(reasons); }};
+  }
+  // As told last.
+  std::vector<std::string> blind_now() const {
+    return blind.empty() ? std::vector<std::string>() : blind.back();
   }
   size_t taken_size() {
     MutexLock lock(&mu);
@@ -67,6 +72,8 @@ class FakeServer {
   std::vector<int64_t> times;
   std::vector<Loss> losses;
   uint64_t acknowledged = 0;
+  // Each time it was told.
+  std::vector<std::vector<std::string>> blind;
 };
 
 class IdsFeedTest : public testing::Test {
@@ -378,6 +385,88 @@ TEST_F(IdsFeedTest, ALogThatIsGoneShows) {
   Pass();
   EXPECT_THAT(metrics_->Text(), HasSubstr(open + "1"));
   EXPECT_THAT(server_->taken, ElementsAre(1));
+}
+
+TEST_F(IdsFeedTest, ALogThatWasNeverThereIsToldAtOnce) {
+  Begin();
+  feed_->Turn();
+  EXPECT_THAT(server_->blind_now(), ElementsAre(absl::StrCat("IDS log (fast): cannot open `", path_,
+                                                             "`: No such file or directory")));
+  Pass(60 * kNanosPerSecond);
+  EXPECT_THAT(server_->blind, SizeIs(1)) << "as long as nothing changes";
+  Append(Line(1));
+  feed_->Turn();
+  EXPECT_THAT(server_->blind_now(), IsEmpty());
+  EXPECT_THAT(server_->blind, SizeIs(2));
+}
+
+TEST_F(IdsFeedTest, ALogThatCannotBeReadIsToldAndRecovers) {
+  fs::create_directory(path_);
+  Begin();
+  feed_->Turn();
+  EXPECT_THAT(server_->blind_now(),
+              ElementsAre(absl::StrCat("IDS log (fast): `", path_, "` is no regular file")));
+  fs::remove(path_);
+  Append("");
+  if (geteuid() != 0) {
+    fs::permissions(path_, fs::perms::none);
+    feed_->Turn();
+    EXPECT_THAT(server_->blind_now(), ElementsAre(HasSubstr("Permission denied")));
+    fs::permissions(path_, fs::perms::owner_all);
+  }
+  feed_->Turn();
+  EXPECT_THAT(server_->blind_now(), IsEmpty());
+}
+
+TEST_F(IdsFeedTest, ALogThatVanishesIsToldWhenItIsNoRotation) {
+  Append("");
+  Begin();
+  Pass();
+  fs::rename(path_, path_ + ".1");
+  feed_->Turn();
+  clock_.Advance(9 * kNanosPerSecond);
+  feed_->Turn();
+  EXPECT_THAT(server_->blind, IsEmpty()) << "the IDS may be rotating it";
+  clock_.Advance(kNanosPerSecond);
+  feed_->Turn();
+  EXPECT_THAT(server_->blind_now(), ElementsAre(HasSubstr("No such file or directory")));
+  Append(Line(1));
+  Pass();
+  EXPECT_THAT(server_->blind_now(), IsEmpty());
+  EXPECT_THAT(server_->taken, ElementsAre(1));
+}
+
+TEST_F(IdsFeedTest, ALogOfAnotherFormatIsTold) {
+  options_.logs[0].format = IdsFormat::kEve;
+  Begin();
+  Append("");
+  Pass();
+  Append(absl::StrCat(Line(1), "\n", Line(2), "\n"));
+  Pass();
+  EXPECT_THAT(server_->blind_now(), IsEmpty()) << "two may be damaged";
+  Append(absl::StrCat("\n", Line(3)));
+  Pass();
+  EXPECT_THAT(server_->blind_now(),
+              ElementsAre(absl::StrCat("IDS log (eve): no line of `", path_,
+                                       "` makes sense; is its format right?")));
+  Append("\n");
+  Pass();
+  EXPECT_THAT(server_->blind_now(), SizeIs(1)) << "an empty line makes no sense either";
+  Append("{\"event_type\":\"stats\"}\n");
+  Pass();
+  EXPECT_THAT(server_->blind_now(), IsEmpty());
+}
+
+TEST_F(IdsFeedTest, EachLogHasItsOwnReason) {
+  options_.logs.push_back({IdsFormat::kEve, dir_ + "/eve.json"});
+  Append("");
+  Begin();
+  Pass();
+  EXPECT_THAT(server_->blind_now(), ElementsAre(HasSubstr("IDS log (eve): cannot open")));
+  fs::remove(path_);
+  Pass(20 * kNanosPerSecond);
+  EXPECT_THAT(server_->blind_now(),
+              ElementsAre(HasSubstr("IDS log (fast)"), HasSubstr("IDS log (eve)")));
 }
 
 TEST_F(IdsFeedTest, AGapIsALoss) {

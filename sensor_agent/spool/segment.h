@@ -27,7 +27,7 @@ inline constexpr size_t kIncarnationBytes = 16;
 inline constexpr size_t kBootIdBytes = 16;
 inline constexpr size_t kSegmentHeaderBytes = 76;
 inline constexpr size_t kFrameHeaderBytes = 36;
-// Of one frame without its header. A batch has at most 1 MiB of payloads, and names.
+// Of one frame without its header. A batch has one payload of 4 MiB at most, and names.
 inline constexpr size_t kFrameBytesMax = size_t{8} << 20;
 // Observations in one frame, as in one batch.
 inline constexpr uint32_t kFrameObservationsMax = 256;

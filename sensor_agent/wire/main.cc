@@ -11,6 +11,7 @@
 #include "CLI/CLI.hpp"
 #include "absl/strings/str_cat.h"
 #include "sensor_agent/wire/tap.h"
+#include "services/runtime/core_dumps.h"
 #include "services/runtime/daemon_flags.h"
 #include "services/runtime/log.h"
 #include "services/runtime/real_clock.h"
@@ -82,4 +83,7 @@ int Run(int argc, char** argv) {
 }  // namespace
 }  // namespace rips::wire
 
-int main(int argc, char** argv) { return rips::wire::Run(argc, argv); }
+int main(int argc, char** argv) {
+  rips::ForbidCoreDumps();
+  return rips::wire::Run(argc, argv);
+}

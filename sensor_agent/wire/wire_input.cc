@@ -3,6 +3,7 @@
 #include <utility>
 #include <variant>
 
+#include "absl/strings/str_cat.h"
 #include "services/base/clock.h"
 #include "services/base/status_macros.h"
 #include "services/ros2/ros_name.h"
@@ -34,7 +35,8 @@ WireInput::WireInput(const WireInputOptions& options, Metrics* metrics)
           "Datagrams, reports and findings of the tap left out because of a limit")),
       connected_(metrics->AddGauge("rips_sensor_wire_connected", "A tap reports")),
       standing_(metrics->AddGauge("rips_sensor_wire_findings", "Findings of the tap that stand")),
-      watch_(WatchOptions{.domain = options.domain}) {}
+      watch_(WatchOptions{.domain = options.domain}),
+      socket_path_(options.socket) {}
 
 absl::StatusOr<std::unique_ptr<WireInput>> WireInput::Create(const WireInputOptions& options,
                                                              std::function<void()> wake,
@@ -65,6 +67,17 @@ void WireInput::OnDiscovered(const sensor::Discovered& discovered, int64_t now_n
 
 bool WireInput::visible(int64_t now_ns) const {
   return socket_->connected() && last_report_ns_ != 0 && now_ns - last_report_ns_ < kSilenceNs;
+}
+
+std::string WireInput::Blind(int64_t now_ns) {
+  if (visible(now_ns)) {
+    away_since_ns_ = 0;
+    if (!watch_.blind()) return "";
+    return "wire tap: discovery shows more than its limits; unknown writers are not told";
+  }
+  if (away_since_ns_ == 0) away_since_ns_ = now_ns;
+  if (now_ns - away_since_ns_ < kAwayNs) return "";
+  return absl::StrCat("wire tap: no rips-wire reports at `", socket_path_, "`");
 }
 
 void WireInput::TakeReport(const TapReport& report, int64_t now_ns) {

@@ -16,6 +16,7 @@
 #include "sensor_agent/observation.h"
 #include "sensor_agent/wire/wire_socket.h"
 #include "sensor_agent/wire/wire_watch.h"
+#include "services/base/clock.h"
 #include "services/runtime/metrics.h"
 
 namespace rips::wire {
@@ -53,6 +54,10 @@ class WireInput {
   std::vector<sensor::ControlObservation> Standing(int64_t now_ns) const;
   // A tap reports.
   bool visible(int64_t now_ns) const;
+  // Why traffic is not seen that the tap should show, for people; empty = it is, or the tap has
+  // been away for less than kAwayNs. Call it after each Poll: the first starts the clock.
+  static constexpr int64_t kAwayNs = 10 * kNanosPerSecond;
+  std::string Blind(int64_t now_ns);
 
  private:
   WireInput(const WireInputOptions& options, Metrics* metrics);
@@ -71,6 +76,9 @@ class WireInput {
   TapCounters tap_counted_;
   uint64_t dropped_counted_ = 0;
   int64_t last_report_ns_ = 0;  // 0 = none of this tap yet
+  const std::string socket_path_;
+  // No tap reports since then; 0 = one does, or nobody has asked yet.
+  int64_t away_since_ns_ = 0;
   bool blind_logged_ = false;
   // Last: it goes first.
   std::unique_ptr<WireSocket> socket_;

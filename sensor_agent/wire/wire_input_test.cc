@@ -158,6 +158,18 @@ TEST_F(WireInputTest, SaysWhetherItSeesUnicastOnlyWriters) {
   }));
 }
 
+TEST_F(WireInputTest, ATapThatStaysAwayIsAReasonToBeBlind) {
+  const auto input = wire::WireInput::Create(
+      {.socket = path_, .domain = 7}, [] {}, &metrics_);
+  ASSERT_THAT(input, IsOk());
+  constexpr int64_t kStartNs = 100 * kNanosPerSecond;
+  const int64_t end_ns = kStartNs + wire::WireInput::kAwayNs;
+  EXPECT_EQ((*input)->Blind(kStartNs), "");
+  EXPECT_EQ((*input)->Blind(end_ns - 1), "") << "the tap may be starting";
+  EXPECT_EQ((*input)->Blind(end_ns),
+            absl::StrCat("wire tap: no rips-wire reports at `", path_, "`"));
+}
+
 TEST_F(WireInputTest, DoesNotStartWithoutItsSocket) {
   std::filesystem::remove_all(dir_);
   const auto sensor = rpc::Credentials::Load(pki_.Sensor());

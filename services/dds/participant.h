@@ -10,6 +10,7 @@
 #include "absl/status/statusor.h"
 #include "absl/strings/string_view.h"
 #include "services/dds/dds_entity.h"
+#include "services/dds/own_endpoints.h"
 #include "services/dds/security.h"
 #include "services/ros2/guid.h"
 
@@ -72,6 +73,8 @@ class Participant {
   // It uses DDS Security.
   bool secured() const { return secured_; }
   uint32_t domain_id() const { return domain_->id(); }
+  // What RawReader and RawWriter have made in it.
+  const std::shared_ptr<OwnEndpoints>& own_endpoints() const { return own_endpoints_; }
   // For a further participant in the same domain.
   const std::shared_ptr<const Domain>& domain() const { return domain_; }
 
@@ -84,6 +87,7 @@ class Participant {
   DdsEntity entity_;  // after domain_: goes first
   ros2::Guid guid_;
   bool secured_;
+  std::shared_ptr<OwnEndpoints> own_endpoints_ = std::make_shared<OwnEndpoints>();
 };
 
 // GUID of any entity of this process.

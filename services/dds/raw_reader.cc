@@ -141,6 +141,7 @@ struct RawReader::Impl {
   absl::flat_hash_map<InstanceHandle, ros2::Guid> writers ABSL_GUARDED_BY(mu);
   RawTopic topic;
   ros2::Guid own_guid;
+  OwnEndpoints::Entry listed;
   DdsEntity entity;  // last, so it goes first: then no callback runs any more
 };
 
@@ -166,6 +167,7 @@ absl::StatusOr<std::unique_ptr<RawReader>> RawReader::Create(const Participant& 
                     impl->entity.get());
   }
   RIPS_ASSIGN_OR_RETURN(impl->own_guid, GuidOf(impl->entity.get()));
+  impl->listed = participant.own_endpoints()->Add(options.topic, impl->own_guid, /*writer=*/false);
   return std::unique_ptr<RawReader>(new RawReader(std::move(impl)));
 }
 

@@ -46,7 +46,8 @@ absl::StatusOr<std::unique_ptr<RawWriter>> RawWriter::Create(const Participant& 
     return DdsError("reading a writer's instance handle", code);
   }
   return std::unique_ptr<RawWriter>(
-      new RawWriter(std::move(topic), std::move(entity), guid, instance));
+      new RawWriter(std::move(topic), std::move(entity), guid, instance,
+                    participant.own_endpoints()->Add(options.topic, guid, /*writer=*/true)));
 }
 
 absl::Status RawWriter::Write(absl::string_view payload, int64_t source_unix_ns) {

@@ -46,10 +46,16 @@ class RawWriter {
   size_t MatchedReaders() const;
 
  private:
-  RawWriter(RawTopic topic, DdsEntity entity, const ros2::Guid& guid, InstanceHandle instance)
-      : topic_(std::move(topic)), entity_(std::move(entity)), guid_(guid), instance_(instance) {}
+  RawWriter(RawTopic topic, DdsEntity entity, const ros2::Guid& guid, InstanceHandle instance,
+            OwnEndpoints::Entry listed)
+      : topic_(std::move(topic)),
+        listed_(std::move(listed)),
+        entity_(std::move(entity)),
+        guid_(guid),
+        instance_(instance) {}
 
   RawTopic topic_;
+  OwnEndpoints::Entry listed_;
   DdsEntity entity_;  // after topic_: goes first
   ros2::Guid guid_;
   InstanceHandle instance_;

@@ -1,12 +1,15 @@
 #include "services/ripsctl/alert_command.h"
 
 #include <CLI/CLI.hpp>
+#include <algorithm>
 #include <nlohmann/json.hpp>
 #include <string>
 #include <utility>
 
+#include "absl/time/clock.h"
 #include "services/ripsctl/json_view.h"
 #include "services/ripsctl/printer.h"
+#include "services/ripsctl/server_expiry.h"
 
 namespace rips::ripsctl {
 namespace {
@@ -60,28 +63,98 @@ class ListAlerts final : public AlertCommand {
 class WatchAlerts final : public AlertCommand {
  public:
   absl::string_view verb() const override { return "watch"; }
-  absl::string_view synopsis() const override { return "Show alerts as they come"; }
-  void AddFlags(CLI::App& app) override { app.add_option("ROBOT", robot_, "Robot id; none = all"); }
+  absl::string_view synopsis() const override {
+    return "Show alerts as they come, each once, also after a lost connection";
+  }
+  void AddFlags(CLI::App& app) override {
+    app.add_option("ROBOT", robot_, "Robot id; none = all");
+    app.add_option(
+        "--after", cursor_,
+        "Begin after this cursor of an earlier watch; 0 = with the oldest that is stored; "
+        "none = with the next");
+  }
   ExitCode Run(Env& env) override {
     if (const absl::Status valid = CheckRobot(robot_); !robot_.empty() && !valid.ok()) {
       return UsageError(env, valid.message());
     }
+    absl::Duration pause = kPauseMin;
+    bool told = false;
+    while (true) {
+      bool heard = false;
+      const grpc::Status status = WatchOnce(env, heard);
+      was_connected_ |= heard;
+      if (status.ok() || !was_connected_ || !Passes(status)) return Ended(env, status);
+      if (heard) {
+        pause = kPauseMin;
+        told = false;
+      }
+      if (!std::exchange(told, true)) {
+        env.err << "the connection is lost (" << EscapeText(status.error_message())
+                << "); trying again, from where it was\n";
+      }
+      absl::SleepFor(pause);
+      pause = std::min(2 * pause, kPauseMax);
+    }
+  }
+
+ private:
+  static constexpr absl::Duration kPauseMin = absl::Milliseconds(200);
+  static constexpr absl::Duration kPauseMax = absl::Seconds(5);
+
+  // What may be over by itself; a refusal is not.
+  static bool Passes(const grpc::Status& status) {
+    switch (status.error_code()) {
+      case grpc::StatusCode::UNAVAILABLE:
+      case grpc::StatusCode::RESOURCE_EXHAUSTED:
+      case grpc::StatusCode::INTERNAL:
+      case grpc::StatusCode::UNKNOWN:
+      case grpc::StatusCode::CANCELLED:
+      case grpc::StatusCode::DEADLINE_EXCEEDED:
+      case grpc::StatusCode::ABORTED:
+        return true;
+      default:
+        return false;
+    }
+  }
+
+  // One stream, from the newest cursor. `heard`: the server has answered.
+  grpc::Status WatchOnce(Env& env, bool& heard) {
     v1::WatchAlertsRequest request;
     request.set_robot(robot_);
+    request.set_after(cursor_);
     grpc::ClientContext context;
+    // A channel makes progress only while a call waits for it: one that fails fast, and a pause,
+    // would leave the new connection's handshake undone for ever.
+    context.set_wait_for_ready(was_connected_);
     const auto reader = env.server->WatchAlerts(&context, request);
+    ServerExpiry expiry(&context);
     v1::Alert alert;
     while (reader->Read(&alert)) {
-      if (env.json()) {
-        PrintJson(ToJson(alert), env.out);
-        continue;
+      heard = true;
+      expiry.Received();
+      if (!alert.cursor().empty()) cursor_ = alert.cursor();
+      if (!alert.gap().empty()) {
+        env.err << "note: " << EscapeText(alert.gap()) << std::endl;
+      } else if (!alert.id().empty()) {
+        Print(env, alert);
       }
-      env.out << ShortTime(alert.time_unix_ns()) << "  " << EscapeText(alert.robot()) << "  "
-              << EscapeText(alert.severity()) << "  " << EscapeText(alert.level()) << "  "
-              << EscapeText(alert.rule()) << ": " << EscapeText(alert.text()) << std::endl;
     }
-    return Ended(env, reader->Finish());
+    return expiry.End(reader->Finish());
   }
+
+  static void Print(Env& env, const v1::Alert& alert) {
+    if (env.json()) {
+      Json line = ToJson(alert);
+      if (!alert.cursor().empty()) line["cursor"] = alert.cursor();
+      return PrintJson(line, env.out);
+    }
+    env.out << ShortTime(alert.time_unix_ns()) << "  " << EscapeText(alert.robot()) << "  "
+            << EscapeText(alert.severity()) << "  " << EscapeText(alert.level()) << "  "
+            << EscapeText(alert.rule()) << ": " << EscapeText(alert.text()) << std::endl;
+  }
+
+  std::string cursor_;
+  bool was_connected_ = false;
 };
 
 }  // namespace

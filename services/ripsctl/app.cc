@@ -8,6 +8,7 @@
 #include "absl/strings/str_join.h"
 #include "policy_server/lang/nearest.h"
 #include "services/base/status_macros.h"
+#include "services/ripsctl/agent_command.h"
 #include "services/ripsctl/alert_command.h"
 #include "services/ripsctl/command.h"
 #include "services/ripsctl/level_command.h"
@@ -35,6 +36,7 @@ constexpr Noun kNouns[] = {
     {"level", "Levels: what they are, were, and shall be", LevelCommands},
     {"alert", "Alerts", AlertCommands},
     {"rules", "Rules", RulesCommands},
+    {"agent", "Certificates of agents and operators, and the deny list", AgentCommands},
     {"record", "Record what a robot's rules are given to judge", RecordCommands},
 };
 

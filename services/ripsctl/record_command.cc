@@ -16,6 +16,7 @@
 #include "services/base/status_macros.h"
 #include "services/ripsctl/json_view.h"
 #include "services/ripsctl/printer.h"
+#include "services/ripsctl/server_expiry.h"
 #include "services/runtime/unique_fd.h"
 
 namespace rips::ripsctl {
@@ -63,9 +64,10 @@ class Record final : public Command {
     v1::RecordRequest request;
     request.set_robot(robot_);
     const auto reader = env.server->Record(&context, request);
-    const absl::Status written = Write(*reader, file->get());
+    ServerExpiry expiry(&context);
+    const absl::Status written = Write(*reader, expiry, file->get());
     if (!written.ok()) context.TryCancel();
-    const grpc::Status ended = reader->Finish();
+    const grpc::Status ended = expiry.End(reader->Finish());
     if (!written.ok()) return Failed(env, written);
     const bool in_time = ended.error_code() == grpc::StatusCode::DEADLINE_EXCEEDED && begun_ &&
                          duration != absl::InfiniteDuration();
@@ -82,9 +84,11 @@ class Record final : public Command {
   }
 
  private:
-  absl::Status Write(grpc::ClientReaderInterface<v1::Recording>& reader, int fd) {
+  absl::Status Write(grpc::ClientReaderInterface<v1::Recording>& reader, ServerExpiry& expiry,
+                     int fd) {
     v1::Recording piece;
     if (!reader.Read(&piece)) return absl::OkStatus();  // the status of the call says why
+    expiry.Received();
     if (!piece.has_header()) return absl::InternalError("the server sent no header");
     RIPS_ASSIGN_OR_RETURN(
         recording::RipsWriter writer,

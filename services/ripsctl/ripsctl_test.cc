@@ -4,29 +4,23 @@
 #include <cstdio>
 #include <filesystem>
 #include <fstream>
-#include <map>
 #include <nlohmann/json.hpp>
-#include <optional>
-#include <sstream>
 #include <string>
 #include <vector>
 
-#include "absl/base/thread_annotations.h"
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_split.h"
 #include "gmock/gmock.h"
-#include "grpcpp/create_channel.h"
-#include "grpcpp/security/server_credentials.h"
 #include "grpcpp/server_builder.h"
 #include "gtest/gtest.h"
 #include "services/base/status_matchers.h"
 #include "services/ripsctl/app.h"
 #include "services/ripsctl/offline_run.h"
+#include "services/ripsctl/ripsctl_fixture.h"
 #include "services/rpc/bidi_client.h"
 #include "services/rpc/credentials.h"
 #include "services/rpc/server_builder.h"
 #include "services/rpc/test_pki.h"
-#include "services/runtime/mutex.h"
 
 namespace rips::ripsctl {
 namespace {
@@ -36,249 +30,6 @@ using ::testing::HasSubstr;
 using ::testing::Not;
 using ::testing::SizeIs;
 using ::testing::StartsWith;
-
-constexpr int64_t kNewYear = 1'767'225'600'000'000'000;
-
-v1::Mark MakeMark(uint64_t term, uint64_t epoch) {
-  v1::Mark mark;
-  mark.set_term(term);
-  mark.set_epoch(epoch);
-  return mark;
-}
-
-v1::RobotStatus MakeStatus(const std::string& robot, const std::string& level) {
-  v1::RobotStatus status;
-  status.set_robot(robot);
-  status.set_decided_level(level);
-  status.set_effective_level(level);
-  status.set_stage("verified");
-  *status.mutable_mark() = MakeMark(3, 17);
-  status.set_bundle_version("sha256:" + std::string(64, 'b'));
-  return status;
-}
-
-v1::Transition MakeTransition() {
-  v1::Transition transition;
-  transition.set_id(std::string(32, '1'));
-  transition.set_robot("r1");
-  transition.set_time_unix_ns(kNewYear + 5);
-  transition.set_from("ALERT");
-  transition.set_to("COMPROMISED");
-  transition.set_cause("rule rogue_cmd_vel");
-  *transition.mutable_mark() = MakeMark(3, 17);
-  transition.set_count(1);
-  transition.set_stage("verified");
-  return transition;
-}
-
-v1::Alert MakeAlert(const std::string& text) {
-  v1::Alert alert;
-  alert.set_id(std::string(32, '2'));
-  alert.set_time_unix_ns(kNewYear);
-  alert.set_robot("r1");
-  alert.set_rule("unknown_node");
-  alert.set_severity("high");
-  alert.set_text(text);
-  alert.set_level("ALERT");
-  alert.set_event("graph change");
-  *alert.mutable_mark() = MakeMark(3, 16);
-  return alert;
-}
-
-void AddEndpoint(v1::GraphSnapshot* graph, v1::Endpoint::Kind kind, const std::string& node,
-                 const std::string& name, const std::string& type, bool ros = true) {
-  v1::Endpoint* endpoint = graph->add_endpoints();
-  endpoint->set_guid(std::string("\x01\x10\x4a\x3b", 4) + std::string(10, '\0') + "\x03\xc1");
-  endpoint->set_kind(kind);
-  endpoint->set_node(node);
-  endpoint->set_name(name);
-  endpoint->set_type(type);
-  endpoint->set_ros(ros);
-}
-
-// One robot `r1` at COMPROMISED (3.17). Remembers the last request; fails with `failure` if set.
-class FakeOperator final : public v1::OperatorService::Service {
- public:
-  grpc::Status failure;
-  v1::LevelResponse level_response;
-  std::string alert_text = "unknown node /intruder";
-
-  v1::LevelRequest last_level_request() ABSL_LOCKS_EXCLUDED(mutex_) {
-    MutexLock lock(&mutex_);
-    return last_level_request_;
-  }
-  std::vector<std::string> calls() ABSL_LOCKS_EXCLUDED(mutex_) {
-    MutexLock lock(&mutex_);
-    return calls_;
-  }
-
-  grpc::Status ListRobots(grpc::ServerContext*, const v1::ListRobotsRequest*,
-                          v1::ListRobotsResponse* response) override {
-    *response->add_robots() = MakeStatus("r1", "COMPROMISED");
-    *response->add_robots() = MakeStatus("r2", "DEFAULT");
-    response->mutable_robots(1)->clear_effective_level();
-    response->mutable_robots(1)->add_degraded("sensor base lost");
-    response->mutable_robots(1)->add_degraded("\x1b[2Jactuator");
-    return Record("ListRobots");
-  }
-  grpc::Status WatchRobots(grpc::ServerContext*, const v1::WatchRobotsRequest* request,
-                           grpc::ServerWriter<v1::RobotStatus>* writer) override {
-    const std::string robot = request->robots().empty() ? "r9" : request->robots(0);
-    writer->Write(MakeStatus(robot, "ALERT"));
-    writer->Write(MakeStatus(robot, "COMPROMISED"));
-    return Record("WatchRobots");
-  }
-  grpc::Status Record(grpc::ServerContext*, const v1::RecordRequest* request,
-                      grpc::ServerWriter<v1::Recording>* writer) override {
-    v1::Recording piece;
-    piece.mutable_header()->set_robot(request->robot());
-    writer->Write(piece);
-    for (int i = 0; i < 2; ++i) {
-      piece.mutable_event()->set_time_unix_ns(kNewYear + i);
-      piece.mutable_event()->mutable_signal()->set_name("SIGUSR1");
-      writer->Write(piece);
-    }
-    return Record("Record");
-  }
-  grpc::Status GetGraph(grpc::ServerContext*, const v1::GetGraphRequest*,
-                        v1::GetGraphResponse* response) override {
-    v1::GraphSnapshot* graph = response->mutable_graph();
-    graph->set_settled(true);
-    graph->add_nodes()->set_full_name("/talker");
-    graph->add_nodes()->set_full_name("/listener");
-    AddEndpoint(graph, v1::Endpoint::SUBSCRIBER, "/rips", "/chatter", "std_msgs/msg/String");
-    AddEndpoint(graph, v1::Endpoint::SUBSCRIBER, "/listener", "/chatter", "std_msgs/msg/String");
-    AddEndpoint(graph, v1::Endpoint::PUBLISHER, "/talker", "/chatter", "std_msgs/msg/String");
-    AddEndpoint(graph, v1::Endpoint::PUBLISHER, "/talker", "/chatter", "std_msgs/msg/String");
-    AddEndpoint(graph, v1::Endpoint::SERVICE, "/talker", "/talker/get_parameters", "x");
-    AddEndpoint(graph, v1::Endpoint::CLIENT, "/listener", "/talker/get_parameters", "x");
-    AddEndpoint(graph, v1::Endpoint::PUBLISHER, "", "/cmd_vel", "geometry_msgs/msg/Twist");
-    AddEndpoint(graph, v1::Endpoint::SUBSCRIBER, "", "raw_topic", "T", false);
-    response->set_changed_unix_ns(kNewYear);
-    return Record("GetGraph");
-  }
-  grpc::Status GetLevel(grpc::ServerContext*, const v1::GetLevelRequest* request,
-                        v1::GetLevelResponse* response) override {
-    *response->mutable_status() = MakeStatus(request->robot(), "COMPROMISED");
-    for (const char* level : {"DEFAULT", "ALERT", "COMPROMISED"}) response->add_levels(level);
-    response->add_soft_levels("ALERT");
-    *response->mutable_last() = MakeTransition();
-    return Record("GetLevel");
-  }
-  grpc::Status ListTransitions(grpc::ServerContext*, const v1::ListTransitionsRequest* request,
-                               v1::ListTransitionsResponse* response) override {
-    *response->add_transitions() = MakeTransition();
-    v1::Transition* refused = response->add_transitions();
-    *refused = MakeTransition();
-    refused->clear_mark();
-    refused->set_refused(true);
-    refused->set_count(request->limit());
-    refused->set_reason("needs an operator");
-    return Record("ListTransitions");
-  }
-  grpc::Status ListAlerts(grpc::ServerContext*, const v1::ListAlertsRequest* request,
-                          v1::ListAlertsResponse* response) override {
-    *response->add_alerts() = MakeAlert(alert_text);
-    return Record(absl::StrCat("ListAlerts ", request->robot(), " ", request->limit()));
-  }
-  grpc::Status WatchAlerts(grpc::ServerContext*, const v1::WatchAlertsRequest*,
-                           grpc::ServerWriter<v1::Alert>* writer) override {
-    writer->Write(MakeAlert(alert_text));
-    return Record("WatchAlerts");
-  }
-  grpc::Status DeEscalate(grpc::ServerContext*, const v1::LevelRequest* request,
-                          v1::LevelResponse* response) override {
-    return Change("DeEscalate", *request, response);
-  }
-  grpc::Status Raise(grpc::ServerContext*, const v1::LevelRequest* request,
-                     v1::LevelResponse* response) override {
-    return Change("Raise", *request, response);
-  }
-  grpc::Status ResumeRules(grpc::ServerContext*, const v1::ResumeRulesRequest* request,
-                           v1::ResumeRulesResponse*) override {
-    return Record(absl::StrCat("ResumeRules ", request->robot(), " ", request->reason()));
-  }
-
- private:
-  grpc::Status Record(const std::string& call) ABSL_LOCKS_EXCLUDED(mutex_) {
-    MutexLock lock(&mutex_);
-    calls_.push_back(call);
-    return failure;
-  }
-  grpc::Status Change(const std::string& call, const v1::LevelRequest& request,
-                      v1::LevelResponse* response) ABSL_LOCKS_EXCLUDED(mutex_) {
-    {
-      MutexLock lock(&mutex_);
-      last_level_request_ = request;
-    }
-    *response = level_response;
-    if (!request.dry_run()) {
-      response->set_decided_level(request.to());
-      *response->mutable_mark() = MakeMark(3, 18);
-    }
-    return Record(call);
-  }
-
-  Mutex mutex_;
-  v1::LevelRequest last_level_request_ ABSL_GUARDED_BY(mutex_);
-  std::vector<std::string> calls_ ABSL_GUARDED_BY(mutex_);
-};
-
-class RipsctlTest : public testing::Test {
- protected:
-  RipsctlTest() {
-    grpc::ServerBuilder builder;
-    builder.AddListeningPort("127.0.0.1:0", grpc::InsecureServerCredentials(), &port_);
-    builder.RegisterService(&fake_);
-    server_ = builder.BuildAndStart();
-  }
-  ~RipsctlTest() override { server_->Shutdown(); }
-
-  Result Run(const std::vector<std::string>& args) {
-    std::ostringstream out;
-    std::ostringstream err;
-    const int code = RunRipsctl(
-        args, {.out = out,
-               .err = err,
-               .get_env = [this](const std::string& name) -> std::optional<std::string> {
-                 if (name == "HOME") return home_;
-                 const auto it = env_.find(name);
-                 if (it == env_.end()) return std::nullopt;
-                 return it->second;
-               },
-               .connect = [this](const RawSettings& settings) { return Connect(settings); }});
-    return {code, out.str(), err.str()};
-  }
-  absl::StatusOr<std::unique_ptr<v1::OperatorService::StubInterface>> Connect(
-      const RawSettings& settings) {
-    used_ = settings;
-    if (tls_) return ConnectWithTls(settings);
-    return std::unique_ptr<v1::OperatorService::StubInterface>(
-        v1::OperatorService::NewStub(grpc::CreateChannel(absl::StrCat("127.0.0.1:", port_),
-                                                         grpc::InsecureChannelCredentials())));
-  }
-  nlohmann::json RunJson(std::vector<std::string> args, int expected_code = 0) {
-    args.insert(args.end(), {"--output", "json"});
-    const Result result = Run(args);
-    EXPECT_EQ(result.code, expected_code) << result.err;
-    EXPECT_TRUE(result.out.ends_with('\n'));
-    const nlohmann::json json = nlohmann::json::parse(result.out, nullptr, false);
-    EXPECT_FALSE(json.is_discarded()) << result.out;
-    return json;
-  }
-  std::string File(const std::string& name, const std::string& text) {
-    return directory_.Write(name, text);
-  }
-
-  const TestDirectory directory_;
-  const std::string home_ = directory_.path();
-  std::map<std::string, std::string> env_;
-  bool tls_ = false;
-  FakeOperator fake_;
-  std::unique_ptr<grpc::Server> server_;
-  int port_ = 0;
-  RawSettings used_;
-};
 
 TEST_F(RipsctlTest, ListsRobots) {
   const Result result = Run({"robot", "list"});
@@ -564,12 +315,89 @@ TEST_F(RipsctlTest, WatchesAlerts) {
   EXPECT_EQ(RunJson({"alert", "watch", "r1"})["text"], "unknown node /intruder");
 }
 
+TEST_F(RipsctlTest, AWatchGoesOnAfterALostConnectionWithoutGapOrDuplicate) {
+  const auto position = [](const std::string& cursor) {
+    v1::Alert alert;
+    alert.set_cursor(cursor);
+    return alert;
+  };
+  const auto numbered = [](int n) {
+    v1::Alert alert = MakeAlert(absl::StrCat("alert ", n));
+    alert.set_cursor(absl::StrCat(n, "-abc"));
+    return alert;
+  };
+  v1::Alert gap;
+  gap.set_gap("forgotten \x1b[2J");
+  const grpc::Status lost(grpc::StatusCode::UNAVAILABLE, "the server is stopping");
+  fake_.alert_watches = {{{position("0"), numbered(1), numbered(2)}, lost},
+                         {{}, lost},
+                         {{position("2-abc")}, lost},
+                         {{position("2-abc"), gap, numbered(9)}, grpc::Status::OK}};
+  const Result watch = Run({"alert", "watch", "--after", "0"});
+  EXPECT_EQ(watch.code, 0) << watch.err;
+  EXPECT_THAT(watch.out,
+              AllOf(HasSubstr("alert 1\n"), HasSubstr("alert 2\n"), HasSubstr("alert 9\n")));
+  EXPECT_EQ(std::count(watch.out.begin(), watch.out.end(), '\n'), 3);
+  EXPECT_THAT(watch.err, AllOf(HasSubstr("the connection is lost (the server is stopping)"),
+                               HasSubstr("note: forgotten \\x1b[2J")));
+  EXPECT_THAT(fake_.calls(),
+              testing::ElementsAre("WatchAlerts after 0", "WatchAlerts after 2-abc",
+                                   "WatchAlerts after 2-abc", "WatchAlerts after 2-abc"));
+}
+
+TEST_F(RipsctlTest, AWatchThatIsRefusedEnds) {
+  fake_.alert_watches = {
+      {{}, grpc::Status(grpc::StatusCode::INVALID_ARGUMENT, "`x` is not a cursor")}};
+  const Result watch = Run({"alert", "watch", "--after", "x"});
+  EXPECT_EQ(watch.code, 1);
+  EXPECT_EQ(watch.err, "error: `x` is not a cursor\n");
+  fake_.alert_watches = {{{}, grpc::Status(grpc::StatusCode::UNAVAILABLE, "nobody there")}};
+  EXPECT_EQ(Run({"alert", "watch"}).code, 3) << "never connected";
+}
+
+TEST_F(RipsctlTest, RobotsThatDidNotAnswerAreNotLeftOut) {
+  fake_.no_answer = {"r3"};
+  const Result list = Run({"robot", "list"});
+  EXPECT_EQ(list.code, 1);
+  EXPECT_THAT(list.out, HasSubstr("no answer in time"));
+  const Result json = Run({"robot", "list", "--output", "json"});
+  EXPECT_EQ(nlohmann::json::parse(json.out)["no_answer"], nlohmann::json({"r3"}));
+  const Result show = Run({"robot", "show", "r3"});
+  EXPECT_EQ(show.code, 1);
+  EXPECT_THAT(show.err, HasSubstr("did not answer in time"));
+}
+
 TEST_F(RipsctlTest, ResumesRules) {
   EXPECT_EQ(Run({"rules", "resume", "r1", "--reason", "seen to"}).out,
             "rules of r1 may lower soft levels again\n");
   EXPECT_EQ(RunJson({"rules", "resume", "r1", "--reason", "seen to"}),
             nlohmann::json({{"robot", "r1"}, {"resumed", true}}));
   EXPECT_EQ(fake_.calls()[0], "ResumeRules r1 seen to");
+}
+
+TEST_F(RipsctlTest, ListsAgentsAndBans) {
+  const Result listed = Run({"agent", "list"});
+  EXPECT_EQ(listed.code, 0);
+  EXPECT_THAT(listed.out, AllOf(HasSubstr("spiffe://td/robot/r1/sensor/base  0f"),
+                                HasSubstr("spiffe://td/robot/r2/sensor/base  all"),
+                                HasSubstr("stolen"), Not(HasSubstr("\x1b"))));
+  EXPECT_EQ(RunJson({"agent", "list"})["agents"][0],
+            nlohmann::json({{"uri", "spiffe://td/robot/r1/sensor/base"},
+                            {"serial", "0f"},
+                            {"not_after", "2026-01-01T00:00:00.000000000Z"}}));
+}
+
+TEST_F(RipsctlTest, BansAndUnbans) {
+  const std::string uri = "spiffe://td/robot/r1/sensor/base";
+  EXPECT_EQ(Run({"agent", "ban", uri, "--serial", "00AF", "--reason", "stolen"}).out,
+            uri + " banned\n");
+  EXPECT_EQ(Run({"agent", "unban", uri}).out, uri + " unbanned\n");
+  EXPECT_EQ(fake_.calls()[0], absl::StrCat("Ban ", uri, " af stolen"));
+  EXPECT_EQ(fake_.calls()[1], absl::StrCat("Unban ", uri, " "));
+  EXPECT_EQ(Run({"agent", "ban", uri}).code, 2);
+  EXPECT_EQ(Run({"agent", "ban", uri, "--reason", " "}).code, 2);
+  fake_.failure = grpc::Status(grpc::StatusCode::PERMISSION_DENIED, "needs the role `admin`");
+  EXPECT_EQ(Run({"agent", "ban", uri, "--reason", "stolen"}).code, 1);
 }
 
 TEST_F(RipsctlTest, ChecksRulesWithoutAServer) {

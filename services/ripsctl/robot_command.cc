@@ -12,6 +12,7 @@
 #include "services/ripsctl/printer.h"
 #include "services/ripsctl/robot_actuators.h"
 #include "services/ripsctl/robot_coverage.h"
+#include "services/ripsctl/server_expiry.h"
 
 namespace rips::ripsctl {
 namespace {
@@ -42,13 +43,18 @@ class ListRobots final : public RobotCommand {
     if (env.json()) {
       Json robots = Json::array();
       for (const v1::RobotStatus& status : response->robots()) robots.push_back(ToJson(status));
-      PrintJson({{"robots", std::move(robots)}}, env.out);
-      return ExitCode::kDone;
+      Json silent = Json::array();
+      for (const std::string& robot : response->no_answer()) silent.push_back(robot);
+      PrintJson({{"robots", std::move(robots)}, {"no_answer", std::move(silent)}}, env.out);
+      return response->no_answer().empty() ? ExitCode::kDone : ExitCode::kRefused;
     }
     Table table = StatusTable();
     for (const v1::RobotStatus& status : response->robots()) AddStatus(status, &table);
+    for (const std::string& robot : response->no_answer()) {
+      table.Add({robot, "", "", "", "", "", "no answer in time: the server is too busy with it"});
+    }
     table.Print(env.out);
-    return ExitCode::kDone;
+    return response->no_answer().empty() ? ExitCode::kDone : ExitCode::kRefused;
   }
 };
 
@@ -71,9 +77,13 @@ class WatchRobots final : public RobotCommand {
     }
     grpc::ClientContext context;
     const auto reader = env.server->WatchRobots(&context, request);
+    ServerExpiry expiry(&context);
     v1::RobotStatus status;
-    while (reader->Read(&status)) Print(env, status);
-    return Ended(env, reader->Finish());
+    while (reader->Read(&status)) {
+      expiry.Received();
+      Print(env, status);
+    }
+    return Ended(env, expiry.End(reader->Finish()));
   }
 
  private:
@@ -121,6 +131,14 @@ class ShowRobot final : public OneRobotCommand {
     if (!response.ok()) return Failed(env, response.status());
     for (const v1::RobotStatus& status : response->robots()) {
       if (status.robot() == robot) return Print(env, status);
+    }
+    for (const std::string& silent : response->no_answer()) {
+      if (silent != robot) continue;
+      return Failed(env, absl::ResourceExhaustedError(absl::StrCat(
+                             "robot `", robot,
+                             "` did not answer in time: the server is too busy with it; its level "
+                             "stands, see `ripsctl level history ",
+                             robot, "`")));
     }
     return Failed(env,
                   absl::NotFoundError(absl::StrCat(

@@ -82,10 +82,12 @@ Counts Count(const v1::GetCoverageResponse& response) {
 bool Complete(const v1::GetCoverageResponse& response) {
   bool graph = false;
   for (const v1::SensorCoverage& sensor : response.sensors()) {
-    graph |= sensor.primary() && sensor.connected() && sensor.settled();
+    if (!sensor.connected()) return false;
+    graph |= sensor.primary() && sensor.settled();
   }
-  return graph && !response.graph_truncated() && response.findings().empty() &&
-         Count(response)[Seen::kNotVisible] == 0;
+  return graph && response.blind().empty() && !response.graph_truncated() &&
+         response.findings().empty() && response.skipped().empty() &&
+         response.cut_payloads().empty() && Count(response)[Seen::kNotVisible] == 0;
 }
 
 const char* YesNo(bool value) { return value ? "yes" : "no"; }
@@ -144,7 +146,14 @@ class ShowInterest final : public RobotVerb {
                          {"in_use", sensor.in_use()},
                          {"problem", sensor.problem()}});
     }
-    return {{"robot", robot}, {"rules", std::move(rules)}, {"sensors", std::move(sensors)}};
+    Json limits = Json::array();
+    for (const v1::PayloadLimit& limit : response.interest().payload_limits()) {
+      limits.push_back({{"topic", limit.topic_regex()}, {"bytes", limit.bytes()}});
+    }
+    return {{"robot", robot},
+            {"rules", std::move(rules)},
+            {"payload_limits", std::move(limits)},
+            {"sensors", std::move(sensors)}};
   }
   static void PrintText(const v1::GetInterestResponse& response, std::ostream& out) {
     Table rules({"DEPTH", "BYTES", "TOPIC", "TYPE", "WANTED BY"});
@@ -158,6 +167,14 @@ class ShowInterest final : public RobotVerb {
     }
     rules.Print(out);
     out << "\n";
+    if (!response.interest().payload_limits().empty()) {
+      Table limits({"PAYLOAD LIMIT", "TOPIC"});
+      for (const v1::PayloadLimit& limit : response.interest().payload_limits()) {
+        limits.Add({absl::StrCat(limit.bytes()), limit.topic_regex()});
+      }
+      limits.Print(out);
+      out << "\n";
+    }
     Table sensors({"SENSOR", "STATE"});
     for (const v1::SensorInterest& sensor : response.sensors()) {
       sensors.Add({sensor.host(), InterestState(sensor)});
@@ -196,6 +213,7 @@ class ShowCoverage final : public RobotVerb {
             {"connected", sensor.connected()},
             {"settled", sensor.settled()},
             {"not_visible", Strings(sensor.not_visible())},
+            {"blind", Strings(sensor.state().blind())},
             {"overloaded", sensor.state().overloaded()},
             {"outbox_bytes", sensor.state().outbox_bytes()},
             {"oldest_unacked_ns", sensor.state().oldest_unacked_ns()},
@@ -228,15 +246,33 @@ class ShowCoverage final : public RobotVerb {
                           {"topic", finding.topic()},
                           {"detail", finding.detail()}});
     }
+    Json skipped = Json::array();
+    for (const v1::SkippedInspections& each : response.skipped()) {
+      skipped.push_back({{"reason", each.reason()}, {"count", each.count()}});
+    }
+    Json cut = Json::array();
+    for (const v1::CutPayloads& each : response.cut_payloads()) {
+      cut.push_back({{"topic", each.topic()},
+                     {"limit_bytes", each.limit_bytes()},
+                     {"longest_bytes", each.longest_bytes()},
+                     {"count", each.count()}});
+    }
     return {{"robot", robot},
             {"complete", Complete(response)},
+            {"blind", Strings(response.blind())},
+            {"cut_payloads", std::move(cut)},
             {"graph_truncated", response.graph_truncated()},
+            {"skipped_inspections", std::move(skipped)},
             {"sensors", std::move(sensors)},
             {"endpoints", std::move(endpoints)},
             {"findings", std::move(findings)}};
   }
 
   void PrintText(const v1::GetCoverageResponse& response, std::ostream& out) const {
+    for (const std::string& reason : response.blind()) {
+      out << "BLIND: " << EscapeText(reason) << "\n";
+    }
+    if (!response.blind().empty()) out << "\n";
     Table sensors({"SENSOR", "PRIMARY", "CONNECTED", "SETTLED", "OUTBOX", "SPOOL", "LOST 10 MIN",
                    "CLOCK", "DOES NOT SEE"});
     for (const v1::SensorCoverage& sensor : response.sensors()) {
@@ -250,6 +286,23 @@ class ShowCoverage final : public RobotVerb {
     PrintEndpoints(response, out);
     if (response.graph_truncated()) {
       out << "\nthe graph is larger than the limits: not all of it is here\n";
+    }
+    if (!response.skipped().empty()) {
+      out << "\n";
+      Table skipped({"INSPECTIONS NOT MADE", "IN 10 MIN"});
+      for (const v1::SkippedInspections& each : response.skipped()) {
+        skipped.Add({each.reason(), absl::StrCat(each.count())});
+      }
+      skipped.Print(out);
+    }
+    if (!response.cut_payloads().empty()) {
+      out << "\n";
+      Table cut({"PAYLOADS CUT", "LIMIT", "LONGEST", "MESSAGES"});
+      for (const v1::CutPayloads& each : response.cut_payloads()) {
+        cut.Add({each.topic(), absl::StrCat(each.limit_bytes(), " B"),
+                 absl::StrCat(each.longest_bytes(), " B"), absl::StrCat(each.count())});
+      }
+      cut.Print(out);
     }
     if (response.findings().empty()) return;
     out << "\n";

@@ -222,6 +222,33 @@ TEST_F(RobotCoverageTest, WhatIsNotVisibleIsShownAndIsExitCodeOne) {
   EXPECT_EQ(json["endpoints"][4]["why"], "unicast\x1b[2J");
 }
 
+TEST_F(RobotCoverageTest, WhatBlindsIsSaidFirstAndIsExitCodeOne) {
+  fake_.coverage.add_blind("sensor base sees no ROS node on domain 7; is dds.domain right?");
+  fake_.coverage.add_blind("sensor base: ids log /l\x1b[2J: permission denied");
+  fake_.coverage.mutable_sensors(0)->mutable_state()->add_blind("ids log /l: permission denied");
+  const Result text = Run({"robot", "coverage", "r1"});
+  EXPECT_EQ(text.code, 1);
+  EXPECT_THAT(
+      text.out,
+      testing::StartsWith("BLIND: sensor base sees no ROS node on domain 7; is dds.domain right?\n"
+                          "BLIND: sensor base: ids log /l\\x1b[2J: permission denied\n"
+                          "\n"
+                          "SENSOR  PRIMARY"));
+  const nlohmann::json json = RunJson({"robot", "coverage", "r1"}, 1);
+  EXPECT_EQ(json["complete"], false);
+  ASSERT_THAT(json["blind"], SizeIs(2));
+  EXPECT_EQ(json["blind"][0], "sensor base sees no ROS node on domain 7; is dds.domain right?");
+  EXPECT_EQ(json["sensors"][0]["blind"][0], "ids log /l: permission denied");
+}
+
+TEST_F(RobotCoverageTest, ASecondSensorThatIsAwayIsExitCodeOne) {
+  v1::SensorCoverage* arm = fake_.coverage.add_sensors();
+  arm->set_host("arm");
+  EXPECT_EQ(Run({"robot", "coverage", "r1"}).code, 1);
+  arm->set_connected(true);
+  EXPECT_EQ(Run({"robot", "coverage", "r1"}).code, 0);
+}
+
 TEST_F(RobotCoverageTest, FindingsAreExitCodeOne) {
   v1::Finding* finding = fake_.coverage.add_findings();
   finding->set_kind("duplicate_node");
@@ -232,6 +259,36 @@ TEST_F(RobotCoverageTest, FindingsAreExitCodeOne) {
   EXPECT_THAT(text.out, HasSubstr("FINDING         NODE     TOPIC  DETAIL\n"
                                   "duplicate_node  /talker  -      two of them\\x1b[2J\n"));
   EXPECT_EQ(RunJson({"robot", "coverage", "r1"}, 1)["findings"][0]["kind"], "duplicate_node");
+}
+
+TEST_F(RobotCoverageTest, PayloadsThatAreCutAreExitCodeOne) {
+  v1::CutPayloads* cut = fake_.coverage.add_cut_payloads();
+  cut->set_topic("/camera\x1b[2J");
+  cut->set_limit_bytes(1 << 20);
+  cut->set_longest_bytes(2'764'860);
+  cut->set_count(17);
+  const Result text = Run({"robot", "coverage", "r1"});
+  EXPECT_EQ(text.code, 1);
+  EXPECT_THAT(text.out, HasSubstr("PAYLOADS CUT    LIMIT      LONGEST    MESSAGES\n"
+                                  "/camera\\x1b[2J  1048576 B  2764860 B  17\n"));
+  const nlohmann::json json = RunJson({"robot", "coverage", "r1"}, 1);
+  EXPECT_EQ(json["complete"], false);
+  EXPECT_EQ(json["cut_payloads"][0], nlohmann::json({{"topic", "/camera\x1b[2J"},
+                                                     {"limit_bytes", 1 << 20},
+                                                     {"longest_bytes", 2'764'860},
+                                                     {"count", 17}}));
+}
+
+TEST_F(RobotCoverageTest, PayloadLimitsAreShownWithTheInterest) {
+  Rule("", v1::InterestRule::PAYLOAD, 1 << 20, {"blinded"});
+  v1::PayloadLimit* limit = fake_.interest.mutable_interest()->add_payload_limits();
+  limit->set_topic_regex("^/camera/");
+  limit->set_bytes(2 << 20);
+  EXPECT_THAT(Run({"robot", "interest", "r1"}).out, HasSubstr("PAYLOAD LIMIT  TOPIC\n"
+                                                              "2097152        ^/camera/\n"));
+  const nlohmann::json json = RunJson({"robot", "interest", "r1"});
+  EXPECT_EQ(json["payload_limits"][0],
+            nlohmann::json({{"topic", "^/camera/"}, {"bytes", 2 << 20}}));
 }
 
 TEST_F(RobotCoverageTest, AGraphThatIsNotWholeIsExitCodeOne) {

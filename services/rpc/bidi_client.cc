@@ -50,7 +50,24 @@ std::shared_ptr<grpc::Channel> MakeChannel(
   return grpc::CreateCustomChannel(server, credentials, arguments);
 }
 
-BidiClientBase::BidiClientBase(BidiClientOptions options) : options_(std::move(options)) {
+BidiClientBase::BidiClientBase(BidiClientOptions options)
+    : options_(std::move(options)),
+      gate_(
+          &clock_,
+          [this](const Peer& peer) {
+            MutexLock lock(&mu_);
+            return own_ == nullptr ? std::nullopt : own_->Revoked(peer);
+          },
+          nullptr),
+      watch_(&clock_, absl::Milliseconds(500), &gate_) {
+  watch_.set_before_look([this] {
+    std::shared_ptr<const Credentials> own;
+    {
+      MutexLock lock(&mu_);
+      own = own_;
+    }
+    if (own != nullptr) own->Refresh();
+  });
   RIPS_CHECK(!options_.servers.empty(), "a client needs a server");
 }
 
@@ -106,14 +123,22 @@ void BidiClientBase::Run() {
 }
 
 BidiClientBase::SessionEnd BidiClientBase::Attempt(const std::string& server) {
-  const std::shared_ptr<grpc::Channel> channel =
-      MakeChannel(server, options_.credentials, options_);
+  const absl::StatusOr<CredentialsSource::Usable> usable = options_.credentials.Get();
+  if (!usable.ok()) {
+    return {.status = grpc::Status(grpc::StatusCode::UNAUTHENTICATED,
+                                   std::string(usable.status().message()))};
+  }
+  if (usable->own != nullptr) usable->own->Refresh();
+  const std::shared_ptr<grpc::Channel> channel = MakeChannel(server, usable->channel, options_);
   const grpc_connectivity_state state = WaitUntilSettled(*channel);
   grpc::ClientContext context;
   {
     MutexLock lock(&mu_);
     if (stopping_) return {};
     context_ = &context;
+    own_ = usable->own;
+    ended_because_ = grpc::Status::OK;
+    ++attempt_;
   }
   SessionEnd end;
   if (state == GRPC_CHANNEL_READY) {
@@ -127,9 +152,36 @@ BidiClientBase::SessionEnd BidiClientBase::Attempt(const std::string& server) {
         absl::StrCat("no connection to `", server, "` within ",
                      absl::FormatDuration(options_.connect_timeout), "; is it reachable?"));
   }
+  session_.reset();
   MutexLock lock(&mu_);
   context_ = nullptr;
+  if (!ended_because_.ok()) end.status = ended_because_;
   return end;
+}
+
+void BidiClientBase::WatchServer(grpc::ClientContext* context) {
+  const std::shared_ptr<const grpc::AuthContext> auth = context->auth_context();
+  absl::StatusOr<Peer> peer = absl::UnauthenticatedError("no certificate");
+  if (auth != nullptr) peer = PeerOf(*auth);
+  if (!peer.ok()) return;  // without TLS, in tests; the handshake lets nobody else pass
+  if (options_.on_peer) options_.on_peer(*peer);
+  uint64_t number = 0;
+  {
+    MutexLock lock(&mu_);
+    number = attempt_;
+  }
+  session_ = watch_.Add(*std::move(peer), [this, number](const grpc::Status& status) {
+    EndAttempt(number,
+               grpc::Status(status.error_code(), "the policy server: " + status.error_message()));
+  });
+  session_->greeted = true;
+}
+
+void BidiClientBase::EndAttempt(uint64_t number, const grpc::Status& status) {
+  MutexLock lock(&mu_);
+  if (context_ == nullptr || attempt_ != number) return;
+  ended_because_ = status;
+  context_->TryCancel();
 }
 
 grpc_connectivity_state BidiClientBase::WaitUntilSettled(grpc::Channel& channel) {

@@ -11,12 +11,14 @@
 #include <vector>
 
 #include "absl/strings/str_cat.h"
+#include "absl/time/clock.h"
 #include "gmock/gmock.h"
 #include "grpcpp/generic/generic_stub.h"
 #include "gtest/gtest.h"
 #include "services/base/status_matchers.h"
 #include "services/rpc/test_pki.h"
 #include "services/rpc/test_service.h"
+#include "services/runtime/atomic_file.h"
 
 namespace rips::rpc {
 namespace {
@@ -334,6 +336,68 @@ TEST(StatusConversionTest, KeepsCodeAndMessageBothWays) {
                 .error_message()
                 .size(),
             kStatusMessageBytesMax);
+}
+
+TEST_F(BidiClientTest, EndsAStreamWhenTheServersCertificateExpires) {
+  TestService service;
+  const TlsFiles brief = pki_->Mint({.folder = "brief-server",
+                                     .san = "URI:spiffe://fleet.example/policy-server/ps1",
+                                     .age_seconds = 86'400 - 3});
+  const auto server = StartOrDie("127.0.0.1:0", brief, &service);
+  BidiClientOptions options = Options(server->address());
+  BoundedQueue<Peer> peers({.capacity = 10});
+  options.on_peer = [&](const Peer& peer) { peers.Push(peer); };
+  TestClient client(options);
+  ASSERT_TRUE(client.replies.Pop(kPatience).has_value());
+  const auto peer = peers.Pop(kPatience);
+  ASSERT_TRUE(peer.has_value());
+  EXPECT_EQ(ToString(peer->identity), "spiffe://fleet.example/policy-server/ps1");
+
+  const auto end = client.ends.Pop(kPatience);
+
+  ASSERT_TRUE(end.has_value());
+  EXPECT_GE(absl::Now(), peer->not_after);
+  EXPECT_LE(absl::Now(), peer->not_after + absl::Seconds(5));
+  EXPECT_EQ(end->status.error_code(), grpc::StatusCode::UNAUTHENTICATED);
+  EXPECT_EQ(end->status.error_message(), "the policy server: the certificate has expired");
+  EXPECT_EQ(end->close_class, CloseClass::kReidentify);
+}
+
+TEST_F(BidiClientTest, EndsAStreamWhenTheServersCertificateIsRevoked) {
+  TestPki pki;
+  TestService service;
+  const TlsFiles server_files = pki.Server();
+  TlsFiles sensor = pki.Sensor();
+  sensor.crl = pki.SignRevocations();
+  const auto server = StartOrDie("127.0.0.1:0", server_files, &service);
+  TestClient client({.servers = {server->address()}, .credentials = LoadOrDie(sensor)});
+  ASSERT_TRUE(client.replies.Pop(kPatience).has_value());
+
+  pki.Revoke(server_files);
+
+  const auto end = client.ends.Pop(kPatience);
+  ASSERT_TRUE(end.has_value());
+  EXPECT_EQ(end->status.error_message(), "the policy server: the certificate is revoked");
+}
+
+TEST_F(BidiClientTest, WithoutUsableCredentialsItTriesUntilTheyAre) {
+  TestService service;
+  const auto server = StartServer(&service);
+  const TlsFiles good = pki_->Sensor();
+  TlsFiles late = good;
+  late.cert = absl::StrCat(pki_->dir(), "/late-cert.pem");
+  TestClient client(
+      {.servers = {server->address()},
+       .credentials = CredentialsSource(late),
+       .backoff = {.initial = absl::Milliseconds(20), .max = absl::Milliseconds(100)}});
+  const auto end = client.ends.Pop(kPatience);
+  ASSERT_TRUE(end.has_value());
+  EXPECT_EQ(end->status.error_code(), grpc::StatusCode::UNAUTHENTICATED);
+  EXPECT_THAT(end->status.error_message(), HasSubstr("late-cert.pem"));
+
+  ASSERT_THAT(WriteFileAtomically(late.cert, *ReadFile(good.cert, 1 << 20)), IsOk());
+
+  EXPECT_TRUE(client.replies.Pop(kPatience).has_value());
 }
 
 }  // namespace

@@ -1,10 +1,10 @@
 #include "services/rpc/certificate.h"
 
 #include <openssl/bio.h>
+#include <openssl/bn.h>
 #include <openssl/err.h>
 #include <openssl/pem.h>
 #include <openssl/x509.h>
-#include <openssl/x509_vfy.h>
 #include <openssl/x509v3.h>
 
 #include <ctime>
@@ -13,32 +13,22 @@
 #include <utility>
 #include <vector>
 
+#include "absl/strings/ascii.h"
 #include "absl/strings/str_cat.h"
 #include "services/base/status_macros.h"
+#include "services/rpc/openssl_types.h"
 
 namespace rips::rpc {
-namespace {
 
-template <auto Free>
-struct Freer {
-  template <typename T>
-  void operator()(T* object) const {
-    Free(object);
-  }
-};
-using Bio = std::unique_ptr<BIO, Freer<BIO_free>>;
-using Certificate = std::unique_ptr<X509, Freer<X509_free>>;
-using Key = std::unique_ptr<EVP_PKEY, Freer<EVP_PKEY_free>>;
-using Store = std::unique_ptr<X509_STORE, Freer<X509_STORE_free>>;
-using StoreContext = std::unique_ptr<X509_STORE_CTX, Freer<X509_STORE_CTX_free>>;
-using Names = std::unique_ptr<GENERAL_NAMES, Freer<GENERAL_NAMES_free>>;
+using openssl::Bio;
+using openssl::Certificate;
+using openssl::Key;
+using openssl::NoPassword;
+using openssl::ReadCertificates;
+using openssl::Store;
+using openssl::StoreContext;
 
-struct FreeStack {
-  void operator()(STACK_OF(X509) * stack) const { sk_X509_free(stack); }
-};
-
-// An encrypted key is refused instead of asking for its password on the terminal.
-int NoPassword(char*, int, int, void*) { return 0; }
+namespace openssl {
 
 std::vector<Certificate> ReadCertificates(absl::string_view pem) {
   std::vector<Certificate> certificates;
@@ -49,6 +39,40 @@ std::vector<Certificate> ReadCertificates(absl::string_view pem) {
   ERR_clear_error();  // the end of the text counts as one
   return certificates;
 }
+
+std::string SerialText(const ASN1_INTEGER* serial) {
+  const std::unique_ptr<BIGNUM, Freer<BN_free>> number(ASN1_INTEGER_to_BN(serial, nullptr));
+  char* hex = number == nullptr ? nullptr : BN_bn2hex(number.get());
+  if (hex == nullptr) return "";
+  absl::string_view digits = hex;
+  while (digits.size() > 1 && digits.front() == '0') digits.remove_prefix(1);
+  std::string text = absl::AsciiStrToLower(digits);
+  OPENSSL_free(hex);
+  return text;
+}
+
+std::string NameText(const X509_NAME* name) {
+  unsigned char* der = nullptr;
+  const int size = i2d_X509_NAME(name, &der);
+  if (size <= 0) return "";
+  std::string text(reinterpret_cast<const char*>(der), static_cast<size_t>(size));
+  OPENSSL_free(der);
+  return text;
+}
+
+absl::StatusOr<absl::Time> ToTime(const ASN1_TIME* time) {
+  std::tm fields{};
+  if (time == nullptr || ASN1_TIME_to_tm(time, &fields) != 1) {
+    return absl::InvalidArgumentError("it holds a time that cannot be read");
+  }
+  return absl::FromTM(fields, absl::UTCTimeZone());
+}
+
+}  // namespace openssl
+
+namespace {
+
+using Names = std::unique_ptr<GENERAL_NAMES, openssl::Freer<GENERAL_NAMES_free>>;
 
 // All URI SANs; an unreadable or repeated extension gives none.
 std::vector<std::string> UriNames(const X509* certificate) {
@@ -69,7 +93,7 @@ absl::Status VerifyChain(const std::vector<Certificate>& roots,
                          const std::vector<Certificate>& chain) {
   const Store store(X509_STORE_new());
   for (const Certificate& root : roots) X509_STORE_add_cert(store.get(), root.get());
-  const std::unique_ptr<STACK_OF(X509), FreeStack> untrusted(sk_X509_new_null());
+  const std::unique_ptr<STACK_OF(X509), openssl::FreeStack> untrusted(sk_X509_new_null());
   for (size_t i = 1; i < chain.size(); ++i) sk_X509_push(untrusted.get(), chain[i].get());
   const StoreContext context(X509_STORE_CTX_new());
   if (X509_STORE_CTX_init(context.get(), store.get(), chain[0].get(), untrusted.get()) != 1) {
@@ -93,12 +117,23 @@ absl::StatusOr<Leaf> ReadLeaf(absl::string_view pem) {
         absl::StrCat("the certificate has ", uris.size(), " URI names; it must have exactly one"));
   }
   RIPS_ASSIGN_OR_RETURN(PeerIdentity identity, ParseSpiffeUri(uris.front()));
-  std::tm not_after{};
-  if (ASN1_TIME_to_tm(X509_get0_notAfter(leaf), &not_after) != 1) {
-    return absl::InvalidArgumentError("the certificate has no readable end of validity");
-  }
+  RIPS_ASSIGN_OR_RETURN(const absl::Time not_before, openssl::ToTime(X509_get0_notBefore(leaf)));
+  RIPS_ASSIGN_OR_RETURN(const absl::Time not_after, openssl::ToTime(X509_get0_notAfter(leaf)));
   return Leaf{.identity = std::move(identity),
-              .not_after = absl::FromTM(not_after, absl::UTCTimeZone())};
+              .serial = openssl::SerialText(X509_get0_serialNumber(leaf)),
+              .not_before = not_before,
+              .not_after = not_after};
+}
+
+std::vector<CertificateId> ReadChain(absl::string_view pem) {
+  std::vector<CertificateId> chain;
+  for (const Certificate& each : ReadCertificates(pem)) {
+    const X509_NAME* issuer = X509_get_issuer_name(each.get());
+    if (X509_NAME_cmp(issuer, X509_get_subject_name(each.get())) == 0) continue;
+    chain.push_back({.issuer = openssl::NameText(issuer),
+                     .serial = openssl::SerialText(X509_get0_serialNumber(each.get()))});
+  }
+  return chain;
 }
 
 absl::Status CheckChain(absl::string_view ca_pem, absl::string_view cert_pem,

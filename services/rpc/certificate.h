@@ -2,6 +2,10 @@
 #ifndef RIPS_SERVICES_RPC_CERTIFICATE_H_
 #define RIPS_SERVICES_RPC_CERTIFICATE_H_
 
+#include <compare>
+#include <string>
+#include <vector>
+
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
 #include "absl/strings/string_view.h"
@@ -10,14 +14,27 @@
 
 namespace rips::rpc {
 
+// How a revocation list names a certificate.
+struct CertificateId {
+  std::string issuer;  // distinguished name, DER
+  std::string serial;  // lower-case hex, no leading zeros
+
+  friend auto operator<=>(const CertificateId&, const CertificateId&) = default;
+};
+
 struct Leaf {
   PeerIdentity identity;
+  std::string serial;  // as in CertificateId
+  absl::Time not_before;
   absl::Time not_after;
 };
 
 // The first certificate in `pem`. InvalidArgument if there is none, if it has not exactly one URI
 // SAN (RFC 5280 §4.2.1.6), or if that is not a form of ParseSpiffeUri. Proves nothing about trust.
 absl::StatusOr<Leaf> ReadLeaf(absl::string_view pem);
+
+// All certificates in `pem`, in order, those issued by themselves left out.
+std::vector<CertificateId> ReadChain(absl::string_view pem);
 
 // OK if the first certificate of `cert_pem` belongs to the private key, is valid now, and chains
 // through the rest of `cert_pem` to one of `ca_pem`. InvalidArgument, with the reason, otherwise.

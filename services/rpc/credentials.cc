@@ -12,6 +12,9 @@
 #include "services/base/status_macros.h"
 #include "services/rpc/certificate.h"
 #include "services/runtime/atomic_file.h"
+#include "services/runtime/await.h"
+#include "services/runtime/log.h"
+#include "services/runtime/real_clock.h"
 
 namespace rips::rpc {
 namespace {
@@ -21,18 +24,28 @@ namespace tls = grpc::experimental;
 constexpr size_t kPemBytesMax = 1 << 20;
 constexpr unsigned kRefreshSeconds = 1;
 
+constexpr char kRevoked[] = "the certificate is revoked";
+
 enum class Accept { kPolicyServer, kAnyRole };
 
 // Judges the peer's leaf after its chain was verified, still inside the handshake.
 class IdentityVerifier final : public tls::ExternalCertificateVerifier {
  public:
-  IdentityVerifier(std::string trust_domain, Accept accept)
-      : trust_domain_(std::move(trust_domain)), accept_(accept) {}
+  IdentityVerifier(std::string trust_domain, Accept accept, std::shared_ptr<Revocations> lists)
+      : trust_domain_(std::move(trust_domain)), accept_(accept), lists_(std::move(lists)) {}
 
   bool Verify(tls::TlsCustomVerificationCheckRequest* request,
               std::function<void(grpc::Status)> /*callback*/, grpc::Status* sync_status) override {
     const grpc::string_ref pem = request->peer_cert();
-    const absl::Status status = Judge(ReadLeaf(absl::string_view(pem.data(), pem.size())));
+    absl::Status status = Judge(ReadLeaf(absl::string_view(pem.data(), pem.size())));
+    if (status.ok() && lists_ != nullptr) {
+      std::vector<CertificateId> chain = ReadChain(absl::string_view(pem.data(), pem.size()));
+      const grpc::string_ref more = request->peer_cert_full_chain();
+      for (CertificateId& each : ReadChain(absl::string_view(more.data(), more.size()))) {
+        chain.push_back(std::move(each));
+      }
+      if (lists_->Revoke(chain)) status = absl::UnauthenticatedError(kRevoked);
+    }
     *sync_status = status.ok() ? grpc::Status::OK
                                : grpc::Status(grpc::StatusCode::UNAUTHENTICATED,
                                               std::string(status.message()));
@@ -56,6 +69,7 @@ class IdentityVerifier final : public tls::ExternalCertificateVerifier {
 
   const std::string trust_domain_;
   const Accept accept_;
+  const std::shared_ptr<Revocations> lists_;  // null = none
 };
 
 }  // namespace
@@ -83,40 +97,135 @@ absl::StatusOr<OwnCertificate> ReadOwnCertificate(const TlsFiles& files) {
                                                    "`, key `", files.key,
                                                    "`) cannot be used: ", status.message()));
   }
-  return OwnCertificate{.identity = leaf->identity, .not_after = leaf->not_after};
+  return OwnCertificate{.identity = leaf->identity,
+                        .not_after = leaf->not_after,
+                        .not_before = leaf->not_before,
+                        .serial = leaf->serial};
 }
 
-Credentials::Credentials(TlsFiles files, PeerIdentity self)
-    : files_(std::move(files)), self_(std::move(self)), parts_(std::make_shared<Parts>()) {
+Credentials::Credentials(TlsFiles files, PeerIdentity self,
+                         std::shared_ptr<Revocations> revocations)
+    : files_(std::move(files)),
+      self_(std::move(self)),
+      revocations_(std::move(revocations)),
+      parts_(std::make_shared<Parts>()) {
   const auto provider = std::make_shared<tls::FileWatcherCertificateProvider>(
       files_.key, files_.cert, files_.ca, kRefreshSeconds);
-  const auto configure = [&](auto& options, Accept accept) {
+  const auto configure = [&](auto& options, Accept accept, std::shared_ptr<Revocations> lists) {
     options.watch_root_certs();
     options.watch_identity_key_cert_pairs();
-    options.set_certificate_verifier(
-        tls::ExternalCertificateVerifier::Create<IdentityVerifier>(self_.trust_domain, accept));
+    options.set_certificate_verifier(tls::ExternalCertificateVerifier::Create<IdentityVerifier>(
+        self_.trust_domain, accept, std::move(lists)));
   };
   tls::TlsChannelCredentialsOptions client;
   client.set_certificate_provider(provider);
   client.set_verify_server_certs(true);
   client.set_check_call_host(false);
-  configure(client, Accept::kPolicyServer);
+  configure(client, Accept::kPolicyServer, revocations_);
   parts_->client = tls::TlsCredentials(client);
 
   tls::TlsServerCredentialsOptions server(provider);
   server.set_cert_request_type(GRPC_SSL_REQUEST_AND_REQUIRE_CLIENT_CERTIFICATE_AND_VERIFY);
-  configure(server, Accept::kAnyRole);
+  // Who is revoked is refused at its calls, with a status that says so, and counted.
+  configure(server, Accept::kAnyRole, nullptr);
   parts_->server = tls::TlsServerCredentials(server);
 }
 
 absl::StatusOr<std::shared_ptr<const Credentials>> Credentials::Load(const TlsFiles& files) {
   RequireTls13();
   RIPS_ASSIGN_OR_RETURN(const OwnCertificate own, ReadOwnCertificate(files));
-  return std::shared_ptr<const Credentials>(new Credentials(files, own.identity));
+  std::shared_ptr<Revocations> revocations;
+  if (!files.crl.empty()) {
+    RIPS_ASSIGN_OR_RETURN(revocations, Revocations::Open(files));
+  }
+  return std::shared_ptr<const Credentials>(
+      new Credentials(files, own.identity, std::move(revocations)));
+}
+
+void Credentials::Refresh() const {
+  if (revocations_ != nullptr) revocations_->Refresh();
+}
+
+std::optional<Refusal> Credentials::Revoked(const Peer& peer) const {
+  if (revocations_ == nullptr || !revocations_->Revoke(peer.chain)) return std::nullopt;
+  return Refusal{"revoked", absl::UnauthenticatedError(kRevoked)};
+}
+
+absl::Status Credentials::RevocationProblem(absl::Time now) const {
+  return revocations_ == nullptr ? absl::OkStatus() : revocations_->problem(now);
 }
 
 std::shared_ptr<grpc::ChannelCredentials> Credentials::ForClient() const { return parts_->client; }
 
 std::shared_ptr<grpc::ServerCredentials> Credentials::ForServer() const { return parts_->server; }
+
+absl::StatusOr<std::shared_ptr<const Credentials>> LoadOwn(const TlsFiles& files,
+                                                           const CheckIdentity& check) {
+  // Before all else: a certificate of somebody else stays so, whatever the clock says.
+  const absl::StatusOr<std::string> cert = ReadFile(files.cert, kPemBytesMax);
+  const absl::StatusOr<Leaf> leaf = cert.ok() ? ReadLeaf(*cert) : cert.status();
+  if (leaf.ok() && check) {
+    const absl::Status mine = check(leaf->identity);
+    if (!mine.ok()) return absl::PermissionDeniedError(mine.message());
+  }
+  auto own = Credentials::Load(files);
+  if (!own.ok()) return absl::UnauthenticatedError(own.status().message());
+  if (check) {  // it may have been replaced in between
+    const absl::Status mine = check((*own)->self());
+    if (!mine.ok()) return absl::PermissionDeniedError(mine.message());
+  }
+  return own;
+}
+
+// --- CredentialsSource
+
+struct CredentialsSource::State {
+  std::optional<TlsFiles> files;  // none: given
+  CheckIdentity check;
+  Mutex mu;
+  std::optional<Usable> usable ABSL_GUARDED_BY(mu);
+  RepeatFilter filter ABSL_GUARDED_BY(mu);
+
+  void Await(const absl::Status& why) ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu) {
+    if (!filter.Pass(why.message(), BoottimeNow())) return;
+    LogError("waiting for a usable certificate", {{"reason", why.message()}});
+  }
+};
+
+CredentialsSource::CredentialsSource(std::shared_ptr<const Credentials> own)
+    : state_(std::make_shared<State>()) {
+  MutexLock lock(&state_->mu);
+  state_->usable = Usable{.channel = own->ForClient(), .own = std::move(own)};
+}
+
+CredentialsSource::CredentialsSource(std::shared_ptr<grpc::ChannelCredentials> channel)
+    : state_(std::make_shared<State>()) {
+  MutexLock lock(&state_->mu);
+  state_->usable = Usable{.channel = std::move(channel), .own = nullptr};
+}
+
+CredentialsSource::CredentialsSource(TlsFiles files) : state_(std::make_shared<State>()) {
+  state_->files = std::move(files);
+}
+
+void CredentialsSource::Require(CheckIdentity check) { state_->check = std::move(check); }
+
+absl::StatusOr<CredentialsSource::Usable> CredentialsSource::Get() const {
+  MutexLock lock(&state_->mu);
+  if (state_->usable.has_value()) {
+    if (state_->check && state_->usable->own != nullptr) {
+      RIPS_RETURN_IF_ERROR(state_->check(state_->usable->own->self()));
+    }
+    return *state_->usable;
+  }
+  auto own = LoadOwn(*state_->files, state_->check);
+  if (!own.ok()) {
+    state_->Await(own.status());
+    return own.status();
+  }
+  if (state_->filter.said()) LogInfo("certificate usable", {{"file", state_->files->cert}});
+  state_->usable = Usable{.channel = (*own)->ForClient(), .own = *own};
+  return *state_->usable;
+}
 
 }  // namespace rips::rpc

@@ -2,15 +2,23 @@
 #ifndef RIPS_SERVICES_RPC_CREDENTIALS_H_
 #define RIPS_SERVICES_RPC_CREDENTIALS_H_
 
+#include <functional>
 #include <memory>
+#include <optional>
+#include <string>
+#include <vector>
 
+#include "absl/base/thread_annotations.h"
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
 #include "absl/time/time.h"
 #include "grpcpp/security/credentials.h"
 #include "grpcpp/security/server_credentials.h"
+#include "services/rpc/call_gate.h"
 #include "services/rpc/identity.h"
+#include "services/rpc/revocation.h"
 #include "services/runtime/config_sections.h"
+#include "services/runtime/mutex.h"
 
 namespace rips::rpc {
 
@@ -23,6 +31,8 @@ void RequireTls13();
 struct OwnCertificate {
   PeerIdentity identity;
   absl::Time not_after;
+  absl::Time not_before;
+  std::string serial;
 };
 // InvalidArgument or the file's own error, naming the file and the remedy.
 absl::StatusOr<OwnCertificate> ReadOwnCertificate(const TlsFiles& files);
@@ -32,7 +42,7 @@ absl::StatusOr<OwnCertificate> ReadOwnCertificate(const TlsFiles& files);
 // certificate and key do not match, new connections fail until they do.
 class Credentials {
  public:
-  // Errors of ReadOwnCertificate.
+  // Errors of ReadOwnCertificate and, if `files` name them, of Revocations::Open.
   static absl::StatusOr<std::shared_ptr<const Credentials>> Load(const TlsFiles& files);
 
   // From the certificate as it was at Load.
@@ -40,21 +50,66 @@ class Credentials {
   // Reads the certificate file again, so that a renewed one is seen.
   absl::StatusOr<OwnCertificate> Current() const { return ReadOwnCertificate(files_); }
 
-  // For agents and operators: accepts only a certificate that chains to `ca` and whose one URI is
-  // a policy server of self()'s trust domain; host names play no part. Refused in the handshake, so
+  // Reads the revocation lists again if they have changed. Cheap if not; call it each second.
+  void Refresh() const;
+  // Set if one of the peer's certificates is revoked; a Judge.
+  std::optional<Refusal> Revoked(const Peer& peer) const;
+  // What is wrong with the revocation lists; OK also if there are none.
+  absl::Status RevocationProblem(absl::Time now) const;
+  const TlsFiles& files() const { return files_; }
+
+  // For agents and operators: accepts only a certificate that chains to `ca`, is not revoked, and
+  // whose one URI is a policy server of self()'s trust domain; host names play no part. Refused in
+  // the handshake, so
   // nothing is sent to another: an agent's certificate cannot play the server.
   std::shared_ptr<grpc::ChannelCredentials> ForClient() const;
   // For the policy server: requires a client certificate that chains to `ca` and whose one URI is
-  // an identity of self()'s trust domain. What that identity may do is the service's to say.
+  // an identity of self()'s trust domain. What that identity may do, and whether it is revoked, is
+  // asked at each call (CallGate).
   std::shared_ptr<grpc::ServerCredentials> ForServer() const;
 
  private:
   struct Parts;
-  Credentials(TlsFiles files, PeerIdentity self);
+  Credentials(TlsFiles files, PeerIdentity self, std::shared_ptr<Revocations> revocations);
 
   TlsFiles files_;
   PeerIdentity self_;
+  std::shared_ptr<Revocations> revocations_;  // null = nothing is revoked
   std::shared_ptr<Parts> parts_;
+};
+
+// Refuses a certificate that is not this daemon's.
+using CheckIdentity = std::function<absl::Status(const PeerIdentity&)>;
+
+// Credentials of this daemon. PermissionDenied: `check` refused them, whatever else is wrong with
+// them; no waiting mends that. Unauthenticated: all other errors of Load; they may pass.
+absl::StatusOr<std::shared_ptr<const Credentials>> LoadOwn(const TlsFiles& files,
+                                                           const CheckIdentity& check);
+
+// An agent's credentials, which may not be usable yet: a board without a clock of its own starts
+// before its certificate is valid, a disk is mounted late, a key is being replaced. Nothing of this
+// ends a daemon; each attempt to connect asks again. Copies are the same source. Any thread.
+class CredentialsSource {
+ public:
+  struct Usable {
+    std::shared_ptr<grpc::ChannelCredentials> channel;
+    std::shared_ptr<const Credentials> own;  // null: of a test, without checks of the peer
+  };
+  CredentialsSource() = default;
+  // Usable from the start.
+  CredentialsSource(std::shared_ptr<const Credentials> own);             // NOLINT: same source
+  CredentialsSource(std::shared_ptr<grpc::ChannelCredentials> channel);  // NOLINT
+  explicit CredentialsSource(TlsFiles files);
+
+  // Once, before Get.
+  void Require(CheckIdentity check);
+  // PermissionDenied: `check` refused; no waiting mends that, only another file. All others: not
+  // yet. Logs why when that changes and every 10 minutes, and when it is over.
+  absl::StatusOr<Usable> Get() const;
+
+ private:
+  struct State;
+  std::shared_ptr<State> state_;
 };
 
 }  // namespace rips::rpc

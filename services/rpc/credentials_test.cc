@@ -3,6 +3,7 @@
 #include <arpa/inet.h>
 #include <netinet/in.h>
 #include <sys/socket.h>
+#include <sys/stat.h>
 #include <unistd.h>
 
 #include <cstdio>
@@ -10,6 +11,7 @@
 #include <string>
 
 #include "absl/strings/str_cat.h"
+#include "absl/time/clock.h"
 #include "gmock/gmock.h"
 #include "grpcpp/security/tls_certificate_provider.h"
 #include "grpcpp/security/tls_credentials_options.h"
@@ -380,6 +382,173 @@ TEST_F(MintTest, KeepsWhatIsGoodAndRefusesMistakes) {
       OutputOf(absl::StrCat("openssl x509 -noout -text -in ", Pki().dir(), "/ca/issuing.pem")),
       HasSubstr("Name Constraints: critical\n                Permitted:\n"
                 "                  URI:fleet.example"));
+}
+
+class CredentialsSourceTest : public WithAuthorities {};
+
+// OK for the sensor r1/base.
+absl::Status IsOurs(const PeerIdentity& self) {
+  if (ToString(self) == kSensorUri) return absl::OkStatus();
+  return absl::PermissionDeniedError("another's");
+}
+
+TEST_F(CredentialsSourceTest, FilesThatComeLateAreUsedWhenTheyAreThere) {
+  const TlsFiles good = Pki().Sensor();
+  TlsFiles late = good;
+  late.key = absl::StrCat(Pki().dir(), "/late.pem");
+  CredentialsSource source(late);
+  source.Require(IsOurs);
+  EXPECT_THAT(source.Get(), StatusIs(absl::StatusCode::kUnauthenticated, HasSubstr("late.pem")));
+  ASSERT_THAT(WriteFileAtomically(late.key, "-----BEGIN EC PRIV"), IsOk());  // half a key
+  EXPECT_THAT(source.Get(), StatusIs(absl::StatusCode::kUnauthenticated));
+
+  ASSERT_THAT(WriteFileAtomically(late.key, Read(good.key)), IsOk());
+
+  const auto usable = source.Get();
+  ASSERT_THAT(usable, IsOk());
+  EXPECT_EQ(ToString(usable->own->self()), kSensorUri);
+}
+
+TEST_F(CredentialsSourceTest, ACertificateThatIsNotValidYetIsWaitedFor) {
+  CredentialsSource source(
+      Pki().Mint({.folder = "early", .san = absl::StrCat("URI:", kSensorUri), .age_seconds = -60}));
+  source.Require(IsOurs);
+  EXPECT_THAT(source.Get(),
+              StatusIs(absl::StatusCode::kUnauthenticated, HasSubstr("not yet valid")));
+}
+
+TEST_F(CredentialsSourceTest, ACertificateOfAnotherIsRefusedWhateverItsTimes) {
+  CredentialsSource source(Pki().Mint(
+      {.folder = "early-server", .san = absl::StrCat("URI:", kServerUri), .age_seconds = -60}));
+  source.Require(IsOurs);
+  EXPECT_THAT(source.Get(), StatusIs(absl::StatusCode::kPermissionDenied, HasSubstr("another's")));
+}
+
+// Of an authority of its own: lists name all that was ever revoked.
+class RevocationTest : public ::testing::Test {
+ protected:
+  TlsFiles Listed(TlsFiles files) {
+    files.crl = pki_.dir() + "/crl.pem";
+    return files;
+  }
+  std::vector<CertificateId> ChainOf(const TlsFiles& files) { return ReadChain(Read(files.cert)); }
+
+  TestPki pki_;
+};
+
+TEST_F(RevocationTest, NamesWhatIsOnTheListAndNothingElse) {
+  const TlsFiles sensor = pki_.Sensor();
+  const TlsFiles actuator = pki_.Actuator();
+  pki_.Revoke(sensor);
+
+  const auto lists = Revocations::Open(Listed(pki_.Server()));
+
+  ASSERT_THAT(lists, IsOk());
+  EXPECT_TRUE((*lists)->Revoke(ChainOf(sensor)));
+  EXPECT_FALSE((*lists)->Revoke(ChainOf(actuator)));
+  EXPECT_THAT((*lists)->problem(absl::Now()), IsOk());
+}
+
+TEST_F(RevocationTest, WhatIsMintedAfterARevocationIsNew) {
+  const TlsFiles sensor = pki_.Sensor();
+  const std::vector<CertificateId> old = ChainOf(sensor);
+  EXPECT_EQ(ChainOf(pki_.Sensor())[0].serial, old[0].serial) << "a good one is kept";
+  pki_.Revoke(sensor);
+
+  EXPECT_NE(ChainOf(pki_.Sensor())[0].serial, old[0].serial);
+}
+
+TEST_F(RevocationTest, ANewListCountsWhenItIsThere) {
+  const TlsFiles sensor = pki_.Sensor();
+  pki_.SignRevocations();
+  const auto lists = Revocations::Open(Listed(pki_.Server()));
+  ASSERT_THAT(lists, IsOk());
+  EXPECT_FALSE((*lists)->Revoke(ChainOf(sensor)));
+
+  pki_.Revoke(sensor);
+  (*lists)->Refresh();
+
+  EXPECT_TRUE((*lists)->Revoke(ChainOf(sensor)));
+}
+
+TEST_F(RevocationTest, WhatCannotBeReadLaterLeavesTheLastGoodListInForce) {
+  const TlsFiles sensor = pki_.Sensor();
+  const std::string path = pki_.SignRevocations();
+  const std::string older = Read(path);
+  const auto lists = Revocations::Open(Listed(pki_.Server()));
+  ASSERT_THAT(lists, IsOk());
+  absl::SleepFor(absl::Seconds(1));  // lists have times of whole seconds
+  const std::string newer = Read(pki_.Revoke(sensor));
+  (*lists)->Refresh();
+  ASSERT_TRUE((*lists)->Revoke(ChainOf(sensor)));
+
+  const std::string half = newer.substr(0, newer.size() / 2);
+  for (const std::string& bad : {half, std::string(), older, std::string("nonsense")}) {
+    ASSERT_THAT(WriteFileAtomically(path, bad), IsOk());
+    (*lists)->Refresh();
+    EXPECT_TRUE((*lists)->Revoke(ChainOf(sensor))) << bad;
+    EXPECT_THAT((*lists)->problem(absl::Now()), Not(IsOk())) << bad;
+  }
+  unlink(path.c_str());
+  (*lists)->Refresh();
+  EXPECT_TRUE((*lists)->Revoke(ChainOf(sensor)));
+  EXPECT_THAT((*lists)->problem(absl::Now()), Not(IsOk()));
+
+  ASSERT_THAT(WriteFileAtomically(path, newer), IsOk());
+  (*lists)->Refresh();
+  EXPECT_THAT((*lists)->problem(absl::Now()), IsOk());
+}
+
+TEST_F(RevocationTest, AnOutdatedListStaysInForceAndIsAProblem) {
+  const TlsFiles sensor = pki_.Sensor();
+  pki_.Revoke(sensor);
+  const auto lists = Revocations::Open(Listed(pki_.Server()));
+  ASSERT_THAT(lists, IsOk());
+
+  EXPECT_THAT((*lists)->problem(absl::Now() + absl::Hours(24 * 29)), IsOk());
+  EXPECT_THAT((*lists)->problem(absl::Now() + absl::Hours(24 * 31)),
+              StatusIs(absl::StatusCode::kFailedPrecondition, HasSubstr("it stays in force")));
+  EXPECT_TRUE((*lists)->Revoke(ChainOf(sensor)));
+}
+
+TEST_F(RevocationTest, AListOfAnotherAuthorityIsNone) {
+  TestPki foreign;
+  TlsFiles files = pki_.Server();
+  files.crl = foreign.SignRevocations();
+  EXPECT_THAT(Revocations::Open(files), StatusIs(absl::StatusCode::kInvalidArgument,
+                                                 HasSubstr("no authority under `ca` signed")));
+  files.crl = "/nonexistent.pem";
+  EXPECT_THAT(Credentials::Load(files), StatusIs(absl::StatusCode::kNotFound));
+}
+
+TEST_F(RevocationTest, ADirectoryOfListsIsOne) {
+  const TlsFiles sensor = pki_.Sensor();
+  const std::string list = Read(pki_.Revoke(sensor));
+  TlsFiles files = pki_.Server();
+  files.crl = pki_.dir() + "/lists";
+  ASSERT_EQ(mkdir(files.crl.c_str(), 0700), 0);
+  ASSERT_THAT(WriteFileAtomically(files.crl + "/notes.txt", "not a list"), IsOk());
+  EXPECT_THAT(Revocations::Open(files), StatusIs(absl::StatusCode::kInvalidArgument));
+  ASSERT_THAT(WriteFileAtomically(files.crl + "/issuing.crl", list), IsOk());
+
+  const auto lists = Revocations::Open(files);
+  ASSERT_THAT(lists, IsOk());
+  EXPECT_TRUE((*lists)->Revoke(ChainOf(sensor)));
+}
+
+TEST_F(RevocationTest, ARevokedServerIsRefusedInTheHandshake) {
+  TestService service;
+  const TlsFiles server_files = pki_.Server();
+  const auto server = StartOrDie("127.0.0.1:0", server_files, &service);
+  pki_.Revoke(server_files);
+
+  TestClient client(
+      {.servers = {server->address()}, .credentials = LoadOrDie(Listed(pki_.Sensor()))});
+
+  const auto end = client.ends.Pop(kPatience);
+  ASSERT_TRUE(end.has_value());
+  EXPECT_FALSE(end->status.ok());
+  EXPECT_EQ(service.calls, 0);
 }
 
 }  // namespace

@@ -1,6 +1,8 @@
 #include "services/rpc/peer.h"
 
+#include <algorithm>
 #include <string>
+#include <utility>
 #include <vector>
 
 #include "absl/strings/str_cat.h"
@@ -19,7 +21,25 @@ absl::StatusOr<Peer> PeerOf(const grpc::AuthContext& auth) {
   const absl::StatusOr<Leaf> leaf =
       ReadLeaf(absl::string_view(certificates[0].data(), certificates[0].size()));
   if (!leaf.ok()) return absl::UnauthenticatedError(leaf.status().message());
-  return Peer{.identity = leaf->identity, .not_after = leaf->not_after};
+  Peer peer{.identity = leaf->identity,
+            .not_after = leaf->not_after,
+            .not_before = leaf->not_before,
+            .serial = leaf->serial};
+  for (const char* property :
+       {GRPC_X509_PEM_CERT_PROPERTY_NAME, GRPC_X509_PEM_CERT_CHAIN_PROPERTY_NAME}) {
+    for (const grpc::string_ref& pem : auth.FindPropertyValues(property)) {
+      for (CertificateId& each : ReadChain(absl::string_view(pem.data(), pem.size()))) {
+        const bool known =
+            std::find(peer.chain.begin(), peer.chain.end(), each) != peer.chain.end();
+        if (!known) peer.chain.push_back(std::move(each));
+      }
+    }
+  }
+  return peer;
+}
+
+std::string Describe(const Peer& peer) {
+  return absl::StrCat(ToString(peer.identity), " serial ", peer.serial);
 }
 
 }  // namespace rips::rpc

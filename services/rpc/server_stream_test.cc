@@ -165,6 +165,35 @@ TEST_F(ServerStreamTest, TheServerStopsAlthoughAPeerNeverReads) {
   EXPECT_FALSE(deaf.End().ok());
 }
 
+TEST_F(ServerStreamTest, CloseWhenSentLosesNothingThatWaited) {
+  Caller peer(Connect());
+  const auto outbound = service_.opened.Pop(kPatience);
+  ASSERT_TRUE(outbound.has_value());
+  v1::SensorReply reply;
+  reply.mutable_ack()->set_incarnation(std::string(4096, 'x'));
+  for (int i = 0; i < 500; ++i) ASSERT_TRUE((*outbound)->Send(reply));
+
+  (*outbound)->CloseWhenSent(grpc::Status(grpc::StatusCode::UNAVAILABLE, "stopping"));
+
+  EXPECT_EQ(peer.End().error_code(), grpc::StatusCode::UNAVAILABLE);
+  EXPECT_EQ(peer.replies, 500u);
+  EXPECT_TRUE(service_.ended.Pop(kPatience).has_value());
+}
+
+TEST_F(ServerStreamTest, TheServerStopsAlthoughAPeerNeverReadsItsLastWords) {
+  Caller deaf(Connect());
+  const auto outbound = service_.opened.Pop(kPatience);
+  ASSERT_TRUE(outbound.has_value());
+  v1::SensorReply reply;
+  reply.mutable_ack()->set_incarnation(std::string(1 << 20, 'x'));
+  for (int i = 0; i < 50; ++i) ASSERT_TRUE((*outbound)->Send(reply));
+  (*outbound)->CloseWhenSent(grpc::Status(grpc::StatusCode::UNAVAILABLE, "stopping"));
+
+  server_->Shutdown(absl::Milliseconds(100));
+
+  EXPECT_TRUE(service_.ended.Pop(absl::ZeroDuration()).has_value());
+}
+
 TEST_F(ServerStreamTest, NothingIsHandledAfterTheEnd) {
   service_.refuse = true;
   Caller peer(Connect());

@@ -1,13 +1,19 @@
 #include "services/rpc/session_watch.h"
 
+#include <optional>
 #include <utility>
 
 #include "absl/strings/str_cat.h"
+#include "services/rpc/status_conversion.h"
 
 namespace rips::rpc {
 
-SessionWatch::SessionWatch(const Clock* clock, absl::Duration interval)
-    : clock_(clock), interval_(interval), thread_([this] { Run(); }) {}
+SessionWatch::SessionWatch(const Clock* clock, absl::Duration interval, CallGate* gate)
+    : clock_(clock),
+      interval_(interval),
+      only_times_(clock, nullptr, nullptr),
+      gate_(gate == nullptr ? &only_times_ : gate),
+      thread_([this] { Run(); }) {}
 
 SessionWatch::~SessionWatch() {
   {
@@ -18,11 +24,20 @@ SessionWatch::~SessionWatch() {
   thread_.join();
 }
 
+void SessionWatch::set_before_look(std::function<void()> before) {
+  MutexLock lock(&mu_);
+  before_look_ = std::move(before);
+}
+
 std::shared_ptr<SessionWatch::Session> SessionWatch::Add(
-    absl::Time not_after, std::function<void(const grpc::Status&)> close) {
+    Peer peer, std::function<void(const grpc::Status&)> close,
+    std::function<void(const grpc::Status&)> close_when_sent) {
   auto session = std::make_shared<Session>();
-  session->opened_boottime_ns = clock_->Now().boottime_ns;
-  session->not_after = not_after;
+  const Instant now = clock_->Now();
+  session->opened_boottime_ns = now.boottime_ns;
+  session->left = peer.not_after - absl::FromUnixNanos(now.unix_ns);
+  session->peer = std::move(peer);
+  session->close_when_sent = close_when_sent != nullptr ? std::move(close_when_sent) : close;
   session->close = std::move(close);
   MutexLock lock(&mu_);
   sessions_.push_back(session);
@@ -44,20 +59,32 @@ std::vector<std::shared_ptr<SessionWatch::Session>> SessionWatch::Live() {
 }
 
 void SessionWatch::CloseAll(const grpc::Status& status) {
-  for (const auto& session : Live()) session->close(status);
+  for (const auto& session : Live()) session->close_when_sent(status);
 }
 
 void SessionWatch::Look() {
-  const Instant now = clock_->Now();
+  std::function<void()> before;
+  {
+    MutexLock lock(&mu_);
+    before = before_look_;
+  }
+  if (before) before();
+  const int64_t now_ns = clock_->Now().boottime_ns;
   for (const auto& session : Live()) {
-    const int64_t open_ns = now.boottime_ns - session->opened_boottime_ns;
-    if (!session->greeted && open_ns > absl::ToInt64Nanoseconds(kHelloTimeout)) {
+    if (session->closed) continue;
+    const absl::Duration open = absl::Nanoseconds(now_ns - session->opened_boottime_ns);
+    std::optional<Refusal> refusal = gate_->Against(session->peer);
+    if (!refusal && open > session->left) {
+      refusal = Refusal{"expired", absl::UnauthenticatedError("the certificate has expired")};
+    }
+    if (refusal) {
+      session->closed = true;
+      session->close(ToGrpc(gate_->Refuse(*refusal, &session->peer, "")));
+    } else if (!session->greeted && open > kHelloTimeout) {
+      session->closed = true;
       session->close(
           grpc::Status(grpc::StatusCode::DEADLINE_EXCEEDED,
                        absl::StrCat("no hello within ", absl::FormatDuration(kHelloTimeout))));
-    } else if (absl::FromUnixNanos(now.unix_ns) > session->not_after) {
-      session->close(
-          grpc::Status(grpc::StatusCode::UNAUTHENTICATED, "the certificate has expired"));
     }
   }
 }

@@ -1,5 +1,10 @@
 // Ends streams that the library would keep for ever: those whose peer never says hello, and those
-// whose certificate has expired.
+// whose certificate has expired, was revoked or banned.
+//
+// A certificate ends at its notAfter by the wall clock, or when the time that was left of it at the
+// stream's opening has passed by CLOCK_BOOTTIME, whichever is first: a wall clock that is set back
+// does not prolong a stream. One that was ahead and is corrected ends a stream too early; the
+// peer connects again at once.
 #ifndef RIPS_SERVICES_RPC_SESSION_WATCH_H_
 #define RIPS_SERVICES_RPC_SESSION_WATCH_H_
 
@@ -14,6 +19,7 @@
 #include "absl/time/time.h"
 #include "grpcpp/support/status.h"
 #include "services/base/clock.h"
+#include "services/rpc/call_gate.h"
 #include "services/runtime/mutex.h"
 
 namespace rips::rpc {
@@ -27,22 +33,39 @@ class SessionWatch {
   struct Session {
     std::atomic<bool> greeted = false;
     int64_t opened_boottime_ns = 0;
-    absl::Time not_after;
+    // Of the certificate when the stream was opened.
+    absl::Duration left;
+    Peer peer;
+    // Was ended by Look: not a second time.
+    std::atomic<bool> closed = false;
     // Ends the stream; may be called after it has ended.
     std::function<void(const grpc::Status&)> close;
+    // As above, but after what waits to be written; null = `close`.
+    std::function<void(const grpc::Status&)> close_when_sent;
   };
 
-  // Looks every `interval`, on a thread of its own; InfiniteDuration = only when asked. `clock` is
-  // not owned and outlives this.
-  explicit SessionWatch(const Clock* clock, absl::Duration interval = absl::Milliseconds(500));
+  // Looks every `interval`, on a thread of its own; InfiniteDuration = only when asked. `clock` and
+  // `gate` are not owned and outlive this; without a gate only times count.
+  explicit SessionWatch(const Clock* clock, absl::Duration interval = absl::Milliseconds(500),
+                        CallGate* gate = nullptr);
   ~SessionWatch();
 
-  // Watched until the caller drops what is returned. `not_after` is by the wall clock, inclusive.
-  std::shared_ptr<Session> Add(absl::Time not_after,
-                               std::function<void(const grpc::Status&)> close);
-  // Ends what is due now: DEADLINE_EXCEEDED without a hello, UNAUTHENTICATED after `not_after`.
+  // Called before each look, on its thread: what must be fresh for it. Before the first Add.
+  void set_before_look(std::function<void()> before) ABSL_LOCKS_EXCLUDED(mu_);
+
+  // Who is at the other end of a call; see CallGate::Admit.
+  absl::StatusOr<Peer> Admit(const grpc::CallbackServerContext& context, Role role) {
+    return gate_->Admit(context, role);
+  }
+  CallGate& gate() { return *gate_; }
+  // Watched until the caller drops what is returned.
+  std::shared_ptr<Session> Add(
+      Peer peer, std::function<void(const grpc::Status&)> close,
+      std::function<void(const grpc::Status&)> close_when_sent = nullptr);
+  // Ends what is due now: DEADLINE_EXCEEDED without a hello, or as CallGate refuses the peer.
   void Look();
-  // Ends every stream with `status`.
+  // Ends every stream with `status`, after what waits to be written if its owner can do that: the
+  // lease that a stopping server grants must not be lost with the stream.
   void CloseAll(const grpc::Status& status);
 
  private:
@@ -51,7 +74,10 @@ class SessionWatch {
 
   const Clock* clock_;
   const absl::Duration interval_;
+  CallGate only_times_;
+  CallGate* const gate_;
   Mutex mu_;
+  std::function<void()> before_look_ ABSL_GUARDED_BY(mu_);
   CondVar stop_cond_;
   bool stopping_ ABSL_GUARDED_BY(mu_) = false;
   std::vector<std::weak_ptr<Session>> sessions_ ABSL_GUARDED_BY(mu_);

@@ -11,6 +11,7 @@
 namespace rips::rpc {
 namespace {
 
+using ::testing::ElementsAre;
 using ::testing::IsEmpty;
 using ::testing::SizeIs;
 
@@ -23,8 +24,9 @@ class SessionWatchTest : public ::testing::Test {
     std::shared_ptr<SessionWatch::Session> session;
   };
   void Add(Watched* watched, absl::Time not_after = absl::InfiniteFuture()) {
-    watched->session = watch_.Add(
-        not_after, [watched](const grpc::Status& status) { watched->ends.push_back(status); });
+    watched->session =
+        watch_.Add({.identity = {}, .not_after = not_after},
+                   [watched](const grpc::Status& status) { watched->ends.push_back(status); });
   }
   absl::Time Wall() const { return absl::FromUnixNanos(clock_.Now().unix_ns); }
 
@@ -107,6 +109,61 @@ TEST_F(SessionWatchTest, EndsAStreamWhoseCertificateExpiresWhileItLives) {
   EXPECT_THAT(longer.ends, IsEmpty());
 }
 
+TEST_F(SessionWatchTest, AWallClockSetBackProlongsNoCertificate) {
+  Watched session;
+  Add(&session, Wall() + absl::Hours(1));
+  session.session->greeted = true;
+
+  clock_.JumpUnix(-24 * 3600 * kNanosPerSecond);
+  watch_.Look();
+  EXPECT_THAT(session.ends, IsEmpty());
+  clock_.Advance(3600 * kNanosPerSecond + 1);
+  watch_.Look();
+
+  ASSERT_THAT(session.ends, SizeIs(1));
+  EXPECT_EQ(session.ends[0].error_message(), "the certificate has expired");
+}
+
+TEST_F(SessionWatchTest, AWallClockSetForwardEndsWhatIsExpiredByIt) {
+  Watched session;
+  Add(&session, Wall() + absl::Hours(1));
+  session.session->greeted = true;
+
+  clock_.JumpUnix(3600 * kNanosPerSecond + 1);
+  watch_.Look();
+
+  EXPECT_THAT(session.ends, SizeIs(1));
+}
+
+TEST_F(SessionWatchTest, EndsAStreamThatTheGateTurnsAgainstOnceAndCountsIt) {
+  Metrics metrics;
+  bool banned = false;
+  CallGate gate(
+      &clock_,
+      [&](const Peer&) -> std::optional<Refusal> {
+        if (!banned) return std::nullopt;
+        return Refusal{"banned", absl::PermissionDeniedError("the certificate is banned")};
+      },
+      &metrics);
+  SessionWatch watch(&clock_, absl::InfiniteDuration(), &gate);
+  std::vector<grpc::Status> ends;
+  const auto session =
+      watch.Add({.identity = {.role = Role::kActuator}, .not_after = absl::InfiniteFuture()},
+                [&](const grpc::Status& status) { ends.push_back(status); });
+  session->greeted = true;
+  watch.Look();
+  EXPECT_THAT(ends, IsEmpty());
+
+  banned = true;
+  watch.Look();
+  watch.Look();
+
+  ASSERT_THAT(ends, SizeIs(1));
+  EXPECT_EQ(ends[0].error_code(), grpc::StatusCode::PERMISSION_DENIED);
+  EXPECT_THAT(metrics.Text(),
+              testing::HasSubstr(R"(rips_refused_calls_total{reason="banned",role="actuator"} 1)"));
+}
+
 TEST_F(SessionWatchTest, ForgetsAStreamThatIsOver) {
   Watched over;
   Watched open;
@@ -123,11 +180,24 @@ TEST_F(SessionWatchTest, ForgetsAStreamThatIsOver) {
   EXPECT_EQ(open.ends[1].error_message(), "stopping");
 }
 
+TEST_F(SessionWatchTest, ClosesAllAfterWhatWaitsButCutsWhatIsDueAtOnce) {
+  std::vector<std::string> calls;
+  const auto session = watch_.Add(
+      {.identity = {}, .not_after = absl::InfiniteFuture()},
+      [&](const grpc::Status&) { calls.push_back("close"); },
+      [&](const grpc::Status&) { calls.push_back("close when sent"); });
+  watch_.CloseAll(grpc::Status(grpc::StatusCode::UNAVAILABLE, "stopping"));
+  EXPECT_THAT(calls, ElementsAre("close when sent"));
+  clock_.Advance(kHelloNs + 1);
+  watch_.Look();
+  EXPECT_THAT(calls, ElementsAre("close when sent", "close"));
+}
+
 TEST_F(SessionWatchTest, LooksByItselfAtTheInterval) {
   BoundedQueue<grpc::Status> ends({.capacity = 1});
   SessionWatch watch(&clock_, absl::Milliseconds(1));
-  const auto session =
-      watch.Add(absl::InfiniteFuture(), [&](const grpc::Status& status) { ends.Push(status); });
+  const auto session = watch.Add({.identity = {}, .not_after = absl::InfiniteFuture()},
+                                 [&](const grpc::Status& status) { ends.Push(status); });
 
   clock_.Advance(kHelloNs + 1);
 

@@ -5,6 +5,7 @@
 
 #include <cstddef>
 #include <deque>
+#include <optional>
 #include <utility>
 
 #include "absl/base/thread_annotations.h"
@@ -20,18 +21,23 @@ class StreamOutbound {
   // Messages waiting to be written, the one being written included; a peer that does not read is
   // cut off.
   static constexpr size_t kOutgoingMax = 4'096;
+  // Their serialized size, one message excepted.
+  static constexpr size_t kOutgoingBytesMax = size_t{64} << 20;
 
   explicit StreamOutbound(Reactor* reactor) : reactor_(reactor) {}
 
   // False if the call is ending. A full queue ends it with RESOURCE_EXHAUSTED.
   bool Send(Out message) ABSL_LOCKS_EXCLUDED(mu_) {
     MutexLock lock(&mu_);
-    if (reactor_ == nullptr || finishing_) return false;
-    if (outgoing_.size() >= kOutgoingMax) {
+    if (reactor_ == nullptr || finishing_ || last_words_.has_value()) return false;
+    const size_t bytes = BytesOf(message);
+    if (outgoing_.size() >= kOutgoingMax ||
+        (!outgoing_.empty() && outgoing_bytes_ + bytes > kOutgoingBytesMax)) {
       FinishLocked(grpc::Status(grpc::StatusCode::RESOURCE_EXHAUSTED,
                                 "the peer does not read what it is sent"));
       return false;
     }
+    outgoing_bytes_ += bytes;
     outgoing_.push_back(std::move(message));
     if (!writing_) WriteNextLocked();
     return true;
@@ -39,7 +45,13 @@ class StreamOutbound {
 
   bool open() const ABSL_LOCKS_EXCLUDED(mu_) {
     MutexLock lock(&mu_);
-    return reactor_ != nullptr && !finishing_;
+    return reactor_ != nullptr && !finishing_ && !last_words_.has_value();
+  }
+
+  // Messages waiting, the one being written included.
+  size_t waiting() const ABSL_LOCKS_EXCLUDED(mu_) {
+    MutexLock lock(&mu_);
+    return outgoing_.size();
   }
 
   // Ends the call and drops what waits. Only the first one counts. A peer that does not read learns
@@ -49,13 +61,26 @@ class StreamOutbound {
     FinishLocked(std::move(status));
   }
 
+  // Takes no more messages, writes those that wait, and ends the call with `status` then. A peer
+  // that does not read delays the end without limit: somebody must Close() such a call in the end,
+  // as a server's shutdown does after its grace. The first status counts, of whichever kind.
+  void CloseWhenSent(grpc::Status status) ABSL_LOCKS_EXCLUDED(mu_) {
+    MutexLock lock(&mu_);
+    if (reactor_ == nullptr || finishing_ || last_words_.has_value()) return;
+    last_words_ = std::move(status);
+    if (outgoing_.empty()) FinishLocked({});
+  }
+
   // From the reactor's OnWriteDone.
   void OnWritten(bool ok) ABSL_LOCKS_EXCLUDED(mu_) {
     MutexLock lock(&mu_);
     writing_ = false;
+    outgoing_bytes_ -= BytesOf(outgoing_.front());
     outgoing_.pop_front();  // only now may the message die
     if (!ok) return FinishLocked(grpc::Status(grpc::StatusCode::UNAVAILABLE, "write failed"));
-    if (!outgoing_.empty()) WriteNextLocked();
+    if (finishing_) return;
+    if (!outgoing_.empty()) return WriteNextLocked();
+    if (last_words_.has_value()) FinishLocked({});
   }
 
   // From the reactor's OnDone, before it is deleted.
@@ -65,6 +90,13 @@ class StreamOutbound {
   }
 
  private:
+  static size_t BytesOf(const Out& message) {
+    if constexpr (requires { message.ByteSizeLong(); }) {
+      return message.ByteSizeLong();
+    } else {
+      return 0;
+    }
+  }
   void WriteNextLocked() ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_) {
     writing_ = true;
     reactor_->StartWrite(&outgoing_.front());
@@ -73,7 +105,8 @@ class StreamOutbound {
     if (reactor_ == nullptr || finishing_) return;
     finishing_ = true;
     outgoing_.erase(outgoing_.begin() + (writing_ ? 1 : 0), outgoing_.end());
-    reactor_->Finish(std::move(status));
+    outgoing_bytes_ = writing_ ? BytesOf(outgoing_.front()) : 0;
+    reactor_->Finish(last_words_.has_value() ? *std::move(last_words_) : std::move(status));
   }
 
   mutable Mutex mu_;
@@ -81,8 +114,11 @@ class StreamOutbound {
   // The front one is being written while writing_, and stays where it is: only others are added
   // and erased, at the back.
   std::deque<Out> outgoing_ ABSL_GUARDED_BY(mu_);
+  size_t outgoing_bytes_ ABSL_GUARDED_BY(mu_) = 0;
   bool writing_ ABSL_GUARDED_BY(mu_) = false;
   bool finishing_ ABSL_GUARDED_BY(mu_) = false;
+  // What the call ends with once nothing waits.
+  std::optional<grpc::Status> last_words_ ABSL_GUARDED_BY(mu_);
 };
 
 }  // namespace rips::rpc

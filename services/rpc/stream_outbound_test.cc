@@ -90,6 +90,61 @@ TEST(StreamOutboundTest, OnlyTheFirstEndCounts) {
   EXPECT_EQ(message.use_count(), 1);
 }
 
+TEST(StreamOutboundTest, CloseWhenSentWritesWhatWaitsAndTakesNoMore) {
+  FakeReactor reactor;
+  FakeOutbound outbound(&reactor);
+  outbound.Send(MakeToken(1));
+  outbound.Send(MakeToken(2));
+
+  outbound.CloseWhenSent(grpc::Status(grpc::StatusCode::UNAVAILABLE, "stopping"));
+
+  EXPECT_FALSE(outbound.open());
+  EXPECT_FALSE(outbound.Send(MakeToken(3)));
+  EXPECT_TRUE(reactor.ends.empty()) << "two messages wait";
+  outbound.OnWritten(true);
+  EXPECT_THAT(reactor.writing, ElementsAre(1, 2));
+  EXPECT_TRUE(reactor.ends.empty()) << "one message waits";
+  outbound.OnWritten(true);
+  ASSERT_EQ(reactor.ends.size(), 1u);
+  EXPECT_EQ(reactor.ends[0].error_message(), "stopping");
+  outbound.Close(grpc::Status::OK);
+  outbound.CloseWhenSent(grpc::Status::OK);
+  EXPECT_EQ(reactor.ends.size(), 1u);
+}
+
+TEST(StreamOutboundTest, CloseWhenSentEndsAnIdleCallAtOnce) {
+  FakeReactor reactor;
+  FakeOutbound outbound(&reactor);
+  outbound.CloseWhenSent(grpc::Status(grpc::StatusCode::UNAVAILABLE, "stopping"));
+  ASSERT_EQ(reactor.ends.size(), 1u);
+  EXPECT_EQ(reactor.ends[0].error_message(), "stopping");
+}
+
+TEST(StreamOutboundTest, CloseCutsACallThatIsStillSending) {
+  FakeReactor reactor;
+  FakeOutbound outbound(&reactor);
+  outbound.Send(MakeToken(1));
+  outbound.Send(MakeToken(2));
+  outbound.CloseWhenSent(grpc::Status(grpc::StatusCode::UNAVAILABLE, "stopping"));
+
+  outbound.Close(grpc::Status::CANCELLED);  // as a shutdown does after its grace
+
+  ASSERT_EQ(reactor.ends.size(), 1u);
+  EXPECT_EQ(reactor.ends[0].error_message(), "stopping") << "the first status counts";
+  outbound.OnWritten(true);
+  EXPECT_THAT(reactor.writing, ElementsAre(1)) << "what waited was let go";
+}
+
+TEST(StreamOutboundTest, AWriteThatFailsEndsACallThatIsClosing) {
+  FakeReactor reactor;
+  FakeOutbound outbound(&reactor);
+  outbound.Send(MakeToken(1));
+  outbound.Send(MakeToken(2));
+  outbound.CloseWhenSent(grpc::Status(grpc::StatusCode::UNAVAILABLE, "stopping"));
+  outbound.OnWritten(false);
+  EXPECT_EQ(reactor.ends.size(), 1u);
+}
+
 TEST(StreamOutboundTest, AFailedWriteEndsTheCall) {
   FakeReactor reactor;
   FakeOutbound outbound(&reactor);
@@ -115,6 +170,35 @@ TEST(StreamOutboundTest, NothingReachesAReactorThatIsDone) {
   EXPECT_FALSE(outbound.open());
   EXPECT_TRUE(reactor.writing.empty());
   EXPECT_TRUE(reactor.ends.empty());
+}
+
+// As a message of protobuf says how long it is.
+struct Sized {
+  size_t bytes = 0;
+  size_t ByteSizeLong() const { return bytes; }
+};
+struct SizedReactor {
+  void StartWrite(const Sized*) {}
+  void Finish(grpc::Status status) { ends.push_back(std::move(status)); }
+  std::vector<grpc::Status> ends;
+};
+
+TEST(StreamOutboundTest, BytesThatWaitAreBoundedToo) {
+  SizedReactor reactor;
+  StreamOutbound<SizedReactor, Sized> outbound(&reactor);
+  constexpr size_t kMax = StreamOutbound<SizedReactor, Sized>::kOutgoingBytesMax;
+  EXPECT_TRUE(outbound.Send({2 * kMax})) << "one goes, whatever its length";
+  outbound.OnWritten(true);
+  for (int round = 0; round < 3; ++round) {
+    EXPECT_TRUE(outbound.Send({kMax / 2}));
+    EXPECT_TRUE(outbound.Send({kMax / 2}));
+    outbound.OnWritten(true);
+    outbound.OnWritten(true);
+  }
+  EXPECT_TRUE(outbound.Send({kMax}));
+  EXPECT_FALSE(outbound.Send({1}));
+  ASSERT_EQ(reactor.ends.size(), 1u);
+  EXPECT_EQ(reactor.ends[0].error_code(), grpc::StatusCode::RESOURCE_EXHAUSTED);
 }
 
 }  // namespace

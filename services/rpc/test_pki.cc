@@ -60,15 +60,29 @@ void TestPki::RenewServer(absl::string_view id) {
   RunScript(absl::StrCat("--renew server ", id), "server");
 }
 
+std::string TestPki::Revoke(const TlsFiles& files) {
+  RunScript(absl::StrCat("revoke ", files.cert), "ca");
+  return dir_ + "/crl.pem";
+}
+
+std::string TestPki::SignRevocations(int days) {
+  RunScript(absl::StrCat("--days ", days, " crl"), "ca");
+  return dir_ + "/crl.pem";
+}
+
 TlsFiles TestPki::Mint(const Special& special) {
   const TlsFiles files = FilesIn(special.folder);
   const std::string issuer = absl::StrCat(dir_, "/ca/", special.by_root ? "root" : "issuing");
+  const std::string at = special.age_seconds == 0
+                             ? ""
+                             : absl::StrCat("faketime -f ", special.age_seconds > 0 ? "-" : "+",
+                                            std::abs(special.age_seconds), "s ");
   const std::string san = special.san.empty() ? "" : "subjectAltName=" + special.san + "\\n";
   Run(absl::StrCat("set -e; mkdir ", dir_, "/", special.folder, "; cd ", dir_, "/", special.folder,
                    "; openssl ecparam -name prime256v1 -genkey -noout -out key.pem",
                    "; printf 'basicConstraints=CA:FALSE\\n", san, "' > ext",
-                   "; openssl req -new -key key.pem -subj /CN=special -out csr",
-                   "; openssl x509 -req -in csr -CA ", issuer, ".pem -CAkey ", issuer,
+                   "; openssl req -new -key key.pem -subj /CN=special -out csr", "; ", at,
+                   "openssl x509 -req -in csr -CA ", issuer, ".pem -CAkey ", issuer,
                    ".key -set_serial 0x$(openssl rand -hex 15) -days ", special.days,
                    " -sha256 -extfile ext -out cert.pem 2>/dev/null"));
   if (!special.by_root) Run(absl::StrCat("cat ", issuer, ".pem >> ", files.cert));

@@ -31,10 +31,17 @@ class TestPki {
     std::string san;
     bool by_root = false;  // signed by the root, whose names are not constrained
     int days = 1;          // 0 = expires at once
+    int age_seconds = 0;   // since the start of its life; negative = not valid yet
   };
   TlsFiles Mint(const Special& special);
   // Replaces the server's pair by a new one of the same identity, as a renewal does.
   void RenewServer(absl::string_view id = "ps1");
+
+  // Puts the leaf of `files` onto the revocation list, and returns the list's path. The list that
+  // is there is replaced at once.
+  std::string Revoke(const TlsFiles& files);
+  // Signs the list as it is, good for so many days.
+  std::string SignRevocations(int days = 30);
 
   const std::string& dir() const { return dir_; }
 

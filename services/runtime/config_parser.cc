@@ -4,6 +4,7 @@
 #include <utility>
 
 #include "absl/strings/ascii.h"
+#include "absl/strings/match.h"
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_join.h"
 #include "absl/strings/str_split.h"
@@ -258,6 +259,12 @@ absl::Status ConfigTree::Problems() {
 
 std::string ConfigTree::Format(const Problem& problem) const {
   constexpr size_t kShownBytesMax = 200;
+  // Errors end up in logs. The message may quote the text, too.
+  if (absl::StrContains(text_, "PRIVATE KEY-----")) {
+    return absl::StrCat(file_, ":", problem.place.line + 1,
+                        ": wrong, and not shown: the text holds a private key. Configuration names "
+                        "the file that a key stands in");
+  }
   const std::vector<absl::string_view> lines = absl::StrSplit(text_, '\n');
   const size_t index = static_cast<size_t>(problem.place.line);
   const absl::string_view line = index < lines.size() ? lines[index] : "";

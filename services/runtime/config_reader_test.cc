@@ -91,6 +91,23 @@ TEST(ConfigReaderTest, FillsAStruct) {
   EXPECT_THAT(config->steps, ElementsAre(Step{"one", 2}, Step{"two", 0}));
 }
 
+TEST(ConfigReaderTest, QuotesNothingOfATextThatHoldsAPrivateKey) {
+  for (const char* text : {"-----BEGIN PRIVATE KEY-----\nhidden\n-----END PRIVATE KEY-----\n",
+                           "robot: r1\nnonsense: |\n  -----BEGIN EC PRIVATE KEY-----\n  hidden\n",
+                           "robot: \"-----BEGIN PRIVATE KEY-----\\nhidden\"\nhidden: 1\n"}) {
+    ConfigReader reader("f.yaml", text);
+    std::string robot;
+    reader.root().Required("robot", &robot);
+    reader.root().Problem("robot", robot);
+
+    const absl::Status status = reader.Finish();
+
+    EXPECT_THAT(status, StatusIs(absl::StatusCode::kInvalidArgument,
+                                 AllOf(HasSubstr("f.yaml:"), HasSubstr("holds a private key"),
+                                       Not(HasSubstr("hidden")))));
+  }
+}
+
 TEST(ConfigReaderTest, KeepsDefaultsOfWhatIsAbsentOrANullSection) {
   const auto config = Parse(absl::StrCat(kGood, "outbox: null\n"));
 

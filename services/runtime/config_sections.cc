@@ -36,6 +36,10 @@ TlsFiles ReadTls(const ConfigSection& root) {
   ReadPath(tls, "ca", &files.ca);
   ReadPath(tls, "cert", &files.cert);
   ReadPath(tls, "key", &files.key);
+  tls.Optional("crl", &files.crl);
+  if (!files.crl.empty() && files.crl.front() != '/') {
+    tls.Problem("crl", absl::StrCat("`crl` is `", files.crl, "`; write an absolute path"));
+  }
   return files;
 }
 
@@ -44,6 +48,9 @@ DdsSettings ReadDds(const ConfigSection& root) {
   const ConfigSection dds = root.OptionalSection("dds");
   dds.Optional("domain", &settings.domain, {0, kDomainMax});
   dds.Optional("interface", &settings.interface);
+  dds.Optional("announce", &settings.announce);
+  dds.OptionalEnum<uint32_t>("gid_bytes", &settings.gid_bytes,
+                             {{"auto", 0}, {"16", 16}, {"24", 24}});
   const ConfigSection security = dds.OptionalSection("security");
   if (!security.present()) return settings;
   ReadPath(security, "keystore", &settings.keystore);

@@ -16,6 +16,8 @@ struct TlsFiles {
   std::string ca;    // the root certificate(s) to trust
   std::string cert;  // own certificate, then any intermediate ones
   std::string key;   // private key of `cert`
+  // Revocation lists: a file, or a directory of *.pem and *.crl; empty = nothing is revoked.
+  std::string crl;
   friend bool operator==(const TlsFiles&, const TlsFiles&) = default;
 };
 
@@ -24,12 +26,15 @@ struct DdsSettings {
   std::string interface;  // network interface; empty = Cyclone's choice
   std::string keystore;   // directory of the security enclaves; empty = no DDS security
   std::string enclave;    // `/rips/sensor`; set exactly when `keystore` is
+  bool announce = true;   // ROS tools see this process as node `/rips`
+  // Of a gid in what it announces, 16 or 24; 0 = as most ROS processes on the bus.
+  uint32_t gid_bytes = 0;
   friend bool operator==(const DdsSettings&, const DdsSettings&) = default;
 };
 
-// `tls: {ca, cert, key}`; all required, absolute.
+// `tls: {ca, cert, key, crl}`; all absolute and required, but for `crl`.
 TlsFiles ReadTls(const ConfigSection& root);
-// `dds: {domain, interface, security: null | {keystore, enclave}}`; optional.
+// `dds: {domain, interface, announce, gid_bytes, security: null | {keystore, enclave}}`; optional.
 DdsSettings ReadDds(const ConfigSection& root);
 // A required key whose value must be a name as in IsValidName; `what` is `robot id`.
 void ReadName(const ConfigSection& section, absl::string_view key, absl::string_view what,

@@ -39,6 +39,21 @@ TEST(ConfigSectionsTest, ReadsTlsAndDds) {
   EXPECT_THAT(reader.Finish(), IsOk());
 }
 
+TEST(ConfigSectionsTest, ReadsHowTheProcessIsAnnounced) {
+  const auto read = [](const std::string& text) {
+    ConfigReader reader("f.yaml", text);
+    const DdsSettings settings = ReadDds(reader.root());
+    EXPECT_THAT(reader.Finish(), IsOk()) << text;
+    return settings;
+  };
+  EXPECT_TRUE(read("dds: {}").announce);
+  EXPECT_EQ(read("dds: {}").gid_bytes, 0u);
+  EXPECT_FALSE(read("dds: {announce: false}").announce);
+  EXPECT_EQ(read("dds: {gid_bytes: 16}").gid_bytes, 16u);
+  EXPECT_EQ(read("dds: {gid_bytes: 24}").gid_bytes, 24u);
+  EXPECT_EQ(read("dds: {gid_bytes: auto}").gid_bytes, 0u);
+}
+
 TEST(ConfigSectionsTest, NamesWhatIsWrong) {
   struct Case {
     const char* text;
@@ -54,6 +69,8 @@ TEST(ConfigSectionsTest, NamesWhatIsWrong) {
        "missing key `dds.security.enclave`"},
       {"tls: {ca: /a, cert: /b, key: /c}\ndds: {security: {keystore: /k, enclave: e}}",
        "`enclave` must begin with `/`"},
+      {"tls: {ca: /a, cert: /b, key: /c}\ndds: {gid_bytes: 20}",
+       "`gid_bytes` is `20`; write `auto` or `16` or `24`"},
   };
   for (const Case& c : cases) {
     ConfigReader reader("f.yaml", c.text);

@@ -1,5 +1,6 @@
 #include "services/runtime/metrics.h"
 
+#include <algorithm>
 #include <exception>
 #include <utility>
 
@@ -11,8 +12,14 @@
 #include "prometheus/registry.h"
 #include "prometheus/text_serializer.h"
 #include "services/base/check.h"
+#include "services/runtime/log.h"
 
 namespace rips {
+namespace {
+
+constexpr absl::Duration kPageRetryMax = absl::Seconds(30);
+
+}  // namespace
 
 void Counter::Increment(double by) const {
   if (cell_ != nullptr) static_cast<prometheus::Counter*>(cell_)->Increment(by);
@@ -144,6 +151,64 @@ absl::StatusOr<std::unique_ptr<MetricsServer>> MetricsServer::Start(absl::string
   mg_get_server_ports(context, 1, &bound);
   server->address_ = absl::StrCat(address.substr(0, colon), ":", bound.port);
   return server;
+}
+
+// --- MetricsPage
+
+absl::StatusOr<std::unique_ptr<MetricsPage>> MetricsPage::Start(
+    const std::string& address, Metrics* metrics, MetricsServer::Ready ready,
+    const std::function<void(const absl::Status&)>& taken, absl::Duration first_delay) {
+  std::unique_ptr<MetricsPage> page(new MetricsPage(address, metrics, std::move(ready)));
+  page->failures_ = metrics->AddCounter("rips_metrics_bind_failures_total",
+                                        "Attempts to serve this page that found its port taken.");
+  const absl::Status served = page->TryToServe();
+  if (served.ok()) return page;
+  if (absl::IsInvalidArgument(served)) return served;
+  LogError("metrics are not served; trying again until they are", {{"reason", served.message()}});
+  if (taken) taken(served);
+  page->thread_ = std::thread([page = page.get(), first_delay] { page->Run(first_delay); });
+  return page;
+}
+
+MetricsPage::~MetricsPage() {
+  {
+    MutexLock lock(&mu_);
+    stopping_ = true;
+    stop_cond_.NotifyAll();
+  }
+  if (thread_.joinable()) thread_.join();
+}
+
+std::string MetricsPage::address() const {
+  MutexLock lock(&mu_);
+  return server_ == nullptr ? "" : server_->address();
+}
+
+absl::Status MetricsPage::TryToServe() {
+  auto server = MetricsServer::Start(wanted_, metrics_, ready_);
+  if (!server.ok()) {
+    failures_.Increment();
+    return server.status();
+  }
+  MutexLock lock(&mu_);
+  server_ = *std::move(server);
+  return absl::OkStatus();
+}
+
+void MetricsPage::Run(absl::Duration delay) {
+  while (true) {
+    {
+      MutexLock lock(&mu_);
+      while (!stopping_ && stop_cond_.WaitFor(lock, delay)) {
+      }
+      if (stopping_) return;
+    }
+    if (TryToServe().ok()) {
+      LogInfo("listening", {{"metrics", address()}});
+      return;
+    }
+    delay = std::min(2 * delay, kPageRetryMax);
+  }
 }
 
 }  // namespace rips

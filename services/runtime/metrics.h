@@ -6,10 +6,15 @@
 #include <map>
 #include <memory>
 #include <string>
+#include <thread>
+#include <utility>
 
+#include "absl/base/thread_annotations.h"
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
 #include "absl/strings/string_view.h"
+#include "absl/time/time.h"
+#include "services/runtime/mutex.h"
 
 namespace rips {
 
@@ -87,6 +92,40 @@ class MetricsServer {
   MetricsServer();
   std::unique_ptr<Http> http_;
   std::string address_;
+};
+
+// The page of a daemon, which works with or without it: while the address is taken it tries again,
+// after 1 s and then doubled up to 30 s, and says so in the log. Counted in
+// rips_metrics_bind_failures_total.
+class MetricsPage {
+ public:
+  // InvalidArgument for a bad address; no other errors. `taken` is called, here, if the first
+  // attempt failed; may be empty. `metrics` as in MetricsServer.
+  static absl::StatusOr<std::unique_ptr<MetricsPage>> Start(
+      const std::string& address, Metrics* metrics, MetricsServer::Ready ready,
+      const std::function<void(const absl::Status&)>& taken = {},
+      absl::Duration first_delay = absl::Seconds(1));
+  ~MetricsPage();
+
+  // Where it is served; empty if it is not, or not yet. Any thread.
+  std::string address() const ABSL_LOCKS_EXCLUDED(mu_);
+
+ private:
+  MetricsPage(std::string address, Metrics* metrics, MetricsServer::Ready ready)
+      : wanted_(std::move(address)), metrics_(metrics), ready_(std::move(ready)) {}
+  // Error: not served, for this reason.
+  absl::Status TryToServe() ABSL_LOCKS_EXCLUDED(mu_);
+  void Run(absl::Duration delay) ABSL_LOCKS_EXCLUDED(mu_);
+
+  const std::string wanted_;
+  Metrics* metrics_;
+  const MetricsServer::Ready ready_;
+  Counter failures_;
+  mutable Mutex mu_;
+  CondVar stop_cond_;
+  bool stopping_ ABSL_GUARDED_BY(mu_) = false;
+  std::unique_ptr<MetricsServer> server_ ABSL_GUARDED_BY(mu_);
+  std::thread thread_;  // only if the first attempt failed
 };
 
 }  // namespace rips

@@ -10,6 +10,7 @@
 #include "gmock/gmock.h"
 #include "gtest/gtest.h"
 #include "services/base/status_matchers.h"
+#include "services/runtime/real_clock.h"
 
 namespace rips {
 namespace {
@@ -107,6 +108,35 @@ TEST(MetricsServerTest, RefusesBadAndTakenAddresses) {
   ASSERT_THAT(first, IsOk());
   EXPECT_THAT(MetricsServer::Start((*first)->address(), &metrics, nullptr),
               StatusIs(absl::StatusCode::kUnavailable, HasSubstr("is the port in use?")));
+}
+
+TEST(MetricsPageTest, ATakenPortIsServedWhenItIsFree) {
+  Metrics others;
+  auto other = MetricsServer::Start("127.0.0.1:0", &others, nullptr);
+  ASSERT_THAT(other, IsOk());
+  const std::string address = (*other)->address();
+  Metrics metrics;
+  std::string told;
+
+  auto page = MetricsPage::Start(
+      address, &metrics, nullptr,
+      [&](const absl::Status& status) { told = std::string(status.message()); },
+      absl::Milliseconds(1));
+  ASSERT_THAT(page, IsOk());
+  EXPECT_THAT(told, HasSubstr("is the port in use?"));
+  EXPECT_EQ((*page)->address(), "");
+  other->reset();
+
+  const int64_t deadline_ns = BoottimeAfter(absl::Seconds(60));
+  while ((*page)->address().empty() && BoottimeNow() < deadline_ns) std::this_thread::yield();
+  ASSERT_EQ((*page)->address(), address);
+  EXPECT_THAT(Request(address, "GET /metrics"), HasSubstr("\nrips_metrics_bind_failures_total "));
+}
+
+TEST(MetricsPageTest, ABadAddressIsNotWaitedFor) {
+  Metrics metrics;
+  EXPECT_THAT(MetricsPage::Start("nowhere", &metrics, nullptr),
+              StatusIs(absl::StatusCode::kInvalidArgument));
 }
 
 }  // namespace

@@ -51,6 +51,13 @@ int SignalWaiter::WaitForShutdown() {
   return signal_;
 }
 
+bool SignalWaiter::WaitForShutdown(absl::Duration timeout) {
+  MutexLock lock(&mu_);
+  while (!ended_ && ended_cond_.WaitFor(lock, timeout)) {
+  }
+  return ended_;
+}
+
 void SignalWaiter::EndWait(int signal) {
   MutexLock lock(&mu_);
   if (ended_) return;

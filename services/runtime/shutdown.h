@@ -14,6 +14,7 @@
 #include <thread>
 
 #include "absl/base/thread_annotations.h"
+#include "absl/time/time.h"
 #include "services/runtime/mutex.h"
 
 namespace rips {
@@ -38,6 +39,8 @@ class SignalWaiter {
   // Blocks until SIGTERM or SIGINT came (at any time since construction) or RequestShutdown was
   // called. Returns the signal, or 0 for a request.
   int WaitForShutdown() ABSL_LOCKS_EXCLUDED(mu_);
+  // The same for at most `timeout`. True if it came.
+  bool WaitForShutdown(absl::Duration timeout) ABSL_LOCKS_EXCLUDED(mu_);
   // Ends WaitForShutdown from inside the process. Any thread.
   void RequestShutdown() ABSL_LOCKS_EXCLUDED(mu_) { EndWait(0); }
 

@@ -3,8 +3,9 @@
 
     unshare --net tests/bench/discovery_traffic.py BINARIES [PARTICIPANTS] [SECONDS]
 
-Processes with five topics each stand still, first alone and then with a sensor beside them. Run it
-in a network of its own, since it counts every packet there is.
+Processes with five topics each stand still, first alone, then with a sensor beside them that does not
+announce itself as a node, and then with one that does. Run it in a network of its own, since it
+counts every packet there is.
 """
 
 import os
@@ -37,18 +38,19 @@ def measured(seconds):
     return [b - a for a, b in zip(before, loopback())]
 
 
-def sensor_config(directory):
+def sensor_config(directory, announce):
     pki = directory / "pki"
-    for args in (["init"], ["sensor", "r1", "base"]):
-        subprocess.run([SOURCE / "deploy/pki/mint", "--dir", pki, "--trust-domain",
-                        "fleet.example", *args], check=True, stdout=subprocess.DEVNULL)
+    if not pki.exists():
+        for args in (["init"], ["sensor", "r1", "base"]):
+            subprocess.run([SOURCE / "deploy/pki/mint", "--dir", pki, "--trust-domain",
+                            "fleet.example", *args], check=True, stdout=subprocess.DEVNULL)
     files = pki / "sensor/r1/base"
-    config = directory / "sensor.yaml"
+    config = directory / f"sensor-{announce}.yaml"
     config.write_text(f"""robot: r1
 host: base
 servers: ["127.0.0.1:1"]
 tls: {{ca: {files}/ca.pem, cert: {files}/cert.pem, key: {files}/key.pem}}
-dds: {{domain: {DOMAIN}, interface: lo}}
+dds: {{domain: {DOMAIN}, interface: lo, announce: {announce}}}
 metrics: ""
 state_dir: {directory}
 """)
@@ -63,7 +65,7 @@ def main():
     os.environ["CYCLONEDDS_URI"] = URI
     processes = []
     with tempfile.TemporaryDirectory() as name:
-        config = sensor_config(pathlib.Path(name))
+        rows = []
         try:
             for i in range(participants):
                 topics = [f"rt/p{i}/t{j},std_msgs::msg::dds_::String_,reliable" for j in range(5)]
@@ -72,21 +74,26 @@ def main():
                     [binaries / "dds_peer", "--domain", DOMAIN, "--node", f"/n{i}", "--readers",
                      "1000", *(word for topic in topics for word in ("--publish", topic))],
                     stdout=subprocess.DEVNULL))
-            time.sleep(5)
-            alone = measured(seconds)
-            processes.append(subprocess.Popen([binaries / "rips-sensor", "--config", config],
-                                              stderr=subprocess.DEVNULL))
-            joining = measured(5)
-            beside = measured(seconds)
+            time.sleep(15)
+            rows.append(("alone", measured(seconds), seconds))
+            for announce in ("false", "true"):
+                config = sensor_config(pathlib.Path(name), announce)
+                sensor = subprocess.Popen([binaries / "rips-sensor", "--config", config],
+                                          stderr=subprocess.DEVNULL)
+                processes.append(sensor)
+                what = f"announce: {announce}"
+                rows.append((f"{what}, first 5 s", measured(5), 5))
+                rows.append((what, measured(seconds), seconds))
+                sensor.terminate()
+                sensor.wait()
+                time.sleep(5)
         finally:
             for process in processes:
                 process.kill()
                 process.wait()
     print(f"{participants} participants with 5 topics each, {seconds:g} s")
-    for what, (packets, size), duration in (("alone", alone, seconds),
-                                            ("with sensor", beside, seconds),
-                                            ("its first 5 s", joining, 5)):
-        print(f"{what:14} {packets / duration:8.1f} packets/s {size / duration:10.0f} bytes/s")
+    for what, (packets, size), duration in rows:
+        print(f"{what:28} {packets / duration:8.1f} packets/s {size / duration:10.0f} bytes/s")
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""What the manual says is so: rules/LANGUAGE.md and rules/PROTOTYPE.md.
+"""What the manual says is so: rules/LANGUAGE.md, rules/PROTOTYPE.md and README.md.
 
     manual_test.py RIPSCTL            checks; prints every breach
     manual_test.py RIPSCTL --update   rewrites the generated reference and what commands print; the
@@ -27,7 +27,7 @@ import sys
 import tempfile
 
 ROOT = pathlib.Path(__file__).resolve().parents[2]
-PAGES = ["rules/LANGUAGE.md", "rules/PROTOTYPE.md"]
+PAGES = ["rules/LANGUAGE.md", "rules/PROTOTYPE.md", "README.md"]
 SHOWN = {"sh", "text", "json"}
 LEVELS = "levels: DEFAULT; ALERT soft; COMPROMISED; HALT;\n"
 REACHED = "\nrules External: false ? trigger(ALERT), trigger(COMPROMISED), trigger(HALT);\n"

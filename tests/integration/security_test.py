@@ -9,6 +9,7 @@ import pathlib
 import shutil
 import struct
 import subprocess
+import signal
 import sys
 import time
 
@@ -287,8 +288,8 @@ def nodes_can_steer_with_permissions_that_allow_it(world):
 
 
 def bad_identities(world):
-    """Sensor and actuator do not start with files that are not theirs or no longer hold; they say
-    which, and end with 2."""
+    """Sensor and actuator do not join with files that are not theirs or no longer hold; they say
+    which, and wait for others or end with 2."""
     fleet = SecuredFleet(world)
     fleet.port = 1
     fleet.prepare()
@@ -296,9 +297,10 @@ def bad_identities(world):
 
     def refused(role, words):
         agent = fleet.start_agent(role, wait=False)
-        code = agent.child.wait(30)
-        agent.wait_for(lambda line: all(word in line for word in words), 5, f"{role} says {words}")
-        check(code == 2, f"{role} ended with {code}")
+        agent.wait_for(lambda line: all(word in line for word in words), 20, f"{role} says {words}")
+        time.sleep(0.2)
+        check(agent.running or agent.child.returncode == 2, f"{role}: {agent.child.returncode}")
+        agent.kill(signal.SIGKILL)
 
     for role in ("sensor", "actuator"):
         enclave = f"/rips/{role}"

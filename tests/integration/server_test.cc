@@ -7,6 +7,7 @@
 #include <string>
 
 #include "absl/strings/escaping.h"
+#include "absl/strings/match.h"
 #include "absl/strings/str_cat.h"
 #include "absl/time/clock.h"
 #include "gmock/gmock.h"
@@ -17,13 +18,16 @@
 #include "rips/v1/sensor.grpc.pb.h"
 #include "services/base/status_matchers.h"
 #include "services/rpc/bidi_client.h"
+#include "services/rpc/credentials.h"
 #include "services/rpc/test_pki.h"
 
 namespace rips {
 namespace {
 
 using ::testing::HasSubstr;
+using ::testing::MatchesRegex;
 using ::testing::SizeIs;
+using ::testing::StartsWith;
 
 constexpr char kIncarnation[] = "0123456789abcdef";
 
@@ -51,6 +55,7 @@ class ServerTest : public ::testing::Test {
     config_.tls = Pki().Server("ps1");
     config_.inventory = dir_ + "/robots.yaml";
     config_.bundles_source = RIPS_SOURCE_DIR "/rules";
+    config_.bundles_dir = dir_ + "/bundles";
     config_.store_path = dir_ + "/state.db";
     config_.alerts_file = dir_ + "/alerts.jsonl";
     config_.metrics = "127.0.0.1:0";
@@ -230,6 +235,177 @@ TEST_F(ServerTest, AViewerMayLookButNotChange) {
   }
 }
 
+// Asks for a level, on the connection of `stub`.
+grpc::Status ChangeLevel(rips::v1::OperatorService::Stub& stub, const std::string& to) {
+  rips::v1::LevelRequest request;
+  request.set_robot("r1");
+  request.set_to(to);
+  request.set_reason("trying");
+  rips::v1::LevelResponse response;
+  grpc::ClientContext context;
+  context.set_deadline(std::chrono::system_clock::now() + std::chrono::seconds(10));
+  return stub.Raise(&context, request, &response);
+}
+
+TEST_F(ServerTest, RecordsNameTheCertificateOfAnOrderAlsoOfARefusedOne) {
+  auto viewer = rips::v1::OperatorService::NewStub(Connect(Pki().Operator("viewer", "bob")));
+  auto admin = rips::v1::OperatorService::NewStub(Connect(Pki().Operator("admin", "carol")));
+  EXPECT_EQ(ChangeLevel(*viewer, "HALT").error_code(), grpc::StatusCode::PERMISSION_DENIED);
+  ASSERT_TRUE(ChangeLevel(*admin, "ALERT").ok());
+
+  rips::v1::ListTransitionsRequest request;
+  request.set_robot("r1");
+  rips::v1::ListTransitionsResponse records;
+  for (int i = 0; i < 200 && records.transitions_size() < 3; ++i) {  // a refusal is queued
+    grpc::ClientContext context;
+    SetDeadline(context);
+    ASSERT_TRUE(admin->ListTransitions(&context, request, &records).ok());
+  }
+  ASSERT_THAT(records.transitions(), SizeIs(3));  // the oldest is the first start
+  EXPECT_FALSE(records.transitions(0).refused());
+  EXPECT_THAT(
+      records.transitions(0).cause(),
+      MatchesRegex(
+          R"(operator carol \(spiffe://fleet\.example/operator/admin/carol serial [0-9a-f]+\))"));
+  EXPECT_TRUE(records.transitions(1).refused());
+  EXPECT_EQ(records.transitions(1).to(), "HALT");
+  EXPECT_THAT(records.transitions(1).cause(),
+              HasSubstr("operator bob (spiffe://fleet.example/operator/viewer/bob serial "));
+  EXPECT_THAT(records.transitions(1).reason(), HasSubstr("needs the role `operator`"));
+}
+
+TEST_F(ServerTest, AnExpiredCertificateGetsNothingOnAConnectionThatIsOpen) {
+  const TlsFiles brief = Pki().Mint({.folder = "brief-operator",
+                                     .san = "URI:spiffe://fleet.example/operator/admin/brief",
+                                     .age_seconds = 86'400 - 4});
+  const absl::Time not_after = rpc::ReadOwnCertificate(brief)->not_after;
+  auto stub = rips::v1::OperatorService::NewStub(Connect(brief));
+  ASSERT_TRUE(ChangeLevel(*stub, "ALERT").ok());
+  grpc::ClientContext watching;
+  SetDeadline(watching, 30);
+  auto watch = stub->WatchRobots(&watching, {});
+  rips::v1::RobotStatus status;
+  ASSERT_TRUE(watch->Read(&status));
+
+  while (watch->Read(&status)) {
+  }
+  EXPECT_EQ(watch->Finish().error_code(), grpc::StatusCode::UNAUTHENTICATED);
+  EXPECT_GE(absl::Now(), not_after);
+  EXPECT_LE(absl::Now(), not_after + absl::Seconds(4));
+
+  const grpc::Status refused = ChangeLevel(*stub, "HALT");
+  EXPECT_EQ(refused.error_code(), grpc::StatusCode::UNAUTHENTICATED);
+  EXPECT_EQ(refused.error_message(), "the certificate has expired");
+}
+
+TEST_F(ServerTest, ABanEndsStreamsAndLastsUntilItIsLifted) {
+  const std::string uri = "spiffe://fleet.example/robot/r1/sensor/base";
+  auto admin = rips::v1::OperatorService::NewStub(Connect(Pki().Operator("admin", "carol")));
+  auto other = rips::v1::OperatorService::NewStub(Connect(Pki().Operator("operator", "dave")));
+  const auto ban = [&](rips::v1::OperatorService::Stub& stub, const std::string& whom,
+                       const std::string& serial = "") {
+    rips::v1::BanRequest request;
+    request.set_uri(whom);
+    request.set_serial(serial);
+    request.set_reason("stolen");
+    rips::v1::BanResponse response;
+    grpc::ClientContext context;
+    SetDeadline(context);
+    return stub.Ban(&context, request, &response).error_code();
+  };
+  const auto unban = [&](const std::string& serial = "") {
+    rips::v1::UnbanRequest request;
+    request.set_uri(uri);
+    request.set_serial(serial);
+    rips::v1::UnbanResponse response;
+    grpc::ClientContext context;
+    SetDeadline(context);
+    return admin->Unban(&context, request, &response).error_code();
+  };
+  rips::v1::SensorReply reply;
+  Sensor sensor(Connect(Pki().Sensor()));
+  sensor.Hello();
+  ASSERT_TRUE(sensor.ReadUntil(rips::v1::SensorReply::kConfig, &reply));
+  EXPECT_EQ(ban(*other, uri), grpc::StatusCode::PERMISSION_DENIED);
+  EXPECT_EQ(ban(*admin, "spiffe://fleet.example/operator/admin/carol"),
+            grpc::StatusCode::INVALID_ARGUMENT);
+  EXPECT_EQ(ban(*admin, "r1"), grpc::StatusCode::INVALID_ARGUMENT);
+  EXPECT_EQ(ban(*admin, uri, "0FX"), grpc::StatusCode::INVALID_ARGUMENT);
+  EXPECT_EQ(unban(), grpc::StatusCode::NOT_FOUND);
+
+  ASSERT_EQ(ban(*admin, uri), grpc::StatusCode::OK);
+
+  EXPECT_EQ(sensor.End().error_code(), grpc::StatusCode::PERMISSION_DENIED);
+  Sensor again(Connect(Pki().Sensor()));
+  again.Hello();
+  EXPECT_EQ(again.End().error_message(), "the certificate is banned");
+  server_->Stop();
+  server_.reset();
+  ASSERT_NO_FATAL_FAILURE(Start());
+  Sensor after_restart(Connect(Pki().Sensor()));
+  after_restart.Hello();
+  EXPECT_EQ(after_restart.End().error_message(), "the certificate is banned");
+
+  admin = rips::v1::OperatorService::NewStub(Connect(Pki().Operator("admin", "carol")));
+  rips::v1::ListAgentsResponse listed;
+  grpc::ClientContext list;
+  SetDeadline(list);
+  ASSERT_TRUE(admin->ListAgents(&list, {}, &listed).ok());
+  ASSERT_THAT(listed.bans(), SizeIs(1));
+  EXPECT_EQ(listed.bans(0).reason(), "stolen");
+  EXPECT_THAT(listed.bans(0).by(), HasSubstr("/operator/admin/carol serial "));
+  ASSERT_EQ(unban(), grpc::StatusCode::OK);
+  Sensor back(Connect(Pki().Sensor()));
+  back.Hello();
+  EXPECT_TRUE(back.ReadUntil(rips::v1::SensorReply::kConfig, &reply));
+
+  // Of one certificate: another of the same identity is served.
+  ASSERT_EQ(ban(*admin, uri, "0123456789abcdef"), grpc::StatusCode::OK);
+  Sensor other_serial(Connect(Pki().Sensor()));
+  EXPECT_EQ(ban(*admin, uri, rpc::ReadOwnCertificate(Pki().Sensor())->serial),
+            grpc::StatusCode::OK);
+  EXPECT_EQ(back.End().error_code(), grpc::StatusCode::PERMISSION_DENIED);
+}
+
+TEST_F(ServerTest, ARevokedCertificateIsCutOffWhenTheListIsThere) {
+  rpc::TestPki pki;
+  server_->Stop();
+  server_.reset();
+  config_.store_path += "2";
+  config_.tls = pki.Server("ps1");
+  config_.tls.crl = pki.SignRevocations();
+  ASSERT_NO_FATAL_FAILURE(Start());
+  const TlsFiles files = pki.Sensor();
+  const TlsFiles operator_files = pki.Operator("operator", "dave");
+  Sensor sensor(Connect(files));
+  sensor.Hello();
+  rips::v1::SensorReply reply;
+  ASSERT_TRUE(sensor.ReadUntil(rips::v1::SensorReply::kConfig, &reply));
+  auto stub = rips::v1::OperatorService::NewStub(Connect(operator_files));
+  ASSERT_TRUE(ChangeLevel(*stub, "ALERT").ok());
+
+  pki.Revoke(files);
+  pki.Revoke(operator_files);
+
+  const grpc::Status end = sensor.End();
+  EXPECT_EQ(end.error_code(), grpc::StatusCode::UNAUTHENTICATED);
+  EXPECT_EQ(end.error_message(), "the certificate is revoked");
+  Sensor again(Connect(files));
+  again.Hello();
+  EXPECT_EQ(again.End().error_message(), "the certificate is revoked");
+  grpc::Status refused;
+  // The second list may come later; by then the robot may be at HALT already.
+  for (int i = 0; i < 100 && !absl::StrContains(refused.error_message(), "revoked"); ++i) {
+    refused = ChangeLevel(*stub, "HALT");
+    absl::SleepFor(absl::Milliseconds(50));
+  }
+  EXPECT_EQ(refused.error_message(), "the certificate is revoked");
+  Sensor actuator_is_not(Connect(pki.Sensor("r1", "laptop")));
+  actuator_is_not.Hello("laptop");
+  EXPECT_EQ(actuator_is_not.End().error_code(), grpc::StatusCode::PERMISSION_DENIED)
+      << "not listed in the inventory, and not revoked";
+}
+
 TEST_F(ServerTest, RefusesAForeignAuthorityAndNoCertificate) {
   rpc::TestPki foreign;
   TlsFiles mixed = foreign.Sensor();
@@ -403,7 +579,8 @@ TEST_F(ServerTest, ARestartKeepsTheLevelAndDrawsAHigherTerm) {
   ASSERT_TRUE(operators->GetLevel(&context, request, &level).ok());
   EXPECT_EQ(level.status().decided_level(), "COMPROMISED");
   EXPECT_EQ(level.status().mark().term(), 1u);
-  EXPECT_EQ(level.last().cause(), "operator al");
+  EXPECT_THAT(level.last().cause(),
+              StartsWith("operator al (spiffe://fleet.example/operator/operator/al serial "));
   EXPECT_EQ(level.last().reason(), "drill");
 }
 
@@ -417,10 +594,63 @@ TEST_F(ServerTest, SaysWhatIsWrongWithItsFiles) {
   config.inventory = dir_ + "/nowhere.yaml";
   EXPECT_THAT(server::Server::Start(config).status(),
               StatusIs(absl::StatusCode::kNotFound, HasSubstr("nowhere.yaml")));
-  config = config_;
-  config.bundles_source = dir_;
-  EXPECT_THAT(server::Server::Start(config).status(),
-              StatusIs(absl::StatusCode::kNotFound, HasSubstr("warehouse")));
+}
+
+TEST_F(ServerTest, ABundleThatCannotBeReadCostsItsRobotOnlyAndIsSaid) {
+  server_.reset();
+  config_.bundles_source = dir_;
+  Start();  // by the copy that was kept
+  auto operators = rips::v1::OperatorService::NewStub(Connect(Pki().Operator("viewer", "bob")));
+  const auto list = [&] {
+    grpc::ClientContext context;
+    SetDeadline(context);
+    rips::v1::ListRobotsResponse robots;
+    EXPECT_TRUE(operators->ListRobots(&context, {}, &robots).ok());
+    return robots;
+  };
+  ASSERT_THAT(list().robots(), SizeIs(1));
+  EXPECT_EQ(list().robots(0).decided_level(), "DEFAULT");
+
+  server_.reset();
+  config_.bundles_dir = dir_ + "/none";
+  Start();
+  operators = rips::v1::OperatorService::NewStub(Connect(Pki().Operator("viewer", "bob")));
+  ASSERT_THAT(list().robots(), SizeIs(1));
+  EXPECT_THAT(list().robots(0).degraded(0), HasSubstr("no policy"));
+  Sensor sensor(Connect(Pki().Sensor()));
+  sensor.Hello();
+  const grpc::Status end = sensor.End();
+  EXPECT_EQ(end.error_code(), grpc::StatusCode::FAILED_PRECONDITION);
+  EXPECT_THAT(end.error_message(), HasSubstr("no policy"));
+}
+
+TEST_F(ServerTest, ARobotThatIsRemovedWhileConnectedIsClosedWithWordsAndComesBack) {
+  Sensor sensor(Connect(Pki().Sensor()));
+  sensor.Hello();
+  rips::v1::SensorReply reply;
+  ASSERT_TRUE(sensor.ReadUntil(rips::v1::SensorReply::kConfig, &reply));
+  const auto list_robot = [&](const std::string& id) {
+    std::ofstream(dir_ + "/robots.yaml")
+        << "robots:\n  - {id: " << id
+        << ", bundle: warehouse, sensors: [{host: base, primary: true}], actuators: [base]}\n";
+    server_->Reload();
+  };
+  list_robot("r2");
+
+  const grpc::Status end = sensor.End();
+  EXPECT_EQ(end.error_code(), grpc::StatusCode::PERMISSION_DENIED);
+  EXPECT_THAT(end.error_message(), HasSubstr("robot `r1` was removed from the inventory"));
+  Sensor refused(Connect(Pki().Sensor()));
+  refused.Hello();
+  EXPECT_EQ(refused.End().error_code(), grpc::StatusCode::PERMISSION_DENIED);
+  Sensor other(Connect(Pki().Sensor("r2", "base")));
+  other.Hello();
+  EXPECT_TRUE(other.ReadUntil(rips::v1::SensorReply::kConfig, &reply));
+
+  list_robot("r1");
+  Sensor again(Connect(Pki().Sensor()));
+  again.Hello();
+  EXPECT_TRUE(again.ReadUntil(rips::v1::SensorReply::kConfig, &reply));
 }
 
 }  // namespace

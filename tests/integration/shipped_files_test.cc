@@ -2,6 +2,7 @@
 #include <filesystem>
 #include <fstream>
 #include <set>
+#include <sstream>
 #include <string>
 
 #include "absl/strings/str_replace.h"
@@ -41,6 +42,20 @@ TEST(ShippedFilesTest, ExampleConfigurationsAreAccepted) {
   EXPECT_THAT(actuator::CheckLevelsAgainstSmh(actuator->config, *smh), IsOk());
 }
 
+// Certificates have times; but a robot that does not know the time is watched and kept safe, too.
+TEST(ShippedFilesTest, AgentsAreOrderedAfterTheClockAndDoNotDependOnIt) {
+  for (const char* name : {"rips-actuator", "rips-sensor"}) {
+    std::istringstream unit(Read(std::string("deploy/systemd/") + name + ".service"));
+    bool ordered = false;
+    for (std::string line; std::getline(unit, line);) {
+      if (line.find("time-sync.target") == std::string::npos) continue;
+      EXPECT_EQ(line.rfind("After=", 0), 0u) << name << ": " << line;
+      ordered = true;
+    }
+    EXPECT_TRUE(ordered) << name;
+  }
+}
+
 // A policy with a plugin is complete only where the build has put it together.
 std::filesystem::path BundleOf(const std::filesystem::path& policy) {
   if (!std::filesystem::exists(policy / "manifest.yaml.in")) return policy;
@@ -68,11 +83,11 @@ TEST(ShippedFilesTest, PoliciesCompileWithoutWarnings) {
 // The rules in README.md are what a newcomer tries first.
 TEST(ShippedFilesTest, TheFirstRuleOfTheReadmeCompiles) {
   const std::string text = Read("README.md");
-  const size_t begin = text.find("```\nlevels:");
+  const size_t begin = text.find("```rul\nlevels:");
   ASSERT_NE(begin, std::string::npos);
-  const size_t end = text.find("```", begin + 4);
+  const size_t end = text.find("```", begin + 7);
   const std::vector<lang::SourceFile> files = {
-      {.path = "README.md", .text = text.substr(begin + 4, end - begin - 4)}};
+      {.path = "README.md", .text = text.substr(begin + 7, end - begin - 7)}};
 
   const lang::CompileResult result = lang::Compile(files);
 

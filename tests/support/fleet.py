@@ -121,6 +121,7 @@ class Fleet:
         self.exec = None
         self.port = None
         self.smh = SOURCE / "tests/support/robot_sim/smh.yaml"
+        self.levels = LEVELS  # of the bundle
         # Only loopback, whatever the caller's environment says; and whoever happens to be in the
         # same domain at the same time is neither seen nor sees us.
         self.env = {key: value for key, value in os.environ.items()
@@ -196,7 +197,7 @@ state_dir: {self.dir}/sensor
     enter:
       - {{system_mode: {{part: /safety, mode: {MODES.get(level, level)}}}, timeout: 4s, retries: 2}}
 {"".join(f"      - {step}{chr(10)}" for step in self.steps.get(level, []))}    leave: []
-""" for level in LEVELS)
+""" for level in self.levels)
         self.write("actuator.yaml", common("actuator") + f"""tls: {self.tls("actuator", "r1", "base")}
 state_dir: {self.dir}/actuator
 fail_safe: {{level: {self.fail_safe}, after: 0s}}
@@ -360,18 +361,23 @@ levels:
         return self.wait_level("DEFAULT", seconds)
 
 
-def metrics(process):
-    """The metrics page of a daemon: name to value, the values of all labels added up."""
+def page(process, path):
+    """What a daemon serves at `path` of its metrics address, as text."""
     _, address = process.wait_for(
         lambda line: re.search(r" listening .*?(?:metrics|address)=(127\.0\.0\.1:\d+)$", line), 15,
         f"{process.name} listens")
+    with urllib.request.urlopen(f"http://{address.group(1)}/{path}", timeout=10) as reply:
+        return reply.read().decode()
+
+
+def metrics(process):
+    """The metrics page of a daemon: name to value, the values of all labels added up."""
     values = {}
-    with urllib.request.urlopen(f"http://{address.group(1)}/metrics", timeout=10) as page:
-        for line in page.read().decode().splitlines():
-            if not line.startswith("#"):
-                name, _, value = line.rpartition(" ")
-                name = name.partition("{")[0]
-                values[name] = values.get(name, 0.0) + float(value)
+    for line in page(process, "metrics").splitlines():
+        if not line.startswith("#"):
+            name, _, value = line.rpartition(" ")
+            name = name.partition("{")[0]
+            values[name] = values.get(name, 0.0) + float(value)
     return values
 
 

@@ -6,6 +6,7 @@
 
 #include <cstdint>
 #include <string>
+#include <vector>
 
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
@@ -14,6 +15,7 @@
 #include "services/ros2/discovery_info.h"
 #include "services/runtime/config_sections.h"
 #include "tests/support/robot_sim/mode_machine.h"
+#include "tests/support/robot_sim/ros_messages.h"
 #include "tests/support/robot_sim/stop_flag.h"
 
 namespace rips::robot_sim {
@@ -26,6 +28,8 @@ struct RobotCommand {
   std::string system = "/safety";
   // The node that serves the modes; mode_manager calls itself /__mode_manager.
   std::string manager_node = "/safety";
+  // Parts that this process runs; empty = all.
+  std::vector<std::string> only;
   ManagerConduct conduct = ManagerConduct::kHonest;
   absl::Duration transition = absl::Milliseconds(150);
   // How long change_mode takes to answer.
@@ -33,6 +37,8 @@ struct RobotCommand {
   ros2::GidBytes gid_bytes = ros2::GidBytes::k24;
   // A further participant that sends BadDiscoveryMessages, one every 100 ms.
   bool bad_discovery = false;
+  // Of the camera's pictures.
+  ImageSize image;
   // A named pipe that is made, for orders to the robot (control.h); empty = none.
   std::string control;
 };

@@ -52,6 +52,8 @@ absl::Status Obey(const Words& words, Robot& robot) {
     robot.With([](ModeMachine& machine) { machine.RestoreModes(); });
   } else if (words.size() == 3 && verb == "mode" && words[1] == "remove") {
     robot.With([&](ModeMachine& machine) { machine.RemoveMode(words[2]); });
+  } else if (words == Words{"lens", "cover"} || words == Words{"lens", "clear"}) {
+    robot.CoverLens(words[1] == "cover");
   } else if (words.size() == 3 && verb == "pull") {
     robot.With([&](ModeMachine& machine) { machine.SetPull(words[1], words[2]); });
   } else if (words.size() == 3 && verb == "stuck" && (words[2] == "on" || words[2] == "off")) {

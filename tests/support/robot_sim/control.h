@@ -6,6 +6,7 @@
 //   mode remove NAME                            its file has no such mode of the system any more
 //   mode restore                                and has all of them again
 //   pull FROM TO                                it leaves mode FROM for TO, as its own rules would
+//   lens cover|clear                            the camera sees black, or its picture again
 //   stuck NODE on|off                           the node's transitions fail
 #ifndef RIPS_TESTS_SUPPORT_ROBOT_SIM_CONTROL_H_
 #define RIPS_TESTS_SUPPORT_ROBOT_SIM_CONTROL_H_

@@ -51,6 +51,8 @@ void AddRobot(CLI::App& app, RobotCommand& command, Run& run) {
   sub->add_option("--smh", command.smh_file, "System Modes file")->required();
   sub->add_option("--system", command.system, "the system whose modes are switched");
   sub->add_option("--manager-node", command.manager_node, "node that serves the modes");
+  sub->add_option("--only", command.only, "parts to run, such as /navigator; all if not given")
+      ->delimiter(',');
   const std::map<std::string, ManagerConduct> conducts = {{"honest", ManagerConduct::kHonest},
                                                           {"lie", ManagerConduct::kLie},
                                                           {"deceive", ManagerConduct::kDeceive},
@@ -63,6 +65,9 @@ void AddRobot(CLI::App& app, RobotCommand& command, Run& run) {
   AddMilliseconds(sub, "--answer-ms", command.answer_delay,
                   "how long change_mode takes to answer (0)");
   AddGidSize(sub, command.gid_bytes);
+  sub->add_option("--image-width", command.image.width, "pixels of the camera's pictures (160)")
+      ->check(CLI::Range(1, 4'096));
+  sub->add_option("--image-height", command.image.height, "(120)")->check(CLI::Range(1, 4'096));
   sub->add_option("--control", command.control, "named pipe to make, for orders to the robot");
   sub->add_flag("--bad-discovery", command.bad_discovery,
                 "also send malformed and foreign discovery messages")

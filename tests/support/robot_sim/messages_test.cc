@@ -59,13 +59,13 @@ TEST(RosMessagesTest, ImageIsCompleteCdr) {
   EXPECT_EQ(in.U32(), 1U);
   EXPECT_EQ(in.U32(), 500'000'000U);
   EXPECT_EQ(in.String(), "camera_link");
-  EXPECT_EQ(in.U32(), kImageHeight);
-  EXPECT_EQ(in.U32(), kImageWidth);
+  EXPECT_EQ(in.U32(), ImageSize().height);
+  EXPECT_EQ(in.U32(), ImageSize().width);
   EXPECT_EQ(in.String(), "rgb8");
   EXPECT_EQ(in.U8(), 0);
   const uint32_t step = in.U32();
   const uint32_t bytes = in.U32();
-  EXPECT_EQ(bytes, step * kImageHeight);
+  EXPECT_EQ(bytes, step * ImageSize().height);
   EXPECT_EQ(in.Octets(bytes).size(), bytes);
   EXPECT_THAT(in.Finish(), IsOk());
 }

@@ -5,6 +5,7 @@
 #include <utility>
 #include <variant>
 
+#include "absl/algorithm/container.h"
 #include "absl/strings/str_cat.h"
 #include "absl/strings/strip.h"
 #include "services/base/status_macros.h"
@@ -110,6 +111,7 @@ absl::StatusOr<std::unique_ptr<Robot>> Robot::Create(std::shared_ptr<const dds::
     return process;
   };
   for (const auto& [name, unused] : parts) {
+    if (!options.only.empty() && !absl::c_linear_search(options.only, name)) continue;
     RIPS_ASSIGN_OR_RETURN(RosProcess * process, process_named(ProcessOf(name)));
     RIPS_RETURN_IF_ERROR(robot->AddPart(*process, name));
   }
@@ -344,7 +346,7 @@ std::string Robot::Encode(const TopicSpec& spec, const NodeState& node, int64_t 
   constexpr double kScanMetres = 4;
   switch (spec.content) {
     case TopicSpec::Content::kImage:
-      return EncodeImage(unix_ns, frames_++);
+      return EncodeImage(unix_ns, frames_++, options_.image, lens_covered_);
     case TopicSpec::Content::kScan:
       return EncodeLaserScan(unix_ns, kScanMetres);
     case TopicSpec::Content::kTwist:
@@ -385,7 +387,9 @@ void Robot::CollectBeats(const Instant& now, std::vector<Outgoing>& out) {
 void Robot::CollectChanges(const Instant& now, std::vector<Outgoing>& out) {
   for (const auto& [name, node] : machine_.nodes()) {
     NodeState& told = told_nodes_[name];
-    const PartWriters& writers = part_writers_.at(name);
+    const auto own = part_writers_.find(name);
+    if (own == part_writers_.end()) continue;
+    const PartWriters& writers = own->second;
     if (told.active != node.active) {
       const ros2::LifecycleLabel via = Changing(node.active);
       out.push_back({writers.transition_event, EncodeTransitionEvent(Settled(told.active), via)});

@@ -36,6 +36,8 @@ namespace rips::robot_sim {
 
 struct RobotOptions {
   std::string manager_node = "/safety";
+  // Parts that run in this robot; empty = all. The others may run in another.
+  std::vector<std::string> only;
   ManagerConduct conduct = ManagerConduct::kHonest;
   // How long the manager takes to answer change_mode; the transition starts with the request.
   absl::Duration answer_delay = absl::ZeroDuration();
@@ -44,6 +46,8 @@ struct RobotOptions {
   // permissions of one enclave for each domain, a domain of its own that looks like the others
   // from outside (CYCLONEDDS_URI has an ExternalDomainId). Empty = without.
   std::string keystore;
+  // Of the camera.
+  ImageSize image;
 };
 
 // Step from one thread; services and subscriptions run on their own.
@@ -67,6 +71,8 @@ class Robot {
     MutexLock lock(&mu_);
     return change(machine_);
   }
+  // The camera sees nothing but black, or what it saw before.
+  void CoverLens(bool covered) { lens_covered_ = covered; }
   // The mode manager's process ends; one of the same name starts, which knows nothing. From the
   // thread of Step.
   void StopManager() ABSL_LOCKS_EXCLUDED(mu_);
@@ -123,6 +129,7 @@ class Robot {
   const RobotOptions options_;
   const RealClock clock_;
   std::atomic<int> orders_ = 0;
+  std::atomic<bool> lens_covered_ = false;
   std::atomic<int> direct_orders_ = 0;
   StopFlag closing_;
   mutable Mutex mu_;

@@ -122,10 +122,12 @@ absl::Status RunRobot(const RobotCommand& command, StopFlag& stop) {
   RIPS_ASSIGN_OR_RETURN(std::unique_ptr<Robot> robot,
                         Robot::Create(domain, std::move(machine),
                                       {.manager_node = command.manager_node,
+                                       .only = command.only,
                                        .conduct = command.conduct,
                                        .answer_delay = command.answer_delay,
                                        .gid_bytes = command.gid_bytes,
-                                       .keystore = command.keystore}));
+                                       .keystore = command.keystore,
+                                       .image = command.image}));
   std::unique_ptr<BadDiscoverySender> bad;
   if (command.bad_discovery) {
     RIPS_ASSIGN_OR_RETURN(bad, BadDiscoverySender::Create(domain));

@@ -74,16 +74,16 @@ void State(CdrWriter& out, const ros2::LifecycleLabel& state) {
 
 }  // namespace
 
-std::string EncodeImage(int64_t unix_ns, uint32_t frame) {
+std::string EncodeImage(int64_t unix_ns, uint32_t frame, ImageSize size, bool covered) {
   CdrWriter out;
   Header(out, unix_ns, "camera_link");
-  out.U32(kImageHeight);
-  out.U32(kImageWidth);
+  out.U32(size.height);
+  out.U32(size.width);
   out.String("rgb8");
   out.U8(0);
-  out.U32(kImageWidth * kBytesPerPixel);
-  std::string pixels(size_t{kImageWidth} * kImageHeight * kBytesPerPixel, '\0');
-  for (size_t i = 0; i < pixels.size(); ++i) {
+  out.U32(size.width * kBytesPerPixel);
+  std::string pixels(size_t{size.width} * size.height * kBytesPerPixel, '\0');
+  for (size_t i = 0; i < pixels.size() && !covered; ++i) {
     pixels[i] = static_cast<char>((i + frame) & 0xff);
   }
   out.U32(static_cast<uint32_t>(pixels.size()));

@@ -14,10 +14,13 @@
 
 namespace rips::robot_sim {
 
-// sensor_msgs/msg/Image, rgb8, 160 x 120; `frame` shifts the picture.
-inline constexpr uint32_t kImageWidth = 160;
-inline constexpr uint32_t kImageHeight = 120;
-std::string EncodeImage(int64_t unix_ns, uint32_t frame);
+// Pixels of a picture.
+struct ImageSize {
+  uint32_t width = 160;
+  uint32_t height = 120;
+};
+// sensor_msgs/msg/Image, rgb8; `frame` shifts the picture. Black if the lens is covered.
+std::string EncodeImage(int64_t unix_ns, uint32_t frame, ImageSize size = {}, bool covered = false);
 
 // sensor_msgs/msg/LaserScan: 360 rays around the robot, `distance` metres each.
 std::string EncodeLaserScan(int64_t unix_ns, double distance);

@@ -1,8 +1,9 @@
 // A cgroup for each run, so that all of its processes can be killed, wherever they went.
 //
-// Only cgroup v2 can (cgroup.kill, Linux 5.14). No controller is switched on.
-#ifndef RIPS_MODE_ACTUATOR_EXEC_RUN_CGROUPS_H_
-#define RIPS_MODE_ACTUATOR_EXEC_RUN_CGROUPS_H_
+// Only cgroup v2 can (cgroup.kill, Linux 5.14). No controller is switched on; limits are set where
+// the parent has switched the controller on.
+#ifndef RIPS_SERVICES_RUNTIME_RUN_CGROUPS_H_
+#define RIPS_SERVICES_RUNTIME_RUN_CGROUPS_H_
 
 #include <atomic>
 #include <cstdint>
@@ -15,7 +16,7 @@
 #include "absl/time/time.h"
 #include "services/runtime/unique_fd.h"
 
-namespace rips::actuator {
+namespace rips {
 
 // How long killed processes may take to be gone; one in an uninterruptible call takes longer.
 inline constexpr absl::Duration kGoneWait = absl::Seconds(1);
@@ -38,6 +39,8 @@ class RunCgroup {
   // Processes in it and below. 0 also if it cannot be told.
   int Count() const;
   bool Populated() const;
+  // At most so many tasks and so much memory. False if one of the controllers is not switched on.
+  bool Limit(uint64_t tasks, uint64_t memory_bytes) const;
   // SIGKILL to every process in it and below.
   void Kill() const;
 
@@ -48,12 +51,12 @@ class RunCgroup {
 // Any thread.
 class RunCgroups {
  public:
-  // Below `parent`, or below our own cgroup if that is empty, in a directory that `key` names: who
-  // gave the same key is our predecessor. What it has left there is killed and removed, and its
+  // Below `parent`, or below our own cgroup if that is empty, in a directory of this `name`: who
+  // gave the same name is our predecessor. What it has left there is killed and removed, and its
   // processes are counted in `*left_behind`. FailedPrecondition or NotFound, saying why, if cgroups
   // cannot be used.
   static absl::StatusOr<std::unique_ptr<RunCgroups>> Open(const std::string& parent,
-                                                          absl::string_view key, int* left_behind);
+                                                          absl::string_view name, int* left_behind);
   ~RunCgroups();
 
   absl::StatusOr<std::unique_ptr<RunCgroup>> Make();
@@ -66,6 +69,6 @@ class RunCgroups {
   std::atomic<uint64_t> next_ = 1;
 };
 
-}  // namespace rips::actuator
+}  // namespace rips
 
-#endif  // RIPS_MODE_ACTUATOR_EXEC_RUN_CGROUPS_H_
+#endif  // RIPS_SERVICES_RUNTIME_RUN_CGROUPS_H_

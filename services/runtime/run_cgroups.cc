@@ -1,4 +1,4 @@
-#include "mode_actuator/exec/run_cgroups.h"
+#include "services/runtime/run_cgroups.h"
 
 #include <dirent.h>
 #include <fcntl.h>
@@ -19,7 +19,7 @@
 #include "services/base/status_macros.h"
 #include "services/runtime/real_clock.h"
 
-namespace rips::actuator {
+namespace rips {
 namespace {
 
 constexpr char kRunPrefix[] = "run-";
@@ -158,20 +158,30 @@ bool RunCgroup::Populated() const {
   return absl::StrContains(ReadText(path_ + "/cgroup.events"), "populated 1");
 }
 
+bool RunCgroup::Limit(uint64_t tasks, uint64_t memory_bytes) const {
+  const auto set = [this](const char* name, uint64_t value) {
+    const UniqueFd file(open(absl::StrCat(path_, "/", name).c_str(), O_WRONLY | O_CLOEXEC));
+    const std::string text = absl::StrCat(value);
+    return write(file.get(), text.data(), text.size()) == static_cast<ssize_t>(text.size());
+  };
+  const bool tasks_set = set("pids.max", tasks);
+  return set("memory.max", memory_bytes) && tasks_set;
+}
+
 void RunCgroup::Kill() const {
   const UniqueFd file(open((path_ + "/cgroup.kill").c_str(), O_WRONLY | O_CLOEXEC));
   [[maybe_unused]] const ssize_t written = write(file.get(), "1", 1);
 }
 
 absl::StatusOr<std::unique_ptr<RunCgroups>> RunCgroups::Open(const std::string& parent,
-                                                             absl::string_view key,
+                                                             absl::string_view name,
                                                              int* left_behind) {
   std::string above = parent;
   if (above.empty()) {
     RIPS_ASSIGN_OR_RETURN(
         above, FindCgroup(ReadText("/proc/self/mountinfo"), ReadText("/proc/self/cgroup")));
   }
-  const std::string path = absl::StrCat(above, "/rips-exec-", key);
+  const std::string path = absl::StrCat(above, "/", name);
   if (mkdir(path.c_str(), 0755) != 0 && errno != EEXIST) {
     return CannotUse(above, absl::StrCat("cannot make a cgroup below it: ", std::strerror(errno)));
   }
@@ -197,4 +207,4 @@ absl::StatusOr<std::unique_ptr<RunCgroup>> RunCgroups::Make() {
   }
 }
 
-}  // namespace rips::actuator
+}  // namespace rips

@@ -1,0 +1,61 @@
+// Keeps one robot's agents and rules from filling the log: per robot, a burst of lines and then so
+// many a second; what is left out is counted and told with the next line.
+#ifndef RIPS_POLICY_SERVER_PIPELINE_LOG_LIMITER_H_
+#define RIPS_POLICY_SERVER_PIPELINE_LOG_LIMITER_H_
+
+#include <algorithm>
+#include <chrono>
+#include <cstddef>
+#include <cstdint>
+#include <optional>
+#include <string>
+#include <utility>
+
+#include "absl/base/thread_annotations.h"
+#include "absl/container/btree_map.h"
+#include "services/runtime/mutex.h"
+
+namespace rips::pipeline {
+
+// Any thread. Robots are those of the inventory or of valid certificates; beyond kRobotsMax all
+// others share one place.
+class LogLimiter {
+ public:
+  static constexpr double kBurst = 50;
+  static constexpr double kPerSecond = 1;
+  static constexpr size_t kRobotsMax = 4'096;
+
+  // Lines of this robot left out since the last one that was written; nullopt: leave this one out.
+  std::optional<uint64_t> Admit(const std::string& robot) ABSL_LOCKS_EXCLUDED(mu_) {
+    const auto now = std::chrono::steady_clock::now().time_since_epoch();
+    return Admit(robot, std::chrono::duration<double>(now).count());
+  }
+  // The same at a given time, seconds.
+  std::optional<uint64_t> Admit(const std::string& robot, double now_s) ABSL_LOCKS_EXCLUDED(mu_) {
+    MutexLock lock(&mu_);
+    const bool known = robots_.contains(robot) || robots_.size() < kRobotsMax;
+    Bucket& bucket =
+        robots_.try_emplace(known ? robot : "", Bucket{kBurst, now_s, 0}).first->second;
+    bucket.tokens = std::min(kBurst, bucket.tokens + (now_s - bucket.refilled_s) * kPerSecond);
+    bucket.refilled_s = now_s;
+    if (bucket.tokens < 1) {
+      ++bucket.left_out;
+      return std::nullopt;
+    }
+    bucket.tokens -= 1;
+    return std::exchange(bucket.left_out, 0);
+  }
+
+ private:
+  struct Bucket {
+    double tokens = 0;
+    double refilled_s = 0;
+    uint64_t left_out = 0;
+  };
+  Mutex mu_;
+  absl::btree_map<std::string, Bucket> robots_ ABSL_GUARDED_BY(mu_);
+};
+
+}  // namespace rips::pipeline
+
+#endif  // RIPS_POLICY_SERVER_PIPELINE_LOG_LIMITER_H_

@@ -1,0 +1,54 @@
+#include "policy_server/pipeline/robot_parts.h"
+
+#include <algorithm>
+#include <utility>
+
+#include "absl/strings/str_cat.h"
+
+namespace rips::pipeline {
+namespace {
+
+constexpr size_t kParticipantsKept = 8;
+
+}  // namespace
+
+bool SensorHost::HasBacklog() const {
+  return session &&
+         std::any_of(session->spooled.begin(), session->spooled.end(),
+                     [this](const SpooledRange& range) {
+                       return sequences.Judged(range.incarnation, range.lane) < range.last_sequence;
+                     });
+}
+
+absl::Status SensorHost::TakeSnapshot(const std::string& incarnation,
+                                      const GraphSnapshotSeen& snapshot) {
+  ros2::RosGraph taken;
+  if (absl::Status status = taken.Apply(snapshot.content); !status.ok()) return status;
+  graph = std::move(taken);
+  graph_incarnation = incarnation;
+  graph_version = snapshot.version;
+  settled = snapshot.settled;
+  return absl::OkStatus();
+}
+
+absl::Status SensorHost::TakeDelta(const std::string& incarnation, const GraphDeltaSeen& delta) {
+  if (delta.to_version <= graph_version) return absl::OkStatus();
+  if (delta.from_version != graph_version) {
+    return absl::InvalidArgumentError(absl::StrCat(
+        "graph delta starts at version ", delta.from_version, ", held is ", graph_version));
+  }
+  if (absl::Status status = graph.Apply(delta.delta); !status.ok()) return status;
+  graph_incarnation = incarnation;
+  graph_version = delta.to_version;
+  settled = settled || delta.settled;
+  return absl::OkStatus();
+}
+
+void TakeParticipant(const ros2::Guid& participant, std::deque<ros2::Guid>& known) {
+  if (participant.none()) return;
+  known.erase(std::remove(known.begin(), known.end(), participant), known.end());
+  known.push_back(participant);
+  if (known.size() > kParticipantsKept) known.pop_front();
+}
+
+}  // namespace rips::pipeline

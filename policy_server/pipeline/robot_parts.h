@@ -1,0 +1,182 @@
+// What a robot's core remembers of its hosts, its messages and its operators.
+#ifndef RIPS_POLICY_SERVER_PIPELINE_ROBOT_PARTS_H_
+#define RIPS_POLICY_SERVER_PIPELINE_ROBOT_PARTS_H_
+
+#include <cstddef>
+#include <cstdint>
+#include <deque>
+#include <memory>
+#include <optional>
+#include <string>
+#include <tuple>
+#include <utility>
+#include <vector>
+
+#include "absl/container/btree_map.h"
+#include "absl/status/status.h"
+#include "policy_server/engine/evaluator.h"
+#include "policy_server/pipeline/coverage.h"
+#include "policy_server/pipeline/drill_run.h"
+#include "policy_server/pipeline/graph_health.h"
+#include "policy_server/pipeline/inbound.h"
+#include "policy_server/pipeline/level_order.h"
+#include "policy_server/pipeline/links.h"
+#include "policy_server/pipeline/second_holder.h"
+#include "policy_server/pipeline/sensor_health.h"
+#include "policy_server/pipeline/sequence_track.h"
+#include "services/ros2/guid.h"
+
+namespace rips::pipeline {
+
+struct SensorSession {
+  std::shared_ptr<SensorLink> link;
+  std::string incarnation;
+  // Server time minus the sensor's boottime, fixed at Hello.
+  int64_t boottime_offset_ns = 0;
+  int64_t unix_offset_ns = 0;
+  int64_t heard_ns = 0;
+  int64_t peer_boottime_ns = 0;
+  uint32_t domain = 0;
+  // Announced in Hello: evidence is incomplete until judged up to here.
+  std::vector<SpooledRange> spooled;
+  uint64_t judged_bytes = 0;
+  uint64_t granted_bytes = 0;
+  uint64_t judged_payload_bytes = 0;
+  uint64_t granted_payload_bytes = 0;
+  // Ids; what it uses is what it says.
+  std::string interest_wanted;
+  std::string interest_in_use;
+  // Why it does not use the one wanted; printable.
+  std::string interest_problem;
+  ClockSkew skew;
+};
+
+// A sensor host of the inventory, with or without a session.
+struct SensorHost {
+  std::string name;
+  std::optional<SensorSession> session;
+  SequenceTrack sequences;
+  // Of the incarnation whose graph is held.
+  std::string graph_incarnation;
+  uint64_t graph_version = 0;
+  // Collects an unsettled snapshot; becomes the robot's graph when settled.
+  ros2::RosGraph graph;
+  bool settled = false;
+  bool lost = false;
+  int64_t gone_since_ns = 0;
+  SecondHolder second;
+  // Up to where observations are judged and their effects durable.
+  SequenceTrack durable;
+  RestartCount restarts;
+  RecentLosses losses;
+  SensorStateSeen state;
+  // When it said what `state` says of inputs, by its own clock.
+  int64_t state_boottime_ns = 0;
+  // As an actuator's, below.
+  std::deque<ros2::Guid> participants;
+
+  // Observations that were announced in its hello are not judged yet.
+  bool HasBacklog() const;
+  // The graph as the sensor of `incarnation` tells it. InvalidArgument: it makes no sense.
+  absl::Status TakeSnapshot(const std::string& incarnation, const GraphSnapshotSeen& snapshot);
+  absl::Status TakeDelta(const std::string& incarnation, const GraphDeltaSeen& delta);
+};
+
+struct ActuatorSession {
+  std::shared_ptr<ActuatorLink> link;
+  int64_t heard_ns = 0;
+  int64_t peer_boottime_ns = 0;
+  ActuatorBeat beat;
+};
+
+// An actuator host of the inventory, with or without a session.
+struct ActuatorHost {
+  std::optional<ActuatorSession> session;
+  // The newest it said, oldest first; they stand while it is away. More than one: on the bus a
+  // process that was killed goes on until its lease ends, and is no stranger for that.
+  std::deque<ros2::Guid> participants;
+  // As it said last.
+  std::vector<std::string> protected_parts;
+  std::optional<uint64_t> drifts;
+  std::vector<std::string> degraded;
+  // Why it held a level of its own, as told last; empty = it did not.
+  std::string floor_told;
+  bool lost = false;
+  int64_t gone_since_ns = 0;
+  SecondHolder second;
+  // It has had a session since this process began.
+  bool met = false;
+};
+
+// Keeps the newest participants of an agent.
+void TakeParticipant(const ros2::Guid& participant, std::deque<ros2::Guid>& known);
+
+// A message batch, how far it is judged, and the verdicts of its messages.
+struct WaitingBatch {
+  uint64_t ticket = 0;
+  std::string host;
+  std::shared_ptr<SensorLink> link;
+  std::shared_ptr<const Batch> batch;
+  int64_t arrived_ns = 0;
+  // Observations before this one are judged.
+  size_t judged = 0;
+  // Under which it was asked.
+  std::shared_ptr<const engine::Program> program;
+  // By observation, then by index of the program's inspections; empty where none is needed.
+  std::vector<std::vector<engine::Verdict>> verdicts;
+  // Observations before this one have been looked at.
+  size_t asked = 0;
+  // Answers that have not come.
+  size_t waiting = 0;
+};
+
+// Message batches in the order they came; only the first is being judged.
+struct MessageLine {
+  std::deque<WaitingBatch> batches;
+  uint64_t last_ticket = 0;
+  bool advancing = false;
+};
+
+// What is not seen of the robot, and what of that has been told.
+struct Sight {
+  // Why the robot is not seen, as of the last UpdateBlind.
+  std::vector<std::string> blind;
+  BlindAlarm blind_alarm;
+  std::optional<size_t> blind_counted;
+  GraphHealth graph_health;
+  // What graph_health was found from: revision, number of actuator_hellos, domain.
+  std::tuple<uint64_t, uint64_t, uint32_t> graph_examined = {};
+  uint64_t actuator_hellos = 0;
+  // When it was told that the graph is truncated; nullopt = it was not, lately.
+  std::optional<int64_t> truncation_told_ns;
+  // The sensor is not asked for its graph again before.
+  int64_t next_recovery_ns = 0;
+  CutPayloads cut_payloads;
+  // Of the graph whose endpoints were counted last, and participants of RIPS.
+  uint64_t counted_revision = 0;
+  std::vector<ros2::Guid> counted_without;
+};
+
+// An operator's order whose decision is not durable yet.
+struct WaitingOrder {
+  std::string request_id;
+  LevelReply reply;
+  LevelAnswer answer;
+};
+
+struct LevelOrders {
+  // Waiting for their decision to be durable, by its mark.
+  absl::btree_map<Mark, WaitingOrder> waiting;
+  // The newest answers by request id, oldest first.
+  std::deque<std::pair<std::string, LevelAnswer>> answered;
+};
+
+struct RunningDrill {
+  DrillOrder order;
+  DrillRun run;
+  DrillReply reply;
+};
+
+}  // namespace rips::pipeline
+
+#endif  // RIPS_POLICY_SERVER_PIPELINE_ROBOT_PARTS_H_

@@ -1,0 +1,73 @@
+#include "services/rpc/call_gate.h"
+
+#include "absl/strings/str_cat.h"
+#include "services/runtime/log.h"
+
+namespace rips::rpc {
+
+CallGate::CallGate(const Clock* clock, Judge judge, Metrics* metrics)
+    : clock_(clock), judge_(std::move(judge)), metrics_(metrics) {
+  // There from the start, so that a first refusal is an increase.
+  for (const char* reason : {"unidentified", "expired", "revoked", "banned", "role", "claim"}) {
+    for (const Role role : {Role::kSensor, Role::kActuator, Role::kOperator}) {
+      Count(reason, RoleName(role), 0);
+    }
+  }
+}
+
+void CallGate::Count(const char* reason, absl::string_view role, double by) {
+  if (metrics_ == nullptr) return;
+  metrics_
+      ->AddCounter("rips_refused_calls_total",
+                   "Calls and streams refused for who their peer is, by why.",
+                   {{"reason", reason}, {"role", std::string(role)}})
+      .Increment(by);
+}
+
+std::optional<Refusal> CallGate::Against(const Peer& peer) const {
+  const absl::Time now = absl::FromUnixNanos(clock_->Now().unix_ns);
+  if (now > peer.not_after) {
+    return Refusal{"expired", absl::UnauthenticatedError("the certificate has expired")};
+  }
+  return judge_ ? judge_(peer) : std::nullopt;
+}
+
+absl::StatusOr<Peer> CallGate::Admit(const grpc::CallbackServerContext& context, Role role) {
+  const std::string address = context.peer();
+  absl::StatusOr<Peer> peer = PeerOf(*context.auth_context());
+  if (!peer.ok()) return Refuse({"unidentified", peer.status()}, nullptr, address);
+  if (peer->identity.role != role) {
+    const std::string text =
+        absl::StrCat("the certificate is not ", role == Role::kSensor ? "a " : "an ",
+                     RoleName(role), "'s: ", ToString(peer->identity));
+    return Refuse({"role", absl::PermissionDeniedError(text)}, &*peer, address);
+  }
+  if (const auto refusal = Against(*peer)) return Refuse(*refusal, &*peer, address);
+  if (on_admitted_) on_admitted_(*peer);
+  return peer;
+}
+
+absl::Status CallGate::Refuse(const Refusal& refusal, const Peer* peer, absl::string_view address) {
+  const std::string role = peer == nullptr ? "unknown" : std::string(RoleName(peer->identity.role));
+  Count(refusal.reason, role, 1);
+  uint64_t unlogged = 0;
+  {
+    MutexLock lock(&mu_);
+    const int64_t now_ns = clock_->Now().boottime_ns;
+    const auto [at, fresh] = logged_.try_emplace({role, refusal.reason}, now_ns, 0);
+    if (!fresh && now_ns - at->second.first < kNanosPerSecond) {
+      ++at->second.second;
+      return refusal.status;
+    }
+    unlogged = at->second.second;
+    at->second = {now_ns, 0};
+  }
+  LogWarning("refused", {{"reason", refusal.reason},
+                         {"peer", peer == nullptr ? "unknown" : Describe(*peer)},
+                         {"address", address},
+                         {"status", refusal.status.ToString()},
+                         {"more_not_logged", unlogged}});
+  return refusal.status;
+}
+
+}  // namespace rips::rpc

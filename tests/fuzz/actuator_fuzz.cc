@@ -1,0 +1,55 @@
+// Whatever an actuator sends: its hello, receipts and heartbeats are decoded within their limits or
+// refused, and what is decoded of them is printable where people read it.
+#include <cstddef>
+#include <cstdint>
+#include <string>
+
+#include "policy_server/dispatch/actuator_codec.h"
+#include "services/base/check.h"
+
+namespace rips::dispatch {
+namespace {
+
+void Hello(const rips::v1::ActuatorHello& wire) {
+  const auto hello = DecodeHello(wire);
+  if (!hello.ok()) return;
+  RIPS_CHECK(hello->levels.size() <= 64 && hello->programs.size() <= 1'000 &&
+                 hello->protected_parts.size() <= 256,
+             "past a limit");
+}
+
+void Receipt(const rips::v1::Receipt& wire) {
+  const auto receipt = DecodeReceipt(wire);
+  if (!receipt.ok()) return;
+  RIPS_CHECK(receipt->command_id.size() == 32, "no id of a command");
+  RIPS_CHECK(receipt->output_tail.size() <= 64 << 10 && receipt->steps.size() <= 256,
+             "past a limit");
+  for (const pipeline::StepReport& step : receipt->steps) {
+    RIPS_CHECK(step.output_tail.size() <= 4 << 10, "past the limit of a step");
+  }
+  RIPS_CHECK(DecodeReceipt(wire).value() == *receipt, "the same receipt is decoded otherwise");
+}
+
+void Beat(const rips::v1::ActuatorHeartbeat& wire) {
+  const pipeline::ActuatorBeat beat = DecodeBeat(wire);
+  RIPS_CHECK(beat.boottime_ns >= 0, "a negative time");
+  RIPS_CHECK(beat.degraded.size() <= pipeline::kActuatorDegradedMax, "past a limit");
+  for (const std::string& line : beat.degraded) {
+    RIPS_CHECK(line.size() <= pipeline::kActuatorDegradedBytesMax, "past the limit of a line");
+    for (const char c : line) {
+      RIPS_CHECK(static_cast<unsigned char>(c) >= 0x20 && c != 0x7f, "not printable");
+    }
+  }
+}
+
+}  // namespace
+}  // namespace rips::dispatch
+
+extern "C" int LLVMFuzzerTestOneInput(const uint8_t* data, size_t size) {
+  rips::v1::ActuatorMessage message;
+  if (!message.ParseFromArray(data, static_cast<int>(size))) return 0;
+  if (message.has_hello()) rips::dispatch::Hello(message.hello());
+  if (message.has_receipt()) rips::dispatch::Receipt(message.receipt());
+  if (message.has_heartbeat()) rips::dispatch::Beat(message.heartbeat());
+  return 0;
+}
