@@ -32,21 +32,22 @@ size_t Read(const pipeline::Batch& batch) {
     RIPS_CHECK(either || (message == nullptr) == control, "an observation in the other lane");
     if (message == nullptr) continue;
     RIPS_CHECK(message->payload.size() <= message->size_bytes, "more bytes than there were");
+    sum += Touch(message->payload);
     sum += Touch(message->topic) + Touch(message->type) + Touch(message->sender);
   }
   return sum;
 }
 
 // A stream: each message is a length of two bytes, little endian, and a SensorMessage.
-std::vector<rips::v1::SensorMessage> Messages(absl::string_view input) {
-  std::vector<rips::v1::SensorMessage> out;
+std::vector<v1::SensorMessage> Messages(absl::string_view input) {
+  std::vector<v1::SensorMessage> out;
   while (input.size() >= 2 && out.size() < kMessagesMax) {
     const size_t size = static_cast<unsigned char>(input[0]) |
                         static_cast<size_t>(static_cast<unsigned char>(input[1])) << 8;
     input.remove_prefix(2);
     const absl::string_view bytes = input.substr(0, size);
     input.remove_prefix(bytes.size());
-    rips::v1::SensorMessage message;
+    v1::SensorMessage message;
     if (message.ParseFromArray(bytes.data(), static_cast<int>(bytes.size()))) {
       out.push_back(std::move(message));
     }
@@ -55,16 +56,21 @@ std::vector<rips::v1::SensorMessage> Messages(absl::string_view input) {
 }
 
 // What became of each message, until one is refused.
-std::vector<std::string> Decode(const std::vector<rips::v1::SensorMessage>& messages) {
+std::vector<std::string> Decode(const std::vector<v1::SensorMessage>& messages) {
   std::vector<std::string> out;
   std::vector<pipeline::Batch> batches;
   auto decoder = std::make_unique<ObservationDecoder>();
-  for (const rips::v1::SensorMessage& message : messages) {
+  for (const v1::SensorMessage& message : messages) {
     if (message.has_hello()) {
       const auto hello = DecodeHello(message.hello());
       out.push_back(hello.status().ToString());
     } else if (message.has_heartbeat()) {
       RIPS_CHECK(DecodeBeat(message.heartbeat()).clock.boottime_ns >= 0, "a negative time");
+    } else if (message.has_chunk()) {
+      v1::PayloadChunk chunk = message.chunk();
+      const absl::Status taken = decoder->TakeChunk(chunk);
+      out.push_back(taken.ToString());
+      if (!taken.ok()) break;  // the stream is closed
     } else if (message.has_batch()) {
       absl::StatusOr<pipeline::Batch> batch = decoder->Decode(message.batch());
       out.push_back(batch.status().ToString());
