@@ -65,6 +65,7 @@ ExecutorOptions MakeExecutorOptions(const Config& config) {
   for (const LevelSpec& level : config.levels) {
     if (!level.on_drift.empty()) options.on_drift.insert(level.name);
   }
+  options.survey = !ModeTargets(config.levels).empty();
   if (config.fail_safe_level != "keep") options.fail_safe = config.fail_safe_level;
   options.fail_safe_after_ns = absl::ToInt64Nanoseconds(config.fail_safe_after);
   options.floor_hold_ns = absl::ToInt64Nanoseconds(config.floor_hold);
@@ -110,6 +111,15 @@ absl::Status MakeDirectory(const std::string& path) {
   }
   return absl::UnavailableError(
       absl::StrCat("cannot make the state directory `", path, "`: ", std::strerror(errno)));
+}
+
+void LogOutcome(const LevelOutcome& outcome) {
+  if (outcome.kind == JobKind::kSurvey) {
+    LogWarning("surveyed the robot", {{"observed", outcome.observed},
+                                      {"level", outcome.shown.empty() ? "none" : outcome.shown}});
+  } else if (!outcome.reached) {
+    LogWarning("not reached", {{"detail", outcome.detail}});
+  }
 }
 
 void LogDegraded(const std::vector<std::string>& before, const std::vector<std::string>& now) {
@@ -477,7 +487,7 @@ void Agent::Impl::Handle(Input input, int64_t now_ns) {
   } else if (std::holds_alternative<Connected>(input)) {
     receipts_.NewSession();
   } else if (auto* outcome = std::get_if<LevelOutcome>(&input)) {
-    if (!outcome->reached) LogWarning("not reached", {{"detail", outcome->detail}});
+    LogOutcome(*outcome);
     Do(executor_->OnOutcome(*outcome, now_ns), now_ns);
   } else if (auto* persisted = std::get_if<Persisted>(&input)) {
     if (!persisted->status.ok()) {
@@ -497,6 +507,8 @@ void Agent::Impl::Do(Actions actions, int64_t now_ns) {
     if (auto* apply = std::get_if<ApplyLevel>(&action)) {
       if (apply->kind == JobKind::kOnDrift) {
         LogWarning("left too often: running on_drift steps", {{"level", apply->to}});
+      } else if (apply->kind == JobKind::kSurvey) {
+        LogInfo("surveying the robot before a level is applied");
       } else if (apply->kind != JobKind::kCheck) {
         LogInfo("applying level", {{"from", apply->from}, {"to", apply->to}});
       }

@@ -11,6 +11,7 @@ namespace rips::actuator {
 namespace {
 
 constexpr int64_t kPersistRetryNs = kNanosPerSecond;
+constexpr absl::string_view kStateLost = "state lost";
 
 std::string Quote(absl::string_view text) {
   return absl::StrCat("`", absl::CHexEscape(text.substr(0, 100)), "`");
@@ -56,7 +57,7 @@ void Executor::Load(const absl::StatusOr<ActuatorState>& loaded, int64_t now_ns)
   const int safe = options_.fail_safe.has_value() ? LevelIndex(*options_.fail_safe) : -1;
   effective_ = std::max(effective, safe);
   if (effective_ < 0) effective_ = last;
-  RaiseFloor(effective_, "state lost", now_ns);
+  RaiseFloor(effective_, std::string(kStateLost), now_ns);
 }
 
 int Executor::LevelIndex(absl::string_view name) const {
@@ -68,9 +69,30 @@ int Executor::LevelIndex(absl::string_view name) const {
 
 Actions Executor::Start(int64_t now_ns) {
   Actions actions;
+  const bool may_show_more = floor_ + 1 < static_cast<int>(options_.levels.size());
+  if (options_.survey && decided_ < 0 && may_show_more) StartSurvey(now_ns, actions);
   Reconcile(now_ns, actions);
   Persist(actions);
   return actions;
+}
+
+void Executor::StartSurvey(int64_t now_ns, Actions& actions) {
+  job_ = Job{++attempt_, JobKind::kSurvey, floor_};
+  survey_attempt_ = attempt_;
+  survey_end_ns_ = now_ns + kSurveyNsMax;
+  actions.push_back(ApplyLevel{.attempt = attempt_, .kind = JobKind::kSurvey});
+}
+
+void Executor::OnSurveyed(const LevelOutcome& outcome) {
+  survey_attempt_.reset();
+  if (surveying()) {
+    job_.reset();
+    observed_ = outcome.observed;
+  }
+  const int shown = LevelIndex(outcome.shown);
+  if (shown <= floor_) return;
+  floor_ = shown;  // the same loss: it does not count as a repeat
+  floor_reason_ = std::string(kStateLost);
 }
 
 // --- commands
@@ -234,7 +256,7 @@ Actions Executor::OnPersisted(uint64_t sequence, const absl::Status& status, int
     dirty_ = true;  // the disk may hold the lowering all the same
     Receipt receipt = MakeReceipt(command, Receipt::Stage::kFailed);
     receipt.detail = absl::StrCat("the lowering cannot be recorded: ", status.message());
-    actions.push_back(SendReceipt{std::move(receipt)});  // not remembered: it may be sent again
+    actions.emplace_back(SendReceipt{std::move(receipt)});  // not remembered: it may be sent again
     return actions;
   }
   Adopt(command, actions);
@@ -290,7 +312,7 @@ int64_t Executor::FloorHold(int64_t now_ns) const {
 }
 
 void Executor::TryLiftFloor(int64_t now_ns) {
-  if (floor_ < 0 || decided_ < 0 || pending_.has_value() || dirty_) return;
+  if (floor_ < 0 || decided_ < 0 || pending_.has_value() || dirty_ || surveying()) return;
   if (!LeaseLive(now_ns) || lease_term_ != highest_term_ || !evidence_complete_) return;
   if (!live_since_ns_.has_value() || now_ns - *live_since_ns_ < FloorHold(now_ns)) return;
   floor_ = -1;
@@ -302,6 +324,7 @@ void Executor::TryLiftFloor(int64_t now_ns) {
 Actions Executor::OnTick(int64_t now_ns) {
   Actions actions;
   CheckLease(now_ns);
+  if (surveying() && now_ns >= survey_end_ns_) job_.reset();
   TryLiftFloor(now_ns);
   Reconcile(now_ns, actions);
   if (dirty_ && settled_sequence_ == sequence_ && now_ns >= persist_retry_ns_) Persist(actions);
@@ -355,6 +378,11 @@ void Executor::StartJob(JobKind kind, int to, Actions& actions) {
 
 Actions Executor::OnOutcome(const LevelOutcome& outcome, int64_t now_ns) {
   Actions actions;
+  if (survey_attempt_ == outcome.attempt) {
+    OnSurveyed(outcome);
+    Reconcile(now_ns, actions);
+    return actions;
+  }
   if (!job_.has_value() || job_->attempt != outcome.attempt) return actions;
   const Job job = *job_;
   job_.reset();

@@ -24,6 +24,22 @@
 // |                                                |                            | recorded too  |
 // After ACKNOWLEDGED comes VERIFIED (a lowering: at `to`; else at `to` or above), FAILED (and
 // perhaps VERIFIED later: trying goes on), or SUPERSEDED by a newer decision.
+//
+// The recorded state is lost if there is none, if it is corrupt, or if it names no decision or a
+// level that is not in `levels`. What a start does then:
+// | known of the robot                    | floor ("state lost")                  | first job   |
+// | the level it was held at              | that one, or fail_safe if higher      | survey      |
+// | nothing                               | fail_safe                             | survey      |
+// | nothing, and fail_safe is `keep`      | the last level                        | enters it   |
+// A floor at the last level, or a robot without system modes, needs no survey. A survey reads back
+// which level the robot's parts show (mode_survey.h); no level is entered before
+// | the survey                            | then                                                |
+// | shows a level above the floor         | the floor rises to that level and is entered        |
+// | shows a lower level, or none          | the floor is entered                                |
+// | is not over after kSurveyNsMax        | the floor is entered; a late result can raise it    |
+// | is overtaken by a SetLevel above the  | that level is entered at once; the result, which is |
+// | floor                                 | what was read until then, can raise the floor       |
+// Without a decision each later start is such a start again.
 #ifndef RIPS_MODE_ACTUATOR_EXECUTOR_H_
 #define RIPS_MODE_ACTUATOR_EXECUTOR_H_
 
@@ -51,6 +67,8 @@ namespace rips::actuator {
 inline constexpr int64_t kLeaseNsMax = 10 * 60 * kNanosPerSecond;
 // What a restarted actuator waits for its first lease before it counts as lost.
 inline constexpr int64_t kStartGraceNs = 15 * kNanosPerSecond;
+// A survey (kSurveyTime of its own) that takes longer no longer holds back the floor.
+inline constexpr int64_t kSurveyNsMax = 3 * kNanosPerSecond;
 // Floors raised within this time double the wait before the next one lifts, up to kFloorHoldNsMax.
 inline constexpr int64_t kFloorMemoryNs = 10 * 60 * kNanosPerSecond;
 inline constexpr int64_t kFloorHoldNsMax = 5 * 60 * kNanosPerSecond;
@@ -66,6 +84,7 @@ struct ExecutorOptions {
   int64_t floor_hold_ns = 10 * kNanosPerSecond;
   int64_t reconcile_ns = 2 * kNanosPerSecond;
   std::set<std::string> on_drift;  // levels that have such steps
+  bool survey = false;             // levels set system modes, which can be read back
 };
 
 // --- inputs
@@ -91,14 +110,17 @@ enum class JobKind {
   kRetry,    // as the last kEnter, without the programs that have succeeded
   kCheck,    // only read back
   kOnDrift,  // the on_drift steps of `to`
+  kSurvey,   // read back which level the robot shows, whatever it is
 };
 
 struct LevelOutcome {
   uint64_t attempt = 0;
-  bool reached = false;  // read back
+  JobKind kind = JobKind::kEnter;
+  bool reached = false;  // read back; of a survey: the robot shows a level
   std::vector<StepResult> steps;
   std::string detail;    // why not
   std::string observed;  // `/safety=ALERT`
+  std::string shown;     // of a survey: the level that the robot shows; empty = none
 };
 
 // --- actions
@@ -147,14 +169,14 @@ class Executor {
                                          const absl::StatusOr<ActuatorState>& loaded,
                                          int64_t now_ns);
 
-  // Once, first: re-applies the effective level.
+  // Once, first: re-applies the effective level, after a survey if the state was lost.
   Actions Start(int64_t now_ns);
   Actions OnSetLevel(const SetLevelCommand& command, int64_t now_ns);
   // Fencing for commands that are not levels: false if `term` is stale.
   bool AdmitTerm(uint64_t term);
   // False if the grant was ignored: stale term, older echo than known, an echo from the future.
   bool OnLease(const LeaseGrant& lease, int64_t now_ns);
-  // Outcomes of jobs that were replaced are ignored.
+  // Outcomes of jobs that were replaced are ignored, except of a survey.
   Actions OnOutcome(const LevelOutcome& outcome, int64_t now_ns);
   Actions OnPersisted(uint64_t sequence, const absl::Status& status, int64_t now_ns);
   // At least every 100 ms.
@@ -186,6 +208,8 @@ class Executor {
   int LevelIndex(absl::string_view name) const;  // -1 = unknown
   int target() const { return decided_ > floor_ ? decided_ : floor_; }
   bool LeaseLive(int64_t now_ns) const { return lease_term_ > 0 && now_ns < lease_end_ns_; }
+  // Nothing is entered before the survey's answer.
+  bool surveying() const { return job_.has_value() && job_->kind == JobKind::kSurvey; }
 
   Receipt MakeReceipt(const Command& command, Receipt::Stage stage) const;
   void Send(Receipt receipt, Actions& actions);
@@ -205,6 +229,8 @@ class Executor {
   // What to do for the level that was entered last, if anything.
   std::optional<JobKind> NextJob(int goal, int64_t now_ns);
   void StartJob(JobKind kind, int to, Actions& actions);
+  void StartSurvey(int64_t now_ns, Actions& actions);
+  void OnSurveyed(const LevelOutcome& outcome);
   void OnReached(const LevelOutcome& outcome, int level, int64_t now_ns, Actions& actions);
   void OnMissed(const LevelOutcome& outcome, const Job& job, int64_t now_ns, Actions& actions);
   // Tells the held command's fate if `level`, just reached or missed, is what it asks for.
@@ -239,6 +265,8 @@ class Executor {
 
   std::optional<Job> job_;
   uint64_t attempt_ = 0;
+  std::optional<uint64_t> survey_attempt_;  // until its outcome has come
+  int64_t survey_end_ns_ = 0;
   int position_ = -1;      // level whose enter steps began last; -1 = none yet
   int entered_from_ = -1;  // the position before that
   bool verified_ = false;

@@ -21,6 +21,12 @@ class ExecutorRig {
   static ExecutorOptions Options() {
     return {.levels = {"DEFAULT", "ALERT", "COMPROMISED", "HALT"}, .fail_safe = "ALERT"};
   }
+  // As above, of a robot whose modes can be read back.
+  static ExecutorOptions WithSurvey() {
+    ExecutorOptions options = Options();
+    options.survey = true;
+    return options;
+  }
   static ActuatorState At(const std::string& level, Mark mark = {1, 1}) {
     return {.mark = mark, .decided = level, .effective = level, .highest_term = mark.term};
   }
@@ -40,6 +46,7 @@ class ExecutorRig {
   bool lease = false;  // a lease every 500 ms
   bool evidence = true;
   uint64_t term = 1;
+  std::string robot;  // the level that was reached last; empty before the first
 
   // --- inputs
   void Level(const std::string& to, Mark mark, std::optional<Mark> based_on = std::nullopt,
@@ -68,10 +75,22 @@ class ExecutorRig {
     FinishJob(job, reached, std::move(detail));
   }
   void FinishJob(const ApplyLevel& job, bool reached, std::string detail = "") {
+    if (reached && job.kind != JobKind::kCheck) robot = job.to;
     Do(executor_.OnOutcome({.attempt = job.attempt,
                             .reached = reached,
                             .detail = std::move(detail),
                             .observed = absl::StrCat("/safety=", reached ? job.to : "?")},
+                           now_ns_));
+  }
+  // The survey that was begun last ends; the robot shows the level `shown`, or none.
+  void FinishSurvey(const std::string& shown) {
+    ASSERT_TRUE(survey_.has_value()) << "no survey was begun";
+    const ApplyLevel survey = *std::exchange(survey_, std::nullopt);
+    Do(executor_.OnOutcome({.attempt = survey.attempt,
+                            .kind = JobKind::kSurvey,
+                            .reached = !shown.empty(),
+                            .observed = absl::StrCat("/safety=", shown.empty() ? "?" : shown),
+                            .shown = shown},
                            now_ns_));
   }
   void FinishWrite(absl::Status status = absl::OkStatus()) {
@@ -91,6 +110,7 @@ class ExecutorRig {
   // --- what came of it
   ExecutorReport report() const { return executor_.Report(now_ns_); }
   const std::optional<ApplyLevel>& job() const { return job_; }
+  const std::optional<ApplyLevel>& survey() const { return survey_; }
   const std::vector<PersistState>& writes() const { return writes_; }
   std::optional<ActuatorState> disk() const {
     const auto state = DecodeState(disk_);
@@ -115,7 +135,11 @@ class ExecutorRig {
 
   void Do(const Actions& actions) {
     for (const Action& action : actions) {
-      if (const auto* apply = std::get_if<ApplyLevel>(&action)) {
+      const auto* apply = std::get_if<ApplyLevel>(&action);
+      if (apply != nullptr && apply->kind == JobKind::kSurvey) {
+        survey_ = *apply;
+        order_.push_back("survey");
+      } else if (apply != nullptr) {
         job_ = *apply;
         if (apply->kind != JobKind::kCheck) {
           absl::StrAppend(&jobs_, jobs_.empty() ? "" : ", ", apply->from, ">", apply->to,
@@ -144,6 +168,7 @@ class ExecutorRig {
   Executor executor_;
   ExecutorOptions options_;
   std::optional<ApplyLevel> job_;
+  std::optional<ApplyLevel> survey_;
   std::vector<PersistState> writes_;
   std::string disk_;
   std::string jobs_;

@@ -24,7 +24,9 @@ int Index(const std::string& level) {
 
 class Walk {
  public:
-  explicit Walk(unsigned seed) : random_(seed), rig_(std::make_unique<ExecutorRig>()) {
+  explicit Walk(unsigned seed)
+      : random_(seed),
+        rig_(std::make_unique<ExecutorRig>(ExecutorRig::At("DEFAULT"), ExecutorRig::WithSurvey())) {
     rig_->term = 2;  // so that there is a lower one
   }
 
@@ -47,6 +49,7 @@ class Walk {
         break;
       case 3:
         if (rig_->job().has_value()) rig_->Finish(Chance(60));
+        if (rig_->survey().has_value()) rig_->FinishSurvey(rig_->robot);
         break;
       case 4:
         while (!rig_->writes().empty()) {
@@ -59,6 +62,7 @@ class Walk {
         break;
       case 6:
         if (Chance(30)) Restart();
+        if (Chance(15)) RestartWithoutState();
         break;
       default:
         rig_->Advance(500);
@@ -87,7 +91,9 @@ class Walk {
     const ExecutorReport before = rig_->report();
     const bool recorded = rig_->writes().empty();
     const uint64_t term = rig_->term;
+    const std::string robot = rig_->robot;
     rig_ = std::make_unique<ExecutorRig>(rig_->Restarted());
+    if (rig_->robot.empty()) rig_->robot = robot;
     rig_->term = term;
     // What was effective on the disk is held again: never below what was recorded.
     const ExecutorReport after = rig_->report();
@@ -95,6 +101,27 @@ class Walk {
       EXPECT_GE(Index(after.effective), Index(rig_->disk()->decided));
     }
     lowering_allowed_ = true;  // the record may be older; the marks tell the server
+  }
+
+  // The robot stays where it is, and is read back or silent.
+  void RestartWithoutState() {
+    const std::string robot = rig_->robot;
+    const uint64_t term = rig_->term;
+    rig_ = std::make_unique<ExecutorRig>(absl::DataLossError("corrupt"), ExecutorRig::WithSurvey());
+    rig_->term = term;
+    rig_->robot = robot;
+    EXPECT_EQ(rig_->TakeJobs(), "");
+    lowering_allowed_ = true;  // nothing is decided any more
+    if (Chance(20)) return;    // a survey that is answered after its time, or not at all
+    if (Chance(50)) Command();
+    lowering_allowed_ = true;
+    // Nothing but a command above the floor may be applied before the answer, and nothing below
+    // what the robot shows after it.
+    rig_->FinishSurvey(robot);
+    EXPECT_GE(Index(rig_->report().effective), Index(robot));
+    EXPECT_GE(Index(rig_->report().floor), Index(robot));
+    rig_->Advance(1'000);
+    EXPECT_GE(Index(rig_->report().effective), Index(robot));
   }
 
   void Check(int decided_before) {

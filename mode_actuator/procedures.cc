@@ -11,6 +11,7 @@
 #include "absl/strings/str_join.h"
 #include "absl/strings/str_replace.h"
 #include "mode_actuator/alarm/alarm_attempt.h"
+#include "mode_actuator/mode_survey.h"
 #include "services/runtime/mutex.h"
 
 namespace rips::actuator {
@@ -195,6 +196,11 @@ const LevelSpec* Procedures::Find(absl::string_view name) const {
 LevelOutcome Procedures::Run(const ApplyLevel& job, const CancelFlag& cancel) {
   LevelOutcome outcome;
   outcome.attempt = job.attempt;
+  outcome.kind = job.kind;
+  if (job.kind == JobKind::kSurvey) {
+    Survey(cancel, outcome);
+    return outcome;
+  }
   const LevelSpec* to = Find(job.to);
   const LevelSpec* from = Find(job.from);
   if (to == nullptr) {
@@ -331,6 +337,14 @@ void Procedures::Check(const LevelSpec& level, const CancelFlag& cancel, LevelOu
     AddDetail(outcome, {.step = StepName(step), .detail = std::string(reading.status.message())});
   }
   CheckAlarms(level, cancel, outcome);
+}
+
+void Procedures::Survey(const CancelFlag& cancel, LevelOutcome& outcome) {
+  if (modes_ == nullptr) return;
+  ModeSurvey survey = SurveyModes(*levels_, *modes_, *clock_, cancel);
+  outcome.reached = !survey.level.empty();
+  outcome.shown = std::move(survey.level);
+  outcome.observed = std::move(survey.observed);
 }
 
 void Procedures::CheckAlarms(const LevelSpec& level, const CancelFlag& cancel,

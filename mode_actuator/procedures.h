@@ -1,4 +1,5 @@
 // Carries out one job of the executor: the leave and enter steps of levels, or a look at the robot.
+// A survey is in mode_survey.h.
 //
 // Entering: the leave steps of the old level one by one, then of the new level first the system
 // modes and firewall steps in order, then all programs and alarms at once. On a raise the leave
@@ -84,6 +85,7 @@ class Procedures {
   void Enter(const LevelSpec& level, Progress& progress, const CancelFlag& cancel,
              LevelOutcome& outcome);
   void OnDrift(const LevelSpec& level, const CancelFlag& cancel, LevelOutcome& outcome);
+  void Survey(const CancelFlag& cancel, LevelOutcome& outcome);
   void Check(const LevelSpec& level, const CancelFlag& cancel, LevelOutcome& outcome);
   // As the step says, or as `overridden_` does.
   SystemModeStep Wanted(const SystemModeStep& step) const;

@@ -35,8 +35,22 @@ class FakeModes : public PartModes {
     return {is == mode ? absl::OkStatus() : absl::FailedPreconditionError("drifted"), is};
   }
 
+  PartReading Read(absl::string_view part, absl::Duration at_most,
+                   const CancelFlag& cancel) override {
+    const auto is = now.find(std::string(part));
+    if (is != now.end()) {
+      return {.agreeing = {is->second}, .named = {}, .answers = 1, .complete = true};
+    }
+    if (hangs) {
+      hanging.Cancel();
+      cancel.WaitFor(at_most);
+    }
+    return {.complete = !hangs};
+  }
+
   bool lies = false;
   bool hangs = false;
+  CancelFlag hanging;  // set when a reading hangs
   std::vector<std::string> orders;
   std::map<std::string, std::string> now;
 };
@@ -440,6 +454,66 @@ TEST_F(ProceduresTest, ANewJobEndsTheRunningOne) {
   if (outcomes.size() == 2) {
     EXPECT_FALSE(outcomes.front().reached);
   }
+}
+
+TEST_F(ProceduresTest, ASurveyTellsTheLevelThatTheRobotShowsAndDoesNothing) {
+  modes_.now["/safety"] = "ALERT";
+  const LevelOutcome outcome = Run("", "", true, JobKind::kSurvey);
+  EXPECT_EQ(outcome.kind, JobKind::kSurvey);
+  EXPECT_TRUE(outcome.reached);
+  EXPECT_EQ(outcome.shown, "ALERT");
+  EXPECT_EQ(outcome.observed, "/safety=ALERT");
+  EXPECT_TRUE(outcome.steps.empty());
+  EXPECT_TRUE(modes_.orders.empty());
+  EXPECT_TRUE(programs_.runs.empty());
+
+  modes_.now["/safety"] = "DANCE";
+  EXPECT_FALSE(Run("", "", true, JobKind::kSurvey).reached);
+  levels_ = {{"DEFAULT", {Program("horn")}, {}}};
+  EXPECT_EQ(Run("", "", true, JobKind::kSurvey).shown, "");
+}
+
+TEST_F(ProceduresTest, ARaiseEndsASurveyWhichTellsWhatItHasRead) {
+  levels_.push_back({"HALT", {Mode("HALT")}, {}});
+  levels_.back().enter.push_back({SystemModeStep{"/arm", "PARKED"}, absl::Seconds(5)});
+  modes_.now["/arm"] = "PARKED";
+  modes_.hangs = true;  // /safety, which is asked after /arm
+  Mutex mu;
+  CondVar changed;
+  std::vector<LevelOutcome> outcomes;
+  std::vector<std::string> order;
+  LevelWorker worker(&Get(), {
+                                 .done =
+                                     [&](LevelOutcome outcome) {
+                                       MutexLock lock(&mu);
+                                       outcomes.push_back(std::move(outcome));
+                                       order.push_back("done");
+                                       changed.NotifyAll();
+                                     },
+                                 .idle_check =
+                                     [&] {
+                                       MutexLock lock(&mu);
+                                       order.push_back("idle check");
+                                       changed.NotifyAll();
+                                       return absl::OkStatus();
+                                     },
+                                 .idle_checked = [](const absl::Status&) {},
+                             });
+
+  worker.Submit({1, JobKind::kSurvey, "", "", true});
+  modes_.hanging.WaitFor(absl::Seconds(10));  // until /safety is being read
+  worker.Submit({2, JobKind::kCheck, "", "ALERT", true});
+
+  MutexLock lock(&mu);
+  for (int i = 0; i < 100 && order.size() < 3; ++i) {
+    changed.WaitFor(lock, absl::Milliseconds(100));
+  }
+  ASSERT_EQ(outcomes.size(), 2u);
+  EXPECT_EQ(outcomes[0].attempt, 1u);
+  EXPECT_EQ(outcomes[0].shown, "HALT");
+  EXPECT_EQ(outcomes[1].attempt, 2u);
+  // What people are told can wait until a level was entered.
+  EXPECT_THAT(order, ElementsAre("done", "done", "idle check"));
 }
 
 using Kind = FirewallStep::Kind;

@@ -86,7 +86,8 @@ void LevelWorker::Loop() {
       entering_ = false;
     }
     callbacks_.done(std::move(outcome));
-    if (!idle_ok && work->job->kind != JobKind::kEnter) {
+    const JobKind kind = work->job->kind;
+    if (!idle_ok && kind != JobKind::kEnter && kind != JobKind::kSurvey) {
       const absl::Status status = callbacks_.idle_check();
       idle_ok = status.ok();
       callbacks_.idle_checked(status);

@@ -3,7 +3,6 @@
 #include <algorithm>
 
 #include "absl/strings/str_cat.h"
-#include "mode_actuator/modes/node_client.h"
 #include "services/base/status_macros.h"
 #include "services/ros2/ros_name.h"
 #include "services/ros2/system_modes_messages.h"
@@ -46,12 +45,13 @@ absl::StatusOr<bool> ManagerClient::OrderIfThere(absl::string_view mode) {
   return ros2::DecodeSuccessReply(reply);
 }
 
-ManagerView ManagerClient::Look(absl::string_view mode) {
+ManagerView ManagerClient::Look(absl::string_view mode, absl::Duration timeout) {
   ManagerView view;
   const absl::StatusOr<std::string> state_reply =
-      AskIfThere(*get_state_, ros2::EncodeEmptyRequest());
+      AskIfThere(*get_state_, ros2::EncodeEmptyRequest(), timeout);
   if (!state_reply.ok()) return view;
-  const absl::StatusOr<std::string> mode_reply = AskIfThere(*get_mode_, ros2::EncodeEmptyRequest());
+  const absl::StatusOr<std::string> mode_reply =
+      AskIfThere(*get_mode_, ros2::EncodeEmptyRequest(), timeout);
   if (!mode_reply.ok()) return view;
   const absl::StatusOr<ros2::LifecycleLabel> state = ros2::DecodeGetStateReply(*state_reply);
   const absl::StatusOr<std::string> now = ros2::DecodeGetModeReply(*mode_reply);
@@ -61,7 +61,10 @@ ManagerView ManagerClient::Look(absl::string_view mode) {
   const bool named = !now->empty() && *now != "unknown";
   const std::string shown = ros2::Printable(absl::string_view(*now).substr(0, kModeBytesShown));
   view.silent = state->id == kUnknown || !named || *now == mode;
-  if (named) view.observed = shown;
+  if (named) {
+    view.named = *now;
+    view.observed = shown;
+  }
   view.agrees = state->id == kActive && *now == mode;
   view.elsewhere = state->id == kActive && named && *now != mode;
   view.says = absl::StrCat("the mode manager says `", shown, "`, ", StateName(state->id));

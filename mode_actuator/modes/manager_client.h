@@ -11,6 +11,7 @@
 #include "absl/status/statusor.h"
 #include "absl/strings/string_view.h"
 #include "absl/time/time.h"
+#include "mode_actuator/modes/node_client.h"
 #include "services/dds/participant.h"
 #include "services/dds/service_client.h"
 #include "services/ros2/guid.h"
@@ -27,7 +28,8 @@ struct ManagerView {
   // whatever state.
   bool silent = true;
   bool elsewhere = false;  // active, and in another mode: it is not on its way
-  std::string observed;    // the mode it names, safe to print; empty if none
+  std::string named;       // the mode it names, as it was sent; empty if none
+  std::string observed;    // the same, safe to print
   std::string says = "the mode manager does not answer";  // for people
 };
 
@@ -42,7 +44,8 @@ class ManagerClient {
   absl::StatusOr<bool> Order(absl::string_view mode, absl::Duration timeout);
   // As above, but does not wait for one that is not there: Unavailable.
   absl::StatusOr<bool> OrderIfThere(absl::string_view mode);
-  ManagerView Look(absl::string_view mode);
+  // `timeout` of each of its two calls.
+  ManagerView Look(absl::string_view mode, absl::Duration timeout = kReadTimeout);
   absl::StatusOr<std::vector<std::string>> AvailableModes();
 
   // The endpoint that takes orders: another one after a restart. nullopt = there is none.

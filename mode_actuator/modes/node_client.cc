@@ -86,37 +86,47 @@ absl::StatusOr<std::unique_ptr<NodeClient>> NodeClient::Create(const dds::Partic
   return node;
 }
 
-absl::StatusOr<uint8_t> NodeClient::State() {
+absl::StatusOr<uint8_t> NodeClient::State(absl::Duration timeout) {
   RIPS_ASSIGN_OR_RETURN(const std::string reply,
-                        AskIfThere(*get_state_, ros2::EncodeEmptyRequest()));
+                        AskIfThere(*get_state_, ros2::EncodeEmptyRequest(), timeout));
   RIPS_ASSIGN_OR_RETURN(const ros2::LifecycleLabel state, ros2::DecodeGetStateReply(reply));
   return state.id;
 }
 
-std::string NodeClient::JudgeParameters(const ExpectedPart& expected) {
-  if (expected.parameters.empty()) return "";
+void NodeClient::JudgeParameters(const ExpectedPart& expected, absl::Duration timeout,
+                                 NodeView& view) {
+  view.complete = true;
+  if (expected.parameters.empty()) return;
   std::vector<std::string> names;
   for (const auto& [name, value] : expected.parameters) names.push_back(name);
   const absl::StatusOr<std::string> reply =
-      AskIfThere(*get_parameters_, ros2::EncodeGetParametersRequest(names));
-  if (!reply.ok()) return "does not tell its parameters";
+      AskIfThere(*get_parameters_, ros2::EncodeGetParametersRequest(names), timeout);
+  view.complete = reply.ok();
+  if (!reply.ok()) {
+    view.wrong = absl::StrCat(name_, " does not tell its parameters");
+    return;
+  }
   const auto values = ros2::DecodeGetParametersReply(*reply);
-  if (!values.ok() || values->size() != names.size()) return "refuses to tell its parameters";
+  if (!values.ok() || values->size() != names.size()) {
+    view.wrong = absl::StrCat(name_, " refuses to tell its parameters");
+    return;
+  }
   for (size_t i = 0; i < names.size(); ++i) {
     const ros2::ParameterValue& wanted = expected.parameters.at(names[i]);
     if ((*values)[i] == wanted) continue;
     const std::string is = ros2::ToString((*values)[i]);
-    return absl::StrCat("has `", names[i],
-                        "` = ", ros2::Printable(absl::string_view(is).substr(0, kValueBytesShown)),
-                        (*values)[i].index() == wanted.index() ? "" : " of another type",
-                        ", expected ", ros2::ToString(wanted));
+    view.wrong =
+        absl::StrCat(name_, " has `", names[i],
+                     "` = ", ros2::Printable(absl::string_view(is).substr(0, kValueBytesShown)),
+                     (*values)[i].index() == wanted.index() ? "" : " of another type",
+                     ", expected ", ros2::ToString(wanted));
+    return;
   }
-  return "";
 }
 
-NodeView NodeClient::Look(const ExpectedPart& expected) {
+NodeView NodeClient::Look(const ExpectedPart& expected, absl::Duration timeout) {
   NodeView view;
-  const absl::StatusOr<uint8_t> state = State();
+  const absl::StatusOr<uint8_t> state = State(timeout);
   if (!state.ok()) {
     view.wrong = absl::StrCat(
         name_, absl::IsDataLoss(state.status()) ? " answers nonsense" : " does not answer");
@@ -125,13 +135,13 @@ NodeView NodeClient::Look(const ExpectedPart& expected) {
   view.answers = true;
   view.state = *state;
   view.state_ok = *state == static_cast<uint8_t>(expected.state);
-  if (!view.state_ok) {
-    view.wrong = absl::StrCat(name_, " is ", StateName(*state), ", expected ",
-                              StateName(static_cast<uint8_t>(expected.state)));
+  if (view.state_ok) {
+    JudgeParameters(expected, timeout, view);
     return view;
   }
-  const std::string parameters = JudgeParameters(expected);
-  if (!parameters.empty()) view.wrong = absl::StrCat(name_, " ", parameters);
+  view.complete = true;
+  view.wrong = absl::StrCat(name_, " is ", StateName(*state), ", expected ",
+                            StateName(static_cast<uint8_t>(expected.state)));
   return view;
 }
 

@@ -39,6 +39,8 @@ struct NodeView {
   bool answers = false;
   uint8_t state = 0;
   bool state_ok = false;
+  // Each question that the look asks was answered.
+  bool complete = false;
   // Empty if the node is as expected, else what it is instead: `/camera is active, expected
   // inactive`.
   std::string wrong;
@@ -55,9 +57,9 @@ class NodeClient {
                                                             const std::string& name);
 
   // Its lifecycle state. Unavailable if nobody answers.
-  absl::StatusOr<uint8_t> State();
-  // Looks at state and, where some are expected, parameters.
-  NodeView Look(const ExpectedPart& expected);
+  absl::StatusOr<uint8_t> State(absl::Duration timeout = kReadTimeout);
+  // Looks at state and, where some are expected, parameters. `timeout` of each call.
+  NodeView Look(const ExpectedPart& expected, absl::Duration timeout = kReadTimeout);
 
   // FailedPrecondition if the node refuses; Unavailable and DeadlineExceeded as calls give them.
   absl::Status Transition(uint8_t transition);
@@ -66,7 +68,7 @@ class NodeClient {
 
  private:
   explicit NodeClient(std::string name) : name_(std::move(name)) {}
-  std::string JudgeParameters(const ExpectedPart& expected);
+  void JudgeParameters(const ExpectedPart& expected, absl::Duration timeout, NodeView& view);
 
   const std::string name_;
   std::unique_ptr<dds::ServiceClient> get_state_;

@@ -3,6 +3,7 @@
 #define RIPS_MODE_ACTUATOR_MODES_PART_MODES_H_
 
 #include <string>
+#include <vector>
 
 #include "absl/status/status.h"
 #include "absl/strings/string_view.h"
@@ -18,6 +19,15 @@ struct ModeReading {
   std::string observed = "?";
   // What people should know although it went well; empty mostly.
   std::string note = {};
+};
+
+// What was read of a part, whatever its mode is.
+struct PartReading {
+  // Modes of levels with which every node that answered agrees; empty if no node answered.
+  std::vector<std::string> agreeing;
+  std::string named;      // the mode that the mode manager names; empty if it names none
+  size_t answers = 0;     // of nodes and manager: a reading with more of them is a better one
+  bool complete = false;  // to ask again would give no better reading
 };
 
 // One thread at a time.
@@ -40,6 +50,12 @@ class PartModes {
   // Unimplemented if it cannot be told.
   virtual ModeReading Probe(absl::string_view, absl::string_view, const CancelFlag&) {
     return {.status = absl::UnimplementedError("not tried: a mode can only be ordered")};
+  }
+
+  // Reads which modes of levels `part` may be in, and orders nothing. Returns after about
+  // `at_most`, or soon after `cancel`, with what was read until then.
+  virtual PartReading Read(absl::string_view, absl::Duration, const CancelFlag&) {
+    return {.complete = true};
   }
 };
 

@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <optional>
+#include <set>
 
 #include "absl/container/btree_map.h"
 #include "absl/strings/escaping.h"
@@ -79,6 +80,7 @@ class SystemModes::Impl {
                     int retries, const CancelFlag& cancel);
   ModeReading Check(absl::string_view part, absl::string_view mode, const CancelFlag& cancel);
   ModeReading Probe(absl::string_view part, absl::string_view mode, const CancelFlag& cancel);
+  PartReading Read(absl::string_view part, absl::Duration at_most, const CancelFlag& cancel);
   absl::Status CheckAvailable();
   std::vector<std::string> Degraded() const;
 
@@ -102,6 +104,12 @@ class SystemModes::Impl {
   absl::Status CheckManager(const std::string& name, Part& part,
                             const std::vector<std::string>& modes) const;
   static absl::Status CheckNode(const std::string& name, NodeClient& node);
+  // What `node` must be like when `part` is in `mode`; null if that asks nothing of it.
+  const ExpectedPart* Expected(const std::string& part, const std::string& mode,
+                               const std::string& node) const;
+  // Leaves in `modes` of `part` those with which `node` agrees. False if it does not answer.
+  bool KeepAgreeing(const std::string& part, const std::string& node,
+                    std::vector<std::string>& modes);
   int64_t NowNs() const { return clock_->Now().boottime_ns; }
 
   const dds::Participant* const participant_;  // Not owned; outlives this.
@@ -421,6 +429,63 @@ ModeReading SystemModes::Impl::Probe(absl::string_view part_name, absl::string_v
   return reading;
 }
 
+const ExpectedPart* SystemModes::Impl::Expected(const std::string& part, const std::string& mode,
+                                                const std::string& node) const {
+  for (const ExpectedPart& expected : targets_.at({part, mode})) {
+    if (expected.node == node) return &expected;
+  }
+  return nullptr;
+}
+
+bool SystemModes::Impl::KeepAgreeing(const std::string& part, const std::string& node,
+                                     std::vector<std::string>& modes) {
+  std::vector<std::string> agreeing;
+  for (const std::string& mode : modes) {
+    const ExpectedPart* expected = Expected(part, mode, node);
+    if (expected != nullptr) {
+      const NodeView view = nodes_.at(node)->Look(*expected, kSurveyReadTimeout);
+      if (!view.complete) return false;
+      if (!view.wrong.empty()) continue;
+    }
+    agreeing.push_back(mode);
+  }
+  modes = std::move(agreeing);
+  return true;
+}
+
+PartReading SystemModes::Impl::Read(absl::string_view part_name, absl::Duration at_most,
+                                    const CancelFlag& cancel) {
+  const int64_t end_ns = NowNs() + absl::ToInt64Nanoseconds(at_most);
+  const auto found = parts_.find(std::string(part_name));
+  if (found == parts_.end()) return {.complete = true};  // no level sets a mode of it
+  const auto& [name, part] = *found;
+  PartReading reading;
+  if (part.manager != nullptr) {
+    ManagerView view = part.manager->Look("", kSurveyReadTimeout);
+    if (view.answers) ++reading.answers;
+    reading.named = std::move(view.named);
+  }
+  if (options_.verify == Verify::kManager) {
+    reading.complete = !reading.named.empty();
+    return reading;
+  }
+  std::set<std::string> nodes;
+  for (const std::string& mode : part.modes) {
+    for (const ExpectedPart& expected : targets_.at({name, mode})) nodes.insert(expected.node);
+  }
+  std::vector<std::string> agreeing = part.modes;
+  size_t answered = 0;
+  for (const std::string& node : nodes) {
+    if (cancel.cancelled() || NowNs() >= end_ns) break;
+    if (KeepAgreeing(name, node, agreeing)) ++answered;
+  }
+  reading.answers += answered;
+  if (answered > 0) reading.agreeing = std::move(agreeing);
+  // Nodes that agree with no mode may be on their way to one.
+  reading.complete = answered == nodes.size() && !reading.agreeing.empty();
+  return reading;
+}
+
 SystemModes::SystemModes(std::unique_ptr<Impl> impl) : impl_(std::move(impl)) {}
 SystemModes::~SystemModes() = default;
 
@@ -449,6 +514,11 @@ ModeReading SystemModes::Check(absl::string_view part, absl::string_view mode,
 ModeReading SystemModes::Probe(absl::string_view part, absl::string_view mode,
                                const CancelFlag& cancel) {
   return impl_->Probe(part, mode, cancel);
+}
+
+PartReading SystemModes::Read(absl::string_view part, absl::Duration at_most,
+                              const CancelFlag& cancel) {
+  return impl_->Read(part, at_most, cancel);
 }
 
 absl::Status SystemModes::CheckAvailable() { return impl_->CheckAvailable(); }

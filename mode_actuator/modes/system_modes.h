@@ -51,6 +51,9 @@ inline constexpr absl::Duration kReorderAfter = absl::Milliseconds(500);
 // seen so for this long: the first may still take effect.
 inline constexpr absl::Duration kFlipTime = absl::Milliseconds(500);
 inline constexpr absl::Duration kProbeTime = absl::Seconds(3);  // all questions of one Probe
+// One question of Read: the time is short, a node that hangs must not use it up, and Read is
+// repeated.
+inline constexpr absl::Duration kSurveyReadTimeout = absl::Milliseconds(100);
 
 class SystemModes final : public PartModes {
  public:
@@ -75,6 +78,9 @@ class SystemModes final : public PartModes {
 
   ModeReading Probe(absl::string_view part, absl::string_view mode,
                     const CancelFlag& cancel) override;
+
+  PartReading Read(absl::string_view part, absl::Duration at_most,
+                   const CancelFlag& cancel) override;
 
   // OK if the manager lists every target mode, and every node answers and is inactive or active.
   // Unavailable if somebody does not answer; FailedPrecondition if the manager works with another

@@ -20,7 +20,9 @@ namespace rips::actuator {
 namespace {
 
 using ::testing::AllOf;
+using ::testing::ElementsAre;
 using ::testing::HasSubstr;
+using ::testing::IsEmpty;
 
 constexpr absl::string_view kSmh = R"(safety:
   ros__parameters:
@@ -40,6 +42,7 @@ motors:
       SLOW: {ros__parameters: {speed: 0.2}}
 )";
 
+constexpr absl::Duration kLong = absl::Seconds(20);
 constexpr uint8_t kInactive = 2;
 constexpr uint8_t kActive = 3;
 
@@ -95,10 +98,13 @@ class FakeRobot {
   bool camera_sticks_ = false;   // the camera never moves
   bool speed_sticks_ = false;    // the parameter never changes
   bool speed_is_text_ = false;   // the parameter has another type
+  bool motors_hang_ = false;     // they get questions and do not answer
+  std::string mode_ = "__DEFAULT__";
+  double speed_ = 1.0;
   std::vector<std::string> available_ = {"ALERT", "__DEFAULT__"};
 
  private:
-  using Handler = std::function<std::string(absl::string_view)>;
+  using Handler = std::function<std::optional<std::string>(absl::string_view)>;
 
   void Serve(std::vector<std::unique_ptr<dds::ServiceServer>>& servers, const std::string& service,
              const std::string& type, Handler handler) {
@@ -113,10 +119,12 @@ class FakeRobot {
 
   void StartNodes() {
     for (const std::string node : {"/camera", "/motors"}) {
-      Serve(nodes_, node + "/get_state", ros2::kGetStateType, [this, node](absl::string_view) {
-        MutexLock lock(&mu_);
-        return ros2::EncodeGetStateReply({node_state_[node], ""});
-      });
+      Serve(nodes_, node + "/get_state", ros2::kGetStateType,
+            [this, node](absl::string_view) -> std::optional<std::string> {
+              MutexLock lock(&mu_);
+              if (motors_hang_ && node == "/motors") return std::nullopt;
+              return ros2::EncodeGetStateReply({node_state_[node], ""});
+            });
       Serve(nodes_, node + "/get_parameters", ros2::kGetParametersType,
             [this, node](absl::string_view) {
               MutexLock lock(&mu_);
@@ -138,10 +146,8 @@ class FakeRobot {
   const dds::Participant* const participant_;  // Not owned; outlives this.
   Mutex mu_;
   int orders_ = 0;
-  std::string mode_ = "__DEFAULT__";
   uint8_t state_ = kActive;
   std::map<std::string, uint8_t> node_state_ = {{"/camera", kActive}, {"/motors", kActive}};
-  double speed_ = 1.0;
   std::vector<std::unique_ptr<dds::ServiceServer>> nodes_;
   std::vector<std::unique_ptr<dds::ServiceServer>> manager_;
 };
@@ -161,6 +167,17 @@ class SystemModesTest : public dds::TestWorld {
   void Warm(SystemModes& modes) {
     ASSERT_THAT(modes.Enter("/safety", "__DEFAULT__", absl::Seconds(20), 0, cancel_).status,
                 IsOk());
+  }
+  // The first reading of /safety that `enough` accepts, or the last one: endpoints match, and
+  // vanish, one after the other.
+  PartReading ReadUntil(SystemModes& modes, const std::function<bool(const PartReading&)>& enough) {
+    PartReading reading;
+    dds::Eventually([&] {
+      reading = modes.Read("/safety", kLong, cancel_);
+      return enough(reading);
+    });
+    EXPECT_TRUE(enough(reading)) << reading.answers;
+    return reading;
   }
   ModeReading Alert(SystemModes& modes, absl::Duration timeout = absl::Seconds(20),
                     int retries = 0) {
@@ -344,6 +361,68 @@ TEST_F(SystemModesTest, AProbeLooksAndOrdersNothing) {
   EXPECT_EQ(robot.orders(), orders);
   cancel_.Cancel();
   EXPECT_TRUE(absl::IsCancelled(modes.Probe("/safety", "ALERT", cancel_).status));
+}
+
+TEST_F(SystemModesTest, ReadsTheModeThatNodesAndManagerShowAndOrdersNothing) {
+  FakeRobot& robot = Robot();
+  SystemModes& modes = Modes();
+  ASSERT_THAT(Alert(modes).status, IsOk());
+  const int orders = robot.orders();
+  PartReading reading = ReadUntil(modes, [](const PartReading& r) { return r.answers == 3; });
+  EXPECT_TRUE(reading.complete);
+  EXPECT_THAT(reading.agreeing, ElementsAre("ALERT"));
+  EXPECT_EQ(reading.named, "ALERT");
+
+  // A manager that has forgotten adds nothing; a mode of no level agrees with none.
+  robot.Set(&FakeRobot::mode_, std::string("unknown"));
+  reading = ReadUntil(modes, [](const PartReading& r) { return r.answers == 3; });
+  EXPECT_EQ(reading.named, "");
+  EXPECT_THAT(reading.agreeing, ElementsAre("ALERT"));
+  robot.Set(&FakeRobot::speed_, 0.7);
+  reading = ReadUntil(modes, [](const PartReading& r) { return r.answers == 3; });
+  EXPECT_THAT(reading.agreeing, IsEmpty());
+  EXPECT_FALSE(reading.complete);
+  EXPECT_EQ(robot.orders(), orders);
+  EXPECT_TRUE(modes.Read("/other", kLong, cancel_).complete);
+}
+
+TEST_F(SystemModesTest, NodesThatAnswerShowTheModeOfAPartWhoseOthersAreSilent) {
+  FakeRobot& robot = Robot();
+  SystemModes& modes = Modes();
+  ASSERT_THAT(Alert(modes).status, IsOk());
+  robot.Set(&FakeRobot::mode_, std::string("unknown"));
+  robot.Set(&FakeRobot::motors_hang_, true);
+  const auto two_answer = [](const PartReading& r) { return r.answers == 2; };
+  PartReading reading = ReadUntil(modes, two_answer);
+  EXPECT_THAT(reading.agreeing, ElementsAre("ALERT"));
+  EXPECT_FALSE(reading.complete);
+
+  robot.StopManager();
+  robot.StopNodes();
+  reading = ReadUntil(modes, [](const PartReading& r) { return r.answers == 0; });
+  EXPECT_THAT(reading.agreeing, IsEmpty());
+  EXPECT_FALSE(reading.complete);
+}
+
+TEST_F(SystemModesTest, ReadingEndsWhenItIsCancelledOrItsTimeIsOver) {
+  Robot();
+  SystemModes& modes = Modes();
+  ASSERT_THAT(Alert(modes).status, IsOk());
+  ReadUntil(modes, [](const PartReading& r) { return r.answers == 3; });
+  EXPECT_LE(modes.Read("/safety", absl::ZeroDuration(), cancel_).answers, 1u);
+  cancel_.Cancel();
+  const PartReading reading = modes.Read("/safety", kLong, cancel_);
+  EXPECT_LE(reading.answers, 1u);
+  EXPECT_FALSE(reading.complete);
+}
+
+TEST_F(SystemModesTest, WithVerifyManagerOnlyTheManagerIsRead) {
+  Robot();
+  SystemModes& modes = Modes(Verify::kManager);
+  ASSERT_THAT(Alert(modes).status, IsOk());
+  const PartReading reading = ReadUntil(modes, [](const PartReading& r) { return r.complete; });
+  EXPECT_EQ(reading.named, "ALERT");
+  EXPECT_THAT(reading.agreeing, IsEmpty());
 }
 
 TEST_F(SystemModesTest, CancelEndsAnOrder) {

@@ -122,10 +122,11 @@ void Robot::OnActuatorHello(const std::string& host_name, std::shared_ptr<Actuat
   }
   External(engine::AgentEvent{.agent = "actuator", .state = "connected"});
   if (hello.state_lost) {
-    OwnAlert(
-        engine::Severity::kHigh,
-        absl::StrCat("actuator ", host_name, " has no state of its own (first start, or it was ",
-                     "deleted); it starts from its fail-safe level"));
+    OwnAlert(engine::Severity::kHigh,
+             absl::StrCat(
+                 "actuator ", host_name, " has no state of its own (first start, or it was ",
+                 "deleted); it holds its fail-safe level, or the one its robot shows if that is ",
+                 "higher"));
     External(engine::AgentEvent{.agent = "actuator", .state = "state_lost"});
   }
   TellMissingPrograms();

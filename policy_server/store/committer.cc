@@ -1,5 +1,6 @@
 #include "policy_server/store/committer.h"
 
+#include <algorithm>
 #include <iterator>
 #include <utility>
 
@@ -123,7 +124,11 @@ void Committer::CommitGroup(std::vector<Item> items) {
   for (Item& item : items) batches.push_back(std::move(item.batch));
 
   const absl::Status together = Commit(batches);
-  TakeVerdict(together);
+  // That the reserve was written says nothing of the rest of the disk.
+  const bool reserve_alone =
+      !batches.empty() && std::all_of(batches.begin(), batches.end(),
+                                      [](const WriteBatch& batch) { return batch.uses_reserve; });
+  if (!reserve_alone || !together.ok()) TakeVerdict(together);
   if (!IsCallersFault(together)) {
     for (size_t i = 0; i < items.size(); ++i) {
       // Raises of levels have the reserve, which the others must not use up.

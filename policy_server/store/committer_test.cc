@@ -247,6 +247,26 @@ TEST(CommitterTest, OnAFullDiskRaisesAreWrittenFromTheReserve) {
   EXPECT_FALSE(committer.healthy()) << "the reserve alone is no health";
 }
 
+TEST(CommitterTest, ARaiseThatIsWrittenAloneIsNoHealthEither) {
+  FakeStore store;
+  store.FillDisk(true);
+  Told told;
+  Gate disk;
+  store.OnCommit([&] { disk.Pass(); });
+  Committer committer(&store);
+  ASSERT_THAT(committer.Submit(OneAlert("first"), told.Next(1)), IsOk());
+  disk.WaitForArrival();
+  WriteBatch raise = Decision(1);
+  raise.uses_reserve = true;
+  ASSERT_THAT(committer.Submit(std::move(raise), told.Next(2)), IsOk());
+  disk.Open();
+  committer.Stop();
+
+  EXPECT_THAT(told.codes(),
+              ElementsAre(absl::StatusCode::kResourceExhausted, absl::StatusCode::kOk));
+  EXPECT_FALSE(committer.healthy());
+}
+
 TEST(CommitterTest, ABadBatchHurtsNoOther) {
   FakeStore store;
   Gate gate;

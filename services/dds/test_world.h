@@ -44,6 +44,15 @@ inline const std::string& Tag() {
   return tag;
 }
 
+// CYCLONEDDS_URI of a domain, whatever its id, that is on the wire between them.
+inline std::string WireUri() {
+  return absl::StrCat(
+      "<CycloneDDS><Domain><General><Interfaces><NetworkInterface name=\"lo\" "
+      "multicast=\"true\"/></Interfaces></General><Discovery><ExternalDomainId>",
+      RandomDomain(), "</ExternalDomainId><Tag>", Tag(),
+      "</Tag><ParticipantIndex>none</ParticipantIndex></Discovery></Domain></CycloneDDS>");
+}
+
 class TestWorld : public ::testing::Test {
  protected:
   TestWorld() : near_(Side(1)), far_(Side(2)) {}
@@ -55,12 +64,7 @@ class TestWorld : public ::testing::Test {
 
  private:
   static std::unique_ptr<Participant> Side(uint32_t id) {
-    const ScopedCycloneUri uri(
-        absl::StrCat("<CycloneDDS><Domain><General><Interfaces><NetworkInterface name=\"lo\" "
-                     "multicast=\"true\"/></Interfaces></General><Discovery><ExternalDomainId>",
-                     RandomDomain(), "</ExternalDomainId><Tag>", Tag(),
-                     "</Tag><ParticipantIndex>none</ParticipantIndex></Discovery></Domain>"
-                     "</CycloneDDS>"));
+    const ScopedCycloneUri uri(WireUri());
     absl::StatusOr<std::unique_ptr<Participant>> side = Participant::Create({.id = id});
     EXPECT_TRUE(side.ok()) << side.status();
     return *std::move(side);

@@ -22,8 +22,10 @@ std::optional<int> ParseDaemonFlags(int argc, const char* const* argv, const Dae
         const absl::StatusOr<LogLevel> level = ParseLogLevel(name);
         return level.ok() ? std::string() : std::string(level.status().message());
       });
-  app.add_option("--ready-file", flags->ready_file,
-                 "File written once ready, with the listening address");
+  app.add_option(
+      "--ready-file", flags->ready_file,
+      "File written once up, with the listening address or `ready`; /readyz says whether "
+      "it is connected");
   app.set_version_flag("--version", absl::StrCat(info.name, " ", RipsVersion()));
   try {
     app.parse(argc, argv);

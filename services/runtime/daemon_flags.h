@@ -35,8 +35,11 @@ absl::string_view RipsVersion();
 std::optional<int> ParseDaemonFlags(int argc, const char* const* argv, const DaemonInfo& info,
                                     DaemonFlags* flags);
 
-// Tells whoever started the daemon that it is up: writes `contents` (the listening address, or
-// `ready`) and a line break to flags.ready_file, if there is one.
+// Reports that the daemon is up and does what it can do alone: writes `contents` (the listening
+// address, or `ready`) and a line break to flags.ready_file, if there is one. /readyz says whether
+// the daemon is connected. While it waits for usable certificates, the file of
+// | rips-policy-server         | is not written: it serves nothing yet                            |
+// | rips-sensor, rips-actuator | is written: observations are kept, the robot is held at its level|
 absl::Status WriteReadyFile(const DaemonFlags& flags, absl::string_view contents);
 
 }  // namespace rips

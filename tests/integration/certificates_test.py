@@ -110,7 +110,10 @@ class LateFleet(Fleet):
             check(status == 503, f"{process.name} is ready: {body}")
         status, body = page(self.pages["policy-server"], "/readyz")
         check("waiting for a usable certificate" in body, body)
+        # The server serves nobody; the agents do what they can do alone.
         check(not (self.dir / "policy-server.ready").exists(), "the server calls itself ready")
+        for name in ("sensor", "actuator"):
+            check((self.dir / f"{name}.ready").exists(), f"the {name} does not say that it is up")
 
 
 # ------------------------------------------------------------------------------------ scenarios

@@ -734,19 +734,24 @@ class StateLost(Fault):
 
     def order(self, level):
         rig = self.rig
+        self.before = rig.robot_mode()
         rig.actuator.kill(signal.SIGKILL)
         self.spoil(rig.state_dir / "state")
         rig.order(level)
         rig.start_actuator()
 
     def judge(self, ordered):
-        """At its start it is at the fail-safe level or above."""
+        """At its start it is at the fail-safe level or above, and the robot is not lowered."""
         wait_for("the actuator tells its level", self.rig.last_level)
         for _, text in self.rig.actuator.lines:
             if " level decided=" in text:
                 first = dict(re.findall(r"(\w+)=(\"[^\"]*\"|\S*)", text))
                 break
         check(rank(first["effective"]) >= rank(FAIL_SAFE), f"it starts at {first}")
+        applied = wait_for("the actuator applies a level", lambda: [
+            text for _, text in self.rig.actuator.lines if " applying level " in text])[0]
+        first = dict(re.findall(r"(\w+)=(\"[^\"]*\"|\S*)", applied))["to"]
+        check(rank(first) >= rank(self.before), f"from {self.before} it applies {first} first")
         self.rig.wait_level(self.rig.level()["decided_level"], LIMIT)
         return super().judge(ordered)
 

@@ -1,6 +1,4 @@
 // SystemModes against a simulated robot whose mode manager or nodes fail, over real DDS.
-#include <atomic>
-#include <functional>
 #include <memory>
 #include <string>
 #include <thread>
@@ -16,12 +14,12 @@
 #include "services/dds/test_world.h"
 #include "services/ros2/system_modes_messages.h"
 #include "services/runtime/real_clock.h"
-#include "tests/support/robot_sim/robot.h"
-#include "tests/support/robot_sim/stop_flag.h"
+#include "tests/support/robot_sim/living_robot.h"
 
 namespace rips::actuator {
 namespace {
 
+using robot_sim::LivingRobot;
 using robot_sim::ManagerConduct;
 using robot_sim::ModeMachine;
 using ::testing::AllOf;
@@ -53,56 +51,6 @@ constexpr absl::Duration kLong = absl::Seconds(15);
 constexpr absl::Duration kBrief = absl::Milliseconds(1'500);
 const char kEye[] = "/eye";
 const char kWheels[] = "/wheels";
-
-// A robot that lives on a thread of its own.
-class LivingRobot {
- public:
-  LivingRobot(const dds::Participant& participant, const Smh& smh, ManagerConduct conduct,
-              absl::Duration answer_delay) {
-    auto machine = ModeMachine::Create(smh, {.conduct = conduct});
-    EXPECT_THAT(machine, IsOk());
-    auto robot = robot_sim::Robot::Create(participant.domain(), *std::move(machine),
-                                          {.conduct = conduct, .answer_delay = answer_delay});
-    EXPECT_THAT(robot, IsOk());
-    robot_ = *std::move(robot);
-    thread_ = std::thread([this] {
-      while (!stop_.WaitFor(absl::Milliseconds(2))) {
-        MutexLock lock(&mu_);
-        robot_->Step(clock_.Now());
-      }
-    });
-  }
-  ~LivingRobot() {
-    stop_.Stop();
-    thread_.join();
-  }
-
-  robot_sim::Robot& operator*() { return *robot_; }
-  robot_sim::Robot* operator->() { return robot_.get(); }
-  void StopManager() {
-    MutexLock lock(&mu_);
-    robot_->StopManager();
-  }
-  void StartManager() {
-    MutexLock lock(&mu_);
-    EXPECT_THAT(robot_->StartManager(), IsOk());
-  }
-  void Stick(const char* node, bool stuck = true) {
-    robot_->With([&](ModeMachine& machine) { machine.SetStuck(node, stuck); });
-  }
-  // What somebody else does to a node.
-  bool ChangeState(const char* node, uint8_t transition) {
-    return robot_->With(
-        [&](ModeMachine& machine) { return machine.ChangeState(node, transition); });
-  }
-
- private:
-  const RealClock clock_;
-  robot_sim::StopFlag stop_;
-  Mutex mu_;
-  std::unique_ptr<robot_sim::Robot> robot_;
-  std::thread thread_;
-};
 
 class ModesOnRobotTest : public dds::TestWorld {
  protected:
