@@ -6,6 +6,7 @@
 #include <thread>
 #include <utility>
 
+#include "absl/strings/escaping.h"
 #include "absl/strings/str_cat.h"
 #include "policy_server/pooled_inspector.h"
 #include "services/base/ids.h"
@@ -281,6 +282,7 @@ pipeline::Counts Server::MakeCounts() {
 }
 
 absl::Status Server::AddRobots() {
+  RIPS_RETURN_IF_ERROR(recorder_->BeginGeneration(absl::HexStringToBytes(NewId())));
   const int shards = config_.shards > 0
                          ? config_.shards
                          : static_cast<int>(std::clamp(std::thread::hardware_concurrency(), 1u,

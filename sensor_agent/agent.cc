@@ -6,6 +6,7 @@
 #include "absl/strings/str_cat.h"
 #include "absl/time/clock.h"
 #include "sensor_agent/interest_file.h"
+#include "sensor_agent/store_file.h"
 #include "services/base/status_macros.h"
 #include "services/ros2/discovery_info.h"
 #include "services/ros2/ros_name.h"
@@ -118,6 +119,7 @@ absl::StatusOr<std::unique_ptr<Agent>> Agent::Create(const SensorConfig& config,
           .host = config.host,
           .domain = config.dds.domain,
           .interest_file = InterestFile(config.state_dir),
+          .store_file = StoreFile(config.state_dir),
           .outbox = {.message_bytes = memory / 2, .control_bytes = memory},
           .backlog = {.memory_bytes = memory / 2,
                       .spool = {.dir = config.spool_dir,

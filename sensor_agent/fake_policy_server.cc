@@ -133,6 +133,7 @@ SensorReply FakePolicyServer::AckLocked(const LaneKey& key) {
   reply.mutable_ack()->set_incarnation(key.first);
   reply.mutable_ack()->set_lane(key.second);
   reply.mutable_ack()->set_durable_sequence(judged_[key]);
+  reply.mutable_ack()->set_commit(behaviour_.commit);
   return reply;
 }
 
@@ -160,6 +161,10 @@ void FakePolicyServer::AnswerHello(const rips::v1::SensorHello& hello, Stream* s
                                        (primary.empty() || primary == hello.hello().host()));
   config.mutable_config()->set_want_snapshot(behaviour_.ask_for_snapshot &&
                                              graph_incarnation_ != hello.hello().incarnation());
+  if (!behaviour_.generation.empty()) {
+    config.mutable_config()->mutable_store()->set_generation(behaviour_.generation);
+    config.mutable_config()->mutable_store()->set_commit(behaviour_.commit);
+  }
   for (const std::string& guid : behaviour_.own_participants) {
     config.mutable_config()->add_own_participants(guid);
   }

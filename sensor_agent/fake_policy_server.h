@@ -60,6 +60,9 @@ class FakePolicyServer final : public rips::v1::SensorService::Service {
     grpc::Status close_with = grpc::Status(grpc::StatusCode::UNAVAILABLE, "told to");
     // Send nothing after the hello.
     bool silent = false;
+    // What its store holds; empty = it does not say.
+    std::string generation;
+    uint64_t commit = 0;
   };
 
   FakePolicyServer() = default;

@@ -7,6 +7,7 @@
 #include "absl/strings/str_cat.h"
 #include "rips/v1/sensor.grpc.pb.h"
 #include "sensor_agent/interest_file.h"
+#include "sensor_agent/store_file.h"
 #include "services/base/check.h"
 #include "services/base/ids.h"
 #include "services/ros2/ros_name.h"
@@ -140,6 +141,17 @@ std::unique_ptr<Uplink::Client> Uplink::MakeClient() {
 
 void Uplink::Start() {
   RIPS_CHECK(client_ == nullptr, "an uplink starts once");
+  if (!options_.store_file.empty()) {
+    absl::StatusOr<rips::v1::StorePoint> kept = LoadStorePoint(options_.store_file);
+    MutexLock lock(&mu_);
+    if (kept.ok()) {
+      store_point_ = *std::move(kept);
+      store_point_kept_ = store_point_.SerializeAsString();
+    } else if (!absl::IsNotFound(kept.status())) {
+      LogWarning("what the server's store held in the last run cannot be used",
+                 {{"file", options_.store_file}, {"error", kept.status().ToString()}});
+    }
+  }
   backlog_.Start();
   client_ = MakeClient();
   sender_ = std::thread([this] { Run(); });
@@ -154,6 +166,7 @@ void Uplink::Stop() {
   if (sender_.joinable()) sender_.join();
   if (client_ == nullptr || std::exchange(stopped_, true)) return;
   client_->Stop();
+  KeepStorePoint();
   if (backlog_.on_disk()) SaveRest();
   const uint64_t left = backlog_.Stop();
   if (left > 0) {
@@ -269,6 +282,7 @@ SensorMessage Uplink::OnConnected() {
   sensor->set_domain(options_.domain);
   if (!participant_.none()) sensor->set_participant_guid(participant_.ToBytes());
   sensor->set_interest_in_use(interest_in_use_);
+  if (!store_point_.generation().empty()) *sensor->mutable_store() = store_point_;
   for (const std::string& kind : not_visible_) sensor->add_not_visible(kind);
   not_visible_told_ = not_visible_;
   blind_told_ = BlindLocked();
@@ -324,6 +338,7 @@ void Uplink::OnMessage(const SensorReply& reply) {
     hooks_.on_own_participants(*std::move(own));
     if (hooks_.on_protected_parts) hooks_.on_protected_parts(ProtectedParts(reply.config()));
   }
+  if (reply.has_config()) KeepStorePoint();
   if (reply.has_config() && hooks_.on_primary) hooks_.on_primary(reply.config().primary());
   if (forgot && hooks_.on_server_forgot) hooks_.on_server_forgot();
   if (snapshot_wanted) hooks_.on_snapshot_wanted();
@@ -343,8 +358,35 @@ void Uplink::OnConfigLocked(const rips::v1::SensorConfig& config) {
       LogWarning("server names a malformed participant", {{"error", guid.status().message()}});
     }
   }
+  if (config.store().generation().size() == kGenerationBytes) {
+    store_point_ = config.store();
+  } else if (config.has_store()) {
+    LogWarning("server names a malformed generation of its store");
+  }
   outbox_.SetPrimary(config.primary());
   stream_->wants_snapshot |= config.want_snapshot();
+}
+
+// Called when a stream begins and when it has ended: a backup is restored while the server is
+// stopped. In between the newest commit stands in memory alone; a disk is not written for each.
+void Uplink::KeepStorePoint() {
+  if (options_.store_file.empty()) return;
+  rips::v1::StorePoint point;
+  {
+    MutexLock lock(&mu_);
+    if (store_point_.generation().empty() ||
+        store_point_.SerializeAsString() == store_point_kept_) {
+      return;
+    }
+    point = store_point_;
+  }
+  if (absl::Status kept = SaveStorePoint(options_.store_file, point); !kept.ok()) {
+    LogWarning("what the server's store holds cannot be kept for the next start",
+               {{"error", kept.ToString()}});
+    return;
+  }
+  MutexLock lock(&mu_);
+  store_point_kept_ = point.SerializeAsString();
 }
 
 void Uplink::NoteAcknowledgedLocked(const StreamKey& stream, uint64_t sequence) {
@@ -358,6 +400,7 @@ void Uplink::OnAckLocked(const rips::v1::Ack& ack) {
   if (ack.lane() != rips::v1::CONTROL && ack.lane() != rips::v1::MESSAGES) return;
   const Lane lane = ack.lane() == rips::v1::CONTROL ? Lane::kControl : Lane::kMessages;
   NoteAcknowledgedLocked({.incarnation = ack.incarnation(), .lane = lane}, ack.durable_sequence());
+  store_point_.set_commit(std::max(store_point_.commit(), ack.commit()));
   if (ack.incarnation() != incarnation_) {
     const absl::Status taken = backlog_.Acknowledge(
         {.incarnation = ack.incarnation(), .lane = lane}, ack.durable_sequence());
@@ -460,6 +503,7 @@ void Uplink::ReopenLocked(const std::string& why) {
 void Uplink::OnDisconnected(const grpc::Status& status, rpc::CloseClass close_class) {
   reconnects_.Increment();
   const absl::Status why = rpc::FromGrpc(status);
+  KeepStorePoint();
   MutexLock lock(&mu_);
   const bool news = logged_ != why.code();
   logged_ = why.code();

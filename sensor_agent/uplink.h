@@ -88,6 +88,8 @@ struct UplinkOptions {
   uint32_t domain = 0;
   // Interests are kept there, for the next start; empty = nowhere.
   std::string interest_file;
+  // What the server's store held is kept there, likewise.
+  std::string store_file;
   OutboxLimits outbox;
   EncoderLimits encoder;
   BacklogOptions backlog;
@@ -173,6 +175,9 @@ class Uplink {
   void AnswerInterestLocked(const std::string& id, const std::string& problem)
       ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
   void OnConfigLocked(const rips::v1::SensorConfig& config) ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
+  // Writes down what the server's store holds, if that has changed. On the session thread, or when
+  // there is none.
+  void KeepStorePoint() ABSL_LOCKS_EXCLUDED(mu_);
   void NoteAcknowledgedLocked(const StreamKey& stream, uint64_t sequence)
       ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
   void OnAckLocked(const rips::v1::Ack& ack) ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
@@ -271,6 +276,9 @@ class Uplink {
   std::string incarnation_ ABSL_GUARDED_BY(mu_);
   // The highest that a server has told is durable, of what was announced last.
   std::map<StreamKey, uint64_t> acknowledged_ ABSL_GUARDED_BY(mu_);
+  // As told last, also to a former process; and as it stands in the file.
+  rips::v1::StorePoint store_point_ ABSL_GUARDED_BY(mu_);
+  std::string store_point_kept_ ABSL_GUARDED_BY(mu_);
   Outbox outbox_ ABSL_GUARDED_BY(mu_);
   // Has a mutex of its own.
   Backlog backlog_;

@@ -153,6 +153,12 @@ absl::StatusOr<pipeline::SensorHello> DecodeHello(const rips::v1::SensorHello& h
   if (!hello.participant_guid().empty()) {
     RIPS_ASSIGN_OR_RETURN(decoded.participant, ros2::GuidFromBytes(hello.participant_guid()));
   }
+  const std::string& generation = hello.store().generation();
+  if (!generation.empty() && generation.size() != store::kGenerationBytes) {
+    return absl::InvalidArgumentError(
+        absl::StrCat("generation of ", generation.size(), " bytes, not ", store::kGenerationBytes));
+  }
+  decoded.store = {.generation = generation, .commit = hello.store().commit()};
   for (const rips::v1::SpoolStream& range : hello.spooled()) {
     RIPS_RETURN_IF_ERROR(CheckIncarnation(range.incarnation()));
     RIPS_ASSIGN_OR_RETURN(const Lane lane, DecodeLane(range.lane()));

@@ -28,8 +28,8 @@ struct DecodeLimits {
   size_t line_bytes = 64 * 1024;
 };
 
-// InvalidArgument: the hello is malformed (protocol, incarnation length, a range that ends before
-// it starts). FailedPrecondition: a protocol number above ours.
+// InvalidArgument: the hello is malformed (protocol, length of incarnation or generation, a range
+// that starts at 0). FailedPrecondition: a protocol number above ours.
 absl::StatusOr<pipeline::SensorHello> DecodeHello(const rips::v1::SensorHello& hello);
 
 // Times that no clock shows become 0.

@@ -538,6 +538,16 @@ TEST(HelloTest, RefusesWhatIsMalformed) {
   const auto decoded = DecodeHello(hello);
   ASSERT_THAT(decoded, IsOk());
   EXPECT_EQ(decoded->spooled[0].acknowledged, 390u);
+  EXPECT_EQ(decoded->store, store::StorePoint());
+  for (const size_t bytes : {1, 15, 17, 1 << 20}) {
+    hello.mutable_store()->set_generation(std::string(bytes, 'g'));
+    EXPECT_THAT(DecodeHello(hello), StatusIs(absl::StatusCode::kInvalidArgument)) << bytes;
+  }
+  hello.mutable_store()->set_generation(std::string(16, 'g'));
+  hello.mutable_store()->set_commit(UINT64_MAX);
+  ASSERT_THAT(DecodeHello(hello), IsOk());
+  EXPECT_EQ(DecodeHello(hello)->store,
+            (store::StorePoint{.generation = std::string(16, 'g'), .commit = UINT64_MAX}));
   for (int i = 0; i < 64; ++i) hello.add_spooled();
   EXPECT_THAT(DecodeHello(hello), StatusIs(absl::StatusCode::kResourceExhausted));
 }

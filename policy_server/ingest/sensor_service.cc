@@ -55,14 +55,20 @@ class Link final : public pipeline::SensorLink {
     config->set_batch_bytes(setup.batch_bytes);
     config->set_primary(setup.primary);
     config->set_want_snapshot(setup.want_snapshot);
+    if (!setup.store.generation.empty()) {
+      config->mutable_store()->set_generation(setup.store.generation);
+      config->mutable_store()->set_commit(setup.store.commit);
+    }
     for (const ros2::Guid& guid : setup.own_participants) {
       config->add_own_participants(guid.ToBytes());
     }
     for (const std::string& part : setup.protected_parts) config->add_protected_parts(part);
     outbound_->Send(std::move(reply));
   }
-  void Acknowledge(const std::string& incarnation, Lane lane, uint64_t sequence) override {
+  void Acknowledge(const std::string& incarnation, Lane lane, uint64_t sequence,
+                   uint64_t commit) override {
     SensorReply reply;
+    reply.mutable_ack()->set_commit(commit);
     reply.mutable_ack()->set_incarnation(incarnation);
     reply.mutable_ack()->set_durable_sequence(sequence);
     reply.mutable_ack()->set_lane(lane == Lane::kControl ? rips::v1::CONTROL : rips::v1::MESSAGES);

@@ -49,7 +49,17 @@ struct Sensor {
   // The server has answered the hello: it has sent the configuration.
   bool Greeted() {
     SensorReply reply;
-    return stream->Read(&reply) && reply.has_config();
+    if (!stream->Read(&reply) || !reply.has_config()) return false;
+    config = reply.config();
+    return true;
+  }
+  // Until the control lane is acknowledged up to there; 0 = the stream ended before.
+  uint64_t CommitOfAcknowledgement(uint64_t sequence) {
+    SensorReply reply;
+    while (stream->Read(&reply)) {
+      if (reply.ack().durable_sequence() >= sequence) return reply.ack().commit();
+    }
+    return 0;
   }
   void Answer(const std::string& problem) {
     SensorMessage message;
@@ -115,6 +125,7 @@ struct Sensor {
   std::unique_ptr<rips::v1::SensorService::Stub> stub;
   grpc::ClientContext context;
   std::unique_ptr<grpc::ClientReaderWriter<SensorMessage, SensorReply>> stream;
+  rips::v1::SensorConfig config;
 };
 
 class SensorServiceTest : public ::testing::Test {
@@ -195,6 +206,15 @@ TEST_F(SensorServiceTest, ASensorIsAskedForThePayloadsThatRulesNeedUnlessItKnows
   ASSERT_NE(other, nullptr);
   EXPECT_EQ(other->InterestsUntilNow().size(), 1u) << "no interest of ours";
   other->End();
+}
+
+TEST_F(SensorServiceTest, ASensorIsToldWhatTheStoreHoldsInAnswerAndWithAcknowledgements) {
+  const auto sensor = Connect();
+  ASSERT_NE(sensor, nullptr);
+  EXPECT_EQ(sensor->config.store().generation(), std::string(16, 'g'));
+  sensor->Snapshot();
+  EXPECT_GT(sensor->CommitOfAcknowledgement(1), sensor->config.store().commit());
+  sensor->End();
 }
 
 TEST_F(SensorServiceTest, AnInterestThatASensorCannotApplyIsCountedAndTheStreamGoesOn) {

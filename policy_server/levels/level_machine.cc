@@ -132,8 +132,15 @@ void LevelMachine::RaiseTerm(uint64_t term) {
   term_ = std::max(term_, std::min(term, kCounterMax));
 }
 
+void LevelMachine::RestoreBudget(const std::vector<int64_t>& lowered_at_ns,
+                                 const Mark& resumed_at) {
+  lowered_at_ns_.assign(lowered_at_ns.begin(), lowered_at_ns.end());
+  resumed_at_ = resumed_at;
+}
+
 void LevelMachine::Resume() {
   suspended_ = false;
+  resumed_at_ = mark_;
   lowered_at_ns_.clear();
 }
 

@@ -18,6 +18,8 @@
 //      its term is not below any before.
 //   3. A refusal, and a request of the current level, change neither level nor mark.
 //   4. While soft lowerings are suspended no Request lowers; only Resume() ends that.
+//   5. Rules lower at most `lowerings_max` times in any `window_ns` without a Resume(), over
+//      restarts, too, if RestoreBudget is given the times of before.
 #ifndef RIPS_POLICY_SERVER_LEVELS_LEVEL_MACHINE_H_
 #define RIPS_POLICY_SERVER_LEVELS_LEVEL_MACHINE_H_
 
@@ -75,6 +77,9 @@ class LevelMachine {
   void RaiseTerm(uint64_t term);
   // Suspends soft lowerings, as they were before a restart.
   void Suspend() { suspended_ = true; }
+  // What was spent of the budget before a restart: when levels were lowered, CLOCK_BOOTTIME (before
+  // the host's start it is negative), oldest first. `resumed_at`: see there.
+  void RestoreBudget(const std::vector<int64_t>& lowered_at_ns, const Mark& resumed_at);
   // Ends the suspension of soft lowerings and gives the whole budget back.
   void Resume();
 
@@ -86,6 +91,9 @@ class LevelMachine {
   const Mark& mark() const { return mark_; }
   uint64_t term() const { return term_; }
   bool soft_suspended() const { return suspended_; }
+  // The decision that stood when the whole budget was given back last; none = never. Lowerings up
+  // to that one do not count.
+  const Mark& resumed_at() const { return resumed_at_; }
 
  private:
   Transition Propose(LevelIndex to, const Cause& cause, Instant now) const;
@@ -102,6 +110,7 @@ class LevelMachine {
   SoftBudget budget_;
   std::deque<int64_t> lowered_at_ns_;
   bool suspended_ = false;
+  Mark resumed_at_;
 };
 
 }  // namespace rips::levels

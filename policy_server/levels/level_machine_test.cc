@@ -128,6 +128,23 @@ TEST(LevelMachineTest, CountsTheBudgetInASlidingWindow) {
   EXPECT_EQ(machine.Request(0, Rule(), At(600), {}, Lateness::kTimely).refusal, Refusal::kBudget);
 }
 
+TEST(LevelMachineTest, WhatWasSpentBeforeARestartIsSpent) {
+  LevelMachine machine(AllSoft(), 5, {1, 7}, 2);
+  machine.RestoreBudget({-100 * kNanosPerSecond, 0, 100 * kNanosPerSecond}, {1, 3});
+  EXPECT_EQ(machine.resumed_at(), (Mark{1, 3}));
+  // The first of the three is 600 s old.
+  EXPECT_TRUE(machine.Request(4, Rule(), At(500), {}, Lateness::kTimely).lowers());
+  EXPECT_EQ(machine.Request(3, Rule(), At(500), {}, Lateness::kTimely).refusal, Refusal::kBudget);
+  EXPECT_TRUE(machine.soft_suspended());
+
+  machine.Resume();
+  EXPECT_EQ(machine.resumed_at(), (Mark{2, 8})) << "what led to the level that stands";
+  for (int level = 3; level >= 1; --level) {
+    EXPECT_TRUE(machine.Request(level, Rule(), At(501), {}, Lateness::kTimely).lowers());
+  }
+  EXPECT_EQ(machine.Request(0, Rule(), At(502), {}, Lateness::kTimely).refusal, Refusal::kBudget);
+}
+
 TEST(LevelMachineTest, RefusalsAndRaisesCostNoBudget) {
   LevelMachine machine(AllSoft(), 1, {}, 1);
   for (int i = 0; i < 10; ++i) {

@@ -46,6 +46,11 @@ class SlowStore final : public store::Store {
                                                           const Mark& mark) override {
     return inner_.FindDecision(robot, mark);
   }
+  absl::Status BeginGeneration(absl::string_view id) override { return inner_.BeginGeneration(id); }
+  absl::StatusOr<std::vector<store::Generation>> Generations() override {
+    return inner_.Generations();
+  }
+  uint64_t newest_commit() const override { return inner_.newest_commit(); }
   absl::Status CommitAll(std::span<const store::WriteBatch> batches) override {
     return inner_.CommitAll(batches);
   }

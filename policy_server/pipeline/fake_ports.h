@@ -36,8 +36,9 @@ class FakeAudience final : public Audience {
 
 struct FakeSensor final : SensorLink {
   void Setup(const SensorSetup& s) override { setup = s; }
-  void Acknowledge(const std::string&, Lane lane, uint64_t sequence) override {
+  void Acknowledge(const std::string&, Lane lane, uint64_t sequence, uint64_t commit) override {
     acknowledged[static_cast<int>(lane)] = sequence;
+    acknowledged_commit = commit;
   }
   void Grant(uint64_t message_bytes, uint64_t payload_bytes) override {
     granted = message_bytes;
@@ -58,6 +59,7 @@ struct FakeSensor final : SensorLink {
   engine::PayloadLimits payload_limits;
   int interests = 0;
   uint64_t acknowledged[kLaneCount] = {0, 0};
+  uint64_t acknowledged_commit = 0;
   uint64_t granted = 0;
   uint64_t payload_granted = 0;
   int64_t echoed = 0;

@@ -10,6 +10,7 @@
 
 #include "absl/strings/string_view.h"
 #include "policy_server/engine/event.h"
+#include "policy_server/store/generations.h"
 #include "services/base/clock.h"
 #include "services/base/mark.h"
 #include "services/ros2/guid.h"
@@ -150,6 +151,8 @@ struct SensorHello {
   std::vector<std::string> blind;
   // Id of the interest it watches by; empty = none.
   std::string interest_in_use;
+  // What the store held by the last that it was told, of this process or one before.
+  store::StorePoint store;
   // Its address, as the transport says.
   std::string peer;
   // On the robot's bus; none() = it does not say.

@@ -10,6 +10,7 @@
 #include "absl/status/status.h"
 #include "policy_server/engine/interest.h"
 #include "policy_server/pipeline/inbound.h"
+#include "policy_server/store/generations.h"
 #include "services/base/mark.h"
 #include "services/ros2/guid.h"
 
@@ -25,6 +26,8 @@ struct SensorSetup {
   bool primary = false;
   // The server holds no graph of this incarnation: send a snapshot.
   bool want_snapshot = true;
+  // What the store holds, for its next hello.
+  store::StorePoint store;
 };
 
 // Any thread; never blocks. Calls after the stream has ended do nothing.
@@ -32,7 +35,9 @@ class SensorLink {
  public:
   virtual ~SensorLink() = default;
   virtual void Setup(const SensorSetup& setup) = 0;
-  virtual void Acknowledge(const std::string& incarnation, Lane lane, uint64_t sequence) = 0;
+  // `commit`: of the store's generation, which has it all.
+  virtual void Acknowledge(const std::string& incarnation, Lane lane, uint64_t sequence,
+                           uint64_t commit) = 0;
   // Cumulative since stream start: bytes of message batches, and of payloads that come in chunks.
   virtual void Grant(uint64_t message_bytes, uint64_t payload_bytes) = 0;
   // `echo_boottime_ns`: the peer's newest.

@@ -34,6 +34,10 @@ class Recorder {
   virtual absl::StatusOr<std::optional<std::string>> FindDecision(const std::string& robot,
                                                                   const Mark& mark) = 0;
   virtual absl::StatusOr<uint64_t> NextTerm(const std::string& robot, uint64_t above) = 0;
+  // What is durable by now. Neither blocks.
+  virtual store::StorePoint point() const = 0;
+  // False: the store is older than it was at that point, or it is another one.
+  virtual bool GoesOnFrom(const store::StorePoint& seen) const = 0;
 };
 
 // As an operator sees a robot.

@@ -6,6 +6,7 @@
 #include "absl/strings/escaping.h"
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_join.h"
+#include "policy_server/pipeline/soft_lowerings.h"
 
 namespace rips::pipeline {
 namespace {
@@ -59,6 +60,7 @@ absl::StatusOr<std::unique_ptr<Robot>> Robot::Create(RobotConfig config, Policy 
     level = *found;
   }
   levels::LevelMachine machine(table, level, record.mark, term);
+  machine.RestoreBudget(SoftLowerings(record, table, ports.clock->Now()), record.resumed_at);
   if (record.soft_suspended) machine.Suspend();
   return std::unique_ptr<Robot>(new Robot(std::move(config), std::move(policy), timing, record,
                                           std::move(machine), std::move(ports)));
@@ -77,6 +79,7 @@ Robot::Robot(RobotConfig config, Policy policy, Timing timing, const store::Robo
   state_.RestoreVariables(record.variables);
   state_.set_robot_id(config_.id);
   if (record.rules_halted) state_.Halt();
+  told_.budget_spent = record.soft_suspended;
   UseInterest();
   for (const std::string& host : config_.sensor_hosts) {
     sensors_[host].name = host;
@@ -173,6 +176,14 @@ void Robot::HandleProgramResult(const ProgramResult& result, Instant now) {
 void Robot::TakeTransition(const engine::TransitionEffect& effect) {
   const levels::Transition& transition = effect.transition;
   const levels::LevelTable& table = state_.level.table();
+  if (transition.refusal == levels::Refusal::kBudget && !std::exchange(told_.budget_spent, true)) {
+    constexpr levels::SoftBudget kBudget;
+    OwnAlert(engine::Severity::kHigh,
+             absl::StrCat("rules have lowered the level ", kBudget.lowerings_max, " times in ",
+                          kBudget.window_ns / (60 * kNanosPerSecond),
+                          " minutes: they lower it no more until an operator says `ripsctl rules ",
+                          "resume ", config_.id, "`"));
+  }
   if (transition.refused()) {
     // One record per kind of refusal; its count moves on.
     const std::string key = absl::StrCat(CauseText(transition.cause), "\n", transition.from, "\n",
@@ -295,7 +306,8 @@ void Robot::Flush() {
   if (pending_.empty() && !sequences_moved_ && !variables_changed_ && !bundle_changed_) return;
   store::Checkpoint checkpoint{.robot = config_.id,
                                .soft_suspended = state_.level.soft_suspended(),
-                               .rules_halted = state_.halted()};
+                               .rules_halted = state_.halted(),
+                               .resumed_at = state_.level.resumed_at()};
   if (variables_changed_) checkpoint.variables = state_.Variables();
   if (bundle_changed_) checkpoint.bundle = policy_.bundle_id;
   for (const auto& [host, sensor] : sensors_) {
@@ -352,13 +364,16 @@ void Robot::OnRecorded(const absl::Status& status, const store::WriteBatch& reco
     OwnAlert(engine::Severity::kHigh,
              absl::StrCat(dropped, " alerts were dropped while the store could not be written"));
   }
+  const store::StorePoint point = ports_.recorder->point();
   for (const auto& [key, sequence] : judged) {
     const auto it = sensors_.find(key.host);
     if (it == sensors_.end()) continue;
     const Lane lane = key.lane == store::LaneKey::Lane::kControl ? Lane::kControl : Lane::kMessages;
     const std::string incarnation = absl::HexStringToBytes(key.incarnation);
     it->second.durable.Restore(incarnation, lane, sequence);
-    if (it->second.session) it->second.session->link->Acknowledge(incarnation, lane, sequence);
+    if (it->second.session) {
+      it->second.session->link->Acknowledge(incarnation, lane, sequence, point.commit);
+    }
   }
   for (const levels::Transition& lowering : lowerings) {
     if (lowering.mark == awaiting_durable_) awaiting_durable_ = Mark{};
@@ -557,6 +572,7 @@ absl::Status Robot::ResumeRules(const std::string& operator_name, const std::str
         absl::StrCat("a reason of 1 to ", kReasonBytesMax, " bytes is required"));
   }
   state_.level.Resume();
+  told_.budget_spent = false;
   const bool halted = state_.halted();
   state_.Resume();
   OwnAlert(engine::Severity::kInfo,

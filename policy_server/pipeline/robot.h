@@ -205,9 +205,9 @@ class Robot {
 
   // robot_losses.cc
   void TellLosses(Instant now);
-  // Of the observations that a sensor's Hello leaves out, those that are lost. Those that it was
-  // told are durable are not: then the store is older than it was, which is told once.
-  uint64_t LostBefore(const SensorHost& host, const SpooledRange& range);
+  // Observations that the hello leaves out and that are lost: neither with the sensor nor judged.
+  uint64_t LostBefore(SensorHost& host, const SensorHello& hello);
+  void TellStoreWentBack(const std::string& how);
   // A message was not told what inspections say of it.
   void CountSkipped(const MessageSeen& message, uint64_t inspections);
   // Reasons of the last ten minutes; empty = every message was inspected.
@@ -292,7 +292,7 @@ class Robot {
   std::shared_ptr<const engine::InterestPlan> interest_;
   CoverageAlarm coverage_alarm_;
   LossAlarm loss_alarm_;
-  bool store_went_back_ = false;
+  Told told_;
   // By reason: inspections that were not made.
   absl::btree_map<std::string, RecentLosses> skipped_;
   AlertLimiter alert_limiter_;

@@ -58,6 +58,12 @@ class FakeRecorder final : public Recorder {
   absl::StatusOr<uint64_t> NextTerm(const std::string&, uint64_t above) override {
     return above + 1;
   }
+  store::StorePoint point() const override {
+    return {.generation = generations.back().id, .commit = generations.back().last_commit};
+  }
+  bool GoesOnFrom(const store::StorePoint& seen) const override {
+    return store::GoesOnFrom(generations, point().commit, seen);
+  }
   void Release() {
     while (!waiting_.empty()) {
       auto [batch, done] = std::move(waiting_.front());
@@ -69,6 +75,7 @@ class FakeRecorder final : public Recorder {
     }
   }
   void Take(const store::WriteBatch& batch) {
+    ++generations.back().last_commit;
     decisions.insert(decisions.end(), batch.decisions.begin(), batch.decisions.end());
     refusals.insert(refusals.end(), batch.refusals.begin(), batch.refusals.end());
     stages.insert(stages.end(), batch.stages.begin(), batch.stages.end());
@@ -76,6 +83,8 @@ class FakeRecorder final : public Recorder {
       for (const auto& [key, sequence] : checkpoint.high_water) high_water[key] = sequence;
       if (checkpoint.variables) variables = *checkpoint.variables;
       if (checkpoint.rules_halted) rules_halted = *checkpoint.rules_halted;
+      if (checkpoint.soft_suspended) soft_suspended = *checkpoint.soft_suspended;
+      if (checkpoint.resumed_at) resumed_at = *checkpoint.resumed_at;
     }
   }
 
@@ -89,6 +98,9 @@ class FakeRecorder final : public Recorder {
   store::HighWater high_water;
   store::Variables variables;
   bool rules_halted = false;
+  bool soft_suspended = false;
+  Mark resumed_at;
+  std::vector<store::Generation> generations = {{.id = std::string(16, 'g')}};
 
  private:
   bool healthy_ = true;

@@ -13,25 +13,48 @@ void Robot::TellLosses(Instant now) {
   if (const auto news = loss_alarm_.Due(now.boottime_ns)) OwnAlert(news->severity, news->text);
 }
 
-// `judged` from the store, `acknowledged` and `first` as the sensor says:
+void Robot::TellStoreWentBack(const std::string& how) {
+  evidence_.Disturb("the store is older than what sensors were told is durable",
+                    ports_.clock->Now());
+  if (std::exchange(told_.store_went_back, true)) return;
+  OwnAlert(engine::Severity::kCritical,
+           absl::StrCat(how, ": a backup was restored; what was judged in between is not judged ",
+                        "again, and its alerts and decisions are not in this store"));
+}
+
+// Of each range, `judged` from the store, `acknowledged` and `first` as the sensor says:
 //   first <= judged + 1                    nothing is missing
 //   acknowledged <= judged < first - 1     lost: dropped by the sensor before it was acknowledged
 //   judged < acknowledged                  the store went back; lost is only what lies above
-uint64_t Robot::LostBefore(const SensorHost& host, const SpooledRange& range) {
-  const uint64_t judged = host.sequences.Judged(range.incarnation, range.lane);
-  if (range.acknowledged > judged) {
-    evidence_.Disturb("the store is older than what sensors were told is durable",
-                      ports_.clock->Now());
-    if (!std::exchange(store_went_back_, true)) {
-      OwnAlert(engine::Severity::kCritical,
-               absl::StrCat("the store is older than what sensor ", host.name,
-                            " was told is durable (", range.acknowledged, ", the store knows ",
-                            judged, "): a backup was restored; what was judged in between is not ",
-                            "judged again, and its alerts and decisions are not in this store"));
-    }
+//   of a former process of the sensor,     it names a point that the store does not go on from: not
+//   nothing acknowledged                   lost, once; what it was told ended with that process
+// An excuse is for what lies before the first hello to this process of the server: the sensor is
+// told of our generation in answer, and one that names another again has lost what is missing.
+uint64_t Robot::LostBefore(SensorHost& host, const SensorHello& hello) {
+  const bool parted = !ports_.recorder->GoesOnFrom(hello.store);
+  if (parted) {
+    TellStoreWentBack(absl::StrCat("the store is older than what sensor ", host.name,
+                                   " was told is durable, or another one (",
+                                   store::ToString(hello.store), "; the store holds ",
+                                   store::ToString(ports_.recorder->point()), ")"));
   }
-  const uint64_t known = std::max(judged, range.acknowledged);
-  return range.first_sequence > known + 1 ? range.first_sequence - known - 1 : 0;
+  const bool excuse = parted && !std::exchange(host.excused, true);
+  uint64_t lost = 0;
+  for (const SpooledRange& range : hello.spooled) {
+    const uint64_t judged = host.sequences.Judged(range.incarnation, range.lane);
+    if (range.acknowledged > judged) {
+      TellStoreWentBack(absl::StrCat("the store is older than what sensor ", host.name,
+                                     " was told is durable (", range.acknowledged,
+                                     ", the store knows ", judged, ")"));
+    }
+    const uint64_t known = std::max(judged, range.acknowledged);
+    const bool excused =
+        excuse && range.acknowledged == 0 && range.incarnation != hello.incarnation;
+    if (!excused && range.first_sequence > known + 1) lost += range.first_sequence - known - 1;
+    // Older incarnations that are announced are not the ones to be forgotten.
+    host.sequences.Restore(range.incarnation, range.lane, range.first_sequence - 1);
+  }
+  return lost;
 }
 
 void Robot::CountSkipped(const MessageSeen& message, uint64_t inspections) {

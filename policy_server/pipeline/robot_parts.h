@@ -74,6 +74,8 @@ struct SensorHost {
   int64_t state_boottime_ns = 0;
   // As an actuator's, below.
   std::deque<ros2::Guid> participants;
+  // Gaps were put down to a restored store; once for each start of the server.
+  bool excused = false;
 
   // Observations that were announced in its hello are not judged yet.
   bool HasBacklog() const;
@@ -169,6 +171,14 @@ struct LevelOrders {
   absl::btree_map<Mark, WaitingOrder> waiting;
   // The newest answers by request id, oldest first.
   std::deque<std::pair<std::string, LevelAnswer>> answered;
+};
+
+// What is told once.
+struct Told {
+  // Until the next start: the store is older than what a sensor was told is durable.
+  bool store_went_back = false;
+  // Until an operator resumes them: the budget of soft lowerings is spent.
+  bool budget_spent = false;
 };
 
 struct RunningDrill {

@@ -59,20 +59,15 @@ void Robot::OnSensorHello(const std::string& host_name, std::shared_ptr<SensorLi
   SensorSession& session = *host.session;
   findings_.OnIncarnation(host_name, hello.incarnation, now.boottime_ns);
   if (host.graph_incarnation != hello.incarnation) host.settled = false;
-  uint64_t missing = 0;
-  for (const SpooledRange& range : hello.spooled) {
-    // What lies between is neither with the sensor any more nor in the store: it is lost.
-    missing += LostBefore(host, range);
-    // Older incarnations that are announced are not the ones to be forgotten.
-    host.sequences.Restore(range.incarnation, range.lane, range.first_sequence - 1);
-  }
+  const uint64_t missing = LostBefore(host, hello);
   TakeHello(host, hello, now);
   SendSetup(host_name, host, session);
   GrantCredit(host, session);
   // Not what is judged: its alerts may still wait for the disk.
+  const store::StorePoint point = ports_.recorder->point();
   for (const SpooledRange& range : hello.spooled) {
     session.link->Acknowledge(range.incarnation, range.lane,
-                              host.durable.Judged(range.incarnation, range.lane));
+                              host.durable.Judged(range.incarnation, range.lane), point.commit);
   }
   evidence_.Disturb(absl::StrCat("sensor ", host_name, " connected"), now);
   if (missing > 0) Missing(host, missing);
@@ -92,7 +87,8 @@ void Robot::SendSetup(const std::string& host_name, SensorHost& host, SensorSess
                        .own_participants = OwnParticipants(),
                        .protected_parts = ProtectedParts(),
                        .primary = primary,
-                       .want_snapshot = primary && host.graph_incarnation != session.incarnation});
+                       .want_snapshot = primary && host.graph_incarnation != session.incarnation,
+                       .store = ports_.recorder->point()});
   if (primary) AskInterest(session);
 }
 

@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <variant>
 
+#include "absl/strings/match.h"
 #include "services/base/status_macros.h"
 
 namespace rips::store {
@@ -43,6 +44,19 @@ std::vector<Record> Newest(const std::vector<Record>& records, absl::string_view
   return out;
 }
 
+std::vector<RuleDecision> RuleDecisions(const std::vector<TransitionRecord>& transitions,
+                                        absl::string_view robot, const Mark& after) {
+  std::vector<RuleDecision> out;
+  for (const TransitionRecord& each : transitions) {
+    if (each.robot != robot || each.refused || each.mark <= after) continue;
+    if (!absl::StartsWith(each.cause, "rule ")) continue;
+    out.push_back({each.mark, each.from, each.to, each.time_unix_ns});
+  }
+  std::sort(out.begin(), out.end(), [](const auto& a, const auto& b) { return a.mark < b.mark; });
+  if (out.size() > kRuleDecisionsMax) out.erase(out.begin(), out.end() - kRuleDecisionsMax);
+  return out;
+}
+
 }  // namespace
 
 void FakeStore::FailWrites(absl::Status status) {
@@ -74,7 +88,10 @@ absl::StatusOr<RobotRecord> FakeStore::Load(absl::string_view robot) {
   MutexLock lock(&mutex_);
   RIPS_RETURN_IF_ERROR(read_status_);
   auto it = state_.robots.find(robot);
-  return it == state_.robots.end() ? RobotRecord{} : it->second;
+  if (it == state_.robots.end()) return RobotRecord{};
+  RobotRecord record = it->second;
+  record.rule_decisions = RuleDecisions(state_.transitions, robot, record.resumed_at);
+  return record;
 }
 
 absl::StatusOr<uint64_t> FakeStore::NextTerm(absl::string_view robot, uint64_t above) {
@@ -95,6 +112,31 @@ absl::StatusOr<std::optional<std::string>> FakeStore::FindDecision(absl::string_
   return std::nullopt;
 }
 
+absl::Status FakeStore::BeginGeneration(absl::string_view id) {
+  MutexLock lock(&mutex_);
+  RIPS_RETURN_IF_ERROR(write_status_);
+  RIPS_RETURN_IF_ERROR(CheckGeneration(id));
+  std::vector<Generation>& generations = state_.generations;
+  for (const Generation& known : generations) {
+    if (known.id == id) return absl::AlreadyExistsError("the store has this generation");
+  }
+  const uint64_t commit = generations.empty() ? 0 : generations.back().last_commit;
+  generations.push_back({.id = std::string(id), .last_commit = commit});
+  if (generations.size() > kGenerationsMax) generations.erase(generations.begin());
+  return absl::OkStatus();
+}
+
+absl::StatusOr<std::vector<Generation>> FakeStore::Generations() {
+  MutexLock lock(&mutex_);
+  RIPS_RETURN_IF_ERROR(read_status_);
+  return state_.generations;
+}
+
+uint64_t FakeStore::newest_commit() const {
+  MutexLock lock(&mutex_);
+  return state_.generations.empty() ? 0 : state_.generations.back().last_commit;
+}
+
 absl::Status FakeStore::CommitAll(std::span<const WriteBatch> batches) {
   std::function<void()> hook;
   {
@@ -113,6 +155,7 @@ absl::Status FakeStore::CommitAll(std::span<const WriteBatch> batches) {
     RIPS_RETURN_IF_ERROR(Validate(batch));
     RIPS_RETURN_IF_ERROR(next.Apply(batch));
   }
+  if (!next.generations.empty()) ++next.generations.back().last_commit;
   state_ = std::move(next);
   commit_sizes_.push_back(batches.size());
   return absl::OkStatus();
@@ -182,6 +225,7 @@ void FakeStore::State::Apply(const Checkpoint& checkpoint) {
   if (checkpoint.variables.has_value()) robot.variables = *checkpoint.variables;
   if (checkpoint.soft_suspended.has_value()) robot.soft_suspended = *checkpoint.soft_suspended;
   if (checkpoint.rules_halted.has_value()) robot.rules_halted = *checkpoint.rules_halted;
+  if (checkpoint.resumed_at.has_value()) robot.resumed_at = *checkpoint.resumed_at;
   if (checkpoint.bundle.has_value()) robot.bundle = *checkpoint.bundle;
   std::vector<LaneKey>& order = lanes[checkpoint.robot];
   for (const auto& [key, sequence] : checkpoint.high_water) {

@@ -37,6 +37,9 @@ class FakeStore final : public Store, public BanStore {
   absl::StatusOr<std::optional<std::string>> FindDecision(absl::string_view robot,
                                                           const Mark& mark) override
       ABSL_LOCKS_EXCLUDED(mutex_);
+  absl::Status BeginGeneration(absl::string_view id) override ABSL_LOCKS_EXCLUDED(mutex_);
+  absl::StatusOr<std::vector<Generation>> Generations() override ABSL_LOCKS_EXCLUDED(mutex_);
+  uint64_t newest_commit() const override ABSL_LOCKS_EXCLUDED(mutex_);
   absl::Status CommitAll(std::span<const WriteBatch> batches) override ABSL_LOCKS_EXCLUDED(mutex_);
   absl::StatusOr<std::vector<TransitionRecord>> ListTransitions(absl::string_view robot,
                                                                 uint32_t limit) override
@@ -65,6 +68,7 @@ class FakeStore final : public Store, public BanStore {
     std::vector<TransitionRecord> transitions;
     std::vector<AlertRecord> alerts;
     absl::btree_map<std::string, std::string> notes;
+    std::vector<Generation> generations;
 
     absl::Status Apply(const WriteBatch& batch);
     absl::Status Apply(const DecisionRecord& decision);

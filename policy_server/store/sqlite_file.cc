@@ -31,12 +31,19 @@ CREATE TABLE robots (
   soft_suspended INTEGER NOT NULL DEFAULT 0,
   rules_halted INTEGER NOT NULL DEFAULT 0,
   bundle TEXT NOT NULL DEFAULT '',           -- id of the bundle that was in force last
-  alerts_forgotten INTEGER NOT NULL DEFAULT 0  -- highest sequence of an alert that was pruned
+  alerts_forgotten INTEGER NOT NULL DEFAULT 0, -- highest sequence of an alert that was pruned
+  resumed_term INTEGER NOT NULL DEFAULT 0,   -- the decision that stood when an operator let rules
+  resumed_epoch INTEGER NOT NULL DEFAULT 0   -- lower soft levels again
 ) STRICT, WITHOUT ROWID;
 CREATE TABLE notes (
   name TEXT PRIMARY KEY,
   value TEXT NOT NULL
 ) STRICT, WITHOUT ROWID;
+CREATE TABLE generations (                   -- of the store; each start of the server begins one
+  seq INTEGER PRIMARY KEY AUTOINCREMENT,
+  id TEXT NOT NULL UNIQUE,                   -- 32 hex digits
+  last_commit INTEGER NOT NULL               -- counted through all generations
+) STRICT;
 CREATE TABLE transitions (                   -- decisions and refusals, in the order of writing
   seq INTEGER PRIMARY KEY AUTOINCREMENT,
   id TEXT NOT NULL UNIQUE,
@@ -158,6 +165,10 @@ constexpr const char* kUpgrades[] = {
     "ALTER TABLE robots ADD COLUMN bundle TEXT NOT NULL DEFAULT '';"
     "ALTER TABLE robots ADD COLUMN alerts_forgotten INTEGER NOT NULL DEFAULT 0;"
     "CREATE TABLE notes (name TEXT PRIMARY KEY, value TEXT NOT NULL) STRICT, WITHOUT ROWID;",
+    "ALTER TABLE robots ADD COLUMN resumed_term INTEGER NOT NULL DEFAULT 0;"
+    "ALTER TABLE robots ADD COLUMN resumed_epoch INTEGER NOT NULL DEFAULT 0;"
+    "CREATE TABLE generations (seq INTEGER PRIMARY KEY AUTOINCREMENT, id TEXT NOT NULL UNIQUE, "
+    "last_commit INTEGER NOT NULL) STRICT;",
 };
 static_assert(std::size(kUpgrades) == kSchemaVersion - 1);
 

@@ -1,7 +1,9 @@
 #include "policy_server/store/sqlite_reader.h"
 
+#include <algorithm>
 #include <bit>
 
+#include "absl/strings/escaping.h"
 #include "absl/strings/str_cat.h"
 #include "services/base/status_macros.h"
 
@@ -61,11 +63,18 @@ absl::StatusOr<SqliteReader> SqliteReader::Create(const std::string& path) {
       {&reader.begin_, "BEGIN"},
       {&reader.end_, "ROLLBACK"},
       {&reader.robot_,
-       "SELECT level, term, epoch, highest_term, soft_suspended, rules_halted, bundle "
+       "SELECT level, term, epoch, highest_term, soft_suspended, rules_halted, bundle,"
+       " resumed_term, resumed_epoch "
        "FROM robots WHERE robot = ?"},
       {&reader.variables_, "SELECT name, kind, number, text FROM variables WHERE robot = ?"},
       {&reader.high_water_,
        "SELECT host, incarnation, lane, sequence FROM high_water WHERE robot = ?"},
+      // Those of rules, newest first.
+      {&reader.rule_decisions_,
+       "SELECT term, epoch, from_level, to_level, time_unix_ns FROM transitions "
+       "WHERE robot = ? AND refused = 0 AND cause GLOB 'rule *' AND (term, epoch) > (?, ?) "
+       "ORDER BY term DESC, epoch DESC LIMIT ?"},
+      {&reader.generations_, "SELECT id, last_commit FROM generations ORDER BY seq"},
       {&reader.mark_,
        "SELECT to_level FROM transitions "
        "WHERE robot = ? AND term = ? AND epoch = ? AND refused = 0"},
@@ -115,6 +124,8 @@ absl::StatusOr<RobotRecord> SqliteReader::Load(absl::string_view robot) {
     record.soft_suspended = query.Number(4) != 0;
     record.rules_halted = query.Number(5) != 0;
     record.bundle = query.Text(6);
+    record.resumed_at = {query.Unsigned(7), query.Unsigned(8)};
+    RIPS_RETURN_IF_ERROR(LoadRuleDecisions(robot, &record));
     RIPS_RETURN_IF_ERROR(LoadVariables(robot, &record.variables));
     RIPS_RETURN_IF_ERROR(LoadHighWater(robot, &record.high_water));
     return record;
@@ -151,6 +162,34 @@ absl::Status SqliteReader::LoadHighWater(absl::string_view robot, HighWater* hig
                                   .incarnation = query.Text(1),
                                   .lane = static_cast<LaneKey::Lane>(lane)},
                                  query.Unsigned(3));
+  }
+}
+
+absl::Status SqliteReader::LoadRuleDecisions(absl::string_view robot, RobotRecord* record) {
+  Query query = rule_decisions_.Start();
+  query.Bind(robot)
+      .Bind(record->resumed_at.term)
+      .Bind(record->resumed_at.epoch)
+      .Bind(uint64_t{kRuleDecisionsMax});
+  while (true) {
+    RIPS_ASSIGN_OR_RETURN(const bool row, query.Step());
+    if (!row) break;
+    record->rule_decisions.push_back({.mark = {query.Unsigned(0), query.Unsigned(1)},
+                                      .from = query.Text(2),
+                                      .to = query.Text(3),
+                                      .time_unix_ns = query.Number(4)});
+  }
+  std::reverse(record->rule_decisions.begin(), record->rule_decisions.end());
+  return absl::OkStatus();
+}
+
+absl::StatusOr<std::vector<Generation>> SqliteReader::Generations() {
+  std::vector<Generation> out;
+  Query query = generations_.Start();
+  while (true) {
+    RIPS_ASSIGN_OR_RETURN(const bool row, query.Step());
+    if (!row) return out;
+    out.push_back({.id = absl::HexStringToBytes(query.Text(0)), .last_commit = query.Unsigned(1)});
   }
 }
 

@@ -20,6 +20,7 @@ class SqliteReader {
   absl::StatusOr<RobotRecord> Load(absl::string_view robot);
   absl::StatusOr<std::optional<std::string>> FindDecision(absl::string_view robot,
                                                           const Mark& mark);
+  absl::StatusOr<std::vector<Generation>> Generations();
   absl::StatusOr<std::vector<TransitionRecord>> ListTransitions(absl::string_view robot,
                                                                 uint32_t limit);
   absl::StatusOr<std::vector<AlertRecord>> ListAlerts(absl::string_view robot, uint32_t limit);
@@ -34,12 +35,13 @@ class SqliteReader {
 
   absl::Status LoadVariables(absl::string_view robot, Variables* variables);
   absl::Status LoadHighWater(absl::string_view robot, HighWater* high_water);
+  absl::Status LoadRuleDecisions(absl::string_view robot, RobotRecord* record);
 
   Database db_;
   Statement begin_, end_;
   Statement robot_, variables_, high_water_, mark_, transitions_, alerts_, robot_alerts_, bans_;
   Statement alerts_after_, robot_alerts_after_, forgotten_, robot_forgotten_, find_alert_,
-      newest_alert_, note_;
+      newest_alert_, note_, rule_decisions_, generations_;
 };
 
 }  // namespace rips::store

@@ -1,6 +1,7 @@
 #include "policy_server/store/sqlite_store.h"
 
 #include <algorithm>
+#include <atomic>
 #include <functional>
 #include <utility>
 
@@ -42,6 +43,8 @@ struct SqliteStore::Parts {
   Mutex writer_mutex;
   DiskReserve reserve ABSL_GUARDED_BY(writer_mutex);
   SqliteWriter writer ABSL_GUARDED_BY(writer_mutex);
+  // The writer's, for those who do not wait for it.
+  std::atomic<uint64_t> newest_commit = 0;
   Mutex reader_mutex;
   SqliteReader reader ABSL_GUARDED_BY(reader_mutex);
 };
@@ -96,12 +99,31 @@ absl::StatusOr<std::optional<std::string>> SqliteStore::FindDecision(absl::strin
   return parts_->reader.FindDecision(robot, mark);
 }
 
+absl::Status SqliteStore::BeginGeneration(absl::string_view id) {
+  MutexLock lock(&parts_->writer_mutex);
+  // Drawn at each start, as terms are.
+  RIPS_RETURN_IF_ERROR(parts_->WithReserve([&] { return parts_->writer.BeginGeneration(id); }));
+  parts_->newest_commit = parts_->writer.newest_commit();
+  return absl::OkStatus();
+}
+
+absl::StatusOr<std::vector<Generation>> SqliteStore::Generations() {
+  MutexLock lock(&parts_->reader_mutex);
+  return parts_->reader.Generations();
+}
+
+uint64_t SqliteStore::newest_commit() const { return parts_->newest_commit; }
+
 absl::Status SqliteStore::CommitAll(std::span<const WriteBatch> batches) {
   MutexLock lock(&parts_->writer_mutex);
   const bool may_use_reserve =
       !batches.empty() && std::all_of(batches.begin(), batches.end(),
                                       [](const WriteBatch& batch) { return batch.uses_reserve; });
-  const auto write = [&] { return parts_->writer.CommitAll(batches); };
+  const auto write = [&]() -> absl::Status {
+    RIPS_RETURN_IF_ERROR(parts_->writer.CommitAll(batches));
+    parts_->newest_commit = parts_->writer.newest_commit();
+    return absl::OkStatus();
+  };
   if (may_use_reserve) return parts_->WithReserve(write);
   // What the reserve has given up is for decisions: others wait until it is whole again.
   RIPS_RETURN_IF_ERROR(parts_->reserve.Refill());

@@ -42,6 +42,9 @@ class SqliteStore final : public Store, public BanStore {
   absl::StatusOr<uint64_t> NextTerm(absl::string_view robot, uint64_t above) override;
   absl::StatusOr<std::optional<std::string>> FindDecision(absl::string_view robot,
                                                           const Mark& mark) override;
+  absl::Status BeginGeneration(absl::string_view id) override;
+  absl::StatusOr<std::vector<Generation>> Generations() override;
+  uint64_t newest_commit() const override;
   absl::Status CommitAll(std::span<const WriteBatch> batches) override;
   absl::StatusOr<std::vector<TransitionRecord>> ListTransitions(absl::string_view robot,
                                                                 uint32_t limit) override;

@@ -124,10 +124,10 @@ TEST_F(SqliteStoreTest, RefusesALogWithoutItsFile) {
 
 TEST_F(SqliteStoreTest, RefusesANewerSchema) {
   MakeHistory();
-  Execute("PRAGMA user_version = 5");
+  Execute("PRAGMA user_version = 6");
   EXPECT_THAT(SqliteStore::Open(path_),
               StatusIs(absl::StatusCode::kFailedPrecondition,
-                       HasSubstr("schema version 5, this program knows up to 4")));
+                       HasSubstr("schema version 6, this program knows up to 5")));
   Execute("PRAGMA user_version = 0");
   EXPECT_THAT(SqliteStore::Open(path_), StatusIs(absl::StatusCode::kDataLoss));
 }
@@ -140,11 +140,21 @@ TEST_F(SqliteStoreTest, TakesAnOlderSchemaForward) {
     return *(*store)->Load("r1");
   };
   const RobotRecord before = load();
+  const auto undo_newest = [this] {
+    Execute("ALTER TABLE robots DROP COLUMN resumed_term");
+    Execute("ALTER TABLE robots DROP COLUMN resumed_epoch");
+    Execute("DROP TABLE generations");
+  };
+  undo_newest();
+  Execute("PRAGMA user_version = 4");
+  EXPECT_EQ(load(), before);
+  undo_newest();
   Execute("ALTER TABLE robots DROP COLUMN bundle");
   Execute("ALTER TABLE robots DROP COLUMN alerts_forgotten");
   Execute("DROP TABLE notes");
   Execute("PRAGMA user_version = 3");
   EXPECT_EQ(load(), before);
+  undo_newest();
   Execute("ALTER TABLE robots DROP COLUMN bundle");
   Execute("ALTER TABLE robots DROP COLUMN alerts_forgotten");
   Execute("DROP TABLE notes");
@@ -153,6 +163,39 @@ TEST_F(SqliteStoreTest, TakesAnOlderSchemaForward) {
   Execute("PRAGMA user_version = 1");
   EXPECT_EQ(load(), before);
   EXPECT_EQ(load(), before) << "once is enough";
+}
+
+// The server runs on after a backup, an agent works with it, and the backup is restored.
+TEST_F(SqliteStoreTest, ABackupIsToldFromWhatItWasMadeOf) {
+  const std::string backup = dir_.File("backup");
+  StorePoint before, after;
+  {
+    auto store = SqliteStore::Open(path_);
+    ASSERT_THAT(store, IsOk());
+    ASSERT_THAT((*store)->BeginGeneration(std::string(16, 'a')), IsOk());
+    ASSERT_THAT((*store)->Commit(Decide("r1", {1, 1}, "DEFAULT", "ALERT")), IsOk());
+    before = {.generation = std::string(16, 'a'), .commit = (*store)->newest_commit()};
+    Execute(absl::StrCat("VACUUM INTO '", backup, "'"));
+    ASSERT_THAT((*store)->Commit(Decide("r1", {1, 2}, "ALERT", "HALT")), IsOk());
+    after = {.generation = std::string(16, 'a'), .commit = (*store)->newest_commit()};
+  }
+  // The same server starts on `file`, and works until it has made as many commits.
+  const auto goes_on_from = [&](const std::string& file, const StorePoint& seen) {
+    auto store = SqliteStore::Open(file);
+    EXPECT_THAT(store, IsOk());
+    EXPECT_THAT((*store)->BeginGeneration(NewId().substr(0, 16)), IsOk());
+    for (uint64_t i = 1; i <= 4; ++i) {
+      WriteBatch alert;
+      alert.alerts.push_back(MakeAlert("r1", "later"));
+      EXPECT_THAT((*store)->Commit(alert), IsOk());
+    }
+    return GoesOnFrom(*(*store)->Generations(), (*store)->newest_commit(), seen);
+  };
+  EXPECT_TRUE(goes_on_from(path_, before));
+  EXPECT_TRUE(goes_on_from(path_, after));
+  EXPECT_TRUE(goes_on_from(backup, before)) << "it holds what the agent was told";
+  EXPECT_FALSE(goes_on_from(backup, after));
+  EXPECT_FALSE(goes_on_from(dir_.File("new.db"), after));
 }
 
 TEST_F(SqliteStoreTest, NoticesATruncatedFileWhereverItIsCut) {
@@ -300,6 +343,7 @@ TEST_F(FullDiskTest, OpensOnAFullDiskByItsReserve) {
   store = SqliteStore::Open(path_, {.reserve_bytes = 2 << 20});
 
   ASSERT_THAT(store, IsOk());
+  EXPECT_THAT((*store)->BeginGeneration(std::string(16, 'g')), IsOk());
   EXPECT_EQ((*store)->Load("r1")->level, "HALT");
   EXPECT_THAT((*store)->NextTerm("r1"), IsOk());
 }

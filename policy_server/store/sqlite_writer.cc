@@ -5,6 +5,7 @@
 #include <utility>
 #include <variant>
 
+#include "absl/strings/escaping.h"
 #include "absl/strings/str_cat.h"
 #include "services/base/status_macros.h"
 
@@ -86,6 +87,17 @@ absl::Status SqliteWriter::PrepareAll() {
        "ON CONFLICT (uri, serial) DO UPDATE SET reason = excluded.reason, by = excluded.by,"
        " time_unix_ns = excluded.time_unix_ns"},
       {&remove_ban_, "DELETE FROM bans WHERE uri = ? AND serial = ? RETURNING 1"},
+      {&set_resumed_, "UPDATE robots SET resumed_term = ?2, resumed_epoch = ?3 WHERE robot = ?1"},
+      {&add_generation_,
+       "INSERT INTO generations (id, last_commit) "
+       "SELECT ?, ifnull(max(last_commit), 0) FROM generations WHERE true "
+       "ON CONFLICT (id) DO NOTHING RETURNING last_commit"},
+      {&prune_generations_,
+       "DELETE FROM generations WHERE seq <= "
+       "(SELECT seq FROM generations ORDER BY seq DESC LIMIT 1 OFFSET ?)"},
+      {&count_commit_,
+       "UPDATE generations SET last_commit = last_commit + 1 "
+       "WHERE seq = (SELECT max(seq) FROM generations) RETURNING last_commit"},
   };
   for (const auto& [statement, sql] : statements) {
     RIPS_ASSIGN_OR_RETURN(*statement, db_.Prepare(sql));
@@ -120,10 +132,44 @@ absl::StatusOr<uint64_t> SqliteWriter::NextTerm(absl::string_view robot, uint64_
 
 absl::Status SqliteWriter::CommitAll(std::span<const WriteBatch> batches) {
   for (const WriteBatch& batch : batches) RIPS_RETURN_IF_ERROR(Validate(batch));
-  return InTransaction([&]() -> absl::Status {
+  uint64_t commit = 0;
+  const absl::Status status = InTransaction([&]() -> absl::Status {
     for (const WriteBatch& batch : batches) RIPS_RETURN_IF_ERROR(Write(batch));
+    RIPS_ASSIGN_OR_RETURN(commit, CountCommit());
     return absl::OkStatus();
   });
+  if (status.ok()) newest_commit_ = commit;
+  return status;
+}
+
+absl::StatusOr<uint64_t> SqliteWriter::CountCommit() {
+  Query query = count_commit_.Start();
+  RIPS_ASSIGN_OR_RETURN(const bool row, query.Step());
+  if (!row) return 0;  // no generation was begun
+  const uint64_t commit = query.Unsigned(0);
+  // A statement with RETURNING has to be run to its end.
+  RIPS_RETURN_IF_ERROR(query.Run());
+  return commit;
+}
+
+absl::Status SqliteWriter::BeginGeneration(absl::string_view id) {
+  RIPS_RETURN_IF_ERROR(CheckGeneration(id));
+  // A query views what is bound.
+  const std::string hex = absl::BytesToHexString(id);
+  uint64_t commit = 0;
+  const absl::Status status = InTransaction([&]() -> absl::Status {
+    {
+      Query query = add_generation_.Start();
+      query.Bind(hex);
+      RIPS_ASSIGN_OR_RETURN(const bool added, query.Step());
+      if (!added) return absl::AlreadyExistsError("the store has this generation");
+      commit = query.Unsigned(0);
+      RIPS_RETURN_IF_ERROR(query.Run());
+    }
+    return prune_generations_.Start().Bind(uint64_t{kGenerationsMax}).Run();
+  });
+  if (status.ok()) newest_commit_ = commit;
+  return status;
 }
 
 absl::Status SqliteWriter::Write(const WriteBatch& batch) {
@@ -261,6 +307,13 @@ absl::Status SqliteWriter::Write(const Checkpoint& checkpoint) {
   if (checkpoint.rules_halted.has_value()) {
     const int64_t halted = *checkpoint.rules_halted ? 1 : 0;
     RIPS_RETURN_IF_ERROR(set_halted_.Start().Bind(checkpoint.robot).Bind(halted).Run());
+  }
+  if (checkpoint.resumed_at.has_value()) {
+    RIPS_RETURN_IF_ERROR(set_resumed_.Start()
+                             .Bind(checkpoint.robot)
+                             .Bind(checkpoint.resumed_at->term)
+                             .Bind(checkpoint.resumed_at->epoch)
+                             .Run());
   }
   if (checkpoint.bundle.has_value()) {
     RIPS_RETURN_IF_ERROR(set_bundle_.Start().Bind(checkpoint.robot).Bind(*checkpoint.bundle).Run());

@@ -18,7 +18,10 @@ class SqliteWriter {
   static absl::StatusOr<SqliteWriter> Create(const std::string& path, SqliteLimits limits);
 
   absl::StatusOr<uint64_t> NextTerm(absl::string_view robot, uint64_t above);
+  absl::Status BeginGeneration(absl::string_view id);
   absl::Status CommitAll(std::span<const WriteBatch> batches);
+  // The newest that is durable.
+  uint64_t newest_commit() const { return newest_commit_; }
   absl::Status SetNote(absl::string_view name, absl::string_view value);
   absl::Status PutBan(const BanRecord& ban);
   absl::StatusOr<bool> RemoveBan(absl::string_view uri, absl::string_view serial);
@@ -29,6 +32,8 @@ class SqliteWriter {
   absl::Status PrepareAll();
   // `work` inside BEGIN IMMEDIATE and COMMIT; rolled back if either fails.
   absl::Status InTransaction(const std::function<absl::Status()>& work);
+  // The number of the commit that is being made.
+  absl::StatusOr<uint64_t> CountCommit();
   absl::Status Write(const WriteBatch& batch);
   absl::Status Write(const DecisionRecord& decision);
   absl::Status Write(const RefusalRecord& refusal);
@@ -50,9 +55,11 @@ class SqliteWriter {
   Statement add_robot_, next_term_, find_decision_, add_decision_, apply_decision_;
   Statement put_refusal_, prune_refusals_, set_stage_, add_alert_, find_prune_, prune_alerts_,
       note_prune_, set_note_, set_bundle_;
-  Statement clear_variables_, add_variable_, set_suspended_, set_halted_, put_high_water_,
-      prune_high_water_;
+  Statement clear_variables_, add_variable_, set_suspended_, set_halted_, set_resumed_,
+      put_high_water_, prune_high_water_;
   Statement put_ban_, remove_ban_;
+  Statement add_generation_, prune_generations_, count_commit_;
+  uint64_t newest_commit_ = 0;
 };
 
 }  // namespace rips::store

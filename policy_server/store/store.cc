@@ -58,11 +58,18 @@ absl::Status Validate(const WriteBatch& batch) {
     if (checkpoint.bundle.has_value() && checkpoint.bundle->size() > kNoteBytesMax) {
       return absl::InvalidArgumentError("the id of a bundle is too long");
     }
+    if (checkpoint.resumed_at) RIPS_RETURN_IF_ERROR(CheckMark(*checkpoint.resumed_at));
     for (const auto& [key, sequence] : checkpoint.high_water) {
       RIPS_RETURN_IF_ERROR(CheckNumber("sequence", sequence));
     }
   }
   return absl::OkStatus();
+}
+
+absl::Status CheckGeneration(absl::string_view id) {
+  if (id.size() == kGenerationBytes) return absl::OkStatus();
+  return absl::InvalidArgumentError(
+      absl::StrCat("generation of ", id.size(), " bytes, not ", kGenerationBytes));
 }
 
 absl::Status CheckNote(absl::string_view name, absl::string_view value) {

@@ -27,6 +27,7 @@
 #include "absl/status/statusor.h"
 #include "absl/strings/string_view.h"
 #include "policy_server/lang/checked_rules.h"
+#include "policy_server/store/generations.h"
 #include "services/base/mark.h"
 
 namespace rips::store {
@@ -55,6 +56,20 @@ struct LaneKey {
 using HighWater = absl::btree_map<LaneKey, uint64_t>;
 using Variables = absl::btree_map<std::string, lang::Value>;
 
+// Decisions of rules that Load returns. A rule lowers by one level, and there are 64 levels: the
+// three newest lowerings are among them unless operators went up and down in between.
+inline constexpr size_t kRuleDecisionsMax = 256;
+
+// A decision that a rule made.
+struct RuleDecision {
+  Mark mark;
+  std::string from;
+  std::string to;
+  int64_t time_unix_ns = 0;
+
+  friend bool operator==(const RuleDecision&, const RuleDecision&) = default;
+};
+
 // What is known of one robot.
 struct RobotRecord {
   // Name of the decided level; empty if nothing was ever decided.
@@ -70,6 +85,10 @@ struct RobotRecord {
   bool soft_suspended = false;
   // A rule has called `crash`: no rule runs until an operator resumes them.
   bool rules_halted = false;
+  // The decision that stood when an operator let rules lower soft levels again; none = never.
+  Mark resumed_at;
+  // Those after `resumed_at`, oldest first; of more than kRuleDecisionsMax the newest.
+  std::vector<RuleDecision> rule_decisions;
   // Id of the bundle that was in force last; empty = none yet.
   std::string bundle;
 
@@ -169,6 +188,7 @@ struct Checkpoint {
   // Absent = as before.
   std::optional<bool> soft_suspended;
   std::optional<bool> rules_halted;
+  std::optional<Mark> resumed_at;
   std::optional<std::string> bundle;
 
   friend bool operator==(const Checkpoint&, const Checkpoint&) = default;
@@ -230,8 +250,18 @@ class Store {
   virtual absl::StatusOr<std::optional<std::string>> FindDecision(absl::string_view robot,
                                                                   const Mark& mark) = 0;
 
-  // One transaction of all batches, applied in order. A decision whose mark exists: OK if it is the
-  // same in every field, else AlreadyExists and nothing is written. InvalidArgument: see Validate.
+  // Begins a generation under `id`, which is durable when it returns; commits are counted in it
+  // from now on. The newest kGenerationsMax are kept. InvalidArgument unless `id` has
+  // kGenerationBytes, AlreadyExists if the store has it.
+  virtual absl::Status BeginGeneration(absl::string_view id) = 0;
+  // Oldest first; empty = none was ever begun.
+  virtual absl::StatusOr<std::vector<Generation>> Generations() = 0;
+  // The newest that is durable, 0 before BeginGeneration. Never blocks.
+  virtual uint64_t newest_commit() const = 0;
+
+  // One transaction of all batches, applied in order; one commit. A decision whose mark exists: OK
+  // if it is the same in every field, else AlreadyExists and nothing is written. InvalidArgument:
+  // see Validate.
   virtual absl::Status CommitAll(std::span<const WriteBatch> batches) = 0;
   absl::Status Commit(const WriteBatch& batch) { return CommitAll({&batch, 1}); }
 
@@ -285,6 +315,9 @@ class BanStore {
 // InvalidArgument if CommitAll must refuse the batch whatever is stored: an empty robot or id, a
 // decision without mark or level, a number above kNumberMax. Shared by implementations.
 absl::Status Validate(const WriteBatch& batch);
+
+// InvalidArgument if BeginGeneration must refuse it. Shared by implementations.
+absl::Status CheckGeneration(absl::string_view id);
 
 // InvalidArgument if SetNote must refuse it. Shared by implementations.
 absl::Status CheckNote(absl::string_view name, absl::string_view value);

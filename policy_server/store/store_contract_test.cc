@@ -430,6 +430,110 @@ TEST_P(StoreContractTest, ForgetsTheOldestLanesOfAHostBeyondTheLimit) {
   EXPECT_TRUE(kept.contains(LaneKey{.host = "base", .incarnation = "999"}));
 }
 
+TEST_P(StoreContractTest, CommitsAreCountedThroughItsGenerations) {
+  const std::string first(16, 'a');
+  const std::string second(16, 'b');
+  EXPECT_EQ(store_->newest_commit(), 0u);
+  EXPECT_THAT(store_->Generations(), IsOkAndHolds(std::vector<Generation>()));
+  ASSERT_THAT(store_->Commit(Decide("r1", {1, 1}, "DEFAULT", "ALERT")), IsOk());
+  EXPECT_EQ(store_->newest_commit(), 0u) << "of no generation";
+
+  ASSERT_THAT(store_->BeginGeneration(first), IsOk());
+  EXPECT_EQ(store_->newest_commit(), 0u);
+  ASSERT_THAT(store_->Commit(Decide("r1", {1, 2}, "ALERT", "HALT")), IsOk());
+  const std::vector<WriteBatch> both = {Decide("r2", {1, 1}, "DEFAULT", "ALERT"),
+                                        Decide("r3", {1, 1}, "DEFAULT", "ALERT")};
+  ASSERT_THAT(store_->CommitAll(both), IsOk());
+  EXPECT_EQ(store_->newest_commit(), 2u);
+  EXPECT_THAT(store_->Commit(Decide("r1", {1, 2}, "HALT", "DEFAULT")),
+              StatusIs(absl::StatusCode::kAlreadyExists));
+  EXPECT_EQ(store_->newest_commit(), 2u) << "nothing was written";
+
+  ASSERT_THAT(store_->BeginGeneration(second), IsOk());
+  EXPECT_EQ(store_->newest_commit(), 2u);
+  ASSERT_THAT(store_->Commit(Decide("r1", {1, 3}, "HALT", "DEFAULT")), IsOk());
+  EXPECT_EQ(store_->newest_commit(), 3u);
+  EXPECT_THAT(store_->Generations(),
+              IsOkAndHolds(std::vector<Generation>{{first, 2}, {second, 3}}));
+
+  EXPECT_THAT(store_->BeginGeneration(first), StatusIs(absl::StatusCode::kAlreadyExists));
+  EXPECT_THAT(store_->BeginGeneration("short"), StatusIs(absl::StatusCode::kInvalidArgument));
+  EXPECT_THAT(store_->BeginGeneration(""), StatusIs(absl::StatusCode::kInvalidArgument));
+  EXPECT_EQ(store_->newest_commit(), 3u);
+}
+
+TEST_P(StoreContractTest, ForgetsTheOldestGenerationsBeyondTheLimit) {
+  const auto id = [](size_t i) { return absl::StrCat(1'000'000'000'000'000 + i); };
+  for (size_t i = 0; i <= kGenerationsMax; ++i) {
+    ASSERT_THAT(store_->BeginGeneration(id(i)), IsOk());
+    ASSERT_THAT(store_->Commit(Decide("r1", {1, i + 1}, "DEFAULT", "ALERT")), IsOk());
+  }
+  const auto kept = store_->Generations();
+  ASSERT_THAT(kept, IsOk());
+  ASSERT_THAT(*kept, SizeIs(kGenerationsMax));
+  EXPECT_EQ(kept->front(), (Generation{id(1), 2}));
+  EXPECT_EQ(kept->back(), (Generation{id(kGenerationsMax), kGenerationsMax + 1}));
+}
+
+TEST(GenerationsTest, AStoreGoesOnFromWhatItHeldAndFromNothingElse) {
+  const std::vector<Generation> chain = {{"a", 10}, {"b", 10}, {"c", 25}, {"d", 25}};
+  const auto goes_on = [&](const std::string& generation, uint64_t commit) {
+    return GoesOnFrom(chain, 30, {.generation = generation, .commit = commit});
+  };
+  EXPECT_TRUE(goes_on("", 99)) << "it does not say";
+  EXPECT_TRUE(goes_on("d", 30));
+  EXPECT_FALSE(goes_on("d", 31)) << "it has not come so far";
+  EXPECT_TRUE(goes_on("a", 0));
+  EXPECT_TRUE(goes_on("a", 10));
+  EXPECT_FALSE(goes_on("a", 11)) << "another history begins there";
+  EXPECT_FALSE(goes_on("x", 0)) << "another store";
+  EXPECT_TRUE(GoesOnFrom({}, 0, {.generation = "a", .commit = 1})) << "it does not know";
+}
+
+TEST(GenerationsTest, WhatTheLimitMayHaveForgottenIsNoOtherStore) {
+  std::vector<Generation> chain;
+  for (size_t i = 0; i < kGenerationsMax; ++i) chain.push_back({absl::StrCat(i), 100 + i});
+  EXPECT_TRUE(GoesOnFrom(chain, 1'000, {.generation = "x", .commit = 100}));
+  EXPECT_FALSE(GoesOnFrom(chain, 1'000, {.generation = "x", .commit = 101}));
+  chain.pop_back();
+  EXPECT_FALSE(GoesOnFrom(chain, 1'000, {.generation = "x", .commit = 100})) << "none is forgotten";
+}
+
+TEST_P(StoreContractTest, ShowsTheNewestDecisionsOfRules) {
+  WriteBatch batch = Decide("r1", {1, 1}, "DEFAULT", "ALERT");
+  batch.decisions[0].time_unix_ns = 100;
+  batch.decisions.push_back(Decide("r1", {1, 3}, "DEFAULT", "ALERT").decisions[0]);
+  batch.decisions.push_back(Decide("r1", {1, 2}, "ALERT", "DEFAULT").decisions[0]);
+  for (const char* cause : {"operator alice", "adopted", "crash in rule x", "rules", ""}) {
+    batch.decisions.push_back(
+        Decide("r1", {1, batch.decisions.size() + 1}, "DEFAULT", "ALERT").decisions[0]);
+    batch.decisions.back().cause = cause;
+  }
+  batch.decisions.push_back(Decide("r2", {1, 1}, "DEFAULT", "ALERT").decisions[0]);
+  batch.refusals.push_back({.id = "no", .robot = "r1", .cause = "rule x"});
+  ASSERT_THAT(store_->Commit(batch), IsOk());
+  EXPECT_THAT(Load("r1").rule_decisions, ElementsAre(RuleDecision{{1, 1}, "DEFAULT", "ALERT", 100},
+                                                     RuleDecision{{1, 2}, "ALERT", "DEFAULT", 10},
+                                                     RuleDecision{{1, 3}, "DEFAULT", "ALERT", 10}));
+
+  WriteBatch resumed;
+  resumed.checkpoints.push_back({.robot = "r1", .resumed_at = Mark{1, 2}});
+  ASSERT_THAT(store_->Commit(resumed), IsOk());
+  EXPECT_EQ(Load("r1").resumed_at, (Mark{1, 2}));
+  EXPECT_THAT(Load("r1").rule_decisions, ElementsAre(RuleDecision{{1, 3}, "DEFAULT", "ALERT", 10}));
+  resumed.checkpoints[0].resumed_at.reset();
+  ASSERT_THAT(store_->Commit(resumed), IsOk());
+  EXPECT_EQ(Load("r1").resumed_at, (Mark{1, 2})) << "absent = as before";
+
+  WriteBatch many;
+  for (uint64_t i = 1; i <= kRuleDecisionsMax; ++i) {
+    many.decisions.push_back(Decide("r1", {2, i}, "DEFAULT", "ALERT").decisions[0]);
+  }
+  ASSERT_THAT(store_->Commit(many), IsOk());
+  EXPECT_THAT(Load("r1").rule_decisions, SizeIs(kRuleDecisionsMax));
+  EXPECT_EQ(Load("r1").rule_decisions.front().mark, (Mark{2, 1}));
+}
+
 INSTANTIATE_TEST_SUITE_P(All, StoreContractTest, testing::Values(Kind::kFake, Kind::kSqlite),
                          [](const testing::TestParamInfo<Kind>& param) {
                            return param.param == Kind::kFake ? "Fake" : "Sqlite";

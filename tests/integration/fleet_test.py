@@ -608,7 +608,7 @@ def arm_under_load(fleet):
     fleet.bundle = "load"
     fleet.write("bundles/load/manifest.yaml",
                 "name: load\nrules: [load.rul]\nlevels: [DEFAULT, ALERT, COMPROMISED, HALT]\n")
-    fleet.write("bundles/load/load.rul", LOAD_RULES)
+    fleet.write("bundles/load/load.rul", getattr(fleet, "load_rules", LOAD_RULES))
     fleet.sensor_options = "outbox: {memory: 1MiB, disk: 64MiB}\n"
     fleet.prepare()
     fleet.server = fleet.start_server()
@@ -743,6 +743,65 @@ def sensor_restarted_while_the_server_is_away(fleet):
     check(not list((fleet.dir / "sensor/spool").glob("*.seg")), "segments stay behind")
 
 
+RESTORED_RULES = """
+levels:
+  DEFAULT;
+  ALERT;
+  COMPROMISED;
+  HALT;
+rules Msg:
+  flood: topicmatches("^/load") && msgcount(2000, 1500, 1000000) ? alert("a flood") => trigger(HALT);
+rules External:
+  lost: lostevents(1) ? alert("a loss") => trigger(ALERT);
+  unused: false ? trigger(COMPROMISED);
+"""
+
+
+def store_restored_from_a_backup(fleet):
+    """A backup of the store is restored, and the sensor was started again since: that is told once,
+    and what was judged after the backup is neither a loss nor a flood."""
+    fleet.load_rules = RESTORED_RULES
+    arm_under_load(fleet)
+    # Less than a flood.
+    load = fleet.start_publisher("--rate", 200)
+    load.wait_for(lambda line: '"publishing"' in line, 20, "the publisher is read")
+    time.sleep(3)
+    state = fleet.dir / "server/state.db"
+    with sqlite3.connect(state) as live, sqlite3.connect(fleet.dir / "backup.db") as backup:
+        live.backup(backup)
+    at_backup = sum(judged_messages(fleet).values())
+    deadline = time.monotonic() + 60
+    while sum(judged_messages(fleet).values()) < at_backup + 3_000:
+        check(time.monotonic() < deadline, "messages are not judged")
+        time.sleep(0.5)
+    fleet.server.kill(signal.SIGKILL)
+    time.sleep(1)
+    check(fleet.sensor.kill() == 0, "the sensor did not end in order")
+    check(list((fleet.dir / "sensor/spool").glob("*.seg")), "nothing is spooled")
+
+    for name in ("state.db-wal", "state.db-shm"):
+        (fleet.dir / "server" / name).unlink(missing_ok=True)
+    shutil.copy(fleet.dir / "backup.db", state)
+    fleet.server = fleet.start_server()
+    fleet.sensor = fleet.start_agent("sensor")
+    fleet.sensor.wait_for(lambda line: " streaming " in line, 30, "the sensor streams")
+    published(load)
+    wait_all_is_judged(fleet, 60)
+
+    texts = [alert["text"] for alert in fleet.alerts()]
+    check(sum("a backup was restored" in text for text in texts) == 1, f"not told once: {texts}")
+    check(not any("a flood" in text or "a loss" in text or "have a number and did not come" in text
+                  for text in texts), f"what the backup lacks is told as lost: {texts}")
+    check(fleet.level()["decided_level"] == "DEFAULT", "the level was raised")
+    fleet.server.kill()
+    fleet.server = fleet.start_server()
+    fleet.sensor.wait_for(lambda line: " streaming " in line, 30, "the sensor streams again",
+                          start=len(fleet.sensor.lines))
+    wait_all_is_judged(fleet, 60)
+    texts = [alert["text"] for alert in fleet.alerts()]
+    check(sum("a backup was restored" in text for text in texts) == 1, f"told again: {texts}")
+
+
 def starts_and_stops(fleet):
     """A robot that boots or stops under its sensor, whole or node by node, is no attack: neither
     live nor when what was recorded is replayed."""
@@ -826,7 +885,8 @@ SCENARIOS = [kill_server_while_compromised, kill_server_at_the_moment_of_a_raise
              bad_discovery_messages, programs_that_misbehave, drill, reload_of_a_broken_bundle,
              payloads_are_inspected_and_recorded, camera_guard_watches_a_real_camera,
              findings_are_told, server_killed_under_load,
-             sensor_restarted_while_the_server_is_away, starts_and_stops]
+             sensor_restarted_while_the_server_is_away, store_restored_from_a_backup,
+             starts_and_stops]
 
 
 def main(kind_of=lambda scenario: Fleet):
