@@ -292,7 +292,7 @@ class Robot {
   std::shared_ptr<const engine::InterestPlan> interest_;
   CoverageAlarm coverage_alarm_;
   LossAlarm loss_alarm_;
-  Told told_;
+  ToldOnce told_;
   // By reason: inspections that were not made.
   absl::btree_map<std::string, RecentLosses> skipped_;
   AlertLimiter alert_limiter_;

@@ -12,6 +12,8 @@ namespace {
 
 // A term that leaves no room above it can only come from a broken or hostile peer.
 constexpr uint64_t kTermMax = uint64_t{1} << 62;
+// What an actuator without a state of its own says of its floor.
+constexpr char kStateLostFloor[] = "state lost";
 // Events of drifts that one heartbeat makes.
 constexpr uint64_t kDriftsToldMax = 8;
 
@@ -128,6 +130,7 @@ void Robot::OnActuatorHello(const std::string& host_name, std::shared_ptr<Actuat
                  "deleted); it holds its fail-safe level, or the one its robot shows if that is ",
                  "higher"));
     External(engine::AgentEvent{.agent = "actuator", .state = "state_lost"});
+    host.floor_told = kStateLostFloor;  // by the alert above
   }
   TellMissingPrograms();
   UpdateActuation(now);

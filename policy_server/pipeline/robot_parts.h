@@ -174,7 +174,7 @@ struct LevelOrders {
 };
 
 // What is told once.
-struct Told {
+struct ToldOnce {
   // Until the next start: the store is older than what a sensor was told is durable.
   bool store_went_back = false;
   // Until an operator resumes them: the budget of soft lowerings is spent.
