@@ -255,4 +255,12 @@ void Fleet::Count() {
                  troubled > held ? troubled - held : 0, held);
 }
 
+int Fleet::agents() const {
+  size_t count = 0;
+  for (const bundle::InventoryRobot& robot : inventory_.robots) {
+    count += robot.sensors.size() + robot.actuators.size();
+  }
+  return static_cast<int>(count);
+}
+
 }  // namespace rips::server

@@ -64,6 +64,8 @@ class Fleet {
   // Reads inventory and bundles anew: robots and hosts come, change and go. What is refused leaves
   // the old in force and says so.
   void Reload();
+  // Sensors and actuators that the inventory in force lists.
+  int agents() const;
 
  private:
   absl::StatusOr<bundle::Inventory> ReadInventory() const;

@@ -12,6 +12,7 @@
 #include "services/base/ids.h"
 #include "services/base/status_macros.h"
 #include "services/runtime/await.h"
+#include "services/runtime/descriptor_limit.h"
 #include "services/runtime/log.h"
 
 namespace rips::server {
@@ -19,6 +20,13 @@ namespace {
 
 // What clients get to finish after a shutdown was announced.
 constexpr absl::Duration kShutdownGrace = absl::Seconds(2);
+constexpr absl::Duration kProbePatience = absl::Seconds(1);
+// Of files, plugins and what else is not a connection of an agent.
+constexpr uint64_t kOtherDescriptors = 512;
+// Of operators and of agents that connect anew while their old connection is not over.
+constexpr int kOtherConnections = 32;
+// Between two alerts that the server is attacked.
+constexpr int64_t kAttackEveryNs = 60 * kNanosPerSecond;
 
 pipeline::Timing ToPipeline(const Timing& timing) {
   return {.heartbeat_ns = absl::ToInt64Nanoseconds(timing.heartbeat),
@@ -114,7 +122,56 @@ void Server::OwnAlert(engine::Severity severity, const std::string& text) {
   alerts_->Raise(std::string(store::kServerRobot), severity, text);
 }
 
+absl::Status Server::GuardConnections() {
+  const int agents = fleet_->agents();
+  rpc::AdmissionLimits limits = config_.connections;
+  // Each connection has two: gRPC's and the guard's.
+  const uint64_t wanted = 2 * static_cast<uint64_t>(limits.total) + kOtherDescriptors;
+  const uint64_t allowed = RaiseDescriptorLimit(wanted);
+  if (allowed < wanted) {
+    limits.total = static_cast<int>((std::max(allowed, kOtherDescriptors) - kOtherDescriptors) / 2);
+    if (limits.total < 2 * agents + kOtherConnections) {
+      return absl::FailedPreconditionError(absl::StrCat(
+          "the limit of ", allowed, " open files is too low for the ", agents, " agents of ",
+          config_.inventory, "; set LimitNOFILE of the unit to ",
+          2 * (2 * agents + kOtherConnections) + kOtherDescriptors, " or more"));
+    }
+    limits.reserve = std::min(limits.reserve, limits.total / 4);
+    LogWarning("the limit of open files is too low for `connections.total`",
+               {{"limit", allowed}, {"wanted", wanted}, {"connections", limits.total}});
+  }
+  RIPS_ASSIGN_OR_RETURN(
+      connections_,
+      rpc::ConnectionGuard::Listen(
+          config_.listen,
+          {.admission = limits,
+           .on_ended = [this](const auto& report) { OnConnectionEnded(report); }},
+          &clock_, &metrics_));
+  return absl::OkStatus();
+}
+
+void Server::OnConnectionEnded(const rpc::ConnectionGuard::Report& report) {
+  if (report.banned_ns == 0) return;
+  {
+    MutexLock lock(&attack_mu_);
+    const int64_t now_ns = clock_.Now().boottime_ns;
+    if (attack_told_ns_ != 0 && now_ns - attack_told_ns_ < kAttackEveryNs) return;
+    attack_told_ns_ = now_ns;
+  }
+  OwnAlert(engine::Severity::kCritical,
+           absl::StrCat("the server is attacked: a connection from ", report.peer,
+                        report.certificate.empty()
+                            ? std::string(" without a certificate of ours")
+                            : absl::StrCat(" with the certificate of ", report.certificate),
+                        report.excess == rpc::Excess::kCalls
+                            ? " began calls without end"
+                            : " sent bytes of which nothing came",
+                        "; it was ended and is banned for ", report.banned_ns / kNanosPerSecond,
+                        " s (more of this kind is only counted for a minute)"));
+}
+
 absl::Status Server::GuardPeers() {
+  RIPS_RETURN_IF_ERROR(GuardConnections());
   RIPS_ASSIGN_OR_RETURN(bans_, operator_api::BanList::Load(store_.get()));
   certificates_ = std::make_unique<rpc::CertificateMonitor>(
       rpc::CertificateMonitor::Options{
@@ -127,11 +184,12 @@ absl::Status Server::GuardPeers() {
         const std::optional<rpc::Refusal> revoked = credentials_->Revoked(peer);
         return revoked ? revoked : bans_->Against(peer);
       },
-      &metrics_);
+      &metrics_, connections_.get());
   gate_->set_on_admitted([this](const rpc::Peer& peer) { certificates_->Seen(peer); });
   revocation_problem_ = metrics_.AddGauge(
       "rips_revocation_problem", "1 = the revocation lists are out of date or cannot be read.");
   watch_ = std::make_unique<rpc::SessionWatch>(&clock_, absl::Milliseconds(500), gate_.get());
+  watch_->set_silence(std::max(rpc::SessionWatch::kSilence, 3 * config_.timing.lost));
   watch_->set_before_look([this] { LookAtRevocations(); });
   return absl::OkStatus();
 }
@@ -349,7 +407,9 @@ absl::Status Server::Listen() {
           .watch = watch_.get(), .bans = bans_.get(), .certificates = certificates_.get()});
   RIPS_ASSIGN_OR_RETURN(
       rpc_,
-      rpc::RpcServer::Start({.listen = config_.listen, .credentials = credentials_->ForServer()},
+      rpc::RpcServer::Start({.listen = config_.listen,
+                             .guard = connections_.get(),
+                             .credentials = credentials_->ForServer()},
                             {sensors_.get(), actuators_.get(), operators_.get()}));
   listening_ = true;
   LogInfo("listening", {{"address", rpc_->address()}, {"metrics", page_->address()}});
@@ -359,6 +419,7 @@ absl::Status Server::Listen() {
 absl::Status Server::Readiness() const {
   if (!listening_) return absl::UnavailableError("waiting for a usable certificate");
   RIPS_RETURN_IF_ERROR(certificates_->own_status());
+  RIPS_RETURN_IF_ERROR(connections_->Probe(kProbePatience));
   const absl::Status health = committer_->health();
   if (health.ok()) return absl::OkStatus();
   return absl::UnavailableError(

@@ -29,6 +29,7 @@
 #include "policy_server/store/sqlite_store.h"
 #include "services/rpc/call_gate.h"
 #include "services/rpc/certificate_monitor.h"
+#include "services/rpc/connection_guard.h"
 #include "services/rpc/credentials.h"
 #include "services/rpc/server_builder.h"
 #include "services/rpc/session_watch.h"
@@ -65,6 +66,8 @@ class Server {
   absl::Status AwaitCredentials(const Pause& pause);
   // Judges peers, and watches certificates, our own among them.
   absl::Status GuardPeers();
+  absl::Status GuardConnections();
+  void OnConnectionEnded(const rpc::ConnectionGuard::Report& report);
   // RIPS's own alert that is no robot's: of robot `(server)`. Any thread.
   void OwnAlert(engine::Severity severity, const std::string& text);
   void OnCertificate(const rpc::CertificateMonitor::Notice& notice);
@@ -100,7 +103,10 @@ class Server {
   std::unique_ptr<Fleet> fleet_;
   std::unique_ptr<operator_api::BanList> bans_;
   std::unique_ptr<rpc::CertificateMonitor> certificates_;
+  std::unique_ptr<rpc::ConnectionGuard> connections_;
   std::unique_ptr<rpc::CallGate> gate_;
+  Mutex attack_mu_;
+  int64_t attack_told_ns_ ABSL_GUARDED_BY(attack_mu_) = 0;
   Gauge revocation_problem_;
   Mutex revocation_mu_;
   std::string revocation_told_ ABSL_GUARDED_BY(revocation_mu_);

@@ -87,6 +87,19 @@ void ReadShards(const ConfigSection& root, int* shards) {
   }
 }
 
+void ReadConnections(const ConfigSection& root, rpc::AdmissionLimits* limits) {
+  const ConfigSection section = root.OptionalSection("connections");
+  section.Optional("total", &limits->total, {16, 100'000});
+  section.Optional("reserve", &limits->reserve, {0, 100'000});
+  section.Optional("per_network", &limits->per_network, {1, 100'000});
+  section.Optional("per_address", &limits->per_address, {1, 100'000});
+  if (limits->reserve >= limits->total) {
+    section.Problem("reserve", absl::StrCat("`reserve` (", limits->reserve,
+                                            ") must be less than `total` (", limits->total, ")"));
+  }
+  limits->burst = limits->per_address;
+}
+
 void ReadPlugins(const ConfigSection& root, ServerConfig* config) {
   const ConfigSection section = root.OptionalSection("plugins");
   section.Optional("user", &config->plugin_user);
@@ -144,6 +157,7 @@ absl::StatusOr<ParsedServerConfig> ParseServerConfig(absl::string_view file,
   const ConfigSection alerts = root.OptionalSection("alerts");
   ReadOptionalPath(alerts, "file", &config.alerts_file);
   ReadTiming(root, &config.timing);
+  ReadConnections(root, &config.connections);
   ReadShards(root, &config.shards);
   ReadPlugins(root, &config);
   ReadAddress(root, "metrics", &config.metrics);

@@ -8,6 +8,7 @@
 #include "absl/status/statusor.h"
 #include "absl/strings/string_view.h"
 #include "absl/time/time.h"
+#include "services/rpc/connection_admission.h"
 #include "services/runtime/config_sections.h"
 
 namespace rips::server {
@@ -57,6 +58,8 @@ struct ServerConfig {
   // JSON lines.
   std::string alerts_file = "/var/log/rips/alerts.jsonl";
   Timing timing;
+  // How many connections are taken from where.
+  rpc::AdmissionLimits connections;
   // Threads that judge; 0 = one a core (`auto`), at most kShardsMax.
   int shards = 0;
   // Whom plugins and YARA scans run as if we are root: a name or a number. Empty: kPluginUser, or

@@ -31,6 +31,7 @@ timing: {heartbeat: 100ms, stale: 300ms, lost: 1s, lease: 3s, drain_lease: 10s, 
 shards: 3
 plugins: {user: detectors, readable: [/opt/detectors, /srv/models], helpers: /opt/rips/bin}
 metrics: "127.0.0.1:0"
+connections: {total: 100, reserve: 10, per_network: 50, per_address: 20}
 )";
 
 TEST(ServerConfigTest, FillsInTheDefaults) {
@@ -76,6 +77,11 @@ TEST(ServerConfigTest, ReadsEveryKey) {
                                    .late_after = absl::Seconds(2),
                                    .linger = absl::ZeroDuration(),
                                    .tick = absl::Milliseconds(50)}));
+  EXPECT_EQ(config.connections, (rpc::AdmissionLimits{.total = 100,
+                                                      .reserve = 10,
+                                                      .per_network = 50,
+                                                      .per_address = 20,
+                                                      .burst = 20}));
   EXPECT_EQ(config.shards, 3);
   EXPECT_EQ(config.metrics, "127.0.0.1:0");
 }
@@ -117,6 +123,9 @@ INSTANTIATE_TEST_SUITE_P(
                 "`lease` (1s) must be longer than `lost` (1s)"},
         BadCase{"DrainTooShort", "drain_lease: 10s", "drain_lease: 2s",
                 "`drain_lease` (2s) must not be shorter than `lease` (3s)"},
+        BadCase{"ReserveOfAll", "reserve: 10", "reserve: 100",
+                "`reserve` (100) must be less than `total` (100)"},
+        BadCase{"NoConnections", "total: 100", "total: 0", "`total`"},
         BadCase{"NoShards", "shards: 3", "shards: 0", "write `auto` or a number from 1 to 64"},
         BadCase{"TooManyShards", "shards: 3", "shards: 65", "write `auto` or a number"},
         BadCase{"WordShards", "shards: 3", "shards: many", "`shards` is `many`"},

@@ -94,6 +94,7 @@ class ActuatorStream final : public Stream {
       session_ = watch->Add(
           *peer, [outbound = outbound()](const grpc::Status& status) { outbound->Close(status); },
           [outbound = outbound()](const grpc::Status& status) { outbound->CloseWhenSent(status); });
+      session_->connection = watch->gate().ConnectionOf(address_);
       metrics_.streams.Increment();
       Begin();
     }
@@ -101,6 +102,7 @@ class ActuatorStream final : public Stream {
 
  private:
   void OnMessage(ActuatorMessage& message) override {
+    watch_->Heard(*session_, message.ByteSizeLong());
     if (!session_->greeted && !message.has_hello()) {
       return Refuse(absl::InvalidArgumentError("the first message must be a hello"));
     }

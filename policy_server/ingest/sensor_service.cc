@@ -158,6 +158,7 @@ class SensorStream final : public Stream {
       session_ = watch->Add(
           *peer, [outbound = outbound()](const grpc::Status& status) { outbound->Close(status); },
           [outbound = outbound()](const grpc::Status& status) { outbound->CloseWhenSent(status); });
+      session_->connection = watch->gate().ConnectionOf(address_);
       metrics_.streams.Increment();
       Begin();
     }
@@ -165,6 +166,7 @@ class SensorStream final : public Stream {
 
  private:
   void OnMessage(SensorMessage& message) override {
+    watch_->Heard(*session_, message.ByteSizeLong());
     if (!session_->greeted && !message.has_hello()) {
       return Refuse(absl::InvalidArgumentError("the first message must be a hello"));
     }

@@ -5,10 +5,11 @@
 
 namespace rips::rpc {
 
-CallGate::CallGate(const Clock* clock, Judge judge, Metrics* metrics)
-    : clock_(clock), judge_(std::move(judge)), metrics_(metrics) {
+CallGate::CallGate(const Clock* clock, Judge judge, Metrics* metrics, ConnectionGuard* connections)
+    : clock_(clock), judge_(std::move(judge)), metrics_(metrics), connections_(connections) {
   // There from the start, so that a first refusal is an increase.
-  for (const char* reason : {"unidentified", "expired", "revoked", "banned", "role", "claim"}) {
+  for (const char* reason :
+       {"unidentified", "expired", "revoked", "banned", "role", "claim", "throttled"}) {
     for (const Role role : {Role::kSensor, Role::kActuator, Role::kOperator}) {
       Count(reason, RoleName(role), 0);
     }
@@ -43,6 +44,19 @@ absl::StatusOr<Peer> CallGate::Admit(const grpc::CallbackServerContext& context,
     return Refuse({"role", absl::PermissionDeniedError(text)}, &*peer, address);
   }
   if (const auto refusal = Against(*peer)) return Refuse(*refusal, &*peer, address);
+  if (connections_ != nullptr) {
+    const std::string certificate = Describe(*peer);
+    const absl::Duration left = connections_->Banned(certificate);
+    if (left > absl::ZeroDuration()) {
+      const std::string text =
+          absl::StrCat("a connection with this certificate broke the limits; try again in ",
+                       absl::FormatDuration(absl::Ceil(left, absl::Seconds(1))));
+      return Refuse({"throttled", absl::ResourceExhaustedError(text)}, &*peer, address);
+    }
+    if (absl::Status status = connections_->OnIdentified(address, certificate); !status.ok()) {
+      return Refuse({"throttled", std::move(status)}, &*peer, address);
+    }
+  }
   if (on_admitted_) on_admitted_(*peer);
   return peer;
 }

@@ -5,6 +5,7 @@
 
 #include <functional>
 #include <map>
+#include <memory>
 #include <optional>
 #include <string>
 #include <utility>
@@ -15,6 +16,7 @@
 #include "absl/strings/string_view.h"
 #include "grpcpp/server_context.h"
 #include "services/base/clock.h"
+#include "services/rpc/connection_guard.h"
 #include "services/rpc/peer.h"
 #include "services/runtime/metrics.h"
 #include "services/runtime/mutex.h"
@@ -30,7 +32,8 @@ namespace rips::rpc {
 // | revoked       | UNAUTHENTICATED   | on a revocation list                                     |
 // | banned        | PERMISSION_DENIED | on the deny list                                         |
 // | role          | PERMISSION_DENIED | not what the call is for                                 |
-// | claim         | PERMISSION_DENIED | says that it is somebody else                            |
+// | claim         | PERMISSION_DENIED | says that it is another agent                            |
+// | throttled     | RESOURCE_EXHAUSTED| its connections broke the limits, or are too many        |
 struct Refusal {
   const char* reason;
   absl::Status status;
@@ -42,8 +45,9 @@ class CallGate {
   // Why the peer is not served, besides its expiry; nullopt = nothing against it. Any thread.
   using Judge = std::function<std::optional<Refusal>(const Peer&)>;
 
-  // `clock` and `metrics` are not owned and outlive this. `metrics` may be null.
-  CallGate(const Clock* clock, Judge judge, Metrics* metrics);
+  // Nothing is owned; all outlive this. `metrics` and `connections` may be null.
+  CallGate(const Clock* clock, Judge judge, Metrics* metrics,
+           ConnectionGuard* connections = nullptr);
 
   // Called with each peer that Admit lets pass, on the call's thread. Before the first call.
   void set_on_admitted(std::function<void(const Peer&)> admitted) {
@@ -55,6 +59,10 @@ class CallGate {
   std::optional<Refusal> Against(const Peer& peer) const;
   // The peer of a call for which it must have `role`. What is refused is counted and logged.
   absl::StatusOr<Peer> Admit(const grpc::CallbackServerContext& context, Role role);
+  // Null if connections are not guarded.
+  std::shared_ptr<Connection> ConnectionOf(absl::string_view peer) {
+    return connections_ == nullptr ? nullptr : connections_->Find(peer);
+  }
   // Counts and logs (each reason and role once a second at most) a refusal, and returns its status.
   // `peer` null = not known; `address` empty = not known.
   absl::Status Refuse(const Refusal& refusal, const Peer* peer, absl::string_view address)
@@ -66,6 +74,7 @@ class CallGate {
   const Clock* clock_;
   const Judge judge_;
   Metrics* metrics_;
+  ConnectionGuard* connections_;
   std::function<void(const Peer&)> on_admitted_;
   Mutex mu_;
   // By role and reason: when it was logged last, and how often it was not since.

@@ -7,6 +7,8 @@
 #include "grpc/impl/codegen/grpc_types.h"
 #include "grpcpp/health_check_service_interface.h"
 #include "grpcpp/server_builder.h"
+#include "grpcpp/support/server_interceptor.h"
+#include "services/base/status_macros.h"
 #include "services/rpc/bidi_client.h"
 
 namespace rips::rpc {
@@ -17,6 +19,23 @@ namespace {
 constexpr int kStreamsPerConnectionMax = 100;
 // Bytes a peer may send ahead of our reading.
 constexpr int kLookaheadBytes = 256 << 10;
+constexpr absl::Duration kHandshakeTimeout = absl::Seconds(5);
+// Of a connection without calls; an open header block is no call.
+constexpr absl::Duration kIdleTimeout = absl::Minutes(5);
+
+// Counts calls before anything is done for them; intercepts none.
+class CallCounter final : public grpc::experimental::ServerInterceptorFactoryInterface {
+ public:
+  explicit CallCounter(ConnectionGuard* guard) : guard_(guard) {}
+  grpc::experimental::Interceptor* CreateServerInterceptor(
+      grpc::experimental::ServerRpcInfo* info) override {
+    guard_->OnCall(info->server_context()->peer());
+    return nullptr;
+  }
+
+ private:
+  ConnectionGuard* guard_;
+};
 
 }  // namespace
 
@@ -24,14 +43,28 @@ absl::StatusOr<std::unique_ptr<RpcServer>> RpcServer::Start(
     const RpcServerOptions& options, const std::vector<grpc::Service*>& services) {
   grpc::EnableDefaultHealthCheckService(true);
   std::unique_ptr<RpcServer> server(new RpcServer());
+  server->guard_ = options.guard;
+  if (options.guard == nullptr) {
+    RIPS_ASSIGN_OR_RETURN(
+        server->own_guard_,
+        ConnectionGuard::Listen(options.listen, {.budget = {.unidentified_bytes = 1e12}},
+                                &server->clock_, nullptr));
+    server->guard_ = server->own_guard_.get();
+  }
   grpc::ServerBuilder builder;
-  builder.AddListeningPort(options.listen, options.credentials, &server->port_);
+  using Acceptor = grpc::ServerBuilder::experimental_type::ExternalConnectionType;
+  auto acceptor =
+      builder.experimental().AddExternalConnectionAcceptor(Acceptor::FROM_FD, options.credentials);
+  std::vector<std::unique_ptr<grpc::experimental::ServerInterceptorFactoryInterface>> counters;
+  counters.push_back(std::make_unique<CallCounter>(server->guard_));
+  builder.experimental().SetInterceptorCreators(std::move(counters));
   builder.SetMaxReceiveMessageSize(kMessageBytesMax);
   builder.SetMaxSendMessageSize(kMessageBytesMax);
   const auto set = [&](const char* name, int64_t value) {
     builder.AddChannelArgument(name, static_cast<int>(value));
   };
-  set(GRPC_ARG_ALLOW_REUSEPORT, 0);
+  set(GRPC_ARG_SERVER_HANDSHAKE_TIMEOUT_MS, absl::ToInt64Milliseconds(kHandshakeTimeout));
+  set(GRPC_ARG_MAX_CONNECTION_IDLE_MS, absl::ToInt64Milliseconds(kIdleTimeout));
   set(GRPC_ARG_MAX_METADATA_SIZE, kMetadataBytesMax);
   set(GRPC_ARG_MAX_CONCURRENT_STREAMS, kStreamsPerConnectionMax);
   set(GRPC_ARG_KEEPALIVE_TIME_MS, absl::ToInt64Milliseconds(options.keepalive_time));
@@ -45,14 +78,15 @@ absl::StatusOr<std::unique_ptr<RpcServer>> RpcServer::Start(
   set(GRPC_ARG_HTTP2_BDP_PROBE, 0);
   set(GRPC_ARG_HTTP2_STREAM_LOOKAHEAD_BYTES, kLookaheadBytes);
   for (grpc::Service* service : services) builder.RegisterService(service);
+  builder.RegisterCallbackGenericService(&server->unknown_methods_);
   server->server_ = builder.BuildAndStart();
-  if (server->server_ == nullptr || server->port_ == 0) {
+  if (server->server_ == nullptr) {
     server->stopped_ = true;
-    return absl::UnavailableError(
-        absl::StrCat("cannot listen on `", options.listen, "`; is the port in use?"));
+    return absl::InternalError("gRPC could not build the server");
   }
+  server->guard_->Start(std::move(acceptor));
   const absl::string_view listen = options.listen;
-  server->address_ = absl::StrCat(listen.substr(0, listen.rfind(':')), ":", server->port_);
+  server->address_ = absl::StrCat(listen.substr(0, listen.rfind(':')), ":", server->port());
   server->SetServing(true);
   return server;
 }
@@ -67,6 +101,7 @@ void RpcServer::Shutdown(absl::Duration grace) {
   if (stopped_) return;
   stopped_ = true;
   SetServing(false);
+  guard_->Stop();
   // Without a deadline one open stream would keep this waiting for ever.
   server_->Shutdown(std::chrono::system_clock::now() + absl::ToChronoMilliseconds(grace));
   server_->Wait();

@@ -8,14 +8,20 @@
 
 #include "absl/status/statusor.h"
 #include "absl/time/time.h"
+#include "grpcpp/generic/async_generic_service.h"
 #include "grpcpp/impl/service_type.h"
 #include "grpcpp/security/server_credentials.h"
 #include "grpcpp/server.h"
+#include "services/rpc/connection_guard.h"
+#include "services/runtime/real_clock.h"
 
 namespace rips::rpc {
 
 struct RpcServerOptions {
   std::string listen;  // `HOST:PORT`; port 0 = any
+  // Listens already, and outlives the server; null = one of its own at `listen`,
+  // which lets peers that no gate identifies send as much as they like.
+  ConnectionGuard* guard = nullptr;
   std::shared_ptr<grpc::ServerCredentials> credentials;
   absl::Duration keepalive_time = absl::Seconds(5);
   absl::Duration keepalive_timeout = absl::Seconds(5);
@@ -31,7 +37,7 @@ class RpcServer {
   // Shutdown(ZeroDuration) if that was not done.
   ~RpcServer();
 
-  int port() const { return port_; }
+  int port() const { return guard_->port(); }
   // `listen` with the real port.
   const std::string& address() const { return address_; }
   // What the health service says; serving from the start.
@@ -44,9 +50,14 @@ class RpcServer {
 
  private:
   RpcServer() = default;
+
+  RealClock clock_;
+  std::unique_ptr<ConnectionGuard> own_guard_;
+  ConnectionGuard* guard_ = nullptr;
+  // Answers methods that there are not, so that they are counted as calls.
+  grpc::CallbackGenericService unknown_methods_;
   std::unique_ptr<grpc::Server> server_;
   std::string address_;
-  int port_ = 0;
   bool stopped_ = false;
 };
 

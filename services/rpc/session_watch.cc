@@ -24,6 +24,11 @@ SessionWatch::~SessionWatch() {
   thread_.join();
 }
 
+void SessionWatch::set_silence(absl::Duration silence) {
+  MutexLock lock(&mu_);
+  silence_ = silence;
+}
+
 void SessionWatch::set_before_look(std::function<void()> before) {
   MutexLock lock(&mu_);
   before_look_ = std::move(before);
@@ -62,11 +67,18 @@ void SessionWatch::CloseAll(const grpc::Status& status) {
   for (const auto& session : Live()) session->close_when_sent(status);
 }
 
+void SessionWatch::Heard(Session& session, size_t bytes) {
+  session.heard_boottime_ns = clock_->Now().boottime_ns;
+  if (session.connection != nullptr) session.connection->OnMessage(bytes);
+}
+
 void SessionWatch::Look() {
   std::function<void()> before;
+  absl::Duration silence;
   {
     MutexLock lock(&mu_);
     before = before_look_;
+    silence = silence_;
   }
   if (before) before();
   const int64_t now_ns = clock_->Now().boottime_ns;
@@ -85,6 +97,12 @@ void SessionWatch::Look() {
       session->close(
           grpc::Status(grpc::StatusCode::DEADLINE_EXCEEDED,
                        absl::StrCat("no hello within ", absl::FormatDuration(kHelloTimeout))));
+    } else if (const int64_t heard_ns = session->heard_boottime_ns;
+               heard_ns != 0 && absl::Nanoseconds(now_ns - heard_ns) > silence) {
+      session->closed = true;
+      session->close(
+          grpc::Status(grpc::StatusCode::DEADLINE_EXCEEDED,
+                       absl::StrCat("no heartbeat within ", absl::FormatDuration(silence))));
     }
   }
 }

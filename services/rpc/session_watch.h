@@ -1,5 +1,5 @@
-// Ends streams that the library would keep for ever: those whose peer never says hello, and those
-// whose certificate has expired, was revoked or banned.
+// Ends streams that the library would keep for ever: those whose peer never says hello or falls
+// silent, and those whose certificate has expired, was revoked or banned.
 //
 // A certificate ends at its notAfter by the wall clock, or when the time that was left of it at the
 // stream's opening has passed by CLOCK_BOOTTIME, whichever is first: a wall clock that is set back
@@ -29,9 +29,15 @@ class SessionWatch {
  public:
   // From a stream's opening to its hello, by CLOCK_BOOTTIME.
   static constexpr absl::Duration kHelloTimeout = absl::Seconds(5);
+  // Between two messages of an agent, which sends a heartbeat at least each second.
+  static constexpr absl::Duration kSilence = absl::Seconds(15);
 
   struct Session {
     std::atomic<bool> greeted = false;
+    // When its last message came, by CLOCK_BOOTTIME; 0 = it is none that sends any.
+    std::atomic<int64_t> heard_boottime_ns = 0;
+    // May be null.
+    std::shared_ptr<Connection> connection;
     int64_t opened_boottime_ns = 0;
     // Of the certificate when the stream was opened.
     absl::Duration left;
@@ -50,6 +56,8 @@ class SessionWatch {
                         CallGate* gate = nullptr);
   ~SessionWatch();
 
+  // Instead of kSilence. Before the first Add.
+  void set_silence(absl::Duration silence) ABSL_LOCKS_EXCLUDED(mu_);
   // Called before each look, on its thread: what must be fresh for it. Before the first Add.
   void set_before_look(std::function<void()> before) ABSL_LOCKS_EXCLUDED(mu_);
 
@@ -59,10 +67,12 @@ class SessionWatch {
   }
   CallGate& gate() { return *gate_; }
   // Watched until the caller drops what is returned.
-  std::shared_ptr<Session> Add(
-      Peer peer, std::function<void(const grpc::Status&)> close,
-      std::function<void(const grpc::Status&)> close_when_sent = nullptr);
-  // Ends what is due now: DEADLINE_EXCEEDED without a hello, or as CallGate refuses the peer.
+  std::shared_ptr<Session> Add(Peer peer, std::function<void(const grpc::Status&)> close,
+                               std::function<void(const grpc::Status&)> close_when_sent = nullptr);
+  // A message of the session's stream came, of so many bytes.
+  void Heard(Session& session, size_t bytes);
+  // Ends what is due now: DEADLINE_EXCEEDED without a hello or a heartbeat, or as CallGate refuses
+  // the peer.
   void Look();
   // Ends every stream with `status`, after what waits to be written if its owner can do that: the
   // lease that a stopping server grants must not be lost with the stream.
@@ -78,6 +88,7 @@ class SessionWatch {
   CallGate* const gate_;
   Mutex mu_;
   std::function<void()> before_look_ ABSL_GUARDED_BY(mu_);
+  absl::Duration silence_ ABSL_GUARDED_BY(mu_) = kSilence;
   CondVar stop_cond_;
   bool stopping_ ABSL_GUARDED_BY(mu_) = false;
   std::vector<std::weak_ptr<Session>> sessions_ ABSL_GUARDED_BY(mu_);

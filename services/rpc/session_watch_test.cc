@@ -49,6 +49,27 @@ TEST_F(SessionWatchTest, EndsAStreamWithoutHelloAfterFiveSeconds) {
   EXPECT_EQ(silent.ends[0].error_message(), "no hello within 5s");
 }
 
+TEST_F(SessionWatchTest, EndsAnAgentsStreamThatFallsSilent) {
+  Watched agent;
+  Watched watcher;
+  Add(&agent);
+  Add(&watcher);
+  for (Watched* each : {&agent, &watcher}) each->session->greeted = true;
+  watch_.Heard(*agent.session, 30);
+
+  clock_.Advance(15 * kNanosPerSecond);
+  watch_.Look();
+  EXPECT_THAT(agent.ends, IsEmpty());
+  watch_.Heard(*agent.session, 30);
+  clock_.Advance(15 * kNanosPerSecond + 1);
+  watch_.Look();
+
+  ASSERT_THAT(agent.ends, SizeIs(1));
+  EXPECT_EQ(agent.ends[0].error_code(), grpc::StatusCode::DEADLINE_EXCEEDED);
+  EXPECT_EQ(agent.ends[0].error_message(), "no heartbeat within 15s");
+  EXPECT_THAT(watcher.ends, IsEmpty()) << "who only listens sends nothing";
+}
+
 TEST_F(SessionWatchTest, EachStreamHasItsOwnFiveSeconds) {
   Watched early;
   Watched late;

@@ -114,6 +114,8 @@ class SessionTest : public ::testing::Test {
                               {.program = *program, .bundle_id = "sha256:0"}, {}, {}, 1,
                               {.recorder = &recorder_, .audience = &audience_, .new_id = NewId}),
                 IsOk());
+    // Its clock jumps.
+    watch_.set_silence(absl::InfiniteDuration());
     pipeline_.Start();
     auto server =
         rpc::RpcServer::Start({.listen = "127.0.0.1:0", .credentials = (*server_ids_)->ForServer()},

@@ -1,0 +1,482 @@
+#include "services/rpc/connection_guard.h"
+
+#include <fcntl.h>
+#include <linux/tcp.h>
+#include <malloc.h>
+#include <netdb.h>
+#include <netinet/in.h>
+#include <poll.h>
+#include <sys/eventfd.h>
+#include <sys/socket.h>
+#include <unistd.h>
+
+#include <cerrno>
+#include <cstring>
+#include <utility>
+
+#include "absl/strings/numbers.h"
+#include "absl/strings/str_cat.h"
+#include "services/base/status_macros.h"
+#include "services/runtime/log.h"
+
+namespace rips::rpc {
+namespace {
+
+// Of tcp_info (net/tcp_states.h of the kernel).
+constexpr uint8_t kEstablished = 1;
+constexpr uint8_t kCloseWait = 8;
+constexpr int kBacklog = 1'024;
+// What a listener without descriptors waits before it looks again.
+constexpr absl::Duration kOutOfDescriptors = absl::Milliseconds(50);
+// After the last connection that was ended for its cost.
+constexpr int64_t kTrimNs = kNanosPerSecond;
+constexpr size_t kBannedMax = 4'096;
+
+absl::Status Failed(absl::string_view what) {
+  return absl::UnavailableError(absl::StrCat(what, ": ", std::strerror(errno)));
+}
+
+UniqueFd OpenReserve() { return UniqueFd(open("/dev/null", O_RDONLY | O_CLOEXEC)); }
+
+// Refuses at once and leaves nothing of it behind.
+void Reset(UniqueFd socket) {
+  const linger now{.l_onoff = 1, .l_linger = 0};
+  setsockopt(socket.get(), SOL_SOCKET, SO_LINGER, &now, sizeof(now));
+}
+
+struct FreeAddresses {
+  void operator()(addrinfo* list) const { freeaddrinfo(list); }
+};
+
+absl::StatusOr<UniqueFd> ListenOn(const addrinfo& at, int port) {
+  UniqueFd fd(socket(at.ai_family, SOCK_STREAM | SOCK_NONBLOCK | SOCK_CLOEXEC, 0));
+  if (fd.get() < 0) return Failed("socket");
+  const int on = 1;
+  const int off = 0;
+  setsockopt(fd.get(), SOL_SOCKET, SO_REUSEADDR, &on, sizeof(on));
+  sockaddr_storage address = {};
+  std::memcpy(&address, at.ai_addr, at.ai_addrlen);
+  if (at.ai_family == AF_INET6) {
+    // `[::]` is IPv4, too; an address of its own is not.
+    setsockopt(fd.get(), IPPROTO_IPV6, IPV6_V6ONLY, &off, sizeof(off));
+    reinterpret_cast<sockaddr_in6*>(&address)->sin6_port = htons(static_cast<uint16_t>(port));
+  } else {
+    reinterpret_cast<sockaddr_in*>(&address)->sin_port = htons(static_cast<uint16_t>(port));
+  }
+  if (bind(fd.get(), reinterpret_cast<const sockaddr*>(&address), at.ai_addrlen) != 0) {
+    return Failed("bind");
+  }
+  if (listen(fd.get(), kBacklog) != 0) return Failed("listen");
+  return fd;
+}
+
+int PortOf(const UniqueFd& fd) {
+  sockaddr_storage address = {};
+  socklen_t size = sizeof(address);
+  if (getsockname(fd.get(), reinterpret_cast<sockaddr*>(&address), &size) != 0) return 0;
+  return address.ss_family == AF_INET6
+             ? ntohs(reinterpret_cast<const sockaddr_in6*>(&address)->sin6_port)
+             : ntohs(reinterpret_cast<const sockaddr_in*>(&address)->sin_port);
+}
+
+}  // namespace
+
+std::string DecodePeer(absl::string_view peer) {
+  std::string out;
+  for (size_t i = 0; i < peer.size(); ++i) {
+    uint32_t byte = 0;
+    if (peer[i] == '%' && i + 2 < peer.size() &&
+        absl::SimpleHexAtoi(peer.substr(i + 1, 2), &byte)) {
+      out.push_back(static_cast<char>(byte));
+      i += 2;
+    } else {
+      out.push_back(peer[i]);
+    }
+  }
+  return out;
+}
+
+// ---------------------------------------------------------------------------------- connection
+
+void Connection::OnMessage(size_t bytes) {
+  MutexLock lock(&mu_);
+  budget_.OnMessage(bytes);
+}
+
+void Connection::Identify(const std::string& certificate) {
+  MutexLock lock(&mu_);
+  budget_.OnIdentified();
+  if (certificate_.empty()) certificate_ = certificate;
+}
+
+std::string Connection::certificate() const {
+  MutexLock lock(&mu_);
+  return certificate_;
+}
+
+Excess Connection::OnCall(int64_t now_ns) {
+  MutexLock lock(&mu_);
+  return budget_.OnCall(now_ns);
+}
+
+Connection::State Connection::Look(int64_t now_ns, Excess& excess) {
+  MutexLock lock(&mu_);
+  tcp_info info = {};
+  socklen_t size = sizeof(info);
+  if (getsockopt(socket_.get(), IPPROTO_TCP, TCP_INFO, &info, &size) != 0) return State::kOver;
+  if (info.tcpi_state != kEstablished && info.tcpi_state != kCloseWait) return State::kOver;
+  if (ended_) return State::kEnded;
+  excess = budget_.Look(info.tcpi_bytes_received, now_ns);
+  return State::kOpen;
+}
+
+bool Connection::End() {
+  MutexLock lock(&mu_);
+  if (std::exchange(ended_, true)) return false;
+  shutdown(socket_.get(), SHUT_RDWR);
+  return true;
+}
+
+// --------------------------------------------------------------------------------------- guard
+
+ConnectionGuard::ConnectionGuard(Options options, const Clock* clock, Metrics* metrics)
+    : options_(std::move(options)),
+      clock_(clock),
+      metrics_(metrics),
+      reserve_(OpenReserve()),
+      wake_(eventfd(0, EFD_CLOEXEC | EFD_NONBLOCK)),
+      admission_(options_.admission) {
+  if (metrics_ == nullptr) return;
+  open_ = metrics_->AddGauge("rips_connections", "Connections that are open.");
+  for (const char* why : {"banned", "rate", "address", "network", "total", "descriptors"}) {
+    metrics_->AddCounter("rips_connections_refused_total", "Connections not taken, by why.",
+                         {{"reason", why}});
+  }
+  for (const char* why : {"silent", "calls", "bytes"}) {
+    metrics_->AddCounter("rips_connections_ended_total",
+                         "Connections ended for what they cost, by what it was.",
+                         {{"reason", why}});
+  }
+}
+
+ConnectionGuard::~ConnectionGuard() { Stop(); }
+
+absl::StatusOr<std::unique_ptr<ConnectionGuard>> ConnectionGuard::Listen(const std::string& listen,
+                                                                         Options options,
+                                                                         const Clock* clock,
+                                                                         Metrics* metrics) {
+  std::unique_ptr<ConnectionGuard> guard(new ConnectionGuard(std::move(options), clock, metrics));
+  if (const absl::Status bound = guard->Bind(listen); !bound.ok()) {
+    return absl::UnavailableError(absl::StrCat("cannot listen on `", listen, "` (", bound.message(),
+                                               "); is the port in use?"));
+  }
+  return guard;
+}
+
+absl::Status ConnectionGuard::Bind(const std::string& listen) {
+  const size_t colon = listen.rfind(':');
+  if (colon == std::string::npos) return absl::UnavailableError("write it as HOST:PORT");
+  std::string host = listen.substr(0, colon);
+  if (host.size() > 2 && host.front() == '[' && host.back() == ']') {
+    host = host.substr(1, host.size() - 2);
+  }
+  const std::string service = listen.substr(colon + 1);
+  addrinfo hints = {};
+  hints.ai_socktype = SOCK_STREAM;
+  hints.ai_flags = AI_PASSIVE | AI_NUMERICSERV;
+  addrinfo* found = nullptr;
+  const int error =
+      getaddrinfo(host.empty() ? nullptr : host.c_str(), service.c_str(), &hints, &found);
+  if (error != 0) return absl::UnavailableError(gai_strerror(error));
+  const std::unique_ptr<addrinfo, FreeAddresses> list(found);
+  if (!absl::SimpleAtoi(service, &port_)) return absl::UnavailableError("the port is no number");
+  for (const addrinfo* at = list.get(); at != nullptr; at = at->ai_next) {
+    if (at->ai_family != AF_INET && at->ai_family != AF_INET6) continue;
+    RIPS_ASSIGN_OR_RETURN(UniqueFd listener, ListenOn(*at, port_));
+    port_ = PortOf(listener);
+    listeners_.push_back(std::move(listener));
+  }
+  if (listeners_.empty()) return absl::UnavailableError("no address");
+  return absl::OkStatus();
+}
+
+void ConnectionGuard::Start(std::unique_ptr<grpc::experimental::ExternalConnectionAcceptor> grpc) {
+  grpc_ = std::move(grpc);
+  accept_ = std::thread([this] { Accept(); });
+  watch_ = std::thread([this] { RunWatch(); });
+}
+
+void ConnectionGuard::Stop() {
+  if (stopped_.exchange(true)) return;
+  {
+    MutexLock lock(&mu_);
+    stopping_ = true;
+    stop_cond_.NotifyAll();
+  }
+  const uint64_t one = 1;
+  if (write(wake_.get(), &one, sizeof(one)) < 0) LogError("the accepting thread was not woken");
+  if (accept_.joinable()) accept_.join();
+  if (watch_.joinable()) watch_.join();
+  listeners_.clear();
+  MutexLock lock(&mu_);
+  connections_.clear();
+}
+
+void ConnectionGuard::CountRefused(absl::string_view reason) {
+  if (metrics_ == nullptr) return;
+  metrics_
+      ->AddCounter("rips_connections_refused_total", "Connections not taken, by why.",
+                   {{"reason", std::string(reason)}})
+      .Increment();
+}
+
+absl::Status ConnectionGuard::Probe(absl::Duration patience) {
+  // Where a connection to ourselves goes: to the listener's address, or to the host's own if it
+  // listens on all. It comes from the same address.
+  sockaddr_storage to = {};
+  socklen_t size = sizeof(to);
+  if (stopped_ || listeners_.empty() ||
+      getsockname(listeners_[0].get(), reinterpret_cast<sockaddr*>(&to), &size) != 0) {
+    return absl::UnavailableError("the listener is closed");
+  }
+  sockaddr_storage from = {};
+  from.ss_family = to.ss_family;
+  if (to.ss_family == AF_INET6) {
+    auto* v6 = reinterpret_cast<sockaddr_in6*>(&to);
+    if (IN6_IS_ADDR_UNSPECIFIED(&v6->sin6_addr)) v6->sin6_addr = in6addr_loopback;
+    reinterpret_cast<sockaddr_in6*>(&from)->sin6_addr = v6->sin6_addr;
+  } else {
+    auto* v4 = reinterpret_cast<sockaddr_in*>(&to);
+    if (v4->sin_addr.s_addr == htonl(INADDR_ANY)) v4->sin_addr.s_addr = htonl(INADDR_LOOPBACK);
+    reinterpret_cast<sockaddr_in*>(&from)->sin_addr = v4->sin_addr;
+  }
+  const UniqueFd fd(socket(to.ss_family, SOCK_STREAM | SOCK_NONBLOCK | SOCK_CLOEXEC, 0));
+  if (fd.get() < 0 || bind(fd.get(), reinterpret_cast<const sockaddr*>(&from), size) != 0 ||
+      getsockname(fd.get(), reinterpret_cast<sockaddr*>(&from), &size) != 0) {
+    return Failed("no socket to probe with");
+  }
+  const std::string name = SourceOf(from).peer;
+  {
+    MutexLock lock(&mu_);
+    probes_.insert(name);
+  }
+  bool taken =
+      connect(fd.get(), reinterpret_cast<const sockaddr*>(&to), size) == 0 || errno == EINPROGRESS;
+  if (taken) {
+    pollfd polled = {.fd = fd.get(), .events = POLLIN | POLLRDHUP, .revents = 0};
+    taken = poll(&polled, 1, static_cast<int>(absl::ToInt64Milliseconds(patience))) == 1;
+    char byte = 0;
+    taken = taken && recv(fd.get(), &byte, 1, 0) == 0;
+  }
+  MutexLock lock(&mu_);
+  probes_.erase(name);
+  if (taken) return absl::OkStatus();
+  return absl::UnavailableError("the listener takes no connections");
+}
+
+// ------------------------------------------------------------------------------------ accepting
+
+void ConnectionGuard::Accept() {
+  std::vector<pollfd> polled = {{.fd = wake_.get(), .events = POLLIN, .revents = 0}};
+  for (const UniqueFd& listener : listeners_) {
+    polled.push_back({.fd = listener.get(), .events = POLLIN, .revents = 0});
+  }
+  while (true) {
+    if (poll(polled.data(), polled.size(), -1) < 0 && errno != EINTR) {
+      LogError("the listener failed", {{"reason", std::strerror(errno)}});
+      return;
+    }
+    if (polled[0].revents != 0) return;
+    for (size_t i = 1; i < polled.size(); ++i) {
+      if (polled[i].revents == 0 || AcceptAll(polled[i].fd)) continue;
+      MutexLock lock(&mu_);
+      if (!stopping_) stop_cond_.WaitFor(lock, kOutOfDescriptors);
+    }
+  }
+}
+
+bool ConnectionGuard::AcceptAll(int listener) {
+  while (true) {
+    UniqueFd socket(accept4(listener, nullptr, nullptr, SOCK_NONBLOCK | SOCK_CLOEXEC));
+    if (socket.get() >= 0) {
+      Take(std::move(socket));
+      continue;
+    }
+    if (errno == EAGAIN) return true;
+    if (errno != EMFILE && errno != ENFILE && errno != ENOBUFS && errno != ENOMEM) {
+      continue;  // that connection is gone already
+    }
+    // What waits is refused, so that it does not wait for ever.
+    reserve_.Reset();
+    UniqueFd refused(accept4(listener, nullptr, nullptr, SOCK_NONBLOCK | SOCK_CLOEXEC));
+    const bool any = refused.get() >= 0;
+    if (any) Reset(std::move(refused));
+    reserve_ = OpenReserve();
+    CountRefused("descriptors");
+    if (!any || reserve_.get() < 0) return false;
+  }
+}
+
+void ConnectionGuard::Take(UniqueFd socket) {
+  sockaddr_storage address = {};
+  socklen_t size = sizeof(address);
+  if (getpeername(socket.get(), reinterpret_cast<sockaddr*>(&address), &size) != 0) return;
+  Source source = SourceOf(address);
+  UniqueFd duplicate(fcntl(socket.get(), F_DUPFD_CLOEXEC, 0));
+  const int64_t now_ns = clock_->Now().boottime_ns;
+  {
+    MutexLock lock(&mu_);
+    if (probes_.contains(source.peer)) return;  // closes it
+    const Admission::Verdict verdict = admission_.Ask(source, now_ns);
+    if (verdict != Admission::Verdict::kTake) {
+      CountRefused(ToString(verdict));
+      return Reset(std::move(socket));
+    }
+    if (duplicate.get() < 0) {
+      admission_.Left(source);
+      CountRefused("descriptors");
+      return Reset(std::move(socket));
+    }
+    // A port that was used a moment ago: the connection before is over.
+    if (const auto old = connections_.find(source.peer); old != connections_.end()) {
+      ForgetLocked(*old->second);
+      connections_.erase(old);
+    }
+    const std::string peer = source.peer;
+    connections_[peer] = std::make_shared<Connection>(std::move(source), std::move(duplicate),
+                                                      options_.budget, now_ns);
+    open_.Set(static_cast<double>(connections_.size()));
+  }
+  const int on = 1;
+  setsockopt(socket.get(), IPPROTO_TCP, TCP_NODELAY, &on, sizeof(on));
+  grpc::experimental::ExternalConnectionAcceptor::NewConnectionParameters given;
+  given.fd = socket.Release();
+  grpc_->HandleNewConnection(&given);
+}
+
+// ------------------------------------------------------------------------------------- watching
+
+std::shared_ptr<Connection> ConnectionGuard::Find(absl::string_view peer) {
+  const std::string name = DecodePeer(peer);
+  MutexLock lock(&mu_);
+  const auto it = connections_.find(name);
+  return it == connections_.end() ? nullptr : it->second;
+}
+
+void ConnectionGuard::OnCall(absl::string_view peer) {
+  const std::shared_ptr<Connection> connection = Find(peer);
+  if (connection == nullptr) return;
+  const Excess excess = connection->OnCall(clock_->Now().boottime_ns);
+  if (excess != Excess::kNone) EndFor(*connection, excess);
+}
+
+absl::Status ConnectionGuard::OnIdentified(absl::string_view peer, const std::string& certificate) {
+  const std::string name = DecodePeer(peer);
+  const int64_t now_ns = clock_->Now().boottime_ns;
+  MutexLock lock(&mu_);
+  const auto it = connections_.find(name);
+  if (it == connections_.end()) return absl::OkStatus();
+  Connection& connection = *it->second;
+  if (connection.certificate().empty()) {
+    int& count = certificates_[certificate];
+    if (count >= options_.per_certificate) {
+      return absl::ResourceExhaustedError(
+          absl::StrCat("this certificate has ", count, " connections already"));
+    }
+    ++count;
+    connection.Identify(certificate);
+  }
+  admission_.Identified(connection.source(), now_ns);
+  return absl::OkStatus();
+}
+
+void ConnectionGuard::ForgetLocked(const Connection& connection) {
+  admission_.Left(connection.source());
+  const auto it = certificates_.find(connection.certificate());
+  if (it != certificates_.end() && --it->second == 0) certificates_.erase(it);
+}
+
+absl::Duration ConnectionGuard::Banned(const std::string& certificate) {
+  const int64_t now_ns = clock_->Now().boottime_ns;
+  MutexLock lock(&mu_);
+  const auto it = banned_.find(certificate);
+  if (it == banned_.end() || it->second <= now_ns) return absl::ZeroDuration();
+  return absl::Nanoseconds(it->second - now_ns);
+}
+
+void ConnectionGuard::EndFor(Connection& connection, Excess excess) {
+  if (!connection.End()) return;
+  const int64_t now_ns = clock_->Now().boottime_ns;
+  Report report{
+      .peer = connection.source().peer, .certificate = connection.certificate(), .excess = excess};
+  if (metrics_ != nullptr) {
+    metrics_
+        ->AddCounter("rips_connections_ended_total",
+                     "Connections ended for what they cost, by what it was.",
+                     {{"reason", std::string(ToString(excess))}})
+        .Increment();
+  }
+  {
+    MutexLock lock(&mu_);
+    // Who only keeps silent may be a scanner, or a peer on a bad line.
+    if (excess != Excess::kSilent) {
+      report.banned_ns = admission_.Ban(connection.source(), now_ns);
+      if (!report.certificate.empty() &&
+          (banned_.size() < kBannedMax || banned_.contains(report.certificate))) {
+        banned_[report.certificate] = now_ns + report.banned_ns;
+      }
+    }
+    trim_at_ns_ = now_ns + kTrimNs;
+  }
+  LogWarning("connection ended for what it cost",
+             {{"peer", report.peer},
+              {"certificate", report.certificate.empty() ? "unknown" : report.certificate},
+              {"excess", ToString(excess)},
+              {"banned_s", report.banned_ns / kNanosPerSecond}});
+  if (options_.on_ended) options_.on_ended(report);
+}
+
+void ConnectionGuard::Look() {
+  std::vector<std::shared_ptr<Connection>> live;
+  bool trim = false;
+  const int64_t now_ns = clock_->Now().boottime_ns;
+  {
+    MutexLock lock(&mu_);
+    live.reserve(connections_.size());
+    for (const auto& [peer, connection] : connections_) live.push_back(connection);
+    trim = trim_at_ns_ != 0 && now_ns >= trim_at_ns_;
+    if (trim) trim_at_ns_ = 0;
+    for (auto it = banned_.begin(); it != banned_.end();) {
+      it = it->second <= now_ns ? banned_.erase(it) : std::next(it);
+    }
+  }
+  for (const std::shared_ptr<Connection>& connection : live) {
+    Excess excess = Excess::kNone;
+    const Connection::State state = connection->Look(now_ns, excess);
+    if (state == Connection::State::kOver) {
+      MutexLock lock(&mu_);
+      const auto it = connections_.find(connection->source().peer);
+      if (it == connections_.end() || it->second != connection) continue;
+      ForgetLocked(*connection);
+      connections_.erase(it);
+      open_.Set(static_cast<double>(connections_.size()));
+    } else if (excess != Excess::kNone) {
+      EndFor(*connection, excess);
+    }
+  }
+  // The C library keeps what an attack made it take.
+  if (trim) malloc_trim(0);
+}
+
+void ConnectionGuard::RunWatch() {
+  while (true) {
+    {
+      MutexLock lock(&mu_);
+      if (!stopping_) stop_cond_.WaitFor(lock, options_.interval);
+      if (stopping_) return;
+    }
+    Look();
+  }
+}
+
+}  // namespace rips::rpc

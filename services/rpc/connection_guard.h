@@ -1,0 +1,174 @@
+// The server's own listener: takes connections within limits, hands them to gRPC, and ends those
+// that cost more than they bring. gRPC 1.51 alone gives its listener up when descriptors run out,
+// and holds endless header blocks and reset streams without bound.
+//
+//   accepted ──refused by Admission──► reset
+//      │
+//      └─taken──► watched: calls counted as they begin, messages as handlers read them, bytes as
+//                 the kernel counts them ──more than ConnectionBudget allows──► shut down, banned
+//                    │
+//                    └─closed by gRPC or the peer──► forgotten
+//
+// gRPC owns the descriptor it was given; the guard keeps a duplicate of its own, for the same
+// socket, and closes it when the connection is over.
+//
+// A connection whose peer was identified is banned by its certificate, which CallGate asks for
+// (Banned); and its address, as every other's, by Admission.
+#ifndef RIPS_SERVICES_RPC_CONNECTION_GUARD_H_
+#define RIPS_SERVICES_RPC_CONNECTION_GUARD_H_
+
+#include <atomic>
+#include <cstdint>
+#include <functional>
+#include <map>
+#include <memory>
+#include <string>
+#include <thread>
+#include <vector>
+
+#include "absl/base/thread_annotations.h"
+#include "absl/container/flat_hash_map.h"
+#include "absl/container/flat_hash_set.h"
+#include "absl/status/status.h"
+#include "absl/status/statusor.h"
+#include "absl/strings/string_view.h"
+#include "absl/time/time.h"
+#include "grpcpp/server_builder.h"
+#include "services/base/clock.h"
+#include "services/rpc/connection_admission.h"
+#include "services/rpc/connection_budget.h"
+#include "services/runtime/metrics.h"
+#include "services/runtime/mutex.h"
+#include "services/runtime/unique_fd.h"
+
+namespace rips::rpc {
+
+// One connection that gRPC was given. Any thread.
+class Connection {
+ public:
+  Connection(Source source, UniqueFd socket, const BudgetLimits& limits, int64_t now_ns)
+      : source_(std::move(source)), socket_(std::move(socket)), budget_(limits, now_ns) {}
+
+  // A handler has received a message of so many bytes.
+  void OnMessage(size_t bytes) ABSL_LOCKS_EXCLUDED(mu_);
+  // The peer's certificate: `spiffe://td/robot/r1/sensor/base serial 0f3a`. The first one counts.
+  void Identify(const std::string& certificate) ABSL_LOCKS_EXCLUDED(mu_);
+  const Source& source() const { return source_; }
+
+ private:
+  friend class ConnectionGuard;
+  enum class State { kOpen, kOver, kEnded };
+
+  Excess OnCall(int64_t now_ns) ABSL_LOCKS_EXCLUDED(mu_);
+  // What the kernel says of the socket.
+  State Look(int64_t now_ns, Excess& excess) ABSL_LOCKS_EXCLUDED(mu_);
+  // False if it was ended before.
+  bool End() ABSL_LOCKS_EXCLUDED(mu_);
+  std::string certificate() const ABSL_LOCKS_EXCLUDED(mu_);
+
+  const Source source_;
+  const UniqueFd socket_;
+  mutable Mutex mu_;
+  ConnectionBudget budget_ ABSL_GUARDED_BY(mu_);
+  std::string certificate_ ABSL_GUARDED_BY(mu_);
+  bool ended_ ABSL_GUARDED_BY(mu_) = false;
+};
+
+class ConnectionGuard {
+ public:
+  // A connection that was ended for what it cost.
+  struct Report {
+    std::string peer;
+    // Empty = not identified.
+    std::string certificate;
+    Excess excess = Excess::kNone;
+    int64_t banned_ns = 0;
+  };
+  struct Options {
+    AdmissionLimits admission;
+    BudgetLimits budget;
+    // Connections of one certificate. An agent has one, and one that is not over yet.
+    int per_certificate = 16;
+    // Between two looks at the connections.
+    absl::Duration interval = absl::Milliseconds(50);
+    // On a thread of the guard or of a call; must not block. May be empty.
+    std::function<void(const Report&)> on_ended;
+  };
+
+  // Binds each address of `listen` (`HOST:PORT`, `[HOST]:PORT`; port 0 = any, the same for all).
+  // Unavailable if it cannot. `clock` and `metrics` (may be null) are not owned and outlive this.
+  static absl::StatusOr<std::unique_ptr<ConnectionGuard>> Listen(const std::string& listen,
+                                                                 Options options,
+                                                                 const Clock* clock,
+                                                                 Metrics* metrics);
+  // As Stop.
+  ~ConnectionGuard();
+
+  int port() const { return port_; }
+  // Once: what is taken goes to `grpc` from now on.
+  void Start(std::unique_ptr<grpc::experimental::ExternalConnectionAcceptor> grpc);
+  // Takes no more connections; those that live go on, unwatched. Idempotent.
+  void Stop();
+
+  // Connects to the listener itself. Unavailable if nothing takes the connection in time.
+  absl::Status Probe(absl::Duration patience) ABSL_LOCKS_EXCLUDED(mu_);
+
+  // The connection of this peer, as gRPC names it; null if there is none.
+  std::shared_ptr<Connection> Find(absl::string_view peer) ABSL_LOCKS_EXCLUDED(mu_);
+  // A call begins. First of all that is done for it.
+  void OnCall(absl::string_view peer);
+  // The peer's certificate is one of ours. ResourceExhausted if it has so many connections already.
+  absl::Status OnIdentified(absl::string_view peer, const std::string& certificate)
+      ABSL_LOCKS_EXCLUDED(mu_);
+  // How long the certificate is banned still; 0 = it is not.
+  absl::Duration Banned(const std::string& certificate) ABSL_LOCKS_EXCLUDED(mu_);
+
+ private:
+  ConnectionGuard(Options options, const Clock* clock, Metrics* metrics);
+  absl::Status Bind(const std::string& listen);
+  void Accept();
+  // Everything that waits at a listener. False: descriptors have run out.
+  bool AcceptAll(int listener);
+  void Take(UniqueFd socket);
+  void RunWatch();
+  void Look();
+  void ForgetLocked(const Connection& connection) ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
+  void EndFor(Connection& connection, Excess excess);
+  void CountRefused(absl::string_view reason);
+
+  const Options options_;
+  const Clock* clock_;
+  Metrics* metrics_;
+  Gauge open_;
+  int port_ = 0;
+  std::vector<UniqueFd> listeners_;
+  // Given up for a moment when descriptors run out, so that what waits can be refused.
+  UniqueFd reserve_;
+  UniqueFd wake_;
+  std::unique_ptr<grpc::experimental::ExternalConnectionAcceptor> grpc_;
+
+  Mutex mu_;
+  CondVar stop_cond_;
+  bool stopping_ ABSL_GUARDED_BY(mu_) = false;
+  Admission admission_ ABSL_GUARDED_BY(mu_);
+  // By peer.
+  absl::flat_hash_map<std::string, std::shared_ptr<Connection>> connections_ ABSL_GUARDED_BY(mu_);
+  // Connections that were identified, by certificate.
+  absl::flat_hash_map<std::string, int> certificates_ ABSL_GUARDED_BY(mu_);
+  // Peers that are Probe.
+  absl::flat_hash_set<std::string> probes_ ABSL_GUARDED_BY(mu_);
+  // Until when, CLOCK_BOOTTIME.
+  std::map<std::string, int64_t> banned_ ABSL_GUARDED_BY(mu_);
+  // Memory that ended connections held is given back then; 0 = nothing to give.
+  int64_t trim_at_ns_ ABSL_GUARDED_BY(mu_) = 0;
+  std::atomic<bool> stopped_ = false;
+  std::thread accept_;
+  std::thread watch_;
+};
+
+// How gRPC names a peer, percent-decoded.
+std::string DecodePeer(absl::string_view peer);
+
+}  // namespace rips::rpc
+
+#endif  // RIPS_SERVICES_RPC_CONNECTION_GUARD_H_

@@ -1,0 +1,223 @@
+#include "services/rpc/connection_guard.h"
+
+#include <arpa/inet.h>
+#include <netinet/in.h>
+#include <poll.h>
+#include <sys/socket.h>
+
+#include <memory>
+#include <string>
+#include <vector>
+
+#include "absl/strings/str_cat.h"
+#include "absl/time/clock.h"
+#include "gmock/gmock.h"
+#include "grpcpp/create_channel.h"
+#include "grpcpp/generic/generic_stub.h"
+#include "grpcpp/security/server_credentials.h"
+#include "gtest/gtest.h"
+#include "rips/v1/sensor.grpc.pb.h"
+#include "services/base/status_matchers.h"
+#include "services/rpc/server_builder.h"
+#include "services/runtime/bounded_queue.h"
+#include "services/runtime/real_clock.h"
+
+namespace rips::rpc {
+namespace {
+
+using ::testing::HasSubstr;
+using ::testing::StartsWith;
+
+constexpr absl::Duration kPatience = absl::Seconds(30);
+
+// A plain TCP connection that sends nothing.
+class Silent {
+ public:
+  explicit Silent(int port) : fd_(socket(AF_INET, SOCK_STREAM | SOCK_CLOEXEC, 0)) {
+    sockaddr_in address = {};
+    address.sin_family = AF_INET;
+    address.sin_port = htons(static_cast<uint16_t>(port));
+    inet_pton(AF_INET, "127.0.0.1", &address.sin_addr);
+    connected_ =
+        connect(fd_.get(), reinterpret_cast<const sockaddr*>(&address), sizeof(address)) == 0;
+  }
+  bool connected() const { return connected_; }
+  // True once the server has ended it.
+  bool EndsWithin(absl::Duration patience) {
+    const absl::Time end = absl::Now() + patience;
+    while (absl::Now() < end) {
+      pollfd polled = {.fd = fd_.get(), .events = POLLIN, .revents = 0};
+      if (poll(&polled, 1, 50) < 1) continue;
+      char buffer[4'096];  // NOLINT
+      if (recv(fd_.get(), buffer, sizeof(buffer), 0) <= 0) return true;
+    }
+    return false;
+  }
+
+ private:
+  UniqueFd fd_;
+  bool connected_ = false;
+};
+
+class ConnectionGuardTest : public ::testing::Test {
+ protected:
+  void Start(ConnectionGuard::Options options, const std::string& listen = "127.0.0.1:0") {
+    options.on_ended = [this](const ConnectionGuard::Report& report) { reports_.Push(report); };
+    auto guard = ConnectionGuard::Listen(listen, std::move(options), &clock_, &metrics_);
+    ASSERT_THAT(guard, IsOk());
+    guard_ = *std::move(guard);
+    auto server = RpcServer::Start(
+        {.listen = listen, .guard = guard_.get(), .credentials = grpc::InsecureServerCredentials()},
+        {&service_});
+    ASSERT_THAT(server, IsOk());
+    server_ = *std::move(server);
+  }
+  // One channel is one connection.
+  std::shared_ptr<grpc::Channel> Connect() {
+    grpc::ChannelArguments arguments;
+    arguments.SetInt(GRPC_ARG_USE_LOCAL_SUBCHANNEL_POOL, 1);
+    return grpc::CreateCustomChannel(server_->address(), grpc::InsecureChannelCredentials(),
+                                     arguments);
+  }
+  static grpc::Status Call(const std::shared_ptr<grpc::Channel>& channel,
+                           const std::string& method) {
+    grpc::ClientContext context;
+    context.set_deadline(absl::ToChronoTime(absl::Now() + kPatience));
+    grpc::TemplatedGenericStub<v1::SensorMessage, v1::SensorReply> stub(channel);
+    v1::SensorMessage request;
+    v1::SensorReply reply;
+    grpc::Status status;
+    BoundedQueue<int> done{{.capacity = 1}};
+    stub.UnaryCall(&context, method, {}, &request, &reply, [&](grpc::Status ended) {
+      status = std::move(ended);
+      done.Push(1);
+    });
+    done.Pop(2 * kPatience);
+    return status;
+  }
+  double Refused(const std::string& why) {
+    return metrics_
+        .AddCounter("rips_connections_refused_total", "Connections not taken, by why.",
+                    {{"reason", why}})
+        .Value();
+  }
+
+  RealClock clock_;
+  Metrics metrics_;
+  BoundedQueue<ConnectionGuard::Report> reports_{{.capacity = 1'000}};
+  v1::SensorService::Service service_;
+  std::unique_ptr<ConnectionGuard> guard_;
+  std::unique_ptr<RpcServer> server_;
+};
+
+TEST_F(ConnectionGuardTest, AConnectionWithoutACallIsEnded) {
+  Start({.budget = {.silent_ns = 200 * kNanosPerMilli}});
+  Silent silent(server_->port());
+  EXPECT_TRUE(silent.EndsWithin(kPatience));
+  const auto report = reports_.Pop(kPatience);
+  ASSERT_TRUE(report.has_value());
+  EXPECT_EQ(report->excess, Excess::kSilent);
+  EXPECT_THAT(report->peer, StartsWith("ipv4:127.0.0.1:"));
+  EXPECT_EQ(report->banned_ns, 0) << "it may be a peer on a bad line";
+}
+
+TEST_F(ConnectionGuardTest, TakesNoMoreThanItsLimitAndMakesRoomAgain) {
+  Start({.admission = {.per_address = 3}});
+  std::vector<std::unique_ptr<Silent>> held;
+  for (int i = 0; i < 3; ++i) held.push_back(std::make_unique<Silent>(server_->port()));
+  Silent refused(server_->port());
+  EXPECT_TRUE(refused.EndsWithin(kPatience));
+  EXPECT_EQ(Refused("address"), 1);
+
+  held.clear();
+  const absl::Time end = absl::Now() + kPatience;
+  grpc::Status status;
+  do {
+    status = Call(Connect(), "/rips.v1.SensorService/None");
+  } while (status.error_code() == grpc::StatusCode::UNAVAILABLE && absl::Now() < end);
+  EXPECT_EQ(status.error_code(), grpc::StatusCode::UNIMPLEMENTED);
+}
+
+TEST_F(ConnectionGuardTest, TooManyCallsEndTheConnectionThoughTheirMethodIsUnknown) {
+  Start({.budget = {.calls_burst = 20, .calls_per_second = 0.01}});
+  const auto bystander = Connect();
+  EXPECT_EQ(Call(bystander, "/rips.v1.SensorService/None").error_code(),
+            grpc::StatusCode::UNIMPLEMENTED);
+  const auto channel = Connect();
+  for (int i = 0; i < 20; ++i) {
+    ASSERT_EQ(Call(channel, "/no.such.Service/None").error_code(), grpc::StatusCode::UNIMPLEMENTED);
+  }
+  EXPECT_EQ(Call(channel, "/no.such.Service/None").error_code(), grpc::StatusCode::UNAVAILABLE);
+  const auto report = reports_.Pop(kPatience);
+  ASSERT_TRUE(report.has_value());
+  EXPECT_EQ(report->excess, Excess::kCalls);
+  EXPECT_GT(report->banned_ns, 0);
+  EXPECT_EQ(Call(bystander, "/rips.v1.SensorService/None").error_code(),
+            grpc::StatusCode::UNIMPLEMENTED)
+      << "who is connected stays";
+  Silent refused(server_->port());
+  EXPECT_TRUE(refused.EndsWithin(kPatience));
+  EXPECT_GE(Refused("banned"), 1);
+}
+
+TEST_F(ConnectionGuardTest, ACertificateIsBannedWithItsConnection) {
+  Start({.budget = {.calls_burst = 2, .calls_per_second = 0.01}});
+  const auto channel = Connect();
+  ASSERT_EQ(Call(channel, "/no.such.Service/None").error_code(), grpc::StatusCode::UNIMPLEMENTED);
+  std::string peer;
+  for (int port = 1; port < 65'536 && peer.empty(); ++port) {
+    const std::string name = absl::StrCat("ipv4:127.0.0.1:", port);
+    if (guard_->Find(name) != nullptr) peer = name;
+  }
+  ASSERT_FALSE(peer.empty());
+  EXPECT_THAT(guard_->OnIdentified(peer, "spiffe://td/robot/r1/sensor/base serial 0f"), IsOk());
+  EXPECT_EQ(guard_->Banned("spiffe://td/robot/r1/sensor/base serial 0f"), absl::ZeroDuration());
+  for (int i = 0; i < 3; ++i) Call(channel, "/no.such.Service/None");
+  EXPECT_GT(guard_->Banned("spiffe://td/robot/r1/sensor/base serial 0f"), absl::Seconds(1));
+  EXPECT_EQ(guard_->Banned("spiffe://td/robot/r2/sensor/base serial 10"), absl::ZeroDuration());
+}
+
+TEST_F(ConnectionGuardTest, CountsCallsOverIPv6) {
+  Start({.budget = {.calls_burst = 2, .calls_per_second = 0.01}}, "[::1]:0");
+  const auto channel = Connect();
+  ASSERT_EQ(Call(channel, "/no.such.Service/None").error_code(), grpc::StatusCode::UNIMPLEMENTED);
+  ASSERT_EQ(Call(channel, "/no.such.Service/None").error_code(), grpc::StatusCode::UNIMPLEMENTED);
+  EXPECT_EQ(Call(channel, "/no.such.Service/None").error_code(), grpc::StatusCode::UNAVAILABLE);
+  const auto report = reports_.Pop(kPatience);
+  ASSERT_TRUE(report.has_value());
+  EXPECT_THAT(report->peer, StartsWith("ipv6:[::1]:"));
+}
+
+TEST_F(ConnectionGuardTest, AProbeIsTakenThoughItsAddressIsFullOrBanned) {
+  Start({.admission = {.total = 1, .reserve = 0, .per_address = 1}});
+  Silent held(server_->port());
+  Silent refused(server_->port());
+  ASSERT_TRUE(refused.EndsWithin(kPatience));
+  EXPECT_THAT(guard_->Probe(kPatience), IsOk());
+  EXPECT_THAT(guard_->Probe(kPatience), IsOk());
+  server_->Shutdown(absl::ZeroDuration());
+  EXPECT_THAT(guard_->Probe(kPatience), StatusIs(absl::StatusCode::kUnavailable));
+}
+
+TEST_F(ConnectionGuardTest, AProbeReachesAListenerOnAllAddresses) {
+  Start({}, "[::]:0");
+  EXPECT_THAT(guard_->Probe(kPatience), IsOk());
+}
+
+TEST_F(ConnectionGuardTest, APortInUseIsAnError) {
+  Start({});
+  EXPECT_THAT(ConnectionGuard::Listen(server_->address(), {}, &clock_, nullptr),
+              StatusIs(absl::StatusCode::kUnavailable, HasSubstr("is the port in use?")));
+  EXPECT_THAT(ConnectionGuard::Listen("nonsense", {}, &clock_, nullptr),
+              StatusIs(absl::StatusCode::kUnavailable, HasSubstr("HOST:PORT")));
+}
+
+TEST(DecodePeerTest, TakesPercentsOut) {
+  EXPECT_EQ(DecodePeer("ipv6:%5B::1%5D:4711"), "ipv6:[::1]:4711");
+  EXPECT_EQ(DecodePeer("ipv4:127.0.0.1:1"), "ipv4:127.0.0.1:1");
+  EXPECT_EQ(DecodePeer("a%"), "a%");
+  EXPECT_EQ(DecodePeer("a%zz"), "a%zz");
+}
+
+}  // namespace
+}  // namespace rips::rpc
