@@ -102,6 +102,7 @@ absl::StatusOr<pipeline::ActuatorHello> DecodeHello(const rips::v1::ActuatorHell
       .effective_level = hello.effective_level(),
       .highest_term = hello.highest_term(),
       .state_lost = hello.state_lost(),
+      .fail_safe_level = hello.fail_safe_level(),
       .clock = {.boottime_ns = static_cast<int64_t>(hello.hello().clock().boottime_ns()),
                 .unix_ns = hello.hello().clock().unix_ns()}};
   if (!hello.participant_guid().empty()) {

@@ -50,6 +50,8 @@ absl::StatusOr<Cursor> ParseCursor(absl::string_view text) {
 AlertFeed::AlertFeed(store::Store* store, store::AlertLog* log, FeedCounts counts,
                      absl::Duration interval)
     : store_(store), log_(log), counts_(std::move(counts)), interval_(interval) {
+  // Before there can be new alerts: after a backup was restored, the file goes on with the first.
+  if (log_ != nullptr) FindFilePlace().IgnoreError();  // tried again at the first look
   if (interval_ != absl::InfiniteDuration()) thread_ = std::thread([this] { Run(); });
 }
 

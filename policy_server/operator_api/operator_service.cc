@@ -29,6 +29,8 @@ using rpc::OperatorRole;
 // Of one watch; beyond, it is told more when it has read. A page of the feed fits besides.
 constexpr size_t kAlertsWaitingMax = 1'024;
 constexpr size_t kBanReasonBytesMax = 1'000;
+// Of a robot's transitions, to find the newest that was not refused.
+constexpr int kNewestRead = 200;
 
 void FillMark(const Mark& mark, rips::v1::Mark* out) {
   out->set_term(mark.term);
@@ -278,10 +280,15 @@ grpc::ServerUnaryReactor* OperatorService::GetLevel(grpc::CallbackServerContext*
                             response->add_soft_levels(robot.levels().name(i));
                         }
                         Read(reactor, [this, reactor, response, robot_id] {
-                          const auto last = store_->ListTransitions(robot_id, 1);
-                          if (last.ok() && !last->empty())
-                            *response->mutable_last() = Encode(last->front());
-                          reactor->Finish(rpc::ToGrpc(last.status()));
+                          const auto newest = store_->ListTransitions(robot_id, kNewestRead);
+                          if (newest.ok()) {
+                            // What was refused changed nothing.
+                            const auto last = std::find_if(
+                                newest->begin(), newest->end(),
+                                [](const auto& transition) { return !transition.refused; });
+                            if (last != newest->end()) *response->mutable_last() = Encode(*last);
+                          }
+                          reactor->Finish(rpc::ToGrpc(newest.status()));
                         });
                       });
   if (!posted.ok()) reactor->Finish(rpc::ToGrpc(posted));

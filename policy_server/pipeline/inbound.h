@@ -181,6 +181,8 @@ struct ActuatorHello {
   std::string effective_level;
   uint64_t highest_term = 0;
   bool state_lost = false;
+  // Not a level: `keep`.
+  std::string fail_safe_level;
   ros2::Guid participant;
   // Full names of the parts whose modes its levels set.
   std::vector<std::string> protected_parts;

@@ -32,6 +32,26 @@ TEST(SequenceTrackTest, AcceptsInOrderAndSkipsWhatWasJudged) {
   EXPECT_EQ(track.Judged("b", Lane::kControl), 0u);
 }
 
+TEST(SequenceTrackTest, WhatTheStoreHasIsNotForgottenForOthersOfTheStore) {
+  SequenceTrack track;
+  track.Load("0 the live one", Lane::kControl, 7);
+  for (int i = 0; i < 40; ++i) track.Load(absl::StrCat("x", i), Lane::kControl, 1);
+  EXPECT_EQ(track.Judged("0 the live one", Lane::kControl), 7u);
+
+  track.Restore("0 the live one", Lane::kControl, 0);
+  for (int i = 0; i < 100; ++i) {
+    ASSERT_THAT(track.Accept("0 the live one", Lane::kControl, 8 + i, 1), IsOk());
+  }
+  EXPECT_EQ(track.Judged("0 the live one", Lane::kControl), 107u);
+  EXPECT_EQ(track.all().size(), SequenceTrack::kIncarnationsMax);
+
+  SequenceTrack durable;
+  for (const auto& [key, judged] : track.all()) durable.Load(key.first, key.second, judged);
+  durable.Load("gone", Lane::kControl, 3);
+  durable.KeepOnly(track);
+  EXPECT_EQ(durable.all(), track.all());
+}
+
 TEST(SequenceTrackTest, CountsWhatIsMissingInTheMessageLane) {
   SequenceTrack track;
 

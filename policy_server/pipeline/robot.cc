@@ -92,8 +92,8 @@ Robot::Robot(RobotConfig config, Policy policy, Timing timing, const store::Robo
     const auto it = sensors_.find(key.host);
     if (it == sensors_.end()) continue;
     const Lane lane = key.lane == store::LaneKey::Lane::kControl ? Lane::kControl : Lane::kMessages;
-    it->second.sequences.Restore(absl::HexStringToBytes(key.incarnation), lane, sequence);
-    it->second.durable.Restore(absl::HexStringToBytes(key.incarnation), lane, sequence);
+    it->second.sequences.Load(absl::HexStringToBytes(key.incarnation), lane, sequence);
+    it->second.durable.Load(absl::HexStringToBytes(key.incarnation), lane, sequence);
   }
   if (record.mark.none()) {
     Adopt(state_.level.level(), Mark{}, "first start");
@@ -370,17 +370,23 @@ void Robot::OnRecorded(const absl::Status& status, const store::WriteBatch& reco
     if (it == sensors_.end()) continue;
     const Lane lane = key.lane == store::LaneKey::Lane::kControl ? Lane::kControl : Lane::kMessages;
     const std::string incarnation = absl::HexStringToBytes(key.incarnation);
-    it->second.durable.Restore(incarnation, lane, sequence);
+    it->second.durable.Load(incarnation, lane, sequence);
     if (it->second.session) {
       it->second.session->link->Acknowledge(incarnation, lane, sequence, point.commit);
     }
   }
+  for (auto& [name, host] : sensors_) host.durable.KeepOnly(host.sequences);
   for (const levels::Transition& lowering : lowerings) {
     if (lowering.mark == awaiting_durable_) awaiting_durable_ = Mark{};
     // A raise may have been decided meanwhile: then that one has been commanded already.
     if (lowering.mark == state_.level.mark()) Order(lowering);
   }
-  for (const store::DecisionRecord& decision : recorded.decisions) {
+  AnswerOrders(recorded.decisions);
+  PublishStatus();
+}
+
+void Robot::AnswerOrders(const std::vector<store::DecisionRecord>& durable) {
+  for (const store::DecisionRecord& decision : durable) {
     const auto it = orders_.waiting.find(decision.mark);
     if (it == orders_.waiting.end()) continue;
     const WaitingOrder waiting = std::move(it->second);
@@ -389,7 +395,6 @@ void Robot::OnRecorded(const absl::Status& status, const store::WriteBatch& reco
     if (orders_.answered.size() > kAnswersKept) orders_.answered.pop_front();
     waiting.reply(waiting.answer);
   }
-  PublishStatus();
 }
 
 void Robot::SaveRaises() {
@@ -402,9 +407,13 @@ void Robot::SaveRaises() {
     raises.decisions.push_back(decision);
   }
   // Written again with the rest when that can be written, which changes nothing.
-  if (!raises.decisions.empty()) {
-    ports_.recorder->Record(std::move(raises), [](const absl::Status&) {});
-  }
+  if (raises.decisions.empty()) return;
+  std::vector<store::DecisionRecord> saved = raises.decisions;
+  ports_.recorder->Record(std::move(raises), [this, post = ports_.post, saved = std::move(saved)](
+                                                 const absl::Status& status) {
+    if (!status.ok()) return;
+    post([this, saved] { AnswerOrders(saved); });
+  });
 }
 
 void Robot::TakeBack(const levels::Transition& lowering, const absl::Status& why) {
@@ -491,6 +500,10 @@ bool Robot::AnswerRepeated(const LevelOrder& order, const LevelReply& reply) con
 void Robot::Raise(const LevelOrder& order, LevelReply reply) {
   if (AnswerRepeated(order, reply)) return;
   LevelAnswer answer;
+  if (draining_) {
+    answer.status = absl::UnavailableError("the server is stopping");
+    return reply(answer);
+  }
   const auto to = levels().Find(order.to);
   const levels::Cause cause{
       .kind = levels::Cause::Kind::kOperator, .name = order.operator_name, .reason = order.reason};
@@ -516,6 +529,10 @@ void Robot::DeEscalate(const LevelOrder& order, LevelReply reply) {
   if (AnswerRepeated(order, reply)) return;
   const Instant now = ports_.clock->Now();
   LevelAnswer answer;
+  if (draining_) {
+    answer.status = absl::UnavailableError("the server is stopping");
+    return reply(answer);
+  }
   const auto to = levels().Find(order.to);
   const auto expected = levels().Find(order.expected_level);
   if (!to || !expected) {
@@ -671,6 +688,7 @@ void Robot::OnTime() {
   CheckSensors(now);
   CheckActuators(now);
   ExpireFindings(now);
+  ExpireParticipants(now);
   UpdateBlind(now);
   AdvanceMessages();
   graph_history_.Expire(now.boottime_ns, HasBacklog());
@@ -737,6 +755,14 @@ absl::Status Robot::SwapPolicy(Policy policy) {
 
 void Robot::Drain() {
   draining_ = true;
+  // Who waits for a disk that does not answer would keep the server from ending.
+  for (auto& [mark, order] : std::exchange(orders_.waiting, {})) {
+    LevelAnswer answer = order.answer;
+    answer.status = absl::UnavailableError(
+        "the server is stopping; the order may be in force and recorded, or not: ask for the "
+        "level");
+    order.reply(answer);
+  }
   AdvanceDrill(ports_.clock->Now());
   for (auto& [name, host] : actuators_) {
     if (host.session) SendLease(*host.session);

@@ -151,7 +151,6 @@ class Robot {
 
   // robot_coverage.cc
   void UseInterest();  // that of the policy in force
-  // True if that is something else than before.
   bool AskInterest(SensorSession& session);
   // Empty if it watches what the rules need.
   std::string InterestProblem(const SensorHost& host) const;
@@ -224,12 +223,13 @@ class Robot {
                          const ActuatorHello& hello);
   absl::Status RaiseTerm(const std::string& host_name, ActuatorHost& host,
                          const ActuatorHello& hello);
-  // The level of the decision of this mark; nullopt if no decision of ours has it.
+  // Nullopt if no decision of ours has this mark.
   absl::StatusOr<std::optional<std::string>> KnownLevel(const Mark& mark) const;
   void CheckActuators(Instant now);
   void SendCommands(Instant now);
-  // Tells of programs that rules name and no actuator offers, once.
   void TellMissingPrograms();
+  void AdoptFound(const std::string& host_name, ActuatorSession& session,
+                  std::optional<levels::LevelIndex> effective);
   void TellFloor(const std::string& host_name, ActuatorHost& host);
   void TellDegraded(const std::string& host_name, ActuatorHost& host,
                     const std::vector<std::string>& degraded);
@@ -238,7 +238,9 @@ class Robot {
   void HandleProgramResult(const ProgramResult& result, Instant now);
   bool ActuatorLive(const ActuatorHost& host, Instant now) const;
   std::vector<ros2::Guid> OwnParticipants() const;
-  // Of all actuators, sorted, each once.
+  void TakeParticipant(const std::string& agent, const ros2::Guid& participant,
+                       std::deque<OwnParticipant>& known);
+  void ExpireParticipants(Instant now);
   std::vector<std::string> ProtectedParts() const;
 
   // Sessions and refusals of processes with one agent's key (second_holder.h).
@@ -273,10 +275,10 @@ class Robot {
   void OnRecorded(const absl::Status& status, const store::WriteBatch& recorded,
                   const store::HighWater& judged, const std::vector<levels::Transition>& lowerings);
   void TakeBack(const levels::Transition& lowering, const absl::Status& why);
-  // The raises among what is not recorded yet, from the store's reserve.
-  void SaveRaises();
+  void SaveRaises();  // what is not recorded yet, from the store's reserve
+  void AnswerOrders(const std::vector<store::DecisionRecord>& durable);
   void PublishStatus();
-  // True if the order repeats an earlier one: it was answered as that was.
+  // True if it was answered as the earlier one that it repeats.
   bool AnswerRepeated(const LevelOrder& order, const LevelReply& reply) const;
   void Decide(const levels::Transition& transition, const LevelOrder& order, LevelReply reply,
               LevelAnswer answer);

@@ -6,12 +6,20 @@
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_join.h"
 #include "policy_server/pipeline/robot.h"
+#include "services/ros2/ros_name.h"
 
 namespace rips::pipeline {
 namespace {
 
 // A term that leaves no room above it can only come from a broken or hostile peer.
 constexpr uint64_t kTermMax = uint64_t{1} << 62;
+constexpr uint64_t kEpochMax = uint64_t{1} << 40;
+// Of one agent that are known as ours, and how long after the next one.
+constexpr size_t kParticipantsKept = 8;
+constexpr int64_t kParticipantKeptNs = 30 * kNanosPerSecond;
+// Terms and epochs beyond ours: a restored store lacks a few, another fleet's actuator some
+// thousands.
+constexpr uint64_t kJumpMax = uint64_t{1} << 20;
 // What an actuator without a state of its own says of its floor.
 constexpr char kStateLostFloor[] = "state lost";
 // Events of drifts that one heartbeat makes.
@@ -42,12 +50,46 @@ bool Robot::ActuatorLive(const ActuatorHost& host, Instant now) const {
 std::vector<ros2::Guid> Robot::OwnParticipants() const {
   std::vector<ros2::Guid> own;
   for (const auto& [name, host] : actuators_) {
-    own.insert(own.end(), host.participants.begin(), host.participants.end());
+    for (const OwnParticipant& each : host.participants) own.push_back(each.guid);
   }
   for (const auto& [name, host] : sensors_) {
-    own.insert(own.end(), host.participants.begin(), host.participants.end());
+    for (const OwnParticipant& each : host.participants) own.push_back(each.guid);
   }
   return own;
+}
+
+// What is RIPS's own is no stranger to rules: an agent's key must not make one of an intruder.
+void Robot::TakeParticipant(const std::string& agent, const ros2::Guid& participant,
+                            std::deque<OwnParticipant>& known) {
+  if (participant.none()) return;
+  for (const ros2::Node& node : graph().nodes()) {
+    if (node.participant != participant || node.full_name == kRipsNode) continue;
+    return OwnAlert(
+        engine::Severity::kCritical,
+        absl::StrCat(agent, " calls the DDS participant of node ", ros2::Printable(node.full_name),
+                     " its own; that is not believed, and its key may be in other "
+                     "hands"));
+  }
+  const int64_t until_ns = ports_.clock->Now().boottime_ns + kParticipantKeptNs;
+  std::erase_if(known, [&](const OwnParticipant& each) { return each.guid == participant; });
+  for (OwnParticipant& each : known) {
+    if (each.until_ns == 0) each.until_ns = until_ns;
+  }
+  known.push_back({.guid = participant});
+  if (known.size() > kParticipantsKept) known.pop_front();
+}
+
+void Robot::ExpireParticipants(Instant now) {
+  size_t gone = 0;
+  const auto over = [&](const OwnParticipant& each) {
+    return each.until_ns != 0 && now.boottime_ns >= each.until_ns;
+  };
+  for (auto& [name, host] : actuators_) gone += std::erase_if(host.participants, over);
+  for (auto& [name, host] : sensors_) gone += std::erase_if(host.participants, over);
+  if (gone == 0) return;
+  for (auto& [name, sensor] : sensors_) {
+    if (sensor.session) SendSetup(name, sensor, *sensor.session);
+  }
 }
 
 std::vector<std::string> Robot::ProtectedParts() const {
@@ -96,6 +138,24 @@ void Robot::OnActuatorHello(const std::string& host_name, std::shared_ptr<Actuat
   if (hello.highest_term > kTermMax || hello.mark.term > kTermMax || hello.mark.epoch > kTermMax) {
     return link->Close(absl::InvalidArgumentError("no term or epoch can be that high"));
   }
+  const Mark ours = state_.level.mark();
+  const uint64_t term = std::max(hello.highest_term, hello.mark.term);
+  const bool epoch_jumps = hello.mark.epoch > kEpochMax;
+  if (term > state_.level.term() + kJumpMax || epoch_jumps) {
+    const std::string text =
+        absl::StrCat("actuator ", host_name, " names decision ", ToString(hello.mark), " and term ",
+                     hello.highest_term, ", far beyond ours (", ToString(ours),
+                     "): not armed; if it was another fleet's, delete its state");
+    OwnAlert(engine::Severity::kCritical, text);
+    Flush();
+    return link->Close(absl::FailedPreconditionError(text));
+  }
+  if (!hello.mark.none() && hello.mark < host.verified) {
+    OwnAlert(engine::Severity::kCritical,
+             absl::StrCat("actuator ", host_name, " holds decision ", ToString(hello.mark),
+                          " although it has verified ", ToString(host.verified),
+                          ": its state was deleted or went back"));
+  }
   if (absl::Status status = Reconcile(host_name, host, hello); !status.ok()) {
     return link->Close(status);
   }
@@ -107,7 +167,7 @@ void Robot::OnActuatorHello(const std::string& host_name, std::shared_ptr<Actuat
                                  .heard_ns = now.boottime_ns,
                                  .peer_boottime_ns = hello.clock.boottime_ns,
                                  .beat = {.effective_level = hello.effective_level}};
-  TakeParticipant(hello.participant, host.participants);
+  TakeParticipant(absl::StrCat("actuator ", host_name), hello.participant, host.participants);
   host.protected_parts = hello.protected_parts;
   ++sight_.actuator_hellos;
   UpdateBlind(now);
@@ -131,6 +191,7 @@ void Robot::OnActuatorHello(const std::string& host_name, std::shared_ptr<Actuat
                  "higher"));
     External(engine::AgentEvent{.agent = "actuator", .state = "state_lost"});
     host.floor_told = kStateLostFloor;  // by the alert above
+    host.session->found_above = levels().Find(hello.fail_safe_level).value_or(levels().size() - 1);
   }
   TellMissingPrograms();
   UpdateActuation(now);
@@ -240,6 +301,7 @@ void Robot::OnActuatorBeat(const std::string& host_name, const ActuatorLink* lin
   TellSecond("actuator", host_name, it->second.second);
   session.beat = beat;
   const auto effective = levels().Find(beat.effective_level);
+  AdoptFound(host_name, session, effective);
   const bool left =
       effective && ledger_.OnBeat(host_name, *effective, beat.verified, now) && !moving;
   const uint64_t drifts = TakeDrifts(it->second.drifts, beat.drifts);
@@ -255,6 +317,21 @@ void Robot::OnActuatorBeat(const std::string& host_name, const ActuatorLink* lin
   TellFloor(host_name, it->second);
   TellDegraded(host_name, it->second, beat.degraded);
   UpdateActuation(now);
+}
+
+// Without its state, an actuator holds the level at which it finds the robot. If that is above what
+// we decided, our history lacks the decision.
+void Robot::AdoptFound(const std::string& host_name, ActuatorSession& session,
+                       std::optional<levels::LevelIndex> effective) {
+  if (!session.found_above || !effective || session.beat.floor_reason.empty()) return;
+  if (*effective <= *session.found_above || *effective <= state_.level.level()) return;
+  session.found_above.reset();
+  const std::string found = absl::StrCat("actuator ", host_name, " has lost its state and finds ",
+                                         config_.id, " at ", levels().name(*effective));
+  OwnAlert(engine::Severity::kCritical,
+           absl::StrCat(found, ", above what this server decided: adopted; was the store restored ",
+                        "from a backup?"));
+  Adopt(*effective, state_.level.mark(), found);
 }
 
 void Robot::TellFloor(const std::string& host_name, ActuatorHost& host) {
@@ -298,6 +375,9 @@ void Robot::OnReceipt(const std::string& host_name, const ActuatorLink* link,
   if (drill_ && drill_->run.OnReceipt(host_name, receipt)) {
     AdvanceDrill(now);
     return Flush();
+  }
+  if (receipt.stage == Receipt::Stage::kVerified && receipt.mark <= state_.level.mark()) {
+    it->second.verified = std::max(it->second.verified, receipt.mark);
   }
   const ReceiptResult result = ledger_.OnReceipt(host_name, receipt, now);
   if (result.stale_term) {

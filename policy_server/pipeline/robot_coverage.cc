@@ -96,7 +96,7 @@ void Robot::TakeHello(SensorHost& host, const SensorHello& hello, Instant now) {
   UpdateBlind(now);
   coverage_alarm_.SetKinds(host.name, hello.not_visible);
   if (hello.participant.none()) return;
-  TakeParticipant(hello.participant, host.participants);
+  TakeParticipant(absl::StrCat("sensor ", host.name), hello.participant, host.participants);
   for (auto& [name, other] : sensors_) {
     if (&other != &host && other.session) SendSetup(name, other, *other.session);
   }

@@ -264,6 +264,104 @@ TEST_F(RobotTest, ASessionFromAnotherAddressIsTold) {
             1);
 }
 
+// A store that was restored knows nothing of the decision, and the actuator neither.
+TEST_F(RobotTest, WhatAnActuatorWithoutStateFindsIsAdopted) {
+  Start();
+  ConnectActuator({.effective_level = "ALERT", .state_lost = true, .fail_safe_level = "ALERT"});
+  floor_ = "state lost";
+  effective_ = "HALT";
+  Pass(1'000);
+  EXPECT_EQ(Level(), "HALT");
+  EXPECT_EQ(audience_.Count("finds r1 at HALT, above what this server decided: adopted"), 1);
+}
+
+TEST_F(RobotTest, AFailSafeLevelIsNotAdopted) {
+  Start();
+  ConnectActuator({.effective_level = "ALERT", .state_lost = true, .fail_safe_level = "ALERT"});
+  floor_ = "state lost";
+  effective_ = "ALERT";
+  Pass(1'000);
+  EXPECT_EQ(Level(), "DEFAULT");
+}
+
+TEST_F(RobotTest, AnActuatorWhoseStateWentBackIsTold) {
+  Start();
+  Arm();
+  IntruderAppears();
+  Obey();
+  Pass(100);
+  robot_->OnActuatorGone("base", actuator_.get());
+  ConnectActuator({.mark = {1, 1},
+                   .decided_level = "DEFAULT",
+                   .effective_level = "DEFAULT",
+                   .highest_term = 1});
+  EXPECT_EQ(audience_.Count("its state was deleted or went back"), 1);
+  EXPECT_EQ(Level(), "ALERT");
+}
+
+TEST_F(RobotTest, ATermFarBeyondOursArmsNothingAndRaisesNoTerm) {
+  Start();
+  ConnectActuator({.mark = {uint64_t{1} << 62, 1},
+                   .decided_level = "HALT",
+                   .effective_level = "HALT",
+                   .highest_term = uint64_t{1} << 62});
+  EXPECT_THAT(actuator_->closed, StatusIs(absl::StatusCode::kFailedPrecondition));
+  EXPECT_EQ(audience_.Count("far beyond ours"), 1);
+  ConnectActuator({.effective_level = "DEFAULT", .highest_term = 1});
+  EXPECT_THAT(actuator_->closed, IsOk());
+}
+
+TEST_F(RobotTest, AnIntrudersParticipantIsNotMadeOurOwn) {
+  Start();
+  Arm();
+  IntruderAppears();
+  robot_->OnActuatorGone("base", actuator_.get());
+  ConnectActuator({.effective_level = "DEFAULT", .participant = Participant(9)});
+  EXPECT_EQ(audience_.Count("that is not believed"), 1);
+  EXPECT_THAT(sensor_->setup.own_participants, ::testing::Not(::testing::Contains(Participant(9))));
+}
+
+TEST_F(RobotTest, AnEarlierParticipantIsOursForHalfAMinute) {
+  Start();
+  Arm();
+  robot_->OnActuatorGone("base", actuator_.get());
+  ConnectActuator({.effective_level = "DEFAULT", .participant = Participant(40)});
+  robot_->OnActuatorGone("base", actuator_.get());
+  ConnectActuator({.effective_level = "DEFAULT", .participant = Participant(41)});
+  EXPECT_THAT(sensor_->setup.own_participants,
+              ::testing::IsSupersetOf({Participant(40), Participant(41)}));
+  Pass(31'000);
+  EXPECT_THAT(sensor_->setup.own_participants, ::testing::Contains(Participant(41)));
+  EXPECT_THAT(sensor_->setup.own_participants,
+              ::testing::Not(::testing::Contains(Participant(40))));
+}
+
+TEST_F(RobotTest, ARaiseIsAnsweredWhenTheReserveHasIt) {
+  Start();
+  Arm();
+  recorder_.fail = absl::ResourceExhaustedError("disk full");
+  recorder_.reserve = true;
+  LevelAnswer answer{.status = absl::UnknownError("not answered")};
+  robot_->Raise({.operator_name = "alice", .to = "HALT", .reason = "r", .request_id = "1"},
+                [&](const LevelAnswer& got) { answer = got; });
+  Drain();
+  EXPECT_THAT(answer.status, IsOk());
+}
+
+TEST_F(RobotTest, AServerThatStopsAnswersWhoWaitsForTheDisk) {
+  Start();
+  Arm();
+  recorder_.held = true;
+  LevelAnswer answer{.status = absl::UnknownError("not answered")};
+  const LevelOrder order{.operator_name = "alice", .to = "HALT", .reason = "r", .request_id = "1"};
+  robot_->Raise(order, [&](const LevelAnswer& got) { answer = got; });
+  robot_->Drain();
+  EXPECT_THAT(answer.status, StatusIs(absl::StatusCode::kUnavailable));
+  robot_->Raise({.operator_name = "alice", .to = "HALT", .reason = "r", .request_id = "2"},
+                [&](const LevelAnswer& got) { answer = got; });
+  EXPECT_THAT(answer.status, StatusIs(absl::StatusCode::kUnavailable, "the server is stopping"));
+}
+
 TEST_F(RobotTest, ASecondHolderOfAnActuatorsKeyIsTold) {
   Start();
   Arm();

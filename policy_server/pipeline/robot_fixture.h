@@ -123,13 +123,13 @@ class RobotTest : public ::testing::Test {
                 .audience = &audience_,
                 .post = [this](std::function<void()> task) { posted_.push_back(std::move(task)); },
                 .new_id = [this] { return absl::StrCat("id", ++ids_); }};
-    auto robot =
-        Robot::Create({.id = "r1",
-                       .sensor_hosts = sensor_hosts_,
-                       .primary_sensor = "base",
-                       .actuator_hosts = {"base"}},
-                      {.program = *program, .bundle_id = "sha256:0", .inspector = inspector_},
-                      Timing{}, record, term, std::move(ports));
+    auto robot = Robot::Create(
+        {.id = "r1",
+         .sensor_hosts = sensor_hosts_,
+         .primary_sensor = "base",
+         .actuator_hosts = {"base"}},
+        {.program = *program, .bundle_id = "sha256:0", .inspector = inspector_},
+        Timing{.graph_wait_ns = 500 * kNanosPerMilli}, record, term, std::move(ports));
     ASSERT_TRUE(robot.ok()) << robot.status();
     robot_ = *std::move(robot);
     Drain();

@@ -6,12 +6,6 @@
 #include "absl/strings/str_cat.h"
 
 namespace rips::pipeline {
-namespace {
-
-constexpr size_t kParticipantsKept = 8;
-
-}  // namespace
-
 bool SensorHost::HasBacklog() const {
   return session &&
          std::any_of(session->spooled.begin(), session->spooled.end(),
@@ -42,13 +36,6 @@ absl::Status SensorHost::TakeDelta(const std::string& incarnation, const GraphDe
   graph_version = delta.to_version;
   settled = settled || delta.settled;
   return absl::OkStatus();
-}
-
-void TakeParticipant(const ros2::Guid& participant, std::deque<ros2::Guid>& known) {
-  if (participant.none()) return;
-  known.erase(std::remove(known.begin(), known.end(), participant), known.end());
-  known.push_back(participant);
-  if (known.size() > kParticipantsKept) known.pop_front();
 }
 
 }  // namespace rips::pipeline

@@ -51,6 +51,14 @@ struct SensorSession {
   ClockSkew skew;
 };
 
+// A DDS participant that an agent says is its own.
+struct OwnParticipant {
+  ros2::Guid guid;
+  // An earlier one is given up then: on the bus a process that was killed goes on until its lease
+  // ends, and is no stranger for that. 0 = the newest, which stands while the agent is away.
+  int64_t until_ns = 0;
+};
+
 // A sensor host of the inventory, with or without a session.
 struct SensorHost {
   std::string name;
@@ -73,7 +81,7 @@ struct SensorHost {
   // When it said what `state` says of inputs, by its own clock.
   int64_t state_boottime_ns = 0;
   // As an actuator's, below.
-  std::deque<ros2::Guid> participants;
+  std::deque<OwnParticipant> participants;
   // Gaps were put down to a restored store; once for each start of the server.
   bool excused = false;
 
@@ -86,6 +94,8 @@ struct SensorHost {
 
 struct ActuatorSession {
   std::shared_ptr<ActuatorLink> link;
+  // It began without a state of its own: above this level, what it holds is what it found.
+  std::optional<levels::LevelIndex> found_above;
   int64_t heard_ns = 0;
   int64_t peer_boottime_ns = 0;
   ActuatorBeat beat;
@@ -94,9 +104,8 @@ struct ActuatorSession {
 // An actuator host of the inventory, with or without a session.
 struct ActuatorHost {
   std::optional<ActuatorSession> session;
-  // The newest it said, oldest first; they stand while it is away. More than one: on the bus a
-  // process that was killed goes on until its lease ends, and is no stranger for that.
-  std::deque<ros2::Guid> participants;
+  // The newest last.
+  std::deque<OwnParticipant> participants;
   // As it said last.
   std::vector<std::string> protected_parts;
   std::optional<uint64_t> drifts;
@@ -108,10 +117,9 @@ struct ActuatorHost {
   SecondHolder second;
   // It has had a session since this process began.
   bool met = false;
+  // The newest decision that it verified.
+  Mark verified;
 };
-
-// Keeps the newest participants of an agent.
-void TakeParticipant(const ros2::Guid& participant, std::deque<ros2::Guid>& known);
 
 // A message batch, how far it is judged, and the verdicts of its messages.
 struct WaitingBatch {

@@ -17,6 +17,22 @@ void SequenceTrack::Touch(const std::string& incarnation) {
   recent_.erase(recent_.begin());
 }
 
+void SequenceTrack::Load(const std::string& incarnation, Lane lane, uint64_t judged) {
+  if (std::find(recent_.begin(), recent_.end(), incarnation) == recent_.end()) {
+    recent_.push_back(incarnation);
+  }
+  uint64_t& held = judged_[{incarnation, lane}];
+  held = std::max(held, judged);
+}
+
+void SequenceTrack::KeepOnly(const SequenceTrack& other) {
+  std::erase_if(judged_, [&](const auto& each) { return !other.judged_.contains(each.first); });
+  std::erase_if(recent_, [&](const std::string& incarnation) {
+    return std::find(other.recent_.begin(), other.recent_.end(), incarnation) ==
+           other.recent_.end();
+  });
+}
+
 void SequenceTrack::Restore(const std::string& incarnation, Lane lane, uint64_t judged) {
   Touch(incarnation);
   uint64_t& held = judged_[{incarnation, lane}];

@@ -25,7 +25,12 @@ class SequenceTrack {
     uint64_t missing = 0;
   };
 
-  // Takes up to here as judged (from the store, at start).
+  // What the store has, at the start: nothing is forgotten for it, since which of them is the
+  // newest is not known.
+  void Load(const std::string& incarnation, Lane lane, uint64_t judged);
+  // Forgets the incarnations that `other` does not know.
+  void KeepOnly(const SequenceTrack& other);
+  // Takes up to here as judged, of an incarnation that is announced.
   void Restore(const std::string& incarnation, Lane lane, uint64_t judged);
 
   // `first` is the batch's first sequence, `count` its length. InvalidArgument for sequence 0, one
@@ -35,8 +40,8 @@ class SequenceTrack {
 
   // Highest judged sequence; 0 = none.
   uint64_t Judged(const std::string& incarnation, Lane lane) const;
-  // All that is known, for the checkpoint. At most kIncarnationsMax incarnations are kept, the
-  // least recently seen go first.
+  // All that is known, for the checkpoint. Beyond kIncarnationsMax incarnations the one
+  // that was seen least recently goes whenever one is seen.
   const std::map<Key, uint64_t>& all() const { return judged_; }
 
   static constexpr size_t kIncarnationsMax = 16;

@@ -1,5 +1,6 @@
 #include "services/ripsctl/command.h"
 
+#include "absl/strings/match.h"
 #include "absl/strings/str_cat.h"
 #include "absl/strings/strip.h"
 #include "services/base/ids.h"
@@ -30,8 +31,11 @@ ExitCode Failed(Env& env, const absl::Status& status) {
               << "--timeout\n";
       return ExitCode::kUnreachable;
     case absl::StatusCode::kPermissionDenied:
-      env.err << "error: refused: " << message
-              << "; your certificate's role does not allow this (viewer < operator < admin)\n";
+      env.err << "error: refused: " << message;
+      if (!absl::StrContains(message, "banned")) {
+        env.err << "; your certificate's role does not allow this (viewer < operator < admin)";
+      }
+      env.err << "\n";
       return ExitCode::kRefused;
     default:
       env.err << "error: " << message << "\n";

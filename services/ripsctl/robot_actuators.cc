@@ -64,7 +64,7 @@ std::vector<const v1::StepResult*> FailedFirst(const Steps& steps) {
   return sorted;
 }
 
-Json ToJson(const Steps& steps) {
+Json StepsToJson(const Steps& steps) {
   Json list = Json::array();
   for (const v1::StepResult& step : steps) {
     list.push_back({{"step", step.step()},
@@ -133,7 +133,7 @@ class ListReceipts final : public RobotVerb {
                       {"exit_code", receipt.exit_code()},
                       {"detail", receipt.detail()},
                       {"output", receipt.output_tail()},
-                      {"steps", ToJson(receipt.steps())}});
+                      {"steps", StepsToJson(receipt.steps())}});
     }
     return {{"robot", robot}, {"receipts", std::move(list)}};
   }
@@ -256,7 +256,7 @@ class DrillRobot final : public RobotVerb {
                         {"host", drill.host()},
                         {"stage", StageName(drill.stage())},
                         {"detail", drill.detail()},
-                        {"steps", ToJson(drill.steps())}});
+                        {"steps", StepsToJson(drill.steps())}});
     }
     return {{"robot", robot},         {"works", sum.good()},       {"steps", sum.steps},
             {"steps_work", sum.work}, {"only_looked", sum.looked}, {"drills", std::move(drills)}};

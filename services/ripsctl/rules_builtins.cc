@@ -192,7 +192,7 @@ void PrintMarkdown(const std::vector<Entry>& entries, std::ostream& out) {
   }
 }
 
-Json ToJson(const std::vector<Entry>& entries) {
+Json EntriesToJson(const std::vector<Entry>& entries) {
   Json out = Json::array();
   for (const Entry& entry : entries) {
     Json all_words = Json::array();
@@ -240,7 +240,7 @@ class RulesBuiltinsCommand final : public Command {
       }
     }
     if (env.json()) {
-      PrintJson(ToJson(entries), env.out);
+      PrintJson(EntriesToJson(entries), env.out);
     } else if (markdown_) {
       PrintMarkdown(entries, env.out);
     } else {

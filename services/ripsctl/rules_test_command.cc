@@ -85,7 +85,7 @@ void PrintText(const std::vector<Tested>& all, std::ostream& out) {
   out << "\n";
 }
 
-Json ToJson(const Tested& one) {
+Json TestedToJson(const Tested& one) {
   Json tests = Json::array();
   for (const TestOutcome& test : one.outcome.tests) {
     Json failures = Json::array();
@@ -119,7 +119,7 @@ void PrintAllJson(const std::vector<Tested>& all, std::ostream& out) {
   for (const Tested& one : all) {
     tests += one.outcome.tests.size();
     failed += one.failed();
-    files.push_back(ToJson(one));
+    files.push_back(TestedToJson(one));
   }
   PrintJson({{"tests", tests}, {"failed", failed}, {"files", std::move(files)}}, out);
 }

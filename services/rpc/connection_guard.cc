@@ -217,8 +217,8 @@ void ConnectionGuard::Stop() {
   if (write(wake_.get(), &one, sizeof(one)) < 0) LogError("the accepting thread was not woken");
   if (accept_.joinable()) accept_.join();
   if (watch_.joinable()) watch_.join();
-  listeners_.clear();
   MutexLock lock(&mu_);
+  listeners_.clear();
   connections_.clear();
 }
 
@@ -235,9 +235,12 @@ absl::Status ConnectionGuard::Probe(absl::Duration patience) {
   // listens on all. It comes from the same address.
   sockaddr_storage to = {};
   socklen_t size = sizeof(to);
-  if (stopped_ || listeners_.empty() ||
-      getsockname(listeners_[0].get(), reinterpret_cast<sockaddr*>(&to), &size) != 0) {
-    return absl::UnavailableError("the listener is closed");
+  {
+    MutexLock lock(&mu_);
+    if (listeners_.empty() ||
+        getsockname(listeners_[0].get(), reinterpret_cast<sockaddr*>(&to), &size) != 0) {
+      return absl::UnavailableError("the listener is closed");
+    }
   }
   sockaddr_storage from = {};
   from.ss_family = to.ss_family;

@@ -1,6 +1,7 @@
 #include "services/rpc/server_builder.h"
 
 #include <chrono>
+#include <cstdint>
 
 #include "absl/strings/str_cat.h"
 #include "absl/strings/string_view.h"
@@ -47,7 +48,8 @@ absl::StatusOr<std::unique_ptr<RpcServer>> RpcServer::Start(
   if (options.guard == nullptr) {
     RIPS_ASSIGN_OR_RETURN(
         server->own_guard_,
-        ConnectionGuard::Listen(options.listen, {.budget = {.unidentified_bytes = 1e12}},
+        ConnectionGuard::Listen(options.listen,
+                                {.budget = {.silent_ns = INT64_MAX, .unidentified_bytes = 1e12}},
                                 &server->clock_, nullptr));
     server->guard_ = server->own_guard_.get();
   }
@@ -81,9 +83,9 @@ absl::StatusOr<std::unique_ptr<RpcServer>> RpcServer::Start(
   builder.RegisterCallbackGenericService(&server->unknown_methods_);
   server->server_ = builder.BuildAndStart();
   if (server->server_ == nullptr) {
-    server->stopped_ = true;
     return absl::InternalError("gRPC could not build the server");
   }
+  server->stopped_ = false;
   server->guard_->Start(std::move(acceptor));
   const absl::string_view listen = options.listen;
   server->address_ = absl::StrCat(listen.substr(0, listen.rfind(':')), ":", server->port());

@@ -58,7 +58,7 @@ class RpcServer {
   grpc::CallbackGenericService unknown_methods_;
   std::unique_ptr<grpc::Server> server_;
   std::string address_;
-  bool stopped_ = false;
+  bool stopped_ = true;
 };
 
 }  // namespace rips::rpc

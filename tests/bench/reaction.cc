@@ -3,11 +3,8 @@
 // run program `note` for each message on /probe.
 //   reaction --domain D --server HOST:PORT --actuator DIR --floor-server DIR --count N
 // DIR: certificates. Between the messages it measures the two floors, bare: a DDS message one way
-// between two participants, and a round trip on a gRPC stream with mTLS. Then bursts of one message
-// from each of several writers: their first ones, which wait for the graph to show their writers,
-// and their second ones, which do not.
-// Prints {"event":"done", "command":{"p50_us":..,"p99_us":..}, "dds":{..}, "grpc":{..},
-//         "burst_new":{..}, "burst_known":{..}}.
+// between two participants, and a round trip on a gRPC stream with mTLS.
+// Prints {"event":"done", "command":{"p50_us":..,"p99_us":..}, "dds":{..}, "grpc":{..}}.
 #include <algorithm>
 #include <atomic>
 #include <cstring>
@@ -45,9 +42,6 @@ constexpr absl::Duration kPatience = absl::Seconds(30);
 constexpr absl::Duration kHeartbeat = absl::Milliseconds(500);
 // The line is idle before each message.
 constexpr absl::Duration kPause = absl::Milliseconds(15);
-// Writers of a burst, and how long after it they are known everywhere.
-constexpr int kBurst = 32;
-constexpr absl::Duration kSettled = absl::Seconds(2);
 constexpr char kType[] = "std_msgs/msg/UInt8MultiArray";
 constexpr char kPayload[] = {0, 1, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0};
 
@@ -57,7 +51,6 @@ struct Options {
   std::string actuator;
   std::string floor_server;
   int count = 1'000;
-  int bursts = 20;
 };
 
 int64_t NowNs() { return RealClock().Now().boottime_ns; }
@@ -74,17 +67,14 @@ class Arrival {
   void Set() ABSL_LOCKS_EXCLUDED(mu_) {
     const int64_t now_ns = NowNs();
     MutexLock lock(&mu_);
-    if (missing_ > 0 && --missing_ > 0) return;
     at_ns_ = now_ns;
     changed_.NotifyAll();
   }
-  // What `act` takes until the `count`-th Set, nanoseconds.
-  absl::StatusOr<int64_t> After(const std::function<absl::Status()>& act, int count = 1)
-      ABSL_LOCKS_EXCLUDED(mu_) {
+  // What `act` takes until Set, nanoseconds.
+  absl::StatusOr<int64_t> After(const std::function<absl::Status()>& act) ABSL_LOCKS_EXCLUDED(mu_) {
     {
       MutexLock lock(&mu_);
       at_ns_ = 0;
-      missing_ = count;
     }
     const int64_t begin_ns = NowNs();
     RIPS_RETURN_IF_ERROR(act());
@@ -99,7 +89,6 @@ class Arrival {
  private:
   Mutex mu_;
   CondVar changed_;
-  int missing_ ABSL_GUARDED_BY(mu_) = 0;
   int64_t at_ns_ ABSL_GUARDED_BY(mu_) = 0;
 };
 
@@ -230,37 +219,6 @@ absl::Status WaitForReader(const dds::RawWriter& writer, const std::string& topi
   return absl::OkStatus();
 }
 
-// Writers that the bus has just met publish a message each, then another: what either takes until
-// the last command.
-absl::Status MeasureBursts(const std::shared_ptr<const dds::Domain>& domain, int count,
-                           const std::string& payload, Arrival& commanded, Latencies& fresh,
-                           Latencies& known) {
-  for (int burst = 0; burst < count; ++burst) {
-    RIPS_ASSIGN_OR_RETURN(const auto process, RosProcess::Create(domain, ros2::GidBytes::k24));
-    RIPS_ASSIGN_OR_RETURN(RosNode * node, process->AddNode(absl::StrCat("/burst_", burst)));
-    std::vector<dds::RawWriter*> writers;
-    for (int i = 0; i < kBurst; ++i) {
-      RIPS_ASSIGN_OR_RETURN(dds::RawWriter * writer,
-                            node->Publish("/probe", kType, robot_sim::DefaultQos(10)));
-      writers.push_back(writer);
-    }
-    RIPS_RETURN_IF_ERROR(process->Announce());
-    for (const dds::RawWriter* writer : writers) {
-      RIPS_RETURN_IF_ERROR(WaitForReader(*writer, "/probe"));
-    }
-    const auto write_all = [&]() -> absl::Status {
-      for (dds::RawWriter* writer : writers) RIPS_RETURN_IF_ERROR(writer->Write(payload));
-      return absl::OkStatus();
-    };
-    RIPS_ASSIGN_OR_RETURN(const int64_t fresh_ns, commanded.After(write_all, kBurst));
-    absl::SleepFor(kSettled);
-    RIPS_ASSIGN_OR_RETURN(const int64_t known_ns, commanded.After(write_all, kBurst));
-    fresh.Add(fresh_ns);
-    known.Add(known_ns);
-  }
-  return absl::OkStatus();
-}
-
 absl::Status Run(const Options& options) {
   RIPS_ASSIGN_OR_RETURN(const auto own, LoadCredentials(options.actuator));
   RIPS_ASSIGN_OR_RETURN(const auto server, LoadCredentials(options.floor_server));
@@ -310,14 +268,8 @@ absl::Status Run(const Options& options) {
     grpc.Add(grpc_ns);
     command.Add(command_ns);
   }
-  Latencies fresh, known;
-  RIPS_RETURN_IF_ERROR(MeasureBursts(domain, options.bursts, payload, commanded, fresh, known));
-  PrintEvent({{"event", "done"},
-              {"command", command.Json()},
-              {"dds", dds.Json()},
-              {"grpc", grpc.Json()},
-              {"burst_new", fresh.Json()},
-              {"burst_known", known.Json()}});
+  PrintEvent(
+      {{"event", "done"}, {"command", command.Json()}, {"dds", dds.Json()}, {"grpc", grpc.Json()}});
   return absl::OkStatus();
 }
 
@@ -330,7 +282,6 @@ int Main(int argc, char** argv) {
   app.add_option("--floor-server", options.floor_server, "a server's certificate's directory")
       ->required();
   app.add_option("--count", options.count)->check(CLI::Range(1, 1'000'000));
-  app.add_option("--bursts", options.bursts)->check(CLI::Range(1, 1'000));
   try {
     app.parse(argc, argv);
   } catch (const CLI::ParseError& error) {
