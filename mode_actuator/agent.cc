@@ -115,8 +115,8 @@ absl::Status MakeDirectory(const std::string& path) {
 
 void LogOutcome(const LevelOutcome& outcome) {
   if (outcome.kind == JobKind::kSurvey) {
-    LogWarning("surveyed the robot", {{"observed", outcome.observed},
-                                      {"level", outcome.shown.empty() ? "none" : outcome.shown}});
+    LogInfo("surveyed the robot", {{"observed", outcome.observed},
+                                   {"level", outcome.shown.empty() ? "none" : outcome.shown}});
   } else if (!outcome.reached) {
     LogWarning("not reached", {{"detail", outcome.detail}});
   }
@@ -133,7 +133,7 @@ void LogDegraded(const std::vector<std::string>& before, const std::vector<std::
 struct Counters {
   Gauge effective, verified, floor, lease_live;
   Counter commands, receipts_failed, receipts_refused, malformed, dropped, write_failures;
-  Gauge drifts, alarms_missing, announced;
+  Gauge drifts, alarms_missing, announced, helpers_refused;
 };
 
 Counters MakeCounters(Metrics* m) {
@@ -153,6 +153,8 @@ Counters MakeCounters(Metrics* m) {
           m->AddGauge("rips_actuator_alarms_missing", "alarm devices that cannot be used"),
       .announced = m->AddGauge("rips_actuator_announced",
                                "1 = ROS tools are told that this is the node /rips"),
+      .helpers_refused = m->AddGauge("rips_actuator_helpers_refused",
+                                     "helpers whose socket another process may have made"),
   };
 }
 
@@ -196,8 +198,7 @@ class Agent::Impl {
         clock_(clock),
         counters_(MakeCounters(metrics)),
         inputs_({.capacity = kInputsMax}),
-        desk_(MakeExecutorOptions(config_).levels),
-        firewall_(config_.firewall.socket) {}
+        desk_(MakeExecutorOptions(config_).levels) {}
 
   ~Impl();
   absl::Status Start(const Smh& smh, rpc::CredentialsSource credentials,
@@ -235,6 +236,8 @@ class Agent::Impl {
   void WriteJournal(std::function<void(const absl::Status&)> done);
   void Publish(int64_t now_ns) ABSL_LOCKS_EXCLUDED(report_mu_);
   void Announce(int64_t now_ns);
+  absl::Status FindHelpers();
+  void CheckHelpers(int64_t now_ns);
 
   const Config config_;
   const Clock* const clock_;  // Not owned; outlives this.
@@ -250,6 +253,7 @@ class Agent::Impl {
   size_t execs_ = 0;
   int64_t next_heartbeat_ns_ = 0;
   bool announcing_ = true;  // the last claim was published
+  int64_t check_helpers_at_ns_ = 0;
 
   mutable Mutex report_mu_;
   ExecutorReport report_ ABSL_GUARDED_BY(report_mu_);
@@ -263,7 +267,7 @@ class Agent::Impl {
   MissingModes missing_;
   std::unique_ptr<ExecClient> programs_;  // killed at the end; the journal says "begun"
   std::unique_ptr<AlarmBoard> alarms_;    // none if there are no devices
-  FwClient firewall_;
+  std::unique_ptr<FwClient> firewall_;
   std::unique_ptr<Procedures> procedures_;
   std::unique_ptr<Drill> drill_;
   std::unique_ptr<FileWorker> files_;
@@ -341,6 +345,31 @@ void Agent::Impl::StartAnnouncing() {
   }
 }
 
+absl::Status Agent::Impl::FindHelpers() {
+  RIPS_ASSIGN_OR_RETURN(const std::optional<uid_t> exec_user,
+                        FindHelperUser(config_.exec.run_as, "rips-exec", "exec.run_as"));
+  RIPS_ASSIGN_OR_RETURN(const std::optional<uid_t> fw_user,
+                        FindHelperUser(config_.firewall.run_as, "rips-fw", "firewall.run_as"));
+  firewall_ = std::make_unique<FwClient>(config_.firewall.socket, fw_user);
+  RIPS_ASSIGN_OR_RETURN(programs_,
+                        ExecClient::Create({.socket = config_.exec.socket, .run_as = exec_user}));
+  return absl::OkStatus();
+}
+
+// Before a level needs them: a process that poses as a helper is told of at once.
+void Agent::Impl::CheckHelpers(int64_t now_ns) {
+  if (now_ns < check_helpers_at_ns_) return;
+  check_helpers_at_ns_ = now_ns + kNanosPerSecond;
+  std::vector<std::string> refused;
+  const auto check = [&](const absl::Status& status) {
+    if (!status.ok()) refused.emplace_back(status.message());
+  };
+  if (!config_.programs.empty()) check(programs_->CheckSocket());
+  if (HasFirewallSteps(config_.levels)) check(firewall_->CheckSocket());
+  counters_.helpers_refused.Set(static_cast<double>(refused.size()));
+  degraded_.Set("helpers", std::move(refused));
+}
+
 void Agent::Impl::Announce(int64_t now_ns) {
   if (announcer_ == nullptr) return;
   const absl::Status told = announcer_->Poll(now_ns);
@@ -357,14 +386,14 @@ void Agent::Impl::StartWorkers() {
   }
   procedures_ =
       std::make_unique<Procedures>(&config_.levels, Modes(), programs_.get(), alarms_.get(), clock_,
-                                   StepRunners{.firewall = &firewall_});
+                                   StepRunners{.firewall = firewall_.get()});
   drill_ = std::make_unique<Drill>(Drill::Robot{.levels = &config_.levels,
                                                 .allowed = &config_.programs,
                                                 .devices = &config_.devices,
                                                 .modes = Modes(),
                                                 .programs = programs_.get(),
                                                 .alarms = alarms_.get(),
-                                                .firewall = &firewall_,
+                                                .firewall = firewall_.get(),
                                                 .clock = clock_});
   files_ = std::make_unique<FileWorker>(kFileTasksMax);
   LevelWorker::Callbacks callbacks;
@@ -431,7 +460,7 @@ void Agent::Impl::StartDownlink(const Smh& smh, rpc::CredentialsSource credentia
 absl::Status Agent::Impl::Start(const Smh& smh, rpc::CredentialsSource credentials,
                                 rpc::CertificateMonitor* monitor) {
   RIPS_RETURN_IF_ERROR(LoadState());
-  RIPS_ASSIGN_OR_RETURN(programs_, ExecClient::Create({.socket = config_.exec.socket}));
+  RIPS_RETURN_IF_ERROR(FindHelpers());
   RIPS_RETURN_IF_ERROR(StartModes(smh));
   StartWorkers();
   StartDownlink(smh, std::move(credentials), monitor);
@@ -465,6 +494,7 @@ void Agent::Impl::Loop() {
     for (Input& input : batch) Handle(std::move(input), NowNs());
     const int64_t now_ns = NowNs();
     Do(executor_->OnTick(now_ns), now_ns);
+    CheckHelpers(now_ns);
     Publish(now_ns);
     Announce(now_ns);
   }

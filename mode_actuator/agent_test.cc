@@ -30,6 +30,7 @@
 #include "services/rpc/test_pki.h"
 #include "services/runtime/mutex.h"
 #include "services/runtime/real_clock.h"
+#include "services/wire_limits/field_limits.h"
 
 namespace rips::actuator {
 namespace {
@@ -68,6 +69,7 @@ class FakeServer final : public v1::ActuatorService::Service {
       }
     });
     for (v1::ActuatorMessage message; stream->Read(&message);) {
+      if (const auto hit = wire_limits::Check(message)) ADD_FAILURE() << hit->Text();
       MutexLock lock(&mu_);
       if (message.has_hello()) {
         hellos_.push_back(message.hello());

@@ -9,6 +9,7 @@
 #include "services/rpc/bidi_client.h"
 #include "services/rpc/status_conversion.h"
 #include "services/runtime/daemon_flags.h"
+#include "services/wire_limits/field_limits.h"
 
 namespace rips::actuator {
 namespace {
@@ -17,7 +18,6 @@ using Client = rpc::BidiClient<v1::ActuatorMessage, v1::ActuatorReply>;
 
 constexpr uint32_t kProtocol = 1;
 constexpr size_t kCommandIdBytes = 16;
-constexpr size_t kReceiptDetailBytesMax = 4096;
 
 Mark FromProto(const v1::Mark& mark) { return {.term = mark.term(), .epoch = mark.epoch()}; }
 
@@ -40,14 +40,21 @@ void ToProto(const Receipt& receipt, v1::Receipt* out) {
     result->set_step(step.step);
     result->set_ok(step.ok);
     result->set_took_ms(step.took_ms);
-    result->set_detail(step.detail.substr(0, kReceiptDetailBytesMax));
+    result->set_detail(step.detail);
     result->set_drilled(static_cast<v1::StepResult::Drilled>(step.drilled));
     result->set_output_tail(step.output_tail);
   }
   out->set_exit_code(receipt.exit_code);
   out->set_output_tail(receipt.output_tail);
-  out->set_detail(receipt.detail.substr(0, kReceiptDetailBytesMax));
+  out->set_detail(receipt.detail);
   out->set_effective_level(receipt.effective_level);
+}
+
+// What robots, programs and devices said may be too long for the server, which would end the
+// stream; here it is cut.
+v1::ActuatorMessage WithinLimits(v1::ActuatorMessage message) {
+  wire_limits::CutToLimits(message);
+  return message;
 }
 
 int64_t Nanos(uint64_t wire) { return static_cast<int64_t>(std::min<uint64_t>(wire, INT64_MAX)); }
@@ -106,7 +113,7 @@ class Downlink::Impl {
     rpc_callbacks.start_stream = [](const auto& channel, auto* context) {
       return v1::ActuatorService::NewStub(channel)->Attach(context);
     };
-    rpc_callbacks.on_connected = [this] { return MakeHello(); };
+    rpc_callbacks.on_connected = [this] { return WithinLimits(MakeHello()); };
     rpc_callbacks.on_message = [this](v1::ActuatorReply reply) { OnReply(reply); };
     rpc_callbacks.on_disconnected = [this](const grpc::Status& status, rpc::CloseClass) {
       callbacks_.disconnected(rpc::FromGrpc(status));
@@ -192,11 +199,11 @@ bool Downlink::connected() const { return impl_->client().connected(); }
 bool Downlink::SendReceipt(const Receipt& receipt) {
   v1::ActuatorMessage message;
   ToProto(receipt, message.mutable_receipt());
-  return impl_->client().Send(std::move(message));
+  return impl_->client().Send(WithinLimits(std::move(message)));
 }
 
 bool Downlink::SendHeartbeat(const ExecutorReport& report) {
-  return impl_->client().Send(impl_->MakeHeartbeat(report));
+  return impl_->client().Send(WithinLimits(impl_->MakeHeartbeat(report)));
 }
 
 }  // namespace rips::actuator

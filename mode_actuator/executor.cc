@@ -12,6 +12,7 @@ namespace {
 
 constexpr int64_t kPersistRetryNs = kNanosPerSecond;
 constexpr absl::string_view kStateLost = "state lost";
+constexpr absl::string_view kFoundAtStart = "the robot showed it at start";
 
 std::string Quote(absl::string_view text) {
   return absl::StrCat("`", absl::CHexEscape(text.substr(0, 100)), "`");
@@ -69,16 +70,17 @@ int Executor::LevelIndex(absl::string_view name) const {
 
 Actions Executor::Start(int64_t now_ns) {
   Actions actions;
-  const bool may_show_more = floor_ + 1 < static_cast<int>(options_.levels.size());
-  if (options_.survey && decided_ < 0 && may_show_more) StartSurvey(now_ns, actions);
+  const bool may_show_more = target() + 1 < static_cast<int>(options_.levels.size());
+  if (options_.survey && may_show_more) StartSurvey(now_ns, actions);
   Reconcile(now_ns, actions);
   Persist(actions);
   return actions;
 }
 
 void Executor::StartSurvey(int64_t now_ns, Actions& actions) {
-  job_ = Job{++attempt_, JobKind::kSurvey, floor_};
+  job_ = Job{++attempt_, JobKind::kSurvey, target()};
   survey_attempt_ = attempt_;
+  recorded_target_ = target();
   survey_end_ns_ = now_ns + kSurveyNsMax;
   actions.push_back(ApplyLevel{.attempt = attempt_, .kind = JobKind::kSurvey});
 }
@@ -90,9 +92,9 @@ void Executor::OnSurveyed(const LevelOutcome& outcome) {
     observed_ = outcome.observed;
   }
   const int shown = LevelIndex(outcome.shown);
-  if (shown <= floor_) return;
-  floor_ = shown;  // the same loss: it does not count as a repeat
-  floor_reason_ = std::string(kStateLost);
+  if (shown <= recorded_target_ || shown <= floor_) return;
+  floor_ = shown;  // the same start: it does not count as a repeat
+  if (floor_reason_ != kStateLost) floor_reason_ = std::string(kFoundAtStart);
 }
 
 // --- commands

@@ -26,20 +26,23 @@
 // perhaps VERIFIED later: trying goes on), or SUPERSEDED by a newer decision.
 //
 // The recorded state is lost if there is none, if it is corrupt, or if it names no decision or a
-// level that is not in `levels`. What a start does then:
-// | known of the robot                    | floor ("state lost")                  | first job   |
-// | the level it was held at              | that one, or fail_safe if higher      | survey      |
-// | nothing                               | fail_safe                             | survey      |
-// | nothing, and fail_safe is `keep`      | the last level                        | enters it   |
-// A floor at the last level, or a robot without system modes, needs no survey. A survey reads back
+// level that is not in `levels`. A good state can still be an old one, from a backup. So every
+// start compares the state with the robot:
+// | known of the robot                    | floor                                 | first job   |
+// | a decision, and held at that level    | none                                  | survey      |
+// | a decision, and held higher           | the level it was held at ("restart")  | survey      |
+// | state lost, but held at a known level | that one, or fail_safe if higher      | survey      |
+// | state lost                            | fail_safe                             | survey      |
+// | state lost, and fail_safe is `keep`   | the last level                        | enters it   |
+// A target at the last level, or a robot without system modes, needs no survey. A survey reads back
 // which level the robot's parts show (mode_survey.h); no level is entered before
 // | the survey                            | then                                                |
-// | shows a level above the floor         | the floor rises to that level and is entered        |
-// | shows a lower level, or none          | the floor is entered                                |
-// | is not over after kSurveyNsMax        | the floor is entered; a late result can raise it    |
+// | shows a level above the target        | the floor rises to that level and is entered        |
+// | shows a lower level, or none          | the target is entered                               |
+// | is not over after kSurveyNsMax        | the target is entered; a late result can raise it   |
 // | is overtaken by a SetLevel above the  | that level is entered at once; the result, which is |
-// | floor                                 | what was read until then, can raise the floor       |
-// Without a decision each later start is such a start again.
+// | target                                | what was read until then, can raise the floor       |
+// The target meant is that of the start: a lowering that arrives during the survey follows it.
 #ifndef RIPS_MODE_ACTUATOR_EXECUTOR_H_
 #define RIPS_MODE_ACTUATOR_EXECUTOR_H_
 
@@ -169,7 +172,7 @@ class Executor {
                                          const absl::StatusOr<ActuatorState>& loaded,
                                          int64_t now_ns);
 
-  // Once, first: re-applies the effective level, after a survey if the state was lost.
+  // Once, first: re-applies the effective level, after a survey of the robot.
   Actions Start(int64_t now_ns);
   Actions OnSetLevel(const SetLevelCommand& command, int64_t now_ns);
   // Fencing for commands that are not levels: false if `term` is stale.
@@ -267,6 +270,7 @@ class Executor {
   uint64_t attempt_ = 0;
   std::optional<uint64_t> survey_attempt_;  // until its outcome has come
   int64_t survey_end_ns_ = 0;
+  int recorded_target_ = -1;  // when the survey began
   int position_ = -1;      // level whose enter steps began last; -1 = none yet
   int entered_from_ = -1;  // the position before that
   bool verified_ = false;

@@ -1,4 +1,5 @@
-// A start whose recorded state is lost: what the robot shows decides how low the floor may be.
+// Every start: what the robot shows decides how low the first level may be, whatever the recorded
+// state says, since that can be lost or come from a backup.
 #include "gmock/gmock.h"
 #include "gtest/gtest.h"
 #include "mode_actuator/executor.h"
@@ -180,10 +181,50 @@ TEST(ExecutorSurveyTest, ACrashDuringTheSurveyForgetsNothing) {
   EXPECT_EQ(second.TakeJobs(), ">HALT");
 }
 
-TEST(ExecutorSurveyTest, AGoodStateNeedsNoSurvey) {
+TEST(ExecutorSurveyTest, AStateFromABackupDoesNotLowerTheRobot) {
   ExecutorRig rig(ExecutorRig::At("DEFAULT"), ExecutorRig::WithSurvey());
-  EXPECT_FALSE(rig.survey().has_value());
+  EXPECT_THAT(rig.TakeOrder(), ElementsAre("survey", "write"));
+  rig.Advance(1 * kS);
+  EXPECT_EQ(rig.TakeJobs(), "");
+
+  rig.FinishSurvey("HALT");
+  EXPECT_EQ(rig.TakeJobs(), ">HALT");
+  EXPECT_FALSE(rig.report().state_lost);
+  EXPECT_EQ(rig.report().decided, "DEFAULT");
+  EXPECT_EQ(rig.report().floor, "HALT");
+  EXPECT_EQ(rig.report().floor_reason, "the robot showed it at start");
+  EXPECT_EQ(rig.disk()->effective, "HALT");
+
+  rig.lease = true;  // the server stands by the decision
+  rig.Advance(9 * kS);
+  EXPECT_EQ(rig.report().effective, "HALT");
+  rig.Advance(2 * kS);
+  EXPECT_EQ(rig.report().effective, "DEFAULT");
+}
+
+TEST(ExecutorSurveyTest, AGoodStateThatTheRobotConfirmsRaisesNoFloor) {
+  for (const std::string shown : {"", "DEFAULT", "ALERT", "GREEN"}) {
+    ExecutorRig rig(ExecutorRig::At("ALERT"), ExecutorRig::WithSurvey());
+    rig.FinishSurvey(shown);
+    EXPECT_EQ(rig.TakeJobs(), ">ALERT") << shown;
+    EXPECT_EQ(rig.report().floor, "") << shown;
+  }
+}
+
+TEST(ExecutorSurveyTest, ALoweringDuringTheSurveyFollowsItWithoutAFloor) {
+  ExecutorRig rig(ExecutorRig::At("ALERT", {6, 1}), ExecutorRig::WithSurvey());
+  rig.lease = true;
+  rig.Level("DEFAULT", {6, 2}, Mark{6, 1});
+  EXPECT_EQ(rig.TakeJobs(), "");
+  rig.FinishSurvey("ALERT");
   EXPECT_EQ(rig.TakeJobs(), ">DEFAULT");
+  EXPECT_EQ(rig.report().floor, "");
+}
+
+TEST(ExecutorSurveyTest, AGoodStateAtTheLastLevelNeedsNoSurvey) {
+  ExecutorRig rig(ExecutorRig::At("HALT"), ExecutorRig::WithSurvey());
+  EXPECT_FALSE(rig.survey().has_value());
+  EXPECT_EQ(rig.TakeJobs(), ">HALT");
 }
 
 TEST(ExecutorSurveyTest, WithKeepAndNothingKnownTheMostRestrictiveLevelNeedsNoSurvey) {

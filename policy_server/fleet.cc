@@ -15,7 +15,8 @@ namespace rips::server {
 namespace {
 
 pipeline::RobotConfig ToConfig(const bundle::InventoryRobot& robot) {
-  pipeline::RobotConfig config{.id = robot.id, .actuator_hosts = robot.actuators};
+  pipeline::RobotConfig config{
+      .id = robot.id, .actuator_hosts = robot.actuators, .graph_limits = robot.graph_limits};
   for (const bundle::InventorySensor& sensor : robot.sensors) {
     config.sensor_hosts.push_back(sensor.host);
     if (sensor.primary) config.primary_sensor = sensor.host;
@@ -24,7 +25,7 @@ pipeline::RobotConfig ToConfig(const bundle::InventoryRobot& robot) {
 }
 
 bool SameHosts(const bundle::InventoryRobot& a, const bundle::InventoryRobot& b) {
-  return a.sensors == b.sensors && a.actuators == b.actuators;
+  return a.sensors == b.sensors && a.actuators == b.actuators && a.graph_limits == b.graph_limits;
 }
 
 // One line of what may be a page of diagnostics: the whole is in the log.
@@ -133,7 +134,7 @@ absl::Status Fleet::Hold(const bundle::InventoryRobot& robot, const store::Robot
 void Fleet::SetProblem(const std::string& robot, const std::string& text,
                        const std::string& level) {
   pipeline_
-      ->Post(robot, pipeline::Lane::kControl,
+      ->Post(robot, pipeline::Queue::kOrders,
              [text](pipeline::Robot& each) { each.SetPolicyProblem(text); })
       .IgnoreError();  // one that is held shows it already
   if (text.empty()) {
@@ -212,7 +213,7 @@ void Fleet::Change(const bundle::InventoryRobot& robot, const bundle::InventoryR
   if (before == nullptr || !SameHosts(robot, *before)) {
     LogInfo("hosts of a robot changed", {{"robot", robot.id}});
     posted.Update(pipeline_->Post(
-        robot.id, pipeline::Lane::kControl,
+        robot.id, pipeline::Queue::kOrders,
         [config = ToConfig(robot)](pipeline::Robot& each) { each.SetHosts(config); }));
   }
   if (!policy.ok()) {
@@ -224,7 +225,7 @@ void Fleet::Change(const bundle::InventoryRobot& robot, const bundle::InventoryR
   } else {
     SetProblem(robot.id, "", "");
     posted.Update(pipeline_->Post(
-        robot.id, pipeline::Lane::kControl, [policy = *policy](pipeline::Robot& each) {
+        robot.id, pipeline::Queue::kOrders, [policy = *policy](pipeline::Robot& each) {
           const absl::Status swapped = each.SwapPolicy(policy);
           if (swapped.ok()) return;
           LogError("bundle not taken", {{"robot", each.id()}, {"reason", swapped.message()}});

@@ -25,6 +25,8 @@ constexpr absl::Duration kProbePatience = absl::Seconds(1);
 constexpr uint64_t kOtherDescriptors = 512;
 // Of operators and of agents that connect anew while their old connection is not over.
 constexpr int kOtherConnections = 32;
+// A sensor and an actuator, each with one connection and one that is not over yet.
+constexpr int kConnectionsOfAHost = 4;
 // Between two alerts that the server is attacked.
 constexpr int64_t kAttackEveryNs = 60 * kNanosPerSecond;
 
@@ -118,8 +120,9 @@ absl::Status Server::ServePage() {
   return absl::OkStatus();
 }
 
-void Server::OwnAlert(engine::Severity severity, const std::string& text) {
-  alerts_->Raise(std::string(store::kServerRobot), severity, text);
+void Server::OwnAlert(engine::Severity severity, const std::string& text,
+                      std::source_location where) {
+  alerts_->Raise(std::string(store::kServerRobot), severity, text, "", where);
 }
 
 absl::Status Server::GuardConnections() {
@@ -128,25 +131,34 @@ absl::Status Server::GuardConnections() {
   // Each connection has two: gRPC's and the guard's.
   const uint64_t wanted = 2 * static_cast<uint64_t>(limits.total) + kOtherDescriptors;
   const uint64_t allowed = RaiseDescriptorLimit(wanted);
+  const int needed = 2 * agents + kOtherConnections;
+  if (limits.total < needed) {
+    return absl::FailedPreconditionError(
+        absl::StrCat("`connections.total` of ", limits.total, " is too low for the ", agents,
+                     " agents of ", config_.inventory, "; set it to ", needed, " or more"));
+  }
+  if (limits.per_address < kConnectionsOfAHost) {
+    LogWarning("`connections.per_address` is too low for a host with a sensor and an actuator",
+               {{"per_address", limits.per_address}, {"a_host_needs", kConnectionsOfAHost}});
+  }
   if (allowed < wanted) {
     limits.total = static_cast<int>((std::max(allowed, kOtherDescriptors) - kOtherDescriptors) / 2);
-    if (limits.total < 2 * agents + kOtherConnections) {
-      return absl::FailedPreconditionError(absl::StrCat(
-          "the limit of ", allowed, " open files is too low for the ", agents, " agents of ",
-          config_.inventory, "; set LimitNOFILE of the unit to ",
-          2 * (2 * agents + kOtherConnections) + kOtherDescriptors, " or more"));
+    if (limits.total < needed) {
+      return absl::FailedPreconditionError(
+          absl::StrCat("the limit of ", allowed, " open files is too low for the ", agents,
+                       " agents of ", config_.inventory, "; set LimitNOFILE of the unit to ",
+                       2 * needed + kOtherDescriptors, " or more"));
     }
     limits.reserve = std::min(limits.reserve, limits.total / 4);
     LogWarning("the limit of open files is too low for `connections.total`",
                {{"limit", allowed}, {"wanted", wanted}, {"connections", limits.total}});
   }
-  RIPS_ASSIGN_OR_RETURN(
-      connections_,
-      rpc::ConnectionGuard::Listen(
-          config_.listen,
-          {.admission = limits,
-           .on_ended = [this](const auto& report) { OnConnectionEnded(report); }},
-          &clock_, &metrics_));
+  RIPS_ASSIGN_OR_RETURN(connections_,
+                        rpc::ConnectionGuard::Listen(
+                            config_.listen,
+                            {.admission = limits,
+                             .on_ended = [this](const auto& report) { OnConnectionEnded(report); }},
+                            &clock_, &metrics_));
   return absl::OkStatus();
 }
 
@@ -155,18 +167,21 @@ void Server::OnConnectionEnded(const rpc::ConnectionGuard::Report& report) {
   {
     MutexLock lock(&attack_mu_);
     const int64_t now_ns = clock_.Now().boottime_ns;
-    if (attack_told_ns_ != 0 && now_ns - attack_told_ns_ < kAttackEveryNs) return;
-    attack_told_ns_ = now_ns;
+    // Each certificate has its minute, and all without one have one together.
+    std::erase_if(attack_told_,
+                  [&](const auto& told) { return now_ns - told.second >= kAttackEveryNs; });
+    if (!attack_told_.try_emplace(report.certificate, now_ns).second) return;
   }
+  std::string what = "sent bytes of which nothing came";
+  if (report.excess == rpc::Excess::kCalls) what = "began calls without end";
+  if (report.excess == rpc::Excess::kRefused) what = "sent what no agent of ours sends";
   OwnAlert(engine::Severity::kCritical,
            absl::StrCat("the server is attacked: a connection from ", report.peer,
                         report.certificate.empty()
                             ? std::string(" without a certificate of ours")
                             : absl::StrCat(" with the certificate of ", report.certificate),
-                        report.excess == rpc::Excess::kCalls
-                            ? " began calls without end"
-                            : " sent bytes of which nothing came",
-                        "; it was ended and is banned for ", report.banned_ns / kNanosPerSecond,
+                        " ", what, "; it was ended and is banned for ",
+                        report.banned_ns / kNanosPerSecond,
                         " s (more of this kind is only counted for a minute)"));
 }
 
@@ -189,6 +204,10 @@ absl::Status Server::GuardPeers() {
   revocation_problem_ = metrics_.AddGauge(
       "rips_revocation_problem", "1 = the revocation lists are out of date or cannot be read.");
   watch_ = std::make_unique<rpc::SessionWatch>(&clock_, absl::Milliseconds(500), gate_.get());
+  unread_ = std::make_unique<rpc::UnreadStreams>(
+      &clock_, &metrics_,
+      [this](const std::string& text) { OwnAlert(engine::Severity::kHigh, text); });
+  watch_->set_unread(unread_.get());
   watch_->set_silence(std::max(rpc::SessionWatch::kSilence, 3 * config_.timing.lost));
   watch_->set_before_look([this] { LookAtRevocations(); });
   return absl::OkStatus();
@@ -217,7 +236,7 @@ void Server::OnCertificate(const rpc::CertificateMonitor::Notice& notice) {
   const std::string& robot = notice.certificate.identity.robot;
   if (robot.empty()) return;  // an operator's: logged
   pipeline_
-      ->Post(robot, pipeline::Lane::kControl,
+      ->Post(robot, pipeline::Queue::kOrders,
              [severity, text](pipeline::Robot& each) { each.Report(severity, text); })
       .IgnoreError();  // not of ours
 }
@@ -290,53 +309,155 @@ pipeline::Counts Server::MakeCounts() {
     const Counter made = metrics_.AddCounter(name, help);
     return [made](uint64_t by) { made.Increment(static_cast<double>(by)); };
   };
-  return {.endpoints =
-              [this](const std::string& robot, const pipeline::EndpointCounts& counts) {
-                const auto set = [&](const char* visibility, size_t count) {
-                  metrics_
-                      .AddGauge("rips_endpoints",
-                                "Endpoints on the robot, by what is seen of them.",
-                                {{"robot", robot}, {"visibility", visibility}})
-                      .Set(static_cast<double>(count));
-                };
-                set("watched", counts.watched);
-                set("not_needed", counts.not_needed);
-                set("not_visible", counts.not_visible);
+  return {
+      .endpoints =
+          [this](const std::string& robot, const pipeline::EndpointCounts& counts) {
+            const auto set = [&](const char* visibility, size_t count) {
+              metrics_
+                  .AddGauge("rips_endpoints", "Endpoints on the robot, by what is seen of them.",
+                            {{"robot", robot}, {"visibility", visibility}})
+                  .Set(static_cast<double>(count));
+            };
+            set("watched", counts.watched);
+            set("not_needed", counts.not_needed);
+            set("not_visible", counts.not_visible);
+          },
+      .blind =
+          [this](const std::string& robot, size_t reasons) {
+            metrics_
+                .AddGauge("rips_blind_reasons",
+                          "Why a robot or an input of its sensors is not seen; 0 = it is.",
+                          {{"robot", robot}})
+                .Set(static_cast<double>(reasons));
+          },
+      .graph_left_out =
+          [this](const std::string& robot, uint64_t left_out, bool began) {
+            metrics_
+                .AddGauge("rips_graph_left_out",
+                          "Participants, nodes and endpoints left out of a robot's graph "
+                          "because of a limit; 0 = the graph is whole.",
+                          {{"robot", robot}})
+                .Set(static_cast<double>(left_out));
+            const Counter truncations =
+                metrics_.AddCounter("rips_graph_truncations_total",
+                                    "How often a robot's graph hit a limit.", {{"robot", robot}});
+            if (began) truncations.Increment();
+          },
+      .clock_skew =
+          [this](const std::string& robot, const std::string& host, int64_t ns) {
+            ClockSkew(robot, host).Set(static_cast<double>(ns) / kNanosPerSecond);
+          },
+      .inspections_skipped =
+          [this](const std::string& reason, uint64_t by) {
+            InspectionsSkipped(reason).Increment(static_cast<double>(by));
+          },
+      .observations_judged =
+          counter("rips_observations_judged_total", "Observations judged by rules."),
+      .observations_lost = counter("rips_observations_lost_total",
+                                   "Observations that sensors report or show as lost."),
+      .observations_duplicate = counter("rips_observations_duplicate_total",
+                                        "Observations received again and not judged again."),
+      .messages_unattributed =
+          counter("rips_messages_unattributed_total",
+                  "Writers whose messages were judged without a node, since the graph did not "
+                  "show them in time."),
+      .graphs_merged = counter("rips_graphs_merged_total",
+                               "Graphs judged together with the next one of their batch."),
+      .sessions_refused =
+          counter("rips_second_sessions_total",
+                  "Sessions refused because the agent of that certificate has a live one."),
+      .payloads_cut =
+          counter("rips_payloads_cut_total", "Messages whose payload was longer than its limit."),
+      .alerts = counter("rips_alerts_total", "Alerts raised."),
+      .alerts_lost = counter("rips_alerts_lost_total",
+                             "Alerts dropped while the store could not be written.")};
+}
+
+pipeline::PipelineReports Server::MakeReports() {
+  const Counter late = metrics_.AddCounter(
+      "rips_shard_late_total", "Times that a thread that judges was late by 500 ms or more.");
+  const Counter deferred = metrics_.AddCounter(
+      "rips_robots_deferred_total", "Times that a robot used more than its share for long.");
+  const Counter moved = metrics_.AddCounter(
+      "rips_robots_slow_total", "Times that a robot moved to the thread of slow robots.");
+  const auto lateness = [this](const std::string& thread) {
+    return metrics_.AddGauge("rips_shard_lateness_seconds",
+                             "How late a thread that judges was at most, in the last 10 to 20 s.",
+                             {{"shard", thread}});
+  };
+  lateness("slow").Set(0);  // on the page from the start
+  return {.late =
+              [this, late](const std::string& robot, int64_t late_ns) {
+                late.Increment();
+                OwnAlert(engine::Severity::kCritical,
+                         absl::StrCat("a thread that judges robots was late by ",
+                                      late_ns / kNanosPerMilli, " ms; ",
+                                      robot.empty() ? "no robot" : absl::StrCat("robot ", robot),
+                                      " used most of that time (told again after 10 s in time)"));
               },
-          .blind =
-              [this](const std::string& robot, size_t reasons) {
+          .deferred =
+              [this, deferred](const std::string& robot) {
+                deferred.Increment();
+                alerts_->Raise(
+                    robot, engine::Severity::kHigh,
+                    absl::StrCat("robot ", robot, " uses more than its share of the server (",
+                                 absl::FormatDuration(config_.fairness.cpu_per_second),
+                                 " of processor a second): what its agents send waits, and rules "
+                                 "lower no level of ",
+                                 robot, " meanwhile (told again after a minute without)"));
+              },
+          .moved =
+              [moved](const std::string& robot, bool slow) {
+                if (slow) moved.Increment();
+                LogInfo(slow ? "robot moves to the thread of slow robots"
+                             : "robot returns from the thread of slow robots",
+                        {{"robot", robot}});
+              },
+          .refused =
+              [this, counter = metrics_.AddCounter(
+                         "rips_backlog_refused_total",
+                         "Streams and calls refused because too much of a robot waits.")](
+                  const std::string& robot) {
+                counter.Increment();
+                OnRefused(robot);
+              },
+          .waited =
+              [this](const std::string& robot, int64_t longest_ns) {
                 metrics_
-                    .AddGauge("rips_blind_reasons",
-                              "Why a robot or an input of its sensors is not seen; 0 = it is.",
+                    .AddGauge("rips_robot_wait_seconds",
+                              "Longest wait of what was sent to a robot's thread, in one second.",
                               {{"robot", robot}})
-                    .Set(static_cast<double>(reasons));
+                    .Set(static_cast<double>(longest_ns) / kNanosPerSecond);
               },
-          .clock_skew =
-              [this](const std::string& robot, const std::string& host, int64_t ns) {
-                ClockSkew(robot, host).Set(static_cast<double>(ns) / kNanosPerSecond);
-              },
-          .inspections_skipped =
-              [this](const std::string& reason, uint64_t by) {
-                InspectionsSkipped(reason).Increment(static_cast<double>(by));
-              },
-          .observations_judged =
-              counter("rips_observations_judged_total", "Observations judged by rules."),
-          .observations_lost = counter("rips_observations_lost_total",
-                                       "Observations that sensors report or show as lost."),
-          .observations_duplicate = counter("rips_observations_duplicate_total",
-                                            "Observations received again and not judged again."),
-          .messages_unattributed =
-              counter("rips_messages_unattributed_total",
-                      "Writers whose messages were judged without a node, since the graph did not "
-                      "show them in time."),
-          .sessions_refused =
-              counter("rips_second_sessions_total",
-                      "Sessions refused because the agent of that certificate has a live one."),
-          .payloads_cut = counter("rips_payloads_cut_total",
-                                  "Messages whose payload was longer than its limit."),
-          .alerts = counter("rips_alerts_total", "Alerts raised."),
-          .alerts_lost = counter("rips_alerts_lost_total",
-                                 "Alerts dropped while the store could not be written.")};
+          .lateness =
+              [lateness](const std::string& thread, int64_t longest_ns) {
+                lateness(thread).Set(static_cast<double>(longest_ns) / kNanosPerSecond);
+              }};
+}
+
+void Server::OnRefused(const std::string& robot) {
+  {
+    MutexLock lock(&attack_mu_);
+    const int64_t now_ns = clock_.Now().boottime_ns;
+    const auto [at, fresh] = refused_told_ns_.try_emplace(robot, now_ns);
+    if (!fresh && now_ns - at->second < kAttackEveryNs) return;
+    at->second = now_ns;
+  }
+  alerts_->Raise(robot, engine::Severity::kHigh,
+                 absl::StrCat("peers of robot ", robot,
+                              " send more than can be judged: a stream was closed (more of this "
+                              "is only counted for a minute)"));
+}
+
+std::shared_ptr<operator_api::CallerQuota> Server::MakeQuota() {
+  const Counter refused = metrics_.AddCounter(
+      "rips_quota_refused_total", "Calls of operators refused because their quota was used up.");
+  operator_api::QuotaLimits limits;
+  limits.streams.at_a_time = config_.operators.streams;
+  limits.queries.at_a_time = config_.operators.calls;
+  limits.queries.per_second = config_.operators.calls_per_second;
+  limits.queries.burst = 2 * limits.queries.per_second;
+  return operator_api::CallerQuota::Create(&clock_, limits, [refused] { refused.Increment(); });
 }
 
 absl::Status Server::AddRobots() {
@@ -345,7 +466,14 @@ absl::Status Server::AddRobots() {
                          ? config_.shards
                          : static_cast<int>(std::clamp(std::thread::hardware_concurrency(), 1u,
                                                        static_cast<unsigned>(kShardsMax)));
-  pipeline_ = std::make_unique<pipeline::Pipeline>(shards, &clock_);
+  const Fairness& fairness = config_.fairness;
+  pipeline_ = std::make_unique<pipeline::Pipeline>(
+      shards, &clock_,
+      pipeline::PipelineLimits{
+          .cpu_per_second_ns = absl::ToInt64Nanoseconds(fairness.cpu_per_second),
+          .cpu_burst_ns = absl::ToInt64Nanoseconds(fairness.cpu_burst),
+          .long_task_ns = absl::ToInt64Nanoseconds(fairness.long_task)},
+      MakeReports());
   const auto robots = [this](const char* policy, size_t count) {
     metrics_
         .AddGauge("rips_robots", "Robots of the inventory, by the policy that judges them.",
@@ -388,29 +516,42 @@ absl::Status Server::Listen() {
     return metrics_.AddCounter("rips_streams_total", "Streams opened by agents.",
                                {{"agent", agent}});
   };
+  const wire_limits::LimitCounters fields_refused(&metrics_);
   sensors_ = std::make_unique<ingest::SensorService>(
       pipeline_.get(), watch_.get(),
       ingest::IngestMetrics{.malformed = malformed("sensor"),
                             .streams = streams("sensor"),
                             .interests_refused = metrics_.AddCounter(
                                 "rips_interests_refused_total",
-                                "Lists of wanted payloads that sensors could not apply.")});
+                                "Lists of wanted payloads that sensors could not apply."),
+                            .fields_refused = fields_refused});
   actuators_ = std::make_unique<dispatch::ActuatorService>(
       pipeline_.get(), watch_.get(),
       dispatch::DispatchMetrics{
           .malformed = malformed("actuator"),
           .streams = streams("actuator"),
-          .commands = metrics_.AddCounter("rips_commands_total", "Commands sent to actuators.")});
+          .commands = metrics_.AddCounter("rips_commands_total", "Commands sent to actuators."),
+          .fields_refused = fields_refused});
   operators_ = std::make_unique<operator_api::OperatorService>(
       pipeline_.get(), store_.get(), hub_.get(),
       operator_api::OperatorService::Access{
-          .watch = watch_.get(), .bans = bans_.get(), .certificates = certificates_.get()});
+          .watch = watch_.get(),
+          .bans = bans_.get(),
+          .certificates = certificates_.get(),
+          .fields_refused = fields_refused,
+          .on_refused_field =
+              [this](const rpc::Peer& peer, const auto& address, const auto& what) {
+                OwnAlert(engine::Severity::kHigh,
+                         absl::StrCat(rpc::Describe(peer), " at ", address,
+                                      " sent a request past a limit: ", what, "; it was refused"));
+              },
+          .quota = MakeQuota(),
+          .store_writable = [this] { return committer_->healthy(); }});
   RIPS_ASSIGN_OR_RETURN(
-      rpc_,
-      rpc::RpcServer::Start({.listen = config_.listen,
-                             .guard = connections_.get(),
-                             .credentials = credentials_->ForServer()},
-                            {sensors_.get(), actuators_.get(), operators_.get()}));
+      rpc_, rpc::RpcServer::Start({.listen = config_.listen,
+                                   .guard = connections_.get(),
+                                   .credentials = credentials_->ForServer()},
+                                  {sensors_.get(), actuators_.get(), operators_.get()}));
   listening_ = true;
   LogInfo("listening", {{"address", rpc_->address()}, {"metrics", page_->address()}});
   return absl::OkStatus();

@@ -5,9 +5,11 @@
 #include <atomic>
 #include <functional>
 #include <memory>
+#include <source_location>
 #include <string>
 
 #include "absl/base/thread_annotations.h"
+#include "absl/container/btree_map.h"
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
 #include "policy_server/bundle/bundle.h"
@@ -33,6 +35,7 @@
 #include "services/rpc/credentials.h"
 #include "services/rpc/server_builder.h"
 #include "services/rpc/session_watch.h"
+#include "services/rpc/unread_streams.h"
 #include "services/runtime/metrics.h"
 #include "services/runtime/mutex.h"
 #include "services/runtime/real_clock.h"
@@ -69,7 +72,9 @@ class Server {
   absl::Status GuardConnections();
   void OnConnectionEnded(const rpc::ConnectionGuard::Report& report);
   // RIPS's own alert that is no robot's: of robot `(server)`. Any thread.
-  void OwnAlert(engine::Severity severity, const std::string& text);
+  // Each caller is a kind, for the limit.
+  void OwnAlert(engine::Severity severity, const std::string& text,
+                std::source_location where = std::source_location::current());
   void OnCertificate(const rpc::CertificateMonitor::Notice& notice);
   // Reads the revocation lists if they have changed, and says what is wrong with them.
   void LookAtRevocations();
@@ -82,6 +87,10 @@ class Server {
   Counter InspectionsSkipped(const std::string& reason);
   pipeline::Counts MakeCounts();
   pipeline::StoreCounts MakeStoreCounts();
+  pipeline::PipelineReports MakeReports();
+  // The robot's peers sent more than could be judged, and were refused.
+  void OnRefused(const std::string& robot) ABSL_LOCKS_EXCLUDED(attack_mu_);
+  std::shared_ptr<operator_api::CallerQuota> MakeQuota();
   absl::Status Readiness() const;
 
   const ServerConfig config_;
@@ -106,10 +115,14 @@ class Server {
   std::unique_ptr<rpc::ConnectionGuard> connections_;
   std::unique_ptr<rpc::CallGate> gate_;
   Mutex attack_mu_;
-  int64_t attack_told_ns_ ABSL_GUARDED_BY(attack_mu_) = 0;
+  // Certificate (empty: none) -> when its attack was told.
+  std::map<std::string, int64_t> attack_told_ ABSL_GUARDED_BY(attack_mu_);
+  // By robot of the inventory: when it was said last that its peers are refused.
+  absl::btree_map<std::string, int64_t> refused_told_ns_ ABSL_GUARDED_BY(attack_mu_);
   Gauge revocation_problem_;
   Mutex revocation_mu_;
   std::string revocation_told_ ABSL_GUARDED_BY(revocation_mu_);
+  std::unique_ptr<rpc::UnreadStreams> unread_;
   std::unique_ptr<rpc::SessionWatch> watch_;
   std::unique_ptr<ingest::SensorService> sensors_;
   std::unique_ptr<dispatch::ActuatorService> actuators_;

@@ -33,9 +33,6 @@ constexpr int kLastLooks = 20;
 // Payloads that may be held between reception and the outbox, which has a limit of its own.
 constexpr size_t kPayloadsUnderwayBytes = size_t{16} << 20;
 
-constexpr char kGraphShort[] =
-    "graph: a limit was hit, so not every participant, node and endpoint is in it";
-
 void AddFinding(Finding finding, int64_t now_ns, Observations& seen) {
   ControlObservation& observation = seen.findings.emplace_back();
   observation.boottime_ns = now_ns;
@@ -99,6 +96,9 @@ Agent::Agent(const SensorConfig& config, const Clock* clock, Metrics* metrics)
       lost_(metrics->AddCounter("rips_sensor_lost_total",
                                 "Observations not taken, whatever the cause")),
       readers_(metrics->AddGauge("rips_sensor_readers", "Topics being read")),
+      graph_left_out_(metrics->AddGauge(
+          "rips_sensor_graph_left_out",
+          "Participants, nodes and endpoints left out of the graph since it was whole")),
       announced_(metrics->AddGauge("rips_sensor_announced",
                                    "1 while ROS tools are told that this is the node /rips")) {}
 
@@ -203,7 +203,8 @@ absl::StatusOr<std::unique_ptr<Agent>> Agent::Create(const SensorConfig& config,
                        .observer_hidden = config.observer_hidden,
                        .unwatched = config.unwatched,
                        .attribution_grace_ns = grace_ns,
-                       .settle_ns = settle_ns};
+                       .settle_ns = settle_ns,
+                       .limits = config.graph_limits};
   agent->graph_.emplace(std::move(options), clock->Now().boottime_ns);
   agent->flow_.emplace(FlowOptions{.attribution_grace_ns = grace_ns}, &*agent->graph_);
   agent->findings_.emplace(
@@ -354,7 +355,12 @@ void Agent::TakeInbox(int64_t now_ns, Observations& seen) {
   watch_.idle = idle;
   if (interest != nullptr) watch_.interest = interest;
   FollowPlan(now_ns);
-  if (interest != nullptr) uplink_->InterestInUse(interest->id());
+  if (interest == nullptr) return;
+  uplink_->InterestInUse(interest->id());
+  if (!graph_limits_.is_short()) return;
+  // What other rules name may have been left out.
+  graph_limits_.Asked(now_ns);
+  Rediscover(now_ns);
 }
 
 void Agent::TellOwnParticipants(int64_t now_ns) {
@@ -365,6 +371,7 @@ void Agent::TellOwnParticipants(int64_t now_ns) {
 void Agent::FollowPlan(int64_t now_ns) {
   const auto plan = std::make_shared<const WatchPlan>(watch_);
   graph_->SetPlan(plan, now_ns);
+  if (watch_.interest != nullptr) graph_->SetKeptTopics(watch_.interest->kept_topics());
   domain_->topics().SetPlan(plan, now_ns);
   TellReaders(now_ns);
 }
@@ -379,11 +386,13 @@ void Agent::TakeCoverage(int64_t now_ns) {
   const std::vector<Coverage> all = domain_->topics().TakeCoverage(now_ns);
   for (const Coverage& news : all) {
     const std::string why = ros2::Printable(news.not_visible);
-    if (!why.empty()) {
+    const auto left_out = why.empty() ? std::nullopt : bus_logs_.Admit("unreadable writers");
+    if (left_out.has_value()) {
       const std::optional<ros2::Endpoint> writer = graph_->Find(news.writer);
       LogWarning("a writer cannot be read", {{"topic", writer.has_value() ? writer->name : ""},
                                              {"writer", ToString(news.writer)},
-                                             {"error", why}});
+                                             {"error", why},
+                                             {"left_out", *left_out}});
     }
     graph_->SetNotVisible(news.writer, why, now_ns);
   }
@@ -408,6 +417,8 @@ void Agent::TakeDiscovered(int64_t now_ns, Observations& seen) {
   LogError("discovery outran the sensor; asking for all of it again", {{"lost_facts", lost}});
   seen.losses.push_back(LimitLoss(lost, now_ns));
   lost_.Increment(static_cast<double>(lost));
+  graph_->FactsLost(lost);
+  facts_lost_ += lost;
   Rediscover(now_ns);
 }
 
@@ -422,10 +433,14 @@ void Agent::Rediscover(int64_t now_ns) {
 
 void Agent::WatchGraphLimits(uint64_t left_out, int64_t now_ns) {
   const bool was_short = graph_limits_.is_short();
-  if (graph_limits_.Look(left_out, now_ns)) Rediscover(now_ns);
-  if (graph_limits_.is_short() == was_short) return;
-  uplink_->SetBlind("graph",
-                    was_short ? std::vector<std::string>() : std::vector<std::string>{kGraphShort});
+  const bool has_room = was_short && graph_->HasRoom();
+  if (graph_limits_.Look(left_out, has_room, now_ns)) Rediscover(now_ns);
+  if (was_short || left_out > 0) {
+    graph_left_out_.Set(static_cast<double>(graph_->left_out()));
+  }
+  if (!was_short || graph_limits_.is_short()) return;
+  graph_->EndTruncation();
+  graph_left_out_.Set(0);
 }
 
 void Agent::OnParticipant(const ros2::Participant& participant, bool alive, int64_t now_ns) {
@@ -458,8 +473,11 @@ void Agent::TakeClaims(int64_t now_ns, Observations& seen) {
     const auto entities = ros2::DecodeParticipantEntities(claim.payload);
     if (!entities.ok()) {
       bad_claims_.Increment();
-      LogWarning("claim about nodes makes no sense",
-                 {{"writer", ToString(claim.writer)}, {"error", entities.status().ToString()}});
+      if (const auto left_out = bus_logs_.Admit("undecodable claims")) {
+        LogWarning("claim about nodes makes no sense", {{"writer", ToString(claim.writer)},
+                                                        {"error", entities.status().ToString()},
+                                                        {"left_out", *left_out}});
+      }
       seen.losses.push_back({.cause = LossCause::kUndecodable,
                              .count = 1,
                              .first_boottime_ns = now_ns,
@@ -469,7 +487,11 @@ void Agent::TakeClaims(int64_t now_ns, Observations& seen) {
     if (announcer_ != nullptr) announcer_->Heard(claim.writer.Participant(), claim.payload);
     const absl::Status taken = graph_->NodesClaimed(claim.writer, *entities, now_ns);
     findings_->OnClaim(claim.writer, taken, now_ns);
-    if (!taken.ok()) LogWarning("claim about nodes refused", {{"error", taken.ToString()}});
+    if (taken.ok()) continue;
+    if (const auto left_out = bus_logs_.Admit("refused claims")) {
+      LogWarning("claim about nodes refused",
+                 {{"error", taken.ToString()}, {"left_out", *left_out}});
+    }
   }
   const uint64_t lost = domain_->TakeLostClaims();
   if (lost == 0) return;
@@ -563,7 +585,7 @@ void Agent::CountLimits(int64_t now_ns, Observations& seen) {
   if (graph.dropped > graph_counted_.dropped) {
     seen.losses.push_back(LimitLoss(graph.dropped - graph_counted_.dropped, now_ns));
   }
-  WatchGraphLimits(graph.dropped - graph_counted_.dropped, now_ns);
+  WatchGraphLimits(graph.dropped - graph_counted_.dropped + std::exchange(facts_lost_, 0), now_ns);
   graph_counted_ = graph;
   flow_counted_ = flow;
   readers_.Set(static_cast<double>(domain_->topics().readers()));

@@ -28,6 +28,7 @@
 #include "services/dds/node_announcer.h"
 #include "services/rpc/certificate_monitor.h"
 #include "services/rpc/credentials.h"
+#include "services/runtime/log_limiter.h"
 #include "services/runtime/metrics.h"
 #include "services/runtime/mutex.h"
 
@@ -105,6 +106,7 @@ class Agent {
   Counter bad_claims_;
   Counter lost_;
   Gauge readers_;
+  Gauge graph_left_out_;
   Gauge announced_;
 
   std::atomic<bool> woken_ = false;
@@ -120,6 +122,7 @@ class Agent {
   bool server_forgot_ ABSL_GUARDED_BY(inbox_mu_) = false;
 
   // The observer thread's.
+  LogLimiter bus_logs_;  // what anybody on the bus can make it say
   std::optional<GraphBuilder> graph_;
   std::optional<MessageFlow> flow_;
   std::optional<Findings> findings_;
@@ -136,6 +139,8 @@ class Agent {
   int64_t resync_until_ns_ = 0;
   GraphLimitsWatch graph_limits_;
   GraphCounters graph_counted_;
+  // Facts of discovery, in this turn.
+  uint64_t facts_lost_ = 0;
   FlowCounters flow_counted_;
 
   // In this order: what calls back goes before what it uses.

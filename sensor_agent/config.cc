@@ -40,6 +40,18 @@ void ReadSocket(const ConfigSection& section, std::string* path) {
   }
 }
 
+// Of a sensor; more would take memory that robots do not have.
+constexpr size_t kGraphLimitMax = 65'536;
+
+void ReadGraphLimits(const ConfigSection& section, ros2::GraphLimits& limits) {
+  ReadCount(section, "participants", kGraphLimitMax, &limits.participants);
+  ReadCount(section, "nodes", kGraphLimitMax, &limits.nodes);
+  ReadCount(section, "endpoints", kGraphLimitMax, &limits.endpoints);
+  ReadCount(section, "nodes_per_participant", kGraphLimitMax, &limits.nodes_per_participant);
+  ReadCount(section, "endpoints_per_participant", kGraphLimitMax,
+            &limits.endpoints_per_participant);
+}
+
 }  // namespace
 
 absl::StatusOr<SensorConfig> ParseSensorConfig(absl::string_view file, absl::string_view text,
@@ -61,6 +73,7 @@ absl::StatusOr<SensorConfig> ParseSensorConfig(absl::string_view file, absl::str
   root.Optional("settle", &config.settle, {absl::ZeroDuration(), absl::Seconds(10)});
   root.Optional("attribution_grace", &config.attribution_grace,
                 {absl::ZeroDuration(), absl::Seconds(10)});
+  ReadGraphLimits(root.OptionalSection("graph_limits"), config.graph_limits);
   root.Optional("unwatched", &config.unwatched);
   for (const std::string& topic : config.unwatched) {
     if (absl::Status valid = ros2::ValidateTopicName(topic); !valid.ok()) {

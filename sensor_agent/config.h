@@ -9,6 +9,7 @@
 #include "absl/strings/string_view.h"
 #include "absl/time/time.h"
 #include "sensor_agent/ids/ids_feed.h"
+#include "services/ros2/graph_limits.h"
 #include "services/runtime/config_reader.h"
 #include "services/runtime/config_sections.h"
 
@@ -26,6 +27,8 @@ struct SensorConfig {
   bool observer_hidden = false;
   absl::Duration settle = absl::Seconds(2);
   absl::Duration attribution_grace = absl::Milliseconds(500);
+  // What the graph may hold; `topics` is the server's to keep.
+  ros2::GraphLimits graph_limits;
   // ROS topics whose messages are not read.
   std::vector<std::string> unwatched = {"/rosout", "/parameter_events"};
   std::string state_dir = "/var/lib/rips/sensor";

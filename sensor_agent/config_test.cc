@@ -29,6 +29,8 @@ ids: [{format: eve, path: /var/log/suricata/eve.json}, {format: fast, path: /var
 signals: false
 wire: {enabled: true, socket: /run/rips/tap.sock}
 metrics: "127.0.0.1:0"
+graph_limits: {participants: 9, nodes: 8, endpoints: 7, nodes_per_participant: 6,
+               endpoints_per_participant: 5}
 )";
 
 constexpr char kMinimal[] = R"(robot: r1
@@ -51,6 +53,11 @@ TEST(SensorConfigTest, EveryKeyIsTaken) {
   EXPECT_EQ(config->settle, absl::Seconds(3));
   EXPECT_EQ(config->attribution_grace, absl::Milliseconds(250));
   EXPECT_THAT(config->unwatched, ElementsAre("/rosout"));
+  EXPECT_EQ(config->graph_limits, (ros2::GraphLimits{.nodes = 8,
+                                                     .endpoints = 7,
+                                                     .participants = 9,
+                                                     .endpoints_per_participant = 5,
+                                                     .nodes_per_participant = 6}));
   EXPECT_EQ(config->outbox_memory.bytes, 8 << 20);
   EXPECT_EQ(config->outbox_disk.bytes, 32 << 20);
   EXPECT_EQ(config->spool_dir, "/tmp/spool");

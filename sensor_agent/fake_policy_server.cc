@@ -6,6 +6,7 @@
 #include "absl/strings/str_cat.h"
 #include "absl/time/clock.h"
 #include "grpcpp/server_builder.h"
+#include "services/wire_limits/field_limits.h"
 
 namespace rips::sensor {
 
@@ -306,6 +307,10 @@ grpc::Status FakePolicyServer::Observe(grpc::ServerContext* context, Stream* str
   SensorMessage message;
   bool greeted = false;
   while (stream->Read(&message)) {
+    if (const auto hit = wire_limits::Check(message)) {
+      MutexLock lock(&mu_);
+      violations.push_back(hit->Text());
+    }
     if (message.has_hello()) {
       if (std::exchange(greeted, true)) status = {grpc::StatusCode::INVALID_ARGUMENT, "twice"};
       AnswerHello(message.hello(), stream);

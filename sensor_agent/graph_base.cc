@@ -6,11 +6,11 @@ namespace rips::sensor {
 
 void GraphBase::Take(const GraphChange& change) {
   if (change.from_version == 0) {
-    graph_ = ros2::RosGraph();
+    graph_ = ros2::RosGraph(ros2::kWideGraphLimits);
   } else if (version_ == 0 || change.from_version != version_) {
     return Forget();
   }
-  if (!graph_.Apply(change.delta).ok() || graph_.truncated()) return Forget();
+  if (!graph_.Apply(change.delta).ok() || graph_.dropped() > 0) return Forget();
   version_ = change.to_version;
   settled_ = change.settled;
 }

@@ -45,8 +45,8 @@ bool GraphBuilder::Observes(absl::string_view topic) const {
 
 GraphBuilder::ParticipantState* GraphBuilder::Obtain(const Guid& participant) {
   if (auto it = participants_.find(participant); it != participants_.end()) return &it->second;
-  if (participants_.size() >= options_.participants_max) {
-    ++counters_.dropped;
+  if (participants_.size() >= options_.limits.participants) {
+    LeaveOut(nullptr, 1);
     return nullptr;
   }
   ParticipantState& state = participants_[participant];
@@ -132,8 +132,9 @@ void GraphBuilder::DropClaims(ParticipantState& state) {
 void GraphBuilder::Forget(const Guid& participant) {
   const auto it = participants_.find(participant);
   ParticipantState& state = it->second;
-  endpoint_count_ -= state.endpoints.size();
+  for (const auto& [guid, each] : state.endpoints) CountShare(state, each, -1);
   state.endpoints.clear();
+  state.left_out = 0;
   DropClaims(state);
   state.discovered = false;
   if (!state.sent.has_value()) participants_.erase(it);
@@ -153,6 +154,7 @@ void GraphBuilder::SetShown(EndpointState& state, const EndpointFact& fact) cons
   for (std::string& partition : shown.qos.partitions) partition = ros2::Printable(partition);
   shown.why.clear();
   state.topic = topic.kind == ros2::DdsTopicKind::kTopic;
+  state.kept = IsKept(shown);
   if (topic.kind == ros2::DdsTopicKind::kServiceRequest) {
     shown.visibility = Visibility::kNotVisible;
     shown.why = "requests are not read: one more reader would make clients wait for ever";
@@ -205,20 +207,29 @@ void GraphBuilder::EndpointSeen(const EndpointFact& endpoint, int64_t now_ns) {
     known->generation = generation_;
     leaving_.erase(endpoint.guid);
     const Endpoint before = known->shown;
+    ParticipantState& owner = participants_.find(owner_guid)->second;
+    CountShare(owner, *known, -1);
     SetShown(*known, endpoint);
+    CountShare(owner, *known, 1);
     if (!(known->shown == before)) Touch(owner_guid, now_ns);
     return;
   }
-  if (endpoint_count_ >= options_.endpoints_max) {
-    ++counters_.dropped;
+  EndpointState fresh;
+  fresh.generation = generation_;
+  SetShown(fresh, endpoint);
+  if (!MakeRoom(owner_guid, fresh.hidden, fresh.kept, now_ns)) {
+    const auto known_owner = participants_.find(owner_guid);
+    // Of what is never shown, nothing is missing.
+    if (!fresh.hidden) {
+      LeaveOut(known_owner == participants_.end() ? nullptr : &known_owner->second, 1);
+    }
     return;
   }
   ParticipantState* owner = Obtain(owner_guid);
   if (owner == nullptr) return;
-  ++endpoint_count_;
   EndpointState& state = owner->endpoints[endpoint.guid];
-  state.generation = generation_;
-  SetShown(state, endpoint);
+  state = std::move(fresh);
+  CountShare(*owner, state, 1);
   if (state.shown.ros && !owner->node_of.contains(endpoint.guid)) Wait(state, now_ns);
   Touch(owner_guid, now_ns);
 }
@@ -234,8 +245,11 @@ void GraphBuilder::EndpointGone(const Guid& endpoint, int64_t now_ns) {
 void GraphBuilder::Remove(const Guid& endpoint, int64_t now_ns) {
   const Guid owner_guid = endpoint.Participant();
   const auto owner = participants_.find(owner_guid);
-  if (owner == participants_.end() || owner->second.endpoints.erase(endpoint) == 0) return;
-  --endpoint_count_;
+  if (owner == participants_.end()) return;
+  const auto state = owner->second.endpoints.find(endpoint);
+  if (state == owner->second.endpoints.end()) return;
+  CountShare(owner->second, state->second, -1);
+  owner->second.endpoints.erase(state);
   Touch(owner_guid, now_ns);
   if (!owner->second.present()) Forget(owner_guid);
 }
@@ -264,17 +278,19 @@ absl::Status GraphBuilder::NodesClaimed(const Guid& writer, const ros2::Particip
   if (IsOwn(participant)) return absl::OkStatus();
   ParticipantState* state = Obtain(participant);
   if (state == nullptr) {
+    LeaveOut(nullptr, claim.nodes.size());
     return absl::ResourceExhaustedError(
-        absl::StrCat("more than ", options_.participants_max, " participants; claim ignored"));
+        absl::StrCat("more than ", options_.limits.participants, " participants; claim ignored"));
   }
   const absl::flat_hash_map<Guid, std::string> before = state->node_of;
   DropClaims(*state);
+  const ros2::GraphLimits& limits = options_.limits;
   uint64_t foreign = 0;
   uint64_t dropped = 0;
   for (const ros2::NodeEntities& each : claim.nodes) {
     const std::string node = ros2::JoinNodeName(each.node_namespace, each.node_name);
     if (!state->nodes.contains(node)) {
-      if (node_count_ >= options_.nodes_max) {
+      if (node_count_ >= limits.nodes || state->nodes.size() >= limits.nodes_per_participant) {
         ++dropped;
         continue;
       }
@@ -285,7 +301,8 @@ absl::Status GraphBuilder::NodesClaimed(const Guid& writer, const ros2::Particip
       for (const Guid& guid : *list) {
         if (!guid.SamePrefix(participant)) {
           ++foreign;
-        } else if (claim_count_ >= 2 * options_.endpoints_max) {
+        } else if (claim_count_ >= 2 * limits.endpoints ||
+                   state->node_of.size() / 2 >= limits.endpoints_per_participant) {
           ++dropped;
         } else if (state->node_of.emplace(guid, node).second) {
           ++claim_count_;
@@ -300,14 +317,15 @@ absl::Status GraphBuilder::NodesClaimed(const Guid& writer, const ros2::Particip
   }
   Touch(participant, now_ns);
   counters_.foreign_claims += foreign;
-  counters_.dropped += dropped;
+  LeaveOut(state, dropped);
   if (foreign > 0) {
     return absl::PermissionDeniedError(absl::StrCat("writer ", ToString(writer), " lists ", foreign,
                                                     " endpoints of other participants; ignored"));
   }
   if (dropped > 0) {
     return absl::ResourceExhaustedError(
-        absl::StrCat("more than ", options_.nodes_max, " nodes; ", dropped, " claims ignored"));
+        absl::StrCat("more than ", limits.nodes, " nodes, or ", limits.nodes_per_participant,
+                     " of one participant; ", dropped, " claims ignored"));
   }
   return absl::OkStatus();
 }

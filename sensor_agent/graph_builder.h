@@ -73,11 +73,9 @@ struct GraphOptions {
   int64_t burst_max_ns = 100'000'000;
   // How long a claim is kept whose participant has not been discovered.
   int64_t orphan_claim_ns = 10'000'000'000;
-  // A little above the limits of RosGraph, so that whoever keeps the graph notices that it is
-  // truncated. What exceeds these is left out and counted.
-  size_t participants_max = 2'048 + 256;
-  size_t nodes_max = 2'048 + 256;
-  size_t endpoints_max = 16'384 + 256;
+  // What exceeds these is left out, counted, and told with the next step. `topics` is the server's
+  // to keep. Reply sides of services, which are never shown, have the same limits for themselves.
+  ros2::GraphLimits limits;
   // Estimated size of one step; a larger one is sent in several, of which only the last is settled.
   size_t step_bytes = size_t{1} << 20;
 };
@@ -97,7 +95,7 @@ struct GraphCounters {
   // Messages of ros_discovery_info that speak for another participant, and endpoints of others
   // listed in one.
   uint64_t foreign_claims = 0;
-  // Participants, nodes and endpoints left out because of a limit.
+  // Participants, nodes and endpoints left out because of a limit, evicted ones included.
   uint64_t dropped = 0;
 };
 
@@ -121,6 +119,17 @@ class GraphBuilder {
   void SetOwnParticipants(const std::vector<ros2::Guid>& participants, int64_t now_ns);
   // What is read from now on.
   void SetPlan(std::shared_ptr<const WatchPlan> plan, int64_t now_ns);
+  // Endpoints of these topics are kept first (graph_limits.h).
+  void SetKeptTopics(std::shared_ptr<const ros2::TopicNames> topics);
+  // Facts of discovery were lost before they came here: the graph lacks them until EndTruncation.
+  void FactsLost(uint64_t count) { truncation_.left_out += count; }
+  // Discovery was told anew and nothing was left out: the graph is whole.
+  void EndTruncation();
+  // Something is left out, or was and EndTruncation has not been called.
+  bool truncated() const { return truncation_.left_out > 0; }
+  uint64_t left_out() const { return truncation_.left_out; }
+  // An eighth of each limit is free.
+  bool HasRoom() const;
   // Messages of this writer cannot be read, because of `why`; empty = they can, again. Counts while
   // they are needed.
   void SetNotVisible(const ros2::Guid& writer, const std::string& why, int64_t now_ns);
@@ -152,6 +161,7 @@ class GraphBuilder {
  private:
   struct EndpointState {
     bool hidden = false;   // reply side of a service, shown by its request side
+    bool kept = false;     // of a topic that is kept first
     ros2::Endpoint shown;  // without node and pending
     bool topic = false;    // of a ROS topic
     std::string not_visible_because;
@@ -177,6 +187,13 @@ class GraphBuilder {
     absl::btree_set<std::string> sent_nodes;
     absl::btree_map<ros2::Guid, ros2::Endpoint> sent_endpoints;
 
+    // Endpoints that are not hidden; of those, the ones that are not kept first; the hidden ones.
+    size_t shown = 0;
+    size_t unkept = 0;
+    size_t hidden = 0;
+    // Since the graph was whole.
+    uint64_t left_out = 0;
+
     bool present() const { return discovered || !endpoints.empty(); }
   };
   struct TopicUse {
@@ -187,6 +204,18 @@ class GraphBuilder {
   };
 
   bool IsOwn(const ros2::Guid& participant) const;
+  // graph_builder_limits.cc
+  bool IsKept(const ros2::Endpoint& shown) const;
+  // False if there is none for this endpoint of `owner`; evicts another for one that is kept.
+  bool MakeRoom(const ros2::Guid& owner, bool hidden, bool kept, int64_t now_ns);
+  bool EvictFromLargest(int64_t now_ns);
+  bool EvictFrom(const ros2::Guid& participant, int64_t now_ns);
+  // Counts an endpoint that comes (by 1) or goes (by -1).
+  void CountShare(ParticipantState& owner, const EndpointState& state, int by);
+  void LeaveOut(ParticipantState* of, uint64_t count);
+  // What a step says is left out: at least as much as is, and seldom something else.
+  ros2::Truncation Told() const;
+
   // Null if the limit on participants is hit.
   ParticipantState* Obtain(const ros2::Guid& participant);
   EndpointState* FindState(const ros2::Guid& endpoint);
@@ -228,7 +257,14 @@ class GraphBuilder {
   GraphCounters counters_;
   absl::btree_set<ros2::Guid> own_participants_;
   absl::btree_map<ros2::Guid, ParticipantState> participants_;
-  size_t endpoint_count_ = 0;
+  std::shared_ptr<const ros2::TopicNames> kept_topics_;
+  // Of others, as in ParticipantState.
+  size_t shown_count_ = 0;
+  size_t unkept_count_ = 0;
+  size_t hidden_count_ = 0;
+  // What is left out, and as it was told last.
+  ros2::Truncation truncation_;
+  ros2::Truncation told_truncation_;
   size_t node_count_ = 0;
   size_t claim_count_ = 0;
   uint32_t generation_ = 0;

@@ -54,6 +54,7 @@ std::vector<GraphDelta> SplitDelta(GraphDelta delta, size_t bytes) {
     pieces.push_back(std::move(delta));
     return pieces;
   }
+  std::optional<ros2::Truncation> truncation = std::move(delta.truncation);
   // What is new first, so that nothing names what is not there yet; what is gone last.
   Splitter splitter(bytes);
   const size_t item_bytes = CostOf(GraphDelta{.gone_guids = {Guid{}}});
@@ -77,7 +78,13 @@ std::vector<GraphDelta> SplitDelta(GraphDelta delta, size_t bytes) {
       if (each.full_name == name) piece.upsert_nodes.push_back(each);
     }
   }
-  return splitter.Take();
+  pieces = splitter.Take();
+  if (truncation.has_value()) {
+    // The graph is not whole before all of it is there.
+    GraphDelta& piece = truncation->left_out > 0 ? pieces.front() : pieces.back();
+    piece.truncation = *std::move(truncation);
+  }
+  return pieces;
 }
 
 int64_t GraphBuilder::NextDue() const {
@@ -86,7 +93,7 @@ int64_t GraphBuilder::NextDue() const {
     return std::min(
         {due, last_discovery_ns_ + options_.settle_ns, start_ns_ + options_.settle_max_ns});
   }
-  if (dirty_.empty()) return due;
+  if (dirty_.empty()) return Told() == told_truncation_ ? due : burst_first_ns_;
   if (hurry_) return burst_first_ns_;
   return std::min(
       {due, last_discovery_ns_ + options_.quiet_ns, burst_first_ns_ + options_.burst_max_ns});
@@ -102,10 +109,10 @@ std::vector<GraphChange> GraphBuilder::Poll(int64_t now_ns) {
     settled_ = true;
     return Number(TakeDelta(), /*snapshot=*/true);
   }
-  if (dirty_.empty()) return {};
+  if (dirty_.empty() && Told() == told_truncation_) return {};
   const bool burst = now_ns < last_discovery_ns_ + options_.quiet_ns &&
                      now_ns < burst_first_ns_ + options_.burst_max_ns;
-  if (burst && !hurry_) return {};
+  if (burst && !hurry_ && !dirty_.empty()) return {};
   GraphDelta delta = TakeDelta();
   EndVisits(now_ns);
   if (delta.empty()) return {};
@@ -126,6 +133,7 @@ std::vector<GraphChange> GraphBuilder::Snapshot(int64_t now_ns) {
   for (const auto& [topic, use] : topics_) {
     if (use.observer.has_value()) all.upsert_endpoints.push_back(*use.observer);
   }
+  if (told_truncation_.left_out > 0) all.truncation = told_truncation_;
   EndVisits(now_ns);
   return Number(std::move(all), /*snapshot=*/true);
 }
@@ -154,6 +162,9 @@ GraphDelta GraphBuilder::TakeDelta() {
   }
   dirty_.clear();
   hurry_ = false;
+  if (ros2::Truncation now = Told(); now != told_truncation_) {
+    delta.truncation = told_truncation_ = std::move(now);
+  }
   DiffObserver(delta);
   std::sort(delta.gone_nodes.begin(), delta.gone_nodes.end());
   delta.gone_nodes.erase(std::unique(delta.gone_nodes.begin(), delta.gone_nodes.end()),

@@ -98,7 +98,8 @@ std::vector<std::string> LiteralTopics(absl::string_view regex) {
 
 absl::StatusOr<std::shared_ptr<const Interest>> Interest::Create(std::string id,
                                                                  std::vector<InterestRule> rules,
-                                                                 std::vector<PayloadLimit> limits) {
+                                                                 std::vector<PayloadLimit> limits,
+                                                                 ros2::TopicNames kept_topics) {
   if (id.size() != kInterestIdBytes) {
     return absl::InvalidArgumentError(
         absl::StrCat("the id has ", id.size(), " bytes, not ", kInterestIdBytes));
@@ -111,7 +112,12 @@ absl::StatusOr<std::shared_ptr<const Interest>> Interest::Create(std::string id,
     return absl::ResourceExhaustedError(
         absl::StrCat(limits.size(), " payload limits exceed the limit of ", kPayloadLimitsMax));
   }
+  if (kept_topics.size() > ros2::kKeptTopicsMax) {
+    return absl::ResourceExhaustedError(absl::StrCat(
+        kept_topics.size(), " topics to keep exceed the limit of ", ros2::kKeptTopicsMax));
+  }
   std::shared_ptr<Interest> interest(new Interest(std::move(id)));
+  interest->kept_topics_ = std::make_shared<const ros2::TopicNames>(std::move(kept_topics));
   Patterns patterns;
   for (size_t i = 0; i < rules.size(); ++i) {
     Rule rule{.type = std::move(rules[i].type)};

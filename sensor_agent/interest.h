@@ -20,6 +20,7 @@
 #include "absl/strings/string_view.h"
 #include "re2/re2.h"
 #include "services/base/payload_limits.h"
+#include "services/ros2/graph_limits.h"
 
 namespace rips::sensor {
 
@@ -67,13 +68,16 @@ class Interest {
   // message names the rule or the payload limit, counted from 1. The first of `limits` that matches
   // counts.
   static absl::StatusOr<std::shared_ptr<const Interest>> Create(
-      std::string id, std::vector<InterestRule> rules, std::vector<PayloadLimit> limits = {});
+      std::string id, std::vector<InterestRule> rules, std::vector<PayloadLimit> limits = {},
+      ros2::TopicNames kept_topics = {});
 
   const std::string& id() const { return id_; }
   // As the first rule says that matches; nothing if none does.
   Wanted Of(absl::string_view topic, absl::string_view type) const;
   // A rule that wants messages names this topic literally, whatever its type.
   bool Names(absl::string_view topic) const { return literal_.contains(topic); }
+  // Their endpoints are kept first when the graph is at its limits.
+  const std::shared_ptr<const ros2::TopicNames>& kept_topics() const { return kept_topics_; }
 
  private:
   struct Rule {
@@ -91,6 +95,7 @@ class Interest {
   std::vector<Rule> rules_;
   std::vector<Limit> limits_;
   absl::flat_hash_set<std::string> literal_;
+  std::shared_ptr<const ros2::TopicNames> kept_topics_;
 };
 
 // The topics that `regex` names literally: those of `^NAME$` and of `^(?:NAME|NAME...)$`, where

@@ -40,7 +40,8 @@ absl::StatusOr<std::shared_ptr<const Interest>> InterestFromWire(const rips::v1:
   for (const rips::v1::PayloadLimit& limit : wire.payload_limits()) {
     limits.push_back({.topic_regex = limit.topic_regex(), .bytes = limit.bytes()});
   }
-  return Interest::Create(wire.id(), std::move(rules), std::move(limits));
+  return Interest::Create(wire.id(), std::move(rules), std::move(limits),
+                          {wire.kept_topics().begin(), wire.kept_topics().end()});
 }
 
 std::string InterestId(rips::v1::Interest interest) {

@@ -38,6 +38,7 @@ class InterestFileTest : public testing::Test {
     add("^/a$", rips::v1::InterestRule::PAYLOAD)->set_payload_bytes_max(10);
     add("^/b$", rips::v1::InterestRule::METADATA)->set_payload_bytes_max(20);
     add("^/c$", rips::v1::InterestRule::NOTHING);
+    wire.add_kept_topics("/cmd_vel");
     wire.set_id(InterestId(wire));
     return wire;
   }
@@ -58,6 +59,7 @@ TEST_F(InterestFileTest, WhatIsKeptIsFoundAgain) {
   EXPECT_EQ((*interest)->Of("/c", "t"), Wanted{});
   EXPECT_EQ((*interest)->Of("/d", "t"), Wanted{});
   EXPECT_TRUE((*interest)->Names("/b"));
+  EXPECT_EQ(*(*interest)->kept_topics(), ros2::TopicNames{"/cmd_vel"});
   EXPECT_FALSE((*interest)->Names("/c"));
 }
 

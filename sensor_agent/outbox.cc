@@ -5,6 +5,7 @@
 
 #include "absl/strings/str_cat.h"
 #include "services/base/check.h"
+#include "services/base/saturating.h"
 
 namespace rips::sensor {
 
@@ -16,7 +17,7 @@ constexpr size_t kEntryOverheadBytes = 32;
 constexpr size_t kItemOverheadBytes = 64;
 
 void MergeLoss(Loss& into, const Loss& loss) {
-  into.count += loss.count;
+  into.count = SaturatingAdd(into.count, loss.count);
   into.first_boottime_ns = std::min(into.first_boottime_ns, loss.first_boottime_ns);
   into.last_boottime_ns = std::max(into.last_boottime_ns, loss.last_boottime_ns);
 }

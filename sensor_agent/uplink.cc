@@ -14,6 +14,7 @@
 #include "services/rpc/status_conversion.h"
 #include "services/runtime/daemon_flags.h"
 #include "services/runtime/log.h"
+#include "services/wire_limits/field_limits.h"
 
 namespace rips::sensor {
 
@@ -288,6 +289,7 @@ SensorMessage Uplink::OnConnected() {
   blind_told_ = BlindLocked();
   for (const std::string& reason : blind_told_) sensor->add_blind(reason);
   AnnounceLocked(*sensor);
+  wire_limits::CutToLimits(message);
   WakeLocked();
   return message;
 }
@@ -467,6 +469,7 @@ void Uplink::AnswerInterestLocked(const std::string& id, const std::string& prob
   rips::v1::InterestApplied& answer = stream_->answers.emplace_back();
   answer.set_interest(id);
   answer.set_problem(problem);
+  wire_limits::CutToLimits(answer);
   WakeLocked();
 }
 

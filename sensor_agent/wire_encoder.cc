@@ -4,6 +4,7 @@
 #include <limits>
 
 #include "services/ros2_proto/graph_codec.h"
+#include "services/wire_limits/field_limits.h"
 
 namespace rips::sensor {
 
@@ -187,6 +188,8 @@ absl::Status WireEncoder::Rename(ObservationBatch& batch) {
   }
   batch.mutable_interned()->Swap(named.mutable_interned());
   ForEachId(batch, [&](uint32_t id) { return here[id]; });
+  // An earlier version may have written it.
+  wire_limits::CutToLimits(batch);
   return absl::OkStatus();
 }
 
@@ -233,6 +236,7 @@ const WireEncoder::SourceIds& WireEncoder::IdsOf(const std::shared_ptr<const Mes
   rips::v1::Intern* intern = batch.add_interned();
   intern->set_id(ids.writer);
   ros2_proto::EncodeEndpoint(source->writer, *intern->mutable_writer());
+  wire_limits::CutToLimits(*intern);
   return ids;
 }
 
@@ -301,6 +305,7 @@ void WireEncoder::Add(const ControlObservation& observation, ObservationBatch& b
     for (const std::string& reason : state.blind) wire->mutable_state()->add_blind(reason);
     wire->mutable_state()->set_spool_bytes(state.spool_bytes);
   }
+  wire_limits::CutToLimits(*wire);
 }
 
 }  // namespace rips::sensor

@@ -1,6 +1,6 @@
 // From observations to rips.v1 batches of one stream. Names are sent once and then stand as
 // numbers: from 1, never reused, valid for this stream only, so every stream has an encoder of its
-// own.
+// own. Texts and counts are cut to what the server takes (wire_limits).
 #ifndef RIPS_SENSOR_AGENT_WIRE_ENCODER_H_
 #define RIPS_SENSOR_AGENT_WIRE_ENCODER_H_
 

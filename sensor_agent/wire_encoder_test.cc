@@ -6,7 +6,9 @@
 #include "absl/strings/str_cat.h"
 #include "gmock/gmock.h"
 #include "gtest/gtest.h"
+#include "rips/v1/sensor.pb.h"
 #include "services/base/status_matchers.h"
+#include "services/wire_limits/field_limits.h"
 
 namespace rips::sensor {
 namespace {
@@ -302,6 +304,36 @@ TEST_F(WireEncoderTest, ControlObservationsCarryWhatTheySay) {
   EXPECT_EQ(batch.observations(4).signal().name(), "SIGUSR1");
   EXPECT_TRUE(batch.observations(5).state().overloaded());
   EXPECT_EQ(batch.observations(5).state().blind(0), "no log");
+}
+
+// A hostile node chooses partitions and gaps in its sequence; neither may end the sensor's stream.
+TEST_F(WireEncoderTest, WhatIsTooLongForTheServerIsCutAndSent) {
+  auto loud = std::make_shared<MessageSource>(*Source("/a", 1));
+  loud->writer.qos.partitions.assign(40, std::string(512, 'p'));
+  loud->writer.why = std::string(2'000, 'w');
+  Add(loud, 100);
+  outbox_.AddLoss({.cause = LossCause::kDdsGap, .source = loud, .count = UINT64_MAX});
+  outbox_.AddState({.blind = std::vector<std::string>(100, std::string(2'000, 'b'))}, 11);
+  outbox_.FlushMerged(1'000'000'000);
+  WireEncoder encoder(kIncarnation);
+  rips::v1::SensorMessage messages;
+  *messages.mutable_batch() = Send(encoder);
+  EXPECT_EQ(wire_limits::Check(messages), std::nullopt);
+  EXPECT_EQ(messages.batch().interned(2).writer().qos().partitions_size(), 16);
+  rips::v1::SensorMessage control;
+  *control.mutable_batch() = Send(encoder, Lane::kControl);
+  EXPECT_EQ(wire_limits::Check(control), std::nullopt);
+  ASSERT_THAT(control.batch().observations(), SizeIs(2));
+  EXPECT_EQ(control.batch().observations(0).loss().count(), wire_limits::kLossCountMax);
+  EXPECT_EQ(control.batch().observations(1).state().blind_size(), 32);
+
+  // What an earlier version has left on the disk.
+  ObservationBatch old;
+  auto* finding = old.add_observations()->mutable_finding();
+  finding->set_kind("impostor");
+  finding->set_detail(std::string(5'000, 'd'));
+  ASSERT_THAT(encoder.Rename(old), IsOk());
+  EXPECT_EQ(old.observations(0).finding().detail().size(), 1'024u);
 }
 
 TEST_F(WireEncoderTest, StreamThatRunsOutOfNumbersSaysSo) {

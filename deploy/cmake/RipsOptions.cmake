@@ -3,6 +3,7 @@ set(CMAKE_CXX_STANDARD 20)
 set(CMAKE_CXX_STANDARD_REQUIRED ON)
 set(CMAKE_CXX_EXTENSIONS OFF)
 set(CMAKE_EXPORT_COMPILE_COMMANDS ON)
+add_compile_options(-pthread)
 set(CMAKE_RUNTIME_OUTPUT_DIRECTORY ${PROJECT_BINARY_DIR}/bin)
 
 set(RIPS_SANITIZE "" CACHE STRING "Value of -fsanitize= for every target; empty for none")
@@ -11,7 +12,9 @@ option(RIPS_FUZZ "Link the fuzz targets with libFuzzer instead of the corpus rep
 
 find_program(RIPS_CCACHE ccache)
 if(RIPS_CCACHE AND NOT CMAKE_CXX_COMPILER_LAUNCHER)
-  set(CMAKE_CXX_COMPILER_LAUNCHER ${RIPS_CCACHE})
+  # Precompiled headers are part of what a file is compiled from.
+  set(CMAKE_CXX_COMPILER_LAUNCHER
+      ${CMAKE_COMMAND} -E env CCACHE_SLOPPINESS=pch_defines,time_macros ${RIPS_CCACHE})
   set(CMAKE_C_COMPILER_LAUNCHER ${RIPS_CCACHE})
 endif()
 

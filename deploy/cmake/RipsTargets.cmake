@@ -12,6 +12,33 @@ set(RIPS_LAYERS base pure port adapter shell)
 set(RIPS_PURE_THIRD_PARTY absl:: PkgConfig::RE2)
 define_property(TARGET PROPERTY RIPS_RANK BRIEF_DOCS "Position of the target's layer")
 
+# What most files include, compiled once for libraries and once for tests. The sanitizer builds do
+# without, so that a file which names too few headers does not build there.
+set(RIPS_COMMON_HEADERS
+    <algorithm> <atomic> <cstdint> <deque> <filesystem> <fstream> <functional> <map> <memory>
+    <optional> <set> <sstream> <string> <thread> <utility> <variant> <vector>
+    <absl/container/btree_map.h> <absl/container/flat_hash_map.h> <absl/status/statusor.h>
+    <absl/strings/escaping.h> <absl/strings/match.h> <absl/strings/numbers.h>
+    <absl/strings/str_cat.h> <absl/strings/str_format.h> <absl/strings/str_join.h>
+    <absl/strings/str_replace.h> <absl/strings/str_split.h> <absl/time/clock.h>
+    <absl/time/time.h>)
+if(NOT RIPS_SANITIZE)
+  add_library(rips_common_headers STATIC ${CMAKE_CURRENT_LIST_DIR}/common_headers.cc)
+  target_precompile_headers(rips_common_headers PRIVATE ${RIPS_COMMON_HEADERS})
+  add_library(rips_common_test_headers STATIC ${CMAKE_CURRENT_LIST_DIR}/common_headers.cc)
+  target_compile_options(rips_common_test_headers PRIVATE -O0)
+  target_compile_definitions(rips_common_test_headers PRIVATE GTEST_HAS_PTHREAD=1)
+  target_precompile_headers(rips_common_test_headers PRIVATE
+    ${RIPS_COMMON_HEADERS} <gmock/gmock.h> <gtest/gtest.h>)
+endif()
+
+# _rips_common_headers(target rips_common_headers|rips_common_test_headers)
+function(_rips_common_headers target from)
+  if(TARGET ${from})
+    target_precompile_headers(${target} REUSE_FROM ${from})
+  endif()
+endfunction()
+
 function(_rips_check_dep target rank dep)
   if(dep MATCHES "^rips::(.+)$")
     if(NOT TARGET rips_${CMAKE_MATCH_1})
@@ -53,6 +80,7 @@ function(rips_library)
     add_library(rips_${A_NAME} STATIC ${A_SRCS})
     set(scope PUBLIC)
     target_compile_options(rips_${A_NAME} PRIVATE ${RIPS_WARNINGS})
+    _rips_common_headers(rips_${A_NAME} rips_common_headers)
     if(A_NO_UNITY)
       set_target_properties(rips_${A_NAME} PROPERTIES UNITY_BUILD OFF)
     endif()
@@ -87,6 +115,7 @@ function(rips_test)
     RUNTIME_OUTPUT_DIRECTORY ${PROJECT_BINARY_DIR}/tests)
   # What is tested is optimised; the tests themselves are built quickly.
   target_compile_options(${A_NAME}_test PRIVATE ${RIPS_WARNINGS} -O0)
+  _rips_common_headers(${A_NAME}_test rips_common_test_headers)
   if(A_NO_UNITY)
     set_target_properties(${A_NAME}_test PROPERTIES UNITY_BUILD OFF)
   endif()

@@ -13,7 +13,6 @@
 #include "absl/strings/escaping.h"
 #include "absl/strings/str_cat.h"
 #include "mode_actuator/exec/exec_channel.h"
-#include "mode_actuator/helper_socket/helper_socket.h"
 #include "services/base/clock.h"
 #include "services/base/status_macros.h"
 #include "services/runtime/real_clock.h"
@@ -78,7 +77,9 @@ absl::StatusOr<std::unique_ptr<ExecClient>> ExecClient::Create(const Options& op
 }
 
 ExecClient::ExecClient(const Options& options, UniqueFd wake)
-    : options_(options), wake_(std::move(wake)) {
+    : options_(options),
+      door_(options.socket, "rips-exec", options.run_as),
+      wake_(std::move(wake)) {
   thread_ = std::thread([this] { Loop(); });
 }
 
@@ -98,7 +99,7 @@ void ExecClient::Wake() const {
 }
 
 absl::StatusOr<std::shared_ptr<ExecClient::Call>> ExecClient::Ask(const ExecCall& call) const {
-  RIPS_ASSIGN_OR_RETURN(UniqueFd fd, ConnectToHelper(options_.socket, "rips-exec"));
+  RIPS_ASSIGN_OR_RETURN(UniqueFd fd, door_.Connect());
   auto asked = std::make_shared<Call>(std::move(fd));
   asked->channel.Send(EncodeExecCall(call));
   asked->deadline_ns = BoottimeAfter(options_.answer_timeout);

@@ -2,9 +2,12 @@
 #ifndef RIPS_MODE_ACTUATOR_EXEC_EXEC_CLIENT_H_
 #define RIPS_MODE_ACTUATOR_EXEC_EXEC_CLIENT_H_
 
+#include <sys/types.h>
+
 #include <cstdint>
 #include <map>
 #include <memory>
+#include <optional>
 #include <string>
 #include <thread>
 
@@ -12,6 +15,7 @@
 #include "absl/status/statusor.h"
 #include "absl/time/time.h"
 #include "mode_actuator/exec/exec_message.h"
+#include "mode_actuator/helper_socket/helper_door.h"
 #include "mode_actuator/program_runner.h"
 #include "services/runtime/mutex.h"
 #include "services/runtime/unique_fd.h"
@@ -28,6 +32,7 @@ inline constexpr absl::Duration kExecEndSlack = absl::Seconds(5);
 // | rips-exec                                | the result                                       |
 // |------------------------------------------|--------------------------------------------------|
 // | is not there                             | Unavailable, at once                             |
+// | is another process that poses as it      | PermissionDenied, at once; nothing was asked     |
 // | refuses                                  | as ProgramRunner::Start says, not begun          |
 // | ends before it has read what we ask      | Unavailable, not begun                           |
 // | ends, or says nothing in time, before it | Unknown                                          |
@@ -38,6 +43,8 @@ class ExecClient final : public ProgramRunner {
  public:
   struct Options {
     std::string socket;
+    // The user whom rips-exec runs as, if there is one.
+    std::optional<uid_t> run_as = std::nullopt;
     absl::Duration answer_timeout = kExecAnswerTimeout;
     absl::Duration end_slack = kExecEndSlack;
   };
@@ -50,6 +57,8 @@ class ExecClient final : public ProgramRunner {
       ABSL_LOCKS_EXCLUDED(mu_);
   void Cancel(uint64_t run) override ABSL_LOCKS_EXCLUDED(mu_);
   absl::Status Examine(absl::string_view name) override;
+  // As HelperDoor::Check.
+  absl::Status CheckSocket() const { return door_.Check(); }
 
  private:
   struct Call;
@@ -68,6 +77,7 @@ class ExecClient final : public ProgramRunner {
   void Wake() const;
 
   const Options options_;
+  const HelperDoor door_;
   const UniqueFd wake_;
   Mutex mu_;
   bool stopping_ ABSL_GUARDED_BY(mu_) = false;

@@ -45,6 +45,7 @@ ExecSettings ReadExec(const ConfigSection& root) {
   const ConfigSection section = root.OptionalSection("exec");
   if (section.Has("socket")) ReadPath(section, "socket", &settings.socket);
   section.Optional("user", &settings.user);
+  section.Optional("run_as", &settings.run_as);
   if (section.Has("cgroup")) ReadPath(section, "cgroup", &settings.cgroup);
   return settings;
 }

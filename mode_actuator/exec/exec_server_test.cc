@@ -299,6 +299,17 @@ class ExecClientTest : public ExecServerTest {
   UniqueFd listener_;
 };
 
+TEST_F(ExecClientTest, AnImpostorIsAskedNothing) {
+  if (geteuid() != 0) GTEST_SKIP() << "only root can give a file away";
+  ASSERT_EQ(chown(path_.c_str(), 65533, 65533), 0);
+  const ProgramRequest request = {.name = "fine"};
+  EXPECT_THAT(client_->Start(request, [](const ProgramResult&) { FAIL(); }),
+              StatusIs(absl::StatusCode::kPermissionDenied, HasSubstr("may pose as rips-exec")));
+  EXPECT_THAT(client_->Examine("fine"), StatusIs(absl::StatusCode::kPermissionDenied));
+  EXPECT_THAT(client_->CheckSocket(), StatusIs(absl::StatusCode::kPermissionDenied));
+  EXPECT_LT(AcceptFrom(listener_.get(), geteuid()).fd.get(), 0) << "it was asked";
+}
+
 TEST_F(ExecClientTest, AHangBeforeItsAnswerIsUnknown) {
   MakeClient(absl::Milliseconds(100), absl::Seconds(30));
   Waiter waiter;

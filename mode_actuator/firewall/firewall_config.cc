@@ -56,6 +56,7 @@ FirewallSettings ReadFirewall(const ConfigSection& root) {
   const ConfigSection section = root.OptionalSection("firewall");
   if (section.Has("socket")) ReadPath(section, "socket", &settings.socket);
   section.Optional("user", &settings.user);
+  section.Optional("run_as", &settings.run_as);
   section.Optional("hold", &settings.hold, {kFirewallHoldMin, kFirewallHoldMax});
   return settings;
 }

@@ -22,6 +22,7 @@ inline constexpr int kFirewallStepRetries = 1;
 struct FirewallSettings {
   std::string socket = "/run/rips/fw.sock";  // where rips-fw listens
   std::string user = "rips";                 // who may ask it, besides root; a name or a number
+  std::string run_as;                        // whom it runs as; empty = `rips-fw`, if it exists
   absl::Duration hold = kFirewallHoldMin;    // FirewallOptions::hold
 };
 

@@ -29,7 +29,7 @@ bool Final(const absl::Status& status) {
 
 absl::StatusOr<FwResponse> FwClient::Call(const FwRequest& request, absl::Duration timeout,
                                           const CancelFlag& cancel) const {
-  RIPS_ASSIGN_OR_RETURN(const UniqueFd fd, ConnectToHelper(socket_path_, "rips-fw"));
+  RIPS_ASSIGN_OR_RETURN(const UniqueFd fd, door_.Connect());
   // Refused at the door: the answer is there before the question.
   const absl::Status sent = SendPacket(fd.get(), EncodeFwRequest(request));
   const int64_t deadline_ns = BoottimeAfter(timeout);

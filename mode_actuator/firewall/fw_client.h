@@ -2,12 +2,16 @@
 #ifndef RIPS_MODE_ACTUATOR_FIREWALL_FW_CLIENT_H_
 #define RIPS_MODE_ACTUATOR_FIREWALL_FW_CLIENT_H_
 
+#include <sys/types.h>
+
+#include <optional>
 #include <string>
 #include <utility>
 
 #include "absl/status/statusor.h"
 #include "absl/time/time.h"
 #include "mode_actuator/firewall/fw_message.h"
+#include "mode_actuator/helper_socket/helper_door.h"
 #include "mode_actuator/step_runner.h"
 
 namespace rips::actuator {
@@ -18,7 +22,9 @@ inline constexpr absl::Duration kFwCheckTimeout = absl::Seconds(3);
 // A connection for each request: rips-fw may be started by it, or anew between two.
 class FwClient final : public StepRunner {
  public:
-  explicit FwClient(std::string socket_path) : socket_path_(std::move(socket_path)) {}
+  // `run_as`: the user whom rips-fw runs as, if there is one.
+  explicit FwClient(std::string socket_path, std::optional<uid_t> run_as = std::nullopt)
+      : door_(std::move(socket_path), "rips-fw", run_as) {}
 
   // The steps are FirewallSteps.
   StepReading Enter(const Step& step, absl::Duration timeout, int retries,
@@ -26,15 +32,18 @@ class FwClient final : public StepRunner {
   StepReading Check(const Step& step, const CancelFlag& cancel) override;
   StepReading Drill(const Step& step, const CancelFlag& cancel) override;
 
-  // Unavailable if rips-fw is not there or goes away, DeadlineExceeded, Cancelled, DataLoss if the
-  // answer is none. What rips-fw says is in the response.
+  // Unavailable if rips-fw is not there or goes away, PermissionDenied if another process poses as
+  // it, DeadlineExceeded, Cancelled, DataLoss if the answer is none. What rips-fw says is in the
+  // response.
   absl::StatusOr<FwResponse> Call(const FwRequest& request, absl::Duration timeout,
                                   const CancelFlag& cancel) const;
+  // As HelperDoor::Check.
+  absl::Status CheckSocket() const { return door_.Check(); }
 
  private:
   StepReading CallOnce(FwVerb verb, const Step& step, const CancelFlag& cancel) const;
 
-  const std::string socket_path_;
+  const HelperDoor door_;
 };
 
 }  // namespace rips::actuator

@@ -89,6 +89,15 @@ class FwServerTest : public ::testing::Test {
   std::thread thread_;
 };
 
+TEST_F(FwServerTest, AnImpostorIsAskedNothing) {
+  if (geteuid() != 0) GTEST_SKIP() << "only root can give a file away";
+  StartServer();
+  ASSERT_EQ(chown(path_.c_str(), 65533, 65533), 0);
+  EXPECT_THAT(Call(),
+              StatusIs(absl::StatusCode::kPermissionDenied, HasSubstr("may pose as rips-fw")));
+  EXPECT_EQ(served_, 0);
+}
+
 TEST_F(FwServerTest, AnswersStepsOfTheActuator) {
   StartServer();
   FwClient client(path_);

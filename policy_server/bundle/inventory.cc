@@ -53,6 +53,16 @@ void ReadActuators(const ConfigSection& robot, std::vector<std::string>* actuato
   }
 }
 
+void ReadGraphLimits(const ConfigSection& section, ros2::GraphLimits& limits) {
+  ReadCount(section, "topics", kGraphLimitMax, &limits.topics);
+  ReadCount(section, "participants", kGraphLimitMax, &limits.participants);
+  ReadCount(section, "nodes", kGraphLimitMax, &limits.nodes);
+  ReadCount(section, "endpoints", kGraphLimitMax, &limits.endpoints);
+  ReadCount(section, "nodes_per_participant", kGraphLimitMax, &limits.nodes_per_participant);
+  ReadCount(section, "endpoints_per_participant", kGraphLimitMax,
+            &limits.endpoints_per_participant);
+}
+
 }  // namespace
 
 const InventoryRobot* Inventory::Find(absl::string_view id) const {
@@ -74,6 +84,7 @@ absl::StatusOr<Inventory> ParseInventory(absl::string_view file, absl::string_vi
     ReadName(section, "bundle", "bundle name", &robot.bundle);
     ReadSensors(section, &robot.sensors);
     ReadActuators(section, &robot.actuators);
+    ReadGraphLimits(section.OptionalSection("graph_limits"), robot.graph_limits);
     if (!robot.id.empty() && !ids.insert(robot.id).second) {
       section.Problem("id", absl::StrCat("robot `", robot.id, "` is listed twice"));
     }

@@ -8,12 +8,15 @@
 
 #include "absl/status/statusor.h"
 #include "absl/strings/string_view.h"
+#include "services/ros2/graph_limits.h"
 
 namespace rips::bundle {
 
 inline constexpr size_t kRobotsMax = 2'000;
 // Sensors of one robot, and actuators of one robot.
 inline constexpr size_t kHostsMax = 16;
+// The largest of each limit on a graph: a server holds up to kRobotsMax graphs.
+inline constexpr size_t kGraphLimitMax = 65'536;
 
 struct InventorySensor {
   std::string host;
@@ -32,6 +35,8 @@ struct InventoryRobot {
   // Hosts, distinct. A level is verified when all of them say so. Empty: the robot is only watched,
   // and no level is ever verified.
   std::vector<std::string> actuators;
+  // What the server holds of its graph.
+  ros2::GraphLimits graph_limits;
 
   friend bool operator==(const InventoryRobot&, const InventoryRobot&) = default;
 };

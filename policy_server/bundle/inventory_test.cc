@@ -33,6 +33,23 @@ TEST(InventoryTest, ReadsRobotsAndFindsThem) {
   EXPECT_EQ(inventory->Find(""), nullptr);
 }
 
+TEST(InventoryTest, MayBoundARobotsGraph) {
+  const auto inventory = ParseInventory("robots.yaml", R"(robots:
+  - {id: r1, bundle: b, sensors: [{host: base, primary: true}],
+     graph_limits: {topics: 1, participants: 2, nodes: 3, endpoints: 4, nodes_per_participant: 5,
+                    endpoints_per_participant: 6}}
+  - {id: r2, bundle: b, sensors: [{host: base, primary: true}]}
+)");
+  ASSERT_THAT(inventory, IsOk());
+  EXPECT_EQ(inventory->Find("r1")->graph_limits, (ros2::GraphLimits{.topics = 1,
+                                                                    .nodes = 3,
+                                                                    .endpoints = 4,
+                                                                    .participants = 2,
+                                                                    .endpoints_per_participant = 6,
+                                                                    .nodes_per_participant = 5}));
+  EXPECT_EQ(inventory->Find("r2")->graph_limits, ros2::GraphLimits());
+}
+
 TEST(InventoryTest, MayBeEmpty) {
   const auto inventory = ParseInventory("robots.yaml", "robots: []\n");
   ASSERT_THAT(inventory, IsOk());
@@ -57,6 +74,14 @@ INSTANTIATE_TEST_SUITE_P(
     testing::Values(
         BadCase{"Empty", "", "robots.yaml"},
         BadCase{"NoRobots", "robot: []\n", "unknown key `robot`; did you mean `robots`"},
+        BadCase{"NoRoom",
+                "robots: [{id: r1, bundle: b, sensors: [{host: h, primary: true}], "
+                "graph_limits: {nodes: 0}}]\n",
+                "nodes"},
+        BadCase{"TooMuchRoom",
+                "robots: [{id: r1, bundle: b, sensors: [{host: h, primary: true}], "
+                "graph_limits: {endpoints: 65537}}]\n",
+                "endpoints"},
         BadCase{"NotAList", "robots: {id: r1}\n", "write a list of mappings"},
         BadCase{"BadId", "robots: [{id: R1, bundle: b, sensors: [{host: h, primary: true}]}]\n",
                 "`R1` is not a valid robot id"},

@@ -100,6 +100,21 @@ void ReadConnections(const ConfigSection& root, rpc::AdmissionLimits* limits) {
   limits->burst = limits->per_address;
 }
 
+void ReadFairness(const ConfigSection& root, Fairness* fairness) {
+  const ConfigSection section = root.OptionalSection("fairness");
+  section.Optional("cpu_per_second", &fairness->cpu_per_second,
+                   {absl::Milliseconds(10), absl::Seconds(1)});
+  section.Optional("cpu_burst", &fairness->cpu_burst, {absl::Milliseconds(10), absl::Seconds(10)});
+  section.Optional("long_task", &fairness->long_task, {absl::Milliseconds(1), absl::Seconds(1)});
+}
+
+void ReadOperators(const ConfigSection& root, OperatorQuota* quota) {
+  const ConfigSection section = root.OptionalSection("operators");
+  section.Optional("streams", &quota->streams, {1, 256});
+  section.Optional("calls", &quota->calls, {1, 1'000});
+  section.Optional("calls_per_second", &quota->calls_per_second, {1, 10'000});
+}
+
 void ReadPlugins(const ConfigSection& root, ServerConfig* config) {
   const ConfigSection section = root.OptionalSection("plugins");
   section.Optional("user", &config->plugin_user);
@@ -158,6 +173,8 @@ absl::StatusOr<ParsedServerConfig> ParseServerConfig(absl::string_view file,
   ReadOptionalPath(alerts, "file", &config.alerts_file);
   ReadTiming(root, &config.timing);
   ReadConnections(root, &config.connections);
+  ReadFairness(root, &config.fairness);
+  ReadOperators(root, &config.operators);
   ReadShards(root, &config.shards);
   ReadPlugins(root, &config);
   ReadAddress(root, "metrics", &config.metrics);

@@ -39,6 +39,27 @@ struct Timing {
   friend bool operator==(const Timing&, const Timing&) = default;
 };
 
+// What one robot may cost the threads that judge.
+struct Fairness {
+  // CPU time in a second; what its agents send beyond it waits.
+  absl::Duration cpu_per_second = absl::Milliseconds(250);
+  // So much is saved at most.
+  absl::Duration cpu_burst = absl::Milliseconds(500);
+  // A robot with a piece of work that costs so much is judged on a thread of its kind.
+  absl::Duration long_task = absl::Milliseconds(20);
+
+  friend bool operator==(const Fairness&, const Fairness&) = default;
+};
+
+// What one operator's certificate may use (operator_api::QuotaLimits).
+struct OperatorQuota {
+  int streams = 16;
+  int calls = 8;
+  int calls_per_second = 20;
+
+  friend bool operator==(const OperatorQuota&, const OperatorQuota&) = default;
+};
+
 struct ServerConfig {
   // A name as in IsValidName.
   std::string id;
@@ -60,6 +81,8 @@ struct ServerConfig {
   Timing timing;
   // How many connections are taken from where.
   rpc::AdmissionLimits connections;
+  Fairness fairness;
+  OperatorQuota operators;
   // Threads that judge; 0 = one a core (`auto`), at most kShardsMax.
   int shards = 0;
   // Whom plugins and YARA scans run as if we are root: a name or a number. Empty: kPluginUser, or

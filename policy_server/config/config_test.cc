@@ -32,6 +32,8 @@ shards: 3
 plugins: {user: detectors, readable: [/opt/detectors, /srv/models], helpers: /opt/rips/bin}
 metrics: "127.0.0.1:0"
 connections: {total: 100, reserve: 10, per_network: 50, per_address: 20}
+fairness: {cpu_per_second: 100ms, cpu_burst: 1s, long_task: 5ms}
+operators: {streams: 2, calls: 3, calls_per_second: 4}
 )";
 
 TEST(ServerConfigTest, FillsInTheDefaults) {
@@ -82,6 +84,10 @@ TEST(ServerConfigTest, ReadsEveryKey) {
                                                       .per_network = 50,
                                                       .per_address = 20,
                                                       .burst = 20}));
+  EXPECT_EQ(config.fairness, (Fairness{.cpu_per_second = absl::Milliseconds(100),
+                                       .cpu_burst = absl::Seconds(1),
+                                       .long_task = absl::Milliseconds(5)}));
+  EXPECT_EQ(config.operators, (OperatorQuota{.streams = 2, .calls = 3, .calls_per_second = 4}));
   EXPECT_EQ(config.shards, 3);
   EXPECT_EQ(config.metrics, "127.0.0.1:0");
 }

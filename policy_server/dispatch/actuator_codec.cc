@@ -9,13 +9,6 @@ namespace rips::dispatch {
 namespace {
 
 constexpr uint32_t kProtocol = 1;
-constexpr int kLevelsMax = 64;
-constexpr int kProgramsMax = 1'000;
-constexpr int kStepsMax = 256;
-constexpr int kProtectedPartsMax = 256;
-constexpr size_t kOutputBytesMax = 64 * 1024;
-constexpr size_t kStepOutputBytesMax = 4 << 10;
-constexpr size_t kCommandIdBytes = 16;
 
 Mark DecodeMark(const rips::v1::Mark& mark) { return {.term = mark.term(), .epoch = mark.epoch()}; }
 
@@ -62,7 +55,7 @@ pipeline::StepReport::Drilled DecodeDrilled(rips::v1::StepResult::Drilled drille
   }
 }
 
-// More than the limits is cut: a heartbeat must not fail for a text.
+// Texts that grow past the limit when they are made printable are cut.
 std::vector<std::string> DecodeDegraded(const rips::v1::ActuatorHeartbeat& heartbeat) {
   std::vector<std::string> degraded;
   for (const std::string& text : heartbeat.degraded()) {
@@ -72,11 +65,6 @@ std::vector<std::string> DecodeDegraded(const rips::v1::ActuatorHeartbeat& heart
     degraded.push_back(ros2::Printable(cut).substr(0, pipeline::kActuatorDegradedBytesMax));
   }
   return degraded;
-}
-
-absl::Status CheckCount(absl::string_view what, size_t count, size_t limit) {
-  if (count <= limit) return absl::OkStatus();
-  return absl::ResourceExhaustedError(absl::StrCat(count, " ", what, "; at most ", limit));
 }
 
 }  // namespace
@@ -90,10 +78,6 @@ absl::StatusOr<pipeline::ActuatorHello> DecodeHello(const rips::v1::ActuatorHell
                                                       " is newer than this server's ", kProtocol,
                                                       "; update the server first"));
   }
-  RIPS_RETURN_IF_ERROR(CheckCount("levels", hello.levels_size(), kLevelsMax));
-  RIPS_RETURN_IF_ERROR(CheckCount("programs", hello.programs_size(), kProgramsMax));
-  RIPS_RETURN_IF_ERROR(
-      CheckCount("protected parts", hello.protected_parts_size(), kProtectedPartsMax));
   pipeline::ActuatorHello decoded{
       .levels = {hello.levels().begin(), hello.levels().end()},
       .programs = {hello.programs().begin(), hello.programs().end()},
@@ -116,13 +100,6 @@ absl::StatusOr<pipeline::ActuatorHello> DecodeHello(const rips::v1::ActuatorHell
 }
 
 absl::StatusOr<pipeline::Receipt> DecodeReceipt(const rips::v1::Receipt& receipt) {
-  if (receipt.command_id().size() > kCommandIdBytes) {
-    return absl::InvalidArgumentError(
-        absl::StrCat("command id has ", receipt.command_id().size(), " bytes"));
-  }
-  RIPS_RETURN_IF_ERROR(CheckCount("steps", receipt.steps_size(), kStepsMax));
-  RIPS_RETURN_IF_ERROR(
-      CheckCount("bytes of output", receipt.output_tail().size(), kOutputBytesMax));
   pipeline::Receipt decoded{.command_id = absl::BytesToHexString(receipt.command_id()),
                             .mark = DecodeMark(receipt.mark()),
                             .exit_code = receipt.exit_code(),
@@ -131,8 +108,6 @@ absl::StatusOr<pipeline::Receipt> DecodeReceipt(const rips::v1::Receipt& receipt
                             .effective_level = receipt.effective_level()};
   RIPS_ASSIGN_OR_RETURN(decoded.stage, DecodeStage(receipt.stage()));
   for (const rips::v1::StepResult& step : receipt.steps()) {
-    RIPS_RETURN_IF_ERROR(
-        CheckCount("bytes of a step's output", step.output_tail().size(), kStepOutputBytesMax));
     decoded.steps.push_back({.step = step.step(),
                              .ok = step.ok(),
                              .took_ms = step.took_ms(),

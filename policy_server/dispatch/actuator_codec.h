@@ -10,9 +10,8 @@
 
 namespace rips::dispatch {
 
-// FailedPrecondition for a newer protocol; InvalidArgument for wrong lengths, ResourceExhausted
-// past a limit (64 levels, 1,000 programs, 256 protected parts, 64 KiB of output, 256 steps,
-// 4 KiB of output of a step).
+// Of messages within their limits (wire_limits::Check). FailedPrecondition for a newer protocol;
+// InvalidArgument for a GUID of a wrong length, a part that is no node name, or an unknown stage.
 absl::StatusOr<pipeline::ActuatorHello> DecodeHello(const rips::v1::ActuatorHello& hello);
 absl::StatusOr<pipeline::Receipt> DecodeReceipt(const rips::v1::Receipt& receipt);
 pipeline::ActuatorBeat DecodeBeat(const rips::v1::ActuatorHeartbeat& heartbeat);

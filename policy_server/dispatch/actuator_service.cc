@@ -7,17 +7,19 @@
 
 #include "policy_server/dispatch/actuator_codec.h"
 #include "policy_server/pipeline/mailbox.h"
+#include "policy_server/pipeline/refused_field.h"
 #include "services/ros2/ros_name.h"
 #include "services/rpc/peer.h"
 #include "services/rpc/server_stream.h"
 #include "services/rpc/status_conversion.h"
 #include "services/runtime/log.h"
 #include "services/runtime/real_clock.h"
+#include "services/wire_limits/field_limits.h"
 
 namespace rips::dispatch {
 namespace {
 
-using pipeline::Lane;
+using pipeline::Queue;
 using pipeline::Robot;
 using rips::v1::ActuatorMessage;
 using rips::v1::ActuatorReply;
@@ -26,7 +28,7 @@ using Stream = rpc::ServerStream<ActuatorMessage, ActuatorReply>;
 // What the pipeline holds of one stream.
 class Link final : public pipeline::ActuatorLink {
  public:
-  Link(std::shared_ptr<Stream::Outbound> outbound, Counter commands, pipeline::LogLimiter* logs)
+  Link(std::shared_ptr<Stream::Outbound> outbound, Counter commands, LogLimiter* logs)
       : outbound_(std::move(outbound)), commands_(commands), logs_(logs) {}
 
   // Once, before the hello is posted.
@@ -73,12 +75,12 @@ class Link final : public pipeline::ActuatorLink {
   // The robot's thread has taken it as a session; of that thread.
   bool admitted_ = false;
   Counter commands_;
-  pipeline::LogLimiter* logs_;
+  LogLimiter* logs_;
 };
 
 class ActuatorStream final : public Stream {
  public:
-  ActuatorStream(const absl::StatusOr<rpc::Peer>& peer, std::string address,
+  ActuatorStream(const absl::StatusOr<rpc::Peer>& peer, grpc::CallbackServerContext* context,
                  pipeline::Pipeline* pipeline, rpc::SessionWatch* watch,
                  const DispatchMetrics& metrics)
       : pipeline_(pipeline),
@@ -90,10 +92,8 @@ class ActuatorStream final : public Stream {
     } else {
       mailbox_.emplace(pipeline, peer->identity.robot);
       host_ = peer->identity.host;
-      address_ = std::move(address);
-      session_ = watch->Add(
-          *peer, [outbound = outbound()](const grpc::Status& status) { outbound->Close(status); },
-          [outbound = outbound()](const grpc::Status& status) { outbound->CloseWhenSent(status); });
+      address_ = context->peer();
+      session_ = watch->Guard(rpc::StreamKind::kActuator, *peer, context, outbound());
       session_->connection = watch->gate().ConnectionOf(address_);
       metrics_.streams.Increment();
       Begin();
@@ -103,6 +103,8 @@ class ActuatorStream final : public Stream {
  private:
   void OnMessage(ActuatorMessage& message) override {
     watch_->Heard(*session_, message.ByteSizeLong());
+    if (refused_) return;  // came before the peer heard of it
+    if (const auto hit = wire_limits::Check(message)) return RefuseField(*hit);
     if (!session_->greeted && !message.has_hello()) {
       return Refuse(absl::InvalidArgumentError("the first message must be a hello"));
     }
@@ -145,7 +147,18 @@ class ActuatorStream final : public Stream {
                                      Robot& robot) { robot.OnReceipt(host, link.get(), receipt); });
   }
 
+  void RefuseField(const wire_limits::LimitHit& hit) {
+    metrics_.fields_refused.Count(hit);
+    pipeline::TellRefusedField(*pipeline_, "actuator", mailbox_->robot(), host_, address_,
+                               hit.Text());
+    Refuse(hit.ToStatus());
+  }
+
   void Refuse(const absl::Status& status) {
+    refused_ = true;
+    // An agent of another version is no attacker.
+    const bool hostile = !absl::IsFailedPrecondition(status);
+    if (hostile && session_->connection != nullptr) session_->connection->OnRefused();
     metrics_.malformed.Increment();
     if (const auto left_out = pipeline_->logs().Admit(mailbox_->robot())) {
       LogWarning("actuator stream refused", {{"robot", mailbox_->robot()},
@@ -157,7 +170,7 @@ class ActuatorStream final : public Stream {
   }
 
   void Post(size_t bytes, std::function<void(Robot&)> task) {
-    const absl::Status posted = mailbox_->Post(Lane::kControl, bytes, std::move(task));
+    const absl::Status posted = mailbox_->Post(Queue::kActuators, bytes, std::move(task));
     if (!posted.ok()) outbound()->Close(rpc::ToGrpc(posted));
   }
 
@@ -165,7 +178,7 @@ class ActuatorStream final : public Stream {
     if (!mailbox_) return;
     pipeline_
         ->Post(
-            mailbox_->robot(), Lane::kControl,
+            mailbox_->robot(), Queue::kActuators,
             [host = host_, link = link_](Robot& robot) { robot.OnActuatorGone(host, link.get()); })
         .IgnoreError();  // an overloaded or stopping shard notices the silence by itself
   }
@@ -178,14 +191,15 @@ class ActuatorStream final : public Stream {
   std::optional<pipeline::Mailbox> mailbox_;
   std::string host_;
   std::string address_;
+  bool refused_ = false;
 };
 
 }  // namespace
 
 grpc::ServerBidiReactor<ActuatorMessage, ActuatorReply>* ActuatorService::Attach(
     grpc::CallbackServerContext* context) {
-  return new ActuatorStream(watch_->Admit(*context, rpc::Role::kActuator), context->peer(),
-                            pipeline_, watch_, metrics_);
+  return new ActuatorStream(watch_->Admit(*context, rpc::Role::kActuator), context, pipeline_,
+                            watch_, metrics_);
 }
 
 }  // namespace rips::dispatch

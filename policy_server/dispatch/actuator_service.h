@@ -6,6 +6,7 @@
 #include "rips/v1/actuator.grpc.pb.h"
 #include "services/rpc/session_watch.h"
 #include "services/runtime/metrics.h"
+#include "services/wire_limits/limit_counters.h"
 
 namespace rips::dispatch {
 
@@ -14,6 +15,8 @@ struct DispatchMetrics {
   Counter malformed;
   Counter streams;
   Counter commands;
+  // Messages with a field past its limit.
+  wire_limits::LimitCounters fields_refused = {};
 };
 
 // Robot, host and role are taken from the certificate alone.

@@ -26,14 +26,18 @@ std::optional<absl::string_view> Text(Args args, size_t i) {
   return *text;
 }
 
-// The two last arguments as an inclusive range.
-std::optional<bool> InRange(Args args, size_t from, size_t count) {
+// The two last arguments, behind `from` others, as an inclusive range.
+struct Range {
+  int64_t min = 0;
+  int64_t max = 0;
+};
+
+std::optional<Range> RangeOf(Args args, size_t from) {
   if (args.size() != from + 2) return std::nullopt;
   const auto* min = std::get_if<int64_t>(&args[from]);
   const auto* max = std::get_if<int64_t>(&args[from + 1]);
   if (min == nullptr || max == nullptr) return std::nullopt;
-  const auto n = static_cast<int64_t>(count);
-  return *min <= n && n <= *max;
+  return Range{.min = *min, .max = *max};
 }
 
 const std::string& NameOf(const std::string& name) { return name; }
@@ -123,7 +127,6 @@ std::optional<bool> AskServices(Builtin builtin, Args args, const Scene& scene) 
   const std::optional<absl::string_view> node = Text(args, 0);
   if (!node.has_value()) return std::nullopt;
   const std::vector<std::string> services = ServicesOf(*node, scene.graph);
-  if (builtin == Builtin::kServiceCount) return InRange(args, 1, services.size());
   if (builtin == Builtin::kService) {
     const std::optional<absl::string_view> service = Text(args, 1);
     if (!service.has_value() || args.size() != 2) return std::nullopt;
@@ -150,8 +153,6 @@ std::optional<bool> AskTopic(Builtin builtin, Args args, const Scene& scene) {
   const std::optional<absl::string_view> name = Text(args, 0);
   if (!name.has_value()) return std::nullopt;
   const ros2::Topic* topic = scene.graph.FindTopic(*name);
-  if (builtin == Builtin::kTopicPublisherCount) return InRange(args, 1, Publishers(topic).size());
-  if (builtin == Builtin::kTopicSubscriberCount) return InRange(args, 1, Subscribers(topic).size());
   const auto relation = RelationOf(builtin, scene.prototype());
   if (!relation.has_value()) return std::nullopt;
   const bool publishers =
@@ -159,6 +160,61 @@ std::optional<bool> AskTopic(Builtin builtin, Args args, const Scene& scene) {
       builtin == Builtin::kTopicPublishersOnly || builtin == Builtin::kHasTopicPublishers;
   return Compare(NameSet::Kind::kNodes, args, 1,
                  publishers ? Publishers(topic) : Subscribers(topic), *relation, scene.truncated());
+}
+
+// Those that are there, of a builtin that counts; nullopt for others.
+std::optional<size_t> Counted(Builtin builtin, Args args, const Scene& scene) {
+  const absl::string_view subject = Text(args, 0).value_or(absl::string_view());
+  switch (builtin) {
+    case Builtin::kPublisherCount:
+      return Publishers(scene.facts).size();
+    case Builtin::kSubscriberCount:
+      return Subscribers(scene.facts).size();
+    case Builtin::kNodeCount:
+      return scene.graph.nodes().size();
+    case Builtin::kTopicCount:
+      return scene.graph.topics().size();
+    case Builtin::kServiceCount:
+      return ServicesOf(subject, scene.graph).size();
+    case Builtin::kTopicPublisherCount:
+      return Publishers(scene.graph.FindTopic(subject)).size();
+    case Builtin::kTopicSubscriberCount:
+      return Subscribers(scene.graph.FindTopic(subject)).size();
+    default:
+      return std::nullopt;
+  }
+}
+
+bool CountsOfSubject(Builtin builtin) {
+  return builtin == Builtin::kServiceCount || builtin == Builtin::kTopicPublisherCount ||
+         builtin == Builtin::kTopicSubscriberCount;
+}
+
+// The range of a builtin that counts.
+std::optional<Range> CountRange(Builtin builtin, Args args) {
+  const bool subject = CountsOfSubject(builtin);
+  if (subject && !Text(args, 0).has_value()) return std::nullopt;
+  return RangeOf(args, subject ? 1 : 0);
+}
+
+std::optional<bool> AskCount(Builtin builtin, Args args, const Scene& scene) {
+  const std::optional<Range> range = CountRange(builtin, args);
+  const std::optional<size_t> count = Counted(builtin, args, scene);
+  if (!range.has_value() || !count.has_value()) return std::nullopt;
+  const auto n = static_cast<int64_t>(*count);
+  return range->min <= n && n <= range->max;
+}
+
+// Between n and n + left_out are there.
+bool CountLeftOpen(Builtin builtin, Args args, const Scene& scene) {
+  const std::optional<Range> range = CountRange(builtin, args);
+  const std::optional<size_t> count = Counted(builtin, args, scene);
+  if (!range.has_value() || !count.has_value() || range->min > range->max) return false;
+  const auto least = static_cast<int64_t>(*count);
+  const auto room = static_cast<uint64_t>(std::numeric_limits<int64_t>::max() - least);
+  const int64_t most = least + static_cast<int64_t>(std::min(scene.graph.left_out(), room));
+  if (least > range->max || most < range->min) return false;
+  return least < range->min || most > range->max;
 }
 
 // Is any of the arguments `text` (whole), or the package of one of the types?
@@ -209,13 +265,8 @@ bool LeftOpen(Builtin builtin, Args args, const Scene& scene) {
     case Builtin::kTopicCount:
     case Builtin::kServiceCount:
     case Builtin::kTopicPublisherCount:
-    case Builtin::kTopicSubscriberCount: {
-      // Those that are there are at most as many: with any more, there are too many already.
-      if (args.size() < 2) return false;
-      std::vector<Scalar> at_most(args.begin(), args.end());
-      at_most[at_most.size() - 2] = std::numeric_limits<int64_t>::min();
-      return Ask(builtin, at_most, scene).value_or(false);
-    }
+    case Builtin::kTopicSubscriberCount:
+      return CountLeftOpen(builtin, args, scene);
     case Builtin::kService:
       return !Ask(builtin, args, scene).value_or(true);
     default:
@@ -263,9 +314,13 @@ std::optional<bool> Ask(Builtin builtin, Args args, const Scene& scene) {
     case Builtin::kMsgSubtype:
       return SubtypeIs(args, scene);
     case Builtin::kPublisherCount:
-      return InRange(args, 0, Publishers(scene.facts).size());
     case Builtin::kSubscriberCount:
-      return InRange(args, 0, Subscribers(scene.facts).size());
+    case Builtin::kNodeCount:
+    case Builtin::kTopicCount:
+    case Builtin::kServiceCount:
+    case Builtin::kTopicPublisherCount:
+    case Builtin::kTopicSubscriberCount:
+      return AskCount(builtin, args, scene);
     case Builtin::kPublishers:
     case Builtin::kPublishersInclude:
       return compare(NameSet::Kind::kNodes, Publishers(scene.facts));
@@ -277,25 +332,17 @@ std::optional<bool> Ask(Builtin builtin, Args args, const Scene& scene) {
     case Builtin::kNodesOnly:
     case Builtin::kHasNodes:
       return compare(NameSet::Kind::kNodes, scene.graph.nodes());
-    case Builtin::kNodeCount:
-      return InRange(args, 0, scene.graph.nodes().size());
     case Builtin::kTopics:
     case Builtin::kTopicsInclude:
     case Builtin::kTopicsOnly:
     case Builtin::kHasTopics:
       return compare(NameSet::Kind::kPlain, scene.graph.topics());
-    case Builtin::kTopicCount:
-      return InRange(args, 0, scene.graph.topics().size());
     case Builtin::kServices:
     case Builtin::kServicesInclude:
     case Builtin::kServicesOnly:
     case Builtin::kHasServices:
-    case Builtin::kServiceCount:
     case Builtin::kService:
       return AskServices(builtin, args, scene);
-    case Builtin::kTopicPublisherCount:
-    case Builtin::kTopicSubscriberCount:
-      return AskTopic(builtin, args, scene);
     default:
       return NamesSubject(builtin) ? AskTopic(builtin, args, scene) : std::nullopt;
   }

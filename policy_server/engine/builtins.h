@@ -42,20 +42,27 @@ struct Scene {
 //   hastopicpublishers, hastopicsubscribers
 //
 // "Exactly these" and "current in given" are false while the graph is truncated: what was left out
-// could be anything. LeftOpen says whether that is more than is known.
+// could be anything. LeftOpen says whether the answer is decided all the same.
 //
 // What can be told from the graph, the topic and its types, but for topicmatches; nullopt for other
 // builtins, and if the arguments do not fit the builtin.
 std::optional<bool> Ask(lang::Builtin builtin, absl::Span<const Scalar> args, const Scene& scene);
 
-// True if what was left out of a truncated graph may turn the answer of Ask:
+// True if what was left out of a truncated graph may turn the answer of Ask. n are there, and L is
+// at least what was left out (RosGraph::left_out), so between n and n + L are there in truth:
 //
-//   form              false for good                       true for good           else
-//   exactly           always                                                       -
-//   current in given  what is there is not in given                                open
-//   given in current                                       all of given is there   open
-//   service                                                it is there             open
-//   counts            more than the range are there                                open
+//   form              decided false                decided true                    else
+//   exactly           always                       never                           -
+//   current in given  some of n are not in given   never                           open
+//   given in current  never                        all of given are there          open
+//   service           never                        it is there                     open
+//   counts            n > max, or n + L < min      min <= n and n + L <= max       open
+//   senderin,         as of a whole graph if it shows the message's writer or      open if no
+//   senderenclave     participant                                                  name fits
+//   topicin, msgtypein, msgsubtype: as of a whole graph; they ask of the message
+//
+// An open answer is unscanned (Program::Options::on_inspection_error), and so is its negation;
+// "exactly" is not, so its negation is true.
 bool LeftOpen(lang::Builtin builtin, absl::Span<const Scalar> args, const Scene& scene);
 
 // The first argument is the node or topic that is asked about, the others are a set.

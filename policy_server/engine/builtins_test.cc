@@ -226,57 +226,211 @@ TEST_F(BuiltinsTest, ATruncatedGraphNeverSaysNothingElse) {
 }
 
 // A rule whose value depends on what was left out fires, and so does its opposite: an attacker who
-// fills the graph does not hide behind it.
-TEST_F(BuiltinsTest, WhatATruncatedGraphLeavesOpenFiresBothWays) {
-  graph_ = Robot().Build({.nodes = 4, .endpoints = 6});
-  ASSERT_TRUE(graph_.truncated());
-  enum { kTrue, kFalse, kOpen };
-  const auto answer = [&](Builtin builtin, const Exprs& args) {
-    const bool yes = AskOn(builtin, args);
+// fills the graph does not hide behind it. Each row of LeftOpen's table, straight and negated.
+class TruncatedGraphTest : public testing::Test {
+ protected:
+  // T and F are decided; open = the rule and its negation both fire, unscanned.
+  enum Answer { kF, kT, kOpen };
+
+  TruncatedGraphTest() { LeaveOut(1); }
+
+  // Of what is in Robot(), everything, and `count` more are missing.
+  void LeaveOut(uint64_t count) {
+    graph_ = Robot().Build();
+    ASSERT_TRUE(graph_.Apply({.truncation = ros2::Truncation{.left_out = count}}).ok());
+  }
+  Outcome Judge(TypedExpr condition, ProgramOptions options = {}) {
     TestRules rules;
-    rules.Msg("r", Not(Call(builtin, args)), {{Alert("no")}});
-    TestRobot robot(rules);
+    rules.Msg("r", std::move(condition), {{Alert("yes")}});
+    TestRobot robot(rules.Build(options));
     robot.state.graph = graph_;
-    const bool no = robot.Message("/chatter", "std_msgs/msg/String").fired == 1;
-    EXPECT_TRUE(yes || no);
-    return yes && no ? kOpen : yes ? kTrue : kFalse;
-  };
-  const auto names = [&](Builtin builtin, const std::vector<std::string>& texts) {
-    return answer(builtin, Texts(texts));
-  };
-  const auto range = [&](Builtin builtin, int64_t min, int64_t max,
-                         const std::vector<std::string>& of = {}) {
+    return robot.Message("/chatter", "std_msgs/msg/String");
+  }
+  Answer Of(Builtin builtin, const Exprs& args) {
+    const Outcome yes = Judge(Call(builtin, args));
+    const Outcome no = Judge(Not(Call(builtin, args)));
+    EXPECT_TRUE(yes.fired + no.fired >= 1);
+    EXPECT_EQ(yes.unscanned, no.unscanned);
+    EXPECT_EQ(yes.unscanned == 1, yes.fired + no.fired == 2);
+    return yes.unscanned == 1 ? kOpen : yes.fired == 1 ? kT : kF;
+  }
+  Answer Names(Builtin builtin, const std::vector<std::string>& texts) {
+    return Of(builtin, Texts(texts));
+  }
+  Answer Range(Builtin builtin, int64_t min, int64_t max, const std::vector<std::string>& of = {}) {
     Exprs args = Texts(of);
     args.push_back(I(min));
     args.push_back(I(max));
-    return answer(builtin, args);
+    return Of(builtin, args);
+  }
+
+  ros2::RosGraph graph_;
+};
+
+TEST_F(TruncatedGraphTest, ExactlyTheseIsFalseAndItsNegationTrue) {
+  EXPECT_EQ(Names(Builtin::kNodes, {"talker", "camera", "nav"}), kF);
+  EXPECT_EQ(Names(Builtin::kTopics, {"/chatter", "/cmd_vel"}), kF);
+  EXPECT_EQ(Names(Builtin::kPublishers, {"talker"}), kF);
+  EXPECT_EQ(Names(Builtin::kSubscribers, {"camera"}), kF);
+  EXPECT_EQ(Names(Builtin::kServices, {"nav", "/nav/go", "/nav/stop"}), kF);
+  EXPECT_EQ(Names(Builtin::kTopicPublishers, {"/cmd_vel", "nav"}), kF);
+  EXPECT_EQ(Names(Builtin::kTopicSubscribers, {"/cmd_vel"}), kF);
+}
+
+TEST_F(TruncatedGraphTest, CurrentInGivenIsFalseIfAStrangerIsThereElseOpen) {
+  const std::vector<std::pair<Builtin, std::vector<std::string>>> all = {
+      {Builtin::kNodesInclude, {"talker", "camera", "nav"}},
+      {Builtin::kNodesOnly, {"talker", "camera", "nav"}},
+      {Builtin::kTopicsInclude, {"/cmd_vel", "/chatter"}},
+      {Builtin::kTopicsOnly, {"/cmd_vel", "/chatter"}},
+      {Builtin::kServicesInclude, {"nav", "/nav/go", "/nav/stop"}},
+      {Builtin::kServicesOnly, {"nav", "/nav/go", "/nav/stop"}},
+      {Builtin::kTopicPublishersInclude, {"/cmd_vel", "nav"}},
+      {Builtin::kTopicPublishersOnly, {"/cmd_vel", "nav"}},
+      {Builtin::kTopicSubscribersInclude, {"/chatter", "camera"}},
+      {Builtin::kTopicSubscribersOnly, {"/chatter", "camera"}}};
+  for (const auto& [builtin, names] : all) {
+    EXPECT_EQ(Names(builtin, names), kOpen) << static_cast<int>(builtin);
+    std::vector<std::string> too_few = names;
+    too_few.pop_back();
+    EXPECT_EQ(Names(builtin, too_few), kF) << static_cast<int>(builtin);
+  }
+  EXPECT_EQ(Names(Builtin::kServicesOnly, {"ghost"}), kOpen);
+}
+
+TEST_F(TruncatedGraphTest, GivenInCurrentIsTrueIfAllAreThereElseOpen) {
+  const std::vector<std::pair<Builtin, std::vector<std::string>>> all = {
+      {Builtin::kHasNodes, {"talker"}},
+      {Builtin::kHasTopics, {"/chatter"}},
+      {Builtin::kHasServices, {"nav", "/nav/go"}},
+      {Builtin::kHasTopicPublishers, {"/cmd_vel", "nav"}},
+      {Builtin::kHasTopicSubscribers, {"/chatter", "camera"}},
+      {Builtin::kPublishersInclude, {"talker"}},
+      {Builtin::kSubscribersInclude, {"camera"}}};
+  for (const auto& [builtin, names] : all) {
+    EXPECT_EQ(Names(builtin, names), kT) << static_cast<int>(builtin);
+    std::vector<std::string> more = names;
+    more.push_back("/ghost");
+    EXPECT_EQ(Names(builtin, more), kOpen) << static_cast<int>(builtin);
+  }
+  EXPECT_EQ(Names(Builtin::kService, {"nav", "/nav/go"}), kT);
+  EXPECT_EQ(Names(Builtin::kService, {"nav", "/nav/fly"}), kOpen);
+  EXPECT_EQ(Names(Builtin::kService, {"ghost", "/x"}), kOpen);
+}
+
+TEST_F(TruncatedGraphTest, CountsAreDecidedAsFarAsTheMissingCannotTurnThem) {
+  struct Count {
+    Builtin builtin;
+    std::vector<std::string> of;
+    int64_t n;
   };
-  EXPECT_EQ(names(Builtin::kNodes, {"talker", "camera", "nav"}), kFalse);
-  // Current in given.
-  EXPECT_EQ(names(Builtin::kNodesInclude, {"talker", "camera", "nav"}), kOpen);
-  EXPECT_EQ(names(Builtin::kNodesInclude, {"talker", "camera"}), kFalse);
-  EXPECT_EQ(names(Builtin::kTopicPublishersInclude, {"/cmd_vel", "nav"}), kOpen);
-  EXPECT_EQ(names(Builtin::kTopicPublishersInclude, {"/cmd_vel", "other"}), kFalse);
-  EXPECT_EQ(names(Builtin::kTopicsOnly, {"/chatter", "/cmd_vel"}), kOpen);
-  EXPECT_EQ(names(Builtin::kServicesOnly, {"ghost"}), kOpen);
-  // Given in current.
-  EXPECT_EQ(names(Builtin::kHasNodes, {"talker"}), kTrue);
-  EXPECT_EQ(names(Builtin::kHasNodes, {"ghost"}), kOpen);
-  EXPECT_EQ(names(Builtin::kPublishersInclude, {"talker"}), kTrue);
-  EXPECT_EQ(names(Builtin::kPublishersInclude, {"ghost"}), kOpen);
-  EXPECT_EQ(names(Builtin::kService, {"ghost", "/x"}), kOpen);
-  // Counts: there may be more, and are not fewer.
-  EXPECT_EQ(range(Builtin::kNodeCount, 4, 4), kOpen);
-  EXPECT_EQ(range(Builtin::kNodeCount, 0, 3), kFalse);
-  EXPECT_EQ(range(Builtin::kNodeCount, 5, 9), kOpen);
-  EXPECT_EQ(range(Builtin::kPublisherCount, 2, 2), kOpen);
-  EXPECT_EQ(range(Builtin::kTopicPublisherCount, 0, 1, {"/chatter"}), kFalse);
-  EXPECT_EQ(range(Builtin::kServiceCount, 1, 2, {"ghost"}), kOpen);
-  // What does not ask the graph is as ever.
-  EXPECT_EQ(names(Builtin::kTopicIn, {"/chatter"}), kTrue);
-  EXPECT_EQ(names(Builtin::kMsgTypeIn, {"geometry_msgs"}), kFalse);
-  // Arguments that are not constant, which nobody remembers the answer of.
-  EXPECT_EQ(answer(Builtin::kHasNodes, {Concat(Name(Predefined::kRobot), S("ghost"))}), kOpen);
+  const std::vector<Count> all = {{Builtin::kPublisherCount, {}, 2},
+                                  {Builtin::kSubscriberCount, {}, 1},
+                                  {Builtin::kNodeCount, {}, 4},
+                                  {Builtin::kTopicCount, {}, 2},
+                                  {Builtin::kServiceCount, {"nav"}, 2},
+                                  {Builtin::kServiceCount, {"ghost"}, 0},
+                                  {Builtin::kTopicPublisherCount, {"/chatter"}, 2},
+                                  {Builtin::kTopicPublisherCount, {"/ghost"}, 0},
+                                  {Builtin::kTopicSubscriberCount, {"/chatter"}, 1}};
+  for (const int64_t left_out : {1, 10}) {
+    LeaveOut(static_cast<uint64_t>(left_out));
+    for (const auto& [builtin, of, n] : all) {
+      SCOPED_TRACE(absl::StrCat(static_cast<int>(builtin), " with ", left_out, " left out"));
+      EXPECT_EQ(Range(builtin, 0, n - 1, of), kF) << "more are there already";
+      EXPECT_EQ(Range(builtin, n, n, of), kOpen);
+      EXPECT_EQ(Range(builtin, n + 1, n + 1, of), kOpen);
+      EXPECT_EQ(Range(builtin, n, n + left_out - 1, of), kOpen);
+      EXPECT_EQ(Range(builtin, n, n + left_out, of), kT) << "enough for all that are missing";
+      EXPECT_EQ(Range(builtin, n + 1, 1'000'000, of), kOpen);
+      EXPECT_EQ(Range(builtin, n + left_out, 1'000'000, of), kOpen);
+      EXPECT_EQ(Range(builtin, n + left_out + 1, 1'000'000, of), kF) << "not even with them";
+      EXPECT_EQ(Range(builtin, 9, 0, of), kF) << "no number is in this range";
+    }
+  }
+  // A sensor that says more than fits.
+  LeaveOut(~uint64_t{0});
+  EXPECT_EQ(Range(Builtin::kNodeCount, 4, INT64_MAX), kT);
+  EXPECT_EQ(Range(Builtin::kNodeCount, 4, INT64_MAX - 1), kOpen);
+}
+
+TEST_F(TruncatedGraphTest, WhatAsksOfTheMessageIsAsEver) {
+  EXPECT_EQ(Names(Builtin::kTopicIn, {"/chatter"}), kT);
+  EXPECT_EQ(Names(Builtin::kTopicIn, {"/ghost"}), kF);
+  EXPECT_EQ(Names(Builtin::kMsgTypeIn, {"geometry_msgs"}), kF);
+  EXPECT_EQ(Names(Builtin::kMsgSubtype, {"std_msgs", "String"}), kT);
+}
+
+TEST_F(TruncatedGraphTest, TheNodeOfAWriterThatWasLeftOutIsOpen) {
+  const auto of = [&](Builtin builtin, const std::string& name, const ros2::Guid& writer,
+                      const std::string& sender) {
+    const auto judge = [&](TypedExpr condition) {
+      TestRules rules;
+      rules.Msg("r", std::move(condition), {{Alert("yes")}});
+      TestRobot robot(rules);
+      robot.state.graph = graph_;
+      return robot.Judge(
+          MessageEvent{.topic = "/chatter", .type = "t/msg/T", .writer = writer, .sender = sender});
+    };
+    const Outcome yes = judge(Call(builtin, Texts({name})));
+    EXPECT_EQ(judge(Not(Call(builtin, Texts({name})))).unscanned, yes.unscanned);
+    return yes.unscanned == 1 ? kOpen : yes.fired == 1 ? kT : kF;
+  };
+  const ros2::Guid shown = graph_.endpoints().begin()->first;
+  ros2::Guid stranger = shown;
+  stranger.bytes[5] = 77;
+  EXPECT_EQ(of(Builtin::kSenderIn, "/evil", stranger, ""), kOpen);
+  EXPECT_EQ(of(Builtin::kSenderIn, "/evil", stranger, "/evil"), kT);
+  EXPECT_EQ(of(Builtin::kSenderIn, "/evil", stranger, "/good"), kF);
+  EXPECT_EQ(of(Builtin::kSenderEnclave, "/evil", stranger, ""), kOpen);
+  EXPECT_EQ(of(Builtin::kSenderEnclave, "/evil", shown, ""), kF);
+  graph_ = Robot().Build();
+  EXPECT_EQ(of(Builtin::kSenderIn, "/evil", stranger, ""), kF);
+  EXPECT_EQ(of(Builtin::kSenderEnclave, "/evil", stranger, ""), kF);
+}
+
+TEST_F(TruncatedGraphTest, ArgumentsThatAreNotConstantAreAskedAlike) {
+  EXPECT_EQ(Of(Builtin::kHasNodes, {Concat(Name(Predefined::kRobot), S("ghost"))}), kOpen);
+}
+
+TEST_F(TruncatedGraphTest, AGraphThatWasCutHereIsTruncatedToo) {
+  graph_ = Robot().Build({.nodes = 4, .endpoints = 6});
+  ASSERT_TRUE(graph_.truncated());
+  EXPECT_EQ(Range(Builtin::kNodeCount, 4, 4), kOpen);
+  EXPECT_EQ(Range(Builtin::kNodeCount, 0, 3), kF);
+}
+
+TEST_F(TruncatedGraphTest, TheBundleDecidesWhetherItFires) {
+  const auto open = [&] { return Call(Builtin::kHasNodes, Texts({"ghost"})); };
+  const Outcome match = Judge(open());
+  ASSERT_EQ(match.effects.size(), 1u);
+  EXPECT_TRUE(std::get<AlertEffect>(match.effects[0]).graph_truncated);
+
+  const Outcome ignored = Judge(open(), {.on_inspection_error = OnInspectionError::kIgnore});
+  EXPECT_EQ(ignored.fired, 0u);
+  EXPECT_EQ(ignored.unscanned, 1u);
+  EXPECT_THAT(ignored.effects, testing::IsEmpty());
+
+  const Outcome alerted = Judge(open(), {.on_inspection_error = OnInspectionError::kAlert});
+  EXPECT_EQ(alerted.fired, 0u);
+  ASSERT_EQ(alerted.effects.size(), 1u);
+  EXPECT_THAT(std::get<AlertEffect>(alerted.effects[0]).text,
+              testing::HasSubstr("graph truncated"));
+
+  // Decided rules say nothing of it.
+  const Outcome decided = Judge(Call(Builtin::kHasNodes, Texts({"talker"})));
+  EXPECT_FALSE(std::get<AlertEffect>(decided.effects[0]).graph_truncated);
+}
+
+TEST_F(TruncatedGraphTest, WhatWouldRaiseCountsAnOpenRule) {
+  TestRules rules;
+  rules.Graph("count", Call(Builtin::kTopicPublisherCount, Exprs{S("/cmd_vel"), I(2), I(100)}),
+              {{Trigger(1)}});
+  TestRobot robot(rules);
+  robot.state.graph = Robot().Build();
+  EXPECT_THAT(WouldRaise(0, robot.now, robot.state), testing::IsEmpty());
+  robot.state.graph = graph_;
+  EXPECT_THAT(WouldRaise(0, robot.now, robot.state), testing::ElementsAre("count"));
 }
 
 TEST_F(BuiltinsTest, AWholeGraphLeavesNothingOpen) {

@@ -114,6 +114,9 @@ void Runner::RunRule(Frame& frame, uint32_t index) {
     RunChain(current, chain, 0);
   }
   using Came = RuleObserver::Came;
+  if (current.graph_open && current.fault.empty()) {
+    return Tell(current, Came::kFiredUnscanned, kGraphTruncated);
+  }
   Tell(current, current.unscanned ? Came::kFiredUnscanned : Came::kFired, current.fault);
 }
 
@@ -141,15 +144,13 @@ bool Runner::Fires(Current& current) {
   ++outcome_.unscanned;
   const OnInspectionError then = current.frame.program().options().on_inspection_error;
   current.unscanned = then == OnInspectionError::kMatch;
+  current.graph_open = run.graph_open;
   if (current.unscanned) return true;
   if (then == OnInspectionError::kAlert) {
-    const bool truncated = state_.graph->truncated();
-    ReportFault(current,
-                truncated ? "the graph is truncated, or the message could not be inspected"
-                          : "the message could not be inspected",
+    ReportFault(current, run.graph_open ? kGraphTruncated : "the message could not be inspected",
                 "it did not fire");
   }
-  Tell(current, RuleObserver::Came::kUnscanned);
+  Tell(current, RuleObserver::Came::kUnscanned, run.graph_open ? kGraphTruncated : "");
   return false;
 }
 
@@ -346,10 +347,11 @@ std::optional<lang::Value> Runner::Arg(Current& current, const lang::TypedExpr& 
   const Answer answer = Eval(node, run, value);
   if (run.cut) NoteCut(current, run);
   if (answer == Answer::kValue) return Own(value, node.type);
-  const std::string what = answer == Answer::kFault ? std::string(run.fault)
-                           : answer == Answer::kUnscanned
-                               ? "an argument needs an inspection that was not made"
-                               : "an argument needs what the recording does not hold";
+  const std::string what =
+      answer == Answer::kFault                         ? std::string(run.fault)
+      : answer == Answer::kUnscanned && run.graph_open ? std::string(kGraphTruncated)
+      : answer == Answer::kUnscanned ? "an argument needs an inspection that was not made"
+                                     : "an argument needs what the recording does not hold";
   ReportFault(current, what, "the action failed");
   return std::nullopt;
 }
@@ -425,7 +427,8 @@ void Runner::Raise(const Current& current, Severity severity, std::string text) 
                   .severity = severity,
                   .text = std::move(text),
                   .level = state_.level.level(),
-                  .mark = state_.level.mark()});
+                  .mark = state_.level.mark(),
+                  .graph_truncated = current.graph_open});
 }
 
 std::unique_ptr<ParkedChain> Runner::MakeParked(const Current& current, uint32_t chain,

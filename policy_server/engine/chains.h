@@ -48,6 +48,8 @@ class Runner {
     bool faulted = false;
     // It fired though an inspection was not told.
     bool unscanned = false;
+    // What was left out of the graph may turn its value.
+    bool graph_open = false;
     // Why it faulted first.
     std::string fault = {};
   };

@@ -22,6 +22,8 @@ struct AlertEffect {
   // Level and decision when it was raised.
   levels::LevelIndex level = 0;
   Mark mark;
+  // Its rule fired because what was left out of the graph might make it true.
+  bool graph_truncated = false;
 };
 
 // A decision, or a refusal seen for the first time or again (`count` > 1: the same refusal of the
@@ -66,7 +68,8 @@ struct Outcome {
   uint32_t faults = 0;
   // Rules that did not fire because the recording does not hold what they ask.
   uint32_t undecidable = 0;
-  // Rules whose value depended on an inspection that was not told.
+  // Rules whose value depended on an inspection that was not told, or on what was left out of the
+  // graph.
   uint32_t unscanned = 0;
   // Nodes of expressions that were evaluated, each at most once in one call.
   uint64_t steps = 0;

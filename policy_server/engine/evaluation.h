@@ -81,6 +81,8 @@ struct Evaluation {
 
   // Of the last evaluation that faulted, for people.
   absl::string_view fault;
+  // What was left out of the graph may turn an answer that was given.
+  bool graph_open = false;
   // A string was longer than string_max and has been cut.
   bool cut = false;
   // Nodes evaluated.
@@ -95,6 +97,10 @@ struct Evaluation {
   Answer Fault(absl::string_view what) {
     fault = what;
     return Answer::kFault;
+  }
+  Answer LeftOpen() {
+    graph_open = true;
+    return Answer::kUnscanned;
   }
   // Keeps `text`, cut to the limit.
   absl::string_view Keep(std::string text);

@@ -101,9 +101,10 @@ std::vector<std::string> WouldRaise(levels::LevelIndex level, Instant now,
   for (const uint32_t index : program.compiled().graph_rules) {
     const lang::TypedRule& rule = program.rules().rules[index];
     Evaluation& run = frame.Enter(rule, level);
-    if (Eval(*program.compiled().conditions[index], run, out) != Answer::kValue || !out.truth) {
-      continue;
-    }
+    const Answer answer = Eval(*program.compiled().conditions[index], run, out);
+    const bool open = answer == Answer::kUnscanned &&
+                      program.options().on_inspection_error == OnInspectionError::kMatch;
+    if (!open && (answer != Answer::kValue || !out.truth)) continue;
     const bool raises =
         std::any_of(rule.chains.begin(), rule.chains.end(), [&](const lang::TypedChain& chain) {
           return std::any_of(chain.begin(), chain.end(), [&](const lang::TypedAction& action) {

@@ -79,6 +79,7 @@ Evaluation& Frame::Enter(const lang::TypedRule& rule, levels::LevelIndex level) 
   run_.rule_name = rule.name;
   run_.fault = absl::string_view();
   run_.cut = false;
+  run_.graph_open = false;
   run_.texts.clear();
   return run_;
 }

@@ -34,8 +34,9 @@ bool GraphOpen(const Evaluation& run) { return !run.foreseeing && run.state->gra
 // truncated graph two answers are remembered, the second behind all the first ones: whether what
 // was left out may turn it.
 Answer AskGraph(const std::vector<Predicate>& predicates, size_t index, Answers* answers,
-                const Scene& scene, Cell& out) {
+                Evaluation& run, Cell& out) {
   const Predicate& predicate = predicates[index];
+  const Scene& scene = run.scene;
   const bool truncated = scene.graph.truncated();
   const size_t count = truncated ? 2 * predicates.size() : predicates.size();
   const auto decide = [&] { return Holds(predicate, scene); };
@@ -44,19 +45,19 @@ Answer AskGraph(const std::vector<Predicate>& predicates, size_t index, Answers*
   const auto left_open = [&] { return LeftOpen(predicate.builtin, predicate.args, scene); };
   const bool open =
       answers != nullptr ? answers->Get(predicates.size() + index, count, left_open) : left_open();
-  return open ? Answer::kUnscanned : Answer::kValue;
+  return open ? run.LeftOpen() : Answer::kValue;
 }
 
 Answer FactsPredicate(const Node& node, Evaluation& run, Cell& out) {
   if (!GraphOpen(run)) return Answer::kUndecidable;
   return AskGraph(run.compiled->facts, static_cast<size_t>(node.index),
-                  run.topic != nullptr ? &run.topic->answers : nullptr, run.scene, out);
+                  run.topic != nullptr ? &run.topic->answers : nullptr, run, out);
 }
 
 Answer GraphPredicate(const Node& node, Evaluation& run, Cell& out) {
   if (!GraphOpen(run)) return Answer::kUndecidable;
-  return AskGraph(run.compiled->graph, static_cast<size_t>(node.index), run.graph_answers,
-                  run.scene, out);
+  return AskGraph(run.compiled->graph, static_cast<size_t>(node.index), run.graph_answers, run,
+                  out);
 }
 
 // Evaluates all arguments. kValue, or why not.
@@ -82,7 +83,7 @@ Answer AskNow(const Node& node, Evaluation& run, Cell& out) {
   const std::optional<bool> told = Ask(node.builtin, args, run.scene);
   if (!told.has_value()) return run.Fault("internal: arguments that do not fit");
   out.truth = *told;
-  return LeftOpen(node.builtin, args, run.scene) ? Answer::kUnscanned : Answer::kValue;
+  return LeftOpen(node.builtin, args, run.scene) ? run.LeftOpen() : Answer::kValue;
 }
 
 // topicin and its like need no graph.
@@ -114,9 +115,14 @@ Answer AnyArg(const Node& node, Evaluation& run, Cell& out, const Predicate& hol
 
 Answer SenderIn(const Node& node, Evaluation& run, Cell& out) {
   const absl::string_view sender = run.message == nullptr ? "" : run.message->sender;
-  return AnyArg(node, run, out, [&](absl::string_view name) {
+  const Answer answer = AnyArg(node, run, out, [&](absl::string_view name) {
     return !sender.empty() && ros2::NodeNameMatches(name, sender);
   });
+  // Nobody knows the node of a writer that was left out.
+  const bool open = answer == Answer::kValue && sender.empty() && run.message != nullptr &&
+                    !run.message->writer.none() && run.scene.truncated() &&
+                    run.scene.graph.FindEndpoint(run.message->writer) == nullptr;
+  return open ? run.LeftOpen() : answer;
 }
 
 Answer SenderEnclave(const Node& node, Evaluation& run, Cell& out) {
@@ -126,6 +132,10 @@ Answer SenderEnclave(const Node& node, Evaluation& run, Cell& out) {
     const auto& participants = run.scene.graph.participants();
     const auto found = participants.find(run.message->writer.Participant());
     if (found != participants.end()) participant = &found->second;
+  }
+  if (participant == nullptr && run.message != nullptr && !run.message->writer.none() &&
+      run.scene.truncated()) {
+    return run.LeftOpen();
   }
   return AnyArg(node, run, out, [&](absl::string_view enclave) {
     return participant != nullptr && participant->authenticated && participant->enclave == enclave;

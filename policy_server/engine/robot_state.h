@@ -32,6 +32,9 @@ struct StateLimits {
   size_t string_max = 4'096;
 };
 
+// Why a rule came out unscanned that asked for what was left out of the graph.
+inline constexpr char kGraphTruncated[] = "graph truncated";
+
 // Told of every rule that is run, after it; for those who measure and those who replay.
 class RuleObserver {
  public:
@@ -40,12 +43,14 @@ class RuleObserver {
     kFired,
     kFaulted,
     kUndecidable,
-    // It depends on an inspection that was not told: it did not fire; it fired all the same.
+    // It depends on an inspection that was not told, or on what was left out of the graph: it did
+    // not fire; it fired all the same.
     kUnscanned,
     kFiredUnscanned,
   };
   virtual ~RuleObserver() = default;
-  // `rule` is an index of the program in force. `what` says why it faulted, else it is empty.
+  // `rule` is an index of the program in force. `what` says why it faulted, or is kGraphTruncated;
+  // else it is empty.
   virtual void OnRule(uint32_t rule, Came came, absl::string_view what) = 0;
 };
 

@@ -2,8 +2,11 @@
 
 #include <openssl/evp.h>
 
+#include <algorithm>
 #include <array>
 #include <string>
+#include <utility>
+#include <vector>
 
 #include "services/base/check.h"
 
@@ -34,7 +37,8 @@ rips::v1::InterestRule::Depth EncodeDepth(engine::Depth depth) {
 }  // namespace
 
 rips::v1::Interest EncodeInterest(const engine::InterestPlan& plan,
-                                  const engine::PayloadLimits& limits) {
+                                  const engine::PayloadLimits& limits,
+                                  const ros2::TopicNames& kept_topics) {
   rips::v1::Interest interest;
   for (const engine::TopicInterest& topic : plan) {
     rips::v1::InterestRule* rule = interest.add_rules();
@@ -47,6 +51,10 @@ rips::v1::Interest EncodeInterest(const engine::InterestPlan& plan,
     out->set_topic_regex(limit.topic_regex);
     out->set_bytes(limit.bytes);
   }
+  // In an order that does not depend on the process.
+  std::vector<std::string> kept(kept_topics.begin(), kept_topics.end());
+  std::sort(kept.begin(), kept.end());
+  for (std::string& topic : kept) interest.add_kept_topics(std::move(topic));
   interest.set_id(Sha256(interest.SerializeAsString()));
   return interest;
 }

@@ -6,15 +6,18 @@
 
 #include "policy_server/engine/interest.h"
 #include "rips/v1/sensor.pb.h"
+#include "services/ros2/graph_limits.h"
 
 namespace rips::ingest {
 
 // Of an id: SHA-256.
 inline constexpr size_t kInterestIdBytes = 32;
 
-// Without the reasons. Plans and limits that ask for the same, in the same order, give equal ids.
+// Without the reasons. Plans and limits that ask for the same, in the same order, give equal ids if
+// the topics are the same.
 rips::v1::Interest EncodeInterest(const engine::InterestPlan& plan,
-                                  const engine::PayloadLimits& limits = {});
+                                  const engine::PayloadLimits& limits = {},
+                                  const ros2::TopicNames& kept_topics = {});
 
 }  // namespace rips::ingest
 

@@ -10,10 +10,10 @@ using ::testing::SizeIs;
 using engine::Depth;
 
 TEST(InterestCodecTest, RowsInTheirOrder) {
-  const rips::v1::Interest interest = EncodeInterest(
-      {{.topic_regex = "^/a$", .depth = Depth::kPayload, .payload_bytes_max = 7},
-       {.topic_regex = "b", .depth = Depth::kPayload, .payload_bytes_max = 9},
-       {.depth = Depth::kMetadata}});
+  const rips::v1::Interest interest =
+      EncodeInterest({{.topic_regex = "^/a$", .depth = Depth::kPayload, .payload_bytes_max = 7},
+                      {.topic_regex = "b", .depth = Depth::kPayload, .payload_bytes_max = 9},
+                      {.depth = Depth::kMetadata}});
   ASSERT_THAT(interest.rules(), SizeIs(3));
   EXPECT_EQ(interest.rules(0).topic_regex(), "^/a$");
   EXPECT_EQ(interest.rules(0).depth(), rips::v1::InterestRule::PAYLOAD);
@@ -36,6 +36,9 @@ TEST(InterestCodecTest, TheIdTellsInterestsApart) {
   EXPECT_NE(id({.depth = Depth::kMetadata}), id({.depth = Depth::kNothing}));
   const engine::PayloadLimits limits = {{.topic_regex = "^/camera", .bytes = 2'000'000}};
   EXPECT_NE(EncodeInterest({}, limits).id(), none);
+  const rips::v1::Interest kept = EncodeInterest({}, {}, {"/b", "/c", "/a"});
+  EXPECT_NE(kept.id(), none);
+  EXPECT_THAT(kept.kept_topics(), testing::ElementsAre("/a", "/b", "/c"));
   EXPECT_EQ(EncodeInterest({}, limits).payload_limits(0).topic_regex(), "^/camera");
   EXPECT_EQ(EncodeInterest({}, limits).payload_limits(0).bytes(), 2'000'000);
   EXPECT_EQ(id({.wanted_by = {"r"}}), id({})) << "reasons are not sent";

@@ -9,6 +9,7 @@
 #include "services/base/status_macros.h"
 #include "services/ros2/ros_name.h"
 #include "services/ros2_proto/graph_codec.h"
+#include "services/wire_limits/field_limits.h"
 
 namespace rips::ingest {
 namespace {
@@ -17,10 +18,7 @@ using pipeline::Lane;
 
 constexpr uint32_t kProtocol = 1;
 constexpr size_t kIncarnationBytes = 16;
-constexpr int kSpooledRangesMax = 64;
-constexpr uint64_t kSequenceMax = uint64_t{1} << 62;
-// Nanoseconds: 146 years.
-constexpr uint64_t kBoottimeMax = uint64_t{1} << 62;
+constexpr uint64_t kBoottimeMax = wire_limits::kTimeMax;
 
 absl::StatusOr<Lane> DecodeLane(rips::v1::Lane lane) {
   switch (lane) {
@@ -73,37 +71,6 @@ absl::StatusOr<pipeline::GraphDeltaSeen> DecodeDelta(const rips::v1::GraphDelta&
   return seen;
 }
 
-absl::Status CheckNotVisible(const google::protobuf::RepeatedPtrField<std::string>& kinds,
-                             const DecodeLimits& limits) {
-  if (kinds.size() > limits.not_visible) {
-    return absl::ResourceExhaustedError(absl::StrCat(
-        kinds.size(), " kinds of traffic that are not visible; at most ", limits.not_visible));
-  }
-  for (const std::string& kind : kinds) {
-    if (kind.size() > limits.name_bytes) {
-      return absl::ResourceExhaustedError(absl::StrCat(
-          "kind of traffic of ", kind.size(), " bytes exceeds the limit of ", limits.name_bytes));
-    }
-  }
-  return absl::OkStatus();
-}
-
-absl::Status CheckBlind(const google::protobuf::RepeatedPtrField<std::string>& reasons,
-                        const DecodeLimits& limits) {
-  if (reasons.size() > limits.blind) {
-    return absl::ResourceExhaustedError(
-        absl::StrCat(reasons.size(), " reasons why inputs are not seen; at most ", limits.blind));
-  }
-  for (const std::string& reason : reasons) {
-    if (reason.size() > limits.name_bytes) {
-      return absl::ResourceExhaustedError(
-          absl::StrCat("reason why an input is not seen of ", reason.size(),
-                       " bytes exceeds the limit of ", limits.name_bytes));
-    }
-  }
-  return absl::OkStatus();
-}
-
 const char* CauseName(rips::v1::Loss::Cause cause) {
   switch (cause) {
     case rips::v1::Loss::DDS_GAP:
@@ -134,12 +101,6 @@ absl::StatusOr<pipeline::SensorHello> DecodeHello(const rips::v1::SensorHello& h
                                                       "; update the server first"));
   }
   RIPS_RETURN_IF_ERROR(CheckIncarnation(base.incarnation()));
-  if (hello.spooled_size() > kSpooledRangesMax) {
-    return absl::ResourceExhaustedError(absl::StrCat("hello announces ", hello.spooled_size(),
-                                                     " ranges; at most ", kSpooledRangesMax));
-  }
-  RIPS_RETURN_IF_ERROR(CheckNotVisible(hello.not_visible(), DecodeLimits()));
-  RIPS_RETURN_IF_ERROR(CheckBlind(hello.blind(), DecodeLimits()));
   pipeline::SensorHello decoded{
       .incarnation = base.incarnation(),
       .clock = {.boottime_ns = static_cast<int64_t>(base.clock().boottime_ns()),
@@ -162,13 +123,8 @@ absl::StatusOr<pipeline::SensorHello> DecodeHello(const rips::v1::SensorHello& h
   for (const rips::v1::SpoolStream& range : hello.spooled()) {
     RIPS_RETURN_IF_ERROR(CheckIncarnation(range.incarnation()));
     RIPS_ASSIGN_OR_RETURN(const Lane lane, DecodeLane(range.lane()));
-    if (range.first_sequence() == 0 || range.first_sequence() > kSequenceMax) {
-      return absl::InvalidArgumentError(
-          absl::StrCat("no range can start at sequence ", range.first_sequence()));
-    }
-    if (range.acknowledged_sequence() > kSequenceMax) {
-      return absl::InvalidArgumentError(
-          absl::StrCat("no sequence can be ", range.acknowledged_sequence()));
+    if (range.first_sequence() == 0) {
+      return absl::InvalidArgumentError("no range can start at sequence 0");
     }
     decoded.spooled.push_back({.incarnation = range.incarnation(),
                                .lane = lane,
@@ -196,11 +152,6 @@ absl::StatusOr<pipeline::Batch> ObservationDecoder::Decode(
   RIPS_RETURN_IF_ERROR(CheckIncarnation(batch.incarnation()));
   RIPS_ASSIGN_OR_RETURN(const Lane lane, DecodeLane(batch.lane()));
   if (batch.observations_size() == 0) return absl::InvalidArgumentError("empty batch");
-  if (batch.observations_size() > limits_.batch_observations) {
-    return absl::ResourceExhaustedError(absl::StrCat("batch of ", batch.observations_size(),
-                                                     " observations exceeds the limit of ",
-                                                     limits_.batch_observations));
-  }
   size_t payload_bytes = 0;
   for (const rips::v1::Observation& observation : batch.observations()) {
     payload_bytes += observation.message().payload().size();
@@ -219,7 +170,12 @@ absl::StatusOr<pipeline::Batch> ObservationDecoder::Decode(
   decoded.observations.reserve(static_cast<size_t>(batch.observations_size()));
   for (const rips::v1::Observation& observation : batch.observations()) {
     pipeline::Observation& one = decoded.observations.emplace_back();
-    one.boottime_ns = static_cast<int64_t>(batch.base_boottime_ns() + observation.offset_ns());
+    // Each is kTimeMax at most. Later arithmetic adds other clocks: their sum must not be more.
+    const uint64_t boottime_ns = batch.base_boottime_ns() + observation.offset_ns();
+    if (boottime_ns > kBoottimeMax) {
+      return absl::InvalidArgumentError("an observation at a time that no clock shows");
+    }
+    one.boottime_ns = static_cast<int64_t>(boottime_ns);
     RIPS_RETURN_IF_ERROR(DecodeOne(observation, lane, one));
     auto* message = std::get_if<pipeline::MessageSeen>(&one.what);
     if (message == nullptr) continue;
@@ -266,12 +222,6 @@ absl::StatusOr<std::unique_ptr<const ObservationDecoder::Name>> ObservationDecod
   } else {
     return absl::InvalidArgumentError(absl::StrCat("intern id ", intern.id(), " names nothing"));
   }
-  const size_t longest =
-      std::max({name->text.size(), name->writes_topic.size(), name->writes_type.size()});
-  if (longest > limits_.name_bytes) {
-    return absl::ResourceExhaustedError(
-        absl::StrCat("name of ", longest, " bytes exceeds the limit of ", limits_.name_bytes));
-  }
   return name;
 }
 
@@ -312,9 +262,6 @@ absl::Status ObservationDecoder::DecodeMessage(const rips::v1::MessageSeen& mess
 absl::StatusOr<pipeline::LossSeen> ObservationDecoder::DecodeLoss(
     const rips::v1::Loss& loss) const {
   if (loss.count() == 0) return absl::InvalidArgumentError("a loss of nothing");
-  if (loss.first_boottime_ns() > kBoottimeMax || loss.last_boottime_ns() > kBoottimeMax) {
-    return absl::InvalidArgumentError("a loss at a time that no clock shows");
-  }
   pipeline::LossSeen seen{.count = loss.count(),
                           .cause = CauseName(loss.cause()),
                           .first_boottime_ns = static_cast<int64_t>(loss.first_boottime_ns()),
@@ -343,8 +290,6 @@ absl::StatusOr<pipeline::LossSeen> ObservationDecoder::DecodeLoss(
 
 absl::StatusOr<pipeline::SensorStateSeen> ObservationDecoder::DecodeState(
     const rips::v1::SensorState& state) const {
-  RIPS_RETURN_IF_ERROR(CheckNotVisible(state.not_visible(), limits_));
-  RIPS_RETURN_IF_ERROR(CheckBlind(state.blind(), limits_));
   return pipeline::SensorStateSeen{
       .overloaded = state.overloaded(),
       .outbox_bytes = state.outbox_bytes(),
@@ -357,14 +302,6 @@ absl::StatusOr<pipeline::SensorStateSeen> ObservationDecoder::DecodeState(
 
 absl::StatusOr<pipeline::IdsAlertSeen> ObservationDecoder::DecodeIds(
     const rips::v1::IdsAlert& ids) const {
-  if (std::max(ids.line().size(), ids.message().size()) > limits_.line_bytes) {
-    return absl::ResourceExhaustedError(
-        absl::StrCat("an alert line exceeds the limit of ", limits_.line_bytes, " bytes"));
-  }
-  if (std::max(ids.src().size(), ids.dst().size()) > limits_.name_bytes) {
-    return absl::ResourceExhaustedError(
-        absl::StrCat("an address in an alert exceeds the limit of ", limits_.name_bytes, " bytes"));
-  }
   return pipeline::IdsAlertSeen{.message = ids.message(),
                                 .gid = ids.gid(),
                                 .sid = ids.sid(),
@@ -375,12 +312,6 @@ absl::StatusOr<pipeline::IdsAlertSeen> ObservationDecoder::DecodeIds(
 
 absl::StatusOr<pipeline::FindingSeen> ObservationDecoder::DecodeFinding(
     const rips::v1::Finding& finding) const {
-  const size_t longest = std::max({finding.kind().size(), finding.node().size(),
-                                   finding.topic().size(), finding.detail().size()});
-  if (longest > limits_.name_bytes) {
-    return absl::ResourceExhaustedError(absl::StrCat(
-        "text of ", longest, " bytes in a finding exceeds the limit of ", limits_.name_bytes));
-  }
   if (finding.kind().empty()) return absl::InvalidArgumentError("a finding of no kind");
   // A stranger's words, and they go into alerts: nothing that a terminal or a log would obey.
   pipeline::FindingSeen seen{.kind = ros2::Printable(finding.kind()),

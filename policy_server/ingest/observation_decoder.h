@@ -15,19 +15,16 @@
 
 namespace rips::ingest {
 
+// What no field alone can exceed; each field's own limit is wire_limits::Check's business.
 struct DecodeLimits {
-  int batch_observations = 256;
+  // Of one batch.
   size_t inline_payload_bytes = 1 << 20;
   // Interned topics, types and writers of one stream, and their highest id.
   size_t interned = 65'536;
-  size_t name_bytes = 1'024;
-  // Of a sensor's words for what it cannot see, each at most name_bytes.
-  int not_visible = 64;
-  // Of its reasons why it does not see an input, likewise.
-  int blind = 32;
-  size_t line_bytes = 64 * 1024;
 };
 
+// All that is decoded here is within the limits of its fields (wire_limits::Check).
+//
 // InvalidArgument: the hello is malformed (protocol, length of incarnation or generation, a range
 // that starts at 0). FailedPrecondition: a protocol number above ours.
 absl::StatusOr<pipeline::SensorHello> DecodeHello(const rips::v1::SensorHello& hello);

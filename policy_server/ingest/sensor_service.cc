@@ -11,6 +11,7 @@
 #include "policy_server/ingest/interest_codec.h"
 #include "policy_server/ingest/observation_decoder.h"
 #include "policy_server/pipeline/mailbox.h"
+#include "policy_server/pipeline/refused_field.h"
 #include "services/ros2/ros_name.h"
 #include "services/rpc/peer.h"
 #include "services/rpc/server_stream.h"
@@ -18,6 +19,7 @@
 #include "services/runtime/log.h"
 #include "services/runtime/mutex.h"
 #include "services/runtime/real_clock.h"
+#include "services/wire_limits/field_limits.h"
 
 namespace rips::ingest {
 namespace {
@@ -31,7 +33,7 @@ using Stream = rpc::ServerStream<SensorMessage, SensorReply>;
 // What the pipeline holds of one stream.
 class Link final : public pipeline::SensorLink {
  public:
-  Link(std::shared_ptr<Stream::Outbound> outbound, pipeline::LogLimiter* logs)
+  Link(std::shared_ptr<Stream::Outbound> outbound, LogLimiter* logs)
       : outbound_(std::move(outbound)), logs_(logs) {}
 
   // Once, before the hello is posted.
@@ -92,10 +94,10 @@ class Link final : public pipeline::SensorLink {
     outbound_->Send(std::move(reply));
   }
   // Sent unless it is what the sensor has.
-  std::string SetInterest(const engine::InterestPlan& plan,
-                          const engine::PayloadLimits& limits) override ABSL_LOCKS_EXCLUDED(mu_) {
+  std::string SetInterest(const engine::InterestPlan& plan, const engine::PayloadLimits& limits,
+                          const ros2::TopicNames& kept_topics) override ABSL_LOCKS_EXCLUDED(mu_) {
     SensorReply reply;
-    *reply.mutable_interest() = EncodeInterest(plan, limits);
+    *reply.mutable_interest() = EncodeInterest(plan, limits, kept_topics);
     std::string id = reply.interest().id();
     {
       MutexLock lock(&mu_);
@@ -128,7 +130,7 @@ class Link final : public pipeline::SensorLink {
 
  private:
   std::shared_ptr<Stream::Outbound> outbound_;
-  pipeline::LogLimiter* logs_;
+  LogLimiter* logs_;
   std::string robot_;
   std::string host_;
   std::string address_;
@@ -143,7 +145,7 @@ class Link final : public pipeline::SensorLink {
 
 class SensorStream final : public Stream {
  public:
-  SensorStream(const absl::StatusOr<rpc::Peer>& peer, std::string address,
+  SensorStream(const absl::StatusOr<rpc::Peer>& peer, grpc::CallbackServerContext* context,
                pipeline::Pipeline* pipeline, rpc::SessionWatch* watch, const IngestMetrics& metrics)
       : pipeline_(pipeline),
         watch_(watch),
@@ -154,10 +156,8 @@ class SensorStream final : public Stream {
     } else {
       mailbox_.emplace(pipeline, peer->identity.robot);
       host_ = peer->identity.host;
-      address_ = std::move(address);
-      session_ = watch->Add(
-          *peer, [outbound = outbound()](const grpc::Status& status) { outbound->Close(status); },
-          [outbound = outbound()](const grpc::Status& status) { outbound->CloseWhenSent(status); });
+      address_ = context->peer();
+      session_ = watch->Guard(rpc::StreamKind::kSensor, *peer, context, outbound());
       session_->connection = watch->gate().ConnectionOf(address_);
       metrics_.streams.Increment();
       Begin();
@@ -167,6 +167,8 @@ class SensorStream final : public Stream {
  private:
   void OnMessage(SensorMessage& message) override {
     watch_->Heard(*session_, message.ByteSizeLong());
+    if (refused_) return;  // came before the peer heard of it
+    if (const auto hit = wire_limits::Check(message)) return RefuseField(*hit);
     if (!session_->greeted && !message.has_hello()) {
       return Refuse(absl::InvalidArgumentError("the first message must be a hello"));
     }
@@ -256,7 +258,18 @@ class SensorStream final : public Stream {
          });
   }
 
+  void RefuseField(const wire_limits::LimitHit& hit) {
+    metrics_.fields_refused.Count(hit);
+    pipeline::TellRefusedField(*pipeline_, "sensor", mailbox_->robot(), host_, address_,
+                               hit.Text());
+    Refuse(hit.ToStatus());
+  }
+
   void Refuse(const absl::Status& status) {
+    refused_ = true;
+    // An agent of another version is no attacker.
+    const bool hostile = !absl::IsFailedPrecondition(status);
+    if (hostile && session_->connection != nullptr) session_->connection->OnRefused();
     metrics_.malformed.Increment();
     if (const auto left_out = pipeline_->logs().Admit(mailbox_->robot())) {
       LogWarning("sensor stream refused", {{"robot", mailbox_->robot()},
@@ -289,6 +302,7 @@ class SensorStream final : public Stream {
   std::string host_;
   std::string address_;
   ObservationDecoder decoder_;
+  bool refused_ = false;
   uint64_t message_bytes_ = 0;
   uint64_t payload_bytes_ = 0;
 };
@@ -297,8 +311,8 @@ class SensorStream final : public Stream {
 
 grpc::ServerBidiReactor<SensorMessage, SensorReply>* SensorService::Observe(
     grpc::CallbackServerContext* context) {
-  return new SensorStream(watch_->Admit(*context, rpc::Role::kSensor), context->peer(), pipeline_,
-                          watch_, metrics_);
+  return new SensorStream(watch_->Admit(*context, rpc::Role::kSensor), context, pipeline_, watch_,
+                          metrics_);
 }
 
 }  // namespace rips::ingest

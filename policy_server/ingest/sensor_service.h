@@ -6,6 +6,7 @@
 #include "rips/v1/sensor.grpc.pb.h"
 #include "services/rpc/session_watch.h"
 #include "services/runtime/metrics.h"
+#include "services/wire_limits/limit_counters.h"
 
 namespace rips::ingest {
 
@@ -15,6 +16,8 @@ struct IngestMetrics {
   Counter streams;
   // Interests that a sensor could not apply.
   Counter interests_refused;
+  // Messages with a field past its limit.
+  wire_limits::LimitCounters fields_refused = {};
 };
 
 // Robot, host and role are taken from the certificate alone.

@@ -16,6 +16,7 @@
 #include "services/rpc/credentials.h"
 #include "services/rpc/server_builder.h"
 #include "services/rpc/test_pki.h"
+#include "services/runtime/bounded_queue.h"
 #include "services/runtime/real_clock.h"
 
 namespace rips::ingest {
@@ -23,6 +24,8 @@ namespace {
 
 using rips::v1::SensorMessage;
 using rips::v1::SensorReply;
+
+using ::testing::HasSubstr;
 
 constexpr char kRules[] = R"(
 levels: DEFAULT;
@@ -178,8 +181,11 @@ class SensorServiceTest : public ::testing::Test {
   pipeline::Pipeline pipeline_{1, &clock_};
   rpc::SessionWatch watch_{&clock_};
   Counter malformed_ = metrics_.AddCounter("malformed_total", "Refused as malformed.");
-  SensorService service_{
-      &pipeline_, &watch_, {.malformed = malformed_, .interests_refused = refused_}};
+  SensorService service_{&pipeline_,
+                         &watch_,
+                         {.malformed = malformed_,
+                          .interests_refused = refused_,
+                          .fields_refused = wire_limits::LimitCounters(&metrics_)}};
   std::unique_ptr<rpc::RpcServer> server_;
   std::shared_ptr<grpc::Channel> channel_;
 };
@@ -202,7 +208,7 @@ TEST_F(SensorServiceTest, ASensorIsAskedForThePayloadsThatRulesNeedUnlessItKnows
   EXPECT_TRUE(again->InterestsUntilNow().empty()) << "it is in use";
   again->End();
 
-  const auto other = Connect(std::string(100'000, 'x'));
+  const auto other = Connect(std::string(31, 'x'));
   ASSERT_NE(other, nullptr);
   EXPECT_EQ(other->InterestsUntilNow().size(), 1u) << "no interest of ours";
   other->End();
@@ -221,7 +227,7 @@ TEST_F(SensorServiceTest, AnInterestThatASensorCannotApplyIsCountedAndTheStreamG
   const auto sensor = Connect();
   ASSERT_NE(sensor, nullptr);
   sensor->Answer("");
-  sensor->Answer("rule 1: bad pattern\x1b[2J\n" + std::string(100'000, 'x'));
+  sensor->Answer("rule 1: bad pattern\x1b[2J\n" + std::string(900, 'x'));
   sensor->Answer("rule 2");
   EXPECT_EQ(sensor->InterestsUntilNow().size(), 1u);
   EXPECT_EQ(refused_.Value(), 2);
@@ -262,6 +268,43 @@ TEST_F(SensorServiceTest, AMalformedChunkEndsTheStreamAndIsCounted) {
   const grpc::Status status = sensor->Ended();
   EXPECT_EQ(status.error_code(), grpc::StatusCode::INVALID_ARGUMENT);
   EXPECT_EQ(status.error_message(), "payload 1: chunk at offset 65535; 65536 bytes came before it");
+  EXPECT_EQ(malformed_.Value(), 1);
+}
+
+TEST_F(SensorServiceTest, AFieldPastItsLimitEndsTheStreamIsCountedAndTold) {
+  const auto sensor = Connect();
+  ASSERT_NE(sensor, nullptr);
+  sensor->Answer(std::string(1'025, 'S'));
+  const grpc::Status status = sensor->Ended();
+  EXPECT_EQ(status.error_code(), grpc::StatusCode::INVALID_ARGUMENT);
+  EXPECT_EQ(status.error_message(), "InterestApplied.problem has 1025 bytes; at most 1024");
+  EXPECT_EQ(malformed_.Value(), 1);
+  EXPECT_EQ(refused_.Value(), 0) << "nothing of the message was used";
+  EXPECT_THAT(metrics_.Text(),
+              HasSubstr("rips_fields_refused_total{field=\"InterestApplied.problem\"} 1"));
+  const auto told = [this] {
+    BoundedQueue<int> done{{.capacity = 1}};
+    int count = 0;
+    EXPECT_THAT(pipeline_.Post("r1", pipeline::Lane::kControl,
+                               [&](pipeline::Robot&) {
+                                 count = audience_.Count(
+                                     "sent a message past a limit: InterestApplied.problem has "
+                                     "1025 bytes; at most 1024");
+                                 done.Push(1);
+                               }),
+                IsOk());
+    done.Pop(absl::Seconds(60));
+    return count;
+  };
+  EXPECT_EQ(told(), 1);
+}
+
+// Those that came before the peer heard that it is refused are not looked at.
+TEST_F(SensorServiceTest, OneRefusalIsToldOnceHoweverMuchFollows) {
+  const auto sensor = Connect();
+  ASSERT_NE(sensor, nullptr);
+  for (int i = 0; i < 50; ++i) sensor->Answer(std::string(100'000, 'S'));
+  EXPECT_EQ(sensor->Ended().error_code(), grpc::StatusCode::INVALID_ARGUMENT);
   EXPECT_EQ(malformed_.Value(), 1);
 }
 

@@ -234,7 +234,7 @@ absl::StatusOr<std::vector<std::string>> ProbeContainment(const Containment& con
                           ChildLimits{}, containment));
   std::vector<std::string> missing = process->missing();
   if (containment.cgroups == nullptr) {
-    missing.push_back("no cgroup: what a plugin started is killed without one");
+    missing.emplace_back("no cgroup: what a plugin started is killed without one");
   }
   return missing;
 }
@@ -394,7 +394,8 @@ void ChildProcess::ReadErrors() {
   }
 }
 
-std::string ChildProcess::Errors() const {
+std::string ChildProcess::Errors() {
+  ReadErrors();
   if (errors_begin_.empty()) return "";
   const std::vector<absl::string_view> begin =
       absl::StrSplit(errors_begin_, '\n', absl::SkipWhitespace());

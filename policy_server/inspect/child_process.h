@@ -107,11 +107,11 @@ class ChildProcess {
   // How it ended; nullopt while it runs. What it started is killed then too.
   std::optional<Exit> Exited();
 
-  // What it wrote to descriptor 2 as far as Wait has seen it, and all once Exited tells an end; it
-  // is read and dropped but for this. Empty if it wrote nothing. The first line and, if there are
-  // more, ` ... ` and the last, each cut to kErrorLineBytesMax and of printable ASCII only, for it
-  // may quote hostile messages; `(blank)` if that leaves nothing.
-  std::string Errors() const;
+  // What it has written to descriptor 2 so far, and all once Exited tells an end; it is read and
+  // dropped but for this. Empty if it wrote nothing. The first line and, if there are more, ` ... `
+  // and the last, each cut to kErrorLineBytesMax and of printable ASCII only, for it may quote
+  // hostile messages; `(blank)` if that leaves nothing.
+  std::string Errors();
 
   // What this machine cannot enforce on it.
   const std::vector<std::string>& missing() const { return missing_; }

@@ -128,6 +128,10 @@ Transition LevelMachine::Adopt(LevelIndex level, const Mark& seen, Instant now) 
   return Decide(Propose(std::max(level_, held), {.kind = Cause::Kind::kAdopted}, now));
 }
 
+Transition LevelMachine::Reaffirm(const Cause& cause, Instant now) {
+  return Decide(Propose(level_, cause, now));
+}
+
 void LevelMachine::RaiseTerm(uint64_t term) {
   term_ = std::max(term_, std::min(term, kCounterMax));
 }

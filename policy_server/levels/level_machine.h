@@ -73,6 +73,8 @@ class LevelMachine {
   // as a new decision, above `seen` (cut to kCounterMax) in term and epoch. A level that is not in
   // the table counts as the last one.
   Transition Adopt(LevelIndex level, const Mark& seen, Instant now);
+  // The same level as a new decision, so that it stands in the newest term.
+  Transition Reaffirm(const Cause& cause, Instant now);
   // A Hello showed a term above ours: later decisions use at least `term` (cut to kCounterMax).
   void RaiseTerm(uint64_t term);
   // Suspends soft lowerings, as they were before a restart.

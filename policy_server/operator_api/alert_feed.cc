@@ -143,8 +143,8 @@ absl::Status AlertFeed::FindFilePlace() {
   RIPS_ASSIGN_OR_RETURN(uint64_t sequence, store_->FindAlert(id));
   if (sequence == 0 && !id.empty()) {
     LogWarning(
-        "the store does not know the newest alert of the alert file; what is missing is in "
-        "`ripsctl alert list`",
+        "the store does not know the newest alert of the alert file: it is older, or another one; "
+        "alerts of the time between are in the file, and not in `ripsctl alert list`",
         {{"alert", id}});
     sequence = newest.sequence;
     id = newest.id;

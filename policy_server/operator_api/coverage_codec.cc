@@ -3,9 +3,11 @@
 #include <algorithm>
 #include <string>
 #include <tuple>
+#include <utility>
 #include <vector>
 
 #include "policy_server/ingest/interest_codec.h"
+#include "policy_server/operator_api/answer_limits.h"
 #include "services/ros2_proto/graph_codec.h"
 
 namespace rips::operator_api {
@@ -38,13 +40,48 @@ void Encode(const pipeline::FindingSeen& finding, rips::v1::Finding& out) {
   out.set_detail(finding.detail);
 }
 
+// Findings, and then endpoints, as far as there is room.
+void EncodeLists(const pipeline::Robot& robot, rips::v1::GetCoverageResponse& out) {
+  AnswerRoom room(kAnswerBytesMax - std::min(kAnswerBytesMax, out.ByteSizeLong()));
+  AnswerRoom for_findings(room.left() / 2);
+  for (const pipeline::FindingSeen& finding : robot.findings()) {
+    rips::v1::Finding one;
+    Encode(finding, one);
+    if (!for_findings.Take(one) || !room.Take(one)) {
+      out.set_findings_left_out(out.findings_left_out() + 1);
+      continue;
+    }
+    *out.add_findings() = std::move(one);
+  }
+  std::vector<const ros2::Endpoint*> endpoints;
+  endpoints.reserve(robot.graph().endpoints().size());
+  for (const auto& [guid, endpoint] : robot.graph().endpoints()) endpoints.push_back(&endpoint);
+  std::sort(endpoints.begin(), endpoints.end(),
+            [](const ros2::Endpoint* a, const ros2::Endpoint* b) {
+              return std::tie(a->name, a->kind, a->guid) < std::tie(b->name, b->kind, b->guid);
+            });
+  for (const ros2::Endpoint* endpoint : endpoints) {
+    rips::v1::Endpoint one;
+    ros2_proto::EncodeEndpoint(*endpoint, one);
+    if (!room.Take(one)) {
+      out.set_endpoints_left_out(out.endpoints_left_out() + 1);
+      continue;
+    }
+    *out.add_endpoints() = std::move(one);
+  }
+}
+
 }  // namespace
 
 void EncodeInterest(const pipeline::Robot& robot, rips::v1::GetInterestResponse& out) {
-  *out.mutable_interest() = ingest::EncodeInterest(robot.interest(), robot.payload_limits());
+  *out.mutable_interest() =
+      ingest::EncodeInterest(robot.interest(), robot.payload_limits(), robot.kept_topics());
+  AnswerRoom room(kAnswerBytesMax / 2);
   for (const engine::TopicInterest& row : robot.interest()) {
-    rips::v1::InterestReason* reason = out.add_reasons();
-    for (const std::string& rule : row.wanted_by) reason->add_wanted_by(rule);
+    rips::v1::InterestReason reason;
+    for (const std::string& rule : row.wanted_by) reason.add_wanted_by(rule);
+    if (!room.Take(reason)) reason.clear_wanted_by();
+    *out.add_reasons() = std::move(reason);
   }
   for (const pipeline::SensorInterest& sensor : robot.SensorInterests()) {
     rips::v1::SensorInterest* one = out.add_sensors();
@@ -58,19 +95,6 @@ void EncodeInterest(const pipeline::Robot& robot, rips::v1::GetInterestResponse&
 void EncodeCoverage(const pipeline::Robot& robot, rips::v1::GetCoverageResponse& out) {
   for (const pipeline::SensorCoverage& sensor : robot.Coverage()) {
     Encode(sensor, *out.add_sensors());
-  }
-  std::vector<const ros2::Endpoint*> endpoints;
-  endpoints.reserve(robot.graph().endpoints().size());
-  for (const auto& [guid, endpoint] : robot.graph().endpoints()) endpoints.push_back(&endpoint);
-  std::sort(endpoints.begin(), endpoints.end(),
-            [](const ros2::Endpoint* a, const ros2::Endpoint* b) {
-              return std::tie(a->name, a->kind, a->guid) < std::tie(b->name, b->kind, b->guid);
-            });
-  for (const ros2::Endpoint* endpoint : endpoints) {
-    ros2_proto::EncodeEndpoint(*endpoint, *out.add_endpoints());
-  }
-  for (const pipeline::FindingSeen& finding : robot.findings()) {
-    Encode(finding, *out.add_findings());
   }
   out.set_graph_truncated(robot.graph().truncated());
   for (const auto& [reason, count] : robot.Skipped()) {
@@ -86,6 +110,7 @@ void EncodeCoverage(const pipeline::Robot& robot, rips::v1::GetCoverageResponse&
     one->set_longest_bytes(cut.longest_bytes);
     one->set_count(cut.count);
   }
+  EncodeLists(robot, out);
 }
 
 }  // namespace rips::operator_api

@@ -7,7 +7,7 @@
 
 namespace rips::operator_api {
 
-// Into an empty `out`.
+// Into an empty `out`, at most kAnswerBytesMax.
 void EncodeInterest(const pipeline::Robot& robot, rips::v1::GetInterestResponse& out);
 void EncodeCoverage(const pipeline::Robot& robot, rips::v1::GetCoverageResponse& out);
 

@@ -15,9 +15,9 @@
 #include "absl/status/statusor.h"
 #include "absl/time/time.h"
 #include "policy_server/operator_api/alert_feed.h"
-#include "policy_server/pipeline/log_limiter.h"
 #include "policy_server/pipeline/ports.h"
 #include "policy_server/store/alert_log.h"
+#include "services/runtime/log_limiter.h"
 #include "services/runtime/mutex.h"
 
 namespace rips::operator_api {
@@ -55,7 +55,7 @@ class Hub final : public pipeline::Audience {
   // ResourceExhausted if there are kWatchersMax already.
   absl::StatusOr<uint64_t> NewIdLocked() ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
 
-  pipeline::LogLimiter rule_logs_;
+  LogLimiter rule_logs_;
   Mutex mu_;
   uint64_t next_id_ ABSL_GUARDED_BY(mu_) = 1;
   std::set<uint64_t> alert_watchers_ ABSL_GUARDED_BY(mu_);

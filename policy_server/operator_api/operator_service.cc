@@ -8,45 +8,43 @@
 #include <utility>
 
 #include "absl/strings/str_cat.h"
+#include "policy_server/operator_api/answer_limits.h"
 #include "policy_server/operator_api/coverage_codec.h"
+#include "policy_server/operator_api/overtaken_states.h"
 #include "policy_server/operator_api/receipt_codec.h"
 #include "policy_server/operator_api/record_tap.h"
 #include "policy_server/operator_api/watch_stream.h"
+#include "services/base/cut_text.h"
+#include "services/base/status_macros.h"
 #include "services/ros2_proto/graph_codec.h"
 #include "services/rpc/peer.h"
 #include "services/rpc/status_conversion.h"
 #include "services/runtime/daemon_flags.h"
 #include "services/runtime/log.h"
 #include "services/runtime/real_clock.h"
+#include "services/wire_limits/field_limits.h"
 
 namespace rips::operator_api {
 namespace {
 
-using pipeline::Lane;
+using pipeline::Queue;
 using pipeline::Robot;
 using rpc::OperatorRole;
 
 // Of one watch; beyond, it is told more when it has read. A page of the feed fits besides.
 constexpr size_t kAlertsWaitingMax = 1'024;
+// Far below the limit at which a watch is ended: what it cannot read now follows later.
+constexpr size_t kWatchBytesWaitingMax = size_t{1} << 20;
 constexpr size_t kBanReasonBytesMax = 1'000;
+// Calls that ask every robot, or that cost milliseconds for a large graph, as calls of a quota.
+constexpr double kFleetWeight = 2;
+constexpr double kGraphWeight = 5;
 // Of a robot's transitions, to find the newest that was not refused.
 constexpr int kNewestRead = 200;
 
 void FillMark(const Mark& mark, rips::v1::Mark* out) {
   out->set_term(mark.term);
   out->set_epoch(mark.epoch);
-}
-
-rips::v1::RobotStatus Encode(const pipeline::RobotStatus& status) {
-  rips::v1::RobotStatus out;
-  out.set_robot(status.robot);
-  out.set_decided_level(status.decided_level);
-  out.set_effective_level(status.effective_level);
-  out.set_stage(status.stage);
-  FillMark(status.mark, out.mutable_mark());
-  out.set_bundle_version(status.bundle_version);
-  for (const std::string& reason : status.degraded) out.add_degraded(reason);
-  return out;
 }
 
 rips::v1::Alert Encode(const store::AlertRecord& alert) {
@@ -56,9 +54,10 @@ rips::v1::Alert Encode(const store::AlertRecord& alert) {
   out.set_robot(alert.robot);
   out.set_rule(alert.rule);
   out.set_severity(alert.severity);
-  out.set_text(alert.text);
+  // A store may be older than these limits.
+  out.set_text(Shortened(alert.text, pipeline::kAlertTextBytesMax));
   out.set_level(alert.level);
-  out.set_event(alert.event);
+  out.set_event(Shortened(alert.event, pipeline::kAlertEventBytesMax));
   FillMark(alert.mark, out.mutable_mark());
   return out;
 }
@@ -107,38 +106,69 @@ OperatorService::OperatorService(pipeline::Pipeline* pipeline, store::Store* sto
       hub_(hub),
       access_(access),
       patience_(patience),
-      reader_([this] {
-        while (true) {
-          auto task = reads_.Pop(absl::InfiniteDuration());
-          if (!task) return;
-          (*task)();
-        }
-      }) {}
+      reader_([this] { RunAll(reads_); }),
+      encoder_([this] { RunAll(graphs_); }) {}
 
 OperatorService::~OperatorService() {
   reads_.Close();
+  graphs_.Close();
   reader_.join();
+  encoder_.join();
 }
 
-absl::StatusOr<rpc::Peer> OperatorService::Authorize(grpc::CallbackServerContext* context,
-                                                     OperatorRole needed) {
+void OperatorService::RunAll(Tasks& tasks) {
+  while (auto task = tasks.Pop(absl::InfiniteDuration())) (*task)();
+}
+
+absl::StatusOr<OperatorService::Caller> OperatorService::Authorize(
+    grpc::CallbackServerContext* context, const google::protobuf::Message& request,
+    OperatorRole needed, Use use, double weight) {
   absl::StatusOr<rpc::Peer> peer = access_.watch->Admit(*context, rpc::Role::kOperator);
-  if (!peer.ok() || peer->identity.operator_role >= needed) return peer;
-  return access_.watch->gate().Refuse(
-      {"role",
-       absl::PermissionDeniedError(absl::StrCat(
-           "this needs the role `", rpc::OperatorRoleName(needed), "`; the certificate is a `",
-           rpc::OperatorRoleName(peer->identity.operator_role), "`'s"))},
-      &*peer, context->peer());
+  if (!peer.ok()) return peer.status();
+  if (peer->identity.operator_role < needed) {
+    return access_.watch->gate().Refuse(
+        {"role",
+         absl::PermissionDeniedError(absl::StrCat(
+             "this needs the role `", rpc::OperatorRoleName(needed), "`; the certificate has `",
+             rpc::OperatorRoleName(peer->identity.operator_role), "`"))},
+        &*peer, context->peer());
+  }
+  if (const auto hit = wire_limits::Check(request)) {
+    access_.fields_refused.Count(*hit);
+    if (access_.on_refused_field) access_.on_refused_field(*peer, context->peer(), hit->Text());
+    return access_.watch->gate().Refuse({"limit", hit->ToStatus()}, &*peer, context->peer());
+  }
+  Caller caller{*std::move(peer)};
+  if (access_.quota != nullptr) {
+    const bool privileged = caller.identity.operator_role >= OperatorRole::kOperator;
+    RIPS_ASSIGN_OR_RETURN(caller.ticket, access_.quota->Take(rpc::ToString(caller.identity),
+                                                             privileged, use, weight));
+  }
+  return caller;
+}
+
+grpc::ServerUnaryReactor* OperatorService::Answer(const Caller& caller) {
+  class Call final : public grpc::ServerUnaryReactor {
+   public:
+    explicit Call(CallerQuota::Ticket ticket) : ticket_(std::move(ticket)) {}
+
+   private:
+    void OnDone() override { delete this; }
+    CallerQuota::Ticket ticket_;
+  };
+  return new Call(caller.ticket);
 }
 
 template <typename T>
-void OperatorService::Keep(WatchStream<T>* stream, const rpc::Peer& peer) {
-  const auto session = access_.watch->Add(
-      peer,
-      [outbound = stream->outbound()](const grpc::Status& status) { outbound->Close(status); });
+void OperatorService::Keep(rpc::StreamKind kind, WatchStream<T>* stream, const Caller& caller,
+                           grpc::CallbackServerContext* context) {
+  struct Kept {
+    std::shared_ptr<rpc::SessionWatch::Session> session;
+    CallerQuota::Ticket ticket;
+  };
+  const auto session = access_.watch->Guard(kind, caller, context, stream->outbound());
   session->greeted = true;
-  stream->set_session(session);
+  stream->set_session(std::make_shared<Kept>(Kept{session, caller.ticket}));
 }
 
 void OperatorService::RecordRefusal(const grpc::CallbackServerContext& context,
@@ -146,9 +176,13 @@ void OperatorService::RecordRefusal(const grpc::CallbackServerContext& context,
                                     const absl::Status& why) {
   const absl::StatusOr<rpc::Peer> peer = rpc::PeerOf(*context.auth_context());
   if (!peer.ok() || peer->identity.role != rpc::Role::kOperator) return;
+  if (access_.quota != nullptr &&
+      !access_.quota->Take(rpc::ToString(peer->identity), false, Use::kQuery).ok()) {
+    return;  // one that asks again and again is on record
+  }
   pipeline_
       ->Post(
-          request.robot(), Lane::kControl,
+          request.robot(), Queue::kOrders,
           [order = pipeline::LevelOrder{.operator_name = OperatorName(*peer), .to = request.to()},
            why](Robot& robot) { robot.RecordRefusedOrder(order, why); })
       .IgnoreError();  // of an unknown robot there is no record
@@ -161,20 +195,21 @@ void OperatorService::Read(grpc::ServerUnaryReactor* reactor, std::function<void
 }
 
 grpc::ServerUnaryReactor* OperatorService::ListRobots(grpc::CallbackServerContext* context,
-                                                      const rips::v1::ListRobotsRequest*,
+                                                      const rips::v1::ListRobotsRequest* request,
                                                       rips::v1::ListRobotsResponse* response) {
-  const auto who = Authorize(context, OperatorRole::kViewer);
+  const auto who = Authorize(context, *request, OperatorRole::kViewer, Use::kQuery, kFleetWeight);
   if (!who.ok()) return Refuse(context, who.status());
-  grpc::ServerUnaryReactor* reactor = context->DefaultReactor();
+  grpc::ServerUnaryReactor* reactor = Answer(*who);
   // Asks every robot on its own thread; must not be done on a gRPC thread, which may not block.
   Read(reactor, [this, reactor, response] {
     auto gathered = pipeline_->Gather<rips::v1::RobotStatus>(
-        [](Robot& robot) { return Encode(robot.Status()); }, patience_);
+        [](Robot& robot) { return EncodeStatus(robot.Status()); }, patience_);
     for (const pipeline::RobotStatus& held : pipeline_->held()) {
-      gathered.answers.insert_or_assign(held.robot, Encode(held));
+      gathered.answers.insert_or_assign(held.robot, EncodeStatus(held));
     }
     for (auto& [id, status] : gathered.answers) *response->add_robots() = std::move(status);
     for (const std::string& robot : gathered.silent) response->add_no_answer(robot);
+    FitStatuses(*response);
     reactor->Finish(grpc::Status::OK);
   });
   return reactor;
@@ -182,31 +217,44 @@ grpc::ServerUnaryReactor* OperatorService::ListRobots(grpc::CallbackServerContex
 
 grpc::ServerWriteReactor<rips::v1::RobotStatus>* OperatorService::WatchRobots(
     grpc::CallbackServerContext* context, const rips::v1::WatchRobotsRequest* request) {
-  const auto who = Authorize(context, OperatorRole::kViewer);
+  const auto who = Authorize(context, *request, OperatorRole::kViewer, Use::kStream);
   if (!who.ok()) return RefuseWatch<rips::v1::RobotStatus>(who.status());
   const std::set<std::string> wanted(request->robots().begin(), request->robots().end());
   auto* stream = new WatchStream<rips::v1::RobotStatus>();
-  Keep(stream, *who);
+  Keep(rpc::StreamKind::kWatch, stream, *who, context);
   auto outbound = stream->outbound();
-  const absl::StatusOr<uint64_t> id =
-      hub_->WatchStatus([outbound, wanted](const pipeline::RobotStatus& status) {
-        if (!wanted.empty() && !wanted.contains(status.robot)) return outbound->open();
-        return outbound->Send(Encode(status));
-      });
+  auto overtaken = std::make_shared<OvertakenStates>();
+  const auto skip = [outbound, overtaken](const std::string& robot) {
+    return overtaken->Skip(robot, [&] {
+      const bool full = outbound->waiting_bytes() >= kWatchBytesWaitingMax;
+      return full ? OvertakenStates::kWaitingMax : outbound->waiting();
+    });
+  };
+  const auto tell = [pipeline = pipeline_, outbound, skip](const std::string& robot) {
+    pipeline
+        ->Post(robot, Queue::kOrders,
+               [outbound, skip](Robot& each) {
+                 if (!skip(each.id())) outbound->Send(EncodeStatus(each.Status()));
+               })
+        .IgnoreError();  // the next change tells
+  };
+  const absl::StatusOr<uint64_t> id = hub_->WatchStatus([=](const pipeline::RobotStatus& status) {
+    if (!wanted.empty() && !wanted.contains(status.robot)) return outbound->open();
+    return skip(status.robot) ? outbound->open() : outbound->Send(EncodeStatus(status));
+  });
   if (!id.ok()) {
     outbound->Close(rpc::ToGrpc(id.status()));
     return stream;
   }
   stream->set_on_ended([hub = hub_, id = *id] { hub->Unwatch(id); });
+  stream->set_on_drained([overtaken, tell] {
+    for (const std::string& robot : overtaken->Take()) tell(robot);
+  });
   for (const std::string& robot : pipeline_->robots()) {
-    if (!wanted.empty() && !wanted.contains(robot)) continue;
-    pipeline_
-        ->Post(robot, Lane::kControl,
-               [outbound](Robot& each) { outbound->Send(Encode(each.Status())); })
-        .IgnoreError();  // the next change tells
+    if (wanted.empty() || wanted.contains(robot)) tell(robot);
   }
   for (const pipeline::RobotStatus& held : pipeline_->held()) {
-    if (wanted.empty() || wanted.contains(held.robot)) outbound->Send(Encode(held));
+    if (wanted.empty() || wanted.contains(held.robot)) outbound->Send(EncodeStatus(held));
   }
   return stream;
 }
@@ -214,28 +262,39 @@ grpc::ServerWriteReactor<rips::v1::RobotStatus>* OperatorService::WatchRobots(
 grpc::ServerUnaryReactor* OperatorService::GetGraph(grpc::CallbackServerContext* context,
                                                     const rips::v1::GetGraphRequest* request,
                                                     rips::v1::GetGraphResponse* response) {
-  const auto who = Authorize(context, OperatorRole::kViewer);
+  const auto who = Authorize(context, *request, OperatorRole::kViewer, Use::kQuery, kGraphWeight);
   if (!who.ok()) return Refuse(context, who.status());
-  grpc::ServerUnaryReactor* reactor = context->DefaultReactor();
-  const absl::Status posted =
-      pipeline_->Post(request->robot(), Lane::kControl, [reactor, response](Robot& robot) {
-        response->mutable_graph()->set_settled(true);
-        ros2_proto::EncodeGraph(robot.graph(), *response->mutable_graph());
-        response->set_changed_unix_ns(robot.graph_changed_unix_ns());
-        reactor->Finish(grpc::Status::OK);
-      });
-  if (!posted.ok()) reactor->Finish(rpc::ToGrpc(posted));
+  grpc::ServerUnaryReactor* reactor = Answer(*who);
+  absl::StatusOr<pipeline::GraphView> view = pipeline_->Graph(request->robot());
+  if (!view.ok()) {
+    reactor->Finish(rpc::ToGrpc(view.status()));
+    return reactor;
+  }
+  // Milliseconds for a large graph: neither on the robot's thread nor on a gRPC thread.
+  const bool taken = graphs_.Push([reactor, response, view = *std::move(view)] {
+    response->mutable_graph()->set_settled(true);
+    if (view.graph != nullptr) {
+      ros2_proto::EncodeGraph(*view.graph, *response->mutable_graph());
+    }
+    response->set_changed_unix_ns(view.changed_unix_ns);
+    FitGraph(*response);
+    reactor->Finish(grpc::Status::OK);
+  });
+  if (!taken) {
+    reactor->Finish(rpc::ToGrpc(absl::ResourceExhaustedError(
+        absl::StrCat(kGraphsMax, " graphs wait to be sent already, the limit; try again later"))));
+  }
   return reactor;
 }
 
 grpc::ServerUnaryReactor* OperatorService::GetInterest(grpc::CallbackServerContext* context,
                                                        const rips::v1::GetInterestRequest* request,
                                                        rips::v1::GetInterestResponse* response) {
-  const auto who = Authorize(context, OperatorRole::kViewer);
+  const auto who = Authorize(context, *request, OperatorRole::kViewer, Use::kQuery, kGraphWeight);
   if (!who.ok()) return Refuse(context, who.status());
-  grpc::ServerUnaryReactor* reactor = context->DefaultReactor();
+  grpc::ServerUnaryReactor* reactor = Answer(*who);
   const absl::Status posted =
-      pipeline_->Post(request->robot(), Lane::kControl, [reactor, response](Robot& robot) {
+      pipeline_->Post(request->robot(), Queue::kOrders, [reactor, response](Robot& robot) {
         EncodeInterest(robot, *response);
         reactor->Finish(grpc::Status::OK);
       });
@@ -246,11 +305,11 @@ grpc::ServerUnaryReactor* OperatorService::GetInterest(grpc::CallbackServerConte
 grpc::ServerUnaryReactor* OperatorService::GetCoverage(grpc::CallbackServerContext* context,
                                                        const rips::v1::GetCoverageRequest* request,
                                                        rips::v1::GetCoverageResponse* response) {
-  const auto who = Authorize(context, OperatorRole::kViewer);
+  const auto who = Authorize(context, *request, OperatorRole::kViewer, Use::kQuery, kGraphWeight);
   if (!who.ok()) return Refuse(context, who.status());
-  grpc::ServerUnaryReactor* reactor = context->DefaultReactor();
+  grpc::ServerUnaryReactor* reactor = Answer(*who);
   const absl::Status posted =
-      pipeline_->Post(request->robot(), Lane::kControl, [reactor, response](Robot& robot) {
+      pipeline_->Post(request->robot(), Queue::kOrders, [reactor, response](Robot& robot) {
         EncodeCoverage(robot, *response);
         reactor->Finish(grpc::Status::OK);
       });
@@ -261,19 +320,19 @@ grpc::ServerUnaryReactor* OperatorService::GetCoverage(grpc::CallbackServerConte
 grpc::ServerUnaryReactor* OperatorService::GetLevel(grpc::CallbackServerContext* context,
                                                     const rips::v1::GetLevelRequest* request,
                                                     rips::v1::GetLevelResponse* response) {
-  const auto who = Authorize(context, OperatorRole::kViewer);
+  const auto who = Authorize(context, *request, OperatorRole::kViewer, Use::kQuery);
   if (!who.ok()) return Refuse(context, who.status());
-  grpc::ServerUnaryReactor* reactor = context->DefaultReactor();
+  grpc::ServerUnaryReactor* reactor = Answer(*who);
   for (const pipeline::RobotStatus& held : pipeline_->held()) {
     if (held.robot != request->robot()) continue;
-    *response->mutable_status() = Encode(held);
+    *response->mutable_status() = EncodeStatus(held);
     reactor->Finish(grpc::Status::OK);
     return reactor;
   }
   const absl::Status posted =
-      pipeline_->Post(request->robot(), Lane::kControl,
+      pipeline_->Post(request->robot(), Queue::kOrders,
                       [this, reactor, response, robot_id = request->robot()](Robot& robot) {
-                        *response->mutable_status() = Encode(robot.Status());
+                        *response->mutable_status() = EncodeStatus(robot.Status());
                         for (int i = 0; i < robot.levels().size(); ++i) {
                           response->add_levels(robot.levels().name(i));
                           if (robot.levels().at(i).soft)
@@ -298,13 +357,19 @@ grpc::ServerUnaryReactor* OperatorService::GetLevel(grpc::CallbackServerContext*
 grpc::ServerUnaryReactor* OperatorService::ListTransitions(
     grpc::CallbackServerContext* context, const rips::v1::ListTransitionsRequest* request,
     rips::v1::ListTransitionsResponse* response) {
-  const auto who = Authorize(context, OperatorRole::kViewer);
+  const auto who = Authorize(context, *request, OperatorRole::kViewer, Use::kQuery);
   if (!who.ok()) return Refuse(context, who.status());
-  grpc::ServerUnaryReactor* reactor = context->DefaultReactor();
+  grpc::ServerUnaryReactor* reactor = Answer(*who);
   Read(reactor, [this, reactor, request, response] {
     const auto records = store_->ListTransitions(request->robot(), request->limit());
     if (records.ok()) {
-      for (const auto& record : *records) *response->add_transitions() = Encode(record);
+      AnswerRoom room;
+      for (const auto& record : *records) {
+        rips::v1::Transition transition = Encode(record);
+        response->set_cut(!room.Take(transition));
+        if (response->cut()) break;
+        *response->add_transitions() = std::move(transition);
+      }
     }
     reactor->Finish(rpc::ToGrpc(records.status()));
   });
@@ -314,22 +379,45 @@ grpc::ServerUnaryReactor* OperatorService::ListTransitions(
 grpc::ServerUnaryReactor* OperatorService::ListAlerts(grpc::CallbackServerContext* context,
                                                       const rips::v1::ListAlertsRequest* request,
                                                       rips::v1::ListAlertsResponse* response) {
-  const auto who = Authorize(context, OperatorRole::kViewer);
+  const auto who = Authorize(context, *request, OperatorRole::kViewer, Use::kQuery);
   if (!who.ok()) return Refuse(context, who.status());
-  grpc::ServerUnaryReactor* reactor = context->DefaultReactor();
+  grpc::ServerUnaryReactor* reactor = Answer(*who);
   Read(reactor, [this, reactor, request, response] {
     const auto records = store_->ListAlerts(request->robot(), request->limit());
     if (records.ok()) {
-      for (const auto& record : *records) *response->add_alerts() = Encode(record);
+      AnswerRoom room;
+      for (const auto& record : *records) {
+        rips::v1::Alert alert = Encode(record);
+        response->set_cut(!room.Take(alert));
+        if (response->cut()) break;
+        *response->add_alerts() = std::move(alert);
+      }
     }
+    if (access_.store_writable && !access_.store_writable()) AddUnrecorded(*request, *response);
     reactor->Finish(rpc::ToGrpc(records.status()));
   });
   return reactor;
 }
 
+void OperatorService::AddUnrecorded(const rips::v1::ListAlertsRequest& request,
+                                    rips::v1::ListAlertsResponse& response) {
+  using Alerts = std::vector<store::AlertRecord>;
+  AnswerRoom room(kAnswerBytesMax / 4);
+  const auto gathered =
+      pipeline_->Gather<Alerts>([](Robot& robot) { return robot.unrecorded_alerts(); }, patience_);
+  for (const auto& [robot, alerts] : gathered.answers) {
+    if (!request.robot().empty() && request.robot() != robot) continue;
+    for (const store::AlertRecord& record : alerts) {
+      rips::v1::Alert alert = Encode(record);
+      if (!room.Take(alert)) return response.set_cut(true);
+      *response.add_unrecorded() = std::move(alert);
+    }
+  }
+}
+
 grpc::ServerWriteReactor<rips::v1::Alert>* OperatorService::WatchAlerts(
     grpc::CallbackServerContext* context, const rips::v1::WatchAlertsRequest* request) {
-  const auto who = Authorize(context, OperatorRole::kViewer);
+  const auto who = Authorize(context, *request, OperatorRole::kViewer, Use::kStream);
   if (!who.ok()) return RefuseWatch<rips::v1::Alert>(who.status());
   std::optional<Cursor> after;
   if (!request->after().empty()) {
@@ -338,12 +426,16 @@ grpc::ServerWriteReactor<rips::v1::Alert>* OperatorService::WatchAlerts(
     after = *std::move(parsed);
   }
   auto* stream = new WatchStream<rips::v1::Alert>();
-  Keep(stream, *who);
+  Keep(rpc::StreamKind::kWatch, stream, *who, context);
   auto outbound = stream->outbound();
   const absl::StatusOr<uint64_t> id = hub_->WatchAlerts(
       std::move(after),
       {.robot = request->robot(),
-       .room = [outbound] { return outbound->waiting() < kAlertsWaitingMax; },
+       .room =
+           [outbound] {
+             return outbound->waiting() < kAlertsWaitingMax &&
+                    outbound->waiting_bytes() < kWatchBytesWaitingMax;
+           },
        .alert =
            [outbound](const store::AlertRecord& alert) {
              rips::v1::Alert message = Encode(alert);
@@ -375,11 +467,11 @@ grpc::ServerWriteReactor<rips::v1::Alert>* OperatorService::WatchAlerts(
 grpc::ServerUnaryReactor* OperatorService::ListReceipts(
     grpc::CallbackServerContext* context, const rips::v1::ListReceiptsRequest* request,
     rips::v1::ListReceiptsResponse* response) {
-  const auto who = Authorize(context, OperatorRole::kViewer);
+  const auto who = Authorize(context, *request, OperatorRole::kViewer, Use::kQuery);
   if (!who.ok()) return Refuse(context, who.status());
-  grpc::ServerUnaryReactor* reactor = context->DefaultReactor();
+  grpc::ServerUnaryReactor* reactor = Answer(*who);
   const absl::Status posted = pipeline_->Post(
-      request->robot(), Lane::kControl,
+      request->robot(), Queue::kOrders,
       [reactor, response, limit = request->limit()](Robot& robot) {
         for (const pipeline::LoggedReceipt& receipt : robot.receipts().Newest(limit)) {
           Encode(receipt, response->add_receipts());
@@ -392,14 +484,14 @@ grpc::ServerUnaryReactor* OperatorService::ListReceipts(
 
 grpc::ServerWriteReactor<rips::v1::Recording>* OperatorService::Record(
     grpc::CallbackServerContext* context, const rips::v1::RecordRequest* request) {
-  const auto who = Authorize(context, OperatorRole::kOperator);
+  const auto who = Authorize(context, *request, OperatorRole::kOperator, Use::kStream);
   if (!who.ok()) return RefuseWatch<rips::v1::Recording>(who.status());
   LogInfo("operator records", {{"operator", rpc::Describe(*who)}, {"robot", request->robot()}});
   auto* stream = new WatchStream<rips::v1::Recording>();
-  Keep(stream, *who);
+  Keep(rpc::StreamKind::kRecord, stream, *who, context);
   auto outbound = stream->outbound();
   const absl::Status posted =
-      pipeline_->Post(request->robot(), Lane::kControl, [outbound](Robot& robot) {
+      pipeline_->Post(request->robot(), Queue::kOrders, [outbound](Robot& robot) {
         auto tap = std::make_shared<RecordTap>(
             [outbound](rips::v1::Recording piece) { return outbound->Send(std::move(piece)); },
             [outbound] { return outbound->open(); });
@@ -413,7 +505,8 @@ grpc::ServerWriteReactor<rips::v1::Recording>* OperatorService::Record(
         header.set_level(status.decided_level);
         header.set_start_unix_ns(RealClock().Now().unix_ns);
         header.set_rips_version(std::string(RipsVersion()));
-        tap->Start(std::move(header), robot.shared_graph(), robot.graph_changed_unix_ns() != 0);
+        tap->Start(std::move(header), robot.graph_version().graph,
+                   robot.graph_changed_unix_ns() != 0);
       });
   if (!posted.ok()) outbound->Close(rpc::ToGrpc(posted));
   return stream;
@@ -435,7 +528,7 @@ grpc::ServerUnaryReactor* OperatorService::ChangeLevel(grpc::CallbackServerConte
                                                        const rips::v1::LevelRequest* request,
                                                        rips::v1::LevelResponse* response,
                                                        Direction direction) {
-  const auto who = Authorize(context, OperatorRole::kOperator);
+  const auto who = Authorize(context, *request, OperatorRole::kOperator, Use::kOrder);
   if (!who.ok()) {
     RecordRefusal(*context, *request, who.status());
     return Refuse(context, who.status());
@@ -455,10 +548,11 @@ grpc::ServerUnaryReactor* OperatorService::ChangeLevel(grpc::CallbackServerConte
                              .dry_run = request->dry_run(),
                              .accept_blind = request->accept_blind(),
                              .request_id = request->request_id()};
-  grpc::ServerUnaryReactor* reactor = context->DefaultReactor();
+  grpc::ServerUnaryReactor* reactor = Answer(*who);
   pipeline::LevelReply reply = [reactor, response](const pipeline::LevelAnswer& answer) {
     FillMark(answer.mark, response->mutable_mark());
     response->set_decided_level(answer.decided_level);
+    response->set_soft(answer.soft);
     for (const std::string& rule : answer.would_raise_again) {
       response->add_would_raise_again(rule);
     }
@@ -466,7 +560,7 @@ grpc::ServerUnaryReactor* OperatorService::ChangeLevel(grpc::CallbackServerConte
     reactor->Finish(rpc::ToGrpc(answer.status));
   };
   const absl::Status posted = pipeline_->Post(
-      request->robot(), Lane::kControl,
+      request->robot(), Queue::kOrders,
       [direction, order = std::move(order), reply = std::move(reply)](Robot& robot) {
         if (direction == Direction::kRaise) {
           robot.Raise(order, reply);
@@ -481,11 +575,11 @@ grpc::ServerUnaryReactor* OperatorService::ChangeLevel(grpc::CallbackServerConte
 grpc::ServerUnaryReactor* OperatorService::ResumeRules(grpc::CallbackServerContext* context,
                                                        const rips::v1::ResumeRulesRequest* request,
                                                        rips::v1::ResumeRulesResponse*) {
-  const auto who = Authorize(context, OperatorRole::kOperator);
+  const auto who = Authorize(context, *request, OperatorRole::kOperator, Use::kOrder);
   if (!who.ok()) return Refuse(context, who.status());
-  grpc::ServerUnaryReactor* reactor = context->DefaultReactor();
+  grpc::ServerUnaryReactor* reactor = Answer(*who);
   const absl::Status posted = pipeline_->Post(
-      request->robot(), Lane::kControl,
+      request->robot(), Queue::kOrders,
       [reactor, name = OperatorName(*who), reason = request->reason()](Robot& robot) {
         reactor->Finish(rpc::ToGrpc(robot.ResumeRules(name, reason)));
       });
@@ -496,19 +590,19 @@ grpc::ServerUnaryReactor* OperatorService::ResumeRules(grpc::CallbackServerConte
 grpc::ServerUnaryReactor* OperatorService::DrillRobot(grpc::CallbackServerContext* context,
                                                       const rips::v1::DrillRobotRequest* request,
                                                       rips::v1::DrillRobotResponse* response) {
-  const auto who = Authorize(context, OperatorRole::kOperator);
+  const auto who = Authorize(context, *request, OperatorRole::kOperator, Use::kOrder);
   if (!who.ok()) return Refuse(context, who.status());
   LogInfo("operator drills", {{"operator", rpc::Describe(*who)},
                               {"robot", request->robot()},
                               {"level", request->level()}});
-  grpc::ServerUnaryReactor* reactor = context->DefaultReactor();
+  grpc::ServerUnaryReactor* reactor = Answer(*who);
   pipeline::DrillOrder order{.operator_name = OperatorName(*who), .level = request->level()};
   pipeline::DrillReply reply = [reactor, response](const pipeline::DrillAnswer& answer) {
     for (const pipeline::DrillEntry& drill : answer.drills) Encode(drill, response->add_drills());
     reactor->Finish(rpc::ToGrpc(answer.status));
   };
   const absl::Status posted =
-      pipeline_->Post(request->robot(), Lane::kControl,
+      pipeline_->Post(request->robot(), Queue::kOrders,
                       [order = std::move(order), reply = std::move(reply)](Robot& robot) {
                         robot.StartDrill(order, reply);
                       });
@@ -516,12 +610,36 @@ grpc::ServerUnaryReactor* OperatorService::DrillRobot(grpc::CallbackServerContex
   return reactor;
 }
 
+grpc::ServerUnaryReactor* OperatorService::ResetTerm(grpc::CallbackServerContext* context,
+                                                     const rips::v1::ResetTermRequest* request,
+                                                     rips::v1::ResetTermResponse* response) {
+  const auto who = Authorize(context, *request, OperatorRole::kAdmin, Use::kOrder);
+  if (!who.ok()) return Refuse(context, who.status());
+  LogInfo("operator resets a term", {{"operator", rpc::Describe(*who)},
+                                     {"robot", request->robot()},
+                                     {"host", request->host()},
+                                     {"reason", request->reason()}});
+  grpc::ServerUnaryReactor* reactor = Answer(*who);
+  pipeline::TermResetOrder order{
+      .operator_name = OperatorName(*who), .host = request->host(), .reason = request->reason()};
+  pipeline::LevelReply reply = [reactor, response](const pipeline::LevelAnswer& answer) {
+    FillMark(answer.mark, response->mutable_mark());
+    response->set_decided_level(answer.decided_level);
+    reactor->Finish(rpc::ToGrpc(answer.status));
+  };
+  const absl::Status posted = pipeline_->Post(request->robot(), Queue::kOrders,
+                                              [order = std::move(order), reply = std::move(reply)](
+                                                  Robot& robot) { robot.ResetTerm(order, reply); });
+  if (!posted.ok()) reactor->Finish(rpc::ToGrpc(posted));
+  return reactor;
+}
+
 // --- who is served
 
 grpc::ServerUnaryReactor* OperatorService::ListAgents(grpc::CallbackServerContext* context,
-                                                      const rips::v1::ListAgentsRequest*,
+                                                      const rips::v1::ListAgentsRequest* request,
                                                       rips::v1::ListAgentsResponse* response) {
-  const auto who = Authorize(context, OperatorRole::kViewer);
+  const auto who = Authorize(context, *request, OperatorRole::kViewer, Use::kQuery);
   if (!who.ok()) return Refuse(context, who.status());
   if (access_.bans == nullptr) return Refuse(context, absl::UnimplementedError("no deny list"));
   for (const rpc::Peer& peer : access_.certificates->peers()) {
@@ -538,7 +656,7 @@ grpc::ServerUnaryReactor* OperatorService::ListAgents(grpc::CallbackServerContex
     out->set_by(ban.by);
     out->set_time_unix_ns(ban.time_unix_ns);
   }
-  grpc::ServerUnaryReactor* reactor = context->DefaultReactor();
+  grpc::ServerUnaryReactor* reactor = Answer(*who);
   reactor->Finish(grpc::Status::OK);
   return reactor;
 }
@@ -547,7 +665,7 @@ void OperatorService::TellRobotOf(const std::string& uri, const std::string& tex
   const absl::StatusOr<rpc::PeerIdentity> identity = rpc::ParseSpiffeUri(uri);
   if (!identity.ok() || identity->robot.empty()) return;
   pipeline_
-      ->Post(identity->robot, Lane::kControl,
+      ->Post(identity->robot, Queue::kOrders,
              [text](Robot& robot) { robot.Report(engine::Severity::kHigh, text); })
       .IgnoreError();  // an unknown robot may be banned, too
 }
@@ -555,7 +673,7 @@ void OperatorService::TellRobotOf(const std::string& uri, const std::string& tex
 grpc::ServerUnaryReactor* OperatorService::Ban(grpc::CallbackServerContext* context,
                                                const rips::v1::BanRequest* request,
                                                rips::v1::BanResponse*) {
-  const auto who = Authorize(context, OperatorRole::kAdmin);
+  const auto who = Authorize(context, *request, OperatorRole::kAdmin, Use::kOrder);
   if (!who.ok()) return Refuse(context, who.status());
   if (access_.bans == nullptr) return Refuse(context, absl::UnimplementedError("no deny list"));
   if (request->reason().empty() || request->reason().size() > kBanReasonBytesMax) {
@@ -569,7 +687,7 @@ grpc::ServerUnaryReactor* OperatorService::Ban(grpc::CallbackServerContext* cont
                             {"uri", request->uri()},
                             {"serial", request->serial()},
                             {"reason", request->reason()}});
-  grpc::ServerUnaryReactor* reactor = context->DefaultReactor();
+  grpc::ServerUnaryReactor* reactor = Answer(*who);
   Read(reactor, [this, reactor, request, by = rpc::Describe(*who)] {
     const absl::Status status = access_.bans->Ban({.uri = request->uri(),
                                                    .serial = request->serial(),
@@ -589,13 +707,13 @@ grpc::ServerUnaryReactor* OperatorService::Ban(grpc::CallbackServerContext* cont
 grpc::ServerUnaryReactor* OperatorService::Unban(grpc::CallbackServerContext* context,
                                                  const rips::v1::UnbanRequest* request,
                                                  rips::v1::UnbanResponse*) {
-  const auto who = Authorize(context, OperatorRole::kAdmin);
+  const auto who = Authorize(context, *request, OperatorRole::kAdmin, Use::kOrder);
   if (!who.ok()) return Refuse(context, who.status());
   if (access_.bans == nullptr) return Refuse(context, absl::UnimplementedError("no deny list"));
   LogInfo(
       "operator lifts a ban",
       {{"operator", rpc::Describe(*who)}, {"uri", request->uri()}, {"serial", request->serial()}});
-  grpc::ServerUnaryReactor* reactor = context->DefaultReactor();
+  grpc::ServerUnaryReactor* reactor = Answer(*who);
   Read(reactor, [this, reactor, request, by = rpc::Describe(*who)] {
     const absl::Status status = access_.bans->Unban(request->uri(), request->serial());
     if (status.ok()) {

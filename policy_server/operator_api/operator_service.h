@@ -5,7 +5,7 @@
 //   GetCoverage GetLevel ListTransitions ListAlerts
 //   WatchAlerts ListReceipts ListAgents              viewer
 //   Raise DeEscalate ResumeRules Record DrillRobot   operator
-//   Ban Unban                                        admin
+//   Ban Unban ResetTerm                              admin
 //
 // Each call on an open connection is judged anew, and streams for as long as they are open: an
 // expired, revoked or banned certificate gets nothing (CallGate).
@@ -16,7 +16,9 @@
 #include <thread>
 
 #include "absl/status/statusor.h"
+#include "google/protobuf/message.h"
 #include "policy_server/operator_api/ban_list.h"
+#include "policy_server/operator_api/caller_quota.h"
 #include "policy_server/operator_api/hub.h"
 #include "policy_server/operator_api/watch_stream.h"
 #include "policy_server/pipeline/pipeline.h"
@@ -27,6 +29,7 @@
 #include "services/rpc/peer.h"
 #include "services/rpc/session_watch.h"
 #include "services/runtime/bounded_queue.h"
+#include "services/wire_limits/limit_counters.h"
 
 namespace rips::operator_api {
 
@@ -34,15 +37,28 @@ class OperatorService final : public rips::v1::OperatorService::CallbackService 
  public:
   // Reads of the store waiting for the one that runs; one more is refused at once.
   static constexpr size_t kReadsMax = 1'024;
+  // Graphs waiting to be encoded behind the one that is.
+  static constexpr size_t kGraphsMax = 64;
 
   struct Access {
     rpc::SessionWatch* watch = nullptr;
     // Null: Ban, Unban and ListAgents are UNIMPLEMENTED.
     BanList* bans = nullptr;
     rpc::CertificateMonitor* certificates = nullptr;
+    // Requests with a field past its limit, which are refused; told who sent it, from where, and
+    // field, size and limit. May be empty.
+    wire_limits::LimitCounters fields_refused = {};
+    std::function<void(const rpc::Peer&, const std::string& address, const std::string& what)>
+        on_refused_field = {};
+    // Null: no limits of one identity.
+    std::shared_ptr<CallerQuota> quota;
+    // False while the store takes nothing; ListAlerts then shows what robots hold in memory. May be
+    // empty: it always does.
+    std::function<bool()> store_writable = {};
   };
 
-  // Nothing is owned; all outlive every call. Reads of the store run on a thread of its own.
+  // No pointer is owned; all outlive every call. Reads of the store run on a thread of their own,
+  // and so does the encoding of graphs.
   // `patience`: how long robots are waited for in all when each is asked.
   OperatorService(pipeline::Pipeline* pipeline, store::Store* store, Hub* hub, Access access,
                   absl::Duration patience = pipeline::Pipeline::kPatience);
@@ -101,22 +117,38 @@ class OperatorService final : public rips::v1::OperatorService::CallbackService 
   grpc::ServerUnaryReactor* Unban(grpc::CallbackServerContext* context,
                                   const rips::v1::UnbanRequest* request,
                                   rips::v1::UnbanResponse* response) override;
+  grpc::ServerUnaryReactor* ResetTerm(grpc::CallbackServerContext* context,
+                                      const rips::v1::ResetTermRequest* request,
+                                      rips::v1::ResetTermResponse* response) override;
 
  private:
   enum class Direction { kRaise, kLower };
+  // A peer that is served, and what it holds of its quota until the call is over.
+  struct Caller : rpc::Peer {
+    CallerQuota::Ticket ticket;
+  };
   grpc::ServerUnaryReactor* ChangeLevel(grpc::CallbackServerContext* context,
                                         const rips::v1::LevelRequest* request,
                                         rips::v1::LevelResponse* response, Direction direction);
   // Runs `task` on the thread for store reads; it finishes `reactor`. Beyond kReadsMax it is
   // finished at once with RESOURCE_EXHAUSTED.
   void Read(grpc::ServerUnaryReactor* reactor, std::function<void()> task);
+  // On the reader's thread: what robots hold that the store has not taken.
+  void AddUnrecorded(const rips::v1::ListAlertsRequest& request,
+                     rips::v1::ListAlertsResponse& response);
 
-  // The operator behind the call, if it is served and its role is enough; refusals are counted.
-  absl::StatusOr<rpc::Peer> Authorize(grpc::CallbackServerContext* context,
-                                      rpc::OperatorRole needed);
+  // The operator behind the call, if it is served, its role is enough, the request is within the
+  // limits of its fields, and it is within its quota; refusals are counted. `weight` as
+  // CallerQuota::Take.
+  absl::StatusOr<Caller> Authorize(grpc::CallbackServerContext* context,
+                                   const google::protobuf::Message& request,
+                                   rpc::OperatorRole needed, Use use, double weight = 1);
+  // Answers a call; holds the caller's ticket until it is over.
+  static grpc::ServerUnaryReactor* Answer(const Caller& caller);
   // Ends `stream` when its operator is not served any more.
   template <typename T>
-  void Keep(WatchStream<T>* stream, const rpc::Peer& peer);
+  void Keep(rpc::StreamKind kind, WatchStream<T>* stream, const Caller& caller,
+            grpc::CallbackServerContext* context);
   // A robot's record of what an operator asked of it and was not allowed to.
   void RecordRefusal(const grpc::CallbackServerContext& context,
                      const rips::v1::LevelRequest& request, const absl::Status& why);
@@ -128,8 +160,12 @@ class OperatorService final : public rips::v1::OperatorService::CallbackService 
   Hub* hub_;
   Access access_;
   const absl::Duration patience_;
-  BoundedQueue<std::function<void()>> reads_{{.capacity = kReadsMax}};
+  using Tasks = BoundedQueue<std::function<void()>>;
+  static void RunAll(Tasks& tasks);
+  Tasks reads_{{.capacity = kReadsMax}};
+  Tasks graphs_{{.capacity = kGraphsMax}};
   std::thread reader_;
+  std::thread encoder_;
 };
 
 }  // namespace rips::operator_api

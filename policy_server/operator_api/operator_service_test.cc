@@ -131,9 +131,15 @@ class OperatorServiceTest : public ::testing::Test {
                               {.recorder = &recorder_, .audience = &hub_, .new_id = NewId}),
                 IsOk());
     pipeline_.Start();
-    service_ = std::make_unique<OperatorService>(&pipeline_, &store_, &hub_,
-                                                 OperatorService::Access{.watch = &watch_},
-                                                 absl::Milliseconds(500));
+    service_ = std::make_unique<OperatorService>(
+        &pipeline_, &store_, &hub_,
+        OperatorService::Access{
+            .watch = &watch_,
+            .fields_refused = wire_limits::LimitCounters(&metrics_),
+            .on_refused_field = [this](const rpc::Peer&, const auto&,
+                                       const auto& what) { refused_fields_.Push(what); },
+            .quota = quota_},
+        absl::Milliseconds(500));
     auto server = rpc::RpcServer::Start(
         {.listen = "127.0.0.1:0", .credentials = (*server_credentials_)->ForServer()},
         {service_.get()});
@@ -200,8 +206,11 @@ class OperatorServiceTest : public ::testing::Test {
   SlowStore store_;
   Hub hub_{&store_, nullptr};
   pipeline::FakeRecorder recorder_;
+  Metrics metrics_;
+  BoundedQueue<std::string> refused_fields_{{.capacity = 10}};
   pipeline::Pipeline pipeline_{1, &clock_};
   rpc::SessionWatch watch_{&clock_};
+  std::shared_ptr<CallerQuota> quota_;
   std::unique_ptr<OperatorService> service_;
   std::unique_ptr<rpc::RpcServer> server_;
   std::vector<std::shared_ptr<Stub>> stubs_;
@@ -262,6 +271,78 @@ TEST_F(OperatorServiceTest, RefusesOneWatchTooManyUntilAnotherEnds) {
   EXPECT_EQ(watches[7]->item.robot(), "r1");
   EXPECT_EQ(watch_robots(StubFor(Hub::kWatchersMax))->End().error_code(),
             grpc::StatusCode::RESOURCE_EXHAUSTED);
+}
+
+class OperatorQuotaTest : public OperatorServiceTest {
+ protected:
+  OperatorQuotaTest() {
+    quota_ = CallerQuota::Create(&clock_,
+                                 {.streams = {.at_a_time = 2, .per_second = 100, .burst = 100},
+                                  .queries = {.at_a_time = 100, .per_second = 1e-9, .burst = 10}});
+  }
+};
+
+TEST_F(OperatorQuotaTest, AGraphIsSentWhileItsRobotsThreadHangsAndRefusedBeyondTheQuota) {
+  BoundedQueue<int> blocked{{.capacity = 1}};
+  BoundedQueue<int> gate{{.capacity = 1}};
+  ASSERT_THAT(pipeline_.Post("r1", Lane::kControl,
+                             [&](pipeline::Robot&) {
+                               blocked.Push(1);
+                               gate.Pop(kPatience);
+                             }),
+              IsOk());
+  ASSERT_TRUE(blocked.Pop(kPatience).has_value());
+  rips::v1::GetGraphRequest request;
+  request.set_robot("r1");
+  for (int i = 0; i < 3; ++i) {
+    grpc::ClientContext context;
+    SetDeadline(context);
+    rips::v1::GetGraphResponse response;
+    const grpc::Status status = Connect()->GetGraph(&context, request, &response);
+    EXPECT_EQ(status.error_code(),
+              i < 2 ? grpc::StatusCode::OK : grpc::StatusCode::RESOURCE_EXHAUSTED)
+        << status.error_message();
+  }
+  gate.Close();
+  // Orders have an account of their own.
+  grpc::ClientContext context;
+  SetDeadline(context);
+  rips::v1::LevelRequest raise;
+  raise.set_robot("r1");
+  raise.set_to("HALT");
+  raise.set_reason("drill");
+  raise.set_dry_run(true);
+  rips::v1::LevelResponse response;
+  const grpc::Status raised = Connect()->Raise(&context, raise, &response);
+  EXPECT_TRUE(raised.ok()) << raised.error_message();
+}
+
+TEST_F(OperatorQuotaTest, AStreamThatEndsIsGivenBack) {
+  const int64_t deadline_ns = BoottimeAfter(kPatience);
+  const auto stub = Connect();
+  for (int i = 0; i < 5;) {
+    Watch<rips::v1::RobotStatus> first, second, third;
+    for (auto* watch : {&first, &second, &third}) {
+      SetDeadline(watch->context);
+      watch->reader = stub->WatchRobots(&watch->context, {});
+    }
+    int refused = 0;
+    for (auto* watch : {&first, &second, &third}) {
+      if (watch->Read()) continue;
+      EXPECT_EQ(watch->End().error_code(), grpc::StatusCode::RESOURCE_EXHAUSTED);
+      ++refused;
+      watch->reader = nullptr;
+    }
+    EXPECT_GE(refused, 1);
+    for (auto* watch : {&first, &second, &third}) {
+      if (watch->reader == nullptr) continue;
+      watch->context.TryCancel();
+      watch->End();
+    }
+    // The server may learn of the end later than its peer.
+    i += refused == 1 ? 1 : 0;
+    ASSERT_LT(BoottimeNow(), deadline_ns);
+  }
 }
 
 TEST_F(OperatorServiceTest, SaysWhichRobotsDidNotAnswer) {
@@ -378,6 +459,52 @@ TEST_F(OperatorServiceTest, LevelsCanBeChangedWhileReadsWait) {
   which.set_robot("r1");
   rips::v1::GetLevelResponse level;
   EXPECT_EQ(stub->GetLevel(&get, which, &level).error_code(), grpc::StatusCode::RESOURCE_EXHAUSTED);
+}
+
+TEST_F(OperatorServiceTest, ARequestWithAFieldPastItsLimitIsRefusedCountedAndTold) {
+  grpc::ClientContext raise;
+  SetDeadline(raise);
+  rips::v1::LevelRequest request;
+  request.set_robot("r1");
+  request.set_to("HALT");
+  request.set_reason(std::string(1'001, 'S'));
+  rips::v1::LevelResponse response;
+  const grpc::Status raised = StubFor(0).Raise(&raise, request, &response);
+  EXPECT_EQ(raised.error_code(), grpc::StatusCode::INVALID_ARGUMENT);
+  EXPECT_EQ(raised.error_message(), "LevelRequest.reason has 1001 bytes; at most 1000");
+  EXPECT_THAT(metrics_.Text(),
+              HasSubstr("rips_fields_refused_total{field=\"LevelRequest.reason\"} 1"));
+  ASSERT_EQ(refused_fields_.size(), 1u);
+  EXPECT_EQ(refused_fields_.Pop(kPatience), raised.error_message());
+
+  Watch<rips::v1::RobotStatus> watch;
+  SetDeadline(watch.context);
+  rips::v1::WatchRobotsRequest robots;
+  for (int i = 0; i < 2'001; ++i) robots.add_robots("r1");
+  watch.reader = StubFor(0).WatchRobots(&watch.context, robots);
+  EXPECT_EQ(watch.End().error_code(), grpc::StatusCode::INVALID_ARGUMENT);
+}
+
+TEST_F(OperatorServiceTest, ARobotThatSaysTooMuchIsListedWithoutIt) {
+  auto actuator = std::make_shared<pipeline::FakeActuator>();
+  ASSERT_THAT(OnRobot([&](pipeline::Robot& robot) {
+                robot.OnActuatorHello(
+                    "base", actuator,
+                    {.levels = robot.levels().names(), .effective_level = "DEFAULT"});
+                robot.OnActuatorBeat(
+                    "base", actuator.get(),
+                    {.effective_level = "DEFAULT", .floor_reason = std::string(5 << 20, 'x')});
+              }),
+              IsOk());
+  grpc::ClientContext context;
+  SetDeadline(context);
+  rips::v1::ListRobotsResponse response;
+  const grpc::Status status =
+      StubFor(0).ListRobots(&context, rips::v1::ListRobotsRequest(), &response);
+  ASSERT_TRUE(status.ok()) << status.error_message();
+  ASSERT_EQ(response.robots_size(), 1);
+  EXPECT_EQ(response.robots(0).robot(), "r1");
+  EXPECT_TRUE(response.robots(0).degraded_cut());
 }
 
 TEST_F(OperatorServiceTest, TellsWhatIsAskedOfTheSensors) {

@@ -31,7 +31,7 @@ class RecordTest : public pipeline::RobotTest {
     ASSERT_THAT(robot_->AddTap(tap), IsOk());
     rips::v1::RecordingHeader header;
     header.set_robot("r1");
-    tap->Start(std::move(header), robot_->shared_graph(), true);
+    tap->Start(std::move(header), robot_->graph_version().graph, true);
   }
   const RecordedEvent& Last() const { return pieces_.back().event(); }
 
@@ -72,6 +72,33 @@ TEST_F(RecordTest, BeginsWithTheGraphAndGoesOnWithEachEvent) {
                                                              .target = "10.0.0.2"}}});
   EXPECT_EQ(Last().ids().sid(), 7u);
   EXPECT_EQ(Last().ids().src(), "10.0.0.1");
+}
+
+TEST_F(RecordTest, WhatIsLeftOutOfTheGraphIsRecorded) {
+  Begin();
+  EXPECT_FALSE(pieces_[1].event().snapshot().has_truncation());
+  SendDelta({.truncation = ros2::Truncation{.left_out = 16, .crowds = {{Participant(2), 3, 16}}}});
+  EXPECT_EQ(Last().delta().truncation().left_out(), 16u);
+  EXPECT_EQ(Last().delta().truncation().crowds(0).participant_guid(), Participant(2).ToBytes());
+  // Whoever begins now is told, too.
+  pieces_.clear();
+  auto tap = MakeTap();
+  ASSERT_THAT(robot_->AddTap(tap), IsOk());
+  tap->Start({}, robot_->graph_version().graph, true);
+  EXPECT_EQ(Last().snapshot().truncation().left_out(), 16u);
+  // What is cut here is recorded as what the sensor cut.
+  ros2::GraphDelta flood;
+  for (uint8_t n = 3; n < 200; ++n) {
+    for (uint8_t i = 0; i < 100; ++i) {
+      if (i == 0) AddNode(&flood, n, absl::StrCat("/n", n));
+      ros2::Guid guid = Writer(n);
+      guid.bytes[13] = i;
+      flood.upsert_endpoints.push_back({.guid = guid, .name = "/t", .type = "a/msg/A"});
+    }
+  }
+  SendDelta(flood);
+  ASSERT_GT(robot_->graph().dropped(), 0u);
+  EXPECT_EQ(Last().delta().truncation().left_out(), robot_->graph().left_out());
 }
 
 TEST_F(RecordTest, LossesSayOfWhatAndWhen) {

@@ -100,6 +100,7 @@ class CommandLedger {
   Stage stage() const;
   // The newest decision that was ordered; none = nothing yet.
   const Mark& mark() const { return mark_; }
+  levels::LevelIndex level() const { return level_; }
   const std::string& level_name() const { return level_name_; }
   // Why it failed, for people; empty otherwise.
   std::string failure() const;

@@ -45,10 +45,11 @@ struct FakeSensor final : SensorLink {
     payload_granted = payload_bytes;
   }
   void Beat(int64_t echo) override { echoed = echo; }
-  std::string SetInterest(const engine::InterestPlan& plan,
-                          const engine::PayloadLimits& limits) override {
-    if (plan != interest || limits != payload_limits) ++interests;
+  std::string SetInterest(const engine::InterestPlan& plan, const engine::PayloadLimits& limits,
+                          const ros2::TopicNames& kept) override {
+    if (plan != interest || limits != payload_limits || kept != kept_topics) ++interests;
     interest = plan;
+    kept_topics = kept;
     payload_limits = limits;
     return interest_id();
   }
@@ -57,6 +58,7 @@ struct FakeSensor final : SensorLink {
   SensorSetup setup;
   engine::InterestPlan interest;
   engine::PayloadLimits payload_limits;
+  ros2::TopicNames kept_topics;
   int interests = 0;
   uint64_t acknowledged[kLaneCount] = {0, 0};
   uint64_t acknowledged_commit = 0;

@@ -6,6 +6,7 @@
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_join.h"
 #include "absl/strings/string_view.h"
+#include "services/ros2/ros_name.h"
 
 namespace rips::pipeline {
 namespace {
@@ -55,8 +56,8 @@ Seen Others(const ros2::RosGraph& graph, const std::vector<ros2::Guid>& own_part
 GraphHealth ExamineGraph(const ros2::RosGraph& graph, const GraphExpectation& expected) {
   GraphHealth health;
   if (graph.truncated()) {
-    health.truncated = absl::StrCat("the graph of sensor ", expected.sensor,
-                                    " hit a limit: not all of the robot is in it");
+    health.truncated = absl::StrCat("graph truncated: the graph of sensor ", expected.sensor,
+                                    " hit a limit, so not all of the robot is in it");
   }
   const Seen seen = Others(graph, expected.own_participants);
   if (!seen.anything) {
@@ -78,42 +79,60 @@ GraphHealth ExamineGraph(const ros2::RosGraph& graph, const GraphExpectation& ex
   return health;
 }
 
+std::string DescribeParticipant(const ros2::RosGraph& graph, const ros2::Guid& participant) {
+  std::vector<std::string> known;
+  const auto found = graph.participants().find(participant);
+  if (found != graph.participants().end()) {
+    const ros2::Participant& claims = found->second;
+    if (!claims.host.empty()) known.push_back(absl::StrCat("host ", ros2::Printable(claims.host)));
+    if (claims.pid != 0) known.push_back(absl::StrCat("pid ", claims.pid));
+  }
+  std::vector<std::string> nodes;
+  for (const ros2::Node& node : graph.nodes()) {
+    if (node.participant == participant) nodes.push_back(node.full_name);
+  }
+  if (!nodes.empty()) {
+    known.push_back(absl::StrCat(nodes.size() == 1 ? "node " : "nodes ", Listed(nodes)));
+  }
+  return absl::StrCat("participant ", ToString(participant), known.empty() ? "" : " (",
+                      absl::StrJoin(known, ", "), known.empty() ? "" : ")");
+}
+
 std::string LargestParticipant(const ros2::RosGraph& graph) {
   struct Size {
-    size_t nodes = 0;
-    size_t endpoints = 0;
-    absl::string_view name;
+    uint64_t nodes = 0;
+    uint64_t endpoints = 0;
+    uint64_t left_out = 0;
+
+    // Counts of a sensor are claims: their sum may not fit.
+    double all() const {
+      return static_cast<double>(nodes) + static_cast<double>(endpoints) +
+             static_cast<double>(left_out);
+    }
   };
   absl::btree_map<ros2::Guid, Size> sizes;
-  for (const ros2::Node& node : graph.nodes()) {
-    Size& size = sizes[node.participant];
-    ++size.nodes;
-    size.name = node.full_name;
-  }
+  for (const ros2::Node& node : graph.nodes()) ++sizes[node.participant].nodes;
   for (const auto& [guid, endpoint] : graph.endpoints()) {
     const bool observes =
         endpoint.node == kRipsNode && endpoint.kind == ros2::EndpointKind::kSubscriber;
     if (!observes) ++sizes[guid.Participant()].endpoints;
   }
-  const auto largest =
-      std::max_element(sizes.begin(), sizes.end(), [](const auto& a, const auto& b) {
-        return a.second.nodes + a.second.endpoints < b.second.nodes + b.second.endpoints;
-      });
+  for (const ros2::Truncation::Crowd& crowd : graph.truncation().crowds) {
+    Size& size = sizes[crowd.participant];
+    size.left_out = crowd.left_out;
+    size.endpoints = std::max(size.endpoints, crowd.endpoints);
+  }
+  const auto largest = std::max_element(
+      sizes.begin(), sizes.end(),
+      [](const auto& a, const auto& b) { return a.second.all() < b.second.all(); });
   if (largest == sizes.end()) return "";
   const Size& size = largest->second;
-  return absl::StrCat("participant ", ToString(largest->first),
-                      size.name.empty() ? "" : absl::StrCat(" (node ", size.name, ")"), " has ",
-                      size.nodes, " of ", graph.nodes().size(), " nodes and ", size.endpoints,
-                      " of ", graph.endpoints().size(), " endpoints; ", graph.participants().size(),
-                      " participants");
-}
-
-bool HasRoom(const ros2::RosGraph& graph, const ros2::GraphLimits& limits) {
-  const auto has_room = [](size_t size, size_t limit) { return size <= limit - limit / 8; };
-  return has_room(graph.participants().size(), limits.participants) &&
-         has_room(graph.nodes().size(), limits.nodes) &&
-         has_room(graph.endpoints().size(), limits.endpoints) &&
-         has_room(graph.topics().size(), limits.topics);
+  std::string left_out;
+  if (size.left_out > 0) left_out = absl::StrCat(", ", size.left_out, " more left out");
+  return absl::StrCat(DescribeParticipant(graph, largest->first), " has ", size.nodes, " of ",
+                      graph.nodes().size(), " nodes and ", size.endpoints, " of ",
+                      graph.endpoints().size(), " endpoints", left_out, "; ",
+                      graph.participants().size(), " participants");
 }
 
 void BlindAlarm::Set(const std::vector<std::string>& reasons, int64_t now_ns) {

@@ -48,13 +48,13 @@ struct GraphHealth {
 // O(endpoints): call it when the graph has changed.
 GraphHealth ExamineGraph(const ros2::RosGraph& graph, const GraphExpectation& expected);
 
-// Who has filled a truncated graph, with counts, for people: the participant with the most nodes
-// and endpoints, by GUID and one of its node names. Subscriptions of `/rips` do not count: it has
-// one for every topic of others. Empty for an empty graph.
+// The participant that fills a truncated graph, with counts, human-readable and printable: the one
+// with the most nodes and endpoints, those that were left out included. Subscriptions of `/rips` do
+// not count: it has one for every topic of others. Empty for an empty graph.
 std::string LargestParticipant(const ros2::RosGraph& graph);
 
-// An eighth of each limit is free: a truncated graph that is told anew may be whole.
-bool HasRoom(const ros2::RosGraph& graph, const ros2::GraphLimits& limits = {});
+// "participant GUID (host H, pid P, node /a and 2 more)", printable; host and pid are its claims.
+std::string DescribeParticipant(const ros2::RosGraph& graph, const ros2::Guid& participant);
 
 // Tells once that something is not seen, and once that everything is seen again.
 //

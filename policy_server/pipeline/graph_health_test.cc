@@ -129,7 +129,8 @@ TEST_F(GraphHealthTest, ATruncatedGraphIsAProblemOfItsOwn) {
   EXPECT_THAT(health.truncated, HasSubstr("the graph of sensor pc1 hit a limit"));
   EXPECT_EQ(LargestParticipant(graph),
             absl::StrCat("participant ", ToString(ParticipantGuid(2)),
-                         " (node /talker) has 1 of 2 nodes and 3 of 4 endpoints; 2 participants"));
+                         " (node /talker) has 1 of 2 nodes and 3 of 4 endpoints, 2 more left out; "
+                         "2 participants"));
   EXPECT_EQ(LargestParticipant(ros2::RosGraph()), "");
 }
 
@@ -142,24 +143,24 @@ TEST_F(GraphHealthTest, TheObserverIsNotWhoFillsTheGraph) {
   EXPECT_THAT(LargestParticipant(Graph()), HasSubstr("(node /flood) has 1 of 2 nodes and 3 of 7"));
 }
 
-TEST_F(GraphHealthTest, HasRoomWithAnEighthOfEachLimitFree) {
-  for (uint8_t n = 2; n <= 6; ++n) {
-    Node(n, absl::StrCat("/node", n));
-    Add(n, ros2::EndpointKind::kPublisher, absl::StrCat("/t", n), absl::StrCat("/node", n));
+TEST_F(GraphHealthTest, TheLargestIsNamedWithItsHostAndProcessAndWhatItLacks) {
+  content_.upsert_participants.push_back(
+      {.guid = ParticipantGuid(2), .host = "ba\x1bse", .pid = 4'711});
+  for (const char* node : {"/a", "/b", "/c", "/d", "/e"}) {
+    content_.upsert_nodes.push_back({.full_name = node, .participant = ParticipantGuid(2)});
   }
-  // Six participants and nodes, six endpoints, six topics.
-  const ros2::RosGraph graph = Graph();
-  const ros2::GraphLimits room = {.topics = 7, .nodes = 7, .endpoints = 7, .participants = 7};
-  EXPECT_TRUE(HasRoom(graph, {.topics = 6, .nodes = 6, .endpoints = 6, .participants = 6}))
-      << "an eighth of six is none";
-  EXPECT_TRUE(HasRoom(graph, room));
-  for (size_t ros2::GraphLimits::*limit :
-       {&ros2::GraphLimits::topics, &ros2::GraphLimits::nodes, &ros2::GraphLimits::endpoints,
-        &ros2::GraphLimits::participants}) {
-    ros2::GraphLimits tight = room;
-    tight.*limit = 5;
-    EXPECT_FALSE(HasRoom(graph, tight));
+  Node(3, "/larger");
+  for (int i = 0; i < 9; ++i) {
+    Add(3, ros2::EndpointKind::kPublisher, absl::StrCat("/t", i), "/larger");
   }
+  // Little of it is shown, and most of it is left out.
+  content_.truncation = ros2::Truncation{.left_out = 64, .crowds = {{ParticipantGuid(2), 5, 63}}};
+  EXPECT_EQ(LargestParticipant(Graph()),
+            absl::StrCat("participant ", ToString(ParticipantGuid(2)),
+                         " (host ba\\x1bse, pid 4711, nodes /a, /b, /c and 2 more) has 5 of 7 "
+                         "nodes and 5 of 10 endpoints, 63 more left out; 3 participants"));
+  EXPECT_EQ(DescribeParticipant(Graph(), ParticipantGuid(9)),
+            absl::StrCat("participant ", ToString(ParticipantGuid(9))));
 }
 
 // ------------------------------------------------------------------------------------ the alarm

@@ -132,9 +132,9 @@ TEST_F(GraphHistoryTest, WhatWasForgottenIsJudgedAgainstTheOldestThatIsHeld) {
 TEST_F(GraphHistoryTest, LargeGraphsAreForgottenSooner) {
   ros2::GraphDelta delta;
   const size_t each = GraphHistory::kEndpointsMax / 2 - 1;
-  delta.upsert_participants.push_back({.guid = Writer(1).Participant()});
   for (size_t i = 0; i < each; ++i) {
-    ros2::Guid guid = Writer(1);
+    ros2::Guid guid = Writer(static_cast<uint8_t>(1 + i / 1'000));
+    if (i % 1'000 == 0) delta.upsert_participants.push_back({.guid = guid.Participant()});
     guid.bytes[12] = static_cast<uint8_t>(i >> 8);
     guid.bytes[13] = static_cast<uint8_t>(i);
     delta.upsert_endpoints.push_back({.guid = guid, .name = "/t", .type = "a/msg/B"});

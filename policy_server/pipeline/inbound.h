@@ -117,6 +117,11 @@ struct Observation {
       what;
 };
 
+inline bool IsGraph(const Observation& seen) {
+  return std::holds_alternative<GraphSnapshotSeen>(seen.what) ||
+         std::holds_alternative<GraphDeltaSeen>(seen.what);
+}
+
 struct Batch {
   std::string incarnation;
   Lane lane = Lane::kMessages;

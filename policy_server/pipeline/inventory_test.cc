@@ -130,11 +130,14 @@ TEST_F(LiveFleetTest, WhoDoesNotAnswerInTimeIsNamedAndTouchesNothingOfTheAsker) 
   ASSERT_EQ(gathered.answers.size(), 1u);
   EXPECT_EQ(gathered.answers.at("r2"), "level DEFAULT");
 
+  const auto kept = std::make_shared<int>(0);
+  pipeline_.Gather<std::shared_ptr<int>>([kept](Robot&) { return kept; }, absl::Milliseconds(1));
   const int before = *late;
   gate_.Open();
   OnRobot("r1", [](Robot&) {});
   EXPECT_GT(*late, before) << "it runs later, with what it owns";
   EXPECT_THAT(pipeline_.Gather<int>([](Robot&) { return 1; }).silent, IsEmpty());
+  EXPECT_EQ(kept.use_count(), 1) << "the late answer went with the place that it was put into";
 }
 
 TEST_F(LiveFleetTest, AStoppingShardIsNotWaitedFor) {

@@ -2,6 +2,7 @@
 #ifndef RIPS_POLICY_SERVER_PIPELINE_LEVEL_ORDER_H_
 #define RIPS_POLICY_SERVER_PIPELINE_LEVEL_ORDER_H_
 
+#include <cstddef>
 #include <functional>
 #include <string>
 #include <vector>
@@ -23,12 +24,23 @@ struct LevelOrder {
   std::string request_id;
 };
 
+// An administrator's: the server is to go above the term for which an actuator was refused.
+struct TermResetOrder {
+  std::string operator_name;
+  std::string host;
+  std::string reason;
+};
+
+inline constexpr size_t kReasonBytesMax = 1'000;
+
 struct LevelAnswer {
   absl::Status status;
   Mark mark;
   std::string decided_level;
   std::vector<std::string> would_raise_again;
   std::vector<std::string> blind_because;
+  // The level decided is soft: rules may lower it again.
+  bool soft = false;
 };
 using LevelReply = std::function<void(const LevelAnswer&)>;
 

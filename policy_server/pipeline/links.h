@@ -42,10 +42,11 @@ class SensorLink {
   virtual void Grant(uint64_t message_bytes, uint64_t payload_bytes) = 0;
   // `echo_boottime_ns`: the peer's newest.
   virtual void Beat(int64_t echo_boottime_ns) = 0;
-  // What to watch from now on. Returns the id by which the sensor answers (InterestAnswer); one
-  // that has it in use already need not.
+  // What to watch from now on, and the topics of which the graph keeps the endpoints first. Returns
+  // the id by which the sensor answers (InterestAnswer); one that has it in use already need not.
   virtual std::string SetInterest(const engine::InterestPlan& plan,
-                                  const engine::PayloadLimits& limits) = 0;
+                                  const engine::PayloadLimits& limits,
+                                  const ros2::TopicNames& kept_topics) = 0;
   // Ends the stream with this status.
   virtual void Close(const absl::Status& status) = 0;
 };

@@ -1,29 +1,21 @@
 #include "policy_server/pipeline/loss_alarm.h"
 
-#include <limits>
 #include <utility>
 #include <vector>
 
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_join.h"
+#include "services/base/saturating.h"
 
 namespace rips::pipeline {
-namespace {
-
-void Grow(uint64_t& sum, uint64_t by) {
-  constexpr uint64_t kMost = std::numeric_limits<uint64_t>::max();
-  sum = sum > kMost - by ? kMost : sum + by;
-}
-
-}  // namespace
-
 void LossAlarm::Add(absl::string_view cause, uint64_t count, int64_t now_ns) {
   if (count == 0) return;
   last_loss_ns_ = now_ns;
-  Grow(total_, count);
+  total_ = SaturatingAdd(total_, count);
   std::string key(cause.empty() ? "no cause was told" : cause);
   if (!fresh_.contains(key) && fresh_.size() >= kCausesMax) key = "other causes";
-  Grow(fresh_[key], count);
+  uint64_t& sum = fresh_[key];
+  sum = SaturatingAdd(sum, count);
 }
 
 std::string LossAlarm::Causes() const {

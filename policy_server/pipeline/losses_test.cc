@@ -4,7 +4,6 @@
 #include <vector>
 
 #include "gmock/gmock.h"
-#include "policy_server/pipeline/log_limiter.h"
 #include "policy_server/pipeline/loss_alarm.h"
 #include "policy_server/pipeline/robot_fixture.h"
 
@@ -58,15 +57,6 @@ TEST(LossAlarmTest, CausesAndCountsHaveALimit) {
   EXPECT_THAT(text, HasSubstr("18446744073709551615: cause 0"));
 }
 
-TEST(LogLimiterTest, OneRobotsLinesAreNobodyElses) {
-  LogLimiter limiter;
-  int written = 0;
-  for (int i = 0; i < 1'000; ++i) written += limiter.Admit("noisy", 0.0).has_value() ? 1 : 0;
-  EXPECT_EQ(written, 50);
-  EXPECT_EQ(limiter.Admit("quiet", 0.0), 0u);
-  EXPECT_EQ(limiter.Admit("noisy", 0.5), std::nullopt);
-  EXPECT_EQ(limiter.Admit("noisy", 2.0), 951u) << "says what it left out";
-}
 
 using RobotLossTest = RobotTest;
 

@@ -29,17 +29,21 @@ class Mailbox {
   Mailbox(Pipeline* pipeline, std::string robot, MailboxLimits limits = {})
       : pipeline_(pipeline), robot_(std::move(robot)), limits_(limits) {}
 
-  // As Pipeline::Post; ResourceExhausted also when this peer has too much waiting.
-  // PermissionDenied for a robot that is not in the inventory.
+  // As Pipeline::Post; ResourceExhausted also when this peer has too much waiting, which is
+  // reported. PermissionDenied for a robot that is not in the inventory.
   absl::Status Post(Lane lane, size_t bytes, std::function<void(Robot&)> task) {
+    return Post(QueueOf(lane), bytes, std::move(task));
+  }
+  absl::Status Post(Queue queue, size_t bytes, std::function<void(Robot&)> task) {
     if (waiting_->tasks.fetch_add(1) >= limits_.tasks ||
         waiting_->bytes.fetch_add(bytes) + bytes > limits_.bytes) {
+      pipeline_->ReportRefused(robot_);
       return absl::ResourceExhaustedError(absl::StrCat("more than ", limits_.tasks, " messages or ",
                                                        limits_.bytes,
                                                        " bytes of this stream wait to be judged"));
     }
     const absl::Status posted = pipeline_->Post(
-        robot_, lane, [waiting = waiting_, bytes, task = std::move(task)](Robot& r) {
+        robot_, queue, [waiting = waiting_, bytes, task = std::move(task)](Robot& r) {
           task(r);
           --waiting->tasks;
           waiting->bytes -= bytes;

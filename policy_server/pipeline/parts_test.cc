@@ -207,9 +207,12 @@ TEST_F(CommandLedgerTest, ARefusedLoweringIsTriedAgainWithTheDecisionThatIsHeldB
 }
 
 TEST_F(CommandLedgerTest, TheNewestMarkUnderAnotherLevelIsNotTheNewestDecision) {
-  ledger_.Order({1, 5}, 0, "DEFAULT", "", /*lowers=*/true);
-  ledger_.Attach("a", {1, 5}, 3, "HALT", {}, At(100));
-  EXPECT_EQ(ledger_.stage(), Stage::kRequested);
+  CommandLedger ledger({"a"}, [] { return "id"; });
+  ledger.Order({1, 5}, 0, "DEFAULT", "", /*lowers=*/true);
+  ledger.Attach("a", {1, 5}, 3, "HALT", {}, At(100));
+  EXPECT_EQ(ledger.stage(), Stage::kRequested);
+  ledger.Attach("a", {1, 5}, 0, "DEFAULT", {}, At(100));
+  EXPECT_EQ(ledger.stage(), Stage::kAcknowledged);
 }
 
 TEST_F(CommandLedgerTest, AFailureFromBeforeTheSessionWaitsForTheFirstHeartbeat) {

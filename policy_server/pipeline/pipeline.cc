@@ -1,22 +1,33 @@
 #include "policy_server/pipeline/pipeline.h"
 
+#include <time.h>
+
 #include <algorithm>
 #include <chrono>
-#include <deque>
-#include <thread>
 
 #include "absl/container/btree_set.h"
 #include "absl/container/flat_hash_map.h"
 #include "absl/strings/escaping.h"
 #include "absl/strings/str_cat.h"
+#include "policy_server/pipeline/shard.h"
 #include "services/base/status_macros.h"
-#include "services/runtime/mutex.h"
 
 namespace rips::pipeline {
 namespace {
 
-// How often robots are told the time: a tenth of a heartbeat.
-constexpr int64_t kTimeStepNs = 50 * kNanosPerMilli;
+constexpr absl::Duration kWatchEvery = absl::Milliseconds(100);
+// A thread that was in time for so long begins a new episode.
+constexpr int64_t kLateOverNs = 10 * kNanosPerSecond;
+// Between two looks: the machine was suspended, or the process stopped.
+constexpr int64_t kSuspendedNs = 5 * kNanosPerSecond;
+// Half of the time for which a longest lateness is shown.
+constexpr int64_t kLatenessShownNs = 10 * kNanosPerSecond;
+
+int64_t ThreadCpuNs() {
+  timespec now{};
+  clock_gettime(CLOCK_THREAD_CPUTIME_ID, &now);
+  return now.tv_sec * kNanosPerSecond + now.tv_nsec;
+}
 
 // What is left of a wait, whatever the wall clock does.
 class Patience {
@@ -32,138 +43,25 @@ class Patience {
 
 }  // namespace
 
-// Where a robot sits. Tasks hold the seat, not the robot: an empty one drops them.
-struct Seat {
-  // Once it has been handed over, touched by its shard's thread alone.
-  std::unique_ptr<Robot> robot;
-};
-
-class Shard {
- public:
-  // `on_gone` is called on the shard's thread.
-  Shard(const Clock* clock, PipelineLimits limits, std::function<void(const std::string&)> on_gone)
-      : clock_(clock), limits_(limits), on_gone_(std::move(on_gone)) {}
-
-  void Own(std::shared_ptr<Seat> seat) {
-    PushOwn([this, seat = std::move(seat)] { seats_.push_back(seat); });
-  }
-
-  // After all that was posted before.
-  void Leave(std::shared_ptr<Seat> seat, absl::Status why) {
-    PushOwn([this, seat = std::move(seat), why = std::move(why)] {
-      ++leaving_;
-      seat->robot->Retire(why);
-    });
-  }
-
-  void Start() {
-    thread_ = std::thread([this] { Run(); });
-  }
-
-  void Stop() ABSL_LOCKS_EXCLUDED(mu_) {
-    {
-      MutexLock lock(&mu_);
-      stopping_ = true;
-      changed_.NotifyAll();
-    }
-    if (thread_.joinable()) thread_.join();
-    // Whoever waits for one of these learns that it will not run.
-    std::deque<std::function<void()>> control, messages;
-    MutexLock lock(&mu_);
-    control.swap(control_);
-    messages.swap(messages_);
-  }
-
-  bool Push(Lane lane, std::function<void()> task) ABSL_LOCKS_EXCLUDED(mu_) {
-    MutexLock lock(&mu_);
-    if (stopping_) return false;
-    std::deque<std::function<void()>>& queue = lane == Lane::kControl ? control_ : messages_;
-    if (queue.size() >= (lane == Lane::kControl ? limits_.control_max : limits_.messages_max)) {
-      return false;
-    }
-    queue.push_back(std::move(task));
-    changed_.NotifyOne();
-    return true;
-  }
-
-  // From the server itself, for work that was admitted before: never refused.
-  void PushOwn(std::function<void()> task) ABSL_LOCKS_EXCLUDED(mu_) {
-    MutexLock lock(&mu_);
-    if (stopping_) return;
-    control_.push_back(std::move(task));
-    changed_.NotifyOne();
-  }
-
- private:
-  void Run() {
-    int64_t time_at_ns = 0;
-    while (true) {
-      std::deque<std::function<void()>> control;
-      std::function<void()> message;
-      {
-        MutexLock lock(&mu_);
-        while (!stopping_ && control_.empty() && messages_.empty()) {
-          if (!changed_.WaitUntil(lock, time_at_ns)) break;
-        }
-        if (stopping_) return;
-        control.swap(control_);
-        if (control.empty() && !messages_.empty()) {
-          message = std::move(messages_.front());
-          messages_.pop_front();
-        }
-      }
-      for (const auto& task : control) task();
-      if (message) message();
-      if (leaving_ > 0) LetGo();
-      if (clock_->Now().boottime_ns < time_at_ns) continue;
-      for (const auto& seat : seats_) seat->robot->OnTime();
-      if (leaving_ > 0) LetGo();
-      time_at_ns = clock_->Now().boottime_ns + kTimeStepNs;
-    }
-  }
-
-  // Of those that leave, whoever has nothing left to record.
-  void LetGo() {
-    for (auto it = seats_.begin(); it != seats_.end();) {
-      if (!(*it)->robot->gone()) {
-        ++it;
-        continue;
-      }
-      const std::string id = (*it)->robot->id();
-      (*it)->robot.reset();
-      it = seats_.erase(it);
-      --leaving_;
-      on_gone_(id);
-    }
-  }
-
-  const Clock* clock_;
-  const PipelineLimits limits_;
-  const std::function<void(const std::string&)> on_gone_;
-  // The shard's thread alone.
-  std::vector<std::shared_ptr<Seat>> seats_;
-  size_t leaving_ = 0;
-  std::thread thread_;
-  Mutex mu_;
-  CondVar changed_;
-  std::deque<std::function<void()>> control_ ABSL_GUARDED_BY(mu_);
-  std::deque<std::function<void()>> messages_ ABSL_GUARDED_BY(mu_);
-  bool stopping_ ABSL_GUARDED_BY(mu_) = false;
-};
-
-Pipeline::Pipeline(int shards, const Clock* clock, PipelineLimits limits) : clock_(clock) {
-  for (int i = 0; i < shards; ++i) {
-    shards_.push_back(std::make_unique<Shard>(clock, limits,
-                                              [this](const std::string& robot) { OnGone(robot); }));
-  }
+Pipeline::Pipeline(int shards, const Clock* clock, PipelineLimits limits, PipelineReports reports,
+                   std::function<int64_t()> cpu_ns)
+    : clock_(clock), limits_(limits), reports_(std::move(reports)) {
+  Shard::Options options{.clock = clock,
+                         .cpu_ns = cpu_ns ? std::move(cpu_ns) : ThreadCpuNs,
+                         .limits = limits,
+                         .reports = &reports_,
+                         .on_gone = [this](const std::string& robot) { OnGone(robot); }};
+  slow_ = std::make_unique<Shard>(options);
+  options.slow = slow_.get();
+  for (int i = 0; i < shards; ++i) shards_.push_back(std::make_unique<Shard>(options));
 }
 
 Pipeline::~Pipeline() { Stop(); }
 
 Shard* Pipeline::Emptiest() {
-  absl::flat_hash_map<Shard*, size_t> robots;
-  for (const auto& [name, place] : robots_) ++robots[place.shard];
-  for (const auto& [name, place] : leaving_) ++robots[place.shard];
+  absl::flat_hash_map<const Shard*, size_t> robots;
+  for (const auto& [name, seat] : robots_) ++robots[seat->home];
+  for (const auto& [name, seat] : leaving_) ++robots[seat->home];
   return std::min_element(
              shards_.begin(), shards_.end(),
              [&](const auto& a, const auto& b) { return robots[a.get()] < robots[b.get()]; })
@@ -182,20 +80,28 @@ absl::Status Pipeline::Add(RobotConfig config, Policy policy, Timing timing,
         absl::StrCat("robot `", id, "` was removed, and what it decided is not recorded yet"));
   }
   Shard* shard = Emptiest();
-  auto seat = std::make_shared<Seat>();
+  auto seat = std::make_shared<Seat>(
+      id, shard,
+      CpuBudget(limits_.cpu_per_second_ns, limits_.cpu_burst_ns, clock_->Now().boottime_ns));
   ports.clock = clock_;
   // Held weakly: the seat owns the robot, and the robot this.
-  ports.post = [shard, weak = std::weak_ptr<Seat>(seat)](std::function<void()> task) {
-    std::shared_ptr<Seat> taken = weak.lock();
-    if (taken == nullptr) return;
-    shard->PushOwn([taken = std::move(taken), task = std::move(task)] {
-      if (taken->robot != nullptr) task();
-    });
+  const auto post_to = [clock = clock_, weak = std::weak_ptr<Seat>(seat)](Queue queue) {
+    return [clock, weak, queue](std::function<void()> task) {
+      const std::shared_ptr<Seat> taken = weak.lock();
+      if (taken == nullptr) return;
+      Shard::Push(taken, queue,
+                  {.run = [task = std::move(task)](Robot&) { task(); },
+                   .posted_ns = clock->Now().boottime_ns},
+                  SIZE_MAX);
+    };
   };
+  ports.post = post_to(Queue::kOrders);
+  ports.post_work = post_to(Queue::kControl);
   RIPS_ASSIGN_OR_RETURN(seat->robot, Robot::Create(std::move(config), std::move(policy), timing,
                                                    record, term, std::move(ports)));
+  if (stopped_) Shard::Close(*seat);
   shard->Own(seat);
-  robots_[id] = {.shard = shard, .seat = std::move(seat)};
+  robots_[id] = std::move(seat);
   held_.erase(id);
   return absl::OkStatus();
 }
@@ -216,7 +122,7 @@ absl::Status Pipeline::Remove(absl::string_view robot, absl::Status why) {
   const auto it = robots_.find(robot);
   if (it == robots_.end()) return absl::NotFoundError(absl::StrCat("no robot `", robot, "`"));
   // Nothing is posted to it from now on.
-  it->second.shard->Leave(it->second.seat, std::move(why));
+  Shard::Leave(it->second, std::move(why), clock_->Now().boottime_ns);
   leaving_[it->first] = std::move(it->second);
   robots_.erase(it);
   return absl::OkStatus();
@@ -239,27 +145,108 @@ bool Pipeline::WaitGone(absl::string_view robot, absl::Duration patience) {
 }
 
 void Pipeline::Start() {
+  slow_->Start();
   for (const auto& shard : shards_) shard->Start();
+  watch_ = std::thread([this] { Watch(); });
 }
 
 void Pipeline::Stop() {
+  {
+    MutexLock lock(&watch_mu_);
+    watch_over_ = true;
+    watch_ends_.NotifyAll();
+  }
+  if (watch_.joinable()) watch_.join();
   for (const auto& shard : shards_) shard->Stop();
+  slow_->Stop();
+  std::vector<std::shared_ptr<Seat>> seats;
+  {
+    MutexLock lock(&mu_);
+    stopped_ = true;
+    for (const auto& [name, seat] : robots_) seats.push_back(seat);
+    for (const auto& [name, seat] : leaving_) seats.push_back(seat);
+  }
+  for (const auto& seat : seats) Shard::Close(*seat);
 }
 
-absl::Status Pipeline::Post(absl::string_view robot, Lane lane, std::function<void(Robot&)> task) {
+void Pipeline::Watch() {
+  std::vector<Watched> threads = {{.name = "slow", .shard = slow_.get()}};
+  for (size_t i = 0; i < shards_.size(); ++i) {
+    threads.push_back({.name = absl::StrCat(i), .shard = shards_[i].get()});
+  }
+  int64_t looked_ns = clock_->Now().boottime_ns;
+  int64_t shown_at_ns = looked_ns;
+  while (true) {
+    {
+      MutexLock lock(&watch_mu_);
+      if (watch_over_) return;
+      watch_ends_.WaitFor(lock, kWatchEvery);
+      if (watch_over_) return;
+    }
+    const int64_t now_ns = clock_->Now().boottime_ns;
+    const bool next = now_ns - shown_at_ns >= kLatenessShownNs;
+    if (next) shown_at_ns = now_ns;
+    const bool stood_still = now_ns - std::exchange(looked_ns, now_ns) >= kSuspendedNs;
+    for (Watched& watched : threads) {
+      if (stood_still) {
+        watched.shard->TakeLateness(now_ns);
+      } else {
+        Look(watched, now_ns, next);
+      }
+    }
+  }
+}
+
+void Pipeline::Look(Watched& watched, int64_t now_ns, bool next) {
+  const Shard::Lateness late = watched.shard->TakeLateness(now_ns);
+  int64_t& newest_ns = watched.longest_ns[0];
+  if (next) watched.longest_ns[1] = std::exchange(newest_ns, 0);
+  newest_ns = std::max(newest_ns, late.late_ns);
+  const int64_t longest_ns = std::max(newest_ns, watched.longest_ns[1]);
+  if (longest_ns != watched.reported_ns && reports_.lateness) {
+    watched.reported_ns = longest_ns;
+    reports_.lateness(watched.name, longest_ns);
+  }
+  if (late.late_ns < limits_.late_ns) {
+    if (now_ns - watched.late_at_ns >= kLateOverNs) watched.late_at_ns = 0;
+    return;
+  }
+  if (std::exchange(watched.late_at_ns, now_ns) == 0 && reports_.late) {
+    reports_.late(late.robot, late.late_ns);
+  }
+}
+
+absl::Status Pipeline::Unseated(absl::string_view robot) const {
+  if (const auto held = held_.find(robot); held != held_.end()) return held->second.why;
+  return absl::NotFoundError(
+      absl::StrCat("robot `", absl::CHexEscape(robot), "` is not in the inventory"));
+}
+
+absl::Status Pipeline::Post(absl::string_view robot, Queue queue,
+                            std::function<void(Robot&)> task) {
+  const size_t max = queue == Queue::kOrders     ? limits_.orders_max
+                     : queue == Queue::kMessages ? limits_.messages_max
+                                                 : limits_.control_max;
+  SeatTask work{.run = std::move(task),
+                .posted_ns = clock_->Now().boottime_ns,
+                .charged = queue != Queue::kOrders};
   MutexLock lock(&mu_);
   const auto it = robots_.find(robot);
-  if (it == robots_.end()) {
-    if (const auto held = held_.find(robot); held != held_.end()) return held->second.why;
-    return absl::NotFoundError(
-        absl::StrCat("robot `", absl::CHexEscape(robot), "` is not in the inventory"));
-  }
-  if (!it->second.shard->Push(lane, [seat = it->second.seat, task = std::move(task)] {
-        if (seat->robot != nullptr) task(*seat->robot);
-      })) {
-    return absl::ResourceExhaustedError("the server is overloaded; try again later");
+  if (it == robots_.end()) return Unseated(robot);
+  if (!Shard::Push(it->second, queue, std::move(work), max)) {
+    ReportRefused(it->first);
+    return absl::ResourceExhaustedError(
+        absl::StrCat("more than ", max, " tasks of robot `", it->first, "` wait; try again later"));
   }
   return absl::OkStatus();
+}
+
+absl::StatusOr<GraphView> Pipeline::Graph(absl::string_view robot) const {
+  MutexLock lock(&mu_);
+  const auto it = robots_.find(robot);
+  if (it == robots_.end()) return Unseated(robot);
+  MutexLock seat_lock(&it->second->mu);
+  return it->second->view;
 }
 
 std::vector<std::string> Pipeline::ForEach(std::function<void(Robot&)> task,
@@ -286,18 +273,20 @@ std::vector<std::string> Pipeline::ForEach(std::function<void(Robot&)> task,
   auto shared = std::make_shared<std::function<void(Robot&)>>(std::move(task));
   {
     MutexLock lock(&mu_);
-    for (const auto& [name, place] : robots_) {
+    for (const auto& [name, seat] : robots_) {
       {
         MutexLock round_lock(&round->mu);
         round->waiting.insert(name);
         ++round->pending;
       }
       auto ticket = std::make_shared<Ticket>(round);
-      place.shard->PushOwn([ticket, shared, name = name, seat = place.seat] {
-        if (seat->robot != nullptr) (*shared)(*seat->robot);
+      const auto run = [ticket, shared, name = name](Robot& robot) {
+        (*shared)(robot);
         MutexLock round_lock(&ticket->round->mu);
         ticket->round->waiting.erase(name);
-      });
+      };
+      Shard::Push(seat, Queue::kOrders,
+                  {.run = run, .posted_ns = clock_->Now().boottime_ns, .charged = false}, SIZE_MAX);
     }
   }
   const Patience rest(patience);
@@ -311,7 +300,7 @@ std::vector<std::string> Pipeline::ForEach(std::function<void(Robot&)> task,
 std::vector<std::string> Pipeline::robots() const {
   std::vector<std::string> names;
   MutexLock lock(&mu_);
-  for (const auto& [name, place] : robots_) names.push_back(name);
+  for (const auto& [name, seat] : robots_) names.push_back(name);
   return names;
 }
 

@@ -11,6 +11,7 @@
 #include "policy_server/levels/level_table.h"
 #include "policy_server/pipeline/ports.h"
 #include "services/base/clock.h"
+#include "services/ros2/graph_limits.h"
 
 namespace rips::pipeline {
 
@@ -25,12 +26,16 @@ struct Policy {
   std::shared_ptr<Inspector> inspector;
   // What the program needs (MakeInterest), so that robots share it; null: each finds out itself.
   std::shared_ptr<const engine::InterestPlan> interest;
+  // What a truncated graph keeps first (engine::KeptTopics), likewise.
+  std::shared_ptr<const ros2::TopicNames> kept_topics;
   // Of payloads that inspections look at; kPayloadBytesDefault where none matches.
   engine::PayloadLimits payload_limits;
 };
 
 // Takes as long as compiling the rules.
 std::shared_ptr<const engine::InterestPlan> MakeInterest(const engine::Program& program);
+
+std::shared_ptr<const ros2::TopicNames> MakeKeptTopics(const engine::Program& program);
 
 }  // namespace rips::pipeline
 

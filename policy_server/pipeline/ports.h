@@ -115,6 +115,9 @@ struct Counts {
   std::function<void(const std::string& robot, const EndpointCounts&)> endpoints;
   // Of a robot: why it is not seen, at first and when that has changed.
   std::function<void(const std::string& robot, size_t reasons)> blind;
+  // Of a robot: how many participants, nodes and endpoints are left out of its graph, when that has
+  // changed; `began`: nothing was.
+  std::function<void(const std::string& robot, uint64_t left_out, bool began)> graph_left_out;
   // Of a robot's sensor host, nanoseconds, as estimated.
   std::function<void(const std::string& robot, const std::string& host, int64_t)> clock_skew;
   // Inspections that were not made, by reason.
@@ -124,6 +127,9 @@ struct Counts {
   std::function<void(uint64_t)> observations_duplicate;
   // Judged without a node, since the graph did not show their writer in time.
   std::function<void(uint64_t)> messages_unattributed;
+  // Graphs that were not judged by themselves, since their sensor told of more in one batch than a
+  // sensor does.
+  std::function<void(uint64_t)> graphs_merged;
   // Of agents that have a live session already.
   std::function<void(uint64_t)> sessions_refused;
   // Messages of which a payload was asked for and only the first bytes came.
@@ -138,8 +144,10 @@ struct Ports {
   Recorder* recorder = nullptr;
   Audience* audience = nullptr;
   Counts counts;
-  // Runs a task on the robot's own thread, later.
+  // Run a task on the robot's own thread, later: what completes something, before all that agents
+  // send; and what is work, such as judging messages, in turn with it.
   std::function<void(std::function<void()>)> post;
+  std::function<void(std::function<void()>)> post_work;
   // Draws ids of alerts, transitions and commands.
   std::function<std::string()> new_id;
 };

@@ -7,11 +7,11 @@
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_join.h"
 #include "policy_server/pipeline/soft_lowerings.h"
+#include "services/base/cut_text.h"
 
 namespace rips::pipeline {
 namespace {
 
-constexpr size_t kReasonBytesMax = 1'000;
 constexpr size_t kAnswersKept = 64;
 // Alerts kept in memory while the store cannot be written; the oldest go first.
 constexpr size_t kUnrecordedAlertsMax = 1'000;
@@ -83,6 +83,7 @@ Robot::Robot(RobotConfig config, Policy policy, Timing timing, const store::Robo
   UseInterest();
   for (const std::string& host : config_.sensor_hosts) {
     sensors_[host].name = host;
+    sensors_[host].BeginGraph(config_.graph_limits, kept_topics_);
     sensors_[host].gone_since_ns = started_ns_;
   }
   for (const std::string& host : config_.actuator_hosts) {
@@ -146,7 +147,8 @@ void Robot::Perform(const engine::Outcome& outcome, const std::string& event) {
   for (const engine::Effect& effect : outcome.effects) {
     if (const auto* alert = std::get_if<engine::AlertEffect>(&effect)) {
       const Instant now = ports_.clock->Now();
-      if (alert_limiter_.Admit(*alert, now)) Alert(*alert, event);
+      if (!alert_limiter_.Admit(*alert, now)) continue;
+      Alert(*alert, alert->graph_truncated ? absl::StrCat(event, " (graph truncated)") : event);
     } else if (const auto* transition = std::get_if<engine::TransitionEffect>(&effect)) {
       TakeTransition(*transition);
     } else if (const auto* run = std::get_if<engine::RunProgramEffect>(&effect)) {
@@ -209,7 +211,10 @@ void Robot::TakeTransition(const engine::TransitionEffect& effect) {
   // What was seen so far says nothing about the level that this leads to.
   evidence_.Disturb("the level has changed", ports_.clock->Now());
   failure_alerted_ = false;
-  if (transition.lowers()) {
+  // A raise from a lowering that is not durable yet lowers the robot, too, unless it leads at least
+  // to where the robot was ordered.
+  const bool after_lowering = !awaiting_durable_.none() && transition.to < ledger_.level();
+  if (transition.lowers() || after_lowering) {
     pending_lowerings_.push_back(transition);
     awaiting_durable_ = transition.mark;
   } else {
@@ -243,6 +248,10 @@ void Robot::Order(const levels::Transition& transition) {
   ledger_.Order(transition.mark, transition.to, state_.level.table().name(transition.to),
                 CauseText(transition.cause), transition.lowers());
   reported_stage_ = Stage::kRequested;
+  for (auto& [name, host] : actuators_) {
+    if (!host.session) continue;
+    host.session->ordered_most = std::max(host.session->ordered_most, transition.to);
+  }
   SendCommands(ports_.clock->Now());
 }
 
@@ -257,9 +266,9 @@ void Robot::Alert(engine::AlertEffect alert, const std::string& event) {
                              .robot = config_.id,
                              .rule = std::move(alert.rule),
                              .severity = std::string(engine::ToString(alert.severity)),
-                             .text = std::move(alert.text),
+                             .text = Shortened(alert.text, kAlertTextBytesMax),
                              .level = state_.level.table().name(alert.level),
-                             .event = event,
+                             .event = Shortened(event, kAlertEventBytesMax),
                              .mark = alert.mark});
   if (ports_.counts.alerts) ports_.counts.alerts(1);
 }
@@ -268,7 +277,7 @@ void Robot::OwnAlert(engine::Severity severity, const std::string& text,
                      std::source_location where) {
   engine::AlertEffect alert{.rule = std::string(kOwnRule),
                             .severity = severity,
-                            .text = text,
+                            .text = Shortened(text, kOwnAlertBytesMax),
                             .level = state_.level.level(),
                             .mark = state_.level.mark()};
   const std::string kind = absl::StrCat(where.file_name(), ":", where.line());
@@ -453,6 +462,9 @@ std::vector<std::string> Robot::EvidenceProblems(Instant now) const {
       problems.push_back(absl::StrCat("observations of sensor ", name, " are not judged yet"));
     }
   }
+  if (control_line_.backlog) {
+    problems.push_back("what its agents sent waits: the robot costs more than its share");
+  }
   if (sensors_.empty()) problems.push_back("no sensor is listed in the inventory");
   problems.insert(problems.end(), sight_.blind.begin(), sight_.blind.end());
   for (const auto& [name, host] : actuators_) {
@@ -546,9 +558,9 @@ void Robot::DeEscalate(const LevelOrder& order, LevelReply reply) {
     answer.blind_because = EvidenceProblems(now);
     answer.would_raise_again = engine::WouldRaise(*to, now, state_);
     if (!answer.blind_because.empty() && !order.accept_blind && !order.dry_run) {
-      answer.status = absl::FailedPreconditionError(
-          absl::StrCat("RIPS does not see all of ", config_.id,
-                       " now: ", absl::StrJoin(answer.blind_because, "; ")));
+      answer.status = absl::FailedPreconditionError(absl::StrCat(
+          "RIPS does not see all of ", config_.id, " now: ",
+          absl::StrJoin(answer.blind_because, "; "), "; --accept-blind lowers it all the same"));
     } else if (!ports_.recorder->healthy()) {
       answer.status = absl::FailedPreconditionError(
           "the server's store cannot be written, and a lowering must be recorded first");
@@ -568,7 +580,9 @@ void Robot::DeEscalate(const LevelOrder& order, LevelReply reply) {
 void Robot::Decide(const levels::Transition& transition, const LevelOrder& order, LevelReply reply,
                    LevelAnswer answer) {
   answer.mark = transition.decided() ? transition.mark : state_.level.mark();
-  answer.decided_level = levels().name(transition.refused() ? transition.from : transition.to);
+  const levels::LevelIndex level = transition.refused() ? transition.from : transition.to;
+  answer.decided_level = levels().name(level);
+  answer.soft = levels().at(level).soft;
   if (transition.refused()) {
     answer.status = RefusalStatus(transition, levels());
     if (!order.dry_run) TakeTransition({.transition = transition});
@@ -623,8 +637,8 @@ void Robot::RecordRefusedOrder(const LevelOrder& order, const absl::Status& why)
   Flush();
 }
 
-void Robot::Report(engine::Severity severity, const std::string& text) {
-  OwnAlert(severity, text);
+void Robot::Report(engine::Severity severity, const std::string& text, std::source_location where) {
+  OwnAlert(severity, text, where);
   Flush();
 }
 
@@ -651,7 +665,7 @@ RobotStatus Robot::Status() const {
     }
   }
   status.effective_level = levels().name(effective);
-  if (!missing_programs_.empty()) status.degraded.push_back(missing_programs_);
+  if (!told_.missing_programs.empty()) status.degraded.push_back(told_.missing_programs);
   if (!policy_problem_.empty()) status.degraded.push_back(policy_problem_);
   if (std::string skipped = SkippedText(now); !skipped.empty()) {
     status.degraded.push_back(std::move(skipped));

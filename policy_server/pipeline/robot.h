@@ -55,9 +55,13 @@ class Robot {
   void OnSensorBeat(const std::string& host, const SensorLink* link, const SensorBeat& beat);
   void OnInterestAnswer(const std::string& host, const SensorLink* link,
                         const InterestAnswer& answer);
-  // Control batches are judged at once. A message waits for those before it, for the inspections
-  // that it needs, and for the version of the graph that it names (robot_messages.cc).
+  // Control batches are judged at once, for a turn (robot_control.cc): while HasControl, Advance
+  // comes before other control, while HasMessages, before other messages. A message waits for those
+  // before it, for its inspections, and for the graph that it names (robot_messages.cc).
   void OnBatch(const std::string& host, const SensorLink* link, std::shared_ptr<const Batch> batch);
+  bool HasControl() const { return !control_line_.batches.empty(); }
+  bool HasMessages() const { return message_line_.unfinished; }
+  void Advance();
   void OnSensorGone(const std::string& host, const SensorLink* link);
 
   // ---- actuators
@@ -70,46 +74,46 @@ class Robot {
   // ---- operators; `reply` is called once, later, on the shard's thread.
   void Raise(const LevelOrder& order, LevelReply reply);
   void DeEscalate(const LevelOrder& order, LevelReply reply);
+  // Goes above the term for which an actuator was refused, and decides the level anew.
+  void ResetTerm(const TermResetOrder& order, LevelReply reply);
   // Rules may lower soft levels again, and run again after a `crash`.
   absl::Status ResumeRules(const std::string& operator_name, const std::string& reason);
   // A record of an order that its sender had no right to: among the refused transitions, once for
   // each operator and level, with a count. Not of a level that the robot does not have.
   void RecordRefusedOrder(const LevelOrder& order, const absl::Status& why);
-  // RIPS's own alert of what others found out about this robot's agents.
-  void Report(engine::Severity severity, const std::string& text);
+  // RIPS's own alert of what others found out about its agents; each caller is a kind (OwnAlert).
+  void Report(engine::Severity severity, const std::string& text,
+              std::source_location where = std::source_location::current());
   // Answered when each actuator has, or after kDrillAnswerNs. InvalidArgument for no level of the
   // robot, FailedPrecondition if no actuator is attached or another drill is under way.
   void StartDrill(const DrillOrder& order, DrillReply reply);
-  // What the actuators answered since the start.
-  const ReceiptLog& receipts() const { return receipts_; }
+  const ReceiptLog& receipts() const { return receipts_; }  // since the start
   RobotStatus Status() const;
-  // Tells the tap every event from now on, before it is judged. ResourceExhausted if there are
-  // kTapsMax already.
+  // Tells the tap every event, before it is judged. ResourceExhausted past kTapsMax.
   static constexpr size_t kTapsMax = 4;
   absl::Status AddTap(std::shared_ptr<Tap> tap);
   const ros2::RosGraph& graph() const { return state_.graph.get(); }
-  std::shared_ptr<const ros2::RosGraph> shared_graph() const {
-    return state_.graph.version().graph;
-  }
-  // What sensors find whatever the rules say, and what stands; oldest first.
-  std::vector<FindingSeen> findings() const { return findings_.standing(); }
+  const GraphHistory::Version& graph_version() const { return state_.graph.version(); }
+  std::vector<FindingSeen> findings() const { return findings_.standing(); }  // oldest first
   int64_t graph_changed_unix_ns() const { return graph_changed_unix_ns_; }
   const levels::LevelTable& levels() const { return state_.level.table(); }
   // What the rules in force need of each topic.
   const engine::InterestPlan& interest() const { return *interest_; }
-  // Of the sensors that report messages.
-  std::vector<SensorInterest> SensorInterests() const;
-  // Every sensor host of the inventory, sorted.
-  std::vector<SensorCoverage> Coverage() const;
+  const ros2::TopicNames& kept_topics() const { return *kept_topics_; }
+  std::vector<SensorInterest> SensorInterests() const;  // of sensors that report messages
+  std::vector<SensorCoverage> Coverage() const;         // of every sensor host, sorted
   // Inspections that were not made in the last ten minutes, by reason.
   absl::btree_map<std::string, uint64_t> Skipped() const;
   // Why the robot, or an input that a sensor was told to watch, is not seen; printable.
   const std::vector<std::string>& blind() const { return sight_.blind; }
   const engine::PayloadLimits& payload_limits() const { return policy_.payload_limits; }
+  // Alerts that the store has not taken yet, oldest first.
+  const std::vector<store::AlertRecord>& unrecorded_alerts() const { return pending_.alerts; }
   // Topics of which payloads were cut lately.
   std::vector<CutPayloads::Topic> CutTopics() const;
 
-  // ---- time; call at least every 50 ms.
+  // ---- time; call at least every 50 ms. What agents sent waits for its turn for too long, or not.
+  void SetBacklog(bool backlog) { control_line_.backlog = backlog; }
   void OnTime();
   // Another bundle, between two events. FailedPrecondition: the old one stays, with an alert.
   absl::Status SwapPolicy(Policy policy);
@@ -134,6 +138,10 @@ class Robot {
   Robot(RobotConfig config, Policy policy, Timing timing, const store::RobotRecord& record,
         levels::LevelMachine level, Ports ports);
 
+  // robot_control.cc
+  void AdvanceControl();
+  bool MergesGraph(const Batch& batch, const engine::Event& event, int64_t boottime_ns);
+  void JudgeMerged(ControlBatch& batch);
   // robot_messages.cc
   void AdvanceMessages();
   // Asks for inspections as far as messages know their graph. How many observations can be judged.
@@ -167,7 +175,7 @@ class Robot {
   void UpdateBlind(Instant now);
   void TellBlind(Instant now);
   void TellTruncated(Instant now);
-  // A truncated graph stays so; when there is room again, the sensor tells it anew.
+  // What was left out here stays so; when there is room again, the sensor sends the graph anew.
   void RecoverTruncated(Instant now);
   // Of the primary sensor's graph; no problem while there is none.
   void ExamineOwnGraph();
@@ -188,10 +196,9 @@ class Robot {
   void Missing(SensorHost& host, uint64_t count);
   void Judge(SensorHost& host, SensorSession& session, bool primary, const Batch& batch,
              size_t index, absl::Span<const engine::Verdict> inspections);
-  void JudgeSnapshot(SensorHost& host, const SensorSession& session,
-                     const GraphSnapshotSeen& snapshot, engine::Event event);
-  void JudgeDelta(SensorHost& host, const SensorSession& session, const GraphDeltaSeen& delta,
-                  engine::Event event);
+  // Of a snapshot or a delta: takes it, and judges the graph unless it is merged with the next.
+  void JudgeGraph(SensorHost& host, SensorSession& session, const Batch& batch,
+                  const Observation& seen, engine::Event event);
   void RefuseGraph(SensorHost& host, const SensorSession& session, const absl::Status& status);
   void GraphChanged(SensorHost& host, engine::Event event);
   void GrantCredit(SensorHost& host, SensorSession& session);
@@ -219,10 +226,8 @@ class Robot {
   void ExpireFindings(Instant now);
 
   // robot_actuators.cc
-  absl::Status Reconcile(const std::string& host_name, ActuatorHost& host,
-                         const ActuatorHello& hello);
-  absl::Status RaiseTerm(const std::string& host_name, ActuatorHost& host,
-                         const ActuatorHello& hello);
+  absl::Status Reconcile(const std::string& name, ActuatorHost& host, const ActuatorHello& hello);
+  absl::Status RaiseTerm(const std::string& name, ActuatorHost& host, const ActuatorHello& hello);
   // Nullopt if no decision of ours has this mark.
   absl::StatusOr<std::optional<std::string>> KnownLevel(const Mark& mark) const;
   void CheckActuators(Instant now);
@@ -290,13 +295,12 @@ class Robot {
   engine::RobotState state_;
   EvidenceGate evidence_;
   Sight sight_;
-  // What the rules in force need.
   std::shared_ptr<const engine::InterestPlan> interest_;
+  std::shared_ptr<const ros2::TopicNames> kept_topics_;
   CoverageAlarm coverage_alarm_;
   LossAlarm loss_alarm_;
   ToldOnce told_;
-  // By reason: inspections that were not made.
-  absl::btree_map<std::string, RecentLosses> skipped_;
+  absl::btree_map<std::string, RecentLosses> skipped_;  // by reason: inspections not made
   AlertLimiter alert_limiter_;
   AlertLimiter own_alert_limiter_{kOwnAlertLimits};
   FindingsBook findings_;
@@ -304,10 +308,8 @@ class Robot {
   GraphHistory graph_history_;
   absl::btree_map<std::string, SensorHost> sensors_;
   absl::btree_map<std::string, ActuatorHost> actuators_;
-
   ReceiptLog receipts_;
   std::optional<RunningDrill> drill_;
-
   // Collected since the last Flush.
   store::WriteBatch pending_;
   std::vector<levels::Transition> pending_lowerings_;
@@ -322,18 +324,16 @@ class Robot {
   // Alerts dropped since the store failed.
   uint64_t alerts_dropped_ = 0;
   std::vector<std::shared_ptr<Tap>> taps_;
+  ControlLine control_line_;
   MessageLine message_line_;
   // Refusals already recorded: rule, from, to, reason → id.
   absl::btree_map<std::string, std::string> refusal_ids_;
   // By cause and level: record and count.
   absl::btree_map<std::string, std::pair<std::string, uint64_t>> refused_orders_;
   LevelOrders orders_;
-
   // A lowering that is not durable yet must not be commanded.
   Mark awaiting_durable_;
   Stage reported_stage_ = Stage::kRequested;
-  // As told last; empty = none.
-  std::string missing_programs_;
   bool failure_alerted_ = false;
   bool store_failing_ = false;
   bool draining_ = false;

@@ -6,24 +6,22 @@
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_join.h"
 #include "policy_server/pipeline/robot.h"
+#include "services/base/cut_text.h"
 #include "services/ros2/ros_name.h"
 
 namespace rips::pipeline {
 namespace {
 
-// A term that leaves no room above it can only come from a broken or hostile peer.
-constexpr uint64_t kTermMax = uint64_t{1} << 62;
-constexpr uint64_t kEpochMax = uint64_t{1} << 40;
 // Of one agent that are known as ours, and how long after the next one.
 constexpr size_t kParticipantsKept = 8;
 constexpr int64_t kParticipantKeptNs = 30 * kNanosPerSecond;
-// Terms and epochs beyond ours: a restored store lacks a few, another fleet's actuator some
-// thousands.
-constexpr uint64_t kJumpMax = uint64_t{1} << 20;
 // What an actuator without a state of its own says of its floor.
 constexpr char kStateLostFloor[] = "state lost";
 // Events of drifts that one heartbeat makes.
 constexpr uint64_t kDriftsToldMax = 8;
+
+// Of a list of levels in an alert and in the status of a stream, which gRPC sends as a header.
+constexpr size_t kLevelsTextBytesMax = 1'024;
 
 // What is said of a mode or a node may change its numbers; the part before the colon names it.
 absl::string_view Subject(absl::string_view text) { return text.substr(0, text.find(": ")); }
@@ -107,8 +105,8 @@ void Robot::TellMissingPrograms() {
     text = absl::StrCat("rules run programs that no actuator offers, so they will fail: `",
                         absl::StrJoin(missing, "`, `"), "`");
   }
-  if (text == missing_programs_) return;
-  missing_programs_ = text;
+  if (text == told_.missing_programs) return;
+  told_.missing_programs = text;
   if (!text.empty()) OwnAlert(engine::Severity::kHigh, text);
 }
 
@@ -128,28 +126,30 @@ void Robot::OnActuatorHello(const std::string& host_name, std::shared_ptr<Actuat
   }
   BeginSession("actuator", host_name, host.second, hello.peer);
   if (hello.levels != levels().names()) {
-    const std::string text = absl::StrCat(
-        "actuator ", host_name, " is not armed: its levels (", absl::StrJoin(hello.levels, ", "),
-        ") are not those of the bundle (", absl::StrJoin(levels().names(), ", "), ")");
-    OwnAlert(engine::Severity::kCritical, text);
-    Flush();
-    return link->Close(absl::FailedPreconditionError(text));
-  }
-  if (hello.highest_term > kTermMax || hello.mark.term > kTermMax || hello.mark.epoch > kTermMax) {
-    return link->Close(absl::InvalidArgumentError("no term or epoch can be that high"));
-  }
-  const Mark ours = state_.level.mark();
-  const uint64_t term = std::max(hello.highest_term, hello.mark.term);
-  const bool epoch_jumps = hello.mark.epoch > kEpochMax;
-  if (term > state_.level.term() + kJumpMax || epoch_jumps) {
     const std::string text =
-        absl::StrCat("actuator ", host_name, " names decision ", ToString(hello.mark), " and term ",
-                     hello.highest_term, ", far beyond ours (", ToString(ours),
-                     "): not armed; if it was another fleet's, delete its state");
+        absl::StrCat("actuator ", host_name, " is not armed: its levels (",
+                     Shortened(absl::StrJoin(hello.levels, ", "), kLevelsTextBytesMax),
+                     ") are not those of the bundle (",
+                     Shortened(absl::StrJoin(levels().names(), ", "), kLevelsTextBytesMax), ")");
     OwnAlert(engine::Severity::kCritical, text);
     Flush();
     return link->Close(absl::FailedPreconditionError(text));
   }
+  const ShownTerm shown = {.mark = hello.mark, .highest_term = hello.highest_term};
+  const TermJump jump = JudgeTerm(
+      shown, {.term = state_.level.term(), .epoch = state_.level.mark().epoch}, host.pardoned_term);
+  if (jump != TermJump::kNear) {
+    host.refused_term = shown;
+    const std::string text = absl::StrCat(
+        "actuator ", host_name, hello.peer.empty() ? "" : " at ", hello.peer, " names decision ",
+        ToString(hello.mark), " and term ", hello.highest_term, ", far beyond ours (",
+        ToString(state_.level.mark()), "): not armed; ", TermRemedy(jump, config_.id, host_name),
+        "; otherwise its key may be in other hands");
+    OwnAlert(engine::Severity::kCritical, text);
+    Flush();
+    return link->Close(absl::FailedPreconditionError(text));
+  }
+  host.refused_term.reset();
   if (!hello.mark.none() && hello.mark < host.verified) {
     OwnAlert(engine::Severity::kCritical,
              absl::StrCat("actuator ", host_name, " holds decision ", ToString(hello.mark),
@@ -219,7 +219,9 @@ absl::Status Robot::Reconcile(const std::string& host_name, ActuatorHost& host,
            absl::StrCat("actuator ", host_name, " holds decision ", ToString(hello.mark), " (",
                         levels().name(held), "), ", ours, ": the more restrictive level is ",
                         "adopted; was the store restored from a backup?"));
-  Adopt(held, hello.mark,
+  // A pardoned epoch would use up all others, and the term is above its own.
+  const Mark above = hello.mark.epoch > kEpochMax ? Mark{.term = hello.mark.term} : hello.mark;
+  Adopt(held, above,
         absl::StrCat("actuator ", host_name, " holds ", ToString(hello.mark), " (",
                      levels().name(held), ")"));
   return absl::OkStatus();
@@ -235,7 +237,7 @@ absl::Status Robot::RaiseTerm(const std::string& host_name, ActuatorHost& host,
     const absl::StatusOr<uint64_t> term = ports_.recorder->NextTerm(config_.id, seen_term);
     if (!term.ok()) return absl::UnavailableError(term.status().message());
     OwnAlert(engine::Severity::kHigh,
-             absl::StrCat("actuator ", host_name, " has obeyed term ", seen_term, ", and ours is ",
+             absl::StrCat("actuator ", host_name, " has obeyed term ", seen_term, ", our term is ",
                           state_.level.term(), "; commands now carry term ", *term));
     state_.level.RaiseTerm(*term);
   }
@@ -254,7 +256,7 @@ absl::StatusOr<std::optional<std::string>> Robot::KnownLevel(const Mark& mark) c
 void Robot::SendLease(ActuatorSession& session) {
   const Instant now = ports_.clock->Now();
   // What a sensor that sees nothing has sent is judged, and says nothing: a floor stays.
-  bool evidence_complete = sight_.blind.empty();
+  bool evidence_complete = sight_.blind.empty() && !control_line_.backlog;
   for (const auto& [name, host] : sensors_) {
     if (!host.session || now.boottime_ns - host.session->heard_ns > timing_.stale_ns ||
         (name == config_.primary_sensor && !host.settled)) {
@@ -324,7 +326,10 @@ void Robot::OnActuatorBeat(const std::string& host_name, const ActuatorLink* lin
 void Robot::AdoptFound(const std::string& host_name, ActuatorSession& session,
                        std::optional<levels::LevelIndex> effective) {
   if (!session.found_above || !effective || session.beat.floor_reason.empty()) return;
-  if (*effective <= *session.found_above || *effective <= state_.level.level()) return;
+  if (*effective <= *session.found_above || *effective <= state_.level.level() ||
+      *effective <= session.ordered_most) {
+    return;
+  }
   session.found_above.reset();
   const std::string found = absl::StrCat("actuator ", host_name, " has lost its state and finds ",
                                          config_.id, " at ", levels().name(*effective));
@@ -340,6 +345,10 @@ void Robot::TellFloor(const std::string& host_name, ActuatorHost& host) {
   if (beat.floor_reason.empty()) {
     OwnAlert(engine::Severity::kInfo, absl::StrCat("actuator ", host_name, " no longer holds ",
                                                    config_.id, " at a level of its own"));
+  } else if (beat.effective_level == levels().name(state_.level.level())) {
+    OwnAlert(engine::Severity::kHigh,
+             absl::StrCat("actuator ", host_name, " has a floor of its own: ", beat.floor_reason,
+                          "; ", config_.id, " is at ", beat.effective_level, " as decided"));
   } else {
     OwnAlert(engine::Severity::kHigh,
              absl::StrCat("actuator ", host_name, " holds ", config_.id, " at ",
@@ -460,8 +469,8 @@ void Robot::CheckActuators(Instant now) {
     }
     host.lost = true;
     OwnAlert(engine::Severity::kHigh,
-             absl::StrCat("actuator ", name, " is lost: ", config_.id,
-                          " will take its fail-safe level when its lease ends"));
+             absl::StrCat("actuator ", name, " is lost: when its lease ends, ", config_.id,
+                          " goes to its fail-safe level, unless it is at a higher one"));
     External(engine::AgentEvent{.agent = "actuator", .state = "lost"});
   }
 }

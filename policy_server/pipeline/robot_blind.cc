@@ -15,6 +15,12 @@ constexpr size_t kReasonsShown = 16;
 // Between two snapshots that are asked for because the graph is truncated.
 constexpr int64_t kRecoveryNs = 60 * kNanosPerSecond;
 
+void CountLeftOut(const Counts& counts, const std::string& robot, uint64_t left_out, bool began,
+                  Sight& sight) {
+  if (std::exchange(sight.left_out_counted, left_out) == left_out) return;
+  if (counts.graph_left_out) counts.graph_left_out(robot, left_out, began);
+}
+
 }  // namespace
 
 void Robot::ExamineOwnGraph() {
@@ -23,7 +29,9 @@ void Robot::ExamineOwnGraph() {
   if (primary == sensors_.end() || !primary->second.session || !primary->second.settled) {
     sight_.graph_health = {};
     sight_.graph_examined = {};
-    return;
+    // Of a sensor that is away, what was left out last stands.
+    return CountLeftOut(ports_.counts, config_.id, sight_.left_out_counted.value_or(0), false,
+                        sight_);
   }
   const uint32_t domain = primary->second.session->domain;
   const std::tuple<uint64_t, uint64_t, uint32_t> now = {state_.graph.revision(),
@@ -34,6 +42,9 @@ void Robot::ExamineOwnGraph() {
                                                .domain = domain,
                                                .own_participants = OwnParticipants(),
                                                .parts = ProtectedParts()});
+  const ros2::Truncation truncation = graph().truncation();
+  const bool began = sight_.truncation_alarm.Set(truncation, ports_.clock->Now().boottime_ns);
+  CountLeftOut(ports_.counts, config_.id, truncation.left_out, began, sight_);
 }
 
 void Robot::UpdateBlind(Instant now) {
@@ -66,24 +77,34 @@ bool Robot::PartsVerified(Instant now) const {
 }
 
 void Robot::TellTruncated(Instant now) {
-  if (sight_.graph_health.truncated.empty()) return;
-  const bool lately = sight_.truncation_told_ns.has_value() &&
-                      now.boottime_ns - *sight_.truncation_told_ns < BlindAlarm::kForgetNs;
-  if (lately) return;
-  sight_.truncation_told_ns = now.boottime_ns;
-  OwnAlert(engine::Severity::kCritical,
-           absl::StrCat(sight_.graph_health.truncated, " (", graph().dropped(), " left out); ",
-                        LargestParticipant(graph()), "; rules lower no level of ", config_.id,
-                        " meanwhile"));
+  const TruncationAlarm::Due due = sight_.truncation_alarm.Take(now.boottime_ns);
+  if (due.began) {
+    OwnAlert(engine::Severity::kCritical,
+             absl::StrCat("graph truncated: the graph of sensor ", config_.primary_sensor,
+                          " hit a limit (up to ", due.left_out, " left out); ",
+                          LargestParticipant(graph()), "; rules lower no level of ", config_.id,
+                          " meanwhile, and what they ask of the rest is unscanned"));
+  }
+  for (const ros2::Truncation::Crowd& crowd : due.crowds) {
+    OwnAlert(engine::Severity::kHigh,
+             absl::StrCat(DescribeParticipant(graph(), crowd.participant), " holds ",
+                          crowd.endpoints, " endpoints of the graph; ", crowd.left_out,
+                          " more participants, nodes or endpoints of it are left out"));
+  }
+  if (due.over) {
+    OwnAlert(engine::Severity::kInfo, absl::StrCat("the graph of sensor ", config_.primary_sensor,
+                                                   " is whole again; rules have judged it"));
+  }
 }
 
 void Robot::RecoverTruncated(Instant now) {
   if (sight_.graph_health.truncated.empty() || now.boottime_ns < sight_.next_recovery_ns) return;
-  if (!HasRoom(graph())) return;
+  // What the sensor left out, it asks discovery for itself.
+  if (graph().dropped() == 0 || !graph().HasRoom()) return;
   sight_.next_recovery_ns = now.boottime_ns + kRecoveryNs;
   SensorHost& host = sensors_[config_.primary_sensor];
   RefuseGraph(host, *host.session,
-              absl::AbortedError("the graph hit a limit and there is room again: tell it anew"));
+              absl::AbortedError("the graph hit a limit and there is room again: send it anew"));
 }
 
 void Robot::TellBlind(Instant now) {
@@ -105,7 +126,7 @@ void Robot::TellBlind(Instant now) {
                        std::all_of(sensors_.begin(), sensors_.end(), [](const auto& sensor) {
                          return sensor.second.session.has_value();
                        });
-  if (all_say && sight_.blind_alarm.Over()) {
+  if (all_say && sight_.blind.empty() && sight_.blind_alarm.Over()) {
     OwnAlert(engine::Severity::kInfo, absl::StrCat(config_.id, " is seen again"));
   }
 }

@@ -279,8 +279,11 @@ TEST_F(RobotBlindTest, ATruncatedGraphIsIncompleteEvidenceAndACriticalAlert) {
   }
   SendDelta(flood);
   Pass(1'000);
-  EXPECT_EQ(audience_.Count("the graph of sensor base hit a limit"), 1);
-  EXPECT_EQ(audience_.Count("(node /flood) has 1 of 4 nodes and 4095 of 4096 endpoints"), 1);
+  EXPECT_EQ(audience_.Count("the graph of sensor base hit a limit (up to 2952 left out)"), 1);
+  EXPECT_EQ(audience_.Count("(node /flood) has 1 of 4 nodes and 2048 of 2049 endpoints, 2952 more "
+                            "left out"),
+            1);
+  EXPECT_EQ(audience_.Count("holds 2048 endpoints of the graph"), 1);
   for (const store::AlertRecord& alert : audience_.alerts) {
     if (absl::StrContains(alert.text, "hit a limit")) {
       EXPECT_EQ(alert.severity, "critical");
@@ -307,6 +310,70 @@ TEST_F(RobotBlindTest, ATruncatedGraphIsIncompleteEvidenceAndACriticalAlert) {
   EXPECT_THAT(robot_->blind(), IsEmpty());
   Pass(120'000);
   EXPECT_TRUE(sensor_->closed.ok());
+  EXPECT_EQ(audience_.Count("the graph of sensor base is whole again"), 1);
+  EXPECT_EQ(audience_.Count("hit a limit ("), 1);
+}
+
+// ------------------------------------------------------------- a graph that the sensor cut short
+
+TEST_F(RobotBlindTest, WhatTheSensorLeavesOutIsLeftOut) {
+  std::vector<std::pair<uint64_t, bool>> counted;
+  counts_.graph_left_out = [&](const std::string&, uint64_t left_out, bool began) {
+    counted.emplace_back(left_out, began);
+  };
+  ArmWith(NormalGraph());
+  audience_.alerts.clear();
+  SendDelta({.truncation = ros2::Truncation{.left_out = 64, .crowds = {{Participant(2), 9, 64}}}});
+  EXPECT_THAT(robot_->blind(), ElementsAre(HasSubstr("graph truncated")));
+  EXPECT_THAT(Degraded(), Contains(HasSubstr("graph truncated")));
+  Pass(2'000);
+  EXPECT_FALSE(actuator_->leases.back().evidence_complete);
+  EXPECT_EQ(
+      audience_.Count("graph truncated: the graph of sensor base hit a limit (up to 64 left out); "
+                      "participant "),
+      1);
+  EXPECT_EQ(audience_.Count("(node /navigator) has 1 of"), 1);
+  // The first counts stand in the alert, and another participant has one of its own.
+  SendDelta({.truncation = ros2::Truncation{
+                 .left_out = 128, .crowds = {{Participant(2), 9, 64}, {Participant(1), 3, 32}}}});
+  Pass(2'000);
+  EXPECT_EQ(audience_.Count("hit a limit ("), 1);
+  EXPECT_EQ(audience_.Count("(node /camera) holds 3 endpoints of the graph; 32 more"), 1);
+  EXPECT_EQ(audience_.Count("(node /navigator) holds 9 endpoints of the graph; 64 more"), 1);
+
+  // A sensor that goes away does not end it.
+  robot_->OnSensorGone("base", sensor_.get());
+  sensor_.reset();
+  Pass(1'000);
+  EXPECT_EQ(audience_.Count("is whole again"), 0);
+  Hello();
+  SendDelta({.truncation = ros2::Truncation{}});
+  Pass(1'000);
+  EXPECT_TRUE(sensor_->closed.ok()) << "the sensor asked discovery itself";
+  EXPECT_EQ(audience_.Count("the graph of sensor base is whole again"), 1);
+  EXPECT_THAT(robot_->blind(), IsEmpty());
+  EXPECT_THAT(counted, ElementsAre(std::pair(0u, false), std::pair(64u, true),
+                                   std::pair(128u, false), std::pair(0u, false)));
+  // It comes back: told again.
+  SendDelta({.truncation = ros2::Truncation{.left_out = 1}});
+  Pass(1'000);
+  EXPECT_EQ(audience_.Count("hit a limit ("), 2);
+}
+
+TEST_F(RobotBlindTest, ASoftLevelDoesNotSinkOnATruncatedGraph) {
+  ArmWith(NormalGraph());
+  RaiseAndCalm();
+  SendDelta({.truncation = ros2::Truncation{.left_out = 1}});
+  Pass(60'000);
+  EXPECT_EQ(Level(), "ALERT");
+  SendDelta({.truncation = ros2::Truncation{}});
+  Pass(10'000);
+  EXPECT_EQ(Level(), "DEFAULT");
+}
+
+TEST_F(RobotBlindTest, TheSensorIsToldWhichTopicsTheRulesName) {
+  ArmWith(NormalGraph());
+  EXPECT_EQ(sensor_->kept_topics, robot_->kept_topics());
 }
 
 }  // namespace

@@ -2,12 +2,14 @@
 #ifndef RIPS_POLICY_SERVER_PIPELINE_ROBOT_CONFIG_H_
 #define RIPS_POLICY_SERVER_PIPELINE_ROBOT_CONFIG_H_
 
+#include <cstddef>
 #include <cstdint>
 #include <string>
 #include <vector>
 
 #include "absl/strings/string_view.h"
 #include "services/base/clock.h"
+#include "services/ros2/graph_limits.h"
 
 namespace rips::pipeline {
 
@@ -17,10 +19,17 @@ struct RobotConfig {
   std::vector<std::string> sensor_hosts;
   std::string primary_sensor;
   std::vector<std::string> actuator_hosts;
+  ros2::GraphLimits graph_limits;
 };
 
 // Named as the rule of what RIPS says by itself.
 inline constexpr absl::string_view kOwnRule = "(rips)";
+
+// What is kept of an alert; longer texts end in `...`. A rule's: a string of 4,096 code points.
+inline constexpr size_t kAlertTextBytesMax = size_t{16} << 10;
+inline constexpr size_t kAlertEventBytesMax = size_t{1} << 10;
+// What RIPS says by itself, much of it in an agent's words.
+inline constexpr size_t kOwnAlertBytesMax = size_t{4} << 10;
 
 struct Timing {
   int64_t heartbeat_ns = 500 * kNanosPerMilli;

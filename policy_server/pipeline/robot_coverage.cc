@@ -2,6 +2,7 @@
 #include <utility>
 
 #include "absl/strings/str_cat.h"
+#include "policy_server/engine/kept_topics.h"
 #include "policy_server/pipeline/robot.h"
 #include "services/base/payload_limits.h"
 #include "services/ros2/ros_name.h"
@@ -13,8 +14,15 @@ std::shared_ptr<const engine::InterestPlan> MakeInterest(const engine::Program& 
       engine::PlanInterest(program.rules(), kPayloadBytesDefault));
 }
 
+std::shared_ptr<const ros2::TopicNames> MakeKeptTopics(const engine::Program& program) {
+  return std::make_shared<const ros2::TopicNames>(engine::KeptTopics(program.rules()));
+}
+
 void Robot::UseInterest() {
   interest_ = policy_.interest != nullptr ? policy_.interest : MakeInterest(*policy_.program);
+  kept_topics_ =
+      policy_.kept_topics != nullptr ? policy_.kept_topics : MakeKeptTopics(*policy_.program);
+  for (auto& [name, host] : sensors_) host.graph.SetKeptTopics(kept_topics_);
   const auto primary = sensors_.find(config_.primary_sensor);
   if (primary == sensors_.end() || !primary->second.session) return;
   if (!AskInterest(*primary->second.session)) return;
@@ -23,7 +31,7 @@ void Robot::UseInterest() {
 }
 
 bool Robot::AskInterest(SensorSession& session) {
-  std::string id = session.link->SetInterest(*interest_, policy_.payload_limits);
+  std::string id = session.link->SetInterest(*interest_, policy_.payload_limits, *kept_topics_);
   if (id == session.interest_wanted) return false;
   session.interest_wanted = std::move(id);
   session.interest_problem.clear();
@@ -96,6 +104,7 @@ void Robot::TakeHello(SensorHost& host, const SensorHello& hello, Instant now) {
   UpdateBlind(now);
   coverage_alarm_.SetKinds(host.name, hello.not_visible);
   if (hello.participant.none()) return;
+  host.graph.SetObserver(hello.participant);
   TakeParticipant(absl::StrCat("sensor ", host.name), hello.participant, host.participants);
   for (auto& [name, other] : sensors_) {
     if (&other != &host && other.session) SendSetup(name, other, *other.session);

@@ -275,6 +275,29 @@ TEST_F(RobotTest, WhatAnActuatorWithoutStateFindsIsAdopted) {
   EXPECT_EQ(audience_.Count("finds r1 at HALT, above what this server decided: adopted"), 1);
 }
 
+TEST_F(RobotTest, WhereAnActuatorWithoutStateWasOrderedIsNotAdopted) {
+  Start();
+  ConnectActuator({.effective_level = "ALERT", .state_lost = true, .fail_safe_level = "ALERT"});
+  floor_ = "state lost";
+  Pass(500);
+  robot_->Raise({.operator_name = "alice", .to = "HALT", .reason = "drill"},
+                [](const LevelAnswer&) {});
+  Drain();
+  Obey();
+  Pass(500);
+  robot_->DeEscalate({.operator_name = "alice",
+                      .to = "DEFAULT",
+                      .reason = "over",
+                      .expected_level = "HALT",
+                      .expected_mark = robot_->Status().mark,
+                      .accept_blind = true},
+                     [](const LevelAnswer& answer) { EXPECT_THAT(answer.status, IsOk()); });
+  Drain();
+  Pass(200);  // on its way
+  EXPECT_EQ(Level(), "DEFAULT");
+  EXPECT_EQ(audience_.Count("adopted"), 0);
+}
+
 TEST_F(RobotTest, AFailSafeLevelIsNotAdopted) {
   Start();
   ConnectActuator({.effective_level = "ALERT", .state_lost = true, .fail_safe_level = "ALERT"});

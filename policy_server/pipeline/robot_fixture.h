@@ -56,6 +56,7 @@ class FakeRecorder final : public Recorder {
     return std::nullopt;
   }
   absl::StatusOr<uint64_t> NextTerm(const std::string&, uint64_t above) override {
+    if (!term_fail.ok()) return term_fail;
     return above + 1;
   }
   store::StorePoint point() const override {
@@ -90,6 +91,7 @@ class FakeRecorder final : public Recorder {
 
   bool held = false;
   absl::Status fail;
+  absl::Status term_fail;
   // What may use the reserve succeeds all the same.
   bool reserve = false;
   std::vector<store::DecisionRecord> decisions;
@@ -118,11 +120,14 @@ class RobotTest : public ::testing::Test {
     ASSERT_TRUE(compiled.rules) << lang::RenderText(files, compiled.diagnostics);
     auto program = engine::Program::Create(*std::move(compiled.rules));
     ASSERT_TRUE(program.ok()) << program.status();
-    Ports ports{.clock = &clock_,
-                .recorder = &recorder_,
-                .audience = &audience_,
-                .post = [this](std::function<void()> task) { posted_.push_back(std::move(task)); },
-                .new_id = [this] { return absl::StrCat("id", ++ids_); }};
+    Ports ports{
+        .clock = &clock_,
+        .recorder = &recorder_,
+        .audience = &audience_,
+        .counts = counts_,
+        .post = [this](std::function<void()> task) { posted_.push_back(std::move(task)); },
+        .post_work = [this](std::function<void()> task) { posted_.push_back(std::move(task)); },
+        .new_id = [this] { return absl::StrCat("id", ++ids_); }};
     auto robot = Robot::Create(
         {.id = "r1",
          .sensor_hosts = sensor_hosts_,
@@ -296,6 +301,7 @@ class RobotTest : public ::testing::Test {
   FakeClock clock_;
   FakeRecorder recorder_;
   FakeAudience audience_;
+  Counts counts_;
   std::deque<std::function<void()>> posted_;
   int ids_ = 0;
   std::unique_ptr<Robot> robot_;

@@ -39,23 +39,23 @@ void Robot::SetSensors(const RobotConfig& config, Instant now) {
   for (auto it = sensors_.begin(); it != sensors_.end();) {
     auto& [name, host] = *it;
     const bool listed = Lists(config.sensor_hosts, name);
-    const bool part_changed = (name == config.primary_sensor) != (name == config_.primary_sensor);
+    const bool part_changed =
+        (name == config.primary_sensor) != (name == config_.primary_sensor) ||
+        (name == config.primary_sensor && config.graph_limits != config_.graph_limits);
     if (host.session && (!listed || part_changed)) {
       host.session->link->Close(listed ? absl::AbortedError("its part in the inventory has changed")
                                        : NotListed("sensor", name, config_.id));
       host.session.reset();
       host.gone_since_ns = now.boottime_ns;
     }
-    if (part_changed) {
-      host.graph_incarnation.clear();
-      host.settled = false;
-    }
+    if (part_changed) host.BeginGraph(config.graph_limits, kept_topics_);
     it = listed ? std::next(it) : sensors_.erase(it);
   }
   for (const std::string& name : config.sensor_hosts) {
     const auto [it, fresh] = sensors_.try_emplace(name);
     if (!fresh) continue;
     it->second.name = name;
+    it->second.BeginGraph(config.graph_limits, kept_topics_);
     it->second.gone_since_ns = now.boottime_ns;
   }
 }
@@ -96,7 +96,9 @@ void Robot::Retire(const absl::Status& why) {
     if (host.session) host.session->link->Close(why);
     host.session.reset();
   }
+  control_line_.batches.clear();
   message_line_.batches.clear();
+  message_line_.unfinished = false;
   taps_.clear();
   if (drill_) {
     std::exchange(drill_, std::nullopt)->reply({.status = why, .drills = {}});

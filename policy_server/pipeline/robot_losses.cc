@@ -6,6 +6,7 @@
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_join.h"
 #include "policy_server/pipeline/robot.h"
+#include "services/base/saturating.h"
 
 namespace rips::pipeline {
 
@@ -19,13 +20,14 @@ void Robot::TellStoreWentBack(const std::string& how) {
   if (std::exchange(told_.store_went_back, true)) return;
   OwnAlert(engine::Severity::kCritical,
            absl::StrCat(how, ": a backup was restored; what was judged in between is not judged ",
-                        "again, and its alerts and decisions are not in this store"));
+                        "again, and its alerts and decisions are not in this store; bans and the ",
+                       "count of soft lowerings are those of the backup"));
 }
 
 // Of each range, `judged` from the store, `acknowledged` and `first` as the sensor says:
 //   first <= judged + 1                    nothing is missing
 //   acknowledged <= judged < first - 1     lost: dropped by the sensor before it was acknowledged
-//   judged < acknowledged                  the store went back; lost is only what lies above
+//   judged < acknowledged                  the store went back; lost, once, only what lies above
 //   of a former process of the sensor,     it names a point that the store does not go on from: not
 //   nothing acknowledged                   lost, once; what it was told ended with that process
 // An excuse is for what lies before the first hello to this process of the server: the sensor is
@@ -38,19 +40,27 @@ uint64_t Robot::LostBefore(SensorHost& host, const SensorHello& hello) {
                                    store::ToString(hello.store), "; the store holds ",
                                    store::ToString(ports_.recorder->point()), ")"));
   }
-  const bool excuse = parted && !std::exchange(host.excused, true);
-  uint64_t lost = 0;
+  bool went_back = parted;
   for (const SpooledRange& range : hello.spooled) {
     const uint64_t judged = host.sequences.Judged(range.incarnation, range.lane);
     if (range.acknowledged > judged) {
+      went_back = true;
       TellStoreWentBack(absl::StrCat("the store is older than what sensor ", host.name,
                                      " was told is durable (", range.acknowledged,
                                      ", the store knows ", judged, ")"));
     }
-    const uint64_t known = std::max(judged, range.acknowledged);
+  }
+  // Once, or a sensor could hide any gap by its word.
+  const bool excuse = went_back && !std::exchange(host.excused, true);
+  uint64_t lost = 0;
+  for (const SpooledRange& range : hello.spooled) {
+    const uint64_t judged = host.sequences.Judged(range.incarnation, range.lane);
+    const uint64_t known = excuse ? std::max(judged, range.acknowledged) : judged;
     const bool excused =
-        excuse && range.acknowledged == 0 && range.incarnation != hello.incarnation;
-    if (!excused && range.first_sequence > known + 1) lost += range.first_sequence - known - 1;
+        excuse && parted && range.acknowledged == 0 && range.incarnation != hello.incarnation;
+    if (!excused && range.first_sequence > known + 1) {
+      lost = SaturatingAdd(lost, range.first_sequence - known - 1);
+    }
     // Older incarnations that are announced are not the ones to be forgotten.
     host.sequences.Restore(range.incarnation, range.lane, range.first_sequence - 1);
   }

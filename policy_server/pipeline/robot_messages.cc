@@ -9,6 +9,8 @@
 namespace rips::pipeline {
 namespace {
 
+// A turn ends after the batch during which it has lasted so long, from its second batch on.
+constexpr int64_t kMessagesTurnNs = 2 * kNanosPerMilli;
 // Answers that one robot waits for at a time; inspectors keep a short line for each robot.
 constexpr size_t kAskedMax = 32;
 
@@ -34,6 +36,9 @@ void Robot::AdvanceMessages() {
   // An answer may come while a question is being asked.
   if (message_line_.advancing) return;
   message_line_.advancing = true;
+  message_line_.unfinished = false;
+  // 0 = in the first batch, whose time is not asked.
+  int64_t end_ns = 0;
   while (!message_line_.batches.empty()) {
     WaitingBatch& first = message_line_.batches.front();
     const size_t size = first.batch->observations.size();
@@ -46,6 +51,11 @@ void Robot::AdvanceMessages() {
     if (first.judged < size && SessionOf(first.host, first.link.get()) != nullptr) break;
     // What a stream that has ended leaves here was not acknowledged and will be sent again.
     message_line_.batches.pop_front();
+    if (message_line_.batches.empty()) break;
+    const int64_t now_ns = ports_.clock->Now().boottime_ns;
+    if (end_ns == 0) end_ns = now_ns + kMessagesTurnNs;
+    message_line_.unfinished = now_ns >= end_ns;
+    if (message_line_.unfinished) break;
   }
   message_line_.advancing = false;
 }
@@ -96,7 +106,7 @@ void Robot::AskInspection(WaitingBatch& batch, size_t index, std::vector<uint32_
       .size_bytes = message.size_bytes,
       .owner = batch.batch};
   policy_.inspector->Inspect(config_.id, needed, inspected,
-                             [this, post = ports_.post, ticket = batch.ticket, index,
+                             [this, post = ports_.post_work, ticket = batch.ticket, index,
                               needed](std::vector<engine::Verdict> verdicts) {
                                post([this, ticket, index, needed, verdicts = std::move(verdicts)] {
                                  OnInspected(ticket, index, needed, verdicts);

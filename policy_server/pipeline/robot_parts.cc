@@ -6,6 +6,15 @@
 #include "absl/strings/str_cat.h"
 
 namespace rips::pipeline {
+
+void SensorHost::BeginGraph(const ros2::GraphLimits& limits,
+                            std::shared_ptr<const ros2::TopicNames> kept_topics) {
+  graph = ros2::RosGraph(limits);
+  graph.SetKeptTopics(std::move(kept_topics));
+  graph_incarnation.clear();
+  settled = false;
+}
+
 bool SensorHost::HasBacklog() const {
   return session &&
          std::any_of(session->spooled.begin(), session->spooled.end(),
@@ -16,7 +25,8 @@ bool SensorHost::HasBacklog() const {
 
 absl::Status SensorHost::TakeSnapshot(const std::string& incarnation,
                                       const GraphSnapshotSeen& snapshot) {
-  ros2::RosGraph taken;
+  ros2::RosGraph taken = graph;
+  taken.Clear();
   if (absl::Status status = taken.Apply(snapshot.content); !status.ok()) return status;
   graph = std::move(taken);
   graph_incarnation = incarnation;

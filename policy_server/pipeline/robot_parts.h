@@ -24,6 +24,8 @@
 #include "policy_server/pipeline/second_holder.h"
 #include "policy_server/pipeline/sensor_health.h"
 #include "policy_server/pipeline/sequence_track.h"
+#include "policy_server/pipeline/term_reset.h"
+#include "policy_server/pipeline/truncation_alarm.h"
 #include "services/ros2/guid.h"
 
 namespace rips::pipeline {
@@ -85,6 +87,9 @@ struct SensorHost {
   // Gaps were put down to a restored store; once for each start of the server.
   bool excused = false;
 
+  // No graph is held; the next one has these limits and keeps these topics first.
+  void BeginGraph(const ros2::GraphLimits& limits,
+                  std::shared_ptr<const ros2::TopicNames> kept_topics);
   // Observations that were announced in its hello are not judged yet.
   bool HasBacklog() const;
   // The graph as the sensor of `incarnation` tells it. InvalidArgument: it makes no sense.
@@ -96,6 +101,8 @@ struct ActuatorSession {
   std::shared_ptr<ActuatorLink> link;
   // It began without a state of its own: above this level, what it holds is what it found.
   std::optional<levels::LevelIndex> found_above;
+  // The highest that was ordered in this session: where it may be because we said so.
+  levels::LevelIndex ordered_most = 0;
   int64_t heard_ns = 0;
   int64_t peer_boottime_ns = 0;
   ActuatorBeat beat;
@@ -119,6 +126,10 @@ struct ActuatorHost {
   bool met = false;
   // The newest decision that it verified.
   Mark verified;
+  // Of the hello that was refused last for it, until one is accepted.
+  std::optional<ShownTerm> refused_term;
+  // What an administrator let the server go above.
+  std::optional<ShownTerm> pardoned_term;
 };
 
 // A message batch, how far it is judged, and the verdicts of its messages.
@@ -140,11 +151,33 @@ struct WaitingBatch {
   size_t waiting = 0;
 };
 
+// A control batch, and how far it is judged.
+struct ControlBatch {
+  std::string host;
+  std::shared_ptr<SensorLink> link;
+  std::shared_ptr<const Batch> batch;
+  // Observations before this one are judged.
+  size_t judged = 0;
+  // Graphs that were judged, each by an event of its own.
+  size_t graphs = 0;
+  // Of the newest graph, which is taken and not judged yet.
+  std::optional<engine::Event> merged;
+};
+
+// Control batches in the order they came; only the first is being judged.
+struct ControlLine {
+  std::deque<ControlBatch> batches;
+  // What agents sent waits for its turn for too long.
+  bool backlog = false;
+};
+
 // Message batches in the order they came; only the first is being judged.
 struct MessageLine {
   std::deque<WaitingBatch> batches;
   uint64_t last_ticket = 0;
   bool advancing = false;
+  // A turn was over before all that can be judged was.
+  bool unfinished = false;
 };
 
 // What is not seen of the robot, and what of that has been told.
@@ -157,8 +190,8 @@ struct Sight {
   // What graph_health was found from: revision, number of actuator_hellos, domain.
   std::tuple<uint64_t, uint64_t, uint32_t> graph_examined = {};
   uint64_t actuator_hellos = 0;
-  // When it was told that the graph is truncated; nullopt = it was not, lately.
-  std::optional<int64_t> truncation_told_ns;
+  TruncationAlarm truncation_alarm;
+  std::optional<uint64_t> left_out_counted;
   // The sensor is not asked for its graph again before.
   int64_t next_recovery_ns = 0;
   CutPayloads cut_payloads;
@@ -187,6 +220,8 @@ struct ToldOnce {
   bool store_went_back = false;
   // Until an operator resumes them: the budget of soft lowerings is spent.
   bool budget_spent = false;
+  // Programs that no actuator offers; empty = none.
+  std::string missing_programs;
 };
 
 struct RunningDrill {

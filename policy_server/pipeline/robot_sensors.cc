@@ -126,14 +126,15 @@ void Robot::OnBatch(const std::string& host, const SensorLink* link,
   SensorSession* session = HearSensor(host, link);
   if (session == nullptr) return;
   if (batch->lane == Lane::kControl) {
-    JudgeBatch(host, link, *batch, 0, batch->observations.size(), {});
-  } else {
-    message_line_.batches.push_back({.ticket = ++message_line_.last_ticket,
-                                     .host = host,
-                                     .link = session->link,
-                                     .batch = std::move(batch),
-                                     .arrived_ns = ports_.clock->Now().boottime_ns});
+    control_line_.batches.push_back(
+        {.host = host, .link = session->link, .batch = std::move(batch)});
+    return AdvanceControl();
   }
+  message_line_.batches.push_back({.ticket = ++message_line_.last_ticket,
+                                   .host = host,
+                                   .link = session->link,
+                                   .batch = std::move(batch),
+                                   .arrived_ns = ports_.clock->Now().boottime_ns});
   AdvanceMessages();
 }
 
@@ -202,10 +203,8 @@ void Robot::Judge(SensorHost& host, SensorSession& session, bool primary, const 
     if (!primary) return;
     CountCut(*message);
     JudgeMessage(host, batch, *message, std::move(event), inspections);
-  } else if (const auto* snapshot = std::get_if<GraphSnapshotSeen>(&seen.what)) {
-    if (has_graph) JudgeSnapshot(host, session, *snapshot, std::move(event));
-  } else if (const auto* delta = std::get_if<GraphDeltaSeen>(&seen.what)) {
-    if (has_graph) JudgeDelta(host, session, *delta, std::move(event));
+  } else if (IsGraph(seen)) {
+    if (has_graph) JudgeGraph(host, session, batch, seen, std::move(event));
   } else if (const auto* ids = std::get_if<IdsAlertSeen>(&seen.what)) {
     event.what.emplace<engine::ExternalEvent>(engine::IdsEvent{.message = ids->message,
                                                                .gid = ids->gid,
@@ -240,22 +239,23 @@ void Robot::Judge(SensorHost& host, SensorSession& session, bool primary, const 
   }
 }
 
-void Robot::JudgeSnapshot(SensorHost& host, const SensorSession& session,
-                          const GraphSnapshotSeen& snapshot, engine::Event event) {
-  const absl::Status status = host.TakeSnapshot(session.incarnation, snapshot);
+void Robot::JudgeGraph(SensorHost& host, SensorSession& session, const Batch& batch,
+                       const Observation& seen, engine::Event event) {
+  bool news = true;
+  absl::Status status;
+  if (const auto* snapshot = std::get_if<GraphSnapshotSeen>(&seen.what)) {
+    status = host.TakeSnapshot(session.incarnation, *snapshot);
+  } else {
+    // Until a snapshot of this incarnation has come, deltas have nothing to change: the snapshot
+    // will contain them.
+    if (host.graph_incarnation != session.incarnation) return;
+    const auto& delta = std::get<GraphDeltaSeen>(seen.what);
+    news = delta.to_version > host.graph_version;
+    status = host.TakeDelta(session.incarnation, delta);
+  }
   if (!status.ok()) return RefuseGraph(host, session, status);
-  if (host.settled) GraphChanged(host, std::move(event));
-}
-
-void Robot::JudgeDelta(SensorHost& host, const SensorSession& session, const GraphDeltaSeen& delta,
-                       engine::Event event) {
-  // Until a snapshot of this incarnation has come, deltas have nothing to change: the snapshot will
-  // contain them.
-  if (host.graph_incarnation != session.incarnation) return;
-  const bool news = delta.to_version > host.graph_version;
-  const absl::Status status = host.TakeDelta(session.incarnation, delta);
-  if (!status.ok()) return RefuseGraph(host, session, status);
-  if (news && host.settled) GraphChanged(host, std::move(event));
+  if (!news || !host.settled || MergesGraph(batch, event, seen.boottime_ns)) return;
+  GraphChanged(host, std::move(event));
 }
 
 void Robot::RefuseGraph(SensorHost& host, const SensorSession& session,

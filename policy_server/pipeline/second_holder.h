@@ -44,7 +44,9 @@ class SecondHolder {
   std::string Begin(const std::string& peer) {
     refused_ = 0;
     const std::string before = std::exchange(holder_, peer);
-    return before.empty() || Address(before) == Address(peer) ? "" : before;
+    if (before.empty() || Address(before) == Address(peer)) return "";
+    reported_ns_ = 0;  // whom it refuses is news
+    return before;
   }
   // The live session was heard. What is to be reported, once a minute at most.
   std::optional<Report> Heard(int64_t now_ns) {

@@ -3,6 +3,8 @@
 #include <algorithm>
 #include <limits>
 
+#include "services/base/saturating.h"
+
 namespace rips::pipeline {
 namespace {
 
@@ -11,11 +13,6 @@ int64_t Minus(int64_t a, int64_t b) {
   int64_t out = 0;
   if (!__builtin_sub_overflow(a, b, &out)) return out;
   return a < b ? std::numeric_limits<int64_t>::min() : std::numeric_limits<int64_t>::max();
-}
-
-uint64_t Plus(uint64_t a, uint64_t b) {
-  return a > std::numeric_limits<uint64_t>::max() - b ? std::numeric_limits<uint64_t>::max()
-                                                      : a + b;
 }
 
 }  // namespace
@@ -58,14 +55,14 @@ void RecentLosses::Add(uint64_t count, int64_t now_ns) {
   if (count == 0) return;
   const int64_t step_ns = now_ns - now_ns % kStepNs;
   if (steps_.empty() || steps_.back().first < step_ns) steps_.emplace_back(step_ns, 0);
-  steps_.back().second = Plus(steps_.back().second, count);
+  steps_.back().second = SaturatingAdd(steps_.back().second, count);
   while (now_ns - steps_.front().first >= kWithinNs + kStepNs) steps_.pop_front();
 }
 
 uint64_t RecentLosses::Total(int64_t now_ns) const {
   uint64_t total = 0;
   for (const auto& [step_ns, count] : steps_) {
-    if (now_ns - step_ns < kWithinNs + kStepNs) total = Plus(total, count);
+    if (now_ns - step_ns < kWithinNs + kStepNs) total = SaturatingAdd(total, count);
   }
   return total;
 }

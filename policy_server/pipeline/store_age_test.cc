@@ -122,6 +122,17 @@ TEST_F(StoreAgeTest, WhatWasShedAboveWhatWasAcknowledgedIsLostAllTheSame) {
   EXPECT_EQ(audience_.Count(kOlder), 1);
 }
 
+TEST_F(StoreAgeTest, WhatASensorCallsAcknowledgedHidesOneGapAtMost) {
+  Start(kFloodRules);
+  for (uint64_t i = 0; i <= 3; ++i) {
+    SensorHello hello = Restarted({}, 391 + i * 100);
+    hello.spooled[0].acknowledged = hello.spooled[0].first_sequence - 1;
+    Connect(hello);
+    EXPECT_EQ(Lost(), i * 100);
+  }
+  EXPECT_EQ(audience_.Count(kOlder), 1);
+}
+
 TEST_F(StoreAgeTest, SensorsAreToldWhatTheStoreHolds) {
   Start();
   Arm();

@@ -7,6 +7,7 @@
 #include "absl/strings/str_format.h"
 #include "gmock/gmock.h"
 #include "policy_server/pipeline/fake_ports.h"
+#include "policy_server/pipeline/robot_config.h"
 #include "policy_server/store/fake_store.h"
 #include "services/base/fake_clock.h"
 #include "services/base/status_matchers.h"
@@ -101,6 +102,25 @@ TEST_F(StoreWatchTest, AnOutageIsOneAlertWrittenFirstAndOneWhenItIsOver) {
   ASSERT_EQ(Texts().size(), 2u);
   EXPECT_THAT(Texts()[1], HasSubstr("(server) info the store is written again after"));
   EXPECT_EQ(audience_.alerts, 2);
+}
+
+// A viewer's certificate is enough to make the server say things.
+TEST_F(StoreWatchTest, WhatTheServerSaysOfItselfIsFoldedByKindAndCut) {
+  const auto flood = [&] {
+    alerts_.Raise("(server)", engine::Severity::kHigh, std::string(1 << 20, 'x'));
+  };
+  for (int i = 0; i < 1'000; ++i) flood();
+  alerts_.Raise("(server)", engine::Severity::kCritical, "another place, another kind");
+  EXPECT_THAT(Write(), IsOk());
+  const std::vector<std::string> told = Texts();
+  ASSERT_EQ(told.size(), 21u);
+  EXPECT_LE(told[0].size(), kOwnAlertBytesMax + 20);
+  EXPECT_THAT(told[20], HasSubstr("another kind"));
+  clock_.Advance(61 * kNanosPerSecond);
+  flood();
+  EXPECT_THAT(Write(), IsOk());
+  ASSERT_EQ(Texts().size(), 23u);
+  EXPECT_THAT(Texts()[21], HasSubstr("980 more alerts of this kind within a minute"));
 }
 
 TEST_F(StoreWatchTest, AFailureBetweenTwoLooksIsNotOverlooked) {

@@ -57,7 +57,9 @@ class Replayer::Observer final : public RuleObserver {
     if (came == Came::kFired || came == Came::kFiredUnscanned) ++hits.fired;
     if (came == Came::kUnscanned || came == Came::kFiredUnscanned) ++hits.unscanned;
     if (came == Came::kUndecidable) ++hits.undecidable;
-    if (!what.empty()) {
+    if (what == engine::kGraphTruncated) {
+      ++hits.graph_truncated;
+    } else if (!what.empty()) {
       replayer_.Keep(replayer_.result_.faults,
                      {.at = replayer_.now_, .rule = hits.name, .text = std::string(what)});
     }

@@ -124,7 +124,8 @@ class Replayer {
   engine::RobotState state_;
   Result result_;
   // What is known of the graph, which is judged once it is settled.
-  ros2::RosGraph graph_;
+  // The recording says itself what was left out.
+  ros2::RosGraph graph_{ros2::kWideGraphLimits};
   bool settled_ = false;
 
   Moment now_;

@@ -225,6 +225,26 @@ TEST(ReplayerTest, TheGraphIsThatOfTheRecording) {
   EXPECT_EQ(result.events.undecidable, 0u);
 }
 
+TEST(ReplayerTest, WhatIsLeftOutOfTheGraphIsThatOfTheRecording) {
+  const auto program = MakeProgram(R"(
+    rules Graph:
+      many: nodecount(3, 9) ? alert("many");
+      known: hasnodes("/x") ? True();
+    )");
+  RecordedGraph cut = Graph({"/x"});
+  cut.content.truncation = ros2::Truncation{.left_out = 2};
+  RecordedGraph whole = Graph({}, false);
+  whole.content.truncation = ros2::Truncation{};
+  const Result result = Replayed(program, {Event(Graph({"/x"})), Event(cut), Event(whole)});
+  EXPECT_THAT(result.alerts, SizeIs(1));
+  EXPECT_EQ(result.rules[0].fired, 1u);
+  EXPECT_EQ(result.rules[0].unscanned, 1u);
+  EXPECT_EQ(result.rules[0].graph_truncated, 1u);
+  EXPECT_EQ(result.rules[1].fired, 3u);
+  EXPECT_EQ(result.rules[1].unscanned, 0u);
+  EXPECT_THAT(result.faults, IsEmpty());
+}
+
 TEST(ReplayerTest, AContextChangesTheGraphAndIsNoEvent) {
   Recorded message = Message("/t");
   message.context = Graph({"/stranger"});

@@ -77,6 +77,8 @@ struct RuleHits {
   // It asked an inspection that could not tell. It fired all the same, and is counted there, unless
   // ProgramOptions::on_inspection_error has it otherwise.
   uint64_t unscanned = 0;
+  // Of those: it asked for what was left out of a truncated graph.
+  uint64_t graph_truncated = 0;
   // Time it took, in all; 0 unless it was measured. What all rules of an event share counts for the
   // first that is run.
   int64_t total_ns = 0;

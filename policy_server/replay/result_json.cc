@@ -47,6 +47,7 @@ Json One(const RuleHits& rule) {
               {"ns_mean", rule.mean_ns()}};
   if (rule.undecidable > 0) out["undecidable"] = rule.undecidable;
   if (rule.unscanned > 0) out["unscanned"] = rule.unscanned;
+  if (rule.graph_truncated > 0) out["graph_truncated"] = rule.graph_truncated;
   return out;
 }
 

@@ -6,6 +6,7 @@
 #include <cstdio>
 #include <filesystem>
 #include <fstream>
+#include <nlohmann/json.hpp>
 #include <sstream>
 #include <string>
 #include <vector>
@@ -29,13 +30,12 @@ std::string Contents(const std::string& path) {
   return out.str();
 }
 
+// `?` for a line that is not an alert and nothing else.
 std::vector<std::string> Texts(const std::string& path) {
   std::vector<std::string> texts;
   for (absl::string_view line : absl::StrSplit(Contents(path), '\n', absl::SkipEmpty())) {
-    const size_t at = line.find("\"text\":\"");
-    texts.push_back(at == absl::string_view::npos
-                        ? "?"
-                        : std::string(line.substr(at + 8, line.find('"', at + 8) - at - 8)));
+    const auto alert = nlohmann::json::parse(line, nullptr, /*allow_exceptions=*/false);
+    texts.push_back(alert.is_object() ? alert.value("text", "?") : "?");
   }
   return texts;
 }

@@ -197,6 +197,7 @@ absl::Status FakeStore::State::Apply(const RefusalRecord& refusal) {
       return absl::AlreadyExistsError("the id names another transition");
     }
     known.count = refusal.count;
+    known.reason = refusal.reason;
     known.time_unix_ns = refusal.time_unix_ns;
     return absl::OkStatus();
   }

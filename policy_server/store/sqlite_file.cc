@@ -235,6 +235,11 @@ absl::Status CheckStateFile(const std::string& path) {
 absl::StatusOr<FileLock> FileLock::Take(const std::string& path) {
   const std::string name = path + ".lock";
   const int fd = open(name.c_str(), O_RDWR | O_CREAT | O_CLOEXEC, 0600);
+  if (fd < 0 && errno == ENOENT) {
+    return absl::UnavailableError(absl::StrCat(
+        "the directory of the state file `", path,
+        "` does not exist; make it, and let it belong to the user of the policy server"));
+  }
   if (fd < 0) return FromErrno(absl::StrCat("opening `", name, "`"));
   FileLock lock(fd);
   if (flock(fd, LOCK_EX | LOCK_NB) == 0) return lock;

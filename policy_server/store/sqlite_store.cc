@@ -32,10 +32,10 @@ struct SqliteStore::Parts {
         reader(std::move(opened_reader)) {}
 
   // `write` may be tried again: a full disk gets room from the reserve, piece by piece.
-  absl::Status WithReserve(const std::function<absl::Status()>& write)
+  absl::Status WithReserve(const std::function<absl::Status(SqliteWriter&)>& write)
       ABSL_EXCLUSIVE_LOCKS_REQUIRED(writer_mutex) {
-    absl::Status status = write();
-    while (absl::IsResourceExhausted(status) && reserve.Release()) status = write();
+    absl::Status status = write(writer);
+    while (absl::IsResourceExhausted(status) && reserve.Release()) status = write(writer);
     return status;
   }
 
@@ -86,8 +86,8 @@ absl::StatusOr<uint64_t> SqliteStore::NextTerm(absl::string_view robot, uint64_t
   MutexLock lock(&parts_->writer_mutex);
   // Without a term no robot can be commanded at all.
   uint64_t term = 0;
-  RIPS_RETURN_IF_ERROR(parts_->WithReserve([&]() -> absl::Status {
-    RIPS_ASSIGN_OR_RETURN(term, parts_->writer.NextTerm(robot, above));
+  RIPS_RETURN_IF_ERROR(parts_->WithReserve([&](SqliteWriter& writer) -> absl::Status {
+    RIPS_ASSIGN_OR_RETURN(term, writer.NextTerm(robot, above));
     return absl::OkStatus();
   }));
   return term;
@@ -102,7 +102,8 @@ absl::StatusOr<std::optional<std::string>> SqliteStore::FindDecision(absl::strin
 absl::Status SqliteStore::BeginGeneration(absl::string_view id) {
   MutexLock lock(&parts_->writer_mutex);
   // Drawn at each start, as terms are.
-  RIPS_RETURN_IF_ERROR(parts_->WithReserve([&] { return parts_->writer.BeginGeneration(id); }));
+  RIPS_RETURN_IF_ERROR(
+      parts_->WithReserve([&](SqliteWriter& writer) { return writer.BeginGeneration(id); }));
   parts_->newest_commit = parts_->writer.newest_commit();
   return absl::OkStatus();
 }
@@ -119,15 +120,15 @@ absl::Status SqliteStore::CommitAll(std::span<const WriteBatch> batches) {
   const bool may_use_reserve =
       !batches.empty() && std::all_of(batches.begin(), batches.end(),
                                       [](const WriteBatch& batch) { return batch.uses_reserve; });
-  const auto write = [&]() -> absl::Status {
-    RIPS_RETURN_IF_ERROR(parts_->writer.CommitAll(batches));
-    parts_->newest_commit = parts_->writer.newest_commit();
+  const auto write = [&](SqliteWriter& writer) -> absl::Status {
+    RIPS_RETURN_IF_ERROR(writer.CommitAll(batches));
+    parts_->newest_commit = writer.newest_commit();
     return absl::OkStatus();
   };
   if (may_use_reserve) return parts_->WithReserve(write);
   // What the reserve has given up is for decisions: others wait until it is whole again.
   RIPS_RETURN_IF_ERROR(parts_->reserve.Refill());
-  return write();
+  return write(parts_->writer);
 }
 
 absl::StatusOr<std::vector<TransitionRecord>> SqliteStore::ListTransitions(absl::string_view robot,

@@ -88,7 +88,7 @@ TEST_F(SqliteStoreTest, OneProcessAtATime) {
 
 TEST_F(SqliteStoreTest, NeedsADirectory) {
   EXPECT_THAT(SqliteStore::Open(dir_.File("none/state.db")),
-              StatusIs(absl::StatusCode::kUnavailable, HasSubstr("No such file")));
+              StatusIs(absl::StatusCode::kUnavailable, HasSubstr("does not exist; make it")));
   EXPECT_THAT(SqliteStore::Open(dir_.File("")), testing::Not(IsOk()));
 }
 

@@ -52,7 +52,8 @@ absl::Status SqliteWriter::PrepareAll() {
        "INSERT INTO transitions (id, robot, time_unix_ns, from_level, to_level, cause, reason,"
        " refused, term, epoch, based_term, based_epoch, count, stage, detail) "
        "VALUES (?, ?, ?, ?, ?, ?, ?, 1, 0, 0, 0, 0, ?, '', '') "
-       "ON CONFLICT (id) DO UPDATE SET time_unix_ns = excluded.time_unix_ns, count = excluded.count"
+       "ON CONFLICT (id) DO UPDATE SET time_unix_ns = excluded.time_unix_ns, "
+       "reason = excluded.reason, count = excluded.count"
        " WHERE refused = 1 AND robot = excluded.robot RETURNING seq"},
       {&prune_refusals_,
        "DELETE FROM transitions WHERE refused = 1 AND"

@@ -21,7 +21,7 @@ class ListAgents final : public AgentCommand {
  public:
   absl::string_view verb() const override { return "list"; }
   absl::string_view synopsis() const override {
-    return "Show the certificates of connected agents and operators, and who is banned";
+    return "Show the certificates that have connected since the server's start, and the bans";
   }
   void AddFlags(CLI::App&) override {}
   ExitCode Run(Env& env) override {
@@ -127,6 +127,49 @@ class Unban final : public CertificateCommand {
   }
 };
 
+// For an actuator that the server refuses because of the term that it has obeyed.
+class ResetTerm final : public AgentCommand {
+ public:
+  absl::string_view verb() const override { return "reset-term"; }
+  absl::string_view synopsis() const override {
+    return "Let the server go above the term for which it refuses an actuator";
+  }
+  void AddFlags(CLI::App& app) override {
+    app.add_option("ROBOT", robot_, "Robot id")->required();
+    app.add_option("HOST", host_, "Host of the actuator")->required();
+    app.add_option("--reason", reason_, "Why; kept in the robot's history")->required();
+  }
+  ExitCode Run(Env& env) override {
+    absl::Status valid = CheckRobot(robot_);
+    if (valid.ok()) valid = CheckReason(reason_);
+    if (!valid.ok()) return UsageError(env, valid.message());
+    v1::ResetTermRequest request;
+    request.set_robot(robot_);
+    request.set_host(host_);
+    request.set_reason(reason_);
+    const auto response = Call(env, &Stub::ResetTerm, request);
+    if (!response.ok()) return Failed(env, response.status());
+    const std::string decision = MarkText(response->mark());
+    if (env.json()) {
+      PrintJson({{"robot", robot_},
+                 {"host", host_},
+                 {"mark", decision},
+                 {"decided_level", response->decided_level()}},
+                env.out);
+    } else {
+      env.out << robot_ << " stays at " << EscapeText(response->decided_level()) << " by decision "
+              << decision << "; actuator " << EscapeText(host_)
+              << " is armed when it connects next, within 60 s\n";
+    }
+    return ExitCode::kDone;
+  }
+
+ private:
+  std::string robot_;
+  std::string host_;
+  std::string reason_;
+};
+
 }  // namespace
 
 Commands AgentCommands() {
@@ -134,6 +177,7 @@ Commands AgentCommands() {
   commands.push_back(std::make_unique<ListAgents>());
   commands.push_back(std::make_unique<Ban>());
   commands.push_back(std::make_unique<Unban>());
+  commands.push_back(std::make_unique<ResetTerm>());
   return commands;
 }
 

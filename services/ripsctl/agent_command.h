@@ -1,4 +1,4 @@
-// `ripsctl agent`: list, ban, unban.
+// `ripsctl agent`: list, ban, unban, reset-term.
 #ifndef RIPS_SERVICES_RIPSCTL_AGENT_COMMAND_H_
 #define RIPS_SERVICES_RIPSCTL_AGENT_COMMAND_H_
 

@@ -6,6 +6,9 @@
 #include <string>
 #include <utility>
 
+#include "absl/strings/match.h"
+#include "absl/strings/str_cat.h"
+#include "absl/strings/string_view.h"
 #include "absl/time/clock.h"
 #include "services/ripsctl/json_view.h"
 #include "services/ripsctl/printer.h"
@@ -13,6 +16,12 @@
 
 namespace rips::ripsctl {
 namespace {
+
+// An alert that came because nobody could tell says so where it is read.
+std::string TextOf(const v1::Alert& alert) {
+  constexpr absl::string_view kUndecided = " (graph truncated)";
+  return absl::StrCat(alert.text(), absl::EndsWith(alert.event(), kUndecided) ? kUndecided : "");
+}
 
 class AlertCommand : public Command {
  public:
@@ -44,15 +53,29 @@ class ListAlerts final : public AlertCommand {
     if (env.json()) {
       Json alerts = Json::array();
       for (const v1::Alert& alert : response->alerts()) alerts.push_back(ToJson(alert));
-      PrintJson({{"alerts", std::move(alerts)}}, env.out);
+      Json unrecorded = Json::array();
+      for (const v1::Alert& alert : response->unrecorded()) unrecorded.push_back(ToJson(alert));
+      PrintJson({{"alerts", std::move(alerts)},
+                 {"cut", response->cut()},
+                 {"unrecorded", std::move(unrecorded)}},
+                env.out);
       return ExitCode::kDone;
     }
     Table table({"TIME", "ROBOT", "SEVERITY", "LEVEL", "RULE", "TEXT"});
-    for (const v1::Alert& alert : response->alerts()) {
+    const auto add = [&table](const v1::Alert& alert) {
       table.Add({ShortTime(alert.time_unix_ns()), alert.robot(), alert.severity(), alert.level(),
-                 alert.rule(), alert.text()});
+                 alert.rule(), TextOf(alert)});
+    };
+    for (auto it = response->unrecorded().rbegin(); it != response->unrecorded().rend(); ++it) {
+      add(*it);
     }
+    std::for_each(response->alerts().begin(), response->alerts().end(), add);
     table.Print(env.out);
+    if (response->unrecorded_size() > 0) {
+      env.out << "the first " << response->unrecorded_size()
+              << " are in the server's memory only: its store cannot be written\n";
+    }
+    if (response->cut()) env.out << "older alerts do not fit into one answer\n";
     return ExitCode::kDone;
   }
 
@@ -150,7 +173,7 @@ class WatchAlerts final : public AlertCommand {
     }
     env.out << ShortTime(alert.time_unix_ns()) << "  " << EscapeText(alert.robot()) << "  "
             << EscapeText(alert.severity()) << "  " << EscapeText(alert.level()) << "  "
-            << EscapeText(alert.rule()) << ": " << EscapeText(alert.text()) << std::endl;
+            << EscapeText(alert.rule()) << ": " << EscapeText(TextOf(alert)) << std::endl;
   }
 
   std::string cursor_;

@@ -69,7 +69,8 @@ Json ToJson(const v1::RobotStatus& status) {
           {"stage", status.stage()},
           {"mark", JsonMark(status.has_mark(), status.mark())},
           {"bundle", status.bundle_version()},
-          {"degraded", Strings(status.degraded())}};
+          {"degraded", Strings(status.degraded())},
+          {"degraded_cut", status.degraded_cut()}};
 }
 
 Json ToJson(const v1::Transition& transition) {

@@ -102,7 +102,7 @@ class LevelHistory final : public LevelCommand {
     if (env.json()) {
       Json list = Json::array();
       for (const v1::Transition& each : response->transitions()) list.push_back(ToJson(each));
-      PrintJson({{"transitions", std::move(list)}}, env.out);
+      PrintJson({{"transitions", std::move(list)}, {"cut", response->cut()}}, env.out);
       return ExitCode::kDone;
     }
     Table table({"TIME", "FROM", "TO", "MARK", "STAGE", "CAUSE", "REASON"});
@@ -113,6 +113,7 @@ class LevelHistory final : public LevelCommand {
                  stage, each.cause(), each.reason()});
     }
     table.Print(env.out);
+    if (response->cut()) env.out << "older transitions do not fit into one answer\n";
     return ExitCode::kDone;
   }
 
@@ -163,25 +164,37 @@ class ChangeLevel : public LevelCommand {
 
   ExitCode Report(Env& env, absl::string_view verb, const v1::LevelRequest& request,
                   const v1::LevelResponse& response) const {
+    // Only lowerings need to be seen.
+    const bool refused = dry_run_ && !response.blind_because().empty() && !request.accept_blind();
+    const ExitCode code = refused ? ExitCode::kRefused : ExitCode::kDone;
     if (env.json()) {
       PrintReport(env, request, response);
-      return ExitCode::kDone;
+      return code;
     }
     if (dry_run_) {
-      env.out << "would " << verb << " " << robot_ << " to " << EscapeText(to_)
-              << "; nothing was changed\n";
+      if (!refused)
+        env.out << "would " << verb << " " << robot_ << " to " << EscapeText(to_) << "; ";
+      env.out << "nothing was changed\n";
     } else {
-      env.out << robot_ << " is now at " << EscapeText(response.decided_level()) << " ("
+      env.out << robot_ << " goes to " << EscapeText(response.decided_level()) << " ("
               << MarkText(response.mark()) << ")\n";
+    }
+    if (verb == "raise" && response.soft()) {
+      env.out << EscapeText(response.decided_level())
+              << " is a soft level: a rule may lower it again, as soon as what it asks is true\n";
     }
     for (const std::string& why : response.blind_because()) {
       env.out << "blind: " << EscapeText(why) << "\n";
+    }
+    if (refused) {
+      env.out << "would be refused, because RIPS does not see all of " << robot_
+              << " now; --accept-blind lowers it all the same\n";
     }
     for (const std::string& rule : response.would_raise_again()) {
       env.out << (dry_run_ ? "would be raised again by rule " : "may be raised again by rule ")
               << EscapeText(rule) << "\n";
     }
-    return ExitCode::kDone;
+    return code;
   }
 
   static void PrintReport(Env& env, const v1::LevelRequest& request,
@@ -189,7 +202,8 @@ class ChangeLevel : public LevelCommand {
     Json json = {{"robot", request.robot()},
                  {"to", request.to()},
                  {"dry_run", request.dry_run()},
-                 {"decided_level", response.decided_level()}};
+                 {"decided_level", response.decided_level()},
+                 {"soft", response.soft()}};
     json["mark"] = response.has_mark() ? Json(MarkText(response.mark())) : Json(nullptr);
     if (!request.expected_level().empty()) {
       json["expected"] =

@@ -22,14 +22,16 @@
 namespace rips::ripsctl {
 namespace {
 
+absl::Status AlreadyThere(const std::string& path) {
+  return absl::AlreadyExistsError(
+      absl::StrCat("`", path, "` is there already; choose another file, or --force"));
+}
+
 absl::StatusOr<UniqueFd> CreateFile(const std::string& path, bool replace) {
   UniqueFd file(
       open(path.c_str(), O_WRONLY | O_CREAT | O_CLOEXEC | (replace ? O_TRUNC : O_EXCL), 0600));
   if (file.get() >= 0) return file;
-  if (errno == EEXIST) {
-    return absl::AlreadyExistsError(
-        absl::StrCat("`", path, "` is there already; choose another file, or --force"));
-  }
+  if (errno == EEXIST) return AlreadyThere(path);
   return absl::ErrnoToStatus(errno, absl::StrCat("cannot write `", path, "`"));
 }
 
@@ -55,8 +57,9 @@ class Record final : public Command {
         (!absl::ParseDuration(duration_, &duration) || duration <= absl::ZeroDuration())) {
       return UsageError(env, absl::StrCat("--for is `", duration_, "`, not a time like `60s`"));
     }
-    const absl::StatusOr<UniqueFd> file = CreateFile(path_, force_);
-    if (!file.ok()) return UsageError(env, file.status().message());
+    if (!force_ && access(path_.c_str(), F_OK) == 0) {
+      return UsageError(env, AlreadyThere(path_).message());
+    }
     grpc::ClientContext context;
     if (duration != absl::InfiniteDuration()) {
       context.set_deadline(absl::ToChronoTime(absl::Now() + duration));
@@ -65,14 +68,14 @@ class Record final : public Command {
     request.set_robot(robot_);
     const auto reader = env.server->Record(&context, request);
     ServerExpiry expiry(&context);
-    const absl::Status written = Write(*reader, expiry, file->get());
+    const absl::Status written = Write(*reader, expiry);
     if (!written.ok()) context.TryCancel();
     const grpc::Status ended = expiry.End(reader->Finish());
     if (!written.ok()) return Failed(env, written);
     const bool in_time = ended.error_code() == grpc::StatusCode::DEADLINE_EXCEEDED && begun_ &&
                          duration != absl::InfiniteDuration();
     if (!ended.ok() && !in_time) return Ended(env, ended);
-    if (fsync(file->get()) != 0) {
+    if (fsync(file_.get()) != 0) {
       return Failed(env, absl::ErrnoToStatus(errno, absl::StrCat("cannot write `", path_, "`")));
     }
     if (env.json()) {
@@ -84,15 +87,16 @@ class Record final : public Command {
   }
 
  private:
-  absl::Status Write(grpc::ClientReaderInterface<v1::Recording>& reader, ServerExpiry& expiry,
-                     int fd) {
+  // Makes the file once the server has begun, so that a refused recording leaves none.
+  absl::Status Write(grpc::ClientReaderInterface<v1::Recording>& reader, ServerExpiry& expiry) {
     v1::Recording piece;
     if (!reader.Read(&piece)) return absl::OkStatus();  // the status of the call says why
     expiry.Received();
     if (!piece.has_header()) return absl::InternalError("the server sent no header");
+    RIPS_ASSIGN_OR_RETURN(file_, CreateFile(path_, force_));
     RIPS_ASSIGN_OR_RETURN(
         recording::RipsWriter writer,
-        recording::RipsWriter::Create(fd, recording::DecodeHeader(piece.header())));
+        recording::RipsWriter::Create(file_.get(), recording::DecodeHeader(piece.header())));
     begun_ = true;
     while (reader.Read(&piece)) {
       RIPS_ASSIGN_OR_RETURN(const recording::Recorded event, recording::DecodeEvent(piece.event()));
@@ -106,6 +110,7 @@ class Record final : public Command {
   std::string path_;
   std::string duration_;
   bool force_ = false;
+  UniqueFd file_;
   bool begun_ = false;
   uint64_t events_ = 0;
 };

@@ -90,6 +90,7 @@ class FakeOperator final : public v1::OperatorService::Service {
   grpc::Status failure;
   v1::LevelResponse level_response;
   std::string alert_text = "unknown node /intruder";
+  std::string unrecorded_alert;
   // What each watch of alerts in turn is told, and how it ends; empty = one alert.
   struct AlertWatch {
     std::vector<v1::Alert> alerts;
@@ -126,6 +127,7 @@ class FakeOperator final : public v1::OperatorService::Service {
   }
   grpc::Status Record(grpc::ServerContext*, const v1::RecordRequest* request,
                       grpc::ServerWriter<v1::Recording>* writer) override {
+    if (!failure.ok()) return Record("Record");
     v1::Recording piece;
     piece.mutable_header()->set_robot(request->robot());
     writer->Write(piece);
@@ -156,6 +158,14 @@ class FakeOperator final : public v1::OperatorService::Service {
   grpc::Status Unban(grpc::ServerContext*, const v1::UnbanRequest* request,
                      v1::UnbanResponse*) override {
     return Record(absl::StrCat("Unban ", request->uri(), " ", request->serial()));
+  }
+  grpc::Status ResetTerm(grpc::ServerContext*, const v1::ResetTermRequest* request,
+                         v1::ResetTermResponse* response) override {
+    response->mutable_mark()->set_term(2'000'000);
+    response->mutable_mark()->set_epoch(8);
+    response->set_decided_level("ALERT");
+    return Record(
+        absl::StrCat("ResetTerm ", request->robot(), " ", request->host(), " ", request->reason()));
   }
   grpc::Status GetGraph(grpc::ServerContext*, const v1::GetGraphRequest*,
                         v1::GetGraphResponse* response) override {
@@ -196,6 +206,7 @@ class FakeOperator final : public v1::OperatorService::Service {
   grpc::Status ListAlerts(grpc::ServerContext*, const v1::ListAlertsRequest* request,
                           v1::ListAlertsResponse* response) override {
     *response->add_alerts() = MakeAlert(alert_text);
+    if (!unrecorded_alert.empty()) *response->add_unrecorded() = MakeAlert(unrecorded_alert);
     return Record(absl::StrCat("ListAlerts ", request->robot(), " ", request->limit()));
   }
   grpc::Status WatchAlerts(grpc::ServerContext*, const v1::WatchAlertsRequest* request,

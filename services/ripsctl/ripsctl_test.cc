@@ -49,7 +49,8 @@ TEST_F(RipsctlTest, ListsRobots) {
                                        {"stage", "verified"},
                                        {"mark", "3.17"},
                                        {"bundle", "sha256:" + std::string(64, 'b')},
-                                       {"degraded", nlohmann::json::array()}}));
+                                       {"degraded", nlohmann::json::array()},
+                                       {"degraded_cut", false}}));
 }
 
 TEST_F(RipsctlTest, WatchesRobotsUntilTheServerEndsIt) {
@@ -160,7 +161,7 @@ TEST_F(RipsctlTest, LowersWithWhatItReadAndShowed) {
   EXPECT_EQ(result.code, 0);
   EXPECT_EQ(result.out,
             "r1 is at COMPROMISED (3.17) since 2026-01-01T00:00:00.000Z, rule rogue_cmd_vel\n"
-            "r1 is now at DEFAULT (3.18)\n"
+            "r1 goes to DEFAULT (3.18)\n"
             "may be raised again by rule unknown_node\n");
   EXPECT_THAT(fake_.calls(), testing::ElementsAre("GetLevel", "DeEscalate"));
   const v1::LevelRequest request = fake_.last_level_request();
@@ -180,6 +181,7 @@ TEST_F(RipsctlTest, LowersWithWhatTheOperatorExpects) {
                                   {"to", "ALERT"},
                                   {"dry_run", false},
                                   {"decided_level", "ALERT"},
+                                  {"soft", false},
                                   {"mark", "3.18"},
                                   {"expected", "COMPROMISED@2.9"},
                                   {"would_raise_again", nlohmann::json::array()},
@@ -194,17 +196,45 @@ TEST_F(RipsctlTest, ADryRunSaysWhatWouldHappen) {
   fake_.level_response.add_blind_because("sensor base lost");
   const Result result =
       Run({"level", "lower", "r1", "--to", "DEFAULT", "--reason", "x", "--dry-run"});
-  EXPECT_EQ(result.code, 0);
+  EXPECT_EQ(result.code, 1);
   EXPECT_TRUE(fake_.last_level_request().dry_run());
-  EXPECT_THAT(result.out, HasSubstr("would lower r1 to DEFAULT; nothing was changed\n"
+  EXPECT_THAT(result.out, HasSubstr("nothing was changed\n"
                                     "blind: sensor base lost\n"
+                                    "would be refused, because RIPS does not see all of r1 now; "
+                                    "--accept-blind lowers it all the same\n"
                                     "would be raised again by rule unknown_node\n"));
+  EXPECT_THAT(result.out, testing::Not(HasSubstr("would lower")));
+
+  const Result accepted = Run(
+      {"level", "lower", "r1", "--to", "DEFAULT", "--reason", "x", "--dry-run", "--accept-blind"});
+  EXPECT_EQ(accepted.code, 0);
+  EXPECT_THAT(accepted.out, HasSubstr("would lower r1 to DEFAULT; nothing was changed\n"
+                                      "blind: sensor base lost\n"));
+}
+
+TEST_F(RipsctlTest, ListsAlertsThatTheStoreHasNotTaken) {
+  fake_.unrecorded_alert = "rogue driver";
+  const Result result = Run({"alert", "list"});
+  EXPECT_EQ(result.code, 0);
+  EXPECT_THAT(result.out, HasSubstr("rogue driver"));
+  EXPECT_THAT(result.out, HasSubstr("the first 1 are in the server's memory only: its store "
+                                    "cannot be written\n"));
+  EXPECT_EQ(RunJson({"alert", "list"})["unrecorded"][0]["text"], "rogue driver");
+}
+
+TEST_F(RipsctlTest, ARaiseToASoftLevelSaysThatRulesMayLowerIt) {
+  fake_.level_response.set_soft(true);
+  const Result result = Run({"level", "raise", "r1", "--to", "HALT", "--reason", "smoke"});
+  EXPECT_EQ(result.out,
+            "r1 goes to HALT (3.18)\n"
+            "HALT is a soft level: a rule may lower it again, as soon as what it asks is true\n");
+  EXPECT_EQ(RunJson({"level", "raise", "r1", "--to", "HALT", "--reason", "smoke"})["soft"], true);
 }
 
 TEST_F(RipsctlTest, Raises) {
   const Result result = Run({"level", "raise", "r1", "--to", "HALT", "--reason", "smoke"});
   EXPECT_EQ(result.code, 0);
-  EXPECT_EQ(result.out, "r1 is now at HALT (3.18)\n");
+  EXPECT_EQ(result.out, "r1 goes to HALT (3.18)\n");
   EXPECT_THAT(fake_.calls(), testing::ElementsAre("Raise"));
   EXPECT_EQ(RunJson({"level", "raise", "r1", "--to", "HALT", "--reason", "smoke"})["mark"], "3.18");
 }
@@ -387,6 +417,17 @@ TEST_F(RipsctlTest, ListsAgentsAndBans) {
                             {"not_after", "2026-01-01T00:00:00.000000000Z"}}));
 }
 
+TEST_F(RipsctlTest, ResetsATerm) {
+  EXPECT_EQ(Run({"agent", "reset-term", "r1", "base", "--reason", "disk replaced"}).out,
+            "r1 stays at ALERT by decision 2000000.8; actuator base is armed when it connects "
+            "next, within 60 s\n");
+  EXPECT_EQ(fake_.calls()[0], "ResetTerm r1 base disk replaced");
+  EXPECT_EQ(Run({"agent", "reset-term", "r1", "base"}).code, 2);
+  EXPECT_EQ(Run({"agent", "reset-term", "r1", "base", "--reason", " "}).code, 2);
+  fake_.failure = grpc::Status(grpc::StatusCode::FAILED_PRECONDITION, "nothing to reset");
+  EXPECT_EQ(Run({"agent", "reset-term", "r1", "base", "--reason", "x"}).code, 1);
+}
+
 TEST_F(RipsctlTest, BansAndUnbans) {
   const std::string uri = "spiffe://td/robot/r1/sensor/base";
   EXPECT_EQ(Run({"agent", "ban", uri, "--serial", "00AF", "--reason", "stolen"}).out,
@@ -546,6 +587,13 @@ TEST_F(RipsctlTest, ARefusedRecordingSaysWhy) {
   const Result result = Run({"record", "r2", "--out", home_ + "/r2.rips"});
   EXPECT_EQ(result.code, 1);
   EXPECT_THAT(result.err, HasSubstr("no robot `r2`"));
+  EXPECT_FALSE(std::filesystem::exists(home_ + "/r2.rips"));
+
+  // Nor does it take the place of an earlier recording.
+  const std::string kept = home_ + "/kept.rips";
+  std::ofstream(kept) << "earlier";
+  EXPECT_EQ(Run({"record", "r2", "--out", kept, "--force"}).code, 1);
+  EXPECT_EQ(std::filesystem::file_size(kept), 7u);
 }
 
 }  // namespace

@@ -26,10 +26,19 @@ Table StatusTable() {
   return Table({"ROBOT", "DECIDED", "EFFECTIVE", "STAGE", "MARK", "BUNDLE", "DEGRADED"});
 }
 
+// What is wrong, in one line; it says so where the server has left something out.
+std::string DegradedText(const v1::RobotStatus& status) {
+  std::string text = absl::StrJoin(status.degraded(), "; ");
+  if (status.degraded_cut()) {
+    absl::StrAppend(&text, text.empty() ? "" : "; ",
+                    "(more than fits here; see `ripsctl level show ", status.robot(), "`)");
+  }
+  return text;
+}
+
 void AddStatus(const v1::RobotStatus& status, Table* table) {
   table->Add({status.robot(), status.decided_level(), status.effective_level(), status.stage(),
-              MarkText(status.mark()), ShortBundle(status.bundle_version()),
-              absl::StrJoin(status.degraded(), "; ")});
+              MarkText(status.mark()), ShortBundle(status.bundle_version()), DegradedText(status)});
 }
 
 class ListRobots final : public RobotCommand {
@@ -94,8 +103,8 @@ class WatchRobots final : public RobotCommand {
             << "  effective "
             << (status.effective_level().empty() ? "-" : EscapeText(status.effective_level()))
             << "  " << EscapeText(status.stage()) << "  mark " << MarkText(status.mark());
-    if (status.degraded_size() > 0) {
-      env.out << "  degraded: " << EscapeText(absl::StrJoin(status.degraded(), "; "));
+    if (const std::string text = DegradedText(status); !text.empty()) {
+      env.out << "  degraded: " << EscapeText(text);
     }
     env.out << std::endl;
   }
@@ -156,6 +165,9 @@ class ShowRobot final : public OneRobotCommand {
     table.Add({"mark", MarkText(status.mark())});
     table.Add({"bundle", status.bundle_version()});
     for (const std::string& each : status.degraded()) table.Add({"degraded", each});
+    if (status.degraded_cut()) {
+      table.Add({"degraded", "(more than fits here; see `ripsctl level show`)"});
+    }
     table.Print(env.out);
     return ExitCode::kDone;
   }
@@ -174,7 +186,8 @@ class ShowGraph final : public OneRobotCommand {
     request.set_robot(robot);
     const auto response = Call(env, &Stub::GetGraph, request);
     if (!response.ok()) return Failed(env, response.status());
-    const Json graph = ToJson(response->graph());
+    Json graph = ToJson(response->graph());
+    if (response->left_out() > 0) graph["left_out"] = response->left_out();
     if (env.json()) {
       PrintJson(graph, env.out);
       return ExitCode::kDone;
@@ -186,6 +199,10 @@ class ShowGraph final : public OneRobotCommand {
     env.out << "changed " << ShortTime(response->changed_unix_ns())
             << (response->graph().settled() ? "" : ", discovery not settled") << "\n";
     PrintText(graph, env.out);
+    if (response->left_out() > 0) {
+      env.out << response->left_out()
+              << " endpoints, nodes and participants do not fit into one answer\n";
+    }
     return ExitCode::kDone;
   }
 

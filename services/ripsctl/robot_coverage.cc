@@ -87,7 +87,8 @@ bool Complete(const v1::GetCoverageResponse& response) {
   }
   return graph && response.blind().empty() && !response.graph_truncated() &&
          response.findings().empty() && response.skipped().empty() &&
-         response.cut_payloads().empty() && Count(response)[Seen::kNotVisible] == 0;
+         response.cut_payloads().empty() && response.endpoints_left_out() == 0 &&
+         Count(response)[Seen::kNotVisible] == 0;
 }
 
 const char* YesNo(bool value) { return value ? "yes" : "no"; }
@@ -262,6 +263,8 @@ class ShowCoverage final : public RobotVerb {
             {"blind", Strings(response.blind())},
             {"cut_payloads", std::move(cut)},
             {"graph_truncated", response.graph_truncated()},
+            {"endpoints_left_out", response.endpoints_left_out()},
+            {"findings_left_out", response.findings_left_out()},
             {"skipped_inspections", std::move(skipped)},
             {"sensors", std::move(sensors)},
             {"endpoints", std::move(endpoints)},
@@ -285,7 +288,12 @@ class ShowCoverage final : public RobotVerb {
     out << "\n";
     PrintEndpoints(response, out);
     if (response.graph_truncated()) {
-      out << "\nthe graph is larger than the limits: not all of it is here\n";
+      out << "\ngraph truncated: it is larger than the limits, and not all of it is here\n";
+    }
+    if (response.endpoints_left_out() > 0 || response.findings_left_out() > 0) {
+      out << "\n"
+          << response.endpoints_left_out() << " more endpoints and " << response.findings_left_out()
+          << " more findings do not fit into one answer\n";
     }
     if (!response.skipped().empty()) {
       out << "\n";

@@ -116,15 +116,25 @@ void PrintNotTold(const Result& result, const RuleSet& rules, std::ostream& out)
         << SomeRules(result, &replay::RuleHits::undecidable) << "\n";
   }
   uint64_t unscanned = 0;
-  for (const replay::RuleHits& rule : result.rules) unscanned += rule.unscanned;
+  uint64_t truncated = 0;
+  for (const replay::RuleHits& rule : result.rules) {
+    unscanned += rule.unscanned - rule.graph_truncated;
+    truncated += rule.graph_truncated;
+  }
+  const char* then =
+      rules.program->options().on_inspection_error == engine::OnInspectionError::kMatch
+          ? "fired all the same"
+          : "did not fire";
   if (unscanned > 0) {
-    const bool fired =
-        rules.program->options().on_inspection_error == engine::OnInspectionError::kMatch;
     out << "unscanned: " << unscanned
-        << " times a rule asked an inspection that could not tell; it "
-        << (fired ? "fired all the same" : "did not fire")
+        << " times a rule asked an inspection that could not tell; it " << then
         << " (see --on-inspection-error): " << SomeRules(result, &replay::RuleHits::unscanned)
         << "\n";
+  }
+  if (truncated > 0) {
+    out << "graph truncated: " << truncated
+        << " times a rule asked for what was left out of the graph; it " << then << ": "
+        << SomeRules(result, &replay::RuleHits::graph_truncated) << "\n";
   }
   if (events.unattributed > 0 && replay::AsksWhoSent(rules.program->rules())) {
     const bool no_writers = events.unattributed_writer == events.unattributed;

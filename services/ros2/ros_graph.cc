@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <iterator>
+#include <limits>
 
 #include "absl/container/flat_hash_set.h"
 #include "absl/strings/ascii.h"
@@ -17,6 +18,12 @@ Guid LowestGuid(const Guid& participant) {
   Guid lowest = participant;
   std::fill(lowest.bytes.end() - 4, lowest.bytes.end(), uint8_t{0});
   return lowest;
+}
+
+Guid HighestGuid(const Guid& participant) {
+  Guid highest = participant;
+  std::fill(highest.bytes.end() - 4, highest.bytes.end(), uint8_t{0xff});
+  return highest;
 }
 
 // How the endpoint stands among a topic's publishers and subscribers.
@@ -95,7 +102,7 @@ absl::Status RosGraph::Check(const GraphDelta& delta) const {
   }
   for (const Node& node : delta.upsert_nodes) {
     RIPS_RETURN_IF_ERROR(ValidateNodeName(node.full_name));
-    if (!truncated() && !has_participant(node.participant)) {
+    if (dropped_ == 0 && !has_participant(node.participant)) {
       return absl::InvalidArgumentError(absl::StrCat(
           "node `", node.full_name, "` names unknown participant ", ToString(node.participant)));
     }
@@ -107,17 +114,17 @@ absl::Status RosGraph::Check(const GraphDelta& delta) const {
       return absl::InvalidArgumentError(
           absl::StrCat("`", ToString(endpoint.guid), "` is not an endpoint's GUID"));
     }
-    if (!truncated() && !has_participant(participant)) {
+    if (dropped_ == 0 && !has_participant(participant)) {
       return absl::InvalidArgumentError(
           absl::StrCat("endpoint ", ToString(endpoint.guid), " is of an unknown participant"));
     }
-    if (!truncated() && !endpoint.node.empty() && !has_node({endpoint.node, participant})) {
+    if (dropped_ == 0 && !endpoint.node.empty() && !has_node({endpoint.node, participant})) {
       return absl::InvalidArgumentError(absl::StrCat("endpoint ", ToString(endpoint.guid),
                                                      " names unknown node `",
                                                      Printable(endpoint.node), "`"));
     }
   }
-  if (truncated() || gone.nodes.empty()) return absl::OkStatus();
+  if (dropped_ > 0 || gone.nodes.empty()) return absl::OkStatus();
   for (const auto& [guid, endpoint] : endpoints_) {
     if (!gone.nodes.contains(endpoint.node) || gone.guids.contains(guid) ||
         gone.guids.contains(guid.Participant()) || gone.upserted_guids.contains(guid) ||
@@ -132,73 +139,220 @@ absl::Status RosGraph::Check(const GraphDelta& delta) const {
 
 absl::Status RosGraph::Apply(const GraphDelta& delta) {
   RIPS_RETURN_IF_ERROR(Check(delta));
+  if (delta.truncation.has_value()) {
+    sender_ = *delta.truncation;
+    KeepLargest(sender_.crowds);
+  }
   for (const Guid& guid : delta.gone_guids) {
     RemoveParticipant(guid);
     RemoveEndpoint(guid);
   }
   for (const std::string& name : delta.gone_nodes) {
     const auto begin = nodes_.lower_bound(Node{name, Guid{}});
-    const auto end =
-        std::find_if(begin, nodes_.end(), [&](const Node& node) { return node.full_name != name; });
+    auto end = begin;
+    for (; end != nodes_.end() && end->full_name == name; ++end) --shares_[end->participant].nodes;
     nodes_.erase(begin, end);
   }
   for (const Participant& participant : delta.upsert_participants) {
     if (participants_.size() >= limits_.participants && !participants_.contains(participant.guid)) {
-      ++dropped_;
+      LeaveOut(participant.guid);
       continue;
     }
     participants_[participant.guid] = participant;
   }
-  for (const Node& node : delta.upsert_nodes) {
-    if (nodes_.contains(node)) continue;
-    if (nodes_.size() >= limits_.nodes || !participants_.contains(node.participant)) {
-      ++dropped_;
-      continue;
-    }
-    nodes_.insert(node);
-  }
-  for (const Endpoint& endpoint : delta.upsert_endpoints) {
-    RemoveEndpoint(endpoint.guid);
-    const Guid participant = endpoint.guid.Participant();
-    const bool known = participants_.contains(participant) &&
-                       (endpoint.node.empty() || nodes_.contains({endpoint.node, participant}));
-    if (!known || endpoints_.size() >= limits_.endpoints || !Index(endpoint)) {
-      ++dropped_;
-      continue;
-    }
-    endpoints_.emplace(endpoint.guid, endpoint);
-  }
-  if (!truncated() || delta.gone_nodes.empty()) return absl::OkStatus();
+  for (const Node& node : delta.upsert_nodes) TakeNode(node);
+  for (const Endpoint& endpoint : delta.upsert_endpoints) TakeEndpoint(endpoint);
+  if (dropped_ == 0 || delta.gone_nodes.empty()) return absl::OkStatus();
   // A node that was to come back may have found no room.
-  std::vector<Guid> orphans;
+  std::vector<Endpoint> orphans;
   for (const auto& [guid, endpoint] : endpoints_) {
     if (!endpoint.node.empty() && !nodes_.contains({endpoint.node, guid.Participant()})) {
-      orphans.push_back(guid);
+      orphans.push_back(endpoint);
     }
   }
-  for (const Guid& guid : orphans) RemoveEndpoint(guid);
-  dropped_ += orphans.size();
+  for (Endpoint& orphan : orphans) TakeEndpoint(std::move(orphan));
   return absl::OkStatus();
 }
 
-void RosGraph::Clear() { *this = RosGraph(limits_); }
+void RosGraph::Clear() {
+  RosGraph empty(limits_);
+  empty.kept_topics_ = std::move(kept_topics_);
+  empty.observer_ = observer_;
+  *this = std::move(empty);
+}
+
+void RosGraph::TakeNode(const Node& node) {
+  if (nodes_.contains(node)) return;
+  const bool known = participants_.contains(node.participant);
+  if (!known || nodes_.size() >= limits_.nodes ||
+      shares_[node.participant].nodes >= limits_.nodes_per_participant) {
+    return LeaveOut(node.participant);
+  }
+  ++shares_[node.participant].nodes;
+  nodes_.insert(node);
+}
+
+void RosGraph::TakeEndpoint(Endpoint endpoint) {
+  RemoveEndpoint(endpoint.guid);
+  const Guid participant = endpoint.guid.Participant();
+  if (!participants_.contains(participant)) return LeaveOut(participant);
+  if (!endpoint.node.empty() && !nodes_.contains({endpoint.node, participant})) {
+    endpoint.node.clear();
+    LeaveOut(participant);
+  }
+  if (!MakeRoom(participant, IsKept(endpoint)) || !Index(endpoint)) return LeaveOut(participant);
+  CountEndpoint(endpoint, /*gone=*/false);
+  const Guid guid = endpoint.guid;
+  endpoints_.emplace(guid, std::move(endpoint));
+}
+
+bool RosGraph::IsKept(const Endpoint& endpoint) const {
+  const bool topic =
+      endpoint.kind == EndpointKind::kPublisher || endpoint.kind == EndpointKind::kSubscriber;
+  return topic && endpoint.ros && kept_topics_ != nullptr && kept_topics_->contains(endpoint.name);
+}
+
+bool RosGraph::MakeRoom(const Guid& participant, bool kept) {
+  const auto share = shares_.find(participant);
+  const size_t held = share == shares_.end() ? 0 : share->second.endpoints;
+  if (participant == observer_) return held < limits_.topics + kKeptTopicsMax;
+  if (held >= limits_.endpoints_per_participant) return kept && EvictFrom(participant);
+  if (counted_ >= limits_.endpoints) return kept && EvictFromLargest();
+  return true;
+}
+
+bool RosGraph::EvictFromLargest() {
+  if (unkept_ == 0) return false;
+  const Guid* largest = nullptr;
+  size_t most = 0;
+  for (const auto& [participant, share] : shares_) {
+    if (participant == observer_ || share.unkept < most || share.unkept == 0) continue;
+    // The same choice in every process.
+    if (share.unkept == most && !(participant < *largest)) continue;
+    most = share.unkept;
+    largest = &participant;
+  }
+  return largest != nullptr && EvictFrom(Guid(*largest));
+}
+
+bool RosGraph::EvictFrom(const Guid& participant) {
+  if (shares_[participant].unkept == 0) return false;
+  // The newest entity ids are likely to be those that filled the graph.
+  auto at = endpoints_.upper_bound(HighestGuid(participant));
+  while (at != endpoints_.begin()) {
+    --at;
+    if (!at->first.SamePrefix(participant)) break;
+    if (IsKept(at->second)) continue;
+    Erase(at);
+    LeaveOut(participant);
+    return true;
+  }
+  return false;
+}
+
+void RosGraph::LeaveOut(const Guid& participant) {
+  ++dropped_;
+  // Unknown ones are as many as anyone likes.
+  if (participants_.contains(participant)) ++shares_[participant].left_out;
+}
+
+void RosGraph::CountEndpoint(const Endpoint& endpoint, bool gone) {
+  const Guid participant = endpoint.guid.Participant();
+  Share& share = shares_[participant];
+  const size_t unkept = IsKept(endpoint) ? 0 : 1;
+  const size_t counted = participant == observer_ ? 0 : 1;
+  if (gone) {
+    --share.endpoints;
+    share.unkept -= unkept;
+    counted_ -= counted;
+    unkept_ -= unkept * counted;
+  } else {
+    ++share.endpoints;
+    share.unkept += unkept;
+    counted_ += counted;
+    unkept_ += unkept * counted;
+  }
+}
+
+void RosGraph::RecountEndpoints() {
+  for (auto& [participant, share] : shares_) share.endpoints = share.unkept = 0;
+  counted_ = unkept_ = 0;
+  for (const auto& [guid, endpoint] : endpoints_) CountEndpoint(endpoint, /*gone=*/false);
+}
+
+void RosGraph::SetKeptTopics(std::shared_ptr<const TopicNames> topics) {
+  if (kept_topics_ == topics) return;
+  kept_topics_ = std::move(topics);
+  RecountEndpoints();
+}
+
+void RosGraph::SetObserver(const Guid& participant) {
+  if (observer_ == participant) return;
+  observer_ = participant;
+  RecountEndpoints();
+}
+
+uint64_t RosGraph::left_out() const {
+  const uint64_t room = std::numeric_limits<uint64_t>::max() - dropped_;
+  return dropped_ + std::min(sender_.left_out, room);
+}
+
+Truncation RosGraph::truncation() const {
+  Truncation all{.left_out = left_out(), .crowds = sender_.crowds};
+  if (dropped_ == 0) return all;
+  for (const auto& [participant, share] : shares_) {
+    if (share.left_out == 0) continue;
+    const auto told = std::find_if(all.crowds.begin(), all.crowds.end(),
+                                   [&guid = participant](const Truncation::Crowd& crowd) {
+                                     return crowd.participant == guid;
+                                   });
+    if (told != all.crowds.end()) {
+      told->left_out +=
+          std::min(share.left_out, std::numeric_limits<uint64_t>::max() - told->left_out);
+    } else {
+      all.crowds.push_back(
+          {.participant = participant, .endpoints = share.endpoints, .left_out = share.left_out});
+    }
+  }
+  KeepLargest(all.crowds);
+  return all;
+}
+
+bool RosGraph::HasRoom() const {
+  const auto has_room = [](size_t size, size_t limit) { return size <= limit - limit / 8; };
+  return has_room(participants_.size(), limits_.participants) &&
+         has_room(nodes_.size(), limits_.nodes) && has_room(counted_, limits_.endpoints) &&
+         has_room(topics_.size(), limits_.topics) &&
+         std::all_of(shares_.begin(), shares_.end(), [&](const auto& entry) {
+           const auto& [participant, share] = entry;
+           return participant == observer_ ||
+                  (has_room(share.endpoints, limits_.endpoints_per_participant) &&
+                   has_room(share.nodes, limits_.nodes_per_participant));
+         });
+}
 
 void RosGraph::RemoveParticipant(const Guid& guid) {
   if (participants_.erase(guid) == 0) return;
   for (auto node = nodes_.begin(); node != nodes_.end();) {
     node = node->participant == guid ? nodes_.erase(node) : std::next(node);
   }
-  const auto begin = endpoints_.lower_bound(LowestGuid(guid));
-  auto end = begin;
-  for (; end != endpoints_.end() && end->first.SamePrefix(guid); ++end) Unindex(end->second);
-  endpoints_.erase(begin, end);
+  for (auto at = endpoints_.lower_bound(LowestGuid(guid));
+       at != endpoints_.end() && at->first.SamePrefix(guid);) {
+    at = Erase(at);
+  }
+  shares_.erase(guid);
 }
 
 void RosGraph::RemoveEndpoint(const Guid& guid) {
   const auto at = endpoints_.find(guid);
-  if (at == endpoints_.end()) return;
+  if (at != endpoints_.end()) Erase(at);
+}
+
+absl::btree_map<Guid, Endpoint>::iterator RosGraph::Erase(
+    absl::btree_map<Guid, Endpoint>::iterator at) {
   Unindex(at->second);
-  endpoints_.erase(at);
+  CountEndpoint(at->second, /*gone=*/true);
+  return endpoints_.erase(at);
 }
 
 bool RosGraph::Index(const Endpoint& endpoint) {
@@ -208,7 +362,9 @@ bool RosGraph::Index(const Endpoint& endpoint) {
     ++services_of_node_[endpoint.node][endpoint.name];
     return true;
   }
-  if (topics_.size() >= limits_.topics && !topics_.contains(endpoint.name)) return false;
+  if (topics_.size() >= limits_.topics && !topics_.contains(endpoint.name) && !IsKept(endpoint)) {
+    return false;
+  }
   Topic& topic = topics_[endpoint.name];
   const bool publishes = endpoint.kind == EndpointKind::kPublisher;
   InsertSorted(publishes ? topic.publishers : topic.subscribers, Label(endpoint));
@@ -270,6 +426,9 @@ GraphDelta RosGraph::Diff(const RosGraph& from, const RosGraph& to) {
     if (old == from.endpoints_.end() || old->second != endpoint) {
       delta.upsert_endpoints.push_back(endpoint);
     }
+  }
+  if (Truncation after = to.truncation(); after != from.truncation()) {
+    delta.truncation = std::move(after);
   }
   return delta;
 }

@@ -6,6 +6,8 @@
 
 #include <cstddef>
 #include <cstdint>
+#include <memory>
+#include <optional>
 #include <string>
 #include <utility>
 #include <vector>
@@ -15,6 +17,7 @@
 #include "absl/container/flat_hash_map.h"
 #include "absl/status/status.h"
 #include "absl/strings/string_view.h"
+#include "services/ros2/graph_limits.h"
 #include "services/ros2/guid.h"
 
 namespace rips::ros2 {
@@ -81,10 +84,12 @@ struct GraphDelta {
   std::vector<Guid> gone_guids;
   // Every node of that name goes; survivors are upserted again.
   std::vector<std::string> gone_nodes;
+  // What the sender's limits leave out of the graph from now on; nullopt = as before.
+  std::optional<Truncation> truncation;
 
   bool empty() const {
     return upsert_participants.empty() && upsert_nodes.empty() && upsert_endpoints.empty() &&
-           gone_guids.empty() && gone_nodes.empty();
+           gone_guids.empty() && gone_nodes.empty() && !truncation.has_value();
   }
 };
 
@@ -98,13 +103,6 @@ struct Topic {
   std::vector<std::string> types;
 };
 
-struct GraphLimits {
-  size_t topics = 4'096;
-  size_t nodes = 2'048;
-  size_t endpoints = 16'384;
-  size_t participants = 2'048;
-};
-
 // Not thread-safe. Copyable. Only ROS endpoints (Endpoint::ros) that are not pending count in
 // answers.
 class RosGraph {
@@ -113,13 +111,22 @@ class RosGraph {
 
   // Applies `delta` whole or not at all. InvalidArgument if, afterwards, a node would name an
   // unknown participant or an endpoint an unknown node or participant, or a name is malformed.
-  // Past a limit the excess is left out, with what refers to it, counted in dropped(), and
-  // truncated() is true from then on until Clear(); then unknown references are left out and
-  // counted too, since what they name may have been.
+  // Past a limit (graph_limits.h) the excess is left out, counted in dropped(), and truncated() is
+  // true from then on until Clear(); then unknown references are left out and counted too, since
+  // what they name may have been. An endpoint whose node was left out stays, unattributed.
   absl::Status Apply(const GraphDelta& delta);
+  // Keeps limits, kept topics and observer.
   void Clear();
 
-  // What turns `from` into `to`; Apply(Diff(a, b)) on a gives b.
+  // Endpoints of these topics are kept first. What was left out before stays left out.
+  void SetKeptTopics(std::shared_ptr<const TopicNames> topics);
+  // The participant that subscribes to every topic of others: only GraphLimits::topics holds for
+  // its endpoints, beside those of others.
+  void SetObserver(const Guid& participant);
+  const GraphLimits& limits() const { return limits_; }
+
+  // What turns `from` into `to`; Apply(Diff(a, b)) on a gives b, in which all that is left out is
+  // the sender's doing.
   static GraphDelta Diff(const RosGraph& from, const RosGraph& to);
 
   const absl::btree_map<Guid, Participant>& participants() const { return participants_; }
@@ -134,12 +141,40 @@ class RosGraph {
   std::vector<std::string> ServicesOf(absl::string_view node) const;
   const Endpoint* FindEndpoint(const Guid& guid) const;
 
-  // A limit was hit: "exactly these" cannot be answered with yes.
-  bool truncated() const { return dropped_ > 0; }
+  // Something was left out, here or by the sender: "exactly these" cannot be answered with yes.
+  bool truncated() const { return left_out() > 0; }
+  // At least as many participants, nodes and endpoints as are missing.
+  uint64_t left_out() const;
+  // Left out here.
   uint64_t dropped() const { return dropped_; }
+  // Here and by the sender.
+  Truncation truncation() const;
+  // An eighth of each limit is free: a truncated graph that is sent anew may be whole.
+  bool HasRoom() const;
 
  private:
+  // What one participant holds of the limits.
+  struct Share {
+    size_t endpoints = 0;
+    // Of topics that are not kept first.
+    size_t unkept = 0;
+    size_t nodes = 0;
+    uint64_t left_out = 0;
+  };
+
   absl::Status Check(const GraphDelta& delta) const;
+  void TakeNode(const Node& node);
+  void TakeEndpoint(Endpoint endpoint);
+  bool IsKept(const Endpoint& endpoint) const;
+  // False if there is none; evicts an endpoint for one that is kept.
+  bool MakeRoom(const Guid& participant, bool kept);
+  // Of the participant with the most that may go.
+  bool EvictFromLargest();
+  bool EvictFrom(const Guid& participant);
+  void LeaveOut(const Guid& participant);
+  void CountEndpoint(const Endpoint& endpoint, bool gone);
+  void RecountEndpoints();
+  absl::btree_map<Guid, Endpoint>::iterator Erase(absl::btree_map<Guid, Endpoint>::iterator at);
   void RemoveParticipant(const Guid& guid);
   void RemoveEndpoint(const Guid& guid);
   // False if the topic would be one too many.
@@ -156,6 +191,15 @@ class RosGraph {
   absl::flat_hash_map<std::string, Counts> types_of_topic_;
   absl::flat_hash_map<std::string, Counts> services_of_node_;
   uint64_t dropped_ = 0;
+  // As the sender says.
+  Truncation sender_;
+  std::shared_ptr<const TopicNames> kept_topics_;
+  Guid observer_;
+  // By participant; none for one that holds nothing and lacks nothing.
+  absl::flat_hash_map<Guid, Share> shares_;
+  // Of all but the observer.
+  size_t counted_ = 0;
+  size_t unkept_ = 0;
 };
 
 // True if `name` (as a rule writes it) means the node `full_name`: with a slash the whole name is

@@ -234,15 +234,16 @@ TEST(RosGraphTest, EndpointAndParticipantLimits) {
   EXPECT_EQ(one.dropped(), 5u);
 }
 
-TEST(RosGraphTest, DanglingEndpointsOfATruncatedGraphGo) {
+TEST(RosGraphTest, EndpointsOfATruncatedGraphOutliveTheirNode) {
   RosGraph graph({.nodes = 2});
   ASSERT_THAT(graph.Apply(TwoNodes()), IsOk());
   // /a goes, /c takes its place, so /a finds no room when it is named again.
   ASSERT_THAT(graph.Apply({.upsert_nodes = {{"/c", P(1)}, {"/a", P(1)}}, .gone_nodes = {"/a"}}),
               IsOk());
   EXPECT_TRUE(graph.truncated());
-  EXPECT_EQ(graph.endpoints().size(), 3u);
-  EXPECT_EQ(graph.FindTopic("/u"), nullptr);
+  EXPECT_EQ(graph.dropped(), 3u) << "the node, and whose its two endpoints are";
+  EXPECT_EQ(graph.endpoints().size(), 5u);
+  EXPECT_THAT(graph.FindTopic("/u")->publishers, ElementsAre(HasSubstr("unattributed")));
 }
 
 // A random graph of up to 4 participants; valid by construction.

@@ -97,6 +97,31 @@ absl::Status DecodeUpserts(const Participants& participants, const Nodes& nodes,
   return absl::OkStatus();
 }
 
+absl::StatusOr<ros2::Truncation> DecodeTruncation(const rips::v1::GraphTruncation& wire) {
+  ros2::Truncation truncation{.left_out = wire.left_out()};
+  if (wire.crowds_size() > static_cast<int>(ros2::Truncation::kCrowdsMax)) {
+    return absl::InvalidArgumentError(absl::StrCat(wire.crowds_size(),
+                                                   " crowds in a truncation exceed the limit of ",
+                                                   ros2::Truncation::kCrowdsMax));
+  }
+  for (const auto& crowd : wire.crowds()) {
+    RIPS_ASSIGN_OR_RETURN(const ros2::Guid guid, ros2::GuidFromBytes(crowd.participant_guid()));
+    truncation.crowds.push_back(
+        {.participant = guid, .endpoints = crowd.endpoints(), .left_out = crowd.left_out()});
+  }
+  return truncation;
+}
+
+void Encode(const ros2::Truncation& truncation, rips::v1::GraphTruncation& wire) {
+  wire.set_left_out(truncation.left_out);
+  for (const ros2::Truncation::Crowd& crowd : truncation.crowds) {
+    rips::v1::GraphTruncation::Crowd* out = wire.add_crowds();
+    out->set_participant_guid(crowd.participant.ToBytes());
+    out->set_endpoints(crowd.endpoints);
+    out->set_left_out(crowd.left_out);
+  }
+}
+
 void Encode(const ros2::Participant& participant, rips::v1::Participant& wire) {
   wire.set_guid(participant.guid.ToBytes());
   wire.set_host(participant.host);
@@ -136,6 +161,9 @@ absl::StatusOr<ros2::Endpoint> DecodeEndpoint(const rips::v1::Endpoint& wire) {
 absl::StatusOr<ros2::GraphDelta> DecodeGraph(const rips::v1::GraphSnapshot& wire) {
   ros2::GraphDelta delta;
   RIPS_RETURN_IF_ERROR(DecodeUpserts(wire.participants(), wire.nodes(), wire.endpoints(), &delta));
+  if (wire.has_truncation()) {
+    RIPS_ASSIGN_OR_RETURN(delta.truncation, DecodeTruncation(wire.truncation()));
+  }
   return delta;
 }
 
@@ -147,6 +175,9 @@ absl::StatusOr<ros2::GraphDelta> DecodeGraph(const rips::v1::GraphDelta& wire) {
     RIPS_ASSIGN_OR_RETURN(delta.gone_guids.emplace_back(), ros2::GuidFromBytes(guid));
   }
   delta.gone_nodes = {wire.gone_nodes().begin(), wire.gone_nodes().end()};
+  if (wire.has_truncation()) {
+    RIPS_ASSIGN_OR_RETURN(delta.truncation, DecodeTruncation(wire.truncation()));
+  }
   return delta;
 }
 
@@ -172,6 +203,7 @@ void EncodeGraph(const ros2::GraphDelta& delta, rips::v1::GraphSnapshot& wire) {
   for (const auto& each : delta.upsert_participants) Encode(each, *wire.add_participants());
   for (const auto& each : delta.upsert_nodes) Encode(each, *wire.add_nodes());
   for (const auto& each : delta.upsert_endpoints) EncodeEndpoint(each, *wire.add_endpoints());
+  if (delta.truncation.has_value()) Encode(*delta.truncation, *wire.mutable_truncation());
 }
 
 void EncodeGraph(const ros2::GraphDelta& delta, rips::v1::GraphDelta& wire) {
@@ -182,6 +214,7 @@ void EncodeGraph(const ros2::GraphDelta& delta, rips::v1::GraphDelta& wire) {
   }
   for (const ros2::Guid& guid : delta.gone_guids) wire.add_gone_guids(guid.ToBytes());
   for (const std::string& name : delta.gone_nodes) wire.add_gone_nodes(name);
+  if (delta.truncation.has_value()) Encode(*delta.truncation, *wire.mutable_truncation());
 }
 
 void EncodeGraph(const ros2::RosGraph& graph, rips::v1::GraphSnapshot& wire) {
@@ -190,6 +223,7 @@ void EncodeGraph(const ros2::RosGraph& graph, rips::v1::GraphSnapshot& wire) {
   for (const auto& [guid, each] : graph.endpoints()) {
     EncodeEndpoint(each, *wire.add_endpoints());
   }
+  if (graph.truncated()) Encode(graph.truncation(), *wire.mutable_truncation());
 }
 
 }  // namespace rips::ros2_proto

@@ -9,14 +9,14 @@
 
 namespace rips::ros2_proto {
 
-// InvalidArgument for a GUID that is not 16 bytes or an unspecified kind. References between the
-// parts are checked by RosGraph::Apply.
+// InvalidArgument for a GUID that is not 16 bytes, an unspecified kind, or too many crowds.
+// References between the parts are checked by RosGraph::Apply.
 absl::StatusOr<ros2::Endpoint> DecodeEndpoint(const rips::v1::Endpoint& wire);
 // Of a snapshot only upserts.
 absl::StatusOr<ros2::GraphDelta> DecodeGraph(const rips::v1::GraphSnapshot& wire);
 absl::StatusOr<ros2::GraphDelta> DecodeGraph(const rips::v1::GraphDelta& wire);
 
-// Sets every field of the empty `wire`; into a snapshot the upserts alone.
+// Sets every field of the empty `wire`; into a snapshot the upserts and the truncation alone.
 void EncodeEndpoint(const ros2::Endpoint& endpoint, rips::v1::Endpoint& wire);
 void EncodeGraph(const ros2::GraphDelta& delta, rips::v1::GraphSnapshot& wire);
 void EncodeGraph(const ros2::GraphDelta& delta, rips::v1::GraphDelta& wire);

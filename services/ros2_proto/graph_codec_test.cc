@@ -96,6 +96,31 @@ TEST(GraphCodecTest, AGraphReadsBackAsItWasWritten) {
   EXPECT_EQ(copy.participants(), graph.participants());
 }
 
+TEST(GraphCodecTest, WhatIsLeftOutReadsBackAsItWasWritten) {
+  const ros2::Truncation left_out{.left_out = 9,
+                                  .crowds = {{EndpointGuid(1).Participant(), 2'048, 8}}};
+  for (const std::optional<ros2::Truncation>& each :
+       {std::optional<ros2::Truncation>(), std::optional(left_out),
+        std::optional(ros2::Truncation{})}) {
+    const ros2::GraphDelta delta{.truncation = each};
+    rips::v1::GraphDelta wire;
+    EncodeGraph(delta, wire);
+    ASSERT_THAT(DecodeGraph(wire), IsOk());
+    EXPECT_EQ(DecodeGraph(wire)->truncation, each);
+    rips::v1::GraphSnapshot snapshot;
+    EncodeGraph(delta, snapshot);
+    ASSERT_THAT(DecodeGraph(snapshot), IsOk());
+    EXPECT_EQ(DecodeGraph(snapshot)->truncation, each);
+  }
+  ros2::RosGraph graph({.endpoints = 1});
+  ASSERT_THAT(graph.Apply(Upserts()), IsOk());
+  ASSERT_TRUE(graph.truncated());
+  rips::v1::GraphSnapshot wire;
+  EncodeGraph(graph, wire);
+  ASSERT_THAT(DecodeGraph(wire), IsOk());
+  EXPECT_EQ(DecodeGraph(wire)->truncation, graph.truncation());
+}
+
 TEST(GraphCodecTest, RefusesWhatIsMalformed) {
   const auto invalid = absl::StatusCode::kInvalidArgument;
   rips::v1::GraphSnapshot good;
@@ -115,6 +140,14 @@ TEST(GraphCodecTest, RefusesWhatIsMalformed) {
   rips::v1::GraphDelta delta;
   delta.add_gone_guids("short");
   EXPECT_THAT(DecodeGraph(delta), StatusIs(invalid));
+  wire = good;
+  wire.mutable_truncation()->add_crowds()->set_participant_guid("short");
+  EXPECT_THAT(DecodeGraph(wire), StatusIs(invalid));
+  wire = good;
+  for (int i = 0; i < 9; ++i) {
+    wire.mutable_truncation()->add_crowds()->set_participant_guid(std::string(16, 'p'));
+  }
+  EXPECT_THAT(DecodeGraph(wire), StatusIs(invalid, HasSubstr("9 crowds")));
 }
 
 TEST(GraphCodecTest, AVisibilityOfTheFutureIsUnspecified) {

@@ -9,7 +9,7 @@ CallGate::CallGate(const Clock* clock, Judge judge, Metrics* metrics, Connection
     : clock_(clock), judge_(std::move(judge)), metrics_(metrics), connections_(connections) {
   // There from the start, so that a first refusal is an increase.
   for (const char* reason :
-       {"unidentified", "expired", "revoked", "banned", "role", "claim", "throttled"}) {
+       {"unidentified", "expired", "revoked", "banned", "role", "claim", "limit", "throttled"}) {
     for (const Role role : {Role::kSensor, Role::kActuator, Role::kOperator}) {
       Count(reason, RoleName(role), 0);
     }
@@ -53,7 +53,9 @@ absl::StatusOr<Peer> CallGate::Admit(const grpc::CallbackServerContext& context,
                        absl::FormatDuration(absl::Ceil(left, absl::Seconds(1))));
       return Refuse({"throttled", absl::ResourceExhaustedError(text)}, &*peer, address);
     }
-    if (absl::Status status = connections_->OnIdentified(address, certificate); !status.ok()) {
+    const bool agent = role != Role::kOperator;
+    absl::Status status = connections_->OnIdentified(address, certificate, agent);
+    if (!status.ok()) {
       return Refuse({"throttled", std::move(status)}, &*peer, address);
     }
   }

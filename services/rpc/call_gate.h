@@ -33,6 +33,7 @@ namespace rips::rpc {
 // | banned        | PERMISSION_DENIED | on the deny list                                         |
 // | role          | PERMISSION_DENIED | not what the call is for                                 |
 // | claim         | PERMISSION_DENIED | says that it is another agent                            |
+// | limit         | INVALID_ARGUMENT  | a field of its request is past its limit                 |
 // | throttled     | RESOURCE_EXHAUSTED| its connections broke the limits, or are too many        |
 struct Refusal {
   const char* reason;

@@ -26,6 +26,8 @@ absl::string_view ToString(Excess excess) {
       return "calls";
     case Excess::kBytes:
       return "bytes";
+    case Excess::kRefused:
+      return "refused";
   }
   return "unknown";
 }
@@ -54,9 +56,7 @@ Excess ConnectionBudget::Look(uint64_t received_bytes, int64_t now_ns) {
   ahead_ = std::max(-kEarlyBytes, ahead_ + static_cast<double>(came) - accounted_ -
                                       seconds * limits_.idle_bytes_per_second);
   accounted_ = 0;
-  if (ahead_ > (identified_ ? limits_.ahead_bytes : limits_.unidentified_bytes)) {
-    return Excess::kBytes;
-  }
+  if (ahead_ > ahead_max_) return Excess::kBytes;
   const bool silent = calls_ == 0 && now_ns - opened_ns_ > limits_.silent_ns;
   return silent ? Excess::kSilent : Excess::kNone;
 }

@@ -9,8 +9,11 @@
 // | calls account for, `idle_bytes_per_second` being free                |                   |
 // | begins more calls than `calls_burst` at once, or than                | kCalls            |
 // | `calls_per_second`                                                   |                   |
-// | is identified, and has sent `ahead_bytes` more than its messages and | kBytes            |
-// | calls account for                                                    |                   |
+// | is identified, and has sent `ahead_bytes` (of an operator:           | kBytes            |
+// | `operator_ahead_bytes`) more than its messages and calls account for |                   |
+// | has sent a message that a handler refused: ours never do             | kRefused          |
+// | began calls with a certificate that began too many on all its        | kCalls            |
+// | connections together (ConnectionGuard)                               |                   |
 #ifndef RIPS_SERVICES_RPC_CONNECTION_BUDGET_H_
 #define RIPS_SERVICES_RPC_CONNECTION_BUDGET_H_
 
@@ -29,10 +32,12 @@ struct BudgetLimits {
   double calls_per_second = 20;
   // What the kernel and the library hold of a peer that is not read for a while.
   double ahead_bytes = 24 << 20;
+  // More than the longest message.
+  double operator_ahead_bytes = 6 << 20;
   double idle_bytes_per_second = 4'096;
 };
 
-enum class Excess { kNone, kSilent, kCalls, kBytes };
+enum class Excess { kNone, kSilent, kCalls, kBytes, kRefused };
 absl::string_view ToString(Excess excess);
 
 // Not thread-safe; times are CLOCK_BOOTTIME.
@@ -43,12 +48,18 @@ class ConnectionBudget {
         opened_ns_(opened_ns),
         looked_ns_(opened_ns),
         call_ns_(opened_ns),
+        ahead_max_(limits.unidentified_bytes),
         tokens_(limits.calls_burst) {}
 
   // A call begins: kNone or kCalls.
   Excess OnCall(int64_t now_ns);
   // A call was admitted: the peer's certificate is one of ours.
-  void OnIdentified() { identified_ = true; }
+  void OnIdentified(bool agent) {
+    ahead_max_ = agent ? limits_.ahead_bytes : limits_.operator_ahead_bytes;
+  }
+  // Found by others.
+  void Exceed(Excess why) { exceeded_ = why; }
+  Excess exceeded() const { return exceeded_; }
   // A handler has received a message of so many bytes.
   void OnMessage(size_t bytes);
   // `received_bytes`: all that came on the connection since its start, TLS included.
@@ -61,9 +72,10 @@ class ConnectionBudget {
   const int64_t opened_ns_;
   int64_t looked_ns_;
   int64_t call_ns_;
+  double ahead_max_;
   double tokens_;
   uint64_t calls_ = 0;
-  bool identified_ = false;
+  Excess exceeded_ = Excess::kNone;
   uint64_t received_bytes_ = 0;
   // Bytes that are not accounted for.
   double ahead_ = 0;

@@ -16,7 +16,7 @@ class ConnectionBudgetTest : public ::testing::Test {
 
   void Admit() {
     budget_.OnCall(now_ns_);
-    budget_.OnIdentified();
+    budget_.OnIdentified(/*agent=*/true);
   }
 
   int64_t now_ns_ = 77 * kNanosPerSecond;

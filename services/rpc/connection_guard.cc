@@ -30,6 +30,8 @@ constexpr int kBacklog = 1'024;
 constexpr absl::Duration kOutOfDescriptors = absl::Milliseconds(50);
 // After the last connection that was ended for its cost.
 constexpr int64_t kTrimNs = kNanosPerSecond;
+// Of agents whose calls are counted, before those who have not called for long are forgotten.
+constexpr size_t kAgentCallsMax = 4'096;
 constexpr size_t kBannedMax = 4'096;
 
 absl::Status Failed(absl::string_view what) {
@@ -103,9 +105,14 @@ void Connection::OnMessage(size_t bytes) {
   budget_.OnMessage(bytes);
 }
 
-void Connection::Identify(const std::string& certificate) {
+void Connection::Exceed(Excess why) {
   MutexLock lock(&mu_);
-  budget_.OnIdentified();
+  budget_.Exceed(why);
+}
+
+void Connection::Identify(const std::string& certificate, bool agent) {
+  MutexLock lock(&mu_);
+  budget_.OnIdentified(agent);
   if (certificate_.empty()) certificate_ = certificate;
 }
 
@@ -121,6 +128,11 @@ Excess Connection::OnCall(int64_t now_ns) {
 
 Connection::State Connection::Look(int64_t now_ns, Excess& excess) {
   MutexLock lock(&mu_);
+  // Also if the peer has left at once: its certificate is banned all the same.
+  if (!ended_ && budget_.exceeded() != Excess::kNone) {
+    excess = budget_.exceeded();
+    return State::kOpen;
+  }
   tcp_info info = {};
   socklen_t size = sizeof(info);
   if (getsockopt(socket_.get(), IPPROTO_TCP, TCP_INFO, &info, &size) != 0) return State::kOver;
@@ -333,6 +345,10 @@ void ConnectionGuard::Take(UniqueFd socket) {
     const Admission::Verdict verdict = admission_.Ask(source, now_ns);
     if (verdict != Admission::Verdict::kTake) {
       CountRefused(ToString(verdict));
+      if (const auto left_out = refusal_logs_.Admit("")) {
+        LogWarning("connection refused",
+                   {{"peer", source.peer}, {"limit", ToString(verdict)}, {"left_out", *left_out}});
+      }
       return Reset(std::move(socket));
     }
     if (duplicate.get() < 0) {
@@ -373,7 +389,27 @@ void ConnectionGuard::OnCall(absl::string_view peer) {
   if (excess != Excess::kNone) EndFor(*connection, excess);
 }
 
-absl::Status ConnectionGuard::OnIdentified(absl::string_view peer, const std::string& certificate) {
+bool ConnectionGuard::MayCallLocked(const std::string& certificate, int64_t now_ns) {
+  if (agent_calls_.size() >= kAgentCallsMax) {
+    const double full_s = options_.agent_calls_burst / options_.agent_calls_per_second;
+    absl::erase_if(agent_calls_, [&](const auto& each) {
+      return static_cast<double>(now_ns - each.second.counted_ns) > full_s * kNanosPerSecond;
+    });
+  }
+  const auto [it, fresh] =
+      agent_calls_.try_emplace(certificate, AgentCalls{options_.agent_calls_burst, now_ns});
+  AgentCalls& calls = it->second;
+  const double seconds = static_cast<double>(now_ns - calls.counted_ns) / kNanosPerSecond;
+  calls.counted_ns = now_ns;
+  calls.tokens = std::min(options_.agent_calls_burst,
+                          calls.tokens + seconds * options_.agent_calls_per_second);
+  if (calls.tokens < 1) return false;
+  calls.tokens -= 1;
+  return true;
+}
+
+absl::Status ConnectionGuard::OnIdentified(absl::string_view peer, const std::string& certificate,
+                                           bool agent) {
   const std::string name = DecodePeer(peer);
   const int64_t now_ns = clock_->Now().boottime_ns;
   MutexLock lock(&mu_);
@@ -382,12 +418,16 @@ absl::Status ConnectionGuard::OnIdentified(absl::string_view peer, const std::st
   Connection& connection = *it->second;
   if (connection.certificate().empty()) {
     int& count = certificates_[certificate];
-    if (count >= options_.per_certificate) {
+    if (count >= (agent ? options_.per_agent : options_.per_operator)) {
       return absl::ResourceExhaustedError(
           absl::StrCat("this certificate has ", count, " connections already"));
     }
     ++count;
-    connection.Identify(certificate);
+    connection.Identify(certificate, agent);
+  }
+  if (agent && !MayCallLocked(certificate, now_ns)) {
+    connection.Exceed(Excess::kCalls);
+    return absl::ResourceExhaustedError("this certificate begins too many streams");
   }
   admission_.Identified(connection.source(), now_ns);
   return absl::OkStatus();

@@ -37,6 +37,7 @@
 #include "services/base/clock.h"
 #include "services/rpc/connection_admission.h"
 #include "services/rpc/connection_budget.h"
+#include "services/runtime/log_limiter.h"
 #include "services/runtime/metrics.h"
 #include "services/runtime/mutex.h"
 #include "services/runtime/unique_fd.h"
@@ -51,8 +52,11 @@ class Connection {
 
   // A handler has received a message of so many bytes.
   void OnMessage(size_t bytes) ABSL_LOCKS_EXCLUDED(mu_);
+  // A handler has refused a message, which none of ours sends: the connection is ended soon, and
+  // its certificate banned.
+  void OnRefused() ABSL_LOCKS_EXCLUDED(mu_) { Exceed(Excess::kRefused); }
   // The peer's certificate: `spiffe://td/robot/r1/sensor/base serial 0f3a`. The first one counts.
-  void Identify(const std::string& certificate) ABSL_LOCKS_EXCLUDED(mu_);
+  void Identify(const std::string& certificate, bool agent) ABSL_LOCKS_EXCLUDED(mu_);
   const Source& source() const { return source_; }
 
  private:
@@ -60,6 +64,7 @@ class Connection {
   enum class State { kOpen, kOver, kEnded };
 
   Excess OnCall(int64_t now_ns) ABSL_LOCKS_EXCLUDED(mu_);
+  void Exceed(Excess why) ABSL_LOCKS_EXCLUDED(mu_);
   // What the kernel says of the socket.
   State Look(int64_t now_ns, Excess& excess) ABSL_LOCKS_EXCLUDED(mu_);
   // False if it was ended before.
@@ -88,7 +93,11 @@ class ConnectionGuard {
     AdmissionLimits admission;
     BudgetLimits budget;
     // Connections of one certificate. An agent has one, and one that is not over yet.
-    int per_certificate = 16;
+    int per_operator = 16;
+    int per_agent = 4;
+    // Calls of one agent's certificate, on all its connections: each begins a stream.
+    double agent_calls_burst = 40;
+    double agent_calls_per_second = 2;
     // Between two looks at the connections.
     absl::Duration interval = absl::Milliseconds(50);
     // On a thread of the guard or of a call; must not block. May be empty.
@@ -117,13 +126,19 @@ class ConnectionGuard {
   std::shared_ptr<Connection> Find(absl::string_view peer) ABSL_LOCKS_EXCLUDED(mu_);
   // A call begins. First of all that is done for it.
   void OnCall(absl::string_view peer);
-  // The peer's certificate is one of ours. ResourceExhausted if it has so many connections already.
-  absl::Status OnIdentified(absl::string_view peer, const std::string& certificate)
+  // The peer's certificate is one of ours. ResourceExhausted if it has so many connections already,
+  // or, of an agent, begins so many calls.
+  absl::Status OnIdentified(absl::string_view peer, const std::string& certificate, bool agent)
       ABSL_LOCKS_EXCLUDED(mu_);
   // How long the certificate is banned still; 0 = it is not.
   absl::Duration Banned(const std::string& certificate) ABSL_LOCKS_EXCLUDED(mu_);
 
  private:
+  struct AgentCalls {
+    double tokens = 0;
+    int64_t counted_ns = 0;
+  };
+
   ConnectionGuard(Options options, const Clock* clock, Metrics* metrics);
   absl::Status Bind(const std::string& listen);
   void Accept();
@@ -135,6 +150,8 @@ class ConnectionGuard {
   void ForgetLocked(const Connection& connection) ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
   void EndFor(Connection& connection, Excess excess);
   void CountRefused(absl::string_view reason);
+  bool MayCallLocked(const std::string& certificate, int64_t now_ns)
+      ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
 
   const Options options_;
   const Clock* clock_;
@@ -147,6 +164,7 @@ class ConnectionGuard {
   UniqueFd wake_;
   std::unique_ptr<grpc::experimental::ExternalConnectionAcceptor> grpc_;
 
+  LogLimiter refusal_logs_;
   Mutex mu_;
   CondVar stop_cond_;
   bool stopping_ ABSL_GUARDED_BY(mu_) = false;
@@ -155,6 +173,8 @@ class ConnectionGuard {
   absl::flat_hash_map<std::string, std::shared_ptr<Connection>> connections_ ABSL_GUARDED_BY(mu_);
   // Connections that were identified, by certificate.
   absl::flat_hash_map<std::string, int> certificates_ ABSL_GUARDED_BY(mu_);
+  // By certificate.
+  absl::flat_hash_map<std::string, AgentCalls> agent_calls_ ABSL_GUARDED_BY(mu_);
   // Peers that are Probe.
   absl::flat_hash_set<std::string> probes_ ABSL_GUARDED_BY(mu_);
   // Until when, CLOCK_BOOTTIME.

@@ -29,6 +29,7 @@ using ::testing::HasSubstr;
 using ::testing::StartsWith;
 
 constexpr absl::Duration kPatience = absl::Seconds(30);
+constexpr char kSensor[] = "spiffe://td/robot/r1/sensor/base serial 0f";
 
 // A plain TCP connection that sends nothing.
 class Silent {
@@ -94,6 +95,14 @@ class ConnectionGuardTest : public ::testing::Test {
     });
     done.Pop(2 * kPatience);
     return status;
+  }
+  // The one connection there is, as gRPC names it.
+  std::string FindPeer() {
+    for (int port = 1; port < 65'536; ++port) {
+      const std::string name = absl::StrCat("ipv4:127.0.0.1:", port);
+      if (guard_->Find(name) != nullptr) return name;
+    }
+    return "";
   }
   double Refused(const std::string& why) {
     return metrics_
@@ -164,17 +173,43 @@ TEST_F(ConnectionGuardTest, ACertificateIsBannedWithItsConnection) {
   Start({.budget = {.calls_burst = 2, .calls_per_second = 0.01}});
   const auto channel = Connect();
   ASSERT_EQ(Call(channel, "/no.such.Service/None").error_code(), grpc::StatusCode::UNIMPLEMENTED);
-  std::string peer;
-  for (int port = 1; port < 65'536 && peer.empty(); ++port) {
-    const std::string name = absl::StrCat("ipv4:127.0.0.1:", port);
-    if (guard_->Find(name) != nullptr) peer = name;
-  }
+  const std::string peer = FindPeer();
   ASSERT_FALSE(peer.empty());
-  EXPECT_THAT(guard_->OnIdentified(peer, "spiffe://td/robot/r1/sensor/base serial 0f"), IsOk());
-  EXPECT_EQ(guard_->Banned("spiffe://td/robot/r1/sensor/base serial 0f"), absl::ZeroDuration());
+  EXPECT_THAT(guard_->OnIdentified(peer, kSensor, /*agent=*/true), IsOk());
+  EXPECT_EQ(guard_->Banned(kSensor), absl::ZeroDuration());
   for (int i = 0; i < 3; ++i) Call(channel, "/no.such.Service/None");
-  EXPECT_GT(guard_->Banned("spiffe://td/robot/r1/sensor/base serial 0f"), absl::Seconds(1));
+  EXPECT_GT(guard_->Banned(kSensor), absl::Seconds(1));
   EXPECT_EQ(guard_->Banned("spiffe://td/robot/r2/sensor/base serial 10"), absl::ZeroDuration());
+}
+
+TEST_F(ConnectionGuardTest, AMessageThatAHandlerRefusesEndsTheConnectionAndBansItsCertificate) {
+  Start({});
+  const auto channel = Connect();
+  ASSERT_EQ(Call(channel, "/no.such.Service/None").error_code(), grpc::StatusCode::UNIMPLEMENTED);
+  const std::string peer = FindPeer();
+  ASSERT_THAT(guard_->OnIdentified(peer, kSensor, /*agent=*/true), IsOk());
+  guard_->Find(peer)->OnRefused();
+  const auto report = reports_.Pop(kPatience);
+  ASSERT_TRUE(report.has_value());
+  EXPECT_EQ(report->excess, Excess::kRefused);
+  EXPECT_EQ(report->certificate, kSensor);
+  EXPECT_GT(guard_->Banned(kSensor), absl::Seconds(1));
+}
+
+TEST_F(ConnectionGuardTest, AnAgentsCallsAreCountedOnAllItsConnections) {
+  Start({.agent_calls_burst = 3, .agent_calls_per_second = 0.01});
+  const auto channel = Connect();
+  ASSERT_EQ(Call(channel, "/no.such.Service/None").error_code(), grpc::StatusCode::UNIMPLEMENTED);
+  const std::string peer = FindPeer();
+  for (int i = 0; i < 3; ++i) {
+    EXPECT_THAT(guard_->OnIdentified(peer, kSensor, /*agent=*/true), IsOk());
+  }
+  EXPECT_THAT(guard_->OnIdentified(peer, kSensor, /*agent=*/true),
+              StatusIs(absl::StatusCode::kResourceExhausted, HasSubstr("too many streams")));
+  const auto report = reports_.Pop(kPatience);
+  ASSERT_TRUE(report.has_value());
+  EXPECT_EQ(report->excess, Excess::kCalls);
+  EXPECT_GT(guard_->Banned(kSensor), absl::Seconds(1));
 }
 
 TEST_F(ConnectionGuardTest, CountsCallsOverIPv6) {

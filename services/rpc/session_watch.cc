@@ -36,7 +36,7 @@ void SessionWatch::set_before_look(std::function<void()> before) {
 
 std::shared_ptr<SessionWatch::Session> SessionWatch::Add(
     Peer peer, std::function<void(const grpc::Status&)> close,
-    std::function<void(const grpc::Status&)> close_when_sent) {
+    std::function<void(const grpc::Status&)> close_when_sent, std::function<void(int64_t)> reap) {
   auto session = std::make_shared<Session>();
   const Instant now = clock_->Now();
   session->opened_boottime_ns = now.boottime_ns;
@@ -44,6 +44,7 @@ std::shared_ptr<SessionWatch::Session> SessionWatch::Add(
   session->peer = std::move(peer);
   session->close_when_sent = close_when_sent != nullptr ? std::move(close_when_sent) : close;
   session->close = std::move(close);
+  session->reap = std::move(reap);
   MutexLock lock(&mu_);
   sessions_.push_back(session);
   return session;
@@ -83,6 +84,7 @@ void SessionWatch::Look() {
   if (before) before();
   const int64_t now_ns = clock_->Now().boottime_ns;
   for (const auto& session : Live()) {
+    if (session->reap != nullptr) session->reap(now_ns);
     if (session->closed) continue;
     const absl::Duration open = absl::Nanoseconds(now_ns - session->opened_boottime_ns);
     std::optional<Refusal> refusal = gate_->Against(session->peer);

@@ -1,5 +1,5 @@
-// Ends streams that the library would keep for ever: those whose peer never says hello or falls
-// silent, and those whose certificate has expired, was revoked or banned.
+// Ends streams that the library would keep for ever: those whose peer never says hello, falls
+// silent or does not read, and those whose certificate has expired, was revoked or banned.
 //
 // A certificate ends at its notAfter by the wall clock, or when the time that was left of it at the
 // stream's opening has passed by CLOCK_BOOTTIME, whichever is first: a wall clock that is set back
@@ -17,9 +17,11 @@
 
 #include "absl/base/thread_annotations.h"
 #include "absl/time/time.h"
+#include "grpcpp/server_context.h"
 #include "grpcpp/support/status.h"
 #include "services/base/clock.h"
 #include "services/rpc/call_gate.h"
+#include "services/rpc/unread_streams.h"
 #include "services/runtime/mutex.h"
 
 namespace rips::rpc {
@@ -48,6 +50,8 @@ class SessionWatch {
     std::function<void(const grpc::Status&)> close;
     // As above, but after what waits to be written; null = `close`.
     std::function<void(const grpc::Status&)> close_when_sent;
+    // Called at each look with CLOCK_BOOTTIME, as StreamOutbound::Reap. May be null.
+    std::function<void(int64_t)> reap;
   };
 
   // Looks every `interval`, on a thread of its own; InfiniteDuration = only when asked. `clock` and
@@ -68,7 +72,17 @@ class SessionWatch {
   CallGate& gate() { return *gate_; }
   // Watched until the caller drops what is returned.
   std::shared_ptr<Session> Add(Peer peer, std::function<void(const grpc::Status&)> close,
-                               std::function<void(const grpc::Status&)> close_when_sent = nullptr);
+                               std::function<void(const grpc::Status&)> close_when_sent = nullptr,
+                               std::function<void(int64_t)> reap = nullptr);
+  // As Add, for a StreamOutbound: it gets the limits of its kind, and is cancelled when its peer
+  // reads not even its end. Before its first Send.
+  template <typename Outbound>
+  std::shared_ptr<Session> Guard(StreamKind kind, const Peer& peer,
+                                 grpc::CallbackServerContext* context,
+                                 const std::shared_ptr<Outbound>& outbound);
+  // What peers leave unread. Before the first Guard; not owned, may be null: then each stream has
+  // the limits of OutboundLimits.
+  void set_unread(UnreadStreams* unread) { unread_ = unread; }
   // A message of the session's stream came, of so many bytes.
   void Heard(Session& session, size_t bytes);
   // Ends what is due now: DEADLINE_EXCEEDED without a hello or a heartbeat, or as CallGate refuses
@@ -86,6 +100,7 @@ class SessionWatch {
   const absl::Duration interval_;
   CallGate only_times_;
   CallGate* const gate_;
+  UnreadStreams* unread_ = nullptr;
   Mutex mu_;
   std::function<void()> before_look_ ABSL_GUARDED_BY(mu_);
   absl::Duration silence_ ABSL_GUARDED_BY(mu_) = kSilence;
@@ -94,6 +109,22 @@ class SessionWatch {
   std::vector<std::weak_ptr<Session>> sessions_ ABSL_GUARDED_BY(mu_);
   std::thread thread_;
 };
+
+template <typename Outbound>
+std::shared_ptr<SessionWatch::Session> SessionWatch::Guard(
+    StreamKind kind, const Peer& peer, grpc::CallbackServerContext* context,
+    const std::shared_ptr<Outbound>& outbound) {
+  if (unread_ != nullptr) {
+    Outbound::Limit(outbound, unread_->LimitsFor(kind, peer, context->peer()));
+  }
+  outbound->set_cancel([context] { context->TryCancel(); });
+  const bool agent = kind == StreamKind::kSensor || kind == StreamKind::kActuator;
+  return Add(
+      peer, [outbound](const grpc::Status& status) { outbound->Close(status); },
+      agent ? [outbound](const grpc::Status& status) { outbound->CloseWhenSent(status); }
+            : std::function<void(const grpc::Status&)>(),
+      [outbound](int64_t now_ns) { outbound->Reap(now_ns); });
+}
 
 }  // namespace rips::rpc
 

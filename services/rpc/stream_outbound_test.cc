@@ -43,16 +43,17 @@ TEST(StreamOutboundTest, OneMoreThanTheLimitEndsTheCallAndLetsGoOfWhatWaited) {
   FakeReactor reactor;
   FakeOutbound outbound(&reactor);
   const Token message = MakeToken(1);
-  for (size_t i = 0; i < FakeOutbound::kOutgoingMax; ++i) ASSERT_TRUE(outbound.Send(message)) << i;
+  for (size_t i = 0; i < OutboundLimits().messages; ++i) ASSERT_TRUE(outbound.Send(message)) << i;
   EXPECT_TRUE(outbound.open());
-  EXPECT_EQ(message.use_count(), 1 + static_cast<long>(FakeOutbound::kOutgoingMax));
+  EXPECT_EQ(message.use_count(), 1 + static_cast<long>(OutboundLimits().messages));
 
   EXPECT_FALSE(outbound.Send(message));
 
   EXPECT_FALSE(outbound.open());
   ASSERT_EQ(reactor.ends.size(), 1u);
   EXPECT_EQ(reactor.ends[0].error_code(), grpc::StatusCode::RESOURCE_EXHAUSTED);
-  EXPECT_EQ(reactor.ends[0].error_message(), "the peer does not read what it is sent");
+  EXPECT_EQ(reactor.ends[0].error_message(),
+            "the peer does not read what it is sent: 4096 messages wait");
   EXPECT_EQ(message.use_count(), 2);  // only the one that is being written
   for (int i = 0; i < 10'000; ++i) EXPECT_FALSE(outbound.Send(message));
   EXPECT_EQ(message.use_count(), 2);
@@ -65,7 +66,7 @@ TEST(StreamOutboundTest, OneMoreThanTheLimitEndsTheCallAndLetsGoOfWhatWaited) {
 TEST(StreamOutboundTest, RoomIsMadeByEachWrite) {
   FakeReactor reactor;
   FakeOutbound outbound(&reactor);
-  for (size_t i = 0; i < FakeOutbound::kOutgoingMax; ++i)
+  for (size_t i = 0; i < OutboundLimits().messages; ++i)
     ASSERT_TRUE(outbound.Send(MakeToken(1))) << i;
 
   outbound.OnWritten(true);
@@ -186,7 +187,7 @@ struct SizedReactor {
 TEST(StreamOutboundTest, BytesThatWaitAreBoundedToo) {
   SizedReactor reactor;
   StreamOutbound<SizedReactor, Sized> outbound(&reactor);
-  constexpr size_t kMax = StreamOutbound<SizedReactor, Sized>::kOutgoingBytesMax;
+  const size_t kMax = OutboundLimits().bytes;
   EXPECT_TRUE(outbound.Send({2 * kMax})) << "one goes, whatever its length";
   outbound.OnWritten(true);
   for (int round = 0; round < 3; ++round) {

@@ -61,6 +61,12 @@ DdsSettings ReadDds(const ConfigSection& root) {
   return settings;
 }
 
+void ReadCount(const ConfigSection& section, absl::string_view key, size_t max, size_t* value) {
+  auto wide = static_cast<int64_t>(*value);
+  section.Optional(key, &wide, {1, static_cast<int64_t>(max)});
+  *value = static_cast<size_t>(wide);
+}
+
 bool IsHostPort(absl::string_view text) {
   const size_t colon = text.rfind(':');
   if (colon == absl::string_view::npos || colon == 0) return false;

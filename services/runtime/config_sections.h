@@ -2,6 +2,7 @@
 #ifndef RIPS_SERVICES_RUNTIME_CONFIG_SECTIONS_H_
 #define RIPS_SERVICES_RUNTIME_CONFIG_SECTIONS_H_
 
+#include <cstddef>
 #include <cstdint>
 #include <string>
 
@@ -39,6 +40,8 @@ DdsSettings ReadDds(const ConfigSection& root);
 // A required key whose value must be a name as in IsValidName; `what` is `robot id`.
 void ReadName(const ConfigSection& section, absl::string_view key, absl::string_view what,
               std::string* value);
+// An optional whole number from 1 to `max`.
+void ReadCount(const ConfigSection& section, absl::string_view key, size_t max, size_t* value);
 // An absolute path.
 void ReadPath(const ConfigSection& section, absl::string_view key, std::string* value);
 // `HOST:PORT`, the port 0 to 65535 and the host not empty; IPv6 as `[::1]:7443`.

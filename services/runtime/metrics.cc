@@ -4,15 +4,15 @@
 #include <exception>
 #include <utility>
 
-#include "absl/strings/numbers.h"
 #include "absl/strings/str_cat.h"
-#include "civetweb.h"
 #include "prometheus/counter.h"
 #include "prometheus/gauge.h"
 #include "prometheus/registry.h"
 #include "prometheus/text_serializer.h"
 #include "services/base/check.h"
+#include "services/base/status_macros.h"
 #include "services/runtime/log.h"
+#include "services/runtime/page_server.h"
 
 namespace rips {
 namespace {
@@ -73,83 +73,72 @@ std::string Metrics::Text() const {
   return prometheus::TextSerializer().Serialize(registry_->registry.Collect());
 }
 
-struct MetricsServer::Http {
-  const Metrics* metrics = nullptr;
-  Ready ready;
-  mg_context* context = nullptr;
-
-  static int Answer(mg_connection* connection, int code, absl::string_view type,
-                    absl::string_view body) {
-    const std::string head = absl::StrCat(
-        "HTTP/1.1 ", code, code == 200 ? " OK" : " Refused", "\r\nContent-Type: ", type,
-        "\r\nContent-Length: ", body.size(), "\r\nConnection: close\r\n\r\n", body);
-    mg_write(connection, head.data(), head.size());
-    return code;
-  }
-
-  static int Handle(mg_connection* connection, void* data) {
-    const Http& self = *static_cast<Http*>(data);
-    const mg_request_info* request = mg_get_request_info(connection);
-    if (absl::string_view(request->request_method) != "GET") {
-      return Answer(connection, 405, "text/plain", "only GET\n");
-    }
-    const absl::string_view path = request->local_uri;
-    if (path == "/metrics") {
-      return Answer(connection, 200, "text/plain; version=0.0.4", self.metrics->Text());
-    }
-    if (path == "/healthz") return Answer(connection, 200, "text/plain", "ok\n");
-    if (path == "/readyz") {
-      const absl::Status ready = self.ready ? self.ready() : absl::OkStatus();
-      return ready.ok()
-                 ? Answer(connection, 200, "text/plain", "ready\n")
-                 : Answer(connection, 503, "text/plain", absl::StrCat(ready.message(), "\n"));
-    }
-    return Answer(connection, 404, "text/plain", "try /metrics, /healthz or /readyz\n");
-  }
-};
-
 MetricsServer::MetricsServer() = default;
+MetricsServer::~MetricsServer() = default;
 
-MetricsServer::~MetricsServer() {
-  if (http_ == nullptr || http_->context == nullptr) return;
-  mg_stop(http_->context);
-  mg_exit_library();
+namespace {
+
+constexpr char kDroppedHelp[] =
+    "Connections to this page that were closed without an answer, by reason.";
+
+bool QuickPage(const Metrics& metrics, bool has_ready, absl::string_view path, PageAnswer& answer) {
+  if (path == "/metrics") {
+    answer = {.type = "text/plain; version=0.0.4", .body = metrics.Text()};
+  } else if (path == "/healthz") {
+    answer.body = "ok\n";
+  } else if (path == "/readyz") {
+    answer.body = "ready\n";
+    return !has_ready;
+  } else {
+    answer = {.code = 404, .body = "try /metrics, /healthz or /readyz\n"};
+  }
+  return true;
 }
 
+PageAnswer ReadyPage(const MetricsServer::Ready& ready) {
+  const absl::Status status = ready();
+  if (status.ok()) return {.body = "ready\n"};
+  return {.code = 503, .body = absl::StrCat(status.message(), "\n")};
+}
+
+}  // namespace
+
 absl::StatusOr<std::unique_ptr<MetricsServer>> MetricsServer::Start(absl::string_view address,
-                                                                    const Metrics* metrics,
-                                                                    Ready ready) {
+                                                                    Metrics* metrics, Ready ready) {
   std::unique_ptr<MetricsServer> server(new MetricsServer());
   if (address.empty()) return server;
-  const size_t colon = address.rfind(':');
-  int port = 0;
-  if (colon == absl::string_view::npos || colon == 0 ||
-      !absl::SimpleAtoi(address.substr(colon + 1), &port) || port < 0 || port > 65535 ||
-      address.find_first_not_of("0123456789abcdefABCDEF.:[]") != absl::string_view::npos) {
-    return absl::InvalidArgumentError(
-        absl::StrCat("metrics address `", address, "` is not HOST:PORT; use `127.0.0.1:9464`"));
+  RIPS_ASSIGN_OR_RETURN(const PageAddress parsed, ParsePageAddress(address));
+  const auto counter = [&](const char* reason) {
+    return metrics->AddCounter("rips_metrics_connections_dropped_total", kDroppedHelp,
+                               {{"reason", reason}});
+  };
+  PageServer::Pages pages{
+      .quick = [metrics, has_ready = ready != nullptr](
+                   absl::string_view path,
+                   PageAnswer& answer) { return QuickPage(*metrics, has_ready, path, answer); },
+      .slow = [ready = std::move(ready)] { return ReadyPage(ready); },
+      .dropped =
+          [slow = counter("slow"), too_long = counter("long"),
+           crowded = counter("crowded")](PageServer::Dropped why) {
+            const Counter& count = why == PageServer::Dropped::kSlow   ? slow
+                                   : why == PageServer::Dropped::kLong ? too_long
+                                                                       : crowded;
+            count.Increment();
+          }};
+  auto started = PageServer::Start(parsed, std::move(pages));
+  if (!started.ok()) {
+    return absl::UnavailableError(absl::StrCat("cannot serve metrics on `", address, "` (",
+                                               started.status().message(),
+                                               "); is the port in use?"));
   }
-  server->http_ = std::make_unique<Http>();
-  server->http_->metrics = metrics;
-  server->http_->ready = std::move(ready);
-  mg_init_library(0);
-  const std::string listen(address);
-  const char* options[] = {
-      "listening_ports",   listen.c_str(), "num_threads", "2", "request_timeout_ms", "5000",
-      "enable_keep_alive", "no",           nullptr};
-  mg_callbacks callbacks{};
-  callbacks.log_message = [](const mg_connection*, const char*) { return 1; };
-  mg_context* context = mg_start(&callbacks, server->http_.get(), options);
-  if (context == nullptr) {
-    mg_exit_library();
-    return absl::UnavailableError(
-        absl::StrCat("cannot serve metrics on `", address, "`; is the port in use?"));
+  server->pages_ = *std::move(started);
+  server->address_ = absl::StrCat(parsed.host, ":", server->pages_->port());
+  if (!parsed.loopback) {
+    LogWarning(
+        "metrics are served beyond this host, unencrypted and without authentication: they name "
+        "robots and topics; use a loopback address, or let only the scraper reach the port",
+        {{"address", server->address_}});
   }
-  server->http_->context = context;
-  mg_set_request_handler(context, "**", &Http::Handle, server->http_.get());
-  mg_server_port bound{};
-  mg_get_server_ports(context, 1, &bound);
-  server->address_ = absl::StrCat(address.substr(0, colon), ":", bound.port);
   return server;
 }
 

@@ -18,6 +18,7 @@
 
 namespace rips {
 
+class PageServer;
 using MetricLabels = std::map<std::string, std::string>;
 
 // A value that only grows. Copies are the same metric; a default-made one counts nothing. Any
@@ -71,26 +72,27 @@ class Metrics {
 };
 
 // Serves GET /metrics, /healthz (200 while the process runs) and /readyz (200, or 503 and why not).
-// Plain HTTP without authentication: meant for loopback or a trusted network.
+// Plain HTTP without authentication: meant for loopback; any other address is warned of in the log.
+// Slow clients do not keep others waiting (page_server.h); those that are closed are counted in
+// rips_metrics_connections_dropped_total.
 class MetricsServer {
  public:
-  // Says whether the daemon does its job now. Called on the server's threads.
+  // Says whether the daemon does its job now. Called on a thread of the server, one call at a time.
   using Ready = std::function<absl::Status()>;
 
   // Listens on `address` (`HOST:PORT` with a numeric host; port 0 = any). An empty address gives a
   // server that does nothing. InvalidArgument for a bad address, Unavailable if it cannot bind.
   // `metrics` is not owned and outlives the server.
   static absl::StatusOr<std::unique_ptr<MetricsServer>> Start(absl::string_view address,
-                                                              const Metrics* metrics, Ready ready);
+                                                              Metrics* metrics, Ready ready);
   ~MetricsServer();
 
   // Where it listens, `127.0.0.1:9464`; empty if it does not.
   const std::string& address() const { return address_; }
 
  private:
-  struct Http;
   MetricsServer();
-  std::unique_ptr<Http> http_;
+  std::unique_ptr<PageServer> pages_;
   std::string address_;
 };
 

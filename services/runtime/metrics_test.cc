@@ -16,6 +16,7 @@ namespace rips {
 namespace {
 
 using ::testing::HasSubstr;
+using ::testing::Not;
 using ::testing::StartsWith;
 
 // The whole answer to one HTTP request to 127.0.0.1:PORT.
@@ -108,6 +109,16 @@ TEST(MetricsServerTest, RefusesBadAndTakenAddresses) {
   ASSERT_THAT(first, IsOk());
   EXPECT_THAT(MetricsServer::Start((*first)->address(), &metrics, nullptr),
               StatusIs(absl::StatusCode::kUnavailable, HasSubstr("is the port in use?")));
+}
+
+TEST(MetricsServerTest, WarnsOfAnAddressBeyondThisHost) {
+  Metrics metrics;
+  testing::internal::CaptureStderr();
+  EXPECT_THAT(MetricsServer::Start("127.0.0.1:0", &metrics, nullptr), IsOk());
+  EXPECT_THAT(testing::internal::GetCapturedStderr(), Not(HasSubstr("beyond this host")));
+  testing::internal::CaptureStderr();
+  EXPECT_THAT(MetricsServer::Start("0.0.0.0:0", &metrics, nullptr), IsOk());
+  EXPECT_THAT(testing::internal::GetCapturedStderr(), HasSubstr("beyond this host"));
 }
 
 TEST(MetricsPageTest, ATakenPortIsServedWhenItIsFree) {

@@ -4,7 +4,11 @@
 //   reaction --domain D --server HOST:PORT --actuator DIR --floor-server DIR --count N
 // DIR: certificates. Between the messages it measures the two floors, bare: a DDS message one way
 // between two participants, and a round trip on a gRPC stream with mTLS.
-// Prints {"event":"done", "command":{"p50_us":..,"p99_us":..}, "dds":{..}, "grpc":{..}}.
+// Then what waiting for the graph costs (--rounds): `first` is the first message of a new writer of
+// a new node on /probe, sent 10 ms after that was made; `behind` a message of the known writer
+// sent right after one from each of 16 new writers on /other.
+// Prints {"event":"done", "command":{"p50_us":..,"p99_us":..}, "dds":{..}, "grpc":{..}, "first":{..},
+// "behind":{..}, "unseen":N}, the last of them messages that DDS gave to no reader.
 #include <algorithm>
 #include <atomic>
 #include <cstring>
@@ -42,6 +46,9 @@ constexpr absl::Duration kPatience = absl::Seconds(30);
 constexpr absl::Duration kHeartbeat = absl::Milliseconds(500);
 // The line is idle before each message.
 constexpr absl::Duration kPause = absl::Milliseconds(15);
+constexpr int kBurst = 16;
+constexpr absl::Duration kReaderKnows = absl::Milliseconds(10);
+constexpr absl::Duration kSeen = absl::Seconds(3);
 constexpr char kType[] = "std_msgs/msg/UInt8MultiArray";
 constexpr char kPayload[] = {0, 1, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0};
 
@@ -51,6 +58,7 @@ struct Options {
   std::string actuator;
   std::string floor_server;
   int count = 1'000;
+  int rounds = 50;
 };
 
 int64_t NowNs() { return RealClock().Now().boottime_ns; }
@@ -71,7 +79,8 @@ class Arrival {
     changed_.NotifyAll();
   }
   // What `act` takes until Set, nanoseconds.
-  absl::StatusOr<int64_t> After(const std::function<absl::Status()>& act) ABSL_LOCKS_EXCLUDED(mu_) {
+  absl::StatusOr<int64_t> After(const std::function<absl::Status()>& act,
+                                absl::Duration patience = kPatience) ABSL_LOCKS_EXCLUDED(mu_) {
     {
       MutexLock lock(&mu_);
       at_ns_ = 0;
@@ -79,7 +88,7 @@ class Arrival {
     const int64_t begin_ns = NowNs();
     RIPS_RETURN_IF_ERROR(act());
     MutexLock lock(&mu_);
-    for (int i = 0; i < absl::ToInt64Seconds(kPatience) && at_ns_ == 0; ++i) {
+    for (int i = 0; i < absl::ToInt64Seconds(patience) && at_ns_ == 0; ++i) {
       changed_.WaitFor(lock, absl::Seconds(1));
     }
     if (at_ns_ == 0) return absl::DeadlineExceededError("nothing arrived");
@@ -202,6 +211,7 @@ class Latencies {
  public:
   void Add(int64_t ns) { us_.push_back(static_cast<double>(ns) * 1e-3); }
   nlohmann::json Json() {
+    if (us_.empty()) return {{"p50_us", 0}, {"p99_us", 0}};
     std::sort(us_.begin(), us_.end());
     return {{"p50_us", us_[us_.size() / 2]}, {"p99_us", us_[us_.size() * 99 / 100]}};
   }
@@ -217,6 +227,51 @@ absl::Status WaitForReader(const dds::RawWriter& writer, const std::string& topi
     absl::SleepFor(absl::Milliseconds(10));
   }
   return absl::OkStatus();
+}
+
+// A new node with `count` writers on `topic`. The sensor's DDS reader knows them as a rule (what a
+// volatile writer sends earlier is lost to it); its graph, which waits for 20 ms of quiet, does
+// not.
+absl::StatusOr<std::vector<dds::RawWriter*>> NewWriters(RosProcess& process,
+                                                        const std::string& node,
+                                                        const std::string& topic, int count) {
+  RIPS_ASSIGN_OR_RETURN(RosNode * fresh, process.AddNode(node));
+  std::vector<dds::RawWriter*> writers;
+  for (int i = 0; i < count; ++i) {
+    RIPS_ASSIGN_OR_RETURN(dds::RawWriter * writer,
+                          fresh->Publish(topic, kType, robot_sim::DefaultQos(10)));
+    writers.push_back(writer);
+  }
+  RIPS_RETURN_IF_ERROR(process.Announce());
+  for (dds::RawWriter* writer : writers) RIPS_RETURN_IF_ERROR(WaitForReader(*writer, topic));
+  absl::SleepFor(kReaderKnows);
+  return writers;
+}
+
+struct GraphWaits {
+  Latencies first, behind;
+  int unseen = 0;
+};
+
+absl::StatusOr<GraphWaits> MeasureGraphWaits(RosProcess& process, dds::RawWriter& known,
+                                             Arrival& commanded, int rounds) {
+  const std::string payload(kPayload, sizeof(kPayload));
+  GraphWaits waits;
+  for (int i = 0; i < rounds; ++i) {
+    RIPS_ASSIGN_OR_RETURN(const auto one,
+                          NewWriters(process, absl::StrCat("/first_", i), "/probe", 1));
+    const auto first_ns = commanded.After([&] { return one[0]->Write(payload); }, kSeen);
+    if (first_ns.ok()) waits.first.Add(*first_ns);
+    if (!first_ns.ok()) ++waits.unseen;
+    RIPS_ASSIGN_OR_RETURN(const auto burst,
+                          NewWriters(process, absl::StrCat("/burst_", i), "/other", kBurst));
+    for (dds::RawWriter* writer : burst) RIPS_RETURN_IF_ERROR(writer->Write(payload));
+    RIPS_ASSIGN_OR_RETURN(const int64_t behind_ns,
+                          commanded.After([&] { return known.Write(payload); }));
+    waits.behind.Add(behind_ns);
+    absl::SleepFor(absl::Milliseconds(300));
+  }
+  return waits;
 }
 
 absl::Status Run(const Options& options) {
@@ -268,8 +323,15 @@ absl::Status Run(const Options& options) {
     grpc.Add(grpc_ns);
     command.Add(command_ns);
   }
-  PrintEvent(
-      {{"event", "done"}, {"command", command.Json()}, {"dds", dds.Json()}, {"grpc", grpc.Json()}});
+  RIPS_ASSIGN_OR_RETURN(GraphWaits waits,
+                        MeasureGraphWaits(*process, *probe, commanded, options.rounds));
+  PrintEvent({{"event", "done"},
+              {"command", command.Json()},
+              {"dds", dds.Json()},
+              {"grpc", grpc.Json()},
+              {"first", waits.first.Json()},
+              {"behind", waits.behind.Json()},
+              {"unseen", waits.unseen}});
   return absl::OkStatus();
 }
 
@@ -282,6 +344,7 @@ int Main(int argc, char** argv) {
   app.add_option("--floor-server", options.floor_server, "a server's certificate's directory")
       ->required();
   app.add_option("--count", options.count)->check(CLI::Range(1, 1'000'000));
+  app.add_option("--rounds", options.rounds)->check(CLI::Range(1, 200));
   try {
     app.parse(argc, argv);
   } catch (const CLI::ParseError& error) {

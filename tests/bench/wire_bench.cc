@@ -3,8 +3,10 @@
 #include <vector>
 
 #include "policy_server/ingest/observation_decoder.h"
+#include "rips/v1/sensor.pb.h"
 #include "services/base/check.h"
 #include "services/ros2_proto/graph_codec.h"
+#include "services/wire_limits/field_limits.h"
 #include "tests/bench/world.h"
 
 namespace rips::bench {
@@ -120,6 +122,22 @@ void ParseAndDecode(benchmark::State& state) {
   SetEvents(state, kPerBatch);
 }
 BENCHMARK(ParseAndDecode)->Name("P3/parse_and_decode");
+
+// What checking the fields adds to it.
+void ParseCheckAndDecode(benchmark::State& state) {
+  Receiver receiver;
+  ingest::ObservationDecoder decoder = MakeDecoder();
+  rips::v1::SensorMessage message;
+  for (auto _ : state) {
+    if (!receiver.Next(*message.mutable_batch()) || wire_limits::Check(message).has_value() ||
+        decoder.Decode(message.batch())->observations.size() != kPerBatch) {
+      state.SkipWithError("a batch is past a limit or does not decode");
+      break;
+    }
+  }
+  SetEvents(state, kPerBatch);
+}
+BENCHMARK(ParseCheckAndDecode)->Name("P3/parse_check_and_decode");
 
 // Number of rules that fired; all of them are false here.
 uint32_t Judge(const pipeline::Batch& batch, engine::RobotState& robot) {

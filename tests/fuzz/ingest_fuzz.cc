@@ -10,6 +10,7 @@
 #include "absl/strings/string_view.h"
 #include "policy_server/ingest/observation_decoder.h"
 #include "services/base/check.h"
+#include "services/wire_limits/field_limits.h"
 
 namespace rips::ingest {
 namespace {
@@ -61,6 +62,10 @@ std::vector<std::string> Decode(const std::vector<v1::SensorMessage>& messages) 
   std::vector<pipeline::Batch> batches;
   auto decoder = std::make_unique<ObservationDecoder>();
   for (const v1::SensorMessage& message : messages) {
+    if (const auto hit = wire_limits::Check(message)) {
+      out.push_back(hit->Text());
+      break;  // the stream is closed
+    }
     if (message.has_hello()) {
       const auto hello = DecodeHello(message.hello());
       out.push_back(hello.status().ToString());

@@ -33,6 +33,7 @@ rules External:
   first: signal("SIGUSR1") && CurrLevel < ALERT ? trigger(ALERT);
   note: signal("SIGUSR1") ? alert("%s");
   second: signal("SIGUSR2") && CurrLevel < COMPROMISED ? trigger(COMPROMISED);
+  said: signal("SIGUSR2") ? alert("the second signal has come");
   unused: false ? trigger(HALT);
 """ % ("long " * 150)
 DISK_BYTES = 24 << 20
@@ -197,6 +198,9 @@ def store_on_a_full_disk(fleet):
     fleet.sensor.child.send_signal(signal.SIGUSR2)
     wait_mode(fleet, "COMPROMISED")
     check(fleet.level()["decided_level"] == "COMPROMISED", f"{fleet.level()}")
+    waiting = fleet.query("alert", "list", "r1")["unrecorded"]
+    check(any(a["text"] == "the second signal has come" for a in waiting),
+          f"an operator does not see what the store cannot take: {waiting}")
 
     disk.free()
 

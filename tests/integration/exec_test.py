@@ -117,13 +117,15 @@ def units_are_valid(world):
     shutil.copytree("/usr/lib/systemd/system", units, symlinks=True)
     (root / "usr/bin").mkdir(parents=True)
     services = sorted(UNITS.glob("*.service"))
-    check({f"rips-{name}.service" for name in ("exec", "fw", "actuator", "sensor", "wire")} <=
-          {unit.name for unit in services}, f"units are missing: {services}")
+    daemons = ("exec", "fw", "actuator", "sensor", "wire", "policy-server")
+    check({f"rips-{name}.service" for name in daemons} <= {unit.name for unit in services},
+          f"units are missing: {services}")
     for unit in UNITS.iterdir():
         shutil.copy(unit, units)
-    for service in services:
-        (root / "usr/bin" / service.stem).write_bytes(b"")
-        (root / "usr/bin" / service.stem).chmod(0o755)
+    (root / "bin").symlink_to("usr/bin")
+    for program in [service.stem for service in services] + ["kill"]:
+        (root / "usr/bin" / program).write_bytes(b"")
+        (root / "usr/bin" / program).chmod(0o755)
 
     def verify(unit):
         done = subprocess.run(["systemd-analyze", "verify", "--man=no", f"--root={root}", unit],

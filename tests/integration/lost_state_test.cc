@@ -1,5 +1,5 @@
-// The whole actuator without its recorded state and without a server, on a simulated robot over real
-// DDS: it does not lower the robot.
+// The whole actuator without its recorded state, or with one from a backup, and without a server, on
+// a simulated robot over real DDS: it does not lower the robot.
 #include <stdlib.h>
 #include <sys/stat.h>
 
@@ -15,6 +15,7 @@
 #include "absl/strings/str_replace.h"
 #include "gmock/gmock.h"
 #include "gtest/gtest.h"
+#include "mode_actuator/actuator_state.h"
 #include "mode_actuator/agent.h"
 #include "services/base/status_matchers.h"
 #include "services/dds/test_world.h"
@@ -137,6 +138,16 @@ TEST_F(LostStateTest, TheNodesShowTheLevelWhenTheManagerHasForgotten) {
   std::ofstream(dir_ + "/state/state") << "rips-actuator-state 1\nmark 1.1\ndecided DEFAULT\n";
   StartRobot("HALT");
   (*robot_)->With([](ModeMachine& machine) { machine.ForgetModes(); });
+  StartActuator();
+  EXPECT_TRUE(Records("HALT"));
+  EXPECT_TRUE(Ordered());
+  EXPECT_THAT(robot_->TakeModes(), Each("HALT"));
+}
+
+TEST_F(LostStateTest, AStateFromABackupDoesNotLowerTheRobot) {
+  std::ofstream(dir_ + "/state/state") << EncodeState(
+      {.mark = {1, 1}, .decided = "ALERT", .effective = "ALERT", .highest_term = 1});
+  StartRobot("HALT");
   StartActuator();
   EXPECT_TRUE(Records("HALT"));
   EXPECT_TRUE(Ordered());

@@ -1,9 +1,12 @@
 // How long the policy server keeps agents' streams: real gRPC and certificates, a stepped clock.
+#include <atomic>
 #include <memory>
 #include <string>
 #include <thread>
 
+#include "absl/strings/string_view.h"
 #include "absl/time/clock.h"
+#include "gmock/gmock.h"
 #include "gtest/gtest.h"
 #include "policy_server/dispatch/actuator_service.h"
 #include "policy_server/ingest/sensor_service.h"
@@ -23,6 +26,12 @@ namespace {
 
 constexpr char kIncarnation[] = "0123456789abcdef";
 constexpr int64_t kHelloNs = 5 * kNanosPerSecond;
+
+size_t CountOf(absl::string_view words, absl::string_view text) {
+  size_t count = 0;
+  for (size_t at = text.find(words); at != text.npos; at = text.find(words, at + 1)) ++count;
+  return count;
+}
 
 // One agent's stream, as far as the test drives it.
 template <typename Service, typename In, typename Out>
@@ -107,13 +116,17 @@ class SessionTest : public ::testing::Test {
     ASSERT_TRUE(compiled.rules);
     auto program = engine::Program::Create(*std::move(compiled.rules));
     ASSERT_THAT(program, IsOk());
-    ASSERT_THAT(pipeline_.Add({.id = "r1",
-                               .sensor_hosts = {"base"},
-                               .primary_sensor = "base",
-                               .actuator_hosts = {"base"}},
-                              {.program = *program, .bundle_id = "sha256:0"}, {}, {}, 1,
-                              {.recorder = &recorder_, .audience = &audience_, .new_id = NewId}),
-                IsOk());
+    ASSERT_THAT(
+        pipeline_.Add({.id = "r1",
+                       .sensor_hosts = {"base"},
+                       .primary_sensor = "base",
+                       .actuator_hosts = {"base"}},
+                      {.program = *program, .bundle_id = "sha256:0"}, {}, {}, 1,
+                      {.recorder = &recorder_,
+                       .audience = &audience_,
+                       .counts = {.sessions_refused = [this](uint64_t by) { second_ += by; }},
+                       .new_id = NewId}),
+        IsOk());
     // Its clock jumps.
     watch_.set_silence(absl::InfiniteDuration());
     pipeline_.Start();
@@ -146,6 +159,7 @@ class SessionTest : public ::testing::Test {
   FakeClock watch_clock_;
   Metrics metrics_;
   Counter opened_ = metrics_.AddCounter("opened_total", "Streams of both kinds.");
+  std::atomic<uint64_t> second_ = 0;
   pipeline::FakeRecorder recorder_;
   pipeline::FakeAudience audience_;
   pipeline::Pipeline pipeline_{1, &clock_};
@@ -208,6 +222,34 @@ TEST_F(SessionTest, StreamsAreCutWhenTheirCertificateExpires) {
   for (const grpc::Status& end : {sensor.End(), actuator.End()}) {
     EXPECT_EQ(end.error_code(), grpc::StatusCode::UNAUTHENTICATED);
     EXPECT_EQ(end.error_message(), "the certificate has expired");
+  }
+}
+
+TEST_F(SessionTest, ASecondLiveSessionIsCountedAndLoggedAsARefusal) {
+  ::testing::internal::CaptureStderr();
+  Sensor sensor(Connect(sensor_ids_));
+  Actuator actuator(Connect(actuator_ids_));
+  sensor.Hello();
+  actuator.Hello();
+  ASSERT_TRUE(sensor.Answered());
+  ASSERT_TRUE(actuator.Answered());
+  Sensor second_sensor(Connect(sensor_ids_));
+  Actuator second_actuator(Connect(actuator_ids_));
+  second_sensor.Hello();
+  second_actuator.Hello();
+  EXPECT_EQ(second_sensor.End().error_code(), grpc::StatusCode::ALREADY_EXISTS);
+  EXPECT_EQ(second_actuator.End().error_code(), grpc::StatusCode::ALREADY_EXISTS);
+  const std::string log = ::testing::internal::GetCapturedStderr();
+
+  EXPECT_EQ(second_, 2u);
+  for (const char* agent : {"sensor", "actuator"}) {
+    const std::string name(agent);
+    EXPECT_EQ(CountOf(" info " + name + " connected ", log), 1u) << log;
+    EXPECT_EQ(CountOf(" warning " + name + " refused ", log), 1u) << log;
+    EXPECT_THAT(log, ::testing::ContainsRegex(" warning " + name +
+                                              " refused robot=r1 host=base peer=ipv4:127.0.0.1:"
+                                              "[0-9]+ reason=\"" +
+                                              name + " r1/base has a live session\""));
   }
 }
 

@@ -1,6 +1,7 @@
 // What is shipped for people to start from is accepted by the programs it is for.
 #include <filesystem>
 #include <fstream>
+#include <map>
 #include <set>
 #include <sstream>
 #include <string>
@@ -19,8 +20,11 @@
 namespace rips {
 namespace {
 
+using ::testing::ContainsRegex;
 using ::testing::HasSubstr;
 using ::testing::IsSupersetOf;
+using ::testing::Key;
+using ::testing::MatchesRegex;
 using ::testing::Not;
 
 std::string Read(const std::string& name) {
@@ -54,6 +58,85 @@ TEST(ShippedFilesTest, AgentsAreOrderedAfterTheClockAndDoNotDependOnIt) {
     }
     EXPECT_TRUE(ordered) << name;
   }
+}
+
+// The lines `KEY=VALUE` of a unit, in order; the last one of a key counts for most keys.
+std::multimap<std::string, std::string> UnitOf(const std::filesystem::path& path) {
+  std::multimap<std::string, std::string> keys;
+  std::ifstream unit(path);
+  for (std::string line; std::getline(unit, line);) {
+    const size_t equals = line.find('=');
+    if (line.empty() || line[0] == '#' || line[0] == '[' || equals == std::string::npos) continue;
+    keys.emplace(line.substr(0, equals), line.substr(equals + 1));
+  }
+  return keys;
+}
+
+std::map<std::string, std::multimap<std::string, std::string>> Services() {
+  std::map<std::string, std::multimap<std::string, std::string>> services;
+  for (const auto& entry : std::filesystem::directory_iterator(RIPS_SOURCE_DIR "/deploy/systemd")) {
+    if (entry.path().extension() != ".service") continue;
+    services[entry.path().stem()] = UnitOf(entry.path());
+  }
+  return services;
+}
+
+std::string Only(const std::multimap<std::string, std::string>& unit, const std::string& key) {
+  EXPECT_EQ(unit.count(key), 1u) << key;
+  const auto found = unit.find(key);
+  return found == unit.end() ? "" : found->second;
+}
+
+TEST(ShippedFilesTest, EveryServiceIsStartedAnewAndBoundedAndConfined) {
+  const auto services = Services();
+  EXPECT_THAT(services,
+              IsSupersetOf({Key("rips-policy-server"), Key("rips-actuator"), Key("rips-exec"),
+                            Key("rips-fw"), Key("rips-sensor"), Key("rips-wire")}));
+  for (const auto& [name, unit] : services) {
+    SCOPED_TRACE(name);
+    EXPECT_EQ(Only(unit, "Restart"), "always");
+    EXPECT_EQ(Only(unit, "StartLimitIntervalSec"), "0") << "else it is given up after some starts";
+    EXPECT_EQ(Only(unit, "RestartPreventExitStatus"), "2");
+    EXPECT_THAT(Only(unit, "MemoryMax"), MatchesRegex("[1-9][0-9]*[MG]"));
+    EXPECT_THAT(Only(unit, "TasksMax"), MatchesRegex("[1-9][0-9]*"));
+    EXPECT_EQ(Only(unit, "NoNewPrivileges"), "yes");
+    EXPECT_EQ(Only(unit, "ProtectSystem"), "strict");
+    EXPECT_EQ(Only(unit, "ProtectHome"), "yes");
+    EXPECT_EQ(Only(unit, "LimitCORE"), "0");
+    EXPECT_EQ(Only(unit, "UMask"), "0077");
+  }
+}
+
+// The reason of the number stands above it.
+TEST(ShippedFilesTest, EveryMemoryMaxSaysWhy) {
+  for (const auto& [name, unit] : Services()) {
+    std::istringstream text(Read("deploy/systemd/" + name + ".service"));
+    std::string before;
+    for (std::string line; std::getline(text, line); before = line) {
+      if (line.rfind("MemoryMax=", 0) != 0) continue;
+      EXPECT_EQ(before.rfind("# ", 0), 0u) << name;
+    }
+  }
+}
+
+TEST(ShippedFilesTest, NoTwoDaemonsShareAUser) {
+  std::map<std::string, std::string> daemon_of;
+  const std::string sysusers = Read("deploy/sysusers/rips.conf");
+  for (const auto& [name, unit] : Services()) {
+    const std::string user = Only(unit, "User");
+    EXPECT_THAT(sysusers, ContainsRegex("(^|\n)u " + user + " +- ")) << name;
+    EXPECT_NE(user, "root") << name;
+    // The tap reports to the sensor beside it and to nobody else: one trust, two processes.
+    if (name == "rips-wire") continue;
+    const auto [other, fresh] = daemon_of.emplace(user, name);
+    EXPECT_TRUE(fresh) << name << " and " << other->second << " both run as " << user;
+  }
+  EXPECT_EQ(daemon_of.count(server::kPluginUser), 0u) << "plugins would own what a daemon owns";
+}
+
+TEST(ShippedFilesTest, TheServerMayOpenWhatItsConnectionsNeed) {
+  const auto unit = Services().at("rips-policy-server");
+  EXPECT_GE(std::stoi(Only(unit, "LimitNOFILE")), 2 * rpc::AdmissionLimits().total + 512);
 }
 
 // A policy with a plugin is complete only where the build has put it together.

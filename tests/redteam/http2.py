@@ -3,6 +3,7 @@
 import socket
 import ssl
 import struct
+import threading
 
 PREFACE = b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n"
 HEADERS, RST_STREAM, SETTINGS, PING, CONTINUATION = 1, 3, 4, 6, 9
@@ -36,6 +37,53 @@ def reset(stream):
     return frame(RST_STREAM, 0, stream, struct.pack(">I", 8))
 
 
+class Tls:
+    """A TLS connection that one thread may read while another writes, which ssl.SSLSocket's may
+    not: OpenSSL's object is locked, and never while the socket waits."""
+
+    def __init__(self, raw, context):
+        self.raw = raw
+        self._in, self._out = ssl.MemoryBIO(), ssl.MemoryBIO()
+        self._tls = context.wrap_bio(self._in, self._out)
+        self._lock = threading.Lock()
+        self._order = threading.Lock()  # of what is sent
+        while True:
+            try:
+                self._tls.do_handshake()
+                break
+            except ssl.SSLWantReadError:
+                self._flush()
+                self._feed()
+        self._flush()
+
+    def sendall(self, data):
+        with self._order:
+            with self._lock:
+                self._tls.write(data)
+            self._flush()
+
+    def recv(self, size):
+        """b"" at the end; times out as the socket does."""
+        while True:
+            try:
+                with self._lock:
+                    return self._tls.read(size)
+            except ssl.SSLWantReadError:
+                self._feed()
+            except ssl.SSLZeroReturnError:
+                return b""
+
+    def _flush(self):
+        with self._lock:
+            data = self._out.read()
+        self.raw.sendall(data)
+
+    def _feed(self):
+        data = self.raw.recv(1 << 16)
+        with self._lock:
+            self._in.write(data) if data else self._in.write_eof()
+
+
 class Client:
     """One connection. `pki`: a folder with ca.pem, cert.pem, key.pem. `source`: its own address."""
 
@@ -48,7 +96,7 @@ class Client:
         raw = socket.create_connection(("127.0.0.1", port), timeout, source_address=(source, 0))
         self.address = "%s:%d" % raw.getsockname()
         try:
-            self.tls = context.wrap_socket(raw)
+            self.tls = Tls(raw, context)
             self.tls.sendall(PREFACE + frame(SETTINGS, 0, 0))
         except OSError:
             raw.close()
@@ -59,17 +107,17 @@ class Client:
 
     def drain(self):
         """Reads what there is and forgets it, so that the server is never held up by us."""
-        self.tls.settimeout(0.0)
+        self.tls.raw.settimeout(0.0)
         try:
             while self.tls.recv(1 << 16):
                 pass
-        except (ssl.SSLWantReadError, BlockingIOError):
+        except BlockingIOError:
             pass
         finally:
-            self.tls.settimeout(5)
+            self.tls.raw.settimeout(5)
 
     def close(self):
-        self.tls.close()
+        self.tls.raw.close()
 
 
 # ------------------------------------------------------------------------------------ attacks

@@ -296,7 +296,10 @@ class Peer {
 
   void ServeModes() {
     const std::string& part = options_.modes;
-    now_ = options_.mode.empty() ? "" : options_.mode[0];
+    {
+      MutexLock lock(&mu_);
+      now_ = options_.mode.empty() ? "" : options_.mode[0];
+    }
     Serve(part + "/change_mode", ros2::kChangeModeType, [this](const std::string& request) {
       const auto mode = ros2::DecodeChangeModeRequest(request);
       bool known = false;

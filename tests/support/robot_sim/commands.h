@@ -51,6 +51,7 @@ absl::Status RunRobot(const RobotCommand& command, StopFlag& stop);
 enum class IntruderKind {
   kUnknownNode,  // subscribes to /camera/image_raw
   kRogueCmdVel,  // publishes /cmd_vel at 20 Hz
+  kFlood,        // has many writers, each on a topic of its own
 };
 
 struct IntruderCommand {
@@ -60,8 +61,12 @@ struct IntruderCommand {
   std::string node = "/intruder";
   // Endpoints only: no node, nothing on `ros_discovery_info`.
   bool anonymous = false;
+  // Of kFlood: how many, and whether they are the reply side of services, which no graph shows.
+  int64_t writers = 1'000;
+  bool replies = false;
   ros2::GidBytes gid_bytes = ros2::GidBytes::k24;
 };
+// {"event":"flooded","writers":1000}                 all writers of kFlood are there
 // {"event":"announced","node":"/intruder"}           the node stands on ros_discovery_info
 // {"event":"first_sample","topic":"/cmd_vel"}        time taken just before the write (rogue)
 //                                                    or on reception (unknown node)

@@ -1,7 +1,10 @@
 #include <atomic>
 #include <memory>
+#include <string>
+#include <vector>
 
 #include "absl/status/statusor.h"
+#include "absl/strings/str_cat.h"
 #include "nlohmann/json.hpp"
 #include "services/base/status_macros.h"
 #include "services/runtime/log.h"
@@ -39,6 +42,25 @@ absl::Status PublishUntilStopped(dds::RawWriter& writer, StopFlag& stop) {
   return absl::OkStatus();
 }
 
+// Their node, if there is one, does not claim them: the list would be too long to decode.
+absl::Status Flood(const dds::Participant& participant, const IntruderCommand& command,
+                   StopFlag& stop) {
+  std::vector<std::unique_ptr<dds::RawWriter>> writers;
+  for (int64_t i = 0; i < command.writers && !stop.WaitFor(absl::ZeroDuration()); ++i) {
+    const std::string topic =
+        command.replies ? absl::StrCat("rr/flood_", i, "Reply") : absl::StrCat("rt/flood_", i);
+    RIPS_ASSIGN_OR_RETURN(
+        writers.emplace_back(),
+        dds::RawWriter::Create(participant,
+                               {.topic = topic, .type = "std_msgs::msg::dds_::String_"}));
+  }
+  PrintEvent(
+      {{"event", "flooded"}, {"writers", writers.size()}, {"unix_ns", RealClock().Now().unix_ns}});
+  while (!stop.WaitFor(kIdle)) {
+  }
+  return absl::OkStatus();
+}
+
 }  // namespace
 
 absl::Status RunIntruder(const IntruderCommand& command, StopFlag& stop) {
@@ -63,7 +85,7 @@ absl::Status RunIntruder(const IntruderCommand& command, StopFlag& stop) {
   if (command.kind == IntruderKind::kRogueCmdVel) {
     RIPS_ASSIGN_OR_RETURN(rogue,
                           node->Publish(kCommandTopic, "geometry_msgs/msg/Twist", DefaultQos()));
-  } else {
+  } else if (command.kind == IntruderKind::kUnknownNode) {
     RIPS_RETURN_IF_ERROR(node->Subscribe(kCameraTopic, "sensor_msgs/msg/Image", SensorDataQos(),
                                          [&first_received_unix_ns](const dds::RawSample& sample) {
                                            int64_t none = 0;
@@ -77,6 +99,9 @@ absl::Status RunIntruder(const IntruderCommand& command, StopFlag& stop) {
     PrintEvent({{"event", "announced"}, {"node", command.node}, {"unix_ns", unix_ns}});
   }
   LogInfo("intruder is in the domain", {{"node", command.anonymous ? "" : command.node}});
+  if (command.kind == IntruderKind::kFlood) {
+    return Flood(command.anonymous ? *participant : process->participant(), command, stop);
+  }
   if (rogue != nullptr) {
     return PublishUntilStopped(*rogue, stop);
   }

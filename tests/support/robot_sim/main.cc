@@ -78,11 +78,14 @@ void AddRobot(CLI::App& app, RobotCommand& command, Run& run) {
 void AddIntruder(CLI::App& app, IntruderCommand& command, Run& run) {
   CLI::App* sub = Subcommand(app, "intruder", "run an intruder", command.domain, command.security);
   const std::map<std::string, IntruderKind> kinds = {{"unknown-node", IntruderKind::kUnknownNode},
-                                                     {"rogue-cmd-vel", IntruderKind::kRogueCmdVel}};
-  sub->add_option("--mode", command.kind, "unknown-node or rogue-cmd-vel")
+                                                     {"rogue-cmd-vel", IntruderKind::kRogueCmdVel},
+                                                     {"flood", IntruderKind::kFlood}};
+  sub->add_option("--mode", command.kind, "unknown-node, rogue-cmd-vel or flood")
       ->required()
       ->transform(CLI::CheckedTransformer(kinds));
   sub->add_option("--node", command.node, "its node name");
+  sub->add_option("--writers", command.writers, "of a flood (1000)")->check(CLI::Range(1, 100'000));
+  sub->add_flag("--replies", command.replies, "of a flood: reply sides of services");
   sub->add_flag("--anonymous", command.anonymous, "endpoints without a node");
   AddGidSize(sub, command.gid_bytes);
   sub->callback([&] { run = [&command](StopFlag& stop) { return RunIntruder(command, stop); }; });

@@ -1,0 +1,1 @@
+// Nothing but the target of the headers that most files include; see RipsTargets.cmake.

@@ -1,0 +1,187 @@
+"""Attacks on the port itself: with raw HTTP/2, and at most a viewer's certificate."""
+
+import socket
+import threading
+import time
+
+import http2
+from fleet import Failed, metrics
+from guarded import ATTACK_S, check, quick, run_ripsctl_as, scenario
+
+LIST_ROBOTS = b"/rips.v1.OperatorService/ListRobots"
+
+
+def flood(fleet, pieces, seconds=None, reconnect=True, drain=True):
+    """Sends until the server cuts it off, again and again. Gives how often it was cut off, and the
+    bytes sent."""
+    deadline = time.monotonic() + (seconds or ATTACK_S)
+    cuts = sent = 0
+    while time.monotonic() < deadline:
+        try:
+            client = fleet.attacker()
+        except OSError:
+            time.sleep(0.05)  # refused
+            continue
+        try:
+            for piece in pieces():
+                if time.monotonic() > deadline:
+                    break
+                client.send(piece)
+                sent += len(piece)
+                if drain:
+                    client.drain()
+        except OSError:
+            cuts += 1
+        finally:
+            client.close()
+        if not reconnect:
+            break
+    return cuts, sent
+
+
+def flood_scenario(fleet, pieces, **options):
+    fleet.arm()
+    out = []
+    fleet.run_beside(lambda: out.append(flood(fleet, pieces, **options)))
+    cuts, sent = out[0]
+    print(f"cut off {cuts} times, {sent >> 20} MiB sent")
+    check(cuts > 0, f"it was never cut off, and sent {sent >> 20} MiB")
+    fleet.unharmed()
+    fleet.named("127.0.0.2")
+
+
+@quick
+def connections_that_wait(fleet):
+    """1,500 connections that send six bytes; the server may open 1,024 files."""
+    fleet.arm("prlimit", "--nofile=1024:1024")
+    held = []
+
+    def attack():
+        for _ in range(1_500):
+            waiting = socket.socket()
+            waiting.settimeout(2)
+            try:
+                waiting.bind(("127.0.0.2", 0))
+                waiting.connect(("127.0.0.1", fleet.port))
+                waiting.sendall(b"PRI * ")
+                held.append(waiting)
+            except OSError:
+                waiting.close()
+        time.sleep(ATTACK_S)
+
+    fleet.run_beside(attack)
+    check(fleet.ready() == 200, "/readyz is not 200 during the attack")
+    for waiting in held:
+        waiting.close()
+    fleet.unharmed()
+    refused = sum(value for name, value in metrics(fleet.server).items()
+                  if name.startswith("rips_connections_refused_total"))
+    check(refused > 0, "no connection was refused")
+
+
+@quick
+def connections_from_everywhere(fleet):
+    """The same from a hundred addresses, so that no limit of one address helps."""
+    fleet.arm("prlimit", "--nofile=1024:1024")
+    held = []
+
+    def attack():
+        for i in range(1_500):
+            waiting = socket.socket()
+            waiting.settimeout(2)
+            try:
+                waiting.bind((f"127.{1 + i % 100}.0.1", 0))
+                waiting.connect(("127.0.0.1", fleet.port))
+                held.append(waiting)
+            except OSError:
+                waiting.close()
+        time.sleep(ATTACK_S)
+
+    fleet.run_beside(attack)
+    for waiting in held:
+        waiting.close()
+    fleet.unharmed()
+
+
+@quick
+def header_block_without_end(fleet):
+    flood_scenario(fleet, http2.endless_header_block)
+
+
+@quick
+def streams_that_are_reset(fleet):
+    flood_scenario(fleet, lambda: http2.streams(LIST_ROBOTS))
+
+
+@scenario
+def streams_of_no_method(fleet):
+    flood_scenario(fleet, lambda: http2.streams(b"/no.such.Service/None"))
+
+
+@scenario
+def streams_without_a_path(fleet):
+    flood_scenario(fleet, lambda: http2.streams(None))
+
+
+@scenario
+def streams_that_stay_open(fleet):
+    flood_scenario(fleet, lambda: http2.streams(LIST_ROBOTS, resets=False))
+
+
+@scenario
+def pings_without_end(fleet):
+    flood_scenario(fleet, http2.pings)
+
+
+@scenario
+def settings_that_are_not_read(fleet):
+    flood_scenario(fleet, http2.settings, drain=False)
+
+
+@quick
+def four_at_a_time(fleet):
+    """Endless header blocks over four connections, each made anew when it is cut off."""
+    fleet.arm()
+    cuts = []
+
+    def attack():
+        threads = [threading.Thread(
+            target=lambda: cuts.append(flood(fleet, http2.endless_header_block)))
+            for _ in range(4)]
+        for thread in threads:
+            thread.start()
+        for thread in threads:
+            thread.join()
+
+    fleet.run_beside(attack)
+    print(f"cut off {sum(c for c, _ in cuts)} times, {sum(s for _, s in cuts) >> 20} MiB sent")
+    fleet.unharmed()
+    fleet.named("127.0.0.2")
+
+
+@quick
+def a_stolen_key_is_throttled(fleet):
+    """A viewer who was identified and then floods is named, and refused for a while."""
+    fleet.arm()
+    client = fleet.attacker()
+    empty = b"\x00\x00\x00\x00\x00"
+    client.send(http2.call(1, LIST_ROBOTS) +
+                http2.frame(0, http2.END_STREAM, 1, empty))
+    time.sleep(0.5)
+    client.drain()
+    try:
+        for i in range(3, 2_003, 2):
+            client.send(http2.call(i, LIST_ROBOTS) + http2.reset(i))
+        time.sleep(1)
+        client.send(http2.frame(http2.PING, 0, 0, b"12345678"))
+        time.sleep(0.2)
+        client.send(http2.frame(http2.PING, 0, 0, b"12345678"))
+        raise Failed("a thousand calls in a moment were not too many")
+    except OSError:
+        pass
+    fleet.unharmed()
+    fleet.named("127.0.0.2", "operator/viewer/mallory")
+    # From an address that is not banned.
+    pki = fleet.key()
+    code, _, error = run_ripsctl_as(fleet, pki)
+    check(code == 1 and "try again in" in error, f"the key is not refused: {code} {error}")
