@@ -63,6 +63,15 @@ TEST_F(ConnectionBudgetTest, BytesOfWhichNothingComesAreCounted) {
   EXPECT_LT(polls, 260);
 }
 
+TEST_F(ConnectionBudgetTest, AnOperatorSendsLessAheadOfItsMessages) {
+  budget_.OnCall(now_ns_);
+  budget_.OnIdentified(/*agent=*/false);
+  int polls = 0;
+  for (; polls < 1'000 && Look() == Excess::kNone; ++polls) received_ += 100'000;
+  EXPECT_GT(polls, 60);
+  EXPECT_LT(polls, 70);
+}
+
 TEST_F(ConnectionBudgetTest, HeartbeatsPayForNothingElse) {
   Admit();
   int polls = 0;

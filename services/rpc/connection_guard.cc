@@ -33,6 +33,9 @@ constexpr int64_t kTrimNs = kNanosPerSecond;
 // Of agents whose calls are counted, before those who have not called for long are forgotten.
 constexpr size_t kAgentCallsMax = 4'096;
 constexpr size_t kBannedMax = 4'096;
+// gRPC closes their descriptors a moment later.
+constexpr int kRoomPerLook = 128;
+constexpr char kEndedHelp[] = "Connections ended by the guard, by why.";
 
 absl::Status Failed(absl::string_view what) {
   return absl::UnavailableError(absl::StrCat(what, ": ", std::strerror(errno)));
@@ -164,10 +167,8 @@ ConnectionGuard::ConnectionGuard(Options options, const Clock* clock, Metrics* m
     metrics_->AddCounter("rips_connections_refused_total", "Connections not taken, by why.",
                          {{"reason", why}});
   }
-  for (const char* why : {"silent", "calls", "bytes"}) {
-    metrics_->AddCounter("rips_connections_ended_total",
-                         "Connections ended for what they cost, by what it was.",
-                         {{"reason", why}});
+  for (const char* why : {"silent", "calls", "bytes", "refused", "room"}) {
+    metrics_->AddCounter("rips_connections_ended_total", kEndedHelp, {{"reason", why}});
   }
 }
 
@@ -239,6 +240,13 @@ void ConnectionGuard::CountRefused(absl::string_view reason) {
   metrics_
       ->AddCounter("rips_connections_refused_total", "Connections not taken, by why.",
                    {{"reason", std::string(reason)}})
+      .Increment();
+}
+
+void ConnectionGuard::CountEnded(absl::string_view reason) {
+  if (metrics_ == nullptr) return;
+  metrics_
+      ->AddCounter("rips_connections_ended_total", kEndedHelp, {{"reason", std::string(reason)}})
       .Increment();
 }
 
@@ -342,7 +350,8 @@ void ConnectionGuard::Take(UniqueFd socket) {
   {
     MutexLock lock(&mu_);
     if (probes_.contains(source.peer)) return;  // closes it
-    const Admission::Verdict verdict = admission_.Ask(source, now_ns);
+    Admission::Verdict verdict = admission_.Ask(source, now_ns);
+    if (MakeRoomLocked(source, verdict)) verdict = admission_.Ask(source, now_ns);
     if (verdict != Admission::Verdict::kTake) {
       CountRefused(ToString(verdict));
       if (const auto left_out = refusal_logs_.Admit("")) {
@@ -371,6 +380,27 @@ void ConnectionGuard::Take(UniqueFd socket) {
   grpc::experimental::ExternalConnectionAcceptor::NewConnectionParameters given;
   given.fd = socket.Release();
   grpc_->HandleNewConnection(&given);
+}
+
+bool ConnectionGuard::MakeRoomLocked(const Source& source, Admission::Verdict limit) {
+  const bool in_address = limit == Admission::Verdict::kAddress;
+  const bool in_network = limit == Admission::Verdict::kNetwork;
+  if (!in_address && !in_network && limit != Admission::Verdict::kTotal) return false;
+  if (made_room_ >= kRoomPerLook) return false;
+  std::shared_ptr<Connection> oldest;
+  for (const auto& [peer, connection] : connections_) {
+    if (in_address && connection->source().address != source.address) continue;
+    if (in_network && connection->source().network != source.network) continue;
+    if (oldest != nullptr && oldest->taken_ns_ <= connection->taken_ns_) continue;
+    if (connection->certificate().empty()) oldest = connection;
+  }
+  if (oldest == nullptr) return false;
+  ++made_room_;
+  oldest->End();
+  ForgetLocked(*oldest);
+  connections_.erase(oldest->source().peer);
+  CountEnded("room");
+  return true;
 }
 
 // ------------------------------------------------------------------------------------- watching
@@ -452,13 +482,7 @@ void ConnectionGuard::EndFor(Connection& connection, Excess excess) {
   const int64_t now_ns = clock_->Now().boottime_ns;
   Report report{
       .peer = connection.source().peer, .certificate = connection.certificate(), .excess = excess};
-  if (metrics_ != nullptr) {
-    metrics_
-        ->AddCounter("rips_connections_ended_total",
-                     "Connections ended for what they cost, by what it was.",
-                     {{"reason", std::string(ToString(excess))}})
-        .Increment();
-  }
+  CountEnded(ToString(excess));
   {
     MutexLock lock(&mu_);
     // Who only keeps silent may be a scanner, or a peer on a bad line.
@@ -487,6 +511,7 @@ void ConnectionGuard::Look() {
     MutexLock lock(&mu_);
     live.reserve(connections_.size());
     for (const auto& [peer, connection] : connections_) live.push_back(connection);
+    made_room_ = 0;
     trim = trim_at_ns_ != 0 && now_ns >= trim_at_ns_;
     if (trim) trim_at_ns_ = 0;
     for (auto it = banned_.begin(); it != banned_.end();) {

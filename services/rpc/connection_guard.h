@@ -48,7 +48,10 @@ namespace rips::rpc {
 class Connection {
  public:
   Connection(Source source, UniqueFd socket, const BudgetLimits& limits, int64_t now_ns)
-      : source_(std::move(source)), socket_(std::move(socket)), budget_(limits, now_ns) {}
+      : source_(std::move(source)),
+        taken_ns_(now_ns),
+        socket_(std::move(socket)),
+        budget_(limits, now_ns) {}
 
   // A handler has received a message of so many bytes.
   void OnMessage(size_t bytes) ABSL_LOCKS_EXCLUDED(mu_);
@@ -72,6 +75,7 @@ class Connection {
   std::string certificate() const ABSL_LOCKS_EXCLUDED(mu_);
 
   const Source source_;
+  const int64_t taken_ns_;
   const UniqueFd socket_;
   mutable Mutex mu_;
   ConnectionBudget budget_ ABSL_GUARDED_BY(mu_);
@@ -145,11 +149,17 @@ class ConnectionGuard {
   // Everything that waits at a listener. False: descriptors have run out.
   bool AcceptAll(int listener);
   void Take(UniqueFd socket);
+  // Ends the oldest connection without a certificate that counts against the limit `source` has
+  // met, so that a flood of those cannot keep out a peer that would name itself. False if there is
+  // none, or too many were ended since the last look.
+  bool MakeRoomLocked(const Source& source, Admission::Verdict limit)
+      ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
   void RunWatch();
   void Look();
   void ForgetLocked(const Connection& connection) ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
   void EndFor(Connection& connection, Excess excess);
   void CountRefused(absl::string_view reason);
+  void CountEnded(absl::string_view reason);
   bool MayCallLocked(const std::string& certificate, int64_t now_ns)
       ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
 
@@ -173,6 +183,8 @@ class ConnectionGuard {
   absl::flat_hash_map<std::string, std::shared_ptr<Connection>> connections_ ABSL_GUARDED_BY(mu_);
   // Connections that were identified, by certificate.
   absl::flat_hash_map<std::string, int> certificates_ ABSL_GUARDED_BY(mu_);
+  // Connections ended since the last look to make room for others.
+  int made_room_ ABSL_GUARDED_BY(mu_) = 0;
   // By certificate.
   absl::flat_hash_map<std::string, AgentCalls> agent_calls_ ABSL_GUARDED_BY(mu_);
   // Peers that are Probe.

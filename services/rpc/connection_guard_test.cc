@@ -5,6 +5,7 @@
 #include <poll.h>
 #include <sys/socket.h>
 
+#include <algorithm>
 #include <memory>
 #include <string>
 #include <vector>
@@ -96,13 +97,19 @@ class ConnectionGuardTest : public ::testing::Test {
     done.Pop(2 * kPatience);
     return status;
   }
-  // The one connection there is, as gRPC names it.
-  std::string FindPeer() {
+  // The connections there are, as gRPC names them.
+  std::vector<std::string> FindPeers() {
+    std::vector<std::string> out;
     for (int port = 1; port < 65'536; ++port) {
       const std::string name = absl::StrCat("ipv4:127.0.0.1:", port);
-      if (guard_->Find(name) != nullptr) return name;
+      if (guard_->Find(name) != nullptr) out.push_back(name);
     }
-    return "";
+    return out;
+  }
+  // The one connection there is.
+  std::string FindPeer() {
+    const std::vector<std::string> peers = FindPeers();
+    return peers.size() == 1 ? peers[0] : "";
   }
   double Refused(const std::string& why) {
     return metrics_
@@ -132,8 +139,15 @@ TEST_F(ConnectionGuardTest, AConnectionWithoutACallIsEnded) {
 
 TEST_F(ConnectionGuardTest, TakesNoMoreThanItsLimitAndMakesRoomAgain) {
   Start({.admission = {.per_address = 3}});
-  std::vector<std::unique_ptr<Silent>> held;
-  for (int i = 0; i < 3; ++i) held.push_back(std::make_unique<Silent>(server_->port()));
+  std::vector<std::shared_ptr<grpc::Channel>> held;
+  for (int i = 0; i < 3; ++i) {
+    held.push_back(Connect());
+    ASSERT_EQ(Call(held.back(), "/rips.v1.SensorService/None").error_code(),
+              grpc::StatusCode::UNIMPLEMENTED);
+  }
+  for (const std::string& peer : FindPeers()) {
+    ASSERT_THAT(guard_->OnIdentified(peer, kSensor, /*agent=*/true), IsOk());
+  }
   Silent refused(server_->port());
   EXPECT_TRUE(refused.EndsWithin(kPatience));
   EXPECT_EQ(Refused("address"), 1);
@@ -145,6 +159,35 @@ TEST_F(ConnectionGuardTest, TakesNoMoreThanItsLimitAndMakesRoomAgain) {
     status = Call(Connect(), "/rips.v1.SensorService/None");
   } while (status.error_code() == grpc::StatusCode::UNAVAILABLE && absl::Now() < end);
   EXPECT_EQ(status.error_code(), grpc::StatusCode::UNIMPLEMENTED);
+}
+
+TEST_F(ConnectionGuardTest, EndsTheOldestConnectionWithoutACertificateForANewOne) {
+  for (const AdmissionLimits& limits :
+       {AdmissionLimits{.total = 4, .reserve = 0}, AdmissionLimits{.per_network = 4},
+        AdmissionLimits{.per_address = 4}}) {
+    Start({.admission = limits});
+    const auto agent = Connect();
+    ASSERT_EQ(Call(agent, "/rips.v1.SensorService/None").error_code(),
+              grpc::StatusCode::UNIMPLEMENTED);
+    ASSERT_THAT(guard_->OnIdentified(FindPeer(), kSensor, /*agent=*/true), IsOk());
+    std::vector<std::unique_ptr<Silent>> flood;
+    for (int i = 0; i < 20; ++i) {
+      flood.push_back(std::make_unique<Silent>(server_->port()));
+      const absl::Time end = absl::Now() + kPatience;
+      while (FindPeers().size() < std::min<size_t>(4, flood.size() + 1) && absl::Now() < end) {
+        absl::SleepFor(absl::Milliseconds(5));
+      }
+    }
+    EXPECT_EQ(Call(Connect(), "/rips.v1.SensorService/None").error_code(),
+              grpc::StatusCode::UNIMPLEMENTED)
+        << "the new one is taken";
+    EXPECT_EQ(Call(agent, "/rips.v1.SensorService/None").error_code(),
+              grpc::StatusCode::UNIMPLEMENTED)
+        << "one with a certificate stays";
+    EXPECT_TRUE(flood.front()->EndsWithin(kPatience));
+    EXPECT_EQ(FindPeers().size(), 4);
+    server_->Shutdown(absl::ZeroDuration());
+  }
 }
 
 TEST_F(ConnectionGuardTest, TooManyCallsEndTheConnectionThoughTheirMethodIsUnknown) {
@@ -212,6 +255,38 @@ TEST_F(ConnectionGuardTest, AnAgentsCallsAreCountedOnAllItsConnections) {
   EXPECT_GT(guard_->Banned(kSensor), absl::Seconds(1));
 }
 
+TEST_F(ConnectionGuardTest, RefusesACertificateThatHasItsConnectionsAlready) {
+  for (const bool agent : {true, false}) {
+    SCOPED_TRACE(agent ? "agent" : "operator");
+    Start({.per_operator = 3, .per_agent = 2});
+    const size_t allowed = agent ? 2 : 3;
+    std::vector<std::shared_ptr<grpc::Channel>> channels;
+    for (size_t i = 0; i <= allowed; ++i) {
+      channels.push_back(Connect());
+      ASSERT_EQ(Call(channels.back(), "/no.such.Service/None").error_code(),
+                grpc::StatusCode::UNIMPLEMENTED);
+    }
+    const std::vector<std::string> peers = FindPeers();
+    ASSERT_EQ(peers.size(), allowed + 1);
+    for (size_t i = 0; i < allowed; ++i) {
+      EXPECT_THAT(guard_->OnIdentified(peers[i], kSensor, agent), IsOk());
+    }
+    EXPECT_THAT(guard_->OnIdentified(peers[allowed], kSensor, agent),
+                StatusIs(absl::StatusCode::kResourceExhausted, HasSubstr("connections already")));
+    EXPECT_THAT(guard_->OnIdentified(peers[0], kSensor, agent), IsOk()) << "a further call";
+    EXPECT_THAT(guard_->OnIdentified(peers[allowed], "another certificate", agent), IsOk());
+    // A connection that is over makes room.
+    channels.clear();
+    const absl::Time end = absl::Now() + kPatience;
+    while (!FindPeers().empty() && absl::Now() < end) absl::SleepFor(absl::Milliseconds(20));
+    channels.push_back(Connect());
+    Call(channels.back(), "/no.such.Service/None");
+    EXPECT_THAT(guard_->OnIdentified(FindPeer(), kSensor, agent), IsOk());
+    channels.clear();
+    server_->Shutdown(absl::ZeroDuration());
+  }
+}
+
 TEST_F(ConnectionGuardTest, CountsCallsOverIPv6) {
   Start({.budget = {.calls_burst = 2, .calls_per_second = 0.01}}, "[::1]:0");
   const auto channel = Connect();
@@ -225,7 +300,9 @@ TEST_F(ConnectionGuardTest, CountsCallsOverIPv6) {
 
 TEST_F(ConnectionGuardTest, AProbeIsTakenThoughItsAddressIsFullOrBanned) {
   Start({.admission = {.total = 1, .reserve = 0, .per_address = 1}});
-  Silent held(server_->port());
+  const auto held = Connect();
+  ASSERT_EQ(Call(held, "/no.such.Service/None").error_code(), grpc::StatusCode::UNIMPLEMENTED);
+  ASSERT_THAT(guard_->OnIdentified(FindPeer(), kSensor, /*agent=*/true), IsOk());
   Silent refused(server_->port());
   ASSERT_TRUE(refused.EndsWithin(kPatience));
   EXPECT_THAT(guard_->Probe(kPatience), IsOk());

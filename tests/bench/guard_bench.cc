@@ -54,7 +54,10 @@ class Port {
     if (guarded) {
       ConnectionGuard::Options options;
       options.admission.per_address = 2 * kIdleConnections;
+      options.admission.per_network = 2 * kIdleConnections;
       options.admission.total = 2 * kIdleConnections;
+      options.admission.reserve = 0;
+      options.admission.burst = 2 * kIdleConnections;
       options.budget.silent_ns = absl::ToInt64Nanoseconds(absl::Hours(1));
       auto guard = ConnectionGuard::Listen("127.0.0.1:0", options, &clock_, &metrics_);
       RIPS_CHECK(guard.ok(), guard.status().ToString().c_str());

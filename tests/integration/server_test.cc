@@ -1,6 +1,9 @@
 // The policy server as its peers meet it: real gRPC, real certificates, real store.
 #include "policy_server/server.h"
 
+#include <sys/resource.h>
+#include <unistd.h>
+
 #include <fstream>
 #include <functional>
 #include <map>
@@ -625,6 +628,24 @@ TEST_F(ServerTest, SaysWhatIsWrongWithItsFiles) {
   config.inventory = dir_ + "/nowhere.yaml";
   EXPECT_THAT(server::Server::Start(config).status(),
               StatusIs(absl::StatusCode::kNotFound, HasSubstr("nowhere.yaml")));
+}
+
+TEST_F(ServerTest, RefusesToStartWithFewerConnectionsThanItsAgentsNeed) {
+  server_.reset();
+  server::ServerConfig config = config_;
+  config.connections.total = 33;
+  EXPECT_THAT(server::Server::Start(config).status(),
+              StatusIs(absl::StatusCode::kFailedPrecondition,
+                       HasSubstr("`connections.total` of 33 is too low for the")));
+  if (geteuid() != 0) GTEST_SKIP() << "only root may raise a hard limit again";
+  rlimit before = {};
+  ASSERT_EQ(getrlimit(RLIMIT_NOFILE, &before), 0);
+  const rlimit low = {.rlim_cur = 550, .rlim_max = 550};
+  ASSERT_EQ(setrlimit(RLIMIT_NOFILE, &low), 0);
+  const absl::Status status = server::Server::Start(config_).status();
+  ASSERT_EQ(setrlimit(RLIMIT_NOFILE, &before), 0);
+  EXPECT_THAT(status, StatusIs(absl::StatusCode::kFailedPrecondition,
+                               HasSubstr("the limit of 550 open files is too low")));
 }
 
 TEST_F(ServerTest, ABundleThatCannotBeReadCostsItsRobotOnlyAndIsSaid) {

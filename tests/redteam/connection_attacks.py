@@ -1,5 +1,6 @@
 """Attacks on the port itself: with raw HTTP/2, and at most a viewer's certificate."""
 
+import collections
 import socket
 import threading
 import time
@@ -81,23 +82,31 @@ def connections_that_wait(fleet):
 
 @quick
 def connections_from_everywhere(fleet):
-    """The same from a hundred addresses, so that no limit of one address helps."""
+    """From a hundred addresses, so that no limit of one address helps, and without end: 3,000 a
+    second, and as soon as 1,500 are held, each new one takes the place of the oldest."""
     fleet.arm("prlimit", "--nofile=1024:1024")
-    held = []
+    held = collections.deque()
+    made = 0
 
     def attack():
-        for i in range(1_500):
+        nonlocal made
+        begun = time.monotonic()
+        while time.monotonic() < begun + ATTACK_S:
+            time.sleep(max(0, begun + made / 3_000 - time.monotonic()))
             waiting = socket.socket()
             waiting.settimeout(2)
             try:
-                waiting.bind((f"127.{1 + i % 100}.0.1", 0))
+                waiting.bind((f"127.{1 + made % 100}.0.1", 0))
                 waiting.connect(("127.0.0.1", fleet.port))
                 held.append(waiting)
             except OSError:
                 waiting.close()
-        time.sleep(ATTACK_S)
+            made += 1
+            if len(held) > 1_500:
+                held.popleft().close()
 
     fleet.run_beside(attack)
+    print(f"{made / ATTACK_S:.0f} connections a second")
     for waiting in held:
         waiting.close()
     fleet.unharmed()

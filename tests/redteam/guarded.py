@@ -21,6 +21,8 @@ ATTACK_S = float(os.environ.get("RIPS_ATTACK_S", "6"))
 MEMORY_MIB = 1024
 DISK_MIB = 50
 SERVED_S = 2
+# From the connection of an agent to the server's answer to its hello.
+ADMITTED_S = 2
 # From the sending of an observation to the arrival of what the rules order, of a robot that is not
 # attacked: 99 of 100, and any.
 VERDICT_P99_S = 0.05
@@ -68,14 +70,14 @@ class Guarded(Fleet):
     def prepare(self):
         super().prepare()
         self.mint("operator", "viewer", "mallory")
-        robots = {"probe": ("sensor", "actuator"), **self.stolen}
+        robots = {"probe": ("sensor", "actuator"), "new": ("sensor",), **self.stolen}
         for robot, roles in robots.items():
             for role in roles:
                 self.mint(role, robot, "base")
         with open(self.dir / "robots.yaml", "a", encoding="utf-8") as inventory:
             for robot, roles in robots.items():
                 actuators = ", actuators: [base]" if "actuator" in roles else ""
-                bundle = robot if robot == "probe" else self.bundle
+                bundle = "probe" if robot in ("probe", "new") else self.bundle
                 inventory.write(f"  - {{id: {robot}, bundle: {bundle}, "
                                 f"sensors: [{{host: base, primary: true}}]{actuators}}}\n")
         if not (self.dir / "bundles" / self.bundle).exists():
@@ -100,6 +102,9 @@ class Guarded(Fleet):
                                 pathlib.Path(__file__).with_name("probe.py"), self.port,
                                 self.dir / "pki")
         self.probe.wait_for(lambda line: line == "begun", 40, "the first verdict of another robot")
+        self.newcomer = self.start("newcomer", sys.executable, "-B",
+                                   pathlib.Path(__file__).with_name("newcomer.py"), self.port,
+                                   self.dir / "pki/sensor/new/base")
 
     def key(self):
         return self.dir / "pki/operator/viewer/mallory"
@@ -154,17 +159,29 @@ class Guarded(Fleet):
         times = sorted(got["seconds"])
         return times[len(times) // 2], times[int(0.99 * (len(times) - 1))], times[-1]
 
+    def newcomers(self):
+        """How long each new agent waited until it was admitted, seconds, until now."""
+        self.newcomer.kill(signal.SIGTERM, 60)
+        got = next((json.loads(line) for _, line in self.newcomer.lines if line.startswith("{")),
+                   None)
+        check(got is not None and len(got["seconds"]) > 1,
+              f"no new agent was admitted: {self.newcomer.lines[-3:]}")
+        return got["seconds"]
+
     def bounded(self):
         """What another robot and the machine felt is within bounds; printed for the table in
         policy_server/DESIGN.md."""
         p50, p99, longest = self.verdicts()
+        admitted = self.newcomers()
         memory_mib = resident_kib(self.server.child.pid) >> 10
         disk_mib = (self.disk_bytes() - self.disk) / (1 << 20)
         print(f"measured: | {1_000 * p50:.1f} | {1_000 * p99:.1f} | {1_000 * longest:.0f} | "
-              f"{memory_mib} | {disk_mib:.1f} |  (verdicts of another robot: p50, p99 and longest in "
+              f"{1_000 * max(admitted):.0f} | {memory_mib} | {disk_mib:.1f} |  (verdicts of another "
+              f"robot: p50, p99 and longest; the longest wait of {len(admitted)} new agents, all in "
               "ms; the server's memory and disk in MiB)")
         check(p99 <= VERDICT_P99_S and longest <= VERDICT_S,
               f"verdicts of another robot took {p99:.3f} s (p99) and {longest:.3f} s (longest)")
+        check(max(admitted) <= ADMITTED_S, f"a new agent waited {max(admitted):.1f} s")
         check(memory_mib < MEMORY_MIB, f"the server took {memory_mib} MiB")
         check(disk_mib < DISK_MIB, f"the disk grew by {disk_mib:.0f} MiB")
 

@@ -6,7 +6,7 @@
     redteam_test.py BINARIES SCENARIO   runs one, for RIPS_ATTACK_S seconds (6)
 
 Each runs beside a robot under guard, which must not notice: its lease lives, nothing is lost, an
-operator is served within 2 s during and after, the server's memory stays under 1 GiB, and an alert
+operator is served and a new agent admitted within 2 s during and after, the server's memory stays under 1 GiB, and an alert
 names the attacker where there is one to name. The attacker has an address of its own, and at most a
 viewer's certificate.
 """
@@ -25,12 +25,12 @@ import field_attacks  # noqa: E402,F401
 import graph_attacks  # noqa: E402,F401
 import stream_attacks  # noqa: E402,F401
 from fleet import SOURCE, Failed  # noqa: E402
-from guarded import (DISK_MIB, MEMORY_MIB, QUICK, SCENARIOS, VERDICT_P99_S,  # noqa: E402
-                     Guarded)
+from guarded import (ADMITTED_S, DISK_MIB, MEMORY_MIB, QUICK, SCENARIOS,  # noqa: E402
+                     VERDICT_P99_S, Guarded)
 
 
 def check_table():
-    """Each attack has a row with what it did in 60 s, within the bounds. Problems, for people."""
+    """Problems: an attack without a row of what it did in 60 s, or with one beyond the bounds."""
     text = (SOURCE / "policy_server/DESIGN.md").read_text(encoding="utf-8")
     table = text.partition("\n| attack |")[2].partition("\n\n")[0].splitlines()[2:]
     rows = {cells[1].strip(" `"): [cell.strip() for cell in cells[2:-1]]
@@ -38,9 +38,9 @@ def check_table():
     problems = [f"no row for {name}" for name in SCENARIOS if name not in rows]
     problems += [f"a row for {name}, which is no attack here" for name in rows
                  if name not in SCENARIOS]
-    bounds = (VERDICT_P99_S * 1_000, MEMORY_MIB, DISK_MIB)
+    bounds = (VERDICT_P99_S * 1_000, ADMITTED_S * 1_000, MEMORY_MIB, DISK_MIB)
     for name, cells in rows.items():
-        measured = cells[1], cells[3], cells[4]  # p99 ms, memory MiB, disk MiB
+        measured = cells[1], *cells[3:6]  # p99 and a new agent's wait in ms, memory and disk in MiB
         problems += [f"{name}: {value} is not below {bound}" for value, bound
                      in zip(measured, bounds) if value != "-" and float(value) >= bound]
     return problems
