@@ -6,7 +6,7 @@
 
 #include "absl/status/status.h"
 #include "absl/time/clock.h"
-#include "mode_actuator/agent.h"
+#include "mode_actuator/link/agent.h"
 #include "services/dds/security.h"
 #include "services/rpc/certificate_monitor.h"
 #include "services/rpc/credentials.h"

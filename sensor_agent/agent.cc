@@ -5,8 +5,8 @@
 
 #include "absl/strings/str_cat.h"
 #include "absl/time/clock.h"
-#include "sensor_agent/interest_file.h"
-#include "sensor_agent/store_file.h"
+#include "sensor_agent/interest/interest_file.h"
+#include "sensor_agent/uplink/store_file.h"
 #include "services/base/status_macros.h"
 #include "services/ros2/discovery_info.h"
 #include "services/ros2/ros_name.h"

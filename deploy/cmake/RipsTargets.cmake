@@ -1,9 +1,13 @@
-# rips_library(NAME lang LAYER pure SRCS a.cc DEPS rips::base absl::strings)
+# rips_library(NAME lang LAYER pure SRCS a.cc HDRS b.h DEPS rips::base absl::strings)
 # rips_binary(NAME rips-sensor SRCS main.cc DEPS ...)         -> bin/rips-sensor
 # rips_test(NAME lang SRCS lexer_test.cc DEPS rips::lang [LABEL unit|component|integration])
 #
 # NO_UNITY: the files of the target share names inside anonymous namespaces, so the presets that
 # build several files as one must not.
+#
+# A header belongs to the library of the .cc of its name, one without to the library whose HDRS name
+# it. targets.txt in the build directory lists what belongs to what; the test `tidy` checks that no
+# file includes a header of a library that its own does not link.
 #
 # LAYER is one of: base < pure < port < adapter < shell. A target may link only rips:: targets of
 # its own layer or a lower one; `base`, `pure` and `port` may link no third-party target outside
@@ -67,8 +71,32 @@ function(_rips_check_dep target rank dep)
   endif()
 endfunction()
 
+# One line of targets.txt: NAME|LAYER|files|rips:: targets it links.
+function(_rips_list name layer files deps)
+  list(TRANSFORM files PREPEND "${CMAKE_CURRENT_SOURCE_DIR}/" REGEX "^[^/$]")
+  set(normal)
+  foreach(file IN LISTS files)
+    if(NOT file MATCHES "^\\$<")
+      cmake_path(NORMAL_PATH file)
+      cmake_path(RELATIVE_PATH file BASE_DIRECTORY ${PROJECT_SOURCE_DIR})
+      list(APPEND normal ${file})
+    endif()
+  endforeach()
+  list(FILTER deps INCLUDE REGEX "^rips::")
+  list(JOIN normal " " normal)
+  list(JOIN deps " " deps)
+  set_property(GLOBAL APPEND_STRING PROPERTY RIPS_TARGETS "${name}|${layer}|${normal}|${deps}\n")
+endfunction()
+
+# Last of all: writes targets.txt.
+function(rips_write_targets)
+  get_property(targets GLOBAL PROPERTY RIPS_TARGETS)
+  file(CONFIGURE OUTPUT ${PROJECT_BINARY_DIR}/targets.txt CONTENT "${targets}" @ONLY)
+endfunction()
+
 function(rips_library)
-  cmake_parse_arguments(A "NO_UNITY" "NAME;LAYER" "SRCS;DEPS" ${ARGN})
+  cmake_parse_arguments(A "NO_UNITY" "NAME;LAYER" "SRCS;HDRS;DEPS" ${ARGN})
+  _rips_list(rips::${A_NAME} "${A_LAYER}" "${A_SRCS};${A_HDRS}" "${A_DEPS}")
   list(FIND RIPS_LAYERS "${A_LAYER}" rank)
   if(rank EQUAL -1)
     message(FATAL_ERROR "rips::${A_NAME}: unknown LAYER '${A_LAYER}'")
@@ -96,6 +124,7 @@ endfunction()
 
 function(rips_binary)
   cmake_parse_arguments(A "" "NAME" "SRCS;DEPS" ${ARGN})
+  _rips_list(${A_NAME} binary "${A_SRCS}" "${A_DEPS}")
   add_executable(${A_NAME} ${A_SRCS})
   target_compile_options(${A_NAME} PRIVATE ${RIPS_WARNINGS})
   target_include_directories(${A_NAME} PRIVATE ${PROJECT_SOURCE_DIR})
@@ -103,13 +132,14 @@ function(rips_binary)
 endfunction()
 
 function(rips_test)
-  cmake_parse_arguments(A "NO_UNITY" "NAME;LABEL;TIMEOUT" "SRCS;DEPS" ${ARGN})
+  cmake_parse_arguments(A "NO_UNITY" "NAME;LABEL;TIMEOUT" "SRCS;HDRS;DEPS" ${ARGN})
   if(NOT A_LABEL)
     set(A_LABEL unit)
   endif()
   if(NOT A_TIMEOUT)
     set(A_TIMEOUT 120)
   endif()
+  _rips_list(${A_NAME}_test test "${A_SRCS};${A_HDRS}" "${A_DEPS}")
   add_executable(${A_NAME}_test ${A_SRCS})
   set_target_properties(${A_NAME}_test PROPERTIES
     RUNTIME_OUTPUT_DIRECTORY ${PROJECT_BINARY_DIR}/tests)

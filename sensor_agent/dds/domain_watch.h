@@ -15,7 +15,7 @@
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
 #include "sensor_agent/dds/topic_watcher.h"
-#include "sensor_agent/graph_builder.h"
+#include "sensor_agent/graph/graph_builder.h"
 #include "services/dds/discovery.h"
 #include "services/dds/participant.h"
 #include "services/dds/raw_reader.h"

@@ -12,7 +12,7 @@
 #include <string>
 
 #include "absl/strings/string_view.h"
-#include "sensor_agent/observation.h"
+#include "sensor_agent/outbox/observation.h"
 
 namespace rips::sensor {
 

@@ -43,7 +43,7 @@
 
 #include "sensor_agent/ids/alert_parser.h"
 #include "sensor_agent/ids/log_tail.h"
-#include "sensor_agent/observation.h"
+#include "sensor_agent/outbox/observation.h"
 #include "services/base/clock.h"
 #include "services/runtime/metrics.h"
 #include "services/runtime/unique_fd.h"

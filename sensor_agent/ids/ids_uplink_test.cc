@@ -7,9 +7,9 @@
 #include "absl/strings/str_cat.h"
 #include "gmock/gmock.h"
 #include "gtest/gtest.h"
-#include "sensor_agent/fake_policy_server.h"
 #include "sensor_agent/ids/ids_feed.h"
-#include "sensor_agent/uplink.h"
+#include "sensor_agent/uplink/fake_policy_server.h"
+#include "sensor_agent/uplink/uplink.h"
 #include "services/base/status_matchers.h"
 #include "services/runtime/real_clock.h"
 

@@ -33,7 +33,7 @@
 #include "absl/base/thread_annotations.h"
 #include "absl/status/status.h"
 #include "absl/time/time.h"
-#include "sensor_agent/observation.h"
+#include "sensor_agent/outbox/observation.h"
 #include "sensor_agent/spool/spool.h"
 #include "services/base/clock.h"
 #include "services/runtime/mutex.h"

@@ -11,7 +11,7 @@
 
 #include "absl/status/statusor.h"
 #include "absl/strings/string_view.h"
-#include "sensor_agent/observation.h"
+#include "sensor_agent/outbox/observation.h"
 
 namespace rips::sensor {
 

@@ -11,9 +11,9 @@
 
 #include "absl/status/statusor.h"
 #include "sensor_agent/dds/domain_watch.h"
-#include "sensor_agent/graph_builder.h"
-#include "sensor_agent/message_flow.h"
-#include "sensor_agent/observation.h"
+#include "sensor_agent/graph/graph_builder.h"
+#include "sensor_agent/messages/message_flow.h"
+#include "sensor_agent/outbox/observation.h"
 #include "sensor_agent/wire/wire_socket.h"
 #include "sensor_agent/wire/wire_watch.h"
 #include "services/base/clock.h"

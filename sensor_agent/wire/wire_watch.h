@@ -25,7 +25,7 @@
 
 #include "absl/container/btree_map.h"
 #include "absl/container/flat_hash_map.h"
-#include "sensor_agent/observation.h"
+#include "sensor_agent/outbox/observation.h"
 #include "sensor_agent/wire/traffic.h"
 #include "services/ros2/guid.h"
 

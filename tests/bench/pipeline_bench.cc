@@ -12,8 +12,8 @@
 #include <vector>
 
 #include "absl/strings/str_cat.h"
-#include "policy_server/pipeline/fake_ports.h"
-#include "policy_server/pipeline/pipeline.h"
+#include "policy_server/server/robot/fake_ports.h"
+#include "policy_server/server/shard/pipeline.h"
 #include "services/runtime/real_clock.h"
 #include "tests/bench/world.h"
 

@@ -1,5 +1,5 @@
 // A new policy: from its text to a robot that runs it.
-#include "policy_server/engine/program.h"
+#include "policy_server/policy/engine/state/program.h"
 #include "tests/bench/world.h"
 
 namespace rips::bench {

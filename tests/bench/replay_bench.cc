@@ -2,7 +2,7 @@
 #include <optional>
 #include <vector>
 
-#include "policy_server/replay/replayer.h"
+#include "policy_server/policy/replay/replayer.h"
 #include "tests/bench/world.h"
 
 namespace rips::bench {

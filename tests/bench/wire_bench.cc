@@ -2,7 +2,7 @@
 #include <cstring>
 #include <vector>
 
-#include "policy_server/ingest/observation_decoder.h"
+#include "policy_server/server/ingest/observation_decoder.h"
 #include "rips/v1/sensor.pb.h"
 #include "services/base/check.h"
 #include "services/ros2_proto/graph_codec.h"

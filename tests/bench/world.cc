@@ -8,7 +8,7 @@
 
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_format.h"
-#include "policy_server/engine/program.h"
+#include "policy_server/policy/engine/state/program.h"
 #include "services/base/check.h"
 
 namespace rips::bench {

@@ -9,8 +9,8 @@
 #include <vector>
 
 #include "benchmark/benchmark.h"
-#include "policy_server/engine/evaluator.h"
-#include "policy_server/lang/compile.h"
+#include "policy_server/policy/engine/evaluator.h"
+#include "policy_server/policy/lang/check/compile.h"
 #include "services/ros2/guid.h"
 #include "services/ros2/ros_graph.h"
 

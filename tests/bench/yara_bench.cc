@@ -7,8 +7,8 @@
 #include <iterator>
 #include <system_error>
 
-#include "policy_server/inspect/scanner_process.h"
-#include "policy_server/inspect/yara_scanner.h"
+#include "policy_server/policy/inspect/scanner_process.h"
+#include "policy_server/policy/inspect/yara_scanner.h"
 #include "services/runtime/real_clock.h"
 #include "tests/bench/world.h"
 

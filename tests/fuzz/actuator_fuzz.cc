@@ -4,7 +4,7 @@
 #include <cstdint>
 #include <string>
 
-#include "policy_server/dispatch/actuator_codec.h"
+#include "policy_server/server/dispatch/actuator_codec.h"
 #include "services/base/check.h"
 #include "services/wire_limits/field_limits.h"
 

@@ -6,7 +6,7 @@
 #include <vector>
 
 #include "absl/strings/string_view.h"
-#include "mode_actuator/alarm/frames.h"
+#include "mode_actuator/steps/alarm/frames.h"
 #include "services/base/check.h"
 
 namespace rips::actuator {

@@ -13,9 +13,9 @@
 
 #include "absl/strings/match.h"
 #include "absl/strings/str_cat.h"
-#include "policy_server/engine/compiled.h"
-#include "policy_server/engine/evaluator.h"
-#include "policy_server/lang/compile.h"
+#include "policy_server/policy/engine/evaluator.h"
+#include "policy_server/policy/engine/state/compiled.h"
+#include "policy_server/policy/lang/check/compile.h"
 #include "services/base/check.h"
 
 namespace {

@@ -5,7 +5,7 @@
 #include <string>
 #include <vector>
 
-#include "mode_actuator/exec/exec_message.h"
+#include "mode_actuator/steps/program/exec_message.h"
 #include "services/base/check.h"
 
 extern "C" int LLVMFuzzerTestOneInput(const uint8_t* data, size_t size) {

@@ -8,12 +8,12 @@
 #include <vector>
 
 #include "absl/strings/ascii.h"
-#include "policy_server/lang/ast_printer.h"
-#include "policy_server/lang/compile.h"
-#include "policy_server/lang/formatter.h"
-#include "policy_server/lang/lexer.h"
-#include "policy_server/lang/parser.h"
-#include "policy_server/lang/source.h"
+#include "policy_server/policy/lang/check/compile.h"
+#include "policy_server/policy/lang/diagnostic/source.h"
+#include "policy_server/policy/lang/format/formatter.h"
+#include "policy_server/policy/lang/syntax/ast_printer.h"
+#include "policy_server/policy/lang/syntax/lexer.h"
+#include "policy_server/policy/lang/syntax/parser.h"
 #include "services/base/check.h"
 
 namespace {

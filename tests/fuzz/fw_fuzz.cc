@@ -4,7 +4,7 @@
 #include <cstdint>
 #include <string>
 
-#include "mode_actuator/firewall/fw_message.h"
+#include "mode_actuator/steps/firewall/fw_message.h"
 #include "services/base/check.h"
 
 extern "C" int LLVMFuzzerTestOneInput(const uint8_t* data, size_t size) {

@@ -8,7 +8,7 @@
 #include <vector>
 
 #include "absl/strings/string_view.h"
-#include "policy_server/ingest/observation_decoder.h"
+#include "policy_server/server/ingest/observation_decoder.h"
 #include "services/base/check.h"
 #include "services/wire_limits/field_limits.h"
 

@@ -5,8 +5,8 @@
 #include <cstdint>
 #include <string>
 
-#include "policy_server/ingest/interest_codec.h"
-#include "sensor_agent/interest_file.h"
+#include "policy_server/server/ingest/interest_codec.h"
+#include "sensor_agent/interest/interest_file.h"
 #include "services/base/check.h"
 #include "services/base/payload_limits.h"
 

@@ -7,11 +7,11 @@
 #include <string>
 #include <vector>
 
-#include "policy_server/lang/ast_printer.h"
-#include "policy_server/lang/compile.h"
-#include "policy_server/lang/lexer.h"
-#include "policy_server/lang/parser.h"
-#include "policy_server/lang/source.h"
+#include "policy_server/policy/lang/check/compile.h"
+#include "policy_server/policy/lang/diagnostic/source.h"
+#include "policy_server/policy/lang/syntax/ast_printer.h"
+#include "policy_server/policy/lang/syntax/lexer.h"
+#include "policy_server/policy/lang/syntax/parser.h"
 #include "services/base/check.h"
 
 namespace {

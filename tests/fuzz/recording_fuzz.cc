@@ -11,9 +11,9 @@
 
 #include "absl/strings/str_cat.h"
 #include "absl/strings/string_view.h"
-#include "policy_server/recording/event_codec.h"
-#include "policy_server/recording/reader.h"
-#include "policy_server/recording/rips_writer.h"
+#include "policy_server/policy/recording/event_codec.h"
+#include "policy_server/policy/recording/reader.h"
+#include "policy_server/policy/recording/rips_writer.h"
 #include "services/base/check.h"
 
 namespace rips::recording {

@@ -6,7 +6,7 @@
 #include "absl/strings/str_cat.h"
 #include "absl/strings/string_view.h"
 #include "gtest/gtest.h"
-#include "policy_server/lang/diagnostic.h"
+#include "policy_server/policy/lang/diagnostic/diagnostic.h"
 #include "tests/golden/golden_file.h"
 
 namespace rips::golden {
@@ -14,7 +14,7 @@ namespace {
 
 constexpr absl::string_view kKinds[] = {
 #define RIPS_DIAGNOSTIC(name, severity) #name,
-#include "policy_server/lang/diagnostic_kind.def"
+#include "policy_server/policy/lang/diagnostic/diagnostic_kind.def"
 };
 
 // Kinds without a golden file, and where they are tested instead.

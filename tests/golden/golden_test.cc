@@ -5,11 +5,11 @@
 
 #include "absl/strings/str_cat.h"
 #include "gtest/gtest.h"
-#include "policy_server/lang/ast_printer.h"
-#include "policy_server/lang/compile.h"
-#include "policy_server/lang/lexer.h"
-#include "policy_server/lang/parser.h"
-#include "policy_server/lang/source.h"
+#include "policy_server/policy/lang/check/compile.h"
+#include "policy_server/policy/lang/diagnostic/source.h"
+#include "policy_server/policy/lang/syntax/ast_printer.h"
+#include "policy_server/policy/lang/syntax/lexer.h"
+#include "policy_server/policy/lang/syntax/parser.h"
 #include "tests/golden/golden_file.h"
 
 namespace rips::golden {

@@ -33,7 +33,7 @@ LEVELS = "levels: DEFAULT; ALERT soft; COMPROMISED; HALT;\n"
 REACHED = "\nrules External: false ? trigger(ALERT), trigger(COMPROMISED), trigger(HALT);\n"
 BEGIN = "<!-- generated: ripsctl rules builtins --markdown -->\n"
 END = "<!-- end of generated -->\n"
-LIMITS = ("## Limits", "policy_server/lang/limits.h")
+LIMITS = ("## Limits", "policy_server/policy/lang/limits.h")
 
 
 class Block:

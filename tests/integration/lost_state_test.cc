@@ -15,8 +15,8 @@
 #include "absl/strings/str_replace.h"
 #include "gmock/gmock.h"
 #include "gtest/gtest.h"
-#include "mode_actuator/actuator_state.h"
-#include "mode_actuator/agent.h"
+#include "mode_actuator/decide/actuator_state.h"
+#include "mode_actuator/link/agent.h"
 #include "services/base/status_matchers.h"
 #include "services/dds/test_world.h"
 #include "services/runtime/real_clock.h"
@@ -145,8 +145,8 @@ TEST_F(LostStateTest, TheNodesShowTheLevelWhenTheManagerHasForgotten) {
 }
 
 TEST_F(LostStateTest, AStateFromABackupDoesNotLowerTheRobot) {
-  std::ofstream(dir_ + "/state/state") << EncodeState(
-      {.mark = {1, 1}, .decided = "ALERT", .effective = "ALERT", .highest_term = 1});
+  std::ofstream(dir_ + "/state/state")
+      << EncodeState({.mark = {1, 1}, .decided = "ALERT", .effective = "ALERT", .highest_term = 1});
   StartRobot("HALT");
   StartActuator();
   EXPECT_TRUE(Records("HALT"));

@@ -8,7 +8,7 @@
 #include "absl/strings/str_cat.h"
 #include "gmock/gmock.h"
 #include "gtest/gtest.h"
-#include "mode_actuator/modes/system_modes.h"
+#include "mode_actuator/steps/system_mode/system_modes.h"
 #include "services/base/status_matchers.h"
 #include "services/dds/service_client.h"
 #include "services/dds/test_world.h"

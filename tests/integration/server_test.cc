@@ -1,5 +1,5 @@
 // The policy server as its peers meet it: real gRPC, real certificates, real store.
-#include "policy_server/server.h"
+#include "policy_server/server/server.h"
 
 #include <sys/resource.h>
 #include <unistd.h>

@@ -11,7 +11,7 @@
 #include "absl/base/thread_annotations.h"
 #include "absl/time/time.h"
 #include "gtest/gtest.h"
-#include "mode_actuator/modes/smh.h"
+#include "mode_actuator/steps/system_mode/smh.h"
 #include "services/base/status_matchers.h"
 #include "services/dds/participant.h"
 #include "services/runtime/mutex.h"

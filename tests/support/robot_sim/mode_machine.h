@@ -16,7 +16,7 @@
 #include "absl/container/btree_map.h"
 #include "absl/status/statusor.h"
 #include "absl/strings/string_view.h"
-#include "mode_actuator/modes/smh.h"
+#include "mode_actuator/steps/system_mode/smh.h"
 
 namespace rips::robot_sim {
 

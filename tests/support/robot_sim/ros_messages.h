@@ -9,7 +9,7 @@
 
 #include "absl/status/statusor.h"
 #include "absl/strings/string_view.h"
-#include "mode_actuator/modes/smh.h"
+#include "mode_actuator/steps/system_mode/smh.h"
 #include "services/ros2/system_modes_messages.h"
 
 namespace rips::robot_sim {

@@ -12,7 +12,7 @@
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
 #include "absl/strings/string_view.h"
-#include "mode_actuator/modes/smh.h"
+#include "mode_actuator/steps/system_mode/smh.h"
 #include "services/dds/participant.h"
 #include "services/dds/raw_reader.h"
 #include "services/dds/raw_writer.h"

@@ -1,0 +1,142 @@
+#include "mode_actuator/decide/alarm_state.h"
+
+#include <algorithm>
+#include <numeric>
+#include <optional>
+
+#include "absl/status/status.h"
+#include "absl/strings/ascii.h"
+#include "absl/strings/escaping.h"
+#include "absl/strings/str_cat.h"
+#include "absl/strings/str_format.h"
+
+namespace rips::actuator {
+namespace {
+
+struct NamedColour {
+  absl::string_view name;
+  Colour colour;
+};
+constexpr NamedColour kColours[] = {
+    {"RED", {0xff, 0, 0}},        {"ORANGE", {0xff, 0x60, 0}},   {"YELLOW", {0xff, 0xff, 0}},
+    {"GREEN", {0, 0xff, 0}},      {"CYAN", {0, 0xff, 0xff}},     {"BLUE", {0, 0, 0xff}},
+    {"MAGENTA", {0xff, 0, 0xff}}, {"WHITE", {0xff, 0xff, 0xff}},
+};
+
+std::string ColourName(const Colour& colour) {
+  for (const NamedColour& each : kColours) {
+    if (each.colour == colour) return std::string(each.name);
+  }
+  return absl::StrFormat("#%02x%02x%02x", colour.red, colour.green, colour.blue);
+}
+
+// Insertions, deletions and substitutions of one byte that turn `a` into `b`.
+size_t EditDistance(absl::string_view a, absl::string_view b) {
+  std::vector<size_t> row(b.size() + 1);
+  std::iota(row.begin(), row.end(), 0);
+  for (size_t i = 1; i <= a.size(); ++i) {
+    size_t diagonal = std::exchange(row[0], i);
+    for (size_t j = 1; j <= b.size(); ++j) {
+      const size_t replaced = diagonal + (a[i - 1] == b[j - 1] ? 0 : 1);
+      diagonal = row[j];
+      row[j] = std::min({row[j] + 1, row[j - 1] + 1, replaced});
+    }
+  }
+  return row[b.size()];
+}
+
+}  // namespace
+
+UsbId UsbIdOf(AlarmKind kind) {
+  switch (kind) {
+    case AlarmKind::kUsbRelay:
+      return {0x16c0, 0x05df};
+    case AlarmKind::kLcus:
+      return {0x5131, 0x2007};
+    case AlarmKind::kLcusSerial:
+      return {0x1a86, 0x7523};
+    case AlarmKind::kLuxafor:
+      return {0x04d8, 0xf372};
+    case AlarmKind::kBlink1:
+      return {0x27b8, 0x01ed};
+  }
+  return {};
+}
+
+bool IsRelay(AlarmKind kind) {
+  return kind == AlarmKind::kUsbRelay || kind == AlarmKind::kLcus || kind == AlarmKind::kLcusSerial;
+}
+
+absl::string_view AlarmKindName(AlarmKind kind) {
+  switch (kind) {
+    case AlarmKind::kUsbRelay:
+      return "usb_relay";
+    case AlarmKind::kLcus:
+      return "lcus";
+    case AlarmKind::kLcusSerial:
+      return "lcus_serial";
+    case AlarmKind::kLuxafor:
+      return "luxafor";
+    case AlarmKind::kBlink1:
+      return "blink1";
+  }
+  return "?";
+}
+
+std::vector<std::pair<std::string, AlarmKind>> AlarmKinds() {
+  std::vector<std::pair<std::string, AlarmKind>> kinds;
+  for (const AlarmKind kind : {AlarmKind::kUsbRelay, AlarmKind::kLcus, AlarmKind::kLcusSerial,
+                               AlarmKind::kLuxafor, AlarmKind::kBlink1}) {
+    kinds.emplace_back(AlarmKindName(kind), kind);
+  }
+  return kinds;
+}
+
+std::vector<AlarmState> AlarmStatesOf(AlarmKind kind) {
+  std::vector<AlarmState> states = {{AlarmPattern::kOff, {}}};
+  if (IsRelay(kind)) {
+    states.push_back({AlarmPattern::kOn, {}});
+    return states;
+  }
+  for (const AlarmPattern pattern : {AlarmPattern::kSteady, AlarmPattern::kStrobe}) {
+    for (const NamedColour& each : kColours) states.push_back({pattern, each.colour});
+  }
+  states.push_back({AlarmPattern::kPolice, {}});
+  return states;
+}
+
+absl::StatusOr<AlarmState> ParseAlarmState(AlarmKind kind, absl::string_view text) {
+  const absl::string_view cut = text.substr(0, 100);
+  std::optional<size_t> best;
+  std::string nearest;
+  for (const AlarmState& state : AlarmStatesOf(kind)) {
+    const std::string name = ToString(state);
+    if (name == text) return state;
+    const size_t distance = EditDistance(absl::AsciiStrToLower(cut), absl::AsciiStrToLower(name));
+    if (!best.has_value() || distance < *best) {
+      best = distance;
+      nearest = name;
+    }
+  }
+  return absl::InvalidArgumentError(absl::StrCat("`", absl::CHexEscape(cut), "` is no state of a ",
+                                                 AlarmKindName(kind), "; did you mean `", nearest,
+                                                 "`"));
+}
+
+std::string ToString(const AlarmState& state) {
+  switch (state.pattern) {
+    case AlarmPattern::kOff:
+      return "off";
+    case AlarmPattern::kOn:
+      return "on";
+    case AlarmPattern::kSteady:
+      return absl::StrCat("steady ", ColourName(state.colour));
+    case AlarmPattern::kStrobe:
+      return absl::StrCat("strobe ", ColourName(state.colour));
+    case AlarmPattern::kPolice:
+      return "police";
+  }
+  return "?";
+}
+
+}  // namespace rips::actuator

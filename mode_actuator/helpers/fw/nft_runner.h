@@ -1,0 +1,48 @@
+// Runs /usr/sbin/nft, a process each time.
+#ifndef RIPS_MODE_ACTUATOR_HELPERS_FW_NFT_RUNNER_H_
+#define RIPS_MODE_ACTUATOR_HELPERS_FW_NFT_RUNNER_H_
+
+#include <string>
+#include <utility>
+#include <vector>
+
+#include "absl/status/status.h"
+#include "absl/status/statusor.h"
+#include "absl/strings/string_view.h"
+#include "absl/time/time.h"
+#include "mode_actuator/helpers/fw/nft.h"
+
+namespace rips::actuator {
+
+inline constexpr absl::Duration kNftTimeout = absl::Milliseconds(1500);
+// Of what nft says went wrong.
+inline constexpr size_t kNftErrorBytesMax = 512;
+
+// The child has no descriptor, environment or signal mask of ours. The calling process must not
+// wait for children of unknown id.
+class NftRunner final : public Nft {
+ public:
+  struct Options {
+    std::string path = "/usr/sbin/nft";
+    absl::Duration timeout = kNftTimeout;  // then SIGKILL
+  };
+  explicit NftRunner(Options options) : options_(std::move(options)) {}
+
+  absl::Status Load(absl::string_view script, NftMode mode) override;
+  absl::StatusOr<std::string> ListTable() override;
+
+ private:
+  struct Ended {
+    int exit_code = 0;
+    std::string out;
+    std::string err;
+  };
+  // Unavailable, DeadlineExceeded, ResourceExhausted (more than kRulesetBytesMax printed).
+  absl::StatusOr<Ended> Run(const std::vector<std::string>& args, absl::string_view input) const;
+
+  const Options options_;
+};
+
+}  // namespace rips::actuator
+
+#endif  // RIPS_MODE_ACTUATOR_HELPERS_FW_NFT_RUNNER_H_

@@ -1,0 +1,764 @@
+#include "mode_actuator/link/agent.h"
+
+#include <sys/stat.h>
+
+#include <algorithm>
+#include <cerrno>
+#include <cstring>
+#include <optional>
+#include <thread>
+#include <utility>
+#include <variant>
+
+#include "absl/strings/escaping.h"
+#include "absl/strings/str_cat.h"
+#include "mode_actuator/decide/degraded_book.h"
+#include "mode_actuator/decide/drill_desk.h"
+#include "mode_actuator/decide/exec_ledger.h"
+#include "mode_actuator/decide/receipt_book.h"
+#include "mode_actuator/link/downlink.h"
+#include "mode_actuator/steps/alarm/alarm_board.h"
+#include "mode_actuator/steps/alarm/drivers.h"
+#include "mode_actuator/steps/drill.h"
+#include "mode_actuator/steps/firewall/fw_client.h"
+#include "mode_actuator/steps/procedures.h"
+#include "mode_actuator/steps/program/exec_client.h"
+#include "mode_actuator/steps/system_mode/missing_modes.h"
+#include "mode_actuator/steps/system_mode/system_modes.h"
+#include "mode_actuator/steps/workers.h"
+#include "services/base/ids.h"
+#include "services/base/status_macros.h"
+#include "services/dds/node_announcer.h"
+#include "services/dds/participant.h"
+#include "services/runtime/atomic_file.h"
+#include "services/runtime/log.h"
+#include "services/runtime/mutex.h"
+
+namespace rips::actuator {
+namespace {
+
+constexpr absl::Duration kTick = absl::Milliseconds(50);
+constexpr int64_t kHeartbeatNs = 500 * kNanosPerMilli;
+constexpr size_t kInputsMax = 4096;
+constexpr size_t kFileTasksMax = 256;
+
+// What other threads tell the agent's thread.
+struct Connected {};
+struct Persisted {
+  uint64_t sequence = 0;
+  absl::Status status;
+};
+struct ExecJournalled {
+  RunProgramCommand command;
+  absl::Status status;
+};
+struct ExecEnded {
+  std::string id;
+  ProgramResult result;
+};
+using Input = std::variant<SetLevelCommand, RunProgramCommand, DrillCommand, LeaseGrant, Connected,
+                           LevelOutcome, DrillOutcome, Persisted, ExecJournalled, ExecEnded>;
+
+ExecutorOptions MakeExecutorOptions(const Config& config) {
+  ExecutorOptions options;
+  for (const LevelSpec& level : config.levels) options.levels.push_back(level.name);
+  for (const LevelSpec& level : config.levels) {
+    if (!level.on_drift.empty()) options.on_drift.insert(level.name);
+  }
+  options.survey = !ModeTargets(config.levels).empty();
+  if (config.fail_safe_level != "keep") options.fail_safe = config.fail_safe_level;
+  options.fail_safe_after_ns = absl::ToInt64Nanoseconds(config.fail_safe_after);
+  options.floor_hold_ns = absl::ToInt64Nanoseconds(config.floor_hold);
+  options.reconcile_ns = absl::ToInt64Nanoseconds(config.reconcile);
+  return options;
+}
+
+absl::string_view StageName(Receipt::Stage stage) {
+  switch (stage) {
+    case Receipt::Stage::kAcknowledged:
+      return "acknowledged";
+    case Receipt::Stage::kVerified:
+      return "verified";
+    case Receipt::Stage::kFailed:
+      return "failed";
+    case Receipt::Stage::kSuperseded:
+      return "superseded";
+    case Receipt::Stage::kRefusedStale:
+      return "refused_stale";
+    case Receipt::Stage::kRefused:
+      return "refused";
+    case Receipt::Stage::kUnknown:
+      return "unknown";
+  }
+  return "?";
+}
+
+Receipt::Stage NotBegunStage(const absl::Status& why) {
+  return absl::IsUnavailable(why) ? Receipt::Stage::kFailed : Receipt::Stage::kRefused;
+}
+
+Receipt::Stage EndedStage(const ProgramResult& result) {
+  if (result.status.ok()) return Receipt::Stage::kVerified;
+  if (absl::IsUnknown(result.status)) return Receipt::Stage::kUnknown;
+  return result.begun ? Receipt::Stage::kFailed : NotBegunStage(result.status);
+}
+
+absl::Status MakeDirectory(const std::string& path) {
+  struct stat info;
+  if (mkdir(path.c_str(), 0700) == 0) return absl::OkStatus();
+  if (errno == EEXIST && stat(path.c_str(), &info) == 0 && S_ISDIR(info.st_mode)) {
+    return absl::OkStatus();
+  }
+  return absl::UnavailableError(
+      absl::StrCat("cannot make the state directory `", path, "`: ", std::strerror(errno)));
+}
+
+void LogOutcome(const LevelOutcome& outcome) {
+  if (outcome.kind == JobKind::kSurvey) {
+    LogInfo("surveyed the robot", {{"observed", outcome.observed},
+                                   {"level", outcome.shown.empty() ? "none" : outcome.shown}});
+  } else if (!outcome.reached) {
+    LogWarning("not reached", {{"detail", outcome.detail}});
+  }
+}
+
+void LogDegraded(const std::vector<std::string>& before, const std::vector<std::string>& now) {
+  for (const std::string& text : now) {
+    if (std::find(before.begin(), before.end(), text) != before.end()) continue;
+    LogWarning("degraded", {{"why", text}});
+  }
+  if (now.empty() && !before.empty()) LogInfo("no longer degraded");
+}
+
+struct Counters {
+  Gauge effective, verified, floor, lease_live;
+  Counter commands, receipts_failed, receipts_refused, malformed, dropped, write_failures;
+  Gauge drifts, alarms_missing, announced, helpers_refused;
+};
+
+Counters MakeCounters(Metrics* m) {
+  return {
+      .effective = m->AddGauge("rips_actuator_effective_level", "index of the effective level"),
+      .verified = m->AddGauge("rips_actuator_verified", "1 = the effective level was read back"),
+      .floor = m->AddGauge("rips_actuator_floor", "1 = a floor of our own holds"),
+      .lease_live = m->AddGauge("rips_actuator_lease_live", "1 = the server's lease is live"),
+      .commands = m->AddCounter("rips_actuator_commands_total", "commands received"),
+      .receipts_failed = m->AddCounter("rips_actuator_failed_total", "commands that failed"),
+      .receipts_refused = m->AddCounter("rips_actuator_refused_total", "commands refused"),
+      .malformed = m->AddCounter("rips_actuator_malformed_total", "commands not understood"),
+      .dropped = m->AddCounter("rips_actuator_inputs_dropped_total", "inputs lost to the limit"),
+      .write_failures = m->AddCounter("rips_actuator_write_failures_total", "failed file writes"),
+      .drifts = m->AddGauge("rips_actuator_drifts", "times a verified level was found left"),
+      .alarms_missing =
+          m->AddGauge("rips_actuator_alarms_missing", "alarm devices that cannot be used"),
+      .announced = m->AddGauge("rips_actuator_announced",
+                               "1 = ROS tools are told that this is the node /rips"),
+      .helpers_refused = m->AddGauge("rips_actuator_helpers_refused",
+                                     "helpers whose socket another process may have made"),
+  };
+}
+
+absl::StatusOr<std::unique_ptr<dds::Participant>> Join(const Config& config, const Clock* clock) {
+  RIPS_ASSIGN_OR_RETURN(std::optional<dds::Enclave> enclave,
+                        dds::LoadSecurity(config.dds, absl::FromUnixNanos(clock->Now().unix_ns)));
+  return dds::Participant::Create(
+      dds::DomainOptions{.id = config.dds.domain, .interface = config.dds.interface},
+      {.security = std::move(enclave)});
+}
+
+}  // namespace
+
+absl::StatusOr<LoadedConfig> LoadConfig(const std::string& path) {
+  LoadedConfig loaded;
+  RIPS_ASSIGN_OR_RETURN(const std::string text, ReadConfigFile(path));
+  RIPS_ASSIGN_OR_RETURN(ParsedConfig parsed, ParseConfig(path, text));
+  RIPS_RETURN_IF_ERROR(AddScripts(&parsed));
+  loaded.config = std::move(parsed.config);
+  loaded.effective = std::move(parsed.effective);
+  RIPS_RETURN_IF_ERROR(CheckFirewallFiles(loaded.config.levels));
+  if (loaded.config.smh_file.empty()) return loaded;
+  RIPS_ASSIGN_OR_RETURN(const std::string smh_text, ReadFile(loaded.config.smh_file, kSmhBytesMax));
+  RIPS_ASSIGN_OR_RETURN(loaded.smh, ParseSmh(smh_text, loaded.config.smh_file));
+  RIPS_RETURN_IF_ERROR(CheckLevelsAgainstSmh(loaded.config, loaded.smh));
+  return loaded;
+}
+
+std::vector<std::string> Warnings(const LoadedConfig& loaded) {
+  std::vector<std::string> warnings = loaded.smh.warnings;
+  for (std::string& warning : MonotonyWarnings(loaded.config, loaded.smh)) {
+    warnings.push_back(std::move(warning));
+  }
+  return warnings;
+}
+
+class Agent::Impl {
+ public:
+  Impl(Config config, const Clock* clock, Metrics* metrics)
+      : config_(std::move(config)),
+        clock_(clock),
+        counters_(MakeCounters(metrics)),
+        inputs_({.capacity = kInputsMax}),
+        desk_(MakeExecutorOptions(config_).levels) {}
+
+  ~Impl();
+  absl::Status Start(const Smh& smh, rpc::CredentialsSource credentials,
+                     rpc::CertificateMonitor* monitor);
+  const absl::Status& modes_problem() const { return modes_problem_; }
+  absl::Status Ready() const ABSL_LOCKS_EXCLUDED(report_mu_);
+
+ private:
+  std::string StatePath() const { return absl::StrCat(config_.state_dir, "/state"); }
+  std::string JournalPath() const { return absl::StrCat(config_.state_dir, "/journal"); }
+  int64_t NowNs() const { return clock_->Now().boottime_ns; }
+
+  absl::Status LoadState();
+  absl::Status StartModes(const Smh& smh);
+  void StartAnnouncing();
+  void StartWorkers();
+  PartModes* Modes() {
+    return modes_ != nullptr ? modes_.get() : static_cast<PartModes*>(&missing_);
+  }
+  void StartDownlink(const Smh& smh, rpc::CredentialsSource credentials,
+                     rpc::CertificateMonitor* monitor);
+  void PushFromNetwork(Input input);
+
+  // The agent's thread.
+  void Loop();
+  void Handle(Input input, int64_t now_ns);
+  void Do(Actions actions, int64_t now_ns);
+  void Tell(Receipt receipt);
+  void OnDrill(const DrillCommand& command);
+  void OnRunProgram(RunProgramCommand command);
+  void OnExecJournalled(const ExecJournalled& journalled);
+  void OnExecEnded(const ExecEnded& ended);
+  void EndExec(Receipt receipt);
+  bool IsAllowed(absl::string_view program) const;
+  void WriteJournal(std::function<void(const absl::Status&)> done);
+  void Publish(int64_t now_ns) ABSL_LOCKS_EXCLUDED(report_mu_);
+  void Announce(int64_t now_ns);
+  absl::Status FindHelpers();
+  void CheckHelpers(int64_t now_ns);
+
+  const Config config_;
+  const Clock* const clock_;  // Not owned; outlives this.
+  const Counters counters_;
+  BoundedQueue<Input> inputs_;
+
+  // Of the agent's thread.
+  std::optional<Executor> executor_;
+  ExecLedger ledger_;
+  DrillDesk desk_;
+  ReceiptBook receipts_;
+  DegradedBook degraded_;
+  size_t execs_ = 0;
+  int64_t next_heartbeat_ns_ = 0;
+  bool announcing_ = true;  // the last claim was published
+  int64_t check_helpers_at_ns_ = 0;
+
+  mutable Mutex report_mu_;
+  ExecutorReport report_ ABSL_GUARDED_BY(report_mu_);
+
+  // In the order of dependence; what is last goes first.
+  std::unique_ptr<dds::Participant> participant_;
+  std::unique_ptr<SystemModes> modes_;
+  // Null if it is not to announce, or may not, or is not on the bus.
+  std::unique_ptr<dds::NodeAnnouncer> announcer_;
+  absl::Status modes_problem_;  // of the start
+  MissingModes missing_;
+  std::unique_ptr<ExecClient> programs_;  // killed at the end; the journal says "begun"
+  std::unique_ptr<AlarmBoard> alarms_;    // none if there are no devices
+  std::unique_ptr<FwClient> firewall_;
+  std::unique_ptr<Procedures> procedures_;
+  std::unique_ptr<Drill> drill_;
+  std::unique_ptr<FileWorker> files_;
+  std::unique_ptr<LevelWorker> levels_;
+  std::unique_ptr<Downlink> downlink_;
+  std::thread thread_;
+};
+
+// --- start and end
+
+absl::Status Agent::Impl::LoadState() {
+  RIPS_RETURN_IF_ERROR(MakeDirectory(config_.state_dir));
+  absl::StatusOr<ActuatorState> state = absl::NotFoundError("no state file");
+  if (absl::StatusOr<std::string> bytes = ReadFile(StatePath(), kStateBytesMax); bytes.ok()) {
+    state = DecodeState(*bytes);
+  } else {
+    state = bytes.status();
+  }
+  if (!state.ok()) LogWarning("state lost", {{"why", state.status().message()}});
+  RIPS_ASSIGN_OR_RETURN(Executor executor,
+                        Executor::Create(MakeExecutorOptions(config_), state, NowNs()));
+  executor_.emplace(std::move(executor));
+
+  const absl::StatusOr<std::string> journal = ReadFile(JournalPath(), kJournalBytesMax);
+  if (journal.ok()) {
+    absl::StatusOr<ExecLedger> ledger = ExecLedger::Decode(*journal);
+    if (ledger.ok()) {
+      ledger_ = *std::move(ledger);
+    } else {
+      LogError("journal lost", {{"why", ledger.status().message()}});
+    }
+  }
+  for (Receipt& receipt : ledger_.CloseUnfinished()) Tell(std::move(receipt));
+  return absl::OkStatus();
+}
+
+absl::Status Agent::Impl::StartModes(const Smh& smh) {
+  const SystemModes::Targets targets = ModeTargets(config_.levels);
+  if (targets.empty()) return absl::OkStatus();
+  auto joined = Join(config_, clock_);
+  if (!joined.ok()) {
+    modes_problem_ = joined.status();
+    missing_.set_why(modes_problem_);
+    LogError("no way to the System Modes; levels are entered without them until there is",
+             {{"reason", modes_problem_.message()}});
+    degraded_.Set("modes", {absl::StrCat("no System Modes: ", modes_problem_.message())});
+    return absl::OkStatus();
+  }
+  participant_ = *std::move(joined);
+  RIPS_ASSIGN_OR_RETURN(
+      modes_, SystemModes::Create(participant_.get(), smh, config_.modes, targets, clock_));
+  if (config_.dds.announce) StartAnnouncing();
+  return absl::OkStatus();
+}
+
+void Agent::Impl::StartAnnouncing() {
+  // All its endpoints are there by now.
+  dds::NodeAnnouncerOptions options = dds::AnnouncerOptions(config_.dds);
+  options.listen = true;
+  auto announcer = dds::NodeAnnouncer::Create(*participant_, std::move(options), NowNs());
+  if (!announcer.ok()) {
+    LogWarning(
+        "this actuator cannot announce itself to ROS, whose tools show its clients without a node; "
+        "under DDS Security its permissions must let it publish ros_discovery_info",
+        {{"error", announcer.status().ToString()}});
+    return;
+  }
+  announcer_ = *std::move(announcer);
+  counters_.announced.Set(1);
+  if (const absl::Status& reading = announcer_->reading_status(); !reading.ok()) {
+    LogWarning(
+        "this actuator cannot read how others announce themselves to ROS; it does so as Humble "
+        "does; see `dds: {gid_bytes}`",
+        {{"error", reading.ToString()}});
+  }
+}
+
+absl::Status Agent::Impl::FindHelpers() {
+  RIPS_ASSIGN_OR_RETURN(const std::optional<uid_t> exec_user,
+                        FindHelperUser(config_.exec.run_as, "rips-exec", "exec.run_as"));
+  RIPS_ASSIGN_OR_RETURN(const std::optional<uid_t> fw_user,
+                        FindHelperUser(config_.firewall.run_as, "rips-fw", "firewall.run_as"));
+  firewall_ = std::make_unique<FwClient>(config_.firewall.socket, fw_user);
+  RIPS_ASSIGN_OR_RETURN(programs_,
+                        ExecClient::Create({.socket = config_.exec.socket, .run_as = exec_user}));
+  return absl::OkStatus();
+}
+
+// Before a level needs them: a process that poses as a helper is told of at once.
+void Agent::Impl::CheckHelpers(int64_t now_ns) {
+  if (now_ns < check_helpers_at_ns_) return;
+  check_helpers_at_ns_ = now_ns + kNanosPerSecond;
+  std::vector<std::string> refused;
+  const auto check = [&](const absl::Status& status) {
+    if (!status.ok()) refused.emplace_back(status.message());
+  };
+  if (!config_.programs.empty()) check(programs_->CheckSocket());
+  if (HasFirewallSteps(config_.levels)) check(firewall_->CheckSocket());
+  counters_.helpers_refused.Set(static_cast<double>(refused.size()));
+  degraded_.Set("helpers", std::move(refused));
+}
+
+void Agent::Impl::Announce(int64_t now_ns) {
+  if (announcer_ == nullptr) return;
+  const absl::Status told = announcer_->Poll(now_ns);
+  if (told.ok() == announcing_) return;
+  announcing_ = told.ok();
+  counters_.announced.Set(announcing_ ? 1 : 0);
+  if (announcing_) return;
+  LogWarning("this actuator's node was not announced; trying again", {{"error", told.ToString()}});
+}
+
+void Agent::Impl::StartWorkers() {
+  if (!config_.devices.empty()) {
+    alarms_ = std::make_unique<AlarmBoard>(config_.devices, RealAlarms(), clock_);
+  }
+  procedures_ =
+      std::make_unique<Procedures>(&config_.levels, Modes(), programs_.get(), alarms_.get(), clock_,
+                                   StepRunners{.firewall = firewall_.get()});
+  drill_ = std::make_unique<Drill>(Drill::Robot{.levels = &config_.levels,
+                                                .allowed = &config_.programs,
+                                                .devices = &config_.devices,
+                                                .modes = Modes(),
+                                                .programs = programs_.get(),
+                                                .alarms = alarms_.get(),
+                                                .firewall = firewall_.get(),
+                                                .clock = clock_});
+  files_ = std::make_unique<FileWorker>(kFileTasksMax);
+  LevelWorker::Callbacks callbacks;
+  callbacks.done = [this](LevelOutcome outcome) {
+    if (modes_ != nullptr) degraded_.Set("modes", modes_->Degraded());
+    inputs_.Push(std::move(outcome));
+  };
+  if (modes_ != nullptr) {
+    callbacks.idle_check = [this] { return modes_->CheckAvailable(); };
+    callbacks.idle_checked = [this](const absl::Status&) {
+      degraded_.Set("modes", modes_->Degraded());
+    };
+  }
+  levels_ = std::make_unique<LevelWorker>(procedures_.get(), std::move(callbacks));
+}
+
+void Agent::Impl::StartDownlink(const Smh& smh, rpc::CredentialsSource credentials,
+                                rpc::CertificateMonitor* monitor) {
+  Downlink::Options options;
+  if (monitor != nullptr) {
+    options.on_peer = [monitor](const rpc::Peer& peer) { monitor->Seen(peer); };
+  }
+  options.servers = config_.servers;
+  options.credentials = std::move(credentials);
+  options.host = config_.host;
+  options.incarnation = absl::HexStringToBytes(NewId());
+  for (const LevelSpec& level : config_.levels) options.levels.push_back(level.name);
+  options.fail_safe_level = config_.fail_safe_level;
+  for (const ProgramSpec& program : config_.programs) {
+    if (!program.script) options.programs.push_back(program.name);
+  }
+  options.protected_parts = ProtectedParts(config_.levels, smh);
+  if (options.protected_parts.size() == kProtectedPartsMax) {
+    LogWarning("sensors watch over the first parts only", {{"parts", kProtectedPartsMax}});
+  }
+  if (participant_ != nullptr) options.participant_guid = participant_->guid().ToBytes();
+
+  Downlink::Callbacks callbacks;
+  callbacks.connected = [this] {
+    inputs_.Push(Connected{});
+    LogInfo("connected");
+    MutexLock lock(&report_mu_);
+    return report_;
+  };
+  callbacks.set_level = [this](SetLevelCommand command) { PushFromNetwork(std::move(command)); };
+  callbacks.run_program = [this](RunProgramCommand command) {
+    PushFromNetwork(std::move(command));
+  };
+  callbacks.drill = [this](DrillCommand command) { PushFromNetwork(std::move(command)); };
+  callbacks.lease = [this](LeaseGrant lease) { PushFromNetwork(lease); };
+  callbacks.malformed = [this](const absl::Status& status) {
+    counters_.malformed.Increment();
+    LogWarning("malformed command", {{"why", status.message()}});
+  };
+  // The same again and again is said once.
+  callbacks.disconnected = [last = absl::Status()](const absl::Status& status) mutable {
+    const LogLevel level = status == last ? LogLevel::kDebug : LogLevel::kWarning;
+    Log(level, "disconnected", {{"status", status.ToString()}});
+    last = status;
+  };
+  downlink_ = std::make_unique<Downlink>(std::move(options), std::move(callbacks), clock_);
+}
+
+absl::Status Agent::Impl::Start(const Smh& smh, rpc::CredentialsSource credentials,
+                                rpc::CertificateMonitor* monitor) {
+  RIPS_RETURN_IF_ERROR(LoadState());
+  RIPS_RETURN_IF_ERROR(FindHelpers());
+  RIPS_RETURN_IF_ERROR(StartModes(smh));
+  StartWorkers();
+  StartDownlink(smh, std::move(credentials), monitor);
+  const int64_t now_ns = NowNs();
+  Do(executor_->Start(now_ns), now_ns);
+  Publish(now_ns);
+  thread_ = std::thread([this] { Loop(); });
+  downlink_->Start();
+  return absl::OkStatus();
+}
+
+Agent::Impl::~Impl() {
+  if (downlink_ != nullptr) downlink_->Stop();
+  inputs_.Close();
+  if (thread_.joinable()) thread_.join();
+  levels_.reset();
+  files_.reset();
+}
+
+void Agent::Impl::PushFromNetwork(Input input) {
+  if (inputs_.size() < kNetworkInputsMax && inputs_.Push(std::move(input))) return;
+  counters_.dropped.Increment();
+}
+
+// --- the agent's thread
+
+void Agent::Impl::Loop() {
+  while (true) {
+    std::vector<Input> batch = inputs_.PopAll(kTick);
+    if (batch.empty() && inputs_.closed()) return;
+    for (Input& input : batch) Handle(std::move(input), NowNs());
+    const int64_t now_ns = NowNs();
+    Do(executor_->OnTick(now_ns), now_ns);
+    CheckHelpers(now_ns);
+    Publish(now_ns);
+    Announce(now_ns);
+  }
+}
+
+void Agent::Impl::Handle(Input input, int64_t now_ns) {
+  if (auto* level = std::get_if<SetLevelCommand>(&input)) {
+    counters_.commands.Increment();
+    Do(executor_->OnSetLevel(*level, now_ns), now_ns);
+  } else if (auto* run = std::get_if<RunProgramCommand>(&input)) {
+    counters_.commands.Increment();
+    OnRunProgram(std::move(*run));
+  } else if (auto* drill = std::get_if<DrillCommand>(&input)) {
+    counters_.commands.Increment();
+    OnDrill(*drill);
+  } else if (auto* drilled = std::get_if<DrillOutcome>(&input)) {
+    Tell(desk_.OnOutcome(std::move(*drilled)));
+  } else if (auto* lease = std::get_if<LeaseGrant>(&input)) {
+    executor_->OnLease(*lease, now_ns);
+  } else if (std::holds_alternative<Connected>(input)) {
+    receipts_.NewSession();
+  } else if (auto* outcome = std::get_if<LevelOutcome>(&input)) {
+    LogOutcome(*outcome);
+    Do(executor_->OnOutcome(*outcome, now_ns), now_ns);
+  } else if (auto* persisted = std::get_if<Persisted>(&input)) {
+    if (!persisted->status.ok()) {
+      counters_.write_failures.Increment();
+      LogError("state not written", {{"why", persisted->status.message()}});
+    }
+    Do(executor_->OnPersisted(persisted->sequence, persisted->status, now_ns), now_ns);
+  } else if (auto* journalled = std::get_if<ExecJournalled>(&input)) {
+    OnExecJournalled(*journalled);
+  } else if (auto* ended = std::get_if<ExecEnded>(&input)) {
+    OnExecEnded(*ended);
+  }
+}
+
+void Agent::Impl::Do(Actions actions, int64_t now_ns) {
+  for (Action& action : actions) {
+    if (auto* apply = std::get_if<ApplyLevel>(&action)) {
+      if (apply->kind == JobKind::kOnDrift) {
+        LogWarning("left too often: running on_drift steps", {{"level", apply->to}});
+      } else if (apply->kind == JobKind::kSurvey) {
+        LogInfo("surveying the robot before a level is applied");
+      } else if (apply->kind != JobKind::kCheck) {
+        LogInfo("applying level", {{"from", apply->from}, {"to", apply->to}});
+      }
+      levels_->Submit(std::move(*apply));
+    } else if (auto* persist = std::get_if<PersistState>(&action)) {
+      const uint64_t sequence = persist->sequence;
+      const bool taken = files_->Submit(
+          {StatePath(), EncodeState(persist->state), [this, sequence](const absl::Status& status) {
+             inputs_.Push(Persisted{sequence, status});
+           }});
+      if (!taken) {
+        const absl::Status full = absl::ResourceExhaustedError("too many writes wait");
+        Do(executor_->OnPersisted(sequence, full, now_ns), now_ns);
+      }
+    } else {
+      Tell(std::get<SendReceipt>(std::move(action)).receipt);
+    }
+  }
+}
+
+void Agent::Impl::Tell(Receipt receipt) {
+  if (receipt.stage == Receipt::Stage::kFailed) counters_.receipts_failed.Increment();
+  if (receipt.stage == Receipt::Stage::kRefused || receipt.stage == Receipt::Stage::kRefusedStale) {
+    counters_.receipts_refused.Increment();
+  }
+  LogInfo("receipt", {{"command", absl::BytesToHexString(receipt.command_id)},
+                      {"stage", StageName(receipt.stage)},
+                      {"mark", ToString(receipt.mark)},
+                      {"detail", receipt.detail}});
+  receipts_.Add(std::move(receipt));
+}
+
+void Agent::Impl::Publish(int64_t now_ns) {
+  if (alarms_ != nullptr) counters_.alarms_missing.Set(static_cast<double>(alarms_->missing()));
+  ExecutorReport report = executor_->Report(now_ns);
+  for (std::string& text : degraded_.All()) report.degraded.push_back(std::move(text));
+  report.degraded = LimitDegraded(std::move(report.degraded));
+  bool changed = false;
+  std::vector<std::string> degraded_before;
+  {
+    MutexLock lock(&report_mu_);
+    changed = report_ != report;
+    degraded_before = std::move(report_.degraded);
+    report_ = report;
+  }
+  LogDegraded(degraded_before, report.degraded);
+  if (changed) {
+    const std::vector<std::string>& levels = MakeExecutorOptions(config_).levels;
+    for (size_t i = 0; i < levels.size(); ++i) {
+      if (levels[i] == report.effective) counters_.effective.Set(static_cast<double>(i));
+    }
+    counters_.verified.Set(report.verified ? 1 : 0);
+    counters_.floor.Set(report.floor.empty() ? 0 : 1);
+    counters_.lease_live.Set(report.lease_live ? 1 : 0);
+    counters_.drifts.Set(static_cast<double>(report.drifts));
+    LogInfo("level", {{"decided", report.decided},
+                      {"effective", report.effective},
+                      {"verified", report.verified},
+                      {"observed", report.observed},
+                      {"floor", report.floor},
+                      {"floor_reason", report.floor_reason},
+                      {"mark", ToString(report.mark)}});
+  }
+  receipts_.Flush(now_ns,
+                  [this](const Receipt& receipt) { return downlink_->SendReceipt(receipt); });
+  // A change is told at once; otherwise every 500 ms.
+  if (changed || now_ns >= next_heartbeat_ns_) {
+    if (downlink_->SendHeartbeat(report)) next_heartbeat_ns_ = now_ns + kHeartbeatNs;
+  }
+}
+
+// --- drills
+
+void Agent::Impl::OnDrill(const DrillCommand& command) {
+  const std::string held = executor_->Report(NowNs()).effective;
+  const bool admitted = executor_->AdmitTerm(command.term);
+  Tell(desk_.OnCommand(command, admitted, held, [this](const DrillJob& job) {
+    return levels_->SubmitDrill(
+        [this, job](const CancelFlag& cancel, const std::function<void()>& between) {
+          inputs_.Push(drill_->Run(job, cancel, between));
+        });
+  }));
+}
+
+// --- exec
+
+bool Agent::Impl::IsAllowed(absl::string_view program) const {
+  for (const ProgramSpec& spec : config_.programs) {
+    if (spec.name == program) return !spec.script;
+  }
+  return false;
+}
+
+void Agent::Impl::WriteJournal(std::function<void(const absl::Status&)> done) {
+  if (files_->Submit({JournalPath(), ledger_.Encode(), done})) return;
+  if (done) done(absl::ResourceExhaustedError("too many writes wait"));
+}
+
+void Agent::Impl::OnRunProgram(RunProgramCommand command) {
+  Receipt receipt;
+  receipt.command_id = command.id;
+  receipt.stage = Receipt::Stage::kRefused;
+  if (!executor_->AdmitTerm(command.term)) {
+    receipt.stage = Receipt::Stage::kRefusedStale;
+    receipt.detail = absl::StrCat("term ", command.term, " is stale");
+  } else if (std::optional<Receipt> known = ledger_.Find(command.id)) {
+    receipt = *std::move(known);
+  } else if (!IsAllowed(command.program)) {
+    receipt.detail = absl::StrCat("program `", absl::CHexEscape(command.program.substr(0, 100)),
+                                  "` is not in the allow-list");
+  } else if (execs_ >= kExecsMax) {
+    receipt.detail = absl::StrCat("running programs exceed limit ", kExecsMax);
+  } else if (const absl::Status begun = ledger_.Begin(command.id); !begun.ok()) {
+    receipt.detail = std::string(begun.message());
+  } else {
+    ++execs_;
+    // Begun on the disk before it begins: should we die, it is not run a second time.
+    WriteJournal([this, command](const absl::Status& status) {
+      inputs_.Push(ExecJournalled{command, status});
+    });
+    return;
+  }
+  receipt.effective_level = executor_->Report(NowNs()).effective;
+  Tell(std::move(receipt));
+}
+
+void Agent::Impl::OnExecJournalled(const ExecJournalled& journalled) {
+  const RunProgramCommand& command = journalled.command;
+  Receipt receipt;
+  receipt.command_id = command.id;
+  if (!journalled.status.ok()) {
+    counters_.write_failures.Increment();
+    ledger_.Forget(command.id);
+    --execs_;
+    receipt.stage = Receipt::Stage::kRefused;
+    receipt.detail = absl::StrCat("cannot be recorded: ", journalled.status.message());
+    Tell(std::move(receipt));
+    return;
+  }
+  const absl::Duration timeout =
+      command.timeout > absl::ZeroDuration() ? command.timeout : absl::InfiniteDuration();
+  const absl::StatusOr<uint64_t> run =
+      programs_->Start({.name = command.program, .args = command.args, .timeout = timeout},
+                       [this, id = command.id](ProgramResult result) {
+                         inputs_.Push(ExecEnded{id, std::move(result)});
+                       });
+  if (run.ok()) {
+    receipt.stage = Receipt::Stage::kAcknowledged;
+    Tell(std::move(receipt));
+    return;
+  }
+  receipt.stage = NotBegunStage(run.status());
+  receipt.detail = std::string(run.status().message());
+  EndExec(std::move(receipt));
+}
+
+void Agent::Impl::OnExecEnded(const ExecEnded& ended) {
+  Receipt receipt;
+  receipt.command_id = ended.id;
+  receipt.stage = EndedStage(ended.result);
+  receipt.exit_code = ended.result.exit_code;
+  receipt.output_tail = ended.result.output_tail;
+  receipt.detail = ProgramDetail(ended.result);
+  EndExec(std::move(receipt));
+}
+
+void Agent::Impl::EndExec(Receipt receipt) {
+  --execs_;
+  ledger_.Finish(receipt.command_id, receipt.stage, receipt.exit_code);
+  WriteJournal([this](const absl::Status& status) {
+    if (!status.ok()) counters_.write_failures.Increment();
+  });
+  receipt.effective_level = executor_->Report(NowNs()).effective;
+  Tell(std::move(receipt));
+}
+
+absl::Status Agent::Impl::Ready() const {
+  RIPS_RETURN_IF_ERROR(modes_problem_);
+  if (!downlink_->connected()) return absl::UnavailableError("not connected to a policy server");
+  MutexLock lock(&report_mu_);
+  if (!report_.lease_live) return absl::UnavailableError("no live lease");
+  if (!report_.verified) return absl::UnavailableError("the level is not read back");
+  return absl::OkStatus();
+}
+
+// --- Agent
+
+Agent::Agent(std::unique_ptr<Impl> impl) : impl_(std::move(impl)) {}
+Agent::~Agent() = default;
+
+absl::StatusOr<std::unique_ptr<Agent>> Agent::Start(const LoadedConfig& loaded,
+                                                    rpc::CredentialsSource credentials,
+                                                    const Clock* clock, Metrics* metrics,
+                                                    rpc::CertificateMonitor* monitor) {
+  credentials.Require([robot = loaded.config.robot,
+                       host = loaded.config.host](const rpc::PeerIdentity& self) -> absl::Status {
+    if (self.role == rpc::Role::kActuator && self.robot == robot && self.host == host) {
+      return absl::OkStatus();
+    }
+    return absl::PermissionDeniedError(absl::StrCat(
+        "the certificate is of `", ToString(self), "`, but the configuration says robot `", robot,
+        "`, host `", host, "` of an actuator; correct the one that is wrong"));
+  });
+  // Whatever else is wrong with them may pass: the robot is kept safe meanwhile.
+  if (const absl::Status mine = credentials.Get().status(); absl::IsPermissionDenied(mine)) {
+    return mine;
+  }
+  for (const std::string& warning : Warnings(loaded)) {
+    LogWarning("configuration", {{"warning", warning}});
+  }
+  auto impl = std::make_unique<Impl>(loaded.config, clock, metrics);
+  RIPS_RETURN_IF_ERROR(impl->Start(loaded.smh, std::move(credentials), monitor));
+  return std::unique_ptr<Agent>(new Agent(std::move(impl)));
+}
+
+absl::Status Agent::Ready() const { return impl_->Ready(); }
+absl::Status Agent::modes_problem() const { return impl_->modes_problem(); }
+
+absl::Status Agent::TryModes(const LoadedConfig& loaded, const Clock* clock) {
+  return Join(loaded.config, clock).status();
+}
+
+}  // namespace rips::actuator

@@ -1,0 +1,72 @@
+// The mode actuator of one robot host, wired together.
+#ifndef RIPS_MODE_ACTUATOR_LINK_AGENT_H_
+#define RIPS_MODE_ACTUATOR_LINK_AGENT_H_
+
+#include <memory>
+#include <string>
+#include <vector>
+
+#include "absl/status/status.h"
+#include "absl/status/statusor.h"
+#include "mode_actuator/config/config.h"
+#include "mode_actuator/steps/system_mode/smh.h"
+#include "services/base/clock.h"
+#include "services/rpc/certificate_monitor.h"
+#include "services/rpc/credentials.h"
+#include "services/runtime/metrics.h"
+
+namespace rips::actuator {
+
+// Inputs from the network waiting for the agent's thread; more are dropped and counted: the server
+// sends a command again until it sees its receipt, and a lease every 500 ms.
+inline constexpr size_t kNetworkInputsMax = 256;
+// exec programs at the same time, those being started included.
+inline constexpr size_t kExecsMax = 4;
+
+// Reads and checks the file: configuration errors and SMH errors are InvalidArgument.
+struct LoadedConfig {
+  Config config;
+  Smh smh;
+  std::string effective;
+};
+absl::StatusOr<LoadedConfig> LoadConfig(const std::string& path);
+// What is legal there and yet likely to be wrong, for people.
+std::vector<std::string> Warnings(const LoadedConfig& loaded);
+
+class Agent {
+ public:
+  // Reads the state, joins the DDS domain, starts the threads and enters the level that the state
+  // demands. `clock` and `metrics` are not owned and outlive this.
+  //
+  // | what is missing now                    | what happens                                       |
+  // |----------------------------------------|----------------------------------------------------|
+  // | usable credentials                     | the same as without a server: the lease runs out,  |
+  // |                                        | the floor comes; connects when they can be used    |
+  // | the DDS keystore, or its network       | `modes_problem()`; steps of System Modes fail, the |
+  // |                                        | others are taken. Start another when TryModes is OK|
+  // | credentials of this robot's and host's | PermissionDenied, nothing was done                 |
+  // | actuator: they are somebody else's     |                                                    |
+  static absl::StatusOr<std::unique_ptr<Agent>> Start(const LoadedConfig& loaded,
+                                                      rpc::CredentialsSource credentials,
+                                                      const Clock* clock, Metrics* metrics,
+                                                      rpc::CertificateMonitor* monitor = nullptr);
+  // Ends the stream, the running job and programs. The robot stays where it is.
+  ~Agent();
+
+  // Why there is no way to the robot's System Modes; OK if there is, or none is needed.
+  absl::Status modes_problem() const;
+  // OK if there would be a way now.
+  static absl::Status TryModes(const LoadedConfig& loaded, const Clock* clock);
+
+  // OK if connected, the lease live and the effective level read back. Any thread.
+  absl::Status Ready() const;
+
+ private:
+  class Impl;
+  explicit Agent(std::unique_ptr<Impl> impl);
+  std::unique_ptr<Impl> impl_;
+};
+
+}  // namespace rips::actuator
+
+#endif  // RIPS_MODE_ACTUATOR_LINK_AGENT_H_

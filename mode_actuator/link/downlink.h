@@ -1,0 +1,96 @@
+// The stream to the policy server: rips.v1.ActuatorService.Attach seen as plain structs.
+//
+// Threads: BidiClient's session thread calls the callbacks, its writer thread writes. The Send
+// functions may be called from any thread and never block.
+#ifndef RIPS_MODE_ACTUATOR_LINK_DOWNLINK_H_
+#define RIPS_MODE_ACTUATOR_LINK_DOWNLINK_H_
+
+#include <cstdint>
+#include <functional>
+#include <memory>
+#include <string>
+#include <variant>
+#include <vector>
+
+#include "absl/status/status.h"
+#include "absl/status/statusor.h"
+#include "absl/strings/string_view.h"
+#include "absl/time/time.h"
+#include "mode_actuator/decide/drill_desk.h"
+#include "mode_actuator/decide/executor.h"
+#include "mode_actuator/decide/receipt.h"
+#include "services/base/clock.h"
+#include "services/rpc/credentials.h"
+
+namespace rips::v1 {
+class Command;
+class Lease;
+}  // namespace rips::v1
+
+namespace rips::actuator {
+
+struct RunProgramCommand {
+  std::string id;
+  uint64_t term = 0;
+  std::string program;
+  std::vector<std::string> args;
+  absl::Duration timeout;  // zero = the program's own
+};
+
+using AnyCommand = std::variant<SetLevelCommand, RunProgramCommand, DrillCommand>;
+
+// A command by its kind. InvalidArgument, saying what is wrong, for a message that no policy server
+// of ours sends: an id that is not 16 bytes, no kind, a program without a name, a drill without a
+// level.
+absl::StatusOr<AnyCommand> DecodeCommand(const v1::Command& command);
+// `ttl` and echo as sent; what they are worth is the executor's to say.
+LeaseGrant DecodeLease(const v1::Lease& lease);
+
+class Downlink {
+ public:
+  struct Options {
+    std::vector<std::string> servers;
+    rpc::CredentialsSource credentials;
+    // See BidiClientOptions.
+    std::function<void(const rpc::Peer&)> on_peer;
+    // What does not change while the process lives, for ActuatorHello.
+    std::string host;
+    std::string incarnation;  // 16 random bytes
+    std::vector<std::string> levels;
+    std::string fail_safe_level;
+    std::vector<std::string> programs;
+    std::vector<std::string> protected_parts;
+    std::string participant_guid;  // 16 bytes, or empty without DDS
+  };
+  // All on the session thread, never two at once, not after Stop().
+  struct Callbacks {
+    // What to say hello with; a stream begins.
+    std::function<ExecutorReport()> connected;
+    std::function<void(SetLevelCommand)> set_level;
+    std::function<void(RunProgramCommand)> run_program;
+    std::function<void(DrillCommand)> drill;
+    std::function<void(LeaseGrant)> lease;
+    std::function<void(const absl::Status&)> malformed;
+    std::function<void(const absl::Status&)> disconnected;
+  };
+
+  // `clock` is not owned and outlives this.
+  Downlink(Options options, Callbacks callbacks, const Clock* clock);
+  ~Downlink();
+
+  void Start();
+  void Stop();
+
+  // False if there is no stream, or its queue is full.
+  bool SendReceipt(const Receipt& receipt);
+  bool SendHeartbeat(const ExecutorReport& report);
+  bool connected() const;
+
+ private:
+  class Impl;
+  std::unique_ptr<Impl> impl_;
+};
+
+}  // namespace rips::actuator
+
+#endif  // RIPS_MODE_ACTUATOR_LINK_DOWNLINK_H_

@@ -1,0 +1,49 @@
+// What actuator.yaml says about the firewall.
+#ifndef RIPS_MODE_ACTUATOR_STEPS_FIREWALL_FIREWALL_CONFIG_H_
+#define RIPS_MODE_ACTUATOR_STEPS_FIREWALL_FIREWALL_CONFIG_H_
+
+#include <string>
+#include <vector>
+
+#include "absl/status/status.h"
+#include "absl/time/time.h"
+#include "mode_actuator/decide/level_plan.h"
+#include "services/runtime/config_reader.h"
+
+namespace rips::actuator {
+
+// DDS leases end after 10 s mostly, and discovery tells a little later.
+inline constexpr absl::Duration kFirewallHoldMin = absl::Seconds(12);
+inline constexpr absl::Duration kFirewallHoldMax = absl::Minutes(10);
+// Of one firewall step: nft is run up to four times.
+inline constexpr absl::Duration kFirewallStepTimeout = absl::Seconds(2);
+inline constexpr int kFirewallStepRetries = 1;
+
+struct FirewallSettings {
+  std::string socket = "/run/rips/fw.sock";  // where rips-fw listens
+  std::string user = "rips";                 // who may ask it, besides root; a name or a number
+  std::string run_as;                        // whom it runs as; empty = `rips-fw`, if it exists
+  absl::Duration hold = kFirewallHoldMin;    // FirewallOptions::hold
+};
+
+// The section `firewall` of the file.
+FirewallSettings ReadFirewall(const ConfigSection& root);
+
+// The body of a `firewall` step: one of `file`, `isolate_host`, `isolate_participant` and
+// `release: all`. Problems are reported in `body`. `servers` as in actuator.yaml.
+FirewallStep ReadFirewallStep(const ConfigSection& body, const FirewallSettings& settings,
+                              const std::vector<std::string>& servers);
+
+// Reports what contradicts itself in one list of steps.
+void CheckFirewallSteps(const ConfigSection& level, const std::string& key,
+                        const std::vector<Step>& steps);
+
+bool HasFirewallSteps(const std::vector<LevelSpec>& levels);
+// The files of all steps, each once.
+std::vector<std::string> FirewallFiles(const std::vector<LevelSpec>& levels);
+// Reads them all: what is wrong with the first that is wrong (ReadFragment).
+absl::Status CheckFirewallFiles(const std::vector<LevelSpec>& levels);
+
+}  // namespace rips::actuator
+
+#endif  // RIPS_MODE_ACTUATOR_STEPS_FIREWALL_FIREWALL_CONFIG_H_

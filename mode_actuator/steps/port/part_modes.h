@@ -1,0 +1,67 @@
+// Port: bringing a part of the robot into a mode, and seeing whether it is there.
+#ifndef RIPS_MODE_ACTUATOR_STEPS_PORT_PART_MODES_H_
+#define RIPS_MODE_ACTUATOR_STEPS_PORT_PART_MODES_H_
+
+#include <string>
+#include <vector>
+
+#include "absl/status/status.h"
+#include "absl/strings/string_view.h"
+#include "absl/time/time.h"
+
+namespace rips {
+class CancelFlag;
+}
+
+namespace rips::actuator {
+
+struct ModeReading {
+  // OK: read back and found to be so. Else what was found instead, part by part.
+  absl::Status status;
+  // The mode the robot says it is in; `?` if it does not say.
+  std::string observed = "?";
+  // What people should know although it went well; empty mostly.
+  std::string note = {};
+};
+
+// What was read of a part, whatever its mode is.
+struct PartReading {
+  // Modes of levels with which every node that answered agrees; empty if no node answered.
+  std::vector<std::string> agreeing;
+  std::string named;      // the mode that the mode manager names; empty if it names none
+  size_t answers = 0;     // of nodes and manager: a reading with more of them is a better one
+  bool complete = false;  // to ask again would give no better reading
+};
+
+// One thread at a time.
+class PartModes {
+ public:
+  virtual ~PartModes() = default;
+
+  // Orders `mode` and waits until it is read back: 1 + `retries` attempts of `timeout` each.
+  // InvalidArgument if the robot refuses the order (no use to try again), Cancelled, Unavailable
+  // if nobody takes the order, DeadlineExceeded if the mode was not reached.
+  virtual ModeReading Enter(absl::string_view part, absl::string_view mode, absl::Duration timeout,
+                            int retries, const CancelFlag& cancel) = 0;
+
+  // Looks once. FailedPrecondition if `part` is in another mode.
+  virtual ModeReading Check(absl::string_view part, absl::string_view mode,
+                            const CancelFlag& cancel) = 0;
+
+  // Looks whether Enter could work now, and orders nothing: OK if all that it needs answers and
+  // knows the mode. Unavailable or FailedPrecondition saying who does not, Cancelled;
+  // Unimplemented if it cannot be told.
+  virtual ModeReading Probe(absl::string_view, absl::string_view, const CancelFlag&) {
+    return {.status = absl::UnimplementedError("not tried: a mode can only be ordered")};
+  }
+
+  // Reads which modes of levels `part` may be in, and orders nothing. Returns after about
+  // `at_most`, or soon after `cancel`, with what was read until then.
+  virtual PartReading Read(absl::string_view, absl::Duration, const CancelFlag&) {
+    return {.complete = true};
+  }
+};
+
+}  // namespace rips::actuator
+
+#endif  // RIPS_MODE_ACTUATOR_STEPS_PORT_PART_MODES_H_

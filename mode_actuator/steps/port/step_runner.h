@@ -1,0 +1,50 @@
+// Port: a kind of step that is entered, and looked at again while its level holds.
+#ifndef RIPS_MODE_ACTUATOR_STEPS_PORT_STEP_RUNNER_H_
+#define RIPS_MODE_ACTUATOR_STEPS_PORT_STEP_RUNNER_H_
+
+#include <string>
+
+#include "absl/status/status.h"
+#include "absl/time/time.h"
+#include "mode_actuator/decide/level_plan.h"
+
+namespace rips {
+class CancelFlag;
+}
+
+namespace rips::actuator {
+
+struct StepReading {
+  // OK: read back and found to be so. Else the exact reason.
+  absl::Status status;
+  // What was seen, `firewall=alert.nft`; empty = nothing worth telling.
+  std::string observed;
+  // What people should know although it went well; empty mostly.
+  std::string note;
+};
+
+// One thread at a time.
+class StepRunner {
+ public:
+  virtual ~StepRunner() = default;
+
+  // Does what `step` says and reads it back: 1 + `retries` attempts of `timeout` each (not
+  // step.timeout: leaving has less time). InvalidArgument and PermissionDenied are final; Cancelled
+  // soon after `cancel`.
+  virtual StepReading Enter(const Step& step, absl::Duration timeout, int retries,
+                            const CancelFlag& cancel) = 0;
+
+  // Looks once, and renews what would end by itself. FailedPrecondition if it is not so any more.
+  virtual StepReading Check(const Step& step, const CancelFlag& cancel) = 0;
+
+  // Looks whether Enter could do it now, and changes nothing. Unimplemented if that cannot be told.
+  virtual StepReading Drill(const Step&, const CancelFlag&) {
+    return {.status = absl::UnimplementedError("not tried: such a step can only be carried out"),
+            .observed = {},
+            .note = {}};
+  }
+};
+
+}  // namespace rips::actuator
+
+#endif  // RIPS_MODE_ACTUATOR_STEPS_PORT_STEP_RUNNER_H_

@@ -1,0 +1,79 @@
+// What rips-actuator and rips-exec say to each other. One connection serves one run:
+//
+//   actuator           rips-exec
+//   examine NAME       examined STATUS                      and that is all
+//   start NAME ARG...  begun TIMEOUT, later ended STATUS... or ended at once, not begun
+//   cancel             (ended follows)
+//
+// A message is a first line and fields in a fixed order, `KEY LENGTH` and LENGTH bytes, each with a
+// line feed:
+//   rips-exec 1
+//   verb 5
+//   start
+//   name 9
+//   usb_alarm
+// It is sent as packets: `+` and bytes, and at last `.` and bytes. Paths never cross.
+#ifndef RIPS_MODE_ACTUATOR_STEPS_PROGRAM_EXEC_MESSAGE_H_
+#define RIPS_MODE_ACTUATOR_STEPS_PROGRAM_EXEC_MESSAGE_H_
+
+#include <string>
+#include <vector>
+
+#include "absl/status/status.h"
+#include "absl/status/statusor.h"
+#include "absl/strings/string_view.h"
+#include "absl/time/time.h"
+#include "mode_actuator/steps/port/program_runner.h"
+
+namespace rips::actuator {
+
+inline constexpr size_t kExecPacketBytesMax = 16 << 10;
+// A call with kArgsMax arguments of kArgBytesMax bytes fits.
+inline constexpr size_t kExecMessageBytesMax = 288 << 10;
+// Of each text of an answer; longer ones are cut.
+inline constexpr size_t kExecTextBytesMax = 2048;
+inline constexpr absl::Duration kExecTimeoutMax = absl::Hours(24);
+
+// InvalidArgument past kArgsMax or kArgBytesMax, or if one holds a NUL byte.
+absl::Status CheckProgramArgs(const std::vector<std::string>& args);
+
+enum class ExecVerb { kStart, kCancel, kExamine };
+
+struct ExecCall {
+  ExecVerb verb = ExecVerb::kCancel;
+  ProgramRequest program;  // of kStart; of kExamine only its name
+};
+
+struct ExecAnswer {
+  enum class Kind { kExamined, kBegun, kEnded };
+  Kind kind = Kind::kEnded;
+  absl::Duration timeout;  // of kBegun: the time after which it is killed
+  ProgramResult result;    // of kEnded; of kExamined only its status
+};
+
+// A timeout that is none, or more than kExecTimeoutMax, stands for the program's own.
+std::string EncodeExecCall(const ExecCall& call);
+// InvalidArgument for anything that EncodeExecCall does not print.
+absl::StatusOr<ExecCall> DecodeExecCall(absl::string_view message);
+
+std::string EncodeExecAnswer(const ExecAnswer& answer);
+// DataLoss for anything that EncodeExecAnswer does not print.
+absl::StatusOr<ExecAnswer> DecodeExecAnswer(absl::string_view message);
+
+// At most kExecPacketBytesMax bytes each.
+std::vector<std::string> SplitIntoPackets(absl::string_view message);
+
+// The way back. One thread at a time.
+class PacketJoiner {
+ public:
+  // True when `*message` is whole; then the next one begins. InvalidArgument if this is no such
+  // packet, ResourceExhausted if the message exceeds kExecMessageBytesMax.
+  absl::StatusOr<bool> Add(absl::string_view packet, std::string* message);
+
+ private:
+  std::string parts_;
+};
+
+}  // namespace rips::actuator
+
+#endif  // RIPS_MODE_ACTUATOR_STEPS_PROGRAM_EXEC_MESSAGE_H_

@@ -1,0 +1,146 @@
+#include "policy_server/policy/bundle/inventory.h"
+
+#include <string>
+
+#include "absl/strings/str_cat.h"
+#include "gmock/gmock.h"
+#include "gtest/gtest.h"
+#include "services/base/status_matchers.h"
+
+namespace rips::bundle {
+namespace {
+
+using ::testing::AllOf;
+using ::testing::HasSubstr;
+using ::testing::SizeIs;
+
+TEST(InventoryTest, ReadsRobotsAndFindsThem) {
+  const auto inventory = ParseInventory("robots.yaml", R"(robots:
+  - {id: r2, bundle: warehouse, sensors: [{host: base, primary: true}]}
+  - {id: r1, bundle: warehouse, sensors: [{host: base, primary: true}, {host: laptop}],
+     actuators: [base, laptop]}
+)");
+  ASSERT_THAT(inventory, IsOk());
+  ASSERT_THAT(inventory->robots, SizeIs(2));
+  ASSERT_NE(inventory->Find("r1"), nullptr);
+  EXPECT_EQ(*inventory->Find("r1"), (InventoryRobot{.id = "r1",
+                                                    .bundle = "warehouse",
+                                                    .sensors = {{"base", true}, {"laptop", false}},
+                                                    .actuators = {"base", "laptop"}}));
+  EXPECT_EQ(inventory->Find("r2")->actuators.size(), 0u);
+  EXPECT_EQ(inventory->Find("r"), nullptr);
+  EXPECT_EQ(inventory->Find("r3"), nullptr);
+  EXPECT_EQ(inventory->Find(""), nullptr);
+}
+
+TEST(InventoryTest, MayBoundARobotsGraph) {
+  const auto inventory = ParseInventory("robots.yaml", R"(robots:
+  - {id: r1, bundle: b, sensors: [{host: base, primary: true}],
+     graph_limits: {topics: 1, participants: 2, nodes: 3, endpoints: 4, nodes_per_participant: 5,
+                    endpoints_per_participant: 6}}
+  - {id: r2, bundle: b, sensors: [{host: base, primary: true}]}
+)");
+  ASSERT_THAT(inventory, IsOk());
+  EXPECT_EQ(inventory->Find("r1")->graph_limits, (ros2::GraphLimits{.topics = 1,
+                                                                    .nodes = 3,
+                                                                    .endpoints = 4,
+                                                                    .participants = 2,
+                                                                    .endpoints_per_participant = 6,
+                                                                    .nodes_per_participant = 5}));
+  EXPECT_EQ(inventory->Find("r2")->graph_limits, ros2::GraphLimits());
+}
+
+TEST(InventoryTest, MayBeEmpty) {
+  const auto inventory = ParseInventory("robots.yaml", "robots: []\n");
+  ASSERT_THAT(inventory, IsOk());
+  EXPECT_THAT(inventory->robots, SizeIs(0));
+}
+
+struct BadCase {
+  std::string name;
+  std::string text;
+  std::string message;
+};
+
+class BadInventoryTest : public testing::TestWithParam<BadCase> {};
+
+TEST_P(BadInventoryTest, IsRefused) {
+  EXPECT_THAT(ParseInventory("robots.yaml", GetParam().text),
+              StatusIs(absl::StatusCode::kInvalidArgument, HasSubstr(GetParam().message)));
+}
+
+INSTANTIATE_TEST_SUITE_P(
+    All, BadInventoryTest,
+    testing::Values(
+        BadCase{"Empty", "", "robots.yaml"},
+        BadCase{"NoRobots", "robot: []\n", "unknown key `robot`; did you mean `robots`"},
+        BadCase{"NoRoom",
+                "robots: [{id: r1, bundle: b, sensors: [{host: h, primary: true}], "
+                "graph_limits: {nodes: 0}}]\n",
+                "nodes"},
+        BadCase{"TooMuchRoom",
+                "robots: [{id: r1, bundle: b, sensors: [{host: h, primary: true}], "
+                "graph_limits: {endpoints: 65537}}]\n",
+                "endpoints"},
+        BadCase{"NotAList", "robots: {id: r1}\n", "write a list of mappings"},
+        BadCase{"BadId", "robots: [{id: R1, bundle: b, sensors: [{host: h, primary: true}]}]\n",
+                "`R1` is not a valid robot id"},
+        BadCase{"BadBundle",
+                "robots: [{id: r1, bundle: ../b, sensors: [{host: h, primary: true}]}]\n",
+                "is not a valid bundle name"},
+        BadCase{"NoSensors", "robots: [{id: r1, bundle: b}]\n", "0 sensors are `primary`"},
+        BadCase{"NoPrimary", "robots: [{id: r1, bundle: b, sensors: [{host: h}]}]\n",
+                "0 sensors are `primary`; exactly one must be"},
+        BadCase{"TwoPrimaries",
+                "robots: [{id: r1, bundle: b, sensors: [{host: h, primary: true}, {host: i, "
+                "primary: true}]}]\n",
+                "2 sensors are `primary`"},
+        BadCase{"SensorTwice",
+                "robots: [{id: r1, bundle: b, sensors: [{host: h, primary: true}, {host: h}]}]\n",
+                "sensor host `h` is listed twice"},
+        BadCase{"ActuatorTwice",
+                "robots: [{id: r1, bundle: b, sensors: [{host: h, primary: true}], actuators: [a, "
+                "a]}]\n",
+                "actuator host `a` is listed twice"},
+        BadCase{"BadActuator",
+                "robots: [{id: r1, bundle: b, sensors: [{host: h, primary: true}], actuators: "
+                "[A]}]\n",
+                "`A` is not a valid host"},
+        BadCase{"UnknownKey",
+                "robots: [{id: r1, bundle: b, sensor: [], sensors: [{host: h, primary: true}]}]\n",
+                "unknown key `sensor`"},
+        BadCase{"RobotTwice",
+                "robots:\n  - {id: r1, bundle: b, sensors: [{host: h, primary: true}]}\n"
+                "  - {id: r1, bundle: b, sensors: [{host: h, primary: true}]}\n",
+                "robots.yaml:3:10: robot `r1` is listed twice"}),
+    [](const testing::TestParamInfo<BadCase>& param) { return param.param.name; });
+
+TEST(InventoryTest, HasALimitOfRobots) {
+  std::string text = "robots:\n";
+  for (size_t i = 0; i < kRobotsMax; ++i) {
+    absl::StrAppend(&text, "  - {id: r", i, ", bundle: b, sensors: [{host: h, primary: true}]}\n");
+  }
+  EXPECT_THAT(ParseInventory("robots.yaml", text), IsOk());
+  absl::StrAppend(&text, "  - {id: rx, bundle: b, sensors: [{host: h, primary: true}]}\n");
+  EXPECT_THAT(
+      ParseInventory("robots.yaml", text),
+      StatusIs(absl::StatusCode::kInvalidArgument, HasSubstr("2001 robots exceed limit 2000")));
+}
+
+TEST(InventoryTest, HasALimitOfHosts) {
+  std::string sensors = "{host: h, primary: true}";
+  std::string actuators = "h";
+  for (size_t i = 0; i < kHostsMax; ++i) {
+    absl::StrAppend(&sensors, ", {host: h", i, "}");
+    absl::StrAppend(&actuators, ", h", i);
+  }
+  EXPECT_THAT(
+      ParseInventory("robots.yaml", absl::StrCat("robots: [{id: r1, bundle: b, sensors: [", sensors,
+                                                 "], actuators: [", actuators, "]}]\n")),
+      StatusIs(absl::StatusCode::kInvalidArgument,
+               AllOf(HasSubstr("17 sensors exceed limit 16"),
+                     HasSubstr("17 actuators exceed limit 16"))));
+}
+
+}  // namespace
+}  // namespace rips::bundle

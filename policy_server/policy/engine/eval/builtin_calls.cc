@@ -1,0 +1,388 @@
+// Calls: predicates that are remembered, and what is asked of the event itself.
+#include <algorithm>
+#include <utility>
+
+#include "absl/container/inlined_vector.h"
+#include "absl/strings/ascii.h"
+#include "absl/strings/match.h"
+#include "absl/strings/numbers.h"
+#include "absl/strings/str_cat.h"
+#include "policy_server/policy/engine/builtins/builtins.h"
+#include "policy_server/policy/engine/eval/evaluation.h"
+#include "policy_server/policy/engine/state/internal.h"
+#include "policy_server/policy/engine/state/message_counts.h"
+#include "policy_server/policy/engine/state/text.h"
+#include "policy_server/policy/engine/state/topic_verdicts.h"
+
+namespace rips::engine {
+namespace {
+
+using lang::Builtin;
+using lang::ValueType;
+
+Answer TopicPredicate(const Node& node, Evaluation& run, Cell& out) {
+  const auto index = static_cast<size_t>(node.index);
+  out.truth = run.topic != nullptr ? run.topic->verdict->holds[index]
+                                   : Holds(run.compiled->predicates[index], run.scene);
+  return Answer::kValue;
+}
+
+// The graph may change before the message is judged, and some recordings hold none.
+bool GraphOpen(const Evaluation& run) { return !run.foreseeing && run.state->graph_known; }
+
+// What the graph tells of predicates[index], remembered in `answers` unless that is null. Of a
+// truncated graph two answers are remembered, the second behind all the first ones: whether what
+// was left out may turn it.
+Answer AskGraph(const std::vector<Predicate>& predicates, size_t index, Answers* answers,
+                Evaluation& run, Cell& out) {
+  const Predicate& predicate = predicates[index];
+  const Scene& scene = run.scene;
+  const bool truncated = scene.graph.truncated();
+  const size_t count = truncated ? 2 * predicates.size() : predicates.size();
+  const auto decide = [&] { return Holds(predicate, scene); };
+  out.truth = answers != nullptr ? answers->Get(index, count, decide) : decide();
+  if (!truncated) return Answer::kValue;
+  const auto left_open = [&] { return LeftOpen(predicate.builtin, predicate.args, scene); };
+  const bool open =
+      answers != nullptr ? answers->Get(predicates.size() + index, count, left_open) : left_open();
+  return open ? run.LeftOpen() : Answer::kValue;
+}
+
+Answer FactsPredicate(const Node& node, Evaluation& run, Cell& out) {
+  if (!GraphOpen(run)) return Answer::kUndecidable;
+  return AskGraph(run.compiled->facts, static_cast<size_t>(node.index),
+                  run.topic != nullptr ? &run.topic->answers : nullptr, run, out);
+}
+
+Answer GraphPredicate(const Node& node, Evaluation& run, Cell& out) {
+  if (!GraphOpen(run)) return Answer::kUndecidable;
+  return AskGraph(run.compiled->graph, static_cast<size_t>(node.index), run.graph_answers, run,
+                  out);
+}
+
+// Evaluates all arguments. kValue, or why not.
+Answer EvalArgs(const Node& node, Evaluation& run, absl::InlinedVector<Scalar, 8>& args) {
+  Answer all = Answer::kValue;
+  args.reserve(node.args.size());
+  for (const Node* arg : node.args) {
+    Cell cell;
+    const Answer answer = Eval(*arg, run, cell);
+    if (answer == Answer::kFault) return answer;
+    all = std::max(all, answer);
+    if (answer == Answer::kValue) args.push_back(ToScalar(cell, arg->type));
+  }
+  return all;
+}
+
+// A question to the graph or the topic whose arguments are not constant.
+Answer AskNow(const Node& node, Evaluation& run, Cell& out) {
+  absl::InlinedVector<Scalar, 8> args;
+  const Answer answer = EvalArgs(node, run, args);
+  if (answer != Answer::kValue) return answer;
+  if (!GraphOpen(run)) return Answer::kUndecidable;
+  const std::optional<bool> told = Ask(node.builtin, args, run.scene);
+  if (!told.has_value()) return run.Fault("internal: arguments that do not fit");
+  out.truth = *told;
+  return LeftOpen(node.builtin, args, run.scene) ? run.LeftOpen() : Answer::kValue;
+}
+
+// topicin and its like need no graph.
+Answer AskTopicNow(const Node& node, Evaluation& run, Cell& out) {
+  absl::InlinedVector<Scalar, 8> args;
+  const Answer answer = EvalArgs(node, run, args);
+  if (answer != Answer::kValue) return answer;
+  const std::optional<bool> told = Ask(node.builtin, args, run.scene);
+  if (!told.has_value()) return run.Fault("internal: arguments that do not fit");
+  out.truth = *told;
+  return Answer::kValue;
+}
+
+// True if `holds` is of one of the arguments, which are strings.
+template <typename Predicate>
+Answer AnyArg(const Node& node, Evaluation& run, Cell& out, const Predicate& holds) {
+  Answer all = Answer::kValue;
+  bool found = false;
+  for (const Node* arg : node.args) {
+    Cell cell;
+    const Answer answer = Eval(*arg, run, cell);
+    if (answer == Answer::kFault) return answer;
+    all = std::max(all, answer);
+    found = found || (answer == Answer::kValue && holds(cell.text));
+  }
+  out.truth = found;
+  return found ? Answer::kValue : all;
+}
+
+Answer SenderIn(const Node& node, Evaluation& run, Cell& out) {
+  const absl::string_view sender = run.message == nullptr ? "" : run.message->sender;
+  const Answer answer = AnyArg(node, run, out, [&](absl::string_view name) {
+    return !sender.empty() && ros2::NodeNameMatches(name, sender);
+  });
+  // Nobody knows the node of a writer that was left out.
+  const bool open = answer == Answer::kValue && sender.empty() && run.message != nullptr &&
+                    !run.message->writer.none() && run.scene.truncated() &&
+                    run.scene.graph.FindEndpoint(run.message->writer) == nullptr;
+  return open ? run.LeftOpen() : answer;
+}
+
+Answer SenderEnclave(const Node& node, Evaluation& run, Cell& out) {
+  const ros2::Participant* participant = nullptr;
+  if (run.message != nullptr && !run.message->writer.none()) {
+    if (!GraphOpen(run)) return Answer::kUndecidable;
+    const auto& participants = run.scene.graph.participants();
+    const auto found = participants.find(run.message->writer.Participant());
+    if (found != participants.end()) participant = &found->second;
+  }
+  if (participant == nullptr && run.message != nullptr && !run.message->writer.none() &&
+      run.scene.truncated()) {
+    return run.LeftOpen();
+  }
+  return AnyArg(node, run, out, [&](absl::string_view enclave) {
+    return participant != nullptr && participant->authenticated && participant->enclave == enclave;
+  });
+}
+
+// Two integers, inclusive.
+Answer InRange(const Node& node, Evaluation& run, Cell& out, uint64_t count) {
+  Cell min;
+  Cell max;
+  Answer answer = Eval(*node.args[node.args.size() - 2], run, min);
+  if (answer == Answer::kFault) return answer;
+  answer = std::max(answer, Eval(*node.args.back(), run, max));
+  if (answer != Answer::kValue) return answer;
+  const auto n = static_cast<int64_t>(std::min<uint64_t>(count, INT64_MAX));
+  out.truth = min.integer <= n && n <= max.integer;
+  return Answer::kValue;
+}
+
+Answer PayloadSize(const Node& node, Evaluation& run, Cell& out) {
+  return InRange(node, run, out, run.message == nullptr ? 0 : run.message->size_bytes);
+}
+
+// Node::index is the window. The window itself, args[0], is constant.
+Answer MsgCount(const Node& node, Evaluation& run, Cell& out) {
+  if (run.foreseeing) return Answer::kUndecidable;
+  uint64_t count = 0;
+  if (run.message != nullptr) {
+    count = CountOfTopic(*run.message, run.time_ns, node.index, run.state->internal());
+  }
+  return InRange(node, run, out, count);
+}
+
+Answer SenderCount(const Node& node, Evaluation& run, Cell& out) {
+  if (run.foreseeing) return Answer::kUndecidable;
+  if (run.message == nullptr || run.message->writer.none()) {
+    out.truth = false;
+    return Answer::kValue;
+  }
+  return InRange(node, run, out,
+                 CountOfSender(*run.message, run.time_ns, node.index, run.state->internal()));
+}
+
+// Node::index is that of the inspection.
+Answer Inspected(const Node& node, Evaluation& run, Cell& out) {
+  const auto index = static_cast<size_t>(node.index);
+  if (run.asked != nullptr) run.asked->push_back(static_cast<uint32_t>(index));
+  if (run.message == nullptr || index >= run.message->inspections.size()) {
+    return Answer::kUnscanned;
+  }
+  const Verdict verdict = run.message->inspections[index];
+  out.truth = verdict == Verdict::kYes;
+  return verdict == Verdict::kUnscanned ? Answer::kUnscanned : Answer::kValue;
+}
+
+template <typename What>
+const What* ExternalOf(const Evaluation& run) {
+  return run.external == nullptr ? nullptr : std::get_if<What>(run.external);
+}
+
+// `N` or `G:N`.
+bool IsSignature(absl::string_view text, const IdsEvent& ids) {
+  const size_t colon = text.find(':');
+  uint32_t gid = ids.gid;
+  uint32_t sid = 0;
+  const auto number = [](absl::string_view digits, uint32_t& out) {
+    return !digits.empty() && std::all_of(digits.begin(), digits.end(), absl::ascii_isdigit) &&
+           absl::SimpleAtoi(digits, &out);
+  };
+  if (colon != absl::string_view::npos && !number(text.substr(0, colon), gid)) return false;
+  if (!number(text.substr(colon == absl::string_view::npos ? 0 : colon + 1), sid)) return false;
+  return gid == ids.gid && sid == ids.sid;
+}
+
+// Only digits, and a colon between them: a signature, and never part of a message.
+bool LooksLikeSignature(absl::string_view text) {
+  const size_t colon = text.find(':');
+  const auto digits = [](absl::string_view part) {
+    return !part.empty() && std::all_of(part.begin(), part.end(), absl::ascii_isdigit);
+  };
+  if (colon == absl::string_view::npos) return digits(text);
+  return digits(text.substr(0, colon)) && digits(text.substr(colon + 1));
+}
+
+Answer IdsAlert(const Node& node, Evaluation& run, Cell& out) {
+  const IdsEvent* ids = ExternalOf<IdsEvent>(run);
+  return AnyArg(node, run, out, [&](absl::string_view text) {
+    if (ids == nullptr) return false;
+    if (LooksLikeSignature(text)) return IsSignature(text, *ids);
+    return absl::StrContains(ids->line.empty() ? ids->message : ids->line, text);
+  });
+}
+
+Answer Signal(const Node& node, Evaluation& run, Cell& out) {
+  const SignalEvent* signal = ExternalOf<SignalEvent>(run);
+  return AnyArg(node, run, out, [&](absl::string_view name) {
+    return signal != nullptr && (name == signal->name || absl::StrCat("SIG", name) == signal->name);
+  });
+}
+
+Answer Agent(const Node& node, Evaluation& run, Cell& out) {
+  const AgentEvent* agent = ExternalOf<AgentEvent>(run);
+  Cell kind;
+  Cell state;
+  Answer answer = Eval(*node.args[0], run, kind);
+  if (answer == Answer::kFault) return answer;
+  answer = std::max(answer, Eval(*node.args[1], run, state));
+  if (answer != Answer::kValue) return answer;
+  out.truth = agent != nullptr && agent->agent == kind.text && agent->state == state.text;
+  return Answer::kValue;
+}
+
+Answer Finding(const Node& node, Evaluation& run, Cell& out) {
+  const FindingEvent* finding = ExternalOf<FindingEvent>(run);
+  return AnyArg(node, run, out, [&](absl::string_view kind) {
+    return finding != nullptr && finding->kind == kind;
+  });
+}
+
+Answer LostEvents(const Node& node, Evaluation& run, Cell& out) {
+  const LossEvent* loss = ExternalOf<LossEvent>(run);
+  Cell min;
+  const Answer answer = Eval(*node.args[0], run, min);
+  if (answer != Answer::kValue) return answer;
+  out.truth =
+      loss != nullptr && (min.integer <= 0 || static_cast<uint64_t>(min.integer) <= loss->count);
+  return Answer::kValue;
+}
+
+Answer LevelName(const Node& node, Evaluation& run, Cell& out) {
+  Cell index;
+  const Answer answer = Eval(*node.args[0], run, index);
+  if (answer != Answer::kValue) return answer;
+  const levels::LevelTable& table = run.program->rules().levels;
+  const bool known = index.integer >= 0 && index.integer < table.size();
+  out.text = known
+                 ? absl::string_view(table.at(static_cast<levels::LevelIndex>(index.integer)).name)
+                 : absl::string_view();
+  return Answer::kValue;
+}
+
+Answer String(const Node& node, Evaluation& run, Cell& out) {
+  Cell value;
+  const Answer answer = Eval(*node.args[0], run, value);
+  if (answer != Answer::kValue) return answer;
+  switch (node.args[0]->type) {
+    case ValueType::kString:
+      out.text = value.text;
+      break;
+    case ValueType::kBool:
+      out.text = value.truth ? "true" : "false";
+      break;
+    case ValueType::kFloat:
+      out.text = run.Keep(FormatFloat(value.real));
+      break;
+    case ValueType::kInt:
+    case ValueType::kLevel:
+      out.text = run.Keep(absl::StrCat(value.integer));
+      break;
+  }
+  return Answer::kValue;
+}
+
+bool AreStrings(const std::vector<const Node*>& args, size_t from, size_t to) {
+  if (args.size() < to) return false;
+  return std::all_of(args.begin() + from, args.begin() + to,
+                     [](const Node* arg) { return arg->type == ValueType::kString; });
+}
+
+bool IsInt(const Node* arg) {
+  return arg->type == ValueType::kInt || arg->type == ValueType::kLevel;
+}
+
+// `strings` strings, then a range and nothing else.
+bool IsRange(const std::vector<const Node*>& args, size_t strings) {
+  return args.size() == strings + 2 && AreStrings(args, 0, strings) && IsInt(args[strings]) &&
+         IsInt(args[strings + 1]);
+}
+
+Node::Function GraphCall(Builtin builtin, const std::vector<const Node*>& args) {
+  const bool strings = AreStrings(args, 0, args.size());
+  switch (builtin) {
+    case Builtin::kTopicIn:
+    case Builtin::kMsgTypeIn:
+      return strings ? &AskTopicNow : nullptr;
+    case Builtin::kMsgSubtype:
+      return strings && args.size() == 2 ? &AskTopicNow : nullptr;
+    case Builtin::kPublisherCount:
+    case Builtin::kSubscriberCount:
+    case Builtin::kNodeCount:
+    case Builtin::kTopicCount:
+      return IsRange(args, 0) ? &AskNow : nullptr;
+    case Builtin::kServiceCount:
+    case Builtin::kTopicPublisherCount:
+    case Builtin::kTopicSubscriberCount:
+      return IsRange(args, 1) ? &AskNow : nullptr;
+    case Builtin::kService:
+      return strings && args.size() == 2 ? &AskNow : nullptr;
+    case Builtin::kTopicMatches:
+      return nullptr;
+    default:
+      // Those about one node or topic name it first.
+      return strings && (!NamesSubject(builtin) || !args.empty()) ? &AskNow : nullptr;
+  }
+}
+
+}  // namespace
+
+Node::Function TopicPredicateFunction() { return &TopicPredicate; }
+Node::Function FactsPredicateFunction() { return &FactsPredicate; }
+Node::Function GraphPredicateFunction() { return &GraphPredicate; }
+
+Node::Function CallFunction(Builtin builtin, const std::vector<const Node*>& args) {
+  const bool strings = AreStrings(args, 0, args.size());
+  switch (builtin) {
+    case Builtin::kPayload:
+    case Builtin::kPlugin:
+      return args.empty() ? &Inspected : nullptr;
+    case Builtin::kSenderEnclave:
+      return strings ? &SenderEnclave : nullptr;
+    case Builtin::kSenderIn:
+      return strings ? &SenderIn : nullptr;
+    case Builtin::kPayloadSize:
+      return IsRange(args, 0) ? &PayloadSize : nullptr;
+    case Builtin::kMsgCount:
+    case Builtin::kSenderCount:
+      if (args.size() != 3 || !std::all_of(args.begin(), args.end(), IsInt)) return nullptr;
+      return builtin == Builtin::kMsgCount ? &MsgCount : &SenderCount;
+    case Builtin::kIdsAlert:
+      return strings && args.size() == 1 ? &IdsAlert : nullptr;
+    case Builtin::kSignal:
+      return strings && args.size() == 1 ? &Signal : nullptr;
+    case Builtin::kAgent:
+      return strings && args.size() == 2 ? &Agent : nullptr;
+    case Builtin::kFinding:
+      return strings && args.size() == 1 ? &Finding : nullptr;
+    case Builtin::kLostEvents:
+      return args.size() == 1 && IsInt(args[0]) ? &LostEvents : nullptr;
+    case Builtin::kLevelName:
+      return args.size() == 1 && IsInt(args[0]) ? &LevelName : nullptr;
+    case Builtin::kString:
+      return args.size() == 1 ? &String : nullptr;
+    case Builtin::kEval:
+      return nullptr;
+    default:
+      return GraphCall(builtin, args);
+  }
+}
+
+}  // namespace rips::engine

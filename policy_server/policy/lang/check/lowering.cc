@@ -1,0 +1,267 @@
+#include "policy_server/policy/lang/check/lowering.h"
+
+#include <algorithm>
+#include <optional>
+#include <string>
+#include <utility>
+
+#include "absl/strings/str_cat.h"
+#include "policy_server/policy/lang/check/fold.h"
+#include "policy_server/policy/lang/limits.h"
+#include "services/text/utf8.h"
+
+namespace rips::lang {
+namespace {
+
+// Bit i: level i.
+using LevelSet = uint64_t;
+static_assert(kLevelsMax <= 64, "LevelSet has 64 bits");
+
+LevelSet Bit(int level) { return LevelSet{1} << level; }
+
+// At which levels a bool expression may be true or false, and at which of them it may be so by the
+// level and the time alone, whatever the variables and the answers of builtins are.
+struct Truth {
+  LevelSet may_be_true = 0;
+  LevelSet may_be_false = 0;
+  LevelSet true_alone = 0;
+  LevelSet false_alone = 0;
+};
+
+// A part of an expression at one level.
+struct Known {
+  enum class Kind { kValue, kTime, kAnything };
+  Kind kind = Kind::kAnything;
+  Value value;  // kValue
+};
+
+Known Unknown(const std::vector<Known>& parts) {
+  const bool anything = std::any_of(parts.begin(), parts.end(), [](const Known& part) {
+    return part.kind == Known::Kind::kAnything;
+  });
+  return {.kind = anything ? Known::Kind::kAnything : Known::Kind::kTime, .value = {}};
+}
+
+bool AsksLevel(const TypedExpr& expr) {
+  if (expr.kind == TypedExpr::Kind::kPredefined) {
+    return expr.predefined == Predefined::kCurrLevel || expr.predefined == Predefined::kLevel;
+  }
+  return std::any_of(expr.args.begin(), expr.args.end(), AsksLevel);
+}
+
+class Analysis {
+ public:
+  explicit Analysis(const levels::LevelTable& levels)
+      : levels_(levels),
+        all_(levels.size() == 64 ? ~LevelSet{0} : (LevelSet{1} << levels.size()) - 1) {}
+
+  LevelSet all() const { return all_; }
+
+  Truth TruthOf(const TypedExpr& expr) const {
+    if (expr.kind == TypedExpr::Kind::kUnary && expr.unary == UnaryOp::kNot) {
+      const Truth of = TruthOf(expr.args[0]);
+      return {.may_be_true = of.may_be_false,
+              .may_be_false = of.may_be_true,
+              .true_alone = of.false_alone,
+              .false_alone = of.true_alone};
+    }
+    if (expr.kind == TypedExpr::Kind::kBinary && expr.binary == BinaryOp::kAnd) {
+      const Truth left = TruthOf(expr.args[0]), right = TruthOf(expr.args[1]);
+      return {.may_be_true = left.may_be_true & right.may_be_true,
+              .may_be_false = left.may_be_false | right.may_be_false,
+              .true_alone = left.true_alone & right.true_alone,
+              .false_alone = left.false_alone | right.false_alone};
+    }
+    if (expr.kind == TypedExpr::Kind::kBinary && expr.binary == BinaryOp::kOr) {
+      const Truth left = TruthOf(expr.args[0]), right = TruthOf(expr.args[1]);
+      return {.may_be_true = left.may_be_true | right.may_be_true,
+              .may_be_false = left.may_be_false & right.may_be_false,
+              .true_alone = left.true_alone | right.true_alone,
+              .false_alone = left.false_alone & right.false_alone};
+    }
+    return TruthOfPart(expr);
+  }
+
+ private:
+  // Of what is not joined by `!`, `&&` and `||`.
+  Truth TruthOfPart(const TypedExpr& expr) const {
+    Truth out;
+    if (!AsksLevel(expr)) {
+      Add(At(expr, 0), all_, out);
+    } else {
+      for (int level = 0; level < levels_.size(); ++level) Add(At(expr, level), Bit(level), out);
+    }
+    return out;
+  }
+
+  static void Add(const Known& known, LevelSet where, Truth& out) {
+    const bool is_value = known.kind == Known::Kind::kValue;
+    const bool alone = known.kind != Known::Kind::kAnything;
+    if (!is_value || std::get<bool>(known.value)) {
+      out.may_be_true |= where;
+      if (alone) out.true_alone |= where;
+    }
+    if (!is_value || !std::get<bool>(known.value)) {
+      out.may_be_false |= where;
+      if (alone) out.false_alone |= where;
+    }
+  }
+
+  Known At(const TypedExpr& expr, int level) const {
+    switch (expr.kind) {
+      case TypedExpr::Kind::kConstant:
+        return {.kind = Known::Kind::kValue, .value = expr.constant};
+      case TypedExpr::Kind::kVariable:
+        return {};
+      case TypedExpr::Kind::kPredefined:
+        return PredefinedAt(expr.predefined, level);
+      case TypedExpr::Kind::kUnary:
+      case TypedExpr::Kind::kBinary:
+        return OperationAt(expr, level);
+      case TypedExpr::Kind::kCall:
+        if (expr.builtin != Builtin::kLevelName && expr.builtin != Builtin::kString) return {};
+        return Unknown({At(expr.args[0], level)});
+    }
+    return {};
+  }
+
+  Known PredefinedAt(Predefined name, int level) const {
+    switch (name) {
+      case Predefined::kCurrLevel:
+        return {.kind = Known::Kind::kValue, .value = int64_t{level}};
+      case Predefined::kLevel:
+        return {.kind = Known::Kind::kValue, .value = levels_.name(level)};
+      case Predefined::kTime:
+      case Predefined::kUptime:
+      case Predefined::kCurrRule:
+      case Predefined::kRobot:
+        return {.kind = Known::Kind::kTime, .value = {}};
+      default:
+        return {};
+    }
+  }
+
+  Known OperationAt(const TypedExpr& expr, int level) const {
+    std::vector<Known> parts;
+    for (const TypedExpr& arg : expr.args) parts.push_back(At(arg, level));
+    for (const Known& part : parts) {
+      if (part.kind != Known::Kind::kValue) return Unknown(parts);
+    }
+    if (expr.kind == TypedExpr::Kind::kUnary) {
+      return {.kind = Known::Kind::kValue, .value = Fold(expr.unary, parts[0].value)};
+    }
+    // Texts are not built: runs of them could grow large.
+    if (expr.binary == BinaryOp::kAdd && expr.type == ValueType::kString) return Unknown(parts);
+    std::optional<Value> value = Fold(expr.binary, parts[0].value, parts[1].value);
+    if (!value) return Unknown(parts);
+    return {.kind = Known::Kind::kValue, .value = *std::move(value)};
+  }
+
+  const levels::LevelTable& levels_;
+  const LevelSet all_;
+};
+
+class Lowerings {
+ public:
+  Lowerings(const CheckedRules& rules, const std::vector<uint64_t>& variable_levels,
+            DiagnosticSink& sink)
+      : rules_(rules), variable_levels_(variable_levels), sink_(sink), analysis_(rules.levels) {}
+
+  void Warn(const TypedRule& rule) {
+    const auto triggers = [](const TypedChain& chain) {
+      return std::any_of(chain.begin(), chain.end(), [](const TypedAction& action) {
+        return action.kind == ActionKind::kTrigger;
+      });
+    };
+    if (std::none_of(rule.chains.begin(), rule.chains.end(), triggers)) return;
+    const Truth truth = analysis_.TruthOf(rule.condition);
+    if (truth.may_be_true == 0) return;
+    // Where the level may be when a chain begins: chains before it may have moved it.
+    LevelSet at = truth.may_be_true, alone = truth.true_alone;
+    for (const TypedChain& chain : rule.chains) {
+      LevelSet here = at;
+      LevelSet here_alone = alone;
+      for (const TypedAction& action : chain) {
+        if (action.kind == ActionKind::kTrigger) {
+          const LevelSet targets = TargetsOf(action.args[0]);
+          WarnTrigger(action, targets, here, here_alone);
+          at |= targets;
+          if (alone != 0) alone |= targets;
+        }
+        if (action.kind == ActionKind::kTrigger || action.kind == ActionKind::kExec) {
+          here = analysis_.all();
+          here_alone = truth.true_alone != 0 ? analysis_.all() : 0;
+        }
+      }
+    }
+  }
+
+ private:
+  // None for `CurrLevel`, which changes nothing.
+  LevelSet TargetsOf(const TypedExpr& level) const {
+    if (level.kind == TypedExpr::Kind::kConstant) {
+      return Bit(static_cast<int>(std::get<int64_t>(level.constant)));
+    }
+    if (level.kind != TypedExpr::Kind::kVariable) return 0;
+    return variable_levels_[level.variable] & analysis_.all();
+  }
+
+  // `at`: levels at which the trigger may run; `alone`: those where nothing else was asked.
+  void WarnTrigger(const TypedAction& trigger, LevelSet targets, LevelSet at, LevelSet alone) {
+    bool acts = false;
+    std::optional<std::pair<int, int>> refused;  // from, to
+    for (int from = 0; from < rules_.levels.size(); ++from) {
+      if ((at & Bit(from)) == 0) continue;
+      for (int to = 0; to < rules_.levels.size(); ++to) {
+        if ((targets & Bit(to)) == 0) continue;
+        const bool lowers = to == from - 1 && rules_.levels.at(from).soft;
+        if (lowers && (alone & Bit(from)) != 0) return WarnUnguarded(trigger.range, from);
+        acts = acts || lowers || to > from;
+        if (to < from && !lowers && !refused) refused = {from, to};
+      }
+    }
+    if (!acts && refused) WarnNever(trigger.range, refused->first, refused->second);
+  }
+
+  void WarnUnguarded(SourceRange range, int from) {
+    const std::string level = rules_.levels.name(from);
+    sink_.Add(DiagnosticKind::kUnguardedLowering, range,
+              absl::StrCat("this leaves level ", Quote(level),
+                           " although what raised it may still be there: the rule asks for nothing "
+                           "but the level and the time"),
+              absl::StrCat("ask that it is over, as in `CurrLevel == ", level,
+                           " && !intruder`, with a variable that other rules set"));
+  }
+
+  void WarnNever(SourceRange range, int from, int to) {
+    const std::string level = rules_.levels.name(from);
+    const std::string refused =
+        absl::StrCat("this `trigger` changes nothing and is refused at level ", Quote(level));
+    if (from - to > 1) {
+      sink_.Add(DiagnosticKind::kNeverLowers, range,
+                absl::StrCat(refused, ": ", Quote(rules_.levels.name(to)), " is ", from - to,
+                             " steps below"),
+                "rules go down one step at a time, from soft levels");
+      return;
+    }
+    sink_.Add(DiagnosticKind::kNeverLowers, range, absl::StrCat(refused, ", which is not soft"),
+              absl::StrCat("declare `", level,
+                           " soft` if rules may leave it downwards; else a person does it with "
+                           "`ripsctl level lower`"));
+  }
+
+  const CheckedRules& rules_;
+  const std::vector<uint64_t>& variable_levels_;
+  DiagnosticSink& sink_;
+  const Analysis analysis_;
+};
+
+}  // namespace
+
+void WarnLowerings(const CheckedRules& rules, const std::vector<uint64_t>& variable_levels,
+                   DiagnosticSink& sink) {
+  Lowerings lowerings(rules, variable_levels, sink);
+  for (const TypedRule& rule : rules.rules) lowerings.Warn(rule);
+}
+
+}  // namespace rips::lang

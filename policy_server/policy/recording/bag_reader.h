@@ -1,0 +1,39 @@
+// rosbag2 storage files of SQLite (.db3), of any schema version so far: tables
+//   topics(id, name, type, serialization_format, ...)
+//   messages(id, topic_id, timestamp, data)
+//
+// Messages come by timestamp, then id; the timestamp is their time. The file is opened read-only
+// and as immutable: nothing is locked, and nothing is written beside it.
+//
+// Memory: one message, one row a topic, and SQLite's page cache. Without the index on timestamps
+// that rosbag2 makes, SQLite sorts ids and timestamps, in temporary files if they are many.
+//
+// A hostile file can make SQLite walk in circles: the work it may do is bounded by the file's
+// length, and messages must come in strictly ascending order.
+#ifndef RIPS_POLICY_SERVER_POLICY_RECORDING_BAG_READER_H_
+#define RIPS_POLICY_SERVER_POLICY_RECORDING_BAG_READER_H_
+
+#include <cstddef>
+#include <cstdint>
+#include <memory>
+#include <string>
+
+#include "absl/status/statusor.h"
+#include "absl/strings/string_view.h"
+#include "policy_server/policy/recording/reader.h"
+
+namespace rips::recording {
+
+inline constexpr absl::string_view kSqliteMagic("SQLite format 3\0", 16);
+
+// Topics of one file. Inclusive.
+inline constexpr size_t kBagTopicsMax = 65'536;
+
+// InvalidArgument also: a topic whose serialization format is not `cdr`, tables that are views or
+// have computed columns. FailedPrecondition: a write-ahead log or journal lies beside it, so the
+// file alone is not all of the bag. `bytes` is the length of the file.
+absl::StatusOr<std::unique_ptr<Reader>> OpenBagFile(const std::string& path, uint64_t bytes);
+
+}  // namespace rips::recording
+
+#endif  // RIPS_POLICY_SERVER_POLICY_RECORDING_BAG_READER_H_

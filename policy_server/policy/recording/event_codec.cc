@@ -1,0 +1,217 @@
+#include "policy_server/policy/recording/event_codec.h"
+
+#include <utility>
+
+#include "absl/strings/str_cat.h"
+#include "services/base/status_macros.h"
+#include "services/ros2_proto/graph_codec.h"
+
+namespace rips::recording {
+namespace {
+
+absl::StatusOr<RecordedMessage> DecodeMessage(const rips::v1::RecordedMessage& wire) {
+  RecordedMessage message{.topic = wire.topic(),
+                          .type = wire.type(),
+                          .sender = wire.sender(),
+                          .payload = wire.payload(),
+                          .size_bytes = wire.size_bytes(),
+                          .truncated = wire.truncated()};
+  RIPS_RETURN_IF_ERROR(CheckSize(message));
+  if (!wire.writer_guid().empty()) {
+    RIPS_ASSIGN_OR_RETURN(message.writer, ros2::GuidFromBytes(wire.writer_guid()));
+  }
+  return message;
+}
+
+absl::StatusOr<RecordedGraph> DecodeSnapshot(const rips::v1::GraphSnapshot& wire) {
+  RecordedGraph graph{.whole = true, .settled = wire.settled()};
+  RIPS_ASSIGN_OR_RETURN(graph.content, ros2_proto::DecodeGraph(wire));
+  return graph;
+}
+
+absl::StatusOr<RecordedGraph> DecodeDelta(const rips::v1::GraphDelta& wire) {
+  RecordedGraph graph{.whole = false, .settled = wire.settled()};
+  RIPS_ASSIGN_OR_RETURN(graph.content, ros2_proto::DecodeGraph(wire));
+  return graph;
+}
+
+RecordedIds DecodeIds(const rips::v1::IdsAlert& wire) {
+  return {.source = wire.source(),
+          .gid = wire.gid(),
+          .sid = wire.sid(),
+          .message = wire.message(),
+          .src = wire.src(),
+          .dst = wire.dst(),
+          .line = wire.line()};
+}
+
+absl::StatusOr<RecordedLoss> DecodeLoss(const rips::v1::RecordedLoss& wire) {
+  RecordedLoss loss{.count = wire.count(),
+                    .topic = wire.topic(),
+                    .type = wire.type(),
+                    .first_unix_ns = wire.first_unix_ns(),
+                    .last_unix_ns = wire.last_unix_ns(),
+                    .cause = wire.cause()};
+  if (!wire.writer_guid().empty()) {
+    RIPS_ASSIGN_OR_RETURN(loss.writer, ros2::GuidFromBytes(wire.writer_guid()));
+  }
+  return loss;
+}
+
+absl::StatusOr<RecordedFinding> DecodeFinding(const rips::v1::RecordedFinding& wire) {
+  RecordedFinding finding{
+      .kind = wire.kind(), .node = wire.node(), .topic = wire.topic(), .detail = wire.detail()};
+  if (!wire.guid().empty()) {
+    RIPS_ASSIGN_OR_RETURN(finding.guid, ros2::GuidFromBytes(wire.guid()));
+  }
+  return finding;
+}
+
+void EncodeSnapshot(const RecordedGraph& graph, rips::v1::GraphSnapshot& wire) {
+  wire.set_settled(graph.settled);
+  ros2_proto::EncodeGraph(graph.content, wire);
+}
+
+// One overload for each kind of event.
+struct Encoder {
+  void operator()(const RecordedMessage& message) const {
+    rips::v1::RecordedMessage* out = wire.mutable_message();
+    out->set_topic(message.topic);
+    out->set_type(message.type);
+    out->set_sender(message.sender);
+    if (!message.writer.none()) out->set_writer_guid(message.writer.ToBytes());
+    out->set_size_bytes(message.size_bytes);
+    out->set_payload(message.payload);
+    out->set_truncated(message.truncated);
+  }
+  void operator()(const RecordedGraph& graph) const {
+    if (graph.whole) return EncodeSnapshot(graph, *wire.mutable_snapshot());
+    wire.mutable_delta()->set_settled(graph.settled);
+    ros2_proto::EncodeGraph(graph.content, *wire.mutable_delta());
+  }
+  void operator()(const RecordedIds& ids) const {
+    rips::v1::IdsAlert* out = wire.mutable_ids();
+    out->set_source(ids.source);
+    out->set_gid(ids.gid);
+    out->set_sid(ids.sid);
+    out->set_message(ids.message);
+    out->set_src(ids.src);
+    out->set_dst(ids.dst);
+    out->set_line(ids.line);
+  }
+  void operator()(const RecordedSignal& signal) const {
+    wire.mutable_signal()->set_name(signal.name);
+    wire.mutable_signal()->set_count(1);
+  }
+  void operator()(const RecordedAgent& agent) const {
+    wire.mutable_agent()->set_agent(agent.agent);
+    wire.mutable_agent()->set_state(agent.state);
+  }
+  void operator()(const RecordedFinding& finding) const {
+    rips::v1::RecordedFinding* out = wire.mutable_finding();
+    out->set_kind(finding.kind);
+    if (!finding.guid.none()) out->set_guid(finding.guid.ToBytes());
+    out->set_node(finding.node);
+    out->set_topic(finding.topic);
+    out->set_detail(finding.detail);
+  }
+  void operator()(const RecordedLoss& loss) const {
+    rips::v1::RecordedLoss* out = wire.mutable_loss();
+    out->set_count(loss.count);
+    out->set_topic(loss.topic);
+    out->set_type(loss.type);
+    if (!loss.writer.none()) out->set_writer_guid(loss.writer.ToBytes());
+    out->set_first_unix_ns(loss.first_unix_ns);
+    out->set_last_unix_ns(loss.last_unix_ns);
+    out->set_cause(loss.cause);
+  }
+  void operator()(const RecordedOther& other) const { wire.mutable_other()->set_what(other.what); }
+
+  rips::v1::RecordedEvent& wire;
+};
+
+}  // namespace
+
+absl::Status CheckSize(const RecordedMessage& message) {
+  const size_t held = message.payload.size();
+  const bool good = message.truncated ? held <= message.size_bytes : held == message.size_bytes;
+  if (good) return absl::OkStatus();
+  return absl::InvalidArgumentError(absl::StrCat("a message of ", message.size_bytes, " bytes, ",
+                                                 message.truncated ? "" : "not ",
+                                                 "truncated, holds ", held));
+}
+
+absl::StatusOr<Recorded> DecodeEvent(const rips::v1::RecordedEvent& wire) {
+  using Wire = rips::v1::RecordedEvent;
+  Recorded event;
+  if (wire.has_time_unix_ns()) event.time_unix_ns = wire.time_unix_ns();
+  if (wire.has_context()) {
+    RIPS_ASSIGN_OR_RETURN(event.context, DecodeSnapshot(wire.context()));
+  }
+  switch (wire.what_case()) {
+    case Wire::kMessage: {
+      RIPS_ASSIGN_OR_RETURN(event.what, DecodeMessage(wire.message()));
+      break;
+    }
+    case Wire::kSnapshot: {
+      RIPS_ASSIGN_OR_RETURN(event.what, DecodeSnapshot(wire.snapshot()));
+      break;
+    }
+    case Wire::kDelta: {
+      RIPS_ASSIGN_OR_RETURN(event.what, DecodeDelta(wire.delta()));
+      break;
+    }
+    case Wire::kIds:
+      event.what = DecodeIds(wire.ids());
+      break;
+    case Wire::kSignal:
+      event.what = RecordedSignal{.name = wire.signal().name()};
+      break;
+    case Wire::kAgent:
+      event.what = RecordedAgent{.agent = wire.agent().agent(), .state = wire.agent().state()};
+      break;
+    case Wire::kFinding: {
+      RIPS_ASSIGN_OR_RETURN(event.what, DecodeFinding(wire.finding()));
+      break;
+    }
+    case Wire::kLoss: {
+      RIPS_ASSIGN_OR_RETURN(event.what, DecodeLoss(wire.loss()));
+      break;
+    }
+    case Wire::kOther:
+      event.what = RecordedOther{.what = wire.other().what()};
+      break;
+    case Wire::WHAT_NOT_SET:
+      event.what = RecordedOther{.what = "unknown"};
+      break;
+  }
+  return event;
+}
+
+RecordedOrigin DecodeHeader(const rips::v1::RecordingHeader& wire) {
+  return {.robot = wire.robot(),
+          .bundle_id = wire.bundle_id(),
+          .level = wire.level(),
+          .start_unix_ns = wire.start_unix_ns(),
+          .rips_version = wire.rips_version()};
+}
+
+rips::v1::RecordedEvent EncodeEvent(const Recorded& event) {
+  rips::v1::RecordedEvent wire;
+  if (event.time_unix_ns) wire.set_time_unix_ns(*event.time_unix_ns);
+  if (event.context) EncodeSnapshot(*event.context, *wire.mutable_context());
+  std::visit(Encoder{wire}, event.what);
+  return wire;
+}
+
+rips::v1::RecordingHeader EncodeHeader(const RecordedOrigin& origin) {
+  rips::v1::RecordingHeader wire;
+  wire.set_robot(origin.robot);
+  wire.set_bundle_id(origin.bundle_id);
+  wire.set_level(origin.level);
+  wire.set_start_unix_ns(origin.start_unix_ns);
+  wire.set_rips_version(origin.rips_version);
+  return wire;
+}
+
+}  // namespace rips::recording

@@ -1,0 +1,286 @@
+#include "policy_server/policy/recording/mcap_reader.h"
+
+#include <algorithm>
+#include <string>
+#include <utility>
+#include <vector>
+
+#include "absl/strings/str_cat.h"
+#include "absl/strings/str_format.h"
+#include "policy_server/policy/recording/decompress.h"
+#include "policy_server/policy/recording/little_endian.h"
+#include "policy_server/policy/recording/mcap_channels.h"
+#include "policy_server/policy/recording/sequential_reader.h"
+#include "services/base/status_macros.h"
+#include "services/ros2/ros_name.h"
+
+namespace rips::recording {
+namespace {
+
+// Channel, sequence and two times of a message.
+constexpr size_t kMessageHeaderBytes = 22;
+constexpr size_t kChunkHeaderBytesMax = 64;
+constexpr size_t kFooterBytes = 20;
+constexpr uint64_t kSkipBytes = 64 * 1024;
+
+class McapReader final : public SequentialReader {
+ public:
+  explicit McapReader(std::unique_ptr<InputFile> file) : file_(std::move(file)) {}
+
+  absl::Status ReadHeader();
+  bool has_graph() const override { return false; }
+
+ private:
+  // In the order they follow each other.
+  enum class Section { kData, kSummary, kEnd };
+
+  // One message of the chunk, by its place in it.
+  struct Place {
+    int64_t log_time_ns;
+    uint32_t offset;
+    uint32_t bytes;
+  };
+
+  absl::StatusOr<std::optional<Recorded>> Read() override;
+  // One record; gives what it holds, if that is a message outside of chunks.
+  absl::StatusOr<std::optional<Recorded>> ReadRecord();
+  absl::StatusOr<std::optional<Recorded>> InData(McapOp op, uint64_t length);
+  absl::Status InSummary(McapOp op, uint64_t length);
+
+  absl::Status TakeChunk();
+  absl::Status IndexChunk();
+  absl::Status TakeDataEnd(uint64_t length, uint32_t crc_before);
+  absl::Status TakeFooter(uint64_t length);
+
+  // The next bytes into content_, at most `limit`.
+  absl::Status Take(uint64_t count, uint64_t limit, absl::string_view what);
+  absl::Status Skip(uint64_t count);
+  // `status` with the place of the record.
+  absl::Status At(const absl::Status& status) const;
+
+  const std::unique_ptr<InputFile> file_;
+  McapChannels channels_;
+  Section section_ = Section::kData;
+  uint64_t record_at_ = 0;
+  std::string content_;
+  // CRC-32 of magic and header; of what was read after them.
+  uint32_t header_crc_ = 0;
+  uint32_t data_crc_ = 0;
+  uint64_t data_at_ = 0;
+
+  std::string chunk_;
+  std::vector<Place> places_;
+  size_t next_place_ = 0;
+};
+
+absl::Status McapReader::At(const absl::Status& status) const {
+  if (status.ok()) return status;
+  return absl::Status(status.code(), absl::StrCat("`", file_->path(), "`: byte ", record_at_, ": ",
+                                                  status.message()));
+}
+
+absl::Status McapReader::Take(uint64_t count, uint64_t limit, absl::string_view what) {
+  if (count > file_->remaining()) {
+    return At(
+        absl::DataLossError(absl::StrCat("the file is cut within ", what, " of ", count,
+                                         " bytes, of which ", file_->remaining(), " are left")));
+  }
+  if (count > limit) {
+    return At(absl::ResourceExhaustedError(
+        absl::StrCat(what, " of ", count, " bytes exceeds the limit of ", limit)));
+  }
+  RIPS_RETURN_IF_ERROR(file_->Read(count, &content_));
+  data_crc_ = Crc32(data_crc_, content_);
+  return absl::OkStatus();
+}
+
+absl::Status McapReader::Skip(uint64_t count) {
+  if (count > file_->remaining()) return Take(count, count, "a record");
+  for (; count > kSkipBytes; count -= kSkipBytes) {
+    RIPS_RETURN_IF_ERROR(Take(kSkipBytes, kSkipBytes, "a record"));
+  }
+  return Take(count, kSkipBytes, "a record");
+}
+
+absl::Status McapReader::ReadHeader() {
+  RIPS_RETURN_IF_ERROR(Take(kMcapMagic.size(), kMcapMagic.size(), "the magic"));
+  if (content_ != kMcapMagic) return file_->Damaged(0, "not MCAP");
+  record_at_ = file_->offset();
+  RIPS_RETURN_IF_ERROR(Take(kMcapRecordHeaderBytes, kMcapRecordHeaderBytes, "a record"));
+  Cursor cursor(content_);
+  if (McapOp{cursor.U8()} != McapOp::kHeader) {
+    return At(absl::DataLossError("the first record is not the header"));
+  }
+  RIPS_RETURN_IF_ERROR(Take(cursor.U64(), kDefinitionBytesMax, "the header"));
+  header_crc_ = std::exchange(data_crc_, 0);
+  data_at_ = file_->offset();
+  return absl::OkStatus();
+}
+
+absl::StatusOr<std::optional<Recorded>> McapReader::Read() {
+  while (true) {
+    if (next_place_ < places_.size()) {
+      const Place& place = places_[next_place_++];
+      const auto message =
+          channels_.Parse(absl::string_view(chunk_).substr(place.offset, place.bytes));
+      if (!message.ok()) return At(message.status());
+      return channels_.Resolve(*message);
+    }
+    if (section_ == Section::kEnd) return std::nullopt;
+    RIPS_ASSIGN_OR_RETURN(std::optional<Recorded> event, ReadRecord());
+    if (event) return event;
+  }
+}
+
+absl::StatusOr<std::optional<Recorded>> McapReader::ReadRecord() {
+  record_at_ = file_->offset();
+  if (file_->remaining() == 0) {
+    return At(absl::DataLossError("the file ends without a footer: it was cut"));
+  }
+  const uint32_t crc_before = data_crc_;
+  RIPS_RETURN_IF_ERROR(Take(kMcapRecordHeaderBytes, kMcapRecordHeaderBytes, "a record"));
+  Cursor cursor(content_);
+  const McapOp op{cursor.U8()};
+  const uint64_t length = cursor.U64();
+  if (static_cast<uint8_t>(op) == 0) return At(absl::DataLossError("a record of kind 0"));
+  if (section_ == Section::kSummary) {
+    RIPS_RETURN_IF_ERROR(InSummary(op, length));
+    return std::nullopt;
+  }
+  if (op == McapOp::kDataEnd) {
+    RIPS_RETURN_IF_ERROR(TakeDataEnd(length, crc_before));
+    return std::nullopt;
+  }
+  return InData(op, length);
+}
+
+absl::StatusOr<std::optional<Recorded>> McapReader::InData(McapOp op, uint64_t length) {
+  switch (op) {
+    case McapOp::kSchema:
+      RIPS_RETURN_IF_ERROR(Take(length, kDefinitionBytesMax, "a schema"));
+      RIPS_RETURN_IF_ERROR(At(channels_.AddSchema(content_)));
+      return std::nullopt;
+    case McapOp::kChannel:
+      RIPS_RETURN_IF_ERROR(Take(length, kDefinitionBytesMax, "a channel"));
+      RIPS_RETURN_IF_ERROR(At(channels_.AddChannel(content_)));
+      return std::nullopt;
+    case McapOp::kMessage: {
+      RIPS_RETURN_IF_ERROR(Take(length, kMessageBytesMax + kMessageHeaderBytes, "a message"));
+      const auto message = channels_.Parse(content_);
+      if (!message.ok()) return At(message.status());
+      return channels_.Resolve(*message);
+    }
+    case McapOp::kChunk:
+      RIPS_RETURN_IF_ERROR(Take(length, kChunkBytesMax + kChunkHeaderBytesMax, "a chunk"));
+      RIPS_RETURN_IF_ERROR(At(TakeChunk()));
+      return std::nullopt;
+    case McapOp::kHeader:
+      return At(absl::DataLossError("a second header"));
+    case McapOp::kFooter:
+      return At(absl::DataLossError("a footer before the end of the data"));
+    case McapOp::kDataEnd:
+      break;  // the caller's
+  }
+  RIPS_RETURN_IF_ERROR(Skip(length));
+  return std::nullopt;
+}
+
+absl::Status McapReader::InSummary(McapOp op, uint64_t length) {
+  if (op == McapOp::kFooter) return TakeFooter(length);
+  if (op == McapOp::kMessage || op == McapOp::kChunk || op == McapOp::kDataEnd) {
+    return At(absl::DataLossError("data after the end of the data"));
+  }
+  return Skip(length);
+}
+
+absl::Status McapReader::TakeChunk() {
+  Cursor cursor(content_);
+  cursor.U64();  // first and last time
+  cursor.U64();
+  const uint64_t size = cursor.U64();
+  const uint32_t crc = cursor.U32();
+  const absl::string_view compression = cursor.Text();
+  const absl::string_view stored = cursor.Bytes(cursor.U64());
+  if (!cursor.ok()) return absl::DataLossError("a chunk is cut");
+  if (size > kChunkBytesMax || stored.size() > kChunkBytesMax) {
+    return absl::ResourceExhaustedError(
+        absl::StrCat("chunk of ", std::max<uint64_t>(size, stored.size()),
+                     " bytes exceeds the limit of ", kChunkBytesMax));
+  }
+  const absl::Status status = Decompress(compression, stored, static_cast<size_t>(size), &chunk_);
+  if (!status.ok()) {
+    return absl::Status(status.code(),
+                        absl::StrCat("chunk compressed with `", ros2::Printable(compression),
+                                     "`: ", status.message()));
+  }
+  const uint32_t actual = crc == 0 ? 0 : Crc32(0, chunk_);
+  if (actual != crc) {
+    return absl::DataLossError(
+        absl::StrFormat("the checksum of the chunk is %08x, its content has %08x", crc, actual));
+  }
+  content_ = std::string();  // the stored form, which may be large
+  return IndexChunk();
+}
+
+absl::Status McapReader::IndexChunk() {
+  places_.clear();
+  next_place_ = 0;
+  Cursor cursor(chunk_);
+  while (!cursor.rest().empty()) {
+    const McapOp op{cursor.U8()};
+    const absl::string_view content = cursor.Bytes(cursor.U64());
+    if (!cursor.ok()) return absl::DataLossError("a record is cut within its chunk");
+    if (op == McapOp::kSchema) {
+      RIPS_RETURN_IF_ERROR(channels_.AddSchema(content));
+    } else if (op == McapOp::kChannel) {
+      RIPS_RETURN_IF_ERROR(channels_.AddChannel(content));
+    } else if (op == McapOp::kMessage) {
+      RIPS_ASSIGN_OR_RETURN(const McapMessage message, channels_.Parse(content));
+      places_.push_back({.log_time_ns = message.log_time_ns,
+                         .offset = static_cast<uint32_t>(content.data() - chunk_.data()),
+                         .bytes = static_cast<uint32_t>(content.size())});
+    } else if (op <= McapOp::kChunk || op == McapOp::kDataEnd) {
+      return absl::DataLossError(
+          absl::StrCat("a record of kind ", static_cast<int>(op), " in a chunk"));
+    }
+  }
+  std::stable_sort(places_.begin(), places_.end(), [](const Place& left, const Place& right) {
+    return left.log_time_ns < right.log_time_ns;
+  });
+  return absl::OkStatus();
+}
+
+absl::Status McapReader::TakeDataEnd(uint64_t length, uint32_t crc_before) {
+  RIPS_RETURN_IF_ERROR(Take(length, kDefinitionBytesMax, "the end of the data"));
+  Cursor cursor(content_);
+  const uint32_t crc = cursor.U32();
+  if (!cursor.ok()) return At(absl::DataLossError("the end of the data is cut"));
+  const uint32_t whole = CombineCrc32(header_crc_, crc_before, record_at_ - data_at_);
+  if (crc != 0 && crc != crc_before && crc != whole) {
+    return At(absl::DataLossError(
+        absl::StrFormat("the checksum of the data is %08x, the file has %08x", crc, whole)));
+  }
+  section_ = Section::kSummary;
+  return absl::OkStatus();
+}
+
+absl::Status McapReader::TakeFooter(uint64_t length) {
+  if (length < kFooterBytes) return At(absl::DataLossError("the footer is cut"));
+  RIPS_RETURN_IF_ERROR(Take(length, kDefinitionBytesMax, "the footer"));
+  RIPS_RETURN_IF_ERROR(Take(kMcapMagic.size(), kMcapMagic.size(), "the magic at the end"));
+  if (content_ != kMcapMagic || file_->remaining() != 0) {
+    return At(absl::DataLossError("the magic at the end is missing or something follows it"));
+  }
+  section_ = Section::kEnd;
+  return absl::OkStatus();
+}
+
+}  // namespace
+
+absl::StatusOr<std::unique_ptr<Reader>> OpenMcap(std::unique_ptr<InputFile> file) {
+  auto reader = std::make_unique<McapReader>(std::move(file));
+  RIPS_RETURN_IF_ERROR(reader->ReadHeader());
+  return reader;
+}
+
+}  // namespace rips::recording

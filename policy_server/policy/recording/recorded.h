@@ -1,0 +1,135 @@
+// One event of a recording, free of the file it came from.
+#ifndef RIPS_POLICY_SERVER_POLICY_RECORDING_RECORDED_H_
+#define RIPS_POLICY_SERVER_POLICY_RECORDING_RECORDED_H_
+
+#include <cstdint>
+#include <optional>
+#include <string>
+#include <variant>
+
+#include "services/ros2/guid.h"
+#include "services/ros2/ros_graph.h"
+
+namespace rips::recording {
+
+struct RecordedMessage {
+  // ROS names: "/chatter", "std_msgs/msg/String". The type is empty if the recording has none.
+  std::string topic;
+  std::string type;
+  // Full name of the node that wrote it; empty = not known.
+  std::string sender;
+  // All zero = not known.
+  ros2::Guid writer;
+  // Serialized payload as received, 4-byte CDR header included: its first bytes.
+  std::string payload;
+  // Of the whole serialized payload, bytes; 0 if `truncated` and not known.
+  uint32_t size_bytes = 0;
+  // `payload` is not all of it.
+  bool truncated = false;
+
+  friend bool operator==(const RecordedMessage&, const RecordedMessage&) = default;
+};
+
+struct RecordedGraph {
+  // If `whole`, only upserts: the graph is these and nothing else. Otherwise a change of the graph
+  // so far, which may be empty.
+  ros2::GraphDelta content;
+  bool whole = false;
+  // "Exactly these" may be judged.
+  bool settled = false;
+};
+
+struct RecordedIds {
+  // "snort", "suricata"
+  std::string source;
+  uint32_t gid = 0;
+  uint32_t sid = 0;
+  std::string message;
+  std::string src;
+  std::string dst;
+  // The log line as read.
+  std::string line;
+
+  friend bool operator==(const RecordedIds&, const RecordedIds&) = default;
+};
+
+struct RecordedSignal {
+  // "SIGUSR1" or "SIGUSR2"
+  std::string name;
+
+  friend bool operator==(const RecordedSignal&, const RecordedSignal&) = default;
+};
+
+// A state change of one of the robot's agents, in the words of the rule language.
+struct RecordedAgent {
+  std::string agent;
+  std::string state;
+
+  friend bool operator==(const RecordedAgent&, const RecordedAgent&) = default;
+};
+
+struct RecordedFinding {
+  std::string kind;
+  // What it is about; none() and empty where it is not about such, or the recording does not tell.
+  ros2::Guid guid;
+  std::string node;
+  std::string topic;
+  std::string detail;
+
+  friend bool operator==(const RecordedFinding&, const RecordedFinding&) = default;
+};
+
+struct RecordedLoss {
+  // Events that were not recorded.
+  uint64_t count = 0;
+  // Of one topic, or of one writer on it; empty and none() = several or not known.
+  std::string topic;
+  std::string type;
+  ros2::Guid writer;
+  // When the first and the last were due, nanoseconds since the Unix epoch; 0 = not known.
+  int64_t first_unix_ns = 0;
+  int64_t last_unix_ns = 0;
+  // For people.
+  std::string cause;
+
+  friend bool operator==(const RecordedLoss&, const RecordedLoss&) = default;
+};
+
+// Not judged; it keeps its index.
+struct RecordedOther {
+  // The recording's word for it.
+  std::string what;
+
+  friend bool operator==(const RecordedOther&, const RecordedOther&) = default;
+};
+
+struct Recorded {
+  // 0-based, without gaps, in the order the reader gives.
+  uint64_t index = 0;
+  // Nanoseconds since the Unix epoch; none if the recording has no times. May repeat or go back
+  // where the reader's header says so.
+  std::optional<int64_t> time_unix_ns;
+  // Replaces the graph before this event is judged; always `whole`. Not an event of its own.
+  std::optional<RecordedGraph> context;
+  std::variant<RecordedMessage, RecordedGraph, RecordedIds, RecordedSignal, RecordedAgent,
+               RecordedFinding, RecordedLoss, RecordedOther>
+      what;
+};
+
+// Where a recording of ours comes from.
+struct RecordedOrigin {
+  std::string robot;
+  // SHA-256 of the bundle in force, hexadecimal; empty = none.
+  std::string bundle_id;
+  // Level at the start; empty = not known.
+  std::string level;
+  int64_t start_unix_ns = 0;
+  // Version of the program that recorded, for people.
+  std::string rips_version;
+
+  friend bool operator==(const RecordedOrigin&, const RecordedOrigin&) = default;
+};
+
+}  // namespace rips::recording
+
+#endif  // RIPS_POLICY_SERVER_POLICY_RECORDING_RECORDED_H_

@@ -1,0 +1,373 @@
+#include "policy_server/policy/replay/replayer.h"
+
+#include <algorithm>
+#include <utility>
+#include <variant>
+
+#include "absl/strings/escaping.h"
+#include "absl/strings/str_cat.h"
+#include "services/base/check.h"
+#include "services/base/status_macros.h"
+
+namespace rips::replay {
+namespace {
+
+using engine::RuleObserver;
+using recording::Recorded;
+using recording::RecordedGraph;
+using recording::RecordedMessage;
+
+lang::EventClass ClassOf(const engine::Event& event) {
+  if (std::holds_alternative<engine::MessageEvent>(event.what)) return lang::EventClass::kMsg;
+  if (std::holds_alternative<engine::GraphEvent>(event.what)) return lang::EventClass::kGraph;
+  return lang::EventClass::kExternal;
+}
+
+absl::Status AtEvent(uint64_t event, const absl::Status& status) {
+  return absl::Status(status.code(), absl::StrCat("event ", event, ": ", status.message()));
+}
+
+// Of two times in range.
+int64_t After(int64_t time_ns, int64_t by_ns) {
+  return by_ns > kTimeNsMax - time_ns ? kTimeNsMax + 1 : time_ns + by_ns;
+}
+
+}  // namespace
+
+// The robot's answers.
+class Replayer::Script final : public engine::ScriptedRobot {
+ public:
+  explicit Script(const ReplayOptions& options) : options_(options) {}
+  bool RunProgram(absl::string_view program, const std::vector<std::string>&) override {
+    return !options_.failing_programs.contains(program);
+  }
+  bool Reach(levels::LevelIndex level) override { return !options_.failing_levels.contains(level); }
+
+ private:
+  const ReplayOptions& options_;  // Not owned; outlives this.
+};
+
+class Replayer::Observer final : public RuleObserver {
+ public:
+  explicit Observer(Replayer& replayer) : replayer_(replayer) {}
+
+  void OnRule(uint32_t rule, Came came, absl::string_view what) override {
+    last_ = rule;
+    RuleHits& hits = replayer_.result_.rules[rule];
+    if (came == Came::kFired || came == Came::kFiredUnscanned) ++hits.fired;
+    if (came == Came::kUnscanned || came == Came::kFiredUnscanned) ++hits.unscanned;
+    if (came == Came::kUndecidable) ++hits.undecidable;
+    if (what == engine::kGraphTruncated) {
+      ++hits.graph_truncated;
+    } else if (!what.empty()) {
+      replayer_.Keep(replayer_.result_.faults,
+                     {.at = replayer_.now_, .rule = hits.name, .text = std::string(what)});
+    }
+    if (const Clock* clock = replayer_.options_.profile_clock) {
+      const int64_t now_ns = clock->Now().boottime_ns;
+      hits.total_ns += now_ns - since_ns_;
+      since_ns_ = now_ns;
+    }
+  }
+  void Start() {
+    const Clock* clock = replayer_.options_.profile_clock;
+    if (clock != nullptr) since_ns_ = clock->Now().boottime_ns;
+  }
+  // The rule that was run last.
+  uint32_t last() const { return last_; }
+
+ private:
+  Replayer& replayer_;  // Not owned; outlives this.
+  int64_t since_ns_ = 0;
+  uint32_t last_ = 0;
+};
+
+Replayer::Replayer(std::shared_ptr<const engine::Program> program, ReplayOptions options,
+                   inspect::Session* session)
+    : program_(std::move(program)),
+      options_(std::move(options)),
+      session_(session),
+      script_(std::make_unique<Script>(options_)),
+      observer_(std::make_unique<Observer>(*this)),
+      state_(program_,
+             levels::LevelMachine(program_->rules().levels, options_.start_level,
+                                  /*mark=*/{1, 1}, /*term=*/1),
+             /*started=*/{}) {
+  RIPS_CHECK(options_.event_interval_ns >= 0 && options_.tick_ns >= 0, "times do not go back");
+  state_.scripted = script_.get();
+  state_.observer = observer_.get();
+  state_.graph_known = options_.graph_known;
+  state_.set_robot_id(options_.robot);
+  for (const lang::TypedRule& rule : program_->rules().rules) {
+    result_.rules.push_back({.name = rule.name, .section = rule.section});
+  }
+}
+
+Replayer::~Replayer() = default;
+
+void Replayer::SetVariables(const absl::btree_map<std::string, lang::Value>& values) {
+  state_.RestoreVariables(values);
+}
+
+absl::Status Replayer::Judge(const Recorded& event) {
+  int64_t time_ns = event.time_unix_ns.value_or(
+      first_ns_.has_value() ? After(last_ns_, options_.event_interval_ns) : 0);
+  if (time_ns < 0 || time_ns > kTimeNsMax) {
+    return absl::InvalidArgumentError(absl::StrCat("event ", event.index, ": time ", time_ns,
+                                                   " ns is not from 0 to ", kTimeNsMax));
+  }
+  result_.timed |= event.time_unix_ns.has_value();
+  if (const absl::Status ticks = TicksUntil(time_ns); !ticks.ok()) {
+    return AtEvent(event.index, ticks);
+  }
+  last_ns_ = time_ns;
+  SetTime(event.index, time_ns);
+  if (event.context.has_value()) {
+    if (const absl::Status taken = TakeGraph(*event.context); !taken.ok()) {
+      return AtEvent(event.index, taken);
+    }
+    state_.graph = graph_;
+  }
+  if (const auto* message = std::get_if<RecordedMessage>(&event.what)) {
+    JudgeMessage(*message);
+  } else if (const auto* graph = std::get_if<RecordedGraph>(&event.what)) {
+    if (const absl::Status judged = JudgeGraph(*graph); !judged.ok()) {
+      return AtEvent(event.index, judged);
+    }
+  } else if (const auto* ids = std::get_if<recording::RecordedIds>(&event.what)) {
+    JudgeExternal(engine::IdsEvent{.message = ids->message,
+                                   .gid = ids->gid,
+                                   .sid = ids->sid,
+                                   .line = ids->line,
+                                   .source = ids->src,
+                                   .target = ids->dst});
+  } else if (const auto* signal = std::get_if<recording::RecordedSignal>(&event.what)) {
+    JudgeExternal(engine::SignalEvent{.name = signal->name});
+  } else if (const auto* agent = std::get_if<recording::RecordedAgent>(&event.what)) {
+    JudgeExternal(engine::AgentEvent{.agent = agent->agent, .state = agent->state});
+  } else if (const auto* finding = std::get_if<recording::RecordedFinding>(&event.what)) {
+    JudgeExternal(engine::FindingEvent{.kind = finding->kind,
+                                       .guid = finding->guid,
+                                       .node = finding->node,
+                                       .topic = finding->topic,
+                                       .detail = finding->detail});
+  } else if (const auto* loss = std::get_if<recording::RecordedLoss>(&event.what)) {
+    JudgeExternal(engine::LossEvent{.count = loss->count,
+                                    .topic = loss->topic,
+                                    .type = loss->type,
+                                    .writer = loss->writer,
+                                    .first_unix_ns = loss->first_unix_ns,
+                                    .last_unix_ns = loss->last_unix_ns,
+                                    .cause = loss->cause});
+  }
+  return absl::OkStatus();
+}
+
+absl::Status Replayer::TicksUntil(int64_t time_ns) {
+  if (options_.tick_ns == 0) return absl::OkStatus();
+  if (!first_ns_.has_value()) {
+    next_tick_ns_ = After(time_ns, options_.tick_ns);
+    return absl::OkStatus();
+  }
+  if (next_tick_ns_ <= time_ns &&
+      (time_ns - next_tick_ns_) / options_.tick_ns >= kTicksBetweenEventsMax) {
+    return absl::ResourceExhaustedError(
+        absl::StrCat("it comes ", (time_ns - last_ns_) / kNanosPerSecond,
+                     " s after the event before it, which is more than ", kTicksBetweenEventsMax,
+                     " virtual ticks; make them rarer"));
+  }
+  for (; next_tick_ns_ <= time_ns; next_tick_ns_ = After(next_tick_ns_, options_.tick_ns)) {
+    JudgeTick(now_.event, next_tick_ns_);
+  }
+  return absl::OkStatus();
+}
+
+void Replayer::SetTime(uint64_t event, int64_t time_ns) {
+  if (!first_ns_.has_value()) first_ns_ = time_ns;
+  elapsed_ns_ = std::max(elapsed_ns_, time_ns - *first_ns_);
+  now_ = {.event = event, .time_ns = time_ns};
+}
+
+void Replayer::JudgeTick(uint64_t event, int64_t time_ns) {
+  SetTime(event, time_ns);
+  JudgeExternal(engine::TickEvent{});
+}
+
+void Replayer::Order(uint64_t event, int64_t time_ns, bool raise, levels::LevelIndex to) {
+  SetTime(event, time_ns);
+  const Instant now{.boottime_ns = elapsed_ns_, .unix_ns = now_.time_ns};
+  const levels::Cause cause{.kind = levels::Cause::Kind::kOperator, .name = kOperatorName};
+  levels::LevelMachine& level = state_.level;
+  Take(raise ? level.Raise(to, cause, now)
+             : level.DeEscalate(to, cause, now, level.level(), level.mark()));
+}
+
+void Replayer::SetEvidence(bool complete) {
+  state_.evidence = {};
+  if (!complete) state_.evidence.blind_because = {"the test says so"};
+}
+
+absl::Status Replayer::TakeGraph(const RecordedGraph& graph) {
+  if (graph.whole) {
+    graph_.Clear();
+    settled_ = graph.settled;
+  }
+  settled_ |= graph.settled;
+  return graph_.Apply(graph.content);
+}
+
+absl::Status Replayer::JudgeGraph(const RecordedGraph& graph) {
+  RIPS_RETURN_IF_ERROR(TakeGraph(graph));
+  if (!settled_) return absl::OkStatus();
+  state_.graph = graph_;
+  Run({.what = engine::GraphEvent{}, .time_unix_ns = now_.time_ns});
+  return absl::OkStatus();
+}
+
+void Replayer::JudgeMessage(const RecordedMessage& message) {
+  absl::string_view sender = message.sender;
+  if (sender.empty()) {
+    const ros2::Endpoint* endpoint = state_.graph->FindEndpoint(message.writer);
+    if (endpoint != nullptr) sender = endpoint->node;
+  }
+  if (sender.empty()) {
+    ++result_.events.unattributed;
+    if (message.writer.none()) ++result_.events.unattributed_writer;
+  }
+  engine::Event event{.what = engine::MessageEvent{.topic = message.topic,
+                                                   .type = message.type,
+                                                   .writer = message.writer,
+                                                   .sender = sender,
+                                                   .size_bytes = message.size_bytes},
+                      .time_unix_ns = now_.time_ns};
+  std::vector<engine::Verdict> verdicts;
+  Inspect(message, event, verdicts);
+  Run(event);
+}
+
+void Replayer::Inspect(const RecordedMessage& message, engine::Event& event,
+                       std::vector<engine::Verdict>& verdicts) {
+  const Instant now{.boottime_ns = elapsed_ns_, .unix_ns = now_.time_ns};
+  const std::vector<uint32_t> needed = engine::NeededInspections(event, now, state_);
+  if (needed.empty()) return;
+  verdicts.assign(program_->rules().inspections.size(), engine::Verdict::kUnscanned);
+  auto& judged = std::get<engine::MessageEvent>(event.what);
+  judged.inspections = verdicts;
+  if (session_ == nullptr) return;
+  const std::string writer_hex = absl::BytesToHexString(message.writer.ToBytes());
+  const inspect::Message asked{.robot = options_.robot,
+                               .topic = message.topic,
+                               .type = message.type,
+                               .sender = judged.sender,
+                               .writer_hex = writer_hex,
+                               .time_unix_ns = now_.time_ns,
+                               .payload = message.payload,
+                               .size_bytes = message.size_bytes,
+                               .available = !message.truncated || !message.payload.empty()};
+  for (const uint32_t index : needed) verdicts[index] = session_->Inspect(index, asked);
+}
+
+void Replayer::JudgeExternal(engine::ExternalEvent external) {
+  engine::Event event{.time_unix_ns = now_.time_ns};
+  event.what.emplace<engine::ExternalEvent>(std::move(external));
+  Run(event);
+}
+
+void Replayer::Run(const engine::Event& event) {
+  const lang::EventClass event_class = ClassOf(event);
+  EventCounts& counts = result_.events;
+  if (event_class == lang::EventClass::kMsg) {
+    ++counts.message;
+  } else if (event_class == lang::EventClass::kGraph) {
+    ++counts.graph;
+  } else {
+    ++counts.external;
+  }
+  if (state_.halted()) return;
+  const Instant now{.boottime_ns = elapsed_ns_, .unix_ns = now_.time_ns};
+  observer_->Start();
+  const engine::Outcome outcome = engine::Evaluate(event, now, state_);
+  ++judged_[static_cast<size_t>(event_class)];
+  if (outcome.undecidable > 0) ++counts.undecidable;
+  if (outcome.crashed) {
+    result_.crashed = now_;
+    crashed_rule_ = observer_->last();
+  }
+  Take(outcome);
+}
+
+void Replayer::CountEvaluated(Result& result) const {
+  for (size_t i = 0; i < result.rules.size(); ++i) {
+    RuleHits& rule = result.rules[i];
+    rule.evaluated = judged_[static_cast<size_t>(rule.section)];
+    // The rules after the one that crashed were not run on that event.
+    const bool skipped = crashed_rule_.has_value() && i > *crashed_rule_ &&
+                         rule.section == result.rules[*crashed_rule_].section;
+    if (skipped) --rule.evaluated;
+  }
+}
+
+void Replayer::Take(const levels::Transition& transition) {
+  const levels::LevelTable& table = program_->rules().levels;
+  Keep(result_.transitions, {.at = now_,
+                             .rule = transition.cause.name,
+                             .from = table.name(transition.from),
+                             .to = table.name(transition.to),
+                             .refused = transition.refused(),
+                             .reason = std::string(levels::ToString(transition.refusal))});
+}
+
+void Replayer::Take(const engine::Outcome& outcome) {
+  for (const engine::Effect& effect : outcome.effects) {
+    if (const auto* alert = std::get_if<engine::AlertEffect>(&effect)) {
+      Keep(result_.alerts,
+           {.at = now_, .rule = alert->rule, .text = alert->text, .severity = alert->severity});
+    } else if (const auto* change = std::get_if<engine::TransitionEffect>(&effect)) {
+      Take(change->transition);
+    } else if (const auto* run = std::get_if<engine::RunProgramEffect>(&effect)) {
+      Keep(result_.execs, {.at = now_,
+                           .rule = run->rule,
+                           .program = run->program,
+                           .args = run->args,
+                           .ok = !options_.failing_programs.contains(run->program)});
+    } else if (const auto* log = std::get_if<engine::LogEffect>(&effect)) {
+      Keep(result_.logs, {.at = now_, .rule = log->rule, .text = log->text});
+    }
+  }
+}
+
+template <typename Record>
+void Replayer::Keep(std::vector<Record>& list, Record record) {
+  const size_t kept = result_.transitions.size() + result_.alerts.size() + result_.execs.size() +
+                      result_.faults.size() + result_.logs.size();
+  if (kept >= options_.records_max) {
+    ++result_.left_out;
+  } else {
+    list.push_back(std::move(record));
+  }
+}
+
+std::string Replayer::level() const { return state_.level.table().name(state_.level.level()); }
+
+Result Replayer::Finish() const {
+  Result result = result_;
+  CountEvaluated(result);
+  result.level = level();
+  result.variables = state_.Variables();
+  return result;
+}
+
+absl::StatusOr<Result> Replay(recording::Reader& reader,
+                              std::shared_ptr<const engine::Program> program, ReplayOptions options,
+                              inspect::Session* session) {
+  options.graph_known = reader.has_graph();
+  if (options.robot.empty() && reader.origin() != nullptr) options.robot = reader.origin()->robot;
+  Replayer replayer(std::move(program), std::move(options), session);
+  while (true) {
+    RIPS_ASSIGN_OR_RETURN(const std::optional<Recorded> event, reader.Next());
+    if (!event.has_value()) return replayer.Finish();
+    RIPS_RETURN_IF_ERROR(replayer.Judge(*event));
+  }
+}
+
+}  // namespace rips::replay

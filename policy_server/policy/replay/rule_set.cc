@@ -1,0 +1,36 @@
+#include "policy_server/policy/replay/rule_set.h"
+
+#include <utility>
+
+#include "policy_server/policy/inspect/checked_files.h"
+#include "policy_server/policy/inspect/file_source.h"
+#include "policy_server/policy/lang/limits.h"
+#include "services/base/status_macros.h"
+#include "services/runtime/atomic_file.h"
+
+namespace rips::replay {
+
+absl::StatusOr<RuleSet> LoadRuleSet(const std::vector<std::string>& paths,
+                                    const RuleSetOptions& options, const Clock* clock) {
+  RuleSet set;
+  for (const std::string& path : paths) {
+    RIPS_ASSIGN_OR_RETURN(std::string text, ReadFile(path, lang::kFileBytesMax));
+    set.files.push_back({.path = path, .text = std::move(text)});
+  }
+  const inspect::DiskFiles disk;
+  inspect::CheckedFiles checked(&disk);
+  lang::CompileResult compiled =
+      lang::Compile(set.files, {.dialect = options.dialect, .inspection_files = &checked});
+  set.diagnostics = std::move(compiled.diagnostics);
+  if (!compiled.rules.has_value()) return set;
+  if (!compiled.rules->inspections.empty()) {
+    RIPS_ASSIGN_OR_RETURN(
+        set.inspections, inspect::LoadInspections(compiled.rules->inspections, checked, {}, clock));
+  }
+  RIPS_ASSIGN_OR_RETURN(
+      set.program, engine::Program::Create(*std::move(compiled.rules),
+                                           {.on_inspection_error = options.on_inspection_error}));
+  return set;
+}
+
+}  // namespace rips::replay

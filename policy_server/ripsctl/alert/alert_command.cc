@@ -1,0 +1,192 @@
+#include "policy_server/ripsctl/alert/alert_command.h"
+
+#include <CLI/CLI.hpp>
+#include <algorithm>
+#include <nlohmann/json.hpp>
+#include <string>
+#include <utility>
+
+#include "absl/strings/match.h"
+#include "absl/strings/str_cat.h"
+#include "absl/strings/string_view.h"
+#include "absl/time/clock.h"
+#include "policy_server/ripsctl/cli/json_view.h"
+#include "policy_server/ripsctl/cli/printer.h"
+#include "policy_server/ripsctl/cli/server_expiry.h"
+
+namespace rips::ripsctl {
+namespace {
+
+// An alert that came because nobody could tell says so where it is read.
+std::string TextOf(const v1::Alert& alert) {
+  constexpr absl::string_view kUndecided = " (graph truncated)";
+  return absl::StrCat(alert.text(), absl::EndsWith(alert.event(), kUndecided) ? kUndecided : "");
+}
+
+class AlertCommand : public Command {
+ public:
+  absl::string_view noun() const final { return "alert"; }
+
+ protected:
+  std::string robot_;
+};
+
+class ListAlerts final : public AlertCommand {
+ public:
+  absl::string_view verb() const override { return "list"; }
+  absl::string_view synopsis() const override { return "List alerts, newest first"; }
+  void AddFlags(CLI::App& app) override {
+    app.add_option("ROBOT", robot_, "Robot id; none = all");
+    app.add_option("--limit", limit_, "How many, at most")
+        ->check(CLI::Range(1, 1000))
+        ->capture_default_str();
+  }
+  ExitCode Run(Env& env) override {
+    if (const absl::Status valid = CheckRobot(robot_); !robot_.empty() && !valid.ok()) {
+      return UsageError(env, valid.message());
+    }
+    v1::ListAlertsRequest request;
+    request.set_robot(robot_);
+    request.set_limit(limit_);
+    const auto response = Call(env, &Stub::ListAlerts, request);
+    if (!response.ok()) return Failed(env, response.status());
+    if (env.json()) {
+      Json alerts = Json::array();
+      for (const v1::Alert& alert : response->alerts()) alerts.push_back(ToJson(alert));
+      Json unrecorded = Json::array();
+      for (const v1::Alert& alert : response->unrecorded()) unrecorded.push_back(ToJson(alert));
+      PrintJson({{"alerts", std::move(alerts)},
+                 {"cut", response->cut()},
+                 {"unrecorded", std::move(unrecorded)}},
+                env.out);
+      return ExitCode::kDone;
+    }
+    Table table({"TIME", "ROBOT", "SEVERITY", "LEVEL", "RULE", "TEXT"});
+    const auto add = [&table](const v1::Alert& alert) {
+      table.Add({ShortTime(alert.time_unix_ns()), alert.robot(), alert.severity(), alert.level(),
+                 alert.rule(), TextOf(alert)});
+    };
+    for (auto it = response->unrecorded().rbegin(); it != response->unrecorded().rend(); ++it) {
+      add(*it);
+    }
+    std::for_each(response->alerts().begin(), response->alerts().end(), add);
+    table.Print(env.out);
+    if (response->unrecorded_size() > 0) {
+      env.out << "the first " << response->unrecorded_size()
+              << " are in the server's memory only: its store cannot be written\n";
+    }
+    if (response->cut()) env.out << "older alerts do not fit into one answer\n";
+    return ExitCode::kDone;
+  }
+
+ private:
+  uint32_t limit_ = 100;
+};
+
+class WatchAlerts final : public AlertCommand {
+ public:
+  absl::string_view verb() const override { return "watch"; }
+  absl::string_view synopsis() const override {
+    return "Show alerts as they come, each once, also after a lost connection";
+  }
+  void AddFlags(CLI::App& app) override {
+    app.add_option("ROBOT", robot_, "Robot id; none = all");
+    app.add_option(
+        "--after", cursor_,
+        "Begin after this cursor of an earlier watch; 0 = with the oldest that is stored; "
+        "none = with the next");
+  }
+  ExitCode Run(Env& env) override {
+    if (const absl::Status valid = CheckRobot(robot_); !robot_.empty() && !valid.ok()) {
+      return UsageError(env, valid.message());
+    }
+    absl::Duration pause = kPauseMin;
+    bool told = false;
+    while (true) {
+      bool heard = false;
+      const grpc::Status status = WatchOnce(env, heard);
+      was_connected_ |= heard;
+      if (status.ok() || !was_connected_ || !Passes(status)) return Ended(env, status);
+      if (heard) {
+        pause = kPauseMin;
+        told = false;
+      }
+      if (!std::exchange(told, true)) {
+        env.err << "the connection is lost (" << EscapeText(status.error_message())
+                << "); trying again, from where it was\n";
+      }
+      absl::SleepFor(pause);
+      pause = std::min(2 * pause, kPauseMax);
+    }
+  }
+
+ private:
+  static constexpr absl::Duration kPauseMin = absl::Milliseconds(200);
+  static constexpr absl::Duration kPauseMax = absl::Seconds(5);
+
+  // What may be over by itself; a refusal is not.
+  static bool Passes(const grpc::Status& status) {
+    switch (status.error_code()) {
+      case grpc::StatusCode::UNAVAILABLE:
+      case grpc::StatusCode::RESOURCE_EXHAUSTED:
+      case grpc::StatusCode::INTERNAL:
+      case grpc::StatusCode::UNKNOWN:
+      case grpc::StatusCode::CANCELLED:
+      case grpc::StatusCode::DEADLINE_EXCEEDED:
+      case grpc::StatusCode::ABORTED:
+        return true;
+      default:
+        return false;
+    }
+  }
+
+  // One stream, from the newest cursor. `heard`: the server has answered.
+  grpc::Status WatchOnce(Env& env, bool& heard) {
+    v1::WatchAlertsRequest request;
+    request.set_robot(robot_);
+    request.set_after(cursor_);
+    grpc::ClientContext context;
+    // A channel makes progress only while a call waits for it: one that fails fast, and a pause,
+    // would leave the new connection's handshake undone for ever.
+    context.set_wait_for_ready(was_connected_);
+    const auto reader = env.server->WatchAlerts(&context, request);
+    ServerExpiry expiry(&context);
+    v1::Alert alert;
+    while (reader->Read(&alert)) {
+      heard = true;
+      expiry.Received();
+      if (!alert.cursor().empty()) cursor_ = alert.cursor();
+      if (!alert.gap().empty()) {
+        env.err << "note: " << EscapeText(alert.gap()) << std::endl;
+      } else if (!alert.id().empty()) {
+        Print(env, alert);
+      }
+    }
+    return expiry.End(reader->Finish());
+  }
+
+  static void Print(Env& env, const v1::Alert& alert) {
+    if (env.json()) {
+      Json line = ToJson(alert);
+      if (!alert.cursor().empty()) line["cursor"] = alert.cursor();
+      return PrintJson(line, env.out);
+    }
+    env.out << ShortTime(alert.time_unix_ns()) << "  " << EscapeText(alert.robot()) << "  "
+            << EscapeText(alert.severity()) << "  " << EscapeText(alert.level()) << "  "
+            << EscapeText(alert.rule()) << ": " << EscapeText(TextOf(alert)) << std::endl;
+  }
+
+  std::string cursor_;
+  bool was_connected_ = false;
+};
+
+}  // namespace
+
+Commands AlertCommands() {
+  Commands commands;
+  commands.push_back(std::make_unique<ListAlerts>());
+  commands.push_back(std::make_unique<WatchAlerts>());
+  return commands;
+}
+
+}  // namespace rips::ripsctl

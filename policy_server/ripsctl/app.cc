@@ -1,0 +1,201 @@
+#include "policy_server/ripsctl/app.h"
+
+#include <CLI/CLI.hpp>
+#include <algorithm>
+#include <utility>
+
+#include "absl/strings/str_cat.h"
+#include "absl/strings/str_join.h"
+#include "policy_server/ripsctl/alert/alert_command.h"
+#include "policy_server/ripsctl/cli/command.h"
+#include "policy_server/ripsctl/cli/printer.h"
+#include "policy_server/ripsctl/level/level_command.h"
+#include "policy_server/ripsctl/robot/agent_command.h"
+#include "policy_server/ripsctl/robot/record_command.h"
+#include "policy_server/ripsctl/robot/robot_command.h"
+#include "policy_server/ripsctl/rules/rules_command.h"
+#include "services/base/status_macros.h"
+#include "services/rpc/bidi_client.h"
+#include "services/rpc/credentials.h"
+#include "services/runtime/config_reader.h"
+#include "services/runtime/config_sections.h"
+#include "services/runtime/daemon_flags.h"
+#include "services/text/nearest.h"
+
+namespace rips::ripsctl {
+namespace {
+
+struct Noun {
+  const char* name;
+  const char* synopsis;
+  Commands (*commands)();
+};
+
+constexpr Noun kNouns[] = {
+    {"robot", "Robots, their state and their graph", RobotCommands},
+    {"level", "Levels: what they are, were, and shall be", LevelCommands},
+    {"alert", "Alerts", AlertCommands},
+    {"rules", "Rules", RulesCommands},
+    {"agent", "Certificates of agents and operators, and the deny list", AgentCommands},
+    {"record", "Record what a robot's rules are given to judge", RecordCommands},
+};
+
+// The whole command line.
+class Parser {
+ public:
+  Parser() : app_("Watches and steers robots guarded by a RIPS policy server.", "ripsctl") {
+    app_.require_subcommand(1);
+    app_.fallthrough();
+    app_.set_version_flag("--version", std::string(RipsVersion()));
+    app_.add_option("--server", flags_.server, "HOST:PORT of the policy server");
+    app_.add_option("--cert", flags_.cert, "Your certificate, PEM");
+    app_.add_option("--key", flags_.key, "Its private key, PEM");
+    app_.add_option("--ca", flags_.ca, "The certificate authority to trust, PEM");
+    app_.add_option("--output", flags_.output, "text (for people) or json (for programs)");
+    app_.add_option("--timeout", flags_.timeout, "For one answer, for example 10s");
+    app_.footer(
+        "Settings (--server, --cert, --key, --ca, --output, --timeout) come from flags, then\n"
+        "RIPSCTL_SERVER, RIPSCTL_CERT, ..., then ~/.config/rips/ripsctl.yaml.\n"
+        "Exit codes: 0 done, 1 refused or findings, 2 usage, 3 cannot reach the server.");
+    for (const Noun& noun : kNouns) AddNoun(noun);
+  }
+
+  // The chosen command; nullptr after printing why there is none, with the code to exit with.
+  Command* Parse(std::vector<std::string> args, const World& world, int* exit_code) {
+    if (const std::string wrong = UnknownVerb(args); !wrong.empty()) {
+      world.err << "error: " << wrong << "\n";
+      *exit_code = static_cast<int>(ExitCode::kUsage);
+      return nullptr;
+    }
+    std::reverse(args.begin(), args.end());  // as CLI11 wants them
+    try {
+      app_.parse(args);
+    } catch (const CLI::ParseError& error) {
+      const int code = app_.exit(error, world.out, world.err);
+      *exit_code = static_cast<int>(code == 0 ? ExitCode::kDone : ExitCode::kUsage);
+      return nullptr;
+    }
+    return chosen_;
+  }
+
+  const RawSettings& flags() const { return flags_; }
+
+ private:
+  // What is wrong with `NOUN VERB`; empty if nothing is, or if CLI11 says it better.
+  std::string UnknownVerb(const std::vector<std::string>& args) const {
+    if (args.size() < 2 || args[1].empty() || args[1][0] == '-') return "";
+    std::vector<absl::string_view> verbs;
+    for (const std::unique_ptr<Command>& command : commands_) {
+      if (command->noun() != args[0]) continue;
+      if (command->verb().empty() || command->verb() == args[1]) return "";
+      verbs.push_back(command->verb());
+    }
+    if (verbs.empty()) return "";
+    const std::string hint = NearestHint(args[1], verbs);
+    return absl::StrCat("`", args[0], "` has no `", EscapeText(args[1]), "`; ",
+                        hint.empty() ? absl::StrCat("it has ", absl::StrJoin(verbs, ", ")) : hint);
+  }
+
+  void AddNoun(const Noun& noun) {
+    CLI::App* group = app_.add_subcommand(noun.name, noun.synopsis);
+    group->fallthrough();
+    for (std::unique_ptr<Command>& command : noun.commands()) {
+      CLI::App* verb = group;
+      if (!command->verb().empty()) {
+        group->require_subcommand(1);
+        verb =
+            group->add_subcommand(std::string(command->verb()), std::string(command->synopsis()));
+        verb->fallthrough();
+      }
+      command->AddFlags(*verb);
+      Command* borrowed = command.get();
+      verb->callback([this, borrowed] { chosen_ = borrowed; });
+      commands_.push_back(std::move(command));
+    }
+  }
+
+  CLI::App app_;
+  RawSettings flags_;
+  Commands commands_;
+  Command* chosen_ = nullptr;  // Into commands_.
+};
+
+absl::StatusOr<RawSettings> ReadSettingsFile(const World& world) {
+  const std::string path = SettingsPath(world.get_env);
+  if (path.empty()) return RawSettings{};
+  const absl::StatusOr<std::string> text = ReadConfigFile(path);
+  if (absl::IsNotFound(text.status())) return RawSettings{};
+  RIPS_RETURN_IF_ERROR(text.status());
+  return ParseSettings(path, *text);
+}
+
+// Checks what does not need a connection.
+absl::Status Apply(const RawSettings& settings, const Command& command, Env* env) {
+  if (settings.output == "junit" && command.writes_junit()) {
+    env->output = Output::kJunit;
+  } else if (settings.output == "text" || settings.output == "json") {
+    env->output = settings.output == "json" ? Output::kJson : Output::kText;
+  } else {
+    return absl::InvalidArgumentError(absl::StrCat("--output is `", settings.output,
+                                                   command.writes_junit()
+                                                       ? "`; write `text`, `json` or `junit`"
+                                                       : "`; write `text` or `json`"));
+  }
+  RIPS_ASSIGN_OR_RETURN(env->timeout, ParseConfigDuration(settings.timeout));
+  if (env->timeout <= absl::ZeroDuration()) {
+    return absl::InvalidArgumentError("--timeout must be longer than 0s");
+  }
+  if (!IsHostPort(settings.server)) {
+    return absl::InvalidArgumentError(absl::StrCat(
+        "--server is `", settings.server, "`; write HOST:PORT, for example policy.example:7443"));
+  }
+  return absl::OkStatus();
+}
+
+ExitCode RunCommand(Command& command, const RawSettings& flags, const World& world) {
+  Env env{.out = world.out, .err = world.err};
+  env.in = world.in;
+  const absl::StatusOr<RawSettings> file = ReadSettingsFile(world);
+  if (!file.ok()) return UsageError(env, file.status().message());
+  const RawSettings settings = Merge(flags, world.get_env, *file);
+  if (const absl::Status status = Apply(settings, command, &env); !status.ok()) {
+    return UsageError(env, status.message());
+  }
+  std::unique_ptr<v1::OperatorService::StubInterface> stub;
+  if (command.needs_server()) {
+    auto connected = world.connect(settings);
+    if (!connected.ok()) return UsageError(env, connected.status().message());
+    stub = *std::move(connected);
+    env.server = stub.get();
+  }
+  return command.Run(env);
+}
+
+}  // namespace
+
+absl::StatusOr<std::unique_ptr<v1::OperatorService::StubInterface>> ConnectWithTls(
+    const RawSettings& settings) {
+  const std::pair<const char*, const std::string*> needed[] = {
+      {"ca", &settings.ca}, {"cert", &settings.cert}, {"key", &settings.key}};
+  for (const auto& [name, value] : needed) {
+    if (!value->empty()) continue;
+    return absl::InvalidArgumentError(
+        absl::StrCat("--", name,
+                     " is missing; give --ca, --cert and --key, or put them into "
+                     "~/.config/rips/ripsctl.yaml"));
+  }
+  RIPS_ASSIGN_OR_RETURN(
+      const auto credentials,
+      rpc::Credentials::Load({.ca = settings.ca, .cert = settings.cert, .key = settings.key}));
+  return v1::OperatorService::NewStub(rpc::MakeChannel(settings.server, credentials->ForClient()));
+}
+
+int RunRipsctl(const std::vector<std::string>& args, const World& world) {
+  Parser parser;
+  int exit_code = 0;
+  Command* command = parser.Parse(args, world, &exit_code);
+  if (command == nullptr) return exit_code;
+  return static_cast<int>(RunCommand(*command, parser.flags(), world));
+}
+
+}  // namespace rips::ripsctl

@@ -1,0 +1,65 @@
+#include "policy_server/ripsctl/cli/command.h"
+
+#include "absl/strings/match.h"
+#include "absl/strings/str_cat.h"
+#include "absl/strings/strip.h"
+#include "policy_server/ripsctl/cli/printer.h"
+#include "services/base/ids.h"
+
+namespace rips::ripsctl {
+namespace {
+
+constexpr size_t kReasonBytesMax = 1'000;
+
+}  // namespace
+
+ExitCode UsageError(Env& env, absl::string_view message) {
+  env.err << "error: " << EscapeText(message) << "\n";
+  return ExitCode::kUsage;
+}
+
+ExitCode Failed(Env& env, const absl::Status& status) {
+  const std::string message = EscapeText(status.message());
+  switch (status.code()) {
+    case absl::StatusCode::kUnavailable:
+      env.err << "error: cannot reach the policy server: " << message
+              << "; check --server, that the server runs, and that it accepts your certificate\n";
+      return ExitCode::kUnreachable;
+    case absl::StatusCode::kDeadlineExceeded:
+      env.err << "error: no answer from the policy server within "
+              << absl::FormatDuration(env.timeout) << "; check --server, or give it a longer "
+              << "--timeout\n";
+      return ExitCode::kUnreachable;
+    case absl::StatusCode::kPermissionDenied:
+      env.err << "error: refused: " << message;
+      if (!absl::StrContains(message, "banned")) {
+        env.err << "; your certificate's role does not allow this (viewer < operator < admin)";
+      }
+      env.err << "\n";
+      return ExitCode::kRefused;
+    default:
+      env.err << "error: " << message << "\n";
+      return ExitCode::kRefused;
+  }
+}
+
+ExitCode Ended(Env& env, const grpc::Status& status) {
+  if (status.ok()) return ExitCode::kDone;
+  return Failed(env, rpc::FromGrpc(status));
+}
+
+absl::Status CheckRobot(absl::string_view robot) { return ValidateName("robot id", robot); }
+
+absl::Status CheckReason(absl::string_view reason) {
+  if (absl::StripAsciiWhitespace(reason).empty()) {
+    return absl::InvalidArgumentError("--reason must say something; it is kept with the decision");
+  }
+  if (reason.size() > kReasonBytesMax) {
+    return absl::InvalidArgumentError(
+        absl::StrCat("--reason has ", reason.size(), " bytes, limit ", kReasonBytesMax));
+  }
+  if (!IsUtf8(reason)) return absl::InvalidArgumentError("--reason is not valid UTF-8");
+  return absl::OkStatus();
+}
+
+}  // namespace rips::ripsctl

@@ -1,0 +1,41 @@
+// What a command may touch of the world outside.
+#ifndef RIPS_POLICY_SERVER_RIPSCTL_CLI_ENV_H_
+#define RIPS_POLICY_SERVER_RIPSCTL_CLI_ENV_H_
+
+#include <istream>
+#include <ostream>
+
+#include "absl/time/time.h"
+#include "rips/v1/operator.grpc.pb.h"
+
+namespace rips::ripsctl {
+
+// What the process exits with.
+enum class ExitCode {
+  kDone = 0,
+  kRefused = 1,      // the server said no, or a check found something
+  kUsage = 2,        // wrong flags, settings or certificate files
+  kUnreachable = 3,  // no answer from the server
+};
+
+// Text is for people and may change; JSON is a contract to which fields may be added.
+// kJunit: only for commands that write it (Command::writes_junit).
+enum class Output { kText, kJson, kJunit };
+
+struct Env {
+  std::ostream& out;
+  std::ostream& err;
+  Output output = Output::kText;
+  // For one call; a watch has none.
+  absl::Duration timeout = absl::Seconds(10);
+  // Not owned; nullptr for commands that need no server.
+  v1::OperatorService::StubInterface* server = nullptr;
+  // Standard input. Not owned; nullptr is an empty one.
+  std::istream* in = nullptr;
+
+  bool json() const { return output == Output::kJson; }
+};
+
+}  // namespace rips::ripsctl
+
+#endif  // RIPS_POLICY_SERVER_RIPSCTL_CLI_ENV_H_

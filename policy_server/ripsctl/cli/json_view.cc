@@ -1,0 +1,157 @@
+#include "policy_server/ripsctl/cli/json_view.h"
+
+#include <algorithm>
+#include <nlohmann/json.hpp>
+#include <vector>
+
+#include "absl/container/btree_map.h"
+#include "absl/container/btree_set.h"
+#include "absl/strings/str_cat.h"
+#include "policy_server/ripsctl/cli/printer.h"
+#include "services/ros2/guid.h"
+
+namespace rips::ripsctl {
+namespace {
+
+Json JsonMark(bool present, const v1::Mark& mark) {
+  if (!present || (mark.term() == 0 && mark.epoch() == 0)) return nullptr;
+  return MarkText(mark);
+}
+
+Json Strings(const google::protobuf::RepeatedPtrField<std::string>& strings) {
+  Json list = Json::array();
+  for (const std::string& each : strings) list.push_back(each);
+  return list;
+}
+
+struct Topic {
+  absl::btree_set<std::string> types;
+  std::vector<std::string> publishers;
+  std::vector<std::string> subscribers;
+};
+
+Json SortedList(std::vector<std::string> names) {
+  std::sort(names.begin(), names.end());
+  return names;
+}
+
+}  // namespace
+
+const char* KindName(v1::Endpoint::Kind kind) {
+  switch (kind) {
+    case v1::Endpoint::PUBLISHER:
+      return "publisher";
+    case v1::Endpoint::SUBSCRIBER:
+      return "subscriber";
+    case v1::Endpoint::SERVICE:
+      return "service";
+    case v1::Endpoint::CLIENT:
+      return "client";
+    default:
+      return "unknown";
+  }
+}
+
+std::string GuidText(const std::string& bytes) {
+  const absl::StatusOr<ros2::Guid> guid = ros2::GuidFromBytes(bytes);
+  return guid.ok() ? ros2::ToString(*guid) : "invalid";
+}
+
+std::string MarkText(const v1::Mark& mark) {
+  if (mark.term() == 0 && mark.epoch() == 0) return "-";
+  return absl::StrCat(mark.term(), ".", mark.epoch());
+}
+
+Json ToJson(const v1::RobotStatus& status) {
+  return {{"robot", status.robot()},
+          {"decided_level", status.decided_level()},
+          {"effective_level", status.effective_level()},
+          {"stage", status.stage()},
+          {"mark", JsonMark(status.has_mark(), status.mark())},
+          {"bundle", status.bundle_version()},
+          {"degraded", Strings(status.degraded())},
+          {"degraded_cut", status.degraded_cut()}};
+}
+
+Json ToJson(const v1::Transition& transition) {
+  return {{"id", transition.id()},
+          {"robot", transition.robot()},
+          {"time", FullTime(transition.time_unix_ns())},
+          {"from", transition.from()},
+          {"to", transition.to()},
+          {"cause", transition.cause()},
+          {"reason", transition.reason()},
+          {"mark", JsonMark(transition.has_mark(), transition.mark())},
+          {"refused", transition.refused()},
+          {"count", transition.count()},
+          {"stage", transition.stage()},
+          {"detail", transition.detail()}};
+}
+
+Json ToJson(const v1::Alert& alert) {
+  return {{"id", alert.id()},
+          {"time", FullTime(alert.time_unix_ns())},
+          {"robot", alert.robot()},
+          {"rule", alert.rule()},
+          {"severity", alert.severity()},
+          {"text", alert.text()},
+          {"level", alert.level()},
+          {"event", alert.event()},
+          {"mark", JsonMark(alert.has_mark(), alert.mark())}};
+}
+
+Json ToJson(const v1::GetLevelResponse& response) {
+  Json levels = Json::array();
+  for (const std::string& name : response.levels()) {
+    const bool soft = std::find(response.soft_levels().begin(), response.soft_levels().end(),
+                                name) != response.soft_levels().end();
+    levels.push_back({{"name", name}, {"soft", soft}});
+  }
+  return {{"status", ToJson(response.status())},
+          {"levels", std::move(levels)},
+          {"last", response.has_last() ? ToJson(response.last()) : Json(nullptr)}};
+}
+
+Json ToJson(const v1::GraphSnapshot& graph) {
+  absl::btree_map<std::string, std::vector<std::string>> services_of;
+  absl::btree_map<std::string, Topic> topics;
+  std::vector<std::vector<std::string>> unattributed;  // topic, kind, guid
+  for (const v1::Node& node : graph.nodes()) services_of[node.full_name()];
+  for (const v1::Endpoint& endpoint : graph.endpoints()) {
+    if (endpoint.node().empty() || !endpoint.ros()) {
+      unattributed.push_back(
+          {endpoint.name(), KindName(endpoint.kind()), GuidText(endpoint.guid())});
+      continue;
+    }
+    std::vector<std::string>& services = services_of[endpoint.node()];
+    if (endpoint.kind() == v1::Endpoint::SERVICE) services.push_back(endpoint.name());
+    const bool publishes = endpoint.kind() == v1::Endpoint::PUBLISHER;
+    if (!publishes && endpoint.kind() != v1::Endpoint::SUBSCRIBER) continue;
+    Topic& topic = topics[endpoint.name()];
+    topic.types.insert(endpoint.type());
+    (publishes ? topic.publishers : topic.subscribers).push_back(endpoint.node());
+  }
+  std::sort(unattributed.begin(), unattributed.end());
+
+  Json json = {
+      {"nodes", Json::array()}, {"topics", Json::array()}, {"unattributed", Json::array()}};
+  for (auto& [name, services] : services_of) {
+    json["nodes"].push_back({{"name", name}, {"services", SortedList(std::move(services))}});
+  }
+  for (auto& [name, topic] : topics) {
+    json["topics"].push_back({{"name", name},
+                              {"types", SortedList({topic.types.begin(), topic.types.end()})},
+                              {"publishers", SortedList(std::move(topic.publishers))},
+                              {"subscribers", SortedList(std::move(topic.subscribers))}});
+  }
+  for (const auto& each : unattributed) {
+    json["unattributed"].push_back({{"guid", each[2]}, {"topic", each[0]}, {"kind", each[1]}});
+  }
+  return json;
+}
+
+void PrintJson(const Json& json, std::ostream& out) {
+  out << json.dump(-1, ' ', /*ensure_ascii=*/true, Json::error_handler_t::replace) << std::endl;
+}
+
+}  // namespace rips::ripsctl

@@ -1,0 +1,43 @@
+// Messages of OperatorService as the JSON that ripsctl promises. Output is ASCII; bytes that are
+// not UTF-8 become U+FFFD. Marks are "term.epoch", or null when unset.
+#ifndef RIPS_POLICY_SERVER_RIPSCTL_CLI_JSON_VIEW_H_
+#define RIPS_POLICY_SERVER_RIPSCTL_CLI_JSON_VIEW_H_
+
+#include <nlohmann/json_fwd.hpp>
+#include <ostream>
+#include <string>
+
+#include "rips/v1/observation.pb.h"
+#include "rips/v1/operator.pb.h"
+
+namespace rips::ripsctl {
+
+using Json = nlohmann::ordered_json;
+
+// {"robot","decided_level","effective_level","stage","mark","bundle","degraded":[..]}
+Json ToJson(const v1::RobotStatus& status);
+// {"id","robot","time","from","to","cause","reason","mark","refused","count","stage","detail"}
+Json ToJson(const v1::Transition& transition);
+// {"id","time","robot","rule","severity","text","level","event","mark"}
+Json ToJson(const v1::Alert& alert);
+// {"status":{..},"levels":[{"name","soft"}],"last":transition or null}
+Json ToJson(const v1::GetLevelResponse& response);
+// {"nodes":[{"name","services":[..]}],"topics":[{"name","types":[..],"publishers":[..],
+//  "subscribers":[..]}],"unattributed":[{"guid","topic","kind"}]}
+// Sorted; publishers and subscribers have one entry per endpoint. Endpoints without a node and
+// those that are not ROS are under `unattributed`.
+Json ToJson(const v1::GraphSnapshot& graph);
+
+// "publisher", "subscriber", "service", "client" or "unknown".
+const char* KindName(v1::Endpoint::Kind kind);
+// As hexadecimal digits; "invalid" if it is no GUID.
+std::string GuidText(const std::string& bytes);
+// "3.17"; "-" when unset.
+std::string MarkText(const v1::Mark& mark);
+
+// On one line.
+void PrintJson(const Json& json, std::ostream& out);
+
+}  // namespace rips::ripsctl
+
+#endif  // RIPS_POLICY_SERVER_RIPSCTL_CLI_JSON_VIEW_H_

@@ -1,0 +1,44 @@
+// Text for people: hostile bytes made harmless, columns aligned, times readable.
+#ifndef RIPS_POLICY_SERVER_RIPSCTL_CLI_PRINTER_H_
+#define RIPS_POLICY_SERVER_RIPSCTL_CLI_PRINTER_H_
+
+#include <cstdint>
+#include <ostream>
+#include <string>
+#include <vector>
+
+#include "absl/strings/string_view.h"
+
+namespace rips::ripsctl {
+
+// `text` as it may be shown on a terminal, on one line. Becomes \xHH: control characters, bytes
+// that are not UTF-8. Becomes \uHHHH: C1 controls, line and paragraph separators, and characters
+// that are invisible or turn the direction of writing (they make text look like other text).
+std::string EscapeText(absl::string_view text);
+
+// RFC 3629, surrogates and overlong forms refused.
+bool IsUtf8(absl::string_view text);
+
+// `2026-01-01T00:00:00.000Z`; `-` for 0.
+std::string ShortTime(int64_t unix_ns);
+// RFC 3339, UTC, nanoseconds.
+std::string FullTime(int64_t unix_ns);
+
+// `sha256:` and the first 12 digits.
+std::string ShortBundle(absl::string_view id);
+
+// Columns two spaces apart, as wide as their widest cell in code points; the last is not padded.
+class Table {
+ public:
+  explicit Table(std::vector<std::string> header) : rows_{std::move(header)} {}
+  // Cells are escaped; an empty one shows as `-`. As many as the header has.
+  void Add(std::vector<std::string> cells);
+  void Print(std::ostream& out) const;
+
+ private:
+  std::vector<std::vector<std::string>> rows_;
+};
+
+}  // namespace rips::ripsctl
+
+#endif  // RIPS_POLICY_SERVER_RIPSCTL_CLI_PRINTER_H_

@@ -1,0 +1,75 @@
+#include "policy_server/ripsctl/cli/printer.h"
+
+#include <sstream>
+#include <string>
+
+#include "gtest/gtest.h"
+
+namespace rips::ripsctl {
+namespace {
+
+TEST(EscapeTextTest, KeepsOrdinaryText) {
+  EXPECT_EQ(EscapeText(""), "");
+  EXPECT_EQ(EscapeText("node /talker, 3 \"quotes\" \\ back"), "node /talker, 3 \"quotes\" \\ back");
+  EXPECT_EQ(EscapeText("ñandú 机器人 🤖"), "ñandú 机器人 🤖");
+}
+
+TEST(EscapeTextTest, MakesHostileTextHarmless) {
+  EXPECT_EQ(EscapeText("\x1b[2J"), "\\x1b[2J");
+  EXPECT_EQ(EscapeText("a\r\n\tb\x7f"), "a\\x0d\\x0a\\x09b\\x7f");
+  EXPECT_EQ(EscapeText(std::string("\0", 1)), "\\x00");
+  EXPECT_EQ(EscapeText("\xc2\x9b"
+                       "31m"),
+            "\\u009b31m")
+      << "C1 control sequence introducer";
+  EXPECT_EQ(EscapeText("\xe2\x80\xae"
+                       "txt"),
+            "\\u202etxt")
+      << "right-to-left override";
+  EXPECT_EQ(EscapeText("a\xe2\x80\x8b"
+                       "b"),
+            "a\\u200bb")
+      << "zero-width space";
+  EXPECT_EQ(EscapeText("\xf3\xa0\x81\x81"), "\\ue0041") << "tag character";
+}
+
+TEST(EscapeTextTest, ShowsBytesThatAreNotUtf8) {
+  EXPECT_EQ(EscapeText("\xff"), "\\xff");
+  EXPECT_EQ(EscapeText("\xc0\xaf"), "\\xc0\\xaf") << "overlong";
+  EXPECT_EQ(EscapeText("\xe0\x80\xaf"), "\\xe0\\x80\\xaf") << "overlong";
+  EXPECT_EQ(EscapeText("\xed\xa0\x80"), "\\xed\\xa0\\x80") << "surrogate";
+  EXPECT_EQ(EscapeText("\xf4\x90\x80\x80"), "\\xf4\\x90\\x80\\x80") << "beyond U+10FFFF";
+  const std::string robot = "\xf0\x9f\xa4\x96";
+  for (size_t cut = 1; cut < robot.size(); ++cut) {
+    EXPECT_EQ(EscapeText(robot.substr(0, cut)).substr(0, 4), "\\xf0") << cut;
+    EXPECT_FALSE(IsUtf8(robot.substr(0, cut)));
+  }
+  EXPECT_TRUE(IsUtf8(robot));
+}
+
+TEST(TableTest, AlignsByCodePointsAndEscapes) {
+  Table table({"NAME", "LEVEL", "TEXT"});
+  table.Add({"ñ", "COMPROMISED", "\x1b[2J"});
+  table.Add({"longer", "", "x"});
+  std::ostringstream out;
+  table.Print(out);
+  EXPECT_EQ(out.str(),
+            "NAME    LEVEL        TEXT\n"
+            "ñ       COMPROMISED  \\x1b[2J\n"
+            "longer  -            x\n");
+}
+
+TEST(TimeTest, IsUtc) {
+  EXPECT_EQ(ShortTime(1'767'225'600'123'456'789), "2026-01-01T00:00:00.123Z");
+  EXPECT_EQ(FullTime(1'767'225'600'123'456'789), "2026-01-01T00:00:00.123456789Z");
+  EXPECT_EQ(ShortTime(0), "-");
+}
+
+TEST(ShortBundleTest, KeepsTwelveDigits) {
+  EXPECT_EQ(ShortBundle("sha256:" + std::string(64, 'a')), "sha256:aaaaaaaaaaaa");
+  EXPECT_EQ(ShortBundle(""), "");
+  EXPECT_EQ(ShortBundle("odd"), "odd");
+}
+
+}  // namespace
+}  // namespace rips::ripsctl

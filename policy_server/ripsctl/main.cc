@@ -1,0 +1,30 @@
+// ripsctl: the operator's command line.
+#include <stdlib.h>
+
+#include <cstdlib>
+#include <iostream>
+#include <optional>
+#include <string>
+#include <vector>
+
+#include "policy_server/ripsctl/app.h"
+#include "services/rpc/credentials.h"
+
+int main(int argc, char** argv) {
+  rips::rpc::RequireTls13();
+  // gRPC logs to stderr what the operator is told anyway; the environment may ask for it.
+  setenv("GRPC_VERBOSITY", "NONE", /*overwrite=*/0);
+  const rips::ripsctl::World world = {
+      .out = std::cout,
+      .err = std::cerr,
+      .get_env = [](const std::string& name) -> std::optional<std::string> {
+        const char* value = std::getenv(name.c_str());
+        if (value == nullptr) return std::nullopt;
+        return value;
+      },
+      .connect = rips::ripsctl::ConnectWithTls,
+      .in = &std::cin,
+  };
+  const std::vector<std::string> args(argv + 1, argv + argc);
+  return rips::ripsctl::RunRipsctl(args, world);
+}

@@ -1,0 +1,324 @@
+// ripsctl as a test runs it, against a server that plays OperatorService on a loopback port.
+#ifndef RIPS_POLICY_SERVER_RIPSCTL_RIPSCTL_FIXTURE_H_
+#define RIPS_POLICY_SERVER_RIPSCTL_RIPSCTL_FIXTURE_H_
+
+#include <algorithm>
+#include <map>
+#include <memory>
+#include <nlohmann/json.hpp>
+#include <optional>
+#include <sstream>
+#include <string>
+#include <vector>
+
+#include "absl/base/thread_annotations.h"
+#include "absl/status/statusor.h"
+#include "absl/strings/str_cat.h"
+#include "grpcpp/create_channel.h"
+#include "grpcpp/security/server_credentials.h"
+#include "grpcpp/server_builder.h"
+#include "gtest/gtest.h"
+#include "policy_server/ripsctl/app.h"
+#include "policy_server/ripsctl/offline_run.h"
+#include "services/rpc/test_pki.h"
+#include "services/runtime/mutex.h"
+
+namespace rips::ripsctl {
+
+inline constexpr int64_t kNewYear = 1'767'225'600'000'000'000;
+
+inline v1::Mark MakeMark(uint64_t term, uint64_t epoch) {
+  v1::Mark mark;
+  mark.set_term(term);
+  mark.set_epoch(epoch);
+  return mark;
+}
+
+inline v1::RobotStatus MakeStatus(const std::string& robot, const std::string& level) {
+  v1::RobotStatus status;
+  status.set_robot(robot);
+  status.set_decided_level(level);
+  status.set_effective_level(level);
+  status.set_stage("verified");
+  *status.mutable_mark() = MakeMark(3, 17);
+  status.set_bundle_version("sha256:" + std::string(64, 'b'));
+  return status;
+}
+
+inline v1::Transition MakeTransition() {
+  v1::Transition transition;
+  transition.set_id(std::string(32, '1'));
+  transition.set_robot("r1");
+  transition.set_time_unix_ns(kNewYear + 5);
+  transition.set_from("ALERT");
+  transition.set_to("COMPROMISED");
+  transition.set_cause("rule rogue_cmd_vel");
+  *transition.mutable_mark() = MakeMark(3, 17);
+  transition.set_count(1);
+  transition.set_stage("verified");
+  return transition;
+}
+
+inline v1::Alert MakeAlert(const std::string& text) {
+  v1::Alert alert;
+  alert.set_id(std::string(32, '2'));
+  alert.set_time_unix_ns(kNewYear);
+  alert.set_robot("r1");
+  alert.set_rule("unknown_node");
+  alert.set_severity("high");
+  alert.set_text(text);
+  alert.set_level("ALERT");
+  alert.set_event("graph change");
+  *alert.mutable_mark() = MakeMark(3, 16);
+  return alert;
+}
+
+inline void AddEndpoint(v1::GraphSnapshot* graph, v1::Endpoint::Kind kind, const std::string& node,
+                        const std::string& name, const std::string& type, bool ros = true) {
+  v1::Endpoint* endpoint = graph->add_endpoints();
+  endpoint->set_guid(std::string("\x01\x10\x4a\x3b", 4) + std::string(10, '\0') + "\x03\xc1");
+  endpoint->set_kind(kind);
+  endpoint->set_node(node);
+  endpoint->set_name(name);
+  endpoint->set_type(type);
+  endpoint->set_ros(ros);
+}
+
+// One robot `r1` at COMPROMISED (3.17). Remembers the last request; fails with `failure` if set.
+class FakeOperator final : public v1::OperatorService::Service {
+ public:
+  grpc::Status failure;
+  v1::LevelResponse level_response;
+  std::string alert_text = "unknown node /intruder";
+  std::string unrecorded_alert;
+  // What each watch of alerts in turn is told, and how it ends; empty = one alert.
+  struct AlertWatch {
+    std::vector<v1::Alert> alerts;
+    grpc::Status end;
+  };
+  std::vector<AlertWatch> alert_watches;
+  std::vector<std::string> no_answer;
+
+  v1::LevelRequest last_level_request() ABSL_LOCKS_EXCLUDED(mutex_) {
+    MutexLock lock(&mutex_);
+    return last_level_request_;
+  }
+  std::vector<std::string> calls() ABSL_LOCKS_EXCLUDED(mutex_) {
+    MutexLock lock(&mutex_);
+    return calls_;
+  }
+
+  grpc::Status ListRobots(grpc::ServerContext*, const v1::ListRobotsRequest*,
+                          v1::ListRobotsResponse* response) override {
+    *response->add_robots() = MakeStatus("r1", "COMPROMISED");
+    *response->add_robots() = MakeStatus("r2", "DEFAULT");
+    for (const std::string& robot : no_answer) response->add_no_answer(robot);
+    response->mutable_robots(1)->clear_effective_level();
+    response->mutable_robots(1)->add_degraded("sensor base lost");
+    response->mutable_robots(1)->add_degraded("\x1b[2Jactuator");
+    return Record("ListRobots");
+  }
+  grpc::Status WatchRobots(grpc::ServerContext*, const v1::WatchRobotsRequest* request,
+                           grpc::ServerWriter<v1::RobotStatus>* writer) override {
+    const std::string robot = request->robots().empty() ? "r9" : request->robots(0);
+    writer->Write(MakeStatus(robot, "ALERT"));
+    writer->Write(MakeStatus(robot, "COMPROMISED"));
+    return Record("WatchRobots");
+  }
+  grpc::Status Record(grpc::ServerContext*, const v1::RecordRequest* request,
+                      grpc::ServerWriter<v1::Recording>* writer) override {
+    if (!failure.ok()) return Record("Record");
+    v1::Recording piece;
+    piece.mutable_header()->set_robot(request->robot());
+    writer->Write(piece);
+    for (int i = 0; i < 2; ++i) {
+      piece.mutable_event()->set_time_unix_ns(kNewYear + i);
+      piece.mutable_event()->mutable_signal()->set_name("SIGUSR1");
+      writer->Write(piece);
+    }
+    return Record("Record");
+  }
+  grpc::Status ListAgents(grpc::ServerContext*, const v1::ListAgentsRequest*,
+                          v1::ListAgentsResponse* response) override {
+    v1::AgentCertificate* agent = response->add_agents();
+    agent->set_uri("spiffe://td/robot/r1/sensor/base");
+    agent->set_serial("0f");
+    agent->set_not_after_unix_ns(kNewYear);
+    v1::CertificateBan* ban = response->add_bans();
+    ban->set_uri("spiffe://td/robot/r2/sensor/base");
+    ban->set_reason("stolen \x1b[2J");
+    ban->set_by("spiffe://td/operator/admin/alice serial 0a");
+    ban->set_time_unix_ns(kNewYear);
+    return Record("ListAgents");
+  }
+  grpc::Status Ban(grpc::ServerContext*, const v1::BanRequest* request, v1::BanResponse*) override {
+    return Record(
+        absl::StrCat("Ban ", request->uri(), " ", request->serial(), " ", request->reason()));
+  }
+  grpc::Status Unban(grpc::ServerContext*, const v1::UnbanRequest* request,
+                     v1::UnbanResponse*) override {
+    return Record(absl::StrCat("Unban ", request->uri(), " ", request->serial()));
+  }
+  grpc::Status ResetTerm(grpc::ServerContext*, const v1::ResetTermRequest* request,
+                         v1::ResetTermResponse* response) override {
+    response->mutable_mark()->set_term(2'000'000);
+    response->mutable_mark()->set_epoch(8);
+    response->set_decided_level("ALERT");
+    return Record(
+        absl::StrCat("ResetTerm ", request->robot(), " ", request->host(), " ", request->reason()));
+  }
+  grpc::Status GetGraph(grpc::ServerContext*, const v1::GetGraphRequest*,
+                        v1::GetGraphResponse* response) override {
+    v1::GraphSnapshot* graph = response->mutable_graph();
+    graph->set_settled(true);
+    graph->add_nodes()->set_full_name("/talker");
+    graph->add_nodes()->set_full_name("/listener");
+    AddEndpoint(graph, v1::Endpoint::SUBSCRIBER, "/rips", "/chatter", "std_msgs/msg/String");
+    AddEndpoint(graph, v1::Endpoint::SUBSCRIBER, "/listener", "/chatter", "std_msgs/msg/String");
+    AddEndpoint(graph, v1::Endpoint::PUBLISHER, "/talker", "/chatter", "std_msgs/msg/String");
+    AddEndpoint(graph, v1::Endpoint::PUBLISHER, "/talker", "/chatter", "std_msgs/msg/String");
+    AddEndpoint(graph, v1::Endpoint::SERVICE, "/talker", "/talker/get_parameters", "x");
+    AddEndpoint(graph, v1::Endpoint::CLIENT, "/listener", "/talker/get_parameters", "x");
+    AddEndpoint(graph, v1::Endpoint::PUBLISHER, "", "/cmd_vel", "geometry_msgs/msg/Twist");
+    AddEndpoint(graph, v1::Endpoint::SUBSCRIBER, "", "raw_topic", "T", false);
+    response->set_changed_unix_ns(kNewYear);
+    return Record("GetGraph");
+  }
+  grpc::Status GetLevel(grpc::ServerContext*, const v1::GetLevelRequest* request,
+                        v1::GetLevelResponse* response) override {
+    *response->mutable_status() = MakeStatus(request->robot(), "COMPROMISED");
+    for (const char* level : {"DEFAULT", "ALERT", "COMPROMISED"}) response->add_levels(level);
+    response->add_soft_levels("ALERT");
+    *response->mutable_last() = MakeTransition();
+    return Record("GetLevel");
+  }
+  grpc::Status ListTransitions(grpc::ServerContext*, const v1::ListTransitionsRequest* request,
+                               v1::ListTransitionsResponse* response) override {
+    *response->add_transitions() = MakeTransition();
+    v1::Transition* refused = response->add_transitions();
+    *refused = MakeTransition();
+    refused->clear_mark();
+    refused->set_refused(true);
+    refused->set_count(request->limit());
+    refused->set_reason("needs an operator");
+    return Record("ListTransitions");
+  }
+  grpc::Status ListAlerts(grpc::ServerContext*, const v1::ListAlertsRequest* request,
+                          v1::ListAlertsResponse* response) override {
+    *response->add_alerts() = MakeAlert(alert_text);
+    if (!unrecorded_alert.empty()) *response->add_unrecorded() = MakeAlert(unrecorded_alert);
+    return Record(absl::StrCat("ListAlerts ", request->robot(), " ", request->limit()));
+  }
+  grpc::Status WatchAlerts(grpc::ServerContext*, const v1::WatchAlertsRequest* request,
+                           grpc::ServerWriter<v1::Alert>* writer) override {
+    if (alert_watches.empty()) {
+      writer->Write(MakeAlert(alert_text));
+      return Record("WatchAlerts");
+    }
+    static_cast<void>(Record(absl::StrCat("WatchAlerts after ", request->after())));
+    AlertWatch watch;
+    {
+      MutexLock lock(&mutex_);
+      watch = alert_watches[std::min(watched_++, alert_watches.size() - 1)];
+    }
+    for (const v1::Alert& alert : watch.alerts) writer->Write(alert);
+    return watch.end;
+  }
+  grpc::Status DeEscalate(grpc::ServerContext*, const v1::LevelRequest* request,
+                          v1::LevelResponse* response) override {
+    return Change("DeEscalate", *request, response);
+  }
+  grpc::Status Raise(grpc::ServerContext*, const v1::LevelRequest* request,
+                     v1::LevelResponse* response) override {
+    return Change("Raise", *request, response);
+  }
+  grpc::Status ResumeRules(grpc::ServerContext*, const v1::ResumeRulesRequest* request,
+                           v1::ResumeRulesResponse*) override {
+    return Record(absl::StrCat("ResumeRules ", request->robot(), " ", request->reason()));
+  }
+
+ private:
+  grpc::Status Record(const std::string& call) ABSL_LOCKS_EXCLUDED(mutex_) {
+    MutexLock lock(&mutex_);
+    calls_.push_back(call);
+    return failure;
+  }
+  grpc::Status Change(const std::string& call, const v1::LevelRequest& request,
+                      v1::LevelResponse* response) ABSL_LOCKS_EXCLUDED(mutex_) {
+    {
+      MutexLock lock(&mutex_);
+      last_level_request_ = request;
+    }
+    *response = level_response;
+    if (!request.dry_run()) {
+      response->set_decided_level(request.to());
+      *response->mutable_mark() = MakeMark(3, 18);
+    }
+    return Record(call);
+  }
+
+  Mutex mutex_;
+  v1::LevelRequest last_level_request_ ABSL_GUARDED_BY(mutex_);
+  std::vector<std::string> calls_ ABSL_GUARDED_BY(mutex_);
+  size_t watched_ ABSL_GUARDED_BY(mutex_) = 0;
+};
+
+class RipsctlTest : public testing::Test {
+ protected:
+  RipsctlTest() {
+    grpc::ServerBuilder builder;
+    builder.AddListeningPort("127.0.0.1:0", grpc::InsecureServerCredentials(), &port_);
+    builder.RegisterService(&fake_);
+    server_ = builder.BuildAndStart();
+  }
+  ~RipsctlTest() override { server_->Shutdown(); }
+
+  Result Run(const std::vector<std::string>& args) {
+    std::ostringstream out;
+    std::ostringstream err;
+    const int code = RunRipsctl(
+        args, {.out = out,
+               .err = err,
+               .get_env = [this](const std::string& name) -> std::optional<std::string> {
+                 if (name == "HOME") return home_;
+                 const auto it = env_.find(name);
+                 if (it == env_.end()) return std::nullopt;
+                 return it->second;
+               },
+               .connect = [this](const RawSettings& settings) { return Connect(settings); }});
+    return {code, out.str(), err.str()};
+  }
+  absl::StatusOr<std::unique_ptr<v1::OperatorService::StubInterface>> Connect(
+      const RawSettings& settings) {
+    used_ = settings;
+    if (tls_) return ConnectWithTls(settings);
+    return std::unique_ptr<v1::OperatorService::StubInterface>(
+        v1::OperatorService::NewStub(grpc::CreateChannel(absl::StrCat("127.0.0.1:", port_),
+                                                         grpc::InsecureChannelCredentials())));
+  }
+  nlohmann::json RunJson(std::vector<std::string> args, int expected_code = 0) {
+    args.insert(args.end(), {"--output", "json"});
+    const Result result = Run(args);
+    EXPECT_EQ(result.code, expected_code) << result.err;
+    EXPECT_TRUE(result.out.ends_with('\n'));
+    const nlohmann::json json = nlohmann::json::parse(result.out, nullptr, false);
+    EXPECT_FALSE(json.is_discarded()) << result.out;
+    return json;
+  }
+  std::string File(const std::string& name, const std::string& text) {
+    return directory_.Write(name, text);
+  }
+
+  const TestDirectory directory_;
+  const std::string home_ = directory_.path();
+  std::map<std::string, std::string> env_;
+  bool tls_ = false;
+  FakeOperator fake_;
+  std::unique_ptr<grpc::Server> server_;
+  int port_ = 0;
+  RawSettings used_;
+};
+
+}  // namespace rips::ripsctl
+
+#endif  // RIPS_POLICY_SERVER_RIPSCTL_RIPSCTL_FIXTURE_H_

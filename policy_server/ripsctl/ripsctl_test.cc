@@ -1,0 +1,601 @@
+// The whole command line against a server that plays OperatorService on a loopback port.
+#include <stdlib.h>
+
+#include <cstdio>
+#include <filesystem>
+#include <fstream>
+#include <nlohmann/json.hpp>
+#include <string>
+#include <vector>
+
+#include "absl/strings/str_cat.h"
+#include "absl/strings/str_split.h"
+#include "gmock/gmock.h"
+#include "grpcpp/server_builder.h"
+#include "gtest/gtest.h"
+#include "policy_server/ripsctl/app.h"
+#include "policy_server/ripsctl/offline_run.h"
+#include "policy_server/ripsctl/ripsctl_fixture.h"
+#include "services/base/status_matchers.h"
+#include "services/rpc/bidi_client.h"
+#include "services/rpc/credentials.h"
+#include "services/rpc/server_builder.h"
+#include "services/rpc/test_pki.h"
+
+namespace rips::ripsctl {
+namespace {
+
+using ::testing::AllOf;
+using ::testing::HasSubstr;
+using ::testing::Not;
+using ::testing::SizeIs;
+using ::testing::StartsWith;
+
+TEST_F(RipsctlTest, ListsRobots) {
+  const Result result = Run({"robot", "list"});
+  EXPECT_EQ(result.code, 0);
+  EXPECT_EQ(result.out,
+            "ROBOT  DECIDED      EFFECTIVE    STAGE     MARK  BUNDLE               DEGRADED\n"
+            "r1     COMPROMISED  COMPROMISED  verified  3.17  sha256:bbbbbbbbbbbb  -\n"
+            "r2     DEFAULT      -            verified  3.17  sha256:bbbbbbbbbbbb  sensor base "
+            "lost; \\x1b[2Jactuator\n");
+  EXPECT_EQ(result.err, "");
+
+  const nlohmann::json robots = RunJson({"robot", "list"})["robots"];
+  ASSERT_THAT(robots, SizeIs(2));
+  EXPECT_EQ(robots[0], nlohmann::json({{"robot", "r1"},
+                                       {"decided_level", "COMPROMISED"},
+                                       {"effective_level", "COMPROMISED"},
+                                       {"stage", "verified"},
+                                       {"mark", "3.17"},
+                                       {"bundle", "sha256:" + std::string(64, 'b')},
+                                       {"degraded", nlohmann::json::array()},
+                                       {"degraded_cut", false}}));
+}
+
+TEST_F(RipsctlTest, WatchesRobotsUntilTheServerEndsIt) {
+  const Result result = Run({"robot", "watch", "r1"});
+  EXPECT_EQ(result.code, 0);
+  EXPECT_EQ(result.out,
+            "r1  decided ALERT  effective ALERT  verified  mark 3.17\n"
+            "r1  decided COMPROMISED  effective COMPROMISED  verified  mark 3.17\n");
+  const Result json = Run({"--output", "json", "robot", "watch"});
+  const std::vector<std::string> lines = absl::StrSplit(json.out, '\n', absl::SkipEmpty());
+  ASSERT_THAT(lines, SizeIs(2));
+  EXPECT_EQ(nlohmann::json::parse(lines[1])["decided_level"], "COMPROMISED");
+  fake_.failure = grpc::Status(grpc::StatusCode::UNAVAILABLE, "draining");
+  EXPECT_EQ(Run({"robot", "watch"}).code, 3);
+}
+
+TEST_F(RipsctlTest, ShowsOneRobot) {
+  const Result result = Run({"robot", "show", "r2"});
+  EXPECT_EQ(result.code, 0);
+  EXPECT_EQ(result.out, absl::StrCat("robot            r2\n"
+                                     "decided level    DEFAULT\n"
+                                     "effective level  -\n"
+                                     "stage            verified\n"
+                                     "mark             3.17\n"
+                                     "bundle           sha256:",
+                                     std::string(64, 'b'),
+                                     "\n"
+                                     "degraded         sensor base lost\n"
+                                     "degraded         \\x1b[2Jactuator\n"));
+  EXPECT_EQ(RunJson({"robot", "show", "r1"})["decided_level"], "COMPROMISED");
+  const Result missing = Run({"robot", "show", "r3"});
+  EXPECT_EQ(missing.code, 1);
+  EXPECT_EQ(missing.err, "error: robot `r3` is not in the inventory; see `ripsctl robot list`\n");
+}
+
+TEST_F(RipsctlTest, ShowsTheGraph) {
+  const nlohmann::json expected = nlohmann::json::parse(R"({
+    "nodes": [{"name": "/listener", "services": []},
+              {"name": "/rips", "services": []},
+              {"name": "/talker", "services": ["/talker/get_parameters"]}],
+    "topics": [{"name": "/chatter", "types": ["std_msgs/msg/String"],
+                "publishers": ["/talker", "/talker"], "subscribers": ["/listener", "/rips"]}],
+    "unattributed": [
+      {"guid": "01104a3b.00000000.00000000.000003c1", "topic": "/cmd_vel", "kind": "publisher"},
+      {"guid": "01104a3b.00000000.00000000.000003c1", "topic": "raw_topic", "kind": "subscriber"}]
+  })");
+  EXPECT_EQ(RunJson({"robot", "graph", "r1"}), expected);
+
+  const Result text = Run({"robot", "graph", "r1"});
+  EXPECT_EQ(text.code, 0);
+  EXPECT_EQ(text.out,
+            "changed 2026-01-01T00:00:00.000Z\n"
+            "\n"
+            "NODE       SERVICES\n"
+            "/listener  -\n"
+            "/rips      -\n"
+            "/talker    /talker/get_parameters\n"
+            "\n"
+            "TOPIC     TYPES                PUBLISHERS        SUBSCRIBERS\n"
+            "/chatter  std_msgs/msg/String  /talker, /talker  /listener, /rips\n"
+            "\n"
+            "WITHOUT A NODE  KIND        GUID\n"
+            "/cmd_vel        publisher   01104a3b.00000000.00000000.000003c1\n"
+            "raw_topic       subscriber  01104a3b.00000000.00000000.000003c1\n");
+}
+
+TEST_F(RipsctlTest, ShowsTheLevel) {
+  const Result text = Run({"level", "show", "r1"});
+  EXPECT_EQ(text.code, 0);
+  EXPECT_EQ(text.out,
+            "robot            r1\n"
+            "decided level    COMPROMISED\n"
+            "effective level  COMPROMISED\n"
+            "stage            verified\n"
+            "mark             3.17\n"
+            "levels           DEFAULT < ALERT (soft) < COMPROMISED\n"
+            "last change      2026-01-01T00:00:00.000Z ALERT -> COMPROMISED, rule rogue_cmd_vel\n"
+            "reason           -\n"
+            "detail           -\n");
+  const nlohmann::json json = RunJson({"level", "show", "r1"});
+  EXPECT_EQ(json["status"]["mark"], "3.17");
+  EXPECT_EQ(json["levels"][1], nlohmann::json({{"name", "ALERT"}, {"soft", true}}));
+  EXPECT_EQ(json["last"]["time"], "2026-01-01T00:00:00.000000005Z");
+}
+
+TEST_F(RipsctlTest, ListsTheHistory) {
+  const Result text = Run({"level", "history", "r1", "--limit", "7"});
+  EXPECT_EQ(text.code, 0);
+  EXPECT_EQ(
+      text.out,
+      "TIME                      FROM   TO           MARK  STAGE       CAUSE               REASON\n"
+      "2026-01-01T00:00:00.000Z  ALERT  COMPROMISED  3.17  verified    rule rogue_cmd_vel  -\n"
+      "2026-01-01T00:00:00.000Z  ALERT  COMPROMISED  -     refused x7  rule rogue_cmd_vel  needs "
+      "an operator\n");
+  const nlohmann::json list = RunJson({"level", "history", "r1"})["transitions"];
+  ASSERT_THAT(list, SizeIs(2));
+  EXPECT_EQ(list[0]["mark"], "3.17");
+  EXPECT_TRUE(list[1]["mark"].is_null());
+  EXPECT_EQ(list[1]["count"], 100);
+  EXPECT_EQ(Run({"level", "history", "r1", "--limit", "1001"}).code, 2);
+  EXPECT_EQ(Run({"level", "history", "r1", "--limit", "0"}).code, 2);
+}
+
+TEST_F(RipsctlTest, LowersWithWhatItReadAndShowed) {
+  fake_.level_response.add_would_raise_again("unknown_node");
+  const Result result =
+      Run({"level", "lower", "r1", "--to", "DEFAULT", "--reason", "intruder unplugged"});
+  EXPECT_EQ(result.code, 0);
+  EXPECT_EQ(result.out,
+            "r1 is at COMPROMISED (3.17) since 2026-01-01T00:00:00.000Z, rule rogue_cmd_vel\n"
+            "r1 goes to DEFAULT (3.18)\n"
+            "may be raised again by rule unknown_node\n");
+  EXPECT_THAT(fake_.calls(), testing::ElementsAre("GetLevel", "DeEscalate"));
+  const v1::LevelRequest request = fake_.last_level_request();
+  EXPECT_EQ(request.expected_level(), "COMPROMISED");
+  EXPECT_EQ(request.expected_mark().term(), 3u);
+  EXPECT_EQ(request.expected_mark().epoch(), 17u);
+  EXPECT_EQ(request.reason(), "intruder unplugged");
+  EXPECT_EQ(request.request_id().size(), 16u);
+  EXPECT_FALSE(request.accept_blind());
+  EXPECT_FALSE(request.dry_run());
+}
+
+TEST_F(RipsctlTest, LowersWithWhatTheOperatorExpects) {
+  const nlohmann::json json = RunJson({"level", "lower", "r1", "--to", "ALERT", "--reason", "x",
+                                       "--expect", "COMPROMISED@2.9", "--accept-blind"});
+  EXPECT_EQ(json, nlohmann::json({{"robot", "r1"},
+                                  {"to", "ALERT"},
+                                  {"dry_run", false},
+                                  {"decided_level", "ALERT"},
+                                  {"soft", false},
+                                  {"mark", "3.18"},
+                                  {"expected", "COMPROMISED@2.9"},
+                                  {"would_raise_again", nlohmann::json::array()},
+                                  {"blind_because", nlohmann::json::array()}}));
+  EXPECT_THAT(fake_.calls(), testing::ElementsAre("DeEscalate")) << "nothing is read first";
+  EXPECT_EQ(fake_.last_level_request().expected_mark().epoch(), 9u);
+  EXPECT_TRUE(fake_.last_level_request().accept_blind());
+}
+
+TEST_F(RipsctlTest, ADryRunSaysWhatWouldHappen) {
+  fake_.level_response.add_would_raise_again("unknown_node");
+  fake_.level_response.add_blind_because("sensor base lost");
+  const Result result =
+      Run({"level", "lower", "r1", "--to", "DEFAULT", "--reason", "x", "--dry-run"});
+  EXPECT_EQ(result.code, 1);
+  EXPECT_TRUE(fake_.last_level_request().dry_run());
+  EXPECT_THAT(result.out, HasSubstr("nothing was changed\n"
+                                    "blind: sensor base lost\n"
+                                    "would be refused, because RIPS does not see all of r1 now; "
+                                    "--accept-blind lowers it all the same\n"
+                                    "would be raised again by rule unknown_node\n"));
+  EXPECT_THAT(result.out, testing::Not(HasSubstr("would lower")));
+
+  const Result accepted = Run(
+      {"level", "lower", "r1", "--to", "DEFAULT", "--reason", "x", "--dry-run", "--accept-blind"});
+  EXPECT_EQ(accepted.code, 0);
+  EXPECT_THAT(accepted.out, HasSubstr("would lower r1 to DEFAULT; nothing was changed\n"
+                                      "blind: sensor base lost\n"));
+}
+
+TEST_F(RipsctlTest, ListsAlertsThatTheStoreHasNotTaken) {
+  fake_.unrecorded_alert = "rogue driver";
+  const Result result = Run({"alert", "list"});
+  EXPECT_EQ(result.code, 0);
+  EXPECT_THAT(result.out, HasSubstr("rogue driver"));
+  EXPECT_THAT(result.out, HasSubstr("the first 1 are in the server's memory only: its store "
+                                    "cannot be written\n"));
+  EXPECT_EQ(RunJson({"alert", "list"})["unrecorded"][0]["text"], "rogue driver");
+}
+
+TEST_F(RipsctlTest, ARaiseToASoftLevelSaysThatRulesMayLowerIt) {
+  fake_.level_response.set_soft(true);
+  const Result result = Run({"level", "raise", "r1", "--to", "HALT", "--reason", "smoke"});
+  EXPECT_EQ(result.out,
+            "r1 goes to HALT (3.18)\n"
+            "HALT is a soft level: a rule may lower it again, as soon as what it asks is true\n");
+  EXPECT_EQ(RunJson({"level", "raise", "r1", "--to", "HALT", "--reason", "smoke"})["soft"], true);
+}
+
+TEST_F(RipsctlTest, Raises) {
+  const Result result = Run({"level", "raise", "r1", "--to", "HALT", "--reason", "smoke"});
+  EXPECT_EQ(result.code, 0);
+  EXPECT_EQ(result.out, "r1 goes to HALT (3.18)\n");
+  EXPECT_THAT(fake_.calls(), testing::ElementsAre("Raise"));
+  EXPECT_EQ(RunJson({"level", "raise", "r1", "--to", "HALT", "--reason", "smoke"})["mark"], "3.18");
+}
+
+TEST_F(RipsctlTest, ARefusalIsExitCodeOne) {
+  fake_.failure = grpc::Status(grpc::StatusCode::FAILED_PRECONDITION,
+                               "robot r1 is at HALT (3.19), not COMPROMISED (3.17)\x1b[1m");
+  const Result result = Run(
+      {"level", "lower", "r1", "--to", "DEFAULT", "--reason", "x", "--expect", "COMPROMISED@3.17"});
+  EXPECT_EQ(result.code, 1);
+  EXPECT_EQ(result.out, "");
+  EXPECT_EQ(result.err, "error: robot r1 is at HALT (3.19), not COMPROMISED (3.17)\\x1b[1m\n");
+  fake_.failure = grpc::Status(grpc::StatusCode::PERMISSION_DENIED, "alice is a viewer");
+  const Result denied = Run({"level", "raise", "r1", "--to", "HALT", "--reason", "x"});
+  EXPECT_EQ(denied.code, 1);
+  EXPECT_THAT(denied.err, HasSubstr("your certificate's role does not allow this"));
+}
+
+TEST_F(RipsctlTest, EveryVerbPassesOnRefusals) {
+  fake_.failure = grpc::Status(grpc::StatusCode::NOT_FOUND, "no such robot");
+  const std::vector<std::vector<std::string>> all = {
+      {"robot", "list"},
+      {"robot", "watch"},
+      {"robot", "show", "r1"},
+      {"robot", "graph", "r1"},
+      {"level", "show", "r1"},
+      {"level", "history", "r1"},
+      {"level", "raise", "r1", "--to", "A", "--reason", "x"},
+      {"level", "lower", "r1", "--to", "A", "--reason", "x"},
+      {"alert", "list"},
+      {"alert", "watch"},
+      {"rules", "resume", "r1", "--reason", "x"},
+  };
+  for (const auto& args : all) {
+    const Result result = Run(args);
+    EXPECT_EQ(result.code, 1) << args[0] << " " << args[1];
+    EXPECT_EQ(result.err, "error: no such robot\n") << args[0] << " " << args[1];
+  }
+}
+
+TEST_F(RipsctlTest, WrongFlagsAreExitCodeTwoAndCallNobody) {
+  const std::string long_reason(1'001, 'x');
+  const std::vector<std::vector<std::string>> all = {
+      {},
+      {"robot"},
+      {"robot", "dance"},
+      {"robot", "show"},
+      {"robot", "show", "R_1"},
+      {"robot", "show", "r1", "r2"},
+      {"robot", "watch", "../r1"},
+      {"alert", "list", "R"},
+      {"level", "lower", "r1"},
+      {"level", "lower", "r1", "--to", "A"},
+      {"level", "lower", "r1", "--to", "A", "--reason", "  "},
+      {"level", "lower", "r1", "--to", "A", "--reason", long_reason},
+      {"level", "lower", "r1", "--to", "A", "--reason", "\xff"},
+      {"level", "lower", "r1", "--to", "\xff", "--reason", "x"},
+      {"level", "lower", "r1", "--to", "A", "--reason", "x", "--expect", "COMPROMISED"},
+      {"level", "lower", "r1", "--to", "A", "--reason", "x", "--expect", "@3.17"},
+      {"level", "lower", "r1", "--to", "A", "--reason", "x", "--expect", "C@3"},
+      {"level", "lower", "r1", "--to", "A", "--reason", "x", "--expect", "C@3.x"},
+      {"rules", "resume", "r1"},
+      {"rules", "check"},
+      {"rules", "check", "/does/not/exist.rul"},
+      {"rules", "check", "--dialect", "other", "x"},
+      {"robot", "list", "--output", "xml"},
+      {"robot", "list", "--timeout", "10"},
+      {"robot", "list", "--timeout", "0s"},
+      {"robot", "list", "--server", "nowhere"},
+      {"robot", "list", "--no-such-flag"},
+  };
+  for (const auto& args : all) {
+    const Result result = Run(args);
+    EXPECT_EQ(result.code, 2) << testing::PrintToString(args) << result.out;
+    EXPECT_NE(result.err, "") << testing::PrintToString(args);
+  }
+  EXPECT_THAT(fake_.calls(), SizeIs(0));
+  EXPECT_EQ(Run({"level", "lower", "r1", "--to", "A", "--reason", "x", "--expect", "C@3"}).err,
+            "error: --expect is `C@3`; write LEVEL@TERM.EPOCH, for example COMPROMISED@3.17\n");
+}
+
+TEST_F(RipsctlTest, ListsAlertsWithHostileTextEscaped) {
+  fake_.alert_text = "node \xe2\x80\xae\x1b[2J";
+  const Result text = Run({"alert", "list"});
+  EXPECT_EQ(text.code, 0);
+  EXPECT_EQ(
+      text.out,
+      "TIME                      ROBOT  SEVERITY  LEVEL  RULE          TEXT\n"
+      "2026-01-01T00:00:00.000Z  r1     high      ALERT  unknown_node  node \\u202e\\x1b[2J\n");
+  const Result raw = Run({"alert", "list", "r1", "--limit", "5", "--output", "json"});
+  EXPECT_EQ(raw.out.find('\x1b'), std::string::npos);
+  EXPECT_EQ(nlohmann::json::parse(raw.out)["alerts"][0],
+            nlohmann::json({{"id", std::string(32, '2')},
+                            {"time", "2026-01-01T00:00:00.000000000Z"},
+                            {"robot", "r1"},
+                            {"rule", "unknown_node"},
+                            {"severity", "high"},
+                            {"text", fake_.alert_text},
+                            {"level", "ALERT"},
+                            {"event", "graph change"},
+                            {"mark", "3.16"}}));
+  EXPECT_THAT(fake_.calls(), testing::ElementsAre("ListAlerts  100", "ListAlerts r1 5"));
+}
+
+TEST_F(RipsctlTest, WatchesAlerts) {
+  EXPECT_EQ(Run({"alert", "watch"}).out,
+            "2026-01-01T00:00:00.000Z  r1  high  ALERT  unknown_node: unknown node /intruder\n");
+  EXPECT_EQ(RunJson({"alert", "watch", "r1"})["text"], "unknown node /intruder");
+}
+
+TEST_F(RipsctlTest, AWatchGoesOnAfterALostConnectionWithoutGapOrDuplicate) {
+  const auto position = [](const std::string& cursor) {
+    v1::Alert alert;
+    alert.set_cursor(cursor);
+    return alert;
+  };
+  const auto numbered = [](int n) {
+    v1::Alert alert = MakeAlert(absl::StrCat("alert ", n));
+    alert.set_cursor(absl::StrCat(n, "-abc"));
+    return alert;
+  };
+  v1::Alert gap;
+  gap.set_gap("forgotten \x1b[2J");
+  const grpc::Status lost(grpc::StatusCode::UNAVAILABLE, "the server is stopping");
+  fake_.alert_watches = {{{position("0"), numbered(1), numbered(2)}, lost},
+                         {{}, lost},
+                         {{position("2-abc")}, lost},
+                         {{position("2-abc"), gap, numbered(9)}, grpc::Status::OK}};
+  const Result watch = Run({"alert", "watch", "--after", "0"});
+  EXPECT_EQ(watch.code, 0) << watch.err;
+  EXPECT_THAT(watch.out,
+              AllOf(HasSubstr("alert 1\n"), HasSubstr("alert 2\n"), HasSubstr("alert 9\n")));
+  EXPECT_EQ(std::count(watch.out.begin(), watch.out.end(), '\n'), 3);
+  EXPECT_THAT(watch.err, AllOf(HasSubstr("the connection is lost (the server is stopping)"),
+                               HasSubstr("note: forgotten \\x1b[2J")));
+  EXPECT_THAT(fake_.calls(),
+              testing::ElementsAre("WatchAlerts after 0", "WatchAlerts after 2-abc",
+                                   "WatchAlerts after 2-abc", "WatchAlerts after 2-abc"));
+}
+
+TEST_F(RipsctlTest, AWatchThatIsRefusedEnds) {
+  fake_.alert_watches = {
+      {{}, grpc::Status(grpc::StatusCode::INVALID_ARGUMENT, "`x` is not a cursor")}};
+  const Result watch = Run({"alert", "watch", "--after", "x"});
+  EXPECT_EQ(watch.code, 1);
+  EXPECT_EQ(watch.err, "error: `x` is not a cursor\n");
+  fake_.alert_watches = {{{}, grpc::Status(grpc::StatusCode::UNAVAILABLE, "nobody there")}};
+  EXPECT_EQ(Run({"alert", "watch"}).code, 3) << "never connected";
+}
+
+TEST_F(RipsctlTest, RobotsThatDidNotAnswerAreNotLeftOut) {
+  fake_.no_answer = {"r3"};
+  const Result list = Run({"robot", "list"});
+  EXPECT_EQ(list.code, 1);
+  EXPECT_THAT(list.out, HasSubstr("no answer in time"));
+  const Result json = Run({"robot", "list", "--output", "json"});
+  EXPECT_EQ(nlohmann::json::parse(json.out)["no_answer"], nlohmann::json({"r3"}));
+  const Result show = Run({"robot", "show", "r3"});
+  EXPECT_EQ(show.code, 1);
+  EXPECT_THAT(show.err, HasSubstr("did not answer in time"));
+}
+
+TEST_F(RipsctlTest, ResumesRules) {
+  EXPECT_EQ(Run({"rules", "resume", "r1", "--reason", "seen to"}).out,
+            "rules of r1 may lower soft levels again\n");
+  EXPECT_EQ(RunJson({"rules", "resume", "r1", "--reason", "seen to"}),
+            nlohmann::json({{"robot", "r1"}, {"resumed", true}}));
+  EXPECT_EQ(fake_.calls()[0], "ResumeRules r1 seen to");
+}
+
+TEST_F(RipsctlTest, ListsAgentsAndBans) {
+  const Result listed = Run({"agent", "list"});
+  EXPECT_EQ(listed.code, 0);
+  EXPECT_THAT(listed.out, AllOf(HasSubstr("spiffe://td/robot/r1/sensor/base  0f"),
+                                HasSubstr("spiffe://td/robot/r2/sensor/base  all"),
+                                HasSubstr("stolen"), Not(HasSubstr("\x1b"))));
+  EXPECT_EQ(RunJson({"agent", "list"})["agents"][0],
+            nlohmann::json({{"uri", "spiffe://td/robot/r1/sensor/base"},
+                            {"serial", "0f"},
+                            {"not_after", "2026-01-01T00:00:00.000000000Z"}}));
+}
+
+TEST_F(RipsctlTest, ResetsATerm) {
+  EXPECT_EQ(Run({"agent", "reset-term", "r1", "base", "--reason", "disk replaced"}).out,
+            "r1 stays at ALERT by decision 2000000.8; actuator base is armed when it connects "
+            "next, within 60 s\n");
+  EXPECT_EQ(fake_.calls()[0], "ResetTerm r1 base disk replaced");
+  EXPECT_EQ(Run({"agent", "reset-term", "r1", "base"}).code, 2);
+  EXPECT_EQ(Run({"agent", "reset-term", "r1", "base", "--reason", " "}).code, 2);
+  fake_.failure = grpc::Status(grpc::StatusCode::FAILED_PRECONDITION, "nothing to reset");
+  EXPECT_EQ(Run({"agent", "reset-term", "r1", "base", "--reason", "x"}).code, 1);
+}
+
+TEST_F(RipsctlTest, BansAndUnbans) {
+  const std::string uri = "spiffe://td/robot/r1/sensor/base";
+  EXPECT_EQ(Run({"agent", "ban", uri, "--serial", "00AF", "--reason", "stolen"}).out,
+            uri + " banned\n");
+  EXPECT_EQ(Run({"agent", "unban", uri}).out, uri + " unbanned\n");
+  EXPECT_EQ(fake_.calls()[0], absl::StrCat("Ban ", uri, " af stolen"));
+  EXPECT_EQ(fake_.calls()[1], absl::StrCat("Unban ", uri, " "));
+  EXPECT_EQ(Run({"agent", "ban", uri}).code, 2);
+  EXPECT_EQ(Run({"agent", "ban", uri, "--reason", " "}).code, 2);
+  fake_.failure = grpc::Status(grpc::StatusCode::PERMISSION_DENIED, "needs the role `admin`");
+  EXPECT_EQ(Run({"agent", "ban", uri, "--reason", "stolen"}).code, 1);
+}
+
+TEST_F(RipsctlTest, ChecksRulesWithoutAServer) {
+  server_->Shutdown();
+  const std::string good = File("good.rul",
+                                "levels:\n  DEFAULT;\n  HALT;\nrules Graph:\n"
+                                "  r: !nodes(\"/talker\") ? alert(\"x\") => trigger(HALT);\n");
+  const Result ok = Run({"rules", "check", good});
+  EXPECT_EQ(ok.code, 0) << ok.out;
+  EXPECT_EQ(ok.out, "ok: 1 rules, 2 levels\n");
+  EXPECT_EQ(RunJson({"rules", "check", good})["files"][0]["ok"], true);
+
+  const std::string bad = File("bad.rul", "rules Graph:\n  nodes(\"/a\") ? trigger(GONE);\n");
+  const Result findings = Run({"rules", "check", good, bad});
+  EXPECT_EQ(findings.code, 1);
+  EXPECT_THAT(findings.out, AllOf(HasSubstr(absl::StrCat(bad, ":2:")), HasSubstr("error: "),
+                                  HasSubstr("GONE"), Not(HasSubstr("ok:"))));
+  const nlohmann::json json = RunJson({"rules", "check", good, bad}, 1);
+  EXPECT_EQ(json["files"][1]["ok"], false);
+  EXPECT_EQ(json["files"][1]["diagnostics"][0]["line"], 2);
+  EXPECT_THAT(fake_.calls(), SizeIs(0));
+}
+
+TEST_F(RipsctlTest, AnAbsentServerIsExitCodeThree) {
+  server_->Shutdown();
+  const Result result = Run({"robot", "list", "--timeout", "5s"});
+  EXPECT_EQ(result.code, 3);
+  EXPECT_THAT(result.err, StartsWith("error: cannot reach the policy server: "));
+  EXPECT_EQ(Run({"robot", "watch"}).code, 3);
+}
+
+TEST_F(RipsctlTest, TakesSettingsFromEveryPlace) {
+  std::filesystem::create_directories(home_ + "/.config/rips");
+  File(".config/rips/ripsctl.yaml", "server: file.example:1\noutput: json\nca: /f/ca.pem\n");
+  env_["RIPSCTL_SERVER"] = "env.example:2";
+  EXPECT_THAT(Run({"robot", "list"}).out, StartsWith("{\"robots\":"));
+  EXPECT_EQ(used_.server, "env.example:2");
+  EXPECT_EQ(used_.ca, "/f/ca.pem");
+  EXPECT_THAT(Run({"robot", "list", "--server", "flag.example:3", "--output", "text"}).out,
+              StartsWith("ROBOT"));
+  EXPECT_EQ(used_.server, "flag.example:3");
+
+  File(".config/rips/ripsctl.yaml", "servr: x\n");
+  const Result bad = Run({"robot", "list"});
+  EXPECT_EQ(bad.code, 2);
+  EXPECT_THAT(bad.err, HasSubstr("unknown key `servr`"));
+}
+
+TEST_F(RipsctlTest, SpeaksMutualTls) {
+  tls_ = true;
+  rpc::TestPki pki;
+  const auto credentials = rpc::Credentials::Load(pki.Server());
+  ASSERT_THAT(credentials, IsOk());
+  FakeOperator service;
+  auto server = rpc::RpcServer::Start(
+      {.listen = "127.0.0.1:0", .credentials = (*credentials)->ForServer()}, {&service});
+  ASSERT_THAT(server, IsOk());
+
+  const auto with = [&](const TlsFiles& files) {
+    return Run({"robot", "list", "--server", (*server)->address(), "--ca", files.ca, "--cert",
+                files.cert, "--key", files.key});
+  };
+  const Result good = with(pki.Operator("viewer", "vera"));
+  EXPECT_EQ(good.code, 0) << good.err;
+  EXPECT_THAT(good.out, StartsWith("ROBOT"));
+
+  rpc::TestPki foreign;
+  EXPECT_EQ(with(foreign.Operator()).code, 3);
+  const Result no_file = Run({"robot", "list", "--server", (*server)->address(), "--ca", "/none",
+                              "--cert", "/none", "--key", "/none"});
+  EXPECT_EQ(no_file.code, 2);
+  const Result no_flags = Run({"robot", "list"});
+  EXPECT_EQ(no_flags.code, 2);
+  EXPECT_THAT(no_flags.err, HasSubstr("--ca is missing; give --ca, --cert and --key"));
+}
+
+TEST_F(RipsctlTest, HelpIsAsPinned) {
+  const std::string path =
+      std::string(RIPS_SOURCE_DIR) + "/policy_server/ripsctl/testdata/help.txt";
+  std::string actual;
+  const std::vector<std::string> pages[] = {
+      {},
+      {"robot", "list"},
+      {"robot", "watch"},
+      {"robot", "show"},
+      {"robot", "graph"},
+      {"robot", "interest"},
+      {"robot", "coverage"},
+      {"level", "show"},
+      {"level", "history"},
+      {"level", "raise"},
+      {"level", "lower"},
+      {"alert", "list"},
+      {"alert", "watch"},
+      {"rules", "check"},
+      {"rules", "fmt"},
+      {"rules", "builtins"},
+      {"rules", "test"},
+      {"rules", "replay"},
+      {"rules", "resume"},
+  };
+  for (std::vector<std::string> args : pages) {
+    args.push_back("--help");
+    actual += "$ ripsctl";
+    for (const std::string& arg : args) absl::StrAppend(&actual, " ", arg);
+    const Result result = Run(args);
+    EXPECT_EQ(result.code, 0);
+    absl::StrAppend(&actual, "\n", result.out);
+  }
+  if (std::getenv("RIPS_UPDATE_GOLDENS") != nullptr) std::ofstream(path) << actual;
+  std::ifstream file(path);
+  std::ostringstream pinned;
+  pinned << file.rdbuf();
+  EXPECT_EQ(actual, pinned.str()) << "RIPS_UPDATE_GOLDENS=1 rewrites " << path;
+}
+
+TEST_F(RipsctlTest, AVerbThatIsNoneIsNamed) {
+  const Result slip = Run({"rules", "chek", "r.rul"});
+  EXPECT_EQ(slip.code, 2);
+  EXPECT_EQ(slip.err, "error: `rules` has no `chek`; did you mean `check`?\n");
+  const Result other = Run({"level", "nonsense"});
+  EXPECT_EQ(other.err, "error: `level` has no `nonsense`; it has show, history, raise, lower\n");
+}
+
+TEST_F(RipsctlTest, RecordsIntoANewFile) {
+  const std::string path = home_ + "/r1.rips";
+  const Result first = Run({"record", "r1", "--out", path});
+  EXPECT_EQ(first.code, 0) << first.err;
+  EXPECT_EQ(first.out, absl::StrCat("2 events of r1 in ", path, "\n"));
+  EXPECT_EQ(std::filesystem::status(path).permissions(),
+            std::filesystem::perms::owner_read | std::filesystem::perms::owner_write);
+  const Result again = Run({"record", "r1", "--out", path});
+  EXPECT_EQ(again.code, 2);
+  EXPECT_THAT(again.err, HasSubstr("is there already"));
+  EXPECT_EQ(Run({"record", "r1", "--out", path, "--force"}).code, 0);
+  EXPECT_EQ(Run({"record", "r1", "--out", path, "--force", "--for", "soon"}).code, 2);
+
+  const std::string rules = home_ + "/r.rul";
+  std::ofstream(rules) << "levels: A; rules External: signal(\"SIGUSR1\") ? alert(\"seen\");";
+  const Result replayed = Run({"rules", "replay", "--rules", rules, "--events", path});
+  EXPECT_EQ(replayed.code, 0) << replayed.err;
+  EXPECT_THAT(replayed.out, HasSubstr("seen"));
+}
+
+TEST_F(RipsctlTest, ARefusedRecordingSaysWhy) {
+  fake_.failure = grpc::Status(grpc::StatusCode::NOT_FOUND, "no robot `r2`");
+  const Result result = Run({"record", "r2", "--out", home_ + "/r2.rips"});
+  EXPECT_EQ(result.code, 1);
+  EXPECT_THAT(result.err, HasSubstr("no robot `r2`"));
+  EXPECT_FALSE(std::filesystem::exists(home_ + "/r2.rips"));
+
+  // Nor does it take the place of an earlier recording.
+  const std::string kept = home_ + "/kept.rips";
+  std::ofstream(kept) << "earlier";
+  EXPECT_EQ(Run({"record", "r2", "--out", kept, "--force"}).code, 1);
+  EXPECT_EQ(std::filesystem::file_size(kept), 7u);
+}
+
+}  // namespace
+}  // namespace rips::ripsctl

@@ -1,0 +1,355 @@
+#include "policy_server/ripsctl/robot/robot_coverage.h"
+
+#include <CLI/CLI.hpp>
+#include <nlohmann/json.hpp>
+#include <string>
+#include <utility>
+
+#include "absl/strings/str_cat.h"
+#include "absl/strings/str_format.h"
+#include "absl/strings/str_join.h"
+#include "policy_server/ripsctl/cli/json_view.h"
+#include "policy_server/ripsctl/cli/printer.h"
+#include "policy_server/ripsctl/robot/robot_verb.h"
+
+namespace rips::ripsctl {
+namespace {
+
+const char* DepthName(v1::InterestRule::Depth depth) {
+  switch (depth) {
+    case v1::InterestRule::NOTHING:
+      return "nothing";
+    case v1::InterestRule::METADATA:
+      return "metadata";
+    case v1::InterestRule::PAYLOAD:
+      return "payload";
+    default:
+      return "unknown";
+  }
+}
+
+std::string InterestState(const v1::SensorInterest& sensor) {
+  if (!sensor.connected()) return "not connected";
+  if (sensor.in_use()) return "in use";
+  return sensor.problem().empty() ? "not yet" : absl::StrCat("refused: ", sensor.problem());
+}
+
+// How much of an endpoint's traffic is seen, as one of four.
+enum class Seen { kWatched, kNotNeeded, kNotVisible, kNeverRead };
+
+// Requests to services are never read: one more reader would make clients wait for ever.
+Seen SeenOf(const v1::Endpoint& endpoint) {
+  if (endpoint.kind() == v1::Endpoint::SERVICE || endpoint.kind() == v1::Endpoint::CLIENT) {
+    return Seen::kNeverRead;
+  }
+  if (endpoint.visibility() == v1::WATCHED) return Seen::kWatched;
+  return endpoint.visibility() == v1::NOT_NEEDED ? Seen::kNotNeeded : Seen::kNotVisible;
+}
+
+const char* SeenName(Seen seen) {
+  switch (seen) {
+    case Seen::kWatched:
+      return "watched";
+    case Seen::kNotNeeded:
+      return "not needed";
+    case Seen::kNotVisible:
+      return "not visible";
+    case Seen::kNeverRead:
+      return "never read";
+  }
+  return "";
+}
+
+std::string SeenText(const v1::Endpoint& endpoint) {
+  const std::string name = SeenName(SeenOf(endpoint));
+  return endpoint.why().empty() ? name : absl::StrCat(name, ": ", endpoint.why());
+}
+
+struct Counts {
+  int of[4] = {0, 0, 0, 0};
+  int operator[](Seen seen) const { return of[static_cast<int>(seen)]; }
+};
+
+Counts Count(const v1::GetCoverageResponse& response) {
+  Counts counts;
+  for (const v1::Endpoint& endpoint : response.endpoints()) {
+    ++counts.of[static_cast<int>(SeenOf(endpoint))];
+  }
+  return counts;
+}
+
+// Is everything seen that is there to be seen?
+bool Complete(const v1::GetCoverageResponse& response) {
+  bool graph = false;
+  for (const v1::SensorCoverage& sensor : response.sensors()) {
+    if (!sensor.connected()) return false;
+    graph |= sensor.primary() && sensor.settled();
+  }
+  return graph && response.blind().empty() && !response.graph_truncated() &&
+         response.findings().empty() && response.skipped().empty() &&
+         response.cut_payloads().empty() && response.endpoints_left_out() == 0 &&
+         Count(response)[Seen::kNotVisible] == 0;
+}
+
+const char* YesNo(bool value) { return value ? "yes" : "no"; }
+
+std::string SkewText(const v1::SensorCoverage& sensor) {
+  if (!sensor.has_clock_skew_ns()) return "";
+  return absl::StrFormat("%+.3f s", static_cast<double>(sensor.clock_skew_ns()) / 1e9);
+}
+
+Json Strings(const google::protobuf::RepeatedPtrField<std::string>& strings) {
+  Json list = Json::array();
+  for (const std::string& each : strings) list.push_back(each);
+  return list;
+}
+
+class ShowInterest final : public RobotVerb {
+ public:
+  absl::string_view verb() const override { return "interest"; }
+  absl::string_view synopsis() const override {
+    return "Show what the rules need of each topic, and who watches so";
+  }
+
+ private:
+  ExitCode RunFor(Env& env, const std::string& robot) override {
+    v1::GetInterestRequest request;
+    request.set_robot(robot);
+    const auto response = Call(env, &Stub::GetInterest, request);
+    if (!response.ok()) return Failed(env, response.status());
+    if (env.json()) {
+      PrintJson(InterestJson(robot, *response), env.out);
+    } else {
+      PrintText(*response, env.out);
+    }
+    return ExitCode::kDone;
+  }
+
+  static google::protobuf::RepeatedPtrField<std::string> WantedBy(
+      const v1::GetInterestResponse& response, int row) {
+    return row < response.reasons_size() ? response.reasons(row).wanted_by()
+                                         : v1::InterestReason().wanted_by();
+  }
+  static Json InterestJson(const std::string& robot, const v1::GetInterestResponse& response) {
+    Json rules = Json::array();
+    for (int i = 0; i < response.interest().rules_size(); ++i) {
+      const v1::InterestRule& rule = response.interest().rules(i);
+      rules.push_back({{"depth", DepthName(rule.depth())},
+                       {"bytes", rule.payload_bytes_max()},
+                       {"topic", rule.topic_regex()},
+                       {"type", rule.type()},
+                       {"wanted_by", Strings(WantedBy(response, i))}});
+    }
+    Json sensors = Json::array();
+    for (const v1::SensorInterest& sensor : response.sensors()) {
+      sensors.push_back({{"host", sensor.host()},
+                         {"connected", sensor.connected()},
+                         {"in_use", sensor.in_use()},
+                         {"problem", sensor.problem()}});
+    }
+    Json limits = Json::array();
+    for (const v1::PayloadLimit& limit : response.interest().payload_limits()) {
+      limits.push_back({{"topic", limit.topic_regex()}, {"bytes", limit.bytes()}});
+    }
+    return {{"robot", robot},
+            {"rules", std::move(rules)},
+            {"payload_limits", std::move(limits)},
+            {"sensors", std::move(sensors)}};
+  }
+  static void PrintText(const v1::GetInterestResponse& response, std::ostream& out) {
+    Table rules({"DEPTH", "BYTES", "TOPIC", "TYPE", "WANTED BY"});
+    for (int i = 0; i < response.interest().rules_size(); ++i) {
+      const v1::InterestRule& rule = response.interest().rules(i);
+      rules.Add({DepthName(rule.depth()),
+                 rule.payload_bytes_max() == 0 ? "" : absl::StrCat(rule.payload_bytes_max()),
+                 rule.topic_regex().empty() ? "(every topic)" : rule.topic_regex(),
+                 rule.type().empty() ? "(any)" : rule.type(),
+                 absl::StrJoin(WantedBy(response, i), ", ")});
+    }
+    rules.Print(out);
+    out << "\n";
+    if (!response.interest().payload_limits().empty()) {
+      Table limits({"PAYLOAD LIMIT", "TOPIC"});
+      for (const v1::PayloadLimit& limit : response.interest().payload_limits()) {
+        limits.Add({absl::StrCat(limit.bytes()), limit.topic_regex()});
+      }
+      limits.Print(out);
+      out << "\n";
+    }
+    Table sensors({"SENSOR", "STATE"});
+    for (const v1::SensorInterest& sensor : response.sensors()) {
+      sensors.Add({sensor.host(), InterestState(sensor)});
+    }
+    sensors.Print(out);
+  }
+};
+
+class ShowCoverage final : public RobotVerb {
+ public:
+  absl::string_view verb() const override { return "coverage"; }
+  absl::string_view synopsis() const override {
+    return "Show what is seen of a robot and what is not; exit with 1 if not all is";
+  }
+
+ private:
+  void AddMore(CLI::App& app) override {
+    app.add_flag("--all", all_, "Show every endpoint, not only those that are not visible");
+  }
+  ExitCode RunFor(Env& env, const std::string& robot) override {
+    v1::GetCoverageRequest request;
+    request.set_robot(robot);
+    const auto response = Call(env, &Stub::GetCoverage, request);
+    if (!response.ok()) return Failed(env, response.status());
+    if (env.json()) {
+      PrintJson(CoverageJson(robot, *response), env.out);
+    } else {
+      PrintText(*response, env.out);
+    }
+    return Complete(*response) ? ExitCode::kDone : ExitCode::kRefused;
+  }
+
+  static Json SensorJson(const v1::SensorCoverage& sensor) {
+    return {{"host", sensor.host()},
+            {"primary", sensor.primary()},
+            {"connected", sensor.connected()},
+            {"settled", sensor.settled()},
+            {"not_visible", Strings(sensor.not_visible())},
+            {"blind", Strings(sensor.state().blind())},
+            {"overloaded", sensor.state().overloaded()},
+            {"outbox_bytes", sensor.state().outbox_bytes()},
+            {"oldest_unacked_ns", sensor.state().oldest_unacked_ns()},
+            {"spool_bytes", sensor.state().spool_bytes()},
+            {"lost", sensor.lost()},
+            {"clock_skew_ns",
+             sensor.has_clock_skew_ns() ? Json(sensor.clock_skew_ns()) : Json(nullptr)}};
+  }
+  static Json CoverageJson(const std::string& robot, const v1::GetCoverageResponse& response) {
+    Json sensors = Json::array();
+    for (const v1::SensorCoverage& sensor : response.sensors()) {
+      sensors.push_back(SensorJson(sensor));
+    }
+    Json endpoints = Json::array();
+    for (const v1::Endpoint& endpoint : response.endpoints()) {
+      endpoints.push_back({{"guid", GuidText(endpoint.guid())},
+                           {"kind", KindName(endpoint.kind())},
+                           {"name", endpoint.name()},
+                           {"type", endpoint.type()},
+                           {"node", endpoint.node()},
+                           {"ros", endpoint.ros()},
+                           {"state", SeenName(SeenOf(endpoint))},
+                           {"why", endpoint.why()}});
+    }
+    Json findings = Json::array();
+    for (const v1::Finding& finding : response.findings()) {
+      findings.push_back({{"kind", finding.kind()},
+                          {"guid", finding.guid().empty() ? "" : GuidText(finding.guid())},
+                          {"node", finding.node()},
+                          {"topic", finding.topic()},
+                          {"detail", finding.detail()}});
+    }
+    Json skipped = Json::array();
+    for (const v1::SkippedInspections& each : response.skipped()) {
+      skipped.push_back({{"reason", each.reason()}, {"count", each.count()}});
+    }
+    Json cut = Json::array();
+    for (const v1::CutPayloads& each : response.cut_payloads()) {
+      cut.push_back({{"topic", each.topic()},
+                     {"limit_bytes", each.limit_bytes()},
+                     {"longest_bytes", each.longest_bytes()},
+                     {"count", each.count()}});
+    }
+    return {{"robot", robot},
+            {"complete", Complete(response)},
+            {"blind", Strings(response.blind())},
+            {"cut_payloads", std::move(cut)},
+            {"graph_truncated", response.graph_truncated()},
+            {"endpoints_left_out", response.endpoints_left_out()},
+            {"findings_left_out", response.findings_left_out()},
+            {"skipped_inspections", std::move(skipped)},
+            {"sensors", std::move(sensors)},
+            {"endpoints", std::move(endpoints)},
+            {"findings", std::move(findings)}};
+  }
+
+  void PrintText(const v1::GetCoverageResponse& response, std::ostream& out) const {
+    for (const std::string& reason : response.blind()) {
+      out << "BLIND: " << EscapeText(reason) << "\n";
+    }
+    if (!response.blind().empty()) out << "\n";
+    Table sensors({"SENSOR", "PRIMARY", "CONNECTED", "SETTLED", "OUTBOX", "SPOOL", "LOST 10 MIN",
+                   "CLOCK", "DOES NOT SEE"});
+    for (const v1::SensorCoverage& sensor : response.sensors()) {
+      sensors.Add({sensor.host(), YesNo(sensor.primary()), YesNo(sensor.connected()),
+                   YesNo(sensor.settled()), absl::StrCat(sensor.state().outbox_bytes(), " B"),
+                   absl::StrCat(sensor.state().spool_bytes(), " B"), absl::StrCat(sensor.lost()),
+                   SkewText(sensor), absl::StrJoin(sensor.not_visible(), "; ")});
+    }
+    sensors.Print(out);
+    out << "\n";
+    PrintEndpoints(response, out);
+    if (response.graph_truncated()) {
+      out << "\ngraph truncated: it is larger than the limits, and not all of it is here\n";
+    }
+    if (response.endpoints_left_out() > 0 || response.findings_left_out() > 0) {
+      out << "\n"
+          << response.endpoints_left_out() << " more endpoints and " << response.findings_left_out()
+          << " more findings do not fit into one answer\n";
+    }
+    if (!response.skipped().empty()) {
+      out << "\n";
+      Table skipped({"INSPECTIONS NOT MADE", "IN 10 MIN"});
+      for (const v1::SkippedInspections& each : response.skipped()) {
+        skipped.Add({each.reason(), absl::StrCat(each.count())});
+      }
+      skipped.Print(out);
+    }
+    if (!response.cut_payloads().empty()) {
+      out << "\n";
+      Table cut({"PAYLOADS CUT", "LIMIT", "LONGEST", "MESSAGES"});
+      for (const v1::CutPayloads& each : response.cut_payloads()) {
+        cut.Add({each.topic(), absl::StrCat(each.limit_bytes(), " B"),
+                 absl::StrCat(each.longest_bytes(), " B"), absl::StrCat(each.count())});
+      }
+      cut.Print(out);
+    }
+    if (response.findings().empty()) return;
+    out << "\n";
+    Table findings({"FINDING", "NODE", "TOPIC", "DETAIL"});
+    for (const v1::Finding& finding : response.findings()) {
+      findings.Add({finding.kind(), finding.node(), finding.topic(), finding.detail()});
+    }
+    findings.Print(out);
+  }
+  void PrintEndpoints(const v1::GetCoverageResponse& response, std::ostream& out) const {
+    const Counts counts = Count(response);
+    Table summary({"ENDPOINTS", "COUNT"});
+    for (const Seen seen :
+         {Seen::kWatched, Seen::kNotNeeded, Seen::kNotVisible, Seen::kNeverRead}) {
+      summary.Add({SeenName(seen), absl::StrCat(counts[seen])});
+    }
+    summary.Print(out);
+    if (!all_ && counts[Seen::kNotVisible] == 0) return;
+    out << "\n";
+    Table table({"NAME", "KIND", "NODE", "STATE"});
+    for (const v1::Endpoint& endpoint : response.endpoints()) {
+      if (!all_ && SeenOf(endpoint) != Seen::kNotVisible) continue;
+      table.Add({endpoint.name(), KindName(endpoint.kind()),
+                 endpoint.node().empty() ? GuidText(endpoint.guid()) : endpoint.node(),
+                 SeenText(endpoint)});
+    }
+    table.Print(out);
+  }
+
+  bool all_ = false;
+};
+
+}  // namespace
+
+Commands CoverageCommands() {
+  Commands commands;
+  commands.push_back(std::make_unique<ShowInterest>());
+  commands.push_back(std::make_unique<ShowCoverage>());
+  return commands;
+}
+
+}  // namespace rips::ripsctl

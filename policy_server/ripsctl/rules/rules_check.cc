@@ -1,0 +1,153 @@
+#include "policy_server/ripsctl/rules/rules_check.h"
+
+#include <CLI/CLI.hpp>
+#include <algorithm>
+#include <filesystem>
+#include <nlohmann/json.hpp>
+#include <optional>
+#include <string>
+#include <system_error>
+#include <vector>
+
+#include "absl/strings/str_cat.h"
+#include "absl/strings/str_split.h"
+#include "policy_server/policy/bundle/bundle.h"
+#include "policy_server/policy/inspect/checked_files.h"
+#include "policy_server/policy/inspect/file_source.h"
+#include "policy_server/policy/lang/check/compile.h"
+#include "policy_server/ripsctl/cli/json_view.h"
+#include "policy_server/ripsctl/cli/printer.h"
+#include "policy_server/ripsctl/rules/rule_input.h"
+
+namespace rips::ripsctl {
+namespace {
+
+namespace fs = std::filesystem;
+
+// The directory of the bundle that `path` means; none if it is a rule file. InvalidArgument for a
+// directory that is no bundle.
+absl::StatusOr<std::optional<std::string>> BundleDirectoryOf(const std::string& path) {
+  std::error_code error;
+  const fs::path given(path);
+  if (fs::is_directory(given, error)) {
+    if (fs::exists(given / bundle::kManifestName, error)) return path;
+    return absl::InvalidArgumentError(absl::StrCat("directory `", path, "` has no `",
+                                                   bundle::kManifestName,
+                                                   "`; give a bundle, or rule files"));
+  }
+  if (given.filename() == bundle::kManifestName && fs::exists(given, error)) {
+    return given.has_parent_path() ? given.parent_path().string() : ".";
+  }
+  return std::nullopt;
+}
+
+size_t CountWarnings(const std::vector<lang::Diagnostic>& diagnostics) {
+  return static_cast<size_t>(
+      std::count_if(diagnostics.begin(), diagnostics.end(), [](const lang::Diagnostic& diagnostic) {
+        return lang::SeverityOf(diagnostic.kind) == lang::DiagnosticSeverity::kWarning;
+      }));
+}
+
+// `text` may have several lines.
+void PrintProblem(absl::string_view severity, absl::string_view text, std::ostream& out) {
+  out << severity << ": ";
+  for (const absl::string_view line : absl::StrSplit(text, '\n')) out << EscapeText(line) << "\n";
+}
+
+class CheckRulesCommand final : public Command {
+ public:
+  absl::string_view noun() const override { return "rules"; }
+  absl::string_view verb() const override { return "check"; }
+  absl::string_view synopsis() const override {
+    return "Check rule files as one policy, in this order, or a bundle; needs no server";
+  }
+  bool needs_server() const override { return false; }
+  void AddFlags(CLI::App& app) override {
+    app.add_option("FILE", paths_, "Rule files, - is standard input; or one bundle's directory")
+        ->required();
+    dialect_flag_ = app.add_option("--dialect", dialect_, "What the include forms mean")
+                        ->check(CLI::IsMember({"rips", "prototype"}))
+                        ->capture_default_str();
+    app.add_flag("--werror", werror_, "Exit with 1 for warnings, too");
+  }
+
+  ExitCode Run(Env& env) override {
+    for (const std::string& path : paths_) {
+      const absl::StatusOr<std::optional<std::string>> dir = BundleDirectoryOf(path);
+      if (!dir.ok()) return UsageError(env, dir.status().message());
+      if (!dir->has_value()) continue;
+      if (paths_.size() > 1) {
+        return UsageError(env, absl::StrCat("`", path, "` is a bundle; check it alone"));
+      }
+      if (dialect_flag_->count() > 0) {
+        return UsageError(env, "--dialect is for rule files; a bundle's manifest says it");
+      }
+      return CheckBundle(env, **dir);
+    }
+    return CheckFiles(env);
+  }
+
+ private:
+  ExitCode CheckFiles(Env& env) const {
+    const absl::StatusOr<std::vector<lang::SourceFile>> files = ReadRuleFiles(env, paths_);
+    if (!files.ok()) return UsageError(env, files.status().message());
+    using Dialect = lang::CheckedRules::Dialect;
+    const inspect::DiskFiles disk;
+    inspect::CheckedFiles checked(&disk);
+    const lang::CompileResult result =
+        lang::Compile(*files, {.dialect = dialect_ == "rips" ? Dialect::kRips : Dialect::kPrototype,
+                               .inspection_files = &checked});
+    if (env.json()) {
+      env.out << lang::RenderJson(*files, result.diagnostics) << "\n";
+    } else {
+      env.out << lang::RenderText(*files, result.diagnostics);
+    }
+    if (!result.rules.has_value()) return ExitCode::kRefused;
+    return Accepted(env, CountWarnings(result.diagnostics),
+                    absl::StrCat(result.rules->rules.size(), " rules, ",
+                                 result.rules->levels.size(), " levels"));
+  }
+
+  ExitCode CheckBundle(Env& env, const std::string& dir) const {
+    const bundle::BundleCheck check = bundle::CheckBundle(dir);
+    if (env.json()) {
+      Json json = Json::parse(lang::RenderJson(check.files, check.diagnostics));
+      json["bundle"] = {{"name", check.name},
+                        {"id", check.id},
+                        {"ok", check.ok()},
+                        {"problems", check.problems},
+                        {"warnings", check.warnings}};
+      PrintJson(json, env.out);
+    } else {
+      env.out << lang::RenderText(check.files, check.diagnostics);
+      for (const std::string& text : check.problems) PrintProblem("error", text, env.out);
+      for (const std::string& text : check.warnings) PrintProblem("warning", text, env.out);
+    }
+    if (!check.ok()) return ExitCode::kRefused;
+    return Accepted(env, CountWarnings(check.diagnostics) + check.warnings.size(),
+                    absl::StrCat("bundle `", check.name, "`, ", check.rules, " rules, ",
+                                 check.levels, " levels, ", check.id));
+  }
+
+  ExitCode Accepted(Env& env, size_t warnings, absl::string_view what) const {
+    const bool refused = werror_ && warnings > 0;
+    if (!env.json() && refused) {
+      env.out << "refused: " << warnings << (warnings == 1 ? " warning" : " warnings")
+              << ", and --werror is given\n";
+    } else if (!env.json()) {
+      env.out << "ok: " << what << "\n";
+    }
+    return refused ? ExitCode::kRefused : ExitCode::kDone;
+  }
+
+  std::vector<std::string> paths_;
+  std::string dialect_ = "rips";
+  CLI::Option* dialect_flag_ = nullptr;  // Not owned; outlives this.
+  bool werror_ = false;
+};
+
+}  // namespace
+
+std::unique_ptr<Command> CheckRules() { return std::make_unique<CheckRulesCommand>(); }
+
+}  // namespace rips::ripsctl

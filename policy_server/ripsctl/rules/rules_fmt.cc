@@ -1,0 +1,104 @@
+#include "policy_server/ripsctl/rules/rules_fmt.h"
+
+#include <errno.h>
+#include <sys/stat.h>
+
+#include <CLI/CLI.hpp>
+#include <algorithm>
+#include <cstring>
+#include <filesystem>
+#include <nlohmann/json.hpp>
+#include <string>
+#include <system_error>
+#include <vector>
+
+#include "absl/strings/str_cat.h"
+#include "policy_server/policy/lang/format/formatter.h"
+#include "policy_server/ripsctl/cli/json_view.h"
+#include "policy_server/ripsctl/cli/printer.h"
+#include "policy_server/ripsctl/rules/rule_input.h"
+#include "services/runtime/atomic_file.h"
+
+namespace rips::ripsctl {
+namespace {
+
+// Keeps the file's mode; follows a link to the file.
+absl::Status Rewrite(const std::string& path, absl::string_view text) {
+  std::error_code error;
+  const std::string target = std::filesystem::canonical(path, error).string();
+  if (error) return absl::UnavailableError(absl::StrCat(path, ": ", error.message()));
+  struct stat status = {};
+  if (stat(target.c_str(), &status) != 0) {
+    return absl::UnavailableError(absl::StrCat(path, ": ", std::strerror(errno)));
+  }
+  return WriteFileAtomically(target, text, status.st_mode & 07777);
+}
+
+class FmtRulesCommand final : public Command {
+ public:
+  absl::string_view noun() const override { return "rules"; }
+  absl::string_view verb() const override { return "fmt"; }
+  absl::string_view synopsis() const override {
+    return "Lay rule files out in one style, comments and all; needs no server";
+  }
+  bool needs_server() const override { return false; }
+  void AddFlags(CLI::App& app) override {
+    app.add_option("FILE", paths_, "Rule files; - is standard input")->required();
+    CLI::Option* write = app.add_flag("--write", write_, "Rewrite the files, name those changed");
+    app.add_flag("--check", check_, "Only name the files that would change; exit with 1 if any")
+        ->excludes(write);
+  }
+
+  ExitCode Run(Env& env) override {
+    const bool prints = !write_ && !check_;
+    if (prints && paths_.size() > 1) {
+      return UsageError(env, "to print, give one file; to treat several, add --write or --check");
+    }
+    if (write_ && std::find(paths_.begin(), paths_.end(), kStandardInput) != paths_.end()) {
+      return UsageError(env, "--write cannot rewrite standard input (`-`)");
+    }
+    const absl::StatusOr<std::vector<lang::SourceFile>> files = ReadRuleFiles(env, paths_);
+    if (!files.ok()) return UsageError(env, files.status().message());
+    Json all = Json::array();
+    ExitCode code = ExitCode::kDone;
+    for (const lang::SourceFile& file : *files) {
+      const lang::FormatResult result = lang::Format(file);
+      const bool changed = result.text.has_value() && *result.text != file.text;
+      if (changed && write_) {
+        const absl::Status written = Rewrite(file.path, *result.text);
+        if (!written.ok()) return UsageError(env, written.message());
+      }
+      if (!result.text.has_value() || (changed && check_)) code = ExitCode::kRefused;
+      if (env.json()) {
+        all.push_back(ToJson(file, result, changed, prints));
+      } else if (!result.text.has_value()) {
+        env.err << lang::RenderText({file}, result.diagnostics);
+      } else if (prints) {
+        env.out << *result.text;
+      } else if (changed) {
+        env.out << EscapeText(file.path) << "\n";
+      }
+    }
+    if (env.json()) PrintJson({{"files", all}}, env.out);
+    return code;
+  }
+
+ private:
+  static Json ToJson(const lang::SourceFile& file, const lang::FormatResult& result, bool changed,
+                     bool prints) {
+    Json out = Json::parse(lang::RenderJson({file}, result.diagnostics))["files"][0];
+    out["changed"] = changed;
+    if (prints && result.text.has_value()) out["text"] = *result.text;
+    return out;
+  }
+
+  std::vector<std::string> paths_;
+  bool write_ = false;
+  bool check_ = false;
+};
+
+}  // namespace
+
+std::unique_ptr<Command> FmtRules() { return std::make_unique<FmtRulesCommand>(); }
+
+}  // namespace rips::ripsctl

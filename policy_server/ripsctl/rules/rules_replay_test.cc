@@ -1,0 +1,452 @@
+// `ripsctl rules replay` and `ripsctl rules test`, from the command line on.
+#include <fcntl.h>
+#include <spawn.h>
+#include <sys/wait.h>
+#include <unistd.h>
+
+#include <filesystem>
+#include <fstream>
+#include <nlohmann/json.hpp>
+#include <string>
+#include <vector>
+
+#include "absl/strings/str_cat.h"
+#include "gmock/gmock.h"
+#include "gtest/gtest.h"
+#include "policy_server/policy/recording/recording_test_data.h"
+#include "policy_server/ripsctl/offline_run.h"
+
+namespace rips::ripsctl {
+namespace {
+
+using ::testing::AllOf;
+using ::testing::HasSubstr;
+using ::testing::Not;
+using ::testing::StartsWith;
+
+constexpr char kRules[] = R"(levels: QUIET; LOUD soft; OFF;
+vars: n int = 0;
+rules Graph:
+  stranger: !nodesonly("/talker") ? alert("a stranger", "high") => trigger(LOUD);
+rules Message:
+  count: topicin("/chatter") ? set(n, n + 1);
+  alarm: topicin("/chatter") && n == 2 ? exec("usb_alarm", "1") !> alert("no alarm");
+rules External:
+  calm: CurrLevel == LOUD ? trigger(QUIET);
+  off: false ? trigger(OFF);
+)";
+
+constexpr char kEvents[] = R"(---
+event: message
+fromtopic: /chatter
+rawmsg: AAEAAAYAAABoZWxsbwA=
+context:
+  nodes: [{node: talker}]
+  topics: [{topic: /chatter, parameters: [std_msgs/String], publishers: [talker], subscribers: [~]}]
+...
+---
+event: parameter
+...
+---
+event: message
+fromtopic: chatter
+...
+---
+event: graph
+context:
+  nodes: [{node: talker}, {node: stranger}]
+...
+)";
+
+constexpr char kTests[] = R"(rules: [a.rul]
+tests:
+  - name: strangers
+    events:
+      - graph: {nodes: [/talker, /stranger]}
+        expect: {alerts: [{text: a stranger}], level: LOUD}
+)";
+
+class RulesReplayTest : public testing::Test {
+ protected:
+  RulesReplayTest() {
+    rules_ = Write("a.rul", kRules);
+    events_ = Write("events.yaml", kEvents);
+  }
+  std::string Write(const std::string& name, const std::string& text) {
+    return directory_.Write(name, text);
+  }
+  std::vector<std::string> ReplayArgs(const std::vector<std::string>& more) {
+    std::vector<std::string> args = {"rules", "replay", "--rules", rules_, "--events", events_};
+    args.insert(args.end(), more.begin(), more.end());
+    return args;
+  }
+  Result Replay(const std::vector<std::string>& more = {}) { return RunOffline(ReplayArgs(more)); }
+  nlohmann::json ReplayJson(std::vector<std::string> more = {}) {
+    more.insert(more.end(), {"--output", "json"});
+    const Result result = Replay(more);
+    EXPECT_EQ(result.code, 0) << result.err;
+    EXPECT_EQ(result.err, "");
+    return nlohmann::json::parse(result.out, nullptr, false);
+  }
+
+  const TestDirectory directory_;
+  const std::string folder_ = directory_.path();
+  std::string rules_;
+  std::string events_;
+};
+
+// What the program itself prints, through a file.
+std::string Printed(const std::vector<std::string>& args, const std::string& file) {
+  std::string program = RIPS_BIN_DIR "/ripsctl";
+  std::vector<std::string> all = {program};
+  all.insert(all.end(), args.begin(), args.end());
+  std::vector<char*> argv;
+  for (std::string& arg : all) argv.push_back(arg.data());
+  argv.push_back(nullptr);
+  posix_spawn_file_actions_t actions;
+  posix_spawn_file_actions_init(&actions);
+  posix_spawn_file_actions_addopen(&actions, 1, file.c_str(), O_WRONLY | O_CREAT | O_TRUNC, 0600);
+  pid_t pid = 0;
+  const int failed = posix_spawn(&pid, program.c_str(), &actions, nullptr, argv.data(), environ);
+  posix_spawn_file_actions_destroy(&actions);
+  EXPECT_EQ(failed, 0) << program;
+  if (failed != 0) return "";
+  int status = -1;
+  EXPECT_EQ(waitpid(pid, &status, 0), pid);
+  EXPECT_EQ(status, 0);
+  std::ifstream in(file, std::ios::binary);
+  return std::string(std::istreambuf_iterator<char>(in), {});
+}
+
+constexpr char kGolden[] =
+    R"({"events":{"message":2,"graph":1,"external":0,"undecidable":0,"unattributed":2},)"
+    R"("level":"LOUD",)"
+    R"("transitions":[{"event":3,"rule":"stranger","from":"QUIET","to":"LOUD",)"
+    R"("result":"decided"}],)"
+    R"("alerts":[{"event":3,"rule":"stranger","text":"a stranger","severity":"high"}],)"
+    R"("execs":[{"event":2,"rule":"alarm","program":"usb_alarm","args":["1"],"result":"ok"}],)"
+    R"("variables":{"n":2},"faults":[],)"
+    R"("rules":[{"name":"stranger","section":"Graph","evaluated":1,"fired":1,"ns_mean":0},)"
+    R"({"name":"count","section":"Msg","evaluated":2,"fired":2,"ns_mean":0},)"
+    R"({"name":"alarm","section":"Msg","evaluated":2,"fired":1,"ns_mean":0},)"
+    R"({"name":"calm","section":"External","evaluated":0,"fired":0,"ns_mean":0},)"
+    R"({"name":"off","section":"External","evaluated":0,"fired":0,"ns_mean":0}]})"
+    "\n";
+
+TEST_F(RulesReplayTest, JsonIsTheSameBytesInEveryProcess) {
+  const std::vector<std::string> args = ReplayArgs({"--output", "json"});
+
+  EXPECT_EQ(RunOffline(args).out, kGolden);
+  EXPECT_EQ(Printed(args, folder_ + "/first"), kGolden);
+  EXPECT_EQ(Printed(args, folder_ + "/second"), kGolden);
+  const std::vector<std::string> text = ReplayArgs({});
+  EXPECT_EQ(Printed(text, folder_ + "/third"), RunOffline(text).out);
+}
+
+TEST_F(RulesReplayTest, TextIsForPeople) {
+  const Result result = Replay({"--exec-fail", "usb_alarm"});
+
+  EXPECT_EQ(result.code, 0) << result.err;
+  EXPECT_THAT(result.out, StartsWith("events: 2 messages, 1 graph changes, 0 external\n"
+                                     "level at the end: LOUD\n"));
+  EXPECT_THAT(result.out,
+              AllOf(HasSubstr("\nLevels\nEVENT      FROM   TO    RESULT   RULE\n"
+                              "3 +0.003s  QUIET  LOUD  decided  stranger\n"),
+                    HasSubstr("3 +0.003s  high      stranger  a stranger\n"),
+                    HasSubstr("2 +0.002s  failed  alarm  usb_alarm 1\n"), HasSubstr("no alarm\n"),
+                    HasSubstr("\nn     2\n"),
+                    HasSubstr("FIRED  OF  SECTION   RULE\n2      2   Msg       count\n"),
+                    Not(HasSubstr("undecidable"))));
+}
+
+TEST_F(RulesReplayTest, FlagsSayWhatTheRobotDoes) {
+  EXPECT_EQ(ReplayJson({"--exec-fail", "usb_alarm"})["execs"][0]["result"], "failed");
+  EXPECT_EQ(ReplayJson({"--start-level", "OFF"})["level"], "OFF");
+  EXPECT_EQ(ReplayJson({"--trigger-fail", "LOUD", "OFF"})["level"], "LOUD");
+  // Every 2 ms, over 3 ms.
+  const nlohmann::json ticks = ReplayJson({"--virtual-tick", "2", "--start-level", "LOUD"});
+  EXPECT_EQ(ticks["events"]["external"], 1);
+  EXPECT_EQ(ticks["transitions"][0]["to"], "QUIET");
+  EXPECT_EQ(ReplayJson({"--virtual-tick", "2", "--event-interval", "10"})["events"]["external"],
+            15);
+  EXPECT_EQ(ReplayJson({"--profile"})["rules"].size(), 5u);
+  // The prototype's include forms mean the converse.
+  const std::string old = Write("old.rul",
+                                "levels: A;\nrules Graph: r: nodesinclude(\"/talker\") ? "
+                                "alert(\"there\");\n");
+  const auto alerts = [&](const std::string& dialect) {
+    const Result result = RunOffline({"rules", "replay", "--rules", old, "--events", events_,
+                                      "--dialect", dialect, "--output", "json"});
+    return nlohmann::json::parse(result.out)["alerts"].size();
+  };
+  EXPECT_EQ(alerts("rips"), 0u);
+  EXPECT_EQ(alerts("prototype"), 1u);
+}
+
+TEST_F(RulesReplayTest, SeveralFilesAreOnePolicy) {
+  const std::string more = Write("b.rul", "rules Graph: more: n == 2 ? alert(\"from b\");\n");
+  const Result result = RunOffline({"rules", "replay", "--rules", rules_, "--rules", more,
+                                    "--events", events_, "--output", "json"});
+  EXPECT_THAT(result.out, HasSubstr("\"text\":\"from b\""));
+}
+
+TEST_F(RulesReplayTest, ShowsWhatOtherRulesWouldHaveDone) {
+  std::string other_text = kRules;
+  other_text.replace(other_text.find("trigger(LOUD)"), 13, "trigger(OFF) ");
+  const std::string other =
+      Write("other.rul", other_text + "rules Msg: none: false ? trigger(LOUD);");
+
+  const nlohmann::json against = ReplayJson({"--against", other})["against"];
+  EXPECT_EQ(against["same"], false);
+  EXPECT_EQ(against["first_difference"], 3);
+  EXPECT_EQ(against["level"], nlohmann::json({{"before", "LOUD"}, {"after", "OFF"}}));
+  EXPECT_EQ(against["transitions"]["before"][0]["to"], "LOUD");
+  EXPECT_EQ(against["transitions"]["after"][0]["to"], "OFF");
+  EXPECT_EQ(against["alerts"], nlohmann::json::parse(R"({"before":[],"after":[]})"));
+  EXPECT_EQ(ReplayJson({"--against", rules_})["against"]["same"], true);
+  EXPECT_THAT(Replay({"--against", rules_}).out,
+              HasSubstr("\nagainst: the same levels, alerts, programs and variables\n"));
+  EXPECT_THAT(Replay({"--against", other}).out,
+              AllOf(HasSubstr("against: the other rules differ from event 3 +0.003s on"),
+                    HasSubstr("Levels of --against only")));
+}
+
+TEST_F(RulesReplayTest, ComparesVariablesToo) {
+  std::string other_text = kRules;
+  other_text.replace(other_text.find("n + 1"), 5, "n + 2");
+  other_text.replace(other_text.find("n == 2"), 6, "n == 4");
+  other_text += "vars: more int = 0;\nrules Msg: never: more > 0 ? set(more, 0);\n";
+  const std::string other = Write("other.rul", other_text);
+
+  EXPECT_THAT(Replay({"--against", other}).out, HasSubstr("\nVariables that differ at the end\n"
+                                                          "NAME  WITH --rules  WITH --against\n"
+                                                          "more  (none)        0\n"
+                                                          "n     2             4\n"));
+  const nlohmann::json against = ReplayJson({"--against", other})["against"];
+  EXPECT_EQ(against["same"], false);
+  EXPECT_EQ(against["first_difference"], nullptr);
+  EXPECT_EQ(against["variables"], nlohmann::json::parse(R"({"before":{"n":2},
+                                                            "after":{"more":0,"n":4}})"));
+  // What only one of them runs may fail.
+  EXPECT_EQ(Replay({"--against", other, "--exec-fail", "usb_alarm"}).code, 0);
+}
+
+TEST_F(RulesReplayTest, SaysWhatWasNotTold) {
+  EXPECT_THAT(Replay().out, Not(HasSubstr("no sender")));
+  EXPECT_THAT(Replay().out, Not(HasSubstr("unscanned")));
+  // The second message has no payload.
+  Write("x.yar", "rule x { strings: $a = \"EVIL\" condition: $a }\n");
+  const std::string rules = Write("told.rul", R"(levels: A;
+rules Msg:
+  inspects: topicin("/chatter") && payload("x.yar") ? alert("x");
+  asks: topicin("/chatter") ? alert("from " + Sender);
+)");
+  const auto replay = [&](const std::string& then, const std::string& output = "text") {
+    return RunOffline({"rules", "replay", "--rules", rules, "--events", events_,
+                       "--on-inspection-error", then, "--output", output})
+        .out;
+  };
+
+  EXPECT_THAT(
+      replay("match"),
+      AllOf(HasSubstr("\nunscanned: 1 times a rule asked an inspection that could not tell; "
+                      "it fired all the same (see --on-inspection-error): inspects\n"),
+            HasSubstr("\nno sender: 2 messages do not say who sent them; `senderin` and "
+                      "`sendercount` are false for them\n")));
+  EXPECT_THAT(replay("ignore"), HasSubstr("could not tell; it did not fire (see"));
+  const nlohmann::json json = nlohmann::json::parse(replay("match", "json"));
+  EXPECT_EQ(json["rules"][0]["unscanned"], 1);
+  EXPECT_FALSE(json["rules"][1].contains("unscanned"));
+}
+
+TEST_F(RulesReplayTest, NamesRulesThatAskWhatABagDoesNotHold) {
+  namespace bag = recording;
+  const std::string events = Write(
+      "bag.mcap", absl::StrCat(bag::McapHeader(), bag::McapSchema(1, "std_msgs/msg/String"),
+                               bag::McapChannel(1, 1, "/chatter"), bag::McapMessage(1, 10, "hello"),
+                               bag::McapDataEnd(), bag::McapFooter()));
+  std::string text = "levels: A;\nrules Msg:\n  told: topicin(\"/chatter\") ? True();\n";
+  const auto replay = [&] {
+    const std::string rules = Write("bag.rul", text);
+    return RunOffline({"rules", "replay", "--rules", rules, "--events", events}).out;
+  };
+  for (int i = 1; i <= 5; ++i) {
+    absl::StrAppend(&text, "  r", i, ": nodesonly(\"/n", i, "\") ? True();\n");
+  }
+  EXPECT_THAT(replay(), HasSubstr("undecidable: at 1 events a rule asked what the recording does "
+                                  "not hold, so it did not fire: r1, r2, r3, r4, r5\n"));
+  text += "  r6: nodesonly(\"/n6\") ? True();\n  r7: nodesonly(\"/n7\") ? True();\n";
+  EXPECT_THAT(replay(), HasSubstr("did not fire: r1, r2, r3, r4, r5 and 2 more\n"));
+}
+
+TEST_F(RulesReplayTest, RefusedRulesAreShownAsCheckDoes) {
+  const std::string broken = Write("broken.rul", "levels: A;\nrules Msg: nonsense() ? alert(1);\n");
+  for (const std::string output : {"text", "json"}) {
+    const Result check = RunOffline({"rules", "check", broken, "--output", output});
+    const Result replay =
+        RunOffline({"rules", "replay", "--rules", broken, "--events", events_, "--output", output});
+    EXPECT_EQ(replay.code, 1);
+    EXPECT_EQ(replay.out, check.out);
+    EXPECT_EQ(replay.err, "");
+    EXPECT_EQ(Replay({"--against", broken, "--output", output}).out, check.out);
+  }
+}
+
+TEST_F(RulesReplayTest, WhatCannotBeUsedIsAnError) {
+  const std::string cut = Write("cut.yaml", absl::StrCat(kEvents, "---\nevent: mess"));
+  const std::string torn = Write("torn.rips", std::string("\x89RIPS\x01\r\n\x09", 9));
+  const auto with = [&](const std::string& events) {
+    return std::vector<std::string>{"rules", "replay", "--rules", rules_, "--events", events};
+  };
+  const std::pair<std::vector<std::string>, std::string> kCases[] = {
+      {with(folder_ + "/none"), "none"},
+      {with(cut), "cut.yaml"},
+      {with(torn), "torn.rips"},
+      {with(rules_), "a.rul"},
+      {{"rules", "replay", "--rules", folder_ + "/no.rul", "--events", events_}, "no.rul"},
+      {ReplayArgs({"--against", folder_ + "/no.rul"}), "no.rul"},
+      {ReplayArgs({"--start-level", "NO"}),
+       "--start-level: the rules have no level `NO`; they have QUIET, LOUD, OFF"},
+      {ReplayArgs({"--trigger-fail", "NO"}), "--trigger-fail: the rules have no level `NO`"},
+      {ReplayArgs({"--exec-fail", "usb"}),
+       "--exec-fail: the rules run no program `usb`; they run usb_alarm"},
+      {ReplayArgs({"--virtual-tick", "-1"}), "--virtual-tick"},
+      {ReplayArgs({"--virtual-tick", "3600001"}), "--virtual-tick"},
+      {ReplayArgs({"--event-interval", "3600001"}), "--event-interval"},
+      {ReplayArgs({"--event-interval", "x"}), "--event-interval"},
+      {ReplayArgs({"--dialect", "x"}), "--dialect"},
+      {ReplayArgs({"--on-inspection-error", "x"}), "--on-inspection-error"},
+      {ReplayArgs({"--output", "junit"}), "--output is `junit`; write `text` or `json`"},
+      {{"rules", "replay", "--rules", rules_}, "--events"},
+      {{"rules", "replay", "--events", events_}, "--rules"},
+  };
+  for (const auto& [args, problem] : kCases) {
+    const Result result = RunOffline(args);
+    EXPECT_EQ(result.code, 2) << testing::PrintToString(args) << result.out;
+    EXPECT_EQ(result.out, "") << testing::PrintToString(args);
+    EXPECT_THAT(result.err, HasSubstr(problem)) << testing::PrintToString(args);
+  }
+}
+
+TEST_F(RulesReplayTest, TestsThatPassExitWithZero) {
+  const std::string tests = Write("a_test.yaml", kTests);
+
+  const Result text = RunOffline({"rules", "test", tests, tests});
+  EXPECT_EQ(text.code, 0) << text.out << text.err;
+  EXPECT_EQ(text.out,
+            absl::StrCat(tests, ": rules not exercised: count, alarm, calm\n", tests,
+                         ": rules not exercised: count, alarm, calm\n", "ok: 2 tests, 0 failed\n"));
+  const Result json = RunOffline({"rules", "test", tests, "--output", "json"});
+  EXPECT_EQ(nlohmann::json::parse(json.out),
+            nlohmann::json({{"tests", 1},
+                            {"failed", 0},
+                            {"files",
+                             {{{"path", tests},
+                               {"ok", true},
+                               {"tests",
+                                {{{"name", "strangers"},
+                                  {"line", 3},
+                                  {"ok", true},
+                                  {"failures", nlohmann::json::array()}}}},
+                               {"not_exercised", {"count", "alarm", "calm"}}}}}}));
+  const Result junit = RunOffline({"rules", "test", tests, "--output", "junit"});
+  EXPECT_EQ(junit.code, 0);
+  EXPECT_THAT(junit.out, AllOf(HasSubstr("tests=\"1\" failures=\"0\" errors=\"0\""),
+                               HasSubstr("name=\"strangers\"/>")));
+}
+
+TEST_F(RulesReplayTest, TestsThatFailExitWithOneAndTheRestIsRun) {
+  std::string failing = kTests;
+  failing.replace(failing.find("a stranger"), 10, "a <&>");
+  failing += "  - name: another <test>\n    events: [{lost: 1}]\n    expect: {level: OFF}\n";
+  const std::string tests = Write("a_test.yaml", failing);
+
+  const Result text = RunOffline({"rules", "test", tests});
+  EXPECT_EQ(text.code, 1);
+  EXPECT_EQ(text.err, "");
+  EXPECT_THAT(
+      text.out,
+      AllOf(HasSubstr(absl::StrCat(tests, ":6: strangers: alerts\n  expected:\n    text: a <")),
+            HasSubstr("  got:\n    rule: stranger, severity: high, text: a stranger\n"),
+            HasSubstr(absl::StrCat(tests, ":9: another <test>: level at the end\n")),
+            HasSubstr("failed: 2 tests, 2 failed\n")));
+  const Result json = RunOffline({"rules", "test", tests, "--output", "json"});
+  EXPECT_EQ(json.code, 1);
+  EXPECT_EQ(nlohmann::json::parse(json.out)["failed"], 2);
+  const Result junit = RunOffline({"rules", "test", tests, "--output", "junit"});
+  EXPECT_EQ(junit.code, 1);
+  EXPECT_THAT(junit.out, AllOf(HasSubstr("failures=\"2\""), HasSubstr("another &lt;test&gt;"),
+                               HasSubstr("a &lt;&amp;&gt;"), Not(HasSubstr("<&"))));
+}
+
+TEST_F(RulesReplayTest, TestsSayWhatWasUnscanned) {
+  Write("x.yar", "rule x { strings: $a = \"EVIL\" condition: $a }\n");
+  Write("x.rul",
+        "levels: A;\nrules Msg: r: topicin(\"/t\") && payload(\"x.yar\") ? alert(\"x\");\n");
+  const std::string tests = Write("x_test.yaml", R"(rules: [x.rul]
+tests:
+  - {name: lulled, events: [{message: {topic: /t, size: 9}}], expect: {fired: [r]}}
+  - name: surprised
+    events: [{message: {topic: /t, size: 9}}]
+    expect: {alerts: [], unscanned: [r]}
+)");
+  const std::string note = "note: an inspection could not tell, so these rules fired: r\n";
+
+  EXPECT_THAT(RunOffline({"rules", "test", tests}).out,
+              AllOf(HasSubstr(absl::StrCat(tests,
+                                           ":3: lulled: an inspection could not tell these "
+                                           "rules, and no `unscanned` expects it: r\n")),
+                    HasSubstr(absl::StrCat("  ", note)), HasSubstr("2 tests, 1 failed")));
+  const nlohmann::json json =
+      nlohmann::json::parse(RunOffline({"rules", "test", tests, "--output", "json"}).out);
+  const nlohmann::json& all = json["files"][0]["tests"];
+  EXPECT_EQ(all[0]["unscanned"], nlohmann::json({"r"}));
+  EXPECT_FALSE(all[1].contains("unscanned"));
+  EXPECT_THAT(absl::StrCat("note: ", all[1]["failures"][0]["note"].get<std::string>(), "\n"), note);
+  EXPECT_THAT(RunOffline({"rules", "test", tests, "--output", "junit"}).out,
+              HasSubstr(absl::StrCat(note, "</failure>")));
+}
+
+TEST_F(RulesReplayTest, RefusedRulesFailTheirTestsOnly) {
+  const std::string good = Write("a_test.yaml", kTests);
+  Write("broken.rul", "levels: A\n");
+  const std::string bad =
+      Write("b_test.yaml", "rules: [broken.rul]\ntests: [{name: t, events: []}]\n");
+
+  const Result text = RunOffline({"rules", "test", bad, good});
+  EXPECT_EQ(text.code, 1);
+  EXPECT_THAT(text.out, AllOf(HasSubstr("broken.rul:"), HasSubstr("its rules were refused"),
+                              HasSubstr("failed: 1 tests, 0 failed, 1 files not run\n")));
+  const nlohmann::json json =
+      nlohmann::json::parse(RunOffline({"rules", "test", bad, "--output", "json"}).out);
+  EXPECT_EQ(json["files"][0]["ok"], false);
+  EXPECT_EQ(json["files"][0]["refused"]["files"][0]["ok"], false);
+  EXPECT_THAT(RunOffline({"rules", "test", bad, "--output", "junit"}).out,
+              HasSubstr("<error message=\"the rules were refused\">"));
+}
+
+TEST_F(RulesReplayTest, TestFilesThatAreWrongExitWithTwo) {
+  const std::string good = Write("a_test.yaml", kTests);
+  const std::pair<std::string, std::string> kCases[] = {
+      {"rules: [a.rul]\ntests: 5\n", "b_test.yaml:2:"},
+      {"rules: [none.rul]\ntests: [{name: t}]\n", "none.rul"},
+      {"rules: [a.rul]\ntests: [{name: t, start_level: NO}]\n", "b_test.yaml:2: "},
+      {"rules: [a.rul]\ntests: [{name: t, evnts: []}]\n", "did you mean `events`"},
+      {std::string("\0\xff", 2), "b_test.yaml"},
+  };
+  for (const auto& [text, problem] : kCases) {
+    const std::string bad = Write("b_test.yaml", text);
+    const Result result = RunOffline({"rules", "test", good, bad});
+    EXPECT_EQ(result.code, 2) << text;
+    EXPECT_EQ(result.out, "") << text;
+    EXPECT_THAT(result.err, AllOf(StartsWith("error: "), HasSubstr(problem))) << text;
+  }
+  EXPECT_EQ(RunOffline({"rules", "test"}).code, 2);
+  EXPECT_EQ(RunOffline({"rules", "test", folder_ + "/none.yaml"}).code, 2);
+  EXPECT_EQ(RunOffline({"rules", "test", folder_}).code, 2);
+  EXPECT_THAT(RunOffline({"rules", "test", good, "--output", "xml"}).err,
+              HasSubstr("write `text`, `json` or `junit`"));
+}
+
+}  // namespace
+}  // namespace rips::ripsctl

@@ -1,0 +1,254 @@
+#include "policy_server/ripsctl/rules/rules_test_command.h"
+
+#include <CLI/CLI.hpp>
+#include <algorithm>
+#include <nlohmann/json.hpp>
+#include <string>
+#include <utility>
+#include <vector>
+
+#include "absl/strings/str_cat.h"
+#include "absl/strings/str_join.h"
+#include "absl/strings/str_split.h"
+#include "policy_server/policy/replay/rule_set.h"
+#include "policy_server/policy/replay/rule_test_file.h"
+#include "policy_server/policy/replay/rule_test_runner.h"
+#include "policy_server/ripsctl/cli/json_view.h"
+#include "policy_server/ripsctl/cli/printer.h"
+#include "services/base/status_macros.h"
+#include "services/runtime/config_sections.h"
+#include "services/runtime/real_clock.h"
+
+namespace rips::ripsctl {
+namespace {
+
+using replay::FileOutcome;
+using replay::TestFailure;
+using replay::TestOutcome;
+
+// One file and what became of it.
+struct Tested {
+  replay::RuleTestFile file;
+  replay::RuleSet rules;
+  FileOutcome outcome;
+
+  bool refused() const { return rules.program == nullptr; }
+  size_t failed() const {
+    return static_cast<size_t>(
+        std::count_if(outcome.tests.begin(), outcome.tests.end(),
+                      [](const TestOutcome& test) { return !test.passed(); }));
+  }
+};
+
+std::string Escaped(const std::vector<std::string>& lines, absl::string_view indent) {
+  std::string out;
+  for (const std::string& line : lines) absl::StrAppend(&out, indent, EscapeText(line), "\n");
+  return out;
+}
+
+void PrintText(const std::vector<Tested>& all, std::ostream& out) {
+  size_t tests = 0;
+  size_t failed = 0;
+  size_t refused = 0;
+  for (const Tested& one : all) {
+    const std::string path = EscapeText(one.file.path);
+    if (one.refused()) {
+      ++refused;
+      out << lang::RenderText(one.rules.files, one.rules.diagnostics) << path
+          << ": not run: its rules were refused\n";
+      continue;
+    }
+    for (const TestOutcome& test : one.outcome.tests) {
+      for (const TestFailure& failure : test.failures) {
+        out << path << ":" << failure.line << ": " << EscapeText(test.name) << ": "
+            << EscapeText(failure.what) << "\n  expected:\n"
+            << Escaped(failure.expected, "    ") << "  got:\n"
+            << Escaped(failure.got, "    ");
+        if (!failure.note.empty()) out << "  note: " << EscapeText(failure.note) << "\n";
+      }
+      if (test.unscanned.empty()) continue;
+      out << path << ":" << test.line << ": " << EscapeText(test.name)
+          << ": an inspection could not tell these rules, and no `unscanned` expects it: "
+          << EscapeText(absl::StrJoin(test.unscanned, ", ")) << "\n";
+    }
+    tests += one.outcome.tests.size();
+    failed += one.failed();
+    if (!one.outcome.not_exercised.empty()) {
+      out << path
+          << ": rules not exercised: " << EscapeText(absl::StrJoin(one.outcome.not_exercised, ", "))
+          << "\n";
+    }
+  }
+  out << (failed + refused == 0 ? "ok: " : "failed: ") << tests << " tests, " << failed
+      << " failed";
+  if (refused > 0) out << ", " << refused << " files not run";
+  out << "\n";
+}
+
+Json TestedToJson(const Tested& one) {
+  Json tests = Json::array();
+  for (const TestOutcome& test : one.outcome.tests) {
+    Json failures = Json::array();
+    for (const TestFailure& failure : test.failures) {
+      failures.push_back({{"line", failure.line},
+                          {"what", failure.what},
+                          {"expected", failure.expected},
+                          {"got", failure.got}});
+      if (!failure.note.empty()) failures.back()["note"] = failure.note;
+    }
+    tests.push_back({{"name", test.name},
+                     {"line", test.line},
+                     {"ok", test.passed()},
+                     {"failures", std::move(failures)}});
+    if (!test.unscanned.empty()) tests.back()["unscanned"] = test.unscanned;
+  }
+  Json out = {{"path", one.file.path},
+              {"ok", !one.refused() && one.failed() == 0},
+              {"tests", std::move(tests)},
+              {"not_exercised", one.outcome.not_exercised}};
+  if (one.refused()) {
+    out["refused"] = Json::parse(lang::RenderJson(one.rules.files, one.rules.diagnostics));
+  }
+  return out;
+}
+
+void PrintAllJson(const std::vector<Tested>& all, std::ostream& out) {
+  size_t tests = 0;
+  size_t failed = 0;
+  Json files = Json::array();
+  for (const Tested& one : all) {
+    tests += one.outcome.tests.size();
+    failed += one.failed();
+    files.push_back(TestedToJson(one));
+  }
+  PrintJson({{"tests", tests}, {"failed", failed}, {"files", std::move(files)}}, out);
+}
+
+// In an attribute or as text; EscapeText has taken out what XML cannot hold.
+std::string Xml(absl::string_view text) {
+  std::string out;
+  for (const char c : text) {
+    switch (c) {
+      case '&':
+        out += "&amp;";
+        break;
+      case '<':
+        out += "&lt;";
+        break;
+      case '>':
+        out += "&gt;";
+        break;
+      case '"':
+        out += "&quot;";
+        break;
+      default:
+        out += c;
+    }
+  }
+  return out;
+}
+
+std::string XmlLine(absl::string_view text) { return Xml(EscapeText(text)); }
+
+void PrintJunit(const std::vector<Tested>& all, std::ostream& out) {
+  out << "<?xml version=\"1.0\" encoding=\"UTF-8\"?>\n<testsuites>\n";
+  for (const Tested& one : all) {
+    const std::string suite = XmlLine(one.file.path);
+    out << "  <testsuite name=\"" << suite << "\" tests=\""
+        << (one.refused() ? 1 : one.outcome.tests.size()) << "\" failures=\"" << one.failed()
+        << "\" errors=\"" << (one.refused() ? 1 : 0) << "\">\n";
+    if (one.refused()) {
+      out << "    <testcase classname=\"" << suite << "\" name=\"(rules)\">\n"
+          << "      <error message=\"the rules were refused\">"
+          << Xml(lang::RenderText(one.rules.files, one.rules.diagnostics))
+          << "</error>\n    </testcase>\n";
+    }
+    for (const TestOutcome& test : one.outcome.tests) {
+      out << "    <testcase classname=\"" << suite << "\" name=\"" << XmlLine(test.name) << "\"";
+      if (test.passed()) {
+        out << "/>\n";
+        continue;
+      }
+      out << ">\n";
+      for (const TestFailure& failure : test.failures) {
+        out << "      <failure message=\"" << XmlLine(failure.what) << "\">" << suite << ":"
+            << failure.line << "\nexpected:\n"
+            << Xml(Escaped(failure.expected, "  ")) << "got:\n"
+            << Xml(Escaped(failure.got, "  "));
+        if (!failure.note.empty()) out << "note: " << XmlLine(failure.note) << "\n";
+        out << "</failure>\n";
+      }
+      out << "    </testcase>\n";
+    }
+    out << "  </testsuite>\n";
+  }
+  out << "</testsuites>\n";
+}
+
+class TestRulesCommand final : public Command {
+ public:
+  absl::string_view noun() const override { return "rules"; }
+  absl::string_view verb() const override { return "test"; }
+  absl::string_view synopsis() const override { return "Run unit tests of rules; needs no server"; }
+  bool needs_server() const override { return false; }
+  bool writes_junit() const override { return true; }
+  void AddFlags(CLI::App& app) override {
+    app.add_option("FILE", paths_, "Files of tests, for example warehouse_test.yaml")->required();
+  }
+
+  ExitCode Run(Env& env) override {
+    std::vector<Tested> all;
+    std::vector<std::string> problems;
+    for (const std::string& path : paths_) {
+      absl::StatusOr<Tested> tested = Test(path);
+      if (tested.ok()) {
+        all.push_back(*std::move(tested));
+      } else {
+        problems.push_back(std::string(tested.status().message()));
+      }
+    }
+    if (!problems.empty()) return Unusable(env, problems);
+    if (env.output == Output::kJunit) {
+      PrintJunit(all, env.out);
+    } else if (env.json()) {
+      PrintAllJson(all, env.out);
+    } else {
+      PrintText(all, env.out);
+    }
+    const bool good = std::all_of(all.begin(), all.end(), [](const Tested& one) {
+      return !one.refused() && one.failed() == 0;
+    });
+    return good ? ExitCode::kDone : ExitCode::kRefused;
+  }
+
+ private:
+  absl::StatusOr<Tested> Test(const std::string& path) const {
+    Tested out;
+    RIPS_ASSIGN_OR_RETURN(const std::string text, ReadConfigFile(path));
+    RIPS_ASSIGN_OR_RETURN(out.file, replay::ParseRuleTestFile(path, text));
+    RIPS_ASSIGN_OR_RETURN(out.rules,
+                          replay::LoadRuleSet(out.file.rules, out.file.options, &clock_));
+    if (out.refused()) return out;
+    RIPS_ASSIGN_OR_RETURN(out.outcome, replay::RunRuleTests(out.file, out.rules));
+    return out;
+  }
+
+  // Messages may have several lines.
+  static ExitCode Unusable(Env& env, const std::vector<std::string>& problems) {
+    for (const std::string& problem : problems) {
+      env.err << "error: ";
+      for (absl::string_view line : absl::StrSplit(problem, '\n'))
+        env.err << EscapeText(line) << "\n";
+    }
+    return ExitCode::kUsage;
+  }
+
+  const RealClock clock_;
+  std::vector<std::string> paths_;
+};
+
+}  // namespace
+
+std::unique_ptr<Command> TestRules() { return std::make_unique<TestRulesCommand>(); }
+
+}  // namespace rips::ripsctl

@@ -1,0 +1,187 @@
+#include "policy_server/server/config/config.h"
+
+#include <algorithm>
+#include <utility>
+
+#include "absl/strings/numbers.h"
+#include "absl/strings/str_cat.h"
+#include "services/base/status_macros.h"
+#include "services/runtime/config_reader.h"
+
+namespace rips::server {
+namespace {
+
+// An absolute path with a default; ReadPath is for those without.
+void ReadOptionalPath(const ConfigSection& section, absl::string_view key, std::string* path) {
+  section.Optional(key, path);
+  if (path->front() != '/') {
+    section.Problem(key, absl::StrCat("`", key, "` is `", *path, "`; write an absolute path"));
+  }
+}
+
+void ReadAddress(const ConfigSection& section, absl::string_view key, std::string* address) {
+  section.Optional(key, address);
+  if (IsHostPort(*address)) return;
+  section.Problem(key, absl::StrCat("`", key, "` is `", *address,
+                                    "`; write `HOST:PORT`, for example `0.0.0.0:7443`"));
+}
+
+void ReadTrustDomain(const ConfigSection& root, std::string* domain) {
+  constexpr size_t kBytesMax = 255;  // SPIFFE-ID §2.3
+  root.Required("trust_domain", domain);
+  if (domain->find_first_not_of("abcdefghijklmnopqrstuvwxyz0123456789.-_") != std::string::npos ||
+      domain->size() > kBytesMax) {
+    root.Problem("trust_domain",
+                 absl::StrCat("`", *domain,
+                              "` is not a trust domain; use at most 255 of a-z, "
+                              "0-9, `.`, `-` and `_`, for example `fleet.example`"));
+  }
+}
+
+void ReadTiming(const ConfigSection& root, Timing* timing) {
+  const ConfigSection section = root.OptionalSection("timing");
+  const auto read = [&](absl::string_view key, absl::Duration* value, absl::Duration min,
+                        absl::Duration max) {
+    section.Optional(key, value, {min, max});
+  };
+  read("heartbeat", &timing->heartbeat, absl::Milliseconds(50), absl::Seconds(10));
+  read("stale", &timing->stale, absl::Milliseconds(100), absl::Minutes(1));
+  read("lost", &timing->lost, absl::Milliseconds(200), absl::Minutes(5));
+  read("lease", &timing->lease, absl::Milliseconds(500), absl::Minutes(10));
+  read("drain_lease", &timing->drain_lease, absl::Milliseconds(500), absl::Hours(1));
+  read("late_after", &timing->late_after, absl::Milliseconds(100), absl::Minutes(10));
+  read("linger", &timing->linger, absl::ZeroDuration(), absl::Seconds(1));
+  read("tick", &timing->tick, absl::Milliseconds(10), absl::Seconds(10));
+
+  const std::pair<absl::string_view, absl::Duration> ascending[] = {
+      {"heartbeat", timing->heartbeat},
+      {"stale", timing->stale},
+      {"lost", timing->lost},
+      {"lease", timing->lease},
+  };
+  for (size_t i = 1; i < std::size(ascending); ++i) {
+    const auto& [lower, shorter] = ascending[i - 1];
+    const auto& [upper, longer] = ascending[i];
+    if (shorter < longer) continue;
+    section.Problem(upper, absl::StrCat("`", upper, "` (", FormatConfigDuration(longer),
+                                        ") must be longer than `", lower, "` (",
+                                        FormatConfigDuration(shorter), ")"));
+  }
+  if (timing->drain_lease < timing->lease) {
+    section.Problem("drain_lease",
+                    absl::StrCat("`drain_lease` (", FormatConfigDuration(timing->drain_lease),
+                                 ") must not be shorter than `lease` (",
+                                 FormatConfigDuration(timing->lease), ")"));
+  }
+}
+
+void ReadShards(const ConfigSection& root, int* shards) {
+  std::string text = "auto";
+  root.Optional("shards", &text);
+  if (text == "auto") return;
+  if (text.find_first_not_of("0123456789") != std::string::npos ||
+      !absl::SimpleAtoi(text, shards) || *shards < 1 || *shards > kShardsMax) {
+    *shards = 0;
+    root.Problem("shards", absl::StrCat("`shards` is `", text,
+                                        "`; write `auto` or a number from 1 to ", kShardsMax));
+  }
+}
+
+void ReadConnections(const ConfigSection& root, rpc::AdmissionLimits* limits) {
+  const ConfigSection section = root.OptionalSection("connections");
+  section.Optional("total", &limits->total, {16, 100'000});
+  section.Optional("reserve", &limits->reserve, {0, 100'000});
+  section.Optional("per_network", &limits->per_network, {1, 100'000});
+  section.Optional("per_address", &limits->per_address, {1, 100'000});
+  if (limits->reserve >= limits->total) {
+    section.Problem("reserve", absl::StrCat("`reserve` (", limits->reserve,
+                                            ") must be less than `total` (", limits->total, ")"));
+  }
+  limits->burst = limits->per_address;
+}
+
+void ReadFairness(const ConfigSection& root, Fairness* fairness) {
+  const ConfigSection section = root.OptionalSection("fairness");
+  section.Optional("cpu_per_second", &fairness->cpu_per_second,
+                   {absl::Milliseconds(10), absl::Seconds(1)});
+  section.Optional("cpu_burst", &fairness->cpu_burst, {absl::Milliseconds(10), absl::Seconds(10)});
+  section.Optional("long_task", &fairness->long_task, {absl::Milliseconds(1), absl::Seconds(1)});
+}
+
+void ReadOperators(const ConfigSection& root, OperatorQuota* quota) {
+  const ConfigSection section = root.OptionalSection("operators");
+  section.Optional("streams", &quota->streams, {1, 256});
+  section.Optional("calls", &quota->calls, {1, 1'000});
+  section.Optional("calls_per_second", &quota->calls_per_second, {1, 10'000});
+}
+
+void ReadPlugins(const ConfigSection& root, ServerConfig* config) {
+  const ConfigSection section = root.OptionalSection("plugins");
+  section.Optional("user", &config->plugin_user);
+  if (config->plugin_user == "root" || config->plugin_user == "0") {
+    section.Problem("user",
+                    "`user` is root; name a user that owns nothing, for example "
+                    "`rips-plugin`");
+  }
+  section.Optional("readable", &config->plugin_readable);
+  for (const std::string& path : config->plugin_readable) {
+    if (path.empty() || path.front() != '/' || path == "/") {
+      section.Problem("readable", absl::StrCat("`readable` has `", path,
+                                               "`; write absolute paths of what plugins need"));
+    }
+  }
+  section.Optional("helpers", &config->plugin_helpers);
+  if (!config->plugin_helpers.empty() && config->plugin_helpers.front() != '/') {
+    section.Problem("helpers", absl::StrCat("`helpers` is `", config->plugin_helpers,
+                                            "`; write an absolute path"));
+  }
+}
+
+void RefuseAudit(const ConfigSection& root) {
+  if (!root.Has("audit")) return;
+  root.Problem(
+      "audit",
+      "`audit` is not available in this version; remove it, decisions are kept in `store`");
+  // Known, so that they are not reported as mistyped on top.
+  const ConfigSection audit = root.OptionalSection("audit");
+  std::string ignored;
+  audit.Optional("dir", &ignored);
+  audit.Optional("segment", &ignored);
+}
+
+}  // namespace
+
+absl::StatusOr<ParsedServerConfig> ParseServerConfig(absl::string_view file,
+                                                     absl::string_view text) {
+  ConfigReader reader(file, text);
+  const ConfigSection root = reader.root();
+  ParsedServerConfig parsed;
+  ServerConfig& config = parsed.config;
+  ReadName(root, "id", "policy server id", &config.id);
+  ReadAddress(root, "listen", &config.listen);
+  ReadTrustDomain(root, &config.trust_domain);
+  config.tls = ReadTls(root);
+  ReadOptionalPath(root, "inventory", &config.inventory);
+  const ConfigSection bundles = root.OptionalSection("bundles");
+  ReadOptionalPath(bundles, "source", &config.bundles_source);
+  ReadOptionalPath(bundles, "dir", &config.bundles_dir);
+  const ConfigSection store = root.OptionalSection("store");
+  enum class StoreKind { kSqlite } kind = StoreKind::kSqlite;
+  store.OptionalEnum<StoreKind>("kind", &kind, {{"sqlite", StoreKind::kSqlite}});
+  ReadOptionalPath(store, "path", &config.store_path);
+  const ConfigSection alerts = root.OptionalSection("alerts");
+  ReadOptionalPath(alerts, "file", &config.alerts_file);
+  ReadTiming(root, &config.timing);
+  ReadConnections(root, &config.connections);
+  ReadFairness(root, &config.fairness);
+  ReadOperators(root, &config.operators);
+  ReadShards(root, &config.shards);
+  ReadPlugins(root, &config);
+  ReadAddress(root, "metrics", &config.metrics);
+  RefuseAudit(root);
+  RIPS_RETURN_IF_ERROR(reader.Finish());
+  parsed.effective = reader.Effective();
+  return parsed;
+}
+
+}  // namespace rips::server

@@ -1,0 +1,161 @@
+#include "policy_server/server/config/config.h"
+
+#include <string>
+
+#include "absl/strings/str_cat.h"
+#include "absl/strings/str_replace.h"
+#include "gmock/gmock.h"
+#include "gtest/gtest.h"
+#include "services/base/status_matchers.h"
+
+namespace rips::server {
+namespace {
+
+using ::testing::AllOf;
+using ::testing::HasSubstr;
+
+constexpr char kShort[] = R"(id: ps1
+trust_domain: fleet.example
+tls: {ca: /p/ca.pem, cert: /p/cert.pem, key: /p/key.pem}
+)";
+
+constexpr char kFull[] = R"(id: ps1
+listen: "127.0.0.1:0"
+trust_domain: fleet.example
+tls: {ca: /p/ca.pem, cert: /p/cert.pem, key: /p/key.pem}
+inventory: /e/robots.yaml
+bundles: {source: /e/bundles, dir: /v/bundles}
+store: {kind: sqlite, path: /v/state.db}
+alerts: {file: /l/alerts.jsonl}
+timing: {heartbeat: 100ms, stale: 300ms, lost: 1s, lease: 3s, drain_lease: 10s, late_after: 2s, linger: 0ms, tick: 50ms}
+shards: 3
+plugins: {user: detectors, readable: [/opt/detectors, /srv/models], helpers: /opt/rips/bin}
+metrics: "127.0.0.1:0"
+connections: {total: 100, reserve: 10, per_network: 50, per_address: 20}
+fairness: {cpu_per_second: 100ms, cpu_burst: 1s, long_task: 5ms}
+operators: {streams: 2, calls: 3, calls_per_second: 4}
+)";
+
+TEST(ServerConfigTest, FillsInTheDefaults) {
+  const auto parsed = ParseServerConfig("ps.yaml", kShort);
+  ASSERT_THAT(parsed, IsOk());
+  ServerConfig expected;
+  expected.id = "ps1";
+  expected.trust_domain = "fleet.example";
+  expected.tls = {.ca = "/p/ca.pem", .cert = "/p/cert.pem", .key = "/p/key.pem"};
+  EXPECT_EQ(parsed->config, expected);
+  EXPECT_EQ(expected.timing.lease, absl::Seconds(15));
+  EXPECT_THAT(parsed->effective,
+              AllOf(HasSubstr("timing.lease: 15s"), HasSubstr("listen: \"0.0.0.0:7443\"")));
+}
+
+TEST(ServerConfigTest, PluginsAreKeptFromRootAndFromAllFiles) {
+  const auto parsed = ParseServerConfig(
+      "ps.yaml", absl::StrCat(kShort, "plugins: {user: root, readable: [/, opt], helpers: bin}\n"));
+  EXPECT_THAT(parsed,
+              StatusIs(absl::StatusCode::kInvalidArgument,
+                       AllOf(HasSubstr("`user` is root"), HasSubstr("`readable` has `/`"),
+                             HasSubstr("`readable` has `opt`"), HasSubstr("`helpers` is `bin`"))));
+}
+
+TEST(ServerConfigTest, ReadsEveryKey) {
+  const auto parsed = ParseServerConfig("ps.yaml", kFull);
+  ASSERT_THAT(parsed, IsOk());
+  const ServerConfig& config = parsed->config;
+  EXPECT_EQ(config.listen, "127.0.0.1:0");
+  EXPECT_EQ(config.inventory, "/e/robots.yaml");
+  EXPECT_EQ(config.bundles_source, "/e/bundles");
+  EXPECT_EQ(config.bundles_dir, "/v/bundles");
+  EXPECT_EQ(config.store_path, "/v/state.db");
+  EXPECT_EQ(config.alerts_file, "/l/alerts.jsonl");
+  EXPECT_EQ(config.plugin_user, "detectors");
+  EXPECT_EQ(config.plugin_readable, (std::vector<std::string>{"/opt/detectors", "/srv/models"}));
+  EXPECT_EQ(config.plugin_helpers, "/opt/rips/bin");
+  EXPECT_EQ(config.timing, (Timing{.heartbeat = absl::Milliseconds(100),
+                                   .stale = absl::Milliseconds(300),
+                                   .lost = absl::Seconds(1),
+                                   .lease = absl::Seconds(3),
+                                   .drain_lease = absl::Seconds(10),
+                                   .late_after = absl::Seconds(2),
+                                   .linger = absl::ZeroDuration(),
+                                   .tick = absl::Milliseconds(50)}));
+  EXPECT_EQ(config.connections,
+            (rpc::AdmissionLimits{
+                .total = 100, .reserve = 10, .per_network = 50, .per_address = 20, .burst = 20}));
+  EXPECT_EQ(config.fairness, (Fairness{.cpu_per_second = absl::Milliseconds(100),
+                                       .cpu_burst = absl::Seconds(1),
+                                       .long_task = absl::Milliseconds(5)}));
+  EXPECT_EQ(config.operators, (OperatorQuota{.streams = 2, .calls = 3, .calls_per_second = 4}));
+  EXPECT_EQ(config.shards, 3);
+  EXPECT_EQ(config.metrics, "127.0.0.1:0");
+}
+
+struct BadCase {
+  std::string name;
+  std::string from;  // text of kFull
+  std::string to;
+  std::string message;
+};
+
+class BadServerConfigTest : public testing::TestWithParam<BadCase> {};
+
+TEST_P(BadServerConfigTest, IsRefusedWithItsPlace) {
+  const std::string text = absl::StrReplaceAll(kFull, {{GetParam().from, GetParam().to}});
+  ASSERT_NE(text, kFull);
+  EXPECT_THAT(ParseServerConfig("ps.yaml", text),
+              StatusIs(absl::StatusCode::kInvalidArgument, HasSubstr(GetParam().message)));
+}
+
+INSTANTIATE_TEST_SUITE_P(
+    All, BadServerConfigTest,
+    testing::Values(
+        BadCase{"UnknownKey", "shards: 3", "shard: 3", "ps.yaml:10:1: unknown key `shard`; "},
+        BadCase{"NoId", "id: ps1\n", "", "missing key `id`"},
+        BadCase{"BadId", "id: ps1", "id: PS1", "`PS1` is not a valid policy server id"},
+        BadCase{"BadListen", "\"127.0.0.1:0\"\ntrust", "nowhere\ntrust", "write `HOST:PORT`"},
+        BadCase{"BadTrustDomain", "fleet.example", "spiffe://x", "is not a trust domain"},
+        BadCase{"NoKey", ", key: /p/key.pem", "", "missing key `tls.key`"},
+        BadCase{"RelativePath", "/v/state.db", "state.db", "write an absolute path"},
+        BadCase{"RelativeBundles", "/e/bundles", "bundles", "write an absolute path"},
+        BadCase{"OtherStore", "kind: sqlite", "kind: etcd", "`kind` is `etcd`; write `sqlite`"},
+        BadCase{"BareNumber", "lost: 1s", "lost: 1", "is not a duration"},
+        BadCase{"StaleTooShort", "stale: 300ms", "stale: 100ms",
+                "`stale` (100ms) must be longer than `heartbeat` (100ms)"},
+        BadCase{"LostTooShort", "lost: 1s", "lost: 200ms",
+                "`lost` (200ms) must be longer than `stale` (300ms)"},
+        BadCase{"LeaseTooShort", "lease: 3s", "lease: 1s",
+                "`lease` (1s) must be longer than `lost` (1s)"},
+        BadCase{"DrainTooShort", "drain_lease: 10s", "drain_lease: 2s",
+                "`drain_lease` (2s) must not be shorter than `lease` (3s)"},
+        BadCase{"ReserveOfAll", "reserve: 10", "reserve: 100",
+                "`reserve` (100) must be less than `total` (100)"},
+        BadCase{"NoConnections", "total: 100", "total: 0", "`total`"},
+        BadCase{"NoShards", "shards: 3", "shards: 0", "write `auto` or a number from 1 to 64"},
+        BadCase{"TooManyShards", "shards: 3", "shards: 65", "write `auto` or a number"},
+        BadCase{"WordShards", "shards: 3", "shards: many", "`shards` is `many`"},
+        BadCase{"Audit", "shards: 3", "audit: {dir: /v/audit, segment: 64MiB}",
+                "ps.yaml:10:8: `audit` is not available in this version; remove it"}),
+    [](const testing::TestParamInfo<BadCase>& param) { return param.param.name; });
+
+TEST(ServerConfigTest, ReportsAllProblemsAtOnce) {
+  const auto parsed = ParseServerConfig("ps.yaml", "id: PS\nlisten: x\naudit: {dir: /a}\n");
+  EXPECT_THAT(parsed, StatusIs(absl::StatusCode::kInvalidArgument,
+                               AllOf(HasSubstr("policy server id"), HasSubstr("HOST:PORT"),
+                                     HasSubstr("`audit` is not available"),
+                                     HasSubstr("missing key `trust_domain`"),
+                                     HasSubstr("missing key `tls`"))));
+}
+
+TEST(ServerConfigTest, RefusesATruncatedFileWithoutCrashing) {
+  const std::string full = kFull;
+  const std::string must_have = "tls: {ca: /p/ca.pem, cert: /p/cert.pem, key: /p/key.pem}";
+  const size_t enough = full.find(must_have) + must_have.size();
+  for (size_t cut = 0; cut < enough; ++cut) {
+    EXPECT_THAT(ParseServerConfig("ps.yaml", full.substr(0, cut)),
+                StatusIs(absl::StatusCode::kInvalidArgument))
+        << cut;
+  }
+}
+
+}  // namespace
+}  // namespace rips::server

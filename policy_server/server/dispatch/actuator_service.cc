@@ -1,0 +1,205 @@
+#include "policy_server/server/dispatch/actuator_service.h"
+
+#include <memory>
+#include <optional>
+#include <string>
+#include <utility>
+
+#include "policy_server/server/dispatch/actuator_codec.h"
+#include "policy_server/server/shard/mailbox.h"
+#include "policy_server/server/shard/refused_field.h"
+#include "services/ros2/ros_name.h"
+#include "services/rpc/peer.h"
+#include "services/rpc/server_stream.h"
+#include "services/rpc/status_conversion.h"
+#include "services/runtime/log.h"
+#include "services/runtime/real_clock.h"
+#include "services/wire_limits/field_limits.h"
+
+namespace rips::dispatch {
+namespace {
+
+using pipeline::Queue;
+using pipeline::Robot;
+using rips::v1::ActuatorMessage;
+using rips::v1::ActuatorReply;
+using Stream = rpc::ServerStream<ActuatorMessage, ActuatorReply>;
+
+// What the pipeline holds of one stream.
+class Link final : public pipeline::ActuatorLink {
+ public:
+  Link(std::shared_ptr<Stream::Outbound> outbound, Counter commands, LogLimiter* logs)
+      : outbound_(std::move(outbound)), commands_(commands), logs_(logs) {}
+
+  // Once, before the hello is posted.
+  void SetPeer(std::string robot, std::string host, std::string address) {
+    robot_ = std::move(robot);
+    host_ = std::move(host);
+    address_ = std::move(address);
+  }
+
+  void Grant(const pipeline::LeaseGrant& lease) override {
+    if (!std::exchange(admitted_, true)) {
+      if (const auto left_out = logs_->Admit(robot_)) {
+        LogInfo("actuator connected",
+                {{"robot", robot_}, {"host", host_}, {"peer", address_}, {"left_out", *left_out}});
+      }
+    }
+    ActuatorReply reply;
+    *reply.mutable_lease() = EncodeLease(lease, RealClock().Now());
+    outbound_->Send(std::move(reply));
+  }
+  void Send(const pipeline::Command& command) override {
+    ActuatorReply reply;
+    *reply.mutable_command() = EncodeCommand(command);
+    outbound_->Send(std::move(reply));
+    commands_.Increment();
+  }
+  void Close(const absl::Status& status) override {
+    if (const auto left_out = logs_->Admit(robot_)) {
+      LogWarning(admitted_ ? "actuator stream closed" : "actuator refused",
+                 {{"robot", robot_},
+                  {"host", host_},
+                  {"peer", address_},
+                  {"reason", ros2::Printable(status.message())},
+                  {"left_out", *left_out}});
+    }
+    outbound_->Close(rpc::ToGrpc(status));
+  }
+
+ private:
+  std::shared_ptr<Stream::Outbound> outbound_;
+  std::string robot_;
+  std::string host_;
+  std::string address_;
+  // The robot's thread has taken it as a session; of that thread.
+  bool admitted_ = false;
+  Counter commands_;
+  LogLimiter* logs_;
+};
+
+class ActuatorStream final : public Stream {
+ public:
+  ActuatorStream(const absl::StatusOr<rpc::Peer>& peer, grpc::CallbackServerContext* context,
+                 pipeline::Pipeline* pipeline, rpc::SessionWatch* watch,
+                 const DispatchMetrics& metrics)
+      : pipeline_(pipeline),
+        watch_(watch),
+        metrics_(metrics),
+        link_(std::make_shared<Link>(outbound(), metrics.commands, &pipeline->logs())) {
+    if (!peer.ok()) {
+      outbound()->Close(rpc::ToGrpc(peer.status()));
+    } else {
+      mailbox_.emplace(pipeline, peer->identity.robot);
+      host_ = peer->identity.host;
+      address_ = context->peer();
+      session_ = watch->Guard(rpc::StreamKind::kActuator, *peer, context, outbound());
+      session_->connection = watch->gate().ConnectionOf(address_);
+      metrics_.streams.Increment();
+      Begin();
+    }
+  }
+
+ private:
+  void OnMessage(ActuatorMessage& message) override {
+    watch_->Heard(*session_, message.ByteSizeLong());
+    if (refused_) return;  // came before the peer heard of it
+    if (const auto hit = wire_limits::Check(message)) return RefuseField(*hit);
+    if (!session_->greeted && !message.has_hello()) {
+      return Refuse(absl::InvalidArgumentError("the first message must be a hello"));
+    }
+    switch (message.kind_case()) {
+      case ActuatorMessage::kHello:
+        return OnHello(message.hello());
+      case ActuatorMessage::kReceipt:
+        return OnReceipt(message.receipt());
+      case ActuatorMessage::kHeartbeat:
+        return Post(message.ByteSizeLong(),
+                    [host = host_, link = link_, beat = DecodeBeat(message.heartbeat())](
+                        Robot& robot) { robot.OnActuatorBeat(host, link.get(), beat); });
+      case ActuatorMessage::KIND_NOT_SET:
+        return;  // a newer actuator's kind
+    }
+  }
+
+  void OnHello(const rips::v1::ActuatorHello& hello) {
+    if (session_->greeted.exchange(true)) {
+      return Refuse(absl::InvalidArgumentError("a second hello in one stream"));
+    }
+    if (hello.hello().host() != host_) {
+      return Refuse(watch_->gate().Refuse(
+          {"claim",
+           absl::PermissionDeniedError("the hello names another host than the certificate")},
+          &session_->peer, address_));
+    }
+    absl::StatusOr<pipeline::ActuatorHello> decoded = DecodeHello(hello);
+    if (!decoded.ok()) return Refuse(decoded.status());
+    link_->SetPeer(mailbox_->robot(), host_, address_);
+    decoded->peer = address_;
+    Post(hello.ByteSizeLong(), [host = host_, link = link_, hello = *std::move(decoded)](
+                                   Robot& robot) { robot.OnActuatorHello(host, link, hello); });
+  }
+
+  void OnReceipt(const rips::v1::Receipt& receipt) {
+    absl::StatusOr<pipeline::Receipt> decoded = DecodeReceipt(receipt);
+    if (!decoded.ok()) return Refuse(decoded.status());
+    Post(receipt.ByteSizeLong(), [host = host_, link = link_, receipt = *std::move(decoded)](
+                                     Robot& robot) { robot.OnReceipt(host, link.get(), receipt); });
+  }
+
+  void RefuseField(const wire_limits::LimitHit& hit) {
+    metrics_.fields_refused.Count(hit);
+    pipeline::TellRefusedField(*pipeline_, "actuator", mailbox_->robot(), host_, address_,
+                               hit.Text());
+    Refuse(hit.ToStatus());
+  }
+
+  void Refuse(const absl::Status& status) {
+    refused_ = true;
+    // An agent of another version is no attacker.
+    const bool hostile = !absl::IsFailedPrecondition(status);
+    if (hostile && session_->connection != nullptr) session_->connection->OnRefused();
+    metrics_.malformed.Increment();
+    if (const auto left_out = pipeline_->logs().Admit(mailbox_->robot())) {
+      LogWarning("actuator stream refused", {{"robot", mailbox_->robot()},
+                                             {"host", host_},
+                                             {"reason", status.ToString()},
+                                             {"left_out", *left_out}});
+    }
+    outbound()->Close(rpc::ToGrpc(status));
+  }
+
+  void Post(size_t bytes, std::function<void(Robot&)> task) {
+    const absl::Status posted = mailbox_->Post(Queue::kActuators, bytes, std::move(task));
+    if (!posted.ok()) outbound()->Close(rpc::ToGrpc(posted));
+  }
+
+  void OnEnded() override {
+    if (!mailbox_) return;
+    pipeline_
+        ->Post(
+            mailbox_->robot(), Queue::kActuators,
+            [host = host_, link = link_](Robot& robot) { robot.OnActuatorGone(host, link.get()); })
+        .IgnoreError();  // an overloaded or stopping shard notices the silence by itself
+  }
+
+  pipeline::Pipeline* pipeline_;
+  rpc::SessionWatch* watch_;
+  DispatchMetrics metrics_;
+  std::shared_ptr<Link> link_;
+  std::shared_ptr<rpc::SessionWatch::Session> session_;
+  std::optional<pipeline::Mailbox> mailbox_;
+  std::string host_;
+  std::string address_;
+  bool refused_ = false;
+};
+
+}  // namespace
+
+grpc::ServerBidiReactor<ActuatorMessage, ActuatorReply>* ActuatorService::Attach(
+    grpc::CallbackServerContext* context) {
+  return new ActuatorStream(watch_->Admit(*context, rpc::Role::kActuator), context, pipeline_,
+                            watch_, metrics_);
+}
+
+}  // namespace rips::dispatch

@@ -1,0 +1,40 @@
+// ActuatorService: streams of mode actuators into and out of the pipeline.
+#ifndef RIPS_POLICY_SERVER_SERVER_DISPATCH_ACTUATOR_SERVICE_H_
+#define RIPS_POLICY_SERVER_SERVER_DISPATCH_ACTUATOR_SERVICE_H_
+
+#include "policy_server/server/shard/pipeline.h"
+#include "rips/v1/actuator.grpc.pb.h"
+#include "services/rpc/session_watch.h"
+#include "services/runtime/metrics.h"
+#include "services/wire_limits/limit_counters.h"
+
+namespace rips::dispatch {
+
+struct DispatchMetrics {
+  // Hellos and receipts that were refused as malformed.
+  Counter malformed;
+  Counter streams;
+  Counter commands;
+  // Messages with a field past its limit.
+  wire_limits::LimitCounters fields_refused = {};
+};
+
+// Robot, host and role are taken from the certificate alone.
+class ActuatorService final : public rips::v1::ActuatorService::CallbackService {
+ public:
+  // Not owned; both outlive every call.
+  ActuatorService(pipeline::Pipeline* pipeline, rpc::SessionWatch* watch, DispatchMetrics metrics)
+      : pipeline_(pipeline), watch_(watch), metrics_(metrics) {}
+
+  grpc::ServerBidiReactor<rips::v1::ActuatorMessage, rips::v1::ActuatorReply>* Attach(
+      grpc::CallbackServerContext* context) override;
+
+ private:
+  pipeline::Pipeline* pipeline_;
+  rpc::SessionWatch* watch_;
+  DispatchMetrics metrics_;
+};
+
+}  // namespace rips::dispatch
+
+#endif  // RIPS_POLICY_SERVER_SERVER_DISPATCH_ACTUATOR_SERVICE_H_

@@ -1,0 +1,267 @@
+#include "policy_server/server/fleet.h"
+
+#include <algorithm>
+#include <set>
+#include <utility>
+#include <vector>
+
+#include "absl/strings/str_cat.h"
+#include "policy_server/policy/bundle/bundle_keep.h"
+#include "services/base/status_macros.h"
+#include "services/runtime/config_sections.h"
+#include "services/runtime/log.h"
+
+namespace rips::server {
+namespace {
+
+pipeline::RobotConfig ToConfig(const bundle::InventoryRobot& robot) {
+  pipeline::RobotConfig config{
+      .id = robot.id, .actuator_hosts = robot.actuators, .graph_limits = robot.graph_limits};
+  for (const bundle::InventorySensor& sensor : robot.sensors) {
+    config.sensor_hosts.push_back(sensor.host);
+    if (sensor.primary) config.primary_sensor = sensor.host;
+  }
+  return config;
+}
+
+bool SameHosts(const bundle::InventoryRobot& a, const bundle::InventoryRobot& b) {
+  return a.sensors == b.sensors && a.actuators == b.actuators && a.graph_limits == b.graph_limits;
+}
+
+// One line of what may be a page of diagnostics: the whole is in the log.
+std::string FirstLine(absl::string_view text) {
+  return std::string(text.substr(0, text.find('\n')));
+}
+
+}  // namespace
+
+Fleet::Fleet(FleetOptions options, store::Store* store, pipeline::Pipeline* pipeline,
+             pipeline::ServerAlerts* alerts, Load load, pipeline::Ports ports, FleetCounts counts)
+    : options_(std::move(options)),
+      store_(store),
+      pipeline_(pipeline),
+      alerts_(alerts),
+      load_(std::move(load)),
+      ports_(std::move(ports)),
+      counts_(std::move(counts)) {}
+
+absl::StatusOr<bundle::Inventory> Fleet::ReadInventory() const {
+  RIPS_ASSIGN_OR_RETURN(const std::string text, ReadConfigFile(options_.inventory));
+  return bundle::ParseInventory(options_.inventory, text);
+}
+
+absl::Status Fleet::Start() {
+  RIPS_ASSIGN_OR_RETURN(inventory_, ReadInventory());
+  const Policies policies = LoadPolicies(inventory_);
+  for (const bundle::InventoryRobot& robot : inventory_.robots) {
+    if (counts_.listed) counts_.listed(robot);
+    RIPS_RETURN_IF_ERROR(Arm(robot, policies.at(robot.bundle)));
+  }
+  ForgetUnused();
+  Count();
+  return absl::OkStatus();
+}
+
+Fleet::Policies Fleet::LoadPolicies(const bundle::Inventory& inventory) {
+  Policies policies;
+  for (const bundle::InventoryRobot& robot : inventory.robots) {
+    if (policies.contains(robot.bundle)) continue;
+    const std::string dir = absl::StrCat(options_.bundles_source, "/", robot.bundle);
+    absl::StatusOr<pipeline::Policy> policy = load_(dir, robot.bundle);
+    if (!policy.ok()) {
+      LogError("bundle refused", {{"bundle", dir}, {"reason", policy.status().message()}});
+    } else if (const absl::Status kept =
+                   bundle::KeepBundle(dir, policy->bundle_id, options_.bundles_dir);
+               !kept.ok()) {
+      LogWarning("bundle not kept: should it be refused at the next start, its robots are held",
+                 {{"bundle", dir}, {"reason", kept.message()}});
+    }
+    policies.emplace(robot.bundle, std::move(policy));
+  }
+  return policies;
+}
+
+absl::Status Fleet::Arm(const bundle::InventoryRobot& robot,
+                        const absl::StatusOr<pipeline::Policy>& policy) {
+  RIPS_ASSIGN_OR_RETURN(const store::RobotRecord record, store_->Load(robot.id));
+  RIPS_ASSIGN_OR_RETURN(const uint64_t term, store_->NextTerm(robot.id));
+  const auto add = [&](const pipeline::Policy& by) {
+    return pipeline_->Add(ToConfig(robot), by, options_.timing, record, term, ports_);
+  };
+  absl::Status added = policy.ok() ? add(*policy) : policy.status();
+  std::string problem;
+  if (!added.ok()) {
+    problem = absl::StrCat("bundle `", robot.bundle, "` is refused: ", FirstLine(added.message()));
+    const absl::StatusOr<std::string> kept =
+        bundle::KeptBundlePath(options_.bundles_dir, record.bundle);
+    if (!kept.ok()) return Hold(robot, record, problem);
+    const absl::StatusOr<pipeline::Policy> last_good = load_(*kept, "");
+    absl::Status fits = last_good.status();
+    if (last_good.ok() && last_good->bundle_id != record.bundle) {
+      fits = absl::DataLossError("its copy was changed");
+    }
+    if (fits.ok()) fits = add(*last_good);
+    if (!fits.ok()) {
+      return Hold(robot, record,
+                  absl::StrCat(problem, "; the last good one (", record.bundle,
+                               ") is refused too: ", FirstLine(fits.message())));
+    }
+    absl::StrAppend(&problem, "; the last good policy ", record.bundle, " is in force");
+  }
+  LogInfo("robot", {{"robot", robot.id},
+                    {"level", record.level.empty() ? "(first start)" : record.level},
+                    {"mark", ToString(record.mark)},
+                    {"term", term}});
+  SetProblem(robot.id, problem, record.level);
+  return absl::OkStatus();
+}
+
+absl::Status Fleet::Hold(const bundle::InventoryRobot& robot, const store::RobotRecord& record,
+                         const std::string& why) {
+  const std::string level = record.level.empty() ? "(none yet)" : record.level;
+  const std::string text =
+      absl::StrCat("no policy: ", why, "; nothing judges `", robot.id, "`, its level ", level,
+                   " stands, and its actuators take their fail-safe level when their lease ends; "
+                   "mend the bundle "
+                   "and send the server SIGHUP");
+  RIPS_RETURN_IF_ERROR(pipeline_->Hold(
+      {.robot = robot.id, .decided_level = record.level, .mark = record.mark, .degraded = {text}},
+      absl::FailedPreconditionError(text)));
+  SetProblem(robot.id, text, record.level);
+  return absl::OkStatus();
+}
+
+void Fleet::SetProblem(const std::string& robot, const std::string& text,
+                       const std::string& level) {
+  pipeline_
+      ->Post(robot, pipeline::Queue::kOrders,
+             [text](pipeline::Robot& each) { each.SetPolicyProblem(text); })
+      .IgnoreError();  // one that is held shows it already
+  if (text.empty()) {
+    problems_.erase(robot);
+    return;
+  }
+  std::string& known = problems_[robot];
+  if (known == text) return;
+  known = text;
+  LogError("robot without the policy that the inventory names",
+           {{"robot", robot}, {"reason", text}});
+  alerts_->Raise(robot, engine::Severity::kCritical, text, level);
+}
+
+// ------------------------------------------------------------------------------------- reload
+
+void Fleet::Reload() {
+  absl::StatusOr<bundle::Inventory> read = ReadInventory();
+  if (read.ok() && read->robots.empty() && !inventory_.robots.empty()) {
+    // An editor's empty file looks the same.
+    read = absl::InvalidArgumentError(
+        absl::StrCat(options_.inventory, " lists no robot; to guard none, stop the server"));
+  }
+  if (!read.ok()) {
+    LogError("inventory refused; the old one stays in force",
+             {{"reason", read.status().message()}});
+    alerts_->Raise(std::string(store::kServerRobot), engine::Severity::kHigh,
+                   absl::StrCat("the inventory is refused, the old one stays in force: ",
+                                FirstLine(read.status().message())));
+  }
+  const bundle::Inventory now = read.ok() ? *std::move(read) : inventory_;
+  RemoveMissing(now);
+  const Policies policies = LoadPolicies(now);
+  const std::vector<std::string> judged = pipeline_->robots();
+  for (const bundle::InventoryRobot& robot : now.robots) {
+    const absl::StatusOr<pipeline::Policy>& policy = policies.at(robot.bundle);
+    if (counts_.listed && inventory_.Find(robot.id) == nullptr) counts_.listed(robot);
+    if (std::binary_search(judged.begin(), judged.end(), robot.id)) {
+      Change(robot, inventory_.Find(robot.id), policy);
+      continue;
+    }
+    absl::Status armed;
+    if (!pipeline_->WaitGone(robot.id, options_.leaving)) {
+      armed = Hold(robot, {}, "what it decided before it was removed is not recorded yet");
+    } else {
+      armed = Arm(robot, policy);
+    }
+    if (armed.ok()) continue;
+    LogError("robot not added", {{"robot", robot.id}, {"reason", armed.message()}});
+    Hold(robot, {}, FirstLine(armed.message())).IgnoreError();
+  }
+  inventory_ = now;
+  ForgetUnused();
+  Count();
+}
+
+void Fleet::RemoveMissing(const bundle::Inventory& now) {
+  for (const bundle::InventoryRobot& robot : inventory_.robots) {
+    if (now.Find(robot.id) != nullptr) continue;
+    LogWarning("robot removed from the inventory", {{"robot", robot.id}});
+    alerts_->Raise(robot.id, engine::Severity::kMedium,
+                   "the robot was removed from the inventory: nothing judges it any more");
+    problems_.erase(robot.id);
+    const absl::Status removed =
+        pipeline_->Remove(robot.id, absl::PermissionDeniedError(absl::StrCat(
+                                        "robot `", robot.id, "` was removed from the inventory")));
+    if (!removed.ok()) {
+      LogError("robot not removed", {{"robot", robot.id}, {"reason", removed.message()}});
+    }
+  }
+}
+
+void Fleet::Change(const bundle::InventoryRobot& robot, const bundle::InventoryRobot* before,
+                   const absl::StatusOr<pipeline::Policy>& policy) {
+  absl::Status posted;
+  if (before == nullptr || !SameHosts(robot, *before)) {
+    LogInfo("hosts of a robot changed", {{"robot", robot.id}});
+    posted.Update(pipeline_->Post(
+        robot.id, pipeline::Queue::kOrders,
+        [config = ToConfig(robot)](pipeline::Robot& each) { each.SetHosts(config); }));
+  }
+  if (!policy.ok()) {
+    SetProblem(robot.id,
+               absl::StrCat("bundle `", robot.bundle,
+                            "` is refused: ", FirstLine(policy.status().message()),
+                            "; the old policy stays in force"),
+               "");
+  } else {
+    SetProblem(robot.id, "", "");
+    posted.Update(pipeline_->Post(
+        robot.id, pipeline::Queue::kOrders, [policy = *policy](pipeline::Robot& each) {
+          const absl::Status swapped = each.SwapPolicy(policy);
+          if (swapped.ok()) return;
+          LogError("bundle not taken", {{"robot", each.id()}, {"reason", swapped.message()}});
+          each.SetPolicyProblem(
+              absl::StrCat("bundle ", policy.bundle_id, " was not taken: ", swapped.message()));
+        }));
+  }
+  if (!posted.ok()) {
+    LogError("robot not changed", {{"robot", robot.id}, {"reason", posted.message()}});
+  }
+}
+
+void Fleet::ForgetUnused() {
+  std::set<std::string> in_use;
+  for (const bundle::InventoryRobot& robot : inventory_.robots) {
+    const absl::StatusOr<store::RobotRecord> record = store_->Load(robot.id);
+    if (!record.ok()) return;  // nothing is removed that might be needed
+    in_use.insert(record->bundle);
+  }
+  bundle::ForgetBundles(options_.bundles_dir, in_use);
+}
+
+void Fleet::Count() {
+  if (!counts_.robots) return;
+  const size_t held = pipeline_->held().size();
+  const size_t troubled = problems_.size();
+  counts_.robots(inventory_.robots.size() - std::max(troubled, held),
+                 troubled > held ? troubled - held : 0, held);
+}
+
+int Fleet::agents() const {
+  size_t count = 0;
+  for (const bundle::InventoryRobot& robot : inventory_.robots) {
+    count += robot.sensors.size() + robot.actuators.size();
+  }
+  return static_cast<int>(count);
+}
+
+}  // namespace rips::server

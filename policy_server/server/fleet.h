@@ -1,0 +1,104 @@
+// The robots of the inventory and the policies that they are judged by. One robot's trouble costs
+// that robot only:
+//
+//   its bundle                       robot
+//   good                             judged by it; the bundle is kept, its id recorded
+//   refused, the last good one kept  judged by the last good one; critical alert, status
+//   refused, none is kept held: nothing judges it, its agents are refused with words, its
+//                                    actuators keep their level and take their fail-safe one when
+//                                    the lease ends; critical alert, status
+//   does not declare the level that  as refused
+//   the robot is recorded at
+//   mended, then Reload              judged
+//
+// A robot of no inventory any more is removed; one that comes back has its recorded level.
+#ifndef RIPS_POLICY_SERVER_SERVER_FLEET_H_
+#define RIPS_POLICY_SERVER_SERVER_FLEET_H_
+
+#include <functional>
+#include <string>
+
+#include "absl/container/btree_map.h"
+#include "absl/status/status.h"
+#include "absl/status/statusor.h"
+#include "absl/time/time.h"
+#include "policy_server/policy/bundle/inventory.h"
+#include "policy_server/server/shard/pipeline.h"
+#include "policy_server/server/shard/server_alerts.h"
+#include "policy_server/server/store/store.h"
+
+namespace rips::server {
+
+struct FleetOptions {
+  // Paths, as ServerConfig's.
+  std::string inventory;
+  std::string bundles_source;
+  std::string bundles_dir;
+  pipeline::Timing timing;
+  // How long a robot that was removed may take to be gone before it can be added again.
+  absl::Duration leaving = absl::Seconds(5);
+};
+
+// What is counted; a null entry is not.
+struct FleetCounts {
+  // Robots that are judged by what the inventory names, by an older bundle, and by nothing.
+  std::function<void(size_t armed, size_t on_last_good, size_t held)> robots;
+  // A robot of the inventory, when it is first seen there.
+  std::function<void(const bundle::InventoryRobot&)> listed;
+};
+
+// One thread at a time.
+class Fleet {
+ public:
+  // A bundle of a directory, ready to judge; its manifest has that name, or any if `name` is empty.
+  using Load = std::function<absl::StatusOr<pipeline::Policy>(const std::string& dir,
+                                                              const std::string& name)>;
+
+  // Nothing is owned; all outlive this. `ports` are given to each robot.
+  Fleet(FleetOptions options, store::Store* store, pipeline::Pipeline* pipeline,
+        pipeline::ServerAlerts* alerts, Load load, pipeline::Ports ports, FleetCounts counts = {});
+
+  // Before Pipeline::Start: the robots of the inventory. An error only if the inventory or the
+  // store cannot be read, or the store not be written.
+  absl::Status Start();
+  // Reads inventory and bundles anew: robots and hosts come, change and go. What is refused leaves
+  // the old in force and says so.
+  void Reload();
+  // Sensors and actuators that the inventory in force lists.
+  int agents() const;
+
+ private:
+  absl::StatusOr<bundle::Inventory> ReadInventory() const;
+  // Of every bundle that the inventory names: the policy, or why it is refused.
+  using Policies = absl::btree_map<std::string, absl::StatusOr<pipeline::Policy>>;
+  Policies LoadPolicies(const bundle::Inventory& inventory);
+  // Adds or holds it.
+  absl::Status Arm(const bundle::InventoryRobot& robot,
+                   const absl::StatusOr<pipeline::Policy>& policy);
+  absl::Status Hold(const bundle::InventoryRobot& robot, const store::RobotRecord& record,
+                    const std::string& why);
+  // A robot that is judged: other hosts, another policy.
+  void Change(const bundle::InventoryRobot& robot, const bundle::InventoryRobot* before,
+              const absl::StatusOr<pipeline::Policy>& policy);
+  void RemoveMissing(const bundle::Inventory& now);
+  // Tells of it where it is news, and forgets it if `text` is empty. `status`: as the robot shows
+  // it.
+  void SetProblem(const std::string& robot, const std::string& text, const std::string& level);
+  void ForgetUnused();
+  void Count();
+
+  const FleetOptions options_;
+  store::Store* store_;
+  pipeline::Pipeline* pipeline_;
+  pipeline::ServerAlerts* alerts_;
+  const Load load_;
+  const pipeline::Ports ports_;
+  const FleetCounts counts_;
+  bundle::Inventory inventory_;
+  // By robot: why it is not judged by what the inventory names.
+  absl::btree_map<std::string, std::string> problems_;
+};
+
+}  // namespace rips::server
+
+#endif  // RIPS_POLICY_SERVER_SERVER_FLEET_H_

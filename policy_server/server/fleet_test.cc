@@ -1,0 +1,288 @@
+#include "policy_server/server/fleet.h"
+
+#include <filesystem>
+#include <fstream>
+#include <functional>
+#include <memory>
+#include <string>
+#include <utility>
+#include <vector>
+
+#include "absl/strings/str_cat.h"
+#include "absl/strings/str_split.h"
+#include "gmock/gmock.h"
+#include "policy_server/policy/bundle/bundle.h"
+#include "policy_server/server/robot/fake_ports.h"
+#include "policy_server/server/shard/store_recorder.h"
+#include "policy_server/server/store/committer.h"
+#include "policy_server/server/store/fake_store.h"
+#include "policy_server/server/store/store_test_data.h"
+#include "services/base/fake_clock.h"
+#include "services/base/ids.h"
+#include "services/base/status_matchers.h"
+#include "services/runtime/bounded_queue.h"
+#include "services/runtime/real_clock.h"
+
+namespace rips::server {
+namespace {
+
+using pipeline::Lane;
+using pipeline::Robot;
+using ::testing::Contains;
+using ::testing::ElementsAre;
+using ::testing::HasSubstr;
+using ::testing::IsEmpty;
+using ::testing::SizeIs;
+
+constexpr absl::Duration kLong = absl::Seconds(60);
+
+class QuietAudience final : public pipeline::Audience {
+ public:
+  void OnAlert(const store::AlertRecord&) override {}
+  void OnNotice(const std::string&) override {}
+  void OnStatus(const pipeline::RobotStatus&) override {}
+  void OnRuleLog(const std::string&, const std::string&, const std::string&) override {}
+};
+
+// Real bundles on disk, a store in memory that outlives several servers.
+class FleetTest : public ::testing::Test {
+ protected:
+  void SetUp() override {
+    options_ = {.inventory = dir_.File("robots.yaml"),
+                .bundles_source = dir_.File("source"),
+                .bundles_dir = dir_.File("kept"),
+                .leaving = kLong};
+    WriteBundle("good", "DEFAULT, ALERT, HALT");
+    WriteBundle("other", "DEFAULT, ALERT, HALT");
+    List({{"r1", "good"}, {"r2", "other"}});
+  }
+  void TearDown() override { Stop(); }
+
+  void WriteBundle(const std::string& name, const std::string& levels,
+                   const std::string& more = "") {
+    const std::string path = absl::StrCat(options_.bundles_source, "/", name);
+    std::filesystem::create_directories(path);
+    std::ofstream(path + "/manifest.yaml")
+        << "name: " << name << "\nrules: [r.rul]\nlevels: [" << levels << "]\n";
+    std::ofstream rules(path + "/r.rul");
+    rules << "levels:\n";
+    for (absl::string_view level : absl::StrSplit(levels, ", ")) rules << "  " << level << ";\n";
+    rules << more;
+  }
+  void Break(const std::string& name) {
+    std::ofstream(absl::StrCat(options_.bundles_source, "/", name, "/r.rul"))
+        << "levels: nonsense(";
+  }
+  void List(const std::vector<std::pair<std::string, std::string>>& robots,
+            const std::string& actuators = "base") {
+    std::ofstream file(options_.inventory);
+    file << "robots:\n";
+    for (const auto& [id, bundle] : robots) {
+      file << "  - {id: " << id << ", bundle: " << bundle
+           << ", sensors: [{host: base, primary: true}], actuators: [" << actuators << "]}\n";
+    }
+  }
+  absl::Status Start() {
+    committer_ = std::make_unique<store::Committer>(&store_);
+    recorder_ = std::make_unique<pipeline::StoreRecorder>(&store_, committer_.get());
+    alerts_ =
+        std::make_unique<pipeline::ServerAlerts>(committer_.get(), &audience_, &clock_, NewId);
+    pipeline_ = std::make_unique<pipeline::Pipeline>(2, &clock_);
+    fleet_ = std::make_unique<Fleet>(
+        options_, &store_, pipeline_.get(), alerts_.get(),
+        [this](const std::string& dir, const std::string& name) { return Load(dir, name); },
+        pipeline::Ports{.recorder = recorder_.get(), .audience = &audience_, .new_id = NewId},
+        FleetCounts{.robots = [this](size_t armed, size_t on_last_good, size_t held) {
+          counts_ = {armed, on_last_good, held};
+        }});
+    const absl::Status status = fleet_->Start();
+    pipeline_->Start();
+    return status;
+  }
+  void Stop() {
+    if (pipeline_ != nullptr) pipeline_->Stop();
+    if (committer_ != nullptr) committer_->Stop();
+    fleet_.reset();
+    pipeline_.reset();
+  }
+  void Restart() {
+    Stop();
+    ASSERT_THAT(Start(), IsOk());
+  }
+  absl::StatusOr<pipeline::Policy> Load(const std::string& dir, const std::string& name) {
+    absl::StatusOr<bundle::Bundle> loaded = bundle::LoadBundle(dir, &real_clock_);
+    if (!loaded.ok()) return loaded.status();
+    if (!name.empty() && loaded->manifest.name != name) {
+      return absl::InvalidArgumentError("another name");
+    }
+    return pipeline::Policy{.program = loaded->program, .bundle_id = loaded->id};
+  }
+  template <typename T>
+  T Ask(const std::string& robot, std::function<T(Robot&)> ask) {
+    BoundedQueue<T> answer{{.capacity = 1}};
+    const absl::Status posted =
+        pipeline_->Post(robot, Lane::kControl, [&](Robot& each) { answer.Push(ask(each)); });
+    EXPECT_THAT(posted, IsOk());
+    return posted.ok() ? *answer.Pop(kLong) : T();
+  }
+  pipeline::RobotStatus Status(const std::string& robot) {
+    return Ask<pipeline::RobotStatus>(robot, [](Robot& each) { return each.Status(); });
+  }
+  void Raise(const std::string& robot, const std::string& level) {
+    BoundedQueue<int> done{{.capacity = 1}};
+    Ask<int>(robot, [&](Robot& each) {
+      each.Raise({.operator_name = "alice", .to = level, .reason = "drill"},
+                 [&](const pipeline::LevelAnswer& answer) { done.Push(answer.status.ok()); });
+      return 0;
+    });
+    ASSERT_EQ(done.Pop(kLong), 1);
+  }
+  // Also ends the server, so that everything is written.
+  std::vector<std::string> CriticalAlerts(const std::string& robot) {
+    Stop();
+    std::vector<std::string> texts;
+    const auto alerts = store_.ListAlerts(robot, 1'000);
+    for (const store::AlertRecord& alert : *alerts) {
+      if (alert.severity == "critical") texts.push_back(alert.text);
+    }
+    return texts;
+  }
+
+  store::TempDir dir_;
+  FleetOptions options_;
+  FakeClock clock_;
+  RealClock real_clock_;
+  store::FakeStore store_;
+  QuietAudience audience_;
+  std::unique_ptr<store::Committer> committer_;
+  std::unique_ptr<pipeline::StoreRecorder> recorder_;
+  std::unique_ptr<pipeline::ServerAlerts> alerts_;
+  std::unique_ptr<pipeline::Pipeline> pipeline_;
+  std::unique_ptr<Fleet> fleet_;
+  std::vector<size_t> counts_;
+};
+
+TEST_F(FleetTest, ABrokenBundleCostsItsRobotOnlyWhichGoesOnByItsLastGoodOne) {
+  ASSERT_THAT(Start(), IsOk());
+  Raise("r1", "ALERT");
+  const std::string good = Status("r1").bundle_version;
+  Break("good");
+  Restart();
+
+  const pipeline::RobotStatus status = Status("r1");
+  EXPECT_EQ(status.decided_level, "ALERT");
+  EXPECT_EQ(status.bundle_version, good);
+  EXPECT_THAT(status.degraded, Contains(HasSubstr("the last good policy sha256:")));
+  EXPECT_THAT(Status("r2").degraded, testing::Not(Contains(HasSubstr("refused"))));
+  EXPECT_THAT(counts_, ElementsAre(1, 1, 0));
+  EXPECT_THAT(CriticalAlerts("r1"), ElementsAre(HasSubstr("bundle `good` is refused")));
+  EXPECT_THAT(CriticalAlerts("r2"), IsEmpty());
+}
+
+TEST_F(FleetTest, ARobotWithoutAnyGoodPolicyIsHeldAndArmedWhenItsBundleIsMended) {
+  Break("good");
+  ASSERT_THAT(Start(), IsOk());
+  ASSERT_THAT(pipeline_->held(), SizeIs(1));
+  EXPECT_EQ(pipeline_->held()[0].robot, "r1");
+  EXPECT_THAT(pipeline_->held()[0].degraded, Contains(HasSubstr("no policy")));
+  EXPECT_THAT(pipeline_->Post("r1", Lane::kControl, [](Robot&) {}),
+              StatusIs(absl::StatusCode::kFailedPrecondition, HasSubstr("no policy")));
+  EXPECT_EQ(Status("r2").decided_level, "DEFAULT");
+  EXPECT_THAT(counts_, ElementsAre(1, 0, 1));
+
+  fleet_->Reload();  // still broken: nothing new to say
+  WriteBundle("good", "DEFAULT, ALERT, HALT");
+  fleet_->Reload();
+  EXPECT_THAT(pipeline_->held(), IsEmpty());
+  EXPECT_EQ(Status("r1").decided_level, "DEFAULT");
+  EXPECT_THAT(counts_, ElementsAre(2, 0, 0));
+  EXPECT_THAT(CriticalAlerts("r1"), SizeIs(1));
+}
+
+TEST_F(FleetTest, ALevelThatTheBundleNoLongerDeclaresCostsThatRobotOnlyAndNeverSinks) {
+  ASSERT_THAT(Start(), IsOk());
+  Raise("r1", "ALERT");
+  WriteBundle("good", "DEFAULT, HALT");
+  Restart();
+  EXPECT_EQ(Status("r1").decided_level, "ALERT") << "by the last good bundle";
+  EXPECT_THAT(Status("r1").degraded, Contains(HasSubstr("does not declare")));
+
+  std::filesystem::remove_all(options_.bundles_dir);
+  // The copy is gone too.
+  Restart();
+  ASSERT_THAT(pipeline_->held(), SizeIs(1));
+  EXPECT_EQ(pipeline_->held()[0].decided_level, "ALERT");
+  EXPECT_EQ(Status("r2").decided_level, "DEFAULT");
+
+  WriteBundle("good", "DEFAULT, ALERT, HALT");
+  fleet_->Reload();
+  EXPECT_EQ(Status("r1").decided_level, "ALERT");
+}
+
+TEST_F(FleetTest, ACopyThatWasChangedIsNotUsed) {
+  ASSERT_THAT(Start(), IsOk());
+  Raise("r1", "ALERT");
+  for (const auto& entry : std::filesystem::recursive_directory_iterator(options_.bundles_dir)) {
+    if (entry.path().filename() == "r.rul") {
+      std::ofstream(entry.path()) << "levels:\n  DEFAULT;\n  ALERT;\n  HALT;\n\n";
+    }
+  }
+  Break("good");
+  Restart();
+  EXPECT_THAT(pipeline_->held(), SizeIs(1));
+}
+
+TEST_F(FleetTest, RobotsComeChangeAndGoWithoutARestart) {
+  ASSERT_THAT(Start(), IsOk());
+  Raise("r2", "HALT");
+  List({{"r1", "other"}, {"r3", "good"}}, "base, arm");
+  fleet_->Reload();
+  EXPECT_THAT(pipeline_->robots(), ElementsAre("r1", "r3"));
+  EXPECT_THAT(Status("r1").degraded, Contains(HasSubstr("actuator arm holds no live lease")));
+  EXPECT_EQ(Status("r3").decided_level, "DEFAULT");
+  EXPECT_THAT(pipeline_->Post("r2", Lane::kControl, [](Robot&) {}),
+              StatusIs(absl::StatusCode::kNotFound));
+
+  List({{"r1", "good"}, {"r2", "other"}});
+  fleet_->Reload();
+  EXPECT_EQ(Status("r2").decided_level, "HALT") << "as it was recorded";
+  EXPECT_NE(Status("r1").bundle_version, Status("r2").bundle_version);
+}
+
+TEST_F(FleetTest, AnInventoryThatIsRefusedLeavesTheOldOneInForce) {
+  ASSERT_THAT(Start(), IsOk());
+  for (const char* text : {"robots: [", "robots:\n  - {id: r1}\n", "", "robots: []\n"}) {
+    std::ofstream(options_.inventory) << text;
+    fleet_->Reload();
+    EXPECT_THAT(pipeline_->robots(), ElementsAre("r1", "r2")) << text;
+  }
+  std::filesystem::remove(options_.inventory);
+  fleet_->Reload();
+  EXPECT_THAT(pipeline_->robots(), ElementsAre("r1", "r2"));
+  Stop();
+  EXPECT_THAT(store_.ListAlerts(std::string(store::kServerRobot), 100)->front().text,
+              HasSubstr("the inventory is refused, the old one stays in force"));
+}
+
+TEST_F(FleetTest, ABundleThatIsRefusedAtReloadLeavesTheOldOneInForceAndIsShown) {
+  ASSERT_THAT(Start(), IsOk());
+  const std::string before = Status("r1").bundle_version;
+  Break("good");
+  fleet_->Reload();
+  EXPECT_EQ(Status("r1").bundle_version, before);
+  EXPECT_THAT(Status("r1").degraded, Contains(HasSubstr("the old policy stays in force")));
+  WriteBundle("good", "DEFAULT, ALERT, HALT",
+              "rules External:\n  a: false ? trigger(ALERT);\n  h: false ? trigger(HALT);\n");
+  fleet_->Reload();
+  EXPECT_NE(Status("r1").bundle_version, before);
+  EXPECT_THAT(Status("r1").degraded,
+              testing::Not(Contains(HasSubstr("the old policy stays in force"))));
+}
+
+TEST_F(FleetTest, AStoreThatCannotBeWrittenIsAnErrorOfAll) {
+  store_.FailWrites(absl::UnavailableError("disk on fire"));
+  EXPECT_THAT(Start(), StatusIs(absl::StatusCode::kUnavailable, HasSubstr("disk on fire")));
+}
+
+}  // namespace
+}  // namespace rips::server

@@ -1,0 +1,68 @@
+// rips-policy-server: holds the rule engine and the alert level of a fleet.
+#include <atomic>
+#include <csignal>
+#include <cstdio>
+#include <memory>
+#include <string>
+#include <utility>
+
+#include "policy_server/server/config/config.h"
+#include "policy_server/server/server.h"
+#include "services/rpc/credentials.h"
+#include "services/rpc/grpc_logs.h"
+#include "services/runtime/config_sections.h"
+#include "services/runtime/core_dumps.h"
+#include "services/runtime/daemon_flags.h"
+#include "services/runtime/log.h"
+#include "services/runtime/shutdown.h"
+
+int main(int argc, char** argv) {
+  using namespace rips;
+  ForbidCoreDumps();
+  rpc::RequireTls13();
+  rpc::RouteGrpcLogs();
+  DaemonFlags flags;
+  const DaemonInfo info{.name = "rips-policy-server",
+                        .description = "Judges what sensors see and commands mode actuators.",
+                        .default_config = "/etc/rips/policy-server.yaml"};
+  if (const auto code = ParseDaemonFlags(argc, argv, info, &flags)) return *code;
+
+  const absl::StatusOr<std::string> text = ReadConfigFile(flags.config);
+  if (!text.ok()) {
+    std::fprintf(stderr, "%s\n", std::string(text.status().message()).c_str());
+    return kExitConfig;
+  }
+  const auto parsed = server::ParseServerConfig(flags.config, *text);
+  if (!parsed.ok()) {
+    std::fprintf(stderr, "%s\n", std::string(parsed.status().message()).c_str());
+    return kExitConfig;
+  }
+  if (flags.check_config) {
+    std::fputs(parsed->effective.c_str(), stdout);
+    return 0;
+  }
+
+  BlockSignals();
+  // Signals are taken from here on: the start may wait for a certificate, and must end if told to.
+  std::unique_ptr<server::Server> owned;  // outlives `signals`, which calls it
+  std::atomic<server::Server*> running = nullptr;
+  SignalWaiter signals({{SIGHUP, [&running] {
+                           if (server::Server* each = running) each->Reload();
+                         }}});
+  auto started = server::Server::Start(
+      parsed->config, [&](absl::Duration pause) { return signals.WaitForShutdown(pause); });
+  if (absl::IsCancelled(started.status())) return 0;
+  if (!started.ok()) {
+    LogError("cannot start", {{"reason", started.status().message()}});
+    return absl::IsInvalidArgument(started.status()) ? kExitConfig : kExitFailed;
+  }
+  owned = *std::move(started);
+  running = owned.get();
+  if (const absl::Status ready = WriteReadyFile(flags, owned->address()); !ready.ok()) {
+    LogError("cannot write the ready file", {{"reason", ready.message()}});
+    return kExitFailed;
+  }
+  signals.WaitForShutdown();
+  owned->Stop();
+  return 0;
+}

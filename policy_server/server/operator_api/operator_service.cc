@@ -1,0 +1,728 @@
+#include "policy_server/server/operator_api/operator_service.h"
+
+#include <algorithm>
+#include <memory>
+#include <optional>
+#include <set>
+#include <string>
+#include <utility>
+
+#include "absl/strings/str_cat.h"
+#include "policy_server/server/operator_api/answer_limits.h"
+#include "policy_server/server/operator_api/coverage_codec.h"
+#include "policy_server/server/operator_api/overtaken_states.h"
+#include "policy_server/server/operator_api/receipt_codec.h"
+#include "policy_server/server/operator_api/record_tap.h"
+#include "policy_server/server/operator_api/watch_stream.h"
+#include "services/base/cut_text.h"
+#include "services/base/status_macros.h"
+#include "services/ros2_proto/graph_codec.h"
+#include "services/rpc/peer.h"
+#include "services/rpc/status_conversion.h"
+#include "services/runtime/daemon_flags.h"
+#include "services/runtime/log.h"
+#include "services/runtime/real_clock.h"
+#include "services/wire_limits/field_limits.h"
+
+namespace rips::operator_api {
+namespace {
+
+using pipeline::Queue;
+using pipeline::Robot;
+using rpc::OperatorRole;
+
+// Of one watch; beyond, it is told more when it has read. A page of the feed fits besides.
+constexpr size_t kAlertsWaitingMax = 1'024;
+// Far below the limit at which a watch is ended: what it cannot read now follows later.
+constexpr size_t kWatchBytesWaitingMax = size_t{1} << 20;
+constexpr size_t kBanReasonBytesMax = 1'000;
+// Calls that ask every robot, or that cost milliseconds for a large graph, as calls of a quota.
+constexpr double kFleetWeight = 2;
+constexpr double kGraphWeight = 5;
+// Of a robot's transitions, to find the newest that was not refused.
+constexpr int kNewestRead = 200;
+
+void FillMark(const Mark& mark, rips::v1::Mark* out) {
+  out->set_term(mark.term);
+  out->set_epoch(mark.epoch);
+}
+
+rips::v1::Alert Encode(const store::AlertRecord& alert) {
+  rips::v1::Alert out;
+  out.set_id(alert.id);
+  out.set_time_unix_ns(alert.time_unix_ns);
+  out.set_robot(alert.robot);
+  out.set_rule(alert.rule);
+  out.set_severity(alert.severity);
+  // A store may be older than these limits.
+  out.set_text(Shortened(alert.text, pipeline::kAlertTextBytesMax));
+  out.set_level(alert.level);
+  out.set_event(Shortened(alert.event, pipeline::kAlertEventBytesMax));
+  FillMark(alert.mark, out.mutable_mark());
+  return out;
+}
+
+rips::v1::Transition Encode(const store::TransitionRecord& record) {
+  rips::v1::Transition out;
+  out.set_id(record.id);
+  out.set_robot(record.robot);
+  out.set_time_unix_ns(record.time_unix_ns);
+  out.set_from(record.from);
+  out.set_to(record.to);
+  out.set_cause(record.cause);
+  out.set_reason(record.reason);
+  if (!record.refused) FillMark(record.mark, out.mutable_mark());
+  out.set_refused(record.refused);
+  out.set_count(static_cast<uint32_t>(std::min<uint64_t>(record.count, UINT32_MAX)));
+  out.set_stage(record.stage);
+  out.set_detail(record.detail);
+  return out;
+}
+
+// Who records name: `alice (spiffe://td/operator/admin/alice serial 0f)`.
+std::string OperatorName(const rpc::Peer& peer) {
+  return absl::StrCat(peer.identity.name, " (", rpc::Describe(peer), ")");
+}
+
+grpc::ServerUnaryReactor* Refuse(grpc::CallbackServerContext* context, const absl::Status& status) {
+  grpc::ServerUnaryReactor* reactor = context->DefaultReactor();
+  reactor->Finish(rpc::ToGrpc(status));
+  return reactor;
+}
+
+template <typename T>
+grpc::ServerWriteReactor<T>* RefuseWatch(const absl::Status& status) {
+  auto* stream = new WatchStream<T>();
+  stream->outbound()->Close(rpc::ToGrpc(status));
+  return stream;
+}
+
+}  // namespace
+
+OperatorService::OperatorService(pipeline::Pipeline* pipeline, store::Store* store, Hub* hub,
+                                 Access access, absl::Duration patience)
+    : pipeline_(pipeline),
+      store_(store),
+      hub_(hub),
+      access_(access),
+      patience_(patience),
+      reader_([this] { RunAll(reads_); }),
+      encoder_([this] { RunAll(graphs_); }) {}
+
+OperatorService::~OperatorService() {
+  reads_.Close();
+  graphs_.Close();
+  reader_.join();
+  encoder_.join();
+}
+
+void OperatorService::RunAll(Tasks& tasks) {
+  while (auto task = tasks.Pop(absl::InfiniteDuration())) (*task)();
+}
+
+absl::StatusOr<OperatorService::Caller> OperatorService::Authorize(
+    grpc::CallbackServerContext* context, const google::protobuf::Message& request,
+    OperatorRole needed, Use use, double weight) {
+  absl::StatusOr<rpc::Peer> peer = access_.watch->Admit(*context, rpc::Role::kOperator);
+  if (!peer.ok()) return peer.status();
+  if (peer->identity.operator_role < needed) {
+    return access_.watch->gate().Refuse(
+        {"role",
+         absl::PermissionDeniedError(absl::StrCat(
+             "this needs the role `", rpc::OperatorRoleName(needed), "`; the certificate has `",
+             rpc::OperatorRoleName(peer->identity.operator_role), "`"))},
+        &*peer, context->peer());
+  }
+  if (const auto hit = wire_limits::Check(request)) {
+    access_.fields_refused.Count(*hit);
+    if (access_.on_refused_field) access_.on_refused_field(*peer, context->peer(), hit->Text());
+    return access_.watch->gate().Refuse({"limit", hit->ToStatus()}, &*peer, context->peer());
+  }
+  Caller caller{*std::move(peer)};
+  if (access_.quota != nullptr) {
+    const bool privileged = caller.identity.operator_role >= OperatorRole::kOperator;
+    RIPS_ASSIGN_OR_RETURN(caller.ticket, access_.quota->Take(rpc::ToString(caller.identity),
+                                                             privileged, use, weight));
+  }
+  return caller;
+}
+
+grpc::ServerUnaryReactor* OperatorService::Answer(const Caller& caller) {
+  class Call final : public grpc::ServerUnaryReactor {
+   public:
+    explicit Call(CallerQuota::Ticket ticket) : ticket_(std::move(ticket)) {}
+
+   private:
+    void OnDone() override { delete this; }
+    CallerQuota::Ticket ticket_;
+  };
+  return new Call(caller.ticket);
+}
+
+template <typename T>
+void OperatorService::Keep(rpc::StreamKind kind, WatchStream<T>* stream, const Caller& caller,
+                           grpc::CallbackServerContext* context) {
+  struct Kept {
+    std::shared_ptr<rpc::SessionWatch::Session> session;
+    CallerQuota::Ticket ticket;
+  };
+  const auto session = access_.watch->Guard(kind, caller, context, stream->outbound());
+  session->greeted = true;
+  stream->set_session(std::make_shared<Kept>(Kept{session, caller.ticket}));
+}
+
+void OperatorService::RecordRefusal(const grpc::CallbackServerContext& context,
+                                    const rips::v1::LevelRequest& request,
+                                    const absl::Status& why) {
+  const absl::StatusOr<rpc::Peer> peer = rpc::PeerOf(*context.auth_context());
+  if (!peer.ok() || peer->identity.role != rpc::Role::kOperator) return;
+  if (access_.quota != nullptr &&
+      !access_.quota->Take(rpc::ToString(peer->identity), false, Use::kQuery).ok()) {
+    return;  // one that asks again and again is on record
+  }
+  pipeline_
+      ->Post(
+          request.robot(), Queue::kOrders,
+          [order = pipeline::LevelOrder{.operator_name = OperatorName(*peer), .to = request.to()},
+           why](Robot& robot) { robot.RecordRefusedOrder(order, why); })
+      .IgnoreError();  // of an unknown robot there is no record
+}
+
+void OperatorService::Read(grpc::ServerUnaryReactor* reactor, std::function<void()> task) {
+  if (reads_.Push(std::move(task))) return;
+  reactor->Finish(rpc::ToGrpc(absl::ResourceExhaustedError(
+      absl::StrCat(kReadsMax, " reads of the store wait already, the limit; try again later"))));
+}
+
+grpc::ServerUnaryReactor* OperatorService::ListRobots(grpc::CallbackServerContext* context,
+                                                      const rips::v1::ListRobotsRequest* request,
+                                                      rips::v1::ListRobotsResponse* response) {
+  const auto who = Authorize(context, *request, OperatorRole::kViewer, Use::kQuery, kFleetWeight);
+  if (!who.ok()) return Refuse(context, who.status());
+  grpc::ServerUnaryReactor* reactor = Answer(*who);
+  // Asks every robot on its own thread; must not be done on a gRPC thread, which may not block.
+  Read(reactor, [this, reactor, response] {
+    auto gathered = pipeline_->Gather<rips::v1::RobotStatus>(
+        [](Robot& robot) { return EncodeStatus(robot.Status()); }, patience_);
+    for (const pipeline::RobotStatus& held : pipeline_->held()) {
+      gathered.answers.insert_or_assign(held.robot, EncodeStatus(held));
+    }
+    for (auto& [id, status] : gathered.answers) *response->add_robots() = std::move(status);
+    for (const std::string& robot : gathered.silent) response->add_no_answer(robot);
+    FitStatuses(*response);
+    reactor->Finish(grpc::Status::OK);
+  });
+  return reactor;
+}
+
+grpc::ServerWriteReactor<rips::v1::RobotStatus>* OperatorService::WatchRobots(
+    grpc::CallbackServerContext* context, const rips::v1::WatchRobotsRequest* request) {
+  const auto who = Authorize(context, *request, OperatorRole::kViewer, Use::kStream);
+  if (!who.ok()) return RefuseWatch<rips::v1::RobotStatus>(who.status());
+  const std::set<std::string> wanted(request->robots().begin(), request->robots().end());
+  auto* stream = new WatchStream<rips::v1::RobotStatus>();
+  Keep(rpc::StreamKind::kWatch, stream, *who, context);
+  auto outbound = stream->outbound();
+  auto overtaken = std::make_shared<OvertakenStates>();
+  const auto skip = [outbound, overtaken](const std::string& robot) {
+    return overtaken->Skip(robot, [&] {
+      const bool full = outbound->waiting_bytes() >= kWatchBytesWaitingMax;
+      return full ? OvertakenStates::kWaitingMax : outbound->waiting();
+    });
+  };
+  const auto tell = [pipeline = pipeline_, outbound, skip](const std::string& robot) {
+    pipeline
+        ->Post(robot, Queue::kOrders,
+               [outbound, skip](Robot& each) {
+                 if (!skip(each.id())) outbound->Send(EncodeStatus(each.Status()));
+               })
+        .IgnoreError();  // the next change tells
+  };
+  const absl::StatusOr<uint64_t> id = hub_->WatchStatus([=](const pipeline::RobotStatus& status) {
+    if (!wanted.empty() && !wanted.contains(status.robot)) return outbound->open();
+    return skip(status.robot) ? outbound->open() : outbound->Send(EncodeStatus(status));
+  });
+  if (!id.ok()) {
+    outbound->Close(rpc::ToGrpc(id.status()));
+    return stream;
+  }
+  stream->set_on_ended([hub = hub_, id = *id] { hub->Unwatch(id); });
+  stream->set_on_drained([overtaken, tell] {
+    for (const std::string& robot : overtaken->Take()) tell(robot);
+  });
+  for (const std::string& robot : pipeline_->robots()) {
+    if (wanted.empty() || wanted.contains(robot)) tell(robot);
+  }
+  for (const pipeline::RobotStatus& held : pipeline_->held()) {
+    if (wanted.empty() || wanted.contains(held.robot)) outbound->Send(EncodeStatus(held));
+  }
+  return stream;
+}
+
+grpc::ServerUnaryReactor* OperatorService::GetGraph(grpc::CallbackServerContext* context,
+                                                    const rips::v1::GetGraphRequest* request,
+                                                    rips::v1::GetGraphResponse* response) {
+  const auto who = Authorize(context, *request, OperatorRole::kViewer, Use::kQuery, kGraphWeight);
+  if (!who.ok()) return Refuse(context, who.status());
+  grpc::ServerUnaryReactor* reactor = Answer(*who);
+  absl::StatusOr<pipeline::GraphView> view = pipeline_->Graph(request->robot());
+  if (!view.ok()) {
+    reactor->Finish(rpc::ToGrpc(view.status()));
+    return reactor;
+  }
+  // Milliseconds for a large graph: neither on the robot's thread nor on a gRPC thread.
+  const bool taken = graphs_.Push([reactor, response, view = *std::move(view)] {
+    response->mutable_graph()->set_settled(true);
+    if (view.graph != nullptr) {
+      ros2_proto::EncodeGraph(*view.graph, *response->mutable_graph());
+    }
+    response->set_changed_unix_ns(view.changed_unix_ns);
+    FitGraph(*response);
+    reactor->Finish(grpc::Status::OK);
+  });
+  if (!taken) {
+    reactor->Finish(rpc::ToGrpc(absl::ResourceExhaustedError(
+        absl::StrCat(kGraphsMax, " graphs wait to be sent already, the limit; try again later"))));
+  }
+  return reactor;
+}
+
+grpc::ServerUnaryReactor* OperatorService::GetInterest(grpc::CallbackServerContext* context,
+                                                       const rips::v1::GetInterestRequest* request,
+                                                       rips::v1::GetInterestResponse* response) {
+  const auto who = Authorize(context, *request, OperatorRole::kViewer, Use::kQuery, kGraphWeight);
+  if (!who.ok()) return Refuse(context, who.status());
+  grpc::ServerUnaryReactor* reactor = Answer(*who);
+  const absl::Status posted =
+      pipeline_->Post(request->robot(), Queue::kOrders, [reactor, response](Robot& robot) {
+        EncodeInterest(robot, *response);
+        reactor->Finish(grpc::Status::OK);
+      });
+  if (!posted.ok()) reactor->Finish(rpc::ToGrpc(posted));
+  return reactor;
+}
+
+grpc::ServerUnaryReactor* OperatorService::GetCoverage(grpc::CallbackServerContext* context,
+                                                       const rips::v1::GetCoverageRequest* request,
+                                                       rips::v1::GetCoverageResponse* response) {
+  const auto who = Authorize(context, *request, OperatorRole::kViewer, Use::kQuery, kGraphWeight);
+  if (!who.ok()) return Refuse(context, who.status());
+  grpc::ServerUnaryReactor* reactor = Answer(*who);
+  const absl::Status posted =
+      pipeline_->Post(request->robot(), Queue::kOrders, [reactor, response](Robot& robot) {
+        EncodeCoverage(robot, *response);
+        reactor->Finish(grpc::Status::OK);
+      });
+  if (!posted.ok()) reactor->Finish(rpc::ToGrpc(posted));
+  return reactor;
+}
+
+grpc::ServerUnaryReactor* OperatorService::GetLevel(grpc::CallbackServerContext* context,
+                                                    const rips::v1::GetLevelRequest* request,
+                                                    rips::v1::GetLevelResponse* response) {
+  const auto who = Authorize(context, *request, OperatorRole::kViewer, Use::kQuery);
+  if (!who.ok()) return Refuse(context, who.status());
+  grpc::ServerUnaryReactor* reactor = Answer(*who);
+  for (const pipeline::RobotStatus& held : pipeline_->held()) {
+    if (held.robot != request->robot()) continue;
+    *response->mutable_status() = EncodeStatus(held);
+    reactor->Finish(grpc::Status::OK);
+    return reactor;
+  }
+  const absl::Status posted =
+      pipeline_->Post(request->robot(), Queue::kOrders,
+                      [this, reactor, response, robot_id = request->robot()](Robot& robot) {
+                        *response->mutable_status() = EncodeStatus(robot.Status());
+                        for (int i = 0; i < robot.levels().size(); ++i) {
+                          response->add_levels(robot.levels().name(i));
+                          if (robot.levels().at(i).soft)
+                            response->add_soft_levels(robot.levels().name(i));
+                        }
+                        Read(reactor, [this, reactor, response, robot_id] {
+                          const auto newest = store_->ListTransitions(robot_id, kNewestRead);
+                          if (newest.ok()) {
+                            // What was refused changed nothing.
+                            const auto last = std::find_if(
+                                newest->begin(), newest->end(),
+                                [](const auto& transition) { return !transition.refused; });
+                            if (last != newest->end()) *response->mutable_last() = Encode(*last);
+                          }
+                          reactor->Finish(rpc::ToGrpc(newest.status()));
+                        });
+                      });
+  if (!posted.ok()) reactor->Finish(rpc::ToGrpc(posted));
+  return reactor;
+}
+
+grpc::ServerUnaryReactor* OperatorService::ListTransitions(
+    grpc::CallbackServerContext* context, const rips::v1::ListTransitionsRequest* request,
+    rips::v1::ListTransitionsResponse* response) {
+  const auto who = Authorize(context, *request, OperatorRole::kViewer, Use::kQuery);
+  if (!who.ok()) return Refuse(context, who.status());
+  grpc::ServerUnaryReactor* reactor = Answer(*who);
+  Read(reactor, [this, reactor, request, response] {
+    const auto records = store_->ListTransitions(request->robot(), request->limit());
+    if (records.ok()) {
+      AnswerRoom room;
+      for (const auto& record : *records) {
+        rips::v1::Transition transition = Encode(record);
+        response->set_cut(!room.Take(transition));
+        if (response->cut()) break;
+        *response->add_transitions() = std::move(transition);
+      }
+    }
+    reactor->Finish(rpc::ToGrpc(records.status()));
+  });
+  return reactor;
+}
+
+grpc::ServerUnaryReactor* OperatorService::ListAlerts(grpc::CallbackServerContext* context,
+                                                      const rips::v1::ListAlertsRequest* request,
+                                                      rips::v1::ListAlertsResponse* response) {
+  const auto who = Authorize(context, *request, OperatorRole::kViewer, Use::kQuery);
+  if (!who.ok()) return Refuse(context, who.status());
+  grpc::ServerUnaryReactor* reactor = Answer(*who);
+  Read(reactor, [this, reactor, request, response] {
+    const auto records = store_->ListAlerts(request->robot(), request->limit());
+    if (records.ok()) {
+      AnswerRoom room;
+      for (const auto& record : *records) {
+        rips::v1::Alert alert = Encode(record);
+        response->set_cut(!room.Take(alert));
+        if (response->cut()) break;
+        *response->add_alerts() = std::move(alert);
+      }
+    }
+    if (access_.store_writable && !access_.store_writable()) AddUnrecorded(*request, *response);
+    reactor->Finish(rpc::ToGrpc(records.status()));
+  });
+  return reactor;
+}
+
+void OperatorService::AddUnrecorded(const rips::v1::ListAlertsRequest& request,
+                                    rips::v1::ListAlertsResponse& response) {
+  using Alerts = std::vector<store::AlertRecord>;
+  AnswerRoom room(kAnswerBytesMax / 4);
+  const auto gathered =
+      pipeline_->Gather<Alerts>([](Robot& robot) { return robot.unrecorded_alerts(); }, patience_);
+  for (const auto& [robot, alerts] : gathered.answers) {
+    if (!request.robot().empty() && request.robot() != robot) continue;
+    for (const store::AlertRecord& record : alerts) {
+      rips::v1::Alert alert = Encode(record);
+      if (!room.Take(alert)) return response.set_cut(true);
+      *response.add_unrecorded() = std::move(alert);
+    }
+  }
+}
+
+grpc::ServerWriteReactor<rips::v1::Alert>* OperatorService::WatchAlerts(
+    grpc::CallbackServerContext* context, const rips::v1::WatchAlertsRequest* request) {
+  const auto who = Authorize(context, *request, OperatorRole::kViewer, Use::kStream);
+  if (!who.ok()) return RefuseWatch<rips::v1::Alert>(who.status());
+  std::optional<Cursor> after;
+  if (!request->after().empty()) {
+    absl::StatusOr<Cursor> parsed = ParseCursor(request->after());
+    if (!parsed.ok()) return RefuseWatch<rips::v1::Alert>(parsed.status());
+    after = *std::move(parsed);
+  }
+  auto* stream = new WatchStream<rips::v1::Alert>();
+  Keep(rpc::StreamKind::kWatch, stream, *who, context);
+  auto outbound = stream->outbound();
+  const absl::StatusOr<uint64_t> id = hub_->WatchAlerts(
+      std::move(after),
+      {.robot = request->robot(),
+       .room =
+           [outbound] {
+             return outbound->waiting() < kAlertsWaitingMax &&
+                    outbound->waiting_bytes() < kWatchBytesWaitingMax;
+           },
+       .alert =
+           [outbound](const store::AlertRecord& alert) {
+             rips::v1::Alert message = Encode(alert);
+             message.set_cursor(FormatCursor({.sequence = alert.sequence, .id = alert.id}));
+             return outbound->Send(std::move(message));
+           },
+       .position =
+           [outbound](const Cursor& at) {
+             rips::v1::Alert message;
+             message.set_cursor(FormatCursor(at));
+             return outbound->Send(std::move(message));
+           },
+       .gap =
+           [outbound](const std::string& text) {
+             rips::v1::Alert message;
+             message.set_gap(text);
+             return outbound->Send(std::move(message));
+           }});
+  if (!id.ok()) {
+    outbound->Close(rpc::ToGrpc(id.status()));
+    return stream;
+  }
+  stream->set_on_ended([hub = hub_, id = *id] { hub->Unwatch(id); });
+  // One that could not be told all goes on.
+  stream->set_on_drained([hub = hub_] { hub->feed().Wake(); });
+  return stream;
+}
+
+grpc::ServerUnaryReactor* OperatorService::ListReceipts(
+    grpc::CallbackServerContext* context, const rips::v1::ListReceiptsRequest* request,
+    rips::v1::ListReceiptsResponse* response) {
+  const auto who = Authorize(context, *request, OperatorRole::kViewer, Use::kQuery);
+  if (!who.ok()) return Refuse(context, who.status());
+  grpc::ServerUnaryReactor* reactor = Answer(*who);
+  const absl::Status posted = pipeline_->Post(
+      request->robot(), Queue::kOrders,
+      [reactor, response, limit = request->limit()](Robot& robot) {
+        for (const pipeline::LoggedReceipt& receipt : robot.receipts().Newest(limit)) {
+          Encode(receipt, response->add_receipts());
+        }
+        reactor->Finish(grpc::Status::OK);
+      });
+  if (!posted.ok()) reactor->Finish(rpc::ToGrpc(posted));
+  return reactor;
+}
+
+grpc::ServerWriteReactor<rips::v1::Recording>* OperatorService::Record(
+    grpc::CallbackServerContext* context, const rips::v1::RecordRequest* request) {
+  const auto who = Authorize(context, *request, OperatorRole::kOperator, Use::kStream);
+  if (!who.ok()) return RefuseWatch<rips::v1::Recording>(who.status());
+  LogInfo("operator records", {{"operator", rpc::Describe(*who)}, {"robot", request->robot()}});
+  auto* stream = new WatchStream<rips::v1::Recording>();
+  Keep(rpc::StreamKind::kRecord, stream, *who, context);
+  auto outbound = stream->outbound();
+  const absl::Status posted =
+      pipeline_->Post(request->robot(), Queue::kOrders, [outbound](Robot& robot) {
+        auto tap = std::make_shared<RecordTap>(
+            [outbound](rips::v1::Recording piece) { return outbound->Send(std::move(piece)); },
+            [outbound] { return outbound->open(); });
+        if (const absl::Status added = robot.AddTap(tap); !added.ok()) {
+          return outbound->Close(rpc::ToGrpc(added));
+        }
+        const pipeline::RobotStatus status = robot.Status();
+        rips::v1::RecordingHeader header;
+        header.set_robot(robot.id());
+        header.set_bundle_id(status.bundle_version);
+        header.set_level(status.decided_level);
+        header.set_start_unix_ns(RealClock().Now().unix_ns);
+        header.set_rips_version(std::string(RipsVersion()));
+        tap->Start(std::move(header), robot.graph_version().graph,
+                   robot.graph_changed_unix_ns() != 0);
+      });
+  if (!posted.ok()) outbound->Close(rpc::ToGrpc(posted));
+  return stream;
+}
+
+grpc::ServerUnaryReactor* OperatorService::DeEscalate(grpc::CallbackServerContext* context,
+                                                      const rips::v1::LevelRequest* request,
+                                                      rips::v1::LevelResponse* response) {
+  return ChangeLevel(context, request, response, Direction::kLower);
+}
+
+grpc::ServerUnaryReactor* OperatorService::Raise(grpc::CallbackServerContext* context,
+                                                 const rips::v1::LevelRequest* request,
+                                                 rips::v1::LevelResponse* response) {
+  return ChangeLevel(context, request, response, Direction::kRaise);
+}
+
+grpc::ServerUnaryReactor* OperatorService::ChangeLevel(grpc::CallbackServerContext* context,
+                                                       const rips::v1::LevelRequest* request,
+                                                       rips::v1::LevelResponse* response,
+                                                       Direction direction) {
+  const auto who = Authorize(context, *request, OperatorRole::kOperator, Use::kOrder);
+  if (!who.ok()) {
+    RecordRefusal(*context, *request, who.status());
+    return Refuse(context, who.status());
+  }
+  LogInfo(direction == Direction::kRaise ? "operator raises" : "operator lowers",
+          {{"operator", rpc::Describe(*who)},
+           {"robot", request->robot()},
+           {"to", request->to()},
+           {"reason", request->reason()},
+           {"dry_run", request->dry_run()}});
+  pipeline::LevelOrder order{.operator_name = OperatorName(*who),
+                             .to = request->to(),
+                             .reason = request->reason(),
+                             .expected_level = request->expected_level(),
+                             .expected_mark = {.term = request->expected_mark().term(),
+                                               .epoch = request->expected_mark().epoch()},
+                             .dry_run = request->dry_run(),
+                             .accept_blind = request->accept_blind(),
+                             .request_id = request->request_id()};
+  grpc::ServerUnaryReactor* reactor = Answer(*who);
+  pipeline::LevelReply reply = [reactor, response](const pipeline::LevelAnswer& answer) {
+    FillMark(answer.mark, response->mutable_mark());
+    response->set_decided_level(answer.decided_level);
+    response->set_soft(answer.soft);
+    for (const std::string& rule : answer.would_raise_again) {
+      response->add_would_raise_again(rule);
+    }
+    for (const std::string& reason : answer.blind_because) response->add_blind_because(reason);
+    reactor->Finish(rpc::ToGrpc(answer.status));
+  };
+  const absl::Status posted = pipeline_->Post(
+      request->robot(), Queue::kOrders,
+      [direction, order = std::move(order), reply = std::move(reply)](Robot& robot) {
+        if (direction == Direction::kRaise) {
+          robot.Raise(order, reply);
+        } else {
+          robot.DeEscalate(order, reply);
+        }
+      });
+  if (!posted.ok()) reactor->Finish(rpc::ToGrpc(posted));
+  return reactor;
+}
+
+grpc::ServerUnaryReactor* OperatorService::ResumeRules(grpc::CallbackServerContext* context,
+                                                       const rips::v1::ResumeRulesRequest* request,
+                                                       rips::v1::ResumeRulesResponse*) {
+  const auto who = Authorize(context, *request, OperatorRole::kOperator, Use::kOrder);
+  if (!who.ok()) return Refuse(context, who.status());
+  grpc::ServerUnaryReactor* reactor = Answer(*who);
+  const absl::Status posted = pipeline_->Post(
+      request->robot(), Queue::kOrders,
+      [reactor, name = OperatorName(*who), reason = request->reason()](Robot& robot) {
+        reactor->Finish(rpc::ToGrpc(robot.ResumeRules(name, reason)));
+      });
+  if (!posted.ok()) reactor->Finish(rpc::ToGrpc(posted));
+  return reactor;
+}
+
+grpc::ServerUnaryReactor* OperatorService::DrillRobot(grpc::CallbackServerContext* context,
+                                                      const rips::v1::DrillRobotRequest* request,
+                                                      rips::v1::DrillRobotResponse* response) {
+  const auto who = Authorize(context, *request, OperatorRole::kOperator, Use::kOrder);
+  if (!who.ok()) return Refuse(context, who.status());
+  LogInfo("operator drills", {{"operator", rpc::Describe(*who)},
+                              {"robot", request->robot()},
+                              {"level", request->level()}});
+  grpc::ServerUnaryReactor* reactor = Answer(*who);
+  pipeline::DrillOrder order{.operator_name = OperatorName(*who), .level = request->level()};
+  pipeline::DrillReply reply = [reactor, response](const pipeline::DrillAnswer& answer) {
+    for (const pipeline::DrillEntry& drill : answer.drills) Encode(drill, response->add_drills());
+    reactor->Finish(rpc::ToGrpc(answer.status));
+  };
+  const absl::Status posted =
+      pipeline_->Post(request->robot(), Queue::kOrders,
+                      [order = std::move(order), reply = std::move(reply)](Robot& robot) {
+                        robot.StartDrill(order, reply);
+                      });
+  if (!posted.ok()) reactor->Finish(rpc::ToGrpc(posted));
+  return reactor;
+}
+
+grpc::ServerUnaryReactor* OperatorService::ResetTerm(grpc::CallbackServerContext* context,
+                                                     const rips::v1::ResetTermRequest* request,
+                                                     rips::v1::ResetTermResponse* response) {
+  const auto who = Authorize(context, *request, OperatorRole::kAdmin, Use::kOrder);
+  if (!who.ok()) return Refuse(context, who.status());
+  LogInfo("operator resets a term", {{"operator", rpc::Describe(*who)},
+                                     {"robot", request->robot()},
+                                     {"host", request->host()},
+                                     {"reason", request->reason()}});
+  grpc::ServerUnaryReactor* reactor = Answer(*who);
+  pipeline::TermResetOrder order{
+      .operator_name = OperatorName(*who), .host = request->host(), .reason = request->reason()};
+  pipeline::LevelReply reply = [reactor, response](const pipeline::LevelAnswer& answer) {
+    FillMark(answer.mark, response->mutable_mark());
+    response->set_decided_level(answer.decided_level);
+    reactor->Finish(rpc::ToGrpc(answer.status));
+  };
+  const absl::Status posted = pipeline_->Post(request->robot(), Queue::kOrders,
+                                              [order = std::move(order), reply = std::move(reply)](
+                                                  Robot& robot) { robot.ResetTerm(order, reply); });
+  if (!posted.ok()) reactor->Finish(rpc::ToGrpc(posted));
+  return reactor;
+}
+
+// --- who is served
+
+grpc::ServerUnaryReactor* OperatorService::ListAgents(grpc::CallbackServerContext* context,
+                                                      const rips::v1::ListAgentsRequest* request,
+                                                      rips::v1::ListAgentsResponse* response) {
+  const auto who = Authorize(context, *request, OperatorRole::kViewer, Use::kQuery);
+  if (!who.ok()) return Refuse(context, who.status());
+  if (access_.bans == nullptr) return Refuse(context, absl::UnimplementedError("no deny list"));
+  for (const rpc::Peer& peer : access_.certificates->peers()) {
+    rips::v1::AgentCertificate* agent = response->add_agents();
+    agent->set_uri(rpc::ToString(peer.identity));
+    agent->set_serial(peer.serial);
+    agent->set_not_after_unix_ns(absl::ToUnixNanos(peer.not_after));
+  }
+  for (const store::BanRecord& ban : access_.bans->bans()) {
+    rips::v1::CertificateBan* out = response->add_bans();
+    out->set_uri(ban.uri);
+    out->set_serial(ban.serial);
+    out->set_reason(ban.reason);
+    out->set_by(ban.by);
+    out->set_time_unix_ns(ban.time_unix_ns);
+  }
+  grpc::ServerUnaryReactor* reactor = Answer(*who);
+  reactor->Finish(grpc::Status::OK);
+  return reactor;
+}
+
+void OperatorService::TellRobotOf(const std::string& uri, const std::string& text) {
+  const absl::StatusOr<rpc::PeerIdentity> identity = rpc::ParseSpiffeUri(uri);
+  if (!identity.ok() || identity->robot.empty()) return;
+  pipeline_
+      ->Post(identity->robot, Queue::kOrders,
+             [text](Robot& robot) { robot.Report(engine::Severity::kHigh, text); })
+      .IgnoreError();  // an unknown robot may be banned, too
+}
+
+grpc::ServerUnaryReactor* OperatorService::Ban(grpc::CallbackServerContext* context,
+                                               const rips::v1::BanRequest* request,
+                                               rips::v1::BanResponse*) {
+  const auto who = Authorize(context, *request, OperatorRole::kAdmin, Use::kOrder);
+  if (!who.ok()) return Refuse(context, who.status());
+  if (access_.bans == nullptr) return Refuse(context, absl::UnimplementedError("no deny list"));
+  if (request->reason().empty() || request->reason().size() > kBanReasonBytesMax) {
+    return Refuse(context, absl::InvalidArgumentError(absl::StrCat(
+                               "a reason of 1 to ", kBanReasonBytesMax, " bytes is required")));
+  }
+  if (request->uri() == rpc::ToString(who->identity)) {
+    return Refuse(context, absl::InvalidArgumentError("this would ban the caller"));
+  }
+  LogInfo("operator bans", {{"operator", rpc::Describe(*who)},
+                            {"uri", request->uri()},
+                            {"serial", request->serial()},
+                            {"reason", request->reason()}});
+  grpc::ServerUnaryReactor* reactor = Answer(*who);
+  Read(reactor, [this, reactor, request, by = rpc::Describe(*who)] {
+    const absl::Status status = access_.bans->Ban({.uri = request->uri(),
+                                                   .serial = request->serial(),
+                                                   .reason = request->reason(),
+                                                   .by = by,
+                                                   .time_unix_ns = RealClock().Now().unix_ns});
+    if (!absl::IsInvalidArgument(status)) {
+      access_.watch->Look();  // what is open ends now
+      TellRobotOf(request->uri(),
+                  absl::StrCat(request->uri(), " is banned by ", by, ": ", request->reason()));
+    }
+    reactor->Finish(rpc::ToGrpc(status));
+  });
+  return reactor;
+}
+
+grpc::ServerUnaryReactor* OperatorService::Unban(grpc::CallbackServerContext* context,
+                                                 const rips::v1::UnbanRequest* request,
+                                                 rips::v1::UnbanResponse*) {
+  const auto who = Authorize(context, *request, OperatorRole::kAdmin, Use::kOrder);
+  if (!who.ok()) return Refuse(context, who.status());
+  if (access_.bans == nullptr) return Refuse(context, absl::UnimplementedError("no deny list"));
+  LogInfo(
+      "operator lifts a ban",
+      {{"operator", rpc::Describe(*who)}, {"uri", request->uri()}, {"serial", request->serial()}});
+  grpc::ServerUnaryReactor* reactor = Answer(*who);
+  Read(reactor, [this, reactor, request, by = rpc::Describe(*who)] {
+    const absl::Status status = access_.bans->Unban(request->uri(), request->serial());
+    if (status.ok()) {
+      TellRobotOf(request->uri(),
+                  absl::StrCat("the ban of ", request->uri(), " is lifted by ", by));
+    }
+    reactor->Finish(rpc::ToGrpc(status));
+  });
+  return reactor;
+}
+
+}  // namespace rips::operator_api

@@ -1,0 +1,173 @@
+// OperatorService: what people and their tools may ask. Roles come from the certificate.
+//
+//   call                                             role
+//   ListRobots WatchRobots GetGraph GetInterest
+//   GetCoverage GetLevel ListTransitions ListAlerts
+//   WatchAlerts ListReceipts ListAgents              viewer
+//   Raise DeEscalate ResumeRules Record DrillRobot   operator
+//   Ban Unban ResetTerm                              admin
+//
+// Each call on an open connection is judged anew, and streams for as long as they are open: an
+// expired, revoked or banned certificate gets nothing (CallGate).
+#ifndef RIPS_POLICY_SERVER_SERVER_OPERATOR_API_OPERATOR_SERVICE_H_
+#define RIPS_POLICY_SERVER_SERVER_OPERATOR_API_OPERATOR_SERVICE_H_
+
+#include <functional>
+#include <thread>
+
+#include "absl/status/statusor.h"
+#include "google/protobuf/message.h"
+#include "policy_server/server/operator_api/ban_list.h"
+#include "policy_server/server/operator_api/caller_quota.h"
+#include "policy_server/server/operator_api/hub.h"
+#include "policy_server/server/operator_api/watch_stream.h"
+#include "policy_server/server/shard/pipeline.h"
+#include "policy_server/server/store/store.h"
+#include "rips/v1/operator.grpc.pb.h"
+#include "services/rpc/certificate_monitor.h"
+#include "services/rpc/identity.h"
+#include "services/rpc/peer.h"
+#include "services/rpc/session_watch.h"
+#include "services/runtime/bounded_queue.h"
+#include "services/wire_limits/limit_counters.h"
+
+namespace rips::operator_api {
+
+class OperatorService final : public rips::v1::OperatorService::CallbackService {
+ public:
+  // Reads of the store waiting for the one that runs; one more is refused at once.
+  static constexpr size_t kReadsMax = 1'024;
+  // Graphs waiting to be encoded behind the one that is.
+  static constexpr size_t kGraphsMax = 64;
+
+  struct Access {
+    rpc::SessionWatch* watch = nullptr;
+    // Null: Ban, Unban and ListAgents are UNIMPLEMENTED.
+    BanList* bans = nullptr;
+    rpc::CertificateMonitor* certificates = nullptr;
+    // Requests with a field past its limit, which are refused; told who sent it, from where, and
+    // field, size and limit. May be empty.
+    wire_limits::LimitCounters fields_refused = {};
+    std::function<void(const rpc::Peer&, const std::string& address, const std::string& what)>
+        on_refused_field = {};
+    // Null: no limits of one identity.
+    std::shared_ptr<CallerQuota> quota;
+    // False while the store takes nothing; ListAlerts then shows what robots hold in memory. May be
+    // empty: it always does.
+    std::function<bool()> store_writable = {};
+  };
+
+  // No pointer is owned; all outlive every call. Reads of the store run on a thread of their own,
+  // and so does the encoding of graphs.
+  // `patience`: how long robots are waited for in all when each is asked.
+  OperatorService(pipeline::Pipeline* pipeline, store::Store* store, Hub* hub, Access access,
+                  absl::Duration patience = pipeline::Pipeline::kPatience);
+  ~OperatorService() override;
+
+  // As rips/v1/operator.proto.
+  grpc::ServerUnaryReactor* ListRobots(grpc::CallbackServerContext* context,
+                                       const rips::v1::ListRobotsRequest* request,
+                                       rips::v1::ListRobotsResponse* response) override;
+  grpc::ServerWriteReactor<rips::v1::RobotStatus>* WatchRobots(
+      grpc::CallbackServerContext* context, const rips::v1::WatchRobotsRequest* request) override;
+  grpc::ServerUnaryReactor* GetGraph(grpc::CallbackServerContext* context,
+                                     const rips::v1::GetGraphRequest* request,
+                                     rips::v1::GetGraphResponse* response) override;
+  grpc::ServerUnaryReactor* GetInterest(grpc::CallbackServerContext* context,
+                                        const rips::v1::GetInterestRequest* request,
+                                        rips::v1::GetInterestResponse* response) override;
+  grpc::ServerUnaryReactor* GetCoverage(grpc::CallbackServerContext* context,
+                                        const rips::v1::GetCoverageRequest* request,
+                                        rips::v1::GetCoverageResponse* response) override;
+  grpc::ServerUnaryReactor* GetLevel(grpc::CallbackServerContext* context,
+                                     const rips::v1::GetLevelRequest* request,
+                                     rips::v1::GetLevelResponse* response) override;
+  grpc::ServerUnaryReactor* ListTransitions(grpc::CallbackServerContext* context,
+                                            const rips::v1::ListTransitionsRequest* request,
+                                            rips::v1::ListTransitionsResponse* response) override;
+  grpc::ServerUnaryReactor* ListAlerts(grpc::CallbackServerContext* context,
+                                       const rips::v1::ListAlertsRequest* request,
+                                       rips::v1::ListAlertsResponse* response) override;
+  grpc::ServerWriteReactor<rips::v1::Alert>* WatchAlerts(
+      grpc::CallbackServerContext* context, const rips::v1::WatchAlertsRequest* request) override;
+  grpc::ServerUnaryReactor* ListReceipts(grpc::CallbackServerContext* context,
+                                         const rips::v1::ListReceiptsRequest* request,
+                                         rips::v1::ListReceiptsResponse* response) override;
+  grpc::ServerWriteReactor<rips::v1::Recording>* Record(
+      grpc::CallbackServerContext* context, const rips::v1::RecordRequest* request) override;
+  grpc::ServerUnaryReactor* DeEscalate(grpc::CallbackServerContext* context,
+                                       const rips::v1::LevelRequest* request,
+                                       rips::v1::LevelResponse* response) override;
+  grpc::ServerUnaryReactor* Raise(grpc::CallbackServerContext* context,
+                                  const rips::v1::LevelRequest* request,
+                                  rips::v1::LevelResponse* response) override;
+  grpc::ServerUnaryReactor* ResumeRules(grpc::CallbackServerContext* context,
+                                        const rips::v1::ResumeRulesRequest* request,
+                                        rips::v1::ResumeRulesResponse* response) override;
+  grpc::ServerUnaryReactor* DrillRobot(grpc::CallbackServerContext* context,
+                                       const rips::v1::DrillRobotRequest* request,
+                                       rips::v1::DrillRobotResponse* response) override;
+
+  grpc::ServerUnaryReactor* ListAgents(grpc::CallbackServerContext* context,
+                                       const rips::v1::ListAgentsRequest* request,
+                                       rips::v1::ListAgentsResponse* response) override;
+  grpc::ServerUnaryReactor* Ban(grpc::CallbackServerContext* context,
+                                const rips::v1::BanRequest* request,
+                                rips::v1::BanResponse* response) override;
+  grpc::ServerUnaryReactor* Unban(grpc::CallbackServerContext* context,
+                                  const rips::v1::UnbanRequest* request,
+                                  rips::v1::UnbanResponse* response) override;
+  grpc::ServerUnaryReactor* ResetTerm(grpc::CallbackServerContext* context,
+                                      const rips::v1::ResetTermRequest* request,
+                                      rips::v1::ResetTermResponse* response) override;
+
+ private:
+  enum class Direction { kRaise, kLower };
+  // A peer that is served, and what it holds of its quota until the call is over.
+  struct Caller : rpc::Peer {
+    CallerQuota::Ticket ticket;
+  };
+  grpc::ServerUnaryReactor* ChangeLevel(grpc::CallbackServerContext* context,
+                                        const rips::v1::LevelRequest* request,
+                                        rips::v1::LevelResponse* response, Direction direction);
+  // Runs `task` on the thread for store reads; it finishes `reactor`. Beyond kReadsMax it is
+  // finished at once with RESOURCE_EXHAUSTED.
+  void Read(grpc::ServerUnaryReactor* reactor, std::function<void()> task);
+  // On the reader's thread: what robots hold that the store has not taken.
+  void AddUnrecorded(const rips::v1::ListAlertsRequest& request,
+                     rips::v1::ListAlertsResponse& response);
+
+  // The operator behind the call, if it is served, its role is enough, the request is within the
+  // limits of its fields, and it is within its quota; refusals are counted. `weight` as
+  // CallerQuota::Take.
+  absl::StatusOr<Caller> Authorize(grpc::CallbackServerContext* context,
+                                   const google::protobuf::Message& request,
+                                   rpc::OperatorRole needed, Use use, double weight = 1);
+  // Answers a call; holds the caller's ticket until it is over.
+  static grpc::ServerUnaryReactor* Answer(const Caller& caller);
+  // Ends `stream` when its operator is not served any more.
+  template <typename T>
+  void Keep(rpc::StreamKind kind, WatchStream<T>* stream, const Caller& caller,
+            grpc::CallbackServerContext* context);
+  // A robot's record of what an operator asked of it and was not allowed to.
+  void RecordRefusal(const grpc::CallbackServerContext& context,
+                     const rips::v1::LevelRequest& request, const absl::Status& why);
+  // The robot that `uri` is of, if any, gets an alert.
+  void TellRobotOf(const std::string& uri, const std::string& text);
+
+  pipeline::Pipeline* pipeline_;
+  store::Store* store_;
+  Hub* hub_;
+  Access access_;
+  const absl::Duration patience_;
+  using Tasks = BoundedQueue<std::function<void()>>;
+  static void RunAll(Tasks& tasks);
+  Tasks reads_{{.capacity = kReadsMax}};
+  Tasks graphs_{{.capacity = kGraphsMax}};
+  std::thread reader_;
+  std::thread encoder_;
+};
+
+}  // namespace rips::operator_api
+
+#endif  // RIPS_POLICY_SERVER_SERVER_OPERATOR_API_OPERATOR_SERVICE_H_

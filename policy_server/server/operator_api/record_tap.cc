@@ -1,0 +1,113 @@
+#include "policy_server/server/operator_api/record_tap.h"
+
+#include <memory>
+#include <string>
+#include <utility>
+#include <variant>
+
+#include "services/ros2_proto/graph_codec.h"
+
+namespace rips::operator_api {
+namespace {
+
+using rips::v1::RecordedEvent;
+
+void Fill(const engine::MessageEvent& message, const pipeline::MessageSeen* seen,
+          rips::v1::RecordedMessage* out) {
+  out->set_topic(std::string(message.topic));
+  out->set_type(std::string(message.type));
+  out->set_sender(std::string(message.sender));
+  if (!message.writer.none()) out->set_writer_guid(message.writer.ToBytes());
+  out->set_size_bytes(message.size_bytes);
+  if (seen != nullptr) out->set_payload(seen->payload);
+  out->set_truncated(out->payload().size() < message.size_bytes);
+}
+
+// False for what is not recorded.
+struct ExternalFiller {
+  RecordedEvent* out;
+
+  bool operator()(const engine::IdsEvent& ids) const {
+    out->mutable_ids()->set_message(ids.message);
+    out->mutable_ids()->set_gid(ids.gid);
+    out->mutable_ids()->set_sid(ids.sid);
+    out->mutable_ids()->set_line(ids.line);
+    out->mutable_ids()->set_src(ids.source);
+    out->mutable_ids()->set_dst(ids.target);
+    return true;
+  }
+  bool operator()(const engine::SignalEvent& signal) const {
+    out->mutable_signal()->set_name(signal.name);
+    out->mutable_signal()->set_count(1);
+    return true;
+  }
+  bool operator()(const engine::AgentEvent& agent) const {
+    out->mutable_agent()->set_agent(agent.agent);
+    out->mutable_agent()->set_state(agent.state);
+    return true;
+  }
+  bool operator()(const engine::FindingEvent& finding) const {
+    out->mutable_finding()->set_kind(finding.kind);
+    if (!finding.guid.none()) out->mutable_finding()->set_guid(finding.guid.ToBytes());
+    out->mutable_finding()->set_node(finding.node);
+    out->mutable_finding()->set_topic(finding.topic);
+    out->mutable_finding()->set_detail(finding.detail);
+    return true;
+  }
+  bool operator()(const engine::LossEvent& loss) const {
+    rips::v1::RecordedLoss* lost = out->mutable_loss();
+    lost->set_count(loss.count);
+    lost->set_topic(loss.topic);
+    lost->set_type(loss.type);
+    if (!loss.writer.none()) lost->set_writer_guid(loss.writer.ToBytes());
+    lost->set_first_unix_ns(loss.first_unix_ns);
+    lost->set_last_unix_ns(loss.last_unix_ns);
+    lost->set_cause(loss.cause);
+    return true;
+  }
+  // A replay has ticks of its own.
+  bool operator()(const engine::TickEvent&) const { return false; }
+};
+
+}  // namespace
+
+void RecordTap::Start(rips::v1::RecordingHeader header, std::shared_ptr<const ros2::RosGraph> graph,
+                      bool settled) {
+  graph_ = std::move(graph);
+  rips::v1::Recording first;
+  const int64_t start_unix_ns = header.start_unix_ns();
+  *first.mutable_header() = std::move(header);
+  if (!send_(std::move(first)) || !settled) return;
+  rips::v1::Recording second;
+  RecordedEvent* event = second.mutable_event();
+  event->set_time_unix_ns(start_unix_ns);
+  event->mutable_snapshot()->set_settled(true);
+  ros2_proto::EncodeGraph(*graph_, *event->mutable_snapshot());
+  send_(std::move(second));
+}
+
+bool RecordTap::OnEvent(const engine::Event& event,
+                        const std::shared_ptr<const ros2::RosGraph>& graph,
+                        const pipeline::MessageSeen* message) {
+  rips::v1::Recording piece;
+  RecordedEvent* out = piece.mutable_event();
+  out->set_time_unix_ns(event.time_unix_ns);
+  if (const auto* sample = std::get_if<engine::MessageEvent>(&event.what)) {
+    Fill(*sample, message, out->mutable_message());
+  } else if (std::holds_alternative<engine::GraphEvent>(event.what)) {
+    out->mutable_delta()->set_settled(true);
+    ros2_proto::EncodeGraph(ros2::RosGraph::Diff(*graph_, *graph), *out->mutable_delta());
+    graph_ = graph;
+  } else if (!std::visit(ExternalFiller{out}, std::get<engine::ExternalEvent>(event.what))) {
+    return listening_();
+  }
+  if (graph != graph_) {
+    // A message that was taken under an earlier graph, or what comes after it.
+    out->mutable_context()->set_settled(true);
+    ros2_proto::EncodeGraph(*graph, *out->mutable_context());
+    graph_ = graph;
+  }
+  return send_(std::move(piece));
+}
+
+}  // namespace rips::operator_api

@@ -1,0 +1,31 @@
+#include "policy_server/server/robot/evidence_gate.h"
+
+#include <utility>
+
+#include "absl/strings/str_format.h"
+
+namespace rips::pipeline {
+
+void EvidenceGate::Update(std::vector<std::string> problems, Instant now) {
+  problems_ = std::move(problems);
+  if (problems_.empty()) return;
+  clear_since_ns_ = now.boottime_ns;
+  disturbed_by_ = problems_.front();
+}
+
+void EvidenceGate::Disturb(const std::string& why, Instant now) {
+  clear_since_ns_ = now.boottime_ns;
+  disturbed_by_ = why;
+}
+
+levels::Evidence EvidenceGate::Assess(Instant now) const {
+  if (!problems_.empty()) return {.blind_because = problems_};
+  const int64_t clear_ns = now.boottime_ns - clear_since_ns_;
+  if (clear_ns >= hold_ns_) return {};
+  return {.blind_because = {
+              absl::StrFormat("evidence has been complete for only %.1f s of %.1f s; before: %s",
+                              static_cast<double>(clear_ns) / kNanosPerSecond,
+                              static_cast<double>(hold_ns_) / kNanosPerSecond, disturbed_by_)}};
+}
+
+}  // namespace rips::pipeline

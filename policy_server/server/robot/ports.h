@@ -1,0 +1,157 @@
+// What a robot needs of the outside: to record, to be heard, to know the time.
+#ifndef RIPS_POLICY_SERVER_SERVER_ROBOT_PORTS_H_
+#define RIPS_POLICY_SERVER_SERVER_ROBOT_PORTS_H_
+
+#include <cstdint>
+#include <functional>
+#include <memory>
+#include <optional>
+#include <string>
+#include <vector>
+
+#include "absl/status/status.h"
+#include "absl/strings/string_view.h"
+#include "policy_server/policy/engine/state/event.h"
+#include "policy_server/policy/engine/state/verdict.h"
+#include "policy_server/server/robot/coverage.h"
+#include "policy_server/server/robot/inbound.h"
+#include "policy_server/server/store/store.h"
+#include "services/base/clock.h"
+#include "services/base/mark.h"
+#include "services/ros2/guid.h"
+#include "services/ros2/ros_graph.h"
+
+namespace rips::pipeline {
+
+// Makes records durable, in order. `done` may run on any thread.
+class Recorder {
+ public:
+  virtual ~Recorder() = default;
+  virtual void Record(store::WriteBatch batch, std::function<void(const absl::Status&)> done) = 0;
+  // The last write succeeded.
+  virtual bool healthy() const = 0;
+  // Blocking reads and the term counter; rare (an actuator's Hello).
+  virtual absl::StatusOr<std::optional<std::string>> FindDecision(const std::string& robot,
+                                                                  const Mark& mark) = 0;
+  virtual absl::StatusOr<uint64_t> NextTerm(const std::string& robot, uint64_t above) = 0;
+  // What is durable by now. Neither blocks.
+  virtual store::StorePoint point() const = 0;
+  // False: the store is older than it was at that point, or it is another one.
+  virtual bool GoesOnFrom(const store::StorePoint& seen) const = 0;
+};
+
+// As an operator sees a robot.
+struct RobotStatus {
+  std::string robot;
+  std::string decided_level;
+  // The most restrictive any attached actuator reports; empty = none attached.
+  std::string effective_level;
+  std::string stage;
+  Mark mark;
+  std::string bundle_version;
+  std::vector<std::string> degraded;
+
+  friend bool operator==(const RobotStatus&, const RobotStatus&) = default;
+};
+
+// Those who watch. Any thread; never blocks.
+class Audience {
+ public:
+  virtual ~Audience() = default;
+  // Durable already.
+  virtual void OnAlert(const store::AlertRecord& alert) = 0;
+  // What those who watch must know before it can be durable: that the store cannot be written.
+  virtual void OnNotice(const std::string& text) = 0;
+  virtual void OnStatus(const RobotStatus& status) = 0;
+  // A rule has shown values with True or False; text of a robot, to be escaped.
+  virtual void OnRuleLog(const std::string& robot, const std::string& rule,
+                         const std::string& text) = 0;
+};
+
+// A message whose payload is inspected; keeps what it views alive.
+struct InspectedMessage {
+  absl::string_view topic;
+  absl::string_view type;
+  absl::string_view sender;
+  ros2::Guid writer;
+  int64_t time_unix_ns = 0;
+  // Empty: it was not sent.
+  absl::string_view payload;
+  uint32_t size_bytes = 0;
+  std::shared_ptr<const void> owner;
+};
+
+// One who records what a robot's rules are given to judge: messages that they do not need are never
+// sent. Called on the robot's thread; must not
+// block.
+class Tap {
+ public:
+  virtual ~Tap() = default;
+  // `graph`: the one that the event is judged against. An event may be judged against an earlier
+  // one than the event before. `message` is what MessageEvent was made of, else null. False: no
+  // more, please.
+  virtual bool OnEvent(const engine::Event& event,
+                       const std::shared_ptr<const ros2::RosGraph>& graph,
+                       const MessageSeen* message) = 0;
+};
+
+// Asks YARA files and plugins of one policy about messages.
+class Inspector {
+ public:
+  virtual ~Inspector() = default;
+  // `inspections` are indices into CheckedRules::inspections. `done` is called once, on any thread,
+  // maybe before this returns, with their verdicts in that order. Never blocks.
+  virtual void Inspect(const std::string& robot, const std::vector<uint32_t>& inspections,
+                       const InspectedMessage& message,
+                       std::function<void(std::vector<engine::Verdict>)> done) = 0;
+};
+
+// Why an inspection was not made: nothing came, it was cut at a limit, or nobody answered in time.
+inline constexpr const char* kSkipReasons[] = {"no payload", "cut payload", "not answered"};
+
+// What is counted; a null entry is not.
+struct Counts {
+  // Of a robot, when they have changed.
+  std::function<void(const std::string& robot, const EndpointCounts&)> endpoints;
+  // Of a robot: why it is not seen, at first and when that has changed.
+  std::function<void(const std::string& robot, size_t reasons)> blind;
+  // Of a robot: how many participants, nodes and endpoints are left out of its graph, when that has
+  // changed; `began`: nothing was.
+  std::function<void(const std::string& robot, uint64_t left_out, bool began)> graph_left_out;
+  // Of a robot's sensor host, nanoseconds, as estimated.
+  std::function<void(const std::string& robot, const std::string& host, int64_t)> clock_skew;
+  // Inspections that were not made, by reason.
+  std::function<void(const std::string& reason, uint64_t)> inspections_skipped;
+  std::function<void(uint64_t)> observations_judged;
+  std::function<void(uint64_t)> observations_lost;
+  std::function<void(uint64_t)> observations_duplicate;
+  // Judged without a node, since the graph did not show their writer in time.
+  std::function<void(uint64_t)> messages_unattributed;
+  // Graphs that were not judged by themselves, since their sensor told of more in one batch than a
+  // sensor does.
+  std::function<void(uint64_t)> graphs_merged;
+  // Of agents that have a live session already.
+  std::function<void(uint64_t)> sessions_refused;
+  // Messages of which a payload was asked for and only the first bytes came.
+  std::function<void(uint64_t)> payloads_cut;
+  std::function<void(uint64_t)> alerts;
+  // Not recorded because the store could not be written for too long.
+  std::function<void(uint64_t)> alerts_lost;
+};
+
+struct Ports {
+  const Clock* clock = nullptr;
+  Recorder* recorder = nullptr;
+  Audience* audience = nullptr;
+  Counts counts;
+  // Run a task on the robot's own thread, later: what completes something, before all that agents
+  // send; and what is work, such as judging messages, in turn with it.
+  std::function<void(std::function<void()>)> post;
+  std::function<void(std::function<void()>)> post_work;
+  // Draws ids of alerts, transitions and commands.
+  std::function<std::string()> new_id;
+};
+
+}  // namespace rips::pipeline
+
+#endif  // RIPS_POLICY_SERVER_SERVER_ROBOT_PORTS_H_

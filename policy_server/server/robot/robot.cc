@@ -1,0 +1,788 @@
+#include "policy_server/server/robot/robot.h"
+
+#include <algorithm>
+#include <utility>
+
+#include "absl/strings/escaping.h"
+#include "absl/strings/str_cat.h"
+#include "absl/strings/str_join.h"
+#include "policy_server/server/robot/soft_lowerings.h"
+#include "services/base/cut_text.h"
+
+namespace rips::pipeline {
+namespace {
+
+constexpr size_t kAnswersKept = 64;
+// Alerts kept in memory while the store cannot be written; the oldest go first.
+constexpr size_t kUnrecordedAlertsMax = 1'000;
+
+std::string CauseText(const levels::Cause& cause) {
+  switch (cause.kind) {
+    case levels::Cause::Kind::kRule:
+      return absl::StrCat("rule ", cause.name);
+    case levels::Cause::Kind::kOperator:
+      return absl::StrCat("operator ", cause.name);
+    case levels::Cause::Kind::kCrash:
+      return absl::StrCat("crash in rule ", cause.name);
+    case levels::Cause::Kind::kAdopted:
+      return "adopted";
+  }
+  return "";
+}
+
+template <typename T>
+void Prepend(std::vector<T>& front, std::vector<T>& back) {
+  std::move(back.begin(), back.end(), std::back_inserter(front));
+  back = std::move(front);
+}
+
+absl::Status RefusalStatus(const levels::Transition& transition, const levels::LevelTable& table) {
+  return absl::FailedPreconditionError(absl::StrCat(
+      "the level stays ", table.name(transition.from), ": ", levels::ToString(transition.refusal),
+      transition.detail.empty() ? "" : absl::StrCat("; ", transition.detail)));
+}
+
+}  // namespace
+
+absl::StatusOr<std::unique_ptr<Robot>> Robot::Create(RobotConfig config, Policy policy,
+                                                     Timing timing,
+                                                     const store::RobotRecord& record,
+                                                     uint64_t term, Ports ports) {
+  const levels::LevelTable& table = policy.program->rules().levels;
+  levels::LevelIndex level = policy.start_level;
+  if (!record.level.empty()) {
+    const auto found = table.Find(record.level);
+    if (!found) {
+      return absl::InvalidArgumentError(absl::StrCat(
+          "robot `", config.id, "` is recorded at level `", record.level,
+          "`, which its bundle does not declare (", absl::StrJoin(table.names(), ", "), ")"));
+    }
+    level = *found;
+  }
+  levels::LevelMachine machine(table, level, record.mark, term);
+  machine.RestoreBudget(SoftLowerings(record, table, ports.clock->Now()), record.resumed_at);
+  if (record.soft_suspended) machine.Suspend();
+  return std::unique_ptr<Robot>(new Robot(std::move(config), std::move(policy), timing, record,
+                                          std::move(machine), std::move(ports)));
+}
+
+Robot::Robot(RobotConfig config, Policy policy, Timing timing, const store::RobotRecord& record,
+             levels::LevelMachine level, Ports ports)
+    : config_(std::move(config)),
+      policy_(std::move(policy)),
+      timing_(timing),
+      ports_(std::move(ports)),
+      state_(policy_.program, std::move(level), ports_.clock->Now()),
+      evidence_(policy_.soft_hold_ns, ports_.clock->Now()),
+      ledger_(config_.actuator_hosts, ports_.new_id),
+      started_ns_(ports_.clock->Now().boottime_ns) {
+  state_.RestoreVariables(record.variables);
+  state_.set_robot_id(config_.id);
+  if (record.rules_halted) state_.Halt();
+  told_.budget_spent = record.soft_suspended;
+  UseInterest();
+  for (const std::string& host : config_.sensor_hosts) {
+    sensors_[host].name = host;
+    sensors_[host].BeginGraph(config_.graph_limits, kept_topics_);
+    sensors_[host].gone_since_ns = started_ns_;
+  }
+  for (const std::string& host : config_.actuator_hosts) {
+    actuators_[host].gone_since_ns = started_ns_;
+  }
+  for (const auto& [key, sequence] : record.high_water) {
+    const auto it = sensors_.find(key.host);
+    if (it == sensors_.end()) continue;
+    const Lane lane = key.lane == store::LaneKey::Lane::kControl ? Lane::kControl : Lane::kMessages;
+    it->second.sequences.Load(absl::HexStringToBytes(key.incarnation), lane, sequence);
+    it->second.durable.Load(absl::HexStringToBytes(key.incarnation), lane, sequence);
+  }
+  if (record.mark.none()) {
+    Adopt(state_.level.level(), Mark{}, "first start");
+  } else {
+    ledger_.Order(record.mark, state_.level.level(), record.level, "restored", /*lowers=*/false);
+  }
+}
+
+absl::Status Robot::AddTap(std::shared_ptr<Tap> tap) {
+  if (taps_.size() >= kTapsMax) {
+    return absl::ResourceExhaustedError(
+        absl::StrCat(kTapsMax, " recordings of `", config_.id, "` run already, the limit"));
+  }
+  taps_.push_back(std::move(tap));
+  return absl::OkStatus();
+}
+
+void Robot::Run(const engine::Event& event, const MessageSeen* message, absl::string_view remark) {
+  const Instant now = ports_.clock->Now();
+  taps_.erase(std::remove_if(taps_.begin(), taps_.end(),
+                             [&](const std::shared_ptr<Tap>& tap) {
+                               return !tap->OnEvent(event, state_.graph.version().graph, message);
+                             }),
+              taps_.end());
+  state_.evidence = evidence_.Assess(now);
+  const engine::Outcome outcome = engine::Evaluate(event, now, state_);
+  if (!outcome.effects.empty() || !outcome.refused_programs.empty() ||
+      !outcome.cut_strings.empty()) {
+    Perform(outcome, absl::StrCat(engine::Describe(event), remark));
+  } else {
+    variables_changed_ |= outcome.variables_changed;
+  }
+}
+
+void Robot::External(engine::ExternalEvent event) {
+  Run({.what = std::move(event), .time_unix_ns = ports_.clock->Now().unix_ns});
+}
+
+void Robot::Perform(const engine::Outcome& outcome, const std::string& event) {
+  variables_changed_ |= outcome.variables_changed;
+  for (const auto& refused : outcome.refused_programs) {
+    OwnAlert(engine::Severity::kMedium,
+             absl::StrCat("program `", refused.program, "` of rule ", refused.rule,
+                          " was not run: ", refused.reason));
+  }
+  for (const std::string& rule : outcome.cut_strings) {
+    OwnAlert(engine::Severity::kLow,
+             absl::StrCat("rule ", rule, " made a string that is too long; it was cut"));
+  }
+  for (const engine::Effect& effect : outcome.effects) {
+    if (const auto* alert = std::get_if<engine::AlertEffect>(&effect)) {
+      const Instant now = ports_.clock->Now();
+      if (!alert_limiter_.Admit(*alert, now)) continue;
+      Alert(*alert, alert->graph_truncated ? absl::StrCat(event, " (graph truncated)") : event);
+    } else if (const auto* transition = std::get_if<engine::TransitionEffect>(&effect)) {
+      TakeTransition(*transition);
+    } else if (const auto* run = std::get_if<engine::RunProgramEffect>(&effect)) {
+      const Instant now = ports_.clock->Now();
+      ProgramResult refused{.run_id = run->run_id};
+      if (!ports_.recorder->healthy()) {
+        refused.detail = "the store cannot be written";
+      } else if (!ledger_.Run(run->run_id, run->program, run->args, now)) {
+        refused.detail = "no attached actuator offers it";
+      } else {
+        SendCommands(now);
+        continue;
+      }
+      OwnAlert(engine::Severity::kHigh, absl::StrCat("program `", run->program, "` of rule ",
+                                                     run->rule, " was not run: ", refused.detail));
+      HandleProgramResult(refused, now);
+    } else if (const auto* log = std::get_if<engine::LogEffect>(&effect)) {
+      ports_.audience->OnRuleLog(config_.id, log->rule, log->text);
+    }
+  }
+}
+
+void Robot::HandleProgramResult(const ProgramResult& result, Instant now) {
+  Perform(engine::OnProgramResult(result.run_id, result.ok, now, state_), "program result");
+}
+
+void Robot::TakeTransition(const engine::TransitionEffect& effect) {
+  const levels::Transition& transition = effect.transition;
+  const levels::LevelTable& table = state_.level.table();
+  if (transition.refusal == levels::Refusal::kBudget && !std::exchange(told_.budget_spent, true)) {
+    constexpr levels::SoftBudget kBudget;
+    OwnAlert(engine::Severity::kHigh,
+             absl::StrCat("rules have lowered the level ", kBudget.lowerings_max, " times in ",
+                          kBudget.window_ns / (60 * kNanosPerSecond),
+                          " minutes: they lower it no more until an operator says `ripsctl rules ",
+                          "resume ", config_.id, "`"));
+  }
+  if (transition.refused()) {
+    // One record per kind of refusal; its count moves on.
+    const std::string key = absl::StrCat(CauseText(transition.cause), "\n", transition.from, "\n",
+                                         transition.to, "\n", levels::ToString(transition.refusal));
+    auto [it, fresh] = refusal_ids_.try_emplace(key);
+    if (fresh || effect.count == 1) it->second = ports_.new_id();
+    const bool round = (effect.count & (effect.count - 1)) == 0;
+    if (!round) return;  // counts are written at 1, 2, 4, 8, ...
+    std::string reason(levels::ToString(transition.refusal));
+    if (!transition.detail.empty()) absl::StrAppend(&reason, ": ", transition.detail);
+    pending_.refusals.push_back({.id = it->second,
+                                 .robot = config_.id,
+                                 .from = table.name(transition.from),
+                                 .to = table.name(transition.to),
+                                 .cause = CauseText(transition.cause),
+                                 .reason = std::move(reason),
+                                 .count = effect.count,
+                                 .time_unix_ns = transition.at.unix_ns});
+    return;
+  }
+  if (!transition.decided()) return;
+  RecordDecision(transition);
+  // What was seen so far says nothing about the level that this leads to.
+  evidence_.Disturb("the level has changed", ports_.clock->Now());
+  failure_alerted_ = false;
+  // A raise from a lowering that is not durable yet lowers the robot, too, unless it leads at least
+  // to where the robot was ordered.
+  const bool after_lowering = !awaiting_durable_.none() && transition.to < ledger_.level();
+  if (transition.lowers() || after_lowering) {
+    pending_lowerings_.push_back(transition);
+    awaiting_durable_ = transition.mark;
+  } else {
+    Order(transition);
+  }
+}
+
+void Robot::Adopt(levels::LevelIndex level, const Mark& seen, const std::string& why) {
+  levels::Transition transition = state_.level.Adopt(level, seen, ports_.clock->Now());
+  transition.cause.reason = why;
+  TakeTransition({.transition = std::move(transition)});
+}
+
+void Robot::RecordDecision(const levels::Transition& transition) {
+  const levels::LevelTable& table = state_.level.table();
+  pending_.decisions.push_back({.id = ports_.new_id(),
+                                .robot = config_.id,
+                                .mark = transition.mark,
+                                .based_on = transition.based_on,
+                                .from = table.name(transition.from),
+                                .to = table.name(transition.to),
+                                .cause = CauseText(transition.cause),
+                                .reason = transition.cause.reason,
+                                .time_unix_ns = transition.at.unix_ns});
+}
+
+void Robot::Order(const levels::Transition& transition) {
+  if (!ledger_.mark().none() && reported_stage_ != Stage::kVerified) {
+    pending_.stages.push_back({.robot = config_.id, .mark = ledger_.mark(), .stage = "superseded"});
+  }
+  ledger_.Order(transition.mark, transition.to, state_.level.table().name(transition.to),
+                CauseText(transition.cause), transition.lowers());
+  reported_stage_ = Stage::kRequested;
+  for (auto& [name, host] : actuators_) {
+    if (!host.session) continue;
+    host.session->ordered_most = std::max(host.session->ordered_most, transition.to);
+  }
+  SendCommands(ports_.clock->Now());
+}
+
+void Robot::Alert(engine::AlertEffect alert, const std::string& event) {
+  if (pending_.alerts.size() >= kUnrecordedAlertsMax) {
+    pending_.alerts.erase(pending_.alerts.begin());
+    ++alerts_dropped_;
+    if (ports_.counts.alerts_lost) ports_.counts.alerts_lost(1);
+  }
+  pending_.alerts.push_back({.id = ports_.new_id(),
+                             .time_unix_ns = ports_.clock->Now().unix_ns,
+                             .robot = config_.id,
+                             .rule = std::move(alert.rule),
+                             .severity = std::string(engine::ToString(alert.severity)),
+                             .text = Shortened(alert.text, kAlertTextBytesMax),
+                             .level = state_.level.table().name(alert.level),
+                             .event = Shortened(event, kAlertEventBytesMax),
+                             .mark = alert.mark});
+  if (ports_.counts.alerts) ports_.counts.alerts(1);
+}
+
+void Robot::OwnAlert(engine::Severity severity, const std::string& text,
+                     std::source_location where) {
+  engine::AlertEffect alert{.rule = std::string(kOwnRule),
+                            .severity = severity,
+                            .text = Shortened(text, kOwnAlertBytesMax),
+                            .level = state_.level.level(),
+                            .mark = state_.level.mark()};
+  const std::string kind = absl::StrCat(where.file_name(), ":", where.line());
+  if (own_alert_limiter_.Admit(kind, alert, ports_.clock->Now())) Alert(std::move(alert), "");
+}
+
+void Robot::RefuseSecond(SecondHolder& second, const std::string& peer) {
+  second.Refused(peer, ports_.clock->Now().boottime_ns);
+  if (ports_.counts.sessions_refused) ports_.counts.sessions_refused(1);
+}
+
+void Robot::BeginSession(absl::string_view agent, const std::string& host, SecondHolder& second,
+                         const std::string& peer) {
+  const std::string before = second.Begin(peer);
+  if (before.empty()) return;
+  OwnAlert(
+      engine::Severity::kMedium,
+      absl::StrCat(agent, " ", config_.id, "/", host, " now comes from ", peer, ", before from ",
+                   before, "; if it was not moved, its key may be in other hands"));
+}
+
+void Robot::TellSecond(absl::string_view agent, const std::string& host, SecondHolder& second) {
+  const auto report = second.Heard(ports_.clock->Now().boottime_ns);
+  if (!report) return;
+  OwnAlert(engine::Severity::kCritical,
+           absl::StrCat("a second process uses the key of ", agent, " ", config_.id, "/", host,
+                        ": refused ", report->refused, " times, last from ", report->peer,
+                        "; the session in use is from ", report->holder,
+                        "; find out which of them is the robot, and replace the key"));
+}
+
+// ---------------------------------------------------------------------------------- recording
+
+void Robot::Flush() {
+  if (pending_.empty() && !sequences_moved_ && !variables_changed_ && !bundle_changed_) return;
+  store::Checkpoint checkpoint{.robot = config_.id,
+                               .soft_suspended = state_.level.soft_suspended(),
+                               .rules_halted = state_.halted(),
+                               .resumed_at = state_.level.resumed_at()};
+  if (variables_changed_) checkpoint.variables = state_.Variables();
+  if (bundle_changed_) checkpoint.bundle = policy_.bundle_id;
+  for (const auto& [host, sensor] : sensors_) {
+    for (const auto& [key, sequence] : sensor.sequences.all()) {
+      const auto lane = key.second == Lane::kControl ? store::LaneKey::Lane::kControl
+                                                     : store::LaneKey::Lane::kMessages;
+      checkpoint.high_water[{
+          .host = host, .incarnation = absl::BytesToHexString(key.first), .lane = lane}] = sequence;
+    }
+  }
+  store::HighWater judged = checkpoint.high_water;
+  store::WriteBatch batch = std::exchange(pending_, {});
+  batch.checkpoints.push_back(std::move(checkpoint));
+  sequences_moved_ = variables_changed_ = bundle_changed_ = false;
+  checkpoint_at_ns_ = ports_.clock->Now().boottime_ns + timing_.checkpoint_ns;
+
+  auto lowerings = std::exchange(pending_lowerings_, {});
+  auto kept = std::make_shared<store::WriteBatch>(batch);
+  ++recording_;
+  // On another thread this robot may be gone by then; what is posted is dropped if it is.
+  ports_.recorder->Record(std::move(batch), [this, audience = ports_.audience, post = ports_.post,
+                                             kept, judged, lowerings](const absl::Status& status) {
+    if (status.ok()) {
+      for (const store::AlertRecord& alert : kept->alerts) audience->OnAlert(alert);
+    }
+    post([this, kept, judged, lowerings, status] {
+      --recording_;
+      if (!status.ok()) {
+        // Nothing is forgotten: what was not written goes in front of what
+        // comes next.
+        kept->checkpoints.clear();
+        Prepend(kept->decisions, pending_.decisions);
+        Prepend(kept->refusals, pending_.refusals);
+        Prepend(kept->stages, pending_.stages);
+        Prepend(kept->alerts, pending_.alerts);
+        sequences_moved_ = variables_changed_ = bundle_changed_ = true;
+      }
+      OnRecorded(status, *kept, judged, lowerings);
+    });
+  });
+}
+
+void Robot::OnRecorded(const absl::Status& status, const store::WriteBatch& recorded,
+                       const store::HighWater& judged,
+                       const std::vector<levels::Transition>& lowerings) {
+  store_failing_ = !status.ok();
+  if (!status.ok()) {
+    if (absl::IsResourceExhausted(status)) SaveRaises();
+    for (const levels::Transition& lowering : lowerings) TakeBack(lowering, status);
+    PublishStatus();
+    return;
+  }
+  if (const uint64_t dropped = std::exchange(alerts_dropped_, 0); dropped > 0) {
+    OwnAlert(engine::Severity::kHigh,
+             absl::StrCat(dropped, " alerts were dropped while the store could not be written"));
+  }
+  const store::StorePoint point = ports_.recorder->point();
+  for (const auto& [key, sequence] : judged) {
+    const auto it = sensors_.find(key.host);
+    if (it == sensors_.end()) continue;
+    const Lane lane = key.lane == store::LaneKey::Lane::kControl ? Lane::kControl : Lane::kMessages;
+    const std::string incarnation = absl::HexStringToBytes(key.incarnation);
+    it->second.durable.Load(incarnation, lane, sequence);
+    if (it->second.session) {
+      it->second.session->link->Acknowledge(incarnation, lane, sequence, point.commit);
+    }
+  }
+  for (auto& [name, host] : sensors_) host.durable.KeepOnly(host.sequences);
+  for (const levels::Transition& lowering : lowerings) {
+    if (lowering.mark == awaiting_durable_) awaiting_durable_ = Mark{};
+    // A raise may have been decided meanwhile: then that one has been commanded already.
+    if (lowering.mark == state_.level.mark()) Order(lowering);
+  }
+  AnswerOrders(recorded.decisions);
+  PublishStatus();
+}
+
+void Robot::AnswerOrders(const std::vector<store::DecisionRecord>& durable) {
+  for (const store::DecisionRecord& decision : durable) {
+    const auto it = orders_.waiting.find(decision.mark);
+    if (it == orders_.waiting.end()) continue;
+    const WaitingOrder waiting = std::move(it->second);
+    orders_.waiting.erase(it);
+    orders_.answered.emplace_back(waiting.request_id, waiting.answer);
+    if (orders_.answered.size() > kAnswersKept) orders_.answered.pop_front();
+    waiting.reply(waiting.answer);
+  }
+}
+
+void Robot::SaveRaises() {
+  store::WriteBatch raises{.uses_reserve = true};
+  for (const store::DecisionRecord& decision : pending_.decisions) {
+    // A lowering that is not commanded must not be what a restart finds.
+    const auto from = levels().Find(decision.from);
+    const auto to = levels().Find(decision.to);
+    if (from && to && *to < *from) continue;
+    raises.decisions.push_back(decision);
+  }
+  // Written again with the rest when that can be written, which changes nothing.
+  if (raises.decisions.empty()) return;
+  std::vector<store::DecisionRecord> saved = raises.decisions;
+  ports_.recorder->Record(std::move(raises), [this, post = ports_.post, saved = std::move(saved)](
+                                                 const absl::Status& status) {
+    if (!status.ok()) return;
+    post([this, saved] { AnswerOrders(saved); });
+  });
+}
+
+void Robot::TakeBack(const levels::Transition& lowering, const absl::Status& why) {
+  if (const auto it = orders_.waiting.find(lowering.mark); it != orders_.waiting.end()) {
+    LevelAnswer answer = it->second.answer;
+    answer.status = absl::FailedPreconditionError(
+        absl::StrCat("the lowering could not be recorded and was taken back: ", why.message()));
+    it->second.reply(answer);
+    orders_.waiting.erase(it);
+  }
+  if (lowering.mark == awaiting_durable_) awaiting_durable_ = Mark{};
+  if (state_.level.level() >= lowering.from) return;
+  OwnAlert(engine::Severity::kCritical,
+           absl::StrCat("a lowering could not be recorded and was taken back: ", why.message()));
+  Adopt(lowering.from, state_.level.mark(), "the lowering could not be recorded");
+}
+
+// ----------------------------------------------------------------------------------- evidence
+
+std::vector<std::string> Robot::EvidenceProblems(Instant now) const {
+  std::vector<std::string> problems;
+  for (const auto& [name, host] : sensors_) {
+    if (!host.session) {
+      problems.push_back(absl::StrCat("sensor ", name, " is not connected"));
+      continue;
+    }
+    if (now.boottime_ns - host.session->heard_ns > timing_.stale_ns) {
+      problems.push_back(absl::StrCat("sensor ", name, " is silent"));
+    }
+    if (std::string problem = InterestProblem(host); !problem.empty()) {
+      problems.push_back(std::move(problem));
+    }
+    if (name == config_.primary_sensor && !host.settled) {
+      problems.push_back(absl::StrCat("the graph of sensor ", name, " has not settled"));
+    }
+    if (host.HasBacklog()) {
+      problems.push_back(absl::StrCat("observations of sensor ", name, " are not judged yet"));
+    }
+  }
+  if (control_line_.backlog) {
+    problems.push_back("what its agents sent waits: the robot costs more than its share");
+  }
+  if (sensors_.empty()) problems.push_back("no sensor is listed in the inventory");
+  problems.insert(problems.end(), sight_.blind.begin(), sight_.blind.end());
+  for (const auto& [name, host] : actuators_) {
+    if (!ActuatorLive(host, now)) {
+      problems.push_back(absl::StrCat("actuator ", name, " holds no live lease"));
+    }
+  }
+  if (!ports_.recorder->healthy()) problems.push_back("the store cannot be written");
+  return problems;
+}
+
+bool Robot::HasBacklog() const {
+  return std::any_of(sensors_.begin(), sensors_.end(),
+                     [](const auto& sensor) { return sensor.second.HasBacklog(); });
+}
+
+void Robot::UpdateEvidence(Instant now) {
+  std::vector<std::string> problems = EvidenceProblems(now);
+  const bool newest_ordered = ledger_.mark() == state_.level.mark();
+  if (!actuators_.empty() && (ledger_.stage() != Stage::kVerified || !newest_ordered)) {
+    problems.push_back("the last level is not verified");
+  }
+  evidence_.Update(std::move(problems), now);
+}
+
+// ----------------------------------------------------------------------------------- operators
+
+bool Robot::AnswerRepeated(const LevelOrder& order, const LevelReply& reply) const {
+  if (order.request_id.empty()) return false;
+  for (const auto& [id, answer] : orders_.answered) {
+    if (id == order.request_id) {
+      reply(answer);
+      return true;
+    }
+  }
+  for (const auto& [mark, waiting] : orders_.waiting) {
+    if (waiting.request_id == order.request_id) {
+      reply({.status = absl::UnavailableError("this request is being recorded; repeat it")});
+      return true;
+    }
+  }
+  return false;
+}
+
+void Robot::Raise(const LevelOrder& order, LevelReply reply) {
+  if (AnswerRepeated(order, reply)) return;
+  LevelAnswer answer;
+  if (draining_) {
+    answer.status = absl::UnavailableError("the server is stopping");
+    return reply(answer);
+  }
+  const auto to = levels().Find(order.to);
+  const levels::Cause cause{
+      .kind = levels::Cause::Kind::kOperator, .name = order.operator_name, .reason = order.reason};
+  if (!to) {
+    answer.status = absl::InvalidArgumentError(
+        absl::StrCat("`", absl::CHexEscape(order.to), "` is not a level of ", config_.id, " (",
+                     absl::StrJoin(levels().names(), ", "), ")"));
+    return reply(answer);
+  }
+  if (order.reason.empty() || order.reason.size() > kReasonBytesMax) {
+    answer.status = absl::InvalidArgumentError(
+        absl::StrCat("a reason of 1 to ", kReasonBytesMax, " bytes is required"));
+    return reply(answer);
+  }
+  levels::LevelMachine trial = state_.level;
+  const Instant now = ports_.clock->Now();
+  const levels::Transition transition =
+      order.dry_run ? trial.Raise(*to, cause, now) : state_.level.Raise(*to, cause, now);
+  Decide(transition, order, std::move(reply), std::move(answer));
+}
+
+void Robot::DeEscalate(const LevelOrder& order, LevelReply reply) {
+  if (AnswerRepeated(order, reply)) return;
+  const Instant now = ports_.clock->Now();
+  LevelAnswer answer;
+  if (draining_) {
+    answer.status = absl::UnavailableError("the server is stopping");
+    return reply(answer);
+  }
+  const auto to = levels().Find(order.to);
+  const auto expected = levels().Find(order.expected_level);
+  if (!to || !expected) {
+    answer.status = absl::InvalidArgumentError(absl::StrCat(
+        "`", absl::CHexEscape(to ? order.expected_level : order.to), "` is not a level of ",
+        config_.id, " (", absl::StrJoin(levels().names(), ", "), ")"));
+  } else if (order.reason.empty() || order.reason.size() > kReasonBytesMax) {
+    answer.status = absl::InvalidArgumentError(
+        absl::StrCat("a reason of 1 to ", kReasonBytesMax, " bytes is required"));
+  } else {
+    answer.blind_because = EvidenceProblems(now);
+    answer.would_raise_again = engine::WouldRaise(*to, now, state_);
+    if (!answer.blind_because.empty() && !order.accept_blind && !order.dry_run) {
+      answer.status = absl::FailedPreconditionError(absl::StrCat(
+          "RIPS does not see all of ", config_.id, " now: ",
+          absl::StrJoin(answer.blind_because, "; "), "; --accept-blind lowers it all the same"));
+    } else if (!ports_.recorder->healthy()) {
+      answer.status = absl::FailedPreconditionError(
+          "the server's store cannot be written, and a lowering must be recorded first");
+    }
+  }
+  if (!answer.status.ok()) return reply(answer);
+
+  const levels::Cause cause{
+      .kind = levels::Cause::Kind::kOperator, .name = order.operator_name, .reason = order.reason};
+  levels::LevelMachine trial = state_.level;
+  levels::LevelMachine& machine = order.dry_run ? trial : state_.level;
+  const levels::Transition transition =
+      machine.DeEscalate(*to, cause, now, *expected, order.expected_mark);
+  Decide(transition, order, std::move(reply), std::move(answer));
+}
+
+void Robot::Decide(const levels::Transition& transition, const LevelOrder& order, LevelReply reply,
+                   LevelAnswer answer) {
+  answer.mark = transition.decided() ? transition.mark : state_.level.mark();
+  const levels::LevelIndex level = transition.refused() ? transition.from : transition.to;
+  answer.decided_level = levels().name(level);
+  answer.soft = levels().at(level).soft;
+  if (transition.refused()) {
+    answer.status = RefusalStatus(transition, levels());
+    if (!order.dry_run) TakeTransition({.transition = transition});
+  } else if (transition.decided() && !order.dry_run) {
+    TakeTransition({.transition = transition});
+    // Told when it is durable (OnRecorded), or taken back.
+    orders_.waiting[transition.mark] = {order.request_id, std::exchange(reply, nullptr), answer};
+  }
+  UpdateActuation(ports_.clock->Now());
+  Flush();
+  PublishStatus();
+  if (reply) reply(answer);
+}
+
+absl::Status Robot::ResumeRules(const std::string& operator_name, const std::string& reason) {
+  if (reason.empty() || reason.size() > kReasonBytesMax) {
+    return absl::InvalidArgumentError(
+        absl::StrCat("a reason of 1 to ", kReasonBytesMax, " bytes is required"));
+  }
+  state_.level.Resume();
+  told_.budget_spent = false;
+  const bool halted = state_.halted();
+  state_.Resume();
+  OwnAlert(engine::Severity::kInfo,
+           absl::StrCat("operator ", operator_name,
+                        halted ? " lets rules run again, and lower soft levels: "
+                               : " lets rules lower soft levels again: ",
+                        reason));
+  Flush();
+  PublishStatus();
+  return absl::OkStatus();
+}
+
+void Robot::RecordRefusedOrder(const LevelOrder& order, const absl::Status& why) {
+  constexpr size_t kRefusedOrdersMax = 256;
+  const std::string cause = absl::StrCat("operator ", order.operator_name);
+  const std::string key = absl::StrCat(cause, "\n", order.to);
+  if (!levels().Find(order.to)) return;
+  if (refused_orders_.size() >= kRefusedOrdersMax && !refused_orders_.contains(key)) return;
+  auto [it, fresh] = refused_orders_.try_emplace(key);
+  if (fresh) it->second.first = ports_.new_id();
+  const uint64_t count = ++it->second.second;
+  if ((count & (count - 1)) != 0) return;  // written at 1, 2, 4, 8, ...
+  pending_.refusals.push_back({.id = it->second.first,
+                               .robot = config_.id,
+                               .from = levels().name(state_.level.level()),
+                               .to = order.to,
+                               .cause = cause,
+                               .reason = std::string(why.message()),
+                               .count = count,
+                               .time_unix_ns = ports_.clock->Now().unix_ns});
+  Flush();
+}
+
+void Robot::Report(engine::Severity severity, const std::string& text, std::source_location where) {
+  OwnAlert(severity, text, where);
+  Flush();
+}
+
+RobotStatus Robot::Status() const {
+  const Instant now = ports_.clock->Now();
+  RobotStatus status{.robot = config_.id,
+                     .decided_level = levels().name(state_.level.level()),
+                     .stage = std::string(ToString(ledger_.stage())),
+                     .mark = state_.level.mark(),
+                     .bundle_version = policy_.bundle_id,
+                     .degraded = EvidenceProblems(now)};
+  levels::LevelIndex effective = -1;
+  for (const auto& [name, host] : actuators_) {
+    if (!host.session) continue;
+    if (const auto level = levels().Find(host.session->beat.effective_level)) {
+      effective = std::max(effective, *level);
+    }
+    if (!host.session->beat.floor_reason.empty()) {
+      status.degraded.push_back(
+          absl::StrCat("actuator ", name, " holds a floor: ", host.session->beat.floor_reason));
+    }
+    for (const std::string& text : host.session->beat.degraded) {
+      status.degraded.push_back(absl::StrCat("actuator ", name, ": ", text));
+    }
+  }
+  status.effective_level = levels().name(effective);
+  if (!told_.missing_programs.empty()) status.degraded.push_back(told_.missing_programs);
+  if (!policy_problem_.empty()) status.degraded.push_back(policy_problem_);
+  if (std::string skipped = SkippedText(now); !skipped.empty()) {
+    status.degraded.push_back(std::move(skipped));
+  }
+  if (!ledger_.failure().empty()) {
+    status.degraded.push_back(absl::StrCat("level not reached: ", ledger_.failure()));
+  }
+  if (state_.level.soft_suspended()) {
+    status.degraded.push_back("rules may not lower levels until an operator resumes them");
+  }
+  if (state_.halted()) {
+    status.degraded.push_back(
+        "a rule has called `crash`: no rule runs until an operator resumes "
+        "them");
+  }
+  return status;
+}
+
+void Robot::PublishStatus() {
+  RobotStatus status = Status();
+  if (status == published_) return;
+  published_ = status;
+  ports_.audience->OnStatus(status);
+}
+
+// ---------------------------------------------------------------------------------------- time
+
+void Robot::OnTime() {
+  const Instant now = ports_.clock->Now();
+  if (retired_) {
+    if (recording_ == 0 && now.boottime_ns >= checkpoint_at_ns_) Flush();
+    return;
+  }
+  CheckSensors(now);
+  CheckActuators(now);
+  ExpireFindings(now);
+  ExpireParticipants(now);
+  UpdateBlind(now);
+  AdvanceMessages();
+  graph_history_.Expire(now.boottime_ns, HasBacklog());
+  UpdateEvidence(now);
+  if (now.boottime_ns >= beat_at_ns_) {
+    beat_at_ns_ = now.boottime_ns + timing_.heartbeat_ns;
+    for (auto& [name, host] : sensors_) {
+      if (host.session) host.session->link->Beat(host.session->peer_boottime_ns);
+    }
+    for (auto& [name, host] : actuators_) {
+      if (host.session) SendLease(*host.session);
+    }
+    PublishStatus();
+  }
+  if (now.boottime_ns >= tick_at_ns_) {
+    tick_at_ns_ = now.boottime_ns + timing_.tick_ns;
+    External(engine::TickEvent{});
+    UpdateCoverage(now);
+    TellBlind(now);
+    Perform(engine::Expire(now, state_), "deadline");
+    TellLosses(now);
+    for (engine::AlertEffect& summary : alert_limiter_.Due(now)) Alert(std::move(summary), "");
+    for (engine::AlertEffect& summary : own_alert_limiter_.Due(now)) Alert(std::move(summary), "");
+  }
+  for (const ProgramResult& result : ledger_.ExpiredPrograms(now)) {
+    HandleProgramResult(result, now);
+  }
+  UpdateActuation(now);
+  SendCommands(now);
+  AdvanceDrill(now);
+  const bool due = now.boottime_ns >= checkpoint_at_ns_;
+  if (due || (!pending_.empty() && !store_failing_)) Flush();
+}
+
+absl::Status Robot::SwapPolicy(Policy policy) {
+  if (policy.bundle_id == policy_.bundle_id) return absl::OkStatus();
+  const bool attached = std::any_of(actuators_.begin(), actuators_.end(), [](const auto& actuator) {
+    return actuator.second.session.has_value();
+  });
+  absl::Status status = absl::OkStatus();
+  if (attached && policy.program->rules().levels.names() != levels().names()) {
+    status =
+        absl::FailedPreconditionError("its levels differ from those of the attached actuators");
+  } else {
+    status = state_.SwapProgram(policy.program);
+  }
+  if (!status.ok()) {
+    OwnAlert(engine::Severity::kHigh,
+             absl::StrCat("bundle ", policy.bundle_id, " was not taken: ", status.message()));
+  } else {
+    policy_ = std::move(policy);
+    bundle_changed_ = true;
+    policy_problem_.clear();
+    evidence_.set_hold_ns(policy_.soft_hold_ns);
+    OwnAlert(engine::Severity::kInfo, absl::StrCat("bundle ", policy_.bundle_id, " is in force"));
+    UseInterest();
+    TellMissingPrograms();
+    AdvanceMessages();
+  }
+  Flush();
+  PublishStatus();
+  return status;
+}
+
+void Robot::Drain() {
+  draining_ = true;
+  // Who waits for a disk that does not answer would keep the server from ending.
+  for (auto& [mark, order] : std::exchange(orders_.waiting, {})) {
+    LevelAnswer answer = order.answer;
+    answer.status = absl::UnavailableError(
+        "the server is stopping; the order may be in force and recorded, or not: ask for the "
+        "level");
+    order.reply(answer);
+  }
+  AdvanceDrill(ports_.clock->Now());
+  for (auto& [name, host] : actuators_) {
+    if (host.session) SendLease(*host.session);
+  }
+  sequences_moved_ = true;
+  Flush();
+}
+
+}  // namespace rips::pipeline

@@ -1,0 +1,478 @@
+// Robot: what actuators are told and what they answer.
+#include <algorithm>
+#include <utility>
+
+#include "absl/container/btree_set.h"
+#include "absl/strings/str_cat.h"
+#include "absl/strings/str_join.h"
+#include "policy_server/server/robot/robot.h"
+#include "services/base/cut_text.h"
+#include "services/ros2/ros_name.h"
+
+namespace rips::pipeline {
+namespace {
+
+// Of one agent that are known as ours, and how long after the next one.
+constexpr size_t kParticipantsKept = 8;
+constexpr int64_t kParticipantKeptNs = 30 * kNanosPerSecond;
+// What an actuator without a state of its own says of its floor.
+constexpr char kStateLostFloor[] = "state lost";
+// Events of drifts that one heartbeat makes.
+constexpr uint64_t kDriftsToldMax = 8;
+
+// Of a list of levels in an alert and in the status of a stream, which gRPC sends as a header.
+constexpr size_t kLevelsTextBytesMax = 1'024;
+
+// What is said of a mode or a node may change its numbers; the part before the colon names it.
+absl::string_view Subject(absl::string_view text) { return text.substr(0, text.find(": ")); }
+
+bool TellsOf(const std::vector<std::string>& texts, absl::string_view subject) {
+  return std::any_of(texts.begin(), texts.end(),
+                     [&](const std::string& text) { return Subject(text) == subject; });
+}
+
+// New ones. A count that went down is of an actuator that started anew; the first that this server
+// hears says nothing of when they were.
+uint64_t TakeDrifts(std::optional<uint64_t>& last, uint64_t drifts) {
+  const uint64_t known = last.value_or(drifts);
+  last = drifts;
+  return drifts >= known ? drifts - known : drifts;
+}
+
+}  // namespace
+
+bool Robot::ActuatorLive(const ActuatorHost& host, Instant now) const {
+  return host.session && now.boottime_ns - host.session->heard_ns <= timing_.lost_ns;
+}
+
+std::vector<ros2::Guid> Robot::OwnParticipants() const {
+  std::vector<ros2::Guid> own;
+  for (const auto& [name, host] : actuators_) {
+    for (const OwnParticipant& each : host.participants) own.push_back(each.guid);
+  }
+  for (const auto& [name, host] : sensors_) {
+    for (const OwnParticipant& each : host.participants) own.push_back(each.guid);
+  }
+  return own;
+}
+
+// What is RIPS's own is no stranger to rules: an agent's key must not make one of an intruder.
+void Robot::TakeParticipant(const std::string& agent, const ros2::Guid& participant,
+                            std::deque<OwnParticipant>& known) {
+  if (participant.none()) return;
+  for (const ros2::Node& node : graph().nodes()) {
+    if (node.participant != participant || node.full_name == kRipsNode) continue;
+    return OwnAlert(
+        engine::Severity::kCritical,
+        absl::StrCat(agent, " calls the DDS participant of node ", ros2::Printable(node.full_name),
+                     " its own; that is not believed, and its key may be in other "
+                     "hands"));
+  }
+  const int64_t until_ns = ports_.clock->Now().boottime_ns + kParticipantKeptNs;
+  std::erase_if(known, [&](const OwnParticipant& each) { return each.guid == participant; });
+  for (OwnParticipant& each : known) {
+    if (each.until_ns == 0) each.until_ns = until_ns;
+  }
+  known.push_back({.guid = participant});
+  if (known.size() > kParticipantsKept) known.pop_front();
+}
+
+void Robot::ExpireParticipants(Instant now) {
+  size_t gone = 0;
+  const auto over = [&](const OwnParticipant& each) {
+    return each.until_ns != 0 && now.boottime_ns >= each.until_ns;
+  };
+  for (auto& [name, host] : actuators_) gone += std::erase_if(host.participants, over);
+  for (auto& [name, host] : sensors_) gone += std::erase_if(host.participants, over);
+  if (gone == 0) return;
+  for (auto& [name, sensor] : sensors_) {
+    if (sensor.session) SendSetup(name, sensor, *sensor.session);
+  }
+}
+
+std::vector<std::string> Robot::ProtectedParts() const {
+  absl::btree_set<std::string> parts;
+  for (const auto& [name, host] : actuators_) {
+    parts.insert(host.protected_parts.begin(), host.protected_parts.end());
+  }
+  return {parts.begin(), parts.end()};
+}
+
+void Robot::TellMissingPrograms() {
+  const std::vector<std::string> missing = ledger_.NotOffered(policy_.program->rules().programs);
+  std::string text;
+  if (!missing.empty()) {
+    text = absl::StrCat("rules run programs that no actuator offers, so they will fail: `",
+                        absl::StrJoin(missing, "`, `"), "`");
+  }
+  if (text == told_.missing_programs) return;
+  told_.missing_programs = text;
+  if (!text.empty()) OwnAlert(engine::Severity::kHigh, text);
+}
+
+void Robot::OnActuatorHello(const std::string& host_name, std::shared_ptr<ActuatorLink> link,
+                            const ActuatorHello& hello) {
+  const auto it = actuators_.find(host_name);
+  if (it == actuators_.end()) {
+    return link->Close(absl::PermissionDeniedError(absl::StrCat(
+        "the inventory lists no actuator `", host_name, "` of robot `", config_.id, "`")));
+  }
+  ActuatorHost& host = it->second;
+  const Instant now = ports_.clock->Now();
+  if (host.session && now.boottime_ns - host.session->heard_ns < timing_.stale_ns) {
+    RefuseSecond(host.second, hello.peer);
+    return link->Close(absl::AlreadyExistsError(
+        absl::StrCat("actuator ", config_.id, "/", host_name, " has a live session")));
+  }
+  BeginSession("actuator", host_name, host.second, hello.peer);
+  if (hello.levels != levels().names()) {
+    const std::string text =
+        absl::StrCat("actuator ", host_name, " is not armed: its levels (",
+                     Shortened(absl::StrJoin(hello.levels, ", "), kLevelsTextBytesMax),
+                     ") are not those of the bundle (",
+                     Shortened(absl::StrJoin(levels().names(), ", "), kLevelsTextBytesMax), ")");
+    OwnAlert(engine::Severity::kCritical, text);
+    Flush();
+    return link->Close(absl::FailedPreconditionError(text));
+  }
+  const ShownTerm shown = {.mark = hello.mark, .highest_term = hello.highest_term};
+  const TermJump jump = JudgeTerm(
+      shown, {.term = state_.level.term(), .epoch = state_.level.mark().epoch}, host.pardoned_term);
+  if (jump != TermJump::kNear) {
+    host.refused_term = shown;
+    const std::string text = absl::StrCat(
+        "actuator ", host_name, hello.peer.empty() ? "" : " at ", hello.peer, " names decision ",
+        ToString(hello.mark), " and term ", hello.highest_term, ", far beyond ours (",
+        ToString(state_.level.mark()), "): not armed; ", TermRemedy(jump, config_.id, host_name),
+        "; otherwise its key may be in other hands");
+    OwnAlert(engine::Severity::kCritical, text);
+    Flush();
+    return link->Close(absl::FailedPreconditionError(text));
+  }
+  host.refused_term.reset();
+  if (!hello.mark.none() && hello.mark < host.verified) {
+    OwnAlert(engine::Severity::kCritical,
+             absl::StrCat("actuator ", host_name, " holds decision ", ToString(hello.mark),
+                          " although it has verified ", ToString(host.verified),
+                          ": its state was deleted or went back"));
+  }
+  if (absl::Status status = Reconcile(host_name, host, hello); !status.ok()) {
+    return link->Close(status);
+  }
+  host.met = true;
+
+  if (host.session) host.session->link->Close(absl::AbortedError("replaced by a newer session"));
+  if (drill_) drill_->run.OnGone(host_name);
+  host.session = ActuatorSession{.link = std::move(link),
+                                 .heard_ns = now.boottime_ns,
+                                 .peer_boottime_ns = hello.clock.boottime_ns,
+                                 .beat = {.effective_level = hello.effective_level}};
+  TakeParticipant(absl::StrCat("actuator ", host_name), hello.participant, host.participants);
+  host.protected_parts = hello.protected_parts;
+  ++sight_.actuator_hellos;
+  UpdateBlind(now);
+  const levels::LevelIndex held = levels().Find(hello.decided_level).value_or(levels().size() - 1);
+  ledger_.Attach(host_name, hello.mark, held, levels().name(held), hello.programs, now);
+  if (host.lost) {
+    OwnAlert(engine::Severity::kInfo, absl::StrCat("actuator ", host_name, " is back"));
+  }
+  host.lost = false;
+  SendLease(*host.session);
+  SendCommands(now);
+  for (auto& [name, sensor] : sensors_) {
+    if (sensor.session) SendSetup(name, sensor, *sensor.session);
+  }
+  External(engine::AgentEvent{.agent = "actuator", .state = "connected"});
+  if (hello.state_lost) {
+    OwnAlert(engine::Severity::kHigh,
+             absl::StrCat(
+                 "actuator ", host_name, " has no state of its own (first start, or it was ",
+                 "deleted); it holds its fail-safe level, or the one its robot shows if that is ",
+                 "higher"));
+    External(engine::AgentEvent{.agent = "actuator", .state = "state_lost"});
+    host.floor_told = kStateLostFloor;  // by the alert above
+    host.session->found_above = levels().Find(hello.fail_safe_level).value_or(levels().size() - 1);
+  }
+  TellMissingPrograms();
+  UpdateActuation(now);
+  Flush();
+  PublishStatus();
+}
+
+// Truth table of a Hello, by the decision that the actuator holds:
+//   none                            it has no history; the newest decision goes out
+//   in our history, same level      it is behind or even: the newest decision goes out
+//   in our history, another level   our history is not the one it obeyed, as after a backup was
+//                                   restored: the more restrictive level, as a new decision
+//   unknown                         our history is incomplete: the same
+absl::Status Robot::Reconcile(const std::string& host_name, ActuatorHost& host,
+                              const ActuatorHello& hello) {
+  if (absl::Status status = RaiseTerm(host_name, host, hello); !status.ok()) return status;
+  if (hello.mark.none()) return absl::OkStatus();
+  const absl::StatusOr<std::optional<std::string>> known = KnownLevel(hello.mark);
+  if (!known.ok()) return absl::UnavailableError(known.status().message());
+  if (*known == hello.decided_level) return absl::OkStatus();
+  const levels::LevelIndex held = levels().Find(hello.decided_level).value_or(levels().size() - 1);
+  const std::string ours = *known ? absl::StrCat("which is ", **known, " in this server's history")
+                                  : std::string("which this server does not know");
+  OwnAlert(engine::Severity::kCritical,
+           absl::StrCat("actuator ", host_name, " holds decision ", ToString(hello.mark), " (",
+                        levels().name(held), "), ", ours, ": the more restrictive level is ",
+                        "adopted; was the store restored from a backup?"));
+  // A pardoned epoch would use up all others, and the term is above its own.
+  const Mark above = hello.mark.epoch > kEpochMax ? Mark{.term = hello.mark.term} : hello.mark;
+  Adopt(held, above,
+        absl::StrCat("actuator ", host_name, " holds ", ToString(hello.mark), " (",
+                     levels().name(held), ")"));
+  return absl::OkStatus();
+}
+
+// A term that an actuator has obeyed is never used for other decisions. Ours was drawn at this
+// start: an actuator that this process has not met yet cannot know it.
+absl::Status Robot::RaiseTerm(const std::string& host_name, ActuatorHost& host,
+                              const ActuatorHello& hello) {
+  const uint64_t seen_term = std::max(hello.highest_term, hello.mark.term);
+  const uint64_t free_below = host.met ? state_.level.term() + 1 : state_.level.term();
+  if (seen_term >= free_below) {
+    const absl::StatusOr<uint64_t> term = ports_.recorder->NextTerm(config_.id, seen_term);
+    if (!term.ok()) return absl::UnavailableError(term.status().message());
+    OwnAlert(engine::Severity::kHigh,
+             absl::StrCat("actuator ", host_name, " has obeyed term ", seen_term, ", our term is ",
+                          state_.level.term(), "; commands now carry term ", *term));
+    state_.level.RaiseTerm(*term);
+  }
+  return absl::OkStatus();
+}
+
+absl::StatusOr<std::optional<std::string>> Robot::KnownLevel(const Mark& mark) const {
+  if (mark == state_.level.mark()) {
+    return std::optional<std::string>(levels().name(state_.level.level()));
+  }
+  // Perhaps not recorded yet.
+  if (std::optional<std::string> ordered = ledger_.OrderedLevel(mark)) return ordered;
+  return ports_.recorder->FindDecision(config_.id, mark);
+}
+
+void Robot::SendLease(ActuatorSession& session) {
+  const Instant now = ports_.clock->Now();
+  // What a sensor that sees nothing has sent is judged, and says nothing: a floor stays.
+  bool evidence_complete = sight_.blind.empty() && !control_line_.backlog;
+  for (const auto& [name, host] : sensors_) {
+    if (!host.session || now.boottime_ns - host.session->heard_ns > timing_.stale_ns ||
+        (name == config_.primary_sensor && !host.settled)) {
+      evidence_complete = false;
+      break;
+    }
+    evidence_complete &= !host.HasBacklog();
+  }
+  const int64_t ttl_ns = draining_ ? timing_.drain_lease_ns : timing_.lease_ns;
+  // A lowering that is not durable yet is not announced.
+  const bool held_back = !awaiting_durable_.none();
+  session.link->Grant(
+      {.echo_boottime_ns = session.peer_boottime_ns,
+       .term = state_.level.term(),
+       .mark = held_back ? ledger_.mark() : state_.level.mark(),
+       .level = held_back ? ledger_.level_name() : levels().name(state_.level.level()),
+       .ttl_ms = static_cast<uint32_t>(ttl_ns / kNanosPerMilli),
+       .evidence_complete = evidence_complete});
+}
+
+void Robot::SendCommands(Instant now) {
+  for (const Outgoing& outgoing : ledger_.Due(state_.level.term(), now)) {
+    const auto it = actuators_.find(outgoing.host);
+    if (it != actuators_.end() && it->second.session) {
+      receipts_.Sent(outgoing.host, outgoing.command);
+      it->second.session->link->Send(outgoing.command);
+    }
+  }
+}
+
+void Robot::OnActuatorBeat(const std::string& host_name, const ActuatorLink* link,
+                           const ActuatorBeat& beat) {
+  const auto it = actuators_.find(host_name);
+  if (it == actuators_.end() || !it->second.session || it->second.session->link.get() != link) {
+    return;
+  }
+  const Instant now = ports_.clock->Now();
+  ActuatorSession& session = *it->second.session;
+  // On its way because a floor was raised or lifted: not drift.
+  const bool moving = session.beat.effective_level != beat.effective_level ||
+                      session.beat.floor_reason != beat.floor_reason;
+  session.heard_ns = now.boottime_ns;
+  session.peer_boottime_ns = beat.boottime_ns;
+  TellSecond("actuator", host_name, it->second.second);
+  session.beat = beat;
+  const auto effective = levels().Find(beat.effective_level);
+  AdoptFound(host_name, session, effective);
+  const bool left =
+      effective && ledger_.OnBeat(host_name, *effective, beat.verified, now) && !moving;
+  const uint64_t drifts = TakeDrifts(it->second.drifts, beat.drifts);
+  if (left || drifts > 0) {
+    OwnAlert(engine::Severity::kHigh,
+             absl::StrCat("the robot no longer is at ", beat.effective_level, " (", beat.observed,
+                          "); actuator ", host_name, " puts it back",
+                          drifts > 1 ? absl::StrCat(", ", drifts, " times by now") : ""));
+    for (uint64_t i = 0; i < std::clamp<uint64_t>(drifts, 1, kDriftsToldMax); ++i) {
+      External(engine::AgentEvent{.agent = "actuator", .state = "drift"});
+    }
+  }
+  TellFloor(host_name, it->second);
+  TellDegraded(host_name, it->second, beat.degraded);
+  UpdateActuation(now);
+}
+
+// Without its state, an actuator holds the level at which it finds the robot. If that is above what
+// we decided, our history lacks the decision.
+void Robot::AdoptFound(const std::string& host_name, ActuatorSession& session,
+                       std::optional<levels::LevelIndex> effective) {
+  if (!session.found_above || !effective || session.beat.floor_reason.empty()) return;
+  if (*effective <= *session.found_above || *effective <= state_.level.level() ||
+      *effective <= session.ordered_most) {
+    return;
+  }
+  session.found_above.reset();
+  const std::string found = absl::StrCat("actuator ", host_name, " has lost its state and finds ",
+                                         config_.id, " at ", levels().name(*effective));
+  OwnAlert(engine::Severity::kCritical,
+           absl::StrCat(found, ", above what this server decided: adopted; was the store restored ",
+                        "from a backup?"));
+  Adopt(*effective, state_.level.mark(), found);
+}
+
+void Robot::TellFloor(const std::string& host_name, ActuatorHost& host) {
+  const ActuatorBeat& beat = host.session->beat;
+  if (host.floor_told == beat.floor_reason) return;
+  if (beat.floor_reason.empty()) {
+    OwnAlert(engine::Severity::kInfo, absl::StrCat("actuator ", host_name, " no longer holds ",
+                                                   config_.id, " at a level of its own"));
+  } else if (beat.effective_level == levels().name(state_.level.level())) {
+    OwnAlert(engine::Severity::kHigh,
+             absl::StrCat("actuator ", host_name, " has a floor of its own: ", beat.floor_reason,
+                          "; ", config_.id, " is at ", beat.effective_level, " as decided"));
+  } else {
+    OwnAlert(engine::Severity::kHigh,
+             absl::StrCat("actuator ", host_name, " holds ", config_.id, " at ",
+                          beat.effective_level, " by itself: ", beat.floor_reason));
+  }
+  host.floor_told = beat.floor_reason;
+}
+
+void Robot::TellDegraded(const std::string& host_name, ActuatorHost& host,
+                         const std::vector<std::string>& degraded) {
+  if (degraded == host.degraded) return;
+  for (const std::string& text : degraded) {
+    if (TellsOf(host.degraded, Subject(text))) continue;
+    OwnAlert(engine::Severity::kHigh, absl::StrCat("actuator ", host_name, ": ", text));
+  }
+  if (degraded.empty()) {
+    OwnAlert(engine::Severity::kInfo,
+             absl::StrCat("actuator ", host_name, " is no longer degraded"));
+  }
+  host.degraded = degraded;
+  PublishStatus();
+}
+
+void Robot::OnReceipt(const std::string& host_name, const ActuatorLink* link,
+                      const Receipt& receipt) {
+  const auto it = actuators_.find(host_name);
+  if (it == actuators_.end() || !it->second.session || it->second.session->link.get() != link) {
+    return;
+  }
+  const Instant now = ports_.clock->Now();
+  it->second.session->heard_ns = now.boottime_ns;
+  receipts_.Received(host_name, receipt, now.unix_ns);
+  if (drill_ && drill_->run.OnReceipt(host_name, receipt)) {
+    AdvanceDrill(now);
+    return Flush();
+  }
+  if (receipt.stage == Receipt::Stage::kVerified && receipt.mark <= state_.level.mark()) {
+    it->second.verified = std::max(it->second.verified, receipt.mark);
+  }
+  const ReceiptResult result = ledger_.OnReceipt(host_name, receipt, now);
+  if (result.stale_term) {
+    OwnAlert(engine::Severity::kCritical,
+             absl::StrCat("actuator ", host_name, " refused term ", state_.level.term(),
+                          ": another server has commanded it"));
+  }
+  if (result.program) {
+    if (!result.program->ok && !result.program->detail.empty()) {
+      OwnAlert(engine::Severity::kLow,
+               absl::StrCat("a program failed on ", host_name, ": ", result.program->detail));
+    }
+    HandleProgramResult(*result.program, now);
+  }
+  UpdateActuation(now);
+  SendCommands(now);
+  if (!pending_.empty() && !store_failing_) Flush();
+  PublishStatus();
+}
+
+void Robot::UpdateActuation(Instant now) {
+  const Stage stage = ledger_.stage();
+  if (stage != reported_stage_) {
+    reported_stage_ = stage;
+    std::string detail = ledger_.failure();
+    pending_.stages.push_back({.robot = config_.id,
+                               .mark = ledger_.mark(),
+                               .stage = std::string(ToString(stage)),
+                               .detail = detail});
+    if (stage == Stage::kFailed && !failure_alerted_) {
+      failure_alerted_ = true;
+      OwnAlert(engine::Severity::kCritical,
+               absl::StrCat("level ", ledger_.level_name(), " was not reached: ", detail,
+                            "; the decision stands and is tried again"));
+      External(engine::AgentEvent{.agent = "actuator", .state = "failed"});
+    }
+  }
+  const bool leased = std::any_of(actuators_.begin(), actuators_.end(), [&](const auto& actuator) {
+    return ActuatorLive(actuator.second, now);
+  });
+  engine::Actuation actuation = engine::Actuation::kPending;
+  if (!leased) {
+    actuation = engine::Actuation::kNoLease;
+  } else if (ledger_.mark() == state_.level.mark()) {
+    if (stage == Stage::kVerified) actuation = engine::Actuation::kVerified;
+    if (stage == Stage::kFailed) actuation = engine::Actuation::kFailed;
+  }
+  UpdateEvidence(now);
+  if (actuation == state_.actuation) return;
+  state_.actuation = actuation;
+  Perform(engine::OnActuation(now, state_), "level report");
+}
+
+void Robot::OnActuatorGone(const std::string& host_name, const ActuatorLink* link) {
+  const auto it = actuators_.find(host_name);
+  if (it == actuators_.end() || !it->second.session || it->second.session->link.get() != link) {
+    return;
+  }
+  const Instant now = ports_.clock->Now();
+  it->second.session.reset();
+  it->second.gone_since_ns = now.boottime_ns;
+  ledger_.Detach(host_name);
+  if (drill_) drill_->run.OnGone(host_name);
+  for (auto& [name, sensor] : sensors_) {
+    if (sensor.session) SendSetup(name, sensor, *sensor.session);
+  }
+  UpdateActuation(now);
+  PublishStatus();
+}
+
+void Robot::CheckActuators(Instant now) {
+  for (auto& [name, host] : actuators_) {
+    if (host.session && now.boottime_ns - host.session->heard_ns > timing_.lost_ns) {
+      const std::shared_ptr<ActuatorLink> link = host.session->link;
+      link->Close(absl::DeadlineExceededError("no heartbeat"));
+      OnActuatorGone(name, link.get());
+    }
+    if (host.session || host.lost || now.boottime_ns - host.gone_since_ns < timing_.lost_ns) {
+      continue;
+    }
+    host.lost = true;
+    OwnAlert(engine::Severity::kHigh,
+             absl::StrCat("actuator ", name, " is lost: when its lease ends, ", config_.id,
+                          " goes to its fail-safe level, unless it is at a higher one"));
+    External(engine::AgentEvent{.agent = "actuator", .state = "lost"});
+  }
+}
+
+}  // namespace rips::pipeline

@@ -1,0 +1,187 @@
+// Messages and the graph come on two lanes without order: neither a robot that boots nor one that
+// stops looks like an attack, and nothing waits for ever.
+#include "gmock/gmock.h"
+#include "policy_server/server/robot/robot_fixture.h"
+
+namespace rips::pipeline {
+namespace {
+
+using ::testing::AllOf;
+using ::testing::HasSubstr;
+
+constexpr char kSenderRules[] = R"(
+levels:
+  DEFAULT;
+  ALERT;
+  COMPROMISED;
+  HALT;
+rules Msg:
+  stranger: topicin("/cmd_vel") && !senderin("/navigator") ? trigger(COMPROMISED);
+rules External:
+  others: false ? trigger(ALERT), trigger(HALT);
+)";
+
+class GraphOrderTest : public RobotTest {
+ protected:
+  // A Twist of `writer` that names a version of the graph.
+  static Observation Drive(uint8_t writer, uint64_t version) {
+    return {.what = MessageSeen{.topic = "/cmd_vel",
+                                .type = "geometry_msgs/msg/Twist",
+                                .sender = "/navigator",
+                                .writer = Writer(writer),
+                                .size_bytes = 52,
+                                .graph_version = version}};
+  }
+  void ArmWithoutNavigator() {
+    ConnectSensor();
+    ConnectActuator({.effective_level = "DEFAULT"});
+    graph_version_ = 1;
+    ros2::GraphDelta graph;
+    AddNode(&graph, 1, "/camera");
+    SendBatch(Lane::kControl,
+              {{.what = GraphSnapshotSeen{.version = 1, .settled = true, .content = graph}}});
+    Obey();
+    Pass(100);
+  }
+  void NavigatorComes() {
+    ros2::GraphDelta delta;
+    AddNode(&delta, 2, "/navigator", "/cmd_vel");
+    SendDelta(std::move(delta));
+  }
+  void NavigatorGoes() {
+    ros2::GraphDelta delta;
+    delta.gone_guids = {Participant(2)};
+    SendDelta(std::move(delta));
+  }
+};
+
+TEST_F(GraphOrderTest, AMessageThatOvertakesItsGraphWaitsForIt) {
+  Start();
+  ArmWithoutNavigator();
+
+  SendBatch(Lane::kMessages, {Drive(2, 2)});
+  Pass(100);
+  EXPECT_EQ(recorder_.high_water.size(), 1u) << "it is not judged yet, so not acknowledged";
+  NavigatorComes();
+  Pass(1'000);
+
+  EXPECT_EQ(Level(), "DEFAULT");
+  EXPECT_EQ(audience_.Count("rogue"), 0);
+  EXPECT_EQ(sensor_->acknowledged[static_cast<int>(Lane::kMessages)], 1u);
+}
+
+TEST_F(GraphOrderTest, AMessageThatIsOvertakenByTheEndOfItsWriterIsJudgedAgainstItsOwnTime) {
+  Start();
+  Arm();
+  NavigatorGoes();
+  SendBatch(Lane::kMessages, {Drive(2, 1)});
+  Pass(600);
+
+  EXPECT_EQ(Level(), "DEFAULT");
+  EXPECT_EQ(audience_.Count("rogue"), 0);
+  EXPECT_EQ(robot_->graph().FindEndpoint(Writer(2)), nullptr) << "the newest graph is in force";
+}
+
+TEST_F(GraphOrderTest, WhatWaitedTooLongIsJudgedAsUnattributedWithTheReason) {
+  Start();
+  ArmWithoutNavigator();
+
+  SendBatch(Lane::kMessages, {Drive(2, 5)});
+  Pass(450);
+  EXPECT_EQ(Level(), "DEFAULT");
+  Pass(100);
+
+  EXPECT_EQ(Level(), "COMPROMISED");
+  ASSERT_EQ(audience_.Count("rogue"), 1);
+  for (const auto& alert : audience_.alerts) {
+    if (alert.text != "rogue cmd_vel") continue;
+    EXPECT_THAT(alert.event, AllOf(HasSubstr("(unattributed "), HasSubstr("within 500 ms"),
+                                   HasSubstr("version 5 was to show it, version 1 is in force")));
+  }
+}
+
+TEST_F(GraphOrderTest, OnlyWhatIsBehindAWaitingMessageWaitsWithIt) {
+  Start(kSenderRules);
+  Arm();
+  // Of one batch: a known writer, then one whose graph has not come.
+  SendBatch(Lane::kMessages, {Drive(2, 1), Drive(9, 2), Drive(2, 1)});
+  EXPECT_EQ(Level(), "DEFAULT");
+  Pass(550);
+
+  EXPECT_EQ(Level(), "COMPROMISED") << "9 is nobody";
+  Pass(1'000);
+  EXPECT_EQ(sensor_->acknowledged[static_cast<int>(Lane::kMessages)], 3u);
+}
+
+TEST_F(GraphOrderTest, WhatStandsBeforeAWaitingMessageIsJudgedAtOnce) {
+  Start();
+  Arm();
+  ros2::GraphDelta delta;
+  AddNode(&delta, 3, "/intruder", "/cmd_vel");
+  SendDelta(std::move(delta));
+  SendBatch(Lane::kMessages, {Drive(3, 2), Drive(9, 7)});
+  EXPECT_EQ(Level(), "COMPROMISED");
+}
+
+TEST_F(GraphOrderTest, WaitsOverlapAndAnEndlessStreamOfUnknownWritersDelaysByOneWait) {
+  Start();
+  Arm();
+  for (uint8_t i = 0; i < 20; ++i) {
+    SendBatch(Lane::kMessages, {Drive(static_cast<uint8_t>(100 + i), 9)});
+    Pass(50);
+  }
+  // The last came 50 ms ago: it has its wait to go, and the next checkpoint.
+  Pass(500 + 1'000);
+  EXPECT_EQ(sensor_->acknowledged[static_cast<int>(Lane::kMessages)], 20u);
+}
+
+TEST_F(GraphOrderTest, AClockOfTheFutureDoesNotMakeAMessageWaitLonger) {
+  Start(kSenderRules);
+  Arm();
+  Observation message = Drive(9, 7);
+  message.boottime_ns = Boottime() + 3'600 * kNanosPerSecond;
+  SendBatch(Lane::kMessages, {message});
+  Pass(600);
+  EXPECT_EQ(Level(), "COMPROMISED");
+}
+
+TEST_F(GraphOrderTest, AWaitingMessageDoesNotMakeASilentSensorLookAlive) {
+  Start();
+  Arm();
+  SendBatch(Lane::kMessages, {Drive(9, 7)});
+  sensor_beats_ = false;
+  Pass(6'500);
+  EXPECT_FALSE(sensor_->closed.ok());
+}
+
+TEST_F(GraphOrderTest, AMessageThatWaitsWhenTheStreamEndsIsNotAcknowledged) {
+  Start();
+  ArmWithoutNavigator();
+  SendBatch(Lane::kMessages, {Drive(2, 2)});
+  robot_->OnSensorGone("base", sensor_.get());
+  Pass(1'000);
+  EXPECT_EQ(Level(), "DEFAULT") << "it will be sent again";
+  EXPECT_EQ(sensor_->acknowledged[static_cast<int>(Lane::kMessages)], 0u);
+}
+
+TEST_F(GraphOrderTest, FiftyStartsAndStopsOfTheDriverRaiseNothing) {
+  Start();
+  ArmWithoutNavigator();
+  for (int i = 0; i < 50; ++i) {
+    // Whichever lane is first, at the start and at the end.
+    const bool overtakes = i % 2 == 0;
+    if (overtakes) SendBatch(Lane::kMessages, {Drive(2, graph_version_ + 1)});
+    NavigatorComes();
+    if (!overtakes) SendBatch(Lane::kMessages, {Drive(2, graph_version_)});
+    Pass(50);
+    const uint64_t then = graph_version_;
+    NavigatorGoes();
+    SendBatch(Lane::kMessages, {Drive(2, then)});
+    Pass(50);
+  }
+  EXPECT_EQ(Level(), "DEFAULT");
+  EXPECT_EQ(audience_.Count("rogue"), 0);
+}
+
+}  // namespace
+}  // namespace rips::pipeline

@@ -1,0 +1,665 @@
+// The paper's story, and what must not change it: RIPS paper, "Experimental Validation".
+#include "gmock/gmock.h"
+#include "policy_server/server/robot/robot_fixture.h"
+#include "services/base/status_matchers.h"
+
+namespace rips::pipeline {
+namespace {
+
+using ::testing::Contains;
+using ::testing::HasSubstr;
+using ::testing::IsEmpty;
+
+LevelOrder Lower(const std::string& to, const RobotStatus& seen) {
+  return {.operator_name = "alice",
+          .to = to,
+          .reason = "checked on site",
+          .expected_level = seen.decided_level,
+          .expected_mark = seen.mark,
+          .request_id = "q1"};
+}
+
+TEST_F(RobotTest, StartsWithARecordedDecisionAtTheStartLevel) {
+  Start();
+
+  robot_->OnTime();
+  Drain();
+
+  ASSERT_EQ(recorder_.decisions.size(), 1u);
+  EXPECT_EQ(recorder_.decisions[0].to, "DEFAULT");
+  EXPECT_EQ(recorder_.decisions[0].mark, (Mark{1, 1}));
+  EXPECT_EQ(recorder_.decisions[0].reason, "first start");
+  EXPECT_EQ(Stage(), "requested");
+}
+
+TEST_F(RobotTest, TellsThePapersStory) {
+  Start();
+  Arm();
+  EXPECT_EQ(Level(), "DEFAULT");
+  EXPECT_EQ(Stage(), "verified");
+
+  IntruderAppears();
+  EXPECT_EQ(Level(), "ALERT");
+  EXPECT_EQ(actuator_->level()->to, "ALERT");
+  Obey();
+  Pass(200);
+
+  SendMessage(9);
+  EXPECT_EQ(Level(), "ALERT") << "the intruder does not publish: the graph says so";
+  ros2::GraphDelta delta;
+  AddNode(&delta, 9, "/intruder", "/cmd_vel");
+  SendDelta(std::move(delta));
+  SendMessage(9);
+  EXPECT_EQ(Level(), "COMPROMISED");
+  EXPECT_EQ(actuator_->level()->to, "COMPROMISED");
+  Obey();
+
+  IntruderLeaves();
+  Pass(20'000);
+  EXPECT_EQ(Level(), "COMPROMISED") << "a hard level needs a person";
+
+  LevelAnswer answer;
+  robot_->DeEscalate(Lower("ALERT", robot_->Status()), [&](const LevelAnswer& a) { answer = a; });
+  Drain();
+  EXPECT_THAT(answer.status, IsOk());
+  EXPECT_EQ(Level(), "ALERT");
+  EXPECT_EQ(actuator_->level()->based_on, (Mark{1, 3}));
+  Obey();
+
+  Pass(4'500);
+  EXPECT_EQ(Level(), "ALERT") << "soft_hold has not passed";
+  Pass(1'500);
+  EXPECT_EQ(Level(), "DEFAULT");
+  EXPECT_EQ(recorder_.decisions.back().cause, "rule quiet");
+}
+
+TEST_F(RobotTest, ADecisionThatWasOvertakenIsRecordedAsSuperseded) {
+  Start();
+  Arm();
+  IntruderAppears();
+  const Mark overtaken = robot_->Status().mark;
+  ros2::GraphDelta delta;
+  AddNode(&delta, 9, "/intruder", "/cmd_vel");
+  SendDelta(std::move(delta));
+
+  SendMessage(9);
+  Obey();
+
+  EXPECT_THAT(recorder_.stages,
+              Contains(store::StageUpdate{
+                  .robot = "r1", .mark = overtaken, .stage = "superseded", .detail = ""}));
+  EXPECT_EQ(recorder_.stages.back().stage, "verified");
+}
+
+TEST_F(RobotTest, CommandsARaiseBeforeItIsRecorded) {
+  Start();
+  Arm();
+  recorder_.held = true;
+
+  IntruderAppears();
+
+  EXPECT_EQ(actuator_->level()->to, "ALERT");
+  EXPECT_EQ(recorder_.decisions.back().to, "DEFAULT");
+  EXPECT_EQ(audience_.Count("unknown node"), 0) << "nobody is told before it is durable";
+  recorder_.held = false;
+  recorder_.Release();
+  Drain();
+  EXPECT_EQ(recorder_.decisions.back().to, "ALERT");
+  EXPECT_EQ(audience_.Count("unknown node"), 1);
+}
+
+TEST_F(RobotTest, ASoftLevelDoesNotSinkInTheEventThatRaisedIt) {
+  Start(R"(
+levels:
+  DEFAULT;
+  ALERT soft;
+  COMPROMISED;
+  HALT;
+rules External:
+  up: signal("SIGUSR1") ? trigger(ALERT);
+  down: CurrLevel == ALERT ? trigger(DEFAULT);
+  last: false ? trigger(COMPROMISED), trigger(HALT);
+)");
+  Arm();
+  Pass(10'000);
+  ASSERT_THAT(robot_->Status().degraded, IsEmpty()) << "else nothing could sink anyhow";
+
+  SendBatch(Lane::kControl, {{.what = SignalSeen{.name = "SIGUSR1"}}});
+  EXPECT_EQ(Level(), "ALERT");
+  Pass(1'000);
+  EXPECT_EQ(Level(), "ALERT") << "not verified";
+  Obey();
+  Pass(4'500);
+  EXPECT_EQ(Level(), "ALERT") << "soft_hold has not passed";
+  Pass(1'500);
+  EXPECT_EQ(Level(), "DEFAULT");
+}
+
+TEST_F(RobotTest, EvidenceStartsAnewWithARaiseOfTheSameBatch) {
+  Start(R"(
+levels:
+  DEFAULT;
+  ALERT soft;
+  COMPROMISED;
+  HALT;
+rules External:
+  up: signal("SIGUSR1") ? trigger(ALERT);
+  down: signal("SIGUSR2") ? trigger(DEFAULT);
+  last: false ? trigger(COMPROMISED), trigger(HALT);
+)");
+  Arm();
+  Pass(10'000);
+  ASSERT_THAT(robot_->Status().degraded, IsEmpty()) << "else nothing could sink anyhow";
+  // Two events; nothing else runs between them.
+  SendBatch(Lane::kControl,
+            {{.what = SignalSeen{.name = "SIGUSR1"}}, {.what = SignalSeen{.name = "SIGUSR2"}}});
+  EXPECT_EQ(Level(), "ALERT");
+  Obey();
+  Pass(6'000);
+  SendBatch(Lane::kControl, {{.what = SignalSeen{.name = "SIGUSR2"}}});
+  EXPECT_EQ(Level(), "DEFAULT") << "verified, and soft_hold has passed";
+}
+
+TEST_F(RobotTest, ARestoredHistoryLowersNothing) {
+  struct Case {
+    const char* what;
+    Mark held;
+    const char* held_level;
+    const char* expected;
+  };
+  const Case cases[] = {
+      {"a known decision under another level", {6, 9}, "HALT", "HALT"},
+      {"the newest decision under another level", {6, 10}, "HALT", "HALT"},
+      {"the newest decision under a lower level", {6, 10}, "ALERT", "COMPROMISED"},
+      {"a known decision under its own level", {6, 9}, "ALERT", "COMPROMISED"},
+      {"an unknown decision", {6, 11}, "HALT", "HALT"},
+  };
+  for (const Case& each : cases) {
+    SCOPED_TRACE(each.what);
+    recorder_.decisions = {{.robot = "r1", .mark = {6, 9}, .to = "ALERT"},
+                           {.robot = "r1", .mark = {6, 10}, .to = "COMPROMISED"}};
+    audience_.alerts.clear();
+    Start(kPaperRules, {.level = "COMPROMISED", .mark = {6, 10}}, 7);
+    ConnectSensor();
+    ConnectActuator({.mark = each.held,
+                     .decided_level = each.held_level,
+                     .effective_level = each.held_level,
+                     .highest_term = 6});
+    EXPECT_EQ(Level(), each.expected);
+    const bool contradicts = std::string(each.what) != "a known decision under its own level";
+    EXPECT_EQ(audience_.Count("the more restrictive level is adopted"), contradicts ? 1 : 0);
+    EXPECT_NE(Stage(), "verified");
+    EXPECT_EQ(robot_->Status().mark > each.held, contradicts || each.held.epoch == 9);
+  }
+}
+
+TEST_F(RobotTest, ATermThatAnActuatorKnowsBeforeItMetUsIsNotOurs) {
+  Start(kPaperRules, {.level = "DEFAULT", .mark = {6, 10}}, 7);
+  recorder_.decisions = {{.robot = "r1", .mark = {6, 10}, .to = "DEFAULT"}};
+  ConnectActuator({.mark = {6, 10},
+                   .decided_level = "DEFAULT",
+                   .effective_level = "DEFAULT",
+                   .highest_term = 7});
+  Pass(100);
+  EXPECT_EQ(audience_.Count("has obeyed term 7, our term is 7"), 1);
+  EXPECT_EQ(actuator_->leases.back().term, 8u);
+
+  actuator_beats_ = false;
+  Pass(3'000);
+  ConnectActuator({.mark = {6, 10},
+                   .decided_level = "DEFAULT",
+                   .effective_level = "DEFAULT",
+                   .highest_term = 8});
+  EXPECT_EQ(actuator_->leases.back().term, 8u) << "that is the term it has from us";
+}
+
+TEST_F(RobotTest, CommandsALoweringOnlyWhenItIsDurable) {
+  Start();
+  Arm();
+  IntruderAppears();
+  Obey();
+  recorder_.held = true;
+  LevelAnswer answer{.status = absl::UnknownError("not answered")};
+
+  robot_->DeEscalate(Lower("DEFAULT", robot_->Status()), [&](const LevelAnswer& a) { answer = a; });
+  Drain();
+
+  EXPECT_EQ(actuator_->level()->to, "ALERT");
+  Pass(600);
+  EXPECT_EQ(actuator_->leases.back().level, "ALERT") << "a lease does not announce it either";
+  EXPECT_THAT(answer.status, StatusIs(absl::StatusCode::kUnknown));
+  recorder_.held = false;
+  recorder_.Release();
+  Drain();
+  EXPECT_EQ(actuator_->level()->to, "DEFAULT");
+  EXPECT_THAT(answer.status, IsOk());
+}
+
+// COMPROMISED is lowered to DEFAULT and raised to ALERT while the disk hangs.
+class RaiseAfterLoweringTest : public RobotTest {
+ protected:
+  void LowerAndRaise() {
+    Start();
+    Arm();
+    Raise("COMPROMISED");
+    Obey();
+    recorder_.held = true;
+    robot_->DeEscalate(Lower("DEFAULT", robot_->Status()),
+                       [this](const LevelAnswer& a) { lowered_ = a.status; });
+    Raise("ALERT");
+    ASSERT_EQ(Level(), "ALERT");
+    Pass(600);
+    EXPECT_EQ(actuator_->level()->to, "COMPROMISED");
+    EXPECT_EQ(actuator_->leases.back().level, "COMPROMISED");
+  }
+  void Raise(const std::string& level) {
+    robot_->Raise({.operator_name = "alice", .to = level, .reason = "drill"},
+                  [](const LevelAnswer&) {});
+    Drain();
+  }
+  void DiskGoesOn(const absl::Status& fail) {
+    recorder_.fail = fail;
+    recorder_.held = false;
+    recorder_.Release();
+    Drain();
+  }
+
+  absl::Status lowered_ = absl::UnknownError("not answered");
+};
+
+TEST_F(RaiseAfterLoweringTest, LowersNothingBeforeBothAreDurable) {
+  LowerAndRaise();
+  DiskGoesOn(absl::OkStatus());
+  EXPECT_THAT(lowered_, IsOk());
+  EXPECT_EQ(Level(), "ALERT");
+  EXPECT_EQ(actuator_->level()->to, "ALERT");
+}
+
+TEST_F(RaiseAfterLoweringTest, LowersNothingIfTheLoweringCannotBeRecorded) {
+  LowerAndRaise();
+  DiskGoesOn(absl::UnavailableError("disk full"));
+  EXPECT_THAT(lowered_, StatusIs(absl::StatusCode::kFailedPrecondition));
+  EXPECT_EQ(Level(), "COMPROMISED");
+  for (const Command& command : actuator_->commands) {
+    const auto* set = std::get_if<SetLevel>(&command.what);
+    ASSERT_NE(set, nullptr);
+    EXPECT_NE(set->to, "ALERT");
+  }
+}
+
+TEST_F(RobotTest, TakesALoweringBackThatCannotBeRecorded) {
+  Start();
+  Arm();
+  IntruderAppears();
+  Obey();
+  recorder_.held = true;
+  LevelAnswer answer;
+  robot_->DeEscalate(Lower("DEFAULT", robot_->Status()), [&](const LevelAnswer& a) { answer = a; });
+
+  recorder_.fail = absl::UnavailableError("disk full");
+  recorder_.held = false;
+  recorder_.Release();
+  Drain();
+
+  EXPECT_EQ(Level(), "ALERT");
+  EXPECT_THAT(answer.status,
+              StatusIs(absl::StatusCode::kFailedPrecondition, HasSubstr("disk full")));
+  for (const Command& command : actuator_->commands) {
+    const auto* set = std::get_if<SetLevel>(&command.what);
+    ASSERT_NE(set, nullptr);
+    EXPECT_FALSE(set->to == "DEFAULT" && set->mark > (Mark{1, 1}));
+  }
+  recorder_.fail = absl::OkStatus();
+  Pass(2'000);
+  EXPECT_EQ(recorder_.decisions.back().to, "ALERT") << "records are kept and written later";
+  EXPECT_EQ(audience_.Count("taken back"), 1);
+}
+
+TEST_F(RobotTest, RefusesToLowerWhileTheStoreFails) {
+  Start();
+  Arm();
+  IntruderAppears();
+  Obey();
+  recorder_.fail = absl::UnavailableError("disk full");
+  SendMessage(2);
+  Pass(1'500);
+
+  LevelAnswer answer;
+  LevelOrder order = Lower("DEFAULT", robot_->Status());
+  order.accept_blind = true;
+  robot_->DeEscalate(order, [&](const LevelAnswer& a) { answer = a; });
+  Drain();
+
+  EXPECT_THAT(answer.status, StatusIs(absl::StatusCode::kFailedPrecondition, HasSubstr("store")));
+  EXPECT_EQ(Level(), "ALERT");
+}
+
+TEST_F(RobotTest, RestartKeepsLevelAndVariablesAndEntersNothingTwice) {
+  Start();
+  Arm();
+  IntruderAppears();
+  Obey();
+  Pass(1'100);
+  store::RobotRecord record{.level = "ALERT",
+                            .mark = recorder_.decisions.back().mark,
+                            .variables = recorder_.variables,
+                            .high_water = recorder_.high_water};
+
+  Start(kPaperRules, record, /*term=*/2);
+  ConnectActuator({.mark = record.mark, .decided_level = "ALERT", .effective_level = "ALERT"});
+  verified_ = true;
+  Pass(200);
+
+  EXPECT_EQ(Level(), "ALERT");
+  EXPECT_EQ(Stage(), "verified");
+  EXPECT_EQ(actuator_->level(), nullptr) << "it holds the newest decision already";
+  EXPECT_EQ(actuator_->leases.back().term, 2u);
+  ConnectSensor({{.incarnation = kIncarnation,
+                  .lane = Lane::kControl,
+                  .first_sequence = 1,
+                  .last_sequence = 2}});
+  EXPECT_EQ(sensor_->acknowledged[0], 2u);
+  EXPECT_TRUE(sensor_->setup.want_snapshot);
+  Pass(30'000);
+  EXPECT_EQ(Level(), "ALERT") << "the graph has not been seen again";
+}
+
+TEST_F(RobotTest, AdoptsAMoreRestrictiveLevelThatItDoesNotKnow) {
+  Start();
+
+  ConnectActuator({.mark = {1, 7},
+                   .decided_level = "COMPROMISED",
+                   .effective_level = "COMPROMISED",
+                   .highest_term = 1});
+
+  EXPECT_EQ(Level(), "COMPROMISED");
+  EXPECT_GT(robot_->Status().mark, (Mark{1, 7}));
+  EXPECT_EQ(audience_.Count("does not know"), 1);
+}
+
+TEST_F(RobotTest, AnUnknownLowerLevelDoesNotLower) {
+  Start(kPaperRules, {.level = "COMPROMISED", .mark = {1, 5}}, 2);
+
+  ConnectActuator({.mark = {1, 9}, .decided_level = "DEFAULT", .effective_level = "DEFAULT"});
+
+  EXPECT_EQ(Level(), "COMPROMISED");
+  EXPECT_EQ(actuator_->level()->to, "COMPROMISED");
+}
+
+TEST_F(RobotTest, GoesAboveATermThatTheActuatorHasSeen) {
+  Start();
+
+  ConnectActuator({.effective_level = "DEFAULT", .highest_term = 41});
+
+  EXPECT_EQ(actuator_->leases.back().term, 42u);
+  EXPECT_EQ(audience_.Count("our term is"), 1);
+}
+
+TEST_F(RobotTest, RefusesAnImpossibleTerm) {
+  Start();
+
+  ConnectActuator({.effective_level = "DEFAULT", .highest_term = UINT64_MAX});
+
+  EXPECT_THAT(actuator_->closed, StatusIs(absl::StatusCode::kFailedPrecondition));
+}
+
+TEST_F(RobotTest, DoesNotArmAnActuatorWithOtherLevels) {
+  Start();
+  actuator_ = std::make_shared<FakeActuator>();
+
+  robot_->OnActuatorHello("base", actuator_, {.levels = {"DEFAULT", "HALT"}});
+  Drain();
+
+  EXPECT_THAT(actuator_->closed, StatusIs(absl::StatusCode::kFailedPrecondition));
+  EXPECT_THAT(actuator_->commands, IsEmpty());
+  EXPECT_EQ(audience_.Count("not armed"), 1);
+}
+
+TEST_F(RobotTest, AManagerThatDoesNothingEndsAsFailedAndTheDecisionStands) {
+  Start();
+  Arm();
+  IntruderAppears();
+
+  Obey(Receipt::Stage::kFailed, "/safety=DEFAULT, camera active");
+
+  EXPECT_EQ(Stage(), "failed");
+  EXPECT_EQ(Level(), "ALERT");
+  EXPECT_EQ(audience_.Count("was not reached"), 1);
+  const size_t before = actuator_->commands.size();
+  Pass(6'000);
+  EXPECT_EQ(actuator_->commands.size(), before + 1) << "it is tried again";
+  EXPECT_EQ(audience_.Count("was not reached"), 1) << "and told once";
+}
+
+TEST_F(RobotTest, ResendsACommandUntilItIsAcknowledged) {
+  Start();
+  Arm();
+  IntruderAppears();
+  const std::string id = actuator_->commands.back().id;
+  const size_t before = actuator_->commands.size();
+
+  Pass(2'100);
+
+  ASSERT_EQ(actuator_->commands.size(), before + 1);
+  EXPECT_EQ(actuator_->commands.back().id, id) << "the same command, so it is executed once";
+}
+
+TEST_F(RobotTest, ReportsDrift) {
+  Start();
+  Arm();
+
+  verified_ = false;
+  Pass(100);
+
+  EXPECT_EQ(audience_.Count("no longer is at"), 1);
+  EXPECT_EQ(Stage(), "acknowledged");
+}
+
+constexpr char kDriftRules[] = R"(
+levels:
+  DEFAULT;
+  ALERT soft;
+  COMPROMISED;
+  HALT;
+rules External:
+  left: agent("actuator", "drift") ? alert("left", "low");
+  a: false ? trigger(ALERT);
+  c: false ? trigger(COMPROMISED);
+  h: false ? trigger(HALT);
+)";
+
+TEST_F(RobotTest, EachNewDriftIsAnEventAlsoWhenItIsOverBeforeTheHeartbeat) {
+  Start(kDriftRules);
+  Arm();
+  drifts_ = 1;  // found left and put back since the last heartbeat
+  Pass(100);
+  EXPECT_EQ(audience_.Count("no longer is at"), 1);
+  EXPECT_EQ(audience_.Count("left"), 1);
+  Pass(1'000);
+  EXPECT_EQ(audience_.Count("left"), 1) << "told once";
+
+  drifts_ = 4;
+  verified_ = false;
+  Pass(50);
+  EXPECT_EQ(audience_.Count("3 times by now"), 1);
+  EXPECT_EQ(audience_.Count("left"), 4);
+
+  drifts_ = 2;  // of an actuator that started anew
+  Pass(50);
+  EXPECT_EQ(audience_.Count("left"), 6);
+}
+
+TEST_F(RobotTest, DriftsBeforeTheFirstHeartbeatSayNothingOfNow) {
+  Start(kDriftRules);
+  drifts_ = 40;
+  Arm();
+  Pass(1'000);
+  EXPECT_EQ(audience_.Count("left"), 0);
+}
+
+TEST_F(RobotTest, WhatIsDegradedIsStatusAndAlertsWhenItBeginsAndEnds) {
+  Start();
+  Arm();
+  degraded_ = {"/safety=ALERT is held without the mode manager: it left 2 times"};
+  Pass(1'000);
+  EXPECT_EQ(audience_.Count("actuator base: /safety=ALERT is held without"), 1);
+  EXPECT_THAT(robot_->Status().degraded, ::testing::Contains("actuator base: " + degraded_[0]));
+  degraded_ = {"/safety=ALERT is held without the mode manager: it left 3 times", "/camera is off"};
+  Pass(1'000);
+  EXPECT_EQ(audience_.Count("actuator base: /safety=ALERT is held without"), 1) << "the same";
+  EXPECT_EQ(audience_.Count("actuator base: /camera is off"), 1);
+  degraded_.clear();
+  Pass(1'000);
+  EXPECT_EQ(audience_.Count("actuator base is no longer degraded"), 1);
+  EXPECT_THAT(robot_->Status().degraded,
+              ::testing::Not(::testing::Contains(::testing::HasSubstr("actuator base:"))));
+}
+
+TEST_F(RobotTest, AFailSafeThatAnActuatorTookIsToldOnce) {
+  Start();
+  ConnectActuator({.effective_level = "COMPROMISED"});
+  Obey();
+  floor_ = "lease expired";
+  effective_ = "COMPROMISED";
+  Pass(3'000);
+  EXPECT_EQ(audience_.Count("actuator base holds r1 at COMPROMISED by itself: lease expired"), 1);
+
+  floor_.clear();
+  effective_ = "DEFAULT";
+  Pass(3'000);
+  EXPECT_EQ(audience_.Count("actuator base no longer holds r1 at a level of its own"), 1);
+}
+
+TEST_F(RobotTest, AFloorThatLiftsIsNotDrift) {
+  Start();
+  ConnectActuator({.effective_level = "ALERT"});
+  Obey();
+  floor_ = "state lost";
+  effective_ = "ALERT";
+  Pass(100);
+  EXPECT_EQ(Stage(), "verified") << "a raise is verified at its level or above";
+
+  floor_.clear();
+  verified_ = false;
+  Pass(100);
+  EXPECT_EQ(Stage(), "acknowledged");
+  effective_ = "DEFAULT";
+  verified_ = true;
+  Pass(100);
+
+  EXPECT_EQ(Stage(), "verified");
+  EXPECT_EQ(audience_.Count("no longer is at"), 0);
+}
+
+TEST_F(RobotTest, OperatorMustHaveSeenTheNewestDecision) {
+  Start();
+  Arm();
+  const RobotStatus seen = robot_->Status();
+  IntruderAppears();
+  Obey();
+
+  LevelAnswer answer;
+  robot_->DeEscalate(Lower("DEFAULT", seen), [&](const LevelAnswer& a) { answer = a; });
+  Drain();
+
+  EXPECT_THAT(answer.status, StatusIs(absl::StatusCode::kFailedPrecondition));
+  EXPECT_EQ(Level(), "ALERT");
+}
+
+TEST_F(RobotTest, OperatorMustGiveAReason) {
+  Start();
+  Arm();
+  IntruderAppears();
+  Obey();
+  LevelOrder order = Lower("DEFAULT", robot_->Status());
+
+  for (const size_t bytes : {size_t{0}, size_t{1'001}}) {
+    order.reason = std::string(bytes, 'x');
+    LevelAnswer answer;
+    robot_->DeEscalate(order, [&](const LevelAnswer& a) { answer = a; });
+    EXPECT_THAT(answer.status, StatusIs(absl::StatusCode::kInvalidArgument)) << bytes;
+  }
+  EXPECT_EQ(Level(), "ALERT");
+}
+
+TEST_F(RobotTest, OperatorIsRefusedWhileBlindUnlessAccepted) {
+  Start();
+  Arm();
+  IntruderAppears();
+  Obey();
+  robot_->OnSensorGone("base", sensor_.get());
+  LevelOrder order = Lower("DEFAULT", robot_->Status());
+
+  LevelAnswer refused;
+  robot_->DeEscalate(order, [&](const LevelAnswer& a) { refused = a; });
+  Drain();
+  EXPECT_THAT(refused.status, StatusIs(absl::StatusCode::kFailedPrecondition,
+                                       HasSubstr("sensor base is not connected")));
+
+  LevelAnswer accepted;
+  order.accept_blind = true;
+  robot_->DeEscalate(order, [&](const LevelAnswer& a) { accepted = a; });
+  Drain();
+  EXPECT_THAT(accepted.status, IsOk());
+  EXPECT_EQ(Level(), "DEFAULT");
+}
+
+TEST_F(RobotTest, ARepeatedRequestGetsItsFirstAnswer) {
+  Start();
+  Arm();
+  IntruderAppears();
+  Obey();
+  const LevelOrder order = Lower("DEFAULT", robot_->Status());
+  LevelAnswer first;
+  LevelAnswer second;
+
+  robot_->DeEscalate(order, [&](const LevelAnswer& a) { first = a; });
+  Drain();
+  const size_t decisions = recorder_.decisions.size();
+  robot_->DeEscalate(order, [&](const LevelAnswer& a) { second = a; });
+  Drain();
+
+  EXPECT_THAT(second.status, IsOk());
+  EXPECT_EQ(first.mark, second.mark);
+  EXPECT_EQ(recorder_.decisions.size(), decisions);
+}
+
+TEST_F(RobotTest, ARepeatedRequestIsNotAnsweredBeforeTheFirstIsDurable) {
+  Start();
+  Arm();
+  IntruderAppears();
+  Obey();
+  recorder_.held = true;
+  const LevelOrder order = Lower("DEFAULT", robot_->Status());
+  LevelAnswer first{.status = absl::UnknownError("not answered")};
+  LevelAnswer second;
+
+  robot_->DeEscalate(order, [&](const LevelAnswer& a) { first = a; });
+  robot_->DeEscalate(order, [&](const LevelAnswer& a) { second = a; });
+
+  EXPECT_THAT(first.status, StatusIs(absl::StatusCode::kUnknown));
+  EXPECT_THAT(second.status, StatusIs(absl::StatusCode::kUnavailable));
+  recorder_.Release();
+  Drain();
+  EXPECT_THAT(first.status, IsOk());
+}
+
+TEST_F(RobotTest, DryRunSaysWhatWouldRaiseItAgainAndChangesNothing) {
+  Start();
+  Arm();
+  IntruderAppears();
+  Obey();
+  LevelOrder order = Lower("DEFAULT", robot_->Status());
+  order.dry_run = true;
+
+  LevelAnswer answer;
+  robot_->DeEscalate(order, [&](const LevelAnswer& a) { answer = a; });
+  Drain();
+
+  EXPECT_THAT(answer.status, IsOk());
+  EXPECT_THAT(answer.would_raise_again, Contains("unknown_node"));
+  EXPECT_EQ(Level(), "ALERT");
+}
+
+}  // namespace
+}  // namespace rips::pipeline

@@ -1,0 +1,599 @@
+#include "policy_server/server/server.h"
+
+#include <algorithm>
+#include <limits>
+#include <optional>
+#include <thread>
+#include <utility>
+
+#include "absl/strings/escaping.h"
+#include "absl/strings/str_cat.h"
+#include "policy_server/server/pooled_inspector.h"
+#include "services/base/ids.h"
+#include "services/base/status_macros.h"
+#include "services/runtime/await.h"
+#include "services/runtime/descriptor_limit.h"
+#include "services/runtime/log.h"
+
+namespace rips::server {
+namespace {
+
+// What clients get to finish after a shutdown was announced.
+constexpr absl::Duration kShutdownGrace = absl::Seconds(2);
+constexpr absl::Duration kProbePatience = absl::Seconds(1);
+// Of files, plugins and what else is not a connection of an agent.
+constexpr uint64_t kOtherDescriptors = 512;
+// Of operators and of agents that connect anew while their old connection is not over.
+constexpr int kOtherConnections = 32;
+// A sensor and an actuator, each with one connection and one that is not over yet.
+constexpr int kConnectionsOfAHost = 4;
+// Between two alerts that the server is attacked.
+constexpr int64_t kAttackEveryNs = 60 * kNanosPerSecond;
+
+pipeline::Timing ToPipeline(const Timing& timing) {
+  return {.heartbeat_ns = absl::ToInt64Nanoseconds(timing.heartbeat),
+          .stale_ns = absl::ToInt64Nanoseconds(timing.stale),
+          .lost_ns = absl::ToInt64Nanoseconds(timing.lost),
+          .lease_ns = absl::ToInt64Nanoseconds(timing.lease),
+          .drain_lease_ns = absl::ToInt64Nanoseconds(timing.drain_lease),
+          .late_after_ns = absl::ToInt64Nanoseconds(timing.late_after),
+          .tick_ns = absl::ToInt64Nanoseconds(timing.tick),
+          .linger_ms = static_cast<uint32_t>(absl::ToInt64Milliseconds(timing.linger))};
+}
+
+}  // namespace
+
+Server::Server(const ServerConfig& config) : config_(config) {}
+
+Server::~Server() { Stop(); }
+
+absl::StatusOr<std::unique_ptr<Server>> Server::Start(const ServerConfig& config,
+                                                      const Pause& pause) {
+  std::unique_ptr<Server> server(new Server(config));
+  RIPS_RETURN_IF_ERROR(server->Open());
+  RIPS_RETURN_IF_ERROR(server->ServePage());
+  // Before the robots: their terms are drawn, and their sensors missed, only by a server that can
+  // be reached.
+  RIPS_RETURN_IF_ERROR(server->AwaitCredentials(pause));
+  RIPS_RETURN_IF_ERROR(server->AddRobots());
+  server->pipeline_->Start();
+  RIPS_RETURN_IF_ERROR(server->GuardPeers());
+  RIPS_RETURN_IF_ERROR(server->Listen());
+  return server;
+}
+
+absl::Status Server::Open() {
+  // Read again with the robots; what is malformed must not wait for certificates.
+  RIPS_ASSIGN_OR_RETURN(const std::string text, ReadConfigFile(config_.inventory));
+  RIPS_RETURN_IF_ERROR(bundle::ParseInventory(config_.inventory, text).status());
+  RIPS_ASSIGN_OR_RETURN(store_, store::SqliteStore::Open(config_.store_path));
+  RIPS_ASSIGN_OR_RETURN(alert_log_, store::AlertLog::Open(config_.alerts_file));
+  const Counter file_failures = metrics_.AddCounter(
+      "rips_alert_file_failures_total", "Attempts to write the alert file that failed.");
+  hub_ = std::make_unique<operator_api::Hub>(
+      store_.get(), alert_log_.get(),
+      operator_api::FeedCounts{.file_failures = [file_failures](uint64_t by) {
+        file_failures.Increment(static_cast<double>(by));
+      }});
+  committer_ = std::make_unique<store::Committer>(store_.get(), store::CommitterLimits(), &clock_);
+  alerts_ = std::make_unique<pipeline::ServerAlerts>(committer_.get(), hub_.get(), &clock_, NewId);
+  store_watch_ = std::make_unique<pipeline::StoreWatch>(committer_.get(), alerts_.get(), &clock_,
+                                                        config_.store_path, MakeStoreCounts());
+  RIPS_RETURN_IF_ERROR(OpenJail());
+  // Half the machine at most: scanning must not keep shards from judging. At least two, so that a
+  // robot whose scans are slow leaves one to the others.
+  const int threads = static_cast<int>(std::thread::hardware_concurrency()) / 2;
+  inspections_ = std::make_unique<inspect::InspectionPool>(
+      inspect::PoolOptions{.threads = std::max(2, threads)}, &clock_);
+  recorder_ = std::make_unique<pipeline::StoreRecorder>(store_.get(), committer_.get());
+  return absl::OkStatus();
+}
+
+absl::Status Server::AwaitCredentials(const Pause& pause) {
+  const auto attempt = [this]() -> absl::Status {
+    auto own = rpc::LoadOwn(config_.tls, [this](const rpc::PeerIdentity& self) -> absl::Status {
+      if (self.role == rpc::Role::kPolicyServer && self.name == config_.id &&
+          self.trust_domain == config_.trust_domain) {
+        return absl::OkStatus();
+      }
+      return absl::PermissionDeniedError(
+          absl::StrCat(config_.tls.cert, " is the certificate of ", rpc::ToString(self),
+                       ", not of spiffe://", config_.trust_domain, "/policy-server/", config_.id));
+    });
+    if (own.ok()) credentials_ = *own;
+    return own.status();
+  };
+  const absl::Status status = pause ? Await("a usable certificate", attempt, pause) : attempt();
+  // Somebody else's.
+  if (absl::IsPermissionDenied(status)) return absl::InvalidArgumentError(status.message());
+  return status;
+}
+
+absl::Status Server::ServePage() {
+  absl::Status taken;
+  absl::StatusOr<std::unique_ptr<MetricsPage>> page = MetricsPage::Start(
+      config_.metrics, &metrics_, [this] { return Readiness(); },
+      [&](const absl::Status& why) { taken = why; });
+  if (!page.ok()) return page.status();
+  page_ = *std::move(page);
+  if (!taken.ok()) OwnAlert(engine::Severity::kCritical, absl::StrCat(taken.message()));
+  return absl::OkStatus();
+}
+
+void Server::OwnAlert(engine::Severity severity, const std::string& text,
+                      std::source_location where) {
+  alerts_->Raise(std::string(store::kServerRobot), severity, text, "", where);
+}
+
+absl::Status Server::GuardConnections() {
+  const int agents = fleet_->agents();
+  rpc::AdmissionLimits limits = config_.connections;
+  // Each connection has two: gRPC's and the guard's.
+  const uint64_t wanted = 2 * static_cast<uint64_t>(limits.total) + kOtherDescriptors;
+  const uint64_t allowed = RaiseDescriptorLimit(wanted);
+  const int needed = 2 * agents + kOtherConnections;
+  if (limits.total < needed) {
+    return absl::FailedPreconditionError(
+        absl::StrCat("`connections.total` of ", limits.total, " is too low for the ", agents,
+                     " agents of ", config_.inventory, "; set it to ", needed, " or more"));
+  }
+  if (limits.per_address < kConnectionsOfAHost) {
+    LogWarning("`connections.per_address` is too low for a host with a sensor and an actuator",
+               {{"per_address", limits.per_address}, {"a_host_needs", kConnectionsOfAHost}});
+  }
+  if (allowed < wanted) {
+    limits.total = static_cast<int>((std::max(allowed, kOtherDescriptors) - kOtherDescriptors) / 2);
+    if (limits.total < needed) {
+      return absl::FailedPreconditionError(
+          absl::StrCat("the limit of ", allowed, " open files is too low for the ", agents,
+                       " agents of ", config_.inventory, "; set LimitNOFILE of the unit to ",
+                       2 * needed + kOtherDescriptors, " or more"));
+    }
+    limits.reserve = std::min(limits.reserve, limits.total / 4);
+    LogWarning("the limit of open files is too low for `connections.total`",
+               {{"limit", allowed}, {"wanted", wanted}, {"connections", limits.total}});
+  }
+  RIPS_ASSIGN_OR_RETURN(connections_,
+                        rpc::ConnectionGuard::Listen(
+                            config_.listen,
+                            {.admission = limits,
+                             .on_ended = [this](const auto& report) { OnConnectionEnded(report); }},
+                            &clock_, &metrics_));
+  return absl::OkStatus();
+}
+
+void Server::OnConnectionEnded(const rpc::ConnectionGuard::Report& report) {
+  if (report.banned_ns == 0) return;
+  {
+    MutexLock lock(&attack_mu_);
+    const int64_t now_ns = clock_.Now().boottime_ns;
+    // Each certificate has its minute, and all without one have one together.
+    std::erase_if(attack_told_,
+                  [&](const auto& told) { return now_ns - told.second >= kAttackEveryNs; });
+    if (!attack_told_.try_emplace(report.certificate, now_ns).second) return;
+  }
+  std::string what = "sent bytes of which nothing came";
+  if (report.excess == rpc::Excess::kCalls) what = "began calls without end";
+  if (report.excess == rpc::Excess::kRefused) what = "sent what no agent of ours sends";
+  OwnAlert(engine::Severity::kCritical,
+           absl::StrCat("the server is attacked: a connection from ", report.peer,
+                        report.certificate.empty()
+                            ? std::string(" without a certificate of ours")
+                            : absl::StrCat(" with the certificate of ", report.certificate),
+                        " ", what, "; it was ended and is banned for ",
+                        report.banned_ns / kNanosPerSecond,
+                        " s (more of this kind is only counted for a minute)"));
+}
+
+absl::Status Server::GuardPeers() {
+  RIPS_RETURN_IF_ERROR(GuardConnections());
+  RIPS_ASSIGN_OR_RETURN(bans_, operator_api::BanList::Load(store_.get()));
+  certificates_ = std::make_unique<rpc::CertificateMonitor>(
+      rpc::CertificateMonitor::Options{
+          .own = config_.tls, .notify = [this](const auto& notice) { OnCertificate(notice); }},
+      &clock_, &metrics_);
+  certificates_->Look();  // so that readiness is known from the start
+  gate_ = std::make_unique<rpc::CallGate>(
+      &clock_,
+      [this](const rpc::Peer& peer) {
+        const std::optional<rpc::Refusal> revoked = credentials_->Revoked(peer);
+        return revoked ? revoked : bans_->Against(peer);
+      },
+      &metrics_, connections_.get());
+  gate_->set_on_admitted([this](const rpc::Peer& peer) { certificates_->Seen(peer); });
+  revocation_problem_ = metrics_.AddGauge(
+      "rips_revocation_problem", "1 = the revocation lists are out of date or cannot be read.");
+  watch_ = std::make_unique<rpc::SessionWatch>(&clock_, absl::Milliseconds(500), gate_.get());
+  unread_ = std::make_unique<rpc::UnreadStreams>(
+      &clock_, &metrics_,
+      [this](const std::string& text) { OwnAlert(engine::Severity::kHigh, text); });
+  watch_->set_unread(unread_.get());
+  watch_->set_silence(std::max(rpc::SessionWatch::kSilence, 3 * config_.timing.lost));
+  watch_->set_before_look([this] { LookAtRevocations(); });
+  return absl::OkStatus();
+}
+
+void Server::LookAtRevocations() {
+  credentials_->Refresh();
+  const absl::Status problem =
+      credentials_->RevocationProblem(absl::FromUnixNanos(clock_.Now().unix_ns));
+  revocation_problem_.Set(problem.ok() ? 0 : 1);
+  {
+    MutexLock lock(&revocation_mu_);
+    if (revocation_told_ == problem.message()) return;
+    revocation_told_ = std::string(problem.message());
+  }
+  if (!problem.ok()) OwnAlert(engine::Severity::kCritical, std::string(problem.message()));
+}
+
+void Server::OnCertificate(const rpc::CertificateMonitor::Notice& notice) {
+  const engine::Severity severity = notice.stage == rpc::LifeStage::kThird
+                                        ? engine::Severity::kMedium
+                                    : notice.own ? engine::Severity::kCritical
+                                                 : engine::Severity::kHigh;
+  const std::string text = rpc::CertificateMonitor::Text(notice);
+  if (notice.own) return OwnAlert(severity, text);
+  const std::string& robot = notice.certificate.identity.robot;
+  if (robot.empty()) return;  // an operator's: logged
+  pipeline_
+      ->Post(robot, pipeline::Queue::kOrders,
+             [severity, text](pipeline::Robot& each) { each.Report(severity, text); })
+      .IgnoreError();  // not of ours
+}
+
+absl::Status Server::OpenJail() {
+  RIPS_ASSIGN_OR_RETURN(jail_, MakePluginJail(config_));
+  for (const std::string& missing : jail_.missing) {
+    LogWarning("containment of plugins is not complete", {{"why", missing}});
+  }
+  metrics_
+      .AddGauge("rips_containment_missing",
+                "Parts of the containment of plugins and scans that this machine cannot enforce.")
+      .Set(static_cast<double>(jail_.missing.size()));
+  return absl::OkStatus();
+}
+
+absl::StatusOr<pipeline::Policy> Server::LoadPolicy(const std::string& dir,
+                                                    const std::string& name) {
+  RIPS_ASSIGN_OR_RETURN(
+      bundle::Bundle loaded,
+      bundle::LoadBundle(dir, &clock_, {.plugin = {.contain = jail_.containment}}));
+  if (!name.empty() && loaded.manifest.name != name) {
+    return absl::InvalidArgumentError(absl::StrCat("its manifest calls it `", loaded.manifest.name,
+                                                   "`; the inventory wants `", name, "`"));
+  }
+  if (!loaded.warnings.empty()) {
+    // Rule text stays out of logs; `ripsctl rules check` shows it to its author.
+    LogWarning("rule compiler warnings", {{"bundle", dir}, {"warnings", loaded.warnings}});
+  }
+  LogInfo("bundle loaded", {{"bundle", loaded.manifest.name},
+                            {"id", loaded.id},
+                            {"rules", loaded.program->rules().rules.size()}});
+  std::shared_ptr<pipeline::Inspector> inspector;
+  if (loaded.inspections != nullptr) {
+    inspector = std::make_shared<PooledInspector>(inspections_.get(), loaded.inspections);
+  }
+  return pipeline::Policy{.program = loaded.program,
+                          .bundle_id = loaded.id,
+                          .start_level = loaded.start_level,
+                          .soft_hold_ns = absl::ToInt64Nanoseconds(loaded.manifest.soft_hold),
+                          .inspector = std::move(inspector),
+                          .interest = pipeline::MakeInterest(*loaded.program),
+                          .payload_limits = loaded.manifest.payload_limits};
+}
+
+pipeline::StoreCounts Server::MakeStoreCounts() {
+  const Gauge healthy =
+      metrics_.AddGauge("rips_store_healthy", "1 while the store can be written, else 0.");
+  const Counter failures =
+      metrics_.AddCounter("rips_store_failures_total", "Writes that the store could not make.");
+  return {.healthy = [healthy](bool ok) { healthy.Set(ok ? 1 : 0); },
+          .failures = [failures](uint64_t by) { failures.Increment(static_cast<double>(by)); }};
+}
+
+Gauge Server::ClockSkew(const std::string& robot, const std::string& host) {
+  return metrics_.AddGauge("rips_sensor_clock_skew_seconds",
+                           "Wall clock of the sensor minus the server's; NaN until estimated.",
+                           {{"robot", robot}, {"host", host}});
+}
+
+Counter Server::InspectionsSkipped(const std::string& reason) {
+  return metrics_.AddCounter("rips_inspections_skipped_total",
+                             "Inspections that rules needed and that were not made.",
+                             {{"reason", reason}});
+}
+
+pipeline::Counts Server::MakeCounts() {
+  for (const char* reason : pipeline::kSkipReasons) InspectionsSkipped(reason);
+  const auto counter = [this](const char* name, const char* help) {
+    const Counter made = metrics_.AddCounter(name, help);
+    return [made](uint64_t by) { made.Increment(static_cast<double>(by)); };
+  };
+  return {
+      .endpoints =
+          [this](const std::string& robot, const pipeline::EndpointCounts& counts) {
+            const auto set = [&](const char* visibility, size_t count) {
+              metrics_
+                  .AddGauge("rips_endpoints", "Endpoints on the robot, by what is seen of them.",
+                            {{"robot", robot}, {"visibility", visibility}})
+                  .Set(static_cast<double>(count));
+            };
+            set("watched", counts.watched);
+            set("not_needed", counts.not_needed);
+            set("not_visible", counts.not_visible);
+          },
+      .blind =
+          [this](const std::string& robot, size_t reasons) {
+            metrics_
+                .AddGauge("rips_blind_reasons",
+                          "Why a robot or an input of its sensors is not seen; 0 = it is.",
+                          {{"robot", robot}})
+                .Set(static_cast<double>(reasons));
+          },
+      .graph_left_out =
+          [this](const std::string& robot, uint64_t left_out, bool began) {
+            metrics_
+                .AddGauge("rips_graph_left_out",
+                          "Participants, nodes and endpoints left out of a robot's graph "
+                          "because of a limit; 0 = the graph is whole.",
+                          {{"robot", robot}})
+                .Set(static_cast<double>(left_out));
+            const Counter truncations =
+                metrics_.AddCounter("rips_graph_truncations_total",
+                                    "How often a robot's graph hit a limit.", {{"robot", robot}});
+            if (began) truncations.Increment();
+          },
+      .clock_skew =
+          [this](const std::string& robot, const std::string& host, int64_t ns) {
+            ClockSkew(robot, host).Set(static_cast<double>(ns) / kNanosPerSecond);
+          },
+      .inspections_skipped =
+          [this](const std::string& reason, uint64_t by) {
+            InspectionsSkipped(reason).Increment(static_cast<double>(by));
+          },
+      .observations_judged =
+          counter("rips_observations_judged_total", "Observations judged by rules."),
+      .observations_lost = counter("rips_observations_lost_total",
+                                   "Observations that sensors report or show as lost."),
+      .observations_duplicate = counter("rips_observations_duplicate_total",
+                                        "Observations received again and not judged again."),
+      .messages_unattributed =
+          counter("rips_messages_unattributed_total",
+                  "Writers whose messages were judged without a node, since the graph did not "
+                  "show them in time."),
+      .graphs_merged = counter("rips_graphs_merged_total",
+                               "Graphs judged together with the next one of their batch."),
+      .sessions_refused =
+          counter("rips_second_sessions_total",
+                  "Sessions refused because the agent of that certificate has a live one."),
+      .payloads_cut =
+          counter("rips_payloads_cut_total", "Messages whose payload was longer than its limit."),
+      .alerts = counter("rips_alerts_total", "Alerts raised."),
+      .alerts_lost = counter("rips_alerts_lost_total",
+                             "Alerts dropped while the store could not be written.")};
+}
+
+pipeline::PipelineReports Server::MakeReports() {
+  const Counter late = metrics_.AddCounter(
+      "rips_shard_late_total", "Times that a thread that judges was late by 500 ms or more.");
+  const Counter deferred = metrics_.AddCounter(
+      "rips_robots_deferred_total", "Times that a robot used more than its share for long.");
+  const Counter moved = metrics_.AddCounter(
+      "rips_robots_slow_total", "Times that a robot moved to the thread of slow robots.");
+  const auto lateness = [this](const std::string& thread) {
+    return metrics_.AddGauge("rips_shard_lateness_seconds",
+                             "How late a thread that judges was at most, in the last 10 to 20 s.",
+                             {{"shard", thread}});
+  };
+  lateness("slow").Set(0);  // on the page from the start
+  return {.late =
+              [this, late](const std::string& robot, int64_t late_ns) {
+                late.Increment();
+                OwnAlert(engine::Severity::kCritical,
+                         absl::StrCat("a thread that judges robots was late by ",
+                                      late_ns / kNanosPerMilli, " ms; ",
+                                      robot.empty() ? "no robot" : absl::StrCat("robot ", robot),
+                                      " used most of that time (told again after 10 s in time)"));
+              },
+          .deferred =
+              [this, deferred](const std::string& robot) {
+                deferred.Increment();
+                alerts_->Raise(
+                    robot, engine::Severity::kHigh,
+                    absl::StrCat("robot ", robot, " uses more than its share of the server (",
+                                 absl::FormatDuration(config_.fairness.cpu_per_second),
+                                 " of processor a second): what its agents send waits, and rules "
+                                 "lower no level of ",
+                                 robot, " meanwhile (told again after a minute without)"));
+              },
+          .moved =
+              [moved](const std::string& robot, bool slow) {
+                if (slow) moved.Increment();
+                LogInfo(slow ? "robot moves to the thread of slow robots"
+                             : "robot returns from the thread of slow robots",
+                        {{"robot", robot}});
+              },
+          .refused =
+              [this, counter = metrics_.AddCounter(
+                         "rips_backlog_refused_total",
+                         "Streams and calls refused because too much of a robot waits.")](
+                  const std::string& robot) {
+                counter.Increment();
+                OnRefused(robot);
+              },
+          .waited =
+              [this](const std::string& robot, int64_t longest_ns) {
+                metrics_
+                    .AddGauge("rips_robot_wait_seconds",
+                              "Longest wait of what was sent to a robot's thread, in one second.",
+                              {{"robot", robot}})
+                    .Set(static_cast<double>(longest_ns) / kNanosPerSecond);
+              },
+          .lateness =
+              [lateness](const std::string& thread, int64_t longest_ns) {
+                lateness(thread).Set(static_cast<double>(longest_ns) / kNanosPerSecond);
+              }};
+}
+
+void Server::OnRefused(const std::string& robot) {
+  {
+    MutexLock lock(&attack_mu_);
+    const int64_t now_ns = clock_.Now().boottime_ns;
+    const auto [at, fresh] = refused_told_ns_.try_emplace(robot, now_ns);
+    if (!fresh && now_ns - at->second < kAttackEveryNs) return;
+    at->second = now_ns;
+  }
+  alerts_->Raise(robot, engine::Severity::kHigh,
+                 absl::StrCat("peers of robot ", robot,
+                              " send more than can be judged: a stream was closed (more of this "
+                              "is only counted for a minute)"));
+}
+
+std::shared_ptr<operator_api::CallerQuota> Server::MakeQuota() {
+  const Counter refused = metrics_.AddCounter(
+      "rips_quota_refused_total", "Calls of operators refused because their quota was used up.");
+  operator_api::QuotaLimits limits;
+  limits.streams.at_a_time = config_.operators.streams;
+  limits.queries.at_a_time = config_.operators.calls;
+  limits.queries.per_second = config_.operators.calls_per_second;
+  limits.queries.burst = 2 * limits.queries.per_second;
+  return operator_api::CallerQuota::Create(&clock_, limits, [refused] { refused.Increment(); });
+}
+
+absl::Status Server::AddRobots() {
+  RIPS_RETURN_IF_ERROR(recorder_->BeginGeneration(absl::HexStringToBytes(NewId())));
+  const int shards = config_.shards > 0
+                         ? config_.shards
+                         : static_cast<int>(std::clamp(std::thread::hardware_concurrency(), 1u,
+                                                       static_cast<unsigned>(kShardsMax)));
+  const Fairness& fairness = config_.fairness;
+  pipeline_ = std::make_unique<pipeline::Pipeline>(
+      shards, &clock_,
+      pipeline::PipelineLimits{
+          .cpu_per_second_ns = absl::ToInt64Nanoseconds(fairness.cpu_per_second),
+          .cpu_burst_ns = absl::ToInt64Nanoseconds(fairness.cpu_burst),
+          .long_task_ns = absl::ToInt64Nanoseconds(fairness.long_task)},
+      MakeReports());
+  const auto robots = [this](const char* policy, size_t count) {
+    metrics_
+        .AddGauge("rips_robots", "Robots of the inventory, by the policy that judges them.",
+                  {{"policy", policy}})
+        .Set(static_cast<double>(count));
+  };
+  const pipeline::Counts counts = MakeCounts();
+  fleet_ = std::make_unique<Fleet>(
+      FleetOptions{.inventory = config_.inventory,
+                   .bundles_source = config_.bundles_source,
+                   .bundles_dir = config_.bundles_dir,
+                   .timing = ToPipeline(config_.timing)},
+      store_.get(), pipeline_.get(), alerts_.get(),
+      [this](const std::string& dir, const std::string& name) { return LoadPolicy(dir, name); },
+      pipeline::Ports{
+          .recorder = recorder_.get(), .audience = hub_.get(), .counts = counts, .new_id = NewId},
+      FleetCounts{
+          .robots =
+              [robots](size_t armed, size_t on_last_good, size_t held) {
+                robots("current", armed);
+                robots("last_good", on_last_good);
+                robots("none", held);
+              },
+          .listed =
+              [this, counts](const bundle::InventoryRobot& robot) {
+                counts.endpoints(robot.id, {});
+                for (const bundle::InventorySensor& sensor : robot.sensors) {
+                  ClockSkew(robot.id, sensor.host).Set(std::numeric_limits<double>::quiet_NaN());
+                }
+              }});
+  return fleet_->Start();
+}
+
+absl::Status Server::Listen() {
+  const auto malformed = [this](const char* agent) {
+    return metrics_.AddCounter("rips_malformed_total", "Messages of agents refused as malformed.",
+                               {{"agent", agent}});
+  };
+  const auto streams = [this](const char* agent) {
+    return metrics_.AddCounter("rips_streams_total", "Streams opened by agents.",
+                               {{"agent", agent}});
+  };
+  const wire_limits::LimitCounters fields_refused(&metrics_);
+  sensors_ = std::make_unique<ingest::SensorService>(
+      pipeline_.get(), watch_.get(),
+      ingest::IngestMetrics{.malformed = malformed("sensor"),
+                            .streams = streams("sensor"),
+                            .interests_refused = metrics_.AddCounter(
+                                "rips_interests_refused_total",
+                                "Lists of wanted payloads that sensors could not apply."),
+                            .fields_refused = fields_refused});
+  actuators_ = std::make_unique<dispatch::ActuatorService>(
+      pipeline_.get(), watch_.get(),
+      dispatch::DispatchMetrics{
+          .malformed = malformed("actuator"),
+          .streams = streams("actuator"),
+          .commands = metrics_.AddCounter("rips_commands_total", "Commands sent to actuators."),
+          .fields_refused = fields_refused});
+  operators_ = std::make_unique<operator_api::OperatorService>(
+      pipeline_.get(), store_.get(), hub_.get(),
+      operator_api::OperatorService::Access{
+          .watch = watch_.get(),
+          .bans = bans_.get(),
+          .certificates = certificates_.get(),
+          .fields_refused = fields_refused,
+          .on_refused_field =
+              [this](const rpc::Peer& peer, const auto& address, const auto& what) {
+                OwnAlert(engine::Severity::kHigh,
+                         absl::StrCat(rpc::Describe(peer), " at ", address,
+                                      " sent a request past a limit: ", what, "; it was refused"));
+              },
+          .quota = MakeQuota(),
+          .store_writable = [this] { return committer_->healthy(); }});
+  RIPS_ASSIGN_OR_RETURN(
+      rpc_, rpc::RpcServer::Start({.listen = config_.listen,
+                                   .guard = connections_.get(),
+                                   .credentials = credentials_->ForServer()},
+                                  {sensors_.get(), actuators_.get(), operators_.get()}));
+  listening_ = true;
+  LogInfo("listening", {{"address", rpc_->address()}, {"metrics", page_->address()}});
+  return absl::OkStatus();
+}
+
+absl::Status Server::Readiness() const {
+  if (!listening_) return absl::UnavailableError("waiting for a usable certificate");
+  RIPS_RETURN_IF_ERROR(certificates_->own_status());
+  RIPS_RETURN_IF_ERROR(connections_->Probe(kProbePatience));
+  const absl::Status health = committer_->health();
+  if (health.ok()) return absl::OkStatus();
+  return absl::UnavailableError(
+      absl::StrCat("the store ", config_.store_path, " cannot be written: ", health.message()));
+}
+
+void Server::Reload() {
+  if (const absl::Status status = alert_log_->Reopen(); !status.ok()) {
+    LogError("alert file not reopened", {{"reason", status.message()}});
+  }
+  fleet_->Reload();
+}
+
+void Server::Stop() {
+  if (std::exchange(stopped_, true) || pipeline_ == nullptr) return;
+  if (rpc_ != nullptr) {
+    LogInfo("stopping");
+    rpc_->SetServing(false);
+    for (const std::string& robot :
+         pipeline_->ForEach([](pipeline::Robot& each) { each.Drain(); })) {
+      LogWarning("robot not drained in time; its lease is the last one it was given",
+                 {{"robot", robot}});
+    }
+    watch_->CloseAll(grpc::Status(grpc::StatusCode::UNAVAILABLE, "the server is stopping"));
+    rpc_->Shutdown(kShutdownGrace);
+  }
+  // What is still being inspected is judged by whoever gets it again.
+  pipeline_->Stop();
+  inspections_->Stop();
+  // Its last alerts are written with the rest.
+  store_watch_.reset();
+  committer_->Stop();
+  hub_->feed().Stop();
+}
+
+}  // namespace rips::server

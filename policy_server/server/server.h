@@ -1,0 +1,138 @@
+// The policy server, wired: the order of members is the order of start, and in reverse of stop.
+#ifndef RIPS_POLICY_SERVER_SERVER_SERVER_H_
+#define RIPS_POLICY_SERVER_SERVER_SERVER_H_
+
+#include <atomic>
+#include <functional>
+#include <memory>
+#include <source_location>
+#include <string>
+
+#include "absl/base/thread_annotations.h"
+#include "absl/container/btree_map.h"
+#include "absl/status/status.h"
+#include "absl/status/statusor.h"
+#include "policy_server/policy/bundle/bundle.h"
+#include "policy_server/policy/inspect/inspection_pool.h"
+#include "policy_server/server/config/config.h"
+#include "policy_server/server/dispatch/actuator_service.h"
+#include "policy_server/server/fleet.h"
+#include "policy_server/server/ingest/sensor_service.h"
+#include "policy_server/server/operator_api/ban_list.h"
+#include "policy_server/server/operator_api/hub.h"
+#include "policy_server/server/operator_api/operator_service.h"
+#include "policy_server/server/plugin_jail.h"
+#include "policy_server/server/shard/pipeline.h"
+#include "policy_server/server/shard/server_alerts.h"
+#include "policy_server/server/shard/store_recorder.h"
+#include "policy_server/server/shard/store_watch.h"
+#include "policy_server/server/store/alert_log.h"
+#include "policy_server/server/store/committer.h"
+#include "policy_server/server/store/sqlite_store.h"
+#include "services/rpc/call_gate.h"
+#include "services/rpc/certificate_monitor.h"
+#include "services/rpc/connection_guard.h"
+#include "services/rpc/credentials.h"
+#include "services/rpc/server_builder.h"
+#include "services/rpc/session_watch.h"
+#include "services/rpc/unread_streams.h"
+#include "services/runtime/metrics.h"
+#include "services/runtime/mutex.h"
+#include "services/runtime/real_clock.h"
+
+namespace rips::server {
+
+class Server {
+ public:
+  // Waits so long; true ends the wait for good.
+  using Pause = std::function<bool(absl::Duration)>;
+  // Reads inventory, bundles and the store, serves /metrics, waits for usable certificates, then
+  // listens. Every error names the file and the remedy; InvalidArgument: no waiting mends it.
+  // Cancelled: `pause` ended the wait; without one nothing is waited for.
+  static absl::StatusOr<std::unique_ptr<Server>> Start(const ServerConfig& config,
+                                                       const Pause& pause = nullptr);
+  // As Stop.
+  ~Server();
+
+  // Reads inventory and bundles anew (Fleet) and opens the alert file anew.
+  void Reload();
+  // Grants long leases, ends all streams, makes everything durable. Idempotent.
+  void Stop();
+
+  // `listen` with the real port.
+  const std::string& address() const { return rpc_->address(); }
+
+ private:
+  explicit Server(const ServerConfig& config);
+  absl::Status Open();
+  absl::Status ServePage();
+  absl::Status AwaitCredentials(const Pause& pause);
+  // Judges peers, and watches certificates, our own among them.
+  absl::Status GuardPeers();
+  absl::Status GuardConnections();
+  void OnConnectionEnded(const rpc::ConnectionGuard::Report& report);
+  // RIPS's own alert that is no robot's: of robot `(server)`. Any thread.
+  // Each caller is a kind, for the limit.
+  void OwnAlert(engine::Severity severity, const std::string& text,
+                std::source_location where = std::source_location::current());
+  void OnCertificate(const rpc::CertificateMonitor::Notice& notice);
+  // Reads the revocation lists if they have changed, and says what is wrong with them.
+  void LookAtRevocations();
+  absl::Status OpenJail();
+  // `name` empty: whatever the manifest calls it.
+  absl::StatusOr<pipeline::Policy> LoadPolicy(const std::string& dir, const std::string& name);
+  absl::Status AddRobots();
+  absl::Status Listen();
+  Gauge ClockSkew(const std::string& robot, const std::string& host);
+  Counter InspectionsSkipped(const std::string& reason);
+  pipeline::Counts MakeCounts();
+  pipeline::StoreCounts MakeStoreCounts();
+  pipeline::PipelineReports MakeReports();
+  // The robot's peers sent more than could be judged, and were refused.
+  void OnRefused(const std::string& robot) ABSL_LOCKS_EXCLUDED(attack_mu_);
+  std::shared_ptr<operator_api::CallerQuota> MakeQuota();
+  absl::Status Readiness() const;
+
+  const ServerConfig config_;
+  RealClock clock_;
+  Metrics metrics_;
+  std::shared_ptr<const rpc::Credentials> credentials_;
+  // What plugins and scanners run in.
+  PluginJail jail_;
+  // After what plugins and scanners answer to, before what asks them.
+  std::unique_ptr<inspect::InspectionPool> inspections_;
+  std::unique_ptr<store::SqliteStore> store_;
+  std::unique_ptr<store::AlertLog> alert_log_;
+  std::unique_ptr<operator_api::Hub> hub_;
+  std::unique_ptr<store::Committer> committer_;
+  std::unique_ptr<pipeline::ServerAlerts> alerts_;
+  std::unique_ptr<pipeline::StoreWatch> store_watch_;
+  std::unique_ptr<pipeline::StoreRecorder> recorder_;
+  std::unique_ptr<pipeline::Pipeline> pipeline_;
+  std::unique_ptr<Fleet> fleet_;
+  std::unique_ptr<operator_api::BanList> bans_;
+  std::unique_ptr<rpc::CertificateMonitor> certificates_;
+  std::unique_ptr<rpc::ConnectionGuard> connections_;
+  std::unique_ptr<rpc::CallGate> gate_;
+  Mutex attack_mu_;
+  // Certificate (empty: none) -> when its attack was told.
+  std::map<std::string, int64_t> attack_told_ ABSL_GUARDED_BY(attack_mu_);
+  // By robot of the inventory: when it was said last that its peers are refused.
+  absl::btree_map<std::string, int64_t> refused_told_ns_ ABSL_GUARDED_BY(attack_mu_);
+  Gauge revocation_problem_;
+  Mutex revocation_mu_;
+  std::string revocation_told_ ABSL_GUARDED_BY(revocation_mu_);
+  std::unique_ptr<rpc::UnreadStreams> unread_;
+  std::unique_ptr<rpc::SessionWatch> watch_;
+  std::unique_ptr<ingest::SensorService> sensors_;
+  std::unique_ptr<dispatch::ActuatorService> actuators_;
+  std::unique_ptr<operator_api::OperatorService> operators_;
+  std::unique_ptr<rpc::RpcServer> rpc_;
+  std::atomic<bool> listening_ = false;
+  std::unique_ptr<MetricsPage> page_;
+  bool stopped_ = false;
+};
+
+}  // namespace rips::server
+
+#endif  // RIPS_POLICY_SERVER_SERVER_SERVER_H_

@@ -1,0 +1,147 @@
+#include "policy_server/server/store/alert_log.h"
+
+#include <fcntl.h>
+#include <sys/stat.h>
+#include <unistd.h>
+
+#include <cerrno>
+#include <cstring>
+#include <nlohmann/json.hpp>
+#include <utility>
+
+#include "absl/strings/str_cat.h"
+#include "absl/time/time.h"
+#include "services/base/status_macros.h"
+
+namespace rips::store {
+namespace {
+
+absl::Status FromErrno(const std::string& doing) {
+  const std::string text = absl::StrCat(doing, ": ", std::strerror(errno));
+  if (errno == ENOSPC || errno == EDQUOT || errno == EFBIG) {
+    return absl::ResourceExhaustedError(text);
+  }
+  return absl::UnavailableError(text);
+}
+
+// Longer than any line of ours.
+constexpr off_t kTailBytesMax = 4 << 20;
+
+// The end of the file, at most kTailBytesMax; shorter if it cannot be read.
+std::string ReadTail(int fd, off_t size) {
+  const off_t from = size > kTailBytesMax ? size - kTailBytesMax : 0;
+  std::string tail(static_cast<size_t>(size - from), '\0');
+  size_t done = 0;
+  while (done < tail.size()) {
+    const ssize_t got =
+        pread(fd, tail.data() + done, tail.size() - done, from + static_cast<off_t>(done));
+    if (got < 0 && errno == EINTR) continue;
+    if (got <= 0) break;
+    done += static_cast<size_t>(got);
+  }
+  tail.resize(done);
+  return tail;
+}
+
+}  // namespace
+
+std::string FormatAlertLine(const AlertRecord& alert) {
+  nlohmann::ordered_json line;
+  line["id"] = alert.id;
+  line["time"] = absl::FormatTime("%Y-%m-%dT%H:%M:%E9SZ", absl::FromUnixNanos(alert.time_unix_ns),
+                                  absl::UTCTimeZone());
+  line["robot"] = alert.robot;
+  line["rule"] = alert.rule;
+  line["severity"] = alert.severity;
+  line["text"] = alert.text;
+  line["level"] = alert.level;
+  line["event"] = alert.event;
+  line["mark"] = ToString(alert.mark);
+  return line.dump(-1, ' ', /*ensure_ascii=*/true, nlohmann::json::error_handler_t::replace);
+}
+
+absl::StatusOr<std::unique_ptr<AlertLog>> AlertLog::Open(const std::string& path) {
+  std::unique_ptr<AlertLog> log(new AlertLog(path));
+  RIPS_RETURN_IF_ERROR(log->Reopen());
+  return log;
+}
+
+AlertLog::~AlertLog() {
+  if (fd_ >= 0) close(fd_);
+}
+
+absl::Status AlertLog::Reopen() {
+  MutexLock lock(&mutex_);
+  return OpenLocked();
+}
+
+absl::Status AlertLog::OpenLocked() {
+  // Readable, because the last byte tells whether the last line is whole.
+  const int fd = open(path_.c_str(), O_RDWR | O_APPEND | O_CREAT | O_CLOEXEC | O_NOCTTY, 0640);
+  if (fd < 0) return FromErrno(absl::StrCat("opening alert file `", path_, "`"));
+  struct stat info = {};
+  if (fstat(fd, &info) != 0 || !S_ISREG(info.st_mode)) {
+    close(fd);
+    return absl::UnavailableError(absl::StrCat("alert file `", path_, "` is not a regular file"));
+  }
+  if (fd_ >= 0) close(fd_);
+  fd_ = fd;
+  torn_ = false;
+  const std::string tail = ReadTail(fd, info.st_size);
+  if (!tail.empty() && tail.back() != '\n') {
+    const size_t whole = tail.rfind('\n');
+    const size_t cut = whole == std::string::npos ? tail.size() : tail.size() - whole - 1;
+    CutLocked(info.st_size - static_cast<off_t>(cut));
+  }
+  return absl::OkStatus();
+}
+
+void AlertLog::CutLocked(off_t size) { torn_ = ftruncate(fd_, size) != 0; }
+
+absl::StatusOr<std::string> AlertLog::LastId() {
+  MutexLock lock(&mutex_);
+  struct stat info = {};
+  if (fstat(fd_, &info) != 0) return FromErrno(absl::StrCat("reading alert file `", path_, "`"));
+  std::string tail = ReadTail(fd_, info.st_size);
+  if (!tail.empty() && tail.back() == '\n') tail.pop_back();
+  const size_t before = tail.rfind('\n');
+  const auto line = nlohmann::json::parse(
+      before == std::string::npos ? tail : tail.substr(before + 1), nullptr, false);
+  if (!line.is_object() || !line.contains("id") || !line["id"].is_string()) return std::string();
+  return line["id"].get<std::string>();
+}
+
+bool AlertLog::MovedLocked() const {
+  struct stat by_path = {};
+  struct stat by_fd = {};
+  if (stat(path_.c_str(), &by_path) != 0 || fstat(fd_, &by_fd) != 0) return true;
+  return by_path.st_dev != by_fd.st_dev || by_path.st_ino != by_fd.st_ino;
+}
+
+absl::Status AlertLog::Append(std::span<const AlertRecord> alerts) {
+  if (alerts.empty()) return absl::OkStatus();
+  std::string text;
+  for (const AlertRecord& alert : alerts) absl::StrAppend(&text, FormatAlertLine(alert), "\n");
+
+  MutexLock lock(&mutex_);
+  if (MovedLocked()) RIPS_RETURN_IF_ERROR(OpenLocked());
+  if (torn_) text.insert(text.begin(), '\n');
+  struct stat before = {};
+  const bool sized = fstat(fd_, &before) == 0;
+  size_t done = 0;
+  while (done < text.size()) {
+    const ssize_t wrote = write(fd_, text.data() + done, text.size() - done);
+    if (wrote < 0 && errno == EINTR) continue;
+    if (wrote < 0) {
+      const absl::Status status = FromErrno(absl::StrCat("writing alert file `", path_, "`"));
+      if (done > 0) torn_ = text[done - 1] != '\n';
+      if (done > 0 && sized) CutLocked(before.st_size);
+      return status;
+    }
+    done += static_cast<size_t>(wrote);
+  }
+  torn_ = false;
+  return absl::OkStatus();
+}
+
+}  // namespace rips::store

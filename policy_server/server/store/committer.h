@@ -1,0 +1,111 @@
+// Makes what many threads write durable with as few disk flushes as can be: whatever was submitted
+// while the last transaction was flushed goes into the next one.
+//
+// One thread of its own. Order: batches are applied, and their callbacks called, in the order of
+// Submit. Nothing is tried twice: the caller is told and decides. PutFirst alone is kept until it
+// is written, before everything else.
+#ifndef RIPS_POLICY_SERVER_SERVER_STORE_COMMITTER_H_
+#define RIPS_POLICY_SERVER_SERVER_STORE_COMMITTER_H_
+
+#include <atomic>
+#include <cstddef>
+#include <cstdint>
+#include <deque>
+#include <thread>
+#include <vector>
+
+#include "absl/base/thread_annotations.h"
+#include "absl/functional/any_invocable.h"
+#include "absl/status/status.h"
+#include "policy_server/server/store/store.h"
+#include "services/base/clock.h"
+#include "services/runtime/bounded_queue.h"
+#include "services/runtime/mutex.h"
+
+namespace rips::store {
+
+struct CommitterLimits {
+  // Batches waiting; one more is refused. At the group size below, 16 flushes of waiting.
+  size_t waiting_max = 4'096;
+  // Batches in one transaction; bounds how long the first of them waits for its callback.
+  size_t group_max = 256;
+  // A transaction that takes longer is an outage: a disk that hangs fails nobody's call.
+  int64_t hang_ns = 5 * kNanosPerSecond;
+  // Of PutFirst; the oldest go first, and are counted.
+  size_t first_max = 1'000;
+};
+
+class Committer {
+ public:
+  // Called once, on the committer's thread, with what became of the batch. Must not block, must not
+  // call Submit in a loop that waits for itself, must not destroy the Committer.
+  using Done = absl::AnyInvocable<void(const absl::Status&) &&>;
+
+  // Starts the thread. `store` and `clock` are not owned and outlive this. Without a clock nothing
+  // is taken for hanging.
+  explicit Committer(Store* store, CommitterLimits limits = {}, const Clock* clock = nullptr);
+  // As Stop.
+  ~Committer();
+  Committer(const Committer&) = delete;
+  Committer& operator=(const Committer&) = delete;
+
+  // Any thread; never blocks on the disk. If this is not OK, `done` is not called:
+  // ResourceExhausted when too many batches wait (counted in refused()), FailedPrecondition after
+  // Stop.
+  absl::Status Submit(WriteBatch batch, Done done);
+
+  // The batch is written before all that waits, and again until it has been: then `done` is called,
+  // with OK, or with InvalidArgument or AlreadyExists if it will never do. For what must not be
+  // lost in an outage. Any thread; never blocks on the disk.
+  void PutFirst(WriteBatch batch, Done done) ABSL_LOCKS_EXCLUDED(mu_);
+
+  // Commits what waits, calls the callbacks, ends the thread. Any thread but the committer's; later
+  // calls do nothing.
+  void Stop();
+
+  // Not OK, with the reason, from a transaction that the store could not write until the next one
+  // that it could, and while one takes longer than hang_ns. A batch refused for what it says
+  // (InvalidArgument, AlreadyExists) does not count, nor does a write from the reserve alone.
+  absl::Status health() const ABSL_LOCKS_EXCLUDED(mu_);
+  bool healthy() const { return health().ok(); }
+  // Transactions that the store could not write.
+  uint64_t failures() const { return failures_.load(); }
+  // Batches of PutFirst that were dropped because too many waited.
+  uint64_t first_dropped() const { return first_dropped_.load(); }
+  // Batches refused because too many waited.
+  uint64_t refused() const { return queue_.dropped(); }
+  size_t waiting() const { return queue_.size(); }
+
+ private:
+  struct Item {
+    WriteBatch batch;
+    Done done;
+  };
+
+  void Run();
+  void CommitGroup(std::vector<Item> items);
+  // Of PutFirst.
+  std::vector<Item> TakeFirst() ABSL_LOCKS_EXCLUDED(mu_);
+  void PutBack(std::vector<Item> first) ABSL_LOCKS_EXCLUDED(mu_);
+  absl::Status Commit(const std::vector<WriteBatch>& batches) ABSL_LOCKS_EXCLUDED(mu_);
+  void TakeVerdict(const absl::Status& status) ABSL_LOCKS_EXCLUDED(mu_);
+
+  Store* store_;  // Not owned; outlives this.
+  const CommitterLimits limits_;
+  BoundedQueue<Item> queue_;
+  const Clock* clock_;  // Not owned; may be null.
+  mutable Mutex mu_;
+  // The last transaction's.
+  absl::Status verdict_ ABSL_GUARDED_BY(mu_);
+  // When the one that runs began; 0 = none runs.
+  int64_t began_ns_ ABSL_GUARDED_BY(mu_) = 0;
+  std::deque<Item> first_ ABSL_GUARDED_BY(mu_);
+  std::atomic<uint64_t> failures_ = 0;
+  std::atomic<uint64_t> first_dropped_ = 0;
+  std::atomic<bool> stopped_ = false;
+  std::thread thread_;
+};
+
+}  // namespace rips::store
+
+#endif  // RIPS_POLICY_SERVER_SERVER_STORE_COMMITTER_H_

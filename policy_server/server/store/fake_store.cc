@@ -1,0 +1,331 @@
+#include "policy_server/server/store/fake_store.h"
+
+#include <algorithm>
+#include <variant>
+
+#include "absl/strings/match.h"
+#include "services/base/status_macros.h"
+
+namespace rips::store {
+namespace {
+
+TransitionRecord ToTransition(const DecisionRecord& decision) {
+  return {.id = decision.id,
+          .robot = decision.robot,
+          .time_unix_ns = decision.time_unix_ns,
+          .from = decision.from,
+          .to = decision.to,
+          .cause = decision.cause,
+          .reason = decision.reason,
+          .mark = decision.mark,
+          .based_on = decision.based_on,
+          .stage = "requested"};
+}
+
+TransitionRecord ToTransition(const RefusalRecord& refusal) {
+  return {.id = refusal.id,
+          .robot = refusal.robot,
+          .time_unix_ns = refusal.time_unix_ns,
+          .from = refusal.from,
+          .to = refusal.to,
+          .cause = refusal.cause,
+          .reason = refusal.reason,
+          .refused = true,
+          .count = refusal.count};
+}
+
+template <typename Record>
+std::vector<Record> Newest(const std::vector<Record>& records, absl::string_view robot,
+                           uint32_t limit) {
+  std::vector<Record> out;
+  for (auto it = records.rbegin(); it != records.rend() && out.size() < ListLimit(limit); ++it) {
+    if (robot.empty() || it->robot == robot) out.push_back(*it);
+  }
+  return out;
+}
+
+std::vector<RuleDecision> RuleDecisions(const std::vector<TransitionRecord>& transitions,
+                                        absl::string_view robot, const Mark& after) {
+  std::vector<RuleDecision> out;
+  for (const TransitionRecord& each : transitions) {
+    if (each.robot != robot || each.refused || each.mark <= after) continue;
+    if (!absl::StartsWith(each.cause, "rule ")) continue;
+    out.push_back({each.mark, each.from, each.to, each.time_unix_ns});
+  }
+  std::sort(out.begin(), out.end(), [](const auto& a, const auto& b) { return a.mark < b.mark; });
+  if (out.size() > kRuleDecisionsMax) out.erase(out.begin(), out.end() - kRuleDecisionsMax);
+  return out;
+}
+
+}  // namespace
+
+void FakeStore::FailWrites(absl::Status status) {
+  MutexLock lock(&mutex_);
+  write_status_ = std::move(status);
+}
+
+void FakeStore::FillDisk(bool full) {
+  MutexLock lock(&mutex_);
+  full_ = full;
+}
+
+void FakeStore::FailReads(absl::Status status) {
+  MutexLock lock(&mutex_);
+  read_status_ = std::move(status);
+}
+
+void FakeStore::OnCommit(std::function<void()> hook) {
+  MutexLock lock(&mutex_);
+  on_commit_ = std::move(hook);
+}
+
+std::vector<size_t> FakeStore::commit_sizes() const {
+  MutexLock lock(&mutex_);
+  return commit_sizes_;
+}
+
+absl::StatusOr<RobotRecord> FakeStore::Load(absl::string_view robot) {
+  MutexLock lock(&mutex_);
+  RIPS_RETURN_IF_ERROR(read_status_);
+  auto it = state_.robots.find(robot);
+  if (it == state_.robots.end()) return RobotRecord{};
+  RobotRecord record = it->second;
+  record.rule_decisions = RuleDecisions(state_.transitions, robot, record.resumed_at);
+  return record;
+}
+
+absl::StatusOr<uint64_t> FakeStore::NextTerm(absl::string_view robot, uint64_t above) {
+  MutexLock lock(&mutex_);
+  RIPS_RETURN_IF_ERROR(write_status_);
+  RobotRecord& record = state_.robots[std::string(robot)];
+  record.highest_term = std::max(record.highest_term, std::min(above, kTermAboveMax)) + 1;
+  return record.highest_term;
+}
+
+absl::StatusOr<std::optional<std::string>> FakeStore::FindDecision(absl::string_view robot,
+                                                                   const Mark& mark) {
+  MutexLock lock(&mutex_);
+  RIPS_RETURN_IF_ERROR(read_status_);
+  for (const TransitionRecord& each : state_.transitions) {
+    if (each.robot == robot && !each.refused && each.mark == mark) return each.to;
+  }
+  return std::nullopt;
+}
+
+absl::Status FakeStore::BeginGeneration(absl::string_view id) {
+  MutexLock lock(&mutex_);
+  RIPS_RETURN_IF_ERROR(write_status_);
+  RIPS_RETURN_IF_ERROR(CheckGeneration(id));
+  std::vector<Generation>& generations = state_.generations;
+  for (const Generation& known : generations) {
+    if (known.id == id) return absl::AlreadyExistsError("the store has this generation");
+  }
+  const uint64_t commit = generations.empty() ? 0 : generations.back().last_commit;
+  generations.push_back({.id = std::string(id), .last_commit = commit});
+  if (generations.size() > kGenerationsMax) generations.erase(generations.begin());
+  return absl::OkStatus();
+}
+
+absl::StatusOr<std::vector<Generation>> FakeStore::Generations() {
+  MutexLock lock(&mutex_);
+  RIPS_RETURN_IF_ERROR(read_status_);
+  return state_.generations;
+}
+
+uint64_t FakeStore::newest_commit() const {
+  MutexLock lock(&mutex_);
+  return state_.generations.empty() ? 0 : state_.generations.back().last_commit;
+}
+
+absl::Status FakeStore::CommitAll(std::span<const WriteBatch> batches) {
+  std::function<void()> hook;
+  {
+    MutexLock lock(&mutex_);
+    hook = on_commit_;
+  }
+  if (hook) hook();
+  MutexLock lock(&mutex_);
+  RIPS_RETURN_IF_ERROR(write_status_);
+  if (full_ && !std::all_of(batches.begin(), batches.end(),
+                            [](const WriteBatch& batch) { return batch.uses_reserve; })) {
+    return absl::ResourceExhaustedError("the disk is full");
+  }
+  State next = state_;
+  for (const WriteBatch& batch : batches) {
+    RIPS_RETURN_IF_ERROR(Validate(batch));
+    RIPS_RETURN_IF_ERROR(next.Apply(batch));
+  }
+  if (!next.generations.empty()) ++next.generations.back().last_commit;
+  state_ = std::move(next);
+  commit_sizes_.push_back(batches.size());
+  return absl::OkStatus();
+}
+
+absl::Status FakeStore::State::Apply(const WriteBatch& batch) {
+  for (const DecisionRecord& decision : batch.decisions) RIPS_RETURN_IF_ERROR(Apply(decision));
+  for (const RefusalRecord& refusal : batch.refusals) RIPS_RETURN_IF_ERROR(Apply(refusal));
+  for (const StageUpdate& update : batch.stages) Apply(update);
+  for (const AlertRecord& alert : batch.alerts) RIPS_RETURN_IF_ERROR(Apply(alert));
+  for (const Checkpoint& checkpoint : batch.checkpoints) Apply(checkpoint);
+  return absl::OkStatus();
+}
+
+absl::Status FakeStore::State::Apply(const DecisionRecord& decision) {
+  for (const TransitionRecord& known : transitions) {
+    const bool same_mark = known.robot == decision.robot && known.mark == decision.mark;
+    if (!same_mark && known.id != decision.id) continue;
+    TransitionRecord stored = known;
+    stored.stage = "requested";
+    stored.detail.clear();
+    if (stored == ToTransition(decision)) return absl::OkStatus();
+    return absl::AlreadyExistsError("the mark or id names another decision");
+  }
+  transitions.push_back(ToTransition(decision));
+  RobotRecord& robot = robots[decision.robot];
+  robot.highest_term = std::max(robot.highest_term, decision.mark.term);
+  if (decision.mark > robot.mark) {
+    robot.mark = decision.mark;
+    robot.level = decision.to;
+  }
+  return absl::OkStatus();
+}
+
+absl::Status FakeStore::State::Apply(const RefusalRecord& refusal) {
+  for (TransitionRecord& known : transitions) {
+    if (known.id != refusal.id) continue;
+    if (!known.refused || known.robot != refusal.robot) {
+      return absl::AlreadyExistsError("the id names another transition");
+    }
+    known.count = refusal.count;
+    known.reason = refusal.reason;
+    known.time_unix_ns = refusal.time_unix_ns;
+    return absl::OkStatus();
+  }
+  transitions.push_back(ToTransition(refusal));
+  return absl::OkStatus();
+}
+
+void FakeStore::State::Apply(const StageUpdate& update) {
+  for (TransitionRecord& known : transitions) {
+    if (known.robot != update.robot || known.refused || known.mark != update.mark) continue;
+    known.stage = update.stage;
+    known.detail = update.detail;
+  }
+}
+
+absl::Status FakeStore::State::Apply(const AlertRecord& alert) {
+  for (const AlertRecord& known : alerts) {
+    if (known.id == alert.id) return absl::OkStatus();
+  }
+  alerts.push_back(alert);
+  return absl::OkStatus();
+}
+
+void FakeStore::State::Apply(const Checkpoint& checkpoint) {
+  RobotRecord& robot = robots[checkpoint.robot];
+  if (checkpoint.variables.has_value()) robot.variables = *checkpoint.variables;
+  if (checkpoint.soft_suspended.has_value()) robot.soft_suspended = *checkpoint.soft_suspended;
+  if (checkpoint.rules_halted.has_value()) robot.rules_halted = *checkpoint.rules_halted;
+  if (checkpoint.resumed_at.has_value()) robot.resumed_at = *checkpoint.resumed_at;
+  if (checkpoint.bundle.has_value()) robot.bundle = *checkpoint.bundle;
+  std::vector<LaneKey>& order = lanes[checkpoint.robot];
+  for (const auto& [key, sequence] : checkpoint.high_water) {
+    if (!robot.high_water.contains(key)) order.push_back(key);
+    uint64_t& stored = robot.high_water[key];
+    stored = std::max(stored, sequence);
+
+    const std::string& host = key.host;
+    const auto of_host = [&host](const LaneKey& lane) { return lane.host == host; };
+    if (std::count_if(order.begin(), order.end(), of_host) > ptrdiff_t{kHighWaterPerHostMax}) {
+      const auto oldest = std::find_if(order.begin(), order.end(), of_host);
+      robot.high_water.erase(*oldest);
+      order.erase(oldest);
+    }
+  }
+}
+
+absl::StatusOr<std::vector<TransitionRecord>> FakeStore::ListTransitions(absl::string_view robot,
+                                                                         uint32_t limit) {
+  MutexLock lock(&mutex_);
+  RIPS_RETURN_IF_ERROR(read_status_);
+  if (robot.empty()) return std::vector<TransitionRecord>();
+  return Newest(state_.transitions, robot, limit);
+}
+
+absl::StatusOr<std::vector<AlertRecord>> FakeStore::ListAlerts(absl::string_view robot,
+                                                               uint32_t limit) {
+  MutexLock lock(&mutex_);
+  RIPS_RETURN_IF_ERROR(read_status_);
+  return Newest(state_.alerts, robot, limit);
+}
+
+absl::StatusOr<AlertPage> FakeStore::AlertsAfter(absl::string_view robot, uint64_t sequence,
+                                                 uint32_t limit) {
+  MutexLock lock(&mutex_);
+  RIPS_RETURN_IF_ERROR(read_status_);
+  AlertPage page;
+  for (uint64_t i = sequence; i < state_.alerts.size() && page.alerts.size() < ListLimit(limit);
+       ++i) {
+    if (!robot.empty() && state_.alerts[i].robot != robot) continue;
+    page.alerts.push_back(state_.alerts[i]);
+    page.alerts.back().sequence = i + 1;
+  }
+  return page;
+}
+
+absl::StatusOr<uint64_t> FakeStore::FindAlert(absl::string_view id) {
+  MutexLock lock(&mutex_);
+  RIPS_RETURN_IF_ERROR(read_status_);
+  for (size_t i = 0; i < state_.alerts.size(); ++i) {
+    if (state_.alerts[i].id == id) return uint64_t{i + 1};
+  }
+  return 0;
+}
+
+absl::StatusOr<AlertRecord> FakeStore::NewestAlert() {
+  MutexLock lock(&mutex_);
+  RIPS_RETURN_IF_ERROR(read_status_);
+  if (state_.alerts.empty()) return AlertRecord{};
+  AlertRecord newest = state_.alerts.back();
+  newest.sequence = state_.alerts.size();
+  return newest;
+}
+
+absl::StatusOr<std::string> FakeStore::Note(absl::string_view name) {
+  MutexLock lock(&mutex_);
+  RIPS_RETURN_IF_ERROR(read_status_);
+  const auto it = state_.notes.find(name);
+  return it == state_.notes.end() ? "" : it->second;
+}
+
+absl::Status FakeStore::SetNote(absl::string_view name, absl::string_view value) {
+  MutexLock lock(&mutex_);
+  RIPS_RETURN_IF_ERROR(write_status_);
+  RIPS_RETURN_IF_ERROR(CheckNote(name, value));
+  state_.notes[std::string(name)] = std::string(value);
+  return absl::OkStatus();
+}
+
+absl::Status FakeStore::PutBan(const BanRecord& ban) {
+  if (ban.uri.empty()) return absl::InvalidArgumentError("a ban needs a URI");
+  MutexLock lock(&mutex_);
+  RIPS_RETURN_IF_ERROR(write_status_);
+  bans_[{ban.uri, ban.serial}] = ban;
+  return absl::OkStatus();
+}
+
+absl::StatusOr<bool> FakeStore::RemoveBan(absl::string_view uri, absl::string_view serial) {
+  MutexLock lock(&mutex_);
+  RIPS_RETURN_IF_ERROR(write_status_);
+  return bans_.erase({std::string(uri), std::string(serial)}) > 0;
+}
+
+absl::StatusOr<std::vector<BanRecord>> FakeStore::ListBans() {
+  MutexLock lock(&mutex_);
+  RIPS_RETURN_IF_ERROR(read_status_);
+  std::vector<BanRecord> bans;
+  for (const auto& [key, ban] : bans_) bans.push_back(ban);
+  return bans;
+}
+
+}  // namespace rips::store

@@ -1,0 +1,40 @@
+// The state file of the policy server: made once, whole, and never made again in silence.
+// Internal to this folder.
+#ifndef RIPS_POLICY_SERVER_SERVER_STORE_SQLITE_FILE_H_
+#define RIPS_POLICY_SERVER_SERVER_STORE_SQLITE_FILE_H_
+
+#include <string>
+
+#include "absl/status/status.h"
+#include "absl/status/statusor.h"
+
+namespace rips::store {
+
+// Schema version this program reads and writes (`PRAGMA user_version`).
+inline constexpr int kSchemaVersion = 5;
+
+// Keeps other processes from using the state file at `path`, through `path`.lock, until it goes.
+class [[nodiscard]] FileLock {
+ public:
+  // FailedPrecondition if somebody else holds it; Unavailable if the lock file cannot be opened.
+  static absl::StatusOr<FileLock> Take(const std::string& path);
+  FileLock(FileLock&& other) noexcept : fd_(other.fd_) { other.fd_ = -1; }
+  FileLock& operator=(FileLock&&) = delete;
+  ~FileLock();
+
+ private:
+  explicit FileLock(int fd) : fd_(fd) {}
+  int fd_;
+};
+
+// Makes the file with an empty schema (mode 0600) if there is none, else checks the one there.
+// The caller holds the FileLock. A file is built beside and renamed, so a crash leaves none or a
+// whole one.
+//   DataLoss: it is empty, damaged, not ours, or gone while its write-ahead log is still there.
+//   FailedPrecondition: a newer program wrote it, or the path is not a regular file.
+//   Unavailable: it cannot be read or made.
+absl::Status PrepareStateFile(const std::string& path);
+
+}  // namespace rips::store
+
+#endif  // RIPS_POLICY_SERVER_SERVER_STORE_SQLITE_FILE_H_

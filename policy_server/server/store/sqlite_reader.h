@@ -1,0 +1,49 @@
+// The reading side of SqliteStore. Internal to this folder. One thread at a time.
+#ifndef RIPS_POLICY_SERVER_SERVER_STORE_SQLITE_READER_H_
+#define RIPS_POLICY_SERVER_SERVER_STORE_SQLITE_READER_H_
+
+#include <optional>
+#include <string>
+#include <utility>
+#include <vector>
+
+#include "policy_server/server/store/sqlite_db.h"
+#include "policy_server/server/store/store.h"
+
+namespace rips::store {
+
+class SqliteReader {
+ public:
+  // The file must be in WAL mode already.
+  static absl::StatusOr<SqliteReader> Create(const std::string& path);
+
+  absl::StatusOr<RobotRecord> Load(absl::string_view robot);
+  absl::StatusOr<std::optional<std::string>> FindDecision(absl::string_view robot,
+                                                          const Mark& mark);
+  absl::StatusOr<std::vector<Generation>> Generations();
+  absl::StatusOr<std::vector<TransitionRecord>> ListTransitions(absl::string_view robot,
+                                                                uint32_t limit);
+  absl::StatusOr<std::vector<AlertRecord>> ListAlerts(absl::string_view robot, uint32_t limit);
+  absl::StatusOr<AlertPage> AlertsAfter(absl::string_view robot, uint64_t sequence, uint32_t limit);
+  absl::StatusOr<uint64_t> FindAlert(absl::string_view id);
+  absl::StatusOr<AlertRecord> NewestAlert();
+  absl::StatusOr<std::string> Note(absl::string_view name);
+  absl::StatusOr<std::vector<BanRecord>> ListBans();
+
+ private:
+  explicit SqliteReader(Database db) : db_(std::move(db)) {}
+
+  absl::Status LoadVariables(absl::string_view robot, Variables* variables);
+  absl::Status LoadHighWater(absl::string_view robot, HighWater* high_water);
+  absl::Status LoadRuleDecisions(absl::string_view robot, RobotRecord* record);
+
+  Database db_;
+  Statement begin_, end_;
+  Statement robot_, variables_, high_water_, mark_, transitions_, alerts_, robot_alerts_, bans_;
+  Statement alerts_after_, robot_alerts_after_, forgotten_, robot_forgotten_, find_alert_,
+      newest_alert_, note_, rule_decisions_, generations_;
+};
+
+}  // namespace rips::store
+
+#endif  // RIPS_POLICY_SERVER_SERVER_STORE_SQLITE_READER_H_

@@ -1,0 +1,543 @@
+// What the port promises, tried on every implementation.
+#include <cmath>
+#include <limits>
+#include <memory>
+#include <string>
+#include <vector>
+
+#include "absl/strings/str_cat.h"
+#include "gmock/gmock.h"
+#include "gtest/gtest.h"
+#include "policy_server/server/store/fake_store.h"
+#include "policy_server/server/store/sqlite_store.h"
+#include "policy_server/server/store/store.h"
+#include "policy_server/server/store/store_test_data.h"
+#include "services/base/status_matchers.h"
+
+namespace rips::store {
+namespace {
+
+using ::testing::ElementsAre;
+using ::testing::IsEmpty;
+using ::testing::SizeIs;
+
+enum class Kind { kFake, kSqlite };
+
+class StoreContractTest : public testing::TestWithParam<Kind> {
+ protected:
+  void SetUp() override {
+    if (GetParam() == Kind::kFake) {
+      store_ = std::make_unique<FakeStore>();
+      return;
+    }
+    absl::StatusOr<std::unique_ptr<SqliteStore>> opened = SqliteStore::Open(dir_.File("state.db"));
+    ASSERT_THAT(opened, IsOk());
+    store_ = *std::move(opened);
+  }
+
+  RobotRecord Load(absl::string_view robot) {
+    absl::StatusOr<RobotRecord> record = store_->Load(robot);
+    EXPECT_THAT(record, IsOk());
+    return record.value_or(RobotRecord{});
+  }
+  // Empty if there is none.
+  std::string Decision(absl::string_view robot, const Mark& mark) {
+    const auto known = store_->FindDecision(robot, mark);
+    EXPECT_THAT(known, IsOk());
+    return known.ok() ? known->value_or("") : "";
+  }
+  std::vector<TransitionRecord> Transitions(absl::string_view robot, uint32_t limit = 0) {
+    auto list = store_->ListTransitions(robot, limit);
+    EXPECT_THAT(list, IsOk());
+    return list.ok() ? *list : std::vector<TransitionRecord>();
+  }
+  std::vector<std::string> AlertTexts(absl::string_view robot, uint32_t limit = 0) {
+    auto list = store_->ListAlerts(robot, limit);
+    EXPECT_THAT(list, IsOk());
+    std::vector<std::string> texts;
+    if (list.ok()) {
+      for (const AlertRecord& alert : *list) texts.push_back(alert.text);
+    }
+    return texts;
+  }
+
+  TempDir dir_;
+  std::unique_ptr<Store> store_;
+};
+
+TEST_P(StoreContractTest, KeepsBansByIdentityAndSerial) {
+  auto& bans = dynamic_cast<BanStore&>(*store_);
+  const BanRecord all{.uri = "spiffe://td/robot/r1/sensor/base",
+                      .reason = "stolen",
+                      .by = "spiffe://td/operator/admin/alice serial 0a",
+                      .time_unix_ns = 7};
+  BanRecord one = all;
+  one.serial = "0f";
+  EXPECT_THAT(bans.PutBan(one), IsOk());
+  EXPECT_THAT(bans.PutBan(all), IsOk());
+  one.reason = "seen in the wild";
+  EXPECT_THAT(bans.PutBan(one), IsOk());
+  auto listed = bans.ListBans();
+  ASSERT_THAT(listed, IsOk());
+  EXPECT_THAT(*listed, ElementsAre(all, one));
+
+  EXPECT_EQ(bans.RemoveBan(all.uri, "ff").value_or(true), false);
+  EXPECT_EQ(bans.RemoveBan(all.uri, "").value_or(false), true);
+  EXPECT_EQ(bans.RemoveBan(all.uri, "").value_or(true), false);
+  listed = bans.ListBans();
+  ASSERT_THAT(listed, IsOk());
+  EXPECT_THAT(*listed, ElementsAre(one));
+  EXPECT_THAT(bans.PutBan({.uri = ""}), StatusIs(absl::StatusCode::kInvalidArgument));
+}
+
+TEST_P(StoreContractTest, KnowsNothingOfAnUnknownRobot) {
+  EXPECT_EQ(Load("r1"), RobotRecord{});
+  EXPECT_EQ(Decision("r1", {1, 1}), "");
+  EXPECT_EQ(Decision("r1", {}), "");
+  EXPECT_THAT(Transitions("r1"), IsEmpty());
+  EXPECT_THAT(AlertTexts(""), IsEmpty());
+}
+
+TEST_P(StoreContractTest, HandsOutEachTermOnce) {
+  EXPECT_THAT(store_->NextTerm("r1"), IsOkAndHolds(1u));
+  EXPECT_THAT(store_->NextTerm("r1"), IsOkAndHolds(2u));
+  EXPECT_THAT(store_->NextTerm("r2"), IsOkAndHolds(1u));
+  EXPECT_THAT(store_->NextTerm("r1", 10), IsOkAndHolds(11u));
+  EXPECT_THAT(store_->NextTerm("r1", 5), IsOkAndHolds(12u));
+  EXPECT_EQ(Load("r1").highest_term, 12u);
+}
+
+TEST_P(StoreContractTest, TermsCannotBeUsedUp) {
+  const uint64_t most = std::numeric_limits<uint64_t>::max();
+  EXPECT_THAT(store_->NextTerm("r1", most), IsOkAndHolds(kTermAboveMax + 1));
+  EXPECT_THAT(store_->NextTerm("r1", most), IsOkAndHolds(kTermAboveMax + 2));
+  EXPECT_THAT(store_->Commit(Decide("r1", {kTermAboveMax + 2, 1}, "A", "B")), IsOk());
+  EXPECT_EQ(Load("r1").highest_term, kTermAboveMax + 2);
+  EXPECT_EQ(Decision("r1", {kTermAboveMax + 2, 1}), "B");
+}
+
+TEST_P(StoreContractTest, TakesTheLevelFromTheHighestMark) {
+  ASSERT_THAT(store_->Commit(Decide("r1", {1, 1}, "DEFAULT", "ALERT")), IsOk());
+  ASSERT_THAT(store_->Commit(Decide("r1", {1, 2}, "ALERT", "COMPROMISED")), IsOk());
+
+  const RobotRecord record = Load("r1");
+  EXPECT_EQ(record.level, "COMPROMISED");
+  EXPECT_EQ(record.mark, (Mark{1, 2}));
+  EXPECT_EQ(record.highest_term, 1u);
+  EXPECT_EQ(Decision("r1", {1, 1}), "ALERT");
+  EXPECT_EQ(Decision("r1", {1, 2}), "COMPROMISED");
+  EXPECT_EQ(Decision("r1", {1, 3}), "");
+  EXPECT_EQ(Decision("r2", {1, 1}), "");
+  EXPECT_EQ(Decision("r1", {std::numeric_limits<uint64_t>::max(), 1}), "");
+}
+
+TEST_P(StoreContractTest, DoesNotSinkByALateWrite) {
+  ASSERT_THAT(store_->Commit(Decide("r1", {2, 7}, "ALERT", "HALT")), IsOk());
+  ASSERT_THAT(store_->Commit(Decide("r1", {1, 9}, "ALERT", "DEFAULT")), IsOk());
+
+  EXPECT_EQ(Load("r1").level, "HALT");
+  EXPECT_EQ(Load("r1").mark, (Mark{2, 7}));
+  EXPECT_EQ(Load("r1").highest_term, 2u);
+  EXPECT_EQ(Decision("r1", {1, 9}), "DEFAULT");
+}
+
+TEST_P(StoreContractTest, ADecisionRaisesTheTerm) {
+  ASSERT_THAT(store_->Commit(Decide("r1", {7, 1}, "DEFAULT", "ALERT")), IsOk());
+  EXPECT_THAT(store_->NextTerm("r1"), IsOkAndHolds(8u));
+}
+
+TEST_P(StoreContractTest, WritingADecisionAgainChangesNothing) {
+  const WriteBatch batch = Decide("r1", {1, 1}, "DEFAULT", "ALERT");
+  ASSERT_THAT(store_->Commit(batch), IsOk());
+  WriteBatch stage;
+  stage.stages.push_back({.robot = "r1", .mark = {1, 1}, .stage = "verified", .detail = "2 parts"});
+  ASSERT_THAT(store_->Commit(stage), IsOk());
+
+  EXPECT_THAT(store_->Commit(batch), IsOk());
+  ASSERT_THAT(Transitions("r1"), SizeIs(1));
+  EXPECT_EQ(Transitions("r1")[0].stage, "verified");
+}
+
+TEST_P(StoreContractTest, AMarkNamesOneDecisionForEver) {
+  ASSERT_THAT(store_->Commit(Decide("r1", {1, 1}, "DEFAULT", "HALT")), IsOk());
+  const std::vector<TransitionRecord> before = Transitions("r1");
+
+  WriteBatch other = Decide("r1", {1, 1}, "HALT", "DEFAULT");
+  EXPECT_THAT(store_->Commit(other), StatusIs(absl::StatusCode::kAlreadyExists));
+  other = Decide("r1", {1, 2}, "HALT", "DEFAULT");
+  other.decisions[0].id = before[0].id;
+  EXPECT_THAT(store_->Commit(other), StatusIs(absl::StatusCode::kAlreadyExists));
+
+  EXPECT_EQ(Transitions("r1"), before);
+  EXPECT_EQ(Load("r1").level, "HALT");
+}
+
+TEST_P(StoreContractTest, ABatchIsAllOrNothing) {
+  WriteBatch good = Decide("r1", {1, 1}, "DEFAULT", "ALERT");
+  WriteBatch bad;
+  bad.alerts.push_back({.id = "", .robot = "r1", .text = "no id"});
+  const std::vector<WriteBatch> both = {good, bad};
+
+  EXPECT_THAT(store_->CommitAll(both), StatusIs(absl::StatusCode::kInvalidArgument));
+  EXPECT_EQ(Load("r1"), RobotRecord{});
+  EXPECT_THAT(Transitions("r1"), IsEmpty());
+
+  ASSERT_THAT(store_->Commit(good), IsOk());
+  WriteBatch clash = Decide("r2", {1, 1}, "DEFAULT", "ALERT");
+  clash.decisions.push_back(Decide("r1", {1, 1}, "ALERT", "HALT").decisions[0]);
+  EXPECT_THAT(store_->Commit(clash), StatusIs(absl::StatusCode::kAlreadyExists));
+  EXPECT_EQ(Load("r2"), RobotRecord{});
+}
+
+TEST_P(StoreContractTest, RefusesRecordsThatSayTooLittleOrTooMuch) {
+  std::vector<WriteBatch> bad(9);
+  bad[0] = Decide("", {1, 1}, "A", "B");
+  bad[1] = Decide("r1", {0, 1}, "A", "B");
+  bad[2] = Decide("r1", {1, 0}, "A", "B");
+  bad[3] = Decide("r1", {1, 1}, "A", "");
+  bad[4] = Decide("r1", {1, kNumberMax + 1}, "A", "B");
+  bad[5].refusals.push_back({.id = "x", .robot = ""});
+  bad[6].stages.push_back({.robot = "r1", .mark = {1, 1}, .stage = ""});
+  bad[7].alerts.push_back({.id = "x", .robot = ""});
+  bad[8].checkpoints.push_back({.robot = "r1", .high_water = {{LaneKey{}, kNumberMax + 1}}});
+  for (size_t i = 0; i < bad.size(); ++i) {
+    EXPECT_THAT(store_->Commit(bad[i]), StatusIs(absl::StatusCode::kInvalidArgument)) << i;
+  }
+}
+
+TEST_P(StoreContractTest, ListsTransitionsAsTheyWereWrittenNewestFirst) {
+  WriteBatch batch = Decide("r1", {1, 1}, "DEFAULT", "ALERT");
+  batch.decisions[0].based_on = {0, 0};
+  batch.decisions[0].reason = "looked \"odd\"\n";
+  batch.refusals.push_back({.id = "f1",
+                            .robot = "r1",
+                            .from = "ALERT",
+                            .to = "DEFAULT",
+                            .cause = "rule calm",
+                            .reason = "blind",
+                            .count = 1,
+                            .time_unix_ns = 20});
+  batch.stages.push_back({.robot = "r1", .mark = {1, 1}, .stage = "failed", .detail = "timeout"});
+  batch.stages.push_back({.robot = "r1", .mark = {9, 9}, .stage = "verified"});
+  ASSERT_THAT(store_->Commit(batch), IsOk());
+  ASSERT_THAT(store_->Commit(Decide("r2", {1, 1}, "DEFAULT", "HALT")), IsOk());
+
+  const DecisionRecord& decision = batch.decisions[0];
+  EXPECT_THAT(Transitions("r1"), ElementsAre(TransitionRecord{.id = "f1",
+                                                              .robot = "r1",
+                                                              .time_unix_ns = 20,
+                                                              .from = "ALERT",
+                                                              .to = "DEFAULT",
+                                                              .cause = "rule calm",
+                                                              .reason = "blind",
+                                                              .refused = true},
+                                             TransitionRecord{.id = decision.id,
+                                                              .robot = "r1",
+                                                              .time_unix_ns = decision.time_unix_ns,
+                                                              .from = "DEFAULT",
+                                                              .to = "ALERT",
+                                                              .cause = decision.cause,
+                                                              .reason = "looked \"odd\"\n",
+                                                              .mark = {1, 1},
+                                                              .stage = "failed",
+                                                              .detail = "timeout"}));
+}
+
+TEST_P(StoreContractTest, ARepeatedRefusalIsUpdatedNotAdded) {
+  RefusalRecord refusal = {.id = "f1", .robot = "r1", .from = "B", .to = "A", .reason = "blind"};
+  WriteBatch batch;
+  batch.refusals = {refusal};
+  ASSERT_THAT(store_->Commit(batch), IsOk());
+  refusal.count = 17;
+  refusal.time_unix_ns = 99;
+  batch.refusals = {refusal};
+  ASSERT_THAT(store_->Commit(batch), IsOk());
+
+  ASSERT_THAT(Transitions("r1"), SizeIs(1));
+  EXPECT_EQ(Transitions("r1")[0].count, 17u);
+  EXPECT_EQ(Transitions("r1")[0].time_unix_ns, 99);
+  EXPECT_TRUE(Transitions("r1")[0].mark.none());
+
+  ASSERT_THAT(store_->Commit(Decide("r1", {1, 1}, "A", "B", "d1")), IsOk());
+  batch.refusals[0].id = "d1";
+  EXPECT_THAT(store_->Commit(batch), StatusIs(absl::StatusCode::kAlreadyExists));
+  EXPECT_EQ(Load("r1").level, "B");
+}
+
+TEST_P(StoreContractTest, ListsAlertsOfOneRobotOrOfAll) {
+  WriteBatch batch;
+  batch.alerts = {MakeAlert("r1", "one"), MakeAlert("r2", "two"), MakeAlert("r1", "three")};
+  ASSERT_THAT(store_->Commit(batch), IsOk());
+
+  EXPECT_THAT(AlertTexts(""), ElementsAre("three", "two", "one"));
+  EXPECT_THAT(AlertTexts("r1"), ElementsAre("three", "one"));
+  EXPECT_THAT(AlertTexts("", 1), ElementsAre("three"));
+  EXPECT_THAT(AlertTexts("r3"), IsEmpty());
+}
+
+TEST_P(StoreContractTest, AnAlertWrittenTwiceIsThereOnce) {
+  WriteBatch batch;
+  batch.alerts = {MakeAlert("r1", "first")};
+  ASSERT_THAT(store_->Commit(batch), IsOk());
+  batch.alerts[0].text = "second";
+  ASSERT_THAT(store_->Commit(batch), IsOk());
+  EXPECT_THAT(AlertTexts("r1"), ElementsAre("first"));
+}
+
+TEST_P(StoreContractTest, ListsAlertsAfterOneInTheOrderOfWriting) {
+  EXPECT_EQ(store_->NewestAlert()->sequence, 0u);
+  WriteBatch batch;
+  batch.alerts = {MakeAlert("r1", "one"), MakeAlert("r2", "two"), MakeAlert("r1", "three")};
+  ASSERT_THAT(store_->Commit(batch), IsOk());
+  ASSERT_THAT(store_->Commit(batch), IsOk());  // again: no new sequence
+
+  const auto newest = store_->NewestAlert();
+  ASSERT_THAT(newest, IsOk());
+  EXPECT_EQ(newest->id, batch.alerts[2].id);
+  EXPECT_THAT(store_->FindAlert(newest->id), IsOkAndHolds(newest->sequence));
+  EXPECT_THAT(store_->FindAlert("no such"), IsOkAndHolds(0u));
+
+  const auto all = store_->AlertsAfter("", 0, 2);
+  ASSERT_THAT(all, IsOk());
+  EXPECT_FALSE(all->forgotten);
+  ASSERT_THAT(all->alerts, SizeIs(2));
+  EXPECT_EQ(all->alerts[0].text, "one");
+  EXPECT_GT(all->alerts[0].sequence, 0u);
+  EXPECT_LT(all->alerts[0].sequence, all->alerts[1].sequence);
+  const auto rest = store_->AlertsAfter("r1", all->alerts[0].sequence, 0);
+  ASSERT_THAT(rest, IsOk());
+  ASSERT_THAT(rest->alerts, SizeIs(1));
+  EXPECT_EQ(rest->alerts[0].text, "three");
+  EXPECT_THAT(store_->AlertsAfter("", newest->sequence, 0)->alerts, IsEmpty());
+  EXPECT_THAT(store_->AlertsAfter("", ~uint64_t{0}, 0)->alerts, IsEmpty());
+}
+
+TEST_P(StoreContractTest, RemembersNotes) {
+  EXPECT_THAT(store_->Note("where"), IsOkAndHolds(""));
+  ASSERT_THAT(store_->SetNote("where", "here"), IsOk());
+  ASSERT_THAT(store_->SetNote("where", "there"), IsOk());
+  EXPECT_THAT(store_->Note("where"), IsOkAndHolds("there"));
+  EXPECT_THAT(store_->SetNote("", "x"), StatusIs(absl::StatusCode::kInvalidArgument));
+  EXPECT_THAT(store_->SetNote("where", std::string(kNoteBytesMax + 1, 'x')),
+              StatusIs(absl::StatusCode::kInvalidArgument));
+}
+
+TEST_P(StoreContractTest, KeepsHostileTextAsItIs) {
+  const std::string hostile("\x1b[2J'; DROP TABLE alerts;--\xff\xfe\0tail", 34);
+  AlertRecord alert = MakeAlert("r1", hostile);
+  alert.event = hostile;
+  alert.rule = hostile;
+  WriteBatch batch;
+  batch.alerts = {alert};
+  batch.checkpoints.push_back({.robot = "r1", .variables = Variables{{"v", hostile}}});
+  ASSERT_THAT(store_->Commit(batch), IsOk());
+
+  auto list = store_->ListAlerts("r1", 0);
+  ASSERT_THAT(list, IsOk());
+  EXPECT_THAT(*list, ElementsAre(alert));
+  EXPECT_EQ(std::get<std::string>(Load("r1").variables.at("v")), hostile);
+}
+
+TEST_P(StoreContractTest, CutsListsToTheirLimit) {
+  WriteBatch batch;
+  for (uint64_t i = 1; i <= kListMax + 5; ++i) {
+    batch.alerts.push_back(MakeAlert("r1", absl::StrCat(i)));
+    batch.decisions.push_back(Decide("r1", {1, i}, "A", "B").decisions[0]);
+  }
+  ASSERT_THAT(store_->Commit(batch), IsOk());
+
+  EXPECT_THAT(AlertTexts("r1", 0), SizeIs(kListDefault));
+  EXPECT_THAT(AlertTexts("", kListMax + 5), SizeIs(kListMax));
+  EXPECT_THAT(Transitions("r1", 0), SizeIs(kListDefault));
+  EXPECT_THAT(Transitions("r1", kListMax + 5), SizeIs(kListMax));
+  EXPECT_EQ(Transitions("r1", 1)[0].mark, (Mark{1, kListMax + 5}));
+}
+
+TEST_P(StoreContractTest, RestoresVariablesExactly) {
+  const double nan = std::numeric_limits<double>::quiet_NaN();
+  const Variables variables = {
+      {"int", std::numeric_limits<int64_t>::min()},
+      {"float", 0.1},
+      {"huge", std::numeric_limits<double>::infinity()},
+      {"zero", -0.0},
+      {"nan", nan},
+      {"yes", true},
+      {"no", false},
+      {"one", int64_t{1}},
+      {"text", std::string("")},
+  };
+  WriteBatch batch;
+  batch.checkpoints.push_back({.robot = "r1", .variables = variables});
+  ASSERT_THAT(store_->Commit(batch), IsOk());
+
+  Variables read = Load("r1").variables;
+  ASSERT_TRUE(read.contains("nan"));
+  EXPECT_TRUE(std::isnan(std::get<double>(read.at("nan"))));
+  EXPECT_TRUE(std::signbit(std::get<double>(read.at("zero"))));
+  read.erase("nan");
+  Variables expected = variables;
+  expected.erase("nan");
+  EXPECT_EQ(read, expected);
+}
+
+TEST_P(StoreContractTest, ACheckpointReplacesWhatItHasAndKeepsTheRest) {
+  const LaneKey control = {.host = "base", .incarnation = "aa", .lane = LaneKey::Lane::kControl};
+  const LaneKey messages = {.host = "base", .incarnation = "aa", .lane = LaneKey::Lane::kMessages};
+  WriteBatch batch;
+  batch.checkpoints.push_back({.robot = "r1",
+                               .variables = Variables{{"a", int64_t{1}}, {"b", int64_t{2}}},
+                               .high_water = {{control, 5}, {messages, 100}},
+                               .soft_suspended = true,
+                               .rules_halted = true,
+                               .bundle = "sha256:b"});
+  ASSERT_THAT(store_->Commit(batch), IsOk());
+  WriteBatch later;
+  later.checkpoints.push_back({.robot = "r1", .high_water = {{control, 6}}});
+  ASSERT_THAT(store_->Commit(later), IsOk());
+  EXPECT_EQ(Load("r1").variables.size(), 2u);
+  EXPECT_TRUE(Load("r1").soft_suspended);
+  EXPECT_TRUE(Load("r1").rules_halted);
+  EXPECT_EQ(Load("r1").bundle, "sha256:b");
+  EXPECT_EQ(Load("r1").high_water, (HighWater{{control, 6}, {messages, 100}}));
+
+  later.checkpoints[0].variables = Variables{{"a", int64_t{3}}};
+  later.checkpoints[0].soft_suspended = false;
+  later.checkpoints[0].rules_halted = false;
+  later.checkpoints[0].high_water = {{control, 2}};
+  ASSERT_THAT(store_->Commit(later), IsOk());
+  EXPECT_EQ(Load("r1").variables, (Variables{{"a", int64_t{3}}}));
+  EXPECT_FALSE(Load("r1").soft_suspended);
+  EXPECT_FALSE(Load("r1").rules_halted);
+  EXPECT_EQ(Load("r1").high_water.at(control), 6u) << "a sequence never goes back";
+  EXPECT_EQ(Load("r2"), RobotRecord{});
+}
+
+TEST_P(StoreContractTest, ForgetsTheOldestLanesOfAHostBeyondTheLimit) {
+  const LaneKey other = {.host = "laptop", .incarnation = "l"};
+  WriteBatch batch;
+  batch.checkpoints.push_back({.robot = "r1", .high_water = {{other, 1}}});
+  ASSERT_THAT(store_->Commit(batch), IsOk());
+  for (size_t i = 0; i <= kHighWaterPerHostMax; ++i) {
+    const LaneKey key = {.host = "base", .incarnation = absl::StrCat(1'000 - i)};
+    batch.checkpoints[0].high_water = {{key, i + 1}};
+    ASSERT_THAT(store_->Commit(batch), IsOk());
+  }
+
+  const HighWater kept = Load("r1").high_water;
+  EXPECT_THAT(kept, SizeIs(kHighWaterPerHostMax + 1));
+  EXPECT_TRUE(kept.contains(other));
+  EXPECT_FALSE(kept.contains(LaneKey{.host = "base", .incarnation = "1000"}));
+  EXPECT_TRUE(kept.contains(LaneKey{.host = "base", .incarnation = "999"}));
+}
+
+TEST_P(StoreContractTest, CommitsAreCountedThroughItsGenerations) {
+  const std::string first(16, 'a');
+  const std::string second(16, 'b');
+  EXPECT_EQ(store_->newest_commit(), 0u);
+  EXPECT_THAT(store_->Generations(), IsOkAndHolds(std::vector<Generation>()));
+  ASSERT_THAT(store_->Commit(Decide("r1", {1, 1}, "DEFAULT", "ALERT")), IsOk());
+  EXPECT_EQ(store_->newest_commit(), 0u) << "of no generation";
+
+  ASSERT_THAT(store_->BeginGeneration(first), IsOk());
+  EXPECT_EQ(store_->newest_commit(), 0u);
+  ASSERT_THAT(store_->Commit(Decide("r1", {1, 2}, "ALERT", "HALT")), IsOk());
+  const std::vector<WriteBatch> both = {Decide("r2", {1, 1}, "DEFAULT", "ALERT"),
+                                        Decide("r3", {1, 1}, "DEFAULT", "ALERT")};
+  ASSERT_THAT(store_->CommitAll(both), IsOk());
+  EXPECT_EQ(store_->newest_commit(), 2u);
+  EXPECT_THAT(store_->Commit(Decide("r1", {1, 2}, "HALT", "DEFAULT")),
+              StatusIs(absl::StatusCode::kAlreadyExists));
+  EXPECT_EQ(store_->newest_commit(), 2u) << "nothing was written";
+
+  ASSERT_THAT(store_->BeginGeneration(second), IsOk());
+  EXPECT_EQ(store_->newest_commit(), 2u);
+  ASSERT_THAT(store_->Commit(Decide("r1", {1, 3}, "HALT", "DEFAULT")), IsOk());
+  EXPECT_EQ(store_->newest_commit(), 3u);
+  EXPECT_THAT(store_->Generations(),
+              IsOkAndHolds(std::vector<Generation>{{first, 2}, {second, 3}}));
+
+  EXPECT_THAT(store_->BeginGeneration(first), StatusIs(absl::StatusCode::kAlreadyExists));
+  EXPECT_THAT(store_->BeginGeneration("short"), StatusIs(absl::StatusCode::kInvalidArgument));
+  EXPECT_THAT(store_->BeginGeneration(""), StatusIs(absl::StatusCode::kInvalidArgument));
+  EXPECT_EQ(store_->newest_commit(), 3u);
+}
+
+TEST_P(StoreContractTest, ForgetsTheOldestGenerationsBeyondTheLimit) {
+  const auto id = [](size_t i) { return absl::StrCat(1'000'000'000'000'000 + i); };
+  for (size_t i = 0; i <= kGenerationsMax; ++i) {
+    ASSERT_THAT(store_->BeginGeneration(id(i)), IsOk());
+    ASSERT_THAT(store_->Commit(Decide("r1", {1, i + 1}, "DEFAULT", "ALERT")), IsOk());
+  }
+  const auto kept = store_->Generations();
+  ASSERT_THAT(kept, IsOk());
+  ASSERT_THAT(*kept, SizeIs(kGenerationsMax));
+  EXPECT_EQ(kept->front(), (Generation{id(1), 2}));
+  EXPECT_EQ(kept->back(), (Generation{id(kGenerationsMax), kGenerationsMax + 1}));
+}
+
+TEST(GenerationsTest, AStoreGoesOnFromWhatItHeldAndFromNothingElse) {
+  const std::vector<Generation> chain = {{"a", 10}, {"b", 10}, {"c", 25}, {"d", 25}};
+  const auto goes_on = [&](const std::string& generation, uint64_t commit) {
+    return GoesOnFrom(chain, 30, {.generation = generation, .commit = commit});
+  };
+  EXPECT_TRUE(goes_on("", 99)) << "it does not say";
+  EXPECT_TRUE(goes_on("d", 30));
+  EXPECT_FALSE(goes_on("d", 31)) << "it has not come so far";
+  EXPECT_TRUE(goes_on("a", 0));
+  EXPECT_TRUE(goes_on("a", 10));
+  EXPECT_FALSE(goes_on("a", 11)) << "another history begins there";
+  EXPECT_FALSE(goes_on("x", 0)) << "another store";
+  EXPECT_TRUE(GoesOnFrom({}, 0, {.generation = "a", .commit = 1})) << "it does not know";
+}
+
+TEST(GenerationsTest, WhatTheLimitMayHaveForgottenIsNoOtherStore) {
+  std::vector<Generation> chain;
+  for (size_t i = 0; i < kGenerationsMax; ++i) chain.push_back({absl::StrCat(i), 100 + i});
+  EXPECT_TRUE(GoesOnFrom(chain, 1'000, {.generation = "x", .commit = 100}));
+  EXPECT_FALSE(GoesOnFrom(chain, 1'000, {.generation = "x", .commit = 101}));
+  chain.pop_back();
+  EXPECT_FALSE(GoesOnFrom(chain, 1'000, {.generation = "x", .commit = 100})) << "none is forgotten";
+}
+
+TEST_P(StoreContractTest, ShowsTheNewestDecisionsOfRules) {
+  WriteBatch batch = Decide("r1", {1, 1}, "DEFAULT", "ALERT");
+  batch.decisions[0].time_unix_ns = 100;
+  batch.decisions.push_back(Decide("r1", {1, 3}, "DEFAULT", "ALERT").decisions[0]);
+  batch.decisions.push_back(Decide("r1", {1, 2}, "ALERT", "DEFAULT").decisions[0]);
+  for (const char* cause : {"operator alice", "adopted", "crash in rule x", "rules", ""}) {
+    batch.decisions.push_back(
+        Decide("r1", {1, batch.decisions.size() + 1}, "DEFAULT", "ALERT").decisions[0]);
+    batch.decisions.back().cause = cause;
+  }
+  batch.decisions.push_back(Decide("r2", {1, 1}, "DEFAULT", "ALERT").decisions[0]);
+  batch.refusals.push_back({.id = "no", .robot = "r1", .cause = "rule x"});
+  ASSERT_THAT(store_->Commit(batch), IsOk());
+  EXPECT_THAT(Load("r1").rule_decisions, ElementsAre(RuleDecision{{1, 1}, "DEFAULT", "ALERT", 100},
+                                                     RuleDecision{{1, 2}, "ALERT", "DEFAULT", 10},
+                                                     RuleDecision{{1, 3}, "DEFAULT", "ALERT", 10}));
+
+  WriteBatch resumed;
+  resumed.checkpoints.push_back({.robot = "r1", .resumed_at = Mark{1, 2}});
+  ASSERT_THAT(store_->Commit(resumed), IsOk());
+  EXPECT_EQ(Load("r1").resumed_at, (Mark{1, 2}));
+  EXPECT_THAT(Load("r1").rule_decisions, ElementsAre(RuleDecision{{1, 3}, "DEFAULT", "ALERT", 10}));
+  resumed.checkpoints[0].resumed_at.reset();
+  ASSERT_THAT(store_->Commit(resumed), IsOk());
+  EXPECT_EQ(Load("r1").resumed_at, (Mark{1, 2})) << "absent = as before";
+
+  WriteBatch many;
+  for (uint64_t i = 1; i <= kRuleDecisionsMax; ++i) {
+    many.decisions.push_back(Decide("r1", {2, i}, "DEFAULT", "ALERT").decisions[0]);
+  }
+  ASSERT_THAT(store_->Commit(many), IsOk());
+  EXPECT_THAT(Load("r1").rule_decisions, SizeIs(kRuleDecisionsMax));
+  EXPECT_EQ(Load("r1").rule_decisions.front().mark, (Mark{2, 1}));
+}
+
+INSTANTIATE_TEST_SUITE_P(All, StoreContractTest, testing::Values(Kind::kFake, Kind::kSqlite),
+                         [](const testing::TestParamInfo<Kind>& param) {
+                           return param.param == Kind::kFake ? "Fake" : "Sqlite";
+                         });
+
+}  // namespace
+}  // namespace rips::store

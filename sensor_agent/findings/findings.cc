@@ -1,0 +1,527 @@
+#include "sensor_agent/findings/findings.h"
+
+#include <algorithm>
+
+#include "absl/strings/match.h"
+#include "absl/strings/str_cat.h"
+#include "services/ros2/ros_name.h"
+
+namespace rips::sensor {
+
+namespace {
+
+using ros2::EndpointKind;
+using ros2::Guid;
+
+constexpr int64_t kMinuteNs = 60'000'000'000;
+// Participants named in a text.
+constexpr size_t kNamedMax = 4;
+constexpr absl::string_view kChangeMode = "/change_mode";
+// Whoever calls these steers a part.
+constexpr absl::string_view kSteering[] = {kChangeMode, "/change_state", "/set_parameters",
+                                           "/set_parameters_atomically"};
+constexpr const char* kKindNames[] = {"duplicate_node",      "impostor",       "false_claim",
+                                      "foreign_mode_writer", "non_ros_writer", "unauthenticated"};
+
+// The part whose mode the service steers; empty = it is no such service.
+absl::string_view PartOf(absl::string_view service) {
+  for (const absl::string_view suffix : kSteering) {
+    if (absl::EndsWith(service, suffix)) return service.substr(0, service.size() - suffix.size());
+  }
+  return {};
+}
+
+bool IsRipsName(absl::string_view node) { return absl::EndsWith(node, kOwnNode); }
+
+// GUID prefixes of participants with DDS Security begin with a one (DDS Security 1.1 §9.3.3).
+bool HasSecurePrefix(const Guid& guid) { return (guid.bytes[0] & 0x80) != 0; }
+
+bool IsSuspect(const ros2::Endpoint& endpoint) {
+  if (!endpoint.ros) return false;
+  switch (endpoint.kind) {
+    case EndpointKind::kPublisher:
+      return endpoint.node.empty() && !endpoint.pending;
+    case EndpointKind::kClient:
+      return !PartOf(endpoint.name).empty();
+    case EndpointKind::kService:
+      return absl::EndsWith(endpoint.name, kChangeMode);
+    case EndpointKind::kSubscriber:
+      return false;
+  }
+  return false;
+}
+
+}  // namespace
+
+Findings::Findings(FindingsOptions options) : options_(std::move(options)) {
+  static_assert(std::size(kKindNames) == kKinds);
+}
+
+bool Findings::IsOwn(const Guid& participant) const {
+  return participant == options_.own || own_participants_.contains(participant);
+}
+
+// --- Facts
+
+void Findings::OnGraph(const GraphChange& change, int64_t now_ns) {
+  dirty_ = true;
+  if (change.from_version == 0) before_ = std::exchange(now_, {});
+  for (const Guid& guid : change.delta.gone_guids) DropGuid(guid);
+  for (const std::string& name : change.delta.gone_nodes) DropNode(name);
+  for (const ros2::Participant& each : change.delta.upsert_participants) {
+    UpsertParticipant(each, now_ns);
+  }
+  for (const ros2::Node& each : change.delta.upsert_nodes) UpsertNode(each);
+  for (const ros2::Endpoint& each : change.delta.upsert_endpoints) UpsertEndpoint(each, now_ns);
+  if (change.settled) before_ = {};
+}
+
+void Findings::UpsertParticipant(const ros2::Participant& participant, int64_t now_ns) {
+  const auto [it, is_new] = now_.parties.try_emplace(participant.guid);
+  if (is_new) {
+    const auto before = before_.parties.find(participant.guid);
+    it->second.seen_ns = before == before_.parties.end() ? now_ns : before->second.seen_ns;
+  }
+  it->second.host = participant.host;
+  it->second.pid = participant.pid;
+}
+
+void Findings::UpsertNode(const ros2::Node& node) {
+  const auto party = now_.parties.find(node.participant);
+  if (party == now_.parties.end()) return;
+  party->second.shown = true;
+  // Those of RIPS bear its name because we say so.
+  if (IsOwn(node.participant)) return;
+  party->second.nodes.insert(node.full_name);
+  now_.owners[node.full_name].insert(node.participant);
+}
+
+void Findings::UpsertEndpoint(const ros2::Endpoint& endpoint, int64_t now_ns) {
+  const auto party = now_.parties.find(endpoint.guid.Participant());
+  if (party == now_.parties.end()) return;
+  party->second.shown = true;
+  if (!endpoint.ros && endpoint.kind == EndpointKind::kPublisher &&
+      endpoint.name == ros2::kDiscoveryTopic) {
+    party->second.announcer = endpoint.guid;
+  }
+  if (!IsSuspect(endpoint)) {
+    now_.suspects.erase(endpoint.guid);
+    return;
+  }
+  const auto [it, is_new] = now_.suspects.try_emplace(endpoint.guid);
+  if (is_new) {
+    const auto before = before_.suspects.find(endpoint.guid);
+    it->second.seen_ns = before == before_.suspects.end() ? now_ns : before->second.seen_ns;
+  }
+  it->second.kind = endpoint.kind;
+  it->second.name = endpoint.name;
+  it->second.node = endpoint.node;
+}
+
+void Findings::DropNode(const std::string& name) {
+  const auto owners = now_.owners.find(name);
+  if (owners == now_.owners.end()) return;
+  for (const Guid& guid : owners->second) now_.parties.at(guid).nodes.erase(name);
+  now_.owners.erase(owners);
+}
+
+void Findings::DropGuid(const Guid& guid) {
+  const auto party = now_.parties.find(guid.Participant());
+  if (guid != guid.Participant()) {
+    now_.suspects.erase(guid);
+    if (party != now_.parties.end() && party->second.announcer == guid) {
+      party->second.announcer = Guid{};
+    }
+    return;
+  }
+  false_claims_.erase(guid);
+  if (party == now_.parties.end()) return;
+  for (const std::string& name : party->second.nodes) {
+    const auto owners = now_.owners.find(name);
+    owners->second.erase(guid);
+    if (owners->second.empty()) now_.owners.erase(owners);
+  }
+  now_.parties.erase(party);
+  Guid first = guid;
+  std::fill(first.bytes.begin() + 12, first.bytes.end(), uint8_t{0});
+  const auto begin = now_.suspects.lower_bound(first);
+  auto end = begin;
+  while (end != now_.suspects.end() && end->first.SamePrefix(guid)) ++end;
+  now_.suspects.erase(begin, end);
+}
+
+void Findings::OnEndpointSeen(const EndpointFact& endpoint, int64_t now_ns) {
+  if (!endpoint.writer || glimpses_.contains(endpoint.guid)) return;
+  ros2::DemangledTopic topic = ros2::DemangleTopic(endpoint.topic);
+  if (topic.kind != ros2::DdsTopicKind::kServiceRequest || PartOf(topic.name).empty()) return;
+  if (glimpses_.size() >= options_.findings_max) return;  // the graph shows most of them
+  glimpses_[endpoint.guid] = {now_ns, std::move(topic.name)};
+}
+
+void Findings::OnEndpointGone(const Guid& endpoint) {
+  const auto it = glimpses_.find(endpoint);
+  if (it == glimpses_.end()) return;
+  const auto [seen_ns, service] = std::move(it->second);
+  glimpses_.erase(it);
+  const Key key{kForeignModeWriter, endpoint, ""};
+  const Guid participant = endpoint.Participant();
+  const absl::string_view part = PartOf(service);
+  if (now_.suspects.contains(endpoint) || held_.contains(key)) return;  // the graph has shown it
+  if (!protected_parts_.contains(part) || IsOwn(participant)) return;
+  const Servers servers = CollectServers();
+  const auto server = servers.find(part);
+  if (server != servers.end() && server->second.manager == participant) return;
+  if (held_.size() >= options_.findings_max) {
+    ++dropped_;
+    return;
+  }
+  held_[key] = {.finding = {.kind = kKindNames[kForeignModeWriter],
+                            .guid = endpoint,
+                            .topic = service,
+                            .detail = absl::StrCat(Describe(participant), " may steer this part")},
+                .due_ns = std::max(seen_ns, connected_ns_) + options_.foreign_grace_ns,
+                .gone = true};
+  dirty_ = true;
+}
+
+void Findings::OnClaim(const Guid& writer, const absl::Status& taken, int64_t now_ns) {
+  const Guid participant = writer.Participant();
+  if (!absl::IsPermissionDenied(taken)) {
+    dirty_ |= false_claims_.erase(participant) > 0;
+    return;
+  }
+  if (false_claims_.contains(participant)) return;
+  if (false_claims_.size() >= options_.findings_max) {
+    ++dropped_;
+    return;
+  }
+  false_claims_[participant] = {now_ns, std::string(taken.message())};
+  dirty_ = true;
+}
+
+void Findings::SetOwnParticipants(const std::vector<Guid>& participants) {
+  absl::btree_set<Guid> now(participants.begin(), participants.end());
+  if (now == own_participants_) return;
+  own_participants_ = std::move(now);
+  dirty_ = true;
+}
+
+void Findings::SetProtectedParts(const std::vector<std::string>& parts) {
+  absl::btree_set<std::string> now(parts.begin(), parts.end());
+  if (now == protected_parts_) return;
+  protected_parts_ = std::move(now);
+  dirty_ = true;
+}
+
+void Findings::SetConnected(bool connected, int64_t now_ns) {
+  if (connected == connected_) return;
+  connected_ = connected;
+  dirty_ = true;
+  if (!connected) return;
+  connected_ns_ = now_ns;
+  for (auto& [key, held] : held_) {
+    if (held.gone) held.due_ns = now_ns + options_.foreign_grace_ns;
+  }
+}
+
+// --- What stands
+
+std::string Findings::Describe(const Guid& participant) const {
+  const auto party = now_.parties.find(participant);
+  if (party == now_.parties.end() || party->second.host.empty()) {
+    return absl::StrCat("participant ", ToString(participant));
+  }
+  return absl::StrCat("participant ", ToString(participant), " (says: host ", party->second.host,
+                      ", process ", party->second.pid, ")");
+}
+
+void Findings::CollectNodes(WantedMap& wanted) {
+  for (const auto& [name, owners] : now_.owners) {
+    std::vector<Guid> others;
+    for (const Guid& guid : owners) {
+      if (!IsOwn(guid)) others.push_back(guid);
+    }
+    int64_t due_ns = 0;
+    if (IsRipsName(name)) {
+      for (const Guid& guid : others) {
+        const int64_t impostor_due_ns = ForeignDue(now_.parties.at(guid).seen_ns);
+        due_ns = std::max(due_ns, impostor_due_ns);
+        if (Wanted* fresh = Want({kImpostor, guid, name}, impostor_due_ns, wanted)) {
+          fresh->finding = {.guid = guid,
+                            .node = name,
+                            .detail = absl::StrCat("claimed by ", Describe(guid),
+                                                   ", which is no agent that the server knows")};
+        }
+      }
+    }
+    if (others.size() < 2) continue;
+    Wanted* fresh = Want({kDuplicateNode, Guid{}, name}, due_ns, wanted);
+    if (fresh == nullptr) continue;
+    // The last one to come is the more likely intruder.
+    const Guid last =
+        *std::max_element(others.begin(), others.end(), [&](const Guid& a, const Guid& b) {
+          return now_.parties.at(a).seen_ns < now_.parties.at(b).seen_ns;
+        });
+    std::string detail = absl::StrCat("claimed by ", others.size(), " participants:");
+    for (size_t i = 0; i < std::min(others.size(), kNamedMax); ++i) {
+      absl::StrAppend(&detail, i == 0 ? " " : ", ", Describe(others[i]));
+    }
+    fresh->finding = {.guid = last, .node = name, .detail = std::move(detail)};
+  }
+}
+
+void Findings::CollectClaims(int64_t now_ns, WantedMap& wanted) {
+  for (auto it = false_claims_.begin(); it != false_claims_.end();) {
+    const auto& [guid, claim] = *it;
+    if (now_.parties.contains(guid)) {
+      if (Wanted* fresh = Want({kFalseClaim, guid, ""}, 0, wanted)) {
+        fresh->finding = {.guid = guid, .detail = claim.second};
+      }
+    } else if (now_ns >= claim.first + options_.orphan_claim_ns) {
+      it = false_claims_.erase(it);
+      continue;
+    }
+    ++it;
+  }
+}
+
+bool Findings::MayBeOurs(const Key& key) {
+  return key.kind == kForeignModeWriter || key.kind == kImpostor ||
+         (key.kind == kDuplicateNode && IsRipsName(key.node));
+}
+
+bool Findings::IsToldLate(const Key& key) const {
+  if (IsOwn(key.guid.Participant())) return false;
+  return key.kind == kImpostor ||
+         (key.kind == kForeignModeWriter && !now_.suspects.contains(key.guid));
+}
+
+int64_t Findings::ForeignDue(int64_t seen_ns) const {
+  return std::max(seen_ns, connected_ns_) + options_.foreign_grace_ns;
+}
+
+Findings::Wanted* Findings::Want(const Key& key, int64_t due_ns, WantedMap& wanted) {
+  const auto held = held_.find(key);
+  const bool is_held = held != held_.end();
+  if (!is_held && ++fresh_ > options_.findings_max) return nullptr;
+  Wanted& each = wanted[key];
+  each.due_ns = due_ns;
+  return is_held && held->second.told ? nullptr : &each;
+}
+
+Findings::Servers Findings::CollectServers() const {
+  Servers servers;
+  for (const auto& [guid, suspect] : now_.suspects) {
+    if (suspect.kind != EndpointKind::kService) continue;
+    const absl::string_view part = PartOf(suspect.name);
+    if (!protected_parts_.contains(part)) continue;
+    Server& of_part = servers[std::string(part)];
+    const Guid server = guid.Participant();
+    of_part.all.insert(server);
+    if (suspect.seen_ns > of_part.first_ns) continue;
+    const bool tie = suspect.seen_ns == of_part.first_ns && of_part.manager != server;
+    of_part.first_ns = suspect.seen_ns;
+    of_part.manager = tie ? std::nullopt : std::optional<Guid>(server);
+  }
+  return servers;
+}
+
+void Findings::CollectModeWriters(WantedMap& wanted) {
+  const Servers servers = CollectServers();
+  for (const auto& [guid, suspect] : now_.suspects) {
+    if (suspect.kind != EndpointKind::kClient) continue;
+    const absl::string_view part = PartOf(suspect.name);
+    const Guid participant = guid.Participant();
+    if (!protected_parts_.contains(part) || IsOwn(participant)) continue;
+    const auto server = servers.find(part);
+    const bool serves = server != servers.end() && server->second.all.contains(participant);
+    if (serves && server->second.manager == participant) continue;
+    const int64_t grace_ns = serves ? options_.rival_grace_ns : options_.foreign_grace_ns;
+    Wanted* fresh = Want({kForeignModeWriter, guid, ""},
+                         std::max(suspect.seen_ns, connected_ns_) + grace_ns, wanted);
+    if (fresh == nullptr) continue;
+    fresh->finding = {
+        .guid = guid,
+        .node = suspect.node,
+        .topic = suspect.name,
+        .detail = absl::StrCat(
+            Describe(participant),
+            serves ? " serves change_mode of this part beside its mode manager, and" : "",
+            " may steer this part")};
+  }
+}
+
+void Findings::CollectNonRosWriters(WantedMap& wanted) {
+  for (const auto& [guid, suspect] : now_.suspects) {
+    const Guid participant = guid.Participant();
+    if (suspect.kind != EndpointKind::kPublisher || IsOwn(participant)) continue;
+    const bool announces = !now_.parties.at(participant).announcer.none();
+    Wanted* fresh = Want({kNonRosWriter, guid, ""},
+                         suspect.seen_ns + (announces ? options_.slow_node_ns : 0), wanted);
+    if (fresh == nullptr) continue;
+    fresh->finding = {.guid = guid,
+                      .topic = suspect.name,
+                      .detail = absl::StrCat(Describe(participant),
+                                             announces ? " does not claim this writer for a node"
+                                                       : " is no ROS process")};
+  }
+}
+
+void Findings::CollectStrangers(int64_t now_ns, WantedMap& wanted) {
+  secured_strangers_ = 0;
+  strangers_due_ns_ = kNever;
+  for (const auto& [guid, party] : now_.parties) {
+    if (party.shown || IsOwn(guid)) continue;
+    const int64_t due_ns = party.seen_ns + options_.handshake_ns;
+    if (options_.secured) {
+      if (Wanted* fresh = Want({kUnauthenticated, guid, ""}, due_ns, wanted)) {
+        fresh->finding = {.guid = guid,
+                          .detail = absl::StrCat(Describe(guid), " has not authenticated")};
+      }
+    } else if (HasSecurePrefix(guid)) {
+      if (due_ns <= now_ns) {
+        ++secured_strangers_;
+      } else {
+        strangers_due_ns_ = std::min(strangers_due_ns_, due_ns);
+      }
+    }
+  }
+}
+
+Findings::WantedMap Findings::Collect(int64_t now_ns) {
+  WantedMap wanted;
+  fresh_ = 0;
+  CollectNodes(wanted);
+  CollectClaims(now_ns, wanted);
+  CollectModeWriters(wanted);
+  CollectNonRosWriters(wanted);
+  CollectStrangers(now_ns, wanted);
+  for (auto& [key, each] : wanted) {
+    each.finding.kind = kKindNames[key.kind];
+    if (each.finding.detail.size() > kFindingDetailBytesMax) {
+      each.finding.detail.resize(kFindingDetailBytesMax);
+    }
+  }
+  return wanted;
+}
+
+// --- What is told
+
+std::vector<Finding> Findings::Poll(int64_t now_ns) {
+  std::vector<Finding> told;
+  if (!dirty_ && now_ns < next_due_ns_) return told;
+  WantedMap wanted = Collect(now_ns);
+  End(wanted, told);
+  Begin(std::move(wanted));
+  dirty_ = false;
+  TurnWindows(now_ns, told);
+  Tell(now_ns, told);
+  ScheduleNext();
+  return told;
+}
+
+void Findings::End(const WantedMap& wanted, std::vector<Finding>& told) {
+  for (auto it = held_.begin(); it != held_.end();) {
+    const auto& [key, held] = *it;
+    if (wanted.contains(key)) {
+      ++it;
+      continue;
+    }
+    if (held.told) {
+      told.push_back(held.finding);
+      told.back().over = true;
+    } else if (IsToldLate(key)) {
+      it->second.gone = true;
+      ++it;
+      continue;
+    } else if (held.withheld) {
+      ++windows_[key.kind].folded;
+    }
+    it = held_.erase(it);
+  }
+}
+
+void Findings::Begin(WantedMap wanted) {
+  size_t not_held = fresh_ > options_.findings_max ? fresh_ - options_.findings_max : 0;
+  for (auto& [key, each] : wanted) {
+    const auto it = held_.find(key);
+    if (it != held_.end()) {
+      if (it->second.told) continue;
+      it->second.gone = false;
+      it->second.due_ns = each.due_ns;
+      // Its node may have become known meanwhile.
+      it->second.finding = std::move(each.finding);
+    } else if (held_.size() >= options_.findings_max) {
+      ++not_held;
+    } else {
+      held_[key] = {.finding = std::move(each.finding), .due_ns = each.due_ns};
+    }
+  }
+  if (not_held > not_held_) dropped_ += not_held - not_held_;
+  not_held_ = not_held;
+}
+
+void Findings::TurnWindows(int64_t now_ns, std::vector<Finding>& told) {
+  for (size_t kind = 0; kind < windows_.size(); ++kind) {
+    Window& window = windows_[kind];
+    if (window.told == 0 || now_ns < window.start_ns + kMinuteNs) continue;
+    const uint64_t folded = window.folded;
+    window = {};
+    if (folded == 0) continue;
+    window = {.start_ns = now_ns, .told = 1};
+    Finding summary{.kind = kKindNames[kind],
+                    .detail = absl::StrCat(folded, " more came and went within a minute")};
+    told.push_back(summary);
+    summary.over = true;
+    told.push_back(std::move(summary));
+  }
+}
+
+void Findings::Tell(int64_t now_ns, std::vector<Finding>& told) {
+  for (auto it = held_.begin(); it != held_.end();) {
+    Held& held = it->second;
+    if (held.told || held.due_ns > now_ns || !CanBeTold(it->first)) {
+      ++it;
+      continue;
+    }
+    Window& window = windows_[it->first.kind];
+    held.withheld = window.told >= options_.told_per_minute;
+    if (held.withheld) {
+      ++it;
+      continue;
+    }
+    if (window.told++ == 0) window.start_ns = now_ns;
+    told.push_back(held.finding);
+    held.told = true;
+    if (!held.gone) {
+      ++it;
+      continue;
+    }
+    told.back().detail = absl::StrCat("it has left: ", told.back().detail);
+    told.push_back(told.back());
+    told.back().over = true;
+    it = held_.erase(it);
+  }
+}
+
+void Findings::ScheduleNext() {
+  next_due_ns_ = strangers_due_ns_;
+  for (const auto& [key, held] : held_) {
+    if (held.told || !CanBeTold(key)) continue;
+    const int64_t due_ns = held.withheld ? windows_[key.kind].start_ns + kMinuteNs : held.due_ns;
+    next_due_ns_ = std::min(next_due_ns_, due_ns);
+  }
+  for (const Window& window : windows_) {
+    if (window.folded > 0) next_due_ns_ = std::min(next_due_ns_, window.start_ns + kMinuteNs);
+  }
+}
+
+std::vector<Finding> Findings::Told() const {
+  std::vector<Finding> told;
+  for (const auto& [key, held] : held_) {
+    if (held.told) told.push_back(held.finding);
+  }
+  return told;
+}
+
+}  // namespace rips::sensor

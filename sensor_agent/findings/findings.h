@@ -1,0 +1,234 @@
+// What is wrong on a bus whatever the rules say: begins, and ends.
+//
+// | kind                | stands while                                              | told        |
+// |---------------------|-----------------------------------------------------------|-------------|
+// | duplicate_node      | two participants claim a node of that name                | at once     |
+// | impostor            | one that is none of RIPS's claims a node `rips`           | foreign     |
+// |                     |                                                           | grace       |
+// | false_claim         | the newest claim of a participant speaks for another      | at once     |
+// | foreign_mode_writer | a client of change_mode, change_state, set_parameters or  | foreign     |
+// |                     | set_parameters_atomically of a protected part is neither  | grace, or   |
+// |                     | RIPS's nor in the participant that serves its change_mode | rival       |
+// |                     |                                                           | grace       |
+// | non_ros_writer      | a ROS topic has a writer that no node claims, past the    | at once, or |
+// |                     | attribution grace                                         | slow node   |
+// | unauthenticated     | with DDS Security: a participant shows no endpoint        | handshake   |
+//
+// "At once" is after the graph step that shows it, so never before discovery has settled.
+// A node that died without farewell and was started again is a duplicate until its lease ends.
+// A writer without a node waits for the slow node if its participant publishes
+// `ros_discovery_info`; one that does not publish it is no ROS process.
+// A foreign mode writer waits because RIPS's own processes are on the bus before the server tells
+// us that they are; the grace counts from when the server can tell us, so while there is no stream
+// none is told. One that has left by then is told all the same: it may have written. An impostor
+// waits for the same reason, and so does a duplicate of its name: RIPS's processes, too, call
+// themselves `rips`. Who serves
+// change_mode is taken from discovery: the first one seen. A second one waits the rival grace: the
+// mode manager may have died and been started again, and then the first goes with its lease. Of
+// several in the same snapshot none is trusted.
+#ifndef RIPS_SENSOR_AGENT_FINDINGS_FINDINGS_H_
+#define RIPS_SENSOR_AGENT_FINDINGS_FINDINGS_H_
+
+#include <array>
+#include <cstddef>
+#include <cstdint>
+#include <optional>
+#include <string>
+#include <utility>
+#include <vector>
+
+#include "absl/container/btree_map.h"
+#include "absl/container/btree_set.h"
+#include "absl/status/status.h"
+#include "absl/strings/string_view.h"
+#include "sensor_agent/graph/graph_builder.h"
+#include "sensor_agent/outbox/observation.h"
+#include "services/ros2/guid.h"
+#include "services/ros2/ros_graph.h"
+
+namespace rips::sensor {
+
+// Bytes of Finding::detail.
+inline constexpr size_t kFindingDetailBytesMax = 512;
+
+struct FindingsOptions {
+  // This sensor's participant.
+  ros2::Guid own;
+  // It uses DDS Security, and the domain's governance admits nobody without it.
+  bool secured = false;
+  int64_t foreign_grace_ns = 5'000'000'000;
+  // Above the longest usual lease, 10 s with Cyclone DDS.
+  int64_t rival_grace_ns = 15'000'000'000;
+  int64_t slow_node_ns = 5'000'000'000;
+  // Above that, too: the middleware believes no farewell of a participant that has not
+  // authenticated, and who came and left within the handshake is nobody's finding.
+  int64_t handshake_ns = 15'000'000'000;
+  // A refused claim whose participant the graph does not show is forgotten then.
+  int64_t orphan_claim_ns = 30'000'000'000;
+  // Findings held, told or not. Further ones are counted in dropped().
+  size_t findings_max = 1'024;
+  // Of one kind in a minute. What comes and goes beyond that is told as a number when the minute
+  // is over; what still stands then is told.
+  size_t told_per_minute = 30;
+};
+
+// Not thread-safe; no clock: times are CLOCK_BOOTTIME in nanoseconds and never go back.
+class Findings {
+ public:
+  explicit Findings(FindingsOptions options);
+
+  // A step of the graph, in order; a snapshot (from_version 0) with all its parts before the next
+  // Poll. Snapshots that replace steps count, too.
+  void OnGraph(const GraphChange& change, int64_t now_ns);
+  // As discovered, before the graph step that shows it: a client may come, call and leave within
+  // the burst that makes one step, and then the graph never shows it.
+  void OnEndpointSeen(const EndpointFact& endpoint, int64_t now_ns);
+  void OnEndpointGone(const ros2::Guid& endpoint);
+  // What GraphBuilder::NodesClaimed said of a claim published by the endpoint `writer`.
+  void OnClaim(const ros2::Guid& writer, const absl::Status& taken, int64_t now_ns);
+  // As the server says. `parts`: full names.
+  void SetOwnParticipants(const std::vector<ros2::Guid>& participants);
+  void SetProtectedParts(const std::vector<std::string>& parts);
+  // There is a stream to the server, which has said what it knows of RIPS's participants.
+  void SetConnected(bool connected, int64_t now_ns);
+
+  // What is to be told now; usually nothing.
+  std::vector<Finding> Poll(int64_t now_ns);
+  // When Poll may next have something to say; kNever = not before another fact.
+  int64_t NextDue() const { return dirty_ ? 0 : next_due_ns_; }
+  // Told and not over, for a server that has forgotten.
+  std::vector<Finding> Told() const;
+
+  // Participants whose GUID says that they use DDS Security and that show nothing to us, who do
+  // not. As of the last Poll.
+  size_t secured_strangers() const { return secured_strangers_; }
+  // Findings that were not held because of the limit.
+  uint64_t dropped() const { return dropped_; }
+
+ private:
+  enum Kind {
+    kDuplicateNode,
+    kImpostor,
+    kFalseClaim,
+    kForeignModeWriter,
+    kNonRosWriter,
+    kUnauthenticated,
+    kKinds
+  };
+  struct Key {
+    Kind kind = kKinds;
+    ros2::Guid guid;
+    std::string node;
+
+    friend auto operator<=>(const Key&, const Key&) = default;
+  };
+  struct Party {
+    int64_t seen_ns = 0;
+    std::string host;
+    uint32_t pid = 0;
+    // Its writer of ros_discovery_info; none() = it has none.
+    ros2::Guid announcer;
+    // Has shown an endpoint or a node.
+    bool shown = false;
+    absl::btree_set<std::string> nodes;
+  };
+  // An endpoint that may be part of a finding.
+  struct Suspect {
+    int64_t seen_ns = 0;
+    ros2::EndpointKind kind = ros2::EndpointKind::kPublisher;
+    std::string name;
+    std::string node;
+  };
+  struct Tables {
+    absl::btree_map<ros2::Guid, Party> parties;
+    absl::btree_map<ros2::Guid, Suspect> suspects;
+    // Participants that claim a node of that name.
+    absl::btree_map<std::string, absl::btree_set<ros2::Guid>> owners;
+  };
+  struct Wanted {
+    Finding finding;
+    int64_t due_ns = 0;
+  };
+  struct Held {
+    Finding finding;
+    int64_t due_ns = 0;
+    bool told = false;
+    // Due, but its kind is told too often.
+    bool withheld = false;
+    // No longer so, and still to be told.
+    bool gone = false;
+  };
+  // Of one part's change_mode.
+  struct Server {
+    absl::btree_set<ros2::Guid> all;
+    int64_t first_ns = kNever;
+    // The first of them; nullopt = it cannot be told.
+    std::optional<ros2::Guid> manager;
+  };
+  struct Window {
+    int64_t start_ns = 0;
+    size_t told = 0;
+    uint64_t folded = 0;
+  };
+  using WantedMap = absl::btree_map<Key, Wanted>;
+  using Servers = absl::btree_map<std::string, Server>;
+
+  bool IsOwn(const ros2::Guid& participant) const;
+  void UpsertParticipant(const ros2::Participant& participant, int64_t now_ns);
+  void UpsertNode(const ros2::Node& node);
+  void UpsertEndpoint(const ros2::Endpoint& endpoint, int64_t now_ns);
+  void DropNode(const std::string& name);
+  void DropGuid(const ros2::Guid& guid);
+
+  WantedMap Collect(int64_t now_ns);
+  void CollectNodes(WantedMap& wanted);
+  void CollectClaims(int64_t now_ns, WantedMap& wanted);
+  Servers CollectServers() const;
+  void CollectModeWriters(WantedMap& wanted);
+  void CollectNonRosWriters(WantedMap& wanted);
+  void CollectStrangers(int64_t now_ns, WantedMap& wanted);
+  // `key` stands. Where to say what it is, unless it was told already or too many are new.
+  Wanted* Want(const Key& key, int64_t due_ns, WantedMap& wanted);
+  std::string Describe(const ros2::Guid& participant) const;
+
+  void Begin(WantedMap wanted);
+  void End(const WantedMap& wanted, std::vector<Finding>& told);
+  void Tell(int64_t now_ns, std::vector<Finding>& told);
+  void TurnWindows(int64_t now_ns, std::vector<Finding>& told);
+  // The server may still tell us that it is RIPS's.
+  static bool MayBeOurs(const Key& key);
+  // It is told although it has left.
+  bool IsToldLate(const Key& key) const;
+  int64_t ForeignDue(int64_t seen_ns) const;
+  bool CanBeTold(const Key& key) const { return connected_ || !MayBeOurs(key); }
+  void ScheduleNext();
+
+  const FindingsOptions options_;
+  absl::btree_set<ros2::Guid> own_participants_;
+  absl::btree_set<std::string> protected_parts_;
+  bool connected_ = false;
+  int64_t connected_ns_ = 0;
+  Tables now_;
+  // What was known before the snapshot that is being taken.
+  Tables before_;
+  // Clients that may steer a part, by GUID: since when, and what service. At most findings_max.
+  absl::btree_map<ros2::Guid, std::pair<int64_t, std::string>> glimpses_;
+  // By participant: when and what.
+  absl::btree_map<ros2::Guid, std::pair<int64_t, std::string>> false_claims_;
+
+  absl::btree_map<Key, Held> held_;
+  std::array<Window, kKinds> windows_;
+  bool dirty_ = false;
+  // Of what is not held: when a participant has been a stranger for long enough.
+  int64_t strangers_due_ns_ = kNever;
+  int64_t next_due_ns_ = kNever;
+  size_t secured_strangers_ = 0;
+  // New ones in the Collect that is going on.
+  size_t fresh_ = 0;
+  size_t not_held_ = 0;
+  uint64_t dropped_ = 0;
+};
+
+}  // namespace rips::sensor
+
+#endif  // RIPS_SENSOR_AGENT_FINDINGS_FINDINGS_H_
