@@ -25,7 +25,7 @@ struct ParticipantSeen {
   // From user data "enclave=/x;"; empty if not given, and under DDS Security if its GUID does not
   // prove it.
   std::string enclave;
-  std::string host;     // empty, and pid 0, for participants that do not tell
+  std::string host;  // empty, and pid 0, for participants that do not tell
   std::string process;
   uint32_t pid = 0;
   // First two bytes of the GUID prefix as 4 hex digits, "0110" = Cyclone, "010f" = Fast DDS. By

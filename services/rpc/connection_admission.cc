@@ -119,6 +119,11 @@ void Admission::Identified(const Source& source, int64_t now_ns) {
   Touch(source.address, now_ns).known_until_ns = now_ns + kKnownNs;
 }
 
+bool Admission::Known(const Source& source, int64_t now_ns) const {
+  const auto it = addresses_.find(source.address);
+  return it != addresses_.end() && now_ns < it->second.known_until_ns;
+}
+
 int64_t Admission::Ban(const Source& source, int64_t now_ns) {
   Address& address = Touch(source.address, now_ns);
   const bool again = address.ban_ns > 0 && now_ns - address.banned_until_ns < kKnownNs;

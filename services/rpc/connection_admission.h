@@ -75,6 +75,8 @@ class Admission {
   // How long it lasts.
   int64_t Ban(const Source& source, int64_t now_ns);
   int total() const { return total_; }
+  // One of its certificates was admitted not long ago.
+  bool Known(const Source& source, int64_t now_ns) const;
 
  private:
   struct Address {

@@ -12,6 +12,7 @@
 
 #include <cerrno>
 #include <cstring>
+#include <tuple>
 #include <utility>
 
 #include "absl/strings/numbers.h"
@@ -33,7 +34,9 @@ constexpr int64_t kTrimNs = kNanosPerSecond;
 // Of agents whose calls are counted, before those who have not called for long are forgotten.
 constexpr size_t kAgentCallsMax = 4'096;
 constexpr size_t kBannedMax = 4'096;
-// gRPC closes their descriptors a moment later.
+// No ClientHello is shorter.
+constexpr uint64_t kClientHelloBytes = 64;
+// Ended to make room; gRPC closes their descriptors a moment later.
 constexpr int kRoomPerLook = 128;
 constexpr char kEndedHelp[] = "Connections ended by the guard, by why.";
 
@@ -141,6 +144,7 @@ Connection::State Connection::Look(int64_t now_ns, Excess& excess) {
   if (getsockopt(socket_.get(), IPPROTO_TCP, TCP_INFO, &info, &size) != 0) return State::kOver;
   if (info.tcpi_state != kEstablished && info.tcpi_state != kCloseWait) return State::kOver;
   if (ended_) return State::kEnded;
+  spoke_ = info.tcpi_bytes_received >= kClientHelloBytes;
   excess = budget_.Look(info.tcpi_bytes_received, now_ns);
   return State::kOpen;
 }
@@ -351,7 +355,7 @@ void ConnectionGuard::Take(UniqueFd socket) {
     MutexLock lock(&mu_);
     if (probes_.contains(source.peer)) return;  // closes it
     Admission::Verdict verdict = admission_.Ask(source, now_ns);
-    if (MakeRoomLocked(source, verdict)) verdict = admission_.Ask(source, now_ns);
+    if (MakeRoomLocked(source, verdict, now_ns)) verdict = admission_.Ask(source, now_ns);
     if (verdict != Admission::Verdict::kTake) {
       CountRefused(ToString(verdict));
       if (const auto left_out = refusal_logs_.Admit("")) {
@@ -382,23 +386,28 @@ void ConnectionGuard::Take(UniqueFd socket) {
   grpc_->HandleNewConnection(&given);
 }
 
-bool ConnectionGuard::MakeRoomLocked(const Source& source, Admission::Verdict limit) {
+bool ConnectionGuard::MakeRoomLocked(const Source& source, Admission::Verdict limit,
+                                     int64_t now_ns) {
   const bool in_address = limit == Admission::Verdict::kAddress;
   const bool in_network = limit == Admission::Verdict::kNetwork;
   if (!in_address && !in_network && limit != Admission::Verdict::kTotal) return false;
   if (made_room_ >= kRoomPerLook) return false;
-  std::shared_ptr<Connection> oldest;
+  std::shared_ptr<Connection> victim;
+  const auto worth = [&](const Connection& connection) {
+    return std::tuple(admission_.Known(connection.source(), now_ns), connection.spoke_.load(),
+                      connection.taken_ns_);
+  };
   for (const auto& [peer, connection] : connections_) {
     if (in_address && connection->source().address != source.address) continue;
     if (in_network && connection->source().network != source.network) continue;
-    if (oldest != nullptr && oldest->taken_ns_ <= connection->taken_ns_) continue;
-    if (connection->certificate().empty()) oldest = connection;
+    if (victim != nullptr && worth(*victim) <= worth(*connection)) continue;
+    if (connection->certificate().empty()) victim = connection;
   }
-  if (oldest == nullptr) return false;
+  if (victim == nullptr) return false;
   ++made_room_;
-  oldest->End();
-  ForgetLocked(*oldest);
-  connections_.erase(oldest->source().peer);
+  victim->End();
+  ForgetLocked(*victim);
+  connections_.erase(victim->source().peer);
   CountEnded("room");
   return true;
 }

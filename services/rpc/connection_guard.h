@@ -77,6 +77,8 @@ class Connection {
   const Source source_;
   const int64_t taken_ns_;
   const UniqueFd socket_;
+  // It has sent enough to be a peer of ours.
+  std::atomic<bool> spoke_ = false;
   mutable Mutex mu_;
   ConnectionBudget budget_ ABSL_GUARDED_BY(mu_);
   std::string certificate_ ABSL_GUARDED_BY(mu_);
@@ -149,10 +151,11 @@ class ConnectionGuard {
   // Everything that waits at a listener. False: descriptors have run out.
   bool AcceptAll(int listener);
   void Take(UniqueFd socket);
-  // Ends the oldest connection without a certificate that counts against the limit `source` has
-  // met, so that a flood of those cannot keep out a peer that would name itself. False if there is
-  // none, or too many were ended since the last look.
-  bool MakeRoomLocked(const Source& source, Admission::Verdict limit)
+  // Ends a connection without a certificate that counts against the limit `source` has met, so that
+  // a flood of those cannot keep out a peer that would name itself: first of addresses that are not
+  // known, of those one that has sent nothing, of those the oldest. False if there is none, or too many were
+  // ended since the last look.
+  bool MakeRoomLocked(const Source& source, Admission::Verdict limit, int64_t now_ns)
       ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
   void RunWatch();
   void Look();

@@ -89,7 +89,8 @@ Request ParseRequest(absl::string_view head) {
 
 absl::StatusOr<PageAddress> ParsePageAddress(absl::string_view text) {
   const absl::Status bad = absl::InvalidArgumentError(
-      absl::StrCat("metrics address `", text, "` is not HOST:PORT with a host in numbers, such as `127.0.0.1:9464`"));
+      absl::StrCat("metrics address `", text,
+                   "` is not HOST:PORT with a host in numbers, such as `127.0.0.1:9464`"));
   const size_t colon = text.rfind(':');
   PageAddress address;
   int port = 0;

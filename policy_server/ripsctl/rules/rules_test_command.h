@@ -9,8 +9,8 @@
 namespace rips::ripsctl {
 
 // Runs unit tests of rules (policy_server/policy/replay/rule_test_file.h). Exits with kDone if all
-// passed, kRefused if one failed or rules do not compile, kUsage if a file cannot be read or is not well
-// formed; then no test is run. JSON:
+// passed, kRefused if one failed or rules do not compile, kUsage if a file cannot be read or is not
+// well formed; then no test is run. JSON:
 // {"tests":count,"failed":count,"files":[{"path","ok":bool,"tests":[{"name","line","ok":bool,
 //  "failures":[{"line","what","expected":[..],"got":[..]}]}],"not_exercised":[rules],
 //  "refused"?:{as rules check}}]}. `--output junit`: one test suite a file.
