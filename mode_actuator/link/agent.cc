@@ -12,16 +12,16 @@
 
 #include "absl/strings/escaping.h"
 #include "absl/strings/str_cat.h"
-#include "mode_actuator/decide/degraded_book.h"
-#include "mode_actuator/decide/drill_desk.h"
-#include "mode_actuator/decide/exec_ledger.h"
-#include "mode_actuator/decide/receipt_book.h"
+#include "mode_actuator/decide/degraded_status.h"
+#include "mode_actuator/decide/drill_controller.h"
+#include "mode_actuator/decide/exec_journal.h"
+#include "mode_actuator/decide/receipt_queue.h"
 #include "mode_actuator/link/downlink.h"
 #include "mode_actuator/steps/alarm/alarm_board.h"
 #include "mode_actuator/steps/alarm/drivers.h"
 #include "mode_actuator/steps/drill.h"
 #include "mode_actuator/steps/firewall/fw_client.h"
-#include "mode_actuator/steps/procedures.h"
+#include "mode_actuator/steps/level_executor.h"
 #include "mode_actuator/steps/program/exec_client.h"
 #include "mode_actuator/steps/system_mode/missing_modes.h"
 #include "mode_actuator/steps/system_mode/system_modes.h"
@@ -245,11 +245,11 @@ class Agent::Impl {
   BoundedQueue<Input> inputs_;
 
   // Of the agent's thread.
-  std::optional<Executor> executor_;
-  ExecLedger ledger_;
-  DrillDesk desk_;
-  ReceiptBook receipts_;
-  DegradedBook degraded_;
+  std::optional<LevelController> executor_;
+  ExecJournal ledger_;
+  DrillController desk_;
+  ReceiptQueue receipts_;
+  DegradedStatus degraded_;
   size_t execs_ = 0;
   int64_t next_heartbeat_ns_ = 0;
   bool announcing_ = true;  // the last claim was published
@@ -268,7 +268,7 @@ class Agent::Impl {
   std::unique_ptr<ExecClient> programs_;  // killed at the end; the journal says "begun"
   std::unique_ptr<AlarmBoard> alarms_;    // none if there are no devices
   std::unique_ptr<FwClient> firewall_;
-  std::unique_ptr<Procedures> procedures_;
+  std::unique_ptr<LevelExecutor> procedures_;
   std::unique_ptr<Drill> drill_;
   std::unique_ptr<FileWorker> files_;
   std::unique_ptr<LevelWorker> levels_;
@@ -287,13 +287,13 @@ absl::Status Agent::Impl::LoadState() {
     state = bytes.status();
   }
   if (!state.ok()) LogWarning("state lost", {{"why", state.status().message()}});
-  RIPS_ASSIGN_OR_RETURN(Executor executor,
-                        Executor::Create(MakeExecutorOptions(config_), state, NowNs()));
+  RIPS_ASSIGN_OR_RETURN(LevelController executor,
+                        LevelController::Create(MakeExecutorOptions(config_), state, NowNs()));
   executor_.emplace(std::move(executor));
 
   const absl::StatusOr<std::string> journal = ReadFile(JournalPath(), kJournalBytesMax);
   if (journal.ok()) {
-    absl::StatusOr<ExecLedger> ledger = ExecLedger::Decode(*journal);
+    absl::StatusOr<ExecJournal> ledger = ExecJournal::Decode(*journal);
     if (ledger.ok()) {
       ledger_ = *std::move(ledger);
     } else {
@@ -385,8 +385,8 @@ void Agent::Impl::StartWorkers() {
     alarms_ = std::make_unique<AlarmBoard>(config_.devices, RealAlarms(), clock_);
   }
   procedures_ =
-      std::make_unique<Procedures>(&config_.levels, Modes(), programs_.get(), alarms_.get(), clock_,
-                                   StepRunners{.firewall = firewall_.get()});
+      std::make_unique<LevelExecutor>(&config_.levels, Modes(), programs_.get(), alarms_.get(),
+                                      clock_, StepRunners{.firewall = firewall_.get()});
   drill_ = std::make_unique<Drill>(Drill::Robot{.levels = &config_.levels,
                                                 .allowed = &config_.programs,
                                                 .devices = &config_.devices,

@@ -22,7 +22,7 @@
 #include "absl/strings/str_replace.h"
 #include "gmock/gmock.h"
 #include "gtest/gtest.h"
-#include "mode_actuator/decide/exec_ledger.h"
+#include "mode_actuator/decide/exec_journal.h"
 #include "mode_actuator/steps/alarm/fake_lcus.h"
 #include "rips/v1/actuator.grpc.pb.h"
 #include "services/base/status_matchers.h"
@@ -606,7 +606,7 @@ TEST_F(AgentTest, AProgramWhoseRipsExecDiedIsUnknownAndTheNextOneRuns) {
 }
 
 TEST_F(AgentTest, AProgramFoundUnfinishedIsUnknownAndNotRunAgain) {
-  ExecLedger ledger;
+  ExecJournal ledger;
   ASSERT_THAT(ledger.Begin(Id('a')), IsOk());
   mkdir((dir_ + "/state").c_str(), 0700);
   std::ofstream(dir_ + "/state/journal") << ledger.Encode();

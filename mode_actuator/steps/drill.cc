@@ -9,7 +9,7 @@
 #include "absl/base/thread_annotations.h"
 #include "absl/strings/str_cat.h"
 #include "mode_actuator/steps/alarm/alarm_attempt.h"
-#include "mode_actuator/steps/procedures.h"
+#include "mode_actuator/steps/level_executor.h"
 #include "services/ros2/ros_name.h"
 #include "services/runtime/mutex.h"
 

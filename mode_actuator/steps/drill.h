@@ -1,5 +1,5 @@
 // Tries the steps of a level as far as each can be tried without changing what the robot does: no
-// level, isolation or drift is changed, and nothing that procedures.h keeps is touched.
+// level, isolation or drift is changed, and nothing that level_executor.h keeps is touched.
 //
 // | step                                        | drilled | what is done                         |
 // |---------------------------------------------|---------|--------------------------------------|
@@ -27,7 +27,7 @@
 
 #include "absl/strings/string_view.h"
 #include "absl/time/time.h"
-#include "mode_actuator/decide/drill_desk.h"
+#include "mode_actuator/decide/drill_controller.h"
 #include "mode_actuator/decide/level_plan.h"
 #include "mode_actuator/decide/receipt.h"
 #include "mode_actuator/steps/port/alarms.h"
@@ -46,7 +46,7 @@ inline constexpr absl::Duration kDrillAlarmTime = absl::Seconds(3);
 // How long an alarm is on.
 inline constexpr absl::Duration kFlashTime = absl::Milliseconds(300);
 
-// One thread at a time, that of Procedures.
+// One thread at a time, that of LevelExecutor.
 class Drill {
  public:
   // Nothing is owned; all outlive this. Null where no level has such a step. The clock's boottime

@@ -9,7 +9,7 @@
 #include "absl/strings/str_cat.h"
 #include "gmock/gmock.h"
 #include "gtest/gtest.h"
-#include "mode_actuator/steps/procedures.h"
+#include "mode_actuator/steps/level_executor.h"
 #include "mode_actuator/steps/workers.h"
 #include "services/runtime/mutex.h"
 #include "services/runtime/real_clock.h"
@@ -465,7 +465,7 @@ class DrillWorkerTest : public DrillTest {
   CondVar changed_;
   std::vector<DrillOutcome> drilled_ ABSL_GUARDED_BY(mu_);
   std::vector<LevelOutcome> outcomes_ ABSL_GUARDED_BY(mu_);
-  Procedures procedures_{&levels_, modes_.get(), &programs_, &alarms_, &clock_};
+  LevelExecutor procedures_{&levels_, modes_.get(), &programs_, &alarms_, &clock_};
   std::unique_ptr<LevelWorker> worker_ = std::make_unique<LevelWorker>(
       &procedures_, LevelWorker::Callbacks{.done = [this](LevelOutcome outcome) {
         MutexLock lock(&mu_);
@@ -555,7 +555,7 @@ TEST_F(DrillWorkerTest, EndsWithTheWorker) {
 TEST_F(DrillTest, ProceduresKeepWhatTheyKnow) {
   levels_[1].enter = {Program("horn"), Program("plain")};
   levels_[1].leave = {};
-  Procedures procedures(&levels_, modes_.get(), &programs_, &alarms_, &clock_);
+  LevelExecutor procedures(&levels_, modes_.get(), &programs_, &alarms_, &clock_);
   programs_.end = absl::OkStatus();
   EXPECT_TRUE(procedures.Run({1, JobKind::kEnter, "DEFAULT", "ALERT", true}, cancel_).reached);
   programs_.runs.clear();

@@ -10,7 +10,7 @@
 
 #include "gmock/gmock.h"
 #include "gtest/gtest.h"
-#include "mode_actuator/steps/procedures.h"
+#include "mode_actuator/steps/level_executor.h"
 #include "services/runtime/real_clock.h"
 
 namespace rips::actuator {
@@ -55,7 +55,7 @@ class ProgramStepTest : public ::testing::Test {
     return step;
   }
   LevelOutcome Run(const std::string& from, const std::string& to, bool raise = true) {
-    Procedures procedures(&levels_, nullptr, &programs_, nullptr, &clock_);
+    LevelExecutor procedures(&levels_, nullptr, &programs_, nullptr, &clock_);
     return procedures.Run({1, JobKind::kEnter, from, to, raise}, cancel_);
   }
 

@@ -6,7 +6,7 @@
 
 namespace rips::actuator {
 
-LevelWorker::LevelWorker(Procedures* procedures, Callbacks callbacks)
+LevelWorker::LevelWorker(LevelExecutor* procedures, Callbacks callbacks)
     : procedures_(procedures), callbacks_(std::move(callbacks)) {
   thread_ = std::thread([this] { Loop(); });
 }

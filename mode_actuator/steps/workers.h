@@ -12,8 +12,8 @@
 
 #include "absl/base/thread_annotations.h"
 #include "absl/status/status.h"
-#include "mode_actuator/decide/executor.h"
-#include "mode_actuator/steps/procedures.h"
+#include "mode_actuator/decide/level_controller.h"
+#include "mode_actuator/steps/level_executor.h"
 #include "services/runtime/bounded_queue.h"
 #include "services/runtime/cancel_flag.h"
 #include "services/runtime/mutex.h"
@@ -32,7 +32,7 @@ class LevelWorker {
   };
 
   // `procedures` is not owned and outlives this. Callbacks run on the worker's thread.
-  LevelWorker(Procedures* procedures, Callbacks callbacks);
+  LevelWorker(LevelExecutor* procedures, Callbacks callbacks);
   // Ends the running job and joins.
   ~LevelWorker();
 
@@ -61,7 +61,7 @@ class LevelWorker {
   void RunDrill(const DrillTask& drill, const CancelFlag& cancel) ABSL_LOCKS_EXCLUDED(mu_);
   void RunWaitingCheck(const CancelFlag& cancel) ABSL_LOCKS_EXCLUDED(mu_);
 
-  Procedures* const procedures_;  // Not owned; outlives this.
+  LevelExecutor* const procedures_;  // Not owned; outlives this.
   const Callbacks callbacks_;
   Mutex mu_;
   CondVar changed_;

@@ -36,7 +36,7 @@ using ::testing::SizeIs;
 
 constexpr absl::Duration kLong = absl::Seconds(60);
 
-class QuietAudience final : public pipeline::Audience {
+class QuietAudience final : public pipeline::RobotObserver {
  public:
   void OnAlert(const store::AlertRecord&) override {}
   void OnNotice(const std::string&) override {}

@@ -70,7 +70,7 @@ absl::Status Server::Open() {
   RIPS_ASSIGN_OR_RETURN(alert_log_, store::AlertLog::Open(config_.alerts_file));
   const Counter file_failures = metrics_.AddCounter(
       "rips_alert_file_failures_total", "Attempts to write the alert file that failed.");
-  hub_ = std::make_unique<operator_api::Hub>(
+  hub_ = std::make_unique<operator_api::StatusBroadcaster>(
       store_.get(), alert_log_.get(),
       operator_api::FeedCounts{.file_failures = [file_failures](uint64_t by) {
         file_failures.Increment(static_cast<double>(by));

@@ -19,8 +19,8 @@
 #include "policy_server/server/fleet.h"
 #include "policy_server/server/ingest/sensor_service.h"
 #include "policy_server/server/operator_api/ban_list.h"
-#include "policy_server/server/operator_api/hub.h"
 #include "policy_server/server/operator_api/operator_service.h"
+#include "policy_server/server/operator_api/status_broadcaster.h"
 #include "policy_server/server/plugin_jail.h"
 #include "policy_server/server/shard/pipeline.h"
 #include "policy_server/server/shard/server_alerts.h"
@@ -103,7 +103,7 @@ class Server {
   std::unique_ptr<inspect::InspectionPool> inspections_;
   std::unique_ptr<store::SqliteStore> store_;
   std::unique_ptr<store::AlertLog> alert_log_;
-  std::unique_ptr<operator_api::Hub> hub_;
+  std::unique_ptr<operator_api::StatusBroadcaster> hub_;
   std::unique_ptr<store::Committer> committer_;
   std::unique_ptr<pipeline::ServerAlerts> alerts_;
   std::unique_ptr<pipeline::StoreWatch> store_watch_;

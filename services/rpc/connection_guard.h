@@ -153,8 +153,8 @@ class ConnectionGuard {
   void Take(UniqueFd socket);
   // Ends a connection without a certificate that counts against the limit `source` has met, so that
   // a flood of those cannot keep out a peer that would name itself: first of addresses that are not
-  // known, of those one that has sent nothing, of those the oldest. False if there is none, or too many were
-  // ended since the last look.
+  // known, of those one that has sent nothing, of those the oldest. False if there is none, or too
+  // many were ended since the last look.
   bool MakeRoomLocked(const Source& source, Admission::Verdict limit, int64_t now_ns)
       ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
   void RunWatch();

@@ -42,18 +42,19 @@ class NullRecorder final : public pipeline::Recorder {
     done(absl::OkStatus());
   }
   bool healthy() const override { return true; }
-  absl::StatusOr<std::optional<std::string>> FindDecision(const std::string&,
-                                                          const Mark&) override {
-    return std::nullopt;
+  void FindDecision(const std::string&, const Mark&,
+                    std::function<void(const pipeline::FoundDecision&)> done) override {
+    done(std::nullopt);
   }
-  absl::StatusOr<uint64_t> NextTerm(const std::string&, uint64_t above) override {
-    return above + 1;
+  void NextTerm(const std::string&, uint64_t above,
+                std::function<void(const absl::StatusOr<uint64_t>&)> done) override {
+    done(above + 1);
   }
   store::StorePoint point() const override { return {}; }
   bool GoesOnFrom(const store::StorePoint&) const override { return true; }
 };
 
-class NullAudience final : public pipeline::Audience {
+class NullObserver final : public pipeline::RobotObserver {
  public:
   void OnAlert(const store::AlertRecord&) override {}
   void OnNotice(const std::string&) override {}
@@ -138,7 +139,7 @@ void ShardMessages(benchmark::State& state) {
   const RealClock clock;
   const std::vector<std::string> topics = Topics();
   NullRecorder recorder;
-  NullAudience audience;
+  NullObserver audience;
   const auto program = MakeProgram(TopicRules(100));
   for (auto _ : state) {
     pipeline::Pipeline pipeline(1, &clock);
@@ -235,7 +236,7 @@ class FullRobot {
  private:
   RealClock clock_;
   NullRecorder recorder_;
-  NullAudience audience_;
+  NullObserver audience_;
   std::shared_ptr<pipeline::FakeSensor> sensor_ = std::make_shared<pipeline::FakeSensor>();
   std::unique_ptr<Robot> robot_;
   uint64_t sequence_ = 0;

@@ -1,5 +1,5 @@
 // A new policy: from its text to a robot that runs it.
-#include "policy_server/policy/engine/state/program.h"
+#include "policy_server/policy/engine/state/compiled_policy.h"
 #include "tests/bench/world.h"
 
 namespace rips::bench {
@@ -15,14 +15,14 @@ void Reload(benchmark::State& state, std::vector<lang::SourceFile> (*rules)(int)
       state.SkipWithError("the rules do not compile");
       break;
     }
-    auto program = engine::Program::Create(*std::move(compiled.rules));
+    auto program = engine::CompiledPolicy::Create(*std::move(compiled.rules));
     if (!program.ok() || !robot.SwapProgram(*std::move(program)).ok()) {
       state.SkipWithError("the rules are not taken");
       break;
     }
   }
   const size_t before = BytesInUse();
-  const std::shared_ptr<const engine::Program> another = MakeProgram(files);
+  const std::shared_ptr<const engine::CompiledPolicy> another = MakeProgram(files);
   const size_t bytes = BytesInUse() - before;
   if (another->rules().rules.size() < static_cast<size_t>(count)) {
     state.SkipWithError("rules were lost");

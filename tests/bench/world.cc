@@ -8,7 +8,7 @@
 
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_format.h"
-#include "policy_server/policy/engine/state/program.h"
+#include "policy_server/policy/engine/state/compiled_policy.h"
 #include "services/base/check.h"
 
 namespace rips::bench {
@@ -138,13 +138,14 @@ ros2::GraphDelta GraphOfTopics() {
   return graph;
 }
 
-std::shared_ptr<const engine::Program> MakeProgram(const std::vector<lang::SourceFile>& files) {
+std::shared_ptr<const engine::CompiledPolicy> MakeProgram(
+    const std::vector<lang::SourceFile>& files) {
   lang::CompileResult compiled = lang::Compile(files);
   if (!compiled.rules.has_value()) {
     std::fputs(lang::RenderText(files, compiled.diagnostics).c_str(), stderr);
   }
   RIPS_CHECK(compiled.rules.has_value(), "rules of a benchmark are right");
-  auto program = engine::Program::Create(*std::move(compiled.rules));
+  auto program = engine::CompiledPolicy::Create(*std::move(compiled.rules));
   RIPS_CHECK(program.ok(), "rules of a benchmark are well formed");
   return *std::move(program);
 }
@@ -153,7 +154,7 @@ Instant Now() {
   return {.boottime_ns = 1'000 * kNanosPerSecond, .unix_ns = 1'700'000'000 * kNanosPerSecond};
 }
 
-engine::RobotState MakeRobot(std::shared_ptr<const engine::Program> program) {
+engine::RobotState MakeRobot(std::shared_ptr<const engine::CompiledPolicy> program) {
   BeThreaded();
   const levels::LevelTable levels = program->rules().levels;
   engine::RobotState robot(std::move(program), levels::LevelMachine(levels, 0, {1, 1}, 1), Now());

@@ -42,8 +42,9 @@ ros2::Guid WriterOf(size_t index);
 ros2::GraphDelta GraphOfTopics();
 
 // The rules must be right.
-std::shared_ptr<const engine::Program> MakeProgram(const std::vector<lang::SourceFile>& files);
-engine::RobotState MakeRobot(std::shared_ptr<const engine::Program> program);
+std::shared_ptr<const engine::CompiledPolicy> MakeProgram(
+    const std::vector<lang::SourceFile>& files);
+engine::RobotState MakeRobot(std::shared_ptr<const engine::CompiledPolicy> program);
 Instant Now();
 engine::Event MessageOn(absl::string_view topic, const ros2::Guid& writer = {});
 

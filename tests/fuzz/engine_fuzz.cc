@@ -60,7 +60,7 @@ class Choices {
 
 class Player {
  public:
-  Player(std::shared_ptr<const Program> program, bool forget)
+  Player(std::shared_ptr<const CompiledPolicy> program, bool forget)
       : program_(std::move(program)),
         forget_(forget),
         state_(program_, levels::LevelMachine(program_->rules().levels, 0, {1, 1}, 1), now_) {
@@ -183,7 +183,7 @@ class Player {
   }
 
   Instant now_{.boottime_ns = kNanosPerSecond, .unix_ns = 1'700'000'000 * kNanosPerSecond};
-  std::shared_ptr<const Program> program_;
+  std::shared_ptr<const CompiledPolicy> program_;
   bool forget_;
   RobotState state_;
   std::vector<std::string> log_;
@@ -202,7 +202,7 @@ extern "C" int LLVMFuzzerTestOneInput(const uint8_t* data, size_t size) {
   if (!compiled.rules) return 0;
   // Without levels or rules there is nothing to run.
   if (compiled.rules->levels.size() == 0) return 0;
-  const auto program = Program::Create(*compiled.rules);
+  const auto program = CompiledPolicy::Create(*compiled.rules);
   RIPS_CHECK(program.ok(), "the checker let it through, the engine did not");
   const std::vector<std::string> first = Player(*program, false).Play(choices);
   RIPS_CHECK(first == Player(*program, false).Play(choices), "played again, it went another way");

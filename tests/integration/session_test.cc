@@ -114,7 +114,7 @@ class SessionTest : public ::testing::Test {
     lang::CompileResult compiled =
         lang::Compile({{.path = "test.rul", .text = pipeline::kPaperRules}});
     ASSERT_TRUE(compiled.rules);
-    auto program = engine::Program::Create(*std::move(compiled.rules));
+    auto program = engine::CompiledPolicy::Create(*std::move(compiled.rules));
     ASSERT_THAT(program, IsOk());
     ASSERT_THAT(
         pipeline_.Add({.id = "r1",
@@ -161,7 +161,7 @@ class SessionTest : public ::testing::Test {
   Counter opened_ = metrics_.AddCounter("opened_total", "Streams of both kinds.");
   std::atomic<uint64_t> second_ = 0;
   pipeline::FakeRecorder recorder_;
-  pipeline::FakeAudience audience_;
+  pipeline::FakeObserver audience_;
   pipeline::Pipeline pipeline_{1, &clock_};
   rpc::SessionWatch watch_{&watch_clock_, absl::InfiniteDuration()};
   ingest::SensorService sensors_{&pipeline_, &watch_, {.streams = opened_}};

@@ -82,14 +82,14 @@ void ExecServer::Run() {
     for (size_t i = 0; i < ids.size(); ++i) {
       Connection& each = connections_.at(ids[i]);
       const bool keep = fds[i + 2].revents == 0 || Serve(ids[i], each);
-      if (!keep || Impatient(each, now_ns)) connections_.erase(ids[i]);
+      if (!keep || TimedOut(each, now_ns)) connections_.erase(ids[i]);
     }
     TellEnded();
     if (fds[1].revents != 0) Accept();
   }
 }
 
-bool ExecServer::Impatient(const Connection& connection, int64_t now_ns) const {
+bool ExecServer::TimedOut(const Connection& connection, int64_t now_ns) const {
   const bool waits = !connection.asked || connection.channel.unsent();
   if (!waits || now_ns < connection.patience_ns) return false;
   LogWarning("closed", {{"why", connection.asked ? "it does not read its answer"

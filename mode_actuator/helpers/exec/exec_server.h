@@ -70,7 +70,7 @@ class ExecServer {
   bool Answer(Connection& connection, const ExecAnswer& answer);
   bool Refuse(Connection& connection, const absl::Status& why);
   void TellEnded() ABSL_LOCKS_EXCLUDED(mu_);
-  bool Impatient(const Connection& connection, int64_t now_ns) const;
+  bool TimedOut(const Connection& connection, int64_t now_ns) const;
 
   const UniqueFd listener_;
   const UniqueFd wake_;

@@ -71,7 +71,7 @@ class Reading {
 
   // Only if it was ok.
   const std::string& id() const { return id_; }
-  const std::shared_ptr<const engine::Program>& program() const { return program_; }
+  const std::shared_ptr<const engine::CompiledPolicy>& program() const { return program_; }
   inspect::CheckedFiles& checked() { return *checked_; }
   std::vector<std::string> Unused() const;
 
@@ -89,7 +89,7 @@ class Reading {
   std::optional<InspectionSource> source_;
   std::optional<inspect::CheckedFiles> checked_;
   std::vector<lang::Diagnostic> diagnostics_;
-  std::shared_ptr<const engine::Program> program_;
+  std::shared_ptr<const engine::CompiledPolicy> program_;
   std::string id_;
   std::vector<absl::Status> problems_;
 };
@@ -138,9 +138,9 @@ absl::Status Reading::Compile() {
                                "], the rule files declare [", absl::StrJoin(declared, ", "),
                                "]; make them equal, least restrictive first")));
   }
-  RIPS_ASSIGN_OR_RETURN(
-      program_, engine::Program::Create(*std::move(compiled.rules),
-                                        {.on_inspection_error = manifest_.on_inspection_error}));
+  RIPS_ASSIGN_OR_RETURN(program_, engine::CompiledPolicy::Create(
+                                      *std::move(compiled.rules),
+                                      {.on_inspection_error = manifest_.on_inspection_error}));
   absl::StatusOr<std::string> id = BundleId(manifest_text_, manifest_, files_, *directory_);
   if (!id.ok()) return InContext(dir_, id.status());
   id_ = *std::move(id);

@@ -10,7 +10,7 @@
 
 #include "absl/status/statusor.h"
 #include "policy_server/policy/bundle/manifest.h"
-#include "policy_server/policy/engine/state/program.h"
+#include "policy_server/policy/engine/state/compiled_policy.h"
 #include "policy_server/policy/inspect/inspection_set.h"
 #include "policy_server/policy/lang/check/compile.h"
 #include "policy_server/policy/levels/level_table.h"
@@ -31,7 +31,7 @@ struct Bundle {
   // So it changes whenever the manifest (which holds the hashes of plugins) or any of them does.
   std::string id;
   Manifest manifest;
-  std::shared_ptr<const engine::Program> program;
+  std::shared_ptr<const engine::CompiledPolicy> program;
   // What rules inspect messages with; null if they do not.
   std::shared_ptr<const inspect::InspectionSet> inspections;
   levels::LevelIndex start_level = 0;

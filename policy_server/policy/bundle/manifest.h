@@ -9,7 +9,7 @@
 #include "absl/strings/string_view.h"
 #include "absl/time/time.h"
 #include "policy_server/policy/engine/interest/interest.h"
-#include "policy_server/policy/engine/state/program.h"
+#include "policy_server/policy/engine/state/compiled_policy.h"
 #include "policy_server/policy/lang/checked_rules.h"
 
 namespace rips::bundle {

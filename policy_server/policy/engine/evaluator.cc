@@ -10,8 +10,8 @@ namespace rips::engine {
 namespace {
 
 // Takes out, in order, the parked chains for which `answer` has one.
-template <typename Answer>
-std::vector<Answered> TakeAnswered(RobotState& state, const Answer& answer) {
+template <typename Verdict>
+std::vector<Answered> TakeAnswered(RobotState& state, const Verdict& answer) {
   std::vector<Answered> answered;
   std::vector<std::unique_ptr<ParkedChain>> waiting;
   for (std::unique_ptr<ParkedChain>& chain : state.internal().parked) {
@@ -31,17 +31,17 @@ std::vector<Answered> TakeAnswered(RobotState& state, const Answer& answer) {
 std::vector<uint32_t> NeededInspections(const Event& event, Instant now, RobotState& state) {
   std::vector<uint32_t> needed;
   if (state.halted() || !std::holds_alternative<MessageEvent>(event.what)) return needed;
-  const std::shared_ptr<const Program>& program = state.program();
+  const std::shared_ptr<const CompiledPolicy>& program = state.program();
   if (program->rules().inspections.empty()) return needed;
   Frame frame(state, program, event, state.internal().time_ns, now, &state.internal().topics);
-  const Program::Compiled& compiled = program->compiled();
+  const CompiledPolicy::Compiled& compiled = program->compiled();
   for (const uint32_t index : frame.topic()->verdict->inspecting) {
     Evaluation& run = frame.Enter(program->rules().rules[index], state.level.level());
     run.foreseeing = true;
     run.asked = &needed;
-    Cell out;
-    const Answer answer = Eval(*compiled.conditions[index], run, out);
-    if (answer == Answer::kValue && !out.truth) continue;
+    Slot out;
+    const EvalStatus answer = Eval(*compiled.conditions[index], run, out);
+    if (answer == EvalStatus::kValue && !out.truth) continue;
     const std::vector<uint32_t>& in_arguments = compiled.needs[index].argument_inspections;
     needed.insert(needed.end(), in_arguments.begin(), in_arguments.end());
   }
@@ -93,24 +93,24 @@ std::vector<std::string> WouldRaise(levels::LevelIndex level, Instant now,
                                     const RobotState& state) {
   std::vector<std::string> names;
   if (!state.level.table().contains(level)) return names;
-  const Program& program = *state.program();
+  const CompiledPolicy& program = *state.program();
   const Event event{.what = GraphEvent{}};
   Frame frame(state, state.program(), event, std::max(state.internal().time_ns, now.unix_ns), now,
               nullptr);
-  Cell out;
+  Slot out;
   for (const uint32_t index : program.compiled().graph_rules) {
     const lang::TypedRule& rule = program.rules().rules[index];
     Evaluation& run = frame.Enter(rule, level);
-    const Answer answer = Eval(*program.compiled().conditions[index], run, out);
-    const bool open = answer == Answer::kUnscanned &&
+    const EvalStatus answer = Eval(*program.compiled().conditions[index], run, out);
+    const bool open = answer == EvalStatus::kUnscanned &&
                       program.options().on_inspection_error == OnInspectionError::kMatch;
-    if (!open && (answer != Answer::kValue || !out.truth)) continue;
+    if (!open && (answer != EvalStatus::kValue || !out.truth)) continue;
     const bool raises =
         std::any_of(rule.chains.begin(), rule.chains.end(), [&](const lang::TypedChain& chain) {
           return std::any_of(chain.begin(), chain.end(), [&](const lang::TypedAction& action) {
             if (action.kind != lang::ActionKind::kTrigger || action.args.empty()) return false;
-            const Node* to = program.compiled().arguments.at(&action.args[0]);
-            return Eval(*to, run, out) == Answer::kValue && out.integer > level &&
+            const EvalNode* to = program.compiled().arguments.at(&action.args[0]);
+            return Eval(*to, run, out) == EvalStatus::kValue && out.integer > level &&
                    out.integer < program.rules().levels.size();
           });
         });

@@ -163,11 +163,11 @@ TEST(ExpressionTest, IllTypedRulesAreRefused) {
   for (const TypedExpr& wrong : kWrong) {
     TestRules rules;
     rules.Msg("r", B(true), {{Alert(Text(wrong))}});
-    EXPECT_FALSE(Program::Create(rules.rules).ok());
+    EXPECT_FALSE(CompiledPolicy::Create(rules.rules).ok());
   }
   TestRules rules;
   rules.Msg("r", I(1), {{Alert("x")}});
-  EXPECT_FALSE(Program::Create(rules.rules).ok()) << "a condition that is no bool";
+  EXPECT_FALSE(CompiledPolicy::Create(rules.rules).ok()) << "a condition that is no bool";
 }
 
 TEST(ExpressionTest, CutsLongStringsAndSaysSoOnceARule) {

@@ -23,7 +23,8 @@ struct Told {
   std::vector<std::string> lines;
 };
 
-Told Judge(const TestRules& rules, std::vector<Verdict> verdicts, ProgramOptions options = {}) {
+Told Judge(const TestRules& rules, std::vector<Verdict> verdicts,
+           CompiledPolicyOptions options = {}) {
   TestRobot robot(rules.Build(options));
   Told told;
   told.outcome = robot.Judge(MessageEvent{.topic = "/a", .inspections = verdicts});
@@ -88,10 +89,10 @@ TEST(InspectionTest, TheBundleMayHaveItOtherwise) {
 TEST(InspectionTest, ObserversSeeWhatFiredWithoutBeingTold) {
   class Seen final : public RuleObserver {
    public:
-    void OnRule(uint32_t, Came came, absl::string_view) override { all.push_back(came); }
-    std::vector<Came> all;
+    void OnRule(uint32_t, RuleResult came, absl::string_view) override { all.push_back(came); }
+    std::vector<RuleResult> all;
   };
-  using Came = RuleObserver::Came;
+  using RuleResult = RuleObserver::RuleResult;
   TestRules rules;
   rules.Inspections(2);
   rules.Msg("told", Inspect(1), {{Alert("told")}}).Msg("not told", Inspect(0), {{Alert("fired")}});
@@ -104,9 +105,12 @@ TEST(InspectionTest, ObserversSeeWhatFiredWithoutBeingTold) {
     return seen.all;
   };
 
-  EXPECT_THAT(came(OnInspectionError::kMatch), ElementsAre(Came::kFired, Came::kFiredUnscanned));
-  EXPECT_THAT(came(OnInspectionError::kAlert), ElementsAre(Came::kFired, Came::kUnscanned));
-  EXPECT_THAT(came(OnInspectionError::kIgnore), ElementsAre(Came::kFired, Came::kUnscanned));
+  EXPECT_THAT(came(OnInspectionError::kMatch),
+              ElementsAre(RuleResult::kFired, RuleResult::kFiredUnscanned));
+  EXPECT_THAT(came(OnInspectionError::kAlert),
+              ElementsAre(RuleResult::kFired, RuleResult::kUnscanned));
+  EXPECT_THAT(came(OnInspectionError::kIgnore),
+              ElementsAre(RuleResult::kFired, RuleResult::kUnscanned));
 }
 
 TEST(InspectionTest, AnActionWhoseArgumentWasNotToldFails) {

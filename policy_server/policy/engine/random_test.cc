@@ -24,7 +24,7 @@ class Generator {
  public:
   explicit Generator(uint32_t seed) : random_(seed) {}
 
-  std::shared_ptr<const Program> Rules() {
+  std::shared_ptr<const CompiledPolicy> Rules() {
     TestRules rules;
     rules.IntVar("i", 0);
     rules.Var("f", ValueType::kFloat, 0.5);
@@ -156,7 +156,7 @@ class Generator {
 // Everything that came out of `steps` random events, as text.
 std::string Play(uint32_t seed, bool forget) {
   Generator generator(seed);
-  const std::shared_ptr<const Program> program = generator.Rules();
+  const std::shared_ptr<const CompiledPolicy> program = generator.Rules();
   TestRobot robot(program);
   const ros2::RosGraph graphs[] = {
       ros2::RosGraph(), TestGraph().Node("/a").Publishes("/a", "/a").Build(),
@@ -269,7 +269,7 @@ TEST(RandomTest, IllTypedProgramsAreRefusedOrRun) {
     }
     TestRules rules;
     rules.Msg("r", pool.back(), {{Alert(pool[pick(pool.size())])}});
-    const auto program = Program::Create(rules.rules);
+    const auto program = CompiledPolicy::Create(rules.rules);
     if (!program.ok()) continue;
     TestRobot robot(*program);
     robot.Message("/a");

@@ -149,8 +149,9 @@ struct TestRules {
   TestRules& Graph(const std::string& name, TypedExpr condition, std::vector<TypedChain> chains) {
     return Rule(EventClass::kGraph, name, std::move(condition), std::move(chains));
   }
-  std::shared_ptr<const Program> Build(ProgramOptions options = {}) const {
-    absl::StatusOr<std::shared_ptr<const Program>> program = Program::Create(rules, options);
+  std::shared_ptr<const CompiledPolicy> Build(CompiledPolicyOptions options = {}) const {
+    absl::StatusOr<std::shared_ptr<const CompiledPolicy>> program =
+        CompiledPolicy::Create(rules, options);
     RIPS_CHECK(program.ok(), "rules of a test are well formed");
     return *std::move(program);
   }
@@ -217,7 +218,7 @@ class TestGraph {
 
 // A robot and its clock; events are stamped with the current time.
 struct TestRobot {
-  explicit TestRobot(std::shared_ptr<const Program> program, levels::LevelIndex level = 0,
+  explicit TestRobot(std::shared_ptr<const CompiledPolicy> program, levels::LevelIndex level = 0,
                      StateLimits limits = {})
       : now({.boottime_ns = 1'000 * kNanosPerSecond, .unix_ns = 1'700'000'000 * kNanosPerSecond}),
         state(program, levels::LevelMachine(program->rules().levels, level, {1, 1}, 1), now,

@@ -25,8 +25,8 @@ using recording::RecordedMessage;
 constexpr char kLevels[] = "levels: A; B soft; C soft; D;\n";
 
 // The rules after `kLevels`; warnings do not matter, nor that a level is never reached.
-inline std::shared_ptr<const engine::Program> MakeProgram(
-    const std::string& rules, engine::ProgramOptions options = {},
+inline std::shared_ptr<const engine::CompiledPolicy> MakeProgram(
+    const std::string& rules, engine::CompiledPolicyOptions options = {},
     lang::CheckedRules::Dialect dialect = lang::CheckedRules::Dialect::kRips) {
   const std::vector<lang::SourceFile> files = {
       {.path = "t.rul",
@@ -36,7 +36,7 @@ inline std::shared_ptr<const engine::Program> MakeProgram(
   lang::CompileResult compiled = lang::Compile(files, {.dialect = dialect});
   EXPECT_TRUE(compiled.rules.has_value()) << lang::RenderText(files, compiled.diagnostics);
   RIPS_CHECK(compiled.rules.has_value(), "rules of a test compile");
-  auto program = engine::Program::Create(*std::move(compiled.rules), options);
+  auto program = engine::CompiledPolicy::Create(*std::move(compiled.rules), options);
   EXPECT_THAT(program, IsOk());
   return *std::move(program);
 }
@@ -122,7 +122,7 @@ inline RecordedGraph Graph(const std::vector<std::string>& nodes, bool whole = t
   return graph;
 }
 
-inline Result Replayed(const std::shared_ptr<const engine::Program>& program,
+inline Result Replayed(const std::shared_ptr<const engine::CompiledPolicy>& program,
                        std::vector<Recorded> events, ReplayOptions options = {},
                        bool has_graph = true, inspect::Session* session = nullptr) {
   FakeReader reader(std::move(events), has_graph);

@@ -51,12 +51,12 @@ class Replayer::Observer final : public RuleObserver {
  public:
   explicit Observer(Replayer& replayer) : replayer_(replayer) {}
 
-  void OnRule(uint32_t rule, Came came, absl::string_view what) override {
+  void OnRule(uint32_t rule, RuleResult came, absl::string_view what) override {
     last_ = rule;
     RuleHits& hits = replayer_.result_.rules[rule];
-    if (came == Came::kFired || came == Came::kFiredUnscanned) ++hits.fired;
-    if (came == Came::kUnscanned || came == Came::kFiredUnscanned) ++hits.unscanned;
-    if (came == Came::kUndecidable) ++hits.undecidable;
+    if (came == RuleResult::kFired || came == RuleResult::kFiredUnscanned) ++hits.fired;
+    if (came == RuleResult::kUnscanned || came == RuleResult::kFiredUnscanned) ++hits.unscanned;
+    if (came == RuleResult::kUndecidable) ++hits.undecidable;
     if (what == engine::kGraphTruncated) {
       ++hits.graph_truncated;
     } else if (!what.empty()) {
@@ -82,7 +82,7 @@ class Replayer::Observer final : public RuleObserver {
   uint32_t last_ = 0;
 };
 
-Replayer::Replayer(std::shared_ptr<const engine::Program> program, ReplayOptions options,
+Replayer::Replayer(std::shared_ptr<const engine::CompiledPolicy> program, ReplayOptions options,
                    inspect::Session* session)
     : program_(std::move(program)),
       options_(std::move(options)),
@@ -358,8 +358,8 @@ Result Replayer::Finish() const {
 }
 
 absl::StatusOr<Result> Replay(recording::Reader& reader,
-                              std::shared_ptr<const engine::Program> program, ReplayOptions options,
-                              inspect::Session* session) {
+                              std::shared_ptr<const engine::CompiledPolicy> program,
+                              ReplayOptions options, inspect::Session* session) {
   options.graph_known = reader.has_graph();
   if (options.robot.empty() && reader.origin() != nullptr) options.robot = reader.origin()->robot;
   Replayer replayer(std::move(program), std::move(options), session);

@@ -66,7 +66,7 @@ class Replayer {
  public:
   // `session` is of the program's inspections. Not owned, outlives this; null: none is made, and
   // rules that ask for one find it unscanned.
-  Replayer(std::shared_ptr<const engine::Program> program, ReplayOptions options,
+  Replayer(std::shared_ptr<const engine::CompiledPolicy> program, ReplayOptions options,
            inspect::Session* session);
   ~Replayer();
   Replayer(const Replayer&) = delete;
@@ -116,7 +116,7 @@ class Replayer {
   template <typename Record>
   void Keep(std::vector<Record>& list, Record record);
 
-  const std::shared_ptr<const engine::Program> program_;
+  const std::shared_ptr<const engine::CompiledPolicy> program_;
   const ReplayOptions options_;
   inspect::Session* const session_;  // Not owned; outlives this.
   std::unique_ptr<Script> script_;
@@ -143,8 +143,8 @@ class Replayer {
 // Replays all of `reader`. Whether the graph is known, and the robot if the options name none, come
 // from it. Errors of the reader, and of Replayer::Judge.
 absl::StatusOr<Result> Replay(recording::Reader& reader,
-                              std::shared_ptr<const engine::Program> program, ReplayOptions options,
-                              inspect::Session* session);
+                              std::shared_ptr<const engine::CompiledPolicy> program,
+                              ReplayOptions options, inspect::Session* session);
 
 }  // namespace rips::replay
 

@@ -27,9 +27,9 @@ absl::StatusOr<RuleSet> LoadRuleSet(const std::vector<std::string>& paths,
     RIPS_ASSIGN_OR_RETURN(
         set.inspections, inspect::LoadInspections(compiled.rules->inspections, checked, {}, clock));
   }
-  RIPS_ASSIGN_OR_RETURN(
-      set.program, engine::Program::Create(*std::move(compiled.rules),
-                                           {.on_inspection_error = options.on_inspection_error}));
+  RIPS_ASSIGN_OR_RETURN(set.program, engine::CompiledPolicy::Create(
+                                         *std::move(compiled.rules),
+                                         {.on_inspection_error = options.on_inspection_error}));
   return set;
 }
 

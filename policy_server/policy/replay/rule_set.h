@@ -7,7 +7,7 @@
 #include <vector>
 
 #include "absl/status/statusor.h"
-#include "policy_server/policy/engine/state/program.h"
+#include "policy_server/policy/engine/state/compiled_policy.h"
 #include "policy_server/policy/inspect/inspection_set.h"
 #include "policy_server/policy/lang/check/compile.h"
 #include "services/base/clock.h"
@@ -23,7 +23,7 @@ struct RuleSet {
   std::vector<lang::SourceFile> files;
   std::vector<lang::Diagnostic> diagnostics;
   // Null if the rules were refused; `diagnostics` says why.
-  std::shared_ptr<const engine::Program> program;
+  std::shared_ptr<const engine::CompiledPolicy> program;
   // Null if the rules inspect nothing.
   std::shared_ptr<const inspect::InspectionSet> inspections;
 

@@ -136,7 +136,7 @@ class SensorServiceTest : public ::testing::Test {
   void SetUp() override {
     lang::CompileResult compiled = lang::Compile({{.path = "test.rul", .text = kRules}});
     ASSERT_TRUE(compiled.rules);
-    auto program = engine::Program::Create(*std::move(compiled.rules));
+    auto program = engine::CompiledPolicy::Create(*std::move(compiled.rules));
     ASSERT_THAT(program, IsOk());
     ASSERT_THAT(pipeline_.Add({.id = "r1", .sensor_hosts = {"base"}, .primary_sensor = "base"},
                               {.program = *program, .bundle_id = "sha256:0"}, {}, {}, 1,
@@ -177,7 +177,7 @@ class SensorServiceTest : public ::testing::Test {
   Metrics metrics_;
   Counter refused_ = metrics_.AddCounter("interests_refused_total", "Interests refused.");
   pipeline::FakeRecorder recorder_;
-  pipeline::FakeAudience audience_;
+  pipeline::FakeObserver audience_;
   pipeline::Pipeline pipeline_{1, &clock_};
   rpc::SessionWatch watch_{&clock_};
   Counter malformed_ = metrics_.AddCounter("malformed_total", "Refused as malformed.");

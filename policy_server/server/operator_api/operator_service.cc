@@ -99,8 +99,8 @@ grpc::ServerWriteReactor<T>* RefuseWatch(const absl::Status& status) {
 
 }  // namespace
 
-OperatorService::OperatorService(pipeline::Pipeline* pipeline, store::Store* store, Hub* hub,
-                                 Access access, absl::Duration patience)
+OperatorService::OperatorService(pipeline::Pipeline* pipeline, store::Store* store,
+                                 StatusBroadcaster* hub, Access access, absl::Duration patience)
     : pipeline_(pipeline),
       store_(store),
       hub_(hub),
@@ -492,7 +492,7 @@ grpc::ServerWriteReactor<rips::v1::Recording>* OperatorService::Record(
   auto outbound = stream->outbound();
   const absl::Status posted =
       pipeline_->Post(request->robot(), Queue::kOrders, [outbound](Robot& robot) {
-        auto tap = std::make_shared<RecordTap>(
+        auto tap = std::make_shared<RecordingWriter>(
             [outbound](rips::v1::Recording piece) { return outbound->Send(std::move(piece)); },
             [outbound] { return outbound->open(); });
         if (const absl::Status added = robot.AddTap(tap); !added.ok()) {

@@ -19,7 +19,7 @@
 #include "google/protobuf/message.h"
 #include "policy_server/server/operator_api/ban_list.h"
 #include "policy_server/server/operator_api/caller_quota.h"
-#include "policy_server/server/operator_api/hub.h"
+#include "policy_server/server/operator_api/status_broadcaster.h"
 #include "policy_server/server/operator_api/watch_stream.h"
 #include "policy_server/server/shard/pipeline.h"
 #include "policy_server/server/store/store.h"
@@ -60,8 +60,8 @@ class OperatorService final : public rips::v1::OperatorService::CallbackService 
   // No pointer is owned; all outlive every call. Reads of the store run on a thread of their own,
   // and so does the encoding of graphs.
   // `patience`: how long robots are waited for in all when each is asked.
-  OperatorService(pipeline::Pipeline* pipeline, store::Store* store, Hub* hub, Access access,
-                  absl::Duration patience = pipeline::Pipeline::kPatience);
+  OperatorService(pipeline::Pipeline* pipeline, store::Store* store, StatusBroadcaster* hub,
+                  Access access, absl::Duration patience = pipeline::Pipeline::kPatience);
   ~OperatorService() override;
 
   // As rips/v1/operator.proto.
@@ -157,7 +157,7 @@ class OperatorService final : public rips::v1::OperatorService::CallbackService 
 
   pipeline::Pipeline* pipeline_;
   store::Store* store_;
-  Hub* hub_;
+  StatusBroadcaster* hub_;
   Access access_;
   const absl::Duration patience_;
   using Tasks = BoundedQueue<std::function<void()>>;

@@ -121,7 +121,7 @@ class OperatorServiceTest : public ::testing::Test {
     lang::CompileResult compiled =
         lang::Compile({{.path = "test.rul", .text = pipeline::kPaperRules}});
     ASSERT_TRUE(compiled.rules);
-    auto program = engine::Program::Create(*std::move(compiled.rules));
+    auto program = engine::CompiledPolicy::Create(*std::move(compiled.rules));
     ASSERT_THAT(program, IsOk());
     ASSERT_THAT(pipeline_.Add({.id = "r1",
                                .sensor_hosts = {"base"},
@@ -204,7 +204,7 @@ class OperatorServiceTest : public ::testing::Test {
   static std::shared_ptr<const rpc::Credentials>* operator_credentials_;
   RealClock clock_;
   SlowStore store_;
-  Hub hub_{&store_, nullptr};
+  StatusBroadcaster hub_{&store_, nullptr};
   pipeline::FakeRecorder recorder_;
   Metrics metrics_;
   BoundedQueue<std::string> refused_fields_{{.capacity = 10}};
@@ -243,18 +243,19 @@ TEST_F(OperatorServiceTest, RefusesOneWatchTooManyUntilAnotherEnds) {
     return watch;
   };
   std::vector<std::unique_ptr<Watch<rips::v1::RobotStatus>>> watches;
-  for (size_t i = 0; i < Hub::kWatchersMax; ++i) watches.push_back(watch_robots(StubFor(i)));
+  for (size_t i = 0; i < StatusBroadcaster::kWatchersMax; ++i)
+    watches.push_back(watch_robots(StubFor(i)));
   for (const auto& watch : watches) {
     ASSERT_TRUE(watch->Read());  // from here on it counts
     EXPECT_EQ(watch->item.robot(), "r1");
   }
 
-  const grpc::Status refused = watch_robots(StubFor(Hub::kWatchersMax))->End();
+  const grpc::Status refused = watch_robots(StubFor(StatusBroadcaster::kWatchersMax))->End();
   EXPECT_EQ(refused.error_code(), grpc::StatusCode::RESOURCE_EXHAUSTED);
   EXPECT_THAT(refused.error_message(), HasSubstr("256 operators watch already"));
   Watch<rips::v1::Alert> alerts;
   SetDeadline(alerts.context);
-  alerts.reader = StubFor(Hub::kWatchersMax).WatchAlerts(&alerts.context, {});
+  alerts.reader = StubFor(StatusBroadcaster::kWatchersMax).WatchAlerts(&alerts.context, {});
   EXPECT_EQ(alerts.End().error_code(), grpc::StatusCode::RESOURCE_EXHAUSTED);
 
   // Nothing happens on the robot meanwhile: leaving alone makes room.
@@ -262,14 +263,14 @@ TEST_F(OperatorServiceTest, RefusesOneWatchTooManyUntilAnotherEnds) {
   EXPECT_EQ(watches[7]->End().error_code(), grpc::StatusCode::CANCELLED);
   const int64_t deadline_ns = BoottimeAfter(kPatience);
   while (true) {
-    watches[7] = watch_robots(StubFor(Hub::kWatchersMax));
+    watches[7] = watch_robots(StubFor(StatusBroadcaster::kWatchersMax));
     if (watches[7]->Read()) break;  // the server may learn of the end later than its peer
     ASSERT_EQ(watches[7]->End().error_code(), grpc::StatusCode::RESOURCE_EXHAUSTED);
     ASSERT_LT(BoottimeNow(), deadline_ns);
   }
 
   EXPECT_EQ(watches[7]->item.robot(), "r1");
-  EXPECT_EQ(watch_robots(StubFor(Hub::kWatchersMax))->End().error_code(),
+  EXPECT_EQ(watch_robots(StubFor(StatusBroadcaster::kWatchersMax))->End().error_code(),
             grpc::StatusCode::RESOURCE_EXHAUSTED);
 }
 
@@ -714,7 +715,7 @@ TEST(ReceiptCodecTest, AllThatIsKeptFitsIntoOneMessage) {
                              .detail = std::string(4096, '\n'),
                              .output_tail = std::string(4096, 'x')});
   }
-  pipeline::ReceiptLog log;
+  pipeline::ReceiptHistory log;
   for (size_t i = 0; i < pipeline::kReceiptsKept; ++i) {
     receipt.command_id = absl::StrCat("ab", i);
     log.Sent("base", {.id = receipt.command_id, .what = pipeline::Drill{.level = "ALERT"}});

@@ -71,8 +71,8 @@ struct ExternalFiller {
 
 }  // namespace
 
-void RecordTap::Start(rips::v1::RecordingHeader header, std::shared_ptr<const ros2::RosGraph> graph,
-                      bool settled) {
+void RecordingWriter::Start(rips::v1::RecordingHeader header,
+                            std::shared_ptr<const ros2::RosGraph> graph, bool settled) {
   graph_ = std::move(graph);
   rips::v1::Recording first;
   const int64_t start_unix_ns = header.start_unix_ns();
@@ -86,9 +86,9 @@ void RecordTap::Start(rips::v1::RecordingHeader header, std::shared_ptr<const ro
   send_(std::move(second));
 }
 
-bool RecordTap::OnEvent(const engine::Event& event,
-                        const std::shared_ptr<const ros2::RosGraph>& graph,
-                        const pipeline::MessageSeen* message) {
+bool RecordingWriter::OnEvent(const engine::Event& event,
+                              const std::shared_ptr<const ros2::RosGraph>& graph,
+                              const pipeline::MessageSeen* message) {
   rips::v1::Recording piece;
   RecordedEvent* out = piece.mutable_event();
   out->set_time_unix_ns(event.time_unix_ns);

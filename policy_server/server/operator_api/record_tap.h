@@ -14,13 +14,13 @@ namespace rips::operator_api {
 
 // Holds what the rules were given: messages that they do not need are neither sent by the robot nor
 // recorded.
-class RecordTap final : public pipeline::Tap {
+class RecordingWriter final : public pipeline::EventRecorder {
  public:
   // False when nobody listens any more.
   using Send = std::function<bool(rips::v1::Recording)>;
 
   // `listening`: false when nobody listens any more.
-  RecordTap(Send send, std::function<bool()> listening)
+  RecordingWriter(Send send, std::function<bool()> listening)
       : send_(std::move(send)), listening_(std::move(listening)) {}
 
   // Header and graph; before the first event. `settled`: there is a graph.

@@ -15,8 +15,8 @@ using rips::v1::RecordedEvent;
 
 class RecordTest : public pipeline::RobotTest {
  protected:
-  std::shared_ptr<RecordTap> MakeTap() {
-    return std::make_shared<RecordTap>(
+  std::shared_ptr<RecordingWriter> MakeTap() {
+    return std::make_shared<RecordingWriter>(
         [this](rips::v1::Recording piece) {
           pieces_.push_back(std::move(piece));
           return listening_;

@@ -4,7 +4,7 @@
 #include <utility>
 
 #include "absl/strings/str_cat.h"
-#include "policy_server/server/robot/receipt_log.h"
+#include "policy_server/server/robot/receipt_history.h"
 
 namespace rips::pipeline {
 namespace {

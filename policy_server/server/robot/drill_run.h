@@ -20,7 +20,7 @@
 #include <vector>
 
 #include "absl/status/status.h"
-#include "policy_server/server/robot/command_ledger.h"
+#include "policy_server/server/robot/command_reconciler.h"
 #include "policy_server/server/robot/inbound.h"
 #include "services/base/clock.h"
 

@@ -6,7 +6,7 @@
 #include "absl/strings/str_cat.h"
 #include "gmock/gmock.h"
 #include "gtest/gtest.h"
-#include "policy_server/server/robot/receipt_log.h"
+#include "policy_server/server/robot/receipt_history.h"
 
 namespace rips::pipeline {
 namespace {

@@ -16,7 +16,7 @@
 
 namespace rips::pipeline {
 
-class FakeAudience final : public Audience {
+class FakeObserver final : public RobotObserver {
  public:
   void OnAlert(const store::AlertRecord& alert) override { alerts.push_back(alert); }
   void OnNotice(const std::string&) override {}

@@ -1,13 +1,13 @@
 #include "absl/strings/str_cat.h"
 #include "gmock/gmock.h"
 #include "gtest/gtest.h"
-#include "policy_server/server/robot/findings_book.h"
+#include "policy_server/server/robot/finding_registry.h"
 #include "policy_server/server/robot/robot_fixture.h"
 
 namespace rips::pipeline {
 namespace {
 
-using News = FindingsBook::News;
+using News = FindingRegistry::News;
 using ::testing::Contains;
 using ::testing::ElementsAre;
 using ::testing::HasSubstr;
@@ -25,7 +25,7 @@ FindingSeen Over(FindingSeen seen) {
 }
 
 TEST(FindingsBookTest, IsNewsOnceUntilNobodySaysSo) {
-  FindingsBook book;
+  FindingRegistry book;
   book.OnIncarnation("base", "i1", 0);
   book.OnIncarnation("laptop", "j1", 0);
   EXPECT_EQ(book.Take("base", "i1", Impostor(1), 0), News::kBegins);
@@ -43,7 +43,7 @@ TEST(FindingsBookTest, IsNewsOnceUntilNobodySaysSo) {
 }
 
 TEST(FindingsBookTest, SensorThatWasStartedAgainMustTellItAgain) {
-  FindingsBook book({.confirm_ns = 100});
+  FindingRegistry book({.confirm_ns = 100});
   book.OnIncarnation("base", "i1", 0);
   book.Take("base", "i1", Impostor(1), 0);
   book.Take("base", "i1", Impostor(2), 0);
@@ -65,7 +65,7 @@ TEST(FindingsBookTest, SensorThatWasStartedAgainMustTellItAgain) {
 }
 
 TEST(FindingsBookTest, PastTheLimitFindingsAreNotKept) {
-  FindingsBook book({.standing = 2});
+  FindingRegistry book({.standing = 2});
   EXPECT_EQ(book.Take("base", "i", Impostor(1), 0), News::kBegins);
   EXPECT_EQ(book.Take("base", "i", Impostor(2), 0), News::kBegins);
   EXPECT_EQ(book.Take("base", "i", Impostor(3), 0), News::kTooMany);

@@ -131,7 +131,7 @@ class CommandLedgerTest : public ::testing::Test {
   }
 
   int ids_ = 0;
-  CommandLedger ledger_;
+  CommandReconciler ledger_;
 };
 
 TEST_F(CommandLedgerTest, ALevelIsVerifiedWhenEveryListedActuatorSaysSo) {
@@ -207,7 +207,7 @@ TEST_F(CommandLedgerTest, ARefusedLoweringIsTriedAgainWithTheDecisionThatIsHeldB
 }
 
 TEST_F(CommandLedgerTest, TheNewestMarkUnderAnotherLevelIsNotTheNewestDecision) {
-  CommandLedger ledger({"a"}, [] { return "id"; });
+  CommandReconciler ledger({"a"}, [] { return "id"; });
   ledger.Order({1, 5}, 0, "DEFAULT", "", /*lowers=*/true);
   ledger.Attach("a", {1, 5}, 3, "HALT", {}, At(100));
   EXPECT_EQ(ledger.stage(), Stage::kRequested);
@@ -217,7 +217,7 @@ TEST_F(CommandLedgerTest, TheNewestMarkUnderAnotherLevelIsNotTheNewestDecision) 
 
 TEST_F(CommandLedgerTest, AFailureFromBeforeTheSessionWaitsForTheFirstHeartbeat) {
   for (const bool verified : {true, false}) {
-    CommandLedger ledger({"a"}, [] { return "id"; });
+    CommandReconciler ledger({"a"}, [] { return "id"; });
     ledger.Order({1, 5}, 2, "COMPROMISED", "restored", /*lowers=*/false);
     ledger.Attach("a", {1, 5}, 2, "COMPROMISED", {}, At(100));
     ledger.OnReceipt("a",
@@ -248,7 +248,7 @@ TEST_F(CommandLedgerTest, ReceiptsOfOlderDecisionsChangeNothing) {
 
 TEST_F(CommandLedgerTest, ALoweringIsVerifiedOnlyAtItsLevelARaiseAlsoAbove) {
   for (const bool lowers : {false, true}) {
-    CommandLedger ledger({"a"}, [] { return "id"; });
+    CommandReconciler ledger({"a"}, [] { return "id"; });
     ledger.Attach("a", {1, 1}, 2, "COMPROMISED", {}, At(100));
     ledger.Order({1, 2}, 1, "ALERT", "", lowers);
     const auto due = ledger.Due(1, At(100));
@@ -261,7 +261,7 @@ TEST_F(CommandLedgerTest, ALoweringIsVerifiedOnlyAtItsLevelARaiseAlsoAbove) {
 }
 
 TEST_F(CommandLedgerTest, NoFinalReceiptInTimeIsAFailure) {
-  CommandLedger ledger({"a"}, [] { return "id"; });
+  CommandReconciler ledger({"a"}, [] { return "id"; });
   ledger.Attach("a", {}, 0, "DEFAULT", {}, At(100));
   ledger.Order({1, 1}, 1, "ALERT", "", /*lowers=*/false);
   const auto due = ledger.Due(1, At(100));
@@ -274,7 +274,7 @@ TEST_F(CommandLedgerTest, NoFinalReceiptInTimeIsAFailure) {
 }
 
 // What several threads may tell at once.
-class CountingAudience final : public Audience {
+class CountingAudience final : public RobotObserver {
  public:
   void OnAlert(const store::AlertRecord&) override { ++alerts; }
   void OnNotice(const std::string&) override {}
@@ -293,7 +293,7 @@ TEST(PipelineTest, RunsTasksOnTheRobotsThreadInOrderControlFirst) {
   std::atomic<int> ids = 0;
   Pipeline pipeline(2, &clock);
   const std::vector<lang::SourceFile> files = {{.path = "t.rul", .text = kPaperRules}};
-  const auto program = *engine::Program::Create(*lang::Compile(files).rules);
+  const auto program = *engine::CompiledPolicy::Create(*lang::Compile(files).rules);
   for (const char* id : {"r1", "r2", "r3"}) {
     ASSERT_THAT(pipeline.Add({.id = id}, {.program = program, .bundle_id = "b"}, Timing{}, {}, 1,
                              {.recorder = &recorder,
@@ -334,11 +334,12 @@ TEST(PipelineTest, RunsTasksOnTheRobotsThreadInOrderControlFirst) {
 TEST(PipelineTest, RefusesUnknownRobotsAndTasksPastItsLimit) {
   FakeClock clock;
   FakeRecorder recorder;
-  FakeAudience audience;
+  FakeObserver audience;
   Pipeline pipeline(1, &clock, {.control_max = 2, .messages_max = 1});
   const std::vector<lang::SourceFile> files = {{.path = "t.rul", .text = kPaperRules}};
   ASSERT_THAT(
-      pipeline.Add({.id = "r1"}, {.program = *engine::Program::Create(*lang::Compile(files).rules)},
+      pipeline.Add({.id = "r1"},
+                   {.program = *engine::CompiledPolicy::Create(*lang::Compile(files).rules)},
                    Timing{}, {}, 1,
                    {.recorder = &recorder, .audience = &audience, .new_id = [] { return "id"; }}),
       IsOk());
@@ -354,11 +355,12 @@ TEST(PipelineTest, RefusesUnknownRobotsAndTasksPastItsLimit) {
 TEST(MailboxTest, CutsAFloodingPeerOffAndNobodyElse) {
   FakeClock clock;
   FakeRecorder recorder;
-  FakeAudience audience;
+  FakeObserver audience;
   Pipeline pipeline(1, &clock, {.control_max = 100, .messages_max = 100});
   const std::vector<lang::SourceFile> files = {{.path = "t.rul", .text = kPaperRules}};
   ASSERT_THAT(
-      pipeline.Add({.id = "r1"}, {.program = *engine::Program::Create(*lang::Compile(files).rules)},
+      pipeline.Add({.id = "r1"},
+                   {.program = *engine::CompiledPolicy::Create(*lang::Compile(files).rules)},
                    Timing{}, {}, 1,
                    {.recorder = &recorder, .audience = &audience, .new_id = [] { return "id"; }}),
       IsOk());

@@ -7,7 +7,7 @@
 #include <string>
 
 #include "policy_server/policy/engine/interest/interest.h"
-#include "policy_server/policy/engine/state/program.h"
+#include "policy_server/policy/engine/state/compiled_policy.h"
 #include "policy_server/policy/levels/level_table.h"
 #include "policy_server/server/robot/ports.h"
 #include "services/base/clock.h"
@@ -17,7 +17,7 @@ namespace rips::pipeline {
 
 // A bundle that is in force.
 struct Policy {
-  std::shared_ptr<const engine::Program> program;
+  std::shared_ptr<const engine::CompiledPolicy> program;
   // "sha256:" + 64 hex.
   std::string bundle_id;
   levels::LevelIndex start_level = 0;
@@ -33,9 +33,9 @@ struct Policy {
 };
 
 // Takes as long as compiling the rules.
-std::shared_ptr<const engine::InterestPlan> MakeInterest(const engine::Program& program);
+std::shared_ptr<const engine::InterestPlan> MakeInterest(const engine::CompiledPolicy& program);
 
-std::shared_ptr<const ros2::TopicNames> MakeKeptTopics(const engine::Program& program);
+std::shared_ptr<const ros2::TopicNames> MakeKeptTopics(const engine::CompiledPolicy& program);
 
 }  // namespace rips::pipeline
 

@@ -10,6 +10,7 @@
 #include <vector>
 
 #include "absl/status/status.h"
+#include "absl/status/statusor.h"
 #include "absl/strings/string_view.h"
 #include "policy_server/policy/engine/state/event.h"
 #include "policy_server/policy/engine/state/verdict.h"
@@ -23,6 +24,9 @@
 
 namespace rips::pipeline {
 
+// The level that a decision led to; nullopt if no decision has that mark.
+using FoundDecision = absl::StatusOr<std::optional<std::string>>;
+
 // Makes records durable, in order. `done` may run on any thread.
 class Recorder {
  public:
@@ -30,10 +34,12 @@ class Recorder {
   virtual void Record(store::WriteBatch batch, std::function<void(const absl::Status&)> done) = 0;
   // The last write succeeded.
   virtual bool healthy() const = 0;
-  // Blocking reads and the term counter; rare (an actuator's Hello).
-  virtual absl::StatusOr<std::optional<std::string>> FindDecision(const std::string& robot,
-                                                                  const Mark& mark) = 0;
-  virtual absl::StatusOr<uint64_t> NextTerm(const std::string& robot, uint64_t above) = 0;
+  // As of store::Store. Neither waits for the disk: `done` is called once, on any thread, maybe
+  // before this returns.
+  virtual void FindDecision(const std::string& robot, const Mark& mark,
+                            std::function<void(const FoundDecision&)> done) = 0;
+  virtual void NextTerm(const std::string& robot, uint64_t above,
+                        std::function<void(const absl::StatusOr<uint64_t>&)> done) = 0;
   // What is durable by now. Neither blocks.
   virtual store::StorePoint point() const = 0;
   // False: the store is older than it was at that point, or it is another one.
@@ -55,9 +61,9 @@ struct RobotStatus {
 };
 
 // Those who watch. Any thread; never blocks.
-class Audience {
+class RobotObserver {
  public:
-  virtual ~Audience() = default;
+  virtual ~RobotObserver() = default;
   // Durable already.
   virtual void OnAlert(const store::AlertRecord& alert) = 0;
   // What those who watch must know before it can be durable: that the store cannot be written.
@@ -84,9 +90,9 @@ struct InspectedMessage {
 // One who records what a robot's rules are given to judge: messages that they do not need are never
 // sent. Called on the robot's thread; must not
 // block.
-class Tap {
+class EventRecorder {
  public:
-  virtual ~Tap() = default;
+  virtual ~EventRecorder() = default;
   // `graph`: the one that the event is judged against. An event may be judged against an earlier
   // one than the event before. `message` is what MessageEvent was made of, else null. False: no
   // more, please.
@@ -142,7 +148,7 @@ struct Counts {
 struct Ports {
   const Clock* clock = nullptr;
   Recorder* recorder = nullptr;
-  Audience* audience = nullptr;
+  RobotObserver* audience = nullptr;
   Counts counts;
   // Run a task on the robot's own thread, later: what completes something, before all that agents
   // send; and what is work, such as judging messages, in turn with it.

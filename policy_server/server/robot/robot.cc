@@ -103,7 +103,7 @@ Robot::Robot(RobotConfig config, Policy policy, Timing timing, const store::Robo
   }
 }
 
-absl::Status Robot::AddTap(std::shared_ptr<Tap> tap) {
+absl::Status Robot::AddTap(std::shared_ptr<EventRecorder> tap) {
   if (taps_.size() >= kTapsMax) {
     return absl::ResourceExhaustedError(
         absl::StrCat(kTapsMax, " recordings of `", config_.id, "` run already, the limit"));
@@ -115,7 +115,7 @@ absl::Status Robot::AddTap(std::shared_ptr<Tap> tap) {
 void Robot::Run(const engine::Event& event, const MessageSeen* message, absl::string_view remark) {
   const Instant now = ports_.clock->Now();
   taps_.erase(std::remove_if(taps_.begin(), taps_.end(),
-                             [&](const std::shared_ptr<Tap>& tap) {
+                             [&](const std::shared_ptr<EventRecorder>& tap) {
                                return !tap->OnEvent(event, state_.graph.version().graph, message);
                              }),
               taps_.end());
@@ -125,7 +125,7 @@ void Robot::Run(const engine::Event& event, const MessageSeen* message, absl::st
       !outcome.cut_strings.empty()) {
     Perform(outcome, absl::StrCat(engine::Describe(event), remark));
   } else {
-    variables_changed_ |= outcome.variables_changed;
+    unsaved_.variables |= outcome.variables_changed;
   }
 }
 
@@ -134,7 +134,7 @@ void Robot::External(engine::ExternalEvent event) {
 }
 
 void Robot::Perform(const engine::Outcome& outcome, const std::string& event) {
-  variables_changed_ |= outcome.variables_changed;
+  unsaved_.variables |= outcome.variables_changed;
   for (const auto& refused : outcome.refused_programs) {
     OwnAlert(engine::Severity::kMedium,
              absl::StrCat("program `", refused.program, "` of rule ", refused.rule,
@@ -312,13 +312,13 @@ void Robot::TellSecond(absl::string_view agent, const std::string& host, SecondH
 // ---------------------------------------------------------------------------------- recording
 
 void Robot::Flush() {
-  if (pending_.empty() && !sequences_moved_ && !variables_changed_ && !bundle_changed_) return;
+  if (pending_.empty() && !unsaved_.sequences && !unsaved_.variables && !unsaved_.bundle) return;
   store::Checkpoint checkpoint{.robot = config_.id,
                                .soft_suspended = state_.level.soft_suspended(),
                                .rules_halted = state_.halted(),
                                .resumed_at = state_.level.resumed_at()};
-  if (variables_changed_) checkpoint.variables = state_.Variables();
-  if (bundle_changed_) checkpoint.bundle = policy_.bundle_id;
+  if (unsaved_.variables) checkpoint.variables = state_.Variables();
+  if (unsaved_.bundle) checkpoint.bundle = policy_.bundle_id;
   for (const auto& [host, sensor] : sensors_) {
     for (const auto& [key, sequence] : sensor.sequences.all()) {
       const auto lane = key.second == Lane::kControl ? store::LaneKey::Lane::kControl
@@ -330,8 +330,8 @@ void Robot::Flush() {
   store::HighWater judged = checkpoint.high_water;
   store::WriteBatch batch = std::exchange(pending_, {});
   batch.checkpoints.push_back(std::move(checkpoint));
-  sequences_moved_ = variables_changed_ = bundle_changed_ = false;
-  checkpoint_at_ns_ = ports_.clock->Now().boottime_ns + timing_.checkpoint_ns;
+  unsaved_.sequences = unsaved_.variables = unsaved_.bundle = false;
+  next_.checkpoint_ns = ports_.clock->Now().boottime_ns + timing_.checkpoint_ns;
 
   auto lowerings = std::exchange(pending_lowerings_, {});
   auto kept = std::make_shared<store::WriteBatch>(batch);
@@ -352,7 +352,7 @@ void Robot::Flush() {
         Prepend(kept->refusals, pending_.refusals);
         Prepend(kept->stages, pending_.stages);
         Prepend(kept->alerts, pending_.alerts);
-        sequences_moved_ = variables_changed_ = bundle_changed_ = true;
+        unsaved_.sequences = unsaved_.variables = unsaved_.bundle = true;
       }
       OnRecorded(status, *kept, judged, lowerings);
     });
@@ -696,7 +696,7 @@ void Robot::PublishStatus() {
 void Robot::OnTime() {
   const Instant now = ports_.clock->Now();
   if (retired_) {
-    if (recording_ == 0 && now.boottime_ns >= checkpoint_at_ns_) Flush();
+    if (recording_ == 0 && now.boottime_ns >= next_.checkpoint_ns) Flush();
     return;
   }
   CheckSensors(now);
@@ -707,8 +707,8 @@ void Robot::OnTime() {
   AdvanceMessages();
   graph_history_.Expire(now.boottime_ns, HasBacklog());
   UpdateEvidence(now);
-  if (now.boottime_ns >= beat_at_ns_) {
-    beat_at_ns_ = now.boottime_ns + timing_.heartbeat_ns;
+  if (now.boottime_ns >= next_.beat_ns) {
+    next_.beat_ns = now.boottime_ns + timing_.heartbeat_ns;
     for (auto& [name, host] : sensors_) {
       if (host.session) host.session->link->Beat(host.session->peer_boottime_ns);
     }
@@ -717,8 +717,8 @@ void Robot::OnTime() {
     }
     PublishStatus();
   }
-  if (now.boottime_ns >= tick_at_ns_) {
-    tick_at_ns_ = now.boottime_ns + timing_.tick_ns;
+  if (now.boottime_ns >= next_.tick_ns) {
+    next_.tick_ns = now.boottime_ns + timing_.tick_ns;
     External(engine::TickEvent{});
     UpdateCoverage(now);
     TellBlind(now);
@@ -733,7 +733,7 @@ void Robot::OnTime() {
   UpdateActuation(now);
   SendCommands(now);
   AdvanceDrill(now);
-  const bool due = now.boottime_ns >= checkpoint_at_ns_;
+  const bool due = now.boottime_ns >= next_.checkpoint_ns;
   if (due || (!pending_.empty() && !store_failing_)) Flush();
 }
 
@@ -754,7 +754,7 @@ absl::Status Robot::SwapPolicy(Policy policy) {
              absl::StrCat("bundle ", policy.bundle_id, " was not taken: ", status.message()));
   } else {
     policy_ = std::move(policy);
-    bundle_changed_ = true;
+    unsaved_.bundle = true;
     policy_problem_.clear();
     evidence_.set_hold_ns(policy_.soft_hold_ns);
     OwnAlert(engine::Severity::kInfo, absl::StrCat("bundle ", policy_.bundle_id, " is in force"));
@@ -781,7 +781,7 @@ void Robot::Drain() {
   for (auto& [name, host] : actuators_) {
     if (host.session) SendLease(*host.session);
   }
-  sequences_moved_ = true;
+  unsaved_.sequences = true;
   Flush();
 }
 

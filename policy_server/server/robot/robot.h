@@ -24,14 +24,14 @@
 #include "absl/types/span.h"
 #include "policy_server/policy/engine/evaluator.h"
 #include "policy_server/server/robot/alert_limiter.h"
-#include "policy_server/server/robot/command_ledger.h"
+#include "policy_server/server/robot/command_reconciler.h"
 #include "policy_server/server/robot/evidence_gate.h"
-#include "policy_server/server/robot/findings_book.h"
+#include "policy_server/server/robot/finding_registry.h"
 #include "policy_server/server/robot/graph_history.h"
 #include "policy_server/server/robot/loss_alarm.h"
 #include "policy_server/server/robot/policy.h"
 #include "policy_server/server/robot/ports.h"
-#include "policy_server/server/robot/receipt_log.h"
+#include "policy_server/server/robot/receipt_history.h"
 #include "policy_server/server/robot/robot_config.h"
 #include "policy_server/server/robot/robot_parts.h"
 #include "policy_server/server/store/store.h"
@@ -87,11 +87,11 @@ class Robot {
   // Answered when each actuator has, or after kDrillAnswerNs. InvalidArgument for no level of the
   // robot, FailedPrecondition if no actuator is attached or another drill is under way.
   void StartDrill(const DrillOrder& order, DrillReply reply);
-  const ReceiptLog& receipts() const { return receipts_; }  // since the start
+  const ReceiptHistory& receipts() const { return receipts_; }  // since the start
   RobotStatus Status() const;
   // Tells the tap every event, before it is judged. ResourceExhausted past kTapsMax.
   static constexpr size_t kTapsMax = 4;
-  absl::Status AddTap(std::shared_ptr<Tap> tap);
+  absl::Status AddTap(std::shared_ptr<EventRecorder> tap);
   const ros2::RosGraph& graph() const { return state_.graph.get(); }
   const GraphHistory::Version& graph_version() const { return state_.graph.version(); }
   std::vector<FindingSeen> findings() const { return findings_.standing(); }  // oldest first
@@ -225,11 +225,16 @@ class Robot {
                    const FindingSeen& finding);
   void ExpireFindings(Instant now);
 
+  // robot_terms.cc
+  absl::StatusOr<ShownTerm> TermToReset(const TermResetOrder& order) const;
+  void OnTermToReset(const TermResetOrder& order, const absl::StatusOr<uint64_t>& term,
+                     LevelReply reply);
   // robot_actuators.cc
-  absl::Status Reconcile(const std::string& name, ActuatorHost& host, const ActuatorHello& hello);
-  absl::Status RaiseTerm(const std::string& name, ActuatorHost& host, const ActuatorHello& hello);
-  // Nullopt if no decision of ours has this mark.
-  absl::StatusOr<std::optional<std::string>> KnownLevel(const Mark& mark) const;
+  void AskAndArm(const Arming& arming);
+  void OnStoreAnswer(const absl::Status& status, const Arming& arming);
+  void Arm(ActuatorHost& host, const Arming& arming);
+  void Reconcile(const Arming& arming, const std::optional<std::string>& known);
+  std::optional<std::string> KnownLevel(const Mark& mark) const;
   void CheckActuators(Instant now);
   void SendCommands(Instant now);
   void TellMissingPrograms();
@@ -303,27 +308,24 @@ class Robot {
   absl::btree_map<std::string, RecentLosses> skipped_;  // by reason: inspections not made
   AlertLimiter alert_limiter_;
   AlertLimiter own_alert_limiter_{kOwnAlertLimits};
-  FindingsBook findings_;
-  CommandLedger ledger_;
+  FindingRegistry findings_;
+  CommandReconciler ledger_;
   GraphHistory graph_history_;
   absl::btree_map<std::string, SensorHost> sensors_;
   absl::btree_map<std::string, ActuatorHost> actuators_;
-  ReceiptLog receipts_;
+  ReceiptHistory receipts_;
   std::optional<RunningDrill> drill_;
   // Collected since the last Flush.
   store::WriteBatch pending_;
   std::vector<levels::Transition> pending_lowerings_;
-  bool sequences_moved_ = false;
-  bool variables_changed_ = false;
-  // The store does not know yet which bundle is in force.
-  bool bundle_changed_ = true;
+  Unsaved unsaved_;
   // Batches that the recorder has not answered for.
   size_t recording_ = 0;
   bool retired_ = false;
   std::string policy_problem_;
   // Alerts dropped since the store failed.
   uint64_t alerts_dropped_ = 0;
-  std::vector<std::shared_ptr<Tap>> taps_;
+  std::vector<std::shared_ptr<EventRecorder>> taps_;
   ControlLine control_line_;
   MessageLine message_line_;
   // Refusals already recorded: rule, from, to, reason → id.
@@ -339,9 +341,7 @@ class Robot {
   bool draining_ = false;
   int64_t graph_changed_unix_ns_ = 0;
   int64_t started_ns_ = 0;
-  int64_t beat_at_ns_ = 0;
-  int64_t tick_at_ns_ = 0;
-  int64_t checkpoint_at_ns_ = 0;
+  NextTimes next_;
   RobotStatus published_;
 };
 

@@ -156,14 +156,67 @@ void Robot::OnActuatorHello(const std::string& host_name, std::shared_ptr<Actuat
                           " although it has verified ", ToString(host.verified),
                           ": its state was deleted or went back"));
   }
-  if (absl::Status status = Reconcile(host_name, host, hello); !status.ok()) {
-    return link->Close(status);
-  }
-  host.met = true;
+  if (host.arming) host.arming->Close(absl::AbortedError("replaced by a newer session"));
+  host.arming = link;
+  AskAndArm({.host = host_name, .link = std::move(link), .hello = hello});
+}
 
+// The store is asked for what must be known first, if anything.
+void Robot::AskAndArm(const Arming& arming) {
+  ActuatorHost& host = actuators_.at(arming.host);
+  const ActuatorHello& hello = arming.hello;
+  // On another thread this robot may be gone by then; what is posted is dropped if it is.
+  const auto go_on = [this, post = ports_.post](const absl::Status& status, const Arming& next) {
+    post([=, this] { OnStoreAnswer(status, next); });
+  };
+  // A term that an actuator has obeyed is never used for other decisions. Ours was drawn at this
+  // start: an actuator that this process has not met yet cannot know it.
+  const uint64_t obeyed = std::max(hello.highest_term, hello.mark.term);
+  const uint64_t ours = state_.level.term();
+  if (obeyed >= (host.met ? ours + 1 : ours)) {
+    if (!arming.term) {
+      return ports_.recorder->NextTerm(
+          config_.id, obeyed, [go_on, next = arming](const absl::StatusOr<uint64_t>& term) mutable {
+            if (term.ok()) next.term = *term;
+            go_on(term.status(), next);
+          });
+    }
+    OwnAlert(engine::Severity::kHigh,
+             absl::StrCat("actuator ", arming.host, " has obeyed term ", obeyed, ", our term is ",
+                          ours, "; commands now carry term ", *arming.term));
+    state_.level.RaiseTerm(*arming.term);
+  }
+  if (!hello.mark.none()) {
+    const std::optional<std::string> known = KnownLevel(hello.mark);
+    if (!known && !arming.level) {
+      return ports_.recorder->FindDecision(
+          config_.id, hello.mark, [go_on, next = arming](const FoundDecision& found) mutable {
+            if (found.ok()) next.level = *found;
+            go_on(found.status(), next);
+          });
+    }
+    Reconcile(arming, known ? known : *arming.level);
+  }
+  host.arming.reset();
+  Arm(host, arming);
+}
+
+void Robot::OnStoreAnswer(const absl::Status& status, const Arming& arming) {
+  const auto it = actuators_.find(arming.host);
+  // It has left, or came anew.
+  if (it == actuators_.end() || it->second.arming != arming.link) return;
+  if (status.ok()) return AskAndArm(arming);
+  it->second.arming.reset();
+  arming.link->Close(absl::UnavailableError(status.message()));
+}
+
+void Robot::Arm(ActuatorHost& host, const Arming& arming) {
+  const auto& [host_name, link, hello, term, level] = arming;
+  const Instant now = ports_.clock->Now();
+  host.met = true;
   if (host.session) host.session->link->Close(absl::AbortedError("replaced by a newer session"));
   if (drill_) drill_->run.OnGone(host_name);
-  host.session = ActuatorSession{.link = std::move(link),
+  host.session = ActuatorSession{.link = link,
                                  .heard_ns = now.boottime_ns,
                                  .peer_boottime_ns = hello.clock.boottime_ns,
                                  .beat = {.effective_level = hello.effective_level}};
@@ -205,52 +258,28 @@ void Robot::OnActuatorHello(const std::string& host_name, std::shared_ptr<Actuat
 //   in our history, another level   our history is not the one it obeyed, as after a backup was
 //                                   restored: the more restrictive level, as a new decision
 //   unknown                         our history is incomplete: the same
-absl::Status Robot::Reconcile(const std::string& host_name, ActuatorHost& host,
-                              const ActuatorHello& hello) {
-  if (absl::Status status = RaiseTerm(host_name, host, hello); !status.ok()) return status;
-  if (hello.mark.none()) return absl::OkStatus();
-  const absl::StatusOr<std::optional<std::string>> known = KnownLevel(hello.mark);
-  if (!known.ok()) return absl::UnavailableError(known.status().message());
-  if (*known == hello.decided_level) return absl::OkStatus();
+void Robot::Reconcile(const Arming& arming, const std::optional<std::string>& known) {
+  const ActuatorHello& hello = arming.hello;
+  if (known == hello.decided_level) return;
   const levels::LevelIndex held = levels().Find(hello.decided_level).value_or(levels().size() - 1);
-  const std::string ours = *known ? absl::StrCat("which is ", **known, " in this server's history")
-                                  : std::string("which this server does not know");
+  const std::string ours = known ? absl::StrCat("which is ", *known, " in this server's history")
+                                 : std::string("which this server does not know");
   OwnAlert(engine::Severity::kCritical,
-           absl::StrCat("actuator ", host_name, " holds decision ", ToString(hello.mark), " (",
+           absl::StrCat("actuator ", arming.host, " holds decision ", ToString(hello.mark), " (",
                         levels().name(held), "), ", ours, ": the more restrictive level is ",
                         "adopted; was the store restored from a backup?"));
   // A pardoned epoch would use up all others, and the term is above its own.
   const Mark above = hello.mark.epoch > kEpochMax ? Mark{.term = hello.mark.term} : hello.mark;
   Adopt(held, above,
-        absl::StrCat("actuator ", host_name, " holds ", ToString(hello.mark), " (",
+        absl::StrCat("actuator ", arming.host, " holds ", ToString(hello.mark), " (",
                      levels().name(held), ")"));
-  return absl::OkStatus();
 }
 
-// A term that an actuator has obeyed is never used for other decisions. Ours was drawn at this
-// start: an actuator that this process has not met yet cannot know it.
-absl::Status Robot::RaiseTerm(const std::string& host_name, ActuatorHost& host,
-                              const ActuatorHello& hello) {
-  const uint64_t seen_term = std::max(hello.highest_term, hello.mark.term);
-  const uint64_t free_below = host.met ? state_.level.term() + 1 : state_.level.term();
-  if (seen_term >= free_below) {
-    const absl::StatusOr<uint64_t> term = ports_.recorder->NextTerm(config_.id, seen_term);
-    if (!term.ok()) return absl::UnavailableError(term.status().message());
-    OwnAlert(engine::Severity::kHigh,
-             absl::StrCat("actuator ", host_name, " has obeyed term ", seen_term, ", our term is ",
-                          state_.level.term(), "; commands now carry term ", *term));
-    state_.level.RaiseTerm(*term);
-  }
-  return absl::OkStatus();
-}
-
-absl::StatusOr<std::optional<std::string>> Robot::KnownLevel(const Mark& mark) const {
-  if (mark == state_.level.mark()) {
-    return std::optional<std::string>(levels().name(state_.level.level()));
-  }
+// As far as it is known without the store.
+std::optional<std::string> Robot::KnownLevel(const Mark& mark) const {
+  if (mark == state_.level.mark()) return levels().name(state_.level.level());
   // Perhaps not recorded yet.
-  if (std::optional<std::string> ordered = ledger_.OrderedLevel(mark)) return ordered;
-  return ports_.recorder->FindDecision(config_.id, mark);
+  return ledger_.OrderedLevel(mark);
 }
 
 void Robot::SendLease(ActuatorSession& session) {
@@ -442,9 +471,9 @@ void Robot::UpdateActuation(Instant now) {
 
 void Robot::OnActuatorGone(const std::string& host_name, const ActuatorLink* link) {
   const auto it = actuators_.find(host_name);
-  if (it == actuators_.end() || !it->second.session || it->second.session->link.get() != link) {
-    return;
-  }
+  if (it == actuators_.end()) return;
+  if (it->second.arming.get() == link) it->second.arming.reset();
+  if (!it->second.session || it->second.session->link.get() != link) return;
   const Instant now = ports_.clock->Now();
   it->second.session.reset();
   it->second.gone_since_ns = now.boottime_ns;

@@ -9,12 +9,12 @@
 
 namespace rips::pipeline {
 
-std::shared_ptr<const engine::InterestPlan> MakeInterest(const engine::Program& program) {
+std::shared_ptr<const engine::InterestPlan> MakeInterest(const engine::CompiledPolicy& program) {
   return std::make_shared<const engine::InterestPlan>(
       engine::PlanInterest(program.rules(), kPayloadBytesDefault));
 }
 
-std::shared_ptr<const ros2::TopicNames> MakeKeptTopics(const engine::Program& program) {
+std::shared_ptr<const ros2::TopicNames> MakeKeptTopics(const engine::CompiledPolicy& program) {
   return std::make_shared<const ros2::TopicNames>(engine::KeptTopics(program.rules()));
 }
 

@@ -99,7 +99,7 @@ TEST_F(RobotCoverageTest, OtherRulesAskAnewIfTheyNeedSomethingElse) {
     const std::vector<lang::SourceFile> files = {{.path = "new.rul", .text = text}};
     lang::CompileResult compiled = lang::Compile(files);
     ASSERT_TRUE(compiled.rules) << lang::RenderText(files, compiled.diagnostics);
-    const auto program = engine::Program::Create(*std::move(compiled.rules));
+    const auto program = engine::CompiledPolicy::Create(*std::move(compiled.rules));
     ASSERT_TRUE(robot_->SwapPolicy({.program = *program, .bundle_id = id}).ok());
   };
   swap("sha256:1", "/other", "r");
@@ -112,7 +112,7 @@ TEST_F(RobotCoverageTest, OtherRulesAskAnewIfTheyNeedSomethingElse) {
 TEST_F(RobotCoverageTest, RobotsShareThePlanOfTheirBundle) {
   Begin();
   const std::vector<lang::SourceFile> files = {{.path = "test.rul", .text = kCoverageRules}};
-  const auto program = engine::Program::Create(*lang::Compile(files).rules);
+  const auto program = engine::CompiledPolicy::Create(*lang::Compile(files).rules);
   const auto plan = MakeInterest(**program);
   ASSERT_TRUE(
       robot_->SwapPolicy({.program = *program, .bundle_id = "sha256:1", .interest = plan}).ok());

@@ -657,8 +657,8 @@ TEST_F(RobotTest, AnotherBundleKeepsLevelAndVariables) {
   auto compiled = lang::Compile(files);
   ASSERT_TRUE(compiled.rules) << lang::RenderText(files, compiled.diagnostics);
 
-  EXPECT_THAT(robot_->SwapPolicy(
-                  {.program = *engine::Program::Create(*compiled.rules), .bundle_id = "sha256:1"}),
+  EXPECT_THAT(robot_->SwapPolicy({.program = *engine::CompiledPolicy::Create(*compiled.rules),
+                                  .bundle_id = "sha256:1"}),
               IsOk());
 
   EXPECT_EQ(Level(), "ALERT");

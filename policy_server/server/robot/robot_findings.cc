@@ -29,14 +29,14 @@ bool Robot::TakeFinding(const std::string& host_name, const std::string& incarna
                         const FindingSeen& finding) {
   const Instant now = ports_.clock->Now();
   switch (findings_.Take(host_name, incarnation, finding, now.boottime_ns)) {
-    case FindingsBook::News::kKnown:
+    case FindingRegistry::News::kKnown:
       return false;
-    case FindingsBook::News::kEnds:
+    case FindingRegistry::News::kEnds:
       ports_.audience->OnRuleLog(config_.id, std::string(kOwnRule),
                                  absl::StrCat("no longer: ", Text(finding)));
       return false;
-    case FindingsBook::News::kBegins:
-    case FindingsBook::News::kTooMany:
+    case FindingRegistry::News::kBegins:
+    case FindingRegistry::News::kTooMany:
       break;
   }
   const engine::AlertEffect alert = {

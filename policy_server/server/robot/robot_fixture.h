@@ -48,16 +48,33 @@ class FakeRecorder final : public Recorder {
     if (!held) Release();
   }
   bool healthy() const override { return healthy_; }
-  absl::StatusOr<std::optional<std::string>> FindDecision(const std::string&,
-                                                          const Mark& mark) override {
-    for (const store::DecisionRecord& decision : decisions) {
-      if (decision.mark == mark) return decision.to;
-    }
-    return std::nullopt;
+  void FindDecision(const std::string&, const Mark& mark,
+                    std::function<void(const FoundDecision&)> done) override {
+    Answer([this, mark, done = std::move(done)] {
+      for (const store::DecisionRecord& decision : decisions) {
+        if (decision.mark == mark) return done(decision.to);
+      }
+      done(std::nullopt);
+    });
   }
-  absl::StatusOr<uint64_t> NextTerm(const std::string&, uint64_t above) override {
-    if (!term_fail.ok()) return term_fail;
-    return above + 1;
+  void NextTerm(const std::string&, uint64_t above,
+                std::function<void(const absl::StatusOr<uint64_t>&)> done) override {
+    Answer([this, above, done = std::move(done)] {
+      if (!term_fail.ok()) return done(term_fail);
+      newest_term = std::max(newest_term, above) + 1;
+      done(newest_term);
+    });
+  }
+  // Questions to the store are answered at once, or by this. False: none waited.
+  bool AnswerAll() {
+    bool any = false;
+    while (!questions_.empty()) {
+      auto question = std::move(questions_.front());
+      questions_.pop_front();
+      question();
+      any = true;
+    }
+    return any;
   }
   store::StorePoint point() const override {
     return {.generation = generations.back().id, .commit = generations.back().last_commit};
@@ -92,6 +109,8 @@ class FakeRecorder final : public Recorder {
   bool held = false;
   absl::Status fail;
   absl::Status term_fail;
+  uint64_t newest_term = 0;
+  bool questions_held = false;
   // What may use the reserve succeeds all the same.
   bool reserve = false;
   std::vector<store::DecisionRecord> decisions;
@@ -105,7 +124,13 @@ class FakeRecorder final : public Recorder {
   std::vector<store::Generation> generations = {{.id = std::string(16, 'g')}};
 
  private:
+  void Answer(std::function<void()> question) {
+    questions_.push_back(std::move(question));
+    if (!questions_held) AnswerAll();
+  }
+
   bool healthy_ = true;
+  std::deque<std::function<void()>> questions_;
   std::deque<std::pair<store::WriteBatch, std::function<void(const absl::Status&)>>> waiting_;
 };
 
@@ -118,7 +143,7 @@ class RobotTest : public ::testing::Test {
     const std::vector<lang::SourceFile> files = {{.path = "test.rul", .text = rules}};
     lang::CompileResult compiled = lang::Compile(files);
     ASSERT_TRUE(compiled.rules) << lang::RenderText(files, compiled.diagnostics);
-    auto program = engine::Program::Create(*std::move(compiled.rules));
+    auto program = engine::CompiledPolicy::Create(*std::move(compiled.rules));
     ASSERT_TRUE(program.ok()) << program.status();
     Ports ports{
         .clock = &clock_,
@@ -300,7 +325,7 @@ class RobotTest : public ::testing::Test {
   std::vector<std::string> sensor_hosts_ = {"base"};
   FakeClock clock_;
   FakeRecorder recorder_;
-  FakeAudience audience_;
+  FakeObserver audience_;
   Counts counts_;
   std::deque<std::function<void()>> posted_;
   int ids_ = 0;

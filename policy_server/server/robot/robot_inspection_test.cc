@@ -84,7 +84,7 @@ TEST_F(RobotInspectionTest, ThePayloadsThatRulesNeedAreAskedFor) {
 
   // A policy with the same rules and other limits is another thing to ask for.
   const int before = sensor_->interests;
-  Policy policy{.program = *engine::Program::Create(
+  Policy policy{.program = *engine::CompiledPolicy::Create(
                     *lang::Compile({{.path = "test.rul", .text = kInspecting}}).rules),
                 .bundle_id = "sha256:1",
                 .inspector = inspector_,
@@ -184,11 +184,12 @@ rules Msg:
   b: topicin("/image") && payload("b.yar") ? alert("b");
   false ? trigger(ALERT), trigger(COMPROMISED), trigger(HALT);
 )"}};
-  ASSERT_TRUE(robot_
-                  ->SwapPolicy({.program = *engine::Program::Create(*lang::Compile(files).rules),
-                                .bundle_id = "sha256:1",
-                                .inspector = inspector_})
-                  .ok());
+  ASSERT_TRUE(
+      robot_
+          ->SwapPolicy({.program = *engine::CompiledPolicy::Create(*lang::Compile(files).rules),
+                        .bundle_id = "sha256:1",
+                        .inspector = inspector_})
+          .ok());
   EXPECT_THAT(PayloadsAskedFor(), SizeIs(2));
   ASSERT_THAT(inspector_->questions, SizeIs(2));
   EXPECT_THAT(inspector_->questions[1].inspections, ElementsAre(1));

@@ -68,6 +68,7 @@ void Robot::SetActuators(const RobotConfig& config, Instant now) {
       continue;
     }
     if (host.session) host.session->link->Close(NotListed("actuator", name, config_.id));
+    if (host.arming) host.arming->Close(NotListed("actuator", name, config_.id));
     if (drill_) drill_->run.OnGone(name);
     it = actuators_.erase(it);
   }
@@ -95,6 +96,8 @@ void Robot::Retire(const absl::Status& why) {
   for (auto& [name, host] : actuators_) {
     if (host.session) host.session->link->Close(why);
     host.session.reset();
+    if (host.arming) host.arming->Close(why);
+    host.arming.reset();
   }
   control_line_.batches.clear();
   message_line_.batches.clear();
@@ -107,13 +110,13 @@ void Robot::Retire(const absl::Status& why) {
     waiting.answer.status = why;
     waiting.reply(waiting.answer);
   }
-  sequences_moved_ = true;
+  unsaved_.sequences = true;
   Flush();
 }
 
 bool Robot::gone() const {
-  return retired_ && recording_ == 0 && pending_.empty() && !sequences_moved_ &&
-         !variables_changed_;
+  return retired_ && recording_ == 0 && pending_.empty() && !unsaved_.sequences &&
+         !unsaved_.variables;
 }
 
 }  // namespace rips::pipeline

@@ -61,7 +61,7 @@ void Robot::AdvanceMessages() {
 }
 
 size_t Robot::AskInspections(WaitingBatch& batch) {
-  const std::shared_ptr<const engine::Program>& program = state_.program();
+  const std::shared_ptr<const engine::CompiledPolicy>& program = state_.program();
   const std::vector<Observation>& observations = batch.batch->observations;
   const bool inspects =
       !program->rules().inspections.empty() && batch.host == config_.primary_sensor;

@@ -122,6 +122,8 @@ struct ActuatorHost {
   bool lost = false;
   int64_t gone_since_ns = 0;
   SecondHolder second;
+  // Of a hello that waits for the store.
+  std::shared_ptr<ActuatorLink> arming;
   // It has had a session since this process began.
   bool met = false;
   // The newest decision that it verified.
@@ -130,6 +132,31 @@ struct ActuatorHost {
   std::optional<ShownTerm> refused_term;
   // What an administrator let the server go above.
   std::optional<ShownTerm> pardoned_term;
+};
+
+// An actuator's hello that is acceptable, and what the store has said to it so far.
+struct Arming {
+  std::string host;
+  std::shared_ptr<ActuatorLink> link;
+  ActuatorHello hello;
+  // Drawn above the term that the actuator has obeyed.
+  std::optional<uint64_t> term;
+  // The level of the decision that the hello names; the inner nullopt: no decision of ours.
+  std::optional<std::optional<std::string>> level;
+};
+
+// What the store does not know yet.
+struct Unsaved {
+  bool sequences = false;
+  bool variables = false;
+  bool bundle = true;
+};
+
+// CLOCK_BOOTTIME.
+struct NextTimes {
+  int64_t beat_ns = 0;
+  int64_t tick_ns = 0;
+  int64_t checkpoint_ns = 0;
 };
 
 // A message batch, how far it is judged, and the verdicts of its messages.
@@ -142,7 +169,7 @@ struct WaitingBatch {
   // Observations before this one are judged.
   size_t judged = 0;
   // Under which it was asked.
-  std::shared_ptr<const engine::Program> program;
+  std::shared_ptr<const engine::CompiledPolicy> program;
   // By observation, then by index of the program's inspections; empty where none is needed.
   std::vector<std::vector<engine::Verdict>> verdicts;
   // Observations before this one have been looked at.

@@ -153,7 +153,7 @@ void Robot::JudgeBatch(const std::string& host_name, const SensorLink* link, con
   const Instant now = ports_.clock->Now();
   if (accepted->missing > 0) Missing(host, accepted->missing);
   Count(ports_.counts.observations_duplicate, accepted->skip);
-  sequences_moved_ = true;
+  unsaved_.sequences = true;
   for (size_t i = from + accepted->skip; i < to; ++i) {
     const absl::Span<const engine::Verdict> inspections =
         i < verdicts.size() ? verdicts[i] : absl::Span<const engine::Verdict>();

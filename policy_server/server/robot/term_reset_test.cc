@@ -184,6 +184,52 @@ TEST_F(TermResetTest, WithoutAStoreNothingIsReset) {
   EXPECT_THAT(Reset().status, IsOk()) << "asked again";
 }
 
+TEST_F(TermResetTest, AStoreThatAnswersLateKeepsNothingElseWaiting) {
+  Start();
+  ConnectSensor();
+  SendSnapshot();
+  ConnectActuator(Hello({}, kHighTerm, "DEFAULT"));
+  recorder_.questions_held = true;
+  EXPECT_THAT(Reset().status, StatusIs(absl::StatusCode::kUnknown)) << "no answer yet";
+  IntruderAppears();
+  EXPECT_EQ(Level(), "ALERT");
+  recorder_.AnswerAll();
+  Drain();
+  EXPECT_GT(robot_->Status().mark.term, kHighTerm);
+  EXPECT_EQ(Level(), "ALERT");
+}
+
+TEST_F(TermResetTest, AnActuatorIsArmedWhenTheStoreHasAnswered) {
+  Start();
+  ConnectSensor();
+  SendSnapshot();
+  recorder_.questions_held = true;
+  const ActuatorHello hello = Hello({3, 9}, 5, "COMPROMISED");
+  ConnectActuator(hello);
+  EXPECT_TRUE(actuator_->commands.empty());
+  IntruderAppears();
+  EXPECT_EQ(Level(), "ALERT") << "the robot's thread waits for no store";
+  const auto first = actuator_;
+  ConnectActuator(hello);
+  EXPECT_THAT(first->closed, StatusIs(absl::StatusCode::kAborted)) << "replaced while it waited";
+  while (recorder_.AnswerAll()) Drain();
+  EXPECT_THAT(actuator_->closed, IsOk());
+  EXPECT_EQ(Level(), "COMPROMISED") << "what it holds is more restrictive: adopted";
+  ASSERT_NE(actuator_->level(), nullptr);
+  EXPECT_EQ(actuator_->level()->to, "COMPROMISED");
+  EXPECT_GT(actuator_->commands.back().term, 5u);
+}
+
+TEST_F(TermResetTest, AnActuatorThatLeavesWhileTheStoreAnswersIsNotArmed) {
+  Start();
+  recorder_.questions_held = true;
+  ConnectActuator(Hello({3, 9}, 5, "COMPROMISED"));
+  robot_->OnActuatorGone("base", actuator_.get());
+  while (recorder_.AnswerAll()) Drain();
+  EXPECT_EQ(Level(), "DEFAULT");
+  EXPECT_TRUE(actuator_->commands.empty());
+}
+
 TEST_F(TermResetTest, ALoweringThatIsNotDurableYetIsNotCommandedByAReset) {
   Start();
   Arm();

@@ -45,7 +45,7 @@ struct TimedActuator final : ActuatorLink {
   const Clock* clock_;
 };
 
-class SilentAudience final : public Audience {
+class SilentAudience final : public RobotObserver {
  public:
   void OnAlert(const store::AlertRecord&) override {}
   void OnNotice(const std::string&) override {}
@@ -61,7 +61,7 @@ class FairnessTest : public ::testing::Test {
   void Open(PipelineLimits limits) {
     lang::CompileResult compiled = lang::Compile({{.path = "t.rul", .text = kPaperRules}});
     ASSERT_TRUE(compiled.rules);
-    program_ = *engine::Program::Create(*std::move(compiled.rules));
+    program_ = *engine::CompiledPolicy::Create(*std::move(compiled.rules));
     pipeline_ = std::make_unique<Pipeline>(
         1, &clock_, limits,
         PipelineReports{.late = [this](const std::string& robot, int64_t) { late_.Push(robot); },
@@ -129,7 +129,7 @@ class FairnessTest : public ::testing::Test {
   StoreRecorder recorder_{&store_, &committer_};
   SilentAudience audience_;
   std::atomic<int> ids_ = 0;
-  std::shared_ptr<const engine::Program> program_;
+  std::shared_ptr<const engine::CompiledPolicy> program_;
   std::atomic<int> flooded_ = 0;
   Names late_{{.capacity = 1'000}};
   Names deferred_{{.capacity = 1'000}};
@@ -341,7 +341,7 @@ TEST_F(FairnessTest, TheGraphIsReadWithoutTheRobotsThread) {
 
 // --------------------------------------------------------------------- control batches in turns
 
-class GraphTap final : public Tap {
+class GraphTap final : public EventRecorder {
  public:
   explicit GraphTap(std::function<void()> on_graph) : on_graph_(std::move(on_graph)) {}
   bool OnEvent(const engine::Event& event, const std::shared_ptr<const ros2::RosGraph>& graph,

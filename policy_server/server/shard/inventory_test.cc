@@ -40,7 +40,7 @@ class Gate {
   BoundedQueue<int> open_{{.capacity = 1}};
 };
 
-class QuietAudience final : public Audience {
+class QuietAudience final : public RobotObserver {
  public:
   void OnAlert(const store::AlertRecord&) override { ++alerts; }
   void OnNotice(const std::string&) override {}
@@ -54,7 +54,7 @@ class LiveFleetTest : public ::testing::Test {
   void SetUp() override {
     lang::CompileResult compiled = lang::Compile({{.path = "t.rul", .text = kPaperRules}});
     ASSERT_TRUE(compiled.rules);
-    program_ = *engine::Program::Create(*std::move(compiled.rules));
+    program_ = *engine::CompiledPolicy::Create(*std::move(compiled.rules));
     ASSERT_THAT(Add("r1"), IsOk());
     ASSERT_THAT(Add("r2"), IsOk());
     pipeline_.Start();
@@ -102,7 +102,7 @@ class LiveFleetTest : public ::testing::Test {
   StoreRecorder recorder_{&store_, &committer_};
   QuietAudience audience_;
   std::atomic<int> ids_ = 0;
-  std::shared_ptr<const engine::Program> program_;
+  std::shared_ptr<const engine::CompiledPolicy> program_;
   Gate gate_;
   Gate disk_;
   Pipeline pipeline_{2, &clock_};

@@ -25,7 +25,7 @@ namespace rips::pipeline {
 class ServerAlerts {
  public:
   // Nothing is owned; all outlive what is raised.
-  ServerAlerts(store::Committer* committer, Audience* audience, const Clock* clock,
+  ServerAlerts(store::Committer* committer, RobotObserver* audience, const Clock* clock,
                std::function<std::string()> new_id)
       : committer_(committer), audience_(audience), clock_(clock), new_id_(std::move(new_id)) {}
 
@@ -40,7 +40,7 @@ class ServerAlerts {
   void Put(const std::string& robot, const engine::AlertEffect& alert, const std::string& level);
 
   store::Committer* committer_;
-  Audience* audience_;
+  RobotObserver* audience_;
   const Clock* clock_;
   std::function<std::string()> new_id_;
   Mutex mu_;

@@ -2,21 +2,35 @@
 #ifndef RIPS_POLICY_SERVER_SERVER_SHARD_STORE_RECORDER_H_
 #define RIPS_POLICY_SERVER_SERVER_SHARD_STORE_RECORDER_H_
 
+#include <functional>
+#include <memory>
 #include <string>
+#include <thread>
+#include <utility>
 #include <vector>
 
+#include "absl/status/status.h"
+#include "absl/status/statusor.h"
+#include "absl/time/time.h"
 #include "policy_server/server/robot/ports.h"
 #include "policy_server/server/store/committer.h"
 #include "policy_server/server/store/store.h"
 #include "services/base/status_macros.h"
+#include "services/runtime/bounded_queue.h"
 
 namespace rips::pipeline {
 
-// Any thread. Neither is owned; both outlive this.
+// Any thread. Neither is owned; both outlive this. What is asked of the store is asked by a thread
+// of its own, in order: a disk that hangs keeps no robot waiting.
 class StoreRecorder final : public Recorder {
  public:
   StoreRecorder(store::Store* store, store::Committer* committer)
-      : store_(store), committer_(committer) {}
+      : store_(store), committer_(committer), thread_([this] { Run(); }) {}
+  // What is not answered yet never will be.
+  ~StoreRecorder() override {
+    questions_.Close();
+    thread_.join();
+  }
 
   // Begins a generation of the store, once, before robots use this. `id`: 16 random bytes.
   absl::Status BeginGeneration(const std::string& id) {
@@ -32,12 +46,13 @@ class StoreRecorder final : public Recorder {
     if (!taken.ok()) (*shared)(taken);
   }
   bool healthy() const override { return committer_->healthy(); }
-  absl::StatusOr<std::optional<std::string>> FindDecision(const std::string& robot,
-                                                          const Mark& mark) override {
-    return store_->FindDecision(robot, mark);
+  void FindDecision(const std::string& robot, const Mark& mark,
+                    std::function<void(const FoundDecision&)> done) override {
+    if (!questions_.Push([=, this] { done(store_->FindDecision(robot, mark)); })) done(Busy());
   }
-  absl::StatusOr<uint64_t> NextTerm(const std::string& robot, uint64_t above) override {
-    return store_->NextTerm(robot, above);
+  void NextTerm(const std::string& robot, uint64_t above,
+                std::function<void(const absl::StatusOr<uint64_t>&)> done) override {
+    if (!questions_.Push([=, this] { done(store_->NextTerm(robot, above)); })) done(Busy());
   }
   store::StorePoint point() const override {
     if (generations_.empty()) return {};
@@ -48,9 +63,23 @@ class StoreRecorder final : public Recorder {
   }
 
  private:
+  // Of all robots together; each asks at most one per actuator and order.
+  static constexpr size_t kQuestionsMax = 4'096;
+
+  static absl::Status Busy() {
+    return absl::UnavailableError("too many questions wait for the store; try again");
+  }
+  void Run() {
+    while (!questions_.closed()) {
+      if (const auto question = questions_.Pop(absl::Seconds(1))) (*question)();
+    }
+  }
+
   store::Store* store_;
   store::Committer* committer_;
+  BoundedQueue<std::function<void()>> questions_{{.capacity = kQuestionsMax}};
   std::vector<store::Generation> generations_;
+  std::thread thread_;  // last: it uses the rest
 };
 
 }  // namespace rips::pipeline

@@ -22,7 +22,7 @@ using ::testing::HasSubstr;
 
 constexpr absl::Duration kLong = absl::Seconds(60);
 
-class QuietAudience final : public Audience {
+class QuietAudience final : public RobotObserver {
  public:
   void OnAlert(const store::AlertRecord&) override { ++alerts; }
   void OnNotice(const std::string& text) override { notices.push_back(text); }

@@ -123,7 +123,7 @@ std::optional<Relation> RelationOf(Builtin builtin, bool prototype) {
   }
 }
 
-std::optional<bool> AskServices(Builtin builtin, Args args, const Scene& scene) {
+std::optional<bool> EvaluateServices(Builtin builtin, Args args, const EvalContext& scene) {
   const std::optional<absl::string_view> node = Text(args, 0);
   if (!node.has_value()) return std::nullopt;
   const std::vector<std::string> services = ServicesOf(*node, scene.graph);
@@ -149,7 +149,7 @@ const std::vector<std::string>& Subscribers(const ros2::Topic* topic) {
 }
 
 // Who publishes on, or subscribes to, the topic that is the first argument.
-std::optional<bool> AskTopic(Builtin builtin, Args args, const Scene& scene) {
+std::optional<bool> EvaluateTopic(Builtin builtin, Args args, const EvalContext& scene) {
   const std::optional<absl::string_view> name = Text(args, 0);
   if (!name.has_value()) return std::nullopt;
   const ros2::Topic* topic = scene.graph.FindTopic(*name);
@@ -163,7 +163,7 @@ std::optional<bool> AskTopic(Builtin builtin, Args args, const Scene& scene) {
 }
 
 // Those that are there, of a builtin that counts; nullopt for others.
-std::optional<size_t> Counted(Builtin builtin, Args args, const Scene& scene) {
+std::optional<size_t> Counted(Builtin builtin, Args args, const EvalContext& scene) {
   const absl::string_view subject = Text(args, 0).value_or(absl::string_view());
   switch (builtin) {
     case Builtin::kPublisherCount:
@@ -197,7 +197,7 @@ std::optional<Range> CountRange(Builtin builtin, Args args) {
   return RangeOf(args, subject ? 1 : 0);
 }
 
-std::optional<bool> AskCount(Builtin builtin, Args args, const Scene& scene) {
+std::optional<bool> EvaluateCount(Builtin builtin, Args args, const EvalContext& scene) {
   const std::optional<Range> range = CountRange(builtin, args);
   const std::optional<size_t> count = Counted(builtin, args, scene);
   if (!range.has_value() || !count.has_value()) return std::nullopt;
@@ -206,7 +206,7 @@ std::optional<bool> AskCount(Builtin builtin, Args args, const Scene& scene) {
 }
 
 // Between n and n + left_out are there.
-bool CountLeftOpen(Builtin builtin, Args args, const Scene& scene) {
+bool CountLeftOpen(Builtin builtin, Args args, const EvalContext& scene) {
   const std::optional<Range> range = CountRange(builtin, args);
   const std::optional<size_t> count = Counted(builtin, args, scene);
   if (!range.has_value() || !count.has_value() || range->min > range->max) return false;
@@ -228,7 +228,7 @@ std::optional<bool> AnyIs(Args args, absl::string_view text) {
   return found;
 }
 
-std::optional<bool> TypeIn(Args args, const Scene& scene) {
+std::optional<bool> TypeIn(Args args, const EvalContext& scene) {
   bool found = false;
   for (const absl::string_view type : scene.types) {
     const std::optional<bool> is = AnyIs(args, type.substr(0, type.find('/')));
@@ -238,7 +238,7 @@ std::optional<bool> TypeIn(Args args, const Scene& scene) {
   return found;
 }
 
-std::optional<bool> SubtypeIs(Args args, const Scene& scene) {
+std::optional<bool> SubtypeIs(Args args, const EvalContext& scene) {
   const std::optional<absl::string_view> package = Text(args, 0);
   const std::optional<absl::string_view> name = Text(args, 1);
   if (!package.has_value() || !name.has_value() || args.size() != 2) return std::nullopt;
@@ -252,7 +252,7 @@ std::optional<bool> SubtypeIs(Args args, const Scene& scene) {
 
 }  // namespace
 
-bool LeftOpen(Builtin builtin, Args args, const Scene& scene) {
+bool LeftOpen(Builtin builtin, Args args, const EvalContext& scene) {
   if (!scene.graph.truncated()) return false;
   switch (builtin) {
     case Builtin::kTopicIn:
@@ -275,7 +275,7 @@ bool LeftOpen(Builtin builtin, Args args, const Scene& scene) {
   const auto relation = RelationOf(builtin, scene.prototype());
   if (!relation.has_value() || *relation == Relation::kExactly) return false;
   if (*relation == Relation::kGivenInCurrent) return !Ask(builtin, args, scene).value_or(true);
-  Scene whole = scene;
+  EvalContext whole = scene;
   whole.as_if_whole = true;
   return Ask(builtin, args, whole).value_or(false);
 }
@@ -300,7 +300,7 @@ bool NamesSubject(Builtin builtin) {
   }
 }
 
-std::optional<bool> Ask(Builtin builtin, Args args, const Scene& scene) {
+std::optional<bool> Ask(Builtin builtin, Args args, const EvalContext& scene) {
   const auto compare = [&](NameSet::Kind kind, const auto& current) -> std::optional<bool> {
     const auto relation = RelationOf(builtin, scene.prototype());
     if (!relation.has_value()) return std::nullopt;
@@ -320,7 +320,7 @@ std::optional<bool> Ask(Builtin builtin, Args args, const Scene& scene) {
     case Builtin::kServiceCount:
     case Builtin::kTopicPublisherCount:
     case Builtin::kTopicSubscriberCount:
-      return AskCount(builtin, args, scene);
+      return EvaluateCount(builtin, args, scene);
     case Builtin::kPublishers:
     case Builtin::kPublishersInclude:
       return compare(NameSet::Kind::kNodes, Publishers(scene.facts));
@@ -342,9 +342,9 @@ std::optional<bool> Ask(Builtin builtin, Args args, const Scene& scene) {
     case Builtin::kServicesOnly:
     case Builtin::kHasServices:
     case Builtin::kService:
-      return AskServices(builtin, args, scene);
+      return EvaluateServices(builtin, args, scene);
     default:
-      return NamesSubject(builtin) ? AskTopic(builtin, args, scene) : std::nullopt;
+      return NamesSubject(builtin) ? EvaluateTopic(builtin, args, scene) : std::nullopt;
   }
 }
 

@@ -13,7 +13,7 @@
 namespace rips::engine {
 
 // What is looked at. Borrows all of it.
-struct Scene {
+struct EvalContext {
   const ros2::RosGraph& graph;
   lang::CheckedRules::Dialect dialect = lang::CheckedRules::Dialect::kRips;
   // Of the message; empty for other events.
@@ -46,7 +46,8 @@ struct Scene {
 //
 // What can be told from the graph, the topic and its types, but for topicmatches; nullopt for other
 // builtins, and if the arguments do not fit the builtin.
-std::optional<bool> Ask(lang::Builtin builtin, absl::Span<const Scalar> args, const Scene& scene);
+std::optional<bool> Ask(lang::Builtin builtin, absl::Span<const Scalar> args,
+                        const EvalContext& scene);
 
 // True if what was left out of a truncated graph may turn the answer of Ask. n are there, and L is
 // at least what was left out (RosGraph::left_out), so between n and n + L are there in truth:
@@ -61,9 +62,9 @@ std::optional<bool> Ask(lang::Builtin builtin, absl::Span<const Scalar> args, co
 //   senderenclave     participant                                                  name fits
 //   topicin, msgtypein, msgsubtype: as of a whole graph; they ask of the message
 //
-// An open answer is unscanned (Program::Options::on_inspection_error), and so is its negation;
+// An open answer is unscanned (CompiledPolicyOptions::on_inspection_error), and so is its negation;
 // "exactly" is not, so its negation is true.
-bool LeftOpen(lang::Builtin builtin, absl::Span<const Scalar> args, const Scene& scene);
+bool LeftOpen(lang::Builtin builtin, absl::Span<const Scalar> args, const EvalContext& scene);
 
 // The first argument is the node or topic that is asked about, the others are a set.
 bool NamesSubject(lang::Builtin builtin);

@@ -239,7 +239,7 @@ class TruncatedGraphTest : public testing::Test {
     graph_ = Robot().Build();
     ASSERT_TRUE(graph_.Apply({.truncation = ros2::Truncation{.left_out = count}}).ok());
   }
-  Outcome Judge(TypedExpr condition, ProgramOptions options = {}) {
+  Outcome Judge(TypedExpr condition, CompiledPolicyOptions options = {}) {
     TestRules rules;
     rules.Msg("r", std::move(condition), {{Alert("yes")}});
     TestRobot robot(rules.Build(options));

@@ -69,7 +69,7 @@ std::optional<bool> AnswerOf(levels::LevelIndex wants, bool lowering, const Robo
 void Runner::Run(const Event& event) {
   in_.time_ns = std::max(in_.time_ns, event.time_unix_ns);
   // Nobody swaps it while rules run.
-  const std::shared_ptr<const Program>& program = state_.program();
+  const std::shared_ptr<const CompiledPolicy>& program = state_.program();
   if (const auto* external = std::get_if<ExternalEvent>(&event.what)) {
     if (const auto* loss = std::get_if<LossEvent>(external)) CountLoss(*loss, in_.time_ns, state_);
   }
@@ -113,32 +113,33 @@ void Runner::RunRule(Frame& frame, uint32_t index) {
        chain < current.rule.chains.size() && !current.faulted && !state_.halted(); ++chain) {
     RunChain(current, chain, 0);
   }
-  using Came = RuleObserver::Came;
+  using RuleResult = RuleObserver::RuleResult;
   if (current.graph_open && current.fault.empty()) {
-    return Tell(current, Came::kFiredUnscanned, kGraphTruncated);
+    return Tell(current, RuleResult::kFiredUnscanned, kGraphTruncated);
   }
-  Tell(current, current.unscanned ? Came::kFiredUnscanned : Came::kFired, current.fault);
+  Tell(current, current.unscanned ? RuleResult::kFiredUnscanned : RuleResult::kFired,
+       current.fault);
 }
 
 bool Runner::Fires(Current& current) {
   Evaluation& run = current.frame.Enter(current.rule, state_.level.level());
-  Cell value;
-  const Answer answer =
+  Slot value;
+  const EvalStatus answer =
       Eval(*current.frame.program().compiled().conditions[current.rule_index], run, value);
   if (run.cut) NoteCut(current, run);
-  if (answer == Answer::kValue) {
-    if (!value.truth) Tell(current, RuleObserver::Came::kFalse);
+  if (answer == EvalStatus::kValue) {
+    if (!value.truth) Tell(current, RuleObserver::RuleResult::kFalse);
     return value.truth;
   }
-  if (answer == Answer::kFault) {
+  if (answer == EvalStatus::kFault) {
     const std::string what(run.fault);
     ReportFault(current, what, "it did not fire");
-    Tell(current, RuleObserver::Came::kFaulted, what);
+    Tell(current, RuleObserver::RuleResult::kFaulted, what);
     return false;
   }
-  if (answer == Answer::kUndecidable) {
+  if (answer == EvalStatus::kUndecidable) {
     ++outcome_.undecidable;
-    Tell(current, RuleObserver::Came::kUndecidable);
+    Tell(current, RuleObserver::RuleResult::kUndecidable);
     return false;
   }
   ++outcome_.unscanned;
@@ -150,11 +151,11 @@ bool Runner::Fires(Current& current) {
     ReportFault(current, run.graph_open ? kGraphTruncated : "the message could not be inspected",
                 "it did not fire");
   }
-  Tell(current, RuleObserver::Came::kUnscanned, run.graph_open ? kGraphTruncated : "");
+  Tell(current, RuleObserver::RuleResult::kUnscanned, run.graph_open ? kGraphTruncated : "");
   return false;
 }
 
-void Runner::Tell(const Current& current, RuleObserver::Came came, absl::string_view what) {
+void Runner::Tell(const Current& current, RuleObserver::RuleResult came, absl::string_view what) {
   if (state_.observer != nullptr) state_.observer->OnRule(current.rule_index, came, what);
 }
 
@@ -203,11 +204,11 @@ Runner::Step Runner::Alert(Current& current, const lang::TypedAction& action) {
 Runner::Step Runner::Set(Current& current, const lang::TypedAction& action) {
   std::optional<lang::Value> value = Arg(current, action.args[0]);
   if (!value.has_value()) return Step::kFailed;
-  const Program& program = current.frame.program();
+  const CompiledPolicy& program = current.frame.program();
   const lang::Variable& variable = program.rules().variables.at(action.variable);
   uint32_t index = action.variable;
   if (!current.frame.in_force()) {
-    const Program& in_force = *state_.program();
+    const CompiledPolicy& in_force = *state_.program();
     const auto found = in_force.compiled().variable_of.find(variable.name);
     if (found == in_force.compiled().variable_of.end() ||
         in_force.rules().variables[found->second].type != variable.type) {
@@ -341,17 +342,17 @@ Runner::Step Runner::Crash(Current& current, const lang::TypedAction& action) {
 }
 
 std::optional<lang::Value> Runner::Arg(Current& current, const lang::TypedExpr& arg) {
-  const Node& node = *current.frame.program().compiled().arguments.at(&arg);
+  const EvalNode& node = *current.frame.program().compiled().arguments.at(&arg);
   Evaluation& run = current.frame.Enter(current.rule, state_.level.level());
-  Cell value;
-  const Answer answer = Eval(node, run, value);
+  Slot value;
+  const EvalStatus answer = Eval(node, run, value);
   if (run.cut) NoteCut(current, run);
-  if (answer == Answer::kValue) return Own(value, node.type);
+  if (answer == EvalStatus::kValue) return Own(value, node.type);
   const std::string what =
-      answer == Answer::kFault                         ? std::string(run.fault)
-      : answer == Answer::kUnscanned && run.graph_open ? std::string(kGraphTruncated)
-      : answer == Answer::kUnscanned ? "an argument needs an inspection that was not made"
-                                     : "an argument needs what the recording does not hold";
+      answer == EvalStatus::kFault                         ? std::string(run.fault)
+      : answer == EvalStatus::kUnscanned && run.graph_open ? std::string(kGraphTruncated)
+      : answer == EvalStatus::kUnscanned ? "an argument needs an inspection that was not made"
+                                         : "an argument needs what the recording does not hold";
   ReportFault(current, what, "the action failed");
   return std::nullopt;
 }

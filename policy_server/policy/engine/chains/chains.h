@@ -74,7 +74,7 @@ class Runner {
   void ReportFault(Current& current, absl::string_view what, absl::string_view consequence);
   void ReportFull(const Current& current);
   void NoteCut(const Current& current, const Evaluation& run);
-  void Tell(const Current& current, RuleObserver::Came came, absl::string_view what = {});
+  void Tell(const Current& current, RuleObserver::RuleResult came, absl::string_view what = {});
   void Refuse(levels::Transition transition);
   // Built in place: assigning a variant makes gcc 12 warn of what is not so.
   template <typename What>

@@ -1,4 +1,4 @@
-// Checked rules to what the evaluator runs: Program::Create.
+// Checked rules to what the evaluator runs: CompiledPolicy::Create.
 
 #include <algorithm>
 #include <memory>
@@ -9,7 +9,7 @@
 #include "policy_server/policy/engine/builtins/builtins.h"
 #include "policy_server/policy/engine/eval/evaluation.h"
 #include "policy_server/policy/engine/state/compiled.h"
-#include "policy_server/policy/engine/state/program.h"
+#include "policy_server/policy/engine/state/compiled_policy.h"
 #include "policy_server/policy/engine/state/topic_verdicts.h"
 #include "policy_server/policy/lang/limits.h"
 #include "services/base/clock.h"
@@ -48,7 +48,7 @@ Source SourceOf(Builtin builtin) {
   }
 }
 
-bool IsConstant(const Node* node) { return node->function == ConstantFunction(); }
+bool IsConstant(const EvalNode* node) { return node->function == ConstantFunction(); }
 
 bool SameType(ValueType a, ValueType b) {
   const auto plain = [](ValueType type) {
@@ -93,7 +93,7 @@ class Compiler {
  public:
   explicit Compiler(const lang::CheckedRules& rules) : rules_(rules) {}
 
-  absl::StatusOr<std::unique_ptr<const Program::Compiled>> Run() {
+  absl::StatusOr<std::unique_ptr<const CompiledPolicy::Compiled>> Run() {
     for (uint32_t i = 0; i < rules_.variables.size(); ++i) {
       out_->variable_of.emplace(rules_.variables[i].name, i);
     }
@@ -113,7 +113,7 @@ class Compiler {
   absl::Status AddRule(uint32_t index) {
     const lang::TypedRule& rule = rules_.rules[index];
     needs_ = {};
-    RIPS_ASSIGN_OR_RETURN(const Node* condition, Expr(rule.condition));
+    RIPS_ASSIGN_OR_RETURN(const EvalNode* condition, Expr(rule.condition));
     if (condition->type != ValueType::kBool) return IllTyped();
     in_arguments_ = true;
     for (const lang::TypedChain& chain : rule.chains) {
@@ -143,15 +143,15 @@ class Compiler {
   }
 
   absl::Status AddAction(const lang::TypedAction& action) {
-    std::vector<const Node*> args;
+    std::vector<const EvalNode*> args;
     for (const TypedExpr& arg : action.args) {
-      RIPS_ASSIGN_OR_RETURN(const Node* node, Expr(arg));
+      RIPS_ASSIGN_OR_RETURN(const EvalNode* node, Expr(arg));
       out_->arguments.emplace(&arg, node);
       args.push_back(node);
     }
     const auto is = [&](ValueType type) {
       return std::all_of(args.begin(), args.end(),
-                         [&](const Node* arg) { return SameType(arg->type, type); });
+                         [&](const EvalNode* arg) { return SameType(arg->type, type); });
     };
     bool fits = true;
     switch (action.kind) {
@@ -177,15 +177,15 @@ class Compiler {
     return fits ? absl::OkStatus() : IllTyped();
   }
 
-  absl::StatusOr<const Node*> Expr(const TypedExpr& expr) {
-    Node node;
+  absl::StatusOr<const EvalNode*> Expr(const TypedExpr& expr) {
+    EvalNode node;
     RIPS_RETURN_IF_ERROR(Fill(expr, node));
     if (node.function == nullptr) return IllTyped();
     out_->code.push_back(std::move(node));
     return &out_->code.back();
   }
 
-  absl::Status Fill(const TypedExpr& expr, Node& node) {
+  absl::Status Fill(const TypedExpr& expr, EvalNode& node) {
     switch (expr.kind) {
       case TypedExpr::Kind::kConstant:
         FillConstant(expr, node);
@@ -212,7 +212,7 @@ class Compiler {
     return IllTyped();
   }
 
-  static void FillConstant(const TypedExpr& expr, Node& node) {
+  static void FillConstant(const TypedExpr& expr, EvalNode& node) {
     node.function = ConstantFunction();
     if (const auto* integer = std::get_if<int64_t>(&expr.constant)) {
       node.type = ValueType::kInt;
@@ -229,7 +229,7 @@ class Compiler {
     }
   }
 
-  absl::Status FillUnary(const TypedExpr& expr, Node& node) {
+  absl::Status FillUnary(const TypedExpr& expr, EvalNode& node) {
     if (expr.args.size() != 1) return IllTyped();
     RIPS_ASSIGN_OR_RETURN(node.left, Expr(expr.args[0]));
     node.type = node.left->type == ValueType::kLevel ? ValueType::kInt : node.left->type;
@@ -237,7 +237,7 @@ class Compiler {
     return absl::OkStatus();
   }
 
-  absl::Status FillBinary(const TypedExpr& expr, Node& node) {
+  absl::Status FillBinary(const TypedExpr& expr, EvalNode& node) {
     if (expr.args.size() != 2) return IllTyped();
     RIPS_ASSIGN_OR_RETURN(node.left, Expr(expr.args[0]));
     RIPS_ASSIGN_OR_RETURN(node.right, Expr(expr.args[1]));
@@ -253,12 +253,12 @@ class Compiler {
     return absl::OkStatus();
   }
 
-  absl::Status FillCall(const TypedExpr& expr, Node& node) {
+  absl::Status FillCall(const TypedExpr& expr, EvalNode& node) {
     node.builtin = expr.builtin;
     const bool is_text = expr.builtin == Builtin::kString || expr.builtin == Builtin::kLevelName;
     node.type = is_text ? ValueType::kString : ValueType::kBool;
     for (const TypedExpr& arg : expr.args) {
-      RIPS_ASSIGN_OR_RETURN(const Node* compiled, Expr(arg));
+      RIPS_ASSIGN_OR_RETURN(const EvalNode* compiled, Expr(arg));
       node.args.push_back(compiled);
     }
     if (expr.builtin == Builtin::kTopicMatches) {
@@ -276,14 +276,14 @@ class Compiler {
     return NoteNeeds(expr, node);
   }
 
-  absl::Status NoteNeeds(const TypedExpr& expr, Node& node) {
+  absl::Status NoteNeeds(const TypedExpr& expr, EvalNode& node) {
     if (expr.builtin == Builtin::kPayload || expr.builtin == Builtin::kPlugin) {
       if (expr.inspection >= rules_.inspections.size()) return IllTyped();
       node.index = expr.inspection;
       needs_.inspects = true;
       if (in_arguments_) needs_.argument_inspections.push_back(expr.inspection);
     } else if (expr.builtin == Builtin::kMsgCount || expr.builtin == Builtin::kSenderCount) {
-      const Node* window = node.args[0];
+      const EvalNode* window = node.args[0];
       if (!IsConstant(window) || window->constant.integer < 1 ||
           window->constant.integer > lang::kWindowMsMax) {
         return absl::InvalidArgumentError("a window that is not constant or out of range");
@@ -296,9 +296,9 @@ class Compiler {
     return absl::OkStatus();
   }
 
-  absl::Status FillPredicate(const TypedExpr& expr, Node& node) {
+  absl::Status FillPredicate(const TypedExpr& expr, EvalNode& node) {
     Predicate predicate{.builtin = expr.builtin};
-    for (const Node* arg : node.args) {
+    for (const EvalNode* arg : node.args) {
       predicate.args.push_back(ToScalar(arg->constant, arg->type));
     }
     const Source source = SourceOf(expr.builtin);
@@ -328,7 +328,7 @@ class Compiler {
   bool IsKnown(const Predicate& predicate) const { return known_.contains(KeyOf(predicate)); }
 
   const lang::CheckedRules& rules_;
-  std::unique_ptr<Program::Compiled> out_ = std::make_unique<Program::Compiled>();
+  std::unique_ptr<CompiledPolicy::Compiled> out_ = std::make_unique<CompiledPolicy::Compiled>();
   absl::flat_hash_map<std::string, uint32_t> known_;
   RuleNeeds needs_;
   bool in_arguments_ = false;
@@ -336,9 +336,9 @@ class Compiler {
 
 }  // namespace
 
-absl::StatusOr<std::shared_ptr<const Program>> Program::Create(lang::CheckedRules rules,
-                                                               ProgramOptions options) {
-  std::shared_ptr<Program> program(new Program(std::move(rules), options));
+absl::StatusOr<std::shared_ptr<const CompiledPolicy>> CompiledPolicy::Create(
+    lang::CheckedRules rules, CompiledPolicyOptions options) {
+  std::shared_ptr<CompiledPolicy> program(new CompiledPolicy(std::move(rules), options));
   // What is compiled views the rules where they now stand.
   RIPS_ASSIGN_OR_RETURN(program->compiled_, Compiler(program->rules_).Run());
   return program;

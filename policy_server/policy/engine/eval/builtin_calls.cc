@@ -20,11 +20,11 @@ namespace {
 using lang::Builtin;
 using lang::ValueType;
 
-Answer TopicPredicate(const Node& node, Evaluation& run, Cell& out) {
+EvalStatus TopicPredicate(const EvalNode& node, Evaluation& run, Slot& out) {
   const auto index = static_cast<size_t>(node.index);
   out.truth = run.topic != nullptr ? run.topic->verdict->holds[index]
                                    : Holds(run.compiled->predicates[index], run.scene);
-  return Answer::kValue;
+  return EvalStatus::kValue;
 }
 
 // The graph may change before the message is judged, and some recordings hold none.
@@ -33,102 +33,102 @@ bool GraphOpen(const Evaluation& run) { return !run.foreseeing && run.state->gra
 // What the graph tells of predicates[index], remembered in `answers` unless that is null. Of a
 // truncated graph two answers are remembered, the second behind all the first ones: whether what
 // was left out may turn it.
-Answer AskGraph(const std::vector<Predicate>& predicates, size_t index, Answers* answers,
-                Evaluation& run, Cell& out) {
+EvalStatus EvaluateGraph(const std::vector<Predicate>& predicates, size_t index, Answers* answers,
+                         Evaluation& run, Slot& out) {
   const Predicate& predicate = predicates[index];
-  const Scene& scene = run.scene;
+  const EvalContext& scene = run.scene;
   const bool truncated = scene.graph.truncated();
   const size_t count = truncated ? 2 * predicates.size() : predicates.size();
   const auto decide = [&] { return Holds(predicate, scene); };
   out.truth = answers != nullptr ? answers->Get(index, count, decide) : decide();
-  if (!truncated) return Answer::kValue;
+  if (!truncated) return EvalStatus::kValue;
   const auto left_open = [&] { return LeftOpen(predicate.builtin, predicate.args, scene); };
   const bool open =
       answers != nullptr ? answers->Get(predicates.size() + index, count, left_open) : left_open();
-  return open ? run.LeftOpen() : Answer::kValue;
+  return open ? run.LeftOpen() : EvalStatus::kValue;
 }
 
-Answer FactsPredicate(const Node& node, Evaluation& run, Cell& out) {
-  if (!GraphOpen(run)) return Answer::kUndecidable;
-  return AskGraph(run.compiled->facts, static_cast<size_t>(node.index),
-                  run.topic != nullptr ? &run.topic->answers : nullptr, run, out);
+EvalStatus FactsPredicate(const EvalNode& node, Evaluation& run, Slot& out) {
+  if (!GraphOpen(run)) return EvalStatus::kUndecidable;
+  return EvaluateGraph(run.compiled->facts, static_cast<size_t>(node.index),
+                       run.topic != nullptr ? &run.topic->answers : nullptr, run, out);
 }
 
-Answer GraphPredicate(const Node& node, Evaluation& run, Cell& out) {
-  if (!GraphOpen(run)) return Answer::kUndecidable;
-  return AskGraph(run.compiled->graph, static_cast<size_t>(node.index), run.graph_answers, run,
-                  out);
+EvalStatus GraphPredicate(const EvalNode& node, Evaluation& run, Slot& out) {
+  if (!GraphOpen(run)) return EvalStatus::kUndecidable;
+  return EvaluateGraph(run.compiled->graph, static_cast<size_t>(node.index), run.graph_answers, run,
+                       out);
 }
 
 // Evaluates all arguments. kValue, or why not.
-Answer EvalArgs(const Node& node, Evaluation& run, absl::InlinedVector<Scalar, 8>& args) {
-  Answer all = Answer::kValue;
+EvalStatus EvalArgs(const EvalNode& node, Evaluation& run, absl::InlinedVector<Scalar, 8>& args) {
+  EvalStatus all = EvalStatus::kValue;
   args.reserve(node.args.size());
-  for (const Node* arg : node.args) {
-    Cell cell;
-    const Answer answer = Eval(*arg, run, cell);
-    if (answer == Answer::kFault) return answer;
+  for (const EvalNode* arg : node.args) {
+    Slot cell;
+    const EvalStatus answer = Eval(*arg, run, cell);
+    if (answer == EvalStatus::kFault) return answer;
     all = std::max(all, answer);
-    if (answer == Answer::kValue) args.push_back(ToScalar(cell, arg->type));
+    if (answer == EvalStatus::kValue) args.push_back(ToScalar(cell, arg->type));
   }
   return all;
 }
 
 // A question to the graph or the topic whose arguments are not constant.
-Answer AskNow(const Node& node, Evaluation& run, Cell& out) {
+EvalStatus EvaluateNow(const EvalNode& node, Evaluation& run, Slot& out) {
   absl::InlinedVector<Scalar, 8> args;
-  const Answer answer = EvalArgs(node, run, args);
-  if (answer != Answer::kValue) return answer;
-  if (!GraphOpen(run)) return Answer::kUndecidable;
+  const EvalStatus answer = EvalArgs(node, run, args);
+  if (answer != EvalStatus::kValue) return answer;
+  if (!GraphOpen(run)) return EvalStatus::kUndecidable;
   const std::optional<bool> told = Ask(node.builtin, args, run.scene);
   if (!told.has_value()) return run.Fault("internal: arguments that do not fit");
   out.truth = *told;
-  return LeftOpen(node.builtin, args, run.scene) ? run.LeftOpen() : Answer::kValue;
+  return LeftOpen(node.builtin, args, run.scene) ? run.LeftOpen() : EvalStatus::kValue;
 }
 
 // topicin and its like need no graph.
-Answer AskTopicNow(const Node& node, Evaluation& run, Cell& out) {
+EvalStatus EvaluateTopicNow(const EvalNode& node, Evaluation& run, Slot& out) {
   absl::InlinedVector<Scalar, 8> args;
-  const Answer answer = EvalArgs(node, run, args);
-  if (answer != Answer::kValue) return answer;
+  const EvalStatus answer = EvalArgs(node, run, args);
+  if (answer != EvalStatus::kValue) return answer;
   const std::optional<bool> told = Ask(node.builtin, args, run.scene);
   if (!told.has_value()) return run.Fault("internal: arguments that do not fit");
   out.truth = *told;
-  return Answer::kValue;
+  return EvalStatus::kValue;
 }
 
 // True if `holds` is of one of the arguments, which are strings.
 template <typename Predicate>
-Answer AnyArg(const Node& node, Evaluation& run, Cell& out, const Predicate& holds) {
-  Answer all = Answer::kValue;
+EvalStatus AnyArg(const EvalNode& node, Evaluation& run, Slot& out, const Predicate& holds) {
+  EvalStatus all = EvalStatus::kValue;
   bool found = false;
-  for (const Node* arg : node.args) {
-    Cell cell;
-    const Answer answer = Eval(*arg, run, cell);
-    if (answer == Answer::kFault) return answer;
+  for (const EvalNode* arg : node.args) {
+    Slot cell;
+    const EvalStatus answer = Eval(*arg, run, cell);
+    if (answer == EvalStatus::kFault) return answer;
     all = std::max(all, answer);
-    found = found || (answer == Answer::kValue && holds(cell.text));
+    found = found || (answer == EvalStatus::kValue && holds(cell.text));
   }
   out.truth = found;
-  return found ? Answer::kValue : all;
+  return found ? EvalStatus::kValue : all;
 }
 
-Answer SenderIn(const Node& node, Evaluation& run, Cell& out) {
+EvalStatus SenderIn(const EvalNode& node, Evaluation& run, Slot& out) {
   const absl::string_view sender = run.message == nullptr ? "" : run.message->sender;
-  const Answer answer = AnyArg(node, run, out, [&](absl::string_view name) {
+  const EvalStatus answer = AnyArg(node, run, out, [&](absl::string_view name) {
     return !sender.empty() && ros2::NodeNameMatches(name, sender);
   });
   // Nobody knows the node of a writer that was left out.
-  const bool open = answer == Answer::kValue && sender.empty() && run.message != nullptr &&
+  const bool open = answer == EvalStatus::kValue && sender.empty() && run.message != nullptr &&
                     !run.message->writer.none() && run.scene.truncated() &&
                     run.scene.graph.FindEndpoint(run.message->writer) == nullptr;
   return open ? run.LeftOpen() : answer;
 }
 
-Answer SenderEnclave(const Node& node, Evaluation& run, Cell& out) {
+EvalStatus SenderEnclave(const EvalNode& node, Evaluation& run, Slot& out) {
   const ros2::Participant* participant = nullptr;
   if (run.message != nullptr && !run.message->writer.none()) {
-    if (!GraphOpen(run)) return Answer::kUndecidable;
+    if (!GraphOpen(run)) return EvalStatus::kUndecidable;
     const auto& participants = run.scene.graph.participants();
     const auto found = participants.find(run.message->writer.Participant());
     if (found != participants.end()) participant = &found->second;
@@ -143,25 +143,25 @@ Answer SenderEnclave(const Node& node, Evaluation& run, Cell& out) {
 }
 
 // Two integers, inclusive.
-Answer InRange(const Node& node, Evaluation& run, Cell& out, uint64_t count) {
-  Cell min;
-  Cell max;
-  Answer answer = Eval(*node.args[node.args.size() - 2], run, min);
-  if (answer == Answer::kFault) return answer;
+EvalStatus InRange(const EvalNode& node, Evaluation& run, Slot& out, uint64_t count) {
+  Slot min;
+  Slot max;
+  EvalStatus answer = Eval(*node.args[node.args.size() - 2], run, min);
+  if (answer == EvalStatus::kFault) return answer;
   answer = std::max(answer, Eval(*node.args.back(), run, max));
-  if (answer != Answer::kValue) return answer;
+  if (answer != EvalStatus::kValue) return answer;
   const auto n = static_cast<int64_t>(std::min<uint64_t>(count, INT64_MAX));
   out.truth = min.integer <= n && n <= max.integer;
-  return Answer::kValue;
+  return EvalStatus::kValue;
 }
 
-Answer PayloadSize(const Node& node, Evaluation& run, Cell& out) {
+EvalStatus PayloadSize(const EvalNode& node, Evaluation& run, Slot& out) {
   return InRange(node, run, out, run.message == nullptr ? 0 : run.message->size_bytes);
 }
 
-// Node::index is the window. The window itself, args[0], is constant.
-Answer MsgCount(const Node& node, Evaluation& run, Cell& out) {
-  if (run.foreseeing) return Answer::kUndecidable;
+// EvalNode::index is the window. The window itself, args[0], is constant.
+EvalStatus MsgCount(const EvalNode& node, Evaluation& run, Slot& out) {
+  if (run.foreseeing) return EvalStatus::kUndecidable;
   uint64_t count = 0;
   if (run.message != nullptr) {
     count = CountOfTopic(*run.message, run.time_ns, node.index, run.state->internal());
@@ -169,26 +169,26 @@ Answer MsgCount(const Node& node, Evaluation& run, Cell& out) {
   return InRange(node, run, out, count);
 }
 
-Answer SenderCount(const Node& node, Evaluation& run, Cell& out) {
-  if (run.foreseeing) return Answer::kUndecidable;
+EvalStatus SenderCount(const EvalNode& node, Evaluation& run, Slot& out) {
+  if (run.foreseeing) return EvalStatus::kUndecidable;
   if (run.message == nullptr || run.message->writer.none()) {
     out.truth = false;
-    return Answer::kValue;
+    return EvalStatus::kValue;
   }
   return InRange(node, run, out,
                  CountOfSender(*run.message, run.time_ns, node.index, run.state->internal()));
 }
 
-// Node::index is that of the inspection.
-Answer Inspected(const Node& node, Evaluation& run, Cell& out) {
+// EvalNode::index is that of the inspection.
+EvalStatus Inspected(const EvalNode& node, Evaluation& run, Slot& out) {
   const auto index = static_cast<size_t>(node.index);
   if (run.asked != nullptr) run.asked->push_back(static_cast<uint32_t>(index));
   if (run.message == nullptr || index >= run.message->inspections.size()) {
-    return Answer::kUnscanned;
+    return EvalStatus::kUnscanned;
   }
   const Verdict verdict = run.message->inspections[index];
   out.truth = verdict == Verdict::kYes;
-  return verdict == Verdict::kUnscanned ? Answer::kUnscanned : Answer::kValue;
+  return verdict == Verdict::kUnscanned ? EvalStatus::kUnscanned : EvalStatus::kValue;
 }
 
 template <typename What>
@@ -220,7 +220,7 @@ bool LooksLikeSignature(absl::string_view text) {
   return digits(text.substr(0, colon)) && digits(text.substr(colon + 1));
 }
 
-Answer IdsAlert(const Node& node, Evaluation& run, Cell& out) {
+EvalStatus IdsAlert(const EvalNode& node, Evaluation& run, Slot& out) {
   const IdsEvent* ids = ExternalOf<IdsEvent>(run);
   return AnyArg(node, run, out, [&](absl::string_view text) {
     if (ids == nullptr) return false;
@@ -229,58 +229,58 @@ Answer IdsAlert(const Node& node, Evaluation& run, Cell& out) {
   });
 }
 
-Answer Signal(const Node& node, Evaluation& run, Cell& out) {
+EvalStatus Signal(const EvalNode& node, Evaluation& run, Slot& out) {
   const SignalEvent* signal = ExternalOf<SignalEvent>(run);
   return AnyArg(node, run, out, [&](absl::string_view name) {
     return signal != nullptr && (name == signal->name || absl::StrCat("SIG", name) == signal->name);
   });
 }
 
-Answer Agent(const Node& node, Evaluation& run, Cell& out) {
+EvalStatus Agent(const EvalNode& node, Evaluation& run, Slot& out) {
   const AgentEvent* agent = ExternalOf<AgentEvent>(run);
-  Cell kind;
-  Cell state;
-  Answer answer = Eval(*node.args[0], run, kind);
-  if (answer == Answer::kFault) return answer;
+  Slot kind;
+  Slot state;
+  EvalStatus answer = Eval(*node.args[0], run, kind);
+  if (answer == EvalStatus::kFault) return answer;
   answer = std::max(answer, Eval(*node.args[1], run, state));
-  if (answer != Answer::kValue) return answer;
+  if (answer != EvalStatus::kValue) return answer;
   out.truth = agent != nullptr && agent->agent == kind.text && agent->state == state.text;
-  return Answer::kValue;
+  return EvalStatus::kValue;
 }
 
-Answer Finding(const Node& node, Evaluation& run, Cell& out) {
+EvalStatus Finding(const EvalNode& node, Evaluation& run, Slot& out) {
   const FindingEvent* finding = ExternalOf<FindingEvent>(run);
   return AnyArg(node, run, out, [&](absl::string_view kind) {
     return finding != nullptr && finding->kind == kind;
   });
 }
 
-Answer LostEvents(const Node& node, Evaluation& run, Cell& out) {
+EvalStatus LostEvents(const EvalNode& node, Evaluation& run, Slot& out) {
   const LossEvent* loss = ExternalOf<LossEvent>(run);
-  Cell min;
-  const Answer answer = Eval(*node.args[0], run, min);
-  if (answer != Answer::kValue) return answer;
+  Slot min;
+  const EvalStatus answer = Eval(*node.args[0], run, min);
+  if (answer != EvalStatus::kValue) return answer;
   out.truth =
       loss != nullptr && (min.integer <= 0 || static_cast<uint64_t>(min.integer) <= loss->count);
-  return Answer::kValue;
+  return EvalStatus::kValue;
 }
 
-Answer LevelName(const Node& node, Evaluation& run, Cell& out) {
-  Cell index;
-  const Answer answer = Eval(*node.args[0], run, index);
-  if (answer != Answer::kValue) return answer;
+EvalStatus LevelName(const EvalNode& node, Evaluation& run, Slot& out) {
+  Slot index;
+  const EvalStatus answer = Eval(*node.args[0], run, index);
+  if (answer != EvalStatus::kValue) return answer;
   const levels::LevelTable& table = run.program->rules().levels;
   const bool known = index.integer >= 0 && index.integer < table.size();
   out.text = known
                  ? absl::string_view(table.at(static_cast<levels::LevelIndex>(index.integer)).name)
                  : absl::string_view();
-  return Answer::kValue;
+  return EvalStatus::kValue;
 }
 
-Answer String(const Node& node, Evaluation& run, Cell& out) {
-  Cell value;
-  const Answer answer = Eval(*node.args[0], run, value);
-  if (answer != Answer::kValue) return answer;
+EvalStatus String(const EvalNode& node, Evaluation& run, Slot& out) {
+  Slot value;
+  const EvalStatus answer = Eval(*node.args[0], run, value);
+  if (answer != EvalStatus::kValue) return answer;
   switch (node.args[0]->type) {
     case ValueType::kString:
       out.text = value.text;
@@ -296,59 +296,59 @@ Answer String(const Node& node, Evaluation& run, Cell& out) {
       out.text = run.Keep(absl::StrCat(value.integer));
       break;
   }
-  return Answer::kValue;
+  return EvalStatus::kValue;
 }
 
-bool AreStrings(const std::vector<const Node*>& args, size_t from, size_t to) {
+bool AreStrings(const std::vector<const EvalNode*>& args, size_t from, size_t to) {
   if (args.size() < to) return false;
   return std::all_of(args.begin() + from, args.begin() + to,
-                     [](const Node* arg) { return arg->type == ValueType::kString; });
+                     [](const EvalNode* arg) { return arg->type == ValueType::kString; });
 }
 
-bool IsInt(const Node* arg) {
+bool IsInt(const EvalNode* arg) {
   return arg->type == ValueType::kInt || arg->type == ValueType::kLevel;
 }
 
 // `strings` strings, then a range and nothing else.
-bool IsRange(const std::vector<const Node*>& args, size_t strings) {
+bool IsRange(const std::vector<const EvalNode*>& args, size_t strings) {
   return args.size() == strings + 2 && AreStrings(args, 0, strings) && IsInt(args[strings]) &&
          IsInt(args[strings + 1]);
 }
 
-Node::Function GraphCall(Builtin builtin, const std::vector<const Node*>& args) {
+EvalNode::Function GraphCall(Builtin builtin, const std::vector<const EvalNode*>& args) {
   const bool strings = AreStrings(args, 0, args.size());
   switch (builtin) {
     case Builtin::kTopicIn:
     case Builtin::kMsgTypeIn:
-      return strings ? &AskTopicNow : nullptr;
+      return strings ? &EvaluateTopicNow : nullptr;
     case Builtin::kMsgSubtype:
-      return strings && args.size() == 2 ? &AskTopicNow : nullptr;
+      return strings && args.size() == 2 ? &EvaluateTopicNow : nullptr;
     case Builtin::kPublisherCount:
     case Builtin::kSubscriberCount:
     case Builtin::kNodeCount:
     case Builtin::kTopicCount:
-      return IsRange(args, 0) ? &AskNow : nullptr;
+      return IsRange(args, 0) ? &EvaluateNow : nullptr;
     case Builtin::kServiceCount:
     case Builtin::kTopicPublisherCount:
     case Builtin::kTopicSubscriberCount:
-      return IsRange(args, 1) ? &AskNow : nullptr;
+      return IsRange(args, 1) ? &EvaluateNow : nullptr;
     case Builtin::kService:
-      return strings && args.size() == 2 ? &AskNow : nullptr;
+      return strings && args.size() == 2 ? &EvaluateNow : nullptr;
     case Builtin::kTopicMatches:
       return nullptr;
     default:
       // Those about one node or topic name it first.
-      return strings && (!NamesSubject(builtin) || !args.empty()) ? &AskNow : nullptr;
+      return strings && (!NamesSubject(builtin) || !args.empty()) ? &EvaluateNow : nullptr;
   }
 }
 
 }  // namespace
 
-Node::Function TopicPredicateFunction() { return &TopicPredicate; }
-Node::Function FactsPredicateFunction() { return &FactsPredicate; }
-Node::Function GraphPredicateFunction() { return &GraphPredicate; }
+EvalNode::Function TopicPredicateFunction() { return &TopicPredicate; }
+EvalNode::Function FactsPredicateFunction() { return &FactsPredicate; }
+EvalNode::Function GraphPredicateFunction() { return &GraphPredicate; }
 
-Node::Function CallFunction(Builtin builtin, const std::vector<const Node*>& args) {
+EvalNode::Function CallFunction(Builtin builtin, const std::vector<const EvalNode*>& args) {
   const bool strings = AreStrings(args, 0, args.size());
   switch (builtin) {
     case Builtin::kPayload:

@@ -55,8 +55,8 @@ class Variables {
 // Anything else that is not known in an operand makes the whole not known; a fault that is
 // evaluated, a fault.
 struct Evaluation {
-  const Program* program = nullptr;
-  const Program::Compiled* compiled = nullptr;
+  const CompiledPolicy* program = nullptr;
+  const CompiledPolicy::Compiled* compiled = nullptr;
   const RobotState* state = nullptr;
   // Null for events of other kinds.
   const MessageEvent* message = nullptr;
@@ -64,7 +64,7 @@ struct Evaluation {
   // What is remembered of the message's topic and of the graph. Null: decided afresh.
   TopicEntry* topic = nullptr;
   Answers* graph_answers = nullptr;
-  Scene scene;
+  EvalContext scene;
   Variables variables;
   int64_t time_ns = 0;
   int64_t uptime_ns = 0;
@@ -94,40 +94,40 @@ struct Evaluation {
   Evaluation(const Evaluation&) = delete;
   Evaluation& operator=(const Evaluation&) = delete;
 
-  Answer Fault(absl::string_view what) {
+  EvalStatus Fault(absl::string_view what) {
     fault = what;
-    return Answer::kFault;
+    return EvalStatus::kFault;
   }
-  Answer LeftOpen() {
+  EvalStatus LeftOpen() {
     graph_open = true;
-    return Answer::kUnscanned;
+    return EvalStatus::kUnscanned;
   }
   // Keeps `text`, cut to the limit.
   absl::string_view Keep(std::string text);
 };
 
-inline Answer Eval(const Node& node, Evaluation& run, Cell& out) {
+inline EvalStatus Eval(const EvalNode& node, Evaluation& run, Slot& out) {
   ++run.steps;
   return node.function(node, run, out);
 }
 
 // A value of that type as what it is to people and to builtins, and its own copy.
-Scalar ToScalar(const Cell& cell, lang::ValueType type);
-lang::Value Own(const Cell& cell, lang::ValueType type);
+Scalar ToScalar(const Slot& cell, lang::ValueType type);
+lang::Value Own(const Slot& cell, lang::ValueType type);
 
 // Functions of nodes, by what they do. Null if the operator does not take such operands.
-Node::Function ConstantFunction();
-Node::Function VariableFunction(lang::ValueType type);
-Node::Function PredefinedFunction(lang::Predefined name);
-Node::Function UnaryFunction(lang::UnaryOp op, lang::ValueType operand);
-// `constant_right`: the right operand is Node::constant.
-Node::Function BinaryFunction(lang::BinaryOp op, lang::ValueType operand, bool constant_right);
-// Predicates, by what they depend on; Node::index is theirs.
-Node::Function TopicPredicateFunction();
-Node::Function FactsPredicateFunction();
-Node::Function GraphPredicateFunction();
+EvalNode::Function ConstantFunction();
+EvalNode::Function VariableFunction(lang::ValueType type);
+EvalNode::Function PredefinedFunction(lang::Predefined name);
+EvalNode::Function UnaryFunction(lang::UnaryOp op, lang::ValueType operand);
+// `constant_right`: the right operand is EvalNode::constant.
+EvalNode::Function BinaryFunction(lang::BinaryOp op, lang::ValueType operand, bool constant_right);
+// Predicates, by what they depend on; EvalNode::index is theirs.
+EvalNode::Function TopicPredicateFunction();
+EvalNode::Function FactsPredicateFunction();
+EvalNode::Function GraphPredicateFunction();
 // Every other call. Null if the arguments do not fit.
-Node::Function CallFunction(lang::Builtin builtin, const std::vector<const Node*>& args);
+EvalNode::Function CallFunction(lang::Builtin builtin, const std::vector<const EvalNode*>& args);
 
 }  // namespace rips::engine
 

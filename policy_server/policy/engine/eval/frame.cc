@@ -5,7 +5,7 @@
 
 namespace rips::engine {
 
-Frame::Frame(const RobotState& state, const std::shared_ptr<const Program>& program,
+Frame::Frame(const RobotState& state, const std::shared_ptr<const CompiledPolicy>& program,
              const Event& event, int64_t time_ns, Instant now, TopicCache* cache,
              const ParkedChain* parked)
     : state_(state),
@@ -34,7 +34,7 @@ Frame::Frame(const RobotState& state, const std::shared_ptr<const Program>& prog
   if (cache != nullptr) run_.graph_answers = &cache->GraphAnswers(revision);
   if (run_.message == nullptr) return;
 
-  Scene& scene = run_.scene;
+  EvalContext& scene = run_.scene;
   scene.topic = run_.message->topic;
   if (cache != nullptr) {
     run_.topic = &cache->Look(*program_, scene.graph, revision, *run_.message);
@@ -54,7 +54,7 @@ Frame::Frame(const RobotState& state, const std::shared_ptr<const Program>& prog
 Variables Frame::FindVariables() const {
   const std::vector<lang::Value>& values = state_.internal().values;
   const std::vector<lang::Variable>& declared = program_->rules().variables;
-  const Program& current = *state_.program();
+  const CompiledPolicy& current = *state_.program();
   std::vector<const lang::Value*> places(declared.size(), nullptr);
   for (size_t i = 0; i < declared.size(); ++i) {
     const auto now_at = current.compiled().variable_of.find(declared[i].name);

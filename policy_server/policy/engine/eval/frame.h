@@ -15,8 +15,9 @@ class Frame {
  public:
   // `program` is the one in force, or that of `parked`, the chain that goes on (else null).
   // `cache`: what is remembered of topics and graph under the program in force; null: nothing.
-  Frame(const RobotState& state, const std::shared_ptr<const Program>& program, const Event& event,
-        int64_t time_ns, Instant now, TopicCache* cache, const ParkedChain* parked = nullptr);
+  Frame(const RobotState& state, const std::shared_ptr<const CompiledPolicy>& program,
+        const Event& event, int64_t time_ns, Instant now, TopicCache* cache,
+        const ParkedChain* parked = nullptr);
   Frame(const Frame&) = delete;
   Frame& operator=(const Frame&) = delete;
 
@@ -24,8 +25,8 @@ class Frame {
   // evaluated before is no longer valid.
   Evaluation& Enter(const lang::TypedRule& rule, levels::LevelIndex level);
 
-  const Program& program() const { return *program_; }
-  const std::shared_ptr<const Program>& shared_program() const { return program_; }
+  const CompiledPolicy& program() const { return *program_; }
+  const std::shared_ptr<const CompiledPolicy>& shared_program() const { return program_; }
   const ParkedChain* parked() const { return parked_; }
   const Event& event() const { return event_; }
   int64_t time_ns() const { return run_.time_ns; }
@@ -40,7 +41,7 @@ class Frame {
   Variables FindVariables() const;
 
   const RobotState& state_;
-  const std::shared_ptr<const Program>& program_;
+  const std::shared_ptr<const CompiledPolicy>& program_;
   const Event& event_;
   const ParkedChain* parked_;
   bool in_force_;

@@ -18,7 +18,7 @@ using lang::ValueType;
 int64_t Wrap(uint64_t value) { return static_cast<int64_t>(value); }
 
 template <typename T>
-T& Get(Cell& cell) {
+T& Get(Slot& cell) {
   if constexpr (std::is_same_v<T, int64_t>) {
     return cell.integer;
   } else if constexpr (std::is_same_v<T, double>) {
@@ -30,19 +30,19 @@ T& Get(Cell& cell) {
   }
 }
 template <typename T>
-const T& Get(const Cell& cell) {
-  return Get<T>(const_cast<Cell&>(cell));
+const T& Get(const Slot& cell) {
+  return Get<T>(const_cast<Slot&>(cell));
 }
 
-Answer Constant(const Node& node, Evaluation& run, Cell& out) {
+EvalStatus Constant(const EvalNode& node, Evaluation& run, Slot& out) {
   static_cast<void>(run);
   out = node.constant;
-  return Answer::kValue;
+  return EvalStatus::kValue;
 }
 
 template <typename T>
-Answer Variable(const Node& node, Evaluation& run, Cell& out) {
-  if (run.foreseeing) return Answer::kUndecidable;
+EvalStatus Variable(const EvalNode& node, Evaluation& run, Slot& out) {
+  if (run.foreseeing) return EvalStatus::kUndecidable;
   using Stored = std::conditional_t<std::is_same_v<T, absl::string_view>, std::string, T>;
   const lang::Value* value = run.variables.Find(static_cast<size_t>(node.index));
   const Stored* stored = value == nullptr ? nullptr : std::get_if<Stored>(value);
@@ -52,7 +52,7 @@ Answer Variable(const Node& node, Evaluation& run, Cell& out) {
   } else {
     Get<T>(out) = *stored;
   }
-  return Answer::kValue;
+  return EvalStatus::kValue;
 }
 
 template <BinaryOp op, typename T>
@@ -96,17 +96,17 @@ double Computed(double left, double right) {
 constexpr bool Compares(BinaryOp op) { return op >= BinaryOp::kEq && op <= BinaryOp::kGe; }
 
 template <BinaryOp op, typename T, bool constant_right>
-Answer Binary(const Node& node, Evaluation& run, Cell& out) {
-  Cell left;
-  Cell right;
-  Answer answer = Eval(*node.left, run, left);
-  if (answer == Answer::kFault) return answer;
+EvalStatus Binary(const EvalNode& node, Evaluation& run, Slot& out) {
+  Slot left;
+  Slot right;
+  EvalStatus answer = Eval(*node.left, run, left);
+  if (answer == EvalStatus::kFault) return answer;
   if constexpr (constant_right) {
     right = node.constant;
   } else {
     answer = std::max(answer, Eval(*node.right, run, right));
   }
-  if (answer != Answer::kValue) return answer;
+  if (answer != EvalStatus::kValue) return answer;
   const T& a = Get<T>(left);
   const T& b = Get<T>(right);
   if constexpr (Compares(op)) {
@@ -121,26 +121,28 @@ Answer Binary(const Node& node, Evaluation& run, Cell& out) {
   } else {
     out.text = run.Keep(absl::StrCat(a, b));
   }
-  return Answer::kValue;
+  return EvalStatus::kValue;
 }
 
 // `&&` if `decisive` is false, `||` if it is true.
 template <bool decisive>
-Answer Logical(const Node& node, Evaluation& run, Cell& out) {
-  const Answer left = Eval(*node.left, run, out);
-  if (left == Answer::kFault || (left == Answer::kValue && out.truth == decisive)) return left;
-  const Answer right = Eval(*node.right, run, out);
-  if (right == Answer::kFault || (right == Answer::kValue && out.truth == decisive)) return right;
+EvalStatus Logical(const EvalNode& node, Evaluation& run, Slot& out) {
+  const EvalStatus left = Eval(*node.left, run, out);
+  if (left == EvalStatus::kFault || (left == EvalStatus::kValue && out.truth == decisive))
+    return left;
+  const EvalStatus right = Eval(*node.right, run, out);
+  if (right == EvalStatus::kFault || (right == EvalStatus::kValue && out.truth == decisive))
+    return right;
   return std::max(left, right);
 }
 
 template <BinaryOp op, typename T>
-Node::Function Choose(bool constant_right) {
+EvalNode::Function Choose(bool constant_right) {
   return constant_right ? &Binary<op, T, true> : &Binary<op, T, false>;
 }
 
 template <typename T>
-Node::Function Comparison(BinaryOp op, bool constant_right) {
+EvalNode::Function Comparison(BinaryOp op, bool constant_right) {
   switch (op) {
     case BinaryOp::kEq:
       return Choose<BinaryOp::kEq, T>(constant_right);
@@ -160,7 +162,7 @@ Node::Function Comparison(BinaryOp op, bool constant_right) {
 }
 
 template <typename T>
-Node::Function Arithmetic(BinaryOp op, bool constant_right) {
+EvalNode::Function Arithmetic(BinaryOp op, bool constant_right) {
   switch (op) {
     case BinaryOp::kAdd:
       return Choose<BinaryOp::kAdd, T>(constant_right);
@@ -175,7 +177,7 @@ Node::Function Arithmetic(BinaryOp op, bool constant_right) {
   }
 }
 
-Node::Function BitArithmetic(BinaryOp op, bool constant_right) {
+EvalNode::Function BitArithmetic(BinaryOp op, bool constant_right) {
   switch (op) {
     case BinaryOp::kMod:
       return Choose<BinaryOp::kMod, int64_t>(constant_right);
@@ -191,9 +193,9 @@ Node::Function BitArithmetic(BinaryOp op, bool constant_right) {
 }
 
 template <UnaryOp op, typename T>
-Answer Unary(const Node& node, Evaluation& run, Cell& out) {
-  const Answer answer = Eval(*node.left, run, out);
-  if (answer != Answer::kValue) return answer;
+EvalStatus Unary(const EvalNode& node, Evaluation& run, Slot& out) {
+  const EvalStatus answer = Eval(*node.left, run, out);
+  if (answer != EvalStatus::kValue) return answer;
   if constexpr (op == UnaryOp::kNot) {
     out.truth = !out.truth;
   } else if constexpr (op == UnaryOp::kComplement) {
@@ -203,23 +205,23 @@ Answer Unary(const Node& node, Evaluation& run, Cell& out) {
   } else if constexpr (op == UnaryOp::kMinus) {
     out.integer = Wrap(uint64_t{0} - static_cast<uint64_t>(out.integer));
   }
-  return Answer::kValue;
+  return EvalStatus::kValue;
 }
 
 // What cannot be said of the message before it is judged.
 template <lang::Predefined name>
-Answer Moving(const Node& node, Evaluation& run, Cell& out) {
+EvalStatus Moving(const EvalNode& node, Evaluation& run, Slot& out) {
   static_cast<void>(node);
-  if (run.foreseeing) return Answer::kUndecidable;
+  if (run.foreseeing) return EvalStatus::kUndecidable;
   if constexpr (name == lang::Predefined::kCurrLevel) out.integer = run.level;
   if constexpr (name == lang::Predefined::kLevel) out.text = run.level_name;
   if constexpr (name == lang::Predefined::kTime) out.integer = run.time_ns;
   if constexpr (name == lang::Predefined::kUptime) out.integer = run.uptime_ns;
-  return Answer::kValue;
+  return EvalStatus::kValue;
 }
 
 template <lang::Predefined name>
-Answer Fixed(const Node& node, Evaluation& run, Cell& out) {
+EvalStatus Fixed(const EvalNode& node, Evaluation& run, Slot& out) {
   static_cast<void>(node);
   out.text = absl::string_view();
   if constexpr (name == lang::Predefined::kCurrRule) out.text = run.rule_name;
@@ -238,7 +240,7 @@ Answer Fixed(const Node& node, Evaluation& run, Cell& out) {
       if constexpr (name == lang::Predefined::kIdsTarget) out.text = ids->target;
     }
   }
-  return Answer::kValue;
+  return EvalStatus::kValue;
 }
 
 }  // namespace
@@ -253,7 +255,7 @@ absl::string_view Evaluation::Keep(std::string text) {
   return *texts.back();
 }
 
-Scalar ToScalar(const Cell& cell, ValueType type) {
+Scalar ToScalar(const Slot& cell, ValueType type) {
   switch (type) {
     case ValueType::kInt:
     case ValueType::kLevel:
@@ -268,16 +270,16 @@ Scalar ToScalar(const Cell& cell, ValueType type) {
   return cell.integer;
 }
 
-lang::Value Own(const Cell& cell, ValueType type) {
+lang::Value Own(const Slot& cell, ValueType type) {
   if (type == ValueType::kString) return std::string(cell.text);
   if (type == ValueType::kFloat) return cell.real;
   if (type == ValueType::kBool) return cell.truth;
   return cell.integer;
 }
 
-Node::Function ConstantFunction() { return &Constant; }
+EvalNode::Function ConstantFunction() { return &Constant; }
 
-Node::Function VariableFunction(ValueType type) {
+EvalNode::Function VariableFunction(ValueType type) {
   switch (type) {
     case ValueType::kInt:
     case ValueType::kLevel:
@@ -292,7 +294,7 @@ Node::Function VariableFunction(ValueType type) {
   return nullptr;
 }
 
-Node::Function PredefinedFunction(lang::Predefined name) {
+EvalNode::Function PredefinedFunction(lang::Predefined name) {
   using lang::Predefined;
   switch (name) {
     case Predefined::kCurrLevel:
@@ -323,7 +325,7 @@ Node::Function PredefinedFunction(lang::Predefined name) {
   return nullptr;
 }
 
-Node::Function UnaryFunction(UnaryOp op, ValueType operand) {
+EvalNode::Function UnaryFunction(UnaryOp op, ValueType operand) {
   const bool is_int = operand == ValueType::kInt || operand == ValueType::kLevel;
   const bool is_float = operand == ValueType::kFloat;
   switch (op) {
@@ -340,12 +342,12 @@ Node::Function UnaryFunction(UnaryOp op, ValueType operand) {
   return nullptr;
 }
 
-Node::Function BinaryFunction(BinaryOp op, ValueType operand, bool constant_right) {
+EvalNode::Function BinaryFunction(BinaryOp op, ValueType operand, bool constant_right) {
   switch (operand) {
     case ValueType::kInt:
     case ValueType::kLevel:
       if (Compares(op)) return Comparison<int64_t>(op, constant_right);
-      if (Node::Function function = Arithmetic<int64_t>(op, constant_right)) return function;
+      if (EvalNode::Function function = Arithmetic<int64_t>(op, constant_right)) return function;
       return BitArithmetic(op, constant_right);
     case ValueType::kFloat:
       if (Compares(op)) return Comparison<double>(op, constant_right);

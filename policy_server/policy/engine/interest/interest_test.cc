@@ -338,7 +338,7 @@ TEST(InterestTest, NothingThatARuleMayLookAtIsMissing) {
     const size_t count = 1 + conditions.Pick(3);
     for (size_t i = 0; i < count; ++i) rules.Msg("r", conditions.Next(4), {{Alert("x")}});
     const InterestPlan plan = Plan(rules);
-    const std::shared_ptr<const Program> program = rules.Build();
+    const std::shared_ptr<const CompiledPolicy> program = rules.Build();
     TopicVerdicts verdicts;
     const ros2::RosGraph graph;
     for (const std::string topic : {"/a", "/b", "/ab", "/c", "/", "/other"}) {

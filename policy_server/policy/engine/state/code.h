@@ -16,7 +16,7 @@ struct Evaluation;
 
 // What became of an evaluation. Where two operands do not know, the later one in this order is
 // told; a fault always is.
-enum class Answer : uint8_t {
+enum class EvalStatus : uint8_t {
   kValue,
   // An inspection was not told the answer.
   kUnscanned,
@@ -26,8 +26,8 @@ enum class Answer : uint8_t {
 };
 
 // A value whose type the checker has fixed; a level is an integer.
-struct Cell {
-  Cell() : integer(0) {}
+struct Slot {
+  Slot() : integer(0) {}
   union {
     int64_t integer;
     double real;
@@ -37,25 +37,25 @@ struct Cell {
   };
 };
 
-struct Node {
-  using Function = Answer (*)(const Node& node, Evaluation& run, Cell& out);
+struct EvalNode {
+  using Function = EvalStatus (*)(const EvalNode& node, Evaluation& run, Slot& out);
 
   Function function = nullptr;
-  const Node* left = nullptr;
-  const Node* right = nullptr;
+  const EvalNode* left = nullptr;
+  const EvalNode* right = nullptr;
   // A constant, or the constant right operand.
-  Cell constant;
+  Slot constant;
   // Of a variable, a predicate or an inspection; how far a count looks back, in nanoseconds.
   int64_t index = 0;
   lang::Builtin builtin = lang::Builtin::kEval;
   // The integer kind of a level too.
   lang::ValueType type = lang::ValueType::kBool;
   // Of calls that are not decided beforehand.
-  std::vector<const Node*> args;
+  std::vector<const EvalNode*> args;
 };
 
 // Owns nodes; pointers to them stay valid.
-using Code = std::deque<Node>;
+using Code = std::deque<EvalNode>;
 
 }  // namespace rips::engine
 

@@ -5,13 +5,13 @@
 #include <utility>
 #include <vector>
 
-#include "policy_server/policy/engine/state/program.h"
+#include "policy_server/policy/engine/state/compiled_policy.h"
 
 namespace rips::engine {
 
-Program::Program(lang::CheckedRules rules, ProgramOptions options)
+CompiledPolicy::CompiledPolicy(lang::CheckedRules rules, CompiledPolicyOptions options)
     : rules_(std::move(rules)), options_(options) {}
-Program::~Program() = default;
+CompiledPolicy::~CompiledPolicy() = default;
 
 void Patterns::Add(absl::string_view pattern, uint32_t predicate) {
   patterns_.emplace_back(pattern);

@@ -11,7 +11,7 @@
 #include "absl/container/flat_hash_map.h"
 #include "policy_server/policy/engine/builtins/scalar.h"
 #include "policy_server/policy/engine/state/code.h"
-#include "policy_server/policy/engine/state/program.h"
+#include "policy_server/policy/engine/state/compiled_policy.h"
 #include "re2/re2.h"
 #include "re2/set.h"
 
@@ -57,7 +57,7 @@ struct RuleNeeds {
   int64_t sender_window_ns = 0;
 };
 
-struct Program::Compiled {
+struct CompiledPolicy::Compiled {
   // Indices of the rules of each class that are not constantly false, in file order.
   std::vector<uint32_t> message_rules;
   std::vector<uint32_t> graph_rules;
@@ -68,10 +68,10 @@ struct Program::Compiled {
   int64_t sender_window_ns = 0;
 
   // By index of the rule.
-  std::vector<const Node*> conditions;
+  std::vector<const EvalNode*> conditions;
   std::vector<RuleNeeds> needs;
   // Arguments of actions.
-  absl::flat_hash_map<const lang::TypedExpr*, const Node*> arguments;
+  absl::flat_hash_map<const lang::TypedExpr*, const EvalNode*> arguments;
   Code code;
 
   // What depends on the topic and its types alone; equal calls share one.

@@ -23,7 +23,7 @@ namespace rips::engine {
 // A chain that waits for the robot.
 struct ParkedChain {
   // The rules it belongs to, which may no longer be in force.
-  std::shared_ptr<const Program> program;
+  std::shared_ptr<const CompiledPolicy> program;
   uint32_t rule = 0;
   uint32_t chain = 0;
   // The action it waits for.

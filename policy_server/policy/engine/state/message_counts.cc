@@ -28,7 +28,7 @@ void CountMessage(const MessageEvent& message, const TopicVerdict& verdict, int6
 
 void CountLoss(const LossEvent& loss, int64_t time_ns, RobotState& state) {
   RobotState::Internal& in = state.internal();
-  const Program::Compiled& compiled = state.program()->compiled();
+  const CompiledPolicy::Compiled& compiled = state.program()->compiled();
   int64_t topic_window_ns = compiled.topic_window_ns;
   int64_t sender_window_ns = compiled.sender_window_ns;
   if (topic_window_ns == 0 && sender_window_ns == 0) return;

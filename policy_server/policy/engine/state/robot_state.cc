@@ -19,7 +19,7 @@ levels::LevelIndex Rename(levels::LevelIndex level, const levels::LevelTable& fr
   return to.Find(from.name(level)).value_or(kNoLevel);
 }
 
-std::vector<lang::Value> InitialValues(const Program& program) {
+std::vector<lang::Value> InitialValues(const CompiledPolicy& program) {
   std::vector<lang::Value> values;
   for (const lang::Variable& variable : program.rules().variables) {
     values.push_back(variable.initial);
@@ -30,7 +30,7 @@ std::vector<lang::Value> InitialValues(const Program& program) {
 // The value of a variable of `to` whose namesake in `from` has `value`; nullopt if it cannot be
 // taken over. A position in the level table follows the level's name.
 std::optional<lang::Value> Carry(const lang::Value& value, uint32_t old_index, uint32_t index,
-                                 const Program& from, const Program& to) {
+                                 const CompiledPolicy& from, const CompiledPolicy& to) {
   if (from.rules().variables[old_index].type != to.rules().variables[index].type) {
     return std::nullopt;
   }
@@ -49,8 +49,8 @@ std::optional<lang::Value> Carry(const lang::Value& value, uint32_t old_index, u
 
 }  // namespace
 
-RobotState::RobotState(std::shared_ptr<const Program> program, levels::LevelMachine level_machine,
-                       Instant started, StateLimits limits)
+RobotState::RobotState(std::shared_ptr<const CompiledPolicy> program,
+                       levels::LevelMachine level_machine, Instant started, StateLimits limits)
     : level(std::move(level_machine)),
       program_(std::move(program)),
       internal_(std::make_unique<Internal>()) {
@@ -90,7 +90,7 @@ void RobotState::RestoreVariables(const absl::btree_map<std::string, lang::Value
   }
 }
 
-absl::Status RobotState::SwapProgram(std::shared_ptr<const Program> program) {
+absl::Status RobotState::SwapProgram(std::shared_ptr<const CompiledPolicy> program) {
   const levels::LevelTable old_table = level.table();
   if (!level.SwapTable(program->rules().levels)) {
     return absl::FailedPreconditionError(

@@ -8,7 +8,7 @@
 #include <vector>
 
 #include "absl/container/btree_map.h"
-#include "policy_server/policy/engine/state/program.h"
+#include "policy_server/policy/engine/state/compiled_policy.h"
 #include "policy_server/policy/lang/checked_rules.h"
 #include "policy_server/policy/levels/level_machine.h"
 #include "services/ros2/ros_graph.h"
@@ -38,7 +38,7 @@ inline constexpr char kGraphTruncated[] = "graph truncated";
 // Told of every rule that is run, after it; for those who measure and those who replay.
 class RuleObserver {
  public:
-  enum class Came {
+  enum class RuleResult {
     kFalse,
     kFired,
     kFaulted,
@@ -51,7 +51,7 @@ class RuleObserver {
   virtual ~RuleObserver() = default;
   // `rule` is an index of the program in force. `what` says why it faulted, or is kGraphTruncated;
   // else it is empty.
-  virtual void OnRule(uint32_t rule, Came came, absl::string_view what) = 0;
+  virtual void OnRule(uint32_t rule, RuleResult came, absl::string_view what) = 0;
 };
 
 // Answers for the robot at once, where there is none: in a replay. No chain waits then.
@@ -95,8 +95,8 @@ class RobotState {
  public:
   // `level` must have the program's table. `started` is when this process began judging the robot
   // (`Uptime`).
-  RobotState(std::shared_ptr<const Program> program, levels::LevelMachine level, Instant started,
-             StateLimits limits = {});
+  RobotState(std::shared_ptr<const CompiledPolicy> program, levels::LevelMachine level,
+             Instant started, StateLimits limits = {});
   ~RobotState();
   RobotState(RobotState&&) noexcept;
   RobotState& operator=(RobotState&&) noexcept;
@@ -109,7 +109,7 @@ class RobotState {
   Actuation actuation = Actuation::kNoLease;
   levels::LevelMachine level;
 
-  const std::shared_ptr<const Program>& program() const { return program_; }
+  const std::shared_ptr<const CompiledPolicy>& program() const { return program_; }
   // `Robot`.
   const std::string& robot_id() const { return robot_id_; }
   void set_robot_id(std::string id) { robot_id_ = std::move(id); }
@@ -135,7 +135,7 @@ class RobotState {
   // so does the level in a variable handed to trigger. Parked chains finish under the old one: a
   // variable that is gone keeps its last value for them and setting it does nothing.
   // FailedPrecondition (nothing changes) if the new one lacks the current level.
-  absl::Status SwapProgram(std::shared_ptr<const Program> program);
+  absl::Status SwapProgram(std::shared_ptr<const CompiledPolicy> program);
 
   // For the evaluator only.
   struct Internal;
@@ -143,7 +143,7 @@ class RobotState {
   const Internal& internal() const { return *internal_; }
 
  private:
-  std::shared_ptr<const Program> program_;
+  std::shared_ptr<const CompiledPolicy> program_;
   std::string robot_id_;
   bool halted_ = false;
   std::unique_ptr<Internal> internal_;

@@ -74,7 +74,7 @@ TEST(RobotStateTest, SwapIsRefusedWithoutTheCurrentLevel) {
   TestRules before;
   before.IntVar("x", 1);
   TestRobot robot(before, 2);
-  const std::shared_ptr<const Program> program = robot.state.program();
+  const std::shared_ptr<const CompiledPolicy> program = robot.state.program();
   TestRules after;
   after.rules.levels = levels::LevelTable({{"A"}, {"B"}});
 
@@ -204,7 +204,7 @@ TEST(RobotStateTest, MovesWithItsParkedChains) {
 TEST(ProgramTest, RefusesABadRegex) {
   TestRules rules;
   rules.Msg("r", Call(Builtin::kTopicMatches, Texts({"("})), {{Alert("x")}});
-  EXPECT_THAT(Program::Create(rules.rules).status(),
+  EXPECT_THAT(CompiledPolicy::Create(rules.rules).status(),
               StatusIs(absl::StatusCode::kInvalidArgument, HasSubstr("rule `r`")));
 }
 
@@ -212,17 +212,20 @@ TEST(ProgramTest, RefusesARegexThatWouldTakeTooMuchMemory) {
   TestRules rules;
   rules.Msg("r", Call(Builtin::kTopicMatches, Texts({"((((a{100}){100}){100}){100})"})),
             {{Alert("x")}});
-  EXPECT_THAT(Program::Create(rules.rules).status(), StatusIs(absl::StatusCode::kInvalidArgument));
+  EXPECT_THAT(CompiledPolicy::Create(rules.rules).status(),
+              StatusIs(absl::StatusCode::kInvalidArgument));
   TestRules wide;
   wide.Msg("r", Call(Builtin::kTopicMatches, Texts({"((\\pL\\pN){20}){40}"})), {{Alert("x")}});
-  EXPECT_THAT(Program::Create(wide.rules).status(), StatusIs(absl::StatusCode::kInvalidArgument));
+  EXPECT_THAT(CompiledPolicy::Create(wide.rules).status(),
+              StatusIs(absl::StatusCode::kInvalidArgument));
 }
 
 TEST(ProgramTest, RefusesARegexThatIsNotConstant) {
   TestRules rules;
   const uint32_t s = rules.Var("s", ValueType::kString, std::string("x"));
   rules.Msg("r", Call(Builtin::kTopicMatches, {V(s)}), {{Alert("x")}});
-  EXPECT_THAT(Program::Create(rules.rules).status(), StatusIs(absl::StatusCode::kInvalidArgument));
+  EXPECT_THAT(CompiledPolicy::Create(rules.rules).status(),
+              StatusIs(absl::StatusCode::kInvalidArgument));
 }
 
 }  // namespace

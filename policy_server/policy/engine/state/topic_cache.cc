@@ -6,8 +6,8 @@
 
 namespace rips::engine {
 
-TopicEntry& TopicCache::Look(const Program& program, const ros2::RosGraph& graph, uint64_t revision,
-                             const MessageEvent& message) {
+TopicEntry& TopicCache::Look(const CompiledPolicy& program, const ros2::RosGraph& graph,
+                             uint64_t revision, const MessageEvent& message) {
   TopicMemo* const memo = message.memo;
   const bool known = memo != nullptr && memo->cache == this && memo->epoch == epoch_ &&
                      memo->type == message.type.data();
@@ -28,7 +28,7 @@ TopicEntry& TopicCache::Look(const Program& program, const ros2::RosGraph& graph
   return *entry;
 }
 
-TopicEntry* TopicCache::Find(const Program& program, const MessageEvent& message) {
+TopicEntry* TopicCache::Find(const CompiledPolicy& program, const MessageEvent& message) {
   const auto found = topics_.find(message.topic);
   if (found != topics_.end()) return found->second.get();
   if (message.topic.size() > TopicVerdicts::kNameBytesMax ||
@@ -41,7 +41,7 @@ TopicEntry* TopicCache::Find(const Program& program, const MessageEvent& message
       .first->second.get();
 }
 
-void TopicCache::Refresh(const Program& program, const ros2::RosGraph& graph,
+void TopicCache::Refresh(const CompiledPolicy& program, const ros2::RosGraph& graph,
                          const MessageEvent& message, TopicEntry& entry) {
   entry.type = std::string(message.type);
   entry.facts = graph.FindTopic(message.topic);
@@ -54,11 +54,11 @@ void TopicCache::Refresh(const Program& program, const ros2::RosGraph& graph,
     entry.types.push_back(entry.type);
   }
   entry.answers.Reset();
-  const Scene scene = {.graph = graph,
-                       .dialect = program.rules().dialect,
-                       .topic = message.topic,
-                       .types = entry.types,
-                       .facts = entry.facts};
+  const EvalContext scene = {.graph = graph,
+                             .dialect = program.rules().dialect,
+                             .topic = message.topic,
+                             .types = entry.types,
+                             .facts = entry.facts};
   entry.remembered = TopicVerdicts::Remembers(scene);
   entry.verdict = &verdicts_.For(program, scene);
   entry.generation = verdicts_.generation();

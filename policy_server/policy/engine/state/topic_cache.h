@@ -12,8 +12,8 @@
 #include "absl/container/flat_hash_map.h"
 #include "absl/strings/string_view.h"
 #include "policy_server/policy/engine/builtins/builtins.h"
+#include "policy_server/policy/engine/state/compiled_policy.h"
 #include "policy_server/policy/engine/state/event.h"
-#include "policy_server/policy/engine/state/program.h"
 #include "policy_server/policy/engine/state/topic_verdicts.h"
 
 namespace rips::engine {
@@ -67,7 +67,7 @@ class TopicCache {
 
   // The message's topic; `program` must be the same at each call since Clear(). `revision` changes
   // whenever `graph` does. Valid until the next call and while the graph is.
-  TopicEntry& Look(const Program& program, const ros2::RosGraph& graph, uint64_t revision,
+  TopicEntry& Look(const CompiledPolicy& program, const ros2::RosGraph& graph, uint64_t revision,
                    const MessageEvent& message);
   // Of Compiled::graph, in the graph of that revision.
   Answers& GraphAnswers(uint64_t revision);
@@ -77,9 +77,9 @@ class TopicCache {
 
  private:
   // Null: it is not to be remembered.
-  TopicEntry* Find(const Program& program, const MessageEvent& message);
-  void Refresh(const Program& program, const ros2::RosGraph& graph, const MessageEvent& message,
-               TopicEntry& entry);
+  TopicEntry* Find(const CompiledPolicy& program, const MessageEvent& message);
+  void Refresh(const CompiledPolicy& program, const ros2::RosGraph& graph,
+               const MessageEvent& message, TopicEntry& entry);
 
   TopicVerdicts verdicts_;
   // Counts the times that all entries were forgotten.

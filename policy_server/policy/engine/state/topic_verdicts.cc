@@ -92,8 +92,8 @@ bool IsFalse(const Forecast& forecast) {
   return forecast.value == Truth::kFalse && !forecast.may_fault;
 }
 
-std::vector<bool> AllHolds(const Program& program, const Scene& scene) {
-  const Program::Compiled& compiled = program.compiled();
+std::vector<bool> AllHolds(const CompiledPolicy& program, const EvalContext& scene) {
+  const CompiledPolicy::Compiled& compiled = program.compiled();
   const std::vector<Predicate>& predicates = compiled.predicates;
   std::vector<bool> holds(predicates.size());
   const bool searched = compiled.patterns.Search(scene.topic, holds);
@@ -103,8 +103,8 @@ std::vector<bool> AllHolds(const Program& program, const Scene& scene) {
   return holds;
 }
 
-TopicVerdict Decide(const Program& program, std::vector<bool> holds) {
-  const Program::Compiled& compiled = program.compiled();
+TopicVerdict Decide(const CompiledPolicy& program, std::vector<bool> holds) {
+  const CompiledPolicy::Compiled& compiled = program.compiled();
   TopicVerdict verdict;
   const auto known = [&](const TypedExpr& call) -> std::optional<bool> {
     const auto predicate = compiled.predicate_of.find(&call);
@@ -125,7 +125,7 @@ TopicVerdict Decide(const Program& program, std::vector<bool> holds) {
 
 }  // namespace
 
-bool Holds(const Predicate& predicate, const Scene& scene) {
+bool Holds(const Predicate& predicate, const EvalContext& scene) {
   if (predicate.regex != nullptr) {
     return RE2::PartialMatch(re2::StringPiece(scene.topic.data(), scene.topic.size()),
                              *predicate.regex);
@@ -141,13 +141,13 @@ bool NeverFires(const lang::TypedExpr& condition) {
   return NeverFires(condition, [](const TypedExpr&) { return std::nullopt; });
 }
 
-bool TopicVerdicts::Remembers(const Scene& scene) {
+bool TopicVerdicts::Remembers(const EvalContext& scene) {
   return scene.types.size() <= kTypesMax && scene.topic.size() <= kNameBytesMax &&
          std::all_of(scene.types.begin(), scene.types.end(),
                      [](absl::string_view type) { return type.size() <= kNameBytesMax; });
 }
 
-const TopicVerdict& TopicVerdicts::For(const Program& program, const Scene& scene) {
+const TopicVerdict& TopicVerdicts::For(const CompiledPolicy& program, const EvalContext& scene) {
   const auto known = topics_.find(scene.topic);
   if (known != topics_.end() && std::equal(known->second.types.begin(), known->second.types.end(),
                                            scene.types.begin(), scene.types.end())) {

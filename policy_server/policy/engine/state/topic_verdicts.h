@@ -31,7 +31,7 @@ struct TopicVerdict {
 
 struct Predicate;
 // Does the predicate hold of the scene?
-bool Holds(const Predicate& predicate, const Scene& scene);
+bool Holds(const Predicate& predicate, const EvalContext& scene);
 
 // What is known of a call beforehand; nullopt = nothing.
 using KnownCall = absl::FunctionRef<std::optional<bool>(const lang::TypedExpr& call)>;
@@ -54,9 +54,9 @@ class TopicVerdicts {
 
   // `program` must be the same at each call since Clear(). Valid until the next change of
   // generation(); that of a topic that is not remembered until the next call.
-  const TopicVerdict& For(const Program& program, const Scene& scene);
+  const TopicVerdict& For(const CompiledPolicy& program, const EvalContext& scene);
   void Clear();
-  static bool Remembers(const Scene& scene);
+  static bool Remembers(const EvalContext& scene);
 
   // Changes when verdicts that were handed out are no longer valid.
   uint64_t generation() const { return generation_; }

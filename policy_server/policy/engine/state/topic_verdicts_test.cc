@@ -24,7 +24,7 @@ class TopicVerdictsTest : public testing::Test {
 
   ros2::RosGraph graph_;
   std::vector<absl::string_view> types_;
-  std::shared_ptr<const Program> program_;
+  std::shared_ptr<const CompiledPolicy> program_;
   TopicVerdicts verdicts_;
 };
 
