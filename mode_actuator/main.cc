@@ -69,7 +69,7 @@ class Running {
     while (!agent_->modes_problem().ok()) {
       if (signals.WaitForShutdown(kModesRetry)) return absl::OkStatus();
       if (!Agent::TryModes(*loaded_, &clock_).ok()) continue;
-      rips::LogInfo("there is a way to the System Modes now; starting anew");
+      rips::LogInfo("System Modes reachable; restarting");
       {
         rips::MutexLock lock(&mu_);
         agent_.reset();

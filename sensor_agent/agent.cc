@@ -51,7 +51,7 @@ std::shared_ptr<const Interest> KeptInterest(const std::string& state_dir) {
   auto interest = LoadInterest(InterestFile(state_dir));
   if (interest.ok()) return *std::move(interest);
   if (!absl::IsNotFound(interest.status())) {
-    LogWarning("the interest of the last run cannot be used; metadata of everything is watched",
+    LogWarning("cannot use the interest of the last run; reading metadata of every topic",
                {{"file", InterestFile(state_dir)}, {"error", interest.status().ToString()}});
   }
   return nullptr;
@@ -389,10 +389,10 @@ void Agent::TakeCoverage(int64_t now_ns) {
     const auto left_out = why.empty() ? std::nullopt : bus_logs_.Admit("unreadable writers");
     if (left_out.has_value()) {
       const std::optional<ros2::Endpoint> writer = graph_->Find(news.writer);
-      LogWarning("a writer cannot be read", {{"topic", writer.has_value() ? writer->name : ""},
-                                             {"writer", ToString(news.writer)},
-                                             {"error", why},
-                                             {"left_out", *left_out}});
+      LogWarning("cannot read a writer", {{"topic", writer.has_value() ? writer->name : ""},
+                                          {"writer", ToString(news.writer)},
+                                          {"error", why},
+                                          {"left_out", *left_out}});
     }
     graph_->SetNotVisible(news.writer, why, now_ns);
   }
@@ -414,7 +414,7 @@ void Agent::TakeDiscovered(int64_t now_ns, Observations& seen) {
   }
   const uint64_t lost = domain_->TakeLostDiscovered();
   if (lost == 0) return;
-  LogError("discovery outran the sensor; asking for all of it again", {{"lost_facts", lost}});
+  LogError("discovery queue overflowed; restarting discovery", {{"lost_facts", lost}});
   seen.losses.push_back(LimitLoss(lost, now_ns));
   lost_.Increment(static_cast<double>(lost));
   graph_->FactsLost(lost);
@@ -427,7 +427,7 @@ void Agent::Rediscover(int64_t now_ns) {
   if (wire_ != nullptr) wire_->OnRediscovery(now_ns);
   resync_until_ns_ = now_ns + kResyncNs;
   if (absl::Status status = domain_->Rediscover(); !status.ok()) {
-    LogError("discovery cannot be asked again", {{"error", status.ToString()}});
+    LogError("cannot restart discovery", {{"error", status.ToString()}});
   }
 }
 
@@ -474,7 +474,7 @@ void Agent::TakeClaims(int64_t now_ns, Observations& seen) {
     if (!entities.ok()) {
       bad_claims_.Increment();
       if (const auto left_out = bus_logs_.Admit("undecodable claims")) {
-        LogWarning("claim about nodes makes no sense", {{"writer", ToString(claim.writer)},
+        LogWarning("cannot decode ros_discovery_info", {{"writer", ToString(claim.writer)},
                                                         {"error", entities.status().ToString()},
                                                         {"left_out", *left_out}});
       }
@@ -489,13 +489,13 @@ void Agent::TakeClaims(int64_t now_ns, Observations& seen) {
     findings_->OnClaim(claim.writer, taken, now_ns);
     if (taken.ok()) continue;
     if (const auto left_out = bus_logs_.Admit("refused claims")) {
-      LogWarning("claim about nodes refused",
+      LogWarning("ros_discovery_info rejected",
                  {{"error", taken.ToString()}, {"left_out", *left_out}});
     }
   }
   const uint64_t lost = domain_->TakeLostClaims();
   if (lost == 0) return;
-  LogError("claims about nodes outran the sensor", {{"lost", lost}});
+  LogError("sensor too slow for ros_discovery_info; samples lost", {{"lost", lost}});
   lost_.Increment(static_cast<double>(lost));
   seen.losses.push_back(LimitLoss(lost, now_ns));
 }

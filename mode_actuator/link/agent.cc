@@ -311,7 +311,7 @@ absl::Status Agent::Impl::StartModes(const Smh& smh) {
   if (!joined.ok()) {
     modes_problem_ = joined.status();
     missing_.set_why(modes_problem_);
-    LogError("no way to the System Modes; levels are entered without them until there is",
+    LogError("System Modes unreachable; entering levels without them until they respond",
              {{"reason", modes_problem_.message()}});
     degraded_.Set("modes", {absl::StrCat("no System Modes: ", modes_problem_.message())});
     return absl::OkStatus();
@@ -427,7 +427,7 @@ void Agent::Impl::StartDownlink(const Smh& smh, rpc::CredentialsSource credentia
   }
   options.protected_parts = ProtectedParts(config_.levels, smh);
   if (options.protected_parts.size() == kProtectedPartsMax) {
-    LogWarning("sensors watch over the first parts only", {{"parts", kProtectedPartsMax}});
+    LogWarning("sensors monitor only the first parts", {{"parts", kProtectedPartsMax}});
   }
   if (participant_ != nullptr) options.participant_guid = participant_->guid().ToBytes();
 
@@ -522,7 +522,7 @@ void Agent::Impl::Handle(Input input, int64_t now_ns) {
   } else if (auto* persisted = std::get_if<Persisted>(&input)) {
     if (!persisted->status.ok()) {
       counters_.write_failures.Increment();
-      LogError("state not written", {{"why", persisted->status.message()}});
+      LogError("cannot write state", {{"why", persisted->status.message()}});
     }
     Do(executor_->OnPersisted(persisted->sequence, persisted->status, now_ns), now_ns);
   } else if (auto* journalled = std::get_if<ExecJournalled>(&input)) {
@@ -536,9 +536,9 @@ void Agent::Impl::Do(Actions actions, int64_t now_ns) {
   for (Action& action : actions) {
     if (auto* apply = std::get_if<ApplyLevel>(&action)) {
       if (apply->kind == JobKind::kOnDrift) {
-        LogWarning("left too often: running on_drift steps", {{"level", apply->to}});
+        LogWarning("level drifted repeatedly; running its on_drift steps", {{"level", apply->to}});
       } else if (apply->kind == JobKind::kSurvey) {
-        LogInfo("surveying the robot before a level is applied");
+        LogInfo("surveying the robot before applying a level");
       } else if (apply->kind != JobKind::kCheck) {
         LogInfo("applying level", {{"from", apply->from}, {"to", apply->to}});
       }

@@ -32,18 +32,18 @@ struct Noun {
 };
 
 constexpr Noun kNouns[] = {
-    {"robot", "Robots, their state and their graph", RobotCommands},
-    {"level", "Levels: what they are, were, and shall be", LevelCommands},
-    {"alert", "Alerts", AlertCommands},
-    {"rules", "Rules", RulesCommands},
-    {"agent", "Certificates of agents and operators, and the deny list", AgentCommands},
-    {"record", "Record what a robot's rules are given to judge", RecordCommands},
+    {"robot", "List robots and show their state, ROS graph and coverage", RobotCommands},
+    {"level", "Show, raise and lower alert levels", LevelCommands},
+    {"alert", "List and watch alerts", AlertCommands},
+    {"rules", "Check, format, test and replay rules", RulesCommands},
+    {"agent", "List certificates; ban and unban agents and operators", AgentCommands},
+    {"record", "Record the events a robot's rules are evaluated on", RecordCommands},
 };
 
 // The whole command line.
 class Parser {
  public:
-  Parser() : app_("Watches and steers robots guarded by a RIPS policy server.", "ripsctl") {
+  Parser() : app_("Watch and control robots guarded by a RIPS policy server.", "ripsctl") {
     app_.require_subcommand(1);
     app_.fallthrough();
     app_.set_version_flag("--version", std::string(RipsVersion()));
@@ -51,8 +51,8 @@ class Parser {
     app_.add_option("--cert", flags_.cert, "Your certificate, PEM");
     app_.add_option("--key", flags_.key, "Its private key, PEM");
     app_.add_option("--ca", flags_.ca, "The certificate authority to trust, PEM");
-    app_.add_option("--output", flags_.output, "text (for people) or json (for programs)");
-    app_.add_option("--timeout", flags_.timeout, "For one answer, for example 10s");
+    app_.add_option("--output", flags_.output, "text, or json for programs");
+    app_.add_option("--timeout", flags_.timeout, "Longest wait for one reply, for example 10s");
     app_.footer(
         "Settings (--server, --cert, --key, --ca, --output, --timeout) come from flags, then\n"
         "RIPSCTL_SERVER, RIPSCTL_CERT, ..., then ~/.config/rips/ripsctl.yaml.\n"

@@ -73,8 +73,10 @@ Fleet::Policies Fleet::LoadPolicies(const bundle::Inventory& inventory) {
     } else if (const absl::Status kept =
                    bundle::KeepBundle(dir, policy->bundle_id, options_.bundles_dir);
                !kept.ok()) {
-      LogWarning("bundle not kept: should it be refused at the next start, its robots are held",
-                 {{"bundle", dir}, {"reason", kept.message()}});
+      LogWarning(
+          "cannot keep a copy of the bundle; if the next start rejects it, its robots stay at "
+          "their level",
+          {{"bundle", dir}, {"reason", kept.message()}});
     }
     policies.emplace(robot.bundle, std::move(policy));
   }
@@ -144,7 +146,7 @@ void Fleet::SetProblem(const std::string& robot, const std::string& text,
   std::string& known = problems_[robot];
   if (known == text) return;
   known = text;
-  LogError("robot without the policy that the inventory names",
+  LogError("robot runs without the policy named in the inventory",
            {{"robot", robot}, {"reason", text}});
   alerts_->Raise(robot, engine::Severity::kCritical, text, level);
 }
@@ -159,8 +161,7 @@ void Fleet::Reload() {
         absl::StrCat(options_.inventory, " lists no robot; to guard none, stop the server"));
   }
   if (!read.ok()) {
-    LogError("inventory refused; the old one stays in force",
-             {{"reason", read.status().message()}});
+    LogError("inventory rejected; keeping the previous one", {{"reason", read.status().message()}});
     alerts_->Raise(std::string(store::kServerRobot), engine::Severity::kHigh,
                    absl::StrCat("the inventory is refused, the old one stays in force: ",
                                 FirstLine(read.status().message())));

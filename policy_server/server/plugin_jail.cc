@@ -66,7 +66,7 @@ absl::StatusOr<PluginJail> MakePluginJail(const ServerConfig& config) {
   int left_behind = 0;
   auto cgroups = RunCgroups::Open("", CgroupName(config.store_path), &left_behind);
   if (left_behind > 0) {
-    LogWarning("killed plugins that an earlier server left", {{"processes", left_behind}});
+    LogWarning("killed plugins left by a previous server", {{"processes", left_behind}});
   }
   if (cgroups.ok()) jail.cgroups = *std::move(cgroups);
   jail.containment.cgroups = jail.cgroups.get();

@@ -244,7 +244,7 @@ void Server::OnCertificate(const rpc::CertificateMonitor::Notice& notice) {
 absl::Status Server::OpenJail() {
   RIPS_ASSIGN_OR_RETURN(jail_, MakePluginJail(config_));
   for (const std::string& missing : jail_.missing) {
-    LogWarning("containment of plugins is not complete", {{"why", missing}});
+    LogWarning("plugin containment is incomplete", {{"why", missing}});
   }
   metrics_
       .AddGauge("rips_containment_missing",
@@ -569,7 +569,7 @@ absl::Status Server::Readiness() const {
 
 void Server::Reload() {
   if (const absl::Status status = alert_log_->Reopen(); !status.ok()) {
-    LogError("alert file not reopened", {{"reason", status.message()}});
+    LogError("cannot reopen the alert file", {{"reason", status.message()}});
   }
   fleet_->Reload();
 }
@@ -581,8 +581,7 @@ void Server::Stop() {
     rpc_->SetServing(false);
     for (const std::string& robot :
          pipeline_->ForEach([](pipeline::Robot& each) { each.Drain(); })) {
-      LogWarning("robot not drained in time; its lease is the last one it was given",
-                 {{"robot", robot}});
+      LogWarning("robot not drained in time; its last lease stands", {{"robot", robot}});
     }
     watch_->CloseAll(grpc::Status(grpc::StatusCode::UNAVAILABLE, "the server is stopping"));
     rpc_->Shutdown(kShutdownGrace);

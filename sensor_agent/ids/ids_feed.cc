@@ -48,8 +48,9 @@ IdsFeed::Log::Log(IdsLog log, std::optional<LogPosition> from, LogTailLimits lim
                                        "Lines of an IDS log that make no sense", labels);
   too_long = metrics->AddCounter("rips_sensor_ids_too_long_total",
                                  "Lines of an IDS log longer than the limit", labels);
-  gaps = metrics->AddCounter("rips_sensor_ids_gaps_total",
-                             "Times that part of an IDS log was gone before it was read", labels);
+  gaps =
+      metrics->AddCounter("rips_sensor_ids_gaps_total",
+                          "Times that part of an IDS log was deleted before it was read", labels);
   open = metrics->AddGauge("rips_sensor_ids_open", "1 while an IDS log is there and is followed",
                            labels);
 }
@@ -88,7 +89,7 @@ LogOffsets IdsFeed::LoadOffsets() {
   const absl::StatusOr<LogOffsets> offsets =
       text.ok() ? DecodeLogOffsets(*text) : absl::StatusOr<LogOffsets>(text.status());
   if (offsets.ok()) return *offsets;
-  LogError("positions in IDS logs are lost; reading begins at the end of each",
+  LogError("IDS log positions lost; reading each log from its end",
            {{"file", options_.offsets_file}, {"error", offsets.status().ToString()}});
   Lose(LossCause::kLimit, 1, clock_->Now().boottime_ns);
   return {};
@@ -126,7 +127,7 @@ void IdsFeed::OnLine(Log& log, absl::string_view line, int64_t now_ns) {
       log.not_understood.Increment();
       Lose(LossCause::kUndecodable, 1, now_ns);
       if (!std::exchange(log.told_not_understood, true)) {
-        LogWarning("a line of an IDS log makes no sense; further ones are only counted",
+        LogWarning("cannot parse a line of an IDS log; further ones are only counted",
                    {{"log", log.what.path},
                     {"format", IdsFormatName(log.what.format)},
                     {"bytes", line.size()}});  // not the line: it may hold what was sent
@@ -160,7 +161,7 @@ void IdsFeed::LookAt(Log& log, int64_t now_ns) {
   Lose(LossCause::kUndecodable, now.cut_off - before.cut_off, now_ns);
   Lose(LossCause::kLimit, now.gaps - before.gaps, now_ns);
   if (now.gaps > before.gaps) {
-    LogError("part of an IDS log was gone before it was read", {{"log", log.what.path}});
+    LogError("part of an IDS log was deleted before it was read", {{"log", log.what.path}});
   }
   before = now;
   const absl::Status& status = log.tail.status();
@@ -168,7 +169,7 @@ void IdsFeed::LookAt(Log& log, int64_t now_ns) {
   if (status.ok()) {
     log.was_open = true;
     if (std::exchange(log.told_not_open, false)) {
-      LogInfo("an IDS log is followed again", {{"log", log.what.path}});
+      LogInfo("following an IDS log again", {{"log", log.what.path}});
     }
     log.not_open_since_ns = 0;
     return;
@@ -176,7 +177,7 @@ void IdsFeed::LookAt(Log& log, int64_t now_ns) {
   if (log.not_open_since_ns == 0) log.not_open_since_ns = now_ns;
   if (log.was_open && now_ns - log.not_open_since_ns < kNotOpenNs) return;
   if (std::exchange(log.told_not_open, true)) return;
-  LogWarning("an IDS log cannot be read; its alerts are not seen",
+  LogWarning("cannot read an IDS log; its alerts are not seen",
              {{"log", log.what.path}, {"error", status.ToString()}});
 }
 
@@ -256,7 +257,7 @@ void IdsFeed::Save(int64_t now_ns, uint64_t unacknowledged) {
     return;
   }
   if (std::exchange(told_unsaved_, true)) return;
-  LogError("positions in IDS logs cannot be saved; after a crash alerts may be told twice",
+  LogError("cannot save IDS log positions; alerts may be reported twice after a crash",
            {{"error", written.ToString()}});
 }
 

@@ -39,7 +39,7 @@ absl::Status Backlog::Open() {
     return absl::OkStatus();
   }
   if (absl::IsFailedPrecondition(spool.status())) return spool.status();
-  LogError("no spool on disk; what the server does not take is kept in memory only",
+  LogError("no spool on disk; unacknowledged observations are kept in memory only",
            {{"error", spool.status().message()}});
   MutexLock lock(&mu_);
   refuses_until_ns_ = std::numeric_limits<int64_t>::max();
@@ -357,7 +357,7 @@ void Backlog::Run() {
     if (UnwrittenLocked() > 0) return;
   }
   if (absl::Status clean = spool_->MarkClean(); !clean.ok()) {
-    LogError("the spool could not be closed in order", {{"error", clean.message()}});
+    LogError("spool not closed cleanly", {{"error", clean.message()}});
   }
 }
 
@@ -392,7 +392,7 @@ void Backlog::Recover() {
   for (Queue& each : queues_) each.resumed = false;
   if (spool_ != nullptr) disk_bytes_ = spool_->bytes();
   if (!recovered.records.empty()) {
-    LogInfo("a former process left observations",
+    LogInfo("found observations of a previous run",
             {{"batches", recovered.records.size()}, {"bytes", disk_bytes_}});
   }
   recovered_ = true;
@@ -426,10 +426,10 @@ void Backlog::WriteOne(const Place& place) {
     }
   }
   if (!record.ok() && !refused) {
-    LogError("the spool takes no more; what comes is kept in memory, and shed when that is full",
+    LogError("spool full; keeping new observations in memory and dropping them when that is full",
              {{"error", record.status().message()}});
   } else if (record.ok() && refused) {
-    LogInfo("the spool takes observations again");
+    LogInfo("spool accepts observations again");
     wake_();
   }
 }
@@ -486,7 +486,7 @@ void Backlog::Refused(const absl::Status& why) {
 
 void Backlog::DiscardLocked(const StreamKey& stream, uint64_t first_sequence,
                             const absl::Status& why) {
-  LogError("observations of the backlog are lost",
+  LogError("backlog observations lost",
            {{"first_sequence", first_sequence}, {"error", why.message()}});
   Queue* queue = FindQueue(stream);
   Entry* entry = Find({.stream = stream, .first_sequence = first_sequence});

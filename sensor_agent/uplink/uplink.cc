@@ -59,7 +59,7 @@ std::vector<std::string> ProtectedParts(const rips::v1::SensorConfig& config) {
       parts.push_back(part);
       continue;
     }
-    LogWarning("a part cannot be watched over", {{"error", valid.message()}});
+    LogWarning("cannot monitor a part", {{"error", valid.message()}});
     if (parts.size() >= kProtectedPartsMax) break;
   }
   return parts;
@@ -149,7 +149,7 @@ void Uplink::Start() {
       store_point_ = *std::move(kept);
       store_point_kept_ = store_point_.SerializeAsString();
     } else if (!absl::IsNotFound(kept.status())) {
-      LogWarning("what the server's store held in the last run cannot be used",
+      LogWarning("cannot use the store position saved by the last run",
                  {{"file", options_.store_file}, {"error", kept.status().ToString()}});
     }
   }
@@ -171,8 +171,9 @@ void Uplink::Stop() {
   if (backlog_.on_disk()) SaveRest();
   const uint64_t left = backlog_.Stop();
   if (left > 0) {
-    LogError("observations end with this process: there is no room on disk",
-             {{"observations", left}});
+    LogError(
+        "no disk space for the spool; unacknowledged observations are lost when the sensor stops",
+        {{"observations", left}});
   }
 }
 
@@ -264,7 +265,7 @@ SensorMessage Uplink::OnConnected() {
   const Instant now = clock_->Now();
   MutexLock lock(&mu_);
   if (refusals_ >= kRefusalsMax) {
-    LogWarning("server cannot go on with this incarnation; beginning a new one");
+    LogWarning("server rejected this incarnation; starting a new one");
     refusals_ = 0;
     incarnation_ = NewIncarnation();
     outbox_.Renumber();
@@ -357,13 +358,13 @@ void Uplink::OnConfigLocked(const rips::v1::SensorConfig& config) {
     if (guid.ok()) {
       own_participants_.push_back(*guid);
     } else {
-      LogWarning("server names a malformed participant", {{"error", guid.status().message()}});
+      LogWarning("server sent a malformed participant", {{"error", guid.status().message()}});
     }
   }
   if (config.store().generation().size() == kGenerationBytes) {
     store_point_ = config.store();
   } else if (config.has_store()) {
-    LogWarning("server names a malformed generation of its store");
+    LogWarning("server sent a malformed store generation");
   }
   outbox_.SetPrimary(config.primary());
   stream_->wants_snapshot |= config.want_snapshot();
@@ -383,8 +384,7 @@ void Uplink::KeepStorePoint() {
     point = store_point_;
   }
   if (absl::Status kept = SaveStorePoint(options_.store_file, point); !kept.ok()) {
-    LogWarning("what the server's store holds cannot be kept for the next start",
-               {{"error", kept.ToString()}});
+    LogWarning("cannot save the server's store position", {{"error", kept.ToString()}});
     return;
   }
   MutexLock lock(&mu_);
@@ -435,7 +435,7 @@ void Uplink::OnInterest(const rips::v1::Interest& wire) {
     MutexLock lock(&mu_);
     if (!interest.ok()) {
       const std::string problem = interest.status().ToString();
-      LogWarning("interest refused; the one before stays in use", {{"error", problem}});
+      LogWarning("interest rejected; keeping the previous one", {{"error", problem}});
       AnswerInterestLocked(wire.id(), problem);
       return;
     }
@@ -443,7 +443,7 @@ void Uplink::OnInterest(const rips::v1::Interest& wire) {
   }
   if (!options_.interest_file.empty()) {
     if (absl::Status kept = SaveInterest(options_.interest_file, wire); !kept.ok()) {
-      LogWarning("interest cannot be kept for the next start", {{"error", kept.ToString()}});
+      LogWarning("cannot save the interest for the next start", {{"error", kept.ToString()}});
     }
   }
   hooks_.on_interest(*std::move(interest));
@@ -463,7 +463,7 @@ void Uplink::InterestInUse(const std::string& id) {
 void Uplink::AnswerInterestLocked(const std::string& id, const std::string& problem) {
   if (!stream_.has_value()) return;  // the next hello says it
   if (stream_->answers.size() >= kAnswersMax) {
-    LogDebug("answer to an interest dropped: the stream does not move");
+    LogDebug("interest reply dropped: the server does not read the stream");
     return;
   }
   rips::v1::InterestApplied& answer = stream_->answers.emplace_back();
@@ -572,7 +572,8 @@ void Uplink::HeartbeatLocked(Instant now) {
   SensorMessage message;
   SetClock(now, message.mutable_heartbeat()->mutable_clock());
   message.mutable_heartbeat()->set_echo_boottime_ns(server_boottime_ns_);
-  if (!SendLocked(std::move(message))) LogDebug("heartbeat dropped: the stream does not move");
+  if (!SendLocked(std::move(message)))
+    LogDebug("heartbeat dropped: the server does not read the stream");
   if (phase_ == Phase::kStreaming) ReportStateLocked(now.boottime_ns);
 }
 

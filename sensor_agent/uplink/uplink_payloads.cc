@@ -69,7 +69,7 @@ bool Uplink::AdvanceUploadLocked(int64_t now_ns) {
 }
 
 void Uplink::GiveUpUploadLocked(int64_t now_ns) {
-  LogDebug("a payload is shed: the line does not carry it in time",
+  LogDebug("payload dropped: the uplink is too slow",
            {{"bytes", stream_->upload->sent.payload->size()}});
   PayloadUpload& upload = *stream_->upload;
   size_t bytes = 0;

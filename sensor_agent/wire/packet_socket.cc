@@ -102,7 +102,7 @@ absl::StatusOr<size_t> PacketSocket::Read(const Use& use) {
   if (count < 0) {
     if (errno == EAGAIN || errno == EINTR) return 0;
     if (errno == ENETDOWN) {  // it goes on by itself when the interface is up again
-      LogWarning("the interface is down", {{"interface", interface_}});
+      LogWarning("interface is down", {{"interface", interface_}});
       return 0;
     }
     return Errno(absl::StrCat("reading packets of `", interface_, "`"));

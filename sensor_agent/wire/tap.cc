@@ -98,8 +98,8 @@ void Tap::Report(int64_t now_ns) {
     local_addresses_ = LocalAddresses();
     const uint64_t drops = table_.counters().kernel_drops + table_.counters().table_drops;
     if (drops > drops_logged_) {
-      LogWarning("datagrams were not looked at", {{"kernel_drops", table_.counters().kernel_drops},
-                                                  {"table_drops", table_.counters().table_drops}});
+      LogWarning("datagrams not inspected", {{"kernel_drops", table_.counters().kernel_drops},
+                                             {"table_drops", table_.counters().table_drops}});
     }
     drops_logged_ = drops;
   }
@@ -107,11 +107,11 @@ void Tap::Report(int64_t now_ns) {
   if (sender_.connected() != was_connected_) {
     was_connected_ = sender_.connected();
     if (was_connected_) {
-      LogInfo("the sensor is connected", {{"socket", options_.socket}});
+      LogInfo("sensor connected", {{"socket", options_.socket}});
       // Who has left before the sensor came is nobody it could have discovered.
       table_.Take();
     } else {
-      LogWarning("the sensor is gone", {{"error", sender_.status().message()}});
+      LogWarning("sensor disconnected", {{"error", sender_.status().message()}});
     }
   }
   if (!ready) return;

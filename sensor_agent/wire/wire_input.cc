@@ -95,7 +95,7 @@ void WireInput::CountLimits() {
   CountSince(dropped_, watch.dropped + watch.findings_dropped + socket_->dropped(),
              dropped_counted_);
   if (watch_.blind() && !blind_logged_) {
-    LogError("discovery shows more than the tap is judged by; unknown writers are not told");
+    LogError("graph exceeds the tap's limits; unknown writers are not reported");
     blind_logged_ = true;
   }
 }

@@ -60,7 +60,7 @@ bool MayReport(int fd) {
   socklen_t length = sizeof peer;
   if (getsockopt(fd, SOL_SOCKET, SO_PEERCRED, &peer, &length) != 0) return false;
   if (peer.uid == 0 || peer.uid == geteuid()) return true;
-  LogWarning("refused a tap of another user", {{"uid", peer.uid}, {"pid", peer.pid}});
+  LogWarning("rejected a rips-wire of another user", {{"uid", peer.uid}, {"pid", peer.pid}});
   return false;
 }
 
@@ -99,7 +99,7 @@ void WireSocket::Run() {
                                   {.fd = listener_.get(), .events = POLLIN, .revents = 0},
                                   {.fd = tap_.get(), .events = POLLIN, .revents = 0}}};
     if (poll(fds.data(), fds.size(), -1) < 0 && errno != EINTR) {
-      LogError("waiting for the tap failed", {{"errno", errno}});
+      LogError("waiting for rips-wire failed", {{"errno", errno}});
       return;
     }
     if (fds[0].revents != 0) return;
@@ -112,13 +112,13 @@ void WireSocket::Accept() {
   UniqueFd peer(accept4(listener_.get(), nullptr, nullptr, SOCK_CLOEXEC | SOCK_NONBLOCK));
   if (peer.get() < 0 || !MayReport(peer.get())) return;
   if (tap_.get() >= 0) {
-    LogWarning("refused a second tap");
+    LogWarning("rejected a second rips-wire");
     return;
   }
   tap_ = std::move(peer);
   connected_ = true;
   received_.Push({.connected = true, .report = {}});
-  LogInfo("the tap is connected");
+  LogInfo("rips-wire connected");
   wake_();
 }
 
@@ -129,11 +129,11 @@ bool WireSocket::ReadReport() {
   if (bytes == 0) return false;
   absl::StatusOr<TapReport> report = DecodeReport({buffer_.data(), static_cast<size_t>(bytes)});
   if (!report.ok()) {
-    LogError("refused a report of the tap", {{"error", report.status().message()}});
+    LogError("rejected a report from rips-wire", {{"error", report.status().message()}});
     return false;
   }
   if (report->domain != options_.domain) {
-    LogError("the tap listens to another domain",
+    LogError("rips-wire listens on another domain",
              {{"tap", report->domain}, {"sensor", options_.domain}});
     return false;
   }
@@ -145,7 +145,7 @@ bool WireSocket::ReadReport() {
 void WireSocket::Disconnect() {
   tap_.Reset();
   connected_ = false;
-  LogWarning("the tap is gone");
+  LogWarning("rips-wire disconnected");
   wake_();
 }
 

@@ -231,7 +231,7 @@ void ConnectionGuard::Stop() {
     stop_cond_.NotifyAll();
   }
   const uint64_t one = 1;
-  if (write(wake_.get(), &one, sizeof(one)) < 0) LogError("the accepting thread was not woken");
+  if (write(wake_.get(), &one, sizeof(one)) < 0) LogError("cannot wake the accept thread");
   if (accept_.joinable()) accept_.join();
   if (watch_.joinable()) watch_.join();
   MutexLock lock(&mu_);
@@ -310,7 +310,7 @@ void ConnectionGuard::Accept() {
   }
   while (true) {
     if (poll(polled.data(), polled.size(), -1) < 0 && errno != EINTR) {
-      LogError("the listener failed", {{"reason", std::strerror(errno)}});
+      LogError("listener failed", {{"reason", std::strerror(errno)}});
       return;
     }
     if (polled[0].revents != 0) return;
@@ -504,7 +504,7 @@ void ConnectionGuard::EndFor(Connection& connection, Excess excess) {
     }
     trim_at_ns_ = now_ns + kTrimNs;
   }
-  LogWarning("connection ended for what it cost",
+  LogWarning("connection closed: it exceeded its budget",
              {{"peer", report.peer},
               {"certificate", report.certificate.empty() ? "unknown" : report.certificate},
               {"excess", ToString(excess)},

@@ -240,7 +240,7 @@ void Revocations::Refresh() {
   unread_ = status;
   if (!status.ok()) {
     if (!news) return;
-    LogError("revocation list refused; the one before stays in force",
+    LogError("revocation list rejected; keeping the previous one",
              {{"file", files_.crl}, {"reason", status.message()}});
     return;
   }

@@ -62,7 +62,7 @@ void UnreadStreams::OnExceeded(StreamKind kind, const std::string& who, const st
     std::erase_if(told_ns_, [&](const auto& each) { return now_ns - each.second >= kTellEveryNs; });
     if (told_ns_.size() >= kToldMax || !told_ns_.emplace(who, now_ns).second) return;
   }
-  LogWarning("stream ended: its peer does not read what it is sent",
+  LogWarning("stream closed: the peer does not read",
              {{"stream", kNames[Index(kind)]}, {"peer", who}, {"address", address}, {"why", why}});
   alert_(absl::StrCat(
       who, " at ", address, " does not read the ", kNames[Index(kind)], " stream that it opened: ",

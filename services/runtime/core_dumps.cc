@@ -14,7 +14,7 @@ void ForbidCoreDumps() {
   // A core_pattern that is a pipe does not ask for the limit; it does ask whether it may dump.
   const rlimit none = {.rlim_cur = 0, .rlim_max = 0};
   if (setrlimit(RLIMIT_CORE, &none) == 0 && prctl(PR_SET_DUMPABLE, 0, 0, 0, 0) == 0) return;
-  LogError("core dumps cannot be forbidden; one may hold keys", {{"error", std::strerror(errno)}});
+  LogError("cannot disable core dumps; a dump may contain keys", {{"error", std::strerror(errno)}});
 }
 
 }  // namespace rips

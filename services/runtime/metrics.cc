@@ -153,7 +153,7 @@ absl::StatusOr<std::unique_ptr<MetricsPage>> MetricsPage::Start(
   const absl::Status served = page->TryToServe();
   if (served.ok()) return page;
   if (absl::IsInvalidArgument(served)) return served;
-  LogError("metrics are not served; trying again until they are", {{"reason", served.message()}});
+  LogError("cannot serve metrics; retrying", {{"reason", served.message()}});
   if (taken) taken(served);
   page->thread_ = std::thread([page = page.get(), first_delay] { page->Run(first_delay); });
   return page;

@@ -190,7 +190,8 @@ programs: [{{name: daemon, path: {program}, timeout: 5min}}]
 
     second = world.start("exec2", world.bin / "rips-exec", "--config", config)
 
-    second.wait_for(lambda line: "killed what an earlier rips-exec left" in line, LIMIT, "it says so")
+    second.wait_for(lambda line: "killed processes left by a previous rips-exec" in line, LIMIT,
+                    "it says so")
     second.wait_for(lambda line: " listening " in line, LIMIT, "rips-exec listens again")
     until(lambda: not alive(daemon), "the daemon lives")
 

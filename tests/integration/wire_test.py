@@ -125,7 +125,7 @@ metrics: ""
         """Sensor and tap, connected."""
         self.sensor = self.start_sensor()
         self.tap = self.start_tap()
-        self.sensor.wait_for(lambda line: "the tap is connected" in line, 15, "the tap connects")
+        self.sensor.wait_for(lambda line: "rips-wire connected" in line, 15, "the tap connects")
 
     def watch_and_tell(self, rules):
         """Policy server, sensor and tap on the robot; gives the fleet."""
@@ -142,7 +142,7 @@ metrics: ""
         fleet.start_server()
         self.sensor = fleet.start_agent("sensor")
         self.tap = self.start_tap()
-        self.sensor.wait_for(lambda line: "the tap is connected" in line, 15, "the tap connects")
+        self.sensor.wait_for(lambda line: "rips-wire connected" in line, 15, "the tap connects")
         return fleet
 
     def start_writer(self, *options):
@@ -440,7 +440,7 @@ def tap_and_sensor_come_and_go(world):
     world.watch()
     world.tap.kill()
     check(world.tap.child.returncode == 0, f"the tap ended with {world.tap.child.returncode}")
-    world.sensor.wait_for(lambda line: "the tap is gone" in line, 10, "the tap is missed")
+    world.sensor.wait_for(lambda line: "rips-wire disconnected" in line, 10, "the tap is missed")
     world.sensor.kill()
     check(not os.path.exists(world.socket), "the socket is left over")
     world.tap = world.start_tap()
@@ -472,7 +472,7 @@ def tap_ends_with_its_interface(world):
                         "--socket", world.socket, "--interface", "eth0")
     named.wait_for(lambda line: " listening " in line, 10, "the tap listens")
     world.ip("-n", world.robot, "link", "set", "eth0", "down")
-    named.wait_for(lambda line: "the interface is down" in line, 10, "it notices")
+    named.wait_for(lambda line: "interface is down" in line, 10, "it notices")
     check(named.running, "an interface that is down ended it")
     world.ip("-n", world.robot, "link", "del", "eth0")
     named.wait_for(lambda line: "is gone" in line, 10, "it notices that, too")

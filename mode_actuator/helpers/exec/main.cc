@@ -54,7 +54,7 @@ absl::StatusOr<std::unique_ptr<RunCgroups>> OpenCgroups(const Config& config, bo
   int left_behind = 0;
   auto cgroups = RunCgroups::Open(config.exec.cgroup, name, &left_behind);
   if (left_behind > 0) {
-    rips::LogWarning("killed what an earlier rips-exec left", {{"processes", left_behind}});
+    rips::LogWarning("killed processes left by a previous rips-exec", {{"processes", left_behind}});
   }
   return cgroups;
 }

@@ -161,7 +161,8 @@ void AlarmBoard::Line::Join() {
   if (ended) {
     thread_.join();
   } else {
-    LogWarning("alarm device does not let go", {{"device", spec_.name}});
+    LogWarning("alarm device still busy at shutdown; abandoning its thread",
+               {{"device", spec_.name}});
     thread_.detach();
   }
 }

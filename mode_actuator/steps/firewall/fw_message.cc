@@ -163,7 +163,7 @@ std::string EncodeFwResponse(const FwResponse& response) {
 }
 
 absl::StatusOr<FwResponse> DecodeFwResponse(absl::string_view packet) {
-  const absl::Status bad = absl::DataLossError("rips-fw gave an answer that is none");
+  const absl::Status bad = absl::DataLossError("rips-fw sent a malformed reply");
   std::vector<std::pair<absl::string_view, absl::string_view>> lines;
   if (packet.size() > kFwPacketBytesMax || !SplitLines(packet, &lines)) return bad;
   FwResponse response;

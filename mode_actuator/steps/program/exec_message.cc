@@ -222,7 +222,7 @@ std::string EncodeExecAnswer(const ExecAnswer& answer) {
 absl::StatusOr<ExecAnswer> DecodeExecAnswer(absl::string_view message) {
   ExecAnswer answer;
   if (!ReadFields(message, &answer, ReadAnswerField) || EncodeExecAnswer(answer) != message) {
-    return absl::DataLossError("rips-exec gave an answer that is none");
+    return absl::DataLossError("rips-exec sent a malformed reply");
   }
   return answer;
 }

@@ -4,8 +4,8 @@
 // fault anywhere that is evaluated makes the rule not fire and is alerted at most once per second
 // and rule. A rule whose value depends on an inspection that was not told fires, unless the policy
 // says otherwise (CompiledPolicyOptions); in an argument of an action that is a fault. Actions
-// before a fault in their chain stay done; the action whose argument faults fails, its chain goes on
-// as its connectors say, and the rule's later chains do not run.
+// before a fault in their chain stay done; the action whose argument faults fails, its chain goes
+// on as its connectors say, and the rule's later chains do not run.
 //
 // Chain: `a => b` runs b if a succeeded, `a !> b` if a failed, `a , b` always; the first connector
 // that says no ends the chain. exec and trigger answer later: the chain is parked (unless nothing

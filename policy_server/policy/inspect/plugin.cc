@@ -123,7 +123,7 @@ absl::Status ProbePlugins(std::vector<PluginSpec>& plugins, const PluginOptions&
     }
     plugins[i].protocol = *greets ? PluginProtocol::kFramed : PluginProtocol::kOneShot;
     if (*greets) continue;
-    LogWarning("plugin did not greet and is asked once a message (one-shot)",
+    LogWarning("plugin sent no greeting; running it once per message (one-shot)",
                {{"plugin", plugins[i].id},
                 {"greeting_time", absl::FormatDuration(options.greeting_time)}});
   }

@@ -243,7 +243,7 @@ TEST_F(PluginTest, TellsWhoGreetsFromWhoDoesNot) {
   for (const PluginSpec& plugin : plugins) {
     EXPECT_EQ(plugin.protocol == PluginProtocol::kFramed, plugin.id == "b") << plugin.id;
     const std::string said = absl::StrCat(
-        "plugin did not greet and is asked once a message (one-shot) plugin=", plugin.id,
+        "plugin sent no greeting; running it once per message (one-shot) plugin=", plugin.id,
         " greeting_time=3s\n");
     EXPECT_EQ(absl::StrContains(log, said), plugin.id != "b") << log;
   }

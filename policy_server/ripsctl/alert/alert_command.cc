@@ -37,7 +37,7 @@ class ListAlerts final : public AlertCommand {
   absl::string_view synopsis() const override { return "List alerts, newest first"; }
   void AddFlags(CLI::App& app) override {
     app.add_option("ROBOT", robot_, "Robot id; none = all");
-    app.add_option("--limit", limit_, "How many, at most")
+    app.add_option("--limit", limit_, "Maximum number of entries")
         ->check(CLI::Range(1, 1000))
         ->capture_default_str();
   }
@@ -87,7 +87,7 @@ class WatchAlerts final : public AlertCommand {
  public:
   absl::string_view verb() const override { return "watch"; }
   absl::string_view synopsis() const override {
-    return "Show alerts as they come, each once, also after a lost connection";
+    return "Show new alerts as they arrive, each once, reconnecting when needed";
   }
   void AddFlags(CLI::App& app) override {
     app.add_option("ROBOT", robot_, "Robot id; none = all");

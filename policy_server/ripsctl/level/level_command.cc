@@ -35,7 +35,7 @@ class ShowLevel final : public LevelCommand {
  public:
   absl::string_view verb() const override { return "show"; }
   absl::string_view synopsis() const override {
-    return "Show a robot's level, its levels and how it came there";
+    return "Show a robot's current level, its possible levels and the last change";
   }
   void AddFlags(CLI::App& app) override { app.add_option("ROBOT", robot_, "Robot id")->required(); }
   ExitCode Run(Env& env) override {
@@ -86,7 +86,7 @@ class LevelHistory final : public LevelCommand {
   }
   void AddFlags(CLI::App& app) override {
     app.add_option("ROBOT", robot_, "Robot id")->required();
-    app.add_option("--limit", limit_, "How many, at most")
+    app.add_option("--limit", limit_, "Maximum number of entries")
         ->check(CLI::Range(1, 1000))
         ->capture_default_str();
   }
@@ -142,9 +142,9 @@ class ChangeLevel : public LevelCommand {
  public:
   void AddFlags(CLI::App& app) override {
     app.add_option("ROBOT", robot_, "Robot id")->required();
-    app.add_option("--to", to_, "Level to go to")->required();
-    app.add_option("--reason", reason_, "Why; kept with the decision")->required();
-    app.add_flag("--dry-run", dry_run_, "Only say what would happen");
+    app.add_option("--to", to_, "Target level")->required();
+    app.add_option("--reason", reason_, "Reason, recorded with the decision")->required();
+    app.add_flag("--dry-run", dry_run_, "Show what would happen; change nothing");
   }
 
  protected:
@@ -226,7 +226,7 @@ class RaiseLevel final : public ChangeLevel {
  public:
   absl::string_view verb() const override { return "raise"; }
   absl::string_view synopsis() const override {
-    return "Bring a robot to a more restrictive level";
+    return "Raise a robot to a more restrictive level";
   }
   ExitCode Run(Env& env) override {
     v1::LevelRequest request;
@@ -243,14 +243,14 @@ class LowerLevel final : public ChangeLevel {
  public:
   absl::string_view verb() const override { return "lower"; }
   absl::string_view synopsis() const override {
-    return "Bring a robot back to a less restrictive level (DeEscalate)";
+    return "Lower a robot to a less restrictive level";
   }
   void AddFlags(CLI::App& app) override {
     ChangeLevel::AddFlags(app);
     app.add_option("--expect", expect_,
                    "LEVEL@TERM.EPOCH the robot must be at; default: read, shown and sent");
     app.add_flag("--accept-blind", accept_blind_,
-                 "Lower even if the server cannot see the robot now");
+                 "Lower even if the server does not see the robot now");
   }
   ExitCode Run(Env& env) override {
     v1::LevelRequest request;

@@ -40,7 +40,7 @@ class Record final : public Command {
   absl::string_view noun() const override { return "record"; }
   absl::string_view verb() const override { return ""; }
   absl::string_view synopsis() const override {
-    return "Record what a robot's rules are given to judge, for `rules replay`";
+    return "Record the events a robot's rules are evaluated on, for `rules replay`";
   }
   void AddFlags(CLI::App& app) override {
     app.add_option("ROBOT", robot_, "Robot id")->required();

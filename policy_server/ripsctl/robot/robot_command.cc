@@ -71,7 +71,7 @@ class WatchRobots final : public RobotCommand {
  public:
   absl::string_view verb() const override { return "watch"; }
   absl::string_view synopsis() const override {
-    return "Show robots now and whenever one changes, until interrupted";
+    return "Show all robots, then each change, until interrupted";
   }
   void AddFlags(CLI::App& app) override {
     app.add_option("ROBOT", robots_, "Robots to watch; none = all");
@@ -131,7 +131,7 @@ class OneRobotCommand : public RobotCommand {
 class ShowRobot final : public OneRobotCommand {
  public:
   absl::string_view verb() const override { return "show"; }
-  absl::string_view synopsis() const override { return "Show one robot in full"; }
+  absl::string_view synopsis() const override { return "Show one robot in detail"; }
 
  private:
   ExitCode RunFor(Env& env, const std::string& robot) override {

@@ -108,7 +108,7 @@ class ShowInterest final : public RobotVerb {
  public:
   absl::string_view verb() const override { return "interest"; }
   absl::string_view synopsis() const override {
-    return "Show what the rules need of each topic, and who watches so";
+    return "Show which data the rules need from each topic, and which sensors deliver it";
   }
 
  private:
@@ -188,7 +188,7 @@ class ShowCoverage final : public RobotVerb {
  public:
   absl::string_view verb() const override { return "coverage"; }
   absl::string_view synopsis() const override {
-    return "Show what is seen of a robot and what is not; exit with 1 if not all is";
+    return "Show which of a robot's endpoints the sensors see; exit with 1 if any is not visible";
   }
 
  private:

@@ -219,12 +219,12 @@ class RulesBuiltinsCommand final : public Command {
   absl::string_view noun() const override { return "rules"; }
   absl::string_view verb() const override { return "builtins"; }
   absl::string_view synopsis() const override {
-    return "Show the builtins, names and actions of the rule language; needs no server";
+    return "List the builtins, names and actions of the rule language; needs no server";
   }
   bool needs_server() const override { return false; }
   void AddFlags(CLI::App& app) override {
-    app.add_option("NAME", name_, "Only this one");
-    app.add_flag("--markdown", markdown_, "As Markdown, for a manual");
+    app.add_option("NAME", name_, "Show only this name");
+    app.add_flag("--markdown", markdown_, "Print Markdown, for a manual");
   }
   ExitCode Run(Env& env) override {
     if (markdown_ && env.json()) return UsageError(env, "choose --markdown or --output json");

@@ -65,10 +65,10 @@ class CheckRulesCommand final : public Command {
   void AddFlags(CLI::App& app) override {
     app.add_option("FILE", paths_, "Rule files, - is standard input; or one bundle's directory")
         ->required();
-    dialect_flag_ = app.add_option("--dialect", dialect_, "What the include forms mean")
+    dialect_flag_ = app.add_option("--dialect", dialect_, "Meaning of the include forms")
                         ->check(CLI::IsMember({"rips", "prototype"}))
                         ->capture_default_str();
-    app.add_flag("--werror", werror_, "Exit with 1 for warnings, too");
+    app.add_flag("--werror", werror_, "Treat warnings as errors");
   }
 
   ExitCode Run(Env& env) override {

@@ -20,11 +20,11 @@ class ResumeRules final : public Command {
   absl::string_view noun() const override { return "rules"; }
   absl::string_view verb() const override { return "resume"; }
   absl::string_view synopsis() const override {
-    return "Let rules lower soft levels again after their budget was spent";
+    return "Allow rules to lower soft levels again after they used up their budget";
   }
   void AddFlags(CLI::App& app) override {
     app.add_option("ROBOT", robot_, "Robot id")->required();
-    app.add_option("--reason", reason_, "Why; kept by the server")->required();
+    app.add_option("--reason", reason_, "Reason, recorded by the server")->required();
   }
   ExitCode Run(Env& env) override {
     absl::Status valid = CheckRobot(robot_);

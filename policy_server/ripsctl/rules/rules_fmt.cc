@@ -39,13 +39,14 @@ class FmtRulesCommand final : public Command {
   absl::string_view noun() const override { return "rules"; }
   absl::string_view verb() const override { return "fmt"; }
   absl::string_view synopsis() const override {
-    return "Lay rule files out in one style, comments and all; needs no server";
+    return "Format rule files, keeping comments; needs no server";
   }
   bool needs_server() const override { return false; }
   void AddFlags(CLI::App& app) override {
     app.add_option("FILE", paths_, "Rule files; - is standard input")->required();
-    CLI::Option* write = app.add_flag("--write", write_, "Rewrite the files, name those changed");
-    app.add_flag("--check", check_, "Only name the files that would change; exit with 1 if any")
+    CLI::Option* write =
+        app.add_flag("--write", write_, "Rewrite the files and list those changed");
+    app.add_flag("--check", check_, "List the files that would change; exit with 1 if any")
         ->excludes(write);
   }
 

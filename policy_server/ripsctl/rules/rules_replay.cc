@@ -157,7 +157,7 @@ void PrintResult(const Result& result, const RuleSet& rules, bool profile, std::
     out << "left out: " << result.left_out << " more entries than the lists below may hold\n";
   }
   PrintTable("Levels", kChangeHeader, result.transitions, result.timed, out);
-  PrintTable("Alerts", kAlertHeader, result.alerts, result.timed, out);
+  PrintTable("List and watch alerts", kAlertHeader, result.alerts, result.timed, out);
   PrintTable("Programs", kExecHeader, result.execs, result.timed, out);
   PrintTable("Faults", kNoteHeader, result.faults, result.timed, out);
   PrintTable("True and False", kNoteHeader, result.logs, result.timed, out);
@@ -211,7 +211,7 @@ void PrintDifference(const replay::Difference& difference, bool timed, std::ostr
   out << "; level at the end: " << EscapeText(difference.level_before) << " with --rules, "
       << EscapeText(difference.level_after) << " with --against\n";
   PrintBoth("Levels", kChangeHeader, difference.transitions, timed, out);
-  PrintBoth("Alerts", kAlertHeader, difference.alerts, timed, out);
+  PrintBoth("List and watch alerts", kAlertHeader, difference.alerts, timed, out);
   PrintBoth("Programs", kExecHeader, difference.execs, timed, out);
   PrintVariables(difference, out);
 }
@@ -231,26 +231,26 @@ class ReplayRulesCommand final : public Command {
                    "The recording: of ripsctl record, a rosbag2 bag or file, or the prototype's "
                    "YAML")
         ->required();
-    app.add_option("--against", against_, "Other rule files: show what they do differently");
-    app.add_option("--dialect", dialect_, "What the include forms mean")
+    app.add_option("--against", against_, "Other rule files; show how their results differ");
+    app.add_option("--dialect", dialect_, "Meaning of the include forms")
         ->check(CLI::IsMember({"rips", "prototype"}))
         ->capture_default_str();
     app.add_option("--start-level", start_level_,
                    "Level before the first event; default: the recording's, else the first");
-    app.add_option("--virtual-tick", tick_ms_, "External tick every so many ms; 0 = none")
+    app.add_option("--virtual-tick", tick_ms_, "External tick every N ms; 0 = none")
         ->check(CLI::Range(int64_t{0}, kMillisMax))
         ->capture_default_str();
     app.add_option("--event-interval", interval_ms_,
-                   "Time between events of a recording without times, ms")
+                   "Milliseconds between events when the recording has no times")
         ->check(CLI::Range(int64_t{0}, kMillisMax))
         ->capture_default_str();
-    app.add_option("--exec-fail", exec_fail_, "Programs that fail; all others succeed");
-    app.add_option("--trigger-fail", trigger_fail_, "Levels that the robot does not reach");
+    app.add_option("--exec-fail", exec_fail_, "Programs to simulate as failing");
+    app.add_option("--trigger-fail", trigger_fail_, "Levels to simulate as not reached");
     app.add_option("--on-inspection-error", on_inspection_error_,
-                   "What becomes of a rule whose payload or plugin cannot tell")
+                   "How to treat a rule whose payload or plugin check gives no verdict")
         ->check(CLI::IsMember({"match", "alert", "ignore"}))
         ->capture_default_str();
-    app.add_flag("--profile", profile_, "Measure the rules");
+    app.add_flag("--profile", profile_, "Print the cost of each rule");
   }
 
   ExitCode Run(Env& env) override {

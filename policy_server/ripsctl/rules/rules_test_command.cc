@@ -193,7 +193,7 @@ class TestRulesCommand final : public Command {
   bool needs_server() const override { return false; }
   bool writes_junit() const override { return true; }
   void AddFlags(CLI::App& app) override {
-    app.add_option("FILE", paths_, "Files of tests, for example warehouse_test.yaml")->required();
+    app.add_option("FILE", paths_, "Test files, for example warehouse_test.yaml")->required();
   }
 
   ExitCode Run(Env& env) override {

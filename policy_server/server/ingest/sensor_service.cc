@@ -224,11 +224,10 @@ class SensorStream final : public Stream {
     metrics_.interests_refused.Increment();
     const auto left_out = pipeline_->logs().Admit(mailbox_->robot());
     if (!left_out.has_value()) return;
-    LogWarning("sensor cannot apply what it is asked to watch",
-               {{"robot", mailbox_->robot()},
-                {"host", host_},
-                {"problem", ros2::Printable(applied.problem())},
-                {"left_out", *left_out}});
+    LogWarning("sensor cannot apply the interest", {{"robot", mailbox_->robot()},
+                                                    {"host", host_},
+                                                    {"problem", ros2::Printable(applied.problem())},
+                                                    {"left_out", *left_out}});
   }
 
   // Held by the decoder until a batch names it; the credit bounds both together.

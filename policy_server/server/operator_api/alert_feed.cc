@@ -177,11 +177,11 @@ void AlertFeed::FeedFile() {
   if (!status.ok()) {
     if (counts_.file_failures) counts_.file_failures(1);
     if (!file_failing_) {
-      LogError("alert file not written; it is tried again, and nothing is left out",
+      LogError("cannot write the alert file; retrying, no alert is skipped",
                {{"reason", status.message()}});
     }
   } else if (file_failing_) {
-    LogInfo("alert file is written again");
+    LogInfo("alert file is writable again");
   }
   file_failing_ = !status.ok();
   if (++looks_since_note_ >= kLooksPerNote && !file_id_.empty()) RememberFilePlace(file_id_);

@@ -79,7 +79,7 @@ class AlertFeed {
       ABSL_LOCKS_EXCLUDED(mu_);
   // It may still be told what is being told now. An id that is gone does nothing.
   void Unwatch(uint64_t id) ABSL_LOCKS_EXCLUDED(mu_);
-  // Tells those who watch now what no alert can tell yet, as a gap: the store cannot be written.
+  // Tells those who watch now what no alert can tell yet, as a gap: cannot write the store.
   // Any thread; never blocks. A newer text replaces one that was not told yet.
   void Notify(const std::string& text) ABSL_LOCKS_EXCLUDED(mu_);
   // There are new alerts, or somebody has room again. Any thread; never blocks.

@@ -93,10 +93,10 @@ TEST_F(AlertFeedTest, ANoticeIsToldOnceThoughTheStoreCannotBeRead) {
   feed->Watch(1, std::nullopt, watch.Watcher());
   feed->Look();
   store_.FailReads(absl::UnavailableError("disk on fire"));
-  feed->Notify("the store cannot be written");
+  feed->Notify("cannot write the store");
   feed->Look();
   feed->Look();
-  EXPECT_THAT(watch.told, ElementsAre("gap: the store cannot be written"));
+  EXPECT_THAT(watch.told, ElementsAre("gap: cannot write the store"));
 }
 
 TEST_F(AlertFeedTest, TheFileHasNoHoleAfterAFailedAppend) {

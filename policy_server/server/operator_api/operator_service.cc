@@ -486,7 +486,8 @@ grpc::ServerWriteReactor<rips::v1::Recording>* OperatorService::Record(
     grpc::CallbackServerContext* context, const rips::v1::RecordRequest* request) {
   const auto who = Authorize(context, *request, OperatorRole::kOperator, Use::kStream);
   if (!who.ok()) return RefuseWatch<rips::v1::Recording>(who.status());
-  LogInfo("operator records", {{"operator", rpc::Describe(*who)}, {"robot", request->robot()}});
+  LogInfo("operator started a recording",
+          {{"operator", rpc::Describe(*who)}, {"robot", request->robot()}});
   auto* stream = new WatchStream<rips::v1::Recording>();
   Keep(rpc::StreamKind::kRecord, stream, *who, context);
   auto outbound = stream->outbound();
@@ -592,9 +593,9 @@ grpc::ServerUnaryReactor* OperatorService::DrillRobot(grpc::CallbackServerContex
                                                       rips::v1::DrillRobotResponse* response) {
   const auto who = Authorize(context, *request, OperatorRole::kOperator, Use::kOrder);
   if (!who.ok()) return Refuse(context, who.status());
-  LogInfo("operator drills", {{"operator", rpc::Describe(*who)},
-                              {"robot", request->robot()},
-                              {"level", request->level()}});
+  LogInfo("operator started a drill", {{"operator", rpc::Describe(*who)},
+                                       {"robot", request->robot()},
+                                       {"level", request->level()}});
   grpc::ServerUnaryReactor* reactor = Answer(*who);
   pipeline::DrillOrder order{.operator_name = OperatorName(*who), .level = request->level()};
   pipeline::DrillReply reply = [reactor, response](const pipeline::DrillAnswer& answer) {
@@ -615,10 +616,10 @@ grpc::ServerUnaryReactor* OperatorService::ResetTerm(grpc::CallbackServerContext
                                                      rips::v1::ResetTermResponse* response) {
   const auto who = Authorize(context, *request, OperatorRole::kAdmin, Use::kOrder);
   if (!who.ok()) return Refuse(context, who.status());
-  LogInfo("operator resets a term", {{"operator", rpc::Describe(*who)},
-                                     {"robot", request->robot()},
-                                     {"host", request->host()},
-                                     {"reason", request->reason()}});
+  LogInfo("operator reset a term", {{"operator", rpc::Describe(*who)},
+                                    {"robot", request->robot()},
+                                    {"host", request->host()},
+                                    {"reason", request->reason()}});
   grpc::ServerUnaryReactor* reactor = Answer(*who);
   pipeline::TermResetOrder order{
       .operator_name = OperatorName(*who), .host = request->host(), .reason = request->reason()};
@@ -683,10 +684,10 @@ grpc::ServerUnaryReactor* OperatorService::Ban(grpc::CallbackServerContext* cont
   if (request->uri() == rpc::ToString(who->identity)) {
     return Refuse(context, absl::InvalidArgumentError("this would ban the caller"));
   }
-  LogInfo("operator bans", {{"operator", rpc::Describe(*who)},
-                            {"uri", request->uri()},
-                            {"serial", request->serial()},
-                            {"reason", request->reason()}});
+  LogInfo("operator banned a certificate", {{"operator", rpc::Describe(*who)},
+                                            {"uri", request->uri()},
+                                            {"serial", request->serial()},
+                                            {"reason", request->reason()}});
   grpc::ServerUnaryReactor* reactor = Answer(*who);
   Read(reactor, [this, reactor, request, by = rpc::Describe(*who)] {
     const absl::Status status = access_.bans->Ban({.uri = request->uri(),
@@ -711,7 +712,7 @@ grpc::ServerUnaryReactor* OperatorService::Unban(grpc::CallbackServerContext* co
   if (!who.ok()) return Refuse(context, who.status());
   if (access_.bans == nullptr) return Refuse(context, absl::UnimplementedError("no deny list"));
   LogInfo(
-      "operator lifts a ban",
+      "operator lifted a ban",
       {{"operator", rpc::Describe(*who)}, {"uri", request->uri()}, {"serial", request->serial()}});
   grpc::ServerUnaryReactor* reactor = Answer(*who);
   Read(reactor, [this, reactor, request, by = rpc::Describe(*who)] {

@@ -66,7 +66,7 @@ class RobotObserver {
   virtual ~RobotObserver() = default;
   // Durable already.
   virtual void OnAlert(const store::AlertRecord& alert) = 0;
-  // What those who watch must know before it can be durable: that the store cannot be written.
+  // What those who watch must know before it can be durable: that cannot write the store.
   virtual void OnNotice(const std::string& text) = 0;
   virtual void OnStatus(const RobotStatus& status) = 0;
   // A rule has shown values with True or False; text of a robot, to be escaped.

@@ -13,7 +13,7 @@ namespace rips::pipeline {
 namespace {
 
 constexpr size_t kAnswersKept = 64;
-// Alerts kept in memory while the store cannot be written; the oldest go first.
+// Alerts kept in memory while cannot write the store; the oldest go first.
 constexpr size_t kUnrecordedAlertsMax = 1'000;
 
 std::string CauseText(const levels::Cause& cause) {
@@ -155,7 +155,7 @@ void Robot::Perform(const engine::Outcome& outcome, const std::string& event) {
       const Instant now = ports_.clock->Now();
       ProgramResult refused{.run_id = run->run_id};
       if (!ports_.recorder->healthy()) {
-        refused.detail = "the store cannot be written";
+        refused.detail = "cannot write the store";
       } else if (!ledger_.Run(run->run_id, run->program, run->args, now)) {
         refused.detail = "no attached actuator offers it";
       } else {
@@ -472,7 +472,7 @@ std::vector<std::string> Robot::EvidenceProblems(Instant now) const {
       problems.push_back(absl::StrCat("actuator ", name, " holds no live lease"));
     }
   }
-  if (!ports_.recorder->healthy()) problems.push_back("the store cannot be written");
+  if (!ports_.recorder->healthy()) problems.push_back("cannot write the store");
   return problems;
 }
 

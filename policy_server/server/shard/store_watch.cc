@@ -56,7 +56,7 @@ void StoreWatch::Begin(const absl::Status& health, Instant now) {
   began_ns_ = now.boottime_ns;
   failures_before_ = failures_;
   const std::string reason(health.ok() ? "it can be written again by now" : health.message());
-  LogError("the store cannot be written", {{"store", path_}, {"reason", reason}});
+  LogError("cannot write the store", {{"store", path_}, {"reason", reason}});
   const std::string text =
       absl::StrCat("the store ", path_, " cannot be written: ", reason,
                    "; raises are commanded, lowerings and programs are refused, alerts wait in "
@@ -69,10 +69,10 @@ void StoreWatch::End() {
   outage_ = false;
   const int64_t seconds = (failed_ns_ - began_ns_ + kNanosPerSecond - 1) / kNanosPerSecond;
   const uint64_t failures = failures_ - failures_before_;
-  LogInfo("the store is written again",
+  LogInfo("store is writable again",
           {{"store", path_}, {"seconds", seconds}, {"failed_writes", failures}});
   alerts_->Raise(std::string(store::kServerRobot), engine::Severity::kInfo,
-                 absl::StrCat("the store is written again after ", seconds, " s and ", failures,
+                 absl::StrCat("store is writable again after ", seconds, " s and ", failures,
                               " failed writes"));
 }
 

@@ -100,7 +100,7 @@ TEST_F(StoreWatchTest, AnOutageIsOneAlertWrittenFirstAndOneWhenItIsOver) {
   watch_.Look();
   EXPECT_THAT(Write(), IsOk());
   ASSERT_EQ(Texts().size(), 2u);
-  EXPECT_THAT(Texts()[1], HasSubstr("(server) info the store is written again after"));
+  EXPECT_THAT(Texts()[1], HasSubstr("(server) info store is writable again after"));
   EXPECT_EQ(audience_.alerts, 2);
 }
 
