@@ -15,16 +15,13 @@
 #include "services/base/status_macros.h"
 #include "services/ros2/ros_name.h"
 #include "services/runtime/config_reader.h"
+#include "services/text/quote.h"
 
 namespace rips::actuator {
 namespace {
 
 constexpr absl::Duration kModeTimeout = absl::Seconds(3);
 constexpr int kModeRetries = 2;
-
-std::string Quote(absl::string_view text) {
-  return absl::StrCat("`", absl::CHexEscape(text.substr(0, 100)), "`");
-}
 
 bool IsLevelName(absl::string_view name) {
   if (name.empty() || name.size() > kLevelNameBytesMax) return false;
@@ -69,7 +66,7 @@ bool ReadWhat(const ConfigSection& section, const Config& config, Step* step) {
     body.Required("part", &mode.part);
     body.Required("mode", &mode.mode);
     if (!mode.part.empty() && mode.part.front() != '/') {
-      body.Problem("part", absl::StrCat(Quote(mode.part), " is not absolute; write `/",
+      body.Problem("part", absl::StrCat(QuoteBytes(mode.part), " is not absolute; write `/",
                                         absl::CHexEscape(mode.part), "`"));
     }
     step->what = std::move(mode);
@@ -89,7 +86,8 @@ bool ReadWhat(const ConfigSection& section, const Config& config, Step* step) {
   if (spec != config.programs.end()) {
     step->timeout = spec->timeout;
   } else if (!program.name.empty()) {
-    body.Problem("name", absl::StrCat("program ", Quote(program.name), " is not in `programs`"));
+    body.Problem("name",
+                 absl::StrCat("program ", QuoteBytes(program.name), " is not in `programs`"));
   }
   step->what = std::move(program);
   return true;
@@ -116,13 +114,13 @@ std::vector<Step> ReadSteps(const ConfigSection& level, absl::string_view key,
     if (!complete) continue;
     const auto* mode = std::get_if<SystemModeStep>(&step.what);
     if (mode != nullptr && !parts.insert(mode->part).second) {
-      section.Problem("system_mode",
-                      absl::StrCat("part ", Quote(mode->part), " is ordered twice in one list"));
+      section.Problem("system_mode", absl::StrCat("part ", QuoteBytes(mode->part),
+                                                  " is ordered twice in one list"));
     }
     const auto* alarm = std::get_if<AlarmStep>(&step.what);
     if (alarm != nullptr && !alarms.insert(alarm->device).second) {
-      section.Problem("alarm",
-                      absl::StrCat("device ", Quote(alarm->device), " is told twice in one list"));
+      section.Problem("alarm", absl::StrCat("device ", QuoteBytes(alarm->device),
+                                            " is told twice in one list"));
     }
     steps.push_back(std::move(step));
   }
@@ -157,13 +155,14 @@ void ReadPrograms(const ConfigSection& root, Config* config) {
     section.Required("name", &program.name);
     section.Required("path", &program.path);
     if (!program.path.empty() && program.path.front() != '/') {
-      section.Problem("path", absl::StrCat(Quote(program.path), " is not absolute"));
+      section.Problem("path", absl::StrCat(QuoteBytes(program.path), " is not absolute"));
     }
     section.Optional("timeout", &program.timeout, {absl::Milliseconds(10), absl::Minutes(10)});
     section.Optional("concurrency", &program.concurrency, {1, 16});
     ReadProgramGuards(section, &program);
     if (!program.name.empty() && !names.insert(program.name).second) {
-      section.Problem("name", absl::StrCat("program ", Quote(program.name), " is listed twice"));
+      section.Problem("name",
+                      absl::StrCat("program ", QuoteBytes(program.name), " is listed twice"));
     }
     config->programs.push_back(std::move(program));
   }
@@ -180,10 +179,10 @@ void ReadLevels(const ConfigSection& root, Config* config) {
     LevelSpec level;
     section.Required("name", &level.name);
     if (!level.name.empty() && !IsLevelName(level.name)) {
-      section.Problem("name", absl::StrCat(Quote(level.name),
+      section.Problem("name", absl::StrCat(QuoteBytes(level.name),
                                            " is no level name; use letters, digits and `_`"));
     } else if (!level.name.empty() && !names.insert(level.name).second) {
-      section.Problem("name", absl::StrCat("level ", Quote(level.name), " is listed twice"));
+      section.Problem("name", absl::StrCat("level ", QuoteBytes(level.name), " is listed twice"));
     }
     level.enter = ReadSteps(section, "enter", *config);
     level.leave = ReadSteps(section, "leave", *config);
@@ -203,7 +202,8 @@ void ReadFailSafe(const ConfigSection& root, Config* config) {
   const bool known = std::any_of(config->levels.begin(), config->levels.end(),
                                  [&](const LevelSpec& each) { return each.name == level; });
   if (!known) {
-    section.Problem("level", absl::StrCat(Quote(level), " is none of `levels`; or write `keep`"));
+    section.Problem("level",
+                    absl::StrCat(QuoteBytes(level), " is none of `levels`; or write `keep`"));
   }
 }
 
@@ -249,7 +249,7 @@ absl::StatusOr<ParsedConfig> ParseConfig(absl::string_view file, absl::string_vi
   root.Required("servers", &config.servers);
   for (const std::string& server : config.servers) {
     if (!IsHostPort(server)) {
-      root.Problem("servers", absl::StrCat(Quote(server), " is not HOST:PORT"));
+      root.Problem("servers", absl::StrCat(QuoteBytes(server), " is not HOST:PORT"));
     }
   }
   config.tls = ReadTls(root);
@@ -281,7 +281,7 @@ absl::Status AddScripts(ParsedConfig* parsed) {
     const std::string over = OverBudget(level.enter);
     if (over.empty()) continue;
     return absl::InvalidArgumentError(
-        absl::StrCat("level ", Quote(level.name), " with its script: ", over));
+        absl::StrCat("level ", QuoteBytes(level.name), " with its script: ", over));
   }
   return absl::OkStatus();
 }
@@ -318,7 +318,7 @@ absl::Status CheckLevelsAgainstSmh(const Config& config, const Smh& smh) {
     for (const auto& [part, mode] : ModeTargets({level})) {
       const auto expected = smh.Expected(part, mode);
       if (expected.ok()) continue;
-      problems.push_back(absl::StrCat("level ", Quote(level.name), ": ",
+      problems.push_back(absl::StrCat("level ", QuoteBytes(level.name), ": ",
                                       expected.status().message(), " (", config.smh_file, ")"));
     }
   }

@@ -1,14 +1,13 @@
 #include "mode_actuator/decide/alarm_state.h"
 
 #include <algorithm>
-#include <numeric>
-#include <optional>
 
 #include "absl/status/status.h"
 #include "absl/strings/ascii.h"
 #include "absl/strings/escaping.h"
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_format.h"
+#include "services/text/nearest.h"
 
 namespace rips::actuator {
 namespace {
@@ -28,21 +27,6 @@ std::string ColourName(const Colour& colour) {
     if (each.colour == colour) return std::string(each.name);
   }
   return absl::StrFormat("#%02x%02x%02x", colour.red, colour.green, colour.blue);
-}
-
-// Insertions, deletions and substitutions of one byte that turn `a` into `b`.
-size_t EditDistance(absl::string_view a, absl::string_view b) {
-  std::vector<size_t> row(b.size() + 1);
-  std::iota(row.begin(), row.end(), 0);
-  for (size_t i = 1; i <= a.size(); ++i) {
-    size_t diagonal = std::exchange(row[0], i);
-    for (size_t j = 1; j <= b.size(); ++j) {
-      const size_t replaced = diagonal + (a[i - 1] == b[j - 1] ? 0 : 1);
-      diagonal = row[j];
-      row[j] = std::min({row[j] + 1, row[j - 1] + 1, replaced});
-    }
-  }
-  return row[b.size()];
 }
 
 }  // namespace
@@ -105,15 +89,19 @@ std::vector<AlarmState> AlarmStatesOf(AlarmKind kind) {
   return states;
 }
 
+// Of any two names.
+constexpr int kFar = 1'000;
+
 absl::StatusOr<AlarmState> ParseAlarmState(AlarmKind kind, absl::string_view text) {
   const absl::string_view cut = text.substr(0, 100);
-  std::optional<size_t> best;
+  int best = kFar + 1;
   std::string nearest;
   for (const AlarmState& state : AlarmStatesOf(kind)) {
     const std::string name = ToString(state);
     if (name == text) return state;
-    const size_t distance = EditDistance(absl::AsciiStrToLower(cut), absl::AsciiStrToLower(name));
-    if (!best.has_value() || distance < *best) {
+    const int distance =
+        EditDistance(absl::AsciiStrToLower(cut), absl::AsciiStrToLower(name), kFar);
+    if (distance < best) {
       best = distance;
       nearest = name;
     }

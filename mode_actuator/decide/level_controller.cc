@@ -4,8 +4,8 @@
 #include <utility>
 
 #include "absl/status/status.h"
-#include "absl/strings/escaping.h"
 #include "absl/strings/str_cat.h"
+#include "services/text/quote.h"
 
 namespace rips::actuator {
 namespace {
@@ -13,10 +13,6 @@ namespace {
 constexpr int64_t kPersistRetryNs = kNanosPerSecond;
 constexpr absl::string_view kStateLost = "state lost";
 constexpr absl::string_view kFoundAtStart = "the robot showed it at start";
-
-std::string Quote(absl::string_view text) {
-  return absl::StrCat("`", absl::CHexEscape(text.substr(0, 100)), "`");
-}
 
 }  // namespace
 
@@ -27,7 +23,7 @@ absl::StatusOr<LevelController> LevelController::Create(ExecutorOptions options,
   LevelController executor(std::move(options));
   const ExecutorOptions& o = executor.options_;
   if (o.fail_safe.has_value() && executor.LevelIndex(*o.fail_safe) < 0) {
-    return absl::InvalidArgumentError(absl::StrCat(Quote(*o.fail_safe), " is no level"));
+    return absl::InvalidArgumentError(absl::StrCat(QuoteBytes(*o.fail_safe), " is no level"));
   }
   if (o.fail_safe_after_ns < 0 || o.floor_hold_ns < 0 || o.reconcile_ns <= 0) {
     return absl::InvalidArgumentError("a negative time");
@@ -125,13 +121,13 @@ std::optional<Receipt> LevelController::Judge(const SetLevelCommand& command) co
   }
   const int to = LevelIndex(command.to);
   if (to < 0) {
-    return refuse(Receipt::Stage::kRefused,
-                  absl::StrCat("level ", Quote(command.to), " is not in this actuator's levels"));
+    return refuse(Receipt::Stage::kRefused, absl::StrCat("level ", QuoteBytes(command.to),
+                                                         " is not in this actuator's levels"));
   }
   if (command.mark == mark_ && to != decided_) {
     return refuse(Receipt::Stage::kRefused,
                   absl::StrCat("mark ", ToString(mark_), " names ",
-                               Quote(options_.levels[decided_]), " here"));
+                               QuoteBytes(options_.levels[decided_]), " here"));
   }
   if (command.mark < mark_) {
     return refuse(Receipt::Stage::kRefusedStale,
@@ -142,7 +138,7 @@ std::optional<Receipt> LevelController::Judge(const SetLevelCommand& command) co
                            (pending_.has_value() && *command.based_on == pending_->command.mark));
   if (command.mark != mark_ && to < decided_ && !names_held) {
     return refuse(Receipt::Stage::kRefused,
-                  absl::StrCat("lowering to ", Quote(command.to), " must be based on mark ",
+                  absl::StrCat("lowering to ", QuoteBytes(command.to), " must be based on mark ",
                                ToString(mark_)));
   }
   return std::nullopt;

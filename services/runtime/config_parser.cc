@@ -10,6 +10,8 @@
 #include "absl/strings/str_split.h"
 #include "services/runtime/config_reader.h"
 #include "services/runtime/config_tree.h"
+#include "services/text/nearest.h"
+#include "services/text/utf8.h"
 #include "yaml-cpp/eventhandler.h"
 #include "yaml-cpp/exceptions.h"
 #include "yaml-cpp/parser.h"
@@ -143,32 +145,12 @@ class TreeBuilder final : public YAML::EventHandler {
   bool too_deep_ = false;
 };
 
-// Edit distance, a swap of neighbours counting 1; at most `limit` + 1.
-int Distance(absl::string_view a, absl::string_view b, int limit) {
-  if (a.size() > b.size() + limit || b.size() > a.size() + limit) return limit + 1;
-  std::vector<std::vector<int>> cost(a.size() + 1, std::vector<int>(b.size() + 1));
-  for (size_t i = 0; i <= a.size(); ++i) {
-    for (size_t j = 0; j <= b.size(); ++j) {
-      if (i == 0 || j == 0) {
-        cost[i][j] = static_cast<int>(i + j);
-        continue;
-      }
-      cost[i][j] = std::min({cost[i - 1][j] + 1, cost[i][j - 1] + 1,
-                             cost[i - 1][j - 1] + (a[i - 1] == b[j - 1] ? 0 : 1)});
-      if (i > 1 && j > 1 && a[i - 1] == b[j - 2] && a[i - 2] == b[j - 1]) {
-        cost[i][j] = std::min(cost[i][j], cost[i - 2][j - 2] + 1);
-      }
-    }
-  }
-  return cost[a.size()][b.size()];
-}
-
 std::string Remedy(absl::string_view key, const std::vector<std::string>& known) {
   constexpr int kLimit = 2;
   int best_distance = kLimit + 1;
   absl::string_view best;
   for (const std::string& candidate : known) {
-    const int distance = Distance(key, candidate, kLimit);
+    const int distance = EditDistance(key, candidate, kLimit);
     if (distance < best_distance && 2 * static_cast<size_t>(distance) <= candidate.size()) {
       best_distance = distance;
       best = candidate;
@@ -177,12 +159,6 @@ std::string Remedy(absl::string_view key, const std::vector<std::string>& known)
   if (!best.empty()) return absl::StrCat("did you mean `", best, "`");
   if (known.empty()) return "no key is known here";
   return absl::StrCat("known keys are `", absl::StrJoin(known, "`, `"), "`");
-}
-
-// Code points in `bytes`, for columns shown to people.
-int CountCodePoints(absl::string_view bytes) {
-  return static_cast<int>(
-      std::count_if(bytes.begin(), bytes.end(), [](char c) { return (c & 0xc0) != 0x80; }));
 }
 
 }  // namespace

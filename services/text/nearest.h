@@ -9,8 +9,8 @@
 
 namespace rips {
 
-// Number of bytes to insert, delete or replace to make `b` of `a`; more than `limit` may be
-// returned as limit + 1.
+// Number of bytes to insert, delete or replace, or of neighbours to swap, to make `b` of `a`; more
+// than `limit` may be returned as limit + 1.
 int EditDistance(absl::string_view a, absl::string_view b, int limit);
 
 // The candidate at the smallest distance from `name`, at most 2 and less than its length;

@@ -3,11 +3,6 @@
 #include <cstdint>
 
 namespace rips {
-namespace {
-
-constexpr size_t kQuotedCodePointsMax = 64;
-
-}  // namespace
 
 CodePoint DecodeCodePoint(absl::string_view text, size_t offset) {
   const auto byte = [&](size_t i) { return static_cast<uint8_t>(text[offset + i]); };
@@ -75,20 +70,5 @@ void AppendUtf8(char32_t value, std::string* out) {
 }
 
 bool IsControl(char32_t value) { return value < 0x20 || (value >= 0x7F && value < 0xA0); }
-
-std::string Quote(absl::string_view text) {
-  std::string out = "`";
-  size_t count = 0;
-  for (size_t offset = 0; offset < text.size(); ++count) {
-    if (count == kQuotedCodePointsMax) {
-      out += "...";
-      break;
-    }
-    const CodePoint point = DecodeCodePoint(text, offset);
-    AppendUtf8(IsControl(point.value) ? kReplacementCharacter : point.value, &out);
-    offset += point.length;
-  }
-  return out + "`";
-}
 
 }  // namespace rips

@@ -37,10 +37,6 @@ void AppendUtf8(char32_t value, std::string* out);
 // C0 and C1 controls and DEL, which must not reach a terminal.
 bool IsControl(char32_t value);
 
-// `text` for a message: between backticks, at most 64 code points, controls and bad bytes as
-// U+FFFD.
-std::string Quote(absl::string_view text);
-
 }  // namespace rips
 
 #endif  // RIPS_SERVICES_TEXT_UTF8_H_

@@ -15,13 +15,13 @@
 #include <cstring>
 #include <utility>
 
-#include "absl/strings/escaping.h"
 #include "absl/strings/str_cat.h"
 #include "mode_actuator/helpers/exec/enter.h"
 #include "mode_actuator/steps/program/exec_message.h"
 #include "mode_actuator/steps/program/program_file.h"
 #include "services/base/status_macros.h"
 #include "services/runtime/real_clock.h"
+#include "services/text/quote.h"
 
 namespace rips::actuator {
 namespace {
@@ -31,10 +31,6 @@ constexpr int kPollMsMax = 1000;
 constexpr int kGonePollMs = 2;
 // Read from one program before the others get a turn.
 constexpr size_t kReadBytesPerTurn = 1 << 20;
-
-std::string Quote(absl::string_view text) {
-  return absl::StrCat("`", absl::CHexEscape(text.substr(0, 256)), "`");
-}
 
 // A copy whose number no descriptor of the new process has.
 UniqueFd OutOfTheWay(int fd) { return UniqueFd(fcntl(fd, F_DUPFD_CLOEXEC, kEnterReportFd + 1)); }
@@ -210,7 +206,7 @@ absl::StatusOr<const ProgramSpec*> PosixRunner::Find(absl::string_view name) con
     if (spec.name == name) return &spec;
   }
   return absl::PermissionDeniedError(
-      absl::StrCat("program ", Quote(name), " is not in the allow-list"));
+      absl::StrCat("program ", QuoteBytes(name), " is not in the allow-list"));
 }
 
 absl::StatusOr<UniqueFd> PosixRunner::Open(const ProgramSpec& spec) const {
@@ -219,7 +215,7 @@ absl::StatusOr<UniqueFd> PosixRunner::Open(const ProgramSpec& spec) const {
   if (spec.sha256.empty()) return file;
   const absl::Status same = CheckSha256(file.get(), spec.sha256);
   if (same.ok()) return file;
-  return absl::Status(same.code(), absl::StrCat(Quote(spec.path), ": ", same.message()));
+  return absl::Status(same.code(), absl::StrCat(QuoteBytes(spec.path), ": ", same.message()));
 }
 
 absl::Status PosixRunner::Examine(absl::string_view name) {
@@ -234,8 +230,9 @@ absl::Status PosixRunner::CheckLimits(const ProgramSpec& spec) {
     for (const auto& [id, other] : runs_) same += other->spec == &spec ? 1 : 0;
     if (stopping_) return absl::UnavailableError("stopping");
     if (same >= spec.concurrency) {
-      return absl::ResourceExhaustedError(absl::StrCat(
-          "program ", Quote(spec.name), " runs already, concurrency limit ", spec.concurrency));
+      return absl::ResourceExhaustedError(absl::StrCat("program ", QuoteBytes(spec.name),
+                                                       " runs already, concurrency limit ",
+                                                       spec.concurrency));
     }
     if (runs_.size() >= static_cast<size_t>(kRunsMax)) {
       return absl::ResourceExhaustedError(absl::StrCat("running programs exceed limit ", kRunsMax));
@@ -247,7 +244,7 @@ absl::Status PosixRunner::CheckLimits(const ProgramSpec& spec) {
   while (!starts.empty() && now_ns - starts.front() >= 60 * kNanosPerSecond) starts.pop_front();
   if (starts.size() >= static_cast<size_t>(spec.starts_per_minute)) {
     return absl::ResourceExhaustedError(
-        absl::StrCat("program ", Quote(spec.name), " was started ", starts.size(),
+        absl::StrCat("program ", QuoteBytes(spec.name), " was started ", starts.size(),
                      " times within a minute, rate limit ", spec.starts_per_minute, "/min"));
   }
   starts.push_back(now_ns);
@@ -275,7 +272,7 @@ absl::Status PosixRunner::Spawn(const ProgramRequest& request, int program_fd, R
           .Spawn(options_.enter, std::move(words), Environment(options_, request), &run.pid);
   if (error != 0) {
     return absl::UnavailableError(
-        absl::StrCat("cannot start ", Quote(options_.enter), ": ", std::strerror(error)));
+        absl::StrCat("cannot start ", QuoteBytes(options_.enter), ": ", std::strerror(error)));
   }
   child_output.Reset();
   child_report.Reset();
@@ -285,14 +282,14 @@ absl::Status PosixRunner::Spawn(const ProgramRequest& request, int program_fd, R
   siginfo_t info;
   waitid(P_PID, run.pid, &info, WEXITED);
   return absl::UnavailableError(
-      absl::StrCat("cannot start ", Quote(run.spec->path), ": ", started.message()));
+      absl::StrCat("cannot start ", QuoteBytes(run.spec->path), ": ", started.message()));
 }
 
 absl::StatusOr<uint64_t> PosixRunner::Start(const ProgramRequest& request, Done done) {
   RIPS_ASSIGN_OR_RETURN(const ProgramSpec* spec, Find(request.name));
   if (request.drill && !spec->drill) {
     return absl::PermissionDeniedError(
-        absl::StrCat("program ", Quote(spec->name), " may not be run as a drill"));
+        absl::StrCat("program ", QuoteBytes(spec->name), " may not be run as a drill"));
   }
   RIPS_RETURN_IF_ERROR(CheckProgramArgs(request.args));
   RIPS_ASSIGN_OR_RETURN(const UniqueFd file, Open(*spec));

@@ -8,20 +8,16 @@
 #include <utility>
 
 #include "absl/strings/ascii.h"
-#include "absl/strings/escaping.h"
 #include "absl/strings/match.h"
 #include "absl/strings/str_cat.h"
 #include "absl/strings/string_view.h"
 #include "mode_actuator/steps/alarm/frames.h"
+#include "services/text/quote.h"
 
 namespace rips::actuator {
 namespace {
 
 constexpr size_t kNameBytesMax = 64;
-
-std::string Quote(absl::string_view text) {
-  return absl::StrCat("`", absl::CHexEscape(text.substr(0, 100)), "`");
-}
 
 bool IsDeviceName(absl::string_view name) {
   if (name.empty() || name.size() > kNameBytesMax) return false;
@@ -55,15 +51,15 @@ void ReadIdentity(const ConfigSection& section, AlarmSpec* device) {
       section.Problem("serial", "an lcus_serial has no serial number; write `path`");
     } else if (device->kind == AlarmKind::kUsbRelay &&
                device->serial.size() > kUsbRelayIdBytesMax) {
-      section.Problem("serial", absl::StrCat(Quote(device->serial),
+      section.Problem("serial", absl::StrCat(QuoteBytes(device->serial),
                                              " is no id of a usb_relay: they "
                                              "have at most ",
                                              kUsbRelayIdBytesMax, " characters"));
     }
   } else if (device->path.front() != '/') {
-    section.Problem("path", absl::StrCat(Quote(device->path), " is not absolute"));
+    section.Problem("path", absl::StrCat(QuoteBytes(device->path), " is not absolute"));
   } else if (IsNumberedNode(device->path)) {
-    section.Problem("path", absl::StrCat(Quote(device->path),
+    section.Problem("path", absl::StrCat(QuoteBytes(device->path),
                                          " names another device after the "
                                          "next start; use `serial`, or a link that udev keeps"));
   }
@@ -73,7 +69,7 @@ AlarmSpec ReadDevice(const ConfigSection& section) {
   AlarmSpec device;
   section.Required("name", &device.name);
   if (!device.name.empty() && !IsDeviceName(device.name)) {
-    section.Problem("name", absl::StrCat(Quote(device.name),
+    section.Problem("name", absl::StrCat(QuoteBytes(device.name),
                                          " is no device name; use letters, digits, `_` and `-`"));
   }
   section.RequiredEnum<AlarmKind>("kind", &device.kind, AlarmKinds());
@@ -102,12 +98,12 @@ std::vector<AlarmSpec> ReadAlarmDevices(const ConfigSection& root) {
   for (const ConfigSection& section : sections) {
     AlarmSpec device = ReadDevice(section);
     if (!device.name.empty() && !names.insert(device.name).second) {
-      section.Problem("name", absl::StrCat("device ", Quote(device.name), " is listed twice"));
+      section.Problem("name", absl::StrCat("device ", QuoteBytes(device.name), " is listed twice"));
     }
     const auto [same, added] = outputs.emplace(
         std::tuple(device.kind, device.serial, device.path, device.channel), device.name);
     if (!added && !(device.serial.empty() && device.path.empty())) {
-      section.Problem("", absl::StrCat("the same output as device ", Quote(same->second)));
+      section.Problem("", absl::StrCat("the same output as device ", QuoteBytes(same->second)));
     }
     devices.push_back(std::move(device));
   }
@@ -124,7 +120,7 @@ AlarmStep ReadAlarmStep(const ConfigSection& section, const std::vector<AlarmSpe
   if (device == devices.end()) {
     if (!step.device.empty()) {
       section.Problem("device",
-                      absl::StrCat("device ", Quote(step.device), " is not in `devices`"));
+                      absl::StrCat("device ", QuoteBytes(step.device), " is not in `devices`"));
     }
     return step;
   }

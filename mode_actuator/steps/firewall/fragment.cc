@@ -6,11 +6,11 @@
 #include <utility>
 
 #include "absl/strings/ascii.h"
-#include "absl/strings/escaping.h"
 #include "absl/strings/match.h"
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_split.h"
 #include "services/base/status_macros.h"
+#include "services/text/quote.h"
 
 namespace rips::actuator {
 namespace {
@@ -21,10 +21,6 @@ constexpr std::array<absl::string_view, 12> kRefusedWords = {
     "handle", "position", "meter",   "map",     "vmap",   "redefine"};
 // `@ih,64,96` reads bytes of the packet; any other `@` names a set.
 constexpr std::array<absl::string_view, 4> kRawBases = {"ih,", "nh,", "th,", "ll,"};
-
-std::string Quote(absl::string_view text) {
-  return absl::StrCat("`", absl::CHexEscape(text.substr(0, 100)), "`");
-}
 
 bool IsWordChar(char c) { return absl::ascii_isalnum(c) || c == '_'; }
 
@@ -122,7 +118,7 @@ class Parser {
     const std::vector<absl::string_view> words =
         absl::StrSplit(line, absl::ByAnyChar(" \t"), absl::SkipEmpty());
     if (words.size() != 3 || words[0] != "chain" || words[2] != "{") {
-      return Refuse(absl::StrCat(Quote(line),
+      return Refuse(absl::StrCat(QuoteBytes(line),
                                  " is outside of a chain; write `chain input {`, "
                                  "`chain output {` or `chain forward {` first"));
     }
@@ -137,8 +133,8 @@ class Parser {
       open_ = false;
     }
     if (open_) return absl::OkStatus();
-    return Refuse(
-        absl::StrCat("chain ", Quote(words[1]), " is none of `input`, `output` and `forward`"));
+    return Refuse(absl::StrCat("chain ", QuoteBytes(words[1]),
+                               " is none of `input`, `output` and `forward`"));
   }
 
   bool open_ = false;  // inside a chain, of `hook_`

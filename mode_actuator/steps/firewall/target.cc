@@ -7,8 +7,8 @@
 #include <array>
 
 #include "absl/strings/ascii.h"
-#include "absl/strings/escaping.h"
 #include "absl/strings/str_cat.h"
+#include "services/text/quote.h"
 
 namespace rips::actuator {
 namespace {
@@ -16,13 +16,9 @@ namespace {
 constexpr size_t kMacLength = 17;     // 02:00:5e:00:53:01
 constexpr size_t kPrefixDigits = 24;  // 12 bytes
 
-std::string Quote(absl::string_view text) {
-  return absl::StrCat("`", absl::CHexEscape(text.substr(0, 100)), "`");
-}
-
 absl::Status NoHost(absl::string_view text, absl::string_view what) {
-  return absl::InvalidArgumentError(
-      absl::StrCat(Quote(text), " is ", what, "; an isolated host needs an address of its own"));
+  return absl::InvalidArgumentError(absl::StrCat(QuoteBytes(text), " is ", what,
+                                                 "; an isolated host needs an address of its own"));
 }
 
 absl::StatusOr<Target> FromIpv4(absl::string_view text, const in_addr& address) {
@@ -80,7 +76,7 @@ absl::StatusOr<Target> ParseHostTarget(absl::string_view text) {
   if (whole && inet_pton(AF_INET6, owned.c_str(), &v6) == 1) return FromIpv6(text, v6);
   if (IsMac(text)) return FromMac(text);
   return absl::InvalidArgumentError(
-      absl::StrCat(Quote(text), " is no IPv4, IPv6 or MAC address; names are not looked up"));
+      absl::StrCat(QuoteBytes(text), " is no IPv4, IPv6 or MAC address; names are not looked up"));
 }
 
 absl::StatusOr<Target> ParseParticipantTarget(absl::string_view text) {
@@ -88,10 +84,10 @@ absl::StatusOr<Target> ParseParticipantTarget(absl::string_view text) {
                                   [](unsigned char c) { return absl::ascii_isxdigit(c); });
   if (text.size() != kPrefixDigits || !digits) {
     return absl::InvalidArgumentError(absl::StrCat(
-        Quote(text), " is no GUID prefix; write its 12 bytes as 24 hexadecimal digits"));
+        QuoteBytes(text), " is no GUID prefix; write its 12 bytes as 24 hexadecimal digits"));
   }
   if (text.find_first_not_of('0') == absl::string_view::npos) {
-    return absl::InvalidArgumentError(absl::StrCat(Quote(text), " names no participant"));
+    return absl::InvalidArgumentError(absl::StrCat(QuoteBytes(text), " names no participant"));
   }
   return Target{TargetKind::kParticipant, absl::AsciiStrToLower(text)};
 }
@@ -108,7 +104,7 @@ absl::Status CheckMayBeIsolated(const Target& target, const KeptOpen& kept) {
     return absl::OkStatus();
   }
   return absl::InvalidArgumentError(
-      absl::StrCat(Quote(target.text), " is ", what, ", which is never isolated"));
+      absl::StrCat(QuoteBytes(target.text), " is ", what, ", which is never isolated"));
 }
 
 }  // namespace rips::actuator

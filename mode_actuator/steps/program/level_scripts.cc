@@ -10,26 +10,22 @@
 #include <utility>
 
 #include "absl/status/statusor.h"
-#include "absl/strings/escaping.h"
 #include "absl/strings/match.h"
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_join.h"
 #include "mode_actuator/steps/program/program_file.h"
 #include "services/base/status_macros.h"
 #include "services/runtime/unique_fd.h"
+#include "services/text/quote.h"
 
 namespace rips::actuator {
 namespace {
-
-std::string Quote(absl::string_view text) {
-  return absl::StrCat("`", absl::CHexEscape(text.substr(0, 256)), "`");
-}
 
 absl::StatusOr<std::set<std::string>> NamesIn(const std::string& directory) {
   DIR* open_directory = opendir(directory.c_str());
   if (open_directory == nullptr) {
     return absl::InvalidArgumentError(
-        absl::StrCat("scripts: ", Quote(directory), ": ", std::strerror(errno)));
+        absl::StrCat("scripts: ", QuoteBytes(directory), ": ", std::strerror(errno)));
   }
   std::set<std::string> names;
   while (const dirent* entry = readdir(open_directory)) {
@@ -39,8 +35,8 @@ absl::StatusOr<std::set<std::string>> NamesIn(const std::string& directory) {
   }
   closedir(open_directory);
   if (names.size() <= kScriptFilesMax) return names;
-  return absl::InvalidArgumentError(
-      absl::StrCat("scripts: the files in ", Quote(directory), " exceed limit ", kScriptFilesMax));
+  return absl::InvalidArgumentError(absl::StrCat("scripts: the files in ", QuoteBytes(directory),
+                                                 " exceed limit ", kScriptFilesMax));
 }
 
 Step ScriptStep(const std::string& name) {
@@ -83,7 +79,7 @@ absl::Status AddLevelScripts(const std::string& directory, std::vector<LevelSpec
     std::string place;
     std::vector<Step>* steps = ListOf(name, levels, &place);
     if (steps == nullptr) {
-      problems.push_back(absl::StrCat("scripts: ", Quote(path),
+      problems.push_back(absl::StrCat("scripts: ", QuoteBytes(path),
                                       " is of no level; files are called LEVEL.from and LEVEL.to"));
       continue;
     }
@@ -93,7 +89,8 @@ absl::Status AddLevelScripts(const std::string& directory, std::vector<LevelSpec
     }
     if (std::any_of(programs->begin(), programs->end(),
                     [&](const ProgramSpec& each) { return each.name == name; })) {
-      problems.push_back(absl::StrCat("scripts: a program is called ", Quote(name), " already"));
+      problems.push_back(
+          absl::StrCat("scripts: a program is called ", QuoteBytes(name), " already"));
       continue;
     }
     ProgramSpec program;

@@ -11,20 +11,16 @@
 #include <utility>
 #include <vector>
 
-#include "absl/strings/escaping.h"
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_split.h"
 #include "services/base/status_macros.h"
+#include "services/text/quote.h"
 
 namespace rips::actuator {
 namespace {
 
-std::string Quote(absl::string_view text) {
-  return absl::StrCat("`", absl::CHexEscape(text.substr(0, 256)), "`");
-}
-
 absl::Status Unsafe(absl::string_view path, absl::string_view why) {
-  return absl::PermissionDeniedError(absl::StrCat(Quote(path), " ", why));
+  return absl::PermissionDeniedError(absl::StrCat(QuoteBytes(path), " ", why));
 }
 
 absl::Status CheckComponent(const struct stat& info, absl::string_view path, bool last) {
@@ -57,7 +53,7 @@ absl::StatusOr<UniqueFd> Walk(int root_fd, absl::string_view path) {
     absl::StrAppend(&walked, "/", names[i]);
     UniqueFd next(openat(at.get(), names[i].c_str(), O_PATH | O_NOFOLLOW | O_CLOEXEC));
     if (next.get() < 0 || fstat(next.get(), &info) != 0) {
-      return absl::NotFoundError(absl::StrCat(Quote(walked), ": ", std::strerror(errno)));
+      return absl::NotFoundError(absl::StrCat(QuoteBytes(walked), ": ", std::strerror(errno)));
     }
     RIPS_RETURN_IF_ERROR(CheckComponent(info, walked, i + 1 == names.size()));
     at = std::move(next);

@@ -13,6 +13,7 @@
 #include "absl/strings/str_join.h"
 #include "absl/strings/str_split.h"
 #include "absl/strings/strip.h"
+#include "services/text/quote.h"
 #include "yaml-cpp/yaml.h"
 
 namespace rips::actuator {
@@ -20,10 +21,6 @@ namespace {
 
 constexpr size_t kPartsShown = 8;  // in one message
 constexpr int kNestingMax = 16;    // namespaces, and dots of a parameter name
-
-std::string Quote(absl::string_view text) {
-  return absl::StrCat("`", absl::CHexEscape(text.substr(0, 100)), "`");
-}
 
 std::string Absolute(absl::string_view name) {
   return name.empty() || name.front() != '/' ? absl::StrCat("/", name) : std::string(name);
@@ -109,7 +106,7 @@ class SmhReader {
       }
       const std::string& key = entry.first.Scalar();
       if (!seen.insert(key).second) {
-        Problem(entry.first.Mark(), absl::StrCat("duplicate key ", Quote(key)));
+        Problem(entry.first.Mark(), absl::StrCat("duplicate key ", QuoteBytes(key)));
         continue;
       }
       visit(key, entry.first, entry.second);
@@ -125,7 +122,7 @@ class SmhReader {
       const std::string part =
           absl::StrCat(prefix, "/", absl::StripPrefix(absl::StripSuffix(key, "/"), "/"));
       if (!value.IsMap()) {
-        Problem(at.Mark(), absl::StrCat("block ", Quote(part), " is not a map"));
+        Problem(at.Mark(), absl::StrCat("block ", QuoteBytes(part), " is not a map"));
       } else if (value["ros__parameters"]) {
         ReadPart(part, at, value["ros__parameters"]);
       } else {
@@ -136,7 +133,7 @@ class SmhReader {
 
   void ReadPart(const std::string& part, const YAML::Node& at, const YAML::Node& body) {
     if (raw_.contains(part) || smh_.nodes.contains(part)) {
-      Problem(at.Mark(), absl::StrCat("part ", Quote(part), " has two blocks"));
+      Problem(at.Mark(), absl::StrCat("part ", QuoteBytes(part), " has two blocks"));
       return;
     }
     const YAML::Node type = body.IsMap() ? body["type"] : YAML::Node();
@@ -151,13 +148,13 @@ class SmhReader {
     if (!is_node && !is_system) {
       faulty_.insert(part);
       Problem(type ? type.Mark() : at.Mark(),
-              absl::StrCat("`type` of ", Quote(part), " must be `node` or `system`"));
+              absl::StrCat("`type` of ", QuoteBytes(part), " must be `node` or `system`"));
       return;
     }
     const YAML::Node modes = body["modes"];
     if (!modes || !modes.IsMap() || modes.size() == 0) {
       faulty_.insert(part);
-      Problem(at.Mark(), absl::StrCat(Quote(part),
+      Problem(at.Mark(), absl::StrCat(QuoteBytes(part),
                                       " has no modes; the mode manager crashes at the "
                                       "first order, give it `__DEFAULT__` with a parameter "
                                       "(`use_sim_time: false` if it has none of its own)"));
@@ -166,7 +163,7 @@ class SmhReader {
     if (!modes.begin()->first.IsScalar() || modes.begin()->first.Scalar() != kDefaultMode) {
       faulty_.insert(part);
       Problem(modes.begin()->first.Mark(),
-              absl::StrCat("the first mode of ", Quote(part), " must be `__DEFAULT__`"));
+              absl::StrCat("the first mode of ", QuoteBytes(part), " must be `__DEFAULT__`"));
       return;
     }
     if (is_node) {
@@ -187,15 +184,16 @@ class SmhReader {
       const YAML::Node body = value.IsMap() ? value["ros__parameters"] : YAML::Node();
       if (body && body.IsMap()) ReadParameters(body, "", 0, parameters);
       if (parameters.empty()) {
-        Problem(at.Mark(), absl::StrCat("mode ", Quote(mode), " of node ", Quote(part),
+        Problem(at.Mark(), absl::StrCat("mode ", QuoteBytes(mode), " of node ", QuoteBytes(part),
                                         " has no parameter; `ros__parameters` needs at least one"));
       }
       const ParameterMap& defaults = node.modes[std::string(kDefaultMode)];
       if (mode != kDefaultMode) {
         for (const auto& [key, unused] : parameters) {
           if (!defaults.contains(key) && !defaults.empty()) {
-            Problem(at.Mark(), absl::StrCat("parameter ", Quote(key), " of mode ", Quote(mode),
-                                            " is not in `__DEFAULT__` of ", Quote(part)));
+            Problem(at.Mark(),
+                    absl::StrCat("parameter ", QuoteBytes(key), " of mode ", QuoteBytes(mode),
+                                 " is not in `__DEFAULT__` of ", QuoteBytes(part)));
           }
         }
       }
@@ -218,7 +216,7 @@ class SmhReader {
       } else if (value.IsScalar()) {
         out[full] = ReadValue(value);
       } else {
-        Problem(at.Mark(), absl::StrCat("parameter ", Quote(full),
+        Problem(at.Mark(), absl::StrCat("parameter ", QuoteBytes(full),
                                         " must be a string, integer, "
                                         "boolean or float"));
       }
@@ -253,8 +251,8 @@ class SmhReader {
     RawSystem& system = raw_[part];
     ForEach(modes, [&](const std::string& mode, const YAML::Node& at, const YAML::Node& value) {
       if (!value.IsMap() || value.size() == 0) {
-        Problem(at.Mark(),
-                absl::StrCat("mode ", Quote(mode), " of system ", Quote(part), " names no part"));
+        Problem(at.Mark(), absl::StrCat("mode ", QuoteBytes(mode), " of system ", QuoteBytes(part),
+                                        " names no part"));
         return;
       }
       system.places[mode] = at.Mark();
@@ -265,7 +263,7 @@ class SmhReader {
                 if (const std::optional<PartTarget> target = ReadTarget(state)) {
                   targets[target_part] = {*target, state.Mark()};
                 } else {
-                  Problem(state.Mark(), absl::StrCat("state of ", Quote(key),
+                  Problem(state.Mark(), absl::StrCat("state of ", QuoteBytes(key),
                                                      " must be `inactive`, "
                                                      "`active` or `active.MODE`, in lower case"));
                   targets[target_part] = {{PartState::kInactive, ""}, key_at.Mark()};
@@ -301,7 +299,7 @@ class SmhReader {
   void CheckTarget(const std::string& part, const RawTarget& raw, absl::string_view where) {
     if (!raw_.contains(part) && !smh_.nodes.contains(part)) {
       if (missing_.insert(part).second) {
-        Problem(raw.at, absl::StrCat("part ", Quote(part), " (", where,
+        Problem(raw.at, absl::StrCat("part ", QuoteBytes(part), " (", where,
                                      ") has no block; the mode "
                                      "manager crashes at the first order, add one"));
       }
@@ -309,7 +307,8 @@ class SmhReader {
     }
     if (faulty_.contains(part)) return;
     if (raw.target.state == PartState::kActive && !HasMode(part, raw.target.mode)) {
-      Problem(raw.at, absl::StrCat("part ", Quote(part), " has no mode ", Quote(raw.target.mode)));
+      Problem(raw.at, absl::StrCat("part ", QuoteBytes(part), " has no mode ",
+                                   QuoteBytes(raw.target.mode)));
     }
   }
 
@@ -319,12 +318,12 @@ class SmhReader {
       system.parts = raw.default_order;
       const absl::btree_map<std::string, RawTarget>* defaults = nullptr;
       for (const auto& [mode, targets] : raw.modes) {
-        const std::string where = absl::StrCat("mode ", Quote(mode), " of ", Quote(name));
+        const std::string where = absl::StrCat("mode ", QuoteBytes(mode), " of ", QuoteBytes(name));
         for (const auto& [part, target] : targets) {
           CheckTarget(part, target, where);
           if (defaults != nullptr && !defaults->contains(part)) {
-            Problem(target.at,
-                    absl::StrCat("part ", Quote(part), " of ", where, " is not in `__DEFAULT__`"));
+            Problem(target.at, absl::StrCat("part ", QuoteBytes(part), " of ", where,
+                                            " is not in `__DEFAULT__`"));
           }
         }
         if (defaults == nullptr) defaults = &targets;
@@ -357,14 +356,15 @@ class SmhReader {
     std::set_symmetric_difference(listed.begin(), listed.end(), used.begin(), used.end(),
                                   std::back_inserter(differing));
     const size_t shown = std::min(differing.size(), kPartsShown);
-    smh_.warnings.push_back(absl::StrCat(
-        name_, ":", Position(raw.parts.Mark()), ": `parts` of ", Quote(name), " names ",
-        listed.size(), ", its `__DEFAULT__` ", used.size(),
-        ", which is what counts; in one of them only: ",
-        absl::StrJoin(
-            differing.begin(), differing.begin() + shown, ", ",
-            [](std::string* out, const std::string& part) { absl::StrAppend(out, Quote(part)); }),
-        shown < differing.size() ? ", ..." : ""));
+    smh_.warnings.push_back(
+        absl::StrCat(name_, ":", Position(raw.parts.Mark()), ": `parts` of ", QuoteBytes(name),
+                     " names ", listed.size(), ", its `__DEFAULT__` ", used.size(),
+                     ", which is what counts; in one of them only: ",
+                     absl::StrJoin(differing.begin(), differing.begin() + shown, ", ",
+                                   [](std::string* out, const std::string& part) {
+                                     absl::StrAppend(out, QuoteBytes(part));
+                                   }),
+                     shown < differing.size() ? ", ..." : ""));
   }
 
   // --- rules
@@ -373,7 +373,7 @@ class SmhReader {
     for (const auto& [name, raw] : raw_) {
       if (raw.rules.IsNull()) continue;
       if (!raw.rules.IsMap()) {
-        Problem(raw.rules.Mark(), absl::StrCat("`rules` of ", Quote(name), " is not a map"));
+        Problem(raw.rules.Mark(), absl::StrCat("`rules` of ", QuoteBytes(name), " is not a map"));
         continue;
       }
       const std::string system = name;
@@ -388,7 +388,7 @@ class SmhReader {
     const YAML::Node if_part = body.IsMap() ? body["if_part"] : YAML::Node();
     const YAML::Node new_target = body.IsMap() ? body["new_target"] : YAML::Node();
     if (!if_target || !if_part || !new_target || body.size() != 3) {
-      Problem(at.Mark(), absl::StrCat("rule ", Quote(rule),
+      Problem(at.Mark(), absl::StrCat("rule ", QuoteBytes(rule),
                                       " needs exactly `if_target`, `if_part` "
                                       "and `new_target`"));
       return;
@@ -403,12 +403,13 @@ class SmhReader {
     const std::string part = Absolute(if_part[0].Scalar());
     const auto& parts = smh_.systems[system].parts;
     if (std::find(parts.begin(), parts.end(), part) == parts.end()) {
-      Problem(if_part[0].Mark(), absl::StrCat(Quote(part), " is not a part of ", Quote(system)));
+      Problem(if_part[0].Mark(),
+              absl::StrCat(QuoteBytes(part), " is not a part of ", QuoteBytes(system)));
     } else {
       CheckRuleTarget(part, if_part[1]);
     }
-    smh_.warnings.push_back(absl::StrCat(name_, ":", Position(at.Mark()), ": rule ", Quote(rule),
-                                         " of ", Quote(system),
+    smh_.warnings.push_back(absl::StrCat(name_, ":", Position(at.Mark()), ": rule ",
+                                         QuoteBytes(rule), " of ", QuoteBytes(system),
                                          " lets the mode manager leave a mode that was ordered"));
   }
 
@@ -419,7 +420,7 @@ class SmhReader {
     } else if (target->state == PartState::kActive && !faulty_.contains(part) &&
                (raw_.contains(part) || smh_.nodes.contains(part)) && !HasMode(part, target->mode)) {
       Problem(text.Mark(),
-              absl::StrCat("part ", Quote(part), " has no mode ", Quote(target->mode)));
+              absl::StrCat("part ", QuoteBytes(part), " has no mode ", QuoteBytes(target->mode)));
     }
   }
 
@@ -437,14 +438,14 @@ class SmhReader {
     const auto system = smh_.systems.find(part);
     if (system == smh_.systems.end() || done.contains(part)) return;
     if (std::find(path.begin(), path.end(), part) != path.end()) {
-      Problem(
-          YAML::Mark::null_mark(),
-          absl::StrCat("system ", Quote(part), " contains itself: ", absl::StrJoin(path, " > ")));
+      Problem(YAML::Mark::null_mark(),
+              absl::StrCat("system ", QuoteBytes(part),
+                           " contains itself: ", absl::StrJoin(path, " > ")));
       return;
     }
     if (path.size() >= static_cast<size_t>(kNestingMax)) {
       Problem(YAML::Mark::null_mark(),
-              absl::StrCat("systems nested deeper than ", kNestingMax, " at ", Quote(part)));
+              absl::StrCat("systems nested deeper than ", kNestingMax, " at ", QuoteBytes(part)));
       return;
     }
     path.push_back(part);

@@ -3,18 +3,14 @@
 #include <utility>
 
 #include "absl/status/status.h"
-#include "absl/strings/escaping.h"
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_join.h"
 #include "mode_actuator/steps/system_mode/smh.h"
 #include "services/base/status_macros.h"
+#include "services/text/quote.h"
 
 namespace rips::actuator {
 namespace {
-
-std::string Quote(absl::string_view text) {
-  return absl::StrCat("`", absl::CHexEscape(text.substr(0, 100)), "`");
-}
 
 std::string Absolute(absl::string_view name) {
   return name.empty() || name.front() != '/' ? absl::StrCat("/", name) : std::string(name);
@@ -29,7 +25,7 @@ absl::Status Collect(const Smh& smh, const std::string& part, const PartTarget& 
       const auto mode = node->second.modes.find(target.mode);
       if (mode == node->second.modes.end()) {
         return absl::NotFoundError(
-            absl::StrCat("node ", Quote(part), " has no mode ", Quote(target.mode)));
+            absl::StrCat("node ", QuoteBytes(part), " has no mode ", QuoteBytes(target.mode)));
       }
       expected.parameters = mode->second;
     }
@@ -37,21 +33,21 @@ absl::Status Collect(const Smh& smh, const std::string& part, const PartTarget& 
     if (!inserted &&
         (at->second.state != expected.state || at->second.parameters != expected.parameters)) {
       return absl::FailedPreconditionError(
-          absl::StrCat("two systems want different things of node ", Quote(part)));
+          absl::StrCat("two systems want different things of node ", QuoteBytes(part)));
     }
     return absl::OkStatus();
   }
   const auto system = smh.systems.find(part);
   if (system == smh.systems.end()) {
-    return absl::NotFoundError(absl::StrCat("no part ", Quote(part), " in the SMH file"));
+    return absl::NotFoundError(absl::StrCat("no part ", QuoteBytes(part), " in the SMH file"));
   }
   const bool active = target.state == PartState::kActive;
   const auto mode = system->second.modes.find(active ? target.mode : std::string(kDefaultMode));
   if (mode == system->second.modes.end()) {
     return absl::NotFoundError(absl::StrCat(
-        "system ", Quote(part), " has no mode ", Quote(target.mode), "; it has ",
+        "system ", QuoteBytes(part), " has no mode ", QuoteBytes(target.mode), "; it has ",
         absl::StrJoin(system->second.modes, ", ", [](std::string* text, const auto& known) {
-          absl::StrAppend(text, Quote(known.first));
+          absl::StrAppend(text, QuoteBytes(known.first));
         })));
   }
   for (const auto& [child, child_target] : mode->second) {

@@ -9,13 +9,10 @@
 #include "absl/strings/str_cat.h"
 #include "mode_actuator/steps/system_mode/mode_hold.h"
 #include "services/base/status_macros.h"
+#include "services/text/quote.h"
 
 namespace rips::actuator {
 namespace {
-
-std::string Quote(absl::string_view text) {
-  return absl::StrCat("`", absl::CHexEscape(text.substr(0, 100)), "`");
-}
 
 struct Part {
   explicit Part(const std::string& name) : hold(name) {}
@@ -171,8 +168,9 @@ bool SystemModes::Impl::Tell(Task& task, int64_t end_ns, Attempt& attempt) {
   if (order.ok()) {
     task.told = manager.server();
     attempt.hopeless = true;
-    attempt.reading.status = absl::InvalidArgumentError(absl::StrCat(
-        "the mode manager refuses ", Quote(task.mode), "; does it run with the same SMH file?"));
+    attempt.reading.status =
+        absl::InvalidArgumentError(absl::StrCat("the mode manager refuses ", QuoteBytes(task.mode),
+                                                "; does it run with the same SMH file?"));
   } else {
     attempt.hopeless = may_go_direct();
     attempt.reading.status =
@@ -339,12 +337,13 @@ absl::Status SystemModes::Impl::CheckManager(const std::string& name, Part& part
   const absl::StatusOr<std::vector<std::string>> available = part.manager->AvailableModes();
   if (absl::IsDataLoss(available.status())) return available.status();
   if (!available.ok()) {
-    return absl::UnavailableError(absl::StrCat("no mode manager of ", Quote(name), " answers"));
+    return absl::UnavailableError(
+        absl::StrCat("no mode manager of ", QuoteBytes(name), " answers"));
   }
   for (const std::string& mode : modes) {
     if (std::find(available->begin(), available->end(), mode) != available->end()) continue;
-    return absl::FailedPreconditionError(absl::StrCat("the mode manager of ", Quote(name),
-                                                      " has no mode ", Quote(mode),
+    return absl::FailedPreconditionError(absl::StrCat("the mode manager of ", QuoteBytes(name),
+                                                      " has no mode ", QuoteBytes(mode),
                                                       "; it runs with another SMH file"));
   }
   return absl::OkStatus();

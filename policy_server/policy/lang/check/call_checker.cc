@@ -11,7 +11,7 @@
 #include "policy_server/policy/lang/syntax/value_text.h"
 #include "re2/re2.h"
 #include "services/text/nearest.h"
-#include "services/text/utf8.h"
+#include "services/text/quote.h"
 
 namespace rips::lang {
 namespace {

@@ -17,6 +17,7 @@
 #include "policy_server/policy/lang/check/usage.h"
 #include "policy_server/policy/lang/limits.h"
 #include "services/text/nearest.h"
+#include "services/text/quote.h"
 #include "services/text/utf8.h"
 
 namespace rips::lang {

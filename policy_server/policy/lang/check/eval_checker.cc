@@ -14,7 +14,7 @@
 #include "policy_server/policy/lang/syntax/lexer.h"
 #include "policy_server/policy/lang/syntax/literal.h"
 #include "policy_server/policy/lang/syntax/parser.h"
-#include "services/text/utf8.h"
+#include "services/text/quote.h"
 
 namespace rips::lang {
 namespace {

@@ -8,7 +8,7 @@
 #include "absl/strings/str_cat.h"
 #include "policy_server/policy/lang/check/fold.h"
 #include "policy_server/policy/lang/limits.h"
-#include "services/text/utf8.h"
+#include "services/text/quote.h"
 
 namespace rips::lang {
 namespace {

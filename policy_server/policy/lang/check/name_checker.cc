@@ -11,7 +11,7 @@
 #include "absl/strings/str_split.h"
 #include "absl/strings/strip.h"
 #include "policy_server/policy/lang/check/expr_checker.h"
-#include "services/text/utf8.h"
+#include "services/text/quote.h"
 
 namespace rips::lang {
 namespace {

@@ -4,6 +4,7 @@
 #include <cstdint>
 
 #include "absl/strings/str_cat.h"
+#include "policy_server/policy/lang/check/compile.h"
 #include "policy_server/policy/lang/diagnostic/diagnostic_sink.h"
 #include "policy_server/policy/lang/diagnostic/source.h"
 #include "policy_server/policy/lang/format/layout.h"

@@ -11,6 +11,7 @@
 #include "absl/strings/str_format.h"
 #include "policy_server/policy/lang/syntax/literal.h"
 #include "re2/re2.h"
+#include "services/text/quote.h"
 #include "services/text/utf8.h"
 
 namespace rips::lang {

@@ -10,7 +10,7 @@
 #include "policy_server/policy/lang/syntax/literal.h"
 #include "policy_server/policy/lang/syntax/token_operator.h"
 #include "services/text/nearest.h"
-#include "services/text/utf8.h"
+#include "services/text/quote.h"
 
 namespace rips::lang {
 namespace {

@@ -8,6 +8,7 @@
 #include "policy_server/policy/lang/syntax/literal.h"
 #include "policy_server/policy/lang/syntax/value_text.h"
 #include "services/text/nearest.h"
+#include "services/text/quote.h"
 #include "services/text/utf8.h"
 
 namespace rips::lang {
@@ -134,6 +135,8 @@ TEST(NearestTest, GuessesAtDistanceTwo) {
   EXPECT_EQ(Nearest("nothing", {"alert"}), "");
   EXPECT_EQ(Nearest("x", {"y"}), "");
   EXPECT_EQ(EditDistance("abc", "abc", 2), 0);
+  EXPECT_EQ(EditDistance("topic", "tpoic", 2), 1) << "a swap";
+  EXPECT_EQ(EditDistance("abcd", "badc", 2), 2);
   EXPECT_EQ(EditDistance("abc", "abcdefg", 2), 3);
 }
 
