@@ -43,7 +43,7 @@ struct Config {
   std::vector<AlarmSpec> devices;  // alarms
   std::vector<LevelSpec> levels;   // least restrictive first, as in the bundle
   std::vector<ProgramSpec> programs;
-  std::string scripts;  // directory of level scripts (exec/level_scripts.h); empty: none
+  std::string scripts;  // directory of level scripts (steps/program/level_scripts.h); empty: none
   ExecSettings exec;
   FirewallSettings firewall;
   absl::Duration floor_hold = absl::Seconds(10);  // live lease needed before a floor lifts

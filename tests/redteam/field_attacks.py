@@ -80,7 +80,8 @@ class Attacked:
     def operator(self):
         """What an operator asks of the whole fleet, and of r2."""
         robots = {r["robot"]: r for r in self.fleet.query("robot", "list")["robots"]}
-        check(set(robots) == {"probe", "r1", "r2"}, f"robots are missing from the list: {sorted(robots)}")
+        check(set(robots) == {"new", "probe", "r1", "r2"},
+              f"not the robots of the inventory: {sorted(robots)}")
         for verb in (("robot", "coverage", "r2"), ("robot", "interest", "r2"),
                      ("level", "show", "r2"),
                      ("level", "history", "r2", "--limit", "1000"),

@@ -20,7 +20,7 @@ class RuleImage {
   static absl::StatusOr<std::shared_ptr<const RuleImage>> Create(
       const std::vector<std::shared_ptr<const YaraRules>>& files);
 
-  // As helper/jail_spec.h describes it; sealed.
+  // As jail_spec.h describes it; sealed.
   int fd() const { return memory_.get(); }
 
  private:
