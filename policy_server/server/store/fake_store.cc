@@ -84,6 +84,20 @@ std::vector<size_t> FakeStore::commit_sizes() const {
   return commit_sizes_;
 }
 
+void FakeStore::OnQuestion(std::function<void()> hook) {
+  MutexLock lock(&mutex_);
+  on_question_ = std::move(hook);
+}
+
+void FakeStore::Question() {
+  std::function<void()> hook;
+  {
+    MutexLock lock(&mutex_);
+    hook = on_question_;
+  }
+  if (hook) hook();
+}
+
 absl::StatusOr<RobotRecord> FakeStore::Load(absl::string_view robot) {
   MutexLock lock(&mutex_);
   RIPS_RETURN_IF_ERROR(read_status_);
@@ -95,6 +109,7 @@ absl::StatusOr<RobotRecord> FakeStore::Load(absl::string_view robot) {
 }
 
 absl::StatusOr<uint64_t> FakeStore::NextTerm(absl::string_view robot, uint64_t above) {
+  Question();
   MutexLock lock(&mutex_);
   RIPS_RETURN_IF_ERROR(write_status_);
   RobotRecord& record = state_.robots[std::string(robot)];
@@ -104,6 +119,7 @@ absl::StatusOr<uint64_t> FakeStore::NextTerm(absl::string_view robot, uint64_t a
 
 absl::StatusOr<std::optional<std::string>> FakeStore::FindDecision(absl::string_view robot,
                                                                    const Mark& mark) {
+  Question();
   MutexLock lock(&mutex_);
   RIPS_RETURN_IF_ERROR(read_status_);
   for (const TransitionRecord& each : state_.transitions) {

@@ -27,6 +27,8 @@ class FakeStore final : public Store, public BanStore {
   void FailReads(absl::Status status) ABSL_LOCKS_EXCLUDED(mutex_);
   // Called at the start of each commit, without lock: a test may block there, as a slow disk does.
   void OnCommit(std::function<void()> hook) ABSL_LOCKS_EXCLUDED(mutex_);
+  // The same at the start of each FindDecision and NextTerm.
+  void OnQuestion(std::function<void()> hook) ABSL_LOCKS_EXCLUDED(mutex_);
   // Successful transactions so far, and how many batches each had.
   std::vector<size_t> commit_sizes() const ABSL_LOCKS_EXCLUDED(mutex_);
 
@@ -85,7 +87,10 @@ class FakeStore final : public Store, public BanStore {
   absl::Status write_status_ ABSL_GUARDED_BY(mutex_);
   bool full_ ABSL_GUARDED_BY(mutex_) = false;
   absl::Status read_status_ ABSL_GUARDED_BY(mutex_);
+  void Question() ABSL_LOCKS_EXCLUDED(mutex_);
+
   std::function<void()> on_commit_ ABSL_GUARDED_BY(mutex_);
+  std::function<void()> on_question_ ABSL_GUARDED_BY(mutex_);
   std::vector<size_t> commit_sizes_ ABSL_GUARDED_BY(mutex_);
 };
 

@@ -1,0 +1,63 @@
+#include "policy_server/server/shard/store_recorder.h"
+
+#include "absl/time/time.h"
+#include "gmock/gmock.h"
+#include "gtest/gtest.h"
+#include "policy_server/server/store/committer.h"
+#include "policy_server/server/store/fake_store.h"
+#include "services/base/status_matchers.h"
+#include "services/runtime/bounded_queue.h"
+
+namespace rips::pipeline {
+namespace {
+
+constexpr absl::Duration kPatience = absl::Seconds(30);
+
+class StoreRecorderTest : public ::testing::Test {
+ protected:
+  store::FakeStore store_;
+  store::Committer committer_{&store_};
+  BoundedQueue<absl::StatusOr<uint64_t>> terms_{{.capacity = 10'000}};
+  BoundedQueue<FoundDecision> found_{{.capacity = 10}};
+  StoreRecorder recorder_{&store_, &committer_};
+};
+
+TEST_F(StoreRecorderTest, AHangingDiskDoesNotBlockTheCaller) {
+  BoundedQueue<int> asked{{.capacity = 10}};
+  BoundedQueue<int> go_on{{.capacity = 1}};
+  store_.OnQuestion([&] {
+    asked.Push(1);
+    go_on.Pop(kPatience);
+  });
+  recorder_.NextTerm("r1", 7, [&](const auto& term) { terms_.Push(term); });
+  recorder_.FindDecision("r1", {3, 1}, [&](const auto& found) { found_.Push(found); });
+  // Both calls have returned, and the store still works on the first.
+  ASSERT_TRUE(asked.Pop(kPatience).has_value());
+  EXPECT_FALSE(terms_.Pop(absl::ZeroDuration()).has_value());
+  store_.OnQuestion(nullptr);
+  go_on.Push(1);
+  const auto term = terms_.Pop(kPatience);
+  ASSERT_TRUE(term.has_value());
+  ASSERT_THAT(*term, IsOk());
+  EXPECT_EQ(**term, 8u);
+  const auto found = found_.Pop(kPatience);
+  ASSERT_TRUE(found.has_value());
+  ASSERT_THAT(*found, IsOk());
+  EXPECT_FALSE((*found)->has_value());
+}
+
+TEST_F(StoreRecorderTest, TooManyQuestionsAreRefusedAtOnce) {
+  BoundedQueue<int> go_on{{.capacity = 1}};
+  store_.OnQuestion([&] { go_on.Pop(kPatience); });
+  for (int i = 0; i < 5'000; ++i) {
+    recorder_.NextTerm("r1", 0, [&](const auto& term) { terms_.Push(term); });
+  }
+  const auto refused = terms_.Pop(kPatience);
+  ASSERT_TRUE(refused.has_value());
+  EXPECT_THAT(refused->status(), StatusIs(absl::StatusCode::kUnavailable));
+  store_.OnQuestion(nullptr);
+  go_on.Push(1);
+}
+
+}  // namespace
+}  // namespace rips::pipeline
