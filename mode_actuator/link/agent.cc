@@ -31,6 +31,7 @@
 #include "services/dds/node_announcer.h"
 #include "services/dds/participant.h"
 #include "services/runtime/atomic_file.h"
+#include "services/runtime/cancel_flag.h"
 #include "services/runtime/log.h"
 #include "services/runtime/mutex.h"
 

@@ -11,6 +11,7 @@
 #include "mode_actuator/steps/alarm/alarm_attempt.h"
 #include "mode_actuator/steps/level_executor.h"
 #include "services/ros2/ros_name.h"
+#include "services/runtime/cancel_flag.h"
 #include "services/runtime/mutex.h"
 
 namespace rips::actuator {

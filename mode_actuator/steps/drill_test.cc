@@ -11,6 +11,7 @@
 #include "gtest/gtest.h"
 #include "mode_actuator/steps/level_executor.h"
 #include "mode_actuator/steps/workers.h"
+#include "services/runtime/cancel_flag.h"
 #include "services/runtime/mutex.h"
 #include "services/runtime/real_clock.h"
 

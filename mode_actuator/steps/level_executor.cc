@@ -12,6 +12,7 @@
 #include "absl/strings/str_replace.h"
 #include "mode_actuator/steps/alarm/alarm_attempt.h"
 #include "mode_actuator/steps/mode_survey.h"
+#include "services/runtime/cancel_flag.h"
 #include "services/runtime/mutex.h"
 
 namespace rips::actuator {

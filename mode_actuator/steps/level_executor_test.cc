@@ -7,6 +7,7 @@
 #include "gmock/gmock.h"
 #include "gtest/gtest.h"
 #include "mode_actuator/steps/workers.h"
+#include "services/runtime/cancel_flag.h"
 #include "services/runtime/mutex.h"
 #include "services/runtime/real_clock.h"
 

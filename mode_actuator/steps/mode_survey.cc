@@ -9,6 +9,7 @@
 #include "absl/strings/escaping.h"
 #include "absl/strings/str_cat.h"
 #include "absl/strings/string_view.h"
+#include "services/runtime/cancel_flag.h"
 
 namespace rips::actuator {
 namespace {

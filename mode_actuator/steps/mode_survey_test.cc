@@ -9,6 +9,7 @@
 #include "gmock/gmock.h"
 #include "gtest/gtest.h"
 #include "services/base/fake_clock.h"
+#include "services/runtime/cancel_flag.h"
 
 namespace rips::actuator {
 namespace {

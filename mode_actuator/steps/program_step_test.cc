@@ -11,6 +11,7 @@
 #include "gmock/gmock.h"
 #include "gtest/gtest.h"
 #include "mode_actuator/steps/level_executor.h"
+#include "services/runtime/cancel_flag.h"
 #include "services/runtime/real_clock.h"
 
 namespace rips::actuator {

@@ -3,6 +3,7 @@
 #include <utility>
 
 #include "services/runtime/atomic_file.h"
+#include "services/runtime/cancel_flag.h"
 
 namespace rips::actuator {
 

@@ -103,6 +103,7 @@ class Player {
   }
 
   void External(Choices& choices) {
+    static_assert(std::variant_size_v<ExternalEvent> == 6);
     switch (choices.Pick(6)) {
       case 0:
         return Judge(ExternalEvent(std::in_place_type<IdsEvent>,

@@ -11,6 +11,7 @@
 #include "services/base/status_matchers.h"
 #include "services/dds/participant.h"
 #include "services/dds/service_client.h"
+#include "services/runtime/cancel_flag.h"
 #include "services/runtime/real_clock.h"
 #include "tests/integration/bus_world.h"
 

@@ -13,6 +13,7 @@
 #include "services/dds/service_client.h"
 #include "services/dds/test_world.h"
 #include "services/ros2/system_modes_messages.h"
+#include "services/runtime/cancel_flag.h"
 #include "services/runtime/real_clock.h"
 #include "tests/support/robot_sim/living_robot.h"
 

@@ -11,7 +11,7 @@ import sys
 
 ROOT = pathlib.Path(__file__).resolve().parents[2]
 TOP = {"proto", "services", "sensor_agent", "policy_server", "mode_actuator", "deploy", "rules",
-       "tests", "README.md", "LICENSE", "CMakeLists.txt", "CMakePresets.json", ".clang-format",
+       "tests", "README.md", "CONTRIBUTING.md", "LICENSE", "CMakeLists.txt", "CMakePresets.json", ".clang-format",
        ".clang-tidy", ".gitignore", ".ci"}
 IMPURE = re.compile(r"#include [<\"](thread|mutex|atomic|fstream|iostream|random|chrono|grpc.*|"
                     r"dds/.*|sqlite3.*|.*\.pb\.h)[>\"]|absl::Now\(|getenv\(")

@@ -23,6 +23,7 @@
 #include "services/base/fake_clock.h"
 #include "services/base/status_matchers.h"
 #include "services/runtime/atomic_file.h"
+#include "services/runtime/cancel_flag.h"
 #include "services/runtime/unique_fd.h"
 
 namespace rips::actuator {

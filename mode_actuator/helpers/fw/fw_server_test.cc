@@ -19,6 +19,7 @@
 #include "mode_actuator/steps/firewall/fw_client.h"
 #include "services/base/status_matchers.h"
 #include "services/runtime/atomic_file.h"
+#include "services/runtime/cancel_flag.h"
 
 namespace rips::actuator {
 namespace {

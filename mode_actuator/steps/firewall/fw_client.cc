@@ -10,6 +10,7 @@
 #include "services/base/clock.h"
 #include "services/base/status_macros.h"
 #include "services/local_socket/helper_socket.h"
+#include "services/runtime/cancel_flag.h"
 #include "services/runtime/real_clock.h"
 #include "services/runtime/unique_fd.h"
 

@@ -7,6 +7,7 @@
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_join.h"
 #include "services/base/status_macros.h"
+#include "services/runtime/cancel_flag.h"
 
 namespace rips::actuator {
 namespace {

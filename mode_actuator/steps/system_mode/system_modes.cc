@@ -9,6 +9,7 @@
 #include "absl/strings/str_cat.h"
 #include "mode_actuator/steps/system_mode/mode_hold.h"
 #include "services/base/status_macros.h"
+#include "services/runtime/cancel_flag.h"
 #include "services/text/quote.h"
 
 namespace rips::actuator {

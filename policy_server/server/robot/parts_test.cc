@@ -1,13 +1,7 @@
-// The pipeline's small parts, and its threads.
-#include <atomic>
-
+// A robot's small parts.
 #include "absl/strings/str_format.h"
 #include "gmock/gmock.h"
 #include "policy_server/server/robot/robot_fixture.h"
-#include "policy_server/server/shard/mailbox.h"
-#include "policy_server/server/shard/pipeline.h"
-#include "policy_server/server/shard/store_recorder.h"
-#include "policy_server/server/store/fake_store.h"
 #include "services/base/status_matchers.h"
 
 namespace rips::pipeline {
@@ -120,9 +114,9 @@ TEST(AlertLimiterTest, FoldsWhatExceedsTheBurst) {
   EXPECT_TRUE(limiter.Admit({.rule = "other"}, At(100))) << "rules do not share";
 }
 
-class CommandLedgerTest : public ::testing::Test {
+class CommandReconcilerTest : public ::testing::Test {
  protected:
-  CommandLedgerTest() : ledger_({"a", "b"}, [this] { return absl::StrCat("c", ++ids_); }) {}
+  CommandReconcilerTest() : ledger_({"a", "b"}, [this] { return absl::StrCat("c", ++ids_); }) {}
 
   Receipt Answer(const Outgoing& outgoing, Receipt::Stage stage) {
     return {.command_id = outgoing.command.id,
@@ -134,7 +128,7 @@ class CommandLedgerTest : public ::testing::Test {
   CommandReconciler ledger_;
 };
 
-TEST_F(CommandLedgerTest, ALevelIsVerifiedWhenEveryListedActuatorSaysSo) {
+TEST_F(CommandReconcilerTest, ALevelIsVerifiedWhenEveryListedActuatorSaysSo) {
   ledger_.Order({1, 1}, 1, "ALERT", "rule x", /*lowers=*/false);
   ledger_.Attach("a", {}, 0, "DEFAULT", {}, At(100));
   const auto first = ledger_.Due(1, At(100));
@@ -151,7 +145,7 @@ TEST_F(CommandLedgerTest, ALevelIsVerifiedWhenEveryListedActuatorSaysSo) {
   EXPECT_EQ(ledger_.stage(), Stage::kVerified);
 }
 
-TEST_F(CommandLedgerTest, ALoweringNamesTheMarkTheActuatorHolds) {
+TEST_F(CommandReconcilerTest, ALoweringNamesTheMarkTheActuatorHolds) {
   ledger_.Attach("a", {1, 4}, 2, "COMPROMISED", {}, At(100));
   ledger_.Order({1, 5}, 1, "ALERT", "operator alice", /*lowers=*/true);
 
@@ -162,7 +156,7 @@ TEST_F(CommandLedgerTest, ALoweringNamesTheMarkTheActuatorHolds) {
   EXPECT_EQ(std::get<SetLevel>(due[0].command.what).from, "COMPROMISED");
 }
 
-TEST_F(CommandLedgerTest, ALoweringThatFailedUnacknowledgedIsStillBasedOnTheMarkBefore) {
+TEST_F(CommandReconcilerTest, ALoweringThatFailedUnacknowledgedIsStillBasedOnTheMarkBefore) {
   ledger_.Attach("a", {1, 4}, 2, "COMPROMISED", {}, At(100));
   ledger_.Order({1, 5}, 1, "ALERT", "operator alice", /*lowers=*/true);
   const auto due = ledger_.Due(1, At(100));
@@ -175,7 +169,7 @@ TEST_F(CommandLedgerTest, ALoweringThatFailedUnacknowledgedIsStillBasedOnTheMark
   EXPECT_EQ(std::get<SetLevel>(again[0].command.what).based_on, (Mark{1, 4}));
 }
 
-TEST_F(CommandLedgerTest, ALoweringRightAfterARaiseIsBasedOnTheRaiseOnceThatIsHeld) {
+TEST_F(CommandReconcilerTest, ALoweringRightAfterARaiseIsBasedOnTheRaiseOnceThatIsHeld) {
   ledger_.Attach("a", {1, 1}, 0, "DEFAULT", {}, At(100));
   ledger_.Order({1, 2}, 2, "COMPROMISED", "rule up", /*lowers=*/false);
   const auto raise = ledger_.Due(1, At(100));
@@ -190,7 +184,7 @@ TEST_F(CommandLedgerTest, ALoweringRightAfterARaiseIsBasedOnTheRaiseOnceThatIsHe
   EXPECT_EQ(std::get<SetLevel>(lowering[0].command.what).from, "COMPROMISED");
 }
 
-TEST_F(CommandLedgerTest, ARefusedLoweringIsTriedAgainWithTheDecisionThatIsHeldByThen) {
+TEST_F(CommandReconcilerTest, ARefusedLoweringIsTriedAgainWithTheDecisionThatIsHeldByThen) {
   ledger_.Attach("a", {1, 1}, 1, "ALERT", {}, At(100));
   ledger_.Order({1, 2}, 2, "COMPROMISED", "rule up", /*lowers=*/false);
   const auto raise = ledger_.Due(1, At(100));
@@ -206,7 +200,7 @@ TEST_F(CommandLedgerTest, ARefusedLoweringIsTriedAgainWithTheDecisionThatIsHeldB
   EXPECT_EQ(std::get<SetLevel>(again[0].command.what).based_on, (Mark{1, 2}));
 }
 
-TEST_F(CommandLedgerTest, TheNewestMarkUnderAnotherLevelIsNotTheNewestDecision) {
+TEST_F(CommandReconcilerTest, TheNewestMarkUnderAnotherLevelIsNotTheNewestDecision) {
   CommandReconciler ledger({"a"}, [] { return "id"; });
   ledger.Order({1, 5}, 0, "DEFAULT", "", /*lowers=*/true);
   ledger.Attach("a", {1, 5}, 3, "HALT", {}, At(100));
@@ -215,7 +209,7 @@ TEST_F(CommandLedgerTest, TheNewestMarkUnderAnotherLevelIsNotTheNewestDecision) 
   EXPECT_EQ(ledger.stage(), Stage::kAcknowledged);
 }
 
-TEST_F(CommandLedgerTest, AFailureFromBeforeTheSessionWaitsForTheFirstHeartbeat) {
+TEST_F(CommandReconcilerTest, AFailureFromBeforeTheSessionWaitsForTheFirstHeartbeat) {
   for (const bool verified : {true, false}) {
     CommandReconciler ledger({"a"}, [] { return "id"; });
     ledger.Order({1, 5}, 2, "COMPROMISED", "restored", /*lowers=*/false);
@@ -235,7 +229,7 @@ TEST_F(CommandLedgerTest, AFailureFromBeforeTheSessionWaitsForTheFirstHeartbeat)
   }
 }
 
-TEST_F(CommandLedgerTest, ReceiptsOfOlderDecisionsChangeNothing) {
+TEST_F(CommandReconcilerTest, ReceiptsOfOlderDecisionsChangeNothing) {
   ledger_.Attach("a", {}, 0, "DEFAULT", {}, At(100));
   ledger_.Order({1, 1}, 1, "ALERT", "", /*lowers=*/false);
   const auto old = ledger_.Due(1, At(100));
@@ -246,7 +240,7 @@ TEST_F(CommandLedgerTest, ReceiptsOfOlderDecisionsChangeNothing) {
   EXPECT_EQ(ledger_.stage(), Stage::kRequested);
 }
 
-TEST_F(CommandLedgerTest, ALoweringIsVerifiedOnlyAtItsLevelARaiseAlsoAbove) {
+TEST_F(CommandReconcilerTest, ALoweringIsVerifiedOnlyAtItsLevelARaiseAlsoAbove) {
   for (const bool lowers : {false, true}) {
     CommandReconciler ledger({"a"}, [] { return "id"; });
     ledger.Attach("a", {1, 1}, 2, "COMPROMISED", {}, At(100));
@@ -260,7 +254,7 @@ TEST_F(CommandLedgerTest, ALoweringIsVerifiedOnlyAtItsLevelARaiseAlsoAbove) {
   }
 }
 
-TEST_F(CommandLedgerTest, NoFinalReceiptInTimeIsAFailure) {
+TEST_F(CommandReconcilerTest, NoFinalReceiptInTimeIsAFailure) {
   CommandReconciler ledger({"a"}, [] { return "id"; });
   ledger.Attach("a", {}, 0, "DEFAULT", {}, At(100));
   ledger.Order({1, 1}, 1, "ALERT", "", /*lowers=*/false);
@@ -271,113 +265,6 @@ TEST_F(CommandLedgerTest, NoFinalReceiptInTimeIsAFailure) {
   EXPECT_EQ(ledger.stage(), Stage::kAcknowledged);
   ledger.Due(1, At(120));
   EXPECT_EQ(ledger.stage(), Stage::kFailed);
-}
-
-// What several threads may tell at once.
-class CountingAudience final : public RobotObserver {
- public:
-  void OnAlert(const store::AlertRecord&) override { ++alerts; }
-  void OnNotice(const std::string&) override {}
-  void OnStatus(const RobotStatus&) override { ++statuses; }
-  void OnRuleLog(const std::string&, const std::string&, const std::string&) override {}
-  std::atomic<int> alerts = 0;
-  std::atomic<int> statuses = 0;
-};
-
-TEST(PipelineTest, RunsTasksOnTheRobotsThreadInOrderControlFirst) {
-  FakeClock clock;
-  store::FakeStore store;
-  store::Committer committer(&store);
-  StoreRecorder recorder(&store, &committer);
-  CountingAudience audience;
-  std::atomic<int> ids = 0;
-  Pipeline pipeline(2, &clock);
-  const std::vector<lang::SourceFile> files = {{.path = "t.rul", .text = kPaperRules}};
-  const auto program = *engine::CompiledPolicy::Create(*lang::Compile(files).rules);
-  for (const char* id : {"r1", "r2", "r3"}) {
-    ASSERT_THAT(pipeline.Add({.id = id}, {.program = program, .bundle_id = "b"}, Timing{}, {}, 1,
-                             {.recorder = &recorder,
-                              .audience = &audience,
-                              .new_id = [&ids] { return absl::StrFormat("%032x", ++ids); }}),
-                IsOk());
-  }
-  // Before Start nothing runs: control overtakes messages that were posted earlier.
-  std::vector<int> order;  // touched on r1's thread alone
-  const auto note = [&order](int n) { return [&order, n](Robot&) { order.push_back(n); }; };
-  ASSERT_THAT(pipeline.Post("r1", Lane::kMessages, note(3)), IsOk());
-  ASSERT_THAT(pipeline.Post("r1", Lane::kControl, note(1)), IsOk());
-  ASSERT_THAT(pipeline.Post("r1", Lane::kControl, note(2)), IsOk());
-
-  pipeline.Start();
-  std::atomic<int> raised = 0;
-  pipeline.ForEach([&](Robot& robot) {
-    robot.Raise({.operator_name = "alice", .to = "HALT", .reason = "drill"},
-                [&raised](const LevelAnswer& answer) { raised += answer.status.ok() ? 1 : 0; });
-  });
-  // The answers come when the committer's thread has made the decisions durable.
-  while (raised < 3) pipeline.ForEach([](Robot&) {});
-  ASSERT_THAT(pipeline.Post("r1", Lane::kMessages, note(4)), IsOk());
-  std::atomic<bool> last = false;
-  while (!last) {
-    pipeline.ForEach([&](Robot& robot) {
-      if (robot.id() == "r1") last = order.size() == 4;
-    });
-  }
-  pipeline.Stop();
-  committer.Stop();
-
-  EXPECT_THAT(order, ::testing::ElementsAre(1, 2, 3, 4));
-  EXPECT_EQ(store.ListTransitions("r2", 10)->front().to, "HALT");
-  EXPECT_GE(audience.statuses, 3);
-}
-
-TEST(PipelineTest, RefusesUnknownRobotsAndTasksPastItsLimit) {
-  FakeClock clock;
-  FakeRecorder recorder;
-  FakeObserver audience;
-  Pipeline pipeline(1, &clock, {.control_max = 2, .messages_max = 1});
-  const std::vector<lang::SourceFile> files = {{.path = "t.rul", .text = kPaperRules}};
-  ASSERT_THAT(
-      pipeline.Add({.id = "r1"},
-                   {.program = *engine::CompiledPolicy::Create(*lang::Compile(files).rules)},
-                   Timing{}, {}, 1,
-                   {.recorder = &recorder, .audience = &audience, .new_id = [] { return "id"; }}),
-      IsOk());
-  const auto nothing = [](Robot&) {};
-
-  EXPECT_THAT(pipeline.Post("r9", Lane::kControl, nothing), StatusIs(absl::StatusCode::kNotFound));
-  EXPECT_THAT(pipeline.Post("r1", Lane::kMessages, nothing), IsOk());
-  EXPECT_THAT(pipeline.Post("r1", Lane::kMessages, nothing),
-              StatusIs(absl::StatusCode::kResourceExhausted));
-  EXPECT_THAT(pipeline.Post("r1", Lane::kControl, nothing), IsOk());
-}
-
-TEST(MailboxTest, CutsAFloodingPeerOffAndNobodyElse) {
-  FakeClock clock;
-  FakeRecorder recorder;
-  FakeObserver audience;
-  Pipeline pipeline(1, &clock, {.control_max = 100, .messages_max = 100});
-  const std::vector<lang::SourceFile> files = {{.path = "t.rul", .text = kPaperRules}};
-  ASSERT_THAT(
-      pipeline.Add({.id = "r1"},
-                   {.program = *engine::CompiledPolicy::Create(*lang::Compile(files).rules)},
-                   Timing{}, {}, 1,
-                   {.recorder = &recorder, .audience = &audience, .new_id = [] { return "id"; }}),
-      IsOk());
-  const auto nothing = [](Robot&) {};
-  Mailbox flooding(&pipeline, "r1", {.tasks = 3, .bytes = 1'000});
-  Mailbox large(&pipeline, "r1", {.tasks = 3, .bytes = 1'000});
-  Mailbox other(&pipeline, "r1");
-  Mailbox unknown(&pipeline, "r9");
-
-  for (int i = 0; i < 3; ++i) ASSERT_THAT(flooding.Post(Lane::kControl, 1, nothing), IsOk());
-  EXPECT_THAT(flooding.Post(Lane::kControl, 1, nothing),
-              StatusIs(absl::StatusCode::kResourceExhausted));
-  EXPECT_THAT(large.Post(Lane::kMessages, 1'001, nothing),
-              StatusIs(absl::StatusCode::kResourceExhausted));
-  EXPECT_THAT(other.Post(Lane::kControl, 1, nothing), IsOk());
-  EXPECT_THAT(unknown.Post(Lane::kControl, 1, nothing),
-              StatusIs(absl::StatusCode::kPermissionDenied));
 }
 
 }  // namespace

@@ -5,17 +5,16 @@
 namespace rips::engine {
 namespace {
 
-struct Describer {
-  std::string operator()(const MessageEvent& message) const {
-    const std::string from = message.sender.empty()
-                                 ? absl::StrCat("(unattributed ", ToString(message.writer), ")")
-                                 : std::string(message.sender);
-    return absl::StrCat("message on ", message.topic, " from ", from);
-  }
-  std::string operator()(const GraphEvent&) const { return "graph change"; }
-  std::string operator()(const ExternalEvent& external) const {
-    return std::visit(*this, external);
-  }
+std::string DescribeMessage(const MessageEvent& message) {
+  const std::string from = message.sender.empty()
+                               ? absl::StrCat("(unattributed ", ToString(message.writer), ")")
+                               : std::string(message.sender);
+  return absl::StrCat("message on ", message.topic, " from ", from);
+}
+
+// Not a function for the variant itself, to which each alternative converts: a kind that lacks here
+// does not compile.
+struct ExternalDescriber {
   std::string operator()(const IdsEvent& ids) const {
     return absl::StrCat("ids alert ", ids.gid, ":", ids.sid, " ", ids.message);
   }
@@ -38,6 +37,12 @@ struct Describer {
 
 }  // namespace
 
-std::string Describe(const Event& event) { return std::visit(Describer(), event.what); }
+std::string Describe(const Event& event) {
+  const auto* external = std::get_if<ExternalEvent>(&event.what);
+  if (external != nullptr) return std::visit(ExternalDescriber(), *external);
+  if (const auto* message = std::get_if<MessageEvent>(&event.what))
+    return DescribeMessage(*message);
+  return "graph change";
+}
 
 }  // namespace rips::engine
