@@ -37,7 +37,7 @@ class PacketSocket {
   // For poll.
   int fd() const { return fd_.get(); }
   // Hands on what is there, at most kReadMax. How many packets were read, whatever they held. OK
-  // while interface is down. The system's error otherwise.
+  // while the interface is down. The system's error otherwise.
   static constexpr size_t kReadMax = 64;
   using Use = std::function<void(const UdpDatagram&)>;
   absl::StatusOr<size_t> Read(const Use& use);

@@ -451,25 +451,31 @@ absl::Status ConnectionGuard::OnIdentified(absl::string_view peer, const std::st
                                            bool agent) {
   const std::string name = DecodePeer(peer);
   const int64_t now_ns = clock_->Now().boottime_ns;
-  MutexLock lock(&mu_);
-  const auto it = connections_.find(name);
-  if (it == connections_.end()) return absl::OkStatus();
-  Connection& connection = *it->second;
-  if (connection.certificate().empty()) {
-    int& count = certificates_[certificate];
-    if (count >= (agent ? options_.per_agent : options_.per_operator)) {
-      return absl::ResourceExhaustedError(
-          absl::StrCat("this certificate has ", count, " connections already"));
+  std::shared_ptr<Connection> connection;
+  {
+    MutexLock lock(&mu_);
+    const auto it = connections_.find(name);
+    if (it == connections_.end()) return absl::OkStatus();
+    connection = it->second;
+    if (connection->certificate().empty()) {
+      int& count = certificates_[certificate];
+      if (count >= (agent ? options_.per_agent : options_.per_operator)) {
+        // It has been told why; what follows on it is not worth an answer each.
+        if (connection->told_.exchange(true)) connection->End();
+        return absl::ResourceExhaustedError(
+            absl::StrCat("this certificate has ", count, " connections already"));
+      }
+      ++count;
+      connection->Identify(certificate, agent);
     }
-    ++count;
-    connection.Identify(certificate, agent);
+    if (!agent || MayCallLocked(certificate, now_ns)) {
+      admission_.Identified(connection->source(), now_ns);
+      return absl::OkStatus();
+    }
   }
-  if (agent && !MayCallLocked(certificate, now_ns)) {
-    connection.Exceed(Excess::kCalls);
-    return absl::ResourceExhaustedError("this certificate begins too many streams");
-  }
-  admission_.Identified(connection.source(), now_ns);
-  return absl::OkStatus();
+  // At once: hundreds may follow before the next look.
+  EndFor(*connection, Excess::kCalls);
+  return absl::ResourceExhaustedError("this certificate begins too many streams");
 }
 
 void ConnectionGuard::ForgetLocked(const Connection& connection) {

@@ -77,6 +77,8 @@ class Connection {
   const Source source_;
   const int64_t taken_ns_;
   const UniqueFd socket_;
+  // A call on it was refused, since its certificate has too many connections.
+  std::atomic<bool> told_ = false;
   // It has sent enough to be a peer of ours.
   std::atomic<bool> spoke_ = false;
   mutable Mutex mu_;

@@ -185,7 +185,7 @@ TEST_F(ConnectionGuardTest, EndsTheOldestConnectionWithoutACertificateForANewOne
               grpc::StatusCode::UNIMPLEMENTED)
         << "one with a certificate stays";
     EXPECT_TRUE(flood.front()->EndsWithin(kPatience));
-    EXPECT_EQ(FindPeers().size(), 4);
+    EXPECT_LE(FindPeers().size(), 4u);
     server_->Shutdown(absl::ZeroDuration());
   }
 }

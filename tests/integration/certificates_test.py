@@ -243,7 +243,7 @@ def metrics_ports_that_are_taken(fleet):
 
     fleet.wait_level("DEFAULT", 40)
     for process in (fleet.server, fleet.sensor, fleet.actuator):
-        check(told(process, "metrics are not served"), f"{process.name} does not say so")
+        check(told(process, "cannot serve metrics"), f"{process.name} does not say so")
     alerts = fleet.query("alert", "list", "--limit", "1000")["alerts"]
     check(any(alert["robot"] == "(server)" and alert["severity"] == "critical" and
               "cannot serve metrics" in alert["text"] for alert in alerts), f"{alerts}")
@@ -288,7 +288,7 @@ def the_modes_keystore_comes_late(fleet):
 
     eventually(mark.exists, 20, "the alarm of the fail-safe level")
     check(fleet.actuator.running, "the actuator has ended")
-    check(told(fleet.actuator, "no way to the System Modes"), "it does not say so")
+    check(told(fleet.actuator, "System Modes unreachable"), "it does not say so")
     status, body = page(fleet.pages["actuator"], "/readyz")
     check(status == 503 and "keystore" in body, f"{status} {body}")
 

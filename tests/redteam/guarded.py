@@ -24,8 +24,10 @@ SERVED_S = 2
 # From the connection of an agent to the server's answer to its hello.
 ADMITTED_S = 2
 # From the sending of an observation to the arrival of what the rules order, of a robot that is not
-# attacked: 99 of 100, and any.
+# attacked: 99 of 100, and any. A short run has some 200 verdicts, of which 99 of 100 would be all
+# but two: there it is 95 of 100.
 VERDICT_P99_S = 0.05
+SHARE = 0.99 if ATTACK_S >= 30 else 0.95
 VERDICT_S = 2
 PROBE_RULES = """
 levels: DEFAULT; ALERT;
@@ -150,14 +152,14 @@ class Guarded(Fleet):
                    if path.is_file()) + (self.dir / "policy-server.log").stat().st_size
 
     def verdicts(self):
-        """(p50, p99, longest) of robot `probe`, seconds, from before the attack until now."""
+        """(p50, SHARE, longest) of robot `probe`, seconds, from before the attack until now."""
         self.probe.kill(signal.SIGTERM, 60)
         got = next((json.loads(line) for _, line in self.probe.lines if line.startswith("{")), None)
         check(got is not None and len(got["seconds"]) > 10, f"no verdicts: {self.probe.lines[-3:]}")
         lost = [line for _, line in self.probe.lines if line.startswith("lost")]
         check(not lost, f"a stream of another robot was lost: {lost[:5]}")
         times = sorted(got["seconds"])
-        return times[len(times) // 2], times[int(0.99 * (len(times) - 1))], times[-1]
+        return times[len(times) // 2], times[int(SHARE * (len(times) - 1))], times[-1]
 
     def newcomers(self):
         """How long each new agent waited until it was admitted, seconds, until now."""

@@ -157,7 +157,7 @@ void PrintResult(const Result& result, const RuleSet& rules, bool profile, std::
     out << "left out: " << result.left_out << " more entries than the lists below may hold\n";
   }
   PrintTable("Levels", kChangeHeader, result.transitions, result.timed, out);
-  PrintTable("List and watch alerts", kAlertHeader, result.alerts, result.timed, out);
+  PrintTable("Alerts", kAlertHeader, result.alerts, result.timed, out);
   PrintTable("Programs", kExecHeader, result.execs, result.timed, out);
   PrintTable("Faults", kNoteHeader, result.faults, result.timed, out);
   PrintTable("True and False", kNoteHeader, result.logs, result.timed, out);
@@ -211,7 +211,7 @@ void PrintDifference(const replay::Difference& difference, bool timed, std::ostr
   out << "; level at the end: " << EscapeText(difference.level_before) << " with --rules, "
       << EscapeText(difference.level_after) << " with --against\n";
   PrintBoth("Levels", kChangeHeader, difference.transitions, timed, out);
-  PrintBoth("List and watch alerts", kAlertHeader, difference.alerts, timed, out);
+  PrintBoth("Alerts", kAlertHeader, difference.alerts, timed, out);
   PrintBoth("Programs", kExecHeader, difference.execs, timed, out);
   PrintVariables(difference, out);
 }
