@@ -36,7 +36,7 @@ using ::testing::SizeIs;
 
 constexpr absl::Duration kLong = absl::Seconds(60);
 
-class QuietAudience final : public pipeline::RobotObserver {
+class QuietObserver final : public pipeline::RobotObserver {
  public:
   void OnAlert(const store::AlertRecord&) override {}
   void OnNotice(const std::string&) override {}
@@ -153,7 +153,7 @@ class FleetTest : public ::testing::Test {
   FakeClock clock_;
   RealClock real_clock_;
   store::FakeStore store_;
-  QuietAudience audience_;
+  QuietObserver audience_;
   std::unique_ptr<store::Committer> committer_;
   std::unique_ptr<pipeline::StoreRecorder> recorder_;
   std::unique_ptr<pipeline::ServerAlerts> alerts_;

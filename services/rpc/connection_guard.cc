@@ -393,7 +393,7 @@ bool ConnectionGuard::MakeRoomLocked(const Source& source, Admission::Verdict li
   if (!in_address && !in_network && limit != Admission::Verdict::kTotal) return false;
   if (made_room_ >= kRoomPerLook) return false;
   std::shared_ptr<Connection> victim;
-  const auto worth = [&](const Connection& connection) {
+  const auto worth = [&](const Connection& connection) ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_) {
     return std::tuple(admission_.Known(connection.source(), now_ns), connection.spoke_.load(),
                       connection.taken_ns_);
   };

@@ -45,7 +45,7 @@ struct TimedActuator final : ActuatorLink {
   const Clock* clock_;
 };
 
-class SilentAudience final : public RobotObserver {
+class SilentObserver final : public RobotObserver {
  public:
   void OnAlert(const store::AlertRecord&) override {}
   void OnNotice(const std::string&) override {}
@@ -127,7 +127,7 @@ class FairnessTest : public ::testing::Test {
   store::FakeStore store_;
   store::Committer committer_{&store_};
   StoreRecorder recorder_{&store_, &committer_};
-  SilentAudience audience_;
+  SilentObserver audience_;
   std::atomic<int> ids_ = 0;
   std::shared_ptr<const engine::CompiledPolicy> program_;
   std::atomic<int> flooded_ = 0;

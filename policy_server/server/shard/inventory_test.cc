@@ -40,7 +40,7 @@ class Gate {
   BoundedQueue<int> open_{{.capacity = 1}};
 };
 
-class QuietAudience final : public RobotObserver {
+class QuietObserver final : public RobotObserver {
  public:
   void OnAlert(const store::AlertRecord&) override { ++alerts; }
   void OnNotice(const std::string&) override {}
@@ -100,7 +100,7 @@ class LiveFleetTest : public ::testing::Test {
   store::FakeStore store_;
   store::Committer committer_{&store_};
   StoreRecorder recorder_{&store_, &committer_};
-  QuietAudience audience_;
+  QuietObserver audience_;
   std::atomic<int> ids_ = 0;
   std::shared_ptr<const engine::CompiledPolicy> program_;
   Gate gate_;

@@ -15,7 +15,7 @@ namespace rips::pipeline {
 namespace {
 
 // What several threads may tell at once.
-class CountingAudience final : public RobotObserver {
+class CountingObserver final : public RobotObserver {
  public:
   void OnAlert(const store::AlertRecord&) override { ++alerts; }
   void OnNotice(const std::string&) override {}
@@ -30,7 +30,7 @@ TEST(PipelineTest, RunsTasksOnTheRobotsThreadInOrderControlFirst) {
   store::FakeStore store;
   store::Committer committer(&store);
   StoreRecorder recorder(&store, &committer);
-  CountingAudience audience;
+  CountingObserver audience;
   std::atomic<int> ids = 0;
   Pipeline pipeline(2, &clock);
   const std::vector<lang::SourceFile> files = {{.path = "t.rul", .text = kPaperRules}};

@@ -22,7 +22,7 @@ using ::testing::HasSubstr;
 
 constexpr absl::Duration kLong = absl::Seconds(60);
 
-class QuietAudience final : public RobotObserver {
+class QuietObserver final : public RobotObserver {
  public:
   void OnAlert(const store::AlertRecord&) override { ++alerts; }
   void OnNotice(const std::string& text) override { notices.push_back(text); }
@@ -60,7 +60,7 @@ class StoreWatchTest : public ::testing::Test {
   FakeClock clock_;
   store::FakeStore store_;
   store::Committer committer_{&store_, {}, &clock_};
-  QuietAudience audience_;
+  QuietObserver audience_;
   std::atomic<int> ids_ = 0;
   ServerAlerts alerts_{&committer_, &audience_, &clock_,
                        [this] { return absl::StrFormat("%032x", ++ids_); }};
