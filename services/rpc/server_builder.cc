@@ -17,8 +17,8 @@ namespace {
 
 // One connection carries one agent's stream, or an operator's few calls. A client over the limit
 // hangs without an error, so it is generous; services refuse by status.
-// The streams and calls that one operator may have, and some orders; what comes at once costs others
-// the time to begin it.
+// The streams and calls that one operator may have, and some orders; what comes at once costs
+// others the time to begin it.
 constexpr int kStreamsPerConnectionMax = 32;
 // Bytes a peer may send ahead of our reading.
 constexpr int kLookaheadBytes = 256 << 10;

@@ -1,0 +1,222 @@
+#include "tests/simulation/invariants.h"
+
+#include <algorithm>
+
+#include "absl/strings/match.h"
+#include "absl/strings/str_cat.h"
+
+namespace rips::simulation {
+
+using actuator::ExecutorReport;
+
+void Checker::Fail(absl::string_view invariant, absl::string_view what, absl::string_view detail) {
+  if (violation_.has_value()) return;
+  violation_ = {std::string(invariant),
+                detail.empty() ? std::string(what) : absl::StrCat(what, ": ", detail)};
+}
+
+bool Checker::LoweredBetween(const Mark& from, const Mark& to) const {
+  for (auto it = decisions_.upper_bound(from); it != decisions_.end() && it->first <= to; ++it) {
+    if (it->second.lowers && it->second.durable) return true;
+  }
+  return false;
+}
+
+// --- the server and its store
+
+void Checker::OnServerStart(int64_t now_ns) {
+  judged_ = judged_durably_;
+  quiet_since_ns_ = now_ns;
+}
+
+void Checker::CheckLowering(const store::DecisionRecord& decision, int64_t now_ns) {
+  const int from = LevelIndex(decision.from);
+  if (absl::StartsWith(decision.cause, "operator ")) {
+    ++counts_.operator_lowerings;
+    if (ordered_.contains(decision.reason)) return;
+    return Fail("I1", "no operator ordered this lowering", ToString(decision.mark));
+  }
+  ++counts_.soft_lowerings;
+  const bool soft_step = absl::StartsWith(decision.cause, "rule ") && decision.from == "ALERT" &&
+                         LevelIndex(decision.to) == from - 1;
+  if (!soft_step) return Fail("I1", "the level is lowered by accident", decision.cause);
+  if (now_ns - quiet_since_ns_ < kSoftHoldNs) {
+    Fail("I1", "a rule lowers without evidence for the whole hold", ToString(decision.mark));
+  }
+}
+
+void Checker::OnRecord(const store::WriteBatch& batch, int64_t now_ns) {
+  for (const store::DecisionRecord& decision : batch.decisions) {
+    const auto [it, fresh] = decisions_.try_emplace(decision.mark);
+    if (!fresh && it->second.record != decision) {
+      Fail("I1", "one mark names two decisions", ToString(decision.mark));
+    }
+    if (!fresh) continue;
+    ++counts_.decisions;
+    const bool lowers = LevelIndex(decision.to) < LevelIndex(decision.from);
+    it->second = {.record = decision, .lowers = lowers};
+    if (lowers) CheckLowering(decision, now_ns);
+  }
+  for (const store::StageUpdate& stage : batch.stages) {
+    if (stage.stage == "verified" && !verified_.contains(stage.mark)) {
+      Fail("I7", "a level is recorded as verified that was not read back", ToString(stage.mark));
+    }
+  }
+}
+
+void Checker::OnDurable(const store::WriteBatch& batch, const store::RobotRecord& record) {
+  for (const store::DecisionRecord& each : batch.decisions) decisions_[each.mark].durable = true;
+  for (const store::AlertRecord& alert : batch.alerts) durable_alerts_.insert(alert.id);
+  const int level = LevelIndex(record.level);
+  if (level < durable_level_ && !LoweredBetween(durable_mark_, record.mark)) {
+    Fail("I1", "the recorded level sinks without a lowering", ToString(record.mark));
+  }
+  durable_mark_ = record.mark;
+  durable_level_ = level;
+  for (const auto& [lane, sequence] : record.high_water) {
+    uint64_t& known = high_water_[lane];
+    const std::vector<uint64_t>& ids = numbered_[lane];
+    for (; known < sequence; ++known) {
+      if (known >= ids.size()) return Fail("I3", "a sequence is recorded that no sensor gave");
+      if (ids[known] == 0) continue;
+      ++durable_judged_;
+      judged_durably_.insert(ids[known]);
+    }
+  }
+  const auto judged = record.variables.find("judged");
+  const int64_t effects = judged == record.variables.end() ? 0 : std::get<int64_t>(judged->second);
+  if (effects != durable_judged_) {
+    Fail("I3", "recorded sequences and recorded effects differ",
+         absl::StrCat(durable_judged_, " observations, ", effects, " effects"));
+  }
+}
+
+void Checker::OnAlertTold(const std::string& id) {
+  if (!durable_alerts_.contains(id)) Fail("I2", "an alert is told before it is durable", id);
+}
+
+void Checker::OnCommandSent(const pipeline::Command& command) {
+  sent_terms_[command.id] = command.term;
+  const auto* set = std::get_if<pipeline::SetLevel>(&command.what);
+  if (set == nullptr) return;
+  const auto decision = decisions_.find(set->mark);
+  const bool known = decision != decisions_.end();
+  if (known && decision->second.lowers && !decision->second.durable) {
+    Fail("I2", "a lowering is sent before it is durable", ToString(set->mark));
+  }
+  if (!set->based_on.none() && !LoweredBetween(set->based_on, set->mark)) {
+    Fail("I2", "a command lowers the actuator without a durable lowering", ToString(set->mark));
+  }
+}
+
+void Checker::OnOrderAnswered(const Mark& mark) {
+  const auto decision = decisions_.find(mark);
+  if (decision == decisions_.end() || !decision->second.durable) {
+    Fail("I2", "an order is answered before it is durable", ToString(mark));
+  }
+}
+
+void Checker::OnServerHolds(const Mark& mark, absl::string_view level) {
+  const auto decision = decisions_.find(mark);
+  if (decision != decisions_.end() && decision->second.record.to != level) {
+    Fail("I1", "the server's level is not that of its mark", ToString(mark));
+  }
+  if (LevelIndex(level) < durable_level_ && mark <= durable_mark_) {
+    Fail("I1", "the server holds less than what is durable", ToString(mark));
+  }
+}
+
+// --- observations
+
+void Checker::OnNumbered(const store::LaneKey& lane, uint64_t sequence, uint64_t id) {
+  std::vector<uint64_t>& ids = numbered_[lane];
+  counts_.resent += sequence <= ids.size() ? 1 : 0;
+  if (ids.size() < sequence) ids.resize(sequence);
+  ids[sequence - 1] = id;
+}
+
+void Checker::OnJudged(uint64_t id) {
+  ++counts_.judged;
+  if (!judged_.insert(id).second) {
+    Fail("I3", "an observation is judged twice", absl::StrCat("observation ", id));
+  }
+}
+
+void Checker::OnAcknowledged(const store::LaneKey& lane, uint64_t sequence) {
+  if (sequence > high_water_[lane]) {
+    Fail("I2", "an observation is acknowledged before it is durable",
+         absl::StrCat("sequence ", sequence, ", durable ", high_water_[lane]));
+  }
+}
+
+// --- the actuator
+
+void Checker::OnActuatorStart(const ExecutorReport& report, int64_t now_ns) {
+  held_ = report;
+  newest_term_ = report.highest_term;
+  newest_echo_ns_ = 0;
+  lease_end_ns_ = now_ns + actuator::kStartGraceNs;
+  evidence_complete_ = false;
+  read_back_ = -1;
+  stale_.clear();
+}
+
+void Checker::OnCommandDelivered(const std::string& id, uint64_t term) {
+  if (term < newest_term_) stale_.insert(id);
+  newest_term_ = std::max(newest_term_, term);
+}
+
+void Checker::OnLeaseDelivered(const actuator::LeaseGrant& lease, int64_t now_ns) {
+  if (lease.term < newest_term_ || lease.echo_boottime_ns <= 0) return;
+  if (lease.echo_boottime_ns > now_ns || lease.echo_boottime_ns < newest_echo_ns_) return;
+  newest_term_ = lease.term;
+  newest_echo_ns_ = lease.echo_boottime_ns;
+  lease_end_ns_ = lease.echo_boottime_ns + lease.ttl_ns;
+  evidence_complete_ = lease.evidence_complete;
+}
+
+void Checker::OnReceipt(const actuator::Receipt& receipt) {
+  const bool refused = receipt.stage == actuator::Receipt::Stage::kRefusedStale;
+  counts_.refused_stale += refused ? 1 : 0;
+  const bool obeyed = receipt.stage == actuator::Receipt::Stage::kAcknowledged ||
+                      receipt.stage == actuator::Receipt::Stage::kVerified;
+  if (obeyed && stale_.contains(receipt.command_id)) {
+    Fail("I1", "a command of an old term is obeyed after a newer term",
+         absl::StrCat("term ", sent_terms_[receipt.command_id], ", newest ", newest_term_));
+  }
+  if (receipt.stage != actuator::Receipt::Stage::kVerified) return;
+  ++counts_.verified;
+  const auto decision = decisions_.find(receipt.mark);
+  if (decision != decisions_.end() && read_back_ < LevelIndex(decision->second.record.to)) {
+    Fail("I7", "a level is verified that was not read back", ToString(receipt.mark));
+  }
+  verified_.insert(receipt.mark);
+}
+
+void Checker::OnActuatorHolds(const ExecutorReport& report, int64_t now_ns) {
+  const int effective = LevelIndex(report.effective);
+  const int decided = LevelIndex(report.decided);
+  if (effective < decided || effective < LevelIndex(report.floor)) {
+    Fail("I1", "the actuator holds less than its decision or its floor", report.effective);
+  }
+  if (decided < LevelIndex(held_->decided) && !LoweredBetween(held_->mark, report.mark)) {
+    Fail("I1", "the level in force sinks without a durable lowering",
+         absl::StrCat(ToString(held_->mark), " to ", ToString(report.mark)));
+  }
+  counts_.floors += held_->floor.empty() && !report.floor.empty() ? 1 : 0;
+  const bool lease_over = now_ns >= lease_end_ns_;
+  if (report.floor.empty() && !held_->floor.empty()) {
+    ++counts_.lifted;
+    if (lease_over || !evidence_complete_) Fail("I5", "a floor lifts without a lease", "");
+  }
+  if (now_ns > lease_end_ns_ + kTickNs && effective < kFailSafe) {
+    Fail("I5", "without a lease the actuator is below its fail-safe level", report.effective);
+  }
+  if (report.verified && read_back_ != effective) {
+    Fail("I7", "the actuator calls a level verified that was not read back", report.effective);
+  }
+  if (report.verified && !report.mark.none()) verified_.insert(report.mark);
+  held_ = report;
+}
+
+}  // namespace rips::simulation

@@ -1,0 +1,171 @@
+#include "tests/simulation/store_model.h"
+
+#include <algorithm>
+#include <utility>
+
+#include "absl/strings/match.h"
+#include "absl/strings/str_cat.h"
+#include "absl/strings/str_format.h"
+#include "tests/simulation/level_names.h"
+
+namespace rips::simulation {
+namespace {
+
+bool Lowers(const store::DecisionRecord& decision) {
+  return LevelIndex(decision.to) < LevelIndex(decision.from);
+}
+
+std::string Summary(const store::WriteBatch& batch) {
+  std::string text;
+  for (const store::DecisionRecord& each : batch.decisions) {
+    absl::StrAppend(&text, " decision ", ToString(each.mark), " ", each.from, " to ", each.to, " (",
+                    each.cause, ")");
+  }
+  if (!batch.alerts.empty()) absl::StrAppend(&text, " ", batch.alerts.size(), " alerts");
+  for (const store::Checkpoint& each : batch.checkpoints) {
+    for (const auto& [lane, sequence] : each.high_water) {
+      absl::StrAppend(&text, lane.lane == store::LaneKey::Lane::kControl ? " c" : " m", sequence);
+    }
+  }
+  return text;
+}
+
+}  // namespace
+
+void StoreModel::Open() {
+  const uint64_t commit = generations_.empty() ? 0 : generations_.back().last_commit;
+  generations_.push_back(
+      {.id = absl::StrFormat("%016d", generations_.size() + 1), .last_commit = commit});
+}
+
+void StoreModel::Crash() {
+  if (context_.scheduler.Chance(50) && disk_ == Disk::kWorks) {
+    const auto torn = context_.scheduler.Between(0, static_cast<int64_t>(waiting_.size()));
+    for (int64_t i = 0; i < torn; ++i) {
+      (void)Apply(waiting_[static_cast<size_t>(i)].batch);
+    }
+  }
+  ++life_;
+  waiting_.clear();
+  writing_ = false;
+  healthy_ = true;
+}
+
+store::RobotRecord StoreModel::Load() const {
+  store::RobotRecord record = record_;
+  for (const auto& [mark, each] : decisions_) {
+    if (mark <= record.resumed_at || !absl::StartsWith(each.cause, "rule ")) continue;
+    record.rule_decisions.push_back({mark, each.from, each.to, each.time_unix_ns});
+  }
+  return record;
+}
+
+uint64_t StoreModel::DrawTerm(uint64_t above) {
+  record_.highest_term = std::max(record_.highest_term, above) + 1;
+  return record_.highest_term;
+}
+
+void StoreModel::Later(int64_t delay_ns, std::function<void()> task) {
+  context_.scheduler.After(delay_ns, [this, life = life_, task = std::move(task)] {
+    if (life == life_) task();
+  });
+}
+
+bool StoreModel::CalledEarly(const store::WriteBatch& batch) const {
+  const bool lowers = std::any_of(batch.decisions.begin(), batch.decisions.end(), Lowers);
+  if (context_.fault == Fault::kEarlyLowering) return lowers;
+  return context_.fault == Fault::kEarlyAcknowledgement && batch.decisions.empty() &&
+         batch.alerts.empty();
+}
+
+void StoreModel::Record(store::WriteBatch batch, std::function<void(const absl::Status&)> done) {
+  context_.checker.OnRecord(batch, context_.scheduler.now_ns());
+  if (CalledEarly(batch)) std::exchange(done, nullptr)(absl::OkStatus());
+  waiting_.push_back({std::move(batch), std::move(done)});
+  ScheduleWrite();
+}
+
+void StoreModel::ScheduleWrite() {
+  if (writing_ || waiting_.empty()) return;
+  writing_ = true;
+  const int64_t hang_ns = std::exchange(hang_ns_, 0);
+  const bool slow = context_.scheduler.Chance(10);
+  Later(hang_ns + context_.scheduler.Between(1, slow ? 800 : 60) * kMs,
+        [this, count = waiting_.size()] { Write(count); });
+}
+
+void StoreModel::Write(size_t count) {
+  for (size_t i = 0; i < count; ++i) {
+    const Waiting next = std::move(waiting_.front());
+    waiting_.pop_front();
+    absl::Status status;
+    if (disk_ == Disk::kFails) status = absl::UnavailableError("disk error");
+    if (disk_ == Disk::kFull && !next.batch.uses_reserve) {
+      status = absl::ResourceExhaustedError("disk full");
+    }
+    if (status.ok()) status = Apply(next.batch);
+    if (!next.batch.uses_reserve) healthy_ = status.ok();
+    if (!status.ok()) context_.trace.Add("store", status.message());
+    if (next.done) next.done(status);
+  }
+  writing_ = false;
+  ScheduleWrite();
+}
+
+absl::Status StoreModel::Apply(const store::WriteBatch& batch) {
+  if (absl::Status valid = store::Validate(batch); !valid.ok()) return valid;
+  for (const store::DecisionRecord& decision : batch.decisions) {
+    const auto known = decisions_.find(decision.mark);
+    if (known != decisions_.end() && known->second != decision) {
+      return absl::AlreadyExistsError("the mark names another decision");
+    }
+  }
+  for (const store::DecisionRecord& decision : batch.decisions) {
+    decisions_[decision.mark] = decision;
+    record_.highest_term = std::max(record_.highest_term, decision.mark.term);
+    if (decision.mark <= record_.mark) continue;
+    record_.mark = decision.mark;
+    record_.level = decision.to;
+  }
+  for (const store::Checkpoint& each : batch.checkpoints) {
+    if (each.variables) record_.variables = *each.variables;
+    if (each.soft_suspended) record_.soft_suspended = *each.soft_suspended;
+    if (each.rules_halted) record_.rules_halted = *each.rules_halted;
+    if (each.resumed_at) record_.resumed_at = *each.resumed_at;
+    for (const auto& [lane, sequence] : each.high_water) {
+      uint64_t& stored = record_.high_water[lane];
+      stored = std::max(stored, sequence);
+    }
+  }
+  ++generations_.back().last_commit;
+  context_.trace.Add("store", absl::StrCat("durable:", Summary(batch)));
+  context_.checker.OnDurable(batch, record_);
+  return absl::OkStatus();
+}
+
+void StoreModel::FindDecision(const std::string&, const Mark& mark,
+                              std::function<void(const pipeline::FoundDecision&)> done) {
+  Later(context_.scheduler.Between(0, 20) * kMs, [this, mark, done = std::move(done)] {
+    const auto found = decisions_.find(mark);
+    if (found == decisions_.end()) return done(std::nullopt);
+    done(found->second.to);
+  });
+}
+
+void StoreModel::NextTerm(const std::string&, uint64_t above,
+                          std::function<void(const absl::StatusOr<uint64_t>&)> done) {
+  Later(context_.scheduler.Between(0, 20) * kMs, [this, above, done = std::move(done)] {
+    if (disk_ != Disk::kWorks) return done(absl::UnavailableError("disk error"));
+    done(DrawTerm(above));
+  });
+}
+
+store::StorePoint StoreModel::point() const {
+  return {.generation = generations_.back().id, .commit = generations_.back().last_commit};
+}
+
+bool StoreModel::GoesOnFrom(const store::StorePoint& seen) const {
+  return store::GoesOnFrom(generations_, point().commit, seen);
+}
+
+}  // namespace rips::simulation
