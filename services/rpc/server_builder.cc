@@ -16,9 +16,8 @@ namespace rips::rpc {
 namespace {
 
 // One connection carries one agent's stream, or an operator's few calls. A client over the limit
-// hangs without an error, so it is generous; services refuse by status.
-// The streams and calls that one operator may have, and some orders; what comes at once costs
-// others the time to begin it.
+// hangs without an error, so it is more than one operator may have; services refuse by status. What
+// comes at once costs others the time to begin it.
 constexpr int kStreamsPerConnectionMax = 32;
 // Bytes a peer may send ahead of our reading.
 constexpr int kLookaheadBytes = 256 << 10;

@@ -176,6 +176,52 @@ TEST_F(RobotLossTest, OnAFullDiskRaisesAreRecordedFromTheReserveAndLoweringsAreN
   EXPECT_EQ(Level(), "COMPROMISED");
 }
 
+// Found by tests/simulation.
+TEST_F(RobotLossTest, ARaiseAfterALoweringThatCannotBeRecordedIsNotSavedBelowWhatWasHeld) {
+  Start();
+  Arm();
+  const auto order = [&](const std::string& to) {
+    return LevelOrder{.operator_name = "alice",
+                      .to = to,
+                      .reason = "drill",
+                      .expected_level = Level(),
+                      .expected_mark = robot_->Status().mark,
+                      .accept_blind = true};
+  };
+  const auto ignore = [](const LevelAnswer&) {};
+  robot_->Raise(order("HALT"), ignore);
+  Drain();
+  const size_t known = recorder_.decisions.size();
+  recorder_.held = true;
+  robot_->DeEscalate(order("ALERT"), ignore);
+  robot_->Raise(order("COMPROMISED"), ignore);
+  recorder_.fail = absl::ResourceExhaustedError("the disk is full");
+  recorder_.reserve = true;
+  recorder_.held = false;
+  recorder_.Release();
+  Drain();
+  for (size_t i = known; i < recorder_.decisions.size(); ++i) {
+    EXPECT_EQ(recorder_.decisions[i].to, "HALT");
+  }
+  EXPECT_EQ(Level(), "HALT");
+}
+
+// Found by tests/simulation: a batch that succeeds after one that failed recorded the sequences of
+// both.
+TEST_F(RobotLossTest, OneBatchIsRecordedAtATime) {
+  Start();
+  Arm();
+  recorder_.held = true;
+  const auto ignore = [](const LevelAnswer&) {};
+  robot_->Raise({.operator_name = "alice", .to = "ALERT", .reason = "drill"}, ignore);
+  robot_->Raise({.operator_name = "alice", .to = "HALT", .reason = "drill"}, ignore);
+  EXPECT_EQ(recorder_.waiting(), 1u);
+  recorder_.held = false;
+  recorder_.Release();
+  Drain();
+  EXPECT_EQ(recorder_.decisions.back().to, "HALT");
+}
+
 TEST_F(RobotLossTest, AlertsThatFoundNoRoomInAnOutageAreCounted) {
   Start(R"(
 levels: DEFAULT; ALERT soft; COMPROMISED; HALT;

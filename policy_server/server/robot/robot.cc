@@ -311,7 +311,10 @@ void Robot::TellSecond(absl::string_view agent, const std::string& host, SecondH
 
 // ---------------------------------------------------------------------------------- recording
 
+// One batch at a time: a batch that succeeds after one that failed would record sequence numbers of
+// observations whose effects are not durable.
 void Robot::Flush() {
+  if (recording_ > 0) return;
   if (pending_.empty() && !unsaved_.sequences && !unsaved_.variables && !unsaved_.bundle) return;
   store::Checkpoint checkpoint{.robot = config_.id,
                                .soft_suspended = state_.level.soft_suspended(),
@@ -355,6 +358,7 @@ void Robot::Flush() {
         unsaved_.sequences = unsaved_.variables = unsaved_.bundle = true;
       }
       OnRecorded(status, *kept, judged, lowerings);
+      if (status.ok()) Flush();
     });
   });
 }
@@ -408,12 +412,14 @@ void Robot::AnswerOrders(const std::vector<store::DecisionRecord>& durable) {
 
 void Robot::SaveRaises() {
   store::WriteBatch raises{.uses_reserve = true};
+  // A lowering that is not commanded must not be what a restart finds, nor a raise after it to less
+  // than what was held before.
+  levels::LevelIndex held = 0;
   for (const store::DecisionRecord& decision : pending_.decisions) {
-    // A lowering that is not commanded must not be what a restart finds.
     const auto from = levels().Find(decision.from);
     const auto to = levels().Find(decision.to);
-    if (from && to && *to < *from) continue;
-    raises.decisions.push_back(decision);
+    if (from && to && *to < *from) held = std::max(held, *from);
+    if (!to || *to >= held) raises.decisions.push_back(decision);
   }
   // Written again with the rest when that can be written, which changes nothing.
   if (raises.decisions.empty()) return;

@@ -92,6 +92,7 @@ class FakeRecorder final : public Recorder {
       done(status);
     }
   }
+  size_t waiting() const { return waiting_.size(); }
   void Take(const store::WriteBatch& batch) {
     ++generations.back().last_commit;
     decisions.insert(decisions.end(), batch.decisions.begin(), batch.decisions.end());
