@@ -1,5 +1,7 @@
 #include "services/rpc/call_gate.h"
 
+#include <memory>
+
 #include "absl/strings/str_cat.h"
 #include "services/runtime/log.h"
 
@@ -35,7 +37,10 @@ std::optional<Refusal> CallGate::Against(const Peer& peer) const {
 
 absl::StatusOr<Peer> CallGate::Admit(const grpc::CallbackServerContext& context, Role role) {
   const std::string address = context.peer();
-  absl::StatusOr<Peer> peer = PeerOf(*context.auth_context());
+  const std::shared_ptr<Connection> connection =
+      connections_ == nullptr ? nullptr : connections_->Find(address);
+  absl::StatusOr<Peer> peer = connection == nullptr ? PeerOf(*context.auth_context())
+                                                    : connection->ReadPeer(*context.auth_context());
   if (!peer.ok()) return Refuse({"unidentified", peer.status()}, nullptr, address);
   if (peer->identity.role != role) {
     const std::string text =
@@ -51,11 +56,13 @@ absl::StatusOr<Peer> CallGate::Admit(const grpc::CallbackServerContext& context,
       const std::string text =
           absl::StrCat("a connection with this certificate broke the limits; try again in ",
                        absl::FormatDuration(absl::Ceil(left, absl::Seconds(1))));
+      if (connection != nullptr) connection->OnThrottled();
       return Refuse({"throttled", absl::ResourceExhaustedError(text)}, &*peer, address);
     }
     const bool agent = role != Role::kOperator;
     absl::Status status = connections_->OnIdentified(address, certificate, agent);
     if (!status.ok()) {
+      if (connection != nullptr) connection->OnThrottled();
       return Refuse({"throttled", std::move(status)}, &*peer, address);
     }
   }

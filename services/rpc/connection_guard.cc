@@ -122,6 +122,18 @@ void Connection::Identify(const std::string& certificate, bool agent) {
   if (certificate_.empty()) certificate_ = certificate;
 }
 
+absl::StatusOr<Peer> Connection::ReadPeer(const grpc::AuthContext& auth) {
+  MutexLock lock(&mu_);
+  if (!peer_.has_value()) {
+    RIPS_ASSIGN_OR_RETURN(peer_, PeerOf(auth));
+  }
+  return *peer_;
+}
+
+void Connection::OnThrottled() {
+  if (told_.exchange(true)) End();
+}
+
 std::string Connection::certificate() const {
   MutexLock lock(&mu_);
   return certificate_;
@@ -460,8 +472,6 @@ absl::Status ConnectionGuard::OnIdentified(absl::string_view peer, const std::st
     if (connection->certificate().empty()) {
       int& count = certificates_[certificate];
       if (count >= (agent ? options_.per_agent : options_.per_operator)) {
-        // It has been told why; what follows on it is not worth an answer each.
-        if (connection->told_.exchange(true)) connection->End();
         return absl::ResourceExhaustedError(
             absl::StrCat("this certificate has ", count, " connections already"));
       }

@@ -22,6 +22,7 @@
 #include <functional>
 #include <map>
 #include <memory>
+#include <optional>
 #include <string>
 #include <thread>
 #include <vector>
@@ -37,6 +38,7 @@
 #include "services/base/clock.h"
 #include "services/rpc/connection_admission.h"
 #include "services/rpc/connection_budget.h"
+#include "services/rpc/peer.h"
 #include "services/runtime/log_limiter.h"
 #include "services/runtime/metrics.h"
 #include "services/runtime/mutex.h"
@@ -61,6 +63,11 @@ class Connection {
   // The peer's certificate: `spiffe://td/robot/r1/sensor/base serial 0f3a`. The first one counts.
   void Identify(const std::string& certificate, bool agent) ABSL_LOCKS_EXCLUDED(mu_);
   const Source& source() const { return source_; }
+  // PeerOf, once: on a connection the certificate stays, and reading it is dear.
+  absl::StatusOr<Peer> ReadPeer(const grpc::AuthContext& auth) ABSL_LOCKS_EXCLUDED(mu_);
+  // A call was refused for what its certificate did. From the second time on it is ended: it was
+  // told why, and each answer costs others.
+  void OnThrottled() ABSL_LOCKS_EXCLUDED(mu_);
 
  private:
   friend class ConnectionGuard;
@@ -77,13 +84,14 @@ class Connection {
   const Source source_;
   const int64_t taken_ns_;
   const UniqueFd socket_;
-  // A call on it was refused, since its certificate has too many connections.
+  // OnThrottled has been called.
   std::atomic<bool> told_ = false;
   // It has sent enough to be a peer of ours.
   std::atomic<bool> spoke_ = false;
   mutable Mutex mu_;
   ConnectionBudget budget_ ABSL_GUARDED_BY(mu_);
   std::string certificate_ ABSL_GUARDED_BY(mu_);
+  std::optional<Peer> peer_ ABSL_GUARDED_BY(mu_);
   bool ended_ ABSL_GUARDED_BY(mu_) = false;
 };
 
