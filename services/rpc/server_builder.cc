@@ -16,9 +16,8 @@ namespace rips::rpc {
 namespace {
 
 // One connection carries one agent's stream, or an operator's few calls. A client over the limit
-// hangs without an error, so it is more than one operator may have; services refuse by status. What
-// comes at once costs others the time to begin it.
-constexpr int kStreamsPerConnectionMax = 32;
+// hangs without an error, so it is generous; services refuse by status.
+constexpr int kStreamsPerConnectionMax = 100;
 // Bytes a peer may send ahead of our reading.
 constexpr int kLookaheadBytes = 256 << 10;
 constexpr absl::Duration kHandshakeTimeout = absl::Seconds(5);
