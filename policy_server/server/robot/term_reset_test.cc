@@ -190,11 +190,16 @@ TEST_F(TermResetTest, AStoreThatAnswersLateKeepsNothingElseWaiting) {
   SendSnapshot();
   ConnectActuator(Hello({}, kHighTerm, "DEFAULT"));
   recorder_.questions_held = true;
-  EXPECT_THAT(Reset().status, StatusIs(absl::StatusCode::kUnknown)) << "no answer yet";
+  LevelAnswer got{.status = absl::UnknownError("no answer yet")};
+  robot_->ResetTerm({.operator_name = "ann", .host = "base", .reason = "disk replaced"},
+                    [&](const LevelAnswer& answer) { got = answer; });
+  Drain();
+  EXPECT_THAT(got.status, StatusIs(absl::StatusCode::kUnknown));
   IntruderAppears();
   EXPECT_EQ(Level(), "ALERT");
   recorder_.AnswerAll();
   Drain();
+  EXPECT_THAT(got.status, IsOk());
   EXPECT_GT(robot_->Status().mark.term, kHighTerm);
   EXPECT_EQ(Level(), "ALERT");
 }

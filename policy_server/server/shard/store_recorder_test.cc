@@ -15,6 +15,9 @@ constexpr absl::Duration kPatience = absl::Seconds(30);
 
 class StoreRecorderTest : public ::testing::Test {
  protected:
+  // Before what uses them on its thread.
+  BoundedQueue<int> asked_{{.capacity = 10'000}};
+  BoundedQueue<int> go_on_{{.capacity = 1}};
   store::FakeStore store_;
   store::Committer committer_{&store_};
   BoundedQueue<absl::StatusOr<uint64_t>> terms_{{.capacity = 10'000}};
@@ -23,19 +26,17 @@ class StoreRecorderTest : public ::testing::Test {
 };
 
 TEST_F(StoreRecorderTest, AHangingDiskDoesNotBlockTheCaller) {
-  BoundedQueue<int> asked{{.capacity = 10}};
-  BoundedQueue<int> go_on{{.capacity = 1}};
   store_.OnQuestion([&] {
-    asked.Push(1);
-    go_on.Pop(kPatience);
+    asked_.Push(1);
+    go_on_.Pop(kPatience);
   });
   recorder_.NextTerm("r1", 7, [&](const auto& term) { terms_.Push(term); });
   recorder_.FindDecision("r1", {3, 1}, [&](const auto& found) { found_.Push(found); });
   // Both calls have returned, and the store still works on the first.
-  ASSERT_TRUE(asked.Pop(kPatience).has_value());
+  ASSERT_TRUE(asked_.Pop(kPatience).has_value());
   EXPECT_FALSE(terms_.Pop(absl::ZeroDuration()).has_value());
   store_.OnQuestion(nullptr);
-  go_on.Push(1);
+  go_on_.Push(1);
   const auto term = terms_.Pop(kPatience);
   ASSERT_TRUE(term.has_value());
   ASSERT_THAT(*term, IsOk());
@@ -47,8 +48,7 @@ TEST_F(StoreRecorderTest, AHangingDiskDoesNotBlockTheCaller) {
 }
 
 TEST_F(StoreRecorderTest, TooManyQuestionsAreRefusedAtOnce) {
-  BoundedQueue<int> go_on{{.capacity = 1}};
-  store_.OnQuestion([&] { go_on.Pop(kPatience); });
+  store_.OnQuestion([&] { go_on_.Pop(kPatience); });
   for (int i = 0; i < 5'000; ++i) {
     recorder_.NextTerm("r1", 0, [&](const auto& term) { terms_.Push(term); });
   }
@@ -56,7 +56,7 @@ TEST_F(StoreRecorderTest, TooManyQuestionsAreRefusedAtOnce) {
   ASSERT_TRUE(refused.has_value());
   EXPECT_THAT(refused->status(), StatusIs(absl::StatusCode::kUnavailable));
   store_.OnQuestion(nullptr);
-  go_on.Push(1);
+  go_on_.Push(1);
 }
 
 }  // namespace
