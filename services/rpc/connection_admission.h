@@ -13,6 +13,9 @@
 // | there are `total` connections, or, for one that | refused                           |
 // | is not known, `total` less the reserve          |                                   |
 //
+// Refused by one of the last two lines, a connection is taken all the same if ConnectionGuard finds
+// one to end for it (MakeRoomLocked).
+//
 // An address is an IPv4 address or an IPv6 /64, its network an IPv4 /24 or an IPv6 /48. It is known
 // for an hour after a connection from it was identified by a certificate of ours.
 #ifndef RIPS_SERVICES_RPC_CONNECTION_ADMISSION_H_

@@ -190,6 +190,32 @@ TEST_F(ConnectionGuardTest, EndsTheOldestConnectionWithoutACertificateForANewOne
   }
 }
 
+TEST_F(ConnectionGuardTest, MakesRoomOnlySoOftenBetweenTwoLooks) {
+  Start({.admission = {.per_address = 1}, .interval = absl::Hours(1)});
+  std::vector<std::unique_ptr<Silent>> flood;
+  for (int i = 0; i < 200; ++i) flood.push_back(std::make_unique<Silent>(server_->port()));
+  EXPECT_TRUE(flood.back()->EndsWithin(kPatience));
+  EXPECT_EQ(Refused("address"), 200 - 1 - 128);
+}
+
+TEST_F(ConnectionGuardTest, AThrottledConnectionIsEndedTheSecondTime) {
+  Start({});
+  const auto channel = Connect();
+  ASSERT_EQ(Call(channel, "/no.such.Service/None").error_code(), grpc::StatusCode::UNIMPLEMENTED);
+  const auto connection = guard_->Find(FindPeer());
+  ASSERT_NE(connection, nullptr);
+  const std::string peer = connection->source().peer;
+  connection->OnThrottled();
+  ASSERT_EQ(Call(channel, "/no.such.Service/None").error_code(), grpc::StatusCode::UNIMPLEMENTED);
+  EXPECT_NE(guard_->Find(peer), nullptr) << "it is told why";
+  connection->OnThrottled();
+  const absl::Time end = absl::Now() + kPatience;
+  while (guard_->Find(peer) != nullptr && absl::Now() < end) {
+    absl::SleepFor(absl::Milliseconds(5));
+  }
+  EXPECT_EQ(guard_->Find(peer), nullptr);
+}
+
 TEST_F(ConnectionGuardTest, TooManyCallsEndTheConnectionThoughTheirMethodIsUnknown) {
   Start({.budget = {.calls_burst = 20, .calls_per_second = 0.01}});
   const auto bystander = Connect();
