@@ -120,7 +120,7 @@ std::vector<Step> ReadSteps(const ConfigSection& level, absl::string_view key,
     const auto* alarm = std::get_if<AlarmStep>(&step.what);
     if (alarm != nullptr && !alarms.insert(alarm->device).second) {
       section.Problem("alarm", absl::StrCat("device ", QuoteBytes(alarm->device),
-                                            " is told twice in one list"));
+                                            " is ordered twice in one list"));
     }
     steps.push_back(std::move(step));
   }

@@ -215,7 +215,7 @@ TEST(ConfigTest, TellsADeviceOnlyOncePerList) {
                                    "{alarm: {device: bell, state: \"off\"}}]\n"
                                    "devices: [{name: bell, kind: lcus, serial: x}]\nprograms:")),
       StatusIs(absl::StatusCode::kInvalidArgument,
-               HasSubstr("device `bell` is told twice in one list")));
+               HasSubstr("device `bell` is ordered twice in one list")));
 }
 
 TEST(ConfigTest, OrdersAPartOnlyOncePerList) {

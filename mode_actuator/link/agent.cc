@@ -357,7 +357,7 @@ absl::Status Agent::Impl::FindHelpers() {
   return absl::OkStatus();
 }
 
-// Before a level needs them: a process that poses as a helper is told of at once.
+// Before a level needs them: a process that poses as a helper is reported at once.
 void Agent::Impl::CheckHelpers(int64_t now_ns) {
   if (now_ns < check_helpers_at_ns_) return;
   check_helpers_at_ns_ = now_ns + kNanosPerSecond;

@@ -75,7 +75,7 @@ TEST_F(SmallLimitsTest, WhatIsLeftOutIsToldWithTheFirstPieceAndOverWithTheLast) 
   Pass(20);
   ASSERT_THAT(changes_, SizeIs(1)) << "a step of its own, though the graph is as before";
   EXPECT_EQ(graph_.left_out(), 16u);
-  // A server that lost the graph is told so, too.
+  // A server that lost the graph gets it again.
   graph_.Clear();
   version_ = 0;
   Apply(builder_->Snapshot(now_ns_));
@@ -97,7 +97,7 @@ TEST_F(SmallLimitsTest, FactsThatNeverCameAreLeftOut) {
   EXPECT_EQ(builder_->counters().dropped, 0u) << "the caller counts them";
 }
 
-// What nobody is shown takes no place: else a flood of reply writers would push out all others in
+// An endpoint that is not shown takes no place: else a flood of reply writers would push out all others in
 // a graph that looks whole.
 TEST_F(SmallLimitsTest, RepliesTakeNoPlaceAndNothingIsMissingWithoutThem) {
   Participant(1);

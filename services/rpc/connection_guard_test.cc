@@ -207,7 +207,7 @@ TEST_F(ConnectionGuardTest, AThrottledConnectionIsEndedTheSecondTime) {
   const std::string peer = connection->source().peer;
   connection->OnThrottled();
   ASSERT_EQ(Call(channel, "/no.such.Service/None").error_code(), grpc::StatusCode::UNIMPLEMENTED);
-  EXPECT_NE(guard_->Find(peer), nullptr) << "it is told why";
+  EXPECT_NE(guard_->Find(peer), nullptr) << "the first time the call gets the reason";
   connection->OnThrottled();
   const absl::Time end = absl::Now() + kPatience;
   while (guard_->Find(peer) != nullptr && absl::Now() < end) {

@@ -9,7 +9,7 @@
 namespace rips {
 namespace {
 
-TEST(LogLimiterTest, OneSourcesLinesAreNobodyElses) {
+TEST(LogLimiterTest, LinesOfOneSourceDoNotCountForOthers) {
   LogLimiter limiter;
   int written = 0;
   for (int i = 0; i < 1'000; ++i) written += limiter.Admit("noisy", 0.0).has_value() ? 1 : 0;

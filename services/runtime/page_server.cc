@@ -285,7 +285,7 @@ bool PageServer::Step(Connection& connection) {
   if (connection.state == State::kWriting) {
     if (connection.ready != 0 && !Write(connection)) return false;
   } else if (connection.state == State::kAsked) {
-    // Gone: nobody waits for the answer.
+    // The client has disconnected.
     if ((connection.ready & (POLLHUP | POLLERR)) != 0) return false;
   } else if (connection.ready != 0 && !Read(connection)) {
     return false;
@@ -295,7 +295,7 @@ bool PageServer::Step(Connection& connection) {
   return false;
 }
 
-// One piece at a time, so that nobody who sends without end keeps the thread.
+// One piece at a time, so that an endless sender does not keep the thread.
 bool PageServer::Read(Connection& connection) {
   char piece[kReadBytes];
   const ssize_t got = recv(connection.fd.get(), piece, sizeof(piece), 0);

@@ -128,7 +128,7 @@ TEST_F(PageServerTest, ARequestWithoutEndIsRefused) {
   EXPECT_EQ(dropped(PageServer::Dropped::kLong), 1);
 }
 
-TEST_F(PageServerTest, SlowClientsKeepNobodyWaitingAndAreClosed) {
+TEST_F(PageServerTest, SlowClientsAreClosedAndBlockNoOther) {
   Start({.patience = absl::Milliseconds(300)});
   std::vector<UniqueFd> slow;
   for (int i = 0; i < 60; ++i) {
@@ -170,7 +170,7 @@ TEST_F(PageServerTest, AClientThatDoesNotReadIsClosed) {
   EXPECT_EQ(dropped(PageServer::Dropped::kSlow), 1);
 }
 
-TEST_F(PageServerTest, AnswersThatNobodyReadsAreBoundedInBytes) {
+TEST_F(PageServerTest, UnreadAnswersAreBoundedInBytes) {
   body_ = std::string(16 << 20, 'x');
   Start({.patience = kTestLimit, .answers_bytes_max = size_t{40} << 20});
   std::vector<UniqueFd> unread;

@@ -118,7 +118,7 @@ def logs_and_metrics_hold_none(fleet):
         time.sleep(0.1)
     with ids.open("a") as log:
         log.write('{"event_type":"alert","planted_field":"planted_value","alert":{}}\nplanted_line\n')
-    fleet.sensor.wait_for(lambda line: "cannot parse a line of an IDS log" in line, 10, "the line is told")
+    fleet.sensor.wait_for(lambda line: "cannot parse a line of an IDS log" in line, 10, "the line is reported")
     if fleet.exec is not None:
         fleet.exec.wait_for(lambda line: "program=leak" in line and " ended " in line, 10,
                             "the program has run")

@@ -126,7 +126,7 @@ TEST(ShippedFilesTest, NoTwoDaemonsShareAUser) {
     const std::string user = Only(unit, "User");
     EXPECT_THAT(sysusers, ContainsRegex("(^|\n)u " + user + " +- ")) << name;
     EXPECT_NE(user, "root") << name;
-    // The tap reports to the sensor beside it and to nobody else: one trust, two processes.
+    // The tap reports only to the sensor beside it: one trust, two processes.
     if (name == "rips-wire") continue;
     const auto [other, fresh] = daemon_of.emplace(user, name);
     EXPECT_TRUE(fresh) << name << " and " << other->second << " both run as " << user;

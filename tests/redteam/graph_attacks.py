@@ -1,5 +1,5 @@
-"""Attacks on the computation graph: processes on the robot's bus that fill it, so that nobody can
-tell who else is there. No certificate is needed for that."""
+"""Attacks on the computation graph: processes on the robot's bus that fill it, so that nothing
+more is seen on it. No certificate is needed for that."""
 
 import time
 

@@ -60,7 +60,7 @@ def until(seconds, what, found):
 
 
 @quick
-def recordings_that_nobody_reads(fleet):
+def recordings_left_unread(fleet):
     """Recordings of a camera by a key that reads none of them, begun anew as they are ended."""
     watch_pictures(fleet)
     before = resident_kib(fleet.server.child.pid)
@@ -88,13 +88,13 @@ def recordings_that_nobody_reads(fleet):
           f"the server grew by {grown >> 10} MiB at most")
     check(ended >= 4, f"only {ended} recordings were ended")
     check(grown < 384 << 10, f"the server grew by {grown >> 10} MiB")
-    check(any(each.status for each in opened), "no call was ended although nobody reads its end")
+    check(any(each.status for each in opened), "no call was ended although its end is not read")
     check(reason_for(fleet, "operator/operator/mallory"), "no alert names who does not read")
     fleet.unharmed()
 
 
 @scenario
-def watches_that_nobody_reads(fleet):
+def watches_left_unread(fleet):
     """States and alerts are not kept for those who do not read: they are told the newest later."""
     fleet.arm()
     peer = Peer(fleet.port, fleet.key(), reads=False)

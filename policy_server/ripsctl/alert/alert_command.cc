@@ -17,7 +17,7 @@
 namespace rips::ripsctl {
 namespace {
 
-// An alert that came because nobody could tell says so where it is read.
+// An alert whose condition could not be decided says so where it is read.
 std::string TextOf(const v1::Alert& alert) {
   constexpr absl::string_view kUndecided = " (graph truncated)";
   return absl::StrCat(alert.text(), absl::EndsWith(alert.event(), kUndecided) ? kUndecided : "");

@@ -13,7 +13,7 @@
 namespace rips::operator_api {
 
 // Only the newest state of a robot counts. So while kWaitingMax states wait to be read, the names
-// of robots are kept instead of further states, and each is told as it is then, when the watch has
+// of robots are kept instead of further states, and each is sent as it is then, when the watch has
 // read all. Any thread.
 class OvertakenStates {
  public:

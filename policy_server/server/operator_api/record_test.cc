@@ -80,7 +80,7 @@ TEST_F(RecordTest, WhatIsLeftOutOfTheGraphIsRecorded) {
   SendDelta({.truncation = ros2::Truncation{.left_out = 16, .crowds = {{Participant(2), 3, 16}}}});
   EXPECT_EQ(Last().delta().truncation().left_out(), 16u);
   EXPECT_EQ(Last().delta().truncation().crowds(0).participant_guid(), Participant(2).ToBytes());
-  // Whoever begins now is told, too.
+  // A recording that begins now says so, too.
   pieces_.clear();
   auto tap = MakeTap();
   ASSERT_THAT(robot_->AddTap(tap), IsOk());

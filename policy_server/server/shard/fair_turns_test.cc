@@ -9,7 +9,7 @@ namespace {
 
 constexpr int64_t kMilli = kNanosPerMilli;
 
-TEST(FairTurnsTest, TheNextTurnBelongsToWhoeverHasUsedTheLeast) {
+TEST(FairTurnsTest, TheNextTurnBelongsToTheRobotThatHasUsedTheLeast) {
   FairTurns<std::string> turns;
   turns.Ready("busy");
   turns.Ready("quiet");

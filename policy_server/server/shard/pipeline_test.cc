@@ -93,7 +93,7 @@ TEST(PipelineTest, RefusesUnknownRobotsAndTasksPastItsLimit) {
   EXPECT_THAT(pipeline.Post("r1", Lane::kControl, nothing), IsOk());
 }
 
-TEST(MailboxTest, CutsAFloodingPeerOffAndNobodyElse) {
+TEST(MailboxTest, CutsOffOnlyTheFloodingPeer) {
   FakeClock clock;
   FakeRecorder recorder;
   FakeObserver audience;

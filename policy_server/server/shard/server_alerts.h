@@ -2,7 +2,7 @@
 // not judge. Kept until they are recorded, in an outage too, and told when they are.
 //
 // Limited as what a robot says by itself (kOwnAlertLimits), for each robot and each place in the
-// code that raises one. What was folded away is told with the next alert of any kind.
+// code that raises one. The count of folded alerts comes with the next alert of any kind.
 #ifndef RIPS_POLICY_SERVER_SERVER_SHARD_SERVER_ALERTS_H_
 #define RIPS_POLICY_SERVER_SERVER_SHARD_SERVER_ALERTS_H_
 

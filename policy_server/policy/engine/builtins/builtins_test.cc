@@ -277,7 +277,7 @@ TEST_F(TruncatedGraphTest, ExactlyTheseIsFalseAndItsNegationTrue) {
   EXPECT_EQ(Names(Builtin::kTopicSubscribers, {"/cmd_vel"}), kF);
 }
 
-TEST_F(TruncatedGraphTest, CurrentInGivenIsFalseIfAStrangerIsThereElseOpen) {
+TEST_F(TruncatedGraphTest, CurrentInGivenIsFalseIfAnotherNodeIsThereElseOpen) {
   const std::vector<std::pair<Builtin, std::vector<std::string>>> all = {
       {Builtin::kNodesInclude, {"talker", "camera", "nav"}},
       {Builtin::kNodesOnly, {"talker", "camera", "nav"}},
@@ -377,16 +377,16 @@ TEST_F(TruncatedGraphTest, TheNodeOfAWriterThatWasLeftOutIsOpen) {
     return yes.unscanned == 1 ? kOpen : yes.fired == 1 ? kT : kF;
   };
   const ros2::Guid shown = graph_.endpoints().begin()->first;
-  ros2::Guid stranger = shown;
-  stranger.bytes[5] = 77;
-  EXPECT_EQ(of(Builtin::kSenderIn, "/evil", stranger, ""), kOpen);
-  EXPECT_EQ(of(Builtin::kSenderIn, "/evil", stranger, "/evil"), kT);
-  EXPECT_EQ(of(Builtin::kSenderIn, "/evil", stranger, "/good"), kF);
-  EXPECT_EQ(of(Builtin::kSenderEnclave, "/evil", stranger, ""), kOpen);
+  ros2::Guid unlisted = shown;
+  unlisted.bytes[5] = 77;
+  EXPECT_EQ(of(Builtin::kSenderIn, "/evil", unlisted, ""), kOpen);
+  EXPECT_EQ(of(Builtin::kSenderIn, "/evil", unlisted, "/evil"), kT);
+  EXPECT_EQ(of(Builtin::kSenderIn, "/evil", unlisted, "/good"), kF);
+  EXPECT_EQ(of(Builtin::kSenderEnclave, "/evil", unlisted, ""), kOpen);
   EXPECT_EQ(of(Builtin::kSenderEnclave, "/evil", shown, ""), kF);
   graph_ = Robot().Build();
-  EXPECT_EQ(of(Builtin::kSenderIn, "/evil", stranger, ""), kF);
-  EXPECT_EQ(of(Builtin::kSenderEnclave, "/evil", stranger, ""), kF);
+  EXPECT_EQ(of(Builtin::kSenderIn, "/evil", unlisted, ""), kF);
+  EXPECT_EQ(of(Builtin::kSenderEnclave, "/evil", unlisted, ""), kF);
 }
 
 TEST_F(TruncatedGraphTest, ArgumentsThatAreNotConstantAreAskedAlike) {

@@ -118,7 +118,7 @@ EvalStatus SenderIn(const EvalNode& node, Evaluation& run, Slot& out) {
   const EvalStatus answer = AnyArg(node, run, out, [&](absl::string_view name) {
     return !sender.empty() && ros2::NodeNameMatches(name, sender);
   });
-  // Nobody knows the node of a writer that was left out.
+  // The node of a writer that was left out is unknown.
   const bool open = answer == EvalStatus::kValue && sender.empty() && run.message != nullptr &&
                     !run.message->writer.none() && run.scene.truncated() &&
                     run.scene.graph.FindEndpoint(run.message->writer) == nullptr;
