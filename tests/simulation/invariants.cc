@@ -1,6 +1,7 @@
 #include "tests/simulation/invariants.h"
 
 #include <algorithm>
+#include <iterator>
 
 #include "absl/strings/match.h"
 #include "absl/strings/str_cat.h"
@@ -26,10 +27,11 @@ bool Checker::LoweredBetween(const Mark& from, const Mark& to) const {
 
 void Checker::OnServerStart(int64_t now_ns) {
   judged_ = judged_durably_;
-  quiet_since_ns_ = now_ns;
+  began_ns_.push_back(server_began_ns_ = now_ns);
 }
 
-void Checker::CheckLowering(const store::DecisionRecord& decision, int64_t now_ns) {
+void Checker::CheckLowering(const Decision& lowering) {
+  const store::DecisionRecord& decision = lowering.record;
   const int from = LevelIndex(decision.from);
   if (absl::StartsWith(decision.cause, "operator ")) {
     ++counts_.operator_lowerings;
@@ -40,8 +42,11 @@ void Checker::CheckLowering(const store::DecisionRecord& decision, int64_t now_n
   const bool soft_step = absl::StartsWith(decision.cause, "rule ") && decision.from == "ALERT" &&
                          LevelIndex(decision.to) == from - 1;
   if (!soft_step) return Fail("I1", "the level is lowered by accident", decision.cause);
-  if (now_ns - quiet_since_ns_ < kSoftHoldNs) {
-    Fail("I1", "a rule lowers without evidence for the whole hold", ToString(decision.mark));
+  const auto later = std::ranges::upper_bound(began_ns_, lowering.made_ns);
+  if (later == began_ns_.begin()) return;
+  if (const int64_t quiet_ns = lowering.made_ns - *std::prev(later); quiet_ns < kSoftHoldNs) {
+    Fail("I1", "a rule lowers without evidence for the whole hold",
+         absl::StrCat(ToString(decision.mark), ", ", quiet_ns / kNanosPerMilli, " ms"));
   }
 }
 
@@ -52,10 +57,16 @@ void Checker::OnRecord(const store::WriteBatch& batch, int64_t now_ns) {
       Fail("I1", "one mark names two decisions", ToString(decision.mark));
     }
     if (!fresh) continue;
+    if (!drawn_terms_.contains(decision.mark.term)) {
+      Fail("I1", "a decision is of a term that the store never gave", ToString(decision.mark));
+    }
     ++counts_.decisions;
     const bool lowers = LevelIndex(decision.to) < LevelIndex(decision.from);
-    it->second = {.record = decision, .lowers = lowers};
-    if (lowers) CheckLowering(decision, now_ns);
+    const auto held = held_since_ns_.find(decision.mark);
+    it->second = {.record = decision,
+                  .lowers = lowers,
+                  .made_ns = held == held_since_ns_.end() ? now_ns : held->second};
+    if (lowers) CheckLowering(it->second);
   }
   for (const store::StageUpdate& stage : batch.stages) {
     if (stage.stage == "verified" && !verified_.contains(stage.mark)) {
@@ -104,6 +115,13 @@ void Checker::OnCommandSent(const pipeline::Command& command) {
   if (known && decision->second.lowers && !decision->second.durable) {
     Fail("I2", "a lowering is sent before it is durable", ToString(set->mark));
   }
+  const bool by_rule = known && absl::StartsWith(decision->second.record.cause, "rule ");
+  // What a server finds durable at its start it commands; the actuator's floor waits for evidence.
+  if (by_rule && decision->second.lowers && !commanded_.contains(set->mark) &&
+      decision->second.made_ns >= server_began_ns_ && began_ns_.back() > decision->second.made_ns) {
+    Fail("I1", "a rule's lowering leaves after its evidence began anew", ToString(set->mark));
+  }
+  commanded_.insert(set->mark);
   if (!set->based_on.none() && !LoweredBetween(set->based_on, set->mark)) {
     Fail("I2", "a command lowers the actuator without a durable lowering", ToString(set->mark));
   }
@@ -116,7 +134,8 @@ void Checker::OnOrderAnswered(const Mark& mark) {
   }
 }
 
-void Checker::OnServerHolds(const Mark& mark, absl::string_view level) {
+void Checker::OnServerHolds(const Mark& mark, absl::string_view level, int64_t now_ns) {
+  held_since_ns_.try_emplace(mark, now_ns);
   const auto decision = decisions_.find(mark);
   if (decision != decisions_.end() && decision->second.record.to != level) {
     Fail("I1", "the server's level is not that of its mark", ToString(mark));

@@ -43,12 +43,14 @@ class Checker {
   void OnRecord(const store::WriteBatch& batch, int64_t now_ns);
   // `record`: what the store holds with `batch`.
   void OnDurable(const store::WriteBatch& batch, const store::RobotRecord& record);
+  // The store gave `term` to this server.
+  void OnTermDrawn(uint64_t term) { drawn_terms_.insert(term); }
   void OnAlertTold(const std::string& id);
   void OnCommandSent(const pipeline::Command& command);
   void OnOrderAnswered(const Mark& mark);
-  void OnServerHolds(const Mark& mark, absl::string_view level);
+  void OnServerHolds(const Mark& mark, absl::string_view level, int64_t now_ns);
   // --- observations: `id` names one for good, whatever number it travels under
-  void OnSensorAccepted(int64_t now_ns) { quiet_since_ns_ = now_ns; }
+  void OnSensorAccepted(int64_t now_ns) { began_ns_.push_back(now_ns); }
   void OnNumbered(const store::LaneKey& lane, uint64_t sequence, uint64_t id);
   void OnJudged(uint64_t id);
   void OnAcknowledged(const store::LaneKey& lane, uint64_t sequence);
@@ -73,9 +75,10 @@ class Checker {
     store::DecisionRecord record;
     bool lowers = false;
     bool durable = false;
+    int64_t made_ns = 0;  // may be long before it is recorded
   };
   void Fail(absl::string_view invariant, absl::string_view what, absl::string_view detail = "");
-  void CheckLowering(const store::DecisionRecord& decision, int64_t now_ns);
+  void CheckLowering(const Decision& lowering);
   // A durable decision after `from`, up to `to`, lowers the level.
   bool LoweredBetween(const Mark& from, const Mark& to) const;
 
@@ -85,13 +88,18 @@ class Checker {
   Mark durable_mark_;
   int durable_level_ = -1;
   absl::flat_hash_set<std::string> durable_alerts_;
+  absl::flat_hash_set<uint64_t> drawn_terms_;
   store::HighWater high_water_;
   int64_t durable_judged_ = 0;
   std::map<store::LaneKey, std::vector<uint64_t>> numbered_;  // from sequence 1; 0 = not counted
   absl::flat_hash_set<uint64_t> judged_;                      // by this server or durably
   absl::flat_hash_set<uint64_t> judged_durably_;
   std::set<std::string> ordered_;
-  int64_t quiet_since_ns_ = 0;
+  std::set<Mark> commanded_;
+  std::map<Mark, int64_t> held_since_ns_;  // by a server
+  // When the server, or a stream of its sensor, began: evidence starts anew.
+  std::vector<int64_t> began_ns_;
+  int64_t server_began_ns_ = 0;
 
   std::optional<actuator::ExecutorReport> held_;  // of the process that runs
   absl::flat_hash_map<std::string, uint64_t> sent_terms_;

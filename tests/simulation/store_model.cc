@@ -62,6 +62,7 @@ store::RobotRecord StoreModel::Load() const {
 
 uint64_t StoreModel::DrawTerm(uint64_t above) {
   record_.highest_term = std::max(record_.highest_term, above) + 1;
+  context_.checker.OnTermDrawn(record_.highest_term);
   return record_.highest_term;
 }
 

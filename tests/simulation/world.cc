@@ -27,7 +27,7 @@ bool World::Step() {
   actuator_.Check();
   if (server_.up()) {
     const pipeline::RobotStatus status = server_.Status();
-    context_.checker.OnServerHolds(status.mark, status.decided_level);
+    context_.checker.OnServerHolds(status.mark, status.decided_level, context_.scheduler.now_ns());
   }
   return !violation().has_value();
 }

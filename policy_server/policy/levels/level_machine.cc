@@ -123,7 +123,7 @@ Transition LevelMachine::DeEscalate(LevelIndex to, const Cause& cause, Instant n
 Transition LevelMachine::Adopt(LevelIndex level, const Mark& seen, Instant now) {
   const LevelIndex held = table_.contains(level) ? level : table_.size() - 1;
   const uint64_t seen_term = std::min(seen.term, kCounterMax);
-  if (term_ <= seen_term) term_ = seen_term + 1;
+  if (term_ < seen_term) term_ = seen_term + 1;
   epoch_ = std::max(epoch_, std::min(seen.epoch, kCounterMax));
   return Decide(Propose(std::max(level_, held), {.kind = Cause::Kind::kAdopted}, now));
 }

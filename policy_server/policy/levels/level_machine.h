@@ -70,8 +70,9 @@ class LevelMachine {
   Transition DeEscalate(LevelIndex to, const Cause& cause, Instant now, LevelIndex expected_level,
                         const Mark& expected_mark);
   // The robot holds `level` under a mark unknown here: takes the more restrictive of both, always
-  // as a new decision, above `seen` (cut to kCounterMax) in term and epoch. A level that is not in
-  // the table counts as the last one.
+  // as a new decision above `seen` (cut to kCounterMax). The caller has drawn a term that is not
+  // below that of `seen`: a term that the store never gave could be another server's. A level that
+  // is not in the table counts as the last one.
   Transition Adopt(LevelIndex level, const Mark& seen, Instant now);
   // The same level as a new decision, so that it stands in the newest term.
   Transition Reaffirm(const Cause& cause, Instant now);

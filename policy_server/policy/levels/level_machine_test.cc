@@ -213,6 +213,14 @@ TEST(LevelMachineTest, AdoptsTheMoreRestrictiveAboveTheSeenMark) {
   EXPECT_EQ(higher.level(), 3);
 }
 
+TEST(LevelMachineTest, AdoptMakesNoTermOfItsOwnAboveADecisionOfTheSameTerm) {
+  LevelMachine machine(Table(4, -1), 1, {2, 5}, 2);
+
+  EXPECT_EQ(machine.Adopt(2, {2, 5}, At(0)).mark, (Mark{2, 6}));
+  EXPECT_EQ(machine.Adopt(2, {2, 40}, At(0)).mark, (Mark{2, 41}));
+  EXPECT_EQ(machine.term(), 2u);
+}
+
 TEST(LevelMachineTest, AdoptTakesAnUnknownLevelForTheLast) {
   for (const LevelIndex level : {-1, 4}) {
     LevelMachine machine(Table(4, -1), 1, {}, 1);

@@ -6,16 +6,27 @@
 
 namespace rips::pipeline {
 
-void EvidenceGate::Update(std::vector<std::string> problems, Instant now) {
+void EvidenceGate::Update(std::vector<std::string> problems, bool level_verified, Instant now) {
   problems_ = std::move(problems);
-  if (problems_.empty()) return;
+  if (!problems_.empty()) Disturb(problems_.front(), now);
+  if (level_verified) return;
+  problems_.emplace_back("the last level is not verified");
   clear_since_ns_ = now.boottime_ns;
   disturbed_by_ = problems_.front();
 }
 
 void EvidenceGate::Disturb(const std::string& why, Instant now) {
+  clear_since_ns_ = broken_ns_ = now.boottime_ns;
+  disturbed_by_ = broken_by_ = why;
+}
+
+void EvidenceGate::Restart(Instant now) {
   clear_since_ns_ = now.boottime_ns;
-  disturbed_by_ = why;
+  disturbed_by_ = "the level has changed";
+}
+
+std::string EvidenceGate::BrokenSince(Instant since) const {
+  return broken_ns_ > since.boottime_ns ? broken_by_ : "";
 }
 
 levels::Evidence EvidenceGate::Assess(Instant now) const {

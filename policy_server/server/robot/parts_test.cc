@@ -7,6 +7,7 @@
 namespace rips::pipeline {
 namespace {
 
+using ::testing::ElementsAre;
 using ::testing::HasSubstr;
 using ::testing::IsEmpty;
 using ::testing::SizeIs;
@@ -85,16 +86,32 @@ TEST(EvidenceGateTest, IsCompleteOnlyAfterTheWholeHold) {
 
 TEST(EvidenceGateTest, AProblemOrADisturbanceStartsTheHoldAnew) {
   EvidenceGate gate(5 * kSecond, At(100));
-  gate.Update({"sensor base is silent"}, At(106));
+  gate.Update({"sensor base is silent"}, true, At(106));
   EXPECT_THAT(gate.Assess(At(106)).blind_because[0], HasSubstr("silent"));
 
-  gate.Update({}, At(107));
+  gate.Update({}, true, At(107));
   EXPECT_THAT(gate.Assess(At(110)).blind_because[0], HasSubstr("4.0 s of 5.0 s"));
   EXPECT_THAT(gate.Assess(At(112)).blind_because, IsEmpty());
 
   gate.Disturb("3 observations were lost", At(113));
   EXPECT_THAT(gate.Assess(At(117)).blind_because[0], HasSubstr("were lost"));
   EXPECT_THAT(gate.Assess(At(118)).blind_because, IsEmpty());
+}
+
+TEST(EvidenceGateTest, ALevelThatIsNotVerifiedStartsTheHoldAnewAndBreaksNothing) {
+  EvidenceGate gate(5 * kSecond, At(100));
+  gate.Update({}, false, At(106));
+  EXPECT_THAT(gate.Assess(At(106)).blind_because, ElementsAre("the last level is not verified"));
+  gate.Restart(At(107));
+  gate.Update({}, true, At(108));
+  EXPECT_THAT(gate.Assess(At(111)).blind_because[0], HasSubstr("the level has changed"));
+
+  EXPECT_EQ(gate.BrokenSince(At(100)), "");
+  gate.Update({"sensor base is silent"}, false, At(112));
+  EXPECT_EQ(gate.BrokenSince(At(111)), "sensor base is silent");
+  gate.Disturb("3 observations were lost", At(113));
+  EXPECT_EQ(gate.BrokenSince(At(112)), "3 observations were lost");
+  EXPECT_EQ(gate.BrokenSince(At(113)), "") << "known to who decided then";
 }
 
 TEST(AlertLimiterTest, FoldsWhatExceedsTheBurst) {

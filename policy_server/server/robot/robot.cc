@@ -208,8 +208,7 @@ void Robot::TakeTransition(const engine::TransitionEffect& effect) {
   }
   if (!transition.decided()) return;
   RecordDecision(transition);
-  // What was seen so far says nothing about the level that this leads to.
-  evidence_.Disturb("the level has changed", ports_.clock->Now());
+  evidence_.Restart(ports_.clock->Now());
   failure_alerted_ = false;
   // A raise from a lowering that is not durable yet lowers the robot, too, unless it leads at least
   // to where the robot was ordered.
@@ -369,7 +368,10 @@ void Robot::OnRecorded(const absl::Status& status, const store::WriteBatch& reco
   store_failing_ = !status.ok();
   if (!status.ok()) {
     if (absl::IsResourceExhausted(status)) SaveRaises();
-    for (const levels::Transition& lowering : lowerings) TakeBack(lowering, status);
+    for (const levels::Transition& lowering : lowerings) {
+      TakeBack(lowering, engine::Severity::kCritical,
+               absl::StrCat("it could not be recorded: ", status.message()));
+    }
     PublishStatus();
     return;
   }
@@ -389,13 +391,24 @@ void Robot::OnRecorded(const absl::Status& status, const store::WriteBatch& reco
     }
   }
   for (auto& [name, host] : sensors_) host.durable.KeepOnly(host.sequences);
-  for (const levels::Transition& lowering : lowerings) {
-    if (lowering.mark == awaiting_durable_) awaiting_durable_ = Mark{};
-    // A raise may have been decided meanwhile: then that one has been commanded already.
-    if (lowering.mark == state_.level.mark()) Order(lowering);
-  }
+  for (const levels::Transition& lowering : lowerings) OrderRecorded(lowering);
   AnswerOrders(recorded.decisions);
   PublishStatus();
+}
+
+void Robot::OrderRecorded(const levels::Transition& lowering) {
+  if (lowering.mark == awaiting_durable_) awaiting_durable_ = Mark{};
+  // A raise may have been decided meanwhile: then that one has been commanded already.
+  if (lowering.mark != state_.level.mark()) return;
+  if (lowering.cause.kind == levels::Cause::Kind::kRule && lowering.lowers()) {
+    // What a rule saw must hold until its lowering leaves.
+    UpdateEvidence(ports_.clock->Now());
+    if (const std::string broken = evidence_.BrokenSince(lowering.at); !broken.empty()) {
+      return TakeBack(lowering, engine::Severity::kMedium,
+                      absl::StrCat("while it was recorded, ", broken));
+    }
+  }
+  Order(lowering);
 }
 
 void Robot::AnswerOrders(const std::vector<store::DecisionRecord>& durable) {
@@ -431,19 +444,19 @@ void Robot::SaveRaises() {
   });
 }
 
-void Robot::TakeBack(const levels::Transition& lowering, const absl::Status& why) {
+void Robot::TakeBack(const levels::Transition& lowering, engine::Severity severity,
+                     std::string why) {
+  const std::string text = absl::StrCat("a lowering was taken back: ", std::move(why));
   if (const auto it = orders_.waiting.find(lowering.mark); it != orders_.waiting.end()) {
     LevelAnswer answer = it->second.answer;
-    answer.status = absl::FailedPreconditionError(
-        absl::StrCat("the lowering could not be recorded and was taken back: ", why.message()));
+    answer.status = absl::FailedPreconditionError(text);
     it->second.reply(answer);
     orders_.waiting.erase(it);
   }
   if (lowering.mark == awaiting_durable_) awaiting_durable_ = Mark{};
   if (state_.level.level() >= lowering.from) return;
-  OwnAlert(engine::Severity::kCritical,
-           absl::StrCat("a lowering could not be recorded and was taken back: ", why.message()));
-  Adopt(lowering.from, state_.level.mark(), "the lowering could not be recorded");
+  OwnAlert(severity, text);
+  Adopt(lowering.from, state_.level.mark(), text);
 }
 
 // ----------------------------------------------------------------------------------- evidence
@@ -488,12 +501,10 @@ bool Robot::HasBacklog() const {
 }
 
 void Robot::UpdateEvidence(Instant now) {
-  std::vector<std::string> problems = EvidenceProblems(now);
   const bool newest_ordered = ledger_.mark() == state_.level.mark();
-  if (!actuators_.empty() && (ledger_.stage() != Stage::kVerified || !newest_ordered)) {
-    problems.push_back("the last level is not verified");
-  }
-  evidence_.Update(std::move(problems), now);
+  const bool verified =
+      actuators_.empty() || (ledger_.stage() == Stage::kVerified && newest_ordered);
+  evidence_.Update(EvidenceProblems(now), verified, now);
 }
 
 // ----------------------------------------------------------------------------------- operators

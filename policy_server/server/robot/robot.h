@@ -284,7 +284,8 @@ class Robot {
   void Flush();
   void OnRecorded(const absl::Status& status, const store::WriteBatch& recorded,
                   const store::HighWater& judged, const std::vector<levels::Transition>& lowerings);
-  void TakeBack(const levels::Transition& lowering, const absl::Status& why);
+  void OrderRecorded(const levels::Transition& lowering);
+  void TakeBack(const levels::Transition& lowering, engine::Severity severity, std::string why);
   void SaveRaises();  // what is not recorded yet, from the store's reserve
   void AnswerOrders(const std::vector<store::DecisionRecord>& durable);
   void PublishStatus();
@@ -319,8 +320,7 @@ class Robot {
   store::WriteBatch pending_;
   std::vector<levels::Transition> pending_lowerings_;
   Unsaved unsaved_;
-  // Batches that the recorder has not answered for.
-  size_t recording_ = 0;
+  size_t recording_ = 0;  // batches that the recorder has not answered for
   bool retired_ = false;
   std::string policy_problem_;
   // Alerts dropped since the store failed.

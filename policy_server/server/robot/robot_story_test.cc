@@ -315,6 +315,37 @@ TEST_F(RobotTest, TakesALoweringBackThatCannotBeRecorded) {
   EXPECT_EQ(audience_.Count("taken back"), 1);
 }
 
+// A slow store: what a rule saw must hold until its lowering leaves.
+TEST_F(RobotTest, ALoweringByARuleIsTakenBackIfItsSensorLeavesWhileItIsRecorded) {
+  Start();
+  Arm();
+  IntruderAppears();
+  Obey();
+  Pass(6'000);
+  recorder_.held = true;
+  IntruderLeaves();
+  Pass(6'000);
+  ASSERT_EQ(Level(), "DEFAULT");
+  const Mark lowering = robot_->Status().mark;
+  actuator_->commands.clear();
+
+  robot_->OnSensorGone("base", sensor_.get());
+  recorder_.held = false;
+  recorder_.Release();
+  Drain();
+
+  EXPECT_EQ(Level(), "ALERT");
+  EXPECT_EQ(audience_.Count("a lowering was taken back: while it was recorded, sensor base is not "
+                            "connected"),
+            1);
+  for (const Command& command : actuator_->commands) {
+    const auto* set = std::get_if<SetLevel>(&command.what);
+    ASSERT_NE(set, nullptr);
+    EXPECT_EQ(set->to, "ALERT");
+  }
+  EXPECT_EQ(robot_->Status().mark.term, lowering.term) << "the store gave no other";
+}
+
 TEST_F(RobotTest, RefusesToLowerWhileTheStoreFails) {
   Start();
   Arm();
