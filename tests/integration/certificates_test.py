@@ -15,14 +15,9 @@ import urllib.error
 import urllib.request
 
 sys.path.insert(0, str(pathlib.Path(__file__).resolve().parents[1] / "support"))
-from fleet import SOURCE, Failed, Fleet, metrics  # noqa: E402
+from fleet import SOURCE, Fleet, check, metrics, perform  # noqa: E402
 
 DAY = 24 * 3600
-
-
-def check(condition, text):
-    if not condition:
-        raise Failed(text)
 
 
 def eventually(condition, seconds, what):
@@ -314,20 +309,11 @@ def main():
     parent = pathlib.Path(sys.argv[1]).resolve().parent / "scenarios"
     parent.mkdir(exist_ok=True)
     directory = pathlib.Path(tempfile.mkdtemp(prefix=scenario.__name__ + ".", dir=parent))
-    fleet = LateFleet(sys.argv[1], directory, floor_hold="1s")
-    try:
-        scenario(fleet)
-    except Failed as failed:
-        print(f"FAILED {scenario.__name__}: {failed}")
-        for process in fleet.processes:
-            print(f"--- {process.name}")
-            print("\n".join(text for _, text in process.lines[-25:]))
-        return 1
-    finally:
-        fleet.stop()
-    shutil.rmtree(directory)
-    print(f"passed {scenario.__name__}")
-    return 0
+    code = perform(scenario.__name__, scenario,
+                   LateFleet(sys.argv[1], directory, floor_hold="1s"))
+    if code == 0:
+        shutil.rmtree(directory)
+    return code
 
 
 if __name__ == "__main__":

@@ -13,19 +13,10 @@ import tempfile
 import time
 
 sys.path.insert(0, str(pathlib.Path(__file__).resolve().parents[1] / "support"))
-from fleet import SOURCE, Failed, Fleet, Process  # noqa: E402
+from fleet import SOURCE, Fleet, Process, Skipped, check, perform  # noqa: E402
 
 LIMIT = 60  # seconds anything here may take on a busy machine
 UNITS = SOURCE / "deploy/systemd"
-
-
-class Skipped(Exception):
-    """Something this scenario needs is not here."""
-
-
-def check(holds, what):
-    if not holds:
-        raise Failed(what)
 
 
 def until(holds, what):
@@ -280,23 +271,10 @@ def main():
     # Short: the path of a socket has 107 bytes at most.
     directory = pathlib.Path(tempfile.mkdtemp(prefix="rips-exec-"))
     world = World(sys.argv[1], directory)
-    try:
-        scenario(world)
-    except Skipped as skipped:
-        print(f"skipped {scenario.__name__}: {skipped}")
-        return 77
-    except Failed as failed:
-        print(f"FAILED {scenario.__name__}: {failed}")
-        for process in world.processes:
-            print(f"--- {process.name}")
-            print("\n".join(text for _, text in process.lines[-25:]))
-        return 1
-    finally:
-        world.stop()
-        for leftover in world.leftovers:
-            shutil.rmtree(leftover, ignore_errors=True)
-    print(f"passed {scenario.__name__}")
-    return 0
+    code = perform(scenario.__name__, scenario, world)
+    for leftover in world.leftovers:
+        shutil.rmtree(leftover, ignore_errors=True)
+    return code
 
 
 if __name__ == "__main__":

@@ -19,7 +19,7 @@ import threading
 import time
 
 sys.path.insert(0, str(pathlib.Path(__file__).resolve().parents[1] / "support"))
-from fleet import Failed, Fleet, Process  # noqa: E402
+from fleet import Failed, Fleet, Process, Skipped, check, perform  # noqa: E402
 
 CONTROL_PORT = 7443
 HOSTS = {"robot": "10.77.0.1", "intruder": "10.77.0.2", "server": "10.77.0.3"}
@@ -36,15 +36,6 @@ chain output {
   counter drop
 }
 """
-
-
-class Skipped(Exception):
-    """The scenario cannot be played here; the text says why."""
-
-
-def check(condition, text):
-    if not condition:
-        raise Failed(text)
 
 
 def run(*args, ok=True):
@@ -512,25 +503,12 @@ def main():
     scenario = next(each for each in SCENARIOS if each.__name__ == sys.argv[2])
     # A short path: a Unix socket's may have 107 bytes.
     directory = pathlib.Path(tempfile.mkdtemp(prefix="rips-firewall-"))
-    world = World(sys.argv[1], directory)
     # So that the namespaces are removed then, too.
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(1))
-    try:
-        play(scenario, world)
-    except Skipped as skipped:
-        print(f"skipped {scenario.__name__}: {skipped}")
-        return 77
-    except Failed as failed:
-        print(f"FAILED {scenario.__name__}: {failed}")
-        for process in world.processes:
-            print(f"--- {process.name}")
-            print("\n".join(text for _, text in process.lines[-80:]))
-        return 1
-    finally:
-        world.stop()
-        shutil.rmtree(directory)
-    print(f"passed {scenario.__name__}")
-    return 0
+    code = perform(scenario.__name__, lambda world: play(scenario, world),
+                   World(sys.argv[1], directory), tail=80)
+    shutil.rmtree(directory)
+    return code
 
 
 if __name__ == "__main__":

@@ -19,16 +19,8 @@ import time
 import zlib
 
 sys.path.insert(0, str(pathlib.Path(__file__).resolve().parents[1] / "support"))
-from fleet import LEVELS, SOURCE, Failed, Fleet, cpu_seconds, metrics  # noqa: E402
-
-
-class Skipped(Exception):
-    """The scenario cannot be played here; the text says why."""
-
-
-def check(condition, text):
-    if not condition:
-        raise Failed(text)
+from fleet import (  # noqa: E402
+    LEVELS, SOURCE, Failed, Fleet, Skipped, check, cpu_seconds, metrics, perform)
 
 
 def decided(fleet):
@@ -972,24 +964,14 @@ def main(kind_of=lambda scenario: Fleet):
     directory.chmod(0o755)  # plugins run as another user
     fleet = kind_of(scenario)(sys.argv[1], directory, floor_hold="1s")
     fleet.leftovers = [directory]  # removed if all went well
-    try:
+    def play(fleet):
         scenario(fleet)
         never_lower(fleet, getattr(scenario, "lowers", ()))
-    except Skipped as skipped:
-        print(f"skipped {scenario.__name__}: {skipped}")
-        return 77
-    except Failed as failed:
-        print(f"FAILED {scenario.__name__}: {failed}")
-        for process in fleet.processes:
-            print(f"--- {process.name}")
-            print("\n".join(text for _, text in process.lines[-25:]))
-        return 1
-    finally:
-        fleet.stop()
-    for leftover in fleet.leftovers:
-        shutil.rmtree(leftover)
-    print(f"passed {scenario.__name__}")
-    return 0
+    code = perform(scenario.__name__, play, fleet)
+    if code == 0:
+        for leftover in fleet.leftovers:
+            shutil.rmtree(leftover)
+    return code
 
 
 if __name__ == "__main__":

@@ -26,7 +26,7 @@ import time
 import tty
 
 sys.path.insert(0, str(pathlib.Path(__file__).resolve().parents[1] / "support"))
-from fleet import LEVELS, MODES, Failed, Fleet, log_time  # noqa: E402
+from fleet import LEVELS, MODES, Failed, Fleet, Skipped, check, log_time, perform  # noqa: E402
 
 # Each ordered pair of levels once, as one walk from DEFAULT back to DEFAULT.
 STOPS = "DEFAULT ALERT DEFAULT COMPROMISED DEFAULT HALT ALERT COMPROMISED ALERT HALT COMPROMISED HALT"
@@ -47,15 +47,6 @@ FAKETIME = "/usr/lib/x86_64-linux-gnu/faketime/libfaketimeMT.so.1"
 INACTIVE = {"DEFAULT": set(), "ALERT": {"/camera"},
             "COMPROMISED": {"/camera", "/base", "/navigator"},
             "HALT": {"/camera", "/lidar", "/base", "/navigator"}}
-
-
-class Skipped(Exception):
-    """The scenario cannot be played here; the text says why."""
-
-
-def check(condition, text):
-    if not condition:
-        raise Failed(text)
 
 
 def rank(level):
@@ -944,22 +935,10 @@ def main():
     directory = pathlib.Path(tempfile.mkdtemp(prefix=f"matrix.{scenario.__name__}.", dir=parent))
     rig = Rig(sys.argv[1], directory)
     rig.table = tables / f"{scenario.__name__}.txt"
-    try:
-        scenario(rig)
-    except Skipped as skipped:
-        print(f"skipped {scenario.__name__}: {skipped}")
-        return 77
-    except Failed as failed:
-        print(f"\nFAILED {scenario.__name__}: {failed}")
-        for process in rig.processes:
-            print(f"--- {process.name}")
-            print("\n".join(text for _, text in process.lines[-25:]))
-        return 1
-    finally:
-        rig.stop()
-    shutil.rmtree(directory)
-    print(f"passed {scenario.__name__}")
-    return 0
+    code = perform(scenario.__name__, scenario, rig)
+    if code == 0:
+        shutil.rmtree(directory)
+    return code
 
 
 if __name__ == "__main__":

@@ -14,7 +14,7 @@ import sys
 import time
 
 import wire_test
-from fleet import SOURCE, Failed, Fleet
+from fleet import SOURCE, Fleet
 from wire_test import USUAL, check, told, wait_told
 
 SECURITY = SOURCE / "deploy/security"

@@ -18,21 +18,12 @@ import tempfile
 import time
 
 sys.path.insert(0, str(pathlib.Path(__file__).resolve().parents[1] / "support"))
-from fleet import SOURCE, Failed, Fleet, Process  # noqa: E402
+from fleet import SOURCE, Failed, Fleet, Process, Skipped, check, perform  # noqa: E402
 
 ROBOT = "10.77.0.1"
 OTHER = "10.77.0.9"
 VICTIM_INDEX = 3
 SENSOR_INDEX = 4
-
-
-class Skipped(Exception):
-    """The scenario cannot be played here; the text says why."""
-
-
-def check(condition, text):
-    if not condition:
-        raise Failed(text)
 
 
 def fields(line):
@@ -515,24 +506,12 @@ def main():
         print(f"skipped {scenario.__name__}: needs ip of iproute2")
         return 77
     directory = pathlib.Path(tempfile.mkdtemp(prefix="rips-wire."))
-    world = World(sys.argv[1], directory)
-    try:
+    def build_and_play(world):
         world.build()
         scenario(world)
-    except Skipped as skipped:
-        print(f"skipped {scenario.__name__}: {skipped}")
-        return 77
-    except Failed as failed:
-        print(f"FAILED {scenario.__name__}: {failed}")
-        for process in world.processes:
-            print(f"--- {process.name}")
-            print("\n".join(text for _, text in process.lines[-25:]))
-        return 1
-    finally:
-        world.stop()
-        shutil.rmtree(directory, ignore_errors=True)
-    print(f"passed {scenario.__name__}")
-    return 0
+    code = perform(scenario.__name__, build_and_play, World(sys.argv[1], directory))
+    shutil.rmtree(directory, ignore_errors=True)
+    return code
 
 
 if __name__ == "__main__":

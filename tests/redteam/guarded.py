@@ -15,7 +15,7 @@ import urllib.request
 sys.path.insert(0, str(pathlib.Path(__file__).resolve().parent))
 sys.path.insert(0, str(pathlib.Path(__file__).resolve().parents[1] / "support"))
 import http2  # noqa: E402
-from fleet import SOURCE, Failed, Fleet, metrics  # noqa: E402
+from fleet import SOURCE, Failed, Fleet, check  # noqa: E402
 
 ATTACK_S = float(os.environ.get("RIPS_ATTACK_S", "6"))
 MEMORY_MIB = 1024
@@ -49,11 +49,6 @@ def quick(function):
     """One that tests/run runs."""
     QUICK.append(function.__name__)
     return scenario(function)
-
-
-def check(condition, text):
-    if not condition:
-        raise Failed(text)
 
 
 def resident_kib(pid):

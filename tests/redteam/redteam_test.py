@@ -24,7 +24,7 @@ import fairness_attacks  # noqa: E402,F401
 import field_attacks  # noqa: E402,F401
 import graph_attacks  # noqa: E402,F401
 import stream_attacks  # noqa: E402,F401
-from fleet import SOURCE, Failed  # noqa: E402
+from fleet import SOURCE, perform  # noqa: E402
 from guarded import (ADMITTED_S, DISK_MIB, MEMORY_MIB, QUICK, SCENARIOS,  # noqa: E402
                      VERDICT_P99_S, Guarded)
 
@@ -62,21 +62,9 @@ def main():
         return 77
     name = sys.argv[2]
     directory = tempfile.mkdtemp(prefix=f"{name}.")
-    fleet = Guarded(sys.argv[1], directory)
-    try:
-        SCENARIOS[name](fleet)
-    except Failed as failed:
-        print(f"FAILED {name}: {failed}")
-        for process in fleet.processes:
-            print(f"--- {process.name}")
-            for _, line in process.lines[-15:]:
-                print(line)
-        return 1
-    finally:
-        fleet.stop()
-        shutil.rmtree(directory, ignore_errors=True)
-    print(f"passed {name}")
-    return 0
+    code = perform(name, SCENARIOS[name], Guarded(sys.argv[1], directory), tail=15)
+    shutil.rmtree(directory, ignore_errors=True)
+    return code
 
 
 if __name__ == "__main__":

@@ -26,6 +26,35 @@ class Failed(Exception):
     """A step did not come out as it must; the text says how."""
 
 
+class Skipped(Exception):
+    """The scenario cannot be played here; the text says why."""
+
+
+def check(holds, what):
+    if not holds:
+        raise Failed(what)
+
+
+def perform(name, scenario, world, tail=25):
+    """Plays a scenario in its world and stops what it started. Returns the exit code for ctest: 0,
+    1 if it failed, after the newest `tail` lines of each process, or 77 if it was skipped."""
+    try:
+        scenario(world)
+    except Skipped as skipped:
+        print(f"skipped {name}: {skipped}")
+        return 77
+    except Failed as failed:
+        for process in world.processes:
+            print(f"--- {process.name}")
+            print("\n".join(text for _, text in process.lines[-tail:]))
+        print(f"FAILED {name}: {failed}")
+        return 1
+    finally:
+        world.stop()
+    print(f"passed {name}")
+    return 0
+
+
 def unix_ns(time_text):
     """RFC 3339 in UTC, any number of decimals, to nanoseconds since the Unix epoch."""
     whole, _, fraction = time_text.rstrip("Z").partition(".")

@@ -280,6 +280,13 @@ class Robot {
   void UpdateEvidence(Instant now);
   bool HasBacklog() const;
   std::vector<std::string> EvidenceProblems(Instant now) const;
+  void PublishStatus();
+  // True if it was answered as the earlier one that it repeats.
+  bool AnswerRepeated(const LevelOrder& order, const LevelReply& reply) const;
+  void Decide(const levels::Transition& transition, const LevelOrder& order, LevelReply reply,
+              LevelAnswer answer);
+
+  // robot_recording.cc
   // Hands everything collected to the recorder; sequences up to now are acknowledged when durable.
   void Flush();
   void OnRecorded(const absl::Status& status, const store::WriteBatch& recorded,
@@ -288,11 +295,6 @@ class Robot {
   void TakeBack(const levels::Transition& lowering, engine::Severity severity, std::string why);
   void SaveRaises();  // what is not recorded yet, from the store's reserve
   void AnswerOrders(const std::vector<store::DecisionRecord>& durable);
-  void PublishStatus();
-  // True if it was answered as the earlier one that it repeats.
-  bool AnswerRepeated(const LevelOrder& order, const LevelReply& reply) const;
-  void Decide(const levels::Transition& transition, const LevelOrder& order, LevelReply reply,
-              LevelAnswer answer);
 
   RobotConfig config_;
   Policy policy_;
@@ -323,15 +325,13 @@ class Robot {
   size_t recording_ = 0;  // batches that the recorder has not answered for
   bool retired_ = false;
   std::string policy_problem_;
-  // Alerts dropped since the store failed.
-  uint64_t alerts_dropped_ = 0;
+  uint64_t alerts_dropped_ = 0;  // since the store failed
   std::vector<std::shared_ptr<EventRecorder>> taps_;
   ControlLine control_line_;
   MessageLine message_line_;
   // Refusals already recorded: rule, from, to, reason → id.
   absl::btree_map<std::string, std::string> refusal_ids_;
-  // By cause and level: record and count.
-  absl::btree_map<std::string, std::pair<std::string, uint64_t>> refused_orders_;
+  absl::btree_map<std::string, std::pair<std::string, uint64_t>> refused_orders_;  // cause, level
   LevelOrders orders_;
   // A lowering that is not durable yet must not be commanded.
   Mark awaiting_durable_;
