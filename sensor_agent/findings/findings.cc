@@ -53,6 +53,8 @@ bool IsSuspect(const ros2::Endpoint& endpoint) {
 
 }  // namespace
 
+absl::Span<const char* const> Findings::Kinds() { return kKindNames; }
+
 Findings::Findings(FindingsOptions options) : options_(std::move(options)) {
   static_assert(std::size(kKindNames) == kKinds);
 }

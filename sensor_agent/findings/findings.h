@@ -41,6 +41,7 @@
 #include "absl/container/btree_set.h"
 #include "absl/status/status.h"
 #include "absl/strings/string_view.h"
+#include "absl/types/span.h"
 #include "sensor_agent/graph/graph_builder.h"
 #include "sensor_agent/outbox/observation.h"
 #include "services/ros2/guid.h"
@@ -104,6 +105,8 @@ class Findings {
   size_t secured_strangers() const { return secured_strangers_; }
   // Findings that were not held because of the limit.
   uint64_t dropped() const { return dropped_; }
+  // The kinds that it tells, as Finding::kind.
+  static absl::Span<const char* const> Kinds();
 
  private:
   enum Kind {

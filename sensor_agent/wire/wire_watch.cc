@@ -13,6 +13,7 @@ namespace {
 constexpr char kUnicastWriter[] = "unicast_writer";
 constexpr char kSpoofedWriter[] = "spoofed_writer";
 constexpr char kDirectedData[] = "directed_data";
+constexpr const char* kKinds[] = {kUnicastWriter, kSpoofedWriter, kDirectedData};
 
 // Ports of one address that a participant sends from at the same time. Cyclone DDS has one socket
 // for each address; Fast DDS one for unicast on all addresses, and one for multicast on each. What
@@ -47,6 +48,8 @@ std::string Datagrams(uint64_t count) {
 }  // namespace
 
 // ------------------------------------------------------------------------------------ discovery
+
+absl::Span<const char* const> WireWatch::Kinds() { return kKinds; }
 
 void WireWatch::ParticipantSeen(const ros2::Guid& participant,
                                 const std::vector<Locator>& advertised) {

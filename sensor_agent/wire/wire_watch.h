@@ -25,6 +25,7 @@
 
 #include "absl/container/btree_map.h"
 #include "absl/container/flat_hash_map.h"
+#include "absl/types/span.h"
 #include "sensor_agent/outbox/observation.h"
 #include "sensor_agent/wire/traffic.h"
 #include "services/ros2/guid.h"
@@ -79,6 +80,8 @@ struct Suspect {
 class WireWatch {
  public:
   explicit WireWatch(WatchOptions options) : options_(options) {}
+  // The kinds that it tells, as Finding::kind.
+  static absl::Span<const char* const> Kinds();
 
   // --- Discovery. `advertised`: locators the participant is reached at; empty = not known.
   void ParticipantSeen(const ros2::Guid& participant, const std::vector<Locator>& advertised);

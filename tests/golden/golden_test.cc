@@ -2,14 +2,19 @@
 #include <cstdlib>
 #include <fstream>
 #include <string>
+#include <utility>
 
 #include "absl/strings/str_cat.h"
-#include "gtest/gtest.h"
+#include "gmock/gmock.h"
+#include "policy_server/policy/engine/state/compiled_policy.h"
 #include "policy_server/policy/lang/check/compile.h"
+#include "policy_server/policy/lang/check/signature.h"
 #include "policy_server/policy/lang/diagnostic/source.h"
 #include "policy_server/policy/lang/syntax/ast_printer.h"
 #include "policy_server/policy/lang/syntax/lexer.h"
 #include "policy_server/policy/lang/syntax/parser.h"
+#include "re2/re2.h"
+#include "services/base/status_matchers.h"
 #include "tests/golden/golden_file.h"
 
 namespace rips::golden {
@@ -61,6 +66,28 @@ TEST(GoldenTest, AcceptedFilesPrintToFilesThatAreJudgedTheSame) {
     EXPECT_EQ(again.rules->levels, result.rules->levels) << file.path;
   }
   EXPECT_GE(accepted, 4);
+}
+
+// Of each builtin there is a call that the compiler accepts.
+TEST(GoldenTest, AcceptedFilesUseEveryBuiltin) {
+  std::string accepted;
+  for (const GoldenFile& file : LoadGoldenFiles()) {
+    if (lang::Compile({{.path = "a", .text = file.input}}).rules) {
+      absl::StrAppend(&accepted, file.input);
+    }
+  }
+  for (const lang::Signature& each : lang::Signatures()) {
+    EXPECT_TRUE(RE2::PartialMatch(accepted, absl::StrCat("\\b", each.name, "\\(")))
+        << each.name << " is in no accepted file";
+  }
+}
+
+TEST(GoldenTest, TheEngineRunsWhatTheCompilerAccepts) {
+  for (const GoldenFile& file : LoadGoldenFiles()) {
+    lang::CompileResult result = lang::Compile({{.path = "a", .text = file.input}});
+    if (!result.rules) continue;
+    EXPECT_THAT(engine::CompiledPolicy::Create(*std::move(result.rules)), IsOk()) << file.path;
+  }
 }
 
 // White space between tokens means nothing.

@@ -10,14 +10,12 @@
 
 #include "absl/strings/match.h"
 #include "policy_server/policy/engine/builtins/name_set.h"
+#include "policy_server/policy/engine/builtins/question.h"
 
 namespace rips::engine {
 namespace {
 
-using lang::Builtin;
 using Args = absl::Span<const Scalar>;
-
-enum class Relation { kExactly, kCurrentInGiven, kGivenInCurrent };
 
 std::optional<absl::string_view> Text(Args args, size_t i) {
   if (i >= args.size()) return std::nullopt;
@@ -32,7 +30,7 @@ struct Range {
   int64_t max = 0;
 };
 
-std::optional<Range> RangeOf(Args args, size_t from) {
+std::optional<Range> RangeFrom(Args args, size_t from) {
   if (args.size() != from + 2) return std::nullopt;
   const auto* min = std::get_if<int64_t>(&args[from]);
   const auto* max = std::get_if<int64_t>(&args[from + 1]);
@@ -46,10 +44,10 @@ const std::string& NameOf(const std::pair<const std::string, ros2::Topic>& topic
   return topic.first;
 }
 
-// How the names from args[from] on compare with those in `current`.
+// How the names from args[from] on compare with those in `current`. Nullopt for other forms.
 template <typename Range>
 std::optional<bool> Compare(NameSet::Kind kind, Args args, size_t from, const Range& current,
-                            Relation relation, bool truncated) {
+                            Form form, bool truncated) {
   NameSet names(kind);
   for (size_t i = from; i < args.size(); ++i) {
     const std::optional<absl::string_view> name = Text(args, i);
@@ -58,13 +56,21 @@ std::optional<bool> Compare(NameSet::Kind kind, Args args, size_t from, const Ra
   }
   names.Seal();
   for (const auto& item : current) names.See(NameOf(item));
-  switch (relation) {
-    case Relation::kExactly:
+  switch (form) {
+    case Form::kExactly:
       return !truncated && names.AllCurrentGiven() && names.AllGivenCurrent();
-    case Relation::kCurrentInGiven:
+    case Form::kCurrentInGiven:
       return !truncated && names.AllCurrentGiven();
-    case Relation::kGivenInCurrent:
+    case Form::kGivenInCurrent:
       return names.AllGivenCurrent();
+    case Form::kHas:
+      if (args.size() != from + 1) return std::nullopt;
+      return names.AllGivenCurrent();
+    case Form::kOneOf:
+    case Form::kMatches:
+    case Form::kIsType:
+    case Form::kCount:
+      break;
   }
   return std::nullopt;
 }
@@ -85,58 +91,6 @@ std::vector<std::string> ServicesOf(absl::string_view name, const ros2::RosGraph
   return services;
 }
 
-// What a set form asks. Nullopt for builtins that compare no sets.
-std::optional<Relation> RelationOf(Builtin builtin, bool prototype) {
-  switch (builtin) {
-    case Builtin::kPublishers:
-    case Builtin::kSubscribers:
-    case Builtin::kNodes:
-    case Builtin::kTopics:
-    case Builtin::kServices:
-    case Builtin::kTopicPublishers:
-    case Builtin::kTopicSubscribers:
-      return Relation::kExactly;
-    case Builtin::kPublishersInclude:
-      return Relation::kGivenInCurrent;
-    case Builtin::kSubscribersInclude:
-      return prototype ? Relation::kCurrentInGiven : Relation::kGivenInCurrent;
-    case Builtin::kNodesInclude:
-    case Builtin::kTopicsInclude:
-    case Builtin::kServicesInclude:
-    case Builtin::kTopicPublishersInclude:
-    case Builtin::kTopicSubscribersInclude:
-      return prototype ? Relation::kGivenInCurrent : Relation::kCurrentInGiven;
-    case Builtin::kNodesOnly:
-    case Builtin::kTopicsOnly:
-    case Builtin::kServicesOnly:
-    case Builtin::kTopicPublishersOnly:
-    case Builtin::kTopicSubscribersOnly:
-      return Relation::kCurrentInGiven;
-    case Builtin::kHasNodes:
-    case Builtin::kHasTopics:
-    case Builtin::kHasServices:
-    case Builtin::kHasTopicPublishers:
-    case Builtin::kHasTopicSubscribers:
-      return Relation::kGivenInCurrent;
-    default:
-      return std::nullopt;
-  }
-}
-
-std::optional<bool> EvaluateServices(Builtin builtin, Args args, const EvalContext& scene) {
-  const std::optional<absl::string_view> node = Text(args, 0);
-  if (!node.has_value()) return std::nullopt;
-  const std::vector<std::string> services = ServicesOf(*node, scene.graph);
-  if (builtin == Builtin::kService) {
-    const std::optional<absl::string_view> service = Text(args, 1);
-    if (!service.has_value() || args.size() != 2) return std::nullopt;
-    return std::find(services.begin(), services.end(), *service) != services.end();
-  }
-  const auto relation = RelationOf(builtin, scene.prototype());
-  if (!relation.has_value()) return std::nullopt;
-  return Compare(NameSet::Kind::kPlain, args, 1, services, *relation, scene.truncated());
-}
-
 const std::vector<std::string>& Nobody() {
   static const auto* const kNobody = new std::vector<std::string>();
   return *kNobody;
@@ -148,73 +102,53 @@ const std::vector<std::string>& Subscribers(const ros2::Topic* topic) {
   return topic == nullptr ? Nobody() : topic->subscribers;
 }
 
-// Who publishes on, or subscribes to, the topic that is the first argument.
-std::optional<bool> EvaluateTopic(Builtin builtin, Args args, const EvalContext& scene) {
-  const std::optional<absl::string_view> name = Text(args, 0);
-  if (!name.has_value()) return std::nullopt;
-  const ros2::Topic* topic = scene.graph.FindTopic(*name);
-  const auto relation = RelationOf(builtin, scene.prototype());
-  if (!relation.has_value()) return std::nullopt;
-  const bool publishers =
-      builtin == Builtin::kTopicPublishers || builtin == Builtin::kTopicPublishersInclude ||
-      builtin == Builtin::kTopicPublishersOnly || builtin == Builtin::kHasTopicPublishers;
-  return Compare(NameSet::Kind::kNodes, args, 1,
-                 publishers ? Publishers(topic) : Subscribers(topic), *relation, scene.truncated());
-}
-
-// Those that are there, of a builtin that counts; nullopt for others.
-std::optional<size_t> Counted(Builtin builtin, Args args, const EvalContext& scene) {
-  const absl::string_view subject = Text(args, 0).value_or(absl::string_view());
-  switch (builtin) {
-    case Builtin::kPublisherCount:
-      return Publishers(scene.facts).size();
-    case Builtin::kSubscriberCount:
-      return Subscribers(scene.facts).size();
-    case Builtin::kNodeCount:
-      return scene.graph.nodes().size();
-    case Builtin::kTopicCount:
-      return scene.graph.topics().size();
-    case Builtin::kServiceCount:
-      return ServicesOf(subject, scene.graph).size();
-    case Builtin::kTopicPublisherCount:
-      return Publishers(scene.graph.FindTopic(subject)).size();
-    case Builtin::kTopicSubscriberCount:
-      return Subscribers(scene.graph.FindTopic(subject)).size();
-    default:
-      return std::nullopt;
+// Calls `look` with the names that are there and how they are compared.
+template <typename Look>
+auto Visit(const Question& question, Args args, const EvalContext& scene, const Look& look)
+    -> decltype(look(NameSet::Kind::kPlain, Nobody())) {
+  const absl::string_view name = Text(args, 0).value_or(absl::string_view());
+  switch (question.subject) {
+    case Subject::kPublishers:
+      return look(NameSet::Kind::kNodes, Publishers(scene.facts));
+    case Subject::kSubscribers:
+      return look(NameSet::Kind::kNodes, Subscribers(scene.facts));
+    case Subject::kNodes:
+      return look(NameSet::Kind::kNodes, scene.graph.nodes());
+    case Subject::kTopics:
+      return look(NameSet::Kind::kPlain, scene.graph.topics());
+    case Subject::kServicesOf:
+      return look(NameSet::Kind::kPlain, ServicesOf(name, scene.graph));
+    case Subject::kPublishersOf:
+      return look(NameSet::Kind::kNodes, Publishers(scene.graph.FindTopic(name)));
+    case Subject::kSubscribersOf:
+      return look(NameSet::Kind::kNodes, Subscribers(scene.graph.FindTopic(name)));
+    case Subject::kTopic:
+    case Subject::kTypes:
+      break;
   }
+  return std::nullopt;
 }
 
-bool CountsOfSubject(Builtin builtin) {
-  return builtin == Builtin::kServiceCount || builtin == Builtin::kTopicPublisherCount ||
-         builtin == Builtin::kTopicSubscriberCount;
+std::optional<int64_t> CountOf(const Question& question, Args args, const EvalContext& scene) {
+  return Visit(question, args, scene, [](NameSet::Kind, const auto& current) {
+    return std::optional<int64_t>(static_cast<int64_t>(current.size()));
+  });
 }
 
-// The range of a builtin that counts.
-std::optional<Range> CountRange(Builtin builtin, Args args) {
-  const bool subject = CountsOfSubject(builtin);
-  if (subject && !Text(args, 0).has_value()) return std::nullopt;
-  return RangeOf(args, subject ? 1 : 0);
-}
-
-std::optional<bool> EvaluateCount(Builtin builtin, Args args, const EvalContext& scene) {
-  const std::optional<Range> range = CountRange(builtin, args);
-  const std::optional<size_t> count = Counted(builtin, args, scene);
-  if (!range.has_value() || !count.has_value()) return std::nullopt;
-  const auto n = static_cast<int64_t>(*count);
-  return range->min <= n && n <= range->max;
+std::optional<Range> RangeOf(const Question& question, Args args) {
+  if (question.names_subject() && !Text(args, 0).has_value()) return std::nullopt;
+  return RangeFrom(args, question.names_subject() ? 1 : 0);
 }
 
 // Between n and n + left_out are there.
-bool CountLeftOpen(Builtin builtin, Args args, const EvalContext& scene) {
-  const std::optional<Range> range = CountRange(builtin, args);
-  const std::optional<size_t> count = Counted(builtin, args, scene);
-  if (!range.has_value() || !count.has_value() || range->min > range->max) return false;
-  const auto least = static_cast<int64_t>(*count);
-  const auto room = static_cast<uint64_t>(std::numeric_limits<int64_t>::max() - least);
-  const int64_t most = least + static_cast<int64_t>(std::min(scene.graph.left_out(), room));
-  if (least > range->max || most < range->min) return false;
-  return least < range->min || most > range->max;
+bool CountLeftOpen(const Question& question, Args args, const EvalContext& scene) {
+  const std::optional<Range> range = RangeOf(question, args);
+  const std::optional<int64_t> least = CountOf(question, args, scene);
+  if (!range.has_value() || !least.has_value() || range->min > range->max) return false;
+  const auto room = static_cast<uint64_t>(std::numeric_limits<int64_t>::max() - *least);
+  const int64_t most = *least + static_cast<int64_t>(std::min(scene.graph.left_out(), room));
+  if (*least > range->max || most < range->min) return false;
+  return *least < range->min || most > range->max;
 }
 
 // Is any of the arguments `text` (whole), or the package of one of the types?
@@ -250,102 +184,67 @@ std::optional<bool> SubtypeIs(Args args, const EvalContext& scene) {
   });
 }
 
-}  // namespace
+Form FormOf(const Question& question, const EvalContext& scene) {
+  return scene.prototype() ? question.prototype : question.form;
+}
 
-bool LeftOpen(Builtin builtin, Args args, const EvalContext& scene) {
-  if (!scene.graph.truncated()) return false;
-  switch (builtin) {
-    case Builtin::kTopicIn:
-    case Builtin::kMsgTypeIn:
-    case Builtin::kMsgSubtype:
-      return false;
-    case Builtin::kPublisherCount:
-    case Builtin::kSubscriberCount:
-    case Builtin::kNodeCount:
-    case Builtin::kTopicCount:
-    case Builtin::kServiceCount:
-    case Builtin::kTopicPublisherCount:
-    case Builtin::kTopicSubscriberCount:
-      return CountLeftOpen(builtin, args, scene);
-    case Builtin::kService:
-      return !Ask(builtin, args, scene).value_or(true);
-    default:
+std::optional<bool> Answer(const Question& question, Args args, const EvalContext& scene) {
+  const Form form = FormOf(question, scene);
+  switch (form) {
+    case Form::kOneOf:
+      return question.subject == Subject::kTopic ? AnyIs(args, scene.topic) : TypeIn(args, scene);
+    case Form::kIsType:
+      return SubtypeIs(args, scene);
+    case Form::kCount: {
+      const std::optional<Range> range = RangeOf(question, args);
+      const std::optional<int64_t> count = CountOf(question, args, scene);
+      if (!range.has_value() || !count.has_value()) return std::nullopt;
+      return range->min <= *count && *count <= range->max;
+    }
+    case Form::kExactly:
+    case Form::kCurrentInGiven:
+    case Form::kGivenInCurrent:
+    case Form::kHas: {
+      const size_t from = question.names_subject() ? 1 : 0;
+      if (from > 0 && !Text(args, 0).has_value()) return std::nullopt;
+      return Visit(question, args, scene, [&](NameSet::Kind kind, const auto& current) {
+        return Compare(kind, args, from, current, form, scene.truncated());
+      });
+    }
+    case Form::kMatches:
       break;
   }
-  const auto relation = RelationOf(builtin, scene.prototype());
-  if (!relation.has_value() || *relation == Relation::kExactly) return false;
-  if (*relation == Relation::kGivenInCurrent) return !Ask(builtin, args, scene).value_or(true);
-  EvalContext whole = scene;
-  whole.as_if_whole = true;
-  return Ask(builtin, args, whole).value_or(false);
+  return std::nullopt;
 }
 
-bool NamesSubject(Builtin builtin) {
-  switch (builtin) {
-    case Builtin::kServices:
-    case Builtin::kServicesInclude:
-    case Builtin::kServicesOnly:
-    case Builtin::kHasServices:
-    case Builtin::kTopicPublishers:
-    case Builtin::kTopicPublishersInclude:
-    case Builtin::kTopicPublishersOnly:
-    case Builtin::kHasTopicPublishers:
-    case Builtin::kTopicSubscribers:
-    case Builtin::kTopicSubscribersInclude:
-    case Builtin::kTopicSubscribersOnly:
-    case Builtin::kHasTopicSubscribers:
-      return true;
-    default:
-      return false;
-  }
+}  // namespace
+
+std::optional<bool> Ask(lang::Builtin builtin, Args args, const EvalContext& scene) {
+  const Question* question = QuestionOf(builtin);
+  return question == nullptr ? std::nullopt : Answer(*question, args, scene);
 }
 
-std::optional<bool> Ask(Builtin builtin, Args args, const EvalContext& scene) {
-  const auto compare = [&](NameSet::Kind kind, const auto& current) -> std::optional<bool> {
-    const auto relation = RelationOf(builtin, scene.prototype());
-    if (!relation.has_value()) return std::nullopt;
-    return Compare(kind, args, 0, current, *relation, scene.truncated());
-  };
-  switch (builtin) {
-    case Builtin::kTopicIn:
-      return AnyIs(args, scene.topic);
-    case Builtin::kMsgTypeIn:
-      return TypeIn(args, scene);
-    case Builtin::kMsgSubtype:
-      return SubtypeIs(args, scene);
-    case Builtin::kPublisherCount:
-    case Builtin::kSubscriberCount:
-    case Builtin::kNodeCount:
-    case Builtin::kTopicCount:
-    case Builtin::kServiceCount:
-    case Builtin::kTopicPublisherCount:
-    case Builtin::kTopicSubscriberCount:
-      return EvaluateCount(builtin, args, scene);
-    case Builtin::kPublishers:
-    case Builtin::kPublishersInclude:
-      return compare(NameSet::Kind::kNodes, Publishers(scene.facts));
-    case Builtin::kSubscribers:
-    case Builtin::kSubscribersInclude:
-      return compare(NameSet::Kind::kNodes, Subscribers(scene.facts));
-    case Builtin::kNodes:
-    case Builtin::kNodesInclude:
-    case Builtin::kNodesOnly:
-    case Builtin::kHasNodes:
-      return compare(NameSet::Kind::kNodes, scene.graph.nodes());
-    case Builtin::kTopics:
-    case Builtin::kTopicsInclude:
-    case Builtin::kTopicsOnly:
-    case Builtin::kHasTopics:
-      return compare(NameSet::Kind::kPlain, scene.graph.topics());
-    case Builtin::kServices:
-    case Builtin::kServicesInclude:
-    case Builtin::kServicesOnly:
-    case Builtin::kHasServices:
-    case Builtin::kService:
-      return EvaluateServices(builtin, args, scene);
-    default:
-      return NamesSubject(builtin) ? EvaluateTopic(builtin, args, scene) : std::nullopt;
+bool LeftOpen(lang::Builtin builtin, Args args, const EvalContext& scene) {
+  const Question* question = QuestionOf(builtin);
+  if (question == nullptr || !scene.graph.truncated()) return false;
+  switch (FormOf(*question, scene)) {
+    case Form::kCount:
+      return CountLeftOpen(*question, args, scene);
+    case Form::kGivenInCurrent:
+    case Form::kHas:
+      return !Answer(*question, args, scene).value_or(true);
+    case Form::kCurrentInGiven: {
+      EvalContext whole = scene;
+      whole.as_if_whole = true;
+      return Answer(*question, args, whole).value_or(false);
+    }
+    case Form::kOneOf:
+    case Form::kMatches:
+    case Form::kIsType:
+    case Form::kExactly:
+      break;
   }
+  return false;
 }
 
 }  // namespace rips::engine

@@ -66,9 +66,6 @@ std::optional<bool> Ask(lang::Builtin builtin, absl::Span<const Scalar> args,
 // "exactly" is not, so its negation is true.
 bool LeftOpen(lang::Builtin builtin, absl::Span<const Scalar> args, const EvalContext& scene);
 
-// The first argument is the node or topic that is asked about, the others are a set.
-bool NamesSubject(lang::Builtin builtin);
-
 }  // namespace rips::engine
 
 #endif  // RIPS_POLICY_SERVER_POLICY_ENGINE_BUILTINS_BUILTINS_H_

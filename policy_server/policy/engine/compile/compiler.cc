@@ -7,6 +7,7 @@
 #include "absl/status/status.h"
 #include "absl/strings/str_cat.h"
 #include "policy_server/policy/engine/builtins/builtins.h"
+#include "policy_server/policy/engine/builtins/question.h"
 #include "policy_server/policy/engine/eval/evaluation.h"
 #include "policy_server/policy/engine/state/compiled.h"
 #include "policy_server/policy/engine/state/compiled_policy.h"
@@ -23,30 +24,6 @@ using lang::Builtin;
 using lang::EventClass;
 using lang::TypedExpr;
 using lang::ValueType;
-
-// Where the answer of a call with constant arguments comes from.
-enum class Source { kTopic, kFacts, kGraph, kElsewhere };
-
-Source SourceOf(Builtin builtin) {
-  switch (builtin) {
-    case Builtin::kTopicIn:
-    case Builtin::kTopicMatches:
-    case Builtin::kMsgTypeIn:
-    case Builtin::kMsgSubtype:
-      return Source::kTopic;
-    case Builtin::kPublisherCount:
-    case Builtin::kSubscriberCount:
-    case Builtin::kPublishersInclude:
-    case Builtin::kSubscribersInclude:
-    case Builtin::kPublishers:
-    case Builtin::kSubscribers:
-      return Source::kFacts;
-    default:
-      return builtin >= Builtin::kNodes && builtin <= Builtin::kHasTopicSubscribers
-                 ? Source::kGraph
-                 : Source::kElsewhere;
-  }
-}
 
 bool IsConstant(const EvalNode* node) { return node->function == ConstantFunction(); }
 
@@ -269,7 +246,7 @@ class Compiler {
     }
     node.function = CallFunction(expr.builtin, node.args);
     if (node.function == nullptr) return IllTyped();
-    if (SourceOf(expr.builtin) != Source::kElsewhere) {
+    if (QuestionOf(expr.builtin) != nullptr) {
       const bool constant = std::all_of(node.args.begin(), node.args.end(), IsConstant);
       return constant ? FillPredicate(expr, node) : absl::OkStatus();
     }
@@ -301,7 +278,7 @@ class Compiler {
     for (const EvalNode* arg : node.args) {
       predicate.args.push_back(ToScalar(arg->constant, arg->type));
     }
-    const Source source = SourceOf(expr.builtin);
+    const Source source = QuestionOf(expr.builtin)->source;
     std::vector<Predicate>& list = source == Source::kTopic   ? out_->predicates
                                    : source == Source::kFacts ? out_->facts
                                                               : out_->graph;

@@ -1,5 +1,6 @@
 // Calls: predicates that are remembered, and what is asked of the event itself.
 #include <algorithm>
+#include <array>
 #include <utility>
 
 #include "absl/container/inlined_vector.h"
@@ -8,6 +9,7 @@
 #include "absl/strings/numbers.h"
 #include "absl/strings/str_cat.h"
 #include "policy_server/policy/engine/builtins/builtins.h"
+#include "policy_server/policy/engine/builtins/question.h"
 #include "policy_server/policy/engine/eval/evaluation.h"
 #include "policy_server/policy/engine/state/internal.h"
 #include "policy_server/policy/engine/state/message_counts.h"
@@ -299,47 +301,70 @@ EvalStatus String(const EvalNode& node, Evaluation& run, Slot& out) {
   return EvalStatus::kValue;
 }
 
-bool AreStrings(const std::vector<const EvalNode*>& args, size_t from, size_t to) {
-  if (args.size() < to) return false;
-  return std::all_of(args.begin() + from, args.begin() + to,
-                     [](const EvalNode* arg) { return arg->type == ValueType::kString; });
-}
+bool IsInt(ValueType type) { return type == ValueType::kInt || type == ValueType::kLevel; }
 
-bool IsInt(const EvalNode* arg) {
-  return arg->type == ValueType::kInt || arg->type == ValueType::kLevel;
-}
+// What arguments a call takes: strings, then integers.
+struct Shape {
+  size_t strings = 0;
+  bool more_strings = false;
+  size_t ints = 0;
 
-// `strings` strings, then a range and nothing else.
-bool IsRange(const std::vector<const EvalNode*>& args, size_t strings) {
-  return args.size() == strings + 2 && AreStrings(args, 0, strings) && IsInt(args[strings]) &&
-         IsInt(args[strings + 1]);
-}
-
-EvalNode::Function GraphCall(Builtin builtin, const std::vector<const EvalNode*>& args) {
-  const bool strings = AreStrings(args, 0, args.size());
-  switch (builtin) {
-    case Builtin::kTopicIn:
-    case Builtin::kMsgTypeIn:
-      return strings ? &EvaluateTopicNow : nullptr;
-    case Builtin::kMsgSubtype:
-      return strings && args.size() == 2 ? &EvaluateTopicNow : nullptr;
-    case Builtin::kPublisherCount:
-    case Builtin::kSubscriberCount:
-    case Builtin::kNodeCount:
-    case Builtin::kTopicCount:
-      return IsRange(args, 0) ? &EvaluateNow : nullptr;
-    case Builtin::kServiceCount:
-    case Builtin::kTopicPublisherCount:
-    case Builtin::kTopicSubscriberCount:
-      return IsRange(args, 1) ? &EvaluateNow : nullptr;
-    case Builtin::kService:
-      return strings && args.size() == 2 ? &EvaluateNow : nullptr;
-    case Builtin::kTopicMatches:
-      return nullptr;
-    default:
-      // Those about one node or topic name it first.
-      return strings && (!NamesSubject(builtin) || !args.empty()) ? &EvaluateNow : nullptr;
+  bool Fits(const std::vector<const EvalNode*>& args) const {
+    const size_t least = strings + ints;
+    if (more_strings ? args.size() < least : args.size() != least) return false;
+    const size_t texts = args.size() - ints;
+    for (size_t i = 0; i < args.size(); ++i) {
+      const ValueType type = args[i]->type;
+      if (i < texts ? type != ValueType::kString : !IsInt(type)) return false;
+    }
+    return true;
   }
+};
+
+constexpr Shape kAnyStrings{.more_strings = true};
+constexpr Shape kOneString{.strings = 1};
+
+struct Call {
+  Builtin builtin;
+  EvalNode::Function function;
+  Shape shape;
+};
+
+// Builtins that ask neither the topic nor the graph, but for `string`, which takes any one type.
+constexpr auto kCalls = std::to_array<Call>({
+    {Builtin::kPayload, &Inspected, {}},
+    {Builtin::kPlugin, &Inspected, {}},
+    {Builtin::kSenderEnclave, &SenderEnclave, kAnyStrings},
+    {Builtin::kSenderIn, &SenderIn, kAnyStrings},
+    {Builtin::kPayloadSize, &PayloadSize, {.ints = 2}},
+    {Builtin::kMsgCount, &MsgCount, {.ints = 3}},
+    {Builtin::kSenderCount, &SenderCount, {.ints = 3}},
+    {Builtin::kIdsAlert, &IdsAlert, kOneString},
+    {Builtin::kSignal, &Signal, kOneString},
+    {Builtin::kAgent, &Agent, {.strings = 2}},
+    {Builtin::kFinding, &Finding, kOneString},
+    {Builtin::kLostEvents, &LostEvents, {.ints = 1}},
+    {Builtin::kLevelName, &LevelName, {.ints = 1}},
+});
+
+Shape ShapeOf(const Question& question) {
+  const size_t subject = question.names_subject() ? 1 : 0;
+  switch (question.form) {
+    case Form::kMatches:
+      return kOneString;
+    case Form::kIsType:
+      return {.strings = 2};
+    case Form::kHas:
+      return {.strings = subject + 1};
+    case Form::kCount:
+      return {.strings = subject, .ints = 2};
+    case Form::kOneOf:
+    case Form::kExactly:
+    case Form::kCurrentInGiven:
+    case Form::kGivenInCurrent:
+      break;
+  }
+  return {.strings = subject, .more_strings = true};
 }
 
 }  // namespace
@@ -349,40 +374,22 @@ EvalNode::Function FactsPredicateFunction() { return &FactsPredicate; }
 EvalNode::Function GraphPredicateFunction() { return &GraphPredicate; }
 
 EvalNode::Function CallFunction(Builtin builtin, const std::vector<const EvalNode*>& args) {
-  const bool strings = AreStrings(args, 0, args.size());
-  switch (builtin) {
-    case Builtin::kPayload:
-    case Builtin::kPlugin:
-      return args.empty() ? &Inspected : nullptr;
-    case Builtin::kSenderEnclave:
-      return strings ? &SenderEnclave : nullptr;
-    case Builtin::kSenderIn:
-      return strings ? &SenderIn : nullptr;
-    case Builtin::kPayloadSize:
-      return IsRange(args, 0) ? &PayloadSize : nullptr;
-    case Builtin::kMsgCount:
-    case Builtin::kSenderCount:
-      if (args.size() != 3 || !std::all_of(args.begin(), args.end(), IsInt)) return nullptr;
-      return builtin == Builtin::kMsgCount ? &MsgCount : &SenderCount;
-    case Builtin::kIdsAlert:
-      return strings && args.size() == 1 ? &IdsAlert : nullptr;
-    case Builtin::kSignal:
-      return strings && args.size() == 1 ? &Signal : nullptr;
-    case Builtin::kAgent:
-      return strings && args.size() == 2 ? &Agent : nullptr;
-    case Builtin::kFinding:
-      return strings && args.size() == 1 ? &Finding : nullptr;
-    case Builtin::kLostEvents:
-      return args.size() == 1 && IsInt(args[0]) ? &LostEvents : nullptr;
-    case Builtin::kLevelName:
-      return args.size() == 1 && IsInt(args[0]) ? &LevelName : nullptr;
-    case Builtin::kString:
-      return args.size() == 1 ? &String : nullptr;
-    case Builtin::kEval:
-      return nullptr;
-    default:
-      return GraphCall(builtin, args);
+  if (const Question* question = QuestionOf(builtin)) {
+    // Patterns are compiled, and answered with the topic's verdict.
+    if (question->form == Form::kMatches || !ShapeOf(*question).Fits(args)) return nullptr;
+    switch (question->source) {
+      case Source::kTopic:
+        return &EvaluateTopicNow;
+      case Source::kFacts:
+      case Source::kGraph:
+        return &EvaluateNow;
+    }
   }
+  if (builtin == Builtin::kString) return args.size() == 1 ? &String : nullptr;
+  for (const Call& call : kCalls) {
+    if (call.builtin == builtin) return call.shape.Fits(args) ? call.function : nullptr;
+  }
+  return nullptr;
 }
 
 }  // namespace rips::engine
