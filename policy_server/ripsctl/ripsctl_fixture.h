@@ -184,6 +184,22 @@ class FakeOperator final : public v1::OperatorService::Service {
     response->set_changed_unix_ns(kNewYear);
     return Record("GetGraph");
   }
+  grpc::Status GetInterest(grpc::ServerContext*, const v1::GetInterestRequest* request,
+                           v1::GetInterestResponse*) override {
+    return Record(absl::StrCat("GetInterest ", request->robot()));
+  }
+  grpc::Status GetCoverage(grpc::ServerContext*, const v1::GetCoverageRequest* request,
+                           v1::GetCoverageResponse*) override {
+    return Record(absl::StrCat("GetCoverage ", request->robot()));
+  }
+  grpc::Status ListReceipts(grpc::ServerContext*, const v1::ListReceiptsRequest* request,
+                            v1::ListReceiptsResponse*) override {
+    return Record(absl::StrCat("ListReceipts ", request->robot()));
+  }
+  grpc::Status DrillRobot(grpc::ServerContext*, const v1::DrillRobotRequest* request,
+                          v1::DrillRobotResponse*) override {
+    return Record(absl::StrCat("DrillRobot ", request->robot()));
+  }
   grpc::Status GetLevel(grpc::ServerContext*, const v1::GetLevelRequest* request,
                         v1::GetLevelResponse* response) override {
     *response->mutable_status() = MakeStatus(request->robot(), "COMPROMISED");

@@ -2,9 +2,11 @@
 
 #include <algorithm>
 #include <utility>
+#include <variant>
 
 #include "absl/strings/str_cat.h"
 #include "services/base/check.h"
+#include "services/base/overloaded.h"
 #include "services/base/saturating.h"
 
 namespace rips::sensor {
@@ -59,19 +61,22 @@ size_t CostOf(const ros2::GraphDelta& delta) {
 }
 
 size_t CostOf(const ControlObservation& observation) {
-  size_t bytes = sizeof(ControlObservation) + kEntryOverheadBytes;
-  if (const auto* change = std::get_if<GraphChange>(&observation.what)) {
-    bytes += CostOf(change->delta);
-  } else if (const auto* loss = std::get_if<Loss>(&observation.what)) {
-    bytes += loss->topic.size();
-  } else if (const auto* ids = std::get_if<IdsAlert>(&observation.what)) {
-    bytes += ids->source.size() + ids->message.size() + ids->src.size() + ids->dst.size() +
-             ids->line.size();
-  } else if (const auto* finding = std::get_if<Finding>(&observation.what)) {
-    bytes += finding->kind.size() + finding->node.size() + finding->topic.size() +
-             finding->detail.size();
-  }
-  return bytes;
+  const size_t held =
+      std::visit(Overloaded{[](const GraphChange& change) { return CostOf(change.delta); },
+                            [](const Loss& loss) { return loss.topic.size(); },
+                            [](const IdsAlert& ids) {
+                              return ids.source.size() + ids.message.size() + ids.src.size() +
+                                     ids.dst.size() + ids.line.size();
+                            },
+                            [](const Finding& finding) {
+                              return finding.kind.size() + finding.node.size() +
+                                     finding.topic.size() + finding.detail.size();
+                            },
+                            // Few and short.
+                            [](const SignalSeen&) { return size_t{0}; },
+                            [](const SensorState&) { return size_t{0}; }},
+                 observation.what);
+  return sizeof(ControlObservation) + kEntryOverheadBytes + held;
 }
 
 // --- Filling

@@ -2,7 +2,9 @@
 
 #include <algorithm>
 #include <limits>
+#include <variant>
 
+#include "services/base/overloaded.h"
 #include "services/ros2_proto/graph_codec.h"
 #include "services/wire_limits/field_limits.h"
 
@@ -102,6 +104,15 @@ void FillFinding(const Finding& finding, rips::v1::Finding& wire) {
   wire.set_topic(finding.topic);
   wire.set_detail(finding.detail);
   wire.set_over(finding.over);
+}
+
+void FillState(const SensorState& state, rips::v1::SensorState& wire) {
+  wire.set_overloaded(state.overloaded);
+  wire.set_outbox_bytes(state.outbox_bytes);
+  wire.set_oldest_unacked_ns(static_cast<uint64_t>(std::max<int64_t>(state.oldest_unacked_ns, 0)));
+  for (const std::string& kind : state.not_visible) wire.add_not_visible(kind);
+  for (const std::string& reason : state.blind) wire.add_blind(reason);
+  wire.set_spool_bytes(state.spool_bytes);
 }
 
 }  // namespace
@@ -280,31 +291,23 @@ void WireEncoder::AddLoss(const Loss& loss, rips::v1::Loss& wire, ObservationBat
 void WireEncoder::Add(const ControlObservation& observation, ObservationBatch& batch) {
   rips::v1::Observation* wire = batch.add_observations();
   SetTime(observation.boottime_ns, *wire);
-  if (const auto* change = std::get_if<GraphChange>(&observation.what)) {
-    if (change->from_version == 0) {
-      FillSnapshot(*change, *wire->mutable_snapshot());
-    } else {
-      FillDelta(*change, *wire->mutable_delta());
-    }
-  } else if (const auto* loss = std::get_if<Loss>(&observation.what)) {
-    AddLoss(*loss, *wire->mutable_loss(), batch);
-  } else if (const auto* signal = std::get_if<SignalSeen>(&observation.what)) {
-    wire->mutable_signal()->set_name(signal->name);
-    wire->mutable_signal()->set_count(signal->count);
-  } else if (const auto* alert = std::get_if<IdsAlert>(&observation.what)) {
-    FillIdsAlert(*alert, *wire->mutable_ids());
-  } else if (const auto* finding = std::get_if<Finding>(&observation.what)) {
-    FillFinding(*finding, *wire->mutable_finding());
-  } else {
-    const SensorState& state = std::get<SensorState>(observation.what);
-    wire->mutable_state()->set_overloaded(state.overloaded);
-    wire->mutable_state()->set_outbox_bytes(state.outbox_bytes);
-    wire->mutable_state()->set_oldest_unacked_ns(
-        static_cast<uint64_t>(std::max<int64_t>(state.oldest_unacked_ns, 0)));
-    for (const std::string& kind : state.not_visible) wire->mutable_state()->add_not_visible(kind);
-    for (const std::string& reason : state.blind) wire->mutable_state()->add_blind(reason);
-    wire->mutable_state()->set_spool_bytes(state.spool_bytes);
-  }
+  std::visit(
+      Overloaded{[&](const GraphChange& change) {
+                   if (change.from_version == 0) {
+                     FillSnapshot(change, *wire->mutable_snapshot());
+                   } else {
+                     FillDelta(change, *wire->mutable_delta());
+                   }
+                 },
+                 [&](const Loss& loss) { AddLoss(loss, *wire->mutable_loss(), batch); },
+                 [&](const SignalSeen& signal) {
+                   wire->mutable_signal()->set_name(signal.name);
+                   wire->mutable_signal()->set_count(signal.count);
+                 },
+                 [&](const IdsAlert& alert) { FillIdsAlert(alert, *wire->mutable_ids()); },
+                 [&](const Finding& finding) { FillFinding(finding, *wire->mutable_finding()); },
+                 [&](const SensorState& state) { FillState(state, *wire->mutable_state()); }},
+      observation.what);
   wire_limits::CutToLimits(*wire);
 }
 

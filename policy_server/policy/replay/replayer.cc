@@ -7,6 +7,7 @@
 #include "absl/strings/escaping.h"
 #include "absl/strings/str_cat.h"
 #include "services/base/check.h"
+#include "services/base/overloaded.h"
 #include "services/base/status_macros.h"
 
 namespace rips::replay {
@@ -128,39 +129,44 @@ absl::Status Replayer::Judge(const Recorded& event) {
     }
     state_.graph = graph_;
   }
-  if (const auto* message = std::get_if<RecordedMessage>(&event.what)) {
-    JudgeMessage(*message);
-  } else if (const auto* graph = std::get_if<RecordedGraph>(&event.what)) {
-    if (const absl::Status judged = JudgeGraph(*graph); !judged.ok()) {
-      return AtEvent(event.index, judged);
-    }
-  } else if (const auto* ids = std::get_if<recording::RecordedIds>(&event.what)) {
-    JudgeExternal(engine::IdsEvent{.message = ids->message,
-                                   .gid = ids->gid,
-                                   .sid = ids->sid,
-                                   .line = ids->line,
-                                   .source = ids->src,
-                                   .target = ids->dst});
-  } else if (const auto* signal = std::get_if<recording::RecordedSignal>(&event.what)) {
-    JudgeExternal(engine::SignalEvent{.name = signal->name});
-  } else if (const auto* agent = std::get_if<recording::RecordedAgent>(&event.what)) {
-    JudgeExternal(engine::AgentEvent{.agent = agent->agent, .state = agent->state});
-  } else if (const auto* finding = std::get_if<recording::RecordedFinding>(&event.what)) {
-    JudgeExternal(engine::FindingEvent{.kind = finding->kind,
-                                       .guid = finding->guid,
-                                       .node = finding->node,
-                                       .topic = finding->topic,
-                                       .detail = finding->detail});
-  } else if (const auto* loss = std::get_if<recording::RecordedLoss>(&event.what)) {
-    JudgeExternal(engine::LossEvent{.count = loss->count,
-                                    .topic = loss->topic,
-                                    .type = loss->type,
-                                    .writer = loss->writer,
-                                    .first_unix_ns = loss->first_unix_ns,
-                                    .last_unix_ns = loss->last_unix_ns,
-                                    .cause = loss->cause});
-  }
-  return absl::OkStatus();
+  absl::Status judged;
+  std::visit(
+      Overloaded{
+          [&](const RecordedMessage& message) { JudgeMessage(message); },
+          [&](const RecordedGraph& graph) { judged = AtEvent(event.index, JudgeGraph(graph)); },
+          [&](const recording::RecordedIds& ids) {
+            JudgeExternal(engine::IdsEvent{.message = ids.message,
+                                           .gid = ids.gid,
+                                           .sid = ids.sid,
+                                           .line = ids.line,
+                                           .source = ids.src,
+                                           .target = ids.dst});
+          },
+          [&](const recording::RecordedSignal& signal) {
+            JudgeExternal(engine::SignalEvent{.name = signal.name});
+          },
+          [&](const recording::RecordedAgent& agent) {
+            JudgeExternal(engine::AgentEvent{.agent = agent.agent, .state = agent.state});
+          },
+          [&](const recording::RecordedFinding& finding) {
+            JudgeExternal(engine::FindingEvent{.kind = finding.kind,
+                                               .guid = finding.guid,
+                                               .node = finding.node,
+                                               .topic = finding.topic,
+                                               .detail = finding.detail});
+          },
+          [&](const recording::RecordedLoss& loss) {
+            JudgeExternal(engine::LossEvent{.count = loss.count,
+                                            .topic = loss.topic,
+                                            .type = loss.type,
+                                            .writer = loss.writer,
+                                            .first_unix_ns = loss.first_unix_ns,
+                                            .last_unix_ns = loss.last_unix_ns,
+                                            .cause = loss.cause});
+          },
+          [](const recording::RecordedOther&) {}},
+      event.what);
+  return judged;
 }
 
 absl::Status Replayer::TicksUntil(int64_t time_ns) {

@@ -37,6 +37,10 @@ ExitCode Failed(Env& env, const absl::Status& status) {
       }
       env.err << "\n";
       return ExitCode::kRefused;
+    case absl::StatusCode::kUnimplemented:
+      env.err << "error: the policy server does not know this call; is it older than this ripsctl?"
+              << (message.empty() ? "" : absl::StrCat(" (", message, ")")) << "\n";
+      return ExitCode::kRefused;
     default:
       env.err << "error: " << message << "\n";
       return ExitCode::kRefused;

@@ -132,7 +132,7 @@ class ResetTerm final : public AgentCommand {
  public:
   absl::string_view verb() const override { return "reset-term"; }
   absl::string_view synopsis() const override {
-    return "Let the server go above the term for which it refuses an actuator";
+    return "Accept an actuator that was refused because its term is far above the server's";
   }
   void AddFlags(CLI::App& app) override {
     app.add_option("ROBOT", robot_, "Robot id")->required();

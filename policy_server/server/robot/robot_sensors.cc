@@ -1,9 +1,11 @@
 // Robot: what sensors say.
 #include <algorithm>
 #include <utility>
+#include <variant>
 
 #include "absl/strings/str_cat.h"
 #include "policy_server/server/robot/robot.h"
+#include "services/base/overloaded.h"
 
 namespace rips::pipeline {
 namespace {
@@ -199,44 +201,51 @@ void Robot::Judge(SensorHost& host, SensorSession& session, bool primary, const 
       .time_unix_ns = std::min(seen.boottime_ns + session.unix_offset_ns, now.unix_ns),
       .lateness =
           age_ns > timing_.late_after_ns ? levels::Lateness::kLate : levels::Lateness::kTimely};
-  if (const auto* message = std::get_if<MessageSeen>(&seen.what)) {
-    if (!primary) return;
-    CountCut(*message);
-    JudgeMessage(host, batch, *message, std::move(event), inspections);
-  } else if (IsGraph(seen)) {
+  const auto run = [&](engine::ExternalEvent external) {
+    event.what = std::move(external);
+    Run(event);
+  };
+  const auto judge_graph = [&] {
     if (has_graph) JudgeGraph(host, session, batch, seen, std::move(event));
-  } else if (const auto* ids = std::get_if<IdsAlertSeen>(&seen.what)) {
-    event.what.emplace<engine::ExternalEvent>(engine::IdsEvent{.message = ids->message,
-                                                               .gid = ids->gid,
-                                                               .sid = ids->sid,
-                                                               .line = ids->line,
-                                                               .source = ids->source,
-                                                               .target = ids->target});
-    Run(event);
-  } else if (const auto* signal = std::get_if<SignalSeen>(&seen.what)) {
-    event.what.emplace<engine::ExternalEvent>(engine::SignalEvent{.name = signal->name});
-    Run(event);
-  } else if (const auto* loss = std::get_if<LossSeen>(&seen.what)) {
-    CountLost(host, loss->count);
-    if (!loss->tolerable) {
-      loss_alarm_.Add(loss->cause, loss->count, now.boottime_ns);
-      evidence_.Disturb(absl::StrCat(loss->count, " observations were lost: ", loss->cause), now);
-    }
-    event.what.emplace<engine::ExternalEvent>(ToEvent(*loss, session));
-    Run(event);
-  } else if (const auto* state = std::get_if<SensorStateSeen>(&seen.what)) {
-    if (!TakeState(host, *state, seen.boottime_ns)) return;
-    event.what.emplace<engine::ExternalEvent>(
-        engine::AgentEvent{.agent = "sensor", .state = "overloaded"});
-    Run(event);
-  } else if (const auto* finding = std::get_if<FindingSeen>(&seen.what)) {
-    event.what.emplace<engine::ExternalEvent>(engine::FindingEvent{.kind = finding->kind,
-                                                                   .guid = finding->guid,
-                                                                   .node = finding->node,
-                                                                   .topic = finding->topic,
-                                                                   .detail = finding->detail});
-    Run(event);
-  }
+  };
+  std::visit(
+      Overloaded{[&](const MessageSeen& message) {
+                   if (!primary) return;
+                   CountCut(message);
+                   JudgeMessage(host, batch, message, std::move(event), inspections);
+                 },
+                 [&](const GraphSnapshotSeen&) { judge_graph(); },
+                 [&](const GraphDeltaSeen&) { judge_graph(); },
+                 [&](const IdsAlertSeen& ids) {
+                   run(engine::IdsEvent{.message = ids.message,
+                                        .gid = ids.gid,
+                                        .sid = ids.sid,
+                                        .line = ids.line,
+                                        .source = ids.source,
+                                        .target = ids.target});
+                 },
+                 [&](const SignalSeen& signal) { run(engine::SignalEvent{.name = signal.name}); },
+                 [&](const LossSeen& loss) {
+                   CountLost(host, loss.count);
+                   if (!loss.tolerable) {
+                     loss_alarm_.Add(loss.cause, loss.count, now.boottime_ns);
+                     evidence_.Disturb(
+                         absl::StrCat(loss.count, " observations were lost: ", loss.cause), now);
+                   }
+                   run(ToEvent(loss, session));
+                 },
+                 [&](const SensorStateSeen& state) {
+                   if (!TakeState(host, state, seen.boottime_ns)) return;
+                   run(engine::AgentEvent{.agent = "sensor", .state = "overloaded"});
+                 },
+                 [&](const FindingSeen& finding) {
+                   run(engine::FindingEvent{.kind = finding.kind,
+                                            .guid = finding.guid,
+                                            .node = finding.node,
+                                            .topic = finding.topic,
+                                            .detail = finding.detail});
+                 }},
+      seen.what);
 }
 
 void Robot::JudgeGraph(SensorHost& host, SensorSession& session, const Batch& batch,
