@@ -619,7 +619,7 @@ void Agent::Impl::OnDrill(const DrillCommand& command) {
   Tell(desk_.OnCommand(command, admitted, held, [this](const DrillJob& job) {
     return levels_->SubmitDrill(
         [this, job](const CancelFlag& cancel, const std::function<void()>& between) {
-          inputs_.Push(drill_->Run(job, cancel, between));
+          return [this, outcome = drill_->Run(job, cancel, between)] { inputs_.Push(outcome); };
         });
   }));
 }

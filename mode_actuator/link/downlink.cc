@@ -31,17 +31,51 @@ void ToProto(const Instant& now, v1::Clock* out) {
   out->set_unix_ns(now.unix_ns);
 }
 
+v1::Receipt::Stage ToProto(Receipt::Stage stage) {
+  switch (stage) {
+    case Receipt::Stage::kAcknowledged:
+      return v1::Receipt::ACKNOWLEDGED;
+    case Receipt::Stage::kVerified:
+      return v1::Receipt::VERIFIED;
+    case Receipt::Stage::kFailed:
+      return v1::Receipt::FAILED;
+    case Receipt::Stage::kSuperseded:
+      return v1::Receipt::SUPERSEDED;
+    case Receipt::Stage::kRefusedStale:
+      return v1::Receipt::REFUSED_STALE;
+    case Receipt::Stage::kRefused:
+      return v1::Receipt::REFUSED;
+    case Receipt::Stage::kUnknown:
+      break;
+  }
+  return v1::Receipt::UNKNOWN;
+}
+
+v1::StepResult::Drilled ToProto(Drilled drilled) {
+  switch (drilled) {
+    case Drilled::kNoDrill:
+      return v1::StepResult::DRILLED_UNSPECIFIED;
+    case Drilled::kDone:
+      return v1::StepResult::DRILLED_DONE;
+    case Drilled::kLooked:
+      return v1::StepResult::DRILLED_LOOKED;
+    case Drilled::kNot:
+      break;
+  }
+  return v1::StepResult::DRILLED_NOT;
+}
+
 void ToProto(const Receipt& receipt, v1::Receipt* out) {
   out->set_command_id(receipt.command_id);
   if (!receipt.mark.none()) ToProto(receipt.mark, out->mutable_mark());
-  out->set_stage(static_cast<v1::Receipt::Stage>(receipt.stage));
+  out->set_stage(ToProto(receipt.stage));
   for (const StepResult& step : receipt.steps) {
     v1::StepResult* result = out->add_steps();
     result->set_step(step.step);
     result->set_ok(step.ok);
     result->set_took_ms(step.took_ms);
     result->set_detail(step.detail);
-    result->set_drilled(static_cast<v1::StepResult::Drilled>(step.drilled));
+    result->set_drilled(ToProto(step.drilled));
     result->set_output_tail(step.output_tail);
   }
   out->set_exit_code(receipt.exit_code);

@@ -446,13 +446,16 @@ class DrillWorkerTest : public DrillTest {
     levels_[1].enter = {Mode(), Mode()};
     levels_[1].leave = {};
   }
-  bool Submit() {
-    return worker_->SubmitDrill([this](const CancelFlag& cancel, const std::function<void()>& gap) {
-      DrillOutcome outcome = Make().Run({"id", "ALERT", "DEFAULT"}, cancel, gap);
-      MutexLock lock(&mu_);
-      drilled_.push_back(std::move(outcome));
-      changed_.NotifyAll();
-    });
+  bool Submit() { return worker_->SubmitDrill(Drill()); }
+  LevelWorker::DrillTask Drill() {
+    return [this](const CancelFlag& cancel, const std::function<void()>& gap) {
+      return [this, outcome = Make().Run({"id", "ALERT", "DEFAULT"}, cancel, gap)] {
+        if (const auto next = std::exchange(when_over_, nullptr)) next();
+        MutexLock lock(&mu_);
+        drilled_.push_back(outcome);
+        changed_.NotifyAll();
+      };
+    };
   }
   bool Until(size_t drills, size_t levels) ABSL_LOCKS_EXCLUDED(mu_) {
     MutexLock lock(&mu_);
@@ -462,6 +465,7 @@ class DrillWorkerTest : public DrillTest {
     return drilled_.size() == drills && outcomes_.size() == levels;
   }
 
+  std::function<void()> when_over_;  // called once, on the worker's thread, when a drill is over
   Mutex mu_;
   CondVar changed_;
   std::vector<DrillOutcome> drilled_ ABSL_GUARDED_BY(mu_);
@@ -540,6 +544,14 @@ TEST_F(DrillWorkerTest, OneThatHasNotBegunIsEndedBeforeTheLevelIsEntered) {
   EXPECT_TRUE(drilled_[0].cancelled);
   for (const StepResult& step : drilled_[0].steps) EXPECT_EQ(step.drilled, Drilled::kNot);
   EXPECT_EQ(outcomes_[1].attempt, 2u);
+}
+
+TEST_F(DrillWorkerTest, TheNextOneBeginsAsSoonAsOneIsToldToBeOver) {
+  bool taken = false;
+  when_over_ = [&] { taken = Submit(); };
+  ASSERT_TRUE(Submit());
+  ASSERT_TRUE(Until(2, 0));
+  EXPECT_TRUE(taken);
 }
 
 TEST_F(DrillWorkerTest, EndsWithTheWorker) {

@@ -58,9 +58,12 @@ std::optional<LevelWorker::Work> LevelWorker::NextWork() {
 }
 
 void LevelWorker::RunDrill(const DrillTask& drill, const CancelFlag& cancel) {
-  drill(cancel, [&] { RunWaitingCheck(cancel); });
-  MutexLock lock(&mu_);
-  drill_cancel_.reset();
+  const std::function<void()> over = drill(cancel, [&] { RunWaitingCheck(cancel); });
+  {
+    MutexLock lock(&mu_);
+    drill_cancel_.reset();
+  }
+  over();
 }
 
 void LevelWorker::RunWaitingCheck(const CancelFlag& cancel) {

@@ -39,9 +39,9 @@ class LevelWorker {
   void Submit(ApplyLevel job) ABSL_LOCKS_EXCLUDED(mu_);
 
   // A drill; it calls `between` often: what looks at the level is done there, and does not wait for
-  // its end.
-  using DrillTask =
-      std::function<void(const CancelFlag& cancel, const std::function<void()>& between)>;
+  // its end. What it returns is called when the next drill can be submitted.
+  using DrillTask = std::function<std::function<void()>(const CancelFlag& cancel,
+                                                        const std::function<void()>& between)>;
   // Runs `drill` on the worker's thread. False, and nothing happens, if a job that enters a level
   // runs or waits, or another drill does. A job that enters a level ends it, also if it has not
   // begun: then it is run with its flag cancelled, before that job.

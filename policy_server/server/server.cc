@@ -27,6 +27,8 @@ constexpr uint64_t kOtherDescriptors = 512;
 constexpr int kOtherConnections = 32;
 // A sensor and an actuator, each with one connection and one that is not over yet.
 constexpr int kConnectionsOfAHost = 4;
+// Of one operator's certificate, beside those that its streams hold: an order finds one.
+constexpr int kConnectionsForCalls = 32;
 // Between two alerts that the server is attacked.
 constexpr int64_t kAttackEveryNs = 60 * kNanosPerSecond;
 
@@ -157,6 +159,7 @@ absl::Status Server::GuardConnections() {
                         rpc::ConnectionGuard::Listen(
                             config_.listen,
                             {.admission = limits,
+                             .per_operator = config_.operators.streams + kConnectionsForCalls,
                              .on_ended = [this](const auto& report) { OnConnectionEnded(report); }},
                             &clock_, &metrics_));
   return absl::OkStatus();

@@ -473,7 +473,8 @@ absl::Status ConnectionGuard::OnIdentified(absl::string_view peer, const std::st
       int& count = certificates_[certificate];
       if (count >= (agent ? options_.per_agent : options_.per_operator)) {
         return absl::ResourceExhaustedError(
-            absl::StrCat("this certificate has ", count, " connections already"));
+            absl::StrCat("this certificate has ", count, " connections already; close some: each ",
+                         agent ? "stream" : "`watch`", " holds one"));
       }
       ++count;
       connection->Identify(certificate, agent);

@@ -88,9 +88,10 @@ Transition LevelMachine::Raise(LevelIndex to, const Cause& cause, Instant now) {
     return Refused(std::move(proposed), Refusal::kUnexpected, absl::StrCat("no level ", to));
   }
   if (to <= level_) {
-    return Refused(
-        std::move(proposed), Refusal::kNotHigher,
-        absl::StrCat("`", table_.name(to), "` is not above `", table_.name(level_), "`"));
+    return Refused(std::move(proposed), Refusal::kNotHigher,
+                   to == level_ ? std::string("the robot is there already")
+                                : absl::StrCat("`", table_.name(to), "` is below `",
+                                               table_.name(level_), "`"));
   }
   return Decide(std::move(proposed));
 }
@@ -113,9 +114,10 @@ Transition LevelMachine::DeEscalate(LevelIndex to, const Cause& cause, Instant n
         absl::StrCat("the robot is at `", table_.name(level_), "` by decision ", ToString(mark_)));
   }
   if (to >= level_) {
-    return Refused(
-        std::move(proposed), Refusal::kNotLower,
-        absl::StrCat("`", table_.name(to), "` is not below `", table_.name(level_), "`"));
+    return Refused(std::move(proposed), Refusal::kNotLower,
+                   to == level_ ? std::string("the robot is there already")
+                                : absl::StrCat("`", table_.name(to), "` is above `",
+                                               table_.name(level_), "`"));
   }
   return Decide(std::move(proposed));
 }

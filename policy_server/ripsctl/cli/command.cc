@@ -1,6 +1,5 @@
 #include "policy_server/ripsctl/cli/command.h"
 
-#include "absl/strings/match.h"
 #include "absl/strings/str_cat.h"
 #include "absl/strings/strip.h"
 #include "policy_server/ripsctl/cli/printer.h"
@@ -31,11 +30,7 @@ ExitCode Failed(Env& env, const absl::Status& status) {
               << "--timeout\n";
       return ExitCode::kUnreachable;
     case absl::StatusCode::kPermissionDenied:
-      env.err << "error: refused: " << message;
-      if (!absl::StrContains(message, "banned")) {
-        env.err << "; your certificate's role does not allow this (viewer < operator < admin)";
-      }
-      env.err << "\n";
+      env.err << "error: refused: " << message << "\n";
       return ExitCode::kRefused;
     case absl::StatusCode::kUnimplemented:
       env.err << "error: the policy server does not know this call; is it older than this ripsctl?"

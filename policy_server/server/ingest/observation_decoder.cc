@@ -80,7 +80,7 @@ const char* CauseName(rips::v1::Loss::Cause cause) {
     case rips::v1::Loss::OUTBOX_SHED:
       return "the outbox was full";
     case rips::v1::Loss::SPOOL_LOST:
-      return "the spool was lost";
+      return "the sensor ended abruptly, or its spool was damaged";
     case rips::v1::Loss::LIMIT:
       return "a limit of the sensor was hit";
     case rips::v1::Loss::UNDECODABLE:

@@ -5,6 +5,11 @@
 #include "absl/strings/str_format.h"
 
 namespace rips::pipeline {
+namespace {
+
+constexpr int64_t kNanosPerTenth = kNanosPerSecond / 10;
+
+}  // namespace
 
 void EvidenceGate::Update(std::vector<std::string> problems, bool level_verified, Instant now) {
   problems_ = std::move(problems);
@@ -34,8 +39,9 @@ levels::Evidence EvidenceGate::Assess(Instant now) const {
   const int64_t clear_ns = now.boottime_ns - clear_since_ns_;
   if (clear_ns >= hold_ns_) return {};
   return {.blind_because = {
+              // Rounded down: it never says that the hold is over.
               absl::StrFormat("evidence has been complete for only %.1f s of %.1f s; before: %s",
-                              static_cast<double>(clear_ns) / kNanosPerSecond,
+                              static_cast<double>(clear_ns / kNanosPerTenth) / 10,
                               static_cast<double>(hold_ns_) / kNanosPerSecond, disturbed_by_)}};
 }
 

@@ -20,7 +20,7 @@ void LossAlarm::Add(absl::string_view cause, uint64_t count, int64_t now_ns) {
 
 std::string LossAlarm::Causes() const {
   std::vector<std::string> parts;
-  for (const auto& [cause, count] : fresh_) parts.push_back(absl::StrCat(count, ": ", cause));
+  for (const auto& [cause, count] : fresh_) parts.push_back(absl::StrCat(count, " (", cause, ")"));
   return absl::StrJoin(parts, "; ");
 }
 
@@ -29,21 +29,21 @@ std::optional<LossAlarm::News> LossAlarm::Due(int64_t now_ns) {
     if (fresh_.empty()) return std::nullopt;
     losing_ = true;
     told_ns_ = now_ns;
-    News news{engine::Severity::kHigh, absl::StrCat("observations are lost: ", Causes())};
+    News news{engine::Severity::kHigh, absl::StrCat("observations were lost: ", Causes())};
     fresh_.clear();
     return news;
   }
   if (now_ns - last_loss_ns_ >= kEveryNs) {
     News news{engine::Severity::kInfo,
               absl::StrCat("no observation was lost for a minute; ", total_, " were lost in all")};
-    if (!fresh_.empty()) absl::StrAppend(&news.text, ", since last told ", Causes());
+    if (!fresh_.empty()) absl::StrAppend(&news.text, "; since last told ", Causes());
     *this = LossAlarm();
     return news;
   }
   if (now_ns - told_ns_ < kEveryNs || fresh_.empty()) return std::nullopt;
   told_ns_ = now_ns;
   News news{engine::Severity::kHigh, absl::StrCat("observations are still being lost, ", total_,
-                                                  " so far; in the last minute ", Causes())};
+                                                  " so far; since last told ", Causes())};
   fresh_.clear();
   return news;
 }

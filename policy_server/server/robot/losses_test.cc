@@ -25,7 +25,7 @@ TEST(LossAlarmTest, TellsBeginProgressAndEndWithCounts) {
   auto news = alarm.Due(0);
   ASSERT_TRUE(news.has_value());
   EXPECT_EQ(news->severity, engine::Severity::kHigh);
-  EXPECT_EQ(news->text, "observations are lost: 7: outbox shed; 2: queue full");
+  EXPECT_EQ(news->text, "observations were lost: 7 (outbox shed); 2 (queue full)");
 
   int told = 0;
   for (int64_t second = 1; second < 60; ++second) {
@@ -35,7 +35,7 @@ TEST(LossAlarmTest, TellsBeginProgressAndEndWithCounts) {
   EXPECT_EQ(told, 0) << "not for each";
   news = alarm.Due(60 * kNanosPerSecond);
   ASSERT_TRUE(news.has_value());
-  EXPECT_THAT(news->text, HasSubstr("68 so far; in the last minute 59: outbox shed"));
+  EXPECT_THAT(news->text, HasSubstr("68 so far; since last told 59 (outbox shed)"));
 
   EXPECT_FALSE(alarm.Due(118 * kNanosPerSecond).has_value());
   news = alarm.Due(119 * kNanosPerSecond);
@@ -45,7 +45,7 @@ TEST(LossAlarmTest, TellsBeginProgressAndEndWithCounts) {
   EXPECT_FALSE(alarm.Due(500 * kNanosPerSecond).has_value());
 
   alarm.Add("queue full", 1, 500 * kNanosPerSecond);
-  EXPECT_EQ(alarm.Due(500 * kNanosPerSecond)->text, "observations are lost: 1: queue full");
+  EXPECT_EQ(alarm.Due(500 * kNanosPerSecond)->text, "observations were lost: 1 (queue full)");
 }
 
 TEST(LossAlarmTest, CausesAndCountsHaveALimit) {
@@ -53,8 +53,8 @@ TEST(LossAlarmTest, CausesAndCountsHaveALimit) {
   for (int i = 0; i < 1'000; ++i) alarm.Add(absl::StrCat("cause ", i), 1, 0);
   alarm.Add("cause 0", ~uint64_t{0}, 0);
   const std::string text = alarm.Due(0)->text;
-  EXPECT_THAT(text, HasSubstr("992: other causes"));
-  EXPECT_THAT(text, HasSubstr("18446744073709551615: cause 0"));
+  EXPECT_THAT(text, HasSubstr("992 (other causes)"));
+  EXPECT_THAT(text, HasSubstr("18446744073709551615 (cause 0)"));
 }
 
 using RobotLossTest = RobotTest;
@@ -68,8 +68,8 @@ TEST_F(RobotLossTest, ARunOfLossesIsOneAlertWithItsCount) {
   Arm();
   for (int i = 0; i < 30; ++i) SendBatch(Lane::kControl, {{.what = Loss(10)}});
   Pass(1'000);
-  EXPECT_EQ(audience_.Count("observations are lost: 300: a limit of the sensor was hit"), 1);
-  EXPECT_EQ(audience_.Count("observations are lost"), 1);
+  EXPECT_EQ(audience_.Count("observations were lost: 300 (a limit of the sensor was hit)"), 1);
+  EXPECT_EQ(audience_.Count("observations were lost"), 1);
   for (int i = 0; i < 30; ++i) SendBatch(Lane::kControl, {{.what = Loss(1)}});
   Pass(61'000);
   EXPECT_EQ(audience_.Count("330 were lost in all"), 1);
@@ -122,7 +122,7 @@ TEST_F(RobotLossTest, ASensorThatDoesNotSayIsBelievedToHaveLost) {
                   .last_sequence = 390}});
   Pass(1'000);
   EXPECT_EQ(robot_->Coverage()[0].lost, 390u);
-  EXPECT_EQ(audience_.Count("observations are lost"), 1);
+  EXPECT_EQ(audience_.Count("observations were lost"), 1);
 }
 
 TEST_F(RobotLossTest, AStolenActuatorKeyCannotFloodAlerts) {

@@ -414,15 +414,18 @@ void Robot::DeEscalate(const LevelOrder& order, LevelReply reply) {
     answer.status = absl::InvalidArgumentError(
         absl::StrCat("a reason of 1 to ", kReasonBytesMax, " bytes is required"));
   } else {
+    if (!ports_.recorder->healthy()) {
+      answer.status = absl::FailedPreconditionError(
+          "the server's store cannot be written, and a lowering must be recorded first; raising "
+          "works");
+      return reply(answer);
+    }
     answer.blind_because = EvidenceProblems(now);
     answer.would_raise_again = engine::WouldRaise(*to, now, state_);
     if (!answer.blind_because.empty() && !order.accept_blind && !order.dry_run) {
       answer.status = absl::FailedPreconditionError(absl::StrCat(
           "RIPS does not see all of ", config_.id, " now: ",
           absl::StrJoin(answer.blind_because, "; "), "; --accept-blind lowers it all the same"));
-    } else if (!ports_.recorder->healthy()) {
-      answer.status = absl::FailedPreconditionError(
-          "the server's store cannot be written, and a lowering must be recorded first");
     }
   }
   if (!answer.status.ok()) return reply(answer);
@@ -503,12 +506,15 @@ void Robot::Report(engine::Severity severity, const std::string& text, std::sour
 
 RobotStatus Robot::Status() const {
   const Instant now = ports_.clock->Now();
-  RobotStatus status{.robot = config_.id,
-                     .decided_level = levels().name(state_.level.level()),
-                     .stage = std::string(ToString(ledger_.stage())),
-                     .mark = state_.level.mark(),
-                     .bundle_version = policy_.bundle_id,
-                     .degraded = EvidenceProblems(now)};
+  RobotStatus status{
+      .robot = config_.id,
+      .decided_level = levels().name(state_.level.level()),
+      // A lowering that is not durable yet is no command yet.
+      .stage = std::string(
+          ToString(ledger_.mark() == state_.level.mark() ? ledger_.stage() : Stage::kRequested)),
+      .mark = state_.level.mark(),
+      .bundle_version = policy_.bundle_id,
+      .degraded = EvidenceProblems(now)};
   levels::LevelIndex effective = -1;
   for (const auto& [name, host] : actuators_) {
     if (!host.session) continue;

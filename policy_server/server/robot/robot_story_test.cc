@@ -326,6 +326,7 @@ TEST_F(RobotTest, ALoweringByARuleIsTakenBackIfItsSensorLeavesWhileItIsRecorded)
   IntruderLeaves();
   Pass(6'000);
   ASSERT_EQ(Level(), "DEFAULT");
+  EXPECT_EQ(Stage(), "requested") << "that ALERT is verified says nothing of it";
   const Mark lowering = robot_->Status().mark;
   actuator_->commands.clear();
 
