@@ -139,6 +139,11 @@ std::string Connection::certificate() const {
   return certificate_;
 }
 
+std::string Connection::shown() const {
+  MutexLock lock(&mu_);
+  return certificate_.empty() && peer_.has_value() ? Describe(*peer_) : certificate_;
+}
+
 Excess Connection::OnCall(int64_t now_ns) {
   MutexLock lock(&mu_);
   return budget_.OnCall(now_ns);
@@ -433,11 +438,16 @@ std::shared_ptr<Connection> ConnectionGuard::Find(absl::string_view peer) {
   return it == connections_.end() ? nullptr : it->second;
 }
 
-void ConnectionGuard::OnCall(absl::string_view peer) {
-  const std::shared_ptr<Connection> connection = Find(peer);
+void ConnectionGuard::OnCall(const grpc::ServerContextBase& context) {
+  const std::shared_ptr<Connection> connection = Find(context.peer());
   if (connection == nullptr) return;
   const Excess excess = connection->OnCall(clock_->Now().boottime_ns);
-  if (excess != Excess::kNone) EndFor(*connection, excess);
+  if (excess == Excess::kNone) return;
+  // Perhaps no handler has asked yet whose they are.
+  if (const auto auth = context.auth_context(); auth != nullptr) {
+    connection->ReadPeer(*auth).IgnoreError();
+  }
+  EndFor(*connection, excess);
 }
 
 bool ConnectionGuard::MayCallLocked(const std::string& certificate, int64_t now_ns) {
@@ -499,26 +509,34 @@ absl::Duration ConnectionGuard::Banned(const std::string& certificate) {
   const int64_t now_ns = clock_->Now().boottime_ns;
   MutexLock lock(&mu_);
   const auto it = banned_.find(certificate);
-  if (it == banned_.end() || it->second <= now_ns) return absl::ZeroDuration();
-  return absl::Nanoseconds(it->second - now_ns);
+  if (it == banned_.end() || it->second.until_ns <= now_ns) return absl::ZeroDuration();
+  return absl::Nanoseconds(it->second.until_ns - now_ns);
+}
+
+int64_t ConnectionGuard::BanLocked(const Connection& connection, int64_t now_ns) {
+  const std::string certificate = connection.shown();
+  const bool full = banned_.size() >= kBannedMax && !banned_.contains(certificate);
+  if (certificate.empty() || full) return admission_.Ban(connection.source(), now_ns);
+  Ban& ban = banned_[certificate];
+  // Several of its connections may be ended for one attack.
+  if (now_ns >= ban.until_ns) {
+    ban.length_ns =
+        ban.length_ns == 0 ? Admission::kBanNs : std::min(2 * ban.length_ns, Admission::kBanNsMax);
+    ban.until_ns = now_ns + ban.length_ns;
+  }
+  return ban.until_ns - now_ns;
 }
 
 void ConnectionGuard::EndFor(Connection& connection, Excess excess) {
   if (!connection.End()) return;
   const int64_t now_ns = clock_->Now().boottime_ns;
   Report report{
-      .peer = connection.source().peer, .certificate = connection.certificate(), .excess = excess};
+      .peer = connection.source().peer, .certificate = connection.shown(), .excess = excess};
   CountEnded(ToString(excess));
   {
     MutexLock lock(&mu_);
     // Who only keeps silent may be a scanner, or a peer on a bad line.
-    if (excess != Excess::kSilent) {
-      report.banned_ns = admission_.Ban(connection.source(), now_ns);
-      if (!report.certificate.empty() &&
-          (banned_.size() < kBannedMax || banned_.contains(report.certificate))) {
-        banned_[report.certificate] = now_ns + report.banned_ns;
-      }
-    }
+    if (excess != Excess::kSilent) report.banned_ns = BanLocked(connection, now_ns);
     trim_at_ns_ = now_ns + kTrimNs;
   }
   LogWarning("connection closed: it exceeded its budget",
@@ -541,7 +559,7 @@ void ConnectionGuard::Look() {
     trim = trim_at_ns_ != 0 && now_ns >= trim_at_ns_;
     if (trim) trim_at_ns_ = 0;
     for (auto it = banned_.begin(); it != banned_.end();) {
-      it = it->second <= now_ns ? banned_.erase(it) : std::next(it);
+      it = it->second.until_ns + Admission::kKnownNs <= now_ns ? banned_.erase(it) : std::next(it);
     }
   }
   for (const std::shared_ptr<Connection>& connection : live) {

@@ -12,8 +12,8 @@
 // gRPC owns the descriptor it was given; the guard keeps a duplicate of its own, for the same
 // socket, and closes it when the connection is over.
 //
-// A connection whose peer was identified is banned by its certificate, which CallGate asks for
-// (Banned); and its address, as every other's, by Admission.
+// Of a connection whose peer was identified the certificate is banned, which CallGate asks for
+// (Banned): whoever shares its address is served on. Of any other the address is, by Admission.
 #ifndef RIPS_SERVICES_RPC_CONNECTION_GUARD_H_
 #define RIPS_SERVICES_RPC_CONNECTION_GUARD_H_
 
@@ -35,6 +35,7 @@
 #include "absl/strings/string_view.h"
 #include "absl/time/time.h"
 #include "grpcpp/server_builder.h"
+#include "grpcpp/server_context.h"
 #include "services/base/clock.h"
 #include "services/rpc/connection_admission.h"
 #include "services/rpc/connection_budget.h"
@@ -79,7 +80,10 @@ class Connection {
   State Look(int64_t now_ns, Excess& excess) ABSL_LOCKS_EXCLUDED(mu_);
   // False if it was ended before.
   bool End() ABSL_LOCKS_EXCLUDED(mu_);
+  // The one it was admitted with; empty = none.
   std::string certificate() const ABSL_LOCKS_EXCLUDED(mu_);
+  // That, or the one that ReadPeer has read, admitted or not.
+  std::string shown() const ABSL_LOCKS_EXCLUDED(mu_);
 
   const Source source_;
   const int64_t taken_ns_;
@@ -141,7 +145,7 @@ class ConnectionGuard {
   // The connection of this peer, as gRPC names it; null if there is none.
   std::shared_ptr<Connection> Find(absl::string_view peer) ABSL_LOCKS_EXCLUDED(mu_);
   // A call begins. First of all that is done for it.
-  void OnCall(absl::string_view peer);
+  void OnCall(const grpc::ServerContextBase& context);
   // The peer's certificate is one of ours. ResourceExhausted if it has so many connections already,
   // or, of an agent, begins so many calls.
   absl::Status OnIdentified(absl::string_view peer, const std::string& certificate, bool agent)
@@ -171,6 +175,9 @@ class ConnectionGuard {
   void Look();
   void ForgetLocked(const Connection& connection) ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
   void EndFor(Connection& connection, Excess excess);
+  // Its certificate, or if that is not known its address. Returns how long it lasts still.
+  int64_t BanLocked(const Connection& connection, int64_t now_ns)
+      ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
   void CountRefused(absl::string_view reason);
   void CountEnded(absl::string_view reason);
   bool MayCallLocked(const std::string& certificate, int64_t now_ns)
@@ -202,8 +209,12 @@ class ConnectionGuard {
   absl::flat_hash_map<std::string, AgentCalls> agent_calls_ ABSL_GUARDED_BY(mu_);
   // Peers that are Probe.
   absl::flat_hash_set<std::string> probes_ ABSL_GUARDED_BY(mu_);
-  // Until when, CLOCK_BOOTTIME.
-  std::map<std::string, int64_t> banned_ ABSL_GUARDED_BY(mu_);
+  struct Ban {
+    int64_t until_ns = 0;  // CLOCK_BOOTTIME
+    int64_t length_ns = 0;
+  };
+  // By certificate; kept for Admission::kKnownNs beyond their end.
+  std::map<std::string, Ban> banned_ ABSL_GUARDED_BY(mu_);
   // Memory that ended connections held is given back then; 0 = nothing to give.
   int64_t trim_at_ns_ ABSL_GUARDED_BY(mu_) = 0;
   std::atomic<bool> stopped_ = false;

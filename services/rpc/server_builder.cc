@@ -30,7 +30,7 @@ class CallCounter final : public grpc::experimental::ServerInterceptorFactoryInt
   explicit CallCounter(ConnectionGuard* guard) : guard_(guard) {}
   grpc::experimental::Interceptor* CreateServerInterceptor(
       grpc::experimental::ServerRpcInfo* info) override {
-    guard_->OnCall(info->server_context()->peer());
+    guard_->OnCall(*info->server_context());
     return nullptr;
   }
 

@@ -564,17 +564,17 @@ TEST_F(ServerTest, ClosesMalformedStreamsWithAReason) {
   };
   int minted = 0;
   for (const Case& each : cases) {
-    // A certificate of its own: that of a refused message is banned.
-    const auto channel =
-        Connect(Pki().Mint({.folder = absl::StrCat("malformed-", ++minted),
-                            .san = "URI:spiffe://fleet.example/robot/r1/sensor/base"}));
     grpc::Status status;
-    // The server may learn a little later than we do that the former stream has ended.
+    // The server may learn a little later than we do that the former stream has ended, and the
+    // connection of a refused message may end before its answer is read.
     for (int attempt = 0; attempt < 100; ++attempt) {
+      // A certificate of its own: that of a refused message is banned.
+      const auto channel =
+          Connect(Pki().Mint({.folder = absl::StrCat("malformed-", ++minted),
+                              .san = "URI:spiffe://fleet.example/robot/r1/sensor/base"}));
       Sensor sensor(channel);
       each.send(sensor);
       status = sensor.End();
-      // Nor does an address from which messages are refused connect more than once a second.
       if (status.error_code() != grpc::StatusCode::ALREADY_EXISTS &&
           status.error_code() != grpc::StatusCode::UNAVAILABLE) {
         break;
