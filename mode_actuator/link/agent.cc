@@ -603,12 +603,13 @@ void Agent::Impl::Publish(int64_t now_ns) {
                       {"floor_reason", report.floor_reason},
                       {"mark", ToString(report.mark)}});
   }
-  receipts_.Flush(now_ns,
-                  [this](const Receipt& receipt) { return downlink_->SendReceipt(receipt); });
-  // A change is told at once; otherwise every 500 ms.
+  // A change is told at once; otherwise every 500 ms. It goes before the receipts, so that nobody
+  // hears that a level is verified while the robot is still shown at the one before.
   if (changed || now_ns >= next_heartbeat_ns_) {
     if (downlink_->SendHeartbeat(report)) next_heartbeat_ns_ = now_ns + kHeartbeatNs;
   }
+  receipts_.Flush(now_ns,
+                  [this](const Receipt& receipt) { return downlink_->SendReceipt(receipt); });
 }
 
 // --- drills

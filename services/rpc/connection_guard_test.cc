@@ -277,10 +277,18 @@ TEST_F(ConnectionGuardTest, EachBanOfACertificateIsLongerThanTheOneBefore) {
   for (int attack = 0; attack < 2; ++attack) {
     const auto channel = Connect();
     ASSERT_EQ(Call(channel, "/no.such.Service/None").error_code(), grpc::StatusCode::UNIMPLEMENTED);
-    EXPECT_THAT(guard_->OnIdentified(FindPeer(), kSensor, /*agent=*/true), IsOk());
-    for (int i = 0; i < 3; ++i) Call(channel, "/no.such.Service/None");
+    const std::string peer = FindPeer();
+    EXPECT_THAT(guard_->OnIdentified(peer, kSensor, /*agent=*/true), IsOk());
+    // Until it is ended; the next one would connect anew.
+    while (Call(channel, "/no.such.Service/None").error_code() == grpc::StatusCode::UNIMPLEMENTED) {
+    }
     const auto report = reports_.Pop(kPatience);
     ASSERT_TRUE(report.has_value());
+    EXPECT_EQ(report->certificate, kSensor);
+    const absl::Time end = absl::Now() + kPatience;
+    while (guard_->Find(peer) != nullptr && absl::Now() < end) {
+      absl::SleepFor(absl::Milliseconds(5));
+    }
     banned_ns.push_back(report->banned_ns);
     clock_.Advance(report->banned_ns);
   }
