@@ -509,22 +509,17 @@ absl::Duration ConnectionGuard::Banned(const std::string& certificate) {
   const int64_t now_ns = clock_->Now().boottime_ns;
   MutexLock lock(&mu_);
   const auto it = banned_.find(certificate);
-  if (it == banned_.end() || it->second.until_ns <= now_ns) return absl::ZeroDuration();
-  return absl::Nanoseconds(it->second.until_ns - now_ns);
+  if (it == banned_.end() || it->second <= now_ns) return absl::ZeroDuration();
+  return absl::Nanoseconds(it->second - now_ns);
 }
 
 int64_t ConnectionGuard::BanLocked(const Connection& connection, int64_t now_ns) {
+  const int64_t banned_ns = admission_.Ban(connection.source(), now_ns);
   const std::string certificate = connection.shown();
-  const bool full = banned_.size() >= kBannedMax && !banned_.contains(certificate);
-  if (certificate.empty() || full) return admission_.Ban(connection.source(), now_ns);
-  Ban& ban = banned_[certificate];
-  // Several of its connections may be ended for one attack.
-  if (now_ns >= ban.until_ns) {
-    ban.length_ns =
-        ban.length_ns == 0 ? Admission::kBanNs : std::min(2 * ban.length_ns, Admission::kBanNsMax);
-    ban.until_ns = now_ns + ban.length_ns;
+  if (!certificate.empty() && (banned_.size() < kBannedMax || banned_.contains(certificate))) {
+    banned_[certificate] = now_ns + banned_ns;
   }
-  return ban.until_ns - now_ns;
+  return banned_ns;
 }
 
 void ConnectionGuard::EndFor(Connection& connection, Excess excess) {
@@ -559,7 +554,7 @@ void ConnectionGuard::Look() {
     trim = trim_at_ns_ != 0 && now_ns >= trim_at_ns_;
     if (trim) trim_at_ns_ = 0;
     for (auto it = banned_.begin(); it != banned_.end();) {
-      it = it->second.until_ns + Admission::kKnownNs <= now_ns ? banned_.erase(it) : std::next(it);
+      it = it->second <= now_ns ? banned_.erase(it) : std::next(it);
     }
   }
   for (const std::shared_ptr<Connection>& connection : live) {

@@ -12,8 +12,8 @@
 // gRPC owns the descriptor it was given; the guard keeps a duplicate of its own, for the same
 // socket, and closes it when the connection is over.
 //
-// Of a connection whose peer was identified the certificate is banned, which CallGate asks for
-// (Banned): whoever shares its address is served on. Of any other the address is, by Admission.
+// A connection whose peer was identified is banned by its certificate, which CallGate asks for
+// (Banned); and its address, as every other's, by Admission.
 #ifndef RIPS_SERVICES_RPC_CONNECTION_GUARD_H_
 #define RIPS_SERVICES_RPC_CONNECTION_GUARD_H_
 
@@ -175,7 +175,7 @@ class ConnectionGuard {
   void Look();
   void ForgetLocked(const Connection& connection) ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
   void EndFor(Connection& connection, Excess excess);
-  // Its certificate, or if that is not known its address. Returns how long it lasts still.
+  // Its address, and its certificate if that is known. Returns how long it lasts still.
   int64_t BanLocked(const Connection& connection, int64_t now_ns)
       ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
   void CountRefused(absl::string_view reason);
@@ -209,12 +209,8 @@ class ConnectionGuard {
   absl::flat_hash_map<std::string, AgentCalls> agent_calls_ ABSL_GUARDED_BY(mu_);
   // Peers that are Probe.
   absl::flat_hash_set<std::string> probes_ ABSL_GUARDED_BY(mu_);
-  struct Ban {
-    int64_t until_ns = 0;  // CLOCK_BOOTTIME
-    int64_t length_ns = 0;
-  };
-  // By certificate; kept for Admission::kKnownNs beyond their end.
-  std::map<std::string, Ban> banned_ ABSL_GUARDED_BY(mu_);
+  // Until when, CLOCK_BOOTTIME.
+  std::map<std::string, int64_t> banned_ ABSL_GUARDED_BY(mu_);
   // Memory that ended connections held is given back then; 0 = nothing to give.
   int64_t trim_at_ns_ ABSL_GUARDED_BY(mu_) = 0;
   std::atomic<bool> stopped_ = false;
