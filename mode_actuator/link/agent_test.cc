@@ -75,6 +75,10 @@ class FakeServer final : public v1::ActuatorService::Service {
         hellos_.push_back(message.hello());
       } else if (message.has_receipt()) {
         receipts_.push_back(message.receipt());
+        overtook_ += message.receipt().stage() == Receipt::VERIFIED &&
+                             message.receipt().effective_level() != heartbeat_.effective_level()
+                         ? 1
+                         : 0;
       } else if (message.has_heartbeat()) {
         heartbeat_ = message.heartbeat();
         if (leases_) replies_.push_back(LeaseLocked());
@@ -173,6 +177,7 @@ class FakeServer final : public v1::ActuatorService::Service {
   std::vector<v1::ActuatorHello> hellos_;
   std::vector<Receipt> receipts_;
   v1::ActuatorHeartbeat heartbeat_;
+  int overtook_ = 0;  // receipts that came before the heartbeat with their level
   bool leases_ = true;
 
  private:
@@ -363,6 +368,8 @@ TEST_F(AgentTest, RaisesLowersAndSurvivesARestart) {
   ASSERT_TRUE(server.HasReceipt(Id('e'), Receipt::VERIFIED));
   EXPECT_TRUE(Verified(server, "DEFAULT"));
   EXPECT_EQ(Slurp(dir_ + "/log"), "alert\ncomp\ncomp\n");
+  EXPECT_TRUE(server.Until([&] { return server.overtook_ == 0; }))
+      << "a level was verified while the robot was still shown at the one before";
 }
 
 TEST_F(AgentTest, AfterAReconnectTheServerGetsTheReceiptAgainAndNothingIsEnteredTwice) {

@@ -4,6 +4,7 @@
 #include <sys/resource.h>
 #include <unistd.h>
 
+#include <deque>
 #include <fstream>
 #include <functional>
 #include <iostream>
@@ -276,6 +277,44 @@ TEST_F(ServerTest, RecordsNameTheCertificateOfAnOrderAlsoOfARefusedOne) {
   EXPECT_THAT(records.transitions(1).cause(),
               HasSubstr("operator bob (spiffe://fleet.example/operator/viewer/bob serial "));
   EXPECT_THAT(records.transitions(1).reason(), HasSubstr("needs the role `operator`"));
+}
+
+// As many terminals as one certificate may have, each with a watch; then one more to raise.
+TEST_F(ServerTest, AnOrderFindsAConnectionBesideAllWatchesOfItsCertificate) {
+  struct Watch {
+    std::unique_ptr<rips::v1::OperatorService::Stub> stub;
+    grpc::ClientContext context;
+    std::unique_ptr<grpc::ClientReader<rips::v1::RobotStatus>> stream;
+  };
+  const TlsFiles files = Pki().Operator("operator", "watcher");
+  std::deque<Watch> watches;
+  const auto watch = [&] {
+    Watch& each = watches.emplace_back();
+    each.stub = rips::v1::OperatorService::NewStub(Connect(files));
+    SetDeadline(each.context, 60);
+    each.stream = each.stub->WatchRobots(&each.context, {});
+    rips::v1::RobotStatus status;
+    return each.stream->Read(&status);
+  };
+  for (int i = 0; i < config_.operators.streams; ++i) ASSERT_TRUE(watch()) << i;
+  EXPECT_FALSE(watch());
+  EXPECT_EQ(watches.back().stream->Finish().error_code(), grpc::StatusCode::RESOURCE_EXHAUSTED);
+  const auto order = rips::v1::OperatorService::NewStub(Connect(files));
+  EXPECT_TRUE(ChangeLevel(*order, "ALERT").ok());
+
+  std::vector<std::unique_ptr<rips::v1::OperatorService::Stub>> more;
+  grpc::Status last;
+  while (last.ok() && more.size() < 100) {
+    more.push_back(rips::v1::OperatorService::NewStub(Connect(files)));
+    rips::v1::GetLevelRequest request;
+    request.set_robot("r1");
+    rips::v1::GetLevelResponse response;
+    grpc::ClientContext context;
+    SetDeadline(context);
+    last = more.back()->GetLevel(&context, request, &response);
+  }
+  EXPECT_EQ(last.error_code(), grpc::StatusCode::RESOURCE_EXHAUSTED);
+  EXPECT_THAT(last.error_message(), HasSubstr("48 connections already; close some"));
 }
 
 TEST_F(ServerTest, AnExpiredCertificateGetsNothingOnAConnectionThatIsOpen) {

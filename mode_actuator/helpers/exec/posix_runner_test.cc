@@ -207,7 +207,8 @@ class CgroupRunnerTest : public PosixRunnerTest {
   void SetUp() override {
     int left_behind = 0;
     auto cgroups = RunCgroups::Open("", Key(), &left_behind);
-    if (!cgroups.ok()) GTEST_SKIP() << cgroups.status();
+    if (!cgroups.ok())
+      GTEST_SKIP() << "needs a cgroup v2 that can be written: " << cgroups.status();
     cgroups_ = *std::move(cgroups);
     MakeRunner({{.name = "bash", .path = kBash, .concurrency = 2}});
   }

@@ -91,6 +91,9 @@ TEST(EvidenceGateTest, AProblemOrADisturbanceStartsTheHoldAnew) {
 
   gate.Update({}, true, At(107));
   EXPECT_THAT(gate.Assess(At(110)).blind_because[0], HasSubstr("4.0 s of 5.0 s"));
+  Instant nearly = At(110);
+  nearly.boottime_ns += 990 * kNanosPerMilli;
+  EXPECT_THAT(gate.Assess(nearly).blind_because[0], HasSubstr("4.9 s of 5.0 s"));
   EXPECT_THAT(gate.Assess(At(112)).blind_because, IsEmpty());
 
   gate.Disturb("3 observations were lost", At(113));
