@@ -29,8 +29,6 @@ constexpr int kOtherConnections = 32;
 constexpr int kConnectionsOfAHost = 4;
 // Of one operator's certificate, beside those that its streams hold: an order finds one.
 constexpr int kConnectionsForCalls = 32;
-// Between two alerts that the server is attacked.
-constexpr int64_t kAttackEveryNs = 60 * kNanosPerSecond;
 
 pipeline::Timing ToPipeline(const Timing& timing) {
   return {.heartbeat_ns = absl::ToInt64Nanoseconds(timing.heartbeat),
@@ -79,6 +77,7 @@ absl::Status Server::Open() {
       }});
   committer_ = std::make_unique<store::Committer>(store_.get(), store::CommitterLimits(), &clock_);
   alerts_ = std::make_unique<pipeline::ServerAlerts>(committer_.get(), hub_.get(), &clock_, NewId);
+  attacks_ = std::make_unique<AttackAlerts>(alerts_.get(), &clock_);
   store_watch_ = std::make_unique<pipeline::StoreWatch>(committer_.get(), alerts_.get(), &clock_,
                                                         config_.store_path, MakeStoreCounts());
   RIPS_RETURN_IF_ERROR(OpenJail());
@@ -155,37 +154,16 @@ absl::Status Server::GuardConnections() {
     LogWarning("the limit of open files is too low for `connections.total`",
                {{"limit", allowed}, {"wanted", wanted}, {"connections", limits.total}});
   }
-  RIPS_ASSIGN_OR_RETURN(connections_,
-                        rpc::ConnectionGuard::Listen(
-                            config_.listen,
-                            {.admission = limits,
-                             .per_operator = config_.operators.streams + kConnectionsForCalls,
-                             .on_ended = [this](const auto& report) { OnConnectionEnded(report); }},
-                            &clock_, &metrics_));
+  RIPS_ASSIGN_OR_RETURN(
+      connections_,
+      rpc::ConnectionGuard::Listen(
+          config_.listen,
+          {.admission = limits,
+           .per_operator = config_.operators.streams + kConnectionsForCalls,
+           .on_ended = [this](const auto& report) { attacks_->OnConnectionEnded(report); },
+           .on_flood = [this](const auto& flood) { attacks_->OnFlood(flood); }},
+          &clock_, &metrics_));
   return absl::OkStatus();
-}
-
-void Server::OnConnectionEnded(const rpc::ConnectionGuard::Report& report) {
-  if (report.banned_ns == 0) return;
-  {
-    MutexLock lock(&attack_mu_);
-    const int64_t now_ns = clock_.Now().boottime_ns;
-    // Each certificate has its minute, and all without one have one together.
-    std::erase_if(attack_told_,
-                  [&](const auto& told) { return now_ns - told.second >= kAttackEveryNs; });
-    if (!attack_told_.try_emplace(report.certificate, now_ns).second) return;
-  }
-  std::string what = "sent bytes of which nothing came";
-  if (report.excess == rpc::Excess::kCalls) what = "began calls without end";
-  if (report.excess == rpc::Excess::kRefused) what = "sent what no agent of ours sends";
-  OwnAlert(engine::Severity::kCritical,
-           absl::StrCat("the server is attacked: a connection from ", report.peer,
-                        report.certificate.empty()
-                            ? std::string(" without a certificate of ours")
-                            : absl::StrCat(" with the certificate of ", report.certificate),
-                        " ", what, "; it was ended and is banned for ",
-                        report.banned_ns / kNanosPerSecond,
-                        " s (more of this kind is only counted for a minute)"));
 }
 
 absl::Status Server::GuardPeers() {
@@ -422,7 +400,7 @@ pipeline::PipelineReports Server::MakeReports() {
                          "Streams and calls refused because too much of a robot waits.")](
                   const std::string& robot) {
                 counter.Increment();
-                OnRefused(robot);
+                attacks_->OnPeerRefused(robot);
               },
           .waited =
               [this](const std::string& robot, int64_t longest_ns) {
@@ -438,20 +416,6 @@ pipeline::PipelineReports Server::MakeReports() {
               }};
 }
 
-void Server::OnRefused(const std::string& robot) {
-  {
-    MutexLock lock(&attack_mu_);
-    const int64_t now_ns = clock_.Now().boottime_ns;
-    const auto [at, fresh] = refused_told_ns_.try_emplace(robot, now_ns);
-    if (!fresh && now_ns - at->second < kAttackEveryNs) return;
-    at->second = now_ns;
-  }
-  alerts_->Raise(robot, engine::Severity::kHigh,
-                 absl::StrCat("peers of robot ", robot,
-                              " send more than can be judged: a stream was closed (more of this "
-                              "is only counted for a minute)"));
-}
-
 std::shared_ptr<operator_api::CallerQuota> Server::MakeQuota() {
   const Counter refused = metrics_.AddCounter(
       "rips_quota_refused_total", "Calls of operators refused because their quota was used up.");
@@ -460,7 +424,11 @@ std::shared_ptr<operator_api::CallerQuota> Server::MakeQuota() {
   limits.queries.at_a_time = config_.operators.calls;
   limits.queries.per_second = config_.operators.calls_per_second;
   limits.queries.burst = 2 * limits.queries.per_second;
-  return operator_api::CallerQuota::Create(&clock_, limits, [refused] { refused.Increment(); });
+  return operator_api::CallerQuota::Create(&clock_, limits,
+                                           [this, refused](const std::string& identity) {
+                                             refused.Increment();
+                                             attacks_->OnCallRefused(identity);
+                                           });
 }
 
 absl::Status Server::AddRobots() {

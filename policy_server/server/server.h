@@ -14,6 +14,7 @@
 #include "absl/status/statusor.h"
 #include "policy_server/policy/bundle/bundle.h"
 #include "policy_server/policy/inspect/inspection_pool.h"
+#include "policy_server/server/attack_alerts.h"
 #include "policy_server/server/config/config.h"
 #include "policy_server/server/dispatch/actuator_service.h"
 #include "policy_server/server/fleet.h"
@@ -70,7 +71,6 @@ class Server {
   // Judges peers, and watches certificates, our own among them.
   absl::Status GuardPeers();
   absl::Status GuardConnections();
-  void OnConnectionEnded(const rpc::ConnectionGuard::Report& report);
   // RIPS's own alert that is no robot's: of robot `(server)`. Any thread.
   // Each caller is a kind, for the limit.
   void OwnAlert(engine::Severity severity, const std::string& text,
@@ -88,8 +88,6 @@ class Server {
   pipeline::Counts MakeCounts();
   pipeline::StoreCounts MakeStoreCounts();
   pipeline::PipelineReports MakeReports();
-  // The robot's peers sent more than could be judged, and were refused.
-  void OnRefused(const std::string& robot) ABSL_LOCKS_EXCLUDED(attack_mu_);
   std::shared_ptr<operator_api::CallerQuota> MakeQuota();
   absl::Status Readiness() const;
 
@@ -106,6 +104,7 @@ class Server {
   std::unique_ptr<operator_api::StatusBroadcaster> hub_;
   std::unique_ptr<store::Committer> committer_;
   std::unique_ptr<pipeline::ServerAlerts> alerts_;
+  std::unique_ptr<AttackAlerts> attacks_;
   std::unique_ptr<pipeline::StoreWatch> store_watch_;
   std::unique_ptr<pipeline::StoreRecorder> recorder_;
   std::unique_ptr<pipeline::Pipeline> pipeline_;
@@ -114,11 +113,6 @@ class Server {
   std::unique_ptr<rpc::CertificateMonitor> certificates_;
   std::unique_ptr<rpc::ConnectionGuard> connections_;
   std::unique_ptr<rpc::CallGate> gate_;
-  Mutex attack_mu_;
-  // Certificate (empty: none) -> when its attack was told.
-  std::map<std::string, int64_t> attack_told_ ABSL_GUARDED_BY(attack_mu_);
-  // By robot of the inventory: when it was said last that its peers are refused.
-  absl::btree_map<std::string, int64_t> refused_told_ns_ ABSL_GUARDED_BY(attack_mu_);
   Gauge revocation_problem_;
   Mutex revocation_mu_;
   std::string revocation_told_ ABSL_GUARDED_BY(revocation_mu_);

@@ -166,6 +166,11 @@ Connection::State Connection::Look(int64_t now_ns, Excess& excess) {
   return State::kOpen;
 }
 
+bool Connection::EndedByPeer() const {
+  MutexLock lock(&mu_);
+  return !ended_;
+}
+
 bool Connection::End() {
   MutexLock lock(&mu_);
   if (std::exchange(ended_, true)) return false;
@@ -181,7 +186,8 @@ ConnectionGuard::ConnectionGuard(Options options, const Clock* clock, Metrics* m
       metrics_(metrics),
       reserve_(OpenReserve()),
       wake_(eventfd(0, EFD_CLOEXEC | EFD_NONBLOCK)),
-      admission_(options_.admission) {
+      admission_(options_.admission),
+      flood_(options_.flood) {
   if (metrics_ == nullptr) return;
   open_ = metrics_->AddGauge("rips_connections", "Connections that are open.");
   for (const char* why : {"banned", "rate", "address", "network", "total", "descriptors"}) {
@@ -254,6 +260,15 @@ void ConnectionGuard::Stop() {
   MutexLock lock(&mu_);
   listeners_.clear();
   connections_.clear();
+}
+
+void ConnectionGuard::CountFlood(const Source& source, int64_t now_ns) {
+  std::optional<FloodWatch::Flood> flood;
+  {
+    MutexLock lock(&mu_);
+    flood = flood_.Count(source.address, now_ns);
+  }
+  if (flood && options_.on_flood) options_.on_flood(*flood);
 }
 
 void ConnectionGuard::CountRefused(absl::string_view reason) {
@@ -368,19 +383,27 @@ void ConnectionGuard::Take(UniqueFd socket) {
   Source source = SourceOf(address);
   UniqueFd duplicate(fcntl(socket.get(), F_DUPFD_CLOEXEC, 0));
   const int64_t now_ns = clock_->Now().boottime_ns;
+  Admission::Verdict verdict = Admission::Verdict::kTake;
+  std::shared_ptr<Connection> ended;
   {
     MutexLock lock(&mu_);
     if (probes_.contains(source.peer)) return;  // closes it
-    Admission::Verdict verdict = admission_.Ask(source, now_ns);
-    if (MakeRoomLocked(source, verdict, now_ns)) verdict = admission_.Ask(source, now_ns);
-    if (verdict != Admission::Verdict::kTake) {
-      CountRefused(ToString(verdict));
-      if (const auto left_out = refusal_logs_.Admit("")) {
-        LogWarning("connection refused",
-                   {{"peer", source.peer}, {"limit", ToString(verdict)}, {"left_out", *left_out}});
-      }
-      return Reset(std::move(socket));
+    verdict = admission_.Ask(source, now_ns);
+    ended = MakeRoomLocked(source, verdict, now_ns);
+    if (ended != nullptr) verdict = admission_.Ask(source, now_ns);
+  }
+  if (ended != nullptr) CountFlood(ended->source(), now_ns);
+  if (verdict != Admission::Verdict::kTake) {
+    CountRefused(ToString(verdict));
+    if (const auto left_out = refusal_logs_.Admit("")) {
+      LogWarning("connection refused",
+                 {{"peer", source.peer}, {"limit", ToString(verdict)}, {"left_out", *left_out}});
     }
+    CountFlood(source, now_ns);
+    return Reset(std::move(socket));
+  }
+  {
+    MutexLock lock(&mu_);
     if (duplicate.get() < 0) {
       admission_.Left(source);
       CountRefused("descriptors");
@@ -403,12 +426,13 @@ void ConnectionGuard::Take(UniqueFd socket) {
   grpc_->HandleNewConnection(&given);
 }
 
-bool ConnectionGuard::MakeRoomLocked(const Source& source, Admission::Verdict limit,
-                                     int64_t now_ns) {
+std::shared_ptr<Connection> ConnectionGuard::MakeRoomLocked(const Source& source,
+                                                            Admission::Verdict limit,
+                                                            int64_t now_ns) {
   const bool in_address = limit == Admission::Verdict::kAddress;
   const bool in_network = limit == Admission::Verdict::kNetwork;
-  if (!in_address && !in_network && limit != Admission::Verdict::kTotal) return false;
-  if (made_room_ >= kRoomPerLook) return false;
+  if (!in_address && !in_network && limit != Admission::Verdict::kTotal) return nullptr;
+  if (made_room_ >= kRoomPerLook) return nullptr;
   std::shared_ptr<Connection> victim;
   const auto worth = [&](const Connection& connection) ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_) {
     return std::tuple(admission_.Known(connection.source(), now_ns), connection.spoke_.load(),
@@ -420,13 +444,13 @@ bool ConnectionGuard::MakeRoomLocked(const Source& source, Admission::Verdict li
     if (victim != nullptr && worth(*victim) <= worth(*connection)) continue;
     if (connection->certificate().empty()) victim = connection;
   }
-  if (victim == nullptr) return false;
+  if (victim == nullptr) return nullptr;
   ++made_room_;
   victim->End();
   ForgetLocked(*victim);
   connections_.erase(victim->source().peer);
   CountEnded("room");
-  return true;
+  return victim;
 }
 
 // ------------------------------------------------------------------------------------- watching
@@ -540,6 +564,7 @@ void ConnectionGuard::EndFor(Connection& connection, Excess excess) {
               {"excess", ToString(excess)},
               {"banned_s", report.banned_ns / kNanosPerSecond}});
   if (options_.on_ended) options_.on_ended(report);
+  if (excess == Excess::kSilent) CountFlood(connection.source(), now_ns);
 }
 
 void ConnectionGuard::Look() {
@@ -561,12 +586,17 @@ void ConnectionGuard::Look() {
     Excess excess = Excess::kNone;
     const Connection::State state = connection->Look(now_ns, excess);
     if (state == Connection::State::kOver) {
-      MutexLock lock(&mu_);
-      const auto it = connections_.find(connection->source().peer);
-      if (it == connections_.end() || it->second != connection) continue;
-      ForgetLocked(*connection);
-      connections_.erase(it);
-      open_.Set(static_cast<double>(connections_.size()));
+      {
+        MutexLock lock(&mu_);
+        const auto it = connections_.find(connection->source().peer);
+        if (it == connections_.end() || it->second != connection) continue;
+        ForgetLocked(*connection);
+        connections_.erase(it);
+        open_.Set(static_cast<double>(connections_.size()));
+      }
+      if (connection->EndedByPeer() && connection->shown().empty()) {
+        CountFlood(connection->source(), now_ns);
+      }
     } else if (excess != Excess::kNone) {
       EndFor(*connection, excess);
     }

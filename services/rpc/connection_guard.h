@@ -39,6 +39,7 @@
 #include "services/base/clock.h"
 #include "services/rpc/connection_admission.h"
 #include "services/rpc/connection_budget.h"
+#include "services/rpc/flood_watch.h"
 #include "services/rpc/peer.h"
 #include "services/runtime/log_limiter.h"
 #include "services/runtime/metrics.h"
@@ -78,6 +79,7 @@ class Connection {
   void Exceed(Excess why) ABSL_LOCKS_EXCLUDED(mu_);
   // What the kernel says of the socket.
   State Look(int64_t now_ns, Excess& excess) ABSL_LOCKS_EXCLUDED(mu_);
+  bool EndedByPeer() const ABSL_LOCKS_EXCLUDED(mu_);
   // False if it was ended before.
   bool End() ABSL_LOCKS_EXCLUDED(mu_);
   // The one it was admitted with; empty = none.
@@ -120,8 +122,10 @@ class ConnectionGuard {
     double agent_calls_per_second = 2;
     // Between two looks at the connections.
     absl::Duration interval = absl::Milliseconds(50);
+    FloodWatch::Limits flood;
     // On a thread of the guard or of a call; must not block. May be empty.
     std::function<void(const Report&)> on_ended;
+    std::function<void(const FloodWatch::Flood&)> on_flood;
   };
 
   // Binds each address of `listen` (`HOST:PORT`, `[HOST]:PORT`; port 0 = any, the same for all).
@@ -167,10 +171,10 @@ class ConnectionGuard {
   void Take(UniqueFd socket);
   // Ends a connection without a certificate that counts against the limit `source` has met, so that
   // a flood of those cannot keep out a peer that would name itself: first of addresses that are not
-  // known, of those one that has sent nothing, of those the oldest. False if there is none, or too
-  // many were ended since the last look.
-  bool MakeRoomLocked(const Source& source, Admission::Verdict limit, int64_t now_ns)
-      ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
+  // known, of those one that has sent nothing, of those the oldest. Returns it; null if there is
+  // none, or too many were ended since the last look.
+  std::shared_ptr<Connection> MakeRoomLocked(const Source& source, Admission::Verdict limit,
+                                             int64_t now_ns) ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
   void RunWatch();
   void Look();
   void ForgetLocked(const Connection& connection) ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
@@ -178,6 +182,8 @@ class ConnectionGuard {
   // Its address, and its certificate if that is known. Returns how long it lasts still.
   int64_t BanLocked(const Connection& connection, int64_t now_ns)
       ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
+  // A connection of this address came to nothing.
+  void CountFlood(const Source& source, int64_t now_ns) ABSL_LOCKS_EXCLUDED(mu_);
   void CountRefused(absl::string_view reason);
   void CountEnded(absl::string_view reason);
   bool MayCallLocked(const std::string& certificate, int64_t now_ns)
@@ -199,6 +205,7 @@ class ConnectionGuard {
   CondVar stop_cond_;
   bool stopping_ ABSL_GUARDED_BY(mu_) = false;
   Admission admission_ ABSL_GUARDED_BY(mu_);
+  FloodWatch flood_ ABSL_GUARDED_BY(mu_);
   // By peer.
   absl::flat_hash_map<std::string, std::shared_ptr<Connection>> connections_ ABSL_GUARDED_BY(mu_);
   // Connections that were identified, by certificate.

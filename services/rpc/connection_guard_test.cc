@@ -65,6 +65,7 @@ class ConnectionGuardTest : public ::testing::Test {
  protected:
   void Start(ConnectionGuard::Options options, const std::string& listen = "127.0.0.1:0") {
     options.on_ended = [this](const ConnectionGuard::Report& report) { reports_.Push(report); };
+    options.on_flood = [this](const FloodWatch::Flood& flood) { floods_.Push(flood); };
     auto guard = ConnectionGuard::Listen(listen, std::move(options), &clock_, &metrics_);
     ASSERT_THAT(guard, IsOk());
     guard_ = *std::move(guard);
@@ -121,6 +122,7 @@ class ConnectionGuardTest : public ::testing::Test {
   RealClock clock_;
   Metrics metrics_;
   BoundedQueue<ConnectionGuard::Report> reports_{{.capacity = 1'000}};
+  BoundedQueue<FloodWatch::Flood> floods_{{.capacity = 1'000}};
   v1::SensorService::Service service_;
   std::unique_ptr<ConnectionGuard> guard_;
   std::unique_ptr<RpcServer> server_;
@@ -135,6 +137,50 @@ TEST_F(ConnectionGuardTest, AConnectionWithoutACallIsEnded) {
   EXPECT_EQ(report->excess, Excess::kSilent);
   EXPECT_THAT(report->peer, StartsWith("ipv4:127.0.0.1:"));
   EXPECT_EQ(report->banned_ns, 0) << "it may be a peer on a bad line";
+}
+
+TEST_F(ConnectionGuardTest, AFloodIsToldHoweverItsConnectionsEnd) {
+  const struct {
+    const char* how;
+    ConnectionGuard::Options options;
+    bool waits;
+  } kWays[] = {{"refused", {.admission = {.burst = 1, .per_second = 0}}, true},
+               {"ended for silence", {.budget = {.silent_ns = 200 * kNanosPerMilli}}, true},
+               {"ended for room", {.admission = {.per_address = 1}}, true},
+               {"left by the peer", {}, false}};
+  for (const auto& way : kWays) {
+    SCOPED_TRACE(way.how);
+    ConnectionGuard::Options options = way.options;
+    options.flood.of_address = 8;
+    Start(options);
+    std::vector<std::unique_ptr<Silent>> flood;
+    for (int i = 0; i < 10; ++i) {
+      flood.push_back(std::make_unique<Silent>(server_->port()));
+      if (!way.waits) flood.clear();
+    }
+    const auto told = floods_.Pop(kPatience);
+    ASSERT_TRUE(told.has_value());
+    EXPECT_EQ(told->address, "127.0.0.1");
+    EXPECT_EQ(told->connections, 8);
+    server_->Shutdown(absl::ZeroDuration());
+  }
+}
+
+TEST_F(ConnectionGuardTest, WhoShowsACertificateIsNoFlood) {
+  Start({.flood = {.of_address = 2}});
+  for (int i = 0; i < 4; ++i) {
+    auto channel = Connect();
+    ASSERT_EQ(Call(channel, "/rips.v1.SensorService/None").error_code(),
+              grpc::StatusCode::UNIMPLEMENTED);
+    const std::string peer = FindPeer();
+    ASSERT_THAT(guard_->OnIdentified(peer, absl::StrCat(kSensor, i), /*agent=*/true), IsOk());
+    channel.reset();
+    const absl::Time end = absl::Now() + kPatience;
+    while (guard_->Find(peer) != nullptr && absl::Now() < end) {
+      absl::SleepFor(absl::Milliseconds(5));
+    }
+  }
+  EXPECT_FALSE(floods_.Pop(absl::ZeroDuration()).has_value());
 }
 
 TEST_F(ConnectionGuardTest, TakesNoMoreThanItsLimitAndMakesRoomAgain) {

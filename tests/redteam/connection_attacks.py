@@ -78,6 +78,7 @@ def connections_that_wait(fleet):
     refused = sum(value for name, value in metrics(fleet.server).items()
                   if name.startswith("rips_connections_refused_total"))
     check(refused > 0, "no connection was refused")
+    fleet.named("127.0.0.2")
 
 
 @quick
@@ -110,6 +111,42 @@ def connections_from_everywhere(fleet):
     for waiting in held:
         waiting.close()
     fleet.unharmed()
+    fleet.named("addresses, 127.")
+
+
+@scenario
+def hellos_that_are_left(fleet):
+    """600 TLS handshakes a second are begun, from an address of their own; each costs the server a
+    signature, and none goes on."""
+    fleet.arm()
+    hello = http2.client_hello()
+    begun = 0
+
+    def attack():
+        nonlocal begun
+        start = time.monotonic()
+        held = collections.deque()
+        while time.monotonic() < start + ATTACK_S:
+            time.sleep(max(0, start + begun / 600 - time.monotonic()))
+            begun += 1
+            leaving = socket.socket()
+            leaving.settimeout(1)
+            try:
+                leaving.bind(("127.0.0.2", 0))
+                leaving.connect(("127.0.0.1", fleet.port))
+                leaving.sendall(hello)
+                held.append(leaving)
+            except OSError:
+                leaving.close()
+            if len(held) > 64:
+                held.popleft().close()
+        for leaving in held:
+            leaving.close()
+
+    fleet.run_beside(attack)
+    print(f"{begun / ATTACK_S:.0f} handshakes a second begun")
+    fleet.unharmed()
+    fleet.named("flood of connections: 64 from 127.0.0.2")
 
 
 @quick

@@ -239,6 +239,7 @@ def a_viewer_asks_without_end(fleet):
     fleet.unharmed()
     check("rips_quota_refused_total 0" not in page(fleet.server, "metrics"),
           "no call was refused")
+    fleet.named("operator/viewer/mallory asks more than its quota")
 
 
 @quick
@@ -322,3 +323,4 @@ def snapshots_of_another_robot(fleet):
 
     beside(fleet, attack)
     fleet.unharmed()
+    fleet.told_of("r2", "sensor base has restarted")

@@ -239,6 +239,7 @@ def actuator_texts_at_their_limits(fleet):
 
     beside(attacked, attack)
     attacked.harmless()
+    fleet.told_of("r2", "actuator base has a floor of its own")
 
 
 def snapshot(**fields):
@@ -374,3 +375,4 @@ def sensor_graph_at_its_limits(fleet):
     coverage = fleet.ripsctl("--output", "json", "robot", "coverage", "r2", check=False)[1]
     check('"endpoints_left_out"' in coverage, "coverage does not say what it leaves out")
     attacked.harmless()
+    fleet.told_of("r2", "not on the list of known nodes")

@@ -200,8 +200,14 @@ class Guarded(Fleet):
         print(f"operator served in {self.slowest:.2f} s at worst")
 
     def server_alerts(self):
+        """Texts of the alerts that are no robot's."""
         found = self.query("alert", "list", "--limit", "1000")["alerts"]
-        return [a["text"] for a in found if "the server is attacked" in a["text"]]
+        return [a["text"] for a in found if a["robot"] == "(server)"]
+
+    def told_of(self, robot, part):
+        """What an attacker does with a robot's key is told of that robot."""
+        texts = [a["text"] for a in self.query("alert", "list", robot, "--limit", "1000")["alerts"]]
+        check(any(part in text for text in texts), f"no alert of {robot} says {part!r}: {texts}")
 
     def named(self, address, certificate=None):
         """The alert names the attacker."""

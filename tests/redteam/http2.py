@@ -37,6 +37,19 @@ def reset(stream):
     return frame(RST_STREAM, 0, stream, struct.pack(">I", 8))
 
 
+def client_hello():
+    """What begins a TLS handshake."""
+    out = ssl.MemoryBIO()
+    context = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
+    context.check_hostname = False
+    context.set_alpn_protocols(["h2"])
+    try:
+        context.wrap_bio(ssl.MemoryBIO(), out, server_hostname="localhost").do_handshake()
+    except ssl.SSLWantReadError:
+        pass
+    return out.read()
+
+
 class Tls:
     """A TLS connection that one thread may read while another writes, which ssl.SSLSocket's may
     not: OpenSSL's object is locked, and never while the socket waits."""

@@ -1,0 +1,57 @@
+// Tells operators who attacks the server, as RIPS's own alerts. What is attacked without end is not
+// told without end:
+//
+// | what happened                                         | told                       | severity |
+// |-------------------------------------------------------|----------------------------|----------|
+// | a connection was ended and banned for what it cost    | once a minute for each     | critical |
+// |                                                       | certificate, and for those |          |
+// |                                                       | without one                |          |
+// | connections come to nothing (FloodWatch)              | once a minute an address   | high     |
+// | peers of a robot send more than can be judged         | once a minute a robot      | high     |
+// | an operator's certificate has 20 calls refused for    | once a minute              | high     |
+// | its quota within 10 s                                 |                            |          |
+#ifndef RIPS_POLICY_SERVER_SERVER_ATTACK_ALERTS_H_
+#define RIPS_POLICY_SERVER_SERVER_ATTACK_ALERTS_H_
+
+#include <limits>
+#include <map>
+#include <string>
+
+#include "absl/base/thread_annotations.h"
+#include "policy_server/server/shard/server_alerts.h"
+#include "services/base/clock.h"
+#include "services/rpc/connection_guard.h"
+#include "services/rpc/flood_watch.h"
+#include "services/runtime/mutex.h"
+
+namespace rips {
+
+// Any thread; never blocks on the disk.
+class AttackAlerts {
+ public:
+  // Nothing is owned; all outlive this.
+  AttackAlerts(pipeline::ServerAlerts* alerts, const Clock* clock)
+      : alerts_(alerts), clock_(clock) {}
+
+  void OnConnectionEnded(const rpc::ConnectionGuard::Report& report) ABSL_LOCKS_EXCLUDED(mu_);
+  void OnFlood(const rpc::FloodWatch::Flood& flood);
+  // A stream of a peer of this robot, which is of the inventory, was closed.
+  void OnPeerRefused(const std::string& robot) ABSL_LOCKS_EXCLUDED(mu_);
+  // `identity`: the URI of an operator's certificate.
+  void OnCallRefused(const std::string& identity) ABSL_LOCKS_EXCLUDED(mu_);
+
+ private:
+  // True once a minute for each name.
+  bool IsDue(const std::string& name) ABSL_LOCKS_EXCLUDED(mu_);
+
+  pipeline::ServerAlerts* alerts_;
+  const Clock* clock_;
+  Mutex mu_;
+  std::map<std::string, int64_t> told_ns_ ABSL_GUARDED_BY(mu_);
+  rpc::FloodWatch refused_calls_ ABSL_GUARDED_BY(mu_){
+      {.of_address = 20, .of_all = std::numeric_limits<int>::max()}};
+};
+
+}  // namespace rips
+
+#endif  // RIPS_POLICY_SERVER_SERVER_ATTACK_ALERTS_H_

@@ -1,0 +1,114 @@
+#include "policy_server/server/attack_alerts.h"
+
+#include <atomic>
+#include <string>
+#include <vector>
+
+#include "absl/strings/str_cat.h"
+#include "absl/strings/str_format.h"
+#include "gmock/gmock.h"
+#include "gtest/gtest.h"
+#include "policy_server/server/store/committer.h"
+#include "policy_server/server/store/fake_store.h"
+#include "services/base/fake_clock.h"
+
+namespace rips {
+namespace {
+
+using ::testing::AllOf;
+using ::testing::ElementsAre;
+using ::testing::HasSubstr;
+using ::testing::IsEmpty;
+using ::testing::SizeIs;
+using ::testing::StartsWith;
+
+constexpr char kMallory[] = "spiffe://td/operator/viewer/mallory";
+
+class QuietObserver final : public pipeline::RobotObserver {
+ public:
+  void OnAlert(const store::AlertRecord&) override {}
+  void OnNotice(const std::string&) override {}
+  void OnStatus(const pipeline::RobotStatus&) override {}
+  void OnRuleLog(const std::string&, const std::string&, const std::string&) override {}
+};
+
+class AttackAlertsTest : public ::testing::Test {
+ protected:
+  void End(const std::string& certificate, rpc::Excess excess = rpc::Excess::kBytes,
+           int64_t banned_ns = 10 * kNanosPerSecond) {
+    attacks_.OnConnectionEnded({.peer = "ipv4:10.0.0.7:4711",
+                                .certificate = certificate,
+                                .excess = excess,
+                                .banned_ns = banned_ns});
+  }
+  // All that was told: robot, severity, text.
+  std::vector<std::string> Told() {
+    committer_.Stop();
+    std::vector<std::string> texts;
+    const auto page = store_.AlertsAfter("", 0, 0);
+    for (const store::AlertRecord& alert : page->alerts) {
+      texts.push_back(absl::StrCat(alert.robot, " ", alert.severity, " ", alert.text));
+    }
+    return texts;
+  }
+
+  FakeClock clock_;
+  store::FakeStore store_;
+  store::Committer committer_{&store_, {}, &clock_};
+  QuietObserver audience_;
+  std::atomic<int> ids_ = 0;
+  pipeline::ServerAlerts alerts_{&committer_, &audience_, &clock_,
+                                 [this] { return absl::StrFormat("%032x", ++ids_); }};
+  AttackAlerts attacks_{&alerts_, &clock_};
+};
+
+TEST_F(AttackAlertsTest, EachCertificateIsToldOnceAMinuteAndAllWithoutOneTogether) {
+  for (int i = 0; i < 3; ++i) {
+    End(kMallory);
+    End("");
+  }
+  clock_.Advance(60 * kNanosPerSecond);
+  End(kMallory, rpc::Excess::kCalls);
+  EXPECT_THAT(
+      Told(),
+      ElementsAre(AllOf(StartsWith("(server) critical the server is attacked: a connection from "
+                                   "ipv4:10.0.0.7:4711"),
+                        HasSubstr(kMallory), HasSubstr("banned for 10 s")),
+                  HasSubstr("without a certificate of ours sent bytes of which nothing came"),
+                  HasSubstr("began calls without end")));
+}
+
+TEST_F(AttackAlertsTest, AConnectionThatIsNotBannedIsNoAttack) {
+  End("", rpc::Excess::kSilent, 0);
+  EXPECT_THAT(Told(), IsEmpty());
+}
+
+TEST_F(AttackAlertsTest, AFloodNamesItsAddressOrHowManyThereAre) {
+  attacks_.OnFlood({.address = "10.0.0.7", .connections = 64, .within_ns = kNanosPerSecond / 2});
+  attacks_.OnFlood({.address = "10.0.0.8", .addresses = 90, .connections = 512, .within_ns = 1});
+  EXPECT_THAT(
+      Told(),
+      ElementsAre(StartsWith("(server) high a flood of connections: 64 from 10.0.0.7 came to "
+                             "nothing within 1 s; what is connected stays"),
+                  HasSubstr("512 from 90 addresses, 10.0.0.8 among them, came to nothing")));
+}
+
+TEST_F(AttackAlertsTest, ARobotsPeersAreToldOfThatRobot) {
+  attacks_.OnPeerRefused("r1");
+  attacks_.OnPeerRefused("r1");
+  attacks_.OnPeerRefused("r2");
+  EXPECT_THAT(Told(), ElementsAre(StartsWith("r1 high peers of robot r1 send more"),
+                                  StartsWith("r2 high peers of robot r2 send more")));
+}
+
+TEST_F(AttackAlertsTest, ARefusedCallIsNothingButManyNameTheCaller) {
+  for (int i = 0; i < 19; ++i) attacks_.OnCallRefused("spiffe://td/operator/viewer/script");
+  for (int i = 0; i < 100; ++i) attacks_.OnCallRefused(kMallory);
+  const std::vector<std::string> told = Told();
+  ASSERT_THAT(told, SizeIs(1));
+  EXPECT_THAT(told[0], StartsWith(absl::StrCat("(server) high ", kMallory,
+                                               " asks more than its quota allows: 20 calls")));
+}
+
+}  // namespace
+}  // namespace rips

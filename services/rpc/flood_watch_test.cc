@@ -1,0 +1,98 @@
+#include "services/rpc/flood_watch.h"
+
+#include <string>
+
+#include "absl/strings/str_cat.h"
+#include "gmock/gmock.h"
+#include "gtest/gtest.h"
+
+namespace rips::rpc {
+namespace {
+
+using ::testing::StartsWith;
+
+class FloodWatchTest : public ::testing::Test {
+ protected:
+  void Seconds(int64_t seconds) { now_ns_ += seconds * kNanosPerSecond; }
+  std::optional<FloodWatch::Flood> Count(const std::string& address, int times = 1) {
+    std::optional<FloodWatch::Flood> last;
+    for (int i = 0; i < times; ++i) {
+      auto flood = watch_.Count(address, now_ns_);
+      EXPECT_FALSE(last && flood) << "told twice";
+      if (flood) last = std::move(flood);
+    }
+    return last;
+  }
+
+  int64_t now_ns_ = 1'000 * kNanosPerSecond;
+  FloodWatch watch_{{.of_address = 5, .of_all = 20}};
+};
+
+TEST_F(FloodWatchTest, AnAddressIsToldWhenItHasSoManyInOneWindow) {
+  EXPECT_FALSE(Count("10.0.0.1", 4));
+  Seconds(3);
+  const auto flood = Count("10.0.0.1");
+  ASSERT_TRUE(flood);
+  EXPECT_EQ(flood->address, "10.0.0.1");
+  EXPECT_EQ(flood->addresses, 1u);
+  EXPECT_EQ(flood->connections, 5);
+  EXPECT_EQ(flood->within_ns, 3 * kNanosPerSecond);
+}
+
+TEST_F(FloodWatchTest, WhoReconnectsNowAndThenIsNotTold) {
+  for (int i = 0; i < 50; ++i) {
+    EXPECT_FALSE(Count("10.0.0.1", 4));
+    Seconds(10);
+  }
+}
+
+TEST_F(FloodWatchTest, AnAddressIsToldOnceAMinute) {
+  EXPECT_TRUE(Count("10.0.0.1", 1'000));
+  for (int i = 0; i < 5; ++i) {
+    Seconds(10);
+    EXPECT_FALSE(Count("10.0.0.1", 1'000));
+  }
+  Seconds(10);
+  EXPECT_TRUE(Count("10.0.0.1", 1'000));
+}
+
+TEST_F(FloodWatchTest, ALoudAddressHidesNoOther) {
+  EXPECT_TRUE(Count("10.0.0.1", 1'000));
+  EXPECT_TRUE(Count("10.0.0.2", 5));
+}
+
+TEST_F(FloodWatchTest, ManyQuietAddressesAreToldTogether) {
+  for (int i = 0; i < 19; ++i) EXPECT_FALSE(Count(absl::StrCat("10.0.0.", i)));
+  const auto flood = Count("10.0.0.19");
+  ASSERT_TRUE(flood);
+  EXPECT_EQ(flood->addresses, 20u);
+  EXPECT_EQ(flood->connections, 20);
+  EXPECT_THAT(flood->address, StartsWith("10.0.0."));
+  EXPECT_FALSE(Count("10.0.0.20"));
+  Seconds(60);
+  for (int i = 0; i < 19; ++i) EXPECT_FALSE(Count(absl::StrCat("10.0.0.", i)));
+  EXPECT_TRUE(Count("10.0.0.19"));
+}
+
+TEST_F(FloodWatchTest, ALoudAddressIsNotCountedWithTheQuietOnes) {
+  EXPECT_TRUE(Count("10.0.0.1", 1'000));
+  for (int i = 0; i < 19; ++i) EXPECT_FALSE(Count(absl::StrCat("10.0.1.", i)));
+  const auto flood = Count("10.0.1.19");
+  ASSERT_TRUE(flood);
+  EXPECT_EQ(flood->addresses, 20u);
+  EXPECT_EQ(flood->connections, 20);
+}
+
+TEST_F(FloodWatchTest, MoreAddressesThanItRemembersAreStillCounted) {
+  FloodWatch watch({.of_address = 5, .of_all = 20'000});
+  std::optional<FloodWatch::Flood> flood;
+  for (int i = 0; i < 20'000; ++i) {
+    flood = watch.Count(absl::StrCat("10.", i / 65'536, ".", i / 256 % 256, ".", i % 256), now_ns_);
+  }
+  ASSERT_TRUE(flood);
+  EXPECT_EQ(flood->connections, 20'000);
+  EXPECT_GE(flood->addresses, 8'192u);
+}
+
+}  // namespace
+}  // namespace rips::rpc
