@@ -41,6 +41,10 @@ struct RobotCommand {
   ImageSize image;
   // A named pipe that is made, for orders to the robot (control.h); empty = none.
   std::string control;
+  // Where it drives (floor.h); empty = straight ahead.
+  std::string floor_file;
+  // Its time runs so many times as fast: rates, transitions, the way it drives.
+  double speed = 1;
 };
 // {"event":"ready","mode":"__DEFAULT__","nodes":[...]}
 // {"event":"mode","mode":"ALERT"}     when the mode is reached ("" = none fits)
@@ -86,6 +90,18 @@ struct ProbeCommand {
 // {"event":"ready","topic":...}
 // {"event":"rate","topic":...,"hz":15.0,"samples":15,"window_ms":1000,"last_sample_unix_ns":...}
 absl::Status RunProbe(const ProbeCommand& command, StopFlag& stop);
+
+struct ObserveCommand {
+  dds::DomainOptions domain;
+  std::string node = "/recorder";
+};
+// What a robot with a floor lets others see; each is printed with when it came.
+// {"event":"ready"}
+// {"event":"frame"}                                      a picture
+// {"event":"cells","free":1662,"occupied":39720}         the costmap
+// {"event":"pose","x":1.0,"y":5.2,"speed":0.3}           odometry: metres, m/s
+// {"event":"twist"}                                      a command to the base
+absl::Status RunObserve(const ObserveCommand& command, StopFlag& stop);
 
 struct PublishCommand {
   dds::DomainOptions domain;

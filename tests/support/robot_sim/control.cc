@@ -44,6 +44,8 @@ absl::Status Obey(const Words& words, Robot& robot) {
   const std::string& verb = words[0];
   if (words.size() == 2 && verb == "conduct") return SetConduct(words, robot);
   if (words == Words{"manager", "start"}) return robot.StartManager();
+  if (words.size() == 2 && verb == "go") return robot.Send(words[1]);
+  if (words == Words{"person"}) return robot.SendPerson();
   if (words == Words{"manager", "stop"}) {
     robot.StopManager();
   } else if (words == Words{"modes", "forget"}) {

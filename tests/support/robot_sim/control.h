@@ -8,6 +8,8 @@
 //   pull FROM TO                                it leaves mode FROM for TO, as its own rules would
 //   lens cover|clear                            the camera sees black, or its picture again
 //   stuck NODE on|off                           the node's transitions fail
+//   go PLACE                                    it drives to this place of its floor
+//   person                                      somebody walks across its floor
 #ifndef RIPS_TESTS_SUPPORT_ROBOT_SIM_CONTROL_H_
 #define RIPS_TESTS_SUPPORT_ROBOT_SIM_CONTROL_H_
 

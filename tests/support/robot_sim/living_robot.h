@@ -70,7 +70,7 @@ class LivingRobot {
  private:
   void Step() ABSL_LOCKS_EXCLUDED(mu_) {
     MutexLock lock(&mu_);
-    robot_->Step(clock_.Now());
+    robot_->Step();
     std::string mode = robot_->Mode();
     if (modes_.empty() || modes_.back() != mode) modes_.push_back(std::move(mode));
   }

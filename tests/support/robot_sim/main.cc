@@ -1,5 +1,5 @@
 // A small ROS 2 robot on real DDS, its intruders, and what is needed to look at it:
-// robot_sim robot|intruder|probe|publish|mode|set-mode; see commands.h.
+// robot_sim robot|intruder|probe|observe|publish|mode|set-mode; see commands.h.
 #include <csignal>
 #include <functional>
 #include <map>
@@ -69,6 +69,9 @@ void AddRobot(CLI::App& app, RobotCommand& command, Run& run) {
       ->check(CLI::Range(1, 4'096));
   sub->add_option("--image-height", command.image.height, "(120)")->check(CLI::Range(1, 4'096));
   sub->add_option("--control", command.control, "named pipe to make, for orders to the robot");
+  sub->add_option("--floor", command.floor_file, "where it drives; empty = straight ahead");
+  sub->add_option("--speed", command.speed, "how many times as fast its time runs (1)")
+      ->check(CLI::Range(0.1, 20.0));
   sub->add_flag("--bad-discovery", command.bad_discovery,
                 "also send malformed and foreign discovery messages")
       ->excludes("--keystore");
@@ -100,6 +103,18 @@ void AddProbe(CLI::App& app, ProbeCommand& command, Run& run) {
   sub->add_option("--count", command.count, "measurements; 0 = until stopped");
   sub->add_option("--node", command.node, "look like this ROS node; empty = plain DDS");
   sub->callback([&] { run = [&command](StopFlag& stop) { return RunProbe(command, stop); }; });
+}
+
+void AddObserve(CLI::App& app, ObserveCommand& command, Run& run) {
+  CLI::App* sub = app.add_subcommand("observe", "tell what a robot with a floor lets others see");
+  sub->add_option("--domain", command.domain.id, "DDS domain id")
+      ->required()
+      ->check(CLI::Range(0, 232));
+  sub->add_option("--interface", command.domain.interface,
+                  "network interface; empty = Cyclone chooses")
+      ->default_val("lo");
+  sub->add_option("--node", command.node, "its node name");
+  sub->callback([&] { run = [&command](StopFlag& stop) { return RunObserve(command, stop); }; });
 }
 
 void AddPublish(CLI::App& app, PublishCommand& command, Run& run) {
@@ -135,6 +150,7 @@ int Main(int argc, char** argv) {
   RobotCommand robot;
   IntruderCommand intruder;
   ProbeCommand probe;
+  ObserveCommand observe;
   PublishCommand publish;
   ModeCommand mode;
   Run run;
@@ -143,6 +159,7 @@ int Main(int argc, char** argv) {
   AddRobot(app, robot, run);
   AddIntruder(app, intruder, run);
   AddProbe(app, probe, run);
+  AddObserve(app, observe, run);
   AddPublish(app, publish, run);
   AddModes(app, mode, run);
   try {

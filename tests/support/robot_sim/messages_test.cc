@@ -72,9 +72,39 @@ TEST(RosMessagesTest, ImageIsCompleteCdr) {
 
 TEST(RosMessagesTest, OdometryAndScanHaveTheirSizes) {
   // Stamp, two names, 7 + 36 + 6 + 36 doubles.
-  EXPECT_EQ(EncodeOdometry(0, 1, 2).size(), 4U + 8 + (4 + 5 + 3) + (4 + 10 + 2) + 4 + 85 * 8);
+  EXPECT_EQ(EncodeOdometry(0, {.x = 1, .speed_x = 2}).size(),
+            4U + 8 + (4 + 5 + 3) + (4 + 10 + 2) + 4 + 85 * 8);
   // Stamp, name, 7 floats, 360 rays, no intensities.
   EXPECT_EQ(EncodeLaserScan(0, 4).size(), 4U + 8 + (4 + 11 + 1) + 7 * 4 + 4 + 360 * 4 + 4);
+}
+
+TEST(RosMessagesTest, OdometryRoundTripsAndIsRefusedWhenCut) {
+  const std::string payload =
+      EncodeOdometry(5, {.x = 1.5, .y = -2, .speed_x = 0.25, .speed_y = 0.5});
+  const absl::StatusOr<Odometry> odometry = DecodeOdometry(payload);
+  ASSERT_THAT(odometry, IsOk());
+  EXPECT_EQ(odometry->x, 1.5);
+  EXPECT_EQ(odometry->y, -2);
+  EXPECT_EQ(odometry->speed_x, 0.25);
+  EXPECT_EQ(odometry->speed_y, 0.5);
+  EXPECT_THAT(DecodeOdometry(payload.substr(0, payload.size() - 8)),
+              StatusIs(absl::StatusCode::kDataLoss));
+}
+
+TEST(RosMessagesTest, AGridIsCountedAndRefusedIfItMakesNoSense) {
+  const char cells[] = {0, 100, 0, 0, 100, 0};
+  const absl::string_view six(cells, 6);
+  const std::string payload = EncodeOccupancyGrid(5, 3, 2, 0.05, six);
+  const absl::StatusOr<CellCount> count = CountOccupancyGrid(payload);
+  ASSERT_THAT(count, IsOk());
+  EXPECT_EQ(count->free, 4);
+  EXPECT_EQ(count->occupied, 2);
+  const char unknown[] = {0, 100, 0, 0, 50, 0};
+  for (const std::string& bad :
+       {payload.substr(0, payload.size() - 4), EncodeOccupancyGrid(5, 2, 2, 0.05, six),
+        EncodeOccupancyGrid(5, 3, 2, 0.05, {unknown, 6})}) {
+    EXPECT_THAT(CountOccupancyGrid(bad), StatusIs(absl::StatusCode::kDataLoss));
+  }
 }
 
 TEST(BadDiscoveryTest, AllAreRefusedAndTheForeignOneSpeaksForAnother) {

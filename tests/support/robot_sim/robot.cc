@@ -16,7 +16,7 @@ namespace rips::robot_sim {
 
 // One publisher of one part.
 struct Robot::TopicSpec {
-  enum class Content { kImage, kScan, kTwist, kOdometry };
+  enum class Content { kImage, kScan, kTwist, kOdometry, kCostmap };
   Content content;
   absl::string_view node;
   absl::string_view topic;
@@ -39,6 +39,9 @@ constexpr int64_t kCommandTimeoutNs = 500 * kNanosPerMilli;
 // Part of `max_speed` the navigator asks for.
 constexpr double kCruise = 0.8;
 constexpr double kOdometryHz = 20;
+// How late a busy host may wake a thread.
+constexpr double kHostLatenessNs = 50.0 * kNanosPerMilli;
+constexpr char kCostmapNode[] = "/global_costmap";
 
 // lifecycle_msgs/msg/State before, during and after a change.
 ros2::LifecycleLabel Settled(bool active) {
@@ -89,7 +92,11 @@ absl::StatusOr<std::unique_ptr<RosProcess>> MakeProcess(std::shared_ptr<const dd
 
 Robot::Robot(std::shared_ptr<const dds::Domain> domain, ModeMachine machine,
              const RobotOptions& options)
-    : domain_(std::move(domain)), options_(options), machine_(std::move(machine)) {
+    : domain_(std::move(domain)),
+      options_(options),
+      clock_(options.speed),
+      machine_(std::move(machine)) {
+  if (options.floor) patrol_.emplace(Floor(*options.floor));
   told_nodes_ = machine_.nodes();
   told_mode_ = machine_.TrueMode();
 }
@@ -196,6 +203,10 @@ absl::Status Robot::AddTopics(RosNode& node) {
       {Content::kScan, "/lidar", "/scan", "sensor_msgs/msg/LaserScan", true, "scan_rate", 10},
       {Content::kTwist, "/navigator", "/cmd_vel", kTwistType, false, "", 10},
       {Content::kOdometry, "/base", "/odom", "nav_msgs/msg/Odometry", false, "", kOdometryHz},
+      {Content::kOdometry, "/ekf_filter_node", "/odometry/filtered", "nav_msgs/msg/Odometry", false,
+       "frequency", kOdometryHz},
+      {Content::kCostmap, kCostmapNode, "/global_costmap/costmap", "nav_msgs/msg/OccupancyGrid",
+       false, "publish_frequency", 2},
   };
   for (const TopicSpec& spec : kTopics) {
     if (spec.node != node.full_name()) {
@@ -324,12 +335,14 @@ void Robot::OnTwist(absl::string_view payload) {
   commanded_unix_ns_ = unix_ns;
 }
 
-bool Robot::Step(const Instant& now) {
+bool Robot::Step() {
   std::vector<Outgoing> out;
   bool another_mode = false;
   {
     MutexLock lock(&mu_);
+    const Instant now = clock_.Now();
     machine_.Advance(now.boottime_ns);
+    if (patrol_) patrol_->Drive(now.boottime_ns, Obeyed(now));
     const std::string before = told_mode_;
     CollectChanges(now, out);
     another_mode = told_mode_ != before;
@@ -342,27 +355,76 @@ bool Robot::Step(const Instant& now) {
   return another_mode;
 }
 
-std::string Robot::Encode(const TopicSpec& spec, const NodeState& node, int64_t unix_ns) {
+std::string Robot::Encode(const TopicSpec& spec, const NodeState& node, const Instant& now) {
   constexpr double kScanMetres = 4;
   switch (spec.content) {
     case TopicSpec::Content::kImage:
-      return EncodeImage(unix_ns, frames_++, options_.image, lens_covered_);
+      return EncodeImage(now.unix_ns, frames_++, options_.image, lens_covered_);
     case TopicSpec::Content::kScan:
-      return EncodeLaserScan(unix_ns, kScanMetres);
+      return EncodeLaserScan(now.unix_ns, kScanMetres);
     case TopicSpec::Content::kTwist:
-      return EncodeTwist({.linear_x = kCruise * NumberOr(node, "max_speed", 0)});
+      return EncodeTwist(NextTwist(node, now));
     case TopicSpec::Content::kOdometry:
-      return NextOdometry(node, unix_ns);
+      return NextOdometry(now);
+    case TopicSpec::Content::kCostmap: {
+      if (!patrol_) return EncodeOccupancyGrid(now.unix_ns, 0, 0, 1, "");
+      const FloorPlan& plan = patrol_->floor().plan();
+      return EncodeOccupancyGrid(now.unix_ns, static_cast<uint32_t>(plan.width),
+                                 static_cast<uint32_t>(plan.height), plan.cell_m,
+                                 patrol_->Grid(now.boottime_ns, KeepsOut()));
+    }
   }
   return "";
 }
 
-std::string Robot::NextOdometry(const NodeState& base, int64_t unix_ns) {
-  const double limit = NumberOr(base, "max_speed", 0);
-  const bool obeys = unix_ns - commanded_unix_ns_ <= kCommandTimeoutNs;
-  const double speed = obeys ? std::clamp(commanded_.linear_x, -limit, limit) : 0;
-  travelled_ += speed / kOdometryHz;
-  return EncodeOdometry(unix_ns, travelled_, speed);
+bool Robot::KeepsOut() const {
+  const auto costmap = machine_.nodes().find(kCostmapNode);
+  if (costmap == machine_.nodes().end()) return false;
+  const auto enabled = costmap->second.parameters.find("keepout_filter.enabled");
+  if (enabled == costmap->second.parameters.end()) return false;
+  const bool* on = std::get_if<bool>(&enabled->second);
+  return on != nullptr && *on;
+}
+
+Twist Robot::NextTwist(const NodeState& navigator, const Instant& now) {
+  const double max_speed = NumberOr(navigator, "max_speed", 0);
+  if (!patrol_) return {.linear_x = kCruise * max_speed};
+  return patrol_->Steer(now.boottime_ns, KeepsOut(), max_speed);
+}
+
+Twist Robot::Obeyed(const Instant& now) const {
+  const auto base = machine_.nodes().find("/base");
+  if (base == machine_.nodes().end() || !base->second.active) return {};
+  if (now.unix_ns - commanded_unix_ns_ > kCommandTimeoutNs) return {};
+  const double limit = NumberOr(base->second, "max_speed", 0);
+  return {.linear_x = std::clamp(commanded_.linear_x, -limit, limit),
+          .linear_y = std::clamp(commanded_.linear_y, -limit, limit)};
+}
+
+std::string Robot::NextOdometry(const Instant& now) {
+  const Twist speed = Obeyed(now);
+  Odometry odometry{.x = 0, .speed_x = speed.linear_x, .speed_y = speed.linear_y};
+  if (patrol_) {
+    odometry.x = patrol_->at().x;
+    odometry.y = patrol_->at().y;
+  } else {
+    travelled_ += speed.linear_x / kOdometryHz;
+    odometry.x = travelled_;
+  }
+  return EncodeOdometry(now.unix_ns, odometry);
+}
+
+absl::Status Robot::Send(const std::string& place) {
+  MutexLock lock(&mu_);
+  if (!patrol_) return absl::FailedPreconditionError("the robot has no floor");
+  return patrol_->Send(place);
+}
+
+absl::Status Robot::SendPerson() {
+  MutexLock lock(&mu_);
+  if (!patrol_) return absl::FailedPreconditionError("the robot has no floor");
+  patrol_->SendPerson(clock_.Now().boottime_ns);
+  return absl::OkStatus();
 }
 
 void Robot::CollectBeats(const Instant& now, std::vector<Outgoing>& out) {
@@ -377,10 +439,12 @@ void Robot::CollectBeats(const Instant& now, std::vector<Outgoing>& out) {
     }
     const double hz = NumberOr(node, beat.spec->rate_parameter, beat.spec->hz);
     const auto period_ns = static_cast<int64_t>(static_cast<double>(kNanosPerSecond) / hz);
-    // One that is a whole period late skips what it missed.
-    const bool in_step = beat.next_ns > now.boottime_ns - period_ns;
+    // One that is a whole period late skips what it missed; in a robot that runs faster than its
+    // host can keep time, not at once.
+    const auto late_ns = static_cast<int64_t>((options_.speed - 1) * kHostLatenessNs);
+    const bool in_step = beat.next_ns > now.boottime_ns - std::max(period_ns, late_ns);
     beat.next_ns = (in_step ? beat.next_ns : now.boottime_ns) + period_ns;
-    out.push_back({beat.writer, Encode(*beat.spec, node, now.unix_ns)});
+    out.push_back({beat.writer, Encode(*beat.spec, node, now)});
   }
 }
 

@@ -5,6 +5,11 @@
 //   /lidar      publishes /scan              at `scan_rate` (sensor-data QoS)
 //   /navigator  publishes /cmd_vel           10 Hz, at 80 % of `max_speed`
 //   /base       publishes /odom              20 Hz; obeys /cmd_vel up to `max_speed`
+//   /ekf_filter_node  publishes /odometry/filtered  at `frequency`: the same, of any base
+//   /global_costmap  publishes /global_costmap/costmap  at `publish_frequency`, with the keep-out
+//                    zone if `keepout_filter.enabled`
+//
+// With a floor the robot drives where it is sent (patrol.h), and it has a costmap.
 //
 // The System Modes file says which parts there are; a part of another name gets no topics.
 #ifndef RIPS_TESTS_SUPPORT_ROBOT_SIM_ROBOT_H_
@@ -13,6 +18,7 @@
 #include <atomic>
 #include <cstdint>
 #include <memory>
+#include <optional>
 #include <string>
 #include <vector>
 
@@ -26,10 +32,12 @@
 #include "services/dds/raw_writer.h"
 #include "services/ros2/discovery_info.h"
 #include "services/runtime/mutex.h"
-#include "services/runtime/real_clock.h"
+#include "tests/support/robot_sim/floor.h"
 #include "tests/support/robot_sim/mode_machine.h"
+#include "tests/support/robot_sim/patrol.h"
 #include "tests/support/robot_sim/ros_messages.h"
 #include "tests/support/robot_sim/ros_process.h"
+#include "tests/support/robot_sim/scaled_clock.h"
 #include "tests/support/robot_sim/stop_flag.h"
 
 namespace rips::robot_sim {
@@ -48,6 +56,10 @@ struct RobotOptions {
   std::string keystore;
   // Of the camera.
   ImageSize image;
+  // Where it drives; without it, straight ahead.
+  std::optional<FloorPlan> floor;
+  // Its time runs so many times as fast as the host's.
+  double speed = 1;
 };
 
 // Step from one thread; services and subscriptions run on their own.
@@ -59,9 +71,9 @@ class Robot {
                                                        const RobotOptions& options);
   ~Robot() { closing_.Stop(); }
 
-  // Publishes what is due at `now` and switches modes that are due. Call every few milliseconds.
-  // True if the system's mode is another than at the last call.
-  bool Step(const Instant& now) ABSL_LOCKS_EXCLUDED(mu_);
+  // Publishes what is due now and switches modes that are due. Call every few milliseconds. True if
+  // the system's mode is another than at the last call.
+  bool Step() ABSL_LOCKS_EXCLUDED(mu_);
 
   // The system's mode by what its parts do; "" if none fits.
   std::string Mode() const ABSL_LOCKS_EXCLUDED(mu_);
@@ -73,6 +85,9 @@ class Robot {
   }
   // The camera sees nothing but black, or what it saw before.
   void CoverLens(bool covered) { lens_covered_ = covered; }
+  // Sends it to a place of its floor. FailedPrecondition without one.
+  absl::Status Send(const std::string& place) ABSL_LOCKS_EXCLUDED(mu_);
+  absl::Status SendPerson() ABSL_LOCKS_EXCLUDED(mu_);
   // The mode manager's process ends; one of the same name starts, which knows nothing. From the
   // thread of Step.
   void StopManager() ABSL_LOCKS_EXCLUDED(mu_);
@@ -116,10 +131,14 @@ class Robot {
   void OnTwist(absl::string_view payload) ABSL_LOCKS_EXCLUDED(mu_);
 
   // The next message of a topic.
-  std::string Encode(const TopicSpec& spec, const NodeState& node, int64_t unix_ns)
+  std::string Encode(const TopicSpec& spec, const NodeState& node, const Instant& now)
       ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
-  std::string NextOdometry(const NodeState& base, int64_t unix_ns)
+  Twist NextTwist(const NodeState& navigator, const Instant& now)
       ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
+  // How the base moves now.
+  Twist Obeyed(const Instant& now) const ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
+  bool KeepsOut() const ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
+  std::string NextOdometry(const Instant& now) ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
   void CollectBeats(const Instant& now, std::vector<Outgoing>& out)
       ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
   void CollectChanges(const Instant& now, std::vector<Outgoing>& out)
@@ -127,7 +146,7 @@ class Robot {
 
   const std::shared_ptr<const dds::Domain> domain_;
   const RobotOptions options_;
-  const RealClock clock_;
+  const ScaledClock clock_;
   std::atomic<int> orders_ = 0;
   std::atomic<bool> lens_covered_ = false;
   std::atomic<int> direct_orders_ = 0;
@@ -139,7 +158,8 @@ class Robot {
   std::string told_mode_ ABSL_GUARDED_BY(mu_);
   Twist commanded_ ABSL_GUARDED_BY(mu_);
   int64_t commanded_unix_ns_ ABSL_GUARDED_BY(mu_) = 0;
-  double travelled_ ABSL_GUARDED_BY(mu_) = 0;  // metres
+  double travelled_ ABSL_GUARDED_BY(mu_) = 0;  // metres, without a floor
+  std::optional<Patrol> patrol_ ABSL_GUARDED_BY(mu_);
   uint32_t frames_ ABSL_GUARDED_BY(mu_) = 0;
 
   std::vector<Beat> beats_;

@@ -1,3 +1,4 @@
+#include <algorithm>
 #include <cstdint>
 #include <cstdlib>
 #include <fstream>
@@ -23,12 +24,15 @@
 #include "tests/support/robot_sim/commands.h"
 #include "tests/support/robot_sim/control.h"
 #include "tests/support/robot_sim/events.h"
+#include "tests/support/robot_sim/floor.h"
 #include "tests/support/robot_sim/robot.h"
 
 namespace rips::robot_sim {
 namespace {
 
+// Of the robot's time, but not shorter than a thread can sleep.
 constexpr absl::Duration kStep = absl::Milliseconds(4);
+constexpr absl::Duration kStepMin = absl::Microseconds(500);
 constexpr int64_t kBadDiscoveryPeriodNs = 100 * kNanosPerMilli;
 
 // A participant that sends nonsense on `ros_discovery_info`, one message after the other.
@@ -113,6 +117,11 @@ absl::Status RunRobot(const RobotCommand& command, StopFlag& stop) {
                           {.system = command.system,
                            .transition_ns = absl::ToInt64Nanoseconds(command.transition),
                            .conduct = command.conduct}));
+  std::optional<FloorPlan> floor;
+  if (!command.floor_file.empty()) {
+    RIPS_ASSIGN_OR_RETURN(const std::string plan, ReadFile(command.floor_file));
+    RIPS_ASSIGN_OR_RETURN(floor, ParseFloorPlan(plan, command.floor_file));
+  }
   std::shared_ptr<const dds::Domain> domain;
   if (command.keystore.empty()) {
     RIPS_ASSIGN_OR_RETURN(domain, dds::Domain::Create(command.domain));
@@ -127,7 +136,9 @@ absl::Status RunRobot(const RobotCommand& command, StopFlag& stop) {
                                        .answer_delay = command.answer_delay,
                                        .gid_bytes = command.gid_bytes,
                                        .keystore = command.keystore,
-                                       .image = command.image}));
+                                       .image = command.image,
+                                       .floor = floor,
+                                       .speed = command.speed}));
   std::unique_ptr<BadDiscoverySender> bad;
   if (command.bad_discovery) {
     RIPS_ASSIGN_OR_RETURN(bad, BadDiscoverySender::Create(domain));
@@ -141,9 +152,9 @@ absl::Status RunRobot(const RobotCommand& command, StopFlag& stop) {
               {"mode", robot->Mode()},
               {"nodes", robot->NodeNames()},
               {"unix_ns", clock.Now().unix_ns}});
-  while (!stop.WaitFor(kStep)) {
+  while (!stop.WaitFor(std::max(kStepMin, kStep / command.speed))) {
     const Instant now = clock.Now();
-    if (robot->Step(now)) {
+    if (robot->Step()) {
       const std::string mode = robot->Mode();
       LogInfo("mode reached", {{"mode", mode}});
       PrintEvent({{"event", "mode"}, {"mode", mode}, {"unix_ns", now.unix_ns}});

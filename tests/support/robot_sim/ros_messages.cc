@@ -20,6 +20,8 @@ constexpr uint32_t kBytesPerPixel = 3;
 constexpr uint32_t kRays = 360;
 constexpr double kPi = 3.14159265358979;
 constexpr uint8_t kLogInfo = 20;
+constexpr size_t kCovariance = 36;
+constexpr size_t kGridCellsMax = 1 << 24;
 
 void F32(CdrWriter& out, double value) {
   out.U32(std::bit_cast<uint32_t>(static_cast<float>(value)));
@@ -39,6 +41,16 @@ void Zeros(CdrWriter& out, size_t count) {
   for (size_t i = 0; i < count; ++i) {
     out.F64(0);
   }
+}
+
+void SkipHeader(CdrReader& in) {
+  in.U32();
+  in.U32();
+  in.String();
+}
+
+void Skip(CdrReader& in, size_t doubles) {
+  for (size_t i = 0; i < doubles; ++i) in.F64();
 }
 
 // rcl_interfaces/msg/ParameterValue: every alternative is on the wire, `type` says which counts.
@@ -109,25 +121,78 @@ std::string EncodeLaserScan(int64_t unix_ns, double distance) {
   return std::move(out).Finish();
 }
 
-std::string EncodeOdometry(int64_t unix_ns, double x, double speed) {
-  constexpr size_t kCovariance = 36;
+std::string EncodeOdometry(int64_t unix_ns, const Odometry& odometry) {
   CdrWriter out;
   Header(out, unix_ns, "odom");
   out.String("base_link");
-  out.F64(x);
-  Zeros(out, 5);  // y, z, and x, y, z of the orientation
+  out.F64(odometry.x);
+  out.F64(odometry.y);
+  Zeros(out, 4);  // z, and x, y, z of the orientation
   out.F64(1);     // w
   Zeros(out, kCovariance);
-  out.F64(speed);
-  Zeros(out, 5);  // the rest of the twist
+  out.F64(odometry.speed_x);
+  out.F64(odometry.speed_y);
+  Zeros(out, 4);  // the rest of the twist
   Zeros(out, kCovariance);
   return std::move(out).Finish();
+}
+
+absl::StatusOr<Odometry> DecodeOdometry(absl::string_view payload) {
+  CdrReader in(payload);
+  SkipHeader(in);
+  in.String();
+  Odometry out;
+  out.x = in.F64();
+  out.y = in.F64();
+  Skip(in, 5 + kCovariance);
+  out.speed_x = in.F64();
+  out.speed_y = in.F64();
+  Skip(in, 4 + kCovariance);
+  if (absl::Status status = in.Finish(); !status.ok()) return status;
+  return out;
+}
+
+std::string EncodeOccupancyGrid(int64_t unix_ns, uint32_t width, uint32_t height, double cell_m,
+                                absl::string_view cells) {
+  CdrWriter out;
+  Header(out, unix_ns, "map");
+  Stamp(out, 0);  // when the map was loaded
+  F32(out, cell_m);
+  out.U32(width);
+  out.U32(height);
+  Zeros(out, 6);  // of the origin: x, y, z, and x, y, z of the orientation
+  out.F64(1);     // w
+  out.U32(static_cast<uint32_t>(cells.size()));
+  out.Octets(cells);
+  return std::move(out).Finish();
+}
+
+absl::StatusOr<CellCount> CountOccupancyGrid(absl::string_view payload) {
+  CdrReader in(payload);
+  SkipHeader(in);
+  in.U32();
+  in.U32();
+  in.U32();  // metres of a cell
+  const uint64_t width = in.U32();
+  const uint64_t height = in.U32();
+  Skip(in, 7);
+  const uint32_t size = in.Count(1, kGridCellsMax);
+  if (size != width * height) in.Fail("the grid has not width x height cells");
+  CellCount count;
+  for (const char cell : in.Octets(in.ok() ? size : 0)) {
+    if (cell == 0) ++count.free;
+    if (cell == 100) ++count.occupied;
+  }
+  if (count.free + count.occupied != size) in.Fail("a cell is neither free nor occupied");
+  if (absl::Status status = in.Finish(); !status.ok()) return status;
+  return count;
 }
 
 std::string EncodeTwist(const Twist& twist) {
   CdrWriter out;
   out.F64(twist.linear_x);
-  Zeros(out, 4);
+  out.F64(twist.linear_y);
+  Zeros(out, 3);
   out.F64(twist.angular_z);
   return std::move(out).Finish();
 }
@@ -141,7 +206,7 @@ absl::StatusOr<Twist> DecodeTwist(absl::string_view payload) {
   if (absl::Status status = in.Finish(); !status.ok()) {
     return status;
   }
-  return Twist{.linear_x = members.front(), .angular_z = members.back()};
+  return Twist{.linear_x = members[0], .linear_y = members[1], .angular_z = members[5]};
 }
 
 std::string EncodeLog(int64_t unix_ns, absl::string_view node, absl::string_view text) {

@@ -25,12 +25,32 @@ std::string EncodeImage(int64_t unix_ns, uint32_t frame, ImageSize size = {}, bo
 // sensor_msgs/msg/LaserScan: 360 rays around the robot, `distance` metres each.
 std::string EncodeLaserScan(int64_t unix_ns, double distance);
 
-// nav_msgs/msg/Odometry: at `x` metres ahead of the start, moving at `speed` m/s.
-std::string EncodeOdometry(int64_t unix_ns, double x, double speed);
+// nav_msgs/msg/Odometry: metres from the origin and m/s; the other members are 0.
+struct Odometry {
+  double x = 0;
+  double y = 0;
+  double speed_x = 0;
+  double speed_y = 0;
+};
+std::string EncodeOdometry(int64_t unix_ns, const Odometry& odometry);
+// DataLoss if malformed.
+absl::StatusOr<Odometry> DecodeOdometry(absl::string_view payload);
 
-// geometry_msgs/msg/Twist: m/s ahead, rad/s to the left; the other members are 0.
+// nav_msgs/msg/OccupancyGrid: `cells` row by row, as many as `width` x `height`; 0 = free,
+// 100 = occupied.
+std::string EncodeOccupancyGrid(int64_t unix_ns, uint32_t width, uint32_t height, double cell_m,
+                                absl::string_view cells);
+struct CellCount {
+  int64_t free = 0;
+  int64_t occupied = 0;
+};
+// DataLoss if malformed, or a cell is neither.
+absl::StatusOr<CellCount> CountOccupancyGrid(absl::string_view payload);
+
+// geometry_msgs/msg/Twist: m/s ahead and to the left, rad/s to the left; the other members are 0.
 struct Twist {
   double linear_x = 0;
+  double linear_y = 0;
   double angular_z = 0;
 };
 std::string EncodeTwist(const Twist& twist);
