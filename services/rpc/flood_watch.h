@@ -1,7 +1,8 @@
-// Who floods a listener with connections of which nothing comes. No limit tells that by itself: they
-// are refused or ended one by one, and agents at the same address suffer. Pure: no sockets, no clock.
+// Who floods a listener with connections of which nothing comes. No limit tells that by itself:
+// they are refused or ended one by one, and agents at the same address suffer. Pure: no sockets, no
+// clock.
 //
-// In each window of `window_ns`, counted are connections that were refused, ended for having made no
+// Counted in each window of `window_ns` are connections that were refused, ended for having made no
 // call, ended to make room for others, or over before they had shown a certificate:
 //
 // | in one window                                             | is told, once per `told_ns`   |

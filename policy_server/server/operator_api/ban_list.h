@@ -12,6 +12,7 @@
 #include "absl/base/thread_annotations.h"
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
+#include "policy_server/server/store/ban_store.h"
 #include "policy_server/server/store/store.h"
 #include "services/rpc/call_gate.h"
 #include "services/runtime/mutex.h"

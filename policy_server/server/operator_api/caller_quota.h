@@ -54,10 +54,12 @@ class CallerQuota : public std::enable_shared_from_this<CallerQuota> {
   // Ends the use when it is dropped, on any thread.
   using Ticket = std::shared_ptr<void>;
 
-  // `clock` is not owned and outlives this and all tickets. `refused` is called with the
-  // identity for each refusal; may be null.
+  // Called with the identity for each refusal; may be null.
+  using Refused = std::function<void(const std::string&)>;
+
+  // `clock` is not owned and outlives this and all tickets.
   static std::shared_ptr<CallerQuota> Create(const Clock* clock, QuotaLimits limits = {},
-                                             std::function<void(const std::string&)> refused = nullptr) {
+                                             Refused refused = nullptr) {
     return std::shared_ptr<CallerQuota>(new CallerQuota(clock, limits, std::move(refused)));
   }
 
@@ -76,7 +78,7 @@ class CallerQuota : public std::enable_shared_from_this<CallerQuota> {
   };
   using Accounts = std::array<Account, kUseCount>;
 
-  CallerQuota(const Clock* clock, QuotaLimits limits, std::function<void(const std::string&)> refused)
+  CallerQuota(const Clock* clock, QuotaLimits limits, Refused refused)
       : clock_(clock), limits_(limits), refused_(std::move(refused)) {}
   absl::Status Admit(Accounts& accounts, bool privileged, Use use, double weight)
       ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
@@ -88,7 +90,7 @@ class CallerQuota : public std::enable_shared_from_this<CallerQuota> {
 
   const Clock* clock_;
   const QuotaLimits limits_;
-  const std::function<void(const std::string&)> refused_;
+  const Refused refused_;
   mutable Mutex mu_;
   std::map<std::string, Accounts> accounts_ ABSL_GUARDED_BY(mu_);
   int streams_ ABSL_GUARDED_BY(mu_) = 0;
