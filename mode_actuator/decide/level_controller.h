@@ -60,6 +60,7 @@
 #include "absl/strings/string_view.h"
 #include "mode_actuator/decide/actuator_state.h"
 #include "mode_actuator/decide/drift_watch.h"
+#include "mode_actuator/decide/level_actions.h"
 #include "mode_actuator/decide/receipt.h"
 #include "services/base/clock.h"
 #include "services/base/mark.h"
@@ -88,80 +89,6 @@ struct ExecutorOptions {
   int64_t reconcile_ns = 2 * kNanosPerSecond;
   std::set<std::string> on_drift;  // levels that have such steps
   bool survey = false;             // levels set system modes, which can be read back
-};
-
-// --- inputs
-
-struct SetLevelCommand {
-  std::string id;
-  uint64_t term = 0;
-  Mark mark;
-  std::string to;
-  std::optional<Mark> based_on;
-};
-
-struct LeaseGrant {
-  uint64_t term = 0;
-  // Our own heartbeat's reading that the server echoes: the lease runs from there.
-  int64_t echo_boottime_ns = 0;
-  int64_t ttl_ns = 0;
-  bool evidence_complete = false;
-};
-
-enum class JobKind {
-  kEnter,    // leave steps of `from`, enter steps of `to`
-  kRetry,    // as the last kEnter, without the programs that have succeeded
-  kCheck,    // only read back
-  kOnDrift,  // the on_drift steps of `to`
-  kSurvey,   // read back which level the robot shows, whatever it is
-};
-
-struct LevelOutcome {
-  uint64_t attempt = 0;
-  JobKind kind = JobKind::kEnter;
-  bool reached = false;  // read back; of a survey: the robot shows a level
-  std::vector<StepResult> steps;
-  std::string detail;    // why not
-  std::string observed;  // `/safety=ALERT`
-  std::string shown;     // of a survey: the level that the robot shows; empty = none
-};
-
-// --- actions
-
-// Starts a job, after ending the running one if there is any.
-struct ApplyLevel {
-  uint64_t attempt = 0;
-  JobKind kind = JobKind::kEnter;
-  std::string from;  // empty after a start: nothing to leave
-  std::string to;
-  bool raise = true;
-};
-// Records `state`; answered by OnPersisted(sequence). In order; only the newest must survive.
-struct PersistState {
-  uint64_t sequence = 0;
-  ActuatorState state;
-};
-struct SendReceipt {
-  Receipt receipt;
-};
-using Action = std::variant<ApplyLevel, PersistState, SendReceipt>;
-using Actions = std::vector<Action>;
-
-// For Hello, heartbeat, logs and metrics.
-struct ExecutorReport {
-  Mark mark;
-  std::string decided;  // empty: none
-  std::string effective;
-  uint64_t highest_term = 0;
-  bool state_lost = false;
-  bool verified = false;
-  std::string observed;
-  std::string floor;  // empty: none
-  std::string floor_reason;
-  bool lease_live = false;
-  uint64_t drifts = 0;                // times a verified level was found left
-  std::vector<std::string> degraded;  // what people must hear although the level may hold
-  friend bool operator==(const ExecutorReport&, const ExecutorReport&) = default;
 };
 
 class LevelController {

@@ -33,7 +33,16 @@ BANNED = [
 ]
 MUTEX_HOME = "services/runtime/mutex"
 CC_LINES_MAX = 800
-HEADER_LINES_MAX = 350
+HEADER_LINES_MAX = 250
+# Longer, and why.
+LONG_HEADERS = {
+    "policy_server/policy/engine/test_rules.h": (300, "one fixture of many tests, all inline"),
+    "policy_server/ripsctl/ripsctl_fixture.h": (350, "one fixture of many tests, all inline"),
+    "policy_server/server/robot/robot_fixture.h": (350, "one fixture of many tests, all inline"),
+    "policy_server/server/robot/robot.h": (350, "one class, implemented in a file for each concern"),
+    "sensor_agent/graph/graph_builder.h": (260, "a third of it says whose an endpoint is"),
+    "sensor_agent/uplink/uplink.h": (290, "a third of it says when what is sent again"),
+}
 
 
 def tracked():
@@ -102,6 +111,7 @@ def breaches(files, targets):
         if not name.startswith(("tests/", "rules/", "deploy/")) and not name.endswith("_test.cc"):
             yield from targets.breaches(name, lines)
         limit = CC_LINES_MAX if name.endswith(".cc") else HEADER_LINES_MAX
+        limit, _ = LONG_HEADERS.get(name, (limit, ""))
         if len(lines) > limit:
             yield f"{name}: {len(lines)} lines exceed the limit of {limit}; split it by idea"
         if name.endswith(".h"):

@@ -11,7 +11,7 @@
 
 #include "absl/container/btree_map.h"
 #include "policy_server/policy/levels/level_table.h"
-#include "policy_server/server/robot/inbound.h"
+#include "policy_server/server/robot/actuator_inbound.h"
 #include "policy_server/server/robot/links.h"
 #include "services/base/clock.h"
 #include "services/base/mark.h"

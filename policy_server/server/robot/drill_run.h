@@ -20,8 +20,8 @@
 #include <vector>
 
 #include "absl/status/status.h"
+#include "policy_server/server/robot/actuator_inbound.h"
 #include "policy_server/server/robot/command_reconciler.h"
-#include "policy_server/server/robot/inbound.h"
 #include "services/base/clock.h"
 
 namespace rips::pipeline {

@@ -14,7 +14,7 @@
 #include <vector>
 
 #include "absl/strings/string_view.h"
-#include "policy_server/server/robot/inbound.h"
+#include "policy_server/server/robot/actuator_inbound.h"
 #include "policy_server/server/robot/links.h"
 
 namespace rips::pipeline {

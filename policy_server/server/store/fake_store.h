@@ -11,6 +11,7 @@
 
 #include "absl/base/thread_annotations.h"
 #include "absl/container/btree_map.h"
+#include "policy_server/server/store/ban_store.h"
 #include "policy_server/server/store/store.h"
 #include "services/runtime/mutex.h"
 

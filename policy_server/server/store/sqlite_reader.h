@@ -7,6 +7,7 @@
 #include <utility>
 #include <vector>
 
+#include "policy_server/server/store/ban_store.h"
 #include "policy_server/server/store/sqlite_db.h"
 #include "policy_server/server/store/store.h"
 

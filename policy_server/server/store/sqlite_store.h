@@ -14,6 +14,7 @@
 #include <string>
 #include <vector>
 
+#include "policy_server/server/store/ban_store.h"
 #include "policy_server/server/store/store.h"
 
 namespace rips::store {

@@ -7,6 +7,7 @@
 #include <string>
 
 #include "absl/container/btree_map.h"
+#include "policy_server/server/store/ban_store.h"
 #include "policy_server/server/store/sqlite_db.h"
 #include "policy_server/server/store/sqlite_store.h"
 #include "policy_server/server/store/store.h"
