@@ -47,8 +47,8 @@ TEST(ShippedFilesTest, ExampleConfigurationsAreAccepted) {
 }
 
 // Certificates have times; but a robot that does not know the time is watched and kept safe, too.
-TEST(ShippedFilesTest, AgentsAreOrderedAfterTheClockAndDoNotDependOnIt) {
-  for (const char* name : {"rips-actuator", "rips-sensor"}) {
+TEST(ShippedFilesTest, DaemonsAreOrderedAfterTheClockAndDoNotDependOnIt) {
+  for (const char* name : {"rips-actuator", "rips-sensor", "rips-policy-server"}) {
     std::istringstream unit(Read(std::string("deploy/systemd/") + name + ".service"));
     bool ordered = false;
     for (std::string line; std::getline(unit, line);) {

@@ -5,6 +5,7 @@
 #include <vector>
 
 #include "absl/strings/str_format.h"
+#include "absl/strings/str_split.h"
 #include "gmock/gmock.h"
 #include "policy_server/server/robot/fake_ports.h"
 #include "policy_server/server/robot/robot_config.h"
@@ -102,6 +103,28 @@ TEST_F(StoreWatchTest, AnOutageIsOneAlertWrittenFirstAndOneWhenItIsOver) {
   ASSERT_EQ(Texts().size(), 2u);
   EXPECT_THAT(Texts()[1], HasSubstr("(server) info store is writable again after"));
   EXPECT_EQ(audience_.alerts, 2);
+}
+
+TEST_F(StoreWatchTest, AnOutageIsLoggedOnceWhenItBeginsAndOnceWhenItIsOver) {
+  ::testing::internal::CaptureStderr();
+  store_.FailWrites(absl::UnavailableError("disk on fire"));
+  for (int i = 0; i < 3; ++i) {
+    EXPECT_FALSE(Write().ok());
+    watch_.Look();
+    clock_.Advance(kNanosPerSecond);
+  }
+  store_.FailWrites(absl::OkStatus());
+  EXPECT_THAT(Write(), IsOk());
+  clock_.Advance(StoreWatch::kCalmNs);
+  watch_.Look();
+  watch_.Look();
+  const std::string log = ::testing::internal::GetCapturedStderr();
+
+  const std::vector<std::string> lines = absl::StrSplit(log, '\n', absl::SkipEmpty());
+  EXPECT_THAT(lines, ElementsAre(HasSubstr(" error cannot write the store store=/var/state.db "
+                                           "reason=\"disk on fire\""),
+                                 HasSubstr(" info store is writable again store=/var/state.db ")))
+      << log;
 }
 
 // A viewer's certificate is enough to make the server say things.
