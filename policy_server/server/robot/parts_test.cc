@@ -249,6 +249,26 @@ TEST_F(CommandReconcilerTest, AFailureFromBeforeTheSessionWaitsForTheFirstHeartb
   }
 }
 
+TEST_F(CommandReconcilerTest, EachSessionWaitsForAHeartbeatOfItsOwn) {
+  CommandReconciler ledger({"a"}, [] { return "id"; });
+  ledger.Order({1, 5}, 2, "COMPROMISED", "restored", /*lowers=*/false);
+  ledger.Attach("a", {1, 5}, 2, "COMPROMISED", {}, At(100));
+  ledger.OnBeat("a", /*effective=*/2, /*verified=*/true, At(101));
+  EXPECT_EQ(ledger.stage(), Stage::kVerified);
+
+  ledger.Detach("a");
+  ledger.Attach("a", {1, 5}, 2, "COMPROMISED", {}, At(110));
+  ledger.OnReceipt(
+      "a",
+      {.command_id = "of the session before", .mark = {1, 5}, .stage = Receipt::Stage::kFailed},
+      At(110));
+  EXPECT_EQ(ledger.stage(), Stage::kAcknowledged);
+
+  ledger.OnBeat("a", /*effective=*/2, /*verified=*/true, At(111));
+  EXPECT_EQ(ledger.stage(), Stage::kVerified);
+  EXPECT_EQ(ledger.failure(), "");
+}
+
 TEST_F(CommandReconcilerTest, ReceiptsOfOlderDecisionsChangeNothing) {
   ledger_.Attach("a", {}, 0, "DEFAULT", {}, At(100));
   ledger_.Order({1, 1}, 1, "ALERT", "", /*lowers=*/false);

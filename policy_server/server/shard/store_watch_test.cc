@@ -146,6 +146,18 @@ TEST_F(StoreWatchTest, WhatTheServerSaysOfItselfIsFoldedByKindAndCut) {
   EXPECT_THAT(Texts()[21], HasSubstr("980 more alerts of this kind within a minute"));
 }
 
+TEST_F(StoreWatchTest, WhatIsSaidOfOneRobotFoldsNothingOfAnother) {
+  const auto raise = [&](const std::string& robot) {
+    alerts_.Raise(robot, engine::Severity::kHigh, "the same place, the same kind");
+  };
+  for (int i = 0; i < 1'000; ++i) raise("r1");
+  EXPECT_THAT(Write(), IsOk());
+  ASSERT_LT(Texts().size(), 100u);
+  raise("r2");
+  EXPECT_THAT(Write(), IsOk());
+  EXPECT_THAT(Texts().back(), HasSubstr("r2 high the same place"));
+}
+
 TEST_F(StoreWatchTest, AFailureBetweenTwoLooksIsNotOverlooked) {
   store_.FailWrites(absl::UnavailableError("disk on fire"));
   EXPECT_FALSE(Write().ok());
