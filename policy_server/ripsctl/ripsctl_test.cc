@@ -14,6 +14,8 @@
 #include "absl/strings/str_join.h"
 #include "absl/strings/str_split.h"
 #include "absl/strings/string_view.h"
+#include "absl/time/clock.h"
+#include "absl/time/time.h"
 #include "gmock/gmock.h"
 #include "grpcpp/server_builder.h"
 #include "gtest/gtest.h"
@@ -574,6 +576,51 @@ TEST_F(RipsctlTest, SpeaksMutualTls) {
   const Result no_flags = Run({"robot", "list"});
   EXPECT_EQ(no_flags.code, 2);
   EXPECT_THAT(no_flags.err, HasSubstr("--ca is missing; give --ca, --cert and --key"));
+}
+
+// Its watches do not end by themselves.
+class EndlessOperator final : public v1::OperatorService::Service {
+ public:
+  grpc::Status WatchRobots(grpc::ServerContext* context, const v1::WatchRobotsRequest*,
+                           grpc::ServerWriter<v1::RobotStatus>* writer) override {
+    writer->Write(MakeStatus("r1", "ALERT"));
+    return UntilCancelled(*context);
+  }
+  grpc::Status WatchAlerts(grpc::ServerContext* context, const v1::WatchAlertsRequest*,
+                           grpc::ServerWriter<v1::Alert>* writer) override {
+    writer->Write(v1::Alert());
+    return UntilCancelled(*context);
+  }
+
+ private:
+  static grpc::Status UntilCancelled(const grpc::ServerContext& context) {
+    const absl::Time limit = absl::Now() + absl::Seconds(20);
+    while (!context.IsCancelled() && absl::Now() < limit) absl::SleepFor(absl::Milliseconds(10));
+    return grpc::Status(grpc::StatusCode::PERMISSION_DENIED, "it watched until the limit");
+  }
+};
+
+TEST_F(RipsctlTest, AWatchEndsWhenTheServersCertificateExpires) {
+  tls_ = true;
+  rpc::TestPki pki;
+  const TlsFiles viewer = pki.Operator("viewer", "vera");
+  for (const std::string noun : {"robot", "alert"}) {
+    const TlsFiles brief = pki.Mint({.folder = "brief-" + noun,
+                                     .san = "URI:spiffe://fleet.example/policy-server/ps1",
+                                     .age_seconds = 86'400 - 4});
+    const auto credentials = rpc::Credentials::Load(brief);
+    ASSERT_THAT(credentials, IsOk());
+    EndlessOperator service;
+    auto server = rpc::RpcServer::Start(
+        {.listen = "127.0.0.1:0", .credentials = (*credentials)->ForServer()}, {&service});
+    ASSERT_THAT(server, IsOk());
+
+    const Result watch = Run({noun, "watch", "--server", (*server)->address(), "--ca", viewer.ca,
+                              "--cert", viewer.cert, "--key", viewer.key});
+
+    EXPECT_NE(watch.code, 0);
+    EXPECT_THAT(watch.err, HasSubstr("the policy server: the certificate has expired")) << noun;
+  }
 }
 
 TEST_F(RipsctlHelpTest, IsAsPinned) {
