@@ -1,4 +1,6 @@
 // A sensor that sees nothing proves nothing.
+#include <optional>
+
 #include "gmock/gmock.h"
 #include "policy_server/server/robot/robot_fixture.h"
 
@@ -61,12 +63,16 @@ class RobotBlindTest : public RobotTest {
 };
 
 TEST_F(RobotBlindTest, ASensorThatSeesNobodyIsDegraded) {
+  std::optional<size_t> counted;
+  counts_.blind = [&](const std::string&, size_t reasons) { counted = reasons; };
   ArmWith({});
   EXPECT_THAT(Degraded(), ElementsAre(kNobody));
   EXPECT_THAT(robot_->blind(), ElementsAre(kNobody));
+  EXPECT_EQ(counted, 1u);
   SendDelta(NormalGraph());
   EXPECT_THAT(Degraded(), IsEmpty());
   EXPECT_THAT(robot_->blind(), IsEmpty());
+  EXPECT_EQ(counted, 0u);
 }
 
 TEST_F(RobotBlindTest, ASensorThatSeesNobodyLowersNothing) {

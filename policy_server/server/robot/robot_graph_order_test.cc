@@ -83,15 +83,19 @@ TEST_F(GraphOrderTest, AMessageThatIsOvertakenByTheEndOfItsWriterIsJudgedAgainst
 }
 
 TEST_F(GraphOrderTest, WhatWaitedTooLongIsJudgedAsUnattributedWithTheReason) {
+  uint64_t unattributed = 0;
+  counts_.messages_unattributed = [&](uint64_t by) { unattributed += by; };
   Start();
   ArmWithoutNavigator();
 
   SendBatch(Lane::kMessages, {Drive(2, 5)});
   Pass(450);
   EXPECT_EQ(Level(), "DEFAULT");
+  EXPECT_EQ(unattributed, 0u);
   Pass(100);
 
   EXPECT_EQ(Level(), "COMPROMISED");
+  EXPECT_EQ(unattributed, 1u);
   ASSERT_EQ(audience_.Count("rogue"), 1);
   for (const auto& alert : audience_.alerts) {
     if (alert.text != "rogue cmd_vel") continue;

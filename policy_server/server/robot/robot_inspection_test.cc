@@ -108,6 +108,8 @@ TEST_F(RobotInspectionTest, PayloadCreditComesBackWhenItsMessagesAreJudged) {
 }
 
 TEST_F(RobotInspectionTest, CoverageNamesTheTopicsWhosePayloadsWereCut) {
+  uint64_t counted = 0;
+  counts_.payloads_cut = [&](uint64_t by) { counted += by; };
   Begin();
   const auto cut = [](absl::string_view topic, size_t came, uint32_t size) {
     Observation one = On(topic, std::string(came, 'x'));
@@ -118,6 +120,7 @@ TEST_F(RobotInspectionTest, CoverageNamesTheTopicsWhosePayloadsWereCut) {
   SendBatch(Lane::kMessages, {cut("/image", 100, 250), cut("/image", 100, 300), cut("/a", 7, 7),
                               cut("/shed", 0, 9), cut("/b", 50, 60)});
   for (int i = 0; i < 2; ++i) Answer(Verdict::kNo);
+  EXPECT_EQ(counted, 3u);
   const std::vector<CutPayloads::Topic> topics = robot_->CutTopics();
   ASSERT_THAT(topics, SizeIs(2));
   EXPECT_EQ(topics[0].topic, "/b");
