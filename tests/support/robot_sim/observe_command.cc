@@ -16,7 +16,7 @@ namespace {
 
 // Of a camera that runs faster than its host wakes a thread.
 constexpr uint32_t kPicturesKept = 200;
-constexpr absl::Duration kIdle = absl::Milliseconds(50);
+constexpr absl::Duration kBetweenLooks = absl::Milliseconds(50);
 
 void PrintMalformed(absl::string_view topic, const absl::Status& status) {
   LogError("malformed message", {{"topic", topic}, {"error", status.message()}});
@@ -67,7 +67,7 @@ absl::Status RunObserve(const ObserveCommand& command, StopFlag& stop) {
       node->Subscribe("/cmd_vel", "geometry_msgs/msg/Twist", DefaultQos(), Print("twist")));
   RIPS_RETURN_IF_ERROR(process->Announce());
   PrintEvent({{"event", "ready"}, {"unix_ns", RealClock().Now().unix_ns}});
-  while (!stop.WaitFor(kIdle)) {
+  while (!stop.WaitFor(kBetweenLooks)) {
   }
   return absl::OkStatus();
 }
