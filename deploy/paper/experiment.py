@@ -19,6 +19,7 @@ from timelines import TIMELINES  # noqa: E402
 
 # Debian's, which has the plotting library.
 PLOTTER = ["/usr/bin/python3", "-B", HERE / "figure.py"]
+SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 # From when the robot is at DEFAULT until its seconds begin, and how much of that is looked at (in
 # its seconds): by then the camera has its rate and the map is open.
 SETTLE_S = 2
@@ -172,11 +173,20 @@ class Experiment(Fleet):
         return next(process for process in self.processes if process.name == name)
 
 
+def clear(directory):
+    """Removes what an earlier run has left, and nothing else."""
+    mark = directory / "made-by-deploy-experiment"
+    if directory.exists():
+        if not mark.exists():
+            raise Failed(f"{directory} is not of an earlier experiment; choose another --out")
+        shutil.rmtree(directory)
+    directory.mkdir(parents=True)
+    mark.touch()
+
+
 def run_once(binaries, directory, name, speed, csv_path=None):
     """One run of a timeline: (Run, what is not as it must be)."""
-    directory = pathlib.Path(directory)
-    if directory.exists():
-        shutil.rmtree(directory)
+    clear(directory)
     experiment = Experiment(binaries, directory, speed)
     try:
         experiment.begin()
@@ -203,7 +213,7 @@ def tell_latencies(runs, speed):
     for i, what in enumerate(("RIPS's alert", "level decided and ordered", "mode read back")):
         times = [row[i] for row in rows]
         print(f"  {what:<27} p50 {statistics.median(times):6.1f} ms   "
-              f"p95 {percentile(times, 0.95):6.1f} ms")
+              f"p95 {percentile(times, 0.95):6.1f} ms   longest {max(times):6.1f} ms")
     print(f"  (the robot's own change of mode takes {150 / speed:g} ms of these, at this speed)")
 
 
@@ -216,7 +226,7 @@ def tell_table(run, floor):
             ("  free with the zone closed", "fewer", f"{closed}"),
             ("  occupied with the zone closed", "fewer (see EXPERIMENT.md)",
              f"{floor.cells - closed}"),
-            ("camera before the attack, Hz", "about 30", f"{run.hz(run.levels[0].ordered - 1):.0f}"),
+            ("camera before the attack, Hz", "its maximum", f"{run.hz(run.levels[0].ordered - 1):.0f}"),
             ("camera from ALERT on, Hz", "0", f"{run.hz(run.levels[0].ordered + 3):.0f}"),
             ("levels, s", "ALERT 12, COMPROMISED 40,", ", ".join(levels[:2]) + ","),
             ("", "ALERT 47, DEFAULT 70", ", ".join(levels[2:]))]
@@ -225,11 +235,19 @@ def tell_table(run, floor):
         print(f"  {what:<34}{paper:<28}{ours}")
 
 
-def draw(csv_path, name, out):
-    done = subprocess.run([*PLOTTER, csv_path, "--title", TIMELINES[name]["title"], "--out",
-                           out / name], capture_output=True, text=True)
+def draw(csv_path, name, speed, out):
+    title = TIMELINES[name]["title"] + (f", at {speed:g} times the speed" if speed != 1 else "")
+    done = subprocess.run([*PLOTTER, csv_path, "--title", title, "--out", out / name],
+                          capture_output=True, text=True)
     if done.returncode != 0:
         raise Failed(f"the figure was not drawn: {done.stderr.strip()}")
+
+
+def end_once(number, _frame):
+    """Ends everything on the first signal; those that follow must not leave half of it running."""
+    for each in SIGNALS:
+        signal.signal(each, signal.SIG_IGN)
+    sys.exit(128 + number)
 
 
 def main():
@@ -239,13 +257,20 @@ def main():
     parser.add_argument("--speed", type=float, default=10,
                         help="the robot's seconds in one of ours, 1 to 20 (10)")
     parser.add_argument("--runs", type=int, default=1, help="of each timeline (1)")
-    parser.add_argument("--out", type=pathlib.Path, default=SOURCE / "build/experiment")
+    parser.add_argument("--out", type=pathlib.Path, default=SOURCE / "build/experiment",
+                        help="directory for CSV and figures (build/experiment)")
     options = parser.parse_args()
     if not 1 <= options.speed <= 20 or options.runs < 1:
         parser.error("--speed is 1 to 20, --runs 1 or more")
-    signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))
+    for each in SIGNALS:
+        signal.signal(each, end_once)
     names = list(TIMELINES) if options.timeline == "all" else [options.timeline]
-    options.out.mkdir(parents=True, exist_ok=True)
+    try:
+        options.out.mkdir(parents=True, exist_ok=True)
+        (options.out / "latencies.json").touch()
+    except OSError as error:
+        print(f"error: cannot write to {options.out}: {error.strerror}", file=sys.stderr)
+        return 2
     floor = Floor()
     runs, failed = {name: [] for name in names}, 0
     try:
@@ -267,7 +292,7 @@ def main():
                 if problems and options.speed > 1:
                     print("         (a busy machine makes a robot stutter that runs so fast: try a "
                           "lower --speed)", flush=True)
-            draw(options.out / f"{name}.csv", name, options.out)
+            draw(options.out / f"{name}.csv", name, options.speed, options.out)
     except Failed as error:
         print(f"error: {error}\n       logs: {options.out}/run/*.log", file=sys.stderr)
         return 1

@@ -193,7 +193,7 @@ class Run:
         rows = [(t, "", "") for t in steps(0, self.seconds)] + marks
         began = self.frames[0] if self.frames else self.seconds
         with open(path, "w", newline="", encoding="utf-8") as file:
-            out = csv.writer(file)
+            out = csv.writer(file, lineterminator="\n")
             out.writerow(CSV_COLUMNS)
             for t, event, detail in sorted(rows):
                 _, free, occupied = last(self.cells, t, (0, "", ""))
