@@ -19,7 +19,7 @@ from experiment import Experiment  # noqa: E402
 from recording import Floor, Level, Run, steps  # noqa: E402
 from timelines import CALM, SPY, TIMELINES  # noqa: E402
 
-SPEED = 5
+SPEED = 4
 SCENARIOS = {}
 
 
