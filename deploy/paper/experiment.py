@@ -51,7 +51,7 @@ class Experiment(Fleet):
                                       "--control", self.dir / "control")
         self.start_server()
         self.start_agent("sensor")
-        self.start_agent("actuator")
+        self.actuator = self.start_agent("actuator")
         self.observer = self.start("observer", self.bin / "robot_sim", "observe", "--domain",
                                    self.domain)
         self.observer.wait_for(lambda line: '"ready"' in line, 10, "the observer starts")
@@ -163,14 +163,11 @@ class Experiment(Fleet):
     def read_back_times(self):
         """When the actuator had read each decision's mode back from the robot: mark -> unix ns."""
         out = {}
-        for _, text in list(self.processes_named("actuator").lines):
+        for _, text in list(self.actuator.lines):
             at = log_time(text)
             if at is not None and " receipt " in text and "stage=verified" in text:
                 out.setdefault(text.partition(" mark=")[2].split(" ")[0], at)
         return out
-
-    def processes_named(self, name):
-        return next(process for process in self.processes if process.name == name)
 
 
 def clear(directory):

@@ -82,7 +82,7 @@ class Run:
     twists: list = dataclasses.field(default_factory=list)
     events: list = dataclasses.field(default_factory=list)   # (t, event, detail)
     levels: list = dataclasses.field(default_factory=list)
-    person: list = dataclasses.field(default_factory=list)   # when somebody began to walk
+    person: list = dataclasses.field(default_factory=list)   # when the person began to walk
     # Of each attack, in real milliseconds after it: detected, ordered, confirmed.
     latencies: list = dataclasses.field(default_factory=list)
     seconds: float = 0

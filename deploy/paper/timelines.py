@@ -3,9 +3,9 @@
 Nothing orders a level but RIPS and, where it says so, an operator:
 
     ("go", PLACE)            the robot is sent to a place of its floor
-    ("person",)              somebody walks across the detour
-    ("spy", "comes")         a node that is not ours subscribes to the camera
-    ("driver", "comes")      a node that is not ours publishes on /cmd_vel
+    ("person",)              a person walks across the detour
+    ("spy", "comes")         an unauthorised node subscribes to the camera
+    ("driver", "comes")      an unauthorised node publishes on /cmd_vel
     (..., "leaves")          and ends
     ("lower", LEVEL, WHY)    the operator lowers the level with a reason
 
@@ -13,7 +13,7 @@ Nothing orders a level but RIPS and, where it says so, an operator:
 rules/experiment, or the operator. A robot has three lowerings by rules in ten minutes.
 """
 
-SPY, DRIVER, CALM, OPERATOR = "stranger_looks", "stranger_drives", "calm", "operator"
+SPY, DRIVER, CALM, OPERATOR = "unknown_reader", "unknown_driver", "calm", "operator"
 
 
 def visits(*times):

@@ -1,7 +1,6 @@
-// Tells operators who attacks the server, as RIPS's own alerts. What is attacked without end is not
-// told without end:
+// Raises RIPS's own alerts that name an attacker of the server, at a limited rate:
 //
-// | what happened                                         | told                       | severity |
+// | event                                                 | alert                      | severity |
 // |-------------------------------------------------------|----------------------------|----------|
 // | a connection was ended and banned for what it cost    | once a minute for each     | critical |
 // |                                                       | certificate, and for those |          |

@@ -8,6 +8,7 @@
 #include "absl/strings/str_format.h"
 #include "gmock/gmock.h"
 #include "gtest/gtest.h"
+#include "policy_server/server/robot/fake_ports.h"
 #include "policy_server/server/store/committer.h"
 #include "policy_server/server/store/fake_store.h"
 #include "services/base/fake_clock.h"
@@ -23,14 +24,6 @@ using ::testing::SizeIs;
 using ::testing::StartsWith;
 
 constexpr char kMallory[] = "spiffe://td/operator/viewer/mallory";
-
-class QuietObserver final : public pipeline::RobotObserver {
- public:
-  void OnAlert(const store::AlertRecord&) override {}
-  void OnNotice(const std::string&) override {}
-  void OnStatus(const pipeline::RobotStatus&) override {}
-  void OnRuleLog(const std::string&, const std::string&, const std::string&) override {}
-};
 
 class AttackAlertsTest : public ::testing::Test {
  protected:
@@ -55,7 +48,7 @@ class AttackAlertsTest : public ::testing::Test {
   FakeClock clock_;
   store::FakeStore store_;
   store::Committer committer_{&store_, {}, &clock_};
-  QuietObserver audience_;
+  pipeline::FakeObserver audience_;
   std::atomic<int> ids_ = 0;
   pipeline::ServerAlerts alerts_{&committer_, &audience_, &clock_,
                                  [this] { return absl::StrFormat("%032x", ++ids_); }};

@@ -48,7 +48,7 @@ TEST(PluginJailTest, WithoutANameTheirUserIsNotRootsAndOneOfOthersIsTold) {
   }
 }
 
-TEST(PluginJailTest, RootAndNobodyAtAllAreRefused) {
+TEST(PluginJailTest, RootAndUnknownUsersAreRefused) {
   if (geteuid() != 0) GTEST_SKIP() << "needs root";
   for (const char* user : {"0", "root", "no-such-user"}) {
     EXPECT_THAT(MakePluginJail(ConfigOf(user)),

@@ -1,4 +1,4 @@
-// What GraphBuilder is made with, what it is told, and what it counts.
+// Options, inputs and counters of GraphBuilder.
 #ifndef RIPS_SENSOR_AGENT_GRAPH_GRAPH_OPTIONS_H_
 #define RIPS_SENSOR_AGENT_GRAPH_GRAPH_OPTIONS_H_
 

@@ -1,4 +1,4 @@
-// What Uplink is made with, and what it is given to send.
+// Options of Uplink, and the observations it sends.
 #ifndef RIPS_SENSOR_AGENT_UPLINK_UPLINK_OPTIONS_H_
 #define RIPS_SENSOR_AGENT_UPLINK_UPLINK_OPTIONS_H_
 

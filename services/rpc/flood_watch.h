@@ -1,14 +1,11 @@
-// Who floods a listener with connections of which nothing comes. No limit tells that by itself:
-// they are refused or ended one by one, and agents at the same address suffer. Pure: no sockets, no
-// clock.
+// Finds the source of a flood of wasted connections: refused, ended without a call, ended to make
+// room, or closed by the peer before it showed a certificate. Admission limits refuse these one by
+// one and report no source. Pure: no sockets, no clock.
 //
-// Counted in each window of `window_ns` are connections that were refused, ended for having made no
-// call, ended to make room for others, or over before they had shown a certificate:
-//
-// | in one window                                             | is told, once per `told_ns`   |
-// |-----------------------------------------------------------|-------------------------------|
-// | `of_address` of one address                               | that address                  |
-// | `of_all`, of addresses that were not told in this window  | their number, and one of them |
+// | wasted connections in one window of `window_ns`            | Count returns, once in `told_ns` |
+// |------------------------------------------------------------|----------------------------------|
+// | `of_address` from one address                              | that address                     |
+// | `of_all` from addresses not yet reported in this window    | their number, and one of them    |
 #ifndef RIPS_SERVICES_RPC_FLOOD_WATCH_H_
 #define RIPS_SERVICES_RPC_FLOOD_WATCH_H_
 

@@ -30,7 +30,7 @@ def scenario(function):
 
 @scenario
 def short_timeline(binaries, directory):
-    """A stranger reads the camera for a while; the robot meets a closed zone and goes round it."""
+    """An unauthorised node reads the camera for a while; the robot drives round the closed zone."""
     experiment = Experiment(binaries, directory, SPEED)
     try:
         experiment.begin()
@@ -59,7 +59,7 @@ def as_it_should_be(floor):
     """A run of an ALERT from 10 s to 20 s, of which nothing is wrong."""
     run = Run(seconds=30)
     run.levels = [Level("ALERT", f"rule experiment.rul:{SPY}", 10, 10.5),
-                  Level("COMPROMISED", "rule stranger_drives", 12, 12.5),
+                  Level("COMPROMISED", "rule unknown_driver", 12, 12.5),
                   Level("ALERT", "operator alice: checked", 15, 15.5),
                   Level("DEFAULT", f"rule experiment.rul:{CALM}", 20, 20.5)]
     run.frames = [t / 30 for t in range(-30, 900) if not 10.4 < t / 30 < 20.4]
@@ -71,7 +71,7 @@ def as_it_should_be(floor):
     return run
 
 
-EXPECTED = [("ALERT", SPY), ("COMPROMISED", "stranger_drives"), ("ALERT", "operator"),
+EXPECTED = [("ALERT", SPY), ("COMPROMISED", "unknown_driver"), ("ALERT", "operator"),
             ("DEFAULT", CALM)]
 
 
@@ -113,7 +113,7 @@ def checks_find_what_is_wrong(_binaries, _directory):
     def one_cell_lost(run):
         run.cells[2] = (1.0, 1_662, floor.cells - 1_663)
 
-    def nobody_decided(run):
+    def level_without_cause(run):
         run.levels[2].cause = "adopted"
 
     wrong("a slow camera", slow_camera, "before the first attack")
@@ -121,10 +121,10 @@ def checks_find_what_is_wrong(_binaries, _directory):
     wrong("a camera that does not come back", stays_dark, "the camera is not back")
     wrong("a robot in the zone", drives_in, "in the closed zone at 14.0 s")
     wrong("a robot that creeps", creeps, "moved while it was stopped")
-    wrong("a robot that nobody saw", lambda run: run.poses.clear(), "no pose was seen")
+    wrong("a robot without a pose", lambda run: run.poses.clear(), "no pose was seen")
     wrong("a cell too many", another_map, "not [1402] free")
     wrong("a cell that is neither", one_cell_lost, "at 1.0 s the map had")
-    wrong("a level without a cause", nobody_decided, "the levels are")
+    wrong("a level without a cause", level_without_cause, "the levels are")
     wrong("a level that is missing", lambda run: run.levels.pop(), "the levels are")
 
 

@@ -205,7 +205,7 @@ class Guarded(Fleet):
         return [a["text"] for a in found if a["robot"] == "(server)"]
 
     def told_of(self, robot, part):
-        """What an attacker does with a robot's key is told of that robot."""
+        """The robot whose key the attacker uses has an alert that says so."""
         texts = [a["text"] for a in self.query("alert", "list", robot, "--limit", "1000")["alerts"]]
         check(any(part in text for text in texts), f"no alert of {robot} says {part!r}: {texts}")
 

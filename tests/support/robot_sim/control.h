@@ -9,7 +9,7 @@
 //   lens cover|clear                            the camera sees black, or its picture again
 //   stuck NODE on|off                           the node's transitions fail
 //   go PLACE                                    it drives to this place of its floor
-//   person                                      somebody walks across its floor
+//   person                                      a person walks across its floor
 #ifndef RIPS_TESTS_SUPPORT_ROBOT_SIM_CONTROL_H_
 #define RIPS_TESTS_SUPPORT_ROBOT_SIM_CONTROL_H_
 

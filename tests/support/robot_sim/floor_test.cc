@@ -86,6 +86,8 @@ TEST(FloorTest, AFileThatMakesNoSenseSaysWhere) {
         std::tuple("1 1 10 1", "1 1 12 1", "a rectangle on the floor"),
         std::tuple("5 0 6 2", "6 0 5 2", "a rectangle on the floor"),
         std::tuple("width: 12", "width: 0", "width"),
+        std::tuple("width: 12", "width: 4097", "width"),
+        std::tuple("cells: 2", "cells: 101", "cells"),
         std::tuple("places:", "plces:", "unknown key `plces`")}) {
     std::string text = kSmall;
     text.replace(text.find(from), std::string(from).size(), to);
@@ -94,7 +96,7 @@ TEST(FloorTest, AFileThatMakesNoSenseSaysWhere) {
   }
 }
 
-// A robot that does at once what it is told, ten times a second.
+// A robot that obeys each command at once.
 class PatrolTest : public ::testing::Test {
  protected:
   // Drives for so long. Gives how far it came, in metres.

@@ -21,7 +21,6 @@ constexpr uint32_t kRays = 360;
 constexpr double kPi = 3.14159265358979;
 constexpr uint8_t kLogInfo = 20;
 constexpr size_t kCovariance = 36;
-constexpr size_t kGridCellsMax = 1 << 24;
 
 void F32(CdrWriter& out, double value) {
   out.U32(std::bit_cast<uint32_t>(static_cast<float>(value)));
@@ -176,7 +175,7 @@ absl::StatusOr<CellCount> CountOccupancyGrid(absl::string_view payload) {
   const uint64_t width = in.U32();
   const uint64_t height = in.U32();
   Skip(in, 7);
-  const uint32_t size = in.Count(1, kGridCellsMax);
+  const uint32_t size = in.Count(1, payload.size());
   if (size != width * height) in.Fail("the grid has not width x height cells");
   CellCount count;
   for (const char cell : in.Octets(in.ok() ? size : 0)) {
