@@ -39,16 +39,16 @@ void AttackAlerts::OnConnectionEnded(const rpc::ConnectionGuard::Report& report)
 }
 
 void AttackAlerts::OnFlood(const rpc::FloodWatch::Flood& flood) {
-  const bool one = flood.addresses == 1;
+  const bool one = flood.sources == 1;
   alerts_->Raise(
       Server(), engine::Severity::kHigh,
-      absl::StrCat(
-          "a flood of connections: ", flood.connections, " from ",
-          one ? flood.address
-              : absl::StrCat(flood.addresses, " addresses, ", flood.address, " among them,"),
-          " came to nothing within ", flood.within_ns / kNanosPerSecond + 1,
-          " s; what is connected stays, but a new connection of an agent ",
-          one ? "at this address" : "from an address that is not known yet", " may wait", kRest));
+      absl::StrCat("a flood of connections: ", flood.refused, " from ",
+                   one ? flood.source
+                       : absl::StrCat(flood.sources, " addresses, ", flood.source, " among them,"),
+                   " came to nothing within ", flood.within_ns / kNanosPerSecond + 1,
+                   " s; what is connected stays, but a new connection of an agent ",
+                   one ? "at this address" : "from an address that is not known yet", " may wait",
+                   kRest));
 }
 
 void AttackAlerts::OnPeerRefused(const std::string& robot) {
@@ -66,7 +66,7 @@ void AttackAlerts::OnCallRefused(const std::string& identity) {
   }
   if (!flood) return;
   alerts_->Raise(Server(), engine::Severity::kHigh,
-                 absl::StrCat(identity, " asks more than its quota allows: ", flood->connections,
+                 absl::StrCat(identity, " asks more than its quota allows: ", flood->refused,
                               " calls were refused within ", flood->within_ns / kNanosPerSecond + 1,
                               " s", kRest));
 }

@@ -48,7 +48,7 @@ class AttackAlerts {
   Mutex mu_;
   std::map<std::string, int64_t> told_ns_ ABSL_GUARDED_BY(mu_);
   rpc::FloodWatch refused_calls_ ABSL_GUARDED_BY(mu_){
-      {.of_address = 20, .of_all = std::numeric_limits<int>::max()}};
+      {.of_source = 20, .of_all = std::numeric_limits<int>::max()}};
 };
 
 }  // namespace rips

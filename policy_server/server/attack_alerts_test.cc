@@ -77,8 +77,8 @@ TEST_F(AttackAlertsTest, AConnectionThatIsNotBannedIsNoAttack) {
 }
 
 TEST_F(AttackAlertsTest, AFloodNamesItsAddressOrHowManyThereAre) {
-  attacks_.OnFlood({.address = "10.0.0.7", .connections = 64, .within_ns = kNanosPerSecond / 2});
-  attacks_.OnFlood({.address = "10.0.0.8", .addresses = 90, .connections = 512, .within_ns = 1});
+  attacks_.OnFlood({.source = "10.0.0.7", .refused = 64, .within_ns = kNanosPerSecond / 2});
+  attacks_.OnFlood({.source = "10.0.0.8", .sources = 90, .refused = 512, .within_ns = 1});
   EXPECT_THAT(
       Told(),
       ElementsAre(StartsWith("(server) high a flood of connections: 64 from 10.0.0.7 came to "

@@ -151,7 +151,7 @@ TEST_F(ConnectionGuardTest, AFloodIsToldHoweverItsConnectionsEnd) {
   for (const auto& way : kWays) {
     SCOPED_TRACE(way.how);
     ConnectionGuard::Options options = way.options;
-    options.flood.of_address = 8;
+    options.flood.of_source = 8;
     Start(options);
     std::vector<std::unique_ptr<Silent>> flood;
     for (int i = 0; i < 10; ++i) {
@@ -160,14 +160,14 @@ TEST_F(ConnectionGuardTest, AFloodIsToldHoweverItsConnectionsEnd) {
     }
     const auto told = floods_.Pop(kPatience);
     ASSERT_TRUE(told.has_value());
-    EXPECT_EQ(told->address, "127.0.0.1");
-    EXPECT_EQ(told->connections, 8);
+    EXPECT_EQ(told->source, "127.0.0.1");
+    EXPECT_EQ(told->refused, 8);
     server_->Shutdown(absl::ZeroDuration());
   }
 }
 
 TEST_F(ConnectionGuardTest, WhoShowsACertificateIsNoFlood) {
-  Start({.flood = {.of_address = 2}});
+  Start({.flood = {.of_source = 2}});
   for (int i = 0; i < 4; ++i) {
     auto channel = Connect();
     ASSERT_EQ(Call(channel, "/rips.v1.SensorService/None").error_code(),

@@ -4,8 +4,10 @@
 //
 // | wasted connections in one window of `window_ns`            | Count returns, once in `told_ns` |
 // |------------------------------------------------------------|----------------------------------|
-// | `of_address` from one address                              | that address                     |
-// | `of_all` from addresses not yet reported in this window    | their number, and one of them    |
+// | `of_source` from one source                                | that source                      |
+// | `of_all` from sources not yet reported in this window      | their number, and one of them    |
+//
+// A source is an address; or whatever else is refused, such as a certificate's identity.
 #ifndef RIPS_SERVICES_RPC_FLOOD_WATCH_H_
 #define RIPS_SERVICES_RPC_FLOOD_WATCH_H_
 
@@ -23,28 +25,28 @@ namespace rips::rpc {
 class FloodWatch {
  public:
   struct Limits {
-    int of_address = 64;
+    int of_source = 64;
     int of_all = 512;
     int64_t window_ns = 10 * kNanosPerSecond;
     int64_t told_ns = 60 * kNanosPerSecond;
   };
   struct Flood {
     // The one, or one of several.
-    std::string address;
-    size_t addresses = 1;
-    int connections = 0;
+    std::string source;
+    size_t sources = 1;
+    int refused = 0;
     // In which they came, until now.
     int64_t within_ns = 0;
   };
 
   explicit FloodWatch(const Limits& limits) : limits_(limits) {}
 
-  // A connection of this address came to nothing. What is to be told of it, if anything.
-  std::optional<Flood> Count(const std::string& address, int64_t now_ns);
+  // Counts one wasted connection. The flood to report, if this one makes it due.
+  std::optional<Flood> Count(const std::string& source, int64_t now_ns);
 
  private:
-  struct Address {
-    int connections = 0;
+  struct Source {
+    int refused = 0;
     bool told = false;
   };
   void BeginWindow(int64_t now_ns);
@@ -52,10 +54,10 @@ class FloodWatch {
   const Limits limits_;
   int64_t begun_ns_ = 0;
   // Of this window. No more than connections that a listener can take in it.
-  absl::flat_hash_map<std::string, Address> addresses_;
-  // Of addresses that were not told.
+  absl::flat_hash_map<std::string, Source> sources_;
+  // From sources not reported in this window.
   int others_ = 0;
-  // When each address, or all together (empty), was told last.
+  // When each source, or all together (empty), was reported last.
   absl::flat_hash_map<std::string, int64_t> told_ns_;
 };
 

@@ -25,7 +25,7 @@ class FloodWatchTest : public ::testing::Test {
   }
 
   int64_t now_ns_ = 1'000 * kNanosPerSecond;
-  FloodWatch watch_{{.of_address = 5, .of_all = 20}};
+  FloodWatch watch_{{.of_source = 5, .of_all = 20}};
 };
 
 TEST_F(FloodWatchTest, AnAddressIsToldWhenItHasSoManyInOneWindow) {
@@ -33,9 +33,9 @@ TEST_F(FloodWatchTest, AnAddressIsToldWhenItHasSoManyInOneWindow) {
   Seconds(3);
   const auto flood = Count("10.0.0.1");
   ASSERT_TRUE(flood);
-  EXPECT_EQ(flood->address, "10.0.0.1");
-  EXPECT_EQ(flood->addresses, 1u);
-  EXPECT_EQ(flood->connections, 5);
+  EXPECT_EQ(flood->source, "10.0.0.1");
+  EXPECT_EQ(flood->sources, 1u);
+  EXPECT_EQ(flood->refused, 5);
   EXPECT_EQ(flood->within_ns, 3 * kNanosPerSecond);
 }
 
@@ -65,9 +65,9 @@ TEST_F(FloodWatchTest, ManyQuietAddressesAreToldTogether) {
   for (int i = 0; i < 19; ++i) EXPECT_FALSE(Count(absl::StrCat("10.0.0.", i)));
   const auto flood = Count("10.0.0.19");
   ASSERT_TRUE(flood);
-  EXPECT_EQ(flood->addresses, 20u);
-  EXPECT_EQ(flood->connections, 20);
-  EXPECT_THAT(flood->address, StartsWith("10.0.0."));
+  EXPECT_EQ(flood->sources, 20u);
+  EXPECT_EQ(flood->refused, 20);
+  EXPECT_THAT(flood->source, StartsWith("10.0.0."));
   EXPECT_FALSE(Count("10.0.0.20"));
   Seconds(60);
   for (int i = 0; i < 19; ++i) EXPECT_FALSE(Count(absl::StrCat("10.0.0.", i)));
@@ -79,19 +79,29 @@ TEST_F(FloodWatchTest, ALoudAddressIsNotCountedWithTheQuietOnes) {
   for (int i = 0; i < 19; ++i) EXPECT_FALSE(Count(absl::StrCat("10.0.1.", i)));
   const auto flood = Count("10.0.1.19");
   ASSERT_TRUE(flood);
-  EXPECT_EQ(flood->addresses, 20u);
-  EXPECT_EQ(flood->connections, 20);
+  EXPECT_EQ(flood->sources, 20u);
+  EXPECT_EQ(flood->refused, 20);
 }
 
 TEST_F(FloodWatchTest, MoreAddressesThanItRemembersAreStillCounted) {
-  FloodWatch watch({.of_address = 5, .of_all = 20'000});
+  FloodWatch watch({.of_source = 5, .of_all = 20'000});
   std::optional<FloodWatch::Flood> flood;
   for (int i = 0; i < 20'000; ++i) {
     flood = watch.Count(absl::StrCat("10.", i / 65'536, ".", i / 256 % 256, ".", i % 256), now_ns_);
   }
   ASSERT_TRUE(flood);
-  EXPECT_EQ(flood->connections, 20'000);
-  EXPECT_GE(flood->addresses, 8'192u);
+  EXPECT_EQ(flood->refused, 20'000);
+  EXPECT_GE(flood->sources, 8'192u);
+}
+
+TEST_F(FloodWatchTest, ManyAddressesDoNotHideTheOneThatCameBeforeThem) {
+  FloodWatch watch({.of_source = 5, .of_all = 1'000'000});
+  EXPECT_FALSE(watch.Count("10.9.9.9", now_ns_));
+  for (int i = 0; i < 10'000; ++i) watch.Count(absl::StrCat("address ", i), now_ns_);
+  for (int i = 0; i < 3; ++i) EXPECT_FALSE(watch.Count("10.9.9.9", now_ns_));
+  const auto flood = watch.Count("10.9.9.9", now_ns_);
+  ASSERT_TRUE(flood);
+  EXPECT_EQ(flood->source, "10.9.9.9");
 }
 
 }  // namespace
