@@ -1,9 +1,7 @@
 // The whole actuator without its recorded state, or with one from a backup, and without a server, on
 // a simulated robot over real DDS: it does not lower the robot.
-#include <stdlib.h>
 #include <sys/stat.h>
 
-#include <filesystem>
 #include <fstream>
 #include <memory>
 #include <sstream>
@@ -12,14 +10,10 @@
 
 #include "absl/strings/match.h"
 #include "absl/strings/str_cat.h"
-#include "absl/strings/str_replace.h"
 #include "gmock/gmock.h"
 #include "gtest/gtest.h"
 #include "mode_actuator/decide/actuator_state.h"
-#include "mode_actuator/link/agent.h"
-#include "services/base/status_matchers.h"
-#include "services/dds/test_world.h"
-#include "services/runtime/real_clock.h"
+#include "tests/integration/actuator_world.h"
 #include "tests/support/robot_sim/living_robot.h"
 
 namespace rips::actuator {
@@ -29,57 +23,15 @@ using robot_sim::LivingRobot;
 using robot_sim::ModeMachine;
 using ::testing::Each;
 
-constexpr absl::string_view kSmh = R"(safety:
-  ros__parameters:
-    type: system
-    modes:
-      __DEFAULT__: {eye: active, wheels: active}
-      ALERT: {eye: inactive, wheels: active.SLOW}
-      HALT: {eye: inactive, wheels: inactive}
-eye:
-  ros__parameters:
-    type: node
-    modes: {__DEFAULT__: {ros__parameters: {rate: 15.0}}}
-wheels:
-  ros__parameters:
-    type: node
-    modes:
-      __DEFAULT__: {ros__parameters: {max_speed: 1.0}}
-      SLOW: {ros__parameters: {max_speed: 0.2}}
-)";
-constexpr absl::string_view kConfig = R"(robot: r1
-host: base
-servers: ["127.0.0.1:1"]
-tls: {ca: DIR/none, cert: DIR/none, key: DIR/none}
-dds: {domain: 3, announce: false}
-state_dir: DIR/state
-fail_safe: {level: ALERT, after: 0s}
-timing: {reconcile: 200ms}
-system_modes: {smh: DIR/smh.yaml}
-levels:
-  - {name: DEFAULT, enter: [{system_mode: {part: /safety, mode: __DEFAULT__}}]}
-  - {name: ALERT, enter: [{system_mode: {part: /safety, mode: ALERT}}]}
-  - {name: HALT, enter: [{system_mode: {part: /safety, mode: HALT}}]}
-metrics: "127.0.0.1:0"
-)";
-
-class LostStateTest : public dds::TestWorld {
+class LostStateTest : public ActuatorWorld {
  protected:
-  LostStateTest() {
-    char name[] = "/tmp/rips-lost-state-XXXXXX";
-    dir_ = mkdtemp(name);
-    std::ofstream(dir_ + "/smh.yaml") << kSmh;
-    std::ofstream(dir_ + "/actuator.yaml") << absl::StrReplaceAll(kConfig, {{"DIR", dir_}});
-    std::filesystem::create_directory(dir_ + "/state");
-  }
   ~LostStateTest() override {
-    agent_.reset();
+    StopActuator();
     robot_.reset();
-    std::filesystem::remove_all(dir_);
   }
 
   void StartRobot(const std::string& mode) {
-    robot_ = std::make_unique<LivingRobot>(far(), *ParseSmh(kSmh));
+    robot_ = std::make_unique<LivingRobot>(far(), *ParseSmh(kWorldSmh));
     if (mode != kDefaultMode) Move(mode);
   }
   // As if it was there all the time.
@@ -88,16 +40,6 @@ class LostStateTest : public dds::TestWorld {
     ASSERT_TRUE(dds::Eventually([&] { return (*robot_)->Mode() == mode; }));
     robot_->TakeModes();
   }
-  void StartActuator() {
-    const auto loaded = LoadConfig(dir_ + "/actuator.yaml");
-    ASSERT_THAT(loaded, IsOk());
-    const dds::ScopedCycloneUri uri(dds::WireUri());
-    auto agent =
-        Agent::Start(*loaded, rpc::CredentialsSource(loaded->config.tls), &clock_, &metrics_);
-    ASSERT_THAT(agent, IsOk());
-    agent_ = *std::move(agent);
-  }
-  void StopActuator() { agent_.reset(); }
   std::string State() const {
     std::stringstream text;
     text << std::ifstream(dir_ + "/state/state").rdbuf();
@@ -112,11 +54,7 @@ class LostStateTest : public dds::TestWorld {
     return dds::Eventually([&] { return (*robot_)->orders() >= orders; });
   }
 
-  const RealClock clock_;
-  Metrics metrics_;
-  std::string dir_;
   std::unique_ptr<LivingRobot> robot_;
-  std::unique_ptr<Agent> agent_;
 };
 
 TEST_F(LostStateTest, ARobotAtAMoreRestrictiveLevelStaysThere) {
