@@ -12,6 +12,22 @@ namespace {
 constexpr int64_t kEveryNs = 60 * kNanosPerSecond;
 constexpr char kRest[] = " (more of this is only counted for a minute)";
 
+constexpr char kEachMinute[] = " (repeated each minute while it lasts)";
+
+std::string Seconds(int64_t ns) { return absl::StrCat(ns / kNanosPerSecond + 1, " s"); }
+
+// `reason` as AttackAlerts::OnCallRefused has it.
+absl::string_view Because(absl::string_view reason) {
+  if (reason == "quota") return "it asks more than its quota allows";
+  if (reason == "role") return "its role does not allow what it asks";
+  if (reason == "claim") return "it says that it is another agent";
+  if (reason == "limit") return "a field of the request is past its limit";
+  if (reason == "throttled") return "its connections are too many or broke the limits";
+  if (reason == "banned") return "it is banned";
+  if (reason == "revoked") return "its certificate is revoked";
+  return "its certificate does not count";
+}
+
 std::string Server() { return std::string(store::kServerRobot); }
 
 }  // namespace
@@ -39,16 +55,25 @@ void AttackAlerts::OnConnectionEnded(const rpc::ConnectionGuard::Report& report)
 }
 
 void AttackAlerts::OnFlood(const rpc::FloodWatch::Flood& flood) {
-  const bool one = flood.sources == 1;
+  const std::string within = absl::StrCat(" within ", Seconds(flood.within_ns), " made no call");
+  const std::string known =
+      flood.known ? " Agents of ours have connected from there: it may be one that fails, or "
+                    "share its address with the attacker."
+                  : "";
+  if (flood.sources == 1) {
+    alerts_->Raise(Server(), engine::Severity::kHigh,
+                   absl::StrCat("a flood of connections: ", flood.refused, " from ", flood.source,
+                                within, ". What is connected stays; an agent at this address may ",
+                                "wait. A firewall can close it out.", known, kEachMinute));
+    return;
+  }
   alerts_->Raise(
       Server(), engine::Severity::kHigh,
-      absl::StrCat("a flood of connections: ", flood.refused, " from ",
-                   one ? flood.source
-                       : absl::StrCat(flood.sources, " addresses, ", flood.source, " among them,"),
-                   " came to nothing within ", flood.within_ns / kNanosPerSecond + 1,
-                   " s; what is connected stays, but a new connection of an agent ",
-                   one ? "at this address" : "from an address that is not known yet", " may wait",
-                   kRest));
+      absl::StrCat("a flood of connections: ", flood.refused, " from ", flood.sources,
+                   " addresses,", within, "; the most (", flood.of_source, ") from ", flood.source,
+                   ". What is connected stays; an agent at an address that is not known yet may "
+                   "wait.",
+                   known, kEachMinute));
 }
 
 void AttackAlerts::OnPeerRefused(const std::string& robot) {
@@ -58,7 +83,7 @@ void AttackAlerts::OnPeerRefused(const std::string& robot) {
                               " send more than can be judged: a stream was closed", kRest));
 }
 
-void AttackAlerts::OnCallRefused(const std::string& identity) {
+void AttackAlerts::OnCallRefused(const std::string& identity, absl::string_view reason) {
   std::optional<rpc::FloodWatch::Flood> flood;
   {
     MutexLock lock(&mu_);
@@ -66,9 +91,10 @@ void AttackAlerts::OnCallRefused(const std::string& identity) {
   }
   if (!flood) return;
   alerts_->Raise(Server(), engine::Severity::kHigh,
-                 absl::StrCat(identity, " asks more than its quota allows: ", flood->refused,
-                              " calls were refused within ", flood->within_ns / kNanosPerSecond + 1,
-                              " s", kRest));
+                 absl::StrCat(flood->refused, " calls of ", identity, " were refused within ",
+                              Seconds(flood->within_ns), ", the last because ", Because(reason),
+                              ". If its key may be stolen: ripsctl agent ban ", identity,
+                              " --reason TEXT", kEachMinute));
 }
 
 }  // namespace rips

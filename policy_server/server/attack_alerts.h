@@ -5,10 +5,11 @@
 // | a connection was ended and banned for what it cost    | once a minute for each     | critical |
 // |                                                       | certificate, and for those |          |
 // |                                                       | without one                |          |
-// | connections come to nothing (FloodWatch)              | once a minute an address   | high     |
+// | connections make no call (FloodWatch)                 | once a minute an address;  | high     |
+// |                                                       | for all others together    |          |
 // | peers of a robot send more than can be judged         | once a minute a robot      | high     |
-// | an operator's certificate has 20 calls refused for    | once a minute              | high     |
-// | its quota within 10 s                                 |                            |          |
+// | a certificate has 20 calls refused within 10 s, for   | once a minute              | high     |
+// | its quota or as CallGate refuses them                 |                            |          |
 #ifndef RIPS_POLICY_SERVER_SERVER_ATTACK_ALERTS_H_
 #define RIPS_POLICY_SERVER_SERVER_ATTACK_ALERTS_H_
 
@@ -17,6 +18,7 @@
 #include <string>
 
 #include "absl/base/thread_annotations.h"
+#include "absl/strings/string_view.h"
 #include "policy_server/server/shard/server_alerts.h"
 #include "services/base/clock.h"
 #include "services/rpc/connection_guard.h"
@@ -36,8 +38,9 @@ class AttackAlerts {
   void OnFlood(const rpc::FloodWatch::Flood& flood);
   // A stream of a peer of this robot, which is of the inventory, was closed.
   void OnPeerRefused(const std::string& robot) ABSL_LOCKS_EXCLUDED(mu_);
-  // `identity`: the URI of an operator's certificate.
-  void OnCallRefused(const std::string& identity) ABSL_LOCKS_EXCLUDED(mu_);
+  // `identity`: the URI of a certificate; `reason`: `quota`, or one of rpc::Refusal.
+  void OnCallRefused(const std::string& identity, absl::string_view reason)
+      ABSL_LOCKS_EXCLUDED(mu_);
 
  private:
   // True once a minute for each name.

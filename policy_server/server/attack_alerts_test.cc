@@ -4,6 +4,7 @@
 #include <string>
 #include <vector>
 
+#include "absl/strings/match.h"
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_format.h"
 #include "gmock/gmock.h"
@@ -20,7 +21,7 @@ using ::testing::AllOf;
 using ::testing::ElementsAre;
 using ::testing::HasSubstr;
 using ::testing::IsEmpty;
-using ::testing::SizeIs;
+using ::testing::Not;
 using ::testing::StartsWith;
 
 constexpr char kMallory[] = "spiffe://td/operator/viewer/mallory";
@@ -78,12 +79,41 @@ TEST_F(AttackAlertsTest, AConnectionThatIsNotBannedIsNoAttack) {
 
 TEST_F(AttackAlertsTest, AFloodNamesItsAddressOrHowManyThereAre) {
   attacks_.OnFlood({.source = "10.0.0.7", .refused = 64, .within_ns = kNanosPerSecond / 2});
-  attacks_.OnFlood({.source = "10.0.0.8", .sources = 90, .refused = 512, .within_ns = 1});
-  EXPECT_THAT(
-      Told(),
-      ElementsAre(StartsWith("(server) high a flood of connections: 64 from 10.0.0.7 came to "
-                             "nothing within 1 s; what is connected stays"),
-                  HasSubstr("512 from 90 addresses, 10.0.0.8 among them, came to nothing")));
+  attacks_.OnFlood(
+      {.source = "10.0.0.8", .of_source = 40, .sources = 90, .refused = 512, .within_ns = 1});
+  EXPECT_THAT(Told(),
+              ElementsAre(AllOf(StartsWith("(server) high a flood of connections: 64 from 10.0.0.7 "
+                                           "within 1 s made no call. What is connected stays"),
+                                Not(HasSubstr("Agents of ours"))),
+                          HasSubstr("512 from 90 addresses, within 1 s made no call; the most (40) "
+                                    "from 10.0.0.8.")));
+}
+
+TEST_F(AttackAlertsTest, AFloodFromWhereAgentsAreSaysThatItMayBeOneOfThem) {
+  attacks_.OnFlood({.source = "10.0.0.7", .refused = 64, .known = true});
+  EXPECT_THAT(Told(), ElementsAre(HasSubstr("Agents of ours have connected from there")));
+}
+
+TEST_F(AttackAlertsTest, DecoysDoNotHideHowManyThereAre) {
+  rpc::FloodWatch watch({});
+  const int64_t half_hour_ns = 1'800 * kNanosPerSecond;
+  int totals = 0;
+  for (int64_t at_ns = half_hour_ns; at_ns < 2 * half_hour_ns; at_ns += 10 * kNanosPerSecond) {
+    for (int i = 0; i < 40 * 64; ++i) {
+      const auto flood = watch.Count(absl::StrCat("10.0.0.", i % 40), at_ns);
+      if (!flood) continue;
+      attacks_.OnFlood(*flood);
+      totals += flood->sources > 1 ? 1 : 0;
+    }
+    clock_.Advance(10 * kNanosPerSecond);
+  }
+  EXPECT_EQ(totals, 30);
+  int told = 0;
+  for (const std::string& text : Told()) {
+    EXPECT_THAT(text, Not(HasSubstr("more alerts")));
+    told += absl::StrContains(text, " addresses") ? 1 : 0;
+  }
+  EXPECT_EQ(told, 30);
 }
 
 TEST_F(AttackAlertsTest, ARobotsPeersAreToldOfThatRobot) {
@@ -95,12 +125,13 @@ TEST_F(AttackAlertsTest, ARobotsPeersAreToldOfThatRobot) {
 }
 
 TEST_F(AttackAlertsTest, ARefusedCallIsNothingButManyNameTheCaller) {
-  for (int i = 0; i < 19; ++i) attacks_.OnCallRefused("spiffe://td/operator/viewer/script");
-  for (int i = 0; i < 100; ++i) attacks_.OnCallRefused(kMallory);
-  const std::vector<std::string> told = Told();
-  ASSERT_THAT(told, SizeIs(1));
-  EXPECT_THAT(told[0], StartsWith(absl::StrCat("(server) high ", kMallory,
-                                               " asks more than its quota allows: 20 calls")));
+  for (int i = 0; i < 19; ++i) attacks_.OnCallRefused("spiffe://td/operator/viewer/script", "role");
+  for (int i = 0; i < 100; ++i) attacks_.OnCallRefused(kMallory, i % 2 == 0 ? "role" : "quota");
+  EXPECT_THAT(Told(), ElementsAre(AllOf(
+                          StartsWith(absl::StrCat("(server) high 20 calls of ", kMallory,
+                                                  " were refused within 1 s, the last because it "
+                                                  "asks more than its quota allows. ")),
+                          HasSubstr(absl::StrCat("ripsctl agent ban ", kMallory)))));
 }
 
 }  // namespace

@@ -182,6 +182,9 @@ absl::Status Server::GuardPeers() {
       },
       &metrics_, connections_.get());
   gate_->set_on_admitted([this](const rpc::Peer& peer) { certificates_->Seen(peer); });
+  gate_->set_on_refused([this](const rpc::Peer& peer, const rpc::Refusal& refusal) {
+    attacks_->OnCallRefused(rpc::ToString(peer.identity), refusal.reason);
+  });
   revocation_problem_ = metrics_.AddGauge(
       "rips_revocation_problem", "1 = the revocation lists are out of date or cannot be read.");
   watch_ = std::make_unique<rpc::SessionWatch>(&clock_, absl::Milliseconds(500), gate_.get());
@@ -427,7 +430,7 @@ std::shared_ptr<operator_api::CallerQuota> Server::MakeQuota() {
   return operator_api::CallerQuota::Create(&clock_, limits,
                                            [this, refused](const std::string& identity) {
                                              refused.Increment();
-                                             attacks_->OnCallRefused(identity);
+                                             attacks_->OnCallRefused(identity, "quota");
                                            });
 }
 

@@ -73,6 +73,7 @@ absl::StatusOr<Peer> CallGate::Admit(const grpc::CallbackServerContext& context,
 absl::Status CallGate::Refuse(const Refusal& refusal, const Peer* peer, absl::string_view address) {
   const std::string role = peer == nullptr ? "unknown" : std::string(RoleName(peer->identity.role));
   Count(refusal.reason, role, 1);
+  if (peer != nullptr && on_refused_) on_refused_(*peer, refusal);
   uint64_t unlogged = 0;
   {
     MutexLock lock(&mu_);

@@ -55,6 +55,11 @@ class CallGate {
     on_admitted_ = std::move(admitted);
   }
 
+  // Called with each refusal of a peer that is known, on the call's thread. Before the first call.
+  void set_on_refused(std::function<void(const Peer&, const Refusal&)> refused) {
+    on_refused_ = std::move(refused);
+  }
+
   // Why the peer's certificate does not count any more. Not whether it does yet: the handshake has
   // seen to that, and a clock that is set back later must not end what was good.
   std::optional<Refusal> Against(const Peer& peer) const;
@@ -77,6 +82,7 @@ class CallGate {
   Metrics* metrics_;
   ConnectionGuard* connections_;
   std::function<void(const Peer&)> on_admitted_;
+  std::function<void(const Peer&, const Refusal&)> on_refused_;
   Mutex mu_;
   // By role and reason: when it was logged last, and how often it was not since.
   std::map<std::pair<std::string, std::string>, std::pair<int64_t, uint64_t>> logged_

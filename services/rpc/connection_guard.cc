@@ -267,6 +267,7 @@ void ConnectionGuard::CountFlood(const Source& source, int64_t now_ns) {
   {
     MutexLock lock(&mu_);
     flood = flood_.Count(source.address, now_ns);
+    if (flood) flood->known = admission_.Known({.address = flood->source}, now_ns);
   }
   if (flood && options_.on_flood) options_.on_flood(*flood);
 }
@@ -356,9 +357,13 @@ void ConnectionGuard::Accept() {
 
 bool ConnectionGuard::AcceptAll(int listener) {
   while (true) {
-    UniqueFd socket(accept4(listener, nullptr, nullptr, SOCK_NONBLOCK | SOCK_CLOEXEC));
+    // Asked of accept4: a socket that its peer has reset already has no address any more.
+    sockaddr_storage address = {};
+    socklen_t size = sizeof(address);
+    UniqueFd socket(accept4(listener, reinterpret_cast<sockaddr*>(&address), &size,
+                            SOCK_NONBLOCK | SOCK_CLOEXEC));
     if (socket.get() >= 0) {
-      Take(std::move(socket));
+      Take(std::move(socket), SourceOf(address));
       continue;
     }
     if (errno == EAGAIN) return true;
@@ -376,11 +381,7 @@ bool ConnectionGuard::AcceptAll(int listener) {
   }
 }
 
-void ConnectionGuard::Take(UniqueFd socket) {
-  sockaddr_storage address = {};
-  socklen_t size = sizeof(address);
-  if (getpeername(socket.get(), reinterpret_cast<sockaddr*>(&address), &size) != 0) return;
-  Source source = SourceOf(address);
+void ConnectionGuard::Take(UniqueFd socket, Source source) {
   UniqueFd duplicate(fcntl(socket.get(), F_DUPFD_CLOEXEC, 0));
   const int64_t now_ns = clock_->Now().boottime_ns;
   Admission::Verdict verdict = Admission::Verdict::kTake;

@@ -168,7 +168,7 @@ class ConnectionGuard {
   void Accept();
   // Everything that waits at a listener. False: descriptors have run out.
   bool AcceptAll(int listener);
-  void Take(UniqueFd socket);
+  void Take(UniqueFd socket, Source source);
   // Ends a connection without a certificate that counts against the limit `source` has met, so that
   // a flood of those cannot keep out a peer that would name itself: first of addresses that are not
   // known, of those one that has sent nothing, of those the oldest. Returns it; null if there is

@@ -67,6 +67,7 @@ TEST_F(FloodWatchTest, ManyQuietAddressesAreToldTogether) {
   ASSERT_TRUE(flood);
   EXPECT_EQ(flood->sources, 20u);
   EXPECT_EQ(flood->refused, 20);
+  EXPECT_EQ(flood->of_source, 1);
   EXPECT_THAT(flood->source, StartsWith("10.0.0."));
   EXPECT_FALSE(Count("10.0.0.20"));
   Seconds(60);
@@ -81,6 +82,31 @@ TEST_F(FloodWatchTest, ALoudAddressIsNotCountedWithTheQuietOnes) {
   ASSERT_TRUE(flood);
   EXPECT_EQ(flood->sources, 20u);
   EXPECT_EQ(flood->refused, 20);
+}
+
+TEST_F(FloodWatchTest, DecoysLeaveAnAddressInTheTotalWhichNamesTheMost) {
+  FloodWatch watch({.of_source = 5, .of_all = 20, .named = 3});
+  int named = 0;
+  std::optional<FloodWatch::Flood> all;
+  for (int i = 0; i < 40 * 5; ++i) {
+    const auto flood = watch.Count(absl::StrCat("10.0.0.", i % 40), now_ns_);
+    if (!flood) continue;
+    named += flood->sources == 1 ? 1 : 0;
+    if (flood->sources > 1) all = flood;
+  }
+  EXPECT_EQ(named, 3);
+  ASSERT_TRUE(all);
+  EXPECT_EQ(all->refused, 20);
+  now_ns_ += 60 * kNanosPerSecond;
+  for (int i = 0; i < 10; ++i) EXPECT_TRUE(!watch.Count("10.0.1.1", now_ns_) || i == 4);
+  for (int i = 0; i < 15; ++i) EXPECT_FALSE(watch.Count("10.0.1.2", now_ns_));
+  for (int i = 0; i < 4; ++i) EXPECT_FALSE(watch.Count(absl::StrCat("10.0.2.", i), now_ns_));
+  all = watch.Count("10.0.3.3", now_ns_);
+  ASSERT_TRUE(all) << "one more is named in each minute, the second stays in the total";
+  EXPECT_EQ(all->source, "10.0.1.2");
+  EXPECT_EQ(all->of_source, 15);
+  EXPECT_EQ(all->refused, 20);
+  EXPECT_EQ(all->sources, 6u);
 }
 
 TEST_F(FloodWatchTest, MoreAddressesThanItRemembersAreStillCounted) {

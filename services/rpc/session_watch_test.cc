@@ -166,6 +166,8 @@ TEST_F(SessionWatchTest, EndsAStreamThatTheGateTurnsAgainstOnceAndCountsIt) {
         return Refusal{"banned", absl::PermissionDeniedError("the certificate is banned")};
       },
       &metrics);
+  std::string refused;
+  gate.set_on_refused([&](const Peer&, const Refusal& why) { refused += why.reason; });
   SessionWatch watch(&clock_, absl::InfiniteDuration(), &gate);
   std::vector<grpc::Status> ends;
   const auto session =
@@ -179,6 +181,7 @@ TEST_F(SessionWatchTest, EndsAStreamThatTheGateTurnsAgainstOnceAndCountsIt) {
   watch.Look();
   watch.Look();
 
+  EXPECT_EQ(refused, "banned");
   ASSERT_THAT(ends, SizeIs(1));
   EXPECT_EQ(ends[0].error_code(), grpc::StatusCode::PERMISSION_DENIED);
   EXPECT_THAT(metrics.Text(),

@@ -146,7 +146,7 @@ def hellos_that_are_left(fleet):
     fleet.run_beside(attack)
     print(f"{begun / ATTACK_S:.0f} handshakes a second begun")
     fleet.unharmed()
-    fleet.named("flood of connections: 64 from 127.0.0.2")
+    fleet.named("flood of connections: 64 from 127.0.0.2 within")
 
 
 @quick

@@ -1,5 +1,6 @@
 """Attacks on the processor: with the valid key of another robot's sensor, and with a viewer's."""
 
+import collections
 import os
 import struct
 import threading
@@ -14,6 +15,7 @@ PARTICIPANTS = 40
 # Longest wait of what is sent to the guarded robot, in a second: but for the first long task.
 WAIT_S = 0.05
 WAIT_AT_WORST_S = 0.5
+PERMISSION_DENIED = "7"
 VIEWER = "rips.v1.OperatorService"
 
 
@@ -239,7 +241,40 @@ def a_viewer_asks_without_end(fleet):
     fleet.unharmed()
     check("rips_quota_refused_total 0" not in page(fleet.server, "metrics"),
           "no call was refused")
-    fleet.named("operator/viewer/mallory asks more than its quota")
+    fleet.named("operator/viewer/mallory were refused")
+
+
+@quick
+def calls_refused_for_role(fleet):
+    """A viewer's key orders what only an operator may, each time on a new connection, and from 32
+    addresses in turn."""
+    arm_beside_r2(fleet)
+    refused = collections.Counter()
+
+    def order(deadline):
+        while time.monotonic() < deadline:
+            try:
+                peer = Peer(fleet.port, fleet.key(), f"127.0.2.{1 + refused.total() % 32}")
+                _, status = peer.ask(VIEWER, "ResumeRules", pb("ResumeRulesRequest")(robot="r1"),
+                                     pb("ResumeRulesResponse"), seconds=2)
+                refused[status[0] if status else "no answer"] += 1
+                peer.close()
+            except OSError:
+                refused["connection"] += 1
+
+    def attack():
+        deadline = time.monotonic() + ATTACK_S
+        orders = [threading.Thread(target=order, args=(deadline,)) for _ in range(4)]
+        for each in orders:
+            each.start()
+        for each in orders:
+            each.join()
+
+    beside(fleet, attack)
+    print(f"refused: {dict(refused)}")
+    check(refused[PERMISSION_DENIED] >= 20, f"not refused for its role: {dict(refused)}")
+    fleet.unharmed()
+    fleet.named("calls of spiffe://", "operator/viewer/mallory were refused")
 
 
 @quick

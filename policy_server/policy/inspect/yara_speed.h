@@ -13,7 +13,7 @@
 namespace rips::inspect {
 
 // Bytes of the largest trial scan, and CPU time of this thread that is too much for it and for
-// smaller ones. Ordinary rules take less than a hundredth of it.
+// smaller ones, in each of three scans. Ordinary rules take less than a hundredth of it.
 inline constexpr size_t kTrialBytes = size_t{16} << 10;
 inline constexpr absl::Duration kTrialCpuMax = absl::Milliseconds(25);
 // All trials of one file together.
