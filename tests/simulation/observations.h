@@ -5,7 +5,7 @@
 #include <cstdint>
 #include <memory>
 
-#include "policy_server/server/robot/inbound.h"
+#include "policy_server/server/robot/model/inbound.h"
 #include "sensor_agent/outbox/observation.h"
 #include "services/ros2/ros_graph.h"
 

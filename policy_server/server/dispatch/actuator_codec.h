@@ -3,8 +3,8 @@
 #define RIPS_POLICY_SERVER_SERVER_DISPATCH_ACTUATOR_CODEC_H_
 
 #include "absl/status/statusor.h"
-#include "policy_server/server/robot/actuator_inbound.h"
 #include "policy_server/server/robot/links.h"
+#include "policy_server/server/robot/model/actuator_inbound.h"
 #include "rips/v1/actuator.pb.h"
 #include "rips/v1/command.pb.h"
 

@@ -9,7 +9,7 @@
 
 #include "absl/status/statusor.h"
 #include "policy_server/server/ingest/chunk_assembler.h"
-#include "policy_server/server/robot/inbound.h"
+#include "policy_server/server/robot/model/inbound.h"
 #include "rips/v1/observation.pb.h"
 #include "rips/v1/sensor.pb.h"
 

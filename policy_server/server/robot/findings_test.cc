@@ -1,7 +1,7 @@
 #include "absl/strings/str_cat.h"
 #include "gmock/gmock.h"
 #include "gtest/gtest.h"
-#include "policy_server/server/robot/finding_registry.h"
+#include "policy_server/server/robot/parts/finding_registry.h"
 #include "policy_server/server/robot/robot_fixture.h"
 
 namespace rips::pipeline {

@@ -5,7 +5,7 @@
 
 #include "absl/container/btree_map.h"
 #include "gmock/gmock.h"
-#include "policy_server/server/robot/loss_alarm.h"
+#include "policy_server/server/robot/parts/loss_alarm.h"
 #include "policy_server/server/robot/robot_fixture.h"
 
 namespace rips::pipeline {

@@ -6,7 +6,7 @@
 #include "absl/strings/escaping.h"
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_join.h"
-#include "policy_server/server/robot/soft_lowerings.h"
+#include "policy_server/server/robot/parts/soft_lowerings.h"
 #include "services/base/cut_text.h"
 
 namespace rips::pipeline {

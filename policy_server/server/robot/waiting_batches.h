@@ -11,8 +11,8 @@
 #include <vector>
 
 #include "policy_server/policy/engine/evaluator.h"
-#include "policy_server/server/robot/inbound.h"
 #include "policy_server/server/robot/links.h"
+#include "policy_server/server/robot/model/inbound.h"
 
 namespace rips::pipeline {
 

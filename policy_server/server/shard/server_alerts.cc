@@ -4,7 +4,7 @@
 #include <vector>
 
 #include "absl/strings/str_cat.h"
-#include "policy_server/server/robot/robot_config.h"
+#include "policy_server/server/robot/model/robot_config.h"
 #include "services/base/cut_text.h"
 
 namespace rips::pipeline {

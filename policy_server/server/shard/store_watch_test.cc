@@ -8,7 +8,7 @@
 #include "absl/strings/str_split.h"
 #include "gmock/gmock.h"
 #include "policy_server/server/robot/fake_ports.h"
-#include "policy_server/server/robot/robot_config.h"
+#include "policy_server/server/robot/model/robot_config.h"
 #include "policy_server/server/store/fake_store.h"
 #include "services/base/fake_clock.h"
 #include "services/base/status_matchers.h"
