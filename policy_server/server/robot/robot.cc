@@ -12,9 +12,6 @@
 namespace rips::pipeline {
 namespace {
 
-// Alerts kept in memory while cannot write the store; the oldest go first.
-constexpr size_t kUnrecordedAlertsMax = 1'000;
-
 std::string CauseText(const levels::Cause& cause) {
   switch (cause.kind) {
     case levels::Cause::Kind::kRule:
@@ -117,8 +114,8 @@ void Robot::Run(const engine::Event& event, const MessageSeen* message, absl::st
   if (!outcome.effects.empty() || !outcome.refused_programs.empty() ||
       !outcome.cut_strings.empty()) {
     Perform(outcome, absl::StrCat(engine::Describe(event), remark));
-  } else {
-    unsaved_.variables |= outcome.variables_changed;
+  } else if (outcome.variables_changed) {
+    outbox_.TouchVariables();
   }
 }
 
@@ -127,7 +124,7 @@ void Robot::External(engine::ExternalEvent event) {
 }
 
 void Robot::Perform(const engine::Outcome& outcome, const std::string& event) {
-  unsaved_.variables |= outcome.variables_changed;
+  if (outcome.variables_changed) outbox_.TouchVariables();
   for (const auto& refused : outcome.refused_programs) {
     OwnAlert(engine::Severity::kMedium,
              absl::StrCat("program `", refused.program, "` of rule ", refused.rule,
@@ -189,14 +186,14 @@ void Robot::TakeTransition(const engine::TransitionEffect& effect) {
     if (!round) return;  // counts are written at 1, 2, 4, 8, ...
     std::string reason(levels::ToString(transition.refusal));
     if (!transition.detail.empty()) absl::StrAppend(&reason, ": ", transition.detail);
-    pending_.refusals.push_back({.id = it->second,
-                                 .robot = config_.id,
-                                 .from = table.name(transition.from),
-                                 .to = table.name(transition.to),
-                                 .cause = CauseText(transition.cause),
-                                 .reason = std::move(reason),
-                                 .count = effect.count,
-                                 .time_unix_ns = transition.at.unix_ns});
+    outbox_.AddRefusal({.id = it->second,
+                        .robot = config_.id,
+                        .from = table.name(transition.from),
+                        .to = table.name(transition.to),
+                        .cause = CauseText(transition.cause),
+                        .reason = std::move(reason),
+                        .count = effect.count,
+                        .time_unix_ns = transition.at.unix_ns});
     return;
   }
   if (!transition.decided()) return;
@@ -205,10 +202,9 @@ void Robot::TakeTransition(const engine::TransitionEffect& effect) {
   failure_alerted_ = false;
   // A raise from a lowering that is not durable yet lowers the robot, too, unless it leads at least
   // to where the robot was ordered.
-  const bool after_lowering = !awaiting_durable_.none() && transition.to < ledger_.level();
+  const bool after_lowering = !outbox_.held_back().none() && transition.to < ledger_.level();
   if (transition.lowers() || after_lowering) {
-    pending_lowerings_.push_back(transition);
-    awaiting_durable_ = transition.mark;
+    outbox_.AddLowering(transition);
   } else {
     Order(transition);
   }
@@ -222,20 +218,20 @@ void Robot::Adopt(levels::LevelIndex level, const Mark& seen, const std::string&
 
 void Robot::RecordDecision(const levels::Transition& transition) {
   const levels::LevelTable& table = state_.level.table();
-  pending_.decisions.push_back({.id = ports_.new_id(),
-                                .robot = config_.id,
-                                .mark = transition.mark,
-                                .based_on = transition.based_on,
-                                .from = table.name(transition.from),
-                                .to = table.name(transition.to),
-                                .cause = CauseText(transition.cause),
-                                .reason = transition.cause.reason,
-                                .time_unix_ns = transition.at.unix_ns});
+  outbox_.AddDecision({.id = ports_.new_id(),
+                       .robot = config_.id,
+                       .mark = transition.mark,
+                       .based_on = transition.based_on,
+                       .from = table.name(transition.from),
+                       .to = table.name(transition.to),
+                       .cause = CauseText(transition.cause),
+                       .reason = transition.cause.reason,
+                       .time_unix_ns = transition.at.unix_ns});
 }
 
 void Robot::Order(const levels::Transition& transition) {
   if (!ledger_.mark().none() && reported_stage_ != Stage::kVerified) {
-    pending_.stages.push_back({.robot = config_.id, .mark = ledger_.mark(), .stage = "superseded"});
+    outbox_.AddStage({.robot = config_.id, .mark = ledger_.mark(), .stage = "superseded"});
   }
   ledger_.Order(transition.mark, transition.to, state_.level.table().name(transition.to),
                 CauseText(transition.cause), transition.lowers());
@@ -248,20 +244,16 @@ void Robot::Order(const levels::Transition& transition) {
 }
 
 void Robot::Alert(engine::AlertEffect alert, const std::string& event) {
-  if (pending_.alerts.size() >= kUnrecordedAlertsMax) {
-    pending_.alerts.erase(pending_.alerts.begin());
-    ++alerts_dropped_;
-    if (ports_.counts.alerts_lost) ports_.counts.alerts_lost(1);
-  }
-  pending_.alerts.push_back({.id = ports_.new_id(),
-                             .time_unix_ns = ports_.clock->Now().unix_ns,
-                             .robot = config_.id,
-                             .rule = std::move(alert.rule),
-                             .severity = std::string(engine::ToString(alert.severity)),
-                             .text = Shortened(alert.text, kAlertTextBytesMax),
-                             .level = state_.level.table().name(alert.level),
-                             .event = Shortened(event, kAlertEventBytesMax),
-                             .mark = alert.mark});
+  const bool kept = outbox_.AddAlert({.id = ports_.new_id(),
+                                      .time_unix_ns = ports_.clock->Now().unix_ns,
+                                      .robot = config_.id,
+                                      .rule = std::move(alert.rule),
+                                      .severity = std::string(engine::ToString(alert.severity)),
+                                      .text = Shortened(alert.text, kAlertTextBytesMax),
+                                      .level = state_.level.table().name(alert.level),
+                                      .event = Shortened(event, kAlertEventBytesMax),
+                                      .mark = alert.mark});
+  if (!kept && ports_.counts.alerts_lost) ports_.counts.alerts_lost(1);
   if (ports_.counts.alerts) ports_.counts.alerts(1);
 }
 
@@ -351,25 +343,8 @@ void Robot::UpdateEvidence(Instant now) {
 
 // ----------------------------------------------------------------------------------- operators
 
-bool Robot::AnswerRepeated(const LevelOrder& order, const LevelReply& reply) const {
-  if (order.request_id.empty()) return false;
-  for (const auto& [id, answer] : orders_.answered) {
-    if (id == order.request_id) {
-      reply(answer);
-      return true;
-    }
-  }
-  for (const auto& [mark, waiting] : orders_.waiting) {
-    if (waiting.request_id == order.request_id) {
-      reply({.status = absl::UnavailableError("this request is being recorded; repeat it")});
-      return true;
-    }
-  }
-  return false;
-}
-
 void Robot::Raise(const LevelOrder& order, LevelReply reply) {
-  if (AnswerRepeated(order, reply)) return;
+  if (const auto repeated = orders_.Repeated(order.request_id)) return reply(*repeated);
   LevelAnswer answer;
   if (draining_) {
     answer.status = absl::UnavailableError("the server is stopping");
@@ -397,7 +372,7 @@ void Robot::Raise(const LevelOrder& order, LevelReply reply) {
 }
 
 void Robot::DeEscalate(const LevelOrder& order, LevelReply reply) {
-  if (AnswerRepeated(order, reply)) return;
+  if (const auto repeated = orders_.Repeated(order.request_id)) return reply(*repeated);
   const Instant now = ports_.clock->Now();
   LevelAnswer answer;
   if (draining_) {
@@ -451,7 +426,7 @@ void Robot::Decide(const levels::Transition& transition, const LevelOrder& order
   } else if (transition.decided() && !order.dry_run) {
     TakeTransition({.transition = transition});
     // Told when it is durable (OnRecorded), or taken back.
-    orders_.waiting[transition.mark] = {order.request_id, std::exchange(reply, nullptr), answer};
+    orders_.Wait(transition.mark, order.request_id, answer, std::exchange(reply, nullptr));
   }
   UpdateActuation(ports_.clock->Now());
   Flush();
@@ -488,14 +463,14 @@ void Robot::RecordRefusedOrder(const LevelOrder& order, const absl::Status& why)
   if (fresh) it->second.first = ports_.new_id();
   const uint64_t count = ++it->second.second;
   if ((count & (count - 1)) != 0) return;  // written at 1, 2, 4, 8, ...
-  pending_.refusals.push_back({.id = it->second.first,
-                               .robot = config_.id,
-                               .from = levels().name(state_.level.level()),
-                               .to = order.to,
-                               .cause = cause,
-                               .reason = std::string(why.message()),
-                               .count = count,
-                               .time_unix_ns = ports_.clock->Now().unix_ns});
+  outbox_.AddRefusal({.id = it->second.first,
+                      .robot = config_.id,
+                      .from = levels().name(state_.level.level()),
+                      .to = order.to,
+                      .cause = cause,
+                      .reason = std::string(why.message()),
+                      .count = count,
+                      .time_unix_ns = ports_.clock->Now().unix_ns});
   Flush();
 }
 
@@ -561,7 +536,7 @@ void Robot::PublishStatus() {
 void Robot::OnTime() {
   const Instant now = ports_.clock->Now();
   if (retired_) {
-    if (recording_ == 0 && now.boottime_ns >= next_.checkpoint_ns) Flush();
+    if (now.boottime_ns >= next_.checkpoint_ns) Flush();
     return;
   }
   CheckSensors(now);
@@ -599,7 +574,7 @@ void Robot::OnTime() {
   SendCommands(now);
   AdvanceDrill(now);
   const bool due = now.boottime_ns >= next_.checkpoint_ns;
-  if (due || (!pending_.empty() && !store_failing_)) Flush();
+  if (due || outbox_.due()) Flush();
 }
 
 absl::Status Robot::SwapPolicy(Policy policy) {
@@ -619,7 +594,7 @@ absl::Status Robot::SwapPolicy(Policy policy) {
              absl::StrCat("bundle ", policy.bundle_id, " was not taken: ", status.message()));
   } else {
     policy_ = std::move(policy);
-    unsaved_.bundle = true;
+    outbox_.TouchBundle();
     policy_problem_.clear();
     evidence_.set_hold_ns(policy_.soft_hold_ns);
     OwnAlert(engine::Severity::kInfo, absl::StrCat("bundle ", policy_.bundle_id, " is in force"));
@@ -635,18 +610,13 @@ absl::Status Robot::SwapPolicy(Policy policy) {
 void Robot::Drain() {
   draining_ = true;
   // Who waits for a disk that does not answer would keep the server from ending.
-  for (auto& [mark, order] : std::exchange(orders_.waiting, {})) {
-    LevelAnswer answer = order.answer;
-    answer.status = absl::UnavailableError(
-        "the server is stopping; the order may be in force and recorded, or not: ask for the "
-        "level");
-    order.reply(answer);
-  }
+  orders_.RefuseAll(absl::UnavailableError(
+      "the server is stopping; the order may be in force and recorded, or not: ask for the level"));
   AdvanceDrill(ports_.clock->Now());
   for (auto& [name, host] : actuators_) {
     if (host.session) SendLease(*host.session);
   }
-  unsaved_.sequences = true;
+  outbox_.TouchSequences();
   Flush();
 }
 

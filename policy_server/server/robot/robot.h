@@ -26,11 +26,13 @@
 #include "policy_server/server/robot/model/robot_config.h"
 #include "policy_server/server/robot/parts/alert_limiter.h"
 #include "policy_server/server/robot/parts/command_reconciler.h"
+#include "policy_server/server/robot/parts/durable_outbox.h"
 #include "policy_server/server/robot/parts/evidence_gate.h"
 #include "policy_server/server/robot/parts/finding_registry.h"
 #include "policy_server/server/robot/parts/graph_history.h"
 #include "policy_server/server/robot/parts/loss_alarm.h"
 #include "policy_server/server/robot/parts/receipt_history.h"
+#include "policy_server/server/robot/parts/waiting_orders.h"
 #include "policy_server/server/robot/policy.h"
 #include "policy_server/server/robot/ports.h"
 #include "policy_server/server/robot/robot_hosts.h"
@@ -108,7 +110,7 @@ class Robot {
   const std::vector<std::string>& blind() const { return sight_.blind; }
   const engine::PayloadLimits& payload_limits() const { return policy_.payload_limits; }
   // Alerts that the store has not taken yet, oldest first.
-  const std::vector<store::AlertRecord>& unrecorded_alerts() const { return pending_.alerts; }
+  const std::vector<store::AlertRecord>& unrecorded_alerts() const { return outbox_.alerts(); }
   // Topics of which payloads were cut lately.
   std::vector<CutPayloads::Topic> CutTopics() const;
 
@@ -281,20 +283,19 @@ class Robot {
   bool HasBacklog() const;
   std::vector<std::string> EvidenceProblems(Instant now) const;
   void PublishStatus();
-  // True if it was answered as the earlier one that it repeats.
-  bool AnswerRepeated(const LevelOrder& order, const LevelReply& reply) const;
   void Decide(const levels::Transition& transition, const LevelOrder& order, LevelReply reply,
               LevelAnswer answer);
 
   // robot_recording.cc
   // Hands everything collected to the recorder; sequences up to now are acknowledged when durable.
   void Flush();
-  void OnRecorded(const absl::Status& status, const store::WriteBatch& recorded,
-                  const store::HighWater& judged, const std::vector<levels::Transition>& lowerings);
+  void FlushIfDue();
+  store::Checkpoint MakeCheckpoint() const;
+  void OnRecorded(const absl::Status& status);
+  void Acknowledge(const store::HighWater& judged);
   void OrderRecorded(const levels::Transition& lowering);
   void TakeBack(const levels::Transition& lowering, engine::Severity severity, std::string why);
   void SaveRaises();  // what is not recorded yet, from the store's reserve
-  void AnswerOrders(const std::vector<store::DecisionRecord>& durable);
 
   RobotConfig config_;
   Policy policy_;
@@ -318,26 +319,18 @@ class Robot {
   absl::btree_map<std::string, ActuatorHost> actuators_;
   ReceiptHistory receipts_;
   std::optional<RunningDrill> drill_;
-  // Collected since the last Flush.
-  store::WriteBatch pending_;
-  std::vector<levels::Transition> pending_lowerings_;
-  Unsaved unsaved_;
-  size_t recording_ = 0;  // batches that the recorder has not answered for
+  DurableOutbox outbox_;
+  WaitingOrders orders_;
   bool retired_ = false;
   std::string policy_problem_;
-  uint64_t alerts_dropped_ = 0;  // since the store failed
   std::vector<std::shared_ptr<EventRecorder>> taps_;
   ControlLine control_line_;
   MessageLine message_line_;
   // Refusals already recorded: rule, from, to, reason → id.
   absl::btree_map<std::string, std::string> refusal_ids_;
   absl::btree_map<std::string, std::pair<std::string, uint64_t>> refused_orders_;  // cause, level
-  LevelOrders orders_;
-  // A lowering that is not durable yet must not be commanded.
-  Mark awaiting_durable_;
   Stage reported_stage_ = Stage::kRequested;
   bool failure_alerted_ = false;
-  bool store_failing_ = false;
   bool draining_ = false;
   int64_t graph_changed_unix_ns_ = 0;
   int64_t started_ns_ = 0;

@@ -296,7 +296,7 @@ void Robot::SendLease(ActuatorSession& session) {
   }
   const int64_t ttl_ns = draining_ ? timing_.drain_lease_ns : timing_.lease_ns;
   // A lowering that is not durable yet is not announced.
-  const bool held_back = !awaiting_durable_.none();
+  const bool held_back = !outbox_.held_back().none();
   session.link->Grant(
       {.echo_boottime_ns = session.peer_boottime_ns,
        .term = state_.level.term(),
@@ -432,7 +432,7 @@ void Robot::OnReceipt(const std::string& host_name, const ActuatorLink* link,
   }
   UpdateActuation(now);
   SendCommands(now);
-  if (!pending_.empty() && !store_failing_) Flush();
+  FlushIfDue();
   PublishStatus();
 }
 
@@ -441,10 +441,10 @@ void Robot::UpdateActuation(Instant now) {
   if (stage != reported_stage_) {
     reported_stage_ = stage;
     std::string detail = ledger_.failure();
-    pending_.stages.push_back({.robot = config_.id,
-                               .mark = ledger_.mark(),
-                               .stage = std::string(ToString(stage)),
-                               .detail = detail});
+    outbox_.AddStage({.robot = config_.id,
+                      .mark = ledger_.mark(),
+                      .stage = std::string(ToString(stage)),
+                      .detail = detail});
     if (stage == Stage::kFailed && !failure_alerted_) {
       failure_alerted_ = true;
       OwnAlert(engine::Severity::kCritical,

@@ -80,7 +80,7 @@ void Robot::JudgeMerged(ControlBatch& batch) {
   if (host == sensors_.end() || !host->second.settled) return;
   GraphChanged(host->second, std::move(event));
   UpdateActuation(ports_.clock->Now());
-  if (!pending_.empty() && !store_failing_) Flush();
+  FlushIfDue();
 }
 
 }  // namespace rips::pipeline

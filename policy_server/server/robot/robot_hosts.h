@@ -9,7 +9,6 @@
 #include <optional>
 #include <string>
 #include <tuple>
-#include <utility>
 #include <vector>
 
 #include "absl/container/btree_map.h"
@@ -18,7 +17,6 @@
 #include "policy_server/server/robot/model/actuator_inbound.h"
 #include "policy_server/server/robot/model/coverage.h"
 #include "policy_server/server/robot/model/inbound.h"
-#include "policy_server/server/robot/model/level_order.h"
 #include "policy_server/server/robot/parts/drill_run.h"
 #include "policy_server/server/robot/parts/graph_health.h"
 #include "policy_server/server/robot/parts/second_holder.h"
@@ -146,13 +144,6 @@ struct Arming {
   std::optional<std::optional<std::string>> level;
 };
 
-// What the store does not know yet.
-struct Unsaved {
-  bool sequences = false;
-  bool variables = false;
-  bool bundle = true;
-};
-
 // CLOCK_BOOTTIME.
 struct NextTimes {
   int64_t beat_ns = 0;
@@ -178,20 +169,6 @@ struct Sight {
   // Of the graph whose endpoints were counted last, and participants of RIPS.
   uint64_t counted_revision = 0;
   std::vector<ros2::Guid> counted_without;
-};
-
-// An operator's order whose decision is not durable yet.
-struct WaitingOrder {
-  std::string request_id;
-  LevelReply reply;
-  LevelAnswer answer;
-};
-
-struct LevelOrders {
-  // Waiting for their decision to be durable, by its mark.
-  absl::btree_map<Mark, WaitingOrder> waiting;
-  // The newest answers by request id, oldest first.
-  std::deque<std::pair<std::string, LevelAnswer>> answered;
 };
 
 // What is told once.

@@ -106,17 +106,11 @@ void Robot::Retire(const absl::Status& why) {
   if (drill_) {
     std::exchange(drill_, std::nullopt)->reply({.status = why, .drills = {}});
   }
-  for (auto& [mark, waiting] : std::exchange(orders_.waiting, {})) {
-    waiting.answer.status = why;
-    waiting.reply(waiting.answer);
-  }
-  unsaved_.sequences = true;
+  orders_.RefuseAll(why);
+  outbox_.TouchSequences();
   Flush();
 }
 
-bool Robot::gone() const {
-  return retired_ && recording_ == 0 && pending_.empty() && !unsaved_.sequences &&
-         !unsaved_.variables;
-}
+bool Robot::gone() const { return retired_ && outbox_.done(); }
 
 }  // namespace rips::pipeline

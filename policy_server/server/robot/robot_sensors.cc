@@ -155,7 +155,7 @@ void Robot::JudgeBatch(const std::string& host_name, const SensorLink* link, con
   const Instant now = ports_.clock->Now();
   if (accepted->missing > 0) Missing(host, accepted->missing);
   Count(ports_.counts.observations_duplicate, accepted->skip);
-  unsaved_.sequences = true;
+  outbox_.TouchSequences();
   for (size_t i = from + accepted->skip; i < to; ++i) {
     const absl::Span<const engine::Verdict> inspections =
         i < verdicts.size() ? verdicts[i] : absl::Span<const engine::Verdict>();
@@ -175,7 +175,7 @@ void Robot::JudgeBatch(const std::string& host_name, const SensorLink* link, con
     GrantCredit(host, *host.session);
   }
   UpdateActuation(now);
-  if (!pending_.empty() && !store_failing_) Flush();
+  FlushIfDue();
 }
 
 void Robot::Missing(SensorHost& host, uint64_t count) {

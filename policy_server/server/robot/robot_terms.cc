@@ -10,7 +10,7 @@ namespace rips::pipeline {
 // What `order` is about; why it cannot be done.
 absl::StatusOr<ShownTerm> Robot::TermToReset(const TermResetOrder& order) const {
   if (draining_) return absl::UnavailableError("the server is stopping");
-  if (!awaiting_durable_.none()) {
+  if (!outbox_.held_back().none()) {
     // Decided anew, its level would be commanded before it is durable.
     return absl::UnavailableError("a lowering is being recorded; try again");
   }

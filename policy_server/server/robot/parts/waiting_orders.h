@@ -1,0 +1,49 @@
+// Operators' orders whose decision is not durable yet, and the newest answers: an order that is
+// sent again, as after a connection was lost, is answered and not made twice.
+#ifndef RIPS_POLICY_SERVER_SERVER_ROBOT_PARTS_WAITING_ORDERS_H_
+#define RIPS_POLICY_SERVER_SERVER_ROBOT_PARTS_WAITING_ORDERS_H_
+
+#include <cstddef>
+#include <deque>
+#include <optional>
+#include <string>
+#include <utility>
+
+#include "absl/container/btree_map.h"
+#include "absl/status/status.h"
+#include "absl/strings/string_view.h"
+#include "policy_server/server/robot/model/level_order.h"
+#include "services/base/mark.h"
+
+namespace rips::pipeline {
+
+// Not thread-safe. Each order's `reply` is called once.
+class WaitingOrders {
+ public:
+  static constexpr size_t kAnswersKept = 64;
+
+  // The answer for an order that repeats an earlier one; Unavailable while that one waits.
+  // `request_id` empty: it repeats none.
+  std::optional<LevelAnswer> Repeated(absl::string_view request_id) const;
+  // `answer` is what the order gets when the decision `mark` is durable.
+  void Wait(const Mark& mark, std::string request_id, LevelAnswer answer, LevelReply reply);
+  void OnDurable(const Mark& mark);
+  // It is not in force.
+  void Refuse(const Mark& mark, const absl::Status& why);
+  void RefuseAll(const absl::Status& why);
+
+ private:
+  struct Order {
+    std::string request_id;
+    LevelAnswer answer;
+    LevelReply reply;
+  };
+
+  absl::btree_map<Mark, Order> waiting_;
+  // By request id, oldest first.
+  std::deque<std::pair<std::string, LevelAnswer>> answered_;
+};
+
+}  // namespace rips::pipeline
+
+#endif  // RIPS_POLICY_SERVER_SERVER_ROBOT_PARTS_WAITING_ORDERS_H_
