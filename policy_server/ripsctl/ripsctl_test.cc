@@ -402,6 +402,12 @@ TEST_F(RipsctlTest, ListsAlertsWithHostileTextEscaped) {
   EXPECT_THAT(fake_.calls(), testing::ElementsAre("ListAlerts  100", "ListAlerts r1 5"));
 }
 
+TEST_F(RipsctlTest, ListsTheAlertsOfTheServerByTheNameThatItShows) {
+  Run({"alert", "list", "(server)"});
+  EXPECT_THAT(fake_.calls(), testing::ElementsAre("ListAlerts (server) 100"));
+  EXPECT_EQ(Run({"alert", "list", "(other)"}).code, 2);
+}
+
 TEST_F(RipsctlTest, WatchesAlerts) {
   EXPECT_EQ(Run({"alert", "watch"}).out,
             "2026-01-01T00:00:00.000Z  r1  high  ALERT  unknown_node: unknown node /intruder\n");

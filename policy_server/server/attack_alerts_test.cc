@@ -35,6 +35,13 @@ class AttackAlertsTest : public ::testing::Test {
                                 .excess = excess,
                                 .banned_ns = banned_ns});
   }
+  void Refuse(const std::string& viewer, absl::string_view reason) {
+    attacks_.OnCallRefused({.role = rpc::Role::kOperator,
+                            .trust_domain = "td",
+                            .operator_role = rpc::OperatorRole::kViewer,
+                            .name = viewer},
+                           reason, "ipv4:10.0.0.7:4711");
+  }
   // All that was told: robot, severity, text.
   std::vector<std::string> Told() {
     committer_.Stop();
@@ -77,43 +84,42 @@ TEST_F(AttackAlertsTest, AConnectionThatIsNotBannedIsNoAttack) {
   EXPECT_THAT(Told(), IsEmpty());
 }
 
-TEST_F(AttackAlertsTest, AFloodNamesItsAddressOrHowManyThereAre) {
-  attacks_.OnFlood({.source = "10.0.0.7", .refused = 64, .within_ns = kNanosPerSecond / 2});
-  attacks_.OnFlood(
-      {.source = "10.0.0.8", .of_source = 40, .sources = 90, .refused = 512, .within_ns = 1});
+TEST_F(AttackAlertsTest, AFloodNamesItsAddressAtOnceAndCountsItEachMinute) {
+  attacks_.Look();
+  for (int i = 0; i < 1'000; ++i) attacks_.OnConnectionWasted("10.0.0.7", false);
+  for (int i = 0; i < 10; ++i) attacks_.OnConnectionWasted("10.0.0.8", false);
+  clock_.Advance(60 * kNanosPerSecond);
+  attacks_.Look();
   EXPECT_THAT(Told(),
-              ElementsAre(AllOf(StartsWith("(server) high a flood of connections: 64 from 10.0.0.7 "
-                                           "within 1 s made no call. What is connected stays"),
-                                Not(HasSubstr("Agents of ours"))),
-                          HasSubstr("512 from 90 addresses, within 1 s made no call; the most (40) "
-                                    "from 10.0.0.8.")));
+              ElementsAre(AllOf(StartsWith("(server) high a flood of connections from 10.0.0.7: "
+                                           "64 within 1 s made no call. Robots that are connected "
+                                           "are guarded as before"),
+                                HasSubstr("a firewall can shut the address out")),
+                          AllOf(HasSubstr("1010 without a call in the last 60 s, from 2 addresses, "
+                                          "most from 10.0.0.7 (1000), 10.0.0.8 (10); "
+                                          "it has stopped"))));
 }
 
-TEST_F(AttackAlertsTest, AFloodFromWhereAgentsAreSaysThatItMayBeOneOfThem) {
-  attacks_.OnFlood({.source = "10.0.0.7", .refused = 64, .known = true});
-  EXPECT_THAT(Told(), ElementsAre(HasSubstr("Agents of ours have connected from there")));
+TEST_F(AttackAlertsTest, AFloodFromWhereAgentsAreSaysThatAFirewallWouldShutThemOut) {
+  for (int i = 0; i < 64; ++i) attacks_.OnConnectionWasted("10.0.0.7", i == 3);
+  EXPECT_THAT(Told(), ElementsAre(HasSubstr("a firewall would shut them out, too")));
 }
 
 TEST_F(AttackAlertsTest, DecoysDoNotHideHowManyThereAre) {
-  rpc::FloodWatch watch({});
-  const int64_t half_hour_ns = 1'800 * kNanosPerSecond;
-  int totals = 0;
-  for (int64_t at_ns = half_hour_ns; at_ns < 2 * half_hour_ns; at_ns += 10 * kNanosPerSecond) {
+  for (int minute = 0; minute < 30; ++minute) {
     for (int i = 0; i < 40 * 64; ++i) {
-      const auto flood = watch.Count(absl::StrCat("10.0.0.", i % 40), at_ns);
-      if (!flood) continue;
-      attacks_.OnFlood(*flood);
-      totals += flood->sources > 1 ? 1 : 0;
+      attacks_.OnConnectionWasted(absl::StrCat("10.0.", minute, ".", i % 40), false);
     }
-    clock_.Advance(10 * kNanosPerSecond);
+    clock_.Advance(60 * kNanosPerSecond);
+    attacks_.Look();
   }
-  EXPECT_EQ(totals, 30);
-  int told = 0;
+  int minutes = 0;
   for (const std::string& text : Told()) {
     EXPECT_THAT(text, Not(HasSubstr("more alerts")));
-    told += absl::StrContains(text, " addresses") ? 1 : 0;
+    minutes +=
+        absl::StrContains(text, "2560 without a call in the last 60 s, from 40 addresses") ? 1 : 0;
   }
-  EXPECT_EQ(told, 30);
+  EXPECT_GE(minutes, 29);
 }
 
 TEST_F(AttackAlertsTest, ARobotsPeersAreToldOfThatRobot) {
@@ -125,13 +131,43 @@ TEST_F(AttackAlertsTest, ARobotsPeersAreToldOfThatRobot) {
 }
 
 TEST_F(AttackAlertsTest, ARefusedCallIsNothingButManyNameTheCaller) {
-  for (int i = 0; i < 19; ++i) attacks_.OnCallRefused("spiffe://td/operator/viewer/script", "role");
-  for (int i = 0; i < 100; ++i) attacks_.OnCallRefused(kMallory, i % 2 == 0 ? "role" : "quota");
+  for (int i = 0; i < 19; ++i) Refuse("script", "role");
+  for (int i = 0; i < 100; ++i) Refuse("mallory", i == 5 ? "role" : "quota");
   EXPECT_THAT(Told(), ElementsAre(AllOf(
                           StartsWith(absl::StrCat("(server) high 20 calls of ", kMallory,
-                                                  " were refused within 1 s, the last because it "
-                                                  "asks more than its quota allows. ")),
+                                                  " were refused within 1 s, last from "
+                                                  "ipv4:10.0.0.7:4711: its role does not allow "
+                                                  "what it asks. None had an effect")),
                           HasSubstr(absl::StrCat("ripsctl agent ban ", kMallory)))));
+}
+
+TEST_F(AttackAlertsTest, WhoIsShutOutAlreadyNeedsNoBan) {
+  for (int i = 0; i < 20; ++i) Refuse("mallory", "banned");
+  EXPECT_THAT(Told(), ElementsAre(AllOf(HasSubstr("it is banned. None had an effect"),
+                                        Not(HasSubstr("agent ban")))));
+}
+
+// As long as they go on, and from however many certificates.
+TEST_F(AttackAlertsTest, ManyRefusedCertificatesHideNoOther) {
+  for (int round = 0; round < 60; ++round) {
+    for (int agent = 0; agent < 12; ++agent) {
+      for (int i = 0; i < 25; ++i) {
+        attacks_.OnCallRefused({.role = rpc::Role::kSensor,
+                                .trust_domain = "td",
+                                .robot = absl::StrCat("r", agent),
+                                .host = "base"},
+                               "role", "ipv4:10.0.0.9:1");
+      }
+    }
+    clock_.Advance(9 * kNanosPerSecond);
+    attacks_.Look();
+  }
+  for (int i = 0; i < 25; ++i) Refuse("mallory", "role");
+  int named = 0;
+  for (const std::string& text : Told()) {
+    named += absl::StrContains(text, absl::StrCat("20 calls of ", kMallory)) ? 1 : 0;
+  }
+  EXPECT_EQ(named, 1);
 }
 
 }  // namespace

@@ -161,7 +161,8 @@ absl::Status Server::GuardConnections() {
           {.admission = limits,
            .per_operator = config_.operators.streams + kConnectionsForCalls,
            .on_ended = [this](const auto& report) { attacks_->OnConnectionEnded(report); },
-           .on_flood = [this](const auto& flood) { attacks_->OnFlood(flood); }},
+           .on_wasted = [this](const auto& address,
+                               bool known) { attacks_->OnConnectionWasted(address, known); }},
           &clock_, &metrics_));
   return absl::OkStatus();
 }
@@ -182,9 +183,10 @@ absl::Status Server::GuardPeers() {
       },
       &metrics_, connections_.get());
   gate_->set_on_admitted([this](const rpc::Peer& peer) { certificates_->Seen(peer); });
-  gate_->set_on_refused([this](const rpc::Peer& peer, const rpc::Refusal& refusal) {
-    attacks_->OnCallRefused(rpc::ToString(peer.identity), refusal.reason);
-  });
+  gate_->set_on_refused(
+      [this](const rpc::Peer& peer, const rpc::Refusal& refusal, absl::string_view address) {
+        attacks_->OnCallRefused(peer.identity, refusal.reason, address);
+      });
   revocation_problem_ = metrics_.AddGauge(
       "rips_revocation_problem", "1 = the revocation lists are out of date or cannot be read.");
   watch_ = std::make_unique<rpc::SessionWatch>(&clock_, absl::Milliseconds(500), gate_.get());
@@ -193,7 +195,10 @@ absl::Status Server::GuardPeers() {
       [this](const std::string& text) { OwnAlert(engine::Severity::kHigh, text); });
   watch_->set_unread(unread_.get());
   watch_->set_silence(std::max(rpc::SessionWatch::kSilence, 3 * config_.timing.lost));
-  watch_->set_before_look([this] { LookAtRevocations(); });
+  watch_->set_before_look([this] {
+    LookAtRevocations();
+    attacks_->Look();
+  });
   return absl::OkStatus();
 }
 
@@ -427,11 +432,7 @@ std::shared_ptr<operator_api::CallerQuota> Server::MakeQuota() {
   limits.queries.at_a_time = config_.operators.calls;
   limits.queries.per_second = config_.operators.calls_per_second;
   limits.queries.burst = 2 * limits.queries.per_second;
-  return operator_api::CallerQuota::Create(&clock_, limits,
-                                           [this, refused](const std::string& identity) {
-                                             refused.Increment();
-                                             attacks_->OnCallRefused(identity, "quota");
-                                           });
+  return operator_api::CallerQuota::Create(&clock_, limits, [refused] { refused.Increment(); });
 }
 
 absl::Status Server::AddRobots() {

@@ -10,8 +10,8 @@ namespace rips::rpc {
 CallGate::CallGate(const Clock* clock, Judge judge, Metrics* metrics, ConnectionGuard* connections)
     : clock_(clock), judge_(std::move(judge)), metrics_(metrics), connections_(connections) {
   // There from the start, so that a first refusal is an increase.
-  for (const char* reason :
-       {"unidentified", "expired", "revoked", "banned", "role", "claim", "limit", "throttled"}) {
+  for (const char* reason : {"unidentified", "expired", "revoked", "banned", "role", "claim",
+                             "limit", "throttled", "quota"}) {
     for (const Role role : {Role::kSensor, Role::kActuator, Role::kOperator}) {
       Count(reason, RoleName(role), 0);
     }
@@ -73,7 +73,7 @@ absl::StatusOr<Peer> CallGate::Admit(const grpc::CallbackServerContext& context,
 absl::Status CallGate::Refuse(const Refusal& refusal, const Peer* peer, absl::string_view address) {
   const std::string role = peer == nullptr ? "unknown" : std::string(RoleName(peer->identity.role));
   Count(refusal.reason, role, 1);
-  if (peer != nullptr && on_refused_) on_refused_(*peer, refusal);
+  if (peer != nullptr && on_refused_) on_refused_(*peer, refusal, address);
   uint64_t unlogged = 0;
   {
     MutexLock lock(&mu_);

@@ -35,6 +35,7 @@ namespace rips::rpc {
 // | claim         | PERMISSION_DENIED | says that it is another agent                            |
 // | limit         | INVALID_ARGUMENT  | a field of its request is past its limit                 |
 // | throttled     | RESOURCE_EXHAUSTED| its connections broke the limits, or are too many        |
+// | quota         | RESOURCE_EXHAUSTED| an operator's certificate asks more than it may          |
 struct Refusal {
   const char* reason;
   absl::Status status;
@@ -56,9 +57,8 @@ class CallGate {
   }
 
   // Called with each refusal of a peer that is known, on the call's thread. Before the first call.
-  void set_on_refused(std::function<void(const Peer&, const Refusal&)> refused) {
-    on_refused_ = std::move(refused);
-  }
+  using OnRefused = std::function<void(const Peer&, const Refusal&, absl::string_view address)>;
+  void set_on_refused(OnRefused refused) { on_refused_ = std::move(refused); }
 
   // Why the peer's certificate does not count any more. Not whether it does yet: the handshake has
   // seen to that, and a clock that is set back later must not end what was good.
@@ -82,7 +82,7 @@ class CallGate {
   Metrics* metrics_;
   ConnectionGuard* connections_;
   std::function<void(const Peer&)> on_admitted_;
-  std::function<void(const Peer&, const Refusal&)> on_refused_;
+  OnRefused on_refused_;
   Mutex mu_;
   // By role and reason: when it was logged last, and how often it was not since.
   std::map<std::pair<std::string, std::string>, std::pair<int64_t, uint64_t>> logged_

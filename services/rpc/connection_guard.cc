@@ -186,8 +186,7 @@ ConnectionGuard::ConnectionGuard(Options options, const Clock* clock, Metrics* m
       metrics_(metrics),
       reserve_(OpenReserve()),
       wake_(eventfd(0, EFD_CLOEXEC | EFD_NONBLOCK)),
-      admission_(options_.admission),
-      flood_(options_.flood) {
+      admission_(options_.admission) {
   if (metrics_ == nullptr) return;
   open_ = metrics_->AddGauge("rips_connections", "Connections that are open.");
   for (const char* why : {"banned", "rate", "address", "network", "total", "descriptors"}) {
@@ -262,14 +261,14 @@ void ConnectionGuard::Stop() {
   connections_.clear();
 }
 
-void ConnectionGuard::CountFlood(const Source& source, int64_t now_ns) {
-  std::optional<FloodWatch::Flood> flood;
+void ConnectionGuard::Wasted(const Source& source, int64_t now_ns) {
+  if (!options_.on_wasted) return;
+  bool known = false;
   {
     MutexLock lock(&mu_);
-    flood = flood_.Count(source.address, now_ns);
-    if (flood) flood->known = admission_.Known({.address = flood->source}, now_ns);
+    known = admission_.Known(source, now_ns);
   }
-  if (flood && options_.on_flood) options_.on_flood(*flood);
+  options_.on_wasted(source.address, known);
 }
 
 void ConnectionGuard::CountRefused(absl::string_view reason) {
@@ -393,14 +392,14 @@ void ConnectionGuard::Take(UniqueFd socket, Source source) {
     ended = MakeRoomLocked(source, verdict, now_ns);
     if (ended != nullptr) verdict = admission_.Ask(source, now_ns);
   }
-  if (ended != nullptr) CountFlood(ended->source(), now_ns);
+  if (ended != nullptr) Wasted(ended->source(), now_ns);
   if (verdict != Admission::Verdict::kTake) {
     CountRefused(ToString(verdict));
     if (const auto left_out = refusal_logs_.Admit("")) {
       LogWarning("connection refused",
                  {{"peer", source.peer}, {"limit", ToString(verdict)}, {"left_out", *left_out}});
     }
-    CountFlood(source, now_ns);
+    Wasted(source, now_ns);
     return Reset(std::move(socket));
   }
   {
@@ -565,7 +564,7 @@ void ConnectionGuard::EndFor(Connection& connection, Excess excess) {
               {"excess", ToString(excess)},
               {"banned_s", report.banned_ns / kNanosPerSecond}});
   if (options_.on_ended) options_.on_ended(report);
-  if (excess == Excess::kSilent) CountFlood(connection.source(), now_ns);
+  if (excess == Excess::kSilent) Wasted(connection.source(), now_ns);
 }
 
 void ConnectionGuard::Look() {
@@ -596,7 +595,7 @@ void ConnectionGuard::Look() {
         open_.Set(static_cast<double>(connections_.size()));
       }
       if (connection->EndedByPeer() && connection->shown().empty()) {
-        CountFlood(connection->source(), now_ns);
+        Wasted(connection->source(), now_ns);
       }
     } else if (excess != Excess::kNone) {
       EndFor(*connection, excess);

@@ -39,7 +39,6 @@
 #include "services/base/clock.h"
 #include "services/rpc/connection_admission.h"
 #include "services/rpc/connection_budget.h"
-#include "services/rpc/flood_watch.h"
 #include "services/rpc/peer.h"
 #include "services/runtime/log_limiter.h"
 #include "services/runtime/metrics.h"
@@ -122,10 +121,12 @@ class ConnectionGuard {
     double agent_calls_per_second = 2;
     // Between two looks at the connections.
     absl::Duration interval = absl::Milliseconds(50);
-    FloodWatch::Limits flood;
     // On a thread of the guard or of a call; must not block. May be empty.
     std::function<void(const Report&)> on_ended;
-    std::function<void(const FloodWatch::Flood&)> on_flood;
+    // Of each connection that came to nothing: refused, ended without a call or to make room, or
+    // closed by its peer before it showed a certificate. `known`: a certificate of ours was shown
+    // from that address not long ago.
+    std::function<void(const std::string& address, bool known)> on_wasted;
   };
 
   // Binds each address of `listen` (`HOST:PORT`, `[HOST]:PORT`; port 0 = any, the same for all).
@@ -183,7 +184,7 @@ class ConnectionGuard {
   int64_t BanLocked(const Connection& connection, int64_t now_ns)
       ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
   // A connection of this address came to nothing.
-  void CountFlood(const Source& source, int64_t now_ns) ABSL_LOCKS_EXCLUDED(mu_);
+  void Wasted(const Source& source, int64_t now_ns) ABSL_LOCKS_EXCLUDED(mu_);
   void CountRefused(absl::string_view reason);
   void CountEnded(absl::string_view reason);
   bool MayCallLocked(const std::string& certificate, int64_t now_ns)
@@ -205,7 +206,6 @@ class ConnectionGuard {
   CondVar stop_cond_;
   bool stopping_ ABSL_GUARDED_BY(mu_) = false;
   Admission admission_ ABSL_GUARDED_BY(mu_);
-  FloodWatch flood_ ABSL_GUARDED_BY(mu_);
   // By peer.
   absl::flat_hash_map<std::string, std::shared_ptr<Connection>> connections_ ABSL_GUARDED_BY(mu_);
   // Connections that were identified, by certificate.

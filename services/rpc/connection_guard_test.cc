@@ -56,6 +56,11 @@ class Silent {
     return false;
   }
 
+  void ResetWhenClosed() {
+    const linger now{.l_onoff = 1, .l_linger = 0};
+    setsockopt(fd_.get(), SOL_SOCKET, SO_LINGER, &now, sizeof(now));
+  }
+
  private:
   UniqueFd fd_;
   bool connected_ = false;
@@ -65,7 +70,9 @@ class ConnectionGuardTest : public ::testing::Test {
  protected:
   void Start(ConnectionGuard::Options options, const std::string& listen = "127.0.0.1:0") {
     options.on_ended = [this](const ConnectionGuard::Report& report) { reports_.Push(report); };
-    options.on_flood = [this](const FloodWatch::Flood& flood) { floods_.Push(flood); };
+    options.on_wasted = [this](const std::string& address, bool known) {
+      wasted_.Push(absl::StrCat(address, known ? ", known" : ""));
+    };
     auto guard = ConnectionGuard::Listen(listen, std::move(options), &clock_, &metrics_);
     ASSERT_THAT(guard, IsOk());
     guard_ = *std::move(guard);
@@ -122,7 +129,7 @@ class ConnectionGuardTest : public ::testing::Test {
   RealClock clock_;
   Metrics metrics_;
   BoundedQueue<ConnectionGuard::Report> reports_{{.capacity = 1'000}};
-  BoundedQueue<FloodWatch::Flood> floods_{{.capacity = 1'000}};
+  BoundedQueue<std::string> wasted_{{.capacity = 1'000}};
   v1::SensorService::Service service_;
   std::unique_ptr<ConnectionGuard> guard_;
   std::unique_ptr<RpcServer> server_;
@@ -139,35 +146,36 @@ TEST_F(ConnectionGuardTest, AConnectionWithoutACallIsEnded) {
   EXPECT_EQ(report->banned_ns, 0) << "it may be a peer on a bad line";
 }
 
-TEST_F(ConnectionGuardTest, AFloodIsToldHoweverItsConnectionsEnd) {
+TEST_F(ConnectionGuardTest, EachConnectionThatComesToNothingIsToldHoweverItEnds) {
   const struct {
     const char* how;
     ConnectionGuard::Options options;
     bool waits;
-  } kWays[] = {{"refused", {.admission = {.burst = 1, .per_second = 0}}, true},
-               {"ended for silence", {.budget = {.silent_ns = 200 * kNanosPerMilli}}, true},
-               {"ended for room", {.admission = {.per_address = 1}}, true},
-               {"left by the peer", {}, false}};
+    bool resets;
+  } kWays[] = {{"refused", {.admission = {.burst = 1, .per_second = 0}}, true, false},
+               {"ended for silence", {.budget = {.silent_ns = 200 * kNanosPerMilli}}, true, false},
+               {"ended for room", {.admission = {.per_address = 1}}, true, false},
+               {"left by the peer", {}, false, false},
+               {"reset by the peer", {}, false, true}};
   for (const auto& way : kWays) {
     SCOPED_TRACE(way.how);
-    ConnectionGuard::Options options = way.options;
-    options.flood.of_source = 8;
-    Start(options);
+    Start(way.options);
     std::vector<std::unique_ptr<Silent>> flood;
-    for (int i = 0; i < 10; ++i) {
+    for (int i = 0; i < 9; ++i) {
       flood.push_back(std::make_unique<Silent>(server_->port()));
+      if (way.resets) flood.back()->ResetWhenClosed();
       if (!way.waits) flood.clear();
     }
-    const auto told = floods_.Pop(kPatience);
-    ASSERT_TRUE(told.has_value());
-    EXPECT_EQ(told->source, "127.0.0.1");
-    EXPECT_EQ(told->refused, 8);
+    for (int i = 0; i < 8; ++i) EXPECT_EQ(wasted_.Pop(kPatience), "127.0.0.1");
     server_->Shutdown(absl::ZeroDuration());
+    guard_->Stop();
+    while (wasted_.Pop(absl::ZeroDuration())) {
+    }
   }
 }
 
-TEST_F(ConnectionGuardTest, WhoShowsACertificateIsNoFlood) {
-  Start({.flood = {.of_source = 2}});
+TEST_F(ConnectionGuardTest, WhoShowsACertificateIsNotWasted) {
+  Start({});
   for (int i = 0; i < 4; ++i) {
     auto channel = Connect();
     ASSERT_EQ(Call(channel, "/rips.v1.SensorService/None").error_code(),
@@ -180,7 +188,10 @@ TEST_F(ConnectionGuardTest, WhoShowsACertificateIsNoFlood) {
       absl::SleepFor(absl::Milliseconds(5));
     }
   }
-  EXPECT_FALSE(floods_.Pop(absl::ZeroDuration()).has_value());
+  EXPECT_FALSE(wasted_.Pop(absl::ZeroDuration()).has_value());
+  // What comes from where it was shown may be an agent's.
+  { const Silent silent(server_->port()); }
+  EXPECT_EQ(wasted_.Pop(kPatience), "127.0.0.1, known");
 }
 
 TEST_F(ConnectionGuardTest, TakesNoMoreThanItsLimitAndMakesRoomAgain) {

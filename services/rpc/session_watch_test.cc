@@ -167,7 +167,8 @@ TEST_F(SessionWatchTest, EndsAStreamThatTheGateTurnsAgainstOnceAndCountsIt) {
       },
       &metrics);
   std::string refused;
-  gate.set_on_refused([&](const Peer&, const Refusal& why) { refused += why.reason; });
+  gate.set_on_refused(
+      [&](const Peer&, const Refusal& why, absl::string_view) { refused += why.reason; });
   SessionWatch watch(&clock_, absl::InfiniteDuration(), &gate);
   std::vector<grpc::Status> ends;
   const auto session =

@@ -111,7 +111,7 @@ def connections_from_everywhere(fleet):
     for waiting in held:
         waiting.close()
     fleet.unharmed()
-    fleet.named("addresses, 127.")
+    fleet.named("addresses, most from 127.")
 
 
 @scenario
@@ -146,7 +146,7 @@ def hellos_that_are_left(fleet):
     fleet.run_beside(attack)
     print(f"{begun / ATTACK_S:.0f} handshakes a second begun")
     fleet.unharmed()
-    fleet.named("flood of connections: 64 from 127.0.0.2 within")
+    fleet.named("flood of connections from 127.0.0.2: 64 within")
 
 
 @quick

@@ -23,11 +23,19 @@ std::string TextOf(const v1::Alert& alert) {
   return absl::StrCat(alert.text(), absl::EndsWith(alert.event(), kUndecided) ? kUndecided : "");
 }
 
+// Of what there are alerts: a robot, or the server itself, as the column ROBOT names it.
+constexpr absl::string_view kServer = "(server)";
+constexpr char kSourceHelp[] = "Robot id, or `(server)`; none = all";
+
 class AlertCommand : public Command {
  public:
   absl::string_view noun() const final { return "alert"; }
 
  protected:
+  absl::Status CheckSource() const {
+    return robot_.empty() || robot_ == kServer ? absl::OkStatus() : CheckRobot(robot_);
+  }
+
   std::string robot_;
 };
 
@@ -36,13 +44,13 @@ class ListAlerts final : public AlertCommand {
   absl::string_view verb() const override { return "list"; }
   absl::string_view synopsis() const override { return "List alerts, newest first"; }
   void AddFlags(CLI::App& app) override {
-    app.add_option("ROBOT", robot_, "Robot id; none = all");
+    app.add_option("ROBOT", robot_, kSourceHelp);
     app.add_option("--limit", limit_, "Maximum number of entries")
         ->check(CLI::Range(1, 1000))
         ->capture_default_str();
   }
   ExitCode Run(Env& env) override {
-    if (const absl::Status valid = CheckRobot(robot_); !robot_.empty() && !valid.ok()) {
+    if (const absl::Status valid = CheckSource(); !valid.ok()) {
       return UsageError(env, valid.message());
     }
     v1::ListAlertsRequest request;
@@ -90,14 +98,14 @@ class WatchAlerts final : public AlertCommand {
     return "Show new alerts as they arrive, each once, reconnecting when needed";
   }
   void AddFlags(CLI::App& app) override {
-    app.add_option("ROBOT", robot_, "Robot id; none = all");
+    app.add_option("ROBOT", robot_, kSourceHelp);
     app.add_option(
         "--after", cursor_,
         "Begin after this cursor of an earlier watch; 0 = with the oldest that is stored; "
         "none = with the next");
   }
   ExitCode Run(Env& env) override {
-    if (const absl::Status valid = CheckRobot(robot_); !robot_.empty() && !valid.ok()) {
+    if (const absl::Status valid = CheckSource(); !valid.ok()) {
       return UsageError(env, valid.message());
     }
     absl::Duration pause = kPauseMin;

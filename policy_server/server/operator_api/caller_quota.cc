@@ -77,7 +77,7 @@ absl::StatusOr<CallerQuota::Ticket> CallerQuota::Take(const std::string& identit
     status = Admit(at->second, privileged, use, weight);
   }
   if (!status.ok()) {
-    if (refused_) refused_(identity);
+    if (refused_) refused_();
     return status;
   }
   return Ticket(nullptr, [self = shared_from_this(), identity, use](std::nullptr_t) {

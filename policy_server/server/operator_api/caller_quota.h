@@ -54,8 +54,8 @@ class CallerQuota : public std::enable_shared_from_this<CallerQuota> {
   // Ends the use when it is dropped, on any thread.
   using Ticket = std::shared_ptr<void>;
 
-  // Called with the identity for each refusal; may be null.
-  using Refused = std::function<void(const std::string&)>;
+  // Called for each refusal; may be null.
+  using Refused = std::function<void()>;
 
   // `clock` is not owned and outlives this and all tickets.
   static std::shared_ptr<CallerQuota> Create(const Clock* clock, QuotaLimits limits = {},

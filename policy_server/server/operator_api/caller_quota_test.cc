@@ -32,7 +32,7 @@ class CallerQuotaTest : public ::testing::Test {
                            .orders = {.at_a_time = 2, .per_second = 1, .burst = 2},
                            .streams_in_all = 8,
                            .streams_reserved = 2},
-                          [this](const std::string&) { ++refused_; });
+                          [this] { ++refused_; });
   std::vector<CallerQuota::Ticket> held_;
 };
 

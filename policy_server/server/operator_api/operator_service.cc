@@ -141,8 +141,11 @@ absl::StatusOr<OperatorService::Caller> OperatorService::Authorize(
   Caller caller{*std::move(peer)};
   if (access_.quota != nullptr) {
     const bool privileged = caller.identity.operator_role >= OperatorRole::kOperator;
-    RIPS_ASSIGN_OR_RETURN(caller.ticket, access_.quota->Take(rpc::ToString(caller.identity),
-                                                             privileged, use, weight));
+    auto ticket = access_.quota->Take(rpc::ToString(caller.identity), privileged, use, weight);
+    if (!ticket.ok()) {
+      return access_.watch->gate().Refuse({"quota", ticket.status()}, &caller, context->peer());
+    }
+    caller.ticket = *std::move(ticket);
   }
   return caller;
 }

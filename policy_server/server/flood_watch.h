@@ -1,0 +1,119 @@
+// Finds floods of what limits refuse one by one, and their sources: addresses of connections that
+// made no call, certificates whose calls are refused.
+//
+// | when                                                  | report                              |
+// |-------------------------------------------------------|-------------------------------------|
+// | one source exceeds `of_source` within `window_ns`     | kSource: at once, then after        |
+// |                                                       | `again_ns`                          |
+// | those not reported by themselves exceed `of_all` in   | kAll: the same                      |
+// | it                                                    |                                     |
+// | a minute in which there was either has passed         | kMinute: how many, and from which   |
+// |                                                       | sources the most                    |
+//
+// Only `named` sources are reported by themselves, and one more each minute, so that decoys cannot
+// use up what is read. They cannot hide the others either: each minute's report names the sources
+// of the most, whenever in the minute they came. Pure.
+#ifndef RIPS_POLICY_SERVER_SERVER_FLOOD_WATCH_H_
+#define RIPS_POLICY_SERVER_SERVER_FLOOD_WATCH_H_
+
+#include <cstddef>
+#include <cstdint>
+#include <optional>
+#include <string>
+#include <vector>
+
+#include "absl/container/flat_hash_map.h"
+#include "services/base/clock.h"
+
+namespace rips {
+
+// Not thread-safe; times are CLOCK_BOOTTIME.
+class FloodWatch {
+ public:
+  static constexpr int64_t kMinuteNs = 60 * kNanosPerSecond;
+  // Sources of a minute that are told apart. Beyond it those of the fewest are given up: counts of
+  // the others may be too low by as many rounds of that as there were.
+  static constexpr size_t kSourcesMax = 8'192;
+  static constexpr size_t kMostMax = 3;
+
+  struct Limits {
+    int of_source = 64;
+    int of_all = 512;
+    int named = 8;
+    int64_t window_ns = 10 * kNanosPerSecond;
+    int64_t again_ns = 600 * kNanosPerSecond;
+  };
+  // What is refused.
+  struct Refused {
+    std::string source;
+    // Which of a source's reasons is reported: the highest.
+    int rank = 0;
+    // The newest is reported.
+    std::string detail;
+  };
+  struct Part {
+    Refused refused;
+    uint64_t count = 0;
+  };
+  struct Report {
+    enum class Kind { kSource, kAll, kMinute };
+    Kind kind = Kind::kSource;
+    // kSource: that source. Otherwise those of the most, at most kMostMax, most first.
+    std::vector<Part> most;
+    // From so many sources, or more if they are not all `counted`.
+    size_t sources = 1;
+    bool counted = true;
+    uint64_t count = 0;
+    // In which they came, until now.
+    int64_t within_ns = 0;
+    // kMinute: there was one within the last `window_ns`.
+    bool goes_on = true;
+  };
+
+  explicit FloodWatch(const Limits& limits) : limits_(limits), names_left_(limits.named) {}
+
+  // The report that this one makes due.
+  std::optional<Report> Count(const Refused& refused, int64_t now_ns);
+  // Call it every second or so.
+  std::optional<Report> Look(int64_t now_ns);
+
+ private:
+  // How many came in the last window: those of this one, and of the one before as much of it as
+  // the last `window_ns` overlap.
+  struct Window {
+    int64_t begun_ns = 0;
+    int count = 0;
+    int before = 0;
+  };
+  struct Source {
+    Window lately;
+    uint64_t in_minute = 0;
+    int rank = 0;
+    std::string detail;
+  };
+  int Lately(Window& window, int64_t now_ns) const;
+  // One more: whether that makes `limit` or more.
+  bool Exceeds(Window& window, int limit, int64_t now_ns) const;
+  // Null: there is no room for another one.
+  Source* Find(const std::string& source);
+  Report Most(Report::Kind kind, int64_t now_ns) const;
+
+  const Limits limits_;
+  absl::flat_hash_map<std::string, Source> sources_;
+  // Some were given up in this minute.
+  bool given_up_ = false;
+  uint64_t in_minute_ = 0;
+  int64_t minute_ns_ = 0;
+  // The newest count by which a limit was exceeded.
+  std::optional<int64_t> exceeded_ns_;
+  // Of those that were not reported by themselves.
+  Window others_;
+  std::optional<int64_t> all_reported_ns_;
+  // At most `named`, and one for each minute of `again_ns`.
+  absl::flat_hash_map<std::string, int64_t> reported_ns_;
+  int names_left_;
+};
+
+}  // namespace rips
+
+#endif  // RIPS_POLICY_SERVER_SERVER_FLOOD_WATCH_H_
