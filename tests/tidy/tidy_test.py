@@ -9,6 +9,9 @@ import re
 import subprocess
 import sys
 
+sys.path.insert(0, str(pathlib.Path(__file__).resolve().parent))
+from class_sizes import class_sizes  # noqa: E402
+
 ROOT = pathlib.Path(__file__).resolve().parents[2]
 TOP = {"proto", "services", "sensor_agent", "policy_server", "mode_actuator", "deploy", "rules",
        "tests", "README.md", "CONTRIBUTING.md", "LICENSE", "CMakeLists.txt", "CMakePresets.json", ".clang-format",
@@ -43,6 +46,42 @@ LONG_HEADERS = {
     "sensor_agent/graph/graph_builder.h": (260, "a third of it says whose an endpoint is"),
     "sensor_agent/uplink/uplink.h": (290, "a third of it says when what is sent again"),
 }
+
+
+CLASS_SIZE_MAX = 25
+
+
+def large_classes():
+    """Those listed in large_classes.txt: (file, class) -> how many members and methods at most."""
+    listed = (ROOT / "tests/tidy/large_classes.txt").read_text(encoding="utf-8")
+    return {(file, name): int(most) for most, file, name in
+            re.findall(r"^ *(\d+) (\S+) (\S+): \S", listed, re.M)}
+
+
+def class_breaches(sizes, listed):
+    """`sizes`: (file, class) -> members and methods."""
+    for (file, name), size in sizes.items():
+        most = listed.get((file, name), CLASS_SIZE_MAX)
+        if size > most:
+            yield f"{file}: {name} has {size} members and methods, at most {most}; split it by idea"
+    for (file, name), most in listed.items():
+        size = sizes.get((file, name), 0)
+        if size < most:
+            yield (f"tests/tidy/large_classes.txt: {name} of {file} has {size} members and methods "
+                   f"by now, not {most}")
+
+
+def walk_breaches(text):
+    """Of the walk of one observation in CONTRIBUTING.md: hops that are not where it says."""
+    walk = text.partition("## The walk of one observation")[2].partition("\n## ")[0]
+    hops = re.findall(r"^\d+\. `([^`]+)`, `(\w+(?:::\w+)+)`", walk, re.M)
+    if not 0 < len(hops) <= 12 or len(hops) != len(re.findall(r"^\d+\. ", walk, re.M)):
+        yield f"CONTRIBUTING.md: the walk has {len(hops)} hops of the form FILE, FUNCTION; at most 12"
+    for file, function in hops:
+        path = ROOT / re.sub(r"^server/", "policy_server/server/", file)
+        name = function.rpartition("::")[2]
+        if not path.is_file() or not re.search(rf"\b{name}\(", path.read_text(encoding="utf-8")):
+            yield f"CONTRIBUTING.md: {function} is not in {file}"
 
 
 def tracked():
@@ -104,10 +143,14 @@ def breaches(files, targets):
         yield f"{top}: not a top-level name of this project"
     mentions = "\n".join((ROOT / name).read_text(errors="replace") for name in files
                          if name.endswith(("CMakeLists.txt", ".cmake")))
+    sizes = {}
     for name in files:
         if not name.endswith((".h", ".cc")):
             continue
-        lines = (ROOT / name).read_text(encoding="utf-8").splitlines()
+        text = (ROOT / name).read_text(encoding="utf-8")
+        lines = text.splitlines()
+        if not name.startswith("tests/") and not re.search(r"(test|fixture|fake)[^/]*$", name):
+            sizes |= {(name, each): size for each, _, size in class_sizes(text)}
         if not name.startswith(("tests/", "rules/", "deploy/")) and not name.endswith("_test.cc"):
             yield from targets.breaches(name, lines)
         limit = CC_LINES_MAX if name.endswith(".cc") else HEADER_LINES_MAX
@@ -133,6 +176,8 @@ def breaches(files, targets):
                 yield f"{name}:{number}: only the DDS adapters include dds/*.h"
             if targets.pure(name) and name not in ALLOWED and IMPURE.search(line):
                 yield f"{name}:{number}: a pure file must not: {line.strip()}"
+    yield from class_breaches(sizes, large_classes())
+    yield from walk_breaches((ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8"))
 
 
 def main():
