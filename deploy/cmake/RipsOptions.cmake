@@ -26,6 +26,7 @@ endif()
 if(RIPS_SANITIZE)
   add_compile_options(-fsanitize=${RIPS_SANITIZE} -fno-omit-frame-pointer -fno-sanitize-recover=all)
   add_link_options(-fsanitize=${RIPS_SANITIZE})
+  add_compile_definitions(RIPS_SANITIZED)
 endif()
 
 # Kept out of generated code, which is not ours to mend.

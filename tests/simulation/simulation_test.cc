@@ -6,6 +6,7 @@
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_join.h"
 #include "gtest/gtest.h"
+#include "services/base/test_rounds.h"
 #include "tests/simulation/world.h"
 
 namespace rips::simulation {
@@ -34,18 +35,18 @@ void ExpectFound(Fault fault, const std::string& invariant) {
 TEST(SimulationTest, NoInvariantIsViolated) {
   Counts counts;
   const std::optional<Finding> found =
-      Search(kFirstSeed, kSteps, kStepsEach, Fault::kNone, &counts);
+      Search(kFirstSeed, Rounds(kSteps), kStepsEach, Fault::kNone, &counts);
   EXPECT_FALSE(found.has_value()) << Shown(found);
   // A run in which nothing happens shows nothing.
-  EXPECT_GT(counts.decisions, 100u);
-  EXPECT_GT(counts.soft_lowerings, 5u);
-  EXPECT_GT(counts.operator_lowerings, 20u);
-  EXPECT_GT(counts.judged, 1'000u);
-  EXPECT_GT(counts.resent, 10u);
-  EXPECT_GT(counts.verified, 50u);
-  EXPECT_GT(counts.floors, 10u);
-  EXPECT_GT(counts.lifted, 10u);
-  EXPECT_GT(counts.refused_stale, 10u);
+  EXPECT_GT(counts.decisions, Rounds(100u));
+  EXPECT_GT(counts.soft_lowerings, Rounds(5u));
+  EXPECT_GT(counts.operator_lowerings, Rounds(20u));
+  EXPECT_GT(counts.judged, Rounds(1'000u));
+  EXPECT_GT(counts.resent, Rounds(10u));
+  EXPECT_GT(counts.verified, Rounds(50u));
+  EXPECT_GT(counts.floors, Rounds(10u));
+  EXPECT_GT(counts.lifted, Rounds(10u));
+  EXPECT_GT(counts.refused_stale, Rounds(10u));
 }
 
 TEST(SimulationTest, OneSeedIsOneRun) {

@@ -10,6 +10,7 @@
 #include "policy_server/policy/engine/interest/interest.h"
 #include "policy_server/policy/engine/test_rules.h"
 #include "re2/re2.h"
+#include "services/base/test_rounds.h"
 
 namespace rips::engine {
 namespace {
@@ -199,7 +200,7 @@ TEST(PushdownTest, RulesDoTheSameWithAndWithoutIt) {
   size_t left_out = 0;
   size_t without_payload = 0;
   size_t alerts = 0;
-  for (uint32_t seed = 1; seed <= 1'000; ++seed) {
+  for (uint32_t seed = 1; seed <= Rounds(1'000u); ++seed) {
     SCOPED_TRACE(testing::Message() << "seed " << seed);
     const Played all = Play(seed, false);
     const Played wanted = Play(seed, true);
@@ -209,9 +210,9 @@ TEST(PushdownTest, RulesDoTheSameWithAndWithoutIt) {
     without_payload += wanted.without_payload;
     for (const std::string& line : all.log) alerts += line.find("alert") != std::string::npos;
   }
-  EXPECT_GT(left_out, 3'000u) << "messages are left out";
-  EXPECT_GT(without_payload, 3'000u);
-  EXPECT_GT(alerts, 3'000u) << "the rules do something";
+  EXPECT_GT(left_out, Rounds(3'000u)) << "messages are left out";
+  EXPECT_GT(without_payload, Rounds(3'000u));
+  EXPECT_GT(alerts, Rounds(3'000u)) << "the rules do something";
 }
 
 }  // namespace
