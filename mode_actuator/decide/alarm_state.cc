@@ -1,6 +1,7 @@
 #include "mode_actuator/decide/alarm_state.h"
 
 #include <algorithm>
+#include <iterator>
 
 #include "absl/status/status.h"
 #include "absl/strings/ascii.h"
@@ -29,50 +30,19 @@ std::string ColourName(const Colour& colour) {
   return absl::StrFormat("#%02x%02x%02x", colour.red, colour.green, colour.blue);
 }
 
+constexpr bool HasARowForEachKindInOrder() {
+  for (size_t i = 0; i < std::size(kAlarmKinds); ++i) {
+    if (static_cast<size_t>(kAlarmKinds[i].kind) != i) return false;
+  }
+  return std::size(kAlarmKinds) == kAlarmKindCount;
+}
+static_assert(HasARowForEachKindInOrder(), "give each AlarmKind its row, in the order of the enum");
+
 }  // namespace
-
-UsbId UsbIdOf(AlarmKind kind) {
-  switch (kind) {
-    case AlarmKind::kUsbRelay:
-      return {0x16c0, 0x05df};
-    case AlarmKind::kLcus:
-      return {0x5131, 0x2007};
-    case AlarmKind::kLcusSerial:
-      return {0x1a86, 0x7523};
-    case AlarmKind::kLuxafor:
-      return {0x04d8, 0xf372};
-    case AlarmKind::kBlink1:
-      return {0x27b8, 0x01ed};
-  }
-  return {};
-}
-
-bool IsRelay(AlarmKind kind) {
-  return kind == AlarmKind::kUsbRelay || kind == AlarmKind::kLcus || kind == AlarmKind::kLcusSerial;
-}
-
-absl::string_view AlarmKindName(AlarmKind kind) {
-  switch (kind) {
-    case AlarmKind::kUsbRelay:
-      return "usb_relay";
-    case AlarmKind::kLcus:
-      return "lcus";
-    case AlarmKind::kLcusSerial:
-      return "lcus_serial";
-    case AlarmKind::kLuxafor:
-      return "luxafor";
-    case AlarmKind::kBlink1:
-      return "blink1";
-  }
-  return "?";
-}
 
 std::vector<std::pair<std::string, AlarmKind>> AlarmKinds() {
   std::vector<std::pair<std::string, AlarmKind>> kinds;
-  for (const AlarmKind kind : {AlarmKind::kUsbRelay, AlarmKind::kLcus, AlarmKind::kLcusSerial,
-                               AlarmKind::kLuxafor, AlarmKind::kBlink1}) {
-    kinds.emplace_back(AlarmKindName(kind), kind);
-  }
+  for (const AlarmKindRow& row : kAlarmKinds) kinds.emplace_back(row.name, row.kind);
   return kinds;
 }
 

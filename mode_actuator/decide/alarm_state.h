@@ -11,6 +11,7 @@
 #ifndef RIPS_MODE_ACTUATOR_DECIDE_ALARM_STATE_H_
 #define RIPS_MODE_ACTUATOR_DECIDE_ALARM_STATE_H_
 
+#include <cstddef>
 #include <cstdint>
 #include <string>
 #include <utility>
@@ -24,13 +25,9 @@ namespace rips::actuator {
 // Boards have up to this many relays; also the highest channel.
 inline constexpr int kAlarmChannelsMax = 8;
 
-enum class AlarmKind {
-  kUsbRelay,    // V-USB relay board with 1 to 8 relays, 16c0:05df, product `USBRelayN`
-  kLcus,        // LCUS relay board that is a HID device, 5131:2007
-  kLcusSerial,  // LCUS relay board behind a CH340 serial converter, 1a86:7523
-  kLuxafor,     // Luxafor Flag and its kin, 04d8:f372
-  kBlink1,      // blink(1) mk2 and mk3, 27b8:01ed
-};
+// In the order of kAlarmKinds.
+enum class AlarmKind { kUsbRelay, kLcus, kLcusSerial, kLuxafor, kBlink1 };
+inline constexpr size_t kAlarmKindCount = static_cast<size_t>(AlarmKind::kBlink1) + 1;
 
 // USB vendor and product of a kind.
 struct UsbId {
@@ -38,11 +35,39 @@ struct UsbId {
   uint16_t product = 0;
   friend bool operator==(const UsbId&, const UsbId&) = default;
 };
-UsbId UsbIdOf(AlarmKind kind);
 
-bool IsRelay(AlarmKind kind);
+// The kernel's class of a device node. The driver, the udev rules and rips-actuator.service agree
+// on it.
+enum class AlarmBus { kHidraw, kTty };
+
+struct AlarmKindRow {
+  AlarmKind kind;
+  absl::string_view name;
+  UsbId usb;
+  bool is_relay;
+  AlarmBus bus;
+};
+inline constexpr AlarmKindRow kAlarmKinds[] = {
+    // V-USB relay board with 1 to 8 relays, product `USBRelayN`
+    {AlarmKind::kUsbRelay, "usb_relay", {0x16c0, 0x05df}, true, AlarmBus::kHidraw},
+    // LCUS relay board that is a HID device
+    {AlarmKind::kLcus, "lcus", {0x5131, 0x2007}, true, AlarmBus::kHidraw},
+    // LCUS relay board behind a CH340 serial converter
+    {AlarmKind::kLcusSerial, "lcus_serial", {0x1a86, 0x7523}, true, AlarmBus::kTty},
+    // Luxafor Flag and its kin
+    {AlarmKind::kLuxafor, "luxafor", {0x04d8, 0xf372}, false, AlarmBus::kHidraw},
+    // blink(1) mk2 and mk3
+    {AlarmKind::kBlink1, "blink1", {0x27b8, 0x01ed}, false, AlarmBus::kHidraw},
+};
+
+constexpr const AlarmKindRow& RowOf(AlarmKind kind) {
+  return kAlarmKinds[static_cast<size_t>(kind)];
+}
+constexpr UsbId UsbIdOf(AlarmKind kind) { return RowOf(kind).usb; }
+constexpr AlarmBus BusOf(AlarmKind kind) { return RowOf(kind).bus; }
+constexpr bool IsRelay(AlarmKind kind) { return RowOf(kind).is_relay; }
 // `usb_relay`.
-absl::string_view AlarmKindName(AlarmKind kind);
+constexpr absl::string_view AlarmKindName(AlarmKind kind) { return RowOf(kind).name; }
 // Every kind with its name.
 std::vector<std::pair<std::string, AlarmKind>> AlarmKinds();
 

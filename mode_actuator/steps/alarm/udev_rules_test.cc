@@ -1,4 +1,5 @@
-// The shipped udev rules give exactly the devices that there are drivers for to one group.
+// The shipped udev rules give exactly the devices that there are drivers for to one group, and the
+// shipped service may open their nodes.
 #include <fstream>
 #include <map>
 #include <set>
@@ -37,12 +38,34 @@ std::vector<Rule> ReadRules() {
   return rules;
 }
 
+// `SUBSYSTEM` of the device nodes of a bus.
+absl::string_view SubsystemOf(AlarmBus bus) {
+  switch (bus) {
+    case AlarmBus::kHidraw:
+      return "hidraw";
+    case AlarmBus::kTty:
+      return "tty";
+  }
+  return "?";
+}
+
+// What DeviceAllow= calls the device nodes of a bus, as in /proc/devices.
+std::set<std::string> DevicesOf(AlarmBus bus) {
+  switch (bus) {
+    case AlarmBus::kHidraw:
+      return {"char-hidraw"};
+    case AlarmBus::kTty:
+      return {"char-ttyUSB", "char-ttyACM"};
+  }
+  return {"?"};
+}
+
 TEST(UdevRulesTest, CoverEveryKindAndNothingElse) {
   std::set<std::string> expected;
   for (const auto& [name, kind] : AlarmKinds()) {
     const UsbId id = UsbIdOf(kind);
-    expected.insert(absl::StrFormat(
-        "%s %04x:%04x", kind == AlarmKind::kLcusSerial ? "tty" : "hidraw", id.vendor, id.product));
+    expected.insert(
+        absl::StrFormat("%s %04x:%04x", SubsystemOf(BusOf(kind)), id.vendor, id.product));
   }
   std::set<std::string> covered;
   for (Rule& rule : ReadRules()) {
@@ -50,6 +73,21 @@ TEST(UdevRulesTest, CoverEveryKindAndNothingElse) {
                                    rule["ATTRS{idProduct}=="]));
   }
   EXPECT_EQ(covered, expected);
+}
+
+TEST(UdevRulesTest, TheServiceMayOpenTheNodesOfEveryKindAndNoOther) {
+  std::set<std::string> needed;
+  for (const auto& [name, kind] : AlarmKinds()) needed.merge(DevicesOf(BusOf(kind)));
+  std::ifstream file(RIPS_SOURCE_DIR "/deploy/systemd/rips-actuator.service");
+  ASSERT_TRUE(file.is_open());
+  std::set<std::string> allowed;
+  for (std::string line; std::getline(file, line);) {
+    absl::string_view rest = line;
+    if (!absl::ConsumePrefix(&rest, "DeviceAllow=")) continue;
+    EXPECT_TRUE(absl::ConsumeSuffix(&rest, " rw")) << line;
+    allowed.emplace(rest);
+  }
+  EXPECT_EQ(allowed, needed);
 }
 
 TEST(UdevRulesTest, NobodyOutsideTheGroup) {
