@@ -3,6 +3,7 @@
     tidy_test.py TARGETS     targets.txt of a build directory: which files belong to which target
 """
 
+import fnmatch
 import functools
 import pathlib
 import re
@@ -180,9 +181,41 @@ def breaches(files, targets):
     yield from walk_breaches((ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8"))
 
 
+def verbs_without_maker(files):
+    """A verb of ripsctl that its file does not add to a noun: it compiles, and cannot be called."""
+    texts = {name: (ROOT / name).read_text(encoding="utf-8") for name in files
+             if name.startswith("policy_server/ripsctl/") and name.endswith((".h", ".cc"))}
+    bases, finals = {}, []
+    for name, text in texts.items():
+        for verb, final, base in re.findall(r"^class (\w+)( final)?\s*: public ([\w:]+)", text,
+                                            re.M):
+            bases[verb] = base
+            if final and name.endswith(".cc"):
+                finals.append((name, verb))
+    for name, verb in finals:
+        base = verb
+        while base in bases:
+            base = bases[base]
+        if base == "Command" and f"make_unique<{verb}>" not in texts[name]:
+            yield f"{name}: nothing makes the verb {verb}; add it to the ...Commands of its noun"
+
+
+def filters_without_test(files):
+    """A --gtest_filter of CONTRIBUTING.md that matches no test."""
+    tests = {".".join(test) for name in files if name.endswith("_test.cc")
+             for test in re.findall(r"\bTEST(?:_F|_P)?\(\s*(\w+)\s*,\s*(\w+)\s*\)",
+                                    (ROOT / name).read_text(encoding="utf-8"))}
+    page = "CONTRIBUTING.md"
+    for number, line in enumerate((ROOT / page).read_text(encoding="utf-8").splitlines(), 1):
+        for pattern in re.findall(r"--gtest_filter='?([^'\s]+)", line):
+            if not any(fnmatch.fnmatchcase(test, pattern) for test in tests):
+                yield f"{page}:{number}: no test matches --gtest_filter='{pattern}'"
+
+
 def main():
     files = tracked()
-    found = list(breaches(files, Targets(sys.argv[1])))
+    found = [*breaches(files, Targets(sys.argv[1])), *verbs_without_maker(files),
+             *filters_without_test(files)]
     for breach in found:
         print(breach)
     print(f"{len(files)} files, {len(found)} breaches")
