@@ -16,8 +16,24 @@ bool IsAboutTheSender(const TypedExpr& expr) {
     return expr.builtin == Builtin::kSenderIn || expr.builtin == Builtin::kSenderCount ||
            expr.builtin == Builtin::kSenderEnclave;
   }
-  return expr.kind == TypedExpr::Kind::kPredefined &&
-         (expr.predefined == Predefined::kSender || expr.predefined == Predefined::kSenderGuid);
+  if (expr.kind != TypedExpr::Kind::kPredefined) return false;
+  switch (expr.predefined) {
+    case Predefined::kSender:
+    case Predefined::kSenderGuid:
+      return true;
+    case Predefined::kCurrLevel:
+    case Predefined::kLevel:
+    case Predefined::kTime:
+    case Predefined::kUptime:
+    case Predefined::kCurrRule:
+    case Predefined::kRobot:
+    case Predefined::kTopic:
+    case Predefined::kMsgType:
+    case Predefined::kIdsSource:
+    case Predefined::kIdsTarget:
+      break;
+  }
+  return false;
 }
 
 // Expressions may be thousands of operators deep.

@@ -5,37 +5,34 @@
 #include <variant>
 #include <vector>
 
+#include "policy_server/policy/engine/builtins/question.h"
 #include "services/ros2/ros_name.h"
 
 namespace rips::engine {
 namespace {
 
-using lang::Builtin;
 using lang::TypedExpr;
 
 // Of the arguments of a call, how many name topics, from the first on.
 size_t TopicArgs(const TypedExpr& call) {
-  switch (call.builtin) {
-    case Builtin::kTopicIn:
-    case Builtin::kTopics:
-    case Builtin::kTopicsInclude:
-    case Builtin::kTopicsOnly:
-    case Builtin::kHasTopics:
+  const Question* question = QuestionOf(call.builtin);
+  if (question == nullptr) return 0;
+  switch (question->subject) {
+    case Subject::kTopic:
+      return question->form == Form::kMatches ? 0 : call.args.size();
+    case Subject::kTopics:
       return call.args.size();
-    case Builtin::kTopicPublishers:
-    case Builtin::kTopicSubscribers:
-    case Builtin::kTopicPublishersInclude:
-    case Builtin::kTopicSubscribersInclude:
-    case Builtin::kTopicPublishersOnly:
-    case Builtin::kTopicSubscribersOnly:
-    case Builtin::kHasTopicPublishers:
-    case Builtin::kHasTopicSubscribers:
-    case Builtin::kTopicPublisherCount:
-    case Builtin::kTopicSubscriberCount:
+    case Subject::kPublishersOf:
+    case Subject::kSubscribersOf:
       return std::min<size_t>(call.args.size(), 1);
-    default:
-      return 0;
+    case Subject::kTypes:
+    case Subject::kPublishers:
+    case Subject::kSubscribers:
+    case Subject::kNodes:
+    case Subject::kServicesOf:
+      break;
   }
+  return 0;
 }
 
 void AddTopics(const TypedExpr& expr, ros2::TopicNames& names) {

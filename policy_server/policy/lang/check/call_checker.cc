@@ -104,7 +104,7 @@ std::optional<ExprChecker::Checked> ExprChecker::CheckCall(const ast::Expr& expr
   if (NeverTrue(*signature, out.typed.args)) out.truth.may_be_true = false;
   const bool inspected = std::any_of(args->begin(), args->end(),
                                      [](const Checked& arg) { return arg.reach.inspects; });
-  out.reach = ReachOf(out.typed);
+  out.reach = ReachOf(*signature);
   out.reach.inspects |= inspected;
   FoldCall(*signature, out);
   return out;
@@ -223,26 +223,26 @@ bool ExprChecker::CheckWindow(const TypedExpr& arg) {
   return false;
 }
 
-ExprChecker::Reach ExprChecker::ReachOf(const TypedExpr& call) {
-  switch (call.builtin) {
-    case Builtin::kTopicIn:
-    case Builtin::kTopicMatches:
-    case Builtin::kMsgTypeIn:
-    case Builtin::kMsgSubtype:
-      return {.narrow = true};
-    case Builtin::kPayload:
-    case Builtin::kPlugin:
-      return {.inspects = true};
-    case Builtin::kIdsAlert:
-    case Builtin::kSignal:
-    case Builtin::kAgent:
-    case Builtin::kFinding:
-    case Builtin::kLostEvents:
-      return {.needs = uint32_t{1}
-                       << (static_cast<int>(call.builtin) - static_cast<int>(Builtin::kIdsAlert))};
-    default:
+ExprChecker::Reach ExprChecker::ReachOf(const Signature& signature) {
+  switch (signature.event_class) {
+    case EventClass::kMsg:
+      break;
+    case EventClass::kExternal:
+      return {.needs = uint32_t{1} << (static_cast<int>(signature.builtin) -
+                                       static_cast<int>(Builtin::kIdsAlert))};
+    case EventClass::kGraph:
+    case EventClass::kUniversal:
       return {};
   }
+  Reach reach;
+  for (const Parameter& parameter : signature.parameters) {
+    reach.inspects |=
+        parameter.role == ParameterRole::kYaraFile || parameter.role == ParameterRole::kPluginId;
+  }
+  reach.narrow =
+      signature.builtin == Builtin::kTopicIn || signature.builtin == Builtin::kTopicMatches ||
+      signature.builtin == Builtin::kMsgTypeIn || signature.builtin == Builtin::kMsgSubtype;
+  return reach;
 }
 
 bool ExprChecker::CheckRegex(const TypedExpr& arg) {

@@ -101,7 +101,7 @@ class ExprChecker {
   bool CheckWord(const TypedExpr& arg, const Parameter& parameter,
                  const std::vector<Checked>& before, absl::string_view owner);
   bool CheckWindow(const TypedExpr& arg);
-  static Reach ReachOf(const TypedExpr& call);
+  static Reach ReachOf(const Signature& signature);
   static Reach Join(BinaryOp op, const Checked& left, const Checked& right);
   // The arguments of a call; none if any is wrong.
   std::optional<std::vector<Checked>> CheckArgs(const ast::Expr& call, const Signature& signature,

@@ -136,9 +136,15 @@ class Analysis {
       case Predefined::kCurrRule:
       case Predefined::kRobot:
         return {.kind = Known::Kind::kTime, .value = {}};
-      default:
-        return {};
+      case Predefined::kTopic:
+      case Predefined::kMsgType:
+      case Predefined::kSender:
+      case Predefined::kSenderGuid:
+      case Predefined::kIdsSource:
+      case Predefined::kIdsTarget:
+        break;
     }
+    return {};
   }
 
   Known OperationAt(const TypedExpr& expr, int level) const {

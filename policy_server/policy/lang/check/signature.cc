@@ -207,6 +207,35 @@ constexpr PredefinedName kPredefined[] = {
      "destination address of the IDS alert, empty for other events"},
 };
 
+// SignatureOf and NameOf use the enums as positions.
+template <typename Row, size_t kSize, typename Key>
+constexpr bool IsInOrder(const Row (&table)[kSize], Key Row::*key, Key last) {
+  for (size_t i = 0; i < kSize; ++i) {
+    if (static_cast<size_t>(table[i].*key) != i) return false;
+  }
+  return kSize == static_cast<size_t>(last) + 1;
+}
+static_assert(IsInOrder(kSignatures, &Signature::builtin, Builtin::kEval),
+              "give each Builtin its row, in the order of the enum");
+static_assert(IsInOrder(kActions, &ActionSignature::action, ActionKind::kCrash),
+              "give each ActionKind its row, in the order of the enum");
+static_assert(IsInOrder(kPredefined, &PredefinedName::predefined, Predefined::kIdsTarget),
+              "give each Predefined its row, in the order of the enum");
+
+constexpr EventClass BlockOf(Builtin builtin) {
+  if (builtin < Builtin::kNodes) return kMsg;
+  if (builtin < Builtin::kIdsAlert) return kGraph;
+  return builtin < Builtin::kLevelName ? kExternal : kUniversal;
+}
+// External builtins count from kIdsAlert on: Reach::needs has one bit for each.
+constexpr bool StandInTheirBlocks() {
+  for (const Signature& each : kSignatures) {
+    if (each.event_class != BlockOf(each.builtin)) return false;
+  }
+  return static_cast<int>(Builtin::kLevelName) - static_cast<int>(Builtin::kIdsAlert) <= 32;
+}
+static_assert(StandInTheirBlocks(), "put each Builtin into the block of its event class");
+
 constexpr absl::string_view kSeverities[] = {"info", "low", "medium", "high", "critical"};
 
 template <typename Entry>
