@@ -1,4 +1,8 @@
-"""Every test that statements.txt names exists."""
+"""Every test that statements.txt names exists, and every builtin and kind of finding is described.
+
+A builtin has a statement in statements.txt, and prose in rules/LANGUAGE.md; a kind of finding has
+prose in the section of external events.
+"""
 
 import pathlib
 import re
@@ -7,7 +11,11 @@ import sys
 HERE = pathlib.Path(__file__).resolve().parent
 ROOT = HERE.parents[1]
 FOLDERS = ["policy_server", "services", "mode_actuator", "tests"]
-YAML = [HERE / "statements_test.yaml", ROOT / "rules/LANGUAGE.md", ROOT / "rules/PROTOTYPE.md"]
+SIGNATURES = ROOT / "policy_server/policy/lang/check/signature.cc"
+MANUAL = ROOT / "rules/LANGUAGE.md"
+GENERATED = re.compile(r"<!-- generated: .*?<!-- end of generated -->", re.S)
+FINDINGS = "External events and the tick"
+YAML = [HERE / "statements_test.yaml", MANUAL, ROOT / "rules/PROTOTYPE.md"]
 
 
 def known():
@@ -21,6 +29,26 @@ def known():
     for path in YAML:
         tests |= set(re.findall(r'^ +- name: "?(.*?)"?$', path.read_text(encoding="utf-8"), re.M))
     return tests
+
+
+def undescribed(statements):
+    """Of the words that a rule may use, those that no page describes."""
+    signatures = SIGNATURES.read_text(encoding="utf-8")
+    builtins = re.findall(r'^ +\{"(\w+)",\s*Builtin::', signatures, re.M)
+    findings = re.findall(r'"(\w+)"', signatures.split("kFindings[] = {")[1].split("};")[0])
+    assert len(builtins) > 50 and findings, "cannot read the tables of signature.cc"
+    manual = GENERATED.sub("", MANUAL.read_text(encoding="utf-8"))
+    section = manual.split(f"\n## {FINDINGS}\n")[1].split("\n## ")[0]
+    told = "\n".join(statements)
+    for words, text, where in ((builtins, told, "statements.txt: no statement about"),
+                               (builtins, manual, "LANGUAGE.md: no prose, outside of the generated "
+                                                  "reference, about"),
+                               (findings, section, f"LANGUAGE.md: `{FINDINGS}` says nothing of")):
+        for word in words:
+            # Some are English words, too: a page sets them as code.
+            code = word if text is told else rf"`\"?{word}\b[^`]*`"
+            if not re.search(rf"(?<!\w){code}(?!\w)", text):
+                yield f"{where} {word}"
 
 
 def main():
@@ -39,6 +67,7 @@ def main():
         for quoted, plain in re.findall(r'"([^"]+)"|([^,"\s]+)', names):
             if (quoted or plain) not in tests:
                 problems.append(f"statements.txt:{number}: there is no test {quoted or plain}")
+    problems += undescribed(seen)
     print("\n".join(problems))
     print(f"{len(seen)} statements, {len(problems)} problems")
     return 1 if problems or not seen else 0
