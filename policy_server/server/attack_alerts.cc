@@ -1,5 +1,6 @@
 #include "policy_server/server/attack_alerts.h"
 
+#include <algorithm>
 #include <cstdint>
 #include <iterator>
 #include <optional>
@@ -21,20 +22,23 @@ constexpr char kSafe[] = "Robots that are connected are guarded as before; ";
 
 std::string Server() { return std::string(store::kServerRobot); }
 
-std::string Seconds(int64_t ns) { return absl::StrCat(ns / kNanosPerSecond + 1, " s"); }
+// Rounded up.
+std::string Seconds(int64_t ns) {
+  return absl::StrCat(std::max<int64_t>(1, (ns + kNanosPerSecond - 1) / kNanosPerSecond), " s");
+}
 
-std::string Summary(const FloodWatch::Report& report, absl::string_view what,
-                    absl::string_view sources) {
-  return absl::StrCat(report.count, " ", what, " in the last ", Seconds(report.within_ns - 1),
-                      ", from ", report.counted ? "" : "more than ", report.sources, " ", sources,
-                      ", most from ");
+// "1010 connections without a call in the last minute, from 2 addresses".
+std::string Minute(const FloodWatch::Report& report, absl::string_view what,
+                   absl::string_view sources) {
+  return absl::StrCat(report.count, " ", what, " in the last minute, from ",
+                      report.counted ? "" : "more than ", report.sources, " ", sources);
 }
 
 std::string Ending(const FloodWatch::Report& report) {
-  return report.goes_on ? "; it goes on" : "; it has stopped";
+  return report.goes_on ? "; it goes on" : "; none in the last 10 s";
 }
 
-// Why calls are refused, the gravest last: what one certificate is refused for is told by it.
+// Why calls are refused, the gravest last.
 struct Reason {
   absl::string_view name;
   absl::string_view text;
@@ -51,12 +55,30 @@ constexpr Reason kReasons[] = {
     {"claim", "it says that it is another agent"},
     {"role", "its role does not allow what it asks"},
 };
+static_assert(std::size(kReasons) <= FloodWatch::kRanks);
 
 int RankOf(absl::string_view reason) {
   for (size_t i = 0; i < std::size(kReasons); ++i) {
     if (kReasons[i].name == reason) return static_cast<int>(i);
   }
   return 0;
+}
+
+// "its role does not allow what it asks (360), it asks more than its quota allows (40)".
+std::string ReasonsOf(const FloodWatch::Part& part) {
+  std::vector<std::string> reasons;
+  for (size_t rank = std::size(kReasons); rank-- > 0;) {
+    if (part.by_rank[rank] == 0) continue;
+    reasons.push_back(absl::StrCat(kReasons[rank].text, " (", part.by_rank[rank], ")"));
+  }
+  return absl::StrJoin(reasons, ", ");
+}
+
+// Sources that sent more than one are worth a name.
+std::vector<FloodWatch::Part> Named(const FloodWatch::Report& report) {
+  std::vector<FloodWatch::Part> named = report.most;
+  std::erase_if(named, [](const FloodWatch::Part& part) { return part.count < 2; });
+  return named;
 }
 
 }  // namespace
@@ -94,31 +116,41 @@ void AttackAlerts::OnConnectionWasted(const std::string& address, bool known) {
 }
 
 void AttackAlerts::TellConnections(const FloodWatch::Report& report) {
-  const std::vector<FloodWatch::Part>& most = report.most;
-  if (report.kind == Kind::kSource) {
-    const bool known = most[0].refused.rank > 0;
-    alerts_->Raise(
-        Server(), engine::Severity::kHigh,
-        absl::StrCat("a flood of connections from ", most[0].refused.source, ": ", report.count,
-                     " within ", Seconds(report.within_ns), " made no call. ", kSafe,
-                     "an agent at this address may wait until it can connect. It may be an "
-                     "attacker, or agents whose certificate or clock is wrong",
-                     known ? "; agents or operators of ours have connected from there, and a "
-                             "firewall would shut them out, too"
-                           : "; a firewall can shut the address out"));
-    return;
+  if (report.kind == Kind::kOver) {
+    return alerts_->Raise(Server(), engine::Severity::kInfo,
+                          absl::StrCat("the flood of connections is over: ",
+                                       Minute(report, "without a call", "addresses")));
   }
-  const std::string from = absl::StrJoin(most, ", ", [](std::string* out, const auto& part) {
-    absl::StrAppend(out, part.refused.source, " (", part.count, ")");
-  });
-  const std::string text =
-      absl::StrCat("a flood of connections: ", Summary(report, "without a call", "addresses"), from,
-                   Ending(report), ". ", kSafe, "an agent at a new address may wait");
+  if (report.kind == Kind::kSource) {
+    const FloodWatch::Part& source = report.most[0];
+    return alerts_->Raise(
+        Server(), engine::Severity::kHigh,
+        absl::StrCat("a flood of connections from ", source.source, ": ", report.count, " within ",
+                     Seconds(report.within_ns), " made no call. ", kSafe,
+                     "an agent at this address may wait until it can connect. The sender may be an "
+                     "attacker, or agents whose certificate or clock is wrong",
+                     source.rank() > 0
+                         ? "; agents or operators of ours have connected from there, and a "
+                           "firewall would shut them out, too"
+                         : "; a firewall can shut the address out"));
+  }
+  const std::string most =
+      absl::StrJoin(Named(report), ", ", [](std::string* out, const FloodWatch::Part& part) {
+        absl::StrAppend(out, part.source, " (", part.count,
+                        part.rank() > 0 ? "; agents or operators of ours are there, too)" : ")");
+      });
+  const std::string from = most.empty() ? "" : absl::StrCat(", most from ", most);
   // Each a kind of its own, so that none uses up the other's rate.
   if (report.kind == Kind::kAll) {
-    alerts_->Raise(Server(), engine::Severity::kHigh, text);
+    alerts_->Raise(Server(), engine::Severity::kHigh,
+                   absl::StrCat("a flood of connections: ", report.count, " within ",
+                                Seconds(report.within_ns), " made no call, from many addresses",
+                                from, ". ", kSafe, "an agent at a new address may wait"));
   } else {
-    alerts_->Raise(Server(), engine::Severity::kHigh, text);
+    alerts_->Raise(
+        Server(), engine::Severity::kHigh,
+        absl::StrCat("a flood of connections: ", Minute(report, "without a call", "addresses"),
+                     from, Ending(report), ". ", kSafe, "an agent at a new address may wait"));
   }
 }
 
@@ -142,30 +174,32 @@ void AttackAlerts::OnCallRefused(const rpc::PeerIdentity& identity, absl::string
 }
 
 void AttackAlerts::TellCalls(const FloodWatch::Report& report) {
+  if (report.kind == Kind::kOver) {
+    return alerts_->Raise(Server(), engine::Severity::kInfo,
+                          absl::StrCat("calls are refused no more than now and then: ",
+                                       Minute(report, "without effect", "certificates")));
+  }
   if (report.kind == Kind::kMinute) {
     const std::string from =
         absl::StrJoin(report.most, "; ", [](std::string* out, const FloodWatch::Part& part) {
-          absl::StrAppend(out, part.refused.source, " (", part.count, ", last from ",
-                          part.refused.detail, ": ", kReasons[part.refused.rank].text, ")");
+          absl::StrAppend(out, part.source, ", last from ", part.detail, ": ", ReasonsOf(part));
         });
-    alerts_->Raise(
+    return alerts_->Raise(
         Server(), engine::Severity::kHigh,
-        absl::StrCat("calls are refused: ", Summary(report, "without effect", "certificates"), from,
-                     Ending(report)));
-    return;
+        absl::StrCat("calls are refused: ", Minute(report, "without effect", "certificates"),
+                     Ending(report), ". ", from,
+                     ". A key that may be in other hands: ripsctl agent ban URI --reason TEXT"));
   }
-  const FloodWatch::Refused& refused = report.most[0].refused;
-  const Reason& reason = kReasons[refused.rank];
+  const FloodWatch::Part& part = report.most[0];
   const std::string text = absl::StrCat(
-      report.count, " calls of ", refused.source, " were refused within ",
-      Seconds(report.within_ns), ", last from ", refused.detail, ": ", reason.text,
-      ". None had an effect",
-      reason.shut_out
+      report.count, " calls of ", part.source, " were refused within ", Seconds(report.within_ns),
+      ", last from ", part.detail, ": ", ReasonsOf(part), ". None had an effect",
+      kReasons[part.rank()].shut_out
           ? ""
-          : absl::StrCat("; if its key may be in other hands, an administrator shuts ",
-                         "it out: ripsctl agent ban ", refused.source, " --reason TEXT"));
+          : absl::StrCat("; if its key may be in other hands, an administrator shuts it out: ",
+                         "ripsctl agent ban ", part.source, " --reason TEXT"));
   // Agents' and operators' keys do not use up one another's rate.
-  if (absl::StrContains(refused.source, "/operator/")) {
+  if (absl::StrContains(part.source, "/operator/")) {
     alerts_->Raise(Server(), engine::Severity::kHigh, text);
   } else {
     alerts_->Raise(Server(), engine::Severity::kHigh, text);

@@ -58,8 +58,10 @@ class AttackAlerts {
   std::map<std::string, int64_t> told_ns_ ABSL_GUARDED_BY(mu_);
   FloodWatch connections_ ABSL_GUARDED_BY(mu_){FloodWatch::Limits{}};
   // Certificates are ours, so there are no decoys without end.
-  FloodWatch calls_ ABSL_GUARDED_BY(mu_){
-      {.of_source = 20, .of_all = std::numeric_limits<int>::max(), .named = 256}};
+  FloodWatch calls_ ABSL_GUARDED_BY(mu_){{.of_source = 20,
+                                          .of_all = std::numeric_limits<int>::max(),
+                                          .named = 256,
+                                          .gravest_first = true}};
 };
 
 }  // namespace rips

@@ -2,7 +2,7 @@
 
 #include <algorithm>
 #include <string>
-#include <utility>
+#include <tuple>
 
 namespace rips {
 
@@ -25,6 +25,13 @@ bool FloodWatch::Exceeds(Window& window, int limit, int64_t now_ns) const {
   return lately >= limit;
 }
 
+int FloodWatch::Part::rank() const {
+  for (int rank = kRanks - 1; rank > 0; --rank) {
+    if (by_rank[rank] > 0) return rank;
+  }
+  return 0;
+}
+
 FloodWatch::Source* FloodWatch::Find(const std::string& source) {
   const auto it = sources_.find(source);
   if (it != sources_.end()) return &it->second;
@@ -32,82 +39,107 @@ FloodWatch::Source* FloodWatch::Find(const std::string& source) {
     // Misra and Gries: one is taken off each, so that those of many stay.
     given_up_ = true;
     absl::erase_if(sources_, [](auto& each) {
-      if (each.second.in_minute > 0) --each.second.in_minute;
-      return each.second.in_minute == 0;
+      Part& part = each.second.part;
+      if (part.count > 0) --part.count;
+      return part.count == 0;
     });
     if (sources_.size() >= kSourcesMax) return nullptr;
   }
-  return &sources_[source];
+  Source& fresh = sources_[source];
+  fresh.part.source = source;
+  return &fresh;
+}
+
+bool FloodWatch::IsDue(const Source& source, bool exceeds) {
+  const auto reported = reported_.find(source.part.source);
+  if (reported == reported_.end()) {
+    if (!exceeds || names_left_ <= 0) return false;
+    --names_left_;
+    return true;
+  }
+  // What it was refused for before says nothing of this.
+  for (int rank = kRanks - 1; limits_.gravest_first && rank > reported->second.rank; --rank) {
+    if (source.part.by_rank[rank] >= static_cast<uint64_t>(limits_.of_source)) return true;
+  }
+  return false;
 }
 
 std::optional<FloodWatch::Report> FloodWatch::Count(const Refused& refused, int64_t now_ns) {
   if (minute_ns_ == 0) minute_ns_ = now_ns;
   ++in_minute_;
   Source* source = Find(refused.source);
-  bool full = false;
   bool reported = false;
   if (source != nullptr) {
-    ++source->in_minute;
-    source->rank = std::max(source->rank, refused.rank);
-    source->detail = refused.detail;
-    full = Exceeds(source->lately, limits_.of_source, now_ns);
-    if (full) exceeded_ns_ = now_ns;
-    reported = reported_ns_.contains(refused.source);
-  }
-  if (full && !reported && names_left_ > 0) {
-    --names_left_;
-    reported_ns_[refused.source] = now_ns;
-    const Window& lately = source->lately;
-    others_.count = std::max(0, others_.count - lately.count);
-    others_.before = std::max(0, others_.before - lately.before);
-    const auto count = static_cast<uint64_t>(limits_.of_source);
-    return Report{
-        .kind = Report::Kind::kSource,
-        .most = {{.refused = {refused.source, source->rank, refused.detail}, .count = count}},
-        .count = count,
-        .within_ns = lately.before > 0 ? limits_.window_ns : now_ns - lately.begun_ns};
+    ++source->part.count;
+    ++source->part.by_rank[refused.rank];
+    source->part.detail = refused.detail;
+    const bool exceeds = Exceeds(source->lately, limits_.of_source, now_ns);
+    if (exceeds) exceeded_ns_ = now_ns;
+    reported = reported_.contains(refused.source);
+    if (IsDue(*source, exceeds)) {
+      reported_[refused.source] = {.at_ns = now_ns, .rank = source->part.rank()};
+      const Window& lately = source->lately;
+      others_.count = std::max(0, others_.count - lately.count);
+      others_.before = std::max(0, others_.before - lately.before);
+      return Report{.kind = Report::Kind::kSource,
+                    .most = {source->part},
+                    .count = static_cast<uint64_t>(limits_.of_source),
+                    .within_ns = lately.before > 0 ? limits_.window_ns : now_ns - lately.begun_ns};
+    }
   }
   if (reported || !Exceeds(others_, limits_.of_all, now_ns)) return std::nullopt;
   exceeded_ns_ = now_ns;
   if (all_reported_ns_ && now_ns - *all_reported_ns_ < limits_.again_ns) return std::nullopt;
   all_reported_ns_ = now_ns;
-  return Most(Report::Kind::kAll, now_ns);
+  return Report{.kind = Report::Kind::kAll,
+                .most = Most(),
+                .sources = sources_.size(),
+                .count = static_cast<uint64_t>(limits_.of_all),
+                .within_ns = others_.before > 0 ? limits_.window_ns : now_ns - others_.begun_ns};
 }
 
-FloodWatch::Report FloodWatch::Most(Report::Kind kind, int64_t now_ns) const {
-  Report report{.kind = kind,
-                .counted = !given_up_,
-                .count = in_minute_,
-                .within_ns = now_ns - minute_ns_,
-                .goes_on = exceeded_ns_ && now_ns - *exceeded_ns_ < limits_.window_ns};
-  report.sources = 0;
-  std::vector<Part>& most = report.most;
+std::vector<FloodWatch::Part> FloodWatch::Most() const {
+  const auto before = [this](const Part& a, const Part& b) {
+    const int rank_a = limits_.gravest_first ? a.rank() : 0;
+    const int rank_b = limits_.gravest_first ? b.rank() : 0;
+    return std::tie(rank_a, a.count) > std::tie(rank_b, b.count);
+  };
+  std::vector<Part> most;
   for (const auto& [name, source] : sources_) {
-    if (source.in_minute == 0) continue;
-    ++report.sources;
-    if (most.size() == kMostMax && most.back().count >= source.in_minute) continue;
+    if (source.part.count == 0) continue;
+    if (most.size() == kMostMax && !before(source.part, most.back())) continue;
     if (most.size() == kMostMax) most.pop_back();
-    const auto at = std::find_if(most.begin(), most.end(),
-                                 [&](const Part& part) { return part.count < source.in_minute; });
-    most.insert(at, {.refused = {name, source.rank, source.detail}, .count = source.in_minute});
+    most.insert(std::upper_bound(most.begin(), most.end(), source.part, before), source.part);
   }
-  return report;
+  return most;
 }
 
 std::optional<FloodWatch::Report> FloodWatch::Look(int64_t now_ns) {
   if (now_ns - minute_ns_ < kMinuteNs) return std::nullopt;
   std::optional<Report> report;
-  if (exceeded_ns_) report = Most(Report::Kind::kMinute, now_ns);
+  if (exceeded_ns_ || began_) {
+    const auto active = [](const auto& each) { return each.second.part.count > 0; };
+    report = Report{
+        .kind = exceeded_ns_ ? Report::Kind::kMinute : Report::Kind::kOver,
+        .most = Most(),
+        .sources = static_cast<size_t>(std::count_if(sources_.begin(), sources_.end(), active)),
+        .counted = !given_up_,
+        .count = in_minute_,
+        .within_ns = now_ns - minute_ns_,
+        .goes_on = exceeded_ns_ && now_ns - *exceeded_ns_ < limits_.window_ns};
+    if (given_up_) report->sources = kSourcesMax;
+  }
   minute_ns_ = now_ns;
   in_minute_ = 0;
   given_up_ = false;
+  began_ = exceeded_ns_.has_value();
   exceeded_ns_.reset();
   names_left_ = std::min(names_left_ + 1, limits_.named);
-  absl::erase_if(reported_ns_,
-                 [&](const auto& each) { return now_ns - each.second >= limits_.again_ns; });
+  absl::erase_if(reported_,
+                 [&](const auto& each) { return now_ns - each.second.at_ns >= limits_.again_ns; });
   absl::erase_if(sources_, [&](auto& each) {
-    each.second.in_minute = 0;
-    each.second.rank = 0;
+    Part& part = each.second.part;
+    part = {.source = part.source};
     return Lately(each.second.lately, now_ns) == 0;
   });
   return report;

@@ -7,15 +7,20 @@
 // |                                                       | `again_ns`                          |
 // | those not reported by themselves exceed `of_all` in   | kAll: the same                      |
 // | it                                                    |                                     |
-// | a minute in which there was either has passed         | kMinute: how many, and from which   |
+// | a source reported before has `of_source` in a minute  | kSource: at once                    |
+// | of a higher rank                                      |                                     |
+// | a minute in which there was any of these has passed   | kMinute: how many, and from which   |
 // |                                                       | sources the most                    |
+// | the minute after it has passed without                | kOver                               |
 //
 // Only `named` sources are reported by themselves, and one more each minute, so that decoys cannot
 // use up what is read. They cannot hide the others either: each minute's report names the sources
-// of the most, whenever in the minute they came. Pure.
+// of the most, whenever in the minute they came. What stays below `of_source` and `of_all` is not
+// reported, however long it lasts. Pure.
 #ifndef RIPS_POLICY_SERVER_SERVER_FLOOD_WATCH_H_
 #define RIPS_POLICY_SERVER_SERVER_FLOOD_WATCH_H_
 
+#include <array>
 #include <cstddef>
 #include <cstdint>
 #include <optional>
@@ -34,7 +39,8 @@ class FloodWatch {
   // Sources of a minute that are told apart. Beyond it those of the fewest are given up: counts of
   // the others may be too low by as many rounds of that as there were.
   static constexpr size_t kSourcesMax = 8'192;
-  static constexpr size_t kMostMax = 3;
+  static constexpr size_t kMostMax = 8;
+  static constexpr int kRanks = 8;
 
   struct Limits {
     int of_source = 64;
@@ -42,23 +48,30 @@ class FloodWatch {
     int named = 8;
     int64_t window_ns = 10 * kNanosPerSecond;
     int64_t again_ns = 600 * kNanosPerSecond;
+    // Of two sources, that of the higher rank is reported first, not that of the more.
+    bool gravest_first = false;
   };
   // What is refused.
   struct Refused {
     std::string source;
-    // Which of a source's reasons is reported: the highest.
+    // How grave it is, below kRanks.
     int rank = 0;
     // The newest is reported.
     std::string detail;
   };
   struct Part {
-    Refused refused;
+    std::string source;
+    std::string detail;
     uint64_t count = 0;
+    std::array<uint64_t, kRanks> by_rank = {};
+
+    // The highest there is.
+    int rank() const;
   };
   struct Report {
-    enum class Kind { kSource, kAll, kMinute };
+    enum class Kind { kSource, kAll, kMinute, kOver };
     Kind kind = Kind::kSource;
-    // kSource: that source. Otherwise those of the most, at most kMostMax, most first.
+    // kSource: that source. Otherwise those of the minute's most, at most kMostMax, most first.
     std::vector<Part> most;
     // From so many sources, or more if they are not all `counted`.
     size_t sources = 1;
@@ -66,7 +79,7 @@ class FloodWatch {
     uint64_t count = 0;
     // In which they came, until now.
     int64_t within_ns = 0;
-    // kMinute: there was one within the last `window_ns`.
+    // A limit was exceeded within the last `window_ns`.
     bool goes_on = true;
   };
 
@@ -87,16 +100,21 @@ class FloodWatch {
   };
   struct Source {
     Window lately;
-    uint64_t in_minute = 0;
+    // Of this minute.
+    Part part;
+  };
+  struct Reported {
+    int64_t at_ns = 0;
     int rank = 0;
-    std::string detail;
   };
   int Lately(Window& window, int64_t now_ns) const;
   // One more: whether that makes `limit` or more.
   bool Exceeds(Window& window, int limit, int64_t now_ns) const;
   // Null: there is no room for another one.
   Source* Find(const std::string& source);
-  Report Most(Report::Kind kind, int64_t now_ns) const;
+  // The source of `source` is due to be reported by itself.
+  bool IsDue(const Source& source, bool exceeds);
+  std::vector<Part> Most() const;
 
   const Limits limits_;
   absl::flat_hash_map<std::string, Source> sources_;
@@ -104,13 +122,15 @@ class FloodWatch {
   bool given_up_ = false;
   uint64_t in_minute_ = 0;
   int64_t minute_ns_ = 0;
-  // The newest count by which a limit was exceeded.
+  // The newest count of this minute by which a limit was exceeded.
   std::optional<int64_t> exceeded_ns_;
+  // It was in the last minute.
+  bool began_ = false;
   // Of those that were not reported by themselves.
   Window others_;
   std::optional<int64_t> all_reported_ns_;
   // At most `named`, and one for each minute of `again_ns`.
-  absl::flat_hash_map<std::string, int64_t> reported_ns_;
+  absl::flat_hash_map<std::string, Reported> reported_;
   int names_left_;
 };
 

@@ -46,7 +46,7 @@ TEST_F(FloodWatchTest, ASourceIsReportedAtItsLimit) {
   const auto reports = Count("10.0.0.1");
   ASSERT_THAT(reports, SizeIs(1));
   EXPECT_EQ(reports[0].kind, Kind::kSource);
-  EXPECT_EQ(reports[0].most[0].refused.source, "10.0.0.1");
+  EXPECT_EQ(reports[0].most[0].source, "10.0.0.1");
   EXPECT_EQ(reports[0].count, 5u);
   EXPECT_EQ(reports[0].within_ns, 3 * kNanosPerSecond);
 }
@@ -84,6 +84,10 @@ TEST_F(FloodWatchTest, AMinuteOfAFloodIsReportedWhenItHasPassedUntilItStops) {
   EXPECT_EQ(report->count, 100u);
   EXPECT_FALSE(report->goes_on);
   EXPECT_THAT(Count("10.0.0.1", 4), SizeIs(0));
+  report = NextMinute();
+  ASSERT_TRUE(report) << "that it is over is reported, too";
+  EXPECT_EQ(report->kind, Kind::kOver);
+  EXPECT_EQ(report->count, 4u);
   EXPECT_FALSE(NextMinute());
 }
 
@@ -123,7 +127,7 @@ TEST_F(FloodWatchTest, DecoysHideNoSourceFromTheMinutesReport) {
     EXPECT_THAT(Count("10.9.9.9", 1'000), SizeIs(0));
     const auto report = NextMinute();
     ASSERT_TRUE(report);
-    EXPECT_EQ(report->most[0].refused.source, "10.9.9.9");
+    EXPECT_EQ(report->most[0].source, "10.9.9.9");
     EXPECT_EQ(report->most[0].count, 1'000u);
     EXPECT_EQ(report->count, 1'240u);
     EXPECT_EQ(report->sources, 41u);
@@ -151,21 +155,46 @@ TEST_F(FloodWatchTest, ASourceOfManyIsFoundAmongMoreThanAreToldApart) {
   const auto report = NextMinute();
   ASSERT_TRUE(report);
   EXPECT_FALSE(report->counted);
-  EXPECT_EQ(report->most[0].refused.source, "10.9.9.9");
+  EXPECT_EQ(report->sources, FloodWatch::kSourcesMax);
+  EXPECT_EQ(report->most[0].source, "10.9.9.9");
   EXPECT_GT(report->most[0].count, 4'900u);
   EXPECT_GT(report->count, 104'000u);
 }
 
-TEST_F(FloodWatchTest, TheHighestRankAndTheNewestDetailAreReported) {
+TEST_F(FloodWatchTest, TheCountOfEachRankAndTheNewestDetailAreReported) {
   watch_.Count({.source = "a", .rank = 1, .detail = "first"}, now_ns_);
   watch_.Count({.source = "a", .rank = 3, .detail = "second"}, now_ns_);
   for (int i = 0; i < 3; ++i) {
-    const auto report = watch_.Count({.source = "a", .rank = 2, .detail = "last"}, now_ns_);
+    const auto report = watch_.Count({.source = "a", .rank = 1, .detail = "last"}, now_ns_);
     ASSERT_EQ(report.has_value(), i == 2);
     if (!report) continue;
-    EXPECT_EQ(report->most[0].refused.rank, 3);
-    EXPECT_EQ(report->most[0].refused.detail, "last");
+    EXPECT_EQ(report->most[0].rank(), 3);
+    EXPECT_EQ(report->most[0].by_rank[1], 4u);
+    EXPECT_EQ(report->most[0].detail, "last");
   }
+}
+
+// A key that was reported for something harmless, and then does worse.
+TEST_F(FloodWatchTest, AHigherRankIsReportedAgainAtOnce) {
+  FloodWatch watch({.of_source = 5, .of_all = 1'000, .gravest_first = true});
+  const auto count = [&](const std::string& source, int rank, int times) {
+    int reports = 0;
+    for (int i = 0; i < times; ++i) {
+      reports += watch.Count({.source = source, .rank = rank}, now_ns_).has_value() ? 1 : 0;
+    }
+    return reports;
+  };
+  EXPECT_EQ(count("mallory", 0, 50), 1);
+  EXPECT_EQ(count("mallory", 2, 4), 0) << "now and then";
+  EXPECT_EQ(count("mallory", 2, 50), 1);
+  EXPECT_EQ(count("mallory", 2, 50), 0);
+  EXPECT_EQ(count("mallory", 1, 50), 0) << "no worse";
+  for (int i = 0; i < 20; ++i) count(absl::StrCat("robot ", i), 1, 500);
+  now_ns_ += FloodWatch::kMinuteNs;
+  const auto report = watch.Look(now_ns_);
+  ASSERT_TRUE(report);
+  EXPECT_EQ(report->most[0].source, "mallory") << "the gravest first";
+  EXPECT_EQ(report->most[0].by_rank[2], 104u);
 }
 
 }  // namespace

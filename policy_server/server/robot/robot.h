@@ -205,6 +205,7 @@ class Robot {
   void GraphChanged(SensorHost& host, engine::Event event);
   void GrantCredit(SensorHost& host, SensorSession& session);
   void SendSetup(const std::string& host_name, SensorHost& host, SensorSession& session);
+  void SendSetups();
   void CheckSensors(Instant now);
 
   // robot_inventory.cc
@@ -249,9 +250,9 @@ class Robot {
   void UpdateActuation(Instant now);
   void HandleProgramResult(const ProgramResult& result, Instant now);
   bool ActuatorLive(const ActuatorHost& host, Instant now) const;
-  std::vector<ros2::Guid> OwnParticipants() const;
+  std::vector<ros2::Guid> Participants() const;  // of all agents
   void TakeParticipant(const std::string& agent, const ros2::Guid& participant,
-                       std::deque<OwnParticipant>& known);
+                       OwnParticipants& known);
   void ExpireParticipants(Instant now);
   std::vector<std::string> ProtectedParts() const;
 
@@ -289,7 +290,6 @@ class Robot {
   // robot_recording.cc
   // Hands everything collected to the recorder; sequences up to now are acknowledged when durable.
   void Flush();
-  void FlushIfDue();
   store::Checkpoint MakeCheckpoint() const;
   void OnRecorded(const absl::Status& status);
   void Acknowledge(const store::HighWater& judged);

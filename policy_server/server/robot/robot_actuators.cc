@@ -12,9 +12,6 @@
 namespace rips::pipeline {
 namespace {
 
-// Of one agent that are known as ours, and how long after the next one.
-constexpr size_t kParticipantsKept = 8;
-constexpr int64_t kParticipantKeptNs = 30 * kNanosPerSecond;
 // What an actuator without a state of its own says of its floor.
 constexpr char kStateLostFloor[] = "state lost";
 // Events of drifts that one heartbeat makes.
@@ -45,46 +42,35 @@ bool Robot::ActuatorLive(const ActuatorHost& host, Instant now) const {
   return host.session && now.boottime_ns - host.session->heard_ns <= timing_.lost_ns;
 }
 
-std::vector<ros2::Guid> Robot::OwnParticipants() const {
+std::vector<ros2::Guid> Robot::Participants() const {
   std::vector<ros2::Guid> own;
-  for (const auto& [name, host] : actuators_) {
-    for (const OwnParticipant& each : host.participants) own.push_back(each.guid);
-  }
-  for (const auto& [name, host] : sensors_) {
-    for (const OwnParticipant& each : host.participants) own.push_back(each.guid);
-  }
+  for (const auto& [name, host] : actuators_) host.participants.AppendTo(own);
+  for (const auto& [name, host] : sensors_) host.participants.AppendTo(own);
   return own;
 }
 
-// What is RIPS's own is no stranger to rules: an agent's key must not make one of an intruder.
 void Robot::TakeParticipant(const std::string& agent, const ros2::Guid& participant,
-                            std::deque<OwnParticipant>& known) {
+                            OwnParticipants& known) {
   if (participant.none()) return;
-  for (const ros2::Node& node : graph().nodes()) {
-    if (node.participant != participant || node.full_name == kRipsNode) continue;
+  if (const auto node = ForeignNodeOf(graph(), participant)) {
     return OwnAlert(
         engine::Severity::kCritical,
-        absl::StrCat(agent, " calls the DDS participant of node ", ros2::Printable(node.full_name),
+        absl::StrCat(agent, " calls the DDS participant of node ", ros2::Printable(*node),
                      " its own; that is not believed, and its key may be in other "
                      "hands"));
   }
-  const int64_t until_ns = ports_.clock->Now().boottime_ns + kParticipantKeptNs;
-  std::erase_if(known, [&](const OwnParticipant& each) { return each.guid == participant; });
-  for (OwnParticipant& each : known) {
-    if (each.until_ns == 0) each.until_ns = until_ns;
-  }
-  known.push_back({.guid = participant});
-  if (known.size() > kParticipantsKept) known.pop_front();
+  known.Add(participant, ports_.clock->Now().boottime_ns);
 }
 
 void Robot::ExpireParticipants(Instant now) {
-  size_t gone = 0;
-  const auto over = [&](const OwnParticipant& each) {
-    return each.until_ns != 0 && now.boottime_ns >= each.until_ns;
-  };
-  for (auto& [name, host] : actuators_) gone += std::erase_if(host.participants, over);
-  for (auto& [name, host] : sensors_) gone += std::erase_if(host.participants, over);
-  if (gone == 0) return;
+  bool gone = false;
+  for (auto& [name, host] : actuators_) gone |= host.participants.Expire(now.boottime_ns);
+  for (auto& [name, host] : sensors_) gone |= host.participants.Expire(now.boottime_ns);
+  if (gone) SendSetups();
+}
+
+// What sensors must know of agents has changed.
+void Robot::SendSetups() {
   for (auto& [name, sensor] : sensors_) {
     if (sensor.session) SendSetup(name, sensor, *sensor.session);
   }
@@ -232,9 +218,7 @@ void Robot::Arm(ActuatorHost& host, const Arming& arming) {
   host.lost = false;
   SendLease(*host.session);
   SendCommands(now);
-  for (auto& [name, sensor] : sensors_) {
-    if (sensor.session) SendSetup(name, sensor, *sensor.session);
-  }
+  SendSetups();
   External(engine::AgentEvent{.agent = "actuator", .state = "connected"});
   if (hello.state_lost) {
     OwnAlert(engine::Severity::kHigh,
@@ -432,7 +416,7 @@ void Robot::OnReceipt(const std::string& host_name, const ActuatorLink* link,
   }
   UpdateActuation(now);
   SendCommands(now);
-  FlushIfDue();
+  if (outbox_.due()) Flush();
   PublishStatus();
 }
 
@@ -479,9 +463,7 @@ void Robot::OnActuatorGone(const std::string& host_name, const ActuatorLink* lin
   it->second.gone_since_ns = now.boottime_ns;
   ledger_.Detach(host_name);
   if (drill_) drill_->run.OnGone(host_name);
-  for (auto& [name, sensor] : sensors_) {
-    if (sensor.session) SendSetup(name, sensor, *sensor.session);
-  }
+  SendSetups();
   UpdateActuation(now);
   PublishStatus();
 }

@@ -40,7 +40,7 @@ void Robot::ExamineOwnGraph() {
   sight_.graph_examined = now;
   sight_.graph_health = ExamineGraph(graph(), {.sensor = primary->first,
                                                .domain = domain,
-                                               .own_participants = OwnParticipants(),
+                                               .own_participants = Participants(),
                                                .parts = ProtectedParts()});
   const ros2::Truncation truncation = graph().truncation();
   const bool began = sight_.truncation_alarm.Set(truncation, ports_.clock->Now().boottime_ns);

@@ -80,7 +80,7 @@ void Robot::JudgeMerged(ControlBatch& batch) {
   if (host == sensors_.end() || !host->second.settled) return;
   GraphChanged(host->second, std::move(event));
   UpdateActuation(ports_.clock->Now());
-  FlushIfDue();
+  if (outbox_.due()) Flush();
 }
 
 }  // namespace rips::pipeline

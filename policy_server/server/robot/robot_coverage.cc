@@ -137,7 +137,7 @@ void Robot::CountLost(SensorHost& host, uint64_t count) {
 }
 
 void Robot::UpdateCoverage(Instant now) {
-  std::vector<ros2::Guid> own = OwnParticipants();
+  std::vector<ros2::Guid> own = Participants();
   if (sight_.counted_revision != state_.graph.revision() || sight_.counted_without != own) {
     sight_.counted_revision = state_.graph.revision();
     sight_.counted_without = std::move(own);

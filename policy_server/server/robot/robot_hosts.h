@@ -4,7 +4,6 @@
 
 #include <cstddef>
 #include <cstdint>
-#include <deque>
 #include <memory>
 #include <optional>
 #include <string>
@@ -19,6 +18,7 @@
 #include "policy_server/server/robot/model/inbound.h"
 #include "policy_server/server/robot/parts/drill_run.h"
 #include "policy_server/server/robot/parts/graph_health.h"
+#include "policy_server/server/robot/parts/own_participants.h"
 #include "policy_server/server/robot/parts/second_holder.h"
 #include "policy_server/server/robot/parts/sensor_health.h"
 #include "policy_server/server/robot/parts/sequence_track.h"
@@ -52,14 +52,6 @@ struct SensorSession {
   ClockSkew skew;
 };
 
-// A DDS participant that an agent says is its own.
-struct OwnParticipant {
-  ros2::Guid guid;
-  // An earlier one is given up then: on the bus a process that was killed goes on until its lease
-  // ends, and is no stranger for that. 0 = the newest, which stands while the agent is away.
-  int64_t until_ns = 0;
-};
-
 // A sensor host of the inventory, with or without a session.
 struct SensorHost {
   std::string name;
@@ -81,8 +73,7 @@ struct SensorHost {
   SensorStateSeen state;
   // When it said what `state` says of inputs, by its own clock.
   int64_t state_boottime_ns = 0;
-  // As an actuator's, below.
-  std::deque<OwnParticipant> participants;
+  OwnParticipants participants;
   // Gaps were put down to a restored store; once for each start of the server.
   bool excused = false;
 
@@ -110,8 +101,7 @@ struct ActuatorSession {
 // An actuator host of the inventory, with or without a session.
 struct ActuatorHost {
   std::optional<ActuatorSession> session;
-  // The newest last.
-  std::deque<OwnParticipant> participants;
+  OwnParticipants participants;
   // As it said last.
   std::vector<std::string> protected_parts;
   std::optional<uint64_t> drifts;

@@ -77,9 +77,7 @@ void Robot::SetActuators(const RobotConfig& config, Instant now) {
     if (fresh) it->second.gone_since_ns = now.boottime_ns;
   }
   ledger_.SetHosts(config.actuator_hosts);
-  for (auto& [name, sensor] : sensors_) {
-    if (sensor.session) SendSetup(name, sensor, *sensor.session);
-  }
+  SendSetups();
 }
 
 void Robot::SetPolicyProblem(std::string problem) {

@@ -7,10 +7,6 @@
 
 namespace rips::pipeline {
 
-void Robot::FlushIfDue() {
-  if (outbox_.due()) Flush();
-}
-
 store::Checkpoint Robot::MakeCheckpoint() const {
   store::Checkpoint checkpoint{.robot = config_.id,
                                .soft_suspended = state_.level.soft_suspended(),

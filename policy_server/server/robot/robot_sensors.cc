@@ -86,7 +86,7 @@ void Robot::OnSensorHello(const std::string& host_name, std::shared_ptr<SensorLi
 void Robot::SendSetup(const std::string& host_name, SensorHost& host, SensorSession& session) {
   const bool primary = host_name == config_.primary_sensor;
   session.link->Setup({.linger_ms = timing_.linger_ms,
-                       .own_participants = OwnParticipants(),
+                       .own_participants = Participants(),
                        .protected_parts = ProtectedParts(),
                        .primary = primary,
                        .want_snapshot = primary && host.graph_incarnation != session.incarnation,
@@ -175,7 +175,7 @@ void Robot::JudgeBatch(const std::string& host_name, const SensorLink* link, con
     GrantCredit(host, *host.session);
   }
   UpdateActuation(now);
-  FlushIfDue();
+  if (outbox_.due()) Flush();
 }
 
 void Robot::Missing(SensorHost& host, uint64_t count) {
