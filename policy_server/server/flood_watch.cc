@@ -77,14 +77,17 @@ std::optional<FloodWatch::Report> FloodWatch::Count(const Refused& refused, int6
     if (exceeds) exceeded_ns_ = now_ns;
     reported = reported_.contains(refused.source);
     if (IsDue(*source, exceeds)) {
-      reported_[refused.source] = {.at_ns = now_ns, .rank = source->part.rank()};
       const Window& lately = source->lately;
+      int64_t within_ns = lately.before > 0 ? limits_.window_ns : now_ns - lately.begun_ns;
+      // A higher rank is due by the minute's count.
+      if (reported) within_ns = now_ns - minute_ns_;
+      reported_[refused.source] = {.at_ns = now_ns, .rank = source->part.rank()};
       others_.count = std::max(0, others_.count - lately.count);
       others_.before = std::max(0, others_.before - lately.before);
       return Report{.kind = Report::Kind::kSource,
                     .most = {source->part},
                     .count = static_cast<uint64_t>(limits_.of_source),
-                    .within_ns = lately.before > 0 ? limits_.window_ns : now_ns - lately.begun_ns};
+                    .within_ns = within_ns};
     }
   }
   if (reported || !Exceeds(others_, limits_.of_all, now_ns)) return std::nullopt;
