@@ -27,7 +27,7 @@ std::string Seconds(int64_t ns) {
   return absl::StrCat(std::max<int64_t>(1, (ns + kNanosPerSecond - 1) / kNanosPerSecond), " s");
 }
 
-// "1010 connections without a call in the last minute, from 2 addresses".
+// "1010 without a call in the last minute, from 2 addresses".
 std::string Minute(const FloodWatch::Report& report, absl::string_view what,
                    absl::string_view sources) {
   return absl::StrCat(report.count, " ", what, " in the last minute, from ",
@@ -35,7 +35,7 @@ std::string Minute(const FloodWatch::Report& report, absl::string_view what,
 }
 
 std::string Ending(const FloodWatch::Report& report) {
-  return report.goes_on ? "; it goes on" : "; none in the last 10 s";
+  return report.goes_on ? "; it goes on" : "; below the limit in the last 10 s";
 }
 
 // Why calls are refused, the gravest last.
@@ -46,6 +46,7 @@ struct Reason {
   bool shut_out = false;
 };
 constexpr Reason kReasons[] = {
+    {"", "for a reason of its own"},
     {"quota", "it asks more than its quota allows"},
     {"limit", "a field of its requests is past its limit"},
     {"throttled", "its connections are too many, or broke the limits"},
@@ -74,7 +75,11 @@ std::string ReasonsOf(const FloodWatch::Part& part) {
   return absl::StrJoin(reasons, ", ");
 }
 
-// Sources that sent more than one are worth a name.
+std::string LastFrom(const FloodWatch::Part& part) {
+  return part.detail.empty() ? "" : absl::StrCat(", last from ", part.detail);
+}
+
+// A source that sent one is not worth a name.
 std::vector<FloodWatch::Part> Named(const FloodWatch::Report& report) {
   std::vector<FloodWatch::Part> named = report.most;
   std::erase_if(named, [](const FloodWatch::Part& part) { return part.count < 2; });
@@ -112,10 +117,10 @@ void AttackAlerts::OnConnectionWasted(const std::string& address, bool known) {
     report =
         connections_.Count({.source = address, .rank = known ? 1 : 0}, clock_->Now().boottime_ns);
   }
-  if (report) TellConnections(*report);
+  if (report) ReportConnections(*report);
 }
 
-void AttackAlerts::TellConnections(const FloodWatch::Report& report) {
+void AttackAlerts::ReportConnections(const FloodWatch::Report& report) {
   if (report.kind == Kind::kOver) {
     return alerts_->Raise(Server(), engine::Severity::kInfo,
                           absl::StrCat("the flood of connections is over: ",
@@ -129,15 +134,17 @@ void AttackAlerts::TellConnections(const FloodWatch::Report& report) {
                      Seconds(report.within_ns), " made no call. ", kSafe,
                      "an agent at this address may wait until it can connect. The sender may be an "
                      "attacker, or agents whose certificate or clock is wrong",
-                     source.rank() > 0
+                     source.by_rank[1] > 0
                          ? "; agents or operators of ours have connected from there, and a "
                            "firewall would shut them out, too"
-                         : "; a firewall can shut the address out"));
+                         : "; none of ours has connected from there in the last hour: if none is "
+                           "to, a firewall can shut the address out"));
   }
   const std::string most =
       absl::StrJoin(Named(report), ", ", [](std::string* out, const FloodWatch::Part& part) {
-        absl::StrAppend(out, part.source, " (", part.count,
-                        part.rank() > 0 ? "; agents or operators of ours are there, too)" : ")");
+        absl::StrAppend(
+            out, part.source, " (", part.count,
+            part.by_rank[1] > 0 ? "; agents or operators of ours are there, too)" : ")");
       });
   const std::string from = most.empty() ? "" : absl::StrCat(", most from ", most);
   // Each a kind of its own, so that none uses up the other's rate.
@@ -166,38 +173,44 @@ void AttackAlerts::OnCallRefused(const rpc::PeerIdentity& identity, absl::string
   std::optional<FloodWatch::Report> report;
   {
     MutexLock lock(&mu_);
-    report = calls_.Count(
-        {.source = rpc::ToString(identity), .rank = RankOf(reason), .detail = std::string(address)},
-        clock_->Now().boottime_ns);
+    report = calls_.Count({.source = rpc::ToString(identity),
+                           .rank = RankOf(reason),
+                           .detail = rpc::DecodePeer(address)},
+                          clock_->Now().boottime_ns);
   }
-  if (report) TellCalls(*report);
+  if (report) ReportCalls(*report);
 }
 
-void AttackAlerts::TellCalls(const FloodWatch::Report& report) {
+void AttackAlerts::ReportCalls(const FloodWatch::Report& report) {
   if (report.kind == Kind::kOver) {
     return alerts_->Raise(Server(), engine::Severity::kInfo,
-                          absl::StrCat("calls are refused no more than now and then: ",
+                          absl::StrCat("the flood of refused calls is over: ",
                                        Minute(report, "without effect", "certificates")));
   }
+  const auto shut_out = [](const FloodWatch::Part& part) { return kReasons[part.rank].shut_out; };
   if (report.kind == Kind::kMinute) {
+    const std::vector<FloodWatch::Part> named = Named(report);
     const std::string from =
-        absl::StrJoin(report.most, "; ", [](std::string* out, const FloodWatch::Part& part) {
-          absl::StrAppend(out, part.source, ", last from ", part.detail, ": ", ReasonsOf(part));
+        absl::StrJoin(named, "; ", [](std::string* out, const FloodWatch::Part& part) {
+          absl::StrAppend(out, part.source, LastFrom(part), ": ", ReasonsOf(part));
         });
     return alerts_->Raise(
         Server(), engine::Severity::kHigh,
         absl::StrCat("calls are refused: ", Minute(report, "without effect", "certificates"),
                      Ending(report), ". ", from,
-                     ". A key that may be in other hands: ripsctl agent ban URI --reason TEXT"));
+                     std::all_of(named.begin(), named.end(), shut_out)
+                         ? ""
+                         : ". A key that may be in other hands: ripsctl agent ban URI --reason "
+                           "TEXT"));
   }
   const FloodWatch::Part& part = report.most[0];
   const std::string text = absl::StrCat(
       report.count, " calls of ", part.source, " were refused within ", Seconds(report.within_ns),
-      ", last from ", part.detail, ": ", ReasonsOf(part), ". None had an effect",
-      kReasons[part.rank()].shut_out
-          ? ""
-          : absl::StrCat("; if its key may be in other hands, an administrator shuts it out: ",
-                         "ripsctl agent ban ", part.source, " --reason TEXT"));
+      LastFrom(part), "; in this minute: ", ReasonsOf(part), ". None had an effect",
+      shut_out(part) ? ""
+                     : absl::StrCat("; if its key may be in other hands, an administrator shuts it "
+                                    "out: ripsctl agent ban ",
+                                    part.source, " --reason TEXT"));
   // Agents' and operators' keys do not use up one another's rate.
   if (absl::StrContains(part.source, "/operator/")) {
     alerts_->Raise(Server(), engine::Severity::kHigh, text);
@@ -206,17 +219,17 @@ void AttackAlerts::TellCalls(const FloodWatch::Report& report) {
   }
 }
 
-void AttackAlerts::Look() {
+void AttackAlerts::Poll() {
   std::optional<FloodWatch::Report> connections;
   std::optional<FloodWatch::Report> calls;
   {
     MutexLock lock(&mu_);
     const int64_t now_ns = clock_->Now().boottime_ns;
-    connections = connections_.Look(now_ns);
-    calls = calls_.Look(now_ns);
+    connections = connections_.Poll(now_ns);
+    calls = calls_.Poll(now_ns);
   }
-  if (connections) TellConnections(*connections);
-  if (calls) TellCalls(*calls);
+  if (connections) ReportConnections(*connections);
+  if (calls) ReportCalls(*calls);
 }
 
 }  // namespace rips

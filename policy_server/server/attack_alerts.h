@@ -40,17 +40,17 @@ class AttackAlerts {
   void OnConnectionWasted(const std::string& address, bool known) ABSL_LOCKS_EXCLUDED(mu_);
   // A stream of a peer of this robot, which is of the inventory, was closed.
   void OnPeerRefused(const std::string& robot) ABSL_LOCKS_EXCLUDED(mu_);
-  // `reason`: of rpc::Refusal; `address` as gRPC names the peer.
+  // `reason`: of rpc::Refusal; `address` as gRPC names the peer, or empty.
   void OnCallRefused(const rpc::PeerIdentity& identity, absl::string_view reason,
                      absl::string_view address) ABSL_LOCKS_EXCLUDED(mu_);
   // Call it every second or so: reports the minute that has passed.
-  void Look() ABSL_LOCKS_EXCLUDED(mu_);
+  void Poll() ABSL_LOCKS_EXCLUDED(mu_);
 
  private:
   // True once a minute for each name.
   bool IsDue(const std::string& name) ABSL_LOCKS_EXCLUDED(mu_);
-  void TellConnections(const FloodWatch::Report& report);
-  void TellCalls(const FloodWatch::Report& report);
+  void ReportConnections(const FloodWatch::Report& report);
+  void ReportCalls(const FloodWatch::Report& report);
 
   pipeline::ServerAlerts* alerts_;
   const Clock* clock_;

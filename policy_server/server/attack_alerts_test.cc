@@ -13,15 +13,18 @@
 #include "policy_server/server/store/committer.h"
 #include "policy_server/server/store/fake_store.h"
 #include "services/base/fake_clock.h"
+#include "services/rpc/call_gate.h"
 
 namespace rips {
 namespace {
 
 using ::testing::AllOf;
+using ::testing::Each;
 using ::testing::ElementsAre;
 using ::testing::HasSubstr;
 using ::testing::IsEmpty;
 using ::testing::Not;
+using ::testing::SizeIs;
 using ::testing::StartsWith;
 
 constexpr char kMallory[] = "spiffe://td/operator/viewer/mallory";
@@ -85,21 +88,21 @@ TEST_F(AttackAlertsTest, AConnectionThatIsNotBannedIsNoAttack) {
 }
 
 TEST_F(AttackAlertsTest, AFloodNamesItsAddressAtOnceAndCountsItEachMinute) {
-  attacks_.Look();
+  attacks_.Poll();
   for (int i = 0; i < 1'000; ++i) attacks_.OnConnectionWasted("10.0.0.7", false);
   for (int i = 0; i < 10; ++i) attacks_.OnConnectionWasted("10.0.0.8", false);
   for (int i = 0; i < 3; ++i) {
     clock_.Advance(60 * kNanosPerSecond);
-    attacks_.Look();
+    attacks_.Poll();
   }
   EXPECT_THAT(Told(),
               ElementsAre(AllOf(StartsWith("(server) high a flood of connections from 10.0.0.7: "
                                            "64 within 1 s made no call. Robots that are connected "
                                            "are guarded as before"),
-                                HasSubstr("a firewall can shut the address out")),
+                                HasSubstr("if none is to, a firewall can shut the address out")),
                           HasSubstr("1010 without a call in the last minute, from 2 addresses, "
-                                    "most from 10.0.0.7 (1000), 10.0.0.8 (10); none in the last "
-                                    "10 s"),
+                                    "most from 10.0.0.7 (1000), 10.0.0.8 (10); below the limit "
+                                    "in the last 10 s"),
                           StartsWith("(server) info the flood of connections is over: 0 without a "
                                      "call in the last minute")));
 }
@@ -115,7 +118,7 @@ TEST_F(AttackAlertsTest, DecoysDoNotHideHowManyThereAre) {
       attacks_.OnConnectionWasted(absl::StrCat("10.0.", minute, ".", i % 40), false);
     }
     clock_.Advance(60 * kNanosPerSecond);
-    attacks_.Look();
+    attacks_.Poll();
   }
   int minutes = 0;
   for (const std::string& text : Told()) {
@@ -138,13 +141,23 @@ TEST_F(AttackAlertsTest, ARobotsPeersAreToldOfThatRobot) {
 TEST_F(AttackAlertsTest, ARefusedCallIsNothingButManyNameTheCaller) {
   for (int i = 0; i < 19; ++i) Refuse("script", "role");
   for (int i = 0; i < 100; ++i) Refuse("mallory", i == 5 ? "role" : "quota");
-  EXPECT_THAT(Told(), ElementsAre(AllOf(
-                          StartsWith(absl::StrCat("(server) high 20 calls of ", kMallory,
-                                                  " were refused within 1 s, last from "
-                                                  "ipv4:10.0.0.7:4711: its role does not allow "
-                                                  "what it asks (1), it asks more than its quota "
-                                                  "allows (19). None had an effect")),
-                          HasSubstr(absl::StrCat("ripsctl agent ban ", kMallory)))));
+  EXPECT_THAT(
+      Told(),
+      ElementsAre(AllOf(StartsWith(absl::StrCat("(server) high 20 calls of ", kMallory,
+                                                " were refused within 1 s, last from "
+                                                "ipv4:10.0.0.7:4711; in this minute: its role does "
+                                                "not allow what it asks (1), it asks more than "
+                                                "its quota allows (19). None had an effect")),
+                        HasSubstr(absl::StrCat("ripsctl agent ban ", kMallory)))));
+}
+
+TEST_F(AttackAlertsTest, EachReasonToRefuseACallHasAText) {
+  for (const absl::string_view reason : rpc::kRefusalReasons) {
+    if (reason == "unidentified") continue;  // it has no certificate
+    for (int i = 0; i < 20; ++i) Refuse(std::string(reason), reason);
+  }
+  EXPECT_THAT(Told(), AllOf(SizeIs(std::size(rpc::kRefusalReasons) - 1),
+                            Each(Not(HasSubstr("for a reason of its own")))));
 }
 
 TEST_F(AttackAlertsTest, WhoIsShutOutAlreadyNeedsNoBan) {
@@ -166,7 +179,7 @@ TEST_F(AttackAlertsTest, ManyRefusedCertificatesHideNoOther) {
       }
     }
     clock_.Advance(9 * kNanosPerSecond);
-    attacks_.Look();
+    attacks_.Poll();
   }
   for (int i = 0; i < 25; ++i) Refuse("mallory", "role");
   int named = 0;

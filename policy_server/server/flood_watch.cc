@@ -19,30 +19,22 @@ int FloodWatch::Lately(Window& window, int64_t now_ns) const {
   return window.count + static_cast<int>(window.before * overlap);
 }
 
-bool FloodWatch::Exceeds(Window& window, int limit, int64_t now_ns) const {
+int FloodWatch::Add(Window& window, int64_t now_ns) const {
   const int lately = Lately(window, now_ns) + 1;
   ++window.count;
-  return lately >= limit;
-}
-
-int FloodWatch::Part::rank() const {
-  for (int rank = kRanks - 1; rank > 0; --rank) {
-    if (by_rank[rank] > 0) return rank;
-  }
-  return 0;
+  return lately;
 }
 
 FloodWatch::Source* FloodWatch::Find(const std::string& source) {
   const auto it = sources_.find(source);
   if (it != sources_.end()) return &it->second;
   if (sources_.size() >= kSourcesMax) {
-    // Misra and Gries: one is taken off each, so that those of many stay.
-    given_up_ = true;
-    absl::erase_if(sources_, [](auto& each) {
-      Part& part = each.second.part;
-      if (part.count > 0) --part.count;
-      return part.count == 0;
-    });
+    absl::erase_if(sources_, [](const auto& each) { return each.second.part.count == 0; });
+  }
+  if (sources_.size() >= kSourcesMax) {
+    // Misra and Gries: take one off each, so that the loud ones stay.
+    forgotten_ = true;
+    absl::erase_if(sources_, [](auto& each) { return --each.second.part.count == 0; });
     if (sources_.size() >= kSourcesMax) return nullptr;
   }
   Source& fresh = sources_[source];
@@ -50,61 +42,75 @@ FloodWatch::Source* FloodWatch::Find(const std::string& source) {
   return &fresh;
 }
 
-bool FloodWatch::IsDue(const Source& source, bool exceeds) {
+bool FloodWatch::TakeName(const Source& source, bool reached) {
   const auto reported = reported_.find(source.part.source);
-  if (reported == reported_.end()) {
-    if (!exceeds || names_left_ <= 0) return false;
-    --names_left_;
-    return true;
+  if (reported != reported_.end()) {
+    // What it was refused for before says nothing of this.
+    return limits_.gravest_first && source.part.rank > reported->second.rank;
   }
-  // What it was refused for before says nothing of this.
-  for (int rank = kRanks - 1; limits_.gravest_first && rank > reported->second.rank; --rank) {
-    if (source.part.by_rank[rank] >= static_cast<uint64_t>(limits_.of_source)) return true;
-  }
-  return false;
+  if (!reached || names_left_ <= 0) return false;
+  --names_left_;
+  return true;
 }
 
 std::optional<FloodWatch::Report> FloodWatch::Count(const Refused& refused, int64_t now_ns) {
   if (minute_ns_ == 0) minute_ns_ = now_ns;
   ++in_minute_;
   Source* source = Find(refused.source);
-  bool reported = false;
-  if (source != nullptr) {
-    ++source->part.count;
-    ++source->part.by_rank[refused.rank];
-    source->part.detail = refused.detail;
-    const bool exceeds = Exceeds(source->lately, limits_.of_source, now_ns);
-    if (exceeds) exceeded_ns_ = now_ns;
-    reported = reported_.contains(refused.source);
-    if (IsDue(*source, exceeds)) {
-      const Window& lately = source->lately;
-      int64_t within_ns = lately.before > 0 ? limits_.window_ns : now_ns - lately.begun_ns;
-      // A higher rank is due by the minute's count.
-      if (reported) within_ns = now_ns - minute_ns_;
-      reported_[refused.source] = {.at_ns = now_ns, .rank = source->part.rank()};
-      others_.count = std::max(0, others_.count - lately.count);
-      others_.before = std::max(0, others_.before - lately.before);
-      return Report{.kind = Report::Kind::kSource,
-                    .most = {source->part},
-                    .count = static_cast<uint64_t>(limits_.of_source),
-                    .within_ns = within_ns};
-    }
+  if (source == nullptr) return ReportAll(now_ns);
+  Part& part = source->part;
+  ++part.count;
+  if (++part.by_rank[refused.rank] == static_cast<uint64_t>(limits_.of_source)) {
+    part.rank = std::max(part.rank, refused.rank);
   }
-  if (reported || !Exceeds(others_, limits_.of_all, now_ns)) return std::nullopt;
+  if (!refused.detail.empty()) part.detail = refused.detail;
+  const int lately = Add(source->lately, now_ns);
+  const bool reached = lately >= limits_.of_source;
+  if (reached) exceeded_ns_ = now_ns;
+  const bool reported = reported_.contains(refused.source);
+  if (!TakeName(*source, reached)) {
+    if (reported) return std::nullopt;
+    ++source->in_others;
+    return ReportAll(now_ns);
+  }
+  // Of several ranks, perhaps none has reached the limit by itself yet.
+  const auto most = std::max_element(part.by_rank.begin(), part.by_rank.end());
+  reported_[refused.source] = {
+      .at_ns = now_ns, .rank = std::max(part.rank, static_cast<int>(most - part.by_rank.begin()))};
+  const int in_count = std::min(others_.count, source->in_others);
+  others_.count -= in_count;
+  others_.before = std::max(0, others_.before - (source->in_others - in_count));
+  Report report{.kind = Report::Kind::kSource,
+                .most = {part},
+                .count = static_cast<uint64_t>(lately),
+                .within_ns = source->lately.before > 0 ? limits_.window_ns
+                                                       : now_ns - source->lately.begun_ns};
+  // A higher rank is due by the minute's count.
+  if (reported) {
+    report.count = part.count;
+    report.within_ns = now_ns - minute_ns_;
+  }
+  return report;
+}
+
+// One more of those that are not reported by themselves.
+std::optional<FloodWatch::Report> FloodWatch::ReportAll(int64_t now_ns) {
+  const int lately = Add(others_, now_ns);
+  if (lately < limits_.of_all) return std::nullopt;
   exceeded_ns_ = now_ns;
   if (all_reported_ns_ && now_ns - *all_reported_ns_ < limits_.again_ns) return std::nullopt;
   all_reported_ns_ = now_ns;
   return Report{.kind = Report::Kind::kAll,
                 .most = Most(),
                 .sources = sources_.size(),
-                .count = static_cast<uint64_t>(limits_.of_all),
+                .count = static_cast<uint64_t>(lately),
                 .within_ns = others_.before > 0 ? limits_.window_ns : now_ns - others_.begun_ns};
 }
 
 std::vector<FloodWatch::Part> FloodWatch::Most() const {
   const auto before = [this](const Part& a, const Part& b) {
-    const int rank_a = limits_.gravest_first ? a.rank() : 0;
-    const int rank_b = limits_.gravest_first ? b.rank() : 0;
+    const int rank_a = limits_.gravest_first ? a.rank : 0;
+    const int rank_b = limits_.gravest_first ? b.rank : 0;
     return std::tie(rank_a, a.count) > std::tie(rank_b, b.count);
   };
   std::vector<Part> most;
@@ -117,7 +123,7 @@ std::vector<FloodWatch::Part> FloodWatch::Most() const {
   return most;
 }
 
-std::optional<FloodWatch::Report> FloodWatch::Look(int64_t now_ns) {
+std::optional<FloodWatch::Report> FloodWatch::Poll(int64_t now_ns) {
   if (now_ns - minute_ns_ < kMinuteNs) return std::nullopt;
   std::optional<Report> report;
   if (exceeded_ns_ || began_) {
@@ -126,15 +132,15 @@ std::optional<FloodWatch::Report> FloodWatch::Look(int64_t now_ns) {
         .kind = exceeded_ns_ ? Report::Kind::kMinute : Report::Kind::kOver,
         .most = Most(),
         .sources = static_cast<size_t>(std::count_if(sources_.begin(), sources_.end(), active)),
-        .counted = !given_up_,
+        .counted = !forgotten_,
         .count = in_minute_,
         .within_ns = now_ns - minute_ns_,
         .goes_on = exceeded_ns_ && now_ns - *exceeded_ns_ < limits_.window_ns};
-    if (given_up_) report->sources = kSourcesMax;
+    if (forgotten_) report->sources = kSourcesMax;
   }
   minute_ns_ = now_ns;
   in_minute_ = 0;
-  given_up_ = false;
+  forgotten_ = false;
   began_ = exceeded_ns_.has_value();
   exceeded_ns_.reset();
   names_left_ = std::min(names_left_ + 1, limits_.named);
@@ -143,6 +149,7 @@ std::optional<FloodWatch::Report> FloodWatch::Look(int64_t now_ns) {
   absl::erase_if(sources_, [&](auto& each) {
     Part& part = each.second.part;
     part = {.source = part.source};
+    each.second.in_others = 0;
     return Lately(each.second.lately, now_ns) == 0;
   });
   return report;

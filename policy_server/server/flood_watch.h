@@ -3,10 +3,9 @@
 //
 // | when                                                  | report                              |
 // |-------------------------------------------------------|-------------------------------------|
-// | one source exceeds `of_source` within `window_ns`     | kSource: at once, then after        |
+// | one source reaches `of_source` within `window_ns`     | kSource: at once, then after        |
 // |                                                       | `again_ns`                          |
-// | those not reported by themselves exceed `of_all` in   | kAll: the same                      |
-// | it                                                    |                                     |
+// | those not reported by themselves reach `of_all` in it | kAll: the same                      |
 // | a source reported before has `of_source` in a minute  | kSource: at once                    |
 // | of a higher rank                                      |                                     |
 // | a minute in which there was any of these has passed   | kMinute: how many, and from which   |
@@ -14,9 +13,10 @@
 // | the minute after it has passed without                | kOver                               |
 //
 // Only `named` sources are reported by themselves, and one more each minute, so that decoys cannot
-// use up what is read. They cannot hide the others either: each minute's report names the sources
-// of the most, whenever in the minute they came. What stays below `of_source` and `of_all` is not
-// reported, however long it lasts. Pure.
+// use up what is read. They cannot hide the others either: each minute's report names the loudest
+// sources, whenever in the minute they came. A rate below `of_source` and `of_all` is not reported,
+// however long it lasts. How many came within `window_ns` is estimated from two windows: nearly
+// twice as many may pass once. Pure.
 #ifndef RIPS_POLICY_SERVER_SERVER_FLOOD_WATCH_H_
 #define RIPS_POLICY_SERVER_SERVER_FLOOD_WATCH_H_
 
@@ -36,11 +36,11 @@ namespace rips {
 class FloodWatch {
  public:
   static constexpr int64_t kMinuteNs = 60 * kNanosPerSecond;
-  // Sources of a minute that are told apart. Beyond it those of the fewest are given up: counts of
-  // the others may be too low by as many rounds of that as there were.
+  // Sources of a minute that are told apart. Beyond it the quietest are forgotten, and each count
+  // may be too low by one for each time that this was needed.
   static constexpr size_t kSourcesMax = 8'192;
   static constexpr size_t kMostMax = 8;
-  static constexpr int kRanks = 8;
+  static constexpr int kRanks = 9;
 
   struct Limits {
     int of_source = 64;
@@ -48,7 +48,7 @@ class FloodWatch {
     int named = 8;
     int64_t window_ns = 10 * kNanosPerSecond;
     int64_t again_ns = 600 * kNanosPerSecond;
-    // Of two sources, that of the higher rank is reported first, not that of the more.
+    // Report the sources of the highest rank first, not the loudest.
     bool gravest_first = false;
   };
   // What is refused.
@@ -64,14 +64,13 @@ class FloodWatch {
     std::string detail;
     uint64_t count = 0;
     std::array<uint64_t, kRanks> by_rank = {};
-
-    // The highest there is.
-    int rank() const;
+    // The highest of which there are `of_source`, else 0: one refusal says little of its source.
+    int rank = 0;
   };
   struct Report {
     enum class Kind { kSource, kAll, kMinute, kOver };
     Kind kind = Kind::kSource;
-    // kSource: that source. Otherwise those of the minute's most, at most kMostMax, most first.
+    // kSource: that source. Otherwise the loudest of the minute, at most kMostMax, loudest first.
     std::vector<Part> most;
     // From so many sources, or more if they are not all `counted`.
     size_t sources = 1;
@@ -87,8 +86,8 @@ class FloodWatch {
 
   // The report that this one makes due.
   std::optional<Report> Count(const Refused& refused, int64_t now_ns);
-  // Call it every second or so.
-  std::optional<Report> Look(int64_t now_ns);
+  // The report of the minute that has passed. Call it every second or so.
+  std::optional<Report> Poll(int64_t now_ns);
 
  private:
   // How many came in the last window: those of this one, and of the one before as much of it as
@@ -102,24 +101,27 @@ class FloodWatch {
     Window lately;
     // Of this minute.
     Part part;
+    // How many of it are in `others_`, at most.
+    int in_others = 0;
   };
   struct Reported {
     int64_t at_ns = 0;
     int rank = 0;
   };
   int Lately(Window& window, int64_t now_ns) const;
-  // One more: whether that makes `limit` or more.
-  bool Exceeds(Window& window, int limit, int64_t now_ns) const;
+  // One more; how many there are with it.
+  int Add(Window& window, int64_t now_ns) const;
   // Null: there is no room for another one.
   Source* Find(const std::string& source);
-  // The source of `source` is due to be reported by itself.
-  bool IsDue(const Source& source, bool exceeds);
+  // `source` is due to be reported by itself; takes a name if it needs one.
+  bool TakeName(const Source& source, bool reached);
+  std::optional<Report> ReportAll(int64_t now_ns);
   std::vector<Part> Most() const;
 
   const Limits limits_;
   absl::flat_hash_map<std::string, Source> sources_;
-  // Some were given up in this minute.
-  bool given_up_ = false;
+  // Some were forgotten in this minute.
+  bool forgotten_ = false;
   uint64_t in_minute_ = 0;
   int64_t minute_ns_ = 0;
   // The newest count of this minute by which a limit was exceeded.

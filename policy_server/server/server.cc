@@ -197,7 +197,7 @@ absl::Status Server::GuardPeers() {
   watch_->set_silence(std::max(rpc::SessionWatch::kSilence, 3 * config_.timing.lost));
   watch_->set_before_look([this] {
     LookAtRevocations();
-    attacks_->Look();
+    attacks_->Poll();
   });
   return absl::OkStatus();
 }

@@ -435,9 +435,8 @@ TEST_F(GraphBuilderTest, AHundredThousandEndpointsStayWithinTheLimits) {
   constexpr int kEndpoints = Rounds(100'000);
   Settle();
   for (int i = 0; i < kEndpoints; ++i) {
-    Guid guid = EndpointGuid(static_cast<uint8_t>(1 + i / (kEndpoints / 5)),
-                             static_cast<uint16_t>(i % 20'000));
-    guid.bytes[3] = i < kEndpoints / 3 * 2 ? 0 : 1;
+    const Guid guid = EndpointGuid(static_cast<uint8_t>(1 + int64_t{i} * 6 / kEndpoints),
+                                   static_cast<uint16_t>(i % 20'000));
     Seen(guid, i % 2 == 0, absl::StrCat("rt/t", i % 1'000), "std_msgs::msg::dds_::String_");
     builder_->EndpointGone(guid, now_ns_);
     Seen(guid, i % 2 == 0, absl::StrCat("rt/t", i % 1'000), "std_msgs::msg::dds_::String_");

@@ -10,20 +10,19 @@ namespace rips::rpc {
 CallGate::CallGate(const Clock* clock, Judge judge, Metrics* metrics, ConnectionGuard* connections)
     : clock_(clock), judge_(std::move(judge)), metrics_(metrics), connections_(connections) {
   // There from the start, so that a first refusal is an increase.
-  for (const char* reason : {"unidentified", "expired", "revoked", "banned", "role", "claim",
-                             "limit", "throttled", "quota"}) {
+  for (const absl::string_view reason : kRefusalReasons) {
     for (const Role role : {Role::kSensor, Role::kActuator, Role::kOperator}) {
       Count(reason, RoleName(role), 0);
     }
   }
 }
 
-void CallGate::Count(const char* reason, absl::string_view role, double by) {
+void CallGate::Count(absl::string_view reason, absl::string_view role, double by) {
   if (metrics_ == nullptr) return;
   metrics_
       ->AddCounter("rips_refused_calls_total",
-                   "Calls and streams refused for who their peer is, by why.",
-                   {{"reason", reason}, {"role", std::string(role)}})
+                   "Calls and streams of a peer that were refused, by why.",
+                   {{"reason", std::string(reason)}, {"role", std::string(role)}})
       .Increment(by);
 }
 

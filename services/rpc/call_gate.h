@@ -36,6 +36,8 @@ namespace rips::rpc {
 // | limit         | INVALID_ARGUMENT  | a field of its request is past its limit                 |
 // | throttled     | RESOURCE_EXHAUSTED| its connections broke the limits, or are too many        |
 // | quota         | RESOURCE_EXHAUSTED| an operator's certificate asks more than it may          |
+inline constexpr absl::string_view kRefusalReasons[] = {
+    "unidentified", "expired", "revoked", "banned", "role", "claim", "limit", "throttled", "quota"};
 struct Refusal {
   const char* reason;
   absl::Status status;
@@ -75,7 +77,7 @@ class CallGate {
       ABSL_LOCKS_EXCLUDED(mu_);
 
  private:
-  void Count(const char* reason, absl::string_view role, double by);
+  void Count(absl::string_view reason, absl::string_view role, double by);
 
   const Clock* clock_;
   const Judge judge_;

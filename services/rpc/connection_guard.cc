@@ -356,7 +356,7 @@ void ConnectionGuard::Accept() {
 
 bool ConnectionGuard::AcceptAll(int listener) {
   while (true) {
-    // Asked of accept4: a socket that its peer has reset already has no address any more.
+    // getpeername fails on a socket that its peer has reset; accept4 still gives the address.
     sockaddr_storage address = {};
     socklen_t size = sizeof(address);
     UniqueFd socket(accept4(listener, reinterpret_cast<sockaddr*>(&address), &size,
@@ -383,6 +383,12 @@ bool ConnectionGuard::AcceptAll(int listener) {
 void ConnectionGuard::Take(UniqueFd socket, Source source) {
   UniqueFd duplicate(fcntl(socket.get(), F_DUPFD_CLOEXEC, 0));
   const int64_t now_ns = clock_->Now().boottime_ns;
+  sockaddr_storage address = {};
+  socklen_t size = sizeof(address);
+  // Its peer has reset it already: it must not take the place of another one.
+  if (getpeername(socket.get(), reinterpret_cast<sockaddr*>(&address), &size) != 0) {
+    return Wasted(source, now_ns);
+  }
   Admission::Verdict verdict = Admission::Verdict::kTake;
   std::shared_ptr<Connection> ended;
   {

@@ -125,7 +125,7 @@ class ConnectionGuard {
     std::function<void(const Report&)> on_ended;
     // Of each connection that came to nothing: refused, ended without a call or to make room, or
     // closed by its peer before it showed a certificate. `known`: a certificate of ours was shown
-    // from that address not long ago.
+    // from that address not long ago. Not of those refused for want of descriptors.
     std::function<void(const std::string& address, bool known)> on_wasted;
   };
 

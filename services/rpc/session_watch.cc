@@ -93,7 +93,9 @@ void SessionWatch::Look() {
     }
     if (refusal) {
       session->closed = true;
-      session->close(ToGrpc(gate_->Refuse(*refusal, &session->peer, "")));
+      const std::string address =
+          session->connection == nullptr ? "" : session->connection->source().peer;
+      session->close(ToGrpc(gate_->Refuse(*refusal, &session->peer, address)));
     } else if (!session->greeted && open > kHelloTimeout) {
       session->closed = true;
       session->close(

@@ -19,6 +19,8 @@ namespace {
 
 constexpr size_t kFirstTrialBytes = 256;
 constexpr int kScansOfATrial = 3;
+// An interruption does not cost so much.
+constexpr absl::Duration kNoInterruption = 4 * kTrialCpuMax;
 // libyara looks for pieces of at most this size (YR_MAX_ATOM_LENGTH) before it tries a pattern.
 constexpr size_t kPieceBytes = 4;
 // Looked at of one { 41 42 }: bounds the work for a file of braces.
@@ -45,12 +47,12 @@ class Trials {
   absl::StatusOr<absl::Duration> Run(absl::string_view bytes, absl::string_view what) {
     engine::Verdict verdict = engine::Verdict::kUnscanned;
     absl::Duration took = absl::InfiniteDuration();
-    // A scan that was interrupted costs more than it needs; a slow one does so each time.
+    // A scan that was interrupted costs somewhat more than it needs; a slow one does so each time.
     for (int i = 0; i < kScansOfATrial && took > kTrialCpuMax; ++i) {
       const absl::Duration before = ThreadCpu();
       verdict = scanner_.Scan(bytes, absl::Seconds(1));
       took = std::min(took, ThreadCpu() - before);
-      if (verdict == engine::Verdict::kUnscanned) break;
+      if (verdict == engine::Verdict::kUnscanned || took > kNoInterruption) break;
     }
     if (took > kTrialCpuMax) {
       return absl::ResourceExhaustedError(absl::StrCat(

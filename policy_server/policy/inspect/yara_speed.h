@@ -12,8 +12,9 @@
 
 namespace rips::inspect {
 
-// Bytes of the largest trial scan, and CPU time of this thread that is too much for it and for
-// smaller ones, in each of three scans. Ordinary rules take less than a hundredth of it.
+// Bytes of the largest trial, and the CPU time of this thread that is too much for a trial: it is
+// scanned up to three times, and is too slow if each scan takes longer. Ordinary rules take less
+// than a hundredth of it.
 inline constexpr size_t kTrialBytes = size_t{16} << 10;
 inline constexpr absl::Duration kTrialCpuMax = absl::Milliseconds(25);
 // All trials of one file together.

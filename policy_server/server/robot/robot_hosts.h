@@ -1,4 +1,4 @@
-// What a robot's core remembers of its hosts, its messages and its operators.
+// What a robot remembers of its hosts, and what of them was told.
 #ifndef RIPS_POLICY_SERVER_SERVER_ROBOT_ROBOT_HOSTS_H_
 #define RIPS_POLICY_SERVER_SERVER_ROBOT_ROBOT_HOSTS_H_
 
