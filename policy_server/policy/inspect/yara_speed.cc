@@ -20,7 +20,7 @@ namespace {
 constexpr size_t kFirstTrialBytes = 256;
 constexpr int kScansOfATrial = 3;
 // An interruption does not cost so much.
-constexpr absl::Duration kNoInterruption = 4 * kTrialCpuMax;
+const absl::Duration kNoInterruption = 4 * kTrialCpuMax;
 // libyara looks for pieces of at most this size (YR_MAX_ATOM_LENGTH) before it tries a pattern.
 constexpr size_t kPieceBytes = 4;
 // Looked at of one { 41 42 }: bounds the work for a file of braces.
