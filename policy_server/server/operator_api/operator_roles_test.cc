@@ -25,7 +25,7 @@ namespace {
 using ::testing::HasSubstr;
 using Role = rpc::OperatorRole;
 
-constexpr absl::Duration kPatience = absl::Seconds(60);
+constexpr absl::Duration kAnswerPatience = absl::Seconds(60);
 
 // As in operator_service.h. A method that stands neither here nor in kUnserved fails the test.
 const std::map<std::string, Role> kLeastRoles = {
@@ -92,14 +92,14 @@ TEST(OperatorRolesTest, EveryMethodRefusesTheRoleBelowItsLeastBeforeAnythingElse
     // stream looks like that of a unary call.
     grpc::GenericStub stub(below.at(least));
     grpc::ClientContext context;
-    context.set_deadline(std::chrono::system_clock::now() + absl::ToChronoSeconds(kPatience));
+    context.set_deadline(std::chrono::system_clock::now() + absl::ToChronoSeconds(kAnswerPatience));
     const grpc::Slice nothing;
     grpc::ByteBuffer request(&nothing, 1), response;
     BoundedQueue<grpc::Status> ended{{.capacity = 1}};
     stub.UnaryCall(&context, absl::StrCat("/", std::string(contract->full_name()), "/", name), {},
                    &request, &response,
                    [&](grpc::Status status) { ended.Push(std::move(status)); });
-    const std::optional<grpc::Status> end = ended.Pop(2 * kPatience);
+    const std::optional<grpc::Status> end = ended.Pop(2 * kAnswerPatience);
     ASSERT_TRUE(end.has_value());
     EXPECT_EQ(end->error_code(),
               served ? grpc::StatusCode::PERMISSION_DENIED : grpc::StatusCode::UNIMPLEMENTED)
