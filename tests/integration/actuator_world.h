@@ -18,27 +18,10 @@
 #include "services/dds/test_world.h"
 #include "services/runtime/metrics.h"
 #include "services/runtime/real_clock.h"
+#include "tests/support/robot_sim/living_robot.h"
 
 namespace rips::actuator {
 
-inline constexpr absl::string_view kWorldSmh = R"(safety:
-  ros__parameters:
-    type: system
-    modes:
-      __DEFAULT__: {eye: active, wheels: active}
-      ALERT: {eye: inactive, wheels: active.SLOW}
-      HALT: {eye: inactive, wheels: inactive}
-eye:
-  ros__parameters:
-    type: node
-    modes: {__DEFAULT__: {ros__parameters: {rate: 15.0}}}
-wheels:
-  ros__parameters:
-    type: node
-    modes:
-      __DEFAULT__: {ros__parameters: {max_speed: 1.0}}
-      SLOW: {ros__parameters: {max_speed: 0.2}}
-)";
 inline constexpr absl::string_view kWorldConfig = R"(robot: r1
 host: base
 servers: ["127.0.0.1:1"]
@@ -61,7 +44,7 @@ class ActuatorWorld : public dds::TestWorld {
   ActuatorWorld() {
     char name[] = "/tmp/rips-actuator-XXXXXX";
     dir_ = mkdtemp(name);
-    std::ofstream(dir_ + "/smh.yaml") << kWorldSmh;
+    std::ofstream(dir_ + "/smh.yaml") << robot_sim::kLivingRobotSmh;
     std::filesystem::create_directory(dir_ + "/state");
   }
   ~ActuatorWorld() override {

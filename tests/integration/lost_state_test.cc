@@ -31,7 +31,7 @@ class LostStateTest : public ActuatorWorld {
   }
 
   void StartRobot(const std::string& mode) {
-    robot_ = std::make_unique<LivingRobot>(far(), *ParseSmh(kWorldSmh));
+    robot_ = std::make_unique<LivingRobot>(far(), *ParseSmh(robot_sim::kLivingRobotSmh));
     if (mode != kDefaultMode) Move(mode);
   }
   // As if it was there all the time.

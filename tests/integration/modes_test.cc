@@ -29,24 +29,6 @@ using ::testing::ElementsAre;
 using ::testing::HasSubstr;
 using ::testing::IsEmpty;
 
-constexpr absl::string_view kSmh = R"(safety:
-  ros__parameters:
-    type: system
-    modes:
-      __DEFAULT__: {eye: active, wheels: active}
-      ALERT: {eye: inactive, wheels: active.SLOW}
-      HALT: {eye: inactive, wheels: inactive}
-eye:
-  ros__parameters:
-    type: node
-    modes: {__DEFAULT__: {ros__parameters: {rate: 15.0}}}
-wheels:
-  ros__parameters:
-    type: node
-    modes:
-      __DEFAULT__: {ros__parameters: {max_speed: 1.0}}
-      SLOW: {ros__parameters: {max_speed: 0.2}}
-)";
 // An order that is carried out takes far less. One that has to give up first uses `kBrief`.
 constexpr absl::Duration kLong = absl::Seconds(15);
 constexpr absl::Duration kBrief = absl::Milliseconds(1'500);
@@ -95,7 +77,7 @@ class ModesOnRobotTest : public dds::TestWorld {
   RealClock clock_;
   CancelFlag cancel_;
   bool manager_expected_ = true;
-  const Smh smh_ = *ParseSmh(kSmh);
+  const Smh smh_ = *ParseSmh(robot_sim::kLivingRobotSmh);
   std::unique_ptr<LivingRobot> robot_;
   std::unique_ptr<SystemModes> modes_;
 };

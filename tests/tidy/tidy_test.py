@@ -33,7 +33,7 @@ BANNED = [
     (re.compile(r"std::(mutex|lock_guard|unique_lock|scoped_lock)\b"),
      "use services/runtime/mutex.h"),
     (re.compile(r"\bsystem\(\"|\bpopen\("), "no shell"),
-    (re.compile(r"//.*\b(TODO|FIXME|XXX|HACK)\b"), "finish it or leave it out"),
+    (re.compile(r"//.*\b(TO[D]O|FIX[M]E|XX[X]|HAC[K])\b"), "finish it or leave it out"),
 ]
 MUTEX_HOME = "services/runtime/mutex"
 CC_LINES_MAX = 800

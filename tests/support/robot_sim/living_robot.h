@@ -9,6 +9,7 @@
 #include <vector>
 
 #include "absl/base/thread_annotations.h"
+#include "absl/strings/string_view.h"
 #include "absl/time/time.h"
 #include "gtest/gtest.h"
 #include "mode_actuator/steps/system_mode/smh.h"
@@ -21,6 +22,26 @@
 #include "tests/support/robot_sim/stop_flag.h"
 
 namespace rips::robot_sim {
+
+// The system modes of the robot that most tests have.
+inline constexpr absl::string_view kLivingRobotSmh = R"(safety:
+  ros__parameters:
+    type: system
+    modes:
+      __DEFAULT__: {eye: active, wheels: active}
+      ALERT: {eye: inactive, wheels: active.SLOW}
+      HALT: {eye: inactive, wheels: inactive}
+eye:
+  ros__parameters:
+    type: node
+    modes: {__DEFAULT__: {ros__parameters: {rate: 15.0}}}
+wheels:
+  ros__parameters:
+    type: node
+    modes:
+      __DEFAULT__: {ros__parameters: {max_speed: 1.0}}
+      SLOW: {ros__parameters: {max_speed: 0.2}}
+)";
 
 // Lives on a thread of its own. Any thread.
 class LivingRobot {
