@@ -451,9 +451,9 @@ void Agent::OnParticipant(const ros2::Participant& participant, bool alive, int6
 
 void Agent::OnEndpoint(const EndpointFact& endpoint, bool alive, int64_t now_ns) {
   if (!alive) {
+    flow_->WriterGone(endpoint.guid, now_ns);
     graph_->EndpointGone(endpoint.guid, now_ns);
     findings_->OnEndpointGone(endpoint.guid);
-    flow_->WriterGone(endpoint.guid, now_ns);
     domain_->topics().EndpointGone(endpoint.guid);
     return;
   }

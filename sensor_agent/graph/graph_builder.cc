@@ -98,15 +98,17 @@ void GraphBuilder::ParticipantGone(const Guid& participant, int64_t now_ns) {
 }
 
 bool GraphBuilder::Unseen(EndpointState& state) const {
-  if (!settled_ || state.was_shown || state.hidden || !state.shown.ros) return false;
+  if (state.was_shown || state.hidden || !state.shown.ros) return false;
   state.pending_until_ns = 0;  // who knew its node has gone
   return true;
 }
 
 bool GraphBuilder::Unseen(ParticipantState& state) const {
-  if (!settled_ || IsOwn(state.facts.guid)) return false;
-  bool unseen = state.present() && !std::includes(state.sent_nodes.begin(), state.sent_nodes.end(),
-                                                  state.nodes.begin(), state.nodes.end());
+  if (IsOwn(state.facts.guid)) return false;
+  bool unseen =
+      state.present() && (!state.visitors.empty() ||
+                          !std::includes(state.sent_nodes.begin(), state.sent_nodes.end(),
+                                         state.claims.nodes.begin(), state.claims.nodes.end()));
   for (auto& [guid, endpoint] : state.endpoints) unseen |= Unseen(endpoint);
   return unseen;
 }
@@ -120,13 +122,20 @@ void GraphBuilder::EndVisits(int64_t now_ns) {
       Touch(guid, now_ns);
     }
   }
+  for (const Guid& guid : std::exchange(visited_, {})) {
+    const auto it = participants_.find(guid);
+    if (it == participants_.end()) continue;
+    node_count_ -= it->second.visitors.size();
+    it->second.visitors.clear();
+    Touch(guid, now_ns);
+  }
 }
 
 void GraphBuilder::DropClaims(ParticipantState& state) {
-  node_count_ -= state.nodes.size();
-  claim_count_ -= state.node_of.size();
-  state.nodes.clear();
-  state.node_of.clear();
+  node_count_ -= state.claims.nodes.size();
+  claim_count_ -= state.claims.node_of.size();
+  state.claims.nodes.clear();
+  state.claims.node_of.clear();
 }
 
 void GraphBuilder::Forget(const Guid& participant) {
@@ -136,6 +145,8 @@ void GraphBuilder::Forget(const Guid& participant) {
   state.endpoints.clear();
   state.left_out = 0;
   DropClaims(state);
+  node_count_ -= state.visitors.size();
+  state.visitors.clear();
   state.discovered = false;
   if (!state.sent.has_value()) participants_.erase(it);
 }
@@ -230,7 +241,7 @@ void GraphBuilder::EndpointSeen(const EndpointFact& endpoint, int64_t now_ns) {
   EndpointState& state = owner->endpoints[endpoint.guid];
   state = std::move(fresh);
   CountShare(*owner, state, 1);
-  if (state.shown.ros && !owner->node_of.contains(endpoint.guid)) Wait(state, now_ns);
+  if (state.shown.ros && !owner->claims.node_of.contains(endpoint.guid)) Wait(state, now_ns);
   Touch(owner_guid, now_ns);
 }
 
@@ -254,15 +265,33 @@ void GraphBuilder::Remove(const Guid& endpoint, int64_t now_ns) {
   if (!owner->second.present()) Forget(owner_guid);
 }
 
-void GraphBuilder::RenewGraces(ParticipantState& owner,
-                               const absl::flat_hash_map<Guid, std::string>& before,
-                               int64_t now_ns) {
-  for (const auto& [guid, node] : before) {
-    if (owner.node_of.contains(guid)) continue;
+void GraphBuilder::TakeBack(ParticipantState& owner, const ParticipantState::Claims& before,
+                            int64_t now_ns) {
+  const auto visits = [&](const std::string& node) {
+    if (owner.claims.nodes.contains(node) || owner.visitors.contains(node)) return;
+    const ros2::GraphLimits& limits = options_.limits;
+    if (node_count_ >= limits.nodes || owner.visitors.size() >= limits.nodes_per_participant) {
+      return LeaveOut(&owner, 1);
+    }
+    owner.visitors.insert(node);
+    ++node_count_;
+    visited_.insert(owner.facts.guid);
+  };
+  for (const std::string& node : before.nodes) {
+    if (!owner.sent_nodes.contains(node)) visits(node);
+  }
+  for (const auto& [guid, node] : before.node_of) {
+    if (owner.claims.node_of.contains(guid)) continue;
     const auto it = owner.endpoints.find(guid);
-    if (it == owner.endpoints.end() || it->second.grace_renewed || !it->second.shown.ros) continue;
-    it->second.grace_renewed = true;
-    Wait(it->second, now_ns);
+    if (it == owner.endpoints.end() || !it->second.shown.ros) continue;
+    EndpointState& state = it->second;
+    if (!state.was_shown) {
+      state.visitor = node;
+      visits(node);
+    }
+    if (state.grace_renewed) continue;
+    state.grace_renewed = true;
+    Wait(state, now_ns);
   }
 }
 
@@ -282,19 +311,20 @@ absl::Status GraphBuilder::NodesClaimed(const Guid& writer, const ros2::Particip
     return absl::ResourceExhaustedError(
         absl::StrCat("more than ", options_.limits.participants, " participants; claim ignored"));
   }
-  const absl::flat_hash_map<Guid, std::string> before = state->node_of;
+  const ParticipantState::Claims before = state->claims;
   DropClaims(*state);
   const ros2::GraphLimits& limits = options_.limits;
   uint64_t foreign = 0;
   uint64_t dropped = 0;
   for (const ros2::NodeEntities& each : claim.nodes) {
     const std::string node = ros2::JoinNodeName(each.node_namespace, each.node_name);
-    if (!state->nodes.contains(node)) {
-      if (node_count_ >= limits.nodes || state->nodes.size() >= limits.nodes_per_participant) {
+    if (!state->claims.nodes.contains(node)) {
+      if (node_count_ >= limits.nodes ||
+          state->claims.nodes.size() >= limits.nodes_per_participant) {
         ++dropped;
         continue;
       }
-      state->nodes.insert(node);
+      state->claims.nodes.insert(node);
       ++node_count_;
     }
     for (const std::vector<Guid>* list : {&each.readers, &each.writers}) {
@@ -302,15 +332,15 @@ absl::Status GraphBuilder::NodesClaimed(const Guid& writer, const ros2::Particip
         if (!guid.SamePrefix(participant)) {
           ++foreign;
         } else if (claim_count_ >= 2 * limits.endpoints ||
-                   state->node_of.size() / 2 >= limits.endpoints_per_participant) {
+                   state->claims.node_of.size() / 2 >= limits.endpoints_per_participant) {
           ++dropped;
-        } else if (state->node_of.emplace(guid, node).second) {
+        } else if (state->claims.node_of.emplace(guid, node).second) {
           ++claim_count_;
         }
       }
     }
   }
-  RenewGraces(*state, before, now_ns);
+  TakeBack(*state, before, now_ns);
   if (!state->present()) {
     state->orphan_until_ns = now_ns + options_.orphan_claim_ns;
     deadlines_.emplace(state->orphan_until_ns, participant);
@@ -384,7 +414,7 @@ void GraphBuilder::EndGraces(int64_t now_ns) {
       continue;
     }
     state->pending_until_ns = 0;
-    if (owner->second.node_of.contains(guid)) continue;
+    if (owner->second.claims.node_of.contains(guid)) continue;
     Refresh(owner_guid, now_ns);
     hurry_ = true;
   }
@@ -395,8 +425,11 @@ Endpoint GraphBuilder::Attributed(const ParticipantState& owner, const EndpointS
   if (!endpoint.ros) return endpoint;
   if (IsOwn(owner.facts.guid)) {
     endpoint.node = kOwnNode;
-  } else if (const auto it = owner.node_of.find(endpoint.guid); it != owner.node_of.end()) {
+  } else if (const auto it = owner.claims.node_of.find(endpoint.guid);
+             it != owner.claims.node_of.end()) {
     endpoint.node = it->second;
+  } else if (!state.was_shown && !state.visitor.empty()) {
+    endpoint.node = state.visitor;
   } else {
     endpoint.pending = state.pending_until_ns != 0;
   }

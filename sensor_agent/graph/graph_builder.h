@@ -25,7 +25,9 @@
 // | any other DDS topic      | never                    | always          | never             |
 //
 // What comes and goes between two steps is shown in one all the same, and is gone with the next: a
-// short visit is no way past the rules. It is shown without a node if none is known by then.
+// short visit is no way past the rules. It is shown with the node that claimed it, also when the
+// claim was taken back since, and without one if there was none. The first snapshot shows the visits
+// before discovery had settled, so that the messages of such a visitor are judged with its node.
 #ifndef RIPS_SENSOR_AGENT_GRAPH_GRAPH_BUILDER_H_
 #define RIPS_SENSOR_AGENT_GRAPH_GRAPH_BUILDER_H_
 
@@ -125,15 +127,21 @@ class GraphBuilder {
     bool grace_renewed = false;
     // It stood in a step, not as pending.
     bool was_shown = false;
+    // Who claimed it and took that back before a step showed it; empty = nobody.
+    std::string visitor;
     uint32_t generation = 0;
   };
   struct ParticipantState {
+    struct Claims {
+      absl::btree_set<std::string> nodes;
+      absl::flat_hash_map<ros2::Guid, std::string> node_of;
+    };
     bool discovered = false;
     ros2::Participant facts;
     absl::btree_map<ros2::Guid, EndpointState> endpoints;
-    // As claimed.
-    absl::btree_set<std::string> nodes;
-    absl::flat_hash_map<ros2::Guid, std::string> node_of;
+    Claims claims;
+    // Claimed and taken back since the last step: the next one shows them.
+    absl::btree_set<std::string> visitors;
     // A claim without a discovered participant is dropped then; 0 = not so.
     int64_t orphan_until_ns = 0;
     uint32_t generation = 0;
@@ -181,8 +189,8 @@ class GraphBuilder {
   // What is shown of a participant has changed, though nothing was discovered.
   void Refresh(const ros2::Guid& participant, int64_t now_ns);
   ros2::Endpoint Attributed(const ParticipantState& owner, const EndpointState& state) const;
-  void RenewGraces(ParticipantState& owner,
-                   const absl::flat_hash_map<ros2::Guid, std::string>& before, int64_t now_ns);
+  // What `before` claimed and no longer is: visits, and graces that are renewed.
+  void TakeBack(ParticipantState& owner, const ParticipantState::Claims& before, int64_t now_ns);
   void DropClaims(ParticipantState& state);
   // What is known of it goes; what was sent stays until the next step.
   void Forget(const ros2::Guid& participant);
@@ -231,6 +239,8 @@ class GraphBuilder {
   absl::btree_set<ros2::Guid> dirty_;
   // Endpoints and participants that have gone and stay until they were shown.
   absl::btree_set<ros2::Guid> leaving_;
+  // Participants with visitors.
+  absl::btree_set<ros2::Guid> visited_;
   absl::btree_set<std::string> dirty_topics_;
   int64_t burst_first_ns_ = 0;
   int64_t last_discovery_ns_;

@@ -431,6 +431,70 @@ TEST_F(GraphBuilderTest, AnHonestNodeThatLeavesIsNeverShownWithoutItsNode) {
   EXPECT_EQ(graph_.FindEndpoint(EndpointGuid(1, 1)), nullptr);
 }
 
+TEST_F(GraphBuilderTest, ANodeThatLeavesBeforeAStepShowedItIsShownWithItsNode) {
+  Settle();
+  Participant(1);
+  Writer(1, 1, "rt/cmd_vel");
+  Pass(20);
+  EXPECT_EQ(graph_.FindTopic("/cmd_vel"), nullptr) << "nobody claims it yet";
+  ASSERT_THAT(Claim(1, "navigator", {EndpointGuid(1, 1)}), IsOk());
+  EXPECT_EQ(builder_->VersionShowing(EndpointGuid(1, 1)), version_ + 1);
+  // As rmw does it: first the claim, then the endpoint, then the participant.
+  ASSERT_THAT(Claim(1, "navigator", {}), IsOk());
+  ASSERT_THAT(
+      builder_->NodesClaimed(EndpointGuid(1, 999), {.participant = ParticipantGuid(1)}, now_ns_),
+      IsOk());
+  builder_->EndpointGone(EndpointGuid(1, 1), now_ns_);
+  builder_->ParticipantGone(ParticipantGuid(1), now_ns_);
+  EXPECT_EQ(builder_->Find(EndpointGuid(1, 1))->node, "/navigator");
+  Pass(20);
+  EXPECT_THAT(Publishers("/cmd_vel"), ElementsAre("/navigator"));
+  EXPECT_THAT(Nodes(), ElementsAre("/navigator", "/rips"));
+  Pass(20);
+  EXPECT_EQ(graph_.FindTopic("/cmd_vel"), nullptr);
+  EXPECT_THAT(Nodes(), ElementsAre("/rips"));
+}
+
+TEST_F(GraphBuilderTest, AClaimTakenBackBetweenTwoStepsIsShownOnce) {
+  Talker(1, "stays", "rt/a");
+  Settle();
+  // A name, and a second endpoint of a known one; what they belonged to stays.
+  ASSERT_THAT(Claim(1, "brief", {EndpointGuid(1, 1)}), IsOk());
+  Writer(1, 2, "rt/b");
+  ASSERT_THAT(Claim(1, "stays", {EndpointGuid(1, 1), EndpointGuid(1, 2)}), IsOk());
+  ASSERT_THAT(Claim(1, "stays", {EndpointGuid(1, 1)}), IsOk());
+  Pass(20);
+  EXPECT_THAT(Nodes(), ElementsAre("/brief", "/rips", "/stays"));
+  EXPECT_THAT(Publishers("/b"), ElementsAre("/stays"));
+  Pass(20);
+  EXPECT_THAT(Nodes(), ElementsAre("/rips", "/stays"));
+  EXPECT_EQ(graph_.FindTopic("/b"), nullptr) << "within the grace";
+  // Not a second time: it was shown.
+  ASSERT_THAT(Claim(1, "stays", {EndpointGuid(1, 1), EndpointGuid(1, 2)}), IsOk());
+  ASSERT_THAT(Claim(1, "stays", {EndpointGuid(1, 1)}), IsOk());
+  Pass(600);
+  EXPECT_THAT(Publishers("/b"), ElementsAre(HasSubstr("unattributed")));
+}
+
+TEST_F(GraphBuilderTest, WhoCameAndWentBeforeDiscoveryHadSettledIsInTheFirstSnapshotOnly) {
+  Talker(1, "navigator", "rt/cmd_vel");
+  Pass(300);
+  ASSERT_THAT(Claim(1, "navigator", {}), IsOk());
+  builder_->EndpointGone(EndpointGuid(1, 1), now_ns_);
+  builder_->ParticipantGone(ParticipantGuid(1), now_ns_);
+  Pass(300);
+  Talker(2, "navigator", "rt/cmd_vel");
+  EXPECT_EQ(builder_->VersionShowing(EndpointGuid(1, 1)), 1);
+  Pass(2'000);
+  ASSERT_THAT(changes_, SizeIs(2)) << "both at once: the finding of a second `/navigator` is none";
+  EXPECT_EQ(changes_[0].to_version, 1);
+  EXPECT_THAT(changes_[0].delta.upsert_endpoints,
+              Contains(Field(&Endpoint::guid, EndpointGuid(1, 1))));
+  EXPECT_THAT(changes_[1].delta.gone_guids, ElementsAre(ParticipantGuid(1)));
+  EXPECT_THAT(Publishers("/cmd_vel"), ElementsAre("/navigator"));
+  EXPECT_EQ(graph_.FindEndpoint(EndpointGuid(1, 1)), nullptr);
+}
+
 TEST_F(GraphBuilderTest, AHundredThousandEndpointsStayWithinTheLimits) {
   constexpr int kEndpoints = Rounds(100'000);
   Settle();

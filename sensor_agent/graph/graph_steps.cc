@@ -107,7 +107,15 @@ std::vector<GraphChange> GraphBuilder::Poll(int64_t now_ns) {
       return {};
     }
     settled_ = true;
-    return Number(TakeDelta(), /*snapshot=*/true);
+    std::vector<GraphChange> changes = Number(TakeDelta(), /*snapshot=*/true);
+    EndVisits(now_ns);
+    // At once: whoever has gone stands beside who took its place.
+    if (GraphDelta over = TakeDelta(); !over.empty()) {
+      for (GraphChange& change : Number(std::move(over), /*snapshot=*/false)) {
+        changes.push_back(std::move(change));
+      }
+    }
+    return changes;
   }
   if (dirty_.empty() && Told() == told_truncation_) return {};
   const bool burst = now_ns < last_discovery_ns_ + options_.quiet_ns &&
@@ -158,7 +166,10 @@ GraphDelta GraphBuilder::TakeDelta() {
     if (it == participants_.end()) continue;
     DiffParticipant(guid, it->second, delta);
     const ParticipantState& state = it->second;
-    if (!state.present() && state.nodes.empty() && state.node_of.empty()) participants_.erase(it);
+    if (!state.present() && state.claims.nodes.empty() && state.claims.node_of.empty() &&
+        state.visitors.empty()) {
+      participants_.erase(it);
+    }
   }
   dirty_.clear();
   hurry_ = false;
@@ -204,7 +215,9 @@ void GraphBuilder::DiffParticipant(const Guid& guid, ParticipantState& state, Gr
     delta.upsert_participants.push_back(shown);
     state.sent = std::move(shown);
   }
-  DiffNodes(guid, state, own ? absl::btree_set<std::string>{kOwnNode} : state.nodes, delta);
+  absl::btree_set<std::string> nodes = state.claims.nodes;
+  nodes.insert(state.visitors.begin(), state.visitors.end());
+  DiffNodes(guid, state, own ? absl::btree_set<std::string>{kOwnNode} : std::move(nodes), delta);
   DiffEndpoints(state, delta);
 }
 

@@ -154,8 +154,20 @@ void MessageFlow::Poll(int64_t now_ns, Output& output) {
 }
 
 void MessageFlow::WriterGone(const Guid& writer, int64_t now_ns) {
-  const auto it = writers_.find(writer);
-  if (it == writers_.end()) return;
+  auto it = writers_.find(writer);
+  if (it == writers_.end()) {
+    std::optional<Endpoint> known = graph_->Find(writer);
+    if (!known.has_value() || known->pending || writers_.size() >= options_.writers ||
+        known->kind != ros2::EndpointKind::kPublisher ||
+        known->visibility != ros2::Visibility::kWatched) {
+      return;
+    }
+    // Its first sample may be in a queue.
+    it = writers_.emplace(writer, std::make_unique<Writer>()).first;
+    it->second->graph_version = graph_->VersionShowing(writer).value_or(0);
+    it->second->source = std::make_shared<const MessageSource>(
+        MessageSource{.topic = known->name, .type = known->type, .writer = *std::move(known)});
+  }
   it->second->gone_ns = now_ns;
   graves_.emplace_back(now_ns, writer);
 }

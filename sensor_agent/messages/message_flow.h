@@ -93,6 +93,7 @@ class MessageFlow {
                  Output& output);
   // Call after the graph has changed: what was waiting for it runs.
   void Poll(int64_t now_ns, Output& output);
+  // Call before it has gone from the graph, which says whose its samples in queues are.
   void WriterGone(const ros2::Guid& writer, int64_t now_ns);
   // kNever = not before another sample.
   int64_t NextDue() const;

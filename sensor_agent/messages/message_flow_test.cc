@@ -337,8 +337,8 @@ TEST_F(MessageFlowTest, LatchedWriterWithoutALatchedReaderIsReadByTheOther) {
 TEST_F(MessageFlowTest, WriterThatHasGoneKeepsItsNodeForQueuedMessages) {
   Known(WriterGuid(1), "talker");
   Take(WriterGuid(1), 1);
-  graph_.EndpointGone(WriterGuid(1), now_ns_);
   flow_.WriterGone(WriterGuid(1), now_ns_);
+  graph_.EndpointGone(WriterGuid(1), now_ns_);
   Pass(9'999);
   Take(WriterGuid(1), 2);
   ASSERT_THAT(Sequences(), ElementsAre(1, 2));
@@ -346,6 +346,22 @@ TEST_F(MessageFlowTest, WriterThatHasGoneKeepsItsNodeForQueuedMessages) {
   Pass(1);
   Take(WriterGuid(1), 3);
   EXPECT_THAT(output_.messages, SizeIs(2)) << "forgotten: must wait as an unknown one";
+}
+
+TEST_F(MessageFlowTest, TheFirstMessageOfAWriterThatHasGoneHasItsNode) {
+  Pass(2'000);
+  Known(WriterGuid(1), "talker");
+  Pass(20);
+  // `ros2 topic pub --once`: sample and end are found in one look, the end first.
+  flow_.WriterGone(WriterGuid(1), now_ns_);
+  graph_.EndpointGone(WriterGuid(1), now_ns_);
+  const uint64_t showing = graph_.version();
+  Pass(20);
+  EXPECT_GT(graph_.version(), showing);
+  Take(WriterGuid(1), 1);
+  ASSERT_THAT(Sequences(), ElementsAre(1)) << "waits for nobody";
+  EXPECT_EQ(NodeOf(0), "/talker");
+  EXPECT_EQ(output_.messages[0].graph_version, showing);
 }
 
 class CrowdedFlowTest : public MessageFlowTest {
