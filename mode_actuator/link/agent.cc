@@ -385,17 +385,15 @@ void Agent::Impl::StartWorkers() {
   if (!config_.devices.empty()) {
     alarms_ = std::make_unique<AlarmBoard>(config_.devices, RealAlarms(), clock_);
   }
-  procedures_ =
-      std::make_unique<LevelExecutor>(&config_.levels, Modes(), programs_.get(), alarms_.get(),
-                                      clock_, StepRunners{.firewall = firewall_.get()});
-  drill_ = std::make_unique<Drill>(Drill::Robot{.levels = &config_.levels,
-                                                .allowed = &config_.programs,
-                                                .devices = &config_.devices,
-                                                .modes = Modes(),
-                                                .programs = programs_.get(),
-                                                .alarms = alarms_.get(),
-                                                .firewall = firewall_.get(),
-                                                .clock = clock_});
+  const StepPorts ports = {.modes = Modes(),
+                           .programs = programs_.get(),
+                           .alarms = alarms_.get(),
+                           .firewall = firewall_.get(),
+                           .clock = clock_,
+                           .allowed = &config_.programs,
+                           .devices = &config_.devices};
+  procedures_ = std::make_unique<LevelExecutor>(&config_.levels, ports);
+  drill_ = std::make_unique<Drill>(config_.levels, ports);
   files_ = std::make_unique<FileWorker>(kFileTasksMax);
   LevelWorker::Callbacks callbacks;
   callbacks.done = [this](LevelOutcome outcome) {

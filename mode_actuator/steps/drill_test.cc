@@ -180,16 +180,16 @@ class DrillTest : public ::testing::Test {
   DrillOutcome Run(const std::string& level = "ALERT", const std::string& held = "DEFAULT") {
     return Make().Run({"id", level, held}, cancel_, between_);
   }
-  Drill Make() {
-    return Drill({.levels = &levels_,
-                  .allowed = &allowed_,
-                  .devices = &devices_,
-                  .modes = modes_.get(),
-                  .programs = &programs_,
-                  .alarms = &alarms_,
-                  .firewall = &firewall_,
-                  .clock = &clock_});
+  StepPorts Ports() {
+    return {.modes = modes_.get(),
+            .programs = &programs_,
+            .alarms = &alarms_,
+            .firewall = &firewall_,
+            .clock = &clock_,
+            .allowed = &allowed_,
+            .devices = &devices_};
   }
+  Drill Make() { return Drill(levels_, Ports()); }
   StepResult Only(const Step& step, const std::string& held = "DEFAULT") {
     levels_[1].enter = {step};
     levels_[1].leave = {};
@@ -410,14 +410,9 @@ class JumpingClock final : public Clock {
 TEST_F(DrillTest, WhatThereIsNoTimeForWasNotTried) {
   JumpingClock clock;
   int calls = 0;
-  Drill drill({.levels = &levels_,
-               .allowed = &allowed_,
-               .devices = &devices_,
-               .modes = modes_.get(),
-               .programs = &programs_,
-               .alarms = &alarms_,
-               .firewall = &firewall_,
-               .clock = &clock});
+  StepPorts ports = Ports();
+  ports.clock = &clock;
+  Drill drill(levels_, ports);
   const DrillOutcome outcome = drill.Run({"id", "ALERT", "DEFAULT"}, cancel_, [&] {
     if (++calls == 3) clock.ahead_ns = absl::ToInt64Nanoseconds(kDrillTime);
   });
@@ -445,6 +440,18 @@ class DrillWorkerTest : public DrillTest {
     DrillTest::SetUp();
     levels_[1].enter = {Mode(), Mode()};
     levels_[1].leave = {};
+    Begin();
+  }
+  // With `levels_` as they are now.
+  void Begin() {
+    worker_.reset();
+    procedures_ = std::make_unique<LevelExecutor>(&levels_, Ports());
+    worker_ = std::make_unique<LevelWorker>(
+        procedures_.get(), LevelWorker::Callbacks{.done = [this](LevelOutcome outcome) {
+          MutexLock lock(&mu_);
+          outcomes_.push_back(std::move(outcome));
+          changed_.NotifyAll();
+        }});
   }
   bool Submit() { return worker_->SubmitDrill(Drill()); }
   LevelWorker::DrillTask Drill() {
@@ -470,13 +477,8 @@ class DrillWorkerTest : public DrillTest {
   CondVar changed_;
   std::vector<DrillOutcome> drilled_ ABSL_GUARDED_BY(mu_);
   std::vector<LevelOutcome> outcomes_ ABSL_GUARDED_BY(mu_);
-  LevelExecutor procedures_{&levels_, modes_.get(), &programs_, &alarms_, &clock_};
-  std::unique_ptr<LevelWorker> worker_ = std::make_unique<LevelWorker>(
-      &procedures_, LevelWorker::Callbacks{.done = [this](LevelOutcome outcome) {
-        MutexLock lock(&mu_);
-        outcomes_.push_back(std::move(outcome));
-        changed_.NotifyAll();
-      }});
+  std::unique_ptr<LevelExecutor> procedures_;
+  std::unique_ptr<LevelWorker> worker_;
 };
 
 TEST_F(DrillWorkerTest, ALevelThatIsEnteredEndsTheDrillAtOnce) {
@@ -508,6 +510,7 @@ TEST_F(DrillWorkerTest, ALookAtTheLevelNeitherEndsItNorWaitsForItsEnd) {
 
 TEST_F(DrillWorkerTest, NoneBeginsWhileALevelIsEntered) {
   levels_[1].enter = {Program("horn")};
+  Begin();
   programs_.hangs = true;
   worker_->Submit({1, JobKind::kEnter, "DEFAULT", "ALERT", true});
   EXPECT_FALSE(Submit());
@@ -568,7 +571,7 @@ TEST_F(DrillWorkerTest, EndsWithTheWorker) {
 TEST_F(DrillTest, ProceduresKeepWhatTheyKnow) {
   levels_[1].enter = {Program("horn"), Program("plain")};
   levels_[1].leave = {};
-  LevelExecutor procedures(&levels_, modes_.get(), &programs_, &alarms_, &clock_);
+  LevelExecutor procedures(&levels_, Ports());
   programs_.end = absl::OkStatus();
   EXPECT_TRUE(procedures.Run({1, JobKind::kEnter, "DEFAULT", "ALERT", true}, cancel_).reached);
   programs_.runs.clear();

@@ -21,21 +21,15 @@
 #ifndef RIPS_MODE_ACTUATOR_STEPS_LEVEL_EXECUTOR_H_
 #define RIPS_MODE_ACTUATOR_STEPS_LEVEL_EXECUTOR_H_
 
-#include <map>
-#include <set>
-#include <string>
-#include <utility>
+#include <cstdint>
+#include <memory>
 #include <vector>
 
-#include "absl/strings/string_view.h"
 #include "absl/time/time.h"
 #include "mode_actuator/decide/level_controller.h"
 #include "mode_actuator/decide/level_plan.h"
-#include "mode_actuator/steps/port/alarms.h"
-#include "mode_actuator/steps/port/part_modes.h"
-#include "mode_actuator/steps/port/program_runner.h"
-#include "mode_actuator/steps/port/step_attempt.h"
-#include "mode_actuator/steps/port/step_runner.h"
+#include "mode_actuator/steps/level_steps.h"
+#include "mode_actuator/steps/port/level_step.h"
 #include "services/base/clock.h"
 #include "services/runtime/cancel_flag.h"
 
@@ -43,91 +37,50 @@ namespace rips::actuator {
 
 // All leave steps of one raise.
 inline constexpr absl::Duration kLeaveBudget = absl::Seconds(2);
-// Looking at all alarms of a level, which may be eight relays of one slow board.
-inline constexpr absl::Duration kAlarmLookTime = absl::Seconds(3);
-
-// Who carries out the further kinds of steps that are entered in order and checked. Not owned; null
-// if no level has such a step.
-struct StepRunners {
-  StepRunner* firewall = nullptr;
-};
-
 // One thread at a time.
 class LevelExecutor {
  public:
-  // Nothing is owned; all outlive this. `modes` may be null if no level has a system mode, `alarms`
-  // if none has an alarm.
-  LevelExecutor(const std::vector<LevelSpec>* levels, PartModes* modes, ProgramRunner* programs,
-                Alarms* alarms, const Clock* clock, StepRunners runners = {})
-      : levels_(levels),
-        modes_(modes),
-        programs_(programs),
-        alarms_(alarms),
-        clock_(clock),
-        runners_(runners) {}
+  // `specs` is not owned and outlives this, as `ports` do.
+  LevelExecutor(const std::vector<LevelSpec>* specs, const StepPorts& ports)
+      : specs_(specs), ports_(ports), levels_(MakeLevels(*specs, ports)) {}
 
   // Returns when done or soon after `cancel`.
   LevelOutcome Run(const ApplyLevel& job, const CancelFlag& cancel);
 
  private:
-  enum class Phase { kLeave, kEnter, kOnDrift };
-
   struct Progress {
+    LevelStep::EnterOptions options;  // of its steps, but for timeout and retries
     bool raise = true;
     bool failed = false;   // the level is not reached
     bool stopped = false;  // no further steps
     int64_t leave_until_ns = 0;
   };
 
-  const LevelSpec* Find(absl::string_view name) const;
-  void Leave(const LevelSpec& level, Progress& progress, const CancelFlag& cancel,
-             LevelOutcome& outcome);
-  void Enter(const LevelSpec& level, Progress& progress, const CancelFlag& cancel,
-             LevelOutcome& outcome);
-  void OnDrift(const LevelSpec& level, const CancelFlag& cancel, LevelOutcome& outcome);
+  void Leave(const Level& level, Progress& progress, LevelOutcome& outcome);
+  void Enter(const Level& level, Progress& progress, LevelOutcome& outcome);
+  void OnDrift(const Level& level, Progress& progress, LevelOutcome& outcome);
   void Survey(const CancelFlag& cancel, LevelOutcome& outcome);
-  void Check(const LevelSpec& level, const CancelFlag& cancel, LevelOutcome& outcome);
-  // As the step says, or as `overridden_` does.
-  SystemModeStep Wanted(const SystemModeStep& step) const;
-  // Of a system mode or firewall step.
-  StepReading EnterOne(const Step& step, absl::Duration timeout, int retries,
-                       const CancelFlag& cancel);
-  StepReading CheckOne(const Step& step, const CancelFlag& cancel);
-  StepResult EnterRead(const Step& step, absl::Duration timeout, int retries,
-                       const CancelFlag& cancel, LevelOutcome& outcome);
-  void CheckAlarms(const LevelSpec& level, const CancelFlag& cancel, LevelOutcome& outcome);
-  // True if the level holds although the look at alarm `index` of `level` gave `status`.
-  bool Tolerates(const LevelSpec& level, size_t index, const absl::Status& status) const;
-  // Runs `steps` (indices into `all`, programs and alarms) at the same time; gives their results.
-  std::vector<StepResult> RunTogether(Phase phase, const std::vector<Step>& all,
-                                      const std::vector<size_t>& steps, absl::Duration at_most,
-                                      const CancelFlag& cancel, LevelOutcome& outcome);
+  void Check(const Level& level, const CancelFlag& cancel, LevelOutcome& outcome);
+  // A leave step of a raise.
+  StepResult LeaveInTime(LevelStep& step, const Progress& progress, LevelOutcome& outcome);
+  // Runs `steps` at the same time, each with its own timeout and retries but for what `at_most`
+  // leaves; gives their results. `observes`: what they saw is told.
+  std::vector<StepResult> RunSteps(const std::vector<LevelStep*>& steps, const Progress& progress,
+                                   absl::Duration at_most, bool observes, LevelOutcome& outcome);
   // Until all are over; after `at_most` they are cancelled.
-  void Drive(const std::vector<StepAttempt*>& attempts, absl::Duration at_most,
+  void Drive(const std::vector<std::unique_ptr<StepAttempt>>& attempts, absl::Duration at_most,
              const CancelFlag& cancel) const;
-  void Count(const Step& step, const StepResult& result, Progress& progress,
+  // What a check of steps says, in their order.
+  void Judge(const std::vector<LevelStep*>& steps,
+             const std::vector<std::unique_ptr<StepAttempt>>& checks, LevelOutcome& outcome) const;
+  void Count(const LevelStep& step, const StepResult& result, Progress& progress,
              LevelOutcome& outcome) const;
-  absl::Duration LeaveLeft(const Progress& progress) const;
-  int64_t NowNs() const { return clock_->Now().boottime_ns; }
+  int64_t NowNs() const { return ports_.clock->Now().boottime_ns; }
 
-  const std::vector<LevelSpec>* const levels_;  // Not owned; outlives this.
-  PartModes* const modes_;                      // Not owned; outlives this.
-  ProgramRunner* const programs_;               // Not owned; outlives this.
-  Alarms* const alarms_;                        // Not owned; outlives this.
-  const Clock* const clock_;                    // Not owned; outlives this.
-  const StepRunners runners_;
-  ProgramRequest request_;  // of the programs of the present transition: its levels
-  // Programs of the present transition that succeeded, by phase and index: a retry skips them.
-  std::set<std::pair<Phase, size_t>> done_;
-  // Part -> mode: what on_drift steps have ordered since a level was entered.
-  std::map<std::string, std::string> overridden_;
-  // Alarms, by index into the enter steps, that were not as told right after they were told.
-  std::set<size_t> misread_alarms_;
+  const std::vector<LevelSpec>* const specs_;  // Not owned; outlives this.
+  const StepPorts ports_;
+  const std::vector<Level> levels_;
 };
-
-// `system_mode /safety=ALERT`, `program usb_alarm`, `alarm relay-A1=on`,
-// `firewall /etc/rips/alert.nft`.
-std::string StepName(const Step& step);
 
 }  // namespace rips::actuator
 

@@ -6,6 +6,7 @@
 #include "absl/strings/str_cat.h"
 #include "gmock/gmock.h"
 #include "gtest/gtest.h"
+#include "mode_actuator/steps/firewall/firewall_step.h"
 #include "mode_actuator/steps/workers.h"
 #include "services/runtime/cancel_flag.h"
 #include "services/runtime/mutex.h"
@@ -143,7 +144,7 @@ class FakeFirewall : public StepRunner {
  public:
   StepReading Enter(const Step& step, absl::Duration timeout, int retries,
                     const CancelFlag&) override {
-    orders.push_back(StepName(step));
+    orders.push_back(MakeFirewallStep(step, this, nullptr)->Name());
     timeouts.push_back(timeout);
     tries.push_back(retries);
     return {status, "firewall=x", note};
@@ -178,8 +179,11 @@ class LevelExecutorTest : public ::testing::Test {
   }
   LevelExecutor& Get() {
     if (!procedures_) {
-      procedures_ = std::make_unique<LevelExecutor>(&levels_, &modes_, &programs_, &alarms_,
-                                                    &clock_, StepRunners{.firewall = &firewall_});
+      procedures_ = std::make_unique<LevelExecutor>(&levels_, StepPorts{.modes = &modes_,
+                                                                        .programs = &programs_,
+                                                                        .alarms = &alarms_,
+                                                                        .firewall = &firewall_,
+                                                                        .clock = &clock_});
     }
     return *procedures_;
   }
@@ -262,11 +266,13 @@ TEST_F(LevelExecutorTest, AProgramMayFailWhereTheFileSaysContinue) {
   programs_.results["horn"] = absl::AbortedError("exit code 1");
   EXPECT_FALSE(Run("DEFAULT", "ALERT", true).reached);
   levels_[1].enter[0].on_failure = OnFailure::kContinue;
+  procedures_.reset();
   const LevelOutcome outcome = Run("DEFAULT", "ALERT", true);
   EXPECT_TRUE(outcome.reached);
   EXPECT_THAT(outcome.detail, HasSubstr("program horn: exit code 1"));
   // A system mode that was not read back is never reached.
   levels_[1].enter[1].on_failure = OnFailure::kContinue;
+  procedures_.reset();
   modes_.lies = true;
   EXPECT_FALSE(Run("DEFAULT", "ALERT", true).reached);
 }
@@ -311,6 +317,7 @@ TEST_F(LevelExecutorTest, WaitsForABusyProgramAndRetriesAFailedOne) {
   EXPECT_EQ(programs_.runs.size(), 3u);
 
   levels_[1].enter = {Program("horn", OnFailure::kFail, /*retries=*/2)};
+  procedures_.reset();
   programs_.results["horn"] = absl::AbortedError("exit code 1");
   programs_.runs.clear();
   EXPECT_FALSE(Run("DEFAULT", "ALERT", true).reached);
@@ -360,6 +367,7 @@ TEST_F(LevelExecutorTest, AnAlarmMayFailWhereTheFileSaysContinue) {
   EXPECT_EQ(failed.detail, "alarm relay=on: not plugged in");
   EXPECT_EQ(failed.observed, "relay=?");
   levels_[1].enter[0].on_failure = OnFailure::kContinue;
+  procedures_.reset();
   const LevelOutcome outcome = Run("DEFAULT", "ALERT", true);
   EXPECT_TRUE(outcome.reached);
   EXPECT_EQ(outcome.detail, "alarm relay=on: not plugged in");
@@ -551,6 +559,7 @@ TEST_F(LevelExecutorTest, AFirewallThatFailsDoesNotSilenceTheAlarmsUnlessItStops
   EXPECT_FALSE(Run("DEFAULT", "ALERT", true).reached);
   EXPECT_THAT(alarms_.told, ElementsAre("relay=on"));
   levels_[1].enter[0].on_failure = OnFailure::kStop;
+  procedures_.reset();
   alarms_.told.clear();
   EXPECT_FALSE(Run("DEFAULT", "ALERT", true).reached);
   EXPECT_TRUE(alarms_.told.empty());

@@ -56,7 +56,7 @@ class ProgramStepTest : public ::testing::Test {
     return step;
   }
   LevelOutcome Run(const std::string& from, const std::string& to, bool raise = true) {
-    LevelExecutor procedures(&levels_, nullptr, &programs_, nullptr, &clock_);
+    LevelExecutor procedures(&levels_, {.programs = &programs_, .clock = &clock_});
     return procedures.Run({1, JobKind::kEnter, from, to, raise}, cancel_);
   }
 

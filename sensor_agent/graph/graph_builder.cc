@@ -79,7 +79,7 @@ void GraphBuilder::ParticipantSeen(const ros2::Participant& participant, int64_t
   ParticipantState* state = Obtain(participant.guid);
   if (state == nullptr) return;
   state->generation = generation_;
-  leaving_.erase(participant.guid);
+  state->leaving = false;
   if (state->discovered && state->facts == participant) return;
   state->discovered = true;
   state->facts = participant;
@@ -90,6 +90,7 @@ void GraphBuilder::ParticipantGone(const Guid& participant, int64_t now_ns) {
   const auto it = participants_.find(participant);
   if (participant == options_.own || it == participants_.end()) return;
   if (Unseen(it->second)) {
+    it->second.leaving = true;
     leaving_.insert(participant);
   } else {
     Forget(participant);
@@ -117,16 +118,13 @@ void GraphBuilder::EndVisits(int64_t now_ns) {
   for (const Guid& guid : std::exchange(leaving_, {})) {
     if (guid != guid.Participant()) {
       Remove(guid, now_ns);
-    } else if (participants_.contains(guid)) {
-      Forget(guid);
-      Touch(guid, now_ns);
+      continue;
     }
-  }
-  for (const Guid& guid : std::exchange(visited_, {})) {
     const auto it = participants_.find(guid);
     if (it == participants_.end()) continue;
     node_count_ -= it->second.visitors.size();
     it->second.visitors.clear();
+    if (it->second.leaving) Forget(guid);
     Touch(guid, now_ns);
   }
 }
@@ -148,6 +146,7 @@ void GraphBuilder::Forget(const Guid& participant) {
   node_count_ -= state.visitors.size();
   state.visitors.clear();
   state.discovered = false;
+  state.leaving = false;
   if (!state.sent.has_value()) participants_.erase(it);
 }
 
@@ -275,7 +274,7 @@ void GraphBuilder::TakeBack(ParticipantState& owner, const ParticipantState::Cla
     }
     owner.visitors.insert(node);
     ++node_count_;
-    visited_.insert(owner.facts.guid);
+    leaving_.insert(owner.facts.guid);
   };
   for (const std::string& node : before.nodes) {
     if (!owner.sent_nodes.contains(node)) visits(node);

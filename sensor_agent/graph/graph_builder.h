@@ -25,9 +25,8 @@
 // | any other DDS topic      | never                    | always          | never             |
 //
 // What comes and goes between two steps is shown in one all the same, and is gone with the next: a
-// short visit is no way past the rules. It is shown with the node that claimed it, also when the
-// claim was taken back since, and without one if there was none. The first snapshot shows the visits
-// before discovery had settled, so that the messages of such a visitor are judged with its node.
+// short visit is no way past the rules. It is shown with the node that claimed it last, if any did.
+// The first snapshot shows visits before discovery settled: their messages are judged with a node.
 #ifndef RIPS_SENSOR_AGENT_GRAPH_GRAPH_BUILDER_H_
 #define RIPS_SENSOR_AGENT_GRAPH_GRAPH_BUILDER_H_
 
@@ -137,6 +136,7 @@ class GraphBuilder {
       absl::flat_hash_map<ros2::Guid, std::string> node_of;
     };
     bool discovered = false;
+    bool leaving = false;  // has gone and stays until the next step
     ros2::Participant facts;
     absl::btree_map<ros2::Guid, EndpointState> endpoints;
     Claims claims;
@@ -198,7 +198,6 @@ class GraphBuilder {
   // True if it must not go before it was shown; it is no longer pending then.
   bool Unseen(EndpointState& state) const;
   bool Unseen(ParticipantState& state) const;
-  // Those that were to go once they have been shown.
   void EndVisits(int64_t now_ns);
   void Wait(EndpointState& state, int64_t now_ns);
   // Something was discovered about `participant`.
@@ -237,10 +236,8 @@ class GraphBuilder {
 
   // What may differ from what was sent.
   absl::btree_set<ros2::Guid> dirty_;
-  // Endpoints and participants that have gone and stay until they were shown.
+  // Endpoints and participants that have gone, or had visitors, and stay until the next step.
   absl::btree_set<ros2::Guid> leaving_;
-  // Participants with visitors.
-  absl::btree_set<ros2::Guid> visited_;
   absl::btree_set<std::string> dirty_topics_;
   int64_t burst_first_ns_ = 0;
   int64_t last_discovery_ns_;

@@ -799,6 +799,8 @@ def store_restored_from_a_backup(fleet):
 def starts_and_stops(fleet):
     """A robot that boots or stops under its sensor, whole or node by node, is no attack: neither
     live nor when what was recorded is replayed."""
+    if os.environ.get("RIPS_SANITIZE"):
+        raise Skipped("a node that has gone before the sensor heard its claim is accused, and must be")
     fleet.prepare()
     fleet.server = fleet.start_server()
     fleet.sensor = fleet.start_agent("sensor")

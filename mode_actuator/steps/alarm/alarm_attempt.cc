@@ -3,6 +3,7 @@
 #include <utility>
 
 #include "absl/strings/str_cat.h"
+#include "absl/strings/str_replace.h"
 #include "services/base/clock.h"
 
 namespace rips::actuator {
@@ -19,6 +20,12 @@ AlarmAttempt::AlarmAttempt(const AlarmStep& step, std::string name, Alarms* alar
                            const Options& options, int64_t now_ns)
     : step_(step), alarms_(alarms), options_(options), began_ns_(now_ns) {
   result.step = std::move(name);
+  See("?");
+}
+
+void AlarmAttempt::See(std::string seen) {
+  seen_ = std::move(seen);
+  observed = absl::StrCat(step_.device, "=", absl::StrReplaceAll(seen_, {{" ", "_"}}));
 }
 
 bool AlarmAttempt::Poll(int64_t now_ns) {
@@ -40,7 +47,7 @@ bool AlarmAttempt::Poll(int64_t now_ns) {
 void AlarmAttempt::Cancel() {
   if (finished_) return;
   if (order_ != 0) alarms_->Drop(std::exchange(order_, 0));
-  status_ = absl::CancelledError("cancelled");
+  status = absl::CancelledError("cancelled");
   result.detail = "cancelled";
   finished_ = true;
 }
@@ -56,12 +63,12 @@ void AlarmAttempt::Try(int64_t now_ns) {
 }
 
 void AlarmAttempt::EndTry(AlarmResult ended, int64_t now_ns) {
-  status_ = ended.status;
-  observed_ = std::move(ended.observed);
-  result.ok = status_.ok();
-  result.detail = result.ok ? std::move(ended.detail) : std::string(status_.message());
+  status = ended.status;
+  See(std::move(ended.observed));
+  result.ok = status.ok();
+  result.detail = result.ok ? std::move(ended.detail) : std::string(status.message());
   result.took_ms = static_cast<uint32_t>((now_ns - began_ns_) / kNanosPerMilli);
-  finished_ = result.ok || ++tries_ > options_.retries || IsForGood(status_);
+  finished_ = result.ok || ++tries_ > options_.retries || IsForGood(status);
   next_try_ns_ = now_ns + absl::ToInt64Nanoseconds(kAlarmRetryPause);
 }
 

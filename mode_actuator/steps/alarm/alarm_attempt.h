@@ -4,7 +4,7 @@
 
 #include "mode_actuator/decide/level_plan.h"
 #include "mode_actuator/steps/port/alarms.h"
-#include "mode_actuator/steps/port/step_attempt.h"
+#include "mode_actuator/steps/port/level_step.h"
 
 namespace rips::actuator {
 
@@ -27,13 +27,13 @@ class AlarmAttempt final : public StepAttempt {
   bool Poll(int64_t now_ns) override;
   void Cancel() override;
 
-  // Of the last try; once it is over.
-  const absl::Status& status() const { return status_; }
-  const std::string& observed() const { return observed_; }
+  // As AlarmResult::observed, of the last try; once it is over.
+  const std::string& seen() const { return seen_; }
 
  private:
   void Try(int64_t now_ns);
-  void EndTry(AlarmResult result, int64_t now_ns);
+  void EndTry(AlarmResult ended, int64_t now_ns);
+  void See(std::string seen);
 
   const AlarmStep step_;
   Alarms* const alarms_;  // Not owned; outlives this.
@@ -44,8 +44,7 @@ class AlarmAttempt final : public StepAttempt {
   int64_t next_try_ns_ = 0;
   int64_t try_end_ns_ = 0;
   bool finished_ = false;
-  absl::Status status_;
-  std::string observed_ = "?";
+  std::string seen_;
 };
 
 }  // namespace rips::actuator

@@ -349,7 +349,8 @@ TEST_F(AlarmAttemptTest, TriesAgainWhatFailed) {
   EXPECT_TRUE(attempt.result.ok);
   EXPECT_EQ(attempt.result.step, "alarm left=on");
   EXPECT_EQ(attempt.result.detail, "relay 1 is on (read back)");
-  EXPECT_EQ(attempt.observed(), "on");
+  EXPECT_EQ(attempt.seen(), "on");
+  EXPECT_EQ(attempt.observed, "left=on");
   EXPECT_EQ(alarms_.orders, 3u);
   EXPECT_GE(attempt.result.took_ms, 2 * absl::ToInt64Milliseconds(kAlarmRetryPause));
 }
