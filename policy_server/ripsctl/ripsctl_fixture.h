@@ -98,6 +98,8 @@ class FakeOperator final : public v1::OperatorService::Service {
   };
   std::vector<AlertWatch> alert_watches;
   std::vector<std::string> no_answer;
+  // What GetLevel gives, one after the other, and the last one for ever; empty = COMPROMISED.
+  std::vector<v1::RobotStatus> level_states;
 
   v1::LevelRequest last_level_request() ABSL_LOCKS_EXCLUDED(mutex_) {
     MutexLock lock(&mutex_);
@@ -203,6 +205,10 @@ class FakeOperator final : public v1::OperatorService::Service {
   grpc::Status GetLevel(grpc::ServerContext*, const v1::GetLevelRequest* request,
                         v1::GetLevelResponse* response) override {
     *response->mutable_status() = MakeStatus(request->robot(), "COMPROMISED");
+    if (!level_states.empty()) {
+      *response->mutable_status() = level_states.front();
+      if (level_states.size() > 1) level_states.erase(level_states.begin());
+    }
     for (const char* level : {"DEFAULT", "ALERT", "COMPROMISED"}) response->add_levels(level);
     response->add_soft_levels("ALERT");
     *response->mutable_last() = MakeTransition();

@@ -91,9 +91,11 @@ TEST_F(RipsctlTest, ListsRobots) {
 TEST_F(RipsctlTest, WatchesRobotsUntilTheServerEndsIt) {
   const Result result = Run({"robot", "watch", "r1"});
   EXPECT_EQ(result.code, 0);
-  EXPECT_EQ(result.out,
-            "r1  decided ALERT  effective ALERT  verified  mark 3.17\n"
-            "r1  decided COMPROMISED  effective COMPROMISED  verified  mark 3.17\n");
+  const std::string time = "20[0-9-]+T[0-9:.]+Z";
+  EXPECT_THAT(result.out,
+              testing::MatchesRegex(
+                  time + "  r1  decided ALERT  effective ALERT  verified  mark 3.17\n" + time +
+                  "  r1  decided COMPROMISED  effective COMPROMISED  verified  mark 3.17\n"));
   const Result json = Run({"--output", "json", "robot", "watch"});
   const std::vector<std::string> lines = absl::StrSplit(json.out, '\n', absl::SkipEmpty());
   ASSERT_THAT(lines, SizeIs(2));
@@ -207,6 +209,33 @@ TEST_F(RipsctlTest, LowersWithWhatItReadAndShowed) {
   EXPECT_EQ(request.request_id().size(), 16u);
   EXPECT_FALSE(request.accept_blind());
   EXPECT_FALSE(request.dry_run());
+}
+
+TEST_F(RipsctlTest, WaitsUntilTheRobotIsAtTheLevel) {
+  const auto at = [](const std::string& stage, uint64_t epoch) {
+    v1::RobotStatus status = MakeStatus("r1", "DEFAULT");
+    status.set_stage(stage);
+    *status.mutable_mark() = MakeMark(3, epoch);
+    return status;
+  };
+  const auto lower = [&](std::vector<v1::RobotStatus> states) {
+    fake_.level_states = std::move(states);
+    return Run({"level", "lower", "r1", "--to", "DEFAULT", "--reason", "x", "--expect",
+                "COMPROMISED@3.17", "--wait"});
+  };
+  const Result reached = lower({at("requested", 18), at("acknowledged", 18), at("verified", 18)});
+  EXPECT_EQ(reached.code, 0) << reached.err;
+  EXPECT_EQ(reached.out,
+            "r1 goes to DEFAULT (3.18)\n"
+            "r1 is at DEFAULT: every actuator has read it back\n");
+  EXPECT_THAT(fake_.calls(),
+              testing::ElementsAre("DeEscalate", "GetLevel", "GetLevel", "GetLevel"));
+  const Result failed = lower({at("requested", 18), at("failed", 18)});
+  EXPECT_EQ(failed.code, 1);
+  EXPECT_THAT(failed.out, HasSubstr("r1 is not at DEFAULT (failed); see `ripsctl level show r1`"));
+  const Result overtaken = lower({at("requested", 18), at("verified", 19)});
+  EXPECT_EQ(overtaken.code, 1);
+  EXPECT_THAT(overtaken.out, HasSubstr("r1 was decided anew meanwhile: DEFAULT (3.19)\n"));
 }
 
 TEST_F(RipsctlTest, LowersWithWhatTheOperatorExpects) {

@@ -9,6 +9,8 @@
 #include "absl/strings/escaping.h"
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_join.h"
+#include "absl/time/clock.h"
+#include "absl/time/time.h"
 #include "policy_server/ripsctl/cli/json_view.h"
 #include "policy_server/ripsctl/cli/printer.h"
 #include "services/base/ids.h"
@@ -16,6 +18,8 @@
 
 namespace rips::ripsctl {
 namespace {
+
+constexpr absl::Duration kWaitMax = absl::Seconds(30);
 
 class LevelCommand : public Command {
  public:
@@ -145,6 +149,7 @@ class ChangeLevel : public LevelCommand {
     app.add_option("--to", to_, "Target level")->required();
     app.add_option("--reason", reason_, "Reason, recorded with the decision")->required();
     app.add_flag("--dry-run", dry_run_, "Show what would happen; change nothing");
+    app.add_flag("--wait", wait_, "Wait until the robot is at the level, for at most 30 s");
   }
 
  protected:
@@ -197,6 +202,36 @@ class ChangeLevel : public LevelCommand {
     return code;
   }
 
+  // With --wait, the level that was decided is one thing, and where the robot is another.
+  ExitCode AwaitReached(Env& env, const v1::LevelResponse& response) const {
+    if (!wait_ || dry_run_) return ExitCode::kDone;
+    std::ostream& out = env.json() ? env.err : env.out;
+    const std::string level = EscapeText(response.decided_level());
+    const absl::Time end = absl::Now() + kWaitMax;
+    while (true) {
+      const auto seen = ReadLevel(env, robot_);
+      if (!seen.ok()) return Failed(env, seen.status());
+      const v1::RobotStatus& status = seen->status();
+      if (MarkText(status.mark()) != MarkText(response.mark())) {
+        out << robot_ << " was decided anew meanwhile: " << EscapeText(status.decided_level())
+            << " (" << MarkText(status.mark()) << ")\n";
+        return ExitCode::kRefused;
+      }
+      if (status.stage() == "verified") {
+        out << robot_ << " is at " << level << ": every actuator has read it back\n";
+        return ExitCode::kDone;
+      }
+      if (status.stage() == "failed" || absl::Now() >= end) {
+        out << robot_ << " is not at " << level << " ("
+            << (status.stage() == "failed" ? "failed" : "not read back in 30 s")
+            << "); see `ripsctl level show " << robot_ << "` and `ripsctl robot show " << robot_
+            << "`\n";
+        return ExitCode::kRefused;
+      }
+      absl::SleepFor(absl::Milliseconds(100));
+    }
+  }
+
   static void PrintReport(Env& env, const v1::LevelRequest& request,
                           const v1::LevelResponse& response) {
     Json json = {{"robot", request.robot()},
@@ -220,6 +255,7 @@ class ChangeLevel : public LevelCommand {
   std::string to_;
   std::string reason_;
   bool dry_run_ = false;
+  bool wait_ = false;
 };
 
 class RaiseLevel final : public ChangeLevel {
@@ -235,7 +271,8 @@ class RaiseLevel final : public ChangeLevel {
     }
     const auto response = Call(env, &Stub::Raise, request);
     if (!response.ok()) return Failed(env, response.status());
-    return Report(env, "raise", request, *response);
+    const ExitCode code = Report(env, "raise", request, *response);
+    return code == ExitCode::kDone ? AwaitReached(env, *response) : code;
   }
 };
 
@@ -267,7 +304,8 @@ class LowerLevel final : public ChangeLevel {
     }
     const auto response = Call(env, &Stub::DeEscalate, request);
     if (!response.ok()) return Failed(env, response.status());
-    return Report(env, "lower", request, *response);
+    const ExitCode code = Report(env, "lower", request, *response);
+    return code == ExitCode::kDone ? AwaitReached(env, *response) : code;
   }
 
  private:

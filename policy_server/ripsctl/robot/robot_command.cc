@@ -8,6 +8,7 @@
 
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_join.h"
+#include "absl/time/clock.h"
 #include "policy_server/ripsctl/cli/json_view.h"
 #include "policy_server/ripsctl/cli/printer.h"
 #include "policy_server/ripsctl/cli/server_expiry.h"
@@ -96,11 +97,11 @@ class WatchRobots final : public RobotCommand {
   }
 
  private:
-  // One line each, so not a table.
+  // One line each, so not a table. When it came, by this machine's clock.
   static void Print(Env& env, const v1::RobotStatus& status) {
     if (env.json()) return PrintJson(ToJson(status), env.out);
-    env.out << EscapeText(status.robot()) << "  decided " << EscapeText(status.decided_level())
-            << "  effective "
+    env.out << ShortTime(absl::GetCurrentTimeNanos()) << "  " << EscapeText(status.robot())
+            << "  decided " << EscapeText(status.decided_level()) << "  effective "
             << (status.effective_level().empty() ? "-" : EscapeText(status.effective_level()))
             << "  " << EscapeText(status.stage()) << "  mark " << MarkText(status.mark());
     if (const std::string text = DegradedText(status); !text.empty()) {

@@ -90,6 +90,17 @@ grpc::ServerUnaryReactor* Refuse(grpc::CallbackServerContext* context, const abs
   return reactor;
 }
 
+// Of a name that stands for no robot of the inventory: a typing error must not look like silence.
+absl::Status CheckListed(const pipeline::Pipeline& pipeline, const std::string& robot) {
+  const std::vector<std::string> robots = pipeline.robots();
+  if (std::find(robots.begin(), robots.end(), robot) != robots.end()) return absl::OkStatus();
+  for (const pipeline::RobotStatus& held : pipeline.held()) {
+    if (held.robot == robot) return absl::OkStatus();
+  }
+  return absl::NotFoundError(
+      absl::StrCat("robot `", absl::CHexEscape(robot), "` is not in the inventory"));
+}
+
 template <typename T>
 grpc::ServerWriteReactor<T>* RefuseWatch(const absl::Status& status) {
   auto* stream = new WatchStream<T>();
@@ -223,6 +234,10 @@ grpc::ServerWriteReactor<rips::v1::RobotStatus>* OperatorService::WatchRobots(
   const auto who = Authorize(context, *request, OperatorRole::kViewer, Use::kStream);
   if (!who.ok()) return RefuseWatch<rips::v1::RobotStatus>(who.status());
   const std::set<std::string> wanted(request->robots().begin(), request->robots().end());
+  for (const std::string& robot : wanted) {
+    const absl::Status listed = CheckListed(*pipeline_, robot);
+    if (!listed.ok()) return RefuseWatch<rips::v1::RobotStatus>(listed);
+  }
   auto* stream = new WatchStream<rips::v1::RobotStatus>();
   Keep(rpc::StreamKind::kWatch, stream, *who, context);
   auto outbound = stream->outbound();
@@ -374,7 +389,10 @@ grpc::ServerUnaryReactor* OperatorService::ListTransitions(
         *response->add_transitions() = std::move(transition);
       }
     }
-    reactor->Finish(rpc::ToGrpc(records.status()));
+    // Also of a robot that was removed, as long as there is something.
+    const bool none = records.ok() && records->empty();
+    reactor->Finish(
+        rpc::ToGrpc(none ? CheckListed(*pipeline_, request->robot()) : records.status()));
   });
   return reactor;
 }
@@ -397,7 +415,10 @@ grpc::ServerUnaryReactor* OperatorService::ListAlerts(grpc::CallbackServerContex
       }
     }
     if (access_.store_writable && !access_.store_writable()) AddUnrecorded(*request, *response);
-    reactor->Finish(rpc::ToGrpc(records.status()));
+    const bool none = records.ok() && records->empty() && response->unrecorded().empty();
+    const bool of_one = !request->robot().empty() && request->robot() != store::kServerRobot;
+    reactor->Finish(
+        rpc::ToGrpc(none && of_one ? CheckListed(*pipeline_, request->robot()) : records.status()));
   });
   return reactor;
 }
@@ -422,6 +443,10 @@ grpc::ServerWriteReactor<rips::v1::Alert>* OperatorService::WatchAlerts(
     grpc::CallbackServerContext* context, const rips::v1::WatchAlertsRequest* request) {
   const auto who = Authorize(context, *request, OperatorRole::kViewer, Use::kStream);
   if (!who.ok()) return RefuseWatch<rips::v1::Alert>(who.status());
+  if (!request->robot().empty() && request->robot() != store::kServerRobot) {
+    const absl::Status listed = CheckListed(*pipeline_, request->robot());
+    if (!listed.ok()) return RefuseWatch<rips::v1::Alert>(listed);
+  }
   std::optional<Cursor> after;
   if (!request->after().empty()) {
     absl::StatusOr<Cursor> parsed = ParseCursor(request->after());

@@ -621,6 +621,54 @@ TEST_F(OperatorServiceTest, TellsNothingOfARobotThatIsNone) {
   EXPECT_EQ(stub->DrillRobot(&drill, {}, &drilled).error_code(), grpc::StatusCode::NOT_FOUND);
 }
 
+TEST_F(OperatorServiceTest, AMisspeltRobotIsAnErrorAndNotSilence) {
+  store_.gate.Close();
+  const std::shared_ptr<Stub> stub = Connect();
+  const auto alerts_of = [&](const std::string& robot) {
+    grpc::ClientContext context;
+    SetDeadline(context);
+    rips::v1::ListAlertsRequest request;
+    request.set_robot(robot);
+    request.set_limit(10);
+    rips::v1::ListAlertsResponse response;
+    return stub->ListAlerts(&context, request, &response);
+  };
+  EXPECT_TRUE(alerts_of("r1").ok()) << "it has none";
+  EXPECT_TRUE(alerts_of("(server)").ok());
+  EXPECT_EQ(alerts_of("rl").error_code(), grpc::StatusCode::NOT_FOUND);
+  EXPECT_THAT(alerts_of("rl").error_message(), HasSubstr("robot `rl` is not in the inventory"));
+  store::WriteBatch batch;
+  batch.alerts.push_back({.id = NewId(), .robot = "removed", .text = "x"});
+  ASSERT_THAT(store_.Commit(batch), IsOk());
+  EXPECT_TRUE(alerts_of("removed").ok()) << "what is stored can be read";
+  const auto history_of = [&](const std::string& robot) {
+    grpc::ClientContext context;
+    SetDeadline(context);
+    rips::v1::ListTransitionsRequest request;
+    request.set_robot(robot);
+    request.set_limit(10);
+    rips::v1::ListTransitionsResponse response;
+    return stub->ListTransitions(&context, request, &response).error_code();
+  };
+  EXPECT_EQ(history_of("r1"), grpc::StatusCode::OK);
+  EXPECT_EQ(history_of("rl"), grpc::StatusCode::NOT_FOUND);
+  Watch<rips::v1::Alert> alerts;
+  SetDeadline(alerts.context);
+  rips::v1::WatchAlertsRequest one;
+  one.set_robot("rl");
+  alerts.reader = stub->WatchAlerts(&alerts.context, one);
+  EXPECT_FALSE(alerts.Read());
+  EXPECT_EQ(alerts.reader->Finish().error_code(), grpc::StatusCode::NOT_FOUND);
+  Watch<rips::v1::RobotStatus> robots;
+  SetDeadline(robots.context);
+  rips::v1::WatchRobotsRequest two;
+  two.add_robots("r1");
+  two.add_robots("rl");
+  robots.reader = stub->WatchRobots(&robots.context, two);
+  EXPECT_FALSE(robots.Read());
+  EXPECT_EQ(robots.reader->Finish().error_code(), grpc::StatusCode::NOT_FOUND);
+}
+
 // Answers each drill at once, on the robot's thread, with one step that failed.
 struct DrilledActuator final : pipeline::ActuatorLink {
   void Grant(const pipeline::LeaseGrant&) override {}
