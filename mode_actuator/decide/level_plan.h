@@ -41,11 +41,13 @@ struct AlarmStep {
   friend bool operator==(const AlarmStep&, const AlarmStep&) = default;
 };
 
+inline constexpr absl::Duration kFirewallForMax = absl::Hours(24);  // of hold_for
+
 // What rips-fw is asked for. All but kRelease end by themselves after `hold_for`, in the kernel, so
 // that a robot nobody looks after opens again; while the level holds, its check renews them.
 struct FirewallStep {
   enum class Kind {
-    kRules,                // the rules of `file` take the place of any level's rules before
+    kRules = 1,            // the rules of `file` take the place of any level's rules before
     kIsolateHosts,         // nothing to or from `targets`: IPv4, IPv6 or MAC addresses
     kIsolateParticipants,  // nothing from `targets`: GUID prefixes, 24 hexadecimal digits
     kRelease,              // ends all of the above

@@ -1,5 +1,5 @@
 // Whatever comes through the socket of rips-exec: a message is decoded only if it is exactly what
-// the other end prints, and packets join to what was split.
+// the other end encodes, and packets join to what was split.
 #include <cstddef>
 #include <cstdint>
 #include <string>
@@ -12,11 +12,11 @@ extern "C" int LLVMFuzzerTestOneInput(const uint8_t* data, size_t size) {
   using namespace rips::actuator;  // One translation unit, nothing else in it.
   const std::string input(reinterpret_cast<const char*>(data), size);
   if (const auto call = DecodeExecCall(input); call.ok()) {
-    RIPS_CHECK(EncodeExecCall(*call) == input, "a call that is printed otherwise");
+    RIPS_CHECK(EncodeExecCall(*call) == input, "a call that is encoded otherwise");
     RIPS_CHECK(CheckProgramArgs(call->program.args).ok(), "arguments past their limits");
   }
   if (const auto answer = DecodeExecAnswer(input); answer.ok()) {
-    RIPS_CHECK(EncodeExecAnswer(*answer) == input, "an answer that is printed otherwise");
+    RIPS_CHECK(EncodeExecAnswer(*answer) == input, "an answer that is encoded otherwise");
     RIPS_CHECK(answer->result.output_tail.size() <= kOutputBytesMax, "more output than is kept");
   }
   // As one message, and as hostile packets that a byte each cuts.

@@ -14,8 +14,10 @@ import time
 
 sys.path.insert(0, str(pathlib.Path(__file__).resolve().parents[1] / "support"))
 from fleet import SOURCE, Fleet, Process, Skipped, check, perform  # noqa: E402
+from protos import pb  # noqa: E402
 
 LIMIT = 60  # seconds anything here may take on a busy machine
+BEGUN, ENDED = 2, 3  # of rips.v1.ExecKind
 UNITS = SOURCE / "deploy/systemd"
 
 
@@ -72,16 +74,16 @@ levels: [{{name: DEFAULT}}, {{name: ALERT}}]
             process.kill()
 
 
-def ask(path, *fields):
-    """One program of rips-exec, from its start to its end: the text of all answers."""
+def ask(path, program):
+    """Starts a program of rips-exec and waits for its end: all ExecAnswers."""
     import socket
+    call = pb("ExecCall")(verb="EXEC_VERB_START", name=program.encode(), drill=False,
+                          level_from=b"", level_to=b"")
     with socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET) as asking:
         asking.settimeout(LIMIT)
         asking.connect(str(path))
-        message = "rips-exec 1\n" + "".join(
-            f"{key} {len(value)}\n{value}\n" for key, value in fields)
-        asking.send(b"." + message.encode())
-        answers = ""
+        asking.send(b"." + call.SerializeToString())
+        answers, parts = [], b""
         while True:
             try:
                 packet = asking.recv(1 << 16)
@@ -89,11 +91,10 @@ def ask(path, *fields):
                 continue
             if not packet:
                 return answers
-            answers += packet[1:].decode(errors="replace")
-
-
-def start_fields(name):
-    return [("verb", "start"), ("name", name), ("level_from", ""), ("level_to", "")]
+            parts += packet[1:]
+            if packet[:1] == b".":
+                answers.append(pb("ExecAnswer").FromString(parts))
+                parts = b""
 
 
 # ------------------------------------------------------------------------------------ scenarios
@@ -147,11 +148,11 @@ programs: [{{name: hello, path: {hello}}}]
     listening = world.start("exec", "systemd-socket-activate", "--seqpacket", "-l", path,
                             world.bin / "rips-exec", "--config", config)
     until(path.exists, "nobody listens")
-    said = ask(path, *start_fields("hello"))
-    check("kind 5\nbegun\n" in said and "kind 5\nended\n" in said and "code 1\n0\n" in said,
-          f"the answer is {said!r}")
+    begun, ended = ask(path, "hello")
+    check(begun.kind == BEGUN and ended.kind == ENDED and ended.begun and ended.code == 0,
+          f"the answers are {begun} {ended}")
     # 3 is the script itself, 4 the directory that ls reads.
-    check("hello\n0 1 2 3 4 \n" in said, f"the program sees {said!r}")
+    check(ended.output_tail == b"hello\n0 1 2 3 4 ", f"the program sees {ended.output_tail}")
     listening.wait_for(lambda line: " listening " in line, LIMIT, "rips-exec listens")
 
 
@@ -172,7 +173,7 @@ programs: [{{name: daemon, path: {program}, timeout: 5min}}]
         raise Skipped("cgroup v2 cannot be used here")
     asking = world.start("asking", sys.executable, "-c",
                          f"import sys; sys.argv = ['']; sys.path.insert(0, '{pathlib.Path(__file__).parent}')\n"
-                         f"import exec_test; exec_test.ask('{path}', *exec_test.start_fields('daemon'))")
+                         f"import exec_test; exec_test.ask('{path}', 'daemon')")
     until(pids.exists, "the program does not run")
     daemon = int(pids.read_text())
     first.kill(signal.SIGKILL)
@@ -210,7 +211,7 @@ programs: [{{name: hello, path: {hello}}}]
           f"--check-config says {checked.stdout}")
     runner = world.start("exec", world.bin / "rips-exec", "--config", config)
     runner.wait_for(lambda line: "cgroups=none" in line, LIMIT, "rips-exec listens")
-    check("hello" in ask(path, *start_fields("hello")), "the program did not run")
+    check(b"hello" in ask(path, "hello")[-1].output_tail, "the program did not run")
     warned = [text for _, text in runner.lines if "without cgroups" in text]
     check(len(warned) == 1, f"warned {len(warned)} times")
 

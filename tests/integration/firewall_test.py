@@ -20,12 +20,15 @@ import time
 
 sys.path.insert(0, str(pathlib.Path(__file__).resolve().parents[1] / "support"))
 from fleet import Failed, Fleet, Process, Skipped, check, perform  # noqa: E402
+from protos import pb  # noqa: E402
 
 CONTROL_PORT = 7443
 HOSTS = {"robot": "10.77.0.1", "intruder": "10.77.0.2", "server": "10.77.0.3"}
 TOPIC = "rt/peer,std_msgs::msg::dds_::String_"
 LIMIT = 90  # seconds anything here may take on a busy machine
 OK, INVALID, DENIED, PRECONDITION = 0, 3, 7, 9  # codes of absl::Status
+
+RELEASE = {"kind": "FW_KIND_RELEASE"}
 
 RULES = """# Nothing but what is always open, and the group by which nodes of one host find each other.
 chain input {
@@ -43,6 +46,11 @@ def run(*args, ok=True):
     if ok and done.returncode != 0:
         raise Failed(f"{' '.join(map(str, args))}: {done.stderr.strip()}")
     return done
+
+
+def isolation(kind, target, seconds=600):
+    return {"kind": f"FW_KIND_ISOLATE_{kind}", "targets": [target.encode()],
+            "for_ms": seconds * 1000}
 
 
 class World:
@@ -120,27 +128,29 @@ levels:
         fw.wait_for(lambda text: "listening" in text, LIMIT, "rips-fw listens")
         return fw
 
-    def ask(self, *lines):
-        """(code, {key: text}) of the answer."""
+    def ask(self, verb, step):
+        """(code, {field: text}) of the answer."""
+        request = pb("FwRequest")(verb=f"FW_VERB_{verb}", **step)
         with socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET) as asking:
             asking.settimeout(LIMIT)
             asking.connect(str(self.socket))
-            asking.send(("\n".join(["rips-fw 1", *lines]) + "\n").encode())
-            answer = asking.recv(65536).decode()
-        check(answer.startswith("rips-fw 1\ncode "), f"the answer is {answer!r}")
-        fields = dict(line.split(" ", 1) for line in answer.splitlines()[1:])
-        return int(fields.pop("code")), fields
+            asking.send(request.SerializeToString())
+            answer = pb("FwResponse").FromString(asking.recv(65536))
+        check(answer.HasField("code"), f"the answer is {answer}")
+        return answer.code, {name: getattr(answer, name).decode()
+                             for name in ("message", "observed", "note")}
 
-    def enter(self, *lines):
-        code, fields = self.ask("verb enter", *lines)
-        check(code == OK, f"{lines}: {code} {fields}")
+    def enter(self, step):
+        code, fields = self.ask("ENTER", step)
+        check(code == OK, f"{step}: {code} {fields}")
         return fields
 
     def isolate_host(self, address, seconds=600):
-        return self.enter("kind isolate_hosts", f"target {address}", f"for_ms {seconds * 1000}")
+        return self.enter(isolation("HOSTS", address, seconds))
 
     def rules_step(self):
-        return ["kind rules", f"file {self.dir / 'alert.nft'}", "for_ms 600000"]
+        return {"kind": "FW_KIND_RULES", "file": os.fsencode(self.dir / "alert.nft"),
+                "for_ms": 600_000}
 
     # -------------------------------------------------------------------------------- traffic
 
@@ -232,12 +242,11 @@ def one_participant_is_isolated(world):
     control = world.start_control()
     world.flows([bad, neighbour])
 
-    world.enter("kind isolate_participants", f"target {bad}", "for_ms 600000")
+    world.enter(isolation("PARTICIPANTS", bad))
 
     world.flows([neighbour], [bad])
     world.control_lives(control)
-    code, fields = world.ask("verb check", "kind isolate_participants", f"target {bad}",
-                             "for_ms 600000")
+    code, fields = world.ask("CHECK", isolation("PARTICIPANTS", bad))
     check(code == OK, f"check says {fields}")
     counted = re.findall(r"@bad_guid counter packets (\d+)", world.nft("list", "chain", "inet",
                                                                        "rips", "input").stdout)
@@ -257,13 +266,11 @@ def one_host_is_isolated_until_its_time_is_over(world):
     world.flows([own], [bad])
     world.control_lives(control)
     for target in (HOSTS["server"], HOSTS["robot"]):
-        code, fields = world.ask("verb enter", "kind isolate_hosts", f"target {target}",
-                                 "for_ms 600000")
+        code, fields = world.ask("ENTER", isolation("HOSTS", target))
         check(code == INVALID and "never isolated" in fields["message"], f"{code} {fields}")
     # Nobody renews it: the kernel ends it, and discovery finds the writer again.
     world.flows([bad, own])
-    code, fields = world.ask("verb check", "kind isolate_hosts", f"target {HOSTS['intruder']}",
-                             "for_ms 12000")
+    code, fields = world.ask("CHECK", isolation("HOSTS", HOSTS["intruder"], 12))
     check(code == PRECONDITION and "no longer isolated" in fields["message"], f"{code} {fields}")
 
 
@@ -275,32 +282,32 @@ def a_level_that_drops_everything_keeps_the_server(world):
     control = world.start_control()
     world.flows([bad, own])
 
-    world.enter(*world.rules_step())
+    world.enter(world.rules_step())
     world.flows([own], [bad])
     world.control_lives(control)
     world.control_lives(world.start_pings("new-control"))
 
     # The administrator deletes the table: told, and mended.
     world.nft("delete", "table", "inet", "rips")
-    code, fields = world.ask("verb check", *world.rules_step())
+    code, fields = world.ask("CHECK", world.rules_step())
     check(code == PRECONDITION and "was deleted" in fields["message"], f"{code} {fields}")
     world.flows([bad, own])
-    world.enter(*world.rules_step())
+    world.enter(world.rules_step())
     world.flows([own], [bad])
 
     # rips-fw dies: the kernel holds on; the next one says that it does not know, and mends.
     fw.kill(signal.SIGKILL)
     world.flows([own], [bad])
     world.start_fw()
-    code, fields = world.ask("verb check", *world.rules_step())
+    code, fields = world.ask("CHECK", world.rules_step())
     check(code == PRECONDITION and "started anew" in fields["message"], f"{code} {fields}")
-    world.enter(*world.rules_step())
-    code, fields = world.ask("verb check", *world.rules_step())
+    world.enter(world.rules_step())
+    code, fields = world.ask("CHECK", world.rules_step())
     check(code == OK, f"check says {fields}")
     world.flows([own], [bad])
     world.control_lives(control)
 
-    world.enter("kind release")
+    world.enter(RELEASE)
     world.flows([bad, own])
 
 
@@ -313,8 +320,8 @@ def a_release_holds_until_the_lease_has_ended(world):
 
     world.isolate_host(HOSTS["intruder"])
     before = world.flows([own], [bad])
-    fields = world.enter("kind release")
-    check(f"until their leases have ended: {HOSTS['intruder']} in" in fields.get("note", ""),
+    fields = world.enter(RELEASE)
+    check(f"until their leases have ended: {HOSTS['intruder']} in" in fields["note"],
           f"not held: {fields}")
     check("have kept for us comes at once" in fields["note"], f"not told: {fields}")
     world.flows([own], [bad])
@@ -340,14 +347,15 @@ def capability_and_socket_from_outside(world):
          "sh", "-c", shell, "sh", str(world.bin / "rips-fw"), "--config", str(config)],
         pass_fds=[listener.fileno()], stdin=subprocess.DEVNULL)
     try:
-        check(world.enter(*world.rules_step())["observed"] == "firewall=alert.nft", "not entered")
+        check(world.enter(world.rules_step())["observed"] == "firewall=alert.nft", "not entered")
         check("rips 1" in world.nft("list", "table", "inet", "rips").stdout, "no rule in the kernel")
         # Another user is refused, although the socket's mode lets it in.
         refused = run("setpriv", "--reuid=65533", "--clear-groups", sys.executable, "-B", "-c",
                       "import socket, sys; s = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)\n"
-                      "s.connect(sys.argv[1]); print(s.recv(1000).decode())", world.socket)
-        check(f"code {DENIED}\n" in refused.stdout, f"{refused.stdout} {refused.stderr}")
-        check("user 65533 may not ask" in refused.stdout, refused.stdout)
+                      "s.connect(sys.argv[1]); print(s.recv(1000).hex())", world.socket)
+        answer = pb("FwResponse").FromString(bytes.fromhex(refused.stdout))
+        check(answer.code == DENIED and b"user 65533 may not ask" in answer.message,
+              f"{answer} {refused.stderr}")
     finally:
         child.terminate()
         check(child.wait(LIMIT) == 0, f"ended with {child.returncode}")

@@ -8,50 +8,22 @@ HTTP/2 client, so that nothing on our side keeps its rules.
     stream.status                              # (code, message) once the server has ended it
 """
 
-import functools
 import pathlib
 import socket
 import struct
-import subprocess
 import sys
-import tempfile
 import threading
 import time
 
 import http2
 
-try:
-    import google.protobuf  # noqa: F401
-except ModuleNotFoundError:  # another Python than Debian's runs this
-    sys.path.append("/usr/lib/python3/dist-packages")
+sys.path.insert(0, str(pathlib.Path(__file__).resolve().parents[1] / "support"))
+from protos import pb  # noqa: E402, F401
 
 DATA, GOAWAY, WINDOW_UPDATE = 0, 7, 8
 ACK = 1
 PADDED, PRIORITY = 8, 32
 WINDOW = (1 << 31) - 1
-
-
-@functools.cache
-def pb(name):
-    """The message class rips.v1.`name`; classes are made from the protos once per process."""
-    for module in _modules():
-        if hasattr(module, name):
-            return getattr(module, name)
-    raise KeyError(name)
-
-
-@functools.cache
-def _modules():
-    proto = pathlib.Path(__file__).resolve().parents[2] / "proto"
-    files = [str(path.relative_to(proto)) for path in sorted(proto.glob("rips/v1/*.proto"))]
-    directory = tempfile.TemporaryDirectory(prefix="redteam-proto.")
-    subprocess.run(["protoc", f"-I{proto}", f"--python_out={directory.name}", *files], check=True)
-    sys.path.insert(0, directory.name)
-    try:
-        return [__import__(path[:-6].replace("/", ".") + "_pb2", fromlist=["*"]) for path in files]
-    finally:
-        sys.path.remove(directory.name)
-        directory.cleanup()
 
 
 class Ended(OSError):

@@ -438,10 +438,10 @@ TEST_F(ExecServerTest, HostilePacketsAreRefusedAndOthersServed) {
       "+",
       "GET / HTTP/1.1\r\n\r\n",
       std::string("\0", 1),
-      ".rips-exec 1\n",
-      ".rips-exec 1\nverb 5\nstart\n",
-      ".rips-exec 1\nverb 5\nstart\npath 4\n/bin\n",
-      ".rips-fw 1\nverb status\n",
+      ".rips-exec 1\nverb 6\ncancel\n",
+      ".\x08\x01",                        // a start of nothing
+      "." + StartMessage() + "\x50\x01",  // with a field that does not exist
+      "." + StartMessage() + StartMessage(),
   };
   for (const std::string& packet : kPackets) {
     ExecChannel channel(Connect());

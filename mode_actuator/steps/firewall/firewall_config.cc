@@ -7,7 +7,6 @@
 #include "absl/strings/escaping.h"
 #include "absl/strings/str_cat.h"
 #include "mode_actuator/steps/firewall/fragment_file.h"
-#include "mode_actuator/steps/firewall/fw_message.h"
 #include "mode_actuator/steps/firewall/real_host.h"
 #include "mode_actuator/steps/firewall/target.h"
 #include "services/base/status_macros.h"

@@ -1,12 +1,5 @@
-// What rips-actuator and rips-fw say to each other: one packet each way, lines of text.
-//
-//   rips-fw 1                  rips-fw 1
-//   verb enter                 code 0
-//   kind isolate_hosts         observed firewall=2 isolated
-//   target 10.0.0.7            note ...
-//   for_ms 600000
-//
-// Text of nft never crosses: a level's rules are named by their file.
+// Between rips-actuator and rips-fw: rips.v1.FwRequest and rips.v1.FwResponse of helper.proto, one
+// packet each way.
 #ifndef RIPS_MODE_ACTUATOR_STEPS_FIREWALL_FW_MESSAGE_H_
 #define RIPS_MODE_ACTUATOR_STEPS_FIREWALL_FW_MESSAGE_H_
 
@@ -22,13 +15,12 @@ namespace rips::actuator {
 inline constexpr size_t kFwPacketBytesMax = 8 << 10;
 // Of each text of a response; longer ones are cut.
 inline constexpr size_t kFwTextBytesMax = 2048;
-inline constexpr absl::Duration kFirewallForMax = absl::Hours(24);
 
 enum class FwVerb {
-  kEnter,   // do it and read it back
-  kCheck,   // look whether it is so, and renew its time
-  kTry,     // look whether it could be done; nothing is loaded
-  kStatus,  // what is in force; no step
+  kEnter = 1,  // do it and read it back
+  kCheck,      // look whether it is so, and renew its time
+  kTry,        // look whether it could be done; nothing is loaded
+  kStatus,     // what is in force; no step
 };
 
 struct FwRequest {
@@ -46,10 +38,11 @@ struct FwResponse {
 
 // A request of the limits of level_plan.h and target.h fits into kFwPacketBytesMax.
 std::string EncodeFwRequest(const FwRequest& request);
-// InvalidArgument for anything that EncodeFwRequest does not print: unknown, repeated, missing or
-// out of place lines, too many targets, a time that is none.
+// InvalidArgument for anything that EncodeFwRequest does not give: unknown, missing, repeated or
+// misplaced fields, too many targets, a time that is none.
 absl::StatusOr<FwRequest> DecodeFwRequest(absl::string_view packet);
 
+// Its texts become one line of printable ASCII each.
 std::string EncodeFwResponse(const FwResponse& response);
 // DataLoss for anything else.
 absl::StatusOr<FwResponse> DecodeFwResponse(absl::string_view packet);

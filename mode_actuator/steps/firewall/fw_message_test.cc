@@ -1,9 +1,13 @@
 #include "mode_actuator/steps/firewall/fw_message.h"
 
+#include <functional>
+#include <random>
+
 #include "absl/strings/str_cat.h"
 #include "gmock/gmock.h"
 #include "gtest/gtest.h"
 #include "mode_actuator/steps/firewall/target.h"
+#include "rips/v1/helper.pb.h"
 #include "services/base/status_matchers.h"
 
 namespace rips::actuator {
@@ -19,6 +23,7 @@ TEST(FwMessageTest, RequestsComeBackAsTheyWere) {
   }
   const FwRequest kRequests[] = {
       {.verb = FwVerb::kStatus},
+      {FwVerb::kEnter, {.kind = Kind::kRules, .file = std::string(4096, '\xff')}},
       {FwVerb::kEnter, {.kind = Kind::kRules, .file = "/etc/rips/a b.nft"}},
       {FwVerb::kCheck, many},
       {FwVerb::kTry, many},
@@ -33,62 +38,127 @@ TEST(FwMessageTest, RequestsComeBackAsTheyWere) {
     const std::string packet = EncodeFwRequest(request);
     EXPECT_LE(packet.size(), kFwPacketBytesMax);
     const auto decoded = DecodeFwRequest(packet);
-    ASSERT_THAT(decoded, IsOk()) << packet;
-    EXPECT_EQ(*decoded, request) << packet;
+    ASSERT_THAT(decoded, IsOk());
+    EXPECT_EQ(*decoded, request);
     for (size_t length = 0; length < packet.size(); ++length) {
-      const auto cut = DecodeFwRequest(absl::string_view(packet).substr(0, length));
-      EXPECT_FALSE(cut.ok() && *cut == request) << packet.substr(0, length);
+      EXPECT_THAT(DecodeFwRequest(absl::string_view(packet).substr(0, length)),
+                  StatusIs(absl::StatusCode::kInvalidArgument))
+          << length;
     }
   }
 }
 
+// `packet` as `edit` changes it.
+template <typename Wire>
+std::string Edited(const std::string& packet, const std::function<void(Wire&)>& edit) {
+  Wire wire;
+  EXPECT_TRUE(wire.ParseFromString(packet));
+  edit(wire);
+  return wire.SerializeAsString();
+}
+
+constexpr absl::string_view kUnknownField = "\x78\x01";  // field 15
+
 TEST(FwMessageTest, RefusesRequestsOfAnotherShape) {
-  std::string many;
-  for (size_t i = 0; i <= kTargetsMax; ++i) absl::StrAppend(&many, "target 10.0.0.7\n");
+  using Wire = v1::FwRequest;
+  const auto request = [](const FirewallStep& step) {
+    return EncodeFwRequest({FwVerb::kEnter, step});
+  };
+  const std::string status = EncodeFwRequest({.verb = FwVerb::kStatus});
+  const std::string release = request({.kind = Kind::kRelease});
+  const std::string rules = request({.kind = Kind::kRules, .file = "/a"});
+  const std::string hosts = request({.kind = Kind::kIsolateHosts, .targets = {"10.0.0.7"}});
+  const absl::string_view shape = "unknown, missing, repeated or out of place";
   const struct {
-    std::string body;
+    std::string packet;
+    std::function<void(Wire&)> edit;
     absl::string_view message;
   } kCases[] = {
-      {"", "no verb"},
-      {"verb flush\n", "unknown verb"},
-      {"verb status\nverb status\n", "unknown or repeated line `verb`"},
-      {"verb status\nkind release\n", "`status` takes no step"},
-      {"kind release\nverb enter\n", "lines out of place"},
-      {"verb enter\nkind isolate_hosts\nfor_ms 5\ntarget 10.0.0.7\n", "lines out of place"},
-      {"verb enter\nkind isolate_hosts\ntarget 10.0.0.7\nfor_ms 05\n", "lines out of place"},
-      {"verb enter\n", "no kind"},
-      {"verb enter\nkind table\n", "unknown kind"},
-      {"verb enter\nkind rules\nfor_ms 5\n", "`file` is for `rules`"},
-      {"verb enter\nkind release\nfile /a\n", "`file` is for `rules`"},
-      {"verb enter\nkind isolate_hosts\nfor_ms 5\n", "`target` is for isolation"},
-      {"verb enter\nkind rules\nfile /a\ntarget 1\nfor_ms 5\n", "`target` is for isolation"},
-      {"verb enter\nkind rules\nfile /a\n", "`for_ms` is for"},
-      {"verb enter\nkind release\nfor_ms 5\n", "`for_ms` is for"},
-      {"verb enter\nkind rules\nfile /a\nfor_ms 0\n", "`for_ms` must be from 1 to 86400000"},
-      {"verb enter\nkind rules\nfile /a\nfor_ms 86400001\n", "`for_ms` must be"},
-      {"verb enter\nkind rules\nfile /a\nfor_ms x\n", "`for_ms` must be"},
-      {"verb enter\nkind rules\nfile /a\nfile /b\nfor_ms 5\n", "repeated line `file`"},
-      {absl::StrCat("verb enter\nkind isolate_hosts\n", many, "for_ms 5\n"),
+      {release, [](Wire& wire) { wire.clear_verb(); }, "no verb"},
+      {release, [](Wire& wire) { wire.set_verb(static_cast<v1::FwVerb>(5)); }, "unknown verb"},
+      {release, [](Wire& wire) { wire.set_verb(static_cast<v1::FwVerb>(-1)); }, "unknown verb"},
+      {release, [](Wire& wire) { wire.set_verb(v1::FW_VERB_STATUS); }, shape},
+      {release, [](Wire& wire) { wire.clear_kind(); }, "no kind"},
+      {release, [](Wire& wire) { wire.set_kind(static_cast<v1::FwKind>(5)); }, "unknown kind"},
+      {release, [](Wire& wire) { wire.set_file("/a"); }, shape},
+      {release, [](Wire& wire) { wire.set_for_ms(5); }, shape},
+      {release, [](Wire& wire) { wire.add_targets("10.0.0.7"); }, shape},
+      {status, [](Wire& wire) { wire.set_verb(v1::FW_VERB_ENTER); }, "no kind"},
+      {rules, [](Wire& wire) { wire.set_kind(v1::FW_KIND_RELEASE); }, shape},
+      {rules, [](Wire& wire) { wire.set_kind(v1::FW_KIND_ISOLATE_HOSTS); }, "no target"},
+      {rules, [](Wire& wire) { wire.clear_file(); }, "no file name"},
+      {rules, [](Wire& wire) { wire.set_file(""); }, "no file name"},
+      {rules, [](Wire& wire) { wire.set_file(std::string(4097, 'a')); }, "no file name"},
+      {rules, [](Wire& wire) { wire.set_file(std::string("/a\0b", 4)); }, "no file name"},
+      {rules, [](Wire& wire) { wire.set_file("/a\nb"); }, "no file name"},
+      {rules, [](Wire& wire) { wire.add_targets("10.0.0.7"); }, shape},
+      {rules, [](Wire& wire) { wire.clear_for_ms(); }, shape},
+      {rules, [](Wire& wire) { wire.set_for_ms(0); }, "`for_ms` must be from 1 to 86400000"},
+      {rules, [](Wire& wire) { wire.set_for_ms(-1); }, "`for_ms` must be"},
+      {rules, [](Wire& wire) { wire.set_for_ms(86'400'001); }, "`for_ms` must be"},
+      {rules, [](Wire& wire) { wire.set_for_ms(INT64_MAX); }, "`for_ms` must be"},
+      {hosts, [](Wire& wire) { wire.set_kind(v1::FW_KIND_RULES); }, "no file name"},
+      {hosts, [](Wire& wire) { wire.clear_targets(); }, "no target"},
+      {hosts, [](Wire& wire) { wire.set_targets(0, ""); }, "no target"},
+      {hosts, [](Wire& wire) { wire.set_targets(0, std::string(49, '1')); }, "no target"},
+      {hosts, [](Wire& wire) { wire.set_targets(0, "10.0.0.7\n"); }, "no target"},
+      {hosts, [](Wire& wire) { wire.set_file("/a"); }, shape},
+      {hosts,
+       [](Wire& wire) {
+         for (size_t i = 0; i < kTargetsMax; ++i) wire.add_targets("10.0.0.7");
+       },
        "targets exceed limit 64"},
-      {"verb enter\nkind isolate_hosts\ntarget \nfor_ms 5\n", "no target"},
-      {absl::StrCat("verb enter\nkind isolate_hosts\ntarget ", std::string(49, '1'), "\n"),
-       "no target"},
-      {"verb status\nnft add table inet x\n", "unknown or repeated line `nft`"},
-      {"verb status\n\n", "no lines of"},
-      {"verb", "no lines of"},
   };
   for (const auto& test : kCases) {
-    EXPECT_THAT(DecodeFwRequest(absl::StrCat("rips-fw 1\n", test.body)),
+    ASSERT_THAT(DecodeFwRequest(test.packet), IsOk());
+    const std::string bad = Edited<Wire>(test.packet, test.edit);
+    EXPECT_THAT(DecodeFwRequest(bad),
                 StatusIs(absl::StatusCode::kInvalidArgument, HasSubstr(test.message)))
-        << test.body;
+        << testing::PrintToString(bad.substr(0, 80));
+    EXPECT_THAT(DecodeFwRequest(absl::StrCat(test.packet, kUnknownField)),
+                StatusIs(absl::StatusCode::kInvalidArgument, HasSubstr(shape)));
   }
+}
+
+TEST(FwMessageTest, RefusesRequestsThatAreSerializedOtherwise) {
+  const std::string release = EncodeFwRequest({FwVerb::kEnter, {.kind = Kind::kRelease}});
+  ASSERT_EQ(release, "\x08\x01\x10\x04");
   for (const std::string& packet :
-       {std::string(), std::string("rips-fw 2\nverb status\n"), std::string("rips-fw 1"),
-        std::string("rips-fw 11\nverb status\n"), std::string("\0\xff", 2)}) {
-    EXPECT_THAT(DecodeFwRequest(packet), StatusIs(absl::StatusCode::kInvalidArgument)) << packet;
+       {std::string("\x10\x04\x08\x01"), std::string("\x08\x81\x00\x10\x04", 5), release + release,
+        std::string("\x08\x02") + release, release + std::string(1, '\0'), std::string(),
+        std::string("rips-fw 1\nverb status\n"), std::string("\0\xff", 2),
+        std::string("GET / HTTP/1.1\r\n\r\n")}) {
+    EXPECT_THAT(DecodeFwRequest(packet), StatusIs(absl::StatusCode::kInvalidArgument))
+        << testing::PrintToString(packet);
   }
   EXPECT_THAT(DecodeFwRequest(std::string(kFwPacketBytesMax + 1, 'x')),
               StatusIs(absl::StatusCode::kInvalidArgument, HasSubstr("exceeds limit 8192")));
+}
+
+TEST(FwMessageTest, FlippedBytesAndGarbageAreRefusedOrCanonical) {
+  std::mt19937 random(1);
+  const auto check = [](const std::string& bytes) {
+    if (const auto request = DecodeFwRequest(bytes); request.ok()) {
+      EXPECT_EQ(EncodeFwRequest(*request), bytes);
+    }
+    if (const auto response = DecodeFwResponse(bytes); response.ok()) {
+      EXPECT_EQ(EncodeFwResponse(*response), bytes);
+    }
+  };
+  for (const std::string& good :
+       {EncodeFwRequest({FwVerb::kTry, {.kind = Kind::kIsolateHosts, .targets = {"10.0.0.7"}}}),
+        EncodeFwResponse({absl::InternalError("why"), "firewall=?", "note"})}) {
+    for (int i = 0; i < 10'000; ++i) {
+      std::string bad = good;
+      bad[random() % bad.size()] = static_cast<char>(random());
+      check(bad);
+    }
+  }
+  for (int i = 0; i < 10'000; ++i) {
+    std::string garbage(random() % 64, '\0');
+    for (char& c : garbage) c = static_cast<char>(random());
+    check(garbage);
+  }
 }
 
 TEST(FwMessageTest, ResponsesComeBackAsTheyWere) {
@@ -96,11 +166,20 @@ TEST(FwMessageTest, ResponsesComeBackAsTheyWere) {
       {},
       {absl::OkStatus(), "firewall=a.nft", "10.0.0.7 for 4s"},
       {absl::FailedPreconditionError("table deleted"), "firewall=?", ""},
+      {absl::Status(absl::StatusCode::kUnauthenticated, std::string(kFwTextBytesMax, 'm')),
+       std::string(kFwTextBytesMax, 'o'), std::string(kFwTextBytesMax, '~')},
   };
   for (const FwResponse& response : kResponses) {
-    const auto decoded = DecodeFwResponse(EncodeFwResponse(response));
+    const std::string packet = EncodeFwResponse(response);
+    EXPECT_LE(packet.size(), kFwPacketBytesMax);
+    const auto decoded = DecodeFwResponse(packet);
     ASSERT_THAT(decoded, IsOk());
     EXPECT_EQ(*decoded, response);
+    for (size_t length = 0; length < packet.size(); ++length) {
+      EXPECT_THAT(DecodeFwResponse(absl::string_view(packet).substr(0, length)),
+                  StatusIs(absl::StatusCode::kDataLoss))
+          << length;
+    }
   }
 }
 
@@ -116,12 +195,33 @@ TEST(FwMessageTest, TextsOfResponsesAreMadeHarmlessAndCut) {
 }
 
 TEST(FwMessageTest, RefusesResponsesOfAnotherShape) {
-  for (const absl::string_view packet :
-       {"", "rips-fw 1\n", "rips-fw 1\ncode 17\n", "rips-fw 1\ncode -1\n", "rips-fw 1\ncode x\n",
-        "rips-fw 1\ncode 0\ncode 0\n", "rips-fw 1\ncode 0\nmore x\n", "hello\ncode 0\n",
-        "rips-fw 1\ncode 00\n", "rips-fw 1\ncode +0\n", "rips-fw 1\nnote x\ncode 0\n",
-        "rips-fw 1\ncode 0\nnote \x1b[2J\n", "rips-fw 1\ncode 0\nmessage x\n"}) {
-    EXPECT_THAT(DecodeFwResponse(packet), StatusIs(absl::StatusCode::kDataLoss)) << packet;
+  using Wire = v1::FwResponse;
+  const std::string good = EncodeFwResponse({absl::AbortedError("why"), "firewall=?", "note"});
+  ASSERT_THAT(DecodeFwResponse(Edited<Wire>(good, [](Wire&) {})), IsOk());
+  const std::function<void(Wire&)> kEdits[] = {
+      [](Wire& wire) { wire.clear_code(); },
+      [](Wire& wire) { wire.set_code(0); },  // which has no message
+      [](Wire& wire) { wire.set_code(17); },
+      [](Wire& wire) { wire.set_code(UINT32_MAX); },
+      [](Wire& wire) { wire.clear_message(); },
+      [](Wire& wire) { wire.set_message("a\nb"); },
+      [](Wire& wire) { wire.set_message(std::string(kFwTextBytesMax + 1, 'x')); },
+      [](Wire& wire) { wire.clear_observed(); },
+      [](Wire& wire) { wire.set_observed("\xff"); },
+      [](Wire& wire) { wire.clear_note(); },
+      [](Wire& wire) { wire.set_note("\x1b[2J"); },
+  };
+  for (size_t i = 0; i < std::size(kEdits); ++i) {
+    const std::string bad = Edited<Wire>(good, kEdits[i]);
+    ASSERT_NE(bad, good) << i;
+    EXPECT_THAT(DecodeFwResponse(bad), StatusIs(absl::StatusCode::kDataLoss)) << i;
+  }
+  EXPECT_THAT(DecodeFwResponse(absl::StrCat(good, kUnknownField)),
+              StatusIs(absl::StatusCode::kDataLoss));
+  for (const std::string& packet :
+       {std::string("all is well"), std::string("rips-fw 1\ncode 0\n"), good + good,
+        good + std::string("\x08\x0a"), std::string(kFwPacketBytesMax + 1, 'x')}) {
+    EXPECT_THAT(DecodeFwResponse(packet), StatusIs(absl::StatusCode::kDataLoss));
   }
 }
 

@@ -4,151 +4,66 @@
 #include <cstdint>
 #include <utility>
 
-#include "absl/strings/match.h"
-#include "absl/strings/numbers.h"
 #include "absl/strings/str_cat.h"
 #include "absl/strings/strip.h"
-#include "services/base/status_macros.h"
+#include "rips/v1/helper.pb.h"
 
 namespace rips::actuator {
 namespace {
 
 using Kind = ExecAnswer::Kind;
 
-constexpr absl::string_view kMagic = "rips-exec 1\n";
-constexpr std::pair<absl::string_view, ExecVerb> kVerbs[] = {
-    {"start", ExecVerb::kStart}, {"cancel", ExecVerb::kCancel}, {"examine", ExecVerb::kExamine}};
-constexpr std::pair<absl::string_view, Kind> kKinds[] = {
-    {"examined", Kind::kExamined}, {"begun", Kind::kBegun}, {"ended", Kind::kEnded}};
-constexpr int kCodeMax = 16;  // the last of absl::StatusCode
+static_assert(static_cast<int>(ExecVerb::kStart) == v1::EXEC_VERB_START);
+static_assert(static_cast<int>(ExecVerb::kCancel) == v1::EXEC_VERB_CANCEL);
+static_assert(static_cast<int>(ExecVerb::kExamine) == v1::EXEC_VERB_EXAMINE);
+static_assert(static_cast<int>(Kind::kExamined) == v1::EXEC_KIND_EXAMINED);
+static_assert(static_cast<int>(Kind::kBegun) == v1::EXEC_KIND_BEGUN);
+static_assert(static_cast<int>(Kind::kEnded) == v1::EXEC_KIND_ENDED);
+constexpr uint32_t kCodeMax = 16;  // the last of absl::StatusCode
+constexpr uint32_t kExitCodeMax = 255;
 
-template <typename E, size_t N>
-absl::string_view NameOf(const std::pair<absl::string_view, E> (&names)[N], E value) {
-  for (const auto& [name, each] : names) {
-    if (each == value) return name;
-  }
-  return "?";
+template <typename Wire>
+bool Parse(absl::string_view message, Wire* wire) {
+  return message.size() <= kExecMessageBytesMax &&
+         wire->ParseFromArray(message.data(), static_cast<int>(message.size()));
 }
 
-template <typename E, size_t N>
-bool FindName(const std::pair<absl::string_view, E> (&names)[N], absl::string_view text, E* value) {
-  for (const auto& [name, each] : names) {
-    if (name != text) continue;
-    *value = each;
-    return true;
-  }
-  return false;
+std::string Cut(absl::string_view text) { return std::string(text.substr(0, kExecTextBytesMax)); }
+
+bool IsName(const std::string& text) {
+  return text.size() <= kProgramNameBytesMax && text.find('\0') == std::string::npos;
 }
 
-void AddField(absl::string_view key, absl::string_view bytes, std::string* message) {
-  absl::StrAppend(message, key, " ", bytes.size(), "\n", bytes, "\n");
-}
-
-void AddText(absl::string_view key, absl::string_view text, std::string* message) {
-  AddField(key, text.substr(0, kExecTextBytesMax), message);
-}
-
-void AddNumber(absl::string_view key, int64_t number, std::string* message) {
-  AddField(key, absl::StrCat(number), message);
-}
-
-// Takes the next field off `*rest`; false if there is none.
-bool TakeField(absl::string_view* rest, absl::string_view* key, absl::string_view* bytes) {
-  const size_t line = rest->find('\n');
-  if (line == absl::string_view::npos) return false;
-  const size_t space = rest->substr(0, line).find(' ');
-  uint64_t size = 0;
-  if (space == absl::string_view::npos ||
-      !absl::SimpleAtoi(rest->substr(space + 1, line - space - 1), &size) ||
-      size >= rest->size() - line - 1) {
-    return false;
-  }
-  *key = rest->substr(0, space);
-  *bytes = rest->substr(line + 1, size);
-  if ((*rest)[line + 1 + size] != '\n') return false;
-  rest->remove_prefix(line + 1 + size + 1);
-  return true;
-}
-
-bool ReadNumber(absl::string_view bytes, int64_t min, int64_t max, int64_t* value) {
-  return absl::SimpleAtoi(bytes, value) && *value >= min && *value <= max;
-}
-
-bool ReadCallField(absl::string_view key, absl::string_view bytes, ExecCall* call) {
+bool Decode(const v1::ExecCall& wire, ExecCall* call) {
+  if (static_cast<size_t>(wire.args_size()) > kArgsMax) return false;
+  call->verb = static_cast<ExecVerb>(wire.verb());
   ProgramRequest& program = call->program;
-  int64_t number = 0;
-  if (key == "verb") return FindName(kVerbs, bytes, &call->verb);
-  if (key == "drill") return program.drill = bytes == "1";
-  if (key == "timeout_ms") {
-    if (!ReadNumber(bytes, 1, absl::ToInt64Milliseconds(kExecTimeoutMax), &number)) return false;
-    program.timeout = absl::Milliseconds(number);
-    return true;
-  }
-  if (bytes.find('\0') != absl::string_view::npos) return false;
-  if (key == "arg" && program.args.size() < kArgsMax && bytes.size() <= kArgBytesMax) {
-    program.args.emplace_back(bytes);
-    return true;
-  }
-  if (bytes.size() > kProgramNameBytesMax) return false;
-  if (key == "name") program.name = std::string(bytes);
-  if (key == "level_from") program.level_from = std::string(bytes);
-  if (key == "level_to") program.level_to = std::string(bytes);
-  return key == "name" || key == "level_from" || key == "level_to";
+  program.name = wire.name();
+  program.args = {wire.args().begin(), wire.args().end()};
+  program.timeout =
+      wire.has_timeout_ms() ? absl::Milliseconds(wire.timeout_ms()) : absl::InfiniteDuration();
+  program.drill = wire.drill();
+  program.level_from = wire.level_from();
+  program.level_to = wire.level_to();
+  return wire.verb() != v1::EXEC_VERB_UNSPECIFIED && v1::ExecVerb_IsValid(wire.verb()) &&
+         IsName(program.name) && CheckProgramArgs(program.args).ok() &&
+         IsName(program.level_from) && IsName(program.level_to);
 }
 
-bool ReadAnswerField(absl::string_view key, absl::string_view bytes, ExecAnswer* answer) {
-  ProgramResult& result = answer->result;
-  int64_t number = 0;
-  if (key == "kind") return FindName(kKinds, bytes, &answer->kind);
-  if (key == "begun") {
-    result.begun = bytes == "1";
-    return true;
-  }
-  if (key == "timeout_ms") {
-    if (!ReadNumber(bytes, 0, absl::ToInt64Milliseconds(kExecTimeoutMax), &number)) return false;
-    answer->timeout = absl::Milliseconds(number);
-    return true;
-  }
-  if (key == "code") {
-    if (!ReadNumber(bytes, 0, kCodeMax, &number)) return false;
-    result.status = absl::Status(static_cast<absl::StatusCode>(number), "");
-    return true;
-  }
-  if (key == "message" && bytes.size() <= kExecTextBytesMax) {
-    result.status = absl::Status(result.status.code(), bytes);
-    return true;
-  }
-  if (key == "note" && bytes.size() <= kExecTextBytesMax) {
-    result.note = std::string(bytes);
-    return true;
-  }
-  if (key == "output" && bytes.size() <= kOutputBytesMax) {
-    result.output_tail = std::string(bytes);
-    return true;
-  }
-  if (key == "exit_code" && ReadNumber(bytes, 0, 255, &number)) {
-    result.exit_code = static_cast<int>(number);
-    return true;
-  }
-  if (key == "output_bytes" && ReadNumber(bytes, 0, INT64_MAX, &number)) {
-    result.output_bytes = static_cast<uint64_t>(number);
-    return true;
-  }
-  if (key == "took_ms" && ReadNumber(bytes, 0, UINT32_MAX, &number)) {
-    result.took_ms = static_cast<uint32_t>(number);
-    return true;
-  }
-  return false;
-}
-
-template <typename Message, typename Read>
-bool ReadFields(absl::string_view text, Message* message, const Read& read) {
-  if (text.size() > kExecMessageBytesMax || !absl::ConsumePrefix(&text, kMagic)) return false;
-  while (!text.empty()) {
-    absl::string_view key, bytes;
-    if (!TakeField(&text, &key, &bytes) || !read(key, bytes, message)) return false;
-  }
-  return true;
+bool Decode(const v1::ExecAnswer& wire, ExecAnswer* answer) {
+  if (wire.code() > kCodeMax || wire.exit_code() > kExitCodeMax) return false;
+  answer->kind = static_cast<Kind>(wire.kind());
+  answer->timeout = absl::Milliseconds(wire.timeout_ms());
+  answer->result = {
+      .status = absl::Status(static_cast<absl::StatusCode>(wire.code()), wire.message()),
+      .begun = wire.begun(),
+      .exit_code = static_cast<int>(wire.exit_code()),
+      .output_tail = wire.output_tail(),
+      .note = wire.note(),
+      .output_bytes = wire.output_bytes(),
+      .took_ms = wire.took_ms()};
+  return wire.kind() != v1::EXEC_KIND_UNSPECIFIED && v1::ExecKind_IsValid(wire.kind()) &&
+         wire.output_bytes() <= INT64_MAX && wire.output_tail().size() <= kOutputBytesMax;
 }
 
 }  // namespace
@@ -171,57 +86,58 @@ absl::Status CheckProgramArgs(const std::vector<std::string>& args) {
 }
 
 std::string EncodeExecCall(const ExecCall& call) {
-  std::string message(kMagic);
-  AddField("verb", NameOf(kVerbs, call.verb), &message);
-  if (call.verb == ExecVerb::kCancel) return message;
+  v1::ExecCall wire;
+  wire.set_verb(static_cast<v1::ExecVerb>(call.verb));
+  if (call.verb == ExecVerb::kCancel) return wire.SerializeAsString();
   const ProgramRequest& program = call.program;
-  AddField("name", program.name, &message);
-  if (call.verb == ExecVerb::kExamine) return message;
-  for (const std::string& arg : program.args) AddField("arg", arg, &message);
+  wire.set_name(program.name);
+  if (call.verb == ExecVerb::kExamine) return wire.SerializeAsString();
+  *wire.mutable_args() = {program.args.begin(), program.args.end()};
   if (program.timeout > absl::ZeroDuration() && program.timeout <= kExecTimeoutMax) {
-    AddNumber("timeout_ms", std::max<int64_t>(1, absl::ToInt64Milliseconds(program.timeout)),
-              &message);
+    const int64_t ms = std::max<int64_t>(1, absl::ToInt64Milliseconds(program.timeout));
+    wire.set_timeout_ms(static_cast<uint32_t>(ms));
   }
-  if (program.drill) AddField("drill", "1", &message);
-  AddText("level_from", program.level_from, &message);
-  AddText("level_to", program.level_to, &message);
-  return message;
+  wire.set_drill(program.drill);
+  wire.set_level_from(program.level_from);
+  wire.set_level_to(program.level_to);
+  return wire.SerializeAsString();
 }
 
 absl::StatusOr<ExecCall> DecodeExecCall(absl::string_view message) {
+  v1::ExecCall wire;
   ExecCall call;
-  call.program.timeout = absl::InfiniteDuration();
-  // Strict by printing it again: order, repeats, what is missing, forms of numbers.
-  if (!ReadFields(message, &call, ReadCallField) || EncodeExecCall(call) != message) {
-    return absl::InvalidArgumentError("malformed: no message of `rips-exec 1`");
+  // Strict by encoding it again: fields that are unknown, missing, repeated or of another verb.
+  if (!Parse(message, &wire) || !Decode(wire, &call) || EncodeExecCall(call) != message) {
+    return absl::InvalidArgumentError("malformed: not a call of rips-exec");
   }
   return call;
 }
 
 std::string EncodeExecAnswer(const ExecAnswer& answer) {
-  std::string message(kMagic);
-  AddField("kind", NameOf(kKinds, answer.kind), &message);
+  v1::ExecAnswer wire;
+  wire.set_kind(static_cast<v1::ExecKind>(answer.kind));
   if (answer.kind == Kind::kBegun) {
-    AddNumber("timeout_ms", absl::ToInt64Milliseconds(std::min(answer.timeout, kExecTimeoutMax)),
-              &message);
-    return message;
+    wire.set_timeout_ms(static_cast<uint32_t>(absl::ToInt64Milliseconds(
+        std::clamp(answer.timeout, absl::ZeroDuration(), kExecTimeoutMax))));
+    return wire.SerializeAsString();
   }
   const ProgramResult& result = answer.result;
-  AddNumber("code", static_cast<int>(result.status.code()), &message);
-  AddText("message", result.status.message(), &message);
-  if (answer.kind == Kind::kExamined) return message;
-  AddField("begun", result.begun ? "1" : "0", &message);
-  AddNumber("exit_code", result.exit_code, &message);
-  AddNumber("output_bytes", static_cast<int64_t>(result.output_bytes), &message);
-  AddNumber("took_ms", result.took_ms, &message);
-  AddText("note", result.note, &message);
-  AddField("output", result.output_tail, &message);
-  return message;
+  wire.set_code(static_cast<uint32_t>(result.status.code()));
+  wire.set_message(Cut(result.status.message()));
+  if (answer.kind == Kind::kExamined) return wire.SerializeAsString();
+  wire.set_begun(result.begun);
+  wire.set_exit_code(static_cast<uint32_t>(result.exit_code));
+  wire.set_output_bytes(result.output_bytes);
+  wire.set_output_tail(result.output_tail);
+  wire.set_took_ms(result.took_ms);
+  wire.set_note(Cut(result.note));
+  return wire.SerializeAsString();
 }
 
 absl::StatusOr<ExecAnswer> DecodeExecAnswer(absl::string_view message) {
+  v1::ExecAnswer wire;
   ExecAnswer answer;
-  if (!ReadFields(message, &answer, ReadAnswerField) || EncodeExecAnswer(answer) != message) {
+  if (!Parse(message, &wire) || !Decode(wire, &answer) || EncodeExecAnswer(answer) != message) {
     return absl::DataLossError("rips-exec sent a malformed reply");
   }
   return answer;
@@ -241,7 +157,7 @@ absl::StatusOr<bool> PacketJoiner::Add(absl::string_view packet, std::string* me
   const bool last = absl::ConsumePrefix(&packet, ".");
   // A part that holds nothing would make a message of no end.
   if (!last && (!absl::ConsumePrefix(&packet, "+") || packet.empty())) {
-    return absl::InvalidArgumentError("malformed: no packet of `rips-exec 1`");
+    return absl::InvalidArgumentError("malformed: not a packet of rips-exec");
   }
   if (parts_.size() + packet.size() > kExecMessageBytesMax) {
     return absl::ResourceExhaustedError(

@@ -1,18 +1,5 @@
-// What rips-actuator and rips-exec say to each other. One connection serves one run:
-//
-//   actuator           rips-exec
-//   examine NAME       examined STATUS                      and that is all
-//   start NAME ARG...  begun TIMEOUT, later ended STATUS... or ended at once, not begun
-//   cancel             (ended follows)
-//
-// A message is a first line and fields in a fixed order, `KEY LENGTH` and LENGTH bytes, each with a
-// line feed:
-//   rips-exec 1
-//   verb 5
-//   start
-//   name 9
-//   usb_alarm
-// It is sent as packets: `+` and bytes, and at last `.` and bytes. Paths never cross.
+// Between rips-actuator and rips-exec: rips.v1.ExecCall and rips.v1.ExecAnswer, whose order
+// helper.proto gives. A message is sent as packets: `+` and bytes, the last one `.` and bytes.
 #ifndef RIPS_MODE_ACTUATOR_STEPS_PROGRAM_EXEC_MESSAGE_H_
 #define RIPS_MODE_ACTUATOR_STEPS_PROGRAM_EXEC_MESSAGE_H_
 
@@ -37,7 +24,7 @@ inline constexpr absl::Duration kExecTimeoutMax = absl::Hours(24);
 // InvalidArgument past kArgsMax or kArgBytesMax, or if one holds a NUL byte.
 absl::Status CheckProgramArgs(const std::vector<std::string>& args);
 
-enum class ExecVerb { kStart, kCancel, kExamine };
+enum class ExecVerb { kStart = 1, kCancel, kExamine };
 
 struct ExecCall {
   ExecVerb verb = ExecVerb::kCancel;
@@ -45,7 +32,7 @@ struct ExecCall {
 };
 
 struct ExecAnswer {
-  enum class Kind { kExamined, kBegun, kEnded };
+  enum class Kind { kExamined = 1, kBegun, kEnded };
   Kind kind = Kind::kEnded;
   absl::Duration timeout;  // of kBegun: the time after which it is killed
   ProgramResult result;    // of kEnded; of kExamined only its status
@@ -53,11 +40,11 @@ struct ExecAnswer {
 
 // A timeout that is none, or more than kExecTimeoutMax, stands for the program's own.
 std::string EncodeExecCall(const ExecCall& call);
-// InvalidArgument for anything that EncodeExecCall does not print.
+// InvalidArgument for anything that EncodeExecCall does not give.
 absl::StatusOr<ExecCall> DecodeExecCall(absl::string_view message);
 
 std::string EncodeExecAnswer(const ExecAnswer& answer);
-// DataLoss for anything that EncodeExecAnswer does not print.
+// DataLoss for anything that EncodeExecAnswer does not give.
 absl::StatusOr<ExecAnswer> DecodeExecAnswer(absl::string_view message);
 
 // At most kExecPacketBytesMax bytes each.
