@@ -241,7 +241,7 @@ Left running. In another terminal:
   ./ripsctl alert watch
   ./ripsctl level history r1
   ./ripsctl level raise r1 --to HALT --reason "trying it"
-  ./ripsctl level lower r1 --to DEFAULT --reason "tried it"
+  ./ripsctl level lower r1 --to DEFAULT --reason "tried it" --wait
   ./robot_sim intruder --domain {fleet.domain} --mode rogue-cmd-vel
 
 Ctrl-C here stops everything.""", flush=True)

@@ -11,7 +11,6 @@
 #include "absl/strings/str_cat.h"
 #include "gmock/gmock.h"
 #include "gtest/gtest.h"
-#include "policy_server/server/operator_api/receipt_codec.h"
 #include "policy_server/server/robot/robot_fixture.h"
 #include "policy_server/server/store/fake_store.h"
 #include "services/base/ids.h"
@@ -624,49 +623,41 @@ TEST_F(OperatorServiceTest, TellsNothingOfARobotThatIsNone) {
 TEST_F(OperatorServiceTest, AMisspeltRobotIsAnErrorAndNotSilence) {
   store_.gate.Close();
   const std::shared_ptr<Stub> stub = Connect();
-  const auto alerts_of = [&](const std::string& robot) {
+  const auto code_of = [&](auto method, auto request, auto response, const char* robot) {
     grpc::ClientContext context;
     SetDeadline(context);
-    rips::v1::ListAlertsRequest request;
     request.set_robot(robot);
     request.set_limit(10);
-    rips::v1::ListAlertsResponse response;
-    return stub->ListAlerts(&context, request, &response);
+    return ((*stub).*method)(&context, request, &response).error_code();
   };
-  EXPECT_TRUE(alerts_of("r1").ok()) << "it has none";
-  EXPECT_TRUE(alerts_of("(server)").ok());
-  EXPECT_EQ(alerts_of("rl").error_code(), grpc::StatusCode::NOT_FOUND);
-  EXPECT_THAT(alerts_of("rl").error_message(), HasSubstr("robot `rl` is not in the inventory"));
+  const auto alerts_of = [&](const char* robot) {
+    return code_of(&Stub::ListAlerts, rips::v1::ListAlertsRequest(), rips::v1::ListAlertsResponse(),
+                   robot);
+  };
+  const auto history_of = [&](const char* robot) {
+    return code_of(&Stub::ListTransitions, rips::v1::ListTransitionsRequest(),
+                   rips::v1::ListTransitionsResponse(), robot);
+  };
+  EXPECT_EQ(alerts_of("r1"), grpc::StatusCode::OK) << "it has none";
+  EXPECT_EQ(alerts_of("(server)"), grpc::StatusCode::OK);
+  EXPECT_EQ(alerts_of("rl"), grpc::StatusCode::NOT_FOUND);
+  EXPECT_EQ(history_of("r1"), grpc::StatusCode::OK);
+  EXPECT_EQ(history_of("rl"), grpc::StatusCode::NOT_FOUND);
   store::WriteBatch batch;
   batch.alerts.push_back({.id = NewId(), .robot = "removed", .text = "x"});
   ASSERT_THAT(store_.Commit(batch), IsOk());
-  EXPECT_TRUE(alerts_of("removed").ok()) << "what is stored can be read";
-  const auto history_of = [&](const std::string& robot) {
-    grpc::ClientContext context;
-    SetDeadline(context);
-    rips::v1::ListTransitionsRequest request;
-    request.set_robot(robot);
-    request.set_limit(10);
-    rips::v1::ListTransitionsResponse response;
-    return stub->ListTransitions(&context, request, &response).error_code();
-  };
-  EXPECT_EQ(history_of("r1"), grpc::StatusCode::OK);
-  EXPECT_EQ(history_of("rl"), grpc::StatusCode::NOT_FOUND);
-  Watch<rips::v1::Alert> alerts;
-  SetDeadline(alerts.context);
-  rips::v1::WatchAlertsRequest one;
-  one.set_robot("rl");
-  alerts.reader = stub->WatchAlerts(&alerts.context, one);
-  EXPECT_FALSE(alerts.Read());
-  EXPECT_EQ(alerts.reader->Finish().error_code(), grpc::StatusCode::NOT_FOUND);
-  Watch<rips::v1::RobotStatus> robots;
-  SetDeadline(robots.context);
-  rips::v1::WatchRobotsRequest two;
-  two.add_robots("r1");
-  two.add_robots("rl");
-  robots.reader = stub->WatchRobots(&robots.context, two);
-  EXPECT_FALSE(robots.Read());
-  EXPECT_EQ(robots.reader->Finish().error_code(), grpc::StatusCode::NOT_FOUND);
+  EXPECT_EQ(alerts_of("removed"), grpc::StatusCode::OK) << "what is stored can be read";
+}
+
+TEST_F(OperatorServiceTest, AMisspeltRobotIsNotWatched) {
+  Watch<rips::v1::RobotStatus> watch;
+  SetDeadline(watch.context);
+  rips::v1::WatchRobotsRequest request;
+  request.add_robots("r1");
+  request.add_robots("rl");
+  watch.reader = StubFor(0).WatchRobots(&watch.context, request);
+  EXPECT_FALSE(watch.Read());
+  EXPECT_EQ(watch.reader->Finish().error_code(), grpc::StatusCode::NOT_FOUND);
 }
 
 // Answers each drill at once, on the robot's thread, with one step that failed.
@@ -751,29 +742,6 @@ TEST_F(OperatorServiceTest, DrillsAndListsReceipts) {
   EXPECT_EQ(receipts.receipts(0).receipt().command_id().size(), 16u);
   EXPECT_EQ(receipts.receipts(0).receipt().steps_size(), 1);
   EXPECT_GT(receipts.receipts(0).unix_ns(), 0);
-}
-
-TEST(ReceiptCodecTest, AllThatIsKeptFitsIntoOneMessage) {
-  pipeline::Receipt receipt{.stage = pipeline::Receipt::Stage::kFailed,
-                            .output_tail = std::string(64 << 10, 'x'),
-                            .detail = std::string(4096, 'x')};
-  for (int i = 0; i < 256; ++i) {
-    receipt.steps.push_back({.step = std::string(500, 's'),
-                             .took_ms = 0xffffffff,
-                             .detail = std::string(4096, '\n'),
-                             .output_tail = std::string(4096, 'x')});
-  }
-  pipeline::ReceiptHistory log;
-  for (size_t i = 0; i < pipeline::kReceiptsKept; ++i) {
-    receipt.command_id = absl::StrCat("ab", i);
-    log.Sent("base", {.id = receipt.command_id, .what = pipeline::Drill{.level = "ALERT"}});
-    log.Received("base", receipt, 1);
-  }
-  rips::v1::ListReceiptsResponse response;
-  for (const pipeline::LoggedReceipt& each : log.Newest(0)) Encode(each, response.add_receipts());
-  EXPECT_EQ(static_cast<size_t>(response.receipts_size()), pipeline::kReceiptsKept);
-  EXPECT_LT(response.ByteSizeLong(), static_cast<size_t>(rpc::kMessageBytesMax));
-  EXPECT_GT(response.ByteSizeLong(), pipeline::kReceiptsKept * 40'000);
 }
 
 TEST_F(OperatorServiceTest, DrillsAreRefusedWithWords) {
