@@ -10,7 +10,7 @@
 // | is off while no alarm of the level held is  |         | to be off again, whatever happens    |
 // | on                                          |         |                                      |
 // | any other alarm                             | looked  | asked; `on` and `off` are both fine  |
-// | firewall                                    | looked  | StepRunner::Drill; nothing is loaded |
+// | firewall                                    | looked  | FirewallControl::Drill; a dry run    |
 // | what there was no time for, or cannot be    | not     | nothing; the step counts as failed   |
 // | tried                                       |         |                                      |
 // The enter steps come first, then the leave steps, whose names begin with `leave: `. One by one,

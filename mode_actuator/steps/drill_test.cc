@@ -153,7 +153,7 @@ class FakeAlarms : public Alarms {
   std::map<uint64_t, AlarmResult> results_;
 };
 
-class FakeFirewall : public StepRunner {
+class FakeFirewall : public FirewallControl {
  public:
   StepReading Enter(const Step&, absl::Duration, int, const CancelFlag&) override {
     ++entered;

@@ -140,7 +140,7 @@ Step Alarm(const std::string& device, AlarmPattern pattern, OnFailure on_failure
 }
 
 // A firewall that does as it is told, except where the test says otherwise.
-class FakeFirewall : public StepRunner {
+class FakeFirewall : public FirewallControl {
  public:
   StepReading Enter(const Step& step, absl::Duration timeout, int retries,
                     const CancelFlag&) override {

@@ -10,10 +10,10 @@
 #include "absl/strings/string_view.h"
 #include "mode_actuator/decide/level_plan.h"
 #include "mode_actuator/steps/port/alarms.h"
+#include "mode_actuator/steps/port/firewall_control.h"
 #include "mode_actuator/steps/port/level_step.h"
 #include "mode_actuator/steps/port/part_modes.h"
 #include "mode_actuator/steps/port/program_runner.h"
-#include "mode_actuator/steps/port/step_runner.h"
 #include "services/base/clock.h"
 
 namespace rips::actuator {
@@ -23,7 +23,7 @@ struct StepPorts {
   PartModes* modes = nullptr;
   ProgramRunner* programs = nullptr;
   Alarms* alarms = nullptr;
-  StepRunner* firewall = nullptr;
+  FirewallControl* firewall = nullptr;
   const Clock* clock = nullptr;
   // For drills; null = none may be run or flashed.
   const std::vector<ProgramSpec>* allowed = nullptr;

@@ -14,7 +14,7 @@ namespace {
 
 class FirewallLevelStep final : public LevelStep {
  public:
-  FirewallLevelStep(const Step& spec, StepRunner* firewall, const Clock* clock)
+  FirewallLevelStep(const Step& spec, FirewallControl* firewall, const Clock* clock)
       : LevelStep(spec), firewall_(firewall), clock_(clock) {}
 
   std::string Name() const override {
@@ -51,13 +51,13 @@ class FirewallLevelStep final : public LevelStep {
   }
 
  private:
-  StepRunner* const firewall_;  // Not owned; outlives this.
-  const Clock* const clock_;    // Not owned; outlives this.
+  FirewallControl* const firewall_;  // Not owned; outlives this.
+  const Clock* const clock_;         // Not owned; outlives this.
 };
 
 }  // namespace
 
-std::unique_ptr<LevelStep> MakeFirewallStep(const Step& spec, StepRunner* firewall,
+std::unique_ptr<LevelStep> MakeFirewallStep(const Step& spec, FirewallControl* firewall,
                                             const Clock* clock) {
   return std::make_unique<FirewallLevelStep>(spec, firewall, clock);
 }

@@ -5,14 +5,14 @@
 #include <memory>
 
 #include "mode_actuator/decide/level_plan.h"
+#include "mode_actuator/steps/port/firewall_control.h"
 #include "mode_actuator/steps/port/level_step.h"
-#include "mode_actuator/steps/port/step_runner.h"
 #include "services/base/clock.h"
 
 namespace rips::actuator {
 
 // `spec` must be a firewall step. The others are not owned and outlive the step.
-std::unique_ptr<LevelStep> MakeFirewallStep(const Step& spec, StepRunner* firewall,
+std::unique_ptr<LevelStep> MakeFirewallStep(const Step& spec, FirewallControl* firewall,
                                             const Clock* clock);
 
 }  // namespace rips::actuator

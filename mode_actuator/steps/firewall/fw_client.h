@@ -11,7 +11,7 @@
 #include "absl/status/statusor.h"
 #include "absl/time/time.h"
 #include "mode_actuator/steps/firewall/fw_message.h"
-#include "mode_actuator/steps/port/step_runner.h"
+#include "mode_actuator/steps/port/firewall_control.h"
 #include "services/local_socket/helper_door.h"
 
 namespace rips::actuator {
@@ -20,7 +20,7 @@ namespace rips::actuator {
 inline constexpr absl::Duration kFwCheckTimeout = absl::Seconds(3);
 
 // A connection for each request: rips-fw may be started by it, or anew between two.
-class FwClient final : public StepRunner {
+class FwClient final : public FirewallControl {
  public:
   // `run_as`: the user whom rips-fw runs as, if there is one.
   explicit FwClient(std::string socket_path, std::optional<uid_t> run_as = std::nullopt)

@@ -8,7 +8,6 @@
 #include <utility>
 
 #include "mode_actuator/steps/port/level_step.h"
-#include "mode_actuator/steps/port/step_runner.h"
 #include "services/base/clock.h"
 
 namespace rips::actuator {

@@ -29,6 +29,15 @@ class CancelFlag;
 
 namespace rips::actuator {
 
+struct StepReading {
+  // OK: read back and found to be so. Else the exact reason.
+  absl::Status status;
+  // What was seen, `firewall=alert.nft`; empty = nothing worth telling.
+  std::string observed;
+  // What people should know although it went well; empty mostly.
+  std::string note;
+};
+
 // A step that is being entered or checked, with its retries. One thread at a time.
 class StepAttempt {
  public:

@@ -1,12 +1,11 @@
-// Port: a kind of step that is entered, and looked at again while its level holds.
-#ifndef RIPS_MODE_ACTUATOR_STEPS_PORT_STEP_RUNNER_H_
-#define RIPS_MODE_ACTUATOR_STEPS_PORT_STEP_RUNNER_H_
-
-#include <string>
+// Port: carrying out firewall steps.
+#ifndef RIPS_MODE_ACTUATOR_STEPS_PORT_FIREWALL_CONTROL_H_
+#define RIPS_MODE_ACTUATOR_STEPS_PORT_FIREWALL_CONTROL_H_
 
 #include "absl/status/status.h"
 #include "absl/time/time.h"
 #include "mode_actuator/decide/level_plan.h"
+#include "mode_actuator/steps/port/level_step.h"
 
 namespace rips {
 class CancelFlag;
@@ -14,19 +13,10 @@ class CancelFlag;
 
 namespace rips::actuator {
 
-struct StepReading {
-  // OK: read back and found to be so. Else the exact reason.
-  absl::Status status;
-  // What was seen, `firewall=alert.nft`; empty = nothing worth telling.
-  std::string observed;
-  // What people should know although it went well; empty mostly.
-  std::string note;
-};
-
 // One thread at a time.
-class StepRunner {
+class FirewallControl {
  public:
-  virtual ~StepRunner() = default;
+  virtual ~FirewallControl() = default;
 
   // Does what `step` says and reads it back: 1 + `retries` attempts of `timeout` each (not
   // step.timeout: leaving has less time). InvalidArgument and PermissionDenied are final; Cancelled
@@ -47,4 +37,4 @@ class StepRunner {
 
 }  // namespace rips::actuator
 
-#endif  // RIPS_MODE_ACTUATOR_STEPS_PORT_STEP_RUNNER_H_
+#endif  // RIPS_MODE_ACTUATOR_STEPS_PORT_FIREWALL_CONTROL_H_
