@@ -37,6 +37,7 @@ namespace rips::actuator {
 
 // All leave steps of one raise.
 inline constexpr absl::Duration kLeaveBudget = absl::Seconds(2);
+
 // One thread at a time.
 class LevelExecutor {
  public:

@@ -98,6 +98,8 @@ class FakeOperator final : public v1::OperatorService::Service {
   };
   std::vector<AlertWatch> alert_watches;
   std::vector<std::string> no_answer;
+  // How the next watch of robots ends; the later ones end well.
+  grpc::Status robots_watch_end;
   // What GetLevel gives, one after the other, and the last one for ever; empty = COMPROMISED.
   std::vector<v1::RobotStatus> level_states;
 
@@ -123,9 +125,11 @@ class FakeOperator final : public v1::OperatorService::Service {
   grpc::Status WatchRobots(grpc::ServerContext*, const v1::WatchRobotsRequest* request,
                            grpc::ServerWriter<v1::RobotStatus>* writer) override {
     const std::string robot = request->robots().empty() ? "r9" : request->robots(0);
+    if (!failure.ok()) return Record("WatchRobots");
     writer->Write(MakeStatus(robot, "ALERT"));
     writer->Write(MakeStatus(robot, "COMPROMISED"));
-    return Record("WatchRobots");
+    Record("WatchRobots");
+    return std::exchange(robots_watch_end, grpc::Status::OK);
   }
   grpc::Status Record(grpc::ServerContext*, const v1::RecordRequest* request,
                       grpc::ServerWriter<v1::Recording>* writer) override {

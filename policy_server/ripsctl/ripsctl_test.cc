@@ -100,8 +100,17 @@ TEST_F(RipsctlTest, WatchesRobotsUntilTheServerEndsIt) {
   const std::vector<std::string> lines = absl::StrSplit(json.out, '\n', absl::SkipEmpty());
   ASSERT_THAT(lines, SizeIs(2));
   EXPECT_EQ(nlohmann::json::parse(lines[1])["decided_level"], "COMPROMISED");
+  fake_.robots_watch_end = grpc::Status(grpc::StatusCode::UNAVAILABLE, "stopping");
+  const Result resumed = Run({"robot", "watch", "r1"});
+  EXPECT_EQ(resumed.code, 0);
+  EXPECT_EQ(resumed.err,
+            "the connection is lost (stopping); trying again, from where it was\n"
+            "connected again\n");
+  EXPECT_EQ(std::count(resumed.out.begin(), resumed.out.end(), '\n'), 4);
+  fake_.robots_watch_end = grpc::Status(grpc::StatusCode::PERMISSION_DENIED, "banned");
+  EXPECT_EQ(Run({"robot", "watch"}).code, 1) << "a refusal is for good";
   fake_.failure = grpc::Status(grpc::StatusCode::UNAVAILABLE, "draining");
-  EXPECT_EQ(Run({"robot", "watch"}).code, 3);
+  EXPECT_EQ(Run({"robot", "watch"}).code, 3) << "never connected";
 }
 
 TEST_F(RipsctlTest, ShowsOneRobot) {
@@ -215,27 +224,36 @@ TEST_F(RipsctlTest, WaitsUntilTheRobotIsAtTheLevel) {
   const auto at = [](const std::string& stage, uint64_t epoch) {
     v1::RobotStatus status = MakeStatus("r1", "DEFAULT");
     status.set_stage(stage);
+    if (stage == "failed") status.add_degraded("level not reached: /base does not answer");
     *status.mutable_mark() = MakeMark(3, epoch);
     return status;
   };
-  const auto lower = [&](std::vector<v1::RobotStatus> states) {
-    fake_.level_states = std::move(states);
-    return Run({"level", "lower", "r1", "--to", "DEFAULT", "--reason", "x", "--expect",
-                "COMPROMISED@3.17", "--wait"});
-  };
-  const Result reached = lower({at("requested", 18), at("acknowledged", 18), at("verified", 18)});
+  const std::vector<std::string> lower = {
+      "level", "lower", "r1", "--to", "DEFAULT", "--reason", "x", "--expect", "COMPROMISED@3.17",
+      "--wait"};
+  // What failed is tried again.
+  fake_.level_states = {at("requested", 18), at("failed", 18), at("verified", 18)};
+  const Result reached = Run(lower);
   EXPECT_EQ(reached.code, 0) << reached.err;
-  EXPECT_EQ(reached.out,
-            "r1 goes to DEFAULT (3.18)\n"
-            "r1 is at DEFAULT: every actuator has read it back\n");
+  EXPECT_EQ(
+      reached.out,
+      "r1 goes to DEFAULT (3.18)\n"
+      "waiting until it is there, for at most 30s; Ctrl-C ends the waiting, not the decision\n"
+      "r1 is at DEFAULT: every actuator has read it back\n");
   EXPECT_THAT(fake_.calls(),
               testing::ElementsAre("DeEscalate", "GetLevel", "GetLevel", "GetLevel"));
-  const Result failed = lower({at("requested", 18), at("failed", 18)});
-  EXPECT_EQ(failed.code, 1);
-  EXPECT_THAT(failed.out, HasSubstr("r1 is not at DEFAULT (failed); see `ripsctl level show r1`"));
-  const Result overtaken = lower({at("requested", 18), at("verified", 19)});
+  fake_.level_states = {at("requested", 18), at("verified", 19)};
+  const Result overtaken = Run(lower);
   EXPECT_EQ(overtaken.code, 1);
-  EXPECT_THAT(overtaken.out, HasSubstr("r1 was decided anew meanwhile: DEFAULT (3.19)\n"));
+  EXPECT_THAT(overtaken.out,
+              HasSubstr("r1 is not at DEFAULT: the level was decided anew meanwhile: "
+                        "DEFAULT (3.19), rule rogue_cmd_vel\n"));
+  fake_.level_states = {at("verified", 18)};
+  EXPECT_EQ(RunJson(lower)["reached"], true);
+  fake_.level_states = {at("verified", 19)};
+  const nlohmann::json missed = RunJson(lower, 1);
+  EXPECT_EQ(missed["reached"], false);
+  EXPECT_THAT(missed["not_reached_because"].get<std::string>(), HasSubstr("decided anew"));
 }
 
 TEST_F(RipsctlTest, LowersWithWhatTheOperatorExpects) {
@@ -266,7 +284,9 @@ TEST_F(RipsctlTest, ADryRunSaysWhatWouldHappen) {
                                     "blind: sensor base lost\n"
                                     "would be refused, because RIPS does not see all of r1 now; "
                                     "--accept-blind lowers it all the same\n"
-                                    "would be raised again by rule unknown_node\n"));
+                                    "would be raised again by rule unknown_node\n"
+                                    "not tried: rules on messages and on external events; the next "
+                                    "one may raise r1 again\n"));
   EXPECT_THAT(result.out, testing::Not(HasSubstr("would lower")));
 
   const Result accepted = Run(

@@ -2,25 +2,24 @@
 
 #include <CLI/CLI.hpp>
 #include <algorithm>
+#include <functional>
 #include <nlohmann/json.hpp>
 #include <string>
-#include <utility>
 
-#include "absl/strings/match.h"
 #include "absl/strings/str_cat.h"
 #include "absl/strings/string_view.h"
-#include "absl/time/clock.h"
 #include "policy_server/ripsctl/cli/json_view.h"
+#include "policy_server/ripsctl/cli/keep_watching.h"
 #include "policy_server/ripsctl/cli/printer.h"
 #include "policy_server/ripsctl/cli/server_expiry.h"
 
 namespace rips::ripsctl {
 namespace {
 
-// An alert whose condition could not be decided says so where it is read.
+// With the event that raised it, which names who it was, or says that the graph was truncated.
 std::string TextOf(const v1::Alert& alert) {
-  constexpr absl::string_view kUndecided = " (graph truncated)";
-  return absl::StrCat(alert.text(), absl::EndsWith(alert.event(), kUndecided) ? kUndecided : "");
+  if (alert.event().empty() || alert.event() == "graph change") return alert.text();
+  return absl::StrCat(alert.text(), " [", alert.event(), "]");
 }
 
 // Of what there are alerts: a robot, or the server itself, as the column ROBOT names it.
@@ -108,60 +107,24 @@ class WatchAlerts final : public AlertCommand {
     if (const absl::Status valid = CheckSource(); !valid.ok()) {
       return UsageError(env, valid.message());
     }
-    absl::Duration pause = kPauseMin;
-    bool told = false;
-    while (true) {
-      bool heard = false;
-      const grpc::Status status = WatchOnce(env, heard);
-      was_connected_ |= heard;
-      if (status.ok() || !was_connected_ || !Passes(status)) return Ended(env, status);
-      if (heard) {
-        pause = kPauseMin;
-        told = false;
-      }
-      if (!std::exchange(told, true)) {
-        env.err << "the connection is lost (" << EscapeText(status.error_message())
-                << "); trying again, from where it was\n";
-      }
-      absl::SleepFor(pause);
-      pause = std::min(2 * pause, kPauseMax);
-    }
+    return KeepWatching(env, [&](bool again, const std::function<void()>& heard) {
+      return WatchOnce(env, again, heard);
+    });
   }
 
  private:
-  static constexpr absl::Duration kPauseMin = absl::Milliseconds(200);
-  static constexpr absl::Duration kPauseMax = absl::Seconds(5);
-
-  // What may be over by itself; a refusal is not.
-  static bool Passes(const grpc::Status& status) {
-    switch (status.error_code()) {
-      case grpc::StatusCode::UNAVAILABLE:
-      case grpc::StatusCode::RESOURCE_EXHAUSTED:
-      case grpc::StatusCode::INTERNAL:
-      case grpc::StatusCode::UNKNOWN:
-      case grpc::StatusCode::CANCELLED:
-      case grpc::StatusCode::DEADLINE_EXCEEDED:
-      case grpc::StatusCode::ABORTED:
-        return true;
-      default:
-        return false;
-    }
-  }
-
-  // One stream, from the newest cursor. `heard`: the server has answered.
-  grpc::Status WatchOnce(Env& env, bool& heard) {
+  // One stream, from the newest cursor.
+  grpc::Status WatchOnce(Env& env, bool again, const std::function<void()>& heard) {
     v1::WatchAlertsRequest request;
     request.set_robot(robot_);
     request.set_after(cursor_);
     grpc::ClientContext context;
-    // A channel makes progress only while a call waits for it: one that fails fast, and a pause,
-    // would leave the new connection's handshake undone for ever.
-    context.set_wait_for_ready(was_connected_);
+    context.set_wait_for_ready(again);
     const auto reader = env.server->WatchAlerts(&context, request);
     ServerExpiry expiry(&context);
     v1::Alert alert;
     while (reader->Read(&alert)) {
-      heard = true;
+      heard();
       expiry.Received();
       if (!alert.cursor().empty()) cursor_ = alert.cursor();
       if (!alert.gap().empty()) {
@@ -185,7 +148,6 @@ class WatchAlerts final : public AlertCommand {
   }
 
   std::string cursor_;
-  bool was_connected_ = false;
 };
 
 }  // namespace

@@ -3,6 +3,8 @@
 #include <CLI/CLI.hpp>
 #include <algorithm>
 #include <nlohmann/json.hpp>
+#include <optional>
+#include <ostream>
 #include <string>
 #include <utility>
 
@@ -171,11 +173,25 @@ class ChangeLevel : public LevelCommand {
                   const v1::LevelResponse& response) const {
     // Only lowerings need to be seen.
     const bool refused = dry_run_ && !response.blind_because().empty() && !request.accept_blind();
-    const ExitCode code = refused ? ExitCode::kRefused : ExitCode::kDone;
+    const bool waits = wait_ && !dry_run_;
+    if (!env.json()) PrintReport(env, verb, refused, response);
+    std::optional<Awaited> awaited;
+    if (waits) awaited = AwaitReached(env, response);
     if (env.json()) {
-      PrintReport(env, request, response);
-      return code;
+      PrintJsonReport(env, verb, request, response, awaited);
+    } else if (waits && awaited->reached) {
+      env.out << robot_ << " is at " << EscapeText(response.decided_level())
+              << ": every actuator has read it back\n";
+    } else if (waits) {
+      env.out << robot_ << " is not at " << EscapeText(response.decided_level()) << ": "
+              << EscapeText(awaited->why) << "\n";
     }
+    const bool missed = waits && !awaited->reached;
+    return refused || missed ? ExitCode::kRefused : ExitCode::kDone;
+  }
+
+  void PrintReport(Env& env, absl::string_view verb, bool refused,
+                   const v1::LevelResponse& response) const {
     if (dry_run_) {
       if (!refused)
         env.out << "would " << verb << " " << robot_ << " to " << EscapeText(to_) << "; ";
@@ -199,41 +215,51 @@ class ChangeLevel : public LevelCommand {
       env.out << (dry_run_ ? "would be raised again by rule " : "may be raised again by rule ")
               << EscapeText(rule) << "\n";
     }
-    return code;
-  }
-
-  // With --wait, the level that was decided is one thing, and where the robot is another.
-  ExitCode AwaitReached(Env& env, const v1::LevelResponse& response) const {
-    if (!wait_ || dry_run_) return ExitCode::kDone;
-    std::ostream& out = env.json() ? env.err : env.out;
-    const std::string level = EscapeText(response.decided_level());
-    const absl::Time end = absl::Now() + kWaitMax;
-    while (true) {
-      const auto seen = ReadLevel(env, robot_);
-      if (!seen.ok()) return Failed(env, seen.status());
-      const v1::RobotStatus& status = seen->status();
-      if (MarkText(status.mark()) != MarkText(response.mark())) {
-        out << robot_ << " was decided anew meanwhile: " << EscapeText(status.decided_level())
-            << " (" << MarkText(status.mark()) << ")\n";
-        return ExitCode::kRefused;
-      }
-      if (status.stage() == "verified") {
-        out << robot_ << " is at " << level << ": every actuator has read it back\n";
-        return ExitCode::kDone;
-      }
-      if (status.stage() == "failed" || absl::Now() >= end) {
-        out << robot_ << " is not at " << level << " ("
-            << (status.stage() == "failed" ? "failed" : "not read back in 30 s")
-            << "); see `ripsctl level show " << robot_ << "` and `ripsctl robot show " << robot_
-            << "`\n";
-        return ExitCode::kRefused;
-      }
-      absl::SleepFor(absl::Milliseconds(100));
+    if (dry_run_ && verb == "lower") {
+      env.out << "not tried: rules on messages and on external events; the next one may raise "
+              << robot_ << " again\n";
+    }
+    if (wait_ && !dry_run_) {
+      env.out << "waiting until it is there, for at most " << absl::FormatDuration(kWaitMax)
+              << "; Ctrl-C ends the waiting, not the decision" << std::endl;
     }
   }
 
-  static void PrintReport(Env& env, const v1::LevelRequest& request,
-                          const v1::LevelResponse& response) {
+  // What --wait came to; `why` if the robot is not there.
+  struct Awaited {
+    bool reached = false;
+    std::string why;
+  };
+
+  // The level that was decided is one thing, and where the robot is another. The server tries again
+  // what failed, so that only the time ends the wait.
+  Awaited AwaitReached(Env& env, const v1::LevelResponse& response) const {
+    const absl::Time end = absl::Now() + kWaitMax;
+    std::string why;
+    do {
+      const auto seen = ReadLevel(env, robot_);
+      if (seen.ok()) {
+        const v1::RobotStatus& status = seen->status();
+        if (MarkText(status.mark()) != MarkText(response.mark())) {
+          return {.why = absl::StrCat("the level was decided anew meanwhile: ",
+                                      status.decided_level(), " (", MarkText(status.mark()), ")",
+                                      seen->has_last() ? ", " : "", seen->last().cause())};
+        }
+        if (status.stage() == "verified") return {.reached = true};
+        why = absl::StrCat(status.stage(), status.degraded().empty() ? "" : ": ",
+                           absl::StrJoin(status.degraded(), "; "));
+      } else {
+        why = std::string(seen.status().message());
+      }
+      absl::SleepFor(absl::Milliseconds(100));
+    } while (absl::Now() < end);
+    return {.why = absl::StrCat("not read back in ", absl::FormatDuration(kWaitMax), "; ", why,
+                                "; the decision stands, and is tried again")};
+  }
+
+  static void PrintJsonReport(Env& env, absl::string_view verb, const v1::LevelRequest& request,
+                              const v1::LevelResponse& response,
+                              const std::optional<Awaited>& awaited) {
     Json json = {{"robot", request.robot()},
                  {"to", request.to()},
                  {"dry_run", request.dry_run()},
@@ -246,8 +272,11 @@ class ChangeLevel : public LevelCommand {
     }
     json["would_raise_again"] = Json::array();
     for (const auto& rule : response.would_raise_again()) json["would_raise_again"].push_back(rule);
+    if (request.dry_run() && verb == "lower") json["not_tried"] = {"rules Msg", "rules External"};
     json["blind_because"] = Json::array();
     for (const auto& why : response.blind_because()) json["blind_because"].push_back(why);
+    if (awaited.has_value()) json["reached"] = awaited->reached;
+    if (awaited.has_value() && !awaited->reached) json["not_reached_because"] = awaited->why;
     PrintJson(json, env.out);
   }
 
@@ -271,8 +300,7 @@ class RaiseLevel final : public ChangeLevel {
     }
     const auto response = Call(env, &Stub::Raise, request);
     if (!response.ok()) return Failed(env, response.status());
-    const ExitCode code = Report(env, "raise", request, *response);
-    return code == ExitCode::kDone ? AwaitReached(env, *response) : code;
+    return Report(env, "raise", request, *response);
   }
 };
 
@@ -304,8 +332,7 @@ class LowerLevel final : public ChangeLevel {
     }
     const auto response = Call(env, &Stub::DeEscalate, request);
     if (!response.ok()) return Failed(env, response.status());
-    const ExitCode code = Report(env, "lower", request, *response);
-    return code == ExitCode::kDone ? AwaitReached(env, *response) : code;
+    return Report(env, "lower", request, *response);
   }
 
  private:

@@ -1,6 +1,7 @@
 #include "policy_server/ripsctl/robot/robot_command.h"
 
 #include <CLI/CLI.hpp>
+#include <functional>
 #include <nlohmann/json.hpp>
 #include <string>
 #include <utility>
@@ -10,6 +11,7 @@
 #include "absl/strings/str_join.h"
 #include "absl/time/clock.h"
 #include "policy_server/ripsctl/cli/json_view.h"
+#include "policy_server/ripsctl/cli/keep_watching.h"
 #include "policy_server/ripsctl/cli/printer.h"
 #include "policy_server/ripsctl/cli/server_expiry.h"
 #include "policy_server/ripsctl/robot/robot_actuators.h"
@@ -72,7 +74,7 @@ class WatchRobots final : public RobotCommand {
  public:
   absl::string_view verb() const override { return "watch"; }
   absl::string_view synopsis() const override {
-    return "Show all robots, then each change, until interrupted";
+    return "Show all robots, then each change, reconnecting when needed";
   }
   void AddFlags(CLI::App& app) override {
     app.add_option("ROBOT", robots_, "Robots to watch; none = all");
@@ -85,15 +87,19 @@ class WatchRobots final : public RobotCommand {
       }
       request.add_robots(robot);
     }
-    grpc::ClientContext context;
-    const auto reader = env.server->WatchRobots(&context, request);
-    ServerExpiry expiry(&context);
-    v1::RobotStatus status;
-    while (reader->Read(&status)) {
-      expiry.Received();
-      Print(env, status);
-    }
-    return Ended(env, expiry.End(reader->Finish()));
+    return KeepWatching(env, [&](bool again, const std::function<void()>& heard) {
+      grpc::ClientContext context;
+      context.set_wait_for_ready(again);
+      const auto reader = env.server->WatchRobots(&context, request);
+      ServerExpiry expiry(&context);
+      v1::RobotStatus status;
+      while (reader->Read(&status)) {
+        heard();
+        expiry.Received();
+        Print(env, status);
+      }
+      return expiry.End(reader->Finish());
+    });
   }
 
  private:
