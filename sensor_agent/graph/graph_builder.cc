@@ -266,31 +266,32 @@ void GraphBuilder::Remove(const Guid& endpoint, int64_t now_ns) {
 
 void GraphBuilder::TakeBack(ParticipantState& owner, const ParticipantState::Claims& before,
                             int64_t now_ns) {
+  // False if there is no room for one more.
   const auto visits = [&](const std::string& node) {
-    if (owner.claims.nodes.contains(node) || owner.visitors.contains(node)) return;
+    if (owner.claims.nodes.contains(node) || owner.visitors.contains(node)) return true;
     const ros2::GraphLimits& limits = options_.limits;
-    if (node_count_ >= limits.nodes || owner.visitors.size() >= limits.nodes_per_participant) {
-      return LeaveOut(&owner, 1);
+    if (node_count_ >= limits.nodes ||
+        owner.claims.nodes.size() + owner.visitors.size() >= limits.nodes_per_participant) {
+      LeaveOut(&owner, 1);
+      return false;
     }
     owner.visitors.insert(node);
     ++node_count_;
     leaving_.insert(owner.facts.guid);
+    return true;
   };
   for (const std::string& node : before.nodes) {
     if (!owner.sent_nodes.contains(node)) visits(node);
   }
-  for (const auto& [guid, node] : before.node_of) {
-    if (owner.claims.node_of.contains(guid)) continue;
-    const auto it = owner.endpoints.find(guid);
-    if (it == owner.endpoints.end() || !it->second.shown.ros) continue;
-    EndpointState& state = it->second;
-    if (!state.was_shown) {
-      state.visitor = node;
-      visits(node);
+  for (auto& [guid, state] : owner.endpoints) {
+    if (!state.shown.ros || owner.claims.node_of.contains(guid)) continue;
+    const auto claimed = before.node_of.find(guid);
+    if (claimed != before.node_of.end()) {
+      if (!state.was_shown && !state.hidden) state.visitor = claimed->second;
+      if (!std::exchange(state.grace_renewed, true)) Wait(state, now_ns);
     }
-    if (state.grace_renewed) continue;
-    state.grace_renewed = true;
-    Wait(state, now_ns);
+    // A node that an endpoint names is in the same step, also one that is taken back only now.
+    if (!state.was_shown && !state.visitor.empty() && !visits(state.visitor)) state.visitor.clear();
   }
 }
 
@@ -427,7 +428,8 @@ Endpoint GraphBuilder::Attributed(const ParticipantState& owner, const EndpointS
   } else if (const auto it = owner.claims.node_of.find(endpoint.guid);
              it != owner.claims.node_of.end()) {
     endpoint.node = it->second;
-  } else if (!state.was_shown && !state.visitor.empty()) {
+  } else if (!state.was_shown && (owner.visitors.contains(state.visitor) ||
+                                  owner.claims.nodes.contains(state.visitor))) {
     endpoint.node = state.visitor;
   } else {
     endpoint.pending = state.pending_until_ns != 0;

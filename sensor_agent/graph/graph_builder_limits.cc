@@ -117,7 +117,8 @@ bool GraphBuilder::HasRoom() const {
          has_room(node_count_, limits.nodes) && has_room(shown_count_, limits.endpoints) &&
          std::all_of(participants_.begin(), participants_.end(), [&](const auto& entry) {
            return has_room(entry.second.shown, limits.endpoints_per_participant) &&
-                  has_room(entry.second.claims.nodes.size(), limits.nodes_per_participant);
+                  has_room(entry.second.claims.nodes.size() + entry.second.visitors.size(),
+                           limits.nodes_per_participant);
          });
 }
 

@@ -1,6 +1,8 @@
 #include "sensor_agent/graph/graph_builder.h"
 
 #include <algorithm>
+#include <random>
+#include <utility>
 
 #include "absl/strings/str_cat.h"
 #include "gmock/gmock.h"
@@ -474,6 +476,70 @@ TEST_F(GraphBuilderTest, AClaimTakenBackBetweenTwoStepsIsShownOnce) {
   ASSERT_THAT(Claim(1, "stays", {EndpointGuid(1, 1)}), IsOk());
   Pass(600);
   EXPECT_THAT(Publishers("/b"), ElementsAre(HasSubstr("unattributed")));
+}
+
+TEST_F(GraphBuilderTest, ANodeThatGoesWithItsVisitorIsInTheSameStep) {
+  Talker(1, "stays", "rt/a");
+  Settle();
+  Writer(1, 2, "rt/b");
+  ASSERT_THAT(Claim(1, "stays", {EndpointGuid(1, 1), EndpointGuid(1, 2)}), IsOk());
+  ASSERT_THAT(Claim(1, "stays", {}), IsOk());
+  ASSERT_THAT(
+      builder_->NodesClaimed(EndpointGuid(1, 999), {.participant = ParticipantGuid(1)}, now_ns_),
+      IsOk());
+  Pass(20);
+  EXPECT_THAT(Publishers("/b"), ElementsAre("/stays"));
+  EXPECT_THAT(Nodes(), ElementsAre("/rips", "/stays"));
+  Pass(20);
+  EXPECT_THAT(Nodes(), ElementsAre("/rips"));
+}
+
+// Whatever comes and goes in whatever order, a server takes each step and each snapshot.
+TEST_F(GraphBuilderTest, EveryStepAndSnapshotIsOneThatAServerTakes) {
+  for (int seed = 0; seed < Rounds(200); ++seed) {
+    options_.limits = {.nodes = 5, .endpoints = 12, .participants = 4, .nodes_per_participant = 3};
+    Restart();
+    std::mt19937 random(static_cast<uint32_t>(seed));
+    const auto any = [&](int below) { return static_cast<int>(random() % below); };
+    for (int i = 0; i < 200; ++i) {
+      const auto participant = static_cast<uint8_t>(1 + any(3));
+      const Guid endpoint = EndpointGuid(participant, static_cast<uint16_t>(1 + any(4)));
+      switch (any(8)) {
+        case 0:
+          Participant(participant);
+          break;
+        case 1:
+          if (any(4) == 0) builder_->ParticipantGone(ParticipantGuid(participant), now_ns_);
+          break;
+        case 2:
+          builder_->EndpointGone(endpoint, now_ns_);
+          break;
+        case 3:
+        case 4:
+          Seen(endpoint, true, any(4) == 0 ? "rr/sReply" : absl::StrCat("rt/t", any(3)));
+          break;
+        case 5: {
+          ros2::ParticipantEntities claim{.participant = ParticipantGuid(participant)};
+          for (int node = any(3); node > 0; --node) {
+            ros2::NodeEntities each{.node_namespace = "/", .node_name = absl::StrCat("n", any(4))};
+            for (uint16_t e = 1; e <= 4; ++e) {
+              if (any(2) == 0) each.writers.push_back(EndpointGuid(participant, e));
+            }
+            claim.nodes.push_back(std::move(each));
+          }
+          builder_->NodesClaimed(EndpointGuid(participant, 999), claim, now_ns_).IgnoreError();
+          break;
+        }
+        case 6:
+          Pass(any(4) == 0 ? 600 : any(30));
+          break;
+        default:
+          if (any(8) == 0) Apply(builder_->Snapshot(now_ns_));
+      }
+    }
+    Pass(3'000);
+    ASSERT_FALSE(HasFailure()) << "seed " << seed;
+  }
 }
 
 TEST_F(GraphBuilderTest, WhoCameAndWentBeforeDiscoveryHadSettledIsInTheFirstSnapshotOnly) {

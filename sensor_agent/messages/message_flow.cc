@@ -110,6 +110,8 @@ void MessageFlow::Take(Sample sample, int64_t now_ns, Output& output) {
   }
   if (it == writers_.end()) {
     it = writers_.emplace(sample.writer, std::make_unique<Writer>()).first;
+    // Not discovered yet, or gone already: forgotten unless it is there by then.
+    if (!graph_->Find(sample.writer).has_value()) End(sample.writer, *it->second, now_ns);
   }
   Writer& writer = *it->second;
   if (writer.waiting.empty() && !MustWait(sample, writer)) {
@@ -153,23 +155,28 @@ void MessageFlow::Poll(int64_t now_ns, Output& output) {
   Bury(now_ns);
 }
 
-void MessageFlow::WriterGone(const Guid& writer, int64_t now_ns) {
-  auto it = writers_.find(writer);
+void MessageFlow::WriterGone(const Guid& guid, int64_t now_ns) {
+  const std::optional<Endpoint> known = graph_->Find(guid);
+  const bool wrote = known.has_value() && known->kind == ros2::EndpointKind::kPublisher &&
+                     known->visibility == ros2::Visibility::kWatched;
+  auto it = writers_.find(guid);
   if (it == writers_.end()) {
-    std::optional<Endpoint> known = graph_->Find(writer);
-    if (!known.has_value() || known->pending || writers_.size() >= options_.writers ||
-        known->kind != ros2::EndpointKind::kPublisher ||
-        known->visibility != ros2::Visibility::kWatched) {
-      return;
-    }
-    // Its first sample may be in a queue.
-    it = writers_.emplace(writer, std::make_unique<Writer>()).first;
-    it->second->graph_version = graph_->VersionShowing(writer).value_or(0);
-    it->second->source = std::make_shared<const MessageSource>(
-        MessageSource{.topic = known->name, .type = known->type, .writer = *std::move(known)});
+    // Its first sample may be in a queue. Those that never wrote leave room for those that did.
+    if (!wrote || writers_.size() >= options_.writers / 2) return;
+    it = writers_.emplace(guid, std::make_unique<Writer>()).first;
   }
-  it->second->gone_ns = now_ns;
-  graves_.emplace_back(now_ns, writer);
+  Writer& writer = *it->second;
+  if (writer.source == nullptr && wrote && !known->pending) {
+    writer.graph_version = graph_->VersionShowing(guid).value_or(0);
+    writer.source = std::make_shared<const MessageSource>(
+        MessageSource{.topic = known->name, .type = known->type, .writer = *known});
+  }
+  End(guid, writer, now_ns);
+}
+
+void MessageFlow::End(const Guid& guid, Writer& writer, int64_t now_ns) {
+  writer.gone_ns = now_ns;
+  graves_.emplace_back(now_ns, guid);
 }
 
 void MessageFlow::Bury(int64_t now_ns) {

@@ -94,7 +94,7 @@ class MessageFlow {
   // Call after the graph has changed: what was waiting for it runs.
   void Poll(int64_t now_ns, Output& output);
   // Call before it has gone from the graph, which says whose its samples in queues are.
-  void WriterGone(const ros2::Guid& writer, int64_t now_ns);
+  void WriterGone(const ros2::Guid& guid, int64_t now_ns);
   // kNever = not before another sample.
   int64_t NextDue() const;
   // Of what was received of this writer; 0 = nothing, or nothing that is remembered.
@@ -127,6 +127,8 @@ class MessageFlow {
   void Introduce(const Sample& sample, Writer& writer, bool& urgent);
   // The version of the graph that a message of this writer names.
   uint64_t GraphVersion(const ros2::Guid& guid, Writer& writer) const;
+  // Forgets the writer after tombstone_ns, unless the graph has it then.
+  void End(const ros2::Guid& guid, Writer& writer, int64_t now_ns);
   void Bury(int64_t now_ns);
 
   const FlowOptions options_;

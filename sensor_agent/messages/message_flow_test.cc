@@ -369,6 +369,24 @@ class CrowdedFlowTest : public MessageFlowTest {
   CrowdedFlowTest() : MessageFlowTest({.waiting_per_writer = 2, .waiting = 3, .writers = 4}) {}
 };
 
+TEST_F(CrowdedFlowTest, WritersThatCameAndWentAreForgotten) {
+  Pass(2'000);
+  // Each is gone before its sample is looked at, and nobody claims it.
+  for (uint8_t i = 1; i <= 4; ++i) {
+    Discover(WriterGuid(i));
+    flow_.WriterGone(WriterGuid(i), now_ns_);
+    graph_.EndpointGone(WriterGuid(i), now_ns_);
+    Pass(600);
+    Take(WriterGuid(i), 1);
+  }
+  Pass(11'000);
+  output_.messages.clear();
+  Known(WriterGuid(9), "talker");
+  Take(WriterGuid(9), 1);
+  Take(WriterGuid(9), 1);
+  EXPECT_THAT(output_.messages, SizeIs(1)) << "there is no room to remember it";
+}
+
 TEST_F(CrowdedFlowTest, FullWaitingRoomRunsTheOldestOfThatWriter) {
   Discover(WriterGuid(1));
   Take(WriterGuid(1), 1);

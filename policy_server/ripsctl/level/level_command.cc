@@ -22,6 +22,8 @@ namespace rips::ripsctl {
 namespace {
 
 constexpr absl::Duration kWaitMax = absl::Seconds(30);
+// Well below the quota of queries, also if a colleague waits, too.
+constexpr absl::Duration kWaitPoll = absl::Milliseconds(500);
 
 class LevelCommand : public Command {
  public:
@@ -180,7 +182,8 @@ class ChangeLevel : public LevelCommand {
     if (env.json()) {
       PrintJsonReport(env, verb, request, response, awaited);
     } else if (waits && awaited->reached) {
-      env.out << robot_ << " is at " << EscapeText(response.decided_level())
+      env.out << robot_ << " is at " << EscapeText(awaited->level)
+              << (awaited->level == response.decided_level() ? "" : ", above the level decided")
               << ": every actuator has read it back\n";
     } else if (waits) {
       env.out << robot_ << " is not at " << EscapeText(response.decided_level()) << ": "
@@ -228,6 +231,7 @@ class ChangeLevel : public LevelCommand {
   // What --wait came to; `why` if the robot is not there.
   struct Awaited {
     bool reached = false;
+    std::string level;  // that the actuators hold; may be above the one decided
     std::string why;
   };
 
@@ -245,13 +249,19 @@ class ChangeLevel : public LevelCommand {
                                       status.decided_level(), " (", MarkText(status.mark()), ")",
                                       seen->has_last() ? ", " : "", seen->last().cause())};
         }
-        if (status.stage() == "verified") return {.reached = true};
+        if (status.stage() == "verified") {
+          return {.reached = true, .level = status.effective_level()};
+        }
         why = absl::StrCat(status.stage(), status.degraded().empty() ? "" : ": ",
                            absl::StrJoin(status.degraded(), "; "));
       } else {
         why = std::string(seen.status().message());
+        const absl::Status& status = seen.status();
+        const bool passes = absl::IsUnavailable(status) || absl::IsDeadlineExceeded(status) ||
+                            absl::IsResourceExhausted(status);
+        if (!passes) return {.why = why};
       }
-      absl::SleepFor(absl::Milliseconds(100));
+      absl::SleepFor(kWaitPoll);
     } while (absl::Now() < end);
     return {.why = absl::StrCat("not read back in ", absl::FormatDuration(kWaitMax), "; ", why,
                                 "; the decision stands, and is tried again")};
@@ -276,6 +286,7 @@ class ChangeLevel : public LevelCommand {
     json["blind_because"] = Json::array();
     for (const auto& why : response.blind_because()) json["blind_because"].push_back(why);
     if (awaited.has_value()) json["reached"] = awaited->reached;
+    if (awaited.has_value() && awaited->reached) json["effective_level"] = awaited->level;
     if (awaited.has_value() && !awaited->reached) json["not_reached_because"] = awaited->why;
     PrintJson(json, env.out);
   }

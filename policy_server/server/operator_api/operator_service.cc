@@ -90,15 +90,15 @@ grpc::ServerUnaryReactor* Refuse(grpc::CallbackServerContext* context, const abs
   return reactor;
 }
 
-// Of a name that stands for no robot of the inventory: a typing error must not look like silence.
-absl::Status CheckListed(const pipeline::Pipeline& pipeline, const std::string& robot) {
-  const std::vector<std::string> robots = pipeline.robots();
-  if (std::find(robots.begin(), robots.end(), robot) != robots.end()) return absl::OkStatus();
-  for (const pipeline::RobotStatus& held : pipeline.held()) {
-    if (held.robot == robot) return absl::OkStatus();
-  }
+// A name that stands for no robot of the inventory: a typing error must not look like silence.
+absl::Status CheckListed(const pipeline::Pipeline& pipeline, const std::set<std::string>& wanted) {
+  std::set<std::string> unknown = wanted;
+  for (const std::string& robot : pipeline.robots()) unknown.erase(robot);
+  if (unknown.empty()) return absl::OkStatus();
+  for (const pipeline::RobotStatus& held : pipeline.held()) unknown.erase(held.robot);
+  if (unknown.empty()) return absl::OkStatus();
   return absl::NotFoundError(
-      absl::StrCat("robot `", absl::CHexEscape(robot), "` is not in the inventory"));
+      absl::StrCat("robot `", absl::CHexEscape(*unknown.begin()), "` is not in the inventory"));
 }
 
 template <typename T>
@@ -234,10 +234,8 @@ grpc::ServerWriteReactor<rips::v1::RobotStatus>* OperatorService::WatchRobots(
   const auto who = Authorize(context, *request, OperatorRole::kViewer, Use::kStream);
   if (!who.ok()) return RefuseWatch<rips::v1::RobotStatus>(who.status());
   const std::set<std::string> wanted(request->robots().begin(), request->robots().end());
-  for (const std::string& robot : wanted) {
-    const absl::Status listed = CheckListed(*pipeline_, robot);
-    if (!listed.ok()) return RefuseWatch<rips::v1::RobotStatus>(listed);
-  }
+  const absl::Status listed = CheckListed(*pipeline_, wanted);
+  if (!listed.ok()) return RefuseWatch<rips::v1::RobotStatus>(listed);
   auto* stream = new WatchStream<rips::v1::RobotStatus>();
   Keep(rpc::StreamKind::kWatch, stream, *who, context);
   auto outbound = stream->outbound();
@@ -392,7 +390,7 @@ grpc::ServerUnaryReactor* OperatorService::ListTransitions(
     // Also of a robot that was removed, as long as there is something.
     const bool none = records.ok() && records->empty();
     reactor->Finish(
-        rpc::ToGrpc(none ? CheckListed(*pipeline_, request->robot()) : records.status()));
+        rpc::ToGrpc(none ? CheckListed(*pipeline_, {request->robot()}) : records.status()));
   });
   return reactor;
 }
@@ -417,8 +415,8 @@ grpc::ServerUnaryReactor* OperatorService::ListAlerts(grpc::CallbackServerContex
     if (access_.store_writable && !access_.store_writable()) AddUnrecorded(*request, *response);
     const bool none = records.ok() && records->empty() && response->unrecorded().empty();
     const bool of_one = !request->robot().empty() && request->robot() != store::kServerRobot;
-    reactor->Finish(
-        rpc::ToGrpc(none && of_one ? CheckListed(*pipeline_, request->robot()) : records.status()));
+    reactor->Finish(rpc::ToGrpc(none && of_one ? CheckListed(*pipeline_, {request->robot()})
+                                               : records.status()));
   });
   return reactor;
 }
@@ -443,8 +441,10 @@ grpc::ServerWriteReactor<rips::v1::Alert>* OperatorService::WatchAlerts(
     grpc::CallbackServerContext* context, const rips::v1::WatchAlertsRequest* request) {
   const auto who = Authorize(context, *request, OperatorRole::kViewer, Use::kStream);
   if (!who.ok()) return RefuseWatch<rips::v1::Alert>(who.status());
-  if (!request->robot().empty() && request->robot() != store::kServerRobot) {
-    const absl::Status listed = CheckListed(*pipeline_, request->robot());
+  // What is stored of a robot that was removed can be watched from a cursor on.
+  if (!request->robot().empty() && request->robot() != store::kServerRobot &&
+      request->after().empty()) {
+    const absl::Status listed = CheckListed(*pipeline_, {request->robot()});
     if (!listed.ok()) return RefuseWatch<rips::v1::Alert>(listed);
   }
   std::optional<Cursor> after;
