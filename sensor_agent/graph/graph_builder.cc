@@ -89,17 +89,35 @@ void GraphBuilder::ParticipantSeen(const ros2::Participant& participant, int64_t
 void GraphBuilder::ParticipantGone(const Guid& participant, int64_t now_ns) {
   const auto it = participants_.find(participant);
   if (participant == options_.own || it == participants_.end()) return;
-  if (Unseen(it->second)) {
-    it->second.leaving = true;
+  ParticipantState& state = it->second;
+  if (Unseen(state)) {
+    state.leaving = true;
     leaving_.insert(participant);
+    if (!settled_) {
+      for (auto each = state.endpoints.begin(); each != state.endpoints.end();) {
+        if (state.IsClaimed(each->second)) {
+          ++each;
+          continue;
+        }
+        CountShare(state, each->second, -1);
+        each = state.endpoints.erase(each);
+      }
+    }
   } else {
     Forget(participant);
   }
   Touch(participant, now_ns);
 }
 
-bool GraphBuilder::Unseen(EndpointState& state) const {
+bool GraphBuilder::ParticipantState::IsClaimed(const EndpointState& endpoint) const {
+  return !endpoint.visitor.empty() || claims.node_of.contains(endpoint.shown.guid);
+}
+
+bool GraphBuilder::Unseen(const ParticipantState& owner, EndpointState& state) const {
   if (state.was_shown || state.hidden || !state.shown.ros) return false;
+  // All visits before discovery settled are in one snapshot: one without a node would stand beside
+  // every message of that time.
+  if (!settled_ && !owner.IsClaimed(state)) return false;
   state.pending_until_ns = 0;  // who knew its node has gone
   return true;
 }
@@ -110,7 +128,7 @@ bool GraphBuilder::Unseen(ParticipantState& state) const {
       state.present() && (!state.visitors.empty() ||
                           !std::includes(state.sent_nodes.begin(), state.sent_nodes.end(),
                                          state.claims.nodes.begin(), state.claims.nodes.end()));
-  for (auto& [guid, endpoint] : state.endpoints) unseen |= Unseen(endpoint);
+  for (auto& [guid, endpoint] : state.endpoints) unseen |= Unseen(state, endpoint);
   return unseen;
 }
 
@@ -247,7 +265,8 @@ void GraphBuilder::EndpointSeen(const EndpointFact& endpoint, int64_t now_ns) {
 void GraphBuilder::EndpointGone(const Guid& endpoint, int64_t now_ns) {
   EndpointState* state = FindState(endpoint);
   if (state == nullptr) return;
-  if (!Unseen(*state)) return Remove(endpoint, now_ns);
+  const ParticipantState& owner = participants_.find(endpoint.Participant())->second;
+  if (!Unseen(owner, *state)) return Remove(endpoint, now_ns);
   leaving_.insert(endpoint);
   Touch(endpoint.Participant(), now_ns);
 }

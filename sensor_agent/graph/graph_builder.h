@@ -26,7 +26,7 @@
 //
 // What comes and goes between two steps is shown in one all the same, and is gone with the next: a
 // short visit is no way past the rules. It is shown with the node that claimed it last, if any did.
-// The first snapshot shows visits before discovery settled: their messages are judged with a node.
+// The first snapshot shows what a node had claimed of the visits before discovery settled.
 #ifndef RIPS_SENSOR_AGENT_GRAPH_GRAPH_BUILDER_H_
 #define RIPS_SENSOR_AGENT_GRAPH_GRAPH_BUILDER_H_
 
@@ -126,8 +126,7 @@ class GraphBuilder {
     bool grace_renewed = false;
     // It stood in a step, not as pending.
     bool was_shown = false;
-    // Who claimed it and took that back before a step showed it; empty = nobody.
-    std::string visitor;
+    std::string visitor;  // the node that took its claim back before a step showed it
     uint32_t generation = 0;
   };
   struct ParticipantState {
@@ -140,8 +139,7 @@ class GraphBuilder {
     ros2::Participant facts;
     absl::btree_map<ros2::Guid, EndpointState> endpoints;
     Claims claims;
-    // Claimed and taken back since the last step: the next one shows them.
-    absl::btree_set<std::string> visitors;
+    absl::btree_set<std::string> visitors;  // taken back since the last step; the next shows them
     // A claim without a discovered participant is dropped then; 0 = not so.
     int64_t orphan_until_ns = 0;
     uint32_t generation = 0;
@@ -158,6 +156,8 @@ class GraphBuilder {
     uint64_t left_out = 0;
 
     bool present() const { return discovered || !endpoints.empty(); }
+    // By a node, now or before.
+    bool IsClaimed(const EndpointState& endpoint) const;
   };
   struct TopicUse {
     // Types of the endpoints of others, with how many have each.
@@ -196,7 +196,7 @@ class GraphBuilder {
   void Forget(const ros2::Guid& participant);
   void Remove(const ros2::Guid& endpoint, int64_t now_ns);
   // True if it must not go before it was shown; it is no longer pending then.
-  bool Unseen(EndpointState& state) const;
+  bool Unseen(const ParticipantState& owner, EndpointState& state) const;
   bool Unseen(ParticipantState& state) const;
   void EndVisits(int64_t now_ns);
   void Wait(EndpointState& state, int64_t now_ns);

@@ -561,6 +561,23 @@ TEST_F(GraphBuilderTest, WhoCameAndWentBeforeDiscoveryHadSettledIsInTheFirstSnap
   EXPECT_EQ(graph_.FindEndpoint(EndpointGuid(1, 1)), nullptr);
 }
 
+TEST_F(GraphBuilderTest, WhoLeftUnclaimedBeforeDiscoveryHadSettledAccusesNobody) {
+  // One whose claim never came, alone and with a process of which the node is known.
+  Participant(1);
+  Writer(1, 1, "rt/cmd_vel");
+  builder_->EndpointGone(EndpointGuid(1, 1), now_ns_);
+  Talker(2, "navigator", "rt/cmd_vel");
+  Writer(2, 2, "rt/cmd_vel");
+  builder_->ParticipantGone(ParticipantGuid(2), now_ns_);
+  Pass(2'000);
+  ASSERT_THAT(changes_, SizeIs(2));
+  std::vector<std::string> shown;
+  for (const Endpoint& each : changes_[0].delta.upsert_endpoints) {
+    if (each.kind == EndpointKind::kPublisher) shown.push_back(each.node);
+  }
+  EXPECT_THAT(shown, ElementsAre("/navigator"));
+}
+
 TEST_F(GraphBuilderTest, AHundredThousandEndpointsStayWithinTheLimits) {
   constexpr int kEndpoints = Rounds(100'000);
   Settle();
