@@ -108,7 +108,7 @@ void FakePolicyServer::Set(const std::function<void(Behaviour&)>& change) {
 }
 
 bool FakePolicyServer::WaitUntil(const std::function<bool(const FakePolicyServer&)>& done) const {
-  const absl::Time deadline = absl::Now() + absl::Seconds(20);
+  const absl::Time deadline = absl::Now() + absl::Seconds(60);
   while (absl::Now() < deadline) {
     {
       MutexLock lock(&mu_);
