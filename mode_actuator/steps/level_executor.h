@@ -65,7 +65,7 @@ class LevelExecutor {
   // A leave step of a raise.
   StepResult LeaveInTime(LevelStep& step, const Progress& progress, LevelOutcome& outcome);
   // Runs `steps` at the same time, each with its own timeout and retries but for what `at_most`
-  // leaves; gives their results. `observes`: what they saw is told.
+  // leaves; gives their results. `observes`: the outcome reports what they saw.
   std::vector<StepResult> RunSteps(const std::vector<LevelStep*>& steps, const Progress& progress,
                                    absl::Duration at_most, bool observes, LevelOutcome& outcome);
   // Until all are over; after `at_most` they are cancelled.

@@ -438,7 +438,7 @@ TEST_F(GraphBuilderTest, ANodeThatLeavesBeforeAStepShowedItIsShownWithItsNode) {
   Participant(1);
   Writer(1, 1, "rt/cmd_vel");
   Pass(20);
-  EXPECT_EQ(graph_.FindTopic("/cmd_vel"), nullptr) << "nobody claims it yet";
+  EXPECT_EQ(graph_.FindTopic("/cmd_vel"), nullptr) << "no node claims it yet";
   ASSERT_THAT(Claim(1, "navigator", {EndpointGuid(1, 1)}), IsOk());
   EXPECT_EQ(builder_->VersionShowing(EndpointGuid(1, 1)), version_ + 1);
   // As rmw does it: first the claim, then the endpoint, then the participant.

@@ -109,7 +109,7 @@ std::vector<GraphChange> GraphBuilder::Poll(int64_t now_ns) {
     settled_ = true;
     std::vector<GraphChange> changes = Number(TakeDelta(), /*snapshot=*/true);
     EndVisits(now_ns);
-    // At once: whoever has gone stands beside who took its place.
+    // At once: the snapshot shows a node that left beside the node that replaced it.
     if (GraphDelta over = TakeDelta(); !over.empty()) {
       for (GraphChange& change : Number(std::move(over), /*snapshot=*/false)) {
         changes.push_back(std::move(change));

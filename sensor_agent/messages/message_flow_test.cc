@@ -359,7 +359,7 @@ TEST_F(MessageFlowTest, TheFirstMessageOfAWriterThatHasGoneHasItsNode) {
   Pass(20);
   EXPECT_GT(graph_.version(), showing);
   Take(WriterGuid(1), 1);
-  ASSERT_THAT(Sequences(), ElementsAre(1)) << "waits for nobody";
+  ASSERT_THAT(Sequences(), ElementsAre(1)) << "must not wait";
   EXPECT_EQ(NodeOf(0), "/talker");
   EXPECT_EQ(output_.messages[0].graph_version, showing);
 }
@@ -371,7 +371,7 @@ class CrowdedFlowTest : public MessageFlowTest {
 
 TEST_F(CrowdedFlowTest, WritersThatCameAndWentAreForgotten) {
   Pass(2'000);
-  // Each is gone before its sample is looked at, and nobody claims it.
+  // Each is gone before its sample is looked at, and no node claims it.
   for (uint8_t i = 1; i <= 4; ++i) {
     Discover(WriterGuid(i));
     flow_.WriterGone(WriterGuid(i), now_ns_);

@@ -80,7 +80,7 @@ StepResult AlarmLevelStep::Drill(const DrillOptions& options) {
   AlarmAttempt look({step_.device, kOff}, Name(), alarms_,
                     {.order = AlarmOrder::kLook, .timeout = timeout}, NowNs());
   Drive(look, *options.cancel);
-  // Of a device that answers: it is on, or nobody knows.
+  // Of a device that answers: it is on, or its state is not known.
   const bool is_off = look.status.ok();
   if (!is_off && !absl::IsFailedPrecondition(look.status)) return Looked(look.status, "");
   const std::string seen = look.seen() == "?"

@@ -16,7 +16,7 @@ namespace rips::actuator {
 namespace {
 
 constexpr absl::Duration kDrillPoll = absl::Milliseconds(20);
-// After its deadline a program is told to end, and killed kTermGrace later; then it must be over.
+// At its deadline a program gets SIGTERM, and SIGKILL kTermGrace later; then it must be over.
 constexpr absl::Duration kEndGrace = absl::Seconds(2);
 // A program that is busy (concurrency limit) is asked for again this often.
 constexpr absl::Duration kBusyRetry = absl::Milliseconds(100);
@@ -58,7 +58,7 @@ class ProgramAttempt final : public StepAttempt {
 
   bool Poll(int64_t now_ns) override {
     if (finished_) return true;
-    // Whoever is told to end it may hang: that is waited for kEndGrace, as at the deadline.
+    // The runner may hang while it ends the program: waits kEndGrace, as at the deadline.
     if (cancelled_) deadline_ns_ = std::min(deadline_ns_, now_ns);
     if (run_ == 0) {
       if (now_ns >= next_start_ns_) TryStart(now_ns);
@@ -200,7 +200,7 @@ std::optional<ProgramResult> ProgramLevelStep::Await(uint64_t run, ResultSlot& s
     if (cancel.cancelled() && !std::exchange(told, true)) programs_->Cancel(run);
     // What looks at the level, and renews its rules, does not wait for a slow program.
     if (options.between && !told) options.between();
-    // A cancelled flag does not sleep, so what is told to end is waited for on a flag of our own.
+    // A cancelled flag does not sleep, so the wait for the program's end uses a flag of our own.
     (told ? own : cancel).WaitFor(kDrillPoll);
   }
   programs_->Cancel(run);
