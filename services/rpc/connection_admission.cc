@@ -119,6 +119,11 @@ void Admission::Identified(const Source& source, int64_t now_ns) {
   Touch(source.address, now_ns).known_until_ns = now_ns + kKnownNs;
 }
 
+int Admission::InNetwork(const Source& source) const {
+  const auto it = networks_.find(source.network);
+  return it == networks_.end() ? 0 : it->second;
+}
+
 bool Admission::Known(const Source& source, int64_t now_ns) const {
   const auto it = addresses_.find(source.address);
   return it != addresses_.end() && now_ns < it->second.known_until_ns;

@@ -78,6 +78,8 @@ class Admission {
   // How long it lasts.
   int64_t Ban(const Source& source, int64_t now_ns);
   int total() const { return total_; }
+  // Connections of its network.
+  int InNetwork(const Source& source) const;
   // One of its certificates was admitted not long ago.
   bool Known(const Source& source, int64_t now_ns) const;
 

@@ -87,6 +87,34 @@ int PortOf(const UniqueFd& fd) {
              : ntohs(reinterpret_cast<const sockaddr_in*>(&address)->sin_port);
 }
 
+void CountRefused(Metrics* metrics, absl::string_view reason) {
+  if (metrics == nullptr) return;
+  metrics
+      ->AddCounter("rips_connections_refused_total", "Connections not taken, by why.",
+                   {{"reason", std::string(reason)}})
+      .Increment();
+}
+
+void CountEnded(Metrics* metrics, absl::string_view reason) {
+  if (metrics == nullptr) return;
+  metrics->AddCounter("rips_connections_ended_total", kEndedHelp, {{"reason", std::string(reason)}})
+      .Increment();
+}
+
+void HandOver(grpc::experimental::ExternalConnectionAcceptor& grpc, UniqueFd socket) {
+  const int on = 1;
+  setsockopt(socket.get(), IPPROTO_TCP, TCP_NODELAY, &on, sizeof(on));
+  grpc::experimental::ExternalConnectionAcceptor::NewConnectionParameters given;
+  given.fd = socket.Release();
+  grpc.HandleNewConnection(&given);
+}
+
+// Its peer has closed or reset it, or we have shut it down.
+bool HasLeft(const UniqueFd& socket) {
+  pollfd polled = {.fd = socket.get(), .events = POLLRDHUP, .revents = 0};
+  return poll(&polled, 1, 0) != 0;
+}
+
 }  // namespace
 
 std::string DecodePeer(absl::string_view peer) {
@@ -186,7 +214,8 @@ ConnectionGuard::ConnectionGuard(Options options, const Clock* clock, Metrics* m
       metrics_(metrics),
       reserve_(OpenReserve()),
       wake_(eventfd(0, EFD_CLOEXEC | EFD_NONBLOCK)),
-      admission_(options_.admission) {
+      admission_(options_.admission),
+      waiting_(options_.handshakes) {
   if (metrics_ == nullptr) return;
   open_ = metrics_->AddGauge("rips_connections", "Connections that are open.");
   for (const char* why : {"banned", "rate", "address", "network", "total", "descriptors"}) {
@@ -259,6 +288,7 @@ void ConnectionGuard::Stop() {
   MutexLock lock(&mu_);
   listeners_.clear();
   connections_.clear();
+  waiting_.EraseIf([](const Waiting&) { return true; });
 }
 
 void ConnectionGuard::Wasted(const Source& source, int64_t now_ns) {
@@ -269,21 +299,6 @@ void ConnectionGuard::Wasted(const Source& source, int64_t now_ns) {
     known = admission_.Known(source, now_ns);
   }
   options_.on_wasted(source.address, known);
-}
-
-void ConnectionGuard::CountRefused(absl::string_view reason) {
-  if (metrics_ == nullptr) return;
-  metrics_
-      ->AddCounter("rips_connections_refused_total", "Connections not taken, by why.",
-                   {{"reason", std::string(reason)}})
-      .Increment();
-}
-
-void ConnectionGuard::CountEnded(absl::string_view reason) {
-  if (metrics_ == nullptr) return;
-  metrics_
-      ->AddCounter("rips_connections_ended_total", kEndedHelp, {{"reason", std::string(reason)}})
-      .Increment();
 }
 
 absl::Status ConnectionGuard::Probe(absl::Duration patience) {
@@ -375,7 +390,7 @@ bool ConnectionGuard::AcceptAll(int listener) {
     const bool any = refused.get() >= 0;
     if (any) Reset(std::move(refused));
     reserve_ = OpenReserve();
-    CountRefused("descriptors");
+    CountRefused(metrics_, "descriptors");
     if (!any || reserve_.get() < 0) return false;
   }
 }
@@ -400,7 +415,7 @@ void ConnectionGuard::Take(UniqueFd socket, Source source) {
   }
   if (ended != nullptr) Wasted(ended->source(), now_ns);
   if (verdict != Admission::Verdict::kTake) {
-    CountRefused(ToString(verdict));
+    CountRefused(metrics_, ToString(verdict));
     if (const auto left_out = refusal_logs_.Admit("")) {
       LogWarning("connection refused",
                  {{"peer", source.peer}, {"limit", ToString(verdict)}, {"left_out", *left_out}});
@@ -412,7 +427,7 @@ void ConnectionGuard::Take(UniqueFd socket, Source source) {
     MutexLock lock(&mu_);
     if (duplicate.get() < 0) {
       admission_.Left(source);
-      CountRefused("descriptors");
+      CountRefused(metrics_, "descriptors");
       return Reset(std::move(socket));
     }
     // A port that was used a moment ago: the connection before is over.
@@ -420,16 +435,35 @@ void ConnectionGuard::Take(UniqueFd socket, Source source) {
       ForgetLocked(*old->second);
       connections_.erase(old);
     }
-    const std::string peer = source.peer;
-    connections_[peer] = std::make_shared<Connection>(std::move(source), std::move(duplicate),
-                                                      options_.budget, now_ns);
+    auto connection =
+        std::make_shared<Connection>(source, std::move(duplicate), options_.budget, now_ns);
+    connections_[source.peer] = connection;
     open_.Set(static_cast<double>(connections_.size()));
+    if (!admission_.Known(source, now_ns)) {
+      waiting_.Add(source, {.connection = std::move(connection), .socket = std::move(socket)});
+    }
   }
-  const int on = 1;
-  setsockopt(socket.get(), IPPROTO_TCP, TCP_NODELAY, &on, sizeof(on));
-  grpc::experimental::ExternalConnectionAcceptor::NewConnectionParameters given;
-  given.fd = socket.Release();
-  grpc_->HandleNewConnection(&given);
+  if (socket.get() >= 0) return HandOver(*grpc_, std::move(socket));
+  HandOverWaiting();
+}
+
+void ConnectionGuard::HandOverWaiting() {
+  while (true) {
+    std::optional<Waiting> next;
+    {
+      MutexLock lock(&mu_);
+      next = waiting_.Next(clock_->Now().boottime_ns);
+    }
+    if (!next.has_value()) return;
+    if (!HasLeft(next->socket)) {
+      HandOver(*grpc_, std::move(next->socket));
+      continue;
+    }
+    // Never gRPC's, so that it is closed by us: also a peer that has only closed its side.
+    if (next->connection->End()) Wasted(next->connection->source(), clock_->Now().boottime_ns);
+    MutexLock lock(&mu_);
+    waiting_.GiveBack();
+  }
 }
 
 std::shared_ptr<Connection> ConnectionGuard::MakeRoomLocked(const Source& source,
@@ -441,7 +475,8 @@ std::shared_ptr<Connection> ConnectionGuard::MakeRoomLocked(const Source& source
   if (made_room_ >= kRoomPerLook) return nullptr;
   std::shared_ptr<Connection> victim;
   const auto worth = [&](const Connection& connection) ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_) {
-    return std::tuple(admission_.Known(connection.source(), now_ns), connection.spoke_.load(),
+    return std::tuple(admission_.Known(connection.source(), now_ns),
+                      -admission_.InNetwork(connection.source()), connection.spoke_.load(),
                       connection.taken_ns_);
   };
   for (const auto& [peer, connection] : connections_) {
@@ -455,7 +490,7 @@ std::shared_ptr<Connection> ConnectionGuard::MakeRoomLocked(const Source& source
   victim->End();
   ForgetLocked(*victim);
   connections_.erase(victim->source().peer);
-  CountEnded("room");
+  CountEnded(metrics_, "room");
   return victim;
 }
 
@@ -557,7 +592,7 @@ void ConnectionGuard::EndFor(Connection& connection, Excess excess) {
   const int64_t now_ns = clock_->Now().boottime_ns;
   Report report{
       .peer = connection.source().peer, .certificate = connection.shown(), .excess = excess};
-  CountEnded(ToString(excess));
+  CountEnded(metrics_, ToString(excess));
   {
     MutexLock lock(&mu_);
     // Who only keeps silent may be a scanner, or a peer on a bad line.
@@ -607,6 +642,13 @@ void ConnectionGuard::Look() {
       EndFor(*connection, excess);
     }
   }
+  {
+    MutexLock lock(&mu_);
+    waiting_.EraseIf([this](const Waiting& waiting) ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_) {
+      const auto it = connections_.find(waiting.connection->source().peer);
+      return it == connections_.end() || it->second != waiting.connection;
+    });
+  }
   // The C library keeps what an attack made it take.
   if (trim) malloc_trim(0);
 }
@@ -619,6 +661,7 @@ void ConnectionGuard::RunWatch() {
       if (stopping_) return;
     }
     Look();
+    HandOverWaiting();
   }
 }
 

@@ -4,6 +4,8 @@
 //
 //   accepted ──refused by Admission──► reset
 //      │
+//      ├─taken, address not known──► HandshakeQueue, until it is its turn
+//      │                                │
 //      └─taken──► watched: calls counted as they begin, messages as handlers read them, bytes as
 //                 the kernel counts them ──more than ConnectionBudget allows──► shut down, banned
 //                    │
@@ -39,6 +41,7 @@
 #include "services/base/clock.h"
 #include "services/rpc/connection_admission.h"
 #include "services/rpc/connection_budget.h"
+#include "services/rpc/handshake_queue.h"
 #include "services/rpc/peer.h"
 #include "services/runtime/log_limiter.h"
 #include "services/runtime/metrics.h"
@@ -113,6 +116,8 @@ class ConnectionGuard {
   struct Options {
     AdmissionLimits admission;
     BudgetLimits budget;
+    // Of addresses that are not known.
+    HandshakePace handshakes;
     // Connections of one certificate. An agent has one, and one that is not over yet.
     int per_operator = 16;
     int per_agent = 4;
@@ -159,6 +164,11 @@ class ConnectionGuard {
   absl::Duration Banned(const std::string& certificate) ABSL_LOCKS_EXCLUDED(mu_);
 
  private:
+  // Taken, and not handed to gRPC.
+  struct Waiting {
+    std::shared_ptr<Connection> connection;
+    UniqueFd socket;
+  };
   struct AgentCalls {
     double tokens = 0;
     int64_t counted_ns = 0;
@@ -170,10 +180,12 @@ class ConnectionGuard {
   // Everything that waits at a listener. False: descriptors have run out.
   bool AcceptAll(int listener);
   void Take(UniqueFd socket, Source source);
+  // Those whose turn it is.
+  void HandOverWaiting() ABSL_LOCKS_EXCLUDED(mu_);
   // Ends a connection without a certificate that counts against the limit `source` has met, so that
   // a flood of those cannot keep out a peer that would name itself: first of addresses that are not
-  // known, of those one that has sent nothing, of those the oldest. Returns it; null if there is
-  // none, or too many were ended since the last look.
+  // known, of those of the network that has most, of those one that has sent nothing, of those the
+  // oldest. Returns it; null if there is none, or too many were ended since the last look.
   std::shared_ptr<Connection> MakeRoomLocked(const Source& source, Admission::Verdict limit,
                                              int64_t now_ns) ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
   void RunWatch();
@@ -185,8 +197,6 @@ class ConnectionGuard {
       ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
   // A connection of this address came to nothing.
   void Wasted(const Source& source, int64_t now_ns) ABSL_LOCKS_EXCLUDED(mu_);
-  void CountRefused(absl::string_view reason);
-  void CountEnded(absl::string_view reason);
   bool MayCallLocked(const std::string& certificate, int64_t now_ns)
       ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
 
@@ -208,6 +218,7 @@ class ConnectionGuard {
   Admission admission_ ABSL_GUARDED_BY(mu_);
   // By peer.
   absl::flat_hash_map<std::string, std::shared_ptr<Connection>> connections_ ABSL_GUARDED_BY(mu_);
+  HandshakeQueue<Waiting> waiting_ ABSL_GUARDED_BY(mu_);
   // Connections that were identified, by certificate.
   absl::flat_hash_map<std::string, int> certificates_ ABSL_GUARDED_BY(mu_);
   // Connections ended since the last look to make room for others.

@@ -35,7 +35,14 @@ constexpr char kSensor[] = "spiffe://td/robot/r1/sensor/base serial 0f";
 // A plain TCP connection that sends nothing.
 class Silent {
  public:
-  explicit Silent(int port) : fd_(socket(AF_INET, SOCK_STREAM | SOCK_CLOEXEC, 0)) {
+  explicit Silent(int port, const char* from = nullptr)
+      : fd_(socket(AF_INET, SOCK_STREAM | SOCK_CLOEXEC, 0)) {
+    sockaddr_in own = {};
+    own.sin_family = AF_INET;
+    if (from != nullptr) {
+      inet_pton(AF_INET, from, &own.sin_addr);
+      EXPECT_EQ(bind(fd_.get(), reinterpret_cast<const sockaddr*>(&own), sizeof(own)), 0);
+    }
     sockaddr_in address = {};
     address.sin_family = AF_INET;
     address.sin_port = htons(static_cast<uint16_t>(port));
@@ -56,6 +63,7 @@ class Silent {
     return false;
   }
 
+  void CloseItsSide() { shutdown(fd_.get(), SHUT_WR); }
   void ResetWhenClosed() {
     const linger now{.l_onoff = 1, .l_linger = 0};
     setsockopt(fd_.get(), SOL_SOCKET, SO_LINGER, &now, sizeof(now));
@@ -248,12 +256,59 @@ TEST_F(ConnectionGuardTest, EndsTheOldestConnectionWithoutACertificateForANewOne
   }
 }
 
+TEST_F(ConnectionGuardTest, MakesRoomInTheNetworkThatHasMost) {
+  Start({.admission = {.total = 6, .reserve = 0}});
+  Silent lone(server_->port(), "127.9.9.9");
+  std::vector<std::unique_ptr<Silent>> flood;
+  for (int i = 0; i < 20; ++i) {
+    flood.push_back(std::make_unique<Silent>(server_->port(), "127.1.0.1"));
+  }
+  EXPECT_TRUE(flood.front()->EndsWithin(kPatience));
+  EXPECT_FALSE(lone.EndsWithin(absl::Milliseconds(200))) << "though it is the oldest";
+}
+
 TEST_F(ConnectionGuardTest, MakesRoomOnlySoOftenBetweenTwoLooks) {
   Start({.admission = {.per_address = 1}, .interval = absl::Hours(1)});
   std::vector<std::unique_ptr<Silent>> flood;
   for (int i = 0; i < 200; ++i) flood.push_back(std::make_unique<Silent>(server_->port()));
   EXPECT_TRUE(flood.back()->EndsWithin(kPatience));
   EXPECT_EQ(Refused("address"), 200 - 1 - 128);
+}
+
+TEST_F(ConnectionGuardTest, AnAddressThatIsNotKnownWaitsForItsHandshakeAndOneThatIsKnownDoesNot) {
+  Start({.handshakes = {.burst = 1, .per_second = 1e-6}});
+  const Silent first(guard_->port());
+  ASSERT_TRUE(first.connected());
+  const auto waits = Connect();
+  EXPECT_FALSE(waits->WaitForConnected(absl::ToChronoTime(absl::Now() + absl::Milliseconds(500))));
+  ASSERT_FALSE(FindPeers().empty());
+  EXPECT_THAT(guard_->OnIdentified(FindPeers()[0], kSensor, /*agent=*/true), IsOk());
+  EXPECT_TRUE(Connect()->WaitForConnected(absl::ToChronoTime(absl::Now() + kPatience)));
+}
+
+TEST_F(ConnectionGuardTest, WhoHalfClosesBeforeItsHandshakeIsClosedAndTold) {
+  Start({.handshakes = {.burst = 1, .per_second = 20}});
+  Silent half(guard_->port());
+  ASSERT_TRUE(half.connected());
+  std::vector<std::unique_ptr<Silent>> more;
+  for (int i = 0; i < 3; ++i) {
+    more.push_back(std::make_unique<Silent>(guard_->port()));
+    more.back()->CloseItsSide();
+  }
+  EXPECT_TRUE(more.back()->EndsWithin(absl::Seconds(5)));
+  EXPECT_TRUE(wasted_.Pop(kPatience).has_value());
+}
+
+TEST_F(ConnectionGuardTest, WhoWaitsForAHandshakeComesWhenItsTimeHasCome) {
+  Start({.handshakes = {.burst = 1, .per_second = 20}});
+  std::vector<std::unique_ptr<Silent>> before;
+  for (int i = 0; i < 20; ++i) {
+    before.push_back(std::make_unique<Silent>(guard_->port()));
+    ASSERT_TRUE(before.back()->connected());
+  }
+  // Those that have left take no turn.
+  before.resize(2);
+  EXPECT_TRUE(Connect()->WaitForConnected(absl::ToChronoTime(absl::Now() + kPatience)));
 }
 
 TEST_F(ConnectionGuardTest, AThrottledConnectionIsEndedTheSecondTime) {

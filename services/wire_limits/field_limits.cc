@@ -8,6 +8,7 @@
 #include "absl/strings/str_cat.h"
 #include "absl/strings/string_view.h"
 #include "google/protobuf/descriptor.h"
+#include "google/protobuf/unknown_field_set.h"
 #include "rips/v1/observation.pb.h"
 #include "services/base/check.h"
 #include "services/base/cut_text.h"
@@ -33,6 +34,7 @@ constexpr FieldLimit kRows[] = {
 #define COUNT(field, most) {field, 1, most, true},
 #define ANY(field) {field, 1, kAnyValue, false},
 #include "services/wire_limits/field_limits.def"
+    {kUnknownFields, kUnknownFieldsMax, kAnyValue, false},
 #undef TEXT
 #undef TEXTS
 #undef EXACT
@@ -45,6 +47,7 @@ constexpr FieldLimit kRows[] = {
 };
 
 constexpr size_t kNoRow = std::size(kRows);
+constexpr size_t kUnknownRow = kNoRow - 1;
 
 constexpr bool Same(const char* a, const char* b) {
   while (*a != 0 && *a == *b) ++a, ++b;
@@ -128,6 +131,25 @@ std::optional<LimitHit> CheckNumber(size_t row, uint64_t value) {
   return LimitHit{row, value, What::kValue};
 }
 
+// Stops counting past the limit.
+size_t CountUnknown(const google::protobuf::UnknownFieldSet& unknown) {
+  auto count = static_cast<size_t>(unknown.field_count());
+  for (int i = 0; i < unknown.field_count() && count <= kUnknownFieldsMax; ++i) {
+    const google::protobuf::UnknownField& field = unknown.field(i);
+    if (field.type() == google::protobuf::UnknownField::TYPE_GROUP) {
+      count += CountUnknown(field.group());
+    }
+  }
+  return count;
+}
+
+std::optional<LimitHit> CheckUnknown(const google::protobuf::UnknownFieldSet& unknown) {
+  if (unknown.empty()) return std::nullopt;
+  const size_t count = CountUnknown(unknown);
+  if (count <= kUnknownFieldsMax) return std::nullopt;
+  return LimitHit{kUnknownRow, count, What::kElements};
+}
+
 // Messages come a hundred thousand a second: without reflection. field_limits_test tries each row
 // of these fields through here.
 std::optional<LimitHit> CheckMessageSeen(const v1::Observation& observation) {
@@ -137,6 +159,10 @@ std::optional<LimitHit> CheckMessageSeen(const v1::Observation& observation) {
   constexpr size_t kVersion = RowOf("MessageSeen.graph_version");
   static_assert(kOffset < kNoRow && kPayload < kNoRow && kChunked < kNoRow && kVersion < kNoRow);
   const v1::MessageSeen& message = observation.message();
+  static const Reflection& of_observation = *v1::Observation::default_instance().GetReflection();
+  static const Reflection& of_message = *v1::MessageSeen::default_instance().GetReflection();
+  if (auto hit = CheckUnknown(of_observation.GetUnknownFields(observation))) return hit;
+  if (auto hit = CheckUnknown(of_message.GetUnknownFields(message))) return hit;
   if (auto hit = CheckNumber(kOffset, observation.offset_ns())) return hit;
   if (auto hit = CheckBytes(kPayload, message.payload().size())) return hit;
   if (auto hit = CheckNumber(kChunked, message.chunked_payload_id())) return hit;
@@ -196,6 +222,7 @@ std::optional<LimitHit> WalkRepeated(const Message& message, const Reflection& r
 
 std::optional<LimitHit> Walk(const Message& message, const Plan& plan) {
   const Reflection& reflection = *message.GetReflection();
+  if (auto hit = CheckUnknown(reflection.GetUnknownFields(message))) return hit;
   for (const Plan::Field& field : plan.fields) {
     std::optional<LimitHit> hit;
     if (field.descriptor->is_repeated()) {
@@ -269,6 +296,10 @@ const char* LimitHit::field() const { return kRows[row].field; }
 
 std::string LimitHit::Text() const {
   const FieldLimit& limit = kRows[row];
+  if (row == kUnknownRow) {
+    return absl::StrCat("a message has ", size, " or more fields that are not known here; at most ",
+                        limit.elements_max);
+  }
   switch (what) {
     case What::kElements:
       return absl::StrCat(limit.field, " has ", size, " elements; at most ", limit.elements_max);

@@ -34,6 +34,11 @@ struct FieldLimit {
   bool cut_by_sender;
 };
 inline constexpr uint64_t kAnyValue = UINT64_MAX;
+// The row for fields that this version does not know. A newer peer may send some; what they cost to
+// parse is more than what is done with the message, so nobody may send many.
+inline constexpr char kUnknownFields[] = "(unknown)";
+// In one message, those in its unknown groups among them; in the messages in it as many again.
+inline constexpr uint32_t kUnknownFieldsMax = 8;
 
 // All rows. Valid for ever.
 absl::Span<const FieldLimit> FieldLimits();

@@ -90,6 +90,7 @@ TEST(FieldLimitsTest, EveryRowIsOfAFieldThatAPeerCanSendAndThereIsOne) {
   for (const FieldDescriptor* field : FieldsOfPeers()) fields.insert(NameOf(field));
   std::set<std::string> rows;
   for (const FieldLimit& row : FieldLimits()) {
+    if (row.field == absl::string_view(kUnknownFields)) continue;
     EXPECT_TRUE(fields.contains(row.field)) << row.field;
     EXPECT_TRUE(rows.insert(row.field).second) << row.field << " has two";
   }
@@ -228,6 +229,52 @@ TEST(FieldLimitsTest, ARefusalNamesFieldSizeAndLimitAndNoContent) {
   EXPECT_EQ(hit->Text(), "ActuatorHeartbeat.floor_reason has 4194304 bytes; at most 1024");
   EXPECT_THAT(hit->ToStatus(), StatusIs(absl::StatusCode::kInvalidArgument, HasSubstr("1024")));
   EXPECT_THAT(hit->Text(), Not(HasSubstr("SS")));
+}
+
+// `count` fields of number 1,000, which no message of ours has.
+std::string Unknown(int count, const std::string& tag_and_value) {
+  std::string out;
+  for (int i = 0; i < count; ++i) out += tag_and_value;
+  return out;
+}
+
+TEST(FieldLimitsTest, FieldsThatAreNotKnownHereAreFewInEachMessage) {
+  const std::string number("\xc0\x3e\x00", 3);
+  const std::string text("\xc2\x3e\x00", 3);
+  const std::string group("\xc3\x3e\xc4\x3e", 4);
+  const std::string nested = "\xc3\x3e" + Unknown(9, number) + "\xc4\x3e";
+  for (const Descriptor* type : Roots()) {
+    for (const std::string& field : {number, text, group}) {
+      const std::unique_ptr<Message> root = Make(type);
+      ASSERT_TRUE(root->ParseFromString(Unknown(kUnknownFieldsMax, field)));
+      EXPECT_EQ(Check(*root), std::nullopt) << "of a newer peer";
+      ASSERT_TRUE(root->ParseFromString(Unknown(kUnknownFieldsMax + 1, field)));
+      const auto hit = Check(*root);
+      ASSERT_TRUE(hit.has_value()) << type->name();
+      EXPECT_STREQ(hit->field(), kUnknownFields);
+      EXPECT_EQ(hit->Text(), "a message has 9 or more fields that are not known here; at most 8");
+    }
+    const std::unique_ptr<Message> root = Make(type);
+    ASSERT_TRUE(root->ParseFromString(nested));
+    EXPECT_TRUE(Check(*root).has_value()) << "in a group";
+  }
+}
+
+TEST(FieldLimitsTest, NorMayMessagesWithinOneHaveMore) {
+  const std::string many = Unknown(9, std::string("\xc0\x3e\x00", 3));
+  v1::SensorMessage batch;
+  v1::Observation* seen = batch.mutable_batch()->add_observations();
+  ASSERT_TRUE(seen->mutable_message()->ParseFromString(many));
+  EXPECT_TRUE(Check(batch).has_value()) << "in a message that was seen";
+  v1::SensorMessage observed;
+  seen = observed.mutable_batch()->add_observations();
+  ASSERT_TRUE(seen->ParseFromString(many));
+  seen->mutable_message();
+  EXPECT_TRUE(Check(observed).has_value()) << "beside a message that was seen";
+  v1::SensorMessage graph;
+  auto* snapshot = graph.mutable_batch()->add_observations()->mutable_snapshot();
+  ASSERT_TRUE(snapshot->add_endpoints()->ParseFromString(many));
+  EXPECT_TRUE(Check(graph).has_value()) << "in an endpoint";
 }
 
 TEST(FieldLimitsTest, TimesOfABatchAddUpInSixtyFourBits) {

@@ -1,6 +1,7 @@
 """Attacks on the port itself: with raw HTTP/2, and at most a viewer's certificate."""
 
 import collections
+import selectors
 import socket
 import threading
 import time
@@ -147,6 +148,54 @@ def hellos_that_are_left(fleet):
     print(f"{begun / ATTACK_S:.0f} handshakes a second begun")
     fleet.unharmed()
     fleet.named("flood of connections from 127.0.0.2: 64 within")
+
+
+@scenario
+def hellos_from_everywhere(fleet):
+    """1,200 TLS handshakes a second from a hundred addresses, so that no limit of one address
+    helps; each leaves when the server has answered."""
+    fleet.arm()
+    hello = http2.client_hello()
+    begun = answered = 0
+
+    def attack():
+        nonlocal begun, answered
+        selector = selectors.DefaultSelector()
+        start = time.monotonic()
+        open_now = 0
+        while time.monotonic() < start + ATTACK_S:
+            while begun < 1_200 * (time.monotonic() - start) and open_now < 2_000:
+                begun += 1
+                leaving = socket.socket()
+                leaving.setblocking(False)
+                try:
+                    leaving.bind((f"127.{1 + begun % 100}.0.1", 0))
+                    leaving.connect_ex(("127.0.0.1", fleet.port))
+                except OSError:
+                    leaving.close()
+                    continue
+                selector.register(leaving, selectors.EVENT_WRITE)
+                open_now += 1
+            for key, event in selector.select(0.005):
+                try:
+                    if event & selectors.EVENT_WRITE:
+                        key.fileobj.send(hello)
+                        selector.modify(key.fileobj, selectors.EVENT_READ)
+                        continue
+                    answered += len(key.fileobj.recv(65_536)) > 0
+                except OSError:
+                    pass
+                selector.unregister(key.fileobj)
+                key.fileobj.close()
+                open_now -= 1
+        for key in list(selector.get_map().values()):
+            key.fileobj.close()
+
+    fleet.run_beside(attack)
+    print(f"{begun / ATTACK_S:.0f} handshakes a second begun, {answered / ATTACK_S:.0f} answered")
+    check(answered > 100 * ATTACK_S, "the attack did not get through to handshakes")
+    fleet.unharmed()
+    fleet.named("addresses, most from 127.")
 
 
 @quick

@@ -277,19 +277,18 @@ def calls_refused_for_role(fleet):
     fleet.named("calls of spiffe://", "operator/viewer/mallory were refused")
 
 
-@quick
-def messages_dear_to_parse(fleet):
-    """r2's key sends 4 MiB of two million empty observations, anew as it is refused."""
-    arm_beside_r2(fleet)
-    body = b"\x2a\x00" * 2_000_000  # ObservationBatch.observations
-    sent = 0
+def varint(number):
+    out = b""
+    while number > 127:
+        out += bytes([number & 127 | 128])
+        number >>= 7
+    return out + bytes([number])
 
-    def varint(number):
-        out = b""
-        while number > 127:
-            out += bytes([number & 127 | 128])
-            number >>= 7
-        return out + bytes([number])
+
+def send_dear_messages(fleet, body):
+    """Sends `body` with r2's key, anew as it is refused, beside the robot under guard."""
+    arm_beside_r2(fleet)
+    sent = 0
 
     def attack():
         nonlocal sent
@@ -297,8 +296,7 @@ def messages_dear_to_parse(fleet):
         while time.monotonic() < deadline:
             try:
                 sensor = StolenSensor(fleet)
-                field = pb("SensorMessage").DESCRIPTOR.fields_by_name["batch"].number
-                sensor.stream.send(varint(field << 3 | 2) + varint(len(body)) + body)
+                sensor.stream.send(body)
                 sent += 1
                 sensor.stream.messages(pb("SensorReply"), 1, count=100)
                 sensor.peer.close()
@@ -309,6 +307,20 @@ def messages_dear_to_parse(fleet):
     print(f"{sent} messages sent")
     fleet.unharmed()
     fleet.named("127.0.0.2", "robot/r2/sensor/base")
+
+
+@quick
+def messages_dear_to_parse(fleet):
+    """r2's key sends 4 MiB of two million empty observations, anew as it is refused."""
+    body = b"\x2a\x00" * 2_000_000  # ObservationBatch.observations
+    field = pb("SensorMessage").DESCRIPTOR.fields_by_name["batch"].number
+    send_dear_messages(fleet, varint(field << 3 | 2) + varint(len(body)) + body)
+
+
+@quick
+def fields_that_are_dear_to_parse(fleet):
+    """r2's key sends 4 MiB of two million fields that no message has, which are kept as texts."""
+    send_dear_messages(fleet, b"\x7a\x00" * 2_000_000)
 
 
 @quick
