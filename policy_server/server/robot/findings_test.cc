@@ -148,8 +148,9 @@ TEST_F(RobotFindingsTest, FloodOfFindingsIsFoldedAndBounded) {
     SendBatch(Lane::kControl, std::move(batch));
   }
   Pass(2'000);
-  EXPECT_LE(audience_.Count("finding non_ros_writer"), 130) << "a burst, then ten a second";
-  EXPECT_GE(audience_.Count("more alerts of this rule"), 1);
+  EXPECT_LE(audience_.Count("finding non_ros_writer"), 20) << "as RIPS's own alerts";
+  Pass(60'000);
+  EXPECT_EQ(audience_.Count("more alerts of this kind"), 1);
   EXPECT_THAT(robot_->findings(), SizeIs(4'096));
 }
 

@@ -305,6 +305,9 @@ std::vector<std::string> Robot::EvidenceProblems(Instant now) const {
     if (now.boottime_ns - host.session->heard_ns > timing_.stale_ns) {
       problems.push_back(absl::StrCat("sensor ", name, " is silent"));
     }
+    if (host.second.Contested(now.boottime_ns)) {
+      problems.push_back(absl::StrCat("a second process uses the key of sensor ", name));
+    }
     if (std::string problem = InterestProblem(host); !problem.empty()) {
       problems.push_back(std::move(problem));
     }
@@ -323,6 +326,8 @@ std::vector<std::string> Robot::EvidenceProblems(Instant now) const {
   for (const auto& [name, host] : actuators_) {
     if (!ActuatorLive(host, now)) {
       problems.push_back(absl::StrCat("actuator ", name, " holds no live lease"));
+    } else if (host.second.Contested(now.boottime_ns)) {
+      problems.push_back(absl::StrCat("a second process uses the key of actuator ", name));
     }
   }
   if (!ports_.recorder->healthy()) problems.push_back("cannot write the store");

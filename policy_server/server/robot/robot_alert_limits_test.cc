@@ -153,7 +153,7 @@ TEST_F(AlertFloodTest, ByReceiptsOfEachStage) {
             6 * kKindBytes);
 }
 
-// Findings are limited as a rule's alerts: ten a second.
+// Each kind of finding is a kind of RIPS's own alerts.
 TEST_F(AlertFloodTest, ByFindings) {
   EXPECT_LE(Flood([&](uint64_t i) {
               std::vector<Observation> findings;
@@ -166,7 +166,7 @@ TEST_F(AlertFloodTest, ByFindings) {
               SendBatch(Lane::kControl, std::move(findings));
               Beat();
             }),
-            800u * 2'600);
+            kKindBytes);
 }
 
 TEST_F(AlertFloodTest, ByWhatASensorCannotSee) {

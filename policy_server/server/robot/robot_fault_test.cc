@@ -394,6 +394,10 @@ TEST_F(RobotTest, ASecondHolderOfAnActuatorsKeyIsTold) {
                            .peer = "ipv4:10.0.0.66:4711"});
   Pass(2'000);
   EXPECT_EQ(audience_.Count("a second process uses the key of actuator r1/base"), 1);
+  const std::string contested = "a second process uses the key of actuator base";
+  EXPECT_THAT(robot_->Status().degraded, Contains(contested)) << "the session may be the wrong one";
+  Pass(89'000);
+  EXPECT_THAT(robot_->Status().degraded, Not(Contains(contested)));
 }
 
 TEST_F(RobotTest, AnAgentThatStartsAnewIsNoSecondHolder) {

@@ -45,7 +45,9 @@ bool Robot::TakeFinding(const std::string& host_name, const std::string& incarna
       .text = absl::StrCat("sensor ", host_name, ": ", Text(finding)),
       .level = state_.level.level(),
       .mark = state_.level.mark()};
-  if (alert_limiter_.Admit(alert, now)) Alert(alert, absl::StrCat("finding ", finding.kind));
+  if (own_alert_limiter_.Admit(absl::StrCat("finding ", finding.kind), alert, now)) {
+    Alert(alert, absl::StrCat("finding ", finding.kind));
+  }
   return IsKindOfRules(finding.kind);
 }
 

@@ -23,6 +23,8 @@ class SecondHolder {
   // Heartbeats that were underway when the other one came are older than this.
   static constexpr int64_t kUnderwayNs = 1 * kNanosPerSecond;
   static constexpr int64_t kReportEveryNs = 60 * kNanosPerSecond;
+  // After the last refusal; agents try again at least every half minute.
+  static constexpr int64_t kContestedNs = 90 * kNanosPerSecond;
 
   struct Report {
     // Of the one that was refused last, with its port.
@@ -37,12 +39,14 @@ class SecondHolder {
   void Refused(const std::string& peer, int64_t now_ns) {
     if (refused_ == 0) first_refused_ns_ = now_ns;
     peer_ = peer;
+    refused_ns_ = now_ns;
     ++refused_;
   }
   // A session begins; the one before it is over. Gives the address of that one if it is another's;
   // empty = the same, or there was none.
   std::string Begin(const std::string& peer) {
     refused_ = 0;
+    contested_until_ns_ = 0;
     const std::string before = std::exchange(holder_, peer);
     if (before.empty() || Address(before) == Address(peer)) return "";
     reported_ns_ = 0;  // whom it refuses is news
@@ -51,10 +55,13 @@ class SecondHolder {
   // The live session was heard. What is to be reported, once a minute at most.
   std::optional<Report> Heard(int64_t now_ns) {
     if (refused_ == 0 || now_ns - first_refused_ns_ < kUnderwayNs) return std::nullopt;
+    contested_until_ns_ = refused_ns_ + kContestedNs;
     if (reported_ns_ != 0 && now_ns - reported_ns_ < kReportEveryNs) return std::nullopt;
     reported_ns_ = now_ns;
     return Report{.peer = peer_, .holder = holder_, .refused = std::exchange(refused_, 0)};
   }
+  // Two use the key, so what its session says may be the wrong one's.
+  bool Contested(int64_t now_ns) const { return now_ns < contested_until_ns_; }
 
  private:
   // As gRPC writes them: `ipv4:10.0.0.7:4711`.
@@ -64,6 +71,8 @@ class SecondHolder {
   std::string peer_;
   uint64_t refused_ = 0;
   int64_t first_refused_ns_ = 0;
+  int64_t refused_ns_ = 0;
+  int64_t contested_until_ns_ = 0;
   int64_t reported_ns_ = 0;
 };
 
