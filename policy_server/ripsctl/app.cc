@@ -9,6 +9,7 @@
 #include "policy_server/ripsctl/alert/alert_command.h"
 #include "policy_server/ripsctl/cli/command.h"
 #include "policy_server/ripsctl/cli/printer.h"
+#include "policy_server/ripsctl/explain/explain_command.h"
 #include "policy_server/ripsctl/level/level_command.h"
 #include "policy_server/ripsctl/robot/agent_command.h"
 #include "policy_server/ripsctl/robot/record_command.h"
@@ -35,6 +36,7 @@ constexpr Noun kNouns[] = {
     {"robot", "List robots and show their state, ROS graph and coverage", RobotCommands},
     {"level", "Show, raise and lower alert levels", LevelCommands},
     {"alert", "List and watch alerts", AlertCommands},
+    {"explain", "Explain an alert, or why a robot is at its level", ExplainCommands},
     {"rules", "Check, format, test and replay rules", RulesCommands},
     {"agent", "List certificates; ban and unban agents and operators", AgentCommands},
     {"record", "Record the events a robot's rules are evaluated on", RecordCommands},

@@ -20,58 +20,11 @@
 #include "gtest/gtest.h"
 #include "policy_server/ripsctl/app.h"
 #include "policy_server/ripsctl/offline_run.h"
+#include "policy_server/ripsctl/samples.h"
 #include "services/rpc/test_pki.h"
 #include "services/runtime/mutex.h"
 
 namespace rips::ripsctl {
-
-inline constexpr int64_t kNewYear = 1'767'225'600'000'000'000;
-
-inline v1::Mark MakeMark(uint64_t term, uint64_t epoch) {
-  v1::Mark mark;
-  mark.set_term(term);
-  mark.set_epoch(epoch);
-  return mark;
-}
-
-inline v1::RobotStatus MakeStatus(const std::string& robot, const std::string& level) {
-  v1::RobotStatus status;
-  status.set_robot(robot);
-  status.set_decided_level(level);
-  status.set_effective_level(level);
-  status.set_stage("verified");
-  *status.mutable_mark() = MakeMark(3, 17);
-  status.set_bundle_version("sha256:" + std::string(64, 'b'));
-  return status;
-}
-
-inline v1::Transition MakeTransition() {
-  v1::Transition transition;
-  transition.set_id(std::string(32, '1'));
-  transition.set_robot("r1");
-  transition.set_time_unix_ns(kNewYear + 5);
-  transition.set_from("ALERT");
-  transition.set_to("COMPROMISED");
-  transition.set_cause("rule rogue_cmd_vel");
-  *transition.mutable_mark() = MakeMark(3, 17);
-  transition.set_count(1);
-  transition.set_stage("verified");
-  return transition;
-}
-
-inline v1::Alert MakeAlert(const std::string& text) {
-  v1::Alert alert;
-  alert.set_id(std::string(32, '2'));
-  alert.set_time_unix_ns(kNewYear);
-  alert.set_robot("r1");
-  alert.set_rule("unknown_node");
-  alert.set_severity("high");
-  alert.set_text(text);
-  alert.set_level("ALERT");
-  alert.set_event("graph change");
-  *alert.mutable_mark() = MakeMark(3, 16);
-  return alert;
-}
 
 inline void AddEndpoint(v1::GraphSnapshot* graph, v1::Endpoint::Kind kind, const std::string& node,
                         const std::string& name, const std::string& type, bool ros = true) {
@@ -102,6 +55,12 @@ class FakeOperator final : public v1::OperatorService::Service {
   grpc::Status robots_watch_end;
   // What GetLevel gives, one after the other, and the last one for ever; empty = COMPROMISED.
   std::vector<v1::RobotStatus> level_states;
+  // What Explain gives by id, by mark (`r1@3.17`), and how all else fails.
+  std::map<std::string, v1::ExplainResponse> explained;
+  grpc::Status explain_failure{grpc::StatusCode::NOT_FOUND, "there is no record of it"};
+  std::vector<std::string> unknown_robots;
+  // How a lowering fails, a dry run too.
+  grpc::Status lower_failure;
 
   v1::LevelRequest last_level_request() ABSL_LOCKS_EXCLUDED(mutex_) {
     MutexLock lock(&mutex_);
@@ -213,6 +172,9 @@ class FakeOperator final : public v1::OperatorService::Service {
       *response->mutable_status() = level_states.front();
       if (level_states.size() > 1) level_states.erase(level_states.begin());
     }
+    if (std::count(unknown_robots.begin(), unknown_robots.end(), request->robot()) > 0) {
+      return {grpc::StatusCode::NOT_FOUND, absl::StrCat("no robot `", request->robot(), "`")};
+    }
     for (const char* level : {"DEFAULT", "ALERT", "COMPROMISED"}) response->add_levels(level);
     response->add_soft_levels("ALERT");
     *response->mutable_last() = MakeTransition();
@@ -250,8 +212,22 @@ class FakeOperator final : public v1::OperatorService::Service {
     for (const v1::Alert& alert : watch.alerts) writer->Write(alert);
     return watch.end;
   }
+  grpc::Status Explain(grpc::ServerContext*, const v1::ExplainRequest* request,
+                       v1::ExplainResponse* response) override {
+    const std::string key = request->has_mark()
+                                ? absl::StrCat(request->robot(), "@", request->mark().term(), ".",
+                                               request->mark().epoch())
+                                : request->id();
+    const grpc::Status status = Record("Explain " + key);
+    const auto it = explained.find(key);
+    if (!status.ok()) return status;
+    if (it == explained.end()) return explain_failure;
+    *response = it->second;
+    return grpc::Status::OK;
+  }
   grpc::Status DeEscalate(grpc::ServerContext*, const v1::LevelRequest* request,
                           v1::LevelResponse* response) override {
+    if (!lower_failure.ok()) return lower_failure;
     return Change("DeEscalate", *request, response);
   }
   grpc::Status Raise(grpc::ServerContext*, const v1::LevelRequest* request,

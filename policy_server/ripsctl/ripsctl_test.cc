@@ -185,12 +185,16 @@ TEST_F(RipsctlTest, ShowsTheLevel) {
 TEST_F(RipsctlTest, ListsTheHistory) {
   const Result text = Run({"level", "history", "r1", "--limit", "7"});
   EXPECT_EQ(text.code, 0);
-  EXPECT_EQ(
-      text.out,
-      "TIME                      FROM   TO           MARK  STAGE       CAUSE               REASON\n"
-      "2026-01-01T00:00:00.000Z  ALERT  COMPROMISED  3.17  verified    rule rogue_cmd_vel  -\n"
-      "2026-01-01T00:00:00.000Z  ALERT  COMPROMISED  -     refused x7  rule rogue_cmd_vel  needs "
-      "an operator\n");
+  EXPECT_EQ(text.out,
+            "TIME                      FROM   TO           MARK  STAGE       CAUSE               "
+            "ID       "
+            " REASON\n"
+            "2026-01-01T00:00:00.000Z  ALERT  COMPROMISED  3.17  verified    rule rogue_cmd_vel  "
+            "11111111 "
+            " -\n"
+            "2026-01-01T00:00:00.000Z  ALERT  COMPROMISED  -     refused x7  rule rogue_cmd_vel  "
+            "11111111 "
+            " needs an operator\n");
   const nlohmann::json list = RunJson({"level", "history", "r1"})["transitions"];
   ASSERT_THAT(list, SizeIs(2));
   EXPECT_EQ(list[0]["mark"], "3.17");
@@ -355,6 +359,7 @@ TEST_F(RipsctlHelpTest, EveryVerbThatItNamesPassesOnRefusals) {
       {"level", "lower", "r1", "--to", "A", "--reason", "x"},
       {"alert", "list"},
       {"alert", "watch"},
+      {"explain", "r1"},
       {"rules", "resume", "r1", "--reason", "x"},
       {"agent", "list"},
       {"agent", "ban", "spiffe://rips/robot/r1/sensor/base", "--reason", "x"},
@@ -365,11 +370,15 @@ TEST_F(RipsctlHelpTest, EveryVerbThatItNamesPassesOnRefusals) {
   const std::set<std::string> offline = {"rules check", "rules fmt", "rules builtins", "rules test",
                                          "rules replay"};
   std::set<std::string> tried = offline;
-  for (const auto& args : all)
-    tried.insert(args[0] == "record" ? args[0] : args[0] + " " + args[1]);
+  const auto is_whole = [](const std::string& noun) {
+    return noun == "record" || noun == "explain";  // without a verb
+  };
+  for (const auto& args : all) {
+    tried.insert(is_whole(args[0]) ? args[0] : args[0] + " " + args[1]);
+  }
   for (const std::vector<std::string>& page : Pages()) {
     const std::string verb = absl::StrJoin(page, " ");
-    const bool is_verb = page.size() == 2 || verb == "record";
+    const bool is_verb = page.size() == 2 || is_whole(verb);
     EXPECT_TRUE(!is_verb || tried.contains(verb)) << verb;
   }
   for (const auto& args : all) {
@@ -432,10 +441,10 @@ TEST_F(RipsctlTest, ListsAlertsWithHostileTextEscaped) {
   fake_.alert_text = "node \xe2\x80\xae\x1b[2J";
   const Result text = Run({"alert", "list"});
   EXPECT_EQ(text.code, 0);
-  EXPECT_EQ(
-      text.out,
-      "TIME                      ROBOT  SEVERITY  LEVEL  RULE          TEXT\n"
-      "2026-01-01T00:00:00.000Z  r1     high      ALERT  unknown_node  node \\u202e\\x1b[2J\n");
+  EXPECT_EQ(text.out,
+            "TIME                      ROBOT  SEVERITY  LEVEL  RULE          ID        TEXT\n"
+            "2026-01-01T00:00:00.000Z  r1     high      ALERT  unknown_node  22222222  node "
+            "\\u202e\\x1b[2J\n");
   const Result raw = Run({"alert", "list", "r1", "--limit", "5", "--output", "json"});
   EXPECT_EQ(raw.out.find('\x1b'), std::string::npos);
   EXPECT_EQ(nlohmann::json::parse(raw.out)["alerts"][0],
@@ -447,7 +456,8 @@ TEST_F(RipsctlTest, ListsAlertsWithHostileTextEscaped) {
                             {"text", fake_.alert_text},
                             {"level", "ALERT"},
                             {"event", "graph change"},
-                            {"mark", "3.16"}}));
+                            {"mark", "3.16"},
+                            {"subjects", nlohmann::json::array()}}));
   EXPECT_THAT(fake_.calls(), testing::ElementsAre("ListAlerts  100", "ListAlerts r1 5"));
 }
 

@@ -104,6 +104,33 @@ def kill_server_while_compromised(fleet):
     check(len(rogue) == 1, f"the rule alerted {len(rogue)} times")
 
 
+def explained_when_the_driver_has_gone(fleet):
+    """Why the robot stopped and who it was is still known when the driver has left, the server was
+    started anew, and only a viewer asks."""
+    fleet.arm()
+    driver = compromise(fleet)
+    alert = next(a for a in fleet.alerts() if a["rule"] == "rogue_driver")
+    check(any(s["name"] == "/intruder" and s["role"].startswith("publishes /cmd_vel")
+              and s["guid"] and s["pid"] for s in alert["subjects"]),
+          f"the alert does not say who it was: {alert['subjects']}")
+    driver.kill()
+    fleet.server.kill(signal.SIGKILL)
+    fleet.server = fleet.start_server()
+    fleet.wait_level("COMPROMISED", 20)
+
+    _, text, _ = fleet.ripsctl("explain", "r1")
+    for part in ("went from", "to COMPROMISED", "rule rogue_driver, warehouse.rul:53",
+                 "message on /cmd_vel from", '!publishers("/navigator")',
+                 'publishers("/navigator")  ', "false", "/intruder", "publishes /cmd_vel",
+                 "Now: r1 is at COMPROMISED"):
+        check(part in text, f"`{part}` is missing in:\n{text}")
+    by_id = fleet.ripsctl("explain", alert["id"][:8])[1]
+    check("critical alert" in by_id and "-> COMPROMISED" in by_id,
+          f"the alert does not say what came of it:\n{by_id}")
+    code, _, error = fleet.ripsctl("explain", "r1@1.999", check=False)
+    check(code == 1 and "1.999" in error, f"{code} {error}")
+
+
 def kill_server_at_the_moment_of_a_raise(fleet):
     """Raises are commanded while they are recorded: whatever the store lost, the robot's own mark
     brings back."""
@@ -948,7 +975,8 @@ def until(fleet, seconds, what, found):
         time.sleep(0.2)
 
 
-SCENARIOS = [kill_server_while_compromised, kill_server_at_the_moment_of_a_raise,
+SCENARIOS = [kill_server_while_compromised, explained_when_the_driver_has_gone,
+             kill_server_at_the_moment_of_a_raise,
              kill_sensor_in_the_story, sensor_on_a_wrong_domain, kill_actuator_while_compromised,
              server_absent_at_agent_start, lost_lease_raises_the_floor, manager_that_lies,
              bad_discovery_messages, programs_that_misbehave, drill, reload_of_a_broken_bundle,

@@ -138,11 +138,12 @@ absl::Status Reading::Compile() {
                                "], the rule files declare [", absl::StrJoin(declared, ", "),
                                "]; make them equal, least restrictive first")));
   }
-  RIPS_ASSIGN_OR_RETURN(program_, engine::CompiledPolicy::Create(
-                                      *std::move(compiled.rules),
-                                      {.on_inspection_error = manifest_.on_inspection_error}));
   absl::StatusOr<std::string> id = BundleId(manifest_text_, manifest_, files_, *directory_);
   if (!id.ok()) return InContext(dir_, id.status());
+  RIPS_ASSIGN_OR_RETURN(
+      program_, engine::CompiledPolicy::Create(
+                    *std::move(compiled.rules),
+                    {.on_inspection_error = manifest_.on_inspection_error, .bundle_id = *id}));
   id_ = *std::move(id);
   return absl::OkStatus();
 }

@@ -1,5 +1,5 @@
 // What the checker hands to the engine: rules with names resolved and types fixed. Owns all it
-// needs; holds nothing of the source text but positions.
+// needs; of the source text it holds positions, and of each rule where it stands and its condition.
 #ifndef RIPS_POLICY_SERVER_POLICY_LANG_CHECKED_RULES_H_
 #define RIPS_POLICY_SERVER_POLICY_LANG_CHECKED_RULES_H_
 
@@ -183,6 +183,10 @@ struct TypedRule {
   TypedExpr condition;
   std::vector<TypedChain> chains;
   SourceRange range;
+  // `warehouse.rul:31`, without directories, and what stands at `condition.range`. Filled in by
+  // Compile.
+  std::string place;
+  std::string condition_text;
 };
 
 struct Variable {

@@ -68,10 +68,10 @@ class ListAlerts final : public AlertCommand {
                 env.out);
       return ExitCode::kDone;
     }
-    Table table({"TIME", "ROBOT", "SEVERITY", "LEVEL", "RULE", "TEXT"});
+    Table table({"TIME", "ROBOT", "SEVERITY", "LEVEL", "RULE", "ID", "TEXT"});
     const auto add = [&table](const v1::Alert& alert) {
       table.Add({ShortTime(alert.time_unix_ns()), alert.robot(), alert.severity(), alert.level(),
-                 alert.rule(), TextOf(alert)});
+                 alert.rule(), ShortId(alert.id()), TextOf(alert)});
     };
     for (auto it = response->unrecorded().rbegin(); it != response->unrecorded().rend(); ++it) {
       add(*it);

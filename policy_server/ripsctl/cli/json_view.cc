@@ -24,6 +24,14 @@ Json Strings(const google::protobuf::RepeatedPtrField<std::string>& strings) {
   return list;
 }
 
+// Each as ToJson gives it.
+template <typename Message>
+Json List(const google::protobuf::RepeatedPtrField<Message>& messages) {
+  Json list = Json::array();
+  for (const Message& each : messages) list.push_back(ToJson(each));
+  return list;
+}
+
 struct Topic {
   absl::btree_set<std::string> types;
   std::vector<std::string> publishers;
@@ -97,7 +105,43 @@ Json ToJson(const v1::Alert& alert) {
           {"text", alert.text()},
           {"level", alert.level()},
           {"event", alert.event()},
-          {"mark", JsonMark(alert.has_mark(), alert.mark())}};
+          {"mark", JsonMark(alert.has_mark(), alert.mark())},
+          {"subjects", List(alert.subjects())}};
+}
+
+Json ToJson(const v1::Subject& subject) {
+  return {{"name", subject.name()},
+          {"role", subject.role()},
+          {"guid", subject.guid()},
+          {"host", subject.host()},
+          {"pid", subject.pid() == 0 ? Json(nullptr) : Json(subject.pid())}};
+}
+
+Json ToJson(const v1::Evidence& evidence) {
+  Json values = Json::array();
+  for (const v1::EvidenceValue& each : evidence.values()) {
+    values.push_back({{"offset", each.offset()},
+                      {"length", each.length()},
+                      {"depth", each.depth()},
+                      {"value", each.value()}});
+  }
+  const int64_t time = evidence.event_unix_ns();
+  return {{"place", evidence.place()},
+          {"condition", evidence.condition()},
+          {"values", std::move(values)},
+          {"subjects", List(evidence.subjects())},
+          {"event", evidence.event()},
+          {"event_time", time == 0 ? Json(nullptr) : Json(FullTime(time))},
+          {"bundle", evidence.bundle()},
+          {"cut", evidence.cut()}};
+}
+
+Json ToJson(const v1::ExplainResponse& response) {
+  return {{"alert", response.has_alert() ? ToJson(response.alert()) : Json(nullptr)},
+          {"transition", response.has_transition() ? ToJson(response.transition()) : Json(nullptr)},
+          {"evidence", response.has_evidence() ? ToJson(response.evidence()) : Json(nullptr)},
+          {"alerts", List(response.alerts())},
+          {"transitions", List(response.transitions())}};
 }
 
 Json ToJson(const v1::GetLevelResponse& response) {

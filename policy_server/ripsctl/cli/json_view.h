@@ -18,8 +18,15 @@ using Json = nlohmann::ordered_json;
 Json ToJson(const v1::RobotStatus& status);
 // {"id","robot","time","from","to","cause","reason","mark","refused","count","stage","detail"}
 Json ToJson(const v1::Transition& transition);
-// {"id","time","robot","rule","severity","text","level","event","mark"}
+// {"id","time","robot","rule","severity","text","level","event","mark","subjects":[..]}
 Json ToJson(const v1::Alert& alert);
+// {"name","role","guid","host","pid"}; pid is null when not known.
+Json ToJson(const v1::Subject& subject);
+// {"place","condition","values":[{"offset","length","depth","value"}],"subjects":[..],"event",
+//  "event_time","bundle","cut"}
+Json ToJson(const v1::Evidence& evidence);
+// {"alert","transition","evidence","alerts":[..],"transitions":[..]}; null what is not there.
+Json ToJson(const v1::ExplainResponse& response);
 // {"status":{..},"levels":[{"name","soft"}],"last":transition or null}
 Json ToJson(const v1::GetLevelResponse& response);
 // {"nodes":[{"name","services":[..]}],"topics":[{"name","types":[..],"publishers":[..],

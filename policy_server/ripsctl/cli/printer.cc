@@ -94,17 +94,23 @@ std::string ShortBundle(absl::string_view id) {
   return absl::StrCat("sha256:", digits.substr(0, kDigits));
 }
 
+std::string ShortId(absl::string_view id) {
+  constexpr size_t kDigits = 8;
+  return std::string(id.substr(0, kDigits));
+}
+
 void Table::Add(std::vector<std::string> cells) {
   for (std::string& cell : cells) cell = cell.empty() ? "-" : EscapeText(cell);
   rows_.push_back(std::move(cells));
 }
 
-void Table::Print(std::ostream& out) const {
+void Table::Print(std::ostream& out, absl::string_view margin) const {
   std::vector<size_t> widths(rows_.front().size(), 0);
   for (const auto& row : rows_) {
     for (size_t i = 0; i < widths.size(); ++i) widths[i] = std::max(widths[i], CodePoints(row[i]));
   }
   for (const auto& row : rows_) {
+    out << margin;
     for (size_t i = 0; i < widths.size(); ++i) {
       out << row[i];
       if (i + 1 < widths.size()) out << std::string(widths[i] - CodePoints(row[i]) + 2, ' ');

@@ -26,6 +26,8 @@ std::string FullTime(int64_t unix_ns);
 
 // `sha256:` and the first 12 digits.
 std::string ShortBundle(absl::string_view id);
+// The first 8 digits of an alert's or a level change's id, enough for `ripsctl explain`.
+std::string ShortId(absl::string_view id);
 
 // Columns two spaces apart, as wide as their widest cell in code points; the last is not padded.
 class Table {
@@ -33,7 +35,8 @@ class Table {
   explicit Table(std::vector<std::string> header) : rows_{std::move(header)} {}
   // Cells are escaped; an empty one shows as `-`. As many as the header has.
   void Add(std::vector<std::string> cells);
-  void Print(std::ostream& out) const;
+  // Each line behind `margin`.
+  void Print(std::ostream& out, absl::string_view margin = "") const;
 
  private:
   std::vector<std::vector<std::string>> rows_;

@@ -71,5 +71,10 @@ TEST(ShortBundleTest, KeepsTwelveDigits) {
   EXPECT_EQ(ShortBundle("odd"), "odd");
 }
 
+TEST(ShortIdTest, KeepsEightDigits) {
+  EXPECT_EQ(ShortId(std::string(32, 'a')), "aaaaaaaa");
+  EXPECT_EQ(ShortId("abc"), "abc");
+}
+
 }  // namespace
 }  // namespace rips::ripsctl

@@ -15,6 +15,7 @@
 #include "absl/time/time.h"
 #include "policy_server/ripsctl/cli/json_view.h"
 #include "policy_server/ripsctl/cli/printer.h"
+#include "policy_server/ripsctl/cli/robot_level.h"
 #include "services/base/ids.h"
 #include "services/base/mark.h"
 
@@ -32,12 +33,6 @@ class LevelCommand : public Command {
  protected:
   std::string robot_;
 };
-
-absl::StatusOr<v1::GetLevelResponse> ReadLevel(Env& env, const std::string& robot) {
-  v1::GetLevelRequest request;
-  request.set_robot(robot);
-  return Call(env, &Stub::GetLevel, request);
-}
 
 class ShowLevel final : public LevelCommand {
  public:
@@ -113,12 +108,12 @@ class LevelHistory final : public LevelCommand {
       PrintJson({{"transitions", std::move(list)}, {"cut", response->cut()}}, env.out);
       return ExitCode::kDone;
     }
-    Table table({"TIME", "FROM", "TO", "MARK", "STAGE", "CAUSE", "REASON"});
+    Table table({"TIME", "FROM", "TO", "MARK", "STAGE", "CAUSE", "ID", "REASON"});
     for (const v1::Transition& each : response->transitions()) {
       const std::string stage =
           each.refused() ? absl::StrCat("refused x", each.count()) : each.stage();
       table.Add({ShortTime(each.time_unix_ns()), each.from(), each.to(), MarkText(each.mark()),
-                 stage, each.cause(), each.reason()});
+                 stage, each.cause(), ShortId(each.id()), each.reason()});
     }
     table.Print(env.out);
     if (response->cut()) env.out << "older transitions do not fit into one answer\n";
@@ -207,20 +202,15 @@ class ChangeLevel : public LevelCommand {
       env.out << EscapeText(response.decided_level())
               << " is a soft level: a rule may lower it again, as soon as what it asks is true\n";
     }
-    for (const std::string& why : response.blind_because()) {
-      env.out << "blind: " << EscapeText(why) << "\n";
-    }
-    if (refused) {
-      env.out << "would be refused, because RIPS does not see all of " << robot_
-              << " now; --accept-blind lowers it all the same\n";
-    }
-    for (const std::string& rule : response.would_raise_again()) {
-      env.out << (dry_run_ ? "would be raised again by rule " : "may be raised again by rule ")
-              << EscapeText(rule) << "\n";
-    }
     if (dry_run_ && verb == "lower") {
-      env.out << "not tried: rules on messages and on external events; the next one may raise "
-              << robot_ << " again\n";
+      PrintDryRun(robot_, response, refused, "", env.out);
+    } else {
+      for (const std::string& why : response.blind_because()) {
+        env.out << "blind: " << EscapeText(why) << "\n";
+      }
+      for (const std::string& rule : response.would_raise_again()) {
+        env.out << "may be raised again by rule " << EscapeText(rule) << "\n";
+      }
     }
     if (wait_ && !dry_run_) {
       env.out << "waiting until it is there, for at most " << absl::FormatDuration(kWaitMax)
@@ -282,7 +272,7 @@ class ChangeLevel : public LevelCommand {
     }
     json["would_raise_again"] = Json::array();
     for (const auto& rule : response.would_raise_again()) json["would_raise_again"].push_back(rule);
-    if (request.dry_run() && verb == "lower") json["not_tried"] = {"rules Msg", "rules External"};
+    if (request.dry_run() && verb == "lower") json["not_tried"] = NotTried();
     json["blind_because"] = Json::array();
     for (const auto& why : response.blind_because()) json["blind_because"].push_back(why);
     if (awaited.has_value()) json["reached"] = awaited->reached;

@@ -39,6 +39,7 @@ const std::map<std::string, Role> kLeastRoles = {
     {"ListAlerts", Role::kViewer},
     {"WatchAlerts", Role::kViewer},
     {"ListReceipts", Role::kViewer},
+    {"Explain", Role::kViewer},
     {"ListAgents", Role::kViewer},
     {"Raise", Role::kOperator},
     {"DeEscalate", Role::kOperator},

@@ -12,6 +12,7 @@
 #include "policy_server/server/operator_api/coverage_codec.h"
 #include "policy_server/server/operator_api/overtaken_states.h"
 #include "policy_server/server/operator_api/receipt_codec.h"
+#include "policy_server/server/operator_api/record_codec.h"
 #include "policy_server/server/operator_api/record_tap.h"
 #include "policy_server/server/operator_api/watch_stream.h"
 #include "services/base/cut_text.h"
@@ -42,41 +43,8 @@ constexpr double kGraphWeight = 5;
 // Of a robot's transitions, to find the newest that was not refused.
 constexpr int kNewestRead = 200;
 
-void FillMark(const Mark& mark, rips::v1::Mark* out) {
-  out->set_term(mark.term);
-  out->set_epoch(mark.epoch);
-}
-
-rips::v1::Alert Encode(const store::AlertRecord& alert) {
-  rips::v1::Alert out;
-  out.set_id(alert.id);
-  out.set_time_unix_ns(alert.time_unix_ns);
-  out.set_robot(alert.robot);
-  out.set_rule(alert.rule);
-  out.set_severity(alert.severity);
-  // A store may be older than these limits.
-  out.set_text(Shortened(alert.text, pipeline::kAlertTextBytesMax));
-  out.set_level(alert.level);
-  out.set_event(Shortened(alert.event, pipeline::kAlertEventBytesMax));
-  FillMark(alert.mark, out.mutable_mark());
-  return out;
-}
-
-rips::v1::Transition Encode(const store::TransitionRecord& record) {
-  rips::v1::Transition out;
-  out.set_id(record.id);
-  out.set_robot(record.robot);
-  out.set_time_unix_ns(record.time_unix_ns);
-  out.set_from(record.from);
-  out.set_to(record.to);
-  out.set_cause(record.cause);
-  out.set_reason(record.reason);
-  if (!record.refused) FillMark(record.mark, out.mutable_mark());
-  out.set_refused(record.refused);
-  out.set_count(static_cast<uint32_t>(std::min<uint64_t>(record.count, UINT32_MAX)));
-  out.set_stage(record.stage);
-  out.set_detail(record.detail);
-  return out;
+void RunAll(BoundedQueue<std::function<void()>>& tasks) {
+  while (auto task = tasks.Pop(absl::InfiniteDuration())) (*task)();
 }
 
 // Who records name: `alice (spiffe://td/operator/admin/alice serial 0f)`.
@@ -125,10 +93,6 @@ OperatorService::~OperatorService() {
   graphs_.Close();
   reader_.join();
   encoder_.join();
-}
-
-void OperatorService::RunAll(Tasks& tasks) {
-  while (auto task = tasks.Pop(absl::InfiniteDuration())) (*task)();
 }
 
 absl::StatusOr<OperatorService::Caller> OperatorService::Authorize(
@@ -437,6 +401,20 @@ void OperatorService::AddUnrecorded(const rips::v1::ListAlertsRequest& request,
   }
 }
 
+grpc::ServerUnaryReactor* OperatorService::Explain(grpc::CallbackServerContext* context,
+                                                   const rips::v1::ExplainRequest* request,
+                                                   rips::v1::ExplainResponse* response) {
+  const auto who = Authorize(context, *request, OperatorRole::kViewer, Use::kQuery);
+  if (!who.ok()) return Refuse(context, who.status());
+  grpc::ServerUnaryReactor* reactor = Answer(*who);
+  Read(reactor, [this, reactor, request, response] {
+    auto explained = operator_api::Explain(*request, *store_);
+    if (explained.ok()) *response = *std::move(explained);
+    reactor->Finish(rpc::ToGrpc(explained.status()));
+  });
+  return reactor;
+}
+
 grpc::ServerWriteReactor<rips::v1::Alert>* OperatorService::WatchAlerts(
     grpc::CallbackServerContext* context, const rips::v1::WatchAlertsRequest* request) {
   const auto who = Authorize(context, *request, OperatorRole::kViewer, Use::kStream);
@@ -559,7 +537,8 @@ grpc::ServerUnaryReactor* OperatorService::ChangeLevel(grpc::CallbackServerConte
                                                        Direction direction) {
   const auto who = Authorize(context, *request, OperatorRole::kOperator, Use::kOrder);
   if (!who.ok()) {
-    RecordRefusal(*context, *request, who.status());
+    // Who only asks what would happen has tried nothing.
+    if (!request->dry_run()) RecordRefusal(*context, *request, who.status());
     return Refuse(context, who.status());
   }
   LogInfo(direction == Direction::kRaise ? "operator raises" : "operator lowers",

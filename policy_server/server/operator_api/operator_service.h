@@ -3,7 +3,7 @@
 //   call                                             role
 //   ListRobots WatchRobots GetGraph GetInterest
 //   GetCoverage GetLevel ListTransitions ListAlerts
-//   WatchAlerts ListReceipts ListAgents              viewer
+//   WatchAlerts Explain ListReceipts ListAgents      viewer
 //   Raise DeEscalate ResumeRules Record DrillRobot   operator
 //   Ban Unban ResetTerm                              admin
 //
@@ -88,6 +88,9 @@ class OperatorService final : public rips::v1::OperatorService::CallbackService 
   grpc::ServerUnaryReactor* ListAlerts(grpc::CallbackServerContext* context,
                                        const rips::v1::ListAlertsRequest* request,
                                        rips::v1::ListAlertsResponse* response) override;
+  grpc::ServerUnaryReactor* Explain(grpc::CallbackServerContext* context,
+                                    const rips::v1::ExplainRequest* request,
+                                    rips::v1::ExplainResponse* response) override;
   grpc::ServerWriteReactor<rips::v1::Alert>* WatchAlerts(
       grpc::CallbackServerContext* context, const rips::v1::WatchAlertsRequest* request) override;
   grpc::ServerUnaryReactor* ListReceipts(grpc::CallbackServerContext* context,
@@ -161,7 +164,6 @@ class OperatorService final : public rips::v1::OperatorService::CallbackService 
   Access access_;
   const absl::Duration patience_;
   using Tasks = BoundedQueue<std::function<void()>>;
-  static void RunAll(Tasks& tasks);
   Tasks reads_{{.capacity = kReadsMax}};
   Tasks graphs_{{.capacity = kGraphsMax}};
   std::thread reader_;

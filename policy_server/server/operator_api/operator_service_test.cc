@@ -67,6 +67,9 @@ class SlowStore final : public store::Store {
                                                uint32_t limit) override {
     return inner_.AlertsAfter(robot, sequence, limit);
   }
+  absl::StatusOr<store::FoundRecords> FindRecords(absl::string_view prefix) override {
+    return inner_.FindRecords(prefix);
+  }
   absl::StatusOr<uint64_t> FindAlert(absl::string_view id) override { return inner_.FindAlert(id); }
   absl::StatusOr<store::AlertRecord> NewestAlert() override { return inner_.NewestAlert(); }
   absl::StatusOr<std::string> Note(absl::string_view name) override { return inner_.Note(name); }

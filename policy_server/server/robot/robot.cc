@@ -193,11 +193,12 @@ void Robot::TakeTransition(const engine::TransitionEffect& effect) {
                         .cause = CauseText(transition.cause),
                         .reason = std::move(reason),
                         .count = effect.count,
-                        .time_unix_ns = transition.at.unix_ns});
+                        .time_unix_ns = transition.at.unix_ns,
+                        .trace = CopyOf(effect.trace)});
     return;
   }
   if (!transition.decided()) return;
-  RecordDecision(transition);
+  RecordDecision(transition, effect.trace);
   evidence_.Restart(ports_.clock->Now());
   failure_alerted_ = false;
   // A raise from a lowering that is not durable yet lowers the robot, too, unless it leads at least
@@ -216,7 +217,7 @@ void Robot::Adopt(levels::LevelIndex level, const Mark& seen, const std::string&
   TakeTransition({.transition = std::move(transition)});
 }
 
-void Robot::RecordDecision(const levels::Transition& transition) {
+void Robot::RecordDecision(const levels::Transition& transition, const engine::SharedTrace& trace) {
   const levels::LevelTable& table = state_.level.table();
   outbox_.AddDecision({.id = ports_.new_id(),
                        .robot = config_.id,
@@ -226,7 +227,8 @@ void Robot::RecordDecision(const levels::Transition& transition) {
                        .to = table.name(transition.to),
                        .cause = CauseText(transition.cause),
                        .reason = transition.cause.reason,
-                       .time_unix_ns = transition.at.unix_ns});
+                       .time_unix_ns = transition.at.unix_ns,
+                       .trace = CopyOf(trace)});
 }
 
 void Robot::Order(const levels::Transition& transition) {
@@ -252,7 +254,8 @@ void Robot::Alert(engine::AlertEffect alert, const std::string& event) {
                                       .text = Shortened(alert.text, kAlertTextBytesMax),
                                       .level = state_.level.table().name(alert.level),
                                       .event = Shortened(event, kAlertEventBytesMax),
-                                      .mark = alert.mark});
+                                      .mark = alert.mark,
+                                      .trace = CopyOf(alert.trace)});
   if (!kept && ports_.counts.alerts_lost) ports_.counts.alerts_lost(1);
   if (ports_.counts.alerts) ports_.counts.alerts(1);
 }

@@ -274,7 +274,7 @@ class Robot {
   void Perform(const engine::Outcome& outcome, const std::string& event);
   void TakeTransition(const engine::TransitionEffect& effect);
   void Adopt(levels::LevelIndex level, const Mark& seen, const std::string& why);
-  void RecordDecision(const levels::Transition& transition);
+  void RecordDecision(const levels::Transition& transition, const engine::SharedTrace& trace);
   void Order(const levels::Transition& transition);
   void Alert(engine::AlertEffect alert, const std::string& event);
   // What one place in the code says is one kind, for the limit.

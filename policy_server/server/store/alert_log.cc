@@ -57,6 +57,15 @@ std::string FormatAlertLine(const AlertRecord& alert) {
   line["level"] = alert.level;
   line["event"] = alert.event;
   line["mark"] = ToString(alert.mark);
+  nlohmann::ordered_json subjects = nlohmann::ordered_json::array();
+  for (const engine::TracedSubject& subject : alert.trace.subjects) {
+    subjects.push_back({{"name", subject.name},
+                        {"role", subject.role},
+                        {"guid", subject.guid.none() ? "" : ToString(subject.guid)},
+                        {"host", subject.host},
+                        {"pid", subject.pid}});
+  }
+  line["subjects"] = std::move(subjects);
   return line.dump(-1, ' ', /*ensure_ascii=*/true, nlohmann::json::error_handler_t::replace);
 }
 

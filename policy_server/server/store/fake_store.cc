@@ -19,7 +19,8 @@ TransitionRecord ToTransition(const DecisionRecord& decision) {
           .reason = decision.reason,
           .mark = decision.mark,
           .based_on = decision.based_on,
-          .stage = "requested"};
+          .stage = "requested",
+          .trace = decision.trace};
 }
 
 TransitionRecord ToTransition(const RefusalRecord& refusal) {
@@ -31,7 +32,8 @@ TransitionRecord ToTransition(const RefusalRecord& refusal) {
           .cause = refusal.cause,
           .reason = refusal.reason,
           .refused = true,
-          .count = refusal.count};
+          .count = refusal.count,
+          .trace = refusal.trace};
 }
 
 template <typename Record>
@@ -193,6 +195,7 @@ absl::Status FakeStore::State::Apply(const DecisionRecord& decision) {
     TransitionRecord stored = known;
     stored.stage = "requested";
     stored.detail.clear();
+    stored.trace = decision.trace;
     if (stored == ToTransition(decision)) return absl::OkStatus();
     return absl::AlreadyExistsError("the mark or id names another decision");
   }
@@ -287,6 +290,20 @@ absl::StatusOr<AlertPage> FakeStore::AlertsAfter(absl::string_view robot, uint64
     page.alerts.back().sequence = i + 1;
   }
   return page;
+}
+
+absl::StatusOr<FoundRecords> FakeStore::FindRecords(absl::string_view prefix) {
+  MutexLock lock(&mutex_);
+  RIPS_RETURN_IF_ERROR(read_status_);
+  const auto find = [&](const auto& records, auto& found) {
+    for (const auto& record : records) {
+      if (absl::StartsWith(record.id, prefix) && found.size() < 2) found.push_back(record);
+    }
+  };
+  FoundRecords found;
+  find(state_.alerts, found.alerts);
+  find(state_.transitions, found.transitions);
+  return found;
 }
 
 absl::StatusOr<uint64_t> FakeStore::FindAlert(absl::string_view id) {

@@ -52,6 +52,8 @@ class FakeStore final : public Store, public BanStore {
       ABSL_LOCKS_EXCLUDED(mutex_);
   absl::StatusOr<AlertPage> AlertsAfter(absl::string_view robot, uint64_t sequence,
                                         uint32_t limit) override ABSL_LOCKS_EXCLUDED(mutex_);
+  absl::StatusOr<FoundRecords> FindRecords(absl::string_view prefix) override
+      ABSL_LOCKS_EXCLUDED(mutex_);
   absl::StatusOr<uint64_t> FindAlert(absl::string_view id) override ABSL_LOCKS_EXCLUDED(mutex_);
   absl::StatusOr<AlertRecord> NewestAlert() override ABSL_LOCKS_EXCLUDED(mutex_);
   absl::StatusOr<std::string> Note(absl::string_view name) override ABSL_LOCKS_EXCLUDED(mutex_);

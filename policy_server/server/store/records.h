@@ -12,6 +12,7 @@
 
 #include "absl/container/btree_map.h"
 #include "absl/strings/string_view.h"
+#include "policy_server/policy/engine/state/trace.h"
 #include "policy_server/policy/lang/checked_rules.h"
 #include "services/base/mark.h"
 
@@ -89,6 +90,8 @@ struct DecisionRecord {
   // The operator's words; may be empty.
   std::string reason;
   int64_t time_unix_ns = 0;
+  // Why the rule fired that made it; none for others.
+  engine::Trace trace;
 
   friend bool operator==(const DecisionRecord&, const DecisionRecord&) = default;
 };
@@ -105,6 +108,8 @@ struct RefusalRecord {
   std::string reason;
   uint64_t count = 1;
   int64_t time_unix_ns = 0;
+  // Why the rule fired that asked for it, for the first time.
+  engine::Trace trace;
 
   friend bool operator==(const RefusalRecord&, const RefusalRecord&) = default;
 };
@@ -137,6 +142,8 @@ struct AlertRecord {
   // What was being judged, for people.
   std::string event;
   Mark mark;
+  // Why its rule fired; none for RIPS's own.
+  engine::Trace trace;
   // Its place in the order of writing, from 1, never given twice; 0 = not told. Set by AlertsAfter.
   uint64_t sequence = 0;
 
@@ -207,8 +214,15 @@ struct TransitionRecord {
   // `requested` until the actuators report; empty when refused.
   std::string stage;
   std::string detail;
+  engine::Trace trace;
 
   friend bool operator==(const TransitionRecord&, const TransitionRecord&) = default;
+};
+
+// What was written under ids that begin alike; at most two of each.
+struct FoundRecords {
+  std::vector<AlertRecord> alerts;
+  std::vector<TransitionRecord> transitions;
 };
 
 }  // namespace rips::store

@@ -68,6 +68,13 @@ Query& Query::Bind(int64_t number) {
   return *this;
 }
 
+Query& Query::BindBytes(absl::string_view bytes) {
+  const char* data = bytes.empty() ? "" : bytes.data();
+  const int code = sqlite3_bind_blob64(statement_, ++bound_, data, bytes.size(), SQLITE_STATIC);
+  if (code != SQLITE_OK) bind_code_ = code;
+  return *this;
+}
+
 absl::StatusOr<bool> Query::Step() {
   if (bind_code_ != SQLITE_OK) return ToStatus(bind_code_, nullptr);
   const int code = sqlite3_step(statement_);

@@ -30,6 +30,8 @@ class [[nodiscard]] Query {
   // shows in Step().
   Query& Bind(absl::string_view text);
   Query& Bind(int64_t number);
+  // For a column of bytes.
+  Query& BindBytes(absl::string_view bytes);
   Query& Bind(uint64_t number) { return Bind(static_cast<int64_t>(number)); }
 
   // True: a row is there to be read. False: done.

@@ -60,7 +60,8 @@ CREATE TABLE transitions (                   -- decisions and refusals, in the o
   based_epoch INTEGER NOT NULL,
   count INTEGER NOT NULL,
   stage TEXT NOT NULL,
-  detail TEXT NOT NULL
+  detail TEXT NOT NULL,
+  trace BLOB NOT NULL DEFAULT x''             -- why the rule fired: rips.v1.Evidence
 ) STRICT;
 CREATE UNIQUE INDEX transitions_mark ON transitions (robot, term, epoch) WHERE refused = 0;
 CREATE INDEX transitions_robot ON transitions (robot, seq);
@@ -76,7 +77,8 @@ CREATE TABLE alerts (
   level TEXT NOT NULL,
   event TEXT NOT NULL,
   term INTEGER NOT NULL,
-  epoch INTEGER NOT NULL
+  epoch INTEGER NOT NULL,
+  trace BLOB NOT NULL DEFAULT x''             -- why the rule fired: rips.v1.Evidence
 ) STRICT;
 CREATE INDEX alerts_robot ON alerts (robot, seq);
 CREATE TABLE variables (
@@ -169,6 +171,8 @@ constexpr const char* kUpgrades[] = {
     "ALTER TABLE robots ADD COLUMN resumed_epoch INTEGER NOT NULL DEFAULT 0;"
     "CREATE TABLE generations (seq INTEGER PRIMARY KEY AUTOINCREMENT, id TEXT NOT NULL UNIQUE, "
     "last_commit INTEGER NOT NULL) STRICT;",
+    "ALTER TABLE transitions ADD COLUMN trace BLOB NOT NULL DEFAULT x'';"
+    "ALTER TABLE alerts ADD COLUMN trace BLOB NOT NULL DEFAULT x'';",
 };
 static_assert(std::size(kUpgrades) == kSchemaVersion - 1);
 

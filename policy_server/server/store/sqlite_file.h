@@ -11,7 +11,7 @@
 namespace rips::store {
 
 // Schema version this program reads and writes (`PRAGMA user_version`).
-inline constexpr int kSchemaVersion = 5;
+inline constexpr int kSchemaVersion = 6;
 
 // Keeps other processes from using the state file at `path`, through `path`.lock, until it goes.
 class [[nodiscard]] FileLock {

@@ -5,6 +5,7 @@
 
 #include "absl/strings/escaping.h"
 #include "absl/strings/str_cat.h"
+#include "policy_server/server/store/trace_codec.h"
 #include "services/base/status_macros.h"
 
 namespace rips::store {
@@ -35,7 +36,8 @@ AlertRecord ReadAlert(const Query& query) {
           .text = query.Text(5),
           .level = query.Text(6),
           .event = query.Text(7),
-          .mark = {query.Unsigned(8), query.Unsigned(9)}};
+          .mark = {query.Unsigned(8), query.Unsigned(9)},
+          .trace = TraceFromBytes(query.Text(10))};
 }
 
 TransitionRecord ReadTransition(const Query& query) {
@@ -51,7 +53,8 @@ TransitionRecord ReadTransition(const Query& query) {
           .refused = query.Number(7) != 0,
           .count = query.Unsigned(12),
           .stage = query.Text(13),
-          .detail = query.Text(14)};
+          .detail = query.Text(14),
+          .trace = TraceFromBytes(query.Text(15))};
 }
 
 }  // namespace
@@ -80,19 +83,28 @@ absl::StatusOr<SqliteReader> SqliteReader::Create(const std::string& path) {
        "WHERE robot = ? AND term = ? AND epoch = ? AND refused = 0"},
       {&reader.transitions_,
        "SELECT id, robot, time_unix_ns, from_level, to_level, cause, reason, refused, term, epoch,"
-       " based_term, based_epoch, count, stage, detail FROM transitions "
+       " based_term, based_epoch, count, stage, detail, trace FROM transitions "
        "WHERE robot = ? ORDER BY seq DESC LIMIT ?"},
+      {&reader.transitions_by_id_,
+       "SELECT id, robot, time_unix_ns, from_level, to_level, cause, reason, refused, term, epoch,"
+       " based_term, based_epoch, count, stage, detail, trace FROM transitions "
+       "WHERE id >= ? AND id < ? ORDER BY id LIMIT 2"},
+      {&reader.alerts_by_id_,
+       "SELECT id, time_unix_ns, robot, rule, severity, text, level, event, term, epoch, trace "
+       "FROM alerts WHERE id >= ? AND id < ? ORDER BY id LIMIT 2"},
       {&reader.alerts_,
-       "SELECT id, time_unix_ns, robot, rule, severity, text, level, event, term, epoch "
+       "SELECT id, time_unix_ns, robot, rule, severity, text, level, event, term, epoch, trace "
        "FROM alerts ORDER BY seq DESC LIMIT ?"},
       {&reader.robot_alerts_,
-       "SELECT id, time_unix_ns, robot, rule, severity, text, level, event, term, epoch "
+       "SELECT id, time_unix_ns, robot, rule, severity, text, level, event, term, epoch, trace "
        "FROM alerts WHERE robot = ? ORDER BY seq DESC LIMIT ?"},
       {&reader.alerts_after_,
-       "SELECT id, time_unix_ns, robot, rule, severity, text, level, event, term, epoch, seq "
+       "SELECT id, time_unix_ns, robot, rule, severity, text, level, event, term, epoch, trace, "
+       "seq "
        "FROM alerts WHERE seq > ? ORDER BY seq LIMIT ?"},
       {&reader.robot_alerts_after_,
-       "SELECT id, time_unix_ns, robot, rule, severity, text, level, event, term, epoch, seq "
+       "SELECT id, time_unix_ns, robot, rule, severity, text, level, event, term, epoch, trace, "
+       "seq "
        "FROM alerts WHERE robot = ? AND seq > ? ORDER BY seq LIMIT ?"},
       {&reader.forgotten_, "SELECT ifnull(max(alerts_forgotten), 0) FROM robots"},
       {&reader.robot_forgotten_,
@@ -250,13 +262,32 @@ absl::StatusOr<AlertPage> SqliteReader::AlertsAfter(absl::string_view robot, uin
       RIPS_ASSIGN_OR_RETURN(const bool row, query.Step());
       if (!row) return page;
       page.alerts.push_back(ReadAlert(query));
-      page.alerts.back().sequence = query.Unsigned(10);
+      page.alerts.back().sequence = query.Unsigned(11);
     }
   };
   absl::StatusOr<AlertPage> page = read();
   const absl::Status ended = end_.Start().Run();
   if (page.ok() && !ended.ok()) return ended;
   return page;
+}
+
+absl::StatusOr<FoundRecords> SqliteReader::FindRecords(absl::string_view prefix) {
+  // Above all ids that begin so: ids are hex digits.
+  const std::string end = absl::StrCat(prefix, "g");
+  FoundRecords found;
+  const auto read = [&](const Statement& statement, auto& records,
+                        const auto& read_one) -> absl::Status {
+    Query query = statement.Start();
+    query.Bind(prefix).Bind(end);
+    while (true) {
+      RIPS_ASSIGN_OR_RETURN(const bool row, query.Step());
+      if (!row) return absl::OkStatus();
+      records.push_back(read_one(query));
+    }
+  };
+  RIPS_RETURN_IF_ERROR(read(alerts_by_id_, found.alerts, ReadAlert));
+  RIPS_RETURN_IF_ERROR(read(transitions_by_id_, found.transitions, ReadTransition));
+  return found;
 }
 
 absl::StatusOr<uint64_t> SqliteReader::FindAlert(absl::string_view id) {

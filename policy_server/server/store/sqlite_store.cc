@@ -149,6 +149,11 @@ absl::StatusOr<AlertPage> SqliteStore::AlertsAfter(absl::string_view robot, uint
   return parts_->reader.AlertsAfter(robot, sequence, limit);
 }
 
+absl::StatusOr<FoundRecords> SqliteStore::FindRecords(absl::string_view prefix) {
+  MutexLock lock(&parts_->reader_mutex);
+  return parts_->reader.FindRecords(prefix);
+}
+
 absl::StatusOr<uint64_t> SqliteStore::FindAlert(absl::string_view id) {
   MutexLock lock(&parts_->reader_mutex);
   return parts_->reader.FindAlert(id);

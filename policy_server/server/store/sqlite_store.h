@@ -53,6 +53,7 @@ class SqliteStore final : public Store, public BanStore {
                                                       uint32_t limit) override;
   absl::StatusOr<AlertPage> AlertsAfter(absl::string_view robot, uint64_t sequence,
                                         uint32_t limit) override;
+  absl::StatusOr<FoundRecords> FindRecords(absl::string_view prefix) override;
   absl::StatusOr<uint64_t> FindAlert(absl::string_view id) override;
   absl::StatusOr<AlertRecord> NewestAlert() override;
   absl::StatusOr<std::string> Note(absl::string_view name) override;

@@ -7,6 +7,7 @@
 
 #include "absl/strings/escaping.h"
 #include "absl/strings/str_cat.h"
+#include "policy_server/server/store/trace_codec.h"
 #include "services/base/status_macros.h"
 
 namespace rips::store {
@@ -41,8 +42,8 @@ absl::Status SqliteWriter::PrepareAll() {
        "WHERE id = ?1 OR (robot = ?2 AND term = ?3 AND epoch = ?4 AND refused = 0)"},
       {&add_decision_,
        "INSERT INTO transitions (id, robot, time_unix_ns, from_level, to_level, cause, reason,"
-       " refused, term, epoch, based_term, based_epoch, count, stage, detail) "
-       "VALUES (?, ?, ?, ?, ?, ?, ?, 0, ?, ?, ?, ?, 1, 'requested', '')"},
+       " refused, term, epoch, based_term, based_epoch, count, stage, detail, trace) "
+       "VALUES (?, ?, ?, ?, ?, ?, ?, 0, ?, ?, ?, ?, 1, 'requested', '', ?)"},
       {&apply_decision_,
        "UPDATE robots SET highest_term = max(highest_term, ?2), "
        "level = iif((?2, ?3) > (term, epoch), ?4, level), "
@@ -50,8 +51,8 @@ absl::Status SqliteWriter::PrepareAll() {
        "epoch = iif((?2, ?3) > (term, epoch), ?3, epoch) WHERE robot = ?1"},
       {&put_refusal_,
        "INSERT INTO transitions (id, robot, time_unix_ns, from_level, to_level, cause, reason,"
-       " refused, term, epoch, based_term, based_epoch, count, stage, detail) "
-       "VALUES (?, ?, ?, ?, ?, ?, ?, 1, 0, 0, 0, 0, ?, '', '') "
+       " refused, term, epoch, based_term, based_epoch, count, stage, detail, trace) "
+       "VALUES (?, ?, ?, ?, ?, ?, ?, 1, 0, 0, 0, 0, ?, '', '', ?) "
        "ON CONFLICT (id) DO UPDATE SET time_unix_ns = excluded.time_unix_ns, "
        "reason = excluded.reason, count = excluded.count"
        " WHERE refused = 1 AND robot = excluded.robot RETURNING seq"},
@@ -63,7 +64,7 @@ absl::Status SqliteWriter::PrepareAll() {
        "WHERE robot = ?1 AND term = ?2 AND epoch = ?3 AND refused = 0"},
       {&add_alert_,
        "INSERT INTO alerts (id, time_unix_ns, robot, rule, severity, text, level, event, term,"
-       " epoch) VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?) ON CONFLICT (id) DO NOTHING"},
+       " epoch, trace) VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?) ON CONFLICT (id) DO NOTHING"},
       {&find_prune_, "SELECT seq FROM alerts WHERE robot = ? ORDER BY seq DESC LIMIT 1 OFFSET ?"},
       {&prune_alerts_, "DELETE FROM alerts WHERE robot = ? AND seq <= ?"},
       {&note_prune_, "UPDATE robots SET alerts_forgotten = ?2 WHERE robot = ?1"},
@@ -200,7 +201,8 @@ absl::StatusOr<bool> SqliteWriter::IsStored(const DecisionRecord& decision) {
                                    .to = query.Text(4),
                                    .cause = query.Text(5),
                                    .reason = query.Text(6),
-                                   .time_unix_ns = query.Number(2)};
+                                   .time_unix_ns = query.Number(2),
+                                   .trace = decision.trace};
     if (query.Number(7) != 0 || stored != decision) {
       return absl::AlreadyExistsError(absl::StrCat("mark ", ToString(decision.mark),
                                                    " or its id names another decision of robot ",
@@ -214,6 +216,8 @@ absl::Status SqliteWriter::Write(const DecisionRecord& decision) {
   RIPS_ASSIGN_OR_RETURN(const bool stored, IsStored(decision));
   if (stored) return absl::OkStatus();
   RIPS_RETURN_IF_ERROR(add_robot_.Start().Bind(decision.robot).Run());
+  // A query views what is bound.
+  const std::string trace = TraceToBytes(decision.trace);
   RIPS_RETURN_IF_ERROR(add_decision_.Start()
                            .Bind(decision.id)
                            .Bind(decision.robot)
@@ -226,6 +230,7 @@ absl::Status SqliteWriter::Write(const DecisionRecord& decision) {
                            .Bind(decision.mark.epoch)
                            .Bind(decision.based_on.term)
                            .Bind(decision.based_on.epoch)
+                           .BindBytes(trace)
                            .Run());
   return apply_decision_.Start()
       .Bind(decision.robot)
@@ -236,6 +241,7 @@ absl::Status SqliteWriter::Write(const DecisionRecord& decision) {
 }
 
 absl::Status SqliteWriter::Write(const RefusalRecord& refusal) {
+  const std::string trace = TraceToBytes(refusal.trace);
   Query query = put_refusal_.Start();
   query.Bind(refusal.id)
       .Bind(refusal.robot)
@@ -244,7 +250,8 @@ absl::Status SqliteWriter::Write(const RefusalRecord& refusal) {
       .Bind(refusal.to)
       .Bind(refusal.cause)
       .Bind(refusal.reason)
-      .Bind(refusal.count);
+      .Bind(refusal.count)
+      .BindBytes(trace);
   RIPS_ASSIGN_OR_RETURN(const bool written, query.Step());
   if (!written) return absl::AlreadyExistsError("the id of a refusal names another transition");
   return query.Run();
@@ -261,6 +268,7 @@ absl::Status SqliteWriter::Write(const StageUpdate& update) {
 }
 
 absl::Status SqliteWriter::Write(const AlertRecord& alert) {
+  const std::string trace = TraceToBytes(alert.trace);
   return add_alert_.Start()
       .Bind(alert.id)
       .Bind(alert.time_unix_ns)
@@ -272,6 +280,7 @@ absl::Status SqliteWriter::Write(const AlertRecord& alert) {
       .Bind(alert.event)
       .Bind(alert.mark.term)
       .Bind(alert.mark.epoch)
+      .BindBytes(trace)
       .Run();
 }
 

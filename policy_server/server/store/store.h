@@ -80,6 +80,8 @@ class Store {
   // one written first first.
   virtual absl::StatusOr<AlertPage> AlertsAfter(absl::string_view robot, uint64_t sequence,
                                                 uint32_t limit) = 0;
+  // Those whose id begins with `prefix`, which is not empty.
+  virtual absl::StatusOr<FoundRecords> FindRecords(absl::string_view prefix) = 0;
   // The sequence of the alert with that id; 0 = there is none (any more).
   virtual absl::StatusOr<uint64_t> FindAlert(absl::string_view id) = 0;
   // The alert written last, sequence and id alone matter; sequence 0 = there is none.

@@ -3,6 +3,7 @@
 #include <limits>
 #include <memory>
 #include <string>
+#include <utility>
 #include <vector>
 
 #include "absl/strings/str_cat.h"
@@ -310,6 +311,68 @@ TEST_P(StoreContractTest, ListsAlertsAfterOneInTheOrderOfWriting) {
   EXPECT_EQ(rest->alerts[0].text, "three");
   EXPECT_THAT(store_->AlertsAfter("", newest->sequence, 0)->alerts, IsEmpty());
   EXPECT_THAT(store_->AlertsAfter("", ~uint64_t{0}, 0)->alerts, IsEmpty());
+}
+
+engine::Trace SomeTrace() {
+  engine::Trace trace{.place = "warehouse.rul:31",
+                      .condition = "nodecount(3, 4) && !nodes(\"/a\")",
+                      .event = "graph change",
+                      .event_unix_ns = 1'767'225'600'000'000'007,
+                      .bundle = "sha256:00",
+                      .cut = true};
+  trace.values.push_back({.offset = 3, .length = 4, .depth = 1, .value = "true: there are 3"});
+  trace.subjects.push_back(
+      {.name = "/x", .role = "is a node", .guid = {{1, 2, 3}}, .host = "h", .pid = 7});
+  trace.subjects.push_back({.name = "\xf0\x9f\xa4\x96\n\x1b[2J", .role = "sent the message"});
+  return trace;
+}
+
+TEST_P(StoreContractTest, KeepsWhyARuleFired) {
+  WriteBatch batch = Decide("r1", {1, 1}, "A", "B");
+  batch.decisions[0].trace = SomeTrace();
+  batch.refusals.push_back(
+      {.id = NewId(), .robot = "r1", .from = "B", .to = "A", .trace = SomeTrace()});
+  batch.alerts.push_back(MakeAlert("r1", "with"));
+  batch.alerts[0].trace = SomeTrace();
+  batch.alerts.push_back(MakeAlert("r1", "without"));
+  ASSERT_THAT(store_->Commit(batch), IsOk());
+  EXPECT_THAT(store_->Commit(batch), IsOk()) << "a repeated write is the same decision";
+  for (const TransitionRecord& each : Transitions("r1")) EXPECT_EQ(each.trace, SomeTrace());
+  const auto alerts = store_->ListAlerts("r1", 10);
+  ASSERT_THAT(alerts, IsOk());
+  ASSERT_EQ(alerts->size(), 2u);
+  EXPECT_TRUE((*alerts)[0].trace.none());
+  EXPECT_EQ((*alerts)[1].trace, SomeTrace());
+  const auto page = store_->AlertsAfter("r1", 0, 10);
+  ASSERT_THAT(page, IsOk());
+  EXPECT_EQ(page->alerts[0].trace, SomeTrace());
+}
+
+TEST_P(StoreContractTest, FindsRecordsByTheBeginningOfTheirIds) {
+  const auto id = [](const std::string& begin) {
+    return begin + std::string(32 - begin.size(), '0');
+  };
+  WriteBatch batch = Decide("r1", {1, 1}, "A", "B", id("abc1"));
+  batch.refusals.push_back({.id = id("abc2"), .robot = "r2", .from = "B", .to = "A"});
+  for (const char* begin : {"abd1", "abd2", "abd3", "ffff"}) {
+    batch.alerts.push_back(MakeAlert("r1", begin));
+    batch.alerts.back().id = id(begin);
+  }
+  ASSERT_THAT(store_->Commit(batch), IsOk());
+  const auto count = [&](const std::string& prefix) {
+    const auto found = store_->FindRecords(prefix);
+    EXPECT_THAT(found, IsOk());
+    return found.ok() ? std::pair(found->alerts.size(), found->transitions.size())
+                      : std::pair<size_t, size_t>(99, 99);
+  };
+  using Counts = std::pair<size_t, size_t>;
+  EXPECT_EQ(count("abc1"), Counts(0, 1));
+  EXPECT_EQ(count(id("abc1")), Counts(0, 1));
+  EXPECT_EQ(count("abc"), Counts(0, 2));
+  EXPECT_EQ(count("abd"), Counts(2, 0)) << "two say that it is not one";
+  EXPECT_EQ(count("ab"), Counts(2, 2));
+  EXPECT_EQ(count("ffff"), Counts(1, 0));
+  EXPECT_EQ(count("0"), Counts(0, 0));
 }
 
 TEST_P(StoreContractTest, RemembersNotes) {

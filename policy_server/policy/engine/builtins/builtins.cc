@@ -247,4 +247,37 @@ bool LeftOpen(lang::Builtin builtin, Args args, const EvalContext& scene) {
   return false;
 }
 
+std::optional<Difference> Differ(lang::Builtin builtin, Args args, const EvalContext& scene) {
+  const Question* question = QuestionOf(builtin);
+  if (question == nullptr) return std::nullopt;
+  Difference out{.subject = question->subject, .form = FormOf(*question, scene)};
+  const bool counts = out.form == Form::kCount;
+  const auto add = [&out](std::vector<std::string>& list, absl::string_view name) {
+    if (std::find(list.begin(), list.end(), name) != list.end()) return;
+    if (list.size() >= Difference::kNamesMax) {
+      out.cut = true;
+    } else {
+      list.emplace_back(name);
+    }
+  };
+  return Visit(*question, args, scene,
+               [&](NameSet::Kind kind, const auto& current) -> std::optional<Difference> {
+                 NameSet names(kind);
+                 const size_t from = question->names_subject() ? 1 : 0;
+                 for (size_t i = from; i < args.size() && !counts; ++i) {
+                   const std::optional<absl::string_view> name = Text(args, i);
+                   if (!name.has_value()) return std::nullopt;
+                   names.Add(*name);
+                 }
+                 names.Seal();
+                 for (const auto& item : current) {
+                   const std::string& name = NameOf(item);
+                   add(counts || names.See(name) ? out.met : out.extra, name);
+                 }
+                 names.ForUnseen([&](absl::string_view name) { add(out.missing, name); });
+                 out.count = static_cast<int64_t>(current.size());
+                 return std::move(out);
+               });
+}
+
 }  // namespace rips::engine

@@ -2,10 +2,15 @@
 #ifndef RIPS_POLICY_SERVER_POLICY_ENGINE_BUILTINS_BUILTINS_H_
 #define RIPS_POLICY_SERVER_POLICY_ENGINE_BUILTINS_BUILTINS_H_
 
+#include <cstddef>
+#include <cstdint>
 #include <optional>
+#include <string>
+#include <vector>
 
 #include "absl/strings/string_view.h"
 #include "absl/types/span.h"
+#include "policy_server/policy/engine/builtins/question.h"
 #include "policy_server/policy/engine/builtins/scalar.h"
 #include "policy_server/policy/lang/checked_rules.h"
 #include "services/ros2/ros_graph.h"
@@ -65,6 +70,26 @@ std::optional<bool> Ask(lang::Builtin builtin, absl::Span<const Scalar> args,
 // An open answer is unscanned (CompiledPolicyOptions::on_inspection_error), and so is its negation;
 // "exactly" is not, so its negation is true.
 bool LeftOpen(lang::Builtin builtin, absl::Span<const Scalar> args, const EvalContext& scene);
+
+// What the answer to a question about names, or about how many there are, turns on. Each name
+// once; at most kNamesMax in a list.
+struct Difference {
+  static constexpr size_t kNamesMax = 16;
+  Subject subject = Subject::kNodes;
+  Form form = Form::kExactly;
+  // How many are there; two endpoints of one node count as two.
+  int64_t count = 0;
+  // There and not given, given and not there, given and there. To count, all are given.
+  std::vector<std::string> extra;
+  std::vector<std::string> missing;
+  std::vector<std::string> met;
+  // A list would be longer.
+  bool cut = false;
+};
+
+// Nullopt for other builtins, and if the arguments do not fit the builtin.
+std::optional<Difference> Differ(lang::Builtin builtin, absl::Span<const Scalar> args,
+                                 const EvalContext& scene);
 
 }  // namespace rips::engine
 

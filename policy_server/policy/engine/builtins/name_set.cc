@@ -23,7 +23,7 @@ bool NameSet::Mark(absl::string_view name) {
   return true;
 }
 
-void NameSet::See(absl::string_view name) {
+bool NameSet::See(absl::string_view name) {
   bool known = false;
   if (kind_ == Kind::kPlain) {
     known = Mark(name);
@@ -33,6 +33,7 @@ void NameSet::See(absl::string_view name) {
     known |= Mark(name.substr(name.rfind('/') + 1));
   }
   if (!known) ++strangers_;
+  return known;
 }
 
 bool NameSet::AllGivenCurrent() const {

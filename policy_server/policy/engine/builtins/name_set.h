@@ -22,12 +22,19 @@ class NameSet {
   // Sorts and drops duplicates; after the last Add, before the first See.
   void Seal();
 
-  // `name` is there now.
-  void See(absl::string_view name);
+  // `name` is there now. True if it is one of the given.
+  bool See(absl::string_view name);
 
   // Of the names seen so far.
   bool AllCurrentGiven() const { return strangers_ == 0; }
   bool AllGivenCurrent() const;
+  // Calls `each` with every given name that was not seen.
+  template <typename Each>
+  void ForUnseen(const Each& each) const {
+    for (const Given& given : given_) {
+      if (!given.seen) each(given.name);
+    }
+  }
 
  private:
   struct Given {

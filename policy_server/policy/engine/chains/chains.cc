@@ -8,6 +8,7 @@
 #include "policy_server/policy/engine/state/compiled.h"
 #include "policy_server/policy/engine/state/message_counts.h"
 #include "policy_server/policy/engine/state/text.h"
+#include "policy_server/policy/engine/trace/tracer.h"
 
 namespace rips::engine {
 namespace {
@@ -46,6 +47,16 @@ Severity ParseSeverity(absl::string_view text) {
 // `later` is not before `earlier`; the difference may be the whole range of a clock.
 bool Apart(int64_t earlier, int64_t later, int64_t ns) {
   return static_cast<uint64_t>(later) - static_cast<uint64_t>(earlier) >= static_cast<uint64_t>(ns);
+}
+
+// Not more often in this second of `Time`; counts it.
+bool MayTrace(const std::string& rule, RobotState::Internal& in) {
+  TraceCount& count = in.traces[rule];
+  const int64_t second = in.time_ns / kNanosPerSecond;
+  if (count.second != second) count = {.second = second};
+  if (count.traces >= TraceCount::kMax) return false;
+  ++count.traces;
+  return true;
 }
 
 }  // namespace
@@ -96,7 +107,7 @@ void Runner::Resume(std::vector<Answered> answered) {
     Frame frame(state_, parked.program, parked.event, parked.time_ns, now_,
                 in_force ? &in_.topics : nullptr, &parked);
     const lang::TypedRule& rule = parked.program->rules().rules[parked.rule];
-    Current current{.frame = frame, .rule_index = parked.rule, .rule = rule};
+    Current current{.frame = frame, .rule_index = parked.rule, .rule = rule, .trace = parked.trace};
     if (GoesOn(rule.chains[parked.chain][parked.action].next, answer.ok)) {
       RunChain(current, parked.chain, parked.action + 1);
     }
@@ -109,6 +120,9 @@ void Runner::RunRule(Frame& frame, uint32_t index) {
       .frame = frame, .rule_index = index, .rule = frame.program().rules().rules[index]};
   if (!Fires(current)) return;
   ++outcome_.fired;
+  if (frame.program().compiled().needs[index].tells && MayTrace(current.rule.name, in_)) {
+    current.trace = std::make_shared<const Trace>(TraceRule(frame, index, state_.level.level()));
+  }
   for (uint32_t chain = 0;
        chain < current.rule.chains.size() && !current.faulted && !state_.halted(); ++chain) {
     RunChain(current, chain, 0);
@@ -285,13 +299,13 @@ Runner::Step Runner::Trigger(Current& current, uint32_t chain, size_t index) {
       decided_ ? kNoneYet : state_.evidence, current.frame.event().lateness);
   const bool lowering = transition.lowers();
   if (transition.refused()) {
-    Refuse(std::move(transition));
+    Refuse(current, std::move(transition));
     return Step::kFailed;
   }
   if (transition.decided()) {
     decided_ = true;
     if (state_.actuation != Actuation::kNoLease) state_.actuation = Actuation::kPending;
-    Add(TransitionEffect{.transition = std::move(transition)});
+    Add(TransitionEffect{.transition = std::move(transition), .trace = current.trace});
   }
 
   const std::optional<bool> answer =
@@ -329,7 +343,7 @@ Runner::Step Runner::Crash(Current& current, const lang::TypedAction& action) {
   if (transition.decided()) {
     decided_ = true;
     if (state_.actuation != Actuation::kNoLease) state_.actuation = Actuation::kPending;
-    Add(TransitionEffect{.transition = std::move(transition)});
+    Add(TransitionEffect{.transition = std::move(transition), .trace = current.trace});
   }
   Raise(current, Severity::kCritical,
         absl::StrCat("crash: ", std::move(text).value_or("(its text could not be made)")));
@@ -412,7 +426,7 @@ void Runner::NoteCut(const Current& current, const Evaluation& run) {
   }
 }
 
-void Runner::Refuse(levels::Transition transition) {
+void Runner::Refuse(const Current& current, levels::Transition transition) {
   RefusalRecord& record = in_.refusals[{transition.cause.name, transition.to}];
   const bool again = record.count > 0 && record.from == transition.from &&
                      record.reason == transition.refusal && record.based_on == transition.based_on;
@@ -420,7 +434,8 @@ void Runner::Refuse(levels::Transition transition) {
             .reason = transition.refusal,
             .based_on = transition.based_on,
             .count = again ? record.count + 1 : 1};
-  Add(TransitionEffect{.transition = std::move(transition), .count = record.count});
+  Add(TransitionEffect{
+      .transition = std::move(transition), .count = record.count, .trace = current.trace});
 }
 
 void Runner::Raise(const Current& current, Severity severity, std::string text) {
@@ -429,7 +444,8 @@ void Runner::Raise(const Current& current, Severity severity, std::string text) 
                   .text = std::move(text),
                   .level = state_.level.level(),
                   .mark = state_.level.mark(),
-                  .graph_truncated = current.graph_open});
+                  .graph_truncated = current.graph_open,
+                  .trace = current.trace});
 }
 
 std::unique_ptr<ParkedChain> Runner::MakeParked(const Current& current, uint32_t chain,
@@ -453,6 +469,7 @@ std::unique_ptr<ParkedChain> Runner::MakeParked(const Current& current, uint32_t
     message->inspections = parked->inspections;
   }
   parked->time_ns = frame.time_ns();
+  parked->trace = current.trace;
   parked->deadline_ns = now_.boottime_ns + in_.limits.chain_deadline_ns;
   if (frame.parked() != nullptr) parked->left_behind = frame.parked()->left_behind;
   return parked;

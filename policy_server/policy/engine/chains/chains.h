@@ -52,6 +52,7 @@ class Runner {
     bool graph_open = false;
     // Why it faulted first.
     std::string fault = {};
+    SharedTrace trace = {};
   };
 
   void RunRule(Frame& frame, uint32_t index);
@@ -75,7 +76,7 @@ class Runner {
   void ReportFull(const Current& current);
   void NoteCut(const Current& current, const Evaluation& run);
   void Tell(const Current& current, RuleObserver::RuleResult came, absl::string_view what = {});
-  void Refuse(levels::Transition transition);
+  void Refuse(const Current& current, levels::Transition transition);
   // Built in place: assigning a variant makes gcc 12 warn of what is not so.
   template <typename What>
   void Add(What effect) {

@@ -120,6 +120,9 @@ class Compiler {
   }
 
   absl::Status AddAction(const lang::TypedAction& action) {
+    using lang::ActionKind;
+    needs_.tells = needs_.tells || action.kind == ActionKind::kAlert ||
+                   action.kind == ActionKind::kTrigger || action.kind == ActionKind::kCrash;
     std::vector<const EvalNode*> args;
     for (const TypedExpr& arg : action.args) {
       RIPS_ASSIGN_OR_RETURN(const EvalNode* node, Expr(arg));

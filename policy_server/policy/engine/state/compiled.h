@@ -50,6 +50,8 @@ class Patterns {
 // What a rule's expression asks for beyond the event.
 struct RuleNeeds {
   bool inspects = false;
+  // It alerts or decides a level: why it fired is recorded.
+  bool tells = false;
   // Those in arguments of its actions.
   std::vector<uint32_t> argument_inspections;
   // 0 = it does not count.

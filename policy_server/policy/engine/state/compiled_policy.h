@@ -3,6 +3,7 @@
 #define RIPS_POLICY_SERVER_POLICY_ENGINE_STATE_COMPILED_POLICY_H_
 
 #include <memory>
+#include <string>
 
 #include "absl/status/statusor.h"
 #include "policy_server/policy/lang/checked_rules.h"
@@ -18,6 +19,8 @@ enum class OnInspectionError {
 
 struct CompiledPolicyOptions {
   OnInspectionError on_inspection_error = OnInspectionError::kMatch;
+  // Of the bundle that holds the rules, for traces; empty if they are of none.
+  std::string bundle_id = {};
 };
 
 class CompiledPolicy {

@@ -4,10 +4,12 @@
 #define RIPS_POLICY_SERVER_POLICY_ENGINE_STATE_EFFECT_H_
 
 #include <cstdint>
+#include <memory>
 #include <string>
 #include <variant>
 #include <vector>
 
+#include "policy_server/policy/engine/state/trace.h"
 #include "policy_server/policy/levels/transition.h"
 
 namespace rips::engine {
@@ -24,6 +26,8 @@ struct AlertEffect {
   Mark mark;
   // Its rule fired because what was left out of the graph might make it true.
   bool graph_truncated = false;
+  // Why the rule fired; null if it did not, or fired too often in this second to be traced.
+  SharedTrace trace = {};
 };
 
 // A decision, or a refusal seen for the first time or again (`count` > 1: the same refusal of the
@@ -31,6 +35,8 @@ struct AlertEffect {
 struct TransitionEffect {
   levels::Transition transition;
   uint64_t count = 1;
+  // As of an alert.
+  SharedTrace trace = {};
 };
 
 // Run a program on the robot. The result goes to OnProgramResult(run_id).

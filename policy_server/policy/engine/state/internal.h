@@ -17,6 +17,7 @@
 #include "policy_server/policy/engine/state/event.h"
 #include "policy_server/policy/engine/state/robot_state.h"
 #include "policy_server/policy/engine/state/topic_cache.h"
+#include "policy_server/policy/engine/state/trace.h"
 
 namespace rips::engine {
 
@@ -41,6 +42,8 @@ struct ParkedChain {
   // trigger: the level asked for, in the table in force, and the way there.
   levels::LevelIndex wants = 0;
   bool lowering = false;
+  // Why its rule fired; may be null.
+  SharedTrace trace;
   // Variables of `program` as they were when it was replaced; null while it is in force.
   std::shared_ptr<const std::vector<lang::Value>> left_behind;
 };
@@ -59,6 +62,14 @@ struct RefusalRecord {
   // Two stays at one level are not the same `from`.
   Mark based_on;
   uint64_t count = 0;
+};
+
+// How often a rule was traced in a second of `Time`.
+struct TraceCount {
+  static constexpr uint32_t kMax = 128;
+
+  int64_t second = 0;
+  uint32_t traces = 0;
 };
 
 struct RobotState::Internal {
@@ -82,6 +93,8 @@ struct RobotState::Internal {
   // By rule name; `Time` of the last alert about a fault.
   absl::flat_hash_map<std::string, int64_t> fault_alerted_ns;
   std::optional<int64_t> full_alerted_ns;
+  // By rule name.
+  absl::flat_hash_map<std::string, TraceCount> traces;
   absl::flat_hash_set<std::string> cut_rules;
   absl::flat_hash_map<std::pair<std::string, levels::LevelIndex>, RefusalRecord> refusals;
 };

@@ -71,6 +71,16 @@ bool HasRules(const std::vector<ast::File>& trees) {
   return false;
 }
 
+// Where the rule stands and what its condition says.
+void AddText(const std::vector<SourceFile>& files, TypedRule& rule) {
+  const SourceFile& file = files[rule.range.file];
+  const absl::string_view path = file.path;
+  const Source source(rule.range.file, file.text);
+  rule.place = absl::StrCat(path.substr(path.rfind('/') + 1), ":",
+                            source.PositionOf(rule.range.offset).line);
+  rule.condition_text = std::string(source.Text(rule.condition.range));
+}
+
 bool HasErrors(const std::vector<Diagnostic>& diagnostics) {
   return std::any_of(diagnostics.begin(), diagnostics.end(), [](const Diagnostic& diagnostic) {
     return SeverityOf(diagnostic.kind) == DiagnosticSeverity::kError;
@@ -119,7 +129,10 @@ CompileResult Compile(const std::vector<SourceFile>& files, const CompileOptions
   reader.AppendTo(out.diagnostics);
   out.diagnostics.insert(out.diagnostics.end(), meaning.diagnostics().begin(),
                          meaning.diagnostics().end());
-  if (!HasErrors(out.diagnostics)) out.rules = std::move(rules);
+  if (!HasErrors(out.diagnostics)) {
+    for (TypedRule& rule : rules.rules) AddText(files, rule);
+    out.rules = std::move(rules);
+  }
   out.diagnostics = SortAndCut(std::move(out.diagnostics));
   return out;
 }

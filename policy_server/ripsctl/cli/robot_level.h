@@ -1,0 +1,27 @@
+// A robot's level, as several commands read it and speak of it.
+#ifndef RIPS_POLICY_SERVER_RIPSCTL_CLI_ROBOT_LEVEL_H_
+#define RIPS_POLICY_SERVER_RIPSCTL_CLI_ROBOT_LEVEL_H_
+
+#include <ostream>
+#include <string>
+
+#include "absl/status/statusor.h"
+#include "absl/strings/string_view.h"
+#include "policy_server/ripsctl/cli/env.h"
+#include "policy_server/ripsctl/cli/json_view.h"
+#include "rips/v1/operator.pb.h"
+
+namespace rips::ripsctl {
+
+absl::StatusOr<v1::GetLevelResponse> ReadLevel(Env& env, const std::string& robot);
+
+// What a dry run of a lowering found, one line each behind `margin`. `refused`: RIPS is blind, and
+// the operator has not accepted that.
+void PrintDryRun(absl::string_view robot, const v1::LevelResponse& found, bool refused,
+                 absl::string_view margin, std::ostream& out);
+// Which rules a dry run does not try, for JSON.
+Json NotTried();
+
+}  // namespace rips::ripsctl
+
+#endif  // RIPS_POLICY_SERVER_RIPSCTL_CLI_ROBOT_LEVEL_H_

@@ -1,0 +1,215 @@
+#include "policy_server/ripsctl/explain/explain_command.h"
+
+#include <CLI/CLI.hpp>
+#include <algorithm>
+#include <nlohmann/json.hpp>
+#include <optional>
+#include <string>
+#include <utility>
+
+#include "absl/strings/ascii.h"
+#include "absl/strings/escaping.h"
+#include "absl/strings/str_cat.h"
+#include "absl/strings/string_view.h"
+#include "policy_server/ripsctl/cli/json_view.h"
+#include "policy_server/ripsctl/cli/robot_level.h"
+#include "policy_server/ripsctl/explain/explain_text.h"
+#include "services/base/ids.h"
+#include "services/base/mark.h"
+#include "services/base/status_macros.h"
+
+namespace rips::ripsctl {
+namespace {
+
+constexpr size_t kIdDigitsMin = 6;
+constexpr size_t kIdDigitsMax = 32;
+
+bool IsHex(absl::string_view text) {
+  return std::all_of(text.begin(), text.end(), [](char c) {
+    return absl::ascii_isdigit(static_cast<unsigned char>(c)) || (c >= 'a' && c <= 'f');
+  });
+}
+
+// What WHAT may mean; `robot` is empty if it cannot be one.
+struct Target {
+  bool id = false;  // tried first
+  std::string robot;
+  std::optional<Mark> mark;
+};
+
+absl::StatusOr<Target> ParseTarget(const std::string& what) {
+  const size_t at = what.rfind('@');
+  const std::string robot = what.substr(0, at);
+  const absl::Status wrong = absl::InvalidArgumentError(
+      absl::StrCat("WHAT is `", what, "`; write an id of ", kIdDigitsMin, " to ", kIdDigitsMax,
+                   " digits 0-9a-f, a robot, or ROBOT@TERM.EPOCH, for example r1@3.17"));
+  if (!CheckRobot(robot).ok()) return wrong;
+  if (at == std::string::npos) {
+    return Target{.id = what.size() >= kIdDigitsMin && what.size() <= kIdDigitsMax && IsHex(what),
+                  .robot = robot};
+  }
+  const absl::StatusOr<Mark> mark = ParseMark(absl::string_view(what).substr(at + 1));
+  // As it is printed, and nothing else.
+  if (!mark.ok() || mark->none() || absl::StrCat(robot, "@", ToString(*mark)) != what) return wrong;
+  return Target{.robot = robot, .mark = *mark};
+}
+
+void SetMark(const Mark& mark, v1::Mark* out) {
+  out->set_term(mark.term);
+  out->set_epoch(mark.epoch);
+}
+
+// What would raise the robot again from the next less restrictive level; none at the lowest.
+std::optional<Lowering> TryLowering(Env& env, const v1::GetLevelResponse& now) {
+  const v1::RobotStatus& status = now.status();
+  const auto at = std::find(now.levels().begin(), now.levels().end(), status.decided_level());
+  if (at == now.levels().end() || at == now.levels().begin()) return std::nullopt;
+  v1::LevelRequest request;
+  request.set_robot(status.robot());
+  request.set_to(*std::prev(at));
+  request.set_reason("ripsctl explain");
+  request.set_expected_level(status.decided_level());
+  *request.mutable_expected_mark() = status.mark();
+  request.set_dry_run(true);
+  request.set_request_id(absl::HexStringToBytes(NewId()));
+  return Lowering{.to = request.to(), .found = Call(env, &Stub::DeEscalate, request)};
+}
+
+Json LoweringJson(const Lowering& lowering) {
+  if (!lowering.found.ok()) {
+    return {{"to", lowering.to}, {"not_known_because", NoDryRunText(lowering.found.status())}};
+  }
+  Json rules = Json::array();
+  for (const auto& rule : lowering.found->would_raise_again()) rules.push_back(rule);
+  Json blind = Json::array();
+  for (const auto& why : lowering.found->blind_because()) blind.push_back(why);
+  return {{"to", lowering.to},
+          {"would_raise_again", std::move(rules)},
+          {"not_tried", NotTried()},
+          {"blind_because", std::move(blind)}};
+}
+
+Json ExplanationJson(const Explanation& explanation) {
+  Json json = ToJson(explanation.recorded);
+  const bool decided = explanation.recorded.has_alert() || explanation.recorded.has_transition();
+  if (decided && !explanation.recorded.has_evidence()) {
+    json["no_evidence_because"] = NoEvidenceText(explanation.recorded);
+  }
+  const bool known = explanation.now.has_value() && explanation.now->ok();
+  json["now"] = known ? ToJson(**explanation.now) : Json(nullptr);
+  if (explanation.now.has_value() && !known) {
+    json["now_not_known_because"] = std::string(explanation.now->status().message());
+  }
+  json["lowering"] =
+      explanation.lowering.has_value() ? LoweringJson(*explanation.lowering) : Json(nullptr);
+  return json;
+}
+
+class Explain final : public Command {
+ public:
+  absl::string_view noun() const override { return "explain"; }
+  absl::string_view verb() const override { return ""; }
+  absl::string_view synopsis() const override {
+    return "Explain an alert, or why a robot is at its level";
+  }
+  void AddFlags(CLI::App& app) override {
+    app.add_option("WHAT", what_,
+                   "A robot; ROBOT@TERM.EPOCH; or the id of an alert or level change, its first 6 "
+                   "digits or more")
+        ->required();
+  }
+  ExitCode Run(Env& env) override {
+    const absl::StatusOr<Target> target = ParseTarget(what_);
+    if (!target.ok()) return UsageError(env, target.status().message());
+    absl::StatusOr<Explanation> explanation = Find(env, *target);
+    if (absl::IsUnimplemented(explanation.status())) {
+      return Failed(env, absl::FailedPreconditionError(
+                             "the policy server cannot explain: it is older than this ripsctl; "
+                             "`ripsctl level history ROBOT` and `ripsctl alert list ROBOT` show "
+                             "what it recorded"));
+    }
+    if (!explanation.ok()) return Failed(env, explanation.status());
+    AddNow(env, *explanation);
+    if (env.json()) {
+      PrintJson(ExplanationJson(*explanation), env.out);
+    } else {
+      PrintExplanation(*explanation, env.out);
+    }
+    return ExitCode::kDone;
+  }
+
+ private:
+  absl::StatusOr<Explanation> Find(Env& env, const Target& target) {
+    v1::ExplainRequest request;
+    if (target.id) {
+      request.set_id(what_);
+      absl::StatusOr<Explanation> found = Ask(env, request);
+      if (!absl::IsNotFound(found.status())) return found;
+      found = OfRobot(env, target.robot);
+      if (!absl::IsNotFound(found.status())) return found;
+      return absl::NotFoundError(absl::StrCat(
+          "no alert or level change that is kept, and no robot is `", what_,
+          "`; see `ripsctl alert list`, `ripsctl level history ROBOT` and `ripsctl robot list`"));
+    }
+    if (!target.mark.has_value()) return OfRobot(env, target.robot);
+    request.set_robot(target.robot);
+    SetMark(*target.mark, request.mutable_mark());
+    return Ask(env, request);
+  }
+
+  // The decision that the robot is at.
+  static absl::StatusOr<Explanation> OfRobot(Env& env, const std::string& robot) {
+    RIPS_ASSIGN_OR_RETURN(v1::GetLevelResponse now, ReadLevel(env, robot));
+    const Mark mark = {.term = now.status().mark().term(), .epoch = now.status().mark().epoch()};
+    Explanation explanation;
+    if (!mark.none()) {
+      v1::ExplainRequest request;
+      request.set_robot(robot);
+      SetMark(mark, request.mutable_mark());
+      absl::StatusOr<Explanation> asked = Ask(env, request);
+      if (absl::IsNotFound(asked.status())) {
+        return absl::FailedPreconditionError(absl::StrCat(
+            robot, " is at ", now.status().decided_level(), " by decision ", ToString(mark),
+            ", and the server has no record of that: ", asked.status().message()));
+      }
+      RIPS_RETURN_IF_ERROR(asked.status());
+      explanation = *std::move(asked);
+    }
+    explanation.now = std::move(now);
+    return explanation;
+  }
+
+  static absl::StatusOr<Explanation> Ask(Env& env, const v1::ExplainRequest& request) {
+    Explanation explanation;
+    RIPS_ASSIGN_OR_RETURN(explanation.recorded, Call(env, &Stub::Explain, request));
+    if (!explanation.recorded.has_alert() && !explanation.recorded.has_transition()) {
+      return absl::InternalError("the policy server sent nothing that could be explained");
+    }
+    return explanation;
+  }
+
+  static void AddNow(Env& env, Explanation& explanation) {
+    const v1::ExplainResponse& recorded = explanation.recorded;
+    const std::string& robot =
+        recorded.has_transition() ? recorded.transition().robot() : recorded.alert().robot();
+    // Of the server's own alerts there is no robot.
+    if (!explanation.now.has_value() && CheckRobot(robot).ok()) {
+      explanation.now = ReadLevel(env, robot);
+    }
+    if (explanation.now.has_value() && explanation.now->ok()) {
+      explanation.lowering = TryLowering(env, **explanation.now);
+    }
+  }
+
+  std::string what_;
+};
+
+}  // namespace
+
+Commands ExplainCommands() {
+  Commands commands;
+  commands.push_back(std::make_unique<Explain>());
+  return commands;
+}
+
+}  // namespace rips::ripsctl

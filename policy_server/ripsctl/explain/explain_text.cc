@@ -1,0 +1,335 @@
+#include "policy_server/ripsctl/explain/explain_text.h"
+
+#include <algorithm>
+#include <utility>
+#include <vector>
+
+#include "absl/strings/ascii.h"
+#include "absl/strings/match.h"
+#include "absl/strings/str_cat.h"
+#include "absl/strings/str_replace.h"
+#include "absl/strings/str_split.h"
+#include "absl/strings/strip.h"
+#include "policy_server/ripsctl/cli/json_view.h"
+#include "policy_server/ripsctl/cli/printer.h"
+#include "policy_server/ripsctl/cli/robot_level.h"
+#include "services/text/utf8.h"
+
+namespace rips::ripsctl {
+namespace {
+
+constexpr absl::string_view kOwnRule = "(rips)";
+constexpr size_t kConditionLinesMax = 20;
+constexpr size_t kConditionColumns = 160;
+constexpr size_t kPieceColumns = 56;
+constexpr size_t kValueColumns = 100;
+// Deeper values are shown at this depth: the columns go to what they say.
+constexpr uint32_t kDepthShownMax = 8;
+
+// The start of `text`, which is escaped.
+std::string CutColumns(std::string text, size_t columns) {
+  if (CountCodePoints(text) <= columns) return text;
+  size_t end = 0;
+  for (size_t i = 0; i + 3 < columns; ++i) end += DecodeCodePoint(text, end).length;
+  return absl::StrCat(absl::string_view(text).substr(0, end), "...");
+}
+
+bool IsBlank(char c) { return c == ' ' || c == '\t' || c == '\r' || c == '\n'; }
+
+// Without comments, each run of white space outside of strings as one blank.
+std::string OnOneLine(absl::string_view source) {
+  std::string out;
+  bool in_string = false;
+  for (size_t i = 0; i < source.size(); ++i) {
+    const char c = source[i];
+    if (!in_string && (IsBlank(c) || c == '#')) {
+      if (c == '#') i = std::min(source.find('\n', i), source.size());
+      if (!out.empty() && out.back() != ' ') out += ' ';
+      continue;
+    }
+    if (c == '"') in_string = !in_string;
+    out += c;
+    if (in_string && c == '\\' && i + 1 < source.size()) out += source[++i];
+  }
+  return std::string(absl::StripTrailingAsciiWhitespace(out));
+}
+
+// What has become of a decision, in plain words; empty if nothing is known.
+std::string StageText(const std::string& stage) {
+  constexpr std::pair<absl::string_view, absl::string_view> kMeanings[] = {
+      {"requested", "not every actuator has acknowledged it yet"},
+      {"acknowledged", "the actuators carry it out; not each has read it back yet"},
+      {"verified", "every actuator has read the level back"},
+      {"failed", "an actuator cannot reach the level; it tries again"},
+      {"superseded", "a newer decision took its place before it was verified"},
+  };
+  for (const auto& [name, meaning] : kMeanings) {
+    if (stage == name) return absl::StrCat(stage, ": ", meaning);
+  }
+  return EscapeText(stage);
+}
+
+std::string Times(uint32_t count) { return count == 1 ? "once" : absl::StrCat(count, " times"); }
+
+// Behind `, ` or another separator, escaped; nothing if it is empty.
+std::string Behind(absl::string_view separator, absl::string_view text) {
+  return text.empty() ? "" : absl::StrCat(separator, EscapeText(text));
+}
+
+std::string MarkIn(absl::string_view before, const v1::Mark& mark, absl::string_view after) {
+  return mark.term() == 0 && mark.epoch() == 0 ? "" : absl::StrCat(before, MarkText(mark), after);
+}
+
+std::string TransitionLine(const v1::Transition& transition) {
+  const std::string robot = EscapeText(transition.robot());
+  const std::string from = EscapeText(transition.from());
+  const std::string to = EscapeText(transition.to());
+  const std::string time = ShortTime(transition.time_unix_ns());
+  if (transition.refused()) {
+    return absl::StrCat(robot, " stayed at ", from, ": the change to ", to, " was refused ",
+                        Times(transition.count()), ", at ", time, Behind(": ", transition.reason()),
+                        Behind("; asked by ", transition.cause()));
+  }
+  return absl::StrCat(robot, " went from ", from, " to ", to, " at ", time,
+                      MarkIn(" (", transition.mark(), ")"), Behind(", by ", transition.cause()));
+}
+
+std::string AlertLine(const v1::Alert& alert) {
+  const std::string rule =
+      alert.rule() == kOwnRule ? "RIPS itself" : absl::StrCat("rule ", EscapeText(alert.rule()));
+  return absl::StrCat(EscapeText(alert.robot()), ": ", EscapeText(alert.severity()), " alert at ",
+                      ShortTime(alert.time_unix_ns()), Behind(" in ", alert.level()),
+                      MarkIn(" (", alert.mark(), ")"), ", by ", rule, ": ",
+                      EscapeText(alert.text()));
+}
+
+// Of the transition or the alert; empty if no rule did it.
+std::string RuleOf(const v1::ExplainResponse& recorded) {
+  absl::string_view cause = recorded.transition().cause();
+  if (recorded.has_transition()) {
+    if (absl::ConsumePrefix(&cause, "rule ") || absl::ConsumePrefix(&cause, "crash in rule ")) {
+      return std::string(cause);
+    }
+    return "";
+  }
+  return recorded.alert().rule() == kOwnRule ? "" : recorded.alert().rule();
+}
+
+// The lines of a file, those after the first as far to the left as they may stand.
+std::vector<std::string> ConditionLines(absl::string_view condition) {
+  std::vector<std::string> lines;
+  for (absl::string_view line : absl::StrSplit(condition, '\n')) {
+    lines.push_back(absl::StrReplaceAll(absl::StripTrailingAsciiWhitespace(line), {{"\t", "  "}}));
+  }
+  const auto indent_of = [](const std::string& line) {
+    return std::min(line.find_first_not_of(' '), line.size());
+  };
+  size_t indent = kConditionColumns;
+  for (size_t i = 1; i < lines.size(); ++i) {
+    if (!lines[i].empty()) indent = std::min(indent, indent_of(lines[i]));
+  }
+  for (size_t i = 0; i < lines.size(); ++i) {
+    lines[i].erase(0, std::min(indent_of(lines[i]), i == 0 ? lines[i].size() : indent));
+    if (i > 0 && !lines[i].empty()) lines[i].insert(0, "  ");
+  }
+  while (!lines.empty() && lines.back().empty()) lines.pop_back();
+  return lines;
+}
+
+void PrintCondition(absl::string_view condition, std::ostream& out) {
+  const std::vector<std::string> lines = ConditionLines(condition);
+  const size_t shown = std::min(lines.size(), kConditionLinesMax);
+  for (size_t i = 0; i < shown; ++i) {
+    out << "    " << CutColumns(EscapeText(lines[i]), kConditionColumns) << "\n";
+  }
+  if (shown < lines.size()) out << "    (" << lines.size() - shown << " more lines)\n";
+}
+
+void PrintValues(const v1::Evidence& evidence, std::ostream& out) {
+  std::vector<std::string> pieces;
+  size_t width = 0;
+  for (const v1::EvidenceValue& value : evidence.values()) {
+    const size_t indent = size_t{2} * std::min(value.depth(), kDepthShownMax);
+    pieces.push_back(absl::StrCat(
+        std::string(indent, ' '),
+        PieceText(evidence.condition(), value.offset(), value.length(), kPieceColumns - indent)));
+    width = std::max(width, CountCodePoints(pieces.back()));
+  }
+  for (int i = 0; i < evidence.values_size(); ++i) {
+    const std::string& piece = pieces[static_cast<size_t>(i)];
+    out << "    " << piece << std::string(width - CountCodePoints(piece) + 2, ' ')
+        << CutColumns(EscapeText(evidence.values(i).value()), kValueColumns) << "\n";
+  }
+}
+
+void PrintWhy(const v1::ExplainResponse& recorded, std::ostream& out) {
+  const v1::Evidence& evidence = recorded.evidence();
+  if (!recorded.has_evidence()) {
+    out << "\nWhy: " << EscapeText(NoEvidenceText(recorded)) << "\n";
+    out << Behind("  the event: ", recorded.alert().event())
+        << (recorded.alert().event().empty() ? "" : "\n");
+    return;
+  }
+  const std::string rule = RuleOf(recorded);
+  out << "\nWhy: " << (rule.empty() ? "a rule" : absl::StrCat("rule ", EscapeText(rule)))
+      << Behind(", ", evidence.place()) << Behind(", of bundle ", ShortBundle(evidence.bundle()))
+      << "\n";
+  if (!evidence.event().empty() || evidence.event_unix_ns() != 0) {
+    out << "  the event: " << (evidence.event().empty() ? "-" : EscapeText(evidence.event()));
+    if (evidence.event_unix_ns() != 0) {
+      out << ", at " << ShortTime(evidence.event_unix_ns()) << " by the robot's clock";
+    }
+    out << "\n";
+  }
+  if (!evidence.condition().empty()) {
+    out << "  the condition:\n";
+    PrintCondition(evidence.condition(), out);
+  }
+  if (!evidence.values().empty()) {
+    out << "  what it was made of then:\n";
+    PrintValues(evidence, out);
+  }
+}
+
+void PrintWho(const v1::ExplainResponse& recorded, std::ostream& out) {
+  const bool by_evidence = !recorded.evidence().subjects().empty();
+  const auto& subjects = by_evidence ? recorded.evidence().subjects() : recorded.alert().subjects();
+  if (!subjects.empty()) {
+    out << "\nWho:\n";
+    Table table({"NAME", "WHAT", "HOST", "PID", "GUID"});
+    for (const v1::Subject& each : subjects) {
+      table.Add({each.name(), each.role(), each.host(),
+                 each.pid() == 0 ? "" : absl::StrCat(each.pid()), each.guid()});
+    }
+    table.Print(out, "  ");
+    out << "  host and process id are what the process says of itself; it may lie\n";
+  }
+  if (recorded.evidence().cut()) out << "  there were more values or subjects than are kept\n";
+}
+
+// One line of what else came of the firing.
+std::string OutcomeText(const v1::Transition& transition) {
+  const std::string change =
+      absl::StrCat(EscapeText(transition.from()), " -> ", EscapeText(transition.to()));
+  if (transition.refused()) {
+    return absl::StrCat(change, " refused ", Times(transition.count()),
+                        Behind(": ", transition.reason()));
+  }
+  return absl::StrCat(change, MarkIn(" (", transition.mark(), ")"),
+                      Behind(", ", transition.stage()), Behind(": ", transition.detail()));
+}
+
+void PrintOutcome(const v1::ExplainResponse& recorded, std::ostream& out) {
+  const v1::Transition& own = recorded.transition();
+  const std::string stage = own.refused() ? "" : StageText(own.stage());
+  std::vector<std::pair<int64_t, std::string>> lines;
+  for (const v1::Alert& each : recorded.alerts()) {
+    lines.emplace_back(each.time_unix_ns(),
+                       absl::StrCat(EscapeText(ShortId(each.id())), "  alert, ",
+                                    EscapeText(each.severity()), ": ", EscapeText(each.text())));
+  }
+  for (const v1::Transition& each : recorded.transitions()) {
+    lines.emplace_back(each.time_unix_ns(),
+                       absl::StrCat(EscapeText(ShortId(each.id())), "  level ", OutcomeText(each)));
+  }
+  if (stage.empty() && own.detail().empty() && lines.empty()) return;
+  std::stable_sort(lines.begin(), lines.end(),
+                   [](const auto& a, const auto& b) { return a.first < b.first; });
+  out << "\nWhat came of it:\n";
+  if (!stage.empty() || !own.detail().empty()) {
+    out << "  " << stage << Behind(stage.empty() ? "" : "; ", own.detail()) << "\n";
+  }
+  for (const auto& [time, text] : lines) out << "  " << ShortTime(time) << "  " << text << "\n";
+}
+
+void PrintLowering(absl::string_view robot, const Lowering& lowering, std::ostream& out) {
+  if (!lowering.found.ok()) {
+    out << "  " << EscapeText(NoDryRunText(lowering.found.status())) << "\n";
+    return;
+  }
+  out << "  if it were lowered to " << EscapeText(lowering.to) << " now, it\n";
+  const v1::LevelResponse& found = *lowering.found;
+  if (found.would_raise_again().empty()) {
+    out << "    would not be raised again by a rule on the graph\n";
+  }
+  PrintDryRun(robot, found, !found.blind_because().empty(), "    ", out);
+}
+
+void PrintNow(const Explanation& explanation, std::ostream& out) {
+  if (!explanation.now.has_value()) return;
+  if (!explanation.now->ok()) {
+    out << "\nNow: not known: " << EscapeText(explanation.now->status().message()) << "\n";
+    return;
+  }
+  const v1::RobotStatus& status = (*explanation.now)->status();
+  out << "\nNow: " << EscapeText(status.robot()) << " is at " << EscapeText(status.decided_level())
+      << MarkIn(" (", status.mark(), ")");
+  const std::string stage = StageText(status.stage());
+  out << (stage.empty() ? "" : ", ") << stage << "\n";
+  if (status.effective_level().empty()) {
+    out << "  no actuator is attached\n";
+  } else if (status.effective_level() != status.decided_level()) {
+    out << "  its actuators hold " << EscapeText(status.effective_level()) << "\n";
+  }
+  if (explanation.lowering.has_value()) PrintLowering(status.robot(), *explanation.lowering, out);
+}
+
+}  // namespace
+
+std::string PieceText(absl::string_view condition, uint32_t offset, uint32_t length,
+                      size_t columns) {
+  if (offset >= condition.size()) return "...";
+  const absl::string_view piece = condition.substr(offset, length);
+  std::string text = OnOneLine(piece);
+  if (piece.size() < length) text += "...";
+  return CutColumns(EscapeText(text), columns);
+}
+
+std::string NoEvidenceText(const v1::ExplainResponse& recorded) {
+  if (recorded.has_evidence()) return "";
+  const v1::Transition& transition = recorded.transition();
+  const std::string reason = transition.refused() || transition.reason().empty()
+                                 ? ""
+                                 : absl::StrCat("; the reason: ", transition.reason());
+  if (absl::StartsWith(transition.cause(), "operator ")) {
+    return absl::StrCat(
+        transition.refused() ? "no rule asked for it, but " : "no rule did it, but ",
+        transition.cause(), reason);
+  }
+  const std::string rule = RuleOf(recorded);
+  if (!rule.empty()) {
+    return absl::StrCat("rule ", rule, "; it was recorded before RIPS kept evidence");
+  }
+  if (transition.cause() == "adopted") {
+    return absl::StrCat(
+        "no rule did it, but RIPS itself: it took over the level that an actuator held", reason);
+  }
+  return absl::StrCat("no rule did it, but RIPS itself", reason);
+}
+
+std::string NoDryRunText(const absl::Status& status) {
+  if (absl::IsPermissionDenied(status)) {
+    return "what would raise it again: to ask that needs an operator's certificate";
+  }
+  return absl::StrCat("what would raise it again is not known: ", status.message());
+}
+
+void PrintExplanation(const Explanation& explanation, std::ostream& out) {
+  const v1::ExplainResponse& recorded = explanation.recorded;
+  if (!recorded.has_transition() && !recorded.has_alert()) {
+    const bool known = explanation.now.has_value() && explanation.now->ok();
+    out << "nothing was ever decided for "
+        << (known ? EscapeText((*explanation.now)->status().robot()) : "this robot")
+        << ": it is where it began\n";
+  } else {
+    out << (recorded.has_transition() ? TransitionLine(recorded.transition())
+                                      : AlertLine(recorded.alert()))
+        << "\n";
+    PrintWhy(recorded, out);
+    PrintWho(recorded, out);
+    PrintOutcome(recorded, out);
+  }
+  PrintNow(explanation, out);
+}
+
+}  // namespace rips::ripsctl

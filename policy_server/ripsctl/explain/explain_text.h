@@ -1,0 +1,50 @@
+// Why a robot is where it is, as text for people. All that comes from the server may hold anything:
+// bytes are escaped, places in the condition are cut to what is there.
+#ifndef RIPS_POLICY_SERVER_RIPSCTL_EXPLAIN_EXPLAIN_TEXT_H_
+#define RIPS_POLICY_SERVER_RIPSCTL_EXPLAIN_EXPLAIN_TEXT_H_
+
+#include <cstddef>
+#include <cstdint>
+#include <optional>
+#include <ostream>
+#include <string>
+
+#include "absl/status/statusor.h"
+#include "absl/strings/string_view.h"
+#include "rips/v1/operator.pb.h"
+
+namespace rips::ripsctl {
+
+// What a dry run found of the next less restrictive level.
+struct Lowering {
+  std::string to;
+  absl::StatusOr<v1::LevelResponse> found;
+};
+
+struct Explanation {
+  // With an alert or a transition, unless nothing was ever decided.
+  v1::ExplainResponse recorded;
+  // The robot now, and unset if it is no robot that did it, but the server.
+  std::optional<absl::StatusOr<v1::GetLevelResponse>> now;
+  // Unset at the lowest level.
+  std::optional<Lowering> lowering;
+};
+
+// The parts, in this order, each left out if there is nothing to say: what happened, why, who, what
+// came of it, what is now.
+void PrintExplanation(const Explanation& explanation, std::ostream& out);
+
+// Why there is no evidence, in one line, not escaped; empty if there is.
+std::string NoEvidenceText(const v1::ExplainResponse& recorded);
+
+// Why there is no result of the dry run, in one line, not escaped.
+std::string NoDryRunText(const absl::Status& status);
+
+// The bytes of `condition` at `offset`, on one line: comments are left out, each run of white space
+// is one blank, at most `columns` columns (at least 3). `...` stands for what is left out.
+std::string PieceText(absl::string_view condition, uint32_t offset, uint32_t length,
+                      size_t columns);
+
+}  // namespace rips::ripsctl
+
+#endif  // RIPS_POLICY_SERVER_RIPSCTL_EXPLAIN_EXPLAIN_TEXT_H_

@@ -1,0 +1,268 @@
+#include "policy_server/ripsctl/explain/explain_text.h"
+
+#include <cstdint>
+#include <limits>
+#include <sstream>
+#include <string>
+
+#include "absl/status/status.h"
+#include "absl/strings/str_cat.h"
+#include "gmock/gmock.h"
+#include "gtest/gtest.h"
+#include "policy_server/ripsctl/samples.h"
+
+namespace rips::ripsctl {
+namespace {
+
+using ::testing::AllOf;
+using ::testing::HasSubstr;
+using ::testing::Not;
+using ::testing::StartsWith;
+
+constexpr uint32_t kHuge = std::numeric_limits<uint32_t>::max();
+
+std::string Print(const Explanation& explanation) {
+  std::ostringstream out;
+  PrintExplanation(explanation, out);
+  return out.str();
+}
+
+v1::ExplainResponse OfTransition(const v1::Transition& transition) {
+  v1::ExplainResponse response;
+  *response.mutable_transition() = transition;
+  return response;
+}
+
+v1::GetLevelResponse At(const std::string& level) {
+  v1::GetLevelResponse response;
+  *response.mutable_status() = MakeStatus("r1", level);
+  for (const char* each : {"DEFAULT", "ALERT", "COMPROMISED"}) response.add_levels(each);
+  return response;
+}
+
+void AddValue(v1::Evidence* evidence, uint32_t offset, uint32_t length, uint32_t depth,
+              const std::string& value) {
+  v1::EvidenceValue* each = evidence->add_values();
+  each->set_offset(offset);
+  each->set_length(length);
+  each->set_depth(depth);
+  each->set_value(value);
+}
+
+TEST(ExplainTextTest, TellsAllOfADecisionInOrder) {
+  v1::ExplainResponse recorded = OfTransition(MakeTransition());
+  recorded.mutable_transition()->set_detail("read back by base");
+  *recorded.mutable_evidence() = MakeEvidence();
+  *recorded.add_alerts() = MakeAlert("rogue driver");
+  v1::Transition* refused = recorded.add_transitions();
+  *refused = MakeTransition();
+  refused->set_refused(true);
+  refused->set_count(3);
+  refused->set_reason("needs an operator");
+  v1::LevelResponse found;
+  found.add_would_raise_again("rogue_cmd_vel");
+  const std::string text =
+      Print({.recorded = recorded, .now = At("COMPROMISED"), .lowering = Lowering{"ALERT", found}});
+  EXPECT_EQ(
+      text,
+      R"(r1 went from ALERT to COMPROMISED at 2026-01-01T00:00:00.000Z (3.17), by rule rogue_cmd_vel
+
+Why: rule rogue_cmd_vel, warehouse.rul:31, of bundle sha256:bbbbbbbbbbbb
+  the event: graph change, at 2025-12-31T23:59:59.999Z by the robot's clock
+  the condition:
+    publisher_count("/cmd_vel") > 1
+      and !nodes("/teleop")
+  what it was made of then:
+    publisher_count("/cmd_vel") > 1 and !nodes("/teleop")  true
+      publisher_count("/cmd_vel")                          2
+      !nodes("/teleop")                                    not evaluated
+
+Who:
+  NAME       WHAT                HOST  PID   GUID
+  /intruder  publishes /cmd_vel  base  4711  01104a3b.00000000.00000000.000003c1
+  host and process id are what the process says of itself; it may lie
+
+What came of it:
+  verified: every actuator has read the level back; read back by base
+  2026-01-01T00:00:00.000Z  22222222  alert, high: rogue driver
+  2026-01-01T00:00:00.000Z  11111111  level ALERT -> COMPROMISED refused 3 times: needs an operator
+
+Now: r1 is at COMPROMISED (3.17), verified: every actuator has read the level back
+  if it were lowered to ALERT now, it
+    would be raised again by rule rogue_cmd_vel
+    not tried: rules on messages and on external events; the next one may raise r1 again
+)");
+}
+
+TEST(ExplainTextTest, TellsAnAlert) {
+  v1::ExplainResponse recorded;
+  *recorded.mutable_alert() = MakeAlert("unknown node");
+  *recorded.mutable_alert()->add_subjects() = MakeEvidence().subjects(0);
+  const std::string text = Print({.recorded = recorded});
+  EXPECT_THAT(text, StartsWith("r1: high alert at 2026-01-01T00:00:00.000Z in ALERT (3.16), by "
+                               "rule unknown_node: unknown node\n"));
+  EXPECT_THAT(text, HasSubstr("\nWhy: rule unknown_node; it was recorded before RIPS kept "
+                              "evidence\n  the event: graph change\n"));
+  EXPECT_THAT(text, HasSubstr("/intruder  publishes /cmd_vel")) << "the alert's own subjects";
+  EXPECT_THAT(text, AllOf(Not(HasSubstr("What came")), Not(HasSubstr("Now:"))));
+
+  recorded.mutable_alert()->set_rule("(rips)");
+  EXPECT_THAT(Print({.recorded = recorded}),
+              AllOf(HasSubstr(", by RIPS itself: unknown node\n"),
+                    HasSubstr("Why: no rule did it, but RIPS itself\n")));
+}
+
+TEST(ExplainTextTest, TellsARefusedChange) {
+  v1::Transition refused = MakeTransition();
+  refused.set_refused(true);
+  refused.set_count(7);
+  refused.set_reason("needs an operator");
+  refused.clear_mark();
+  const std::string text = Print({.recorded = OfTransition(refused)});
+  EXPECT_THAT(text, StartsWith("r1 stayed at ALERT: the change to COMPROMISED was refused 7 times, "
+                               "at 2026-01-01T00:00:00.000Z: needs an operator; asked by rule "
+                               "rogue_cmd_vel\n"));
+  EXPECT_THAT(text, Not(HasSubstr("verified"))) << "nothing was decided";
+  refused.set_count(1);
+  refused.set_cause("operator vera");
+  EXPECT_THAT(Print({.recorded = OfTransition(refused)}),
+              AllOf(HasSubstr("was refused once, at"),
+                    HasSubstr("Why: no rule asked for it, but operator vera\n")));
+}
+
+TEST(ExplainTextTest, SaysWhyThereIsNoEvidence) {
+  v1::Transition transition = MakeTransition();
+  EXPECT_EQ(NoEvidenceText(OfTransition(transition)),
+            "rule rogue_cmd_vel; it was recorded before RIPS kept evidence");
+  transition.set_cause("crash in rule guard");
+  EXPECT_EQ(NoEvidenceText(OfTransition(transition)),
+            "rule guard; it was recorded before RIPS kept evidence");
+  transition.set_cause("operator ann (spiffe://td/operator/operator/ann serial 0a)");
+  transition.set_reason("smoke \x1b[2J");
+  EXPECT_THAT(Print({.recorded = OfTransition(transition)}),
+              HasSubstr("Why: no rule did it, but operator ann "
+                        "(spiffe://td/operator/operator/ann serial 0a); the reason: smoke "
+                        "\\x1b[2J\n"));
+  transition.set_cause("adopted");
+  transition.clear_reason();
+  EXPECT_EQ(NoEvidenceText(OfTransition(transition)),
+            "no rule did it, but RIPS itself: it took over the level that an actuator held");
+  v1::ExplainResponse with = OfTransition(transition);
+  *with.mutable_evidence() = MakeEvidence();
+  EXPECT_EQ(NoEvidenceText(with), "");
+}
+
+TEST(ExplainTextTest, IndentsByDepthAndAlignsValues) {
+  v1::ExplainResponse recorded = OfTransition(MakeTransition());
+  v1::Evidence* evidence = recorded.mutable_evidence();
+  evidence->set_condition("a and (b or c)");
+  evidence->set_cut(true);
+  AddValue(evidence, 0, 14, 0, "true");
+  AddValue(evidence, 0, 1, 1, "true");
+  AddValue(evidence, 6, 8, 1, "true");
+  AddValue(evidence, 7, 1, 2, "false: there are 3");
+  AddValue(evidence, 12, 1, kHuge, "true");
+  const std::string text = Print({.recorded = recorded});
+  EXPECT_THAT(text, HasSubstr("  what it was made of then:\n"
+                              "    a and (b or c)     true\n"
+                              "      a                true\n"
+                              "      (b or c)         true\n"
+                              "        b              false: there are 3\n"
+                              "                    c  true\n"));
+  EXPECT_THAT(text, HasSubstr("  there were more values or subjects than are kept\n"));
+  EXPECT_THAT(text, Not(HasSubstr("the event:")));
+}
+
+TEST(ExplainTextTest, HostileTextCannotLeaveItsPlace) {
+  v1::ExplainResponse recorded = OfTransition(MakeTransition());
+  const std::string evil = "\x1b[2J\r\nNow: r1 is at DEFAULT \xe2\x80\xae";
+  recorded.mutable_transition()->set_cause("rule " + evil);
+  recorded.mutable_transition()->set_detail(evil);
+  recorded.mutable_transition()->set_stage(evil);
+  v1::Evidence* evidence = recorded.mutable_evidence();
+  *evidence = MakeEvidence();
+  evidence->set_place(evil);
+  evidence->set_event(evil);
+  evidence->set_condition("a \"" + evil + "\"");
+  AddValue(evidence, 2, kHuge, 1, evil);
+  evidence->mutable_subjects(0)->set_name(evil);
+  evidence->mutable_subjects(0)->set_host(evil);
+  *recorded.add_alerts() = MakeAlert(evil);
+  v1::GetLevelResponse now = At("COMPROMISED");
+  now.mutable_status()->set_stage(evil);
+  now.mutable_status()->set_effective_level(evil);
+  v1::LevelResponse found;
+  found.add_would_raise_again(evil);
+  found.add_blind_because(evil);
+  const std::string text =
+      Print({.recorded = recorded, .now = now, .lowering = Lowering{evil, found}});
+  EXPECT_EQ(text.find_first_of("\x1b\r"), std::string::npos);
+  EXPECT_THAT(text, Not(HasSubstr("\xe2\x80\xae")));
+  EXPECT_THAT(text, Not(HasSubstr("\nNow: r1 is at DEFAULT")));
+}
+
+TEST(ExplainTextTest, SaysWhatIsNow) {
+  v1::ExplainResponse recorded = OfTransition(MakeTransition());
+  v1::GetLevelResponse now = At("DEFAULT");
+  now.mutable_status()->set_stage("failed");
+  now.mutable_status()->clear_effective_level();
+  EXPECT_THAT(Print({.recorded = recorded, .now = now}),
+              HasSubstr("Now: r1 is at DEFAULT (3.17), failed: an actuator cannot reach the level; "
+                        "it tries again\n  no actuator is attached\n"));
+  EXPECT_THAT(Print({.recorded = recorded, .now = absl::NotFoundError("no robot `r1`")}),
+              HasSubstr("Now: not known: no robot `r1`\n"));
+  const auto with = [&](absl::StatusOr<v1::LevelResponse> found) {
+    return Print({.recorded = recorded,
+                  .now = At("COMPROMISED"),
+                  .lowering = Lowering{"ALERT", std::move(found)}});
+  };
+  EXPECT_THAT(with(absl::PermissionDeniedError("vera is a viewer")),
+              HasSubstr("  what would raise it again: to ask that needs an operator's "
+                        "certificate\n"));
+  EXPECT_THAT(with(absl::FailedPreconditionError("the store is full")),
+              HasSubstr("  what would raise it again is not known: the store is full\n"));
+  v1::LevelResponse blind;
+  blind.add_blind_because("sensor base lost");
+  EXPECT_THAT(with(blind), HasSubstr("  if it were lowered to ALERT now, it\n"
+                                     "    would not be raised again by a rule on the graph\n"
+                                     "    blind: sensor base lost\n"
+                                     "    would be refused, because RIPS does not see all of r1 "
+                                     "now; --accept-blind lowers it all the same\n"));
+  EXPECT_THAT(Print({.now = At("DEFAULT")}),
+              StartsWith("nothing was ever decided for r1: it is where it began\n"));
+}
+
+TEST(ExplainTextTest, LongConditionsAreCut) {
+  v1::ExplainResponse recorded = OfTransition(MakeTransition());
+  std::string condition = "any";
+  for (int i = 0; i < 40; ++i) absl::StrAppend(&condition, "\r\n\tline", i);
+  recorded.mutable_evidence()->set_condition(condition);
+  const std::string text = Print({.recorded = recorded});
+  EXPECT_THAT(text, HasSubstr("    any\n      line0\n      line1\n"));
+  EXPECT_THAT(text,
+              AllOf(HasSubstr("      line18\n    (21 more lines)\n"), Not(HasSubstr("line19"))));
+  recorded.mutable_evidence()->set_condition(std::string(10'000, 'x'));
+  EXPECT_THAT(Print({.recorded = recorded}), HasSubstr("\n    " + std::string(157, 'x') + "...\n"));
+}
+
+TEST(PieceTextTest, NeverTrustsItsPlace) {
+  EXPECT_EQ(PieceText("a and b", 6, 1, 56), "b");
+  EXPECT_EQ(PieceText("a and b", 6, kHuge, 56), "b...") << "the condition was cut";
+  EXPECT_EQ(PieceText("a and b", 7, 1, 56), "...");
+  EXPECT_EQ(PieceText("a and b", kHuge, kHuge, 56), "...");
+  EXPECT_EQ(PieceText("", 0, 0, 56), "...");
+  EXPECT_EQ(PieceText("a", 0, 0, 56), "");
+  EXPECT_EQ(PieceText("ñ", 1, 1, 56), "\\xb1") << "half of a character";
+}
+
+TEST(PieceTextTest, IsOneShortLine) {
+  EXPECT_EQ(PieceText("a\r\n\t and  # why \"\n  b", 0, 21, 56), "a and b");
+  EXPECT_EQ(PieceText("x(\"a  # \\\"b\")", 0, 13, 56), "x(\"a  # \\\"b\")");
+  EXPECT_EQ(PieceText("a # no end", 0, 10, 56), "a");
+  EXPECT_EQ(PieceText("0123456789", 0, 10, 10), "0123456789");
+  EXPECT_EQ(PieceText("0123456789a", 0, 11, 10), "0123456...");
+  EXPECT_EQ(PieceText("ññññññ", 0, 12, 5), "ññ...");
+}
+
+}  // namespace
+}  // namespace rips::ripsctl

@@ -1,0 +1,90 @@
+// Messages of OperatorService as tests of ripsctl use them: robot r1 at COMPROMISED (3.17).
+#ifndef RIPS_POLICY_SERVER_RIPSCTL_SAMPLES_H_
+#define RIPS_POLICY_SERVER_RIPSCTL_SAMPLES_H_
+
+#include <cstdint>
+#include <string>
+
+#include "rips/v1/operator.pb.h"
+
+namespace rips::ripsctl {
+
+inline constexpr int64_t kNewYear = 1'767'225'600'000'000'000;
+
+inline v1::Mark MakeMark(uint64_t term, uint64_t epoch) {
+  v1::Mark mark;
+  mark.set_term(term);
+  mark.set_epoch(epoch);
+  return mark;
+}
+
+inline v1::RobotStatus MakeStatus(const std::string& robot, const std::string& level) {
+  v1::RobotStatus status;
+  status.set_robot(robot);
+  status.set_decided_level(level);
+  status.set_effective_level(level);
+  status.set_stage("verified");
+  *status.mutable_mark() = MakeMark(3, 17);
+  status.set_bundle_version("sha256:" + std::string(64, 'b'));
+  return status;
+}
+
+inline v1::Transition MakeTransition() {
+  v1::Transition transition;
+  transition.set_id(std::string(32, '1'));
+  transition.set_robot("r1");
+  transition.set_time_unix_ns(kNewYear + 5);
+  transition.set_from("ALERT");
+  transition.set_to("COMPROMISED");
+  transition.set_cause("rule rogue_cmd_vel");
+  *transition.mutable_mark() = MakeMark(3, 17);
+  transition.set_count(1);
+  transition.set_stage("verified");
+  return transition;
+}
+
+inline v1::Alert MakeAlert(const std::string& text) {
+  v1::Alert alert;
+  alert.set_id(std::string(32, '2'));
+  alert.set_time_unix_ns(kNewYear);
+  alert.set_robot("r1");
+  alert.set_rule("unknown_node");
+  alert.set_severity("high");
+  alert.set_text(text);
+  alert.set_level("ALERT");
+  alert.set_event("graph change");
+  *alert.mutable_mark() = MakeMark(3, 16);
+  return alert;
+}
+
+// Rule rogue_cmd_vel of two lines, three values of two depths, one subject.
+inline v1::Evidence MakeEvidence() {
+  v1::Evidence evidence;
+  evidence.set_place("warehouse.rul:31");
+  evidence.set_condition("publisher_count(\"/cmd_vel\") > 1\n      and !nodes(\"/teleop\")");
+  const auto add = [&evidence](uint32_t offset, uint32_t length, uint32_t depth,
+                               const std::string& value) {
+    v1::EvidenceValue* each = evidence.add_values();
+    each->set_offset(offset);
+    each->set_length(length);
+    each->set_depth(depth);
+    each->set_value(value);
+  };
+  add(0, 59, 0, "true");
+  add(0, 27, 1, "2");
+  add(42, 17, 1, "not evaluated");
+  v1::Subject* subject = evidence.add_subjects();
+  subject->set_name("/intruder");
+  subject->set_role("publishes /cmd_vel");
+  subject->set_guid("01104a3b.00000000.00000000.000003c1");
+  subject->set_host("base");
+  subject->set_pid(4711);
+  evidence.set_event("graph change");
+  evidence.set_event_unix_ns(kNewYear - 1'000'000);
+  evidence.set_bundle("sha256:" + std::string(64, 'b'));
+  return evidence;
+}
+
+}  // namespace rips::ripsctl
+
+#endif  // RIPS_POLICY_SERVER_RIPSCTL_SAMPLES_H_

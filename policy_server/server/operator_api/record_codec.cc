@@ -1,0 +1,151 @@
+#include "policy_server/server/operator_api/record_codec.h"
+
+#include <algorithm>
+#include <cstdint>
+#include <optional>
+#include <utility>
+#include <vector>
+
+#include "absl/strings/ascii.h"
+#include "absl/strings/str_cat.h"
+#include "policy_server/server/robot/model/robot_config.h"
+#include "policy_server/server/store/trace_codec.h"
+#include "services/base/cut_text.h"
+#include "services/base/mark.h"
+#include "services/base/status_macros.h"
+
+namespace rips::operator_api {
+namespace {
+
+constexpr size_t kIdDigitsMin = 6;
+constexpr size_t kIdDigits = 32;
+// Of one firing of a rule.
+constexpr int kSameFiringMax = 16;
+
+bool IsIdPrefix(const std::string& id) {
+  return id.size() >= kIdDigitsMin && id.size() <= kIdDigits &&
+         std::all_of(id.begin(), id.end(), [](char c) {
+           return absl::ascii_isdigit(static_cast<unsigned char>(c)) || (c >= 'a' && c <= 'f');
+         });
+}
+
+// What a rule did when it fired once: the traces say the same.
+bool IsSameFiring(const engine::Trace& a, const engine::Trace& b) { return !a.none() && a == b; }
+
+struct Found {
+  std::optional<store::AlertRecord> alert;
+  std::optional<store::TransitionRecord> transition;
+};
+
+absl::StatusOr<Found> FindById(const std::string& id, store::Store& store) {
+  if (!IsIdPrefix(id)) {
+    return absl::InvalidArgumentError(absl::StrCat("an id is ", kIdDigits,
+                                                   " lower-case hex digits, or the first ",
+                                                   kIdDigitsMin, " at least"));
+  }
+  RIPS_ASSIGN_OR_RETURN(store::FoundRecords found, store.FindRecords(id));
+  const size_t count = found.alerts.size() + found.transitions.size();
+  if (count == 0) {
+    return absl::NotFoundError(
+        absl::StrCat("no alert or level change with the id ", id, " is kept"));
+  }
+  if (count > 1) {
+    return absl::InvalidArgumentError(
+        absl::StrCat("several ids begin with ", id, "; give more digits"));
+  }
+  Found out;
+  if (!found.alerts.empty()) out.alert = std::move(found.alerts.front());
+  if (!found.transitions.empty()) out.transition = std::move(found.transitions.front());
+  return out;
+}
+
+absl::StatusOr<Found> FindByMark(const std::string& robot, const Mark& mark, store::Store& store) {
+  RIPS_ASSIGN_OR_RETURN(std::vector<store::TransitionRecord> newest,
+                        store.ListTransitions(robot, store::kListMax));
+  for (store::TransitionRecord& record : newest) {
+    if (record.refused || record.mark != mark) continue;
+    Found out;
+    out.transition = std::move(record);
+    return out;
+  }
+  return absl::NotFoundError(absl::StrCat("robot `", robot, "` has no decision ", ToString(mark),
+                                          " among its newest ", store::kListMax));
+}
+
+}  // namespace
+
+void FillMark(const Mark& mark, rips::v1::Mark* out) {
+  out->set_term(mark.term);
+  out->set_epoch(mark.epoch);
+}
+
+rips::v1::Alert Encode(const store::AlertRecord& alert) {
+  rips::v1::Alert out;
+  out.set_id(alert.id);
+  out.set_time_unix_ns(alert.time_unix_ns);
+  out.set_robot(alert.robot);
+  out.set_rule(alert.rule);
+  out.set_severity(alert.severity);
+  // A store may be older than these limits.
+  out.set_text(Shortened(alert.text, pipeline::kAlertTextBytesMax));
+  out.set_level(alert.level);
+  out.set_event(Shortened(alert.event, pipeline::kAlertEventBytesMax));
+  FillMark(alert.mark, out.mutable_mark());
+  for (const engine::TracedSubject& subject : alert.trace.subjects) {
+    *out.add_subjects() = store::EncodeSubject(subject);
+  }
+  return out;
+}
+
+rips::v1::Transition Encode(const store::TransitionRecord& record) {
+  rips::v1::Transition out;
+  out.set_id(record.id);
+  out.set_robot(record.robot);
+  out.set_time_unix_ns(record.time_unix_ns);
+  out.set_from(record.from);
+  out.set_to(record.to);
+  out.set_cause(record.cause);
+  out.set_reason(record.reason);
+  if (!record.refused) FillMark(record.mark, out.mutable_mark());
+  out.set_refused(record.refused);
+  out.set_count(static_cast<uint32_t>(std::min<uint64_t>(record.count, UINT32_MAX)));
+  out.set_stage(record.stage);
+  out.set_detail(record.detail);
+  return out;
+}
+
+absl::StatusOr<rips::v1::ExplainResponse> Explain(const rips::v1::ExplainRequest& request,
+                                                  store::Store& store) {
+  const bool by_id = !request.id().empty();
+  if (by_id == !request.robot().empty()) {
+    return absl::InvalidArgumentError("explain takes an id, or a robot and a mark");
+  }
+  const Mark mark = {request.mark().term(), request.mark().epoch()};
+  RIPS_ASSIGN_OR_RETURN(const Found found, by_id ? FindById(request.id(), store)
+                                                 : FindByMark(request.robot(), mark, store));
+  rips::v1::ExplainResponse response;
+  if (found.alert) *response.mutable_alert() = Encode(*found.alert);
+  if (found.transition) *response.mutable_transition() = Encode(*found.transition);
+  const engine::Trace& trace = found.alert ? found.alert->trace : found.transition->trace;
+  if (trace.none()) return response;
+  *response.mutable_evidence() = store::EncodeTrace(trace);
+
+  const std::string& robot = found.alert ? found.alert->robot : found.transition->robot;
+  const std::string& id = found.alert ? found.alert->id : found.transition->id;
+  // Newest first, and the answer is in the order of time.
+  RIPS_ASSIGN_OR_RETURN(const auto alerts, store.ListAlerts(robot, store::kListMax));
+  for (auto alert = alerts.rbegin(); alert != alerts.rend(); ++alert) {
+    if (alert->id == id || !IsSameFiring(alert->trace, trace)) continue;
+    if (response.alerts_size() < kSameFiringMax) *response.add_alerts() = Encode(*alert);
+  }
+  RIPS_ASSIGN_OR_RETURN(const auto transitions, store.ListTransitions(robot, store::kListMax));
+  for (auto record = transitions.rbegin(); record != transitions.rend(); ++record) {
+    if (record->id == id || !IsSameFiring(record->trace, trace)) continue;
+    if (response.transitions_size() < kSameFiringMax) {
+      *response.add_transitions() = Encode(*record);
+    }
+  }
+  return response;
+}
+
+}  // namespace rips::operator_api

@@ -1,0 +1,23 @@
+// Stored records as operators see them, and what is told of one of them.
+#ifndef RIPS_POLICY_SERVER_SERVER_OPERATOR_API_RECORD_CODEC_H_
+#define RIPS_POLICY_SERVER_SERVER_OPERATOR_API_RECORD_CODEC_H_
+
+#include "absl/status/statusor.h"
+#include "policy_server/server/store/store.h"
+#include "rips/v1/operator.pb.h"
+#include "services/base/mark.h"
+
+namespace rips::operator_api {
+
+void FillMark(const Mark& mark, rips::v1::Mark* out);
+rips::v1::Alert Encode(const store::AlertRecord& alert);
+rips::v1::Transition Encode(const store::TransitionRecord& record);
+
+// As rips/v1/operator.proto says of Explain. Blocks on the store. InvalidArgument if the request
+// names nothing or several, NotFound if there is no such record.
+absl::StatusOr<rips::v1::ExplainResponse> Explain(const rips::v1::ExplainRequest& request,
+                                                  store::Store& store);
+
+}  // namespace rips::operator_api
+
+#endif  // RIPS_POLICY_SERVER_SERVER_OPERATOR_API_RECORD_CODEC_H_
