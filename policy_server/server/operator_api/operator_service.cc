@@ -7,6 +7,7 @@
 #include <string>
 #include <utility>
 
+#include "absl/strings/escaping.h"
 #include "absl/strings/str_cat.h"
 #include "policy_server/server/operator_api/answer_limits.h"
 #include "policy_server/server/operator_api/coverage_codec.h"
