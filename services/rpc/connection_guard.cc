@@ -553,6 +553,7 @@ absl::Status ConnectionGuard::OnIdentified(absl::string_view peer, const std::st
       }
       ++count;
       connection->Identify(certificate, agent);
+      waiting_.GiveBack();
     }
     if (!agent || MayCallLocked(certificate, now_ns)) {
       admission_.Identified(connection->source(), now_ns);

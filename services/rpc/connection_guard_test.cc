@@ -284,6 +284,8 @@ TEST_F(ConnectionGuardTest, AnAddressThatIsNotKnownWaitsForItsHandshakeAndOneTha
   ASSERT_FALSE(FindPeers().empty());
   EXPECT_THAT(guard_->OnIdentified(FindPeers()[0], kSensor, /*agent=*/true), IsOk());
   EXPECT_TRUE(Connect()->WaitForConnected(absl::ToChronoTime(absl::Now() + kPatience)));
+  EXPECT_TRUE(waits->WaitForConnected(absl::ToChronoTime(absl::Now() + kPatience)))
+      << "the one that was identified gave its place back";
 }
 
 TEST_F(ConnectionGuardTest, WhoHalfClosesBeforeItsHandshakeIsClosedAndTold) {

@@ -21,7 +21,7 @@ namespace rips::rpc {
 
 struct HandshakePace {
   // At once, then so many a second; a handshake takes about a millisecond.
-  double burst = 16;
+  double burst = 32;
   double per_second = 250;
 
   friend bool operator==(const HandshakePace&, const HandshakePace&) = default;
@@ -67,7 +67,8 @@ class HandshakeQueue {
     }
     return next;
   }
-  // What Next gave need not be done after all.
+  // What Next gave need not be done after all, or was a peer of ours: a fleet that comes back is
+  // not kept waiting.
   void GiveBack() { tokens_ = std::min(pace_.burst, tokens_ + 1); }
   // Drops those for which `gone` is true; the others keep their turns.
   template <typename Gone>

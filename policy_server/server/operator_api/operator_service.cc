@@ -405,7 +405,7 @@ void OperatorService::AddUnrecorded(const rips::v1::ListAlertsRequest& request,
 grpc::ServerUnaryReactor* OperatorService::Explain(grpc::CallbackServerContext* context,
                                                    const rips::v1::ExplainRequest* request,
                                                    rips::v1::ExplainResponse* response) {
-  const auto who = Authorize(context, *request, OperatorRole::kViewer, Use::kQuery);
+  const auto who = Authorize(context, *request, OperatorRole::kViewer, Use::kQuery, kGraphWeight);
   if (!who.ok()) return Refuse(context, who.status());
   grpc::ServerUnaryReactor* reactor = Answer(*who);
   Read(reactor, [this, reactor, request, response] {

@@ -19,7 +19,7 @@ namespace {
 
 constexpr size_t kIdDigitsMin = 6;
 constexpr size_t kIdDigits = 32;
-// Of one firing of a rule.
+// Of one firing of a rule: their traces are equal.
 constexpr int kSameFiringMax = 16;
 
 bool IsIdPrefix(const std::string& id) {
@@ -28,9 +28,6 @@ bool IsIdPrefix(const std::string& id) {
            return absl::ascii_isdigit(static_cast<unsigned char>(c)) || (c >= 'a' && c <= 'f');
          });
 }
-
-// What a rule did when it fired once: the traces say the same.
-bool IsSameFiring(const engine::Trace& a, const engine::Trace& b) { return !a.none() && a == b; }
 
 struct Found {
   std::optional<store::AlertRecord> alert;
@@ -132,19 +129,17 @@ absl::StatusOr<rips::v1::ExplainResponse> Explain(const rips::v1::ExplainRequest
 
   const std::string& robot = found.alert ? found.alert->robot : found.transition->robot;
   const std::string& id = found.alert ? found.alert->id : found.transition->id;
-  // Newest first, and the answer is in the order of time.
-  RIPS_ASSIGN_OR_RETURN(const auto alerts, store.ListAlerts(robot, store::kListMax));
-  for (auto alert = alerts.rbegin(); alert != alerts.rend(); ++alert) {
-    if (alert->id == id || !IsSameFiring(alert->trace, trace)) continue;
-    if (response.alerts_size() < kSameFiringMax) *response.add_alerts() = Encode(*alert);
-  }
-  RIPS_ASSIGN_OR_RETURN(const auto transitions, store.ListTransitions(robot, store::kListMax));
-  for (auto record = transitions.rbegin(); record != transitions.rend(); ++record) {
-    if (record->id == id || !IsSameFiring(record->trace, trace)) continue;
-    if (response.transitions_size() < kSameFiringMax) {
-      *response.add_transitions() = Encode(*record);
+  // Of records newest first, in the order of time.
+  const auto add_same_firing = [&](const auto& records, auto* out) {
+    for (auto record = records.rbegin(); record != records.rend(); ++record) {
+      if (record->id == id || record->trace != trace) continue;
+      if (out->size() < kSameFiringMax) *out->Add() = Encode(*record);
     }
-  }
+  };
+  RIPS_ASSIGN_OR_RETURN(const auto alerts, store.ListAlerts(robot, store::kListMax));
+  add_same_firing(alerts, response.mutable_alerts());
+  RIPS_ASSIGN_OR_RETURN(const auto transitions, store.ListTransitions(robot, store::kListMax));
+  add_same_firing(transitions, response.mutable_transitions());
   return response;
 }
 

@@ -169,6 +169,16 @@ TEST_F(AlertFloodTest, ByFindings) {
             kKindBytes);
 }
 
+TEST_F(AlertFloodTest, ByFindingsOfKindsThatAreMadeUp) {
+  EXPECT_LE(Flood([&](uint64_t i) {
+              SendBatch(
+                  Lane::kControl,
+                  {{.what = FindingSeen{.kind = absl::StrCat("k", i), .detail = Text(512, i)}}});
+              Beat();
+            }),
+            kKindBytes);
+}
+
 TEST_F(AlertFloodTest, ByWhatASensorCannotSee) {
   EXPECT_LE(Flood([&](uint64_t i) {
               SensorStateSeen state{.overloaded = i % 2 == 0};

@@ -45,10 +45,13 @@ bool Robot::TakeFinding(const std::string& host_name, const std::string& incarna
       .text = absl::StrCat("sensor ", host_name, ": ", Text(finding)),
       .level = state_.level.level(),
       .mark = state_.level.mark()};
-  if (own_alert_limiter_.Admit(absl::StrCat("finding ", finding.kind), alert, now)) {
+  // A sensor may make kinds up, and each kind has its own limit.
+  const bool listed = IsKindOfRules(finding.kind);
+  if (own_alert_limiter_.Admit(listed ? absl::StrCat("finding ", finding.kind) : "finding", alert,
+                               now)) {
     Alert(alert, absl::StrCat("finding ", finding.kind));
   }
-  return IsKindOfRules(finding.kind);
+  return listed;
 }
 
 void Robot::ExpireFindings(Instant now) {
