@@ -10,6 +10,7 @@
 #include <sys/socket.h>
 #include <unistd.h>
 
+#include <algorithm>
 #include <cerrno>
 #include <cstring>
 #include <tuple>
@@ -36,8 +37,10 @@ constexpr size_t kAgentCallsMax = 4'096;
 constexpr size_t kBannedMax = 4'096;
 // No ClientHello is shorter.
 constexpr uint64_t kClientHelloBytes = 64;
-// Ended to make room; gRPC closes their descriptors a moment later.
+// Ended to make room though gRPC had them, which closes its descriptors a moment later.
 constexpr int kRoomPerLook = 128;
+// At most, of many.
+constexpr size_t kRoomAtOnce = 16;
 constexpr char kEndedHelp[] = "Connections ended by the guard, by why.";
 
 absl::Status Failed(absl::string_view what) {
@@ -405,15 +408,15 @@ void ConnectionGuard::Take(UniqueFd socket, Source source) {
     return Wasted(source, now_ns);
   }
   Admission::Verdict verdict = Admission::Verdict::kTake;
-  std::shared_ptr<Connection> ended;
+  std::vector<std::shared_ptr<Connection>> ended;
   {
     MutexLock lock(&mu_);
     if (probes_.contains(source.peer)) return;  // closes it
     verdict = admission_.Ask(source, now_ns);
     ended = MakeRoomLocked(source, verdict, now_ns);
-    if (ended != nullptr) verdict = admission_.Ask(source, now_ns);
+    if (!ended.empty()) verdict = admission_.Ask(source, now_ns);
   }
-  if (ended != nullptr) Wasted(ended->source(), now_ns);
+  for (const auto& each : ended) Wasted(each->source(), now_ns);
   if (verdict != Admission::Verdict::kTake) {
     CountRefused(metrics_, ToString(verdict));
     if (const auto left_out = refusal_logs_.Admit("")) {
@@ -466,32 +469,44 @@ void ConnectionGuard::HandOverWaiting() {
   }
 }
 
-std::shared_ptr<Connection> ConnectionGuard::MakeRoomLocked(const Source& source,
-                                                            Admission::Verdict limit,
-                                                            int64_t now_ns) {
+std::vector<std::shared_ptr<Connection>> ConnectionGuard::MakeRoomLocked(const Source& source,
+                                                                         Admission::Verdict limit,
+                                                                         int64_t now_ns) {
   const bool in_address = limit == Admission::Verdict::kAddress;
   const bool in_network = limit == Admission::Verdict::kNetwork;
-  if (!in_address && !in_network && limit != Admission::Verdict::kTotal) return nullptr;
-  if (made_room_ >= kRoomPerLook) return nullptr;
-  std::shared_ptr<Connection> victim;
-  const auto worth = [&](const Connection& connection) ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_) {
-    return std::tuple(admission_.Known(connection.source(), now_ns),
-                      -admission_.InNetwork(connection.source()), connection.spoke_.load(),
-                      connection.taken_ns_);
-  };
+  if (!in_address && !in_network && limit != Admission::Verdict::kTotal) return {};
+  if (made_room_ >= kRoomPerLook) return {};
+  using Worth = std::tuple<bool, int, bool, int64_t>;
+  std::vector<std::pair<Worth, std::shared_ptr<Connection>>> worth;
   for (const auto& [peer, connection] : connections_) {
     if (in_address && connection->source().address != source.address) continue;
     if (in_network && connection->source().network != source.network) continue;
-    if (victim != nullptr && worth(*victim) <= worth(*connection)) continue;
-    if (connection->certificate().empty()) victim = connection;
+    if (!connection->certificate().empty()) continue;
+    worth.emplace_back(Worth(admission_.Known(connection->source(), now_ns),
+                             -admission_.InNetwork(connection->source()), connection->spoke_.load(),
+                             connection->taken_ns_),
+                       connection);
   }
-  if (victim == nullptr) return nullptr;
-  ++made_room_;
-  victim->End();
-  ForgetLocked(*victim);
-  connections_.erase(victim->source().peer);
-  CountEnded(metrics_, "room");
-  return victim;
+  // A flood of thousands a second must not cost a look at all of them each.
+  const size_t some = std::min(kRoomAtOnce, 1 + worth.size() / 64);
+  const auto end = worth.begin() + static_cast<ptrdiff_t>(std::min(some, worth.size()));
+  std::partial_sort(worth.begin(), end, worth.end(),
+                    [](const auto& a, const auto& b) { return a.first < b.first; });
+  std::vector<std::shared_ptr<Connection>> ended;
+  for (auto each = worth.begin(); each != end; ++each) {
+    each->second->End();
+    ForgetLocked(*each->second);
+    connections_.erase(each->second->source().peer);
+    CountEnded(metrics_, "room");
+    ended.push_back(std::move(each->second));
+  }
+  // Those that still wait are closed here and now.
+  const size_t waited = waiting_.size();
+  waiting_.EraseIf([&](const Waiting& waiting) {
+    return std::find(ended.begin(), ended.end(), waiting.connection) != ended.end();
+  });
+  made_room_ += static_cast<int>(ended.size() - (waited - waiting_.size()));
+  return ended;
 }
 
 // ------------------------------------------------------------------------------------- watching

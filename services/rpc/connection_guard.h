@@ -182,12 +182,14 @@ class ConnectionGuard {
   void Take(UniqueFd socket, Source source);
   // Those whose turn it is.
   void HandOverWaiting() ABSL_LOCKS_EXCLUDED(mu_);
-  // Ends a connection without a certificate that counts against the limit `source` has met, so that
+  // Ends connections without a certificate that count against the limit `source` has met, so that
   // a flood of those cannot keep out a peer that would name itself: first of addresses that are not
   // known, of those of the network that has most, of those one that has sent nothing, of those the
-  // oldest. Returns it; null if there is none, or too many were ended since the last look.
-  std::shared_ptr<Connection> MakeRoomLocked(const Source& source, Admission::Verdict limit,
-                                             int64_t now_ns) ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
+  // oldest; one, or one in 64 if there are many. Returns them; none if too many that gRPC had
+  // were ended since the last look.
+  std::vector<std::shared_ptr<Connection>> MakeRoomLocked(const Source& source,
+                                                          Admission::Verdict limit, int64_t now_ns)
+      ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
   void RunWatch();
   void Look();
   void ForgetLocked(const Connection& connection) ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);

@@ -268,11 +268,24 @@ TEST_F(ConnectionGuardTest, MakesRoomInTheNetworkThatHasMost) {
 }
 
 TEST_F(ConnectionGuardTest, MakesRoomOnlySoOftenBetweenTwoLooks) {
-  Start({.admission = {.per_address = 1}, .interval = absl::Hours(1)});
+  Start({.admission = {.per_address = 1},
+         .handshakes = {.burst = 1'000},
+         .interval = absl::Hours(1)});
   std::vector<std::unique_ptr<Silent>> flood;
   for (int i = 0; i < 200; ++i) flood.push_back(std::make_unique<Silent>(server_->port()));
   EXPECT_TRUE(flood.back()->EndsWithin(kPatience));
   EXPECT_EQ(Refused("address"), 200 - 1 - 128);
+}
+
+TEST_F(ConnectionGuardTest, MakesRoomWithoutLimitAmongThoseThatWaitForTheirHandshake) {
+  Start({.admission = {.per_address = 1},
+         .handshakes = {.burst = 1, .per_second = 1e-6},
+         .interval = absl::Hours(1)});
+  std::vector<std::unique_ptr<Silent>> flood;
+  for (int i = 0; i < 200; ++i) flood.push_back(std::make_unique<Silent>(guard_->port()));
+  EXPECT_TRUE(flood[198]->EndsWithin(kPatience));
+  EXPECT_FALSE(flood[199]->EndsWithin(absl::Milliseconds(200)));
+  EXPECT_EQ(Refused("address"), 0);
 }
 
 TEST_F(ConnectionGuardTest, AnAddressThatIsNotKnownWaitsForItsHandshakeAndOneThatIsKnownDoesNot) {
