@@ -7,6 +7,7 @@
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_join.h"
 #include "policy_server/ripsctl/alert/alert_command.h"
+#include "policy_server/ripsctl/audit/audit_command.h"
 #include "policy_server/ripsctl/cli/command.h"
 #include "policy_server/ripsctl/cli/printer.h"
 #include "policy_server/ripsctl/explain/explain_command.h"
@@ -38,6 +39,7 @@ constexpr Noun kNouns[] = {
     {"alert", "List and watch alerts", AlertCommands},
     {"explain", "Explain an alert, or why a robot is at its level", ExplainCommands},
     {"rules", "Check, format, test and replay rules", RulesCommands},
+    {"audit", "Verify and read a policy server's audit log; needs no server", AuditCommands},
     {"agent", "List certificates; ban and unban agents and operators", AgentCommands},
     {"record", "Record the events a robot's rules are evaluated on", RecordCommands},
 };

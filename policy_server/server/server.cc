@@ -3,11 +3,13 @@
 #include <algorithm>
 #include <limits>
 #include <optional>
+#include <span>
 #include <thread>
 #include <utility>
 
 #include "absl/strings/escaping.h"
 #include "absl/strings/str_cat.h"
+#include "policy_server/server/audit/store_audit.h"
 #include "policy_server/server/pooled_inspector.h"
 #include "services/base/ids.h"
 #include "services/base/status_macros.h"
@@ -39,6 +41,18 @@ pipeline::Timing ToPipeline(const Timing& timing) {
           .late_after_ns = absl::ToInt64Nanoseconds(timing.late_after),
           .tick_ns = absl::ToInt64Nanoseconds(timing.tick),
           .linger_ms = static_cast<uint32_t>(absl::ToInt64Milliseconds(timing.linger))};
+}
+
+Gauge ClockSkew(Metrics& metrics, const std::string& robot, const std::string& host) {
+  return metrics.AddGauge("rips_sensor_clock_skew_seconds",
+                          "Wall clock of the sensor minus the server's; NaN until estimated.",
+                          {{"robot", robot}, {"host", host}});
+}
+
+Counter InspectionsSkipped(Metrics& metrics, const std::string& reason) {
+  return metrics.AddCounter("rips_inspections_skipped_total",
+                            "Inspections that rules needed and that were not made.",
+                            {{"reason", reason}});
 }
 
 }  // namespace
@@ -75,7 +89,25 @@ absl::Status Server::Open() {
       operator_api::FeedCounts{.file_failures = [file_failures](uint64_t by) {
         file_failures.Increment(static_cast<double>(by));
       }});
-  committer_ = std::make_unique<store::Committer>(store_.get(), store::CommitterLimits(), &clock_);
+  store::CommitterOptions committing;
+  if (config_.audit_dir.empty()) {
+    LogWarning("no `audit` in the configuration: decisions are kept in the store alone");
+  } else {
+    const Counter failures = metrics_.AddCounter("rips_audit_failures_total",
+                                                 "Writes that the audit log could not make.");
+    RIPS_ASSIGN_OR_RETURN(
+        audit_, audit::AuditLog::Open({.directory = config_.audit_dir,
+                                       .segment_bytes = config_.audit_segment_bytes,
+                                       .on_failure = [failures] { failures.Increment(); }},
+                                      &clock_));
+    orders_ = std::make_unique<audit::OrderAudit>(audit_.get(), &clock_);
+    LogInfo("audit log opened",
+            {{"dir", config_.audit_dir}, {"head", audit::FormatHead(audit_->head())}});
+    committing.before_commit = [log = audit_.get()](std::span<const store::WriteBatch> batches) {
+      return audit::RecordBefore(*log, batches);
+    };
+  }
+  committer_ = std::make_unique<store::Committer>(store_.get(), std::move(committing), &clock_);
   alerts_ = std::make_unique<pipeline::ServerAlerts>(committer_.get(), hub_.get(), &clock_, NewId);
   attacks_ = std::make_unique<AttackAlerts>(alerts_.get(), &clock_);
   store_watch_ = std::make_unique<pipeline::StoreWatch>(committer_.get(), alerts_.get(), &clock_,
@@ -280,20 +312,8 @@ pipeline::StoreCounts Server::MakeStoreCounts() {
           .failures = [failures](uint64_t by) { failures.Increment(static_cast<double>(by)); }};
 }
 
-Gauge Server::ClockSkew(const std::string& robot, const std::string& host) {
-  return metrics_.AddGauge("rips_sensor_clock_skew_seconds",
-                           "Wall clock of the sensor minus the server's; NaN until estimated.",
-                           {{"robot", robot}, {"host", host}});
-}
-
-Counter Server::InspectionsSkipped(const std::string& reason) {
-  return metrics_.AddCounter("rips_inspections_skipped_total",
-                             "Inspections that rules needed and that were not made.",
-                             {{"reason", reason}});
-}
-
 pipeline::Counts Server::MakeCounts() {
-  for (const char* reason : pipeline::kSkipReasons) InspectionsSkipped(reason);
+  for (const char* reason : pipeline::kSkipReasons) InspectionsSkipped(metrics_, reason);
   const auto counter = [this](const char* name, const char* help) {
     const Counter made = metrics_.AddCounter(name, help);
     return [made](uint64_t by) { made.Increment(static_cast<double>(by)); };
@@ -334,11 +354,11 @@ pipeline::Counts Server::MakeCounts() {
           },
       .clock_skew =
           [this](const std::string& robot, const std::string& host, int64_t ns) {
-            ClockSkew(robot, host).Set(static_cast<double>(ns) / kNanosPerSecond);
+            ClockSkew(metrics_, robot, host).Set(static_cast<double>(ns) / kNanosPerSecond);
           },
       .inspections_skipped =
           [this](const std::string& reason, uint64_t by) {
-            InspectionsSkipped(reason).Increment(static_cast<double>(by));
+            InspectionsSkipped(metrics_, reason).Increment(static_cast<double>(by));
           },
       .observations_judged =
           counter("rips_observations_judged_total", "Observations judged by rules."),
@@ -465,20 +485,20 @@ absl::Status Server::AddRobots() {
       [this](const std::string& dir, const std::string& name) { return LoadPolicy(dir, name); },
       pipeline::Ports{
           .recorder = recorder_.get(), .audience = hub_.get(), .counts = counts, .new_id = NewId},
-      FleetCounts{
-          .robots =
-              [robots](size_t armed, size_t on_last_good, size_t held) {
-                robots("current", armed);
-                robots("last_good", on_last_good);
-                robots("none", held);
-              },
-          .listed =
-              [this, counts](const bundle::InventoryRobot& robot) {
-                counts.endpoints(robot.id, {});
-                for (const bundle::InventorySensor& sensor : robot.sensors) {
-                  ClockSkew(robot.id, sensor.host).Set(std::numeric_limits<double>::quiet_NaN());
-                }
-              }});
+      FleetCounts{.robots =
+                      [robots](size_t armed, size_t on_last_good, size_t held) {
+                        robots("current", armed);
+                        robots("last_good", on_last_good);
+                        robots("none", held);
+                      },
+                  .listed =
+                      [this, counts](const bundle::InventoryRobot& robot) {
+                        counts.endpoints(robot.id, {});
+                        for (const bundle::InventorySensor& sensor : robot.sensors) {
+                          ClockSkew(metrics_, robot.id, sensor.host)
+                              .Set(std::numeric_limits<double>::quiet_NaN());
+                        }
+                      }});
   return fleet_->Start();
 }
 
@@ -521,6 +541,7 @@ absl::Status Server::Listen() {
                                       " sent a request past a limit: ", what, "; it was refused"));
               },
           .quota = MakeQuota(),
+          .audit = orders_.get(),
           .store_writable = [this] { return committer_->healthy(); }});
   RIPS_ASSIGN_OR_RETURN(
       rpc_, rpc::RpcServer::Start({.listen = config_.listen,
@@ -536,6 +557,12 @@ absl::Status Server::Readiness() const {
   if (!listening_) return absl::UnavailableError("waiting for a usable certificate");
   RIPS_RETURN_IF_ERROR(certificates_->own_status());
   RIPS_RETURN_IF_ERROR(connections_->Probe(kProbePatience));
+  if (audit_ != nullptr) {
+    if (const absl::Status audited = audit_->health(); !audited.ok()) {
+      return absl::UnavailableError(absl::StrCat("the audit log ", config_.audit_dir,
+                                                 " cannot be written: ", audited.message()));
+    }
+  }
   const absl::Status health = committer_->health();
   if (health.ok()) return absl::OkStatus();
   return absl::UnavailableError(

@@ -15,6 +15,8 @@
 #include "policy_server/policy/bundle/bundle.h"
 #include "policy_server/policy/inspect/inspection_pool.h"
 #include "policy_server/server/attack_alerts.h"
+#include "policy_server/server/audit/audit_log.h"
+#include "policy_server/server/audit/order_audit.h"
 #include "policy_server/server/config/config.h"
 #include "policy_server/server/dispatch/actuator_service.h"
 #include "policy_server/server/fleet.h"
@@ -83,8 +85,6 @@ class Server {
   absl::StatusOr<pipeline::Policy> LoadPolicy(const std::string& dir, const std::string& name);
   absl::Status AddRobots();
   absl::Status Listen();
-  Gauge ClockSkew(const std::string& robot, const std::string& host);
-  Counter InspectionsSkipped(const std::string& reason);
   pipeline::Counts MakeCounts();
   pipeline::StoreCounts MakeStoreCounts();
   pipeline::PipelineReports MakeReports();
@@ -100,6 +100,9 @@ class Server {
   // After what plugins and scanners answer to, before what asks them.
   std::unique_ptr<inspect::InspectionPool> inspections_;
   std::unique_ptr<store::SqliteStore> store_;
+  // Null if none is configured.
+  std::unique_ptr<audit::AuditLog> audit_;
+  std::unique_ptr<audit::OrderAudit> orders_;
   std::unique_ptr<store::AlertLog> alert_log_;
   std::unique_ptr<operator_api::StatusBroadcaster> hub_;
   std::unique_ptr<store::Committer> committer_;

@@ -131,6 +131,51 @@ def explained_when_the_driver_has_gone(fleet):
     check(code == 1 and "1.999" in error, f"{code} {error}")
 
 
+def audited(fleet):
+    """Records of the audit log, which is whole."""
+    directory = str(fleet.dir / "server/audit")
+    fleet.ripsctl("audit", "verify", directory)
+    return [json.loads(line) for line in fleet.ripsctl("audit", "export", directory)[1].splitlines()]
+
+
+@may_lower(("operator alice", "COMPROMISED", "DEFAULT"))
+def audit_log_outlives_a_kill(fleet):
+    """Who raised, lowered and was refused is in the audit log, also when the server was killed;
+    what a hand changes or takes away afterwards is found."""
+    fleet.arm()
+    driver = compromise(fleet)
+    driver.kill()
+    fleet.ripsctl("level", "lower", "r1", "--to", "DEFAULT", "--reason",
+                  "checked the floor")
+    directory = str(fleet.dir / "server/audit")
+    head = json.loads(fleet.ripsctl("audit", "verify", directory, "--output", "json")[1])["head"]
+    yesterday = str(fleet.dir / "yesterday")
+    shutil.copytree(directory, yesterday)
+    fleet.server.kill(signal.SIGKILL)
+    fleet.server = fleet.start_server()
+
+    records = audited(fleet)
+    decisions = [(r["from"], r["to"], r["actor"].split()[0]) for r in records
+                 if r["kind"] == "decision"]
+    check(("COMPROMISED", "DEFAULT", "operator") in decisions
+          and any(to == "COMPROMISED" for _, to, _ in decisions), f"decisions: {decisions}")
+    call = next(r for r in records if r["action"] == "DeEscalate")
+    check("/operator/" in call["actor"] and "checked the floor" in call["text"]
+          and call["outcome"] == "admitted", f"call: {call}")
+    check(any("opened by a server's start" in r["text"] for r in records), "no start on record")
+    fleet.ripsctl("audit", "verify", directory, "--head", head)
+
+    later = json.loads(fleet.ripsctl("audit", "verify", directory, "--output", "json")[1])["head"]
+    code, _, error = fleet.ripsctl("audit", "verify", yesterday, "--head", later, check=False)
+    check(code == 1 and "rolled back" in error, f"{code} {error}")
+    segment = pathlib.Path(yesterday) / "00000001.audit"
+    content = bytearray(segment.read_bytes())
+    content[len(content) // 2] ^= 1
+    segment.write_bytes(content)
+    code, _, error = fleet.ripsctl("audit", "verify", yesterday, check=False)
+    check(code == 1 and "altered" in error, f"{code} {error}")
+
+
 def kill_server_at_the_moment_of_a_raise(fleet):
     """Raises are commanded while they are recorded: whatever the store lost, the robot's own mark
     brings back."""
@@ -976,6 +1021,7 @@ def until(fleet, seconds, what, found):
 
 
 SCENARIOS = [kill_server_while_compromised, explained_when_the_driver_has_gone,
+             audit_log_outlives_a_kill,
              kill_server_at_the_moment_of_a_raise,
              kill_sensor_in_the_story, sensor_on_a_wrong_domain, kill_actuator_while_compromised,
              server_absent_at_agent_start, lost_lease_raises_the_floor, manager_that_lies,

@@ -201,6 +201,7 @@ tls: {self.tls("server", "ps1")}
 inventory: {self.dir}/robots.yaml
 bundles: {{source: {self.bundles_source()}, dir: {self.dir}/server/bundles}}
 store: {{kind: sqlite, path: {self.dir}/server/state.db}}
+audit: {{dir: {self.dir}/server/audit}}
 alerts: {{file: {self.dir}/server/alerts.jsonl}}
 metrics: "127.0.0.1:0"
 """)

@@ -137,16 +137,14 @@ void ReadPlugins(const ConfigSection& root, ServerConfig* config) {
   }
 }
 
-void RefuseAudit(const ConfigSection& root) {
+void ReadAudit(const ConfigSection& root, ServerConfig* config) {
   if (!root.Has("audit")) return;
-  root.Problem(
-      "audit",
-      "`audit` is not available in this version; remove it, decisions are kept in `store`");
-  // Known, so that they are not reported as mistyped on top.
   const ConfigSection audit = root.OptionalSection("audit");
-  std::string ignored;
-  audit.Optional("dir", &ignored);
-  audit.Optional("segment", &ignored);
+  config->audit_dir = "/var/lib/rips/policy-server/audit";
+  ReadOptionalPath(audit, "dir", &config->audit_dir);
+  ByteSize segment = {static_cast<int64_t>(config->audit_segment_bytes)};
+  audit.Optional("segment", &segment, {ByteSize{64 << 10}, ByteSize{1 << 30}});
+  config->audit_segment_bytes = static_cast<uint64_t>(segment.bytes);
 }
 
 }  // namespace
@@ -171,6 +169,7 @@ absl::StatusOr<ParsedServerConfig> ParseServerConfig(absl::string_view file,
   ReadOptionalPath(store, "path", &config.store_path);
   const ConfigSection alerts = root.OptionalSection("alerts");
   ReadOptionalPath(alerts, "file", &config.alerts_file);
+  ReadAudit(root, &config);
   ReadTiming(root, &config.timing);
   ReadConnections(root, &config.connections);
   ReadFairness(root, &config.fairness);
@@ -178,7 +177,6 @@ absl::StatusOr<ParsedServerConfig> ParseServerConfig(absl::string_view file,
   ReadShards(root, &config.shards);
   ReadPlugins(root, &config);
   ReadAddress(root, "metrics", &config.metrics);
-  RefuseAudit(root);
   RIPS_RETURN_IF_ERROR(reader.Finish());
   parsed.effective = reader.Effective();
   return parsed;

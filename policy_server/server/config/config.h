@@ -2,6 +2,7 @@
 #ifndef RIPS_POLICY_SERVER_SERVER_CONFIG_CONFIG_H_
 #define RIPS_POLICY_SERVER_SERVER_CONFIG_CONFIG_H_
 
+#include <cstdint>
 #include <string>
 #include <vector>
 
@@ -78,6 +79,10 @@ struct ServerConfig {
   std::string store_path = "/var/lib/rips/policy-server/state.db";
   // JSON lines.
   std::string alerts_file = "/var/log/rips/alerts.jsonl";
+  // Where the audit log is; empty: none is written.
+  std::string audit_dir;
+  // A segment of it that has so many bytes is followed by the next one.
+  uint64_t audit_segment_bytes = 64ull << 20;
   Timing timing;
   // How many connections are taken from where.
   rpc::AdmissionLimits connections;

@@ -77,6 +77,19 @@ grpc::ServerWriteReactor<T>* RefuseWatch(const absl::Status& status) {
   return stream;
 }
 
+// Answers a call; holds its caller's ticket until it is over.
+grpc::ServerUnaryReactor* Answer(CallerQuota::Ticket ticket) {
+  class Call final : public grpc::ServerUnaryReactor {
+   public:
+    explicit Call(CallerQuota::Ticket ticket) : ticket_(std::move(ticket)) {}
+
+   private:
+    void OnDone() override { delete this; }
+    CallerQuota::Ticket ticket_;
+  };
+  return new Call(std::move(ticket));
+}
+
 }  // namespace
 
 OperatorService::OperatorService(pipeline::Pipeline* pipeline, store::Store* store,
@@ -126,16 +139,19 @@ absl::StatusOr<OperatorService::Caller> OperatorService::Authorize(
   return caller;
 }
 
-grpc::ServerUnaryReactor* OperatorService::Answer(const Caller& caller) {
-  class Call final : public grpc::ServerUnaryReactor {
-   public:
-    explicit Call(CallerQuota::Ticket ticket) : ticket_(std::move(ticket)) {}
-
-   private:
-    void OnDone() override { delete this; }
-    CallerQuota::Ticket ticket_;
-  };
-  return new Call(caller.ticket);
+absl::StatusOr<OperatorService::Caller> OperatorService::AuthorizeOrder(
+    grpc::CallbackServerContext* context, absl::string_view call,
+    const google::protobuf::Message& request, OperatorRole needed, Use use) {
+  absl::StatusOr<Caller> who = Authorize(context, request, needed, use);
+  if (access_.audit != nullptr) {
+    const absl::StatusOr<rpc::Peer> peer = rpc::PeerOf(*context->auth_context());
+    access_.audit->Record({.caller = peer.ok() ? rpc::Describe(*peer) : "",
+                           .address = context->peer(),
+                           .call = call,
+                           .request = request,
+                           .status = who.status()});
+  }
+  return who;
 }
 
 template <typename T>
@@ -178,7 +194,7 @@ grpc::ServerUnaryReactor* OperatorService::ListRobots(grpc::CallbackServerContex
                                                       rips::v1::ListRobotsResponse* response) {
   const auto who = Authorize(context, *request, OperatorRole::kViewer, Use::kQuery, kFleetWeight);
   if (!who.ok()) return Refuse(context, who.status());
-  grpc::ServerUnaryReactor* reactor = Answer(*who);
+  grpc::ServerUnaryReactor* reactor = Answer(who->ticket);
   // Asks every robot on its own thread; must not be done on a gRPC thread, which may not block.
   Read(reactor, [this, reactor, response] {
     auto gathered = pipeline_->Gather<rips::v1::RobotStatus>(
@@ -245,7 +261,7 @@ grpc::ServerUnaryReactor* OperatorService::GetGraph(grpc::CallbackServerContext*
                                                     rips::v1::GetGraphResponse* response) {
   const auto who = Authorize(context, *request, OperatorRole::kViewer, Use::kQuery, kGraphWeight);
   if (!who.ok()) return Refuse(context, who.status());
-  grpc::ServerUnaryReactor* reactor = Answer(*who);
+  grpc::ServerUnaryReactor* reactor = Answer(who->ticket);
   absl::StatusOr<pipeline::GraphView> view = pipeline_->Graph(request->robot());
   if (!view.ok()) {
     reactor->Finish(rpc::ToGrpc(view.status()));
@@ -273,7 +289,7 @@ grpc::ServerUnaryReactor* OperatorService::GetInterest(grpc::CallbackServerConte
                                                        rips::v1::GetInterestResponse* response) {
   const auto who = Authorize(context, *request, OperatorRole::kViewer, Use::kQuery, kGraphWeight);
   if (!who.ok()) return Refuse(context, who.status());
-  grpc::ServerUnaryReactor* reactor = Answer(*who);
+  grpc::ServerUnaryReactor* reactor = Answer(who->ticket);
   const absl::Status posted =
       pipeline_->Post(request->robot(), Queue::kOrders, [reactor, response](Robot& robot) {
         EncodeInterest(robot, *response);
@@ -288,7 +304,7 @@ grpc::ServerUnaryReactor* OperatorService::GetCoverage(grpc::CallbackServerConte
                                                        rips::v1::GetCoverageResponse* response) {
   const auto who = Authorize(context, *request, OperatorRole::kViewer, Use::kQuery, kGraphWeight);
   if (!who.ok()) return Refuse(context, who.status());
-  grpc::ServerUnaryReactor* reactor = Answer(*who);
+  grpc::ServerUnaryReactor* reactor = Answer(who->ticket);
   const absl::Status posted =
       pipeline_->Post(request->robot(), Queue::kOrders, [reactor, response](Robot& robot) {
         EncodeCoverage(robot, *response);
@@ -303,7 +319,7 @@ grpc::ServerUnaryReactor* OperatorService::GetLevel(grpc::CallbackServerContext*
                                                     rips::v1::GetLevelResponse* response) {
   const auto who = Authorize(context, *request, OperatorRole::kViewer, Use::kQuery);
   if (!who.ok()) return Refuse(context, who.status());
-  grpc::ServerUnaryReactor* reactor = Answer(*who);
+  grpc::ServerUnaryReactor* reactor = Answer(who->ticket);
   for (const pipeline::RobotStatus& held : pipeline_->held()) {
     if (held.robot != request->robot()) continue;
     *response->mutable_status() = EncodeStatus(held);
@@ -340,7 +356,7 @@ grpc::ServerUnaryReactor* OperatorService::ListTransitions(
     rips::v1::ListTransitionsResponse* response) {
   const auto who = Authorize(context, *request, OperatorRole::kViewer, Use::kQuery);
   if (!who.ok()) return Refuse(context, who.status());
-  grpc::ServerUnaryReactor* reactor = Answer(*who);
+  grpc::ServerUnaryReactor* reactor = Answer(who->ticket);
   Read(reactor, [this, reactor, request, response] {
     const auto records = store_->ListTransitions(request->robot(), request->limit());
     if (records.ok()) {
@@ -365,7 +381,7 @@ grpc::ServerUnaryReactor* OperatorService::ListAlerts(grpc::CallbackServerContex
                                                       rips::v1::ListAlertsResponse* response) {
   const auto who = Authorize(context, *request, OperatorRole::kViewer, Use::kQuery);
   if (!who.ok()) return Refuse(context, who.status());
-  grpc::ServerUnaryReactor* reactor = Answer(*who);
+  grpc::ServerUnaryReactor* reactor = Answer(who->ticket);
   Read(reactor, [this, reactor, request, response] {
     const auto records = store_->ListAlerts(request->robot(), request->limit());
     if (records.ok()) {
@@ -407,7 +423,7 @@ grpc::ServerUnaryReactor* OperatorService::Explain(grpc::CallbackServerContext* 
                                                    rips::v1::ExplainResponse* response) {
   const auto who = Authorize(context, *request, OperatorRole::kViewer, Use::kQuery, kGraphWeight);
   if (!who.ok()) return Refuse(context, who.status());
-  grpc::ServerUnaryReactor* reactor = Answer(*who);
+  grpc::ServerUnaryReactor* reactor = Answer(who->ticket);
   Read(reactor, [this, reactor, request, response] {
     auto explained = operator_api::Explain(*request, *store_);
     if (explained.ok()) *response = *std::move(explained);
@@ -476,7 +492,7 @@ grpc::ServerUnaryReactor* OperatorService::ListReceipts(
     rips::v1::ListReceiptsResponse* response) {
   const auto who = Authorize(context, *request, OperatorRole::kViewer, Use::kQuery);
   if (!who.ok()) return Refuse(context, who.status());
-  grpc::ServerUnaryReactor* reactor = Answer(*who);
+  grpc::ServerUnaryReactor* reactor = Answer(who->ticket);
   const absl::Status posted = pipeline_->Post(
       request->robot(), Queue::kOrders,
       [reactor, response, limit = request->limit()](Robot& robot) {
@@ -491,7 +507,8 @@ grpc::ServerUnaryReactor* OperatorService::ListReceipts(
 
 grpc::ServerWriteReactor<rips::v1::Recording>* OperatorService::Record(
     grpc::CallbackServerContext* context, const rips::v1::RecordRequest* request) {
-  const auto who = Authorize(context, *request, OperatorRole::kOperator, Use::kStream);
+  const auto who =
+      AuthorizeOrder(context, "Record", *request, OperatorRole::kOperator, Use::kStream);
   if (!who.ok()) return RefuseWatch<rips::v1::Recording>(who.status());
   LogInfo("operator started a recording",
           {{"operator", rpc::Describe(*who)}, {"robot", request->robot()}});
@@ -536,7 +553,8 @@ grpc::ServerUnaryReactor* OperatorService::ChangeLevel(grpc::CallbackServerConte
                                                        const rips::v1::LevelRequest* request,
                                                        rips::v1::LevelResponse* response,
                                                        Direction direction) {
-  const auto who = Authorize(context, *request, OperatorRole::kOperator, Use::kOrder);
+  const auto who = AuthorizeOrder(context, direction == Direction::kRaise ? "Raise" : "DeEscalate",
+                                  *request, OperatorRole::kOperator);
   if (!who.ok()) {
     // Who only asks what would happen has tried nothing.
     if (!request->dry_run()) RecordRefusal(*context, *request, who.status());
@@ -557,7 +575,7 @@ grpc::ServerUnaryReactor* OperatorService::ChangeLevel(grpc::CallbackServerConte
                              .dry_run = request->dry_run(),
                              .accept_blind = request->accept_blind(),
                              .request_id = request->request_id()};
-  grpc::ServerUnaryReactor* reactor = Answer(*who);
+  grpc::ServerUnaryReactor* reactor = Answer(who->ticket);
   pipeline::LevelReply reply = [reactor, response](const pipeline::LevelAnswer& answer) {
     FillMark(answer.mark, response->mutable_mark());
     response->set_decided_level(answer.decided_level);
@@ -584,9 +602,9 @@ grpc::ServerUnaryReactor* OperatorService::ChangeLevel(grpc::CallbackServerConte
 grpc::ServerUnaryReactor* OperatorService::ResumeRules(grpc::CallbackServerContext* context,
                                                        const rips::v1::ResumeRulesRequest* request,
                                                        rips::v1::ResumeRulesResponse*) {
-  const auto who = Authorize(context, *request, OperatorRole::kOperator, Use::kOrder);
+  const auto who = AuthorizeOrder(context, "ResumeRules", *request, OperatorRole::kOperator);
   if (!who.ok()) return Refuse(context, who.status());
-  grpc::ServerUnaryReactor* reactor = Answer(*who);
+  grpc::ServerUnaryReactor* reactor = Answer(who->ticket);
   const absl::Status posted = pipeline_->Post(
       request->robot(), Queue::kOrders,
       [reactor, name = OperatorName(*who), reason = request->reason()](Robot& robot) {
@@ -599,12 +617,12 @@ grpc::ServerUnaryReactor* OperatorService::ResumeRules(grpc::CallbackServerConte
 grpc::ServerUnaryReactor* OperatorService::DrillRobot(grpc::CallbackServerContext* context,
                                                       const rips::v1::DrillRobotRequest* request,
                                                       rips::v1::DrillRobotResponse* response) {
-  const auto who = Authorize(context, *request, OperatorRole::kOperator, Use::kOrder);
+  const auto who = AuthorizeOrder(context, "DrillRobot", *request, OperatorRole::kOperator);
   if (!who.ok()) return Refuse(context, who.status());
   LogInfo("operator started a drill", {{"operator", rpc::Describe(*who)},
                                        {"robot", request->robot()},
                                        {"level", request->level()}});
-  grpc::ServerUnaryReactor* reactor = Answer(*who);
+  grpc::ServerUnaryReactor* reactor = Answer(who->ticket);
   pipeline::DrillOrder order{.operator_name = OperatorName(*who), .level = request->level()};
   pipeline::DrillReply reply = [reactor, response](const pipeline::DrillAnswer& answer) {
     for (const pipeline::DrillEntry& drill : answer.drills) Encode(drill, response->add_drills());
@@ -622,13 +640,13 @@ grpc::ServerUnaryReactor* OperatorService::DrillRobot(grpc::CallbackServerContex
 grpc::ServerUnaryReactor* OperatorService::ResetTerm(grpc::CallbackServerContext* context,
                                                      const rips::v1::ResetTermRequest* request,
                                                      rips::v1::ResetTermResponse* response) {
-  const auto who = Authorize(context, *request, OperatorRole::kAdmin, Use::kOrder);
+  const auto who = AuthorizeOrder(context, "ResetTerm", *request, OperatorRole::kAdmin);
   if (!who.ok()) return Refuse(context, who.status());
   LogInfo("operator reset a term", {{"operator", rpc::Describe(*who)},
                                     {"robot", request->robot()},
                                     {"host", request->host()},
                                     {"reason", request->reason()}});
-  grpc::ServerUnaryReactor* reactor = Answer(*who);
+  grpc::ServerUnaryReactor* reactor = Answer(who->ticket);
   pipeline::TermResetOrder order{
       .operator_name = OperatorName(*who), .host = request->host(), .reason = request->reason()};
   pipeline::LevelReply reply = [reactor, response](const pipeline::LevelAnswer& answer) {
@@ -665,7 +683,7 @@ grpc::ServerUnaryReactor* OperatorService::ListAgents(grpc::CallbackServerContex
     out->set_by(ban.by);
     out->set_time_unix_ns(ban.time_unix_ns);
   }
-  grpc::ServerUnaryReactor* reactor = Answer(*who);
+  grpc::ServerUnaryReactor* reactor = Answer(who->ticket);
   reactor->Finish(grpc::Status::OK);
   return reactor;
 }
@@ -682,7 +700,7 @@ void OperatorService::TellRobotOf(const std::string& uri, const std::string& tex
 grpc::ServerUnaryReactor* OperatorService::Ban(grpc::CallbackServerContext* context,
                                                const rips::v1::BanRequest* request,
                                                rips::v1::BanResponse*) {
-  const auto who = Authorize(context, *request, OperatorRole::kAdmin, Use::kOrder);
+  const auto who = AuthorizeOrder(context, "Ban", *request, OperatorRole::kAdmin);
   if (!who.ok()) return Refuse(context, who.status());
   if (access_.bans == nullptr) return Refuse(context, absl::UnimplementedError("no deny list"));
   if (request->reason().empty() || request->reason().size() > kBanReasonBytesMax) {
@@ -696,7 +714,7 @@ grpc::ServerUnaryReactor* OperatorService::Ban(grpc::CallbackServerContext* cont
                                             {"uri", request->uri()},
                                             {"serial", request->serial()},
                                             {"reason", request->reason()}});
-  grpc::ServerUnaryReactor* reactor = Answer(*who);
+  grpc::ServerUnaryReactor* reactor = Answer(who->ticket);
   Read(reactor, [this, reactor, request, by = rpc::Describe(*who)] {
     const absl::Status status = access_.bans->Ban({.uri = request->uri(),
                                                    .serial = request->serial(),
@@ -716,13 +734,13 @@ grpc::ServerUnaryReactor* OperatorService::Ban(grpc::CallbackServerContext* cont
 grpc::ServerUnaryReactor* OperatorService::Unban(grpc::CallbackServerContext* context,
                                                  const rips::v1::UnbanRequest* request,
                                                  rips::v1::UnbanResponse*) {
-  const auto who = Authorize(context, *request, OperatorRole::kAdmin, Use::kOrder);
+  const auto who = AuthorizeOrder(context, "Unban", *request, OperatorRole::kAdmin);
   if (!who.ok()) return Refuse(context, who.status());
   if (access_.bans == nullptr) return Refuse(context, absl::UnimplementedError("no deny list"));
   LogInfo(
       "operator lifted a ban",
       {{"operator", rpc::Describe(*who)}, {"uri", request->uri()}, {"serial", request->serial()}});
-  grpc::ServerUnaryReactor* reactor = Answer(*who);
+  grpc::ServerUnaryReactor* reactor = Answer(who->ticket);
   Read(reactor, [this, reactor, request, by = rpc::Describe(*who)] {
     const absl::Status status = access_.bans->Unban(request->uri(), request->serial());
     if (status.ok()) {

@@ -16,7 +16,9 @@
 #include <thread>
 
 #include "absl/status/statusor.h"
+#include "absl/strings/string_view.h"
 #include "google/protobuf/message.h"
+#include "policy_server/server/audit/order_audit.h"
 #include "policy_server/server/operator_api/ban_list.h"
 #include "policy_server/server/operator_api/caller_quota.h"
 #include "policy_server/server/operator_api/status_broadcaster.h"
@@ -52,6 +54,8 @@ class OperatorService final : public rips::v1::OperatorService::CallbackService 
         on_refused_field = {};
     // Null: no limits of one identity.
     std::shared_ptr<CallerQuota> quota;
+    // Calls that change something or record a robot, admitted or refused. Null: not recorded.
+    audit::OrderAudit* audit = nullptr;
     // False while the store takes nothing; ListAlerts then shows what robots hold in memory. May be
     // empty: it always does.
     std::function<bool()> store_writable = {};
@@ -146,8 +150,11 @@ class OperatorService final : public rips::v1::OperatorService::CallbackService 
   absl::StatusOr<Caller> Authorize(grpc::CallbackServerContext* context,
                                    const google::protobuf::Message& request,
                                    rpc::OperatorRole needed, Use use, double weight = 1);
-  // Answers a call; holds the caller's ticket until it is over.
-  static grpc::ServerUnaryReactor* Answer(const Caller& caller);
+  // As Authorize, for a call that changes something; recorded in the audit log.
+  absl::StatusOr<Caller> AuthorizeOrder(grpc::CallbackServerContext* context,
+                                        absl::string_view call,
+                                        const google::protobuf::Message& request,
+                                        rpc::OperatorRole needed, Use use = Use::kOrder);
   // Ends `stream` when its operator is not served any more.
   template <typename T>
   void Keep(rpc::StreamKind kind, WatchStream<T>* stream, const Caller& caller,

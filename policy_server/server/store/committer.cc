@@ -16,10 +16,10 @@ bool IsCallersFault(const absl::Status& status) {
 
 }  // namespace
 
-Committer::Committer(Store* store, CommitterLimits limits, const Clock* clock)
+Committer::Committer(Store* store, CommitterOptions options, const Clock* clock)
     : store_(store),
-      limits_(limits),
-      queue_({.capacity = limits.waiting_max, .on_full = OnFull::kRefuse}),
+      options_(std::move(options)),
+      queue_({.capacity = options_.waiting_max, .on_full = OnFull::kRefuse}),
       clock_(clock),
       thread_([this] { Run(); }) {}
 
@@ -29,7 +29,7 @@ absl::Status Committer::Submit(WriteBatch batch, Done done) {
   if (queue_.Push({.batch = std::move(batch), .done = std::move(done)})) return absl::OkStatus();
   if (queue_.closed()) return absl::FailedPreconditionError("the committer has been stopped");
   return absl::ResourceExhaustedError(absl::StrCat(
-      "more than ", limits_.waiting_max, " batches wait to be stored; the disk is too slow"));
+      "more than ", options_.waiting_max, " batches wait to be stored; the disk is too slow"));
 }
 
 void Committer::Stop() {
@@ -40,7 +40,7 @@ void Committer::Stop() {
 
 void Committer::Run() {
   while (true) {
-    std::vector<Item> items = queue_.PopAll(absl::InfiniteDuration(), limits_.group_max);
+    std::vector<Item> items = queue_.PopAll(absl::InfiniteDuration(), options_.group_max);
     // Only a closed queue gives nothing after an endless wait.
     if (items.empty()) return;
     CommitGroup(std::move(items));
@@ -50,7 +50,7 @@ void Committer::Run() {
 void Committer::PutFirst(WriteBatch batch, Done done) {
   {
     MutexLock lock(&mu_);
-    if (first_.size() >= limits_.first_max) {
+    if (first_.size() >= options_.first_max) {
       first_.pop_front();
       ++first_dropped_;
     }
@@ -78,9 +78,9 @@ absl::Status Committer::health() const {
   MutexLock lock(&mu_);
   if (began_ns_ != 0) {
     const int64_t took_ns = clock_->Now().boottime_ns - began_ns_;
-    if (took_ns > limits_.hang_ns) {
+    if (took_ns > options_.hang_ns) {
       return absl::UnavailableError(absl::StrCat("a write has not ended for more than ",
-                                                 limits_.hang_ns / kNanosPerSecond, " s"));
+                                                 options_.hang_ns / kNanosPerSecond, " s"));
     }
   }
   return verdict_;
@@ -98,7 +98,8 @@ absl::Status Committer::Commit(const std::vector<WriteBatch>& batches) {
     MutexLock lock(&mu_);
     began_ns_ = clock_->Now().boottime_ns;
   }
-  const absl::Status status = store_->CommitAll(batches);
+  absl::Status status = options_.before_commit ? options_.before_commit(batches) : absl::OkStatus();
+  if (status.ok()) status = store_->CommitAll(batches);
   MutexLock lock(&mu_);
   began_ns_ = 0;
   return status;

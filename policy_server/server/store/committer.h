@@ -11,6 +11,8 @@
 #include <cstddef>
 #include <cstdint>
 #include <deque>
+#include <functional>
+#include <span>
 #include <thread>
 #include <vector>
 
@@ -24,7 +26,7 @@
 
 namespace rips::store {
 
-struct CommitterLimits {
+struct CommitterOptions {
   // Batches waiting; one more is refused. At the group size below, 16 flushes of waiting.
   size_t waiting_max = 4'096;
   // Batches in one transaction; bounds how long the first of them waits for its callback.
@@ -33,6 +35,9 @@ struct CommitterLimits {
   int64_t hang_ns = 5 * kNanosPerSecond;
   // Of PutFirst; the oldest go first, and are counted.
   size_t first_max = 1'000;
+  // Called before a group of batches is stored, on the committer's thread; an error becomes that
+  // of the transaction, and nothing is stored. May block on the disk; may be empty.
+  std::function<absl::Status(std::span<const WriteBatch>)> before_commit = {};
 };
 
 class Committer {
@@ -43,7 +48,7 @@ class Committer {
 
   // Starts the thread. `store` and `clock` are not owned and outlive this. Without a clock nothing
   // is taken for hanging.
-  explicit Committer(Store* store, CommitterLimits limits = {}, const Clock* clock = nullptr);
+  explicit Committer(Store* store, CommitterOptions options = {}, const Clock* clock = nullptr);
   // As Stop.
   ~Committer();
   Committer(const Committer&) = delete;
@@ -91,7 +96,7 @@ class Committer {
   void TakeVerdict(const absl::Status& status) ABSL_LOCKS_EXCLUDED(mu_);
 
   Store* store_;  // Not owned; outlives this.
-  const CommitterLimits limits_;
+  const CommitterOptions options_;
   BoundedQueue<Item> queue_;
   const Clock* clock_;  // Not owned; may be null.
   mutable Mutex mu_;

@@ -1,0 +1,56 @@
+#include "policy_server/server/audit/order_audit.h"
+
+#include <filesystem>
+
+#include "absl/strings/str_cat.h"
+#include "gmock/gmock.h"
+#include "gtest/gtest.h"
+#include "policy_server/audit/segments.h"
+#include "rips/v1/operator.pb.h"
+#include "services/base/fake_clock.h"
+
+namespace rips::audit {
+namespace {
+
+using testing::HasSubstr;
+using testing::SizeIs;
+
+TEST(OrderAuditTest, RefusedCallsOfOneCertificateAreCountedPastABurst) {
+  std::string directory = (std::filesystem::temp_directory_path() / "audit-XXXXXX").string();
+  ASSERT_NE(mkdtemp(directory.data()), nullptr);
+  FakeClock clock;
+  {
+    const auto log = *AuditLog::Open({.directory = directory}, &clock);
+    OrderAudit audit(log.get(), &clock);
+    v1::LevelRequest request;
+    request.set_robot("r1");
+    request.set_reason("why");
+    audit.Record({"alice", "ipv4:1", "DeEscalate", request, absl::OkStatus()});
+    for (int i = 0; i < 1'000; ++i) {
+      audit.Record({"mallory", "ipv4:2", "Ban", request, absl::PermissionDeniedError("role")});
+    }
+    request.set_reason(std::string(1 << 20, 'x'));
+    audit.Record({"eve", "ipv4:3", "Raise", request, absl::InvalidArgumentError("limit")});
+  }
+  std::vector<v1::AuditRecord> calls;
+  const auto report =
+      Verify(SegmentsInDirectory(directory), {}, [&](uint64_t, absl::string_view payload) {
+        v1::AuditRecord record;
+        record.ParseFromString(std::string(payload));
+        if (!record.action().empty()) calls.push_back(record);
+      });
+  std::filesystem::remove_all(directory);
+  ASSERT_TRUE(report.ok() && !report->fault);
+  // The burst of the limiter, and one or two more on a slow machine.
+  ASSERT_GE(calls.size(), 52u);
+  EXPECT_LE(calls.size(), 60u);
+  EXPECT_EQ(calls[0].robot(), "r1");
+  EXPECT_EQ(calls[0].outcome(), "admitted");
+  EXPECT_THAT(calls[0].text(), HasSubstr("reason: \"why\""));
+  EXPECT_THAT(calls[1].outcome(), HasSubstr("role"));
+  EXPECT_EQ(calls.back().actor(), "eve");
+  EXPECT_EQ(calls.back().text(), "");
+}
+
+}  // namespace
+}  // namespace rips::audit

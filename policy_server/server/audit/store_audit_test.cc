@@ -1,0 +1,129 @@
+#include "policy_server/server/audit/store_audit.h"
+
+#include <filesystem>
+#include <future>
+
+#include "gmock/gmock.h"
+#include "gtest/gtest.h"
+#include "policy_server/server/store/committer.h"
+#include "policy_server/server/store/fake_store.h"
+#include "services/base/fake_clock.h"
+
+namespace rips::audit {
+namespace {
+
+namespace fs = std::filesystem;
+using testing::ElementsAre;
+using testing::IsEmpty;
+using testing::SizeIs;
+using v1::AuditRecord;
+
+store::WriteBatch Decides(uint64_t epoch, const std::string& to) {
+  store::WriteBatch batch;
+  batch.decisions.push_back({.id = "0123456789abcdef0123456789abcde" + std::to_string(epoch % 10),
+                             .robot = "r1",
+                             .mark = {.term = 1, .epoch = epoch},
+                             .from = "DEFAULT",
+                             .to = to,
+                             .cause = "rule stranger",
+                             .reason = "why",
+                             .time_unix_ns = 5});
+  return batch;
+}
+
+TEST(RecordsOfTest, WhatAnAuditorNeedsAndNoMore) {
+  store::WriteBatch batch = Decides(3, "ALERT");
+  batch.refusals = {{.id = "r", .robot = "r1", .count = 3}, {.id = "s", .robot = "r1", .count = 4}};
+  batch.alerts = {{.id = "a", .robot = "r1", .rule = "stranger"},
+                  {.id = "b", .robot = "(server)", .rule = "(rips)", .text = "banned"}};
+  batch.stages = {{.robot = "r1"}};
+  batch.checkpoints = {{.robot = "r1", .variables = store::Variables()},
+                       {.robot = "r1", .rules_halted = true, .bundle = "sha256:12"}};
+  std::vector<std::string> lines;
+  for (const AuditRecord& record : RecordsOf({&batch, 1})) {
+    lines.push_back(AuditRecord::Kind_Name(record.kind()) + " " + record.id() + " " +
+                    record.text());
+  }
+  EXPECT_THAT(lines,
+              ElementsAre("KIND_DECISION 0123456789abcdef0123456789abcde3 why", "KIND_REFUSAL s ",
+                          "KIND_ALERT b banned", "KIND_POLICY  runs bundle sha256:12",
+                          "KIND_POLICY  a rule called crash: no rule runs"));
+}
+
+class RecordBeforeTest : public testing::Test {
+ protected:
+  RecordBeforeTest() {
+    std::string name = (fs::temp_directory_path() / "audit-XXXXXX").string();
+    EXPECT_NE(mkdtemp(name.data()), nullptr);
+    root_ = name;
+    // Each commit begins a segment, so that it notices when the directory is gone.
+    options_ = {.directory = name + "/audit", .segment_bytes = 1};
+    log_ = *AuditLog::Open(options_, &clock_);
+    committer_ = std::make_unique<store::Committer>(
+        &store_,
+        store::CommitterOptions{.before_commit =
+                                    [this](std::span<const store::WriteBatch> batches) {
+                                      return RecordBefore(*log_, batches);
+                                    }},
+        &clock_);
+  }
+  ~RecordBeforeTest() override {
+    committer_->Stop();
+    fs::remove_all(root_);
+  }
+
+  absl::Status Commit(store::WriteBatch batch) {
+    std::promise<absl::Status> done;
+    EXPECT_TRUE(
+        committer_
+            ->Submit(std::move(batch), [&](const absl::Status& status) { done.set_value(status); })
+            .ok());
+    return done.get_future().get();
+  }
+  void Break() { fs::rename(options_.directory, options_.directory + ".away"); }
+  void Mend() { fs::rename(options_.directory + ".away", options_.directory); }
+  size_t Stored() { return store_.ListTransitions("r1", 0)->size(); }
+
+  FakeClock clock_;
+  fs::path root_;
+  AuditOptions options_;
+  std::unique_ptr<AuditLog> log_;
+  store::FakeStore store_;
+  std::unique_ptr<store::Committer> committer_;
+};
+
+TEST_F(RecordBeforeTest, ADecisionIsInTheLogBeforeItIsInTheStore) {
+  const uint64_t before = log_->head().sequence;
+  uint64_t at_commit = 0;
+  store_.OnCommit([&] { at_commit = log_->head().sequence; });
+  ASSERT_TRUE(Commit(Decides(1, "ALERT")).ok());
+  EXPECT_EQ(at_commit, before + 1);
+  store::WriteBatch variables;
+  variables.checkpoints = {{.robot = "r1", .variables = store::Variables()}};
+  ASSERT_TRUE(Commit(std::move(variables)).ok());
+  EXPECT_EQ(log_->head().sequence, before + 1);
+}
+
+TEST_F(RecordBeforeTest, WithoutTheLogALoweringIsNotStoredAndARaiseIs) {
+  Break();
+  EXPECT_EQ(Commit(Decides(1, "DEFAULT")).code(), absl::StatusCode::kResourceExhausted);
+  EXPECT_FALSE(committer_->healthy());
+  EXPECT_EQ(Stored(), 0u);
+  store::WriteBatch raise = Decides(2, "ALERT");
+  raise.uses_reserve = true;
+  EXPECT_TRUE(Commit(raise).ok());
+  EXPECT_EQ(Stored(), 1u);
+  // Nothing else is stored, so that the outage is told and not forgotten between two decisions.
+  store::WriteBatch variables;
+  variables.checkpoints = {{.robot = "r1", .variables = store::Variables()}};
+  EXPECT_FALSE(Commit(variables).ok());
+  Mend();
+  const uint64_t before = log_->head().sequence;
+  EXPECT_TRUE(Commit(variables).ok());
+  EXPECT_TRUE(committer_->healthy());
+  // The gap and the raise.
+  EXPECT_EQ(log_->head().sequence, before + 2);
+}
+
+}  // namespace
+}  // namespace rips::audit
