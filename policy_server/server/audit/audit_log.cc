@@ -61,6 +61,7 @@ AuditLog::~AuditLog() {
     MutexLock lock(&mu_);
     stopping_ = true;
     changed_.NotifyAll();
+    stopped_.NotifyAll();
   }
   thread_.join();
 }
@@ -70,7 +71,7 @@ void AuditLog::Run() {
   while (true) {
     {
       MutexLock lock(&mu_);
-      if (failed && !stopping_) changed_.WaitFor(lock, kRetry);
+      if (failed && !stopping_) stopped_.WaitFor(lock, kRetry);
       while (waiting_.empty() && !stopping_) changed_.Wait(lock);
       if (stopping_ && (waiting_.empty() || failed)) return;
     }

@@ -63,6 +63,8 @@ class AuditLog {
   std::unique_ptr<SegmentWriter> writer_ ABSL_GUARDED_BY(file_mu_);
   mutable Mutex mu_;
   CondVar changed_;
+  // Of stopping_ alone: what is added does not cut short the wait between two attempts.
+  CondVar stopped_;
   std::deque<v1::AuditRecord> waiting_ ABSL_GUARDED_BY(mu_);
   uint64_t dropped_ ABSL_GUARDED_BY(mu_) = 0;
   absl::Status health_ ABSL_GUARDED_BY(mu_);
