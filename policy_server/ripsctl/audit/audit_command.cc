@@ -41,7 +41,7 @@ const char* KindName(AuditRecord::Kind kind) {
 
 // {"sequence","time","kind","robot","id","actor","address","action","from","to","mark","based_on",
 //  "text","outcome","count"}
-Json ToJson(uint64_t sequence, const AuditRecord& record) {
+Json RecordJson(uint64_t sequence, const AuditRecord& record) {
   const auto mark = [](bool has, const v1::Mark& value) {
     return has ? Json(MarkText(value)) : Json(nullptr);
   };
@@ -93,7 +93,7 @@ ExitCode Judge(const audit::Report& report, Env& env) {
   return ExitCode::kRefused;
 }
 
-Json ToJson(const audit::Report& report) {
+Json ReportJson(const audit::Report& report) {
   Json json = {
       {"whole", !report.fault},
       {"segments", report.segments},
@@ -160,7 +160,7 @@ class VerifyAudit final : public AuditCommand {
     const auto report = Verify(heads, [](uint64_t, absl::string_view) {});
     if (!report.ok()) return UsageError(env, report.status().message());
     if (env.json()) {
-      PrintJson(ToJson(*report), env.out);
+      PrintJson(ReportJson(*report), env.out);
       return report->fault ? ExitCode::kRefused : ExitCode::kDone;
     }
     for (const audit::Torn& torn : report->torn) {
@@ -200,14 +200,14 @@ class TailAudit final : public AuditCommand {
     Json all = Json::array();
     for (const auto& [sequence, record] : newest) {
       if (env.json()) {
-        all.push_back(ToJson(sequence, record));
+        all.push_back(RecordJson(sequence, record));
       } else {
         table.Add({absl::StrCat(sequence), ShortTime(record.time_unix_ns()),
                    KindName(record.kind()), record.robot(), record.actor(), Words(record)});
       }
     }
     if (env.json()) {
-      PrintJson({{"records", all}, {"log", ToJson(*report)}}, env.out);
+      PrintJson({{"records", all}, {"log", ReportJson(*report)}}, env.out);
     } else {
       table.Print(env.out);
     }
@@ -229,7 +229,7 @@ class ExportAudit final : public AuditCommand {
     const auto report = Verify({}, [&](uint64_t sequence, absl::string_view payload) {
       AuditRecord record;
       record.ParseFromArray(payload.data(), static_cast<int>(payload.size()));
-      PrintJson(ToJson(sequence, record), env.out);
+      PrintJson(RecordJson(sequence, record), env.out);
     });
     if (!report.ok()) return UsageError(env, report.status().message());
     return Judge(*report, env);
