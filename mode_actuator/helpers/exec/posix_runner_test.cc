@@ -207,8 +207,9 @@ class CgroupRunnerTest : public PosixRunnerTest {
   void SetUp() override {
     int left_behind = 0;
     auto cgroups = RunCgroups::Open("", Key(), &left_behind);
-    if (!cgroups.ok())
-      GTEST_SKIP() << "needs a cgroup v2 that can be written: " << cgroups.status();
+    if (!cgroups.ok()) {
+      GTEST_SKIP() << "run where cgroup v2 can be written, as root: " << cgroups.status();
+    }
     cgroups_ = *std::move(cgroups);
     MakeRunner({{.name = "bash", .path = kBash, .concurrency = 2}});
   }
@@ -360,7 +361,7 @@ TEST_F(PosixRunnerTest, StartsPerMinuteAreLimited) {
 class ScriptFileTest : public PosixRunnerTest {
  protected:
   void SetUp() override {
-    if (geteuid() != 0) GTEST_SKIP() << "programs must belong to root";
+    if (geteuid() != 0) GTEST_SKIP() << "run as root: a program must belong to root to be run";
     // Every directory on the way must be root's alone, which /tmp is not.
     char name[] = "/opt/rips-runner-XXXXXX";
     ASSERT_NE(mkdtemp(name), nullptr);
