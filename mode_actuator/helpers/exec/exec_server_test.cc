@@ -300,7 +300,7 @@ class ExecClientTest : public ExecServerTest {
 };
 
 TEST_F(ExecClientTest, AnImpostorIsAskedNothing) {
-  if (geteuid() != 0) GTEST_SKIP() << "run as root: a socket is given to another user";
+  if (geteuid() != 0) GTEST_SKIP() << "giving a socket to another user needs root";
   ASSERT_EQ(chown(path_.c_str(), 65533, 65533), 0);
   const ProgramRequest request = {.name = "fine"};
   EXPECT_THAT(client_->Start(request, [](const ProgramResult&) { FAIL(); }),
@@ -513,7 +513,7 @@ TEST_F(ExecServerTest, ConnectionsHaveALimit) {
 }
 
 TEST_F(ExecServerTest, OthersAreRefused) {
-  if (geteuid() != 0) GTEST_SKIP() << "run as root: the caller becomes another user";
+  if (geteuid() != 0) GTEST_SKIP() << "being another user needs root";
   StartServer();
   chmod(directory_.c_str(), 0755);
   chmod(path_.c_str(), 0666);

@@ -208,7 +208,7 @@ class CgroupRunnerTest : public PosixRunnerTest {
     int left_behind = 0;
     auto cgroups = RunCgroups::Open("", Key(), &left_behind);
     if (!cgroups.ok()) {
-      GTEST_SKIP() << "run where cgroup v2 can be written, as root: " << cgroups.status();
+      GTEST_SKIP() << "cgroup v2 needs root and a mount of it: " << cgroups.status();
     }
     cgroups_ = *std::move(cgroups);
     MakeRunner({{.name = "bash", .path = kBash, .concurrency = 2}});
@@ -361,7 +361,7 @@ TEST_F(PosixRunnerTest, StartsPerMinuteAreLimited) {
 class ScriptFileTest : public PosixRunnerTest {
  protected:
   void SetUp() override {
-    if (geteuid() != 0) GTEST_SKIP() << "run as root: a program must belong to root to be run";
+    if (geteuid() != 0) GTEST_SKIP() << "making programs of root needs root";
     // Every directory on the way must be root's alone, which /tmp is not.
     char name[] = "/opt/rips-runner-XXXXXX";
     ASSERT_NE(mkdtemp(name), nullptr);

@@ -62,7 +62,7 @@ class FakeHost : public HostView {
 class FirewallTest : public ::testing::Test {
  protected:
   void SetUp() override {
-    if (geteuid() != 0) GTEST_SKIP() << "run as root: a network namespace is made";
+    if (geteuid() != 0) GTEST_SKIP() << "making a network namespace needs root";
     ASSERT_EQ(access("/usr/sbin/nft", X_OK), 0) << "no nft: run ./deploy/install-packages";
     outside_ = UniqueFd(open("/proc/thread-self/ns/net", O_RDONLY | O_CLOEXEC));
     ASSERT_EQ(unshare(CLONE_NEWNET), 0) << std::strerror(errno);
