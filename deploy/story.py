@@ -96,7 +96,7 @@ class Story:
             raise Failed(f"no decision for {level} is recorded")
         last = decisions[-1]
         say("rips", f"level {last['from']} -> {last['to']}   [{last['cause']}, decision "
-                    f"{last['mark']}]", unix_ns(last["time"]))
+                    f"{last['decision_id']}]", unix_ns(last["time"]))
         return alerts, last
 
     def attack(self, what, first_ns, level):
@@ -193,7 +193,7 @@ class Story:
               f"{len(self.fleet.alerts())} alerts; {time.monotonic() - started:.0f} s")
         unverified = [each for each in decisions if each["stage"] != "verified"]
         if unverified:
-            raise Failed(f"decision {unverified[0]['mark']} was never verified")
+            raise Failed(f"decision {unverified[0]['decision_id']} was never verified")
 
 
 def main():

@@ -139,9 +139,9 @@ class Experiment(Fleet):
                      if not each["refused"] and unix_ns(each["time"]) >= start_ns]
         for each in decisions:
             ordered_ns = unix_ns(each["time"])
-            confirmed_ns = read_back.get(each["mark"])
+            confirmed_ns = read_back.get(each["decision_id"])
             if confirmed_ns is None:
-                raise Failed(f"decision {each['mark']} was never read back")
+                raise Failed(f"decision {each['decision_id']} was never read back")
             run.levels.append(Level(each["to"], each["cause"], at(ordered_ns), at(confirmed_ns)))
             who = "operator alice" if each["cause"].startswith("operator") else each["cause"]
             run.events += [(at(ordered_ns), "ordered", f"{each['to']} ({who})"),
@@ -155,7 +155,7 @@ class Experiment(Fleet):
             decided = [each for each in decisions if unix_ns(each["time"]) >= ns]
             if attack and decided:
                 times = (min((each for each, _ in alerts if each >= ns), default=None),
-                         unix_ns(decided[0]["time"]), read_back[decided[0]["mark"]])
+                         unix_ns(decided[0]["time"]), read_back[decided[0]["decision_id"]])
                 if times[0] is not None:
                     run.latencies.append([(each - ns) / 1e6 for each in times])
         return run

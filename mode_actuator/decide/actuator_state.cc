@@ -62,7 +62,7 @@ absl::StatusOr<ActuatorState> DecodeState(absl::string_view bytes) {
     }
   }
   ActuatorState state;
-  const absl::StatusOr<Mark> mark = ParseMark(values[0]);
+  const absl::StatusOr<DecisionId> mark = ParseDecisionId(values[0]);
   if (!mark.ok()) return Corrupt("bad mark");
   state.mark = *mark;
   state.decided = std::string(values[1]);

@@ -14,14 +14,14 @@
 
 #include "absl/status/statusor.h"
 #include "absl/strings/string_view.h"
-#include "services/base/mark.h"
+#include "services/base/decision_id.h"
 
 namespace rips::actuator {
 
 inline constexpr size_t kStateBytesMax = 4096;
 
 struct ActuatorState {
-  Mark mark;              // of the newest decision held; none = nothing decided
+  DecisionId mark;        // of the newest decision held; none = nothing decided
   std::string decided;    // level name; empty exactly when mark is none
   std::string effective;  // level name; not empty
   uint64_t highest_term = 0;

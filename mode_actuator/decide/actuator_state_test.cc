@@ -9,7 +9,7 @@ namespace {
 
 const ActuatorState& Sample() {
   static const auto* state = new ActuatorState{
-      .mark = {3, 17}, .decided = "ALERT", .effective = "COMPROMISED", .highest_term = 4};
+      .decision_id = {3, 17}, .decided = "ALERT", .effective = "COMPROMISED", .highest_term = 4};
   return *state;
 }
 
@@ -63,7 +63,7 @@ TEST(ActuatorStateTest, AnotherSpellingIsCorruptEvenWithItsOwnChecksum) {
 }
 
 TEST(ActuatorStateTest, AMissingLevelIsCorrupt) {
-  EXPECT_THAT(DecodeState(EncodeState({.mark = {1, 1}, .decided = "", .effective = "HALT"})),
+  EXPECT_THAT(DecodeState(EncodeState({.decision_id = {1, 1}, .decided = "", .effective = "HALT"})),
               StatusIs(absl::StatusCode::kDataLoss));
   EXPECT_THAT(DecodeState(EncodeState({.decided = "HALT", .effective = "HALT"})),
               StatusIs(absl::StatusCode::kDataLoss));

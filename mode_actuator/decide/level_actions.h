@@ -10,7 +10,7 @@
 
 #include "mode_actuator/decide/actuator_state.h"
 #include "mode_actuator/decide/receipt.h"
-#include "services/base/mark.h"
+#include "services/base/decision_id.h"
 
 namespace rips::actuator {
 
@@ -19,9 +19,9 @@ namespace rips::actuator {
 struct SetLevelCommand {
   std::string id;
   uint64_t term = 0;
-  Mark mark;
+  DecisionId decision_id;
   std::string to;
-  std::optional<Mark> based_on;
+  std::optional<DecisionId> based_on;
 };
 
 struct LeaseGrant {
@@ -73,7 +73,7 @@ using Actions = std::vector<Action>;
 
 // For Hello, heartbeat, logs and metrics.
 struct ExecutorReport {
-  Mark mark;
+  DecisionId decision_id;
   std::string decided;  // empty: none
   std::string effective;
   uint64_t highest_term = 0;

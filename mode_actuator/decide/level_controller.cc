@@ -38,11 +38,11 @@ void LevelController::Load(const absl::StatusOr<ActuatorState>& loaded, int64_t 
   int effective = -1;
   if (loaded.ok()) {
     highest_term_ = loaded->highest_term;
-    decided = loaded->mark.none() ? -1 : LevelIndex(loaded->decided);
+    decided = loaded->decision_id.none() ? -1 : LevelIndex(loaded->decided);
     effective = LevelIndex(loaded->effective);
   }
   if (loaded.ok() && decided >= 0 && effective >= 0) {
-    mark_ = loaded->mark;
+    decision_id_ = loaded->decision_id;
     decided_ = decided;
     effective_ = std::max(effective, decided);
     if (effective_ > decided_) RaiseFloor(effective_, "restart", now_ns);
@@ -106,7 +106,7 @@ bool LevelController::AdmitTerm(uint64_t term) {
 }
 
 std::optional<Receipt> LevelController::Judge(const SetLevelCommand& command) const {
-  const Command as_sent{command.id, command.mark};
+  const Command as_sent{command.id, command.decision_id};
   const auto refuse = [&](Receipt::Stage stage, std::string why) {
     Receipt receipt = MakeReceipt(as_sent, stage);
     receipt.detail = std::move(why);
@@ -115,8 +115,8 @@ std::optional<Receipt> LevelController::Judge(const SetLevelCommand& command) co
   for (const Receipt& receipt : recent_) {
     if (receipt.command_id == command.id) return receipt;
   }
-  if (command.mark.none() || command.mark.term > command.term) {
-    return refuse(Receipt::Stage::kRefused, absl::StrCat("mark ", ToString(command.mark),
+  if (command.decision_id.none() || command.decision_id.term > command.term) {
+    return refuse(Receipt::Stage::kRefused, absl::StrCat("decision ", ToString(command.decision_id),
                                                          " does not fit term ", command.term));
   }
   const int to = LevelIndex(command.to);
@@ -124,22 +124,23 @@ std::optional<Receipt> LevelController::Judge(const SetLevelCommand& command) co
     return refuse(Receipt::Stage::kRefused, absl::StrCat("level ", QuoteBytes(command.to),
                                                          " is not in this actuator's levels"));
   }
-  if (command.mark == mark_ && to != decided_) {
+  if (command.decision_id == decision_id_ && to != decided_) {
     return refuse(Receipt::Stage::kRefused,
-                  absl::StrCat("mark ", ToString(mark_), " names ",
+                  absl::StrCat("decision ", ToString(decision_id_), " names ",
                                QuoteBytes(options_.levels[decided_]), " here"));
   }
-  if (command.mark < mark_) {
+  if (command.decision_id < decision_id_) {
     return refuse(Receipt::Stage::kRefusedStale,
-                  absl::StrCat("mark ", ToString(mark_), " is held"));
+                  absl::StrCat("decision ", ToString(decision_id_), " is held"));
   }
-  const bool names_held = command.based_on.has_value() &&
-                          (*command.based_on == mark_ ||
-                           (pending_.has_value() && *command.based_on == pending_->command.mark));
-  if (command.mark != mark_ && to < decided_ && !names_held) {
+  const bool names_held =
+      command.based_on.has_value() &&
+      (*command.based_on == decision_id_ ||
+       (pending_.has_value() && *command.based_on == pending_->command.decision_id));
+  if (command.decision_id != decision_id_ && to < decided_ && !names_held) {
     return refuse(Receipt::Stage::kRefused,
-                  absl::StrCat("lowering to ", QuoteBytes(command.to), " must be based on mark ",
-                               ToString(mark_)));
+                  absl::StrCat("lowering to ", QuoteBytes(command.to),
+                               " must be based on decision ", ToString(decision_id_)));
   }
   return std::nullopt;
 }
@@ -147,7 +148,7 @@ std::optional<Receipt> LevelController::Judge(const SetLevelCommand& command) co
 Actions LevelController::OnSetLevel(const SetLevelCommand& command, int64_t now_ns) {
   Actions actions;
   if (!AdmitTerm(command.term)) {
-    Receipt receipt = MakeReceipt({command.id, command.mark}, Receipt::Stage::kRefusedStale);
+    Receipt receipt = MakeReceipt({command.id, command.decision_id}, Receipt::Stage::kRefusedStale);
     receipt.detail = absl::StrCat("term ", command.term, " is below ", highest_term_);
     Send(std::move(receipt), actions);
     return actions;
@@ -156,14 +157,15 @@ Actions LevelController::OnSetLevel(const SetLevelCommand& command, int64_t now_
     Send(*std::move(answer), actions);
     return actions;
   }
-  Command accepted{command.id, command.mark, LevelIndex(command.to), false};
-  if (pending_.has_value() && pending_->command.mark == command.mark) {
+  Command accepted{command.id, command.decision_id, LevelIndex(command.to), false};
+  if (pending_.has_value() && pending_->command.decision_id == command.decision_id) {
     pending_->command.id = command.id;  // sent again while it is being recorded
-  } else if (pending_.has_value() && command.mark < pending_->command.mark) {
+  } else if (pending_.has_value() && command.decision_id < pending_->command.decision_id) {
     Receipt receipt = MakeReceipt(accepted, Receipt::Stage::kRefusedStale);
-    receipt.detail = absl::StrCat("mark ", ToString(pending_->command.mark), " is being recorded");
+    receipt.detail =
+        absl::StrCat("decision ", ToString(pending_->command.decision_id), " is being recorded");
     Send(std::move(receipt), actions);
-  } else if (command.mark == mark_) {
+  } else if (command.decision_id == decision_id_) {
     accepted.lowering = command_.has_value() ? command_->lowering : effective_ > decided_;
     command_ = accepted;
     Send(MakeReceipt(accepted, Receipt::Stage::kAcknowledged), actions);
@@ -190,14 +192,14 @@ Actions LevelController::OnSetLevel(const SetLevelCommand& command, int64_t now_
 }
 
 void LevelController::Adopt(const Command& command, Actions& actions) {
-  if (pending_.has_value() && pending_->command.mark != command.mark) {
+  if (pending_.has_value() && pending_->command.decision_id != command.decision_id) {
     Send(MakeReceipt(pending_->command, Receipt::Stage::kSuperseded), actions);
   }
   pending_.reset();
   if (command_.has_value() && command_->stage != Receipt::Stage::kVerified) {
     Send(MakeReceipt(*command_, Receipt::Stage::kSuperseded), actions);
   }
-  mark_ = command.mark;
+  decision_id_ = command.decision_id;
   decided_ = command.to;
   command_ = command;
   Send(MakeReceipt(command, Receipt::Stage::kAcknowledged), actions);
@@ -206,7 +208,7 @@ void LevelController::Adopt(const Command& command, Actions& actions) {
 Receipt LevelController::MakeReceipt(const Command& command, Receipt::Stage stage) const {
   Receipt receipt;
   receipt.command_id = command.id;
-  receipt.mark = command.mark;
+  receipt.decision_id = command.decision_id;
   receipt.stage = stage;
   receipt.effective_level = options_.levels[effective_];
   return receipt;
@@ -229,7 +231,7 @@ void LevelController::Send(Receipt receipt, Actions& actions) {
 
 ActuatorState LevelController::StateNow() const {
   ActuatorState state;
-  state.mark = pending_.has_value() ? pending_->command.mark : mark_;
+  state.decision_id = pending_.has_value() ? pending_->command.decision_id : decision_id_;
   const int decided = pending_.has_value() ? pending_->command.to : decided_;
   if (decided >= 0) state.decided = options_.levels[decided];
   state.effective = options_.levels[effective_];
@@ -440,7 +442,7 @@ void LevelController::ReportCommand(int level, Receipt::Stage stage, const Level
 
 ExecutorReport LevelController::Report(int64_t now_ns) const {
   ExecutorReport report;
-  report.mark = mark_;
+  report.decision_id = decision_id_;
   if (decided_ >= 0) report.decided = options_.levels[decided_];
   report.effective = options_.levels[effective_];
   report.highest_term = highest_term_;

@@ -4,7 +4,7 @@
 // Pure: no thread, clock, file or wire. Inputs come with the time (CLOCK_BOOTTIME, nanoseconds);
 // each gives the actions to do, in that order. Used by one thread.
 //
-// decided    the server's decision, named by a mark; persisted
+// decided    the server's decision, named by a decision id; persisted
 // floor      ours, volatile; raised by loss of the lease, of the state, or by a restart
 // target     max(decided, floor): where the robot must be
 // effective  where the robot is held. A raise sets it at once; a lowering only after read-back.
@@ -15,9 +15,9 @@
 // |------------------------------------------------|----------------------------|---------------|
 // | term below the highest seen                    | REFUSED_STALE              | none          |
 // | id seen before                                 | the newest one of that id  | none          |
-// | no mark, mark of a later term, unknown level   | REFUSED                    | none          |
-// | mark held already                              | as the held command's      | none          |
-// | mark below the held one                        | REFUSED_STALE              | none          |
+// | none, or of a later term, or unknown level     | REFUSED                    | none          |
+// | decision id held already                       | as the held command's      | none          |
+// | decision id below the held one                 | REFUSED_STALE              | none          |
 // | `to` below the held level, `based_on` not held | REFUSED                    | none          |
 // | `to` below the held level                      | ACKNOWLEDGED once recorded | then applied  |
 // | else (raise, equal, or nothing decided yet)    | ACKNOWLEDGED               | applied, and  |
@@ -63,7 +63,7 @@
 #include "mode_actuator/decide/level_actions.h"
 #include "mode_actuator/decide/receipt.h"
 #include "services/base/clock.h"
-#include "services/base/mark.h"
+#include "services/base/decision_id.h"
 
 namespace rips::actuator {
 
@@ -117,7 +117,7 @@ class LevelController {
  private:
   struct Command {
     std::string id;
-    Mark mark;
+    DecisionId decision_id;
     int to = 0;
     bool lowering = false;
     Receipt::Stage stage = Receipt::Stage::kAcknowledged;
@@ -171,12 +171,12 @@ class LevelController {
   std::vector<Receipt> recent_;  // newest last; one per command id
 
   // Persisted.
-  Mark mark_;
+  DecisionId decision_id_;
   int decided_ = -1;  // index into levels; -1 = nothing decided
   int effective_ = 0;
   uint64_t highest_term_ = 0;
 
-  std::optional<Command> command_;  // of the held mark; none after a restart
+  std::optional<Command> command_;  // of the held decision id; none after a restart
   std::optional<PendingLowering> pending_;
   uint64_t sequence_ = 0;          // last PersistState given out
   uint64_t settled_sequence_ = 0;  // newest that was answered

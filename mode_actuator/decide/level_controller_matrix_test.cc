@@ -17,8 +17,8 @@ namespace {
 
 using ::testing::Contains;
 
-constexpr Mark kHeld = {1, 1};
-constexpr Mark kOrdered = {1, 5};
+constexpr DecisionId kHeld = {1, 1};
+constexpr DecisionId kOrdered = {1, 5};
 
 struct Fault {
   std::string name;
@@ -67,14 +67,14 @@ std::vector<Fault> Faults() {
          rig.Level(to, kOrdered, kHeld, "", /*command_term=*/1);
        },
        End::kFrom, End::kFrom, "id-1.5 refused_stale"},
-      {"a mark of a later term than the server's",
+      {"a decision of a later term than the server's",
        [](ExecutorRig& rig, const std::string&, const std::string& to) {
          rig.Level(to, {7, 1}, kHeld, "odd", /*command_term=*/2);
        },
        End::kFrom, End::kFrom, "odd refused"},
-      {"based on a mark that is not held",
+      {"based on a decision that is not held",
        [](ExecutorRig& rig, const std::string&, const std::string& to) {
-         rig.Level(to, kOrdered, Mark{1, 3}, "odd");
+         rig.Level(to, kOrdered, DecisionId{1, 3}, "odd");
        },
        End::kTo, End::kFrom, "odd "},
       {"based on nothing",

@@ -214,7 +214,7 @@ TEST(LevelControllerSurveyTest, AGoodStateThatTheRobotConfirmsRaisesNoFloor) {
 TEST(LevelControllerSurveyTest, ALoweringDuringTheSurveyFollowsItWithoutAFloor) {
   ExecutorRig rig(ExecutorRig::At("ALERT", {6, 1}), ExecutorRig::WithSurvey());
   rig.lease = true;
-  rig.Level("DEFAULT", {6, 2}, Mark{6, 1});
+  rig.Level("DEFAULT", {6, 2}, DecisionId{6, 1});
   EXPECT_EQ(rig.TakeJobs(), "");
   rig.FinishSurvey("ALERT");
   EXPECT_EQ(rig.TakeJobs(), ">DEFAULT");

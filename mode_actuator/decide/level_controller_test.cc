@@ -28,7 +28,7 @@ TEST(LevelControllerTest, ReappliesTheLastEffectiveLevelAtStart) {
   ExecutorRig rig(ExecutorRig::At("COMPROMISED", {3, 7}));
 
   EXPECT_EQ(rig.TakeJobs(), ">COMPROMISED");
-  EXPECT_EQ(rig.report().mark, (Mark{3, 7}));
+  EXPECT_EQ(rig.report().decision_id, (DecisionId{3, 7}));
   EXPECT_EQ(rig.report().highest_term, 3u);
   EXPECT_TRUE(rig.report().verified);
   EXPECT_FALSE(rig.report().state_lost);
@@ -57,7 +57,7 @@ TEST(LevelControllerTest, ALoweringIsRecordedBeforeItIsApplied) {
   rig.TakeOrder();
   rig.TakeJobs();
 
-  rig.Level("DEFAULT", {1, 2}, Mark{1, 1});
+  rig.Level("DEFAULT", {1, 2}, DecisionId{1, 1});
 
   EXPECT_THAT(rig.TakeOrder(), ElementsAre("write"));
   EXPECT_EQ(rig.report().decided, "HALT");
@@ -78,7 +78,7 @@ TEST(LevelControllerTest, ALoweringThatCannotBeRecordedIsNotApplied) {
   rig.disk_works = false;
   rig.TakeJobs();
 
-  rig.Level("DEFAULT", {1, 2}, Mark{1, 1});
+  rig.Level("DEFAULT", {1, 2}, DecisionId{1, 1});
 
   EXPECT_THAT(rig.TakeReceipts(), ElementsAre("id-1.2 failed"));
   EXPECT_THAT(rig.last_detail(), HasSubstr("cannot be recorded: disk full"));
@@ -86,7 +86,7 @@ TEST(LevelControllerTest, ALoweringThatCannotBeRecordedIsNotApplied) {
   EXPECT_EQ(rig.TakeJobs(), "");
   // The same command is judged afresh once the disk works.
   rig.disk_works = true;
-  rig.Level("DEFAULT", {1, 2}, Mark{1, 1});
+  rig.Level("DEFAULT", {1, 2}, DecisionId{1, 1});
   EXPECT_THAT(rig.TakeReceipts(), ElementsAre("id-1.2 acknowledged", "id-1.2 verified"));
 }
 
@@ -108,24 +108,42 @@ TEST(LevelControllerTest, JudgesCommands) {
   const struct {
     const char* name;
     const char* to;
-    Mark mark;
-    std::optional<Mark> based_on;
+    DecisionId decision_id;
+    std::optional<DecisionId> based_on;
     uint64_t term;
     std::vector<std::string> receipts;
     const char* decided;
   } kCases[] = {
       {"stale term", "HALT", {4, 9}, {}, 4, {"x refused_stale"}, "ALERT"},
-      {"stale term, lowering", "DEFAULT", {4, 9}, Mark{5, 5}, 4, {"x refused_stale"}, "ALERT"},
-      {"no mark", "HALT", {0, 0}, {}, 5, {"x refused"}, "ALERT"},
-      {"mark of a later term", "HALT", {6, 6}, {}, 5, {"x refused"}, "ALERT"},
+      {"stale term, lowering",
+       "DEFAULT",
+       {4, 9},
+       DecisionId{5, 5},
+       4,
+       {"x refused_stale"},
+       "ALERT"},
+      {"no decision", "HALT", {0, 0}, {}, 5, {"x refused"}, "ALERT"},
+      {"decision of a later term", "HALT", {6, 6}, {}, 5, {"x refused"}, "ALERT"},
       {"unknown level", "GREEN", {5, 6}, {}, 5, {"x refused"}, "ALERT"},
-      {"held mark", "ALERT", {5, 5}, {}, 5, {"x acknowledged", "x verified"}, "ALERT"},
-      {"held mark, other level", "HALT", {5, 5}, {}, 5, {"x refused"}, "ALERT"},
-      {"older mark", "HALT", {5, 4}, {}, 5, {"x refused_stale"}, "ALERT"},
-      {"older mark, lowering", "DEFAULT", {5, 4}, Mark{5, 5}, 5, {"x refused_stale"}, "ALERT"},
+      {"held decision", "ALERT", {5, 5}, {}, 5, {"x acknowledged", "x verified"}, "ALERT"},
+      {"held decision, other level", "HALT", {5, 5}, {}, 5, {"x refused"}, "ALERT"},
+      {"older decision", "HALT", {5, 4}, {}, 5, {"x refused_stale"}, "ALERT"},
+      {"older decision, lowering",
+       "DEFAULT",
+       {5, 4},
+       DecisionId{5, 5},
+       5,
+       {"x refused_stale"},
+       "ALERT"},
       {"lowering on nothing", "DEFAULT", {5, 6}, {}, 5, {"x refused"}, "ALERT"},
-      {"lowering on another", "DEFAULT", {5, 6}, Mark{5, 4}, 5, {"x refused"}, "ALERT"},
-      {"lowering", "DEFAULT", {5, 6}, Mark{5, 5}, 5, {"x acknowledged", "x verified"}, "DEFAULT"},
+      {"lowering on another", "DEFAULT", {5, 6}, DecisionId{5, 4}, 5, {"x refused"}, "ALERT"},
+      {"lowering",
+       "DEFAULT",
+       {5, 6},
+       DecisionId{5, 5},
+       5,
+       {"x acknowledged", "x verified"},
+       "DEFAULT"},
       {"equal", "ALERT", {5, 6}, {}, 5, {"x acknowledged", "x verified"}, "ALERT"},
       {"raise", "HALT", {5, 6}, {}, 5, {"x acknowledged", "x verified"}, "HALT"},
       {"raise of a later term", "HALT", {7, 6}, {}, 7, {"x acknowledged", "x verified"}, "HALT"},
@@ -140,7 +158,7 @@ TEST(LevelControllerTest, JudgesCommands) {
   for (const auto& test : kCases) {
     ExecutorRig rig(ExecutorRig::At("ALERT", {5, 5}));
     rig.TakeReceipts();
-    rig.Level(test.to, test.mark, test.based_on, "x", test.term);
+    rig.Level(test.to, test.decision_id, test.based_on, "x", test.term);
     EXPECT_EQ(rig.TakeReceipts(), test.receipts) << test.name << ": " << rig.last_detail();
     EXPECT_EQ(rig.report().decided, test.decided) << test.name;
     EXPECT_EQ(rig.report().highest_term, std::max<uint64_t>(5, test.term)) << test.name;
@@ -209,8 +227,8 @@ TEST(LevelControllerTest, OfLessRestrictiveCommandsTheNewestWaits) {
   rig.auto_finish = false;
   rig.TakeJobs();
   rig.Level("HALT", {1, 2});
-  rig.Level("COMPROMISED", {1, 3}, Mark{1, 2});
-  rig.Level("DEFAULT", {1, 4}, Mark{1, 3});
+  rig.Level("COMPROMISED", {1, 3}, DecisionId{1, 2});
+  rig.Level("DEFAULT", {1, 4}, DecisionId{1, 3});
 
   EXPECT_EQ(rig.TakeJobs(), "DEFAULT>HALT");
   EXPECT_EQ(rig.report().effective, "HALT");
@@ -227,7 +245,7 @@ TEST(LevelControllerTest, ARaiseStopsALoweringThatIsBeingRecorded) {
   ExecutorRig rig(ExecutorRig::At("HALT", {1, 1}));
   rig.auto_persist = false;
   rig.TakeJobs();
-  rig.Level("DEFAULT", {1, 2}, Mark{1, 1});
+  rig.Level("DEFAULT", {1, 2}, DecisionId{1, 1});
 
   rig.Level("HALT", {1, 3});
   rig.FinishWrite();
@@ -236,7 +254,7 @@ TEST(LevelControllerTest, ARaiseStopsALoweringThatIsBeingRecorded) {
   EXPECT_EQ(rig.TakeJobs(), "");
   EXPECT_EQ(rig.report().effective, "HALT");
   EXPECT_EQ(rig.disk()->decided, "HALT");
-  EXPECT_EQ(rig.disk()->mark, (Mark{1, 3}));
+  EXPECT_EQ(rig.disk()->decision_id, (DecisionId{1, 3}));
   EXPECT_THAT(rig.TakeReceipts(),
               ElementsAre("id-1.2 superseded", "id-1.3 acknowledged", "id-1.3 verified"));
 }
@@ -244,8 +262,8 @@ TEST(LevelControllerTest, ARaiseStopsALoweringThatIsBeingRecorded) {
 TEST(LevelControllerTest, ALoweringMayBeBasedOnTheOneBeingRecorded) {
   ExecutorRig rig(ExecutorRig::At("HALT", {1, 1}));
   rig.auto_persist = false;
-  rig.Level("COMPROMISED", {1, 2}, Mark{1, 1});
-  rig.Level("ALERT", {1, 3}, Mark{1, 2});
+  rig.Level("COMPROMISED", {1, 2}, DecisionId{1, 1});
+  rig.Level("ALERT", {1, 3}, DecisionId{1, 2});
   rig.auto_persist = true;
   rig.FinishWrite();
 
@@ -257,14 +275,14 @@ TEST(LevelControllerTest, ALoweringMayBeBasedOnTheOneBeingRecorded) {
 TEST(LevelControllerTest, ACrashWhileALoweringIsUnderWayComesBackAtTheOldLevel) {
   ExecutorRig rig(ExecutorRig::At("HALT", {1, 1}));
   rig.auto_finish = false;
-  rig.Level("DEFAULT", {1, 2}, Mark{1, 1});
+  rig.Level("DEFAULT", {1, 2}, DecisionId{1, 1});
   EXPECT_EQ(rig.disk()->decided, "DEFAULT");
 
   ExecutorRig next = rig.Restarted();
 
   EXPECT_EQ(next.report().effective, "HALT");
   EXPECT_EQ(next.report().floor_reason, "restart");
-  EXPECT_EQ(next.report().mark, (Mark{1, 2}));
+  EXPECT_EQ(next.report().decision_id, (DecisionId{1, 2}));
   next.lease = true;
   next.Advance(11 * kS);
   EXPECT_EQ(next.report().effective, "DEFAULT");
@@ -297,7 +315,7 @@ TEST(LevelControllerTest, AFailedLoweringKeepsTheEffectiveLevel) {
   ExecutorRig rig(ExecutorRig::At("HALT", {1, 1}));
   rig.robot_reaches = false;
 
-  rig.Level("DEFAULT", {1, 2}, Mark{1, 1});
+  rig.Level("DEFAULT", {1, 2}, DecisionId{1, 1});
 
   EXPECT_THAT(rig.TakeReceipts(), ElementsAre("id-1.2 acknowledged", "id-1.2 failed"));
   EXPECT_EQ(rig.report().effective, "HALT");
@@ -476,7 +494,7 @@ TEST(LevelControllerTest, AFloorHoldsBackALoweringUntilItLifts) {
   ExecutorRig rig(ExecutorRig::At("HALT", {1, 1}));
   rig.Advance(30 * kS);
   rig.Grant();
-  rig.Level("DEFAULT", {1, 2}, Mark{1, 1});
+  rig.Level("DEFAULT", {1, 2}, DecisionId{1, 1});
 
   EXPECT_EQ(rig.report().decided, "DEFAULT");
   EXPECT_EQ(rig.report().effective, "ALERT");
@@ -591,7 +609,7 @@ TEST(LevelControllerTest, WithoutAStateItHoldsTheFailSafeLevelUntilAServerHasSpo
     EXPECT_EQ(rig.report().effective, "ALERT");
     EXPECT_EQ(rig.report().floor_reason, "state lost");
     EXPECT_TRUE(rig.report().state_lost);
-    EXPECT_TRUE(rig.report().mark.none());
+    EXPECT_TRUE(rig.report().decision_id.none());
     EXPECT_EQ(rig.report().decided, "");
     rig.lease = true;
     rig.Advance(60 * kS);
@@ -634,7 +652,7 @@ TEST(LevelControllerTest, RemembersALimitedNumberOfReceipts) {
     rig.Level("HALT", {1, epoch});
   }
   rig.TakeReceipts();
-  rig.Level("HALT", {1, 2});  // forgotten, but its mark tells
+  rig.Level("HALT", {1, 2});  // forgotten, but its decision id tells
   EXPECT_THAT(rig.TakeReceipts(), ElementsAre("id-1.2 refused_stale"));
 }
 

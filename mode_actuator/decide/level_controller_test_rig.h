@@ -27,8 +27,11 @@ class ExecutorRig {
     options.survey = true;
     return options;
   }
-  static ActuatorState At(const std::string& level, Mark mark = {1, 1}) {
-    return {.mark = mark, .decided = level, .effective = level, .highest_term = mark.term};
+  static ActuatorState At(const std::string& level, DecisionId decision_id = {1, 1}) {
+    return {.decision_id = decision_id,
+            .decided = level,
+            .effective = level,
+            .highest_term = decision_id.term};
   }
 
   explicit ExecutorRig(absl::StatusOr<ActuatorState> loaded = At("DEFAULT"),
@@ -49,11 +52,12 @@ class ExecutorRig {
   std::string robot;  // the level that was reached last; empty before the first
 
   // --- inputs
-  void Level(const std::string& to, Mark mark, std::optional<Mark> based_on = std::nullopt,
-             std::string id = "", uint64_t command_term = 0) {
-    if (id.empty()) id = absl::StrCat("id-", ToString(mark));
-    if (command_term == 0) command_term = std::max(term, mark.term);
-    Do(executor_.OnSetLevel({id, command_term, mark, to, based_on}, now_ns_));
+  void Level(const std::string& to, DecisionId decision_id,
+             std::optional<DecisionId> based_on = std::nullopt, std::string id = "",
+             uint64_t command_term = 0) {
+    if (id.empty()) id = absl::StrCat("id-", ToString(decision_id));
+    if (command_term == 0) command_term = std::max(term, decision_id.term);
+    Do(executor_.OnSetLevel({id, command_term, decision_id, to, based_on}, now_ns_));
   }
   bool Grant(int64_t echo_age_ms = 0, int64_t ttl_ms = 15'000) {
     return executor_.OnLease({.term = term,

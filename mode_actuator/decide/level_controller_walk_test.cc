@@ -1,5 +1,5 @@
-// Random walks through everything that can happen to an LevelController, with its invariants checked
-// after every step.
+// Random walks through everything that can happen to an LevelController, with its invariants
+// checked after every step.
 #include <memory>
 #include <random>
 
@@ -75,16 +75,17 @@ class Walk {
 
   void Command() {
     const ExecutorReport report = rig_->report();
-    Mark mark{rig_->term, next_epoch_++};
-    if (Chance(10)) mark.epoch = random_() % next_epoch_;
-    std::optional<Mark> based_on;
-    if (Chance(60)) based_on = report.mark;
+    DecisionId decision_id{rig_->term, next_epoch_++};
+    if (Chance(10)) decision_id.epoch = random_() % next_epoch_;
+    std::optional<DecisionId> based_on;
+    if (Chance(60)) based_on = report.decision_id;
     const std::string to = Levels()[random_() % Levels().size()];
     const uint64_t term = Chance(10) ? rig_->term - 1 : rig_->term;
     lowering_allowed_ = true;  // by this command only, if it is a legal one
-    rig_->Level(to, mark, based_on, absl::StrCat("c", random_() % 50, "-", mark.epoch), term);
+    rig_->Level(to, decision_id, based_on,
+                absl::StrCat("c", random_() % 50, "-", decision_id.epoch), term);
     if (!based_on.has_value() && Index(to) < Index(report.decided)) lowering_allowed_ = false;
-    if (term < report.highest_term || mark < report.mark) lowering_allowed_ = false;
+    if (term < report.highest_term || decision_id < report.decision_id) lowering_allowed_ = false;
   }
 
   void Restart() {
@@ -100,7 +101,7 @@ class Walk {
     if (recorded && rig_->disk().has_value()) {
       EXPECT_GE(Index(after.effective), Index(rig_->disk()->decided));
     }
-    lowering_allowed_ = true;  // the record may be older; the marks tell the server
+    lowering_allowed_ = true;  // the record may be older; the decision ids tell the server
   }
 
   // The robot stays where it is, and is read back or silent.

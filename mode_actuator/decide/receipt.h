@@ -6,7 +6,7 @@
 #include <string>
 #include <vector>
 
-#include "services/base/mark.h"
+#include "services/base/decision_id.h"
 
 namespace rips::actuator {
 
@@ -43,7 +43,7 @@ struct Receipt {
   };
 
   std::string command_id;
-  Mark mark;  // none for programs
+  DecisionId decision_id;  // none for programs
   Stage stage = Stage::kAcknowledged;
   std::vector<StepResult> steps;
   int32_t exit_code = 0;    // programs; 128 + signal if killed

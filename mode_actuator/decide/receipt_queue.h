@@ -25,16 +25,17 @@ class ReceiptQueue {
   void Add(Receipt receipt) {
     // Of one command only the newest stage is of use; of one decision only the newest receipt, so
     // that a failure that has been mended is not reported again after a reconnect.
-    entries_.erase(std::remove_if(entries_.begin(), entries_.end(),
-                                  [&](const Entry& old) {
-                                    const bool same_decision = !receipt.mark.none() &&
-                                                               old.receipt.mark == receipt.mark &&
-                                                               old.sent_ns != 0;
-                                    return same_decision ||
-                                           old.receipt.command_id == receipt.command_id;
-                                  }),
-                   entries_.end());
-    if (!receipt.mark.none() && receipt.mark >= newest_mark_) newest_mark_ = receipt.mark;
+    entries_.erase(
+        std::remove_if(entries_.begin(), entries_.end(),
+                       [&](const Entry& old) {
+                         const bool same_decision =
+                             !receipt.decision_id.none() &&
+                             old.receipt.decision_id == receipt.decision_id && old.sent_ns != 0;
+                         return same_decision || old.receipt.command_id == receipt.command_id;
+                       }),
+        entries_.end());
+    if (!receipt.decision_id.none() && receipt.decision_id >= newest_decision_id_)
+      newest_decision_id_ = receipt.decision_id;
     entries_.push_back({std::move(receipt), 0, 0});
     if (entries_.size() > kReceiptsKeptMax) {
       entries_.pop_front();
@@ -46,7 +47,8 @@ class ReceiptQueue {
   void NewSession() { ++session_; }
 
   // Calls `send` for what this session has not had, oldest first, until it gives false; forgets
-  // what was sent kReceiptKeepNs ago. The newest mark's receipt is kept as long as it is that.
+  // what was sent kReceiptKeepNs ago. The newest decision id's receipt is kept as long as it is
+  // that.
   void Flush(int64_t now_ns, const std::function<bool(const Receipt&)>& send) {
     for (Entry& entry : entries_) {
       if (entry.session == session_) continue;
@@ -56,8 +58,9 @@ class ReceiptQueue {
     }
     entries_.erase(std::remove_if(entries_.begin(), entries_.end(),
                                   [&](const Entry& entry) {
-                                    const bool newest = !entry.receipt.mark.none() &&
-                                                        entry.receipt.mark == newest_mark_;
+                                    const bool newest =
+                                        !entry.receipt.decision_id.none() &&
+                                        entry.receipt.decision_id == newest_decision_id_;
                                     return !newest && entry.sent_ns != 0 &&
                                            now_ns - entry.sent_ns > kReceiptKeepNs;
                                   }),
@@ -76,7 +79,7 @@ class ReceiptQueue {
 
   std::deque<Entry> entries_;
   uint64_t session_ = 0;
-  Mark newest_mark_;
+  DecisionId newest_decision_id_;
   uint64_t dropped_ = 0;
 };
 

@@ -16,10 +16,10 @@ using ::testing::IsEmpty;
 
 class ReceiptQueueTest : public ::testing::Test {
  protected:
-  void Add(const std::string& id, Mark mark = {}, Stage stage = Stage::kVerified) {
+  void Add(const std::string& id, DecisionId decision_id = {}, Stage stage = Stage::kVerified) {
     Receipt receipt;
     receipt.command_id = id;
-    receipt.mark = mark;
+    receipt.decision_id = decision_id;
     receipt.stage = stage;
     book_.Add(std::move(receipt));
   }

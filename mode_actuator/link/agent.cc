@@ -565,7 +565,7 @@ void Agent::Impl::Tell(Receipt receipt) {
   }
   LogInfo("receipt", {{"command", absl::BytesToHexString(receipt.command_id)},
                       {"stage", StageName(receipt.stage)},
-                      {"mark", ToString(receipt.mark)},
+                      {"decision_id", ToString(receipt.decision_id)},
                       {"detail", receipt.detail}});
   receipts_.Add(std::move(receipt));
 }
@@ -599,7 +599,7 @@ void Agent::Impl::Publish(int64_t now_ns) {
                       {"observed", report.observed},
                       {"floor", report.floor},
                       {"floor_reason", report.floor_reason},
-                      {"mark", ToString(report.mark)}});
+                      {"decision_id", ToString(report.decision_id)}});
   }
   // A change is told at once; otherwise every 500 ms. It goes before the receipts, so that nobody
   // hears that a level is verified while the robot is still shown at the one before.

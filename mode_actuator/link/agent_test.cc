@@ -101,15 +101,15 @@ class FakeServer final : public v1::ActuatorService::Service {
     replies_.push_back(std::move(reply));
     changed_.NotifyAll();
   }
-  void SetLevel(const std::string& id, const std::string& to, Mark mark,
-                std::optional<Mark> based_on = std::nullopt, uint64_t term = 1) {
+  void SetLevel(const std::string& id, const std::string& to, DecisionId decision_id,
+                std::optional<DecisionId> based_on = std::nullopt, uint64_t term = 1) {
     v1::ActuatorReply reply;
     v1::Command* command = reply.mutable_command();
     command->set_id(id);
     command->set_term(term);
     command->mutable_set_level()->set_to(to);
-    command->mutable_set_level()->mutable_mark()->set_term(mark.term);
-    command->mutable_set_level()->mutable_mark()->set_epoch(mark.epoch);
+    command->mutable_set_level()->mutable_decision_id()->set_term(decision_id.term);
+    command->mutable_set_level()->mutable_decision_id()->set_epoch(decision_id.epoch);
     if (based_on.has_value()) {
       command->mutable_set_level()->mutable_based_on()->set_term(based_on->term);
       command->mutable_set_level()->mutable_based_on()->set_epoch(based_on->epoch);
@@ -328,7 +328,7 @@ TEST_F(AgentTest, AFreshOneStartsAtTheFailSafeLevelAndSaysSo) {
   EXPECT_EQ(hello.fail_safe_level(), "ALERT");
   EXPECT_THAT(hello.programs(), ElementsAre("note", "bad"));
   EXPECT_TRUE(hello.state_lost());
-  EXPECT_FALSE(hello.has_mark());
+  EXPECT_FALSE(hello.has_decision_id());
   EXPECT_EQ(hello.effective_level(), "ALERT");
   EXPECT_EQ(hello.hello().host(), "base");
   EXPECT_EQ(hello.hello().protocol(), 1u);
@@ -351,20 +351,20 @@ TEST_F(AgentTest, RaisesLowersAndSurvivesARestart) {
   EXPECT_EQ(server.Last(Id('b')).steps(0).output_tail(), "DEFAULT to COMPROMISED on r1 base\n");
   server.SetLevel(Id('c'), "DEFAULT", {1, 3});
   ASSERT_TRUE(server.HasReceipt(Id('c'), Receipt::REFUSED));
-  EXPECT_THAT(server.Last(Id('c')).detail(), HasSubstr("must be based on mark 1.2"));
+  EXPECT_THAT(server.Last(Id('c')).detail(), HasSubstr("must be based on decision 1.2"));
   server.SetLevel(Id('d'), "HALT", {1, 3}, {}, /*term=*/0);
   ASSERT_TRUE(server.HasReceipt(Id('d'), Receipt::REFUSED_STALE));
 
   agent_.reset();
   ASSERT_THAT(Start(server.port(), Pki().Actuator()), IsOk());
   ASSERT_TRUE(server.Until([&] { return server.hellos_.size() == 2; }));
-  EXPECT_EQ(server.Hello(1).mark().epoch(), 2u);
+  EXPECT_EQ(server.Hello(1).decision_id().epoch(), 2u);
   EXPECT_EQ(server.Hello(1).decided_level(), "COMPROMISED");
   EXPECT_EQ(server.Hello(1).effective_level(), "COMPROMISED");
   EXPECT_FALSE(server.Hello(1).state_lost());
   ASSERT_TRUE(Verified(server, "COMPROMISED"));
 
-  server.SetLevel(Id('e'), "DEFAULT", {1, 3}, Mark{1, 2});
+  server.SetLevel(Id('e'), "DEFAULT", {1, 3}, DecisionId{1, 2});
   ASSERT_TRUE(server.HasReceipt(Id('e'), Receipt::VERIFIED));
   EXPECT_TRUE(Verified(server, "DEFAULT"));
   EXPECT_EQ(Slurp(dir_ + "/log"), "alert\ncomp\ncomp\n");
@@ -424,7 +424,7 @@ TEST_F(AgentTest, AnAlarmIsReadBackAndToldAgainWhenItWasSwitchedOff) {
   board.Force(1, false);
   ASSERT_TRUE(server.Until([&] { return server.heartbeat_.verified() && board.is_on(1); }));
 
-  server.SetLevel(Id('b'), "DEFAULT", {1, 2}, Mark{1, 1});
+  server.SetLevel(Id('b'), "DEFAULT", {1, 2}, DecisionId{1, 1});
   ASSERT_TRUE(server.HasReceipt(Id('b'), Receipt::VERIFIED));
   EXPECT_FALSE(board.is_on(1));
 }
@@ -761,7 +761,7 @@ TEST_F(BinaryTest, HoldsItsLevelAcrossAKillAndEndsOnSigterm) {
   const pid_t second = Spawn(config);
   ASSERT_TRUE(server.Until([&] { return server.hellos_.size() == 2; }));
   EXPECT_EQ(server.Hello(1).effective_level(), "COMPROMISED");
-  EXPECT_EQ(server.Hello(1).mark().epoch(), 1u);
+  EXPECT_EQ(server.Hello(1).decision_id().epoch(), 1u);
   kill(second, SIGTERM);
   EXPECT_EQ(WaitFor(second), 0);
 }

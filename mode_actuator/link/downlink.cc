@@ -19,11 +19,13 @@ using Client = rpc::BidiClient<v1::ActuatorMessage, v1::ActuatorReply>;
 constexpr uint32_t kProtocol = 1;
 constexpr size_t kCommandIdBytes = 16;
 
-Mark FromProto(const v1::Mark& mark) { return {.term = mark.term(), .epoch = mark.epoch()}; }
+DecisionId FromProto(const v1::DecisionId& decision_id) {
+  return {.term = decision_id.term(), .epoch = decision_id.epoch()};
+}
 
-void ToProto(const Mark& mark, v1::Mark* out) {
-  out->set_term(mark.term);
-  out->set_epoch(mark.epoch);
+void ToProto(const DecisionId& decision_id, v1::DecisionId* out) {
+  out->set_term(decision_id.term);
+  out->set_epoch(decision_id.epoch);
 }
 
 void ToProto(const Instant& now, v1::Clock* out) {
@@ -67,7 +69,7 @@ v1::StepResult::Drilled ToProto(Drilled drilled) {
 
 void ToProto(const Receipt& receipt, v1::Receipt* out) {
   out->set_command_id(receipt.command_id);
-  if (!receipt.mark.none()) ToProto(receipt.mark, out->mutable_mark());
+  if (!receipt.decision_id.none()) ToProto(receipt.decision_id, out->mutable_decision_id());
   out->set_stage(ToProto(receipt.stage));
   for (const StepResult& step : receipt.steps) {
     v1::StepResult* result = out->add_steps();
@@ -105,7 +107,7 @@ absl::StatusOr<AnyCommand> DecodeCommand(const v1::Command& command) {
     SetLevelCommand decoded;
     decoded.id = command.id();
     decoded.term = command.term();
-    decoded.mark = FromProto(level.mark());
+    decoded.decision_id = FromProto(level.decision_id());
     decoded.to = level.to();
     if (level.has_based_on()) decoded.based_on = FromProto(level.based_on());
     return decoded;
@@ -186,7 +188,7 @@ class Downlink::Impl {
     hello->set_fail_safe_level(options_.fail_safe_level);
     for (const std::string& program : options_.programs) hello->add_programs(program);
     for (const std::string& part : options_.protected_parts) hello->add_protected_parts(part);
-    if (!report.mark.none()) ToProto(report.mark, hello->mutable_mark());
+    if (!report.decision_id.none()) ToProto(report.decision_id, hello->mutable_decision_id());
     hello->set_decided_level(report.decided);
     hello->set_effective_level(report.effective);
     hello->set_state_lost(report.state_lost);

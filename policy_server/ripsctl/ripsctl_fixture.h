@@ -55,7 +55,7 @@ class FakeOperator final : public v1::OperatorService::Service {
   grpc::Status robots_watch_end;
   // What GetLevel gives, one after the other, and the last one for ever; empty = COMPROMISED.
   std::vector<v1::RobotStatus> level_states;
-  // What Explain gives by id, by mark (`r1@3.17`), and how all else fails.
+  // What Explain gives by id, by decision id (`r1@3.17`), and how all else fails.
   std::map<std::string, v1::ExplainResponse> explained;
   grpc::Status explain_failure{grpc::StatusCode::NOT_FOUND, "there is no record of it"};
   std::vector<std::string> unknown_robots;
@@ -126,8 +126,8 @@ class FakeOperator final : public v1::OperatorService::Service {
   }
   grpc::Status ResetTerm(grpc::ServerContext*, const v1::ResetTermRequest* request,
                          v1::ResetTermResponse* response) override {
-    response->mutable_mark()->set_term(2'000'000);
-    response->mutable_mark()->set_epoch(8);
+    response->mutable_decision_id()->set_term(2'000'000);
+    response->mutable_decision_id()->set_epoch(8);
     response->set_decided_level("ALERT");
     return Record(
         absl::StrCat("ResetTerm ", request->robot(), " ", request->host(), " ", request->reason()));
@@ -185,7 +185,7 @@ class FakeOperator final : public v1::OperatorService::Service {
     *response->add_transitions() = MakeTransition();
     v1::Transition* refused = response->add_transitions();
     *refused = MakeTransition();
-    refused->clear_mark();
+    refused->clear_decision_id();
     refused->set_refused(true);
     refused->set_count(request->limit());
     refused->set_reason("needs an operator");
@@ -214,9 +214,9 @@ class FakeOperator final : public v1::OperatorService::Service {
   }
   grpc::Status Explain(grpc::ServerContext*, const v1::ExplainRequest* request,
                        v1::ExplainResponse* response) override {
-    const std::string key = request->has_mark()
-                                ? absl::StrCat(request->robot(), "@", request->mark().term(), ".",
-                                               request->mark().epoch())
+    const std::string key = request->has_decision_id()
+                                ? absl::StrCat(request->robot(), "@", request->decision_id().term(),
+                                               ".", request->decision_id().epoch())
                                 : request->id();
     const grpc::Status status = Record("Explain " + key);
     const auto it = explained.find(key);
@@ -254,7 +254,7 @@ class FakeOperator final : public v1::OperatorService::Service {
     *response = level_response;
     if (!request.dry_run()) {
       response->set_decided_level(request.to());
-      *response->mutable_mark() = MakeMark(3, 18);
+      *response->mutable_decision_id() = MakeDecisionId(3, 18);
     }
     return Record(call);
   }

@@ -82,7 +82,7 @@ TEST_F(RipsctlTest, ListsRobots) {
                                        {"decided_level", "COMPROMISED"},
                                        {"effective_level", "COMPROMISED"},
                                        {"stage", "verified"},
-                                       {"mark", "3.17"},
+                                       {"decision_id", "3.17"},
                                        {"bundle", "sha256:" + std::string(64, 'b')},
                                        {"degraded", nlohmann::json::array()},
                                        {"degraded_cut", false}}));
@@ -94,8 +94,8 @@ TEST_F(RipsctlTest, WatchesRobotsUntilTheServerEndsIt) {
   const std::string time = "20[0-9-]+T[0-9:.]+Z";
   EXPECT_THAT(result.out,
               testing::MatchesRegex(
-                  time + "  r1  decided ALERT  effective ALERT  verified  mark 3.17\n" + time +
-                  "  r1  decided COMPROMISED  effective COMPROMISED  verified  mark 3.17\n"));
+                  time + "  r1  decided ALERT  effective ALERT  verified  decision 3.17\n" + time +
+                  "  r1  decided COMPROMISED  effective COMPROMISED  verified  decision 3.17\n"));
   const Result json = Run({"--output", "json", "robot", "watch"});
   const std::vector<std::string> lines = absl::StrSplit(json.out, '\n', absl::SkipEmpty());
   ASSERT_THAT(lines, SizeIs(2));
@@ -120,7 +120,7 @@ TEST_F(RipsctlTest, ShowsOneRobot) {
                                      "decided level    DEFAULT\n"
                                      "effective level  -\n"
                                      "stage            verified\n"
-                                     "mark             3.17\n"
+                                     "decision         3.17\n"
                                      "bundle           sha256:",
                                      std::string(64, 'b'),
                                      "\n"
@@ -171,13 +171,13 @@ TEST_F(RipsctlTest, ShowsTheLevel) {
             "decided level    COMPROMISED\n"
             "effective level  COMPROMISED\n"
             "stage            verified\n"
-            "mark             3.17\n"
+            "decision         3.17\n"
             "levels           DEFAULT < ALERT (soft) < COMPROMISED\n"
             "last change      2026-01-01T00:00:00.000Z ALERT -> COMPROMISED, rule rogue_cmd_vel\n"
             "reason           -\n"
             "detail           -\n");
   const nlohmann::json json = RunJson({"level", "show", "r1"});
-  EXPECT_EQ(json["status"]["mark"], "3.17");
+  EXPECT_EQ(json["status"]["decision_id"], "3.17");
   EXPECT_EQ(json["levels"][1], nlohmann::json({{"name", "ALERT"}, {"soft", true}}));
   EXPECT_EQ(json["last"]["time"], "2026-01-01T00:00:00.000000005Z");
 }
@@ -197,8 +197,8 @@ TEST_F(RipsctlTest, ListsTheHistory) {
             " needs an operator\n");
   const nlohmann::json list = RunJson({"level", "history", "r1"})["transitions"];
   ASSERT_THAT(list, SizeIs(2));
-  EXPECT_EQ(list[0]["mark"], "3.17");
-  EXPECT_TRUE(list[1]["mark"].is_null());
+  EXPECT_EQ(list[0]["decision_id"], "3.17");
+  EXPECT_TRUE(list[1]["decision_id"].is_null());
   EXPECT_EQ(list[1]["count"], 100);
   EXPECT_EQ(Run({"level", "history", "r1", "--limit", "1001"}).code, 2);
   EXPECT_EQ(Run({"level", "history", "r1", "--limit", "0"}).code, 2);
@@ -216,8 +216,8 @@ TEST_F(RipsctlTest, LowersWithWhatItReadAndShowed) {
   EXPECT_THAT(fake_.calls(), testing::ElementsAre("GetLevel", "DeEscalate"));
   const v1::LevelRequest request = fake_.last_level_request();
   EXPECT_EQ(request.expected_level(), "COMPROMISED");
-  EXPECT_EQ(request.expected_mark().term(), 3u);
-  EXPECT_EQ(request.expected_mark().epoch(), 17u);
+  EXPECT_EQ(request.expected_decision_id().term(), 3u);
+  EXPECT_EQ(request.expected_decision_id().epoch(), 17u);
   EXPECT_EQ(request.reason(), "intruder unplugged");
   EXPECT_EQ(request.request_id().size(), 16u);
   EXPECT_FALSE(request.accept_blind());
@@ -229,7 +229,7 @@ TEST_F(RipsctlTest, WaitsUntilTheRobotIsAtTheLevel) {
     v1::RobotStatus status = MakeStatus("r1", "DEFAULT");
     status.set_stage(stage);
     if (stage == "failed") status.add_degraded("level not reached: /base does not answer");
-    *status.mutable_mark() = MakeMark(3, epoch);
+    *status.mutable_decision_id() = MakeDecisionId(3, epoch);
     return status;
   };
   const std::vector<std::string> lower = {
@@ -268,12 +268,12 @@ TEST_F(RipsctlTest, LowersWithWhatTheOperatorExpects) {
                                   {"dry_run", false},
                                   {"decided_level", "ALERT"},
                                   {"soft", false},
-                                  {"mark", "3.18"},
+                                  {"decision_id", "3.18"},
                                   {"expected", "COMPROMISED@2.9"},
                                   {"would_raise_again", nlohmann::json::array()},
                                   {"blind_because", nlohmann::json::array()}}));
   EXPECT_THAT(fake_.calls(), testing::ElementsAre("DeEscalate")) << "nothing is read first";
-  EXPECT_EQ(fake_.last_level_request().expected_mark().epoch(), 9u);
+  EXPECT_EQ(fake_.last_level_request().expected_decision_id().epoch(), 9u);
   EXPECT_TRUE(fake_.last_level_request().accept_blind());
 }
 
@@ -324,7 +324,8 @@ TEST_F(RipsctlTest, Raises) {
   EXPECT_EQ(result.code, 0);
   EXPECT_EQ(result.out, "r1 goes to HALT (3.18)\n");
   EXPECT_THAT(fake_.calls(), testing::ElementsAre("Raise"));
-  EXPECT_EQ(RunJson({"level", "raise", "r1", "--to", "HALT", "--reason", "smoke"})["mark"], "3.18");
+  EXPECT_EQ(RunJson({"level", "raise", "r1", "--to", "HALT", "--reason", "smoke"})["decision_id"],
+            "3.18");
 }
 
 TEST_F(RipsctlTest, ARefusalIsExitCodeOne) {
@@ -457,7 +458,7 @@ TEST_F(RipsctlTest, ListsAlertsWithHostileTextEscaped) {
                             {"text", fake_.alert_text},
                             {"level", "ALERT"},
                             {"event", "graph change"},
-                            {"mark", "3.16"},
+                            {"decision_id", "3.16"},
                             {"subjects", nlohmann::json::array()}}));
   EXPECT_THAT(fake_.calls(), testing::ElementsAre("ListAlerts  100", "ListAlerts r1 5"));
 }

@@ -11,11 +11,11 @@ namespace rips::ripsctl {
 
 inline constexpr int64_t kNewYear = 1'767'225'600'000'000'000;
 
-inline v1::Mark MakeMark(uint64_t term, uint64_t epoch) {
-  v1::Mark mark;
-  mark.set_term(term);
-  mark.set_epoch(epoch);
-  return mark;
+inline v1::DecisionId MakeDecisionId(uint64_t term, uint64_t epoch) {
+  v1::DecisionId decision_id;
+  decision_id.set_term(term);
+  decision_id.set_epoch(epoch);
+  return decision_id;
 }
 
 inline v1::RobotStatus MakeStatus(const std::string& robot, const std::string& level) {
@@ -24,7 +24,7 @@ inline v1::RobotStatus MakeStatus(const std::string& robot, const std::string& l
   status.set_decided_level(level);
   status.set_effective_level(level);
   status.set_stage("verified");
-  *status.mutable_mark() = MakeMark(3, 17);
+  *status.mutable_decision_id() = MakeDecisionId(3, 17);
   status.set_bundle_version("sha256:" + std::string(64, 'b'));
   return status;
 }
@@ -37,7 +37,7 @@ inline v1::Transition MakeTransition() {
   transition.set_from("ALERT");
   transition.set_to("COMPROMISED");
   transition.set_cause("rule rogue_cmd_vel");
-  *transition.mutable_mark() = MakeMark(3, 17);
+  *transition.mutable_decision_id() = MakeDecisionId(3, 17);
   transition.set_count(1);
   transition.set_stage("verified");
   return transition;
@@ -53,7 +53,7 @@ inline v1::Alert MakeAlert(const std::string& text) {
   alert.set_text(text);
   alert.set_level("ALERT");
   alert.set_event("graph change");
-  *alert.mutable_mark() = MakeMark(3, 16);
+  *alert.mutable_decision_id() = MakeDecisionId(3, 16);
   return alert;
 }
 

@@ -112,7 +112,7 @@ absl::Status Fleet::Arm(const bundle::InventoryRobot& robot,
   }
   LogInfo("robot", {{"robot", robot.id},
                     {"level", record.level.empty() ? "(first start)" : record.level},
-                    {"mark", ToString(record.mark)},
+                    {"decision_id", ToString(record.decision_id)},
                     {"term", term}});
   SetProblem(robot.id, problem, record.level);
   return absl::OkStatus();
@@ -126,9 +126,11 @@ absl::Status Fleet::Hold(const bundle::InventoryRobot& robot, const store::Robot
                    " stands, and its actuators take their fail-safe level when their lease ends; "
                    "mend the bundle "
                    "and send the server SIGHUP");
-  RIPS_RETURN_IF_ERROR(pipeline_->Hold(
-      {.robot = robot.id, .decided_level = record.level, .mark = record.mark, .degraded = {text}},
-      absl::FailedPreconditionError(text)));
+  RIPS_RETURN_IF_ERROR(pipeline_->Hold({.robot = robot.id,
+                                        .decided_level = record.level,
+                                        .decision_id = record.decision_id,
+                                        .degraded = {text}},
+                                       absl::FailedPreconditionError(text)));
   SetProblem(robot.id, text, record.level);
   return absl::OkStatus();
 }

@@ -320,10 +320,11 @@ grpc::Status FakePolicyServer::Observe(grpc::ServerContext* context, Stream* str
     if (!greeted) violations.push_back("the first message is no hello");
     if (message.has_heartbeat()) {
       ++heartbeats;
-      SensorReply beat;
-      beat.mutable_heartbeat()->mutable_clock()->set_boottime_ns(12'345);
-      beat.mutable_heartbeat()->set_echo_boottime_ns(message.heartbeat().clock().boottime_ns());
-      if (!behaviour_.silent) stream->Write(beat);
+      SensorReply heartbeat;
+      heartbeat.mutable_heartbeat()->mutable_clock()->set_boottime_ns(12'345);
+      heartbeat.mutable_heartbeat()->set_echo_boottime_ns(
+          message.heartbeat().clock().boottime_ns());
+      if (!behaviour_.silent) stream->Write(heartbeat);
     }
     if (message.has_interest_applied()) interests_applied.push_back(message.interest_applied());
     if (message.has_chunk()) {

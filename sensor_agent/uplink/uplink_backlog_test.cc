@@ -192,9 +192,9 @@ TEST_F(UplinkBacklogTest, TheBacklogLeavesHalfOfTheCreditToWhatIsLive) {
     return bytes;
   };
   ASSERT_TRUE(server_.WaitUntil([&](const FakePolicyServer& s) { return sent(s) >= 10'000; }));
-  const int beats = server_.heartbeats;
+  const int heartbeats = server_.heartbeats;
   ASSERT_TRUE(
-      server_.WaitUntil([&](const FakePolicyServer& s) { return s.heartbeats > beats + 5; }));
+      server_.WaitUntil([&](const FakePolicyServer& s) { return s.heartbeats > heartbeats + 5; }));
   EXPECT_LT(bytes, 10'000u + 5'000u) << "half, and the batch that passed it";
 }
 

@@ -125,10 +125,10 @@ class UplinkTest : public testing::Test {
   bool WaitUntilAllIsAcknowledged() {
     const Gauge bytes = metrics_.AddGauge("rips_sensor_outbox_bytes",
                                           "Estimated memory of observations not acknowledged");
-    std::optional<int> beats;
+    std::optional<int> heartbeats;
     return server_.WaitUntil([&](const FakePolicyServer& s) {
-      if (!beats.has_value()) beats = s.heartbeats;
-      return s.heartbeats >= *beats + 2 && bytes.Value() == 0;
+      if (!heartbeats.has_value()) heartbeats = s.heartbeats;
+      return s.heartbeats >= *heartbeats + 2 && bytes.Value() == 0;
     });
   }
   // Until the uplink knows that the server is gone.

@@ -2,8 +2,8 @@
 
 #include "gmock/gmock.h"
 #include "gtest/gtest.h"
+#include "services/base/decision_id.h"
 #include "services/base/ids.h"
-#include "services/base/mark.h"
 #include "services/base/status_matchers.h"
 
 namespace rips {
@@ -38,21 +38,21 @@ TEST(IdsTest, NewIdsAre32HexDigitsAndDiffer) {
   EXPECT_NE(first, NewId());
 }
 
-TEST(MarkTest, OrdersByTermThenEpoch) {
-  EXPECT_LT((Mark{1, 9}), (Mark{2, 1}));
-  EXPECT_LT((Mark{2, 1}), (Mark{2, 2}));
-  EXPECT_TRUE(Mark{}.none());
+TEST(DecisionIdTest, OrdersByTermThenEpoch) {
+  EXPECT_LT((DecisionId{1, 9}), (DecisionId{2, 1}));
+  EXPECT_LT((DecisionId{2, 1}), (DecisionId{2, 2}));
+  EXPECT_TRUE(DecisionId{}.none());
 }
 
-TEST(MarkTest, ReadsBackWhatItPrints) {
-  const absl::StatusOr<Mark> mark = ParseMark(ToString(Mark{3, 17}));
-  ASSERT_THAT(mark, IsOk());
-  EXPECT_EQ(*mark, (Mark{3, 17}));
+TEST(DecisionIdTest, ReadsBackWhatItPrints) {
+  const absl::StatusOr<DecisionId> decision_id = ParseDecisionId(ToString(DecisionId{3, 17}));
+  ASSERT_THAT(decision_id, IsOk());
+  EXPECT_EQ(*decision_id, (DecisionId{3, 17}));
 }
 
-TEST(MarkTest, RefusesWhatIsNotAMark) {
+TEST(DecisionIdTest, RefusesWhatIsNotADecisionId) {
   for (const char* text : {"", "1", "1.", ".1", "1.2.3", "a.b", "-1.2", "1.99999999999999999999"}) {
-    EXPECT_THAT(ParseMark(text), StatusIs(absl::StatusCode::kInvalidArgument)) << text;
+    EXPECT_THAT(ParseDecisionId(text), StatusIs(absl::StatusCode::kInvalidArgument)) << text;
   }
 }
 

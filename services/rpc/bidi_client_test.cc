@@ -78,7 +78,8 @@ TEST_F(BidiClientTest, SaysHelloFirstAndThenWhatItIsGiven) {
   ASSERT_TRUE(client.replies.Pop(kPatience).has_value());
 
   constexpr uint64_t kMessages = 500;
-  for (uint64_t i = 1; i <= kMessages; ++i) ASSERT_TRUE(client.client.Send(TestClient::Beat(i)));
+  for (uint64_t i = 1; i <= kMessages; ++i)
+    ASSERT_TRUE(client.client.Send(TestClient::Heartbeat(i)));
 
   ASSERT_TRUE(service.received.Pop(kPatience)->message.has_hello());
   for (uint64_t i = 1; i <= kMessages; ++i) {
@@ -99,7 +100,7 @@ TEST_F(BidiClientTest, ReconnectsAfterAServerRestart) {
   const auto end = client.ends.Pop(kPatience);
   ASSERT_TRUE(end.has_value());
   EXPECT_EQ(end->close_class, CloseClass::kRetry);
-  EXPECT_FALSE(client.client.Send(TestClient::Beat(1)));
+  EXPECT_FALSE(client.client.Send(TestClient::Heartbeat(1)));
   ASSERT_TRUE(client.ends.Pop(kPatience).has_value());  // an attempt while nobody listens
   server = StartServer(&service, address);
 
@@ -107,7 +108,7 @@ TEST_F(BidiClientTest, ReconnectsAfterAServerRestart) {
   EXPECT_EQ(client.connected, 2u);
   EXPECT_EQ(service.received.Pop(kPatience)->message.hello().domain(), 1u);
   EXPECT_EQ(service.received.Pop(kPatience)->message.hello().domain(), 2u);
-  EXPECT_TRUE(client.client.Send(TestClient::Beat(2)));
+  EXPECT_TRUE(client.client.Send(TestClient::Heartbeat(2)));
   EXPECT_EQ(client.replies.Pop(kPatience)->heartbeat().echo_boottime_ns(), 2u);
 }
 
@@ -220,7 +221,7 @@ TEST_F(BidiClientTest, StopsWhileConnectedAndSaysNothingMore) {
 
   EXPECT_EQ(client.ends.size(), 0u);
   EXPECT_FALSE(client.client.connected());
-  EXPECT_FALSE(client.client.Send(TestClient::Beat(1)));
+  EXPECT_FALSE(client.client.Send(TestClient::Heartbeat(1)));
 }
 
 TEST_F(BidiClientTest, SurvivesAMessageOverTheLimit) {
@@ -252,7 +253,7 @@ TEST_F(BidiClientTest, TakesMessagesFromManyThreads) {
   for (int t = 0; t < kThreads; ++t) {
     threads.emplace_back([&] {
       for (int i = 0; i < kEach; ++i) {
-        while (!client.client.Send(TestClient::Beat(1))) std::this_thread::yield();
+        while (!client.client.Send(TestClient::Heartbeat(1))) std::this_thread::yield();
       }
     });
   }

@@ -311,7 +311,7 @@ TEST_F(CredentialsTest, ServesOthersWhileOneSendsRubbish) {
     close(fd);
   }
 
-  EXPECT_TRUE(before.client.Send(TestClient::Beat(7)));
+  EXPECT_TRUE(before.client.Send(TestClient::Heartbeat(7)));
   const auto reply = before.replies.Pop(kPatience);
   ASSERT_TRUE(reply.has_value());
   EXPECT_EQ(reply->heartbeat().echo_boottime_ns(), 7u);
@@ -341,7 +341,7 @@ TEST_F(CredentialsTest, UsesARenewedCertificateAndKeepsStreams) {
   while (served() != on_disk() && absl::Now() < deadline) {
   }
   EXPECT_EQ(served(), on_disk());
-  EXPECT_TRUE(client.client.Send(TestClient::Beat(3)));
+  EXPECT_TRUE(client.client.Send(TestClient::Heartbeat(3)));
   EXPECT_EQ(client.replies.Pop(kPatience)->heartbeat().echo_boottime_ns(), 3u);
   EXPECT_EQ(client.ends.size(), 0u);
 }

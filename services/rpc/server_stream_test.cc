@@ -59,7 +59,7 @@ struct Caller {
     context.set_deadline(std::chrono::system_clock::now() + absl::ToChronoSeconds(2 * kPatience));
     stream = stub->Observe(&context);
   }
-  bool Beat(uint64_t boottime_ns) { return stream->Write(TestClient::Beat(boottime_ns)); }
+  bool Heartbeat(uint64_t boottime_ns) { return stream->Write(TestClient::Heartbeat(boottime_ns)); }
   // Reads to the end.
   grpc::Status End() {
     v1::SensorReply reply;
@@ -130,7 +130,7 @@ TEST_F(ServerStreamTest, CutsOffAPeerThatDoesNotReadAndServesOthers) {
   EXPECT_FALSE((*outbound)->open());
   EXPECT_FALSE((*outbound)->Send({}));
   EXPECT_TRUE((*other_outbound)->open());
-  ASSERT_TRUE(other.Beat(7));
+  ASSERT_TRUE(other.Heartbeat(7));
   v1::SensorReply reply;
   ASSERT_TRUE(other.stream->Read(&reply));
   EXPECT_EQ(reply.heartbeat().echo_boottime_ns(), 7u);
@@ -198,7 +198,7 @@ TEST_F(ServerStreamTest, TheServerStopsAlthoughAPeerNeverReadsItsLastWords) {
 TEST_F(ServerStreamTest, NothingIsHandledAfterTheEnd) {
   service_.refuse = true;
   Caller peer(Connect());
-  for (uint64_t i = 1; i <= 1'000; ++i) ASSERT_TRUE(peer.Beat(i));
+  for (uint64_t i = 1; i <= 1'000; ++i) ASSERT_TRUE(peer.Heartbeat(i));
 
   service_.gate.Close();
 
@@ -213,7 +213,7 @@ TEST_F(ServerStreamTest, NothingIsHandledAfterTheEndOfAPeerThatDoesNotRead) {
   ASSERT_TRUE(outbound.has_value());
   Flood(**outbound);
 
-  for (uint64_t i = 1; i <= 1'000 && deaf.Beat(i); ++i) {
+  for (uint64_t i = 1; i <= 1'000 && deaf.Heartbeat(i); ++i) {
   }
 
   EXPECT_EQ(deaf.End().error_code(), grpc::StatusCode::RESOURCE_EXHAUSTED);

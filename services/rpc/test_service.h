@@ -102,7 +102,7 @@ class TestClient {
     client.Start();
   }
 
-  static v1::SensorMessage Beat(uint64_t boottime_ns) {
+  static v1::SensorMessage Heartbeat(uint64_t boottime_ns) {
     v1::SensorMessage message;
     message.mutable_heartbeat()->mutable_clock()->set_boottime_ns(boottime_ns);
     return message;

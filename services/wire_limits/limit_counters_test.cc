@@ -14,7 +14,7 @@ TEST(LimitCountersTest, EveryLimitIsOnThePageAndCountsByItsField) {
   Metrics metrics;
   const LimitCounters counters(&metrics);
   EXPECT_THAT(metrics.Text(), HasSubstr("field=\"Loss.count\"} 0"));
-  EXPECT_THAT(metrics.Text(), Not(HasSubstr("field=\"Mark.term\"")));
+  EXPECT_THAT(metrics.Text(), Not(HasSubstr("field=\"DecisionId.term\"")));
   v1::ActuatorMessage message;
   message.mutable_heartbeat()->set_floor_reason(std::string(1'025, 'x'));
   const auto hit = Check(message);

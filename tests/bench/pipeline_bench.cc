@@ -42,7 +42,7 @@ class NullRecorder final : public pipeline::Recorder {
     done(absl::OkStatus());
   }
   bool healthy() const override { return true; }
-  void FindDecision(const std::string&, const Mark&,
+  void FindDecision(const std::string&, const DecisionId&,
                     std::function<void(const pipeline::FoundDecision&)> done) override {
     done(std::nullopt);
   }

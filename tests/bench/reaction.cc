@@ -7,8 +7,8 @@
 // Then what waiting for the graph costs (--rounds): `first` is the first message of a new writer of
 // a new node on /probe, sent 10 ms after that was made; `behind` a message of the known writer
 // sent right after one from each of 16 new writers on /other.
-// Prints {"event":"done", "command":{"p50_us":..,"p99_us":..}, "dds":{..}, "grpc":{..}, "first":{..},
-// "behind":{..}, "unseen":N}, the last of them messages that DDS gave to no reader.
+// Prints {"event":"done", "command":{"p50_us":..,"p99_us":..}, "dds":{..}, "grpc":{..},
+// "first":{..}, "behind":{..}, "unseen":N}, the last of them messages that DDS gave to no reader.
 #include <algorithm>
 #include <atomic>
 #include <cstring>
@@ -167,22 +167,22 @@ class Actuator {
     hello->add_programs("note");
     hello->set_effective_level("DEFAULT");
     stream_.Write(message);
-    beats_ = std::thread([this] {
-      for (; !stopping_; absl::SleepFor(kHeartbeat)) Beat();
+    heartbeats_ = std::thread([this] {
+      for (; !stopping_; absl::SleepFor(kHeartbeat)) Heartbeat();
     });
   }
   ~Actuator() {
     stopping_ = true;
-    beats_.join();
+    heartbeats_.join();
   }
 
  private:
-  void Beat() {
+  void Heartbeat() {
     v1::ActuatorMessage message;
-    v1::ActuatorHeartbeat* beat = message.mutable_heartbeat();
-    *beat->mutable_heartbeat()->mutable_clock() = ClockNow();
-    beat->set_effective_level("DEFAULT");
-    beat->set_verified(true);
+    v1::ActuatorHeartbeat* heartbeat = message.mutable_heartbeat();
+    *heartbeat->mutable_heartbeat()->mutable_clock() = ClockNow();
+    heartbeat->set_effective_level("DEFAULT");
+    heartbeat->set_verified(true);
     stream_.Write(message);
   }
   void OnReply(const v1::ActuatorReply& reply) {
@@ -192,7 +192,7 @@ class Actuator {
     v1::Receipt* receipt = message.mutable_receipt();
     receipt->set_command_id(reply.command().id());
     if (reply.command().has_set_level()) {
-      *receipt->mutable_mark() = reply.command().set_level().mark();
+      *receipt->mutable_decision_id() = reply.command().set_level().decision_id();
       receipt->set_effective_level(reply.command().set_level().to());
     }
     for (const auto stage : {v1::Receipt::ACKNOWLEDGED, v1::Receipt::VERIFIED}) {
@@ -203,7 +203,7 @@ class Actuator {
 
   Arrival* const commanded_;  // Not owned; outlives this.
   std::atomic<bool> stopping_ = false;
-  std::thread beats_;
+  std::thread heartbeats_;
   Stream stream_;
 };
 

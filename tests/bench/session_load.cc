@@ -103,7 +103,7 @@ class Session {
     const grpc::Status status = stream_->Finish();
     return absl::UnavailableError(status.error_message());
   }
-  void Beat() {
+  void Heartbeat() {
     v1::SensorMessage message;
     *message.mutable_heartbeat()->mutable_clock() = ClockNow();
     stream_->Write(message);
@@ -138,15 +138,15 @@ absl::Status Run(const Options& options, SignalWaiter& signals) {
     RIPS_RETURN_IF_ERROR(sessions.back()->Begin(robot, options.nodes));
   }
   std::atomic<bool> stopping = false;
-  std::thread beats([&] {
+  std::thread heartbeats([&] {
     for (; !stopping; absl::SleepFor(kHeartbeat)) {
-      for (const auto& session : sessions) session->Beat();
+      for (const auto& session : sessions) session->Heartbeat();
     }
   });
   robot_sim::PrintEvent({{"event", "ready"}});
   signals.WaitForShutdown();
   stopping = true;
-  beats.join();
+  heartbeats.join();
   for (const auto& session : sessions) session->End();
   return absl::OkStatus();
 }

@@ -31,11 +31,11 @@ void Receipt(const rips::v1::Receipt& wire) {
   RIPS_CHECK(DecodeReceipt(wire).value() == *receipt, "the same receipt is decoded otherwise");
 }
 
-void Beat(const rips::v1::ActuatorHeartbeat& wire) {
-  const pipeline::ActuatorBeat beat = DecodeBeat(wire);
-  RIPS_CHECK(beat.boottime_ns >= 0, "a negative time");
-  RIPS_CHECK(beat.degraded.size() <= pipeline::kActuatorDegradedMax, "past a limit");
-  for (const std::string& line : beat.degraded) {
+void Heartbeat(const rips::v1::ActuatorHeartbeat& wire) {
+  const pipeline::ActuatorHeartbeat heartbeat = DecodeHeartbeat(wire);
+  RIPS_CHECK(heartbeat.boottime_ns >= 0, "a negative time");
+  RIPS_CHECK(heartbeat.degraded.size() <= pipeline::kActuatorDegradedMax, "past a limit");
+  for (const std::string& line : heartbeat.degraded) {
     RIPS_CHECK(line.size() <= pipeline::kActuatorDegradedBytesMax, "past the limit of a line");
     for (const char c : line) {
       RIPS_CHECK(static_cast<unsigned char>(c) >= 0x20 && c != 0x7f, "not printable");
@@ -52,6 +52,6 @@ extern "C" int LLVMFuzzerTestOneInput(const uint8_t* data, size_t size) {
   if (rips::wire_limits::Check(message)) return 0;
   if (message.has_hello()) rips::dispatch::Hello(message.hello());
   if (message.has_receipt()) rips::dispatch::Receipt(message.receipt());
-  if (message.has_heartbeat()) rips::dispatch::Beat(message.heartbeat());
+  if (message.has_heartbeat()) rips::dispatch::Heartbeat(message.heartbeat());
   return 0;
 }

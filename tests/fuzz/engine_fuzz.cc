@@ -171,7 +171,7 @@ class Player {
         log_.push_back(absl::StrCat("alert ", alert->rule, " ", alert->text));
       } else if (const auto* change = std::get_if<TransitionEffect>(&effect)) {
         log_.push_back(absl::StrCat("level ", change->transition.to, " ",
-                                    ToString(change->transition.mark), " ",
+                                    ToString(change->transition.decision_id), " ",
                                     change->transition.refused()));
       } else if (const auto* run = std::get_if<RunProgramEffect>(&effect)) {
         log_.push_back(absl::StrCat("run ", run->program, " ", run->args.size()));

@@ -70,7 +70,7 @@ std::vector<std::string> Decode(const std::vector<v1::SensorMessage>& messages) 
       const auto hello = DecodeHello(message.hello());
       out.push_back(hello.status().ToString());
     } else if (message.has_heartbeat()) {
-      RIPS_CHECK(DecodeBeat(message.heartbeat()).clock.boottime_ns >= 0, "a negative time");
+      RIPS_CHECK(DecodeHeartbeat(message.heartbeat()).clock.boottime_ns >= 0, "a negative time");
     } else if (message.has_chunk()) {
       v1::PayloadChunk chunk = message.chunk();
       const absl::Status taken = decoder->TakeChunk(chunk);

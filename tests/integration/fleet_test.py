@@ -35,8 +35,8 @@ def may_lower(*steps):
     return decorate
 
 
-def mark_of(record):
-    return tuple(int(part) for part in record["mark"].split("."))
+def decision_id_of(record):
+    return tuple(int(part) for part in record["decision_id"].split("."))
 
 
 def never_lower(fleet, asked=()):
@@ -56,12 +56,12 @@ def never_lower(fleet, asked=()):
             continue
         check(each["from"] == former["to"],
               f"from {former['to']} to {each['from']} without a decision, before {each}")
-        check(mark_of(each) > mark_of(former), f"{each} is not later than {former}")
+        check(decision_id_of(each) > decision_id_of(former), f"{each} is not later than {former}")
     check(not left, f"asked for and not done: {left}")
     last = decisions[-1]
-    if mark_of(status) == mark_of(last):
+    if decision_id_of(status) == decision_id_of(last):
         check(status["decided_level"] == last["to"], f"{status} is not as decided: {last}")
-    check(mark_of(status) >= mark_of(last), f"{status} is older than {last}")
+    check(decision_id_of(status) >= decision_id_of(last), f"{status} is older than {last}")
 
 
 def compromise(fleet):
@@ -95,7 +95,7 @@ def kill_server_while_compromised(fleet):
 
     fleet.wait_level("COMPROMISED", 20)
     after = decided(fleet)
-    check([d["mark"] for d in after] == [d["mark"] for d in before],
+    check([d["decision_id"] for d in after] == [d["decision_id"] for d in before],
           f"decisions changed from {before} to {after}")
     check(applied(fleet) == entered, "a level was entered again")
     time.sleep(8)  # longer than soft_hold
@@ -177,12 +177,12 @@ def audit_log_outlives_a_kill(fleet):
 
 
 def kill_server_at_the_moment_of_a_raise(fleet):
-    """Raises are commanded while they are recorded: whatever the store lost, the robot's own mark
+    """Raises are commanded while they are recorded: whatever the store lost, the robot's own decision id
     brings back."""
     fleet.arm()
     driver = fleet.start_intruder("rogue-cmd-vel")
     fleet.actuator.wait_for(
-        lambda line: " receipt " in line and "stage=acknowledged" in line and "mark=1.1 " not in line,
+        lambda line: " receipt " in line and "stage=acknowledged" in line and "decision_id=1.1 " not in line,
         20, "a raise arrives")
     fleet.server.kill(signal.SIGKILL)
 
@@ -283,7 +283,7 @@ def kill_actuator_while_compromised(fleet):
     fleet.actuator.wait_for(lambda line: "effective=COMPROMISED" in line, 10,
                             "the restarted actuator holds its level")
     fleet.wait_level("COMPROMISED", 20)
-    check([d["mark"] for d in decided(fleet)] == [d["mark"] for d in before], "decisions changed")
+    check([d["decision_id"] for d in decided(fleet)] == [d["decision_id"] for d in before], "decisions changed")
 
 
 @may_lower(("rule calm", "ALERT", "DEFAULT"))
@@ -319,7 +319,7 @@ def lost_lease_raises_the_floor(fleet):
 
     fleet.server = fleet.start_server()
     fleet.wait_level("DEFAULT", 40)
-    check([d["mark"] for d in decided(fleet)] == [d["mark"] for d in before],
+    check([d["decision_id"] for d in decided(fleet)] == [d["decision_id"] for d in before],
           "the floor became a decision")
 
 
@@ -392,7 +392,7 @@ def drill(fleet):
     fleet.steps = {"COMPROMISED": ["{program: {name: horn}, timeout: 5s}"],
                    "HALT": ["{program: {name: plain}, timeout: 2s}"]}
     before = fleet.arm()
-    decisions, entered = [each["mark"] for each in decided(fleet)], applied(fleet)
+    decisions, entered = [each["decision_id"] for each in decided(fleet)], applied(fleet)
 
     # Whole: every level, what was done with each step, and nothing else.
     code, out, err = fleet.ripsctl("robot", "drill", "r1", check=False)
@@ -403,10 +403,10 @@ def drill(fleet):
           ["DEFAULT", "ALERT", "COMPROMISED", "COMPROMISED", "HALT", "HALT"], out)
     check((programs / "horn.runs").read_text() == "1\n", "the horn was not run as a drill, once")
     after = fleet.level()
-    for key in ("decided_level", "effective_level", "stage", "mark"):
+    for key in ("decided_level", "effective_level", "stage", "decision_id"):
         check(after[key] == before[key], f"{before} has become {after}")
     check(fleet.mode()["mode"] == "__DEFAULT__", "the robot's mode has changed")
-    check(([each["mark"] for each in decided(fleet)], applied(fleet)) == (decisions, entered),
+    check(([each["decision_id"] for each in decided(fleet)], applied(fleet)) == (decisions, entered),
           "a level was entered")
     texts = [alert["text"] for alert in fleet.alerts()]
     check(any(re.fullmatch(r"drill by alice \(spiffe://.*\) is over: 6 of 6 steps work", text)

@@ -203,7 +203,7 @@ def server_that_stops_grants_time(fleet):
         check(fleet.mode()["mode"] == "__DEFAULT__", "the robot left its mode")
         fleet.server = fleet.start_server()
         fleet.wait_level("DEFAULT", 30)
-    check([d["mark"] for d in decided(fleet)] == [d["mark"] for d in before], "decisions changed")
+    check([d["decision_id"] for d in decided(fleet)] == [d["decision_id"] for d in before], "decisions changed")
 
     start = len(fleet.actuator.lines)
     stopped = time.monotonic()

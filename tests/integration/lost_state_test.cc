@@ -1,5 +1,5 @@
-// The whole actuator without its recorded state, or with one from a backup, and without a server, on
-// a simulated robot over real DDS: it does not lower the robot.
+// The whole actuator without its recorded state, or with one from a backup, and without a server,
+// on a simulated robot over real DDS: it does not lower the robot.
 #include <sys/stat.h>
 
 #include <fstream>
@@ -83,8 +83,8 @@ TEST_F(LostStateTest, TheNodesShowTheLevelWhenTheManagerHasForgotten) {
 }
 
 TEST_F(LostStateTest, AStateFromABackupDoesNotLowerTheRobot) {
-  std::ofstream(dir_ + "/state/state")
-      << EncodeState({.mark = {1, 1}, .decided = "ALERT", .effective = "ALERT", .highest_term = 1});
+  std::ofstream(dir_ + "/state/state") << EncodeState(
+      {.decision_id = {1, 1}, .decided = "ALERT", .effective = "ALERT", .highest_term = 1});
   StartRobot("HALT");
   StartActuator();
   EXPECT_TRUE(Records("HALT"));

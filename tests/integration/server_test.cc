@@ -637,7 +637,7 @@ TEST_F(ServerTest, ARestartKeepsTheLevelAndDrawsAHigherTerm) {
     rips::v1::LevelResponse response;
     const grpc::Status status = operators->Raise(&context, request, &response);
     EXPECT_TRUE(status.ok()) << status.error_message();
-    return response.mark().epoch();
+    return response.decision_id().epoch();
   };
   EXPECT_EQ(raise(), 2u);
 
@@ -652,7 +652,7 @@ TEST_F(ServerTest, ARestartKeepsTheLevelAndDrawsAHigherTerm) {
   rips::v1::GetLevelResponse level;
   ASSERT_TRUE(operators->GetLevel(&context, request, &level).ok());
   EXPECT_EQ(level.status().decided_level(), "COMPROMISED");
-  EXPECT_EQ(level.status().mark().term(), 1u);
+  EXPECT_EQ(level.status().decision_id().term(), 1u);
   EXPECT_THAT(level.last().cause(),
               StartsWith("operator al (spiffe://fleet.example/operator/operator/al serial "));
   EXPECT_EQ(level.last().reason(), "drill");

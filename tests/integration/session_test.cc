@@ -77,9 +77,9 @@ struct Sensor : Agent<v1::SensorService, v1::SensorReply, v1::SensorMessage> {
   // The stream is in use both ways.
   bool Lives() {
     const auto now_ns = static_cast<uint64_t>(RealClock().Now().boottime_ns);
-    v1::SensorMessage beat;
-    beat.mutable_heartbeat()->mutable_clock()->set_boottime_ns(now_ns);
-    if (!stream->Write(beat)) return false;
+    v1::SensorMessage heartbeat;
+    heartbeat.mutable_heartbeat()->mutable_clock()->set_boottime_ns(now_ns);
+    if (!stream->Write(heartbeat)) return false;
     v1::SensorReply reply;
     while (stream->Read(&reply)) {
       if (reply.heartbeat().echo_boottime_ns() == now_ns) return true;

@@ -107,7 +107,7 @@ class StolenSensor:
         self.version += 1
         return seen
 
-    def beat(self):
+    def heartbeat(self):
         message = pb("SensorMessage")()
         message.heartbeat.clock.boottime_ns = time.clock_gettime_ns(time.CLOCK_BOOTTIME)
         message.heartbeat.clock.unix_ns = time.time_ns()
@@ -118,7 +118,7 @@ class StolenSensor:
         while time.monotonic() < deadline:
             try:
                 self.send([self.delta() for _ in range(200)])
-                self.beat()
+                self.heartbeat()
                 self.stream.received.clear()
             except (Ended, TimeoutError, OSError):
                 self.closed += 1
@@ -229,7 +229,7 @@ def a_viewer_asks_without_end(fleet):
             asker.start()
         raise_during(fleet, "r1", "--dry-run")
         while time.monotonic() < deadline or any(asker.is_alive() for asker in askers):
-            sensor.beat()
+            sensor.heartbeat()
             time.sleep(0.3)
         raise_during(fleet, "r1", "--dry-run")
 

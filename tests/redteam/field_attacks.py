@@ -137,7 +137,7 @@ def hello(role, **more):
     return message
 
 
-def beat(**fields):
+def heartbeat(**fields):
     message = pb("ActuatorMessage")()
     message.heartbeat.heartbeat.clock.boottime_ns = fields.pop("boottime_ns", 10**9)
     message.heartbeat.heartbeat.clock.unix_ns = fields.pop("unix_ns", 0)
@@ -186,9 +186,9 @@ def actuator_fields(fleet):
     attacked = Attacked(fleet, "actuator")
     start = hello("actuator")
     cases = {
-        "ActuatorHeartbeat.floor_reason": [start, beat(floor_reason=LONG)],
-        "ActuatorHeartbeat.observed": [start, beat(observed=LONG, drifts=1)],
-        "ActuatorHeartbeat.degraded": [start, beat(degraded=[LONG])],
+        "ActuatorHeartbeat.floor_reason": [start, heartbeat(floor_reason=LONG)],
+        "ActuatorHeartbeat.observed": [start, heartbeat(observed=LONG, drifts=1)],
+        "ActuatorHeartbeat.degraded": [start, heartbeat(degraded=[LONG])],
         "ActuatorHello.levels": [hello("actuator", levels=[LONG[:60_000] + str(i)
                                                          for i in range(60)])],
         "ActuatorHello.programs": [hello("actuator", programs=["p" * 4_000] * 900)],
@@ -197,8 +197,8 @@ def actuator_fields(fleet):
         "Receipt.detail": [start, receipt(detail=LONG)],
         "StepResult.step": [start, receipt(step=LONG)],
         "Receipt.output_tail": [start, receipt(output=LONG.encode())],
-        "Clock.boottime_ns": [start, beat(boottime_ns=MOST)],
-        "Clock.unix_ns": [start, beat(unix_ns=-1)],
+        "Clock.boottime_ns": [start, heartbeat(boottime_ns=MOST)],
+        "Clock.unix_ns": [start, heartbeat(unix_ns=-1)],
     }
 
     def attack():
@@ -225,7 +225,7 @@ def actuator_texts_at_their_limits(fleet):
                 number += 1
                 def text(size):
                     return f"{number}: ".ljust(size, "x")
-                stream.send(beat(boottime_ns=10**9 + number, observed=text(4_096), drifts=number,
+                stream.send(heartbeat(boottime_ns=10**9 + number, observed=text(4_096), drifts=number,
                                  floor_reason=text(1_024) if number % 2 else "",
                                  degraded=[f"{i}-" + text(250 - len(str(i))) for i in range(8)]
                                  if number % 2 else []))

@@ -39,9 +39,9 @@ def fill(hello, incarnation):
     hello.clock.unix_ns = time.time_ns()
 
 
-def fill_beat(beat):
-    beat.clock.boottime_ns = boottime_ns()
-    beat.clock.unix_ns = time.time_ns()
+def fill_heartbeat(heartbeat):
+    heartbeat.clock.boottime_ns = boottime_ns()
+    heartbeat.clock.unix_ns = time.time_ns()
 
 
 class Probe:
@@ -92,7 +92,7 @@ class Probe:
                 raise TimeoutError("no answer to a hello")
 
     def ask(self):
-        self.beat()
+        self.heartbeat()
         message = pb("SensorMessage")()
         batch = message.batch
         batch.incarnation, batch.lane, batch.first_sequence = self.incarnation, 1, self.sequence
@@ -110,26 +110,26 @@ class Probe:
                 self.obey(reply.command)
                 if turn in reply.command.run_program.args:
                     return
-            self.beat()
+            self.heartbeat()
         raise TimeoutError(f"no verdict in {ANSWER_S} s")
 
     def obey(self, command):
         receipt = pb("ActuatorMessage")()
         receipt.receipt.command_id = command.id
-        receipt.receipt.mark.CopyFrom(command.set_level.mark)
+        receipt.receipt.decision_id.CopyFrom(command.set_level.decision_id)
         receipt.receipt.stage = pb("Receipt").VERIFIED
         receipt.receipt.effective_level = LEVELS[0]
         self.actuator.send(receipt)
 
-    def beat(self):
+    def heartbeat(self):
         if time.monotonic() - self.beaten < BEAT_S:
             return
         self.beaten = time.monotonic()
         message = pb("SensorMessage")()
-        fill_beat(message.heartbeat)
+        fill_heartbeat(message.heartbeat)
         self.sensor.send(message)
         message = pb("ActuatorMessage")()
-        fill_beat(message.heartbeat.heartbeat)
+        fill_heartbeat(message.heartbeat.heartbeat)
         message.heartbeat.effective_level = LEVELS[0]
         message.heartbeat.verified = True
         self.actuator.send(message)

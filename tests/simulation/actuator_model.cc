@@ -69,8 +69,9 @@ class ActuatorModel::ServerEnd final : public pipeline::ActuatorLink {
   void Send(const pipeline::Command& command) override {
     const auto& set = std::get<pipeline::SetLevel>(command.what);
     actuator_.context_.trace.Add(
-        "server", absl::StrCat("sends ", set.to, " ", ToString(set.mark), " in term ", command.term,
-                               set.based_on.none() ? "" : " on " + ToString(set.based_on)));
+        "server",
+        absl::StrCat("sends ", set.to, " ", ToString(set.decision_id), " in term ", command.term,
+                     set.based_on.none() ? "" : " on " + ToString(set.based_on)));
     actuator_.context_.checker.OnCommandSent(command);
     const auto stream = stream_.lock();
     if (stream == nullptr) return;
@@ -116,9 +117,9 @@ void ActuatorModel::Start() {
   controller_.emplace(*std::move(controller));
   receipts_ = actuator::ReceiptQueue();
   published_ = controller_->Report(now_ns());
-  context_.trace.Add(
-      "actuator", absl::StrCat("starts, decided ", published_.decided, " (",
-                               ToString(published_.mark), "), effective ", published_.effective));
+  context_.trace.Add("actuator", absl::StrCat("starts, decided ", published_.decided, " (",
+                                              ToString(published_.decision_id), "), effective ",
+                                              published_.effective));
   context_.checker.OnActuatorStart(published_, now_ns());
   Do(controller_->Start(now_ns()));
   Later(context_.scheduler.Between(1, 300) * kMs, [this] { Connect(); });
@@ -189,7 +190,7 @@ void ActuatorModel::Connect() {
 pipeline::ActuatorHello ActuatorModel::MakeHello() {
   const actuator::ExecutorReport report = controller_->Report(now_ns());
   return {.levels = Options().levels,
-          .mark = report.mark,
+          .decision_id = report.decision_id,
           .decided_level = report.decided,
           .effective_level = report.effective,
           .highest_term = report.highest_term,
@@ -213,16 +214,17 @@ void ActuatorModel::OnCommand(const pipeline::Command& command) {
   if (!up()) return;
   const auto& set = std::get<pipeline::SetLevel>(command.what);
   actuator::SetLevelCommand to{
-      .id = command.id, .term = command.term, .mark = set.mark, .to = set.to};
+      .id = command.id, .term = command.term, .decision_id = set.decision_id, .to = set.to};
   if (!set.based_on.none()) to.based_on = set.based_on;
   const actuator::ExecutorReport held = controller_->Report(now_ns());
-  context_.trace.Add("actuator", absl::StrCat("receives ", set.to, " ", ToString(set.mark),
-                                              " of term ", command.term, "; holds ",
-                                              ToString(held.mark), ", term ", held.highest_term));
+  context_.trace.Add(
+      "actuator",
+      absl::StrCat("receives ", set.to, " ", ToString(set.decision_id), " of term ", command.term,
+                   "; holds ", ToString(held.decision_id), ", term ", held.highest_term));
   context_.checker.OnCommandDelivered(command.id, command.term);
   if (context_.fault == Fault::kStaleTerm && command.term < held.highest_term) {
     to.term = held.highest_term;
-    to.mark = {.term = held.highest_term, .epoch = held.mark.epoch + 1};
+    to.decision_id = {.term = held.highest_term, .epoch = held.decision_id.epoch + 1};
   }
   Do(controller_->OnSetLevel(to, now_ns()));
   Turn();
@@ -261,7 +263,7 @@ void ActuatorModel::Publish() {
       Send([receipt](pipeline::Robot& robot, const pipeline::ActuatorLink* link) {
         robot.OnReceipt(kHost, link,
                         {.command_id = receipt.command_id,
-                         .mark = receipt.mark,
+                         .decision_id = receipt.decision_id,
                          .stage = ToServer(receipt.stage),
                          .detail = receipt.detail,
                          .effective_level = receipt.effective_level});
@@ -269,18 +271,18 @@ void ActuatorModel::Publish() {
       return true;
     });
   }
-  if (report == published_ && now_ns() < next_beat_ns_) return;
+  if (report == published_ && now_ns() < next_heartbeat_ns_) return;
   published_ = report;
-  next_beat_ns_ = now_ns() + 500 * kMs;
+  next_heartbeat_ns_ = now_ns() + 500 * kMs;
   Send([report, now = now_ns()](pipeline::Robot& robot, const pipeline::ActuatorLink* link) {
-    robot.OnActuatorBeat(kHost, link,
-                         {.boottime_ns = now,
-                          .effective_level = report.effective,
-                          .observed = report.observed,
-                          .verified = report.verified,
-                          .floor_reason = report.floor_reason,
-                          .degraded = report.degraded,
-                          .drifts = report.drifts});
+    robot.OnActuatorHeartbeat(kHost, link,
+                              {.boottime_ns = now,
+                               .effective_level = report.effective,
+                               .observed = report.observed,
+                               .verified = report.verified,
+                               .floor_reason = report.floor_reason,
+                               .degraded = report.degraded,
+                               .drifts = report.drifts});
   });
 }
 
@@ -297,7 +299,7 @@ void ActuatorModel::Do(const actuator::Actions& actions) {
       const actuator::Receipt& receipt = std::get<actuator::SendReceipt>(action).receipt;
       context_.trace.Add("actuator",
                          absl::StrCat("receipt ", static_cast<int>(receipt.stage), " of ",
-                                      ToString(receipt.mark), " ", receipt.detail));
+                                      ToString(receipt.decision_id), " ", receipt.detail));
       context_.checker.OnReceipt(receipt);
       receipts_.Add(receipt);
     }

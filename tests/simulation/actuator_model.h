@@ -70,7 +70,7 @@ class ActuatorModel {
   actuator::ReceiptQueue receipts_;
   actuator::ExecutorReport published_;
   std::shared_ptr<Stream> stream_;
-  int64_t next_beat_ns_ = 0;
+  int64_t next_heartbeat_ns_ = 0;
   int64_t isolated_until_ns_ = 0;
   uint64_t late_ = 0;     // commands that came late
   uint64_t attempt_ = 0;  // of the job that runs, surveys apart

@@ -16,7 +16,7 @@ void Checker::Fail(absl::string_view invariant, absl::string_view what, absl::st
                 detail.empty() ? std::string(what) : absl::StrCat(what, ": ", detail)};
 }
 
-bool Checker::LoweredBetween(const Mark& from, const Mark& to) const {
+bool Checker::LoweredBetween(const DecisionId& from, const DecisionId& to) const {
   for (auto it = decisions_.upper_bound(from); it != decisions_.end() && it->first <= to; ++it) {
     if (it->second.lowers && it->second.durable) return true;
   }
@@ -36,7 +36,7 @@ void Checker::CheckLowering(const Decision& lowering) {
   if (absl::StartsWith(decision.cause, "operator ")) {
     ++counts_.operator_lowerings;
     if (ordered_.contains(decision.reason)) return;
-    return Fail("I1", "no operator ordered this lowering", ToString(decision.mark));
+    return Fail("I1", "no operator ordered this lowering", ToString(decision.decision_id));
   }
   ++counts_.soft_lowerings;
   const bool soft_step = absl::StartsWith(decision.cause, "rule ") && decision.from == "ALERT" &&
@@ -46,43 +46,46 @@ void Checker::CheckLowering(const Decision& lowering) {
   if (later == began_ns_.begin()) return;
   if (const int64_t quiet_ns = lowering.made_ns - *std::prev(later); quiet_ns < kSoftHoldNs) {
     Fail("I1", "a rule lowers without evidence for the whole hold",
-         absl::StrCat(ToString(decision.mark), ", ", quiet_ns / kNanosPerMilli, " ms"));
+         absl::StrCat(ToString(decision.decision_id), ", ", quiet_ns / kNanosPerMilli, " ms"));
   }
 }
 
 void Checker::OnRecord(const store::WriteBatch& batch, int64_t now_ns) {
   for (const store::DecisionRecord& decision : batch.decisions) {
-    const auto [it, fresh] = decisions_.try_emplace(decision.mark);
+    const auto [it, fresh] = decisions_.try_emplace(decision.decision_id);
     if (!fresh && it->second.record != decision) {
-      Fail("I1", "one mark names two decisions", ToString(decision.mark));
+      Fail("I1", "one decision names two decisions", ToString(decision.decision_id));
     }
     if (!fresh) continue;
-    if (!drawn_terms_.contains(decision.mark.term)) {
-      Fail("I1", "a decision is of a term that the store never gave", ToString(decision.mark));
+    if (!drawn_terms_.contains(decision.decision_id.term)) {
+      Fail("I1", "a decision is of a term that the store never gave",
+           ToString(decision.decision_id));
     }
     ++counts_.decisions;
     const bool lowers = LevelIndex(decision.to) < LevelIndex(decision.from);
-    const auto held = held_since_ns_.find(decision.mark);
+    const auto held = held_since_ns_.find(decision.decision_id);
     it->second = {.record = decision,
                   .lowers = lowers,
                   .made_ns = held == held_since_ns_.end() ? now_ns : held->second};
     if (lowers) CheckLowering(it->second);
   }
   for (const store::StageUpdate& stage : batch.stages) {
-    if (stage.stage == "verified" && !verified_.contains(stage.mark)) {
-      Fail("I7", "a level is recorded as verified that was not read back", ToString(stage.mark));
+    if (stage.stage == "verified" && !verified_.contains(stage.decision_id)) {
+      Fail("I7", "a level is recorded as verified that was not read back",
+           ToString(stage.decision_id));
     }
   }
 }
 
 void Checker::OnDurable(const store::WriteBatch& batch, const store::RobotRecord& record) {
-  for (const store::DecisionRecord& each : batch.decisions) decisions_[each.mark].durable = true;
+  for (const store::DecisionRecord& each : batch.decisions)
+    decisions_[each.decision_id].durable = true;
   for (const store::AlertRecord& alert : batch.alerts) durable_alerts_.insert(alert.id);
   const int level = LevelIndex(record.level);
-  if (level < durable_level_ && !LoweredBetween(durable_mark_, record.mark)) {
-    Fail("I1", "the recorded level sinks without a lowering", ToString(record.mark));
+  if (level < durable_level_ && !LoweredBetween(durable_decision_id_, record.decision_id)) {
+    Fail("I1", "the recorded level sinks without a lowering", ToString(record.decision_id));
   }
-  durable_mark_ = record.mark;
+  durable_decision_id_ = record.decision_id;
   durable_level_ = level;
   for (const auto& [lane, sequence] : record.high_water) {
     uint64_t& known = high_water_[lane];
@@ -110,38 +113,41 @@ void Checker::OnCommandSent(const pipeline::Command& command) {
   sent_terms_[command.id] = command.term;
   const auto* set = std::get_if<pipeline::SetLevel>(&command.what);
   if (set == nullptr) return;
-  const auto decision = decisions_.find(set->mark);
+  const auto decision = decisions_.find(set->decision_id);
   const bool known = decision != decisions_.end();
   if (known && decision->second.lowers && !decision->second.durable) {
-    Fail("I2", "a lowering is sent before it is durable", ToString(set->mark));
+    Fail("I2", "a lowering is sent before it is durable", ToString(set->decision_id));
   }
   const bool by_rule = known && absl::StartsWith(decision->second.record.cause, "rule ");
   // What a server finds durable at its start it commands; the actuator's floor waits for evidence.
-  if (by_rule && decision->second.lowers && !commanded_.contains(set->mark) &&
+  if (by_rule && decision->second.lowers && !commanded_.contains(set->decision_id) &&
       decision->second.made_ns >= server_began_ns_ && began_ns_.back() > decision->second.made_ns) {
-    Fail("I1", "a rule's lowering leaves after its evidence began anew", ToString(set->mark));
+    Fail("I1", "a rule's lowering leaves after its evidence began anew",
+         ToString(set->decision_id));
   }
-  commanded_.insert(set->mark);
-  if (!set->based_on.none() && !LoweredBetween(set->based_on, set->mark)) {
-    Fail("I2", "a command lowers the actuator without a durable lowering", ToString(set->mark));
+  commanded_.insert(set->decision_id);
+  if (!set->based_on.none() && !LoweredBetween(set->based_on, set->decision_id)) {
+    Fail("I2", "a command lowers the actuator without a durable lowering",
+         ToString(set->decision_id));
   }
 }
 
-void Checker::OnOrderAnswered(const Mark& mark) {
-  const auto decision = decisions_.find(mark);
+void Checker::OnOrderAnswered(const DecisionId& decision_id) {
+  const auto decision = decisions_.find(decision_id);
   if (decision == decisions_.end() || !decision->second.durable) {
-    Fail("I2", "an order is answered before it is durable", ToString(mark));
+    Fail("I2", "an order is answered before it is durable", ToString(decision_id));
   }
 }
 
-void Checker::OnServerHolds(const Mark& mark, absl::string_view level, int64_t now_ns) {
-  held_since_ns_.try_emplace(mark, now_ns);
-  const auto decision = decisions_.find(mark);
+void Checker::OnServerHolds(const DecisionId& decision_id, absl::string_view level,
+                            int64_t now_ns) {
+  held_since_ns_.try_emplace(decision_id, now_ns);
+  const auto decision = decisions_.find(decision_id);
   if (decision != decisions_.end() && decision->second.record.to != level) {
-    Fail("I1", "the server's level is not that of its mark", ToString(mark));
+    Fail("I1", "the server's level is not that of its decision", ToString(decision_id));
   }
-  if (LevelIndex(level) < durable_level_ && mark <= durable_mark_) {
-    Fail("I1", "the server holds less than what is durable", ToString(mark));
+  if (LevelIndex(level) < durable_level_ && decision_id <= durable_decision_id_) {
+    Fail("I1", "the server holds less than what is durable", ToString(decision_id));
   }
 }
 
@@ -205,11 +211,11 @@ void Checker::OnReceipt(const actuator::Receipt& receipt) {
   }
   if (receipt.stage != actuator::Receipt::Stage::kVerified) return;
   ++counts_.verified;
-  const auto decision = decisions_.find(receipt.mark);
+  const auto decision = decisions_.find(receipt.decision_id);
   if (decision != decisions_.end() && read_back_ < LevelIndex(decision->second.record.to)) {
-    Fail("I7", "a level is verified that was not read back", ToString(receipt.mark));
+    Fail("I7", "a level is verified that was not read back", ToString(receipt.decision_id));
   }
-  verified_.insert(receipt.mark);
+  verified_.insert(receipt.decision_id);
 }
 
 void Checker::OnActuatorHolds(const ExecutorReport& report, int64_t now_ns) {
@@ -218,9 +224,10 @@ void Checker::OnActuatorHolds(const ExecutorReport& report, int64_t now_ns) {
   if (effective < decided || effective < LevelIndex(report.floor)) {
     Fail("I1", "the actuator holds less than its decision or its floor", report.effective);
   }
-  if (decided < LevelIndex(held_->decided) && !LoweredBetween(held_->mark, report.mark)) {
+  if (decided < LevelIndex(held_->decided) &&
+      !LoweredBetween(held_->decision_id, report.decision_id)) {
     Fail("I1", "the level in force sinks without a durable lowering",
-         absl::StrCat(ToString(held_->mark), " to ", ToString(report.mark)));
+         absl::StrCat(ToString(held_->decision_id), " to ", ToString(report.decision_id)));
   }
   counts_.floors += held_->floor.empty() && !report.floor.empty() ? 1 : 0;
   const bool lease_over = now_ns >= lease_end_ns_;
@@ -234,7 +241,7 @@ void Checker::OnActuatorHolds(const ExecutorReport& report, int64_t now_ns) {
   if (report.verified && read_back_ != effective) {
     Fail("I7", "the actuator calls a level verified that was not read back", report.effective);
   }
-  if (report.verified && !report.mark.none()) verified_.insert(report.mark);
+  if (report.verified && !report.decision_id.none()) verified_.insert(report.decision_id);
   held_ = report;
 }
 

@@ -47,8 +47,8 @@ class Checker {
   void OnTermDrawn(uint64_t term) { drawn_terms_.insert(term); }
   void OnAlertTold(const std::string& id);
   void OnCommandSent(const pipeline::Command& command);
-  void OnOrderAnswered(const Mark& mark);
-  void OnServerHolds(const Mark& mark, absl::string_view level, int64_t now_ns);
+  void OnOrderAnswered(const DecisionId& decision_id);
+  void OnServerHolds(const DecisionId& decision_id, absl::string_view level, int64_t now_ns);
   // --- observations: `id` names one for good, whatever number it travels under
   void OnSensorAccepted(int64_t now_ns) { began_ns_.push_back(now_ns); }
   void OnNumbered(const store::LaneKey& lane, uint64_t sequence, uint64_t id);
@@ -80,12 +80,12 @@ class Checker {
   void Fail(absl::string_view invariant, absl::string_view what, absl::string_view detail = "");
   void CheckLowering(const Decision& lowering);
   // A durable decision after `from`, up to `to`, lowers the level.
-  bool LoweredBetween(const Mark& from, const Mark& to) const;
+  bool LoweredBetween(const DecisionId& from, const DecisionId& to) const;
 
   std::optional<Violation> violation_;
   Counts counts_;
-  std::map<Mark, Decision> decisions_;
-  Mark durable_mark_;
+  std::map<DecisionId, Decision> decisions_;
+  DecisionId durable_decision_id_;
   int durable_level_ = -1;
   absl::flat_hash_set<std::string> durable_alerts_;
   absl::flat_hash_set<uint64_t> drawn_terms_;
@@ -95,8 +95,8 @@ class Checker {
   absl::flat_hash_set<uint64_t> judged_;                      // by this server or durably
   absl::flat_hash_set<uint64_t> judged_durably_;
   std::set<std::string> ordered_;
-  std::set<Mark> commanded_;
-  std::map<Mark, int64_t> held_since_ns_;  // by a server
+  std::set<DecisionId> commanded_;
+  std::map<DecisionId, int64_t> held_since_ns_;  // by a server
   // When the server, or a stream of its sensor, began: evidence starts anew.
   std::vector<int64_t> began_ns_;
   int64_t server_began_ns_ = 0;
@@ -109,7 +109,7 @@ class Checker {
   int64_t lease_end_ns_ = 0;
   bool evidence_complete_ = false;
   int read_back_ = -1;
-  std::set<Mark> verified_;
+  std::set<DecisionId> verified_;
 };
 
 }  // namespace rips::simulation

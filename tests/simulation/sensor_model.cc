@@ -61,7 +61,7 @@ class SensorModel::ServerEnd final : public pipeline::SensorLink {
       sensor.stream_->granted = std::max(sensor.stream_->granted, message_bytes);
     });
   }
-  void Beat(int64_t) override {}
+  void Heartbeat(int64_t) override {}
   std::string SetInterest(const engine::InterestPlan&, const engine::PayloadLimits&,
                           const ros2::TopicNames&) override {
     const std::string id = "interest";  // of the one policy there is
@@ -232,10 +232,10 @@ void SensorModel::FinishResume() {
 void SensorModel::Tick() {
   const int64_t now = now_ns();
   outbox_->FlushMerged(now);
-  if (stream_ != nullptr && now >= last_beat_ns_ + 500 * kMs) {
-    last_beat_ns_ = now;
+  if (stream_ != nullptr && now >= last_heartbeat_ns_ + 500 * kMs) {
+    last_heartbeat_ns_ = now;
     Send([clock = Clock()](pipeline::Robot& robot, const pipeline::SensorLink* link) {
-      robot.OnSensorBeat(kHost, link, {.clock = clock});
+      robot.OnSensorHeartbeat(kHost, link, {.clock = clock});
     });
   }
   if (stream_ != nullptr && stream_->streaming) {

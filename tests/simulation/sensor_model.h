@@ -65,7 +65,7 @@ class SensorModel {
   std::string incarnation_;
   std::optional<sensor::Outbox> outbox_;
   std::shared_ptr<Stream> stream_;
-  int64_t last_beat_ns_ = 0;
+  int64_t last_heartbeat_ns_ = 0;
   uint64_t acknowledged_[2] = {0, 0};  // as announced in the next hello
   // For the planted fault: what numbers were shifted by, and what a server has taken, and which.
   uint64_t shifted_[2] = {0, 0};

@@ -81,7 +81,7 @@ void ServerModel::Start() {
   robot_ = *std::move(robot);
   (void)robot_->AddTap(std::make_shared<JudgedTap>(&context_.checker));
   context_.trace.Add("server", absl::StrCat("starts with term ", term, " at ", record.level, " (",
-                                            ToString(record.mark), ")"));
+                                            ToString(record.decision_id), ")"));
   Tick();
 }
 

@@ -18,8 +18,8 @@ bool Lowers(const store::DecisionRecord& decision) {
 std::string Summary(const store::WriteBatch& batch) {
   std::string text;
   for (const store::DecisionRecord& each : batch.decisions) {
-    absl::StrAppend(&text, " decision ", ToString(each.mark), " ", each.from, " to ", each.to, " (",
-                    each.cause, ")");
+    absl::StrAppend(&text, " decision ", ToString(each.decision_id), " ", each.from, " to ",
+                    each.to, " (", each.cause, ")");
   }
   if (!batch.alerts.empty()) absl::StrAppend(&text, " ", batch.alerts.size(), " alerts");
   for (const store::Checkpoint& each : batch.checkpoints) {
@@ -53,9 +53,9 @@ void StoreModel::Crash() {
 
 store::RobotRecord StoreModel::Load() const {
   store::RobotRecord record = record_;
-  for (const auto& [mark, each] : decisions_) {
-    if (mark <= record.resumed_at || !absl::StartsWith(each.cause, "rule ")) continue;
-    record.rule_decisions.push_back({mark, each.from, each.to, each.time_unix_ns});
+  for (const auto& [decision_id, each] : decisions_) {
+    if (decision_id <= record.resumed_at || !absl::StartsWith(each.cause, "rule ")) continue;
+    record.rule_decisions.push_back({decision_id, each.from, each.to, each.time_unix_ns});
   }
   return record;
 }
@@ -116,16 +116,16 @@ void StoreModel::Write(size_t count) {
 absl::Status StoreModel::Apply(const store::WriteBatch& batch) {
   if (absl::Status valid = store::Validate(batch); !valid.ok()) return valid;
   for (const store::DecisionRecord& decision : batch.decisions) {
-    const auto known = decisions_.find(decision.mark);
+    const auto known = decisions_.find(decision.decision_id);
     if (known != decisions_.end() && known->second != decision) {
-      return absl::AlreadyExistsError("the mark names another decision");
+      return absl::AlreadyExistsError("the decision names another decision");
     }
   }
   for (const store::DecisionRecord& decision : batch.decisions) {
-    decisions_[decision.mark] = decision;
-    record_.highest_term = std::max(record_.highest_term, decision.mark.term);
-    if (decision.mark <= record_.mark) continue;
-    record_.mark = decision.mark;
+    decisions_[decision.decision_id] = decision;
+    record_.highest_term = std::max(record_.highest_term, decision.decision_id.term);
+    if (decision.decision_id <= record_.decision_id) continue;
+    record_.decision_id = decision.decision_id;
     record_.level = decision.to;
   }
   for (const store::Checkpoint& each : batch.checkpoints) {
@@ -144,10 +144,10 @@ absl::Status StoreModel::Apply(const store::WriteBatch& batch) {
   return absl::OkStatus();
 }
 
-void StoreModel::FindDecision(const std::string&, const Mark& mark,
+void StoreModel::FindDecision(const std::string&, const DecisionId& decision_id,
                               std::function<void(const pipeline::FoundDecision&)> done) {
-  Later(context_.scheduler.Between(0, 20) * kMs, [this, mark, done = std::move(done)] {
-    const auto found = decisions_.find(mark);
+  Later(context_.scheduler.Between(0, 20) * kMs, [this, decision_id, done = std::move(done)] {
+    const auto found = decisions_.find(decision_id);
     if (found == decisions_.end()) return done(std::nullopt);
     done(found->second.to);
   });

@@ -40,7 +40,7 @@ class StoreModel final : public pipeline::Recorder {
   // --- pipeline::Recorder
   void Record(store::WriteBatch batch, std::function<void(const absl::Status&)> done) override;
   bool healthy() const override { return healthy_; }
-  void FindDecision(const std::string& robot, const Mark& mark,
+  void FindDecision(const std::string& robot, const DecisionId& decision_id,
                     std::function<void(const pipeline::FoundDecision&)> done) override;
   void NextTerm(const std::string& robot, uint64_t above,
                 std::function<void(const absl::StatusOr<uint64_t>&)> done) override;
@@ -72,7 +72,7 @@ class StoreModel final : public pipeline::Recorder {
 
   // Durable.
   store::RobotRecord record_;
-  std::map<Mark, store::DecisionRecord> decisions_;
+  std::map<DecisionId, store::DecisionRecord> decisions_;
   std::vector<store::Generation> generations_;
 };
 

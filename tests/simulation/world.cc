@@ -27,7 +27,8 @@ bool World::Step() {
   actuator_.Check();
   if (server_.up()) {
     const pipeline::RobotStatus status = server_.Status();
-    context_.checker.OnServerHolds(status.mark, status.decided_level, context_.scheduler.now_ns());
+    context_.checker.OnServerHolds(status.decision_id, status.decided_level,
+                                   context_.scheduler.now_ns());
   }
   return !violation().has_value();
 }
@@ -72,13 +73,14 @@ void World::Order(bool lower) {
                                    .to = std::string(kLevels[to]),
                                    .reason = absl::StrCat("order ", ++orders_),
                                    .expected_level = seen_.decided_level,
-                                   .expected_mark = seen_.mark,
+                                   .expected_decision_id = seen_.decision_id,
                                    .accept_blind = scheduler.Chance(80),
                                    .request_id = absl::StrCat("request ", orders_)};
   context_.trace.Add("operator", absl::StrCat(lower ? "lowers to " : "raises to ", order.to));
   if (lower) context_.checker.OnLoweringOrdered(order.reason);
   const pipeline::LevelReply reply = [this](const pipeline::LevelAnswer& answer) {
-    if (answer.status.ok() && !answer.mark.none()) context_.checker.OnOrderAnswered(answer.mark);
+    if (answer.status.ok() && !answer.decision_id.none())
+      context_.checker.OnOrderAnswered(answer.decision_id);
   };
   server_.Call(server_.life(), [&](pipeline::Robot& robot) {
     lower ? robot.DeEscalate(order, reply) : robot.Raise(order, reply);

@@ -349,7 +349,7 @@ levels:
         return json.loads(self.ripsctl("--output", "json", *args)[1])
 
     def level(self):
-        """The robot's status: decided_level, effective_level, stage, mark, degraded."""
+        """The robot's status: decided_level, effective_level, stage, decision, degraded."""
         return self.query("level", "show", "r1")["status"]
 
     def history(self):

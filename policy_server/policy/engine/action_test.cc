@@ -29,10 +29,10 @@ TEST(ActionTest, AlertSaysWhoAndAtWhichDecision) {
   EXPECT_EQ(one.severity, Severity::kMedium);
   EXPECT_EQ(one.text, "one");
   EXPECT_EQ(one.level, 0);
-  EXPECT_EQ(one.mark, (Mark{1, 1}));
+  EXPECT_EQ(one.decision_id, (DecisionId{1, 1}));
   const auto& two = std::get<AlertEffect>(outcome.effects.at(2));
   EXPECT_EQ(two.level, 2);
-  EXPECT_EQ(two.mark, (Mark{1, 2}));
+  EXPECT_EQ(two.decision_id, (DecisionId{1, 2}));
 }
 
 TEST(ActionTest, AlertTakesASeverity) {
@@ -223,7 +223,7 @@ TEST(ActionTest, TriggerDecidesAtOnce) {
   EXPECT_THAT(Lines(outcome, robot.state), ElementsAre("level r A->D 1.2"));
   EXPECT_EQ(robot.state.actuation, Actuation::kPending);
   const auto& transition = std::get<TransitionEffect>(outcome.effects[0]).transition;
-  EXPECT_EQ(transition.based_on, (Mark{1, 1}));
+  EXPECT_EQ(transition.based_on, (DecisionId{1, 1}));
   EXPECT_EQ(transition.at, robot.now);
   EXPECT_THAT(robot.Tick().effects, IsEmpty());
 }
@@ -297,7 +297,7 @@ TEST(ActionTest, ARefusalIsCountedUntilSomethingChanges) {
   EXPECT_THAT(lines(), ElementsAre("refused r D->A needs an operator x2",
                                    "refused r D->B needs an operator x2"));
   // Another stay at the same level, and another reason, begin anew.
-  robot.state.level.DeEscalate(1, {}, robot.now, 3, robot.state.level.mark());
+  robot.state.level.DeEscalate(1, {}, robot.now, 3, robot.state.level.decision_id());
   robot.state.evidence.blind_because = {"x"};
   EXPECT_THAT(lines(), ElementsAre("refused r B->A blind x1"));
   EXPECT_THAT(lines(), ElementsAre("refused r B->A blind x2"));
@@ -360,7 +360,7 @@ TEST(WouldRaiseTest, NamesGraphRulesThatWouldRaiseAgain) {
   EXPECT_THAT(WouldRaise(-1, robot.now, robot.state), IsEmpty());
   EXPECT_THAT(WouldRaise(4, robot.now, robot.state), IsEmpty());
   EXPECT_EQ(robot.state.level.level(), 3);
-  EXPECT_EQ(robot.state.level.mark(), (Mark{1, 1}));
+  EXPECT_EQ(robot.state.level.decision_id(), (DecisionId{1, 1}));
   EXPECT_EQ(robot.state.Variables(), variables);
 }
 

@@ -270,7 +270,7 @@ inline std::vector<std::string> Lines(const Outcome& outcome, const RobotState& 
                                            "->", state.level.table().name(t.to), " ");
       out.push_back(t.refused()
                         ? absl::StrCat("refused ", way, ToString(t.refusal), " x", change->count)
-                        : absl::StrCat("level ", way, ToString(t.mark)));
+                        : absl::StrCat("level ", way, ToString(t.decision_id)));
     } else if (const auto* run = std::get_if<RunProgramEffect>(&effect)) {
       std::string line = absl::StrCat("run ", run->run_id, " ", run->rule, ": ", run->program);
       for (const std::string& arg : run->args) absl::StrAppend(&line, " ", arg);

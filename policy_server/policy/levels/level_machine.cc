@@ -18,26 +18,26 @@ Transition Refused(Transition transition, Refusal refusal, std::string detail) {
 
 }  // namespace
 
-LevelMachine::LevelMachine(LevelTable table, LevelIndex level, Mark mark, uint64_t term,
-                           SoftBudget budget)
+LevelMachine::LevelMachine(LevelTable table, LevelIndex level, DecisionId decision_id,
+                           uint64_t term, SoftBudget budget)
     : table_(std::move(table)),
       level_(level),
-      mark_(mark),
+      decision_id_(decision_id),
       term_(term),
-      epoch_(mark.epoch),
+      epoch_(decision_id.epoch),
       budget_(budget) {
   RIPS_CHECK(table_.contains(level_), "the level must be in the table");
-  RIPS_CHECK(term_ >= mark_.term, "the term must not be below that of the last decision");
+  RIPS_CHECK(term_ >= decision_id_.term, "the term must not be below that of the last decision");
 }
 
 Transition LevelMachine::Propose(LevelIndex to, const Cause& cause, Instant now) const {
-  return {.from = level_, .to = to, .based_on = mark_, .cause = cause, .at = now};
+  return {.from = level_, .to = to, .based_on = decision_id_, .cause = cause, .at = now};
 }
 
 Transition LevelMachine::Decide(Transition transition) {
-  mark_ = {.term = term_, .epoch = ++epoch_};
+  decision_id_ = {.term = term_, .epoch = ++epoch_};
   level_ = transition.to;
-  transition.mark = mark_;
+  transition.decision_id = decision_id_;
   return transition;
 }
 
@@ -103,15 +103,16 @@ Transition LevelMachine::Crash(const Cause& cause, Instant now) {
 }
 
 Transition LevelMachine::DeEscalate(LevelIndex to, const Cause& cause, Instant now,
-                                    LevelIndex expected_level, const Mark& expected_mark) {
+                                    LevelIndex expected_level,
+                                    const DecisionId& expected_decision_id) {
   Transition proposed = Propose(to, cause, now);
   if (!table_.contains(to)) {
     return Refused(std::move(proposed), Refusal::kUnexpected, absl::StrCat("no level ", to));
   }
-  if (expected_level != level_ || expected_mark != mark_) {
-    return Refused(
-        std::move(proposed), Refusal::kUnexpected,
-        absl::StrCat("the robot is at `", table_.name(level_), "` by decision ", ToString(mark_)));
+  if (expected_level != level_ || expected_decision_id != decision_id_) {
+    return Refused(std::move(proposed), Refusal::kUnexpected,
+                   absl::StrCat("the robot is at `", table_.name(level_), "` by decision ",
+                                ToString(decision_id_)));
   }
   if (to >= level_) {
     return Refused(std::move(proposed), Refusal::kNotLower,
@@ -122,7 +123,7 @@ Transition LevelMachine::DeEscalate(LevelIndex to, const Cause& cause, Instant n
   return Decide(std::move(proposed));
 }
 
-Transition LevelMachine::Adopt(LevelIndex level, const Mark& seen, Instant now) {
+Transition LevelMachine::Adopt(LevelIndex level, const DecisionId& seen, Instant now) {
   const LevelIndex held = table_.contains(level) ? level : table_.size() - 1;
   const uint64_t seen_term = std::min(seen.term, kCounterMax);
   if (term_ < seen_term) term_ = seen_term + 1;
@@ -139,14 +140,14 @@ void LevelMachine::RaiseTerm(uint64_t term) {
 }
 
 void LevelMachine::RestoreBudget(const std::vector<int64_t>& lowered_at_ns,
-                                 const Mark& resumed_at) {
+                                 const DecisionId& resumed_at) {
   lowered_at_ns_.assign(lowered_at_ns.begin(), lowered_at_ns.end());
   resumed_at_ = resumed_at;
 }
 
 void LevelMachine::Resume() {
   suspended_ = false;
-  resumed_at_ = mark_;
+  resumed_at_ = decision_id_;
   lowered_at_ns_.clear();
 }
 

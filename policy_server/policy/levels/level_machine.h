@@ -13,10 +13,11 @@
 //
 // Invariants, whatever the order of calls:
 //   1. The level goes down only by a Request from a soft level to the next one below, timely, with
-//      complete evidence and budget left, or by a DeEscalate that names the current level and mark.
-//   2. Every decision has a mark of its own: its epoch is above every epoch used or adopted before,
-//      its term is not below any before.
-//   3. A refusal, and a request of the current level, change neither level nor mark.
+//      complete evidence and budget left, or by a DeEscalate that names the current level and
+//      decision id.
+//   2. Every decision has a decision id of its own: its epoch is above every epoch used or adopted
+//      before, its term is not below any before.
+//   3. A refusal, and a request of the current level, change neither level nor decision id.
 //   4. While soft lowerings are suspended no Request lowers; only Resume() ends that.
 //   5. Rules lower at most `lowerings_max` times in any `window_ns` without a Resume(), over
 //      restarts, too, if RestoreBudget is given the times of before.
@@ -31,7 +32,7 @@
 #include "policy_server/policy/levels/level_table.h"
 #include "policy_server/policy/levels/transition.h"
 #include "services/base/clock.h"
-#include "services/base/mark.h"
+#include "services/base/decision_id.h"
 
 namespace rips::levels {
 
@@ -51,12 +52,14 @@ enum class Lateness { kTimely, kLate };
 // Not thread-safe.
 class LevelMachine {
  public:
-  // Terms and epochs that a robot shows are believed up to here, so that none can use up all marks.
+  // Terms and epochs that a robot shows are believed up to here, so that none can use up all
+  // decision ids.
   static constexpr uint64_t kCounterMax = uint64_t{1} << 62;
 
-  // `level` must be in `table`. `mark` names the decision that led to it (none = never decided).
-  // New decisions take `term`, which must be >= mark.term, and epochs above mark.epoch.
-  LevelMachine(LevelTable table, LevelIndex level, Mark mark, uint64_t term,
+  // `level` must be in `table`. `decision_id` names the decision that led to it (none = never
+  // decided). New decisions take `term`, which must be >= decision id.term, and epochs above
+  // decision id.epoch.
+  LevelMachine(LevelTable table, LevelIndex level, DecisionId decision_id, uint64_t term,
                SoftBudget budget = {});
 
   // A rule's trigger(to).
@@ -68,12 +71,12 @@ class LevelMachine {
   // the operator and checked the reason.
   Transition Raise(LevelIndex to, const Cause& cause, Instant now);
   Transition DeEscalate(LevelIndex to, const Cause& cause, Instant now, LevelIndex expected_level,
-                        const Mark& expected_mark);
-  // The robot holds `level` under a mark unknown here: takes the more restrictive of both, always
-  // as a new decision above `seen` (cut to kCounterMax). The caller has drawn a term that is not
-  // below that of `seen`: a term that the store never gave could be another server's. A level that
-  // is not in the table counts as the last one.
-  Transition Adopt(LevelIndex level, const Mark& seen, Instant now);
+                        const DecisionId& expected_decision_id);
+  // The robot holds `level` under a decision id unknown here: takes the more restrictive of both,
+  // always as a new decision above `seen` (cut to kCounterMax). The caller has drawn a term that is
+  // not below that of `seen`: a term that the store never gave could be another server's. A level
+  // that is not in the table counts as the last one.
+  Transition Adopt(LevelIndex level, const DecisionId& seen, Instant now);
   // The same level as a new decision, so that it stands in the newest term.
   Transition Reaffirm(const Cause& cause, Instant now);
   // A Hello showed a term above ours: later decisions use at least `term` (cut to kCounterMax).
@@ -82,7 +85,7 @@ class LevelMachine {
   void Suspend() { suspended_ = true; }
   // What was spent of the budget before a restart: when levels were lowered, CLOCK_BOOTTIME (before
   // the host's start it is negative), oldest first. `resumed_at`: see there.
-  void RestoreBudget(const std::vector<int64_t>& lowered_at_ns, const Mark& resumed_at);
+  void RestoreBudget(const std::vector<int64_t>& lowered_at_ns, const DecisionId& resumed_at);
   // Ends the suspension of soft lowerings and gives the whole budget back.
   void Resume();
 
@@ -91,12 +94,12 @@ class LevelMachine {
 
   const LevelTable& table() const { return table_; }
   LevelIndex level() const { return level_; }
-  const Mark& mark() const { return mark_; }
+  const DecisionId& decision_id() const { return decision_id_; }
   uint64_t term() const { return term_; }
   bool soft_suspended() const { return suspended_; }
   // The decision that stood when the whole budget was given back last; none = never. Lowerings up
   // to that one do not count.
-  const Mark& resumed_at() const { return resumed_at_; }
+  const DecisionId& resumed_at() const { return resumed_at_; }
 
  private:
   Transition Propose(LevelIndex to, const Cause& cause, Instant now) const;
@@ -106,14 +109,14 @@ class LevelMachine {
 
   LevelTable table_;
   LevelIndex level_;
-  Mark mark_;
+  DecisionId decision_id_;
   uint64_t term_;
   // Highest epoch ever used; the next decision takes the one after.
   uint64_t epoch_;
   SoftBudget budget_;
   std::deque<int64_t> lowered_at_ns_;
   bool suspended_ = false;
-  Mark resumed_at_;
+  DecisionId resumed_at_;
 };
 
 }  // namespace rips::levels

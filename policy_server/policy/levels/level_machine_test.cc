@@ -61,15 +61,15 @@ TEST(LevelMachineTest, FollowsTheTableOfTheHeader) {
                                             << late << " see " << see);
             EXPECT_EQ(got.refusal, want);
             EXPECT_EQ(got.decided(), decided);
-            EXPECT_EQ(got.mark, decided ? (Mark{4, 8}) : Mark{});
-            EXPECT_EQ(got.based_on, (Mark{3, 7}));
+            EXPECT_EQ(got.decision_id, decided ? (DecisionId{4, 8}) : DecisionId{});
+            EXPECT_EQ(got.based_on, (DecisionId{3, 7}));
             EXPECT_EQ(got.from, from);
             EXPECT_EQ(got.to, to);
             EXPECT_EQ(got.at, At(50));
             EXPECT_EQ(got.cause, Rule());
             EXPECT_EQ(got.detail.empty(), want == Refusal::kNone);
             EXPECT_EQ(machine.level(), decided ? to : from);
-            EXPECT_EQ(machine.mark(), decided ? (Mark{4, 8}) : (Mark{3, 7}));
+            EXPECT_EQ(machine.decision_id(), decided ? (DecisionId{4, 8}) : (DecisionId{3, 7}));
           }
         }
       }
@@ -95,7 +95,7 @@ TEST(LevelMachineTest, RefusesALevelThatDoesNotExist) {
     EXPECT_EQ(machine.Raise(to, Operator(), At(1)).refusal, Refusal::kUnexpected);
     EXPECT_EQ(machine.DeEscalate(to, Operator(), At(1), 1, {}).refusal, Refusal::kUnexpected);
     EXPECT_EQ(machine.level(), 1);
-    EXPECT_TRUE(machine.mark().none());
+    EXPECT_TRUE(machine.decision_id().none());
   }
 }
 
@@ -131,14 +131,14 @@ TEST(LevelMachineTest, CountsTheBudgetInASlidingWindow) {
 TEST(LevelMachineTest, WhatWasSpentBeforeARestartIsSpent) {
   LevelMachine machine(AllSoft(), 5, {1, 7}, 2);
   machine.RestoreBudget({-100 * kNanosPerSecond, 0, 100 * kNanosPerSecond}, {1, 3});
-  EXPECT_EQ(machine.resumed_at(), (Mark{1, 3}));
+  EXPECT_EQ(machine.resumed_at(), (DecisionId{1, 3}));
   // The first of the three is 600 s old.
   EXPECT_TRUE(machine.Request(4, Rule(), At(500), {}, Lateness::kTimely).lowers());
   EXPECT_EQ(machine.Request(3, Rule(), At(500), {}, Lateness::kTimely).refusal, Refusal::kBudget);
   EXPECT_TRUE(machine.soft_suspended());
 
   machine.Resume();
-  EXPECT_EQ(machine.resumed_at(), (Mark{2, 8})) << "what led to the level that stands";
+  EXPECT_EQ(machine.resumed_at(), (DecisionId{2, 8})) << "what led to the level that stands";
   for (int level = 3; level >= 1; --level) {
     EXPECT_TRUE(machine.Request(level, Rule(), At(501), {}, Lateness::kTimely).lowers());
   }
@@ -164,7 +164,7 @@ TEST(LevelMachineTest, SuspensionDoesNotHoldUpRaisesOrOperators) {
 
   EXPECT_TRUE(machine.Request(4, Rule(), At(1), {}, Lateness::kTimely).decided());
   EXPECT_TRUE(machine.Raise(5, Operator(), At(1)).decided());
-  EXPECT_TRUE(machine.DeEscalate(0, Operator(), At(1), 5, machine.mark()).lowers());
+  EXPECT_TRUE(machine.DeEscalate(0, Operator(), At(1), 5, machine.decision_id()).lowers());
 }
 
 TEST(LevelMachineTest, OperatorRaisesOnlyUpwards) {
@@ -174,50 +174,50 @@ TEST(LevelMachineTest, OperatorRaisesOnlyUpwards) {
   EXPECT_EQ(machine.Raise(1, Operator(), At(0)).refusal, Refusal::kNotHigher);
   const Transition up = machine.Raise(3, Operator(), At(0));
 
-  EXPECT_EQ(up.mark, (Mark{1, 2}));
+  EXPECT_EQ(up.decision_id, (DecisionId{1, 2}));
   EXPECT_EQ(up.cause, Operator());
 }
 
 TEST(LevelMachineTest, OperatorLowersOnlyWhatTheyHaveSeen) {
-  const Mark mark{2, 9};
-  LevelMachine machine(Table(4, -1), 3, mark, 2);
+  const DecisionId decision_id{2, 9};
+  LevelMachine machine(Table(4, -1), 3, decision_id, 2);
 
-  EXPECT_EQ(machine.DeEscalate(0, Operator(), At(0), 2, mark).refusal, Refusal::kUnexpected);
+  EXPECT_EQ(machine.DeEscalate(0, Operator(), At(0), 2, decision_id).refusal, Refusal::kUnexpected);
   EXPECT_EQ(machine.DeEscalate(0, Operator(), At(0), 3, {2, 8}).refusal, Refusal::kUnexpected);
   EXPECT_EQ(machine.DeEscalate(0, Operator(), At(0), 3, {1, 9}).refusal, Refusal::kUnexpected);
-  EXPECT_EQ(machine.DeEscalate(3, Operator(), At(0), 3, mark).refusal, Refusal::kNotLower);
-  EXPECT_THAT(machine.DeEscalate(0, Operator(), At(0), 2, mark).detail, HasSubstr("`D`"));
+  EXPECT_EQ(machine.DeEscalate(3, Operator(), At(0), 3, decision_id).refusal, Refusal::kNotLower);
+  EXPECT_THAT(machine.DeEscalate(0, Operator(), At(0), 2, decision_id).detail, HasSubstr("`D`"));
   EXPECT_EQ(machine.level(), 3);
-  const Transition down = machine.DeEscalate(0, Operator(), At(0), 3, mark);
+  const Transition down = machine.DeEscalate(0, Operator(), At(0), 3, decision_id);
 
   EXPECT_TRUE(down.lowers());
-  EXPECT_EQ(down.mark, (Mark{2, 10}));
-  EXPECT_EQ(down.based_on, mark);
-  // The same click again finds another mark.
-  EXPECT_EQ(machine.DeEscalate(0, Operator(), At(0), 3, mark).refusal, Refusal::kUnexpected);
+  EXPECT_EQ(down.decision_id, (DecisionId{2, 10}));
+  EXPECT_EQ(down.based_on, decision_id);
+  // The same click again finds another decision id.
+  EXPECT_EQ(machine.DeEscalate(0, Operator(), At(0), 3, decision_id).refusal, Refusal::kUnexpected);
 }
 
-TEST(LevelMachineTest, AdoptsTheMoreRestrictiveAboveTheSeenMark) {
+TEST(LevelMachineTest, AdoptsTheMoreRestrictiveAboveTheSeenDecisionId) {
   LevelMachine lower(Table(4, -1), 2, {1, 5}, 2);
   const Transition kept = lower.Adopt(1, {7, 40}, At(3));
   EXPECT_TRUE(kept.decided());
   EXPECT_EQ(kept.from, 2);
   EXPECT_EQ(kept.to, 2);
-  EXPECT_EQ(kept.mark, (Mark{8, 41}));
+  EXPECT_EQ(kept.decision_id, (DecisionId{8, 41}));
   EXPECT_EQ(kept.cause.kind, Cause::Kind::kAdopted);
 
   LevelMachine higher(Table(4, -1), 2, {1, 5}, 2);
   const Transition raised = higher.Adopt(3, {1, 2}, At(3));
   EXPECT_EQ(raised.to, 3);
-  EXPECT_EQ(raised.mark, (Mark{2, 6}));
+  EXPECT_EQ(raised.decision_id, (DecisionId{2, 6}));
   EXPECT_EQ(higher.level(), 3);
 }
 
 TEST(LevelMachineTest, AdoptMakesNoTermOfItsOwnAboveADecisionOfTheSameTerm) {
   LevelMachine machine(Table(4, -1), 1, {2, 5}, 2);
 
-  EXPECT_EQ(machine.Adopt(2, {2, 5}, At(0)).mark, (Mark{2, 6}));
-  EXPECT_EQ(machine.Adopt(2, {2, 40}, At(0)).mark, (Mark{2, 41}));
+  EXPECT_EQ(machine.Adopt(2, {2, 5}, At(0)).decision_id, (DecisionId{2, 6}));
+  EXPECT_EQ(machine.Adopt(2, {2, 40}, At(0)).decision_id, (DecisionId{2, 41}));
   EXPECT_EQ(machine.term(), 2u);
 }
 
@@ -228,14 +228,14 @@ TEST(LevelMachineTest, AdoptTakesAnUnknownLevelForTheLast) {
   }
 }
 
-TEST(LevelMachineTest, HostileMarksCannotUseUpTheCounters) {
+TEST(LevelMachineTest, HostileDecisionIdsCannotUseUpTheCounters) {
   constexpr uint64_t kMax = std::numeric_limits<uint64_t>::max();
   LevelMachine machine(Table(4, -1), 1, {}, 1);
 
-  Mark last = machine.Adopt(2, {kMax, kMax}, At(0)).mark;
+  DecisionId last = machine.Adopt(2, {kMax, kMax}, At(0)).decision_id;
   machine.RaiseTerm(kMax);
   for (int i = 0; i < 3; ++i) {
-    const Mark next = machine.Adopt(2, {kMax, kMax}, At(0)).mark;
+    const DecisionId next = machine.Adopt(2, {kMax, kMax}, At(0)).decision_id;
     EXPECT_GT(next, last);
     EXPECT_GT(next.epoch, last.epoch);
     last = next;
@@ -248,7 +248,8 @@ TEST(LevelMachineTest, RaiseTermNeverLowersIt) {
   machine.RaiseTerm(3);
   EXPECT_EQ(machine.term(), 5u);
   machine.RaiseTerm(9);
-  EXPECT_EQ(machine.Request(1, Rule(), At(0), {}, Lateness::kTimely).mark, (Mark{9, 1}));
+  EXPECT_EQ(machine.Request(1, Rule(), At(0), {}, Lateness::kTimely).decision_id,
+            (DecisionId{9, 1}));
 }
 
 TEST(LevelMachineTest, KeepsTheLevelByNameWhenTheTableIsSwapped) {
@@ -259,7 +260,7 @@ TEST(LevelMachineTest, KeepsTheLevelByNameWhenTheTableIsSwapped) {
   EXPECT_TRUE(machine.SwapTable(LevelTable({{"X"}, {"Y"}, {"Z"}, {"B"}})));
 
   EXPECT_EQ(machine.level(), 3);
-  EXPECT_EQ(machine.mark(), (Mark{1, 1}));
+  EXPECT_EQ(machine.decision_id(), (DecisionId{1, 1}));
 }
 
 TEST(LevelMachineTest, NamesEveryRefusal) {
@@ -277,7 +278,7 @@ TEST(LevelMachineTest, NamesEveryRefusal) {
 void Step(std::mt19937& random, Instant now, LevelMachine& machine) {
   const auto pick = [&](int n) { return static_cast<int>(random() % static_cast<unsigned>(n)); };
   const LevelIndex before = machine.level();
-  const Mark mark = machine.mark();
+  const DecisionId decision_id = machine.decision_id();
   const bool suspended = machine.soft_suspended();
   const LevelIndex to = pick(8) - 1;
   const Evidence evidence{.blind_because = pick(3) == 0 ? std::vector<std::string>{"x"}
@@ -290,9 +291,10 @@ void Step(std::mt19937& random, Instant now, LevelMachine& machine) {
       got = machine.Raise(to, Operator(), now);
       break;
     case 1: {
-      const Mark expected = pick(2) == 0 ? mark : Mark{mark.term, mark.epoch + 1};
+      const DecisionId expected =
+          pick(2) == 0 ? decision_id : DecisionId{decision_id.term, decision_id.epoch + 1};
       got = machine.DeEscalate(to, Operator(), now, pick(2) == 0 ? before : to, expected);
-      may_lower = expected == mark;
+      may_lower = expected == decision_id;
       break;
     }
     case 2:
@@ -312,14 +314,14 @@ void Step(std::mt19937& random, Instant now, LevelMachine& machine) {
   }
   EXPECT_TRUE(machine.level() >= before || may_lower);
   if (got.decided()) {
-    EXPECT_GT(machine.mark().epoch, mark.epoch);
-    EXPECT_GE(machine.mark().term, mark.term);
-    EXPECT_EQ(got.mark, machine.mark());
+    EXPECT_GT(machine.decision_id().epoch, decision_id.epoch);
+    EXPECT_GE(machine.decision_id().term, decision_id.term);
+    EXPECT_EQ(got.decision_id, machine.decision_id());
     EXPECT_EQ(got.to, machine.level());
     EXPECT_EQ(got.from, before);
   } else {
     EXPECT_EQ(machine.level(), before);
-    EXPECT_EQ(machine.mark(), mark);
+    EXPECT_EQ(machine.decision_id(), decision_id);
   }
 }
 

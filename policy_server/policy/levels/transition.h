@@ -6,7 +6,7 @@
 
 #include "policy_server/policy/levels/level_table.h"
 #include "services/base/clock.h"
-#include "services/base/mark.h"
+#include "services/base/decision_id.h"
 
 namespace rips::levels {
 
@@ -31,7 +31,7 @@ enum class Refusal {
   kBlind,          // evidence is not complete
   kBudget,         // soft lowerings are suspended until an operator resumes them
   kLate,           // the event was judged late
-  kUnexpected,     // the operator expected another level or mark
+  kUnexpected,     // the operator expected another level or decision id
   kNotLower,       // DeEscalate to a level that is not below
   kNotHigher,      // Raise to a level that is not above
 };
@@ -43,9 +43,9 @@ struct Transition {
   LevelIndex from = 0;
   LevelIndex to = 0;
   // Names the new decision; none when refused or unchanged.
-  Mark mark;
+  DecisionId decision_id;
   // The decision this one was made on.
-  Mark based_on;
+  DecisionId based_on;
   Cause cause;
   Refusal refusal = Refusal::kNone;
   // For a refusal, what was missing, for people.
@@ -53,7 +53,7 @@ struct Transition {
   Instant at;
 
   // A new decision was made. False for a refusal and for a request of the current level.
-  bool decided() const { return !mark.none(); }
+  bool decided() const { return !decision_id.none(); }
   bool refused() const { return refusal != Refusal::kNone; }
   bool lowers() const { return decided() && to < from; }
 

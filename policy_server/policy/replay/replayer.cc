@@ -92,7 +92,7 @@ Replayer::Replayer(std::shared_ptr<const engine::CompiledPolicy> program, Replay
       observer_(std::make_unique<Observer>(*this)),
       state_(program_,
              levels::LevelMachine(program_->rules().levels, options_.start_level,
-                                  /*mark=*/{1, 1}, /*term=*/1),
+                                  /*decision_id=*/{1, 1}, /*term=*/1),
              /*started=*/{}) {
   RIPS_CHECK(options_.event_interval_ns >= 0 && options_.tick_ns >= 0, "times do not go back");
   state_.scripted = script_.get();
@@ -205,7 +205,7 @@ void Replayer::Order(uint64_t event, int64_t time_ns, bool raise, levels::LevelI
   const levels::Cause cause{.kind = levels::Cause::Kind::kOperator, .name = kOperatorName};
   levels::LevelMachine& level = state_.level;
   Take(raise ? level.Raise(to, cause, now)
-             : level.DeEscalate(to, cause, now, level.level(), level.mark()));
+             : level.DeEscalate(to, cause, now, level.level(), level.decision_id()));
 }
 
 void Replayer::SetEvidence(bool complete) {

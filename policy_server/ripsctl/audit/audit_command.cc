@@ -39,11 +39,11 @@ const char* KindName(AuditRecord::Kind kind) {
   }
 }
 
-// {"sequence","time","kind","robot","id","actor","address","action","from","to","mark","based_on",
-//  "text","outcome","count"}
+// {"sequence","time","kind","robot","id","actor","address","action","from","to","decision_id",
+//  "based_on","text","outcome","count"}
 Json RecordJson(uint64_t sequence, const AuditRecord& record) {
-  const auto mark = [](bool has, const v1::Mark& value) {
-    return has ? Json(MarkText(value)) : Json(nullptr);
+  const auto decision_id = [](bool has, const v1::DecisionId& value) {
+    return has ? Json(DecisionIdText(value)) : Json(nullptr);
   };
   return {{"sequence", sequence},
           {"time", FullTime(record.time_unix_ns())},
@@ -55,8 +55,8 @@ Json RecordJson(uint64_t sequence, const AuditRecord& record) {
           {"action", record.action()},
           {"from", record.from()},
           {"to", record.to()},
-          {"mark", mark(record.has_mark(), record.mark())},
-          {"based_on", mark(record.has_based_on(), record.based_on())},
+          {"decision_id", decision_id(record.has_decision_id(), record.decision_id())},
+          {"based_on", decision_id(record.has_based_on(), record.based_on())},
           {"text", record.text()},
           {"outcome", record.outcome()},
           {"count", record.count()}};
@@ -69,7 +69,8 @@ std::string Words(const AuditRecord& record) {
   if (!record.to().empty()) {
     words = absl::StrCat(record.kind() == AuditRecord::KIND_REFUSAL ? "refused " : "",
                          record.from(), " to ", record.to());
-    if (record.has_mark()) absl::StrAppend(&words, " (", MarkText(record.mark()), ")");
+    if (record.has_decision_id())
+      absl::StrAppend(&words, " (", DecisionIdText(record.decision_id()), ")");
   }
   if (!record.text().empty()) absl::StrAppend(&words, words.empty() ? "" : ": ", record.text());
   if (record.count() > 1) absl::StrAppend(&words, " (", record.count(), " times)");

@@ -13,9 +13,9 @@
 namespace rips::ripsctl {
 namespace {
 
-Json JsonMark(bool present, const v1::Mark& mark) {
-  if (!present || (mark.term() == 0 && mark.epoch() == 0)) return nullptr;
-  return MarkText(mark);
+Json JsonDecisionId(bool present, const v1::DecisionId& decision_id) {
+  if (!present || (decision_id.term() == 0 && decision_id.epoch() == 0)) return nullptr;
+  return DecisionIdText(decision_id);
 }
 
 Json Strings(const google::protobuf::RepeatedPtrField<std::string>& strings) {
@@ -65,9 +65,9 @@ std::string GuidText(const std::string& bytes) {
   return guid.ok() ? ros2::ToString(*guid) : "invalid";
 }
 
-std::string MarkText(const v1::Mark& mark) {
-  if (mark.term() == 0 && mark.epoch() == 0) return "-";
-  return absl::StrCat(mark.term(), ".", mark.epoch());
+std::string DecisionIdText(const v1::DecisionId& decision_id) {
+  if (decision_id.term() == 0 && decision_id.epoch() == 0) return "-";
+  return absl::StrCat(decision_id.term(), ".", decision_id.epoch());
 }
 
 Json ToJson(const v1::RobotStatus& status) {
@@ -75,7 +75,7 @@ Json ToJson(const v1::RobotStatus& status) {
           {"decided_level", status.decided_level()},
           {"effective_level", status.effective_level()},
           {"stage", status.stage()},
-          {"mark", JsonMark(status.has_mark(), status.mark())},
+          {"decision_id", JsonDecisionId(status.has_decision_id(), status.decision_id())},
           {"bundle", status.bundle_version()},
           {"degraded", Strings(status.degraded())},
           {"degraded_cut", status.degraded_cut()}};
@@ -89,7 +89,7 @@ Json ToJson(const v1::Transition& transition) {
           {"to", transition.to()},
           {"cause", transition.cause()},
           {"reason", transition.reason()},
-          {"mark", JsonMark(transition.has_mark(), transition.mark())},
+          {"decision_id", JsonDecisionId(transition.has_decision_id(), transition.decision_id())},
           {"refused", transition.refused()},
           {"count", transition.count()},
           {"stage", transition.stage()},
@@ -105,7 +105,7 @@ Json ToJson(const v1::Alert& alert) {
           {"text", alert.text()},
           {"level", alert.level()},
           {"event", alert.event()},
-          {"mark", JsonMark(alert.has_mark(), alert.mark())},
+          {"decision_id", JsonDecisionId(alert.has_decision_id(), alert.decision_id())},
           {"subjects", List(alert.subjects())}};
 }
 

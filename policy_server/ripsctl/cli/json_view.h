@@ -14,11 +14,12 @@ namespace rips::ripsctl {
 
 using Json = nlohmann::ordered_json;
 
-// {"robot","decided_level","effective_level","stage","mark","bundle","degraded":[..]}
+// {"robot","decided_level","effective_level","stage","decision_id","bundle","degraded":[..]}
 Json ToJson(const v1::RobotStatus& status);
-// {"id","robot","time","from","to","cause","reason","mark","refused","count","stage","detail"}
+// {"id","robot","time","from","to","cause","reason","decision_id","refused","count","stage",
+// "detail"}
 Json ToJson(const v1::Transition& transition);
-// {"id","time","robot","rule","severity","text","level","event","mark","subjects":[..]}
+// {"id","time","robot","rule","severity","text","level","event","decision_id","subjects":[..]}
 Json ToJson(const v1::Alert& alert);
 // {"name","role","guid","host","pid"}; pid is null when not known.
 Json ToJson(const v1::Subject& subject);
@@ -40,7 +41,7 @@ const char* KindName(v1::Endpoint::Kind kind);
 // As hexadecimal digits; "invalid" if it is no GUID.
 std::string GuidText(const std::string& bytes);
 // "3.17"; "-" when unset.
-std::string MarkText(const v1::Mark& mark);
+std::string DecisionIdText(const v1::DecisionId& decision_id);
 
 // On one line.
 void PrintJson(const Json& json, std::ostream& out);

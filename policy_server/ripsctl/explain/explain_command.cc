@@ -14,8 +14,8 @@
 #include "policy_server/ripsctl/cli/json_view.h"
 #include "policy_server/ripsctl/cli/robot_level.h"
 #include "policy_server/ripsctl/explain/explain_text.h"
+#include "services/base/decision_id.h"
 #include "services/base/ids.h"
-#include "services/base/mark.h"
 #include "services/base/status_macros.h"
 
 namespace rips::ripsctl {
@@ -34,7 +34,7 @@ bool IsHex(absl::string_view text) {
 struct Target {
   bool id = false;  // tried first
   std::string robot;
-  std::optional<Mark> mark;
+  std::optional<DecisionId> decision_id;
 };
 
 absl::StatusOr<Target> ParseTarget(const std::string& what) {
@@ -48,15 +48,18 @@ absl::StatusOr<Target> ParseTarget(const std::string& what) {
     return Target{.id = what.size() >= kIdDigitsMin && what.size() <= kIdDigitsMax && IsHex(what),
                   .robot = robot};
   }
-  const absl::StatusOr<Mark> mark = ParseMark(absl::string_view(what).substr(at + 1));
+  const absl::StatusOr<DecisionId> decision_id =
+      ParseDecisionId(absl::string_view(what).substr(at + 1));
   // As it is printed, and nothing else.
-  if (!mark.ok() || mark->none() || absl::StrCat(robot, "@", ToString(*mark)) != what) return wrong;
-  return Target{.robot = robot, .mark = *mark};
+  if (!decision_id.ok() || decision_id->none() ||
+      absl::StrCat(robot, "@", ToString(*decision_id)) != what)
+    return wrong;
+  return Target{.robot = robot, .decision_id = *decision_id};
 }
 
-void SetMark(const Mark& mark, v1::Mark* out) {
-  out->set_term(mark.term);
-  out->set_epoch(mark.epoch);
+void SetDecisionId(const DecisionId& decision_id, v1::DecisionId* out) {
+  out->set_term(decision_id.term);
+  out->set_epoch(decision_id.epoch);
 }
 
 // What would raise the robot again from the next less restrictive level; none at the lowest.
@@ -69,7 +72,7 @@ std::optional<Lowering> TryLowering(Env& env, const v1::GetLevelResponse& now) {
   request.set_to(*std::prev(at));
   request.set_reason("ripsctl explain");
   request.set_expected_level(status.decided_level());
-  *request.mutable_expected_mark() = status.mark();
+  *request.mutable_expected_decision_id() = status.decision_id();
   request.set_dry_run(true);
   request.set_request_id(absl::HexStringToBytes(NewId()));
   return Lowering{.to = request.to(), .found = Call(env, &Stub::DeEscalate, request)};
@@ -151,25 +154,26 @@ class Explain final : public Command {
           "no alert or level change that is kept, and no robot is `", what_,
           "`; see `ripsctl alert list`, `ripsctl level history ROBOT` and `ripsctl robot list`"));
     }
-    if (!target.mark.has_value()) return OfRobot(env, target.robot);
+    if (!target.decision_id.has_value()) return OfRobot(env, target.robot);
     request.set_robot(target.robot);
-    SetMark(*target.mark, request.mutable_mark());
+    SetDecisionId(*target.decision_id, request.mutable_decision_id());
     return Ask(env, request);
   }
 
   // The decision that the robot is at.
   static absl::StatusOr<Explanation> OfRobot(Env& env, const std::string& robot) {
     RIPS_ASSIGN_OR_RETURN(v1::GetLevelResponse now, ReadLevel(env, robot));
-    const Mark mark = {.term = now.status().mark().term(), .epoch = now.status().mark().epoch()};
+    const DecisionId decision_id = {.term = now.status().decision_id().term(),
+                                    .epoch = now.status().decision_id().epoch()};
     Explanation explanation;
-    if (!mark.none()) {
+    if (!decision_id.none()) {
       v1::ExplainRequest request;
       request.set_robot(robot);
-      SetMark(mark, request.mutable_mark());
+      SetDecisionId(decision_id, request.mutable_decision_id());
       absl::StatusOr<Explanation> asked = Ask(env, request);
       if (absl::IsNotFound(asked.status())) {
         return absl::FailedPreconditionError(absl::StrCat(
-            robot, " is at ", now.status().decided_level(), " by decision ", ToString(mark),
+            robot, " is at ", now.status().decided_level(), " by decision ", ToString(decision_id),
             ", and the server has no record of that: ", asked.status().message()));
       }
       RIPS_RETURN_IF_ERROR(asked.status());

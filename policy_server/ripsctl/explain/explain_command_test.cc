@@ -45,7 +45,7 @@ TEST_F(ExplainTest, ALevelChangeByTheStartOfItsId) {
   EXPECT_FALSE(asked.accept_blind());
   EXPECT_EQ(asked.to(), "ALERT") << "the next less restrictive one";
   EXPECT_EQ(asked.expected_level(), "COMPROMISED");
-  EXPECT_EQ(asked.expected_mark().epoch(), 17u);
+  EXPECT_EQ(asked.expected_decision_id().epoch(), 17u);
   EXPECT_EQ(asked.request_id().size(), 16u);
   EXPECT_NE(asked.reason(), "");
 }
@@ -61,7 +61,7 @@ TEST_F(ExplainTest, TheDecisionThatARobotIsAt) {
   EXPECT_THAT(fake_.calls(), ElementsAre("GetLevel", "Explain r1@3.17", "DeEscalate"));
 }
 
-TEST_F(ExplainTest, ADecisionByItsMark) {
+TEST_F(ExplainTest, ADecisionByItsDecisionId) {
   EXPECT_THAT(Run({"explain", "r1@3.17"}).out, StartsWith(kFirstWords));
   EXPECT_THAT(fake_.calls(), ElementsAre("Explain r1@3.17", "GetLevel", "DeEscalate"));
   const Result gone = Run({"explain", "r1@3.2"});
@@ -87,7 +87,7 @@ TEST_F(ExplainTest, ARobotWhoseNameIsHex) {
 
 TEST_F(ExplainTest, ARobotForWhichNothingWasDecided) {
   v1::RobotStatus fresh = MakeStatus("r1", "DEFAULT");
-  fresh.clear_mark();
+  fresh.clear_decision_id();
   fake_.level_states = {fresh};
   const Result result = Run({"explain", "r1"});
   EXPECT_EQ(result.code, 0) << result.err;

@@ -76,8 +76,11 @@ std::string Behind(absl::string_view separator, absl::string_view text) {
   return text.empty() ? "" : absl::StrCat(separator, EscapeText(text));
 }
 
-std::string MarkIn(absl::string_view before, const v1::Mark& mark, absl::string_view after) {
-  return mark.term() == 0 && mark.epoch() == 0 ? "" : absl::StrCat(before, MarkText(mark), after);
+std::string MarkIn(absl::string_view before, const v1::DecisionId& decision_id,
+                   absl::string_view after) {
+  return decision_id.term() == 0 && decision_id.epoch() == 0
+             ? ""
+             : absl::StrCat(before, DecisionIdText(decision_id), after);
 }
 
 std::string TransitionLine(const v1::Transition& transition) {
@@ -91,7 +94,8 @@ std::string TransitionLine(const v1::Transition& transition) {
                         Behind("; asked by ", transition.cause()));
   }
   return absl::StrCat(robot, " went from ", from, " to ", to, " at ", time,
-                      MarkIn(" (", transition.mark(), ")"), Behind(", by ", transition.cause()));
+                      MarkIn(" (", transition.decision_id(), ")"),
+                      Behind(", by ", transition.cause()));
 }
 
 std::string AlertLine(const v1::Alert& alert) {
@@ -99,7 +103,7 @@ std::string AlertLine(const v1::Alert& alert) {
       alert.rule() == kOwnRule ? "RIPS itself" : absl::StrCat("rule ", EscapeText(alert.rule()));
   return absl::StrCat(EscapeText(alert.robot()), ": ", EscapeText(alert.severity()), " alert at ",
                       ShortTime(alert.time_unix_ns()), Behind(" in ", alert.level()),
-                      MarkIn(" (", alert.mark(), ")"), ", by ", rule, ": ",
+                      MarkIn(" (", alert.decision_id(), ")"), ", by ", rule, ": ",
                       EscapeText(alert.text()));
 }
 
@@ -215,7 +219,7 @@ std::string OutcomeText(const v1::Transition& transition) {
     return absl::StrCat(change, " refused ", Times(transition.count()),
                         Behind(": ", transition.reason()));
   }
-  return absl::StrCat(change, MarkIn(" (", transition.mark(), ")"),
+  return absl::StrCat(change, MarkIn(" (", transition.decision_id(), ")"),
                       Behind(", ", transition.stage()), Behind(": ", transition.detail()));
 }
 
@@ -263,7 +267,7 @@ void PrintNow(const Explanation& explanation, std::ostream& out) {
   }
   const v1::RobotStatus& status = (*explanation.now)->status();
   out << "\nNow: " << EscapeText(status.robot()) << " is at " << EscapeText(status.decided_level())
-      << MarkIn(" (", status.mark(), ")");
+      << MarkIn(" (", status.decision_id(), ")");
   const std::string stage = StageText(status.stage());
   out << (stage.empty() ? "" : ", ") << stage << "\n";
   if (status.effective_level().empty()) {

@@ -117,7 +117,7 @@ TEST(ExplainTextTest, TellsARefusedChange) {
   refused.set_refused(true);
   refused.set_count(7);
   refused.set_reason("needs an operator");
-  refused.clear_mark();
+  refused.clear_decision_id();
   const std::string text = Print({.recorded = OfTransition(refused)});
   EXPECT_THAT(text, StartsWith("r1 stayed at ALERT: the change to COMPROMISED was refused 7 times, "
                                "at 2026-01-01T00:00:00.000Z: needs an operator; asked by rule "

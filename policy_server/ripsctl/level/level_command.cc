@@ -16,8 +16,8 @@
 #include "policy_server/ripsctl/cli/json_view.h"
 #include "policy_server/ripsctl/cli/printer.h"
 #include "policy_server/ripsctl/cli/robot_level.h"
+#include "services/base/decision_id.h"
 #include "services/base/ids.h"
-#include "services/base/mark.h"
 
 namespace rips::ripsctl {
 namespace {
@@ -56,7 +56,7 @@ class ShowLevel final : public LevelCommand {
     table.Add({"decided level", status.decided_level()});
     table.Add({"effective level", status.effective_level()});
     table.Add({"stage", status.stage()});
-    table.Add({"mark", MarkText(status.mark())});
+    table.Add({"decision", DecisionIdText(status.decision_id())});
     table.Add({"levels", LevelsText(*response)});
     if (response->has_last()) {
       const v1::Transition& last = response->last();
@@ -112,8 +112,9 @@ class LevelHistory final : public LevelCommand {
     for (const v1::Transition& each : response->transitions()) {
       const std::string stage =
           each.refused() ? absl::StrCat("refused x", each.count()) : each.stage();
-      table.Add({ShortTime(each.time_unix_ns()), each.from(), each.to(), MarkText(each.mark()),
-                 stage, each.cause(), ShortId(each.id()), each.reason()});
+      table.Add({ShortTime(each.time_unix_ns()), each.from(), each.to(),
+                 DecisionIdText(each.decision_id()), stage, each.cause(), ShortId(each.id()),
+                 each.reason()});
     }
     table.Print(env.out);
     if (response->cut()) env.out << "older transitions do not fit into one answer\n";
@@ -127,16 +128,16 @@ class LevelHistory final : public LevelCommand {
 // `LEVEL@TERM.EPOCH`
 absl::Status ParseExpected(const std::string& text, v1::LevelRequest* request) {
   const size_t at = text.rfind('@');
-  const absl::StatusOr<Mark> mark = at == std::string::npos || at == 0
-                                        ? absl::InvalidArgumentError("")
-                                        : ParseMark(absl::string_view(text).substr(at + 1));
-  if (!mark.ok()) {
+  const absl::StatusOr<DecisionId> decision_id =
+      at == std::string::npos || at == 0 ? absl::InvalidArgumentError("")
+                                         : ParseDecisionId(absl::string_view(text).substr(at + 1));
+  if (!decision_id.ok()) {
     return absl::InvalidArgumentError(absl::StrCat(
         "--expect is `", text, "`; write LEVEL@TERM.EPOCH, for example COMPROMISED@3.17"));
   }
   request->set_expected_level(text.substr(0, at));
-  request->mutable_expected_mark()->set_term(mark->term);
-  request->mutable_expected_mark()->set_epoch(mark->epoch);
+  request->mutable_expected_decision_id()->set_term(decision_id->term);
+  request->mutable_expected_decision_id()->set_epoch(decision_id->epoch);
   return absl::OkStatus();
 }
 
@@ -196,7 +197,7 @@ class ChangeLevel : public LevelCommand {
       env.out << "nothing was changed\n";
     } else {
       env.out << robot_ << " goes to " << EscapeText(response.decided_level()) << " ("
-              << MarkText(response.mark()) << ")\n";
+              << DecisionIdText(response.decision_id()) << ")\n";
     }
     if (verb == "raise" && response.soft()) {
       env.out << EscapeText(response.decided_level())
@@ -234,10 +235,11 @@ class ChangeLevel : public LevelCommand {
       const auto seen = ReadLevel(env, robot_);
       if (seen.ok()) {
         const v1::RobotStatus& status = seen->status();
-        if (MarkText(status.mark()) != MarkText(response.mark())) {
-          return {.why = absl::StrCat("the level was decided anew meanwhile: ",
-                                      status.decided_level(), " (", MarkText(status.mark()), ")",
-                                      seen->has_last() ? ", " : "", seen->last().cause())};
+        if (DecisionIdText(status.decision_id()) != DecisionIdText(response.decision_id())) {
+          return {.why =
+                      absl::StrCat("the level was decided anew meanwhile: ", status.decided_level(),
+                                   " (", DecisionIdText(status.decision_id()), ")",
+                                   seen->has_last() ? ", " : "", seen->last().cause())};
         }
         if (status.stage() == "verified") {
           return {.reached = true, .level = status.effective_level()};
@@ -265,10 +267,11 @@ class ChangeLevel : public LevelCommand {
                  {"dry_run", request.dry_run()},
                  {"decided_level", response.decided_level()},
                  {"soft", response.soft()}};
-    json["mark"] = response.has_mark() ? Json(MarkText(response.mark())) : Json(nullptr);
+    json["decision_id"] =
+        response.has_decision_id() ? Json(DecisionIdText(response.decision_id())) : Json(nullptr);
     if (!request.expected_level().empty()) {
-      json["expected"] =
-          absl::StrCat(request.expected_level(), "@", MarkText(request.expected_mark()));
+      json["expected"] = absl::StrCat(request.expected_level(), "@",
+                                      DecisionIdText(request.expected_decision_id()));
     }
     json["would_raise_again"] = Json::array();
     for (const auto& rule : response.would_raise_again()) json["would_raise_again"].push_back(rule);
@@ -329,7 +332,7 @@ class LowerLevel final : public ChangeLevel {
       if (!seen.ok()) return Failed(env, seen.status());
       Show(env, *seen);
       request.set_expected_level(seen->status().decided_level());
-      *request.mutable_expected_mark() = seen->status().mark();
+      *request.mutable_expected_decision_id() = seen->status().decision_id();
     }
     const auto response = Call(env, &Stub::DeEscalate, request);
     if (!response.ok()) return Failed(env, response.status());
@@ -341,7 +344,7 @@ class LowerLevel final : public ChangeLevel {
   void Show(Env& env, const v1::GetLevelResponse& seen) const {
     std::ostream& out = env.json() ? env.err : env.out;
     out << robot_ << " is at " << EscapeText(seen.status().decided_level()) << " ("
-        << MarkText(seen.status().mark()) << ")";
+        << DecisionIdText(seen.status().decision_id()) << ")";
     if (seen.has_last()) {
       out << " since " << ShortTime(seen.last().time_unix_ns()) << ", "
           << EscapeText(seen.last().cause());

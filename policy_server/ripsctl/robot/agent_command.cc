@@ -149,11 +149,11 @@ class ResetTerm final : public AgentCommand {
     request.set_reason(reason_);
     const auto response = Call(env, &Stub::ResetTerm, request);
     if (!response.ok()) return Failed(env, response.status());
-    const std::string decision = MarkText(response->mark());
+    const std::string decision = DecisionIdText(response->decision_id());
     if (env.json()) {
       PrintJson({{"robot", robot_},
                  {"host", host_},
-                 {"mark", decision},
+                 {"decision_id", decision},
                  {"decided_level", response->decided_level()}},
                 env.out);
     } else {

@@ -123,17 +123,19 @@ class ListReceipts final : public RobotVerb {
     Json list = Json::array();
     for (const v1::ReceivedReceipt& each : response.receipts()) {
       const v1::Receipt& receipt = each.receipt();
-      list.push_back({{"time", FullTime(each.unix_ns())},
-                      {"host", each.host()},
-                      {"command", each.command()},
-                      {"command_id", absl::BytesToHexString(receipt.command_id())},
-                      {"mark", receipt.has_mark() ? Json(MarkText(receipt.mark())) : Json(nullptr)},
-                      {"stage", StageName(receipt.stage())},
-                      {"effective_level", receipt.effective_level()},
-                      {"exit_code", receipt.exit_code()},
-                      {"detail", receipt.detail()},
-                      {"output", receipt.output_tail()},
-                      {"steps", StepsToJson(receipt.steps())}});
+      list.push_back(
+          {{"time", FullTime(each.unix_ns())},
+           {"host", each.host()},
+           {"command", each.command()},
+           {"command_id", absl::BytesToHexString(receipt.command_id())},
+           {"decision_id", receipt.has_decision_id() ? Json(DecisionIdText(receipt.decision_id()))
+                                                     : Json(nullptr)},
+           {"stage", StageName(receipt.stage())},
+           {"effective_level", receipt.effective_level()},
+           {"exit_code", receipt.exit_code()},
+           {"detail", receipt.detail()},
+           {"output", receipt.output_tail()},
+           {"steps", StepsToJson(receipt.steps())}});
     }
     return {{"robot", robot}, {"receipts", std::move(list)}};
   }
@@ -142,7 +144,8 @@ class ListReceipts final : public RobotVerb {
     const v1::Receipt& receipt = each.receipt();
     std::vector<std::string> words = {ShortTime(each.unix_ns()), EscapeText(each.host()),
                                       EscapeText(each.command()), StageName(receipt.stage())};
-    if (receipt.has_mark()) words.push_back(absl::StrCat("mark ", MarkText(receipt.mark())));
+    if (receipt.has_decision_id())
+      words.push_back(absl::StrCat("decision ", DecisionIdText(receipt.decision_id())));
     if (receipt.exit_code() != 0) words.push_back(absl::StrCat("exit code ", receipt.exit_code()));
     if (!receipt.effective_level().empty()) {
       words.push_back(absl::StrCat("held at ", EscapeText(receipt.effective_level())));

@@ -220,8 +220,8 @@ TEST_F(RobotActuatorsTest, ShowsReceiptsFailedStepsFirst) {
   level->set_host("base");
   level->set_command("level ALERT");
   level->mutable_receipt()->set_stage(v1::Receipt::FAILED);
-  level->mutable_receipt()->mutable_mark()->set_term(3);
-  level->mutable_receipt()->mutable_mark()->set_epoch(17);
+  level->mutable_receipt()->mutable_decision_id()->set_term(3);
+  level->mutable_receipt()->mutable_decision_id()->set_epoch(17);
   level->mutable_receipt()->set_effective_level("ALERT");
   level->mutable_receipt()->set_detail("program horn: exit code 1");
   *level->mutable_receipt()->add_steps() =
@@ -243,12 +243,13 @@ TEST_F(RobotActuatorsTest, ShowsReceiptsFailedStepsFirst) {
   EXPECT_EQ(result.code, 0) << result.err;
   EXPECT_EQ(fake_.asked, "r1 2");
   EXPECT_THAT(result.out, Not(HasSubstr("\x1b")));
-  EXPECT_THAT(result.out,
-              HasSubstr("2026-01-01T00:00:00.000Z  base  level ALERT  failed  mark 3.17  held at "
-                        "ALERT\n"
-                        "  FAILED   program horn                  12 ms  exit code 1\n"
-                        "           | (2 more above)\n"
-                        "           | line 3\\x1b\n"));
+  EXPECT_THAT(
+      result.out,
+      HasSubstr("2026-01-01T00:00:00.000Z  base  level ALERT  failed  decision 3.17  held at "
+                "ALERT\n"
+                "  FAILED   program horn                  12 ms  exit code 1\n"
+                "           | (2 more above)\n"
+                "           | line 3\\x1b\n"));
   EXPECT_THAT(result.out, HasSubstr("           | line 12\\x1b\n"
                                     "  ok       system_mode /safety=ALERT     12 ms\n"
                                     "\n"
@@ -273,7 +274,7 @@ TEST_F(RobotActuatorsTest, ReceiptsAsJson) {
   EXPECT_EQ(receipt["command"], "exec usb_alarm");
   EXPECT_EQ(receipt["command_id"], "abababababababababababababababab");
   EXPECT_EQ(receipt["stage"], "verified");
-  EXPECT_EQ(receipt["mark"], nullptr);
+  EXPECT_EQ(receipt["decision_id"], nullptr);
   EXPECT_THAT(receipt["steps"], SizeIs(0));
 }
 

@@ -41,7 +41,8 @@ std::string DegradedText(const v1::RobotStatus& status) {
 
 void AddStatus(const v1::RobotStatus& status, Table* table) {
   table->Add({status.robot(), status.decided_level(), status.effective_level(), status.stage(),
-              MarkText(status.mark()), ShortBundle(status.bundle_version()), DegradedText(status)});
+              DecisionIdText(status.decision_id()), ShortBundle(status.bundle_version()),
+              DegradedText(status)});
 }
 
 class ListRobots final : public RobotCommand {
@@ -109,7 +110,8 @@ class WatchRobots final : public RobotCommand {
     env.out << ShortTime(absl::GetCurrentTimeNanos()) << "  " << EscapeText(status.robot())
             << "  decided " << EscapeText(status.decided_level()) << "  effective "
             << (status.effective_level().empty() ? "-" : EscapeText(status.effective_level()))
-            << "  " << EscapeText(status.stage()) << "  mark " << MarkText(status.mark());
+            << "  " << EscapeText(status.stage()) << "  decision "
+            << DecisionIdText(status.decision_id());
     if (const std::string text = DegradedText(status); !text.empty()) {
       env.out << "  degraded: " << EscapeText(text);
     }
@@ -169,7 +171,7 @@ class ShowRobot final : public OneRobotCommand {
     table.Add({"decided level", status.decided_level()});
     table.Add({"effective level", status.effective_level()});
     table.Add({"stage", status.stage()});
-    table.Add({"mark", MarkText(status.mark())});
+    table.Add({"decision", DecisionIdText(status.decision_id())});
     table.Add({"bundle", status.bundle_version()});
     for (const std::string& each : status.degraded()) table.Add({"degraded", each});
     if (status.degraded_cut()) {

@@ -15,9 +15,9 @@ using v1::AuditRecord;
 // The rule of RIPS's own alerts.
 constexpr char kOwnRule[] = "(rips)";
 
-void FillMark(const Mark& mark, v1::Mark* out) {
-  out->set_term(mark.term);
-  out->set_epoch(mark.epoch);
+void FillDecisionId(const DecisionId& decision_id, v1::DecisionId* out) {
+  out->set_term(decision_id.term);
+  out->set_epoch(decision_id.epoch);
 }
 
 // Of a decision or a refusal.
@@ -37,8 +37,9 @@ AuditRecord OfChange(const Change& change, AuditRecord::Kind kind) {
 
 AuditRecord Of(const store::DecisionRecord& decision) {
   AuditRecord record = OfChange(decision, AuditRecord::KIND_DECISION);
-  FillMark(decision.mark, record.mutable_mark());
-  if (decision.based_on != Mark()) FillMark(decision.based_on, record.mutable_based_on());
+  FillDecisionId(decision.decision_id, record.mutable_decision_id());
+  if (decision.based_on != DecisionId())
+    FillDecisionId(decision.based_on, record.mutable_based_on());
   return record;
 }
 

@@ -22,7 +22,7 @@ store::WriteBatch Decides(uint64_t epoch, const std::string& to) {
   store::WriteBatch batch;
   batch.decisions.push_back({.id = "0123456789abcdef0123456789abcde" + std::to_string(epoch % 10),
                              .robot = "r1",
-                             .mark = {.term = 1, .epoch = epoch},
+                             .decision_id = {.term = 1, .epoch = epoch},
                              .from = "DEFAULT",
                              .to = to,
                              .cause = "rule stranger",

@@ -10,11 +10,13 @@ namespace {
 
 constexpr uint32_t kProtocol = 1;
 
-Mark DecodeMark(const rips::v1::Mark& mark) { return {.term = mark.term(), .epoch = mark.epoch()}; }
+DecisionId DecodeDecisionId(const rips::v1::DecisionId& decision_id) {
+  return {.term = decision_id.term(), .epoch = decision_id.epoch()};
+}
 
-void EncodeMark(const Mark& mark, rips::v1::Mark* out) {
-  out->set_term(mark.term);
-  out->set_epoch(mark.epoch);
+void EncodeDecisionId(const DecisionId& decision_id, rips::v1::DecisionId* out) {
+  out->set_term(decision_id.term);
+  out->set_epoch(decision_id.epoch);
 }
 
 absl::StatusOr<pipeline::Receipt::Stage> DecodeStage(rips::v1::Receipt::Stage stage) {
@@ -81,7 +83,7 @@ absl::StatusOr<pipeline::ActuatorHello> DecodeHello(const rips::v1::ActuatorHell
   pipeline::ActuatorHello decoded{
       .levels = {hello.levels().begin(), hello.levels().end()},
       .programs = {hello.programs().begin(), hello.programs().end()},
-      .mark = DecodeMark(hello.mark()),
+      .decision_id = DecodeDecisionId(hello.decision_id()),
       .decided_level = hello.decided_level(),
       .effective_level = hello.effective_level(),
       .highest_term = hello.highest_term(),
@@ -101,7 +103,7 @@ absl::StatusOr<pipeline::ActuatorHello> DecodeHello(const rips::v1::ActuatorHell
 
 absl::StatusOr<pipeline::Receipt> DecodeReceipt(const rips::v1::Receipt& receipt) {
   pipeline::Receipt decoded{.command_id = absl::BytesToHexString(receipt.command_id()),
-                            .mark = DecodeMark(receipt.mark()),
+                            .decision_id = DecodeDecisionId(receipt.decision_id()),
                             .exit_code = receipt.exit_code(),
                             .output_tail = receipt.output_tail(),
                             .detail = receipt.detail(),
@@ -118,7 +120,7 @@ absl::StatusOr<pipeline::Receipt> DecodeReceipt(const rips::v1::Receipt& receipt
   return decoded;
 }
 
-pipeline::ActuatorBeat DecodeBeat(const rips::v1::ActuatorHeartbeat& heartbeat) {
+pipeline::ActuatorHeartbeat DecodeHeartbeat(const rips::v1::ActuatorHeartbeat& heartbeat) {
   return {.boottime_ns = static_cast<int64_t>(heartbeat.heartbeat().clock().boottime_ns()),
           .effective_level = heartbeat.effective_level(),
           .observed = heartbeat.observed(),
@@ -135,11 +137,11 @@ rips::v1::Command EncodeCommand(const pipeline::Command& command) {
   out.set_ttl_ms(command.ttl_ms);
   if (const auto* set = std::get_if<pipeline::SetLevel>(&command.what)) {
     rips::v1::SetLevel* level = out.mutable_set_level();
-    EncodeMark(set->mark, level->mutable_mark());
+    EncodeDecisionId(set->decision_id, level->mutable_decision_id());
     level->set_from(set->from);
     level->set_to(set->to);
     level->set_cause(set->cause);
-    if (!set->based_on.none()) EncodeMark(set->based_on, level->mutable_based_on());
+    if (!set->based_on.none()) EncodeDecisionId(set->based_on, level->mutable_based_on());
   } else if (const auto* run = std::get_if<pipeline::RunProgram>(&command.what)) {
     rips::v1::RunProgram* program = out.mutable_run_program();
     program->set_program(run->program);
@@ -158,7 +160,7 @@ rips::v1::Lease EncodeLease(const pipeline::LeaseGrant& lease, Instant now) {
   heartbeat->mutable_clock()->set_unix_ns(now.unix_ns);
   heartbeat->set_echo_boottime_ns(static_cast<uint64_t>(lease.echo_boottime_ns));
   out.set_term(lease.term);
-  EncodeMark(lease.mark, out.mutable_mark());
+  EncodeDecisionId(lease.decision_id, out.mutable_decision_id());
   out.set_level(lease.level);
   out.set_ttl_ms(lease.ttl_ms);
   out.set_evidence_complete(lease.evidence_complete);

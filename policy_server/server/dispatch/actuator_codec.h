@@ -14,7 +14,7 @@ namespace rips::dispatch {
 // InvalidArgument for a GUID of a wrong length, a part that is no node name, or an unknown stage.
 absl::StatusOr<pipeline::ActuatorHello> DecodeHello(const rips::v1::ActuatorHello& hello);
 absl::StatusOr<pipeline::Receipt> DecodeReceipt(const rips::v1::Receipt& receipt);
-pipeline::ActuatorBeat DecodeBeat(const rips::v1::ActuatorHeartbeat& heartbeat);
+pipeline::ActuatorHeartbeat DecodeHeartbeat(const rips::v1::ActuatorHeartbeat& heartbeat);
 
 rips::v1::Command EncodeCommand(const pipeline::Command& command);
 // `now` of the server goes into the heartbeat.

@@ -62,13 +62,13 @@ TEST(ActuatorCodecTest, WhatIsDegradedIsTakenWithinLimits) {
   heartbeat.add_degraded(std::string(300, '\x01'));
   for (int i = 0; i < 20; ++i) heartbeat.add_degraded("more");
   heartbeat.set_drifts(7);
-  const pipeline::ActuatorBeat beat = DecodeBeat(heartbeat);
-  ASSERT_THAT(beat.degraded, SizeIs(8));
-  EXPECT_EQ(beat.degraded[0], "held without the mode manager");
-  EXPECT_EQ(beat.degraded[1], "\\x1b[2J");
-  EXPECT_EQ(beat.degraded[2], std::string(256, 'x'));
-  EXPECT_THAT(beat.degraded[3], SizeIs(256));
-  EXPECT_EQ(beat.drifts, 7u);
+  const pipeline::ActuatorHeartbeat heartbeat = DecodeHeartbeat(heartbeat);
+  ASSERT_THAT(heartbeat.degraded, SizeIs(8));
+  EXPECT_EQ(heartbeat.degraded[0], "held without the mode manager");
+  EXPECT_EQ(heartbeat.degraded[1], "\\x1b[2J");
+  EXPECT_EQ(heartbeat.degraded[2], std::string(256, 'x'));
+  EXPECT_THAT(heartbeat.degraded[3], SizeIs(256));
+  EXPECT_EQ(heartbeat.drifts, 7u);
 }
 
 TEST(ActuatorCodecTest, StepsKeepWhatTheyPrintedAndWhetherTheyWereDrilled) {

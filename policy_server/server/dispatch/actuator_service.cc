@@ -115,8 +115,8 @@ class ActuatorStream final : public Stream {
         return OnReceipt(message.receipt());
       case ActuatorMessage::kHeartbeat:
         return Post(message.ByteSizeLong(),
-                    [host = host_, link = link_, beat = DecodeBeat(message.heartbeat())](
-                        Robot& robot) { robot.OnActuatorBeat(host, link.get(), beat); });
+                    [host = host_, link = link_, heartbeat = DecodeHeartbeat(message.heartbeat())](
+                        Robot& robot) { robot.OnActuatorHeartbeat(host, link.get(), heartbeat); });
       case ActuatorMessage::KIND_NOT_SET:
         return;  // a newer actuator's kind
     }

@@ -135,13 +135,13 @@ absl::StatusOr<pipeline::SensorHello> DecodeHello(const rips::v1::SensorHello& h
   return decoded;
 }
 
-pipeline::SensorBeat DecodeBeat(const rips::v1::Heartbeat& beat) {
+pipeline::SensorHeartbeat DecodeHeartbeat(const rips::v1::Heartbeat& heartbeat) {
   const auto boottime = [](uint64_t ns) {
     return ns > kBoottimeMax ? 0 : static_cast<int64_t>(ns);
   };
-  return {.clock = {.boottime_ns = boottime(beat.clock().boottime_ns()),
-                    .unix_ns = beat.clock().unix_ns()},
-          .echo_boottime_ns = boottime(beat.echo_boottime_ns())};
+  return {.clock = {.boottime_ns = boottime(heartbeat.clock().boottime_ns()),
+                    .unix_ns = heartbeat.clock().unix_ns()},
+          .echo_boottime_ns = boottime(heartbeat.echo_boottime_ns())};
 }
 
 ObservationDecoder::ObservationDecoder(DecodeLimits limits)

@@ -30,7 +30,7 @@ struct DecodeLimits {
 absl::StatusOr<pipeline::SensorHello> DecodeHello(const rips::v1::SensorHello& hello);
 
 // Times that no clock shows become 0.
-pipeline::SensorBeat DecodeBeat(const rips::v1::Heartbeat& beat);
+pipeline::SensorHeartbeat DecodeHeartbeat(const rips::v1::Heartbeat& heartbeat);
 
 // Not thread-safe; one call at a time.
 class ObservationDecoder {

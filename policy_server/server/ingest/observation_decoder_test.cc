@@ -399,16 +399,16 @@ TEST(ObservationDecoderTest, SensorsSayHowTheyFareAndWhatTheyDoNotSee) {
   EXPECT_THAT(seen.blind, testing::ElementsAre("y"));
 }
 
-TEST(ObservationDecoderTest, ABeatHasClocksAndAnEcho) {
-  rips::v1::Heartbeat beat;
-  beat.mutable_clock()->set_boottime_ns(3);
-  beat.mutable_clock()->set_unix_ns(-4);
-  beat.set_echo_boottime_ns(5);
-  pipeline::SensorBeat decoded = DecodeBeat(beat);
+TEST(ObservationDecoderTest, AHeartbeatHasClocksAndAnEcho) {
+  rips::v1::Heartbeat heartbeat;
+  heartbeat.mutable_clock()->set_boottime_ns(3);
+  heartbeat.mutable_clock()->set_unix_ns(-4);
+  heartbeat.set_echo_boottime_ns(5);
+  pipeline::SensorHeartbeat decoded = DecodeHeartbeat(heartbeat);
   EXPECT_EQ(decoded.clock, (Instant{.boottime_ns = 3, .unix_ns = -4}));
   EXPECT_EQ(decoded.echo_boottime_ns, 5);
-  beat.set_echo_boottime_ns(UINT64_MAX);
-  EXPECT_EQ(DecodeBeat(beat).echo_boottime_ns, 0);
+  heartbeat.set_echo_boottime_ns(UINT64_MAX);
+  EXPECT_EQ(DecodeHeartbeat(heartbeat).echo_boottime_ns, 0);
 }
 
 TEST(ObservationDecoderTest, AnyCutOrFlippedBatchIsDecodedOrRefused) {

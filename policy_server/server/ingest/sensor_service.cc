@@ -84,7 +84,7 @@ class Link final : public pipeline::SensorLink {
     reply.mutable_credit()->set_payload_bytes(payload_bytes);
     outbound_->Send(std::move(reply));
   }
-  void Beat(int64_t echo_boottime_ns) override {
+  void Heartbeat(int64_t echo_boottime_ns) override {
     SensorReply reply;
     const Instant now = RealClock().Now();
     rips::v1::Heartbeat* heartbeat = reply.mutable_heartbeat();
@@ -179,8 +179,8 @@ class SensorStream final : public Stream {
         return OnBatch(message.batch());
       case SensorMessage::kHeartbeat:
         return Post(Lane::kControl, message.ByteSizeLong(),
-                    [host = host_, link = link_, beat = DecodeBeat(message.heartbeat())](
-                        Robot& robot) { robot.OnSensorBeat(host, link.get(), beat); });
+                    [host = host_, link = link_, heartbeat = DecodeHeartbeat(message.heartbeat())](
+                        Robot& robot) { robot.OnSensorHeartbeat(host, link.get(), heartbeat); });
       case SensorMessage::kInterestApplied:
         return OnInterestApplied(message.interest_applied());
       case SensorMessage::kChunk:

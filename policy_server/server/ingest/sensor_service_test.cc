@@ -73,9 +73,9 @@ struct Sensor {
   // Interests that have come when the server answers a heartbeat of now.
   std::vector<rips::v1::Interest> InterestsUntilNow() {
     const auto now_ns = static_cast<uint64_t>(BoottimeNow());
-    SensorMessage beat;
-    beat.mutable_heartbeat()->mutable_clock()->set_boottime_ns(now_ns);
-    EXPECT_TRUE(stream->Write(beat));
+    SensorMessage heartbeat;
+    heartbeat.mutable_heartbeat()->mutable_clock()->set_boottime_ns(now_ns);
+    EXPECT_TRUE(stream->Write(heartbeat));
     std::vector<rips::v1::Interest> interests;
     SensorReply reply;
     while (stream->Read(&reply)) {

@@ -30,8 +30,8 @@ rips::v1::RobotStatus EncodeStatus(const pipeline::RobotStatus& status) {
   out.set_decided_level(status.decided_level);
   out.set_effective_level(status.effective_level);
   out.set_stage(status.stage);
-  out.mutable_mark()->set_term(status.mark.term);
-  out.mutable_mark()->set_epoch(status.mark.epoch);
+  out.mutable_decision_id()->set_term(status.decision_id.term);
+  out.mutable_decision_id()->set_epoch(status.decision_id.epoch);
   out.set_bundle_version(status.bundle_version);
   const size_t shown = std::min(status.degraded.size(), kDegradedShownMax);
   out.set_degraded_cut(shown < status.degraded.size());

@@ -14,7 +14,7 @@ using ::testing::SizeIs;
 
 pipeline::RobotStatus Status(const std::string& robot, size_t texts, size_t bytes) {
   pipeline::RobotStatus status{
-      .robot = robot, .decided_level = "ALERT", .stage = "verified", .mark = {1, 2}};
+      .robot = robot, .decided_level = "ALERT", .stage = "verified", .decision_id = {1, 2}};
   status.degraded.assign(texts, std::string(bytes, 'x'));
   return status;
 }
@@ -24,7 +24,7 @@ TEST(AnswerLimitsTest, AStatusWithinTheLimitsIsWhole) {
   EXPECT_FALSE(status.degraded_cut());
   EXPECT_EQ(status.robot(), "r1");
   EXPECT_EQ(status.decided_level(), "ALERT");
-  EXPECT_EQ(status.mark().epoch(), 2u);
+  EXPECT_EQ(status.decision_id().epoch(), 2u);
   EXPECT_THAT(status.degraded(), SizeIs(64));
 }
 

@@ -566,18 +566,19 @@ grpc::ServerUnaryReactor* OperatorService::ChangeLevel(grpc::CallbackServerConte
            {"to", request->to()},
            {"reason", request->reason()},
            {"dry_run", request->dry_run()}});
-  pipeline::LevelOrder order{.operator_name = OperatorName(*who),
-                             .to = request->to(),
-                             .reason = request->reason(),
-                             .expected_level = request->expected_level(),
-                             .expected_mark = {.term = request->expected_mark().term(),
-                                               .epoch = request->expected_mark().epoch()},
-                             .dry_run = request->dry_run(),
-                             .accept_blind = request->accept_blind(),
-                             .request_id = request->request_id()};
+  pipeline::LevelOrder order{
+      .operator_name = OperatorName(*who),
+      .to = request->to(),
+      .reason = request->reason(),
+      .expected_level = request->expected_level(),
+      .expected_decision_id = {.term = request->expected_decision_id().term(),
+                               .epoch = request->expected_decision_id().epoch()},
+      .dry_run = request->dry_run(),
+      .accept_blind = request->accept_blind(),
+      .request_id = request->request_id()};
   grpc::ServerUnaryReactor* reactor = Answer(who->ticket);
   pipeline::LevelReply reply = [reactor, response](const pipeline::LevelAnswer& answer) {
-    FillMark(answer.mark, response->mutable_mark());
+    FillDecisionId(answer.decision_id, response->mutable_decision_id());
     response->set_decided_level(answer.decided_level);
     response->set_soft(answer.soft);
     for (const std::string& rule : answer.would_raise_again) {
@@ -650,7 +651,7 @@ grpc::ServerUnaryReactor* OperatorService::ResetTerm(grpc::CallbackServerContext
   pipeline::TermResetOrder order{
       .operator_name = OperatorName(*who), .host = request->host(), .reason = request->reason()};
   pipeline::LevelReply reply = [reactor, response](const pipeline::LevelAnswer& answer) {
-    FillMark(answer.mark, response->mutable_mark());
+    FillDecisionId(answer.decision_id, response->mutable_decision_id());
     response->set_decided_level(answer.decided_level);
     reactor->Finish(rpc::ToGrpc(answer.status));
   };

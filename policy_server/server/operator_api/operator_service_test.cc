@@ -42,8 +42,8 @@ class SlowStore final : public store::Store {
     return inner_.NextTerm(robot, above);
   }
   absl::StatusOr<std::optional<std::string>> FindDecision(absl::string_view robot,
-                                                          const Mark& mark) override {
-    return inner_.FindDecision(robot, mark);
+                                                          const DecisionId& decision_id) override {
+    return inner_.FindDecision(robot, decision_id);
   }
   absl::Status BeginGeneration(absl::string_view id) override { return inner_.BeginGeneration(id); }
   absl::StatusOr<std::vector<store::Generation>> Generations() override {
@@ -494,7 +494,7 @@ TEST_F(OperatorServiceTest, ARobotThatSaysTooMuchIsListedWithoutIt) {
                 robot.OnActuatorHello(
                     "base", actuator,
                     {.levels = robot.levels().names(), .effective_level = "DEFAULT"});
-                robot.OnActuatorBeat(
+                robot.OnActuatorHeartbeat(
                     "base", actuator.get(),
                     {.effective_level = "DEFAULT", .floor_reason = std::string(5 << 20, 'x')});
               }),
@@ -574,7 +574,7 @@ TEST_F(OperatorServiceTest, TellsWhatIsSeen) {
                                     {.incarnation = incarnation, .clock = connected});
                 robot.OnBatch("base", sensor.get(),
                               std::make_shared<const pipeline::Batch>(std::move(batch)));
-                robot.OnSensorBeat("base", sensor.get(), {.clock = clock_.Now()});
+                robot.OnSensorHeartbeat("base", sensor.get(), {.clock = clock_.Now()});
               }),
               IsOk());
   grpc::ClientContext context;

@@ -64,9 +64,9 @@ void Encode(const pipeline::LoggedReceipt& receipt, rips::v1::ReceivedReceipt* o
   out->set_command(receipt.command);
   rips::v1::Receipt* inner = out->mutable_receipt();
   inner->set_command_id(absl::HexStringToBytes(receipt.receipt.command_id));
-  if (!receipt.receipt.mark.none()) {
-    inner->mutable_mark()->set_term(receipt.receipt.mark.term);
-    inner->mutable_mark()->set_epoch(receipt.receipt.mark.epoch);
+  if (!receipt.receipt.decision_id.none()) {
+    inner->mutable_decision_id()->set_term(receipt.receipt.decision_id.term);
+    inner->mutable_decision_id()->set_epoch(receipt.receipt.decision_id.epoch);
   }
   inner->set_stage(Encode(receipt.receipt.stage));
   Encode(receipt.receipt.steps, inner->mutable_steps());

@@ -11,7 +11,7 @@
 #include "policy_server/server/robot/model/robot_config.h"
 #include "policy_server/server/store/trace_codec.h"
 #include "services/base/cut_text.h"
-#include "services/base/mark.h"
+#include "services/base/decision_id.h"
 #include "services/base/status_macros.h"
 
 namespace rips::operator_api {
@@ -56,24 +56,26 @@ absl::StatusOr<Found> FindById(const std::string& id, store::Store& store) {
   return out;
 }
 
-absl::StatusOr<Found> FindByMark(const std::string& robot, const Mark& mark, store::Store& store) {
+absl::StatusOr<Found> FindByDecisionId(const std::string& robot, const DecisionId& decision_id,
+                                       store::Store& store) {
   RIPS_ASSIGN_OR_RETURN(std::vector<store::TransitionRecord> newest,
                         store.ListTransitions(robot, store::kListMax));
   for (store::TransitionRecord& record : newest) {
-    if (record.refused || record.mark != mark) continue;
+    if (record.refused || record.decision_id != decision_id) continue;
     Found out;
     out.transition = std::move(record);
     return out;
   }
-  return absl::NotFoundError(absl::StrCat("robot `", robot, "` has no decision ", ToString(mark),
-                                          " among its newest ", store::kListMax));
+  return absl::NotFoundError(absl::StrCat("robot `", robot, "` has no decision ",
+                                          ToString(decision_id), " among its newest ",
+                                          store::kListMax));
 }
 
 }  // namespace
 
-void FillMark(const Mark& mark, rips::v1::Mark* out) {
-  out->set_term(mark.term);
-  out->set_epoch(mark.epoch);
+void FillDecisionId(const DecisionId& decision_id, rips::v1::DecisionId* out) {
+  out->set_term(decision_id.term);
+  out->set_epoch(decision_id.epoch);
 }
 
 rips::v1::Alert Encode(const store::AlertRecord& alert) {
@@ -87,7 +89,7 @@ rips::v1::Alert Encode(const store::AlertRecord& alert) {
   out.set_text(Shortened(alert.text, pipeline::kAlertTextBytesMax));
   out.set_level(alert.level);
   out.set_event(Shortened(alert.event, pipeline::kAlertEventBytesMax));
-  FillMark(alert.mark, out.mutable_mark());
+  FillDecisionId(alert.decision_id, out.mutable_decision_id());
   for (const engine::TracedSubject& subject : alert.trace.subjects) {
     *out.add_subjects() = store::EncodeSubject(subject);
   }
@@ -103,7 +105,7 @@ rips::v1::Transition Encode(const store::TransitionRecord& record) {
   out.set_to(record.to);
   out.set_cause(record.cause);
   out.set_reason(record.reason);
-  if (!record.refused) FillMark(record.mark, out.mutable_mark());
+  if (!record.refused) FillDecisionId(record.decision_id, out.mutable_decision_id());
   out.set_refused(record.refused);
   out.set_count(static_cast<uint32_t>(std::min<uint64_t>(record.count, UINT32_MAX)));
   out.set_stage(record.stage);
@@ -115,11 +117,12 @@ absl::StatusOr<rips::v1::ExplainResponse> Explain(const rips::v1::ExplainRequest
                                                   store::Store& store) {
   const bool by_id = !request.id().empty();
   if (by_id == !request.robot().empty()) {
-    return absl::InvalidArgumentError("explain takes an id, or a robot and a mark");
+    return absl::InvalidArgumentError("explain takes an id, or a robot and a decision");
   }
-  const Mark mark = {request.mark().term(), request.mark().epoch()};
-  RIPS_ASSIGN_OR_RETURN(const Found found, by_id ? FindById(request.id(), store)
-                                                 : FindByMark(request.robot(), mark, store));
+  const DecisionId decision_id = {request.decision_id().term(), request.decision_id().epoch()};
+  RIPS_ASSIGN_OR_RETURN(const Found found,
+                        by_id ? FindById(request.id(), store)
+                              : FindByDecisionId(request.robot(), decision_id, store));
   rips::v1::ExplainResponse response;
   if (found.alert) *response.mutable_alert() = Encode(*found.alert);
   if (found.transition) *response.mutable_transition() = Encode(*found.transition);

@@ -5,11 +5,11 @@
 #include "absl/status/statusor.h"
 #include "policy_server/server/store/store.h"
 #include "rips/v1/operator.pb.h"
-#include "services/base/mark.h"
+#include "services/base/decision_id.h"
 
 namespace rips::operator_api {
 
-void FillMark(const Mark& mark, rips::v1::Mark* out);
+void FillDecisionId(const DecisionId& decision_id, rips::v1::DecisionId* out);
 rips::v1::Alert Encode(const store::AlertRecord& alert);
 rips::v1::Transition Encode(const store::TransitionRecord& record);
 

@@ -27,14 +27,14 @@ class ExplainTest : public testing::Test {
     store::WriteBatch batch;
     batch.decisions.push_back({.id = Id("aa0001"),
                                .robot = "r1",
-                               .mark = {1, 2},
+                               .decision_id = {1, 2},
                                .from = "DEFAULT",
                                .to = "HALT",
                                .cause = "rule stop",
                                .trace = TraceOf("stop", 5)});
     batch.decisions.push_back({.id = Id("aa0002"),
                                .robot = "r1",
-                               .mark = {1, 3},
+                               .decision_id = {1, 3},
                                .from = "HALT",
                                .to = "DEFAULT",
                                .cause = "operator ann",
@@ -60,10 +60,11 @@ class ExplainTest : public testing::Test {
     request.set_id(id);
     return Explain(request, store_);
   }
-  absl::StatusOr<rips::v1::ExplainResponse> ByMark(const std::string& robot, const Mark& mark) {
+  absl::StatusOr<rips::v1::ExplainResponse> ByDecisionId(const std::string& robot,
+                                                         const DecisionId& decision_id) {
     rips::v1::ExplainRequest request;
     request.set_robot(robot);
-    FillMark(mark, request.mutable_mark());
+    FillDecisionId(decision_id, request.mutable_decision_id());
     return Explain(request, store_);
   }
 
@@ -85,8 +86,8 @@ TEST_F(ExplainTest, AnAlertHasItsEvidenceAndWhatElseCameOfTheSameFiring) {
   EXPECT_TRUE(explained->transitions(1).refused());
 }
 
-TEST_F(ExplainTest, ADecisionIsFoundByItsMarkAndByItsId) {
-  for (const auto& explained : {ById(Id("aa0001")), ByMark("r1", {1, 2})}) {
+TEST_F(ExplainTest, ADecisionIsFoundByItsDecisionIdAndByItsId) {
+  for (const auto& explained : {ById(Id("aa0001")), ByDecisionId("r1", {1, 2})}) {
     ASSERT_THAT(explained, IsOk());
     EXPECT_EQ(explained->transition().to(), "HALT");
     EXPECT_FALSE(explained->has_alert());
@@ -98,7 +99,7 @@ TEST_F(ExplainTest, ADecisionIsFoundByItsMarkAndByItsId) {
 }
 
 TEST_F(ExplainTest, WhatNoRuleDidHasNoEvidence) {
-  const auto operators = ByMark("r1", {1, 3});
+  const auto operators = ByDecisionId("r1", {1, 3});
   ASSERT_THAT(operators, IsOk());
   EXPECT_FALSE(operators->has_evidence());
   EXPECT_EQ(operators->transition().reason(), "checked");
@@ -114,9 +115,9 @@ TEST_F(ExplainTest, SaysWhatIsNotThereOrNotOne) {
   EXPECT_THAT(ById("aa000"), StatusIs(StatusCode::kInvalidArgument, HasSubstr("6")));
   EXPECT_THAT(ById("AA0001"), StatusIs(StatusCode::kInvalidArgument));
   EXPECT_THAT(ById(Id("aa0001") + "0"), StatusIs(StatusCode::kInvalidArgument));
-  EXPECT_THAT(ByMark("r1", {1, 9}), StatusIs(StatusCode::kNotFound, HasSubstr("1.9")));
-  EXPECT_THAT(ByMark("r9", {1, 2}), StatusIs(StatusCode::kNotFound));
-  EXPECT_THAT(ByMark("", {1, 2}), StatusIs(StatusCode::kInvalidArgument));
+  EXPECT_THAT(ByDecisionId("r1", {1, 9}), StatusIs(StatusCode::kNotFound, HasSubstr("1.9")));
+  EXPECT_THAT(ByDecisionId("r9", {1, 2}), StatusIs(StatusCode::kNotFound));
+  EXPECT_THAT(ByDecisionId("", {1, 2}), StatusIs(StatusCode::kInvalidArgument));
   store::WriteBatch twin;
   twin.alerts.push_back({.id = "aa0001" + std::string(26, 'f'), .robot = "r1", .rule = "x"});
   ASSERT_THAT(store_.Commit(twin), IsOk());

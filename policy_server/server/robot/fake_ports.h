@@ -44,7 +44,7 @@ struct FakeSensor final : SensorLink {
     granted = message_bytes;
     payload_granted = payload_bytes;
   }
-  void Beat(int64_t echo) override { echoed = echo; }
+  void Heartbeat(int64_t echo) override { echoed = echo; }
   std::string SetInterest(const engine::InterestPlan& plan, const engine::PayloadLimits& limits,
                           const ros2::TopicNames& kept) override {
     if (plan != interest || limits != payload_limits || kept != kept_topics) ++interests;

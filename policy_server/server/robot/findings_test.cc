@@ -158,12 +158,12 @@ TEST_F(RobotFindingsTest, RestartedSensorThatDoesNotTellThemAgainEndsThem) {
   Start(kRules);
   Arm();
   Tell(Impostor(1));
-  sensor_beats_ = false;
+  sensor_heartbeats_ = false;
   Pass(2'000);
   sensor_ = std::make_shared<FakeSensor>();
   robot_->OnSensorHello("base", sensor_,
                         {.incarnation = "fedcba9876543210", .clock = clock_.Now()});
-  sensor_beats_ = true;
+  sensor_heartbeats_ = true;
   Pass(59'000);
   EXPECT_THAT(robot_->findings(), SizeIs(1));
   Pass(2'000);

@@ -24,7 +24,7 @@ class SensorLink {
   // Cumulative since stream start: bytes of message batches, and of payloads that come in chunks.
   virtual void Grant(uint64_t message_bytes, uint64_t payload_bytes) = 0;
   // `echo_boottime_ns`: the peer's newest.
-  virtual void Beat(int64_t echo_boottime_ns) = 0;
+  virtual void Heartbeat(int64_t echo_boottime_ns) = 0;
   // What to watch from now on, and the topics of which the graph keeps the endpoints first. Returns
   // the id by which the sensor answers (InterestAnswer); one that has it in use already need not.
   virtual std::string SetInterest(const engine::InterestPlan& plan,

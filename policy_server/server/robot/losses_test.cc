@@ -86,7 +86,7 @@ TEST_F(RobotLossTest, ABestEffortWritersGapsAreNoAlert) {
 
 // 390 messages were judged and acknowledged; then a backup of the store from before was restored.
 TEST_F(RobotLossTest, ARestoredStoreIsToldOnceAndIsNoLoss) {
-  Start(kPaperRules, {.level = "ALERT", .mark = {1, 1}}, 2);
+  Start(kPaperRules, {.level = "ALERT", .decision_id = {1, 1}}, 2);
   const SpooledRange range{.incarnation = kIncarnation,
                            .lane = Lane::kMessages,
                            .first_sequence = 391,
@@ -132,7 +132,7 @@ TEST_F(RobotLossTest, AStolenActuatorKeyCannotFloodAlerts) {
   const size_t before = audience_.alerts.size();
   for (uint64_t i = 1; i <= 1'000; ++i) {
     drifts_ += 1;
-    Beat();
+    Heartbeat();
     clock_.Advance(10 * kNanosPerMilli);
   }
   Pass(1'000);
@@ -158,13 +158,13 @@ TEST_F(RobotLossTest, OnAFullDiskRaisesAreRecordedFromTheReserveAndLoweringsAreN
   recorder_.fail = absl::OkStatus();
   Pass(2'000);
   const size_t known = recorder_.decisions.size();
-  const Mark mark = robot_->Status().mark;
+  const DecisionId decision_id = robot_->Status().decision_id;
   recorder_.held = true;
   robot_->DeEscalate({.operator_name = "alice",
                       .to = "DEFAULT",
                       .reason = "drill",
                       .expected_level = "COMPROMISED",
-                      .expected_mark = mark,
+                      .expected_decision_id = decision_id,
                       .accept_blind = true},
                      [](const LevelAnswer&) {});
   recorder_.fail = absl::ResourceExhaustedError("the disk is full");
@@ -186,7 +186,7 @@ TEST_F(RobotLossTest, ARaiseAfterALoweringThatCannotBeRecordedIsNotSavedBelowWha
                       .to = to,
                       .reason = "drill",
                       .expected_level = Level(),
-                      .expected_mark = robot_->Status().mark,
+                      .expected_decision_id = robot_->Status().decision_id,
                       .accept_blind = true};
   };
   const auto ignore = [](const LevelAnswer&) {};

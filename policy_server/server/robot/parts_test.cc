@@ -140,7 +140,7 @@ class CommandReconcilerTest : public ::testing::Test {
 
   Receipt Answer(const Outgoing& outgoing, Receipt::Stage stage) {
     return {.command_id = outgoing.command.id,
-            .mark = std::get<SetLevel>(outgoing.command.what).mark,
+            .decision_id = std::get<SetLevel>(outgoing.command.what).decision_id,
             .stage = stage};
   }
 
@@ -165,18 +165,18 @@ TEST_F(CommandReconcilerTest, ALevelIsVerifiedWhenEveryListedActuatorSaysSo) {
   EXPECT_EQ(ledger_.stage(), Stage::kVerified);
 }
 
-TEST_F(CommandReconcilerTest, ALoweringNamesTheMarkTheActuatorHolds) {
+TEST_F(CommandReconcilerTest, ALoweringNamesTheDecisionIdTheActuatorHolds) {
   ledger_.Attach("a", {1, 4}, 2, "COMPROMISED", {}, At(100));
   ledger_.Order({1, 5}, 1, "ALERT", "operator alice", /*lowers=*/true);
 
   const auto due = ledger_.Due(1, At(100));
 
   ASSERT_THAT(due, SizeIs(1));
-  EXPECT_EQ(std::get<SetLevel>(due[0].command.what).based_on, (Mark{1, 4}));
+  EXPECT_EQ(std::get<SetLevel>(due[0].command.what).based_on, (DecisionId{1, 4}));
   EXPECT_EQ(std::get<SetLevel>(due[0].command.what).from, "COMPROMISED");
 }
 
-TEST_F(CommandReconcilerTest, ALoweringThatFailedUnacknowledgedIsStillBasedOnTheMarkBefore) {
+TEST_F(CommandReconcilerTest, ALoweringThatFailedUnacknowledgedIsStillBasedOnTheDecisionBefore) {
   ledger_.Attach("a", {1, 4}, 2, "COMPROMISED", {}, At(100));
   ledger_.Order({1, 5}, 1, "ALERT", "operator alice", /*lowers=*/true);
   const auto due = ledger_.Due(1, At(100));
@@ -186,7 +186,7 @@ TEST_F(CommandReconcilerTest, ALoweringThatFailedUnacknowledgedIsStillBasedOnThe
 
   ASSERT_THAT(again, SizeIs(1));
   EXPECT_NE(again[0].command.id, due[0].command.id);
-  EXPECT_EQ(std::get<SetLevel>(again[0].command.what).based_on, (Mark{1, 4}));
+  EXPECT_EQ(std::get<SetLevel>(again[0].command.what).based_on, (DecisionId{1, 4}));
 }
 
 TEST_F(CommandReconcilerTest, ALoweringRightAfterARaiseIsBasedOnTheRaiseOnceThatIsHeld) {
@@ -200,7 +200,7 @@ TEST_F(CommandReconcilerTest, ALoweringRightAfterARaiseIsBasedOnTheRaiseOnceThat
   const auto lowering = ledger_.Due(1, At(100));
 
   ASSERT_THAT(lowering, SizeIs(1));
-  EXPECT_EQ(std::get<SetLevel>(lowering[0].command.what).based_on, (Mark{1, 2}));
+  EXPECT_EQ(std::get<SetLevel>(lowering[0].command.what).based_on, (DecisionId{1, 2}));
   EXPECT_EQ(std::get<SetLevel>(lowering[0].command.what).from, "COMPROMISED");
 }
 
@@ -210,17 +210,17 @@ TEST_F(CommandReconcilerTest, ARefusedLoweringIsTriedAgainWithTheDecisionThatIsH
   const auto raise = ledger_.Due(1, At(100));
   ledger_.Order({1, 3}, 0, "DEFAULT", "operator alice", /*lowers=*/true);
   const auto early = ledger_.Due(1, At(100));
-  EXPECT_EQ(std::get<SetLevel>(early[0].command.what).based_on, (Mark{1, 1}));
+  EXPECT_EQ(std::get<SetLevel>(early[0].command.what).based_on, (DecisionId{1, 1}));
   ledger_.OnReceipt("a", Answer(raise[0], Receipt::Stage::kAcknowledged), At(101));
   ledger_.OnReceipt("a", Answer(early[0], Receipt::Stage::kRefused), At(101));
 
   const auto again = ledger_.Due(1, At(110));
 
   ASSERT_THAT(again, SizeIs(1));
-  EXPECT_EQ(std::get<SetLevel>(again[0].command.what).based_on, (Mark{1, 2}));
+  EXPECT_EQ(std::get<SetLevel>(again[0].command.what).based_on, (DecisionId{1, 2}));
 }
 
-TEST_F(CommandReconcilerTest, TheNewestMarkUnderAnotherLevelIsNotTheNewestDecision) {
+TEST_F(CommandReconcilerTest, TheNewestDecisionIdUnderAnotherLevelIsNotTheNewestDecision) {
   CommandReconciler ledger({"a"}, [] { return "id"; });
   ledger.Order({1, 5}, 0, "DEFAULT", "", /*lowers=*/true);
   ledger.Attach("a", {1, 5}, 3, "HALT", {}, At(100));
@@ -236,13 +236,13 @@ TEST_F(CommandReconcilerTest, AFailureFromBeforeTheSessionWaitsForTheFirstHeartb
     ledger.Attach("a", {1, 5}, 2, "COMPROMISED", {}, At(100));
     ledger.OnReceipt("a",
                      {.command_id = "of another process",
-                      .mark = {1, 5},
+                      .decision_id = {1, 5},
                       .stage = Receipt::Stage::kFailed,
                       .detail = "minutes ago"},
                      At(100));
     EXPECT_EQ(ledger.stage(), Stage::kAcknowledged);
 
-    ledger.OnBeat("a", /*effective=*/2, verified, At(101));
+    ledger.OnHeartbeat("a", /*effective=*/2, verified, At(101));
 
     EXPECT_EQ(ledger.stage(), verified ? Stage::kVerified : Stage::kFailed);
     EXPECT_EQ(ledger.failure().empty(), verified);
@@ -253,18 +253,19 @@ TEST_F(CommandReconcilerTest, EachSessionWaitsForAHeartbeatOfItsOwn) {
   CommandReconciler ledger({"a"}, [] { return "id"; });
   ledger.Order({1, 5}, 2, "COMPROMISED", "restored", /*lowers=*/false);
   ledger.Attach("a", {1, 5}, 2, "COMPROMISED", {}, At(100));
-  ledger.OnBeat("a", /*effective=*/2, /*verified=*/true, At(101));
+  ledger.OnHeartbeat("a", /*effective=*/2, /*verified=*/true, At(101));
   EXPECT_EQ(ledger.stage(), Stage::kVerified);
 
   ledger.Detach("a");
   ledger.Attach("a", {1, 5}, 2, "COMPROMISED", {}, At(110));
-  ledger.OnReceipt(
-      "a",
-      {.command_id = "of the session before", .mark = {1, 5}, .stage = Receipt::Stage::kFailed},
-      At(110));
+  ledger.OnReceipt("a",
+                   {.command_id = "of the session before",
+                    .decision_id = {1, 5},
+                    .stage = Receipt::Stage::kFailed},
+                   At(110));
   EXPECT_EQ(ledger.stage(), Stage::kAcknowledged);
 
-  ledger.OnBeat("a", /*effective=*/2, /*verified=*/true, At(111));
+  ledger.OnHeartbeat("a", /*effective=*/2, /*verified=*/true, At(111));
   EXPECT_EQ(ledger.stage(), Stage::kVerified);
   EXPECT_EQ(ledger.failure(), "");
 }
@@ -288,7 +289,7 @@ TEST_F(CommandReconcilerTest, ALoweringIsVerifiedOnlyAtItsLevelARaiseAlsoAbove) 
     const auto due = ledger.Due(1, At(100));
     ledger.OnReceipt("a", Answer(due[0], Receipt::Stage::kAcknowledged), At(100));
 
-    ledger.OnBeat("a", /*effective=*/2, /*verified=*/true, At(100));
+    ledger.OnHeartbeat("a", /*effective=*/2, /*verified=*/true, At(100));
 
     EXPECT_EQ(ledger.stage() == Stage::kVerified, !lowers);
   }

@@ -18,13 +18,13 @@
 #include "policy_server/server/robot/model/inbound.h"
 #include "policy_server/server/store/store.h"
 #include "services/base/clock.h"
-#include "services/base/mark.h"
+#include "services/base/decision_id.h"
 #include "services/ros2/guid.h"
 #include "services/ros2/ros_graph.h"
 
 namespace rips::pipeline {
 
-// The level that a decision led to; nullopt if no decision has that mark.
+// The level that a decision led to; nullopt if no decision has that decision id.
 using FoundDecision = absl::StatusOr<std::optional<std::string>>;
 
 // Makes records durable, in order. `done` may run on any thread.
@@ -36,7 +36,7 @@ class Recorder {
   virtual bool healthy() const = 0;
   // As of store::Store. Neither waits for the disk: `done` is called once, on any thread, maybe
   // before this returns.
-  virtual void FindDecision(const std::string& robot, const Mark& mark,
+  virtual void FindDecision(const std::string& robot, const DecisionId& decision_id,
                             std::function<void(const FoundDecision&)> done) = 0;
   virtual void NextTerm(const std::string& robot, uint64_t above,
                         std::function<void(const absl::StatusOr<uint64_t>&)> done) = 0;
@@ -53,7 +53,7 @@ struct RobotStatus {
   // The most restrictive any attached actuator reports; empty = none attached.
   std::string effective_level;
   std::string stage;
-  Mark mark;
+  DecisionId decision_id;
   std::string bundle_version;
   std::vector<std::string> degraded;
 

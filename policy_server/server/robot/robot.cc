@@ -49,7 +49,7 @@ absl::StatusOr<std::unique_ptr<Robot>> Robot::Create(RobotConfig config, Policy 
     }
     level = *found;
   }
-  levels::LevelMachine machine(table, level, record.mark, term);
+  levels::LevelMachine machine(table, level, record.decision_id, term);
   machine.RestoreBudget(SoftLowerings(record, table, ports.clock->Now()), record.resumed_at);
   if (record.soft_suspended) machine.Suspend();
   return std::unique_ptr<Robot>(new Robot(std::move(config), std::move(policy), timing, record,
@@ -86,10 +86,11 @@ Robot::Robot(RobotConfig config, Policy policy, Timing timing, const store::Robo
     it->second.sequences.Load(absl::HexStringToBytes(key.incarnation), lane, sequence);
     it->second.durable.Load(absl::HexStringToBytes(key.incarnation), lane, sequence);
   }
-  if (record.mark.none()) {
-    Adopt(state_.level.level(), Mark{}, "first start");
+  if (record.decision_id.none()) {
+    Adopt(state_.level.level(), DecisionId{}, "first start");
   } else {
-    ledger_.Order(record.mark, state_.level.level(), record.level, "restored", /*lowers=*/false);
+    ledger_.Order(record.decision_id, state_.level.level(), record.level, "restored",
+                  /*lowers=*/false);
   }
 }
 
@@ -211,7 +212,7 @@ void Robot::TakeTransition(const engine::TransitionEffect& effect) {
   }
 }
 
-void Robot::Adopt(levels::LevelIndex level, const Mark& seen, const std::string& why) {
+void Robot::Adopt(levels::LevelIndex level, const DecisionId& seen, const std::string& why) {
   levels::Transition transition = state_.level.Adopt(level, seen, ports_.clock->Now());
   transition.cause.reason = why;
   TakeTransition({.transition = std::move(transition)});
@@ -221,7 +222,7 @@ void Robot::RecordDecision(const levels::Transition& transition, const engine::S
   const levels::LevelTable& table = state_.level.table();
   outbox_.AddDecision({.id = ports_.new_id(),
                        .robot = config_.id,
-                       .mark = transition.mark,
+                       .decision_id = transition.decision_id,
                        .based_on = transition.based_on,
                        .from = table.name(transition.from),
                        .to = table.name(transition.to),
@@ -232,10 +233,11 @@ void Robot::RecordDecision(const levels::Transition& transition, const engine::S
 }
 
 void Robot::Order(const levels::Transition& transition) {
-  if (!ledger_.mark().none() && reported_stage_ != Stage::kVerified) {
-    outbox_.AddStage({.robot = config_.id, .mark = ledger_.mark(), .stage = "superseded"});
+  if (!ledger_.decision_id().none() && reported_stage_ != Stage::kVerified) {
+    outbox_.AddStage(
+        {.robot = config_.id, .decision_id = ledger_.decision_id(), .stage = "superseded"});
   }
-  ledger_.Order(transition.mark, transition.to, state_.level.table().name(transition.to),
+  ledger_.Order(transition.decision_id, transition.to, state_.level.table().name(transition.to),
                 CauseText(transition.cause), transition.lowers());
   reported_stage_ = Stage::kRequested;
   for (auto& [name, host] : actuators_) {
@@ -254,7 +256,7 @@ void Robot::Alert(engine::AlertEffect alert, const std::string& event) {
                                       .text = Shortened(alert.text, kAlertTextBytesMax),
                                       .level = state_.level.table().name(alert.level),
                                       .event = Shortened(event, kAlertEventBytesMax),
-                                      .mark = alert.mark,
+                                      .decision_id = alert.decision_id,
                                       .trace = CopyOf(alert.trace)});
   if (!kept && ports_.counts.alerts_lost) ports_.counts.alerts_lost(1);
   if (ports_.counts.alerts) ports_.counts.alerts(1);
@@ -266,7 +268,7 @@ void Robot::OwnAlert(engine::Severity severity, const std::string& text,
                             .severity = severity,
                             .text = Shortened(text, kOwnAlertBytesMax),
                             .level = state_.level.level(),
-                            .mark = state_.level.mark()};
+                            .decision_id = state_.level.decision_id()};
   const std::string kind = absl::StrCat(where.file_name(), ":", where.line());
   if (own_alert_limiter_.Admit(kind, alert, ports_.clock->Now())) Alert(std::move(alert), "");
 }
@@ -343,7 +345,7 @@ bool Robot::HasBacklog() const {
 }
 
 void Robot::UpdateEvidence(Instant now) {
-  const bool newest_ordered = ledger_.mark() == state_.level.mark();
+  const bool newest_ordered = ledger_.decision_id() == state_.level.decision_id();
   const bool verified =
       actuators_.empty() || (ledger_.stage() == Stage::kVerified && newest_ordered);
   evidence_.Update(EvidenceProblems(now), verified, now);
@@ -418,13 +420,13 @@ void Robot::DeEscalate(const LevelOrder& order, LevelReply reply) {
   levels::LevelMachine trial = state_.level;
   levels::LevelMachine& machine = order.dry_run ? trial : state_.level;
   const levels::Transition transition =
-      machine.DeEscalate(*to, cause, now, *expected, order.expected_mark);
+      machine.DeEscalate(*to, cause, now, *expected, order.expected_decision_id);
   Decide(transition, order, std::move(reply), std::move(answer));
 }
 
 void Robot::Decide(const levels::Transition& transition, const LevelOrder& order, LevelReply reply,
                    LevelAnswer answer) {
-  answer.mark = transition.decided() ? transition.mark : state_.level.mark();
+  answer.decision_id = transition.decided() ? transition.decision_id : state_.level.decision_id();
   const levels::LevelIndex level = transition.refused() ? transition.from : transition.to;
   answer.decided_level = levels().name(level);
   answer.soft = levels().at(level).soft;
@@ -434,7 +436,7 @@ void Robot::Decide(const levels::Transition& transition, const LevelOrder& order
   } else if (transition.decided() && !order.dry_run) {
     TakeTransition({.transition = transition});
     // Told when it is durable (OnRecorded), or taken back.
-    orders_.Wait(transition.mark, order.request_id, answer, std::exchange(reply, nullptr));
+    orders_.Wait(transition.decision_id, order.request_id, answer, std::exchange(reply, nullptr));
   }
   UpdateActuation(ports_.clock->Now());
   Flush();
@@ -489,26 +491,26 @@ void Robot::Report(engine::Severity severity, const std::string& text, std::sour
 
 RobotStatus Robot::Status() const {
   const Instant now = ports_.clock->Now();
-  RobotStatus status{
-      .robot = config_.id,
-      .decided_level = levels().name(state_.level.level()),
-      // A lowering that is not durable yet is no command yet.
-      .stage = std::string(
-          ToString(ledger_.mark() == state_.level.mark() ? ledger_.stage() : Stage::kRequested)),
-      .mark = state_.level.mark(),
-      .bundle_version = policy_.bundle_id,
-      .degraded = EvidenceProblems(now)};
+  RobotStatus status{.robot = config_.id,
+                     .decided_level = levels().name(state_.level.level()),
+                     // A lowering that is not durable yet is no command yet.
+                     .stage = std::string(ToString(
+                         ledger_.decision_id() == state_.level.decision_id() ? ledger_.stage()
+                                                                             : Stage::kRequested)),
+                     .decision_id = state_.level.decision_id(),
+                     .bundle_version = policy_.bundle_id,
+                     .degraded = EvidenceProblems(now)};
   levels::LevelIndex effective = -1;
   for (const auto& [name, host] : actuators_) {
     if (!host.session) continue;
-    if (const auto level = levels().Find(host.session->beat.effective_level)) {
+    if (const auto level = levels().Find(host.session->heartbeat.effective_level)) {
       effective = std::max(effective, *level);
     }
-    if (!host.session->beat.floor_reason.empty()) {
-      status.degraded.push_back(
-          absl::StrCat("actuator ", name, " holds a floor: ", host.session->beat.floor_reason));
+    if (!host.session->heartbeat.floor_reason.empty()) {
+      status.degraded.push_back(absl::StrCat(
+          "actuator ", name, " holds a floor: ", host.session->heartbeat.floor_reason));
     }
-    for (const std::string& text : host.session->beat.degraded) {
+    for (const std::string& text : host.session->heartbeat.degraded) {
       status.degraded.push_back(absl::StrCat("actuator ", name, ": ", text));
     }
   }
@@ -555,10 +557,10 @@ void Robot::OnTime() {
   AdvanceMessages();
   graph_history_.Expire(now.boottime_ns, HasBacklog());
   UpdateEvidence(now);
-  if (now.boottime_ns >= next_.beat_ns) {
-    next_.beat_ns = now.boottime_ns + timing_.heartbeat_ns;
+  if (now.boottime_ns >= next_.heartbeat_ns) {
+    next_.heartbeat_ns = now.boottime_ns + timing_.heartbeat_ns;
     for (auto& [name, host] : sensors_) {
-      if (host.session) host.session->link->Beat(host.session->peer_boottime_ns);
+      if (host.session) host.session->link->Heartbeat(host.session->peer_boottime_ns);
     }
     for (auto& [name, host] : actuators_) {
       if (host.session) SendLease(*host.session);

@@ -54,7 +54,8 @@ class Robot {
   // ---- sensors; `link` names the session, calls of replaced sessions are ignored.
   void OnSensorHello(const std::string& host, std::shared_ptr<SensorLink> link,
                      const SensorHello& hello);
-  void OnSensorBeat(const std::string& host, const SensorLink* link, const SensorBeat& beat);
+  void OnSensorHeartbeat(const std::string& host, const SensorLink* link,
+                         const SensorHeartbeat& heartbeat);
   void OnInterestAnswer(const std::string& host, const SensorLink* link,
                         const InterestAnswer& answer);
   // Control batches are judged at once, for a turn (robot_control.cc): while HasControl, Advance
@@ -69,7 +70,8 @@ class Robot {
   // ---- actuators
   void OnActuatorHello(const std::string& host, std::shared_ptr<ActuatorLink> link,
                        const ActuatorHello& hello);
-  void OnActuatorBeat(const std::string& host, const ActuatorLink* link, const ActuatorBeat& beat);
+  void OnActuatorHeartbeat(const std::string& host, const ActuatorLink* link,
+                           const ActuatorHeartbeat& heartbeat);
   void OnReceipt(const std::string& host, const ActuatorLink* link, const Receipt& receipt);
   void OnActuatorGone(const std::string& host, const ActuatorLink* link);
 
@@ -237,7 +239,7 @@ class Robot {
   void OnStoreAnswer(const absl::Status& status, const Arming& arming);
   void Arm(ActuatorHost& host, const Arming& arming);
   void Reconcile(const Arming& arming, const std::optional<std::string>& known);
-  std::optional<std::string> KnownLevel(const Mark& mark) const;
+  std::optional<std::string> KnownLevel(const DecisionId& decision_id) const;
   void CheckActuators(Instant now);
   void SendCommands(Instant now);
   void TellMissingPrograms();
@@ -273,7 +275,7 @@ class Robot {
   void External(engine::ExternalEvent event);
   void Perform(const engine::Outcome& outcome, const std::string& event);
   void TakeTransition(const engine::TransitionEffect& effect);
-  void Adopt(levels::LevelIndex level, const Mark& seen, const std::string& why);
+  void Adopt(levels::LevelIndex level, const DecisionId& seen, const std::string& why);
   void RecordDecision(const levels::Transition& transition, const engine::SharedTrace& trace);
   void Order(const levels::Transition& transition);
   void Alert(engine::AlertEffect alert, const std::string& event);

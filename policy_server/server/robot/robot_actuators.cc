@@ -121,24 +121,25 @@ void Robot::OnActuatorHello(const std::string& host_name, std::shared_ptr<Actuat
     Flush();
     return link->Close(absl::FailedPreconditionError(text));
   }
-  const ShownTerm shown = {.mark = hello.mark, .highest_term = hello.highest_term};
-  const TermJump jump = JudgeTerm(
-      shown, {.term = state_.level.term(), .epoch = state_.level.mark().epoch}, host.pardoned_term);
+  const ShownTerm shown = {.decision_id = hello.decision_id, .highest_term = hello.highest_term};
+  const TermJump jump =
+      JudgeTerm(shown, {.term = state_.level.term(), .epoch = state_.level.decision_id().epoch},
+                host.pardoned_term);
   if (jump != TermJump::kNear) {
     host.refused_term = shown;
     const std::string text = absl::StrCat(
         "actuator ", host_name, hello.peer.empty() ? "" : " at ", hello.peer, " names decision ",
-        ToString(hello.mark), " and term ", hello.highest_term, ", far beyond ours (",
-        ToString(state_.level.mark()), "): not armed; ", TermRemedy(jump, config_.id, host_name),
-        "; otherwise its key may be in other hands");
+        ToString(hello.decision_id), " and term ", hello.highest_term, ", far beyond ours (",
+        ToString(state_.level.decision_id()), "): not armed; ",
+        TermRemedy(jump, config_.id, host_name), "; otherwise its key may be in other hands");
     OwnAlert(engine::Severity::kCritical, text);
     Flush();
     return link->Close(absl::FailedPreconditionError(text));
   }
   host.refused_term.reset();
-  if (!hello.mark.none() && hello.mark < host.verified) {
+  if (!hello.decision_id.none() && hello.decision_id < host.verified) {
     OwnAlert(engine::Severity::kCritical,
-             absl::StrCat("actuator ", host_name, " holds decision ", ToString(hello.mark),
+             absl::StrCat("actuator ", host_name, " holds decision ", ToString(hello.decision_id),
                           " although it has verified ", ToString(host.verified),
                           ": its state was deleted or went back"));
   }
@@ -157,7 +158,7 @@ void Robot::AskAndArm(const Arming& arming) {
   };
   // A term that an actuator has obeyed is never used for other decisions. Ours was drawn at this
   // start: an actuator that this process has not met yet cannot know it.
-  const uint64_t obeyed = std::max(hello.highest_term, hello.mark.term);
+  const uint64_t obeyed = std::max(hello.highest_term, hello.decision_id.term);
   const uint64_t ours = state_.level.term();
   if (obeyed >= (host.met ? ours + 1 : ours)) {
     if (!arming.term) {
@@ -172,11 +173,12 @@ void Robot::AskAndArm(const Arming& arming) {
                           ours, "; commands now carry term ", *arming.term));
     state_.level.RaiseTerm(*arming.term);
   }
-  if (!hello.mark.none()) {
-    const std::optional<std::string> known = KnownLevel(hello.mark);
+  if (!hello.decision_id.none()) {
+    const std::optional<std::string> known = KnownLevel(hello.decision_id);
     if (!known && !arming.level) {
       return ports_.recorder->FindDecision(
-          config_.id, hello.mark, [go_on, next = arming](const FoundDecision& found) mutable {
+          config_.id, hello.decision_id,
+          [go_on, next = arming](const FoundDecision& found) mutable {
             if (found.ok()) next.level = *found;
             go_on(found.status(), next);
           });
@@ -205,13 +207,13 @@ void Robot::Arm(ActuatorHost& host, const Arming& arming) {
   host.session = ActuatorSession{.link = link,
                                  .heard_ns = now.boottime_ns,
                                  .peer_boottime_ns = hello.clock.boottime_ns,
-                                 .beat = {.effective_level = hello.effective_level}};
+                                 .heartbeat = {.effective_level = hello.effective_level}};
   TakeParticipant(absl::StrCat("actuator ", host_name), hello.participant, host.participants);
   host.protected_parts = hello.protected_parts;
   ++sight_.actuator_hellos;
   UpdateBlind(now);
   const levels::LevelIndex held = levels().Find(hello.decided_level).value_or(levels().size() - 1);
-  ledger_.Attach(host_name, hello.mark, held, levels().name(held), hello.programs, now);
+  ledger_.Attach(host_name, hello.decision_id, held, levels().name(held), hello.programs, now);
   if (host.lost) {
     OwnAlert(engine::Severity::kInfo, absl::StrCat("actuator ", host_name, " is back"));
   }
@@ -249,21 +251,23 @@ void Robot::Reconcile(const Arming& arming, const std::optional<std::string>& kn
   const std::string ours = known ? absl::StrCat("which is ", *known, " in this server's history")
                                  : std::string("which this server does not know");
   OwnAlert(engine::Severity::kCritical,
-           absl::StrCat("actuator ", arming.host, " holds decision ", ToString(hello.mark), " (",
-                        levels().name(held), "), ", ours, ": the more restrictive level is ",
+           absl::StrCat("actuator ", arming.host, " holds decision ", ToString(hello.decision_id),
+                        " (", levels().name(held), "), ", ours, ": the more restrictive level is ",
                         "adopted; was the store restored from a backup?"));
   // A pardoned epoch would use up all others, and the term is above its own.
-  const Mark above = hello.mark.epoch > kEpochMax ? Mark{.term = hello.mark.term} : hello.mark;
+  const DecisionId above = hello.decision_id.epoch > kEpochMax
+                               ? DecisionId{.term = hello.decision_id.term}
+                               : hello.decision_id;
   Adopt(held, above,
-        absl::StrCat("actuator ", arming.host, " holds ", ToString(hello.mark), " (",
+        absl::StrCat("actuator ", arming.host, " holds ", ToString(hello.decision_id), " (",
                      levels().name(held), ")"));
 }
 
 // As far as it is known without the store.
-std::optional<std::string> Robot::KnownLevel(const Mark& mark) const {
-  if (mark == state_.level.mark()) return levels().name(state_.level.level());
+std::optional<std::string> Robot::KnownLevel(const DecisionId& decision_id) const {
+  if (decision_id == state_.level.decision_id()) return levels().name(state_.level.level());
   // Perhaps not recorded yet.
-  return ledger_.OrderedLevel(mark);
+  return ledger_.OrderedLevel(decision_id);
 }
 
 void Robot::SendLease(ActuatorSession& session) {
@@ -284,7 +288,7 @@ void Robot::SendLease(ActuatorSession& session) {
   session.link->Grant(
       {.echo_boottime_ns = session.peer_boottime_ns,
        .term = state_.level.term(),
-       .mark = held_back ? ledger_.mark() : state_.level.mark(),
+       .decision_id = held_back ? ledger_.decision_id() : state_.level.decision_id(),
        .level = held_back ? ledger_.level_name() : levels().name(state_.level.level()),
        .ttl_ms = static_cast<uint32_t>(ttl_ns / kNanosPerMilli),
        .evidence_complete = evidence_complete});
@@ -300,8 +304,8 @@ void Robot::SendCommands(Instant now) {
   }
 }
 
-void Robot::OnActuatorBeat(const std::string& host_name, const ActuatorLink* link,
-                           const ActuatorBeat& beat) {
+void Robot::OnActuatorHeartbeat(const std::string& host_name, const ActuatorLink* link,
+                                const ActuatorHeartbeat& heartbeat) {
   const auto it = actuators_.find(host_name);
   if (it == actuators_.end() || !it->second.session || it->second.session->link.get() != link) {
     return;
@@ -309,28 +313,28 @@ void Robot::OnActuatorBeat(const std::string& host_name, const ActuatorLink* lin
   const Instant now = ports_.clock->Now();
   ActuatorSession& session = *it->second.session;
   // On its way because a floor was raised or lifted: not drift.
-  const bool moving = session.beat.effective_level != beat.effective_level ||
-                      session.beat.floor_reason != beat.floor_reason;
+  const bool moving = session.heartbeat.effective_level != heartbeat.effective_level ||
+                      session.heartbeat.floor_reason != heartbeat.floor_reason;
   session.heard_ns = now.boottime_ns;
-  session.peer_boottime_ns = beat.boottime_ns;
+  session.peer_boottime_ns = heartbeat.boottime_ns;
   TellSecond("actuator", host_name, it->second.second);
-  session.beat = beat;
-  const auto effective = levels().Find(beat.effective_level);
+  session.heartbeat = heartbeat;
+  const auto effective = levels().Find(heartbeat.effective_level);
   AdoptFound(host_name, session, effective);
   const bool left =
-      effective && ledger_.OnBeat(host_name, *effective, beat.verified, now) && !moving;
-  const uint64_t drifts = TakeDrifts(it->second.drifts, beat.drifts);
+      effective && ledger_.OnHeartbeat(host_name, *effective, heartbeat.verified, now) && !moving;
+  const uint64_t drifts = TakeDrifts(it->second.drifts, heartbeat.drifts);
   if (left || drifts > 0) {
     OwnAlert(engine::Severity::kHigh,
-             absl::StrCat("the robot no longer is at ", beat.effective_level, " (", beat.observed,
-                          "); actuator ", host_name, " puts it back",
+             absl::StrCat("the robot no longer is at ", heartbeat.effective_level, " (",
+                          heartbeat.observed, "); actuator ", host_name, " puts it back",
                           drifts > 1 ? absl::StrCat(", ", drifts, " times by now") : ""));
     for (uint64_t i = 0; i < std::clamp<uint64_t>(drifts, 1, kDriftsToldMax); ++i) {
       External(engine::AgentEvent{.agent = "actuator", .state = "drift"});
     }
   }
   TellFloor(host_name, it->second);
-  TellDegraded(host_name, it->second, beat.degraded);
+  TellDegraded(host_name, it->second, heartbeat.degraded);
   UpdateActuation(now);
 }
 
@@ -338,7 +342,7 @@ void Robot::OnActuatorBeat(const std::string& host_name, const ActuatorLink* lin
 // we decided, our history lacks the decision.
 void Robot::AdoptFound(const std::string& host_name, ActuatorSession& session,
                        std::optional<levels::LevelIndex> effective) {
-  if (!session.found_above || !effective || session.beat.floor_reason.empty()) return;
+  if (!session.found_above || !effective || session.heartbeat.floor_reason.empty()) return;
   if (*effective <= *session.found_above || *effective <= state_.level.level() ||
       *effective <= session.ordered_most) {
     return;
@@ -349,25 +353,26 @@ void Robot::AdoptFound(const std::string& host_name, ActuatorSession& session,
   OwnAlert(engine::Severity::kCritical,
            absl::StrCat(found, ", above what this server decided: adopted; was the store restored ",
                         "from a backup?"));
-  Adopt(*effective, state_.level.mark(), found);
+  Adopt(*effective, state_.level.decision_id(), found);
 }
 
 void Robot::TellFloor(const std::string& host_name, ActuatorHost& host) {
-  const ActuatorBeat& beat = host.session->beat;
-  if (host.floor_told == beat.floor_reason) return;
-  if (beat.floor_reason.empty()) {
+  const ActuatorHeartbeat& heartbeat = host.session->heartbeat;
+  if (host.floor_told == heartbeat.floor_reason) return;
+  if (heartbeat.floor_reason.empty()) {
     OwnAlert(engine::Severity::kInfo, absl::StrCat("actuator ", host_name, " no longer holds ",
                                                    config_.id, " at a level of its own"));
-  } else if (beat.effective_level == levels().name(state_.level.level())) {
-    OwnAlert(engine::Severity::kHigh,
-             absl::StrCat("actuator ", host_name, " has a floor of its own: ", beat.floor_reason,
-                          "; ", config_.id, " is at ", beat.effective_level, " as decided"));
+  } else if (heartbeat.effective_level == levels().name(state_.level.level())) {
+    OwnAlert(
+        engine::Severity::kHigh,
+        absl::StrCat("actuator ", host_name, " has a floor of its own: ", heartbeat.floor_reason,
+                     "; ", config_.id, " is at ", heartbeat.effective_level, " as decided"));
   } else {
     OwnAlert(engine::Severity::kHigh,
              absl::StrCat("actuator ", host_name, " holds ", config_.id, " at ",
-                          beat.effective_level, " by itself: ", beat.floor_reason));
+                          heartbeat.effective_level, " by itself: ", heartbeat.floor_reason));
   }
-  host.floor_told = beat.floor_reason;
+  host.floor_told = heartbeat.floor_reason;
 }
 
 void Robot::TellDegraded(const std::string& host_name, ActuatorHost& host,
@@ -398,8 +403,9 @@ void Robot::OnReceipt(const std::string& host_name, const ActuatorLink* link,
     AdvanceDrill(now);
     return Flush();
   }
-  if (receipt.stage == Receipt::Stage::kVerified && receipt.mark <= state_.level.mark()) {
-    it->second.verified = std::max(it->second.verified, receipt.mark);
+  if (receipt.stage == Receipt::Stage::kVerified &&
+      receipt.decision_id <= state_.level.decision_id()) {
+    it->second.verified = std::max(it->second.verified, receipt.decision_id);
   }
   const ReceiptResult result = ledger_.OnReceipt(host_name, receipt, now);
   if (result.stale_term) {
@@ -426,7 +432,7 @@ void Robot::UpdateActuation(Instant now) {
     reported_stage_ = stage;
     std::string detail = ledger_.failure();
     outbox_.AddStage({.robot = config_.id,
-                      .mark = ledger_.mark(),
+                      .decision_id = ledger_.decision_id(),
                       .stage = std::string(ToString(stage)),
                       .detail = detail});
     if (stage == Stage::kFailed && !failure_alerted_) {
@@ -443,7 +449,7 @@ void Robot::UpdateActuation(Instant now) {
   engine::Actuation actuation = engine::Actuation::kPending;
   if (!leased) {
     actuation = engine::Actuation::kNoLease;
-  } else if (ledger_.mark() == state_.level.mark()) {
+  } else if (ledger_.decision_id() == state_.level.decision_id()) {
     if (stage == Stage::kVerified) actuation = engine::Actuation::kVerified;
     if (stage == Stage::kFailed) actuation = engine::Actuation::kFailed;
   }

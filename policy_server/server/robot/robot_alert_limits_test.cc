@@ -69,7 +69,7 @@ class AlertFloodTest : public RobotTest {
 TEST_F(AlertFloodTest, ByReasonsForAFloor) {
   EXPECT_LE(Flood([&](uint64_t i) {
               floor_ = i % 2 == 0 ? "" : Text(1'024, i);
-              Beat();
+              Heartbeat();
             }),
             3 * kKindBytes);
 }
@@ -79,7 +79,7 @@ TEST_F(AlertFloodTest, ByWhatIsDegraded) {
               degraded_.clear();
               for (uint64_t k = 0; i % 2 == 0 && k < 8; ++k)
                 degraded_.push_back(Text(256, 8 * i + k));
-              Beat();
+              Heartbeat();
             }),
             3 * kKindBytes);
 }
@@ -87,11 +87,11 @@ TEST_F(AlertFloodTest, ByWhatIsDegraded) {
 TEST_F(AlertFloodTest, ByDriftsAndWhatIsObserved) {
   EXPECT_LE(Flood([&](uint64_t i) {
               drifts_ = i;
-              robot_->OnActuatorBeat("base", actuator_.get(),
-                                     {.boottime_ns = Boottime(),
-                                      .effective_level = "DEFAULT",
-                                      .observed = Text(4'096, i),
-                                      .drifts = drifts_});
+              robot_->OnActuatorHeartbeat("base", actuator_.get(),
+                                          {.boottime_ns = Boottime(),
+                                           .effective_level = "DEFAULT",
+                                           .observed = Text(4'096, i),
+                                           .drifts = drifts_});
             }),
             3 * kKindBytes);
 }
@@ -113,11 +113,11 @@ TEST_F(AlertFloodTest, ByTheStatusOfAStreamThatIsClosed) {
   EXPECT_LE(actuator_->closed.message().size(), 4'096u) << "gRPC sends it as a header";
 }
 
-TEST_F(AlertFloodTest, ByHellosWithMarksAndTermsOfAllKinds) {
+TEST_F(AlertFloodTest, ByHellosWithDecisionIdsAndTermsOfAllKinds) {
   EXPECT_LE(Flood([&](uint64_t i) {
               ActuatorHello hello = Hello();
               hello.state_lost = i % 2 == 0;
-              hello.mark = {.term = i % 3 == 0 ? uint64_t{1} << 50 : i, .epoch = i};
+              hello.decision_id = {.term = i % 3 == 0 ? uint64_t{1} << 50 : i, .epoch = i};
               hello.decided_level = "DEFAULT";
               hello.peer = absl::StrCat("ipv4:10.0.0.", i % 250, ":1");
               hello.participant = Participant(2);
@@ -133,8 +133,8 @@ TEST_F(AlertFloodTest, BySecondSessions) {
               robot_->OnActuatorHello("base", std::make_shared<FakeActuator>(), hello);
               robot_->OnSensorHello("base", std::make_shared<FakeSensor>(),
                                     {.incarnation = kIncarnation, .peer = hello.peer});
-              Beat();
-              BeatSensor();
+              Heartbeat();
+              SendSensorHeartbeat();
             }),
             4 * kKindBytes);
 }
@@ -143,12 +143,12 @@ TEST_F(AlertFloodTest, ByReceiptsOfEachStage) {
   EXPECT_LE(Flood([&](uint64_t i) {
               robot_->OnReceipt("base", actuator_.get(),
                                 {.command_id = actuator_->commands.back().id,
-                                 .mark = robot_->Status().mark,
+                                 .decision_id = robot_->Status().decision_id,
                                  .stage = static_cast<Receipt::Stage>(i % 7),
                                  .output_tail = Text(65'536, i),
                                  .detail = Text(4'096, i),
                                  .effective_level = "DEFAULT"});
-              Beat();
+              Heartbeat();
             }),
             6 * kKindBytes);
 }
@@ -164,7 +164,7 @@ TEST_F(AlertFloodTest, ByFindings) {
                                                         .detail = Text(512, i)}});
               }
               SendBatch(Lane::kControl, std::move(findings));
-              Beat();
+              Heartbeat();
             }),
             kKindBytes);
 }
@@ -174,7 +174,7 @@ TEST_F(AlertFloodTest, ByFindingsOfKindsThatAreMadeUp) {
               SendBatch(
                   Lane::kControl,
                   {{.what = FindingSeen{.kind = absl::StrCat("k", i), .detail = Text(512, i)}}});
-              Beat();
+              Heartbeat();
             }),
             kKindBytes);
 }
@@ -187,7 +187,7 @@ TEST_F(AlertFloodTest, ByWhatASensorCannotSee) {
                 state.not_visible.push_back(Text(1'024, 64 * i + k));
               }
               SendBatch(Lane::kControl, {{.what = state}});
-              Beat();
+              Heartbeat();
             }),
             4 * kKindBytes);
 }
@@ -197,7 +197,7 @@ TEST_F(AlertFloodTest, ByLossesThatAddUpToMoreThanANumberHolds) {
       Flood([&](uint64_t) {
         SendBatch(Lane::kControl, {{.what = LossSeen{.count = UINT64_MAX, .cause = "queue"}}});
         SendBatch(Lane::kControl, {{.what = LossSeen{.count = UINT64_MAX, .cause = "queue"}}});
-        Beat();
+        Heartbeat();
       }),
       3 * kKindBytes);
   const std::vector<SensorCoverage> coverage = robot_->Coverage();
@@ -213,7 +213,7 @@ TEST_F(AlertFloodTest, ByGapsInManyAnnouncedRanges) {
               }
               robot_->OnSensorGone("base", sensor_.get());
               ConnectSensor(ranges);
-              Beat();
+              Heartbeat();
             }),
             8 * kKindBytes);
   EXPECT_EQ(robot_->Coverage()[0].lost, UINT64_MAX);
@@ -239,7 +239,7 @@ TEST_F(AlertFloodTest, ClocksAtTheirLimitsOverflowNothing) {
       robot_->OnSensorHello(
           "base", sensor_,
           {.incarnation = kIncarnation, .clock = {.boottime_ns = hello_ns, .unix_ns = hello_ns}});
-      robot_->OnSensorBeat(
+      robot_->OnSensorHeartbeat(
           "base", sensor_.get(),
           {.clock = {.boottime_ns = seen_ns, .unix_ns = seen_ns}, .echo_boottime_ns = seen_ns});
       SendBatch(Lane::kControl, {{.boottime_ns = seen_ns,

@@ -72,7 +72,8 @@ void Robot::UpdateBlind(Instant now) {
 bool Robot::PartsVerified(Instant now) const {
   return std::any_of(actuators_.begin(), actuators_.end(), [&](const auto& entry) {
     const ActuatorHost& host = entry.second;
-    return ActuatorLive(host, now) && !host.protected_parts.empty() && host.session->beat.verified;
+    return ActuatorLive(host, now) && !host.protected_parts.empty() &&
+           host.session->heartbeat.verified;
   });
 }
 

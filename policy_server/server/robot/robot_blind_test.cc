@@ -129,7 +129,7 @@ TEST_F(RobotBlindTest, AnOperatorIsToldThatNobodyIsSeen) {
                    .to = "DEFAULT",
                    .reason = "r",
                    .expected_level = "ALERT",
-                   .expected_mark = robot_->Status().mark,
+                   .expected_decision_id = robot_->Status().decision_id,
                    .request_id = "1"};
   robot_->DeEscalate(order, [&](const LevelAnswer& got) { answer = got; });
   Drain();

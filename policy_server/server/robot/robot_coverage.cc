@@ -80,12 +80,13 @@ std::vector<SensorInterest> Robot::SensorInterests() const {
   return out;
 }
 
-void Robot::OnSensorBeat(const std::string& host, const SensorLink* link, const SensorBeat& beat) {
+void Robot::OnSensorHeartbeat(const std::string& host, const SensorLink* link,
+                              const SensorHeartbeat& heartbeat) {
   SensorSession* session = HearSensor(host, link);
   if (session == nullptr) return;
-  session->peer_boottime_ns = beat.clock.boottime_ns;
+  session->peer_boottime_ns = heartbeat.clock.boottime_ns;
   TellSecond("sensor", host, sensors_[host].second);
-  if (!session->skew.Beat(beat, ports_.clock->Now())) return;
+  if (!session->skew.Heartbeat(heartbeat, ports_.clock->Now())) return;
   OwnAlert(engine::Severity::kMedium,
            absl::StrCat("the wall clock of sensor ", host, " is off by about ",
                         *session->skew.estimate_ns() / kNanosPerMilli, " ms"));

@@ -182,20 +182,21 @@ TEST_F(RobotCoverageTest, ThreeRestartsWithinTenMinutesAreTold) {
 
 TEST_F(RobotCoverageTest, AClockThatIsOffIsToldOnce) {
   Begin();
-  sensor_beats_ = false;
-  const auto beat = [&](int64_t ahead_ms) {
+  sensor_heartbeats_ = false;
+  const auto heartbeat = [&](int64_t ahead_ms) {
     Pass(500);
-    robot_->OnSensorBeat("base", sensor_.get(),
-                         {.clock = {.boottime_ns = Boottime(),
-                                    .unix_ns = clock_.Now().unix_ns + ahead_ms * kNanosPerMilli},
-                          .echo_boottime_ns = Boottime()});
+    robot_->OnSensorHeartbeat(
+        "base", sensor_.get(),
+        {.clock = {.boottime_ns = Boottime(),
+                   .unix_ns = clock_.Now().unix_ns + ahead_ms * kNanosPerMilli},
+         .echo_boottime_ns = Boottime()});
     Pass(50);
   };
-  for (int i = 0; i < 10; ++i) beat(10'000);
+  for (int i = 0; i < 10; ++i) heartbeat(10'000);
   EXPECT_EQ(audience_.Count("wall clock of sensor base is off by about 10000 ms"), 1);
   EXPECT_EQ(audience_.Count("rule skew"), 1);
   EXPECT_EQ(Base().clock_skew_ns, 10 * kNanosPerSecond);
-  for (int i = 0; i < 10; ++i) beat(0);
+  for (int i = 0; i < 10; ++i) heartbeat(0);
   EXPECT_EQ(Base().clock_skew_ns, 0);
   EXPECT_EQ(audience_.Count("rule skew"), 1) << "it is silent when it is over";
 }

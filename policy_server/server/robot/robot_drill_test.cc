@@ -147,10 +147,11 @@ TEST_F(RobotDrillTest, ANewSessionDoesNotGoOnWithIt) {
   Start();
   Arm();
   Begin();
-  actuator_beats_ = false;
+  actuator_heartbeats_ = false;
   Pass(2000);
-  ConnectActuator(
-      {.mark = robot_->Status().mark, .decided_level = "DEFAULT", .effective_level = "DEFAULT"});
+  ConnectActuator({.decision_id = robot_->Status().decision_id,
+                   .decided_level = "DEFAULT",
+                   .effective_level = "DEFAULT"});
   Pass(100);
   ASSERT_TRUE(answer_.has_value());
   EXPECT_EQ(answer_->drills[0].stage, Told::kUnknown);
@@ -203,7 +204,7 @@ TEST_F(RobotDrillTest, ReceiptsOfLevelsAreKeptAndTheAlertNamesTheSteps) {
   const std::string id = actuator_->commands.back().id;
   robot_->OnReceipt("base", actuator_.get(),
                     {.command_id = id,
-                     .mark = set.mark,
+                     .decision_id = set.decision_id,
                      .stage = Told::kFailed,
                      .steps = {{.step = "system_mode /safety=ALERT", .ok = true},
                                {.step = "program horn",

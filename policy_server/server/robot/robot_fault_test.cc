@@ -181,7 +181,7 @@ TEST_F(RobotTest, ASilentSensorIsLostAndTheLevelStays) {
   IntruderAppears();
   Obey();
   IntruderLeaves();
-  sensor_beats_ = false;
+  sensor_heartbeats_ = false;
 
   Pass(30'000);
 
@@ -205,7 +205,7 @@ TEST_F(RobotTest, ASilentActuatorMakesBlind) {
   IntruderAppears();
   Obey();
   IntruderLeaves();
-  actuator_beats_ = false;
+  actuator_heartbeats_ = false;
 
   Pass(30'000);
 
@@ -222,7 +222,7 @@ TEST_F(RobotTest, ASecondLiveSessionIsRefusedAndASilentOneReplaced) {
   EXPECT_THAT(sensor_->closed, StatusIs(absl::StatusCode::kAlreadyExists));
 
   sensor_ = first;
-  sensor_beats_ = false;
+  sensor_heartbeats_ = false;
   Pass(1'600);
   ConnectSensor();
   EXPECT_THAT(sensor_->closed, IsOk());
@@ -249,7 +249,7 @@ TEST_F(RobotTest, ASessionFromAnotherAddressIsTold) {
   Start();
   Arm();
   const auto connect = [this](const std::string& peer) {
-    sensor_beats_ = false;
+    sensor_heartbeats_ = false;
     Pass(1'600);
     robot_->OnSensorHello("base", std::make_shared<FakeSensor>(),
                           {.incarnation = "fedcba9876543210", .clock = clock_.Now(), .peer = peer});
@@ -289,7 +289,7 @@ TEST_F(RobotTest, WhereAnActuatorWithoutStateWasOrderedIsNotAdopted) {
                       .to = "DEFAULT",
                       .reason = "over",
                       .expected_level = "HALT",
-                      .expected_mark = robot_->Status().mark,
+                      .expected_decision_id = robot_->Status().decision_id,
                       .accept_blind = true},
                      [](const LevelAnswer& answer) { EXPECT_THAT(answer.status, IsOk()); });
   Drain();
@@ -314,7 +314,7 @@ TEST_F(RobotTest, AnActuatorWhoseStateWentBackIsTold) {
   Obey();
   Pass(100);
   robot_->OnActuatorGone("base", actuator_.get());
-  ConnectActuator({.mark = {1, 1},
+  ConnectActuator({.decision_id = {1, 1},
                    .decided_level = "DEFAULT",
                    .effective_level = "DEFAULT",
                    .highest_term = 1});
@@ -324,7 +324,7 @@ TEST_F(RobotTest, AnActuatorWhoseStateWentBackIsTold) {
 
 TEST_F(RobotTest, ATermFarBeyondOursArmsNothingAndRaisesNoTerm) {
   Start();
-  ConnectActuator({.mark = {uint64_t{1} << 62, 1},
+  ConnectActuator({.decision_id = {uint64_t{1} << 62, 1},
                    .decided_level = "HALT",
                    .effective_level = "HALT",
                    .highest_term = uint64_t{1} << 62});
@@ -403,14 +403,14 @@ TEST_F(RobotTest, ASecondHolderOfAnActuatorsKeyIsTold) {
 TEST_F(RobotTest, AnAgentThatStartsAnewIsNoSecondHolder) {
   Start();
   Arm();
-  sensor_beats_ = false;
+  sensor_heartbeats_ = false;
   Pass(200);
   robot_->OnSensorHello("base", std::make_shared<FakeSensor>(),
                         {.incarnation = "fedcba9876543210", .clock = clock_.Now()});
   // A heartbeat of the process that is gone was underway.
-  BeatSensor();
+  SendSensorHeartbeat();
   Pass(1'500);
-  sensor_beats_ = true;
+  sensor_heartbeats_ = true;
   ConnectSensor();
   Pass(3'000);
   EXPECT_EQ(audience_.Count("a second process"), 0);
@@ -432,7 +432,7 @@ TEST_F(RobotTest, MessagesOfAReplacedSessionAreIgnored) {
   Start();
   Arm();
   const auto first = sensor_;
-  sensor_beats_ = false;
+  sensor_heartbeats_ = false;
   Pass(1'600);
   ConnectSensor();
 

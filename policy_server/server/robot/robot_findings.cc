@@ -44,7 +44,7 @@ bool Robot::TakeFinding(const std::string& host_name, const std::string& incarna
       .severity = engine::Severity::kHigh,
       .text = absl::StrCat("sensor ", host_name, ": ", Text(finding)),
       .level = state_.level.level(),
-      .mark = state_.level.mark()};
+      .decision_id = state_.level.decision_id()};
   // A sensor may make kinds up, and each kind has its own limit.
   const bool listed = IsKindOfRules(finding.kind);
   if (own_alert_limiter_.Admit(listed ? absl::StrCat("finding ", finding.kind) : "finding", alert,

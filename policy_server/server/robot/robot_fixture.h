@@ -48,11 +48,11 @@ class FakeRecorder final : public Recorder {
     if (!held) Release();
   }
   bool healthy() const override { return healthy_; }
-  void FindDecision(const std::string&, const Mark& mark,
+  void FindDecision(const std::string&, const DecisionId& decision_id,
                     std::function<void(const FoundDecision&)> done) override {
-    Answer([this, mark, done = std::move(done)] {
+    Answer([this, decision_id, done = std::move(done)] {
       for (const store::DecisionRecord& decision : decisions) {
-        if (decision.mark == mark) return done(decision.to);
+        if (decision.decision_id == decision_id) return done(decision.to);
       }
       done(std::nullopt);
     });
@@ -121,7 +121,7 @@ class FakeRecorder final : public Recorder {
   store::Variables variables;
   bool rules_halted = false;
   bool soft_suspended = false;
-  Mark resumed_at;
+  DecisionId resumed_at;
   std::vector<store::Generation> generations = {{.id = std::string(16, 'g')}};
 
  private:
@@ -179,8 +179,8 @@ class RobotTest : public ::testing::Test {
   void Pass(int64_t ms) {
     for (int64_t passed = 0; passed < ms; passed += 50) {
       clock_.Advance(50 * kNanosPerMilli);
-      if (sensor_ && sensor_beats_) BeatSensor();
-      if (actuator_ && actuator_beats_) Beat();
+      if (sensor_ && sensor_heartbeats_) SendSensorHeartbeat();
+      if (actuator_ && actuator_heartbeats_) Heartbeat();
       robot_->OnTime();
       Drain();
     }
@@ -194,9 +194,9 @@ class RobotTest : public ::testing::Test {
     AnswerInterest();
     Drain();
   }
-  void BeatSensor() {
-    robot_->OnSensorBeat("base", sensor_.get(),
-                         {.clock = clock_.Now(), .echo_boottime_ns = Boottime()});
+  void SendSensorHeartbeat() {
+    robot_->OnSensorHeartbeat("base", sensor_.get(),
+                              {.clock = clock_.Now(), .echo_boottime_ns = Boottime()});
   }
   void AnswerInterest(const std::string& problem = "") {
     robot_->OnInterestAnswer("base", sensor_.get(),
@@ -211,25 +211,27 @@ class RobotTest : public ::testing::Test {
     robot_->OnActuatorHello("base", actuator_, hello);
     Drain();
   }
-  void Beat() {
-    robot_->OnActuatorBeat("base", actuator_.get(),
-                           {.boottime_ns = Boottime(),
-                            .effective_level = effective_,
-                            .observed = absl::StrCat("/safety=", effective_),
-                            .verified = verified_,
-                            .floor_reason = floor_,
-                            .degraded = degraded_,
-                            .drifts = drifts_});
+  void Heartbeat() {
+    robot_->OnActuatorHeartbeat("base", actuator_.get(),
+                                {.boottime_ns = Boottime(),
+                                 .effective_level = effective_,
+                                 .observed = absl::StrCat("/safety=", effective_),
+                                 .verified = verified_,
+                                 .floor_reason = floor_,
+                                 .degraded = degraded_,
+                                 .drifts = drifts_});
   }
   // The actuator obeys its newest level command.
   void Obey(Receipt::Stage stage = Receipt::Stage::kVerified, const std::string& detail = "") {
     ASSERT_NE(actuator_->level(), nullptr);
     const SetLevel set = *actuator_->level();
     const std::string id = actuator_->commands.back().id;
-    robot_->OnReceipt("base", actuator_.get(),
-                      {.command_id = id, .mark = set.mark, .stage = Receipt::Stage::kAcknowledged});
-    robot_->OnReceipt("base", actuator_.get(),
-                      {.command_id = id, .mark = set.mark, .stage = stage, .detail = detail});
+    robot_->OnReceipt(
+        "base", actuator_.get(),
+        {.command_id = id, .decision_id = set.decision_id, .stage = Receipt::Stage::kAcknowledged});
+    robot_->OnReceipt(
+        "base", actuator_.get(),
+        {.command_id = id, .decision_id = set.decision_id, .stage = stage, .detail = detail});
     if (stage == Receipt::Stage::kVerified) {
       effective_ = set.to;
       verified_ = true;
@@ -334,8 +336,8 @@ class RobotTest : public ::testing::Test {
   std::shared_ptr<FakeInspector> inspector_ = std::make_shared<FakeInspector>();
   std::shared_ptr<FakeSensor> sensor_;
   std::shared_ptr<FakeActuator> actuator_;
-  bool sensor_beats_ = true;
-  bool actuator_beats_ = true;
+  bool sensor_heartbeats_ = true;
+  bool actuator_heartbeats_ = true;
   std::string effective_;
   bool verified_ = false;
   std::string floor_;

@@ -153,7 +153,7 @@ TEST_F(GraphOrderTest, AWaitingMessageDoesNotMakeASilentSensorLookAlive) {
   Start();
   Arm();
   SendBatch(Lane::kMessages, {Drive(9, 7)});
-  sensor_beats_ = false;
+  sensor_heartbeats_ = false;
   Pass(6'500);
   EXPECT_FALSE(sensor_->closed.ok());
 }

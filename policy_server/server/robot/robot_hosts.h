@@ -95,7 +95,7 @@ struct ActuatorSession {
   levels::LevelIndex ordered_most = 0;
   int64_t heard_ns = 0;
   int64_t peer_boottime_ns = 0;
-  ActuatorBeat beat;
+  ActuatorHeartbeat heartbeat;
 };
 
 // An actuator host of the inventory, with or without a session.
@@ -116,7 +116,7 @@ struct ActuatorHost {
   // It has had a session since this process began.
   bool met = false;
   // The newest decision that it verified.
-  Mark verified;
+  DecisionId verified;
   // Of the hello that was refused last for it, until one is accepted.
   std::optional<ShownTerm> refused_term;
   // What an administrator let the server go above.
@@ -136,7 +136,7 @@ struct Arming {
 
 // CLOCK_BOOTTIME.
 struct NextTimes {
-  int64_t beat_ns = 0;
+  int64_t heartbeat_ns = 0;
   int64_t tick_ns = 0;
   int64_t checkpoint_ns = 0;
 };

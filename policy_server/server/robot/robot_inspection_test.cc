@@ -224,7 +224,7 @@ TEST_F(RobotInspectionTest, ACrashStopsTheRulesUntilAnOperatorResumesThem) {
   EXPECT_THAT(audience_.rule_logs, SizeIs(1));
 
   // A restart changes nothing.
-  store::RobotRecord record{.level = "HALT", .mark = {1, 2}, .rules_halted = true};
+  store::RobotRecord record{.level = "HALT", .decision_id = {1, 2}, .rules_halted = true};
   Start(kCrashing, record, 2);
   ConnectSensor();
   next_sequence_[0] = 1;

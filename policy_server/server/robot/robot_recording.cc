@@ -55,7 +55,8 @@ void Robot::OnRecorded(const absl::Status& status) {
   }
   Acknowledge(settled.judged);
   for (const levels::Transition& lowering : settled.lowerings) OrderRecorded(lowering);
-  for (const store::DecisionRecord& decision : settled.decisions) orders_.OnDurable(decision.mark);
+  for (const store::DecisionRecord& decision : settled.decisions)
+    orders_.OnDurable(decision.decision_id);
   PublishStatus();
   Flush();
 }
@@ -76,9 +77,9 @@ void Robot::Acknowledge(const store::HighWater& judged) {
 }
 
 void Robot::OrderRecorded(const levels::Transition& lowering) {
-  outbox_.Release(lowering.mark);
+  outbox_.Release(lowering.decision_id);
   // A raise may have been decided meanwhile: then that one has been commanded already.
-  if (lowering.mark != state_.level.mark()) return;
+  if (lowering.decision_id != state_.level.decision_id()) return;
   if (lowering.cause.kind == levels::Cause::Kind::kRule && lowering.lowers()) {
     // What a rule saw must hold until its lowering leaves.
     UpdateEvidence(ports_.clock->Now());
@@ -98,7 +99,7 @@ void Robot::SaveRaises() {
                           [this, raises, post = ports_.post](const absl::Status& status) {
                             if (!status.ok()) return;
                             post([this, raises] {
-                              for (const auto& raise : raises) orders_.OnDurable(raise.mark);
+                              for (const auto& raise : raises) orders_.OnDurable(raise.decision_id);
                             });
                           });
 }
@@ -106,11 +107,11 @@ void Robot::SaveRaises() {
 void Robot::TakeBack(const levels::Transition& lowering, engine::Severity severity,
                      std::string why) {
   const std::string text = absl::StrCat("a lowering was taken back: ", std::move(why));
-  orders_.Refuse(lowering.mark, absl::FailedPreconditionError(text));
-  outbox_.Release(lowering.mark);
+  orders_.Refuse(lowering.decision_id, absl::FailedPreconditionError(text));
+  outbox_.Release(lowering.decision_id);
   if (state_.level.level() >= lowering.from) return;
   OwnAlert(severity, text);
-  Adopt(lowering.from, state_.level.mark(), text);
+  Adopt(lowering.from, state_.level.decision_id(), text);
 }
 
 }  // namespace rips::pipeline

@@ -15,7 +15,7 @@ LevelOrder Lower(const std::string& to, const RobotStatus& seen) {
           .to = to,
           .reason = "checked on site",
           .expected_level = seen.decided_level,
-          .expected_mark = seen.mark,
+          .expected_decision_id = seen.decision_id,
           .request_id = "q1"};
 }
 
@@ -27,7 +27,7 @@ TEST_F(RobotTest, StartsWithARecordedDecisionAtTheStartLevel) {
 
   ASSERT_EQ(recorder_.decisions.size(), 1u);
   EXPECT_EQ(recorder_.decisions[0].to, "DEFAULT");
-  EXPECT_EQ(recorder_.decisions[0].mark, (Mark{1, 1}));
+  EXPECT_EQ(recorder_.decisions[0].decision_id, (DecisionId{1, 1}));
   EXPECT_EQ(recorder_.decisions[0].reason, "first start");
   EXPECT_EQ(Stage(), "requested");
 }
@@ -63,7 +63,7 @@ TEST_F(RobotTest, TellsThePapersStory) {
   Drain();
   EXPECT_THAT(answer.status, IsOk());
   EXPECT_EQ(Level(), "ALERT");
-  EXPECT_EQ(actuator_->level()->based_on, (Mark{1, 3}));
+  EXPECT_EQ(actuator_->level()->based_on, (DecisionId{1, 3}));
   Obey();
 
   Pass(4'500);
@@ -77,7 +77,7 @@ TEST_F(RobotTest, ADecisionThatWasOvertakenIsRecordedAsSuperseded) {
   Start();
   Arm();
   IntruderAppears();
-  const Mark overtaken = robot_->Status().mark;
+  const DecisionId overtaken = robot_->Status().decision_id;
   ros2::GraphDelta delta;
   AddNode(&delta, 9, "/intruder", "/cmd_vel");
   SendDelta(std::move(delta));
@@ -87,7 +87,7 @@ TEST_F(RobotTest, ADecisionThatWasOvertakenIsRecordedAsSuperseded) {
 
   EXPECT_THAT(recorder_.stages,
               Contains(store::StageUpdate{
-                  .robot = "r1", .mark = overtaken, .stage = "superseded", .detail = ""}));
+                  .robot = "r1", .decision_id = overtaken, .stage = "superseded", .detail = ""}));
   EXPECT_EQ(recorder_.stages.back().stage, "verified");
 }
 
@@ -163,7 +163,7 @@ rules External:
 TEST_F(RobotTest, ARestoredHistoryLowersNothing) {
   struct Case {
     const char* what;
-    Mark held;
+    DecisionId held;
     const char* held_level;
     const char* expected;
   };
@@ -176,12 +176,12 @@ TEST_F(RobotTest, ARestoredHistoryLowersNothing) {
   };
   for (const Case& each : cases) {
     SCOPED_TRACE(each.what);
-    recorder_.decisions = {{.robot = "r1", .mark = {6, 9}, .to = "ALERT"},
-                           {.robot = "r1", .mark = {6, 10}, .to = "COMPROMISED"}};
+    recorder_.decisions = {{.robot = "r1", .decision_id = {6, 9}, .to = "ALERT"},
+                           {.robot = "r1", .decision_id = {6, 10}, .to = "COMPROMISED"}};
     audience_.alerts.clear();
-    Start(kPaperRules, {.level = "COMPROMISED", .mark = {6, 10}}, 7);
+    Start(kPaperRules, {.level = "COMPROMISED", .decision_id = {6, 10}}, 7);
     ConnectSensor();
-    ConnectActuator({.mark = each.held,
+    ConnectActuator({.decision_id = each.held,
                      .decided_level = each.held_level,
                      .effective_level = each.held_level,
                      .highest_term = 6});
@@ -189,14 +189,14 @@ TEST_F(RobotTest, ARestoredHistoryLowersNothing) {
     const bool contradicts = std::string(each.what) != "a known decision under its own level";
     EXPECT_EQ(audience_.Count("the more restrictive level is adopted"), contradicts ? 1 : 0);
     EXPECT_NE(Stage(), "verified");
-    EXPECT_EQ(robot_->Status().mark > each.held, contradicts || each.held.epoch == 9);
+    EXPECT_EQ(robot_->Status().decision_id > each.held, contradicts || each.held.epoch == 9);
   }
 }
 
 TEST_F(RobotTest, ATermThatAnActuatorKnowsBeforeItMetUsIsNotOurs) {
-  Start(kPaperRules, {.level = "DEFAULT", .mark = {6, 10}}, 7);
-  recorder_.decisions = {{.robot = "r1", .mark = {6, 10}, .to = "DEFAULT"}};
-  ConnectActuator({.mark = {6, 10},
+  Start(kPaperRules, {.level = "DEFAULT", .decision_id = {6, 10}}, 7);
+  recorder_.decisions = {{.robot = "r1", .decision_id = {6, 10}, .to = "DEFAULT"}};
+  ConnectActuator({.decision_id = {6, 10},
                    .decided_level = "DEFAULT",
                    .effective_level = "DEFAULT",
                    .highest_term = 7});
@@ -204,9 +204,9 @@ TEST_F(RobotTest, ATermThatAnActuatorKnowsBeforeItMetUsIsNotOurs) {
   EXPECT_EQ(audience_.Count("has obeyed term 7, our term is 7"), 1);
   EXPECT_EQ(actuator_->leases.back().term, 8u);
 
-  actuator_beats_ = false;
+  actuator_heartbeats_ = false;
   Pass(3'000);
-  ConnectActuator({.mark = {6, 10},
+  ConnectActuator({.decision_id = {6, 10},
                    .decided_level = "DEFAULT",
                    .effective_level = "DEFAULT",
                    .highest_term = 8});
@@ -307,7 +307,7 @@ TEST_F(RobotTest, TakesALoweringBackThatCannotBeRecorded) {
   for (const Command& command : actuator_->commands) {
     const auto* set = std::get_if<SetLevel>(&command.what);
     ASSERT_NE(set, nullptr);
-    EXPECT_FALSE(set->to == "DEFAULT" && set->mark > (Mark{1, 1}));
+    EXPECT_FALSE(set->to == "DEFAULT" && set->decision_id > (DecisionId{1, 1}));
   }
   recorder_.fail = absl::OkStatus();
   Pass(2'000);
@@ -327,7 +327,7 @@ TEST_F(RobotTest, ALoweringByARuleIsTakenBackIfItsSensorLeavesWhileItIsRecorded)
   Pass(6'000);
   ASSERT_EQ(Level(), "DEFAULT");
   EXPECT_EQ(Stage(), "requested") << "that ALERT is verified says nothing of it";
-  const Mark lowering = robot_->Status().mark;
+  const DecisionId lowering = robot_->Status().decision_id;
   actuator_->commands.clear();
 
   robot_->OnSensorGone("base", sensor_.get());
@@ -344,7 +344,7 @@ TEST_F(RobotTest, ALoweringByARuleIsTakenBackIfItsSensorLeavesWhileItIsRecorded)
     ASSERT_NE(set, nullptr);
     EXPECT_EQ(set->to, "ALERT");
   }
-  EXPECT_EQ(robot_->Status().mark.term, lowering.term) << "the store gave no other";
+  EXPECT_EQ(robot_->Status().decision_id.term, lowering.term) << "the store gave no other";
 }
 
 TEST_F(RobotTest, RefusesToLowerWhileTheStoreFails) {
@@ -376,12 +376,13 @@ TEST_F(RobotTest, RestartKeepsLevelAndVariablesAndEntersNothingTwice) {
   Obey();
   Pass(1'100);
   store::RobotRecord record{.level = "ALERT",
-                            .mark = recorder_.decisions.back().mark,
+                            .decision_id = recorder_.decisions.back().decision_id,
                             .variables = recorder_.variables,
                             .high_water = recorder_.high_water};
 
   Start(kPaperRules, record, /*term=*/2);
-  ConnectActuator({.mark = record.mark, .decided_level = "ALERT", .effective_level = "ALERT"});
+  ConnectActuator(
+      {.decision_id = record.decision_id, .decided_level = "ALERT", .effective_level = "ALERT"});
   verified_ = true;
   Pass(200);
 
@@ -402,20 +403,21 @@ TEST_F(RobotTest, RestartKeepsLevelAndVariablesAndEntersNothingTwice) {
 TEST_F(RobotTest, AdoptsAMoreRestrictiveLevelThatItDoesNotKnow) {
   Start();
 
-  ConnectActuator({.mark = {1, 7},
+  ConnectActuator({.decision_id = {1, 7},
                    .decided_level = "COMPROMISED",
                    .effective_level = "COMPROMISED",
                    .highest_term = 1});
 
   EXPECT_EQ(Level(), "COMPROMISED");
-  EXPECT_GT(robot_->Status().mark, (Mark{1, 7}));
+  EXPECT_GT(robot_->Status().decision_id, (DecisionId{1, 7}));
   EXPECT_EQ(audience_.Count("does not know"), 1);
 }
 
 TEST_F(RobotTest, AnUnknownLowerLevelDoesNotLower) {
-  Start(kPaperRules, {.level = "COMPROMISED", .mark = {1, 5}}, 2);
+  Start(kPaperRules, {.level = "COMPROMISED", .decision_id = {1, 5}}, 2);
 
-  ConnectActuator({.mark = {1, 9}, .decided_level = "DEFAULT", .effective_level = "DEFAULT"});
+  ConnectActuator(
+      {.decision_id = {1, 9}, .decided_level = "DEFAULT", .effective_level = "DEFAULT"});
 
   EXPECT_EQ(Level(), "COMPROMISED");
   EXPECT_EQ(actuator_->level()->to, "COMPROMISED");
@@ -655,7 +657,7 @@ TEST_F(RobotTest, ARepeatedRequestGetsItsFirstAnswer) {
   Drain();
 
   EXPECT_THAT(second.status, IsOk());
-  EXPECT_EQ(first.mark, second.mark);
+  EXPECT_EQ(first.decision_id, second.decision_id);
   EXPECT_EQ(recorder_.decisions.size(), decisions);
 }
 

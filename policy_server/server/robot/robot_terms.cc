@@ -29,8 +29,9 @@ absl::StatusOr<ShownTerm> Robot::TermToReset(const TermResetOrder& order) const 
         absl::StrCat("actuator ", order.host, " was not refused for its term: nothing to reset"));
   }
   const ShownTerm shown = *it->second.refused_term;
-  const TermJump jump = JudgeTerm(
-      shown, {.term = state_.level.term(), .epoch = state_.level.mark().epoch}, std::nullopt);
+  const TermJump jump =
+      JudgeTerm(shown, {.term = state_.level.term(), .epoch = state_.level.decision_id().epoch},
+                std::nullopt);
   if (jump == TermJump::kOutOfReach) {
     return absl::FailedPreconditionError(absl::StrCat("actuator ", order.host, " has obeyed term ",
                                                       shown.term(), "; ",

@@ -71,20 +71,20 @@ class SoftBudgetTest : public RobotTest {
   // The server as it starts on what the store has.
   void Restart() {
     store::RobotRecord record{.level = recorder_.decisions.back().to,
-                              .mark = recorder_.decisions.back().mark,
+                              .decision_id = recorder_.decisions.back().decision_id,
                               .variables = recorder_.variables,
                               .high_water = recorder_.high_water,
                               .soft_suspended = recorder_.soft_suspended,
                               .resumed_at = recorder_.resumed_at};
     for (const store::DecisionRecord& each : recorder_.decisions) {
-      if (each.mark <= record.resumed_at || !absl::StartsWith(each.cause, "rule ")) continue;
-      record.rule_decisions.push_back({each.mark, each.from, each.to, each.time_unix_ns});
+      if (each.decision_id <= record.resumed_at || !absl::StartsWith(each.cause, "rule ")) continue;
+      record.rule_decisions.push_back({each.decision_id, each.from, each.to, each.time_unix_ns});
     }
     sensor_ = nullptr;
     actuator_ = nullptr;
     Start(kPaperRules, record, ++term_);
     ConnectSensor();
-    ConnectActuator({.mark = record.mark,
+    ConnectActuator({.decision_id = record.decision_id,
                      .decided_level = record.level,
                      .effective_level = record.level,
                      .highest_term = term_ - 1});

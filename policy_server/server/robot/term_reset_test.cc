@@ -17,13 +17,15 @@ constexpr uint64_t kHighTerm = 5'000'000;
 constexpr uint64_t kMaxTerm = std::numeric_limits<uint64_t>::max();
 
 TEST(JudgeTermTest, FollowsTheTableOfTheHeader) {
-  const auto judge = [](Mark mark, uint64_t highest, uint64_t ours) {
-    return JudgeTerm({.mark = mark, .highest_term = highest}, {.term = ours}, std::nullopt);
+  const auto judge = [](DecisionId decision_id, uint64_t highest, uint64_t ours) {
+    return JudgeTerm({.decision_id = decision_id, .highest_term = highest}, {.term = ours},
+                     std::nullopt);
   };
   EXPECT_EQ(judge({}, 0, 1), TermJump::kNear);
   EXPECT_EQ(judge({1, 1}, 7 + kTermJumpMax, 7), TermJump::kNear);
   EXPECT_EQ(judge({1, 1}, 8 + kTermJumpMax, 7), TermJump::kFar);
-  EXPECT_EQ(judge({8 + kTermJumpMax, 1}, 1, 7), TermJump::kFar) << "the mark's term counts, too";
+  EXPECT_EQ(judge({8 + kTermJumpMax, 1}, 1, 7), TermJump::kFar)
+      << "the decision's term counts, too";
   EXPECT_EQ(judge({1, kEpochMax}, 1, 7), TermJump::kNear);
   EXPECT_EQ(judge({1, kEpochMax + 1}, 1, 7), TermJump::kFar);
   EXPECT_EQ(judge({}, kTermResetMax, 7), TermJump::kFar);
@@ -34,18 +36,20 @@ TEST(JudgeTermTest, FollowsTheTableOfTheHeader) {
 }
 
 TEST(JudgeTermTest, TheEpochOfOurOwnNewestDecisionIsNeverFar) {
-  const Mark ours = {3, kEpochMax + 1};
-  EXPECT_EQ(JudgeTerm({.mark = ours, .highest_term = 3}, ours, std::nullopt), TermJump::kNear);
-  const Mark above = {3, kEpochMax + 2};
-  EXPECT_EQ(JudgeTerm({.mark = above, .highest_term = 3}, ours, std::nullopt), TermJump::kFar);
+  const DecisionId ours = {3, kEpochMax + 1};
+  EXPECT_EQ(JudgeTerm({.decision_id = ours, .highest_term = 3}, ours, std::nullopt),
+            TermJump::kNear);
+  const DecisionId above = {3, kEpochMax + 2};
+  EXPECT_EQ(JudgeTerm({.decision_id = above, .highest_term = 3}, ours, std::nullopt),
+            TermJump::kFar);
 }
 
 TEST(JudgeTermTest, APardonIsForOneDecisionInALowerTerm) {
-  const ShownTerm shown = {.mark = {5, kEpochMax + 1}, .highest_term = 5};
+  const ShownTerm shown = {.decision_id = {5, kEpochMax + 1}, .highest_term = 5};
   EXPECT_EQ(JudgeTerm(shown, {.term = 7}, shown), TermJump::kNear);
   EXPECT_EQ(JudgeTerm(shown, {.term = 5}, shown), TermJump::kFar) << "not above it yet";
   ShownTerm other = shown;
-  ++other.mark.epoch;
+  ++other.decision_id.epoch;
   EXPECT_EQ(JudgeTerm(other, {.term = 7}, shown), TermJump::kFar);
 }
 
@@ -59,9 +63,11 @@ class TermResetTest : public RobotTest {
     Drain();
     return got;
   }
-  ActuatorHello Hello(Mark mark, uint64_t highest, const std::string& level) {
-    return {
-        .mark = mark, .decided_level = level, .effective_level = level, .highest_term = highest};
+  ActuatorHello Hello(DecisionId decision_id, uint64_t highest, const std::string& level) {
+    return {.decision_id = decision_id,
+            .decided_level = level,
+            .effective_level = level,
+            .highest_term = highest};
   }
 };
 
@@ -79,7 +85,7 @@ TEST_F(TermResetTest, AResetArmsTheActuatorAndLowersNothing) {
   const LevelAnswer answer = Reset();
 
   EXPECT_THAT(answer.status, IsOk());
-  EXPECT_EQ(answer.mark.term, kHighTerm + 1);
+  EXPECT_EQ(answer.decision_id.term, kHighTerm + 1);
   EXPECT_EQ(answer.decided_level, "DEFAULT");
   ASSERT_FALSE(recorder_.decisions.empty());
   const store::DecisionRecord& recorded = recorder_.decisions.back();
@@ -94,7 +100,7 @@ TEST_F(TermResetTest, AResetArmsTheActuatorAndLowersNothing) {
   EXPECT_EQ(Level(), "COMPROMISED") << "what it holds is more restrictive: adopted";
   ASSERT_NE(actuator_->level(), nullptr);
   EXPECT_EQ(actuator_->level()->to, "COMPROMISED");
-  EXPECT_GT(actuator_->level()->mark, hello.mark);
+  EXPECT_GT(actuator_->level()->decision_id, hello.decision_id);
   EXPECT_GT(actuator_->commands.back().term, hello.highest_term);
 }
 
@@ -153,7 +159,7 @@ TEST_F(TermResetTest, ATermThatCannotBeExceededNeedsItsStateFileRemoved) {
     EXPECT_THAT(Reset().status, StatusIs(absl::StatusCode::kFailedPrecondition,
                                          HasSubstr("remove its state file")));
   }
-  EXPECT_LE(robot_->Status().mark.term, 1u);
+  EXPECT_LE(robot_->Status().decision_id.term, 1u);
   ConnectActuator({.effective_level = "DEFAULT", .state_lost = true});
   EXPECT_THAT(actuator_->closed, IsOk()) << "as it comes without its state";
 }
@@ -169,8 +175,8 @@ TEST_F(TermResetTest, AnEpochBeyondOursIsOvertakenByTheTerm) {
 
   EXPECT_THAT(actuator_->closed, IsOk());
   EXPECT_EQ(Level(), "ALERT");
-  EXPECT_GT(actuator_->level()->mark, hello.mark);
-  EXPECT_LT(robot_->Status().mark.epoch, 100u) << "its epoch is not taken over";
+  EXPECT_GT(actuator_->level()->decision_id, hello.decision_id);
+  EXPECT_LT(robot_->Status().decision_id.epoch, 100u) << "its epoch is not taken over";
   Obey();
   EXPECT_EQ(Stage(), "verified");
 }
@@ -200,7 +206,7 @@ TEST_F(TermResetTest, AStoreThatAnswersLateKeepsNothingElseWaiting) {
   recorder_.AnswerAll();
   Drain();
   EXPECT_THAT(got.status, IsOk());
-  EXPECT_GT(robot_->Status().mark.term, kHighTerm);
+  EXPECT_GT(robot_->Status().decision_id.term, kHighTerm);
   EXPECT_EQ(Level(), "ALERT");
 }
 
@@ -247,7 +253,7 @@ TEST_F(TermResetTest, ALoweringThatIsNotDurableYetIsNotCommandedByAReset) {
                       .to = "DEFAULT",
                       .reason = "seen",
                       .expected_level = "ALERT",
-                      .expected_mark = robot_->Status().mark,
+                      .expected_decision_id = robot_->Status().decision_id,
                       .accept_blind = true},
                      [](const LevelAnswer&) {});
   EXPECT_EQ(Level(), "DEFAULT");

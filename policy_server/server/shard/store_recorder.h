@@ -46,9 +46,10 @@ class StoreRecorder final : public Recorder {
     if (!taken.ok()) (*shared)(taken);
   }
   bool healthy() const override { return committer_->healthy(); }
-  void FindDecision(const std::string& robot, const Mark& mark,
+  void FindDecision(const std::string& robot, const DecisionId& decision_id,
                     std::function<void(const FoundDecision&)> done) override {
-    if (!questions_.Push([=, this] { done(store_->FindDecision(robot, mark)); })) done(Busy());
+    if (!questions_.Push([=, this] { done(store_->FindDecision(robot, decision_id)); }))
+      done(Busy());
   }
   void NextTerm(const std::string& robot, uint64_t above,
                 std::function<void(const absl::StatusOr<uint64_t>&)> done) override {

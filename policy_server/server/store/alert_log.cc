@@ -56,7 +56,7 @@ std::string FormatAlertLine(const AlertRecord& alert) {
   line["text"] = alert.text;
   line["level"] = alert.level;
   line["event"] = alert.event;
-  line["mark"] = ToString(alert.mark);
+  line["decision_id"] = ToString(alert.decision_id);
   nlohmann::ordered_json subjects = nlohmann::ordered_json::array();
   for (const engine::TracedSubject& subject : alert.trace.subjects) {
     subjects.push_back({{"name", subject.name},

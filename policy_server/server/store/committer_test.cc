@@ -94,7 +94,7 @@ TEST(CommitterTest, GroupsWhatQueuesDuringAFlushAndKeepsOrder) {
   std::vector<int> expected;
   for (int i = 1; i <= 20; ++i) expected.push_back(i);
   EXPECT_EQ(told.ids(), expected);
-  EXPECT_EQ(store.Load("r1")->mark, (Mark{1, 20}));
+  EXPECT_EQ(store.Load("r1")->decision_id, (DecisionId{1, 20}));
 }
 
 TEST(CommitterTest, AGroupHasALimit) {
@@ -160,7 +160,8 @@ TEST(CommitterTest, TellsOfAFailingDiskAndRecovers) {
 
   EXPECT_TRUE(committer.healthy());
   EXPECT_THAT(told.codes(), ElementsAre(absl::StatusCode::kUnavailable, absl::StatusCode::kOk));
-  EXPECT_EQ(store.Load("r1")->mark, (Mark{1, 2})) << "a failed batch is not tried again";
+  EXPECT_EQ(store.Load("r1")->decision_id, (DecisionId{1, 2}))
+      << "a failed batch is not tried again";
 }
 
 WriteBatch OneAlert(const std::string& text) {
@@ -243,7 +244,7 @@ TEST(CommitterTest, OnAFullDiskRaisesAreWrittenFromTheReserve) {
   EXPECT_THAT(told.codes(),
               ElementsAre(absl::StatusCode::kResourceExhausted,
                           absl::StatusCode::kResourceExhausted, absl::StatusCode::kOk));
-  EXPECT_EQ(store.Load("r1")->mark, (Mark{1, 1}));
+  EXPECT_EQ(store.Load("r1")->decision_id, (DecisionId{1, 1}));
   EXPECT_FALSE(committer.healthy()) << "the reserve alone is no health";
 }
 
@@ -288,7 +289,7 @@ TEST(CommitterTest, ABadBatchHurtsNoOther) {
                                         absl::StatusCode::kAlreadyExists,
                                         absl::StatusCode::kInvalidArgument, absl::StatusCode::kOk));
   EXPECT_TRUE(committer.healthy());
-  EXPECT_EQ(store.Load("r1")->mark, (Mark{1, 5}));
+  EXPECT_EQ(store.Load("r1")->decision_id, (DecisionId{1, 5}));
 }
 
 TEST(CommitterTest, StopCommitsWhatWaitsAndThenRefuses) {
@@ -302,7 +303,7 @@ TEST(CommitterTest, StopCommitsWhatWaitsAndThenRefuses) {
   committer.Stop();
 
   EXPECT_THAT(told.ids(), SizeIs(100));
-  EXPECT_EQ(store.Load("r1")->mark, (Mark{1, 100}));
+  EXPECT_EQ(store.Load("r1")->decision_id, (DecisionId{1, 100}));
   EXPECT_THAT(committer.Submit(Decision(101), told.Next(101)),
               StatusIs(absl::StatusCode::kFailedPrecondition));
   EXPECT_EQ(committer.refused(), 0u);

@@ -17,7 +17,7 @@ TransitionRecord ToTransition(const DecisionRecord& decision) {
           .to = decision.to,
           .cause = decision.cause,
           .reason = decision.reason,
-          .mark = decision.mark,
+          .decision_id = decision.decision_id,
           .based_on = decision.based_on,
           .stage = "requested",
           .trace = decision.trace};
@@ -47,14 +47,15 @@ std::vector<Record> Newest(const std::vector<Record>& records, absl::string_view
 }
 
 std::vector<RuleDecision> RuleDecisions(const std::vector<TransitionRecord>& transitions,
-                                        absl::string_view robot, const Mark& after) {
+                                        absl::string_view robot, const DecisionId& after) {
   std::vector<RuleDecision> out;
   for (const TransitionRecord& each : transitions) {
-    if (each.robot != robot || each.refused || each.mark <= after) continue;
+    if (each.robot != robot || each.refused || each.decision_id <= after) continue;
     if (!absl::StartsWith(each.cause, "rule ")) continue;
-    out.push_back({each.mark, each.from, each.to, each.time_unix_ns});
+    out.push_back({each.decision_id, each.from, each.to, each.time_unix_ns});
   }
-  std::sort(out.begin(), out.end(), [](const auto& a, const auto& b) { return a.mark < b.mark; });
+  std::sort(out.begin(), out.end(),
+            [](const auto& a, const auto& b) { return a.decision_id < b.decision_id; });
   if (out.size() > kRuleDecisionsMax) out.erase(out.begin(), out.end() - kRuleDecisionsMax);
   return out;
 }
@@ -120,12 +121,12 @@ absl::StatusOr<uint64_t> FakeStore::NextTerm(absl::string_view robot, uint64_t a
 }
 
 absl::StatusOr<std::optional<std::string>> FakeStore::FindDecision(absl::string_view robot,
-                                                                   const Mark& mark) {
+                                                                   const DecisionId& decision_id) {
   Question();
   MutexLock lock(&mutex_);
   RIPS_RETURN_IF_ERROR(read_status_);
   for (const TransitionRecord& each : state_.transitions) {
-    if (each.robot == robot && !each.refused && each.mark == mark) return each.to;
+    if (each.robot == robot && !each.refused && each.decision_id == decision_id) return each.to;
   }
   return std::nullopt;
 }
@@ -190,20 +191,21 @@ absl::Status FakeStore::State::Apply(const WriteBatch& batch) {
 
 absl::Status FakeStore::State::Apply(const DecisionRecord& decision) {
   for (const TransitionRecord& known : transitions) {
-    const bool same_mark = known.robot == decision.robot && known.mark == decision.mark;
-    if (!same_mark && known.id != decision.id) continue;
+    const bool same_decision_id =
+        known.robot == decision.robot && known.decision_id == decision.decision_id;
+    if (!same_decision_id && known.id != decision.id) continue;
     TransitionRecord stored = known;
     stored.stage = "requested";
     stored.detail.clear();
     stored.trace = decision.trace;
     if (stored == ToTransition(decision)) return absl::OkStatus();
-    return absl::AlreadyExistsError("the mark or id names another decision");
+    return absl::AlreadyExistsError("the decision or id names another decision");
   }
   transitions.push_back(ToTransition(decision));
   RobotRecord& robot = robots[decision.robot];
-  robot.highest_term = std::max(robot.highest_term, decision.mark.term);
-  if (decision.mark > robot.mark) {
-    robot.mark = decision.mark;
+  robot.highest_term = std::max(robot.highest_term, decision.decision_id.term);
+  if (decision.decision_id > robot.decision_id) {
+    robot.decision_id = decision.decision_id;
     robot.level = decision.to;
   }
   return absl::OkStatus();
@@ -226,7 +228,8 @@ absl::Status FakeStore::State::Apply(const RefusalRecord& refusal) {
 
 void FakeStore::State::Apply(const StageUpdate& update) {
   for (TransitionRecord& known : transitions) {
-    if (known.robot != update.robot || known.refused || known.mark != update.mark) continue;
+    if (known.robot != update.robot || known.refused || known.decision_id != update.decision_id)
+      continue;
     known.stage = update.stage;
     known.detail = update.detail;
   }

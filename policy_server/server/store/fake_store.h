@@ -38,7 +38,7 @@ class FakeStore final : public Store, public BanStore {
   absl::StatusOr<uint64_t> NextTerm(absl::string_view robot, uint64_t above) override
       ABSL_LOCKS_EXCLUDED(mutex_);
   absl::StatusOr<std::optional<std::string>> FindDecision(absl::string_view robot,
-                                                          const Mark& mark) override
+                                                          const DecisionId& decision_id) override
       ABSL_LOCKS_EXCLUDED(mutex_);
   absl::Status BeginGeneration(absl::string_view id) override ABSL_LOCKS_EXCLUDED(mutex_);
   absl::StatusOr<std::vector<Generation>> Generations() override ABSL_LOCKS_EXCLUDED(mutex_);

@@ -14,7 +14,7 @@
 #include "absl/strings/string_view.h"
 #include "policy_server/policy/engine/state/trace.h"
 #include "policy_server/policy/lang/checked_rules.h"
-#include "services/base/mark.h"
+#include "services/base/decision_id.h"
 
 namespace rips::store {
 
@@ -43,7 +43,7 @@ inline constexpr size_t kRuleDecisionsMax = 256;
 
 // A decision that a rule made.
 struct RuleDecision {
-  Mark mark;
+  DecisionId decision_id;
   std::string from;
   std::string to;
   int64_t time_unix_ns = 0;
@@ -56,7 +56,7 @@ struct RobotRecord {
   // Name of the decided level; empty if nothing was ever decided.
   std::string level;
   // The decision that led to it; none if nothing was ever decided.
-  Mark mark;
+  DecisionId decision_id;
   // Highest term handed out or seen in a decision; 0 = none.
   uint64_t highest_term = 0;
   Variables variables;
@@ -67,7 +67,7 @@ struct RobotRecord {
   // A rule has called `crash`: no rule runs until an operator resumes them.
   bool rules_halted = false;
   // The decision that stood when an operator let rules lower soft levels again; none = never.
-  Mark resumed_at;
+  DecisionId resumed_at;
   // Those after `resumed_at`, oldest first; of more than kRuleDecisionsMax the newest.
   std::vector<RuleDecision> rule_decisions;
   // Id of the bundle that was in force last; empty = none yet.
@@ -81,8 +81,8 @@ struct DecisionRecord {
   // 32 hex digits.
   std::string id;
   std::string robot;
-  Mark mark;
-  Mark based_on;
+  DecisionId decision_id;
+  DecisionId based_on;
   std::string from;
   std::string to;
   // `rule NAME`, `operator NAME`, `adopted`
@@ -114,10 +114,10 @@ struct RefusalRecord {
   friend bool operator==(const RefusalRecord&, const RefusalRecord&) = default;
 };
 
-// What the actuators have reported of a decision. Of an unknown mark: ignored.
+// What the actuators have reported of a decision. Of an unknown decision id: ignored.
 struct StageUpdate {
   std::string robot;
-  Mark mark;
+  DecisionId decision_id;
   // requested | acknowledged | verified | failed | superseded
   std::string stage;
   // For people; may be empty.
@@ -141,7 +141,7 @@ struct AlertRecord {
   std::string level;
   // What was being judged, for people.
   std::string event;
-  Mark mark;
+  DecisionId decision_id;
   // Why its rule fired; none for RIPS's own.
   engine::Trace trace;
   // Its place in the order of writing, from 1, never given twice; 0 = not told. Set by AlertsAfter.
@@ -173,7 +173,7 @@ struct Checkpoint {
   // Absent = as before.
   std::optional<bool> soft_suspended;
   std::optional<bool> rules_halted;
-  std::optional<Mark> resumed_at;
+  std::optional<DecisionId> resumed_at;
   std::optional<std::string> bundle;
 
   friend bool operator==(const Checkpoint&, const Checkpoint&) = default;
@@ -206,8 +206,8 @@ struct TransitionRecord {
   std::string cause;
   std::string reason;
   // None when refused.
-  Mark mark;
-  Mark based_on;
+  DecisionId decision_id;
+  DecisionId based_on;
   bool refused = false;
   // How often this refusal was seen; 1 for a decision.
   uint64_t count = 1;

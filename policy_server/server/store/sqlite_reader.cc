@@ -36,7 +36,7 @@ AlertRecord ReadAlert(const Query& query) {
           .text = query.Text(5),
           .level = query.Text(6),
           .event = query.Text(7),
-          .mark = {query.Unsigned(8), query.Unsigned(9)},
+          .decision_id = {query.Unsigned(8), query.Unsigned(9)},
           .trace = TraceFromBytes(query.Text(10))};
 }
 
@@ -48,7 +48,7 @@ TransitionRecord ReadTransition(const Query& query) {
           .to = query.Text(4),
           .cause = query.Text(5),
           .reason = query.Text(6),
-          .mark = {query.Unsigned(8), query.Unsigned(9)},
+          .decision_id = {query.Unsigned(8), query.Unsigned(9)},
           .based_on = {query.Unsigned(10), query.Unsigned(11)},
           .refused = query.Number(7) != 0,
           .count = query.Unsigned(12),
@@ -78,7 +78,7 @@ absl::StatusOr<SqliteReader> SqliteReader::Create(const std::string& path) {
        "WHERE robot = ? AND refused = 0 AND cause GLOB 'rule *' AND (term, epoch) > (?, ?) "
        "ORDER BY term DESC, epoch DESC LIMIT ?"},
       {&reader.generations_, "SELECT id, last_commit FROM generations ORDER BY seq"},
-      {&reader.mark_,
+      {&reader.decision_id_,
        "SELECT to_level FROM transitions "
        "WHERE robot = ? AND term = ? AND epoch = ? AND refused = 0"},
       {&reader.transitions_,
@@ -131,7 +131,7 @@ absl::StatusOr<RobotRecord> SqliteReader::Load(absl::string_view robot) {
     RIPS_ASSIGN_OR_RETURN(const bool row, query.Step());
     if (!row) return record;
     record.level = query.Text(0);
-    record.mark = {query.Unsigned(1), query.Unsigned(2)};
+    record.decision_id = {query.Unsigned(1), query.Unsigned(2)};
     record.highest_term = query.Unsigned(3);
     record.soft_suspended = query.Number(4) != 0;
     record.rules_halted = query.Number(5) != 0;
@@ -186,7 +186,7 @@ absl::Status SqliteReader::LoadRuleDecisions(absl::string_view robot, RobotRecor
   while (true) {
     RIPS_ASSIGN_OR_RETURN(const bool row, query.Step());
     if (!row) break;
-    record->rule_decisions.push_back({.mark = {query.Unsigned(0), query.Unsigned(1)},
+    record->rule_decisions.push_back({.decision_id = {query.Unsigned(0), query.Unsigned(1)},
                                       .from = query.Text(2),
                                       .to = query.Text(3),
                                       .time_unix_ns = query.Number(4)});
@@ -205,12 +205,13 @@ absl::StatusOr<std::vector<Generation>> SqliteReader::Generations() {
   }
 }
 
-absl::StatusOr<std::optional<std::string>> SqliteReader::FindDecision(absl::string_view robot,
-                                                                      const Mark& mark) {
+absl::StatusOr<std::optional<std::string>> SqliteReader::FindDecision(
+    absl::string_view robot, const DecisionId& decision_id) {
   // What is above cannot be stored, and would wrap around.
-  if (mark.none() || mark.term > kNumberMax || mark.epoch > kNumberMax) return std::nullopt;
-  Query query = mark_.Start();
-  query.Bind(robot).Bind(mark.term).Bind(mark.epoch);
+  if (decision_id.none() || decision_id.term > kNumberMax || decision_id.epoch > kNumberMax)
+    return std::nullopt;
+  Query query = decision_id_.Start();
+  query.Bind(robot).Bind(decision_id.term).Bind(decision_id.epoch);
   RIPS_ASSIGN_OR_RETURN(const bool found, query.Step());
   if (!found) return std::nullopt;
   return query.Text(0);

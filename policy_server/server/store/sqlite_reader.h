@@ -20,7 +20,7 @@ class SqliteReader {
 
   absl::StatusOr<RobotRecord> Load(absl::string_view robot);
   absl::StatusOr<std::optional<std::string>> FindDecision(absl::string_view robot,
-                                                          const Mark& mark);
+                                                          const DecisionId& decision_id);
   absl::StatusOr<std::vector<Generation>> Generations();
   absl::StatusOr<std::vector<TransitionRecord>> ListTransitions(absl::string_view robot,
                                                                 uint32_t limit);
@@ -41,7 +41,8 @@ class SqliteReader {
 
   Database db_;
   Statement begin_, end_;
-  Statement robot_, variables_, high_water_, mark_, transitions_, alerts_, robot_alerts_, bans_;
+  Statement robot_, variables_, high_water_, decision_id_, transitions_, alerts_, robot_alerts_,
+      bans_;
   Statement alerts_after_, robot_alerts_after_, forgotten_, robot_forgotten_, find_alert_,
       newest_alert_, note_, rule_decisions_, generations_, alerts_by_id_, transitions_by_id_;
 };

@@ -93,10 +93,10 @@ absl::StatusOr<uint64_t> SqliteStore::NextTerm(absl::string_view robot, uint64_t
   return term;
 }
 
-absl::StatusOr<std::optional<std::string>> SqliteStore::FindDecision(absl::string_view robot,
-                                                                     const Mark& mark) {
+absl::StatusOr<std::optional<std::string>> SqliteStore::FindDecision(
+    absl::string_view robot, const DecisionId& decision_id) {
   MutexLock lock(&parts_->reader_mutex);
-  return parts_->reader.FindDecision(robot, mark);
+  return parts_->reader.FindDecision(robot, decision_id);
 }
 
 absl::Status SqliteStore::BeginGeneration(absl::string_view id) {

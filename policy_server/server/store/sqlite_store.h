@@ -24,7 +24,7 @@ struct SqliteLimits {
   // with a later commit. One robot's alerts push out no other's.
   int64_t alerts_per_robot_max = 10'000;
   // Refusals among the newest so many transitions are kept. Decisions are kept for ever: they are
-  // the history against which a robot's mark is checked.
+  // the history against which a robot's decision id is checked.
   int64_t refusals_max = 100'000;
   // Kept free for decisions on a full disk; a decision takes about 50 KiB of it at worst.
   int64_t reserve_bytes = int64_t{16} << 20;
@@ -42,7 +42,7 @@ class SqliteStore final : public Store, public BanStore {
   absl::StatusOr<RobotRecord> Load(absl::string_view robot) override;
   absl::StatusOr<uint64_t> NextTerm(absl::string_view robot, uint64_t above) override;
   absl::StatusOr<std::optional<std::string>> FindDecision(absl::string_view robot,
-                                                          const Mark& mark) override;
+                                                          const DecisionId& decision_id) override;
   absl::Status BeginGeneration(absl::string_view id) override;
   absl::StatusOr<std::vector<Generation>> Generations() override;
   uint64_t newest_commit() const override;

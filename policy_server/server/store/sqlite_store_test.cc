@@ -65,7 +65,7 @@ TEST_F(SqliteStoreTest, RemembersAcrossAReopen) {
   auto record = (*store)->Load("r1");
   ASSERT_THAT(record, IsOk());
   EXPECT_EQ(record->level, "HALT");
-  EXPECT_EQ(record->mark, (Mark{1, 2}));
+  EXPECT_EQ(record->decision_id, (DecisionId{1, 2}));
   EXPECT_THAT((*store)->NextTerm("r1"), IsOkAndHolds(2u));
   EXPECT_TRUE((*store)->FindDecision("r1", {1, 1})->has_value());
   EXPECT_THAT(*(*store)->ListTransitions("r1", 0), SizeIs(2));
@@ -338,7 +338,7 @@ TEST_F(FullDiskTest, RecordsRaisesAndTermsFromTheReserveAndNothingElse) {
   store->reset();
   store = SqliteStore::Open(path_, {.reserve_bytes = 2 << 20});
   ASSERT_THAT(store, IsOk());
-  EXPECT_EQ((*store)->Load("r1")->mark, (Mark{1, 11}));
+  EXPECT_EQ((*store)->Load("r1")->decision_id, (DecisionId{1, 11}));
 }
 
 TEST_F(FullDiskTest, OpensOnAFullDiskByItsReserve) {
@@ -447,9 +447,10 @@ TEST_F(SqliteStoreTest, WhatWasConfirmedSurvivesKill) {
     ASSERT_THAT(store, IsOk());
     auto record = (*store)->Load("r1");
     ASSERT_THAT(record, IsOk());
-    EXPECT_GE(record->mark.epoch, confirmed);
-    EXPECT_EQ(record->level, absl::StrCat("L", record->mark.epoch));
-    EXPECT_EQ(record->variables, (Variables{{"n", static_cast<int64_t>(record->mark.epoch)}}))
+    EXPECT_GE(record->decision_id.epoch, confirmed);
+    EXPECT_EQ(record->level, absl::StrCat("L", record->decision_id.epoch));
+    EXPECT_EQ(record->variables,
+              (Variables{{"n", static_cast<int64_t>(record->decision_id.epoch)}}))
         << "a batch is all or nothing";
     for (uint64_t i = 1; i <= confirmed; ++i) {
       EXPECT_TRUE((*store)->FindDecision("r1", {1, i})->has_value()) << i;

@@ -189,13 +189,16 @@ absl::Status SqliteWriter::Write(const WriteBatch& batch) {
 
 absl::StatusOr<bool> SqliteWriter::IsStored(const DecisionRecord& decision) {
   Query query = find_decision_.Start();
-  query.Bind(decision.id).Bind(decision.robot).Bind(decision.mark.term).Bind(decision.mark.epoch);
+  query.Bind(decision.id)
+      .Bind(decision.robot)
+      .Bind(decision.decision_id.term)
+      .Bind(decision.decision_id.epoch);
   while (true) {
     RIPS_ASSIGN_OR_RETURN(const bool row, query.Step());
     if (!row) return false;
     const DecisionRecord stored = {.id = query.Text(0),
                                    .robot = query.Text(1),
-                                   .mark = {query.Unsigned(8), query.Unsigned(9)},
+                                   .decision_id = {query.Unsigned(8), query.Unsigned(9)},
                                    .based_on = {query.Unsigned(10), query.Unsigned(11)},
                                    .from = query.Text(3),
                                    .to = query.Text(4),
@@ -204,7 +207,7 @@ absl::StatusOr<bool> SqliteWriter::IsStored(const DecisionRecord& decision) {
                                    .time_unix_ns = query.Number(2),
                                    .trace = decision.trace};
     if (query.Number(7) != 0 || stored != decision) {
-      return absl::AlreadyExistsError(absl::StrCat("mark ", ToString(decision.mark),
+      return absl::AlreadyExistsError(absl::StrCat("decision ", ToString(decision.decision_id),
                                                    " or its id names another decision of robot ",
                                                    decision.robot));
     }
@@ -226,16 +229,16 @@ absl::Status SqliteWriter::Write(const DecisionRecord& decision) {
                            .Bind(decision.to)
                            .Bind(decision.cause)
                            .Bind(decision.reason)
-                           .Bind(decision.mark.term)
-                           .Bind(decision.mark.epoch)
+                           .Bind(decision.decision_id.term)
+                           .Bind(decision.decision_id.epoch)
                            .Bind(decision.based_on.term)
                            .Bind(decision.based_on.epoch)
                            .BindBytes(trace)
                            .Run());
   return apply_decision_.Start()
       .Bind(decision.robot)
-      .Bind(decision.mark.term)
-      .Bind(decision.mark.epoch)
+      .Bind(decision.decision_id.term)
+      .Bind(decision.decision_id.epoch)
       .Bind(decision.to)
       .Run();
 }
@@ -260,8 +263,8 @@ absl::Status SqliteWriter::Write(const RefusalRecord& refusal) {
 absl::Status SqliteWriter::Write(const StageUpdate& update) {
   return set_stage_.Start()
       .Bind(update.robot)
-      .Bind(update.mark.term)
-      .Bind(update.mark.epoch)
+      .Bind(update.decision_id.term)
+      .Bind(update.decision_id.epoch)
       .Bind(update.stage)
       .Bind(update.detail)
       .Run();
@@ -278,8 +281,8 @@ absl::Status SqliteWriter::Write(const AlertRecord& alert) {
       .Bind(alert.text)
       .Bind(alert.level)
       .Bind(alert.event)
-      .Bind(alert.mark.term)
-      .Bind(alert.mark.epoch)
+      .Bind(alert.decision_id.term)
+      .Bind(alert.decision_id.epoch)
       .BindBytes(trace)
       .Run();
 }

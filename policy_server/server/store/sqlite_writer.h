@@ -45,7 +45,7 @@ class SqliteWriter {
   absl::Status PruneAlerts(const std::string& robot);
   absl::Status WriteVariables(const std::string& robot, const Variables& variables);
   absl::Status WriteHighWater(const std::string& robot, const HighWater& high_water);
-  // True if exactly this decision is stored; AlreadyExists if another has its mark or id.
+  // True if exactly this decision is stored; AlreadyExists if another has its decision id or id.
   absl::StatusOr<bool> IsStored(const DecisionRecord& decision);
 
   Database db_;

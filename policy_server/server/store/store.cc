@@ -21,9 +21,9 @@ absl::Status CheckNumber(absl::string_view what, uint64_t number) {
   return absl::InvalidArgumentError(absl::StrCat(what, " ", number, " exceeds ", kNumberMax));
 }
 
-absl::Status CheckMark(const Mark& mark) {
-  RIPS_RETURN_IF_ERROR(CheckNumber("term", mark.term));
-  return CheckNumber("epoch", mark.epoch);
+absl::Status CheckDecisionId(const DecisionId& decision_id) {
+  RIPS_RETURN_IF_ERROR(CheckNumber("term", decision_id.term));
+  return CheckNumber("epoch", decision_id.epoch);
 }
 
 }  // namespace
@@ -35,10 +35,11 @@ absl::Status Validate(const WriteBatch& batch) {
   }
   for (const DecisionRecord& decision : batch.decisions) {
     RIPS_RETURN_IF_ERROR(CheckNames("decision", decision.robot, decision.id));
-    if (decision.mark.term == 0 || decision.mark.epoch == 0) return Missing("decision", "mark");
+    if (decision.decision_id.term == 0 || decision.decision_id.epoch == 0)
+      return Missing("decision", "decision_id");
     if (decision.to.empty()) return Missing("decision", "level");
-    RIPS_RETURN_IF_ERROR(CheckMark(decision.mark));
-    RIPS_RETURN_IF_ERROR(CheckMark(decision.based_on));
+    RIPS_RETURN_IF_ERROR(CheckDecisionId(decision.decision_id));
+    RIPS_RETURN_IF_ERROR(CheckDecisionId(decision.based_on));
   }
   for (const RefusalRecord& refusal : batch.refusals) {
     RIPS_RETURN_IF_ERROR(CheckNames("refusal", refusal.robot, refusal.id));
@@ -47,18 +48,18 @@ absl::Status Validate(const WriteBatch& batch) {
   for (const StageUpdate& update : batch.stages) {
     if (update.robot.empty()) return Missing("stage", "robot");
     if (update.stage.empty()) return Missing("stage", "name");
-    RIPS_RETURN_IF_ERROR(CheckMark(update.mark));
+    RIPS_RETURN_IF_ERROR(CheckDecisionId(update.decision_id));
   }
   for (const AlertRecord& alert : batch.alerts) {
     RIPS_RETURN_IF_ERROR(CheckNames("alert", alert.robot, alert.id));
-    RIPS_RETURN_IF_ERROR(CheckMark(alert.mark));
+    RIPS_RETURN_IF_ERROR(CheckDecisionId(alert.decision_id));
   }
   for (const Checkpoint& checkpoint : batch.checkpoints) {
     if (checkpoint.robot.empty()) return Missing("checkpoint", "robot");
     if (checkpoint.bundle.has_value() && checkpoint.bundle->size() > kNoteBytesMax) {
       return absl::InvalidArgumentError("the id of a bundle is too long");
     }
-    if (checkpoint.resumed_at) RIPS_RETURN_IF_ERROR(CheckMark(*checkpoint.resumed_at));
+    if (checkpoint.resumed_at) RIPS_RETURN_IF_ERROR(CheckDecisionId(*checkpoint.resumed_at));
     for (const auto& [key, sequence] : checkpoint.high_water) {
       RIPS_RETURN_IF_ERROR(CheckNumber("sequence", sequence));
     }

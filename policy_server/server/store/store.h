@@ -1,16 +1,17 @@
-// Durable state of robots: level decisions named by marks, refusals, alerts, rule variables and how
-// far each sensor lane has been judged.
+// Durable state of robots: level decisions named by decision ids, refusals, alerts, rule variables
+// and how far each sensor lane has been judged.
 //
 // What this port promises, and every implementation is tested for:
 //   - A commit that returned OK survives a crash of the process and of the machine.
 //   - A commit is all or nothing.
-//   - A decision, once written, never changes and its mark never names another decision. The level
-//     that Load returns is that of the highest mark, whatever the order of writing, so a repeated
-//     or late write cannot lower it.
+//   - A decision, once written, never changes and its decision id never names another decision. The
+//     level that Load returns is that of the highest decision id, whatever the order of writing, so
+//     a repeated or late write cannot lower it.
 //   - A term, once handed out, is never handed out again.
 // Methods block on the disk and may be called from any thread. Errors: Unavailable (a retry may
 // help: busy, disk error), ResourceExhausted (disk full), DataLoss (what is stored is corrupt),
-// InvalidArgument (the caller's data will never do), AlreadyExists (the mark or id is taken).
+// InvalidArgument (the caller's data will never do), AlreadyExists (the decision id or id is
+// taken).
 #ifndef RIPS_POLICY_SERVER_SERVER_STORE_STORE_H_
 #define RIPS_POLICY_SERVER_SERVER_STORE_STORE_H_
 
@@ -26,7 +27,7 @@
 #include "absl/strings/string_view.h"
 #include "policy_server/server/store/generations.h"
 #include "policy_server/server/store/records.h"
-#include "services/base/mark.h"
+#include "services/base/decision_id.h"
 
 namespace rips::store {
 
@@ -50,10 +51,10 @@ class Store {
   virtual absl::StatusOr<uint64_t> NextTerm(absl::string_view robot, uint64_t above) = 0;
   absl::StatusOr<uint64_t> NextTerm(absl::string_view robot) { return NextTerm(robot, 0); }
 
-  // The level that this robot's decision of that mark leads to, by name; nullopt if no decision has
-  // that mark.
-  virtual absl::StatusOr<std::optional<std::string>> FindDecision(absl::string_view robot,
-                                                                  const Mark& mark) = 0;
+  // The level that this robot's decision of that decision id leads to, by name; nullopt if no
+  // decision has that decision id.
+  virtual absl::StatusOr<std::optional<std::string>> FindDecision(
+      absl::string_view robot, const DecisionId& decision_id) = 0;
 
   // Begins a generation under `id`, which is durable when it returns; commits are counted in it
   // from now on. The newest kGenerationsMax are kept. InvalidArgument unless `id` has
@@ -64,9 +65,9 @@ class Store {
   // The newest that is durable, 0 before BeginGeneration. Never blocks.
   virtual uint64_t newest_commit() const = 0;
 
-  // One transaction of all batches, applied in order; one commit. A decision whose mark exists: OK
-  // if it is the same in every field, else AlreadyExists and nothing is written. InvalidArgument:
-  // see Validate.
+  // One transaction of all batches, applied in order; one commit. A decision whose decision id
+  // exists: OK if it is the same in every field, else AlreadyExists and nothing is written.
+  // InvalidArgument: see Validate.
   virtual absl::Status CommitAll(std::span<const WriteBatch> batches) = 0;
   absl::Status Commit(const WriteBatch& batch) { return CommitAll({&batch, 1}); }
 
@@ -94,7 +95,7 @@ class Store {
 };
 
 // InvalidArgument if CommitAll must refuse the batch whatever is stored: an empty robot or id, a
-// decision without mark or level, a number above kNumberMax. Shared by implementations.
+// decision without decision id or level, a number above kNumberMax. Shared by implementations.
 absl::Status Validate(const WriteBatch& batch);
 
 // InvalidArgument if BeginGeneration must refuse it. Shared by implementations.

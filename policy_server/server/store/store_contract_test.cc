@@ -42,8 +42,8 @@ class StoreContractTest : public testing::TestWithParam<Kind> {
     return record.value_or(RobotRecord{});
   }
   // Empty if there is none.
-  std::string Decision(absl::string_view robot, const Mark& mark) {
-    const auto known = store_->FindDecision(robot, mark);
+  std::string Decision(absl::string_view robot, const DecisionId& decision_id) {
+    const auto known = store_->FindDecision(robot, decision_id);
     EXPECT_THAT(known, IsOk());
     return known.ok() ? known->value_or("") : "";
   }
@@ -117,13 +117,13 @@ TEST_P(StoreContractTest, TermsCannotBeUsedUp) {
   EXPECT_EQ(Decision("r1", {kTermAboveMax + 2, 1}), "B");
 }
 
-TEST_P(StoreContractTest, TakesTheLevelFromTheHighestMark) {
+TEST_P(StoreContractTest, TakesTheLevelFromTheHighestDecisionId) {
   ASSERT_THAT(store_->Commit(Decide("r1", {1, 1}, "DEFAULT", "ALERT")), IsOk());
   ASSERT_THAT(store_->Commit(Decide("r1", {1, 2}, "ALERT", "COMPROMISED")), IsOk());
 
   const RobotRecord record = Load("r1");
   EXPECT_EQ(record.level, "COMPROMISED");
-  EXPECT_EQ(record.mark, (Mark{1, 2}));
+  EXPECT_EQ(record.decision_id, (DecisionId{1, 2}));
   EXPECT_EQ(record.highest_term, 1u);
   EXPECT_EQ(Decision("r1", {1, 1}), "ALERT");
   EXPECT_EQ(Decision("r1", {1, 2}), "COMPROMISED");
@@ -137,7 +137,7 @@ TEST_P(StoreContractTest, DoesNotSinkByALateWrite) {
   ASSERT_THAT(store_->Commit(Decide("r1", {1, 9}, "ALERT", "DEFAULT")), IsOk());
 
   EXPECT_EQ(Load("r1").level, "HALT");
-  EXPECT_EQ(Load("r1").mark, (Mark{2, 7}));
+  EXPECT_EQ(Load("r1").decision_id, (DecisionId{2, 7}));
   EXPECT_EQ(Load("r1").highest_term, 2u);
   EXPECT_EQ(Decision("r1", {1, 9}), "DEFAULT");
 }
@@ -151,7 +151,8 @@ TEST_P(StoreContractTest, WritingADecisionAgainChangesNothing) {
   const WriteBatch batch = Decide("r1", {1, 1}, "DEFAULT", "ALERT");
   ASSERT_THAT(store_->Commit(batch), IsOk());
   WriteBatch stage;
-  stage.stages.push_back({.robot = "r1", .mark = {1, 1}, .stage = "verified", .detail = "2 parts"});
+  stage.stages.push_back(
+      {.robot = "r1", .decision_id = {1, 1}, .stage = "verified", .detail = "2 parts"});
   ASSERT_THAT(store_->Commit(stage), IsOk());
 
   EXPECT_THAT(store_->Commit(batch), IsOk());
@@ -159,7 +160,7 @@ TEST_P(StoreContractTest, WritingADecisionAgainChangesNothing) {
   EXPECT_EQ(Transitions("r1")[0].stage, "verified");
 }
 
-TEST_P(StoreContractTest, AMarkNamesOneDecisionForEver) {
+TEST_P(StoreContractTest, ADecisionIdNamesOneDecisionForEver) {
   ASSERT_THAT(store_->Commit(Decide("r1", {1, 1}, "DEFAULT", "HALT")), IsOk());
   const std::vector<TransitionRecord> before = Transitions("r1");
 
@@ -198,7 +199,7 @@ TEST_P(StoreContractTest, RefusesRecordsThatSayTooLittleOrTooMuch) {
   bad[3] = Decide("r1", {1, 1}, "A", "");
   bad[4] = Decide("r1", {1, kNumberMax + 1}, "A", "B");
   bad[5].refusals.push_back({.id = "x", .robot = ""});
-  bad[6].stages.push_back({.robot = "r1", .mark = {1, 1}, .stage = ""});
+  bad[6].stages.push_back({.robot = "r1", .decision_id = {1, 1}, .stage = ""});
   bad[7].alerts.push_back({.id = "x", .robot = ""});
   bad[8].checkpoints.push_back({.robot = "r1", .high_water = {{LaneKey{}, kNumberMax + 1}}});
   for (size_t i = 0; i < bad.size(); ++i) {
@@ -218,8 +219,9 @@ TEST_P(StoreContractTest, ListsTransitionsAsTheyWereWrittenNewestFirst) {
                             .reason = "blind",
                             .count = 1,
                             .time_unix_ns = 20});
-  batch.stages.push_back({.robot = "r1", .mark = {1, 1}, .stage = "failed", .detail = "timeout"});
-  batch.stages.push_back({.robot = "r1", .mark = {9, 9}, .stage = "verified"});
+  batch.stages.push_back(
+      {.robot = "r1", .decision_id = {1, 1}, .stage = "failed", .detail = "timeout"});
+  batch.stages.push_back({.robot = "r1", .decision_id = {9, 9}, .stage = "verified"});
   ASSERT_THAT(store_->Commit(batch), IsOk());
   ASSERT_THAT(store_->Commit(Decide("r2", {1, 1}, "DEFAULT", "HALT")), IsOk());
 
@@ -239,7 +241,7 @@ TEST_P(StoreContractTest, ListsTransitionsAsTheyWereWrittenNewestFirst) {
                                                               .to = "ALERT",
                                                               .cause = decision.cause,
                                                               .reason = "looked \"odd\"\n",
-                                                              .mark = {1, 1},
+                                                              .decision_id = {1, 1},
                                                               .stage = "failed",
                                                               .detail = "timeout"}));
 }
@@ -257,7 +259,7 @@ TEST_P(StoreContractTest, ARepeatedRefusalIsUpdatedNotAdded) {
   ASSERT_THAT(Transitions("r1"), SizeIs(1));
   EXPECT_EQ(Transitions("r1")[0].count, 17u);
   EXPECT_EQ(Transitions("r1")[0].time_unix_ns, 99);
-  EXPECT_TRUE(Transitions("r1")[0].mark.none());
+  EXPECT_TRUE(Transitions("r1")[0].decision_id.none());
 
   ASSERT_THAT(store_->Commit(Decide("r1", {1, 1}, "A", "B", "d1")), IsOk());
   batch.refusals[0].id = "d1";
@@ -413,7 +415,7 @@ TEST_P(StoreContractTest, CutsListsToTheirLimit) {
   EXPECT_THAT(AlertTexts("", kListMax + 5), SizeIs(kListMax));
   EXPECT_THAT(Transitions("r1", 0), SizeIs(kListDefault));
   EXPECT_THAT(Transitions("r1", kListMax + 5), SizeIs(kListMax));
-  EXPECT_EQ(Transitions("r1", 1)[0].mark, (Mark{1, kListMax + 5}));
+  EXPECT_EQ(Transitions("r1", 1)[0].decision_id, (DecisionId{1, kListMax + 5}));
 }
 
 TEST_P(StoreContractTest, RestoresVariablesExactly) {
@@ -580,13 +582,13 @@ TEST_P(StoreContractTest, ShowsTheNewestDecisionsOfRules) {
                                                      RuleDecision{{1, 3}, "DEFAULT", "ALERT", 10}));
 
   WriteBatch resumed;
-  resumed.checkpoints.push_back({.robot = "r1", .resumed_at = Mark{1, 2}});
+  resumed.checkpoints.push_back({.robot = "r1", .resumed_at = DecisionId{1, 2}});
   ASSERT_THAT(store_->Commit(resumed), IsOk());
-  EXPECT_EQ(Load("r1").resumed_at, (Mark{1, 2}));
+  EXPECT_EQ(Load("r1").resumed_at, (DecisionId{1, 2}));
   EXPECT_THAT(Load("r1").rule_decisions, ElementsAre(RuleDecision{{1, 3}, "DEFAULT", "ALERT", 10}));
   resumed.checkpoints[0].resumed_at.reset();
   ASSERT_THAT(store_->Commit(resumed), IsOk());
-  EXPECT_EQ(Load("r1").resumed_at, (Mark{1, 2})) << "absent = as before";
+  EXPECT_EQ(Load("r1").resumed_at, (DecisionId{1, 2})) << "absent = as before";
 
   WriteBatch many;
   for (uint64_t i = 1; i <= kRuleDecisionsMax; ++i) {
@@ -594,7 +596,7 @@ TEST_P(StoreContractTest, ShowsTheNewestDecisionsOfRules) {
   }
   ASSERT_THAT(store_->Commit(many), IsOk());
   EXPECT_THAT(Load("r1").rule_decisions, SizeIs(kRuleDecisionsMax));
-  EXPECT_EQ(Load("r1").rule_decisions.front().mark, (Mark{2, 1}));
+  EXPECT_EQ(Load("r1").rule_decisions.front().decision_id, (DecisionId{2, 1}));
 }
 
 INSTANTIATE_TEST_SUITE_P(All, StoreContractTest, testing::Values(Kind::kFake, Kind::kSqlite),

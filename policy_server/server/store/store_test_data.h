@@ -41,17 +41,18 @@ MATCHER_P(IsOkAndHolds, value, "") {
   return arg.ok() && *arg == value;
 }
 
-inline WriteBatch Decide(const std::string& robot, Mark mark, const std::string& from,
+inline WriteBatch Decide(const std::string& robot, DecisionId decision_id, const std::string& from,
                          const std::string& to, const std::string& id = NewId()) {
   WriteBatch batch;
-  batch.decisions.push_back({.id = id,
-                             .robot = robot,
-                             .mark = mark,
-                             .based_on = {mark.term, mark.epoch == 0 ? 0 : mark.epoch - 1},
-                             .from = from,
-                             .to = to,
-                             .cause = "rule intruder",
-                             .time_unix_ns = 10});
+  batch.decisions.push_back(
+      {.id = id,
+       .robot = robot,
+       .decision_id = decision_id,
+       .based_on = {decision_id.term, decision_id.epoch == 0 ? 0 : decision_id.epoch - 1},
+       .from = from,
+       .to = to,
+       .cause = "rule intruder",
+       .time_unix_ns = 10});
   return batch;
 }
 
@@ -64,7 +65,7 @@ inline AlertRecord MakeAlert(const std::string& robot, const std::string& text) 
           .text = text,
           .level = "ALERT",
           .event = "graph change",
-          .mark = {3, 17}};
+          .decision_id = {3, 17}};
 }
 
 }  // namespace rips::store

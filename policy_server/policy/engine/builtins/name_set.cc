@@ -14,7 +14,7 @@ void NameSet::Seal() {
                given_.end());
 }
 
-bool NameSet::Mark(absl::string_view name) {
+bool NameSet::DecisionId(absl::string_view name) {
   const auto found =
       std::lower_bound(given_.begin(), given_.end(), name,
                        [](const Given& given, absl::string_view n) { return given.name < n; });
@@ -26,11 +26,11 @@ bool NameSet::Mark(absl::string_view name) {
 bool NameSet::See(absl::string_view name) {
   bool known = false;
   if (kind_ == Kind::kPlain) {
-    known = Mark(name);
+    known = DecisionId(name);
   } else if (absl::StartsWith(name, "/")) {
-    known = Mark(name);
+    known = DecisionId(name);
     // A base name holds no slash, so it can only meet a given name without one.
-    known |= Mark(name.substr(name.rfind('/') + 1));
+    known |= DecisionId(name.substr(name.rfind('/') + 1));
   }
   if (!known) ++strangers_;
   return known;

@@ -207,7 +207,7 @@ TEST(ChainTest, ARaiseIsFalseOnceTheLevelIsBelow) {
   TestRobot robot(rules);
   robot.state.actuation = Actuation::kPending;
   robot.Tick();
-  robot.state.level.DeEscalate(1, {}, robot.now, 2, robot.state.level.mark());
+  robot.state.level.DeEscalate(1, {}, robot.now, 2, robot.state.level.decision_id());
 
   EXPECT_THAT(Lines(OnActuation(robot.now, robot.state), robot.state),
               ElementsAre("alert r medium: overtaken"));

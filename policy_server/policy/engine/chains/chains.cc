@@ -443,7 +443,7 @@ void Runner::Raise(const Current& current, Severity severity, std::string text) 
                   .severity = severity,
                   .text = std::move(text),
                   .level = state_.level.level(),
-                  .mark = state_.level.mark(),
+                  .decision_id = state_.level.decision_id(),
                   .graph_truncated = current.graph_open,
                   .trace = current.trace});
 }

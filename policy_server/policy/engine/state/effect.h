@@ -23,7 +23,7 @@ struct AlertEffect {
   std::string text;
   // Level and decision when it was raised.
   levels::LevelIndex level = 0;
-  Mark mark;
+  DecisionId decision_id;
   // Its rule fired because what was left out of the graph might make it true.
   bool graph_truncated = false;
   // Why the rule fired; null if it did not, or fired too often in this second to be traced.

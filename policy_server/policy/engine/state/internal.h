@@ -60,7 +60,7 @@ struct RefusalRecord {
   levels::LevelIndex from = 0;
   levels::Refusal reason = levels::Refusal::kNone;
   // Two stays at one level are not the same `from`.
-  Mark based_on;
+  DecisionId based_on;
   uint64_t count = 0;
 };
 

@@ -67,7 +67,7 @@ TEST(RobotStateTest, SwapKeepsVariablesByNameAndTypeAndTheLevelByName) {
       ElementsAre(Pair("fresh", lang::Value(int64_t{5})), Pair("kept", lang::Value(int64_t{10})),
                   Pair("retyped", lang::Value(std::string("new")))));
   EXPECT_EQ(robot.state.level.level(), 0);
-  EXPECT_EQ(robot.state.level.mark(), (Mark{1, 1}));
+  EXPECT_EQ(robot.state.level.decision_id(), (DecisionId{1, 1}));
 }
 
 TEST(RobotStateTest, SwapIsRefusedWithoutTheCurrentLevel) {

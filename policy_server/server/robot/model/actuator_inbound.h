@@ -8,7 +8,7 @@
 #include <vector>
 
 #include "services/base/clock.h"
-#include "services/base/mark.h"
+#include "services/base/decision_id.h"
 #include "services/ros2/guid.h"
 
 namespace rips::pipeline {
@@ -16,7 +16,7 @@ namespace rips::pipeline {
 struct ActuatorHello {
   std::vector<std::string> levels;
   std::vector<std::string> programs;
-  Mark mark;
+  DecisionId decision_id;
   std::string decided_level;
   std::string effective_level;
   uint64_t highest_term = 0;
@@ -31,7 +31,7 @@ struct ActuatorHello {
   std::string peer;
 };
 
-struct ActuatorBeat {
+struct ActuatorHeartbeat {
   // The actuator's own boottime, echoed in the next lease.
   int64_t boottime_ns = 0;
   std::string effective_level;
@@ -73,7 +73,7 @@ struct Receipt {
   };
   // 32 hex digits.
   std::string command_id;
-  Mark mark;
+  DecisionId decision_id;
   Stage stage = Stage::kAcknowledged;
   std::vector<StepReport> steps;
   int32_t exit_code = 0;

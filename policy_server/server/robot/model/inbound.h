@@ -12,7 +12,7 @@
 #include "policy_server/policy/engine/state/event.h"
 #include "policy_server/server/store/generations.h"
 #include "services/base/clock.h"
-#include "services/base/mark.h"
+#include "services/base/decision_id.h"
 #include "services/ros2/guid.h"
 #include "services/ros2/ros_graph.h"
 
@@ -164,7 +164,7 @@ struct SensorHello {
   ros2::Guid participant;
 };
 
-struct SensorBeat {
+struct SensorHeartbeat {
   // The sensor's own clocks when it sent this.
   Instant clock;
   // The newest boottime of the server that the sensor had seen by then; 0 = none.

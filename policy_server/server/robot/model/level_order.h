@@ -8,7 +8,7 @@
 #include <vector>
 
 #include "absl/status/status.h"
-#include "services/base/mark.h"
+#include "services/base/decision_id.h"
 
 namespace rips::pipeline {
 
@@ -18,7 +18,7 @@ struct LevelOrder {
   std::string to;
   std::string reason;
   std::string expected_level;
-  Mark expected_mark;
+  DecisionId expected_decision_id;
   bool dry_run = false;
   bool accept_blind = false;
   std::string request_id;
@@ -35,7 +35,7 @@ inline constexpr size_t kReasonBytesMax = 1'000;
 
 struct LevelAnswer {
   absl::Status status;
-  Mark mark;
+  DecisionId decision_id;
   std::string decided_level;
   std::vector<std::string> would_raise_again;
   std::vector<std::string> blind_because;

@@ -8,7 +8,7 @@
 #include <vector>
 
 #include "policy_server/server/store/generations.h"
-#include "services/base/mark.h"
+#include "services/base/decision_id.h"
 #include "services/ros2/guid.h"
 
 namespace rips::pipeline {
@@ -30,19 +30,19 @@ struct SensorSetup {
 struct LeaseGrant {
   int64_t echo_boottime_ns = 0;
   uint64_t term = 0;
-  Mark mark;
+  DecisionId decision_id;
   std::string level;
   uint32_t ttl_ms = 0;
   bool evidence_complete = false;
 };
 
 struct SetLevel {
-  Mark mark;
+  DecisionId decision_id;
   std::string from;
   std::string to;
   std::string cause;
   // None unless `to` is below what the actuator holds.
-  Mark based_on;
+  DecisionId based_on;
 
   friend bool operator==(const SetLevel&, const SetLevel&) = default;
 };

@@ -37,16 +37,16 @@ void CommandReconciler::SetHosts(const std::vector<std::string>& hosts) {
   actuators_ = std::move(listed);
 }
 
-void CommandReconciler::Order(const Mark& mark, levels::LevelIndex level,
+void CommandReconciler::Order(const DecisionId& decision_id, levels::LevelIndex level,
                               const std::string& level_name, const std::string& cause,
                               bool lowers) {
-  if (mark == mark_) return;
-  mark_ = mark;
+  if (decision_id == decision_id_) return;
+  decision_id_ = decision_id;
   level_ = level;
   level_name_ = level_name;
   cause_ = cause;
   lowers_ = lowers;
-  orders_.push_back({.mark = mark, .level = level, .level_name = level_name});
+  orders_.push_back({.decision_id = decision_id, .level = level, .level_name = level_name});
   if (orders_.size() > kOrdersKept) orders_.pop_front();
   for (auto& [host, actuator] : actuators_) {
     StartAnew(actuator);
@@ -60,19 +60,19 @@ void CommandReconciler::StartAnew(Actuator& actuator) const {
   actuator.sent_ns = actuator.first_sent_ns = actuator.retry_at_ns = 0;
 }
 
-void CommandReconciler::Hold(Actuator& actuator, const Mark& mark) const {
-  if (mark < actuator.held) return;
+void CommandReconciler::Hold(Actuator& actuator, const DecisionId& decision_id) const {
+  if (decision_id < actuator.held) return;
   for (const Ordered& order : orders_) {
-    if (order.mark != mark) continue;
-    actuator.held = mark;
+    if (order.decision_id != decision_id) continue;
+    actuator.held = decision_id;
     actuator.held_level = order.level;
     actuator.held_name = order.level_name;
   }
 }
 
-std::optional<std::string> CommandReconciler::OrderedLevel(const Mark& mark) const {
+std::optional<std::string> CommandReconciler::OrderedLevel(const DecisionId& decision_id) const {
   for (const Ordered& order : orders_) {
-    if (order.mark == mark) return order.level_name;
+    if (order.decision_id == decision_id) return order.level_name;
   }
   return std::nullopt;
 }
@@ -83,7 +83,7 @@ void CommandReconciler::Fail(Actuator& actuator, const std::string& why, Instant
   actuator.failure = why;
 }
 
-void CommandReconciler::Attach(const std::string& host, const Mark& held,
+void CommandReconciler::Attach(const std::string& host, const DecisionId& held,
                                levels::LevelIndex held_level, const std::string& held_name,
                                std::vector<std::string> programs, Instant now) {
   Actuator& actuator = actuators_[host];
@@ -96,7 +96,7 @@ void CommandReconciler::Attach(const std::string& host, const Mark& held,
   actuator.programs = std::move(programs);
   // Whatever was reported in an earlier session, the read-back is asked for again.
   StartAnew(actuator);
-  if (!mark_.none() && held == mark_ && held_level == level_) {
+  if (!decision_id_.none() && held == decision_id_ && held_level == level_) {
     actuator.stage = Stage::kAcknowledged;
     actuator.first_sent_ns = now.boottime_ns;
   }
@@ -162,8 +162,8 @@ ReceiptResult CommandReconciler::OnReceipt(const std::string& host, const Receip
   const bool obeyed =
       receipt.stage == Receipt::Stage::kAcknowledged || receipt.stage == Receipt::Stage::kVerified;
   // Also of a decision that has been overtaken: what comes next is based on it.
-  if (!receipt.mark.none() && obeyed) Hold(actuator, receipt.mark);
-  if (receipt.mark.none() || receipt.mark != mark_) return result;
+  if (!receipt.decision_id.none() && obeyed) Hold(actuator, receipt.decision_id);
+  if (receipt.decision_id.none() || receipt.decision_id != decision_id_) return result;
   if (receipt.stage == Receipt::Stage::kFailed && !actuator.beaten &&
       receipt.command_id != actuator.command_id) {
     // It may be minutes old: the first heartbeat says whether the level holds.
@@ -208,12 +208,12 @@ ReceiptResult CommandReconciler::OnProgramReceipt(uint64_t run_id, const Receipt
   return result;
 }
 
-bool CommandReconciler::OnBeat(const std::string& host, levels::LevelIndex effective, bool verified,
-                               Instant now) {
+bool CommandReconciler::OnHeartbeat(const std::string& host, levels::LevelIndex effective,
+                                    bool verified, Instant now) {
   Actuator& actuator = actuators_[host];
   actuator.beaten = true;
   const std::string old_failure = std::exchange(actuator.old_failure, "");
-  if (actuator.held != mark_) return false;
+  if (actuator.held != decision_id_) return false;
   const bool reached = verified && (effective == level_ || (effective > level_ && !lowers_));
   if (actuator.stage == Stage::kVerified && !reached) {
     actuator.stage = Stage::kAcknowledged;
@@ -252,7 +252,8 @@ std::optional<Command> CommandReconciler::LevelCommandDue(Actuator& actuator, ui
     actuator.first_sent_ns = now_ns;
   }
   actuator.sent_ns = now_ns;
-  SetLevel set{.mark = mark_, .from = actuator.held_name, .to = level_name_, .cause = cause_};
+  SetLevel set{
+      .decision_id = decision_id_, .from = actuator.held_name, .to = level_name_, .cause = cause_};
   if (level_ < actuator.held_level) set.based_on = actuator.held;
   return Command{.id = actuator.command_id,
                  .term = term,
@@ -262,7 +263,7 @@ std::optional<Command> CommandReconciler::LevelCommandDue(Actuator& actuator, ui
 
 std::vector<Outgoing> CommandReconciler::Due(uint64_t term, Instant now) {
   std::vector<Outgoing> due;
-  if (!mark_.none()) {
+  if (!decision_id_.none()) {
     for (auto& [host, actuator] : actuators_) {
       if (auto command = LevelCommandDue(actuator, term, now)) {
         due.push_back({.host = host, .command = *std::move(command)});

@@ -14,7 +14,7 @@
 #include "policy_server/server/robot/model/actuator_inbound.h"
 #include "policy_server/server/robot/model/outbound.h"
 #include "services/base/clock.h"
-#include "services/base/mark.h"
+#include "services/base/decision_id.h"
 
 namespace rips::pipeline {
 
@@ -59,9 +59,9 @@ class CommandReconciler {
   CommandReconciler(std::vector<std::string> hosts, std::function<std::string()> new_id,
                     LedgerTiming timing = {});
 
-  // The decision that every actuator must reach. A repeated mark changes nothing.
+  // The decision that every actuator must reach. A repeated decision id changes nothing.
   // `lowers`: it is verified only at exactly this level, otherwise also above it.
-  void Order(const Mark& mark, levels::LevelIndex level, const std::string& level_name,
+  void Order(const DecisionId& decision_id, levels::LevelIndex level, const std::string& level_name,
              const std::string& cause, bool lowers);
 
   // Other actuators are listed from now on. A new one has to reach the newest decision too; of one
@@ -69,13 +69,14 @@ class CommandReconciler {
   void SetHosts(const std::vector<std::string>& hosts);
 
   // `held_*`: what the actuator says it holds (none = nothing). One that holds the newest decision
-  // and its level already is not commanded again; its beats tell whether the level is verified.
-  void Attach(const std::string& host, const Mark& held, levels::LevelIndex held_level,
+  // and its level already is not commanded again; its heartbeats tell whether the level is
+  // verified.
+  void Attach(const std::string& host, const DecisionId& held, levels::LevelIndex held_level,
               const std::string& held_name, std::vector<std::string> programs, Instant now);
   void Detach(const std::string& host);
   // The level of one of the newest kOrdersKept decisions that were ordered; nullopt if the decision
   // is older or not of this process.
-  std::optional<std::string> OrderedLevel(const Mark& mark) const;
+  std::optional<std::string> OrderedLevel(const DecisionId& decision_id) const;
   bool attached(const std::string& host) const;
 
   // Takes the run to the first attached actuator whose allow-list has the program. False if there
@@ -90,7 +91,8 @@ class CommandReconciler {
   ReceiptResult OnReceipt(const std::string& host, const Receipt& receipt, Instant now);
   // What the actuator reports of itself between receipts. True if a level that was verified is no
   // longer so.
-  bool OnBeat(const std::string& host, levels::LevelIndex effective, bool verified, Instant now);
+  bool OnHeartbeat(const std::string& host, levels::LevelIndex effective, bool verified,
+                   Instant now);
 
   // Commands to send now. `term` fences them. Call after every change and at least each 100 ms.
   std::vector<Outgoing> Due(uint64_t term, Instant now);
@@ -99,7 +101,7 @@ class CommandReconciler {
 
   Stage stage() const;
   // The newest decision that was ordered; none = nothing yet.
-  const Mark& mark() const { return mark_; }
+  const DecisionId& decision_id() const { return decision_id_; }
   levels::LevelIndex level() const { return level_; }
   const std::string& level_name() const { return level_name_; }
   // Why it failed, for people; empty otherwise.
@@ -108,7 +110,7 @@ class CommandReconciler {
  private:
   struct Actuator {
     bool attached = false;
-    Mark held;
+    DecisionId held;
     levels::LevelIndex held_level = 0;
     std::string held_name;
     // A heartbeat has come in this session.
@@ -136,14 +138,14 @@ class CommandReconciler {
   };
 
   struct Ordered {
-    Mark mark;
+    DecisionId decision_id;
     levels::LevelIndex level = 0;
     std::string level_name;
   };
   static constexpr size_t kOrdersKept = 64;
 
-  // The actuator holds the decision of this mark, unless it holds a newer one.
-  void Hold(Actuator& actuator, const Mark& mark) const;
+  // The actuator holds the decision of this decision id, unless it holds a newer one.
+  void Hold(Actuator& actuator, const DecisionId& decision_id) const;
   void StartAnew(Actuator& actuator) const;
   void Fail(Actuator& actuator, const std::string& why, Instant now) const;
   std::optional<Command> LevelCommandDue(Actuator& actuator, uint64_t term, Instant now);
@@ -155,7 +157,7 @@ class CommandReconciler {
   absl::btree_map<uint64_t, ProgramRun> runs_;
   // The newest decisions, oldest first.
   std::deque<Ordered> orders_;
-  Mark mark_;
+  DecisionId decision_id_;
   levels::LevelIndex level_ = 0;
   std::string level_name_;
   std::string cause_;

@@ -39,11 +39,11 @@ bool DurableOutbox::AddAlert(store::AlertRecord alert) {
 
 void DurableOutbox::AddLowering(const levels::Transition& lowering) {
   lowerings_.push_back(lowering);
-  held_back_ = lowering.mark;
+  held_back_ = lowering.decision_id;
 }
 
-void DurableOutbox::Release(const Mark& lowering) {
-  if (held_back_ == lowering) held_back_ = Mark{};
+void DurableOutbox::Release(const DecisionId& lowering) {
+  if (held_back_ == lowering) held_back_ = DecisionId{};
 }
 
 bool DurableOutbox::CanSeal() const {

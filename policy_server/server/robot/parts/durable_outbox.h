@@ -21,7 +21,7 @@
 #include "policy_server/policy/levels/level_machine.h"
 #include "policy_server/policy/levels/level_table.h"
 #include "policy_server/server/store/records.h"
-#include "services/base/mark.h"
+#include "services/base/decision_id.h"
 
 namespace rips::pipeline {
 
@@ -59,9 +59,9 @@ class DurableOutbox {
   void TouchBundle() { unsaved_.bundle = true; }
 
   // The newest lowering that is neither commanded nor taken back; none = commands may leave.
-  const Mark& held_back() const { return held_back_; }
+  const DecisionId& held_back() const { return held_back_; }
   // It was commanded, or taken back.
-  void Release(const Mark& lowering);
+  void Release(const DecisionId& lowering);
 
   const Unsaved& unsaved() const { return unsaved_; }
   const std::vector<store::AlertRecord>& alerts() const { return collected_.alerts; }
@@ -89,7 +89,7 @@ class DurableOutbox {
   std::vector<levels::Transition> lowerings_;
   Unsaved unsaved_;
   std::optional<InFlight> in_flight_;
-  Mark held_back_;
+  DecisionId held_back_;
   bool failing_ = false;
   uint64_t alerts_dropped_ = 0;
 };

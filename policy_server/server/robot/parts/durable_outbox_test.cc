@@ -21,7 +21,7 @@ class DurableOutboxTest : public ::testing::Test {
     return {.id = id, .robot = "r1", .from = from, .to = to};
   }
   static levels::Transition Lowering(uint64_t epoch) {
-    return {.from = 2, .to = 0, .mark = {.term = 1, .epoch = epoch}};
+    return {.from = 2, .to = 0, .decision_id = {.term = 1, .epoch = epoch}};
   }
   static store::Checkpoint UpTo(uint64_t sequence) {
     store::Checkpoint checkpoint{.robot = "r1"};
@@ -79,15 +79,15 @@ TEST_F(DurableOutboxTest, ALoweringHoldsBackUntilItIsReleased) {
   EXPECT_TRUE(outbox_.held_back().none());
   outbox_.AddLowering(Lowering(3));
   outbox_.AddLowering(Lowering(5));
-  EXPECT_EQ(outbox_.held_back(), Lowering(5).mark);
+  EXPECT_EQ(outbox_.held_back(), Lowering(5).decision_id);
   outbox_.TouchSequences();
   outbox_.Seal(UpTo(7));
   const auto settled = outbox_.OnRecorded(true);
   ASSERT_THAT(settled.lowerings, SizeIs(2));
-  EXPECT_EQ(settled.lowerings[0].mark, Lowering(3).mark);
-  outbox_.Release(Lowering(3).mark);
+  EXPECT_EQ(settled.lowerings[0].decision_id, Lowering(3).decision_id);
+  outbox_.Release(Lowering(3).decision_id);
   EXPECT_FALSE(outbox_.held_back().none()) << "a newer one still waits";
-  outbox_.Release(Lowering(5).mark);
+  outbox_.Release(Lowering(5).decision_id);
   EXPECT_TRUE(outbox_.held_back().none());
 }
 

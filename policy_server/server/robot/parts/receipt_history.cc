@@ -150,10 +150,10 @@ void ReceiptHistory::MakeRoom(const LoggedReceipt& added) {
   if (added.command == kUnknownCommand) {
     Limit(receipts_, kStrangeReceiptsKept,
           [](const LoggedReceipt& each) { return each.command == kUnknownCommand; });
-  } else if (!added.receipt.mark.none()) {
+  } else if (!added.receipt.decision_id.none()) {
     Limit(receipts_, kAttemptsKept,
-          [host = added.host, mark = added.receipt.mark](const LoggedReceipt& each) {
-            return each.host == host && each.receipt.mark == mark &&
+          [host = added.host, decision_id = added.receipt.decision_id](const LoggedReceipt& each) {
+            return each.host == host && each.receipt.decision_id == decision_id &&
                    each.command != kUnknownCommand;
           });
   }

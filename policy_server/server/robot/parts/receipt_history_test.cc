@@ -111,7 +111,7 @@ TEST(ReceiptLogTest, ALevelThatIsTriedAgainAndAgainIsNotAll) {
   for (size_t i = 0; i < 100; ++i) {
     log.Sent("base", Level(absl::StrCat(i)));
     Receipt receipt = Of(absl::StrCat(i), Told::kFailed);
-    receipt.mark = {.term = 1, .epoch = 2};
+    receipt.decision_id = {.term = 1, .epoch = 2};
     log.Received("base", receipt, 2);
   }
   EXPECT_THAT(log.Newest(0), SizeIs(kAttemptsKept + 1));

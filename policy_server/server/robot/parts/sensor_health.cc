@@ -17,18 +17,18 @@ int64_t Minus(int64_t a, int64_t b) {
 
 }  // namespace
 
-bool ClockSkew::Beat(const SensorBeat& beat, Instant now) {
-  const int64_t least_ns = Minus(beat.clock.unix_ns, now.unix_ns);
+bool ClockSkew::Heartbeat(const SensorHeartbeat& heartbeat, Instant now) {
+  const int64_t least_ns = Minus(heartbeat.clock.unix_ns, now.unix_ns);
   lower_bounds_ns_.push_back(least_ns);
-  if (lower_bounds_ns_.size() > kBeatsKept) lower_bounds_ns_.pop_front();
+  if (lower_bounds_ns_.size() > kHeartbeatsKept) lower_bounds_ns_.pop_front();
   bool behind = false;
-  if (beat.echo_boottime_ns > 0 && beat.echo_boottime_ns <= now.boottime_ns) {
-    const int64_t round_trip_ns = now.boottime_ns - beat.echo_boottime_ns;
+  if (heartbeat.echo_boottime_ns > 0 && heartbeat.echo_boottime_ns <= now.boottime_ns) {
+    const int64_t round_trip_ns = now.boottime_ns - heartbeat.echo_boottime_ns;
     behind = Minus(least_ns, -round_trip_ns) < -kOffNs;
   }
   const bool off = least_ns > kOffNs || behind;
-  beats_off_ = off ? std::min(beats_off_ + 1, kOffBeats) : 0;
-  const bool before = std::exchange(off_, beats_off_ >= kOffBeats);
+  heartbeats_off_ = off ? std::min(heartbeats_off_ + 1, kOffHeartbeats) : 0;
+  const bool before = std::exchange(off_, heartbeats_off_ >= kOffHeartbeats);
   return off_ && !before;
 }
 

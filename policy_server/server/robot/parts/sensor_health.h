@@ -17,18 +17,19 @@
 namespace rips::pipeline {
 
 // The sensor's wall clock minus the server's. A heartbeat was sent at some time between the
-// server's beat that it echoes and its arrival, so each one bounds the difference from both sides.
+// server's heartbeat that it echoes and its arrival, so each one bounds the difference from both
+// sides.
 class ClockSkew {
  public:
   // A clock is off when it is further off than this for so many heartbeats in a row.
   static constexpr int64_t kOffNs = 500 * kNanosPerMilli;
-  static constexpr int kOffBeats = 3;
+  static constexpr int kOffHeartbeats = 3;
   // Heartbeats of which the closest is the estimate.
-  static constexpr size_t kBeatsKept = 8;
+  static constexpr size_t kHeartbeatsKept = 8;
 
   // True if the clock is found off now and was not before. A clock that is behind is found off only
-  // where the time since the echoed beat, up to a heartbeat, does not explain it.
-  bool Beat(const SensorBeat& beat, Instant now);
+  // where the time since the echoed heartbeat, up to a heartbeat, does not explain it.
+  bool Heartbeat(const SensorHeartbeat& heartbeat, Instant now);
 
   // Nanoseconds; nullopt before the first heartbeat. Too low by the way of a heartbeat.
   std::optional<int64_t> estimate_ns() const;
@@ -36,7 +37,7 @@ class ClockSkew {
 
  private:
   std::deque<int64_t> lower_bounds_ns_;
-  int beats_off_ = 0;
+  int heartbeats_off_ = 0;
   bool off_ = false;
 };
 

@@ -10,21 +10,21 @@ namespace {
 constexpr int64_t kMs = kNanosPerMilli;
 
 // A server and a sensor whose wall clock is `ahead_ms` ahead; each way takes `way_ms`, and the
-// sensor beats `waits_ms` after the server's beat has come.
-class Beats {
+// sensor heartbeats `waits_ms` after the server's heartbeat has come.
+class Heartbeats {
  public:
   bool Next(int64_t ahead_ms, int64_t way_ms = 1, int64_t waits_ms = 250) {
     server_.boottime_ns += 500 * kMs;
     server_.unix_ns += 500 * kMs;
     const int64_t echo_ns = server_.boottime_ns;
     const int64_t sent_ms = way_ms + waits_ms;
-    const SensorBeat beat{
+    const SensorHeartbeat heartbeat{
         .clock = {.boottime_ns = 7, .unix_ns = server_.unix_ns + (sent_ms + ahead_ms) * kMs},
         .echo_boottime_ns = echoes ? echo_ns : 0};
     const int64_t round_ms = sent_ms + way_ms;
     const Instant arrival{.boottime_ns = echo_ns + round_ms * kMs,
                           .unix_ns = server_.unix_ns + round_ms * kMs};
-    return skew.Beat(beat, arrival);
+    return skew.Heartbeat(heartbeat, arrival);
   }
 
   ClockSkew skew;
@@ -34,52 +34,52 @@ class Beats {
   Instant server_{.boottime_ns = 1'000 * kNanosPerSecond, .unix_ns = 2'000 * kNanosPerSecond};
 };
 
-TEST(ClockSkewTest, AClockThatIsAheadIsOffAfterThreeBeats) {
-  Beats beats;
-  EXPECT_EQ(beats.skew.estimate_ns(), std::nullopt);
-  EXPECT_FALSE(beats.Next(600));
-  EXPECT_FALSE(beats.Next(600));
-  EXPECT_FALSE(beats.skew.off());
-  EXPECT_TRUE(beats.Next(600));
-  EXPECT_TRUE(beats.skew.off());
-  EXPECT_EQ(beats.skew.estimate_ns(), 599 * kMs) << "a way too low";
-  EXPECT_FALSE(beats.Next(600)) << "told once";
-  EXPECT_FALSE(beats.Next(0));
-  EXPECT_FALSE(beats.skew.off());
-  EXPECT_FALSE(beats.Next(600));
-  EXPECT_FALSE(beats.Next(600));
-  EXPECT_TRUE(beats.Next(600)) << "told again";
+TEST(ClockSkewTest, AClockThatIsAheadIsOffAfterThreeHeartbeats) {
+  Heartbeats heartbeats;
+  EXPECT_EQ(heartbeats.skew.estimate_ns(), std::nullopt);
+  EXPECT_FALSE(heartbeats.Next(600));
+  EXPECT_FALSE(heartbeats.Next(600));
+  EXPECT_FALSE(heartbeats.skew.off());
+  EXPECT_TRUE(heartbeats.Next(600));
+  EXPECT_TRUE(heartbeats.skew.off());
+  EXPECT_EQ(heartbeats.skew.estimate_ns(), 599 * kMs) << "a way too low";
+  EXPECT_FALSE(heartbeats.Next(600)) << "told once";
+  EXPECT_FALSE(heartbeats.Next(0));
+  EXPECT_FALSE(heartbeats.skew.off());
+  EXPECT_FALSE(heartbeats.Next(600));
+  EXPECT_FALSE(heartbeats.Next(600));
+  EXPECT_TRUE(heartbeats.Next(600)) << "told again";
 }
 
 TEST(ClockSkewTest, AClockWithinTheLimitIsNotOff) {
-  Beats beats;
-  for (int i = 0; i < 20; ++i) EXPECT_FALSE(beats.Next(500));
-  for (int i = 0; i < 20; ++i) EXPECT_FALSE(beats.Next(-500));
+  Heartbeats heartbeats;
+  for (int i = 0; i < 20; ++i) EXPECT_FALSE(heartbeats.Next(500));
+  for (int i = 0; i < 20; ++i) EXPECT_FALSE(heartbeats.Next(-500));
 }
 
 TEST(ClockSkewTest, AClockThatIsBehindIsOffIfTheRoundTripDoesNotExplainIt) {
-  Beats beats;
-  for (int i = 0; i < 20; ++i) EXPECT_FALSE(beats.Next(-700)) << "251 ms are explained";
-  EXPECT_FALSE(beats.Next(-800));
-  EXPECT_FALSE(beats.Next(-800));
-  EXPECT_TRUE(beats.Next(-800));
+  Heartbeats heartbeats;
+  for (int i = 0; i < 20; ++i) EXPECT_FALSE(heartbeats.Next(-700)) << "251 ms are explained";
+  EXPECT_FALSE(heartbeats.Next(-800));
+  EXPECT_FALSE(heartbeats.Next(-800));
+  EXPECT_TRUE(heartbeats.Next(-800));
 }
 
 TEST(ClockSkewTest, ASlowNetworkIsNoSkew) {
-  Beats beats;
-  for (int i = 0; i < 20; ++i) EXPECT_FALSE(beats.Next(0, 4'000));
-  EXPECT_EQ(beats.skew.estimate_ns(), -4'000 * kMs);
-  beats.Next(0, 2);
-  EXPECT_EQ(beats.skew.estimate_ns(), -2 * kMs) << "the closest counts";
+  Heartbeats heartbeats;
+  for (int i = 0; i < 20; ++i) EXPECT_FALSE(heartbeats.Next(0, 4'000));
+  EXPECT_EQ(heartbeats.skew.estimate_ns(), -4'000 * kMs);
+  heartbeats.Next(0, 2);
+  EXPECT_EQ(heartbeats.skew.estimate_ns(), -2 * kMs) << "the closest counts";
 }
 
 TEST(ClockSkewTest, WithoutAnEchoOnlyAClockThatIsAheadIsFound) {
-  Beats beats;
-  beats.echoes = false;
-  for (int i = 0; i < 5; ++i) EXPECT_FALSE(beats.Next(-60'000));
-  EXPECT_FALSE(beats.Next(60'000));
-  EXPECT_FALSE(beats.Next(60'000));
-  EXPECT_TRUE(beats.Next(60'000));
+  Heartbeats heartbeats;
+  heartbeats.echoes = false;
+  for (int i = 0; i < 5; ++i) EXPECT_FALSE(heartbeats.Next(-60'000));
+  EXPECT_FALSE(heartbeats.Next(60'000));
+  EXPECT_FALSE(heartbeats.Next(60'000));
+  EXPECT_TRUE(heartbeats.Next(60'000));
 }
 
 TEST(ClockSkewTest, TimesThatCannotBeDoNoHarm) {
@@ -88,8 +88,8 @@ TEST(ClockSkewTest, TimesThatCannotBeDoNoHarm) {
   ClockSkew skew;
   for (const int64_t unix_ns : {kMin, int64_t{0}, kMax}) {
     for (const int64_t echo_ns : {kMin, int64_t{0}, int64_t{5}, kMax}) {
-      skew.Beat({.clock = {.unix_ns = unix_ns}, .echo_boottime_ns = echo_ns},
-                {.boottime_ns = 10, .unix_ns = 1'700'000'000 * kNanosPerSecond});
+      skew.Heartbeat({.clock = {.unix_ns = unix_ns}, .echo_boottime_ns = echo_ns},
+                     {.boottime_ns = 10, .unix_ns = 1'700'000'000 * kNanosPerSecond});
     }
   }
   EXPECT_TRUE(skew.off());

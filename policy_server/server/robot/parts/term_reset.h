@@ -20,7 +20,7 @@
 #include <optional>
 #include <string>
 
-#include "services/base/mark.h"
+#include "services/base/decision_id.h"
 
 namespace rips::pipeline {
 
@@ -32,10 +32,10 @@ inline constexpr uint64_t kTermResetMax = uint64_t{1} << 61;
 
 // What a refused hello showed.
 struct ShownTerm {
-  Mark mark;
+  DecisionId decision_id;
   uint64_t highest_term = 0;
 
-  uint64_t term() const { return std::max(highest_term, mark.term); }
+  uint64_t term() const { return std::max(highest_term, decision_id.term); }
   friend bool operator==(const ShownTerm&, const ShownTerm&) = default;
 };
 
@@ -43,7 +43,7 @@ enum class TermJump { kNear, kFar, kOutOfReach };
 
 // `pardoned`: what an administrator let the server go above; none = nothing.
 // `ours`: the newest decision, of which the epoch is never far, and the term in use.
-inline TermJump JudgeTerm(const ShownTerm& shown, const Mark& ours,
+inline TermJump JudgeTerm(const ShownTerm& shown, const DecisionId& ours,
                           const std::optional<ShownTerm>& pardoned) {
   const uint64_t our_term = ours.term;
   if (shown.term() > our_term + kTermJumpMax) {
@@ -51,7 +51,7 @@ inline TermJump JudgeTerm(const ShownTerm& shown, const Mark& ours,
   }
   // Of a pardoned decision, the epoch does not count: it stands in a lower term.
   const bool epoch_counts = !(pardoned == shown && shown.term() < our_term);
-  const bool far = epoch_counts && shown.mark.epoch > std::max(kEpochMax, ours.epoch);
+  const bool far = epoch_counts && shown.decision_id.epoch > std::max(kEpochMax, ours.epoch);
   return far ? TermJump::kFar : TermJump::kNear;
 }
 

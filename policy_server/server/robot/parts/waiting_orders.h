@@ -13,7 +13,7 @@
 #include "absl/status/status.h"
 #include "absl/strings/string_view.h"
 #include "policy_server/server/robot/model/level_order.h"
-#include "services/base/mark.h"
+#include "services/base/decision_id.h"
 
 namespace rips::pipeline {
 
@@ -25,11 +25,12 @@ class WaitingOrders {
   // The answer for an order that repeats an earlier one; Unavailable while that one waits.
   // `request_id` empty: it repeats none.
   std::optional<LevelAnswer> Repeated(absl::string_view request_id) const;
-  // `answer` is what the order gets when the decision `mark` is durable.
-  void Wait(const Mark& mark, std::string request_id, LevelAnswer answer, LevelReply reply);
-  void OnDurable(const Mark& mark);
+  // `answer` is what the order gets when the decision `decision_id` is durable.
+  void Wait(const DecisionId& decision_id, std::string request_id, LevelAnswer answer,
+            LevelReply reply);
+  void OnDurable(const DecisionId& decision_id);
   // It is not in force.
-  void Refuse(const Mark& mark, const absl::Status& why);
+  void Refuse(const DecisionId& decision_id, const absl::Status& why);
   void RefuseAll(const absl::Status& why);
 
  private:
@@ -39,7 +40,7 @@ class WaitingOrders {
     LevelReply reply;
   };
 
-  absl::btree_map<Mark, Order> waiting_;
+  absl::btree_map<DecisionId, Order> waiting_;
   // By request id, oldest first.
   std::deque<std::pair<std::string, LevelAnswer>> answered_;
 };

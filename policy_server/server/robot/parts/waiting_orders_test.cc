@@ -21,7 +21,7 @@ class WaitingOrdersTest : public ::testing::Test {
           answers_.push_back(absl::StrCat(answer.decided_level, " ", answer.status.ToString()));
         });
   }
-  static Mark At(uint64_t epoch) { return {.term = 1, .epoch = epoch}; }
+  static DecisionId At(uint64_t epoch) { return {.term = 1, .epoch = epoch}; }
 
   WaitingOrders orders_;
   std::vector<std::string> answers_;
