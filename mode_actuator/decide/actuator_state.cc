@@ -17,8 +17,9 @@ constexpr absl::string_view kMagic = "rips-actuator-state 1";
 constexpr absl::string_view kKeys[] = {"mark ", "decided ", "effective ", "highest_term "};
 
 std::string Body(const ActuatorState& state) {
-  return absl::StrCat(kMagic, "\n", kKeys[0], ToString(state.mark), "\n", kKeys[1], state.decided,
-                      "\n", kKeys[2], state.effective, "\n", kKeys[3], state.highest_term, "\n");
+  return absl::StrCat(kMagic, "\n", kKeys[0], ToString(state.decision_id), "\n", kKeys[1],
+                      state.decided, "\n", kKeys[2], state.effective, "\n", kKeys[3],
+                      state.highest_term, "\n");
 }
 
 absl::Status Corrupt(absl::string_view why) {
@@ -62,15 +63,15 @@ absl::StatusOr<ActuatorState> DecodeState(absl::string_view bytes) {
     }
   }
   ActuatorState state;
-  const absl::StatusOr<DecisionId> mark = ParseDecisionId(values[0]);
-  if (!mark.ok()) return Corrupt("bad mark");
-  state.mark = *mark;
+  const absl::StatusOr<DecisionId> decision_id = ParseDecisionId(values[0]);
+  if (!decision_id.ok()) return Corrupt("bad decision id");
+  state.decision_id = *decision_id;
   state.decided = std::string(values[1]);
   state.effective = std::string(values[2]);
   if (!absl::SimpleAtoi(values[3], &state.highest_term)) return Corrupt("bad term");
   // Written again it must be the same bytes: that covers the checksum and every other spelling.
   if (EncodeState(state) != bytes) return Corrupt("wrong checksum");
-  if (state.effective.empty() || state.decided.empty() != state.mark.none()) {
+  if (state.effective.empty() || state.decided.empty() != state.decision_id.none()) {
     return Corrupt("a level is missing");
   }
   return state;

@@ -21,9 +21,9 @@ namespace rips::actuator {
 inline constexpr size_t kStateBytesMax = 4096;
 
 struct ActuatorState {
-  DecisionId mark;        // of the newest decision held; none = nothing decided
-  std::string decided;    // level name; empty exactly when mark is none
-  std::string effective;  // level name; not empty
+  DecisionId decision_id;  // of the newest decision held; none = nothing decided
+  std::string decided;     // level name; empty exactly when decision_id is none
+  std::string effective;   // level name; not empty
   uint64_t highest_term = 0;
   friend bool operator==(const ActuatorState&, const ActuatorState&) = default;
 };
