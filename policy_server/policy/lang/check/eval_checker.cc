@@ -13,6 +13,7 @@
 #include "policy_server/policy/lang/limits.h"
 #include "policy_server/policy/lang/syntax/lexer.h"
 #include "policy_server/policy/lang/syntax/literal.h"
+#include "policy_server/policy/lang/syntax/operators.h"
 #include "policy_server/policy/lang/syntax/parser.h"
 #include "services/text/quote.h"
 
@@ -93,7 +94,7 @@ std::optional<ExprChecker::Checked> ExprChecker::CheckEval(const ast::Expr& call
   }
   const auto* const op = std::find_if(
       std::begin(kComparisons), std::end(kComparisons),
-      [&](BinaryOp candidate) { return call.operands[1].text == ast::Spelling(candidate); });
+      [&](BinaryOp candidate) { return call.operands[1].text == Spelling(candidate); });
   if (op == std::end(kComparisons)) {
     sink_.Add(DiagnosticKind::kBadEval, call.operands[1].range,
               absl::StrCat(Quote(call.operands[1].text), " is not a comparison"),

@@ -7,6 +7,7 @@
 #include "policy_server/policy/lang/check/fold.h"
 #include "policy_server/policy/lang/check/type.h"
 #include "policy_server/policy/lang/limits.h"
+#include "policy_server/policy/lang/syntax/operators.h"
 #include "services/text/nearest.h"
 #include "services/text/quote.h"
 #include "services/text/utf8.h"
@@ -166,7 +167,7 @@ std::optional<ExprChecker::Checked> ExprChecker::CheckUnary(const ast::Expr& exp
   if (!type) {
     sink_.Add(DiagnosticKind::kTypeMismatch,
               {.file = expr.range.file, .offset = expr.range.offset, .length = 1},
-              absl::StrCat(Quote(ast::Spelling(expr.unary)), " does not take ",
+              absl::StrCat(Quote(Spelling(expr.unary)), " does not take ",
                            Quote(Name(operand->typed.type))));
     return std::nullopt;
   }
@@ -331,7 +332,7 @@ ExprChecker::Reach ExprChecker::Join(BinaryOp op, const Checked& left, const Che
 
 void ExprChecker::ReportTypes(const ast::Expr::Operator& op, const TypedExpr& left,
                               const TypedExpr& right) {
-  const std::string spelling = Quote(ast::Spelling(op.op));
+  const std::string spelling = Quote(Spelling(op.op));
   const ValueType l = PlainType(left);
   const ValueType r = PlainType(right);
   if (l == r) {
@@ -369,8 +370,8 @@ void ExprChecker::WarnMixedBitOperators(const ast::Expr& run) {
     const BinaryOp inner = operand.operators[0].op;
     if (!IsBitOperator(inner)) continue;
     sink_.Add(DiagnosticKind::kMixedBitOperators, operand.range,
-              absl::StrCat(Quote(ast::Spelling(inner)), " binds tighter than ",
-                           Quote(ast::Spelling(outer)), " here, as in C"),
+              absl::StrCat(Quote(Spelling(inner)), " binds tighter than ", Quote(Spelling(outer)),
+                           " here, as in C"),
               "other tools read it the other way round; say what is meant with parentheses");
   }
 }

@@ -11,6 +11,7 @@
 #include "policy_server/policy/lang/check/fold.h"
 #include "policy_server/policy/lang/check/signature.h"
 #include "policy_server/policy/lang/syntax/ast.h"
+#include "policy_server/policy/lang/syntax/operators.h"
 
 namespace rips::lang {
 namespace {
@@ -69,7 +70,7 @@ TEST(TypeTest, OperatorsTakeTheirTypes) {
         EXPECT_EQ(
             letter(ResultType(row.op, static_cast<ValueType>(left), static_cast<ValueType>(right))),
             expected)
-            << ast::Spelling(row.op) << " " << left << " " << right;
+            << Spelling(row.op) << " " << left << " " << right;
       }
     }
   }

@@ -3,8 +3,7 @@
 #include <optional>
 #include <utility>
 
-#include "policy_server/policy/lang/syntax/ast.h"
-#include "policy_server/policy/lang/syntax/token_operator.h"
+#include "policy_server/policy/lang/syntax/operators.h"
 
 namespace rips::lang {
 
@@ -17,7 +16,7 @@ Piece PieceReader::ReadBraces(size_t first) { return ReadList(first, first); }
 Piece PieceReader::ReadBinary(size_t first, int precedence_min) {
   Piece left = ReadUnary(first);
   while (const std::optional<BinaryOp> op = BinaryOpOf(KindOf(left.last + 1))) {
-    const int precedence = ast::Precedence(*op);
+    const int precedence = Precedence(*op);
     if (precedence < precedence_min) break;
     SetSpaceBefore(left.last + 1);
     SetSpaceBefore(left.last + 2);

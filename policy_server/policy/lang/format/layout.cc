@@ -8,7 +8,7 @@
 #include "policy_server/policy/lang/format/break_span.h"
 #include "policy_server/policy/lang/format/line_writer.h"
 #include "policy_server/policy/lang/format/trivia.h"
-#include "policy_server/policy/lang/syntax/token_operator.h"
+#include "policy_server/policy/lang/syntax/operators.h"
 #include "services/text/utf8.h"
 
 namespace rips::lang {

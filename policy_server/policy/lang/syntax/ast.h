@@ -8,7 +8,6 @@
 #include <string>
 #include <vector>
 
-#include "absl/strings/string_view.h"
 #include "policy_server/policy/lang/checked_rules.h"
 
 namespace rips::lang::ast {
@@ -94,13 +93,6 @@ struct File {
   // Expression nodes.
   size_t nodes = 0;
 };
-
-// From 1 (`||`) to 9 (`* / %`), RIPS paper's operators in C's order.
-int Precedence(BinaryOp op);
-absl::string_view Spelling(BinaryOp op);
-absl::string_view Spelling(UnaryOp op);
-// `=>`, `!>`, `,`; empty for kEnd.
-absl::string_view Spelling(Connector connector);
 
 }  // namespace rips::lang::ast
 

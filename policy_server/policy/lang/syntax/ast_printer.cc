@@ -2,6 +2,7 @@
 
 #include "absl/strings/str_cat.h"
 #include "policy_server/policy/lang/syntax/literal.h"
+#include "policy_server/policy/lang/syntax/operators.h"
 #include "policy_server/policy/lang/syntax/value_text.h"
 
 namespace rips::lang {
@@ -59,13 +60,13 @@ class Printer {
         absl::StrAppend(&out_, expr.text);
         break;
       case ast::Expr::Kind::kUnary:
-        absl::StrAppend(&out_, ast::Spelling(expr.unary));
+        absl::StrAppend(&out_, Spelling(expr.unary));
         Print(expr.operands[0]);
         break;
       case ast::Expr::Kind::kRun:
         Print(expr.operands[0]);
         for (size_t i = 0; i < expr.operators.size(); ++i) {
-          absl::StrAppend(&out_, " ", ast::Spelling(expr.operators[i].op), " ");
+          absl::StrAppend(&out_, " ", Spelling(expr.operators[i].op), " ");
           Print(expr.operands[i + 1]);
         }
         break;
@@ -109,7 +110,7 @@ class Printer {
         absl::StrAppend(&out_, action.name.text);
         PrintList("(", action.args, ")");
         if (action.next != Connector::kEnd) {
-          absl::StrAppend(&out_, " ", ast::Spelling(action.next), " ");
+          absl::StrAppend(&out_, " ", Spelling(action.next), " ");
         }
       }
       absl::StrAppend(&out_, ";\n");

@@ -8,7 +8,7 @@
 #include "absl/strings/str_cat.h"
 #include "policy_server/policy/lang/syntax/foreign_syntax.h"
 #include "policy_server/policy/lang/syntax/literal.h"
-#include "policy_server/policy/lang/syntax/token_operator.h"
+#include "policy_server/policy/lang/syntax/operators.h"
 #include "services/text/nearest.h"
 #include "services/text/quote.h"
 
@@ -363,9 +363,9 @@ class Parser {
     std::optional<Expr> left = ParseUnary();
     while (left) {
       const std::optional<BinaryOp> op = BinaryOpOf(Peek().kind);
-      if (!op || ast::Precedence(*op) < precedence_min) return left;
+      if (!op || Precedence(*op) < precedence_min) return left;
       const SourceRange op_range = RangeOf(Take());
-      std::optional<Expr> right = ParseBinary(ast::Precedence(*op) + 1);
+      std::optional<Expr> right = ParseBinary(Precedence(*op) + 1);
       if (!right || !Join(*left, {.op = *op, .range = op_range}, std::move(*right))) {
         return std::nullopt;
       }
@@ -377,7 +377,7 @@ class Parser {
   // left := left op right, in one run where the precedence is the same.
   bool Join(Expr& left, Expr::Operator op, Expr right) {
     const bool extends = left.kind == Expr::Kind::kRun && !left.parenthesized &&
-                         ast::Precedence(left.operators[0].op) == ast::Precedence(op.op);
+                         Precedence(left.operators[0].op) == Precedence(op.op);
     if (!extends) {
       if (!CountNode()) return false;
       Expr run;

@@ -14,7 +14,7 @@
 //   connector := '=>' | '→' | '!>' | '↛' | ','
 //   action   := ID args
 //   args     := '(' (expr (',' expr)* ','?)? ')'
-//   expr     := binary operators by ast::Precedence, all grouped to the left, over unary
+//   expr     := binary operators by Precedence, all grouped to the left, over unary
 //   unary    := ('+' | '-' | '!' | '~') unary | primary
 //   primary  := INTEGER | FLOAT | STRING | 'true' | 'false' | ID args? | '(' expr ')'
 //

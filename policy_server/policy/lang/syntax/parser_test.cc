@@ -9,6 +9,7 @@
 #include "gtest/gtest.h"
 #include "policy_server/policy/lang/syntax/ast_printer.h"
 #include "policy_server/policy/lang/syntax/lexer.h"
+#include "policy_server/policy/lang/syntax/operators.h"
 
 namespace rips::lang {
 namespace {
@@ -42,13 +43,13 @@ std::string Rule(absl::string_view expr) { return absl::StrCat("rules Msg: ", ex
 // The expression with every operation in brackets.
 std::string Grouped(const ast::Expr& expr) {
   if (expr.kind == ast::Expr::Kind::kUnary) {
-    return absl::StrCat("[", ast::Spelling(expr.unary), Grouped(expr.operands[0]), "]");
+    return absl::StrCat("[", Spelling(expr.unary), Grouped(expr.operands[0]), "]");
   }
   if (expr.kind != ast::Expr::Kind::kRun) return Print(expr);
   std::string out = Grouped(expr.operands[0]);
   for (size_t i = 0; i < expr.operators.size(); ++i) {
-    out = absl::StrCat("[", out, ast::Spelling(expr.operators[i].op), Grouped(expr.operands[i + 1]),
-                       "]");
+    out =
+        absl::StrCat("[", out, Spelling(expr.operators[i].op), Grouped(expr.operands[i + 1]), "]");
   }
   return out;
 }
