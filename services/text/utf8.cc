@@ -46,6 +46,15 @@ size_t CountCodePoints(absl::string_view text) {
   return count;
 }
 
+absl::string_view CutCodePoints(absl::string_view text, size_t max) {
+  if (text.size() <= max) return text;
+  size_t end = 0;
+  for (size_t count = 0; count < max && end < text.size(); ++count) {
+    end += DecodeCodePoint(text, end).length;
+  }
+  return text.substr(0, end);
+}
+
 bool IsScalarValue(char32_t value) {
   return value <= 0x10FFFF && (value < 0xD800 || value > 0xDFFF);
 }

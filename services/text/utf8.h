@@ -29,6 +29,9 @@ std::optional<size_t> FindInvalidUtf8(absl::string_view text);
 // Number of code points; each byte that is not UTF-8 counts one.
 size_t CountCodePoints(absl::string_view text);
 
+// The longest start of `text` of at most `max` code points; each byte that is not UTF-8 counts one.
+absl::string_view CutCodePoints(absl::string_view text, size_t max);
+
 bool IsScalarValue(char32_t value);
 
 // Appends `value`, which must be a scalar value.

@@ -3,7 +3,7 @@
 #include <map>
 #include <tuple>
 
-#include "policy_server/policy/lang/syntax/value_text.h"
+#include "policy_server/policy/lang/value_text.h"
 
 namespace rips::replay {
 namespace {

@@ -9,7 +9,7 @@
 #include "absl/strings/str_join.h"
 #include "policy_server/policy/lang/check/signature.h"
 #include "policy_server/policy/lang/check/type.h"
-#include "policy_server/policy/lang/syntax/value_text.h"
+#include "policy_server/policy/lang/value_text.h"
 #include "policy_server/policy/replay/replayer.h"
 #include "policy_server/policy/replay/rule_facts.h"
 #include "services/text/nearest.h"

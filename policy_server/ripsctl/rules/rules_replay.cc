@@ -14,7 +14,7 @@
 #include "absl/strings/str_format.h"
 #include "absl/strings/str_join.h"
 #include "policy_server/policy/lang/check/type.h"
-#include "policy_server/policy/lang/syntax/value_text.h"
+#include "policy_server/policy/lang/value_text.h"
 #include "policy_server/policy/recording/reader.h"
 #include "policy_server/policy/replay/replayer.h"
 #include "policy_server/policy/replay/result_json.h"

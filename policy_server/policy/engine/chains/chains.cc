@@ -7,8 +7,8 @@
 #include "absl/strings/str_join.h"
 #include "policy_server/policy/engine/state/compiled.h"
 #include "policy_server/policy/engine/state/message_counts.h"
-#include "policy_server/policy/engine/state/text.h"
 #include "policy_server/policy/engine/trace/tracer.h"
+#include "policy_server/policy/lang/value_text.h"
 
 namespace rips::engine {
 namespace {
@@ -329,7 +329,7 @@ Runner::Step Runner::Debug(Current& current, const lang::TypedAction& action) {
   for (const lang::TypedExpr& arg : action.args) {
     const std::optional<lang::Value> value = Arg(current, arg);
     if (!value.has_value()) return Step::kFailed;
-    values.push_back(ToText(*value));
+    values.push_back(lang::ToText(*value));
   }
   Add(LogEffect{.rule = current.rule.name, .text = absl::StrJoin(values, " ")});
   return action.kind == ActionKind::kTrue ? Step::kSucceeded : Step::kFailed;

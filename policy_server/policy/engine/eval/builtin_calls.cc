@@ -13,8 +13,8 @@
 #include "policy_server/policy/engine/eval/evaluation.h"
 #include "policy_server/policy/engine/state/internal.h"
 #include "policy_server/policy/engine/state/message_counts.h"
-#include "policy_server/policy/engine/state/text.h"
 #include "policy_server/policy/engine/state/topic_verdicts.h"
+#include "policy_server/policy/lang/value_text.h"
 
 namespace rips::engine {
 namespace {
@@ -291,7 +291,7 @@ EvalStatus String(const EvalNode& node, Evaluation& run, Slot& out) {
       out.text = value.truth ? "true" : "false";
       break;
     case ValueType::kFloat:
-      out.text = run.Keep(FormatFloat(value.real));
+      out.text = run.Keep(lang::FormatFloat(value.real));
       break;
     case ValueType::kInt:
     case ValueType::kLevel:

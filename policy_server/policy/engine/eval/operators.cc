@@ -5,7 +5,7 @@
 
 #include "absl/strings/str_cat.h"
 #include "policy_server/policy/engine/eval/evaluation.h"
-#include "policy_server/policy/engine/state/text.h"
+#include "services/text/utf8.h"
 
 namespace rips::engine {
 namespace {

@@ -5,8 +5,8 @@
 #include "absl/strings/str_cat.h"
 #include "policy_server/policy/engine/state/compiled.h"
 #include "policy_server/policy/engine/state/internal.h"
-#include "policy_server/policy/engine/state/text.h"
 #include "services/base/check.h"
+#include "services/text/utf8.h"
 
 namespace rips::engine {
 namespace {

@@ -10,7 +10,7 @@
 #include "absl/strings/str_cat.h"
 #include "policy_server/policy/engine/builtins/builtins.h"
 #include "policy_server/policy/engine/state/message_counts.h"
-#include "policy_server/policy/engine/state/text.h"
+#include "policy_server/policy/lang/value_text.h"
 #include "services/base/cut_text.h"
 
 namespace rips::engine {
@@ -232,8 +232,8 @@ class Tracer {
         answer.value.integer < table.size()) {
       return table.name(static_cast<levels::LevelIndex>(answer.value.integer));
     }
-    if (expr.kind != TypedExpr::Kind::kCall) return ToText(value);
-    return Cut(absl::StrCat(ToText(value), Measured(node)));
+    if (expr.kind != TypedExpr::Kind::kCall) return lang::ToText(value);
+    return Cut(absl::StrCat(lang::ToText(value), Measured(node)));
   }
 
   // What a call compared with its arguments.

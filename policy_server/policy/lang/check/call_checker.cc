@@ -8,7 +8,7 @@
 #include "policy_server/policy/lang/check/expr_checker.h"
 #include "policy_server/policy/lang/check/type.h"
 #include "policy_server/policy/lang/limits.h"
-#include "policy_server/policy/lang/syntax/value_text.h"
+#include "policy_server/policy/lang/value_text.h"
 #include "re2/re2.h"
 #include "services/text/nearest.h"
 #include "services/text/quote.h"

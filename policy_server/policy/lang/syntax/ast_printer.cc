@@ -3,7 +3,7 @@
 #include "absl/strings/str_cat.h"
 #include "policy_server/policy/lang/syntax/literal.h"
 #include "policy_server/policy/lang/syntax/operators.h"
-#include "policy_server/policy/lang/syntax/value_text.h"
+#include "policy_server/policy/lang/value_text.h"
 
 namespace rips::lang {
 namespace {

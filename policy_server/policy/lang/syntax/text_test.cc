@@ -1,12 +1,14 @@
 // Source, UTF-8, literals and values as text.
 #include <cmath>
+#include <cstdlib>
 #include <limits>
+#include <random>
 #include <string>
 
 #include "gtest/gtest.h"
 #include "policy_server/policy/lang/diagnostic/source.h"
 #include "policy_server/policy/lang/syntax/literal.h"
-#include "policy_server/policy/lang/syntax/value_text.h"
+#include "policy_server/policy/lang/value_text.h"
 #include "services/text/nearest.h"
 #include "services/text/quote.h"
 #include "services/text/utf8.h"
@@ -63,6 +65,27 @@ TEST(Utf8Test, RoundTripsEveryLength) {
   }
 }
 
+TEST(Utf8Test, CutsAtCodePoints) {
+  EXPECT_EQ(CutCodePoints("", 0), "");
+  EXPECT_EQ(CutCodePoints("abc", 3), "abc");
+  EXPECT_EQ(CutCodePoints("abc", 2), "ab");
+  EXPECT_EQ(CutCodePoints("äöü", 2), "äö");
+  EXPECT_EQ(CutCodePoints("äöü", 3), "äöü");
+  EXPECT_EQ(CutCodePoints("→↛x", 1), "→");
+  EXPECT_EQ(CutCodePoints("😀😀", 1), "😀");
+}
+
+TEST(Utf8Test, CutsBrokenBytesOneByOne) {
+  // A lone continuation, a start without its rest, an overlong form, a surrogate, above 10FFFF.
+  for (const char* broken : {"\x80", "\xC3", "\xC0\x80", "\xE0\x80\x80", "\xED\xA0\x80",
+                             "\xF4\x90\x80\x80", "\xF5\x80\x80\x80", "\xFF"}) {
+    const std::string text = std::string(broken) + "z";
+    EXPECT_EQ(CutCodePoints(text, 1), absl::string_view(broken, 1)) << text;
+    EXPECT_EQ(CutCodePoints(text, text.size()), text);
+    EXPECT_EQ(CutCodePoints(text, text.size() - 1).size(), text.size() - 1);
+  }
+}
+
 TEST(Utf8Test, QuotesHostileText) {
   EXPECT_EQ(Quote("a\x1B[31m\xFF"), "`a\uFFFD[31m\uFFFD`");
   EXPECT_EQ(Quote(std::string(100, 'x')), "`" + std::string(64, 'x') + "...`");
@@ -104,9 +127,14 @@ TEST(ValueTextTest, WritesFloatsShortest) {
       {1, "1"},
       {-2.5, "-2.5"},
       {0.1, "0.1"},
+      {0.1 + 0.2, "0.30000000000000004"},
       {100, "100"},
       {0.0001, "0.0001"},
+      {0.00012, "0.00012"},
+      {0.00009, "9e-05"},
       {0.00001, "1e-05"},
+      {1.5e-7, "1.5e-07"},
+      {-1.25e22, "-1.25e+22"},
       {1e20, "100000000000000000000"},
       {1e21, "1e+21"},
       {123456789012345678., "123456789012345680"},
@@ -118,6 +146,15 @@ TEST(ValueTextTest, WritesFloatsShortest) {
       {std::nan(""), "NaN"},
   };
   for (const auto& test : kCases) EXPECT_EQ(FormatFloat(test.value), test.text);
+}
+
+TEST(ValueTextTest, FloatsReadBack) {
+  std::mt19937_64 random(7);
+  for (int i = 0; i < 10'000; ++i) {
+    const double value =
+        std::ldexp(static_cast<double>(random()), static_cast<int>(random() % 200) - 160);
+    EXPECT_EQ(std::strtod(FormatFloat(value).c_str(), nullptr), value) << FormatFloat(value);
+  }
 }
 
 TEST(ValueTextTest, WritesEveryType) {

@@ -1,4 +1,4 @@
-#include "policy_server/policy/lang/syntax/value_text.h"
+#include "policy_server/policy/lang/value_text.h"
 
 #include <charconv>
 #include <cmath>

@@ -1,6 +1,6 @@
-// Values as text: what `string(x)` returns.
-#ifndef RIPS_POLICY_SERVER_POLICY_LANG_SYNTAX_VALUE_TEXT_H_
-#define RIPS_POLICY_SERVER_POLICY_LANG_SYNTAX_VALUE_TEXT_H_
+// Values as text: what `string(x)` returns, and what traces and tools show.
+#ifndef RIPS_POLICY_SERVER_POLICY_LANG_VALUE_TEXT_H_
+#define RIPS_POLICY_SERVER_POLICY_LANG_VALUE_TEXT_H_
 
 #include <string>
 
@@ -17,4 +17,4 @@ std::string FormatFloat(double value);
 
 }  // namespace rips::lang
 
-#endif  // RIPS_POLICY_SERVER_POLICY_LANG_SYNTAX_VALUE_TEXT_H_
+#endif  // RIPS_POLICY_SERVER_POLICY_LANG_VALUE_TEXT_H_
