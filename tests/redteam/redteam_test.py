@@ -11,7 +11,6 @@ names the attacker where there is one to name. The attacker has an address of it
 viewer's certificate.
 """
 
-import os
 import pathlib
 import shutil
 import sys
@@ -57,9 +56,6 @@ def main():
     if len(sys.argv) != 3 or sys.argv[2] not in SCENARIOS:
         print(__doc__, file=sys.stderr)
         return 2
-    if os.environ.get("RIPS_SANITIZE"):
-        print("skipped: memory and times are those of what ships")
-        return 77
     name = sys.argv[2]
     directory = tempfile.mkdtemp(prefix=f"{name}.")
     code = perform(name, SCENARIOS[name], Guarded(sys.argv[1], directory), tail=15)
