@@ -44,7 +44,7 @@ void Encode(const pipeline::FindingSeen& finding, rips::v1::Finding& out) {
 void EncodeLists(const pipeline::Robot& robot, rips::v1::GetCoverageResponse& out) {
   AnswerRoom room(kAnswerBytesMax - std::min(kAnswerBytesMax, out.ByteSizeLong()));
   AnswerRoom for_findings(room.left() / 2);
-  for (const pipeline::FindingSeen& finding : robot.findings()) {
+  for (const pipeline::FindingSeen& finding : robot.core().findings().standing()) {
     rips::v1::Finding one;
     Encode(finding, one);
     if (!for_findings.Take(one) || !room.Take(one)) {
@@ -54,8 +54,9 @@ void EncodeLists(const pipeline::Robot& robot, rips::v1::GetCoverageResponse& ou
     *out.add_findings() = std::move(one);
   }
   std::vector<const ros2::Endpoint*> endpoints;
-  endpoints.reserve(robot.graph().endpoints().size());
-  for (const auto& [guid, endpoint] : robot.graph().endpoints()) endpoints.push_back(&endpoint);
+  endpoints.reserve(robot.core().graph().endpoints().size());
+  for (const auto& [guid, endpoint] : robot.core().graph().endpoints())
+    endpoints.push_back(&endpoint);
   std::sort(endpoints.begin(), endpoints.end(),
             [](const ros2::Endpoint* a, const ros2::Endpoint* b) {
               return std::tie(a->name, a->kind, a->guid) < std::tie(b->name, b->kind, b->guid);
@@ -75,15 +76,16 @@ void EncodeLists(const pipeline::Robot& robot, rips::v1::GetCoverageResponse& ou
 
 void EncodeInterest(const pipeline::Robot& robot, rips::v1::GetInterestResponse& out) {
   *out.mutable_interest() =
-      ingest::EncodeInterest(robot.interest(), robot.payload_limits(), robot.kept_topics());
+      ingest::EncodeInterest(*robot.core().policy().interest, robot.core().policy().payload_limits,
+                             *robot.core().policy().kept_topics);
   AnswerRoom room(kAnswerBytesMax / 2);
-  for (const engine::TopicInterest& row : robot.interest()) {
+  for (const engine::TopicInterest& row : *robot.core().policy().interest) {
     rips::v1::InterestReason reason;
     for (const std::string& rule : row.wanted_by) reason.add_wanted_by(rule);
     if (!room.Take(reason)) reason.clear_wanted_by();
     *out.add_reasons() = std::move(reason);
   }
-  for (const pipeline::SensorInterest& sensor : robot.SensorInterests()) {
+  for (const pipeline::SensorInterest& sensor : robot.core().sight().Interests()) {
     rips::v1::SensorInterest* one = out.add_sensors();
     one->set_host(sensor.host);
     one->set_connected(sensor.connected);
@@ -93,17 +95,17 @@ void EncodeInterest(const pipeline::Robot& robot, rips::v1::GetInterestResponse&
 }
 
 void EncodeCoverage(const pipeline::Robot& robot, rips::v1::GetCoverageResponse& out) {
-  for (const pipeline::SensorCoverage& sensor : robot.Coverage()) {
+  for (const pipeline::SensorCoverage& sensor : robot.core().sight().Coverage()) {
     Encode(sensor, *out.add_sensors());
   }
-  out.set_graph_truncated(robot.graph().truncated());
-  for (const auto& [reason, count] : robot.Skipped()) {
+  out.set_graph_truncated(robot.core().graph().truncated());
+  for (const auto& [reason, count] : robot.core().losses().Skipped()) {
     rips::v1::SkippedInspections* skipped = out.add_skipped();
     skipped->set_reason(reason);
     skipped->set_count(count);
   }
-  for (const std::string& reason : robot.blind()) out.add_blind(reason);
-  for (const pipeline::CutPayloads::Topic& cut : robot.CutTopics()) {
+  for (const std::string& reason : robot.core().sight().blind()) out.add_blind(reason);
+  for (const pipeline::CutPayloads::Topic& cut : robot.core().sight().CutTopics()) {
     rips::v1::CutPayloads* one = out.add_cut_payloads();
     one->set_topic(cut.topic);
     one->set_limit_bytes(cut.limit_bytes);

@@ -330,10 +330,10 @@ grpc::ServerUnaryReactor* OperatorService::GetLevel(grpc::CallbackServerContext*
       pipeline_->Post(request->robot(), Queue::kOrders,
                       [this, reactor, response, robot_id = request->robot()](Robot& robot) {
                         *response->mutable_status() = EncodeStatus(robot.Status());
-                        for (int i = 0; i < robot.levels().size(); ++i) {
-                          response->add_levels(robot.levels().name(i));
-                          if (robot.levels().at(i).soft)
-                            response->add_soft_levels(robot.levels().name(i));
+                        for (int i = 0; i < robot.core().levels().size(); ++i) {
+                          response->add_levels(robot.core().levels().name(i));
+                          if (robot.core().levels().at(i).soft)
+                            response->add_soft_levels(robot.core().levels().name(i));
                         }
                         Read(reactor, [this, reactor, response, robot_id] {
                           const auto newest = store_->ListTransitions(robot_id, kNewestRead);
@@ -406,8 +406,8 @@ void OperatorService::AddUnrecorded(const rips::v1::ListAlertsRequest& request,
                                     rips::v1::ListAlertsResponse& response) {
   using Alerts = std::vector<store::AlertRecord>;
   AnswerRoom room(kAnswerBytesMax / 4);
-  const auto gathered =
-      pipeline_->Gather<Alerts>([](Robot& robot) { return robot.unrecorded_alerts(); }, patience_);
+  const auto gathered = pipeline_->Gather<Alerts>(
+      [](Robot& robot) { return robot.core().outbox().alerts(); }, patience_);
   for (const auto& [robot, alerts] : gathered.answers) {
     if (!request.robot().empty() && request.robot() != robot) continue;
     for (const store::AlertRecord& record : alerts) {
@@ -493,14 +493,15 @@ grpc::ServerUnaryReactor* OperatorService::ListReceipts(
   const auto who = Authorize(context, *request, OperatorRole::kViewer, Use::kQuery);
   if (!who.ok()) return Refuse(context, who.status());
   grpc::ServerUnaryReactor* reactor = Answer(who->ticket);
-  const absl::Status posted = pipeline_->Post(
-      request->robot(), Queue::kOrders,
-      [reactor, response, limit = request->limit()](Robot& robot) {
-        for (const pipeline::LoggedReceipt& receipt : robot.receipts().Newest(limit)) {
-          Encode(receipt, response->add_receipts());
-        }
-        reactor->Finish(grpc::Status::OK);
-      });
+  const absl::Status posted =
+      pipeline_->Post(request->robot(), Queue::kOrders,
+                      [reactor, response, limit = request->limit()](Robot& robot) {
+                        for (const pipeline::LoggedReceipt& receipt :
+                             robot.core().actuators().receipts().Newest(limit)) {
+                          Encode(receipt, response->add_receipts());
+                        }
+                        reactor->Finish(grpc::Status::OK);
+                      });
   if (!posted.ok()) reactor->Finish(rpc::ToGrpc(posted));
   return reactor;
 }
@@ -530,8 +531,8 @@ grpc::ServerWriteReactor<rips::v1::Recording>* OperatorService::Record(
         header.set_level(status.decided_level);
         header.set_start_unix_ns(RealClock().Now().unix_ns);
         header.set_rips_version(std::string(RipsVersion()));
-        tap->Start(std::move(header), robot.graph_version().graph,
-                   robot.graph_changed_unix_ns() != 0);
+        tap->Start(std::move(header), robot.core().graph_version().graph,
+                   robot.core().judge().graph_changed_unix_ns() != 0);
       });
   if (!posted.ok()) outbound->Close(rpc::ToGrpc(posted));
   return stream;

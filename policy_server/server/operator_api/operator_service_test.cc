@@ -493,7 +493,7 @@ TEST_F(OperatorServiceTest, ARobotThatSaysTooMuchIsListedWithoutIt) {
   ASSERT_THAT(OnRobot([&](pipeline::Robot& robot) {
                 robot.OnActuatorHello(
                     "base", actuator,
-                    {.levels = robot.levels().names(), .effective_level = "DEFAULT"});
+                    {.levels = robot.core().levels().names(), .effective_level = "DEFAULT"});
                 robot.OnActuatorHeartbeat(
                     "base", actuator.get(),
                     {.effective_level = "DEFAULT", .floor_reason = std::string(5 << 20, 'x')});

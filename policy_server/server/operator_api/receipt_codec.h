@@ -2,8 +2,8 @@
 #ifndef RIPS_POLICY_SERVER_SERVER_OPERATOR_API_RECEIPT_CODEC_H_
 #define RIPS_POLICY_SERVER_SERVER_OPERATOR_API_RECEIPT_CODEC_H_
 
-#include "policy_server/server/robot/parts/drill_run.h"
-#include "policy_server/server/robot/parts/receipt_history.h"
+#include "policy_server/server/robot/actuators/drill_run.h"
+#include "policy_server/server/robot/actuators/receipt_history.h"
 #include "rips/v1/operator.pb.h"
 
 namespace rips::operator_api {

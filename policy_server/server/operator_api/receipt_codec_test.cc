@@ -4,7 +4,7 @@
 
 #include "absl/strings/str_cat.h"
 #include "gtest/gtest.h"
-#include "policy_server/server/robot/parts/receipt_history.h"
+#include "policy_server/server/robot/actuators/receipt_history.h"
 #include "services/rpc/bidi_client.h"
 
 namespace rips::operator_api {

@@ -31,7 +31,7 @@ class RecordTest : public pipeline::RobotTest {
     ASSERT_THAT(robot_->AddTap(tap), IsOk());
     rips::v1::RecordingHeader header;
     header.set_robot("r1");
-    tap->Start(std::move(header), robot_->graph_version().graph, true);
+    tap->Start(std::move(header), robot_->core().graph_version().graph, true);
   }
   const RecordedEvent& Last() const { return pieces_.back().event(); }
 
@@ -84,7 +84,7 @@ TEST_F(RecordTest, WhatIsLeftOutOfTheGraphIsRecorded) {
   pieces_.clear();
   auto tap = MakeTap();
   ASSERT_THAT(robot_->AddTap(tap), IsOk());
-  tap->Start({}, robot_->graph_version().graph, true);
+  tap->Start({}, robot_->core().graph_version().graph, true);
   EXPECT_EQ(Last().snapshot().truncation().left_out(), 16u);
   // What is cut here is recorded as what the sensor cut.
   ros2::GraphDelta flood;
@@ -97,8 +97,8 @@ TEST_F(RecordTest, WhatIsLeftOutOfTheGraphIsRecorded) {
     }
   }
   SendDelta(flood);
-  ASSERT_GT(robot_->graph().dropped(), 0u);
-  EXPECT_EQ(Last().delta().truncation().left_out(), robot_->graph().left_out());
+  ASSERT_GT(robot_->core().graph().dropped(), 0u);
+  EXPECT_EQ(Last().delta().truncation().left_out(), robot_->core().graph().left_out());
 }
 
 TEST_F(RecordTest, LossesSayOfWhatAndWhen) {

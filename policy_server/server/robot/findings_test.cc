@@ -1,8 +1,8 @@
 #include "absl/strings/str_cat.h"
 #include "gmock/gmock.h"
 #include "gtest/gtest.h"
-#include "policy_server/server/robot/parts/finding_registry.h"
 #include "policy_server/server/robot/robot_fixture.h"
+#include "policy_server/server/robot/sight/finding_registry.h"
 
 namespace rips::pipeline {
 namespace {
@@ -28,51 +28,51 @@ TEST(FindingsBookTest, IsNewsOnceUntilNobodySaysSo) {
   FindingRegistry book;
   book.OnIncarnation("base", "i1", 0);
   book.OnIncarnation("laptop", "j1", 0);
-  EXPECT_EQ(book.Take("base", "i1", Impostor(1), 0), News::kBegins);
-  EXPECT_EQ(book.Take("base", "i1", Impostor(1), 0), News::kKnown);
-  EXPECT_EQ(book.Take("laptop", "j1", Impostor(1), 0), News::kKnown);
-  EXPECT_EQ(book.Take("base", "i1", Impostor(2), 0), News::kBegins) << "another GUID";
-  EXPECT_EQ(book.Take("base", "i1", Impostor(1, "/ns/rips"), 0), News::kBegins) << "another node";
+  EXPECT_EQ(book.Apply("base", "i1", Impostor(1), 0), News::kBegins);
+  EXPECT_EQ(book.Apply("base", "i1", Impostor(1), 0), News::kKnown);
+  EXPECT_EQ(book.Apply("laptop", "j1", Impostor(1), 0), News::kKnown);
+  EXPECT_EQ(book.Apply("base", "i1", Impostor(2), 0), News::kBegins) << "another GUID";
+  EXPECT_EQ(book.Apply("base", "i1", Impostor(1, "/ns/rips"), 0), News::kBegins) << "another node";
   EXPECT_THAT(book.standing(), SizeIs(3));
   EXPECT_EQ(book.standing()[1].guid, Impostor(2).guid) << "oldest first";
 
-  EXPECT_EQ(book.Take("base", "i1", Over(Impostor(1)), 0), News::kKnown) << "laptop says so";
-  EXPECT_EQ(book.Take("laptop", "j1", Over(Impostor(1)), 0), News::kEnds);
-  EXPECT_EQ(book.Take("laptop", "j1", Over(Impostor(1)), 0), News::kKnown);
+  EXPECT_EQ(book.Apply("base", "i1", Over(Impostor(1)), 0), News::kKnown) << "laptop says so";
+  EXPECT_EQ(book.Apply("laptop", "j1", Over(Impostor(1)), 0), News::kEnds);
+  EXPECT_EQ(book.Apply("laptop", "j1", Over(Impostor(1)), 0), News::kKnown);
   EXPECT_THAT(book.standing(), SizeIs(2));
 }
 
 TEST(FindingsBookTest, SensorThatWasStartedAgainMustTellItAgain) {
   FindingRegistry book({.confirm_ns = 100});
   book.OnIncarnation("base", "i1", 0);
-  book.Take("base", "i1", Impostor(1), 0);
-  book.Take("base", "i1", Impostor(2), 0);
+  book.Apply("base", "i1", Impostor(1), 0);
+  book.Apply("base", "i1", Impostor(2), 0);
   book.OnIncarnation("base", "i1", 5);
   EXPECT_THAT(book.Expire(1'000), IsEmpty()) << "a reconnect is no restart";
 
   book.OnIncarnation("base", "i2", 1'000);
-  EXPECT_EQ(book.Take("base", "i2", Impostor(2), 1'050), News::kKnown);
+  EXPECT_EQ(book.Apply("base", "i2", Impostor(2), 1'050), News::kKnown);
   EXPECT_THAT(book.Expire(1'099), IsEmpty());
   const std::vector<FindingSeen> gone = book.Expire(1'100);
   ASSERT_THAT(gone, SizeIs(1));
   EXPECT_EQ(gone[0].guid, Impostor(1).guid);
   EXPECT_THAT(book.standing(), SizeIs(1));
   // What the dead incarnation saw comes late from a spool.
-  EXPECT_EQ(book.Take("base", "i1", Impostor(3), 2'000), News::kBegins);
-  EXPECT_EQ(book.Take("base", "i1", Impostor(2), 2'000), News::kKnown);
+  EXPECT_EQ(book.Apply("base", "i1", Impostor(3), 2'000), News::kBegins);
+  EXPECT_EQ(book.Apply("base", "i1", Impostor(2), 2'000), News::kKnown);
   EXPECT_THAT(book.Expire(2'100), SizeIs(1));
   EXPECT_THAT(book.standing(), SizeIs(1)) << "the live one tells of the other";
 }
 
 TEST(FindingsBookTest, PastTheLimitFindingsAreNotKept) {
   FindingRegistry book({.standing = 2});
-  EXPECT_EQ(book.Take("base", "i", Impostor(1), 0), News::kBegins);
-  EXPECT_EQ(book.Take("base", "i", Impostor(2), 0), News::kBegins);
-  EXPECT_EQ(book.Take("base", "i", Impostor(3), 0), News::kTooMany);
+  EXPECT_EQ(book.Apply("base", "i", Impostor(1), 0), News::kBegins);
+  EXPECT_EQ(book.Apply("base", "i", Impostor(2), 0), News::kBegins);
+  EXPECT_EQ(book.Apply("base", "i", Impostor(3), 0), News::kTooMany);
   EXPECT_THAT(book.standing(), SizeIs(2));
-  EXPECT_EQ(book.Take("base", "i", Over(Impostor(3)), 0), News::kKnown);
-  book.Take("base", "i", Over(Impostor(1)), 0);
-  EXPECT_EQ(book.Take("base", "i", Impostor(3), 0), News::kBegins);
+  EXPECT_EQ(book.Apply("base", "i", Over(Impostor(3)), 0), News::kKnown);
+  book.Apply("base", "i", Over(Impostor(1)), 0);
+  EXPECT_EQ(book.Apply("base", "i", Impostor(3), 0), News::kBegins);
 }
 
 constexpr char kRules[] = R"(
@@ -109,8 +109,8 @@ TEST_F(RobotFindingsTest, IsAnAlertAndAnEventOnceAndARecordWhenItIsOver) {
               "00000000.00000000.00000001.00000000: why");
   }
   EXPECT_EQ(audience_.Count("somebody plays RIPS"), 1);
-  ASSERT_THAT(robot_->findings(), SizeIs(1));
-  EXPECT_EQ(robot_->findings()[0].node, "/rips");
+  ASSERT_THAT(robot_->core().findings().standing(), SizeIs(1));
+  EXPECT_EQ(robot_->core().findings().standing()[0].node, "/rips");
 
   Tell(finding);
   Pass(100);
@@ -119,7 +119,7 @@ TEST_F(RobotFindingsTest, IsAnAlertAndAnEventOnceAndARecordWhenItIsOver) {
   const size_t alerts = audience_.alerts.size();
   Tell(Over(finding));
   Pass(100);
-  EXPECT_THAT(robot_->findings(), IsEmpty());
+  EXPECT_THAT(robot_->core().findings().standing(), IsEmpty());
   EXPECT_EQ(audience_.alerts.size(), alerts);
   EXPECT_THAT(audience_.rule_logs,
               Contains(HasSubstr("(rips): no longer: finding impostor, node /rips")));
@@ -151,7 +151,7 @@ TEST_F(RobotFindingsTest, FloodOfFindingsIsFoldedAndBounded) {
   EXPECT_LE(audience_.Count("finding non_ros_writer"), 20) << "as RIPS's own alerts";
   Pass(60'000);
   EXPECT_EQ(audience_.Count("more alerts of this kind"), 1);
-  EXPECT_THAT(robot_->findings(), SizeIs(4'096));
+  EXPECT_THAT(robot_->core().findings().standing(), SizeIs(4'096));
 }
 
 TEST_F(RobotFindingsTest, RestartedSensorThatDoesNotTellThemAgainEndsThem) {
@@ -165,9 +165,9 @@ TEST_F(RobotFindingsTest, RestartedSensorThatDoesNotTellThemAgainEndsThem) {
                         {.incarnation = "fedcba9876543210", .clock = clock_.Now()});
   sensor_heartbeats_ = true;
   Pass(59'000);
-  EXPECT_THAT(robot_->findings(), SizeIs(1));
+  EXPECT_THAT(robot_->core().findings().standing(), SizeIs(1));
   Pass(2'000);
-  EXPECT_THAT(robot_->findings(), IsEmpty());
+  EXPECT_THAT(robot_->core().findings().standing(), IsEmpty());
   EXPECT_THAT(audience_.rule_logs, Contains(HasSubstr("not told again by a restarted sensor")));
 }
 

@@ -5,8 +5,8 @@
 
 #include "absl/container/btree_map.h"
 #include "gmock/gmock.h"
-#include "policy_server/server/robot/parts/loss_alarm.h"
 #include "policy_server/server/robot/robot_fixture.h"
+#include "policy_server/server/robot/sensors/loss_alarm.h"
 
 namespace rips::pipeline {
 namespace {
@@ -96,7 +96,7 @@ TEST_F(RobotLossTest, ARestoredStoreIsToldOnceAndIsNoLoss) {
   Pass(1'000);
   EXPECT_EQ(audience_.Count("a backup was restored"), 1);
   EXPECT_EQ(audience_.Count("are lost"), 0);
-  EXPECT_EQ(robot_->Coverage()[0].lost, 0u);
+  EXPECT_EQ(robot_->core().sight().Coverage()[0].lost, 0u);
 
   robot_->OnSensorGone("base", sensor_.get());
   ConnectSensor({range});
@@ -112,7 +112,7 @@ TEST_F(RobotLossTest, WhatWasShedIsLostAlsoWhenTheStoreWentBack) {
                   .last_sequence = 400,
                   .acknowledged = 390}});
   Pass(1'000);
-  EXPECT_EQ(robot_->Coverage()[0].lost, 10u);
+  EXPECT_EQ(robot_->core().sight().Coverage()[0].lost, 10u);
 }
 
 TEST_F(RobotLossTest, ASensorThatDoesNotSayIsBelievedToHaveLost) {
@@ -122,7 +122,7 @@ TEST_F(RobotLossTest, ASensorThatDoesNotSayIsBelievedToHaveLost) {
                   .first_sequence = 391,
                   .last_sequence = 390}});
   Pass(1'000);
-  EXPECT_EQ(robot_->Coverage()[0].lost, 390u);
+  EXPECT_EQ(robot_->core().sight().Coverage()[0].lost, 390u);
   EXPECT_EQ(audience_.Count("observations were lost"), 1);
 }
 
@@ -282,13 +282,13 @@ rules Msg:
 
   const auto each_once =
       ElementsAre(Pair("cut payload", 1u), Pair("no payload", 1u), Pair("not answered", 1u));
-  EXPECT_THAT(robot_->Skipped(), each_once);
+  EXPECT_THAT(robot_->core().losses().Skipped(), each_once);
   EXPECT_THAT(counted, each_once);
   EXPECT_THAT(robot_->Status().degraded,
               Contains(HasSubstr("were not inspected in the last ten minutes: cut payload, no "
                                  "payload, not answered")));
   Pass(620'000);
-  EXPECT_THAT(robot_->Skipped(), IsEmpty());
+  EXPECT_THAT(robot_->core().losses().Skipped(), IsEmpty());
   EXPECT_THAT(robot_->Status().degraded, Not(Contains(HasSubstr("not inspected"))));
 }
 

@@ -136,16 +136,14 @@ TEST(AlertLimiterTest, FoldsWhatExceedsTheBurst) {
 
 class CommandReconcilerTest : public ::testing::Test {
  protected:
-  CommandReconcilerTest() : ledger_({"a", "b"}, [this] { return absl::StrCat("c", ++ids_); }) {}
-
   Receipt Answer(const Outgoing& outgoing, Receipt::Stage stage) {
     return {.command_id = outgoing.command.id,
             .decision_id = std::get<SetLevel>(outgoing.command.what).decision_id,
             .stage = stage};
   }
 
-  int ids_ = 0;
-  CommandReconciler ledger_;
+  IdSource ids_{"c"};
+  CommandReconciler ledger_{{"a", "b"}, &ids_};
 };
 
 TEST_F(CommandReconcilerTest, ALevelIsVerifiedWhenEveryListedActuatorSaysSo) {
@@ -221,7 +219,8 @@ TEST_F(CommandReconcilerTest, ARefusedLoweringIsTriedAgainWithTheDecisionThatIsH
 }
 
 TEST_F(CommandReconcilerTest, TheNewestDecisionIdUnderAnotherLevelIsNotTheNewestDecision) {
-  CommandReconciler ledger({"a"}, [] { return "id"; });
+  IdSource ids("c");
+  CommandReconciler ledger({"a"}, &ids);
   ledger.Order({1, 5}, 0, "DEFAULT", "", /*lowers=*/true);
   ledger.Attach("a", {1, 5}, 3, "HALT", {}, At(100));
   EXPECT_EQ(ledger.stage(), Stage::kRequested);
@@ -231,7 +230,8 @@ TEST_F(CommandReconcilerTest, TheNewestDecisionIdUnderAnotherLevelIsNotTheNewest
 
 TEST_F(CommandReconcilerTest, AFailureFromBeforeTheSessionWaitsForTheFirstHeartbeat) {
   for (const bool verified : {true, false}) {
-    CommandReconciler ledger({"a"}, [] { return "id"; });
+    IdSource ids("c");
+    CommandReconciler ledger({"a"}, &ids);
     ledger.Order({1, 5}, 2, "COMPROMISED", "restored", /*lowers=*/false);
     ledger.Attach("a", {1, 5}, 2, "COMPROMISED", {}, At(100));
     ledger.OnReceipt("a",
@@ -250,7 +250,8 @@ TEST_F(CommandReconcilerTest, AFailureFromBeforeTheSessionWaitsForTheFirstHeartb
 }
 
 TEST_F(CommandReconcilerTest, EachSessionWaitsForAHeartbeatOfItsOwn) {
-  CommandReconciler ledger({"a"}, [] { return "id"; });
+  IdSource ids("c");
+  CommandReconciler ledger({"a"}, &ids);
   ledger.Order({1, 5}, 2, "COMPROMISED", "restored", /*lowers=*/false);
   ledger.Attach("a", {1, 5}, 2, "COMPROMISED", {}, At(100));
   ledger.OnHeartbeat("a", /*effective=*/2, /*verified=*/true, At(101));
@@ -283,7 +284,8 @@ TEST_F(CommandReconcilerTest, ReceiptsOfOlderDecisionsChangeNothing) {
 
 TEST_F(CommandReconcilerTest, ALoweringIsVerifiedOnlyAtItsLevelARaiseAlsoAbove) {
   for (const bool lowers : {false, true}) {
-    CommandReconciler ledger({"a"}, [] { return "id"; });
+    IdSource ids("c");
+    CommandReconciler ledger({"a"}, &ids);
     ledger.Attach("a", {1, 1}, 2, "COMPROMISED", {}, At(100));
     ledger.Order({1, 2}, 1, "ALERT", "", lowers);
     const auto due = ledger.Due(1, At(100));
@@ -296,7 +298,8 @@ TEST_F(CommandReconcilerTest, ALoweringIsVerifiedOnlyAtItsLevelARaiseAlsoAbove) 
 }
 
 TEST_F(CommandReconcilerTest, NoFinalReceiptInTimeIsAFailure) {
-  CommandReconciler ledger({"a"}, [] { return "id"; });
+  IdSource ids("c");
+  CommandReconciler ledger({"a"}, &ids);
   ledger.Attach("a", {}, 0, "DEFAULT", {}, At(100));
   ledger.Order({1, 1}, 1, "ALERT", "", /*lowers=*/false);
   const auto due = ledger.Due(1, At(100));

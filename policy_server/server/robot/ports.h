@@ -11,11 +11,12 @@
 
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
-#include "absl/strings/string_view.h"
 #include "policy_server/policy/engine/state/event.h"
 #include "policy_server/policy/engine/state/verdict.h"
 #include "policy_server/server/robot/model/coverage.h"
 #include "policy_server/server/robot/model/inbound.h"
+#include "policy_server/server/robot/model/inspected_message.h"
+#include "policy_server/server/robot/model/robot_status.h"
 #include "policy_server/server/store/store.h"
 #include "services/base/clock.h"
 #include "services/base/decision_id.h"
@@ -46,20 +47,6 @@ class Recorder {
   virtual bool GoesOnFrom(const store::StorePoint& seen) const = 0;
 };
 
-// As an operator sees a robot.
-struct RobotStatus {
-  std::string robot;
-  std::string decided_level;
-  // The most restrictive any attached actuator reports; empty = none attached.
-  std::string effective_level;
-  std::string stage;
-  DecisionId decision_id;
-  std::string bundle_version;
-  std::vector<std::string> degraded;
-
-  friend bool operator==(const RobotStatus&, const RobotStatus&) = default;
-};
-
 // Those who watch. Any thread; never blocks.
 class RobotObserver {
  public:
@@ -72,19 +59,6 @@ class RobotObserver {
   // A rule has shown values with True or False; text of a robot, to be escaped.
   virtual void OnRuleLog(const std::string& robot, const std::string& rule,
                          const std::string& text) = 0;
-};
-
-// A message whose payload is inspected; keeps what it views alive.
-struct InspectedMessage {
-  absl::string_view topic;
-  absl::string_view type;
-  absl::string_view sender;
-  ros2::Guid writer;
-  int64_t time_unix_ns = 0;
-  // Empty: it was not sent.
-  absl::string_view payload;
-  uint32_t size_bytes = 0;
-  std::shared_ptr<const void> owner;
 };
 
 // One who records what a robot's rules are given to judge: messages that they do not need are never
@@ -111,9 +85,6 @@ class Inspector {
                        const InspectedMessage& message,
                        std::function<void(std::vector<engine::Verdict>)> done) = 0;
 };
-
-// Why an inspection was not made: nothing came, it was cut at a limit, or nobody answered in time.
-inline constexpr const char* kSkipReasons[] = {"no payload", "cut payload", "not answered"};
 
 // What is counted; a null entry is not.
 struct Counts {

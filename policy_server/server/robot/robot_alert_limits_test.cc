@@ -200,7 +200,7 @@ TEST_F(AlertFloodTest, ByLossesThatAddUpToMoreThanANumberHolds) {
         Heartbeat();
       }),
       3 * kKindBytes);
-  const std::vector<SensorCoverage> coverage = robot_->Coverage();
+  const std::vector<SensorCoverage> coverage = robot_->core().sight().Coverage();
   EXPECT_EQ(coverage[0].lost, UINT64_MAX) << "not what is left of it after an overflow";
 }
 
@@ -216,7 +216,7 @@ TEST_F(AlertFloodTest, ByGapsInManyAnnouncedRanges) {
               Heartbeat();
             }),
             8 * kKindBytes);
-  EXPECT_EQ(robot_->Coverage()[0].lost, UINT64_MAX);
+  EXPECT_EQ(robot_->core().sight().Coverage()[0].lost, UINT64_MAX);
 }
 
 TEST_F(AlertFloodTest, ByReportsOfOthersWhichDoNotPushEachOtherOut) {

@@ -67,11 +67,11 @@ TEST_F(RobotBlindTest, ASensorThatSeesNobodyIsDegraded) {
   counts_.blind = [&](const std::string&, size_t reasons) { counted = reasons; };
   ArmWith({});
   EXPECT_THAT(Degraded(), ElementsAre(kNobody));
-  EXPECT_THAT(robot_->blind(), ElementsAre(kNobody));
+  EXPECT_THAT(robot_->core().sight().blind(), ElementsAre(kNobody));
   EXPECT_EQ(counted, 1u);
   SendDelta(NormalGraph());
   EXPECT_THAT(Degraded(), IsEmpty());
-  EXPECT_THAT(robot_->blind(), IsEmpty());
+  EXPECT_THAT(robot_->core().sight().blind(), IsEmpty());
   EXPECT_EQ(counted, 0u);
 }
 
@@ -226,7 +226,7 @@ TEST_F(RobotBlindTest, KindsOfTrafficThatNobodyAskedForDoNotBlind) {
   ArmWith(NormalGraph());
   SendState({.not_visible = {"unicast-only writers"}});
   EXPECT_THAT(Degraded(), IsEmpty());
-  EXPECT_THAT(robot_->blind(), IsEmpty());
+  EXPECT_THAT(robot_->core().sight().blind(), IsEmpty());
 }
 
 TEST_F(RobotBlindTest, AHelloMaySayItToo) {
@@ -234,7 +234,7 @@ TEST_F(RobotBlindTest, AHelloMaySayItToo) {
   Hello({"wire tap: none"});
   EXPECT_THAT(Degraded(), Contains("sensor base: wire tap: none"));
   Hello();
-  EXPECT_THAT(robot_->blind(), IsEmpty());
+  EXPECT_THAT(robot_->core().sight().blind(), IsEmpty());
 }
 
 TEST_F(RobotBlindTest, WhatWasSaidBeforeTheHelloDoesNotReplaceIt) {
@@ -244,9 +244,9 @@ TEST_F(RobotBlindTest, WhatWasSaidBeforeTheHelloDoesNotReplaceIt) {
   Hello({"ids log /l: gone"});
   // From the backlog; it was all right then.
   SendState({.blind = {}}, before_ns);
-  EXPECT_THAT(robot_->blind(), ElementsAre("sensor base: ids log /l: gone"));
+  EXPECT_THAT(robot_->core().sight().blind(), ElementsAre("sensor base: ids log /l: gone"));
   SendState({.blind = {}});
-  EXPECT_THAT(robot_->blind(), IsEmpty());
+  EXPECT_THAT(robot_->core().sight().blind(), IsEmpty());
 }
 
 TEST_F(RobotBlindTest, AHostileSensorDoesNotFillTheStatus) {
@@ -263,7 +263,7 @@ TEST_F(RobotBlindTest, ASensorThatIsGoneSaysNothing) {
   robot_->OnSensorGone("base", sensor_.get());
   sensor_.reset();
   Pass(100);
-  EXPECT_THAT(robot_->blind(), IsEmpty());
+  EXPECT_THAT(robot_->core().sight().blind(), IsEmpty());
   EXPECT_THAT(Degraded(), ElementsAre("sensor base is not connected"));
 }
 
@@ -295,7 +295,7 @@ TEST_F(RobotBlindTest, ATruncatedGraphIsIncompleteEvidenceAndACriticalAlert) {
       EXPECT_EQ(alert.severity, "critical");
     }
   }
-  EXPECT_THAT(robot_->blind(), ElementsAre(HasSubstr("hit a limit")));
+  EXPECT_THAT(robot_->core().sight().blind(), ElementsAre(HasSubstr("hit a limit")));
   EXPECT_THAT(Degraded(), Contains(HasSubstr("hit a limit")));
   EXPECT_FALSE(actuator_->leases.back().evidence_complete);
   Pass(300'000);
@@ -306,14 +306,14 @@ TEST_F(RobotBlindTest, ATruncatedGraphIsIncompleteEvidenceAndACriticalAlert) {
   ros2::GraphDelta over;
   over.gone_guids = {Participant(50)};
   SendDelta(over);
-  EXPECT_THAT(robot_->blind(), ElementsAre(HasSubstr("hit a limit")));
+  EXPECT_THAT(robot_->core().sight().blind(), ElementsAre(HasSubstr("hit a limit")));
   Pass(200);
   EXPECT_EQ(sensor_->closed.code(), absl::StatusCode::kAborted);
   sensor_.reset();
   Hello();
   EXPECT_TRUE(sensor_->setup.want_snapshot);
   Snapshot(NormalGraph());
-  EXPECT_THAT(robot_->blind(), IsEmpty());
+  EXPECT_THAT(robot_->core().sight().blind(), IsEmpty());
   Pass(120'000);
   EXPECT_TRUE(sensor_->closed.ok());
   EXPECT_EQ(audience_.Count("the graph of sensor base is whole again"), 1);
@@ -330,7 +330,7 @@ TEST_F(RobotBlindTest, WhatTheSensorLeavesOutIsLeftOut) {
   ArmWith(NormalGraph());
   audience_.alerts.clear();
   SendDelta({.truncation = ros2::Truncation{.left_out = 64, .crowds = {{Participant(2), 9, 64}}}});
-  EXPECT_THAT(robot_->blind(), ElementsAre(HasSubstr("graph truncated")));
+  EXPECT_THAT(robot_->core().sight().blind(), ElementsAre(HasSubstr("graph truncated")));
   EXPECT_THAT(Degraded(), Contains(HasSubstr("graph truncated")));
   Pass(2'000);
   EXPECT_FALSE(actuator_->leases.back().evidence_complete);
@@ -357,7 +357,7 @@ TEST_F(RobotBlindTest, WhatTheSensorLeavesOutIsLeftOut) {
   Pass(1'000);
   EXPECT_TRUE(sensor_->closed.ok()) << "the sensor asked discovery itself";
   EXPECT_EQ(audience_.Count("the graph of sensor base is whole again"), 1);
-  EXPECT_THAT(robot_->blind(), IsEmpty());
+  EXPECT_THAT(robot_->core().sight().blind(), IsEmpty());
   EXPECT_THAT(counted, ElementsAre(std::pair(0u, false), std::pair(64u, true),
                                    std::pair(128u, false), std::pair(0u, false)));
   // It comes back: told again.
@@ -379,7 +379,7 @@ TEST_F(RobotBlindTest, ASoftLevelDoesNotSinkOnATruncatedGraph) {
 
 TEST_F(RobotBlindTest, TheSensorIsToldWhichTopicsTheRulesName) {
   ArmWith(NormalGraph());
-  EXPECT_EQ(sensor_->kept_topics, robot_->kept_topics());
+  EXPECT_EQ(sensor_->kept_topics, *robot_->core().policy().kept_topics);
 }
 
 }  // namespace

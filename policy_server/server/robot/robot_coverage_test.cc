@@ -47,7 +47,7 @@ class RobotCoverageTest : public RobotTest {
     delta.upsert_endpoints[0].visibility = visibility;
     SendDelta(std::move(delta));
   }
-  SensorCoverage Base() const { return robot_->Coverage().at(0); }
+  SensorCoverage Base() const { return robot_->core().sight().Coverage().at(0); }
 };
 
 TEST_F(RobotCoverageTest, ASensorIsAskedForWhatTheRulesNeed) {
@@ -57,15 +57,15 @@ TEST_F(RobotCoverageTest, ASensorIsAskedForWhatTheRulesNeed) {
   EXPECT_EQ(sensor_->interest[0].depth, engine::Depth::kMetadata);
   EXPECT_THAT(sensor_->interest[0].wanted_by, ElementsAre("flood"));
   EXPECT_EQ(sensor_->interest[1].depth, engine::Depth::kNothing);
-  EXPECT_EQ(robot_->interest(), sensor_->interest);
+  EXPECT_EQ(*robot_->core().policy().interest, sensor_->interest);
 }
 
 TEST_F(RobotCoverageTest, UntilTheSensorWatchesWhatRulesNeedEvidenceIsIncomplete) {
   Start(kCoverageRules);
-  EXPECT_FALSE(robot_->SensorInterests().at(0).connected);
+  EXPECT_FALSE(robot_->core().sight().Interests().at(0).connected);
   Restart("an incarnation.");
   SendSnapshot();
-  SensorInterest one = robot_->SensorInterests().at(0);
+  SensorInterest one = robot_->core().sight().Interests().at(0);
   EXPECT_TRUE(one.connected);
   EXPECT_FALSE(one.in_use);
   EXPECT_EQ(one.problem, "");
@@ -74,7 +74,7 @@ TEST_F(RobotCoverageTest, UntilTheSensorWatchesWhatRulesNeedEvidenceIsIncomplete
 
   AnswerInterest("rule 1: too large\x1b[2J");
   AnswerInterest("rule 1: too large");
-  one = robot_->SensorInterests().at(0);
+  one = robot_->core().sight().Interests().at(0);
   EXPECT_FALSE(one.in_use);
   EXPECT_EQ(one.problem, "rule 1: too large\\x1b[2J");
   Drain();
@@ -82,7 +82,7 @@ TEST_F(RobotCoverageTest, UntilTheSensorWatchesWhatRulesNeedEvidenceIsIncomplete
   EXPECT_THAT(robot_->Status().degraded, testing::Contains(HasSubstr("rule 1: too large")));
 
   AnswerInterest();
-  one = robot_->SensorInterests().at(0);
+  one = robot_->core().sight().Interests().at(0);
   EXPECT_TRUE(one.in_use);
   EXPECT_EQ(one.problem, "");
   for (const std::string& reason : robot_->Status().degraded) {
@@ -104,9 +104,9 @@ TEST_F(RobotCoverageTest, OtherRulesAskAnewIfTheyNeedSomethingElse) {
   };
   swap("sha256:1", "/other", "r");
   EXPECT_EQ(sensor_->interest[0].topic_regex, "^\\/other$");
-  EXPECT_FALSE(robot_->SensorInterests().at(0).in_use);
+  EXPECT_FALSE(robot_->core().sight().Interests().at(0).in_use);
   AnswerInterest();
-  EXPECT_TRUE(robot_->SensorInterests().at(0).in_use);
+  EXPECT_TRUE(robot_->core().sight().Interests().at(0).in_use);
 }
 
 TEST_F(RobotCoverageTest, RobotsShareThePlanOfTheirBundle) {
@@ -116,8 +116,8 @@ TEST_F(RobotCoverageTest, RobotsShareThePlanOfTheirBundle) {
   const auto plan = MakeInterest(**program);
   ASSERT_TRUE(
       robot_->SwapPolicy({.program = *program, .bundle_id = "sha256:1", .interest = plan}).ok());
-  EXPECT_EQ(&robot_->interest(), plan.get());
-  EXPECT_TRUE(robot_->SensorInterests().at(0).in_use) << "it asks for the same";
+  EXPECT_EQ(&*robot_->core().policy().interest, plan.get());
+  EXPECT_TRUE(robot_->core().sight().Interests().at(0).in_use) << "it asks for the same";
 }
 
 TEST_F(RobotCoverageTest, AnswersToWhatIsNotWantedChangeNothing) {
@@ -125,9 +125,9 @@ TEST_F(RobotCoverageTest, AnswersToWhatIsNotWantedChangeNothing) {
   robot_->OnInterestAnswer("base", sensor_.get(), {.id = "older", .problem = "why"});
   robot_->OnInterestAnswer("nobody", sensor_.get(), {.id = sensor_->interest_id()});
   robot_->OnInterestAnswer("base", nullptr, {.id = "other"});
-  EXPECT_TRUE(robot_->SensorInterests().at(0).in_use);
+  EXPECT_TRUE(robot_->core().sight().Interests().at(0).in_use);
   robot_->OnInterestAnswer("base", sensor_.get(), {.id = "older"});
-  EXPECT_FALSE(robot_->SensorInterests().at(0).in_use) << "it watches by another one";
+  EXPECT_FALSE(robot_->core().sight().Interests().at(0).in_use) << "it watches by another one";
 }
 
 TEST_F(RobotCoverageTest, WhatASensorUsesAlreadyNeedsNoAnswer) {
@@ -137,7 +137,7 @@ TEST_F(RobotCoverageTest, WhatASensorUsesAlreadyNeedsNoAnswer) {
                         {.incarnation = kIncarnation,
                          .clock = clock_.Now(),
                          .interest_in_use = absl::StrCat("interest ", 1)});
-  EXPECT_TRUE(robot_->SensorInterests().at(0).in_use);
+  EXPECT_TRUE(robot_->core().sight().Interests().at(0).in_use);
 }
 
 TEST_F(RobotCoverageTest, MessagesThatWereLostCountInTheWindowsOfTheirTopic) {

@@ -129,7 +129,7 @@ TEST_F(RobotDrillTest, ASilentActuatorIsAskedAgainAndGivenUp) {
   const std::optional<DrillAnswer> first = answer_;
   Answer(Told::kVerified);
   EXPECT_FALSE(answer_->drills[0].stage.has_value());
-  EXPECT_EQ(robot_->receipts().Newest(1)[0].command, "drill ALERT");
+  EXPECT_EQ(robot_->core().actuators().receipts().Newest(1)[0].command, "drill ALERT");
 }
 
 TEST_F(RobotDrillTest, AnActuatorThatGoesAwayEndsIt) {
@@ -195,9 +195,9 @@ TEST_F(RobotDrillTest, AServerThatStopsAnswers) {
 TEST_F(RobotDrillTest, ReceiptsOfLevelsAreKeptAndTheAlertNamesTheSteps) {
   Start();
   Arm();
-  ASSERT_THAT(robot_->receipts().Newest(0), SizeIs(1));
-  EXPECT_EQ(robot_->receipts().Newest(0)[0].command, "level DEFAULT");
-  EXPECT_EQ(robot_->receipts().Newest(0)[0].receipt.stage, Told::kVerified);
+  ASSERT_THAT(robot_->core().actuators().receipts().Newest(0), SizeIs(1));
+  EXPECT_EQ(robot_->core().actuators().receipts().Newest(0)[0].command, "level DEFAULT");
+  EXPECT_EQ(robot_->core().actuators().receipts().Newest(0)[0].receipt.stage, Told::kVerified);
 
   IntruderAppears();
   const SetLevel set = *actuator_->level();
@@ -215,7 +215,7 @@ TEST_F(RobotDrillTest, ReceiptsOfLevelsAreKeptAndTheAlertNamesTheSteps) {
   EXPECT_EQ(audience_.Count("level ALERT was not reached: base: program horn: exit code 1\\x1b; "
                             "the decision stands"),
             1);
-  const LoggedReceipt newest = robot_->receipts().Newest(1)[0];
+  const LoggedReceipt newest = robot_->core().actuators().receipts().Newest(1)[0];
   EXPECT_EQ(newest.command, "level ALERT");
   EXPECT_EQ(newest.host, "base");
   EXPECT_EQ(newest.receipt.steps[1].output_tail, "no such device");

@@ -80,7 +80,7 @@ TEST_F(RobotTest, OlderIncarnationsAreJudgedAndAcknowledgedForThemselves) {
   SendSnapshot();
   Obey();
   EXPECT_THAT(robot_->Status().degraded, Contains(HasSubstr("not judged yet")));
-  const auto graph = robot_->graph().nodes();
+  const auto graph = robot_->core().graph().nodes();
   ros2::GraphDelta old;
   AddNode(&old, 7, "/long_gone");
 
@@ -98,7 +98,7 @@ TEST_F(RobotTest, OlderIncarnationsAreJudgedAndAcknowledgedForThemselves) {
 
   EXPECT_THAT(sensor_->closed, IsOk());
   EXPECT_EQ(recorder_.high_water.size(), 2u);
-  EXPECT_EQ(robot_->graph().nodes(), graph) << "the graph of an incarnation that is over";
+  EXPECT_EQ(robot_->core().graph().nodes(), graph) << "the graph of an incarnation that is over";
   EXPECT_THAT(robot_->Status().degraded, Not(Contains(HasSubstr("not judged yet"))));
 }
 
@@ -145,7 +145,7 @@ TEST_F(RobotTest, AGraphWithUnknownReferencesEndsTheStream) {
   SendDelta(std::move(delta));
 
   EXPECT_THAT(sensor_->closed, StatusIs(absl::StatusCode::kInvalidArgument));
-  EXPECT_EQ(robot_->graph().nodes().size(), 2u) << "nothing of it was taken";
+  EXPECT_EQ(robot_->core().graph().nodes().size(), 2u) << "nothing of it was taken";
 }
 
 TEST_F(RobotTest, KeepsTheGraphOfTheSameIncarnationAcrossReconnects) {

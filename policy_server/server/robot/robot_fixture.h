@@ -1,5 +1,4 @@
-// A robot on a hand-stepped clock, with agents and a store that do what the test says. Test code
-// only.
+// A robot on a hand-stepped clock, with agents and a store that do what the test says; for tests.
 #ifndef RIPS_POLICY_SERVER_SERVER_ROBOT_ROBOT_FIXTURE_H_
 #define RIPS_POLICY_SERVER_SERVER_ROBOT_ROBOT_FIXTURE_H_
 
@@ -186,7 +185,6 @@ class RobotTest : public ::testing::Test {
     }
   }
   int64_t Boottime() const { return clock_.Now().boottime_ns; }
-
   void ConnectSensor(std::vector<SpooledRange> spooled = {}) {
     sensor_ = std::make_shared<FakeSensor>();
     robot_->OnSensorHello("base", sensor_,

@@ -79,7 +79,8 @@ TEST_F(GraphOrderTest, AMessageThatIsOvertakenByTheEndOfItsWriterIsJudgedAgainst
 
   EXPECT_EQ(Level(), "DEFAULT");
   EXPECT_EQ(audience_.Count("rogue"), 0);
-  EXPECT_EQ(robot_->graph().FindEndpoint(Writer(2)), nullptr) << "the newest graph is in force";
+  EXPECT_EQ(robot_->core().graph().FindEndpoint(Writer(2)), nullptr)
+      << "the newest graph is in force";
 }
 
 TEST_F(GraphOrderTest, WhatWaitedTooLongIsJudgedAsUnattributedWithTheReason) {

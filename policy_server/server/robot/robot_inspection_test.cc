@@ -121,7 +121,7 @@ TEST_F(RobotInspectionTest, CoverageNamesTheTopicsWhosePayloadsWereCut) {
                               cut("/shed", 0, 9), cut("/b", 50, 60)});
   for (int i = 0; i < 2; ++i) Answer(Verdict::kNo);
   EXPECT_EQ(counted, 3u);
-  const std::vector<CutPayloads::Topic> topics = robot_->CutTopics();
+  const std::vector<CutPayloads::Topic> topics = robot_->core().sight().CutTopics();
   ASSERT_THAT(topics, SizeIs(2));
   EXPECT_EQ(topics[0].topic, "/b");
   EXPECT_EQ(topics[1].topic, "/image");

@@ -1,5 +1,5 @@
 // The budget of soft lowerings is spent for its ten minutes, however often the server starts.
-#include "policy_server/server/robot/parts/soft_lowerings.h"
+#include "policy_server/server/robot/decide/soft_lowerings.h"
 
 #include <string>
 #include <vector>

@@ -48,7 +48,7 @@ class StoreAgeTest : public RobotTest {
     Drain();
     Pass(1'000);
   }
-  uint64_t Lost() const { return robot_->Coverage()[0].lost; }
+  uint64_t Lost() const { return robot_->core().sight().Coverage()[0].lost; }
 };
 
 TEST_F(StoreAgeTest, ARestartedSensorsGapIsToldOnceAndIsNoLossNorFloodNorRaise) {

@@ -1,4 +1,4 @@
-#include "policy_server/server/robot/parts/term_reset.h"
+#include "policy_server/server/robot/decide/term_reset.h"
 
 #include <limits>
 #include <string>

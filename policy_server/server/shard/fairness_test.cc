@@ -396,7 +396,7 @@ class ControlTurnTest : public RobotTest {
 TEST_F(ControlTurnTest, OfABatchFourGraphsAreJudgedTheLastAmongThem) {
   SendBatch(Lane::kControl, Deltas(100, 0));
   EXPECT_THAT(tap_->nodes, ElementsAre(3, 4, 5, 102));
-  EXPECT_THAT(robot_->graph().nodes(), SizeIs(102));
+  EXPECT_THAT(robot_->core().graph().nodes(), SizeIs(102));
   SendBatch(Lane::kControl, Deltas(1, 0));
   EXPECT_THAT(tap_->nodes, SizeIs(5)) << "the next batch has its own";
 }
@@ -483,7 +483,7 @@ TEST_F(ControlTurnTest, AStreamThatEndsBetweenTwoTurnsLeavesNoGraphUnjudged) {
   robot_->OnSensorGone("base", sensor_.get());
   robot_->Advance();
   EXPECT_FALSE(robot_->HasControl());
-  EXPECT_EQ(tap_->nodes.back(), robot_->graph().nodes().size());
+  EXPECT_EQ(tap_->nodes.back(), robot_->core().graph().nodes().size());
 }
 
 TEST_F(ControlTurnTest, WhatWaitsForItsTurnIsIncompleteEvidence) {

@@ -13,7 +13,7 @@
 #include "absl/base/thread_annotations.h"
 #include "absl/container/btree_map.h"
 #include "policy_server/policy/engine/state/effect.h"
-#include "policy_server/server/robot/parts/alert_limiter.h"
+#include "policy_server/server/robot/context/alert_limiter.h"
 #include "policy_server/server/robot/ports.h"
 #include "policy_server/server/store/committer.h"
 #include "services/base/clock.h"

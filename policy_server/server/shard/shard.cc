@@ -271,10 +271,10 @@ void Shard::ReportWait(Seat& seat) {
 }
 
 void Shard::PublishGraph(Seat& seat) {
-  const GraphHistory::Version& version = seat.robot->graph_version();
+  const GraphHistory::Version& version = seat.robot->core().graph_version();
   if (version.revision == seat.view_revision) return;
   seat.view_revision = version.revision;
-  GraphView view{version.graph, seat.robot->graph_changed_unix_ns()};
+  GraphView view{version.graph, seat.robot->core().judge().graph_changed_unix_ns()};
   MutexLock lock(&seat.mu);
   std::swap(seat.view, view);
 }

@@ -1,0 +1,50 @@
+#include "policy_server/server/robot/context/alerts.h"
+
+#include <utility>
+
+#include "absl/strings/str_cat.h"
+#include "services/base/cut_text.h"
+
+namespace rips::pipeline {
+
+void Alerts::Raise(engine::Severity severity, const std::string& text, std::source_location where) {
+  RaiseOfKind(absl::StrCat(where.file_name(), ":", where.line()), severity, text);
+}
+
+void Alerts::RaiseOfKind(const std::string& kind, engine::Severity severity,
+                         const std::string& text, const std::string& event) {
+  engine::AlertEffect alert{.rule = std::string(kOwnRule),
+                            .severity = severity,
+                            .text = Shortened(text, kOwnAlertBytesMax),
+                            .level = level_.level(),
+                            .decision_id = level_.decision_id()};
+  if (own_.Admit(kind, alert, context_.now())) Add(std::move(alert), event);
+}
+
+void Alerts::RaiseOfRule(const engine::AlertEffect& alert, const std::string& event) {
+  if (!rules_.Admit(alert, context_.now())) return;
+  Add(alert, alert.graph_truncated ? absl::StrCat(event, " (graph truncated)") : event);
+}
+
+void Alerts::Summarize() {
+  for (AlertLimiter* limiter : {&rules_, &own_}) {
+    for (engine::AlertEffect& summary : limiter->Due(context_.now())) Add(std::move(summary), "");
+  }
+}
+
+void Alerts::Add(engine::AlertEffect alert, const std::string& event) {
+  const bool kept = outbox_.AddAlert({.id = context_.ids.Next(),
+                                      .time_unix_ns = context_.now().unix_ns,
+                                      .robot = context_.config.id,
+                                      .rule = std::move(alert.rule),
+                                      .severity = std::string(engine::ToString(alert.severity)),
+                                      .text = Shortened(alert.text, kAlertTextBytesMax),
+                                      .level = level_.table().name(alert.level),
+                                      .event = Shortened(event, kAlertEventBytesMax),
+                                      .decision_id = alert.decision_id,
+                                      .trace = CopyOf(alert.trace)});
+  if (!kept) context_.Count(Counter::kAlertsLost);
+  context_.Count(Counter::kAlerts);
+}
+
+}  // namespace rips::pipeline

@@ -1,0 +1,46 @@
+// The alerts of one robot: admitted by their limits, cut, stamped with the level, and handed to the
+// outbox. Pure.
+#ifndef RIPS_POLICY_SERVER_SERVER_ROBOT_CONTEXT_ALERTS_H_
+#define RIPS_POLICY_SERVER_SERVER_ROBOT_CONTEXT_ALERTS_H_
+
+#include <source_location>
+#include <string>
+
+#include "policy_server/policy/engine/state/effect.h"
+#include "policy_server/policy/levels/level_machine.h"
+#include "policy_server/server/robot/context/alert_limiter.h"
+#include "policy_server/server/robot/context/context.h"
+#include "policy_server/server/robot/context/durable_outbox.h"
+
+namespace rips::pipeline {
+
+// Not thread-safe. All that it is given outlives it.
+class Alerts {
+ public:
+  Alerts(Context* context, DurableOutbox* outbox, const levels::LevelMachine* level)
+      : context_(*context), outbox_(*outbox), level_(*level) {}
+
+  // RIPS's own. What one place in the code says is one kind, for the limit.
+  void Raise(engine::Severity severity, const std::string& text,
+             std::source_location where = std::source_location::current());
+  // The same of a kind that is given; `event`: what it was raised for, may be empty.
+  void RaiseOfKind(const std::string& kind, engine::Severity severity, const std::string& text,
+                   const std::string& event = "");
+  // A rule's.
+  void RaiseOfRule(const engine::AlertEffect& alert, const std::string& event);
+  // What limits have folded away and is due.
+  void Summarize();
+
+ private:
+  void Add(engine::AlertEffect alert, const std::string& event);
+
+  Context& context_;
+  DurableOutbox& outbox_;
+  const levels::LevelMachine& level_;
+  AlertLimiter rules_;
+  AlertLimiter own_{kOwnAlertLimits};
+};
+
+}  // namespace rips::pipeline
+
+#endif  // RIPS_POLICY_SERVER_SERVER_ROBOT_CONTEXT_ALERTS_H_

@@ -1,0 +1,99 @@
+#include "policy_server/server/robot/context/durable_outbox.h"
+
+#include <algorithm>
+#include <utility>
+
+#include "services/base/check.h"
+
+namespace rips::pipeline {
+namespace {
+
+template <typename T>
+void Prepend(const std::vector<T>& front, std::vector<T>& to) {
+  to.insert(to.begin(), front.begin(), front.end());
+}
+
+}  // namespace
+
+void DurableOutbox::AddDecision(store::DecisionRecord decision) {
+  collected_.decisions.push_back(std::move(decision));
+}
+
+void DurableOutbox::AddRefusal(store::RefusalRecord refusal) {
+  collected_.refusals.push_back(std::move(refusal));
+}
+
+void DurableOutbox::AddStage(store::StageUpdate stage) {
+  collected_.stages.push_back(std::move(stage));
+}
+
+bool DurableOutbox::AddAlert(store::AlertRecord alert) {
+  const bool full = collected_.alerts.size() >= kAlertsMax;
+  if (full) {
+    collected_.alerts.erase(collected_.alerts.begin());
+    ++alerts_dropped_;
+  }
+  collected_.alerts.push_back(std::move(alert));
+  return !full;
+}
+
+void DurableOutbox::AddLowering(const levels::Transition& lowering) {
+  lowerings_.push_back(lowering);
+  held_back_ = lowering.decision_id;
+}
+
+void DurableOutbox::Release(const DecisionId& lowering) {
+  if (held_back_ == lowering) held_back_ = DecisionId{};
+}
+
+bool DurableOutbox::CanSeal() const {
+  return !in_flight_ &&
+         (!collected_.empty() || unsaved_.sequences || unsaved_.variables || unsaved_.bundle);
+}
+
+bool DurableOutbox::done() const {
+  return !in_flight_ && collected_.empty() && !unsaved_.sequences && !unsaved_.variables;
+}
+
+std::shared_ptr<const store::WriteBatch> DurableOutbox::Seal(store::Checkpoint checkpoint) {
+  RIPS_CHECK(!in_flight_, "a batch is in flight already");
+  store::WriteBatch batch = std::exchange(collected_, {});
+  batch.checkpoints.push_back(std::move(checkpoint));
+  unsaved_ = {.bundle = false};
+  in_flight_ = InFlight{.batch = std::make_shared<const store::WriteBatch>(std::move(batch)),
+                        .lowerings = std::exchange(lowerings_, {})};
+  return in_flight_->batch;
+}
+
+DurableOutbox::Settled DurableOutbox::OnRecorded(bool ok) {
+  RIPS_CHECK(in_flight_, "no batch is in flight");
+  InFlight done = *std::exchange(in_flight_, std::nullopt);
+  failing_ = !ok;
+  Settled settled{.judged = done.batch->checkpoints.front().high_water,
+                  .decisions = done.batch->decisions,
+                  .lowerings = std::move(done.lowerings)};
+  if (ok) {
+    settled.alerts_dropped = std::exchange(alerts_dropped_, 0);
+    return settled;
+  }
+  Prepend(done.batch->decisions, collected_.decisions);
+  Prepend(done.batch->refusals, collected_.refusals);
+  Prepend(done.batch->stages, collected_.stages);
+  Prepend(done.batch->alerts, collected_.alerts);
+  unsaved_ = {.sequences = true, .variables = true, .bundle = true};
+  return settled;
+}
+
+std::vector<store::DecisionRecord> DurableOutbox::Raises(const levels::LevelTable& levels) const {
+  std::vector<store::DecisionRecord> raises;
+  levels::LevelIndex held = 0;
+  for (const store::DecisionRecord& decision : collected_.decisions) {
+    const auto from = levels.Find(decision.from);
+    const auto to = levels.Find(decision.to);
+    if (from && to && *to < *from) held = std::max(held, *from);
+    if (!to || *to >= held) raises.push_back(decision);
+  }
+  return raises;
+}
+
+}  // namespace rips::pipeline

@@ -1,0 +1,217 @@
+#include "policy_server/server/robot/core/judge.h"
+
+#include <algorithm>
+#include <optional>
+#include <string>
+#include <utility>
+#include <variant>
+#include <vector>
+
+#include "services/base/overloaded.h"
+
+namespace rips::pipeline {
+namespace {
+
+engine::LossEvent EventOf(const LossSeen& loss, const SensorSession& session) {
+  const auto unix_ns = [&](int64_t boottime_ns) {
+    return boottime_ns == 0 ? 0 : boottime_ns + session.unix_offset_ns;
+  };
+  return {.count = loss.count,
+          .topic = loss.topic,
+          .type = loss.type,
+          .writer = loss.writer,
+          .first_unix_ns = unix_ns(loss.first_boottime_ns),
+          .last_unix_ns = unix_ns(loss.last_boottime_ns),
+          .cause = loss.cause};
+}
+
+}  // namespace
+
+void Judge::OnBatch(const input::SensorBatch& in) {
+  if (parts_.sensors.Hear(in.host, in.session) == nullptr) return;
+  WaitingBatch batch{.host = in.host, .session = in.session, .batch = in.batch};
+  if (in.batch->lane == Lane::kControl) {
+    control_.Push(std::move(batch));
+  } else {
+    messages_.Push(std::move(batch));
+  }
+}
+
+void Judge::Clear() {
+  control_.Clear();
+  messages_.Clear();
+}
+
+void Judge::Advance() {
+  if (has_control()) return AdvanceControl();
+  if (has_messages()) AdvanceMessages();
+}
+
+void Judge::AdvanceControl() {
+  const WaitingBatch& first = control_.first();
+  SensorHost* host = parts_.sensors.Find(first.host, first.session);
+  if (host != nullptr && !first.whole()) JudgePiece(*host, control_.Next());
+  host = parts_.sensors.Find(first.host, first.session);
+  if (host != nullptr && !first.whole()) return;
+  // What a stream that has ended leaves here was not acknowledged and will be sent again; a graph
+  // that was applied will not.
+  const std::string name = first.host;
+  std::optional<engine::Event> merged = control_.Pop();
+  if (!merged) return;
+  SensorHost* listed = parts_.sensors.Listed(name);
+  if (listed != nullptr && listed->settled) OnGraph(*listed, *std::move(merged));
+}
+
+void Judge::AdvanceMessages() {
+  const WaitingBatch& first = messages_.first();
+  SensorHost* host = parts_.sensors.Find(first.host, first.session);
+  if (host != nullptr && !first.whole()) {
+    const std::optional<Piece> piece = messages_.Next(*host);
+    if (!piece) return;
+    JudgePiece(*host, *piece);
+    host = parts_.sensors.Find(first.host, first.session);
+  }
+  if (host == nullptr || first.whole()) messages_.Pop();
+}
+
+void Judge::JudgePiece(SensorHost& host, const Piece& piece) {
+  const Batch& batch = *piece.waiting.batch;
+  const auto accepted = host.sequences.Accept(
+      batch.incarnation, batch.lane, batch.first_sequence + piece.from, piece.to - piece.from);
+  if (!accepted.ok()) return parts_.sensors.Close(host, accepted.status());
+  if (accepted->missing > 0) parts_.losses.OnMissing(host, accepted->missing);
+  parts_.decider.RunEvents();
+  parts_.context.Count(Counter::kObservationsDuplicate, accepted->skip);
+  parts_.outbox.TouchSequences();
+  for (size_t i = piece.from + accepted->skip; i < piece.to; ++i) {
+    const auto* finding = std::get_if<FindingSeen>(&batch.observations[i].what);
+    if (finding != nullptr && !parts_.findings.OnFinding(host.name, batch.incarnation, *finding)) {
+      continue;
+    }
+    JudgeOne(host, piece, i);
+    // Judging may have ended the session (a graph that contradicts itself).
+    if (!host.session) break;
+  }
+  parts_.context.Count(Counter::kObservationsJudged, piece.to - piece.from - accepted->skip);
+  if (!host.session) return;
+  if (batch.lane == Lane::kMessages && piece.to == batch.observations.size()) {
+    host.session->judged_bytes += batch.bytes;
+    host.session->judged_payload_bytes += batch.payload_bytes;
+  }
+  parts_.sensors.GrantCredit(host);
+}
+
+void Judge::JudgeOne(SensorHost& host, const Piece& piece, size_t index) {
+  const Batch& batch = *piece.waiting.batch;
+  const Observation& seen = batch.observations[index];
+  const SensorSession& session = *host.session;
+  const bool primary = host.name == parts_.context.config.primary_sensor;
+  const Instant now = parts_.context.now();
+  const int64_t age_ns = now.boottime_ns - (seen.boottime_ns + session.boottime_offset_ns);
+  if (age_ns > parts_.context.timing.backlog_ns) {
+    parts_.gate.Disturb("observations were judged more than a second after they were taken", now);
+  }
+  engine::Event event{
+      .what = engine::GraphEvent{},
+      .time_unix_ns = std::min(seen.boottime_ns + session.unix_offset_ns, now.unix_ns),
+      .lateness = age_ns > parts_.context.timing.late_after_ns ? levels::Lateness::kLate
+                                                               : levels::Lateness::kTimely};
+  const auto run = [&](engine::ExternalEvent external) {
+    event.what = std::move(external);
+    parts_.decider.Run(event);
+  };
+  // The graph of an incarnation that is over leads nowhere.
+  const auto judge_graph = [&] {
+    if (primary && batch.incarnation == session.incarnation) {
+      JudgeGraph(host, batch, seen, std::move(event));
+    }
+  };
+  std::visit(
+      Overloaded{[&](const MessageSeen& message) {
+                   if (!primary) return;
+                   JudgeMessage(host, piece, message, index, std::move(event));
+                 },
+                 [&](const GraphSnapshotSeen&) { judge_graph(); },
+                 [&](const GraphDeltaSeen&) { judge_graph(); },
+                 [&](const IdsAlertSeen& ids) {
+                   run(engine::IdsEvent{.message = ids.message,
+                                        .gid = ids.gid,
+                                        .sid = ids.sid,
+                                        .line = ids.line,
+                                        .source = ids.source,
+                                        .target = ids.target});
+                 },
+                 [&](const SignalSeen& signal) { run(engine::SignalEvent{.name = signal.name}); },
+                 [&](const LossSeen& loss) {
+                   parts_.losses.OnLoss(host, loss);
+                   run(EventOf(loss, session));
+                 },
+                 [&](const SensorStateSeen& state) {
+                   const bool overloaded = parts_.sensors.OnState(host, state, seen.boottime_ns);
+                   parts_.sight.OnState(host);
+                   parts_.evidence.Update();
+                   if (overloaded)
+                     run(engine::AgentEvent{.agent = "sensor", .state = "overloaded"});
+                 },
+                 [&](const FindingSeen& finding) {
+                   run(engine::FindingEvent{.kind = finding.kind,
+                                            .guid = finding.guid,
+                                            .node = finding.node,
+                                            .topic = finding.topic,
+                                            .detail = finding.detail});
+                 }},
+      seen.what);
+}
+
+void Judge::JudgeMessage(SensorHost& host, const Piece& piece, const MessageSeen& message,
+                         size_t index, engine::Event event) {
+  parts_.sight.OnMessage(message);
+  const GraphHistory::Choice choice = messages_.Choose(host, *piece.waiting.batch, message);
+  engine::MessageEvent judged = InspectionLine::EventOf(message, choice);
+  if (index < piece.verdicts.size()) judged.inspections = piece.verdicts[index];
+  event.what = judged;
+  const Source source = {.message = &message,
+                         .batch = piece.waiting.batch,
+                         .remark = messages_.Unattributed(message, choice)};
+  engine::CurrentGraph& graph = parts_.state.graph;
+  if (choice.version->revision == graph.revision()) return parts_.decider.Run(event, source);
+  const engine::CurrentGraph::Version newest = graph.version();
+  graph.Show(*choice.version);
+  parts_.decider.Run(event, source);
+  graph.Show(newest);
+}
+
+void Judge::JudgeGraph(SensorHost& host, const Batch& batch, const Observation& seen,
+                       engine::Event event) {
+  const std::string& incarnation = host.session->incarnation;
+  bool news = true;
+  absl::Status status;
+  if (const auto* snapshot = std::get_if<GraphSnapshotSeen>(&seen.what)) {
+    status = host.ApplySnapshot(incarnation, *snapshot);
+  } else {
+    // Until a snapshot of this incarnation has come, deltas have nothing to change: the snapshot
+    // will contain them.
+    if (host.graph_incarnation != incarnation) return;
+    const auto& delta = std::get<GraphDeltaSeen>(seen.what);
+    news = delta.to_version > host.graph_version;
+    status = host.ApplyDelta(incarnation, delta);
+  }
+  if (!status.ok()) return parts_.sensors.RefuseGraph(host, status);
+  const bool control = batch.lane == Lane::kControl;
+  if (!news || !host.settled || (control && control_.Merges(event, seen.boottime_ns))) return;
+  OnGraph(host, std::move(event));
+}
+
+void Judge::OnGraph(SensorHost& host, engine::Event event) {
+  parts_.state.graph = host.graph;
+  messages_.OnGraph(host);
+  graph_changed_unix_ns_ = event.time_unix_ns;
+  // A graph that shows no node must not lower a level in the very event that shows it.
+  parts_.sight.Update();
+  parts_.evidence.Update();
+  event.what = engine::GraphEvent{};
+  parts_.decider.Run(event);
+  if (host.session) parts_.sensors.GrantCredit(host);
+}
+
+}  // namespace rips::pipeline

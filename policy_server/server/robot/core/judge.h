@@ -1,0 +1,85 @@
+// Judges what sensors have sent, observation by observation: what each changes, and the event that
+// rules are run on. Pure.
+#ifndef RIPS_POLICY_SERVER_SERVER_ROBOT_CORE_JUDGE_H_
+#define RIPS_POLICY_SERVER_SERVER_ROBOT_CORE_JUDGE_H_
+
+#include <cstddef>
+#include <cstdint>
+#include <memory>
+
+#include "absl/types/span.h"
+#include "policy_server/policy/engine/evaluator.h"
+#include "policy_server/server/robot/context/context.h"
+#include "policy_server/server/robot/context/durable_outbox.h"
+#include "policy_server/server/robot/context/evidence_gate.h"
+#include "policy_server/server/robot/decide/decider.h"
+#include "policy_server/server/robot/decide/evidence.h"
+#include "policy_server/server/robot/line/control_line.h"
+#include "policy_server/server/robot/line/inspection_line.h"
+#include "policy_server/server/robot/sensors/losses.h"
+#include "policy_server/server/robot/sensors/sensor_side.h"
+#include "policy_server/server/robot/sight/findings.h"
+#include "policy_server/server/robot/sight/sight.h"
+
+namespace rips::pipeline {
+
+// What a judge needs of the core; all outlives it.
+struct JudgeParts {
+  Context& context;
+  engine::RobotState& state;
+  EvidenceGate& gate;
+  Evidence& evidence;
+  DurableOutbox& outbox;
+  SensorSide& sensors;
+  Losses& losses;
+  Findings& findings;
+  Sight& sight;
+  Decider& decider;
+};
+
+// Not thread-safe.
+class Judge {
+ public:
+  explicit Judge(const JudgeParts& parts)
+      : parts_(parts),
+        messages_(&parts.context, &parts.losses, &parts.state),
+        control_(&parts.context) {}
+
+  // A batch waits from now on, if the session is the host's.
+  void OnBatch(const input::SensorBatch& in);
+  void OnInspected(const input::Inspected& in) { messages_.OnInspected(in); }
+  // What messages wait for may have come.
+  void Wake() { messages_.Wake(); }
+  void Clear();
+
+  // While has_control, Advance comes before other control; while has_messages, before other
+  // messages.
+  bool has_control() const { return !control_.empty(); }
+  bool has_messages() const { return messages_.ready(); }
+  // Judges one piece: of control if there is any, else of messages.
+  void Advance();
+  // Graphs of the past that no message names any more are dropped.
+  void ExpireGraphs() { messages_.Expire(parts_.sensors.HasBacklog()); }
+  // When the graph in force was taken.
+  int64_t graph_changed_unix_ns() const { return graph_changed_unix_ns_; }
+
+ private:
+  void AdvanceControl();
+  void AdvanceMessages();
+  void JudgePiece(SensorHost& host, const Piece& piece);
+  void JudgeOne(SensorHost& host, const Piece& piece, size_t index);
+  void JudgeMessage(SensorHost& host, const Piece& piece, const MessageSeen& message, size_t index,
+                    engine::Event event);
+  void JudgeGraph(SensorHost& host, const Batch& batch, const Observation& seen,
+                  engine::Event event);
+  void OnGraph(SensorHost& host, engine::Event event);
+
+  JudgeParts parts_;
+  InspectionLine messages_;
+  ControlLine control_;
+  int64_t graph_changed_unix_ns_ = 0;
+};
+
+}  // namespace rips::pipeline
+
+#endif  // RIPS_POLICY_SERVER_SERVER_ROBOT_CORE_JUDGE_H_

@@ -1,0 +1,190 @@
+#include "policy_server/server/robot/decide/decider.h"
+
+#include <utility>
+#include <variant>
+
+#include "absl/strings/str_cat.h"
+#include "services/base/overloaded.h"
+
+namespace rips::pipeline {
+
+std::string CauseText(const levels::Cause& cause) {
+  switch (cause.kind) {
+    case levels::Cause::Kind::kRule:
+      return absl::StrCat("rule ", cause.name);
+    case levels::Cause::Kind::kOperator:
+      return absl::StrCat("operator ", cause.name);
+    case levels::Cause::Kind::kCrash:
+      return absl::StrCat("crash in rule ", cause.name);
+    case levels::Cause::Kind::kAdopted:
+      return "adopted";
+  }
+  return "";
+}
+
+void Decider::Run(const engine::Event& event, const Source& source) {
+  if (context_.moment.recorded) {
+    context_.Do(action::RecordEvent{.event = event,
+                                    .graph = state_.graph.version().graph,
+                                    .message = source.message,
+                                    .batch = source.batch});
+  }
+  state_.evidence = evidence_.Assess(context_.now());
+  const engine::Outcome outcome = engine::Evaluate(event, context_.now(), state_);
+  if (!outcome.effects.empty() || !outcome.refused_programs.empty() ||
+      !outcome.cut_strings.empty()) {
+    Perform(outcome, absl::StrCat(engine::Describe(event), source.remark));
+  } else if (outcome.variables_changed) {
+    outbox_.TouchVariables();
+  }
+}
+
+void Decider::RunEvents() {
+  while (!context_.events.empty()) {
+    engine::ExternalEvent event = std::move(context_.events.front());
+    context_.events.pop_front();
+    Run({.what = std::move(event), .time_unix_ns = context_.now().unix_ns});
+  }
+}
+
+void Decider::OnActuation(engine::Actuation actuation) {
+  if (actuation == state_.actuation) return;
+  state_.actuation = actuation;
+  Perform(engine::OnActuation(context_.now(), state_), "level report");
+}
+
+void Decider::OnProgramResult(const ProgramResult& result) {
+  Perform(engine::OnProgramResult(result.run_id, result.ok, context_.now(), state_),
+          "program result");
+}
+
+void Decider::Expire() { Perform(engine::Expire(context_.now(), state_), "deadline"); }
+
+void Decider::Perform(const engine::Outcome& outcome, const std::string& event) {
+  if (outcome.variables_changed) outbox_.TouchVariables();
+  for (const auto& refused : outcome.refused_programs) {
+    alerts_.Raise(engine::Severity::kMedium,
+                  absl::StrCat("program `", refused.program, "` of rule ", refused.rule,
+                               " was not run: ", refused.reason));
+  }
+  for (const std::string& rule : outcome.cut_strings) {
+    alerts_.Raise(engine::Severity::kLow,
+                  absl::StrCat("rule ", rule, " made a string that is too long; it was cut"));
+  }
+  for (const engine::Effect& effect : outcome.effects) {
+    std::visit(
+        Overloaded{[&](const engine::AlertEffect& alert) { alerts_.RaiseOfRule(alert, event); },
+                   [&](const engine::TransitionEffect& transition) { OnTransition(transition); },
+                   [&](const engine::RunProgramEffect& run) {
+                     std::string refused = actuators_.Run(run);
+                     if (refused.empty()) return;
+                     alerts_.Raise(engine::Severity::kHigh,
+                                   absl::StrCat("program `", run.program, "` of rule ", run.rule,
+                                                " was not run: ", refused));
+                     OnProgramResult({.run_id = run.run_id, .detail = std::move(refused)});
+                   },
+                   [&](const engine::LogEffect& log) {
+                     context_.Do(action::LogRule{.rule = log.rule, .text = log.text});
+                   }},
+        effect);
+  }
+}
+
+void Decider::OnTransition(const engine::TransitionEffect& effect) {
+  const levels::Transition& transition = effect.transition;
+  if (transition.refused()) return OnRefusal(effect);
+  if (!transition.decided()) return;
+  const levels::LevelTable& table = state_.level.table();
+  outbox_.AddDecision({.id = context_.ids.Next(),
+                       .robot = context_.config.id,
+                       .decision_id = transition.decision_id,
+                       .based_on = transition.based_on,
+                       .from = table.name(transition.from),
+                       .to = table.name(transition.to),
+                       .cause = CauseText(transition.cause),
+                       .reason = transition.cause.reason,
+                       .time_unix_ns = transition.at.unix_ns,
+                       .trace = CopyOf(effect.trace)});
+  evidence_.Restart(context_.now());
+  // A raise from a lowering that is not durable yet lowers the robot, too, unless it leads at least
+  // to where the robot was ordered.
+  const bool after_lowering =
+      !outbox_.held_back().none() && transition.to < actuators_.reconciler().level();
+  if (transition.lowers() || after_lowering) {
+    outbox_.AddLowering(transition);
+  } else {
+    actuators_.Order(transition, CauseText(transition.cause));
+  }
+}
+
+// One record per kind of refusal; its count moves on.
+void Decider::OnRefusal(const engine::TransitionEffect& effect) {
+  const levels::Transition& transition = effect.transition;
+  const levels::LevelTable& table = state_.level.table();
+  if (transition.refusal == levels::Refusal::kBudget && !std::exchange(budget_spent_, true)) {
+    constexpr levels::SoftBudget kBudget;
+    alerts_.Raise(
+        engine::Severity::kHigh,
+        absl::StrCat("rules have lowered the level ", kBudget.lowerings_max, " times in ",
+                     kBudget.window_ns / (60 * kNanosPerSecond),
+                     " minutes: they lower it no more until an operator says `ripsctl rules ",
+                     "resume ", context_.config.id, "`"));
+  }
+  const std::string key = absl::StrCat(CauseText(transition.cause), "\n", transition.from, "\n",
+                                       transition.to, "\n", levels::ToString(transition.refusal));
+  auto [it, fresh] = refusal_ids_.try_emplace(key);
+  if (fresh || effect.count == 1) it->second = context_.ids.Next();
+  const bool round = (effect.count & (effect.count - 1)) == 0;
+  if (!round) return;  // counts are written at 1, 2, 4, 8, ...
+  std::string reason(levels::ToString(transition.refusal));
+  if (!transition.detail.empty()) absl::StrAppend(&reason, ": ", transition.detail);
+  outbox_.AddRefusal({.id = it->second,
+                      .robot = context_.config.id,
+                      .from = table.name(transition.from),
+                      .to = table.name(transition.to),
+                      .cause = CauseText(transition.cause),
+                      .reason = std::move(reason),
+                      .count = effect.count,
+                      .time_unix_ns = transition.at.unix_ns,
+                      .trace = CopyOf(effect.trace)});
+}
+
+void Decider::Adopt(levels::LevelIndex level, const DecisionId& seen, const std::string& why) {
+  levels::Transition transition = state_.level.Adopt(level, seen, context_.now());
+  transition.cause.reason = why;
+  OnTransition({.transition = std::move(transition)});
+}
+
+void Decider::Resume() {
+  budget_spent_ = false;
+  state_.level.Resume();
+  state_.Resume();
+}
+
+void Decider::OnDurable(const levels::Transition& lowering) {
+  outbox_.Release(lowering.decision_id);
+  // A raise may have been decided meanwhile: then that one has been commanded already.
+  if (lowering.decision_id != state_.level.decision_id()) return;
+  if (lowering.cause.kind == levels::Cause::Kind::kRule && lowering.lowers()) {
+    // What a rule saw must hold until its lowering leaves.
+    if (const std::string broken = evidence_.BrokenSince(lowering.at); !broken.empty()) {
+      return TakeBack(lowering, engine::Severity::kMedium,
+                      absl::StrCat("while it was recorded, ", broken));
+    }
+  }
+  actuators_.Order(lowering, CauseText(lowering.cause));
+}
+
+void Decider::TakeBack(const levels::Transition& lowering, engine::Severity severity,
+                       std::string why) {
+  const std::string text = absl::StrCat("a lowering was taken back: ", std::move(why));
+  if (auto answer = orders_.Refuse(lowering.decision_id, absl::FailedPreconditionError(text))) {
+    context_.Do(*std::move(answer));
+  }
+  outbox_.Release(lowering.decision_id);
+  if (state_.level.level() >= lowering.from) return;
+  alerts_.Raise(severity, text);
+  Adopt(lowering.from, state_.level.decision_id(), text);
+}
+
+}  // namespace rips::pipeline

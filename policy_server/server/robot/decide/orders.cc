@@ -1,0 +1,148 @@
+#include "policy_server/server/robot/decide/orders.h"
+
+#include "absl/strings/escaping.h"
+#include "absl/strings/str_cat.h"
+#include "absl/strings/str_join.h"
+#include "services/base/status_macros.h"
+
+namespace rips::pipeline {
+namespace {
+
+constexpr size_t kRefusedOrdersMax = 256;
+
+absl::Status RefusalStatus(const levels::Transition& transition, const levels::LevelTable& table) {
+  return absl::FailedPreconditionError(absl::StrCat(
+      "the level stays ", table.name(transition.from), ": ", levels::ToString(transition.refusal),
+      transition.detail.empty() ? "" : absl::StrCat("; ", transition.detail)));
+}
+
+levels::Cause CauseOf(const LevelOrder& order) {
+  return {
+      .kind = levels::Cause::Kind::kOperator, .name = order.operator_name, .reason = order.reason};
+}
+
+}  // namespace
+
+absl::Status Orders::CheckReason(const std::string& reason) {
+  if (!reason.empty() && reason.size() <= kReasonBytesMax) return absl::OkStatus();
+  return absl::InvalidArgumentError(
+      absl::StrCat("a reason of 1 to ", kReasonBytesMax, " bytes is required"));
+}
+
+bool Orders::AnsweredAlready(const LevelOrder& order, ReplyToken token) {
+  if (auto repeated = decider_.orders().Repeated(order.request_id)) {
+    context_.Do(action::AnswerOrder{token, *std::move(repeated)});
+    return true;
+  }
+  if (!context_.draining) return false;
+  context_.Do(
+      action::AnswerOrder{token, {.status = absl::UnavailableError("the server is stopping")}});
+  return true;
+}
+
+absl::Status Orders::NoLevel(const std::string& level) const {
+  return absl::InvalidArgumentError(absl::StrCat("`", absl::CHexEscape(level),
+                                                 "` is not a level of ", context_.config.id, " (",
+                                                 absl::StrJoin(levels().names(), ", "), ")"));
+}
+
+void Orders::OnRaise(const input::Raise& in) {
+  const LevelOrder& order = in.order;
+  if (AnsweredAlready(order, in.token)) return;
+  const auto to = levels().Find(order.to);
+  const absl::Status status = to ? CheckReason(order.reason) : NoLevel(order.to);
+  if (!status.ok()) return context_.Do(action::AnswerOrder{in.token, {.status = status}});
+  levels::LevelMachine trial = state_.level;
+  levels::LevelMachine& machine = order.dry_run ? trial : state_.level;
+  Decide(machine.Raise(*to, CauseOf(order), context_.now()), order, {.token = in.token});
+}
+
+void Orders::OnDeEscalate(const input::DeEscalate& in) {
+  const LevelOrder& order = in.order;
+  if (AnsweredAlready(order, in.token)) return;
+  LevelAnswer answer;
+  answer.status = CheckLowering(order, answer);
+  if (!answer.status.ok()) {
+    return context_.Do(action::AnswerOrder{in.token, std::move(answer)});
+  }
+  levels::LevelMachine trial = state_.level;
+  levels::LevelMachine& machine = order.dry_run ? trial : state_.level;
+  const levels::Transition transition =
+      machine.DeEscalate(*levels().Find(order.to), CauseOf(order), context_.now(),
+                         *levels().Find(order.expected_level), order.expected_decision_id);
+  Decide(transition, order, {.token = in.token, .answer = std::move(answer)});
+}
+
+absl::Status Orders::CheckLowering(const LevelOrder& order, LevelAnswer& answer) const {
+  const auto to = levels().Find(order.to);
+  if (!to) return NoLevel(order.to);
+  if (!levels().Find(order.expected_level)) return NoLevel(order.expected_level);
+  RIPS_RETURN_IF_ERROR(CheckReason(order.reason));
+  if (!context_.moment.store_writable) {
+    return absl::FailedPreconditionError(
+        "the server's store cannot be written, and a lowering must be recorded first; raising "
+        "works");
+  }
+  answer.blind_because = evidence_.Problems();
+  answer.would_raise_again = engine::WouldRaise(*to, context_.now(), state_);
+  if (answer.blind_because.empty() || order.accept_blind || order.dry_run) {
+    return absl::OkStatus();
+  }
+  return absl::FailedPreconditionError(absl::StrCat(
+      "RIPS does not see all of ", context_.config.id, " now: ",
+      absl::StrJoin(answer.blind_because, "; "), "; --accept-blind lowers it all the same"));
+}
+
+void Orders::Decide(const levels::Transition& transition, const LevelOrder& order,
+                    action::AnswerOrder answer) {
+  LevelAnswer& out = answer.answer;
+  out.decision_id = transition.decided() ? transition.decision_id : state_.level.decision_id();
+  const levels::LevelIndex level = transition.refused() ? transition.from : transition.to;
+  out.decided_level = levels().name(level);
+  out.soft = levels().at(level).soft;
+  if (transition.refused()) out.status = RefusalStatus(transition, levels());
+  if (!order.dry_run) decider_.OnTransition({.transition = transition});
+  if (order.dry_run || !transition.decided()) return context_.Do(std::move(answer));
+  decider_.orders().Wait(transition.decision_id, order.request_id, std::move(answer));
+}
+
+void Orders::OnResume(const input::ResumeRules& in) {
+  const absl::Status status = CheckReason(in.reason);
+  if (status.ok()) {
+    const bool halted = state_.halted();
+    decider_.Resume();
+    alerts_.Raise(engine::Severity::kInfo,
+                  absl::StrCat("operator ", in.operator_name,
+                               halted ? " lets rules run again, and lower soft levels: "
+                                      : " lets rules lower soft levels again: ",
+                               in.reason));
+  }
+  context_.Do(action::AnswerOrder{in.token, {.status = status}});
+}
+
+void Orders::OnRefused(const input::RefusedOrder& in) {
+  const std::string cause = absl::StrCat("operator ", in.order.operator_name);
+  const std::string key = absl::StrCat(cause, "\n", in.order.to);
+  if (!levels().Find(in.order.to)) return;
+  if (refused_.size() >= kRefusedOrdersMax && !refused_.contains(key)) return;
+  auto [it, fresh] = refused_.try_emplace(key);
+  if (fresh) it->second.first = context_.ids.Next();
+  const uint64_t count = ++it->second.second;
+  if ((count & (count - 1)) != 0) return;  // written at 1, 2, 4, 8, ...
+  outbox_.AddRefusal({.id = it->second.first,
+                      .robot = context_.config.id,
+                      .from = levels().name(state_.level.level()),
+                      .to = in.order.to,
+                      .cause = cause,
+                      .reason = std::string(in.why.message()),
+                      .count = count,
+                      .time_unix_ns = context_.now().unix_ns});
+}
+
+void Orders::RefuseAll(const absl::Status& why) {
+  for (action::AnswerOrder& answer : decider_.orders().RefuseAll(why)) {
+    context_.Do(std::move(answer));
+  }
+}
+
+}  // namespace rips::pipeline
