@@ -13,6 +13,10 @@
 namespace rips::lang {
 
 enum class ValueType { kInt, kFloat, kBool, kString, kLevel };
+// Operators take a level as an int.
+constexpr ValueType PlainType(ValueType type) {
+  return type == ValueType::kLevel ? ValueType::kInt : type;
+}
 
 // What a piece of an expression speaks about; a section accepts only some (signature.h).
 enum class EventClass { kUniversal, kMsg, kGraph, kExternal };
@@ -155,6 +159,12 @@ struct TypedExpr {
   Builtin builtin = Builtin::kTopicIn;             // kCall: the arguments in order
   uint32_t inspection = 0;                         // kCall of payload and plugin, without arguments
   std::vector<TypedExpr> args;
+
+  bool is_constant() const { return kind == Kind::kConstant; }
+  // The value of a constant string; null for anything else.
+  const std::string* constant_text() const {
+    return is_constant() ? std::get_if<std::string>(&constant) : nullptr;
+  }
 };
 
 enum class ActionKind { kAlert, kSet, kExec, kTrigger, kTrue, kFalse, kCrash };

@@ -1,7 +1,6 @@
 #include "policy_server/policy/replay/rule_facts.h"
 
-#include <algorithm>
-#include <vector>
+#include "policy_server/policy/lang/walk.h"
 
 namespace rips::replay {
 namespace {
@@ -36,40 +35,18 @@ bool IsAboutTheSender(const TypedExpr& expr) {
   return false;
 }
 
-// Expressions may be thousands of operators deep.
-bool AsksWhoSent(const TypedExpr& root) {
-  std::vector<const TypedExpr*> left = {&root};
-  while (!left.empty()) {
-    const TypedExpr& expr = *left.back();
-    left.pop_back();
-    if (IsAboutTheSender(expr)) return true;
-    for (const TypedExpr& arg : expr.args) left.push_back(&arg);
-  }
-  return false;
-}
-
-bool AsksWhoSent(const lang::TypedRule& rule) {
-  if (AsksWhoSent(rule.condition)) return true;
-  for (const lang::TypedChain& chain : rule.chains) {
-    for (const lang::TypedAction& action : chain) {
-      for (const TypedExpr& arg : action.args) {
-        if (AsksWhoSent(arg)) return true;
-      }
-    }
-  }
-  return false;
-}
-
 }  // namespace
 
 bool NeverFires(const lang::TypedRule& rule) {
-  const TypedExpr& condition = rule.condition;
-  return condition.kind == TypedExpr::Kind::kConstant && condition.constant == lang::Value(false);
+  return rule.condition.is_constant() && rule.condition.constant == lang::Value(false);
 }
 
 bool AsksWhoSent(const lang::CheckedRules& rules) {
-  return std::any_of(rules.rules.begin(), rules.rules.end(),
-                     [](const lang::TypedRule& rule) { return AsksWhoSent(rule); });
+  bool asks = false;
+  for (const lang::TypedRule& rule : rules.rules) {
+    lang::ForEachExpr(rule, [&](const TypedExpr& expr) { asks |= IsAboutTheSender(expr); });
+  }
+  return asks;
 }
 
 }  // namespace rips::replay

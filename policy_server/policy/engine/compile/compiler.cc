@@ -27,12 +27,7 @@ using lang::ValueType;
 
 bool IsConstant(const EvalNode* node) { return node->function == ConstantFunction(); }
 
-bool SameType(ValueType a, ValueType b) {
-  const auto plain = [](ValueType type) {
-    return type == ValueType::kLevel ? ValueType::kInt : type;
-  };
-  return plain(a) == plain(b);
-}
+bool SameType(ValueType a, ValueType b) { return PlainType(a) == PlainType(b); }
 
 ValueType TypeOf(lang::Predefined name) {
   if (name == lang::Predefined::kCurrLevel) return ValueType::kLevel;
@@ -212,7 +207,7 @@ class Compiler {
   absl::Status FillUnary(const TypedExpr& expr, EvalNode& node) {
     if (expr.args.size() != 1) return IllTyped();
     RIPS_ASSIGN_OR_RETURN(node.left, Expr(expr.args[0]));
-    node.type = node.left->type == ValueType::kLevel ? ValueType::kInt : node.left->type;
+    node.type = PlainType(node.left->type);
     node.function = UnaryFunction(expr.unary, node.left->type);
     return absl::OkStatus();
   }
@@ -227,9 +222,7 @@ class Compiler {
     node.function = BinaryFunction(expr.binary, node.left->type, constant);
     const bool arithmetic = expr.binary >= BinaryOp::kAdd || expr.binary == BinaryOp::kBitOr ||
                             expr.binary == BinaryOp::kBitXor || expr.binary == BinaryOp::kBitAnd;
-    node.type = !arithmetic                            ? ValueType::kBool
-                : node.left->type == ValueType::kLevel ? ValueType::kInt
-                                                       : node.left->type;
+    node.type = arithmetic ? PlainType(node.left->type) : ValueType::kBool;
     return absl::OkStatus();
   }
 

@@ -16,6 +16,7 @@
 #include "absl/strings/str_cat.h"
 #include "policy_server/policy/engine/state/topic_verdicts.h"
 #include "policy_server/policy/lang/limits.h"
+#include "policy_server/policy/lang/walk.h"
 #include "re2/re2.h"
 
 namespace rips::engine {
@@ -41,35 +42,13 @@ struct Topics {
   }
 };
 
-bool Inspects(const TypedExpr& expr) {
-  std::vector<const TypedExpr*> left = {&expr};
-  while (!left.empty()) {
-    const TypedExpr& at = *left.back();
-    left.pop_back();
-    if (at.kind == TypedExpr::Kind::kCall &&
-        (at.builtin == Builtin::kPayload || at.builtin == Builtin::kPlugin)) {
-      return true;
-    }
-    for (const TypedExpr& arg : at.args) left.push_back(&arg);
-  }
-  return false;
-}
-
 bool Inspects(const lang::TypedRule& rule) {
-  if (Inspects(rule.condition)) return true;
-  for (const lang::TypedChain& chain : rule.chains) {
-    for (const lang::TypedAction& action : chain) {
-      for (const TypedExpr& arg : action.args) {
-        if (Inspects(arg)) return true;
-      }
-    }
-  }
-  return false;
-}
-
-const std::string* ConstantText(const TypedExpr& expr) {
-  return expr.kind == TypedExpr::Kind::kConstant ? std::get_if<std::string>(&expr.constant)
-                                                 : nullptr;
+  bool inspects = false;
+  lang::ForEachExpr(rule, [&](const TypedExpr& expr) {
+    inspects |= expr.kind == TypedExpr::Kind::kCall &&
+                (expr.builtin == Builtin::kPayload || expr.builtin == Builtin::kPlugin);
+  });
+  return inspects;
 }
 
 Topics OfCall(const TypedExpr& call) {
@@ -78,35 +57,22 @@ Topics OfCall(const TypedExpr& call) {
   if (pattern && call.args.size() != 1) return {.all = true};
   Topics topics;
   for (const TypedExpr& arg : call.args) {
-    const std::string* text = ConstantText(arg);
+    const std::string* text = arg.constant_text();
     if (text == nullptr) return {.all = true};
     (pattern ? topics.patterns : topics.names).insert(*text);
   }
   return topics;
 }
 
-// The verdicts on topics (topic_verdicts.h) know of no other fault.
-bool DividesByMaybeZero(const TypedExpr& expr) {
-  if (expr.kind != TypedExpr::Kind::kBinary || expr.args.size() != 2) return false;
-  if (expr.binary != BinaryOp::kDiv && expr.binary != BinaryOp::kMod) return false;
-  const auto* divisor = std::get_if<int64_t>(&expr.args[1].constant);
-  return expr.args[1].kind != TypedExpr::Kind::kConstant || divisor == nullptr || *divisor == 0;
-}
-
 bool MayFault(const TypedExpr& expr) {
-  std::vector<const TypedExpr*> left = {&expr};
-  while (!left.empty()) {
-    const TypedExpr& at = *left.back();
-    left.pop_back();
-    if (DividesByMaybeZero(at)) return true;
-    for (const TypedExpr& arg : at.args) left.push_back(&arg);
-  }
-  return false;
+  bool may_fault = false;
+  lang::ForEachExpr(expr, [&](const TypedExpr& part) { may_fault |= MayDivideByZero(part); });
+  return may_fault;
 }
 
 Topics OfLeaf(const TypedExpr& expr) {
   if (expr.kind == TypedExpr::Kind::kCall) return OfCall(expr);
-  if (expr.kind != TypedExpr::Kind::kConstant) return {.all = true};
+  if (!expr.is_constant()) return {.all = true};
   const bool* value = std::get_if<bool>(&expr.constant);
   return {.all = value == nullptr || *value};
 }
@@ -151,17 +117,11 @@ Part PartOf(const TypedExpr& expr) {
   return part;
 }
 
-// Adds the literals of every `topicin` in `expr`.
+// Adds the literals of `expr`, if it is a call of `topicin`.
 void AddLiterals(const TypedExpr& expr, std::set<std::string>& names) {
-  std::vector<const TypedExpr*> left = {&expr};
-  while (!left.empty()) {
-    const TypedExpr& at = *left.back();
-    left.pop_back();
-    for (const TypedExpr& arg : at.args) {
-      left.push_back(&arg);
-      if (at.kind != TypedExpr::Kind::kCall || at.builtin != Builtin::kTopicIn) continue;
-      if (const std::string* text = ConstantText(arg)) names.insert(*text);
-    }
+  if (expr.kind != TypedExpr::Kind::kCall || expr.builtin != Builtin::kTopicIn) return;
+  for (const TypedExpr& arg : expr.args) {
+    if (const std::string* text = arg.constant_text()) names.insert(*text);
   }
 }
 
@@ -193,14 +153,10 @@ class Planner {
     for (const lang::TypedRule& rule : rules.rules) {
       if (rule.section != lang::EventClass::kMsg || NeverFires(rule.condition)) continue;
       wanting_.push_back({&rule, Inspects(rule), PartOf(rule.condition).topics});
-      AddLiterals(rule.condition, literals_);
-      for (const lang::TypedChain& chain : rule.chains) {
-        for (const lang::TypedAction& action : chain) {
-          for (const TypedExpr& arg : action.args) AddLiterals(arg, named);
-        }
-      }
+      lang::ForEachExpr(rule.condition,
+                        [&](const TypedExpr& expr) { AddLiterals(expr, literals_); });
+      lang::ForEachExpr(rule, [&](const TypedExpr& expr) { AddLiterals(expr, named); });
     }
-    named.insert(literals_.begin(), literals_.end());
     for (const char* topic : kOnlyIfNamed) {
       if (!named.contains(topic)) unnamed_.push_back(topic);
     }
@@ -307,7 +263,7 @@ class Planner {
       if (!pattern && call.builtin != Builtin::kTopicIn) return std::nullopt;
       bool holds = false;
       for (const TypedExpr& arg : call.args) {
-        const std::string* text = ConstantText(arg);
+        const std::string* text = arg.constant_text();
         if (text == nullptr) return std::nullopt;
         holds |= pattern ? Matches(*text, name) : *text == name;
       }

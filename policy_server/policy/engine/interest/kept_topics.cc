@@ -2,10 +2,9 @@
 
 #include <algorithm>
 #include <string>
-#include <variant>
-#include <vector>
 
 #include "policy_server/policy/engine/builtins/question.h"
+#include "policy_server/policy/lang/walk.h"
 #include "services/ros2/ros_name.h"
 
 namespace rips::engine {
@@ -36,19 +35,10 @@ size_t TopicArgs(const TypedExpr& call) {
 }
 
 void AddTopics(const TypedExpr& expr, ros2::TopicNames& names) {
-  std::vector<const TypedExpr*> left = {&expr};
-  while (!left.empty()) {
-    const TypedExpr& at = *left.back();
-    left.pop_back();
-    const size_t topics = at.kind == TypedExpr::Kind::kCall ? TopicArgs(at) : 0;
-    for (size_t i = 0; i < at.args.size(); ++i) {
-      const TypedExpr& arg = at.args[i];
-      left.push_back(&arg);
-      if (i >= topics || arg.kind != TypedExpr::Kind::kConstant) continue;
-      const auto* name = std::get_if<std::string>(&arg.constant);
-      if (name == nullptr || names.size() >= ros2::kKeptTopicsMax) continue;
-      if (ros2::ValidateTopicName(*name).ok()) names.insert(*name);
-    }
+  const size_t topics = expr.kind == TypedExpr::Kind::kCall ? TopicArgs(expr) : 0;
+  for (size_t i = 0; i < topics && names.size() < ros2::kKeptTopicsMax; ++i) {
+    const std::string* name = expr.args[i].constant_text();
+    if (name != nullptr && ros2::ValidateTopicName(*name).ok()) names.insert(*name);
   }
 }
 
@@ -57,12 +47,7 @@ void AddTopics(const TypedExpr& expr, ros2::TopicNames& names) {
 ros2::TopicNames KeptTopics(const lang::CheckedRules& rules) {
   ros2::TopicNames names;
   for (const lang::TypedRule& rule : rules.rules) {
-    AddTopics(rule.condition, names);
-    for (const lang::TypedChain& chain : rule.chains) {
-      for (const lang::TypedAction& action : chain) {
-        for (const TypedExpr& arg : action.args) AddTopics(arg, names);
-      }
-    }
+    lang::ForEachExpr(rule, [&](const TypedExpr& expr) { AddTopics(expr, names); });
   }
   return names;
 }

@@ -41,7 +41,7 @@ class Forecaster {
 
  private:
   Forecast OfLeaf(const TypedExpr& expr) const {
-    if (expr.kind == TypedExpr::Kind::kConstant) {
+    if (expr.is_constant()) {
       const bool* value = std::get_if<bool>(&expr.constant);
       return {.value = value == nullptr ? Truth::kUnknown : ToTruth(*value)};
     }
@@ -76,13 +76,6 @@ class Forecaster {
       return {.value = right.value, .may_fault = may_fault};
     }
     return {.may_fault = may_fault};
-  }
-
-  static bool MayDivideByZero(const TypedExpr& node) {
-    if (node.binary != BinaryOp::kDiv && node.binary != BinaryOp::kMod) return false;
-    const TypedExpr& divisor = node.args[1];
-    const auto* value = std::get_if<int64_t>(&divisor.constant);
-    return divisor.kind != TypedExpr::Kind::kConstant || (value != nullptr && *value == 0);
   }
 
   KnownCall known_;
@@ -124,6 +117,14 @@ TopicVerdict Decide(const CompiledPolicy& program, std::vector<bool> holds) {
 }
 
 }  // namespace
+
+bool MayDivideByZero(const TypedExpr& expr) {
+  if (expr.kind != TypedExpr::Kind::kBinary || expr.args.size() != 2) return false;
+  if (expr.binary != BinaryOp::kDiv && expr.binary != BinaryOp::kMod) return false;
+  const TypedExpr& divisor = expr.args[1];
+  const auto* value = std::get_if<int64_t>(&divisor.constant);
+  return !divisor.is_constant() || (value != nullptr && *value == 0);
+}
 
 bool Holds(const Predicate& predicate, const EvalContext& scene) {
   if (predicate.regex != nullptr) {

@@ -33,6 +33,9 @@ struct Predicate;
 // Does the predicate hold of the scene?
 bool Holds(const Predicate& predicate, const EvalContext& scene);
 
+// True for an operator that may divide by zero: the only fault that a condition can have.
+bool MayDivideByZero(const lang::TypedExpr& expr);
+
 // What is known of a call beforehand; nullopt = nothing.
 using KnownCall = absl::FunctionRef<std::optional<bool>(const lang::TypedExpr& call)>;
 

@@ -114,7 +114,7 @@ class Tracer {
 
   // `want`: the value by which the expression makes the condition true; none = it does not.
   void Walk(const TypedExpr& expr, const EvalNode& node, uint32_t depth, std::optional<bool> want) {
-    if (expr.kind == TypedExpr::Kind::kConstant) return;
+    if (expr.is_constant()) return;
     if (IsNot(expr)) {
       if (want.has_value()) want = !*want;
       return Walk(expr.args[0], Operand(node, 0), depth, want);
@@ -189,7 +189,7 @@ class Tracer {
   }
 
   void Skip(const TypedExpr& expr, uint32_t depth) {
-    if (expr.kind == TypedExpr::Kind::kConstant) return;
+    if (expr.is_constant()) return;
     if (IsNot(expr) || IsLogical(expr)) {
       for (const TypedExpr& arg : expr.args) Skip(arg, depth);
       return;

@@ -16,8 +16,6 @@
 namespace rips::lang {
 namespace {
 
-bool IsConstant(const TypedExpr& expr) { return expr.kind == TypedExpr::Kind::kConstant; }
-
 // A call that is false for every event, by its arguments alone: a range without numbers, a list
 // without members.
 bool NeverTrue(const Signature& signature, const std::vector<TypedExpr>& args) {
@@ -26,10 +24,11 @@ bool NeverTrue(const Signature& signature, const std::vector<TypedExpr>& args) {
     return args.empty();
   }
   for (size_t i = 1; i < std::min(signature.parameters.size(), args.size()); ++i) {
-    if (signature.parameters[i].role != ParameterRole::kRangeMax || !IsConstant(args[i])) continue;
+    if (signature.parameters[i].role != ParameterRole::kRangeMax || !args[i].is_constant())
+      continue;
     const int64_t max = std::get<int64_t>(args[i].constant);
     if (max < 0) return true;
-    if (IsConstant(args[i - 1]) && std::get<int64_t>(args[i - 1].constant) > max) return true;
+    if (args[i - 1].is_constant() && std::get<int64_t>(args[i - 1].constant) > max) return true;
   }
   return false;
 }
@@ -194,11 +193,11 @@ bool ExprChecker::CheckArgument(const TypedExpr& arg, const Parameter& parameter
 
 bool ExprChecker::CheckWord(const TypedExpr& arg, const Parameter& parameter,
                             const std::vector<Checked>& before, absl::string_view owner) {
-  if (!IsConstant(arg)) return true;
+  if (!arg.is_constant()) return true;
   std::span<const absl::string_view> words = parameter.words;
   if (words.empty()) {
     // It depends on the word before, which has been checked.
-    if (before.empty() || !IsConstant(before.back().typed)) return true;
+    if (before.empty() || !before.back().typed.is_constant()) return true;
     words = AgentStates(std::get<std::string>(before.back().typed.constant));
     if (words.empty()) return true;
   }
@@ -211,7 +210,7 @@ bool ExprChecker::CheckWord(const TypedExpr& arg, const Parameter& parameter,
 }
 
 bool ExprChecker::CheckWindow(const TypedExpr& arg) {
-  if (!IsConstant(arg)) {
+  if (!arg.is_constant()) {
     sink_.Add(DiagnosticKind::kNotConstant, arg.range, "the window of a count must be constant",
               "the server keeps what the longest window of the policy needs");
     return false;
@@ -246,7 +245,7 @@ ExprChecker::Reach ExprChecker::ReachOf(const Signature& signature) {
 }
 
 bool ExprChecker::CheckRegex(const TypedExpr& arg) {
-  if (!IsConstant(arg)) {
+  if (!arg.is_constant()) {
     sink_.Add(DiagnosticKind::kNotConstant, arg.range, "a regex must be constant");
     return false;
   }
@@ -286,7 +285,7 @@ void ExprChecker::CheckClass(absl::string_view name, SourceRange range, EventCla
 
 void ExprChecker::FoldCall(const Signature& signature, Checked& call) const {
   if (signature.event_class != EventClass::kUniversal || call.typed.args.empty() ||
-      !IsConstant(call.typed.args[0])) {
+      !call.typed.args[0].is_constant()) {
     return;
   }
   const Value& arg = call.typed.args[0].constant;

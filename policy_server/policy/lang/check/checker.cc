@@ -39,7 +39,7 @@ const TypedExpr& FirstNotConstant(const TypedExpr& expr) {
   if (expr.kind == TypedExpr::Kind::kUnary || expr.kind == TypedExpr::Kind::kBinary) {
     for (const TypedExpr& arg : expr.args) {
       const TypedExpr& found = FirstNotConstant(arg);
-      if (found.kind != TypedExpr::Kind::kConstant) return found;
+      if (!found.is_constant()) return found;
     }
   }
   return expr;
@@ -195,7 +195,7 @@ class Checker {
   }
 
   bool CheckConstant(const TypedExpr& value) {
-    if (value.kind == TypedExpr::Kind::kConstant) return true;
+    if (value.is_constant()) return true;
     sink_.Add(DiagnosticKind::kNotConstant, FirstNotConstant(value).range,
               "an initialiser must be constant", "this is known only when a rule runs");
     return false;
@@ -364,7 +364,7 @@ class Checker {
     std::optional<TypedExpr> severity =
         CheckString(action.args[1], "`severity` of `alert`", context);
     if (!severity) return;
-    if (severity->kind == TypedExpr::Kind::kConstant) {
+    if (severity->is_constant()) {
       const std::string& word = std::get<std::string>(severity->constant);
       const auto known = Severities();
       if (std::find(known.begin(), known.end(), word) == known.end()) {
@@ -423,7 +423,7 @@ class Checker {
 
   void CheckExec(const ast::Action& action, const ExprContext& context, TypedAction& out) {
     std::optional<TypedExpr> program = CheckString(action.args[0], "`program` of `exec`", context);
-    if (program && program->kind != TypedExpr::Kind::kConstant) {
+    if (program && !program->is_constant()) {
       sink_.Add(DiagnosticKind::kBadProgram, program->range,
                 "the program of `exec` must be constant",
                 "robots run only programs that are known beforehand; pass what varies as argument");
@@ -448,14 +448,14 @@ class Checker {
       usage_.TriggerVariable(level->variable, level->range);
     } else if (level->type != ValueType::kLevel) {
       std::string hint = "its argument is a level name, `CurrLevel` or a variable that holds one";
-      if (level->kind == TypedExpr::Kind::kConstant && level->type == ValueType::kString) {
+      if (level->is_constant() && level->type == ValueType::kString) {
         hint = "levels are written without quotes";
       }
       sink_.Add(DiagnosticKind::kBadTriggerLevel, level->range,
                 absl::StrCat("`trigger` takes a level; this is ", Quote(Name(level->type))),
                 std::move(hint));
       return;
-    } else if (level->kind == TypedExpr::Kind::kConstant) {
+    } else if (level->is_constant()) {
       usage_.Trigger(static_cast<int>(std::get<int64_t>(level->constant)));
     }
     out.args.push_back(std::move(*level));

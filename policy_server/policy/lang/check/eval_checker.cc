@@ -23,8 +23,6 @@ namespace {
 constexpr BinaryOp kComparisons[] = {BinaryOp::kEq, BinaryOp::kNe, BinaryOp::kLt,
                                      BinaryOp::kLe, BinaryOp::kGt, BinaryOp::kGe};
 
-bool IsConstant(const TypedExpr& expr) { return expr.kind == TypedExpr::Kind::kConstant; }
-
 // `name` seen from the directory of `file`, without `.` and inner `..`.
 std::string PathFrom(absl::string_view file, absl::string_view name) {
   std::string path(name);
@@ -149,7 +147,7 @@ std::optional<ast::Expr> ExprChecker::EvalOperand(const ast::Expr& text, const a
 
 bool ExprChecker::CheckInspection(const TypedExpr& arg, Inspection::Kind kind, uint32_t& index) {
   const bool is_file = kind == Inspection::Kind::kPayload;
-  if (!IsConstant(arg)) {
+  if (!arg.is_constant()) {
     sink_.Add(
         DiagnosticKind::kNotConstant, arg.range,
         is_file ? "the file of `payload` must be constant" : "the id of `plugin` must be constant",

@@ -24,12 +24,10 @@ TypedExpr Constant(ValueType type, Value value, SourceRange range) {
   return out;
 }
 
-bool IsConstant(const TypedExpr& expr) { return expr.kind == TypedExpr::Kind::kConstant; }
-
 bool IsTrue(const TypedExpr& constant) { return std::get<bool>(constant.constant); }
 
 bool IsZero(const TypedExpr& expr) {
-  if (!IsConstant(expr)) return false;
+  if (!expr.is_constant()) return false;
   if (const auto* integer = std::get_if<int64_t>(&expr.constant)) return *integer == 0;
   const auto* floating = std::get_if<double>(&expr.constant);
   return floating != nullptr && *floating == 0;
@@ -44,10 +42,6 @@ bool IsAssociative(BinaryOp op, ValueType type) {
   if (op == BinaryOp::kAdd) return type != ValueType::kFloat;
   if (op == BinaryOp::kMul) return type != ValueType::kFloat;
   return op == BinaryOp::kAnd || op == BinaryOp::kOr || IsBitOperator(op);
-}
-
-ValueType PlainType(const TypedExpr& expr) {
-  return expr.type == ValueType::kLevel ? ValueType::kInt : expr.type;
 }
 
 SourceRange Span(SourceRange first, SourceRange last) {
@@ -178,7 +172,7 @@ std::optional<ExprChecker::Checked> ExprChecker::CheckUnary(const ast::Expr& exp
     out.truth = {.may_be_true = operand->truth.may_be_false,
                  .may_be_false = operand->truth.may_be_true};
   }
-  if (IsConstant(operand->typed)) {
+  if (operand->typed.is_constant()) {
     out.typed = Constant(*type, Fold(expr.unary, operand->typed.constant), expr.range);
     return out;
   }
@@ -228,12 +222,12 @@ std::optional<ExprChecker::Checked> ExprChecker::CheckRun(const ast::Expr& expr,
 std::optional<ExprChecker::Checked> ExprChecker::BuildRun(const ast::Expr& run,
                                                           std::vector<Checked>& operands) {
   const BinaryOp op = run.operators[0].op;
-  const ValueType type = PlainType(operands[0].typed);
+  const ValueType type = PlainType(operands[0].typed.type);
   const bool one_operator =
       std::all_of(run.operators.begin(), run.operators.end(),
                   [&](const ast::Expr::Operator& other) { return other.op == op; });
   const bool one_type = std::all_of(operands.begin(), operands.end(), [&](const Checked& other) {
-    return PlainType(other.typed) == type;
+    return PlainType(other.typed.type) == type;
   });
   if (one_operator && one_type && IsAssociative(op, type)) {
     return BuildBalanced(run, operands, 0, operands.size());
@@ -288,10 +282,10 @@ std::optional<ExprChecker::Checked> ExprChecker::Combine(const ast::Expr::Operat
                  .may_be_false = any(left.truth.may_be_false, right.truth.may_be_false)};
     out.reach = Join(op.op, left, right);
     // The right side is evaluated only if the left one leaves the result open.
-    if (IsConstant(left.typed)) return IsTrue(left.typed) == is_and ? right : left;
+    if (left.typed.is_constant()) return IsTrue(left.typed) == is_and ? right : left;
   }
   const SourceRange range = Span(left.typed.range, right.typed.range);
-  if (IsConstant(left.typed) && IsConstant(right.typed)) {
+  if (left.typed.is_constant() && right.typed.is_constant()) {
     out.typed = Constant(*type, *Fold(op.op, left.typed.constant, right.typed.constant), range);
     if (*type == ValueType::kBool) {
       out.truth = {.may_be_true = IsTrue(out.typed), .may_be_false = !IsTrue(out.typed)};
@@ -333,8 +327,8 @@ ExprChecker::Reach ExprChecker::Join(BinaryOp op, const Checked& left, const Che
 void ExprChecker::ReportTypes(const ast::Expr::Operator& op, const TypedExpr& left,
                               const TypedExpr& right) {
   const std::string spelling = Quote(Spelling(op.op));
-  const ValueType l = PlainType(left);
-  const ValueType r = PlainType(right);
+  const ValueType l = PlainType(left.type);
+  const ValueType r = PlainType(right.type);
   if (l == r) {
     sink_.Add(DiagnosticKind::kTypeMismatch, op.range,
               absl::StrCat(spelling, " does not take ", Quote(Name(l))));

@@ -205,7 +205,7 @@ class Lowerings {
  private:
   // None for `CurrLevel`, which changes nothing.
   LevelSet TargetsOf(const TypedExpr& level) const {
-    if (level.kind == TypedExpr::Kind::kConstant) {
+    if (level.is_constant()) {
       return Bit(static_cast<int>(std::get<int64_t>(level.constant)));
     }
     if (level.kind != TypedExpr::Kind::kVariable) return 0;

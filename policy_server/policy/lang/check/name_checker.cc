@@ -87,15 +87,10 @@ std::string HintFor(ParameterRole role, absl::string_view word) {
                       Quote(name));
 }
 
-const std::string* ConstantText(const TypedExpr& expr) {
-  return expr.kind == TypedExpr::Kind::kConstant ? std::get_if<std::string>(&expr.constant)
-                                                 : nullptr;
-}
-
 }  // namespace
 
 void ExprChecker::WarnName(const TypedExpr& arg, ParameterRole role) {
-  const std::string* word = ConstantText(arg);
+  const std::string* word = arg.constant_text();
   if (word == nullptr || Fits(role, *word)) return;
   const bool relative = !absl::StartsWith(*word, "/") &&
                         (role == ParameterRole::kTopic || role == ParameterRole::kService);
@@ -106,9 +101,9 @@ void ExprChecker::WarnName(const TypedExpr& arg, ParameterRole role) {
 }
 
 void ExprChecker::WarnComparison(const TypedExpr& left, const TypedExpr& right) {
-  const bool flipped = left.kind == TypedExpr::Kind::kConstant;
+  const bool flipped = left.is_constant();
   const TypedExpr& name = flipped ? right : left;
-  const std::string* text = ConstantText(flipped ? left : right);
+  const std::string* text = (flipped ? left : right).constant_text();
   if (name.kind != TypedExpr::Kind::kPredefined || text == nullptr) return;
   std::string hint;
   switch (name.predefined) {

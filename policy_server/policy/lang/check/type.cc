@@ -3,8 +3,6 @@
 namespace rips::lang {
 namespace {
 
-ValueType Plain(ValueType type) { return type == ValueType::kLevel ? ValueType::kInt : type; }
-
 std::optional<ValueType> If(bool condition, ValueType type) {
   return condition ? std::optional(type) : std::nullopt;
 }
@@ -66,7 +64,7 @@ bool Converts(ValueType from, ValueType to) {
 }
 
 std::optional<ValueType> ResultType(UnaryOp op, ValueType operand) {
-  const ValueType type = Plain(operand);
+  const ValueType type = PlainType(operand);
   switch (op) {
     case UnaryOp::kPlus:
     case UnaryOp::kMinus:
@@ -80,8 +78,8 @@ std::optional<ValueType> ResultType(UnaryOp op, ValueType operand) {
 }
 
 std::optional<ValueType> ResultType(BinaryOp op, ValueType left, ValueType right) {
-  const ValueType type = Plain(left);
-  if (type != Plain(right)) return std::nullopt;
+  const ValueType type = PlainType(left);
+  if (type != PlainType(right)) return std::nullopt;
   const bool number = type == ValueType::kInt || type == ValueType::kFloat;
   switch (op) {
     case BinaryOp::kOr:

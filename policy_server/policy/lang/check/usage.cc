@@ -28,7 +28,7 @@ void Usage::Flow(uint32_t variable, const TypedExpr& value) {
     }
   } else if (value.type != ValueType::kLevel) {
     if (!use.other) use.other = value.range;
-  } else if (value.kind == TypedExpr::Kind::kConstant) {
+  } else if (value.is_constant()) {
     use.levels |= Bit(static_cast<int>(std::get<int64_t>(value.constant)));
   } else {
     use.any_level = true;
