@@ -6,16 +6,8 @@
 
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_join.h"
-#include "policy_server/ripsctl/alert/alert_command.h"
-#include "policy_server/ripsctl/audit/audit_command.h"
-#include "policy_server/ripsctl/cli/command.h"
 #include "policy_server/ripsctl/cli/printer.h"
-#include "policy_server/ripsctl/explain/explain_command.h"
-#include "policy_server/ripsctl/level/level_command.h"
-#include "policy_server/ripsctl/robot/agent_command.h"
-#include "policy_server/ripsctl/robot/record_command.h"
-#include "policy_server/ripsctl/robot/robot_command.h"
-#include "policy_server/ripsctl/rules/rules_command.h"
+#include "policy_server/ripsctl/commands.h"
 #include "services/base/status_macros.h"
 #include "services/rpc/bidi_client.h"
 #include "services/rpc/credentials.h"
@@ -30,19 +22,23 @@ namespace {
 struct Noun {
   const char* name;
   const char* synopsis;
-  Commands (*commands)();
 };
 
 constexpr Noun kNouns[] = {
-    {"robot", "List robots and show their state, ROS graph and coverage", RobotCommands},
-    {"level", "Show, raise and lower alert levels", LevelCommands},
-    {"alert", "List and watch alerts", AlertCommands},
-    {"explain", "Explain an alert, or why a robot is at its level", ExplainCommands},
-    {"rules", "Check, format, test and replay rules", RulesCommands},
-    {"audit", "Verify and read a policy server's audit log; needs no server", AuditCommands},
-    {"agent", "List certificates; ban and unban agents and operators", AgentCommands},
-    {"record", "Record the events a robot's rules are evaluated on", RecordCommands},
+    {"robot", "List robots and show their state, ROS graph and coverage"},
+    {"level", "Show, raise and lower alert levels"},
+    {"alert", "List and watch alerts"},
+    {"explain", "Explain an alert, or why a robot is at its level"},
+    {"rules", "Check, format, test and replay rules"},
+    {"audit", "Verify and read a policy server's audit log; needs no server"},
+    {"agent", "List certificates; ban and unban agents and operators"},
+    {"record", "Record the events a robot's rules are evaluated on"},
 };
+// In the order in which --help lists the verbs of a noun.
+constexpr Commands (*kMakers[])() = {
+    RobotCommands,   CoverageCommands, ActuatorCommands, LevelCommands, AlertCommands,
+    ExplainCommands, CheckRules,       FormatRules,      RulesBuiltins, TestRules,
+    ReplayRules,     ResumeRules,      AuditCommands,    AgentCommands, RecordCommands};
 
 // The whole command line.
 class Parser {
@@ -61,7 +57,10 @@ class Parser {
         "Settings (--server, --cert, --key, --ca, --output, --timeout) come from flags, then\n"
         "RIPSCTL_SERVER, RIPSCTL_CERT, ..., then ~/.config/rips/ripsctl.yaml.\n"
         "Exit codes: 0 done, 1 refused or findings, 2 usage, 3 cannot reach the server.");
-    for (const Noun& noun : kNouns) AddNoun(noun);
+    for (const Noun& noun : kNouns) app_.add_subcommand(noun.name, noun.synopsis)->fallthrough();
+    for (const auto maker : kMakers) {
+      for (std::unique_ptr<Command>& command : maker()) Add(std::move(command));
+    }
   }
 
   // The chosen command; nullptr after printing why there is none, with the code to exit with.
@@ -90,9 +89,10 @@ class Parser {
     if (args.size() < 2 || args[1].empty() || args[1][0] == '-') return "";
     std::vector<absl::string_view> verbs;
     for (const std::unique_ptr<Command>& command : commands_) {
-      if (command->noun() != args[0]) continue;
-      if (command->verb().empty() || command->verb() == args[1]) return "";
-      verbs.push_back(command->verb());
+      const Command::Info& info = command->info();
+      if (info.noun != args[0]) continue;
+      if (info.verb.empty() || info.verb == args[1]) return "";
+      verbs.push_back(info.verb);
     }
     if (verbs.empty()) return "";
     const std::string hint = NearestHint(args[1], verbs);
@@ -100,22 +100,17 @@ class Parser {
                         hint.empty() ? absl::StrCat("it has ", absl::StrJoin(verbs, ", ")) : hint);
   }
 
-  void AddNoun(const Noun& noun) {
-    CLI::App* group = app_.add_subcommand(noun.name, noun.synopsis);
-    group->fallthrough();
-    for (std::unique_ptr<Command>& command : noun.commands()) {
-      CLI::App* verb = group;
-      if (!command->verb().empty()) {
-        group->require_subcommand(1);
-        verb =
-            group->add_subcommand(std::string(command->verb()), std::string(command->synopsis()));
-        verb->fallthrough();
-      }
-      command->AddFlags(*verb);
-      Command* borrowed = command.get();
-      verb->callback([this, borrowed] { chosen_ = borrowed; });
-      commands_.push_back(std::move(command));
+  void Add(std::unique_ptr<Command> command) {
+    const Command::Info& info = command->info();
+    CLI::App* app = app_.get_subcommand(info.noun);
+    if (!info.verb.empty()) {
+      app->require_subcommand(1);
+      app = app->add_subcommand(info.verb, info.synopsis);
+      app->fallthrough();
     }
+    command->AddFlags(*app);
+    app->callback([this, chosen = command.get()] { chosen_ = chosen; });
+    commands_.push_back(std::move(command));
   }
 
   CLI::App app_;
@@ -135,13 +130,13 @@ absl::StatusOr<RawSettings> ReadSettingsFile(const World& world) {
 
 // Checks what does not need a connection.
 absl::Status Apply(const RawSettings& settings, const Command& command, Env* env) {
-  if (settings.output == "junit" && command.writes_junit()) {
+  if (settings.output == "junit" && command.info().writes_junit) {
     env->output = Output::kJunit;
   } else if (settings.output == "text" || settings.output == "json") {
     env->output = settings.output == "json" ? Output::kJson : Output::kText;
   } else {
     return absl::InvalidArgumentError(absl::StrCat("--output is `", settings.output,
-                                                   command.writes_junit()
+                                                   command.info().writes_junit
                                                        ? "`; write `text`, `json` or `junit`"
                                                        : "`; write `text` or `json`"));
   }
@@ -162,17 +157,18 @@ ExitCode RunCommand(Command& command, const RawSettings& flags, const World& wor
   const absl::StatusOr<RawSettings> file = ReadSettingsFile(world);
   if (!file.ok()) return UsageError(env, file.status().message());
   const RawSettings settings = Merge(flags, world.get_env, *file);
-  if (const absl::Status status = Apply(settings, command, &env); !status.ok()) {
-    return UsageError(env, status.message());
-  }
+  absl::Status status = Apply(settings, command, &env);
+  if (status.ok()) status = command.Check();
+  if (!status.ok()) return UsageError(env, status.message());
   std::unique_ptr<v1::OperatorService::StubInterface> stub;
-  if (command.needs_server()) {
+  if (command.info().needs_server) {
     auto connected = world.connect(settings);
     if (!connected.ok()) return UsageError(env, connected.status().message());
     stub = *std::move(connected);
     env.server = stub.get();
   }
-  return command.Run(env);
+  const absl::StatusOr<ExitCode> code = command.Run(env);
+  return code.ok() ? *code : Failed(env, code.status());
 }
 
 }  // namespace

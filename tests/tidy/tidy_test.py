@@ -195,7 +195,7 @@ def verbs_without_maker(files):
         base = verb
         while base in bases:
             base = bases[base]
-        if base == "Command" and f"make_unique<{verb}>" not in texts[name]:
+        if base == "Command" and not re.search(rf"MakeCommands<[^;]*\b{verb}\b", texts[name]):
             yield f"{name}: nothing makes the verb {verb}; add it to the ...Commands of its noun"
 
 

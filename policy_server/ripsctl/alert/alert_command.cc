@@ -1,17 +1,16 @@
-#include "policy_server/ripsctl/alert/alert_command.h"
-
+// `ripsctl alert`: list, watch.
 #include <CLI/CLI.hpp>
 #include <algorithm>
-#include <functional>
 #include <nlohmann/json.hpp>
 #include <string>
 
 #include "absl/strings/str_cat.h"
 #include "absl/strings/string_view.h"
-#include "policy_server/ripsctl/cli/json_view.h"
+#include "policy_server/ripsctl/cli/json_output.h"
 #include "policy_server/ripsctl/cli/keep_watching.h"
 #include "policy_server/ripsctl/cli/printer.h"
-#include "policy_server/ripsctl/cli/server_expiry.h"
+#include "policy_server/ripsctl/commands.h"
+#include "services/base/status_macros.h"
 
 namespace rips::ripsctl {
 namespace {
@@ -24,65 +23,55 @@ std::string TextOf(const v1::Alert& alert) {
 
 // Of what there are alerts: a robot, or the server itself, as the column ROBOT names it.
 constexpr absl::string_view kServer = "(server)";
-constexpr char kSourceHelp[] = "Robot id, or `(server)`; none = all";
 
 class AlertCommand : public Command {
  public:
-  absl::string_view noun() const final { return "alert"; }
-
- protected:
-  absl::Status CheckSource() const {
+  using Command::Command;
+  void AddFlags(CLI::App& app) override {
+    app.add_option("ROBOT", robot_, "Robot id, or `(server)`; none = all");
+  }
+  absl::Status Check() override {
     return robot_.empty() || robot_ == kServer ? absl::OkStatus() : CheckRobot(robot_);
   }
 
+ protected:
   std::string robot_;
 };
 
 class ListAlerts final : public AlertCommand {
  public:
-  absl::string_view verb() const override { return "list"; }
-  absl::string_view synopsis() const override { return "List alerts, newest first"; }
+  ListAlerts() : AlertCommand({"alert", "list", "List alerts, newest first"}) {}
   void AddFlags(CLI::App& app) override {
-    app.add_option("ROBOT", robot_, kSourceHelp);
+    AlertCommand::AddFlags(app);
     app.add_option("--limit", limit_, "Maximum number of entries")
         ->check(CLI::Range(1, 1000))
         ->capture_default_str();
   }
-  ExitCode Run(Env& env) override {
-    if (const absl::Status valid = CheckSource(); !valid.ok()) {
-      return UsageError(env, valid.message());
-    }
+  absl::StatusOr<ExitCode> Run(Env& env) override {
     v1::ListAlertsRequest request;
     request.set_robot(robot_);
     request.set_limit(limit_);
-    const auto response = Call(env, &Stub::ListAlerts, request);
-    if (!response.ok()) return Failed(env, response.status());
+    RIPS_ASSIGN_OR_RETURN(const auto response, Call(env, &Stub::ListAlerts, request));
     if (env.json()) {
-      Json alerts = Json::array();
-      for (const v1::Alert& alert : response->alerts()) alerts.push_back(ToJson(alert));
-      Json unrecorded = Json::array();
-      for (const v1::Alert& alert : response->unrecorded()) unrecorded.push_back(ToJson(alert));
-      PrintJson({{"alerts", std::move(alerts)},
-                 {"cut", response->cut()},
-                 {"unrecorded", std::move(unrecorded)}},
-                env.out);
-      return ExitCode::kDone;
+      return PrintJson(env, {{"alerts", JsonList(response.alerts())},
+                             {"cut", response.cut()},
+                             {"unrecorded", JsonList(response.unrecorded())}});
     }
     Table table({"TIME", "ROBOT", "SEVERITY", "LEVEL", "RULE", "ID", "TEXT"});
     const auto add = [&table](const v1::Alert& alert) {
       table.Add({ShortTime(alert.time_unix_ns()), alert.robot(), alert.severity(), alert.level(),
                  alert.rule(), ShortId(alert.id()), TextOf(alert)});
     };
-    for (auto it = response->unrecorded().rbegin(); it != response->unrecorded().rend(); ++it) {
+    for (auto it = response.unrecorded().rbegin(); it != response.unrecorded().rend(); ++it) {
       add(*it);
     }
-    std::for_each(response->alerts().begin(), response->alerts().end(), add);
+    std::for_each(response.alerts().begin(), response.alerts().end(), add);
     table.Print(env.out);
-    if (response->unrecorded_size() > 0) {
-      env.out << "the first " << response->unrecorded_size()
+    if (response.unrecorded_size() > 0) {
+      env.out << "the first " << response.unrecorded_size()
               << " are in the server's memory only: its store cannot be written\n";
     }
-    if (response->cut()) env.out << "older alerts do not fit into one answer\n";
+    if (response.cut()) env.out << "older alerts do not fit into one answer\n";
     return ExitCode::kDone;
   }
 
@@ -92,50 +81,35 @@ class ListAlerts final : public AlertCommand {
 
 class WatchAlerts final : public AlertCommand {
  public:
-  absl::string_view verb() const override { return "watch"; }
-  absl::string_view synopsis() const override {
-    return "Show new alerts as they arrive, each once, reconnecting when needed";
-  }
+  WatchAlerts()
+      : AlertCommand({"alert", "watch",
+                      "Show new alerts as they arrive, each once, reconnecting when needed"}) {}
   void AddFlags(CLI::App& app) override {
-    app.add_option("ROBOT", robot_, kSourceHelp);
+    AlertCommand::AddFlags(app);
     app.add_option(
         "--after", cursor_,
         "Begin after this cursor of an earlier watch; 0 = with the oldest that is stored; "
         "none = with the next");
   }
-  ExitCode Run(Env& env) override {
-    if (const absl::Status valid = CheckSource(); !valid.ok()) {
-      return UsageError(env, valid.message());
-    }
-    return KeepWatching(env, [&](bool again, const std::function<void()>& heard) {
-      return WatchOnce(env, again, heard);
-    });
-  }
-
- private:
-  // One stream, from the newest cursor.
-  grpc::Status WatchOnce(Env& env, bool again, const std::function<void()>& heard) {
+  absl::StatusOr<ExitCode> Run(Env& env) override {
     v1::WatchAlertsRequest request;
     request.set_robot(robot_);
-    request.set_after(cursor_);
-    grpc::ClientContext context;
-    context.set_wait_for_ready(again);
-    const auto reader = env.server->WatchAlerts(&context, request);
-    ServerExpiry expiry(&context);
-    v1::Alert alert;
-    while (reader->Read(&alert)) {
-      heard();
-      expiry.Received();
+    const auto open = [&](grpc::ClientContext* context) {
+      request.set_after(cursor_);
+      return env.server->WatchAlerts(context, request);
+    };
+    RIPS_RETURN_IF_ERROR(Watch<v1::Alert>(env, open, [&](const v1::Alert& alert) {
       if (!alert.cursor().empty()) cursor_ = alert.cursor();
       if (!alert.gap().empty()) {
         env.err << "note: " << EscapeText(alert.gap()) << std::endl;
       } else if (!alert.id().empty()) {
         Print(env, alert);
       }
-    }
-    return expiry.End(reader->Finish());
+    }));
+    return ExitCode::kDone;
   }
 
+ private:
   static void Print(Env& env, const v1::Alert& alert) {
     if (env.json()) {
       Json line = ToJson(alert);
@@ -147,16 +121,12 @@ class WatchAlerts final : public AlertCommand {
             << EscapeText(alert.rule()) << ": " << EscapeText(TextOf(alert)) << std::endl;
   }
 
+  // Of the newest alert.
   std::string cursor_;
 };
 
 }  // namespace
 
-Commands AlertCommands() {
-  Commands commands;
-  commands.push_back(std::make_unique<ListAlerts>());
-  commands.push_back(std::make_unique<WatchAlerts>());
-  return commands;
-}
+Commands AlertCommands() { return MakeCommands<ListAlerts, WatchAlerts>(); }
 
 }  // namespace rips::ripsctl

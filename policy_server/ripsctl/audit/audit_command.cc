@@ -1,5 +1,4 @@
-#include "policy_server/ripsctl/audit/audit_command.h"
-
+// `ripsctl audit`: a policy server's audit log, verified and read from its files.
 #include <CLI/CLI.hpp>
 #include <cstdint>
 #include <deque>
@@ -10,8 +9,9 @@
 #include "absl/strings/escaping.h"
 #include "absl/strings/str_cat.h"
 #include "policy_server/audit/verify.h"
-#include "policy_server/ripsctl/cli/json_view.h"
+#include "policy_server/ripsctl/cli/json_output.h"
 #include "policy_server/ripsctl/cli/printer.h"
+#include "policy_server/ripsctl/commands.h"
 #include "rips/v1/audit.pb.h"
 #include "services/base/status_macros.h"
 
@@ -20,23 +20,8 @@ namespace {
 
 using v1::AuditRecord;
 
-const char* KindName(AuditRecord::Kind kind) {
-  switch (kind) {
-    case AuditRecord::KIND_LOG:
-      return "log";
-    case AuditRecord::KIND_DECISION:
-      return "decision";
-    case AuditRecord::KIND_REFUSAL:
-      return "refusal";
-    case AuditRecord::KIND_CALL:
-      return "call";
-    case AuditRecord::KIND_ALERT:
-      return "alert";
-    case AuditRecord::KIND_POLICY:
-      return "policy";
-    default:
-      return "unknown";
-  }
+std::string KindName(AuditRecord::Kind kind) {
+  return EnumText(AuditRecord::Kind_Name(kind), "KIND_", "unknown");
 }
 
 // {"sequence","time","kind","robot","id","actor","address","action","from","to","decision_id",
@@ -118,14 +103,13 @@ Json ReportJson(const audit::Report& report) {
 
 class AuditCommand : public Command {
  public:
-  absl::string_view noun() const final { return "audit"; }
-  bool needs_server() const final { return false; }
-
- protected:
-  void AddDirectory(CLI::App& app) {
+  using Command::Command;
+  void AddFlags(CLI::App& app) override {
     app.add_option("DIRECTORY", directory_, "The server's `audit: {dir: ...}`, or a copy of it")
         ->required();
   }
+
+ protected:
   // NotFound if the directory has no log.
   absl::StatusOr<audit::Report> Verify(absl::Span<const audit::Head> heads,
                                        audit::Visit visit) const {
@@ -141,17 +125,17 @@ class AuditCommand : public Command {
 
 class VerifyAudit final : public AuditCommand {
  public:
-  absl::string_view verb() const override { return "verify"; }
-  absl::string_view synopsis() const override {
-    return "Prove that an audit log is whole, or name its first fault";
-  }
+  VerifyAudit()
+      : AuditCommand({"audit", "verify",
+                      "Prove that an audit log is whole, or name its first fault",
+                      /*needs_server=*/false}) {}
   void AddFlags(CLI::App& app) override {
-    AddDirectory(app);
+    AuditCommand::AddFlags(app);
     app.add_option("--head", heads_,
                    "A head that the log had before, as this command printed it; may be repeated")
         ->allow_extra_args(false);
   }
-  ExitCode Run(Env& env) override {
+  absl::StatusOr<ExitCode> Run(Env& env) override {
     std::vector<audit::Head> heads;
     for (const std::string& text : heads_) {
       const absl::StatusOr<audit::Head> head = audit::ParseHead(text);
@@ -183,13 +167,14 @@ class VerifyAudit final : public AuditCommand {
 
 class TailAudit final : public AuditCommand {
  public:
-  absl::string_view verb() const override { return "tail"; }
-  absl::string_view synopsis() const override { return "Show the newest records, oldest first"; }
+  TailAudit()
+      : AuditCommand(
+            {"audit", "tail", "Show the newest records, oldest first", /*needs_server=*/false}) {}
   void AddFlags(CLI::App& app) override {
-    AddDirectory(app);
+    AuditCommand::AddFlags(app);
     app.add_option("--limit", limit_, "How many at most")->check(CLI::Range(1, 100'000));
   }
-  ExitCode Run(Env& env) override {
+  absl::StatusOr<ExitCode> Run(Env& env) override {
     std::deque<std::pair<uint64_t, AuditRecord>> newest;
     const auto report = Verify({}, [&](uint64_t sequence, absl::string_view payload) {
       if (newest.size() == limit_) newest.pop_front();
@@ -221,12 +206,11 @@ class TailAudit final : public AuditCommand {
 
 class ExportAudit final : public AuditCommand {
  public:
-  absl::string_view verb() const override { return "export"; }
-  absl::string_view synopsis() const override {
-    return "Print all records as JSON, one a line, up to the first fault";
-  }
-  void AddFlags(CLI::App& app) override { AddDirectory(app); }
-  ExitCode Run(Env& env) override {
+  ExportAudit()
+      : AuditCommand({"audit", "export",
+                      "Print all records as JSON, one a line, up to the first fault",
+                      /*needs_server=*/false}) {}
+  absl::StatusOr<ExitCode> Run(Env& env) override {
     const auto report = Verify({}, [&](uint64_t sequence, absl::string_view payload) {
       AuditRecord record;
       record.ParseFromArray(payload.data(), static_cast<int>(payload.size()));
@@ -239,12 +223,6 @@ class ExportAudit final : public AuditCommand {
 
 }  // namespace
 
-Commands AuditCommands() {
-  Commands commands;
-  commands.push_back(std::make_unique<VerifyAudit>());
-  commands.push_back(std::make_unique<TailAudit>());
-  commands.push_back(std::make_unique<ExportAudit>());
-  return commands;
-}
+Commands AuditCommands() { return MakeCommands<VerifyAudit, TailAudit, ExportAudit>(); }
 
 }  // namespace rips::ripsctl

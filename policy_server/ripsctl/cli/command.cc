@@ -1,9 +1,12 @@
 #include "policy_server/ripsctl/cli/command.h"
 
+#include <CLI/CLI.hpp>
+
 #include "absl/strings/str_cat.h"
 #include "absl/strings/strip.h"
 #include "policy_server/ripsctl/cli/printer.h"
 #include "services/base/ids.h"
+#include "services/text/utf8.h"
 
 namespace rips::ripsctl {
 namespace {
@@ -42,10 +45,11 @@ ExitCode Failed(Env& env, const absl::Status& status) {
   }
 }
 
-ExitCode Ended(Env& env, const grpc::Status& status) {
-  if (status.ok()) return ExitCode::kDone;
-  return Failed(env, rpc::FromGrpc(status));
+void RobotCommand::AddFlags(CLI::App& app) {
+  app.add_option("ROBOT", robot_, "Robot id")->required();
 }
+
+absl::Status RobotCommand::Check() { return CheckRobot(robot_); }
 
 absl::Status CheckRobot(absl::string_view robot) { return ValidateName("robot id", robot); }
 
@@ -57,7 +61,7 @@ absl::Status CheckReason(absl::string_view reason) {
     return absl::InvalidArgumentError(
         absl::StrCat("--reason has ", reason.size(), " bytes, limit ", kReasonBytesMax));
   }
-  if (!IsUtf8(reason)) return absl::InvalidArgumentError("--reason is not valid UTF-8");
+  if (FindInvalidUtf8(reason)) return absl::InvalidArgumentError("--reason is not valid UTF-8");
   return absl::OkStatus();
 }
 

@@ -3,6 +3,7 @@
 #define RIPS_POLICY_SERVER_RIPSCTL_CLI_COMMAND_H_
 
 #include <memory>
+#include <string>
 #include <vector>
 
 #include "absl/status/status.h"
@@ -20,29 +21,53 @@ namespace rips::ripsctl {
 
 class Command {
  public:
+  struct Info {
+    std::string noun;
+    std::string verb;      // empty: the noun alone is the command
+    std::string synopsis;  // one line for --help
+    bool needs_server = true;
+    bool writes_junit = false;  // knows `--output junit`, too
+  };
+
+  explicit Command(Info info) : info_(std::move(info)) {}
   virtual ~Command() = default;
-  virtual absl::string_view noun() const = 0;
-  // Empty: the noun alone is the command.
-  virtual absl::string_view verb() const = 0;
-  // One line for --help.
-  virtual absl::string_view synopsis() const = 0;
-  virtual bool needs_server() const { return true; }
-  // Knows `--output junit` too.
-  virtual bool writes_junit() const { return false; }
-  // Declares arguments and flags, kept in members. Called once, before Run.
-  virtual void AddFlags(CLI::App& app) = 0;
-  // Prints the result to env.out and errors to env.err.
-  virtual ExitCode Run(Env& env) = 0;
+
+  const Info& info() const { return info_; }
+  // Declares arguments and flags, kept in members. Called once, first.
+  virtual void AddFlags(CLI::App&) {}
+  // InvalidArgument, or another error, if the arguments make no sense. Called before Run.
+  virtual absl::Status Check() { return absl::OkStatus(); }
+  // Prints the result to env.out. An error is printed by the caller, as Failed does.
+  virtual absl::StatusOr<ExitCode> Run(Env& env) = 0;
+
+ private:
+  const Info info_;
 };
 
 using Commands = std::vector<std::unique_ptr<Command>>;
+
+template <typename... Each>
+Commands MakeCommands() {
+  Commands commands;
+  (commands.push_back(std::make_unique<Each>()), ...);
+  return commands;
+}
+
+// A command whose first argument is the id of a robot.
+class RobotCommand : public Command {
+ public:
+  using Command::Command;
+  void AddFlags(CLI::App& app) override;
+  absl::Status Check() override;
+
+ protected:
+  std::string robot_;
+};
 
 // `error: ...` on env.err, hostile characters escaped.
 ExitCode UsageError(Env& env, absl::string_view message);
 // The same for what a call came to: kUnreachable if there was no answer, else kRefused.
 ExitCode Failed(Env& env, const absl::Status& status);
-// As Failed for a watch: kDone if it ended well.
-ExitCode Ended(Env& env, const grpc::Status& status);
 
 // OK for a name that could be a robot's.
 absl::Status CheckRobot(absl::string_view robot);

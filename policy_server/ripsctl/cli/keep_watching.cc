@@ -6,8 +6,8 @@
 
 #include "absl/time/clock.h"
 #include "absl/time/time.h"
-#include "policy_server/ripsctl/cli/command.h"
 #include "policy_server/ripsctl/cli/printer.h"
+#include "services/rpc/status_conversion.h"
 
 namespace rips::ripsctl {
 namespace {
@@ -33,7 +33,7 @@ bool Passes(const grpc::Status& status) {
 
 }  // namespace
 
-ExitCode KeepWatching(Env& env, const WatchOnce& once) {
+absl::Status KeepWatching(Env& env, const WatchOnce& once) {
   absl::Duration pause = kPauseMin;
   bool connected = false;
   bool lost = false;
@@ -43,7 +43,7 @@ ExitCode KeepWatching(Env& env, const WatchOnce& once) {
       pause = kPauseMin;
       if (std::exchange(lost, false)) env.err << "connected again" << std::endl;
     });
-    if (status.ok() || !connected || !Passes(status)) return Ended(env, status);
+    if (status.ok() || !connected || !Passes(status)) return rpc::FromGrpc(status);
     if (!std::exchange(lost, true)) {
       env.err << "the connection is lost (" << EscapeText(status.error_message())
               << "); trying again, from where it was" << std::endl;

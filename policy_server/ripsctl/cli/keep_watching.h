@@ -4,8 +4,11 @@
 
 #include <functional>
 
+#include "absl/status/status.h"
+#include "grpcpp/client_context.h"
 #include "grpcpp/support/status.h"
 #include "policy_server/ripsctl/cli/env.h"
+#include "policy_server/ripsctl/cli/server_expiry.h"
 
 namespace rips::ripsctl {
 
@@ -14,9 +17,28 @@ namespace rips::ripsctl {
 // a pause, would leave a new connection's handshake undone for ever). Calls `heard` for what comes.
 using WatchOnce = std::function<grpc::Status(bool again, const std::function<void()>& heard)>;
 
-// Until a stream ends well, or is refused, or the first one cannot be begun. Says on env.err that
-// the connection is lost, and that it is there again.
-ExitCode KeepWatching(Env& env, const WatchOnce& once);
+// Until a stream ends well, or with how it is refused or the first one cannot be begun. Says on
+// env.err that the connection is lost, and that it is there again.
+absl::Status KeepWatching(Env& env, const WatchOnce& once);
+
+// The same for streams of messages: `open` makes the call with a context, `on_message` takes what
+// comes.
+template <typename Message, typename Open, typename OnMessage>
+absl::Status Watch(Env& env, const Open& open, const OnMessage& on_message) {
+  return KeepWatching(env, [&](bool again, const std::function<void()>& heard) {
+    grpc::ClientContext context;
+    context.set_wait_for_ready(again);
+    const auto reader = open(&context);
+    ServerExpiry expiry(&context);
+    Message message;
+    while (reader->Read(&message)) {
+      heard();
+      expiry.Received();
+      on_message(message);
+    }
+    return expiry.End(reader->Finish());
+  });
+}
 
 }  // namespace rips::ripsctl
 

@@ -3,35 +3,16 @@
 #include <algorithm>
 #include <utility>
 
+#include "absl/strings/ascii.h"
+#include "absl/strings/match.h"
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_format.h"
 #include "absl/strings/strip.h"
 #include "absl/time/time.h"
+#include "services/text/utf8.h"
 
 namespace rips::ripsctl {
 namespace {
-
-struct Character {
-  uint32_t code = 0;
-  size_t bytes = 0;  // 0 = not UTF-8
-};
-
-// The character at the start of `text`, which is not empty.
-Character Decode(absl::string_view text) {
-  const auto byte = [&](size_t i) { return static_cast<unsigned char>(text[i]); };
-  const unsigned char lead = byte(0);
-  if (lead < 0x80) return {lead, 1};
-  const size_t size = lead >= 0xf0 ? 4 : lead >= 0xe0 ? 3 : 2;
-  if (lead < 0xc2 || lead > 0xf4 || text.size() < size) return {};
-  uint32_t code = lead & (0xffu >> (size + 1));
-  for (size_t i = 1; i < size; ++i) {
-    if ((byte(i) & 0xc0) != 0x80) return {};
-    code = code << 6 | (byte(i) & 0x3fu);
-  }
-  const uint32_t least = size == 4 ? 0x10000 : size == 3 ? 0x800 : 0x80;
-  if (code < least || code > 0x10ffff || (code >= 0xd800 && code <= 0xdfff)) return {};
-  return {code, size};
-}
 
 bool IsDeceptive(uint32_t code) {
   constexpr std::pair<uint32_t, uint32_t> kRanges[] = {
@@ -42,38 +23,22 @@ bool IsDeceptive(uint32_t code) {
   });
 }
 
-size_t CodePoints(absl::string_view text) {
-  return static_cast<size_t>(std::count_if(text.begin(), text.end(), [](char c) {
-    return (static_cast<unsigned char>(c) & 0xc0) != 0x80;
-  }));
-}
-
 }  // namespace
 
 std::string EscapeText(absl::string_view text) {
   std::string out;
-  while (!text.empty()) {
-    const Character character = Decode(text);
-    const size_t bytes = std::max<size_t>(character.bytes, 1);
-    if (character.bytes == 0 || character.code < 0x20 || character.code == 0x7f) {
-      absl::StrAppendFormat(&out, "\\x%02x", static_cast<unsigned char>(text[0]));
-    } else if (IsDeceptive(character.code)) {
-      absl::StrAppendFormat(&out, "\\u%04x", character.code);
+  for (size_t at = 0; at < text.size();) {
+    const CodePoint point = DecodeCodePoint(text, at);
+    if (!point.valid || point.value < 0x20 || point.value == 0x7f) {
+      absl::StrAppendFormat(&out, "\\x%02x", static_cast<unsigned char>(text[at]));
+    } else if (IsDeceptive(point.value)) {
+      absl::StrAppendFormat(&out, "\\u%04x", static_cast<uint32_t>(point.value));
     } else {
-      out.append(text.data(), bytes);
+      absl::StrAppend(&out, text.substr(at, point.length));
     }
-    text.remove_prefix(bytes);
+    at += point.length;
   }
   return out;
-}
-
-bool IsUtf8(absl::string_view text) {
-  while (!text.empty()) {
-    const Character character = Decode(text);
-    if (character.bytes == 0) return false;
-    text.remove_prefix(character.bytes);
-  }
-  return true;
 }
 
 std::string ShortTime(int64_t unix_ns) {
@@ -99,6 +64,12 @@ std::string ShortId(absl::string_view id) {
   return std::string(id.substr(0, kDigits));
 }
 
+std::string EnumText(absl::string_view name, absl::string_view prefix,
+                     absl::string_view otherwise) {
+  if (name.empty() || absl::EndsWith(name, "_UNSPECIFIED")) return std::string(otherwise);
+  return absl::AsciiStrToLower(absl::StripPrefix(name, prefix));
+}
+
 void Table::Add(std::vector<std::string> cells) {
   for (std::string& cell : cells) cell = cell.empty() ? "-" : EscapeText(cell);
   rows_.push_back(std::move(cells));
@@ -107,13 +78,14 @@ void Table::Add(std::vector<std::string> cells) {
 void Table::Print(std::ostream& out, absl::string_view margin) const {
   std::vector<size_t> widths(rows_.front().size(), 0);
   for (const auto& row : rows_) {
-    for (size_t i = 0; i < widths.size(); ++i) widths[i] = std::max(widths[i], CodePoints(row[i]));
+    for (size_t i = 0; i < widths.size(); ++i)
+      widths[i] = std::max(widths[i], CountCodePoints(row[i]));
   }
   for (const auto& row : rows_) {
     out << margin;
     for (size_t i = 0; i < widths.size(); ++i) {
       out << row[i];
-      if (i + 1 < widths.size()) out << std::string(widths[i] - CodePoints(row[i]) + 2, ' ');
+      if (i + 1 < widths.size()) out << std::string(widths[i] - CountCodePoints(row[i]) + 2, ' ');
     }
     out << "\n";
   }

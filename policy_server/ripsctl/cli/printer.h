@@ -16,9 +16,6 @@ namespace rips::ripsctl {
 // that are invisible or turn the direction of writing (they make text look like other text).
 std::string EscapeText(absl::string_view text);
 
-// RFC 3629, surrogates and overlong forms refused.
-bool IsUtf8(absl::string_view text);
-
 // `2026-01-01T00:00:00.000Z`; `-` for 0.
 std::string ShortTime(int64_t unix_ns);
 // RFC 3339, UTC, nanoseconds.
@@ -28,6 +25,10 @@ std::string FullTime(int64_t unix_ns);
 std::string ShortBundle(absl::string_view id);
 // The first 8 digits of an alert's or a level change's id, enough for `ripsctl explain`.
 std::string ShortId(absl::string_view id);
+
+// `name` of a value of a protobuf enum in lower case, without `prefix`; `otherwise` for one that
+// has no name or is unspecified.
+std::string EnumText(absl::string_view name, absl::string_view prefix, absl::string_view otherwise);
 
 // Columns two spaces apart, as wide as their widest cell in code points; the last is not padded.
 class Table {

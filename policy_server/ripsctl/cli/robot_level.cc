@@ -13,6 +13,15 @@ absl::StatusOr<v1::GetLevelResponse> ReadLevel(Env& env, const std::string& robo
   return Call(env, &Stub::GetLevel, request);
 }
 
+Table StatusTable(const v1::RobotStatus& status) {
+  Table table({"robot", EscapeText(status.robot())});
+  table.Add({"decided level", status.decided_level()});
+  table.Add({"effective level", status.effective_level()});
+  table.Add({"stage", status.stage()});
+  table.Add({"decision", DecisionIdText(status.decision_id())});
+  return table;
+}
+
 void PrintDryRun(absl::string_view robot, const v1::LevelResponse& found, bool refused,
                  absl::string_view margin, std::ostream& out) {
   for (const std::string& why : found.blind_because()) {

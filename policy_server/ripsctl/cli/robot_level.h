@@ -9,11 +9,15 @@
 #include "absl/strings/string_view.h"
 #include "policy_server/ripsctl/cli/env.h"
 #include "policy_server/ripsctl/cli/json_view.h"
+#include "policy_server/ripsctl/cli/printer.h"
 #include "rips/v1/operator.pb.h"
 
 namespace rips::ripsctl {
 
 absl::StatusOr<v1::GetLevelResponse> ReadLevel(Env& env, const std::string& robot);
+
+// The first rows of what there is to say of one robot.
+Table StatusTable(const v1::RobotStatus& status);
 
 // What a dry run of a lowering found, one line each behind `margin`. `refused`: RIPS is blind, and
 // the operator has not accepted that.

@@ -1,5 +1,4 @@
-#include "policy_server/ripsctl/explain/explain_command.h"
-
+// `ripsctl explain`.
 #include <CLI/CLI.hpp>
 #include <algorithm>
 #include <nlohmann/json.hpp>
@@ -11,8 +10,9 @@
 #include "absl/strings/escaping.h"
 #include "absl/strings/str_cat.h"
 #include "absl/strings/string_view.h"
-#include "policy_server/ripsctl/cli/json_view.h"
+#include "policy_server/ripsctl/cli/json_output.h"
 #include "policy_server/ripsctl/cli/robot_level.h"
+#include "policy_server/ripsctl/commands.h"
 #include "policy_server/ripsctl/explain/explain_text.h"
 #include "services/base/decision_id.h"
 #include "services/base/ids.h"
@@ -82,14 +82,10 @@ Json LoweringJson(const Lowering& lowering) {
   if (!lowering.found.ok()) {
     return {{"to", lowering.to}, {"not_known_because", NoDryRunText(lowering.found.status())}};
   }
-  Json rules = Json::array();
-  for (const auto& rule : lowering.found->would_raise_again()) rules.push_back(rule);
-  Json blind = Json::array();
-  for (const auto& why : lowering.found->blind_because()) blind.push_back(why);
   return {{"to", lowering.to},
-          {"would_raise_again", std::move(rules)},
+          {"would_raise_again", JsonList(lowering.found->would_raise_again())},
           {"not_tried", NotTried()},
-          {"blind_because", std::move(blind)}};
+          {"blind_because", JsonList(lowering.found->blind_because())}};
 }
 
 Json ExplanationJson(const Explanation& explanation) {
@@ -110,53 +106,47 @@ Json ExplanationJson(const Explanation& explanation) {
 
 class Explain final : public Command {
  public:
-  absl::string_view noun() const override { return "explain"; }
-  absl::string_view verb() const override { return ""; }
-  absl::string_view synopsis() const override {
-    return "Explain an alert, or why a robot is at its level";
-  }
+  Explain() : Command({"explain", "", "Explain an alert, or why a robot is at its level"}) {}
   void AddFlags(CLI::App& app) override {
     app.add_option("WHAT", what_,
                    "A robot; ROBOT@TERM.EPOCH; or the id of an alert or level change, its first 6 "
                    "digits or more")
         ->required();
   }
-  ExitCode Run(Env& env) override {
-    const absl::StatusOr<Target> target = ParseTarget(what_);
-    if (!target.ok()) return UsageError(env, target.status().message());
-    absl::StatusOr<Explanation> explanation = Find(env, *target);
+  absl::Status Check() override {
+    RIPS_ASSIGN_OR_RETURN(target_, ParseTarget(what_));
+    return absl::OkStatus();
+  }
+  absl::StatusOr<ExitCode> Run(Env& env) override {
+    absl::StatusOr<Explanation> explanation = Find(env);
     if (absl::IsUnimplemented(explanation.status())) {
-      return Failed(env, absl::FailedPreconditionError(
-                             "the policy server cannot explain: it is older than this ripsctl; "
-                             "`ripsctl level history ROBOT` and `ripsctl alert list ROBOT` show "
-                             "what it recorded"));
+      return absl::FailedPreconditionError(
+          "the policy server cannot explain: it is older than this ripsctl; `ripsctl level history "
+          "ROBOT` and `ripsctl alert list ROBOT` show what it recorded");
     }
-    if (!explanation.ok()) return Failed(env, explanation.status());
+    RIPS_RETURN_IF_ERROR(explanation.status());
     AddNow(env, *explanation);
-    if (env.json()) {
-      PrintJson(ExplanationJson(*explanation), env.out);
-    } else {
-      PrintExplanation(*explanation, env.out);
-    }
+    if (env.json()) return PrintJson(env, ExplanationJson(*explanation));
+    PrintExplanation(*explanation, env.out);
     return ExitCode::kDone;
   }
 
  private:
-  absl::StatusOr<Explanation> Find(Env& env, const Target& target) {
+  absl::StatusOr<Explanation> Find(Env& env) const {
     v1::ExplainRequest request;
-    if (target.id) {
+    if (target_.id) {
       request.set_id(what_);
       absl::StatusOr<Explanation> found = Ask(env, request);
       if (!absl::IsNotFound(found.status())) return found;
-      found = OfRobot(env, target.robot);
+      found = OfRobot(env, target_.robot);
       if (!absl::IsNotFound(found.status())) return found;
       return absl::NotFoundError(absl::StrCat(
           "no alert or level change that is kept, and no robot is `", what_,
           "`; see `ripsctl alert list`, `ripsctl level history ROBOT` and `ripsctl robot list`"));
     }
-    if (!target.decision_id.has_value()) return OfRobot(env, target.robot);
-    request.set_robot(target.robot);
-    SetDecisionId(*target.decision_id, request.mutable_decision_id());
+    if (!target_.decision_id.has_value()) return OfRobot(env, target_.robot);
+    request.set_robot(target_.robot);
+    SetDecisionId(*target_.decision_id, request.mutable_decision_id());
     return Ask(env, request);
   }
 
@@ -206,14 +196,11 @@ class Explain final : public Command {
   }
 
   std::string what_;
+  Target target_;
 };
 
 }  // namespace
 
-Commands ExplainCommands() {
-  Commands commands;
-  commands.push_back(std::make_unique<Explain>());
-  return commands;
-}
+Commands ExplainCommands() { return MakeCommands<Explain>(); }
 
 }  // namespace rips::ripsctl

@@ -1,5 +1,4 @@
 // `ripsctl explain` against the server of the fixture.
-#include "policy_server/ripsctl/explain/explain_command.h"
 
 #include <nlohmann/json.hpp>
 #include <string>

@@ -1,5 +1,4 @@
-#include "policy_server/ripsctl/level/level_command.h"
-
+// `ripsctl level`: show, history, raise, lower.
 #include <CLI/CLI.hpp>
 #include <algorithm>
 #include <nlohmann/json.hpp>
@@ -13,11 +12,14 @@
 #include "absl/strings/str_join.h"
 #include "absl/time/clock.h"
 #include "absl/time/time.h"
-#include "policy_server/ripsctl/cli/json_view.h"
+#include "policy_server/ripsctl/cli/json_output.h"
 #include "policy_server/ripsctl/cli/printer.h"
 #include "policy_server/ripsctl/cli/robot_level.h"
+#include "policy_server/ripsctl/commands.h"
 #include "services/base/decision_id.h"
 #include "services/base/ids.h"
+#include "services/base/status_macros.h"
+#include "services/text/utf8.h"
 
 namespace rips::ripsctl {
 namespace {
@@ -26,40 +28,18 @@ constexpr absl::Duration kWaitMax = absl::Seconds(30);
 // Well below the quota of queries, also if a colleague waits, too.
 constexpr absl::Duration kWaitPoll = absl::Milliseconds(500);
 
-class LevelCommand : public Command {
+class ShowLevel final : public RobotCommand {
  public:
-  absl::string_view noun() const final { return "level"; }
-
- protected:
-  std::string robot_;
-};
-
-class ShowLevel final : public LevelCommand {
- public:
-  absl::string_view verb() const override { return "show"; }
-  absl::string_view synopsis() const override {
-    return "Show a robot's current level, its possible levels and the last change";
-  }
-  void AddFlags(CLI::App& app) override { app.add_option("ROBOT", robot_, "Robot id")->required(); }
-  ExitCode Run(Env& env) override {
-    if (const absl::Status valid = CheckRobot(robot_); !valid.ok()) {
-      return UsageError(env, valid.message());
-    }
-    const auto response = ReadLevel(env, robot_);
-    if (!response.ok()) return Failed(env, response.status());
-    if (env.json()) {
-      PrintJson(ToJson(*response), env.out);
-      return ExitCode::kDone;
-    }
-    const v1::RobotStatus& status = response->status();
-    Table table({"robot", EscapeText(status.robot())});
-    table.Add({"decided level", status.decided_level()});
-    table.Add({"effective level", status.effective_level()});
-    table.Add({"stage", status.stage()});
-    table.Add({"decision", DecisionIdText(status.decision_id())});
-    table.Add({"levels", LevelsText(*response)});
-    if (response->has_last()) {
-      const v1::Transition& last = response->last();
+  ShowLevel()
+      : RobotCommand({"level", "show",
+                      "Show a robot's current level, its possible levels and the last change"}) {}
+  absl::StatusOr<ExitCode> Run(Env& env) override {
+    RIPS_ASSIGN_OR_RETURN(const auto response, ReadLevel(env, robot_));
+    if (env.json()) return PrintJson(env, ToJson(response));
+    Table table = StatusTable(response.status());
+    table.Add({"levels", LevelsText(response)});
+    if (response.has_last()) {
+      const v1::Transition& last = response.last();
       table.Add({"last change", absl::StrCat(ShortTime(last.time_unix_ns()), " ", last.from(),
                                              " -> ", last.to(), ", ", last.cause())});
       table.Add({"reason", last.reason()});
@@ -81,35 +61,28 @@ class ShowLevel final : public LevelCommand {
   }
 };
 
-class LevelHistory final : public LevelCommand {
+class LevelHistory final : public RobotCommand {
  public:
-  absl::string_view verb() const override { return "history"; }
-  absl::string_view synopsis() const override {
-    return "List a robot's level changes and refusals, newest first";
-  }
+  LevelHistory()
+      : RobotCommand(
+            {"level", "history", "List a robot's level changes and refusals, newest first"}) {}
   void AddFlags(CLI::App& app) override {
-    app.add_option("ROBOT", robot_, "Robot id")->required();
+    RobotCommand::AddFlags(app);
     app.add_option("--limit", limit_, "Maximum number of entries")
         ->check(CLI::Range(1, 1000))
         ->capture_default_str();
   }
-  ExitCode Run(Env& env) override {
-    if (const absl::Status valid = CheckRobot(robot_); !valid.ok()) {
-      return UsageError(env, valid.message());
-    }
+  absl::StatusOr<ExitCode> Run(Env& env) override {
     v1::ListTransitionsRequest request;
     request.set_robot(robot_);
     request.set_limit(limit_);
-    const auto response = Call(env, &Stub::ListTransitions, request);
-    if (!response.ok()) return Failed(env, response.status());
+    RIPS_ASSIGN_OR_RETURN(const auto response, Call(env, &Stub::ListTransitions, request));
     if (env.json()) {
-      Json list = Json::array();
-      for (const v1::Transition& each : response->transitions()) list.push_back(ToJson(each));
-      PrintJson({{"transitions", std::move(list)}, {"cut", response->cut()}}, env.out);
-      return ExitCode::kDone;
+      return PrintJson(
+          env, {{"transitions", JsonList(response.transitions())}, {"cut", response.cut()}});
     }
     Table table({"TIME", "FROM", "TO", "MARK", "STAGE", "CAUSE", "ID", "REASON"});
-    for (const v1::Transition& each : response->transitions()) {
+    for (const v1::Transition& each : response.transitions()) {
       const std::string stage =
           each.refused() ? absl::StrCat("refused x", each.count()) : each.stage();
       table.Add({ShortTime(each.time_unix_ns()), each.from(), each.to(),
@@ -117,7 +90,7 @@ class LevelHistory final : public LevelCommand {
                  each.reason()});
     }
     table.Print(env.out);
-    if (response->cut()) env.out << "older transitions do not fit into one answer\n";
+    if (response.cut()) env.out << "older transitions do not fit into one answer\n";
     return ExitCode::kDone;
   }
 
@@ -142,41 +115,42 @@ absl::Status ParseExpected(const std::string& text, v1::LevelRequest* request) {
 }
 
 // What raise and lower share.
-class ChangeLevel : public LevelCommand {
+class ChangeLevel : public RobotCommand {
  public:
+  using RobotCommand::RobotCommand;
   void AddFlags(CLI::App& app) override {
-    app.add_option("ROBOT", robot_, "Robot id")->required();
+    RobotCommand::AddFlags(app);
     app.add_option("--to", to_, "Target level")->required();
     app.add_option("--reason", reason_, "Reason, recorded with the decision")->required();
     app.add_flag("--dry-run", dry_run_, "Show what would happen; change nothing");
     app.add_flag("--wait", wait_, "Wait until the robot is at the level, for at most 30 s");
   }
 
- protected:
-  // InvalidArgument for flags that the server would refuse.
-  absl::Status Fill(v1::LevelRequest* request) const {
-    if (absl::Status status = CheckRobot(robot_); !status.ok()) return status;
-    if (absl::Status status = CheckReason(reason_); !status.ok()) return status;
-    if (!IsUtf8(to_) || to_.empty()) return absl::InvalidArgumentError("--to is not a level name");
-    request->set_robot(robot_);
-    request->set_to(to_);
-    request->set_reason(reason_);
-    request->set_dry_run(dry_run_);
+  absl::Status Check() override {
+    RIPS_RETURN_IF_ERROR(RobotCommand::Check());
+    RIPS_RETURN_IF_ERROR(CheckReason(reason_));
+    if (to_.empty() || FindInvalidUtf8(to_)) {
+      return absl::InvalidArgumentError("--to is not a level name");
+    }
+    request_.set_robot(robot_);
+    request_.set_to(to_);
+    request_.set_reason(reason_);
+    request_.set_dry_run(dry_run_);
     // Repeating a request repeats its answer, so a lost answer does no harm.
-    request->set_request_id(absl::HexStringToBytes(NewId()));
+    request_.set_request_id(absl::HexStringToBytes(NewId()));
     return absl::OkStatus();
   }
 
-  ExitCode Report(Env& env, absl::string_view verb, const v1::LevelRequest& request,
-                  const v1::LevelResponse& response) const {
+ protected:
+  ExitCode Report(Env& env, const v1::LevelResponse& response) const {
     // Only lowerings need to be seen.
-    const bool refused = dry_run_ && !response.blind_because().empty() && !request.accept_blind();
+    const bool refused = dry_run_ && !response.blind_because().empty() && !request_.accept_blind();
     const bool waits = wait_ && !dry_run_;
-    if (!env.json()) PrintReport(env, verb, refused, response);
+    if (!env.json()) PrintReport(env, refused, response);
     std::optional<Awaited> awaited;
     if (waits) awaited = AwaitReached(env, response);
     if (env.json()) {
-      PrintJsonReport(env, verb, request, response, awaited);
+      PrintJsonReport(env, response, awaited);
     } else if (waits && awaited->reached) {
       env.out << robot_ << " is at " << EscapeText(awaited->level)
               << (awaited->level == response.decided_level() ? "" : ", above the level decided")
@@ -189,8 +163,8 @@ class ChangeLevel : public LevelCommand {
     return refused || missed ? ExitCode::kRefused : ExitCode::kDone;
   }
 
-  void PrintReport(Env& env, absl::string_view verb, bool refused,
-                   const v1::LevelResponse& response) const {
+  void PrintReport(Env& env, bool refused, const v1::LevelResponse& response) const {
+    const std::string& verb = info().verb;
     if (dry_run_) {
       if (!refused)
         env.out << "would " << verb << " " << robot_ << " to " << EscapeText(to_) << "; ";
@@ -259,30 +233,30 @@ class ChangeLevel : public LevelCommand {
                                 "; the decision stands, and is tried again")};
   }
 
-  static void PrintJsonReport(Env& env, absl::string_view verb, const v1::LevelRequest& request,
-                              const v1::LevelResponse& response,
-                              const std::optional<Awaited>& awaited) {
-    Json json = {{"robot", request.robot()},
-                 {"to", request.to()},
-                 {"dry_run", request.dry_run()},
+  void PrintJsonReport(Env& env, const v1::LevelResponse& response,
+                       const std::optional<Awaited>& awaited) const {
+    Json json = {{"robot", robot_},
+                 {"to", to_},
+                 {"dry_run", dry_run_},
                  {"decided_level", response.decided_level()},
                  {"soft", response.soft()}};
     json["decision_id"] =
         response.has_decision_id() ? Json(DecisionIdText(response.decision_id())) : Json(nullptr);
-    if (!request.expected_level().empty()) {
-      json["expected"] = absl::StrCat(request.expected_level(), "@",
-                                      DecisionIdText(request.expected_decision_id()));
+    if (!request_.expected_level().empty()) {
+      json["expected"] = absl::StrCat(request_.expected_level(), "@",
+                                      DecisionIdText(request_.expected_decision_id()));
     }
-    json["would_raise_again"] = Json::array();
-    for (const auto& rule : response.would_raise_again()) json["would_raise_again"].push_back(rule);
-    if (request.dry_run() && verb == "lower") json["not_tried"] = NotTried();
-    json["blind_because"] = Json::array();
-    for (const auto& why : response.blind_because()) json["blind_because"].push_back(why);
+    json["would_raise_again"] = JsonList(response.would_raise_again());
+    if (dry_run_ && info().verb == "lower") json["not_tried"] = NotTried();
+    json["blind_because"] = JsonList(response.blind_because());
     if (awaited.has_value()) json["reached"] = awaited->reached;
     if (awaited.has_value() && awaited->reached) json["effective_level"] = awaited->level;
     if (awaited.has_value() && !awaited->reached) json["not_reached_because"] = awaited->why;
     PrintJson(json, env.out);
   }
+
+  // Set by Check.
+  v1::LevelRequest request_;
 
  private:
   std::string to_;
@@ -293,27 +267,16 @@ class ChangeLevel : public LevelCommand {
 
 class RaiseLevel final : public ChangeLevel {
  public:
-  absl::string_view verb() const override { return "raise"; }
-  absl::string_view synopsis() const override {
-    return "Raise a robot to a more restrictive level";
-  }
-  ExitCode Run(Env& env) override {
-    v1::LevelRequest request;
-    if (const absl::Status valid = Fill(&request); !valid.ok()) {
-      return UsageError(env, valid.message());
-    }
-    const auto response = Call(env, &Stub::Raise, request);
-    if (!response.ok()) return Failed(env, response.status());
-    return Report(env, "raise", request, *response);
+  RaiseLevel() : ChangeLevel({"level", "raise", "Raise a robot to a more restrictive level"}) {}
+  absl::StatusOr<ExitCode> Run(Env& env) override {
+    RIPS_ASSIGN_OR_RETURN(const auto response, Call(env, &Stub::Raise, request_));
+    return Report(env, response);
   }
 };
 
 class LowerLevel final : public ChangeLevel {
  public:
-  absl::string_view verb() const override { return "lower"; }
-  absl::string_view synopsis() const override {
-    return "Lower a robot to a less restrictive level";
-  }
+  LowerLevel() : ChangeLevel({"level", "lower", "Lower a robot to a less restrictive level"}) {}
   void AddFlags(CLI::App& app) override {
     ChangeLevel::AddFlags(app);
     app.add_option("--expect", expect_,
@@ -321,22 +284,20 @@ class LowerLevel final : public ChangeLevel {
     app.add_flag("--accept-blind", accept_blind_,
                  "Lower even if the server does not see the robot now");
   }
-  ExitCode Run(Env& env) override {
-    v1::LevelRequest request;
-    absl::Status valid = Fill(&request);
-    if (valid.ok() && !expect_.empty()) valid = ParseExpected(expect_, &request);
-    if (!valid.ok()) return UsageError(env, valid.message());
-    request.set_accept_blind(accept_blind_);
+  absl::Status Check() override {
+    RIPS_RETURN_IF_ERROR(ChangeLevel::Check());
+    request_.set_accept_blind(accept_blind_);
+    return expect_.empty() ? absl::OkStatus() : ParseExpected(expect_, &request_);
+  }
+  absl::StatusOr<ExitCode> Run(Env& env) override {
     if (expect_.empty()) {
-      const auto seen = ReadLevel(env, robot_);
-      if (!seen.ok()) return Failed(env, seen.status());
-      Show(env, *seen);
-      request.set_expected_level(seen->status().decided_level());
-      *request.mutable_expected_decision_id() = seen->status().decision_id();
+      RIPS_ASSIGN_OR_RETURN(const auto seen, ReadLevel(env, robot_));
+      Show(env, seen);
+      request_.set_expected_level(seen.status().decided_level());
+      *request_.mutable_expected_decision_id() = seen.status().decision_id();
     }
-    const auto response = Call(env, &Stub::DeEscalate, request);
-    if (!response.ok()) return Failed(env, response.status());
-    return Report(env, "lower", request, *response);
+    RIPS_ASSIGN_OR_RETURN(const auto response, Call(env, &Stub::DeEscalate, request_));
+    return Report(env, response);
   }
 
  private:
@@ -358,13 +319,6 @@ class LowerLevel final : public ChangeLevel {
 
 }  // namespace
 
-Commands LevelCommands() {
-  Commands commands;
-  commands.push_back(std::make_unique<ShowLevel>());
-  commands.push_back(std::make_unique<LevelHistory>());
-  commands.push_back(std::make_unique<RaiseLevel>());
-  commands.push_back(std::make_unique<LowerLevel>());
-  return commands;
-}
+Commands LevelCommands() { return MakeCommands<ShowLevel, LevelHistory, RaiseLevel, LowerLevel>(); }
 
 }  // namespace rips::ripsctl

@@ -1,5 +1,4 @@
-#include "policy_server/ripsctl/robot/record_command.h"
-
+// `ripsctl record`: what a robot's rules are given to judge, into a file for `rules replay`.
 #include <fcntl.h>
 #include <unistd.h>
 
@@ -13,9 +12,10 @@
 #include "absl/time/clock.h"
 #include "policy_server/policy/recording/event_codec.h"
 #include "policy_server/policy/recording/rips_writer.h"
-#include "policy_server/ripsctl/cli/json_view.h"
+#include "policy_server/ripsctl/cli/json_output.h"
 #include "policy_server/ripsctl/cli/printer.h"
 #include "policy_server/ripsctl/cli/server_expiry.h"
+#include "policy_server/ripsctl/commands.h"
 #include "services/base/status_macros.h"
 #include "services/runtime/unique_fd.h"
 
@@ -35,35 +35,30 @@ absl::StatusOr<UniqueFd> CreateFile(const std::string& path, bool replace) {
   return absl::ErrnoToStatus(errno, absl::StrCat("cannot write `", path, "`"));
 }
 
-class Record final : public Command {
+class Record final : public RobotCommand {
  public:
-  absl::string_view noun() const override { return "record"; }
-  absl::string_view verb() const override { return ""; }
-  absl::string_view synopsis() const override {
-    return "Record the events a robot's rules are evaluated on, for `rules replay`";
-  }
+  Record()
+      : RobotCommand({"record", "",
+                      "Record the events a robot's rules are evaluated on, for `rules replay`"}) {}
   void AddFlags(CLI::App& app) override {
-    app.add_option("ROBOT", robot_, "Robot id")->required();
+    RobotCommand::AddFlags(app);
     app.add_option("--out", path_, "The file to write")->required();
-    app.add_option("--for", duration_, "How long, for example 60s; without it, until interrupted");
+    app.add_option("--for", for_, "How long, for example 60s; without it, until interrupted");
     app.add_flag("--force", force_, "Replace the file if it is there");
   }
-  ExitCode Run(Env& env) override {
-    if (const absl::Status valid = CheckRobot(robot_); !valid.ok()) {
-      return UsageError(env, valid.message());
+  absl::Status Check() override {
+    if (!for_.empty() &&
+        (!absl::ParseDuration(for_, &duration_) || duration_ <= absl::ZeroDuration())) {
+      return absl::InvalidArgumentError(
+          absl::StrCat("--for is `", for_, "`, not a time like `60s`"));
     }
-    absl::Duration duration = absl::InfiniteDuration();
-    if (!duration_.empty() &&
-        (!absl::ParseDuration(duration_, &duration) || duration <= absl::ZeroDuration())) {
-      return UsageError(env, absl::StrCat("--for is `", duration_, "`, not a time like `60s`"));
-    }
-    if (!force_ && access(path_.c_str(), F_OK) == 0) {
-      return UsageError(env, AlreadyThere(path_).message());
-    }
+    if (!force_ && access(path_.c_str(), F_OK) == 0) return AlreadyThere(path_);
+    return RobotCommand::Check();
+  }
+  absl::StatusOr<ExitCode> Run(Env& env) override {
     grpc::ClientContext context;
-    if (duration != absl::InfiniteDuration()) {
-      context.set_deadline(absl::ToChronoTime(absl::Now() + duration));
-    }
+    const bool limited = duration_ != absl::InfiniteDuration();
+    if (limited) context.set_deadline(absl::ToChronoTime(absl::Now() + duration_));
     v1::RecordRequest request;
     request.set_robot(robot_);
     const auto reader = env.server->Record(&context, request);
@@ -71,18 +66,17 @@ class Record final : public Command {
     const absl::Status written = Write(*reader, expiry);
     if (!written.ok()) context.TryCancel();
     const grpc::Status ended = expiry.End(reader->Finish());
-    if (!written.ok()) return Failed(env, written);
-    const bool in_time = ended.error_code() == grpc::StatusCode::DEADLINE_EXCEEDED && begun_ &&
-                         duration != absl::InfiniteDuration();
-    if (!ended.ok() && !in_time) return Ended(env, ended);
+    RIPS_RETURN_IF_ERROR(written);
+    const bool in_time =
+        ended.error_code() == grpc::StatusCode::DEADLINE_EXCEEDED && begun_ && limited;
+    if (!in_time) RIPS_RETURN_IF_ERROR(rpc::FromGrpc(ended));
     if (fsync(file_.get()) != 0) {
-      return Failed(env, absl::ErrnoToStatus(errno, absl::StrCat("cannot write `", path_, "`")));
+      return absl::ErrnoToStatus(errno, absl::StrCat("cannot write `", path_, "`"));
     }
     if (env.json()) {
-      PrintJson({{"robot", robot_}, {"file", path_}, {"events", events_}}, env.out);
-    } else {
-      env.out << events_ << " events of " << robot_ << " in " << path_ << "\n";
+      return PrintJson(env, {{"robot", robot_}, {"file", path_}, {"events", events_}});
     }
+    env.out << events_ << " events of " << robot_ << " in " << path_ << "\n";
     return ExitCode::kDone;
   }
 
@@ -106,9 +100,9 @@ class Record final : public Command {
     return absl::OkStatus();
   }
 
-  std::string robot_;
   std::string path_;
-  std::string duration_;
+  std::string for_;
+  absl::Duration duration_ = absl::InfiniteDuration();
   bool force_ = false;
   UniqueFd file_;
   bool begun_ = false;
@@ -117,10 +111,6 @@ class Record final : public Command {
 
 }  // namespace
 
-Commands RecordCommands() {
-  Commands commands;
-  commands.push_back(std::make_unique<Record>());
-  return commands;
-}
+Commands RecordCommands() { return MakeCommands<Record>(); }
 
 }  // namespace rips::ripsctl

@@ -1,5 +1,6 @@
-#include "policy_server/ripsctl/robot/robot_actuators.h"
-
+// `ripsctl robot receipts` and `ripsctl robot drill`: what a robot's actuators answered, and
+// whether they could carry out its levels. `drill` exits with 0 if every actuator has answered and
+// every step works, else with 1.
 #include <algorithm>
 #include <nlohmann/json.hpp>
 #include <string>
@@ -12,32 +13,22 @@
 #include "absl/strings/str_join.h"
 #include "absl/strings/str_split.h"
 #include "absl/strings/strip.h"
-#include "policy_server/ripsctl/cli/json_view.h"
+#include "policy_server/ripsctl/cli/json_output.h"
 #include "policy_server/ripsctl/cli/printer.h"
-#include "policy_server/ripsctl/robot/robot_verb.h"
+#include "policy_server/ripsctl/commands.h"
+#include "services/base/status_macros.h"
+#include "services/text/utf8.h"
 
 namespace rips::ripsctl {
 namespace {
 
-const char* StageName(v1::Receipt::Stage stage) {
-  switch (stage) {
-    case v1::Receipt::ACKNOWLEDGED:
-      return "acknowledged";
-    case v1::Receipt::VERIFIED:
-      return "verified";
-    case v1::Receipt::FAILED:
-      return "failed";
-    case v1::Receipt::SUPERSEDED:
-      return "superseded";
-    case v1::Receipt::REFUSED_STALE:
-      return "refused_stale";
-    case v1::Receipt::REFUSED:
-      return "refused";
-    case v1::Receipt::UNKNOWN:
-      return "unknown";
-    default:
-      return "none";
-  }
+// Of what a program printed, shown to people: the last lines.
+constexpr size_t kOutputLinesShown = 10;
+// A drill is answered within 30 s; whatever --timeout says, it is waited for.
+constexpr absl::Duration kDrillTimeout = absl::Seconds(35);
+
+std::string StageName(v1::Receipt::Stage stage) {
+  return EnumText(v1::Receipt::Stage_Name(stage), "", "none");
 }
 
 const char* DrilledName(v1::StepResult::Drilled drilled) {
@@ -64,17 +55,13 @@ std::vector<const v1::StepResult*> FailedFirst(const Steps& steps) {
   return sorted;
 }
 
-Json StepsToJson(const Steps& steps) {
-  Json list = Json::array();
-  for (const v1::StepResult& step : steps) {
-    list.push_back({{"step", step.step()},
-                    {"ok", step.ok()},
-                    {"drilled", DrilledName(step.drilled())},
-                    {"took_ms", step.took_ms()},
-                    {"detail", step.detail()},
-                    {"output", step.output_tail()}});
-  }
-  return list;
+Json StepJson(const v1::StepResult& step) {
+  return {{"step", step.step()},
+          {"ok", step.ok()},
+          {"drilled", DrilledName(step.drilled())},
+          {"took_ms", step.took_ms()},
+          {"detail", step.detail()},
+          {"output", step.output_tail()}};
 }
 
 // The end of what a program printed, each line behind `margin` and a bar.
@@ -89,57 +76,50 @@ void PrintOutput(const std::string& output, absl::string_view margin, std::ostre
   }
 }
 
-class ListReceipts final : public RobotVerb {
+class ListReceipts final : public RobotCommand {
  public:
-  absl::string_view verb() const override { return "receipts"; }
-  absl::string_view synopsis() const override {
-    return "Show what a robot's actuators answered, newest first";
-  }
-
- private:
-  void AddMore(CLI::App& app) override {
+  ListReceipts()
+      : RobotCommand(
+            {"robot", "receipts", "Show what a robot's actuators answered, newest first"}) {}
+  void AddFlags(CLI::App& app) override {
+    RobotCommand::AddFlags(app);
     app.add_option("--limit", limit_, "At most so many (default 20)")->check(CLI::Range(1, 64));
   }
-  ExitCode RunFor(Env& env, const std::string& robot) override {
+  absl::StatusOr<ExitCode> Run(Env& env) override {
     v1::ListReceiptsRequest request;
-    request.set_robot(robot);
+    request.set_robot(robot_);
     request.set_limit(limit_);
-    const auto response = Call(env, &Stub::ListReceipts, request);
-    if (!response.ok()) return Failed(env, response.status());
+    RIPS_ASSIGN_OR_RETURN(const auto response, Call(env, &Stub::ListReceipts, request));
     if (env.json()) {
-      PrintJson(ReceiptsJson(robot, *response), env.out);
-    } else if (response->receipts().empty()) {
-      env.out << "no actuator of " << robot << " has answered since the server's start\n";
-    } else {
-      for (int i = 0; i < response->receipts_size(); ++i) {
-        if (i > 0) env.out << "\n";
-        PrintReceipt(response->receipts(i), env.out);
-      }
+      return PrintJson(
+          env, {{"robot", robot_}, {"receipts", JsonList(response.receipts(), ReceiptJson)}});
+    }
+    if (response.receipts().empty()) {
+      env.out << "no actuator of " << robot_ << " has answered since the server's start\n";
+    }
+    for (int i = 0; i < response.receipts_size(); ++i) {
+      if (i > 0) env.out << "\n";
+      PrintReceipt(response.receipts(i), env.out);
     }
     return ExitCode::kDone;
   }
 
-  static Json ReceiptsJson(const std::string& robot, const v1::ListReceiptsResponse& response) {
-    Json list = Json::array();
-    for (const v1::ReceivedReceipt& each : response.receipts()) {
-      const v1::Receipt& receipt = each.receipt();
-      list.push_back(
-          {{"time", FullTime(each.unix_ns())},
-           {"host", each.host()},
-           {"command", each.command()},
-           {"command_id", absl::BytesToHexString(receipt.command_id())},
-           {"decision_id", receipt.has_decision_id() ? Json(DecisionIdText(receipt.decision_id()))
-                                                     : Json(nullptr)},
-           {"stage", StageName(receipt.stage())},
-           {"effective_level", receipt.effective_level()},
-           {"exit_code", receipt.exit_code()},
-           {"detail", receipt.detail()},
-           {"output", receipt.output_tail()},
-           {"steps", StepsToJson(receipt.steps())}});
-    }
-    return {{"robot", robot}, {"receipts", std::move(list)}};
+ private:
+  static Json ReceiptJson(const v1::ReceivedReceipt& each) {
+    const v1::Receipt& receipt = each.receipt();
+    return {{"time", FullTime(each.unix_ns())},
+            {"host", each.host()},
+            {"command", each.command()},
+            {"command_id", absl::BytesToHexString(receipt.command_id())},
+            {"decision_id", receipt.has_decision_id() ? Json(DecisionIdText(receipt.decision_id()))
+                                                      : Json(nullptr)},
+            {"stage", StageName(receipt.stage())},
+            {"effective_level", receipt.effective_level()},
+            {"exit_code", receipt.exit_code()},
+            {"detail", receipt.detail()},
+            {"output", receipt.output_tail()},
+            {"steps", JsonList(receipt.steps(), StepJson)}};
   }
-
   static void PrintReceipt(const v1::ReceivedReceipt& each, std::ostream& out) {
     const v1::Receipt& receipt = each.receipt();
     std::vector<std::string> words = {ShortTime(each.unix_ns()), EscapeText(each.host()),
@@ -220,51 +200,50 @@ DrillSum SumUp(const v1::DrillRobotResponse& response) {
   return sum;
 }
 
-class DrillRobot final : public RobotVerb {
+class DrillRobot final : public RobotCommand {
  public:
-  absl::string_view verb() const override { return "drill"; }
-  absl::string_view synopsis() const override {
-    return "Try a robot's levels without changing its level; exit with 1 if a step does not work";
-  }
-
- private:
-  void AddMore(CLI::App& app) override {
+  DrillRobot()
+      : RobotCommand({"robot", "drill",
+                      "Try a robot's levels without changing its level; exit with 1 if a step does "
+                      "not work"}) {}
+  void AddFlags(CLI::App& app) override {
+    RobotCommand::AddFlags(app);
     level_option_ = app.add_option("--level", level_, "Only this level; default: each in turn");
   }
-  ExitCode RunFor(Env& env, const std::string& robot) override {
-    if (level_option_->count() > 0 && (level_.empty() || !IsUtf8(level_))) {
-      return UsageError(env, "--level is not a level name");
+  absl::Status Check() override {
+    if (level_option_->count() > 0 && (level_.empty() || FindInvalidUtf8(level_))) {
+      return absl::InvalidArgumentError("--level is not a level name");
     }
+    return RobotCommand::Check();
+  }
+  absl::StatusOr<ExitCode> Run(Env& env) override {
     v1::DrillRobotRequest request;
-    request.set_robot(robot);
+    request.set_robot(robot_);
     request.set_level(level_);
-    Env patient = env;
-    patient.timeout = std::max(env.timeout, kDrillTimeout);
-    const auto response = Call(patient, &Stub::DrillRobot, request);
-    if (!response.ok()) return Failed(patient, response.status());
-    const DrillSum sum = SumUp(*response);
+    env.timeout = std::max(env.timeout, kDrillTimeout);
+    RIPS_ASSIGN_OR_RETURN(const auto response, Call(env, &Stub::DrillRobot, request));
+    const DrillSum sum = SumUp(response);
     if (env.json()) {
-      PrintJson(DrillJson(robot, *response, sum), env.out);
+      PrintJson(DrillJson(response, sum), env.out);
     } else {
-      PrintText(*response, sum, env.out);
+      PrintText(response, sum, env.out);
     }
     return sum.good() ? ExitCode::kDone : ExitCode::kRefused;
   }
 
-  static Json DrillJson(const std::string& robot, const v1::DrillRobotResponse& response,
-                        const DrillSum& sum) {
-    Json drills = Json::array();
-    for (const v1::ActuatorDrill& drill : response.drills()) {
-      drills.push_back({{"level", drill.level()},
-                        {"host", drill.host()},
-                        {"stage", StageName(drill.stage())},
-                        {"detail", drill.detail()},
-                        {"steps", StepsToJson(drill.steps())}});
-    }
-    return {{"robot", robot},         {"works", sum.good()},       {"steps", sum.steps},
-            {"steps_work", sum.work}, {"only_looked", sum.looked}, {"drills", std::move(drills)}};
+ private:
+  Json DrillJson(const v1::DrillRobotResponse& response, const DrillSum& sum) const {
+    const auto drill_json = [](const v1::ActuatorDrill& drill) -> Json {
+      return {{"level", drill.level()},
+              {"host", drill.host()},
+              {"stage", StageName(drill.stage())},
+              {"detail", drill.detail()},
+              {"steps", JsonList(drill.steps(), StepJson)}};
+    };
+    return {{"robot", robot_},           {"works", sum.good()},
+            {"steps", sum.steps},        {"steps_work", sum.work},
+            {"only_looked", sum.looked}, {"drills", JsonList(response.drills(), drill_json)}};
   }
-
   static const char* DoneText(v1::StepResult::Drilled drilled) {
     const bool not_tried =
         drilled == v1::StepResult::DRILLED_NOT || drilled == v1::StepResult::DRILLED_UNSPECIFIED;
@@ -325,11 +304,6 @@ class DrillRobot final : public RobotVerb {
 
 }  // namespace
 
-Commands ActuatorCommands() {
-  Commands commands;
-  commands.push_back(std::make_unique<ListReceipts>());
-  commands.push_back(std::make_unique<DrillRobot>());
-  return commands;
-}
+Commands ActuatorCommands() { return MakeCommands<ListReceipts, DrillRobot>(); }
 
 }  // namespace rips::ripsctl

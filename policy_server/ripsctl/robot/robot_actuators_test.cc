@@ -1,5 +1,4 @@
 // `robot receipts` and `robot drill` against a server that plays OperatorService.
-#include "policy_server/ripsctl/robot/robot_actuators.h"
 
 #include <memory>
 #include <nlohmann/json.hpp>

@@ -1,5 +1,6 @@
-#include "policy_server/ripsctl/robot/robot_coverage.h"
-
+// `ripsctl robot interest` and `ripsctl robot coverage`: what the rules ask of a robot's sensors,
+// and what the sensors see. `coverage` exits with 0 if the graph is complete, each of its endpoints
+// is watched, not needed or of a service, and there is no finding; else with 1.
 #include <CLI/CLI.hpp>
 #include <nlohmann/json.hpp>
 #include <string>
@@ -8,24 +9,16 @@
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_format.h"
 #include "absl/strings/str_join.h"
-#include "policy_server/ripsctl/cli/json_view.h"
+#include "policy_server/ripsctl/cli/json_output.h"
 #include "policy_server/ripsctl/cli/printer.h"
-#include "policy_server/ripsctl/robot/robot_verb.h"
+#include "policy_server/ripsctl/commands.h"
+#include "services/base/status_macros.h"
 
 namespace rips::ripsctl {
 namespace {
 
-const char* DepthName(v1::InterestRule::Depth depth) {
-  switch (depth) {
-    case v1::InterestRule::NOTHING:
-      return "nothing";
-    case v1::InterestRule::METADATA:
-      return "metadata";
-    case v1::InterestRule::PAYLOAD:
-      return "payload";
-    default:
-      return "unknown";
-  }
+std::string DepthName(v1::InterestRule::Depth depth) {
+  return EnumText(v1::InterestRule::Depth_Name(depth), "", "unknown");
 }
 
 std::string InterestState(const v1::SensorInterest& sensor) {
@@ -46,19 +39,9 @@ Seen SeenOf(const v1::Endpoint& endpoint) {
   return endpoint.visibility() == v1::NOT_NEEDED ? Seen::kNotNeeded : Seen::kNotVisible;
 }
 
-const char* SeenName(Seen seen) {
-  switch (seen) {
-    case Seen::kWatched:
-      return "watched";
-    case Seen::kNotNeeded:
-      return "not needed";
-    case Seen::kNotVisible:
-      return "not visible";
-    case Seen::kNeverRead:
-      return "never read";
-  }
-  return "";
-}
+constexpr const char* kSeenNames[] = {"watched", "not needed", "not visible", "never read"};
+
+const char* SeenName(Seen seen) { return kSeenNames[static_cast<int>(seen)]; }
 
 std::string SeenText(const v1::Endpoint& endpoint) {
   const std::string name = SeenName(SeenOf(endpoint));
@@ -98,39 +81,28 @@ std::string SkewText(const v1::SensorCoverage& sensor) {
   return absl::StrFormat("%+.3f s", static_cast<double>(sensor.clock_skew_ns()) / 1e9);
 }
 
-Json Strings(const google::protobuf::RepeatedPtrField<std::string>& strings) {
-  Json list = Json::array();
-  for (const std::string& each : strings) list.push_back(each);
-  return list;
-}
-
-class ShowInterest final : public RobotVerb {
+class ShowInterest final : public RobotCommand {
  public:
-  absl::string_view verb() const override { return "interest"; }
-  absl::string_view synopsis() const override {
-    return "Show which data the rules need from each topic, and which sensors deliver it";
-  }
-
- private:
-  ExitCode RunFor(Env& env, const std::string& robot) override {
+  ShowInterest()
+      : RobotCommand(
+            {"robot", "interest",
+             "Show which data the rules need from each topic, and which sensors deliver it"}) {}
+  absl::StatusOr<ExitCode> Run(Env& env) override {
     v1::GetInterestRequest request;
-    request.set_robot(robot);
-    const auto response = Call(env, &Stub::GetInterest, request);
-    if (!response.ok()) return Failed(env, response.status());
-    if (env.json()) {
-      PrintJson(InterestJson(robot, *response), env.out);
-    } else {
-      PrintText(*response, env.out);
-    }
+    request.set_robot(robot_);
+    RIPS_ASSIGN_OR_RETURN(const auto response, Call(env, &Stub::GetInterest, request));
+    if (env.json()) return PrintJson(env, InterestJson(response));
+    PrintText(response, env.out);
     return ExitCode::kDone;
   }
 
+ private:
   static google::protobuf::RepeatedPtrField<std::string> WantedBy(
       const v1::GetInterestResponse& response, int row) {
     return row < response.reasons_size() ? response.reasons(row).wanted_by()
                                          : v1::InterestReason().wanted_by();
   }
-  static Json InterestJson(const std::string& robot, const v1::GetInterestResponse& response) {
+  Json InterestJson(const v1::GetInterestResponse& response) const {
     Json rules = Json::array();
     for (int i = 0; i < response.interest().rules_size(); ++i) {
       const v1::InterestRule& rule = response.interest().rules(i);
@@ -138,23 +110,21 @@ class ShowInterest final : public RobotVerb {
                        {"bytes", rule.payload_bytes_max()},
                        {"topic", rule.topic_regex()},
                        {"type", rule.type()},
-                       {"wanted_by", Strings(WantedBy(response, i))}});
+                       {"wanted_by", JsonList(WantedBy(response, i))}});
     }
-    Json sensors = Json::array();
-    for (const v1::SensorInterest& sensor : response.sensors()) {
-      sensors.push_back({{"host", sensor.host()},
-                         {"connected", sensor.connected()},
-                         {"in_use", sensor.in_use()},
-                         {"problem", sensor.problem()}});
-    }
-    Json limits = Json::array();
-    for (const v1::PayloadLimit& limit : response.interest().payload_limits()) {
-      limits.push_back({{"topic", limit.topic_regex()}, {"bytes", limit.bytes()}});
-    }
-    return {{"robot", robot},
+    const auto sensor_json = [](const v1::SensorInterest& sensor) -> Json {
+      return {{"host", sensor.host()},
+              {"connected", sensor.connected()},
+              {"in_use", sensor.in_use()},
+              {"problem", sensor.problem()}};
+    };
+    const auto limit_json = [](const v1::PayloadLimit& limit) -> Json {
+      return {{"topic", limit.topic_regex()}, {"bytes", limit.bytes()}};
+    };
+    return {{"robot", robot_},
             {"rules", std::move(rules)},
-            {"payload_limits", std::move(limits)},
-            {"sensors", std::move(sensors)}};
+            {"payload_limits", JsonList(response.interest().payload_limits(), limit_json)},
+            {"sensors", JsonList(response.sensors(), sensor_json)}};
   }
   static void PrintText(const v1::GetInterestResponse& response, std::ostream& out) {
     Table rules({"DEPTH", "BYTES", "TOPIC", "TYPE", "WANTED BY"});
@@ -184,37 +154,36 @@ class ShowInterest final : public RobotVerb {
   }
 };
 
-class ShowCoverage final : public RobotVerb {
+class ShowCoverage final : public RobotCommand {
  public:
-  absl::string_view verb() const override { return "coverage"; }
-  absl::string_view synopsis() const override {
-    return "Show which of a robot's endpoints the sensors see; exit with 1 if any is not visible";
+  ShowCoverage()
+      : RobotCommand({"robot", "coverage",
+                      "Show which of a robot's endpoints the sensors see; exit with 1 if any is "
+                      "not visible"}) {}
+  void AddFlags(CLI::App& app) override {
+    RobotCommand::AddFlags(app);
+    app.add_flag("--all", all_, "Show every endpoint, not only those that are not visible");
+  }
+  absl::StatusOr<ExitCode> Run(Env& env) override {
+    v1::GetCoverageRequest request;
+    request.set_robot(robot_);
+    RIPS_ASSIGN_OR_RETURN(const auto response, Call(env, &Stub::GetCoverage, request));
+    if (env.json()) {
+      PrintJson(CoverageJson(response), env.out);
+    } else {
+      PrintText(response, env.out);
+    }
+    return Complete(response) ? ExitCode::kDone : ExitCode::kRefused;
   }
 
  private:
-  void AddMore(CLI::App& app) override {
-    app.add_flag("--all", all_, "Show every endpoint, not only those that are not visible");
-  }
-  ExitCode RunFor(Env& env, const std::string& robot) override {
-    v1::GetCoverageRequest request;
-    request.set_robot(robot);
-    const auto response = Call(env, &Stub::GetCoverage, request);
-    if (!response.ok()) return Failed(env, response.status());
-    if (env.json()) {
-      PrintJson(CoverageJson(robot, *response), env.out);
-    } else {
-      PrintText(*response, env.out);
-    }
-    return Complete(*response) ? ExitCode::kDone : ExitCode::kRefused;
-  }
-
   static Json SensorJson(const v1::SensorCoverage& sensor) {
     return {{"host", sensor.host()},
             {"primary", sensor.primary()},
             {"connected", sensor.connected()},
             {"settled", sensor.settled()},
-            {"not_visible", Strings(sensor.not_visible())},
-            {"blind", Strings(sensor.state().blind())},
+            {"not_visible", JsonList(sensor.not_visible())},
+            {"blind", JsonList(sensor.state().blind())},
             {"overloaded", sensor.state().overloaded()},
             {"outbox_bytes", sensor.state().outbox_bytes()},
             {"oldest_unacked_ns", sensor.state().oldest_unacked_ns()},
@@ -223,52 +192,44 @@ class ShowCoverage final : public RobotVerb {
             {"clock_skew_ns",
              sensor.has_clock_skew_ns() ? Json(sensor.clock_skew_ns()) : Json(nullptr)}};
   }
-  static Json CoverageJson(const std::string& robot, const v1::GetCoverageResponse& response) {
-    Json sensors = Json::array();
-    for (const v1::SensorCoverage& sensor : response.sensors()) {
-      sensors.push_back(SensorJson(sensor));
-    }
-    Json endpoints = Json::array();
-    for (const v1::Endpoint& endpoint : response.endpoints()) {
-      endpoints.push_back({{"guid", GuidText(endpoint.guid())},
-                           {"kind", KindName(endpoint.kind())},
-                           {"name", endpoint.name()},
-                           {"type", endpoint.type()},
-                           {"node", endpoint.node()},
-                           {"ros", endpoint.ros()},
-                           {"state", SeenName(SeenOf(endpoint))},
-                           {"why", endpoint.why()}});
-    }
-    Json findings = Json::array();
-    for (const v1::Finding& finding : response.findings()) {
-      findings.push_back({{"kind", finding.kind()},
-                          {"guid", finding.guid().empty() ? "" : GuidText(finding.guid())},
-                          {"node", finding.node()},
-                          {"topic", finding.topic()},
-                          {"detail", finding.detail()}});
-    }
-    Json skipped = Json::array();
-    for (const v1::SkippedInspections& each : response.skipped()) {
-      skipped.push_back({{"reason", each.reason()}, {"count", each.count()}});
-    }
-    Json cut = Json::array();
-    for (const v1::CutPayloads& each : response.cut_payloads()) {
-      cut.push_back({{"topic", each.topic()},
-                     {"limit_bytes", each.limit_bytes()},
-                     {"longest_bytes", each.longest_bytes()},
-                     {"count", each.count()}});
-    }
-    return {{"robot", robot},
+  static Json EndpointJson(const v1::Endpoint& endpoint) {
+    return {{"guid", GuidText(endpoint.guid())},
+            {"kind", KindName(endpoint.kind())},
+            {"name", endpoint.name()},
+            {"type", endpoint.type()},
+            {"node", endpoint.node()},
+            {"ros", endpoint.ros()},
+            {"state", SeenName(SeenOf(endpoint))},
+            {"why", endpoint.why()}};
+  }
+  static Json FindingJson(const v1::Finding& finding) {
+    return {{"kind", finding.kind()},
+            {"guid", finding.guid().empty() ? "" : GuidText(finding.guid())},
+            {"node", finding.node()},
+            {"topic", finding.topic()},
+            {"detail", finding.detail()}};
+  }
+  static Json SkippedJson(const v1::SkippedInspections& each) {
+    return {{"reason", each.reason()}, {"count", each.count()}};
+  }
+  static Json CutJson(const v1::CutPayloads& each) {
+    return {{"topic", each.topic()},
+            {"limit_bytes", each.limit_bytes()},
+            {"longest_bytes", each.longest_bytes()},
+            {"count", each.count()}};
+  }
+  Json CoverageJson(const v1::GetCoverageResponse& response) const {
+    return {{"robot", robot_},
             {"complete", Complete(response)},
-            {"blind", Strings(response.blind())},
-            {"cut_payloads", std::move(cut)},
+            {"blind", JsonList(response.blind())},
+            {"cut_payloads", JsonList(response.cut_payloads(), CutJson)},
             {"graph_truncated", response.graph_truncated()},
             {"endpoints_left_out", response.endpoints_left_out()},
             {"findings_left_out", response.findings_left_out()},
-            {"skipped_inspections", std::move(skipped)},
-            {"sensors", std::move(sensors)},
-            {"endpoints", std::move(endpoints)},
-            {"findings", std::move(findings)}};
+            {"skipped_inspections", JsonList(response.skipped(), SkippedJson)},
+            {"sensors", JsonList(response.sensors(), SensorJson)},
+            {"endpoints", JsonList(response.endpoints(), EndpointJson)},
+            {"findings", JsonList(response.findings(), FindingJson)}};
   }
 
   void PrintText(const v1::GetCoverageResponse& response, std::ostream& out) const {
@@ -345,11 +306,6 @@ class ShowCoverage final : public RobotVerb {
 
 }  // namespace
 
-Commands CoverageCommands() {
-  Commands commands;
-  commands.push_back(std::make_unique<ShowInterest>());
-  commands.push_back(std::make_unique<ShowCoverage>());
-  return commands;
-}
+Commands CoverageCommands() { return MakeCommands<ShowInterest, ShowCoverage>(); }
 
 }  // namespace rips::ripsctl

@@ -1,5 +1,9 @@
-#include "policy_server/ripsctl/rules/rules_builtins.h"
-
+// `ripsctl rules builtins`: the reference of the rule language, from the tables that its checker
+// reads, as text, as Markdown (`--markdown`) or as JSON:
+// [{"name","kind":"builtin|action|predefined","class":"universal|Msg|Graph|External","usage",
+//   "result","help","extension":bool,"words":[{"parameter","after"?,"values":[..]}]}]
+// `extension`: an addition, so a program may declare the name as its own. `words`: what a parameter
+// may be; `after`: if the argument before it is this.
 #include <CLI/CLI.hpp>
 #include <nlohmann/json.hpp>
 #include <span>
@@ -12,8 +16,9 @@
 #include "absl/strings/str_replace.h"
 #include "policy_server/policy/lang/check/signature.h"
 #include "policy_server/policy/lang/check/type.h"
-#include "policy_server/ripsctl/cli/json_view.h"
+#include "policy_server/ripsctl/cli/json_output.h"
 #include "policy_server/ripsctl/cli/printer.h"
+#include "policy_server/ripsctl/commands.h"
 #include "services/text/nearest.h"
 
 namespace rips::ripsctl {
@@ -216,17 +221,15 @@ Json EntriesToJson(const std::vector<Entry>& entries) {
 
 class RulesBuiltinsCommand final : public Command {
  public:
-  absl::string_view noun() const override { return "rules"; }
-  absl::string_view verb() const override { return "builtins"; }
-  absl::string_view synopsis() const override {
-    return "List the builtins, names and actions of the rule language; needs no server";
-  }
-  bool needs_server() const override { return false; }
+  RulesBuiltinsCommand()
+      : Command({"rules", "builtins",
+                 "List the builtins, names and actions of the rule language; needs no server",
+                 /*needs_server=*/false}) {}
   void AddFlags(CLI::App& app) override {
     app.add_option("NAME", name_, "Show only this name");
     app.add_flag("--markdown", markdown_, "Print Markdown, for a manual");
   }
-  ExitCode Run(Env& env) override {
+  absl::StatusOr<ExitCode> Run(Env& env) override {
     if (markdown_ && env.json()) return UsageError(env, "choose --markdown or --output json");
     std::vector<Entry> entries = AllEntries();
     if (!name_.empty()) {
@@ -256,6 +259,6 @@ class RulesBuiltinsCommand final : public Command {
 
 }  // namespace
 
-std::unique_ptr<Command> RulesBuiltins() { return std::make_unique<RulesBuiltinsCommand>(); }
+Commands RulesBuiltins() { return MakeCommands<RulesBuiltinsCommand>(); }
 
 }  // namespace rips::ripsctl

@@ -1,5 +1,8 @@
-#include "policy_server/ripsctl/rules/rules_check.h"
-
+// `ripsctl rules check`: checks rule files as one policy, or one bundle as the server does when it
+// takes it. Runs nothing. Refuses what has errors, or with --werror warnings; kUsage for what
+// cannot be read or is neither. Text: diagnostics, problems, and at last `ok: ...` or
+// `refused: ...`. JSON, a contract: lang::RenderJson of the rule files, and of a bundle besides
+// "bundle":{"name","id","ok","problems":[..],"warnings":[..]}; a refused one has no id.
 #include <CLI/CLI.hpp>
 #include <algorithm>
 #include <filesystem>
@@ -15,8 +18,9 @@
 #include "policy_server/policy/inspect/checked_files.h"
 #include "policy_server/policy/inspect/file_source.h"
 #include "policy_server/policy/lang/check/compile.h"
-#include "policy_server/ripsctl/cli/json_view.h"
+#include "policy_server/ripsctl/cli/json_output.h"
 #include "policy_server/ripsctl/cli/printer.h"
+#include "policy_server/ripsctl/commands.h"
 #include "policy_server/ripsctl/rules/rule_input.h"
 
 namespace rips::ripsctl {
@@ -56,12 +60,10 @@ void PrintProblem(absl::string_view severity, absl::string_view text, std::ostre
 
 class CheckRulesCommand final : public Command {
  public:
-  absl::string_view noun() const override { return "rules"; }
-  absl::string_view verb() const override { return "check"; }
-  absl::string_view synopsis() const override {
-    return "Check rule files as one policy, in this order, or a bundle; needs no server";
-  }
-  bool needs_server() const override { return false; }
+  CheckRulesCommand()
+      : Command({"rules", "check",
+                 "Check rule files as one policy, in this order, or a bundle; needs no server",
+                 /*needs_server=*/false}) {}
   void AddFlags(CLI::App& app) override {
     app.add_option("FILE", paths_, "Rule files, - is standard input; or one bundle's directory")
         ->required();
@@ -71,7 +73,7 @@ class CheckRulesCommand final : public Command {
     app.add_flag("--werror", werror_, "Treat warnings as errors");
   }
 
-  ExitCode Run(Env& env) override {
+  absl::StatusOr<ExitCode> Run(Env& env) override {
     for (const std::string& path : paths_) {
       const absl::StatusOr<std::optional<std::string>> dir = BundleDirectoryOf(path);
       if (!dir.ok()) return UsageError(env, dir.status().message());
@@ -148,6 +150,6 @@ class CheckRulesCommand final : public Command {
 
 }  // namespace
 
-std::unique_ptr<Command> CheckRules() { return std::make_unique<CheckRulesCommand>(); }
+Commands CheckRules() { return MakeCommands<CheckRulesCommand>(); }
 
 }  // namespace rips::ripsctl

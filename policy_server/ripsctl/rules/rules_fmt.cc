@@ -1,5 +1,7 @@
-#include "policy_server/ripsctl/rules/rules_fmt.h"
-
+// `ripsctl rules fmt`: lays rule files out: prints one, rewrites them (`--write`) or names those
+// that would change (`--check`). Exits with kRefused if a file does not parse, or if `--check`
+// names one. JSON: {"files":[{"path","ok","diagnostics":[..],"changed":bool,"text"?}]}, `text` when
+// it is printed.
 #include <errno.h>
 #include <sys/stat.h>
 
@@ -14,8 +16,9 @@
 
 #include "absl/strings/str_cat.h"
 #include "policy_server/policy/lang/format/formatter.h"
-#include "policy_server/ripsctl/cli/json_view.h"
+#include "policy_server/ripsctl/cli/json_output.h"
 #include "policy_server/ripsctl/cli/printer.h"
+#include "policy_server/ripsctl/commands.h"
 #include "policy_server/ripsctl/rules/rule_input.h"
 #include "services/runtime/atomic_file.h"
 
@@ -36,12 +39,9 @@ absl::Status Rewrite(const std::string& path, absl::string_view text) {
 
 class FmtRulesCommand final : public Command {
  public:
-  absl::string_view noun() const override { return "rules"; }
-  absl::string_view verb() const override { return "fmt"; }
-  absl::string_view synopsis() const override {
-    return "Format rule files, keeping comments; needs no server";
-  }
-  bool needs_server() const override { return false; }
+  FmtRulesCommand()
+      : Command({"rules", "fmt", "Format rule files, keeping comments; needs no server",
+                 /*needs_server=*/false}) {}
   void AddFlags(CLI::App& app) override {
     app.add_option("FILE", paths_, "Rule files; - is standard input")->required();
     CLI::Option* write =
@@ -50,7 +50,7 @@ class FmtRulesCommand final : public Command {
         ->excludes(write);
   }
 
-  ExitCode Run(Env& env) override {
+  absl::StatusOr<ExitCode> Run(Env& env) override {
     const bool prints = !write_ && !check_;
     if (prints && paths_.size() > 1) {
       return UsageError(env, "to print, give one file; to treat several, add --write or --check");
@@ -100,6 +100,6 @@ class FmtRulesCommand final : public Command {
 
 }  // namespace
 
-std::unique_ptr<Command> FmtRules() { return std::make_unique<FmtRulesCommand>(); }
+Commands FormatRules() { return MakeCommands<FmtRulesCommand>(); }
 
 }  // namespace rips::ripsctl

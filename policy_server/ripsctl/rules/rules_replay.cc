@@ -1,5 +1,8 @@
-#include "policy_server/ripsctl/rules/rules_replay.h"
-
+// `ripsctl rules replay`: runs rules on a recording. JSON is that of
+// policy_server/policy/replay/result_json.h; with `--against` it has `"against"`, the difference to
+// what the other rules do. Exits with kDone when it ran, kRefused for rules that do not compile
+// (with the output of `rules check`), kUsage for what cannot be read and for levels that the rules
+// do not have; then nothing is printed but the error.
 #include <CLI/CLI.hpp>
 #include <algorithm>
 #include <nlohmann/json.hpp>
@@ -20,8 +23,9 @@
 #include "policy_server/policy/replay/result_json.h"
 #include "policy_server/policy/replay/rule_facts.h"
 #include "policy_server/policy/replay/rule_set.h"
-#include "policy_server/ripsctl/cli/json_view.h"
+#include "policy_server/ripsctl/cli/json_output.h"
 #include "policy_server/ripsctl/cli/printer.h"
+#include "policy_server/ripsctl/commands.h"
 #include "services/base/status_macros.h"
 #include "services/runtime/real_clock.h"
 
@@ -218,12 +222,10 @@ void PrintDifference(const replay::Difference& difference, bool timed, std::ostr
 
 class ReplayRulesCommand final : public Command {
  public:
-  absl::string_view noun() const override { return "rules"; }
-  absl::string_view verb() const override { return "replay"; }
-  absl::string_view synopsis() const override {
-    return "Run rules on a recording and show what they do; needs no server";
-  }
-  bool needs_server() const override { return false; }
+  ReplayRulesCommand()
+      : Command({"rules", "replay",
+                 "Run rules on a recording and show what they do; needs no server",
+                 /*needs_server=*/false}) {}
   void AddFlags(CLI::App& app) override {
     app.add_option("--rules", rules_, "Rule files, compiled as one policy in this order")
         ->required();
@@ -253,7 +255,7 @@ class ReplayRulesCommand final : public Command {
     app.add_flag("--profile", profile_, "Print the cost of each rule");
   }
 
-  ExitCode Run(Env& env) override {
+  absl::StatusOr<ExitCode> Run(Env& env) override {
     absl::StatusOr<RuleSet> rules = Load(rules_);
     if (!rules.ok()) return UsageError(env, rules.status().message());
     absl::StatusOr<RuleSet> other = RuleSet{};
@@ -388,6 +390,6 @@ class ReplayRulesCommand final : public Command {
 
 }  // namespace
 
-std::unique_ptr<Command> ReplayRules() { return std::make_unique<ReplayRulesCommand>(); }
+Commands ReplayRules() { return MakeCommands<ReplayRulesCommand>(); }
 
 }  // namespace rips::ripsctl

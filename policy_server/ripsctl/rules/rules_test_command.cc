@@ -1,5 +1,9 @@
-#include "policy_server/ripsctl/rules/rules_test_command.h"
-
+// `ripsctl rules test`: runs unit tests of rules (policy_server/policy/replay/rule_test_file.h).
+// Exits with kDone if all passed, kRefused if one failed or rules do not compile, kUsage if a file
+// cannot be read or is not well formed; then no test is run. JSON:
+// {"tests":count,"failed":count,"files":[{"path","ok":bool,"tests":[{"name","line","ok":bool,
+// "failures":[{"line","what","expected":[..],"got":[..]}]}],"not_exercised":[rules], "refused"?:{as
+// rules check}}]}. `--output junit`: one test suite a file.
 #include <CLI/CLI.hpp>
 #include <algorithm>
 #include <nlohmann/json.hpp>
@@ -13,8 +17,9 @@
 #include "policy_server/policy/replay/rule_set.h"
 #include "policy_server/policy/replay/rule_test_file.h"
 #include "policy_server/policy/replay/rule_test_runner.h"
-#include "policy_server/ripsctl/cli/json_view.h"
+#include "policy_server/ripsctl/cli/json_output.h"
 #include "policy_server/ripsctl/cli/printer.h"
+#include "policy_server/ripsctl/commands.h"
 #include "services/base/status_macros.h"
 #include "services/runtime/config_sections.h"
 #include "services/runtime/real_clock.h"
@@ -187,16 +192,14 @@ void PrintJunit(const std::vector<Tested>& all, std::ostream& out) {
 
 class TestRulesCommand final : public Command {
  public:
-  absl::string_view noun() const override { return "rules"; }
-  absl::string_view verb() const override { return "test"; }
-  absl::string_view synopsis() const override { return "Run unit tests of rules; needs no server"; }
-  bool needs_server() const override { return false; }
-  bool writes_junit() const override { return true; }
+  TestRulesCommand()
+      : Command({"rules", "test", "Run unit tests of rules; needs no server",
+                 /*needs_server=*/false, /*writes_junit=*/true}) {}
   void AddFlags(CLI::App& app) override {
     app.add_option("FILE", paths_, "Test files, for example warehouse_test.yaml")->required();
   }
 
-  ExitCode Run(Env& env) override {
+  absl::StatusOr<ExitCode> Run(Env& env) override {
     std::vector<Tested> all;
     std::vector<std::string> problems;
     for (const std::string& path : paths_) {
@@ -249,6 +252,6 @@ class TestRulesCommand final : public Command {
 
 }  // namespace
 
-std::unique_ptr<Command> TestRules() { return std::make_unique<TestRulesCommand>(); }
+Commands TestRules() { return MakeCommands<TestRulesCommand>(); }
 
 }  // namespace rips::ripsctl

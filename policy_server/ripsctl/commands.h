@@ -1,0 +1,27 @@
+// The commands of ripsctl, file by file.
+#ifndef RIPS_POLICY_SERVER_RIPSCTL_COMMANDS_H_
+#define RIPS_POLICY_SERVER_RIPSCTL_COMMANDS_H_
+
+#include "policy_server/ripsctl/cli/command.h"
+
+namespace rips::ripsctl {
+
+Commands RobotCommands();     // list, watch, show, graph
+Commands CoverageCommands();  // robot interest, robot coverage
+Commands ActuatorCommands();  // robot receipts, robot drill
+Commands LevelCommands();     // show, history, raise, lower
+Commands AlertCommands();     // list, watch
+Commands ExplainCommands();
+Commands CheckRules();
+Commands FormatRules();
+Commands RulesBuiltins();
+Commands TestRules();
+Commands ReplayRules();
+Commands ResumeRules();
+Commands AuditCommands();  // verify, tail, export
+Commands AgentCommands();  // list, ban, unban, reset-term
+Commands RecordCommands();
+
+}  // namespace rips::ripsctl
+
+#endif  // RIPS_POLICY_SERVER_RIPSCTL_COMMANDS_H_
