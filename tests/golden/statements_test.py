@@ -11,7 +11,7 @@ import sys
 HERE = pathlib.Path(__file__).resolve().parent
 ROOT = HERE.parents[1]
 FOLDERS = ["policy_server", "services", "mode_actuator", "tests"]
-SIGNATURES = ROOT / "policy_server/policy/lang/check/signature.cc"
+LANG = ROOT / "policy_server/policy/lang"
 MANUAL = ROOT / "rules/LANGUAGE.md"
 GENERATED = re.compile(r"<!-- generated: .*?<!-- end of generated -->", re.S)
 FINDINGS = "External events and the tick"
@@ -33,10 +33,11 @@ def known():
 
 def undescribed(statements):
     """Of the words that a rule may use, those that no page describes."""
-    signatures = SIGNATURES.read_text(encoding="utf-8")
-    builtins = re.findall(r'^ +\{"(\w+)",\s*Builtin::', signatures, re.M)
+    signatures = (LANG / "check/signature.cc").read_text(encoding="utf-8")
+    builtins = re.findall(r'^RIPS_\w+\(\w+, "(\w+)"',
+                          (LANG / "builtin.def").read_text(encoding="utf-8"), re.M)
     findings = re.findall(r'"(\w+)"', signatures.split("kFindings[] = {")[1].split("};")[0])
-    assert len(builtins) > 50 and findings, "cannot read the tables of signature.cc"
+    assert len(builtins) > 50 and findings, "cannot read builtin.def and signature.cc"
     manual = GENERATED.sub("", MANUAL.read_text(encoding="utf-8"))
     section = manual.split(f"\n## {FINDINGS}\n")[1].split("\n## ")[0]
     told = "\n".join(statements)

@@ -47,82 +47,16 @@ struct Inspection {
   friend bool operator==(const Inspection&, const Inspection&) = default;
 };
 
-// Builtins of expressions.
+// Builtins of expressions; builtin.def says what each is.
 enum class Builtin {
-  // Msg
-  kTopicIn,
-  kTopicMatches,
-  kPublisherCount,
-  kSubscriberCount,
-  kPublishersInclude,
-  kSubscribersInclude,
-  kPublishers,
-  kSubscribers,
-  kMsgTypeIn,
-  kMsgSubtype,
-  kPayload,
-  kPlugin,
-  kSenderEnclave,
-  kSenderIn,
-  kPayloadSize,
-  kMsgCount,
-  kSenderCount,
-  // Graph
-  kNodes,
-  kTopics,
-  kServices,
-  kTopicPublishers,
-  kTopicSubscribers,
-  kNodeCount,
-  kTopicCount,
-  kServiceCount,
-  kTopicPublisherCount,
-  kTopicSubscriberCount,
-  kService,
-  kNodesInclude,
-  kTopicsInclude,
-  kServicesInclude,
-  kTopicPublishersInclude,
-  kTopicSubscribersInclude,
-  kNodesOnly,
-  kTopicsOnly,
-  kServicesOnly,
-  kTopicPublishersOnly,
-  kTopicSubscribersOnly,
-  kHasNodes,
-  kHasTopics,
-  kHasServices,
-  kHasTopicPublishers,
-  kHasTopicSubscribers,
-  // External
-  kIdsAlert,
-  kSignal,
-  kAgent,
-  kFinding,
-  kLostEvents,
-  // Any class
-  kLevelName,
-  kString,
-  // Never in a checked program: `eval("x", "<", "1")` becomes `x < 1`.
-  kEval,
+#define RIPS_BUILTIN(name, ...) k##name,
+#include "policy_server/policy/lang/builtin.def"
 };
 inline constexpr int kBuiltinCount = static_cast<int>(Builtin::kEval) + 1;
 
 enum class Predefined {
-  kCurrLevel,
-  kLevel,
-  kTime,
-  kUptime,
-  kCurrRule,
-  kRobot,
-  // Msg
-  kTopic,
-  kMsgType,
-  kSender,
-  kSenderGuid,
-  // External
-  kIdsSource,
-  kIdsTarget,
+#define RIPS_PREDEFINED(name, ...) k##name,
+#include "policy_server/policy/lang/predefined.def"
 };
 
 enum class UnaryOp { kPlus, kMinus, kNot, kComplement };

@@ -12,6 +12,7 @@
 #include "policy_server/policy/engine/state/compiled.h"
 #include "policy_server/policy/engine/state/compiled_policy.h"
 #include "policy_server/policy/engine/state/topic_verdicts.h"
+#include "policy_server/policy/lang/check/signature.h"
 #include "policy_server/policy/lang/limits.h"
 #include "services/base/clock.h"
 #include "services/base/status_macros.h"
@@ -28,12 +29,6 @@ using lang::ValueType;
 bool IsConstant(const EvalNode* node) { return node->function == ConstantFunction(); }
 
 bool SameType(ValueType a, ValueType b) { return PlainType(a) == PlainType(b); }
-
-ValueType TypeOf(lang::Predefined name) {
-  if (name == lang::Predefined::kCurrLevel) return ValueType::kLevel;
-  const bool is_int = name == lang::Predefined::kTime || name == lang::Predefined::kUptime;
-  return is_int ? ValueType::kInt : ValueType::kString;
-}
 
 absl::Status IllTyped() { return absl::InvalidArgumentError("an operand of the wrong type"); }
 
@@ -174,7 +169,7 @@ class Compiler {
         node.function = VariableFunction(node.type);
         return absl::OkStatus();
       case TypedExpr::Kind::kPredefined:
-        node.type = TypeOf(expr.predefined);
+        node.type = lang::PredefinedOf(expr.predefined).type;
         node.function = PredefinedFunction(expr.predefined);
         return absl::OkStatus();
       case TypedExpr::Kind::kUnary:
@@ -228,8 +223,7 @@ class Compiler {
 
   absl::Status FillCall(const TypedExpr& expr, EvalNode& node) {
     node.builtin = expr.builtin;
-    const bool is_text = expr.builtin == Builtin::kString || expr.builtin == Builtin::kLevelName;
-    node.type = is_text ? ValueType::kString : ValueType::kBool;
+    node.type = lang::SignatureOf(expr.builtin).result;
     for (const TypedExpr& arg : expr.args) {
       RIPS_ASSIGN_OR_RETURN(const EvalNode* compiled, Expr(arg));
       node.args.push_back(compiled);

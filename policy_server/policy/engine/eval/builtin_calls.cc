@@ -1,6 +1,5 @@
 // Calls: predicates that are remembered, and what is asked of the event itself.
 #include <algorithm>
-#include <array>
 #include <utility>
 
 #include "absl/container/inlined_vector.h"
@@ -14,6 +13,7 @@
 #include "policy_server/policy/engine/state/internal.h"
 #include "policy_server/policy/engine/state/message_counts.h"
 #include "policy_server/policy/engine/state/topic_verdicts.h"
+#include "policy_server/policy/lang/check/signature.h"
 #include "policy_server/policy/lang/value_text.h"
 
 namespace rips::engine {
@@ -182,7 +182,7 @@ EvalStatus SenderCount(const EvalNode& node, Evaluation& run, Slot& out) {
 }
 
 // EvalNode::index is that of the inspection.
-EvalStatus Inspected(const EvalNode& node, Evaluation& run, Slot& out) {
+EvalStatus Payload(const EvalNode& node, Evaluation& run, Slot& out) {
   const auto index = static_cast<size_t>(node.index);
   if (run.asked != nullptr) run.asked->push_back(static_cast<uint32_t>(index));
   if (run.message == nullptr || index >= run.message->inspections.size()) {
@@ -191,6 +191,10 @@ EvalStatus Inspected(const EvalNode& node, Evaluation& run, Slot& out) {
   const Verdict verdict = run.message->inspections[index];
   out.truth = verdict == Verdict::kYes;
   return verdict == Verdict::kUnscanned ? EvalStatus::kUnscanned : EvalStatus::kValue;
+}
+
+EvalStatus Plugin(const EvalNode& node, Evaluation& run, Slot& out) {
+  return Payload(node, run, out);
 }
 
 template <typename What>
@@ -301,70 +305,27 @@ EvalStatus String(const EvalNode& node, Evaluation& run, Slot& out) {
   return EvalStatus::kValue;
 }
 
-bool IsInt(ValueType type) { return type == ValueType::kInt || type == ValueType::kLevel; }
-
-// What arguments a call takes: strings, then integers.
-struct Shape {
-  size_t strings = 0;
-  bool more_strings = false;
-  size_t ints = 0;
-
-  bool Fits(const std::vector<const EvalNode*>& args) const {
-    const size_t least = strings + ints;
-    if (more_strings ? args.size() < least : args.size() != least) return false;
-    const size_t texts = args.size() - ints;
-    for (size_t i = 0; i < args.size(); ++i) {
-      const ValueType type = args[i]->type;
-      if (i < texts ? type != ValueType::kString : !IsInt(type)) return false;
-    }
-    return true;
-  }
+// Of builtins that are no questions, by builtin.
+constexpr EvalNode::Function kCalls[] = {
+#define RIPS_BUILTIN(name, ...) &name,
+#define RIPS_QUESTION(...) nullptr,
+#include "policy_server/policy/lang/builtin.def"
 };
 
-constexpr Shape kAnyStrings{.more_strings = true};
-constexpr Shape kOneString{.strings = 1};
-
-struct Call {
-  Builtin builtin;
-  EvalNode::Function function;
-  Shape shape;
-};
-
-// Builtins that ask neither the topic nor the graph, but for `string`, which takes any one type.
-constexpr auto kCalls = std::to_array<Call>({
-    {Builtin::kPayload, &Inspected, {}},
-    {Builtin::kPlugin, &Inspected, {}},
-    {Builtin::kSenderEnclave, &SenderEnclave, kAnyStrings},
-    {Builtin::kSenderIn, &SenderIn, kAnyStrings},
-    {Builtin::kPayloadSize, &PayloadSize, {.ints = 2}},
-    {Builtin::kMsgCount, &MsgCount, {.ints = 3}},
-    {Builtin::kSenderCount, &SenderCount, {.ints = 3}},
-    {Builtin::kIdsAlert, &IdsAlert, kOneString},
-    {Builtin::kSignal, &Signal, kOneString},
-    {Builtin::kAgent, &Agent, {.strings = 2}},
-    {Builtin::kFinding, &Finding, kOneString},
-    {Builtin::kLostEvents, &LostEvents, {.ints = 1}},
-    {Builtin::kLevelName, &LevelName, {.ints = 1}},
-});
-
-Shape ShapeOf(const Question& question) {
-  const size_t subject = question.names_subject() ? 1 : 0;
-  switch (question.form) {
-    case Form::kMatches:
-      return kOneString;
-    case Form::kIsType:
-      return {.strings = 2};
-    case Form::kHas:
-      return {.strings = subject + 1};
-    case Form::kCount:
-      return {.strings = subject, .ints = 2};
-    case Form::kOneOf:
-    case Form::kExactly:
-    case Form::kCurrentInGiven:
-    case Form::kGivenInCurrent:
-      break;
+// Of the number and the types that the signature asks for. What payload and plugin name has become
+// EvalNode::index.
+bool Fits(const lang::Signature& signature, const std::vector<const EvalNode*>& args) {
+  if (signature.builtin == Builtin::kPayload || signature.builtin == Builtin::kPlugin) {
+    return args.empty();
   }
-  return {.strings = subject, .more_strings = true};
+  const size_t fixed = signature.parameters.size();
+  if (signature.variadic() ? args.size() < fixed : args.size() != fixed) return false;
+  for (size_t i = 0; i < args.size(); ++i) {
+    const lang::Parameter& parameter = i < fixed ? signature.parameters[i] : signature.list;
+    if (parameter.role == lang::ParameterRole::kAnyType) continue;
+    if (PlainType(args[i]->type) != PlainType(parameter.type)) return false;
+  }
+  return true;
 }
 
 }  // namespace
@@ -374,22 +335,13 @@ EvalNode::Function FactsPredicateFunction() { return &FactsPredicate; }
 EvalNode::Function GraphPredicateFunction() { return &GraphPredicate; }
 
 EvalNode::Function CallFunction(Builtin builtin, const std::vector<const EvalNode*>& args) {
-  if (const Question* question = QuestionOf(builtin)) {
-    // Patterns are compiled, and answered with the topic's verdict.
-    if (question->form == Form::kMatches || !ShapeOf(*question).Fits(args)) return nullptr;
-    switch (question->source) {
-      case Source::kTopic:
-        return &EvaluateTopicNow;
-      case Source::kFacts:
-      case Source::kGraph:
-        return &EvaluateNow;
-    }
-  }
-  if (builtin == Builtin::kString) return args.size() == 1 ? &String : nullptr;
-  for (const Call& call : kCalls) {
-    if (call.builtin == builtin) return call.shape.Fits(args) ? call.function : nullptr;
-  }
-  return nullptr;
+  // The checker turns `eval` into a comparison.
+  if (builtin == Builtin::kEval || !Fits(lang::SignatureOf(builtin), args)) return nullptr;
+  const Question* question = QuestionOf(builtin);
+  if (question == nullptr) return kCalls[static_cast<size_t>(builtin)];
+  // Patterns are compiled, and answered with the topic's verdict.
+  if (question->form == Form::kMatches) return nullptr;
+  return question->source == Source::kTopic ? &EvaluateTopicNow : &EvaluateNow;
 }
 
 }  // namespace rips::engine

@@ -208,36 +208,32 @@ EvalStatus Unary(const EvalNode& node, Evaluation& run, Slot& out) {
   return EvalStatus::kValue;
 }
 
-// What cannot be said of the message before it is judged.
 template <lang::Predefined name>
-EvalStatus Moving(const EvalNode& node, Evaluation& run, Slot& out) {
+EvalStatus Named(const EvalNode& node, Evaluation& run, Slot& out) {
+  using lang::Predefined;
   static_cast<void>(node);
-  if (run.foreseeing) return EvalStatus::kUndecidable;
-  if constexpr (name == lang::Predefined::kCurrLevel) out.integer = run.level;
-  if constexpr (name == lang::Predefined::kLevel) out.text = run.level_name;
-  if constexpr (name == lang::Predefined::kTime) out.integer = run.time_ns;
-  if constexpr (name == lang::Predefined::kUptime) out.integer = run.uptime_ns;
-  return EvalStatus::kValue;
-}
-
-template <lang::Predefined name>
-EvalStatus Fixed(const EvalNode& node, Evaluation& run, Slot& out) {
-  static_cast<void>(node);
-  out.text = absl::string_view();
-  if constexpr (name == lang::Predefined::kCurrRule) out.text = run.rule_name;
-  if constexpr (name == lang::Predefined::kRobot) out.text = run.state->robot_id();
+  // What cannot be said of the message before it is judged.
+  constexpr bool kMoves = name == Predefined::kCurrLevel || name == Predefined::kLevel ||
+                          name == Predefined::kTime || name == Predefined::kUptime;
+  if (kMoves && run.foreseeing) return EvalStatus::kUndecidable;
+  if constexpr (!kMoves) out.text = absl::string_view();
+  if constexpr (name == Predefined::kCurrLevel) out.integer = run.level;
+  if constexpr (name == Predefined::kLevel) out.text = run.level_name;
+  if constexpr (name == Predefined::kTime) out.integer = run.time_ns;
+  if constexpr (name == Predefined::kUptime) out.integer = run.uptime_ns;
+  if constexpr (name == Predefined::kCurrRule) out.text = run.rule_name;
+  if constexpr (name == Predefined::kRobot) out.text = run.state->robot_id();
   if (run.message != nullptr) {
-    if constexpr (name == lang::Predefined::kTopic) out.text = run.message->topic;
-    if constexpr (name == lang::Predefined::kMsgType) out.text = run.message->type;
-    if constexpr (name == lang::Predefined::kSender) out.text = run.message->sender;
-    if constexpr (name == lang::Predefined::kSenderGuid) {
+    if constexpr (name == Predefined::kTopic) out.text = run.message->topic;
+    if constexpr (name == Predefined::kMsgType) out.text = run.message->type;
+    if constexpr (name == Predefined::kSender) out.text = run.message->sender;
+    if constexpr (name == Predefined::kSenderGuid)
       out.text = run.Keep(ToString(run.message->writer));
-    }
   }
   if (run.external != nullptr) {
     if (const auto* ids = std::get_if<IdsEvent>(run.external)) {
-      if constexpr (name == lang::Predefined::kIdsSource) out.text = ids->source;
-      if constexpr (name == lang::Predefined::kIdsTarget) out.text = ids->target;
+      if constexpr (name == Predefined::kIdsSource) out.text = ids->source;
+      if constexpr (name == Predefined::kIdsTarget) out.text = ids->target;
     }
   }
   return EvalStatus::kValue;
@@ -295,32 +291,11 @@ EvalNode::Function VariableFunction(ValueType type) {
 }
 
 EvalNode::Function PredefinedFunction(lang::Predefined name) {
-  using lang::Predefined;
   switch (name) {
-    case Predefined::kCurrLevel:
-      return &Moving<Predefined::kCurrLevel>;
-    case Predefined::kLevel:
-      return &Moving<Predefined::kLevel>;
-    case Predefined::kTime:
-      return &Moving<Predefined::kTime>;
-    case Predefined::kUptime:
-      return &Moving<Predefined::kUptime>;
-    case Predefined::kCurrRule:
-      return &Fixed<Predefined::kCurrRule>;
-    case Predefined::kRobot:
-      return &Fixed<Predefined::kRobot>;
-    case Predefined::kTopic:
-      return &Fixed<Predefined::kTopic>;
-    case Predefined::kMsgType:
-      return &Fixed<Predefined::kMsgType>;
-    case Predefined::kSender:
-      return &Fixed<Predefined::kSender>;
-    case Predefined::kSenderGuid:
-      return &Fixed<Predefined::kSenderGuid>;
-    case Predefined::kIdsSource:
-      return &Fixed<Predefined::kIdsSource>;
-    case Predefined::kIdsTarget:
-      return &Fixed<Predefined::kIdsTarget>;
+#define RIPS_PREDEFINED(name, ...) \
+  case lang::Predefined::k##name:  \
+    return &Named<lang::Predefined::k##name>;
+#include "policy_server/policy/lang/predefined.def"
   }
   return nullptr;
 }

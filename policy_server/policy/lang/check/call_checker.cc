@@ -223,12 +223,12 @@ bool ExprChecker::CheckWindow(const TypedExpr& arg) {
 }
 
 ExprChecker::Reach ExprChecker::ReachOf(const Signature& signature) {
+  static_assert(kBuiltinCount <= 64, "Reach::needs has a bit for each builtin");
   switch (signature.event_class) {
     case EventClass::kMsg:
       break;
     case EventClass::kExternal:
-      return {.needs = uint32_t{1} << (static_cast<int>(signature.builtin) -
-                                       static_cast<int>(Builtin::kIdsAlert))};
+      return {.needs = uint64_t{1} << static_cast<int>(signature.builtin)};
     case EventClass::kGraph:
     case EventClass::kUniversal:
       return {};

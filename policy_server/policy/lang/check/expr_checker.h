@@ -70,7 +70,7 @@ class ExprChecker {
     // It holds a call of payload or plugin.
     bool inspects = false;
     // External builtins that must be true for it to be true, one bit each.
-    uint32_t needs = 0;
+    uint64_t needs = 0;
   };
   struct Checked {
     TypedExpr typed;

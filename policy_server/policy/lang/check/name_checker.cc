@@ -132,7 +132,7 @@ void ExprChecker::WarnComparison(const TypedExpr& left, const TypedExpr& right) 
       return;
   }
   sink_.Add(DiagnosticKind::kNeverMatches, (flipped ? left : right).range,
-            absl::StrCat(Quote(NameOf(name.predefined)), " is never ", Quote(*text)),
+            absl::StrCat(Quote(PredefinedOf(name.predefined).name), " is never ", Quote(*text)),
             std::move(hint));
 }
 

@@ -90,7 +90,7 @@ const ActionSignature* FindAction(absl::string_view name);
 const PredefinedName* FindPredefined(absl::string_view name);
 
 const Signature& SignatureOf(Builtin builtin);
-absl::string_view NameOf(Predefined predefined);
+const PredefinedName& PredefinedOf(Predefined predefined);
 
 // "topicpublishercount(topic string, min int, max int)", "topicin(topics string...)".
 std::string UsageOf(const Signature& signature);
