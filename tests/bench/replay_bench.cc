@@ -16,13 +16,14 @@ class MemoryReader final : public recording::Reader {
  public:
   explicit MemoryReader(const std::vector<Recorded>& events) : events_(events) {}
 
-  absl::StatusOr<std::optional<Recorded>> Next() override {
-    if (next_ == events_.size()) return std::nullopt;
-    return events_[next_++];
-  }
   bool has_graph() const override { return true; }
 
  private:
+  absl::StatusOr<std::optional<Recorded>> Read() override {
+    if (next_ == events_.size()) return std::nullopt;
+    return events_[next_++];
+  }
+
   const std::vector<Recorded>& events_;  // Not owned; outlives this.
   size_t next_ = 0;
 };

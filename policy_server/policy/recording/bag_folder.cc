@@ -6,7 +6,6 @@
 #include "absl/strings/match.h"
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_split.h"
-#include "policy_server/policy/recording/sequential_reader.h"
 #include "policy_server/policy/recording/yaml_tree.h"
 #include "services/base/status_macros.h"
 #include "services/ros2/ros_name.h"
@@ -15,7 +14,7 @@
 namespace rips::recording {
 namespace {
 
-class BagFolder final : public SequentialReader {
+class BagFolder final : public Reader {
  public:
   explicit BagFolder(std::vector<std::string> paths) : paths_(std::move(paths)) {}
 

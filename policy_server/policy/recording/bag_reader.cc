@@ -13,7 +13,6 @@
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_join.h"
 #include "absl/types/span.h"
-#include "policy_server/policy/recording/sequential_reader.h"
 #include "services/base/status_macros.h"
 #include "services/ros2/ros_name.h"
 
@@ -61,7 +60,7 @@ std::string TextAt(sqlite3_stmt* row, int column) {
   return std::string(static_cast<const char*>(data), static_cast<size_t>(size));
 }
 
-class BagReader final : public SequentialReader {
+class BagReader final : public Reader {
  public:
   BagReader(std::string path, uint64_t bytes)
       : path_(std::move(path)), bytes_(bytes), steps_left_(kStepsBase + kStepsPerByte * bytes) {}

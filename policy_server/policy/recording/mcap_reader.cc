@@ -1,16 +1,16 @@
 #include "policy_server/policy/recording/mcap_reader.h"
 
 #include <algorithm>
+#include <limits>
 #include <string>
 #include <utility>
 #include <vector>
 
+#include "absl/container/flat_hash_map.h"
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_format.h"
 #include "policy_server/policy/recording/decompress.h"
 #include "policy_server/policy/recording/little_endian.h"
-#include "policy_server/policy/recording/mcap_channels.h"
-#include "policy_server/policy/recording/sequential_reader.h"
 #include "services/base/status_macros.h"
 #include "services/ros2/ros_name.h"
 
@@ -23,7 +23,140 @@ constexpr size_t kChunkHeaderBytesMax = 64;
 constexpr size_t kFooterBytes = 20;
 constexpr uint64_t kSkipBytes = 64 * 1024;
 
-class McapReader final : public SequentialReader {
+// Record opcodes (MCAP specification, "Records").
+enum class McapOp : uint8_t {
+  kHeader = 0x01,
+  kFooter = 0x02,
+  kSchema = 0x03,
+  kChannel = 0x04,
+  kMessage = 0x05,
+  kChunk = 0x06,
+  kDataEnd = 0x0f,
+};
+
+// Opcode and content length.
+constexpr size_t kMcapRecordHeaderBytes = 9;
+
+struct McapMessage {
+  uint16_t channel = 0;
+  int64_t log_time_ns = 0;
+  // Into the record's content.
+  absl::string_view payload;
+};
+
+// Not thread-safe. Every function takes the content of one record; messages of errors say what is
+// wrong, not where.
+class McapChannels {
+ public:
+  // DataLoss: cut, an id of 0, another schema or channel under a known id, a schema that was not
+  // defined. InvalidArgument: message encoding not `cdr`. ResourceExhausted: a long name.
+  absl::Status AddSchema(absl::string_view content);
+  absl::Status AddChannel(absl::string_view content);
+
+  // DataLoss: cut, unknown channel, a time beyond int64. ResourceExhausted: a large payload.
+  absl::StatusOr<McapMessage> Parse(absl::string_view content) const;
+  // `message` was parsed by this.
+  Recorded Resolve(const McapMessage& message) const;
+
+ private:
+  struct Channel {
+    uint16_t schema = 0;
+    std::string topic;
+    std::string type;
+
+    friend bool operator==(const Channel&, const Channel&) = default;
+  };
+
+  // Names by schema id.
+  absl::flat_hash_map<uint16_t, std::string> schemas_;
+  absl::flat_hash_map<uint16_t, Channel> channels_;
+};
+
+absl::Status CheckName(absl::string_view what, absl::string_view name) {
+  if (name.size() <= kNameBytesMax) return absl::OkStatus();
+  return absl::ResourceExhaustedError(
+      absl::StrCat(what, " name of ", name.size(), " bytes exceeds the limit of ", kNameBytesMax));
+}
+
+absl::Status McapChannels::AddSchema(absl::string_view content) {
+  Cursor cursor(content);
+  const uint16_t id = cursor.U16();
+  const absl::string_view name = cursor.Text();
+  cursor.Text();  // how the definition is written
+  cursor.Text();  // the definition
+  if (!cursor.ok()) return absl::DataLossError("a schema is cut");
+  if (id == 0) return absl::DataLossError("a schema has the id 0");
+  RIPS_RETURN_IF_ERROR(CheckName("schema", name));
+  const auto [at, added] = schemas_.try_emplace(id, name);
+  if (!added && at->second != name) {
+    return absl::DataLossError(absl::StrCat("schema ", id, " is defined twice, differently"));
+  }
+  return absl::OkStatus();
+}
+
+absl::Status McapChannels::AddChannel(absl::string_view content) {
+  Cursor cursor(content);
+  const uint16_t id = cursor.U16();
+  Channel channel{.schema = cursor.U16()};
+  const absl::string_view topic = cursor.Text();
+  const absl::string_view encoding = cursor.Text();
+  cursor.Text();  // metadata
+  if (!cursor.ok()) return absl::DataLossError("a channel is cut");
+  RIPS_RETURN_IF_ERROR(CheckName("topic", topic));
+  channel.topic = std::string(topic);
+  if (encoding != "cdr") {
+    return absl::InvalidArgumentError(absl::StrCat("topic `", ros2::Printable(topic),
+                                                   "` is encoded as `", ros2::Printable(encoding),
+                                                   "`; only `cdr` can be replayed"));
+  }
+  if (channel.schema != 0) {
+    const auto schema = schemas_.find(channel.schema);
+    if (schema == schemas_.end()) {
+      return absl::DataLossError(
+          absl::StrCat("channel ", id, " has schema ", channel.schema, ", which is not defined"));
+    }
+    channel.type = schema->second;
+  }
+  const auto [at, added] = channels_.try_emplace(id, channel);
+  if (!added && at->second != channel) {
+    return absl::DataLossError(absl::StrCat("channel ", id, " is defined twice, differently"));
+  }
+  return absl::OkStatus();
+}
+
+absl::StatusOr<McapMessage> McapChannels::Parse(absl::string_view content) const {
+  Cursor cursor(content);
+  McapMessage message{.channel = cursor.U16()};
+  cursor.U32();  // sequence
+  const uint64_t log_time = cursor.U64();
+  cursor.U64();  // publish time
+  if (!cursor.ok()) return absl::DataLossError("a message is cut");
+  message.payload = cursor.rest();
+  if (!channels_.contains(message.channel)) {
+    return absl::DataLossError(
+        absl::StrCat("a message is on channel ", message.channel, ", which is not defined"));
+  }
+  if (log_time > static_cast<uint64_t>(std::numeric_limits<int64_t>::max())) {
+    return absl::DataLossError(absl::StrCat("a message has the time ", log_time));
+  }
+  if (message.payload.size() > kMessageBytesMax) {
+    return absl::ResourceExhaustedError(absl::StrCat(
+        "message of ", message.payload.size(), " bytes exceeds the limit of ", kMessageBytesMax));
+  }
+  message.log_time_ns = static_cast<int64_t>(log_time);
+  return message;
+}
+
+Recorded McapChannels::Resolve(const McapMessage& message) const {
+  const Channel& channel = channels_.at(message.channel);
+  return {.time_unix_ns = message.log_time_ns,
+          .what = RecordedMessage{.topic = channel.topic,
+                                  .type = channel.type,
+                                  .payload = std::string(message.payload),
+                                  .size_bytes = static_cast<uint32_t>(message.payload.size())}};
+}
+
+class McapReader final : public Reader {
  public:
   explicit McapReader(std::unique_ptr<InputFile> file) : file_(std::move(file)) {}
 

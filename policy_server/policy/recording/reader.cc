@@ -26,6 +26,20 @@ bool Begins(absl::string_view bytes, absl::string_view magic) {
 
 }  // namespace
 
+absl::StatusOr<std::optional<Recorded>> Reader::Next() {
+  RIPS_RETURN_IF_ERROR(broken_);
+  if (ended_) return std::nullopt;
+  absl::StatusOr<std::optional<Recorded>> next = Read();
+  if (!next.ok()) {
+    broken_ = next.status();
+  } else if (!next->has_value()) {
+    ended_ = true;
+  } else {
+    (*next)->index = next_index_++;
+  }
+  return next;
+}
+
 absl::StatusOr<std::unique_ptr<Reader>> OpenFile(const std::string& path) {
   RIPS_ASSIGN_OR_RETURN(std::unique_ptr<InputFile> file, InputFile::Open(path));
   if (file->size() == 0) return file->Damaged(0, "the file is empty");

@@ -35,13 +35,20 @@ class Reader {
   // InvalidArgument: it holds what cannot be replayed. ResourceExhausted: past a limit.
   // Unavailable: it cannot be read. The message names the file, the place and what is wrong. After
   // an error every call gives that error.
-  virtual absl::StatusOr<std::optional<Recorded>> Next() = 0;
-
+  absl::StatusOr<std::optional<Recorded>> Next();
   // The recording knows the graph. If not, questions about the graph cannot be decided.
   virtual bool has_graph() const = 0;
 
   // Null unless the recording says where it comes from. Valid while this lives.
   virtual const RecordedOrigin* origin() const { return nullptr; }
+
+ private:
+  // As Next, which sets the index; not called again after the end or an error.
+  virtual absl::StatusOr<std::optional<Recorded>> Read() = 0;
+
+  absl::Status broken_;
+  bool ended_ = false;
+  uint64_t next_index_ = 0;
 };
 
 // NotFound: no such file. FailedPrecondition: neither a file nor a bag directory. Otherwise as

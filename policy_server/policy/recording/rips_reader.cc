@@ -8,13 +8,12 @@
 #include "policy_server/policy/recording/event_codec.h"
 #include "policy_server/policy/recording/little_endian.h"
 #include "policy_server/policy/recording/rips_format.h"
-#include "policy_server/policy/recording/sequential_reader.h"
 #include "services/base/status_macros.h"
 
 namespace rips::recording {
 namespace {
 
-class RipsReader final : public SequentialReader {
+class RipsReader final : public Reader {
  public:
   explicit RipsReader(std::unique_ptr<InputFile> file) : file_(std::move(file)) {}
 

@@ -48,15 +48,6 @@ class FakeReader final : public recording::Reader {
                       absl::Status end = absl::OkStatus())
       : events_(std::move(events)), has_graph_(has_graph), end_(std::move(end)) {}
 
-  absl::StatusOr<std::optional<Recorded>> Next() override {
-    if (next_ == events_.size()) {
-      if (!end_.ok()) return end_;
-      return std::nullopt;
-    }
-    Recorded event = events_[next_];
-    event.index = next_++;
-    return event;
-  }
   bool has_graph() const override { return has_graph_; }
   const recording::RecordedOrigin* origin() const override {
     return robot.robot.empty() ? nullptr : &robot;
@@ -65,6 +56,12 @@ class FakeReader final : public recording::Reader {
   recording::RecordedOrigin robot;
 
  private:
+  absl::StatusOr<std::optional<Recorded>> Read() override {
+    if (next_ < events_.size()) return events_[next_++];
+    if (!end_.ok()) return end_;
+    return std::nullopt;
+  }
+
   std::vector<Recorded> events_;
   size_t next_ = 0;
   bool has_graph_;
