@@ -76,19 +76,15 @@ absl::Status CheckBundlePath(absl::string_view path) {
 }
 
 absl::StatusOr<BundleDirectory> BundleDirectory::Open(const std::string& path) {
-  const int fd = open(path.c_str(), O_RDONLY | O_DIRECTORY | O_CLOEXEC);
-  if (fd < 0) return FromErrno(path);
-  return BundleDirectory(fd);
-}
-
-BundleDirectory::~BundleDirectory() {
-  if (fd_ >= 0) close(fd_);
+  UniqueFd fd(open(path.c_str(), O_RDONLY | O_DIRECTORY | O_CLOEXEC));
+  if (fd.get() < 0) return FromErrno(path);
+  return BundleDirectory(std::move(fd));
 }
 
 absl::StatusOr<std::string> BundleDirectory::Read(absl::string_view path, size_t bytes_max) const {
   RIPS_RETURN_IF_ERROR(CheckBundlePath(path));
   const std::vector<std::string> parts = absl::StrSplit(path, '/');
-  int dir = dup(fd_);
+  int dir = dup(fd_.get());
   for (size_t i = 0; i + 1 < parts.size() && dir >= 0; ++i) {
     const UniqueFd above(dir);
     dir = openat(above.get(), parts[i].c_str(), O_RDONLY | O_DIRECTORY | O_NOFOLLOW | O_CLOEXEC);

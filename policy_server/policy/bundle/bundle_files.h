@@ -4,10 +4,12 @@
 
 #include <cstddef>
 #include <string>
+#include <utility>
 
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
 #include "absl/strings/string_view.h"
+#include "services/runtime/unique_fd.h"
 
 namespace rips::bundle {
 
@@ -24,17 +26,14 @@ class BundleDirectory {
  public:
   // NotFound or Unavailable.
   static absl::StatusOr<BundleDirectory> Open(const std::string& path);
-  BundleDirectory(BundleDirectory&& other) noexcept : fd_(other.fd_) { other.fd_ = -1; }
-  BundleDirectory& operator=(BundleDirectory&&) = delete;
-  ~BundleDirectory();
-
   // The whole regular file. InvalidArgument: bad path, a symbolic link or not a regular file;
   // NotFound; ResourceExhausted: more than `bytes_max`; Unavailable: cannot be read.
   absl::StatusOr<std::string> Read(absl::string_view path, size_t bytes_max) const;
 
  private:
-  explicit BundleDirectory(int fd) : fd_(fd) {}
-  int fd_;
+  explicit BundleDirectory(UniqueFd fd) : fd_(std::move(fd)) {}
+
+  UniqueFd fd_;
 };
 
 // SHA-256 (FIPS 180-4) as 64 lower-case hex digits.

@@ -17,28 +17,32 @@
 namespace rips::bundle {
 namespace {
 
-void ReadRules(const ConfigSection& root, std::vector<std::string>* rules) {
-  root.Required("rules", rules);
-  if (rules->size() > kRuleFilesMax) {
-    root.Problem("rules", absl::StrCat(rules->size(), " rule files exceed limit ", kRuleFilesMax));
-  }
+void CheckCount(const ConfigSection& section, absl::string_view key, size_t count,
+                absl::string_view what, size_t max) {
+  if (count > max) section.Problem(key, absl::StrCat(count, " ", what, " exceed limit ", max));
+}
+
+void CheckPath(const ConfigSection& section, absl::string_view key, absl::string_view path) {
+  const absl::Status status = CheckBundlePath(path);
+  if (!status.ok()) section.Problem(key, status.message());
+}
+
+// `kind` is "rule file" or "YARA file".
+void CheckPaths(const ConfigSection& root, absl::string_view key, absl::string_view kind,
+                const std::vector<std::string>& paths, size_t max) {
+  CheckCount(root, key, paths.size(), absl::StrCat(kind, "s"), max);
   absl::btree_set<absl::string_view> seen;
-  for (const std::string& path : *rules) {
-    if (const absl::Status status = CheckBundlePath(path); !status.ok()) {
-      root.Problem("rules", status.message());
-    }
+  for (const std::string& path : paths) {
+    CheckPath(root, key, path);
     if (!seen.insert(path).second) {
-      root.Problem("rules", absl::StrCat("rule file `", path, "` is listed twice"));
+      root.Problem(key, absl::StrCat(kind, " `", path, "` is listed twice"));
     }
   }
 }
 
 void ReadLevels(const ConfigSection& root, Manifest* manifest) {
   root.Required("levels", &manifest->levels);
-  if (manifest->levels.size() > lang::kLevelsMax) {
-    root.Problem("levels",
-                 absl::StrCat(manifest->levels.size(), " levels exceed limit ", lang::kLevelsMax));
-  }
+  CheckCount(root, "levels", manifest->levels.size(), "levels", lang::kLevelsMax);
   if (!manifest->levels.empty()) manifest->start_level = manifest->levels.front();
   root.Optional("start_level", &manifest->start_level);
   const auto& levels = manifest->levels;
@@ -46,23 +50,6 @@ void ReadLevels(const ConfigSection& root, Manifest* manifest) {
       std::find(levels.begin(), levels.end(), manifest->start_level) == levels.end()) {
     root.Problem("start_level",
                  absl::StrCat("start level `", manifest->start_level, "` is not one of `levels`"));
-  }
-}
-
-void ReadYara(const ConfigSection& root, std::vector<std::string>* yara) {
-  root.Optional("yara", yara);
-  if (yara->size() > kInspectionFilesMax) {
-    root.Problem("yara",
-                 absl::StrCat(yara->size(), " YARA files exceed limit ", kInspectionFilesMax));
-  }
-  absl::btree_set<absl::string_view> seen;
-  for (const std::string& path : *yara) {
-    if (const absl::Status status = CheckBundlePath(path); !status.ok()) {
-      root.Problem("yara", status.message());
-    }
-    if (!seen.insert(path).second) {
-      root.Problem("yara", absl::StrCat("YARA file `", path, "` is listed twice"));
-    }
   }
 }
 
@@ -85,10 +72,7 @@ std::string PatternProblem(const std::string& pattern, size_t* instructions) {
 
 void ReadPayloadLimits(const ConfigSection& root, engine::PayloadLimits* limits) {
   const std::vector<ConfigSection> sections = root.Sections("payload_limits");
-  if (sections.size() > kPayloadLimitsMax) {
-    root.Problem("payload_limits",
-                 absl::StrCat(sections.size(), " payload limits exceed limit ", kPayloadLimitsMax));
-  }
+  CheckCount(root, "payload_limits", sections.size(), "payload limits", kPayloadLimitsMax);
   absl::btree_set<std::string> seen;
   size_t instructions = 0;
   for (const ConfigSection& section : sections) {
@@ -117,19 +101,14 @@ bool IsSha256(absl::string_view text) {
 
 void ReadPlugins(const ConfigSection& root, std::vector<ManifestPlugin>* plugins) {
   const std::vector<ConfigSection> sections = root.Sections("plugins");
-  if (sections.size() > kInspectionFilesMax) {
-    root.Problem("plugins",
-                 absl::StrCat(sections.size(), " plugins exceed limit ", kInspectionFilesMax));
-  }
+  CheckCount(root, "plugins", sections.size(), "plugins", kInspectionFilesMax);
   absl::btree_set<std::string> seen;
   for (const ConfigSection& section : sections) {
     ManifestPlugin plugin;
     section.Required("id", &plugin.id);
     section.Required("path", &plugin.path);
     section.Required("sha256", &plugin.sha256);
-    if (const absl::Status status = CheckBundlePath(plugin.path); !status.ok()) {
-      section.Problem("path", status.message());
-    }
+    CheckPath(section, "path", plugin.path);
     if (!IsSha256(plugin.sha256)) {
       section.Problem("sha256", "it is 64 lower-case hexadecimal digits, as sha256sum prints");
     }
@@ -166,7 +145,8 @@ absl::StatusOr<Manifest> ParseManifest(absl::string_view file, absl::string_view
   const ConfigSection root = reader.root();
   Manifest manifest;
   ReadName(root, "name", "bundle name", &manifest.name);
-  ReadRules(root, &manifest.rules);
+  root.Required("rules", &manifest.rules);
+  CheckPaths(root, "rules", "rule file", manifest.rules, kRuleFilesMax);
   ReadLevels(root, &manifest);
   using Dialect = lang::CheckedRules::Dialect;
   root.OptionalEnum<Dialect>("dialect", &manifest.dialect,
@@ -176,7 +156,8 @@ absl::StatusOr<Manifest> ParseManifest(absl::string_view file, absl::string_view
   root.OptionalEnum<OnError>(
       "on_inspection_error", &manifest.on_inspection_error,
       {{"match", OnError::kMatch}, {"alert", OnError::kAlert}, {"ignore", OnError::kIgnore}});
-  ReadYara(root, &manifest.yara);
+  root.Optional("yara", &manifest.yara);
+  CheckPaths(root, "yara", "YARA file", manifest.yara, kInspectionFilesMax);
   ReadPlugins(root, &manifest.plugins);
   ReadPayloadLimits(root, &manifest.payload_limits);
   ReadUnavailable(root);

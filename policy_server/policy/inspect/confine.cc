@@ -29,7 +29,7 @@ void Limit(int what, uint64_t value) {
   limit.rlim_max = std::min<rlim_t>(limit.rlim_max, value);
   limit.rlim_cur = limit.rlim_max;
   if (setrlimit(static_cast<__rlimit_resource>(what), &limit) != 0) {
-    FailJail(std::string("cannot set a limit: ") + std::strerror(errno));
+    FailJailWithErrno("cannot set a limit");
   }
 }
 
@@ -42,6 +42,8 @@ void FailJail(const std::string& why) {
   _exit(kExitFailed);
 }
 
+void FailJailWithErrno(const std::string& why) { FailJail(why + ": " + std::strerror(errno)); }
+
 void DropRights(const JailSpec& spec, bool may_drop_groups) {
   // Root gets its capabilities back by exec, unless they are out of bounds.
   for (int capability = 0; capability < kCapabilitiesMax; ++capability) {
@@ -50,10 +52,10 @@ void DropRights(const JailSpec& spec, bool may_drop_groups) {
   if (spec.ids) {
     const auto [uid, gid] = *spec.ids;
     if (may_drop_groups && setgroups(0, nullptr) != 0) {
-      FailJail(std::string("cannot give up its groups: ") + std::strerror(errno));
+      FailJailWithErrno("cannot give up its groups");
     }
     if (setresgid(gid, gid, gid) != 0 || setresuid(uid, uid, uid) != 0) {
-      FailJail("cannot become user " + std::to_string(uid) + ": " + std::strerror(errno));
+      FailJailWithErrno("cannot become user " + std::to_string(uid));
     }
   } else if (may_drop_groups) {
     [[maybe_unused]] const int dropped = setgroups(0, nullptr);
@@ -61,7 +63,7 @@ void DropRights(const JailSpec& spec, bool may_drop_groups) {
   __user_cap_header_struct header = {.version = _LINUX_CAPABILITY_VERSION_3, .pid = 0};
   __user_cap_data_struct none[2] = {};
   if (syscall(SYS_capset, &header, none) != 0) {
-    FailJail(std::string("cannot give up its capabilities: ") + std::strerror(errno));
+    FailJailWithErrno("cannot give up its capabilities");
   }
 }
 
@@ -78,7 +80,7 @@ void ApplyLimits(const JailSpec& spec, bool limit_tasks) {
 
 void ForbidNewRights() {
   if (prctl(PR_SET_NO_NEW_PRIVS, 1, 0, 0, 0) != 0) {
-    FailJail(std::string("cannot forbid new rights: ") + std::strerror(errno));
+    FailJailWithErrno("cannot forbid new rights");
   }
 }
 

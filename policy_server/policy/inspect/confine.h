@@ -12,6 +12,8 @@ namespace rips::inspect {
 void ReportMissing(const std::string& what);
 // The same, and ends the process.
 [[noreturn]] void FailJail(const std::string& why);
+// The same, with what `errno` says after `why`.
+[[noreturn]] void FailJailWithErrno(const std::string& why);
 
 // Empties the capability sets for good, and takes the ids without supplementary groups. Fails if
 // the ids cannot be taken; without ids the groups of the caller stay, which is told if there are

@@ -110,7 +110,7 @@ void CloseOurs() {
   if (poll(&parent, 1, 0) != 0) _exit(kExitFailed);  // it went before we were tied to it
   const pid_t program = fork();
   if (program == 0) BecomeProgram(spec, kind);
-  if (program < 0) FailJail(std::string("cannot make a process: ") + std::strerror(errno));
+  if (program < 0) FailJailWithErrno("cannot make a process");
   CloseOurs();
   int status = 0;
   pid_t ended;
@@ -129,7 +129,7 @@ struct Pipe {
 Pipe MakePipe() {
   int ends[2];
   if (pipe2(ends, O_CLOEXEC) != 0) {
-    FailJail(std::string("no descriptor: ") + std::strerror(errno));
+    FailJailWithErrno("no descriptor");
   }
   return {.read = ends[0], .write = ends[1]};
 }
@@ -217,7 +217,7 @@ void Sweep() {
     DropRights(spec, IsRoot());
     BecomeProgram(spec, Kind::kNone);
   }
-  if (program < 0) FailJail(std::string("cannot make a process: ") + std::strerror(errno));
+  if (program < 0) FailJailWithErrno("cannot make a process");
   CloseOurs();
   int end = SIGKILL;
   while (true) {

@@ -31,7 +31,7 @@ absl::string_view Map(int fd) {
   if (fstat(fd, &info) != 0 || info.st_size <= 0) FailJail("has nothing to map");
   const auto bytes = static_cast<size_t>(info.st_size);
   void* mapped = mmap(nullptr, bytes, PROT_READ, MAP_SHARED, fd, 0);
-  if (mapped == MAP_FAILED) FailJail(std::string("cannot map: ") + std::strerror(errno));
+  if (mapped == MAP_FAILED) FailJailWithErrno("cannot map");
   return {static_cast<const char*>(mapped), bytes};
 }
 
