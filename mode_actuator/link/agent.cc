@@ -352,8 +352,8 @@ absl::Status Agent::Impl::FindHelpers() {
   RIPS_ASSIGN_OR_RETURN(const std::optional<uid_t> fw_user,
                         FindHelperUser(config_.firewall.run_as, "rips-fw", "firewall.run_as"));
   firewall_ = std::make_unique<FwClient>(config_.firewall.socket, fw_user);
-  RIPS_ASSIGN_OR_RETURN(programs_,
-                        ExecClient::Create({.socket = config_.exec.socket, .run_as = exec_user}));
+  programs_ = std::make_unique<ExecClient>(
+      ExecClient::Options{.socket = config_.exec.socket, .run_as = exec_user});
   return absl::OkStatus();
 }
 

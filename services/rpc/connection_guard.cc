@@ -6,7 +6,6 @@
 #include <netdb.h>
 #include <netinet/in.h>
 #include <poll.h>
-#include <sys/eventfd.h>
 #include <sys/socket.h>
 #include <unistd.h>
 
@@ -216,7 +215,6 @@ ConnectionGuard::ConnectionGuard(Options options, const Clock* clock, Metrics* m
       clock_(clock),
       metrics_(metrics),
       reserve_(OpenReserve()),
-      wake_(eventfd(0, EFD_CLOEXEC | EFD_NONBLOCK)),
       admission_(options_.admission),
       waiting_(options_.handshakes) {
   if (metrics_ == nullptr) return;
@@ -284,8 +282,7 @@ void ConnectionGuard::Stop() {
     stopping_ = true;
     stop_cond_.NotifyAll();
   }
-  const uint64_t one = 1;
-  if (write(wake_.get(), &one, sizeof(one)) < 0) LogError("cannot wake the accept thread");
+  wake_.Wake();
   if (accept_.joinable()) accept_.join();
   if (watch_.joinable()) watch_.join();
   MutexLock lock(&mu_);

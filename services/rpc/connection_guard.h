@@ -47,6 +47,7 @@
 #include "services/runtime/metrics.h"
 #include "services/runtime/mutex.h"
 #include "services/runtime/unique_fd.h"
+#include "services/runtime/wake_fd.h"
 
 namespace rips::rpc {
 
@@ -210,7 +211,7 @@ class ConnectionGuard {
   std::vector<UniqueFd> listeners_;
   // Given up for a moment when descriptors run out, so that what waits can be refused.
   UniqueFd reserve_;
-  UniqueFd wake_;
+  const WakeFd wake_;
   std::unique_ptr<grpc::experimental::ExternalConnectionAcceptor> grpc_;
 
   LogLimiter refusal_logs_;

@@ -3,7 +3,6 @@
 #include <arpa/inet.h>
 #include <netinet/in.h>
 #include <poll.h>
-#include <sys/eventfd.h>
 #include <sys/socket.h>
 
 #include <algorithm>
@@ -148,9 +147,8 @@ absl::StatusOr<std::unique_ptr<PageServer>> PageServer::Start(const PageAddress&
   if (storage.ss_family == AF_INET6) {
     setsockopt(listener.get(), IPPROTO_IPV6, IPV6_V6ONLY, &on, sizeof(on));
   }
-  UniqueFd wake(eventfd(0, EFD_CLOEXEC | EFD_NONBLOCK));
   const auto* raw = reinterpret_cast<const sockaddr*>(&storage);
-  if (listener.get() < 0 || wake.get() < 0 || bind(listener.get(), raw, size) != 0 ||
+  if (listener.get() < 0 || bind(listener.get(), raw, size) != 0 ||
       listen(listener.get(), kBacklog) != 0) {
     return absl::UnavailableError(std::strerror(errno));
   }
@@ -160,16 +158,11 @@ absl::StatusOr<std::unique_ptr<PageServer>> PageServer::Start(const PageAddress&
       ntohs(storage.ss_family == AF_INET6 ? reinterpret_cast<sockaddr_in6*>(&storage)->sin6_port
                                           : reinterpret_cast<sockaddr_in*>(&storage)->sin_port);
   return std::unique_ptr<PageServer>(
-      new PageServer(std::move(listener), std::move(wake), port, std::move(pages), limits));
+      new PageServer(std::move(listener), port, std::move(pages), limits));
 }
 
-PageServer::PageServer(UniqueFd listener, UniqueFd wake, uint16_t port, Pages pages,
-                       PageLimits limits)
-    : listener_(std::move(listener)),
-      wake_(std::move(wake)),
-      port_(port),
-      pages_(std::move(pages)),
-      limits_(limits) {
+PageServer::PageServer(UniqueFd listener, uint16_t port, Pages pages, PageLimits limits)
+    : listener_(std::move(listener)), port_(port), pages_(std::move(pages)), limits_(limits) {
   slow_thread_ = std::thread([this] { MakeSlowAnswers(); });
   thread_ = std::thread([this] { Serve(); });
 }
@@ -180,15 +173,9 @@ PageServer::~PageServer() {
     stopping_ = true;
     asked_.NotifyAll();
   }
-  Wake();
+  wake_.Wake();
   thread_.join();
   slow_thread_.join();
-}
-
-void PageServer::Wake() const {
-  const uint64_t one = 1;
-  // Full means that a wake-up is pending already.
-  [[maybe_unused]] const ssize_t written = write(wake_.get(), &one, sizeof(one));
 }
 
 void PageServer::Count(Dropped why) const {
@@ -209,7 +196,7 @@ void PageServer::MakeSlowAnswers() {
       slow_answer_ = std::move(answer);
       made_ = begun_;
     }
-    Wake();
+    wake_.Wake();
   }
 }
 
@@ -243,8 +230,7 @@ void PageServer::Wait() {
   }
   const int64_t wait_ms = std::max<int64_t>(0, until_ns - now_ns) / kNanosPerMilli + 1;
   poll(fds.data(), fds.size(), static_cast<int>(wait_ms));
-  uint64_t drained;
-  [[maybe_unused]] const ssize_t got = read(wake_.get(), &drained, sizeof(drained));
+  wake_.Drain();
   size_t i = 2;
   for (Connection& each : connections_) each.ready = fds[i++].revents;
 }

@@ -33,6 +33,7 @@
 #include "absl/time/time.h"
 #include "services/runtime/mutex.h"
 #include "services/runtime/unique_fd.h"
+#include "services/runtime/wake_fd.h"
 
 namespace rips {
 
@@ -84,7 +85,7 @@ class PageServer {
  private:
   struct Connection;
 
-  PageServer(UniqueFd listener, UniqueFd wake, uint16_t port, Pages pages, PageLimits limits);
+  PageServer(UniqueFd listener, uint16_t port, Pages pages, PageLimits limits);
   void Serve() ABSL_LOCKS_EXCLUDED(mu_);
   void Wait();
   void Accept();
@@ -99,10 +100,9 @@ class PageServer {
   void GiveSlowAnswers() ABSL_LOCKS_EXCLUDED(mu_);
   void MakeSlowAnswers() ABSL_LOCKS_EXCLUDED(mu_);
   void Count(Dropped why) const;
-  void Wake() const;
 
   const UniqueFd listener_;
-  const UniqueFd wake_;
+  const WakeFd wake_;
   const uint16_t port_;
   const Pages pages_;
   const PageLimits limits_;

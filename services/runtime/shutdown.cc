@@ -2,7 +2,6 @@
 
 #include <poll.h>
 #include <signal.h>
-#include <sys/eventfd.h>
 #include <sys/signalfd.h>
 #include <unistd.h>
 
@@ -31,18 +30,14 @@ void BlockSignals() {
 
 SignalWaiter::SignalWaiter(Callbacks callbacks) : callbacks_(std::move(callbacks)) {
   const sigset_t set = HandledSignals();
-  signal_fd_ = signalfd(-1, &set, SFD_CLOEXEC | SFD_NONBLOCK);
-  stop_fd_ = eventfd(0, EFD_CLOEXEC);
-  RIPS_CHECK(signal_fd_ >= 0 && stop_fd_ >= 0, "no file descriptor for signals");
+  signal_fd_ = UniqueFd(signalfd(-1, &set, SFD_CLOEXEC | SFD_NONBLOCK));
+  RIPS_CHECK(signal_fd_.get() >= 0, "no file descriptor for signals");
   thread_ = std::thread([this] { Run(); });
 }
 
 SignalWaiter::~SignalWaiter() {
-  const uint64_t one = 1;
-  RIPS_CHECK(write(stop_fd_, &one, sizeof one) == sizeof one, "eventfd");
+  stop_.Wake();
   thread_.join();
-  close(signal_fd_);
-  close(stop_fd_);
 }
 
 int SignalWaiter::WaitForShutdown() {
@@ -68,14 +63,14 @@ void SignalWaiter::EndWait(int signal) {
 
 void SignalWaiter::Run() {
   while (true) {
-    pollfd fds[] = {{signal_fd_, POLLIN, 0}, {stop_fd_, POLLIN, 0}};
+    pollfd fds[] = {{signal_fd_.get(), POLLIN, 0}, {stop_.get(), POLLIN, 0}};
     if (poll(fds, 2, -1) < 0) {
       RIPS_CHECK(errno == EINTR, "poll");
       continue;
     }
     if (fds[1].revents != 0) return;
     signalfd_siginfo info{};
-    if (read(signal_fd_, &info, sizeof info) != sizeof info) continue;
+    if (read(signal_fd_.get(), &info, sizeof info) != sizeof info) continue;
     const int signal = static_cast<int>(info.ssi_signo);
     if (const auto found = callbacks_.find(signal); found != callbacks_.end()) found->second();
     if (signal == SIGTERM || signal == SIGINT) EndWait(signal);

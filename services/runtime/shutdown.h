@@ -16,6 +16,8 @@
 #include "absl/base/thread_annotations.h"
 #include "absl/time/time.h"
 #include "services/runtime/mutex.h"
+#include "services/runtime/unique_fd.h"
+#include "services/runtime/wake_fd.h"
 
 namespace rips {
 
@@ -49,8 +51,8 @@ class SignalWaiter {
   void EndWait(int signal) ABSL_LOCKS_EXCLUDED(mu_);
 
   const Callbacks callbacks_;
-  int signal_fd_ = -1;
-  int stop_fd_ = -1;
+  UniqueFd signal_fd_;
+  const WakeFd stop_;
   Mutex mu_;
   CondVar ended_cond_;
   bool ended_ ABSL_GUARDED_BY(mu_) = false;

@@ -1,8 +1,6 @@
 #include "mode_actuator/helpers/exec/exec_server.h"
 
 #include <poll.h>
-#include <sys/eventfd.h>
-#include <unistd.h>
 
 #include <algorithm>
 #include <optional>
@@ -40,27 +38,15 @@ void LogEnd(const std::string& program, const ProgramResult& result, bool told) 
 
 }  // namespace
 
-absl::StatusOr<std::unique_ptr<ExecServer>> ExecServer::Create(UniqueFd listener, Options options,
-                                                               ProgramRunner* runner) {
-  UniqueFd wake(eventfd(0, EFD_CLOEXEC | EFD_NONBLOCK));
-  if (wake.get() < 0) return absl::UnavailableError("eventfd failed");
-  return std::unique_ptr<ExecServer>(
-      new ExecServer(std::move(listener), std::move(wake), std::move(options), runner));
-}
-
-ExecServer::ExecServer(UniqueFd listener, UniqueFd wake, Options options, ProgramRunner* runner)
-    : listener_(std::move(listener)),
-      wake_(std::move(wake)),
-      options_(std::move(options)),
-      runner_(runner) {}
+ExecServer::ExecServer(UniqueFd listener, Options options, ProgramRunner* runner)
+    : listener_(std::move(listener)), options_(std::move(options)), runner_(runner) {}
 
 void ExecServer::Stop() {
   {
     MutexLock lock(&mu_);
     stopping_ = true;
   }
-  const uint64_t one = 1;
-  [[maybe_unused]] const ssize_t written = write(wake_.get(), &one, sizeof(one));
+  wake_.Wake();
 }
 
 void ExecServer::Run() {
@@ -76,8 +62,7 @@ void ExecServer::Run() {
       ids.push_back(id);
     }
     poll(fds.data(), fds.size(), connections_.empty() ? -1 : kPollMs);
-    uint64_t drained;
-    [[maybe_unused]] const ssize_t got = read(wake_.get(), &drained, sizeof(drained));
+    wake_.Drain();
     const int64_t now_ns = BoottimeNow();
     for (size_t i = 0; i < ids.size(); ++i) {
       Connection& each = connections_.at(ids[i]);
@@ -170,8 +155,7 @@ bool ExecServer::Start(uint64_t id, Connection& connection, const ProgramRequest
       MutexLock lock(&mu_);
       ended_.emplace_back(id, std::move(result));
     }
-    const uint64_t one = 1;
-    [[maybe_unused]] const ssize_t written = write(wake_.get(), &one, sizeof(one));
+    wake_.Wake();
   });
   if (!run.ok()) {
     LogWarning("not started", {{"program", ros2::Printable(request.name)},

@@ -6,13 +6,12 @@
 
 #include <cstdint>
 #include <map>
-#include <memory>
 #include <string>
 #include <utility>
 #include <vector>
 
 #include "absl/base/thread_annotations.h"
-#include "absl/status/statusor.h"
+#include "absl/status/status.h"
 #include "absl/time/time.h"
 #include "mode_actuator/decide/level_plan.h"
 #include "mode_actuator/steps/port/program_runner.h"
@@ -20,6 +19,7 @@
 #include "mode_actuator/steps/program/exec_message.h"
 #include "services/runtime/mutex.h"
 #include "services/runtime/unique_fd.h"
+#include "services/runtime/wake_fd.h"
 
 namespace rips::actuator {
 
@@ -39,8 +39,7 @@ class ExecServer {
   };
 
   // `runner` is not owned and must end before this: its callbacks come here.
-  static absl::StatusOr<std::unique_ptr<ExecServer>> Create(UniqueFd listener, Options options,
-                                                            ProgramRunner* runner);
+  ExecServer(UniqueFd listener, Options options, ProgramRunner* runner);
 
   // Serves until Stop.
   void Run() ABSL_LOCKS_EXCLUDED(mu_);
@@ -58,8 +57,6 @@ class ExecServer {
   };
   using Connections = std::map<uint64_t, Connection>;
 
-  ExecServer(UniqueFd listener, UniqueFd wake, Options options, ProgramRunner* runner);
-
   void Accept();
   // False if the connection is to be closed.
   bool Serve(uint64_t id, Connection& connection);
@@ -73,7 +70,7 @@ class ExecServer {
   bool TimedOut(const Connection& connection, int64_t now_ns) const;
 
   const UniqueFd listener_;
-  const UniqueFd wake_;
+  const WakeFd wake_;
   const Options options_;
   ProgramRunner* const runner_;  // Not owned.
   // Of the thread in Run.

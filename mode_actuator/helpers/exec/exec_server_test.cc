@@ -118,8 +118,7 @@ class ExecServerTest : public ::testing::Test {
     char name[] = "/tmp/rips-exec-XXXXXX";
     directory_ = mkdtemp(name);
     path_ = directory_ + "/exec.sock";
-    client_ = *ExecClient::Create(
-        {.socket = path_, .answer_timeout = absl::Seconds(30), .end_slack = absl::Seconds(30)});
+    MakeClient(absl::Seconds(30), absl::Seconds(30));
   }
   ~ExecServerTest() override {
     client_.reset();
@@ -128,14 +127,19 @@ class ExecServerTest : public ::testing::Test {
     rmdir(directory_.c_str());
   }
 
+  void MakeClient(absl::Duration answer, absl::Duration end) {
+    client_ = std::make_unique<ExecClient>(
+        ExecClient::Options{.socket = path_, .answer_timeout = answer, .end_slack = end});
+  }
   void StartServer(absl::Duration peer_timeout = absl::Seconds(30)) {
     auto listener = ListenAt(path_, geteuid());
     ASSERT_THAT(listener, IsOk());
-    server_ = *ExecServer::Create(
+    server_ = std::make_unique<ExecServer>(
         *std::move(listener),
-        {.user = geteuid(),
-         .peer_timeout = peer_timeout,
-         .allowed = {{.name = "short", .path = "/x", .timeout = absl::Milliseconds(1)}}},
+        ExecServer::Options{
+            .user = geteuid(),
+            .peer_timeout = peer_timeout,
+            .allowed = {{.name = "short", .path = "/x", .timeout = absl::Milliseconds(1)}}},
         &programs_);
     thread_ = std::thread([this] { server_->Run(); });
   }
@@ -292,9 +296,6 @@ class ExecClientTest : public ExecServerTest {
     });
     return std::move(accepted.fd);
   }
-  void MakeClient(absl::Duration answer, absl::Duration end) {
-    client_ = *ExecClient::Create({.socket = path_, .answer_timeout = answer, .end_slack = end});
-  }
 
   UniqueFd listener_;
 };
@@ -386,7 +387,8 @@ TEST_F(ExecServerTest, WhoHasGivenUpGetsNoProgram) {
     channel.Send(StartMessage());
     EXPECT_THAT(channel.Flush(), IsOk());
   }
-  server_ = *ExecServer::Create(*std::move(listener), {.user = geteuid()}, &programs_);
+  server_ = std::make_unique<ExecServer>(*std::move(listener),
+                                         ExecServer::Options{.user = geteuid()}, &programs_);
   thread_ = std::thread([this] { server_->Run(); });
   EXPECT_THAT(client_->Examine("fine"), IsOk());  // connected later, so served later
   EXPECT_EQ(programs_.last(), 0u);
@@ -418,7 +420,7 @@ TEST_F(ExecServerTest, TheClientsEndCancelsWhatRunsAndTellsIt) {
 
 TEST_F(ExecServerTest, TwoActuatorsDoNotMeet) {
   StartServer();
-  const auto other = *ExecClient::Create({.socket = path_});
+  const auto other = std::make_unique<ExecClient>(ExecClient::Options{.socket = path_});
   Waiter mine, theirs;
   Start("held", mine);
   ASSERT_TRUE(Soon([&] { return programs_.running() == 1; }));
@@ -537,12 +539,13 @@ TEST_F(ExecServerTest, OthersAreRefused) {
 TEST_F(ExecServerTest, RunsRealProgramsAndBringsTheirWholeOutput) {
   RealClock clock;
   const std::vector<ProgramSpec> allowed = {{.name = "bash", .path = "/usr/bin/bash"}};
-  auto runner =
-      *PosixRunner::Create({.allowed = allowed, .enter = RIPS_BIN_DIR "/rips-exec"}, &clock);
+  auto runner = std::make_unique<PosixRunner>(
+      PosixRunnerOptions{.allowed = allowed, .enter = RIPS_BIN_DIR "/rips-exec"}, &clock);
   auto listener = ListenAt(path_, geteuid());
   ASSERT_THAT(listener, IsOk());
-  server_ = *ExecServer::Create(*std::move(listener), {.user = geteuid(), .allowed = allowed},
-                                runner.get());
+  server_ = std::make_unique<ExecServer>(*std::move(listener),
+                                         ExecServer::Options{.user = geteuid(), .allowed = allowed},
+                                         runner.get());
   thread_ = std::thread([this] { server_->Run(); });
   Waiter waiter, gone;
   ASSERT_THAT(

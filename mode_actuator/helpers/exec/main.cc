@@ -99,20 +99,18 @@ int main(int argc, char** argv) {
   rips::actuator::PosixRunnerOptions options = {
       .allowed = config.programs, .robot = config.robot, .host = config.host};
   if (cgroups.ok()) options.cgroups = cgroups->get();
-  auto runner = PosixRunner::Create(std::move(options), &clock);
-  if (!runner.ok()) return Fail(rips::kExitFailed, runner.status());
-  const auto server = ExecServer::Create(
-      *std::move(listener), {.user = *user, .allowed = config.programs}, runner->get());
-  if (!server.ok()) return Fail(rips::kExitFailed, server.status());
-  std::thread serving([&] { (*server)->Run(); });
+  auto runner = std::make_unique<PosixRunner>(std::move(options), &clock);
+  ExecServer server(*std::move(listener), {.user = *user, .allowed = config.programs},
+                    runner.get());
+  std::thread serving([&] { server.Run(); });
   rips::LogInfo("listening", {{"address", config.exec.socket},
                               {"cgroups", cgroups.ok() ? (*cgroups)->path() : "none"}});
   absl::Status ready = rips::WriteReadyFile(flags, "ready");
   if (ready.ok()) signals.WaitForShutdown();
   rips::LogInfo("stopping");
-  (*server)->Stop();
+  server.Stop();
   serving.join();
   // Kills what runs. Whoever waits for it learns that we ended.
-  runner->reset();
+  runner.reset();
   return ready.ok() ? 0 : Fail(rips::kExitFailed, ready);
 }

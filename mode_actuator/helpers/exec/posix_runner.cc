@@ -4,7 +4,6 @@
 #include <poll.h>
 #include <signal.h>
 #include <spawn.h>
-#include <sys/eventfd.h>
 #include <sys/syscall.h>
 #include <sys/wait.h>
 #include <unistd.h>
@@ -173,15 +172,8 @@ struct PosixRunner::Run {
   }
 };
 
-absl::StatusOr<std::unique_ptr<PosixRunner>> PosixRunner::Create(PosixRunnerOptions options,
-                                                                 const Clock* clock) {
-  const int wake_fd = eventfd(0, EFD_CLOEXEC | EFD_NONBLOCK);
-  if (wake_fd < 0) return absl::UnavailableError("eventfd failed");
-  return std::unique_ptr<PosixRunner>(new PosixRunner(std::move(options), clock, wake_fd));
-}
-
-PosixRunner::PosixRunner(PosixRunnerOptions options, const Clock* clock, int wake_fd)
-    : options_(std::move(options)), clock_(clock), wake_fd_(wake_fd) {
+PosixRunner::PosixRunner(PosixRunnerOptions options, const Clock* clock)
+    : options_(std::move(options)), clock_(clock) {
   thread_ = std::thread([this] { Loop(); });
 }
 
@@ -190,15 +182,8 @@ PosixRunner::~PosixRunner() {
     MutexLock lock(&mu_);
     stopping_ = true;
   }
-  Wake();
+  wake_.Wake();
   thread_.join();
-  close(wake_fd_);
-}
-
-void PosixRunner::Wake() const {
-  const uint64_t one = 1;
-  // Full means that a wake-up is pending already.
-  [[maybe_unused]] const ssize_t written = write(wake_fd_, &one, sizeof(one));
 }
 
 absl::StatusOr<const ProgramSpec*> PosixRunner::Find(absl::string_view name) const {
@@ -307,7 +292,7 @@ absl::StatusOr<uint64_t> PosixRunner::Start(const ProgramRequest& request, Done 
   MutexLock lock(&mu_);
   const uint64_t id = next_run_++;
   runs_.emplace(id, std::move(run));
-  Wake();
+  wake_.Wake();
   return id;
 }
 
@@ -316,7 +301,7 @@ void PosixRunner::Cancel(uint64_t id) {
   const auto run = runs_.find(id);
   if (run == runs_.end()) return;
   run->second->cancel = true;
-  Wake();
+  wake_.Wake();
 }
 
 void PosixRunner::Loop() {
@@ -426,7 +411,7 @@ bool PosixRunner::Reap(Run& run, int64_t now_ns) {
 
 void PosixRunner::PollOnce(int timeout_ms) {
   std::vector<std::shared_ptr<Run>> runs;  // keeps the descriptors open while polling
-  std::vector<pollfd> fds = {{wake_fd_, POLLIN, 0}};
+  std::vector<pollfd> fds = {{wake_.get(), POLLIN, 0}};
   {
     MutexLock lock(&mu_);
     for (const auto& [id, run] : runs_) runs.push_back(run);
@@ -436,8 +421,7 @@ void PosixRunner::PollOnce(int timeout_ms) {
     if (run->output.get() >= 0) fds.push_back({run->output.get(), POLLIN, 0});
   }
   poll(fds.data(), fds.size(), timeout_ms);
-  uint64_t drained;
-  [[maybe_unused]] const ssize_t got = read(wake_fd_, &drained, sizeof(drained));
+  wake_.Drain();
 }
 
 }  // namespace rips::actuator

@@ -29,6 +29,7 @@
 #include "services/runtime/mutex.h"
 #include "services/runtime/run_cgroups.h"
 #include "services/runtime/unique_fd.h"
+#include "services/runtime/wake_fd.h"
 
 namespace rips::actuator {
 
@@ -46,8 +47,7 @@ struct PosixRunnerOptions {
 class PosixRunner final : public ProgramRunner {
  public:
   // `clock` is not owned and outlives this; its boottime must really pass.
-  static absl::StatusOr<std::unique_ptr<PosixRunner>> Create(PosixRunnerOptions options,
-                                                             const Clock* clock);
+  PosixRunner(PosixRunnerOptions options, const Clock* clock);
   // Kills what runs (no grace) and calls the pending `done`s.
   ~PosixRunner() override;
 
@@ -59,8 +59,6 @@ class PosixRunner final : public ProgramRunner {
 
  private:
   struct Run;
-
-  PosixRunner(PosixRunnerOptions options, const Clock* clock, int wake_fd);
 
   absl::StatusOr<const ProgramSpec*> Find(absl::string_view name) const;
   // The checked file.
@@ -77,11 +75,10 @@ class PosixRunner final : public ProgramRunner {
   static bool Reap(Run& run, int64_t now_ns);
   // True when nothing of it is there any more.
   static bool TryReap(Run& run, int64_t now_ns);
-  void Wake() const;
 
   const PosixRunnerOptions options_;
   const Clock* const clock_;
-  const int wake_fd_;
+  const WakeFd wake_;
   Mutex start_mu_;  // before mu_; one program starts at a time
   // Starts of the last minute, for programs with such a limit. CLOCK_BOOTTIME.
   std::map<const ProgramSpec*, std::deque<int64_t>> starts_ ABSL_GUARDED_BY(start_mu_);

@@ -60,12 +60,12 @@ class PosixRunnerTest : public ::testing::Test {
                 {.name = "linked", .path = "/bin/echo"}});
   }
   void MakeRunner(std::vector<ProgramSpec> allowed) {
-    runner_ = *PosixRunner::Create({.allowed = std::move(allowed),
-                                    .robot = "r1",
-                                    .host = "base",
-                                    .enter = RIPS_BIN_DIR "/rips-exec",
-                                    .cgroups = cgroups()},
-                                   &clock_);
+    runner_ = std::make_unique<PosixRunner>(PosixRunnerOptions{.allowed = std::move(allowed),
+                                                               .robot = "r1",
+                                                               .host = "base",
+                                                               .enter = RIPS_BIN_DIR "/rips-exec",
+                                                               .cgroups = cgroups()},
+                                            &clock_);
   }
   virtual RunCgroups* cgroups() { return nullptr; }
   ProgramResult Run(const std::string& name, std::vector<std::string> args,
@@ -440,9 +440,10 @@ TEST_F(PosixRunnerTest, ExaminesWithoutRunning) {
 }
 
 TEST_F(PosixRunnerTest, WithoutRipsExecNothingStarts) {
-  runner_ = *PosixRunner::Create({.allowed = {{.name = "true", .path = "/usr/bin/true"}},
-                                  .enter = "/usr/lib/rips/no-such-rips-exec"},
-                                 &clock_);
+  runner_ = std::make_unique<PosixRunner>(
+      PosixRunnerOptions{.allowed = {{.name = "true", .path = "/usr/bin/true"}},
+                         .enter = "/usr/lib/rips/no-such-rips-exec"},
+      &clock_);
   EXPECT_THAT(runner_->Start({"true", {}, absl::Seconds(1)}, [](ProgramResult) {}),
               StatusIs(absl::StatusCode::kUnavailable, HasSubstr("cannot start")));
 
@@ -456,8 +457,9 @@ TEST_F(PosixRunnerTest, WithoutRipsExecNothingStarts) {
     fchmod(fd, 0700);
     close(fd);
     std::ofstream(name) << "#!/bin/sh\n" << text << "\n";
-    runner_ = *PosixRunner::Create(
-        {.allowed = {{.name = "true", .path = "/usr/bin/true"}}, .enter = name}, &clock_);
+    runner_ = std::make_unique<PosixRunner>(
+        PosixRunnerOptions{.allowed = {{.name = "true", .path = "/usr/bin/true"}}, .enter = name},
+        &clock_);
     EXPECT_THAT(runner_->Start({"true", {}, absl::Seconds(1)}, [](ProgramResult) {}),
                 StatusIs(absl::StatusCode::kUnavailable, HasSubstr(why)));
     unlink(name);

@@ -454,11 +454,9 @@ TEST_F(FirewallTest, TheStatusNamesWhatIsInForce) {
 TEST_F(FirewallTest, TwoTransactionsAtOnceAreBothInForce) {
   auto listener = ListenAt(directory_ + "/fw", geteuid());
   ASSERT_THAT(listener, IsOk());
-  auto server = FwServer::Create(*std::move(listener), geteuid(), [&](const FwRequest& request) {
-    return firewall_->Handle(request);
-  });
-  ASSERT_THAT(server, IsOk());
-  std::thread serving([&] { (*server)->Run(); });
+  FwServer server(*std::move(listener), geteuid(),
+                  [&](const FwRequest& request) { return firewall_->Handle(request); });
+  std::thread serving([&] { server.Run(); });
   std::vector<std::thread> clients;
   absl::Status statuses[2];
   for (int which = 0; which < 2; ++which) {
@@ -473,7 +471,7 @@ TEST_F(FirewallTest, TwoTransactionsAtOnceAreBothInForce) {
     });
   }
   for (std::thread& client : clients) client.join();
-  (*server)->Stop();
+  server.Stop();
   serving.join();
   unlink((directory_ + "/fw").c_str());
   EXPECT_THAT(statuses[0], IsOk());

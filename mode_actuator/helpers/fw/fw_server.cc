@@ -1,8 +1,6 @@
 #include "mode_actuator/helpers/fw/fw_server.h"
 
 #include <poll.h>
-#include <sys/eventfd.h>
-#include <unistd.h>
 
 #include <algorithm>
 #include <utility>
@@ -36,24 +34,8 @@ absl::string_view VerbName(FwVerb verb) {
 
 }  // namespace
 
-absl::StatusOr<std::unique_ptr<FwServer>> FwServer::Create(UniqueFd listener, uid_t user,
-                                                           Handler handler) {
-  UniqueFd stop(eventfd(0, EFD_CLOEXEC | EFD_NONBLOCK));
-  if (stop.get() < 0) return absl::UnavailableError("eventfd failed");
-  return std::unique_ptr<FwServer>(
-      new FwServer(std::move(listener), std::move(stop), user, std::move(handler)));
-}
-
-FwServer::FwServer(UniqueFd listener, UniqueFd stop, uid_t user, Handler handler)
-    : listener_(std::move(listener)),
-      stop_(std::move(stop)),
-      user_(user),
-      handler_(std::move(handler)) {}
-
-void FwServer::Stop() {
-  const uint64_t one = 1;
-  [[maybe_unused]] const ssize_t written = write(stop_.get(), &one, sizeof(one));
-}
+FwServer::FwServer(UniqueFd listener, uid_t user, Handler handler)
+    : listener_(std::move(listener)), user_(user), handler_(std::move(handler)) {}
 
 void FwServer::Run() {
   while (true) {

@@ -16,6 +16,7 @@
 #include "mode_actuator/steps/firewall/fw_message.h"
 #include "services/local_socket/helper_socket.h"
 #include "services/runtime/unique_fd.h"
+#include "services/runtime/wake_fd.h"
 
 namespace rips::actuator {
 
@@ -29,13 +30,12 @@ class FwServer {
 
   // Only root and `user` are served; the kernel says who they are. `handler` is called by Run, one
   // request at a time.
-  static absl::StatusOr<std::unique_ptr<FwServer>> Create(UniqueFd listener, uid_t user,
-                                                          Handler handler);
+  FwServer(UniqueFd listener, uid_t user, Handler handler);
 
   // Serves until Stop.
   void Run();
   // Any thread.
-  void Stop();
+  void Stop() { stop_.Wake(); }
 
  private:
   struct Connection {
@@ -43,14 +43,12 @@ class FwServer {
     int64_t last_ns = 0;
   };
 
-  FwServer(UniqueFd listener, UniqueFd stop, uid_t user, Handler handler);
-
   void Accept();
   // False if the connection is to be closed.
   bool Serve(int fd);
 
   const UniqueFd listener_;
-  const UniqueFd stop_;
+  const WakeFd stop_;
   const uid_t user_;
   const Handler handler_;
   std::vector<Connection> connections_;  // of the thread in Run

@@ -46,12 +46,11 @@ class FwServerTest : public ::testing::Test {
   void StartServer(uid_t user = geteuid()) {
     auto listener = ListenAt(path_, user);
     ASSERT_THAT(listener, IsOk());
-    auto server = FwServer::Create(*std::move(listener), user, [this](const FwRequest& request) {
-      ++served_;
-      return FwResponse{absl::OkStatus(), request.step.file, "note"};
-    });
-    ASSERT_THAT(server, IsOk());
-    server_ = *std::move(server);
+    server_ =
+        std::make_unique<FwServer>(*std::move(listener), user, [this](const FwRequest& request) {
+          ++served_;
+          return FwResponse{absl::OkStatus(), request.step.file, "note"};
+        });
     thread_ = std::thread([this] { server_->Run(); });
   }
   void StopServer() {

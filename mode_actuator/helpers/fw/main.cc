@@ -73,17 +73,16 @@ int main(int argc, char** argv) {
   rips::SignalWaiter signals({});
   auto listener = rips::actuator::ListenForHelper(config.firewall.socket, *user);
   if (!listener.ok()) return Fail(rips::kExitFailed, listener.status());
-  const auto server = FwServer::Create(
-      *std::move(listener), *user,
-      [&](const rips::actuator::FwRequest& request) { return firewall.Handle(request); });
-  if (!server.ok()) return Fail(rips::kExitFailed, server.status());
-  std::thread serving([&] { (*server)->Run(); });
+  FwServer server(*std::move(listener), *user, [&](const rips::actuator::FwRequest& request) {
+    return firewall.Handle(request);
+  });
+  std::thread serving([&] { server.Run(); });
   rips::LogInfo("listening", {{"address", config.firewall.socket}});
   absl::Status ready = rips::WriteReadyFile(flags, "ready");
   if (ready.ok()) signals.WaitForShutdown();
   // What is in force stays so: the kernel holds it, and its time limits.
   rips::LogInfo("stopping");
-  (*server)->Stop();
+  server.Stop();
   serving.join();
   return ready.ok() ? 0 : Fail(rips::kExitFailed, ready);
 }

@@ -1,8 +1,6 @@
 #include "mode_actuator/steps/program/exec_client.h"
 
 #include <poll.h>
-#include <sys/eventfd.h>
-#include <unistd.h>
 
 #include <algorithm>
 #include <atomic>
@@ -70,16 +68,8 @@ struct ExecClient::Call {
   }
 };
 
-absl::StatusOr<std::unique_ptr<ExecClient>> ExecClient::Create(const Options& options) {
-  UniqueFd wake(eventfd(0, EFD_CLOEXEC | EFD_NONBLOCK));
-  if (wake.get() < 0) return absl::UnavailableError("eventfd failed");
-  return std::unique_ptr<ExecClient>(new ExecClient(options, std::move(wake)));
-}
-
-ExecClient::ExecClient(const Options& options, UniqueFd wake)
-    : options_(options),
-      door_(options.socket, "rips-exec", options.run_as),
-      wake_(std::move(wake)) {
+ExecClient::ExecClient(const Options& options)
+    : options_(options), door_(options.socket, "rips-exec", options.run_as) {
   thread_ = std::thread([this] { Loop(); });
 }
 
@@ -88,14 +78,8 @@ ExecClient::~ExecClient() {
     MutexLock lock(&mu_);
     stopping_ = true;
   }
-  Wake();
+  wake_.Wake();
   thread_.join();
-}
-
-void ExecClient::Wake() const {
-  const uint64_t one = 1;
-  // Full means that a wake-up is pending already.
-  [[maybe_unused]] const ssize_t written = write(wake_.get(), &one, sizeof(one));
 }
 
 absl::StatusOr<std::shared_ptr<ExecClient::Call>> ExecClient::Ask(const ExecCall& call) const {
@@ -117,7 +101,7 @@ absl::StatusOr<uint64_t> ExecClient::Start(const ProgramRequest& request, Done d
   asked->done = std::move(done);
   const uint64_t id = next_++;
   calls_.emplace(id, std::move(asked));
-  Wake();
+  wake_.Wake();
   return id;
 }
 
@@ -126,7 +110,7 @@ void ExecClient::Cancel(uint64_t run) {
   const auto call = calls_.find(run);
   if (call == calls_.end()) return;
   call->second->cancel = true;
-  Wake();
+  wake_.Wake();
 }
 
 absl::Status ExecClient::Examine(absl::string_view name) {
@@ -264,8 +248,7 @@ void ExecClient::Poll(int timeout_ms) {
   std::vector<pollfd> fds = {{wake_.get(), POLLIN, 0}};
   for (const auto& call : calls) fds.push_back({call->channel.fd(), call->channel.events(), 0});
   poll(fds.data(), fds.size(), timeout_ms);
-  uint64_t drained;
-  [[maybe_unused]] const ssize_t got = read(wake_.get(), &drained, sizeof(drained));
+  wake_.Drain();
 }
 
 }  // namespace rips::actuator

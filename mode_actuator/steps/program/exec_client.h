@@ -18,7 +18,7 @@
 #include "mode_actuator/steps/program/exec_message.h"
 #include "services/local_socket/helper_door.h"
 #include "services/runtime/mutex.h"
-#include "services/runtime/unique_fd.h"
+#include "services/runtime/wake_fd.h"
 
 namespace rips::actuator {
 
@@ -49,7 +49,7 @@ class ExecClient final : public ProgramRunner {
     absl::Duration end_slack = kExecEndSlack;
   };
 
-  static absl::StatusOr<std::unique_ptr<ExecClient>> Create(const Options& options);
+  explicit ExecClient(const Options& options);
   // Has what runs killed, without waiting for it, and calls the pending `done`s.
   ~ExecClient() override;
 
@@ -63,8 +63,6 @@ class ExecClient final : public ProgramRunner {
  private:
   struct Call;
 
-  ExecClient(const Options& options, UniqueFd wake);
-
   absl::StatusOr<std::shared_ptr<Call>> Ask(const ExecCall& call) const;
   void Loop() ABSL_LOCKS_EXCLUDED(mu_);
   // Milliseconds until the next deadline.
@@ -74,11 +72,10 @@ class ExecClient final : public ProgramRunner {
   // True when there was a message, which may have ended it.
   bool TakeAnswer(Call& call) const;
   void Poll(int timeout_ms) ABSL_LOCKS_EXCLUDED(mu_);
-  void Wake() const;
 
   const Options options_;
   const HelperDoor door_;
-  const UniqueFd wake_;
+  const WakeFd wake_;
   Mutex mu_;
   bool stopping_ ABSL_GUARDED_BY(mu_) = false;
   uint64_t next_ ABSL_GUARDED_BY(mu_) = 1;
