@@ -288,14 +288,10 @@ absl::Status AddScripts(ParsedConfig* parsed) {
 
 std::vector<std::pair<std::string, std::string>> ModeTargets(const std::vector<LevelSpec>& levels) {
   std::set<std::pair<std::string, std::string>> targets;
-  for (const LevelSpec& level : levels) {
-    for (const std::vector<Step>* steps : {&level.enter, &level.leave, &level.on_drift}) {
-      for (const Step& step : *steps) {
-        const auto* mode = std::get_if<SystemModeStep>(&step.what);
-        if (mode != nullptr) targets.emplace(mode->part, mode->mode);
-      }
-    }
-  }
+  ForEachStep(levels, [&](const Step& step) {
+    const auto* mode = std::get_if<SystemModeStep>(&step.what);
+    if (mode != nullptr) targets.emplace(mode->part, mode->mode);
+  });
   return {targets.begin(), targets.end()};
 }
 

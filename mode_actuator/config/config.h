@@ -12,8 +12,8 @@
 #include "mode_actuator/decide/alarm_state.h"
 #include "mode_actuator/decide/level_plan.h"
 #include "mode_actuator/steps/firewall/firewall_config.h"
+#include "mode_actuator/steps/port/part_modes.h"
 #include "mode_actuator/steps/program/exec_config.h"
-#include "mode_actuator/steps/system_mode/modes_options.h"
 #include "mode_actuator/steps/system_mode/smh.h"
 #include "services/runtime/config_sections.h"
 

@@ -75,6 +75,16 @@ struct LevelSpec {
   std::vector<Step> on_drift;
 };
 
+// Calls `visit(step)` for each step of `levels`.
+template <typename Visit>
+void ForEachStep(const std::vector<LevelSpec>& levels, const Visit& visit) {
+  for (const LevelSpec& level : levels) {
+    for (const std::vector<Step>* steps : {&level.enter, &level.leave, &level.on_drift}) {
+      for (const Step& step : *steps) visit(step);
+    }
+  }
+}
+
 struct ProgramSpec {
   std::string name;
   std::string path;

@@ -23,7 +23,6 @@
 #include "mode_actuator/steps/firewall/fw_client.h"
 #include "mode_actuator/steps/level_executor.h"
 #include "mode_actuator/steps/program/exec_client.h"
-#include "mode_actuator/steps/system_mode/missing_modes.h"
 #include "mode_actuator/steps/system_mode/system_modes.h"
 #include "mode_actuator/steps/workers.h"
 #include "services/base/ids.h"

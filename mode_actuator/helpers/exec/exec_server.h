@@ -15,7 +15,6 @@
 #include "absl/time/time.h"
 #include "mode_actuator/decide/level_plan.h"
 #include "mode_actuator/steps/port/program_runner.h"
-#include "mode_actuator/steps/program/exec_channel.h"
 #include "mode_actuator/steps/program/exec_message.h"
 #include "services/runtime/mutex.h"
 #include "services/runtime/unique_fd.h"

@@ -7,7 +7,7 @@
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_join.h"
 #include "absl/strings/str_split.h"
-#include "mode_actuator/steps/firewall/fragment_file.h"
+#include "mode_actuator/steps/firewall/firewall_config.h"
 #include "services/base/status_macros.h"
 #include "services/ros2/ros_name.h"
 

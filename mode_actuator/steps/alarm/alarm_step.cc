@@ -7,7 +7,6 @@
 
 #include "absl/strings/str_cat.h"
 #include "mode_actuator/steps/alarm/alarm_attempt.h"
-#include "mode_actuator/steps/port/drilled.h"
 #include "services/ros2/ros_name.h"
 #include "services/runtime/cancel_flag.h"
 

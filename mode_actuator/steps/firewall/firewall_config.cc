@@ -1,16 +1,22 @@
 #include "mode_actuator/steps/firewall/firewall_config.h"
 
+#include <fcntl.h>
+#include <sys/stat.h>
+#include <unistd.h>
+
 #include <algorithm>
+#include <cerrno>
+#include <cstring>
 #include <set>
 #include <variant>
 
 #include "absl/strings/escaping.h"
 #include "absl/strings/str_cat.h"
-#include "mode_actuator/steps/firewall/fragment_file.h"
 #include "mode_actuator/steps/firewall/real_host.h"
 #include "mode_actuator/steps/firewall/target.h"
 #include "services/base/status_macros.h"
 #include "services/runtime/config_sections.h"
+#include "services/runtime/unique_fd.h"
 
 namespace rips::actuator {
 namespace {
@@ -114,26 +120,19 @@ void CheckFirewallSteps(const ConfigSection& level, const std::string& key,
 }
 
 bool HasFirewallSteps(const std::vector<LevelSpec>& levels) {
-  for (const LevelSpec& level : levels) {
-    for (const std::vector<Step>* steps : {&level.enter, &level.leave, &level.on_drift}) {
-      for (const Step& step : *steps) {
-        if (std::holds_alternative<FirewallStep>(step.what)) return true;
-      }
-    }
-  }
-  return false;
+  bool has = false;
+  ForEachStep(levels, [&](const Step& step) {
+    has = has || std::holds_alternative<FirewallStep>(step.what);
+  });
+  return has;
 }
 
 std::vector<std::string> FirewallFiles(const std::vector<LevelSpec>& levels) {
   std::set<std::string> files;
-  for (const LevelSpec& level : levels) {
-    for (const std::vector<Step>* steps : {&level.enter, &level.leave, &level.on_drift}) {
-      for (const Step& step : *steps) {
-        const auto* firewall = std::get_if<FirewallStep>(&step.what);
-        if (firewall != nullptr && !firewall->file.empty()) files.insert(firewall->file);
-      }
-    }
-  }
+  ForEachStep(levels, [&](const Step& step) {
+    const auto* firewall = std::get_if<FirewallStep>(&step.what);
+    if (firewall != nullptr && !firewall->file.empty()) files.insert(firewall->file);
+  });
   return {files.begin(), files.end()};
 }
 
@@ -142,6 +141,40 @@ absl::Status CheckFirewallFiles(const std::vector<LevelSpec>& levels) {
     RIPS_RETURN_IF_ERROR(ReadFragment(file).status());
   }
   return absl::OkStatus();
+}
+
+absl::StatusOr<std::vector<FragmentRule>> ReadFragment(const std::string& path) {
+  const auto unsafe = [&](absl::string_view why) {
+    return absl::PermissionDeniedError(absl::StrCat("`", path, "` ", why));
+  };
+  // Not blocking: a FIFO without a writer must not stop us.
+  const UniqueFd file(open(path.c_str(), O_RDONLY | O_NOFOLLOW | O_CLOEXEC | O_NONBLOCK));
+  if (file.get() < 0) {
+    if (errno == ELOOP) return unsafe("is a symbolic link; name its target");
+    const std::string why = absl::StrCat("cannot read `", path, "`: ", std::strerror(errno));
+    return errno == ENOENT ? absl::NotFoundError(why) : absl::UnavailableError(why);
+  }
+  struct stat info;
+  if (fstat(file.get(), &info) != 0 || !S_ISREG(info.st_mode)) {
+    return unsafe("is no regular file");
+  }
+  if (info.st_uid != 0 && info.st_uid != geteuid()) return unsafe("is not owned by root");
+  if ((info.st_mode & (S_IWGRP | S_IWOTH)) != 0) {
+    return unsafe("can be written by others; chmod go-w");
+  }
+  std::string text;
+  char buffer[16 << 10];
+  while (text.size() <= kFragmentBytesMax) {
+    const ssize_t got = read(file.get(), buffer, sizeof(buffer));
+    if (got == 0) break;
+    if (got > 0) {
+      text.append(buffer, static_cast<size_t>(got));
+    } else if (errno != EINTR) {
+      return absl::UnavailableError(
+          absl::StrCat("cannot read `", path, "`: ", std::strerror(errno)));
+    }
+  }
+  return ParseFragment(path, text);
 }
 
 }  // namespace rips::actuator

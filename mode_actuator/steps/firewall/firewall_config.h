@@ -6,8 +6,10 @@
 #include <vector>
 
 #include "absl/status/status.h"
+#include "absl/status/statusor.h"
 #include "absl/time/time.h"
 #include "mode_actuator/decide/level_plan.h"
+#include "mode_actuator/steps/firewall/fragment.h"
 #include "services/runtime/config_reader.h"
 
 namespace rips::actuator {
@@ -43,6 +45,11 @@ bool HasFirewallSteps(const std::vector<LevelSpec>& levels);
 std::vector<std::string> FirewallFiles(const std::vector<LevelSpec>& levels);
 // Reads them all: what is wrong with the first that is wrong (ReadFragment).
 absl::Status CheckFirewallFiles(const std::vector<LevelSpec>& levels);
+
+// The rules of the file of a `firewall: {file: ...}` step. PermissionDenied unless `path` is a
+// regular file, no symbolic link, that root or our own user owns and no other user can write;
+// NotFound, Unavailable; InvalidArgument as ParseFragment.
+absl::StatusOr<std::vector<FragmentRule>> ReadFragment(const std::string& path);
 
 }  // namespace rips::actuator
 

@@ -5,8 +5,6 @@
 
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_join.h"
-#include "mode_actuator/steps/port/blocking_attempt.h"
-#include "mode_actuator/steps/port/drilled.h"
 #include "services/ros2/ros_name.h"
 
 namespace rips::actuator {

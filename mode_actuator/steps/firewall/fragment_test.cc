@@ -9,7 +9,7 @@
 #include "absl/strings/str_replace.h"
 #include "gmock/gmock.h"
 #include "gtest/gtest.h"
-#include "mode_actuator/steps/firewall/fragment_file.h"
+#include "mode_actuator/steps/firewall/firewall_config.h"
 #include "services/base/status_matchers.h"
 #include "services/runtime/atomic_file.h"
 

@@ -22,6 +22,8 @@
 #include "absl/time/time.h"
 #include "mode_actuator/decide/level_plan.h"
 #include "mode_actuator/decide/receipt.h"
+#include "services/base/clock.h"
+#include "services/ros2/ros_name.h"
 
 namespace rips {
 class CancelFlag;
@@ -107,6 +109,47 @@ class LevelStep {
 
  private:
   const Step spec_;
+};
+
+// `detail` is what people read if the status is OK; else they read its message.
+inline StepResult DrillResult(Drilled drilled, const absl::Status& status, std::string detail) {
+  StepResult result;
+  result.ok = status.ok();
+  result.drilled = drilled;
+  result.detail = status.ok() ? std::move(detail) : ros2::Printable(status.message());
+  return result;
+}
+
+// Unimplemented: a kind of step that cannot be tried.
+inline StepResult Looked(const absl::Status& status, std::string detail) {
+  const bool tried = !absl::IsUnimplemented(status);
+  return DrillResult(tried ? Drilled::kLooked : Drilled::kNot, status, std::move(detail));
+}
+
+// The attempt of a step that is entered in order: one call that blocks. One thread at a time.
+class BlockingAttempt final : public StepAttempt {
+ public:
+  // `act` is called once, by the first Poll. `clock` is not owned and outlives this.
+  BlockingAttempt(std::string name, const Clock* clock, std::function<StepReading()> act)
+      : act_(std::move(act)), clock_(clock) {
+    result.step = std::move(name);
+  }
+
+  bool Poll(int64_t now_ns) override {
+    if (act_ == nullptr) return true;
+    StepReading reading = std::exchange(act_, nullptr)();
+    status = reading.status;
+    observed = std::move(reading.observed);
+    result.ok = status.ok();
+    result.detail = result.ok ? std::move(reading.note) : std::string(status.message());
+    const int64_t took_ns = clock_->Now().boottime_ns - now_ns;
+    result.took_ms = static_cast<uint32_t>(took_ns / kNanosPerMilli);
+    return true;
+  }
+
+ private:
+  std::function<StepReading()> act_;
+  const Clock* const clock_;  // Not owned; outlives this.
 };
 
 }  // namespace rips::actuator

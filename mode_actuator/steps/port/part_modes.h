@@ -3,6 +3,7 @@
 #define RIPS_MODE_ACTUATOR_STEPS_PORT_PART_MODES_H_
 
 #include <string>
+#include <utility>
 #include <vector>
 
 #include "absl/status/status.h"
@@ -14,6 +15,23 @@ class CancelFlag;
 }
 
 namespace rips::actuator {
+
+// Who brings the parts of a robot into their modes, and how that is read back.
+enum class Verify { kParts, kManager };
+
+enum class Backend {
+  kManager,  // the mode manager of System Modes
+  kDirect,   // the nodes' own lifecycle and parameter services; the manager is not asked
+};
+
+// What follows when the mode manager fails. kDirect needs Verify::kParts.
+enum class Fallback { kDirect, kNone };
+
+struct ModesOptions {
+  Verify verify = Verify::kParts;
+  Backend backend = Backend::kManager;
+  Fallback fallback = Fallback::kDirect;  // of Backend::kManager
+};
 
 struct ModeReading {
   // OK: read back and found to be so. Else what was found instead, part by part.
@@ -60,6 +78,28 @@ class PartModes {
   virtual PartReading Read(absl::string_view, absl::Duration, const CancelFlag&) {
     return {.complete = true};
   }
+};
+
+// Stands in for the robot's System Modes while they cannot be reached: every step fails and says
+// why, so that the other steps of a level (alarm, firewall, programs) are carried out all the same.
+class MissingModes final : public PartModes {
+ public:
+  // Before use.
+  void set_why(const absl::Status& why) { why_ = absl::UnavailableError(why.message()); }
+
+  ModeReading Enter(absl::string_view, absl::string_view, absl::Duration, int,
+                    const CancelFlag&) override {
+    return {.status = why_};
+  }
+  ModeReading Check(absl::string_view, absl::string_view, const CancelFlag&) override {
+    return {.status = why_};
+  }
+  ModeReading Probe(absl::string_view, absl::string_view, const CancelFlag&) override {
+    return {.status = why_};
+  }
+
+ private:
+  absl::Status why_ = absl::UnavailableError("there is no way to the System Modes");
 };
 
 }  // namespace rips::actuator

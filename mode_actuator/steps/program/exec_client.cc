@@ -10,7 +10,6 @@
 
 #include "absl/strings/escaping.h"
 #include "absl/strings/str_cat.h"
-#include "mode_actuator/steps/program/exec_channel.h"
 #include "services/base/clock.h"
 #include "services/base/status_macros.h"
 #include "services/runtime/real_clock.h"

@@ -1,5 +1,7 @@
 #include "mode_actuator/steps/program/exec_message.h"
 
+#include <poll.h>
+
 #include <algorithm>
 #include <cstdint>
 #include <utility>
@@ -7,6 +9,8 @@
 #include "absl/strings/str_cat.h"
 #include "absl/strings/strip.h"
 #include "rips/v1/helper.pb.h"
+#include "services/base/status_macros.h"
+#include "services/local_socket/helper_socket.h"
 
 namespace rips::actuator {
 namespace {
@@ -166,6 +170,38 @@ absl::StatusOr<bool> PacketJoiner::Add(absl::string_view packet, std::string* me
   parts_.append(packet.data(), packet.size());
   if (last) *message = std::exchange(parts_, "");
   return last;
+}
+
+void ExecChannel::Send(absl::string_view message) {
+  for (std::string& packet : SplitIntoPackets(message)) out_.push_back(std::move(packet));
+}
+
+absl::Status ExecChannel::Flush() {
+  while (!out_.empty()) {
+    const absl::Status sent = SendPacket(fd_.get(), out_.front());
+    if (absl::IsUnavailable(sent)) return absl::OkStatus();
+    if (!sent.ok()) {
+      out_.clear();
+      return sent;
+    }
+    out_.pop_front();
+  }
+  return absl::OkStatus();
+}
+
+absl::StatusOr<std::optional<std::string>> ExecChannel::Receive() {
+  while (true) {
+    const absl::StatusOr<std::string> packet = ReceivePacket(fd_.get(), kExecPacketBytesMax);
+    if (absl::IsUnavailable(packet.status())) return std::nullopt;
+    RIPS_RETURN_IF_ERROR(packet.status());
+    std::string message;
+    RIPS_ASSIGN_OR_RETURN(const bool whole, joiner_.Add(*packet, &message));
+    if (whole) return message;
+  }
+}
+
+short ExecChannel::events() const {
+  return static_cast<short>(POLLIN | POLLRDHUP | (out_.empty() ? 0 : POLLOUT));
 }
 
 }  // namespace rips::actuator

@@ -8,7 +8,6 @@
 
 #include "absl/base/thread_annotations.h"
 #include "absl/strings/str_cat.h"
-#include "mode_actuator/steps/port/drilled.h"
 #include "services/runtime/cancel_flag.h"
 #include "services/runtime/mutex.h"
 

@@ -4,8 +4,6 @@
 #include <variant>
 
 #include "absl/strings/str_cat.h"
-#include "mode_actuator/steps/port/blocking_attempt.h"
-#include "mode_actuator/steps/port/drilled.h"
 #include "services/ros2/ros_name.h"
 
 namespace rips::actuator {

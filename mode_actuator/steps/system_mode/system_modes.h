@@ -36,7 +36,6 @@
 #include "mode_actuator/steps/port/part_modes.h"
 #include "mode_actuator/steps/system_mode/direct_modes.h"
 #include "mode_actuator/steps/system_mode/manager_client.h"
-#include "mode_actuator/steps/system_mode/modes_options.h"
 #include "mode_actuator/steps/system_mode/smh.h"
 #include "services/base/clock.h"
 #include "services/dds/participant.h"
