@@ -13,10 +13,10 @@
 #include "sensor_agent/uplink/fake_policy_server.h"
 #include "services/base/ids.h"
 #include "services/base/status_matchers.h"
-#include "services/dds/ros_view.h"
 #include "services/rpc/credentials.h"
 #include "services/rpc/test_pki.h"
 #include "services/runtime/real_clock.h"
+#include "tests/support/ros2/ros_view.h"
 
 namespace rips::sensor {
 namespace {

@@ -15,10 +15,10 @@
 #include "services/dds/participant.h"
 #include "services/dds/raw_reader.h"
 #include "services/dds/raw_writer.h"
-#include "services/dds/test_world.h"
 #include "services/ros2/cdr.h"
 #include "services/ros2/discovery_info.h"
 #include "services/ros2/ros_name.h"
+#include "tests/support/ros2/test_world.h"
 
 namespace rips::sensor {
 

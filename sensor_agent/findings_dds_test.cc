@@ -12,10 +12,10 @@
 #include "sensor_agent/fake_robot.h"
 #include "sensor_agent/uplink/fake_policy_server.h"
 #include "services/base/status_matchers.h"
-#include "services/dds/test_keystore.h"
 #include "services/rpc/credentials.h"
 #include "services/rpc/test_pki.h"
 #include "services/runtime/real_clock.h"
+#include "tests/support/ros2/test_keystore.h"
 
 namespace rips::sensor {
 namespace {

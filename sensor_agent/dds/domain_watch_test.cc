@@ -8,7 +8,7 @@
 #include "gtest/gtest.h"
 #include "sensor_agent/fake_robot.h"
 #include "services/base/status_matchers.h"
-#include "services/dds/test_world.h"
+#include "tests/support/ros2/test_world.h"
 
 namespace rips::sensor {
 namespace {

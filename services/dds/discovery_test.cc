@@ -14,8 +14,8 @@
 #include "services/dds/raw_reader.h"
 #include "services/dds/raw_writer.h"
 #include "services/dds/service_client.h"
-#include "services/dds/test_world.h"
 #include "services/runtime/mutex.h"
+#include "tests/support/ros2/test_world.h"
 
 namespace rips::dds {
 namespace {

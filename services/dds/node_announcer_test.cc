@@ -6,12 +6,12 @@
 #include "gmock/gmock.h"
 #include "gtest/gtest.h"
 #include "services/base/status_matchers.h"
-#include "services/dds/ros_view.h"
 #include "services/dds/service_client.h"
-#include "services/dds/test_keystore.h"
-#include "services/dds/test_world.h"
 #include "services/ros2/discovery_info.h"
 #include "services/ros2/ros_name.h"
+#include "tests/support/ros2/ros_view.h"
+#include "tests/support/ros2/test_keystore.h"
+#include "tests/support/ros2/test_world.h"
 
 namespace rips::dds {
 namespace {

@@ -3,7 +3,7 @@
 #include "gmock/gmock.h"
 #include "gtest/gtest.h"
 #include "services/base/status_matchers.h"
-#include "services/dds/test_world.h"
+#include "tests/support/ros2/test_world.h"
 
 namespace rips::dds {
 namespace {

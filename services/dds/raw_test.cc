@@ -9,9 +9,9 @@
 #include "services/base/status_matchers.h"
 #include "services/dds/raw_reader.h"
 #include "services/dds/raw_writer.h"
-#include "services/dds/test_world.h"
 #include "services/ros2/cdr.h"
 #include "services/runtime/mutex.h"
+#include "tests/support/ros2/test_world.h"
 
 namespace rips::dds {
 namespace {

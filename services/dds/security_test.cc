@@ -13,11 +13,11 @@
 #include "services/dds/raw_reader.h"
 #include "services/dds/raw_writer.h"
 #include "services/dds/service_client.h"
-#include "services/dds/service_server.h"
-#include "services/dds/test_keystore.h"
-#include "services/dds/test_world.h"
 #include "services/ros2/cdr.h"
 #include "services/runtime/mutex.h"
+#include "tests/support/ros2/service_server.h"
+#include "tests/support/ros2/test_keystore.h"
+#include "tests/support/ros2/test_world.h"
 
 namespace rips::dds {
 namespace {

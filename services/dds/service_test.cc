@@ -9,12 +9,12 @@
 #include "services/dds/raw_reader.h"
 #include "services/dds/raw_writer.h"
 #include "services/dds/service_client.h"
-#include "services/dds/service_server.h"
-#include "services/dds/test_world.h"
 #include "services/ros2/ros_name.h"
 #include "services/ros2/service_header.h"
-#include "services/ros2/system_modes_messages.h"
 #include "services/runtime/mutex.h"
+#include "tests/support/ros2/server_messages.h"
+#include "tests/support/ros2/service_server.h"
+#include "tests/support/ros2/test_world.h"
 
 namespace rips::dds {
 namespace {

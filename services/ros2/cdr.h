@@ -16,6 +16,8 @@ namespace rips::ros2 {
 inline constexpr size_t kCdrHeaderBytes = 4;
 // A body is padded to a multiple of 4, so up to 3 bytes may follow the last member.
 inline constexpr size_t kCdrPaddingBytesMax = 3;
+// The shortest string on the wire: its length alone.
+inline constexpr size_t kCdrStringBytesMin = 4;
 
 struct CdrLimits {
   // Longest string or octet sequence accepted, in bytes without the terminator.

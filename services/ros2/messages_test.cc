@@ -6,9 +6,8 @@
 #include "gtest/gtest.h"
 #include "services/base/status_matchers.h"
 #include "services/ros2/cdr.h"
-#include "services/ros2/parameter_messages.h"
 #include "services/ros2/service_header.h"
-#include "services/ros2/system_modes_messages.h"
+#include "tests/support/ros2/server_messages.h"
 
 namespace rips::ros2 {
 namespace {

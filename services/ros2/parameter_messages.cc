@@ -11,9 +11,6 @@
 namespace rips::ros2 {
 namespace {
 
-constexpr size_t kStringBytesMin = 4;
-// Type, bool, two numbers, a string and five sequences, before alignment.
-constexpr size_t kValueBytesMin = 2 + 2 * 8 + 6 * 4;
 constexpr uint8_t kParameterTypeMax = 9;
 
 static_assert(std::variant_size_v<ParameterValue> == kParameterTypeMax + 1);
@@ -24,8 +21,34 @@ T As(const ParameterValue& value) {
   return held == nullptr ? T() : *held;
 }
 
+template <typename T, typename Read>
+std::vector<T> ReadArray(CdrReader& reader, size_t element_bytes_min, Read read) {
+  std::vector<T> elements;
+  const uint32_t count = reader.Count(element_bytes_min, kParameterElementsMax);
+  elements.reserve(count);
+  for (uint32_t i = 0; i < count && reader.ok(); ++i) elements.push_back(read());
+  return elements;
+}
+
+std::string Text(std::monostate) { return "not set"; }
+std::string Text(bool value) { return value ? "true" : "false"; }
+std::string Text(int64_t value) { return absl::StrCat(value); }
+std::string Text(double value) { return absl::StrCat(value); }
+std::string Text(const std::string& value) { return value; }
+std::string Text(const ByteArray& value) { return absl::BytesToHexString(value.bytes); }
+template <typename T>
+std::string Text(const std::vector<T>& values) {
+  return absl::StrCat(
+      "[",
+      absl::StrJoin(values, ", ",
+                    [](std::string* out, const T& value) { absl::StrAppend(out, Text(value)); }),
+      "]");
+}
+
+}  // namespace
+
 // Every member is on the wire, whichever of them `type` makes count.
-void WriteValue(CdrWriter& writer, const ParameterValue& value) {
+void WriteParameterValue(const ParameterValue& value, CdrWriter& writer) {
   writer.U8(static_cast<uint8_t>(value.index()));
   writer.Bool(As<bool>(value));
   writer.I64(As<int64_t>(value));
@@ -48,16 +71,7 @@ void WriteValue(CdrWriter& writer, const ParameterValue& value) {
   for (const std::string& element : strings) writer.String(element);
 }
 
-template <typename T, typename Read>
-std::vector<T> ReadArray(CdrReader& reader, size_t element_bytes_min, Read read) {
-  std::vector<T> elements;
-  const uint32_t count = reader.Count(element_bytes_min, kParameterElementsMax);
-  elements.reserve(count);
-  for (uint32_t i = 0; i < count && reader.ok(); ++i) elements.push_back(read());
-  return elements;
-}
-
-ParameterValue ReadValue(CdrReader& reader) {
+ParameterValue ReadParameterValue(CdrReader& reader) {
   const uint8_t type = reader.U8();
   const bool boolean = reader.Bool();
   const int64_t integer = reader.I64();
@@ -67,8 +81,8 @@ ParameterValue ReadValue(CdrReader& reader) {
   auto bools = ReadArray<bool>(reader, 1, [&] { return reader.Bool(); });
   auto integers = ReadArray<int64_t>(reader, 8, [&] { return reader.I64(); });
   auto doubles = ReadArray<double>(reader, 8, [&] { return reader.F64(); });
-  auto strings =
-      ReadArray<std::string>(reader, kStringBytesMin, [&] { return std::string(reader.String()); });
+  auto strings = ReadArray<std::string>(reader, kCdrStringBytesMin,
+                                        [&] { return std::string(reader.String()); });
   switch (type) {
     case 0:
       return std::monostate();
@@ -96,23 +110,6 @@ ParameterValue ReadValue(CdrReader& reader) {
   }
 }
 
-std::string Text(std::monostate) { return "not set"; }
-std::string Text(bool value) { return value ? "true" : "false"; }
-std::string Text(int64_t value) { return absl::StrCat(value); }
-std::string Text(double value) { return absl::StrCat(value); }
-std::string Text(const std::string& value) { return value; }
-std::string Text(const ByteArray& value) { return absl::BytesToHexString(value.bytes); }
-template <typename T>
-std::string Text(const std::vector<T>& values) {
-  return absl::StrCat(
-      "[",
-      absl::StrJoin(values, ", ",
-                    [](std::string* out, const T& value) { absl::StrAppend(out, Text(value)); }),
-      "]");
-}
-
-}  // namespace
-
 std::string EncodeGetParametersRequest(const std::vector<std::string>& names) {
   CdrWriter writer;
   writer.U32(static_cast<uint32_t>(names.size()));
@@ -120,26 +117,11 @@ std::string EncodeGetParametersRequest(const std::vector<std::string>& names) {
   return std::move(writer).Finish();
 }
 
-absl::StatusOr<std::vector<std::string>> DecodeGetParametersRequest(absl::string_view payload) {
-  CdrReader reader(payload);
-  std::vector<std::string> names(reader.Count(kStringBytesMin, kParametersMax));
-  for (std::string& name : names) name = std::string(reader.String());
-  RIPS_RETURN_IF_ERROR(reader.Finish());
-  return names;
-}
-
-std::string EncodeGetParametersReply(const std::vector<ParameterValue>& values) {
-  CdrWriter writer;
-  writer.U32(static_cast<uint32_t>(values.size()));
-  for (const ParameterValue& value : values) WriteValue(writer, value);
-  return std::move(writer).Finish();
-}
-
 absl::StatusOr<std::vector<ParameterValue>> DecodeGetParametersReply(absl::string_view payload) {
   CdrReader reader(payload);
   std::vector<ParameterValue> values;
-  const uint32_t count = reader.Count(kValueBytesMin, kParametersMax);
-  for (uint32_t i = 0; i < count && reader.ok(); ++i) values.push_back(ReadValue(reader));
+  const uint32_t count = reader.Count(kParameterValueBytesMin, kParametersMax);
+  for (uint32_t i = 0; i < count && reader.ok(); ++i) values.push_back(ReadParameterValue(reader));
   RIPS_RETURN_IF_ERROR(reader.Finish());
   return values;
 }
@@ -149,27 +131,8 @@ std::string EncodeSetParametersRequest(const std::vector<NamedParameter>& parame
   writer.U32(static_cast<uint32_t>(parameters.size()));
   for (const NamedParameter& parameter : parameters) {
     writer.String(parameter.name);
-    WriteValue(writer, parameter.value);
+    WriteParameterValue(parameter.value, writer);
   }
-  return std::move(writer).Finish();
-}
-
-absl::StatusOr<std::vector<NamedParameter>> DecodeSetParametersRequest(absl::string_view payload) {
-  CdrReader reader(payload);
-  std::vector<NamedParameter> parameters;
-  const uint32_t count = reader.Count(kStringBytesMin + kValueBytesMin, kParametersMax);
-  for (uint32_t i = 0; i < count && reader.ok(); ++i) {
-    std::string name(reader.String());
-    parameters.push_back({std::move(name), ReadValue(reader)});
-  }
-  RIPS_RETURN_IF_ERROR(reader.Finish());
-  return parameters;
-}
-
-std::string EncodeSetParametersReply(const SetParametersResult& result) {
-  CdrWriter writer;
-  writer.Bool(result.successful);
-  writer.String(result.reason);
   return std::move(writer).Finish();
 }
 

@@ -1,5 +1,5 @@
-// Request and reply of rcl_interfaces/srv/GetParameters and SetParametersAtomically, as CDR
-// payloads without a service header. Decode* fail with DataLoss.
+// What a client of rcl_interfaces/srv/GetParameters and SetParametersAtomically sends and receives,
+// as CDR payloads without a service header. Decode* fail with DataLoss.
 #ifndef RIPS_SERVICES_ROS2_PARAMETER_MESSAGES_H_
 #define RIPS_SERVICES_ROS2_PARAMETER_MESSAGES_H_
 
@@ -11,6 +11,7 @@
 
 #include "absl/status/statusor.h"
 #include "absl/strings/string_view.h"
+#include "services/ros2/cdr.h"
 
 namespace rips::ros2 {
 
@@ -32,11 +33,15 @@ using ParameterValue =
     std::variant<std::monostate, bool, int64_t, double, std::string, ByteArray, std::vector<bool>,
                  std::vector<int64_t>, std::vector<double>, std::vector<std::string>>;
 
+// Fewest bytes of a value: type, bool, two numbers, a string and five sequences, before alignment.
+inline constexpr size_t kParameterValueBytesMin = 2 + 2 * 8 + 6 * 4;
+void WriteParameterValue(const ParameterValue& value, CdrWriter& writer);
+// A failure is recorded in `reader`.
+ParameterValue ReadParameterValue(CdrReader& reader);
+
 std::string EncodeGetParametersRequest(const std::vector<std::string>& names);
-absl::StatusOr<std::vector<std::string>> DecodeGetParametersRequest(absl::string_view payload);
 
 // One value per requested name, in that order; a node answers with an empty list if it refuses.
-std::string EncodeGetParametersReply(const std::vector<ParameterValue>& values);
 absl::StatusOr<std::vector<ParameterValue>> DecodeGetParametersReply(absl::string_view payload);
 
 // SetParametersAtomically: all of them or none.
@@ -46,14 +51,12 @@ struct NamedParameter {
   friend bool operator==(const NamedParameter&, const NamedParameter&) = default;
 };
 std::string EncodeSetParametersRequest(const std::vector<NamedParameter>& parameters);
-absl::StatusOr<std::vector<NamedParameter>> DecodeSetParametersRequest(absl::string_view payload);
 
 struct SetParametersResult {
   bool successful = false;
   std::string reason;  // the node's own words
   friend bool operator==(const SetParametersResult&, const SetParametersResult&) = default;
 };
-std::string EncodeSetParametersReply(const SetParametersResult& result);
 absl::StatusOr<SetParametersResult> DecodeSetParametersReply(absl::string_view payload);
 
 // As ROS tools print it: "true", "7", "0.5", "text", "[1, 2]"; "not set" for monostate.

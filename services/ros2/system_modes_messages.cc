@@ -6,41 +6,6 @@
 #include "services/ros2/cdr.h"
 
 namespace rips::ros2 {
-namespace {
-
-// Smallest string on the wire: its length.
-constexpr size_t kStringBytesMin = 4;
-
-std::string EncodeString(absl::string_view text) {
-  CdrWriter writer;
-  writer.String(text);
-  return std::move(writer).Finish();
-}
-
-absl::StatusOr<std::string> DecodeString(absl::string_view payload) {
-  CdrReader reader(payload);
-  std::string text(reader.String());
-  RIPS_RETURN_IF_ERROR(reader.Finish());
-  return text;
-}
-
-std::string EncodeLabel(const LifecycleLabel& label) {
-  CdrWriter writer;
-  writer.U8(label.id);
-  writer.String(label.label);
-  return std::move(writer).Finish();
-}
-
-absl::StatusOr<LifecycleLabel> DecodeLabel(absl::string_view payload) {
-  CdrReader reader(payload);
-  LifecycleLabel label;
-  label.id = reader.U8();
-  label.label = std::string(reader.String());
-  RIPS_RETURN_IF_ERROR(reader.Finish());
-  return label;
-}
-
-}  // namespace
 
 std::string EncodeEmptyRequest() {
   CdrWriter writer;
@@ -48,20 +13,9 @@ std::string EncodeEmptyRequest() {
   return std::move(writer).Finish();
 }
 
-absl::Status DecodeEmptyRequest(absl::string_view payload) {
-  CdrReader reader(payload);
-  reader.U8();
-  return reader.Finish();
-}
-
-std::string EncodeChangeModeRequest(absl::string_view mode) { return EncodeString(mode); }
-absl::StatusOr<std::string> DecodeChangeModeRequest(absl::string_view payload) {
-  return DecodeString(payload);
-}
-
-std::string EncodeSuccessReply(bool success) {
+std::string EncodeChangeModeRequest(absl::string_view mode) {
   CdrWriter writer;
-  writer.Bool(success);
+  writer.String(mode);
   return std::move(writer).Finish();
 }
 
@@ -72,35 +26,35 @@ absl::StatusOr<bool> DecodeSuccessReply(absl::string_view payload) {
   return success;
 }
 
-std::string EncodeGetModeReply(absl::string_view mode) { return EncodeString(mode); }
 absl::StatusOr<std::string> DecodeGetModeReply(absl::string_view payload) {
-  return DecodeString(payload);
-}
-
-std::string EncodeGetAvailableModesReply(const std::vector<std::string>& modes) {
-  CdrWriter writer;
-  writer.U32(static_cast<uint32_t>(modes.size()));
-  for (const std::string& mode : modes) writer.String(mode);
-  return std::move(writer).Finish();
+  CdrReader reader(payload);
+  std::string mode(reader.String());
+  RIPS_RETURN_IF_ERROR(reader.Finish());
+  return mode;
 }
 
 absl::StatusOr<std::vector<std::string>> DecodeGetAvailableModesReply(absl::string_view payload) {
   CdrReader reader(payload);
-  std::vector<std::string> modes(reader.Count(kStringBytesMin, kModesMax));
+  std::vector<std::string> modes(reader.Count(kCdrStringBytesMin, kModesMax));
   for (std::string& mode : modes) mode = std::string(reader.String());
   RIPS_RETURN_IF_ERROR(reader.Finish());
   return modes;
 }
 
-std::string EncodeGetStateReply(const LifecycleLabel& state) { return EncodeLabel(state); }
 absl::StatusOr<LifecycleLabel> DecodeGetStateReply(absl::string_view payload) {
-  return DecodeLabel(payload);
+  CdrReader reader(payload);
+  LifecycleLabel label;
+  label.id = reader.U8();
+  label.label = std::string(reader.String());
+  RIPS_RETURN_IF_ERROR(reader.Finish());
+  return label;
 }
+
 std::string EncodeChangeStateRequest(const LifecycleLabel& transition) {
-  return EncodeLabel(transition);
-}
-absl::StatusOr<LifecycleLabel> DecodeChangeStateRequest(absl::string_view payload) {
-  return DecodeLabel(payload);
+  CdrWriter writer;
+  writer.U8(transition.id);
+  writer.String(transition.label);
+  return std::move(writer).Finish();
 }
 
 }  // namespace rips::ros2

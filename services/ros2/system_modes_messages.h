@@ -1,6 +1,6 @@
-// Requests and replies of the System Modes and lifecycle services (packages system_modes_msgs and
-// lifecycle_msgs), as CDR payloads without a service header. Decode* fail with DataLoss. Requests
-// without members carry one octet, as ROS sends them.
+// What a client of the System Modes and lifecycle services (packages system_modes_msgs and
+// lifecycle_msgs) sends and receives, as CDR payloads without a service header. Decode* fail with
+// DataLoss. Requests without members carry one octet, as ROS sends them.
 #ifndef RIPS_SERVICES_ROS2_SYSTEM_MODES_MESSAGES_H_
 #define RIPS_SERVICES_ROS2_SYSTEM_MODES_MESSAGES_H_
 
@@ -27,20 +27,15 @@ inline constexpr char kGetStateType[] = "lifecycle_msgs/srv/GetState";
 
 // Any request without members: GetMode, GetAvailableModes, GetState.
 std::string EncodeEmptyRequest();
-absl::Status DecodeEmptyRequest(absl::string_view payload);
 
 // ChangeMode: a mode name; the reply says "accepted", which is not "reached".
 std::string EncodeChangeModeRequest(absl::string_view mode);
-absl::StatusOr<std::string> DecodeChangeModeRequest(absl::string_view payload);
 // The reply of ChangeMode and of ChangeState: one bool.
-std::string EncodeSuccessReply(bool success);
 absl::StatusOr<bool> DecodeSuccessReply(absl::string_view payload);
 
 // GetMode: the current mode; "unknown" or empty if the manager cannot infer it.
-std::string EncodeGetModeReply(absl::string_view mode);
 absl::StatusOr<std::string> DecodeGetModeReply(absl::string_view payload);
 
-std::string EncodeGetAvailableModesReply(const std::vector<std::string>& modes);
 absl::StatusOr<std::vector<std::string>> DecodeGetAvailableModesReply(absl::string_view payload);
 
 // lifecycle_msgs State and Transition: a number and a label. State ids: 1 unconfigured,
@@ -53,10 +48,8 @@ struct LifecycleLabel {
   friend bool operator==(const LifecycleLabel&, const LifecycleLabel&) = default;
 };
 
-std::string EncodeGetStateReply(const LifecycleLabel& state);
 absl::StatusOr<LifecycleLabel> DecodeGetStateReply(absl::string_view payload);
 std::string EncodeChangeStateRequest(const LifecycleLabel& transition);
-absl::StatusOr<LifecycleLabel> DecodeChangeStateRequest(absl::string_view payload);
 
 }  // namespace rips::ros2
 

@@ -9,11 +9,10 @@
 #include "services/base/check.h"
 #include "services/ros2/cdr.h"
 #include "services/ros2/discovery_info.h"
-#include "services/ros2/parameter_messages.h"
 #include "services/ros2/ros_graph.h"
 #include "services/ros2/ros_name.h"
 #include "services/ros2/service_header.h"
-#include "services/ros2/system_modes_messages.h"
+#include "tests/support/ros2/server_messages.h"
 
 namespace rips::ros2 {
 namespace {

@@ -6,9 +6,9 @@
 #include "gtest/gtest.h"
 #include "services/base/status_matchers.h"
 #include "services/dds/discovery.h"
-#include "services/dds/ros_view.h"
 #include "services/runtime/mutex.h"
 #include "tests/integration/actuator_world.h"
+#include "tests/support/ros2/ros_view.h"
 
 namespace rips::actuator {
 namespace {

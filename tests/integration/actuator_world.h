@@ -15,10 +15,10 @@
 #include "gtest/gtest.h"
 #include "mode_actuator/link/agent.h"
 #include "services/base/status_matchers.h"
-#include "services/dds/test_world.h"
 #include "services/runtime/metrics.h"
 #include "services/runtime/real_clock.h"
 #include "tests/support/robot_sim/living_robot.h"
+#include "tests/support/ros2/test_world.h"
 
 namespace rips::actuator {
 

@@ -15,10 +15,10 @@
 #include "sensor_agent/graph/graph_builder.h"
 #include "sensor_agent/messages/message_flow.h"
 #include "services/base/status_matchers.h"
-#include "services/dds/test_world.h"
 #include "services/ros2/discovery_info.h"
 #include "services/runtime/real_clock.h"
 #include "tests/integration/bus_world.h"
+#include "tests/support/ros2/test_world.h"
 
 namespace rips::sensor {
 namespace {

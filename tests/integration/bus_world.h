@@ -22,7 +22,7 @@
 #include "absl/strings/str_cat.h"
 #include "gtest/gtest.h"
 #include "services/base/ids.h"
-#include "services/dds/test_world.h"
+#include "tests/support/ros2/test_world.h"
 
 namespace rips::bus {
 

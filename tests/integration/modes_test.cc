@@ -11,11 +11,11 @@
 #include "mode_actuator/steps/system_mode/system_modes.h"
 #include "services/base/status_matchers.h"
 #include "services/dds/service_client.h"
-#include "services/dds/test_world.h"
 #include "services/ros2/system_modes_messages.h"
 #include "services/runtime/cancel_flag.h"
 #include "services/runtime/real_clock.h"
 #include "tests/support/robot_sim/living_robot.h"
+#include "tests/support/ros2/test_world.h"
 
 namespace rips::actuator {
 namespace {

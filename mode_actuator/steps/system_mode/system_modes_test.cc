@@ -9,13 +9,12 @@
 #include "gmock/gmock.h"
 #include "gtest/gtest.h"
 #include "services/base/status_matchers.h"
-#include "services/dds/service_server.h"
-#include "services/dds/test_world.h"
-#include "services/ros2/parameter_messages.h"
-#include "services/ros2/system_modes_messages.h"
 #include "services/runtime/cancel_flag.h"
 #include "services/runtime/mutex.h"
 #include "services/runtime/real_clock.h"
+#include "tests/support/ros2/server_messages.h"
+#include "tests/support/ros2/service_server.h"
+#include "tests/support/ros2/test_world.h"
 
 namespace rips::actuator {
 namespace {

@@ -37,10 +37,10 @@
 #include "services/ros2/cdr.h"
 #include "services/ros2/discovery_info.h"
 #include "services/ros2/ros_name.h"
-#include "services/ros2/system_modes_messages.h"
 #include "services/runtime/mutex.h"
 #include "services/runtime/shutdown.h"
 #include "tests/support/robot_sim/stop_flag.h"
+#include "tests/support/ros2/server_messages.h"
 
 namespace rips::fastdds_peer {
 namespace {

@@ -9,8 +9,8 @@
 #include "absl/strings/str_cat.h"
 #include "absl/strings/strip.h"
 #include "services/base/status_macros.h"
-#include "services/ros2/system_modes_messages.h"
 #include "tests/support/robot_sim/commands.h"
+#include "tests/support/ros2/server_messages.h"
 
 namespace rips::robot_sim {
 

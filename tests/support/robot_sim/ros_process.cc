@@ -5,9 +5,9 @@
 
 #include "absl/strings/str_cat.h"
 #include "services/base/status_macros.h"
-#include "services/ros2/parameter_messages.h"
 #include "services/ros2/ros_name.h"
 #include "tests/support/robot_sim/ros_messages.h"
+#include "tests/support/ros2/server_messages.h"
 
 namespace rips::robot_sim {
 namespace {

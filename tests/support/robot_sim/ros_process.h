@@ -16,9 +16,9 @@
 #include "services/dds/participant.h"
 #include "services/dds/raw_reader.h"
 #include "services/dds/raw_writer.h"
-#include "services/dds/service_server.h"
 #include "services/ros2/discovery_info.h"
 #include "services/ros2/ros_graph.h"
+#include "tests/support/ros2/service_server.h"
 
 namespace rips::robot_sim {
 

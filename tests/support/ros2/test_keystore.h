@@ -1,7 +1,7 @@
 // A keystore for tests, minted by deploy/security/keystore into a temporary directory. Test code
 // only.
-#ifndef RIPS_SERVICES_DDS_TEST_KEYSTORE_H_
-#define RIPS_SERVICES_DDS_TEST_KEYSTORE_H_
+#ifndef RIPS_TESTS_SUPPORT_ROS2_TEST_KEYSTORE_H_
+#define RIPS_TESTS_SUPPORT_ROS2_TEST_KEYSTORE_H_
 
 #include <stdlib.h>
 
@@ -61,4 +61,4 @@ class TestKeystore {
 
 }  // namespace rips::dds
 
-#endif  // RIPS_SERVICES_DDS_TEST_KEYSTORE_H_
+#endif  // RIPS_TESTS_SUPPORT_ROS2_TEST_KEYSTORE_H_

@@ -1,8 +1,8 @@
 // Two sides of one wire for tests, in one process: Cyclone keeps two domains apart, each with its
 // own threads and sockets, that use the ports of the same domain. Samples between them are RTPS
 // packets on the loopback interface. Test code only.
-#ifndef RIPS_SERVICES_DDS_TEST_WORLD_H_
-#define RIPS_SERVICES_DDS_TEST_WORLD_H_
+#ifndef RIPS_TESTS_SUPPORT_ROS2_TEST_WORLD_H_
+#define RIPS_TESTS_SUPPORT_ROS2_TEST_WORLD_H_
 
 #include <cstdlib>
 #include <functional>
@@ -87,4 +87,4 @@ inline bool Eventually(const std::function<bool()>& condition,
 
 }  // namespace rips::dds
 
-#endif  // RIPS_SERVICES_DDS_TEST_WORLD_H_
+#endif  // RIPS_TESTS_SUPPORT_ROS2_TEST_WORLD_H_

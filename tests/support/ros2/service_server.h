@@ -1,6 +1,6 @@
 // Server of one ROS 2 service, as rmw_cyclonedds clients expect it.
-#ifndef RIPS_SERVICES_DDS_SERVICE_SERVER_H_
-#define RIPS_SERVICES_DDS_SERVICE_SERVER_H_
+#ifndef RIPS_TESTS_SUPPORT_ROS2_SERVICE_SERVER_H_
+#define RIPS_TESTS_SUPPORT_ROS2_SERVICE_SERVER_H_
 
 #include <functional>
 #include <memory>
@@ -47,4 +47,4 @@ class ServiceServer {
 
 }  // namespace rips::dds
 
-#endif  // RIPS_SERVICES_DDS_SERVICE_SERVER_H_
+#endif  // RIPS_TESTS_SUPPORT_ROS2_SERVICE_SERVER_H_

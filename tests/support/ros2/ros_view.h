@@ -1,6 +1,6 @@
 // Which node each endpoint of a bus has, as the tools of ROS find it. Test code only.
-#ifndef RIPS_SERVICES_DDS_ROS_VIEW_H_
-#define RIPS_SERVICES_DDS_ROS_VIEW_H_
+#ifndef RIPS_TESTS_SUPPORT_ROS2_ROS_VIEW_H_
+#define RIPS_TESTS_SUPPORT_ROS2_ROS_VIEW_H_
 
 #include <cstddef>
 #include <map>
@@ -118,4 +118,4 @@ class RosView {
 
 }  // namespace rips::dds
 
-#endif  // RIPS_SERVICES_DDS_ROS_VIEW_H_
+#endif  // RIPS_TESTS_SUPPORT_ROS2_ROS_VIEW_H_

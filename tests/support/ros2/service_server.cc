@@ -1,4 +1,4 @@
-#include "services/dds/service_server.h"
+#include "tests/support/ros2/service_server.h"
 
 #include <thread>
 #include <utility>
