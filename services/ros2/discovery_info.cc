@@ -108,22 +108,4 @@ std::string EncodeParticipantEntities(const ParticipantEntities& info) {
   return std::move(writer).Finish();
 }
 
-absl::Status CheckOrigin(const ParticipantEntities& info, const Guid& writer) {
-  if (info.participant != writer.Participant()) {
-    return absl::PermissionDeniedError(absl::StrCat(
-        "endpoint ", ToString(writer), " speaks for participant ", ToString(info.participant)));
-  }
-  for (const NodeEntities& node : info.nodes) {
-    for (const std::vector<Guid>* gids : {&node.readers, &node.writers}) {
-      for (const Guid& gid : *gids) {
-        if (gid.SamePrefix(writer)) continue;
-        return absl::PermissionDeniedError(absl::StrCat("endpoint ", ToString(writer),
-                                                        " claims endpoint ", ToString(gid),
-                                                        " of another participant"));
-      }
-    }
-  }
-  return absl::OkStatus();
-}
-
 }  // namespace rips::ros2

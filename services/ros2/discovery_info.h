@@ -52,11 +52,6 @@ absl::StatusOr<ParticipantEntities> DecodeParticipantEntities(absl::string_view 
 // Little endian, with encapsulation header. Decode gives `info` back.
 std::string EncodeParticipantEntities(const ParticipantEntities& info);
 
-// OK if `writer`, the endpoint that published `info`, belongs to the participant that `info`
-// speaks for, and so does every endpoint listed. PermissionDenied otherwise: somebody speaks for
-// another participant.
-absl::Status CheckOrigin(const ParticipantEntities& info, const Guid& writer);
-
 }  // namespace rips::ros2
 
 #endif  // RIPS_SERVICES_ROS2_DISCOVERY_INFO_H_

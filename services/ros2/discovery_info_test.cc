@@ -8,6 +8,7 @@
 #include "gtest/gtest.h"
 #include "services/base/status_matchers.h"
 #include "services/ros2/cdr.h"
+#include "tests/support/ros2/server_messages.h"
 
 namespace rips::ros2 {
 namespace {

@@ -124,10 +124,6 @@ absl::Status ValidateNodeName(absl::string_view full_name) {
   return ValidateName("node name", full_name);
 }
 
-bool IsHiddenName(absl::string_view name) {
-  return absl::StartsWith(name, "_") || absl::StrContains(name, "/_");
-}
-
 std::string JoinNodeName(absl::string_view node_namespace, absl::string_view node_name) {
   if (node_namespace.empty() || node_namespace == "/") return absl::StrCat("/", node_name);
   return absl::StrCat(node_namespace, "/", node_name);

@@ -72,9 +72,6 @@ std::string MangleServiceReplyType(absl::string_view type);    // pkg::srv::dds_
 absl::Status ValidateTopicName(absl::string_view name);
 absl::Status ValidateNodeName(absl::string_view full_name);
 
-// A token of `name` starts with an underscore.
-bool IsHiddenName(absl::string_view name);
-
 // "/" + "n" -> "/n", "/ns" + "n" -> "/ns/n".
 std::string JoinNodeName(absl::string_view node_namespace, absl::string_view node_name);
 

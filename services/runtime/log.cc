@@ -4,6 +4,7 @@
 #include <memory>
 
 #include "absl/strings/str_format.h"
+#include "services/text/utf8.h"
 #include "spdlog/pattern_formatter.h"
 #include "spdlog/sinks/stdout_sinks.h"
 #include "spdlog/spdlog.h"
@@ -41,41 +42,10 @@ spdlog::level::level_enum ToSpdlog(LogLevel level) {
   return spdlog::level::err;
 }
 
-// Length of the well-formed UTF-8 sequence at `text[0]`, 0 if there is none (Unicode 15, table
-// 3-7); its code point goes to `*point`.
-size_t DecodeUtf8(absl::string_view text, uint32_t* point) {
-  const auto byte = [&](size_t i) { return static_cast<unsigned char>(text[i]); };
-  const unsigned char first = byte(0);
-  size_t length = 0;
-  if (first < 0x80) {
-    *point = first;
-    return 1;
-  } else if (first >= 0xc2 && first < 0xe0) {
-    length = 2;
-    *point = first & 0x1f;
-  } else if (first >= 0xe0 && first < 0xf0) {
-    length = 3;
-    *point = first & 0x0f;
-  } else if (first >= 0xf0 && first < 0xf5) {
-    length = 4;
-    *point = first & 0x07;
-  } else {
-    return 0;
-  }
-  if (text.size() < length) return 0;
-  for (size_t i = 1; i < length; ++i) {
-    if ((byte(i) & 0xc0) != 0x80) return 0;
-    *point = (*point << 6) | (byte(i) & 0x3f);
-  }
-  const bool overlong = (length == 3 && *point < 0x800) || (length == 4 && *point < 0x10000);
-  const bool surrogate = *point >= 0xd800 && *point < 0xe000;
-  return overlong || surrogate || *point > 0x10ffff ? 0 : length;
-}
-
 // Characters that could forge a line or reorder it on a terminal.
-bool IsControl(uint32_t point) {
-  return point < 0x20 || (point >= 0x7f && point < 0xa0) || point == 0x200e || point == 0x200f ||
-         (point >= 0x2028 && point <= 0x202e) || (point >= 0x2066 && point <= 0x2069);
+bool MayForge(char32_t value) {
+  return IsControl(value) || value == 0x200e || value == 0x200f ||
+         (value >= 0x2028 && value <= 0x202e) || (value >= 0x2066 && value <= 0x2069);
 }
 
 void AppendEscaped(absl::string_view bytes, std::string* out) {
@@ -94,17 +64,16 @@ void AppendValue(absl::string_view value, std::string* out) {
   std::string text;
   bool quoted = value.empty() || cut;
   for (size_t i = 0; i < value.size();) {
-    uint32_t point = 0;
-    const size_t length = DecodeUtf8(value.substr(i), &point);
-    const absl::string_view bytes = value.substr(i, length == 0 ? 1 : length);
-    if (length == 0 || IsControl(point)) {
+    const CodePoint point = DecodeCodePoint(value, i);
+    const absl::string_view bytes = value.substr(i, point.length);
+    if (!point.valid || MayForge(point.value)) {
       quoted = true;
       AppendEscaped(bytes, &text);
-    } else if (point == '"' || point == '\\') {
+    } else if (point.value == '"' || point.value == '\\') {
       quoted = true;
       absl::StrAppend(&text, "\\", bytes);
     } else {
-      quoted = quoted || point == ' ' || point == '=';
+      quoted = quoted || point.value == ' ' || point.value == '=';
       absl::StrAppend(&text, bytes);
     }
     i += bytes.size();

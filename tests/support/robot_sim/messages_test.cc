@@ -10,6 +10,7 @@
 #include "services/ros2/discovery_info.h"
 #include "tests/support/robot_sim/bad_discovery.h"
 #include "tests/support/robot_sim/ros_messages.h"
+#include "tests/support/ros2/server_messages.h"
 
 namespace rips::robot_sim {
 namespace {

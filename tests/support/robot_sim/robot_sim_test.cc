@@ -34,6 +34,7 @@
 #include "services/ros2/system_modes_messages.h"
 #include "services/runtime/mutex.h"
 #include "tests/support/robot_sim/ros_messages.h"
+#include "tests/support/ros2/server_messages.h"
 
 extern char** environ;
 

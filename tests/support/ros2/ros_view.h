@@ -19,6 +19,7 @@
 #include "services/ros2/guid.h"
 #include "services/ros2/ros_name.h"
 #include "services/runtime/mutex.h"
+#include "tests/support/ros2/server_messages.h"
 
 namespace rips::dds {
 

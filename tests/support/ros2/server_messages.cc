@@ -2,6 +2,7 @@
 
 #include <utility>
 
+#include "absl/strings/str_cat.h"
 #include "services/base/status_macros.h"
 #include "services/ros2/cdr.h"
 
@@ -70,6 +71,24 @@ std::string EncodeSetParametersReply(const SetParametersResult& result) {
   writer.Bool(result.successful);
   writer.String(result.reason);
   return std::move(writer).Finish();
+}
+
+absl::Status CheckOrigin(const ParticipantEntities& info, const Guid& writer) {
+  if (info.participant != writer.Participant()) {
+    return absl::PermissionDeniedError(absl::StrCat(
+        "endpoint ", ToString(writer), " speaks for participant ", ToString(info.participant)));
+  }
+  for (const NodeEntities& node : info.nodes) {
+    for (const std::vector<Guid>* gids : {&node.readers, &node.writers}) {
+      for (const Guid& gid : *gids) {
+        if (gid.SamePrefix(writer)) continue;
+        return absl::PermissionDeniedError(absl::StrCat("endpoint ", ToString(writer),
+                                                        " claims endpoint ", ToString(gid),
+                                                        " of another participant"));
+      }
+    }
+  }
+  return absl::OkStatus();
 }
 
 }  // namespace rips::ros2
