@@ -4,48 +4,14 @@
 #include <optional>
 #include <set>
 
-#include "absl/container/btree_map.h"
 #include "absl/strings/escaping.h"
 #include "absl/strings/str_cat.h"
-#include "mode_actuator/steps/system_mode/mode_hold.h"
 #include "services/base/status_macros.h"
 #include "services/runtime/cancel_flag.h"
 #include "services/text/quote.h"
 
 namespace rips::actuator {
 namespace {
-
-struct Part {
-  explicit Part(const std::string& name) : hold(name) {}
-
-  std::unique_ptr<ManagerClient> manager;  // null with Backend::kDirect
-  std::vector<std::string> modes;          // that levels use
-  ModeHold hold;
-  std::string unfinished;  // mode of the last order to the manager, if it was not read back
-};
-
-// One order, while it is carried out.
-struct Task {
-  Part& part;
-  const std::string mode;
-  const std::vector<ExpectedPart>& expected;
-  const CancelFlag& cancel;
-  const int64_t end_ns;
-  // The manager that was told of the mode.
-  std::optional<ros2::Guid> told;
-};
-
-// What one look at the robot gave.
-struct View {
-  ManagerView manager;
-  std::vector<std::string> wrong_parts;
-};
-
-// What came of asking the manager once.
-struct Attempt {
-  ModeReading reading;
-  bool hopeless = false;  // to ask it again would not help
-};
 
 // Is what is seen there to stay? True once it was seen for `needed` without a break.
 class Settled {
@@ -68,59 +34,30 @@ bool IsOver(const absl::Status& status) { return status.ok() || absl::IsCancelle
 
 }  // namespace
 
-class SystemModes::Impl {
- public:
-  Impl(const dds::Participant* participant, const ModesOptions& options, const Clock* clock)
-      : participant_(participant), options_(options), clock_(clock) {}
-
-  absl::Status Add(const Smh& smh, const std::string& part, const std::string& mode);
-  ModeReading Enter(absl::string_view part, absl::string_view mode, absl::Duration timeout,
-                    int retries, const CancelFlag& cancel);
-  ModeReading Check(absl::string_view part, absl::string_view mode, const CancelFlag& cancel);
-  ModeReading Probe(absl::string_view part, absl::string_view mode, const CancelFlag& cancel);
-  PartReading Read(absl::string_view part, absl::Duration at_most, const CancelFlag& cancel);
-  absl::Status CheckAvailable();
-  std::vector<std::string> Degraded() const;
-
- private:
-  bool may_go_direct() const {
-    return options_.backend == Backend::kDirect || options_.fallback == Fallback::kDirect;
-  }
-  View Look(Part& part, absl::string_view mode, const std::vector<ExpectedPart>& expected,
-            const CancelFlag& cancel);
-  // `held_by_parts`: the manager does not count.
-  absl::Status Verdict(const View& view, bool silence_allowed, bool held_by_parts) const;
-  ModeReading ThroughManager(Task& task, absl::Duration timeout, int attempts);
-  // False if the manager did not take the order; `attempt` says why.
-  bool Tell(Task& task, int64_t end_ns, Attempt& attempt);
-  // One attempt, until `end_ns`.
-  Attempt AskManager(Task& task, int64_t end_ns);
-  // Orders the nodes until the end of `task`; `why` not through the manager.
-  ModeReading Direct(Task& task, std::string why);
-  // What the manager must hear, and what is known of it, after a look at a part in `mode`.
-  void Follow(Part& part, absl::string_view mode, const View& view, ModeReading& reading);
-  absl::Status CheckManager(const std::string& name, Part& part,
-                            const std::vector<std::string>& modes) const;
-  static absl::Status CheckNode(const std::string& name, NodeClient& node);
-  // What `node` must be like when `part` is in `mode`; null if that asks nothing of it.
-  const ExpectedPart* Expected(const std::string& part, const std::string& mode,
-                               const std::string& node) const;
-  // Leaves in `modes` of `part` those with which `node` agrees. False if it does not answer.
-  bool KeepAgreeing(const std::string& part, const std::string& node,
-                    std::vector<std::string>& modes);
-  int64_t NowNs() const { return clock_->Now().boottime_ns; }
-
-  const dds::Participant* const participant_;  // Not owned; outlives this.
-  const ModesOptions options_;
-  const Clock* const clock_;  // Not owned; outlives this.
-  absl::btree_map<std::string, Part> parts_;
-  NodeClients nodes_;
-  absl::btree_map<std::pair<std::string, std::string>, std::vector<ExpectedPart>> targets_;
-  std::vector<std::string> unavailable_;  // what CheckAvailable found
+// One order, while it is carried out.
+struct SystemModes::Task {
+  Part& part;
+  const std::string mode;
+  const std::vector<ExpectedPart>& expected;
+  const CancelFlag& cancel;
+  const int64_t end_ns;
+  // The manager that was told of the mode.
+  std::optional<ros2::Guid> told;
 };
 
-absl::Status SystemModes::Impl::Add(const Smh& smh, const std::string& part,
-                                    const std::string& mode) {
+// What one look at the robot gave.
+struct SystemModes::View {
+  ManagerView manager;
+  std::vector<std::string> wrong_parts;
+};
+
+// What came of asking the manager once.
+struct SystemModes::Attempt {
+  ModeReading reading;
+  bool hopeless = false;  // to ask it again would not help
+};
+
+absl::Status SystemModes::Add(const Smh& smh, const std::string& part, const std::string& mode) {
   Part& known = parts_.try_emplace(part, part).first->second;
   if (known.manager == nullptr && options_.backend == Backend::kManager) {
     RIPS_ASSIGN_OR_RETURN(known.manager, ManagerClient::Create(*participant_, part));
@@ -135,8 +72,9 @@ absl::Status SystemModes::Impl::Add(const Smh& smh, const std::string& part,
   return absl::OkStatus();
 }
 
-View SystemModes::Impl::Look(Part& part, absl::string_view mode,
-                             const std::vector<ExpectedPart>& expected, const CancelFlag& cancel) {
+SystemModes::View SystemModes::Look(Part& part, absl::string_view mode,
+                                    const std::vector<ExpectedPart>& expected,
+                                    const CancelFlag& cancel) {
   View view;
   if (part.manager != nullptr) view.manager = part.manager->Look(mode);
   if (options_.verify == Verify::kManager) return view;
@@ -147,8 +85,8 @@ View SystemModes::Impl::Look(Part& part, absl::string_view mode,
   return view;
 }
 
-absl::Status SystemModes::Impl::Verdict(const View& view, bool silence_allowed,
-                                        bool held_by_parts) const {
+absl::Status SystemModes::Verdict(const View& view, bool silence_allowed,
+                                  bool held_by_parts) const {
   if (!view.wrong_parts.empty()) {
     return absl::FailedPreconditionError(JoinParts(view.wrong_parts));
   }
@@ -159,7 +97,7 @@ absl::Status SystemModes::Impl::Verdict(const View& view, bool silence_allowed,
   return absl::FailedPreconditionError(view.manager.says);
 }
 
-bool SystemModes::Impl::Tell(Task& task, int64_t end_ns, Attempt& attempt) {
+bool SystemModes::Tell(Task& task, int64_t end_ns, Attempt& attempt) {
   ManagerClient& manager = *task.part.manager;
   const absl::StatusOr<bool> order = manager.Order(task.mode, absl::Nanoseconds(end_ns - NowNs()));
   if (order.ok() && *order) {
@@ -180,7 +118,7 @@ bool SystemModes::Impl::Tell(Task& task, int64_t end_ns, Attempt& attempt) {
   return false;
 }
 
-Attempt SystemModes::Impl::AskManager(Task& task, int64_t end_ns) {
+SystemModes::Attempt SystemModes::AskManager(Task& task, int64_t end_ns) {
   Attempt attempt;
   attempt.reading.status = absl::DeadlineExceededError("no time left");
   const bool flips = !task.part.unfinished.empty() && task.part.unfinished != task.mode;
@@ -225,7 +163,7 @@ Attempt SystemModes::Impl::AskManager(Task& task, int64_t end_ns) {
   return attempt;
 }
 
-ModeReading SystemModes::Impl::ThroughManager(Task& task, absl::Duration timeout, int attempts) {
+ModeReading SystemModes::ThroughManager(Task& task, absl::Duration timeout, int attempts) {
   // What is left for orders to the nodes: the last attempt, or half of the only one.
   int64_t end_ns = task.end_ns;
   if (may_go_direct()) {
@@ -239,7 +177,7 @@ ModeReading SystemModes::Impl::ThroughManager(Task& task, absl::Duration timeout
   return attempt.reading;
 }
 
-ModeReading SystemModes::Impl::Direct(Task& task, std::string why) {
+ModeReading SystemModes::Direct(Task& task, std::string why) {
   ModeReading reading;
   reading.status = OrderNodes(nodes_, task.expected, task.end_ns, *clock_, task.cancel);
   if (reading.status.ok()) {
@@ -254,9 +192,8 @@ ModeReading SystemModes::Impl::Direct(Task& task, std::string why) {
   return reading;
 }
 
-ModeReading SystemModes::Impl::Enter(absl::string_view part_name, absl::string_view mode,
-                                     absl::Duration timeout, int retries,
-                                     const CancelFlag& cancel) {
+ModeReading SystemModes::Enter(absl::string_view part_name, absl::string_view mode,
+                               absl::Duration timeout, int retries, const CancelFlag& cancel) {
   ModeReading reading;
   const auto target = targets_.find({std::string(part_name), std::string(mode)});
   if (target == targets_.end()) {
@@ -288,8 +225,8 @@ ModeReading SystemModes::Impl::Enter(absl::string_view part_name, absl::string_v
   return Direct(task, std::string(reading.status.message()));
 }
 
-void SystemModes::Impl::Follow(Part& part, absl::string_view mode, const View& view,
-                               ModeReading& reading) {
+void SystemModes::Follow(Part& part, absl::string_view mode, const View& view,
+                         ModeReading& reading) {
   if (part.manager == nullptr || !part.hold.holds(mode)) return;
   if (!reading.status.ok()) {
     // It was asked before the parts; they may have moved in between.
@@ -313,8 +250,8 @@ void SystemModes::Impl::Follow(Part& part, absl::string_view mode, const View& v
   }
 }
 
-ModeReading SystemModes::Impl::Check(absl::string_view part_name, absl::string_view mode,
-                                     const CancelFlag& cancel) {
+ModeReading SystemModes::Check(absl::string_view part_name, absl::string_view mode,
+                               const CancelFlag& cancel) {
   ModeReading reading;
   const auto target = targets_.find({std::string(part_name), std::string(mode)});
   if (target == targets_.end()) {
@@ -333,8 +270,8 @@ ModeReading SystemModes::Impl::Check(absl::string_view part_name, absl::string_v
   return reading;
 }
 
-absl::Status SystemModes::Impl::CheckManager(const std::string& name, Part& part,
-                                             const std::vector<std::string>& modes) const {
+absl::Status SystemModes::CheckManager(const std::string& name, Part& part,
+                                       const std::vector<std::string>& modes) const {
   const absl::StatusOr<std::vector<std::string>> available = part.manager->AvailableModes();
   if (absl::IsDataLoss(available.status())) return available.status();
   if (!available.ok()) {
@@ -350,7 +287,7 @@ absl::Status SystemModes::Impl::CheckManager(const std::string& name, Part& part
   return absl::OkStatus();
 }
 
-absl::Status SystemModes::Impl::CheckNode(const std::string& name, NodeClient& node) {
+absl::Status SystemModes::CheckNode(const std::string& name, NodeClient& node) {
   const absl::StatusOr<uint8_t> state = node.State();
   if (!state.ok()) return absl::UnavailableError(absl::StrCat(name, " does not answer"));
   if (*state == kStateUnconfigured) {
@@ -364,7 +301,7 @@ absl::Status SystemModes::Impl::CheckNode(const std::string& name, NodeClient& n
   return absl::OkStatus();
 }
 
-absl::Status SystemModes::Impl::CheckAvailable() {
+absl::Status SystemModes::CheckAvailable() {
   absl::Status worst;
   unavailable_.clear();
   const auto found = [&](const absl::Status& status) {
@@ -380,7 +317,7 @@ absl::Status SystemModes::Impl::CheckAvailable() {
   return worst;
 }
 
-std::vector<std::string> SystemModes::Impl::Degraded() const {
+std::vector<std::string> SystemModes::Degraded() const {
   std::vector<std::string> degraded;
   for (const auto& [name, part] : parts_) {
     std::string text = part.hold.Degraded(NowNs());
@@ -390,8 +327,8 @@ std::vector<std::string> SystemModes::Impl::Degraded() const {
   return degraded;
 }
 
-ModeReading SystemModes::Impl::Probe(absl::string_view part_name, absl::string_view mode,
-                                     const CancelFlag& cancel) {
+ModeReading SystemModes::Probe(absl::string_view part_name, absl::string_view mode,
+                               const CancelFlag& cancel) {
   ModeReading reading;
   const auto target = targets_.find({std::string(part_name), std::string(mode)});
   if (target == targets_.end()) {
@@ -429,16 +366,16 @@ ModeReading SystemModes::Impl::Probe(absl::string_view part_name, absl::string_v
   return reading;
 }
 
-const ExpectedPart* SystemModes::Impl::Expected(const std::string& part, const std::string& mode,
-                                                const std::string& node) const {
+const ExpectedPart* SystemModes::Expected(const std::string& part, const std::string& mode,
+                                          const std::string& node) const {
   for (const ExpectedPart& expected : targets_.at({part, mode})) {
     if (expected.node == node) return &expected;
   }
   return nullptr;
 }
 
-bool SystemModes::Impl::KeepAgreeing(const std::string& part, const std::string& node,
-                                     std::vector<std::string>& modes) {
+bool SystemModes::KeepAgreeing(const std::string& part, const std::string& node,
+                               std::vector<std::string>& modes) {
   std::vector<std::string> agreeing;
   for (const std::string& mode : modes) {
     const ExpectedPart* expected = Expected(part, mode, node);
@@ -453,8 +390,8 @@ bool SystemModes::Impl::KeepAgreeing(const std::string& part, const std::string&
   return true;
 }
 
-PartReading SystemModes::Impl::Read(absl::string_view part_name, absl::Duration at_most,
-                                    const CancelFlag& cancel) {
+PartReading SystemModes::Read(absl::string_view part_name, absl::Duration at_most,
+                              const CancelFlag& cancel) {
   const int64_t end_ns = NowNs() + absl::ToInt64Nanoseconds(at_most);
   const auto found = parts_.find(std::string(part_name));
   if (found == parts_.end()) return {.complete = true};  // no level sets a mode of it
@@ -486,9 +423,6 @@ PartReading SystemModes::Impl::Read(absl::string_view part_name, absl::Duration 
   return reading;
 }
 
-SystemModes::SystemModes(std::unique_ptr<Impl> impl) : impl_(std::move(impl)) {}
-SystemModes::~SystemModes() = default;
-
 absl::StatusOr<std::unique_ptr<SystemModes>> SystemModes::Create(
     const dds::Participant* participant, const Smh& smh, const ModesOptions& options,
     const Targets& targets, const Clock* clock) {
@@ -496,33 +430,9 @@ absl::StatusOr<std::unique_ptr<SystemModes>> SystemModes::Create(
   if (direct && options.verify != Verify::kParts) {
     return absl::InvalidArgumentError("orders to the nodes need their state read back");
   }
-  auto impl = std::make_unique<Impl>(participant, options, clock);
-  for (const auto& [part, mode] : targets) RIPS_RETURN_IF_ERROR(impl->Add(smh, part, mode));
-  return std::unique_ptr<SystemModes>(new SystemModes(std::move(impl)));
+  std::unique_ptr<SystemModes> modes(new SystemModes(participant, options, clock));
+  for (const auto& [part, mode] : targets) RIPS_RETURN_IF_ERROR(modes->Add(smh, part, mode));
+  return modes;
 }
-
-ModeReading SystemModes::Enter(absl::string_view part, absl::string_view mode,
-                               absl::Duration timeout, int retries, const CancelFlag& cancel) {
-  return impl_->Enter(part, mode, timeout, retries, cancel);
-}
-
-ModeReading SystemModes::Check(absl::string_view part, absl::string_view mode,
-                               const CancelFlag& cancel) {
-  return impl_->Check(part, mode, cancel);
-}
-
-ModeReading SystemModes::Probe(absl::string_view part, absl::string_view mode,
-                               const CancelFlag& cancel) {
-  return impl_->Probe(part, mode, cancel);
-}
-
-PartReading SystemModes::Read(absl::string_view part, absl::Duration at_most,
-                              const CancelFlag& cancel) {
-  return impl_->Read(part, at_most, cancel);
-}
-
-absl::Status SystemModes::CheckAvailable() { return impl_->CheckAvailable(); }
-
-std::vector<std::string> SystemModes::Degraded() const { return impl_->Degraded(); }
 
 }  // namespace rips::actuator

@@ -29,6 +29,7 @@
 #include <utility>
 #include <vector>
 
+#include "absl/container/btree_map.h"
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
 #include "absl/strings/string_view.h"
@@ -36,6 +37,8 @@
 #include "mode_actuator/steps/port/part_modes.h"
 #include "mode_actuator/steps/system_mode/direct_modes.h"
 #include "mode_actuator/steps/system_mode/manager_client.h"
+#include "mode_actuator/steps/system_mode/mode_hold.h"
+#include "mode_actuator/steps/system_mode/node_client.h"
 #include "mode_actuator/steps/system_mode/smh.h"
 #include "services/base/clock.h"
 #include "services/dds/participant.h"
@@ -68,7 +71,6 @@ class SystemModes final : public PartModes {
                                                              const ModesOptions& options,
                                                              const Targets& targets,
                                                              const Clock* clock);
-  ~SystemModes() override;
 
   ModeReading Enter(absl::string_view part, absl::string_view mode, absl::Duration timeout,
                     int retries, const CancelFlag& cancel) override;
@@ -91,9 +93,56 @@ class SystemModes final : public PartModes {
   std::vector<std::string> Degraded() const;
 
  private:
-  class Impl;
-  explicit SystemModes(std::unique_ptr<Impl> impl);
-  std::unique_ptr<Impl> impl_;
+  struct Part {
+    explicit Part(const std::string& name) : hold(name) {}
+
+    std::unique_ptr<ManagerClient> manager;  // null with Backend::kDirect
+    std::vector<std::string> modes;          // that levels use
+    ModeHold hold;
+    std::string unfinished;  // mode of the last order to the manager, if it was not read back
+  };
+  struct Task;
+  struct View;
+  struct Attempt;
+
+  SystemModes(const dds::Participant* participant, const ModesOptions& options, const Clock* clock)
+      : participant_(participant), options_(options), clock_(clock) {}
+
+  absl::Status Add(const Smh& smh, const std::string& part, const std::string& mode);
+  bool may_go_direct() const {
+    return options_.backend == Backend::kDirect || options_.fallback == Fallback::kDirect;
+  }
+  View Poll(Part& part, absl::string_view mode, const std::vector<ExpectedPart>& expected,
+            const CancelFlag& cancel);
+  // `held_by_parts`: the manager does not count.
+  absl::Status Verdict(const View& view, bool silence_allowed, bool held_by_parts) const;
+  ModeReading ThroughManager(Task& task, absl::Duration timeout, int attempts);
+  // False if the manager did not take the order; `attempt` says why.
+  bool OrderManager(Task& task, int64_t end_ns, Attempt& attempt);
+  // One attempt, until `end_ns`.
+  Attempt AskManager(Task& task, int64_t end_ns);
+  // Orders the nodes until the end of `task`; `why` not through the manager.
+  ModeReading Direct(Task& task, std::string why);
+  // What the manager must hear, and what is known of it, after a part in `mode` was polled.
+  void Follow(Part& part, absl::string_view mode, const View& view, ModeReading& reading);
+  absl::Status CheckManager(const std::string& name, Part& part,
+                            const std::vector<std::string>& modes) const;
+  static absl::Status CheckNode(const std::string& name, NodeClient& node);
+  // What `node` must be like when `part` is in `mode`; null if that asks nothing of it.
+  const ExpectedPart* Expected(const std::string& part, const std::string& mode,
+                               const std::string& node) const;
+  // Leaves in `modes` of `part` those with which `node` agrees. False if it does not answer.
+  bool KeepAgreeing(const std::string& part, const std::string& node,
+                    std::vector<std::string>& modes);
+  int64_t NowNs() const { return clock_->Now().boottime_ns; }
+
+  const dds::Participant* const participant_;  // Not owned; outlives this.
+  const ModesOptions options_;
+  const Clock* const clock_;  // Not owned; outlives this.
+  absl::btree_map<std::string, Part> parts_;
+  NodeClients nodes_;
+  absl::btree_map<std::pair<std::string, std::string>, std::vector<ExpectedPart>> targets_;
+  std::vector<std::string> unavailable_;  // what CheckAvailable found
 };
 
 }  // namespace rips::actuator
