@@ -10,7 +10,6 @@
 #include "services/dds/security.h"
 #include "services/rpc/certificate_monitor.h"
 #include "services/rpc/credentials.h"
-#include "services/rpc/grpc_logs.h"
 #include "services/runtime/core_dumps.h"
 #include "services/runtime/daemon_flags.h"
 #include "services/runtime/log.h"

@@ -3,7 +3,6 @@
 
 #include "sensor_agent/daemon.h"
 #include "services/rpc/credentials.h"
-#include "services/rpc/grpc_logs.h"
 #include "services/runtime/core_dumps.h"
 #include "services/runtime/daemon_flags.h"
 #include "services/runtime/shutdown.h"

@@ -85,9 +85,7 @@ void LevelExecutor::Leave(const Level& level, Progress& progress, LevelOutcome& 
       if (!result.ok) AddDetail(outcome, result);
       outcome.steps.push_back(std::move(result));
     } else {
-      const std::vector<StepResult> results =
-          RunSteps({step.get()}, progress, absl::InfiniteDuration(), step->in_order(), outcome);
-      Count(*step, results[0], progress, outcome);
+      RunAndCount({step.get()}, step->in_order(), progress, outcome);
     }
   }
 }
@@ -119,9 +117,7 @@ void LevelExecutor::Enter(const Level& level, Progress& progress, LevelOutcome& 
       outcome.steps.push_back({.step = step->Name(), .detail = "not run"});
       continue;
     }
-    const std::vector<StepResult> results =
-        RunSteps({step.get()}, progress, absl::InfiniteDuration(), /*observes=*/true, outcome);
-    Count(*step, results[0], progress, outcome);
+    RunAndCount({step.get()}, /*observes=*/true, progress, outcome);
   }
   std::vector<LevelStep*> others = Together(level.enter);
   std::erase_if(others, [](const LevelStep* each) { return each->done(); });
@@ -132,9 +128,7 @@ void LevelExecutor::Enter(const Level& level, Progress& progress, LevelOutcome& 
     }
     return;
   }
-  const std::vector<StepResult> results =
-      RunSteps(others, progress, absl::InfiniteDuration(), /*observes=*/true, outcome);
-  for (size_t i = 0; i < others.size(); ++i) Count(*others[i], results[i], progress, outcome);
+  RunAndCount(others, /*observes=*/true, progress, outcome);
 }
 
 void LevelExecutor::OnDrift(const Level& level, Progress& progress, LevelOutcome& outcome) {
@@ -142,15 +136,10 @@ void LevelExecutor::OnDrift(const Level& level, Progress& progress, LevelOutcome
   progress.raise = true;
   for (const std::unique_ptr<LevelStep>& step : level.on_drift) {
     if (!step->in_order() || progress.stopped || cancel.cancelled()) continue;
-    const std::vector<StepResult> results =
-        RunSteps({step.get()}, progress, absl::InfiniteDuration(), /*observes=*/true, outcome);
-    Count(*step, results[0], progress, outcome);
+    RunAndCount({step.get()}, /*observes=*/true, progress, outcome);
   }
   if (progress.stopped || cancel.cancelled()) return;
-  const std::vector<LevelStep*> others = Together(level.on_drift);
-  const std::vector<StepResult> results =
-      RunSteps(others, progress, absl::InfiniteDuration(), /*observes=*/false, outcome);
-  for (size_t i = 0; i < others.size(); ++i) Count(*others[i], results[i], progress, outcome);
+  RunAndCount(Together(level.on_drift), /*observes=*/false, progress, outcome);
 }
 
 void LevelExecutor::Check(const Level& level, const CancelFlag& cancel, LevelOutcome& outcome) {
@@ -212,6 +201,13 @@ std::vector<StepResult> LevelExecutor::RunSteps(const std::vector<LevelStep*>& s
     results.push_back(std::move(attempts[i]->result));
   }
   return results;
+}
+
+void LevelExecutor::RunAndCount(const std::vector<LevelStep*>& steps, bool observes,
+                                Progress& progress, LevelOutcome& outcome) {
+  const std::vector<StepResult> results =
+      RunSteps(steps, progress, absl::InfiniteDuration(), observes, outcome);
+  for (size_t i = 0; i < steps.size(); ++i) Count(*steps[i], results[i], progress, outcome);
 }
 
 void LevelExecutor::Drive(const std::vector<std::unique_ptr<StepAttempt>>& attempts,

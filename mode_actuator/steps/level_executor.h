@@ -68,6 +68,9 @@ class LevelExecutor {
   // leaves; gives their results. `observes`: the outcome reports what they saw.
   std::vector<StepResult> RunSteps(const std::vector<LevelStep*>& steps, const Progress& progress,
                                    absl::Duration at_most, bool observes, LevelOutcome& outcome);
+  // RunSteps without a limit of time of its own, and Count of each.
+  void RunAndCount(const std::vector<LevelStep*>& steps, bool observes, Progress& progress,
+                   LevelOutcome& outcome);
   // Until all are over; after `at_most` they are cancelled.
   void Drive(const std::vector<std::unique_ptr<StepAttempt>>& attempts, absl::Duration at_most,
              const CancelFlag& cancel) const;

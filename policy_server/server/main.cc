@@ -9,7 +9,6 @@
 #include "policy_server/server/config/config.h"
 #include "policy_server/server/server.h"
 #include "services/rpc/credentials.h"
-#include "services/rpc/grpc_logs.h"
 #include "services/runtime/config_sections.h"
 #include "services/runtime/core_dumps.h"
 #include "services/runtime/daemon_flags.h"

@@ -107,7 +107,7 @@ absl::Status VerifyChain(const std::vector<Certificate>& roots,
 
 }  // namespace
 
-absl::StatusOr<Leaf> ReadLeaf(absl::string_view pem) {
+absl::StatusOr<Peer> ReadLeaf(absl::string_view pem) {
   const std::vector<Certificate> certificates = ReadCertificates(pem);
   if (certificates.empty()) return absl::InvalidArgumentError("there is no certificate in it");
   const X509* leaf = certificates.front().get();
@@ -119,10 +119,10 @@ absl::StatusOr<Leaf> ReadLeaf(absl::string_view pem) {
   RIPS_ASSIGN_OR_RETURN(PeerIdentity identity, ParseSpiffeUri(uris.front()));
   RIPS_ASSIGN_OR_RETURN(const absl::Time not_before, openssl::ToTime(X509_get0_notBefore(leaf)));
   RIPS_ASSIGN_OR_RETURN(const absl::Time not_after, openssl::ToTime(X509_get0_notAfter(leaf)));
-  return Leaf{.identity = std::move(identity),
-              .serial = openssl::SerialText(X509_get0_serialNumber(leaf)),
+  return Peer{.identity = std::move(identity),
+              .not_after = not_after,
               .not_before = not_before,
-              .not_after = not_after};
+              .serial = openssl::SerialText(X509_get0_serialNumber(leaf))};
 }
 
 std::vector<CertificateId> ReadChain(absl::string_view pem) {

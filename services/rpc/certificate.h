@@ -22,16 +22,22 @@ struct CertificateId {
   friend auto operator<=>(const CertificateId&, const CertificateId&) = default;
 };
 
-struct Leaf {
+// The holder of a certificate: the other end of a call, or ourselves.
+struct Peer {
   PeerIdentity identity;
-  std::string serial;  // as in CertificateId
-  absl::Time not_before;
+  // When its certificate expires. The library does not end a live stream then: the service must.
   absl::Time not_after;
+  absl::Time not_before;
+  // Of its certificate, as in CertificateId.
+  std::string serial;
+  // Of the other end of a call: its certificate and the authorities between it and the root.
+  std::vector<CertificateId> chain = {};
 };
 
 // The first certificate in `pem`. InvalidArgument if there is none, if it has not exactly one URI
-// SAN (RFC 5280 §4.2.1.6), or if that is not a form of ParseSpiffeUri. Proves nothing about trust.
-absl::StatusOr<Leaf> ReadLeaf(absl::string_view pem);
+// SAN (RFC 5280 §4.2.1.6), or if that is not a form of ParseSpiffeUri. Without the
+// chain; proves nothing about trust.
+absl::StatusOr<Peer> ReadLeaf(absl::string_view pem);
 
 // All certificates in `pem`, in order, those issued by themselves left out.
 std::vector<CertificateId> ReadChain(absl::string_view pem);

@@ -95,20 +95,13 @@ absl::Status CertificateMonitor::own_status() const {
 }
 
 void CertificateMonitor::Look() {
-  const absl::StatusOr<OwnCertificate> own = ReadOwnCertificate(options_.own);
+  const absl::StatusOr<Peer> own = ReadOwnCertificate(options_.own);
   const absl::Time now = absl::FromUnixNanos(clock_->Now().unix_ns);
   std::vector<Notice> notices;
   {
     MutexLock lock(&mu_);
     own_status_ = own.status();
-    if (own.ok()) {
-      PutLocked("",
-                {.identity = own->identity,
-                 .not_after = own->not_after,
-                 .not_before = own->not_before,
-                 .serial = own->serial},
-                /*own=*/true);
-    }
+    if (own.ok()) PutLocked("", *own, /*own=*/true);
     for (auto& [key, watched] : watched_) {
       const Peer& peer = watched.certificate;
       watched.left.Set(absl::ToDoubleSeconds(peer.not_after - now));

@@ -6,6 +6,7 @@
 #include <utility>
 
 #include "absl/strings/str_cat.h"
+#include "grpc/support/log.h"
 #include "grpcpp/security/tls_certificate_provider.h"
 #include "grpcpp/security/tls_certificate_verifier.h"
 #include "grpcpp/security/tls_credentials_options.h"
@@ -54,7 +55,7 @@ class IdentityVerifier final : public tls::ExternalCertificateVerifier {
   void Cancel(tls::TlsCustomVerificationCheckRequest*) override {}
 
  private:
-  absl::Status Judge(const absl::StatusOr<Leaf>& leaf) const {
+  absl::Status Judge(const absl::StatusOr<Peer>& leaf) const {
     if (!leaf.ok()) return leaf.status();
     if (leaf->identity.trust_domain != trust_domain_) {
       return absl::UnauthenticatedError(absl::StrCat(
@@ -74,22 +75,23 @@ class IdentityVerifier final : public tls::ExternalCertificateVerifier {
 
 }  // namespace
 
-struct Credentials::Parts {
-  std::shared_ptr<grpc::ChannelCredentials> client;
-  std::shared_ptr<grpc::ServerCredentials> server;
-};
-
 void RequireTls13() {
   // A TLS 1.2 suite that needs a pre-shared key, which nobody has: TLS 1.2 cannot agree on any. The
   // suites of TLS 1.3 are configured apart from these and stay. gRPC 1.51 has no minimum version.
   setenv("GRPC_SSL_CIPHER_SUITES", "PSK-AES128-GCM-SHA256", 1);
 }
 
-absl::StatusOr<OwnCertificate> ReadOwnCertificate(const TlsFiles& files) {
+void RouteGrpcLogs() {
+  gpr_set_log_function([](gpr_log_func_args* args) {
+    LogDebug("grpc", {{"text", args->message}, {"file", args->file}, {"line", args->line}});
+  });
+}
+
+absl::StatusOr<Peer> ReadOwnCertificate(const TlsFiles& files) {
   RIPS_ASSIGN_OR_RETURN(const std::string ca, ReadFile(files.ca, kPemBytesMax));
   RIPS_ASSIGN_OR_RETURN(const std::string cert, ReadFile(files.cert, kPemBytesMax));
   RIPS_ASSIGN_OR_RETURN(const std::string key, ReadFile(files.key, kPemBytesMax));
-  const absl::StatusOr<Leaf> leaf = ReadLeaf(cert);
+  absl::StatusOr<Peer> leaf = ReadLeaf(cert);
   absl::Status status = leaf.status();
   if (status.ok()) status = CheckChain(ca, cert, key);
   if (!status.ok()) {
@@ -97,20 +99,14 @@ absl::StatusOr<OwnCertificate> ReadOwnCertificate(const TlsFiles& files) {
                                                    "`, key `", files.key,
                                                    "`) cannot be used: ", status.message()));
   }
-  return OwnCertificate{.identity = leaf->identity,
-                        .not_after = leaf->not_after,
-                        .not_before = leaf->not_before,
-                        .serial = leaf->serial};
+  return leaf;
 }
 
-Credentials::Credentials(TlsFiles files, PeerIdentity self,
+Credentials::Credentials(const TlsFiles& files, PeerIdentity self,
                          std::shared_ptr<Revocations> revocations)
-    : files_(std::move(files)),
-      self_(std::move(self)),
-      revocations_(std::move(revocations)),
-      parts_(std::make_shared<Parts>()) {
+    : self_(std::move(self)), revocations_(std::move(revocations)) {
   const auto provider = std::make_shared<tls::FileWatcherCertificateProvider>(
-      files_.key, files_.cert, files_.ca, kRefreshSeconds);
+      files.key, files.cert, files.ca, kRefreshSeconds);
   const auto configure = [&](auto& options, Accept accept, std::shared_ptr<Revocations> lists) {
     options.watch_root_certs();
     options.watch_identity_key_cert_pairs();
@@ -122,18 +118,18 @@ Credentials::Credentials(TlsFiles files, PeerIdentity self,
   client.set_verify_server_certs(true);
   client.set_check_call_host(false);
   configure(client, Accept::kPolicyServer, revocations_);
-  parts_->client = tls::TlsCredentials(client);
+  client_ = tls::TlsCredentials(client);
 
   tls::TlsServerCredentialsOptions server(provider);
   server.set_cert_request_type(GRPC_SSL_REQUEST_AND_REQUIRE_CLIENT_CERTIFICATE_AND_VERIFY);
   // Who is revoked is refused at its calls, with a status that says so, and counted.
   configure(server, Accept::kAnyRole, nullptr);
-  parts_->server = tls::TlsServerCredentials(server);
+  server_ = tls::TlsServerCredentials(server);
 }
 
 absl::StatusOr<std::shared_ptr<const Credentials>> Credentials::Load(const TlsFiles& files) {
   RequireTls13();
-  RIPS_ASSIGN_OR_RETURN(const OwnCertificate own, ReadOwnCertificate(files));
+  RIPS_ASSIGN_OR_RETURN(const Peer own, ReadOwnCertificate(files));
   std::shared_ptr<Revocations> revocations;
   if (!files.crl.empty()) {
     RIPS_ASSIGN_OR_RETURN(revocations, Revocations::Open(files));
@@ -155,15 +151,11 @@ absl::Status Credentials::RevocationProblem(absl::Time now) const {
   return revocations_ == nullptr ? absl::OkStatus() : revocations_->problem(now);
 }
 
-std::shared_ptr<grpc::ChannelCredentials> Credentials::ForClient() const { return parts_->client; }
-
-std::shared_ptr<grpc::ServerCredentials> Credentials::ForServer() const { return parts_->server; }
-
 absl::StatusOr<std::shared_ptr<const Credentials>> LoadOwn(const TlsFiles& files,
                                                            const CheckIdentity& check) {
   // Before all else: a certificate of somebody else stays so, whatever the clock says.
   const absl::StatusOr<std::string> cert = ReadFile(files.cert, kPemBytesMax);
-  const absl::StatusOr<Leaf> leaf = cert.ok() ? ReadLeaf(*cert) : cert.status();
+  const absl::StatusOr<Peer> leaf = cert.ok() ? ReadLeaf(*cert) : cert.status();
   if (leaf.ok() && check) {
     const absl::Status mine = check(leaf->identity);
     if (!mine.ok()) return absl::PermissionDeniedError(mine.message());

@@ -25,17 +25,14 @@ namespace rips::rpc {
 // Leaves only TLS 1.3 to this process. Call first in main(), before there are threads (it sets an
 // environment variable that gRPC reads once, at its first TLS use); Credentials::Load calls it too.
 void RequireTls13();
+// Sends what gRPC logs to services/runtime/log.h at debug level: what matters of it reaches the
+// daemon as a status, and is logged there. Call first in main().
+void RouteGrpcLogs();
 
 // What `files` say, checked before they are used: all readable PEM, key belongs to certificate,
 // certificate valid now and issued under `ca`, exactly one URI SAN of the forms of ParseSpiffeUri.
-struct OwnCertificate {
-  PeerIdentity identity;
-  absl::Time not_after;
-  absl::Time not_before;
-  std::string serial;
-};
 // InvalidArgument or the file's own error, naming the file and the remedy.
-absl::StatusOr<OwnCertificate> ReadOwnCertificate(const TlsFiles& files);
+absl::StatusOr<Peer> ReadOwnCertificate(const TlsFiles& files);
 
 // One's own certificate and whom to trust. The files are watched (every second): connections made
 // after a change use the new ones, live streams go on. A directory must be replaced atomically: if
@@ -47,8 +44,6 @@ class Credentials {
 
   // From the certificate as it was at Load.
   const PeerIdentity& self() const { return self_; }
-  // Reads the certificate file again, so that a renewed one is seen.
-  absl::StatusOr<OwnCertificate> Current() const { return ReadOwnCertificate(files_); }
 
   // Reads the revocation lists again if they have changed. Cheap if not; call it each second.
   void Refresh() const;
@@ -56,26 +51,24 @@ class Credentials {
   std::optional<Refusal> Revoked(const Peer& peer) const;
   // What is wrong with the revocation lists; OK also if there are none.
   absl::Status RevocationProblem(absl::Time now) const;
-  const TlsFiles& files() const { return files_; }
 
   // For agents and operators: accepts only a certificate that chains to `ca`, is not revoked, and
   // whose one URI is a policy server of self()'s trust domain; host names play no part. Refused in
   // the handshake, so
   // nothing is sent to another: an agent's certificate cannot play the server.
-  std::shared_ptr<grpc::ChannelCredentials> ForClient() const;
+  std::shared_ptr<grpc::ChannelCredentials> ForClient() const { return client_; }
   // For the policy server: requires a client certificate that chains to `ca` and whose one URI is
   // an identity of self()'s trust domain. What that identity may do, and whether it is revoked, is
   // asked at each call (CallGate).
-  std::shared_ptr<grpc::ServerCredentials> ForServer() const;
+  std::shared_ptr<grpc::ServerCredentials> ForServer() const { return server_; }
 
  private:
-  struct Parts;
-  Credentials(TlsFiles files, PeerIdentity self, std::shared_ptr<Revocations> revocations);
+  Credentials(const TlsFiles& files, PeerIdentity self, std::shared_ptr<Revocations> revocations);
 
-  TlsFiles files_;
   PeerIdentity self_;
   std::shared_ptr<Revocations> revocations_;  // null = nothing is revoked
-  std::shared_ptr<Parts> parts_;
+  std::shared_ptr<grpc::ChannelCredentials> client_;
+  std::shared_ptr<grpc::ServerCredentials> server_;
 };
 
 // Refuses a certificate that is not this daemon's.

@@ -18,20 +18,16 @@ absl::StatusOr<Peer> PeerOf(const grpc::AuthContext& auth) {
   if (!auth.IsPeerAuthenticated() || certificates.size() != 1) {
     return absl::UnauthenticatedError("no verified certificate; connect with mutual TLS");
   }
-  const absl::StatusOr<Leaf> leaf =
+  absl::StatusOr<Peer> peer =
       ReadLeaf(absl::string_view(certificates[0].data(), certificates[0].size()));
-  if (!leaf.ok()) return absl::UnauthenticatedError(leaf.status().message());
-  Peer peer{.identity = leaf->identity,
-            .not_after = leaf->not_after,
-            .not_before = leaf->not_before,
-            .serial = leaf->serial};
+  if (!peer.ok()) return absl::UnauthenticatedError(peer.status().message());
   for (const char* property :
        {GRPC_X509_PEM_CERT_PROPERTY_NAME, GRPC_X509_PEM_CERT_CHAIN_PROPERTY_NAME}) {
     for (const grpc::string_ref& pem : auth.FindPropertyValues(property)) {
       for (CertificateId& each : ReadChain(absl::string_view(pem.data(), pem.size()))) {
         const bool known =
-            std::find(peer.chain.begin(), peer.chain.end(), each) != peer.chain.end();
-        if (!known) peer.chain.push_back(std::move(each));
+            std::find(peer->chain.begin(), peer->chain.end(), each) != peer->chain.end();
+        if (!known) peer->chain.push_back(std::move(each));
       }
     }
   }

@@ -76,6 +76,12 @@ std::string Observed(const FirewallStep& step) {
   return absl::StrCat("firewall=isolated:", absl::StrJoin(names, ","));
 }
 
+// What a step that gave `observed`, or an error, answers.
+FwResponse ToResponse(const absl::StatusOr<std::string>& observed) {
+  if (!observed.ok()) return {.status = observed.status()};
+  return {.status = absl::OkStatus(), .observed = *observed};
+}
+
 // Of all that is in force.
 std::string Summary(const Ruleset& now, const std::string& file) {
   size_t isolated = 0;
@@ -106,8 +112,11 @@ FwResponse Firewall::Handle(const FwRequest& request) {
   switch (request.verb) {
     case FwVerb::kEnter:
       return Enter(request.step);
-    case FwVerb::kCheck:
-      return Check(request.step);
+    case FwVerb::kCheck: {
+      FwResponse response = ToResponse(Check(request.step));
+      if (!response.status.ok()) response.observed = "firewall=?";
+      return response;
+    }
     case FwVerb::kTry:
       return Try(request.step);
     case FwVerb::kStatus:
@@ -119,10 +128,10 @@ FwResponse Firewall::Handle(const FwRequest& request) {
 FwResponse Firewall::Enter(const FirewallStep& step) {
   switch (step.kind) {
     case Kind::kRules:
-      return EnterRules(step);
+      return ToResponse(EnterRules(step));
     case Kind::kIsolateHosts:
     case Kind::kIsolateParticipants:
-      return EnterIsolation(step);
+      return ToResponse(EnterIsolation(step));
     case Kind::kRelease:
       return EnterRelease();
   }
@@ -214,21 +223,16 @@ absl::StatusOr<std::string> Firewall::RulesScript(const FirewallStep& step) {
   return absl::StrCat(TableScript(control), LevelScript(rules, step.hold_for));
 }
 
-FwResponse Firewall::EnterRules(const FirewallStep& step) {
-  const auto body = [&]() -> absl::StatusOr<std::string> {
-    RIPS_ASSIGN_OR_RETURN(const std::string script, RulesScript(step));
-    // Until it is there for certain, nothing is known of the level's rules.
-    file_.clear();
-    level_.clear();
-    RIPS_ASSIGN_OR_RETURN(const Ruleset now, Load(script));
-    file_ = step.file;
-    RIPS_RETURN_IF_ERROR(CompareTable(now));
-    RIPS_RETURN_IF_ERROR(CompareRules(step, now));
-    return Observed(step);
-  };
-  const absl::StatusOr<std::string> observed = body();
-  if (!observed.ok()) return {.status = observed.status()};
-  return {.status = absl::OkStatus(), .observed = *observed};
+absl::StatusOr<std::string> Firewall::EnterRules(const FirewallStep& step) {
+  RIPS_ASSIGN_OR_RETURN(const std::string script, RulesScript(step));
+  // Until it is there for certain, nothing is known of the level's rules.
+  file_.clear();
+  level_.clear();
+  RIPS_ASSIGN_OR_RETURN(const Ruleset now, Load(script));
+  file_ = step.file;
+  RIPS_RETURN_IF_ERROR(CompareTable(now));
+  RIPS_RETURN_IF_ERROR(CompareRules(step, now));
+  return Observed(step);
 }
 
 absl::StatusOr<std::string> Firewall::IsolationScript(const FirewallStep& step,
@@ -255,20 +259,15 @@ absl::StatusOr<std::string> Firewall::IsolationScript(const FirewallStep& step,
   return IsolateScript(isolations);
 }
 
-FwResponse Firewall::EnterIsolation(const FirewallStep& step) {
-  const auto body = [&]() -> absl::StatusOr<std::string> {
-    RIPS_ASSIGN_OR_RETURN(const std::vector<Target> targets, AllowedTargets(step));
-    RIPS_ASSIGN_OR_RETURN(const std::vector<ControlAddress> control, host_->Control());
-    RIPS_ASSIGN_OR_RETURN(const Ruleset before, ListOrMend(TableScript(control)));
-    RIPS_ASSIGN_OR_RETURN(const std::string script, IsolationScript(step, targets, before));
-    RIPS_ASSIGN_OR_RETURN(const Ruleset now, Load(absl::StrCat(TableScript(control), script)));
-    RIPS_RETURN_IF_ERROR(CompareTable(now));
-    RIPS_RETURN_IF_ERROR(CompareTargets(targets, now));
-    return Observed(step);
-  };
-  const absl::StatusOr<std::string> observed = body();
-  if (!observed.ok()) return {.status = observed.status()};
-  return {.status = absl::OkStatus(), .observed = *observed};
+absl::StatusOr<std::string> Firewall::EnterIsolation(const FirewallStep& step) {
+  RIPS_ASSIGN_OR_RETURN(const std::vector<Target> targets, AllowedTargets(step));
+  RIPS_ASSIGN_OR_RETURN(const std::vector<ControlAddress> control, host_->Control());
+  RIPS_ASSIGN_OR_RETURN(const Ruleset before, ListOrMend(TableScript(control)));
+  RIPS_ASSIGN_OR_RETURN(const std::string script, IsolationScript(step, targets, before));
+  RIPS_ASSIGN_OR_RETURN(const Ruleset now, Load(absl::StrCat(TableScript(control), script)));
+  RIPS_RETURN_IF_ERROR(CompareTable(now));
+  RIPS_RETURN_IF_ERROR(CompareTargets(targets, now));
+  return Observed(step);
 }
 
 FwResponse Firewall::EnterRelease() {
@@ -368,56 +367,52 @@ absl::Status Firewall::CompareTargets(const std::vector<Target>& targets,
   return Left(absl::StrCat("no longer isolated: ", Named(missing)));
 }
 
-FwResponse Firewall::Check(const FirewallStep& step) {
-  if (step.kind == Kind::kRelease) return {.status = absl::OkStatus()};
-  const auto body = [&]() -> absl::StatusOr<std::string> {
-    RIPS_ASSIGN_OR_RETURN(const std::vector<Target> targets, Targets(step));
-    RIPS_ASSIGN_OR_RETURN(const Ruleset now, List());
-    RIPS_RETURN_IF_ERROR(CompareTable(now));
-    std::string renew;
-    const int64_t half_s = absl::ToInt64Seconds(step.hold_for / 2);
-    if (step.kind == Kind::kRules) {
-      RIPS_RETURN_IF_ERROR(CompareRules(step, now));
-      const SetElement* held = FindElement(now, "level_hold", "ipv4");
-      if (held->expires_s < half_s) renew = HoldScript(step.hold_for);
+absl::StatusOr<std::string> Firewall::Check(const FirewallStep& step) {
+  if (step.kind == Kind::kRelease) return "";
+  RIPS_ASSIGN_OR_RETURN(const std::vector<Target> targets, Targets(step));
+  RIPS_ASSIGN_OR_RETURN(const Ruleset now, List());
+  RIPS_RETURN_IF_ERROR(CompareTable(now));
+  std::string renew;
+  const int64_t half_s = absl::ToInt64Seconds(step.hold_for / 2);
+  if (step.kind == Kind::kRules) {
+    RIPS_RETURN_IF_ERROR(CompareRules(step, now));
+    const SetElement* held = FindElement(now, "level_hold", "ipv4");
+    if (held->expires_s < half_s) renew = HoldScript(step.hold_for);
+  }
+  RIPS_RETURN_IF_ERROR(CompareTargets(targets, now));
+  std::vector<Isolation> isolations;
+  for (const Target& target : targets) {
+    const SetElement* element = FindElement(now, SetOf(target.kind), target.text);
+    if (element->expires_s < half_s) {
+      isolations.push_back({target, step.hold_for, element->since_s});
     }
-    RIPS_RETURN_IF_ERROR(CompareTargets(targets, now));
-    std::vector<Isolation> isolations;
-    for (const Target& target : targets) {
-      const SetElement* element = FindElement(now, SetOf(target.kind), target.text);
-      if (element->expires_s < half_s) {
-        isolations.push_back({target, step.hold_for, element->since_s});
-      }
-    }
-    absl::StrAppend(&renew, IsolateScript(isolations));
-    if (!renew.empty()) RIPS_RETURN_IF_ERROR(nft_->Load(renew, NftMode::kCommit));
-    return Observed(step);
-  };
-  const absl::StatusOr<std::string> observed = body();
-  if (!observed.ok()) return {.status = observed.status(), .observed = "firewall=?"};
-  return {.status = absl::OkStatus(), .observed = *observed};
+  }
+  absl::StrAppend(&renew, IsolateScript(isolations));
+  if (!renew.empty()) RIPS_RETURN_IF_ERROR(nft_->Load(renew, NftMode::kCommit));
+  return Observed(step);
+}
+
+absl::StatusOr<std::string> Firewall::ScriptOf(const FirewallStep& step) {
+  if (step.kind == Kind::kRules) return RulesScript(step);
+  std::vector<Target> targets;
+  if (step.kind != Kind::kRelease) {
+    RIPS_ASSIGN_OR_RETURN(targets, AllowedTargets(step));
+  }
+  // A dry run reports a table that is switched off; it does not switch it on.
+  RIPS_ASSIGN_OR_RETURN(const Ruleset now, List());
+  if (now.dormant) return Left("table `inet rips` was switched off (dormant)");
+  const absl::StatusOr<std::vector<ControlAddress>> control = host_->Control();
+  if (step.kind == Kind::kRelease) {
+    return absl::StrCat(TableScript(control.value_or(std::vector<ControlAddress>())),
+                        ReleaseScript({}));
+  }
+  RIPS_RETURN_IF_ERROR(control.status());
+  RIPS_ASSIGN_OR_RETURN(const std::string script, IsolationScript(step, targets, now));
+  return absl::StrCat(TableScript(*control), script);
 }
 
 FwResponse Firewall::Try(const FirewallStep& step) {
-  const auto body = [&]() -> absl::StatusOr<std::string> {
-    if (step.kind == Kind::kRules) return RulesScript(step);
-    std::vector<Target> targets;
-    if (step.kind != Kind::kRelease) {
-      RIPS_ASSIGN_OR_RETURN(targets, AllowedTargets(step));
-    }
-    // A table that is switched off is told, not mended.
-    RIPS_ASSIGN_OR_RETURN(const Ruleset now, List());
-    if (now.dormant) return Left("table `inet rips` was switched off (dormant)");
-    const absl::StatusOr<std::vector<ControlAddress>> control = host_->Control();
-    if (step.kind == Kind::kRelease) {
-      return absl::StrCat(TableScript(control.ok() ? *control : std::vector<ControlAddress>()),
-                          ReleaseScript({}));
-    }
-    RIPS_RETURN_IF_ERROR(control.status());
-    RIPS_ASSIGN_OR_RETURN(const std::string script, IsolationScript(step, targets, now));
-    return absl::StrCat(TableScript(*control), script);
-  };
-  const absl::StatusOr<std::string> script = body();
+  const absl::StatusOr<std::string> script = ScriptOf(step);
   const absl::Status status = script.ok() ? nft_->Load(*script, NftMode::kDryRun) : script.status();
   if (!status.ok()) return {.status = status};
   return {.status = status, .note = "nft and the kernel would take it (dry run)"};

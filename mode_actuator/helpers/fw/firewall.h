@@ -59,12 +59,14 @@ class Firewall {
 
  private:
   FwResponse Enter(const FirewallStep& step);
-  FwResponse EnterRules(const FirewallStep& step);
-  FwResponse EnterIsolation(const FirewallStep& step);
+  // What was read back.
+  absl::StatusOr<std::string> EnterRules(const FirewallStep& step);
+  absl::StatusOr<std::string> EnterIsolation(const FirewallStep& step);
+  absl::StatusOr<std::string> Check(const FirewallStep& step);
   FwResponse EnterRelease();
-  FwResponse Check(const FirewallStep& step);
   // A dry run of what Enter would load.
   FwResponse Try(const FirewallStep& step);
+  absl::StatusOr<std::string> ScriptOf(const FirewallStep& step);
   FwResponse Status();
 
   absl::StatusOr<Ruleset> List();
