@@ -79,11 +79,9 @@ bool ReadWhat(const ConfigSection& section, const Config& config, Step* step) {
   body.Required("name", &program.name);
   body.Optional("args", &program.args);
   CheckArgs(body, program.args);
-  const auto spec =
-      std::find_if(config.programs.begin(), config.programs.end(),
-                   [&](const ProgramSpec& each) { return each.name == program.name; });
+  const ProgramSpec* spec = FindNamed(config.programs, program.name);
   step->timeout = absl::Seconds(10);
-  if (spec != config.programs.end()) {
+  if (spec != nullptr) {
     step->timeout = spec->timeout;
   } else if (!program.name.empty()) {
     body.Problem("name",
@@ -199,9 +197,7 @@ void ReadFailSafe(const ConfigSection& root, Config* config) {
   section.Required("after", &config->fail_safe_after, {absl::ZeroDuration(), absl::Hours(1)});
   const std::string& level = config->fail_safe_level;
   if (level.empty() || level == "keep") return;
-  const bool known = std::any_of(config->levels.begin(), config->levels.end(),
-                                 [&](const LevelSpec& each) { return each.name == level; });
-  if (!known) {
+  if (FindNamed(config->levels, level) == nullptr) {
     section.Problem("level",
                     absl::StrCat(QuoteBytes(level), " is none of `levels`; or write `keep`"));
   }

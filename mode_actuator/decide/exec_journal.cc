@@ -91,9 +91,7 @@ void ExecJournal::Finish(absl::string_view id, Receipt::Stage stage, int exit_co
 }
 
 void ExecJournal::Forget(absl::string_view id) {
-  entries_.erase(std::remove_if(entries_.begin(), entries_.end(),
-                                [&](const Entry& entry) { return entry.id == id; }),
-                 entries_.end());
+  std::erase_if(entries_, [&](const Entry& entry) { return entry.id == id; });
 }
 
 std::vector<Receipt> ExecJournal::CloseUnfinished() {

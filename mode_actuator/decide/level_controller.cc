@@ -215,10 +215,8 @@ Receipt LevelController::MakeReceipt(const Command& command, Receipt::Stage stag
 }
 
 void LevelController::Send(Receipt receipt, Actions& actions) {
-  recent_.erase(
-      std::remove_if(recent_.begin(), recent_.end(),
-                     [&](const Receipt& old) { return old.command_id == receipt.command_id; }),
-      recent_.end());
+  std::erase_if(recent_,
+ [&](const Receipt& old) { return old.command_id == receipt.command_id; });
   // Only what was taken up is worth remembering: a refusal is found again by judging again.
   if (receipt.stage != Receipt::Stage::kRefused && receipt.stage != Receipt::Stage::kRefusedStale) {
     recent_.push_back(receipt);

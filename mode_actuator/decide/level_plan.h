@@ -6,6 +6,7 @@
 #include <variant>
 #include <vector>
 
+#include "absl/strings/string_view.h"
 #include "absl/time/time.h"
 #include "mode_actuator/decide/alarm_state.h"
 
@@ -74,6 +75,15 @@ struct LevelSpec {
   // in it until a level is entered anew.
   std::vector<Step> on_drift;
 };
+
+// The one of that name; null if there is none.
+template <typename T>
+const T* FindNamed(const std::vector<T>& all, absl::string_view name) {
+  for (const T& each : all) {
+    if (each.name == name) return &each;
+  }
+  return nullptr;
+}
 
 // Calls `visit(step)` for each step of `levels`.
 template <typename Visit>

@@ -25,15 +25,12 @@ class ReceiptQueue {
   void Add(Receipt receipt) {
     // Of one command only the newest stage is of use; of one decision only the newest receipt, so
     // that a failure that has been mended is not reported again after a reconnect.
-    entries_.erase(
-        std::remove_if(entries_.begin(), entries_.end(),
-                       [&](const Entry& old) {
+    std::erase_if(entries_, [&](const Entry& old) {
                          const bool same_decision =
                              !receipt.decision_id.none() &&
                              old.receipt.decision_id == receipt.decision_id && old.sent_ns != 0;
                          return same_decision || old.receipt.command_id == receipt.command_id;
-                       }),
-        entries_.end());
+                       });
     if (!receipt.decision_id.none() && receipt.decision_id >= newest_decision_id_)
       newest_decision_id_ = receipt.decision_id;
     entries_.push_back({std::move(receipt), 0, 0});
@@ -56,15 +53,13 @@ class ReceiptQueue {
       entry.session = session_;
       if (entry.sent_ns == 0) entry.sent_ns = now_ns;
     }
-    entries_.erase(std::remove_if(entries_.begin(), entries_.end(),
-                                  [&](const Entry& entry) {
+    std::erase_if(entries_, [&](const Entry& entry) {
                                     const bool newest =
                                         !entry.receipt.decision_id.none() &&
                                         entry.receipt.decision_id == newest_decision_id_;
                                     return !newest && entry.sent_ns != 0 &&
                                            now_ns - entry.sent_ns > kReceiptKeepNs;
-                                  }),
-                   entries_.end());
+                                  });
   }
 
   size_t size() const { return entries_.size(); }

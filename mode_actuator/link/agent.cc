@@ -625,10 +625,8 @@ void Agent::Impl::OnDrill(const DrillCommand& command) {
 // --- exec
 
 bool Agent::Impl::IsAllowed(absl::string_view program) const {
-  for (const ProgramSpec& spec : config_.programs) {
-    if (spec.name == program) return !spec.script;
-  }
-  return false;
+  const ProgramSpec* spec = FindNamed(config_.programs, program);
+  return spec != nullptr && !spec->script;
 }
 
 void Agent::Impl::WriteJournal(std::function<void(const absl::Status&)> done) {

@@ -10,7 +10,7 @@
 namespace rips::actuator {
 
 bool Drill::HoldsAlarm(absl::string_view name) const {
-  const Level* level = FindLevel(levels_, name);
+  const Level* level = FindNamed(levels_, name);
   if (level == nullptr) return true;
   return std::any_of(level->enter.begin(), level->enter.end(),
                      [](const std::unique_ptr<LevelStep>& step) { return step->alarms(); });
@@ -20,7 +20,7 @@ DrillOutcome Drill::Run(const DrillJob& job, const CancelFlag& cancel,
                         const std::function<void()>& between) {
   DrillOutcome outcome;
   outcome.id = job.id;
-  const Level* level = FindLevel(levels_, job.level);
+  const Level* level = FindNamed(levels_, job.level);
   if (level == nullptr) {
     outcome.steps.push_back({.step = absl::StrCat("level ", ros2::Printable(job.level)),
                              .detail = "there is no such level",

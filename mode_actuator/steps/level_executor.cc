@@ -43,8 +43,8 @@ LevelOutcome LevelExecutor::Run(const ApplyLevel& job, const CancelFlag& cancel)
     Survey(cancel, outcome);
     return outcome;
   }
-  const Level* to = FindLevel(levels_, job.to);
-  const Level* from = FindLevel(levels_, job.from);
+  const Level* to = FindNamed(levels_, job.to);
+  const Level* from = FindNamed(levels_, job.from);
   if (to == nullptr) {
     outcome.detail = absl::StrCat("no level `", job.to, "`");
     return outcome;

@@ -1,6 +1,5 @@
 #include "mode_actuator/steps/level_steps.h"
 
-#include <algorithm>
 #include <variant>
 
 #include "mode_actuator/steps/alarm/alarm_step.h"
@@ -10,19 +9,6 @@
 #include "services/base/overloaded.h"
 
 namespace rips::actuator {
-namespace {
-
-// Null if `all` is, or has none of that name.
-template <typename Spec>
-const Spec* Named(const std::vector<Spec>* all, absl::string_view name) {
-  if (all == nullptr) return nullptr;
-  const auto found =
-      std::find_if(all->begin(), all->end(), [&](const Spec& each) { return each.name == name; });
-  return found == all->end() ? nullptr : &*found;
-}
-
-}  // namespace
-
 std::vector<Level> MakeLevels(const std::vector<LevelSpec>& specs, const StepPorts& ports) {
   const ModeSteps mode_steps(ports.modes, ports.clock);
   const auto make = [&](const std::vector<Step>& steps, bool on_drift) {
@@ -32,12 +18,14 @@ std::vector<Level> MakeLevels(const std::vector<LevelSpec>& specs, const StepPor
           std::visit(Overloaded{
                          [&](const SystemModeStep&) { return mode_steps.Make(step, on_drift); },
                          [&](const ProgramStep& program) {
-                           const ProgramSpec* spec = Named(ports.allowed, program.name);
+                           const ProgramSpec* spec =
+ ports.allowed == nullptr ? nullptr : FindNamed(*ports.allowed, program.name);
                            return MakeProgramStep(step, spec != nullptr && spec->drill,
                                                   ports.programs, ports.clock);
                          },
                          [&](const AlarmStep& alarm) {
-                           const AlarmSpec* spec = Named(ports.devices, alarm.device);
+                           const AlarmSpec* spec =
+ ports.devices == nullptr ? nullptr : FindNamed(*ports.devices, alarm.device);
                            return MakeAlarmStep(step, spec != nullptr && spec->flash_in_drills,
                                                 ports.alarms, ports.clock);
                          },
@@ -57,10 +45,6 @@ std::vector<Level> MakeLevels(const std::vector<LevelSpec>& specs, const StepPor
                       .on_drift = make(spec.on_drift, true)});
   }
   return levels;
-}
-
-const Level* FindLevel(const std::vector<Level>& levels, absl::string_view name) {
-  return Named(&levels, name);
 }
 
 }  // namespace rips::actuator

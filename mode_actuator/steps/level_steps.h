@@ -40,8 +40,6 @@ struct Level {
 
 std::vector<Level> MakeLevels(const std::vector<LevelSpec>& specs, const StepPorts& ports);
 
-// Null if there is none of that name.
-const Level* FindLevel(const std::vector<Level>& levels, absl::string_view name);
 
 }  // namespace rips::actuator
 

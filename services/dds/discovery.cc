@@ -20,12 +20,6 @@ constexpr size_t kTakeMax = 64;
 // Type names of the readers behind Discovery itself, which nobody else sees.
 constexpr absl::string_view kBuiltinTypes = "org::eclipse::cyclonedds::builtin::";
 
-ros2::Guid ToGuid(const dds_guid_t& guid) {
-  ros2::Guid copy;
-  std::copy(std::begin(guid.v), std::end(guid.v), copy.bytes.begin());
-  return copy;
-}
-
 ParticipantSeen Describe(const dds_builtintopic_participant_t& sample,
                          const dds_sample_info_t& info, bool secured) {
   ParticipantSeen seen;

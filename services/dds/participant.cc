@@ -137,9 +137,7 @@ absl::StatusOr<ros2::Guid> GuidOf(EntityHandle entity) {
   if (const dds_return_t code = dds_get_guid(entity, &guid); code < 0) {
     return DdsError("reading an entity's GUID", code);
   }
-  ros2::Guid copy;
-  std::copy(std::begin(guid.v), std::end(guid.v), copy.bytes.begin());
-  return copy;
+  return ToGuid(guid);
 }
 
 }  // namespace rips::dds

@@ -9,6 +9,12 @@
 
 namespace rips::dds {
 
+ros2::Guid ToGuid(const dds_guid_t& guid) {
+  ros2::Guid copy;
+  std::copy(std::begin(guid.v), std::end(guid.v), copy.bytes.begin());
+  return copy;
+}
+
 OwnedQos MakeQos(absl::string_view user_data) {
   OwnedQos qos(dds_create_qos());
   if (!user_data.empty()) dds_qset_userdata(qos.get(), user_data.data(), user_data.size());

@@ -1,4 +1,4 @@
-// Cyclone's QoS objects, owned and read. Internal to services/dds.
+// Cyclone's QoS objects, owned and read, and its GUIDs. Internal to services/dds.
 #ifndef RIPS_SERVICES_DDS_QOS_H_
 #define RIPS_SERVICES_DDS_QOS_H_
 
@@ -19,6 +19,8 @@ using OwnedQos = std::unique_ptr<dds_qos_t, QosDeleter>;
 
 // Longest that a reliable write waits for a slow reader.
 inline constexpr dds_duration_t kMaxBlocking = DDS_MSECS(100);
+
+ros2::Guid ToGuid(const dds_guid_t& guid);
 
 // With `user_data` unless it is empty.
 OwnedQos MakeQos(absl::string_view user_data);

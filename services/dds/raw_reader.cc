@@ -47,12 +47,6 @@ OwnedQos ReaderQos(const RawReaderOptions& options, bool secured) {
   return qos;
 }
 
-ros2::Guid ToGuid(const dds_guid_t& guid) {
-  ros2::Guid copy;
-  std::copy(std::begin(guid.v), std::end(guid.v), copy.bytes.begin());
-  return copy;
-}
-
 // none() if that writer is not matched (any more).
 ros2::Guid MatchedWriter(EntityHandle reader, InstanceHandle publication) {
   dds_builtintopic_endpoint_t* data = dds_get_matched_publication_data(reader, publication);

@@ -66,9 +66,8 @@ std::vector<Peer> PeersOf(EntityHandle entity, ListMatched list, DescribeMatched
     if (data == nullptr) continue;  // gone in the meantime
     Peer peer;
     peer.service_id = UserDataField(ReadUserData(data->qos), "serviceid");
-    std::copy(std::begin(data->participant_key.v), std::end(data->participant_key.v),
-              peer.participant.bytes.begin());
-    std::copy(std::begin(data->key.v), std::end(data->key.v), peer.endpoint.bytes.begin());
+    peer.participant = ToGuid(data->participant_key);
+    peer.endpoint = ToGuid(data->key);
     dds_builtintopic_free_endpoint(data);
     peers.push_back(std::move(peer));
   }

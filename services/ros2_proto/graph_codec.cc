@@ -1,6 +1,7 @@
 #include "services/ros2_proto/graph_codec.h"
 
 #include <string>
+#include <utility>
 
 #include "absl/strings/str_cat.h"
 #include "services/base/status_macros.h"
@@ -23,59 +24,41 @@ absl::StatusOr<ros2::Node> DecodeNode(const rips::v1::Node& node) {
   return ros2::Node{.full_name = node.full_name(), .participant = guid};
 }
 
+constexpr std::pair<ros2::EndpointKind, rips::v1::Endpoint::Kind> kKinds[] = {
+    {ros2::EndpointKind::kPublisher, rips::v1::Endpoint::PUBLISHER},
+    {ros2::EndpointKind::kSubscriber, rips::v1::Endpoint::SUBSCRIBER},
+    {ros2::EndpointKind::kService, rips::v1::Endpoint::SERVICE},
+    {ros2::EndpointKind::kClient, rips::v1::Endpoint::CLIENT}};
+constexpr std::pair<ros2::Visibility, rips::v1::Visibility> kVisibilities[] = {
+    {ros2::Visibility::kWatched, rips::v1::WATCHED},
+    {ros2::Visibility::kNotNeeded, rips::v1::NOT_NEEDED},
+    {ros2::Visibility::kNotVisible, rips::v1::NOT_VISIBLE}};
+
 absl::StatusOr<ros2::EndpointKind> DecodeKind(rips::v1::Endpoint::Kind kind) {
-  switch (kind) {
-    case rips::v1::Endpoint::PUBLISHER:
-      return ros2::EndpointKind::kPublisher;
-    case rips::v1::Endpoint::SUBSCRIBER:
-      return ros2::EndpointKind::kSubscriber;
-    case rips::v1::Endpoint::SERVICE:
-      return ros2::EndpointKind::kService;
-    case rips::v1::Endpoint::CLIENT:
-      return ros2::EndpointKind::kClient;
-    default:
-      return absl::InvalidArgumentError(
-          absl::StrCat("unknown endpoint kind ", static_cast<int>(kind)));
+  for (const auto& [ours, wire] : kKinds) {
+    if (wire == kind) return ours;
   }
+  return absl::InvalidArgumentError(
+      absl::StrCat("unknown endpoint kind ", static_cast<int>(kind)));
 }
 
 rips::v1::Endpoint::Kind EncodeKind(ros2::EndpointKind kind) {
-  switch (kind) {
-    case ros2::EndpointKind::kPublisher:
-      return rips::v1::Endpoint::PUBLISHER;
-    case ros2::EndpointKind::kSubscriber:
-      return rips::v1::Endpoint::SUBSCRIBER;
-    case ros2::EndpointKind::kService:
-      return rips::v1::Endpoint::SERVICE;
-    case ros2::EndpointKind::kClient:
-      return rips::v1::Endpoint::CLIENT;
+  for (const auto& [ours, wire] : kKinds) {
+    if (ours == kind) return wire;
   }
   return rips::v1::Endpoint::KIND_UNSPECIFIED;
 }
 
 ros2::Visibility DecodeVisibility(rips::v1::Visibility visibility) {
-  switch (visibility) {
-    case rips::v1::WATCHED:
-      return ros2::Visibility::kWatched;
-    case rips::v1::NOT_NEEDED:
-      return ros2::Visibility::kNotNeeded;
-    case rips::v1::NOT_VISIBLE:
-      return ros2::Visibility::kNotVisible;
-    default:
-      return ros2::Visibility::kUnspecified;
+  for (const auto& [ours, wire] : kVisibilities) {
+    if (wire == visibility) return ours;
   }
+  return ros2::Visibility::kUnspecified;
 }
 
 rips::v1::Visibility EncodeVisibility(ros2::Visibility visibility) {
-  switch (visibility) {
-    case ros2::Visibility::kWatched:
-      return rips::v1::WATCHED;
-    case ros2::Visibility::kNotNeeded:
-      return rips::v1::NOT_NEEDED;
-    case ros2::Visibility::kNotVisible:
-      return rips::v1::NOT_VISIBLE;
-    case ros2::Visibility::kUnspecified:
-      break;
+  for (const auto& [ours, wire] : kVisibilities) {
+    if (ours == visibility) return wire;
   }
   return rips::v1::VISIBILITY_UNSPECIFIED;
 }

@@ -38,26 +38,11 @@ std::string CertificateMonitor::Text(const Notice& notice) {
 
 CertificateMonitor::CertificateMonitor(Options options, const Clock* clock, Metrics* metrics)
     : options_(std::move(options)), clock_(clock), metrics_(metrics) {
-  thread_ = std::thread([this] { Run(); });
-}
-
-CertificateMonitor::~CertificateMonitor() {
-  {
-    MutexLock lock(&mu_);
-    stopping_ = true;
-    stop_cond_.NotifyAll();
-  }
-  thread_.join();
-}
-
-void CertificateMonitor::Run() {
-  while (true) {
-    if (options_.interval != absl::InfiniteDuration()) Look();
-    MutexLock lock(&mu_);
-    while (!stopping_ && stop_cond_.WaitFor(lock, options_.interval)) {
-    }
-    if (stopping_) return;
-  }
+  if (options_.interval == absl::InfiniteDuration()) return;
+  ticker_.emplace(absl::ZeroDuration(), [this] {
+    Look();
+    return options_.interval;
+  });
 }
 
 void CertificateMonitor::PutLocked(const std::string& key, const Peer& peer, bool own) {

@@ -10,8 +10,8 @@
 #include <cstddef>
 #include <functional>
 #include <map>
+#include <optional>
 #include <string>
-#include <thread>
 #include <vector>
 
 #include "absl/base/thread_annotations.h"
@@ -22,6 +22,7 @@
 #include "services/runtime/config_sections.h"
 #include "services/runtime/metrics.h"
 #include "services/runtime/mutex.h"
+#include "services/runtime/ticker.h"
 
 namespace rips::rpc {
 
@@ -55,7 +56,6 @@ class CertificateMonitor {
 
   // `clock` and `metrics` are not owned and outlive this.
   CertificateMonitor(Options options, const Clock* clock, Metrics* metrics);
-  ~CertificateMonitor();
 
   // A peer has been admitted with this certificate. Any thread.
   void Seen(const Peer& peer) ABSL_LOCKS_EXCLUDED(mu_);
@@ -73,7 +73,6 @@ class CertificateMonitor {
     LifeStage told = LifeStage::kGood;
     Gauge left;
   };
-  void Run();
   void PutLocked(const std::string& key, const Peer& peer, bool own)
       ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
 
@@ -81,12 +80,10 @@ class CertificateMonitor {
   const Clock* clock_;
   Metrics* metrics_;
   mutable Mutex mu_;
-  CondVar stop_cond_;
-  bool stopping_ ABSL_GUARDED_BY(mu_) = false;
   // By URI; the own one under the empty key.
   std::map<std::string, Watched> watched_ ABSL_GUARDED_BY(mu_);
   absl::Status own_status_ ABSL_GUARDED_BY(mu_) = absl::UnavailableError("not read yet");
-  std::thread thread_;
+  std::optional<Ticker> ticker_;  // last: uses the others
 };
 
 }  // namespace rips::rpc

@@ -10,18 +10,13 @@ namespace rips::rpc {
 
 SessionWatch::SessionWatch(const Clock* clock, absl::Duration interval, CallGate* gate)
     : clock_(clock),
-      interval_(interval),
       only_times_(clock, nullptr, nullptr),
-      gate_(gate == nullptr ? &only_times_ : gate),
-      thread_([this] { Run(); }) {}
-
-SessionWatch::~SessionWatch() {
-  {
-    MutexLock lock(&mu_);
-    stopping_ = true;
-    stop_cond_.NotifyAll();
-  }
-  thread_.join();
+      gate_(gate == nullptr ? &only_times_ : gate) {
+  if (interval == absl::InfiniteDuration()) return;
+  ticker_.emplace(interval, [this, interval] {
+    Look();
+    return interval;
+  });
 }
 
 void SessionWatch::set_silence(absl::Duration silence) {
@@ -108,18 +103,6 @@ void SessionWatch::Look() {
           grpc::Status(grpc::StatusCode::DEADLINE_EXCEEDED,
                        absl::StrCat("no heartbeat within ", absl::FormatDuration(silence))));
     }
-  }
-}
-
-void SessionWatch::Run() {
-  while (true) {
-    {
-      MutexLock lock(&mu_);
-      while (!stopping_ && stop_cond_.WaitFor(lock, interval_)) {
-      }
-      if (stopping_) return;
-    }
-    Look();
   }
 }
 

@@ -12,7 +12,7 @@
 #include <cstdint>
 #include <functional>
 #include <memory>
-#include <thread>
+#include <optional>
 #include <vector>
 
 #include "absl/base/thread_annotations.h"
@@ -23,6 +23,7 @@
 #include "services/rpc/call_gate.h"
 #include "services/rpc/unread_streams.h"
 #include "services/runtime/mutex.h"
+#include "services/runtime/ticker.h"
 
 namespace rips::rpc {
 
@@ -58,7 +59,6 @@ class SessionWatch {
   // `gate` are not owned and outlive this; without a gate only times count.
   explicit SessionWatch(const Clock* clock, absl::Duration interval = absl::Milliseconds(500),
                         CallGate* gate = nullptr);
-  ~SessionWatch();
 
   // Instead of kSilence. Before the first Add.
   void set_silence(absl::Duration silence) ABSL_LOCKS_EXCLUDED(mu_);
@@ -93,21 +93,17 @@ class SessionWatch {
   void CloseAll(const grpc::Status& status);
 
  private:
-  void Run();
   std::vector<std::shared_ptr<Session>> Live() ABSL_LOCKS_EXCLUDED(mu_);
 
   const Clock* clock_;
-  const absl::Duration interval_;
   CallGate only_times_;
   CallGate* const gate_;
   UnreadStreams* unread_ = nullptr;
   Mutex mu_;
   std::function<void()> before_look_ ABSL_GUARDED_BY(mu_);
   absl::Duration silence_ ABSL_GUARDED_BY(mu_) = kSilence;
-  CondVar stop_cond_;
-  bool stopping_ ABSL_GUARDED_BY(mu_) = false;
   std::vector<std::weak_ptr<Session>> sessions_ ABSL_GUARDED_BY(mu_);
-  std::thread thread_;
+  std::optional<Ticker> ticker_;  // last: uses the others
 };
 
 template <typename Outbound>

@@ -49,9 +49,8 @@ absl::Status Run(const std::string& file, const std::string& device, const std::
   RIPS_ASSIGN_OR_RETURN(const std::string text, ReadConfigFile(file));
   RIPS_ASSIGN_OR_RETURN(const ParsedConfig parsed, ParseConfig(file, text));
   const std::vector<AlarmSpec>& devices = parsed.config.devices;
-  const auto spec = std::find_if(devices.begin(), devices.end(),
-                                 [&](const AlarmSpec& each) { return each.name == device; });
-  if (!device.empty() && spec == devices.end()) {
+  const AlarmSpec* spec = FindNamed(devices, device);
+  if (!device.empty() && spec == nullptr) {
     return absl::InvalidArgumentError(
         absl::StrCat("no device `", device, "` in `devices` of ", file));
   }

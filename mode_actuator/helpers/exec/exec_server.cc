@@ -174,10 +174,8 @@ bool ExecServer::Start(uint64_t id, Connection& connection, const ProgramRequest
 }
 
 absl::Duration ExecServer::TimeoutOf(const ProgramRequest& request) const {
-  for (const ProgramSpec& spec : options_.allowed) {
-    if (spec.name == request.name) return std::min(request.timeout, spec.timeout);
-  }
-  return request.timeout;
+  const ProgramSpec* spec = FindNamed(options_.allowed, request.name);
+  return spec == nullptr ? request.timeout : std::min(request.timeout, spec->timeout);
 }
 
 bool ExecServer::Answer(Connection& connection, const ExecAnswer& answer) {

@@ -187,9 +187,7 @@ PosixRunner::~PosixRunner() {
 }
 
 absl::StatusOr<const ProgramSpec*> PosixRunner::Find(absl::string_view name) const {
-  for (const ProgramSpec& spec : options_.allowed) {
-    if (spec.name == name) return &spec;
-  }
+  if (const ProgramSpec* spec = FindNamed(options_.allowed, name)) return spec;
   return absl::PermissionDeniedError(
       absl::StrCat("program ", QuoteBytes(name), " is not in the allow-list"));
 }

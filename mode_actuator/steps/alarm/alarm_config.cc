@@ -115,9 +115,8 @@ AlarmStep ReadAlarmStep(const ConfigSection& section, const std::vector<AlarmSpe
   std::string state;
   section.Required("device", &step.device);
   section.Required("state", &state);
-  const auto device = std::find_if(devices.begin(), devices.end(),
-                                   [&](const AlarmSpec& each) { return each.name == step.device; });
-  if (device == devices.end()) {
+  const AlarmSpec* device = FindNamed(devices, step.device);
+  if (device == nullptr) {
     if (!step.device.empty()) {
       section.Problem("device",
                       absl::StrCat("device ", QuoteBytes(step.device), " is not in `devices`"));

@@ -70,14 +70,19 @@ class UsbRelay final : public AlarmDevice {
   const int count_;
 };
 
-class LcusHid final : public AlarmDevice {
- public:
-  explicit LcusHid(HidDevice hid) : hid_(std::move(hid)) {}
+Frame LcusReport(int channel, const AlarmState& state) {
+  Frame frame = LcusFrame(channel, state.pattern == AlarmPattern::kOn);
+  frame.insert(frame.begin(), 0);
+  return frame;
+}
 
+// A device that takes output reports and cannot be read back.
+class OutputOnly final : public AlarmDevice {
+ public:
+  using FrameOf = Frame (*)(int channel, const AlarmState& state);
+  OutputOnly(HidDevice hid, FrameOf frame_of) : hid_(std::move(hid)), frame_of_(frame_of) {}
   absl::Status Set(int channel, const AlarmState& state) override {
-    Frame frame = LcusFrame(channel, state.pattern == AlarmPattern::kOn);
-    frame.insert(frame.begin(), 0);
-    return hid_.channel->SendOutput(frame);
+    return hid_.channel->SendOutput(frame_of_(channel, state));
   }
   absl::StatusOr<AlarmReading> Read(int, const AlarmState&) override {
     RIPS_RETURN_IF_ERROR(hid_.channel->Probe());
@@ -86,6 +91,7 @@ class LcusHid final : public AlarmDevice {
 
  private:
   const HidDevice hid_;
+  const FrameOf frame_of_;
 };
 
 class LcusSerial final : public AlarmDevice {
@@ -117,22 +123,6 @@ class LcusSerial final : public AlarmDevice {
  private:
   const std::unique_ptr<TtyChannel> line_;
   std::optional<bool> answers_;  // nullopt: not asked yet
-};
-
-class Luxafor final : public AlarmDevice {
- public:
-  explicit Luxafor(HidDevice hid) : hid_(std::move(hid)) {}
-
-  absl::Status Set(int, const AlarmState& state) override {
-    return hid_.channel->SendOutput(LuxaforFrame(state));
-  }
-  absl::StatusOr<AlarmReading> Read(int, const AlarmState&) override {
-    RIPS_RETURN_IF_ERROR(hid_.channel->Probe());
-    return AlarmReading{};
-  }
-
- private:
-  const HidDevice hid_;
 };
 
 class Blink1 final : public AlarmDevice {
@@ -324,9 +314,10 @@ absl::StatusOr<std::unique_ptr<AlarmDevice>> OpenReal(const std::shared_ptr<HidL
       return std::make_unique<UsbRelay>(std::move(hid), count);
     }
     case AlarmKind::kLcus:
-      return std::make_unique<LcusHid>(std::move(hid));
+      return std::make_unique<OutputOnly>(std::move(hid), LcusReport);
     case AlarmKind::kLuxafor:
-      return std::make_unique<Luxafor>(std::move(hid));
+      return std::make_unique<OutputOnly>(
+ std::move(hid), [](int, const AlarmState& state) { return LuxaforFrame(state); });
     case AlarmKind::kBlink1:
       return std::make_unique<Blink1>(std::move(hid));
     case AlarmKind::kLcusSerial:

@@ -145,28 +145,13 @@ RealHost::RealHost(std::vector<std::string> servers) : servers_(std::move(server
       }
     }
   }
-  if (names) thread_ = std::thread([this] { Loop(); });
-}
-
-RealHost::~RealHost() {
-  {
-    MutexLock lock(&mu_);
-    stopping_ = true;
-    changed_.NotifyAll();
-  }
-  if (thread_.joinable()) thread_.join();
-}
-
-void RealHost::Loop() {
-  while (true) {
+  if (!names) return;
+  ticker_.emplace(absl::ZeroDuration(), [this] {
     for (const std::string& server : servers_) {
       if (absl::IsNotFound(ParseNumericServer(server).status())) Resolve(server);
     }
-    MutexLock lock(&mu_);
-    const int64_t next_ns = BoottimeAfter(kResolveEvery);
-    while (!stopping_ && BoottimeNow() < next_ns) changed_.WaitUntil(lock, next_ns);
-    if (stopping_) return;
-  }
+    return kResolveEvery;
+  });
 }
 
 void RealHost::Resolve(const std::string& server) {

@@ -3,10 +3,10 @@
 #define RIPS_MODE_ACTUATOR_STEPS_FIREWALL_REAL_HOST_H_
 
 #include <map>
+#include <optional>
 #include <memory>
 #include <set>
 #include <string>
-#include <thread>
 #include <vector>
 
 #include "absl/base/thread_annotations.h"
@@ -16,6 +16,7 @@
 #include "absl/time/time.h"
 #include "mode_actuator/steps/firewall/host_view.h"
 #include "services/runtime/mutex.h"
+#include "services/runtime/ticker.h"
 
 namespace rips::actuator {
 
@@ -35,24 +36,19 @@ class RealHost final : public HostView {
  public:
   // `servers` as in actuator.yaml: checked already.
   explicit RealHost(std::vector<std::string> servers);
-  // Waits for a look-up under way.
-  ~RealHost() override;
 
   absl::StatusOr<std::vector<ControlAddress>> Control() override ABSL_LOCKS_EXCLUDED(mu_);
   absl::StatusOr<KeptOpen> Kept() override;
 
  private:
-  void Loop() ABSL_LOCKS_EXCLUDED(mu_);
   void Resolve(const std::string& server) ABSL_LOCKS_EXCLUDED(mu_);
 
   const std::vector<std::string> servers_;
   Mutex mu_;
-  CondVar changed_;
-  bool stopping_ ABSL_GUARDED_BY(mu_) = false;
   std::set<ControlAddress> known_ ABSL_GUARDED_BY(mu_);
   // Names never resolved so far, and why.
   std::map<std::string, std::string> missing_ ABSL_GUARDED_BY(mu_);
-  std::thread thread_;  // only if there are names
+  std::optional<Ticker> ticker_;  // only if there are names; its end waits for a look-up under way
 };
 
 }  // namespace rips::actuator

@@ -87,8 +87,7 @@ absl::Status AddLevelScripts(const std::string& directory, std::vector<LevelSpec
       problems.push_back(absl::StrCat("scripts: ", safe.message()));
       continue;
     }
-    if (std::any_of(programs->begin(), programs->end(),
-                    [&](const ProgramSpec& each) { return each.name == name; })) {
+    if (FindNamed(*programs, name) != nullptr) {
       problems.push_back(
           absl::StrCat("scripts: a program is called ", QuoteBytes(name), " already"));
       continue;
