@@ -17,14 +17,14 @@ int DriftWatch::Recent(int64_t now_ns) const {
 void DriftWatch::Left(int64_t now_ns) {
   while (!left_ns_.empty() && now_ns - left_ns_.front() >= kDriftWindowNs) left_ns_.pop_front();
   left_ns_.push_back(now_ns);
-  const bool taken = taken_ns_.has_value() && now_ns - *taken_ns_ < kDriftWindowNs;
-  if (Recent(now_ns) >= kDriftsMax && !taken) due_ = true;
+  const bool popped = popped_ns_.has_value() && now_ns - *popped_ns_ < kDriftWindowNs;
+  if (Recent(now_ns) >= kDriftsMax && !popped) due_ = true;
 }
 
-bool DriftWatch::Take(int64_t now_ns) {
+bool DriftWatch::PopDue(int64_t now_ns) {
   if (!due_) return false;
   due_ = false;
-  taken_ns_ = now_ns;
+  popped_ns_ = now_ns;
   what_followed_.clear();
   return true;
 }
@@ -36,7 +36,7 @@ void DriftWatch::Ran(absl::string_view failure) {
 
 std::string DriftWatch::Degraded(absl::string_view level, int64_t now_ns) const {
   const int recent = Recent(now_ns);
-  const bool followed = taken_ns_.has_value() && now_ns - *taken_ns_ < kDriftWindowNs;
+  const bool followed = popped_ns_.has_value() && now_ns - *popped_ns_ < kDriftWindowNs;
   if (recent < kDriftsMax && !followed) return "";
   return absl::StrCat(level, " was left again and again: ", recent, " times in ",
                       kDriftWindowNs / kNanosPerSecond, " s", what_followed_);

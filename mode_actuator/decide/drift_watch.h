@@ -24,7 +24,7 @@ class DriftWatch {
   // The level was found left.
   void Left(int64_t now_ns);
   // The on_drift steps have begun, or there are none. False if they are not due.
-  bool Take(int64_t now_ns);
+  bool PopDue(int64_t now_ns);
   // What came of them. `failure` is empty if all is well.
   void Ran(absl::string_view failure);
 
@@ -36,7 +36,7 @@ class DriftWatch {
   int Recent(int64_t now_ns) const;
 
   std::deque<int64_t> left_ns_;  // oldest first; of the window
-  std::optional<int64_t> taken_ns_;
+  std::optional<int64_t> popped_ns_;
   bool due_ = false;
   std::string what_followed_;
 };

@@ -32,7 +32,7 @@ absl::StatusOr<ExecJournal> ExecJournal::Decode(absl::string_view bytes) {
   if (bytes.size() > kJournalBytesMax) return Corrupt();
   const std::vector<absl::string_view> lines = absl::StrSplit(bytes, '\n');
   if (lines.size() < 3 || lines.size() - 3 > kExecIdsMax || lines[0] != kMagic) return Corrupt();
-  ExecJournal ledger;
+  ExecJournal decoded;
   for (size_t i = 1; i + 2 < lines.size(); ++i) {
     const std::vector<absl::string_view> words = absl::StrSplit(lines[i], ' ');
     Entry entry;
@@ -45,11 +45,11 @@ absl::StatusOr<ExecJournal> ExecJournal::Decode(absl::string_view bytes) {
     }
     entry.id = absl::HexStringToBytes(words[0]);
     entry.stage = static_cast<Receipt::Stage>(stage);
-    ledger.entries_.push_back(std::move(entry));
+    decoded.entries_.push_back(std::move(entry));
   }
   // Written again it must be the same bytes: that covers the checksum too.
-  if (ledger.Encode() != bytes) return Corrupt();
-  return ledger;
+  if (decoded.Encode() != bytes) return Corrupt();
+  return decoded;
 }
 
 Receipt ExecJournal::ToReceipt(const Entry& entry) {

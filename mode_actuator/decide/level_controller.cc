@@ -20,16 +20,16 @@ absl::StatusOr<LevelController> LevelController::Create(ExecutorOptions options,
                                                         const absl::StatusOr<ActuatorState>& loaded,
                                                         int64_t now_ns) {
   if (options.levels.empty()) return absl::InvalidArgumentError("no levels");
-  LevelController executor(std::move(options));
-  const ExecutorOptions& o = executor.options_;
-  if (o.fail_safe.has_value() && executor.LevelIndex(*o.fail_safe) < 0) {
+  LevelController controller(std::move(options));
+  const ExecutorOptions& o = controller.options_;
+  if (o.fail_safe.has_value() && controller.LevelIndex(*o.fail_safe) < 0) {
     return absl::InvalidArgumentError(absl::StrCat(QuoteBytes(*o.fail_safe), " is no level"));
   }
   if (o.fail_safe_after_ns < 0 || o.floor_hold_ns < 0 || o.reconcile_ns <= 0) {
     return absl::InvalidArgumentError("a negative time");
   }
-  executor.Load(loaded, now_ns);
-  return executor;
+  controller.Load(loaded, now_ns);
+  return controller;
 }
 
 void LevelController::Load(const absl::StatusOr<ActuatorState>& loaded, int64_t now_ns) {
@@ -215,8 +215,7 @@ Receipt LevelController::MakeReceipt(const Command& command, Receipt::Stage stag
 }
 
 void LevelController::Send(Receipt receipt, Actions& actions) {
-  std::erase_if(recent_,
- [&](const Receipt& old) { return old.command_id == receipt.command_id; });
+  std::erase_if(recent_, [&](const Receipt& old) { return old.command_id == receipt.command_id; });
   // Only what was taken up is worth remembering: a refusal is found again by judging again.
   if (receipt.stage != Receipt::Stage::kRefused && receipt.stage != Receipt::Stage::kRefusedStale) {
     recent_.push_back(receipt);
@@ -352,7 +351,7 @@ std::optional<JobKind> LevelController::NextJob(int goal, int64_t now_ns) {
   const bool there = verified_ && effective_ == goal;
   if (!there && now_ns >= retry_at_ns_) return JobKind::kRetry;
   // After the level was ordered again: that waits for nothing.
-  if (drift_watch_.Take(now_ns) && options_.on_drift.contains(options_.levels[goal])) {
+  if (drift_watch_.PopDue(now_ns) && options_.on_drift.contains(options_.levels[goal])) {
     return JobKind::kOnDrift;
   }
   if (there && now_ns >= next_check_ns_) return JobKind::kCheck;

@@ -107,7 +107,7 @@ TEST(LevelControllerMatrixTest, EveryPairOfLevelsUnderEveryFaultOfCommands) {
         ExecutorRig rig(ExecutorRig::At(levels[from], kHeld));
         rig.lease = true;
         rig.Advance(500);
-        rig.TakeReceipts();
+        rig.PopReceipts();
 
         fault.play(rig, levels[from], levels[to]);
         rig.Advance(1'000);
@@ -118,7 +118,7 @@ TEST(LevelControllerMatrixTest, EveryPairOfLevelsUnderEveryFaultOfCommands) {
         EXPECT_EQ(report.decided, wanted);
         EXPECT_EQ(report.effective, wanted);
         EXPECT_TRUE(report.verified);
-        EXPECT_THAT(rig.TakeReceipts(), Contains(testing::StartsWith(fault.receipt)));
+        EXPECT_THAT(rig.PopReceipts(), Contains(testing::StartsWith(fault.receipt)));
         EXPECT_EQ(rig.Restarted().report().effective, wanted) << "after a restart";
         absl::StrAppendFormat(&table, " %c  ", report.effective[0]);
       }

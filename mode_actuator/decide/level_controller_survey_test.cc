@@ -20,16 +20,16 @@ const absl::Status& Lost() {
 TEST(LevelControllerSurveyTest, NothingIsAppliedBeforeTheRobotWasRead) {
   for (const absl::Status& why : {Lost(), absl::DataLossError("corrupt")}) {
     ExecutorRig rig(why, ExecutorRig::WithSurvey());
-    EXPECT_THAT(rig.TakeOrder(), ElementsAre("survey", "write"));
+    EXPECT_THAT(rig.PopOrder(), ElementsAre("survey", "write"));
     rig.lease = true;
     rig.Advance(2 * kS);
-    EXPECT_EQ(rig.TakeJobs(), "");
+    EXPECT_EQ(rig.PopJobs(), "");
     EXPECT_TRUE(rig.report().state_lost);
     EXPECT_FALSE(rig.report().verified);
 
     rig.FinishSurvey("HALT");
 
-    EXPECT_EQ(rig.TakeJobs(), ">HALT");
+    EXPECT_EQ(rig.PopJobs(), ">HALT");
     EXPECT_EQ(rig.report().effective, "HALT");
     EXPECT_EQ(rig.report().floor, "HALT");
     EXPECT_EQ(rig.report().floor_reason, "state lost");
@@ -41,16 +41,16 @@ TEST(LevelControllerSurveyTest, NothingIsAppliedBeforeTheRobotWasRead) {
 
 TEST(LevelControllerSurveyTest, AStateOfOtherLevelsIsLostToo) {
   ExecutorRig rig(ExecutorRig::At("GREEN", {6, 1}), ExecutorRig::WithSurvey());
-  EXPECT_EQ(rig.TakeJobs(), "");
+  EXPECT_EQ(rig.PopJobs(), "");
   rig.FinishSurvey("COMPROMISED");
-  EXPECT_EQ(rig.TakeJobs(), ">COMPROMISED");
+  EXPECT_EQ(rig.PopJobs(), ">COMPROMISED");
   EXPECT_EQ(rig.report().highest_term, 6u);
 }
 
 TEST(LevelControllerSurveyTest, TheFloorThatWasFoundLiftsOnceAServerHasDecided) {
   ExecutorRig rig(Lost(), ExecutorRig::WithSurvey());
   rig.FinishSurvey("HALT");
-  rig.TakeJobs();
+  rig.PopJobs();
   rig.lease = true;
   rig.Advance(60 * kS);
   EXPECT_EQ(rig.report().effective, "HALT");  // a lease alone decides nothing
@@ -62,7 +62,7 @@ TEST(LevelControllerSurveyTest, TheFloorThatWasFoundLiftsOnceAServerHasDecided) 
   rig.evidence = true;
   rig.Advance(1 * kS);
   EXPECT_EQ(rig.report().effective, "DEFAULT");
-  EXPECT_EQ(rig.TakeJobs(), "HALT>DEFAULT down");
+  EXPECT_EQ(rig.PopJobs(), "HALT>DEFAULT down");
 }
 
 TEST(LevelControllerSurveyTest, ItIsOneLossAndDoesNotDoubleTheWait) {
@@ -78,7 +78,7 @@ TEST(LevelControllerSurveyTest, ARobotThatShowsNoMoreThanTheFailSafeLevelIsBroug
   for (const std::string shown : {"", "DEFAULT", "ALERT", "GREEN"}) {
     ExecutorRig rig(Lost(), ExecutorRig::WithSurvey());
     rig.FinishSurvey(shown);
-    EXPECT_EQ(rig.TakeJobs(), ">ALERT") << shown;
+    EXPECT_EQ(rig.PopJobs(), ">ALERT") << shown;
     EXPECT_EQ(rig.report().floor, "ALERT") << shown;
   }
 }
@@ -86,14 +86,14 @@ TEST(LevelControllerSurveyTest, ARobotThatShowsNoMoreThanTheFailSafeLevelIsBroug
 TEST(LevelControllerSurveyTest, ASilentRobotDelaysTheFailSafeLevelForALimitedTime) {
   ExecutorRig rig(Lost(), ExecutorRig::WithSurvey());
   rig.Advance(kSurveyNsMax / ExecutorRig::kMs - 50);
-  EXPECT_EQ(rig.TakeJobs(), "");
+  EXPECT_EQ(rig.PopJobs(), "");
   rig.Advance(50);
-  EXPECT_EQ(rig.TakeJobs(), ">ALERT");
+  EXPECT_EQ(rig.PopJobs(), ">ALERT");
   EXPECT_TRUE(rig.report().verified);
 
   // Late, it still raises, and once only.
   rig.FinishSurvey("COMPROMISED");
-  EXPECT_EQ(rig.TakeJobs(), "ALERT>COMPROMISED");
+  EXPECT_EQ(rig.PopJobs(), "ALERT>COMPROMISED");
   EXPECT_EQ(rig.report().floor, "COMPROMISED");
   EXPECT_EQ(rig.disk()->effective, "COMPROMISED");
 }
@@ -101,22 +101,22 @@ TEST(LevelControllerSurveyTest, ASilentRobotDelaysTheFailSafeLevelForALimitedTim
 TEST(LevelControllerSurveyTest, ALateResultDoesNotLower) {
   ExecutorRig rig(Lost(), ExecutorRig::WithSurvey());
   rig.Advance(4 * kS);
-  rig.TakeJobs();
+  rig.PopJobs();
   rig.FinishSurvey("DEFAULT");
-  EXPECT_EQ(rig.TakeJobs(), "");
+  EXPECT_EQ(rig.PopJobs(), "");
   EXPECT_EQ(rig.report().effective, "ALERT");
   EXPECT_TRUE(rig.report().verified);
 }
 
 TEST(LevelControllerSurveyTest, ARaiseDoesNotWaitForTheSurvey) {
   ExecutorRig rig(Lost(), ExecutorRig::WithSurvey());
-  rig.TakeOrder();
+  rig.PopOrder();
   rig.Level("COMPROMISED", {1, 1});
-  EXPECT_THAT(rig.TakeOrder(),
+  EXPECT_THAT(rig.PopOrder(),
               ElementsAre("apply COMPROMISED", "write", "id-1.1 acknowledged", "id-1.1 verified"));
 
   rig.FinishSurvey("HALT");  // what it had read when the raise ended it
-  EXPECT_EQ(rig.TakeJobs(), ">COMPROMISED, COMPROMISED>HALT");
+  EXPECT_EQ(rig.PopJobs(), ">COMPROMISED, COMPROMISED>HALT");
   EXPECT_EQ(rig.report().decided, "COMPROMISED");
   EXPECT_EQ(rig.report().effective, "HALT");
   rig.lease = true;
@@ -129,9 +129,9 @@ TEST(LevelControllerSurveyTest, ALateResultEndsALessRestrictiveRaiseThatIsUnderW
   rig.auto_finish = false;
   rig.Level("COMPROMISED", {1, 1});
   rig.FinishSurvey("HALT");
-  EXPECT_EQ(rig.TakeJobs(), ">COMPROMISED, COMPROMISED>HALT");
+  EXPECT_EQ(rig.PopJobs(), ">COMPROMISED, COMPROMISED>HALT");
   rig.Finish(true);
-  EXPECT_THAT(rig.TakeReceipts(), ElementsAre("id-1.1 acknowledged", "id-1.1 verified"));
+  EXPECT_THAT(rig.PopReceipts(), ElementsAre("id-1.1 acknowledged", "id-1.1 verified"));
 }
 
 TEST(LevelControllerSurveyTest, ADecisionAtOrBelowTheFloorWaitsForTheSurvey) {
@@ -142,12 +142,12 @@ TEST(LevelControllerSurveyTest, ADecisionAtOrBelowTheFloorWaitsForTheSurvey) {
     rig.lease = true;
     rig.Level(to, {1, 1});
     rig.Advance(1 * kS);
-    EXPECT_EQ(rig.TakeJobs(), "") << to;
+    EXPECT_EQ(rig.PopJobs(), "") << to;
     EXPECT_EQ(rig.report().floor, "ALERT") << to;
 
     rig.auto_finish = false;
     rig.FinishSurvey("HALT");
-    EXPECT_EQ(rig.TakeJobs(), ">HALT") << to;
+    EXPECT_EQ(rig.PopJobs(), ">HALT") << to;
     rig.auto_finish = true;
     rig.Finish(true);
     rig.Advance(1 * kS);
@@ -163,14 +163,14 @@ TEST(LevelControllerSurveyTest, ASecondRestartSurveysAgainAndHoldsWhatTheFirstOn
   EXPECT_TRUE(second.report().state_lost);
   EXPECT_TRUE(second.survey().has_value());
   second.Advance(4 * kS);  // no answer this time
-  EXPECT_EQ(second.TakeJobs(), ">COMPROMISED");
+  EXPECT_EQ(second.PopJobs(), ">COMPROMISED");
 
   ExecutorRig third = second.Restarted();
   third.FinishSurvey("HALT");
-  EXPECT_EQ(third.TakeJobs(), ">HALT");
+  EXPECT_EQ(third.PopJobs(), ">HALT");
   ExecutorRig last = third.Restarted();  // nothing above that can be found
   EXPECT_FALSE(last.survey().has_value());
-  EXPECT_EQ(last.TakeJobs(), ">HALT");
+  EXPECT_EQ(last.PopJobs(), ">HALT");
 }
 
 TEST(LevelControllerSurveyTest, ACrashDuringTheSurveyForgetsNothing) {
@@ -178,17 +178,17 @@ TEST(LevelControllerSurveyTest, ACrashDuringTheSurveyForgetsNothing) {
   first.Advance(1 * kS);
   ExecutorRig second = first.Restarted();
   second.FinishSurvey("HALT");
-  EXPECT_EQ(second.TakeJobs(), ">HALT");
+  EXPECT_EQ(second.PopJobs(), ">HALT");
 }
 
 TEST(LevelControllerSurveyTest, AStateFromABackupDoesNotLowerTheRobot) {
   ExecutorRig rig(ExecutorRig::At("DEFAULT"), ExecutorRig::WithSurvey());
-  EXPECT_THAT(rig.TakeOrder(), ElementsAre("survey", "write"));
+  EXPECT_THAT(rig.PopOrder(), ElementsAre("survey", "write"));
   rig.Advance(1 * kS);
-  EXPECT_EQ(rig.TakeJobs(), "");
+  EXPECT_EQ(rig.PopJobs(), "");
 
   rig.FinishSurvey("HALT");
-  EXPECT_EQ(rig.TakeJobs(), ">HALT");
+  EXPECT_EQ(rig.PopJobs(), ">HALT");
   EXPECT_FALSE(rig.report().state_lost);
   EXPECT_EQ(rig.report().decided, "DEFAULT");
   EXPECT_EQ(rig.report().floor, "HALT");
@@ -206,7 +206,7 @@ TEST(LevelControllerSurveyTest, AGoodStateThatTheRobotConfirmsRaisesNoFloor) {
   for (const std::string shown : {"", "DEFAULT", "ALERT", "GREEN"}) {
     ExecutorRig rig(ExecutorRig::At("ALERT"), ExecutorRig::WithSurvey());
     rig.FinishSurvey(shown);
-    EXPECT_EQ(rig.TakeJobs(), ">ALERT") << shown;
+    EXPECT_EQ(rig.PopJobs(), ">ALERT") << shown;
     EXPECT_EQ(rig.report().floor, "") << shown;
   }
 }
@@ -215,16 +215,16 @@ TEST(LevelControllerSurveyTest, ALoweringDuringTheSurveyFollowsItWithoutAFloor) 
   ExecutorRig rig(ExecutorRig::At("ALERT", {6, 1}), ExecutorRig::WithSurvey());
   rig.lease = true;
   rig.Level("DEFAULT", {6, 2}, DecisionId{6, 1});
-  EXPECT_EQ(rig.TakeJobs(), "");
+  EXPECT_EQ(rig.PopJobs(), "");
   rig.FinishSurvey("ALERT");
-  EXPECT_EQ(rig.TakeJobs(), ">DEFAULT");
+  EXPECT_EQ(rig.PopJobs(), ">DEFAULT");
   EXPECT_EQ(rig.report().floor, "");
 }
 
 TEST(LevelControllerSurveyTest, AGoodStateAtTheLastLevelNeedsNoSurvey) {
   ExecutorRig rig(ExecutorRig::At("HALT"), ExecutorRig::WithSurvey());
   EXPECT_FALSE(rig.survey().has_value());
-  EXPECT_EQ(rig.TakeJobs(), ">HALT");
+  EXPECT_EQ(rig.PopJobs(), ">HALT");
 }
 
 TEST(LevelControllerSurveyTest, WithKeepAndNothingKnownTheMostRestrictiveLevelNeedsNoSurvey) {
@@ -232,7 +232,7 @@ TEST(LevelControllerSurveyTest, WithKeepAndNothingKnownTheMostRestrictiveLevelNe
   options.fail_safe.reset();
   ExecutorRig rig(Lost(), options);
   EXPECT_FALSE(rig.survey().has_value());
-  EXPECT_EQ(rig.TakeJobs(), ">HALT");
+  EXPECT_EQ(rig.PopJobs(), ">HALT");
 }
 
 TEST(LevelControllerSurveyTest, WithKeepWhatTheRobotShowsRaisesWhatTheStateStillSays) {
@@ -242,13 +242,13 @@ TEST(LevelControllerSurveyTest, WithKeepWhatTheRobotShowsRaisesWhatTheStateStill
   state.effective = "ALERT";
   ExecutorRig rig(state, options);
   rig.FinishSurvey("COMPROMISED");
-  EXPECT_EQ(rig.TakeJobs(), ">COMPROMISED");
+  EXPECT_EQ(rig.PopJobs(), ">COMPROMISED");
 }
 
 TEST(LevelControllerSurveyTest, WithoutSystemModesTheFloorIsEnteredAtOnce) {
   ExecutorRig rig(Lost());
   EXPECT_FALSE(rig.survey().has_value());
-  EXPECT_EQ(rig.TakeJobs(), ">ALERT");
+  EXPECT_EQ(rig.PopJobs(), ">ALERT");
 }
 
 }  // namespace

@@ -27,7 +27,7 @@ TEST(LevelControllerTest, RefusesOptionsThatContradictThemselves) {
 TEST(LevelControllerTest, ReappliesTheLastEffectiveLevelAtStart) {
   ExecutorRig rig(ExecutorRig::At("COMPROMISED", {3, 7}));
 
-  EXPECT_EQ(rig.TakeJobs(), ">COMPROMISED");
+  EXPECT_EQ(rig.PopJobs(), ">COMPROMISED");
   EXPECT_EQ(rig.report().decision_id, (DecisionId{3, 7}));
   EXPECT_EQ(rig.report().highest_term, 3u);
   EXPECT_TRUE(rig.report().verified);
@@ -37,64 +37,64 @@ TEST(LevelControllerTest, ReappliesTheLastEffectiveLevelAtStart) {
 TEST(LevelControllerTest, ARaiseIsAppliedBeforeItIsRecordedAndVerifiedAfterReadBack) {
   ExecutorRig rig;
   rig.auto_finish = rig.auto_persist = false;
-  rig.TakeOrder();
+  rig.PopOrder();
 
   rig.Level("COMPROMISED", {1, 2});
 
-  EXPECT_THAT(rig.TakeOrder(), ElementsAre("apply COMPROMISED", "write", "id-1.2 acknowledged"));
+  EXPECT_THAT(rig.PopOrder(), ElementsAre("apply COMPROMISED", "write", "id-1.2 acknowledged"));
   EXPECT_EQ(rig.report().effective, "COMPROMISED");
   EXPECT_FALSE(rig.report().verified);
   EXPECT_EQ(rig.writes().back().state.decided, "COMPROMISED");
   EXPECT_EQ(rig.writes().back().state.effective, "COMPROMISED");
   rig.Finish(true);
-  EXPECT_THAT(rig.TakeReceipts(), ElementsAre("id-1.2 acknowledged", "id-1.2 verified"));
+  EXPECT_THAT(rig.PopReceipts(), ElementsAre("id-1.2 acknowledged", "id-1.2 verified"));
   EXPECT_EQ(rig.report().observed, "/safety=COMPROMISED");
 }
 
 TEST(LevelControllerTest, ALoweringIsRecordedBeforeItIsApplied) {
   ExecutorRig rig(ExecutorRig::At("HALT", {1, 1}));
   rig.auto_finish = rig.auto_persist = false;
-  rig.TakeOrder();
-  rig.TakeJobs();
+  rig.PopOrder();
+  rig.PopJobs();
 
   rig.Level("DEFAULT", {1, 2}, DecisionId{1, 1});
 
-  EXPECT_THAT(rig.TakeOrder(), ElementsAre("write"));
+  EXPECT_THAT(rig.PopOrder(), ElementsAre("write"));
   EXPECT_EQ(rig.report().decided, "HALT");
   EXPECT_EQ(rig.writes().front().state.decided, "DEFAULT");
   EXPECT_EQ(rig.writes().front().state.effective, "HALT");
   rig.FinishWrite();
-  EXPECT_THAT(rig.TakeOrder(), ElementsAre("id-1.2 acknowledged", "apply DEFAULT"));
-  EXPECT_EQ(rig.TakeJobs(), "HALT>DEFAULT down");
+  EXPECT_THAT(rig.PopOrder(), ElementsAre("id-1.2 acknowledged", "apply DEFAULT"));
+  EXPECT_EQ(rig.PopJobs(), "HALT>DEFAULT down");
   EXPECT_EQ(rig.report().decided, "DEFAULT");
   EXPECT_EQ(rig.report().effective, "HALT");  // until it is read back
   rig.Finish(true);
   EXPECT_EQ(rig.report().effective, "DEFAULT");
-  EXPECT_THAT(rig.TakeReceipts(), ElementsAre("id-1.2 acknowledged", "id-1.2 verified"));
+  EXPECT_THAT(rig.PopReceipts(), ElementsAre("id-1.2 acknowledged", "id-1.2 verified"));
 }
 
 TEST(LevelControllerTest, ALoweringThatCannotBeRecordedIsNotApplied) {
   ExecutorRig rig(ExecutorRig::At("HALT", {1, 1}));
   rig.disk_works = false;
-  rig.TakeJobs();
+  rig.PopJobs();
 
   rig.Level("DEFAULT", {1, 2}, DecisionId{1, 1});
 
-  EXPECT_THAT(rig.TakeReceipts(), ElementsAre("id-1.2 failed"));
+  EXPECT_THAT(rig.PopReceipts(), ElementsAre("id-1.2 failed"));
   EXPECT_THAT(rig.last_detail(), HasSubstr("cannot be recorded: disk full"));
   EXPECT_EQ(rig.report().decided, "HALT");
-  EXPECT_EQ(rig.TakeJobs(), "");
+  EXPECT_EQ(rig.PopJobs(), "");
   // The same command is judged afresh once the disk works.
   rig.disk_works = true;
   rig.Level("DEFAULT", {1, 2}, DecisionId{1, 1});
-  EXPECT_THAT(rig.TakeReceipts(), ElementsAre("id-1.2 acknowledged", "id-1.2 verified"));
+  EXPECT_THAT(rig.PopReceipts(), ElementsAre("id-1.2 acknowledged", "id-1.2 verified"));
 }
 
 TEST(LevelControllerTest, ARaiseIsAppliedEvenIfItCannotBeRecordedAndTheRecordIsTriedAgain) {
   ExecutorRig rig;
   rig.disk_works = false;
   rig.Level("HALT", {1, 2});
-  EXPECT_THAT(rig.TakeReceipts(), ElementsAre("id-1.2 acknowledged", "id-1.2 verified"));
+  EXPECT_THAT(rig.PopReceipts(), ElementsAre("id-1.2 acknowledged", "id-1.2 verified"));
   EXPECT_EQ(rig.disk()->decided, "DEFAULT");
 
   rig.disk_works = true;
@@ -157,9 +157,9 @@ TEST(LevelControllerTest, JudgesCommands) {
   };
   for (const auto& test : kCases) {
     ExecutorRig rig(ExecutorRig::At("ALERT", {5, 5}));
-    rig.TakeReceipts();
+    rig.PopReceipts();
     rig.Level(test.to, test.decision_id, test.based_on, "x", test.term);
-    EXPECT_EQ(rig.TakeReceipts(), test.receipts) << test.name << ": " << rig.last_detail();
+    EXPECT_EQ(rig.PopReceipts(), test.receipts) << test.name << ": " << rig.last_detail();
     EXPECT_EQ(rig.report().decided, test.decided) << test.name;
     EXPECT_EQ(rig.report().highest_term, std::max<uint64_t>(5, test.term)) << test.name;
   }
@@ -174,69 +174,69 @@ TEST(LevelControllerTest, AHigherTermIsRecordedAndFencesAfterARestart) {
 
   EXPECT_FALSE(next.executor().AdmitTerm(8));
   next.Level("HALT", {8, 6}, {}, "x", 8);
-  EXPECT_THAT(next.TakeReceipts(), ElementsAre("x refused_stale"));
+  EXPECT_THAT(next.PopReceipts(), ElementsAre("x refused_stale"));
 }
 
 TEST(LevelControllerTest, ADuplicateGetsTheSameReceiptAndDoesNothing) {
   ExecutorRig rig;
   rig.Level("ALERT", {1, 2});
   rig.Level("HALT", {1, 3});
-  rig.TakeReceipts();
-  rig.TakeJobs();
+  rig.PopReceipts();
+  rig.PopJobs();
 
   rig.Level("ALERT", {1, 2});
   rig.Level("HALT", {1, 3});
 
-  EXPECT_THAT(rig.TakeReceipts(), ElementsAre("id-1.2 verified", "id-1.3 verified"));
-  EXPECT_EQ(rig.TakeJobs(), "");
+  EXPECT_THAT(rig.PopReceipts(), ElementsAre("id-1.2 verified", "id-1.3 verified"));
+  EXPECT_EQ(rig.PopJobs(), "");
   EXPECT_EQ(rig.report().effective, "HALT");
 }
 
 TEST(LevelControllerTest, TheHeldDecisionSentAgainIsVerifiedWithoutEnteringTwice) {
   ExecutorRig rig(ExecutorRig::At("COMPROMISED", {1, 4}));
-  rig.TakeJobs();
+  rig.PopJobs();
 
   rig.term = 2;  // a restarted server sends its newest decision under a new id
   rig.Level("COMPROMISED", {1, 4}, {}, "again");
 
-  EXPECT_THAT(rig.TakeReceipts(), ElementsAre("again acknowledged", "again verified"));
-  EXPECT_EQ(rig.TakeJobs(), "");
+  EXPECT_THAT(rig.PopReceipts(), ElementsAre("again acknowledged", "again verified"));
+  EXPECT_EQ(rig.PopJobs(), "");
 }
 
 TEST(LevelControllerTest, AMoreRestrictiveCommandPreempts) {
   ExecutorRig rig;
   rig.auto_finish = false;
-  rig.TakeJobs();
+  rig.PopJobs();
   rig.Level("ALERT", {1, 2});
   const ApplyLevel first = *rig.job();
 
   rig.Level("HALT", {1, 3});
 
-  EXPECT_EQ(rig.TakeJobs(), "DEFAULT>ALERT, ALERT>HALT");
-  EXPECT_THAT(rig.TakeReceipts(),
+  EXPECT_EQ(rig.PopJobs(), "DEFAULT>ALERT, ALERT>HALT");
+  EXPECT_THAT(rig.PopReceipts(),
               ElementsAre("id-1.2 acknowledged", "id-1.2 superseded", "id-1.3 acknowledged"));
   rig.FinishJob(first, true);  // what was replaced says nothing any more
   EXPECT_FALSE(rig.report().verified);
-  EXPECT_THAT(rig.TakeReceipts(), IsEmpty());
+  EXPECT_THAT(rig.PopReceipts(), IsEmpty());
   rig.Finish(true);
-  EXPECT_THAT(rig.TakeReceipts(), ElementsAre("id-1.3 verified"));
+  EXPECT_THAT(rig.PopReceipts(), ElementsAre("id-1.3 verified"));
 }
 
 TEST(LevelControllerTest, OfLessRestrictiveCommandsTheNewestWaits) {
   ExecutorRig rig;
   rig.auto_finish = false;
-  rig.TakeJobs();
+  rig.PopJobs();
   rig.Level("HALT", {1, 2});
   rig.Level("COMPROMISED", {1, 3}, DecisionId{1, 2});
   rig.Level("DEFAULT", {1, 4}, DecisionId{1, 3});
 
-  EXPECT_EQ(rig.TakeJobs(), "DEFAULT>HALT");
+  EXPECT_EQ(rig.PopJobs(), "DEFAULT>HALT");
   EXPECT_EQ(rig.report().effective, "HALT");
   rig.Finish(true);
-  EXPECT_EQ(rig.TakeJobs(), "HALT>DEFAULT down");
+  EXPECT_EQ(rig.PopJobs(), "HALT>DEFAULT down");
   rig.Finish(true);
   EXPECT_EQ(rig.report().effective, "DEFAULT");
-  EXPECT_THAT(rig.TakeReceipts(),
+  EXPECT_THAT(rig.PopReceipts(),
               ElementsAre("id-1.2 acknowledged", "id-1.2 superseded", "id-1.3 acknowledged",
                           "id-1.3 superseded", "id-1.4 acknowledged", "id-1.4 verified"));
 }
@@ -244,18 +244,18 @@ TEST(LevelControllerTest, OfLessRestrictiveCommandsTheNewestWaits) {
 TEST(LevelControllerTest, ARaiseStopsALoweringThatIsBeingRecorded) {
   ExecutorRig rig(ExecutorRig::At("HALT", {1, 1}));
   rig.auto_persist = false;
-  rig.TakeJobs();
+  rig.PopJobs();
   rig.Level("DEFAULT", {1, 2}, DecisionId{1, 1});
 
   rig.Level("HALT", {1, 3});
   rig.FinishWrite();
   rig.FinishWrite();
 
-  EXPECT_EQ(rig.TakeJobs(), "");
+  EXPECT_EQ(rig.PopJobs(), "");
   EXPECT_EQ(rig.report().effective, "HALT");
   EXPECT_EQ(rig.disk()->decided, "HALT");
   EXPECT_EQ(rig.disk()->decision_id, (DecisionId{1, 3}));
-  EXPECT_THAT(rig.TakeReceipts(),
+  EXPECT_THAT(rig.PopReceipts(),
               ElementsAre("id-1.2 superseded", "id-1.3 acknowledged", "id-1.3 verified"));
 }
 
@@ -268,7 +268,7 @@ TEST(LevelControllerTest, ALoweringMayBeBasedOnTheOneBeingRecorded) {
   rig.FinishWrite();
 
   EXPECT_EQ(rig.report().effective, "ALERT");
-  EXPECT_THAT(rig.TakeReceipts(),
+  EXPECT_THAT(rig.PopReceipts(),
               ElementsAre("id-1.2 superseded", "id-1.3 acknowledged", "id-1.3 verified"));
 }
 
@@ -293,22 +293,22 @@ TEST(LevelControllerTest, ACrashWhileALoweringIsUnderWayComesBackAtTheOldLevel) 
 TEST(LevelControllerTest, AFailedRaiseIsReportedOnceAndTriedUntilItIsReached) {
   ExecutorRig rig;
   rig.robot_reaches = false;
-  rig.TakeJobs();
+  rig.PopJobs();
 
   rig.Level("COMPROMISED", {1, 2});
 
-  EXPECT_THAT(rig.TakeReceipts(), ElementsAre("id-1.2 acknowledged", "id-1.2 failed"));
+  EXPECT_THAT(rig.PopReceipts(), ElementsAre("id-1.2 acknowledged", "id-1.2 failed"));
   EXPECT_EQ(rig.last_detail(), "lies");
   EXPECT_EQ(rig.report().effective, "COMPROMISED");
   EXPECT_FALSE(rig.report().verified);
   rig.Advance(20 * kS);  // retries after 2, 4, 8 s
-  EXPECT_EQ(rig.TakeJobs(),
+  EXPECT_EQ(rig.PopJobs(),
             "DEFAULT>COMPROMISED, DEFAULT>COMPROMISED retry, DEFAULT>COMPROMISED retry, "
             "DEFAULT>COMPROMISED retry");
-  EXPECT_THAT(rig.TakeReceipts(), IsEmpty());
+  EXPECT_THAT(rig.PopReceipts(), IsEmpty());
   rig.robot_reaches = true;
   rig.Advance(10 * kS);
-  EXPECT_THAT(rig.TakeReceipts(), ElementsAre("id-1.2 verified"));
+  EXPECT_THAT(rig.PopReceipts(), ElementsAre("id-1.2 verified"));
 }
 
 TEST(LevelControllerTest, AFailedLoweringKeepsTheEffectiveLevel) {
@@ -317,14 +317,14 @@ TEST(LevelControllerTest, AFailedLoweringKeepsTheEffectiveLevel) {
 
   rig.Level("DEFAULT", {1, 2}, DecisionId{1, 1});
 
-  EXPECT_THAT(rig.TakeReceipts(), ElementsAre("id-1.2 acknowledged", "id-1.2 failed"));
+  EXPECT_THAT(rig.PopReceipts(), ElementsAre("id-1.2 acknowledged", "id-1.2 failed"));
   EXPECT_EQ(rig.report().effective, "HALT");
   EXPECT_EQ(rig.report().decided, "DEFAULT");
   rig.robot_reaches = true;
   rig.lease = true;  // else a floor would rise meanwhile
   rig.Advance(3 * kS);
   EXPECT_EQ(rig.report().effective, "DEFAULT");
-  EXPECT_THAT(rig.TakeReceipts(), ElementsAre("id-1.2 verified"));
+  EXPECT_THAT(rig.PopReceipts(), ElementsAre("id-1.2 verified"));
 }
 
 // Finds the level left, and enters it again, `times`.
@@ -349,7 +349,7 @@ TEST(LevelControllerTest, OnDriftFollowsTheThirdDriftOnceAfterTheLevelWasOrdered
   ExecutorRig rig(ExecutorRig::At("ALERT"), WithOnDrift());
   rig.auto_finish = false;
   rig.lease = true;
-  rig.TakeJobs();
+  rig.PopJobs();
   LeaveLevel(rig, 3);
   EXPECT_THAT(rig.report().degraded,
               ElementsAre("ALERT was left again and again: 3 times in 60 s"));
@@ -359,12 +359,12 @@ TEST(LevelControllerTest, OnDriftFollowsTheThirdDriftOnceAfterTheLevelWasOrdered
   EXPECT_EQ(rig.job()->to, "ALERT");
   rig.Finish(false, "program horn: exit code 1");
   EXPECT_THAT(rig.report().degraded, ElementsAre(HasSubstr("failed: program horn: exit code 1")));
-  EXPECT_EQ(rig.TakeJobs(), ">ALERT retry, >ALERT retry, >ALERT retry, >ALERT on_drift");
+  EXPECT_EQ(rig.PopJobs(), ">ALERT retry, >ALERT retry, >ALERT retry, >ALERT on_drift");
   rig.Advance(3 * kS);
   rig.Finish(true);
   LeaveLevel(rig, 1);
   rig.Finish(true);
-  EXPECT_EQ(rig.TakeJobs(), ">ALERT retry, >ALERT retry");  // not again within the window
+  EXPECT_EQ(rig.PopJobs(), ">ALERT retry, >ALERT retry");  // not again within the window
   EXPECT_EQ(rig.report().drifts, 4u);
   rig.auto_finish = true;
   rig.Advance(61 * kS);
@@ -389,9 +389,9 @@ TEST(LevelControllerTest, ARaiseDoesNotWaitForOnDriftSteps) {
   rig.Finish(true);
   ASSERT_EQ(rig.job()->kind, JobKind::kOnDrift);
   const ApplyLevel on_drift = *rig.job();
-  rig.TakeJobs();
+  rig.PopJobs();
   rig.Level("COMPROMISED", {1, 2});
-  EXPECT_EQ(rig.TakeJobs(), "ALERT>COMPROMISED");
+  EXPECT_EQ(rig.PopJobs(), "ALERT>COMPROMISED");
   rig.FinishJob(on_drift, true);  // late, and of a job that was replaced
   EXPECT_THAT(rig.report().degraded, IsEmpty());
   rig.Finish(true);
@@ -402,7 +402,7 @@ TEST(LevelControllerTest, ARaiseDoesNotWaitForOnDriftSteps) {
 TEST(LevelControllerTest, DriftIsCountedAndTheLevelIsReassertedAtOnce) {
   ExecutorRig rig(ExecutorRig::At("ALERT"));
   rig.auto_finish = false;
-  rig.TakeJobs();
+  rig.PopJobs();
   rig.Advance(2 * kS + 100);
   ASSERT_TRUE(rig.job().has_value());
   ASSERT_EQ(rig.job()->kind, JobKind::kCheck);
@@ -411,7 +411,7 @@ TEST(LevelControllerTest, DriftIsCountedAndTheLevelIsReassertedAtOnce) {
 
   EXPECT_EQ(rig.report().drifts, 1u);
   EXPECT_FALSE(rig.report().verified);
-  EXPECT_EQ(rig.TakeJobs(), ">ALERT retry");
+  EXPECT_EQ(rig.PopJobs(), ">ALERT retry");
   rig.Finish(true);
   EXPECT_TRUE(rig.report().verified);
 }
@@ -483,11 +483,11 @@ TEST(LevelControllerTest, ARestartedActuatorWaitsALittleForItsFirstLease) {
 
 TEST(LevelControllerTest, AFloorBelowTheDecisionChangesNothing) {
   ExecutorRig rig(ExecutorRig::At("HALT"));
-  rig.TakeJobs();
+  rig.PopJobs();
   rig.Advance(30 * kS);
   EXPECT_EQ(rig.report().floor, "ALERT");
   EXPECT_EQ(rig.report().effective, "HALT");
-  EXPECT_EQ(rig.TakeJobs(), "");
+  EXPECT_EQ(rig.PopJobs(), "");
 }
 
 TEST(LevelControllerTest, AFloorHoldsBackALoweringUntilItLifts) {
@@ -498,11 +498,11 @@ TEST(LevelControllerTest, AFloorHoldsBackALoweringUntilItLifts) {
 
   EXPECT_EQ(rig.report().decided, "DEFAULT");
   EXPECT_EQ(rig.report().effective, "ALERT");
-  EXPECT_THAT(rig.TakeReceipts(), ElementsAre("id-1.2 acknowledged"));
+  EXPECT_THAT(rig.PopReceipts(), ElementsAre("id-1.2 acknowledged"));
   rig.lease = true;
   rig.Advance(11 * kS);
   EXPECT_EQ(rig.report().effective, "DEFAULT");
-  EXPECT_THAT(rig.TakeReceipts(), ElementsAre("id-1.2 verified"));
+  EXPECT_THAT(rig.PopReceipts(), ElementsAre("id-1.2 verified"));
 }
 
 TEST(LevelControllerTest, ARaiseBelowTheFloorIsVerifiedAtTheFloor) {
@@ -510,13 +510,13 @@ TEST(LevelControllerTest, ARaiseBelowTheFloorIsVerifiedAtTheFloor) {
   options.fail_safe = "HALT";
   ExecutorRig rig(ExecutorRig::At("DEFAULT"), options);
   rig.Advance(20 * kS);
-  rig.TakeJobs();
+  rig.PopJobs();
 
   rig.Level("ALERT", {1, 2});
 
   EXPECT_EQ(rig.report().effective, "HALT");
-  EXPECT_THAT(rig.TakeReceipts(), ElementsAre("id-1.2 acknowledged", "id-1.2 verified"));
-  EXPECT_EQ(rig.TakeJobs(), "");
+  EXPECT_THAT(rig.PopReceipts(), ElementsAre("id-1.2 acknowledged", "id-1.2 verified"));
+  EXPECT_EQ(rig.PopJobs(), "");
 }
 
 TEST(LevelControllerTest, AFloorLiftsAfterTenSecondsOfALiveLeaseOfTheCurrentTerm) {
@@ -651,9 +651,9 @@ TEST(LevelControllerTest, RemembersALimitedNumberOfReceipts) {
   for (uint64_t epoch = 2; epoch < 2 + 2 * kRecentReceiptsMax; ++epoch) {
     rig.Level("HALT", {1, epoch});
   }
-  rig.TakeReceipts();
+  rig.PopReceipts();
   rig.Level("HALT", {1, 2});  // forgotten, but its decision id tells
-  EXPECT_THAT(rig.TakeReceipts(), ElementsAre("id-1.2 refused_stale"));
+  EXPECT_THAT(rig.PopReceipts(), ElementsAre("id-1.2 refused_stale"));
 }
 
 }  // namespace

@@ -121,11 +121,11 @@ class ExecutorRig {
     return state.ok() ? std::optional<ActuatorState>(*state) : std::nullopt;
   }
   // "COMPROMISED enter, ..." of everything begun since the last call, checks left out.
-  std::string TakeJobs() { return std::exchange(jobs_, ""); }
+  std::string PopJobs() { return std::exchange(jobs_, ""); }
   // "id-1.2 acknowledged" since the last call.
-  std::vector<std::string> TakeReceipts() { return std::exchange(receipts_, {}); }
+  std::vector<std::string> PopReceipts() { return std::exchange(receipts_, {}); }
   // "apply COMPROMISED", "write", "id-1.2 acknowledged" in order, since the last call.
-  std::vector<std::string> TakeOrder() { return std::exchange(order_, {}); }
+  std::vector<std::string> PopOrder() { return std::exchange(order_, {}); }
   std::string last_detail() const { return last_detail_; }
   LevelController& executor() { return executor_; }
   int64_t now_ns() const { return now_ns_; }

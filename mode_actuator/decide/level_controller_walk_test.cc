@@ -111,7 +111,7 @@ class Walk {
     rig_ = std::make_unique<ExecutorRig>(absl::DataLossError("corrupt"), ExecutorRig::WithSurvey());
     rig_->term = term;
     rig_->robot = robot;
-    EXPECT_EQ(rig_->TakeJobs(), "");
+    EXPECT_EQ(rig_->PopJobs(), "");
     lowering_allowed_ = true;  // nothing is decided any more
     if (Chance(20)) return;    // a survey that is answered after its time, or not at all
     if (Chance(50)) Command();

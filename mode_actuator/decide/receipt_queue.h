@@ -26,11 +26,10 @@ class ReceiptQueue {
     // Of one command only the newest stage is of use; of one decision only the newest receipt, so
     // that a failure that has been mended is not reported again after a reconnect.
     std::erase_if(entries_, [&](const Entry& old) {
-                         const bool same_decision =
-                             !receipt.decision_id.none() &&
-                             old.receipt.decision_id == receipt.decision_id && old.sent_ns != 0;
-                         return same_decision || old.receipt.command_id == receipt.command_id;
-                       });
+      const bool same_decision = !receipt.decision_id.none() &&
+                                 old.receipt.decision_id == receipt.decision_id && old.sent_ns != 0;
+      return same_decision || old.receipt.command_id == receipt.command_id;
+    });
     if (!receipt.decision_id.none() && receipt.decision_id >= newest_decision_id_)
       newest_decision_id_ = receipt.decision_id;
     entries_.push_back({std::move(receipt), 0, 0});
@@ -54,12 +53,10 @@ class ReceiptQueue {
       if (entry.sent_ns == 0) entry.sent_ns = now_ns;
     }
     std::erase_if(entries_, [&](const Entry& entry) {
-                                    const bool newest =
-                                        !entry.receipt.decision_id.none() &&
-                                        entry.receipt.decision_id == newest_decision_id_;
-                                    return !newest && entry.sent_ns != 0 &&
-                                           now_ns - entry.sent_ns > kReceiptKeepNs;
-                                  });
+      const bool newest =
+          !entry.receipt.decision_id.none() && entry.receipt.decision_id == newest_decision_id_;
+      return !newest && entry.sent_ns != 0 && now_ns - entry.sent_ns > kReceiptKeepNs;
+    });
   }
 
   size_t size() const { return entries_.size(); }

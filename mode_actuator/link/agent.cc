@@ -198,7 +198,7 @@ class Agent::Impl {
         clock_(clock),
         counters_(MakeCounters(metrics)),
         inputs_({.capacity = kInputsMax}),
-        desk_(MakeExecutorOptions(config_).levels) {}
+        drills_(MakeExecutorOptions(config_).levels) {}
 
   ~Impl();
   absl::Status Start(const Smh& smh, rpc::CredentialsSource credentials,
@@ -226,7 +226,7 @@ class Agent::Impl {
   void Loop();
   void Handle(Input input, int64_t now_ns);
   void Do(Actions actions, int64_t now_ns);
-  void Tell(Receipt receipt);
+  void QueueReceipt(Receipt receipt);
   void OnDrill(const DrillCommand& command);
   void OnRunProgram(RunProgramCommand command);
   void OnExecJournalled(const ExecJournalled& journalled);
@@ -245,9 +245,9 @@ class Agent::Impl {
   BoundedQueue<Input> inputs_;
 
   // Of the agent's thread.
-  std::optional<LevelController> executor_;
-  ExecJournal ledger_;
-  DrillController desk_;
+  std::optional<LevelController> controller_;
+  ExecJournal journal_;
+  DrillController drills_;
   ReceiptQueue receipts_;
   DegradedStatus degraded_;
   size_t execs_ = 0;
@@ -268,7 +268,7 @@ class Agent::Impl {
   std::unique_ptr<ExecClient> programs_;  // killed at the end; the journal says "begun"
   std::unique_ptr<AlarmBoard> alarms_;    // none if there are no devices
   std::unique_ptr<FwClient> firewall_;
-  std::unique_ptr<LevelExecutor> procedures_;
+  std::unique_ptr<LevelExecutor> executor_;
   std::unique_ptr<Drill> drill_;
   std::unique_ptr<FileWorker> files_;
   std::unique_ptr<LevelWorker> levels_;
@@ -287,20 +287,20 @@ absl::Status Agent::Impl::LoadState() {
     state = bytes.status();
   }
   if (!state.ok()) LogWarning("state lost", {{"why", state.status().message()}});
-  RIPS_ASSIGN_OR_RETURN(LevelController executor,
+  RIPS_ASSIGN_OR_RETURN(LevelController controller,
                         LevelController::Create(MakeExecutorOptions(config_), state, NowNs()));
-  executor_.emplace(std::move(executor));
+  controller_.emplace(std::move(controller));
 
   const absl::StatusOr<std::string> journal = ReadFile(JournalPath(), kJournalBytesMax);
   if (journal.ok()) {
-    absl::StatusOr<ExecJournal> ledger = ExecJournal::Decode(*journal);
-    if (ledger.ok()) {
-      ledger_ = *std::move(ledger);
+    absl::StatusOr<ExecJournal> decoded = ExecJournal::Decode(*journal);
+    if (decoded.ok()) {
+      journal_ = *std::move(decoded);
     } else {
-      LogError("journal lost", {{"why", ledger.status().message()}});
+      LogError("journal lost", {{"why", decoded.status().message()}});
     }
   }
-  for (Receipt& receipt : ledger_.CloseUnfinished()) Tell(std::move(receipt));
+  for (Receipt& receipt : journal_.CloseUnfinished()) QueueReceipt(std::move(receipt));
   return absl::OkStatus();
 }
 
@@ -391,7 +391,7 @@ void Agent::Impl::StartWorkers() {
                            .clock = clock_,
                            .allowed = &config_.programs,
                            .devices = &config_.devices};
-  procedures_ = std::make_unique<LevelExecutor>(&config_.levels, ports);
+  executor_ = std::make_unique<LevelExecutor>(&config_.levels, ports);
   drill_ = std::make_unique<Drill>(config_.levels, ports);
   files_ = std::make_unique<FileWorker>(kFileTasksMax);
   LevelWorker::Callbacks callbacks;
@@ -405,7 +405,7 @@ void Agent::Impl::StartWorkers() {
       degraded_.Set("modes", modes_->Degraded());
     };
   }
-  levels_ = std::make_unique<LevelWorker>(procedures_.get(), std::move(callbacks));
+  levels_ = std::make_unique<LevelWorker>(executor_.get(), std::move(callbacks));
 }
 
 void Agent::Impl::StartDownlink(const Smh& smh, rpc::CredentialsSource credentials,
@@ -463,7 +463,7 @@ absl::Status Agent::Impl::Start(const Smh& smh, rpc::CredentialsSource credentia
   StartWorkers();
   StartDownlink(smh, std::move(credentials), monitor);
   const int64_t now_ns = NowNs();
-  Do(executor_->Start(now_ns), now_ns);
+  Do(controller_->Start(now_ns), now_ns);
   Publish(now_ns);
   thread_ = std::thread([this] { Loop(); });
   downlink_->Start();
@@ -491,7 +491,7 @@ void Agent::Impl::Loop() {
     if (batch.empty() && inputs_.closed()) return;
     for (Input& input : batch) Handle(std::move(input), NowNs());
     const int64_t now_ns = NowNs();
-    Do(executor_->OnTick(now_ns), now_ns);
+    Do(controller_->OnTick(now_ns), now_ns);
     CheckHelpers(now_ns);
     Publish(now_ns);
     Announce(now_ns);
@@ -501,7 +501,7 @@ void Agent::Impl::Loop() {
 void Agent::Impl::Handle(Input input, int64_t now_ns) {
   if (auto* level = std::get_if<SetLevelCommand>(&input)) {
     counters_.commands.Increment();
-    Do(executor_->OnSetLevel(*level, now_ns), now_ns);
+    Do(controller_->OnSetLevel(*level, now_ns), now_ns);
   } else if (auto* run = std::get_if<RunProgramCommand>(&input)) {
     counters_.commands.Increment();
     OnRunProgram(std::move(*run));
@@ -509,20 +509,20 @@ void Agent::Impl::Handle(Input input, int64_t now_ns) {
     counters_.commands.Increment();
     OnDrill(*drill);
   } else if (auto* drilled = std::get_if<DrillOutcome>(&input)) {
-    Tell(desk_.OnOutcome(std::move(*drilled)));
+    QueueReceipt(drills_.OnOutcome(std::move(*drilled)));
   } else if (auto* lease = std::get_if<LeaseGrant>(&input)) {
-    executor_->OnLease(*lease, now_ns);
+    controller_->OnLease(*lease, now_ns);
   } else if (std::holds_alternative<Connected>(input)) {
     receipts_.NewSession();
   } else if (auto* outcome = std::get_if<LevelOutcome>(&input)) {
     LogOutcome(*outcome);
-    Do(executor_->OnOutcome(*outcome, now_ns), now_ns);
+    Do(controller_->OnOutcome(*outcome, now_ns), now_ns);
   } else if (auto* persisted = std::get_if<Persisted>(&input)) {
     if (!persisted->status.ok()) {
       counters_.write_failures.Increment();
       LogError("cannot write state", {{"why", persisted->status.message()}});
     }
-    Do(executor_->OnPersisted(persisted->sequence, persisted->status, now_ns), now_ns);
+    Do(controller_->OnPersisted(persisted->sequence, persisted->status, now_ns), now_ns);
   } else if (auto* journalled = std::get_if<ExecJournalled>(&input)) {
     OnExecJournalled(*journalled);
   } else if (auto* ended = std::get_if<ExecEnded>(&input)) {
@@ -549,15 +549,15 @@ void Agent::Impl::Do(Actions actions, int64_t now_ns) {
            }});
       if (!taken) {
         const absl::Status full = absl::ResourceExhaustedError("too many writes wait");
-        Do(executor_->OnPersisted(sequence, full, now_ns), now_ns);
+        Do(controller_->OnPersisted(sequence, full, now_ns), now_ns);
       }
     } else {
-      Tell(std::get<SendReceipt>(std::move(action)).receipt);
+      QueueReceipt(std::get<SendReceipt>(std::move(action)).receipt);
     }
   }
 }
 
-void Agent::Impl::Tell(Receipt receipt) {
+void Agent::Impl::QueueReceipt(Receipt receipt) {
   if (receipt.stage == Receipt::Stage::kFailed) counters_.receipts_failed.Increment();
   if (receipt.stage == Receipt::Stage::kRefused || receipt.stage == Receipt::Stage::kRefusedStale) {
     counters_.receipts_refused.Increment();
@@ -571,7 +571,7 @@ void Agent::Impl::Tell(Receipt receipt) {
 
 void Agent::Impl::Publish(int64_t now_ns) {
   if (alarms_ != nullptr) counters_.alarms_missing.Set(static_cast<double>(alarms_->missing()));
-  ExecutorReport report = executor_->Report(now_ns);
+  ExecutorReport report = controller_->Report(now_ns);
   for (std::string& text : degraded_.All()) report.degraded.push_back(std::move(text));
   report.degraded = LimitDegraded(std::move(report.degraded));
   bool changed = false;
@@ -612,9 +612,9 @@ void Agent::Impl::Publish(int64_t now_ns) {
 // --- drills
 
 void Agent::Impl::OnDrill(const DrillCommand& command) {
-  const std::string held = executor_->Report(NowNs()).effective;
-  const bool admitted = executor_->AdmitTerm(command.term);
-  Tell(desk_.OnCommand(command, admitted, held, [this](const DrillJob& job) {
+  const std::string held = controller_->Report(NowNs()).effective;
+  const bool admitted = controller_->AdmitTerm(command.term);
+  QueueReceipt(drills_.OnCommand(command, admitted, held, [this](const DrillJob& job) {
     return levels_->SubmitDrill(
         [this, job](const CancelFlag& cancel, const std::function<void()>& between) {
           return [this, outcome = drill_->Run(job, cancel, between)] { inputs_.Push(outcome); };
@@ -630,7 +630,7 @@ bool Agent::Impl::IsAllowed(absl::string_view program) const {
 }
 
 void Agent::Impl::WriteJournal(std::function<void(const absl::Status&)> done) {
-  if (files_->Submit({JournalPath(), ledger_.Encode(), done})) return;
+  if (files_->Submit({JournalPath(), journal_.Encode(), done})) return;
   if (done) done(absl::ResourceExhaustedError("too many writes wait"));
 }
 
@@ -638,17 +638,17 @@ void Agent::Impl::OnRunProgram(RunProgramCommand command) {
   Receipt receipt;
   receipt.command_id = command.id;
   receipt.stage = Receipt::Stage::kRefused;
-  if (!executor_->AdmitTerm(command.term)) {
+  if (!controller_->AdmitTerm(command.term)) {
     receipt.stage = Receipt::Stage::kRefusedStale;
     receipt.detail = absl::StrCat("term ", command.term, " is stale");
-  } else if (std::optional<Receipt> known = ledger_.Find(command.id)) {
+  } else if (std::optional<Receipt> known = journal_.Find(command.id)) {
     receipt = *std::move(known);
   } else if (!IsAllowed(command.program)) {
     receipt.detail = absl::StrCat("program `", absl::CHexEscape(command.program.substr(0, 100)),
                                   "` is not in the allow-list");
   } else if (execs_ >= kExecsMax) {
     receipt.detail = absl::StrCat("running programs exceed limit ", kExecsMax);
-  } else if (const absl::Status begun = ledger_.Begin(command.id); !begun.ok()) {
+  } else if (const absl::Status begun = journal_.Begin(command.id); !begun.ok()) {
     receipt.detail = std::string(begun.message());
   } else {
     ++execs_;
@@ -658,8 +658,8 @@ void Agent::Impl::OnRunProgram(RunProgramCommand command) {
     });
     return;
   }
-  receipt.effective_level = executor_->Report(NowNs()).effective;
-  Tell(std::move(receipt));
+  receipt.effective_level = controller_->Report(NowNs()).effective;
+  QueueReceipt(std::move(receipt));
 }
 
 void Agent::Impl::OnExecJournalled(const ExecJournalled& journalled) {
@@ -668,11 +668,11 @@ void Agent::Impl::OnExecJournalled(const ExecJournalled& journalled) {
   receipt.command_id = command.id;
   if (!journalled.status.ok()) {
     counters_.write_failures.Increment();
-    ledger_.Forget(command.id);
+    journal_.Forget(command.id);
     --execs_;
     receipt.stage = Receipt::Stage::kRefused;
     receipt.detail = absl::StrCat("cannot be recorded: ", journalled.status.message());
-    Tell(std::move(receipt));
+    QueueReceipt(std::move(receipt));
     return;
   }
   const absl::Duration timeout =
@@ -684,7 +684,7 @@ void Agent::Impl::OnExecJournalled(const ExecJournalled& journalled) {
                        });
   if (run.ok()) {
     receipt.stage = Receipt::Stage::kAcknowledged;
-    Tell(std::move(receipt));
+    QueueReceipt(std::move(receipt));
     return;
   }
   receipt.stage = NotBegunStage(run.status());
@@ -704,12 +704,12 @@ void Agent::Impl::OnExecEnded(const ExecEnded& ended) {
 
 void Agent::Impl::EndExec(Receipt receipt) {
   --execs_;
-  ledger_.Finish(receipt.command_id, receipt.stage, receipt.exit_code);
+  journal_.Finish(receipt.command_id, receipt.stage, receipt.exit_code);
   WriteJournal([this](const absl::Status& status) {
     if (!status.ok()) counters_.write_failures.Increment();
   });
-  receipt.effective_level = executor_->Report(NowNs()).effective;
-  Tell(std::move(receipt));
+  receipt.effective_level = controller_->Report(NowNs()).effective;
+  QueueReceipt(std::move(receipt));
 }
 
 absl::Status Agent::Impl::Ready() const {

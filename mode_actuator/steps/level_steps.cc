@@ -14,26 +14,26 @@ std::vector<Level> MakeLevels(const std::vector<LevelSpec>& specs, const StepPor
   const auto make = [&](const std::vector<Step>& steps, bool on_drift) {
     Level::Steps made;
     for (const Step& step : steps) {
-      made.push_back(
-          std::visit(Overloaded{
-                         [&](const SystemModeStep&) { return mode_steps.Make(step, on_drift); },
-                         [&](const ProgramStep& program) {
-                           const ProgramSpec* spec =
- ports.allowed == nullptr ? nullptr : FindNamed(*ports.allowed, program.name);
-                           return MakeProgramStep(step, spec != nullptr && spec->drill,
-                                                  ports.programs, ports.clock);
-                         },
-                         [&](const AlarmStep& alarm) {
-                           const AlarmSpec* spec =
- ports.devices == nullptr ? nullptr : FindNamed(*ports.devices, alarm.device);
-                           return MakeAlarmStep(step, spec != nullptr && spec->flash_in_drills,
-                                                ports.alarms, ports.clock);
-                         },
-                         [&](const FirewallStep&) {
-                           return MakeFirewallStep(step, ports.firewall, ports.clock);
-                         },
-                     },
-                     step.what));
+      made.push_back(std::visit(
+          Overloaded{
+              [&](const SystemModeStep&) { return mode_steps.Make(step, on_drift); },
+              [&](const ProgramStep& program) {
+                const ProgramSpec* spec =
+                    ports.allowed == nullptr ? nullptr : FindNamed(*ports.allowed, program.name);
+                return MakeProgramStep(step, spec != nullptr && spec->drill, ports.programs,
+                                       ports.clock);
+              },
+              [&](const AlarmStep& alarm) {
+                const AlarmSpec* spec =
+                    ports.devices == nullptr ? nullptr : FindNamed(*ports.devices, alarm.device);
+                return MakeAlarmStep(step, spec != nullptr && spec->flash_in_drills, ports.alarms,
+                                     ports.clock);
+              },
+              [&](const FirewallStep&) {
+                return MakeFirewallStep(step, ports.firewall, ports.clock);
+              },
+          },
+          step.what));
     }
     return made;
   };

@@ -40,7 +40,6 @@ struct Level {
 
 std::vector<Level> MakeLevels(const std::vector<LevelSpec>& specs, const StepPorts& ports);
 
-
 }  // namespace rips::actuator
 
 #endif  // RIPS_MODE_ACTUATOR_STEPS_LEVEL_STEPS_H_

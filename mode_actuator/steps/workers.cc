@@ -7,8 +7,8 @@
 
 namespace rips::actuator {
 
-LevelWorker::LevelWorker(LevelExecutor* procedures, Callbacks callbacks)
-    : procedures_(procedures), callbacks_(std::move(callbacks)) {
+LevelWorker::LevelWorker(LevelExecutor* executor, Callbacks callbacks)
+    : executor_(executor), callbacks_(std::move(callbacks)) {
   thread_ = std::thread([this] { Loop(); });
 }
 
@@ -73,7 +73,7 @@ void LevelWorker::RunWaitingCheck(const CancelFlag& cancel) {
     if (!next_.has_value() || next_->kind != JobKind::kCheck) return;
     check = *std::exchange(next_, std::nullopt);
   }
-  callbacks_.done(procedures_->Run(check, cancel));
+  callbacks_.done(executor_->Run(check, cancel));
 }
 
 void LevelWorker::Loop() {
@@ -83,7 +83,7 @@ void LevelWorker::Loop() {
       RunDrill(work->drill, *work->cancel);
       continue;
     }
-    LevelOutcome outcome = procedures_->Run(*work->job, *work->cancel);
+    LevelOutcome outcome = executor_->Run(*work->job, *work->cancel);
     {
       MutexLock lock(&mu_);
       running_.reset();

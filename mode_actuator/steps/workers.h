@@ -31,8 +31,8 @@ class LevelWorker {
     std::function<void(const absl::Status&)> idle_checked;
   };
 
-  // `procedures` is not owned and outlives this. Callbacks run on the worker's thread.
-  LevelWorker(LevelExecutor* procedures, Callbacks callbacks);
+  // `executor` is not owned and outlives this. Callbacks run on the worker's thread.
+  LevelWorker(LevelExecutor* executor, Callbacks callbacks);
   // Ends the running job and joins.
   ~LevelWorker();
 
@@ -61,7 +61,7 @@ class LevelWorker {
   void RunDrill(const DrillTask& drill, const CancelFlag& cancel) ABSL_LOCKS_EXCLUDED(mu_);
   void RunWaitingCheck(const CancelFlag& cancel) ABSL_LOCKS_EXCLUDED(mu_);
 
-  LevelExecutor* const procedures_;  // Not owned; outlives this.
+  LevelExecutor* const executor_;  // Not owned; outlives this.
   const Callbacks callbacks_;
   Mutex mu_;
   CondVar changed_;

@@ -73,7 +73,7 @@ void Uplink::GiveUpUploadLocked(int64_t now_ns) {
            {{"bytes", stream_->upload->sent.payload->size()}});
   PayloadUpload& upload = *stream_->upload;
   size_t bytes = 0;
-  for (const rips::v1::SensorMessage& each : client_->TakeBulkBack()) {
+  for (const rips::v1::SensorMessage& each : client_->RecallBulk()) {
     bytes += each.chunk().data().size();
   }
   stream_->payload_used -= bytes;

@@ -56,7 +56,7 @@ EndpointSeen Describe(const dds_builtintopic_endpoint_t& sample, const dds_sampl
 
 // Hands every sample of `reader` to `use`, kTakeMax at a time.
 template <typename Sample, typename Use>
-void TakeAll(EntityHandle reader, Use use) {
+void DrainSamples(EntityHandle reader, Use use) {
   for (;;) {
     std::array<void*, kTakeMax> samples = {};
     std::array<dds_sample_info_t, kTakeMax> infos;
@@ -88,7 +88,7 @@ struct Discovery::Impl {
 
   void DrainParticipants(EntityHandle reader) ABSL_LOCKS_EXCLUDED(mu) {
     MutexLock lock(&mu);
-    TakeAll<dds_builtintopic_participant_t>(
+    DrainSamples<dds_builtintopic_participant_t>(
         reader,
         [this](const dds_builtintopic_participant_t& sample, const dds_sample_info_t& info) {
           if (callbacks.on_participant) callbacks.on_participant(Describe(sample, info, secured));
@@ -97,7 +97,7 @@ struct Discovery::Impl {
 
   void DrainEndpoints(EntityHandle reader, bool of_writers) ABSL_LOCKS_EXCLUDED(mu) {
     MutexLock lock(&mu);
-    TakeAll<dds_builtintopic_endpoint_t>(
+    DrainSamples<dds_builtintopic_endpoint_t>(
         reader, [this, of_writers](const dds_builtintopic_endpoint_t& sample,
                                    const dds_sample_info_t& info) {
           const EndpointSeen seen = Describe(sample, info, of_writers);

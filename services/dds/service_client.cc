@@ -30,7 +30,7 @@ struct ServiceClient::Impl {
       MutexLock lock(&mu);
       if (awaited_sample == 0 || sample.related_writer != writer.guid()) return;
       if (sample.related_sequence != awaited_sample) return;
-      TakeReply(std::string(sample.payload));
+      AcceptReply(std::string(sample.payload));
       return;
     }
     absl::StatusOr<ros2::ServiceMessage> message = ros2::SplitServiceHeader(sample.payload);
@@ -38,9 +38,9 @@ struct ServiceClient::Impl {
     MutexLock lock(&mu);
     if (awaited == 0) return;
     if (message->header != ros2::ServiceHeader{writer.instance(), awaited}) return;
-    TakeReply(std::move(message->payload));
+    AcceptReply(std::move(message->payload));
   }
-  void TakeReply(std::string payload) ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu) {
+  void AcceptReply(std::string payload) ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu) {
     reply = std::move(payload);
     awaited = 0;
     awaited_sample = 0;

@@ -35,7 +35,7 @@ void CdrReader::Fail(absl::string_view why) {
   status_ = absl::DataLossError(why);
 }
 
-bool CdrReader::Take(size_t size, size_t align, absl::string_view& bytes) {
+bool CdrReader::Consume(size_t size, size_t align, absl::string_view& bytes) {
   if (!status_.ok()) return false;
   // `at_` never passes the body's size, so neither sum can wrap.
   const size_t start = (at_ + align - 1) / align * align;
@@ -51,7 +51,7 @@ bool CdrReader::Take(size_t size, size_t align, absl::string_view& bytes) {
 
 uint64_t CdrReader::Number(size_t size) {
   absl::string_view bytes;
-  if (!Take(size, size, bytes)) return 0;
+  if (!Consume(size, size, bytes)) return 0;
   uint64_t value = 0;
   for (size_t i = 0; i < size; ++i) {
     const size_t significant_first = little_endian_ ? size - 1 - i : i;
@@ -88,7 +88,7 @@ absl::string_view CdrReader::String() {
     return {};
   }
   absl::string_view bytes;
-  if (!Take(length, 1, bytes)) return {};
+  if (!Consume(length, 1, bytes)) return {};
   if (bytes.find('\0') != length - 1) {
     Fail(absl::StrCat("string of length ", length, " does not end at its first NUL"));
     return {};
@@ -98,7 +98,7 @@ absl::string_view CdrReader::String() {
 
 absl::string_view CdrReader::Octets(size_t size) {
   absl::string_view bytes;
-  if (!Take(size, 1, bytes)) return {};
+  if (!Consume(size, 1, bytes)) return {};
   return bytes;
 }
 

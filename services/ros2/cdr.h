@@ -60,7 +60,7 @@ class CdrReader {
   absl::Status Finish() const;
 
  private:
-  bool Take(size_t size, size_t align, absl::string_view& bytes);
+  bool Consume(size_t size, size_t align, absl::string_view& bytes);
   uint64_t Number(size_t size);
 
   absl::string_view body_;

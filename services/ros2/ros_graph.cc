@@ -160,8 +160,8 @@ absl::Status RosGraph::Apply(const GraphDelta& delta) {
     }
     participants_[participant.guid] = participant;
   }
-  for (const Node& node : delta.upsert_nodes) TakeNode(node);
-  for (const Endpoint& endpoint : delta.upsert_endpoints) TakeEndpoint(endpoint);
+  for (const Node& node : delta.upsert_nodes) ApplyNode(node);
+  for (const Endpoint& endpoint : delta.upsert_endpoints) ApplyEndpoint(endpoint);
   if (dropped_ == 0 || delta.gone_nodes.empty()) return absl::OkStatus();
   // A node that was to come back may have found no room.
   std::vector<Endpoint> orphans;
@@ -170,7 +170,7 @@ absl::Status RosGraph::Apply(const GraphDelta& delta) {
       orphans.push_back(endpoint);
     }
   }
-  for (Endpoint& orphan : orphans) TakeEndpoint(std::move(orphan));
+  for (Endpoint& orphan : orphans) ApplyEndpoint(std::move(orphan));
   return absl::OkStatus();
 }
 
@@ -181,7 +181,7 @@ void RosGraph::Clear() {
   *this = std::move(empty);
 }
 
-void RosGraph::TakeNode(const Node& node) {
+void RosGraph::ApplyNode(const Node& node) {
   if (nodes_.contains(node)) return;
   const bool known = participants_.contains(node.participant);
   if (!known || nodes_.size() >= limits_.nodes ||
@@ -192,7 +192,7 @@ void RosGraph::TakeNode(const Node& node) {
   nodes_.insert(node);
 }
 
-void RosGraph::TakeEndpoint(Endpoint endpoint) {
+void RosGraph::ApplyEndpoint(Endpoint endpoint) {
   RemoveEndpoint(endpoint.guid);
   const Guid participant = endpoint.guid.Participant();
   if (!participants_.contains(participant)) return LeaveOut(participant);

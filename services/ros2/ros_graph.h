@@ -163,8 +163,8 @@ class RosGraph {
   };
 
   absl::Status Check(const GraphDelta& delta) const;
-  void TakeNode(const Node& node);
-  void TakeEndpoint(Endpoint endpoint);
+  void ApplyNode(const Node& node);
+  void ApplyEndpoint(Endpoint endpoint);
   bool IsKept(const Endpoint& endpoint) const;
   // False if there is none; evicts an endpoint for one that is kept.
   bool MakeRoom(const Guid& participant, bool kept);

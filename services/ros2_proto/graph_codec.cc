@@ -38,8 +38,7 @@ absl::StatusOr<ros2::EndpointKind> DecodeKind(rips::v1::Endpoint::Kind kind) {
   for (const auto& [ours, wire] : kKinds) {
     if (wire == kind) return ours;
   }
-  return absl::InvalidArgumentError(
-      absl::StrCat("unknown endpoint kind ", static_cast<int>(kind)));
+  return absl::InvalidArgumentError(absl::StrCat("unknown endpoint kind ", static_cast<int>(kind)));
 }
 
 rips::v1::Endpoint::Kind EncodeKind(ros2::EndpointKind kind) {

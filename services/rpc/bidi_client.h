@@ -159,9 +159,9 @@ class BidiClient final : public BidiClientBase {
     return queue == nullptr ? 0 : queue->bulk_unwritten();
   }
   // Takes those of them back of which nothing is written.
-  std::vector<Out> TakeBulkBack() ABSL_LOCKS_EXCLUDED(queue_mu_) {
+  std::vector<Out> RecallBulk() ABSL_LOCKS_EXCLUDED(queue_mu_) {
     const std::shared_ptr<Queue> queue = CurrentQueue();
-    return queue == nullptr ? std::vector<Out>() : queue->TakeBulkBack();
+    return queue == nullptr ? std::vector<Out>() : queue->RecallBulk();
   }
 
   bool connected() const ABSL_LOCKS_EXCLUDED(queue_mu_) {

@@ -40,7 +40,7 @@ CertificateMonitor::CertificateMonitor(Options options, const Clock* clock, Metr
     : options_(std::move(options)), clock_(clock), metrics_(metrics) {
   if (options_.interval == absl::InfiniteDuration()) return;
   ticker_.emplace(absl::ZeroDuration(), [this] {
-    Look();
+    Check();
     return options_.interval;
   });
 }
@@ -79,7 +79,7 @@ absl::Status CertificateMonitor::own_status() const {
   return own_status_;
 }
 
-void CertificateMonitor::Look() {
+void CertificateMonitor::Check() {
   const absl::StatusOr<Peer> own = ReadOwnCertificate(options_.own);
   const absl::Time now = absl::FromUnixNanos(clock_->Now().unix_ns);
   std::vector<Notice> notices;

@@ -65,7 +65,7 @@ class CertificateMonitor {
   absl::Status own_status() const ABSL_LOCKS_EXCLUDED(mu_);
 
   // Reads the own certificate, sets the gauges, gives the notices that are due.
-  void Look() ABSL_LOCKS_EXCLUDED(mu_);
+  void Check() ABSL_LOCKS_EXCLUDED(mu_);
 
  private:
   struct Watched {

@@ -42,8 +42,8 @@ class CertificateMonitorTest : public ::testing::Test {
   std::vector<LifeStage> After(absl::Duration passed) {
     stages_.clear();
     clock_.Advance(absl::ToInt64Nanoseconds(passed));
-    monitor_.Look();
-    monitor_.Look();  // nothing is told twice
+    monitor_.Check();
+    monitor_.Check();  // nothing is told twice
     return stages_;
   }
 
@@ -88,7 +88,7 @@ TEST_F(CertificateMonitorTest, OneMetByALateStartIsToldItsLastStageAlone) {
 }
 
 TEST_F(CertificateMonitorTest, ItsOwnFilesCountForReadiness) {
-  monitor_.Look();
+  monitor_.Check();
   EXPECT_THAT(monitor_.own_status(), Not(IsOk()));
   EXPECT_THAT(stages_, IsEmpty());
 }

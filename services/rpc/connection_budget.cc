@@ -47,7 +47,7 @@ void ConnectionBudget::OnMessage(size_t bytes) {
   accounted_ += kFraming * static_cast<double>(bytes) + kMessageBytes;
 }
 
-Excess ConnectionBudget::Look(uint64_t received_bytes, int64_t now_ns) {
+Excess ConnectionBudget::Check(uint64_t received_bytes, int64_t now_ns) {
   const double seconds = static_cast<double>(now_ns - looked_ns_) / kNanosPerSecond;
   const uint64_t came = std::max(received_bytes, received_bytes_) - received_bytes_;
   looked_ns_ = now_ns;

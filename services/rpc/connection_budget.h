@@ -63,7 +63,7 @@ class ConnectionBudget {
   // A handler has received a message of so many bytes.
   void OnMessage(size_t bytes);
   // `received_bytes`: all that came on the connection since its start, TLS included.
-  Excess Look(uint64_t received_bytes, int64_t now_ns);
+  Excess Check(uint64_t received_bytes, int64_t now_ns);
 
   uint64_t calls() const { return calls_; }
 

@@ -9,9 +9,9 @@ constexpr int64_t kPollNs = 50 * kNanosPerMilli;
 
 class ConnectionBudgetTest : public ::testing::Test {
  protected:
-  Excess Look(int64_t after_ns = kPollNs) {
+  Excess Check(int64_t after_ns = kPollNs) {
     now_ns_ += after_ns;
-    return budget_.Look(received_, now_ns_);
+    return budget_.Check(received_, now_ns_);
   }
 
   void Admit() {
@@ -25,16 +25,16 @@ class ConnectionBudgetTest : public ::testing::Test {
 };
 
 TEST_F(ConnectionBudgetTest, OneThatMakesNoCallIsEnded) {
-  EXPECT_EQ(Look(15 * kNanosPerSecond), Excess::kNone);
-  EXPECT_EQ(Look(), Excess::kSilent);
+  EXPECT_EQ(Check(15 * kNanosPerSecond), Excess::kNone);
+  EXPECT_EQ(Check(), Excess::kSilent);
 }
 
 TEST_F(ConnectionBudgetTest, OneThatSendsMuchBeforeItIsIdentifiedIsEnded) {
   budget_.OnCall(now_ns_);
   received_ = 64 << 10;
-  EXPECT_EQ(Look(), Excess::kNone) << "certificates are long";
+  EXPECT_EQ(Check(), Excess::kNone) << "certificates are long";
   received_ += 2'000;
-  EXPECT_EQ(Look(), Excess::kBytes);
+  EXPECT_EQ(Check(), Excess::kBytes);
 }
 
 TEST_F(ConnectionBudgetTest, AStreamOfMessagesGoesOnForEver) {
@@ -42,7 +42,7 @@ TEST_F(ConnectionBudgetTest, AStreamOfMessagesGoesOnForEver) {
   for (int i = 0; i < 10'000; ++i) {
     received_ += 3'000'000 + 20'000;  // 60 MB a second, with framing
     budget_.OnMessage(3'000'000);
-    ASSERT_EQ(Look(), Excess::kNone) << i;
+    ASSERT_EQ(Check(), Excess::kNone) << i;
   }
 }
 
@@ -51,14 +51,14 @@ TEST_F(ConnectionBudgetTest, SmallMessagesPayForTheirFrames) {
   for (int i = 0; i < 10'000; ++i) {
     received_ += 1'000 * (20 + 40);
     for (int message = 0; message < 1'000; ++message) budget_.OnMessage(20);
-    ASSERT_EQ(Look(), Excess::kNone) << i;
+    ASSERT_EQ(Check(), Excess::kNone) << i;
   }
 }
 
 TEST_F(ConnectionBudgetTest, BytesOfWhichNothingComesAreCounted) {
   Admit();
   int polls = 0;
-  for (; polls < 1'000 && Look() == Excess::kNone; ++polls) received_ += 100'000;
+  for (; polls < 1'000 && Check() == Excess::kNone; ++polls) received_ += 100'000;
   EXPECT_GT(polls, 240);
   EXPECT_LT(polls, 260);
 }
@@ -67,7 +67,7 @@ TEST_F(ConnectionBudgetTest, AnOperatorSendsLessAheadOfItsMessages) {
   budget_.OnCall(now_ns_);
   budget_.OnIdentified(/*agent=*/false);
   int polls = 0;
-  for (; polls < 1'000 && Look() == Excess::kNone; ++polls) received_ += 100'000;
+  for (; polls < 1'000 && Check() == Excess::kNone; ++polls) received_ += 100'000;
   EXPECT_GT(polls, 60);
   EXPECT_LT(polls, 70);
 }
@@ -75,7 +75,7 @@ TEST_F(ConnectionBudgetTest, AnOperatorSendsLessAheadOfItsMessages) {
 TEST_F(ConnectionBudgetTest, HeartbeatsPayForNothingElse) {
   Admit();
   int polls = 0;
-  for (; polls < 1'000 && Look() == Excess::kNone; ++polls) {
+  for (; polls < 1'000 && Check() == Excess::kNone; ++polls) {
     received_ += 100'000;
     budget_.OnMessage(30);
   }
@@ -87,21 +87,21 @@ TEST_F(ConnectionBudgetTest, YesterdaysMessagesAreNoCredit) {
   for (int i = 0; i < 1'000; ++i) {
     received_ += 1'000'000;
     budget_.OnMessage(1'000'000);
-    ASSERT_EQ(Look(), Excess::kNone);
+    ASSERT_EQ(Check(), Excess::kNone);
   }
-  Look(86'400 * kNanosPerSecond);
+  Check(86'400 * kNanosPerSecond);
   received_ += (24 << 20) + (300 << 10);
-  EXPECT_EQ(Look(), Excess::kBytes);
+  EXPECT_EQ(Check(), Excess::kBytes);
 }
 
 TEST_F(ConnectionBudgetTest, AMessageIsAccountedForWhenItIsReadLate) {
   Admit();
   for (int i = 0; i < 100; ++i) {
     received_ += 4'400'000;
-    ASSERT_EQ(Look(), Excess::kNone);
-    ASSERT_EQ(Look(), Excess::kNone);
+    ASSERT_EQ(Check(), Excess::kNone);
+    ASSERT_EQ(Check(), Excess::kNone);
     budget_.OnMessage(4'400'000);
-    ASSERT_EQ(Look(), Excess::kNone);
+    ASSERT_EQ(Check(), Excess::kNone);
   }
 }
 
@@ -109,7 +109,7 @@ TEST_F(ConnectionBudgetTest, PingsAreFree) {
   Admit();
   for (int i = 0; i < 100'000; ++i) {
     received_ += 100;
-    ASSERT_EQ(Look(), Excess::kNone);
+    ASSERT_EQ(Check(), Excess::kNone);
   }
 }
 
@@ -124,9 +124,9 @@ TEST_F(ConnectionBudgetTest, CallsAreCounted) {
 TEST_F(ConnectionBudgetTest, ACounterThatGoesBackIsIgnored) {
   Admit();
   received_ = 1'000;
-  EXPECT_EQ(Look(), Excess::kNone);
+  EXPECT_EQ(Check(), Excess::kNone);
   received_ = 0;
-  EXPECT_EQ(Look(), Excess::kNone);
+  EXPECT_EQ(Check(), Excess::kNone);
 }
 
 }  // namespace

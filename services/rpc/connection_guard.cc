@@ -179,7 +179,7 @@ Excess Connection::OnCall(int64_t now_ns) {
   return budget_.OnCall(now_ns);
 }
 
-Connection::State Connection::Look(int64_t now_ns, Excess& excess) {
+Connection::State Connection::Check(int64_t now_ns, Excess& excess) {
   MutexLock lock(&mu_);
   // Also if the peer has left at once: its certificate is banned all the same.
   if (!ended_ && budget_.exceeded() != Excess::kNone) {
@@ -192,7 +192,7 @@ Connection::State Connection::Look(int64_t now_ns, Excess& excess) {
   if (info.tcpi_state != kEstablished && info.tcpi_state != kCloseWait) return State::kOver;
   if (ended_) return State::kEnded;
   spoke_ = info.tcpi_bytes_received >= kClientHelloBytes;
-  excess = budget_.Look(info.tcpi_bytes_received, now_ns);
+  excess = budget_.Check(info.tcpi_bytes_received, now_ns);
   return State::kOpen;
 }
 
@@ -377,7 +377,7 @@ bool ConnectionGuard::AcceptAll(int listener) {
     UniqueFd socket(accept4(listener, reinterpret_cast<sockaddr*>(&address), &size,
                             SOCK_NONBLOCK | SOCK_CLOEXEC));
     if (socket.get() >= 0) {
-      Take(std::move(socket), SourceOf(address));
+      Admit(std::move(socket), SourceOf(address));
       continue;
     }
     if (errno == EAGAIN) return true;
@@ -395,7 +395,7 @@ bool ConnectionGuard::AcceptAll(int listener) {
   }
 }
 
-void ConnectionGuard::Take(UniqueFd socket, Source source) {
+void ConnectionGuard::Admit(UniqueFd socket, Source source) {
   UniqueFd duplicate(fcntl(socket.get(), F_DUPFD_CLOEXEC, 0));
   const int64_t now_ns = clock_->Now().boottime_ns;
   sockaddr_storage address = {};
@@ -621,7 +621,7 @@ void ConnectionGuard::EndFor(Connection& connection, Excess excess) {
   if (excess == Excess::kSilent) Wasted(connection.source(), now_ns);
 }
 
-void ConnectionGuard::Look() {
+void ConnectionGuard::CheckConnections() {
   std::vector<std::shared_ptr<Connection>> live;
   bool trim = false;
   const int64_t now_ns = clock_->Now().boottime_ns;
@@ -638,7 +638,7 @@ void ConnectionGuard::Look() {
   }
   for (const std::shared_ptr<Connection>& connection : live) {
     Excess excess = Excess::kNone;
-    const Connection::State state = connection->Look(now_ns, excess);
+    const Connection::State state = connection->Check(now_ns, excess);
     if (state == Connection::State::kOver) {
       {
         MutexLock lock(&mu_);
@@ -673,7 +673,7 @@ void ConnectionGuard::RunWatch() {
       if (!stopping_) stop_cond_.WaitFor(lock, options_.interval);
       if (stopping_) return;
     }
-    Look();
+    CheckConnections();
     HandOverWaiting();
   }
 }

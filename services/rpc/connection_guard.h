@@ -81,7 +81,7 @@ class Connection {
   Excess OnCall(int64_t now_ns) ABSL_LOCKS_EXCLUDED(mu_);
   void Exceed(Excess why) ABSL_LOCKS_EXCLUDED(mu_);
   // What the kernel says of the socket.
-  State Look(int64_t now_ns, Excess& excess) ABSL_LOCKS_EXCLUDED(mu_);
+  State Check(int64_t now_ns, Excess& excess) ABSL_LOCKS_EXCLUDED(mu_);
   bool EndedByPeer() const ABSL_LOCKS_EXCLUDED(mu_);
   // False if it was ended before.
   bool End() ABSL_LOCKS_EXCLUDED(mu_);
@@ -180,7 +180,7 @@ class ConnectionGuard {
   void Accept();
   // Everything that waits at a listener. False: descriptors have run out.
   bool AcceptAll(int listener);
-  void Take(UniqueFd socket, Source source);
+  void Admit(UniqueFd socket, Source source);
   // Those whose turn it is.
   void HandOverWaiting() ABSL_LOCKS_EXCLUDED(mu_);
   // Ends connections without a certificate that count against the limit `source` has met, so that
@@ -192,7 +192,7 @@ class ConnectionGuard {
                                                           Admission::Verdict limit, int64_t now_ns)
       ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
   void RunWatch();
-  void Look();
+  void CheckConnections();
   void ForgetLocked(const Connection& connection) ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
   void EndFor(Connection& connection, Excess excess);
   // Its address, and its certificate if that is known. Returns how long it lasts still.

@@ -55,7 +55,7 @@ class OutgoingQueue {
     return bulk_.size() + (writes_bulk_ ? 1 : 0);
   }
   // Those that wait.
-  std::vector<T> TakeBulkBack() ABSL_LOCKS_EXCLUDED(mu_) {
+  std::vector<T> RecallBulk() ABSL_LOCKS_EXCLUDED(mu_) {
     MutexLock lock(&mu_);
     std::vector<T> taken(std::make_move_iterator(bulk_.begin()),
                          std::make_move_iterator(bulk_.end()));

@@ -33,7 +33,7 @@ TEST(OutgoingQueueTest, WhatIsNotBeingWrittenCanBeTakenBack) {
   OutgoingQueue<int> queue(8);
   for (const int item : {1, 2, 3}) EXPECT_TRUE(queue.PushBulk(item));
   EXPECT_EQ(queue.Pop(), 1);
-  EXPECT_THAT(queue.TakeBulkBack(), ElementsAre(2, 3));
+  EXPECT_THAT(queue.RecallBulk(), ElementsAre(2, 3));
   EXPECT_EQ(queue.bulk_unwritten(), 1u);
   EXPECT_TRUE(queue.Written());
 }

@@ -41,7 +41,7 @@ class SendBudget {
   }
 
   // False if this one must be ended instead, and then nothing is taken.
-  bool Take(uint64_t id, size_t bytes) ABSL_LOCKS_EXCLUDED(mu_) {
+  bool Reserve(uint64_t id, size_t bytes) ABSL_LOCKS_EXCLUDED(mu_) {
     while (true) {
       std::function<void()> evict;
       {
@@ -65,7 +65,7 @@ class SendBudget {
       evict();
     }
   }
-  void Give(uint64_t id, size_t bytes) ABSL_LOCKS_EXCLUDED(mu_) {
+  void Release(uint64_t id, size_t bytes) ABSL_LOCKS_EXCLUDED(mu_) {
     MutexLock lock(&mu_);
     const auto holder = holders_.find(id);
     if (holder == holders_.end()) return;

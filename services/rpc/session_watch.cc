@@ -14,7 +14,7 @@ SessionWatch::SessionWatch(const Clock* clock, absl::Duration interval, CallGate
       gate_(gate == nullptr ? &only_times_ : gate) {
   if (interval == absl::InfiniteDuration()) return;
   ticker_.emplace(interval, [this, interval] {
-    Look();
+    CheckSessions();
     return interval;
   });
 }
@@ -68,7 +68,7 @@ void SessionWatch::Heard(Session& session, size_t bytes) {
   if (session.connection != nullptr) session.connection->OnMessage(bytes);
 }
 
-void SessionWatch::Look() {
+void SessionWatch::CheckSessions() {
   std::function<void()> before;
   absl::Duration silence;
   {

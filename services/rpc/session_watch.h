@@ -87,7 +87,7 @@ class SessionWatch {
   void Heard(Session& session, size_t bytes);
   // Ends what is due now: DEADLINE_EXCEEDED without a hello or a heartbeat, or as CallGate refuses
   // the peer.
-  void Look();
+  void CheckSessions();
   // Ends every stream with `status`, after what waits to be written if its owner can do that: the
   // lease that a stopping server grants must not be lost with the stream.
   void CloseAll(const grpc::Status& status);

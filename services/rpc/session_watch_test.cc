@@ -39,10 +39,10 @@ TEST_F(SessionWatchTest, EndsAStreamWithoutHelloAfterFiveSeconds) {
   Add(&silent);
 
   clock_.Advance(kHelloNs);
-  watch_.Look();
+  watch_.CheckSessions();
   EXPECT_THAT(silent.ends, IsEmpty());
   clock_.Advance(1);
-  watch_.Look();
+  watch_.CheckSessions();
 
   ASSERT_THAT(silent.ends, SizeIs(1));
   EXPECT_EQ(silent.ends[0].error_code(), grpc::StatusCode::DEADLINE_EXCEEDED);
@@ -58,11 +58,11 @@ TEST_F(SessionWatchTest, EndsAnAgentsStreamThatFallsSilent) {
   watch_.Heard(*agent.session, 30);
 
   clock_.Advance(15 * kNanosPerSecond);
-  watch_.Look();
+  watch_.CheckSessions();
   EXPECT_THAT(agent.ends, IsEmpty());
   watch_.Heard(*agent.session, 30);
   clock_.Advance(15 * kNanosPerSecond + 1);
-  watch_.Look();
+  watch_.CheckSessions();
 
   ASSERT_THAT(agent.ends, SizeIs(1));
   EXPECT_EQ(agent.ends[0].error_code(), grpc::StatusCode::DEADLINE_EXCEEDED);
@@ -78,7 +78,7 @@ TEST_F(SessionWatchTest, EachStreamHasItsOwnFiveSeconds) {
   Add(&late);
 
   clock_.Advance(1);
-  watch_.Look();
+  watch_.CheckSessions();
 
   EXPECT_THAT(early.ends, SizeIs(1));
   EXPECT_THAT(late.ends, IsEmpty());
@@ -91,7 +91,7 @@ TEST_F(SessionWatchTest, AStreamThatSaidHelloStays) {
   greeted.session->greeted = true;
 
   clock_.Advance(3600 * kNanosPerSecond);
-  watch_.Look();
+  watch_.CheckSessions();
 
   EXPECT_THAT(greeted.ends, IsEmpty());
 }
@@ -101,11 +101,11 @@ TEST_F(SessionWatchTest, AJumpOfTheWallClockIsNoTimeWithoutHello) {
   Add(&silent);
 
   clock_.JumpUnix(3600 * kNanosPerSecond);
-  watch_.Look();
+  watch_.CheckSessions();
   EXPECT_THAT(silent.ends, IsEmpty());
   clock_.JumpUnix(-7200 * kNanosPerSecond);
   clock_.Advance(kHelloNs + 1);
-  watch_.Look();
+  watch_.CheckSessions();
 
   EXPECT_THAT(silent.ends, SizeIs(1));
 }
@@ -119,10 +119,10 @@ TEST_F(SessionWatchTest, EndsAStreamWhoseCertificateExpiresWhileItLives) {
   longer.session->greeted = true;
 
   clock_.Advance(3600 * kNanosPerSecond);
-  watch_.Look();
+  watch_.CheckSessions();
   EXPECT_THAT(session.ends, IsEmpty());  // still in its last instant
   clock_.Advance(1);
-  watch_.Look();
+  watch_.CheckSessions();
 
   ASSERT_THAT(session.ends, SizeIs(1));
   EXPECT_EQ(session.ends[0].error_code(), grpc::StatusCode::UNAUTHENTICATED);
@@ -136,10 +136,10 @@ TEST_F(SessionWatchTest, AWallClockSetBackProlongsNoCertificate) {
   session.session->greeted = true;
 
   clock_.JumpUnix(-24 * 3600 * kNanosPerSecond);
-  watch_.Look();
+  watch_.CheckSessions();
   EXPECT_THAT(session.ends, IsEmpty());
   clock_.Advance(3600 * kNanosPerSecond + 1);
-  watch_.Look();
+  watch_.CheckSessions();
 
   ASSERT_THAT(session.ends, SizeIs(1));
   EXPECT_EQ(session.ends[0].error_message(), "the certificate has expired");
@@ -151,7 +151,7 @@ TEST_F(SessionWatchTest, AWallClockSetForwardEndsWhatIsExpiredByIt) {
   session.session->greeted = true;
 
   clock_.JumpUnix(3600 * kNanosPerSecond + 1);
-  watch_.Look();
+  watch_.CheckSessions();
 
   EXPECT_THAT(session.ends, SizeIs(1));
 }
@@ -175,12 +175,12 @@ TEST_F(SessionWatchTest, EndsAStreamThatTheGateTurnsAgainstOnceAndCountsIt) {
       watch.Add({.identity = {.role = Role::kActuator}, .not_after = absl::InfiniteFuture()},
                 [&](const grpc::Status& status) { ends.push_back(status); });
   session->greeted = true;
-  watch.Look();
+  watch.CheckSessions();
   EXPECT_THAT(ends, IsEmpty());
 
   banned = true;
-  watch.Look();
-  watch.Look();
+  watch.CheckSessions();
+  watch.CheckSessions();
 
   EXPECT_EQ(refused, "banned");
   ASSERT_THAT(ends, SizeIs(1));
@@ -197,7 +197,7 @@ TEST_F(SessionWatchTest, ForgetsAStreamThatIsOver) {
   over.session.reset();
 
   clock_.Advance(kHelloNs + 1);
-  watch_.Look();
+  watch_.CheckSessions();
   watch_.CloseAll(grpc::Status(grpc::StatusCode::UNAVAILABLE, "stopping"));
 
   EXPECT_THAT(over.ends, IsEmpty());
@@ -214,7 +214,7 @@ TEST_F(SessionWatchTest, ClosesAllAfterWhatWaitsButCutsWhatIsDueAtOnce) {
   watch_.CloseAll(grpc::Status(grpc::StatusCode::UNAVAILABLE, "stopping"));
   EXPECT_THAT(calls, ElementsAre("close when sent"));
   clock_.Advance(kHelloNs + 1);
-  watch_.Look();
+  watch_.CheckSessions();
   EXPECT_THAT(calls, ElementsAre("close when sent", "close"));
 }
 

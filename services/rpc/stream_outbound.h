@@ -69,7 +69,7 @@ class StreamOutbound {
   bool Send(Out message) ABSL_LOCKS_EXCLUDED(mu_) {
     if (!open()) return false;
     const size_t bytes = BytesOf(message);
-    if (limits_.budget != nullptr && !limits_.budget->Take(share_, bytes)) {
+    if (limits_.budget != nullptr && !limits_.budget->Reserve(share_, bytes)) {
       Exceed(BudgetText());
       return false;
     }
@@ -85,7 +85,7 @@ class StreamOutbound {
         return true;
       }
     }
-    if (limits_.budget != nullptr) limits_.budget->Give(share_, bytes);
+    if (limits_.budget != nullptr) limits_.budget->Release(share_, bytes);
     if (!problem.empty()) Exceed(problem);
     return false;
   }
@@ -197,7 +197,7 @@ class StreamOutbound {
   }
   void ReleaseLocked(size_t bytes) ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_) {
     outgoing_bytes_ -= bytes;
-    if (limits_.budget != nullptr) limits_.budget->Give(share_, bytes);
+    if (limits_.budget != nullptr) limits_.budget->Release(share_, bytes);
   }
   void WriteNextLocked() ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_) {
     writing_ = true;

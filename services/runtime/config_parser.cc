@@ -29,7 +29,7 @@ class TreeBuilder final : public YAML::EventHandler {
  public:
   explicit TreeBuilder(ConfigTree* tree) : tree_(tree) {}
 
-  std::unique_ptr<ConfigNode> Take() { return std::move(root_); }
+  std::unique_ptr<ConfigNode> PopRoot() { return std::move(root_); }
   bool too_deep() const { return too_deep_; }
 
   void OnDocumentStart(const YAML::Mark&) override {}
@@ -191,7 +191,7 @@ void ConfigTree::Parse() {
     return;
   }
   if (builder.too_deep()) return;
-  root_ = builder.Take();
+  root_ = builder.PopRoot();
   if (root_ == nullptr) root_ = std::make_unique<ConfigNode>();
   if (root_->kind == ConfigNode::Kind::kNull) root_->kind = ConfigNode::Kind::kMap;
   if (root_->kind != ConfigNode::Kind::kMap) {

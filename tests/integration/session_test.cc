@@ -185,7 +185,7 @@ TEST_F(SessionTest, StreamsThatNeverSayHelloAreClosedAndOthersStay) {
   ASSERT_NO_FATAL_FAILURE(WaitForStreams(4));
 
   watch_clock_.Advance(kHelloNs + 1);
-  watch_.Look();
+  watch_.CheckSessions();
 
   for (const grpc::Status& end : {silent_sensor.End(), silent_actuator.End()}) {
     EXPECT_EQ(end.error_code(), grpc::StatusCode::DEADLINE_EXCEEDED);
@@ -198,7 +198,7 @@ TEST_F(SessionTest, AStreamWithoutHelloMayStillSayItAtTheLastMoment) {
   Sensor sensor(Connect(sensor_ids_));
   ASSERT_NO_FATAL_FAILURE(WaitForStreams(1));
   watch_clock_.Advance(kHelloNs);
-  watch_.Look();
+  watch_.CheckSessions();
 
   sensor.Hello();
 
@@ -214,10 +214,10 @@ TEST_F(SessionTest, StreamsAreCutWhenTheirCertificateExpires) {
   ASSERT_TRUE(actuator.Answered());
 
   watch_clock_.Advance(absl::ToInt64Nanoseconds(absl::Hours(24 * 29)));  // of 30 days
-  watch_.Look();
+  watch_.CheckSessions();
   EXPECT_TRUE(sensor.Lives());
   watch_clock_.Advance(absl::ToInt64Nanoseconds(absl::Hours(24 * 2)));
-  watch_.Look();
+  watch_.CheckSessions();
 
   for (const grpc::Status& end : {sensor.End(), actuator.End()}) {
     EXPECT_EQ(end.error_code(), grpc::StatusCode::UNAUTHENTICATED);

@@ -39,7 +39,7 @@ AlarmResult Carry(AlarmBoard& board, const std::string& name, AlarmOrder what,
 
 // What is to be said of a device that was looked at, or why it cannot be used.
 absl::StatusOr<std::string> Describe(AlarmBoard& board, const AlarmSpec& spec) {
-  const AlarmResult result = Carry(board, spec.name, AlarmOrder::kLook, {});
+  const AlarmResult result = Carry(board, spec.name, AlarmOrder::kRead, {});
   if (!result.status.ok() && !absl::IsFailedPrecondition(result.status)) return result.status;
   if (result.observed == "?") return "plugged in; this device cannot be read back";
   return result.observed;

@@ -69,7 +69,7 @@ void ExecServer::Run() {
       const bool keep = fds[i + 2].revents == 0 || Serve(ids[i], each);
       if (!keep || TimedOut(each, now_ns)) connections_.erase(ids[i]);
     }
-    TellEnded();
+    ReportEnded();
     if (fds[1].revents != 0) Accept();
   }
 }
@@ -192,7 +192,7 @@ bool ExecServer::Refuse(Connection& connection, const absl::Status& why) {
   return Answer(connection, answer);
 }
 
-void ExecServer::TellEnded() {
+void ExecServer::ReportEnded() {
   std::vector<std::pair<uint64_t, ProgramResult>> ended;
   {
     MutexLock lock(&mu_);

@@ -65,7 +65,7 @@ class ExecServer {
   absl::Duration TimeoutOf(const ProgramRequest& request) const;
   bool Answer(Connection& connection, const ExecAnswer& answer);
   bool Refuse(Connection& connection, const absl::Status& why);
-  void TellEnded() ABSL_LOCKS_EXCLUDED(mu_);
+  void ReportEnded() ABSL_LOCKS_EXCLUDED(mu_);
   bool TimedOut(const Connection& connection, int64_t now_ns) const;
 
   const UniqueFd listener_;

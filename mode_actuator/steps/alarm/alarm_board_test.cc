@@ -132,20 +132,20 @@ class AlarmBoardTest : public ::testing::Test {
 
 TEST_F(AlarmBoardTest, SaysWhatWasReadBack) {
   Start();
-  const AlarmResult on = Tell(*board_, "left", kTestOn);
+  const AlarmResult on = SetAlarm(*board_, "left", kTestOn);
   EXPECT_THAT(on.status, IsOk());
   EXPECT_EQ(on.detail, "it is on (read back)");
   EXPECT_EQ(on.observed, "on");
-  EXPECT_THAT(Look(*board_, "left", kTestOn).status, IsOk());
+  EXPECT_THAT(ReadAlarm(*board_, "left", kTestOn).status, IsOk());
   EXPECT_THAT(
-      Look(*board_, "right", kTestOn).status,
+      ReadAlarm(*board_, "right", kTestOn).status,
       StatusIs(StatusCode::kFailedPrecondition, HasSubstr("it is off (read back), not on")));
 }
 
 TEST_F(AlarmBoardTest, ChannelsOfOneBoardShareOneConnection) {
   Start();
-  EXPECT_THAT(Tell(*board_, "left", kTestOn).status, IsOk());
-  EXPECT_THAT(Tell(*board_, "right", kTestOn).status, IsOk());
+  EXPECT_THAT(SetAlarm(*board_, "left", kTestOn).status, IsOk());
+  EXPECT_THAT(SetAlarm(*board_, "right", kTestOn).status, IsOk());
   world_->With("A", [](World::Plugged& device) {
     EXPECT_EQ(device.opens, 1);
     EXPECT_THAT(device.sets, ElementsAre("1=on", "2=on"));
@@ -162,18 +162,18 @@ TEST_F(AlarmBoardTest, AStuckDeviceHoldsUpNobodyElse) {
   const auto right = board_->Begin("right", AlarmOrder::kSet, kTestOn);
   ASSERT_THAT(right, IsOk());
 
-  EXPECT_THAT(Tell(*board_, "other", kTestOn).status, IsOk());
+  EXPECT_THAT(SetAlarm(*board_, "other", kTestOn).status, IsOk());
   EXPECT_THAT(Await(*board_, *left).status,
               StatusIs(StatusCode::kDeadlineExceeded, HasSubstr("within 500ms")));
   EXPECT_THAT(Await(*board_, *right).status, StatusIs(StatusCode::kDeadlineExceeded));
   // As long as the kernel does not come back, every order fails.
-  EXPECT_THAT(Tell(*board_, "left", kTestOff).status, StatusIs(StatusCode::kDeadlineExceeded));
+  EXPECT_THAT(SetAlarm(*board_, "left", kTestOff).status, StatusIs(StatusCode::kDeadlineExceeded));
   EXPECT_EQ(board_->missing(), 1u);
 
   world_->With("A", [](World::Plugged& device) { device.stuck = false; });
   AlarmResult result;
   for (int i = 0; i < 4000 && result.observed != "off"; ++i) {
-    result = Tell(*board_, "left", kTestOff);
+    result = SetAlarm(*board_, "left", kTestOff);
     absl::SleepFor(absl::Milliseconds(5));
   }
   EXPECT_THAT(result.status, IsOk());
@@ -205,45 +205,49 @@ TEST_F(AlarmBoardTest, AnAbsentDeviceIsFoundWhenItComes) {
   world_->With("B", [](World::Plugged& device) { device.present = false; });
   Start();
   EXPECT_TRUE(IsMissing(1));
-  EXPECT_THAT(Tell(*board_, "other", kTestOn).status, StatusIs(StatusCode::kNotFound));
-  EXPECT_THAT(Tell(*board_, "left", kTestOn).status, IsOk());
+  EXPECT_THAT(SetAlarm(*board_, "other", kTestOn).status, StatusIs(StatusCode::kNotFound));
+  EXPECT_THAT(SetAlarm(*board_, "left", kTestOn).status, IsOk());
   world_->With("B", [](World::Plugged& device) { device.present = true; });
-  EXPECT_THAT(Tell(*board_, "other", kTestOn).status, IsOk());
+  EXPECT_THAT(SetAlarm(*board_, "other", kTestOn).status, IsOk());
   EXPECT_EQ(board_->missing(), 0u);
 }
 
 TEST_F(AlarmBoardTest, AnUnpluggedDeviceFailsOnceAndIsOpenedAnew) {
   Start();
-  EXPECT_THAT(Tell(*board_, "left", kTestOn).status, IsOk());
+  EXPECT_THAT(SetAlarm(*board_, "left", kTestOn).status, IsOk());
   world_->With("A", [](World::Plugged& device) { device.present = false; });
-  EXPECT_THAT(Tell(*board_, "left", kTestOn).status, StatusIs(StatusCode::kUnavailable));
+  EXPECT_THAT(SetAlarm(*board_, "left", kTestOn).status, StatusIs(StatusCode::kUnavailable));
   EXPECT_EQ(board_->missing(), 1u);
-  EXPECT_THAT(Look(*board_, "left", kTestOn).status, StatusIs(StatusCode::kNotFound));
+  EXPECT_THAT(ReadAlarm(*board_, "left", kTestOn).status, StatusIs(StatusCode::kNotFound));
   world_->With("A", [](World::Plugged& device) {
     device.present = true;
     device.states.clear();
   });
-  EXPECT_THAT(Look(*board_, "left", kTestOn).status, StatusIs(StatusCode::kFailedPrecondition));
-  EXPECT_THAT(Tell(*board_, "left", kTestOn).status, IsOk());
+  EXPECT_THAT(ReadAlarm(*board_, "left", kTestOn).status,
+              StatusIs(StatusCode::kFailedPrecondition));
+  EXPECT_THAT(SetAlarm(*board_, "left", kTestOn).status, IsOk());
   world_->With("A", [](World::Plugged& device) { EXPECT_EQ(device.opens, 2); });
 }
 
 TEST_F(AlarmBoardTest, WhatCannotBeReadBackIsNotedAsTold) {
   world_->With("A", [](World::Plugged& device) { device.readable = false; });
   Start();
-  EXPECT_THAT(Look(*board_, "left", kTestOn).status,
+  EXPECT_THAT(ReadAlarm(*board_, "left", kTestOn).status,
               StatusIs(StatusCode::kFailedPrecondition, HasSubstr("not told to be on")));
-  const AlarmResult on = Tell(*board_, "left", kTestOn);
+  const AlarmResult on = SetAlarm(*board_, "left", kTestOn);
   EXPECT_THAT(on.status, IsOk());
   EXPECT_EQ(on.detail, "sent; this device cannot be read back");
   EXPECT_EQ(on.observed, "?");
-  EXPECT_THAT(Look(*board_, "left", kTestOn).status, IsOk());
-  EXPECT_THAT(Look(*board_, "left", kTestOff).status, StatusIs(StatusCode::kFailedPrecondition));
-  EXPECT_THAT(Look(*board_, "right", kTestOn).status, StatusIs(StatusCode::kFailedPrecondition));
+  EXPECT_THAT(ReadAlarm(*board_, "left", kTestOn).status, IsOk());
+  EXPECT_THAT(ReadAlarm(*board_, "left", kTestOff).status,
+              StatusIs(StatusCode::kFailedPrecondition));
+  EXPECT_THAT(ReadAlarm(*board_, "right", kTestOn).status,
+              StatusIs(StatusCode::kFailedPrecondition));
   // A failed write may have been half taken.
   world_->With("A", [](World::Plugged& device) { device.next_set = absl::OutOfRangeError("no"); });
-  EXPECT_THAT(Tell(*board_, "left", kTestOff).status, StatusIs(StatusCode::kOutOfRange));
-  EXPECT_THAT(Look(*board_, "left", kTestOn).status, StatusIs(StatusCode::kFailedPrecondition));
+  EXPECT_THAT(SetAlarm(*board_, "left", kTestOff).status, StatusIs(StatusCode::kOutOfRange));
+  EXPECT_THAT(ReadAlarm(*board_, "left", kTestOn).status,
+              StatusIs(StatusCode::kFailedPrecondition));
 }
 
 TEST_F(AlarmBoardTest, WhatNobodyWaitsForIsCarriedOutAllTheSame) {
@@ -263,12 +267,12 @@ TEST_F(AlarmBoardTest, WhatNobodyWaitsForIsCarriedOutAllTheSame) {
   }));
   // Their results take nobody's place.
   for (size_t i = 0; i < kAlarmOrdersMax; ++i) {
-    EXPECT_THAT(Tell(*board_, "left", kTestOff).status, IsOk());
+    EXPECT_THAT(SetAlarm(*board_, "left", kTestOff).status, IsOk());
     const auto order = board_->Begin("left", AlarmOrder::kSet, kTestOff);
     ASSERT_THAT(order, IsOk());
     board_->Leave(*order);
   }
-  EXPECT_THAT(Tell(*board_, "left", kTestOff).status, IsOk());
+  EXPECT_THAT(SetAlarm(*board_, "left", kTestOff).status, IsOk());
 }
 
 TEST_F(AlarmBoardTest, OrdersOfADeviceHaveALimit) {
@@ -285,7 +289,7 @@ TEST_F(AlarmBoardTest, OrdersOfADeviceHaveALimit) {
   EXPECT_THAT(board_->Begin("other", AlarmOrder::kSet, kTestOn), IsOk());
   for (const uint64_t order : orders) board_->Drop(order);
   world_->With("A", [](World::Plugged& device) { device.stuck = false; });
-  EXPECT_THAT(Tell(*board_, "left", kTestOff).status, IsOk());
+  EXPECT_THAT(SetAlarm(*board_, "left", kTestOff).status, IsOk());
 }
 
 TEST_F(AlarmBoardTest, KnowsNoOtherAlarmsAndOrders) {

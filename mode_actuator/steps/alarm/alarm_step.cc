@@ -42,7 +42,7 @@ class AlarmLevelStep final : public LevelStep {
   void Forget() override { misread_ = false; }
 
   std::unique_ptr<StepAttempt> Check(const CancelFlag&, int64_t now_ns) override {
-    const AlarmAttempt::Options look = {.order = AlarmOrder::kLook, .timeout = kAlarmLookTime};
+    const AlarmAttempt::Options look = {.order = AlarmOrder::kRead, .timeout = kAlarmLookTime};
     return std::make_unique<AlarmAttempt>(step_, Name(), alarms_, look, now_ns);
   }
   bool Left(const StepAttempt& check) override {
@@ -77,7 +77,7 @@ class AlarmLevelStep final : public LevelStep {
 StepResult AlarmLevelStep::Drill(const DrillOptions& options) {
   const absl::Duration timeout = std::min({spec().timeout, options.left, kDrillAlarmTime});
   AlarmAttempt look({step_.device, kOff}, Name(), alarms_,
-                    {.order = AlarmOrder::kLook, .timeout = timeout}, NowNs());
+                    {.order = AlarmOrder::kRead, .timeout = timeout}, NowNs());
   Drive(look, *options.cancel);
   // Of a device that answers: it is on, or its state is not known.
   const bool is_off = look.status.ok();

@@ -33,11 +33,11 @@ inline AlarmResult Carry(Alarms& alarms, const std::string& alarm, AlarmOrder wh
   return Await(alarms, *order);
 }
 
-inline AlarmResult Tell(Alarms& alarms, const std::string& alarm, const AlarmState& state) {
+inline AlarmResult SetAlarm(Alarms& alarms, const std::string& alarm, const AlarmState& state) {
   return Carry(alarms, alarm, AlarmOrder::kSet, state);
 }
-inline AlarmResult Look(Alarms& alarms, const std::string& alarm, const AlarmState& state) {
-  return Carry(alarms, alarm, AlarmOrder::kLook, state);
+inline AlarmResult ReadAlarm(Alarms& alarms, const std::string& alarm, const AlarmState& state) {
+  return Carry(alarms, alarm, AlarmOrder::kRead, state);
 }
 
 }  // namespace rips::actuator

@@ -317,7 +317,7 @@ absl::StatusOr<std::unique_ptr<AlarmDevice>> OpenReal(const std::shared_ptr<HidL
       return std::make_unique<OutputOnly>(std::move(hid), LcusReport);
     case AlarmKind::kLuxafor:
       return std::make_unique<OutputOnly>(
- std::move(hid), [](int, const AlarmState& state) { return LuxaforFrame(state); });
+          std::move(hid), [](int, const AlarmState& state) { return LuxaforFrame(state); });
     case AlarmKind::kBlink1:
       return std::make_unique<Blink1>(std::move(hid));
     case AlarmKind::kLcusSerial:

@@ -154,13 +154,13 @@ class HidAlarmTest : public ::testing::Test {
 TEST_F(HidAlarmTest, SwitchesARelayAndReadsItBack) {
   FakeHid* board = PlugRelay(0, "A1B2C");
   Start({Relay("a1", "A1B2C", 1), Relay("a2", "A1B2C", 2)});
-  const AlarmResult on = Tell(*alarms_, "a2", kTestOn);
+  const AlarmResult on = SetAlarm(*alarms_, "a2", kTestOn);
   EXPECT_THAT(on.status, IsOk());
   EXPECT_EQ(on.detail, "relay 2 is on (read back)");
   EXPECT_EQ(Relays(board), 2);
-  EXPECT_THAT(Tell(*alarms_, "a1", kTestOn).status, IsOk());
+  EXPECT_THAT(SetAlarm(*alarms_, "a1", kTestOn).status, IsOk());
   EXPECT_EQ(Relays(board), 3);
-  EXPECT_THAT(Tell(*alarms_, "a2", kTestOff).status, IsOk());
+  EXPECT_THAT(SetAlarm(*alarms_, "a2", kTestOff).status, IsOk());
   EXPECT_EQ(Relays(board), 1);
 }
 
@@ -168,11 +168,11 @@ TEST_F(HidAlarmTest, TellsEqualBoardsApartByTheirId) {
   FakeHid* left = PlugRelay(0, "LEFT1");
   FakeHid* right = PlugRelay(1, "RIGHT");
   Start({Relay("right", "RIGHT"), Relay("left", "LEFT1"), Relay("third", "THIRD")});
-  EXPECT_THAT(Tell(*alarms_, "right", kTestOn).status, IsOk());
+  EXPECT_THAT(SetAlarm(*alarms_, "right", kTestOn).status, IsOk());
   EXPECT_EQ(Relays(left), 0);
   EXPECT_EQ(Relays(right), 1);
   EXPECT_THAT(
-      Tell(*alarms_, "third", kTestOn).status,
+      SetAlarm(*alarms_, "third", kTestOn).status,
       StatusIs(StatusCode::kNotFound,
                HasSubstr("no usb_relay with serial `THIRD`; plugged in: `LEFT1`, `RIGHT`")));
 }
@@ -181,7 +181,7 @@ TEST_F(HidAlarmTest, TwoBoardsWithOneIdAreNotGuessedAt) {
   FakeHid* one = PlugRelay(0, "TWINS");
   FakeHid* two = PlugRelay(1, "TWINS");
   Start({Relay("a", "TWINS")});
-  EXPECT_THAT(Tell(*alarms_, "a", kTestOn).status,
+  EXPECT_THAT(SetAlarm(*alarms_, "a", kTestOn).status,
               StatusIs(StatusCode::kUnavailable, HasSubstr("name it by `path`")));
   EXPECT_EQ(Relays(one) | Relays(two), 0);
 }
@@ -189,7 +189,7 @@ TEST_F(HidAlarmTest, TwoBoardsWithOneIdAreNotGuessedAt) {
 TEST_F(HidAlarmTest, AForeignDeviceWithTheSharedIdIsNeverTouched) {
   FakeHid* keyboard = PlugRelay(0, "A1B2C", "Key\x1b[2Jboard");
   Start({Relay("a", "A1B2C")});
-  EXPECT_THAT(Tell(*alarms_, "a", kTestOn).status,
+  EXPECT_THAT(SetAlarm(*alarms_, "a", kTestOn).status,
               StatusIs(StatusCode::kNotFound,
                        AllOf(HasSubstr("not a relay board, though of the same USB id"),
                              Not(HasSubstr("\x1b")))));
@@ -199,7 +199,7 @@ TEST_F(HidAlarmTest, AForeignDeviceWithTheSharedIdIsNeverTouched) {
 TEST_F(HidAlarmTest, ALongProductStringIsCut) {
   PlugRelay(0, "A1B2C", "USBRelay2" + std::string(1000, 'x'));
   Start({Relay("a", "A1B2C")});
-  const AlarmResult result = Tell(*alarms_, "a", kTestOn);
+  const AlarmResult result = SetAlarm(*alarms_, "a", kTestOn);
   EXPECT_THAT(result.status, StatusIs(StatusCode::kNotFound, HasSubstr("USBRelay2xxx")));
   EXPECT_LT(result.status.message().size(), 300u);
 }
@@ -212,11 +212,11 @@ TEST_F(HidAlarmTest, DevicesOfOneIdHaveALimit) {
     usb_->Plug({id, "LUXAFOR FLAG", absl::StrCat("LX", plugged), plugged}, light);
   }
   Start({{"flag", AlarmKind::kLuxafor, "LX31", "", 1}, {"none", AlarmKind::kLuxafor, "LX", "", 1}});
-  EXPECT_THAT(Tell(*alarms_, "flag", kPolice).status, IsOk());
-  EXPECT_THAT(Tell(*alarms_, "none", kPolice).status,
+  EXPECT_THAT(SetAlarm(*alarms_, "flag", kPolice).status, IsOk());
+  EXPECT_THAT(SetAlarm(*alarms_, "none", kPolice).status,
               StatusIs(StatusCode::kNotFound, AllOf(HasSubstr("`LX0`, "), HasSubstr(", ..."))));
   usb_->Plug({id, "LUXAFOR FLAG", "LX", plugged}, light);
-  EXPECT_THAT(Tell(*alarms_, "none", kPolice).status,
+  EXPECT_THAT(SetAlarm(*alarms_, "none", kPolice).status,
               StatusIs(StatusCode::kResourceExhausted,
                        HasSubstr("devices with USB id 04d8:f372 exceed limit 32")));
 }
@@ -224,7 +224,7 @@ TEST_F(HidAlarmTest, DevicesOfOneIdHaveALimit) {
 TEST_F(HidAlarmTest, ARelayThatTheBoardDoesNotHave) {
   FakeHid* board = PlugRelay(0, "A1B2C", "USBRelay1");
   Start({Relay("a", "A1B2C", 2)});
-  EXPECT_THAT(Tell(*alarms_, "a", kTestOn).status,
+  EXPECT_THAT(SetAlarm(*alarms_, "a", kTestOn).status,
               StatusIs(StatusCode::kOutOfRange, HasSubstr("no relay 2: it has 1")));
   EXPECT_EQ(Relays(board), 0);
 }
@@ -233,7 +233,7 @@ TEST_F(HidAlarmTest, ABoardThatDoesNotSwitchIsFoundOut) {
   FakeHid* board = PlugRelay(0, "A1B2C");
   board->With([](FakeFirmware& each) { static_cast<RelayBoard&>(each).dead = true; });
   Start({Relay("a", "A1B2C")});
-  const AlarmResult on = Tell(*alarms_, "a", kTestOn);
+  const AlarmResult on = SetAlarm(*alarms_, "a", kTestOn);
   EXPECT_THAT(on.status, StatusIs(StatusCode::kFailedPrecondition,
                                   HasSubstr("relay 1 is off (read back), not on")));
   EXPECT_EQ(on.observed, "off");
@@ -242,27 +242,28 @@ TEST_F(HidAlarmTest, ABoardThatDoesNotSwitchIsFoundOut) {
 TEST_F(HidAlarmTest, AnInputOutputErrorFailsAndTheNextTryWorks) {
   FakeHid* board = PlugRelay(0, "A1B2C");
   Start({Relay("a", "A1B2C")});
-  EXPECT_THAT(Tell(*alarms_, "a", kTestOff).status, IsOk());
+  EXPECT_THAT(SetAlarm(*alarms_, "a", kTestOff).status, IsOk());
   for (const int error : {EIO, ENODEV, EPIPE}) {
     board->FailWith(error);
-    EXPECT_THAT(Tell(*alarms_, "a", kTestOn).status, StatusIs(StatusCode::kUnavailable)) << error;
+    EXPECT_THAT(SetAlarm(*alarms_, "a", kTestOn).status, StatusIs(StatusCode::kUnavailable))
+        << error;
     EXPECT_EQ(Relays(board), 0);
     board->FailWith(0);
-    EXPECT_THAT(Tell(*alarms_, "a", kTestOff).status, IsOk());
+    EXPECT_THAT(SetAlarm(*alarms_, "a", kTestOff).status, IsOk());
   }
 }
 
 TEST_F(HidAlarmTest, AnswersThatMakeNoSenseAreFailures) {
   FakeHid* board = PlugRelay(0, "A1B2C");
   Start({Relay("a", "A1B2C")});
-  EXPECT_THAT(Tell(*alarms_, "a", kTestOff).status, IsOk());
+  EXPECT_THAT(SetAlarm(*alarms_, "a", kTestOff).status, IsOk());
   for (const Frame& answer : {Frame{0}, Frame{0, 'A', '1', 'B', '2', 'C', 0, 0},
                               Frame{7, 'A', '1', 'B', '2', 'C', 0, 0, 1},
                               Frame{0, 0xff, 0xff, 0xff, 0xff, 0xff, 0xff, 0xff, 0xff}}) {
     board->AnswerWith(answer);
-    EXPECT_THAT(Tell(*alarms_, "a", kTestOn).status, StatusIs(StatusCode::kDataLoss));
+    EXPECT_THAT(SetAlarm(*alarms_, "a", kTestOn).status, StatusIs(StatusCode::kDataLoss));
     board->AnswerWith({});
-    EXPECT_THAT(Tell(*alarms_, "a", kTestOn).status, IsOk());
+    EXPECT_THAT(SetAlarm(*alarms_, "a", kTestOn).status, IsOk());
   }
 }
 
@@ -270,28 +271,28 @@ TEST_F(HidAlarmTest, AnotherBoardsGarbageDoesNotHideOurs) {
   PlugRelay(0, "BROKE")->AnswerWith({0, 1, 2, 3});
   FakeHid* board = PlugRelay(1, "A1B2C");
   Start({Relay("a", "A1B2C"), Relay("b", "BROKE")});
-  EXPECT_THAT(Tell(*alarms_, "a", kTestOn).status, IsOk());
+  EXPECT_THAT(SetAlarm(*alarms_, "a", kTestOn).status, IsOk());
   EXPECT_EQ(Relays(board), 1);
-  EXPECT_THAT(Tell(*alarms_, "b", kTestOn).status, StatusIs(StatusCode::kDataLoss));
+  EXPECT_THAT(SetAlarm(*alarms_, "b", kTestOn).status, StatusIs(StatusCode::kDataLoss));
 }
 
 TEST_F(HidAlarmTest, UnpluggedAndPluggedInElsewhere) {
   Start({Relay("a", "A1B2C")});
-  EXPECT_THAT(Tell(*alarms_, "a", kTestOn).status,
+  EXPECT_THAT(SetAlarm(*alarms_, "a", kTestOn).status,
               StatusIs(StatusCode::kNotFound, HasSubstr("none is plugged in")));
   FakeHid* first = PlugRelay(3, "A1B2C");
-  EXPECT_THAT(Tell(*alarms_, "a", kTestOn).status, IsOk());
+  EXPECT_THAT(SetAlarm(*alarms_, "a", kTestOn).status, IsOk());
 
   first->FailWith(ENODEV);
-  EXPECT_THAT(Tell(*alarms_, "a", kTestOff).status, StatusIs(StatusCode::kUnavailable));
+  EXPECT_THAT(SetAlarm(*alarms_, "a", kTestOff).status, StatusIs(StatusCode::kUnavailable));
   usb_->Unplug(3);
-  EXPECT_THAT(Look(*alarms_, "a", kTestOn).status, StatusIs(StatusCode::kNotFound));
+  EXPECT_THAT(ReadAlarm(*alarms_, "a", kTestOn).status, StatusIs(StatusCode::kNotFound));
   EXPECT_EQ(alarms_->missing(), 1u);
 
   // Another number, and its relay is off again, as it loses power.
   FakeHid* second = PlugRelay(5, "A1B2C");
-  EXPECT_THAT(Look(*alarms_, "a", kTestOn).status, StatusIs(StatusCode::kFailedPrecondition));
-  EXPECT_THAT(Tell(*alarms_, "a", kTestOn).status, IsOk());
+  EXPECT_THAT(ReadAlarm(*alarms_, "a", kTestOn).status, StatusIs(StatusCode::kFailedPrecondition));
+  EXPECT_THAT(SetAlarm(*alarms_, "a", kTestOn).status, IsOk());
   EXPECT_EQ(Relays(second), 1);
   EXPECT_EQ(alarms_->missing(), 0u);
 }
@@ -299,14 +300,14 @@ TEST_F(HidAlarmTest, UnpluggedAndPluggedInElsewhere) {
 TEST_F(HidAlarmTest, AStuckBoardFailsInTimeAndRecovers) {
   FakeHid* board = PlugRelay(0, "A1B2C");
   Start({Relay("a", "A1B2C")}, kAlarmIoBudget);
-  EXPECT_THAT(Tell(*alarms_, "a", kTestOff).status, IsOk());
+  EXPECT_THAT(SetAlarm(*alarms_, "a", kTestOff).status, IsOk());
   board->Stick();
-  EXPECT_THAT(Tell(*alarms_, "a", kTestOn).status,
+  EXPECT_THAT(SetAlarm(*alarms_, "a", kTestOn).status,
               StatusIs(StatusCode::kDeadlineExceeded, HasSubstr("within 500ms")));
   board->Release();
   AlarmResult result;
   for (int i = 0; i < 4000 && result.observed != "off"; ++i) {
-    result = Tell(*alarms_, "a", kTestOff);
+    result = SetAlarm(*alarms_, "a", kTestOff);
     absl::SleepFor(absl::Milliseconds(5));
   }
   EXPECT_THAT(result.status, IsOk());
@@ -323,11 +324,11 @@ TEST_F(HidAlarmTest, ALinkNamesABoardWhereItIsPluggedIn) {
   Start({{"a", AlarmKind::kUsbRelay, "", "/dev/rips-alarm/port2", 1},
          {"b", AlarmKind::kUsbRelay, "", "/dev/rips-alarm/port7", 1},
          {"c", AlarmKind::kLuxafor, "", "/dev/rips-alarm/port2", 1}});
-  EXPECT_THAT(Tell(*alarms_, "a", kTestOn).status, IsOk());
+  EXPECT_THAT(SetAlarm(*alarms_, "a", kTestOn).status, IsOk());
   EXPECT_EQ(Relays(two), 1);
-  EXPECT_THAT(Tell(*alarms_, "b", kTestOn).status,
+  EXPECT_THAT(SetAlarm(*alarms_, "b", kTestOn).status,
               StatusIs(StatusCode::kNotFound, HasSubstr("no `/dev/rips-alarm/port7`")));
-  EXPECT_THAT(Tell(*alarms_, "c", kSteadyGreen).status,
+  EXPECT_THAT(SetAlarm(*alarms_, "c", kSteadyGreen).status,
               StatusIs(StatusCode::kNotFound, HasSubstr("is no luxafor")));
 }
 
@@ -337,17 +338,18 @@ TEST_F(HidAlarmTest, TellsALuxaforAndSaysThatItCannotBeReadBack) {
   FakeHid* light = Make<Listener>();
   usb_->Plug({UsbIdOf(AlarmKind::kLuxafor), "LUXAFOR FLAG", "LX1", 0}, light);
   Start({{"flag", AlarmKind::kLuxafor, "LX1", "", 1}});
-  const AlarmResult strobe = Tell(*alarms_, "flag", kStrobeRed);
+  const AlarmResult strobe = SetAlarm(*alarms_, "flag", kStrobeRed);
   EXPECT_THAT(strobe.status, IsOk());
   EXPECT_EQ(strobe.detail, "sent; this device cannot be read back");
   EXPECT_EQ(Heard(light), LuxaforFrame(kStrobeRed));
-  EXPECT_THAT(Look(*alarms_, "flag", kStrobeRed).status, IsOk());
-  EXPECT_THAT(Look(*alarms_, "flag", kTestOff).status, StatusIs(StatusCode::kFailedPrecondition));
+  EXPECT_THAT(ReadAlarm(*alarms_, "flag", kStrobeRed).status, IsOk());
+  EXPECT_THAT(ReadAlarm(*alarms_, "flag", kTestOff).status,
+              StatusIs(StatusCode::kFailedPrecondition));
 
   light->FailWith(EIO);
-  EXPECT_THAT(Tell(*alarms_, "flag", kTestOff).status, StatusIs(StatusCode::kUnavailable));
+  EXPECT_THAT(SetAlarm(*alarms_, "flag", kTestOff).status, StatusIs(StatusCode::kUnavailable));
   light->FailWith(0);
-  EXPECT_THAT(Look(*alarms_, "flag", kStrobeRed).status,
+  EXPECT_THAT(ReadAlarm(*alarms_, "flag", kStrobeRed).status,
               StatusIs(StatusCode::kFailedPrecondition, HasSubstr("plugged in again")));
 }
 
@@ -355,17 +357,17 @@ TEST_F(HidAlarmTest, ALookSeesThatALightWasPulledOut) {
   FakeHid* light = Make<Listener>();
   usb_->Plug({UsbIdOf(AlarmKind::kLuxafor), "LUXAFOR FLAG", "LX1", 0}, light);
   Start({{"flag", AlarmKind::kLuxafor, "LX1", "", 1}});
-  EXPECT_THAT(Tell(*alarms_, "flag", kStrobeRed).status, IsOk());
+  EXPECT_THAT(SetAlarm(*alarms_, "flag", kStrobeRed).status, IsOk());
   usb_->Unplug(0);
-  EXPECT_THAT(Look(*alarms_, "flag", kStrobeRed).status, Not(IsOk()));
-  EXPECT_THAT(Look(*alarms_, "flag", kStrobeRed).status, StatusIs(StatusCode::kNotFound));
+  EXPECT_THAT(ReadAlarm(*alarms_, "flag", kStrobeRed).status, Not(IsOk()));
+  EXPECT_THAT(ReadAlarm(*alarms_, "flag", kStrobeRed).status, StatusIs(StatusCode::kNotFound));
 }
 
 TEST_F(HidAlarmTest, TellsAnLcusBoard) {
   FakeHid* board = Make<Listener>();
   usb_->Plug({UsbIdOf(AlarmKind::kLcus), "HIDRelay", "L2", 0}, board);
   Start({{"siren", AlarmKind::kLcus, "L2", "", 2}});
-  EXPECT_THAT(Tell(*alarms_, "siren", kTestOn).status, IsOk());
+  EXPECT_THAT(SetAlarm(*alarms_, "siren", kTestOn).status, IsOk());
   EXPECT_THAT(Heard(board), ElementsAre(0, 0xa0, 2, 1, 0xa3));
 }
 
@@ -376,10 +378,10 @@ TEST_F(HidAlarmTest, BringsABlink1IntoEachPatternAndReadsItBack) {
   usb_->Plug({UsbIdOf(AlarmKind::kBlink1), "blink(1) mk2", "20001234", 0}, light);
   Start({{"lamp", AlarmKind::kBlink1, "20001234", "", 1}});
   for (const AlarmState& state : {kStrobeRed, kSteadyGreen, kPolice, kTestOff}) {
-    const AlarmResult result = Tell(*alarms_, "lamp", state);
+    const AlarmResult result = SetAlarm(*alarms_, "lamp", state);
     EXPECT_THAT(result.status, IsOk());
     EXPECT_EQ(result.detail, "the light is " + ToString(state) + " (read back)");
-    EXPECT_THAT(Look(*alarms_, "lamp", state).status, IsOk());
+    EXPECT_THAT(ReadAlarm(*alarms_, "lamp", state).status, IsOk());
   }
   light->With([](FakeFirmware& each) {
     auto& firmware = static_cast<BlinkLight&>(each);
@@ -388,7 +390,7 @@ TEST_F(HidAlarmTest, BringsABlink1IntoEachPatternAndReadsItBack) {
     firmware.playing = 1;
     firmware.last = 31;
   });
-  EXPECT_THAT(Look(*alarms_, "lamp", kTestOff).status,
+  EXPECT_THAT(ReadAlarm(*alarms_, "lamp", kTestOff).status,
               StatusIs(StatusCode::kFailedPrecondition, HasSubstr("in a pattern of its own")));
 }
 
@@ -397,11 +399,11 @@ TEST_F(HidAlarmTest, ABlink1ThatAnswersAnotherQuestionIsAFailure) {
   usb_->Plug({UsbIdOf(AlarmKind::kBlink1), "blink(1) mk2", "20001234", 0}, light);
   Start({{"lamp", AlarmKind::kBlink1, "20001234", "", 1}});
   light->AnswerWith({1, 'v', 0, '2', '0', 0, 0, 0, 0});
-  EXPECT_THAT(Tell(*alarms_, "lamp", kSteadyGreen).status, StatusIs(StatusCode::kDataLoss));
+  EXPECT_THAT(SetAlarm(*alarms_, "lamp", kSteadyGreen).status, StatusIs(StatusCode::kDataLoss));
   light->AnswerWith({1, 'S'});
-  EXPECT_THAT(Tell(*alarms_, "lamp", kSteadyGreen).status, StatusIs(StatusCode::kDataLoss));
+  EXPECT_THAT(SetAlarm(*alarms_, "lamp", kSteadyGreen).status, StatusIs(StatusCode::kDataLoss));
   light->AnswerWith({});
-  EXPECT_THAT(Tell(*alarms_, "lamp", kSteadyGreen).status, IsOk());
+  EXPECT_THAT(SetAlarm(*alarms_, "lamp", kSteadyGreen).status, IsOk());
 }
 
 }  // namespace

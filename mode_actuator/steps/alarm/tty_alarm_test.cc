@@ -58,12 +58,12 @@ TEST_F(TtyAlarmTest, SwitchesAndReadsBackBothForms) {
     FakeLcus board(answer);
     Plug(board.path());
     Start();
-    const AlarmResult on = Tell(*alarms_, "lamp", kTestOn);
+    const AlarmResult on = SetAlarm(*alarms_, "lamp", kTestOn);
     EXPECT_THAT(on.status, IsOk());
     EXPECT_EQ(on.detail, "relay 2 is on (read back)");
     EXPECT_TRUE(board.is_on(2));
     EXPECT_FALSE(board.is_on(1));
-    EXPECT_THAT(Tell(*alarms_, "lamp", kTestOff).status, IsOk());
+    EXPECT_THAT(SetAlarm(*alarms_, "lamp", kTestOff).status, IsOk());
     EXPECT_FALSE(board.is_on(2));
   }
 }
@@ -72,7 +72,7 @@ TEST_F(TtyAlarmTest, SetsTheLineUp) {
   FakeLcus board(FakeLcus::Answer::kText);
   Plug(board.path());
   Start();
-  EXPECT_THAT(Tell(*alarms_, "siren", kTestOn).status, IsOk());
+  EXPECT_THAT(SetAlarm(*alarms_, "siren", kTestOn).status, IsOk());
   const termios mode = board.mode();
   EXPECT_EQ(cfgetospeed(&mode), static_cast<speed_t>(B9600));
   EXPECT_NE(mode.c_cflag & CLOCAL, 0u);
@@ -84,9 +84,9 @@ TEST_F(TtyAlarmTest, SeesThatSomebodyElseSwitched) {
   FakeLcus board(FakeLcus::Answer::kText);
   Plug(board.path());
   Start();
-  EXPECT_THAT(Tell(*alarms_, "siren", kTestOn).status, IsOk());
+  EXPECT_THAT(SetAlarm(*alarms_, "siren", kTestOn).status, IsOk());
   board.Force(1, false);
-  EXPECT_THAT(Look(*alarms_, "siren", kTestOn).status,
+  EXPECT_THAT(ReadAlarm(*alarms_, "siren", kTestOn).status,
               StatusIs(StatusCode::kFailedPrecondition, HasSubstr("relay 1 is off")));
 }
 
@@ -94,10 +94,10 @@ TEST_F(TtyAlarmTest, ABoardWithoutTheQueryIsOnlyTold) {
   FakeLcus board(FakeLcus::Answer::kNothing);
   Plug(board.path());
   Start();
-  const AlarmResult on = Tell(*alarms_, "siren", kTestOn);
+  const AlarmResult on = SetAlarm(*alarms_, "siren", kTestOn);
   EXPECT_THAT(on.status, IsOk());
   EXPECT_EQ(on.detail, "sent; this device cannot be read back");
-  EXPECT_THAT(Look(*alarms_, "siren", kTestOn).status, IsOk());
+  EXPECT_THAT(ReadAlarm(*alarms_, "siren", kTestOn).status, IsOk());
   // The frame may still be on its way.
   for (int i = 0; i < 4000 && !board.is_on(1); ++i) absl::SleepFor(absl::Milliseconds(5));
   EXPECT_TRUE(board.is_on(1));
@@ -107,9 +107,9 @@ TEST_F(TtyAlarmTest, ABoardThatFallsSilentIsAFailure) {
   FakeLcus board(FakeLcus::Answer::kText);
   Plug(board.path());
   Start();
-  EXPECT_THAT(Tell(*alarms_, "siren", kTestOn).status, IsOk());
+  EXPECT_THAT(SetAlarm(*alarms_, "siren", kTestOn).status, IsOk());
   board.set_answer(FakeLcus::Answer::kNothing);
-  EXPECT_THAT(Look(*alarms_, "siren", kTestOn).status,
+  EXPECT_THAT(ReadAlarm(*alarms_, "siren", kTestOn).status,
               StatusIs(StatusCode::kDeadlineExceeded, HasSubstr("answers no more")));
 }
 
@@ -117,7 +117,7 @@ TEST_F(TtyAlarmTest, ARelayThatTheBoardDoesNotHave) {
   FakeLcus board(FakeLcus::Answer::kText);
   Plug(board.path());
   Start();
-  EXPECT_THAT(Tell(*alarms_, "none", kTestOn).status,
+  EXPECT_THAT(SetAlarm(*alarms_, "none", kTestOn).status,
               StatusIs(StatusCode::kOutOfRange, HasSubstr("no relay 3: it has 2")));
 }
 
@@ -135,7 +135,7 @@ TEST_F(TtyAlarmTest, AnswersThatMakeNoSenseAreFailures) {
     FakeLcus board(test.answer);
     Plug(board.path());
     Start();
-    EXPECT_THAT(Tell(*alarms_, "siren", kTestOn).status,
+    EXPECT_THAT(SetAlarm(*alarms_, "siren", kTestOn).status,
                 StatusIs(test.code, HasSubstr(test.message)));
     alarms_.reset();
   }
@@ -143,23 +143,24 @@ TEST_F(TtyAlarmTest, AnswersThatMakeNoSenseAreFailures) {
 
 TEST_F(TtyAlarmTest, UnpluggedAndPluggedInAgain) {
   Start();
-  EXPECT_THAT(Tell(*alarms_, "siren", kTestOn).status,
+  EXPECT_THAT(SetAlarm(*alarms_, "siren", kTestOn).status,
               StatusIs(StatusCode::kNotFound, HasSubstr("is the device plugged in")));
   FakeLcus first(FakeLcus::Answer::kNothing);
   Plug(first.path());
-  EXPECT_THAT(Tell(*alarms_, "siren", kTestOn).status, IsOk());
+  EXPECT_THAT(SetAlarm(*alarms_, "siren", kTestOn).status, IsOk());
   EXPECT_EQ(alarms_->missing(), 0u);
 
   first.Unplug();
-  EXPECT_THAT(Tell(*alarms_, "siren", kTestOn).status, StatusIs(StatusCode::kUnavailable));
+  EXPECT_THAT(SetAlarm(*alarms_, "siren", kTestOn).status, StatusIs(StatusCode::kUnavailable));
   EXPECT_EQ(alarms_->missing(), 1u);
   std::filesystem::remove(link());
-  EXPECT_THAT(Look(*alarms_, "siren", kTestOn).status, StatusIs(StatusCode::kNotFound));
+  EXPECT_THAT(ReadAlarm(*alarms_, "siren", kTestOn).status, StatusIs(StatusCode::kNotFound));
 
   FakeLcus second(FakeLcus::Answer::kText);
   Plug(second.path());
-  EXPECT_THAT(Look(*alarms_, "siren", kTestOn).status, StatusIs(StatusCode::kFailedPrecondition));
-  EXPECT_THAT(Tell(*alarms_, "siren", kTestOn).status, IsOk());
+  EXPECT_THAT(ReadAlarm(*alarms_, "siren", kTestOn).status,
+              StatusIs(StatusCode::kFailedPrecondition));
+  EXPECT_THAT(SetAlarm(*alarms_, "siren", kTestOn).status, IsOk());
   EXPECT_TRUE(second.is_on(1));
 }
 
@@ -167,9 +168,9 @@ TEST_F(TtyAlarmTest, ALookSeesThatAToldBoardIsGone) {
   FakeLcus board(FakeLcus::Answer::kNothing);
   Plug(board.path());
   Start();
-  EXPECT_THAT(Tell(*alarms_, "siren", kTestOn).status, IsOk());
+  EXPECT_THAT(SetAlarm(*alarms_, "siren", kTestOn).status, IsOk());
   board.Unplug();
-  EXPECT_THAT(Look(*alarms_, "siren", kTestOn).status, StatusIs(StatusCode::kUnavailable));
+  EXPECT_THAT(ReadAlarm(*alarms_, "siren", kTestOn).status, StatusIs(StatusCode::kUnavailable));
 }
 
 TEST_F(TtyAlarmTest, ALineThatTakesNothingIsGivenUp) {
@@ -182,7 +183,7 @@ TEST_F(TtyAlarmTest, ALineThatTakesNothingIsGivenUp) {
   ASSERT_EQ(tcflow(slave, TCOOFF), 0) << "as if nobody took what is written";
   Plug(name);
   Start();
-  EXPECT_THAT(Tell(*alarms_, "siren", kTestOn).status, StatusIs(StatusCode::kDeadlineExceeded));
+  EXPECT_THAT(SetAlarm(*alarms_, "siren", kTestOn).status, StatusIs(StatusCode::kDeadlineExceeded));
 }
 
 TEST_F(TtyAlarmTest, AFileIsNoSerialLine) {
@@ -190,10 +191,10 @@ TEST_F(TtyAlarmTest, AFileIsNoSerialLine) {
   ASSERT_EQ(close(open(file.c_str(), O_CREAT | O_WRONLY | O_CLOEXEC, 0600)), 0);
   Plug(file);
   Start();
-  EXPECT_THAT(Tell(*alarms_, "siren", kTestOn).status,
+  EXPECT_THAT(SetAlarm(*alarms_, "siren", kTestOn).status,
               StatusIs(StatusCode::kNotFound, HasSubstr("is no serial line")));
   Plug(directory_ + "/nothing");
-  EXPECT_THAT(Tell(*alarms_, "siren", kTestOn).status, StatusIs(StatusCode::kNotFound));
+  EXPECT_THAT(SetAlarm(*alarms_, "siren", kTestOn).status, StatusIs(StatusCode::kNotFound));
 }
 
 }  // namespace

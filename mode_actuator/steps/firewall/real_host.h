@@ -3,8 +3,8 @@
 #define RIPS_MODE_ACTUATOR_STEPS_FIREWALL_REAL_HOST_H_
 
 #include <map>
-#include <optional>
 #include <memory>
+#include <optional>
 #include <set>
 #include <string>
 #include <vector>

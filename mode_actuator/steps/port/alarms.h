@@ -33,7 +33,7 @@ struct AlarmResult {
 
 enum class AlarmOrder {
   kSet,   // bring it into the state, and read it back if it can be
-  kLook,  // only read it back
+  kRead,  // only read it back
 };
 
 // Orders of one device are carried out in the order of Begin. One thread at a time.

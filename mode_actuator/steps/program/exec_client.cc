@@ -184,7 +184,7 @@ bool ExecClient::Step(Call& call, int64_t now_ns) const {
   const bool had_unsent = call.channel.unsent();
   // Refused at the door: the answer is there before the question.
   const absl::Status sent = call.channel.Flush();
-  while (!call.over && TakeAnswer(call)) {
+  while (!call.over && AcceptAnswer(call)) {
   }
   if (call.over) return true;
   if (!sent.ok() && had_unsent && !call.begun) {
@@ -202,7 +202,7 @@ bool ExecClient::Step(Call& call, int64_t now_ns) const {
   return call.over;
 }
 
-bool ExecClient::TakeAnswer(Call& call) const {
+bool ExecClient::AcceptAnswer(Call& call) const {
   absl::StatusOr<std::optional<std::string>> message = call.channel.Receive();
   if (absl::IsAborted(message.status())) {
     // It closed without reading the request, or a cancel; what it said before that comes now.

@@ -70,7 +70,7 @@ class ExecClient final : public ProgramRunner {
   // True when it is over: then its result holds.
   bool Step(Call& call, int64_t now_ns) const;
   // True when there was a message, which may have ended it.
-  bool TakeAnswer(Call& call) const;
+  bool AcceptAnswer(Call& call) const;
   void Poll(int timeout_ms) ABSL_LOCKS_EXCLUDED(mu_);
 
   const Options options_;

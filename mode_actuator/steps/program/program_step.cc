@@ -32,7 +32,7 @@ class ResultSlot {
     MutexLock lock(&mu_);
     result_ = std::move(result);
   }
-  std::optional<ProgramResult> Take() ABSL_LOCKS_EXCLUDED(mu_) {
+  std::optional<ProgramResult> Pop() ABSL_LOCKS_EXCLUDED(mu_) {
     MutexLock lock(&mu_);
     return std::exchange(result_, std::nullopt);
   }
@@ -61,7 +61,7 @@ class ProgramAttempt final : public StepAttempt {
     if (cancelled_) deadline_ns_ = std::min(deadline_ns_, now_ns);
     if (run_ == 0) {
       if (now_ns >= next_start_ns_) TryStart(now_ns);
-    } else if (std::optional<ProgramResult> ended = slot_->Take()) {
+    } else if (std::optional<ProgramResult> ended = slot_->Pop()) {
       run_ = 0;
       if (!ended->begun && !cancelled_ && absl::IsResourceExhausted(ended->status) &&
           now_ns < deadline_ns_) {
@@ -195,7 +195,7 @@ std::optional<ProgramResult> ProgramLevelStep::Await(uint64_t run, ResultSlot& s
   const CancelFlag& cancel = *options.cancel;
   bool told = false;
   while (NowNs() < end_ns) {
-    if (std::optional<ProgramResult> ended = slot.Take()) return ended;
+    if (std::optional<ProgramResult> ended = slot.Pop()) return ended;
     if (cancel.cancelled() && !std::exchange(told, true)) programs_->Cancel(run);
     // What looks at the level, and renews its rules, does not wait for a slow program.
     if (options.between && !told) options.between();
@@ -203,7 +203,7 @@ std::optional<ProgramResult> ProgramLevelStep::Await(uint64_t run, ResultSlot& s
     (told ? own : cancel).WaitFor(kDrillPoll);
   }
   programs_->Cancel(run);
-  return slot.Take();
+  return slot.Pop();
 }
 
 }  // namespace

@@ -52,7 +52,7 @@ class Rounds {
     std::vector<std::pair<const ExpectedPart*, NodeView>> to_activate;
     for (const ExpectedPart* part : parts) {
       if (cancel_.cancelled()) break;
-      NodeView view = nodes_.at(part->node)->Look(*part);
+      NodeView view = nodes_.at(part->node)->Poll(*part);
       if (view.wrong.empty()) continue;
       const auto why = refusals_.find(part->node);
       wrong.push_back(why == refusals_.end() ? view.wrong

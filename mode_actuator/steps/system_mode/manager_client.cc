@@ -45,7 +45,7 @@ absl::StatusOr<bool> ManagerClient::OrderIfThere(absl::string_view mode) {
   return ros2::DecodeSuccessReply(reply);
 }
 
-ManagerView ManagerClient::Look(absl::string_view mode, absl::Duration timeout) {
+ManagerView ManagerClient::Poll(absl::string_view mode, absl::Duration timeout) {
   ManagerView view;
   const absl::StatusOr<std::string> state_reply =
       AskIfThere(*get_state_, ros2::EncodeEmptyRequest(), timeout);

@@ -45,7 +45,7 @@ class ManagerClient {
   // As above, but does not wait for one that is not there: Unavailable.
   absl::StatusOr<bool> OrderIfThere(absl::string_view mode);
   // `timeout` of each of its two calls.
-  ManagerView Look(absl::string_view mode, absl::Duration timeout = kReadTimeout);
+  ManagerView Poll(absl::string_view mode, absl::Duration timeout = kReadTimeout);
   absl::StatusOr<std::vector<std::string>> AvailableModes();
 
   // The endpoint that takes orders: another one after a restart. nullopt = there is none.

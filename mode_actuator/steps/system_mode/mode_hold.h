@@ -29,7 +29,7 @@ class ModeHold {
   // is the manager's endpoint that was told of the mode, if one was.
   void Reached(absl::string_view mode, std::string without, std::optional<ros2::Guid> told);
   // The manager was told of the mode held.
-  void Told(const ros2::Guid& manager) { told_ = manager; }
+  void Notified(const ros2::Guid& manager) { told_ = manager; }
   // The manager agrees: it holds the part again.
   void Agreed() { without_.clear(); }
   // The part is no longer in `mode`, and the manager names `other`.

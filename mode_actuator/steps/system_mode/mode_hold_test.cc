@@ -41,7 +41,7 @@ TEST(ModeHoldTest, EachManagerIsToldOnce) {
   hold.Reached("ALERT", "", Manager(1));
   EXPECT_FALSE(hold.IsNews(Manager(1)));
   EXPECT_TRUE(hold.IsNews(Manager(2)));
-  hold.Told(Manager(2));
+  hold.Notified(Manager(2));
   EXPECT_FALSE(hold.IsNews(Manager(2)));
   hold.Reached("HALT", "it is absent", std::nullopt);
   EXPECT_TRUE(hold.IsNews(Manager(2)));

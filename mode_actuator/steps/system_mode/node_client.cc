@@ -124,7 +124,7 @@ void NodeClient::JudgeParameters(const ExpectedPart& expected, absl::Duration ti
   }
 }
 
-NodeView NodeClient::Look(const ExpectedPart& expected, absl::Duration timeout) {
+NodeView NodeClient::Poll(const ExpectedPart& expected, absl::Duration timeout) {
   NodeView view;
   const absl::StatusOr<uint8_t> state = State(timeout);
   if (!state.ok()) {

@@ -59,7 +59,7 @@ class NodeClient {
   // Its lifecycle state. Unavailable if nobody answers.
   absl::StatusOr<uint8_t> State(absl::Duration timeout = kReadTimeout);
   // Looks at state and, where some are expected, parameters. `timeout` of each call.
-  NodeView Look(const ExpectedPart& expected, absl::Duration timeout = kReadTimeout);
+  NodeView Poll(const ExpectedPart& expected, absl::Duration timeout = kReadTimeout);
 
   // FailedPrecondition if the node refuses; Unavailable and DeadlineExceeded as calls give them.
   absl::Status Transition(uint8_t transition);

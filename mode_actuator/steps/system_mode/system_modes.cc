@@ -72,14 +72,14 @@ absl::Status SystemModes::Add(const Smh& smh, const std::string& part, const std
   return absl::OkStatus();
 }
 
-SystemModes::View SystemModes::Look(Part& part, absl::string_view mode,
+SystemModes::View SystemModes::Poll(Part& part, absl::string_view mode,
                                     const std::vector<ExpectedPart>& expected,
                                     const CancelFlag& cancel) {
   View view;
-  if (part.manager != nullptr) view.manager = part.manager->Look(mode);
+  if (part.manager != nullptr) view.manager = part.manager->Poll(mode);
   if (options_.verify == Verify::kManager) return view;
   for (const ExpectedPart& node : expected) {
-    std::string wrong = cancel.cancelled() ? "not asked" : nodes_.at(node.node)->Look(node).wrong;
+    std::string wrong = cancel.cancelled() ? "not asked" : nodes_.at(node.node)->Poll(node).wrong;
     if (!wrong.empty()) view.wrong_parts.push_back(std::move(wrong));
   }
   return view;
@@ -97,7 +97,7 @@ absl::Status SystemModes::Verdict(const View& view, bool silence_allowed,
   return absl::FailedPreconditionError(view.manager.says);
 }
 
-bool SystemModes::Tell(Task& task, int64_t end_ns, Attempt& attempt) {
+bool SystemModes::OrderManager(Task& task, int64_t end_ns, Attempt& attempt) {
   ManagerClient& manager = *task.part.manager;
   const absl::StatusOr<bool> order = manager.Order(task.mode, absl::Nanoseconds(end_ns - NowNs()));
   if (order.ok() && *order) {
@@ -132,13 +132,13 @@ SystemModes::Attempt SystemModes::AskManager(Task& task, int64_t end_ns) {
       return attempt;
     }
     if (!ordered) {
-      ordered = Tell(task, end_ns, attempt);
+      ordered = OrderManager(task, end_ns, attempt);
       if (attempt.hopeless || absl::IsInvalidArgument(attempt.reading.status)) return attempt;
       taken_ns = NowNs();
     }
     if (ordered) {
       task.part.unfinished = task.mode;
-      const View view = Look(task.part, task.mode, task.expected, task.cancel);
+      const View view = Poll(task.part, task.mode, task.expected, task.cancel);
       if (!view.manager.observed.empty()) attempt.reading.observed = view.manager.observed;
       const bool silence_allowed = NowNs() - taken_ns >= absl::ToInt64Nanoseconds(kManagerSilence);
       const absl::Status verdict = Verdict(view, silence_allowed, /*held_by_parts=*/false);
@@ -230,7 +230,7 @@ void SystemModes::Follow(Part& part, absl::string_view mode, const View& view,
   if (part.manager == nullptr || !part.hold.holds(mode)) return;
   if (!reading.status.ok()) {
     // It was asked before the parts; they may have moved in between.
-    const std::string other = part.manager->Look(mode).observed;
+    const std::string other = part.manager->Poll(mode).observed;
     if (!other.empty() && other != mode) {
       part.hold.Left(mode, other, NowNs());
       reading.status = absl::FailedPreconditionError(
@@ -244,7 +244,7 @@ void SystemModes::Follow(Part& part, absl::string_view mode, const View& view,
   if (!server.has_value() || !view.manager.answers || !part.hold.IsNews(*server)) return;
   // Another manager than the one that was told, or one that did not hear it: its own target may be
   // any mode. Told once, whatever it answers.
-  part.hold.Told(*server);
+  part.hold.Notified(*server);
   if (part.hold.WhyNotManager(mode, NowNs()).empty()) {
     part.manager->OrderIfThere(mode).status().IgnoreError();
   }
@@ -259,7 +259,7 @@ ModeReading SystemModes::Check(absl::string_view part_name, absl::string_view mo
     return reading;
   }
   Part& part = parts_.at(target->first.first);
-  const View view = Look(part, mode, target->second, cancel);
+  const View view = Poll(part, mode, target->second, cancel);
   const bool by_parts = part.manager == nullptr || (part.hold.direct() && part.hold.holds(mode));
   reading.status = Verdict(view, /*silence_allowed=*/true, by_parts);
   if (!view.manager.observed.empty()) reading.observed = view.manager.observed;
@@ -346,7 +346,7 @@ ModeReading SystemModes::Probe(absl::string_view part_name, absl::string_view mo
   };
   if (part.manager != nullptr) {
     found(CheckManager(target->first.first, part, {target->first.second}));
-    const ManagerView view = part.manager->Look(mode);
+    const ManagerView view = part.manager->Poll(mode);
     if (!view.observed.empty()) reading.observed = view.observed;
   }
   for (const ExpectedPart& expected : target->second) {
@@ -380,7 +380,7 @@ bool SystemModes::KeepAgreeing(const std::string& part, const std::string& node,
   for (const std::string& mode : modes) {
     const ExpectedPart* expected = Expected(part, mode, node);
     if (expected != nullptr) {
-      const NodeView view = nodes_.at(node)->Look(*expected, kSurveyReadTimeout);
+      const NodeView view = nodes_.at(node)->Poll(*expected, kSurveyReadTimeout);
       if (!view.complete) return false;
       if (!view.wrong.empty()) continue;
     }
@@ -398,7 +398,7 @@ PartReading SystemModes::Read(absl::string_view part_name, absl::Duration at_mos
   const auto& [name, part] = *found;
   PartReading reading;
   if (part.manager != nullptr) {
-    ManagerView view = part.manager->Look("", kSurveyReadTimeout);
+    ManagerView view = part.manager->Poll("", kSurveyReadTimeout);
     if (view.answers) ++reading.answers;
     reading.named = std::move(view.named);
   }
