@@ -66,7 +66,7 @@ absl::Status AddScripts(ParsedConfig* parsed);
 // Every (part, mode) of the levels once.
 std::vector<std::pair<std::string, std::string>> ModeTargets(const std::vector<LevelSpec>& levels);
 
-// Full names of the parts that nobody else may steer: those of the levels, then those of the SMH
+// Full names of the parts that only these steps control: those of the levels, then those of the SMH
 // file, each once. At most kProtectedPartsMax; names that no ROS node can have are left out.
 inline constexpr size_t kProtectedPartsMax = 256;
 std::vector<std::string> ProtectedParts(const std::vector<LevelSpec>& levels, const Smh& smh);

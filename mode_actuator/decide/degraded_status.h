@@ -1,4 +1,4 @@
-// What does not work although levels may hold, as the parts of the actuator tell it.
+// Faults that do not prevent a level, as the parts of the actuator report them.
 #ifndef RIPS_MODE_ACTUATOR_DECIDE_DEGRADED_STATUS_H_
 #define RIPS_MODE_ACTUATOR_DECIDE_DEGRADED_STATUS_H_
 
@@ -22,7 +22,7 @@ std::vector<std::string> LimitDegraded(std::vector<std::string> texts);
 // Any thread.
 class DegradedStatus {
  public:
-  // In place of what `source` told before.
+  // Replaces the report of `source` before.
   void Set(absl::string_view source, std::vector<std::string> texts) ABSL_LOCKS_EXCLUDED(mu_);
   // By source.
   std::vector<std::string> All() const ABSL_LOCKS_EXCLUDED(mu_);

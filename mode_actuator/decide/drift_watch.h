@@ -28,7 +28,7 @@ class DriftWatch {
   // What came of them. `failure` is empty if all is well.
   void Ran(absl::string_view failure);
 
-  // For people, empty while the level is not left too often: `ALERT was left 3 times in 60 s; its
+  // A message, empty while the level is not left too often: `ALERT was left 3 times in 60 s; its
   // on_drift steps were run`.
   std::string Degraded(absl::string_view level, int64_t now_ns) const;
 

@@ -80,7 +80,7 @@ Receipt DrillController::Keep(Receipt receipt) {
                 [&](const Receipt& each) { return each.command_id == receipt.command_id; });
   receipts_.push_back(receipt);
   if (receipts_.size() > kDrillReceiptsMax) {
-    // The one that runs is still to be told of.
+    // The drill that runs has still to be reported.
     const bool runs = receipts_.front().command_id == running_;
     receipts_.erase(receipts_.begin() + (runs ? 1 : 0));
   }

@@ -84,7 +84,7 @@ struct ExecutorReport {
   std::string floor_reason;
   bool lease_live = false;
   uint64_t drifts = 0;                // times a verified level was found left
-  std::vector<std::string> degraded;  // what people must hear although the level may hold
+  std::vector<std::string> degraded;  // faults that do not prevent the level
   friend bool operator==(const ExecutorReport&, const ExecutorReport&) = default;
 };
 

@@ -23,7 +23,7 @@
 // | else (raise, equal, or nothing decided yet)    | ACKNOWLEDGED               | applied, and  |
 // |                                                |                            | recorded too  |
 // After ACKNOWLEDGED comes VERIFIED (a lowering: at `to`; else at `to` or above), FAILED (and
-// perhaps VERIFIED later: trying goes on), or SUPERSEDED by a newer decision.
+// perhaps VERIFIED later: it is retried), or SUPERSEDED by a newer decision.
 //
 // The recorded state is lost if there is none, if it is corrupt, or if it names no decision or a
 // level that is not in `levels`. A good state can still be an old one, from a backup. So every
@@ -163,7 +163,7 @@ class LevelController {
   void OnSurveyed(const LevelOutcome& outcome);
   void OnReached(const LevelOutcome& outcome, int level, int64_t now_ns, Actions& actions);
   void OnMissed(const LevelOutcome& outcome, const Job& job, int64_t now_ns, Actions& actions);
-  // Tells the held command's fate if `level`, just reached or missed, is what it asks for.
+  // Reports the result of the held command if `level`, just reached or missed, is what it asks for.
   void ReportCommand(int level, Receipt::Stage stage, const LevelOutcome& outcome,
                      Actions& actions);
 

@@ -45,7 +45,7 @@ struct AlarmStep {
 inline constexpr absl::Duration kFirewallForMax = absl::Hours(24);  // of hold_for
 
 // What rips-fw is asked for. All but kRelease end by themselves after `hold_for`, in the kernel, so
-// that a robot nobody looks after opens again; while the level holds, its check renews them.
+// that a robot whose actuator is dead opens again; while the level holds, its check renews them.
 struct FirewallStep {
   enum class Kind {
     kRules = 1,            // the rules of `file` take the place of any level's rules before

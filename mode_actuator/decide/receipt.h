@@ -1,4 +1,4 @@
-// What the actuator tells the server of one command; rips.v1.Receipt without protobuf.
+// The result of one command for the server; rips.v1.Receipt without protobuf.
 #ifndef RIPS_MODE_ACTUATOR_DECIDE_RECEIPT_H_
 #define RIPS_MODE_ACTUATOR_DECIDE_RECEIPT_H_
 

@@ -42,7 +42,7 @@ constexpr int64_t kHeartbeatNs = 500 * kNanosPerMilli;
 constexpr size_t kInputsMax = 4096;
 constexpr size_t kFileTasksMax = 256;
 
-// What other threads tell the agent's thread.
+// Events from other threads to the agent's thread.
 struct Connected {};
 struct Persisted {
   uint64_t sequence = 0;
@@ -151,8 +151,8 @@ Counters MakeCounters(Metrics* m) {
       .drifts = m->AddGauge("rips_actuator_drifts", "times a verified level was found left"),
       .alarms_missing =
           m->AddGauge("rips_actuator_alarms_missing", "alarm devices that cannot be used"),
-      .announced = m->AddGauge("rips_actuator_announced",
-                               "1 = ROS tools are told that this is the node /rips"),
+      .announced =
+          m->AddGauge("rips_actuator_announced", "1 = announced to ROS tools as the node /rips"),
       .helpers_refused = m->AddGauge("rips_actuator_helpers_refused",
                                      "helpers whose socket another process may have made"),
   };
@@ -600,8 +600,8 @@ void Agent::Impl::Publish(int64_t now_ns) {
                       {"floor_reason", report.floor_reason},
                       {"decision_id", ToString(report.decision_id)}});
   }
-  // A change is told at once; otherwise every 500 ms. It goes before the receipts, so that nobody
-  // hears that a level is verified while the robot is still shown at the one before.
+  // A change is sent at once; otherwise every 500 ms. It is sent before the receipts, so that no
+  // level is reported as verified while the heartbeat still shows the one before.
   if (changed || now_ns >= next_heartbeat_ns_) {
     if (downlink_->SendHeartbeat(report)) next_heartbeat_ns_ = now_ns + kHeartbeatNs;
   }

@@ -30,7 +30,7 @@ struct LoadedConfig {
   std::string effective;
 };
 absl::StatusOr<LoadedConfig> LoadConfig(const std::string& path);
-// What is legal there and yet likely to be wrong, for people.
+// Warnings: legal there, but likely to be wrong.
 std::vector<std::string> Warnings(const LoadedConfig& loaded);
 
 class Agent {
@@ -45,7 +45,7 @@ class Agent {
   // | the DDS keystore, or its network       | `modes_problem()`; steps of System Modes fail, the |
   // |                                        | others are taken. Start another when TryModes is OK|
   // | credentials of this robot's and host's | PermissionDenied, nothing was done                 |
-  // | actuator: they are somebody else's     |                                                    |
+  // | actuator: they are of another one      |                                                    |
   static absl::StatusOr<std::unique_ptr<Agent>> Start(const LoadedConfig& loaded,
                                                       rpc::CredentialsSource credentials,
                                                       const Clock* clock, Metrics* metrics,

@@ -6,7 +6,7 @@
 // | system_mode                                 | looked  | PartModes::Probe; nothing is ordered |
 // | program with `drill: true`                  | done    | run once with RIPS_DRILL=1           |
 // | any other program                           | looked  | ProgramRunner::Examine               |
-// | alarm of a device with `drill: flash`, that | done    | told its state for kFlashTime, then  |
+// | alarm of a device with `drill: flash`, that | done    | set to its state for kFlashTime, then |
 // | is off while no alarm of the level held is  |         | to be off again, whatever happens    |
 // | on                                          |         |                                      |
 // | any other alarm                             | looked  | asked; `on` and `off` are both fine  |

@@ -225,7 +225,7 @@ void LevelExecutor::Drive(const std::vector<std::unique_ptr<StepAttempt>>& attem
       told = true;
       for (const auto& attempt : attempts) attempt->Cancel();
     }
-    // A cancelled flag does not sleep, so what is told to end is waited for on a flag of our own.
+    // A cancelled flag does not sleep, so the wait for jobs that must end uses a flag of its own.
     if (told) {
       CancelFlag().WaitFor(kPoll);
     } else {

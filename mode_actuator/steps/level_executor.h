@@ -14,10 +14,10 @@
 // `continue` is worth there:
 // | the alarm                                            | the level |
 // |------------------------------------------------------|-----------|
-// | is otherwise, or was plugged in and not told since   | left      |
-// | is otherwise, as it was right after it was told      | held      |
+// | is otherwise, or was plugged in and not set since    | left      |
+// | is otherwise, as it was right after it was set       | held      |
 // | is not there, or does not answer                     | held      |
-// Any other step that is not as wanted, or cannot be looked at, means that the level was left.
+// Any other step that is not as wanted, or cannot be checked, means that the level was left.
 #ifndef RIPS_MODE_ACTUATOR_STEPS_LEVEL_EXECUTOR_H_
 #define RIPS_MODE_ACTUATOR_STEPS_LEVEL_EXECUTOR_H_
 

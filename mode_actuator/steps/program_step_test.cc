@@ -130,7 +130,7 @@ TEST_F(ProgramStepTest, WhoDoesNotCancelIsNotWaitedFor) {
   EXPECT_FALSE(outcome.reached);
   EXPECT_EQ(programs_.cancelled, 1);
   ASSERT_EQ(outcome.steps.size(), 1u);
-  EXPECT_EQ(outcome.steps[0].detail, "the program runner gave no result");
+  EXPECT_EQ(outcome.steps[0].detail, "the program runner did not return a result");
 }
 
 TEST_F(ProgramStepTest, WhatNobodyKnowsTheEndOfIsAFailureAndTriedAgain) {

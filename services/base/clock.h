@@ -11,7 +11,7 @@ struct Instant {
   // CLOCK_BOOTTIME, nanoseconds: never goes back, counts suspend; orders events and runs leases.
   // Comparable within one boot of one host only.
   int64_t boottime_ns = 0;
-  // CLOCK_REALTIME, nanoseconds since the Unix epoch: for people; may jump.
+  // CLOCK_REALTIME, nanoseconds since the Unix epoch: for display; may jump.
   int64_t unix_ns = 0;
 
   friend bool operator==(const Instant&, const Instant&) = default;

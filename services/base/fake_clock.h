@@ -1,4 +1,4 @@
-// A Clock that moves only when told. Test code only; any thread.
+// A Clock that tests set. Test code only; any thread.
 #ifndef RIPS_SERVICES_BASE_FAKE_CLOCK_H_
 #define RIPS_SERVICES_BASE_FAKE_CLOCK_H_
 

@@ -17,7 +17,7 @@ namespace rips::dds {
 namespace {
 
 constexpr size_t kTakeMax = 64;
-// Type names of the readers behind Discovery itself, which nobody else sees.
+// Type names of the readers behind Discovery itself, which only Discovery uses.
 constexpr absl::string_view kBuiltinTypes = "org::eclipse::cyclonedds::builtin::";
 
 ParticipantSeen Describe(const dds_builtintopic_participant_t& sample,

@@ -1,5 +1,5 @@
 // Who is in the domain: participants and endpoints as the middleware discovers them
-// (DDSI-RTPS 2.5 §8.5), told as they come and go.
+// (DDSI-RTPS 2.5 §8.5), reported as they come and go.
 #ifndef RIPS_SERVICES_DDS_DISCOVERY_H_
 #define RIPS_SERVICES_DDS_DISCOVERY_H_
 
@@ -25,7 +25,7 @@ struct ParticipantSeen {
   // From user data "enclave=/x;"; empty if not given, and under DDS Security if its GUID does not
   // prove it.
   std::string enclave;
-  std::string host;  // empty, and pid 0, for participants that do not tell
+  std::string host;  // empty, and pid 0, for participants that do not announce it
   std::string process;
   uint32_t pid = 0;
   // First two bytes of the GUID prefix as 4 hex digits, "0110" = Cyclone, "010f" = Fast DDS. By
@@ -43,7 +43,7 @@ struct EndpointSeen {
   ros2::Guid participant;
   // Of a writer: equal to RawSample::publication.
   InstanceHandle instance = 0;
-  // DDS names as announced: bytes of a stranger's choice.
+  // DDS names as announced: untrusted bytes.
   std::string topic;
   std::string type;
   ros2::Qos qos;

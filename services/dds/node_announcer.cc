@@ -13,7 +13,7 @@
 namespace rips::dds {
 namespace {
 
-// Of a claim's beginning, by which its form and its first node are told.
+// The beginning of a claim, which shows its form and its first node.
 constexpr uint32_t kHeadBytes = 1'024;
 constexpr size_t kEncapsulationBytes = 4;
 

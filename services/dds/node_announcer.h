@@ -1,4 +1,4 @@
-// Tells the ROS tools of a bus what this participant is: one node that owns all its endpoints.
+// Announces this participant to the ROS tools of a bus: one node that owns all its endpoints.
 // Without it they show our endpoints as `_NODE_NAME_UNKNOWN_`, as they show an intruder's.
 //
 // | what changes                          | the claim is published                           |
@@ -37,10 +37,10 @@ namespace rips::dds {
 struct NodeAnnouncerOptions {
   std::string node_namespace = "/";
   std::string node_name = "rips";
-  // Nullopt = as most of the others do; `initial` until somebody is heard.
+  // Nullopt = as most of the others do; `initial` until a claim is heard.
   std::optional<ros2::GidBytes> gid_bytes;
   ros2::GidBytes initial = ros2::GidBytes::k24;
-  // Reads the claims of others itself, rather than being told by Heard and Gone.
+  // Reads the claims of others itself; otherwise Heard and Gone report them.
   bool listen = false;
 };
 
@@ -53,7 +53,7 @@ class NodeAnnouncer {
   static constexpr int64_t kClaimIntervalNs = 50'000'000;
   // A claim is as long as its list: to each reader at most 12 KB/s.
   static constexpr int64_t kEndpointIntervalNs = 2'000'000;
-  // After a change of form, so that nobody makes us flap.
+  // After a change of form, so that no peer can make the form flap.
   static constexpr int64_t kFormIntervalNs = 1'000'000'000;
 
   // PermissionDenied if the permissions of a secured participant do not let it write
@@ -94,7 +94,7 @@ class NodeAnnouncer {
 
   mutable Mutex mu_;
   ros2::GidFormVotes votes_ ABSL_GUARDED_BY(mu_);
-  // Somebody has spoken another form than ours since the last Poll.
+  // A peer has used another form than ours since the last Poll.
   bool dissent_ ABSL_GUARDED_BY(mu_) = false;
 
   absl::Status reading_status_;

@@ -61,7 +61,7 @@ class Participant {
  public:
   // FailedPrecondition if the configuration turns shared memory on: payloads would then bypass
   // what we can read. PermissionDenied or Internal if DDS Security cannot be had; LoadEnclave finds
-  // most of the reasons before, and tells them better.
+  // most of the reasons before, with better messages.
   static absl::StatusOr<std::unique_ptr<Participant>> Create(
       std::shared_ptr<const Domain> domain, const ParticipantOptions& options = {});
   // With a domain of its own; the usual case: one participant per process.

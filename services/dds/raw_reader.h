@@ -31,7 +31,7 @@ struct RawReaderOptions {
   uint32_t depth = 1'000;
   // Keep all samples until taken: only for ros_discovery_info.
   bool keep_all = false;
-  // Bytes of each payload that are kept; RawSample::size tells the true size.
+  // Bytes of each payload that are kept; RawSample::size is the true size.
   uint32_t payload_bytes_max = kWholePayload;
   // In place of payload_bytes_max, for a reader that keeps more or less as it goes.
   std::shared_ptr<const PayloadLimit> payload_limit;

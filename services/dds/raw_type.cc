@@ -346,7 +346,7 @@ absl::StatusOr<RawTopic> CreateRawTopic(EntityHandle participant, const std::str
 
 absl::Status RequireNoSharedMemory(EntityHandle participant, const std::string& topic) {
   // Only a registered type leads to the domain's configuration. No endpoint uses the topic, so
-  // nobody else learns of it.
+  // no other code learns of it.
   RIPS_ASSIGN_OR_RETURN(const RawTopic probe, CreateRawTopic(participant, topic, "none"));
   if (rips_dds_uses_shared_memory(probe.type)) {
     return absl::FailedPreconditionError(

@@ -61,7 +61,7 @@ absl::StatusOr<OwnedCertificate> ReadCertificate(const std::string& path) {
   return certificate;
 }
 
-// Never asks anybody for a passphrase.
+// Never prompts for a passphrase.
 int NoPassphrase(char*, int, int, void*) { return 0; }
 
 absl::StatusOr<OwnedKey> ReadKey(const std::string& path) {

@@ -36,7 +36,7 @@ struct Enclave {
   std::string crl;  // empty = none
   // A DDS topic that the permissions allow.
   std::string permitted_topic;
-  // The governance lets participants in that have not authenticated: who has cannot be told.
+  // The governance lets participants in that have not authenticated: which have is not known.
   bool admits_unauthenticated = false;
 
   friend bool operator==(const Enclave&, const Enclave&) = default;
@@ -58,7 +58,7 @@ absl::StatusOr<Enclave> LoadEnclave(absl::string_view keystore, absl::string_vie
                                     absl::Time now);
 
 // True if `participant` is the GUID of one whose certificate has the subject `CN=ENCLAVE` (as UTF-8
-// string): its first 47 bits are of that name's hash, and whoever authenticates it compares them
+// string): its first 47 bits are of that name's hash, and a peer that checks it compares them
 // with the certificate (DDS Security 1.1 §9.3.3). What it says of its enclave is proof only then.
 bool ProvesEnclave(const ros2::Guid& participant, absl::string_view enclave);
 

@@ -36,7 +36,7 @@ absl::StatusOr<ServiceEndpoints> CreateServiceEndpoints(const Participant& parti
 struct WholeServer {
   ros2::Guid request_reader;
   // It pairs replies with requests as rmw_fastrtps does: no header in the payload, but a related
-  // sample identity beside it. Told by the vendor in the GUID (DDSI-RTPS 2.5 §9.3.1.5).
+  // sample identity beside it. Known by the vendor in the GUID (DDSI-RTPS 2.5 §9.3.1.5).
   bool fastrtps = false;
 };
 std::optional<WholeServer> FindWholeServer(const ServiceEndpoints& client);

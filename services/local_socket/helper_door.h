@@ -9,7 +9,7 @@
 // | the socket's file                       | a socket, no link, and a trusted user's             |
 // | the process that listens (SO_PEERCRED)  | a trusted user's                                    |
 //
-// Trusted are root (systemd listens for the helper, or it is root's), the user whom the helper runs
+// Trusted are root (systemd listens for the helper, or it is root's), the user that the helper runs
 // as, and our own: another process of that one has our key anyway.
 #ifndef RIPS_SERVICES_LOCAL_SOCKET_HELPER_DOOR_H_
 #define RIPS_SERVICES_LOCAL_SOCKET_HELPER_DOOR_H_
@@ -32,7 +32,7 @@ namespace rips::actuator {
 // Any thread.
 class HelperDoor {
  public:
-  // `helper`: `rips-exec`. `run_as`: the user whom it runs as, if there is one.
+  // `helper`: `rips-exec`. `run_as`: the user that it runs as, if there is one.
   HelperDoor(std::string path, std::string helper, std::optional<uid_t> run_as)
       : path_(std::move(path)), helper_(std::move(helper)), run_as_(run_as) {}
 
@@ -57,7 +57,7 @@ class HelperDoor {
   mutable absl::Status found_ ABSL_GUARDED_BY(mu_);
 };
 
-// Whom a helper runs as: `configured`, a name or a number; if that is empty, the user that packages
+// The user of a helper: `configured`, a name or a number; if that is empty, the user that packages
 // make for it, if there is one. InvalidArgument, beginning with `key`, if the configured one does
 // not exist.
 absl::StatusOr<std::optional<uid_t>> FindHelperUser(const std::string& configured,

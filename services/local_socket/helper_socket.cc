@@ -43,7 +43,7 @@ absl::StatusOr<sockaddr_un> AddressOf(const std::string& path) {
 absl::Status RemoveStale(const std::string& path, const sockaddr_un& address) {
   struct stat info;
   if (lstat(path.c_str(), &info) != 0) {
-    return errno == ENOENT ? absl::OkStatus() : Failed("look at", path);
+    return errno == ENOENT ? absl::OkStatus() : Failed("read", path);
   }
   if (!S_ISSOCK(info.st_mode)) {
     return absl::FailedPreconditionError(absl::StrCat("`", path, "` is there and is no socket"));
@@ -51,7 +51,8 @@ absl::Status RemoveStale(const std::string& path, const sockaddr_un& address) {
   const UniqueFd probe(socket(AF_UNIX, SOCK_SEQPACKET | SOCK_CLOEXEC | SOCK_NONBLOCK, 0));
   const auto* raw = reinterpret_cast<const sockaddr*>(&address);
   if (connect(probe.get(), raw, sizeof(address)) == 0 || errno == EAGAIN) {
-    return absl::AlreadyExistsError(absl::StrCat("somebody listens at `", path, "` already"));
+    return absl::AlreadyExistsError(
+        absl::StrCat("another process listens at `", path, "` already"));
   }
   return unlink(path.c_str()) == 0 ? absl::OkStatus() : Failed("remove", path);
 }
@@ -126,7 +127,7 @@ Accepted AcceptFrom(int listener, uid_t user) {
   ucred peer = {};
   socklen_t size = sizeof(peer);
   if (getsockopt(accepted.fd.get(), SOL_SOCKET, SO_PEERCRED, &peer, &size) != 0) {
-    accepted.peer = absl::PermissionDeniedError("nobody knows who asks");
+    accepted.peer = absl::PermissionDeniedError("the peer of the socket is unknown");
   } else if (peer.uid != 0 && peer.uid != user) {
     accepted.peer = absl::PermissionDeniedError(absl::StrCat("user ", peer.uid, " may not ask"));
   }
@@ -150,7 +151,8 @@ absl::StatusOr<std::string> ReceivePacket(int fd, size_t limit) {
   const ssize_t got = recv(fd, packet.data(), packet.size(), MSG_TRUNC | MSG_DONTWAIT);
   if (got < 0) {
     if (errno == EAGAIN || errno == EINTR) return absl::UnavailableError("no packet");
-    if (errno == ECONNRESET) return absl::AbortedError("closed, with packets of ours unread");
+    if (errno == ECONNRESET)
+      return absl::AbortedError("the peer closed before it read every packet");
     return absl::OutOfRangeError(std::strerror(errno));
   }
   if (got == 0) return absl::OutOfRangeError("closed");

@@ -15,7 +15,7 @@
 namespace rips::actuator {
 
 // A listening SOCK_SEQPACKET socket at `path`, for `user` alone (and root). A socket file that
-// nobody listens at any more is replaced; AlreadyExists if somebody does, FailedPrecondition if
+// no process listens at is replaced; AlreadyExists if one does, FailedPrecondition if
 // `path` is something else, Unavailable otherwise.
 absl::StatusOr<UniqueFd> ListenAt(const std::string& path, uid_t user);
 
@@ -31,7 +31,7 @@ absl::StatusOr<UniqueFd> ListenForHelper(const std::string& path, uid_t user);
 absl::StatusOr<uid_t> FindUser(const std::string& user, absl::string_view key);
 
 struct Accepted {
-  UniqueFd fd;        // does not block; negative: nobody was there
+  UniqueFd fd;        // does not block; negative: no client waited
   absl::Status peer;  // PermissionDenied if it is neither root's nor `user`'s, as the kernel says
 };
 Accepted AcceptFrom(int listener, uid_t user);

@@ -35,7 +35,7 @@ class GidFormVotes {
   // The newest claim of a participant counts.
   void Heard(const Guid& participant, GidBytes form);
   void Gone(const Guid& participant);
-  // Whoever `stays` says no of is gone.
+  // Removes those for which `stays` is false.
   template <typename Predicate>
   void Keep(const Predicate& stays) {
     absl::erase_if(votes_, [&](const auto& vote) { return !stays(vote.first); });

@@ -135,7 +135,7 @@ class RosGraph {
 
   // Topics that have a publisher or a subscriber, by name.
   const absl::btree_map<std::string, Topic>& topics() const { return topics_; }
-  // Null if nobody publishes or subscribes.
+  // Null if no endpoint publishes or subscribes.
   const Topic* FindTopic(absl::string_view name) const;
   // Services offered by the nodes of that full name, sorted; two nodes of one name are merged.
   std::vector<std::string> ServicesOf(absl::string_view node) const;

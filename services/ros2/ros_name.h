@@ -19,7 +19,7 @@
 
 namespace rips::ros2 {
 
-// DDS name of the topic on which every participant tells its nodes, and its type.
+// DDS name of the topic on which every participant announces its nodes, and its type.
 inline constexpr char kDiscoveryTopic[] = "ros_discovery_info";
 inline constexpr char kDiscoveryType[] = "rmw_dds_common::msg::dds_::ParticipantEntitiesInfo_";
 
@@ -76,7 +76,7 @@ absl::Status ValidateNodeName(absl::string_view full_name);
 std::string JoinNodeName(absl::string_view node_namespace, absl::string_view node_name);
 
 // `text` with every byte outside printable ASCII, and the backslash, as \xNN, cut to
-// kPrintableBytesMax with "..." at the end. What strangers send becomes safe to log and to put
+// kPrintableBytesMax with "..." at the end. Untrusted text becomes safe to log and to put
 // into a protobuf string.
 std::string Printable(absl::string_view text);
 

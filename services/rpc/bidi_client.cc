@@ -163,7 +163,7 @@ void BidiClientBase::WatchServer(grpc::ClientContext* context) {
   const std::shared_ptr<const grpc::AuthContext> auth = context->auth_context();
   absl::StatusOr<Peer> peer = absl::UnauthenticatedError("no certificate");
   if (auth != nullptr) peer = PeerOf(*auth);
-  if (!peer.ok()) return;  // without TLS, in tests; the handshake lets nobody else pass
+  if (!peer.ok()) return;  // without TLS, in tests; the handshake rejects other peers
   if (options_.on_peer) options_.on_peer(*peer);
   uint64_t number = 0;
   {

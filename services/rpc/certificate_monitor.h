@@ -43,7 +43,7 @@ class CertificateMonitor {
     bool own = false;
     absl::Duration left;
   };
-  // For people: `certificate URI serial N expires in 3d`.
+  // A message: `certificate URI serial N expires in 3d`.
   static std::string Text(const Notice& notice);
 
   struct Options {

@@ -62,7 +62,7 @@ Admission::Address& Admission::Touch(const std::string& address, int64_t now_ns)
     entry.tokens = limits_.burst;
   } else {
     const double seconds = static_cast<double>(now_ns - entry.touched_ns) / kNanosPerSecond;
-    // An address that broke the limits is let in slowly if it may be somebody's of ours.
+    // An address that broke the limits is admitted slowly if it may be of an agent.
     const bool slow = now_ns < entry.banned_until_ns;
     entry.tokens = std::min(slow ? 1.0 : limits_.burst,
                             entry.tokens + seconds * (slow ? 1.0 : limits_.per_second));

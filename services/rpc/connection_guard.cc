@@ -345,7 +345,7 @@ absl::Status ConnectionGuard::Probe(absl::Duration patience) {
   MutexLock lock(&mu_);
   probes_.erase(name);
   if (taken) return absl::OkStatus();
-  return absl::UnavailableError("the listener takes no connections");
+  return absl::UnavailableError("the listener accepts no connections");
 }
 
 // ------------------------------------------------------------------------------------ accepting

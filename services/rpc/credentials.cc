@@ -76,7 +76,7 @@ class IdentityVerifier final : public tls::ExternalCertificateVerifier {
 }  // namespace
 
 void RequireTls13() {
-  // A TLS 1.2 suite that needs a pre-shared key, which nobody has: TLS 1.2 cannot agree on any. The
+  // A TLS 1.2 suite that needs a pre-shared key; no peer has one: TLS 1.2 cannot agree on any. The
   // suites of TLS 1.3 are configured apart from these and stay. gRPC 1.51 has no minimum version.
   setenv("GRPC_SSL_CIPHER_SUITES", "PSK-AES128-GCM-SHA256", 1);
 }
@@ -153,7 +153,7 @@ absl::Status Credentials::RevocationProblem(absl::Time now) const {
 
 absl::StatusOr<std::shared_ptr<const Credentials>> LoadOwn(const TlsFiles& files,
                                                            const CheckIdentity& check) {
-  // Before all else: a certificate of somebody else stays so, whatever the clock says.
+  // Checked first: a certificate of another identity stays wrong, whatever the clock says.
   const absl::StatusOr<std::string> cert = ReadFile(files.cert, kPemBytesMax);
   const absl::StatusOr<Peer> leaf = cert.ok() ? ReadLeaf(*cert) : cert.status();
   if (leaf.ok() && check) {

@@ -34,7 +34,7 @@ void RouteGrpcLogs();
 // InvalidArgument or the file's own error, naming the file and the remedy.
 absl::StatusOr<Peer> ReadOwnCertificate(const TlsFiles& files);
 
-// One's own certificate and whom to trust. The files are watched (every second): connections made
+// Our certificate and the authorities to trust. They are watched (every second): connections made
 // after a change use the new ones, live streams go on. A directory must be replaced atomically: if
 // certificate and key do not match, new connections fail until they do.
 class Credentials {

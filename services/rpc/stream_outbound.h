@@ -116,7 +116,7 @@ class StreamOutbound {
   }
 
   // Takes no more messages, writes those that wait, and ends the call with `status` then. A peer
-  // that does not read delays the end without limit: somebody must Close() such a call in the end,
+  // that does not read delays the end without limit: its owner must Close() such a call in the end,
   // as a server's shutdown does after its grace. The first status counts, of whichever kind.
   void CloseWhenSent(grpc::Status status) ABSL_LOCKS_EXCLUDED(mu_) {
     MutexLock lock(&mu_);

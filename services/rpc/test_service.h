@@ -1,5 +1,5 @@
 // The sensor service as a script for this folder's tests: remembers who called and what came,
-// answers what it is told. Any thread.
+// answers as configured. Any thread.
 #ifndef RIPS_SERVICES_RPC_TEST_SERVICE_H_
 #define RIPS_SERVICES_RPC_TEST_SERVICE_H_
 

@@ -1,4 +1,4 @@
-// Tells a job that runs on another thread to end early.
+// Asks a job that runs on another thread to end early.
 #ifndef RIPS_SERVICES_RUNTIME_CANCEL_FLAG_H_
 #define RIPS_SERVICES_RUNTIME_CANCEL_FLAG_H_
 

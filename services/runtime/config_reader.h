@@ -1,5 +1,5 @@
 // Strict reading of a YAML configuration text into a plain struct. Every problem is collected with
-// its place, so that one run tells all:
+// its place, so that one run reports all:
 //   sensor.yaml:3:1: unknown key `hsot`; did you mean `host`
 //     hsot: base
 //     ^

@@ -51,7 +51,7 @@ class ConfigTree {
   ConfigNode* root() { return root_.get(); }
 
   void AddProblem(ConfigPlace place, absl::string_view message);
-  // Reports every key below the root that nobody asked for.
+  // Reports every key below the root that was not read.
   void ReportUnknownKeys() {
     if (root_ != nullptr) ReportUnknownKeys(*root_);
   }

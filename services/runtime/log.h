@@ -2,7 +2,7 @@
 //   LogInfo("listening", {{"address", address}, {"robots", 3}});
 //   2026-11-21T13:00:00.000Z info listening address=127.0.0.1:7443 robots=3
 // The message is a constant; what varies goes into fields, where it is quoted and escaped, because
-// names and texts of a robot may be hostile. Any thread.
+// names and texts of a robot are untrusted. Any thread.
 #ifndef RIPS_SERVICES_RUNTIME_LOG_H_
 #define RIPS_SERVICES_RUNTIME_LOG_H_
 

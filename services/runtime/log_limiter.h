@@ -1,5 +1,5 @@
 // Keeps one source of lines (a robot, a kind of message on its bus) from filling the log: a burst
-// of lines and then so many a second each; what is left out is counted and told with the next line.
+// of lines and then so many a second each; lines left out are counted; the next line has the count.
 #ifndef RIPS_SERVICES_RUNTIME_LOG_LIMITER_H_
 #define RIPS_SERVICES_RUNTIME_LOG_LIMITER_H_
 

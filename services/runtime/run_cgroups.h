@@ -34,9 +34,9 @@ class RunCgroup {
   RunCgroup(const RunCgroup&) = delete;
   RunCgroup& operator=(const RunCgroup&) = delete;
 
-  // Whoever writes `0` there enters.
+  // A process that writes `0` there enters.
   absl::StatusOr<UniqueFd> OpenProcs() const;
-  // Processes in it and below. 0 also if it cannot be told.
+  // Processes in it and below. 0 also if that is not known.
   int Count() const;
   bool Populated() const;
   // At most so many tasks and so much memory. False if one of the controllers is not switched on.

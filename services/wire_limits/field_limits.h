@@ -35,7 +35,7 @@ struct FieldLimit {
 };
 inline constexpr uint64_t kAnyValue = UINT64_MAX;
 // The row for fields that this version does not know. A newer peer may send some; what they cost to
-// parse is more than what is done with the message, so nobody may send many.
+// parse is more than what is done with the message, so a message may not have many.
 inline constexpr char kUnknownFields[] = "(unknown)";
 // In one message, those in its unknown groups among them; in the messages in it as many again.
 inline constexpr uint32_t kUnknownFieldsMax = 8;

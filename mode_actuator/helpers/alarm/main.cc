@@ -87,8 +87,8 @@ int main(int argc, char** argv) {
   std::string file = "/etc/rips/actuator.yaml";
   std::string device;
   std::string state;
-  CLI::App app("Looks at the USB alarms of a robot, or brings one into a state.", "rips-alarm");
-  app.footer("A running rips-actuator tells its alarms again. It holds serial boards for itself.");
+  CLI::App app("Lists and reads the USB alarms of a robot, or sets one.", "rips-alarm");
+  app.footer("A running rips-actuator sets its alarms again, and keeps serial boards open.");
   app.add_option("--config", file, "configuration of rips-actuator")->capture_default_str();
   CLI::Option* which = app.add_option("DEVICE", device, "name in `devices`; without: all");
   app.add_option("STATE", state, "state to bring it into; without: look")->needs(which);

@@ -28,7 +28,7 @@ bool IsEnter(int argc, char* const* argv) {
 int EnterAndExec(int argc, char** argv) {
   if (argc < 3) return kCannotStart;
   for (const int fd : {kEnterCgroupFd, kEnterReportFd}) fcntl(fd, F_SETFD, FD_CLOEXEC);
-  // `0` is whoever writes it.
+  // `0` is the process that writes it.
   if (write(kEnterCgroupFd, "0", 1) != 1) return Fail("cannot enter its cgroup");
   const rlimit none = {0, 0};
   if (setrlimit(RLIMIT_CORE, &none) != 0) return Fail("cannot forbid core dumps");

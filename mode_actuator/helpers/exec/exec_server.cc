@@ -32,7 +32,7 @@ void LogEnd(const std::string& program, const ProgramResult& result, bool told) 
     LogWarning("ended", {{"program", ros2::Printable(program)},
                          {"status", ros2::Printable(result.status.ToString())},
                          {"note", ros2::Printable(result.note)},
-                         {"asker", told ? "told" : "gone"}});
+                         {"client", told ? "informed" : "disconnected"}});
   }
 }
 
@@ -129,7 +129,7 @@ bool ExecServer::Handle(uint64_t id, Connection& connection, const std::string& 
     return true;
   }
   if (connection.asked) {
-    Refuse(connection, absl::InvalidArgumentError("malformed: a connection asks once"));
+    Refuse(connection, absl::InvalidArgumentError("malformed: a second request on one connection"));
     return false;
   }
   connection.asked = true;
@@ -141,9 +141,9 @@ bool ExecServer::Handle(uint64_t id, Connection& connection, const std::string& 
     return Answer(connection, answer);
   }
   if (IsGone(connection.channel.fd())) {
-    // Whoever asked has given up, and has told so: a program that starts now would surprise.
+    // The client has disconnected; do not start its program.
     LogWarning("not started", {{"program", ros2::Printable(call->program.name)},
-                               {"why", "whoever asked for it is gone"}});
+                               {"why", "its client has disconnected"}});
     return false;
   }
   return Start(id, connection, call->program);

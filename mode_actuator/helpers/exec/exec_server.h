@@ -1,4 +1,4 @@
-// The socket of rips-exec: who may have programs run, and how they are told.
+// The socket of rips-exec: which users may run programs, and how it reports results.
 #ifndef RIPS_MODE_ACTUATOR_HELPERS_EXEC_EXEC_SERVER_H_
 #define RIPS_MODE_ACTUATOR_HELPERS_EXEC_EXEC_SERVER_H_
 
@@ -34,7 +34,7 @@ class ExecServer {
   struct Options {
     uid_t user = 0;  // served beside root; the kernel says who they are
     absl::Duration peer_timeout = kExecPeerTimeout;
-    std::vector<ProgramSpec> allowed;  // for their timeouts, which are told
+    std::vector<ProgramSpec> allowed;  // for their timeouts, which answers name
   };
 
   // `runner` is not owned and must end before this: its callbacks come here.

@@ -316,7 +316,7 @@ TEST_F(ExecClientTest, AHangBeforeItsAnswerIsUnknown) {
   Waiter waiter;
   Start("held", waiter);
   EXPECT_THAT(waiter.Wait().status,
-              StatusIs(absl::StatusCode::kUnknown, "rips-exec gave no answer within 100ms"));
+              StatusIs(absl::StatusCode::kUnknown, "rips-exec did not answer within 100ms"));
   EXPECT_THAT(client_->Examine("fine"), StatusIs(absl::StatusCode::kUnknown));
 }
 
@@ -330,8 +330,8 @@ TEST_F(ExecClientTest, AHangDuringARunIsUnknown) {
   begun.timeout = absl::Milliseconds(50);
   channel.Send(EncodeExecAnswer(begun));
   EXPECT_THAT(channel.Flush(), IsOk());
-  EXPECT_THAT(waiter.Wait().status,
-              StatusIs(absl::StatusCode::kUnknown, HasSubstr("did not tell its end within 50ms")));
+  EXPECT_THAT(waiter.Wait().status, StatusIs(absl::StatusCode::kUnknown,
+                                             HasSubstr("did not report its end within 50ms")));
 }
 
 TEST_F(ExecClientTest, AnEndBeforeTheRequestWasReadIsNotBegun) {

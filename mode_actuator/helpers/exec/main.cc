@@ -1,5 +1,5 @@
 // rips-exec: runs programs of the allow-list for rips-actuator, so that the process that speaks
-// with the network never starts one. It speaks with nobody but root and one user, on a Unix socket.
+// with the network never starts one. It serves only root and one user, on a Unix socket.
 #include <cstdio>
 #include <memory>
 #include <optional>
@@ -89,7 +89,7 @@ int main(int argc, char** argv) {
 
   const rips::RealClock clock;
   rips::SignalWaiter signals({});
-  // Only one can listen, so what is found in the cgroups is nobody's any more.
+  // Only one process can listen, so the processes in the cgroups have no owner.
   auto listener = rips::actuator::ListenForHelper(config.exec.socket, *user);
   if (!listener.ok()) return Fail(rips::kExitFailed, listener.status());
   const auto cgroups = OpenCgroups(config, false);
@@ -110,7 +110,7 @@ int main(int argc, char** argv) {
   rips::LogInfo("stopping");
   server.Stop();
   serving.join();
-  // Kills what runs. Whoever waits for it learns that we ended.
+  // Kills the programs that run. Their clients see the connection close.
   runner.reset();
   return ready.ok() ? 0 : Fail(rips::kExitFailed, ready);
 }

@@ -137,7 +137,7 @@ struct PosixRunner::Run {
   std::unique_ptr<RunCgroup> cgroup;  // null: its process group must do
   int64_t started_ns = 0;
   int64_t deadline_ns = 0;
-  int64_t kill_at_ns = 0;  // 0 = not told to end yet
+  int64_t kill_at_ns = 0;  // 0 = not asked to end yet
   std::atomic<bool> cancel = false;
   bool timed_out = false;
   bool killed = false;
@@ -285,7 +285,7 @@ absl::StatusOr<uint64_t> PosixRunner::Start(const ProgramRequest& request, Done 
   run->started_ns = clock_->Now().boottime_ns;
   run->deadline_ns =
       run->started_ns + absl::ToInt64Nanoseconds(std::min(request.timeout, spec->timeout));
-  // Free of races: nobody else waits for children, so the process cannot have been reaped.
+  // Free of races: no other thread waits for children, so the process cannot have been reaped.
   run->pidfd = UniqueFd(static_cast<int>(syscall(SYS_pidfd_open, run->pid, 0)));
   MutexLock lock(&mu_);
   const uint64_t id = next_run_++;
@@ -376,7 +376,7 @@ bool PosixRunner::Reap(Run& run, int64_t now_ns) {
     return false;
   }
   ProgramResult& result = run.result;
-  // What we told to end is not counted: it may be about to.
+  // A process that was signalled is not counted: it may be about to end.
   const bool by_itself = run.kill_at_ns == 0 && !run.killed;
   const int left = by_itself && run.cgroup != nullptr ? run.cgroup->Count() : 0;
   if (left > 0)

@@ -38,7 +38,7 @@ inline constexpr absl::Duration kEnterTimeout = absl::Seconds(2);
 
 struct PosixRunnerOptions {
   std::vector<ProgramSpec> allowed;
-  std::string robot;  // told by RIPS_ROBOT and RIPS_HOST; empty = not told
+  std::string robot;  // for RIPS_ROBOT and RIPS_HOST; empty = not set
   std::string host;
   std::string enter = "/proc/self/exe";  // rips-exec
   RunCgroups* cgroups = nullptr;         // not owned, outlives the runner; null = without

@@ -52,7 +52,7 @@ std::string Named(const std::vector<std::string>& names) {
                       names.size() - kNamedMax, " more");
 }
 
-// What people must expect of the released.
+// A warning about the nodes that are released.
 std::string ReleaseNote(const std::vector<std::string>& now_out,
                         const std::vector<std::string>& later_out) {
   if (now_out.empty() && later_out.empty()) return "";
@@ -161,7 +161,7 @@ absl::StatusOr<Ruleset> Firewall::Load(const std::string& script) {
 
 absl::Status Firewall::Learn(const std::string& script, const Ruleset& now) {
   if (!now.present) return Left("nft reported success but the table is not there");
-  // What somebody has switched off would be loaded and do nothing.
+  // A table that was switched off would be loaded without effect.
   if (now.dormant) return Left("the table is switched off (dormant); delete it by hand");
   absl::btree_map<std::string, ChainView> table;
   for (const absl::string_view chain : kTableChains) {
@@ -271,7 +271,7 @@ absl::StatusOr<std::string> Firewall::EnterIsolation(const FirewallStep& step) {
 }
 
 FwResponse Firewall::EnterRelease() {
-  // An address of a server that is not known must not keep anybody locked out.
+  // An unknown address of a server must not prevent a release.
   const absl::StatusOr<std::vector<ControlAddress>> control = host_->Control();
   const std::string table = TableScript(control.ok() ? *control : std::vector<ControlAddress>());
   const absl::StatusOr<Ruleset> before = ListOrMend(table);
@@ -332,7 +332,7 @@ absl::Status Firewall::CompareTable(const Ruleset& now) {
       return Left(absl::StrCat("server ", value, " is not in `", set, "`"));
     }
   }
-  if (there != control.size()) return Left("somebody else is in the sets of servers");
+  if (there != control.size()) return Left("the sets of servers have other addresses");
   return absl::OkStatus();
 }
 

@@ -1,7 +1,7 @@
-// What rips-fw does: brings our table into the state a step asks for, reads it back, and tells what
+// What rips-fw does: brings our table into the state a step asks for, reads it back, and says what
 // is no longer as it was loaded.
 //
-// The kernel holds the state (rules, timers, since when somebody is isolated), so that neither a
+// The kernel holds the state (rules, timers, since when a target is isolated), so that neither a
 // restart of this process nor its death opens or closes anything. Kept here is only how the kernel
 // printed the rules right after they were loaded: what differs from that later was changed by
 // somebody else.
@@ -37,7 +37,7 @@ namespace rips::actuator {
 struct FirewallOptions {
   // The only files whose rules may be loaded: those that actuator.yaml names.
   std::vector<std::string> files;
-  // Nobody isolated comes back earlier: by then the DDS lease has ended here and the nodes of the
+  // No target is released earlier: by then the DDS lease has ended here and the nodes of the
   // robot know that the writer is gone, instead of taking its old samples for new ones in a row.
   // The isolated go on hearing our multicast, so their leases on us do not end: reliable writers
   // keep what they could not deliver, and send it when they are released, however late.

@@ -234,7 +234,7 @@ TEST_F(FirewallTest, TellsWhatSomebodyElseChangedAndMendsIt) {
       {"flush set inet rips level_hold", "time of the level's rules is over for ipv4"},
       {"delete element inet rips level_hold { ipv6 }", "is over for ipv6"},
       {"flush set inet rips control4", "server 10.0.0.1 . 7443 is not in `control4`"},
-      {"add element inet rips control4 { 10.6.6.6 . 1 }", "somebody else is in the sets"},
+      {"add element inet rips control4 { 10.6.6.6 . 1 }", "the sets of servers have other"},
   };
   ASSERT_THAT(Enter(Rules()).status, IsOk());
   for (const auto& test : kCases) {

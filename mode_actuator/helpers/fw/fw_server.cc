@@ -14,7 +14,7 @@ namespace rips::actuator {
 namespace {
 
 void Answer(int fd, const FwResponse& response) {
-  // Whoever does not read its answers does without.
+  // A client that does not read its answers loses them.
   SendPacket(fd, EncodeFwResponse(response)).IgnoreError();
 }
 

@@ -235,7 +235,7 @@ TEST_F(FwServerTest, TheConfiguredUserIsServed) {
 TEST_F(FwServerTest, ListensOnlyWhereNobodyElseDoes) {
   StartServer();
   EXPECT_THAT(ListenAt(path_, geteuid()),
-              StatusIs(absl::StatusCode::kAlreadyExists, HasSubstr("somebody listens at")));
+              StatusIs(absl::StatusCode::kAlreadyExists, HasSubstr("another process listens at")));
   StopServer();
   server_.reset();
   EXPECT_THAT(ListenAt(path_, geteuid()), IsOk()) << "what a dead one has left";

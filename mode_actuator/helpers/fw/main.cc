@@ -1,5 +1,5 @@
 // rips-fw: changes the packet filter of one robot host for rips-actuator. The only process of RIPS
-// that needs CAP_NET_ADMIN; it speaks with nobody but root and one user, on a Unix socket.
+// that needs CAP_NET_ADMIN; it serves only root and one user, on a Unix socket.
 #include <cstdio>
 #include <memory>
 #include <optional>

@@ -31,7 +31,7 @@ struct ChainView {
 
 struct Ruleset {
   bool present = false;
-  bool dormant = false;  // there, but with flags: switched off by somebody
+  bool dormant = false;  // there, but with flags: switched off by another process
   absl::btree_map<std::string, ChainView> chains;
   absl::btree_map<std::string, std::vector<SetElement>> sets;
 };

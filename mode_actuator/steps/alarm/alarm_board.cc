@@ -92,10 +92,10 @@ class AlarmBoard::Line : public std::enable_shared_from_this<AlarmBoard::Line> {
   bool ended_ ABSL_GUARDED_BY(mu_) = false;
   bool missing_ ABSL_GUARDED_BY(mu_) = false;
   std::deque<Order> waiting_ ABSL_GUARDED_BY(mu_);
-  uint64_t running_ ABSL_GUARDED_BY(mu_) = 0;  // 0 = none, or nobody waits for it
+  uint64_t running_ ABSL_GUARDED_BY(mu_) = 0;  // 0 = none, or one without a caller
   bool busy_ ABSL_GUARDED_BY(mu_) = false;     // with an order, waited for or not
   std::map<uint64_t, AlarmResult> results_ ABSL_GUARDED_BY(mu_);
-  std::set<uint64_t> left_ ABSL_GUARDED_BY(mu_);  // whose results nobody waits for
+  std::set<uint64_t> left_ ABSL_GUARDED_BY(mu_);  // orders without a caller
 };
 
 // --- those who wait
@@ -271,7 +271,7 @@ AlarmResult AlarmBoard::Line::Judge(const Order& order, const AlarmReading& read
         result.detail = "plugged in; this device cannot be read back";
       } else {
         result.status = absl::FailedPreconditionError(
-            absl::StrCat("it was plugged in again, and not told to be ", wanted, " since"));
+            absl::StrCat("it was plugged in again, and not set to ", wanted, " since"));
       }
       break;
     }

@@ -3,7 +3,7 @@
 // Each device has a thread of its own, the only one that talks to it: orders of several channels
 // of one board are carried out one by one. It opens the device when it is first needed after it
 // was lost, by finding it anew; a device that fails is closed. A thread that the kernel does not
-// give back holds up nobody but those who wait for its device, and them not for longer than
+// give back delays only the callers that wait for its device, and them not for longer than
 // kAlarmIoBudget.
 #ifndef RIPS_MODE_ACTUATOR_STEPS_ALARM_ALARM_BOARD_H_
 #define RIPS_MODE_ACTUATOR_STEPS_ALARM_ALARM_BOARD_H_

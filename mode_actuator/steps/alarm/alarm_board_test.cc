@@ -233,7 +233,7 @@ TEST_F(AlarmBoardTest, WhatCannotBeReadBackIsNotedAsTold) {
   world_->With("A", [](World::Plugged& device) { device.readable = false; });
   Start();
   EXPECT_THAT(ReadAlarm(*board_, "left", kTestOn).status,
-              StatusIs(StatusCode::kFailedPrecondition, HasSubstr("not told to be on")));
+              StatusIs(StatusCode::kFailedPrecondition, HasSubstr("not set to on")));
   const AlarmResult on = SetAlarm(*board_, "left", kTestOn);
   EXPECT_THAT(on.status, IsOk());
   EXPECT_EQ(on.detail, "sent; this device cannot be read back");

@@ -39,7 +39,7 @@ class AlarmDevice {
 };
 
 // Finds the device of `spec` among those plugged in, by its serial or path, and opens it. NotFound
-// if it is not there, or something else is; Unavailable if it cannot be told or opened.
+// if it is not there, or something else is; Unavailable if it cannot be identified or opened.
 using OpenAlarm =
     std::function<absl::StatusOr<std::unique_ptr<AlarmDevice>>(const AlarmSpec&, IoGate*)>;
 

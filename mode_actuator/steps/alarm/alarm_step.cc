@@ -31,7 +31,7 @@ class AlarmLevelStep final : public LevelStep {
   bool in_order() const override { return false; }
   bool alarms() const override { return step_.state != kOff; }
 
-  // Every retry of a level tells it again: that does no harm, and it may have been unplugged.
+  // Every retry of a level sets it again: that does no harm, and it may have been unplugged.
   std::unique_ptr<StepAttempt> Enter(const EnterOptions& options, int64_t now_ns) override {
     const AlarmAttempt::Options to = {.timeout = options.timeout, .retries = options.retries};
     return std::make_unique<AlarmAttempt>(step_, Name(), alarms_, to, now_ns);
@@ -62,7 +62,7 @@ class AlarmLevelStep final : public LevelStep {
     }
   }
   StepResult Flash(absl::Duration timeout, const CancelFlag& cancel);
-  // Tells the alarm to be off; waits for it unless it is cancelled.
+  // Switches the alarm off; waits for it unless it is cancelled.
   absl::Status SwitchOff(absl::Duration timeout, const CancelFlag& cancel);
   int64_t NowNs() const { return clock_->Now().boottime_ns; }
 
@@ -70,7 +70,7 @@ class AlarmLevelStep final : public LevelStep {
   const bool flash_in_drills_;
   Alarms* const alarms_;      // Not owned; outlives this.
   const Clock* const clock_;  // Not owned; outlives this.
-  // It was not as told right after it was told.
+  // It did not read back as set right after it was set.
   bool misread_ = false;
 };
 
@@ -109,7 +109,7 @@ StepResult AlarmLevelStep::Flash(absl::Duration timeout, const CancelFlag& cance
   if (off.ok()) return result;
   absl::StrAppend(
       &result.detail, result.detail.empty() ? "" : "; ",
-      "IT MAY STILL BE ON, it could not be told to be off: ", ros2::Printable(off.message()));
+      "IT MAY STILL BE ON, it could not be switched off: ", ros2::Printable(off.message()));
   result.ok = false;
   return result;
 }
@@ -123,7 +123,7 @@ absl::Status AlarmLevelStep::SwitchOff(absl::Duration timeout, const CancelFlag&
     std::optional<AlarmResult> ended;
     while (!(ended = alarms_->Poll(*order)).has_value()) {
       if (cancel.cancelled() || NowNs() >= end_ns) {
-        // It is carried out all the same, before what a level tells this device.
+        // The order is still carried out, before any order of a level to this device.
         alarms_->Leave(*order);
         return cancel.cancelled() ? absl::CancelledError("a level had to be applied")
                                   : absl::DeadlineExceededError("it does not answer");

@@ -109,7 +109,7 @@ class LcusSerial final : public AlarmDevice {
     RIPS_ASSIGN_OR_RETURN(const std::string answer, line_->Ask({kLcusQuery}, kLcusFirstWait));
     if (answer.empty()) {
       // Many boards do not know the query; one that did and is silent now is in trouble.
-      if (answers_ == true) return absl::DeadlineExceededError("the board answers no more");
+      if (answers_ == true) return absl::DeadlineExceededError("the board no longer answers");
       answers_ = false;
       return AlarmReading{};
     }
@@ -236,7 +236,7 @@ class Finder {
   }
 
   absl::StatusOr<HidDevice> ByPath(const std::vector<HidCandidate>& candidates) {
-    // Asked first of the path alone, so that a missing one is told as such.
+    // The path is checked first, so that a missing one is reported as missing.
     RIPS_RETURN_IF_ERROR(LeadsTo(spec_.path, spec_.path).status());
     for (const HidCandidate& candidate : candidates) {
       RIPS_ASSIGN_OR_RETURN(const bool is_it, LeadsTo(spec_.path, candidate.node));

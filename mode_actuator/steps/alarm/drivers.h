@@ -1,6 +1,6 @@
 // The alarm devices that are known, each as an AlarmDevice.
 //
-// | kind        | told apart by                | read back                                   |
+// | kind        | identified by                | read back                                   |
 // |-------------|------------------------------|---------------------------------------------|
 // | usb_relay   | the id the board answers     | always                                      |
 // | lcus        | USB serial number            | never                                       |

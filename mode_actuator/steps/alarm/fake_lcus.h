@@ -28,7 +28,7 @@ class FakeLcus {
   // Of the terminal that the driver opens.
   const std::string& path() const { return path_; }
   void set_answer(Answer answer) ABSL_LOCKS_EXCLUDED(mu_);
-  // Somebody else switches relay 1 or 2.
+  // Another process switches relay 1 or 2.
   void Force(int relay, bool on) ABSL_LOCKS_EXCLUDED(mu_);
   bool is_on(int relay) ABSL_LOCKS_EXCLUDED(mu_);
   // How the driver set the line up.

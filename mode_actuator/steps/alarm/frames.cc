@@ -27,9 +27,8 @@ constexpr Colour kDark = {0, 0, 0};
 absl::Status Garbage(absl::string_view what, std::span<const uint8_t> bytes) {
   const size_t shown = std::min<size_t>(bytes.size(), 16);
   const std::string text(bytes.begin(), bytes.begin() + static_cast<ptrdiff_t>(shown));
-  return absl::DataLossError(absl::StrCat("the device answers what ", what,
-                                          " does not: ", bytes.size(), " bytes `",
-                                          absl::BytesToHexString(text), "`"));
+  return absl::DataLossError(absl::StrCat("the answer of ", what, " is invalid: ", bytes.size(),
+                                          " bytes `", absl::BytesToHexString(text), "`"));
 }
 
 Frame Blink1Line(uint8_t line, const Colour& colour) {

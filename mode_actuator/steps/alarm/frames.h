@@ -26,7 +26,7 @@ inline constexpr size_t kUsbRelayIdBytesMax = 5;
 // `relay` from 1.
 Frame UsbRelayFrame(int relay, bool on);
 struct UsbRelayStatus {
-  std::string id;      // what the board is told apart by; 1 to 5 printable characters
+  std::string id;      // identifies the board; 1 to 5 printable characters
   uint8_t relays = 0;  // bit 0 = relay 1; set = on
 };
 absl::StatusOr<UsbRelayStatus> DecodeUsbRelayStatus(std::span<const uint8_t> report);
@@ -52,7 +52,7 @@ Frame LuxaforFrame(const AlarmState& state);
 
 inline constexpr uint8_t kBlink1Report = 1;
 inline constexpr size_t kBlink1FrameBytes = 9;
-// In the order to send. The light needs nobody to keep going.
+// In the order to send. The light repeats them by itself.
 std::vector<Frame> Blink1Frames(const AlarmState& state);
 // Questions: the answer is the next feature report read, and repeats the letter of the question.
 Frame Blink1AskPlaying();

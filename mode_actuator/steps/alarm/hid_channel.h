@@ -21,7 +21,7 @@ struct hid_device_;
 
 namespace rips::actuator {
 
-// Devices of one vendor and product; with more, none of them is told apart.
+// Devices of one vendor and product; with more, none of them is identified.
 inline constexpr size_t kHidCandidatesMax = 32;
 
 // One opened device. One thread at a time. Unavailable, with the system's words, if the device does
@@ -58,7 +58,7 @@ struct HidCandidate {
 };
 
 // hidapi itself, whose finding and opening of devices is not thread-safe. At most one at a time in
-// a process, shared by whoever may still be using it. Any thread.
+// a process, shared by its users. Any thread.
 class HidLibrary {
  public:
   HidLibrary();

@@ -20,7 +20,7 @@ class IoGate {
 
   // One exchange that may block:
   //   IoGate::Exchange exchange(gate);
-  //   RIPS_RETURN_IF_ERROR(exchange.status());  // Aborted: nobody waits for it any more
+  //   RIPS_RETURN_IF_ERROR(exchange.status());  // Aborted: no caller waits for it any more
   class [[nodiscard]] Exchange {
    public:
     explicit Exchange(IoGate* gate) : gate_(gate), status_(gate->Enter()) {}

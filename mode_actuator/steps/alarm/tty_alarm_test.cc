@@ -110,7 +110,7 @@ TEST_F(TtyAlarmTest, ABoardThatFallsSilentIsAFailure) {
   EXPECT_THAT(SetAlarm(*alarms_, "siren", kTestOn).status, IsOk());
   board.set_answer(FakeLcus::Answer::kNothing);
   EXPECT_THAT(ReadAlarm(*alarms_, "siren", kTestOn).status,
-              StatusIs(StatusCode::kDeadlineExceeded, HasSubstr("answers no more")));
+              StatusIs(StatusCode::kDeadlineExceeded, HasSubstr("no longer answers")));
 }
 
 TEST_F(TtyAlarmTest, ARelayThatTheBoardDoesNotHave) {

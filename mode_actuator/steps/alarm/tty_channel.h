@@ -20,7 +20,7 @@ namespace rips::actuator {
 class TtyChannel {
  public:
   // NotFound if there is no `path` or it is no terminal, Unavailable if it cannot be opened or set
-  // up. Nobody else can open it afterwards (except root). `gate` is not
+  // up. Only root can open it afterwards. `gate` is not
   // owned and outlives this.
   static absl::StatusOr<std::unique_ptr<TtyChannel>> Open(const std::string& path, IoGate* gate);
 

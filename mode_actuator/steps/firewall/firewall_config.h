@@ -14,7 +14,7 @@
 
 namespace rips::actuator {
 
-// DDS leases end after 10 s mostly, and discovery tells a little later.
+// DDS leases end after 10 s mostly, and discovery reports it a little later.
 inline constexpr absl::Duration kFirewallHoldMin = absl::Seconds(12);
 inline constexpr absl::Duration kFirewallHoldMax = absl::Minutes(10);
 // Of one firewall step: nft is run up to four times.
@@ -24,7 +24,7 @@ inline constexpr int kFirewallStepRetries = 1;
 struct FirewallSettings {
   std::string socket = "/run/rips/fw.sock";  // where rips-fw listens
   std::string user = "rips";                 // who may ask it, besides root; a name or a number
-  std::string run_as;                        // whom it runs as; empty = `rips-fw`, if it exists
+  std::string run_as;                        // its user; empty = `rips-fw`, if it exists
   absl::Duration hold = kFirewallHoldMin;    // FirewallOptions::hold
 };
 

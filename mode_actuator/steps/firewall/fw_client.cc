@@ -48,7 +48,7 @@ absl::StatusOr<FwResponse> FwClient::Call(const FwRequest& request, absl::Durati
     if (cancel.cancelled()) return absl::CancelledError("cancelled");
     if (left_ns <= 0) {
       return absl::DeadlineExceededError(
-          absl::StrCat("rips-fw gave no answer within ", absl::FormatDuration(timeout)));
+          absl::StrCat("rips-fw did not answer within ", absl::FormatDuration(timeout)));
     }
     pollfd poll_fd = {fd.get(), POLLIN, 0};
     poll(&poll_fd, 1, static_cast<int>(std::min<int64_t>(kPollMs, left_ns / kNanosPerMilli + 1)));

@@ -22,7 +22,7 @@ inline constexpr absl::Duration kFwCheckTimeout = absl::Seconds(3);
 // A connection for each request: rips-fw may be started by it, or anew between two.
 class FwClient final : public FirewallControl {
  public:
-  // `run_as`: the user whom rips-fw runs as, if there is one.
+  // `run_as`: the user that rips-fw runs as, if there is one.
   explicit FwClient(std::string socket_path, std::optional<uid_t> run_as = std::nullopt)
       : door_(std::move(socket_path), "rips-fw", run_as) {}
 

@@ -53,7 +53,7 @@ std::string LevelScript(const std::vector<FragmentRule>& rules, absl::Duration h
 std::string HoldScript(absl::Duration hold_for);
 // Adds, or sets the time of those that are there.
 std::string IsolateScript(const std::vector<Isolation>& isolations);
-// No level rules; isolated are `kept` and nobody else.
+// No level rules; isolated are exactly `kept`.
 std::string ReleaseScript(const std::vector<Isolation>& kept);
 
 }  // namespace rips::actuator

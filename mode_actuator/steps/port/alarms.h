@@ -20,9 +20,9 @@ inline constexpr absl::Duration kAlarmIoBudget = absl::Milliseconds(500);
 inline constexpr size_t kAlarmOrdersMax = 8;
 
 struct AlarmResult {
-  // OK: the alarm is as wanted, or was told to be and cannot be asked. NotFound: no such device is
+  // OK: the alarm is as wanted, or was set and cannot be read. NotFound: no such device is
   // plugged in. FailedPrecondition: it was read back and is otherwise, or it was plugged in again
-  // and has not been told since. DataLoss: it answers garbage. DeadlineExceeded: it does not
+  // and has not been set since. DataLoss: it answers garbage. DeadlineExceeded: it does not
   // answer. Unavailable: the system says no.
   absl::Status status;
   // `relay 1 is on (read back)`, `sent; this device cannot be read back`; empty if not OK.
@@ -48,9 +48,9 @@ class Alarms {
   // The result, once; nullopt while it is not over. It is DeadlineExceeded as soon as one
   // exchange of the device takes longer than kAlarmIoBudget; what waited behind it is not sent.
   virtual std::optional<AlarmResult> Poll(uint64_t order) = 0;
-  // Nobody will ask again. What has not been sent is not sent.
+  // The caller gives up: frames not sent yet are not sent.
   virtual void Drop(uint64_t order) = 0;
-  // Nobody will ask again, but it is carried out.
+  // The caller gives up, but the order is carried out.
   virtual void Leave(uint64_t order) = 0;
 };
 

@@ -27,7 +27,7 @@ class FirewallControl {
   // Looks once, and renews what would end by itself. FailedPrecondition if it is not so any more.
   virtual StepReading Check(const Step& step, const CancelFlag& cancel) = 0;
 
-  // Looks whether Enter could do it now, and changes nothing. Unimplemented if that cannot be told.
+  // Checks whether Enter would succeed now; changes nothing. Unimplemented if that is not known.
   virtual StepReading Drill(const Step&, const CancelFlag&) {
     return {.status = absl::UnimplementedError("not tried: such a step can only be carried out"),
             .observed = {},

@@ -36,7 +36,7 @@ struct StepReading {
   absl::Status status;
   // What was seen, `firewall=alert.nft`; empty = nothing worth telling.
   std::string observed;
-  // What people should know although it went well; empty mostly.
+  // A warning although it succeeded; empty mostly.
   std::string note;
 };
 
@@ -54,7 +54,7 @@ class StepAttempt {
   // Once it is over.
   StepResult result;
   absl::Status status;
-  // `/safety=ALERT`, `horn=on`, without spaces; empty = nothing to tell.
+  // `/safety=ALERT`, `horn=on`, without spaces; empty = no target.
   std::string observed;
 };
 
@@ -88,7 +88,7 @@ class LevelStep {
   virtual bool in_order() const = 0;
   // Lets more through than before: a raise does not run it.
   virtual bool opens() const { return false; }
-  // Somebody sees or hears it while its level holds.
+  // It can be seen or heard while its level holds.
   virtual bool alarms() const { return false; }
 
   virtual std::unique_ptr<StepAttempt> Enter(const EnterOptions& options, int64_t now_ns) = 0;
@@ -111,7 +111,7 @@ class LevelStep {
   const Step spec_;
 };
 
-// `detail` is what people read if the status is OK; else they read its message.
+// `detail` describes a result whose status is OK; otherwise the message of the status does.
 inline StepResult DrillResult(Drilled drilled, const absl::Status& status, std::string detail) {
   StepResult result;
   result.ok = status.ok();

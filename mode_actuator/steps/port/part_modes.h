@@ -38,7 +38,7 @@ struct ModeReading {
   absl::Status status;
   // The mode the robot says it is in; `?` if it does not say.
   std::string observed = "?";
-  // What people should know although it went well; empty mostly.
+  // A warning although it succeeded; empty mostly.
   std::string note = {};
 };
 
@@ -58,7 +58,7 @@ class PartModes {
 
   // Orders `mode` and waits until it is read back: 1 + `retries` attempts of `timeout` each.
   // InvalidArgument if the robot refuses the order (no use to try again), Cancelled, Unavailable
-  // if nobody takes the order, DeadlineExceeded if the mode was not reached.
+  // if no node accepts the order, DeadlineExceeded if the mode was not reached.
   virtual ModeReading Enter(absl::string_view part, absl::string_view mode, absl::Duration timeout,
                             int retries, const CancelFlag& cancel) = 0;
 
@@ -68,7 +68,7 @@ class PartModes {
 
   // Looks whether Enter could work now, and orders nothing: OK if all that it needs answers and
   // knows the mode. Unavailable or FailedPrecondition saying who does not, Cancelled;
-  // Unimplemented if it cannot be told.
+  // Unimplemented if that is not known.
   virtual ModeReading Probe(absl::string_view, absl::string_view, const CancelFlag&) {
     return {.status = absl::UnimplementedError("not tried: a mode can only be ordered")};
   }

@@ -26,21 +26,21 @@ struct ProgramRequest {
   std::string name;  // in the allow-list
   std::vector<std::string> args;
   absl::Duration timeout;  // cut to the program's own
-  bool drill = false;      // told by RIPS_DRILL=1
-  // Of a level step, told by RIPS_LEVEL_FROM and RIPS_LEVEL_TO; empty = not known.
+  bool drill = false;      // passed as RIPS_DRILL=1
+  // Of a level step, passed as RIPS_LEVEL_FROM and RIPS_LEVEL_TO; empty = not known.
   std::string level_from;
   std::string level_to;
 };
 
 struct ProgramResult {
   // OK = exited with 0. DeadlineExceeded = killed for time, Cancelled = by Cancel(), Aborted = any
-  // other end, Unknown = it was begun, and nobody can say how it ended. If it was not begun, as
+  // other end, Unknown = it was begun, and its end is not known. If it was not begun, as
   // Start's.
   absl::Status status;
   bool begun = true;        // false: it did not run at all, and `status` says why
   int exit_code = 0;        // 128 + signal if killed
   std::string output_tail;  // stdout and stderr together, the last kOutputBytesMax bytes
-  std::string note;         // what people should know although it may have gone well; mostly empty
+  std::string note;         // a warning although it may have succeeded; mostly empty
   uint64_t output_bytes = 0;
   uint32_t took_ms = 0;
 };
@@ -62,7 +62,7 @@ class ProgramRunner {
   // is not called if the status is not OK: PermissionDenied (not in the allow-list, or the file is
   // not safe to run), NotFound (no such file), InvalidArgument (arguments), ResourceExhausted
   // (concurrency, rate; later it may work), Unavailable (the system could not start it). A runner
-  // that learns of such a refusal only later tells it by `done`.
+  // that learns of such a refusal only later reports it by `done`.
   virtual absl::StatusOr<uint64_t> Start(const ProgramRequest& request, Done done) = 0;
   // SIGTERM to its process group, SIGKILL after kTermGrace; `done` follows. No-op when over.
   virtual void Cancel(uint64_t run) = 0;

@@ -192,10 +192,10 @@ bool ExecClient::Step(Call& call, int64_t now_ns) const {
         NotBegun(absl::UnavailableError("rips-exec went away before it had read the request")));
   } else if (now_ns >= call.deadline_ns) {
     if (call.begun) {
-      call.EndUnknown(absl::StrCat("rips-exec did not tell its end within ",
+      call.EndUnknown(absl::StrCat("rips-exec did not report its end within ",
                                    absl::FormatDuration(call.timeout), " and more"));
     } else {
-      call.EndUnknown(absl::StrCat("rips-exec gave no answer within ",
+      call.EndUnknown(absl::StrCat("rips-exec did not answer within ",
                                    absl::FormatDuration(options_.answer_timeout)));
     }
   }
@@ -233,7 +233,7 @@ bool ExecClient::AcceptAnswer(Call& call) const {
   } else if (answer->kind == call.wanted || answer->kind == Kind::kEnded) {
     call.End(std::move(answer->result));
   } else {
-    call.EndUnknown("rips-exec gave an answer that was not asked for");
+    call.EndUnknown("rips-exec sent an answer without a request");
   }
   return true;
 }

@@ -36,14 +36,14 @@ inline constexpr absl::Duration kExecEndSlack = absl::Seconds(5);
 // | refuses                                  | as ProgramRunner::Start says, not begun          |
 // | ends before it has read what we ask      | Unavailable, not begun                           |
 // | ends, or says nothing in time, before it | Unknown                                          |
-// | told that the program was begun          |                                                  |
+// | answered that the program was begun      |                                                  |
 // | ends while it runs                       | Unknown: `rips-exec ended while it ran`          |
-// | does not tell the end in time            | Unknown                                          |
+// | does not report the end in time          | Unknown                                          |
 class ExecClient final : public ProgramRunner {
  public:
   struct Options {
     std::string socket;
-    // The user whom rips-exec runs as, if there is one.
+    // The user that rips-exec runs as, if there is one.
     std::optional<uid_t> run_as = std::nullopt;
     absl::Duration answer_timeout = kExecAnswerTimeout;
     absl::Duration end_slack = kExecEndSlack;

@@ -14,7 +14,7 @@ inline constexpr int kStartsPerMinuteMax = 600;
 struct ExecSettings {
   std::string socket = "/run/rips/exec.sock";  // where rips-exec listens
   std::string user = "rips";                   // who may ask it, besides root; a name or a number
-  std::string run_as;  // whom it runs as; empty = `rips-exec`, if there is such a user
+  std::string run_as;  // its user; empty = `rips-exec`, if there is such a user
   std::string cgroup;  // directory of a cgroup v2 delegated to it; empty = its own
 };
 

@@ -80,7 +80,7 @@ absl::StatusOr<UniqueFd> OpenProgram(int root_fd, absl::string_view path) {
 
 absl::Status CheckSha256(int fd, absl::string_view sha256) {
   struct stat info;
-  if (fstat(fd, &info) != 0) return absl::UnavailableError("the file cannot be looked at");
+  if (fstat(fd, &info) != 0) return absl::UnavailableError("the file cannot be read");
   if (static_cast<size_t>(info.st_size) > kHashedBytesMax) {
     return absl::PermissionDeniedError(absl::StrCat(
         "a file of ", info.st_size, " bytes exceeds limit ", kHashedBytesMax, " of `sha256`"));

@@ -1,4 +1,4 @@
-// The file of a program: nobody but root can change it, and what was checked is what is run.
+// The file of a program: only root can change it, and the file that was checked is the one run.
 #ifndef RIPS_MODE_ACTUATOR_STEPS_PROGRAM_PROGRAM_FILE_H_
 #define RIPS_MODE_ACTUATOR_STEPS_PROGRAM_PROGRAM_FILE_H_
 
@@ -14,7 +14,7 @@ namespace rips::actuator {
 // Of a file whose SHA-256 is asked for; it is read before each run.
 inline constexpr size_t kHashedBytesMax = 64 << 20;
 
-// OK if nobody but root can change what `path` names: absolute, no `.` or `..`, every directory and
+// OK if only root can change what `path` names: absolute, no `.` or `..`, every directory and
 // the file itself owned by root, not writable by group or others, no symbolic link anywhere; the
 // file regular and executable. `root_fd` is the directory that stands for `/`. NotFound or
 // PermissionDenied, naming the component.

@@ -70,7 +70,8 @@ class ProgramAttempt final : public StepAttempt {
         Finish(*ended, now_ns);
       }
     } else if (now_ns >= deadline_ns_ + absl::ToInt64Nanoseconds(kEndGrace)) {
-      Finish({.status = absl::DeadlineExceededError("the program runner gave no result")}, now_ns);
+      Finish({.status = absl::DeadlineExceededError("the program runner did not return a result")},
+             now_ns);
     }
     return finished_;
   }
@@ -181,7 +182,8 @@ StepResult ProgramLevelStep::RunAsDrill(const DrillOptions& options) const {
   const std::optional<ProgramResult> ended = Await(*run, *slot, end_ns, options);
   if (!ended.has_value()) {
     return DrillResult(Drilled::kDone,
-                       absl::DeadlineExceededError("the program runner gave no result"), "");
+                       absl::DeadlineExceededError("the program runner did not return a result"),
+                       "");
   }
   StepResult result = DrillResult(ended->begun ? Drilled::kDone : Drilled::kNot, ended->status,
                                   "run as a drill; it exited with 0");

@@ -55,7 +55,7 @@ ManagerView ManagerClient::Poll(absl::string_view mode, absl::Duration timeout) 
   if (!mode_reply.ok()) return view;
   const absl::StatusOr<ros2::LifecycleLabel> state = ros2::DecodeGetStateReply(*state_reply);
   const absl::StatusOr<std::string> now = ros2::DecodeGetModeReply(*mode_reply);
-  view.says = "the mode manager answers nonsense";
+  view.says = "the mode manager sent an invalid answer";
   if (!state.ok() || !now.ok()) return view;
   view.answers = true;
   const bool named = !now->empty() && *now != "unknown";

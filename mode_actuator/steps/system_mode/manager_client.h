@@ -1,4 +1,4 @@
-// What the mode manager is asked and told of one part.
+// Queries and orders to the mode manager for one part.
 #ifndef RIPS_MODE_ACTUATOR_STEPS_SYSTEM_MODE_MANAGER_CLIENT_H_
 #define RIPS_MODE_ACTUATOR_STEPS_SYSTEM_MODE_MANAGER_CLIENT_H_
 
@@ -30,7 +30,7 @@ struct ManagerView {
   bool elsewhere = false;  // active, and in another mode: it is not on its way
   std::string named;       // the mode it names, as it was sent; empty if none
   std::string observed;    // the same, safe to print
-  std::string says = "the mode manager does not answer";  // for people
+  std::string says = "the mode manager does not answer";  // a message
 };
 
 // One thread at a time. Must not outlive its participant.

@@ -1,5 +1,5 @@
 // How one part came to its mode and who holds it there: whether its mode manager is worth waiting
-// for, and what people must hear. Pure: used by one thread, times are CLOCK_BOOTTIME nanoseconds.
+// for, and which warnings to report. Pure: one thread, times are CLOCK_BOOTTIME nanoseconds.
 #ifndef RIPS_MODE_ACTUATOR_STEPS_SYSTEM_MODE_MODE_HOLD_H_
 #define RIPS_MODE_ACTUATOR_STEPS_SYSTEM_MODE_MODE_HOLD_H_
 
@@ -28,13 +28,13 @@ class ModeHold {
   // Ordered and read back. `without` says why not through the manager; empty = through it. `told`
   // is the manager's endpoint that was told of the mode, if one was.
   void Reached(absl::string_view mode, std::string without, std::optional<ros2::Guid> told);
-  // The manager was told of the mode held.
+  // The manager was ordered to the mode held.
   void Notified(const ros2::Guid& manager) { told_ = manager; }
   // The manager agrees: it holds the part again.
   void Agreed() { without_.clear(); }
   // The part is no longer in `mode`, and the manager names `other`.
   void Left(absl::string_view mode, absl::string_view other, int64_t now_ns);
-  // The manager is told of the mode once per life: true if `manager` was not.
+  // The manager is ordered to the mode once per life: true if `manager` was not.
   bool IsNews(const ros2::Guid& manager) const { return told_ != manager; }
 
   // Held by orders to the nodes: what the manager says does not count.
@@ -43,7 +43,7 @@ class ModeHold {
   const std::string& without() const { return without_; }
   // Not empty: why `mode` must be ordered from the nodes without asking the manager.
   std::string WhyNotManager(absl::string_view mode, int64_t now_ns) const;
-  // For people, empty if all is well: `/safety=ALERT is held without the mode manager: ...`.
+  // A warning, empty if all is well: `/safety=ALERT is held without the mode manager: ...`.
   std::string Degraded(int64_t now_ns) const;
 
  private:

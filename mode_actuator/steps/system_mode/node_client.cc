@@ -103,12 +103,12 @@ void NodeClient::JudgeParameters(const ExpectedPart& expected, absl::Duration ti
       AskIfThere(*get_parameters_, ros2::EncodeGetParametersRequest(names), timeout);
   view.complete = reply.ok();
   if (!reply.ok()) {
-    view.wrong = absl::StrCat(name_, " does not tell its parameters");
+    view.wrong = absl::StrCat(name_, " does not report its parameters");
     return;
   }
   const auto values = ros2::DecodeGetParametersReply(*reply);
   if (!values.ok() || values->size() != names.size()) {
-    view.wrong = absl::StrCat(name_, " refuses to tell its parameters");
+    view.wrong = absl::StrCat(name_, " refuses to report its parameters");
     return;
   }
   for (size_t i = 0; i < names.size(); ++i) {
@@ -129,7 +129,7 @@ NodeView NodeClient::Poll(const ExpectedPart& expected, absl::Duration timeout) 
   const absl::StatusOr<uint8_t> state = State(timeout);
   if (!state.ok()) {
     view.wrong = absl::StrCat(
-        name_, absl::IsDataLoss(state.status()) ? " answers nonsense" : " does not answer");
+        name_, absl::IsDataLoss(state.status()) ? " sent an invalid answer" : " does not answer");
     return view;
   }
   view.answers = true;

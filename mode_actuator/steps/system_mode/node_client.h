@@ -56,7 +56,7 @@ class NodeClient {
   static absl::StatusOr<std::unique_ptr<NodeClient>> Create(const dds::Participant& participant,
                                                             const std::string& name);
 
-  // Its lifecycle state. Unavailable if nobody answers.
+  // Its lifecycle state. Unavailable if no node answers.
   absl::StatusOr<uint8_t> State(absl::Duration timeout = kReadTimeout);
   // Looks at state and, where some are expected, parameters. `timeout` of each call.
   NodeView Poll(const ExpectedPart& expected, absl::Duration timeout = kReadTimeout);

@@ -41,7 +41,7 @@ struct SystemModes::Task {
   const std::vector<ExpectedPart>& expected;
   const CancelFlag& cancel;
   const int64_t end_ns;
-  // The manager that was told of the mode.
+  // The manager that was ordered to the mode.
   std::optional<ros2::Guid> told;
 };
 
@@ -113,7 +113,7 @@ bool SystemModes::OrderManager(Task& task, int64_t end_ns, Attempt& attempt) {
   } else {
     attempt.hopeless = may_go_direct();
     attempt.reading.status =
-        absl::UnavailableError(absl::StrCat("the order was not taken: ", order.status().message()));
+        absl::UnavailableError(absl::StrCat("the order failed: ", order.status().message()));
   }
   return false;
 }
@@ -150,7 +150,7 @@ SystemModes::Attempt SystemModes::AskManager(Task& task, int64_t end_ns) {
       }
       attempt.reading.status = absl::DeadlineExceededError(absl::StrCat(
           "ordered, but not reached: ", verdict.ok() ? "not for long enough" : verdict.message()));
-      // Resting elsewhere, or not the one that was told.
+      // Resting elsewhere, or not the manager that was ordered.
       const std::optional<ros2::Guid> server = task.part.manager->server();
       if (lost.Saw(view.manager.elsewhere, NowNs()) ||
           (server.has_value() && server != task.told)) {
@@ -242,8 +242,8 @@ void SystemModes::Follow(Part& part, absl::string_view mode, const View& view,
   if (view.manager.agrees) part.hold.Agreed();
   const std::optional<ros2::Guid> server = part.manager->server();
   if (!server.has_value() || !view.manager.answers || !part.hold.IsNews(*server)) return;
-  // Another manager than the one that was told, or one that did not hear it: its own target may be
-  // any mode. Told once, whatever it answers.
+  // Another manager than the one ordered, or one that did not get the order: its own target may be
+  // any mode. Ordered once, whatever it answers.
   part.hold.Notified(*server);
   if (part.hold.WhyNotManager(mode, NowNs()).empty()) {
     part.manager->OrderIfThere(mode).status().IgnoreError();

@@ -16,11 +16,11 @@
 // | refuses                                               | at once                               |
 // | did not get the parts there, or names another mode    | before the last attempt; with one     |
 // |                                                       | attempt at half of it                 |
-// | failed the last time: it is told, not waited for      | at once                               |
-// | left this mode kLeavesMax times in the last minute    | at once, and it is not told           |
+// | failed the last time: ordered, but not waited for     | at once                               |
+// | left this mode kLeavesMax times in the last minute    | at once, without the manager          |
 // A part brought there so is held by its nodes alone: what the manager says does not count, until
 // it agrees. Such a part is Degraded. A manager that comes back, or another in its place (its
-// service has another GUID), is told once of the mode that is held.
+// service has another GUID), is ordered once to the mode that is held.
 #ifndef RIPS_MODE_ACTUATOR_STEPS_SYSTEM_MODE_SYSTEM_MODES_H_
 #define RIPS_MODE_ACTUATOR_STEPS_SYSTEM_MODE_SYSTEM_MODES_H_
 
@@ -47,7 +47,7 @@ namespace rips::actuator {
 
 inline constexpr absl::Duration kManagerSilence = absl::Milliseconds(500);
 // A manager that rests in another mode so long after an order has lost it (an order for the mode it
-// infers at that moment does nothing, even if it is just leaving it): it is told again.
+// infers at that moment does nothing, even if it is just leaving it): it is ordered again.
 inline constexpr absl::Duration kReorderAfter = absl::Milliseconds(500);
 // After an order that was given up half-way, the next one counts as carried out only when it is
 // seen so for this long: the first may still take effect.
@@ -84,11 +84,11 @@ class SystemModes final : public PartModes {
                    const CancelFlag& cancel) override;
 
   // OK if the manager lists every target mode, and every node answers and is inactive or active.
-  // Unavailable if somebody does not answer; FailedPrecondition if the manager works with another
+  // Unavailable if a service does not answer; FailedPrecondition if the manager works with another
   // SMH file, or a node is in a state the manager does nothing with. Same thread as Enter.
   absl::Status CheckAvailable();
 
-  // What people must know although levels hold, one line for each part; and what CheckAvailable
+  // Warnings although levels hold, one line for each part; and what CheckAvailable
   // found last. Same thread as Enter.
   std::vector<std::string> Degraded() const;
 

@@ -291,7 +291,7 @@ TEST_F(SystemModesTest, ARefusalIsFinal) {
 TEST_F(SystemModesTest, WithoutAManagerNothingIsReached) {
   SystemModes& modes = Modes();
   EXPECT_THAT(Alert(modes, absl::Milliseconds(300)).status,
-              StatusIs(absl::StatusCode::kUnavailable, HasSubstr("the order was not taken")));
+              StatusIs(absl::StatusCode::kUnavailable, HasSubstr("the order failed")));
   EXPECT_THAT(modes.CheckAvailable(),
               StatusIs(absl::StatusCode::kUnavailable, "no mode manager of `/safety` answers"));
   Robot();  // comes late
