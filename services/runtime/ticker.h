@@ -14,8 +14,8 @@ namespace rips {
 // Calls a function again and again on a thread of its own.
 class Ticker {
  public:
-  // Calls `tick` after `first`, and then each time after the delay that it returns. InfiniteDuration
-  // = never.
+  // Calls `tick` after `first`, and then each time after the delay that it returns;
+  // InfiniteDuration = never.
   Ticker(absl::Duration first, std::function<absl::Duration()> tick)
       : tick_(std::move(tick)), thread_([this, first] {
           for (absl::Duration delay = first; Wait(delay);) delay = tick_();

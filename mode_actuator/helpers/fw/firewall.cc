@@ -117,8 +117,13 @@ FwResponse Firewall::Handle(const FwRequest& request) {
       if (!response.status.ok()) response.observed = "firewall=?";
       return response;
     }
-    case FwVerb::kTry:
-      return Try(request.step);
+    case FwVerb::kTry: {
+      const absl::StatusOr<std::string> script = ScriptOf(request.step);
+      const absl::Status status =
+          script.ok() ? nft_->Load(*script, NftMode::kDryRun) : script.status();
+      if (!status.ok()) return {.status = status};
+      return {.status = status, .note = "nft and the kernel would take it (dry run)"};
+    }
     case FwVerb::kStatus:
       return Status();
   }
@@ -409,13 +414,6 @@ absl::StatusOr<std::string> Firewall::ScriptOf(const FirewallStep& step) {
   RIPS_RETURN_IF_ERROR(control.status());
   RIPS_ASSIGN_OR_RETURN(const std::string script, IsolationScript(step, targets, now));
   return absl::StrCat(TableScript(*control), script);
-}
-
-FwResponse Firewall::Try(const FirewallStep& step) {
-  const absl::StatusOr<std::string> script = ScriptOf(step);
-  const absl::Status status = script.ok() ? nft_->Load(*script, NftMode::kDryRun) : script.status();
-  if (!status.ok()) return {.status = status};
-  return {.status = status, .note = "nft and the kernel would take it (dry run)"};
 }
 
 FwResponse Firewall::Status() {

@@ -64,8 +64,7 @@ class Firewall {
   absl::StatusOr<std::string> EnterIsolation(const FirewallStep& step);
   absl::StatusOr<std::string> Check(const FirewallStep& step);
   FwResponse EnterRelease();
-  // A dry run of what Enter would load.
-  FwResponse Try(const FirewallStep& step);
+  // What Enter would load.
   absl::StatusOr<std::string> ScriptOf(const FirewallStep& step);
   FwResponse Status();
 

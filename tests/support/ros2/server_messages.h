@@ -1,6 +1,6 @@
 // What a server of the System Modes, lifecycle and parameter services receives and sends: the other
-// half of services/ros2/system_modes_messages.h and parameter_messages.h. Decode* fail with DataLoss.
-// And whether a claim of ros_discovery_info is of its own participant.
+// half of services/ros2/system_modes_messages.h and parameter_messages.h. Decode* fail with
+// DataLoss. And whether a claim of ros_discovery_info is of its own participant.
 #ifndef RIPS_TESTS_SUPPORT_ROS2_SERVER_MESSAGES_H_
 #define RIPS_TESTS_SUPPORT_ROS2_SERVER_MESSAGES_H_
 
