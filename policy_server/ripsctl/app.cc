@@ -48,15 +48,15 @@ class Parser {
     app_.fallthrough();
     app_.set_version_flag("--version", std::string(RipsVersion()));
     app_.add_option("--server", flags_.server, "HOST:PORT of the policy server");
-    app_.add_option("--cert", flags_.cert, "Your certificate, PEM");
-    app_.add_option("--key", flags_.key, "Its private key, PEM");
-    app_.add_option("--ca", flags_.ca, "The certificate authority to trust, PEM");
+    app_.add_option("--cert", flags_.cert, "Certificate to connect with, a PEM file");
+    app_.add_option("--key", flags_.key, "Private key of --cert, a PEM file");
+    app_.add_option("--ca", flags_.ca, "Certificate authority to trust, a PEM file");
     app_.add_option("--output", flags_.output, "text, or json for programs");
-    app_.add_option("--timeout", flags_.timeout, "Longest wait for one reply, for example 10s");
+    app_.add_option("--timeout", flags_.timeout, "Time limit of one call, for example 10s");
     app_.footer(
         "Settings (--server, --cert, --key, --ca, --output, --timeout) come from flags, then\n"
         "RIPSCTL_SERVER, RIPSCTL_CERT, ..., then ~/.config/rips/ripsctl.yaml.\n"
-        "Exit codes: 0 done, 1 refused or findings, 2 usage, 3 cannot reach the server.");
+        "Exit codes: 0 success, 1 refused or problems found, 2 usage error, 3 server unreachable.");
     for (const Noun& noun : kNouns) app_.add_subcommand(noun.name, noun.synopsis)->fallthrough();
     for (const auto maker : kMakers) {
       for (std::unique_ptr<Command>& command : maker()) Add(std::move(command));

@@ -239,18 +239,18 @@ TEST_F(RipsctlTest, WaitsUntilTheRobotIsAtTheLevel) {
   fake_.level_states = {at("requested", 18), at("failed", 18), at("verified", 18)};
   const Result reached = Run(lower);
   EXPECT_EQ(reached.code, 0) << reached.err;
-  EXPECT_EQ(
-      reached.out,
-      "r1 goes to DEFAULT (3.18)\n"
-      "waiting until it is there, for at most 30s; Ctrl-C ends the waiting, not the decision\n"
-      "r1 is at DEFAULT: every actuator has read it back\n");
+  EXPECT_EQ(reached.out,
+            "r1 goes to DEFAULT (3.18)\n"
+            "waiting for the robot to reach it, for at most 30s; Ctrl-C stops the wait, not the "
+            "decision\n"
+            "r1 is at DEFAULT: every actuator has read it back\n");
   EXPECT_THAT(fake_.calls(),
               testing::ElementsAre("DeEscalate", "GetLevel", "GetLevel", "GetLevel"));
   fake_.level_states = {at("requested", 18), at("verified", 19)};
   const Result overtaken = Run(lower);
   EXPECT_EQ(overtaken.code, 1);
   EXPECT_THAT(overtaken.out,
-              HasSubstr("r1 is not at DEFAULT: the level was decided anew meanwhile: "
+              HasSubstr("r1 is not at DEFAULT: a newer decision has replaced this one: "
                         "DEFAULT (3.19), rule rogue_cmd_vel\n"));
   fake_.level_states = {at("verified", 18)};
   EXPECT_EQ(RunJson(lower)["reached"], true);
@@ -315,7 +315,7 @@ TEST_F(RipsctlTest, ARaiseToASoftLevelSaysThatRulesMayLowerIt) {
   const Result result = Run({"level", "raise", "r1", "--to", "HALT", "--reason", "smoke"});
   EXPECT_EQ(result.out,
             "r1 goes to HALT (3.18)\n"
-            "HALT is a soft level: a rule may lower it again, as soon as what it asks is true\n");
+            "HALT is a soft level: a rule may lower it again as soon as its condition holds\n");
   EXPECT_EQ(RunJson({"level", "raise", "r1", "--to", "HALT", "--reason", "smoke"})["soft"], true);
 }
 

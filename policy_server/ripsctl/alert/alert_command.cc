@@ -28,7 +28,7 @@ class AlertCommand : public Command {
  public:
   using Command::Command;
   void AddFlags(CLI::App& app) override {
-    app.add_option("ROBOT", robot_, "Robot id, or `(server)`; none = all");
+    app.add_option("ROBOT", robot_, "Robot id, or `(server)`; default: all");
   }
   absl::Status Check() override {
     return robot_.empty() || robot_ == kServer ? absl::OkStatus() : CheckRobot(robot_);
@@ -71,7 +71,7 @@ class ListAlerts final : public AlertCommand {
       env.out << "the first " << response.unrecorded_size()
               << " are in the server's memory only: its store cannot be written\n";
     }
-    if (response.cut()) env.out << "older alerts do not fit into one answer\n";
+    if (response.cut()) env.out << "older alerts do not fit into one response\n";
     return ExitCode::kDone;
   }
 
@@ -86,10 +86,9 @@ class WatchAlerts final : public AlertCommand {
                       "Show new alerts as they arrive, each once, reconnecting when needed"}) {}
   void AddFlags(CLI::App& app) override {
     AlertCommand::AddFlags(app);
-    app.add_option(
-        "--after", cursor_,
-        "Begin after this cursor of an earlier watch; 0 = with the oldest that is stored; "
-        "none = with the next");
+    app.add_option("--after", cursor_,
+                   "Cursor of an earlier watch to continue from; 0: the oldest stored alert; "
+                   "default: the next alert");
   }
   absl::StatusOr<ExitCode> Run(Env& env) override {
     v1::WatchAlertsRequest request;

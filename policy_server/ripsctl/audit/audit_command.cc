@@ -127,7 +127,7 @@ class VerifyAudit final : public AuditCommand {
  public:
   VerifyAudit()
       : AuditCommand({"audit", "verify",
-                      "Prove that an audit log is whole, or name its first fault",
+                      "Verify that an audit log is complete and unaltered, or show its first fault",
                       /*needs_server=*/false}) {}
   void AddFlags(CLI::App& app) override {
     AuditCommand::AddFlags(app);
@@ -150,14 +150,14 @@ class VerifyAudit final : public AuditCommand {
     }
     for (const audit::Torn& torn : report->torn) {
       env.out << "note: " << EscapeText(torn.file) << ", byte " << torn.offset << ": " << torn.bytes
-              << " bytes were being written at a crash; they are no part of the log\n";
+              << " bytes were being written at a crash; they do not belong to the log\n";
     }
     if (report->fault) return Judge(*report, env);
     env.out << "The log is whole: " << report->records << " records in " << report->segments
             << (report->segments == 1 ? " segment" : " segments") << ".\n  log   "
             << absl::BytesToHexString(report->identity) << "\n  head  "
             << audit::FormatHead(report->head)
-            << "\nKeep the head elsewhere; `--head` shows later that nothing was taken away.\n";
+            << "\nKeep the head elsewhere; `--head` verifies later that no record was removed.\n";
     return ExitCode::kDone;
   }
 
@@ -172,7 +172,7 @@ class TailAudit final : public AuditCommand {
             {"audit", "tail", "Show the newest records, oldest first", /*needs_server=*/false}) {}
   void AddFlags(CLI::App& app) override {
     AuditCommand::AddFlags(app);
-    app.add_option("--limit", limit_, "How many at most")->check(CLI::Range(1, 100'000));
+    app.add_option("--limit", limit_, "Maximum number of entries")->check(CLI::Range(1, 100'000));
   }
   absl::StatusOr<ExitCode> Run(Env& env) override {
     std::deque<std::pair<uint64_t, AuditRecord>> newest;

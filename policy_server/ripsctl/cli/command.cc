@@ -55,7 +55,8 @@ absl::Status CheckRobot(absl::string_view robot) { return ValidateName("robot id
 
 absl::Status CheckReason(absl::string_view reason) {
   if (absl::StripAsciiWhitespace(reason).empty()) {
-    return absl::InvalidArgumentError("--reason must say something; it is kept with the decision");
+    return absl::InvalidArgumentError(
+        "--reason is empty; give a reason, which is recorded with the decision");
   }
   if (reason.size() > kReasonBytesMax) {
     return absl::InvalidArgumentError(

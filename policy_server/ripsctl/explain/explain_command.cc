@@ -108,9 +108,9 @@ class Explain final : public Command {
  public:
   Explain() : Command({"explain", "", "Explain an alert, or why a robot is at its level"}) {}
   void AddFlags(CLI::App& app) override {
-    app.add_option("WHAT", what_,
-                   "A robot; ROBOT@TERM.EPOCH; or the id of an alert or level change, its first 6 "
-                   "digits or more")
+    app.add_option(
+           "WHAT", what_,
+           "Robot id, ROBOT@TERM.EPOCH, or 6 or more digits of the id of an alert or level change")
         ->required();
   }
   absl::Status Check() override {

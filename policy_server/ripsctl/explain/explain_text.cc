@@ -190,7 +190,7 @@ void PrintWhy(const v1::ExplainResponse& recorded, std::ostream& out) {
     PrintCondition(evidence.condition(), out);
   }
   if (!evidence.values().empty()) {
-    out << "  what it was made of then:\n";
+    out << "  its values at that time:\n";
     PrintValues(evidence, out);
   }
 }
@@ -239,7 +239,7 @@ void PrintOutcome(const v1::ExplainResponse& recorded, std::ostream& out) {
   if (stage.empty() && own.detail().empty() && lines.empty()) return;
   std::stable_sort(lines.begin(), lines.end(),
                    [](const auto& a, const auto& b) { return a.first < b.first; });
-  out << "\nWhat came of it:\n";
+  out << "\nEffects:\n";
   if (!stage.empty() || !own.detail().empty()) {
     out << "  " << stage << Behind(stage.empty() ? "" : "; ", own.detail()) << "\n";
   }

@@ -72,7 +72,7 @@ Why: rule rogue_cmd_vel, warehouse.rul:31, of bundle sha256:bbbbbbbbbbbb
   the condition:
     publisher_count("/cmd_vel") > 1
       and !nodes("/teleop")
-  what it was made of then:
+  its values at that time:
     publisher_count("/cmd_vel") > 1 and !nodes("/teleop")  true
       publisher_count("/cmd_vel")                          2
       !nodes("/teleop")                                    not evaluated
@@ -82,7 +82,7 @@ Who:
   /intruder  publishes /cmd_vel  base  4711  01104a3b.00000000.00000000.000003c1
   host and process id are what the process says of itself; it may lie
 
-What came of it:
+Effects:
   verified: every actuator has read the level back; read back by base
   2026-01-01T00:00:00.000Z  22222222  alert, high: rogue driver
   2026-01-01T00:00:00.000Z  11111111  level ALERT -> COMPROMISED refused 3 times: needs an operator
@@ -163,7 +163,7 @@ TEST(ExplainTextTest, IndentsByDepthAndAlignsValues) {
   AddValue(evidence, 7, 1, 2, "false: there are 3");
   AddValue(evidence, 12, 1, kHuge, "true");
   const std::string text = Print({.recorded = recorded});
-  EXPECT_THAT(text, HasSubstr("  what it was made of then:\n"
+  EXPECT_THAT(text, HasSubstr("  its values at that time:\n"
                               "    a and (b or c)     true\n"
                               "      a                true\n"
                               "      (b or c)         true\n"

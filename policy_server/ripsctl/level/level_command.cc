@@ -81,7 +81,7 @@ class LevelHistory final : public RobotCommand {
       return PrintJson(
           env, {{"transitions", JsonList(response.transitions())}, {"cut", response.cut()}});
     }
-    Table table({"TIME", "FROM", "TO", "MARK", "STAGE", "CAUSE", "ID", "REASON"});
+    Table table({"TIME", "FROM", "TO", "DECISION", "STAGE", "CAUSE", "ID", "REASON"});
     for (const v1::Transition& each : response.transitions()) {
       const std::string stage =
           each.refused() ? absl::StrCat("refused x", each.count()) : each.stage();
@@ -90,7 +90,7 @@ class LevelHistory final : public RobotCommand {
                  each.reason()});
     }
     table.Print(env.out);
-    if (response.cut()) env.out << "older transitions do not fit into one answer\n";
+    if (response.cut()) env.out << "older transitions do not fit into one response\n";
     return ExitCode::kDone;
   }
 
@@ -175,7 +175,7 @@ class ChangeLevel : public RobotCommand {
     }
     if (verb == "raise" && response.soft()) {
       env.out << EscapeText(response.decided_level())
-              << " is a soft level: a rule may lower it again, as soon as what it asks is true\n";
+              << " is a soft level: a rule may lower it again as soon as its condition holds\n";
     }
     if (dry_run_ && verb == "lower") {
       PrintDryRun(robot_, response, refused, "", env.out);
@@ -188,8 +188,8 @@ class ChangeLevel : public RobotCommand {
       }
     }
     if (wait_ && !dry_run_) {
-      env.out << "waiting until it is there, for at most " << absl::FormatDuration(kWaitMax)
-              << "; Ctrl-C ends the waiting, not the decision" << std::endl;
+      env.out << "waiting for the robot to reach it, for at most " << absl::FormatDuration(kWaitMax)
+              << "; Ctrl-C stops the wait, not the decision" << std::endl;
     }
   }
 
@@ -210,10 +210,10 @@ class ChangeLevel : public RobotCommand {
       if (seen.ok()) {
         const v1::RobotStatus& status = seen->status();
         if (DecisionIdText(status.decision_id()) != DecisionIdText(response.decision_id())) {
-          return {.why =
-                      absl::StrCat("the level was decided anew meanwhile: ", status.decided_level(),
-                                   " (", DecisionIdText(status.decision_id()), ")",
-                                   seen->has_last() ? ", " : "", seen->last().cause())};
+          return {.why = absl::StrCat(
+                      "a newer decision has replaced this one: ", status.decided_level(), " (",
+                      DecisionIdText(status.decision_id()), ")", seen->has_last() ? ", " : "",
+                      seen->last().cause())};
         }
         if (status.stage() == "verified") {
           return {.reached = true, .level = status.effective_level()};
@@ -280,9 +280,9 @@ class LowerLevel final : public ChangeLevel {
   void AddFlags(CLI::App& app) override {
     ChangeLevel::AddFlags(app);
     app.add_option("--expect", expect_,
-                   "LEVEL@TERM.EPOCH the robot must be at; default: read, shown and sent");
+                   "LEVEL@TERM.EPOCH that the robot must be at; default: the current one");
     app.add_flag("--accept-blind", accept_blind_,
-                 "Lower even if the server does not see the robot now");
+                 "Lower even if the server does not see all of the robot");
   }
   absl::Status Check() override {
     RIPS_RETURN_IF_ERROR(ChangeLevel::Check());

@@ -15,9 +15,9 @@ namespace {
 class ListAgents final : public Command {
  public:
   ListAgents()
-      : Command({"agent", "list",
-                 "Show the certificates that have connected since the server's start, and the "
-                 "bans"}) {}
+      : Command(
+            {"agent", "list",
+             "List the certificates that have connected since the server started, and all bans"}) {}
   absl::StatusOr<ExitCode> Run(Env& env) override {
     RIPS_ASSIGN_OR_RETURN(const auto response,
                           Call(env, &Stub::ListAgents, v1::ListAgentsRequest()));
@@ -62,7 +62,8 @@ class CertificateCommand : public Command {
   using Command::Command;
   void AddFlags(CLI::App& app) override {
     app.add_option("URI", uri_, "Identity: spiffe://DOMAIN/robot/ROBOT/sensor/HOST")->required();
-    app.add_option("--serial", serial_, "Only the certificate of this serial number, hex");
+    app.add_option("--serial", serial_,
+                   "Only the certificate with this serial number, hexadecimal");
   }
 
  protected:
@@ -85,10 +86,10 @@ class Ban final : public CertificateCommand {
  public:
   Ban()
       : CertificateCommand(
-            {"agent", "ban", "Close an identity's connections and serve it no more"}) {}
+            {"agent", "ban", "Close an identity's connections and refuse new ones"}) {}
   void AddFlags(CLI::App& app) override {
     CertificateCommand::AddFlags(app);
-    app.add_option("--reason", reason_, "Why; kept with the ban")->required();
+    app.add_option("--reason", reason_, "Reason, recorded with the ban")->required();
   }
   absl::Status Check() override { return CheckReason(reason_); }
   absl::StatusOr<ExitCode> Run(Env& env) override {
@@ -106,7 +107,7 @@ class Ban final : public CertificateCommand {
 
 class Unban final : public CertificateCommand {
  public:
-  Unban() : CertificateCommand({"agent", "unban", "Serve a banned identity again"}) {}
+  Unban() : CertificateCommand({"agent", "unban", "Lift the ban of an identity"}) {}
   absl::StatusOr<ExitCode> Run(Env& env) override {
     v1::UnbanRequest request;
     request.set_uri(uri_);
@@ -126,7 +127,7 @@ class ResetTerm final : public RobotCommand {
   void AddFlags(CLI::App& app) override {
     RobotCommand::AddFlags(app);
     app.add_option("HOST", host_, "Host of the actuator")->required();
-    app.add_option("--reason", reason_, "Why; kept in the robot's history")->required();
+    app.add_option("--reason", reason_, "Reason, recorded in the robot's history")->required();
   }
   absl::Status Check() override {
     RIPS_RETURN_IF_ERROR(RobotCommand::Check());

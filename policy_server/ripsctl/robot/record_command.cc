@@ -42,9 +42,9 @@ class Record final : public RobotCommand {
                       "Record the events a robot's rules are evaluated on, for `rules replay`"}) {}
   void AddFlags(CLI::App& app) override {
     RobotCommand::AddFlags(app);
-    app.add_option("--out", path_, "The file to write")->required();
-    app.add_option("--for", for_, "How long, for example 60s; without it, until interrupted");
-    app.add_flag("--force", force_, "Replace the file if it is there");
+    app.add_option("--out", path_, "File to write")->required();
+    app.add_option("--for", for_, "Duration, for example 60s; default: until interrupted");
+    app.add_flag("--force", force_, "Overwrite an existing file");
   }
   absl::Status Check() override {
     if (!for_.empty() &&

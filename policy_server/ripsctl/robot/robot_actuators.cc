@@ -80,10 +80,11 @@ class ListReceipts final : public RobotCommand {
  public:
   ListReceipts()
       : RobotCommand(
-            {"robot", "receipts", "Show what a robot's actuators answered, newest first"}) {}
+            {"robot", "receipts", "Show the receipts of a robot's actuators, newest first"}) {}
   void AddFlags(CLI::App& app) override {
     RobotCommand::AddFlags(app);
-    app.add_option("--limit", limit_, "At most so many (default 20)")->check(CLI::Range(1, 64));
+    app.add_option("--limit", limit_, "Maximum number of entries (default 20)")
+        ->check(CLI::Range(1, 64));
   }
   absl::StatusOr<ExitCode> Run(Env& env) override {
     v1::ListReceiptsRequest request;
@@ -95,7 +96,7 @@ class ListReceipts final : public RobotCommand {
           env, {{"robot", robot_}, {"receipts", JsonList(response.receipts(), ReceiptJson)}});
     }
     if (response.receipts().empty()) {
-      env.out << "no actuator of " << robot_ << " has answered since the server's start\n";
+      env.out << "no actuator of " << robot_ << " has sent a receipt since the server started\n";
     }
     for (int i = 0; i < response.receipts_size(); ++i) {
       if (i > 0) env.out << "\n";
@@ -203,9 +204,10 @@ DrillSum SumUp(const v1::DrillRobotResponse& response) {
 class DrillRobot final : public RobotCommand {
  public:
   DrillRobot()
-      : RobotCommand({"robot", "drill",
-                      "Try a robot's levels without changing its level; exit with 1 if a step does "
-                      "not work"}) {}
+      : RobotCommand(
+            {"robot", "drill",
+             "Test the steps of a robot's levels without changing its level; exit with 1 if "
+             "one fails"}) {}
   void AddFlags(CLI::App& app) override {
     RobotCommand::AddFlags(app);
     level_option_ = app.add_option("--level", level_, "Only this level; default: each in turn");
@@ -261,8 +263,8 @@ class DrillRobot final : public RobotCommand {
       if (!drill.steps().empty()) continue;
       const bool answered = drill.stage() != v1::Receipt::STAGE_UNSPECIFIED;
       const bool empty = drill.stage() == v1::Receipt::VERIFIED;
-      table.Add({drill.level(), drill.host(), empty ? "(it has none)" : "(all)",
-                 empty ? "" : "not tried", answered ? StageName(drill.stage()) : "NO ANSWER",
+      table.Add({drill.level(), drill.host(), empty ? "(no steps)" : "(all)",
+                 empty ? "" : "not tried", answered ? StageName(drill.stage()) : "NO RESPONSE",
                  drill.detail()});
     }
     table.Print(out);

@@ -146,7 +146,7 @@ TEST_F(RobotActuatorsTest, WhatDoesNotWorkIsNamedLast) {
   EXPECT_THAT(result.out, HasSubstr("program light                    not tried  FAILED"));
   EXPECT_THAT(result.out, HasSubstr("HALT     arm   (all)                            not tried  "
                                     "refused    a level is being applied\n"));
-  EXPECT_THAT(result.out, HasSubstr("NO ANSWER  no answer in time\n"));
+  EXPECT_THAT(result.out, HasSubstr("NO RESPONSE  no answer in time\n"));
   EXPECT_THAT(result.out, HasSubstr("program horn on base (HALT) printed:\n"
                                     "  | no\\x1b[2Jpe\n"
                                     "  | end\n"));
@@ -170,7 +170,7 @@ TEST_F(RobotActuatorsTest, ALevelWithoutStepsIsNoFailure) {
   Drill("DEFAULT", "base", v1::Receipt::VERIFIED);
   const Result result = Run({"robot", "drill", "r1"});
   EXPECT_EQ(result.code, 0);
-  EXPECT_THAT(result.out, HasSubstr("(it has none)"));
+  EXPECT_THAT(result.out, HasSubstr("(no steps)"));
 }
 
 TEST_F(RobotActuatorsTest, ADrillIsWaitedForWhateverTheTimeout) {
@@ -280,7 +280,7 @@ TEST_F(RobotActuatorsTest, ReceiptsAsJson) {
 TEST_F(RobotActuatorsTest, SaysThatNothingWasAnswered) {
   const Result result = Run({"robot", "receipts", "r1"});
   EXPECT_EQ(result.code, 0);
-  EXPECT_EQ(result.out, "no actuator of r1 has answered since the server's start\n");
+  EXPECT_EQ(result.out, "no actuator of r1 has sent a receipt since the server started\n");
 }
 
 }  // namespace

@@ -40,14 +40,14 @@ class ListRobots final : public Command {
           env.out);
       return code;
     }
-    Table table({"ROBOT", "DECIDED", "EFFECTIVE", "STAGE", "MARK", "BUNDLE", "DEGRADED"});
+    Table table({"ROBOT", "DECIDED", "EFFECTIVE", "STAGE", "DECISION", "BUNDLE", "DEGRADED"});
     for (const v1::RobotStatus& status : response.robots()) {
       table.Add({status.robot(), status.decided_level(), status.effective_level(), status.stage(),
                  DecisionIdText(status.decision_id()), ShortBundle(status.bundle_version()),
                  DegradedText(status)});
     }
     for (const std::string& robot : response.no_answer()) {
-      table.Add({robot, "", "", "", "", "", "no answer in time: the server is too busy with it"});
+      table.Add({robot, "", "", "", "", "", "no response in time: the server is overloaded"});
     }
     table.Print(env.out);
     return code;
@@ -60,7 +60,7 @@ class WatchRobots final : public Command {
       : Command({"robot", "watch", "Show all robots, then each change, reconnecting when needed"}) {
   }
   void AddFlags(CLI::App& app) override {
-    app.add_option("ROBOT", robots_, "Robots to watch; none = all");
+    app.add_option("ROBOT", robots_, "Robot ids; default: all");
   }
   absl::Status Check() override {
     for (const std::string& robot : robots_) RIPS_RETURN_IF_ERROR(CheckRobot(robot));
@@ -106,11 +106,11 @@ class ShowRobot final : public RobotCommand {
     }
     for (const std::string& silent : response.no_answer()) {
       if (silent != robot_) continue;
-      return absl::ResourceExhaustedError(absl::StrCat(
-          "robot `", robot_,
-          "` did not answer in time: the server is too busy with it; its level stands, see "
-          "`ripsctl level history ",
-          robot_, "`"));
+      return absl::ResourceExhaustedError(
+          absl::StrCat("robot `", robot_,
+                       "` did not respond in time: the server is overloaded; its level stands, see "
+                       "`ripsctl level history ",
+                       robot_, "`"));
     }
     return absl::NotFoundError(
         absl::StrCat("robot `", robot_, "` is not in the inventory; see `ripsctl robot list`"));
@@ -150,7 +150,7 @@ class ShowGraph final : public RobotCommand {
     PrintText(graph, env.out);
     if (response.left_out() > 0) {
       env.out << response.left_out()
-              << " endpoints, nodes and participants do not fit into one answer\n";
+              << " endpoints, nodes and participants do not fit into one response\n";
     }
     return ExitCode::kDone;
   }

@@ -237,8 +237,8 @@ class ShowCoverage final : public RobotCommand {
       out << "BLIND: " << EscapeText(reason) << "\n";
     }
     if (!response.blind().empty()) out << "\n";
-    Table sensors({"SENSOR", "PRIMARY", "CONNECTED", "SETTLED", "OUTBOX", "SPOOL", "LOST 10 MIN",
-                   "CLOCK", "DOES NOT SEE"});
+    Table sensors({"SENSOR", "PRIMARY", "CONNECTED", "SETTLED", "OUTBOX", "SPOOL", "LOST IN 10 MIN",
+                   "CLOCK SKEW", "NOT VISIBLE"});
     for (const v1::SensorCoverage& sensor : response.sensors()) {
       sensors.Add({sensor.host(), YesNo(sensor.primary()), YesNo(sensor.connected()),
                    YesNo(sensor.settled()), absl::StrCat(sensor.state().outbox_bytes(), " B"),
@@ -249,16 +249,16 @@ class ShowCoverage final : public RobotCommand {
     out << "\n";
     PrintEndpoints(response, out);
     if (response.graph_truncated()) {
-      out << "\ngraph truncated: it is larger than the limits, and not all of it is here\n";
+      out << "\ngraph truncated: it exceeds the limits, and a part of it is missing here\n";
     }
     if (response.endpoints_left_out() > 0 || response.findings_left_out() > 0) {
       out << "\n"
           << response.endpoints_left_out() << " more endpoints and " << response.findings_left_out()
-          << " more findings do not fit into one answer\n";
+          << " more findings do not fit into one response\n";
     }
     if (!response.skipped().empty()) {
       out << "\n";
-      Table skipped({"INSPECTIONS NOT MADE", "IN 10 MIN"});
+      Table skipped({"SKIPPED INSPECTIONS", "IN 10 MIN"});
       for (const v1::SkippedInspections& each : response.skipped()) {
         skipped.Add({each.reason(), absl::StrCat(each.count())});
       }

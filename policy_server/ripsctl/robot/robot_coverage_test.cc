@@ -169,8 +169,9 @@ TEST_F(RobotCoverageTest, AllThatIsToBeSeenIsSeen) {
   const Result text = Run({"robot", "coverage", "r1"});
   EXPECT_EQ(text.code, 0) << "services are never read, by anybody";
   EXPECT_EQ(text.out,
-            "SENSOR  PRIMARY  CONNECTED  SETTLED  OUTBOX  SPOOL  LOST 10 MIN  CLOCK  DOES NOT SEE\n"
-            "base    yes      yes        yes      0 B     0 B    0            -      -\n"
+            "SENSOR  PRIMARY  CONNECTED  SETTLED  OUTBOX  SPOOL  LOST IN 10 MIN  CLOCK SKEW  "
+            "NOT VISIBLE\n"
+            "base    yes      yes        yes      0 B     0 B    0               -           -\n"
             "\n"
             "ENDPOINTS    COUNT\n"
             "watched      1\n"

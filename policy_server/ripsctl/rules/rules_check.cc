@@ -65,11 +65,12 @@ class CheckRulesCommand final : public Command {
                  "Check rule files as one policy, in this order, or a bundle; needs no server",
                  /*needs_server=*/false}) {}
   void AddFlags(CLI::App& app) override {
-    app.add_option("FILE", paths_, "Rule files, - is standard input; or one bundle's directory")
+    app.add_option("FILE", paths_, "Rule files (- is standard input), or one bundle directory")
         ->required();
-    dialect_flag_ = app.add_option("--dialect", dialect_, "Meaning of the include forms")
-                        ->check(CLI::IsMember({"rips", "prototype"}))
-                        ->capture_default_str();
+    dialect_flag_ =
+        app.add_option("--dialect", dialect_, "Dialect of the rules: what the include forms mean")
+            ->check(CLI::IsMember({"rips", "prototype"}))
+            ->capture_default_str();
     app.add_flag("--werror", werror_, "Treat warnings as errors");
   }
 

@@ -43,7 +43,7 @@ class FmtRulesCommand final : public Command {
       : Command({"rules", "fmt", "Format rule files, keeping comments; needs no server",
                  /*needs_server=*/false}) {}
   void AddFlags(CLI::App& app) override {
-    app.add_option("FILE", paths_, "Rule files; - is standard input")->required();
+    app.add_option("FILE", paths_, "Rule files (- is standard input)")->required();
     CLI::Option* write =
         app.add_flag("--write", write_, "Rewrite the files and list those changed");
     app.add_flag("--check", check_, "List the files that would change; exit with 1 if any")

@@ -229,12 +229,12 @@ class ReplayRulesCommand final : public Command {
   void AddFlags(CLI::App& app) override {
     app.add_option("--rules", rules_, "Rule files, compiled as one policy in this order")
         ->required();
-    app.add_option("--events", events_,
-                   "The recording: of ripsctl record, a rosbag2 bag or file, or the prototype's "
-                   "YAML")
+    app.add_option(
+           "--events", events_,
+           "Recording: a file of `ripsctl record`, a rosbag2 bag or file, or YAML of the prototype")
         ->required();
     app.add_option("--against", against_, "Other rule files; show how their results differ");
-    app.add_option("--dialect", dialect_, "Meaning of the include forms")
+    app.add_option("--dialect", dialect_, "Dialect of the rules: what the include forms mean")
         ->check(CLI::IsMember({"rips", "prototype"}))
         ->capture_default_str();
     app.add_option("--start-level", start_level_,
