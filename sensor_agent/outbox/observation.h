@@ -1,5 +1,5 @@
-// What this sensor saw, before it is put on the wire: plain values without protobuf. rips.v1
-// (observation.proto) says what each means; here strings stand where the wire has interned ids.
+// What this sensor saw, before it is put on the wire: services/model/observation.h, and the kinds
+// that name a writer. Here a shared source stands where the wire has interned ids.
 #ifndef RIPS_SENSOR_AGENT_OUTBOX_OBSERVATION_H_
 #define RIPS_SENSOR_AGENT_OUTBOX_OBSERVATION_H_
 
@@ -7,12 +7,17 @@
 #include <cstdint>
 #include <memory>
 #include <string>
-#include <variant>
-#include <vector>
 
+#include "services/model/observation.h"
 #include "services/ros2/ros_graph.h"
 
 namespace rips::sensor {
+
+using model::Finding;
+using model::GraphChange;
+using model::IdsAlert;
+using model::SensorState;
+using model::SignalSeen;
 
 // Each lane has its own sequence and acknowledgement.
 enum class Lane { kControl, kMessages };
@@ -46,21 +51,6 @@ struct MessageSeen {
   bool urgent = false;
 };
 
-// A step of the graph. from_version 0 = a snapshot: `delta` holds everything and applies to the
-// empty graph.
-struct GraphChange {
-  uint64_t from_version = 0;
-  uint64_t to_version = 0;
-  // Rules may judge "exactly these" after this step.
-  bool settled = false;
-  ros2::GraphDelta delta;
-};
-
-struct SignalSeen {
-  std::string name;  // SIGUSR1, SIGUSR2
-  uint32_t count = 0;
-};
-
 enum class LossCause { kDdsGap, kQueueFull, kOutboxShed, kSpoolLost, kLimit, kUndecodable };
 
 struct Loss {
@@ -72,50 +62,9 @@ struct Loss {
   int64_t last_boottime_ns = 0;
 };
 
-struct SensorState {
-  bool overloaded = false;
-  uint64_t outbox_bytes = 0;
-  int64_t oldest_unacked_ns = 0;  // age
-  uint64_t spool_bytes = 0;       // on disk
-  // Kinds of traffic that cannot be seen now.
-  std::vector<std::string> not_visible;
-  // Inputs that are configured and cannot be seen now, with the reason.
-  std::vector<std::string> blind;
-
-  friend bool operator==(const SensorState&, const SensorState&) = default;
-};
-
-// An alert of the host's intrusion detection system.
-struct IdsAlert {
-  std::string source;  // snort, suricata
-  uint32_t gid = 0;
-  uint32_t sid = 0;
-  uint32_t rev = 0;
-  std::string message;
-  uint32_t severity = 0;  // 1 = most severe
-  std::string src;        // addresses; may be empty
-  std::string dst;
-  std::string line;  // of an IDS that writes lines of free text; else empty
-
-  friend bool operator==(const IdsAlert&, const IdsAlert&) = default;
-};
-
-// Something looked for whatever the rules say, when it begins and when it is over.
-struct Finding {
-  std::string kind;  // as rules name it
-  // Participant or endpoint it is about; none() = none in particular.
-  ros2::Guid guid;
-  std::string node;  // may be empty
-  std::string topic;
-  std::string detail;  // for people
-  bool over = false;
-
-  friend bool operator==(const Finding&, const Finding&) = default;
-};
-
 struct ControlObservation {
   int64_t boottime_ns = 0;
-  std::variant<GraphChange, SignalSeen, Loss, SensorState, IdsAlert, Finding> what;
+  model::ObservationOf<Loss> what;
 };
 
 }  // namespace rips::sensor

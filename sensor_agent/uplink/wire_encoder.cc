@@ -5,6 +5,7 @@
 #include <variant>
 
 #include "services/base/overloaded.h"
+#include "services/model_proto/observation_codec.h"
 #include "services/ros2_proto/graph_codec.h"
 #include "services/wire_limits/field_limits.h"
 
@@ -35,19 +36,6 @@ rips::v1::Loss::Cause ToWire(LossCause cause) {
       return rips::v1::Loss::UNDECODABLE;
   }
   return rips::v1::Loss::CAUSE_UNSPECIFIED;
-}
-
-void FillSnapshot(const GraphChange& change, rips::v1::GraphSnapshot& wire) {
-  wire.set_graph_version(change.to_version);
-  wire.set_settled(change.settled);
-  ros2_proto::EncodeGraph(change.delta, wire);
-}
-
-void FillDelta(const GraphChange& change, rips::v1::GraphDelta& wire) {
-  wire.set_from_version(change.from_version);
-  wire.set_to_version(change.to_version);
-  wire.set_settled(change.settled);
-  ros2_proto::EncodeGraph(change.delta, wire);
 }
 
 // Before the observation times are subtracted from it.
@@ -83,36 +71,6 @@ void ForEachId(ObservationBatch& batch, const Change& change) {
 // Upper bound of what introducing `source` adds to a batch.
 size_t IntroductionBytes(const MessageSource& source) {
   return 3 * 16 + source.topic.size() + source.type.size() + 64 + CostOf(source.writer);
-}
-
-void FillIdsAlert(const IdsAlert& alert, rips::v1::IdsAlert& wire) {
-  wire.set_source(alert.source);
-  wire.set_gid(alert.gid);
-  wire.set_sid(alert.sid);
-  wire.set_rev(alert.rev);
-  wire.set_message(alert.message);
-  wire.set_severity(alert.severity);
-  wire.set_src(alert.src);
-  wire.set_dst(alert.dst);
-  wire.set_line(alert.line);
-}
-
-void FillFinding(const Finding& finding, rips::v1::Finding& wire) {
-  wire.set_kind(finding.kind);
-  if (!finding.guid.none()) wire.set_guid(finding.guid.ToBytes());
-  wire.set_node(finding.node);
-  wire.set_topic(finding.topic);
-  wire.set_detail(finding.detail);
-  wire.set_over(finding.over);
-}
-
-void FillState(const SensorState& state, rips::v1::SensorState& wire) {
-  wire.set_overloaded(state.overloaded);
-  wire.set_outbox_bytes(state.outbox_bytes);
-  wire.set_oldest_unacked_ns(static_cast<uint64_t>(std::max<int64_t>(state.oldest_unacked_ns, 0)));
-  for (const std::string& kind : state.not_visible) wire.add_not_visible(kind);
-  for (const std::string& reason : state.blind) wire.add_blind(reason);
-  wire.set_spool_bytes(state.spool_bytes);
 }
 
 }  // namespace
@@ -291,23 +249,9 @@ void WireEncoder::AddLoss(const Loss& loss, rips::v1::Loss& wire, ObservationBat
 void WireEncoder::Add(const ControlObservation& observation, ObservationBatch& batch) {
   rips::v1::Observation* wire = batch.add_observations();
   SetTime(observation.boottime_ns, *wire);
-  std::visit(
-      Overloaded{[&](const GraphChange& change) {
-                   if (change.from_version == 0) {
-                     FillSnapshot(change, *wire->mutable_snapshot());
-                   } else {
-                     FillDelta(change, *wire->mutable_delta());
-                   }
-                 },
-                 [&](const Loss& loss) { AddLoss(loss, *wire->mutable_loss(), batch); },
-                 [&](const SignalSeen& signal) {
-                   wire->mutable_signal()->set_name(signal.name);
-                   wire->mutable_signal()->set_count(signal.count);
-                 },
-                 [&](const IdsAlert& alert) { FillIdsAlert(alert, *wire->mutable_ids()); },
-                 [&](const Finding& finding) { FillFinding(finding, *wire->mutable_finding()); },
-                 [&](const SensorState& state) { FillState(state, *wire->mutable_state()); }},
-      observation.what);
+  std::visit(Overloaded{[&](const Loss& loss) { AddLoss(loss, *wire->mutable_loss(), batch); },
+                        [&](const auto& other) { model_proto::Encode(other, *wire); }},
+             observation.what);
   wire_limits::CutToLimits(*wire);
 }
 

@@ -165,8 +165,8 @@ void ShardMessages(benchmark::State& state) {
                   robot.OnSensorHello("base", load.sensor, {.incarnation = kIncarnation});
                   robot.OnBatch(
                       "base", load.sensor.get(),
-                      One(1, {.what = pipeline::GraphSnapshotSeen{
-                                  .version = 1, .settled = true, .content = GraphOfTopics()}}));
+                      One(1, {.what = pipeline::GraphChange{
+                                  .to_version = 1, .settled = true, .delta = GraphOfTopics()}}));
                   began_s = CpuSeconds();
                 })
           .IgnoreError();
@@ -218,15 +218,15 @@ class FullRobot {
     robot_->OnSensorHello("base", sensor_, {.incarnation = kIncarnation});
   }
   void Snapshot(const ros2::GraphDelta& graph) {
-    Send({.what = pipeline::GraphSnapshotSeen{
-              .version = ++version_, .settled = true, .content = graph}});
+    Send(
+        {.what = pipeline::GraphChange{.to_version = ++version_, .settled = true, .delta = graph}});
   }
   void Delta(ros2::GraphDelta delta) {
     ++version_;
-    Send({.what = pipeline::GraphDeltaSeen{.from_version = version_ - 1,
-                                           .to_version = version_,
-                                           .settled = true,
-                                           .delta = std::move(delta)}});
+    Send({.what = pipeline::GraphChange{.from_version = version_ - 1,
+                                        .to_version = version_,
+                                        .settled = true,
+                                        .delta = std::move(delta)}});
   }
   void Send(pipeline::Observation seen) {
     robot_->OnBatch("base", sensor_.get(), One(++sequence_, std::move(seen)));

@@ -106,20 +106,21 @@ class Player {
     static_assert(std::variant_size_v<ExternalEvent> == 6);
     switch (choices.Pick(6)) {
       case 0:
-        return Judge(ExternalEvent(std::in_place_type<IdsEvent>,
-                                   IdsEvent{.message = "scan", .gid = 1, .sid = 7}),
+        return Judge(ExternalEvent(std::in_place_type<model::IdsAlert>,
+                                   model::IdsAlert{.gid = 1, .sid = 7, .message = "scan"}),
                      choices);
       case 1:
-        return Judge(ExternalEvent(std::in_place_type<SignalEvent>, SignalEvent{"SIGUSR1"}),
-                     choices);
+        return Judge(
+            ExternalEvent(std::in_place_type<model::SignalSeen>, model::SignalSeen{"SIGUSR1"}),
+            choices);
       case 2:
         return Judge(ExternalEvent(std::in_place_type<AgentEvent>, AgentEvent{"sensor", "lost"}),
                      choices);
       case 3:
-        return Judge(ExternalEvent(std::in_place_type<FindingEvent>, FindingEvent{"impostor"}),
+        return Judge(ExternalEvent(std::in_place_type<model::Finding>, model::Finding{"impostor"}),
                      choices);
       case 4:
-        return Judge(ExternalEvent(std::in_place_type<LossEvent>, LossEvent{3}), choices);
+        return Judge(ExternalEvent(std::in_place_type<model::Loss>, model::Loss{3}), choices);
       default:
         return Judge(ExternalEvent(std::in_place_type<TickEvent>), choices);
     }

@@ -3,7 +3,7 @@
 #include <string>
 #include <variant>
 
-#include "absl/strings/str_cat.h"
+#include "services/base/overloaded.h"
 
 namespace rips::simulation {
 namespace {
@@ -56,24 +56,12 @@ std::shared_ptr<const sensor::MessageSource> SourceOf(bool intruder) {
 }
 
 pipeline::Observation ToServerObservation(const sensor::ControlObservation& seen) {
-  pipeline::Observation to{.boottime_ns = seen.boottime_ns, .what = pipeline::SensorStateSeen{}};
-  if (const auto* graph = std::get_if<sensor::GraphChange>(&seen.what)) {
-    if (graph->from_version == 0) {
-      to.what = pipeline::GraphSnapshotSeen{
-          .version = graph->to_version, .settled = graph->settled, .content = graph->delta};
-    } else {
-      to.what = pipeline::GraphDeltaSeen{.from_version = graph->from_version,
-                                         .to_version = graph->to_version,
-                                         .settled = graph->settled,
-                                         .delta = graph->delta};
-    }
-  } else if (const auto* signal = std::get_if<sensor::SignalSeen>(&seen.what)) {
-    to.what = pipeline::SignalSeen{.name = signal->name};
-  } else if (const auto* loss = std::get_if<sensor::Loss>(&seen.what)) {
-    to.what = pipeline::LossSeen{.count = loss->count, .cause = "outbox shed"};
-  } else if (const auto* ids = std::get_if<sensor::IdsAlert>(&seen.what)) {
-    to.what = pipeline::IdsAlertSeen{.message = ids->message, .gid = 1, .sid = ids->sid};
-  }
+  pipeline::Observation to{.boottime_ns = seen.boottime_ns};
+  std::visit(Overloaded{[&](const sensor::Loss& loss) {
+                          to.what = model::Loss{.count = loss.count, .cause = "outbox shed"};
+                        },
+                        [&](const auto& same) { to.what = same; }},
+             seen.what);
   return to;
 }
 
@@ -91,7 +79,7 @@ uint64_t ObservationId(const pipeline::Observation& seen) {
   if (const auto* message = std::get_if<pipeline::MessageSeen>(&seen.what)) {
     return message->size_bytes;
   }
-  const auto* ids = std::get_if<pipeline::IdsAlertSeen>(&seen.what);
+  const auto* ids = std::get_if<pipeline::IdsAlert>(&seen.what);
   return ids == nullptr ? 0 : ids->sid;
 }
 

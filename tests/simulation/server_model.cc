@@ -56,7 +56,7 @@ class JudgedTap final : public pipeline::EventRecorder {
     if (message != nullptr) checker_.OnJudged(message->size_bytes);
     const auto* external = std::get_if<engine::ExternalEvent>(&event.what);
     if (external == nullptr) return true;
-    const auto* ids = std::get_if<engine::IdsEvent>(external);
+    const auto* ids = std::get_if<model::IdsAlert>(external);
     if (ids != nullptr) checker_.OnJudged(ids->sid);
     return true;
   }

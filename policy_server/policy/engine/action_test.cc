@@ -151,8 +151,9 @@ TEST(ActionTest, EventsRunTheRulesOfTheirClass) {
   EXPECT_THAT(Lines(robot.Tick(), robot.state), ElementsAre("alert t medium: t"));
   EXPECT_THAT(Lines(robot.Graph(), robot.state), ElementsAre("alert g medium: g"));
   EXPECT_THAT(Lines(robot.Message("/x"), robot.state), ElementsAre("alert m medium: m"));
-  for (const ExternalEvent& event : {ExternalEvent(IdsEvent{}), ExternalEvent(SignalEvent{}),
-                                     ExternalEvent(AgentEvent{}), ExternalEvent(LossEvent{})}) {
+  for (const ExternalEvent& event :
+       {ExternalEvent(model::IdsAlert{}), ExternalEvent(model::SignalSeen{}),
+        ExternalEvent(AgentEvent{}), ExternalEvent(model::Loss{})}) {
     EXPECT_THAT(Lines(robot.Judge(event), robot.state), ElementsAre("alert t medium: t"));
   }
 }
@@ -331,9 +332,11 @@ TEST(ActionTest, DescribesEvents) {
   EXPECT_EQ(Describe({.what = GraphEvent{}}), "graph change");
   EXPECT_EQ(Describe({.what = ExternalEvent(TickEvent{})}), "tick");
   EXPECT_EQ(Describe({.what = ExternalEvent(AgentEvent{"sensor", "lost"})}), "sensor lost");
-  EXPECT_EQ(Describe({.what = ExternalEvent(SignalEvent{"SIGUSR1"})}), "signal SIGUSR1");
-  EXPECT_EQ(Describe({.what = ExternalEvent(LossEvent{3})}), "loss of 3 events");
-  EXPECT_EQ(Describe({.what = ExternalEvent(IdsEvent{"scan", 1, 7})}), "ids alert 1:7 scan");
+  EXPECT_EQ(Describe({.what = ExternalEvent(model::SignalSeen{"SIGUSR1"})}), "signal SIGUSR1");
+  EXPECT_EQ(Describe({.what = ExternalEvent(model::Loss{3})}), "loss of 3 events");
+  EXPECT_EQ(
+      Describe({.what = ExternalEvent(model::IdsAlert{.gid = 1, .sid = 7, .message = "scan"})}),
+      "ids alert 1:7 scan");
 }
 
 TEST(WouldRaiseTest, NamesGraphRulesThatWouldRaiseAgain) {

@@ -152,7 +152,8 @@ ExternalEvent Of(What what) {
 }
 
 TEST(ExternalQuestionTest, IdsAlerts) {
-  const ExternalEvent ids = Of(IdsEvent{.message = "ET SCAN 7 port sweep", .gid = 1, .sid = 2001});
+  const ExternalEvent ids =
+      Of(model::IdsAlert{.gid = 1, .sid = 2001, .message = "ET SCAN 7 port sweep"});
   const auto ask = [&](const std::string& text) {
     return AskExternal(Call(Builtin::kIdsAlert, Texts({text})), ids);
   };
@@ -165,7 +166,8 @@ TEST(ExternalQuestionTest, IdsAlerts) {
   EXPECT_FALSE(ask("99999999999999999999"));
   EXPECT_FALSE(ask("Port Sweep")) << "case counts";
   EXPECT_FALSE(ask("1:2:3"));
-  const ExternalEvent line = Of(IdsEvent{.message = "m", .line = "11/21 [**] [1:5:1] m {UDP}"});
+  const ExternalEvent line =
+      Of(model::IdsAlert{.message = "m", .line = "11/21 [**] [1:5:1] m {UDP}"});
   EXPECT_TRUE(AskExternal(Call(Builtin::kIdsAlert, Texts({"{UDP}"})), line));
 }
 
@@ -173,7 +175,7 @@ TEST(ExternalQuestionTest, SignalsAgentsFindingsAndLosses) {
   const auto call = [](Builtin builtin, const std::vector<std::string>& args) {
     return Call(builtin, Texts(args));
   };
-  const ExternalEvent signal = Of(SignalEvent{.name = "SIGUSR1"});
+  const ExternalEvent signal = Of(model::SignalSeen{.name = "SIGUSR1"});
   EXPECT_TRUE(AskExternal(call(Builtin::kSignal, {"SIGUSR1"}), signal));
   EXPECT_TRUE(AskExternal(call(Builtin::kSignal, {"USR1"}), signal));
   EXPECT_FALSE(AskExternal(call(Builtin::kSignal, {"SIGUSR2"}), signal));
@@ -181,10 +183,10 @@ TEST(ExternalQuestionTest, SignalsAgentsFindingsAndLosses) {
   EXPECT_TRUE(AskExternal(call(Builtin::kAgent, {"sensor", "lost"}), lost));
   EXPECT_FALSE(AskExternal(call(Builtin::kAgent, {"actuator", "lost"}), lost));
   EXPECT_FALSE(AskExternal(call(Builtin::kAgent, {"sensor", "connected"}), lost));
-  const ExternalEvent finding = Of(FindingEvent{.kind = "impostor"});
+  const ExternalEvent finding = Of(model::Finding{.kind = "impostor"});
   EXPECT_TRUE(AskExternal(call(Builtin::kFinding, {"impostor"}), finding));
   EXPECT_FALSE(AskExternal(call(Builtin::kFinding, {"false_claim"}), finding));
-  const ExternalEvent loss = Of(LossEvent{.count = 10});
+  const ExternalEvent loss = Of(model::Loss{.count = 10});
   EXPECT_TRUE(AskExternal(Call(Builtin::kLostEvents, {I(10)}), loss));
   EXPECT_TRUE(AskExternal(Call(Builtin::kLostEvents, {I(-1)}), loss));
   EXPECT_FALSE(AskExternal(Call(Builtin::kLostEvents, {I(11)}), loss));
@@ -207,7 +209,7 @@ TEST(ExternalQuestionTest, NothingIsTrueOnATick) {
 TEST(ExternalQuestionTest, AddressesAreThoseOfTheIdsAlert) {
   const TypedExpr from = Op(Name(Predefined::kIdsSource), BinaryOp::kEq, S("10.0.0.1"));
   const TypedExpr to = Op(Name(Predefined::kIdsTarget), BinaryOp::kEq, S("10.0.0.2"));
-  const ExternalEvent ids = Of(IdsEvent{.source = "10.0.0.1", .target = "10.0.0.2"});
+  const ExternalEvent ids = Of(model::IdsAlert{.src = "10.0.0.1", .dst = "10.0.0.2"});
   EXPECT_TRUE(AskExternal(And(from, to), ids));
   EXPECT_FALSE(AskExternal(from, Of(TickEvent{})));
 }

@@ -1,9 +1,11 @@
 #include "policy_server/policy/recording/event_codec.h"
 
+#include <optional>
 #include <utility>
 
 #include "absl/strings/str_cat.h"
 #include "services/base/status_macros.h"
+#include "services/model_proto/observation_codec.h"
 #include "services/ros2_proto/graph_codec.h"
 
 namespace rips::recording {
@@ -35,38 +37,6 @@ absl::StatusOr<RecordedGraph> DecodeDelta(const rips::v1::GraphDelta& wire) {
   return graph;
 }
 
-RecordedIds DecodeIds(const rips::v1::IdsAlert& wire) {
-  return {.source = wire.source(),
-          .gid = wire.gid(),
-          .sid = wire.sid(),
-          .message = wire.message(),
-          .src = wire.src(),
-          .dst = wire.dst(),
-          .line = wire.line()};
-}
-
-absl::StatusOr<RecordedLoss> DecodeLoss(const rips::v1::RecordedLoss& wire) {
-  RecordedLoss loss{.count = wire.count(),
-                    .topic = wire.topic(),
-                    .type = wire.type(),
-                    .first_unix_ns = wire.first_unix_ns(),
-                    .last_unix_ns = wire.last_unix_ns(),
-                    .cause = wire.cause()};
-  if (!wire.writer_guid().empty()) {
-    RIPS_ASSIGN_OR_RETURN(loss.writer, ros2::GuidFromBytes(wire.writer_guid()));
-  }
-  return loss;
-}
-
-absl::StatusOr<RecordedFinding> DecodeFinding(const rips::v1::RecordedFinding& wire) {
-  RecordedFinding finding{
-      .kind = wire.kind(), .node = wire.node(), .topic = wire.topic(), .detail = wire.detail()};
-  if (!wire.guid().empty()) {
-    RIPS_ASSIGN_OR_RETURN(finding.guid, ros2::GuidFromBytes(wire.guid()));
-  }
-  return finding;
-}
-
 void EncodeSnapshot(const RecordedGraph& graph, rips::v1::GraphSnapshot& wire) {
   wire.set_settled(graph.settled);
   ros2_proto::EncodeGraph(graph.content, wire);
@@ -89,41 +59,8 @@ struct Encoder {
     wire.mutable_delta()->set_settled(graph.settled);
     ros2_proto::EncodeGraph(graph.content, *wire.mutable_delta());
   }
-  void operator()(const RecordedIds& ids) const {
-    rips::v1::IdsAlert* out = wire.mutable_ids();
-    out->set_source(ids.source);
-    out->set_gid(ids.gid);
-    out->set_sid(ids.sid);
-    out->set_message(ids.message);
-    out->set_src(ids.src);
-    out->set_dst(ids.dst);
-    out->set_line(ids.line);
-  }
-  void operator()(const RecordedSignal& signal) const {
-    wire.mutable_signal()->set_name(signal.name);
-    wire.mutable_signal()->set_count(1);
-  }
-  void operator()(const RecordedAgent& agent) const {
-    wire.mutable_agent()->set_agent(agent.agent);
-    wire.mutable_agent()->set_state(agent.state);
-  }
-  void operator()(const RecordedFinding& finding) const {
-    rips::v1::RecordedFinding* out = wire.mutable_finding();
-    out->set_kind(finding.kind);
-    if (!finding.guid.none()) out->set_guid(finding.guid.ToBytes());
-    out->set_node(finding.node);
-    out->set_topic(finding.topic);
-    out->set_detail(finding.detail);
-  }
-  void operator()(const RecordedLoss& loss) const {
-    rips::v1::RecordedLoss* out = wire.mutable_loss();
-    out->set_count(loss.count);
-    out->set_topic(loss.topic);
-    out->set_type(loss.type);
-    if (!loss.writer.none()) out->set_writer_guid(loss.writer.ToBytes());
-    out->set_first_unix_ns(loss.first_unix_ns);
-    out->set_last_unix_ns(loss.last_unix_ns);
-    out->set_cause(loss.cause);
+  void operator()(const model::ExternalEvent& external) const {
+    model_proto::Encode(external, wire);
   }
   void operator()(const RecordedOther& other) const { wire.mutable_other()->set_what(other.what); }
 
@@ -148,6 +85,12 @@ absl::StatusOr<Recorded> DecodeEvent(const rips::v1::RecordedEvent& wire) {
   if (wire.has_context()) {
     RIPS_ASSIGN_OR_RETURN(event.context, DecodeSnapshot(wire.context()));
   }
+  RIPS_ASSIGN_OR_RETURN(std::optional<model::ExternalEvent> external,
+                        model_proto::DecodeExternal(wire));
+  if (external.has_value()) {
+    event.what = *std::move(external);
+    return event;
+  }
   switch (wire.what_case()) {
     case Wire::kMessage: {
       RIPS_ASSIGN_OR_RETURN(event.what, DecodeMessage(wire.message()));
@@ -161,27 +104,10 @@ absl::StatusOr<Recorded> DecodeEvent(const rips::v1::RecordedEvent& wire) {
       RIPS_ASSIGN_OR_RETURN(event.what, DecodeDelta(wire.delta()));
       break;
     }
-    case Wire::kIds:
-      event.what = DecodeIds(wire.ids());
-      break;
-    case Wire::kSignal:
-      event.what = RecordedSignal{.name = wire.signal().name()};
-      break;
-    case Wire::kAgent:
-      event.what = RecordedAgent{.agent = wire.agent().agent(), .state = wire.agent().state()};
-      break;
-    case Wire::kFinding: {
-      RIPS_ASSIGN_OR_RETURN(event.what, DecodeFinding(wire.finding()));
-      break;
-    }
-    case Wire::kLoss: {
-      RIPS_ASSIGN_OR_RETURN(event.what, DecodeLoss(wire.loss()));
-      break;
-    }
     case Wire::kOther:
       event.what = RecordedOther{.what = wire.other().what()};
       break;
-    case Wire::WHAT_NOT_SET:
+    default:
       event.what = RecordedOther{.what = "unknown"};
       break;
   }

@@ -7,6 +7,7 @@
 #include <string>
 #include <variant>
 
+#include "services/model/event.h"
 #include "services/ros2/guid.h"
 #include "services/ros2/ros_graph.h"
 
@@ -39,62 +40,6 @@ struct RecordedGraph {
   bool settled = false;
 };
 
-struct RecordedIds {
-  // "snort", "suricata"
-  std::string source;
-  uint32_t gid = 0;
-  uint32_t sid = 0;
-  std::string message;
-  std::string src;
-  std::string dst;
-  // The log line as read.
-  std::string line;
-
-  friend bool operator==(const RecordedIds&, const RecordedIds&) = default;
-};
-
-struct RecordedSignal {
-  // "SIGUSR1" or "SIGUSR2"
-  std::string name;
-
-  friend bool operator==(const RecordedSignal&, const RecordedSignal&) = default;
-};
-
-// A state change of one of the robot's agents, in the words of the rule language.
-struct RecordedAgent {
-  std::string agent;
-  std::string state;
-
-  friend bool operator==(const RecordedAgent&, const RecordedAgent&) = default;
-};
-
-struct RecordedFinding {
-  std::string kind;
-  // What it is about; none() and empty where it is not about such, or the recording does not tell.
-  ros2::Guid guid;
-  std::string node;
-  std::string topic;
-  std::string detail;
-
-  friend bool operator==(const RecordedFinding&, const RecordedFinding&) = default;
-};
-
-struct RecordedLoss {
-  // Events that were not recorded.
-  uint64_t count = 0;
-  // Of one topic, or of one writer on it; empty and none() = several or not known.
-  std::string topic;
-  std::string type;
-  ros2::Guid writer;
-  // When the first and the last were due, nanoseconds since the Unix epoch; 0 = not known.
-  int64_t first_unix_ns = 0;
-  int64_t last_unix_ns = 0;
-  // For people.
-  std::string cause;
-
-  friend bool operator==(const RecordedLoss&, const RecordedLoss&) = default;
-};
-
 // Not judged; it keeps its index.
 struct RecordedOther {
   // The recording's word for it.
@@ -111,9 +56,7 @@ struct Recorded {
   std::optional<int64_t> time_unix_ns;
   // Replaces the graph before this event is judged; always `whole`. Not an event of its own.
   std::optional<RecordedGraph> context;
-  std::variant<RecordedMessage, RecordedGraph, RecordedIds, RecordedSignal, RecordedAgent,
-               RecordedFinding, RecordedLoss, RecordedOther>
-      what;
+  std::variant<RecordedMessage, RecordedGraph, model::ExternalEvent, RecordedOther> what;
 };
 
 // Where a recording of ours comes from.

@@ -49,28 +49,28 @@ std::vector<Recorded> Events() {
   delta.content.gone_nodes = {"/n"};
   events.push_back({.time_unix_ns = 1, .what = delta});
   events.push_back({.what = RecordedGraph{}});
-  events.push_back({.what = RecordedIds{.source = "snort",
-                                        .gid = 1,
-                                        .sid = 2,
-                                        .message = "m",
-                                        .src = "s",
-                                        .dst = "d",
-                                        .line = "l\u00e9"}});
-  events.push_back({.time_unix_ns = 0, .what = RecordedSignal{.name = "SIGUSR1"}});
-  events.push_back({.what = RecordedAgent{.agent = "sensor", .state = "lost"}});
-  events.push_back({.what = RecordedFinding{.kind = "impostor"}});
-  RecordedFinding finding{
+  events.push_back({.what = model::IdsAlert{.source = "snort",
+                                            .gid = 1,
+                                            .sid = 2,
+                                            .message = "m",
+                                            .src = "s",
+                                            .dst = "d",
+                                            .line = "l\u00e9"}});
+  events.push_back({.time_unix_ns = 0, .what = model::SignalSeen{.name = "SIGUSR1"}});
+  events.push_back({.what = model::AgentEvent{.agent = "sensor", .state = "lost"}});
+  events.push_back({.what = model::Finding{.kind = "impostor"}});
+  model::Finding finding{
       .kind = "non_ros_writer", .node = "/n", .topic = "/t", .detail = "for people"};
   finding.guid.bytes[15] = 3;
   events.push_back({.what = finding});
-  events.push_back({.what = RecordedLoss{.count = UINT64_MAX}});
-  events.push_back({.what = RecordedLoss{.count = 2,
-                                         .topic = "/a",
-                                         .type = "a/msg/A",
-                                         .writer = *ros2::GuidFromBytes("0123456789abcdef"),
-                                         .first_unix_ns = 5,
-                                         .last_unix_ns = 9,
-                                         .cause = "queue full"}});
+  events.push_back({.what = model::Loss{.count = UINT64_MAX}});
+  events.push_back({.what = model::Loss{.count = 2,
+                                        .topic = "/a",
+                                        .type = "a/msg/A",
+                                        .writer = *ros2::GuidFromBytes("0123456789abcdef"),
+                                        .first_ns = 5,
+                                        .last_ns = 9,
+                                        .cause = "queue full"}});
   events.push_back({.what = RecordedOther{.what = "tick"}});
   for (size_t i = 0; i < events.size(); ++i) events[i].index = i;
   return events;
@@ -123,7 +123,8 @@ TEST_F(RipsFormatTest, EventsReadBackAsTheyWereWritten) {
 // The example of FORMAT.md.
 TEST_F(RipsFormatTest, BytesAreAsTheFormatSays) {
   const std::string empty = Record({});
-  const std::string one = Record({{.time_unix_ns = 10, .what = RecordedSignal{.name = "SIGUSR1"}}});
+  const std::string one =
+      Record({{.time_unix_ns = 10, .what = model::SignalSeen{.name = "SIGUSR1"}}});
   EXPECT_EQ(empty.substr(0, 8), absl::string_view("\x89RIPS\x01\r\n", 8));
   EXPECT_EQ(
       one.substr(empty.size()),
@@ -194,7 +195,7 @@ TEST_F(RipsFormatTest, TheWriterRefusesWhatCouldNotBeRead) {
   half.whole = false;
   RecordedGraph gone = Graph();
   gone.content.gone_nodes = {"/x"};
-  EXPECT_THAT(writer->Append({.what = RecordedSignal{.name = "\xff"}}),
+  EXPECT_THAT(writer->Append({.what = model::SignalSeen{.name = "\xff"}}),
               StatusIs(kInvalid, HasSubstr("`name` of `SignalSeen` is not UTF-8")));
   RecordedGraph bad_text;
   bad_text.content.gone_nodes = {"good", "\xc0\x80"};

@@ -76,7 +76,7 @@ Recorded Event(What what, std::optional<int64_t> time_ms = std::nullopt) {
   return event;
 }
 inline Recorded Signal(std::optional<int64_t> time_ms = std::nullopt) {
-  return Event(recording::RecordedSignal{.name = "SIGUSR1"}, time_ms);
+  return Event(model::SignalSeen{.name = "SIGUSR1"}, time_ms);
 }
 inline Recorded Message(const std::string& topic, const std::string& sender = "",
                         std::optional<int64_t> time_ms = std::nullopt) {

@@ -130,42 +130,13 @@ absl::Status Replayer::Judge(const Recorded& event) {
     state_.graph = graph_;
   }
   absl::Status judged;
-  std::visit(
-      Overloaded{
-          [&](const RecordedMessage& message) { JudgeMessage(message); },
-          [&](const RecordedGraph& graph) { judged = AtEvent(event.index, JudgeGraph(graph)); },
-          [&](const recording::RecordedIds& ids) {
-            JudgeExternal(engine::IdsEvent{.message = ids.message,
-                                           .gid = ids.gid,
-                                           .sid = ids.sid,
-                                           .line = ids.line,
-                                           .source = ids.src,
-                                           .target = ids.dst});
-          },
-          [&](const recording::RecordedSignal& signal) {
-            JudgeExternal(engine::SignalEvent{.name = signal.name});
-          },
-          [&](const recording::RecordedAgent& agent) {
-            JudgeExternal(engine::AgentEvent{.agent = agent.agent, .state = agent.state});
-          },
-          [&](const recording::RecordedFinding& finding) {
-            JudgeExternal(engine::FindingEvent{.kind = finding.kind,
-                                               .guid = finding.guid,
-                                               .node = finding.node,
-                                               .topic = finding.topic,
-                                               .detail = finding.detail});
-          },
-          [&](const recording::RecordedLoss& loss) {
-            JudgeExternal(engine::LossEvent{.count = loss.count,
-                                            .topic = loss.topic,
-                                            .type = loss.type,
-                                            .writer = loss.writer,
-                                            .first_unix_ns = loss.first_unix_ns,
-                                            .last_unix_ns = loss.last_unix_ns,
-                                            .cause = loss.cause});
-          },
-          [](const recording::RecordedOther&) {}},
-      event.what);
+  std::visit(Overloaded{[&](const RecordedMessage& message) { JudgeMessage(message); },
+                        [&](const RecordedGraph& graph) {
+                          judged = AtEvent(event.index, JudgeGraph(graph));
+                        },
+                        [&](const model::ExternalEvent& external) { JudgeExternal(external); },
+                        [](const recording::RecordedOther&) {}},
+             event.what);
   return judged;
 }
 

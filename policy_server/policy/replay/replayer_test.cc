@@ -418,11 +418,10 @@ TEST(ReplayerTest, ExternalEventsAreAsRecorded) {
       l: lostevents(12) ? alert("loss");
   )");
 
-  const Result result =
-      Replayed(program, {Event(recording::RecordedIds{.message = "a scan", .src = "1", .dst = "2"}),
-                         Event(recording::RecordedAgent{"sensor", "lost"}),
-                         Event(recording::RecordedFinding{"impostor"}),
-                         Event(recording::RecordedLoss{12}), Event(recording::RecordedOther{"x"})});
+  const Result result = Replayed(
+      program, {Event(model::IdsAlert{.message = "a scan", .src = "1", .dst = "2"}),
+                Event(model::AgentEvent{"sensor", "lost"}), Event(model::Finding{"impostor"}),
+                Event(model::Loss{12}), Event(recording::RecordedOther{"x"})});
 
   EXPECT_THAT(Alerts(result), ElementsAre("0 i 1 2", "1 a lost", "2 f impostor", "3 l loss"));
   EXPECT_EQ(result.events, (EventCounts{.external = 4}));
@@ -435,11 +434,8 @@ TEST(ReplayerTest, LossesCountInTheWindowsAsTheyDidOnTheRobot) {
   )");
   constexpr int64_t kStart = 1'700'000'000 * kNanosPerSecond;
   const auto loss = [&](int64_t last_ns) {
-    Recorded event = Event(recording::RecordedLoss{.count = 4,
-                                                   .topic = "/t",
-                                                   .type = "p/msg/T",
-                                                   .first_unix_ns = last_ns,
-                                                   .last_unix_ns = last_ns});
+    Recorded event = Event(model::Loss{
+        .count = 4, .topic = "/t", .type = "p/msg/T", .first_ns = last_ns, .last_ns = last_ns});
     event.time_unix_ns = kStart;
     return event;
   };

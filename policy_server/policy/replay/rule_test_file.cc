@@ -128,10 +128,10 @@ class EventReader {
   void ReadRepeat(const ConfigSection& section, TestEvent& event);
   void ReadMessage(const ConfigSection& section, TestEvent& event);
   std::string ReadPayload(const ConfigSection& section);
-  recording::RecordedIds ReadIds(const ConfigSection& section);
-  recording::RecordedAgent ReadAgent(const ConfigSection& section);
-  recording::RecordedFinding ReadFinding(const ConfigSection& section);
-  recording::RecordedLoss ReadLoss(const ConfigSection& section, uint64_t count);
+  model::IdsAlert ReadIds(const ConfigSection& section);
+  model::AgentEvent ReadAgent(const ConfigSection& section);
+  model::Finding ReadFinding(const ConfigSection& section);
+  model::Loss ReadLoss(const ConfigSection& section, uint64_t count);
 
   const std::string& folder_;  // Not owned; outlives this.
   RuleTestGraph graph_;
@@ -156,7 +156,7 @@ TestEvent EventReader::Read(const ConfigSection& section) {
     std::string name;
     section.RequiredEnum<std::string>("signal", &name,
                                       {{"SIGUSR1", "SIGUSR1"}, {"SIGUSR2", "SIGUSR2"}});
-    event.what = recording::RecordedSignal{.name = name};
+    event.what = model::SignalSeen{.name = name};
   }
   if (has("lost")) {
     section.Required<int64_t>("lost", &count, {1, std::numeric_limits<int64_t>::max()});
@@ -178,8 +178,8 @@ TestEvent EventReader::Read(const ConfigSection& section) {
   return event;
 }
 
-recording::RecordedLoss EventReader::ReadLoss(const ConfigSection& section, uint64_t count) {
-  recording::RecordedLoss loss{.count = count};
+model::Loss EventReader::ReadLoss(const ConfigSection& section, uint64_t count) {
+  model::Loss loss{.count = count};
   section.Optional("lost_on", &loss.topic);
   if (loss.topic.empty()) return loss;
   const absl::Status valid = ros2::ValidateTopicName(loss.topic);
@@ -248,8 +248,8 @@ std::string EventReader::ReadPayload(const ConfigSection& section) {
   return "";
 }
 
-recording::RecordedIds EventReader::ReadIds(const ConfigSection& section) {
-  recording::RecordedIds ids;
+model::IdsAlert EventReader::ReadIds(const ConfigSection& section) {
+  model::IdsAlert ids;
   int64_t gid = 1;
   int64_t sid = 0;
   section.Optional<int64_t>("gid", &gid, {0, kUint32Max});
@@ -263,7 +263,7 @@ recording::RecordedIds EventReader::ReadIds(const ConfigSection& section) {
   return ids;
 }
 
-recording::RecordedAgent EventReader::ReadAgent(const ConfigSection& section) {
+model::AgentEvent EventReader::ReadAgent(const ConfigSection& section) {
   std::vector<std::string> words;
   section.Required("agent", &words);
   if (words.empty()) return {};  // reported
@@ -279,8 +279,8 @@ recording::RecordedAgent EventReader::ReadAgent(const ConfigSection& section) {
   return {.agent = words[0], .state = words[1]};
 }
 
-recording::RecordedFinding EventReader::ReadFinding(const ConfigSection& section) {
-  recording::RecordedFinding finding;
+model::Finding EventReader::ReadFinding(const ConfigSection& section) {
+  model::Finding finding;
   section.Required("finding", &finding.kind);
   const auto kinds = lang::SignatureOf(lang::Builtin::kFinding).parameters[0].words;
   if (!finding.kind.empty() && !Among(kinds, finding.kind)) {

@@ -118,9 +118,8 @@ struct EvidenceSpec {
 
 struct TestEvent {
   int line = 0;
-  std::variant<recording::RecordedMessage, recording::RecordedGraph, recording::RecordedIds,
-               recording::RecordedSignal, recording::RecordedAgent, recording::RecordedFinding,
-               recording::RecordedLoss, TickSpec, WaitSpec, OrderSpec, EvidenceSpec>
+  std::variant<recording::RecordedMessage, recording::RecordedGraph, model::ExternalEvent, TickSpec,
+               WaitSpec, OrderSpec, EvidenceSpec>
       what;
   int64_t repeat = 1;
   // From one to the next.

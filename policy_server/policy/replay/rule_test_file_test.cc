@@ -103,9 +103,9 @@ tests:
   EXPECT_EQ(second.size_bytes, 5u);
   EXPECT_FALSE(second.truncated);
   EXPECT_TRUE(std::get<recording::RecordedMessage>(test.events[3].what).writer.none());
-  EXPECT_EQ(std::get<recording::RecordedIds>(test.events[4].what),
-            (recording::RecordedIds{.gid = 3, .sid = 7, .message = "m", .src = "s", .dst = "t"}));
-  EXPECT_EQ(std::get<recording::RecordedLoss>(test.events[8].what).count, 12u);
+  EXPECT_EQ(std::get<model::IdsAlert>(std::get<model::ExternalEvent>(test.events[4].what)),
+            (model::IdsAlert{.gid = 3, .sid = 7, .message = "m", .src = "s", .dst = "t"}));
+  EXPECT_EQ(std::get<model::Loss>(std::get<model::ExternalEvent>(test.events[8].what)).count, 12u);
   EXPECT_EQ(test.events[9].repeat, 5);
   EXPECT_EQ(test.events[9].every_ns, 200 * kNanosPerMilli);
   EXPECT_TRUE(std::holds_alternative<TickSpec>(test.events[10].what));

@@ -2,11 +2,14 @@
 
 #include <algorithm>
 #include <utility>
+#include <variant>
 
 #include "absl/strings/match.h"
 #include "absl/strings/str_cat.h"
 #include "policy_server/server/ingest/interest_codec.h"
+#include "services/base/overloaded.h"
 #include "services/base/status_macros.h"
+#include "services/model_proto/observation_codec.h"
 #include "services/ros2/ros_name.h"
 #include "services/ros2_proto/graph_codec.h"
 #include "services/wire_limits/field_limits.h"
@@ -48,29 +51,6 @@ std::string AddressOf(absl::string_view endpoint) {
   return std::string(port ? endpoint.substr(0, colon) : endpoint);
 }
 
-absl::StatusOr<pipeline::GraphSnapshotSeen> DecodeSnapshot(
-    const rips::v1::GraphSnapshot& snapshot) {
-  if (snapshot.graph_version() == 0) {
-    return absl::InvalidArgumentError("graph versions count from 1");
-  }
-  pipeline::GraphSnapshotSeen seen{.version = snapshot.graph_version(),
-                                   .settled = snapshot.settled()};
-  RIPS_ASSIGN_OR_RETURN(seen.content, ros2_proto::DecodeGraph(snapshot));
-  return seen;
-}
-
-absl::StatusOr<pipeline::GraphDeltaSeen> DecodeDelta(const rips::v1::GraphDelta& delta) {
-  if (delta.to_version() <= delta.from_version()) {
-    return absl::InvalidArgumentError(absl::StrCat(
-        "graph delta from version ", delta.from_version(), " to ", delta.to_version()));
-  }
-  pipeline::GraphDeltaSeen seen{.from_version = delta.from_version(),
-                                .to_version = delta.to_version(),
-                                .settled = delta.settled()};
-  RIPS_ASSIGN_OR_RETURN(seen.delta, ros2_proto::DecodeGraph(delta));
-  return seen;
-}
-
 const char* CauseName(rips::v1::Loss::Cause cause) {
   switch (cause) {
     case rips::v1::Loss::DDS_GAP:
@@ -88,6 +68,27 @@ const char* CauseName(rips::v1::Loss::Cause cause) {
     default:
       return "unknown cause";
   }
+}
+
+// What this server makes of untrusted text before it keeps it.
+absl::Status Sanitize(model::IdsAlert& alert) {
+  alert.src = AddressOf(alert.src);
+  alert.dst = AddressOf(alert.dst);
+  return absl::OkStatus();
+}
+
+// It goes into alerts: nothing that a terminal or a log would obey.
+absl::Status Sanitize(model::Finding& finding) {
+  if (finding.kind.empty()) return absl::InvalidArgumentError("a finding of no kind");
+  for (std::string* text : {&finding.kind, &finding.node, &finding.topic, &finding.detail}) {
+    *text = ros2::Printable(*text);
+  }
+  return absl::OkStatus();
+}
+
+template <typename What>
+absl::Status Sanitize(What&) {
+  return absl::OkStatus();
 }
 
 }  // namespace
@@ -259,13 +260,12 @@ absl::Status ObservationDecoder::DecodeMessage(const rips::v1::MessageSeen& mess
   return absl::OkStatus();
 }
 
-absl::StatusOr<pipeline::LossSeen> ObservationDecoder::DecodeLoss(
-    const rips::v1::Loss& loss) const {
+absl::StatusOr<model::Loss> ObservationDecoder::DecodeLoss(const rips::v1::Loss& loss) const {
   if (loss.count() == 0) return absl::InvalidArgumentError("a loss of nothing");
-  pipeline::LossSeen seen{.count = loss.count(),
-                          .cause = CauseName(loss.cause()),
-                          .first_boottime_ns = static_cast<int64_t>(loss.first_boottime_ns()),
-                          .last_boottime_ns = static_cast<int64_t>(loss.last_boottime_ns())};
+  model::Loss seen{.count = loss.count(),
+                   .first_ns = static_cast<int64_t>(loss.first_boottime_ns()),
+                   .last_ns = static_cast<int64_t>(loss.last_boottime_ns()),
+                   .cause = CauseName(loss.cause())};
   if (loss.topic_id() != 0) {
     const Name* topic = Find(loss.topic_id(), Name::Kind::kTopic);
     if (topic == nullptr) {
@@ -288,43 +288,6 @@ absl::StatusOr<pipeline::LossSeen> ObservationDecoder::DecodeLoss(
   return seen;
 }
 
-absl::StatusOr<pipeline::SensorStateSeen> ObservationDecoder::DecodeState(
-    const rips::v1::SensorState& state) const {
-  return pipeline::SensorStateSeen{
-      .overloaded = state.overloaded(),
-      .outbox_bytes = state.outbox_bytes(),
-      .oldest_unacked_ns =
-          static_cast<int64_t>(std::min<uint64_t>(state.oldest_unacked_ns(), kBoottimeMax)),
-      .spool_bytes = state.spool_bytes(),
-      .not_visible = {state.not_visible().begin(), state.not_visible().end()},
-      .blind = {state.blind().begin(), state.blind().end()}};
-}
-
-absl::StatusOr<pipeline::IdsAlertSeen> ObservationDecoder::DecodeIds(
-    const rips::v1::IdsAlert& ids) const {
-  return pipeline::IdsAlertSeen{.message = ids.message(),
-                                .gid = ids.gid(),
-                                .sid = ids.sid(),
-                                .line = ids.line(),
-                                .source = AddressOf(ids.src()),
-                                .target = AddressOf(ids.dst())};
-}
-
-absl::StatusOr<pipeline::FindingSeen> ObservationDecoder::DecodeFinding(
-    const rips::v1::Finding& finding) const {
-  if (finding.kind().empty()) return absl::InvalidArgumentError("a finding of no kind");
-  // A stranger's words, and they go into alerts: nothing that a terminal or a log would obey.
-  pipeline::FindingSeen seen{.kind = ros2::Printable(finding.kind()),
-                             .node = ros2::Printable(finding.node()),
-                             .topic = ros2::Printable(finding.topic()),
-                             .detail = ros2::Printable(finding.detail()),
-                             .over = finding.over()};
-  if (!finding.guid().empty()) {
-    RIPS_ASSIGN_OR_RETURN(seen.guid, ros2::GuidFromBytes(finding.guid()));
-  }
-  return seen;
-}
-
 absl::Status ObservationDecoder::DecodeOne(const rips::v1::Observation& observation, Lane lane,
                                            pipeline::Observation& one) {
   const bool is_message = observation.has_message();
@@ -336,39 +299,26 @@ absl::Status ObservationDecoder::DecodeOne(const rips::v1::Observation& observat
   switch (observation.kind_case()) {
     case rips::v1::Observation::kMessage:
       return DecodeMessage(observation.message(), one.what.emplace<pipeline::MessageSeen>());
-    case rips::v1::Observation::kSnapshot: {
-      RIPS_ASSIGN_OR_RETURN(one.what, DecodeSnapshot(observation.snapshot()));
-      break;
-    }
-    case rips::v1::Observation::kDelta: {
-      RIPS_ASSIGN_OR_RETURN(one.what, DecodeDelta(observation.delta()));
-      break;
-    }
-    case rips::v1::Observation::kIds: {
-      RIPS_ASSIGN_OR_RETURN(one.what, DecodeIds(observation.ids()));
-      break;
-    }
-    case rips::v1::Observation::kSignal:
-      one.what = pipeline::SignalSeen{.name = observation.signal().name()};
-      break;
     case rips::v1::Observation::kLoss: {
       RIPS_ASSIGN_OR_RETURN(one.what, DecodeLoss(observation.loss()));
-      break;
-    }
-    case rips::v1::Observation::kState: {
-      RIPS_ASSIGN_OR_RETURN(one.what, DecodeState(observation.state()));
-      break;
-    }
-    case rips::v1::Observation::kFinding: {
-      RIPS_ASSIGN_OR_RETURN(one.what, DecodeFinding(observation.finding()));
-      break;
+      return absl::OkStatus();
     }
     case rips::v1::Observation::KIND_NOT_SET:
       // A newer sensor's kind: not judged, so counted as lost.
-      one.what = pipeline::LossSeen{.count = 1, .cause = "an observation of an unknown kind"};
+      one.what = model::Loss{.count = 1, .cause = "an observation of an unknown kind"};
+      return absl::OkStatus();
+    default:
       break;
   }
-  return absl::OkStatus();
+  RIPS_ASSIGN_OR_RETURN(model_proto::Nameless decoded, model_proto::Decode(observation));
+  return std::visit(
+      Overloaded{[](std::monostate) { return absl::InternalError("a kind that is not decoded"); },
+                 [&](auto& what) -> absl::Status {
+                   RIPS_RETURN_IF_ERROR(Sanitize(what));
+                   one.what = std::move(what);
+                   return absl::OkStatus();
+                 }},
+      decoded);
 }
 
 }  // namespace rips::ingest

@@ -12,6 +12,7 @@
 #include "policy_server/server/robot/model/inbound.h"
 #include "rips/v1/observation.pb.h"
 #include "rips/v1/sensor.pb.h"
+#include "services/model/observation.h"
 
 namespace rips::ingest {
 
@@ -75,10 +76,7 @@ class ObservationDecoder {
   absl::Status DecodeOne(const rips::v1::Observation& observation, pipeline::Lane lane,
                          pipeline::Observation& one);
   absl::Status DecodeMessage(const rips::v1::MessageSeen& message, pipeline::MessageSeen& seen);
-  absl::StatusOr<pipeline::LossSeen> DecodeLoss(const rips::v1::Loss& loss) const;
-  absl::StatusOr<pipeline::SensorStateSeen> DecodeState(const rips::v1::SensorState& state) const;
-  absl::StatusOr<pipeline::IdsAlertSeen> DecodeIds(const rips::v1::IdsAlert& ids) const;
-  absl::StatusOr<pipeline::FindingSeen> DecodeFinding(const rips::v1::Finding& finding) const;
+  absl::StatusOr<model::Loss> DecodeLoss(const rips::v1::Loss& loss) const;
 
   DecodeLimits limits_;
   ChunkAssembler payloads_;

@@ -259,7 +259,7 @@ TEST(ObservationDecoderTest, AnUnknownKindIsALossOfOne) {
   const auto decoded = ObservationDecoder().Decode(batch);
 
   ASSERT_THAT(decoded, IsOk());
-  EXPECT_EQ(std::get<pipeline::LossSeen>(decoded->observations[0].what).count, 1u);
+  EXPECT_EQ(std::get<model::Loss>(decoded->observations[0].what).count, 1u);
 }
 
 TEST(ObservationDecoderTest, AlertsOfAnIdsHaveAddressesWithoutPorts) {
@@ -280,9 +280,9 @@ TEST(ObservationDecoderTest, AlertsOfAnIdsHaveAddressesWithoutPorts) {
     ids->set_dst(wire);
     const auto decoded = ObservationDecoder().Decode(batch);
     ASSERT_THAT(decoded, IsOk());
-    const auto& seen = std::get<pipeline::IdsAlertSeen>(decoded->observations[0].what);
-    EXPECT_EQ(seen.source, address);
-    EXPECT_EQ(seen.target, address);
+    const auto& seen = std::get<model::IdsAlert>(decoded->observations[0].what);
+    EXPECT_EQ(seen.src, address);
+    EXPECT_EQ(seen.dst, address);
     EXPECT_EQ(seen.message, "scan");
     EXPECT_EQ(seen.sid, 7u);
     EXPECT_EQ(seen.line, "11/21 scan");
@@ -305,7 +305,7 @@ TEST(ObservationDecoderTest, OnlyGapsOfBestEffortWritersAreTolerable) {
     const auto decoded = ObservationDecoder().Decode(batch);
 
     ASSERT_THAT(decoded, IsOk());
-    EXPECT_EQ(std::get<pipeline::LossSeen>(decoded->observations[0].what).tolerable, !reliable);
+    EXPECT_EQ(std::get<model::Loss>(decoded->observations[0].what).tolerable, !reliable);
   }
 }
 
@@ -336,17 +336,17 @@ TEST(ObservationDecoderTest, ALossSaysOfWhat) {
     loss->set_writer_id(writer_id);
     const auto decoded = ObservationDecoder().Decode(batch);
     EXPECT_THAT(decoded, IsOk());
-    return std::get<pipeline::LossSeen>(decoded->observations[0].what);
+    return std::get<model::Loss>(decoded->observations[0].what);
   };
-  const pipeline::LossSeen several = decode(0, 0);
+  const model::Loss several = decode(0, 0);
   EXPECT_EQ(several.topic, "");
   EXPECT_TRUE(several.writer.none());
-  EXPECT_EQ(several.first_boottime_ns, 5);
-  EXPECT_EQ(several.last_boottime_ns, 9);
+  EXPECT_EQ(several.first_ns, 5);
+  EXPECT_EQ(several.last_ns, 9);
   EXPECT_EQ(decode(1, 0).topic, "/a");
   EXPECT_EQ(decode(1, 0).type, "") << "a topic may have several";
   for (const uint32_t topic_id : {0, 1}) {
-    const pipeline::LossSeen one = decode(topic_id, 2);
+    const model::Loss one = decode(topic_id, 2);
     EXPECT_EQ(one.topic, "/a");
     EXPECT_EQ(one.type, "a/msg/A");
     EXPECT_EQ(one.writer.ToBytes(), kGuid);

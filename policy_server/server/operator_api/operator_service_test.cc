@@ -560,7 +560,7 @@ TEST_F(OperatorServiceTest, TellsWhatIsSeen) {
   pipeline::Batch batch{.incarnation = incarnation, .lane = Lane::kControl, .first_sequence = 1};
   batch.observations.push_back(
       {.boottime_ns = BoottimeNow(),
-       .what = pipeline::GraphSnapshotSeen{.version = 1, .settled = true, .content = graph}});
+       .what = pipeline::GraphChange{.to_version = 1, .settled = true, .delta = graph}});
   batch.observations.push_back(
       {.boottime_ns = BoottimeNow(), .what = pipeline::LossSeen{.count = 3}});
   batch.observations.push_back({.boottime_ns = BoottimeNow(),

@@ -5,6 +5,7 @@
 #include <utility>
 #include <variant>
 
+#include "services/model_proto/observation_codec.h"
 #include "services/ros2_proto/graph_codec.h"
 
 namespace rips::operator_api {
@@ -22,52 +23,6 @@ void Fill(const engine::MessageEvent& message, const pipeline::MessageSeen* seen
   if (seen != nullptr) out->set_payload(seen->payload);
   out->set_truncated(out->payload().size() < message.size_bytes);
 }
-
-// False for what is not recorded.
-struct ExternalFiller {
-  RecordedEvent* out;
-
-  bool operator()(const engine::IdsEvent& ids) const {
-    out->mutable_ids()->set_message(ids.message);
-    out->mutable_ids()->set_gid(ids.gid);
-    out->mutable_ids()->set_sid(ids.sid);
-    out->mutable_ids()->set_line(ids.line);
-    out->mutable_ids()->set_src(ids.source);
-    out->mutable_ids()->set_dst(ids.target);
-    return true;
-  }
-  bool operator()(const engine::SignalEvent& signal) const {
-    out->mutable_signal()->set_name(signal.name);
-    out->mutable_signal()->set_count(1);
-    return true;
-  }
-  bool operator()(const engine::AgentEvent& agent) const {
-    out->mutable_agent()->set_agent(agent.agent);
-    out->mutable_agent()->set_state(agent.state);
-    return true;
-  }
-  bool operator()(const engine::FindingEvent& finding) const {
-    out->mutable_finding()->set_kind(finding.kind);
-    if (!finding.guid.none()) out->mutable_finding()->set_guid(finding.guid.ToBytes());
-    out->mutable_finding()->set_node(finding.node);
-    out->mutable_finding()->set_topic(finding.topic);
-    out->mutable_finding()->set_detail(finding.detail);
-    return true;
-  }
-  bool operator()(const engine::LossEvent& loss) const {
-    rips::v1::RecordedLoss* lost = out->mutable_loss();
-    lost->set_count(loss.count);
-    lost->set_topic(loss.topic);
-    lost->set_type(loss.type);
-    if (!loss.writer.none()) lost->set_writer_guid(loss.writer.ToBytes());
-    lost->set_first_unix_ns(loss.first_unix_ns);
-    lost->set_last_unix_ns(loss.last_unix_ns);
-    lost->set_cause(loss.cause);
-    return true;
-  }
-  // A replay has ticks of its own.
-  bool operator()(const engine::TickEvent&) const { return false; }
-};
 
 }  // namespace
 
@@ -98,7 +53,7 @@ bool RecordingWriter::OnEvent(const engine::Event& event,
     out->mutable_delta()->set_settled(true);
     ros2_proto::EncodeGraph(ros2::RosGraph::Diff(*graph_, *graph), *out->mutable_delta());
     graph_ = graph;
-  } else if (!std::visit(ExternalFiller{out}, std::get<engine::ExternalEvent>(event.what))) {
+  } else if (!model_proto::Encode(std::get<model::ExternalEvent>(event.what), *out)) {
     return listening_();
   }
   if (graph != graph_) {

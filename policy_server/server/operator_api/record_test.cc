@@ -64,12 +64,12 @@ TEST_F(RecordTest, BeginsWithTheGraphAndGoesOnWithEachEvent) {
 
   SendBatch(Lane::kControl, {{.what = pipeline::SignalSeen{"SIGUSR2"}}});
   EXPECT_EQ(Last().signal().name(), "SIGUSR2");
-  SendBatch(Lane::kControl, {{.what = pipeline::IdsAlertSeen{.message = "scan",
-                                                             .gid = 1,
-                                                             .sid = 7,
-                                                             .line = "line",
-                                                             .source = "10.0.0.1",
-                                                             .target = "10.0.0.2"}}});
+  SendBatch(Lane::kControl, {{.what = pipeline::IdsAlert{.gid = 1,
+                                                         .sid = 7,
+                                                         .message = "scan",
+                                                         .src = "10.0.0.1",
+                                                         .dst = "10.0.0.2",
+                                                         .line = "line"}}});
   EXPECT_EQ(Last().ids().sid(), 7u);
   EXPECT_EQ(Last().ids().src(), "10.0.0.1");
 }
@@ -105,12 +105,12 @@ TEST_F(RecordTest, LossesSayOfWhatAndWhen) {
   Begin();
   const int64_t now = Boottime();
   SendBatch(Lane::kControl, {{.what = pipeline::LossSeen{.count = 7,
-                                                         .cause = "queue full",
                                                          .topic = "/cmd_vel",
                                                          .type = "a/msg/A",
                                                          .writer = Writer(2),
-                                                         .first_boottime_ns = now - 5,
-                                                         .last_boottime_ns = now}}});
+                                                         .first_ns = now - 5,
+                                                         .last_ns = now,
+                                                         .cause = "queue full"}}});
   const rips::v1::RecordedLoss& loss = Last().loss();
   EXPECT_EQ(loss.count(), 7u);
   EXPECT_EQ(loss.topic(), "/cmd_vel");

@@ -245,8 +245,8 @@ TEST_F(AlertFloodTest, ClocksAtTheirLimitsOverflowNothing) {
       SendBatch(Lane::kControl, {{.boottime_ns = seen_ns,
                                   .what = LossSeen{.count = kLossCountMax,
                                                    .topic = "/cmd_vel",
-                                                   .first_boottime_ns = 1,
-                                                   .last_boottime_ns = seen_ns}},
+                                                   .first_ns = 1,
+                                                   .last_ns = seen_ns}},
                                  {.boottime_ns = seen_ns, .what = SignalSeen{.name = "SIGUSR1"}}});
       SendBatch(Lane::kControl, {{.boottime_ns = seen_ns, .what = SensorStateSeen{}}});
       SendMessage(2);
@@ -270,7 +270,7 @@ rules External:
   next_sequence_[static_cast<int>(Lane::kControl)] = 1;
   ConnectSensor();
   SendSnapshot();
-  SendBatch(Lane::kControl, {{.what = IdsAlertSeen{.message = std::string(4'096, 'm')}}});
+  SendBatch(Lane::kControl, {{.what = IdsAlert{.message = std::string(4'096, 'm')}}});
   ASSERT_EQ(audience_.Count("seen"), 1);
   EXPECT_THAT(audience_.alerts.back().event, SizeIs(Le(kAlertEventBytesMax)));
   EXPECT_THAT(audience_.alerts.back().event, EndsWith("..."));

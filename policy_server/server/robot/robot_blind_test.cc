@@ -33,7 +33,7 @@ class RobotBlindTest : public RobotTest {
     AddNode(&content, 100, "/rips");
     graph_version_ = 1;
     SendBatch(Lane::kControl,
-              {{.what = GraphSnapshotSeen{.version = 1, .settled = true, .content = content}}});
+              {{.what = GraphChange{.to_version = 1, .settled = true, .delta = content}}});
   }
   void SendState(SensorStateSeen state, int64_t boottime_ns = 0) {
     SendBatch(Lane::kControl, {{.boottime_ns = boottime_ns, .what = std::move(state)}});

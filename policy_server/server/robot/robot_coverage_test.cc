@@ -147,8 +147,8 @@ TEST_F(RobotCoverageTest, MessagesThatWereLostCountInTheWindowsOfTheirTopic) {
         .topic = "/cmd_vel",
         .type = "geometry_msgs/msg/Twist",
         .writer = Writer(2),
-        .first_boottime_ns = now - 500 * kNanosPerMilli,
-        .last_boottime_ns = now});
+        .first_ns = now - 500 * kNanosPerMilli,
+        .last_ns = now});
   EXPECT_EQ(audience_.Count("flood"), 0);
   SendMessage(2);
   EXPECT_EQ(audience_.Count("flood"), 1);
@@ -159,8 +159,8 @@ TEST_F(RobotCoverageTest, OldLossesDoNotCountInTheWindows) {
   Begin();
   Lose({.count = 4,
         .topic = "/cmd_vel",
-        .first_boottime_ns = Boottime() - 3 * kNanosPerSecond,
-        .last_boottime_ns = Boottime() - 2 * kNanosPerSecond});
+        .first_ns = Boottime() - 3 * kNanosPerSecond,
+        .last_ns = Boottime() - 2 * kNanosPerSecond});
   SendMessage(2);
   EXPECT_EQ(audience_.Count("flood"), 0);
 }

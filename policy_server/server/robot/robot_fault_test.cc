@@ -86,13 +86,12 @@ TEST_F(RobotTest, OlderIncarnationsAreJudgedAndAcknowledgedForThemselves) {
 
   robot_->OnBatch(
       "base", sensor_.get(),
-      std::make_shared<const Batch>(
-          Batch{.incarnation = former,
-                .lane = Lane::kControl,
-                .first_sequence = 1,
-                .observations = {
-                    {.what = GraphSnapshotSeen{.version = 1, .settled = true, .content = old}},
-                    {.what = SignalSeen{.name = "SIGUSR1"}}}}));
+      std::make_shared<const Batch>(Batch{
+          .incarnation = former,
+          .lane = Lane::kControl,
+          .first_sequence = 1,
+          .observations = {{.what = GraphChange{.to_version = 1, .settled = true, .delta = old}},
+                           {.what = SignalSeen{.name = "SIGUSR1"}}}}));
   Drain();
   Pass(2'000);
 
@@ -167,7 +166,7 @@ TEST_F(RobotTest, JudgesAnUnsettledGraphOnlyWhenItHasSettled) {
   AddNode(&graph, 9, "/intruder");
 
   SendBatch(Lane::kControl,
-            {{.what = GraphSnapshotSeen{.version = 1, .settled = false, .content = graph}}});
+            {{.what = GraphChange{.to_version = 1, .settled = false, .delta = graph}}});
   EXPECT_EQ(Level(), "DEFAULT");
   graph_version_ = 1;
   SendDelta({});
@@ -454,10 +453,10 @@ TEST_F(RobotTest, LateObservationsRaiseButDoNotLower) {
   AddNode(&delta, 9, "/intruder");
 
   SendBatch(Lane::kControl, {{.boottime_ns = ten_seconds_ago,
-                              .what = GraphDeltaSeen{.from_version = graph_version_,
-                                                     .to_version = graph_version_ + 1,
-                                                     .settled = true,
-                                                     .delta = delta}}});
+                              .what = GraphChange{.from_version = graph_version_,
+                                                  .to_version = graph_version_ + 1,
+                                                  .settled = true,
+                                                  .delta = delta}}});
 
   EXPECT_EQ(Level(), "ALERT");
 }
@@ -470,7 +469,7 @@ TEST_F(RobotTest, LossesSpoilEvidenceUnlessTheWriterIsBestEffort) {
   IntruderLeaves();
   Pass(4'000);
 
-  SendBatch(Lane::kControl, {{.what = LossSeen{.count = 3, .tolerable = true, .cause = "gap"}}});
+  SendBatch(Lane::kControl, {{.what = LossSeen{.count = 3, .cause = "gap", .tolerable = true}}});
   Pass(1'500);
   EXPECT_EQ(Level(), "DEFAULT");
 

@@ -285,15 +285,12 @@ class RobotTest : public ::testing::Test {
   }
   void SendSnapshot(bool settled = true) {
     graph_version_ = 1;
-    SendBatch(
-        Lane::kControl,
-        {{.what = GraphSnapshotSeen{.version = 1, .settled = settled, .content = NormalGraph()}}});
+    SendBatch(Lane::kControl,
+              {{.what = GraphChange{.to_version = 1, .settled = settled, .delta = NormalGraph()}}});
   }
   void SendDelta(ros2::GraphDelta delta) {
-    SendBatch(Lane::kControl, {{.what = GraphDeltaSeen{.from_version = graph_version_,
-                                                       .to_version = graph_version_ + 1,
-                                                       .settled = true,
-                                                       .delta = std::move(delta)}}});
+    const uint64_t from = graph_version_;
+    SendBatch(Lane::kControl, {{.what = GraphChange{from, from + 1, true, std::move(delta)}}});
     ++graph_version_;
   }
   void SendMessage(uint8_t writer, const char* topic = "/cmd_vel") {

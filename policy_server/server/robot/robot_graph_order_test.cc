@@ -39,7 +39,7 @@ class GraphOrderTest : public RobotTest {
     ros2::GraphDelta graph;
     AddNode(&graph, 1, "/camera");
     SendBatch(Lane::kControl,
-              {{.what = GraphSnapshotSeen{.version = 1, .settled = true, .content = graph}}});
+              {{.what = GraphChange{.to_version = 1, .settled = true, .delta = graph}}});
     Obey();
     Pass(100);
   }

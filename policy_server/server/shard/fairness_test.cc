@@ -323,7 +323,7 @@ TEST_F(FairnessTest, TheGraphIsReadWithoutTheRobotsThread) {
     batch->lane = Lane::kControl;
     batch->first_sequence = 1;
     batch->observations.push_back(
-        {.what = GraphSnapshotSeen{.version = 1, .settled = true, .content = content}});
+        {.what = GraphChange{.to_version = 1, .settled = true, .delta = content}});
     robot.OnBatch("base", sensor.get(), batch);
   });
   Post("r2", Queue::kControl, [&](Robot&) {
@@ -380,10 +380,10 @@ class ControlTurnTest : public RobotTest {
       ros2::GraphDelta delta;
       AddNode(&delta, static_cast<uint8_t>(100 + i), absl::StrCat("/n", i));
       out.push_back({.boottime_ns = Boottime() - (count - i) * apart_ms * kFairMs,
-                     .what = GraphDeltaSeen{.from_version = graph_version_,
-                                            .to_version = graph_version_ + 1,
-                                            .settled = true,
-                                            .delta = std::move(delta)}});
+                     .what = GraphChange{.from_version = graph_version_,
+                                         .to_version = graph_version_ + 1,
+                                         .settled = true,
+                                         .delta = std::move(delta)}});
       ++graph_version_;
     }
     return out;
@@ -411,15 +411,15 @@ TEST_F(ControlTurnTest, AnIntruderInTheLastGraphOfAFloodRaises) {
   std::vector<Observation> flood = Deltas(100, 0);
   ros2::GraphDelta intruder;
   AddNode(&intruder, 9, "/intruder");
-  std::get<GraphDeltaSeen>(flood.back().what).delta = intruder;
+  std::get<GraphChange>(flood.back().what).delta = intruder;
   SendBatch(Lane::kControl, std::move(flood));
   EXPECT_NE(Level(), "DEFAULT");
 }
 
 TEST_F(ControlTurnTest, AMessageThatNamesAVersionThatWasNotJudgedFindsItsWriter) {
   std::vector<Observation> flood = Deltas(100, 0);
-  AddNode(&std::get<GraphDeltaSeen>(flood[50].what).delta, 20, "/late", "/cmd_vel");
-  const uint64_t version = std::get<GraphDeltaSeen>(flood[50].what).to_version;
+  AddNode(&std::get<GraphChange>(flood[50].what).delta, 20, "/late", "/cmd_vel");
+  const uint64_t version = std::get<GraphChange>(flood[50].what).to_version;
   SendBatch(Lane::kControl, std::move(flood));
   const uint64_t acknowledged = sensor_->acknowledged[static_cast<int>(Lane::kMessages)];
   SendBatch(Lane::kMessages, {{.what = MessageSeen{.topic = "/cmd_vel",
@@ -475,7 +475,7 @@ TEST_F(ControlTurnTest, MessagesThatWaitedForAGraphAreJudgedInTurnsToo) {
 TEST_F(ControlTurnTest, AStreamThatEndsBetweenTwoTurnsLeavesNoGraphUnjudged) {
   graph_takes_ms_ = 5;
   std::vector<Observation> flood = Deltas(100, 0);
-  AddNode(&std::get<GraphDeltaSeen>(flood[4].what).delta, 9, "/intruder");
+  AddNode(&std::get<GraphChange>(flood[4].what).delta, 9, "/intruder");
   SendBatch(Lane::kControl, std::move(flood));
   // Three are judged, and of the merged ones as many as a turn takes.
   for (int i = 0; i < 2; ++i) robot_->Advance();

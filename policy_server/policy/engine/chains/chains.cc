@@ -82,7 +82,8 @@ void Runner::Run(const Event& event) {
   // Nobody swaps it while rules run.
   const std::shared_ptr<const CompiledPolicy>& program = state_.program();
   if (const auto* external = std::get_if<ExternalEvent>(&event.what)) {
-    if (const auto* loss = std::get_if<LossEvent>(external)) CountLoss(*loss, in_.time_ns, state_);
+    if (const auto* loss = std::get_if<model::Loss>(external))
+      CountLoss(*loss, in_.time_ns, state_);
   }
   Frame frame(state_, program, event, in_.time_ns, now_, &in_.topics);
   const std::vector<uint32_t>* rules = &program->compiled().external_rules;

@@ -203,7 +203,7 @@ const What* ExternalOf(const Evaluation& run) {
 }
 
 // `N` or `G:N`.
-bool IsSignature(absl::string_view text, const IdsEvent& ids) {
+bool IsSignature(absl::string_view text, const model::IdsAlert& ids) {
   const size_t colon = text.find(':');
   uint32_t gid = ids.gid;
   uint32_t sid = 0;
@@ -227,7 +227,7 @@ bool LooksLikeSignature(absl::string_view text) {
 }
 
 EvalStatus IdsAlert(const EvalNode& node, Evaluation& run, Slot& out) {
-  const IdsEvent* ids = ExternalOf<IdsEvent>(run);
+  const model::IdsAlert* ids = ExternalOf<model::IdsAlert>(run);
   return AnyArg(node, run, out, [&](absl::string_view text) {
     if (ids == nullptr) return false;
     if (LooksLikeSignature(text)) return IsSignature(text, *ids);
@@ -236,7 +236,7 @@ EvalStatus IdsAlert(const EvalNode& node, Evaluation& run, Slot& out) {
 }
 
 EvalStatus Signal(const EvalNode& node, Evaluation& run, Slot& out) {
-  const SignalEvent* signal = ExternalOf<SignalEvent>(run);
+  const model::SignalSeen* signal = ExternalOf<model::SignalSeen>(run);
   return AnyArg(node, run, out, [&](absl::string_view name) {
     return signal != nullptr && (name == signal->name || absl::StrCat("SIG", name) == signal->name);
   });
@@ -255,14 +255,14 @@ EvalStatus Agent(const EvalNode& node, Evaluation& run, Slot& out) {
 }
 
 EvalStatus Finding(const EvalNode& node, Evaluation& run, Slot& out) {
-  const FindingEvent* finding = ExternalOf<FindingEvent>(run);
+  const model::Finding* finding = ExternalOf<model::Finding>(run);
   return AnyArg(node, run, out, [&](absl::string_view kind) {
     return finding != nullptr && finding->kind == kind;
   });
 }
 
 EvalStatus LostEvents(const EvalNode& node, Evaluation& run, Slot& out) {
-  const LossEvent* loss = ExternalOf<LossEvent>(run);
+  const model::Loss* loss = ExternalOf<model::Loss>(run);
   Slot min;
   const EvalStatus answer = Eval(*node.args[0], run, min);
   if (answer != EvalStatus::kValue) return answer;

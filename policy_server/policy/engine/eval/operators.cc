@@ -231,9 +231,9 @@ EvalStatus Named(const EvalNode& node, Evaluation& run, Slot& out) {
       out.text = run.Keep(ToString(run.message->writer));
   }
   if (run.external != nullptr) {
-    if (const auto* ids = std::get_if<IdsEvent>(run.external)) {
-      if constexpr (name == Predefined::kIdsSource) out.text = ids->source;
-      if constexpr (name == Predefined::kIdsTarget) out.text = ids->target;
+    if (const auto* ids = std::get_if<model::IdsAlert>(run.external)) {
+      if constexpr (name == Predefined::kIdsSource) out.text = ids->src;
+      if constexpr (name == Predefined::kIdsTarget) out.text = ids->dst;
     }
   }
   return EvalStatus::kValue;

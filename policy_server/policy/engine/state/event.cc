@@ -15,20 +15,20 @@ std::string DescribeMessage(const MessageEvent& message) {
 // Not a function for the variant itself, to which each alternative converts: a kind that lacks here
 // does not compile.
 struct ExternalDescriber {
-  std::string operator()(const IdsEvent& ids) const {
+  std::string operator()(const model::IdsAlert& ids) const {
     return absl::StrCat("ids alert ", ids.gid, ":", ids.sid, " ", ids.message);
   }
-  std::string operator()(const SignalEvent& signal) const {
+  std::string operator()(const model::SignalSeen& signal) const {
     return absl::StrCat("signal ", signal.name);
   }
   std::string operator()(const AgentEvent& agent) const {
     return absl::StrCat(agent.agent, " ", agent.state);
   }
-  std::string operator()(const FindingEvent& finding) const {
+  std::string operator()(const model::Finding& finding) const {
     const std::string& about = finding.node.empty() ? finding.topic : finding.node;
     return absl::StrCat("finding ", finding.kind, about.empty() ? "" : ": ", about);
   }
-  std::string operator()(const LossEvent& loss) const {
+  std::string operator()(const model::Loss& loss) const {
     const std::string of = loss.topic.empty() ? "" : absl::StrCat(" on ", loss.topic);
     return absl::StrCat("loss of ", loss.count, " events", of);
   }

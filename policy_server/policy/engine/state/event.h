@@ -10,6 +10,7 @@
 #include "absl/types/span.h"
 #include "policy_server/policy/engine/state/verdict.h"
 #include "policy_server/policy/levels/level_machine.h"
+#include "services/model/event.h"
 #include "services/ros2/guid.h"
 
 namespace rips::engine {
@@ -45,58 +46,9 @@ struct MessageEvent {
 // The graph in RobotState has changed.
 struct GraphEvent {};
 
-// What `rules External` are run on.
-//
-// An alert of the host's intrusion detection system.
-struct IdsEvent {
-  std::string message;
-  uint32_t gid = 0;
-  uint32_t sid = 0;
-  // The whole line, where the IDS writes lines of free text; else empty.
-  std::string line;
-  // Addresses; may be empty.
-  std::string source;
-  std::string target;
-};
-struct SignalEvent {
-  // With `SIG`.
-  std::string name;
-};
-struct AgentEvent {
-  std::string agent;  // sensor | actuator
-  std::string state;  // connected | lost | restarting | drift | failed | state_lost | ...
-};
-// Something that sensors look for whatever the rules say.
-struct FindingEvent {
-  // duplicate_node | impostor | ...
-  std::string kind;
-  // What it is about, as far as it is about such; `detail` is for people.
-  ros2::Guid guid;
-  std::string node;
-  std::string topic;
-  std::string detail;
-};
-// Observations that were not taken or not kept. What is lost of a topic counts in its windows, and
-// what is lost of nobody knows which topic, in all windows.
-struct LossEvent {
-  // More than this of one event count as this many.
-  static constexpr uint64_t kCountedMax = uint64_t{1} << 32;
-
-  uint64_t count = 0;
-  // Empty = several or not known.
-  std::string topic;
-  std::string type;
-  // none() = several or not known.
-  ros2::Guid writer;
-  // When the first and the last of them were due, nanoseconds since the Unix epoch; 0 = now.
-  int64_t first_unix_ns = 0;
-  int64_t last_unix_ns = 0;
-  // For people.
-  std::string cause;
-};
-struct TickEvent {};
-using ExternalEvent =
-    std::variant<IdsEvent, SignalEvent, AgentEvent, FindingEvent, LossEvent, TickEvent>;
+using model::AgentEvent;
+using model::ExternalEvent;
+using model::TickEvent;
 
 struct Event {
   std::variant<MessageEvent, GraphEvent, ExternalEvent> what;

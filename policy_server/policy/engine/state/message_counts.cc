@@ -9,6 +9,9 @@
 namespace rips::engine {
 namespace {
 
+// More than this of one loss count as this many.
+constexpr uint64_t kLossCountedMax = uint64_t{1} << 32;
+
 // Names the messages of one writer on one topic; no topic holds a zero byte.
 std::string SenderKey(absl::string_view topic, const ros2::Guid& writer) {
   return absl::StrCat(topic, absl::string_view("\0", 1), writer.ToBytes());
@@ -26,16 +29,15 @@ void CountMessage(const MessageEvent& message, const TopicVerdict& verdict, int6
   }
 }
 
-void CountLoss(const LossEvent& loss, int64_t time_ns, RobotState& state) {
+void CountLoss(const model::Loss& loss, int64_t time_ns, RobotState& state) {
   RobotState::Internal& in = state.internal();
   const CompiledPolicy::Compiled& compiled = state.program()->compiled();
   int64_t topic_window_ns = compiled.topic_window_ns;
   int64_t sender_window_ns = compiled.sender_window_ns;
   if (topic_window_ns == 0 && sender_window_ns == 0) return;
-  const uint64_t count = std::min(loss.count, LossEvent::kCountedMax);
-  const int64_t last_ns = loss.last_unix_ns == 0 ? time_ns : std::min(loss.last_unix_ns, time_ns);
-  const int64_t first_ns =
-      loss.first_unix_ns == 0 ? last_ns : std::min(loss.first_unix_ns, last_ns);
+  const uint64_t count = std::min(loss.count, kLossCountedMax);
+  const int64_t last_ns = loss.last_ns == 0 ? time_ns : std::min(loss.last_ns, time_ns);
+  const int64_t first_ns = loss.first_ns == 0 ? last_ns : std::min(loss.first_ns, last_ns);
   if (loss.topic.empty()) {
     in.lost_anywhere.AddLost("", count, first_ns, last_ns,
                              std::max(topic_window_ns, sender_window_ns));

@@ -22,7 +22,7 @@ void CountMessage(const MessageEvent& message, const TopicVerdict& verdict, int6
 //     not;
 //   - without a topic in every window.
 // Without a type it counts as if every rule applied.
-void CountLoss(const LossEvent& loss, int64_t time_ns, RobotState& state);
+void CountLoss(const model::Loss& loss, int64_t time_ns, RobotState& state);
 
 // Those of the message's topic, or of its writer on it, later than `now_ns - window_ns`.
 uint64_t CountOfTopic(const MessageEvent& message, int64_t now_ns, int64_t window_ns,

@@ -28,7 +28,7 @@ class MessageCountsTest : public testing::Test {
     return rules;
   }
 
-  Outcome Lose(LossEvent loss) { return robot_.Judge(ExternalEvent(std::move(loss))); }
+  Outcome Lose(model::Loss loss) { return robot_.Judge(ExternalEvent(std::move(loss))); }
   // Names of the rules that fire for one message.
   std::string Fired(const std::string& topic, uint8_t writer, const std::string& type = kType) {
     const Outcome outcome =
@@ -91,11 +91,11 @@ TEST_F(MessageCountsTest, WhatWasLostEarlierIsOutsideTheWindow) {
   const int64_t now = robot_.now.unix_ns;
   Lose({.count = 9,
         .topic = "/a",
-        .first_unix_ns = now - 2 * kNanosPerSecond,
-        .last_unix_ns = now - kNanosPerSecond});
+        .first_ns = now - 2 * kNanosPerSecond,
+        .last_ns = now - kNanosPerSecond});
   EXPECT_EQ(Fired("/a", 1), "");
   // 18 in two seconds: 9 in the last.
-  Lose({.count = 18, .topic = "/b", .first_unix_ns = now - 2 * kNanosPerSecond});
+  Lose({.count = 18, .topic = "/b", .first_ns = now - 2 * kNanosPerSecond});
   EXPECT_EQ(Fired("/b", 1), "by_topic by_sender ");
 }
 
@@ -103,8 +103,8 @@ TEST_F(MessageCountsTest, TimesThatCannotBeAreTakenAsNow) {
   const int64_t now = robot_.now.unix_ns;
   Lose({.count = 9,
         .topic = "/a",
-        .first_unix_ns = now + 5 * kNanosPerSecond,
-        .last_unix_ns = now + 3 * kNanosPerSecond});
+        .first_ns = now + 5 * kNanosPerSecond,
+        .last_ns = now + 3 * kNanosPerSecond});
   EXPECT_EQ(Fired("/a", 1), "by_topic by_sender ");
   robot_.Advance(1'001 * kNanosPerMilli);
   EXPECT_EQ(Fired("/a", 1), "");

@@ -142,15 +142,14 @@ class Tracer {
     }
     const auto* external = std::get_if<ExternalEvent>(&event_.what);
     if (external == nullptr) return;
-    if (const auto* finding = std::get_if<FindingEvent>(external)) {
+    if (const auto* finding = std::get_if<model::Finding>(external)) {
       const std::string& name = finding->node.empty() ? finding->topic : finding->node;
       if (name.empty() && finding->guid.none()) return;
       witnesses_.Add(
           {.name = name, .role = absl::StrCat("finding ", finding->kind), .guid = finding->guid});
-    } else if (const auto* ids = std::get_if<IdsEvent>(external)) {
-      if (!ids->source.empty())
-        witnesses_.Add({.name = ids->source, .role = "sent what the IDS saw"});
-      if (!ids->target.empty()) witnesses_.Add({.name = ids->target, .role = "was its target"});
+    } else if (const auto* ids = std::get_if<model::IdsAlert>(external)) {
+      if (!ids->src.empty()) witnesses_.Add({.name = ids->src, .role = "sent what the IDS saw"});
+      if (!ids->dst.empty()) witnesses_.Add({.name = ids->dst, .role = "was its target"});
     }
   }
 

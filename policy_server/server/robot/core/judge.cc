@@ -12,17 +12,12 @@
 namespace rips::pipeline {
 namespace {
 
-engine::LossEvent EventOf(const LossSeen& loss, const SensorSession& session) {
-  const auto unix_ns = [&](int64_t boottime_ns) {
-    return boottime_ns == 0 ? 0 : boottime_ns + session.unix_offset_ns;
-  };
-  return {.count = loss.count,
-          .topic = loss.topic,
-          .type = loss.type,
-          .writer = loss.writer,
-          .first_unix_ns = unix_ns(loss.first_boottime_ns),
-          .last_unix_ns = unix_ns(loss.last_boottime_ns),
-          .cause = loss.cause};
+// With its times on the clock of events.
+LossSeen EventOf(LossSeen loss, const SensorSession& session) {
+  for (int64_t* at_ns : {&loss.first_ns, &loss.last_ns}) {
+    if (*at_ns != 0) *at_ns += session.unix_offset_ns;
+  }
+  return loss;
 }
 
 }  // namespace
@@ -121,46 +116,27 @@ void Judge::JudgeOne(SensorHost& host, const Piece& piece, size_t index) {
     parts_.decider.Run(event);
   };
   // The graph of an incarnation that is over leads nowhere.
-  const auto judge_graph = [&] {
-    if (primary && batch.incarnation == session.incarnation) {
-      JudgeGraph(host, batch, seen, std::move(event));
-    }
-  };
-  std::visit(
-      Overloaded{[&](const MessageSeen& message) {
-                   if (!primary) return;
-                   JudgeMessage(host, piece, message, index, std::move(event));
-                 },
-                 [&](const GraphSnapshotSeen&) { judge_graph(); },
-                 [&](const GraphDeltaSeen&) { judge_graph(); },
-                 [&](const IdsAlertSeen& ids) {
-                   run(engine::IdsEvent{.message = ids.message,
-                                        .gid = ids.gid,
-                                        .sid = ids.sid,
-                                        .line = ids.line,
-                                        .source = ids.source,
-                                        .target = ids.target});
-                 },
-                 [&](const SignalSeen& signal) { run(engine::SignalEvent{.name = signal.name}); },
-                 [&](const LossSeen& loss) {
-                   parts_.losses.OnLoss(host, loss);
-                   run(EventOf(loss, session));
-                 },
-                 [&](const SensorStateSeen& state) {
-                   const bool overloaded = parts_.sensors.OnState(host, state, seen.boottime_ns);
-                   parts_.sight.OnState(host);
-                   parts_.evidence.Update();
-                   if (overloaded)
-                     run(engine::AgentEvent{.agent = "sensor", .state = "overloaded"});
-                 },
-                 [&](const FindingSeen& finding) {
-                   run(engine::FindingEvent{.kind = finding.kind,
-                                            .guid = finding.guid,
-                                            .node = finding.node,
-                                            .topic = finding.topic,
-                                            .detail = finding.detail});
-                 }},
-      seen.what);
+  const bool has_graph = primary && batch.incarnation == session.incarnation;
+  std::visit(Overloaded{[&](const MessageSeen& message) {
+                          if (primary) JudgeMessage(host, piece, message, index, std::move(event));
+                        },
+                        [&](const GraphChange& change) {
+                          if (has_graph) JudgeGraph(host, batch, change, seen.boottime_ns, event);
+                        },
+                        [&](const LossSeen& loss) {
+                          parts_.losses.OnLoss(host, loss);
+                          run(EventOf(loss, session));
+                        },
+                        [&](const SensorStateSeen& state) {
+                          const bool overloaded =
+                              parts_.sensors.OnState(host, state, seen.boottime_ns);
+                          parts_.sight.OnState(host);
+                          parts_.evidence.Update();
+                          if (overloaded)
+                            run(engine::AgentEvent{.agent = "sensor", .state = "overloaded"});
+                        },
+                        [&](const auto& external) { run(external); }},
+             seen.what);
 }
 
 void Judge::JudgeMessage(SensorHost& host, const Piece& piece, const MessageSeen& message,
@@ -181,24 +157,23 @@ void Judge::JudgeMessage(SensorHost& host, const Piece& piece, const MessageSeen
   graph.Show(newest);
 }
 
-void Judge::JudgeGraph(SensorHost& host, const Batch& batch, const Observation& seen,
-                       engine::Event event) {
+void Judge::JudgeGraph(SensorHost& host, const Batch& batch, const GraphChange& change,
+                       int64_t boottime_ns, engine::Event event) {
   const std::string& incarnation = host.session->incarnation;
   bool news = true;
   absl::Status status;
-  if (const auto* snapshot = std::get_if<GraphSnapshotSeen>(&seen.what)) {
-    status = host.ApplySnapshot(incarnation, *snapshot);
+  if (change.whole()) {
+    status = host.ApplySnapshot(incarnation, change);
   } else {
     // Until a snapshot of this incarnation has come, deltas have nothing to change: the snapshot
     // will contain them.
     if (host.graph_incarnation != incarnation) return;
-    const auto& delta = std::get<GraphDeltaSeen>(seen.what);
-    news = delta.to_version > host.graph_version;
-    status = host.ApplyDelta(incarnation, delta);
+    news = change.to_version > host.graph_version;
+    status = host.ApplyDelta(incarnation, change);
   }
   if (!status.ok()) return parts_.sensors.RefuseGraph(host, status);
   const bool control = batch.lane == Lane::kControl;
-  if (!news || !host.settled || (control && control_.Merges(event, seen.boottime_ns))) return;
+  if (!news || !host.settled || (control && control_.Merges(event, boottime_ns))) return;
   OnGraph(host, std::move(event));
 }
 

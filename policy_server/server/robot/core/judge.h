@@ -70,8 +70,8 @@ class Judge {
   void JudgeOne(SensorHost& host, const Piece& piece, size_t index);
   void JudgeMessage(SensorHost& host, const Piece& piece, const MessageSeen& message, size_t index,
                     engine::Event event);
-  void JudgeGraph(SensorHost& host, const Batch& batch, const Observation& seen,
-                  engine::Event event);
+  void JudgeGraph(SensorHost& host, const Batch& batch, const GraphChange& change,
+                  int64_t boottime_ns, engine::Event event);
   void OnGraph(SensorHost& host, engine::Event event);
 
   JudgeParts parts_;

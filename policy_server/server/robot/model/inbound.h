@@ -13,10 +13,17 @@
 #include "policy_server/server/store/generations.h"
 #include "services/base/clock.h"
 #include "services/base/decision_id.h"
+#include "services/model/observation.h"
 #include "services/ros2/guid.h"
-#include "services/ros2/ros_graph.h"
 
 namespace rips::pipeline {
+
+using model::GraphChange;
+using model::IdsAlert;
+using model::SignalSeen;
+using FindingSeen = model::Finding;
+using LossSeen = model::Loss;
+using SensorStateSeen = model::SensorState;
 
 enum class Lane { kControl, kMessages };
 inline constexpr int kLaneCount = 2;
@@ -40,86 +47,14 @@ struct MessageSeen {
   uint64_t graph_version = 0;
 };
 
-struct GraphSnapshotSeen {
-  uint64_t version = 0;
-  bool settled = false;
-  // Only upserts.
-  ros2::GraphDelta content;
-};
-
-struct GraphDeltaSeen {
-  uint64_t from_version = 0;
-  uint64_t to_version = 0;
-  bool settled = false;
-  ros2::GraphDelta delta;
-};
-
-struct IdsAlertSeen {
-  std::string message;
-  uint32_t gid = 0;
-  uint32_t sid = 0;
-  // The whole line of an IDS that writes lines of free text; else empty.
-  std::string line;
-  // Addresses; may be empty.
-  std::string source;
-  std::string target;
-};
-
-struct SignalSeen {
-  std::string name;
-};
-
-struct LossSeen {
-  uint64_t count = 0;
-  // A gap of a best-effort writer: normal on a busy bus, does not spoil evidence.
-  bool tolerable = false;
-  // For people: "outbox shed", "queue full".
-  std::string cause;
-  // Empty = several or not known.
-  std::string topic;
-  std::string type;
-  // none() = several or not known.
-  ros2::Guid writer;
-  // When the first and the last were due, CLOCK_BOOTTIME of the sensor's host; 0 = not known.
-  int64_t first_boottime_ns = 0;
-  int64_t last_boottime_ns = 0;
-};
-
-struct SensorStateSeen {
-  bool overloaded = false;
-  uint64_t outbox_bytes = 0;
-  int64_t oldest_unacked_ns = 0;
-  uint64_t spool_bytes = 0;
-  // Kinds of traffic the sensor cannot see, for people; hostile text.
-  std::vector<std::string> not_visible;
-  // Inputs that it was told to watch and cannot, with the reason; hostile text.
-  std::vector<std::string> blind;
-};
-
-struct FindingSeen {
-  // As rules name it.
-  std::string kind;
-  // Participant or endpoint it is about; none() = none in particular.
-  ros2::Guid guid;
-  std::string node;
-  std::string topic;
-  // For people; hostile text.
-  std::string detail;
-  // Told before, and no longer so.
-  bool over = false;
-};
-
 struct Observation {
   // CLOCK_BOOTTIME of the sensor's host.
   int64_t boottime_ns = 0;
-  std::variant<MessageSeen, GraphSnapshotSeen, GraphDeltaSeen, IdsAlertSeen, SignalSeen, LossSeen,
-               SensorStateSeen, FindingSeen>
-      what;
+  model::ObservationOf<model::Loss, MessageSeen> what;
 };
 
 inline bool IsGraph(const Observation& seen) {
-  return std::holds_alternative<GraphSnapshotSeen>(seen.what) ||
-         std::holds_alternative<GraphDeltaSeen>(seen.what);
+  return std::holds_alternative<model::GraphChange>(seen.what);
 }
 
 struct Batch {

@@ -25,7 +25,7 @@ void Losses::OnMissing(SensorHost& host, uint64_t count) {
   alarm_.Add("they have a number and did not come", count, context_.now_ns());
   evidence_.Disturb(absl::StrCat(count, " observations have a number and did not come"),
                     context_.now());
-  context_.events.push_back(engine::LossEvent{.count = count});
+  context_.events.push_back(model::Loss{.count = count});
 }
 
 void Losses::OnLoss(SensorHost& host, const LossSeen& loss) {

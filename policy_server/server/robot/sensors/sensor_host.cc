@@ -24,18 +24,18 @@ bool SensorHost::HasBacklog() const {
 }
 
 absl::Status SensorHost::ApplySnapshot(const std::string& incarnation,
-                                       const GraphSnapshotSeen& snapshot) {
+                                       const GraphChange& snapshot) {
   ros2::RosGraph taken = graph;
   taken.Clear();
-  if (absl::Status status = taken.Apply(snapshot.content); !status.ok()) return status;
+  if (absl::Status status = taken.Apply(snapshot.delta); !status.ok()) return status;
   graph = std::move(taken);
   graph_incarnation = incarnation;
-  graph_version = snapshot.version;
+  graph_version = snapshot.to_version;
   settled = snapshot.settled;
   return absl::OkStatus();
 }
 
-absl::Status SensorHost::ApplyDelta(const std::string& incarnation, const GraphDeltaSeen& delta) {
+absl::Status SensorHost::ApplyDelta(const std::string& incarnation, const GraphChange& delta) {
   if (delta.to_version <= graph_version) return absl::OkStatus();
   if (delta.from_version != graph_version) {
     return absl::InvalidArgumentError(absl::StrCat(

@@ -71,8 +71,8 @@ struct SensorHost {
   // Observations that were announced in its hello are not judged yet.
   bool HasBacklog() const;
   // The graph as the sensor of `incarnation` tells it. InvalidArgument: it makes no sense.
-  absl::Status ApplySnapshot(const std::string& incarnation, const GraphSnapshotSeen& snapshot);
-  absl::Status ApplyDelta(const std::string& incarnation, const GraphDeltaSeen& delta);
+  absl::Status ApplySnapshot(const std::string& incarnation, const GraphChange& snapshot);
+  absl::Status ApplyDelta(const std::string& incarnation, const GraphChange& delta);
 };
 using SensorHosts = absl::btree_map<std::string, SensorHost>;
 
