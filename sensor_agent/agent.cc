@@ -28,7 +28,7 @@ constexpr int64_t kResyncNs = 2 * kNanosPerSecond;
 
 // What was received when the sensor is stopped is taken in so many steps at most; a busy bus would
 // never let it stop.
-constexpr int kLastLooks = 20;
+constexpr int kLastPolls = 20;
 
 // Payloads that may be held between reception and the outbox, which has a limit of its own.
 constexpr size_t kPayloadsUnderwayBytes = size_t{16} << 20;
@@ -99,8 +99,9 @@ Agent::Agent(const SensorConfig& config, const Clock* clock, Metrics* metrics)
       graph_left_out_(metrics->AddGauge(
           "rips_sensor_graph_left_out",
           "Participants, nodes and endpoints left out of the graph since it was whole")),
-      announced_(metrics->AddGauge("rips_sensor_announced",
-                                   "1 while ROS tools are told that this is the node /rips")) {}
+      announced_(metrics->AddGauge(
+          "rips_sensor_announced",
+          "1 while this sensor announces itself to ROS tools as the node /rips")) {}
 
 absl::StatusOr<std::unique_ptr<Agent>> Agent::Create(const SensorConfig& config,
                                                      rpc::CredentialsSource credentials,
@@ -112,20 +113,19 @@ absl::StatusOr<std::unique_ptr<Agent>> Agent::Create(const SensorConfig& config,
   std::function<void(const rpc::Peer&)> on_peer;
   if (monitor != nullptr) on_peer = [monitor](const rpc::Peer& peer) { monitor->Seen(peer); };
   agent->uplink_ = std::make_unique<Uplink>(
-      UplinkOptions{
-          .servers = config.servers,
-          .credentials = std::move(credentials),
-          .on_peer = std::move(on_peer),
-          .host = config.host,
-          .domain = config.dds.domain,
-          .interest_file = InterestFile(config.state_dir),
-          .store_file = StoreFile(config.state_dir),
-          .outbox = {.message_bytes = memory / 2, .control_bytes = memory},
-          .backlog = {.memory_bytes = memory / 2,
-                      .spool = {.dir = config.spool_dir,
-                                .disk_bytes = static_cast<uint64_t>(config.outbox_disk.bytes),
-                                .boot_id = BootId(),
-                                .now = clock->Now()}}},
+      UplinkOptions{.servers = config.servers,
+                    .credentials = std::move(credentials),
+                    .on_peer = std::move(on_peer),
+                    .host = config.host,
+                    .domain = config.dds.domain,
+                    .interest_file = InterestFile(config.state_dir),
+                    .store_file = StoreFile(config.state_dir),
+                    .core = {.outbox = {.message_bytes = memory / 2, .control_bytes = memory},
+                             .backlog = {.memory_bytes = memory / 2}},
+                    .spool = {.dir = config.spool_dir,
+                              .disk_bytes = static_cast<uint64_t>(config.outbox_disk.bytes),
+                              .boot_id = BootId(),
+                              .now = clock->Now()}},
       Uplink::Hooks{
           .on_own_participants =
               [raw](std::vector<ros2::Guid> participants) {
@@ -176,8 +176,8 @@ absl::StatusOr<std::unique_ptr<Agent>> Agent::Create(const SensorConfig& config,
   const bool admits_strangers = secured && enclave->admits_unauthenticated;
   if (admits_strangers) {
     LogWarning(
-        "the governance admits participants that have not authenticated; who has is not "
-        "known, and nobody is a finding for it");
+        "governance admits unauthenticated participants; not reporting any participant as "
+        "unauthenticated");
   }
   RIPS_ASSIGN_OR_RETURN(
       agent->domain_,
@@ -291,36 +291,36 @@ bool Agent::WaitForWork(int64_t deadline_ns) {
 }
 
 void Agent::Observe() {
-  int64_t last_look_ns = 0;
+  int64_t last_poll_ns = 0;
   while (WaitForWork(std::min(NextWork(), clock_->Now().boottime_ns + kIdleNs))) {
     // The next sample has come close behind the last: let some more come.
-    const int64_t rest_ns = last_look_ns + kBusyIntervalNs - clock_->Now().boottime_ns;
+    const int64_t rest_ns = last_poll_ns + kBusyIntervalNs - clock_->Now().boottime_ns;
     if (rest_ns > 0) absl::SleepFor(absl::Nanoseconds(rest_ns));
-    last_look_ns = clock_->Now().boottime_ns;
-    Look(last_look_ns);
-    if (uplink_->snapshot_wanted()) TellGraphAnew(last_look_ns);
+    last_poll_ns = clock_->Now().boottime_ns;
+    Poll(last_poll_ns);
+    if (uplink_->snapshot_wanted()) ResendGraph(last_poll_ns);
   }
   // What has been received so far is not lost with the process, either.
-  for (int i = 0; i < kLastLooks; ++i) {
-    Look(clock_->Now().boottime_ns);
+  for (int i = 0; i < kLastPolls; ++i) {
+    Poll(clock_->Now().boottime_ns);
     if (!woken_) break;
   }
 }
 
-void Agent::Look(int64_t now_ns) {
+void Agent::Poll(int64_t now_ns) {
   woken_ = false;
   Observations seen;
-  TakeInbox(now_ns, seen);
-  TakeDiscovered(now_ns, seen);
-  TakeCoverage(now_ns);
+  ApplyInbox(now_ns, seen);
+  PollDiscovery(now_ns, seen);
+  PollCoverage(now_ns);
   // Now that readers have been opened and closed.
   Announce(now_ns);
-  TakeClaims(now_ns, seen);
+  PollClaims(now_ns, seen);
   seen.graph = graph_->Poll(now_ns);
   seen.settled = graph_->settled();
-  TakeSamples(now_ns, seen);
-  TakeFindings(now_ns, seen);
-  TakeWire(now_ns, seen);
+  PollSamples(now_ns, seen);
+  PollFindings(now_ns, seen);
+  PollWire(now_ns, seen);
   CountLimits(now_ns, seen);
   uplink_->Append(std::move(seen));
 }
@@ -332,7 +332,7 @@ int64_t Agent::NextWork() const {
   return resync_until_ns_ == 0 ? work_ns : std::min(work_ns, resync_until_ns_);
 }
 
-void Agent::TakeInbox(int64_t now_ns, Observations& seen) {
+void Agent::ApplyInbox(int64_t now_ns, Observations& seen) {
   std::optional<std::vector<ros2::Guid>> own;
   std::optional<std::vector<std::string>> parts;
   std::shared_ptr<const Interest> interest;
@@ -347,8 +347,8 @@ void Agent::TakeInbox(int64_t now_ns, Observations& seen) {
     primary.swap(primary_);
     forgot = std::exchange(server_forgot_, false);
   }
-  if (forgot) TellFindingsAgain(now_ns, seen);
-  if (own.has_value() && own_.Told(*own)) TellOwnParticipants(now_ns);
+  if (forgot) RepeatFindings(now_ns, seen);
+  if (own.has_value() && own_.Told(*own)) ApplyOwnParticipants(now_ns);
   if (parts.has_value()) findings_->SetProtectedParts(*parts);
   const bool idle = primary.has_value() ? !*primary : watch_.idle;
   if (interest == nullptr && idle == watch_.idle) return;
@@ -363,7 +363,7 @@ void Agent::TakeInbox(int64_t now_ns, Observations& seen) {
   Rediscover(now_ns);
 }
 
-void Agent::TellOwnParticipants(int64_t now_ns) {
+void Agent::ApplyOwnParticipants(int64_t now_ns) {
   graph_->SetOwnParticipants(own_.known(), now_ns);
   findings_->SetOwnParticipants(own_.known());
 }
@@ -373,16 +373,16 @@ void Agent::FollowPlan(int64_t now_ns) {
   graph_->SetPlan(plan, now_ns);
   if (watch_.interest != nullptr) graph_->SetKeptTopics(watch_.interest->kept_topics());
   domain_->topics().SetPlan(plan, now_ns);
-  TellReaders(now_ns);
+  ReportReaders(now_ns);
 }
 
-void Agent::TellReaders(int64_t now_ns) {
+void Agent::ReportReaders(int64_t now_ns) {
   if (wire_ == nullptr) return;
   wire_->OnReaders([this](const ros2::Guid& writer) { return domain_->topics().Reads(writer); },
                    now_ns);
 }
 
-void Agent::TakeCoverage(int64_t now_ns) {
+void Agent::PollCoverage(int64_t now_ns) {
   const std::vector<Coverage> all = domain_->topics().TakeCoverage(now_ns);
   for (const Coverage& news : all) {
     const std::string why = ros2::Printable(news.not_visible);
@@ -396,10 +396,10 @@ void Agent::TakeCoverage(int64_t now_ns) {
     }
     graph_->SetNotVisible(news.writer, why, now_ns);
   }
-  if (!all.empty()) TellReaders(now_ns);
+  if (!all.empty()) ReportReaders(now_ns);
 }
 
-void Agent::TakeDiscovered(int64_t now_ns, Observations& seen) {
+void Agent::PollDiscovery(int64_t now_ns, Observations& seen) {
   for (const Discovered& each : domain_->TakeDiscovered()) {
     if (wire_ != nullptr) wire_->OnDiscovered(each, now_ns);
     if (const auto* endpoint = std::get_if<EndpointFact>(&each.what)) {
@@ -461,14 +461,14 @@ void Agent::OnEndpoint(const EndpointFact& endpoint, bool alive, int64_t now_ns)
   graph_->EndpointSeen(endpoint, now_ns);
   findings_->OnEndpointSeen(endpoint, now_ns);
   if (ros2::DemangleTopic(endpoint.topic).kind != ros2::DdsTopicKind::kTopic) return;
-  // What goes wrong is news of TakeCoverage.
+  // What goes wrong is reported by PollCoverage.
   domain_->topics().Watch(endpoint, now_ns).IgnoreError();
   if (wire_ != nullptr && domain_->topics().Reads(endpoint.guid)) {
     wire_->OnRead(endpoint.guid, now_ns);
   }
 }
 
-void Agent::TakeClaims(int64_t now_ns, Observations& seen) {
+void Agent::PollClaims(int64_t now_ns, Observations& seen) {
   for (const Claim& claim : domain_->TakeClaims()) {
     const auto entities = ros2::DecodeParticipantEntities(claim.payload);
     if (!entities.ok()) {
@@ -500,7 +500,7 @@ void Agent::TakeClaims(int64_t now_ns, Observations& seen) {
   seen.losses.push_back(LimitLoss(lost, now_ns));
 }
 
-void Agent::TakeSamples(int64_t now_ns, Observations& seen) {
+void Agent::PollSamples(int64_t now_ns, Observations& seen) {
   MessageFlow::Output output;
   flow_->Poll(now_ns, output);
   std::vector<Sample> samples = domain_->topics().Take(kSamplesAtOnce);
@@ -519,7 +519,7 @@ void Agent::TakeSamples(int64_t now_ns, Observations& seen) {
   }
 }
 
-void Agent::TakeFindings(int64_t now_ns, Observations& seen) {
+void Agent::PollFindings(int64_t now_ns, Observations& seen) {
   for (const GraphChange& change : seen.graph) findings_->OnGraph(change, now_ns);
   findings_->SetConnected(uplink_->Ready().ok(), now_ns);
   for (Finding& finding : findings_->Poll(now_ns)) {
@@ -542,13 +542,13 @@ void Agent::TakeFindings(int64_t now_ns, Observations& seen) {
   lost_.Increment(static_cast<double>(dropped));
 }
 
-void Agent::TellGraphAnew(int64_t now_ns) {
+void Agent::ResendGraph(int64_t now_ns) {
   std::vector<GraphChange> snapshot = graph_->Snapshot(now_ns);
   for (const GraphChange& change : snapshot) findings_->OnGraph(change, now_ns);
   uplink_->ReplaceGraph(std::move(snapshot));
 }
 
-void Agent::TellFindingsAgain(int64_t now_ns, Observations& seen) {
+void Agent::RepeatFindings(int64_t now_ns, Observations& seen) {
   for (Finding& finding : findings_->Told()) AddFinding(std::move(finding), now_ns, seen);
   if (wire_ == nullptr) return;
   for (ControlObservation& finding : wire_->Standing(now_ns)) {
@@ -556,7 +556,7 @@ void Agent::TellFindingsAgain(int64_t now_ns, Observations& seen) {
   }
 }
 
-void Agent::TakeWire(int64_t now_ns, Observations& seen) {
+void Agent::PollWire(int64_t now_ns, Observations& seen) {
   if (wire_ == nullptr) return;
   for (ControlObservation& finding : wire_->Poll(*graph_, *flow_, now_ns)) {
     seen.findings.push_back(std::move(finding));

@@ -66,34 +66,34 @@ class Agent {
 
   // --- Observer thread
   void Observe();
-  // Takes what has come and hands it to the uplink.
-  void Look(int64_t now_ns);
-  void TakeInbox(int64_t now_ns, Observations& seen) ABSL_LOCKS_EXCLUDED(inbox_mu_);
-  void TakeDiscovered(int64_t now_ns, Observations& seen);
-  void TakeCoverage(int64_t now_ns);
+  // Hands to the uplink what has come.
+  void Poll(int64_t now_ns);
+  void ApplyInbox(int64_t now_ns, Observations& seen) ABSL_LOCKS_EXCLUDED(inbox_mu_);
+  void PollDiscovery(int64_t now_ns, Observations& seen);
+  void PollCoverage(int64_t now_ns);
   void OnParticipant(const ros2::Participant& participant, bool alive, int64_t now_ns);
   // RIPS's participants have changed.
-  void TellOwnParticipants(int64_t now_ns);
+  void ApplyOwnParticipants(int64_t now_ns);
   void StartAnnouncing();
   void Announce(int64_t now_ns);
   // Has what `watch_` says read from now on.
   void FollowPlan(int64_t now_ns);
   void OnEndpoint(const EndpointFact& endpoint, bool alive, int64_t now_ns);
-  void TakeClaims(int64_t now_ns, Observations& seen);
-  void TakeSamples(int64_t now_ns, Observations& seen);
-  void TakeFindings(int64_t now_ns, Observations& seen);
-  void TakeWire(int64_t now_ns, Observations& seen);
+  void PollClaims(int64_t now_ns, Observations& seen);
+  void PollSamples(int64_t now_ns, Observations& seen);
+  void PollFindings(int64_t now_ns, Observations& seen);
+  void PollWire(int64_t now_ns, Observations& seen);
   // Which writers are read, for the judgement of what is on the wire.
-  void TellReaders(int64_t now_ns);
+  void ReportReaders(int64_t now_ns);
   void CountLimits(int64_t now_ns, Observations& seen);
   // `left_out` of the graph by a limit since the last call.
   void WatchGraphLimits(uint64_t left_out, int64_t now_ns);
-  // Discovery tells all that is there once more.
+  // Has discovery report everything that is there once more.
   void Rediscover(int64_t now_ns);
   // The whole graph in place of its steps.
-  void TellGraphAnew(int64_t now_ns);
+  void ResendGraph(int64_t now_ns);
   // Those that stand.
-  void TellFindingsAgain(int64_t now_ns, Observations& seen);
+  void RepeatFindings(int64_t now_ns, Observations& seen);
   int64_t NextWork() const;
 
   const SensorConfig config_;
@@ -122,7 +122,7 @@ class Agent {
   bool server_forgot_ ABSL_GUARDED_BY(inbox_mu_) = false;
 
   // The observer thread's.
-  LogLimiter bus_logs_;  // what anybody on the bus can make it say
+  LogLimiter bus_logs_;  // of what any participant on the bus can trigger
   std::optional<GraphBuilder> graph_;
   std::optional<MessageFlow> flow_;
   std::optional<Findings> findings_;
@@ -131,7 +131,7 @@ class Agent {
   WatchOptions watch_;
   // A tap reports.
   bool wire_visible_ = false;
-  // Why the tap does not see what it should, as told.
+  // Why the tap does not see what it should, as reported last.
   std::string wire_blind_;
   // There are participants with DDS Security that show us nothing.
   bool secured_hidden_ = false;

@@ -4,7 +4,7 @@
 
 namespace rips::sensor {
 
-void GraphBase::Take(const GraphChange& change) {
+void GraphBase::Apply(const GraphChange& change) {
   if (change.from_version == 0) {
     graph_ = ros2::RosGraph(ros2::kWideGraphLimits);
   } else if (version_ == 0 || change.from_version != version_) {
@@ -27,7 +27,7 @@ std::optional<GraphChange> GraphBase::Snapshot() const {
 
 std::optional<GraphChange> GraphBase::SnapshotAfter(const GraphChange& next) const {
   GraphBase after = *this;
-  after.Take(next);
+  after.Apply(next);
   return after.Snapshot();
 }
 

@@ -20,7 +20,7 @@ class GraphBase {
   static constexpr size_t kSnapshotBytesMax = size_t{1} << 20;
 
   // `change` was acknowledged.
-  void Take(const GraphChange& change);
+  void Apply(const GraphChange& change);
   // Steps are left out: what comes next may not fit.
   void Forget() { version_ = 0; }
 

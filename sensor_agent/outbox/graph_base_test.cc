@@ -23,14 +23,14 @@ GraphChange Step(uint64_t from, uint8_t n) {
 TEST(GraphBaseTest, IsNotKnownBeforeASnapshot) {
   GraphBase base;
   EXPECT_FALSE(base.Snapshot().has_value());
-  base.Take(Step(1, 1));
+  base.Apply(Step(1, 1));
   EXPECT_FALSE(base.Snapshot().has_value());
 }
 
 TEST(GraphBaseTest, AddsUpWhatWasAcknowledged) {
   GraphBase base;
-  base.Take(Step(0, 1));
-  base.Take(Step(1, 2));
+  base.Apply(Step(0, 1));
+  base.Apply(Step(1, 2));
   const auto snapshot = base.Snapshot();
   ASSERT_TRUE(snapshot.has_value());
   EXPECT_EQ(snapshot->from_version, 0u);
@@ -47,11 +47,11 @@ TEST(GraphBaseTest, AddsUpWhatWasAcknowledged) {
 
 TEST(GraphBaseTest, AStepThatDoesNotFitMakesItUnknownUntilTheNextSnapshot) {
   GraphBase base;
-  base.Take(Step(0, 1));
+  base.Apply(Step(0, 1));
   EXPECT_FALSE(base.SnapshotAfter(Step(5, 2)).has_value());
-  base.Take(Step(5, 2));
+  base.Apply(Step(5, 2));
   EXPECT_FALSE(base.Snapshot().has_value());
-  base.Take(Step(0, 3));
+  base.Apply(Step(0, 3));
   ASSERT_TRUE(base.Snapshot().has_value());
   EXPECT_EQ(base.Snapshot()->delta.upsert_nodes.size(), 1u);
   base.Forget();
@@ -72,7 +72,7 @@ TEST(GraphBaseTest, AGraphThatIsTooLargeIsNotKnown) {
                                             .type = "a/msg/A",
                                             .node = "/n1"});
   }
-  base.Take(large);
+  base.Apply(large);
   EXPECT_FALSE(base.Snapshot().has_value());
 }
 

@@ -4,10 +4,8 @@
 #include <utility>
 #include <variant>
 
-#include "absl/strings/str_cat.h"
 #include "services/base/check.h"
 #include "services/base/overloaded.h"
-#include "services/base/saturating.h"
 
 namespace rips::sensor {
 
@@ -17,12 +15,6 @@ namespace {
 constexpr size_t kEntryOverheadBytes = 32;
 // The numbers of an item and its tags.
 constexpr size_t kItemOverheadBytes = 64;
-
-void MergeLoss(Loss& into, const Loss& loss) {
-  into.count = SaturatingAdd(into.count, loss.count);
-  into.first_boottime_ns = std::min(into.first_boottime_ns, loss.first_boottime_ns);
-  into.last_boottime_ns = std::max(into.last_boottime_ns, loss.last_boottime_ns);
-}
 
 bool IsGraph(const ControlObservation& observation) {
   return std::holds_alternative<GraphChange>(observation.what);
@@ -109,50 +101,10 @@ void Outbox::AddGraph(GraphChange change, int64_t now_ns) {
            .last_boottime_ns = now_ns});
 }
 
-void Outbox::AddLoss(Loss loss) {
-  LossKey key{loss.cause, {loss.topic, loss.source.get()}};
-  auto it = losses_.find(key);
-  if (it == losses_.end() && losses_.size() >= limits_.loss_records) {
-    key.second = {"", nullptr};
-    loss.topic.clear();
-    loss.source = nullptr;
-    it = losses_.find(key);
-  }
-  if (it == losses_.end()) {
-    losses_.emplace(std::move(key), std::move(loss));
-  } else {
-    MergeLoss(it->second, loss);
-  }
-}
-
-void Outbox::AddSignal(const std::string& name, int64_t now_ns) {
-  auto& [count, first_ns] = signals_.try_emplace(name, 0, now_ns).first->second;
-  ++count;
-}
-
-void Outbox::AddState(const SensorState& state, int64_t now_ns) {
-  const bool was_overloaded = state_.has_value() && state_->first.overloaded;
-  state_.emplace(state, now_ns);
-  state_->first.overloaded |= was_overloaded;
-}
-
 void Outbox::AddControl(ControlObservation observation) { PushControl(std::move(observation)); }
 
 void Outbox::FlushMerged(int64_t now_ns) {
-  if (!HasMerged() || !MergedDue(now_ns)) return;
-  last_flush_ns_ = now_ns;
-  for (auto& [key, loss] : losses_) {
-    const int64_t at_ns = loss.last_boottime_ns;
-    PushControl({.boottime_ns = at_ns, .what = std::move(loss)});
-  }
-  losses_.clear();
-  for (const auto& [name, seen] : signals_) {
-    PushControl(
-        {.boottime_ns = seen.second, .what = SignalSeen{.name = name, .count = seen.first}});
-  }
-  signals_.clear();
-  if (state_.has_value()) PushControl({.boottime_ns = state_->second, .what = state_->first});
-  state_.reset();
+  for (ControlObservation& each : merged_.Flush(now_ns)) PushControl(std::move(each));
 }
 
 void Outbox::CountShed(const MessageSeen& message) {
@@ -206,8 +158,7 @@ void Outbox::Shed() {
 // --- Sending
 
 size_t Outbox::unsent(Lane lane) const {
-  if (lane == Lane::kControl) return control_.entries.size() - control_.sent;
-  return messages_.entries.size() - messages_.sent;
+  return lane == Lane::kControl ? control_.unsent() : messages_.unsent();
 }
 
 const MessageSeen& Outbox::UnsentMessage(size_t index) const {
@@ -225,33 +176,16 @@ uint64_t Outbox::NextSequence(Lane lane) const {
                                 : messages_.first_sequence + messages_.sent;
 }
 
-template <typename T>
-void Outbox::MarkSentIn(Queue<T>& queue, size_t count) {
-  RIPS_CHECK(count <= queue.entries.size() - queue.sent, "more was sent than there is");
-  queue.sent += count;
-  queue.numbered = std::max(queue.numbered, queue.sent);
-  if (queue.sent == queue.entries.size()) queue.urgent = false;
-}
-
 void Outbox::MarkSent(Lane lane, size_t count) {
   if (lane == Lane::kControl) {
-    MarkSentIn(control_, count);
+    control_.MarkSent(count);
   } else {
     const size_t numbered = messages_.numbered;
-    MarkSentIn(messages_, count);
+    messages_.MarkSent(count);
     for (size_t i = numbered; i < messages_.numbered; ++i) {
       fresh_payload_bytes_ -= PayloadBytes(messages_.entries[i]);
     }
   }
-}
-
-template <typename T>
-std::optional<int64_t> Outbox::DueIn(const Queue<T>& queue, const BatchPolicy& policy,
-                                     int64_t last_batch_ns, int64_t now_ns) {
-  const size_t count = queue.entries.size() - queue.sent;
-  if (count == 0) return std::nullopt;
-  if (queue.urgent || queue.sent < queue.numbered || count >= policy.observations) return now_ns;
-  return std::max(now_ns, last_batch_ns + policy.linger_ns);
 }
 
 std::optional<int64_t> Outbox::DueAt(Lane lane, const BatchPolicy& policy, int64_t last_batch_ns,
@@ -260,11 +194,11 @@ std::optional<int64_t> Outbox::DueAt(Lane lane, const BatchPolicy& policy, int64
   if (lane == Lane::kMessages) {
     if (!messages_released_) return std::nullopt;
     if (fresh_payload_bytes_ >= policy.bytes) return now_ns;
-    return DueIn(messages_, policy, last_batch_ns, now_ns);
+    return messages_.DueAt(policy, last_batch_ns, now_ns);
   }
-  std::optional<int64_t> due = DueIn(control_, policy, last_batch_ns, now_ns);
-  if (HasMerged()) {
-    const int64_t merged_ns = std::max(now_ns, last_flush_ns_ + limits_.merge_ns);
+  std::optional<int64_t> due = control_.DueAt(policy, last_batch_ns, now_ns);
+  if (!merged_.empty()) {
+    const int64_t merged_ns = merged_.DueAt(now_ns);
     due = std::min(due.value_or(merged_ns), merged_ns);
   }
   return due;
@@ -277,7 +211,7 @@ std::optional<int64_t> Outbox::OldestUnnumbered() const {
   return messages_.entries[messages_.numbered].boottime_ns;
 }
 
-std::vector<MessageSeen> Outbox::TakeOldest(const BatchPolicy& policy, int64_t until_ns) {
+std::vector<MessageSeen> Outbox::PopOldest(const BatchPolicy& policy, int64_t until_ns) {
   std::vector<MessageSeen> taken;
   size_t bytes = 0;
   const auto begin = messages_.entries.begin() + static_cast<ptrdiff_t>(messages_.numbered);
@@ -298,7 +232,7 @@ void Outbox::CountIdsAlert(const ControlObservation& gone) {
   if (std::holds_alternative<IdsAlert>(gone.what)) ++acknowledged_ids_alerts_;
 }
 
-std::vector<ControlObservation> Outbox::TakeOldestControl(const BatchPolicy& policy) {
+std::vector<ControlObservation> Outbox::PopOldestControl(const BatchPolicy& policy) {
   std::vector<ControlObservation> taken;
   size_t bytes = 0;
   auto& entries = control_.entries;
@@ -320,6 +254,16 @@ std::vector<ControlObservation> Outbox::TakeOldestControl(const BatchPolicy& pol
   entries.erase(kept, end);
   if (control_.sent == control_.entries.size()) control_.urgent = false;
   return taken;
+}
+
+std::vector<MessageSeen> Outbox::DrainMessages(const BatchPolicy& policy) {
+  return messages_.Drain(policy);
+}
+
+std::vector<ControlObservation> Outbox::DrainControl(const BatchPolicy& policy) {
+  std::vector<ControlObservation> drained = control_.Drain(policy);
+  for (const ControlObservation& each : drained) CountIdsAlert(each);
+  return drained;
 }
 
 void Outbox::ShedPayload(MessageSeen& message) {
@@ -354,30 +298,10 @@ void Outbox::ShedUnsentPayload(const Payload& payload) {
 
 // --- Acknowledging and resuming
 
-template <typename T, typename Forget>
-absl::Status Outbox::AcknowledgeIn(Queue<T>& queue, uint64_t sequence, const Forget& forget) {
-  if (sequence < queue.first_sequence) return absl::OkStatus();
-  const uint64_t count = sequence - queue.first_sequence + 1;
-  if (count > queue.numbered) {
-    return absl::InvalidArgumentError(absl::StrCat("acknowledgement of ", sequence,
-                                                   ", but the last sequence sent is ",
-                                                   queue.first_sequence + queue.numbered - 1));
-  }
-  for (uint64_t i = 0; i < count; ++i) {
-    forget(queue.entries.front());
-    queue.bytes -= CostOf(queue.entries.front());
-    queue.entries.pop_front();
-  }
-  queue.first_sequence += count;
-  queue.numbered -= count;
-  queue.sent -= std::min<uint64_t>(queue.sent, count);
-  return absl::OkStatus();
-}
-
 absl::Status Outbox::Acknowledge(Lane lane, uint64_t sequence) {
-  if (lane == Lane::kMessages) return AcknowledgeIn(messages_, sequence, [](const auto&) {});
-  return AcknowledgeIn(control_, sequence, [this](const ControlObservation& each) {
-    if (IsGraph(each)) graph_base_.Take(std::get<GraphChange>(each.what));
+  if (lane == Lane::kMessages) return messages_.Acknowledge(sequence, [](const auto&) {});
+  return control_.Acknowledge(sequence, [this](const ControlObservation& each) {
+    if (IsGraph(each)) graph_base_.Apply(std::get<GraphChange>(each.what));
     CountIdsAlert(each);
   });
 }

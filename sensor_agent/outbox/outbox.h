@@ -10,8 +10,6 @@
 
 #include <cstddef>
 #include <cstdint>
-#include <deque>
-#include <map>
 #include <optional>
 #include <string>
 #include <utility>
@@ -19,6 +17,8 @@
 
 #include "absl/status/status.h"
 #include "sensor_agent/outbox/graph_base.h"
+#include "sensor_agent/outbox/lane_queue.h"
+#include "sensor_agent/outbox/merged_reports.h"
 #include "sensor_agent/outbox/observation.h"
 
 namespace rips::sensor {
@@ -34,12 +34,6 @@ struct OutboxLimits {
   int64_t merge_ns = 100'000'000;
 };
 
-struct BatchPolicy {
-  size_t observations = 128;
-  size_t bytes = 32 * 1024;
-  int64_t linger_ns = 20'000'000;
-};
-
 // Sequence numbers [first, last] that were given and not acknowledged; empty if last < first.
 struct SequenceRange {
   uint64_t first = 1;
@@ -51,17 +45,16 @@ struct SequenceRange {
 // Not thread-safe. Times are CLOCK_BOOTTIME in nanoseconds.
 class Outbox {
  public:
-  explicit Outbox(OutboxLimits limits = {}) : limits_(limits) {}
+  explicit Outbox(OutboxLimits limits = {})
+      : limits_(limits), merged_(limits.loss_records, limits.merge_ns) {}
 
   // --- Filling
   void AddMessage(MessageSeen message);
   void AddGraph(GraphChange change, int64_t now_ns);
-  // Losses of one cause, topic and source become one record until it is sent, at most each
-  // merge_ns; likewise signals of one name. The newest state replaces an unsent one, but stays
-  // overloaded if that was.
-  void AddLoss(Loss loss);
-  void AddSignal(const std::string& name, int64_t now_ns);
-  void AddState(const SensorState& state, int64_t now_ns);
+  // Merged (MergedReports) until they are sent, at most each merge_ns.
+  void AddLoss(Loss loss) { merged_.Add(std::move(loss)); }
+  void AddSignal(const std::string& name, int64_t now_ns) { merged_.AddSignal(name, now_ns); }
+  void AddState(const SensorState& state, int64_t now_ns) { merged_.AddState(state, now_ns); }
   // An IdsAlert or a Finding; never shed.
   void AddControl(ControlObservation observation);
   // Until this is called messages wait: the settled snapshot must be judged before them.
@@ -90,9 +83,13 @@ class Outbox {
   std::optional<int64_t> OldestUnnumbered() const;
   // Removes and gives the oldest messages without number: as many as `policy` allows for a batch,
   // none received at `until_ns` or later.
-  std::vector<MessageSeen> TakeOldest(const BatchPolicy& policy, int64_t until_ns);
+  std::vector<MessageSeen> PopOldest(const BatchPolicy& policy, int64_t until_ns);
   // The same of control observations other than graph steps, which stay.
-  std::vector<ControlObservation> TakeOldestControl(const BatchPolicy& policy);
+  std::vector<ControlObservation> PopOldestControl(const BatchPolicy& policy);
+  // Removes and gives the oldest unsent ones, numbered or not: as many as `policy` allows for a
+  // batch. The next one has the next number.
+  std::vector<MessageSeen> DrainMessages(const BatchPolicy& policy);
+  std::vector<ControlObservation> DrainControl(const BatchPolicy& policy);
   // Counts `message` as one whose payload was shed, and sheds it.
   void ShedPayload(MessageSeen& message);
   // The same for unsent messages received before `before_ns` with more than `bytes` of payload: the
@@ -114,7 +111,7 @@ class Outbox {
   // Highest acknowledged sequence (or shed in flight); 0 = none.
   uint64_t acknowledged(Lane lane) const;
   SequenceRange Unacked(Lane lane) const;
-  // How many alerts of the IDS have left, by an acknowledgement or by TakeOldestControl; they leave
+  // How many alerts of the IDS have left, by an acknowledgement or by PopOldestControl; they leave
   // in the order added.
   uint64_t acknowledged_ids_alerts() const { return acknowledged_ids_alerts_; }
   // A new stream: everything unacknowledged is unsent again, numbers stay.
@@ -128,7 +125,7 @@ class Outbox {
   // The oldest graph step held is a snapshot: a server without a graph can start from it.
   bool GraphStartsWithSnapshot() const;
   // Makes it so without leaving a step out: the oldest step becomes a snapshot of the graph after
-  // it (the same observation, told otherwise), or, if it has no number, a snapshot of the graph
+  // it (the same observation in another form), or, if it has no number, a snapshot of the graph
   // before it goes ahead of it. False if that is not known: then a snapshot of now is needed.
   bool StartGraphWithSnapshot(int64_t now_ns);
   // Takes `snapshot` (its parts, in order; none before discovery has settled) in place of every
@@ -153,29 +150,7 @@ class Outbox {
   std::optional<int64_t> OldestUnacked() const;
 
  private:
-  template <typename T>
-  struct Queue {
-    std::deque<T> entries;
-    // Sequence of entries[0].
-    uint64_t first_sequence = 1;
-    // Leading entries that have a number, and that have gone out on this stream; sent <= numbered.
-    size_t numbered = 0;
-    size_t sent = 0;
-    size_t bytes = 0;
-    // Something urgent is unsent.
-    bool urgent = false;
-  };
-  using LossKey = std::pair<LossCause, std::pair<std::string, const MessageSource*>>;
-
   void CountIdsAlert(const ControlObservation& gone);
-  // `forget` is called with each entry that goes.
-  template <typename T, typename Forget>
-  static absl::Status AcknowledgeIn(Queue<T>& queue, uint64_t sequence, const Forget& forget);
-  template <typename T>
-  static void MarkSentIn(Queue<T>& queue, size_t count);
-  template <typename T>
-  static std::optional<int64_t> DueIn(const Queue<T>& queue, const BatchPolicy& policy,
-                                      int64_t last_batch_ns, int64_t now_ns);
   void PushControl(ControlObservation observation);
   void Shed();
   void ShedPayloadAt(size_t index);
@@ -184,17 +159,12 @@ class Outbox {
   void CountShed(const MessageSeen& message);
   // Removes the graph steps without number; how many there were.
   size_t DropUnnumberedGraph();
-  bool HasMerged() const { return !losses_.empty() || !signals_.empty() || state_.has_value(); }
-  bool MergedDue(int64_t now_ns) const { return now_ns >= last_flush_ns_ + limits_.merge_ns; }
 
   OutboxLimits limits_;
-  Queue<MessageSeen> messages_;
-  Queue<ControlObservation> control_;
+  LaneQueue<MessageSeen> messages_;
+  LaneQueue<ControlObservation> control_;
+  MergedReports merged_;
   GraphBase graph_base_;
-  std::map<LossKey, Loss> losses_;
-  std::map<std::string, std::pair<uint32_t, int64_t>> signals_;
-  std::optional<std::pair<SensorState, int64_t>> state_;
-  int64_t last_flush_ns_ = 0;
   bool messages_released_ = false;
   bool snapshot_wanted_ = false;
   bool primary_ = true;

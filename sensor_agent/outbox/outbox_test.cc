@@ -413,22 +413,22 @@ TEST_F(OutboxTest, TheOldestWithoutNumberAreTakenAndTheRestGoesOn) {
   outbox_.MarkSent(Lane::kMessages, 2);
   EXPECT_EQ(outbox_.OldestUnnumbered(), 3 * kMs);
 
-  const std::vector<MessageSeen> taken = outbox_.TakeOldest({.observations = 4}, 100 * kMs);
+  const std::vector<MessageSeen> taken = outbox_.PopOldest({.observations = 4}, 100 * kMs);
 
   ASSERT_THAT(taken, SizeIs(4));
   EXPECT_EQ(taken.front().size_bytes, 3u);
   EXPECT_EQ(outbox_.Unacked(Lane::kMessages), (SequenceRange{1, 2}));
   EXPECT_EQ(UnsentMessages().front(), (std::pair<uint64_t, uint32_t>(3, 7)));
-  EXPECT_THAT(outbox_.TakeOldest({}, 9 * kMs), SizeIs(2)) << "none of 9 ms or later";
-  EXPECT_THAT(outbox_.TakeOldest({}, 100 * kMs), SizeIs(2));
+  EXPECT_THAT(outbox_.PopOldest({}, 9 * kMs), SizeIs(2)) << "none of 9 ms or later";
+  EXPECT_THAT(outbox_.PopOldest({}, 100 * kMs), SizeIs(2));
   EXPECT_EQ(outbox_.OldestUnnumbered(), std::nullopt);
   EXPECT_EQ(outbox_.message_bytes(), 2 * CostOf(MessageSeen{}));
 }
 
 TEST_F(OutboxTest, PayloadsEndABatchThatIsTaken) {
   for (uint32_t i = 1; i <= 3; ++i) AddPayload(i, 600);
-  EXPECT_THAT(outbox_.TakeOldest({.observations = 10, .bytes = 1'000}, 100 * kMs), SizeIs(2));
-  EXPECT_THAT(outbox_.TakeOldest({.observations = 10, .bytes = 1}, 100 * kMs), SizeIs(1))
+  EXPECT_THAT(outbox_.PopOldest({.observations = 10, .bytes = 1'000}, 100 * kMs), SizeIs(2));
+  EXPECT_THAT(outbox_.PopOldest({.observations = 10, .bytes = 1}, 100 * kMs), SizeIs(1))
       << "one in any case";
 }
 
@@ -439,11 +439,11 @@ TEST_F(OutboxTest, ControlThatIsTakenLeavesTheGraph) {
   for (int i = 0; i < 3; ++i) outbox_.AddControl({.boottime_ns = 2, .what = IdsAlert{}});
   outbox_.MarkSent(Lane::kControl, 1);
 
-  EXPECT_THAT(outbox_.TakeOldestControl({.observations = 3}), SizeIs(3));
+  EXPECT_THAT(outbox_.PopOldestControl({.observations = 3}), SizeIs(3));
 
   EXPECT_THAT(UnsentControl(), ElementsAre("2:graph 1-2", "3:state"));
-  EXPECT_THAT(outbox_.TakeOldestControl({}), SizeIs(1));
-  EXPECT_THAT(outbox_.TakeOldestControl({}), IsEmpty());
+  EXPECT_THAT(outbox_.PopOldestControl({}), SizeIs(1));
+  EXPECT_THAT(outbox_.PopOldestControl({}), IsEmpty());
   outbox_.MarkSent(Lane::kControl, 1);
   ASSERT_THAT(outbox_.Acknowledge(Lane::kControl, 2), IsOk());
   EXPECT_EQ(outbox_.control_bytes(), 0u);

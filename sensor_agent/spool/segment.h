@@ -11,19 +11,10 @@
 
 #include "absl/status/statusor.h"
 #include "absl/strings/string_view.h"
-#include "sensor_agent/outbox/observation.h"
+#include "sensor_agent/outbox/spool_types.h"
 
 namespace rips::sensor {
 
-// Observations that count together: each has its own sequence, from 1.
-struct StreamKey {
-  std::string incarnation;  // 16 bytes
-  Lane lane = Lane::kMessages;
-
-  friend auto operator<=>(const StreamKey&, const StreamKey&) = default;
-};
-
-inline constexpr size_t kIncarnationBytes = 16;
 inline constexpr size_t kBootIdBytes = 16;
 inline constexpr size_t kSegmentHeaderBytes = 76;
 inline constexpr size_t kFrameHeaderBytes = 36;

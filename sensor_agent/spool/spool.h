@@ -4,7 +4,7 @@
 // What was appended is handed to the kernel at once and written through when its segment is full,
 // so the end of a process loses nothing of it; a power cut may lose the last segment of each
 // stream. The file `running` lies there while a process uses the directory: found at start, the
-// process before did not end in order, and nobody knows what it held in memory.
+// process before crashed, and what it held in memory is lost.
 #ifndef RIPS_SENSOR_AGENT_SPOOL_SPOOL_H_
 #define RIPS_SENSOR_AGENT_SPOOL_SPOOL_H_
 
@@ -18,13 +18,14 @@
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
 #include "absl/strings/string_view.h"
+#include "sensor_agent/outbox/spool_types.h"
 #include "sensor_agent/spool/segment.h"
 #include "services/base/clock.h"
 #include "services/runtime/unique_fd.h"
 
 namespace rips::sensor {
 
-// Names this boot of the host, 16 bytes; zeros if the kernel does not tell.
+// Identifies this boot of the host, 16 bytes; zeros if the kernel does not say.
 std::string BootId();
 
 struct SpoolOptions {
@@ -38,43 +39,6 @@ struct SpoolOptions {
   // Of this boot, 16 bytes, and what both clocks say now.
   std::string boot_id;
   Instant now;
-};
-
-// A frame on disk.
-struct SpoolRecord {
-  StreamKey stream;
-  uint64_t first_sequence = 1;
-  uint32_t count = 0;
-  // CLOCK_BOOTTIME of this boot; of an observation from before it, 0 or less.
-  int64_t oldest_ns = 0;
-  // To be added to the times in the payload, to make them times of this boot.
-  int64_t time_shift_ns = 0;
-  // Where it lies: number of the segment, and bytes.
-  uint64_t segment = 0;
-  size_t offset = 0;
-  size_t bytes = 0;
-};
-
-// Sequences that were there and are not readable. They lie before the last record of their stream,
-// unless `at_end`.
-struct SpoolGap {
-  StreamKey stream;
-  uint64_t first_sequence = 1;
-  uint64_t count = 0;
-  bool at_end = false;
-
-  friend bool operator==(const SpoolGap&, const SpoolGap&) = default;
-};
-
-struct Recovered {
-  // In order within each stream.
-  std::vector<SpoolRecord> records;
-  std::vector<SpoolGap> gaps;
-  // More was lost, nobody knows how much: a segment without its end, or a process that did not end
-  // in order.
-  bool unknown_lost = false;
-  // Why, for people; one line each problem, at most 20.
-  std::vector<std::string> problems;
 };
 
 // Not thread-safe. Waits for the disk.

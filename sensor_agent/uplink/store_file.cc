@@ -1,5 +1,6 @@
 #include "sensor_agent/uplink/store_file.h"
 
+#include <algorithm>
 #include <cstdint>
 #include <vector>
 
@@ -10,6 +11,7 @@
 #include "sensor_agent/spool/segment.h"
 #include "services/base/status_macros.h"
 #include "services/runtime/atomic_file.h"
+#include "services/runtime/log.h"
 
 namespace rips::sensor {
 namespace {
@@ -47,6 +49,54 @@ absl::StatusOr<rips::v1::StorePoint> LoadStorePoint(const std::string& path) {
     if (ToLine(point) == line) return point;
   }
   return absl::DataLossError("it is not what a sensor has written");
+}
+
+void StorePointKeeper::Load() {
+  if (path_.empty()) return;
+  const absl::StatusOr<rips::v1::StorePoint> saved = LoadStorePoint(path_);
+  if (saved.ok()) {
+    MutexLock lock(&mu_);
+    point_ = *saved;
+    saved_ = point_.SerializeAsString();
+  } else if (!absl::IsNotFound(saved.status())) {
+    LogWarning("cannot use the store position saved by the last run",
+               {{"file", path_}, {"error", saved.status().ToString()}});
+  }
+}
+
+void StorePointKeeper::Save() {
+  if (path_.empty()) return;
+  const rips::v1::StorePoint point = Get();
+  const std::string bytes = point.SerializeAsString();
+  {
+    MutexLock lock(&mu_);
+    if (point.generation().empty() || bytes == saved_) return;
+  }
+  if (absl::Status saved = SaveStorePoint(path_, point); !saved.ok()) {
+    LogWarning("cannot save the server's store position", {{"error", saved.ToString()}});
+    return;
+  }
+  MutexLock lock(&mu_);
+  saved_ = bytes;
+}
+
+void StorePointKeeper::Set(const rips::v1::StorePoint& point) {
+  if (point.generation().size() != kGenerationBytes) {
+    LogWarning("server sent a malformed store generation");
+    return;
+  }
+  MutexLock lock(&mu_);
+  point_ = point;
+}
+
+void StorePointKeeper::Raise(uint64_t commit) {
+  MutexLock lock(&mu_);
+  point_.set_commit(std::max(point_.commit(), commit));
+}
+
+rips::v1::StorePoint StorePointKeeper::Get() const {
+  MutexLock lock(&mu_);
+  return point_;
 }
 
 }  // namespace rips::sensor

@@ -39,18 +39,18 @@ class UplinkBacklogTest : public testing::Test {
     dir_ = mkdtemp(name.data());
     options_.host = "base";
     options_.credentials = grpc::InsecureChannelCredentials();
-    options_.outbox = {.message_bytes = 8 << 20, .control_bytes = 64 * 1024};
-    options_.backlog.memory_bytes = 64 * 1024;
-    options_.backlog.spool = {.dir = dir_ + "/spool",
-                              .disk_bytes = 8 << 20,
-                              .segment_bytes = 64 * 1024,
-                              .boot_id = BootId(),
-                              .now = clock_.Now()};
-    options_.backlog.retry = absl::Milliseconds(20);
-    options_.backlog_bytes_per_second = 64 << 20;
-    options_.live = absl::Milliseconds(100);
+    options_.core.outbox = {.message_bytes = 8 << 20, .control_bytes = 64 * 1024};
+    options_.core.backlog.memory_bytes = 64 * 1024;
+    options_.spool = {.dir = dir_ + "/spool",
+                      .disk_bytes = 8 << 20,
+                      .segment_bytes = 64 * 1024,
+                      .boot_id = BootId(),
+                      .now = clock_.Now()};
+    options_.core.backlog.retry = absl::Milliseconds(20);
+    options_.core.backlog_bytes_per_second = 64 << 20;
+    options_.core.live = absl::Milliseconds(100);
     options_.backoff = {.initial = absl::Milliseconds(20), .max = absl::Milliseconds(50)};
-    options_.heartbeat = absl::Milliseconds(20);
+    options_.core.heartbeat = absl::Milliseconds(20);
     server_.Start();
     options_.servers = {server_.address()};
   }
@@ -154,7 +154,7 @@ TEST_F(UplinkBacklogTest, WhatAnOutageLeavesCountsForItselfAndAllOfItComes) {
 }
 
 TEST_F(UplinkBacklogTest, LiveMessagesDoNotWaitForTheBacklog) {
-  options_.backlog_bytes_per_second = 4'096;  // would take minutes
+  options_.core.backlog_bytes_per_second = 4'096;  // would take minutes
   Start();
   ASSERT_TRUE(WaitForStreams(1));
   StopServer();
@@ -233,7 +233,7 @@ TEST_F(UplinkBacklogTest, ASensorThatIsStoppedLeavesEverythingToTheNext) {
 }
 
 TEST_F(UplinkBacklogTest, AnEndThatCannotBeReadIsAnnouncedNoMore) {
-  options_.backlog.read_ahead_bytes = 1;
+  options_.core.backlog.read_ahead_bytes = 1;
   Start();
   Append(1, 10);
   ASSERT_TRUE(WaitForMessages(10));
@@ -269,7 +269,7 @@ TEST_F(UplinkBacklogTest, AnEndThatCannotBeReadIsAnnouncedNoMore) {
 }
 
 TEST_F(UplinkBacklogTest, StateTellsWhatIsOnDisk) {
-  options_.backlog_bytes_per_second = 4'096;
+  options_.core.backlog_bytes_per_second = 4'096;
   Start();
   ASSERT_TRUE(WaitForStreams(1));
   StopServer();
@@ -286,8 +286,8 @@ TEST_F(UplinkBacklogTest, StateTellsWhatIsOnDisk) {
 }
 
 TEST_F(UplinkBacklogTest, FullMemoryAndFullDiskShedWithALossThatIsExact) {
-  options_.outbox.message_bytes = 64 * 1024;
-  options_.backlog.spool.disk_bytes = 128 * 1024;
+  options_.core.outbox.message_bytes = 64 * 1024;
+  options_.spool.disk_bytes = 128 * 1024;
   Start();
   ASSERT_TRUE(WaitForStreams(1));
   StopServer();

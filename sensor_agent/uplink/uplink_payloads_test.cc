@@ -42,9 +42,9 @@ class UplinkPayloadsTest : public testing::Test {
     options_.host = "base";
     options_.credentials = grpc::InsecureChannelCredentials();
     // Nothing is too old, unless a test says so.
-    options_.live = absl::Hours(1);
+    options_.core.live = absl::Hours(1);
     options_.backoff = {.initial = absl::Milliseconds(20), .max = absl::Milliseconds(50)};
-    options_.heartbeat = absl::Milliseconds(20);
+    options_.core.heartbeat = absl::Milliseconds(20);
     server_.Set([](auto& b) { b.renew_credit = true; });
     server_.Start();
     options_.servers = {server_.address()};
@@ -186,7 +186,7 @@ TEST_F(UplinkPayloadsTest, ControlPassesAPayloadThatWaitsForCredit) {
 }
 
 TEST_F(UplinkPayloadsTest, AMessageWhosePayloadFindsNoCreditInTimeGoesWithoutIt) {
-  options_.live = absl::Milliseconds(100);
+  options_.core.live = absl::Milliseconds(100);
   server_.Set([](auto& b) {
     b.payload_credit = 3 * kChunk;
     b.renew_credit = false;
@@ -223,7 +223,7 @@ TEST_F(UplinkPayloadsTest, AMessageWhosePayloadFindsNoCreditInTimeGoesWithoutIt)
 }
 
 TEST_F(UplinkPayloadsTest, MetadataGoesOnWhilePayloadsComeAndFindNoCredit) {
-  options_.live = absl::Milliseconds(100);
+  options_.core.live = absl::Milliseconds(100);
   server_.Set([](auto& b) {
     b.payload_credit = 3 * kChunk;
     b.renew_credit = false;
@@ -242,7 +242,7 @@ TEST_F(UplinkPayloadsTest, MetadataGoesOnWhilePayloadsComeAndFindNoCredit) {
 }
 
 TEST_F(UplinkPayloadsTest, AMessageIsNotSetAsideWhileItsPayloadIsOnItsWay) {
-  options_.outbox.message_bytes = 3 * kMiB;
+  options_.core.outbox.message_bytes = 3 * kMiB;
   server_.Set([](auto& b) {
     b.payload_credit = 3 * kChunk;
     b.renew_credit = false;
@@ -261,7 +261,7 @@ TEST_F(UplinkPayloadsTest, AMessageIsNotSetAsideWhileItsPayloadIsOnItsWay) {
 }
 
 TEST_F(UplinkPayloadsTest, AServerThatGrantsNoPayloadsGetsMetadata) {
-  options_.live = absl::Milliseconds(50);
+  options_.core.live = absl::Milliseconds(50);
   server_.Set([](auto& b) {
     b.payload_credit = 0;
     b.renew_credit = false;
@@ -315,8 +315,8 @@ TEST_F(UplinkPayloadsTest, WhatWasNotAcknowledgedGoesAgainWithItsPayload) {
 }
 
 TEST_F(UplinkPayloadsTest, AFullOutboxShedsPayloadsAndKeepsMessagesAndControl) {
-  options_.outbox.message_bytes = 3 * kMiB;
-  options_.backlog.memory_bytes = 0;  // nothing can be set aside
+  options_.core.outbox.message_bytes = 3 * kMiB;
+  options_.core.backlog.memory_bytes = 0;  // nothing can be set aside
   server_.Set([](auto& b) {
     b.payload_credit = kChunk;
     b.renew_credit = false;
@@ -340,9 +340,9 @@ TEST_F(UplinkPayloadsTest, AFullOutboxShedsPayloadsAndKeepsMessagesAndControl) {
 }
 
 TEST_F(UplinkPayloadsTest, AnOutageSetsPayloadsAsideInMemory) {
-  options_.live = absl::Milliseconds(40);
-  options_.backlog.memory_bytes = 64 * kMiB;
-  options_.backlog_bytes_per_second = 1 << 30;
+  options_.core.live = absl::Milliseconds(40);
+  options_.core.backlog.memory_bytes = 64 * kMiB;
+  options_.core.backlog_bytes_per_second = 1 << 30;
   Start();
   ASSERT_TRUE(WaitForSignal("SIGUSR1"));
   StopServer();
@@ -359,9 +359,9 @@ TEST_F(UplinkPayloadsTest, AnOutageSetsPayloadsAsideInMemory) {
 }
 
 TEST_F(UplinkPayloadsTest, TheNextProcessSendsThePayloadsThatTheLastOneLeft) {
-  options_.backlog.spool = {
+  options_.spool = {
       .dir = dir_ + "/spool", .disk_bytes = 64 << 20, .boot_id = BootId(), .now = clock_.Now()};
-  options_.backlog_bytes_per_second = 1 << 30;
+  options_.core.backlog_bytes_per_second = 1 << 30;
   server_.Stop();
   Start();
   Append(4 * kMiB);
@@ -378,15 +378,15 @@ TEST_F(UplinkPayloadsTest, TheNextProcessSendsThePayloadsThatTheLastOneLeft) {
 }
 
 TEST_F(UplinkPayloadsTest, ABacklogWhosePayloadFindsNoCreditGoesWithoutIt) {
-  options_.backlog.spool = {
+  options_.spool = {
       .dir = dir_ + "/spool", .disk_bytes = 64 << 20, .boot_id = BootId(), .now = clock_.Now()};
-  options_.backlog_bytes_per_second = 1 << 30;
+  options_.core.backlog_bytes_per_second = 1 << 30;
   server_.Stop();
   Start();
   Append(2 * kMiB);
   Append(5);
   uplink_->Stop();
-  options_.live = absl::Milliseconds(100);
+  options_.core.live = absl::Milliseconds(100);
   server_.Set([](auto& b) {
     b.payload_credit = kChunk;
     b.renew_credit = false;

@@ -36,12 +36,13 @@ class UplinkStoreTest : public testing::Test {
 
   void Start() {
     uplink_ = std::make_unique<Uplink>(
-        UplinkOptions{.servers = {server_.address()},
-                      .credentials = grpc::InsecureChannelCredentials(),
-                      .host = "base",
-                      .store_file = path(),
-                      .backoff = {.initial = absl::Milliseconds(20), .max = absl::Milliseconds(50)},
-                      .heartbeat = absl::Milliseconds(20)},
+        UplinkOptions{
+            .servers = {server_.address()},
+            .credentials = grpc::InsecureChannelCredentials(),
+            .host = "base",
+            .store_file = path(),
+            .core = {.heartbeat = absl::Milliseconds(20)},
+            .backoff = {.initial = absl::Milliseconds(20), .max = absl::Milliseconds(50)}},
         Uplink::Hooks{.on_own_participants = [](std::vector<ros2::Guid>) {},
                       .on_snapshot_wanted = [this] { uplink_->ReplaceGraph({Snapshot()}); },
                       .on_interest = [](std::shared_ptr<const Interest>) {}},

@@ -38,16 +38,17 @@ class UplinkTest : public testing::Test {
 
   void StartUplink(OutboxLimits limits = {}, EncoderLimits encoder = {}) {
     uplink_ = std::make_unique<Uplink>(
-        UplinkOptions{.servers = {server_.address()},
-                      .credentials = grpc::InsecureChannelCredentials(),
-                      .host = "base",
-                      .domain = 7,
-                      .outbox = limits,
-                      .encoder = encoder,
-                      .backlog = {.memory_bytes = backlog_bytes_},
-                      .live = live_,
-                      .backoff = {.initial = absl::Milliseconds(20), .max = absl::Milliseconds(50)},
-                      .heartbeat = absl::Milliseconds(50)},
+        UplinkOptions{
+            .servers = {server_.address()},
+            .credentials = grpc::InsecureChannelCredentials(),
+            .host = "base",
+            .domain = 7,
+            .core = {.outbox = limits,
+                     .backlog = {.memory_bytes = backlog_bytes_},
+                     .live = live_,
+                     .heartbeat = absl::Milliseconds(50)},
+            .encoder = encoder,
+            .backoff = {.initial = absl::Milliseconds(20), .max = absl::Milliseconds(50)}},
         Uplink::Hooks{
             .on_own_participants =
                 [this](std::vector<ros2::Guid> own) {
@@ -156,7 +157,7 @@ class UplinkTest : public testing::Test {
   const RealClock clock_;
   Metrics metrics_;
   size_t backlog_bytes_ = BacklogOptions().memory_bytes;
-  absl::Duration live_ = UplinkOptions().live;
+  absl::Duration live_ = UplinkOptions().core.live;
   FakePolicyServer server_;
   const std::shared_ptr<const MessageSource> source_ = Source("/chatter");
   std::atomic<uint64_t> version_ = 0;

@@ -15,11 +15,6 @@ namespace {
 
 using rips::v1::ObservationBatch;
 
-// A MessageSeen but for its payload, with its Observation and tags, never takes more than this.
-constexpr size_t kMessageWireBytesMax = 96;
-// Incarnation, sequence, time and lane of a batch.
-constexpr size_t kBatchWireBytesMax = 80;
-
 rips::v1::Loss::Cause ToWire(LossCause cause) {
   switch (cause) {
     case LossCause::kDdsGap:
@@ -68,53 +63,16 @@ void ForEachId(ObservationBatch& batch, const Change& change) {
   }
 }
 
-// Upper bound of what introducing `source` adds to a batch.
-size_t IntroductionBytes(const MessageSource& source) {
-  return 3 * 16 + source.topic.size() + source.type.size() + 64 + CostOf(source.writer);
 }
 
 }  // namespace
 
-Payload WireEncoder::NextToChunk(const Outbox& outbox, const BatchPolicy& policy) const {
-  const size_t count = std::min(outbox.unsent(Lane::kMessages), policy.observations);
-  size_t bytes = kBatchWireBytesMax;
-  for (size_t i = 0; i < count; ++i) {
-    const MessageSeen& message = outbox.UnsentMessage(i);
-    if (IsChunked(message)) return message.payload;
-    bytes += kMessageWireBytesMax + PayloadBytes(message);
-    if (!sources_.contains(message.source.get())) bytes += IntroductionBytes(*message.source);
-    if (bytes > policy.bytes) return nullptr;
-  }
-  return nullptr;
-}
-
-ObservationBatch WireEncoder::Encode(const Outbox& outbox, Lane lane, const BatchPolicy& policy,
-                                     uint64_t credit_bytes, const SentPayload& sent) {
+ObservationBatch WireEncoder::Encode(const Outbox& outbox, Lane lane, size_t count,
+                                     uint64_t chunked_id) {
   ObservationBatch batch;
-  const size_t count = std::min(outbox.unsent(lane), policy.observations);
-  // Upper bounds for messages, about the size for control observations.
-  size_t bytes = kBatchWireBytesMax;
-  size_t payload_bytes = 0;
-  bool ended = false;
-  for (size_t i = 0; i < count && !full() && !ended; ++i) {
-    size_t more = 0;
+  for (size_t i = 0; i < count && !full(); ++i) {
     if (lane == Lane::kMessages) {
-      const MessageSeen& message = outbox.UnsentMessage(i);
-      ended = IsChunked(message);
-      if (ended && message.payload != sent.payload) break;
-      const size_t inline_bytes = ended ? 0 : PayloadBytes(message);
-      more = kMessageWireBytesMax + inline_bytes;
-      payload_bytes += inline_bytes;
-      if (!sources_.contains(message.source.get())) more += IntroductionBytes(*message.source);
-      if (bytes + more > credit_bytes) break;
-    } else {
-      more = CostOf(outbox.UnsentControl(i));
-    }
-    const bool fits = bytes + more <= policy.bytes && payload_bytes <= kBatchPayloadBytesMax;
-    if (i > 0 && !fits && !ended) break;
-    bytes += more;
-    if (lane == Lane::kMessages) {
-      Add(outbox.UnsentMessage(i), batch, ended ? sent.id : 0);
+      Add(outbox.UnsentMessage(i), batch, i + 1 == count ? chunked_id : 0);
     } else {
       Add(outbox.UnsentControl(i), batch);
     }
@@ -130,7 +88,7 @@ ObservationBatch WireEncoder::Encode(const Outbox& outbox, Lane lane, const Batc
 template <typename Seen>
 ObservationBatch WireEncoder::EncodeAlone(const std::vector<Seen>& observations) {
   ObservationBatch batch;
-  WireEncoder encoder("", {.inline_payload_bytes = std::numeric_limits<size_t>::max()});
+  WireEncoder encoder("");
   for (const Seen& each : observations) encoder.Add(each, batch);
   SetBase(batch);
   return batch;

@@ -16,24 +16,12 @@
 #include "absl/strings/string_view.h"
 #include "rips/v1/observation.pb.h"
 #include "sensor_agent/outbox/outbox.h"
-#include "services/base/payload_limits.h"
 
 namespace rips::sensor {
-
-// The server takes no batch with more bytes of inline payload.
-inline constexpr size_t kBatchPayloadBytesMax = size_t{1} << 20;
 
 struct EncoderLimits {
   // What the server takes per stream is a little more; when it is reached a new stream is needed.
   size_t names = 60'000;
-  // A longer payload is not put into the batch, but named by it (SentPayload).
-  size_t inline_payload_bytes = kPayloadChunkBytes;
-};
-
-// A payload that was sent before the batch, in chunks.
-struct SentPayload {
-  Payload payload;  // null = none was
-  uint64_t id = 0;
 };
 
 // Not thread-safe.
@@ -42,16 +30,11 @@ class WireEncoder {
   WireEncoder(std::string incarnation, EncoderLimits limits = {})
       : incarnation_(std::move(incarnation)), limits_(limits) {}
 
-  // The next unsent observations of `lane`: as many as `policy` and kBatchPayloadBytesMax allow, at
-  // least one if there is one. No more of the message lane than fit `credit_bytes`, counted as the
-  // serialized batch; so there may be none. A message whose payload is not inline is the last of
-  // its batch if that payload is `sent`, and otherwise not in it, nor is what comes after it. The
-  // batch is not marked sent.
-  rips::v1::ObservationBatch Encode(const Outbox& outbox, Lane lane, const BatchPolicy& policy,
-                                    uint64_t credit_bytes, const SentPayload& sent = {});
-  // The payload that must be sent before Encode can give all it should; null = none.
-  Payload NextToChunk(const Outbox& outbox, const BatchPolicy& policy) const;
-
+  // The first `count` unsent observations of `lane`; fewer if the stream runs out of numbers for
+  // names. The payload of the last one went in chunks as `chunked_id`; 0 = all payloads are inline.
+  // The batch is not marked sent.
+  rips::v1::ObservationBatch Encode(const Outbox& outbox, Lane lane, size_t count,
+                                    uint64_t chunked_id = 0);
   // All of `observations` (MessageSeen or ControlObservation), with every name they use: for the
   // backlog. Incarnation, lane and sequence are not set.
   template <typename Seen>
@@ -78,9 +61,6 @@ class WireEncoder {
 
   // `chunked_id` 0 = the payload goes inline.
   void Add(const MessageSeen& message, rips::v1::ObservationBatch& batch, uint64_t chunked_id = 0);
-  bool IsChunked(const MessageSeen& message) const {
-    return PayloadBytes(message) > limits_.inline_payload_bytes;
-  }
   void Add(const ControlObservation& observation, rips::v1::ObservationBatch& batch);
   void AddLoss(const Loss& loss, rips::v1::Loss& wire, rips::v1::ObservationBatch& batch);
   const SourceIds& IdsOf(const std::shared_ptr<const MessageSource>& source,

@@ -7,6 +7,7 @@
 #include "gmock/gmock.h"
 #include "gtest/gtest.h"
 #include "rips/v1/sensor.pb.h"
+#include "sensor_agent/outbox/batch_planner.h"
 #include "services/base/status_matchers.h"
 #include "services/wire_limits/field_limits.h"
 
@@ -32,6 +33,29 @@ std::shared_ptr<const MessageSource> Source(const std::string& topic, uint8_t wr
       MessageSource{.topic = topic, .type = "std_msgs/msg/String", .writer = endpoint});
 }
 
+// The encoder of a stream, given what its planner says.
+class PlannedEncoder {
+ public:
+  explicit PlannedEncoder(const std::string& incarnation, EncoderLimits limits = {})
+      : encoder_(incarnation, limits) {}
+
+  // `uploaded` went in chunks as 7.
+  ObservationBatch Encode(const Outbox& outbox, Lane lane, const BatchPolicy& policy,
+                          uint64_t credit, const Payload& uploaded = nullptr) {
+    const size_t count = planner_.Plan(outbox, lane, policy, credit, uploaded);
+    const bool named =
+        uploaded != nullptr && count > 0 && outbox.UnsentMessage(count - 1).payload == uploaded;
+    return encoder_.Encode(outbox, lane, count, named ? 7 : 0);
+  }
+  void Sent(size_t count) { planner_.Sent(count); }
+  absl::Status Rename(ObservationBatch& batch) { return encoder_.Rename(batch); }
+  bool full() const { return encoder_.full(); }
+
+ private:
+  WireEncoder encoder_;
+  BatchPlanner planner_;
+};
+
 class WireEncoderTest : public testing::Test {
  protected:
   void Add(const std::shared_ptr<const MessageSource>& source, int64_t at_ns) {
@@ -47,10 +71,12 @@ class WireEncoderTest : public testing::Test {
                         .size_bytes = size,
                         .payload = std::make_shared<const std::string>(bytes, 'x')});
   }
-  ObservationBatch Send(WireEncoder& encoder, Lane lane = Lane::kMessages,
+  ObservationBatch Send(PlannedEncoder& encoder, Lane lane = Lane::kMessages,
                         const BatchPolicy& policy = {}, uint64_t credit = kPlenty) {
     ObservationBatch batch = encoder.Encode(outbox_, lane, policy, credit);
-    outbox_.MarkSent(lane, static_cast<size_t>(batch.observations_size()));
+    const auto count = static_cast<size_t>(batch.observations_size());
+    encoder.Sent(count);
+    outbox_.MarkSent(lane, count);
     return batch;
   }
 
@@ -61,7 +87,7 @@ TEST_F(WireEncoderTest, NamesAreInternedOncePerStreamAndNeverReused) {
   const auto a = Source("/a", 1);
   const auto b = Source("/b", 2);
   const auto a2 = Source("/a", 1, "/known_now");
-  WireEncoder encoder(kIncarnation);
+  PlannedEncoder encoder(kIncarnation);
   Add(a, 100);
   Add(a, 90);
   Add(b, 110);
@@ -94,7 +120,7 @@ TEST_F(WireEncoderTest, NamesAreInternedOncePerStreamAndNeverReused) {
 
   // Another stream knows nothing yet.
   outbox_.Rewind();
-  WireEncoder next(kIncarnation);
+  PlannedEncoder next(kIncarnation);
   const ObservationBatch again = Send(next);
   EXPECT_THAT(again.interned(), SizeIs(6));
   EXPECT_EQ(again.first_sequence(), 1);
@@ -104,7 +130,7 @@ TEST_F(WireEncoderTest, NamesAreInternedOncePerStreamAndNeverReused) {
 TEST_F(WireEncoderTest, BatchEndsAtItsLimits) {
   const auto source = Source("/a", 1);
   for (int i = 0; i < 1'000; ++i) Add(source, i);
-  WireEncoder encoder(kIncarnation);
+  PlannedEncoder encoder(kIncarnation);
   EXPECT_THAT(Send(encoder, Lane::kMessages, {.observations = 128}).observations(), SizeIs(128));
   const ObservationBatch small =
       Send(encoder, Lane::kMessages, {.observations = 256, .bytes = 2'000});
@@ -118,7 +144,7 @@ TEST_F(WireEncoderTest, CreditIsNeverExceeded) {
     Add(Source(absl::StrCat("/topic_with_a_name_", i), static_cast<uint8_t>(i)), i);
   }
   for (uint64_t credit = 0; credit < 3'000; credit += 37) {
-    WireEncoder encoder(kIncarnation);
+    PlannedEncoder encoder(kIncarnation);
     const ObservationBatch batch = encoder.Encode(outbox_, Lane::kMessages, {}, credit);
     EXPECT_LE(batch.ByteSizeLong(), credit);
     if (credit < 100) {
@@ -138,7 +164,7 @@ TEST_F(WireEncoderTest, PayloadsComeAlongAndAreCalledTruncatedWhenShorter) {
   AddPayload(source, 24, 0);
   AddPayload(source, 0, 0);
   Add(source, 1);
-  WireEncoder encoder(kIncarnation);
+  PlannedEncoder encoder(kIncarnation);
   const ObservationBatch batch = Send(encoder);
   ASSERT_THAT(batch.observations(), SizeIs(5));
   EXPECT_EQ(batch.observations(0).message().payload(), std::string(24, 'x'));
@@ -154,7 +180,7 @@ TEST_F(WireEncoderTest, PayloadsComeAlongAndAreCalledTruncatedWhenShorter) {
 TEST_F(WireEncoderTest, PayloadsKeepTheLimitsOfABatchAndTheCredit) {
   const auto source = Source("/a", 1);
   for (int i = 0; i < 40; ++i) AddPayload(source, 100'000, 64 * 1024);
-  WireEncoder encoder(kIncarnation);
+  PlannedEncoder encoder(kIncarnation);
   // One goes, whatever it takes.
   EXPECT_THAT(Send(encoder).observations(), SizeIs(1));
   EXPECT_THAT(Send(encoder, Lane::kMessages, {.bytes = 150'000}).observations(), SizeIs(2));
@@ -173,7 +199,7 @@ TEST_F(WireEncoderTest, TheGraphVersionIsSaidOncePerBatchUnlessItDiffers) {
   for (const uint64_t version : {7, 7, 8}) {
     outbox_.AddMessage({.boottime_ns = 1, .source = source, .graph_version = version});
   }
-  WireEncoder encoder(kIncarnation);
+  PlannedEncoder encoder(kIncarnation);
   const ObservationBatch batch = Send(encoder);
   EXPECT_EQ(batch.graph_version(), 7u);
   EXPECT_EQ(batch.observations(0).message().graph_version(), 0u);
@@ -187,20 +213,17 @@ TEST_F(WireEncoderTest, ALongPayloadIsNamedAndEndsItsBatch) {
   AddPayload(source, 70'000, 65'537);
   AddPayload(source, 11, 11);
   AddPayload(source, 70'001, 65'536);
-  WireEncoder encoder(kIncarnation);
-  const Payload next = encoder.NextToChunk(outbox_, {});
-  ASSERT_NE(next, nullptr);
-  EXPECT_EQ(next->size(), 65'537u);
-  EXPECT_EQ(encoder.NextToChunk(outbox_, {.observations = 1}), nullptr);
+  PlannedEncoder encoder(kIncarnation);
+  const Payload next = outbox_.UnsentMessage(1).payload;
 
   // While it was not sent, what is before it goes.
   EXPECT_THAT(encoder.Encode(outbox_, Lane::kMessages, {}, kPlenty).observations(), SizeIs(1));
   const Payload other = std::make_shared<const std::string>(65'537, 'x');
-  EXPECT_THAT(encoder.Encode(outbox_, Lane::kMessages, {}, kPlenty, {other, 7}).observations(),
+  EXPECT_THAT(encoder.Encode(outbox_, Lane::kMessages, {}, kPlenty, other).observations(),
               SizeIs(1));
 
   const ObservationBatch batch =
-      encoder.Encode(outbox_, Lane::kMessages, {.bytes = 1'024}, 1'024, {next, 7});
+      encoder.Encode(outbox_, Lane::kMessages, {.bytes = 1'024}, 1'024, next);
   ASSERT_THAT(batch.observations(), SizeIs(2));
   EXPECT_EQ(batch.observations(0).message().chunked_payload_id(), 0);
   EXPECT_EQ(batch.observations(1).message().chunked_payload_id(), 7);
@@ -209,17 +232,13 @@ TEST_F(WireEncoderTest, ALongPayloadIsNamedAndEndsItsBatch) {
   EXPECT_LT(batch.ByteSizeLong(), 1'024u);
   outbox_.MarkSent(Lane::kMessages, 2);
 
-  EXPECT_EQ(encoder.NextToChunk(outbox_, {}), nullptr);
   const ObservationBatch rest = Send(encoder);
   ASSERT_THAT(rest.observations(), SizeIs(1)) << "32 KiB";
   EXPECT_EQ(Send(encoder).observations(0).message().payload().size(), 65'536u) << "inline";
 
   // On disk everything is inline.
   outbox_.Rewind();
-  WireEncoder aside(kIncarnation, {.inline_payload_bytes = SIZE_MAX});
-  EXPECT_EQ(aside.NextToChunk(outbox_, {}), nullptr);
-  const ObservationBatch whole =
-      aside.Encode(outbox_, Lane::kMessages, {.bytes = 1 << 20}, kPlenty);
+  const ObservationBatch whole = WireEncoder(kIncarnation).Encode(outbox_, Lane::kMessages, 4);
   ASSERT_THAT(whole.observations(), SizeIs(4));
   EXPECT_EQ(whole.observations(1).message().payload().size(), 65'537u);
 }
@@ -236,7 +255,7 @@ TEST_F(WireEncoderTest, LargestNumbersStayWithinTheEstimate) {
                         .payload = std::make_shared<const std::string>(300, 'x')});
   }
   for (uint64_t credit = 1'000; credit < 40'000; credit += 333) {
-    WireEncoder encoder(kIncarnation);
+    PlannedEncoder encoder(kIncarnation);
     const BatchPolicy policy{.observations = 256, .bytes = size_t{1} << 20};
     EXPECT_LE(encoder.Encode(outbox_, Lane::kMessages, policy, credit).ByteSizeLong(), credit);
   }
@@ -251,7 +270,7 @@ TEST_F(WireEncoderTest, LargeControlObservationGoesAlone) {
   }
   outbox_.AddGraph(change, 10);
   outbox_.AddGraph({.from_version = 1, .to_version = 2, .settled = true}, 20);
-  WireEncoder encoder(kIncarnation);
+  PlannedEncoder encoder(kIncarnation);
   const ObservationBatch first = Send(encoder, Lane::kControl);
   ASSERT_THAT(first.observations(), SizeIs(1));
   EXPECT_TRUE(first.observations(0).snapshot().settled());
@@ -284,7 +303,7 @@ TEST_F(WireEncoderTest, ControlObservationsCarryWhatTheySay) {
   outbox_.AddState(
       {.overloaded = true, .outbox_bytes = 8, .oldest_unacked_ns = 9, .blind = {"no log"}}, 11);
   outbox_.FlushMerged(1'000'000'000);
-  WireEncoder encoder(kIncarnation);
+  PlannedEncoder encoder(kIncarnation);
   const ObservationBatch batch = Send(encoder, Lane::kControl);
   ASSERT_THAT(batch.observations(), SizeIs(6));
   const auto& graph = batch.observations(0).delta();
@@ -315,7 +334,7 @@ TEST_F(WireEncoderTest, WhatIsTooLongForTheServerIsCutAndSent) {
   outbox_.AddLoss({.cause = LossCause::kDdsGap, .source = loud, .count = UINT64_MAX});
   outbox_.AddState({.blind = std::vector<std::string>(100, std::string(2'000, 'b'))}, 11);
   outbox_.FlushMerged(1'000'000'000);
-  WireEncoder encoder(kIncarnation);
+  PlannedEncoder encoder(kIncarnation);
   rips::v1::SensorMessage messages;
   *messages.mutable_batch() = Send(encoder);
   EXPECT_EQ(wire_limits::Check(messages), std::nullopt);
@@ -337,7 +356,7 @@ TEST_F(WireEncoderTest, WhatIsTooLongForTheServerIsCutAndSent) {
 }
 
 TEST_F(WireEncoderTest, StreamThatRunsOutOfNumbersSaysSo) {
-  WireEncoder encoder(kIncarnation, {.names = 7});
+  PlannedEncoder encoder(kIncarnation, {.names = 7});
   for (uint8_t i = 0; i < 5; ++i) Add(Source(absl::StrCat("/t", i), i), i);
   const ObservationBatch batch = Send(encoder);
   EXPECT_LT(batch.observations_size(), 5);
@@ -356,7 +375,7 @@ TEST_F(WireEncoderTest, ABatchAloneTakesTheNamesOfTheStreamThatSendsIt) {
   ObservationBatch second = WireEncoder::EncodeAlone(seen);
   EXPECT_EQ(first.base_boottime_ns(), 200u);
   EXPECT_THAT(first.interned(), SizeIs(5)) << "two topics, one type, two writers";
-  WireEncoder encoder(kIncarnation);
+  PlannedEncoder encoder(kIncarnation);
   Add(a, 100);
   const ObservationBatch live = Send(encoder);  // takes 1 to 3
 
@@ -385,7 +404,7 @@ TEST_F(WireEncoderTest, LossesAloneKeepTheirNamesToo) {
   ObservationBatch batch = WireEncoder::EncodeAlone(std::vector<ControlObservation>{
       {.boottime_ns = 5, .what = Loss{.topic = "/a", .source = a, .count = 3}},
       {.boottime_ns = 6, .what = IdsAlert{.message = "scan"}}});
-  WireEncoder encoder(kIncarnation);
+  PlannedEncoder encoder(kIncarnation);
   Add(Source("/z", 9), 1);
   Send(encoder);
   ASSERT_THAT(encoder.Rename(batch), IsOk());
@@ -398,7 +417,7 @@ TEST_F(WireEncoderTest, ABatchThatUsesUnknownNamesIsRefusedAndNothingHasChanged)
   ObservationBatch batch =
       WireEncoder::EncodeAlone(std::vector<MessageSeen>{{.source = Source("/a", 1)}});
   batch.mutable_observations(0)->mutable_message()->set_topic_id(99);
-  WireEncoder encoder(kIncarnation);
+  PlannedEncoder encoder(kIncarnation);
   EXPECT_TRUE(absl::IsDataLoss(encoder.Rename(batch)));
   Add(Source("/a", 1), 1);
   EXPECT_EQ(Send(encoder).interned(0).id(), 1u);
@@ -407,7 +426,7 @@ TEST_F(WireEncoderTest, ABatchThatUsesUnknownNamesIsRefusedAndNothingHasChanged)
 TEST_F(WireEncoderTest, ABatchWithMoreNamesThanAreLeftNeedsAnotherStream) {
   ObservationBatch batch =
       WireEncoder::EncodeAlone(std::vector<MessageSeen>{{.source = Source("/a", 1)}});
-  WireEncoder encoder(kIncarnation, {.names = 2});
+  PlannedEncoder encoder(kIncarnation, {.names = 2});
   EXPECT_TRUE(absl::IsResourceExhausted(encoder.Rename(batch)));
   EXPECT_THAT(batch.interned(), SizeIs(3));
 }

@@ -148,7 +148,12 @@ class BidiClient final : public BidiClientBase {
     const std::shared_ptr<Queue> queue = CurrentQueue();
     return queue != nullptr && queue->Push(std::move(message));
   }
-  // The same for a message that everything else goes before, also what Send takes later.
+  // Send would take a message now; stays so until Send is called or the session ends.
+  bool HasRoom() const ABSL_LOCKS_EXCLUDED(queue_mu_) {
+    const std::shared_ptr<Queue> queue = CurrentQueue();
+    return queue != nullptr && queue->HasRoom();
+  }
+  // The same as Send for a message that everything else goes before, also what Send takes later.
   bool SendBulk(Out message) ABSL_LOCKS_EXCLUDED(queue_mu_) {
     const std::shared_ptr<Queue> queue = CurrentQueue();
     return queue != nullptr && queue->PushBulk(std::move(message));

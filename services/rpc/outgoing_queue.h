@@ -31,6 +31,12 @@ class OutgoingQueue {
     return PushTo(bulk_, std::move(item));
   }
 
+  // Push would keep an item now.
+  bool HasRoom() const ABSL_LOCKS_EXCLUDED(mu_) {
+    MutexLock lock(&mu_);
+    return !closed_ && items_.size() < capacity_;
+  }
+
   // Waits for an item: the oldest that is not bulk, else the oldest of bulk. nullopt once the queue
   // is closed; what it holds then is lost.
   std::optional<T> Pop() ABSL_LOCKS_EXCLUDED(mu_) {

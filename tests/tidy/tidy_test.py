@@ -44,7 +44,6 @@ LONG_HEADERS = {
     "policy_server/ripsctl/ripsctl_fixture.h": (350, "one fixture of many tests, all inline"),
     "policy_server/server/robot/robot_fixture.h": (350, "one fixture of many tests, all inline"),
     "sensor_agent/graph/graph_builder.h": (260, "a third of it says whose an endpoint is"),
-    "sensor_agent/uplink/uplink.h": (290, "a third of it says when what is sent again"),
 }
 
 
