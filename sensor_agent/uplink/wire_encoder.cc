@@ -63,8 +63,6 @@ void ForEachId(ObservationBatch& batch, const Change& change) {
   }
 }
 
-}
-
 }  // namespace
 
 ObservationBatch WireEncoder::Encode(const Outbox& outbox, Lane lane, size_t count,

@@ -12,6 +12,9 @@
 namespace rips::simulation {
 namespace {
 
+// Of any batch, in the server's credit.
+constexpr uint64_t kBatchBytes = 100;
+
 size_t Index(sensor::Lane lane) { return lane == sensor::Lane::kControl ? 0 : 1; }
 pipeline::Lane ToServer(sensor::Lane lane) {
   return lane == sensor::Lane::kControl ? pipeline::Lane::kControl : pipeline::Lane::kMessages;
@@ -31,12 +34,6 @@ struct SensorModel::Stream {
   Line down;
   uint64_t server_life = 0;
   std::shared_ptr<pipeline::SensorLink> link;
-  bool streaming = false;
-  bool has_setup = false;
-  bool has_ack[2] = {false, false};
-  bool wants_snapshot = false;
-  uint64_t granted = 0;
-  uint64_t used = 0;
 };
 
 // What the robot holds of a stream. Keeps no stream alive that has ended.
@@ -56,9 +53,10 @@ class SensorModel::ServerEnd final : public pipeline::SensorLink {
     sensor_.context_.checker.OnAcknowledged(KeyOf(incarnation, lane), sequence);
     Send([=](SensorModel& sensor) { sensor.OnAcknowledge(incarnation, lane, sequence, commit); });
   }
-  void Grant(uint64_t message_bytes, uint64_t) override {
+  void Grant(uint64_t message_bytes, uint64_t payload_bytes) override {
     Send([=](SensorModel& sensor) {
-      sensor.stream_->granted = std::max(sensor.stream_->granted, message_bytes);
+      sensor.On(
+          sensor::CreditReceived{.message_bytes = message_bytes, .payload_bytes = payload_bytes});
     });
   }
   void Heartbeat(int64_t) override {}
@@ -98,17 +96,20 @@ class SensorModel::ServerEnd final : public pipeline::SensorLink {
 
 // --- the process and its streams
 
+std::string SensorModel::NewIncarnation() { return absl::StrFormat("%016d", ++incarnations_); }
+
 void SensorModel::Start() {
-  incarnation_ = absl::StrFormat("%016d", ++life_);
-  outbox_.emplace(sensor::OutboxLimits{});
-  for (size_t lane : {0, 1}) {
-    acknowledged_[lane] = shifted_[lane] = delivered_[lane] = 0;
-  }
+  ++life_;
+  wake_ns_ = 0;
+  core_.emplace(sensor::UplinkCoreOptions{}, NewIncarnation(), NewIncarnation());
+  store_point_ = {};
+  for (size_t lane : {0, 1}) shifted_[lane] = delivered_[lane] = 0;
+  aside_.clear();
   graph_ = ros2::RosGraph();
   (void)graph_.Apply(GraphNow(intruder_));
   graph_version_ = 1;
-  TakeSnapshot();
-  context_.trace.Add("sensor", absl::StrCat("starts as ", incarnation_));
+  context_.trace.Add("sensor", absl::StrCat("starts as ", core_->incarnation()));
+  On(sensor::Observations{.graph = {WholeGraph()}, .settled = true});
   Later(context_.scheduler.Between(1, 300) * kMs, [this] { Connect(); });
   Tick();
 }
@@ -117,7 +118,7 @@ void SensorModel::Crash() {
   context_.trace.Add("sensor", "crashes");
   Break(false);
   ++life_;
-  outbox_.reset();
+  core_.reset();
 }
 
 void SensorModel::Break(bool half_open) {
@@ -143,12 +144,12 @@ void SensorModel::Later(int64_t delay_ns, Task task) {
 void SensorModel::Disconnected(const std::shared_ptr<Stream>& stream, const absl::Status& status) {
   if (stream_ != stream) return;
   stream_ = nullptr;
-  const bool told = status.message() != "broken";
-  if (told) {
+  if (status.message() != "broken") {
     context_.trace.Add("sensor", absl::StrCat("stream closed: ", status.message()));
     server_.Call(stream->server_life,
                  [&](pipeline::Robot& robot) { robot.OnSensorGone(kHost, stream->link.get()); });
   }
+  On(sensor::StreamEnded{.status = status});
   Later(context_.scheduler.Between(50, 1'500) * kMs, [this] { Connect(); });
 }
 
@@ -157,27 +158,11 @@ void SensorModel::Connect() {
   if (!server_.up()) {
     return Later(context_.scheduler.Between(100, 800) * kMs, [this] { Connect(); });
   }
-  outbox_->Rewind();
   stream_ = std::make_shared<Stream>(&context_.scheduler);
   stream_->server_life = server_.life();
   stream_->link = std::make_shared<ServerEnd>(this, stream_);
   context_.trace.Add("sensor", "connects");
-  Send([hello = MakeHello(), link = stream_->link](pipeline::Robot& robot, const auto*) {
-    robot.OnSensorHello(kHost, link, hello);
-  });
-}
-
-pipeline::SensorHello SensorModel::MakeHello() {
-  pipeline::SensorHello hello{.incarnation = incarnation_, .clock = Clock(), .store = store_};
-  for (const sensor::Lane lane : {sensor::Lane::kControl, sensor::Lane::kMessages}) {
-    const sensor::SequenceRange range = outbox_->Unacked(lane);
-    hello.spooled.push_back({.incarnation = incarnation_,
-                             .lane = ToServer(lane),
-                             .first_sequence = range.first,
-                             .last_sequence = range.last,
-                             .acknowledged = acknowledged_[Index(lane)]});
-  }
-  return hello;
+  On(sensor::StreamBegan{.incarnation = NewIncarnation()});
 }
 
 void SensorModel::Send(std::function<void(pipeline::Robot&, const pipeline::SensorLink*)> call) {
@@ -191,87 +176,157 @@ void SensorModel::Send(std::function<void(pipeline::Robot&, const pipeline::Sens
 // --- what the server says
 
 void SensorModel::OnSetup(const pipeline::SensorSetup& setup) {
-  store_ = setup.store;
-  stream_->has_setup = true;
-  stream_->wants_snapshot |= setup.want_snapshot;
-  FinishResume();
+  store_point_ = setup.store;
+  const auto most = static_cast<size_t>(context_.scheduler.Between(1, 8));
+  On(sensor::ConfigReceived{.policy = {.observations = most},
+                            .want_snapshot = setup.want_snapshot});
 }
 
 void SensorModel::OnAcknowledge(const std::string& incarnation, pipeline::Lane lane,
                                 uint64_t sequence, uint64_t commit) {
-  if (incarnation != incarnation_) return;
   const bool control = lane == pipeline::Lane::kControl;
   const sensor::Lane own = control ? sensor::Lane::kControl : sensor::Lane::kMessages;
-  const size_t index = Index(own);
-  sequence -= std::min(sequence, shifted_[index]);
-  store_.commit = std::max(store_.commit, commit);
-  acknowledged_[index] = std::max(acknowledged_[index], sequence);
-  const bool resuming = !std::exchange(stream_->has_ack[index], true);
-  if (resuming && control && sequence < outbox_->acknowledged(own)) {
-    stream_->wants_snapshot = true;  // the server has lost what it knew of us
-  }
-  const absl::Status taken = outbox_->Acknowledge(own, sequence);
-  if (!taken.ok() && context_.fault == Fault::kNone) context_.checker.OnRefused(taken.message());
-  FinishResume();
+  if (incarnation == core_->incarnation()) sequence -= std::min(sequence, shifted_[Index(own)]);
+  store_point_.commit = std::max(store_point_.commit, commit);
+  On(sensor::AckReceived{.stream = {.incarnation = incarnation, .lane = own},
+                         .sequence = sequence});
 }
 
-void SensorModel::FinishResume() {
-  Stream& stream = *stream_;
-  if (!stream.streaming) {
-    if (!stream.has_setup || !stream.has_ack[0] || !stream.has_ack[1]) return;
-    stream.streaming = true;
-    context_.trace.Add("sensor", "streams");
+// --- what the core wants done
+
+// One function for each action; those with a result give it.
+struct SensorModel::Performer {
+  using Result = std::optional<sensor::UplinkInput>;
+
+  Result operator()(const sensor::SendHello& action) {
+    pipeline::SensorHello hello{.incarnation = action.incarnation,
+                                .clock = model.Clock(),
+                                .not_visible = action.not_visible,
+                                .blind = action.blind,
+                                .store = model.store_point_};
+    for (const sensor::AnnouncedRange& each : action.ranges) {
+      hello.spooled.push_back({.incarnation = each.range.stream.incarnation,
+                               .lane = ToServer(each.range.stream.lane),
+                               .first_sequence = each.range.first_sequence,
+                               .last_sequence = each.range.last_sequence,
+                               .acknowledged = each.acknowledged.value_or(0)});
+    }
+    model.Send([hello, link = model.stream_->link](pipeline::Robot& robot, const auto*) {
+      robot.OnSensorHello(kHost, link, hello);
+    });
+    return std::nullopt;
   }
-  const bool forgot =
-      std::exchange(stream.wants_snapshot, false) && !outbox_->GraphStartsWithSnapshot();
-  if (forgot && !outbox_->StartGraphWithSnapshot(now_ns())) TakeSnapshot();
-}
-
-// --- sending
-
-void SensorModel::Tick() {
-  const int64_t now = now_ns();
-  outbox_->FlushMerged(now);
-  if (stream_ != nullptr && now >= last_heartbeat_ns_ + 500 * kMs) {
-    last_heartbeat_ns_ = now;
-    Send([clock = Clock()](pipeline::Robot& robot, const pipeline::SensorLink* link) {
+  Result operator()(const sensor::SendHeartbeat&) {
+    model.Send([clock = model.Clock()](pipeline::Robot& robot, const pipeline::SensorLink* link) {
       robot.OnSensorHeartbeat(kHost, link, {.clock = clock});
     });
+    return std::nullopt;
   }
-  if (stream_ != nullptr && stream_->streaming) {
-    SendBatch(sensor::Lane::kControl);
-    if (stream_->granted > stream_->used) SendBatch(sensor::Lane::kMessages);
+  Result operator()(const sensor::SendBatch& action) {
+    if (model.context_.scheduler.Chance(2)) {
+      return sensor::BatchSent{.status = sensor::SendStatus::kLineFull};
+    }
+    const sensor::Outbox& outbox = model.core_->outbox();
+    pipeline::Batch batch{
+        .incarnation = model.core_->incarnation(),
+        .lane = ToServer(action.lane),
+        .first_sequence = model.NumberOf(action.lane, outbox.NextSequence(action.lane)),
+        .bytes = kBatchBytes};
+    for (size_t i = 0; i < action.count; ++i) {
+      batch.observations.push_back(action.lane == sensor::Lane::kControl
+                                       ? ToServerObservation(outbox.UnsentControl(i))
+                                       : ToServerObservation(outbox.UnsentMessage(i)));
+    }
+    model.SendBatch(std::move(batch));
+    return sensor::BatchSent{.count = action.count, .bytes = kBatchBytes};
+  }
+  Result operator()(const sensor::EncodeForBacklog& action) {
+    sensor::Encoded encoded{.stream = action.stream,
+                            .first_sequence = action.first_sequence,
+                            .oldest_ns = model.now_ns(),
+                            .bytes = absl::StrFormat("%d", ++model.encoded_)};
+    std::vector<pipeline::Observation>& kept = model.aside_[encoded.bytes];
+    std::visit(
+        [&](const auto& observations) {
+          for (const auto& each : observations) kept.push_back(ToServerObservation(each));
+        },
+        action.observations);
+    encoded.count = static_cast<uint32_t>(kept.size());
+    return encoded;
+  }
+  Result operator()(const sensor::OpenBacklog& action) {
+    model.opened_ = action.batch;
+    return sensor::BacklogOpened{.bytes_max = kBatchBytes};
+  }
+  Result operator()(const sensor::SendBacklog&) {
+    const sensor::BacklogBatch& opened = model.opened_;
+    model.SendBatch({.incarnation = opened.stream.incarnation,
+                     .lane = ToServer(opened.stream.lane),
+                     .first_sequence = opened.first_sequence,
+                     .observations = model.aside_.at(*opened.bytes),
+                     .bytes = kBatchBytes});
+    return sensor::BacklogSent{.count = opened.count, .bytes = kBatchBytes};
+  }
+  Result operator()(const sensor::StreamResumed&) {
+    model.context_.trace.Add("sensor", "streams");
+    return std::nullopt;
+  }
+  Result operator()(const sensor::CloseStream& action) {
+    if (model.context_.fault == Fault::kNone) model.context_.checker.OnRefused(action.why);
+    model.Break(false);
+    return std::nullopt;
+  }
+  Result operator()(const sensor::WantGraph&) {
+    return sensor::WholeGraph{.snapshot = {model.WholeGraph()}};
+  }
+  // It has no findings that stand, no disk and no payloads.
+  template <typename Other>
+  Result operator()(const Other&) {
+    return std::nullopt;
+  }
+
+  SensorModel& model;
+};
+
+void SensorModel::On(sensor::UplinkInput input) {
+  Performer performer{*this};
+  sensor::UplinkActions actions = core_->On(std::move(input), Clock());
+  std::vector<sensor::UplinkInput> results;
+  for (size_t done = 0;; ++done) {
+    for (const sensor::UplinkAction& each : actions.list) {
+      if (auto result = std::visit(performer, each)) results.push_back(*std::move(result));
+    }
+    if (done == results.size()) break;
+    actions = core_->On(std::move(results[done]), Clock());
+  }
+  wake_ns_ = std::min(wake_ns_, actions.wake_ns);
+}
+
+void SensorModel::Tick() {
+  if (wake_ns_ <= now_ns()) {
+    wake_ns_ = sensor::SendSession::kNever;
+    On(sensor::Turn{});
   }
   Later(kTickNs, [this] { Tick(); });
 }
 
-void SensorModel::SendBatch(sensor::Lane lane) {
-  const size_t count = std::min<size_t>(outbox_->unsent(lane),
-                                        static_cast<size_t>(context_.scheduler.Between(1, 8)));
-  if (count == 0) return;
-  const uint64_t first = outbox_->NextSequence(lane);
-  pipeline::Batch batch{.incarnation = incarnation_, .lane = ToServer(lane), .bytes = 100};
-  batch.first_sequence = NumberOf(lane, first);
-  for (size_t i = 0; i < count; ++i) {
-    batch.observations.push_back(lane == sensor::Lane::kControl
-                                     ? ToServerObservation(outbox_->UnsentControl(i))
-                                     : ToServerObservation(outbox_->UnsentMessage(i)));
-    context_.checker.OnNumbered(KeyOf(incarnation_, batch.lane), batch.first_sequence + i,
-                                ObservationId(batch.observations.back()));
+void SensorModel::SendBatch(pipeline::Batch batch) {
+  const bool control = batch.lane == pipeline::Lane::kControl;
+  for (size_t i = 0; i < batch.observations.size(); ++i) {
+    context_.checker.OnNumbered(KeyOf(batch.incarnation, batch.lane), batch.first_sequence + i,
+                                ObservationId(batch.observations[i]));
   }
-  outbox_->MarkSent(lane, count);
-  stream_->used += lane == sensor::Lane::kMessages ? batch.bytes : 0;
-  context_.trace.Add("sensor", absl::StrCat("sends ", lane == sensor::Lane::kControl ? "c" : "m",
-                                            batch.first_sequence, " and ", count - 1, " more"));
-  Send([this, lane, server_life = stream_->server_life,
+  context_.trace.Add("sensor", absl::StrCat("sends ", control ? "c" : "m", batch.first_sequence,
+                                            " and ", batch.observations.size() - 1, " more"));
+  Send([this, lane = control ? 0 : 1, server_life = stream_->server_life,
         shared = std::make_shared<const pipeline::Batch>(std::move(batch))](
            pipeline::Robot& robot, const pipeline::SensorLink* link) {
     if (std::exchange(delivered_to_, server_life) != server_life) {
       delivered_[0] = delivered_[1] = 0;
     }
-    uint64_t& delivered = delivered_[Index(lane)];
-    if (shared->incarnation == incarnation_) {
-      delivered = std::max(delivered, shared->first_sequence + shared->observations.size() - 1);
+    if (core_.has_value() && shared->incarnation == core_->incarnation()) {
+      delivered_[lane] =
+          std::max(delivered_[lane], shared->first_sequence + shared->observations.size() - 1);
     }
     robot.OnBatch(kHost, link, shared);
   });
@@ -289,27 +344,26 @@ uint64_t SensorModel::NumberOf(sensor::Lane lane, uint64_t first) {
 
 // --- what happens on the robot
 
-void SensorModel::TakeSnapshot() {
-  outbox_->ReplaceGraph({{.to_version = graph_version_,
-                          .settled = true,
-                          .delta = ros2::RosGraph::Diff(ros2::RosGraph(), graph_)}},
-                        now_ns());
-  outbox_->ReleaseMessages();
+sensor::GraphChange SensorModel::WholeGraph() const {
+  return {.to_version = graph_version_,
+          .settled = true,
+          .delta = ros2::RosGraph::Diff(ros2::RosGraph(), graph_)};
 }
 
 void SensorModel::SeeProbe() {
-  outbox_->AddControl({.boottime_ns = now_ns(),
-                       .what = sensor::IdsAlert{.sid = ++observations_, .message = "probe"}});
+  const sensor::IdsAlert alert{.sid = ++observations_, .message = "probe"};
+  On(sensor::Observations{.ids_alerts = {{.boottime_ns = now_ns(), .what = alert}}});
 }
 
 void SensorModel::SeeMessage() {
-  outbox_->AddMessage({.boottime_ns = now_ns(),
-                       .source = SourceOf(intruder_ && context_.scheduler.Chance(3)),
-                       .size_bytes = ++observations_,
-                       .graph_version = graph_version_});
+  On(sensor::Observations{
+      .messages = {{.boottime_ns = now_ns(),
+                    .source = SourceOf(intruder_ && context_.scheduler.Chance(3)),
+                    .size_bytes = ++observations_,
+                    .graph_version = graph_version_}}});
 }
 
-void SensorModel::SeeSignal() { outbox_->AddSignal("SIGUSR1", now_ns()); }
+void SensorModel::SeeSignal() { On(sensor::Observations{.signals = {"SIGUSR1"}}); }
 
 void SensorModel::IntruderComesOrGoes() {
   intruder_ = !intruder_;
@@ -317,11 +371,10 @@ void SensorModel::IntruderComesOrGoes() {
   if (!up()) return;
   ros2::RosGraph next;
   (void)next.Apply(GraphNow(intruder_));
-  outbox_->AddGraph({.from_version = graph_version_,
-                     .to_version = graph_version_ + 1,
-                     .settled = true,
-                     .delta = ros2::RosGraph::Diff(graph_, next)},
-                    now_ns());
+  On(sensor::Observations{.graph = {{.from_version = graph_version_,
+                                     .to_version = graph_version_ + 1,
+                                     .settled = true,
+                                     .delta = ros2::RosGraph::Diff(graph_, next)}}});
   graph_ = next;
   ++graph_version_;
 }
