@@ -70,9 +70,9 @@ TEST_F(RipsctlTest, ListsRobots) {
   const Result result = Run({"robot", "list"});
   EXPECT_EQ(result.code, 0);
   EXPECT_EQ(result.out,
-            "ROBOT  DECIDED      EFFECTIVE    STAGE     MARK  BUNDLE               DEGRADED\n"
-            "r1     COMPROMISED  COMPROMISED  verified  3.17  sha256:bbbbbbbbbbbb  -\n"
-            "r2     DEFAULT      -            verified  3.17  sha256:bbbbbbbbbbbb  sensor base "
+            "ROBOT  DECIDED      EFFECTIVE    STAGE     DECISION  BUNDLE               DEGRADED\n"
+            "r1     COMPROMISED  COMPROMISED  verified  3.17      sha256:bbbbbbbbbbbb  -\n"
+            "r2     DEFAULT      -            verified  3.17      sha256:bbbbbbbbbbbb  sensor base "
             "lost; \\x1b[2Jactuator\n");
   EXPECT_EQ(result.err, "");
 
@@ -185,16 +185,17 @@ TEST_F(RipsctlTest, ShowsTheLevel) {
 TEST_F(RipsctlTest, ListsTheHistory) {
   const Result text = Run({"level", "history", "r1", "--limit", "7"});
   EXPECT_EQ(text.code, 0);
-  EXPECT_EQ(text.out,
-            "TIME                      FROM   TO           MARK  STAGE       CAUSE               "
-            "ID       "
-            " REASON\n"
-            "2026-01-01T00:00:00.000Z  ALERT  COMPROMISED  3.17  verified    rule rogue_cmd_vel  "
-            "11111111 "
-            " -\n"
-            "2026-01-01T00:00:00.000Z  ALERT  COMPROMISED  -     refused x7  rule rogue_cmd_vel  "
-            "11111111 "
-            " needs an operator\n");
+  EXPECT_EQ(
+      text.out,
+      "TIME                      FROM   TO           DECISION  STAGE       CAUSE               "
+      "ID       "
+      " REASON\n"
+      "2026-01-01T00:00:00.000Z  ALERT  COMPROMISED  3.17      verified    rule rogue_cmd_vel  "
+      "11111111 "
+      " -\n"
+      "2026-01-01T00:00:00.000Z  ALERT  COMPROMISED  -         refused x7  rule rogue_cmd_vel  "
+      "11111111 "
+      " needs an operator\n");
   const nlohmann::json list = RunJson({"level", "history", "r1"})["transitions"];
   ASSERT_THAT(list, SizeIs(2));
   EXPECT_EQ(list[0]["decision_id"], "3.17");
@@ -257,7 +258,7 @@ TEST_F(RipsctlTest, WaitsUntilTheRobotIsAtTheLevel) {
   fake_.level_states = {at("verified", 19)};
   const nlohmann::json missed = RunJson(lower, 1);
   EXPECT_EQ(missed["reached"], false);
-  EXPECT_THAT(missed["not_reached_because"].get<std::string>(), HasSubstr("decided anew"));
+  EXPECT_THAT(missed["not_reached_because"].get<std::string>(), HasSubstr("a newer decision"));
 }
 
 TEST_F(RipsctlTest, LowersWithWhatTheOperatorExpects) {
@@ -519,12 +520,12 @@ TEST_F(RipsctlTest, RobotsThatDidNotAnswerAreNotLeftOut) {
   fake_.no_answer = {"r3"};
   const Result list = Run({"robot", "list"});
   EXPECT_EQ(list.code, 1);
-  EXPECT_THAT(list.out, HasSubstr("no answer in time"));
+  EXPECT_THAT(list.out, HasSubstr("no response in time"));
   const Result json = Run({"robot", "list", "--output", "json"});
   EXPECT_EQ(nlohmann::json::parse(json.out)["no_answer"], nlohmann::json({"r3"}));
   const Result show = Run({"robot", "show", "r3"});
   EXPECT_EQ(show.code, 1);
-  EXPECT_THAT(show.err, HasSubstr("did not answer in time"));
+  EXPECT_THAT(show.err, HasSubstr("did not respond in time"));
 }
 
 TEST_F(RipsctlTest, ResumesRules) {

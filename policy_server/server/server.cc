@@ -206,7 +206,7 @@ absl::Status Server::GuardPeers() {
       rpc::CertificateMonitor::Options{
           .own = config_.tls, .notify = [this](const auto& notice) { OnCertificate(notice); }},
       &clock_, &metrics_);
-  certificates_->Look();  // so that readiness is known from the start
+  certificates_->Check();  // so that readiness is known from the start
   gate_ = std::make_unique<rpc::CallGate>(
       &clock_,
       [this](const rpc::Peer& peer) {

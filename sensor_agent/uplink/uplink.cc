@@ -418,7 +418,7 @@ struct Uplink::Performer {
   }
   Result operator()(const TakeChunksBack&) {
     ChunksTakenBack taken;
-    for (const SensorMessage& each : uplink.client_->TakeBulkBack()) {
+    for (const SensorMessage& each : uplink.client_->RecallBulk()) {
       taken.bytes += each.chunk().data().size();
     }
     LogDebug("payload dropped: the uplink is too slow", {{"bytes_not_sent", taken.bytes}});

@@ -480,7 +480,7 @@ TEST_F(ExecServerTest, AConnectionAsksOnce) {
   EXPECT_THAT(channel.Flush(), IsOk());
   EXPECT_EQ(Receive(channel)->kind, ExecAnswer::Kind::kBegun);
   EXPECT_THAT(Receive(channel)->result.status,
-              StatusIs(absl::StatusCode::kInvalidArgument, HasSubstr("asks once")));
+              StatusIs(absl::StatusCode::kInvalidArgument, HasSubstr("a second request")));
   EXPECT_EQ(programs_.last(), 1u);
 }
 

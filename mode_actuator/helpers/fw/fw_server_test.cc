@@ -275,7 +275,7 @@ TEST_F(FwServerTest, ACallSaysWhyItFailed) {
   const auto listener = ListenAt(path_, geteuid());
   ASSERT_THAT(listener, IsOk());
   EXPECT_THAT(Call(absl::Milliseconds(50)),
-              StatusIs(absl::StatusCode::kDeadlineExceeded, HasSubstr("no answer within 50ms")));
+              StatusIs(absl::StatusCode::kDeadlineExceeded, HasSubstr("did not answer within 50ms")));
   CancelFlag cancelled;
   cancelled.Cancel();
   EXPECT_THAT(client.Call(kStatus, kLong, cancelled), StatusIs(absl::StatusCode::kCancelled));

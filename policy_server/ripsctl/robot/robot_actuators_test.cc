@@ -142,10 +142,10 @@ TEST_F(RobotActuatorsTest, WhatDoesNotWorkIsNamedLast) {
   EXPECT_EQ(result.code, 1);
   EXPECT_EQ(fake_.asked, "r1 HALT");
   EXPECT_THAT(result.out, HasSubstr("HALT     base  program horn                     drilled    "
-                                    "FAILED     exit code 1\n"));
+                                    "FAILED       exit code 1\n"));
   EXPECT_THAT(result.out, HasSubstr("program light                    not tried  FAILED"));
   EXPECT_THAT(result.out, HasSubstr("HALT     arm   (all)                            not tried  "
-                                    "refused    a level is being applied\n"));
+                                    "refused      a level is being applied\n"));
   EXPECT_THAT(result.out, HasSubstr("NO RESPONSE  no answer in time\n"));
   EXPECT_THAT(result.out, HasSubstr("program horn on base (HALT) printed:\n"
                                     "  | no\\x1b[2Jpe\n"

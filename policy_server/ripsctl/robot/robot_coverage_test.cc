@@ -197,8 +197,9 @@ TEST_F(RobotCoverageTest, SensorsSayHowTheyFare) {
   base->set_clock_skew_ns(-1'500'000'000);
   const Result text = Run({"robot", "coverage", "r1"});
   EXPECT_EQ(text.code, 0) << "what a kind of sensor never sees is no fault of now";
-  EXPECT_THAT(text.out, HasSubstr("1024 B  7 B    12           -1.500 s  unicast-only writers; "
-                                  "x\\x1b[2J\n"));
+  EXPECT_THAT(text.out,
+              HasSubstr("1024 B  7 B    12              -1.500 s    unicast-only writers; "
+                        "x\\x1b[2J\n"));
   const nlohmann::json json = RunJson({"robot", "coverage", "r1"})["sensors"][0];
   EXPECT_EQ(json["clock_skew_ns"], -1'500'000'000);
   EXPECT_EQ(json["lost"], 12);
@@ -296,7 +297,7 @@ TEST_F(RobotCoverageTest, AGraphThatIsNotWholeIsExitCodeOne) {
   fake_.coverage.set_graph_truncated(true);
   const Result text = Run({"robot", "coverage", "r1"});
   EXPECT_EQ(text.code, 1);
-  EXPECT_THAT(text.out, HasSubstr("not all of it is here"));
+  EXPECT_THAT(text.out, HasSubstr("a part of it is missing"));
   fake_.coverage.set_graph_truncated(false);
   EXPECT_EQ(Run({"robot", "coverage", "r1"}).code, 0);
   fake_.coverage.mutable_sensors(0)->set_settled(false);

@@ -55,14 +55,14 @@ TEST(ActuatorCodecTest, ADrillIsACommandOfItsOwn) {
 }
 
 TEST(ActuatorCodecTest, WhatIsDegradedIsTakenWithinLimits) {
-  rips::v1::ActuatorHeartbeat heartbeat;
-  heartbeat.add_degraded("held without the mode manager");
-  heartbeat.add_degraded("\x1b[2J");
-  heartbeat.add_degraded(std::string(300, 'x'));
-  heartbeat.add_degraded(std::string(300, '\x01'));
-  for (int i = 0; i < 20; ++i) heartbeat.add_degraded("more");
-  heartbeat.set_drifts(7);
-  const pipeline::ActuatorHeartbeat heartbeat = DecodeHeartbeat(heartbeat);
+  rips::v1::ActuatorHeartbeat wire;
+  wire.add_degraded("held without the mode manager");
+  wire.add_degraded("\x1b[2J");
+  wire.add_degraded(std::string(300, 'x'));
+  wire.add_degraded(std::string(300, '\x01'));
+  for (int i = 0; i < 20; ++i) wire.add_degraded("more");
+  wire.set_drifts(7);
+  const pipeline::ActuatorHeartbeat heartbeat = DecodeHeartbeat(wire);
   ASSERT_THAT(heartbeat.degraded, SizeIs(8));
   EXPECT_EQ(heartbeat.degraded[0], "held without the mode manager");
   EXPECT_EQ(heartbeat.degraded[1], "\\x1b[2J");

@@ -724,7 +724,7 @@ grpc::ServerUnaryReactor* OperatorService::Ban(grpc::CallbackServerContext* cont
                                                    .by = by,
                                                    .time_unix_ns = RealClock().Now().unix_ns});
     if (!absl::IsInvalidArgument(status)) {
-      access_.watch->Look();  // what is open ends now
+      access_.watch->CheckSessions();  // what is open ends now
       TellRobotOf(request->uri(),
                   absl::StrCat(request->uri(), " is banned by ", by, ": ", request->reason()));
     }

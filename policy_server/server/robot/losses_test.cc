@@ -61,7 +61,7 @@ TEST(LossAlarmTest, CausesAndCountsHaveALimit) {
 using RobotLossTest = RobotTest;
 
 LossSeen Loss(uint64_t count, bool tolerable = false) {
-  return {.count = count, .tolerable = tolerable, .cause = "a limit of the sensor was hit"};
+  return {.count = count, .cause = "a limit of the sensor was hit", .tolerable = tolerable};
 }
 
 TEST_F(RobotLossTest, ARunOfLossesIsOneAlertWithItsCount) {
