@@ -303,25 +303,26 @@ class Finder {
 
 absl::StatusOr<std::unique_ptr<AlarmDevice>> OpenReal(const std::shared_ptr<HidLibrary>& library,
                                                       const AlarmSpec& spec, IoGate* gate) {
-  if (spec.kind == AlarmKind::kLcusSerial) {
-    RIPS_ASSIGN_OR_RETURN(auto line, TtyChannel::Open(spec.path, gate));
-    return std::make_unique<LcusSerial>(std::move(line));
+  std::optional<HidDevice> hid;
+  if (BusOf(spec.kind) == AlarmBus::kHidraw) {
+    RIPS_ASSIGN_OR_RETURN(hid, Finder(spec, library, gate).Find());
   }
-  RIPS_ASSIGN_OR_RETURN(HidDevice hid, Finder(spec, library, gate).Find());
   switch (spec.kind) {
     case AlarmKind::kUsbRelay: {
-      const int count = UsbRelayCount(hid.candidate.product).value_or(0);
-      return std::make_unique<UsbRelay>(std::move(hid), count);
+      const int count = UsbRelayCount(hid->candidate.product).value_or(0);
+      return std::make_unique<UsbRelay>(*std::move(hid), count);
     }
     case AlarmKind::kLcus:
-      return std::make_unique<OutputOnly>(std::move(hid), LcusReport);
+      return std::make_unique<OutputOnly>(*std::move(hid), LcusReport);
+    case AlarmKind::kLcusSerial: {
+      RIPS_ASSIGN_OR_RETURN(auto line, TtyChannel::Open(spec.path, gate));
+      return std::make_unique<LcusSerial>(std::move(line));
+    }
     case AlarmKind::kLuxafor:
       return std::make_unique<OutputOnly>(
-          std::move(hid), [](int, const AlarmState& state) { return LuxaforFrame(state); });
+          *std::move(hid), [](int, const AlarmState& state) { return LuxaforFrame(state); });
     case AlarmKind::kBlink1:
-      return std::make_unique<Blink1>(std::move(hid));
-    case AlarmKind::kLcusSerial:
-      break;
+      return std::make_unique<Blink1>(*std::move(hid));
   }
   return absl::InternalError("no driver of this kind");
 }
