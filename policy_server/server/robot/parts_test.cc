@@ -1,6 +1,8 @@
 // A robot's small parts.
+#include "absl/container/btree_set.h"
 #include "absl/strings/str_format.h"
 #include "gmock/gmock.h"
+#include "policy_server/server/robot/context/id_source.h"
 #include "policy_server/server/robot/robot_fixture.h"
 #include "services/base/status_matchers.h"
 
@@ -10,11 +12,26 @@ namespace {
 using ::testing::ElementsAre;
 using ::testing::HasSubstr;
 using ::testing::IsEmpty;
+using ::testing::MatchesRegex;
 using ::testing::SizeIs;
 
 constexpr int64_t kSecond = kNanosPerSecond;
 
 Instant At(int64_t seconds) { return {.boottime_ns = seconds * kSecond, .unix_ns = seconds}; }
+
+TEST(IdSourceTest, AFewDigitsTellIdsApart) {
+  IdSource ids("0123456789abcdef0123456789abcdef");
+  IdSource others("0123456789abcdef0123456789abcdee");
+  absl::btree_set<std::string> begin;
+  for (int i = 0; i < 1'000; ++i) {
+    for (IdSource* source : {&ids, &others}) {
+      const std::string id = source->Next();
+      EXPECT_THAT(id, MatchesRegex("[0-9a-f]{32}"));
+      begin.insert(id.substr(0, 8));
+    }
+  }
+  EXPECT_THAT(begin, SizeIs(2'000));
+}
 
 TEST(SequenceTrackTest, AcceptsInOrderAndSkipsWhatWasJudged) {
   SequenceTrack track;
