@@ -1,6 +1,7 @@
 // `ripsctl robot receipts` and `ripsctl robot drill`: what a robot's actuators answered, and
 // whether they could carry out its levels. `drill` exits with 0 if every actuator has answered and
 // every step works, else with 1.
+#include <CLI/CLI.hpp>
 #include <algorithm>
 #include <nlohmann/json.hpp>
 #include <string>
