@@ -392,11 +392,11 @@ void Uplink::ReopenLocked(const std::string& why) {
 struct Uplink::Performer {
   using Result = std::optional<UplinkInput>;
 
-  Result operator()(const SendHello& action) {
+  Result operator()(const SendHello& action) ABSL_EXCLUSIVE_LOCKS_REQUIRED(uplink.mu_) {
     outcome.hello = uplink.MakeHello(action, now);
     return std::nullopt;
   }
-  Result operator()(const SendHeartbeat& action) {
+  Result operator()(const SendHeartbeat& action) ABSL_EXCLUSIVE_LOCKS_REQUIRED(uplink.mu_) {
     SensorMessage message;
     SetClock(now, message.mutable_heartbeat()->mutable_clock());
     message.mutable_heartbeat()->set_echo_boottime_ns(action.echo_boottime_ns);
@@ -405,18 +405,18 @@ struct Uplink::Performer {
     }
     return std::nullopt;
   }
-  Result operator()(const SendBatch& action) {
+  Result operator()(const SendBatch& action) ABSL_EXCLUSIVE_LOCKS_REQUIRED(uplink.mu_) {
     const BatchSent sent = uplink.writer_->Send(action, uplink.core_.outbox(), *uplink.client_);
     if (sent.status == SendStatus::kSent) CountBatch(sent.count);
     return sent;
   }
-  Result operator()(const SendChunk& action) {
+  Result operator()(const SendChunk& action) ABSL_EXCLUSIVE_LOCKS_REQUIRED(uplink.mu_) {
     if (uplink.LineHoldsLocked(kUnwrittenMax)) return ChunkSent{.sent = false};
     const ChunkSent sent = uplink.writer_->Send(action, *uplink.client_);
     if (sent.sent) uplink.metrics_.payload_bytes.Increment(static_cast<double>(action.bytes));
     return sent;
   }
-  Result operator()(const TakeChunksBack&) {
+  Result operator()(const TakeChunksBack&) ABSL_EXCLUSIVE_LOCKS_REQUIRED(uplink.mu_) {
     ChunksTakenBack taken;
     for (const SensorMessage& each : uplink.client_->RecallBulk()) {
       taken.bytes += each.chunk().data().size();
@@ -424,51 +424,59 @@ struct Uplink::Performer {
     LogDebug("payload dropped: the uplink is too slow", {{"bytes_not_sent", taken.bytes}});
     return taken;
   }
-  Result operator()(const AwaitLine&) {
+  Result operator()(const AwaitLine&) ABSL_EXCLUSIVE_LOCKS_REQUIRED(uplink.mu_) {
     if (uplink.LineHoldsLocked(1)) return std::nullopt;
     return LineFree{};
   }
-  Result operator()(const OpenBacklog& action) {
+  Result operator()(const OpenBacklog& action) ABSL_EXCLUSIVE_LOCKS_REQUIRED(uplink.mu_) {
     return uplink.writer_->Open(action, now.boottime_ns);
   }
-  Result operator()(const SendBacklog& action) {
+  Result operator()(const SendBacklog& action) ABSL_EXCLUSIVE_LOCKS_REQUIRED(uplink.mu_) {
     const BacklogSent sent = uplink.writer_->Send(action, *uplink.client_);
     if (sent.status == SendStatus::kSent) CountBatch(sent.count);
     return sent;
   }
-  Result operator()(const EncodeForBacklog& action) { return EncodeAlone(action); }
-  Result operator()(const StreamResumed&) {
+  Result operator()(const EncodeForBacklog& action) ABSL_EXCLUSIVE_LOCKS_REQUIRED(uplink.mu_) {
+    return EncodeAlone(action);
+  }
+  Result operator()(const StreamResumed&) ABSL_EXCLUSIVE_LOCKS_REQUIRED(uplink.mu_) {
     uplink.logged_.reset();
     uplink.metrics_.streaming.Set(1);
     LogInfo("streaming", {{"unacked_bytes", uplink.core_.outbox().bytes()}});
     return std::nullopt;
   }
-  Result operator()(const CloseStream& action) {
+  Result operator()(const CloseStream& action) ABSL_EXCLUSIVE_LOCKS_REQUIRED(uplink.mu_) {
     uplink.ReopenLocked(action.why);
     return std::nullopt;
   }
-  Result operator()(const WantGraph&) {
+  Result operator()(const WantGraph&) ABSL_EXCLUSIVE_LOCKS_REQUIRED(uplink.mu_) {
     outcome.want_graph = true;
     return std::nullopt;
   }
-  Result operator()(const ServerForgot&) {
+  Result operator()(const ServerForgot&) ABSL_EXCLUSIVE_LOCKS_REQUIRED(uplink.mu_) {
     outcome.server_forgot = true;
     return std::nullopt;
   }
-  Result operator()(const BacklogLost& action) {
+  Result operator()(const BacklogLost& action) ABSL_EXCLUSIVE_LOCKS_REQUIRED(uplink.mu_) {
     LogError("backlog observations lost",
              {{"first_sequence", action.first_sequence}, {"error", action.why.message()}});
     return std::nullopt;
   }
-  Result operator()(const SpoolWrite& job) { return Push(job); }
-  Result operator()(const SpoolRead& job) { return Push(job); }
-  Result operator()(const SpoolRelease& job) { return Push(job); }
+  Result operator()(const SpoolWrite& job) ABSL_EXCLUSIVE_LOCKS_REQUIRED(uplink.mu_) {
+    return Push(job);
+  }
+  Result operator()(const SpoolRead& job) ABSL_EXCLUSIVE_LOCKS_REQUIRED(uplink.mu_) {
+    return Push(job);
+  }
+  Result operator()(const SpoolRelease& job) ABSL_EXCLUSIVE_LOCKS_REQUIRED(uplink.mu_) {
+    return Push(job);
+  }
 
-  Result Push(SpoolJob job) {
+  Result Push(SpoolJob job) ABSL_EXCLUSIVE_LOCKS_REQUIRED(uplink.mu_) {
     uplink.spool_->Push(std::move(job));
     return std::nullopt;
   }
-  void CountBatch(size_t observations) {
+  void CountBatch(size_t observations) ABSL_EXCLUSIVE_LOCKS_REQUIRED(uplink.mu_) {
     uplink.metrics_.batches.Increment();
     uplink.metrics_.observations_sent.Increment(static_cast<double>(observations));
   }
@@ -581,7 +589,8 @@ void Uplink::OnSpoolResult(SpoolResult result) {
   const auto* written = std::get_if<SpoolWritten>(&result);
   const absl::Status status = written == nullptr ? absl::OkStatus() : written->record.status();
   const bool refused = core_.backlog().state().disk_refuses;
-  std::visit([&](auto& each) { HandleLocked(std::move(each)); }, result);
+  std::visit([&](auto& each) ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_) { HandleLocked(std::move(each)); },
+             result);
   if (!status.ok() && !refused) {
     LogError("spool full; keeping new observations in memory and dropping them when that is full",
              {{"error", status.message()}});

@@ -274,8 +274,8 @@ TEST_F(FwServerTest, ACallSaysWhyItFailed) {
   // One that listens and does not answer.
   const auto listener = ListenAt(path_, geteuid());
   ASSERT_THAT(listener, IsOk());
-  EXPECT_THAT(Call(absl::Milliseconds(50)),
-              StatusIs(absl::StatusCode::kDeadlineExceeded, HasSubstr("did not answer within 50ms")));
+  EXPECT_THAT(Call(absl::Milliseconds(50)), StatusIs(absl::StatusCode::kDeadlineExceeded,
+                                                     HasSubstr("did not answer within 50ms")));
   CancelFlag cancelled;
   cancelled.Cancel();
   EXPECT_THAT(client.Call(kStatus, kLong, cancelled), StatusIs(absl::StatusCode::kCancelled));
