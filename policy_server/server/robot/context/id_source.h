@@ -15,8 +15,7 @@ namespace rips::pipeline {
 class IdSource {
  public:
   // `seed`: 32 hex digits, drawn at random; another one for each start of a robot.
-  explicit IdSource(absl::string_view seed)
-      : high_(Fold(seed.substr(0, seed.size() / 2))), low_(Fold(seed.substr(seed.size() / 2))) {}
+  explicit IdSource(absl::string_view seed) : high_(Fold(seed, 1)), low_(Fold(seed, 2)) {}
 
   std::string Next() {
     ++count_;
@@ -34,8 +33,7 @@ class IdSource {
     }
     return x ^ (x >> 32);
   }
-  static uint64_t Fold(absl::string_view text) {
-    uint64_t folded = text.size();
+  static uint64_t Fold(absl::string_view text, uint64_t folded) {
     for (const char c : text) folded = Mix(folded + static_cast<unsigned char>(c));
     return folded;
   }
