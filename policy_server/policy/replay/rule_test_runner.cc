@@ -226,17 +226,17 @@ class Runner {
   }
 
   TestOutcome Run() {
-    start_ = DecisionId();
+    start_ = SoFar();
     std::vector<uint64_t> meant(rules_.rules.size());
     for (size_t i = 0; i < test_.events.size(); ++i) {
       const TestEvent& event = test_.events[i];
-      const Before before = DecisionId();
+      const Before before = SoFar();
       if (!Happen(i, event)) break;
       Check(event.expect, before, "");
       if (event.expect.unscanned.has_value()) AddUnscanned(before, meant);
     }
     Check(test_.expect, start_, " at the end");
-    if (test_.expect.unscanned.has_value()) meant = DecisionId().unscanned;
+    if (test_.expect.unscanned.has_value()) meant = SoFar().unscanned;
     if (replayer_.so_far().left_out > 0) {
       Fail(test_.line, "number of alerts, transitions, execs and faults",
            {absl::StrCat("at most ", ReplayOptions().records_max)}, {"more"});
@@ -319,7 +319,7 @@ class Runner {
     return absl::InvalidArgumentError("it would happen after the year 2115");
   }
 
-  Before DecisionId() const {
+  Before SoFar() const {
     const Result& so_far = replayer_.so_far();
     Before out{.alerts = so_far.alerts.size(),
                .transitions = so_far.transitions.size(),

@@ -76,8 +76,8 @@ std::string Behind(absl::string_view separator, absl::string_view text) {
   return text.empty() ? "" : absl::StrCat(separator, EscapeText(text));
 }
 
-std::string MarkIn(absl::string_view before, const v1::DecisionId& decision_id,
-                   absl::string_view after) {
+std::string DecisionIn(absl::string_view before, const v1::DecisionId& decision_id,
+                       absl::string_view after) {
   return decision_id.term() == 0 && decision_id.epoch() == 0
              ? ""
              : absl::StrCat(before, DecisionIdText(decision_id), after);
@@ -94,7 +94,7 @@ std::string TransitionLine(const v1::Transition& transition) {
                         Behind("; asked by ", transition.cause()));
   }
   return absl::StrCat(robot, " went from ", from, " to ", to, " at ", time,
-                      MarkIn(" (", transition.decision_id(), ")"),
+                      DecisionIn(" (", transition.decision_id(), ")"),
                       Behind(", by ", transition.cause()));
 }
 
@@ -103,7 +103,7 @@ std::string AlertLine(const v1::Alert& alert) {
       alert.rule() == kOwnRule ? "RIPS itself" : absl::StrCat("rule ", EscapeText(alert.rule()));
   return absl::StrCat(EscapeText(alert.robot()), ": ", EscapeText(alert.severity()), " alert at ",
                       ShortTime(alert.time_unix_ns()), Behind(" in ", alert.level()),
-                      MarkIn(" (", alert.decision_id(), ")"), ", by ", rule, ": ",
+                      DecisionIn(" (", alert.decision_id(), ")"), ", by ", rule, ": ",
                       EscapeText(alert.text()));
 }
 
@@ -219,7 +219,7 @@ std::string OutcomeText(const v1::Transition& transition) {
     return absl::StrCat(change, " refused ", Times(transition.count()),
                         Behind(": ", transition.reason()));
   }
-  return absl::StrCat(change, MarkIn(" (", transition.decision_id(), ")"),
+  return absl::StrCat(change, DecisionIn(" (", transition.decision_id(), ")"),
                       Behind(", ", transition.stage()), Behind(": ", transition.detail()));
 }
 
@@ -267,7 +267,7 @@ void PrintNow(const Explanation& explanation, std::ostream& out) {
   }
   const v1::RobotStatus& status = (*explanation.now)->status();
   out << "\nNow: " << EscapeText(status.robot()) << " is at " << EscapeText(status.decided_level())
-      << MarkIn(" (", status.decision_id(), ")");
+      << DecisionIn(" (", status.decision_id(), ")");
   const std::string stage = StageText(status.stage());
   out << (stage.empty() ? "" : ", ") << stage << "\n";
   if (status.effective_level().empty()) {

@@ -14,7 +14,7 @@ void NameSet::Seal() {
                given_.end());
 }
 
-bool NameSet::DecisionId(absl::string_view name) {
+bool NameSet::MarkSeen(absl::string_view name) {
   const auto found =
       std::lower_bound(given_.begin(), given_.end(), name,
                        [](const Given& given, absl::string_view n) { return given.name < n; });
@@ -26,11 +26,11 @@ bool NameSet::DecisionId(absl::string_view name) {
 bool NameSet::See(absl::string_view name) {
   bool known = false;
   if (kind_ == Kind::kPlain) {
-    known = DecisionId(name);
+    known = MarkSeen(name);
   } else if (absl::StartsWith(name, "/")) {
-    known = DecisionId(name);
+    known = MarkSeen(name);
     // A base name holds no slash, so it can only meet a given name without one.
-    known |= DecisionId(name.substr(name.rfind('/') + 1));
+    known |= MarkSeen(name.substr(name.rfind('/') + 1));
   }
   if (!known) ++strangers_;
   return known;

@@ -41,7 +41,7 @@ class NameSet {
     absl::string_view name;
     bool seen;
   };
-  bool DecisionId(absl::string_view name);
+  bool MarkSeen(absl::string_view name);
 
   Kind kind_;
   absl::InlinedVector<Given, 16> given_;
