@@ -43,7 +43,7 @@ class CertificateMonitorTest : public ::testing::Test {
     stages_.clear();
     clock_.Advance(absl::ToInt64Nanoseconds(passed));
     monitor_.Check();
-    monitor_.Check();  // nothing is told twice
+    monitor_.Check();  // nothing is reported twice
     return stages_;
   }
 

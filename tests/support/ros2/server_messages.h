@@ -34,7 +34,7 @@ absl::StatusOr<std::vector<NamedParameter>> DecodeSetParametersRequest(absl::str
 std::string EncodeSetParametersReply(const SetParametersResult& result);
 
 // OK if `writer`, the endpoint that published `info`, belongs to the participant that `info`
-// speaks for, and so does every endpoint listed. PermissionDenied otherwise: somebody speaks for
+// speaks for, and so does every endpoint listed. PermissionDenied otherwise: the claim is for
 // another participant.
 absl::Status CheckOrigin(const ParticipantEntities& info, const Guid& writer);
 
