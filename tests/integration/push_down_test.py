@@ -40,10 +40,11 @@ SENT = {"a": 600, "b": 300, "c": 40}
 NOISE = 500
 
 
-def wait_until(what, done, seconds=40):
+def wait_until(what, done, so_far=lambda: "", seconds=40):
     deadline = time.monotonic() + seconds
     while not done():
-        check(time.monotonic() < deadline, f"{what}: not within {seconds} s")
+        if time.monotonic() >= deadline:
+            check(False, f"{what}: not within {seconds} s; {so_far()}")
         time.sleep(0.1)
 
 
@@ -101,7 +102,8 @@ def push_down_changes_no_verdict(fleet):
 
     for robot in ("r1", "r2"):
         wait_until(f"the rules of {robot} have judged",
-                   lambda robot=robot: len(verdicts(robot)) >= len(expected))
+                   lambda robot=robot: len(verdicts(robot)) >= len(expected),
+                   lambda robot=robot: f"so far: {verdicts(robot)}")
         check(verdicts(robot) == expected, f"{robot}: {verdicts(robot)}")
         level = fleet.query("level", "show", robot)["status"]["decided_level"]
         check(level == "ALERT", f"{robot} is at {level}")

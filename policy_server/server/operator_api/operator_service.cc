@@ -383,17 +383,27 @@ grpc::ServerUnaryReactor* OperatorService::ListAlerts(grpc::CallbackServerContex
   if (!who.ok()) return Refuse(context, who.status());
   grpc::ServerUnaryReactor* reactor = Answer(who->ticket);
   Read(reactor, [this, reactor, request, response] {
+    // Asked first: what is recorded in between is in both, not in neither.
+    if (access_.store_writable && !access_.store_writable()) AddUnrecorded(*request, *response);
     const auto records = store_->ListAlerts(request->robot(), request->limit());
     if (records.ok()) {
       AnswerRoom room;
+      std::set<std::string> recorded;
       for (const auto& record : *records) {
         rips::v1::Alert alert = Encode(record);
-        response->set_cut(!room.Take(alert));
-        if (response->cut()) break;
+        if (!room.Take(alert)) {
+          response->set_cut(true);
+          break;
+        }
+        recorded.insert(record.id);
         *response->add_alerts() = std::move(alert);
       }
+      auto& unrecorded = *response->mutable_unrecorded();
+      unrecorded.erase(
+          std::remove_if(unrecorded.begin(), unrecorded.end(),
+                         [&](const auto& alert) { return recorded.contains(alert.id()); }),
+          unrecorded.end());
     }
-    if (access_.store_writable && !access_.store_writable()) AddUnrecorded(*request, *response);
     const bool none = records.ok() && records->empty() && response->unrecorded().empty();
     const bool of_one = !request->robot().empty() && request->robot() != store::kServerRobot;
     reactor->Finish(rpc::ToGrpc(none && of_one ? CheckListed(*pipeline_, {request->robot()})

@@ -46,6 +46,12 @@ void DurableOutbox::Release(const DecisionId& lowering) {
   if (held_back_ == lowering) held_back_ = DecisionId{};
 }
 
+std::vector<store::AlertRecord> DurableOutbox::alerts() const {
+  std::vector<store::AlertRecord> alerts = collected_.alerts;
+  if (in_flight_) Prepend(in_flight_->batch->alerts, alerts);
+  return alerts;
+}
+
 bool DurableOutbox::CanSeal() const {
   return !in_flight_ &&
          (!collected_.empty() || unsaved_.sequences || unsaved_.variables || unsaved_.bundle);

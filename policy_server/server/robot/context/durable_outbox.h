@@ -64,7 +64,8 @@ class DurableOutbox {
   void Release(const DecisionId& lowering);
 
   const Unsaved& unsaved() const { return unsaved_; }
-  const std::vector<store::AlertRecord>& alerts() const { return collected_.alerts; }
+  // That the store is not known to have, oldest first: those in flight, and those that wait.
+  std::vector<store::AlertRecord> alerts() const;
   // There is something to record, and nothing in flight.
   bool CanSeal() const;
   // Records wait, and the last batch was recorded.

@@ -100,6 +100,23 @@ TEST_F(DurableOutboxTest, ALoweringThatCouldNotBeRecordedIsHandedBackOnce) {
   EXPECT_THAT(outbox_.OnRecorded(true).lowerings, IsEmpty());
 }
 
+TEST_F(DurableOutboxTest, AlertsInFlightAreNotRecordedYet) {
+  outbox_.AddAlert({.id = "in flight"});
+  outbox_.Seal(UpTo(7));
+  outbox_.AddAlert({.id = "waits"});
+  const auto ids = [&] {
+    std::vector<std::string> each;
+    for (const store::AlertRecord& alert : outbox_.alerts()) each.push_back(alert.id);
+    return each;
+  };
+  EXPECT_THAT(ids(), ElementsAre("in flight", "waits"));
+  outbox_.OnRecorded(false);
+  EXPECT_THAT(ids(), ElementsAre("in flight", "waits"));
+  outbox_.Seal(UpTo(7));
+  outbox_.OnRecorded(true);
+  EXPECT_THAT(ids(), IsEmpty());
+}
+
 TEST_F(DurableOutboxTest, TheOldestAlertsGoFirstAndAreCounted) {
   for (size_t i = 0; i < DurableOutbox::kAlertsMax; ++i) {
     EXPECT_TRUE(outbox_.AddAlert({.id = absl::StrCat(i)}));
