@@ -22,10 +22,8 @@ std::string Summary(const store::WriteBatch& batch) {
                     each.to, " (", each.cause, ")");
   }
   if (!batch.alerts.empty()) absl::StrAppend(&text, " ", batch.alerts.size(), " alerts");
-  for (const store::Checkpoint& each : batch.checkpoints) {
-    for (const auto& [lane, sequence] : each.high_water) {
-      absl::StrAppend(&text, lane.lane == store::LaneKey::Lane::kControl ? " c" : " m", sequence);
-    }
+  for (const auto& [lane, sequence] : batch.checkpoint.high_water) {
+    absl::StrAppend(&text, lane.lane == store::LaneKey::Lane::kControl ? " c" : " m", sequence);
   }
   return text;
 }
@@ -128,15 +126,14 @@ absl::Status StoreModel::Apply(const store::WriteBatch& batch) {
     record_.decision_id = decision.decision_id;
     record_.level = decision.to;
   }
-  for (const store::Checkpoint& each : batch.checkpoints) {
-    if (each.variables) record_.variables = *each.variables;
-    if (each.soft_suspended) record_.soft_suspended = *each.soft_suspended;
-    if (each.rules_halted) record_.rules_halted = *each.rules_halted;
-    if (each.resumed_at) record_.resumed_at = *each.resumed_at;
-    for (const auto& [lane, sequence] : each.high_water) {
-      uint64_t& stored = record_.high_water[lane];
-      stored = std::max(stored, sequence);
-    }
+  const store::Checkpoint& checkpoint = batch.checkpoint;
+  if (checkpoint.variables) record_.variables = *checkpoint.variables;
+  if (checkpoint.soft_suspended) record_.soft_suspended = *checkpoint.soft_suspended;
+  if (checkpoint.rules_halted) record_.rules_halted = *checkpoint.rules_halted;
+  if (checkpoint.resumed_at) record_.resumed_at = *checkpoint.resumed_at;
+  for (const auto& [lane, sequence] : checkpoint.high_water) {
+    uint64_t& stored = record_.high_water[lane];
+    stored = std::max(stored, sequence);
   }
   ++generations_.back().last_commit;
   context_.trace.Add("store", absl::StrCat("durable:", Summary(batch)));

@@ -22,11 +22,11 @@ void FillDecisionId(const DecisionId& decision_id, v1::DecisionId* out) {
 
 // Of a decision or a refusal.
 template <typename Change>
-AuditRecord OfChange(const Change& change, AuditRecord::Kind kind) {
+AuditRecord OfChange(const std::string& robot, const Change& change, AuditRecord::Kind kind) {
   AuditRecord record;
   record.set_kind(kind);
   record.set_time_unix_ns(change.time_unix_ns);
-  record.set_robot(change.robot);
+  record.set_robot(robot);
   record.set_id(change.id);
   record.set_actor(change.cause);
   record.set_from(change.from);
@@ -35,16 +35,16 @@ AuditRecord OfChange(const Change& change, AuditRecord::Kind kind) {
   return record;
 }
 
-AuditRecord Of(const store::DecisionRecord& decision) {
-  AuditRecord record = OfChange(decision, AuditRecord::KIND_DECISION);
+AuditRecord Of(const std::string& robot, const store::DecisionRecord& decision) {
+  AuditRecord record = OfChange(robot, decision, AuditRecord::KIND_DECISION);
   FillDecisionId(decision.decision_id, record.mutable_decision_id());
   if (decision.based_on != DecisionId())
     FillDecisionId(decision.based_on, record.mutable_based_on());
   return record;
 }
 
-AuditRecord Of(const store::RefusalRecord& refusal) {
-  AuditRecord record = OfChange(refusal, AuditRecord::KIND_REFUSAL);
+AuditRecord Of(const std::string& robot, const store::RefusalRecord& refusal) {
+  AuditRecord record = OfChange(robot, refusal, AuditRecord::KIND_REFUSAL);
   record.set_count(refusal.count);
   return record;
 }
@@ -61,11 +61,12 @@ AuditRecord Of(const store::AlertRecord& alert) {
   return record;
 }
 
-void AddPolicy(const store::Checkpoint& checkpoint, std::vector<AuditRecord>& out) {
+void AddPolicy(const std::string& robot, const store::Checkpoint& checkpoint,
+               std::vector<AuditRecord>& out) {
   const auto add = [&](std::string text) {
     AuditRecord& record = out.emplace_back();
     record.set_kind(AuditRecord::KIND_POLICY);
-    record.set_robot(checkpoint.robot);
+    record.set_robot(robot);
     record.set_actor(kOwnRule);
     record.set_text(std::move(text));
   };
@@ -84,14 +85,16 @@ void AddPolicy(const store::Checkpoint& checkpoint, std::vector<AuditRecord>& ou
 std::vector<AuditRecord> RecordsOf(std::span<const store::WriteBatch> batches) {
   std::vector<AuditRecord> out;
   for (const store::WriteBatch& batch : batches) {
-    for (const store::DecisionRecord& decision : batch.decisions) out.push_back(Of(decision));
+    for (const store::DecisionRecord& decision : batch.decisions) {
+      out.push_back(Of(batch.robot, decision));
+    }
     for (const store::RefusalRecord& refusal : batch.refusals) {
-      if (std::has_single_bit(refusal.count)) out.push_back(Of(refusal));
+      if (std::has_single_bit(refusal.count)) out.push_back(Of(batch.robot, refusal));
     }
     for (const store::AlertRecord& alert : batch.alerts) {
       if (alert.rule == kOwnRule) out.push_back(Of(alert));
     }
-    for (const store::Checkpoint& checkpoint : batch.checkpoints) AddPolicy(checkpoint, out);
+    AddPolicy(batch.robot, batch.checkpoint, out);
   }
   return out;
 }

@@ -19,9 +19,8 @@ using testing::SizeIs;
 using v1::AuditRecord;
 
 store::WriteBatch Decides(uint64_t epoch, const std::string& to) {
-  store::WriteBatch batch;
+  store::WriteBatch batch{.robot = "r1"};
   batch.decisions.push_back({.id = "0123456789abcdef0123456789abcde" + std::to_string(epoch % 10),
-                             .robot = "r1",
                              .decision_id = {.term = 1, .epoch = epoch},
                              .from = "DEFAULT",
                              .to = to,
@@ -33,12 +32,11 @@ store::WriteBatch Decides(uint64_t epoch, const std::string& to) {
 
 TEST(RecordsOfTest, WhatAnAuditorNeedsAndNoMore) {
   store::WriteBatch batch = Decides(3, "ALERT");
-  batch.refusals = {{.id = "r", .robot = "r1", .count = 3}, {.id = "s", .robot = "r1", .count = 4}};
+  batch.refusals = {{.id = "r", .count = 3}, {.id = "s", .count = 4}};
   batch.alerts = {{.id = "a", .robot = "r1", .rule = "stranger"},
-                  {.id = "b", .robot = "(server)", .rule = "(rips)", .text = "banned"}};
-  batch.stages = {{.robot = "r1"}};
-  batch.checkpoints = {{.robot = "r1", .variables = store::Variables()},
-                       {.robot = "r1", .rules_halted = true, .bundle = "sha256:12"}};
+                  {.id = "b", .robot = "r1", .rule = "(rips)", .text = "banned"}};
+  batch.stages = {{}};
+  batch.checkpoint = {.variables = store::Variables(), .rules_halted = true, .bundle = "sha256:12"};
   std::vector<std::string> lines;
   for (const AuditRecord& record : RecordsOf({&batch, 1})) {
     lines.push_back(AuditRecord::Kind_Name(record.kind()) + " " + record.id() + " " +
@@ -98,8 +96,7 @@ TEST_F(RecordBeforeTest, ADecisionIsInTheLogBeforeItIsInTheStore) {
   store_.OnCommit([&] { at_commit = log_->head().sequence; });
   ASSERT_TRUE(Commit(Decides(1, "ALERT")).ok());
   EXPECT_EQ(at_commit, before + 1);
-  store::WriteBatch variables;
-  variables.checkpoints = {{.robot = "r1", .variables = store::Variables()}};
+  store::WriteBatch variables{.robot = "r1", .checkpoint = {.variables = store::Variables()}};
   ASSERT_TRUE(Commit(std::move(variables)).ok());
   EXPECT_EQ(log_->head().sequence, before + 1);
 }
@@ -114,8 +111,7 @@ TEST_F(RecordBeforeTest, WithoutTheLogALoweringIsNotStoredAndARaiseIs) {
   EXPECT_TRUE(Commit(raise).ok());
   EXPECT_EQ(Stored(), 1u);
   // Nothing else is stored, so that the outage is told and not forgotten between two decisions.
-  store::WriteBatch variables;
-  variables.checkpoints = {{.robot = "r1", .variables = store::Variables()}};
+  store::WriteBatch variables{.robot = "r1", .checkpoint = {.variables = store::Variables()}};
   EXPECT_FALSE(Commit(variables).ok());
   Mend();
   const uint64_t before = log_->head().sequence;

@@ -56,7 +56,7 @@ struct FakeWatch {
 class AlertFeedTest : public ::testing::Test {
  protected:
   void Raise(store::Store& store, const std::string& text, const std::string& robot = "r1") {
-    store::WriteBatch batch;
+    store::WriteBatch batch{.robot = robot};
     batch.alerts.push_back(store::MakeAlert(robot, text));
     ASSERT_THAT(store.Commit(batch), IsOk());
   }

@@ -384,7 +384,7 @@ TEST_F(OperatorServiceTest, SaysWhichRobotsDidNotAnswer) {
 
 TEST_F(OperatorServiceTest, AWatchOfAlertsResumesAfterItsCursor) {
   const auto raise = [&](const std::string& text) {
-    store::WriteBatch batch;
+    store::WriteBatch batch{.robot = "r1"};
     batch.alerts.push_back({.id = NewId(), .robot = "r1", .text = text});
     ASSERT_THAT(store_.Commit(batch), IsOk());
     hub_.OnAlert(batch.alerts[0]);
@@ -646,7 +646,7 @@ TEST_F(OperatorServiceTest, AMisspeltRobotIsAnErrorAndNotSilence) {
   EXPECT_EQ(alerts_of("rl"), grpc::StatusCode::NOT_FOUND);
   EXPECT_EQ(history_of("r1"), grpc::StatusCode::OK);
   EXPECT_EQ(history_of("rl"), grpc::StatusCode::NOT_FOUND);
-  store::WriteBatch batch;
+  store::WriteBatch batch{.robot = "removed"};
   batch.alerts.push_back({.id = NewId(), .robot = "removed", .text = "x"});
   ASSERT_THAT(store_.Commit(batch), IsOk());
   EXPECT_EQ(alerts_of("removed"), grpc::StatusCode::OK) << "what is stored can be read";

@@ -24,23 +24,20 @@ engine::Trace TraceOf(const std::string& rule, int64_t time_ns) {
 class ExplainTest : public testing::Test {
  protected:
   void SetUp() override {
-    store::WriteBatch batch;
+    store::WriteBatch batch{.robot = "r1"};
     batch.decisions.push_back({.id = Id("aa0001"),
-                               .robot = "r1",
                                .decision_id = {1, 2},
                                .from = "DEFAULT",
                                .to = "HALT",
                                .cause = "rule stop",
                                .trace = TraceOf("stop", 5)});
     batch.decisions.push_back({.id = Id("aa0002"),
-                               .robot = "r1",
                                .decision_id = {1, 3},
                                .from = "HALT",
                                .to = "DEFAULT",
                                .cause = "operator ann",
                                .reason = "checked"});
     batch.refusals.push_back({.id = Id("aa0003"),
-                              .robot = "r1",
                               .from = "HALT",
                               .to = "DEFAULT",
                               .cause = "rule stop",
@@ -52,8 +49,10 @@ class ExplainTest : public testing::Test {
                               .text = "second driver",
                               .trace = TraceOf("stop", time_ns)});
     }
-    batch.alerts.push_back({.id = Id("cc0001"), .robot = "r2", .rule = "(rips)"});
     ASSERT_THAT(store_.Commit(batch), IsOk());
+    store::WriteBatch other{.robot = "r2"};
+    other.alerts.push_back({.id = Id("cc0001"), .robot = "r2", .rule = "(rips)"});
+    ASSERT_THAT(store_.Commit(other), IsOk());
   }
   absl::StatusOr<rips::v1::ExplainResponse> ById(const std::string& id) {
     rips::v1::ExplainRequest request;
@@ -118,7 +117,7 @@ TEST_F(ExplainTest, SaysWhatIsNotThereOrNotOne) {
   EXPECT_THAT(ByDecisionId("r1", {1, 9}), StatusIs(StatusCode::kNotFound, HasSubstr("1.9")));
   EXPECT_THAT(ByDecisionId("r9", {1, 2}), StatusIs(StatusCode::kNotFound));
   EXPECT_THAT(ByDecisionId("", {1, 2}), StatusIs(StatusCode::kInvalidArgument));
-  store::WriteBatch twin;
+  store::WriteBatch twin{.robot = "r1"};
   twin.alerts.push_back({.id = "aa0001" + std::string(26, 'f'), .robot = "r1", .rule = "x"});
   ASSERT_THAT(store_.Commit(twin), IsOk());
   EXPECT_THAT(ById("aa0001"), StatusIs(StatusCode::kInvalidArgument, HasSubstr("more digits")));

@@ -31,7 +31,7 @@ TEST(StatusBroadcasterTest, TellsEveryWatcherOfItsKind) {
   store::FakeStore store;
   StatusBroadcaster hub(&store, nullptr, {}, absl::InfiniteDuration());
   const auto raise = [&](const std::string& id) {
-    store::WriteBatch batch;
+    store::WriteBatch batch{.robot = "r1"};
     batch.alerts.push_back({.id = id, .robot = "r1"});
     ASSERT_THAT(store.Commit(batch), IsOk());
     hub.feed().Look();
@@ -62,7 +62,7 @@ TEST(StatusBroadcasterTest, RefusesOneWatcherMoreThanTheLimitOfBothKindsTogether
   store::FakeStore store;
   StatusBroadcaster hub(&store, nullptr, {}, absl::InfiniteDuration());
   const auto raise = [&](const std::string& id) {
-    store::WriteBatch batch;
+    store::WriteBatch batch{.robot = "r1"};
     batch.alerts.push_back({.id = id, .robot = "r1"});
     ASSERT_THAT(store.Commit(batch), IsOk());
     hub.feed().Look();
@@ -91,7 +91,7 @@ TEST(StatusBroadcasterTest, AWatcherThatIsNoLongerInterestedFreesItsPlace) {
   store::FakeStore store;
   StatusBroadcaster hub(&store, nullptr, {}, absl::InfiniteDuration());
   const auto raise = [&](const std::string& id) {
-    store::WriteBatch batch;
+    store::WriteBatch batch{.robot = "r1"};
     batch.alerts.push_back({.id = id, .robot = "r1"});
     ASSERT_THAT(store.Commit(batch), IsOk());
     hub.feed().Look();
@@ -119,7 +119,7 @@ TEST(StatusBroadcasterTest, AWatcherThatLeftIsToldNothing) {
   store::FakeStore store;
   StatusBroadcaster hub(&store, nullptr, {}, absl::InfiniteDuration());
   const auto raise = [&](const std::string& id) {
-    store::WriteBatch batch;
+    store::WriteBatch batch{.robot = "r1"};
     batch.alerts.push_back({.id = id, .robot = "r1"});
     ASSERT_THAT(store.Commit(batch), IsOk());
     hub.feed().Look();
@@ -143,7 +143,7 @@ TEST(StatusBroadcasterTest, AWatcherMayLeaveWhileItIsTold) {
   store::FakeStore store;
   StatusBroadcaster hub(&store, nullptr, {}, absl::InfiniteDuration());
   const auto raise = [&](const std::string& id) {
-    store::WriteBatch batch;
+    store::WriteBatch batch{.robot = "r1"};
     batch.alerts.push_back({.id = id, .robot = "r1"});
     ASSERT_THAT(store.Commit(batch), IsOk());
     hub.feed().Look();

@@ -133,10 +133,10 @@ void Performer::Do(const action::Record& what) {
 
 void Performer::Do(const action::SaveRaises& what) {
   input::RaisesSaved saved;
-  for (const store::DecisionRecord& raise : what.decisions) {
+  for (const store::DecisionRecord& raise : what.raises.decisions) {
     saved.decisions.push_back(raise.decision_id);
   }
-  ports_.recorder->Record({.decisions = what.decisions, .uses_reserve = true},
+  ports_.recorder->Record(what.raises,
                           [this, saved, post = ports_.post](const absl::Status& status) {
                             if (status.ok()) post([this, saved] { deliver_(saved); });
                           });

@@ -97,13 +97,12 @@ class FakeRecorder final : public Recorder {
     decisions.insert(decisions.end(), batch.decisions.begin(), batch.decisions.end());
     refusals.insert(refusals.end(), batch.refusals.begin(), batch.refusals.end());
     stages.insert(stages.end(), batch.stages.begin(), batch.stages.end());
-    for (const store::Checkpoint& checkpoint : batch.checkpoints) {
-      for (const auto& [key, sequence] : checkpoint.high_water) high_water[key] = sequence;
-      if (checkpoint.variables) variables = *checkpoint.variables;
-      if (checkpoint.rules_halted) rules_halted = *checkpoint.rules_halted;
-      if (checkpoint.soft_suspended) soft_suspended = *checkpoint.soft_suspended;
-      if (checkpoint.resumed_at) resumed_at = *checkpoint.resumed_at;
-    }
+    const store::Checkpoint& checkpoint = batch.checkpoint;
+    for (const auto& [key, sequence] : checkpoint.high_water) high_water[key] = sequence;
+    if (checkpoint.variables) variables = *checkpoint.variables;
+    if (checkpoint.rules_halted) rules_halted = *checkpoint.rules_halted;
+    if (checkpoint.soft_suspended) soft_suspended = *checkpoint.soft_suspended;
+    if (checkpoint.resumed_at) resumed_at = *checkpoint.resumed_at;
   }
 
   bool held = false;

@@ -85,9 +85,9 @@ TEST_F(RobotTest, ADecisionThatWasOvertakenIsRecordedAsSuperseded) {
   SendMessage(9);
   Obey();
 
-  EXPECT_THAT(recorder_.stages,
-              Contains(store::StageUpdate{
-                  .robot = "r1", .decision_id = overtaken, .stage = "superseded", .detail = ""}));
+  EXPECT_THAT(
+      recorder_.stages,
+      Contains(store::StageUpdate{.decision_id = overtaken, .stage = "superseded", .detail = ""}));
   EXPECT_EQ(recorder_.stages.back().stage, "verified");
 }
 
@@ -176,8 +176,8 @@ TEST_F(RobotTest, ARestoredHistoryLowersNothing) {
   };
   for (const Case& each : cases) {
     SCOPED_TRACE(each.what);
-    recorder_.decisions = {{.robot = "r1", .decision_id = {6, 9}, .to = "ALERT"},
-                           {.robot = "r1", .decision_id = {6, 10}, .to = "COMPROMISED"}};
+    recorder_.decisions = {{.decision_id = {6, 9}, .to = "ALERT"},
+                           {.decision_id = {6, 10}, .to = "COMPROMISED"}};
     audience_.alerts.clear();
     Start(kPaperRules, {.level = "COMPROMISED", .decision_id = {6, 10}}, 7);
     ConnectSensor();
@@ -195,7 +195,7 @@ TEST_F(RobotTest, ARestoredHistoryLowersNothing) {
 
 TEST_F(RobotTest, ATermThatAnActuatorKnowsBeforeItMetUsIsNotOurs) {
   Start(kPaperRules, {.level = "DEFAULT", .decision_id = {6, 10}}, 7);
-  recorder_.decisions = {{.robot = "r1", .decision_id = {6, 10}, .to = "DEFAULT"}};
+  recorder_.decisions = {{.decision_id = {6, 10}, .to = "DEFAULT"}};
   ConnectActuator({.decision_id = {6, 10},
                    .decided_level = "DEFAULT",
                    .effective_level = "DEFAULT",

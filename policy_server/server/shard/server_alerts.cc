@@ -38,7 +38,7 @@ void ServerAlerts::Put(const std::string& robot, const engine::AlertEffect& effe
                            .severity = std::string(engine::ToString(effect.severity)),
                            .text = effect.text,
                            .level = level};
-  store::WriteBatch batch;
+  store::WriteBatch batch{.robot = robot};
   batch.alerts.push_back(alert);
   committer_->PutFirst(std::move(batch), [audience = audience_,
                                           alert = std::move(alert)](const absl::Status& status) {

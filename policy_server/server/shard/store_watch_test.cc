@@ -42,8 +42,7 @@ class StoreWatchTest : public ::testing::Test {
   // A robot's checkpoint; returns what became of it.
   absl::Status Write() {
     BoundedQueue<absl::Status> done{{.capacity = 1}};
-    store::WriteBatch batch;
-    batch.checkpoints.push_back({.robot = "r1"});
+    store::WriteBatch batch{.robot = "r1", .checkpoint = {.rules_halted = false}};
     const absl::Status taken =
         committer_.Submit(std::move(batch), [&](const absl::Status& status) { done.Push(status); });
     if (!taken.ok()) return taken;

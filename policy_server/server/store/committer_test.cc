@@ -165,7 +165,7 @@ TEST(CommitterTest, TellsOfAFailingDiskAndRecovers) {
 }
 
 WriteBatch OneAlert(const std::string& text) {
-  WriteBatch batch;
+  WriteBatch batch{.robot = "r1"};
   batch.alerts.push_back(MakeAlert("r1", text));
   return batch;
 }
@@ -319,8 +319,8 @@ TEST(CommitterTest, TakesFromManyThreadsInEachOnesOrder) {
   for (int t = 0; t < kThreads; ++t) {
     threads.emplace_back([&, t] {
       for (int i = 0; i < kEach; ++i) {
-        WriteBatch batch;
-        batch.alerts.push_back(MakeAlert(absl::StrCat("r", t), absl::StrCat(i)));
+        WriteBatch batch{.robot = absl::StrCat("r", t)};
+        batch.alerts.push_back(MakeAlert(batch.robot, absl::StrCat(i)));
         EXPECT_THAT(committer.Submit(std::move(batch), told.Next(t * kEach + i)), IsOk());
       }
     });

@@ -9,9 +9,9 @@
 namespace rips::store {
 namespace {
 
-TransitionRecord ToTransition(const DecisionRecord& decision) {
+TransitionRecord ToTransition(const std::string& robot, const DecisionRecord& decision) {
   return {.id = decision.id,
-          .robot = decision.robot,
+          .robot = robot,
           .time_unix_ns = decision.time_unix_ns,
           .from = decision.from,
           .to = decision.to,
@@ -23,9 +23,9 @@ TransitionRecord ToTransition(const DecisionRecord& decision) {
           .trace = decision.trace};
 }
 
-TransitionRecord ToTransition(const RefusalRecord& refusal) {
+TransitionRecord ToTransition(const std::string& robot, const RefusalRecord& refusal) {
   return {.id = refusal.id,
-          .robot = refusal.robot,
+          .robot = robot,
           .time_unix_ns = refusal.time_unix_ns,
           .from = refusal.from,
           .to = refusal.to,
@@ -181,40 +181,40 @@ absl::Status FakeStore::CommitAll(std::span<const WriteBatch> batches) {
 }
 
 absl::Status FakeStore::State::Apply(const WriteBatch& batch) {
-  for (const DecisionRecord& decision : batch.decisions) RIPS_RETURN_IF_ERROR(Apply(decision));
-  for (const RefusalRecord& refusal : batch.refusals) RIPS_RETURN_IF_ERROR(Apply(refusal));
-  for (const StageUpdate& update : batch.stages) Apply(update);
-  for (const AlertRecord& alert : batch.alerts) RIPS_RETURN_IF_ERROR(Apply(alert));
-  for (const Checkpoint& checkpoint : batch.checkpoints) Apply(checkpoint);
+  const std::string& robot = batch.robot;
+  for (const DecisionRecord& each : batch.decisions) RIPS_RETURN_IF_ERROR(Apply(robot, each));
+  for (const RefusalRecord& each : batch.refusals) RIPS_RETURN_IF_ERROR(Apply(robot, each));
+  for (const StageUpdate& each : batch.stages) Apply(robot, each);
+  for (const AlertRecord& each : batch.alerts) Apply(each);
+  if (!batch.checkpoint.empty()) Apply(robot, batch.checkpoint);
   return absl::OkStatus();
 }
 
-absl::Status FakeStore::State::Apply(const DecisionRecord& decision) {
+absl::Status FakeStore::State::Apply(const std::string& robot, const DecisionRecord& decision) {
   for (const TransitionRecord& known : transitions) {
-    const bool same_decision_id =
-        known.robot == decision.robot && known.decision_id == decision.decision_id;
+    const bool same_decision_id = known.robot == robot && known.decision_id == decision.decision_id;
     if (!same_decision_id && known.id != decision.id) continue;
     TransitionRecord stored = known;
     stored.stage = "requested";
     stored.detail.clear();
     stored.trace = decision.trace;
-    if (stored == ToTransition(decision)) return absl::OkStatus();
+    if (stored == ToTransition(robot, decision)) return absl::OkStatus();
     return absl::AlreadyExistsError("the decision or id names another decision");
   }
-  transitions.push_back(ToTransition(decision));
-  RobotRecord& robot = robots[decision.robot];
-  robot.highest_term = std::max(robot.highest_term, decision.decision_id.term);
-  if (decision.decision_id > robot.decision_id) {
-    robot.decision_id = decision.decision_id;
-    robot.level = decision.to;
+  transitions.push_back(ToTransition(robot, decision));
+  RobotRecord& record = robots[robot];
+  record.highest_term = std::max(record.highest_term, decision.decision_id.term);
+  if (decision.decision_id > record.decision_id) {
+    record.decision_id = decision.decision_id;
+    record.level = decision.to;
   }
   return absl::OkStatus();
 }
 
-absl::Status FakeStore::State::Apply(const RefusalRecord& refusal) {
+absl::Status FakeStore::State::Apply(const std::string& robot, const RefusalRecord& refusal) {
   for (TransitionRecord& known : transitions) {
     if (known.id != refusal.id) continue;
-    if (!known.refused || known.robot != refusal.robot) {
+    if (!known.refused || known.robot != robot) {
       return absl::AlreadyExistsError("the id names another transition");
     }
     known.count = refusal.count;
@@ -222,45 +222,41 @@ absl::Status FakeStore::State::Apply(const RefusalRecord& refusal) {
     known.time_unix_ns = refusal.time_unix_ns;
     return absl::OkStatus();
   }
-  transitions.push_back(ToTransition(refusal));
+  transitions.push_back(ToTransition(robot, refusal));
   return absl::OkStatus();
 }
 
-void FakeStore::State::Apply(const StageUpdate& update) {
+void FakeStore::State::Apply(const std::string& robot, const StageUpdate& update) {
   for (TransitionRecord& known : transitions) {
-    if (known.robot != update.robot || known.refused || known.decision_id != update.decision_id)
-      continue;
+    if (known.robot != robot || known.refused || known.decision_id != update.decision_id) continue;
     known.stage = update.stage;
     known.detail = update.detail;
   }
 }
 
-absl::Status FakeStore::State::Apply(const AlertRecord& alert) {
-  for (const AlertRecord& known : alerts) {
-    if (known.id == alert.id) return absl::OkStatus();
-  }
-  alerts.push_back(alert);
-  return absl::OkStatus();
+void FakeStore::State::Apply(const AlertRecord& alert) {
+  const auto same = [&](const AlertRecord& known) { return known.id == alert.id; };
+  if (std::none_of(alerts.begin(), alerts.end(), same)) alerts.push_back(alert);
 }
 
-void FakeStore::State::Apply(const Checkpoint& checkpoint) {
-  RobotRecord& robot = robots[checkpoint.robot];
-  if (checkpoint.variables.has_value()) robot.variables = *checkpoint.variables;
-  if (checkpoint.soft_suspended.has_value()) robot.soft_suspended = *checkpoint.soft_suspended;
-  if (checkpoint.rules_halted.has_value()) robot.rules_halted = *checkpoint.rules_halted;
-  if (checkpoint.resumed_at.has_value()) robot.resumed_at = *checkpoint.resumed_at;
-  if (checkpoint.bundle.has_value()) robot.bundle = *checkpoint.bundle;
-  std::vector<LaneKey>& order = lanes[checkpoint.robot];
+void FakeStore::State::Apply(const std::string& robot, const Checkpoint& checkpoint) {
+  RobotRecord& record = robots[robot];
+  if (checkpoint.variables.has_value()) record.variables = *checkpoint.variables;
+  if (checkpoint.soft_suspended.has_value()) record.soft_suspended = *checkpoint.soft_suspended;
+  if (checkpoint.rules_halted.has_value()) record.rules_halted = *checkpoint.rules_halted;
+  if (checkpoint.resumed_at.has_value()) record.resumed_at = *checkpoint.resumed_at;
+  if (checkpoint.bundle.has_value()) record.bundle = *checkpoint.bundle;
+  std::vector<LaneKey>& order = lanes[robot];
   for (const auto& [key, sequence] : checkpoint.high_water) {
-    if (!robot.high_water.contains(key)) order.push_back(key);
-    uint64_t& stored = robot.high_water[key];
+    if (!record.high_water.contains(key)) order.push_back(key);
+    uint64_t& stored = record.high_water[key];
     stored = std::max(stored, sequence);
 
     const std::string& host = key.host;
     const auto of_host = [&host](const LaneKey& lane) { return lane.host == host; };
     if (std::count_if(order.begin(), order.end(), of_host) > ptrdiff_t{kHighWaterPerHostMax}) {
       const auto oldest = std::find_if(order.begin(), order.end(), of_host);
-      robot.high_water.erase(*oldest);
+      record.high_water.erase(*oldest);
       order.erase(oldest);
     }
   }

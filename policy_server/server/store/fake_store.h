@@ -76,11 +76,11 @@ class FakeStore final : public Store, public BanStore {
     std::vector<Generation> generations;
 
     absl::Status Apply(const WriteBatch& batch);
-    absl::Status Apply(const DecisionRecord& decision);
-    absl::Status Apply(const RefusalRecord& refusal);
-    void Apply(const StageUpdate& update);
-    absl::Status Apply(const AlertRecord& alert);
-    void Apply(const Checkpoint& checkpoint);
+    absl::Status Apply(const std::string& robot, const DecisionRecord& decision);
+    absl::Status Apply(const std::string& robot, const RefusalRecord& refusal);
+    void Apply(const std::string& robot, const StageUpdate& update);
+    void Apply(const AlertRecord& alert);
+    void Apply(const std::string& robot, const Checkpoint& checkpoint);
   };
 
   mutable Mutex mutex_;

@@ -80,7 +80,6 @@ struct RobotRecord {
 struct DecisionRecord {
   // 32 hex digits.
   std::string id;
-  std::string robot;
   DecisionId decision_id;
   DecisionId based_on;
   std::string from;
@@ -100,7 +99,6 @@ struct DecisionRecord {
 // time and count replace the older.
 struct RefusalRecord {
   std::string id;
-  std::string robot;
   std::string from;
   std::string to;
   std::string cause;
@@ -116,7 +114,6 @@ struct RefusalRecord {
 
 // What the actuators have reported of a decision. Of an unknown decision id: ignored.
 struct StageUpdate {
-  std::string robot;
   DecisionId decision_id;
   // requested | acknowledged | verified | failed | superseded
   std::string stage;
@@ -130,6 +127,7 @@ struct AlertRecord {
   // 32 hex digits. Written twice under one id: the first stays.
   std::string id;
   int64_t time_unix_ns = 0;
+  // In a WriteBatch, the robot of the batch.
   std::string robot;
   // Rule name; `(rips)` for RIPS's own.
   std::string rule;
@@ -165,7 +163,6 @@ inline constexpr absl::string_view kServerRobot = "(server)";
 
 // Variables and judged sequences of one robot, of one instant.
 struct Checkpoint {
-  std::string robot;
   // All of the robot's variables; absent = as before.
   std::optional<Variables> variables;
   // Replaces what is stored for these keys; other keys stay. A sequence never goes back.
@@ -176,23 +173,28 @@ struct Checkpoint {
   std::optional<DecisionId> resumed_at;
   std::optional<std::string> bundle;
 
+  bool empty() const { return *this == Checkpoint(); }
+
   friend bool operator==(const Checkpoint&, const Checkpoint&) = default;
 };
 
-// Written together or not at all; in the order of the members, then of the elements.
+// Records of one robot. Written together or not at all; in the order of the members, then of the
+// elements.
 struct WriteBatch {
+  // kServerRobot for alerts of the server itself.
+  std::string robot;
   std::vector<DecisionRecord> decisions;
   std::vector<RefusalRecord> refusals;
   std::vector<StageUpdate> stages;
   std::vector<AlertRecord> alerts;
-  std::vector<Checkpoint> checkpoints;
+  Checkpoint checkpoint;
   // On a full disk the store gives up a piece of its reserve for this: only decisions, and no
   // lowering among them.
   bool uses_reserve = false;
 
   bool empty() const {
     return decisions.empty() && refusals.empty() && stages.empty() && alerts.empty() &&
-           checkpoints.empty();
+           checkpoint.empty();
   }
 };
 

@@ -193,7 +193,7 @@ TEST_F(SqliteStoreTest, ABackupIsToldFromWhatItWasMadeOf) {
     EXPECT_THAT(store, IsOk());
     EXPECT_THAT((*store)->BeginGeneration(NewId().substr(0, 16)), IsOk());
     for (uint64_t i = 1; i <= 4; ++i) {
-      WriteBatch alert;
+      WriteBatch alert{.robot = "r1"};
       alert.alerts.push_back(MakeAlert("r1", "later"));
       EXPECT_THAT((*store)->Commit(alert), IsOk());
     }
@@ -242,7 +242,7 @@ TEST_F(SqliteStoreTest, ForgetsTheOldestAlertsBeyondTheLimit) {
   auto store = SqliteStore::Open(path_, {.alerts_per_robot_max = 3});
   ASSERT_THAT(store, IsOk());
   for (int i = 1; i <= 5; ++i) {
-    WriteBatch batch;
+    WriteBatch batch{.robot = "r1"};
     batch.alerts.push_back(MakeAlert("r1", absl::StrCat(i)));
     ASSERT_THAT((*store)->Commit(batch), IsOk());
   }
@@ -257,7 +257,7 @@ TEST_F(SqliteStoreTest, ARobotsAlertsPushOutNoOtherRobots) {
   auto store = SqliteStore::Open(path_, {.alerts_per_robot_max = 3});
   ASSERT_THAT(store, IsOk());
   const auto write = [&](const std::string& robot, const std::string& text) {
-    WriteBatch batch;
+    WriteBatch batch{.robot = robot};
     batch.alerts.push_back(MakeAlert(robot, text));
     ASSERT_THAT((*store)->Commit(batch), IsOk());
   };
@@ -313,7 +313,7 @@ TEST_F(FullDiskTest, RecordsRaisesAndTermsFromTheReserveAndNothingElse) {
   ASSERT_THAT(store, IsOk());
   ASSERT_THAT((*store)->Commit(Decide("r1", {1, 1}, "", "DEFAULT", "d1")), IsOk());
   FillDisk();
-  WriteBatch chatter;
+  WriteBatch chatter{.robot = "r1"};
   for (int i = 0; i < 2'000; ++i) {
     chatter.alerts.push_back(MakeAlert("r1", std::string(200, 'x')));
   }
@@ -327,7 +327,7 @@ TEST_F(FullDiskTest, RecordsRaisesAndTermsFromTheReserveAndNothingElse) {
   }
   EXPECT_THAT((*store)->NextTerm("r1"), IsOk());
   EXPECT_EQ((*store)->Load("r1")->level, "HALT");
-  WriteBatch alert;
+  WriteBatch alert{.robot = "r1"};
   alert.alerts.push_back(MakeAlert("r1", "small"));
   EXPECT_THAT((*store)->Commit(alert), StatusIs(absl::StatusCode::kResourceExhausted))
       << "the reserve is not for others";
@@ -359,7 +359,7 @@ TEST_F(FullDiskTest, OpensOnAFullDiskByItsReserve) {
 TEST_F(SqliteStoreTest, RefusesAReserveForOtherThanDecisions) {
   auto store = SqliteStore::Open(path_);
   ASSERT_THAT(store, IsOk());
-  WriteBatch batch{.uses_reserve = true};
+  WriteBatch batch{.robot = "r1", .uses_reserve = true};
   batch.alerts.push_back(MakeAlert("r1", "text"));
   EXPECT_THAT((*store)->Commit(batch), StatusIs(absl::StatusCode::kInvalidArgument));
 }
@@ -369,8 +369,8 @@ TEST_F(SqliteStoreTest, ForgetsOldRefusalsButNoDecision) {
   ASSERT_THAT(store, IsOk());
   ASSERT_THAT((*store)->Commit(Decide("r1", {1, 1}, "A", "B", "decision")), IsOk());
   for (int i = 1; i <= 5; ++i) {
-    WriteBatch batch;
-    batch.refusals.push_back({.id = absl::StrCat("f", i), .robot = "r1"});
+    WriteBatch batch{.robot = "r1"};
+    batch.refusals.push_back({.id = absl::StrCat("f", i)});
     ASSERT_THAT((*store)->Commit(batch), IsOk());
   }
   std::vector<std::string> ids;
@@ -405,8 +405,7 @@ TEST_F(SqliteStoreTest, ABusyFileIsUnavailableAndLaterWorks) {
   Committer committer(store->get());
   for (uint64_t epoch = 1;; ++epoch) {
     WriteBatch batch = Decide("r1", {1, epoch}, "A", absl::StrCat("L", epoch));
-    batch.checkpoints.push_back(
-        {.robot = "r1", .variables = Variables{{"n", static_cast<int64_t>(epoch)}}});
+    batch.checkpoint.variables = Variables{{"n", static_cast<int64_t>(epoch)}};
     auto done = [out, epoch](const absl::Status& status) {
       if (!status.ok() || write(out, &epoch, sizeof(epoch)) != sizeof(epoch)) _exit(3);
     };

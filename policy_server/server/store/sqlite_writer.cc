@@ -175,29 +175,29 @@ absl::Status SqliteWriter::BeginGeneration(absl::string_view id) {
 }
 
 absl::Status SqliteWriter::Write(const WriteBatch& batch) {
-  for (const DecisionRecord& decision : batch.decisions) RIPS_RETURN_IF_ERROR(Write(decision));
-  for (const RefusalRecord& refusal : batch.refusals) RIPS_RETURN_IF_ERROR(Write(refusal));
+  const std::string& robot = batch.robot;
+  for (const DecisionRecord& each : batch.decisions) RIPS_RETURN_IF_ERROR(Write(robot, each));
+  for (const RefusalRecord& each : batch.refusals) RIPS_RETURN_IF_ERROR(Write(robot, each));
   if (!batch.refusals.empty()) {
     RIPS_RETURN_IF_ERROR(prune_refusals_.Start().Bind(limits_.refusals_max).Run());
   }
-  for (const StageUpdate& update : batch.stages) RIPS_RETURN_IF_ERROR(Write(update));
-  for (const AlertRecord& alert : batch.alerts) RIPS_RETURN_IF_ERROR(Write(alert));
-  for (const AlertRecord& alert : batch.alerts) RIPS_RETURN_IF_ERROR(PruneAlerts(alert.robot));
-  for (const Checkpoint& checkpoint : batch.checkpoints) RIPS_RETURN_IF_ERROR(Write(checkpoint));
-  return absl::OkStatus();
+  for (const StageUpdate& each : batch.stages) RIPS_RETURN_IF_ERROR(Write(robot, each));
+  for (const AlertRecord& each : batch.alerts) RIPS_RETURN_IF_ERROR(Write(each));
+  if (!batch.alerts.empty()) RIPS_RETURN_IF_ERROR(PruneAlerts(robot, batch.alerts.size()));
+  return batch.checkpoint.empty() ? absl::OkStatus() : Write(robot, batch.checkpoint);
 }
 
-absl::StatusOr<bool> SqliteWriter::IsStored(const DecisionRecord& decision) {
+absl::StatusOr<bool> SqliteWriter::IsStored(const std::string& robot,
+                                            const DecisionRecord& decision) {
   Query query = find_decision_.Start();
   query.Bind(decision.id)
-      .Bind(decision.robot)
+      .Bind(robot)
       .Bind(decision.decision_id.term)
       .Bind(decision.decision_id.epoch);
   while (true) {
     RIPS_ASSIGN_OR_RETURN(const bool row, query.Step());
     if (!row) return false;
     const DecisionRecord stored = {.id = query.Text(0),
-                                   .robot = query.Text(1),
                                    .decision_id = {query.Unsigned(8), query.Unsigned(9)},
                                    .based_on = {query.Unsigned(10), query.Unsigned(11)},
                                    .from = query.Text(3),
@@ -206,24 +206,24 @@ absl::StatusOr<bool> SqliteWriter::IsStored(const DecisionRecord& decision) {
                                    .reason = query.Text(6),
                                    .time_unix_ns = query.Number(2),
                                    .trace = decision.trace};
-    if (query.Number(7) != 0 || stored != decision) {
+    if (query.Number(7) != 0 || query.Text(1) != robot || stored != decision) {
       return absl::AlreadyExistsError(absl::StrCat("decision ", ToString(decision.decision_id),
                                                    " or its id names another decision of robot ",
-                                                   decision.robot));
+                                                   robot));
     }
     return true;
   }
 }
 
-absl::Status SqliteWriter::Write(const DecisionRecord& decision) {
-  RIPS_ASSIGN_OR_RETURN(const bool stored, IsStored(decision));
+absl::Status SqliteWriter::Write(const std::string& robot, const DecisionRecord& decision) {
+  RIPS_ASSIGN_OR_RETURN(const bool stored, IsStored(robot, decision));
   if (stored) return absl::OkStatus();
-  RIPS_RETURN_IF_ERROR(add_robot_.Start().Bind(decision.robot).Run());
+  RIPS_RETURN_IF_ERROR(add_robot_.Start().Bind(robot).Run());
   // A query views what is bound.
   const std::string trace = TraceToBytes(decision.trace);
   RIPS_RETURN_IF_ERROR(add_decision_.Start()
                            .Bind(decision.id)
-                           .Bind(decision.robot)
+                           .Bind(robot)
                            .Bind(decision.time_unix_ns)
                            .Bind(decision.from)
                            .Bind(decision.to)
@@ -236,18 +236,18 @@ absl::Status SqliteWriter::Write(const DecisionRecord& decision) {
                            .BindBytes(trace)
                            .Run());
   return apply_decision_.Start()
-      .Bind(decision.robot)
+      .Bind(robot)
       .Bind(decision.decision_id.term)
       .Bind(decision.decision_id.epoch)
       .Bind(decision.to)
       .Run();
 }
 
-absl::Status SqliteWriter::Write(const RefusalRecord& refusal) {
+absl::Status SqliteWriter::Write(const std::string& robot, const RefusalRecord& refusal) {
   const std::string trace = TraceToBytes(refusal.trace);
   Query query = put_refusal_.Start();
   query.Bind(refusal.id)
-      .Bind(refusal.robot)
+      .Bind(robot)
       .Bind(refusal.time_unix_ns)
       .Bind(refusal.from)
       .Bind(refusal.to)
@@ -260,9 +260,9 @@ absl::Status SqliteWriter::Write(const RefusalRecord& refusal) {
   return query.Run();
 }
 
-absl::Status SqliteWriter::Write(const StageUpdate& update) {
+absl::Status SqliteWriter::Write(const std::string& robot, const StageUpdate& update) {
   return set_stage_.Start()
-      .Bind(update.robot)
+      .Bind(robot)
       .Bind(update.decision_id.term)
       .Bind(update.decision_id.epoch)
       .Bind(update.stage)
@@ -287,9 +287,10 @@ absl::Status SqliteWriter::Write(const AlertRecord& alert) {
       .Run();
 }
 
-absl::Status SqliteWriter::PruneAlerts(const std::string& robot) {
+absl::Status SqliteWriter::PruneAlerts(const std::string& robot, size_t added) {
   const auto [it, first] = unpruned_.try_emplace(robot);
-  if (!first && ++it->second <= limits_.alerts_per_robot_max / 16) return absl::OkStatus();
+  it->second += static_cast<int64_t>(added);
+  if (!first && it->second <= limits_.alerts_per_robot_max / 16) return absl::OkStatus();
   it->second = 0;
   int64_t last = 0;
   {
@@ -308,30 +309,30 @@ absl::Status SqliteWriter::SetNote(absl::string_view name, absl::string_view val
   return InTransaction([&] { return set_note_.Start().Bind(name).Bind(value).Run(); });
 }
 
-absl::Status SqliteWriter::Write(const Checkpoint& checkpoint) {
-  RIPS_RETURN_IF_ERROR(add_robot_.Start().Bind(checkpoint.robot).Run());
+absl::Status SqliteWriter::Write(const std::string& robot, const Checkpoint& checkpoint) {
+  RIPS_RETURN_IF_ERROR(add_robot_.Start().Bind(robot).Run());
   if (checkpoint.variables.has_value()) {
-    RIPS_RETURN_IF_ERROR(WriteVariables(checkpoint.robot, *checkpoint.variables));
+    RIPS_RETURN_IF_ERROR(WriteVariables(robot, *checkpoint.variables));
   }
   if (checkpoint.soft_suspended.has_value()) {
     const int64_t suspended = *checkpoint.soft_suspended ? 1 : 0;
-    RIPS_RETURN_IF_ERROR(set_suspended_.Start().Bind(checkpoint.robot).Bind(suspended).Run());
+    RIPS_RETURN_IF_ERROR(set_suspended_.Start().Bind(robot).Bind(suspended).Run());
   }
   if (checkpoint.rules_halted.has_value()) {
     const int64_t halted = *checkpoint.rules_halted ? 1 : 0;
-    RIPS_RETURN_IF_ERROR(set_halted_.Start().Bind(checkpoint.robot).Bind(halted).Run());
+    RIPS_RETURN_IF_ERROR(set_halted_.Start().Bind(robot).Bind(halted).Run());
   }
   if (checkpoint.resumed_at.has_value()) {
     RIPS_RETURN_IF_ERROR(set_resumed_.Start()
-                             .Bind(checkpoint.robot)
+                             .Bind(robot)
                              .Bind(checkpoint.resumed_at->term)
                              .Bind(checkpoint.resumed_at->epoch)
                              .Run());
   }
   if (checkpoint.bundle.has_value()) {
-    RIPS_RETURN_IF_ERROR(set_bundle_.Start().Bind(checkpoint.robot).Bind(*checkpoint.bundle).Run());
+    RIPS_RETURN_IF_ERROR(set_bundle_.Start().Bind(robot).Bind(*checkpoint.bundle).Run());
   }
-  return WriteHighWater(checkpoint.robot, checkpoint.high_water);
+  return WriteHighWater(robot, checkpoint.high_water);
 }
 
 absl::Status SqliteWriter::WriteVariables(const std::string& robot, const Variables& variables) {

@@ -36,21 +36,21 @@ class SqliteWriter {
   // The number of the commit that is being made.
   absl::StatusOr<uint64_t> CountCommit();
   absl::Status Write(const WriteBatch& batch);
-  absl::Status Write(const DecisionRecord& decision);
-  absl::Status Write(const RefusalRecord& refusal);
-  absl::Status Write(const StageUpdate& update);
+  absl::Status Write(const std::string& robot, const DecisionRecord& decision);
+  absl::Status Write(const std::string& robot, const RefusalRecord& refusal);
+  absl::Status Write(const std::string& robot, const StageUpdate& update);
   absl::Status Write(const AlertRecord& alert);
-  absl::Status Write(const Checkpoint& checkpoint);
-  // Forgets the oldest alerts of a robot that has more than its share.
-  absl::Status PruneAlerts(const std::string& robot);
+  absl::Status Write(const std::string& robot, const Checkpoint& checkpoint);
+  // Forgets the oldest alerts of a robot that has more than its share, when so many were `added`.
+  absl::Status PruneAlerts(const std::string& robot, size_t added);
   absl::Status WriteVariables(const std::string& robot, const Variables& variables);
   absl::Status WriteHighWater(const std::string& robot, const HighWater& high_water);
   // True if exactly this decision is stored; AlreadyExists if another has its decision id or id.
-  absl::StatusOr<bool> IsStored(const DecisionRecord& decision);
+  absl::StatusOr<bool> IsStored(const std::string& robot, const DecisionRecord& decision);
 
   Database db_;
   SqliteLimits limits_;
-  // Alerts of a robot since it was looked at for pruning; looking costs as much as the limit.
+  // Alerts of a robot since the last attempt to prune them, which costs as much as the limit.
   absl::btree_map<std::string, int64_t> unpruned_;
   Statement begin_, commit_, rollback_;
   Statement add_robot_, next_term_, find_decision_, add_decision_, apply_decision_;

@@ -10,12 +10,6 @@ absl::Status Missing(absl::string_view record, absl::string_view field) {
   return absl::InvalidArgumentError(absl::StrCat(record, " without ", field));
 }
 
-absl::Status CheckNames(absl::string_view record, const std::string& robot, const std::string& id) {
-  if (robot.empty()) return Missing(record, "robot");
-  if (id.empty()) return Missing(record, "id");
-  return absl::OkStatus();
-}
-
 absl::Status CheckNumber(absl::string_view what, uint64_t number) {
   if (number <= kNumberMax) return absl::OkStatus();
   return absl::InvalidArgumentError(absl::StrCat(what, " ", number, " exceeds ", kNumberMax));
@@ -26,15 +20,28 @@ absl::Status CheckDecisionId(const DecisionId& decision_id) {
   return CheckNumber("epoch", decision_id.epoch);
 }
 
+absl::Status Validate(const Checkpoint& checkpoint) {
+  if (checkpoint.bundle.has_value() && checkpoint.bundle->size() > kNoteBytesMax) {
+    return absl::InvalidArgumentError("the id of a bundle is too long");
+  }
+  if (checkpoint.resumed_at) RIPS_RETURN_IF_ERROR(CheckDecisionId(*checkpoint.resumed_at));
+  for (const auto& [key, sequence] : checkpoint.high_water) {
+    RIPS_RETURN_IF_ERROR(CheckNumber("sequence", sequence));
+  }
+  return absl::OkStatus();
+}
+
 }  // namespace
 
 absl::Status Validate(const WriteBatch& batch) {
+  if (batch.empty()) return absl::OkStatus();
+  if (batch.robot.empty()) return Missing("batch", "robot");
   if (batch.uses_reserve && (!batch.refusals.empty() || !batch.stages.empty() ||
-                             !batch.alerts.empty() || !batch.checkpoints.empty())) {
+                             !batch.alerts.empty() || !batch.checkpoint.empty())) {
     return absl::InvalidArgumentError("the reserve is for decisions alone");
   }
   for (const DecisionRecord& decision : batch.decisions) {
-    RIPS_RETURN_IF_ERROR(CheckNames("decision", decision.robot, decision.id));
+    if (decision.id.empty()) return Missing("decision", "id");
     if (decision.decision_id.term == 0 || decision.decision_id.epoch == 0)
       return Missing("decision", "decision_id");
     if (decision.to.empty()) return Missing("decision", "level");
@@ -42,29 +49,22 @@ absl::Status Validate(const WriteBatch& batch) {
     RIPS_RETURN_IF_ERROR(CheckDecisionId(decision.based_on));
   }
   for (const RefusalRecord& refusal : batch.refusals) {
-    RIPS_RETURN_IF_ERROR(CheckNames("refusal", refusal.robot, refusal.id));
+    if (refusal.id.empty()) return Missing("refusal", "id");
     RIPS_RETURN_IF_ERROR(CheckNumber("count", refusal.count));
   }
   for (const StageUpdate& update : batch.stages) {
-    if (update.robot.empty()) return Missing("stage", "robot");
     if (update.stage.empty()) return Missing("stage", "name");
     RIPS_RETURN_IF_ERROR(CheckDecisionId(update.decision_id));
   }
   for (const AlertRecord& alert : batch.alerts) {
-    RIPS_RETURN_IF_ERROR(CheckNames("alert", alert.robot, alert.id));
+    if (alert.id.empty()) return Missing("alert", "id");
+    if (alert.robot != batch.robot) {
+      return absl::InvalidArgumentError(absl::StrCat("alert of robot `", alert.robot,
+                                                     "` in a batch of robot `", batch.robot, "`"));
+    }
     RIPS_RETURN_IF_ERROR(CheckDecisionId(alert.decision_id));
   }
-  for (const Checkpoint& checkpoint : batch.checkpoints) {
-    if (checkpoint.robot.empty()) return Missing("checkpoint", "robot");
-    if (checkpoint.bundle.has_value() && checkpoint.bundle->size() > kNoteBytesMax) {
-      return absl::InvalidArgumentError("the id of a bundle is too long");
-    }
-    if (checkpoint.resumed_at) RIPS_RETURN_IF_ERROR(CheckDecisionId(*checkpoint.resumed_at));
-    for (const auto& [key, sequence] : checkpoint.high_water) {
-      RIPS_RETURN_IF_ERROR(CheckNumber("sequence", sequence));
-    }
-  }
-  return absl::OkStatus();
+  return Validate(batch.checkpoint);
 }
 
 absl::Status CheckGeneration(absl::string_view id) {

@@ -61,6 +61,15 @@ class StoreContractTest : public testing::TestWithParam<Kind> {
     }
     return texts;
   }
+  // `one` of r1, `two` of r2, `three` of r1.
+  std::vector<WriteBatch> CommitThreeAlerts() {
+    std::vector<WriteBatch> batches;
+    for (const auto& [robot, text] : {std::pair("r1", "one"), {"r2", "two"}, {"r1", "three"}}) {
+      batches.push_back({.robot = robot, .alerts = {MakeAlert(robot, text)}});
+    }
+    EXPECT_THAT(store_->CommitAll(batches), IsOk());
+    return batches;
+  }
 
   TempDir dir_;
   std::unique_ptr<Store> store_;
@@ -150,9 +159,8 @@ TEST_P(StoreContractTest, ADecisionRaisesTheTerm) {
 TEST_P(StoreContractTest, WritingADecisionAgainChangesNothing) {
   const WriteBatch batch = Decide("r1", {1, 1}, "DEFAULT", "ALERT");
   ASSERT_THAT(store_->Commit(batch), IsOk());
-  WriteBatch stage;
-  stage.stages.push_back(
-      {.robot = "r1", .decision_id = {1, 1}, .stage = "verified", .detail = "2 parts"});
+  WriteBatch stage{.robot = "r1"};
+  stage.stages.push_back({.decision_id = {1, 1}, .stage = "verified", .detail = "2 parts"});
   ASSERT_THAT(store_->Commit(stage), IsOk());
 
   EXPECT_THAT(store_->Commit(batch), IsOk());
@@ -175,33 +183,33 @@ TEST_P(StoreContractTest, ADecisionIdNamesOneDecisionForEver) {
 }
 
 TEST_P(StoreContractTest, ABatchIsAllOrNothing) {
-  WriteBatch good = Decide("r1", {1, 1}, "DEFAULT", "ALERT");
-  WriteBatch bad;
+  const WriteBatch good = Decide("r1", {1, 1}, "DEFAULT", "ALERT");
+  WriteBatch bad = good;
   bad.alerts.push_back({.id = "", .robot = "r1", .text = "no id"});
-  const std::vector<WriteBatch> both = {good, bad};
-
-  EXPECT_THAT(store_->CommitAll(both), StatusIs(absl::StatusCode::kInvalidArgument));
+  EXPECT_THAT(store_->Commit(bad), StatusIs(absl::StatusCode::kInvalidArgument));
   EXPECT_EQ(Load("r1"), RobotRecord{});
   EXPECT_THAT(Transitions("r1"), IsEmpty());
 
   ASSERT_THAT(store_->Commit(good), IsOk());
-  WriteBatch clash = Decide("r2", {1, 1}, "DEFAULT", "ALERT");
+  WriteBatch clash = Decide("r1", {1, 2}, "ALERT", "HALT");
   clash.decisions.push_back(Decide("r1", {1, 1}, "ALERT", "HALT").decisions[0]);
   EXPECT_THAT(store_->Commit(clash), StatusIs(absl::StatusCode::kAlreadyExists));
-  EXPECT_EQ(Load("r2"), RobotRecord{});
+  EXPECT_EQ(Load("r1").level, "ALERT");
+  EXPECT_THAT(Transitions("r1"), SizeIs(1));
 }
 
 TEST_P(StoreContractTest, RefusesRecordsThatSayTooLittleOrTooMuch) {
-  std::vector<WriteBatch> bad(9);
+  std::vector<WriteBatch> bad(10, WriteBatch{.robot = "r1"});
   bad[0] = Decide("", {1, 1}, "A", "B");
   bad[1] = Decide("r1", {0, 1}, "A", "B");
   bad[2] = Decide("r1", {1, 0}, "A", "B");
   bad[3] = Decide("r1", {1, 1}, "A", "");
   bad[4] = Decide("r1", {1, kNumberMax + 1}, "A", "B");
-  bad[5].refusals.push_back({.id = "x", .robot = ""});
-  bad[6].stages.push_back({.robot = "r1", .decision_id = {1, 1}, .stage = ""});
+  bad[5].refusals.push_back({.id = ""});
+  bad[6].stages.push_back({.decision_id = {1, 1}, .stage = ""});
   bad[7].alerts.push_back({.id = "x", .robot = ""});
-  bad[8].checkpoints.push_back({.robot = "r1", .high_water = {{LaneKey{}, kNumberMax + 1}}});
+  bad[8].alerts.push_back({.id = "x", .robot = "r2"});
+  bad[9].checkpoint.high_water = {{LaneKey{}, kNumberMax + 1}};
   for (size_t i = 0; i < bad.size(); ++i) {
     EXPECT_THAT(store_->Commit(bad[i]), StatusIs(absl::StatusCode::kInvalidArgument)) << i;
   }
@@ -212,16 +220,14 @@ TEST_P(StoreContractTest, ListsTransitionsAsTheyWereWrittenNewestFirst) {
   batch.decisions[0].based_on = {0, 0};
   batch.decisions[0].reason = "looked \"odd\"\n";
   batch.refusals.push_back({.id = "f1",
-                            .robot = "r1",
                             .from = "ALERT",
                             .to = "DEFAULT",
                             .cause = "rule calm",
                             .reason = "blind",
                             .count = 1,
                             .time_unix_ns = 20});
-  batch.stages.push_back(
-      {.robot = "r1", .decision_id = {1, 1}, .stage = "failed", .detail = "timeout"});
-  batch.stages.push_back({.robot = "r1", .decision_id = {9, 9}, .stage = "verified"});
+  batch.stages.push_back({.decision_id = {1, 1}, .stage = "failed", .detail = "timeout"});
+  batch.stages.push_back({.decision_id = {9, 9}, .stage = "verified"});
   ASSERT_THAT(store_->Commit(batch), IsOk());
   ASSERT_THAT(store_->Commit(Decide("r2", {1, 1}, "DEFAULT", "HALT")), IsOk());
 
@@ -247,8 +253,8 @@ TEST_P(StoreContractTest, ListsTransitionsAsTheyWereWrittenNewestFirst) {
 }
 
 TEST_P(StoreContractTest, ARepeatedRefusalIsUpdatedNotAdded) {
-  RefusalRecord refusal = {.id = "f1", .robot = "r1", .from = "B", .to = "A", .reason = "blind"};
-  WriteBatch batch;
+  RefusalRecord refusal = {.id = "f1", .from = "B", .to = "A", .reason = "blind"};
+  WriteBatch batch{.robot = "r1"};
   batch.refusals = {refusal};
   ASSERT_THAT(store_->Commit(batch), IsOk());
   refusal.count = 17;
@@ -268,9 +274,7 @@ TEST_P(StoreContractTest, ARepeatedRefusalIsUpdatedNotAdded) {
 }
 
 TEST_P(StoreContractTest, ListsAlertsOfOneRobotOrOfAll) {
-  WriteBatch batch;
-  batch.alerts = {MakeAlert("r1", "one"), MakeAlert("r2", "two"), MakeAlert("r1", "three")};
-  ASSERT_THAT(store_->Commit(batch), IsOk());
+  CommitThreeAlerts();
 
   EXPECT_THAT(AlertTexts(""), ElementsAre("three", "two", "one"));
   EXPECT_THAT(AlertTexts("r1"), ElementsAre("three", "one"));
@@ -279,7 +283,7 @@ TEST_P(StoreContractTest, ListsAlertsOfOneRobotOrOfAll) {
 }
 
 TEST_P(StoreContractTest, AnAlertWrittenTwiceIsThereOnce) {
-  WriteBatch batch;
+  WriteBatch batch{.robot = "r1"};
   batch.alerts = {MakeAlert("r1", "first")};
   ASSERT_THAT(store_->Commit(batch), IsOk());
   batch.alerts[0].text = "second";
@@ -289,14 +293,12 @@ TEST_P(StoreContractTest, AnAlertWrittenTwiceIsThereOnce) {
 
 TEST_P(StoreContractTest, ListsAlertsAfterOneInTheOrderOfWriting) {
   EXPECT_EQ(store_->NewestAlert()->sequence, 0u);
-  WriteBatch batch;
-  batch.alerts = {MakeAlert("r1", "one"), MakeAlert("r2", "two"), MakeAlert("r1", "three")};
-  ASSERT_THAT(store_->Commit(batch), IsOk());
-  ASSERT_THAT(store_->Commit(batch), IsOk());  // again: no new sequence
+  const std::vector<WriteBatch> batches = CommitThreeAlerts();
+  ASSERT_THAT(store_->Commit(batches[0]), IsOk());  // again: no new sequence
 
   const auto newest = store_->NewestAlert();
   ASSERT_THAT(newest, IsOk());
-  EXPECT_EQ(newest->id, batch.alerts[2].id);
+  EXPECT_EQ(newest->id, batches[2].alerts[0].id);
   EXPECT_THAT(store_->FindAlert(newest->id), IsOkAndHolds(newest->sequence));
   EXPECT_THAT(store_->FindAlert("no such"), IsOkAndHolds(0u));
 
@@ -332,8 +334,7 @@ engine::Trace SomeTrace() {
 TEST_P(StoreContractTest, KeepsWhyARuleFired) {
   WriteBatch batch = Decide("r1", {1, 1}, "A", "B");
   batch.decisions[0].trace = SomeTrace();
-  batch.refusals.push_back(
-      {.id = NewId(), .robot = "r1", .from = "B", .to = "A", .trace = SomeTrace()});
+  batch.refusals.push_back({.id = NewId(), .from = "B", .to = "A", .trace = SomeTrace()});
   batch.alerts.push_back(MakeAlert("r1", "with"));
   batch.alerts[0].trace = SomeTrace();
   batch.alerts.push_back(MakeAlert("r1", "without"));
@@ -355,7 +356,7 @@ TEST_P(StoreContractTest, FindsRecordsByTheBeginningOfTheirIds) {
     return begin + std::string(32 - begin.size(), '0');
   };
   WriteBatch batch = Decide("r1", {1, 1}, "A", "B", id("abc1"));
-  batch.refusals.push_back({.id = id("abc2"), .robot = "r2", .from = "B", .to = "A"});
+  batch.refusals.push_back({.id = id("abc2"), .from = "B", .to = "A"});
   for (const char* begin : {"abd1", "abd2", "abd3", "ffff"}) {
     batch.alerts.push_back(MakeAlert("r1", begin));
     batch.alerts.back().id = id(begin);
@@ -392,9 +393,9 @@ TEST_P(StoreContractTest, KeepsHostileTextAsItIs) {
   AlertRecord alert = MakeAlert("r1", hostile);
   alert.event = hostile;
   alert.rule = hostile;
-  WriteBatch batch;
+  WriteBatch batch{.robot = "r1"};
   batch.alerts = {alert};
-  batch.checkpoints.push_back({.robot = "r1", .variables = Variables{{"v", hostile}}});
+  batch.checkpoint.variables = Variables{{"v", hostile}};
   ASSERT_THAT(store_->Commit(batch), IsOk());
 
   auto list = store_->ListAlerts("r1", 0);
@@ -404,7 +405,7 @@ TEST_P(StoreContractTest, KeepsHostileTextAsItIs) {
 }
 
 TEST_P(StoreContractTest, CutsListsToTheirLimit) {
-  WriteBatch batch;
+  WriteBatch batch{.robot = "r1"};
   for (uint64_t i = 1; i <= kListMax + 5; ++i) {
     batch.alerts.push_back(MakeAlert("r1", absl::StrCat(i)));
     batch.decisions.push_back(Decide("r1", {1, i}, "A", "B").decisions[0]);
@@ -431,8 +432,8 @@ TEST_P(StoreContractTest, RestoresVariablesExactly) {
       {"one", int64_t{1}},
       {"text", std::string("")},
   };
-  WriteBatch batch;
-  batch.checkpoints.push_back({.robot = "r1", .variables = variables});
+  WriteBatch batch{.robot = "r1"};
+  batch.checkpoint.variables = variables;
   ASSERT_THAT(store_->Commit(batch), IsOk());
 
   Variables read = Load("r1").variables;
@@ -448,16 +449,15 @@ TEST_P(StoreContractTest, RestoresVariablesExactly) {
 TEST_P(StoreContractTest, ACheckpointReplacesWhatItHasAndKeepsTheRest) {
   const LaneKey control = {.host = "base", .incarnation = "aa", .lane = LaneKey::Lane::kControl};
   const LaneKey messages = {.host = "base", .incarnation = "aa", .lane = LaneKey::Lane::kMessages};
-  WriteBatch batch;
-  batch.checkpoints.push_back({.robot = "r1",
-                               .variables = Variables{{"a", int64_t{1}}, {"b", int64_t{2}}},
-                               .high_water = {{control, 5}, {messages, 100}},
-                               .soft_suspended = true,
-                               .rules_halted = true,
-                               .bundle = "sha256:b"});
+  WriteBatch batch{.robot = "r1"};
+  batch.checkpoint = {.variables = Variables{{"a", int64_t{1}}, {"b", int64_t{2}}},
+                      .high_water = {{control, 5}, {messages, 100}},
+                      .soft_suspended = true,
+                      .rules_halted = true,
+                      .bundle = "sha256:b"};
   ASSERT_THAT(store_->Commit(batch), IsOk());
-  WriteBatch later;
-  later.checkpoints.push_back({.robot = "r1", .high_water = {{control, 6}}});
+  WriteBatch later{.robot = "r1"};
+  later.checkpoint.high_water = {{control, 6}};
   ASSERT_THAT(store_->Commit(later), IsOk());
   EXPECT_EQ(Load("r1").variables.size(), 2u);
   EXPECT_TRUE(Load("r1").soft_suspended);
@@ -465,10 +465,10 @@ TEST_P(StoreContractTest, ACheckpointReplacesWhatItHasAndKeepsTheRest) {
   EXPECT_EQ(Load("r1").bundle, "sha256:b");
   EXPECT_EQ(Load("r1").high_water, (HighWater{{control, 6}, {messages, 100}}));
 
-  later.checkpoints[0].variables = Variables{{"a", int64_t{3}}};
-  later.checkpoints[0].soft_suspended = false;
-  later.checkpoints[0].rules_halted = false;
-  later.checkpoints[0].high_water = {{control, 2}};
+  later.checkpoint.variables = Variables{{"a", int64_t{3}}};
+  later.checkpoint.soft_suspended = false;
+  later.checkpoint.rules_halted = false;
+  later.checkpoint.high_water = {{control, 2}};
   ASSERT_THAT(store_->Commit(later), IsOk());
   EXPECT_EQ(Load("r1").variables, (Variables{{"a", int64_t{3}}}));
   EXPECT_FALSE(Load("r1").soft_suspended);
@@ -479,12 +479,12 @@ TEST_P(StoreContractTest, ACheckpointReplacesWhatItHasAndKeepsTheRest) {
 
 TEST_P(StoreContractTest, ForgetsTheOldestLanesOfAHostBeyondTheLimit) {
   const LaneKey other = {.host = "laptop", .incarnation = "l"};
-  WriteBatch batch;
-  batch.checkpoints.push_back({.robot = "r1", .high_water = {{other, 1}}});
+  WriteBatch batch{.robot = "r1"};
+  batch.checkpoint.high_water = {{other, 1}};
   ASSERT_THAT(store_->Commit(batch), IsOk());
   for (size_t i = 0; i <= kHighWaterPerHostMax; ++i) {
     const LaneKey key = {.host = "base", .incarnation = absl::StrCat(1'000 - i)};
-    batch.checkpoints[0].high_water = {{key, i + 1}};
+    batch.checkpoint.high_water = {{key, i + 1}};
     ASSERT_THAT(store_->Commit(batch), IsOk());
   }
 
@@ -574,23 +574,23 @@ TEST_P(StoreContractTest, ShowsTheNewestDecisionsOfRules) {
         Decide("r1", {1, batch.decisions.size() + 1}, "DEFAULT", "ALERT").decisions[0]);
     batch.decisions.back().cause = cause;
   }
-  batch.decisions.push_back(Decide("r2", {1, 1}, "DEFAULT", "ALERT").decisions[0]);
-  batch.refusals.push_back({.id = "no", .robot = "r1", .cause = "rule x"});
+  batch.refusals.push_back({.id = "no", .cause = "rule x"});
   ASSERT_THAT(store_->Commit(batch), IsOk());
+  ASSERT_THAT(store_->Commit(Decide("r2", {1, 1}, "DEFAULT", "ALERT")), IsOk());
   EXPECT_THAT(Load("r1").rule_decisions, ElementsAre(RuleDecision{{1, 1}, "DEFAULT", "ALERT", 100},
                                                      RuleDecision{{1, 2}, "ALERT", "DEFAULT", 10},
                                                      RuleDecision{{1, 3}, "DEFAULT", "ALERT", 10}));
 
-  WriteBatch resumed;
-  resumed.checkpoints.push_back({.robot = "r1", .resumed_at = DecisionId{1, 2}});
+  WriteBatch resumed{.robot = "r1"};
+  resumed.checkpoint.resumed_at = DecisionId{1, 2};
   ASSERT_THAT(store_->Commit(resumed), IsOk());
   EXPECT_EQ(Load("r1").resumed_at, (DecisionId{1, 2}));
   EXPECT_THAT(Load("r1").rule_decisions, ElementsAre(RuleDecision{{1, 3}, "DEFAULT", "ALERT", 10}));
-  resumed.checkpoints[0].resumed_at.reset();
+  resumed.checkpoint.resumed_at.reset();
   ASSERT_THAT(store_->Commit(resumed), IsOk());
   EXPECT_EQ(Load("r1").resumed_at, (DecisionId{1, 2})) << "absent = as before";
 
-  WriteBatch many;
+  WriteBatch many{.robot = "r1"};
   for (uint64_t i = 1; i <= kRuleDecisionsMax; ++i) {
     many.decisions.push_back(Decide("r1", {2, i}, "DEFAULT", "ALERT").decisions[0]);
   }

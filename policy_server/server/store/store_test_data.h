@@ -43,10 +43,9 @@ MATCHER_P(IsOkAndHolds, value, "") {
 
 inline WriteBatch Decide(const std::string& robot, DecisionId decision_id, const std::string& from,
                          const std::string& to, const std::string& id = NewId()) {
-  WriteBatch batch;
+  WriteBatch batch{.robot = robot};
   batch.decisions.push_back(
       {.id = id,
-       .robot = robot,
        .decision_id = decision_id,
        .based_on = {decision_id.term, decision_id.epoch == 0 ? 0 : decision_id.epoch - 1},
        .from = from,

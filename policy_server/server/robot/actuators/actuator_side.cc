@@ -285,9 +285,7 @@ std::optional<ProgramResult> ActuatorSide::OnReceipt(const input::Receipt& in) {
 
 void ActuatorSide::Order(const levels::Transition& transition, const std::string& cause) {
   if (!reconciler_.decision_id().none() && reported_stage_ != Stage::kVerified) {
-    outbox_.AddStage({.robot = context_.config.id,
-                      .decision_id = reconciler_.decision_id(),
-                      .stage = "superseded"});
+    outbox_.AddStage({.decision_id = reconciler_.decision_id(), .stage = "superseded"});
   }
   reconciler_.Order(transition.decision_id, transition.to, levels().name(transition.to), cause,
                     transition.lowers());
@@ -360,8 +358,7 @@ engine::Actuation ActuatorSide::UpdateStage() {
   const Stage stage = reconciler_.stage();
   if (stage != reported_stage_) {
     reported_stage_ = stage;
-    outbox_.AddStage({.robot = context_.config.id,
-                      .decision_id = reconciler_.decision_id(),
+    outbox_.AddStage({.decision_id = reconciler_.decision_id(),
                       .stage = std::string(ToString(stage)),
                       .detail = reconciler_.failure()});
     if (stage == Stage::kFailed && failed_decision_ != level_.decision_id()) {

@@ -91,7 +91,7 @@ struct Record {
 };
 // From the store's reserve; RaisesSaved if it was written.
 struct SaveRaises {
-  std::vector<store::DecisionRecord> decisions;
+  store::WriteBatch raises;
 };
 // DecisionFound.
 struct FindDecision {

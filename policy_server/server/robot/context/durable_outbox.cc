@@ -64,7 +64,8 @@ bool DurableOutbox::done() const {
 std::shared_ptr<const store::WriteBatch> DurableOutbox::Seal(store::Checkpoint checkpoint) {
   RIPS_CHECK(!in_flight_, "a batch is in flight already");
   store::WriteBatch batch = std::exchange(collected_, {});
-  batch.checkpoints.push_back(std::move(checkpoint));
+  batch.robot = robot_;
+  batch.checkpoint = std::move(checkpoint);
   unsaved_ = {.bundle = false};
   in_flight_ = InFlight{.batch = std::make_shared<const store::WriteBatch>(std::move(batch)),
                         .lowerings = std::exchange(lowerings_, {})};
@@ -75,7 +76,7 @@ DurableOutbox::Settled DurableOutbox::OnRecorded(bool ok) {
   RIPS_CHECK(in_flight_, "no batch is in flight");
   InFlight done = *std::exchange(in_flight_, std::nullopt);
   failing_ = !ok;
-  Settled settled{.judged = done.batch->checkpoints.front().high_water,
+  Settled settled{.judged = done.batch->checkpoint.high_water,
                   .decisions = done.batch->decisions,
                   .lowerings = std::move(done.lowerings)};
   if (ok) {
@@ -90,14 +91,14 @@ DurableOutbox::Settled DurableOutbox::OnRecorded(bool ok) {
   return settled;
 }
 
-std::vector<store::DecisionRecord> DurableOutbox::Raises(const levels::LevelTable& levels) const {
-  std::vector<store::DecisionRecord> raises;
+store::WriteBatch DurableOutbox::Raises(const levels::LevelTable& levels) const {
+  store::WriteBatch raises{.robot = robot_, .uses_reserve = true};
   levels::LevelIndex held = 0;
   for (const store::DecisionRecord& decision : collected_.decisions) {
     const auto from = levels.Find(decision.from);
     const auto to = levels.Find(decision.to);
     if (from && to && *to < *from) held = std::max(held, *from);
-    if (!to || *to >= held) raises.push_back(decision);
+    if (!to || *to >= held) raises.decisions.push_back(decision);
   }
   return raises;
 }

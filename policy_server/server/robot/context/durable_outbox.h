@@ -16,6 +16,8 @@
 #include <cstdint>
 #include <memory>
 #include <optional>
+#include <string>
+#include <utility>
 #include <vector>
 
 #include "policy_server/policy/levels/level_machine.h"
@@ -47,6 +49,9 @@ class DurableOutbox {
     uint64_t alerts_dropped = 0;
   };
 
+  // `robot`: whose records they are.
+  explicit DurableOutbox(std::string robot) : robot_(std::move(robot)) {}
+
   void AddDecision(store::DecisionRecord decision);
   void AddRefusal(store::RefusalRecord refusal);
   void AddStage(store::StageUpdate stage);
@@ -76,9 +81,10 @@ class DurableOutbox {
   std::shared_ptr<const store::WriteBatch> Seal(store::Checkpoint checkpoint);
   // Of the batch in flight.
   Settled OnRecorded(bool ok);
-  // Decisions that the store's reserve is for: a lowering that is not commanded must not be what a
-  // restart finds, nor a raise after it to less than what was held before.
-  std::vector<store::DecisionRecord> Raises(const levels::LevelTable& levels) const;
+  // Of what was collected, the decisions that the store's reserve is for: a lowering that is not
+  // commanded must not be what a restart finds, nor a raise after it to less than what was held
+  // before.
+  store::WriteBatch Raises(const levels::LevelTable& levels) const;
 
  private:
   struct InFlight {
@@ -86,6 +92,7 @@ class DurableOutbox {
     std::vector<levels::Transition> lowerings;
   };
 
+  const std::string robot_;
   store::WriteBatch collected_;
   std::vector<levels::Transition> lowerings_;
   Unsaved unsaved_;

@@ -18,13 +18,13 @@ class DurableOutboxTest : public ::testing::Test {
  protected:
   static store::DecisionRecord Decision(const std::string& id, const std::string& from = "DEFAULT",
                                         const std::string& to = "HALT") {
-    return {.id = id, .robot = "r1", .from = from, .to = to};
+    return {.id = id, .from = from, .to = to};
   }
   static levels::Transition Lowering(uint64_t epoch) {
     return {.from = 2, .to = 0, .decision_id = {.term = 1, .epoch = epoch}};
   }
   static store::Checkpoint UpTo(uint64_t sequence) {
-    store::Checkpoint checkpoint{.robot = "r1"};
+    store::Checkpoint checkpoint;
     checkpoint.high_water[{.host = "base", .incarnation = "aa"}] = sequence;
     return checkpoint;
   }
@@ -34,7 +34,7 @@ class DurableOutboxTest : public ::testing::Test {
     return ids;
   }
 
-  DurableOutbox outbox_;
+  DurableOutbox outbox_{"r1"};
 };
 
 TEST_F(DurableOutboxTest, OneBatchIsInFlightAndTheRestWaits) {
@@ -71,8 +71,7 @@ TEST_F(DurableOutboxTest, WhatCouldNotBeRecordedStandsBeforeWhatCameSince) {
   EXPECT_EQ(batch->stages[0].stage, "requested");
   ASSERT_THAT(batch->alerts, SizeIs(2));
   EXPECT_EQ(batch->alerts[0].id, "1");
-  ASSERT_THAT(batch->checkpoints, SizeIs(1)) << "only that of now";
-  EXPECT_EQ(batch->checkpoints[0].high_water.begin()->second, 9u);
+  EXPECT_EQ(batch->checkpoint.high_water.begin()->second, 9u) << "only that of now";
 }
 
 TEST_F(DurableOutboxTest, ALoweringHoldsBackUntilItIsReleased) {
@@ -136,7 +135,10 @@ TEST_F(DurableOutboxTest, TheReserveIsForRaisesOnly) {
   outbox_.AddDecision(Decision("lowering", "HALT", "DEFAULT"));
   outbox_.AddDecision(Decision("raise to less than was held", "DEFAULT", "ALERT"));
   outbox_.AddDecision(Decision("raise again", "ALERT", "HALT"));
-  EXPECT_THAT(Ids(outbox_.Raises(table)), ElementsAre("raise", "raise again"));
+  const store::WriteBatch raises = outbox_.Raises(table);
+  EXPECT_EQ(raises.robot, "r1");
+  EXPECT_TRUE(raises.uses_reserve);
+  EXPECT_THAT(Ids(raises.decisions), ElementsAre("raise", "raise again"));
 }
 
 }  // namespace

@@ -42,6 +42,7 @@ RobotCore::RobotCore(CoreStart start, levels::LevelMachine level)
                .events = {}},
       state_(context_.policy.program, std::move(level), start.moment.now),
       gate_(context_.policy.soft_hold_ns, start.moment.now),
+      outbox_(context_.config.id),
       alerts_(&context_, &outbox_, &state_.level),
       own_agents_(&context_, &alerts_, &state_.graph),
       losses_(&context_, &alerts_, &gate_),
@@ -178,8 +179,7 @@ void RobotCore::UpdateActuation() {
 
 void RobotCore::Flush() {
   if (!outbox_.CanSeal()) return;
-  store::Checkpoint checkpoint{.robot = context_.config.id,
-                               .soft_suspended = state_.level.soft_suspended(),
+  store::Checkpoint checkpoint{.soft_suspended = state_.level.soft_suspended(),
                                .rules_halted = state_.halted(),
                                .resumed_at = state_.level.resumed_at()};
   if (outbox_.unsaved().variables) checkpoint.variables = state_.Variables();
@@ -231,7 +231,7 @@ RobotCore::After RobotCore::OnRecorded(const input::Recorded& in) {
   if (!in.status.ok()) {
     // Written again with the rest when that can be written, which changes nothing.
     if (absl::IsResourceExhausted(in.status)) {
-      std::vector<store::DecisionRecord> raises = outbox_.Raises(state_.level.table());
+      store::WriteBatch raises = outbox_.Raises(state_.level.table());
       if (!raises.empty()) context_.Do(action::SaveRaises{std::move(raises)});
     }
     for (const levels::Transition& lowering : settled.lowerings) {

@@ -96,7 +96,6 @@ void Decider::OnTransition(const engine::TransitionEffect& effect) {
   if (!transition.decided()) return;
   const levels::LevelTable& table = state_.level.table();
   outbox_.AddDecision({.id = context_.ids.Next(),
-                       .robot = context_.config.id,
                        .decision_id = transition.decision_id,
                        .based_on = transition.based_on,
                        .from = table.name(transition.from),
@@ -139,7 +138,6 @@ void Decider::OnRefusal(const engine::TransitionEffect& effect) {
   std::string reason(levels::ToString(transition.refusal));
   if (!transition.detail.empty()) absl::StrAppend(&reason, ": ", transition.detail);
   outbox_.AddRefusal({.id = it->second,
-                      .robot = context_.config.id,
                       .from = table.name(transition.from),
                       .to = table.name(transition.to),
                       .cause = CauseText(transition.cause),

@@ -130,7 +130,6 @@ void Orders::OnRefused(const input::RefusedOrder& in) {
   const uint64_t count = ++it->second.second;
   if ((count & (count - 1)) != 0) return;  // written at 1, 2, 4, 8, ...
   outbox_.AddRefusal({.id = it->second.first,
-                      .robot = context_.config.id,
                       .from = levels().name(state_.level.level()),
                       .to = in.order.to,
                       .cause = cause,
