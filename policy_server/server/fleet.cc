@@ -43,7 +43,11 @@ Fleet::Fleet(FleetOptions options, store::Store* store, pipeline::Pipeline* pipe
       alerts_(alerts),
       load_(std::move(load)),
       ports_(std::move(ports)),
-      counts_(std::move(counts)) {}
+      counts_(std::move(counts)) {
+  ports_.fenced = [this](const std::string& robot, const absl::Status& why) {
+    OnFenced(robot, why);
+  };
+}
 
 absl::StatusOr<bundle::Inventory> Fleet::ReadInventory() const {
   RIPS_ASSIGN_OR_RETURN(const std::string text, ReadConfigFile(options_.inventory));
@@ -53,9 +57,13 @@ absl::StatusOr<bundle::Inventory> Fleet::ReadInventory() const {
 absl::Status Fleet::Start() {
   RIPS_ASSIGN_OR_RETURN(inventory_, ReadInventory());
   const Policies policies = LoadPolicies(inventory_);
-  for (const bundle::InventoryRobot& robot : inventory_.robots) {
+  std::vector<std::string> robots;
+  for (const bundle::InventoryRobot& robot : inventory_.robots) robots.push_back(robot.id);
+  RIPS_ASSIGN_OR_RETURN(const std::vector<store::Acquired> acquired, store_->Acquire(robots));
+  for (size_t i = 0; i < robots.size(); ++i) {
+    const bundle::InventoryRobot& robot = inventory_.robots[i];
     if (counts_.listed) counts_.listed(robot);
-    RIPS_RETURN_IF_ERROR(Arm(robot, policies.at(robot.bundle)));
+    RIPS_RETURN_IF_ERROR(Arm(robot, policies.at(robot.bundle), acquired[i]));
   }
   ForgetUnused();
   Count();
@@ -84,11 +92,11 @@ Fleet::Policies Fleet::LoadPolicies(const bundle::Inventory& inventory) {
 }
 
 absl::Status Fleet::Arm(const bundle::InventoryRobot& robot,
-                        const absl::StatusOr<pipeline::Policy>& policy) {
-  RIPS_ASSIGN_OR_RETURN(const store::RobotRecord record, store_->Load(robot.id));
-  RIPS_ASSIGN_OR_RETURN(const uint64_t term, store_->NextTerm(robot.id));
+                        const absl::StatusOr<pipeline::Policy>& policy,
+                        const store::Acquired& acquired) {
+  const store::RobotRecord& record = acquired.record;
   const auto add = [&](const pipeline::Policy& by) {
-    return pipeline_->Add(ToConfig(robot), by, options_.timing, record, term, ports_);
+    return pipeline_->Add(ToConfig(robot), by, options_.timing, record, acquired.tenure, ports_);
   };
   absl::Status added = policy.ok() ? add(*policy) : policy.status();
   std::string problem;
@@ -113,7 +121,7 @@ absl::Status Fleet::Arm(const bundle::InventoryRobot& robot,
   LogInfo("robot", {{"robot", robot.id},
                     {"level", record.level.empty() ? "(first start)" : record.level},
                     {"decision_id", ToString(record.decision_id)},
-                    {"term", term}});
+                    {"term", acquired.tenure}});
   SetProblem(robot.id, problem, record.level);
   return absl::OkStatus();
 }
@@ -133,6 +141,19 @@ absl::Status Fleet::Hold(const bundle::InventoryRobot& robot, const store::Robot
                                        absl::FailedPreconditionError(text)));
   SetProblem(robot.id, text, record.level);
   return absl::OkStatus();
+}
+
+void Fleet::OnFenced(const std::string& robot, const absl::Status& why) {
+  const std::string text =
+      absl::StrCat("owned by another policy server: ", why.message(), "; this one judges `", robot,
+                   "` no more and lets its leases end; to judge it here, stop the other server and "
+                   "send this one SIGHUP");
+  LogError("robot is owned by another policy server",
+           {{"robot", robot}, {"reason", why.message()}});
+  const absl::Status held = absl::FailedPreconditionError(text);
+  pipeline_->Remove(robot, held).IgnoreError();
+  pipeline_->Hold({.robot = robot, .degraded = {text}}, held).IgnoreError();
+  alerts_->Raise(robot, engine::Severity::kCritical, text);
 }
 
 void Fleet::SetProblem(const std::string& robot, const std::string& text,
@@ -183,7 +204,8 @@ void Fleet::Reload() {
     if (!pipeline_->WaitGone(robot.id, options_.leaving)) {
       armed = Hold(robot, {}, "what it decided before it was removed is not recorded yet");
     } else {
-      armed = Arm(robot, policy);
+      const absl::StatusOr<store::Acquired> acquired = store_->Acquire(robot.id);
+      armed = acquired.ok() ? Arm(robot, policy, *acquired) : acquired.status();
     }
     if (armed.ok()) continue;
     LogError("robot not added", {{"robot", robot.id}, {"reason", armed.message()}});

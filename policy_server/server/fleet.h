@@ -11,6 +11,9 @@
 //   the robot is recorded at
 //   mended, then Reload              judged
 //
+// A robot that another server acquires is held, too, until Reload acquires it anew: its leases end,
+// its level is the other server's.
+//
 // A robot of no inventory any more is removed; one that comes back has its recorded level.
 #ifndef RIPS_POLICY_SERVER_SERVER_FLEET_H_
 #define RIPS_POLICY_SERVER_SERVER_FLEET_H_
@@ -74,7 +77,9 @@ class Fleet {
   Policies LoadPolicies(const bundle::Inventory& inventory);
   // Adds or holds it.
   absl::Status Arm(const bundle::InventoryRobot& robot,
-                   const absl::StatusOr<pipeline::Policy>& policy);
+                   const absl::StatusOr<pipeline::Policy>& policy, const store::Acquired& acquired);
+  // Another server has acquired the robot: it is held here. Any thread.
+  void OnFenced(const std::string& robot, const absl::Status& why);
   absl::Status Hold(const bundle::InventoryRobot& robot, const store::RobotRecord& record,
                     const std::string& why);
   // A robot that is judged: other hosts, another policy.
@@ -92,7 +97,7 @@ class Fleet {
   pipeline::Pipeline* pipeline_;
   pipeline::ServerAlerts* alerts_;
   const Load load_;
-  const pipeline::Ports ports_;
+  pipeline::Ports ports_;
   const FleetCounts counts_;
   bundle::Inventory inventory_;
   // By robot: why it is not judged by what the inventory names.

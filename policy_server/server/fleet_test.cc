@@ -279,6 +279,39 @@ TEST_F(FleetTest, ABundleThatIsRefusedAtReloadLeavesTheOldOneInForceAndIsShown) 
               testing::Not(Contains(HasSubstr("the old policy stays in force"))));
 }
 
+TEST_F(FleetTest, ARobotThatAnotherServerAcquiresIsHeldWithAnAlertAndCostsNoOther) {
+  ASSERT_THAT(Start(), IsOk());
+  Raise("r1", "ALERT");
+  ASSERT_THAT(store_.Acquire("r1"), IsOk());
+  BoundedQueue<absl::Status> answer{{.capacity = 1}};
+  Ask<int>("r1", [&](Robot& each) {
+    each.DeEscalate({.operator_name = "alice",
+                     .to = "DEFAULT",
+                     .reason = "calm",
+                     .expected_level = "ALERT",
+                     .expected_decision_id = each.Status().decision_id,
+                     .accept_blind = true},
+                    [&](const pipeline::LevelAnswer& given) { answer.Push(given.status); });
+    return 0;
+  });
+  const auto refused = answer.Pop(kLong);
+  ASSERT_TRUE(refused.has_value());
+  EXPECT_THAT(*refused, StatusIs(absl::StatusCode::kAborted));
+  ASSERT_TRUE(pipeline_->WaitGone("r1", kLong));
+  EXPECT_THAT(pipeline_->robots(), ElementsAre("r2"));
+  ASSERT_THAT(pipeline_->held(), SizeIs(1));
+  EXPECT_THAT(pipeline_->held()[0].degraded, ElementsAre(HasSubstr("owned by another policy")));
+  EXPECT_THAT(pipeline_->Post("r1", Lane::kControl, [](Robot&) {}),
+              StatusIs(absl::StatusCode::kFailedPrecondition, HasSubstr("owned by another")));
+  EXPECT_EQ(store_.Load("r1")->level, "ALERT") << "nothing was lowered";
+  Raise("r2", "HALT");
+
+  fleet_->Reload();
+  EXPECT_EQ(Status("r1").decided_level, "ALERT");
+  Raise("r1", "HALT");
+  EXPECT_THAT(CriticalAlerts("r1"), ElementsAre(HasSubstr("owned by another policy server")));
+}
+
 TEST_F(FleetTest, AStoreThatCannotBeWrittenIsAnErrorOfAll) {
   store_.FailWrites(absl::UnavailableError("disk on fire"));
   EXPECT_THAT(Start(), StatusIs(absl::StatusCode::kUnavailable, HasSubstr("disk on fire")));

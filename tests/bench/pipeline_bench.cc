@@ -46,7 +46,7 @@ class NullRecorder final : public pipeline::Recorder {
                     std::function<void(const pipeline::FoundDecision&)> done) override {
     done(std::nullopt);
   }
-  void NextTerm(const std::string&, uint64_t above,
+  void NextTerm(const std::string&, uint64_t, uint64_t above,
                 std::function<void(const absl::StatusOr<uint64_t>&)> done) override {
     done(above + 1);
   }

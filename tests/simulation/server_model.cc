@@ -70,8 +70,7 @@ class JudgedTap final : public pipeline::EventRecorder {
 void ServerModel::Start() {
   static const auto* program = new std::shared_ptr<const engine::CompiledPolicy>(Compile());
   store_.Open();
-  const store::RobotRecord record = store_.Load();
-  const uint64_t term = store_.DrawTerm(0);
+  const auto [record, term] = store_.Acquire();
   context_.checker.OnServerStart(context_.scheduler.now_ns());
   auto robot = pipeline::Robot::Create(
       {.id = "r1", .sensor_hosts = {kHost}, .primary_sensor = kHost, .actuator_hosts = {kHost}},

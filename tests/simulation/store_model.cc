@@ -49,13 +49,18 @@ void StoreModel::Crash() {
   healthy_ = true;
 }
 
-store::RobotRecord StoreModel::Load() const {
+store::Acquired StoreModel::Acquire() {
+  tenure_ = DrawTerm(0);
   store::RobotRecord record = record_;
   for (const auto& [decision_id, each] : decisions_) {
     if (decision_id <= record.resumed_at || !absl::StartsWith(each.cause, "rule ")) continue;
     record.rule_decisions.push_back({decision_id, each.from, each.to, each.time_unix_ns});
   }
-  return record;
+  return {.record = std::move(record), .tenure = tenure_};
+}
+
+absl::Status StoreModel::CheckTenure(uint64_t tenure) const {
+  return tenure == tenure_ ? absl::OkStatus() : store::Fenced("r1", tenure, tenure_);
 }
 
 uint64_t StoreModel::DrawTerm(uint64_t above) {
@@ -113,6 +118,7 @@ void StoreModel::Write(size_t count) {
 
 absl::Status StoreModel::Apply(const store::WriteBatch& batch) {
   if (absl::Status valid = store::Validate(batch); !valid.ok()) return valid;
+  if (absl::Status owned = CheckTenure(batch.tenure); !owned.ok()) return owned;
   for (const store::DecisionRecord& decision : batch.decisions) {
     const auto known = decisions_.find(decision.decision_id);
     if (known != decisions_.end() && known->second != decision) {
@@ -150,9 +156,10 @@ void StoreModel::FindDecision(const std::string&, const DecisionId& decision_id,
   });
 }
 
-void StoreModel::NextTerm(const std::string&, uint64_t above,
+void StoreModel::NextTerm(const std::string&, uint64_t tenure, uint64_t above,
                           std::function<void(const absl::StatusOr<uint64_t>&)> done) {
-  Later(context_.scheduler.Between(0, 20) * kMs, [this, above, done = std::move(done)] {
+  Later(context_.scheduler.Between(0, 20) * kMs, [this, tenure, above, done = std::move(done)] {
+    if (absl::Status owned = CheckTenure(tenure); !owned.ok()) return done(owned);
     if (disk_ != Disk::kWorks) return done(absl::UnavailableError("disk error"));
     done(DrawTerm(above));
   });

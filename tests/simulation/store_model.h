@@ -28,9 +28,8 @@ class StoreModel final : public pipeline::Recorder {
   void Open();
   // What was given and is not durable is lost, but for a part that was just being written.
   void Crash();
-  // What a server finds at its start.
-  store::RobotRecord Load() const;
-  uint64_t DrawTerm(uint64_t above);
+  // What a server finds at its start; it owns the robot from now on.
+  store::Acquired Acquire();
 
   // --- the disk
   void set_disk(Disk disk) { disk_ = disk; }
@@ -42,7 +41,7 @@ class StoreModel final : public pipeline::Recorder {
   bool healthy() const override { return healthy_; }
   void FindDecision(const std::string& robot, const DecisionId& decision_id,
                     std::function<void(const pipeline::FoundDecision&)> done) override;
-  void NextTerm(const std::string& robot, uint64_t above,
+  void NextTerm(const std::string& robot, uint64_t tenure, uint64_t above,
                 std::function<void(const absl::StatusOr<uint64_t>&)> done) override;
   store::StorePoint point() const override;
   bool GoesOnFrom(const store::StorePoint& seen) const override;
@@ -57,6 +56,8 @@ class StoreModel final : public pipeline::Recorder {
   void ScheduleWrite();
   void Write(size_t count);
   absl::Status Apply(const store::WriteBatch& batch);
+  absl::Status CheckTenure(uint64_t tenure) const;
+  uint64_t DrawTerm(uint64_t above);
   // The planted fault: this batch is called durable at once.
   bool CalledEarly(const store::WriteBatch& batch) const;
   // Runs `task` unless the process has died by then.
@@ -72,6 +73,7 @@ class StoreModel final : public pipeline::Recorder {
 
   // Durable.
   store::RobotRecord record_;
+  uint64_t tenure_ = 0;
   std::map<DecisionId, store::DecisionRecord> decisions_;
   std::vector<store::Generation> generations_;
 };

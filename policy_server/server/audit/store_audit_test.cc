@@ -19,7 +19,7 @@ using testing::SizeIs;
 using v1::AuditRecord;
 
 store::WriteBatch Decides(uint64_t epoch, const std::string& to) {
-  store::WriteBatch batch{.robot = "r1"};
+  store::WriteBatch batch{.robot = "r1", .tenure = 1};
   batch.decisions.push_back({.id = "0123456789abcdef0123456789abcde" + std::to_string(epoch % 10),
                              .decision_id = {.term = 1, .epoch = epoch},
                              .from = "DEFAULT",
@@ -57,6 +57,7 @@ class RecordBeforeTest : public testing::Test {
     // Each commit begins a segment, so that it notices when the directory is gone.
     options_ = {.directory = name + "/audit", .segment_bytes = 1};
     log_ = *AuditLog::Open(options_, &clock_);
+    EXPECT_TRUE(store_.Acquire("r1").ok());
     committer_ = std::make_unique<store::Committer>(
         &store_,
         store::CommitterOptions{.before_commit =
@@ -96,7 +97,8 @@ TEST_F(RecordBeforeTest, ADecisionIsInTheLogBeforeItIsInTheStore) {
   store_.OnCommit([&] { at_commit = log_->head().sequence; });
   ASSERT_TRUE(Commit(Decides(1, "ALERT")).ok());
   EXPECT_EQ(at_commit, before + 1);
-  store::WriteBatch variables{.robot = "r1", .checkpoint = {.variables = store::Variables()}};
+  store::WriteBatch variables{
+      .robot = "r1", .tenure = 1, .checkpoint = {.variables = store::Variables()}};
   ASSERT_TRUE(Commit(std::move(variables)).ok());
   EXPECT_EQ(log_->head().sequence, before + 1);
 }
@@ -111,7 +113,8 @@ TEST_F(RecordBeforeTest, WithoutTheLogALoweringIsNotStoredAndARaiseIs) {
   EXPECT_TRUE(Commit(raise).ok());
   EXPECT_EQ(Stored(), 1u);
   // Nothing else is stored, so that the outage is told and not forgotten between two decisions.
-  store::WriteBatch variables{.robot = "r1", .checkpoint = {.variables = store::Variables()}};
+  store::WriteBatch variables{
+      .robot = "r1", .tenure = 1, .checkpoint = {.variables = store::Variables()}};
   EXPECT_FALSE(Commit(variables).ok());
   Mend();
   const uint64_t before = log_->head().sequence;

@@ -34,12 +34,17 @@ constexpr size_t kCallsPerChannel = 90;
 // A store whose lists take until the test lets them.
 class SlowStore final : public store::Store {
  public:
-  using Store::NextTerm;
+  using Store::Acquire;
   absl::StatusOr<store::RobotRecord> Load(absl::string_view robot) override {
     return inner_.Load(robot);
   }
-  absl::StatusOr<uint64_t> NextTerm(absl::string_view robot, uint64_t above) override {
-    return inner_.NextTerm(robot, above);
+  absl::StatusOr<std::vector<store::Acquired>> Acquire(
+      std::span<const std::string> robots) override {
+    return inner_.Acquire(robots);
+  }
+  absl::StatusOr<uint64_t> NextTerm(absl::string_view robot, uint64_t tenure,
+                                    uint64_t above) override {
+    return inner_.NextTerm(robot, tenure, above);
   }
   absl::StatusOr<std::optional<std::string>> FindDecision(absl::string_view robot,
                                                           const DecisionId& decision_id) override {
@@ -50,7 +55,8 @@ class SlowStore final : public store::Store {
     return inner_.Generations();
   }
   uint64_t newest_commit() const override { return inner_.newest_commit(); }
-  absl::Status CommitAll(std::span<const store::WriteBatch> batches) override {
+  absl::StatusOr<std::vector<absl::Status>> CommitAll(
+      std::span<const store::WriteBatch> batches) override {
     return inner_.CommitAll(batches);
   }
   absl::StatusOr<std::vector<store::TransitionRecord>> ListTransitions(absl::string_view robot,

@@ -24,7 +24,8 @@ engine::Trace TraceOf(const std::string& rule, int64_t time_ns) {
 class ExplainTest : public testing::Test {
  protected:
   void SetUp() override {
-    store::WriteBatch batch{.robot = "r1"};
+    ASSERT_THAT(store_.Acquire("r1"), IsOk());
+    store::WriteBatch batch{.robot = "r1", .tenure = 1};
     batch.decisions.push_back({.id = Id("aa0001"),
                                .decision_id = {1, 2},
                                .from = "DEFAULT",
@@ -117,7 +118,7 @@ TEST_F(ExplainTest, SaysWhatIsNotThereOrNotOne) {
   EXPECT_THAT(ByDecisionId("r1", {1, 9}), StatusIs(StatusCode::kNotFound, HasSubstr("1.9")));
   EXPECT_THAT(ByDecisionId("r9", {1, 2}), StatusIs(StatusCode::kNotFound));
   EXPECT_THAT(ByDecisionId("", {1, 2}), StatusIs(StatusCode::kInvalidArgument));
-  store::WriteBatch twin{.robot = "r1"};
+  store::WriteBatch twin{.robot = "r1", .tenure = 1};
   twin.alerts.push_back({.id = "aa0001" + std::string(26, 'f'), .robot = "r1", .rule = "x"});
   ASSERT_THAT(store_.Commit(twin), IsOk());
   EXPECT_THAT(ById("aa0001"), StatusIs(StatusCode::kInvalidArgument, HasSubstr("more digits")));

@@ -152,7 +152,7 @@ void Performer::Do(const action::FindDecision& what) {
 
 void Performer::Do(const action::DrawTerm& what) {
   ports_.recorder->NextTerm(
-      robot_, what.above,
+      robot_, what.tenure, what.above,
       [this, question = what.question, post = ports_.post](const absl::StatusOr<uint64_t>& term) {
         post([=, this] { deliver_(input::TermDrawn{.question = question, .term = term}); });
       });
@@ -181,6 +181,11 @@ void Performer::Do(const action::AnswerDrill& what) {
 }
 
 void Performer::Do(const action::PublishStatus& what) { ports_.audience->OnStatus(what.status); }
+
+void Performer::Do(const action::ReportRetired& what) {
+  recorders_.clear();
+  if (absl::IsAborted(what.why) && ports_.fenced) ports_.fenced(robot_, what.why);
+}
 
 void Performer::Do(const action::LogRule& what) {
   ports_.audience->OnRuleLog(robot_, what.rule, what.text);

@@ -38,9 +38,8 @@ class Performer {
   // Orders: called once.
   ReplyToken Await(LevelReply reply);
   ReplyToken Await(DrillReply reply);
-  // Recordings: as Robot::AddTap.
+  // Recordings, until the robot retires: as Robot::AddTap.
   absl::Status AddRecorder(std::shared_ptr<EventRecorder> recorder, size_t max);
-  void RemoveRecorders() { recorders_.clear(); }
   bool recorded() const { return !recorders_.empty(); }
 
   const Ports& ports() const { return ports_; }
@@ -71,6 +70,7 @@ class Performer {
   void Do(const action::AnswerOrder& what);
   void Do(const action::AnswerDrill& what);
   void Do(const action::PublishStatus& what);
+  void Do(const action::ReportRetired& what);
   void Do(const action::LogRule& what);
   void Do(const action::RecordEvent& what);
   void Do(const action::Count& what);

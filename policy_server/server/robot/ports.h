@@ -32,6 +32,7 @@ using FoundDecision = absl::StatusOr<std::optional<std::string>>;
 class Recorder {
  public:
   virtual ~Recorder() = default;
+  // `done` gets the status of the batch; Aborted: the robot has another owner.
   virtual void Record(store::WriteBatch batch, std::function<void(const absl::Status&)> done) = 0;
   // The last write succeeded.
   virtual bool healthy() const = 0;
@@ -39,7 +40,7 @@ class Recorder {
   // before this returns.
   virtual void FindDecision(const std::string& robot, const DecisionId& decision_id,
                             std::function<void(const FoundDecision&)> done) = 0;
-  virtual void NextTerm(const std::string& robot, uint64_t above,
+  virtual void NextTerm(const std::string& robot, uint64_t tenure, uint64_t above,
                         std::function<void(const absl::StatusOr<uint64_t>&)> done) = 0;
   // What is durable by now. Neither blocks.
   virtual store::StorePoint point() const = 0;
@@ -125,6 +126,9 @@ struct Ports {
   // send; and what is work, such as judging messages, in turn with it.
   std::function<void(std::function<void()>)> post;
   std::function<void(std::function<void()>)> post_work;
+  // The robot has another owner, and has retired: nothing that it decides is recorded any more. On
+  // the robot's thread; may be empty.
+  std::function<void(const std::string& robot, const absl::Status& why)> fenced;
   // Draws ids of alerts, transitions and commands.
   std::function<std::string()> new_id;
 };

@@ -16,7 +16,7 @@ constexpr int64_t kTurnNs = 2 * kNanosPerMilli;
 absl::StatusOr<std::unique_ptr<Robot>> Robot::Create(RobotConfig config, Policy policy,
                                                      Timing timing,
                                                      const store::RobotRecord& record,
-                                                     uint64_t term, Ports ports) {
+                                                     uint64_t tenure, Ports ports) {
   std::unique_ptr<Robot> robot(new Robot(std::move(ports), config.id));
   const Ports& outside = robot->performer_.ports();
   RIPS_ASSIGN_OR_RETURN(robot->core_, RobotCore::Create({.config = std::move(config),
@@ -24,7 +24,7 @@ absl::StatusOr<std::unique_ptr<Robot>> Robot::Create(RobotConfig config, Policy 
                                                          .timing = timing,
                                                          .record = record,
                                                          .store = outside.recorder->point(),
-                                                         .term = term,
+                                                         .tenure = tenure,
                                                          .id_seed = outside.new_id(),
                                                          .moment = robot->Now()}));
   return robot;
@@ -187,11 +187,6 @@ absl::Status Robot::SwapPolicy(Policy policy) {
   Do(input::SwapPolicy{.policy = std::move(policy), .token = token});
   AdvanceMessages();
   return status;
-}
-
-void Robot::Retire(const absl::Status& why) {
-  performer_.RemoveRecorders();
-  Do(input::Retire{why});
 }
 
 }  // namespace rips::pipeline

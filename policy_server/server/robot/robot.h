@@ -21,12 +21,12 @@ namespace rips::pipeline {
 // Not thread-safe: one shard owns it and calls everything. Ports outlive it.
 class Robot {
  public:
-  // `record` is what the store knows; `term` was drawn for this start. InvalidArgument if the
-  // recorded level is not one of the policy's.
+  // `record` and `tenure`: as the store gave them when the robot was acquired for this start.
+  // InvalidArgument if the recorded level is not one of the policy's.
   static absl::StatusOr<std::unique_ptr<Robot>> Create(RobotConfig config, Policy policy,
                                                        Timing timing,
                                                        const store::RobotRecord& record,
-                                                       uint64_t term, Ports ports);
+                                                       uint64_t tenure, Ports ports);
 
   // ---- sensors; `link` names the session, calls of replaced sessions are ignored.
   void OnSensorHello(const std::string& host, std::shared_ptr<SensorLink> link,
@@ -82,8 +82,9 @@ class Robot {
   // Why the bundle that the inventory names is not the one in force; empty = it is.
   void SetPolicyProblem(std::string problem) { Do(input::PolicyProblem{std::move(problem)}); }
   // No longer listed: closes its sessions with `why`, answers orders that wait, and records what is
-  // left. Afterwards only OnTime is called, until gone().
-  void Retire(const absl::Status& why);
+  // left. Afterwards only OnTime is called, until gone(). A robot that has another owner retires by
+  // itself, records nothing more, and reports it (Ports::fenced).
+  void Retire(const absl::Status& why) { Do(input::Retire{why}); }
   bool gone() const { return core_->gone(); }
 
   const std::string& id() const { return core_->id(); }

@@ -8,6 +8,7 @@ namespace rips::pipeline {
 namespace {
 
 using ::testing::Contains;
+using ::testing::ElementsAre;
 using ::testing::HasSubstr;
 using ::testing::Not;
 
@@ -668,6 +669,47 @@ TEST_F(RobotTest, AnotherBundleKeepsLevelAndVariables) {
   EXPECT_EQ(robot_->Status().bundle_version, "sha256:1");
   Pass(10'000);
   EXPECT_EQ(Level(), "ALERT") << "`intruder` is still true";
+}
+
+TEST_F(RobotTest, ARobotThatAnotherServerOwnsRetiresAndLowersNothing) {
+  Start();
+  Arm();
+  IntruderAppears();
+  Obey();
+  const size_t commands = actuator_->commands.size();
+  const size_t decisions = recorder_.decisions.size();
+  recorder_.fail = absl::AbortedError("tenure 1 is over");
+  absl::Status answer;
+  robot_->DeEscalate({.operator_name = "alice",
+                      .to = "DEFAULT",
+                      .reason = "calm",
+                      .expected_level = "ALERT",
+                      .expected_decision_id = robot_->Status().decision_id,
+                      .accept_blind = true},
+                     [&](const LevelAnswer& given) { answer = given.status; });
+  Drain();
+
+  EXPECT_THAT(answer, StatusIs(absl::StatusCode::kAborted, HasSubstr("tenure 1 is over")));
+  EXPECT_THAT(fenced_, ElementsAre("r1"));
+  EXPECT_THAT(actuator_->closed, StatusIs(absl::StatusCode::kAborted));
+  EXPECT_THAT(sensor_->closed, StatusIs(absl::StatusCode::kAborted));
+  const size_t leases = actuator_->leases.size();
+  recorder_.fail = absl::OkStatus();
+  Pass(20'000);
+  EXPECT_EQ(actuator_->commands.size(), commands);
+  EXPECT_EQ(actuator_->leases.size(), leases) << "they end";
+  EXPECT_EQ(recorder_.decisions.size(), decisions);
+  EXPECT_TRUE(robot_->gone());
+}
+
+TEST_F(RobotTest, ATermThatAFormerOwnerAsksForRetiresItsRobotToo) {
+  Start();
+  recorder_.term_fail = absl::AbortedError("tenure 1 is over");
+  ConnectActuator({.decision_id = {9, 1}, .effective_level = "DEFAULT", .highest_term = 9});
+  Drain();
+  EXPECT_THAT(fenced_, ElementsAre("r1"));
+  EXPECT_THAT(actuator_->closed, StatusIs(absl::StatusCode::kAborted));
+  EXPECT_TRUE(actuator_->leases.empty());
 }
 
 }  // namespace

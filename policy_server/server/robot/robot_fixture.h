@@ -56,7 +56,7 @@ class FakeRecorder final : public Recorder {
       done(std::nullopt);
     });
   }
-  void NextTerm(const std::string&, uint64_t above,
+  void NextTerm(const std::string&, uint64_t, uint64_t above,
                 std::function<void(const absl::StatusOr<uint64_t>&)> done) override {
     Answer([this, above, done = std::move(done)] {
       if (!term_fail.ok()) return done(term_fail);
@@ -97,12 +97,11 @@ class FakeRecorder final : public Recorder {
     decisions.insert(decisions.end(), batch.decisions.begin(), batch.decisions.end());
     refusals.insert(refusals.end(), batch.refusals.begin(), batch.refusals.end());
     stages.insert(stages.end(), batch.stages.begin(), batch.stages.end());
-    const store::Checkpoint& checkpoint = batch.checkpoint;
-    for (const auto& [key, sequence] : checkpoint.high_water) high_water[key] = sequence;
-    if (checkpoint.variables) variables = *checkpoint.variables;
-    if (checkpoint.rules_halted) rules_halted = *checkpoint.rules_halted;
-    if (checkpoint.soft_suspended) soft_suspended = *checkpoint.soft_suspended;
-    if (checkpoint.resumed_at) resumed_at = *checkpoint.resumed_at;
+    for (const auto& [key, sequence] : batch.checkpoint.high_water) high_water[key] = sequence;
+    if (batch.checkpoint.variables) variables = *batch.checkpoint.variables;
+    if (batch.checkpoint.rules_halted) rules_halted = *batch.checkpoint.rules_halted;
+    if (batch.checkpoint.soft_suspended) soft_suspended = *batch.checkpoint.soft_suspended;
+    if (batch.checkpoint.resumed_at) resumed_at = *batch.checkpoint.resumed_at;
   }
 
   bool held = false;
@@ -151,6 +150,7 @@ class RobotTest : public ::testing::Test {
         .counts = counts_,
         .post = [this](std::function<void()> task) { posted_.push_back(std::move(task)); },
         .post_work = [this](std::function<void()> task) { posted_.push_back(std::move(task)); },
+        .fenced = [this](const std::string& robot, auto&) { fenced_.push_back(robot); },
         .new_id = [this] { return absl::StrCat("id", ++ids_); }};
     auto robot = Robot::Create(
         {.id = "r1",
@@ -325,6 +325,7 @@ class RobotTest : public ::testing::Test {
   FakeObserver audience_;
   Counts counts_;
   std::deque<std::function<void()>> posted_;
+  std::vector<std::string> fenced_;
   int ids_ = 0;
   std::unique_ptr<Robot> robot_;
   std::shared_ptr<FakeInspector> inspector_ = std::make_shared<FakeInspector>();

@@ -73,6 +73,7 @@ class FairnessTest : public ::testing::Test {
                         .refused = [this](const std::string& robot) { refused_.Push(robot); }},
         [this] { return cpu_ns_.load(); });
     for (const char* id : {"r1", "r2"}) {
+      ASSERT_EQ(store_.Acquire(id)->tenure, 1u);
       ASSERT_THAT(pipeline_->Add({.id = id,
                                   .sensor_hosts = {"base"},
                                   .primary_sensor = "base",

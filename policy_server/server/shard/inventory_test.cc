@@ -66,12 +66,14 @@ class LiveFleetTest : public ::testing::Test {
     committer_.Stop();
   }
   absl::Status Add(const std::string& id) {
-    const auto record = store_.Load(id);
-    const auto term = store_.NextTerm(id);
-    if (!record.ok() || !term.ok()) return absl::InternalError("store");
+    const auto acquired = store_.Acquire(id);
+    if (!acquired.ok()) return acquired.status();
+    return Add(id, *acquired);
+  }
+  absl::Status Add(const std::string& id, const store::Acquired& acquired) {
     return pipeline_.Add(
         {.id = id, .sensor_hosts = {"base"}, .primary_sensor = "base", .actuator_hosts = {"base"}},
-        {.program = program_, .bundle_id = "sha256:0"}, Timing{}, *record, *term,
+        {.program = program_, .bundle_id = "sha256:0"}, Timing{}, acquired.record, acquired.tenure,
         {.recorder = &recorder_, .audience = &audience_, .new_id = [this] {
            return absl::StrFormat("%032x", ++ids_);
          }});
@@ -188,7 +190,8 @@ TEST_F(LiveFleetTest, ARemovedRobotStaysUntilItsDecisionsAreDurableAndComesBackA
   EXPECT_FALSE(pipeline_.WaitGone("r1", absl::Milliseconds(100)));
   EXPECT_EQ(store_.Load("r1")->level, "COMPROMISED") << "not recorded yet";
   store_.FailWrites(absl::OkStatus());
-  EXPECT_THAT(Add("r1"), StatusIs(absl::StatusCode::kUnavailable));
+  // Not acquired anew: what it still has to record would be refused.
+  EXPECT_THAT(Add("r1", {}), StatusIs(absl::StatusCode::kUnavailable));
 
   // It is tried again with the checkpoint.
   while (!pipeline_.WaitGone("r1", absl::Milliseconds(10))) clock_.Advance(kNanosPerSecond);
@@ -197,7 +200,7 @@ TEST_F(LiveFleetTest, ARemovedRobotStaysUntilItsDecisionsAreDurableAndComesBackA
   std::string level;
   OnRobot("r1", [&](Robot& robot) { level = robot.Status().decided_level; });
   EXPECT_EQ(level, "HALT");
-  EXPECT_THAT(Add("r1"), StatusIs(absl::StatusCode::kAlreadyExists));
+  EXPECT_THAT(Add("r1", {}), StatusIs(absl::StatusCode::kAlreadyExists));
 }
 
 TEST_F(LiveFleetTest, ARecordThatEndsAfterTheRobotTouchesNothingOfIt) {

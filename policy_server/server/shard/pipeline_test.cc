@@ -36,6 +36,7 @@ TEST(PipelineTest, RunsTasksOnTheRobotsThreadInOrderControlFirst) {
   const std::vector<lang::SourceFile> files = {{.path = "t.rul", .text = kPaperRules}};
   const auto program = *engine::CompiledPolicy::Create(*lang::Compile(files).rules);
   for (const char* id : {"r1", "r2", "r3"}) {
+    ASSERT_EQ(store.Acquire(id)->tenure, 1u);
     ASSERT_THAT(pipeline.Add({.id = id}, {.program = program, .bundle_id = "b"}, Timing{}, {}, 1,
                              {.recorder = &recorder,
                               .audience = &audience,

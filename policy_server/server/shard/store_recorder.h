@@ -51,9 +51,9 @@ class StoreRecorder final : public Recorder {
     if (!questions_.Push([=, this] { done(store_->FindDecision(robot, decision_id)); }))
       done(Busy());
   }
-  void NextTerm(const std::string& robot, uint64_t above,
+  void NextTerm(const std::string& robot, uint64_t tenure, uint64_t above,
                 std::function<void(const absl::StatusOr<uint64_t>&)> done) override {
-    if (!questions_.Push([=, this] { done(store_->NextTerm(robot, above)); })) done(Busy());
+    if (!questions_.Push([=, this] { done(store_->NextTerm(robot, tenure, above)); })) done(Busy());
   }
   store::StorePoint point() const override {
     if (generations_.empty()) return {};

@@ -26,11 +26,12 @@ class StoreRecorderTest : public ::testing::Test {
 };
 
 TEST_F(StoreRecorderTest, AHangingDiskDoesNotBlockTheCaller) {
+  ASSERT_THAT(store_.Acquire("r1"), IsOk());
   store_.OnQuestion([&] {
     asked_.Push(1);
     go_on_.Pop(kPatience);
   });
-  recorder_.NextTerm("r1", 7, [&](const auto& term) { terms_.Push(term); });
+  recorder_.NextTerm("r1", 1, 7, [&](const auto& term) { terms_.Push(term); });
   recorder_.FindDecision("r1", {3, 1}, [&](const auto& found) { found_.Push(found); });
   // Both calls have returned, and the store still works on the first.
   ASSERT_TRUE(asked_.Pop(kPatience).has_value());
@@ -50,7 +51,7 @@ TEST_F(StoreRecorderTest, AHangingDiskDoesNotBlockTheCaller) {
 TEST_F(StoreRecorderTest, TooManyQuestionsAreRefusedAtOnce) {
   store_.OnQuestion([&] { go_on_.Pop(kPatience); });
   for (int i = 0; i < 5'000; ++i) {
-    recorder_.NextTerm("r1", 0, [&](const auto& term) { terms_.Push(term); });
+    recorder_.NextTerm("r1", 1, 0, [&](const auto& term) { terms_.Push(term); });
   }
   const auto refused = terms_.Pop(kPatience);
   ASSERT_TRUE(refused.has_value());

@@ -35,6 +35,7 @@ class QuietObserver final : public RobotObserver {
 
 class StoreWatchTest : public ::testing::Test {
  protected:
+  void SetUp() override { ASSERT_THAT(store_.Acquire("r1"), IsOk()); }
   void TearDown() override {
     disk_.Close();
     committer_.Stop();
@@ -42,7 +43,7 @@ class StoreWatchTest : public ::testing::Test {
   // A robot's checkpoint; returns what became of it.
   absl::Status Write() {
     BoundedQueue<absl::Status> done{{.capacity = 1}};
-    store::WriteBatch batch{.robot = "r1", .checkpoint = {.rules_halted = false}};
+    store::WriteBatch batch{.robot = "r1", .tenure = 1, .checkpoint = {.rules_halted = false}};
     const absl::Status taken =
         committer_.Submit(std::move(batch), [&](const absl::Status& status) { done.Push(status); });
     if (!taken.ok()) return taken;

@@ -1,20 +1,11 @@
 #include "policy_server/server/store/committer.h"
 
-#include <algorithm>
 #include <iterator>
 #include <utility>
 
 #include "absl/strings/str_cat.h"
 
 namespace rips::store {
-namespace {
-
-// The batch is wrong, not the disk.
-bool IsCallersFault(const absl::Status& status) {
-  return absl::IsInvalidArgument(status) || absl::IsAlreadyExists(status);
-}
-
-}  // namespace
 
 Committer::Committer(Store* store, CommitterOptions options, const Clock* clock)
     : store_(store),
@@ -43,7 +34,10 @@ void Committer::Run() {
     std::vector<Item> items = queue_.PopAll(absl::InfiniteDuration(), options_.group_max);
     // Only a closed queue gives nothing after an endless wait.
     if (items.empty()) return;
-    CommitGroup(std::move(items));
+    CommitFirst();
+    // What only woke this thread.
+    std::erase_if(items, [](const Item& item) { return !item.done; });
+    if (!items.empty()) CommitGroup(std::move(items));
   }
 }
 
@@ -57,21 +51,7 @@ void Committer::PutFirst(WriteBatch batch, Done done) {
     first_.push_back({.batch = std::move(batch), .done = std::move(done)});
   }
   // Wakes the thread. If it cannot, enough waits to wake it, or it has ended.
-  Submit({}, [](const absl::Status&) {}).IgnoreError();
-}
-
-std::vector<Committer::Item> Committer::TakeFirst() {
-  MutexLock lock(&mu_);
-  std::vector<Item> taken(std::make_move_iterator(first_.begin()),
-                          std::make_move_iterator(first_.end()));
-  first_.clear();
-  return taken;
-}
-
-void Committer::PutBack(std::vector<Item> first) {
-  MutexLock lock(&mu_);
-  first_.insert(first_.begin(), std::make_move_iterator(first.begin()),
-                std::make_move_iterator(first.end()));
+  Submit({}, nullptr).IgnoreError();
 }
 
 absl::Status Committer::health() const {
@@ -83,66 +63,81 @@ absl::Status Committer::health() const {
                                                  options_.hang_ns / kNanosPerSecond, " s"));
     }
   }
-  return verdict_;
+  return health_;
 }
 
-void Committer::TakeVerdict(const absl::Status& status) {
-  if (IsCallersFault(status)) return;
-  if (!status.ok()) ++failures_;
+void Committer::UpdateHealth(const std::vector<WriteBatch>& batches, const Statuses& statuses) {
+  if (statuses.ok()) {
+    // That the reserve was written says nothing of the rest of the disk.
+    bool written = false;
+    for (size_t i = 0; i < batches.size(); ++i) {
+      written |= (*statuses)[i].ok() && !batches[i].uses_reserve;
+    }
+    if (!written) return;
+  } else {
+    ++failures_;
+  }
   MutexLock lock(&mu_);
-  verdict_ = status;
+  health_ = statuses.status();
 }
 
-absl::Status Committer::Commit(const std::vector<WriteBatch>& batches) {
+Committer::Statuses Committer::Commit(const std::vector<WriteBatch>& batches) {
   if (clock_ != nullptr) {
     MutexLock lock(&mu_);
     began_ns_ = clock_->Now().boottime_ns;
   }
-  absl::Status status = options_.before_commit ? options_.before_commit(batches) : absl::OkStatus();
-  if (status.ok()) status = store_->CommitAll(batches);
+  const absl::Status before =
+      options_.before_commit ? options_.before_commit(batches) : absl::OkStatus();
+  Statuses statuses = before.ok() ? store_->CommitAll(batches) : Statuses(before);
   MutexLock lock(&mu_);
   began_ns_ = 0;
-  return status;
+  return statuses;
+}
+
+void Committer::CommitFirst() {
+  std::vector<Item> items;
+  {
+    MutexLock lock(&mu_);
+    items.assign(std::make_move_iterator(first_.begin()), std::make_move_iterator(first_.end()));
+    first_.clear();
+  }
+  if (items.empty()) return;
+  std::vector<WriteBatch> batches;
+  for (const Item& item : items) batches.push_back(item.batch);
+  const Statuses statuses = Commit(batches);
+  UpdateHealth(batches, statuses);
+  if (statuses.ok()) {
+    for (size_t i = 0; i < items.size(); ++i) std::move(items[i].done)((*statuses)[i]);
+    return;
+  }
+  MutexLock lock(&mu_);
+  first_.insert(first_.begin(), std::make_move_iterator(items.begin()),
+                std::make_move_iterator(items.end()));
 }
 
 void Committer::CommitGroup(std::vector<Item> items) {
-  std::vector<Item> first = TakeFirst();
-  if (!first.empty()) {
-    std::vector<WriteBatch> batches;
-    for (const Item& item : first) batches.push_back(item.batch);
-    const absl::Status status = Commit(batches);
-    TakeVerdict(status);
-    if (!status.ok() && !IsCallersFault(status)) {
-      PutBack(std::move(first));
-    } else if (status.ok()) {
-      for (Item& item : first) std::move(item.done)(status);
-    } else {
-      for (size_t i = 0; i < first.size(); ++i) std::move(first[i].done)(Commit({batches[i]}));
-    }
-  }
   std::vector<WriteBatch> batches;
   batches.reserve(items.size());
   for (Item& item : items) batches.push_back(std::move(item.batch));
-
-  const absl::Status together = Commit(batches);
-  // That the reserve was written says nothing of the rest of the disk.
-  const bool reserve_alone =
-      !batches.empty() && std::all_of(batches.begin(), batches.end(),
-                                      [](const WriteBatch& batch) { return batch.uses_reserve; });
-  if (!reserve_alone || !together.ok()) TakeVerdict(together);
-  if (!IsCallersFault(together)) {
-    for (size_t i = 0; i < items.size(); ++i) {
-      // Raises of levels have the reserve, which the others must not use up.
-      const bool again = absl::IsResourceExhausted(together) && batches[i].uses_reserve;
-      std::move(items[i].done)(again ? Commit({batches[i]}) : together);
-    }
+  const Statuses together = Commit(batches);
+  UpdateHealth(batches, together);
+  if (together.ok()) {
+    for (size_t i = 0; i < items.size(); ++i) std::move(items[i].done)((*together)[i]);
     return;
   }
-  // One of them is at fault; the others must not suffer for it.
+  // Raises of levels have the reserve, which the others must not use up.
+  std::vector<WriteBatch> raises;
+  for (const WriteBatch& batch : batches) {
+    if (absl::IsResourceExhausted(together.status()) && batch.uses_reserve) raises.push_back(batch);
+  }
+  const Statuses alone = raises.empty() ? together : Commit(raises);
+  size_t raise = 0;
   for (size_t i = 0; i < items.size(); ++i) {
-    const absl::Status alone = items.size() == 1 ? together : Commit({batches[i]});
-    if (items.size() > 1) TakeVerdict(alone);
-    std::move(items[i].done)(alone);
+    absl::Status status = together.status();
+    if (!raises.empty() && batches[i].uses_reserve) {
+      status = alone.ok() ? (*alone)[raise++] : alone.status();
+    }
+    std::move(items[i].done)(status);
   }
 }
 

@@ -2,8 +2,9 @@
 // while the last transaction was flushed goes into the next one.
 //
 // One thread of its own. Order: batches are applied, and their callbacks called, in the order of
-// Submit. Nothing is tried twice: the caller is told and decides. PutFirst alone is kept until it
-// is written, before everything else.
+// Submit. A batch that the store refuses spoils no other of its group. Nothing is tried twice: the
+// caller decides; only raises of levels, which have the store's reserve, are written by themselves
+// on a full disk. PutFirst alone is kept until it is written, before everything else.
 #ifndef RIPS_POLICY_SERVER_SERVER_STORE_COMMITTER_H_
 #define RIPS_POLICY_SERVER_SERVER_STORE_COMMITTER_H_
 
@@ -31,7 +32,7 @@ struct CommitterOptions {
   size_t waiting_max = 4'096;
   // Batches in one transaction; bounds how long the first of them waits for its callback.
   size_t group_max = 256;
-  // A transaction that takes longer is an outage: a disk that hangs fails nobody's call.
+  // A transaction that takes longer is an outage: no call of a disk that hangs returns an error.
   int64_t hang_ns = 5 * kNanosPerSecond;
   // Of PutFirst; the oldest go first, and are counted.
   size_t first_max = 1'000;
@@ -42,12 +43,12 @@ struct CommitterOptions {
 
 class Committer {
  public:
-  // Called once, on the committer's thread, with what became of the batch. Must not block, must not
+  // Called once, on the committer's thread, with the status of the batch. Must not block, must not
   // call Submit in a loop that waits for itself, must not destroy the Committer.
   using Done = absl::AnyInvocable<void(const absl::Status&) &&>;
 
-  // Starts the thread. `store` and `clock` are not owned and outlive this. Without a clock nothing
-  // is taken for hanging.
+  // Starts the thread. `store` and `clock` are not owned and outlive this. Without a clock no
+  // write counts as hanging.
   explicit Committer(Store* store, CommitterOptions options = {}, const Clock* clock = nullptr);
   // As Stop.
   ~Committer();
@@ -60,8 +61,8 @@ class Committer {
   absl::Status Submit(WriteBatch batch, Done done);
 
   // The batch is written before all that waits, and again until it has been: then `done` is called,
-  // with OK, or with InvalidArgument or AlreadyExists if it will never do. For what must not be
-  // lost in an outage. Any thread; never blocks on the disk.
+  // with OK, or with why the store refuses it (IsOfBatch). For what must not be lost in an outage.
+  // Any thread; never blocks on the disk.
   void PutFirst(WriteBatch batch, Done done) ABSL_LOCKS_EXCLUDED(mu_);
 
   // Commits what waits, calls the callbacks, ends the thread. Any thread but the committer's; later
@@ -69,8 +70,8 @@ class Committer {
   void Stop();
 
   // Not OK, with the reason, from a transaction that the store could not write until the next one
-  // that it could, and while one takes longer than hang_ns. A batch refused for what it says
-  // (InvalidArgument, AlreadyExists) does not count, nor does a write from the reserve alone.
+  // that it could, and while one takes longer than hang_ns. Batches that the store refuses do not
+  // count, nor does a write from the reserve alone.
   absl::Status health() const ABSL_LOCKS_EXCLUDED(mu_);
   bool healthy() const { return health().ok(); }
   // Transactions that the store could not write.
@@ -88,20 +89,23 @@ class Committer {
   };
 
   void Run();
-  void CommitGroup(std::vector<Item> items);
   // Of PutFirst.
-  std::vector<Item> TakeFirst() ABSL_LOCKS_EXCLUDED(mu_);
-  void PutBack(std::vector<Item> first) ABSL_LOCKS_EXCLUDED(mu_);
-  absl::Status Commit(const std::vector<WriteBatch>& batches) ABSL_LOCKS_EXCLUDED(mu_);
-  void TakeVerdict(const absl::Status& status) ABSL_LOCKS_EXCLUDED(mu_);
+  void CommitFirst() ABSL_LOCKS_EXCLUDED(mu_);
+  void CommitGroup(std::vector<Item> items);
+  // As of Store::CommitAll.
+  using Statuses = absl::StatusOr<std::vector<absl::Status>>;
+  Statuses Commit(const std::vector<WriteBatch>& batches) ABSL_LOCKS_EXCLUDED(mu_);
+  // What Commit returned says of the disk.
+  void UpdateHealth(const std::vector<WriteBatch>& batches, const Statuses& statuses)
+      ABSL_LOCKS_EXCLUDED(mu_);
 
   Store* store_;  // Not owned; outlives this.
   const CommitterOptions options_;
   BoundedQueue<Item> queue_;
   const Clock* clock_;  // Not owned; may be null.
   mutable Mutex mu_;
-  // The last transaction's.
-  absl::Status verdict_ ABSL_GUARDED_BY(mu_);
+  // The status of the last transaction.
+  absl::Status health_ ABSL_GUARDED_BY(mu_);
   // When the one that runs began; 0 = none runs.
   int64_t began_ns_ ABSL_GUARDED_BY(mu_) = 0;
   std::deque<Item> first_ ABSL_GUARDED_BY(mu_);

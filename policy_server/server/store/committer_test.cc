@@ -76,6 +76,7 @@ WriteBatch Decision(uint64_t epoch) { return Decide("r1", {1, epoch}, "A", "B");
 
 TEST(CommitterTest, GroupsWhatQueuesDuringAFlushAndKeepsOrder) {
   FakeStore store;
+  ASSERT_THAT(store.Acquire("r1"), IsOk());
   Gate gate;
   Told told;
   store.OnCommit([&] { gate.Pass(); });
@@ -99,6 +100,7 @@ TEST(CommitterTest, GroupsWhatQueuesDuringAFlushAndKeepsOrder) {
 
 TEST(CommitterTest, AGroupHasALimit) {
   FakeStore store;
+  ASSERT_THAT(store.Acquire("r1"), IsOk());
   Gate gate;
   Told told;
   store.OnCommit([&] { gate.Pass(); });
@@ -117,6 +119,7 @@ TEST(CommitterTest, AGroupHasALimit) {
 
 TEST(CommitterTest, RefusesMoreThanMayWait) {
   FakeStore store;
+  ASSERT_THAT(store.Acquire("r1"), IsOk());
   Gate gate;
   Told told;
   store.OnCommit([&] { gate.Pass(); });
@@ -137,6 +140,7 @@ TEST(CommitterTest, RefusesMoreThanMayWait) {
 
 TEST(CommitterTest, TellsOfAFailingDiskAndRecovers) {
   FakeStore store;
+  ASSERT_THAT(store.Acquire("r1"), IsOk());
   Told told;
   Gate first;
   Committer committer(&store);
@@ -165,13 +169,14 @@ TEST(CommitterTest, TellsOfAFailingDiskAndRecovers) {
 }
 
 WriteBatch OneAlert(const std::string& text) {
-  WriteBatch batch{.robot = "r1"};
+  WriteBatch batch{.robot = "r1", .tenure = 1};
   batch.alerts.push_back(MakeAlert("r1", text));
   return batch;
 }
 
 TEST(CommitterTest, WhatIsPutFirstIsKeptAndWrittenBeforeTheRest) {
   FakeStore store;
+  ASSERT_THAT(store.Acquire("r1"), IsOk());
   Told told;
   Committer committer(&store);
   store.FailWrites(absl::UnavailableError("disk on fire"));
@@ -205,6 +210,7 @@ TEST(CommitterTest, WhatIsPutFirstIsKeptAndWrittenBeforeTheRest) {
 
 TEST(CommitterTest, AWriteThatDoesNotEndIsAnOutage) {
   FakeStore store;
+  ASSERT_THAT(store.Acquire("r1"), IsOk());
   FakeClock clock;
   Told told;
   Gate disk;
@@ -225,6 +231,7 @@ TEST(CommitterTest, AWriteThatDoesNotEndIsAnOutage) {
 
 TEST(CommitterTest, OnAFullDiskRaisesAreWrittenFromTheReserve) {
   FakeStore store;
+  ASSERT_THAT(store.Acquire("r1"), IsOk());
   store.FillDisk(true);
   Told told;
   Gate disk;
@@ -250,6 +257,7 @@ TEST(CommitterTest, OnAFullDiskRaisesAreWrittenFromTheReserve) {
 
 TEST(CommitterTest, ARaiseThatIsWrittenAloneIsNoHealthEither) {
   FakeStore store;
+  ASSERT_THAT(store.Acquire("r1"), IsOk());
   store.FillDisk(true);
   Told told;
   Gate disk;
@@ -270,6 +278,7 @@ TEST(CommitterTest, ARaiseThatIsWrittenAloneIsNoHealthEither) {
 
 TEST(CommitterTest, ABadBatchHurtsNoOther) {
   FakeStore store;
+  ASSERT_THAT(store.Acquire("r1"), IsOk());
   Gate gate;
   Told told;
   store.OnCommit([&] { gate.Pass(); });
@@ -280,20 +289,26 @@ TEST(CommitterTest, ABadBatchHurtsNoOther) {
   ASSERT_THAT(committer.Submit(Decision(2), told.Next(2)), IsOk());
   ASSERT_THAT(committer.Submit(Decide("r1", {1, 1}, "A", "C"), told.Next(3)), IsOk());
   ASSERT_THAT(committer.Submit(Decide("r1", {0, 0}, "A", "C"), told.Next(4)), IsOk());
-  ASSERT_THAT(committer.Submit(Decision(5), told.Next(5)), IsOk());
+  WriteBatch fenced = Decision(4);
+  fenced.tenure = 2;
+  ASSERT_THAT(committer.Submit(std::move(fenced), told.Next(5)), IsOk());
+  ASSERT_THAT(committer.Submit(Decision(5), told.Next(6)), IsOk());
   gate.Open();
   committer.Stop();
 
-  EXPECT_THAT(told.ids(), ElementsAre(1, 2, 3, 4, 5));
-  EXPECT_THAT(told.codes(), ElementsAre(absl::StatusCode::kOk, absl::StatusCode::kOk,
-                                        absl::StatusCode::kAlreadyExists,
-                                        absl::StatusCode::kInvalidArgument, absl::StatusCode::kOk));
+  EXPECT_THAT(told.ids(), ElementsAre(1, 2, 3, 4, 5, 6));
+  EXPECT_THAT(told.codes(),
+              ElementsAre(absl::StatusCode::kOk, absl::StatusCode::kOk,
+                          absl::StatusCode::kAlreadyExists, absl::StatusCode::kInvalidArgument,
+                          absl::StatusCode::kAborted, absl::StatusCode::kOk));
+  EXPECT_THAT(store.commit_sizes(), ElementsAre(1, 5)) << "none is tried again";
   EXPECT_TRUE(committer.healthy());
   EXPECT_EQ(store.Load("r1")->decision_id, (DecisionId{1, 5}));
 }
 
 TEST(CommitterTest, StopCommitsWhatWaitsAndThenRefuses) {
   FakeStore store;
+  ASSERT_THAT(store.Acquire("r1"), IsOk());
   Told told;
   Committer committer(&store);
   for (int i = 1; i <= 100; ++i) {
@@ -313,6 +328,7 @@ TEST(CommitterTest, TakesFromManyThreadsInEachOnesOrder) {
   constexpr int kThreads = 4;
   constexpr int kEach = 200;
   FakeStore store;
+  ASSERT_THAT(store.Acquire("r1"), IsOk());
   Told told;
   Committer committer(&store);
   std::vector<std::thread> threads;

@@ -104,17 +104,43 @@ void FakeStore::Question() {
 absl::StatusOr<RobotRecord> FakeStore::Load(absl::string_view robot) {
   MutexLock lock(&mutex_);
   RIPS_RETURN_IF_ERROR(read_status_);
-  auto it = state_.robots.find(robot);
-  if (it == state_.robots.end()) return RobotRecord{};
+  return state_.Record(robot);
+}
+
+RobotRecord FakeStore::State::Record(absl::string_view robot) const {
+  const auto it = robots.find(robot);
+  if (it == robots.end()) return RobotRecord{};
   RobotRecord record = it->second;
-  record.rule_decisions = RuleDecisions(state_.transitions, robot, record.resumed_at);
+  record.rule_decisions = RuleDecisions(transitions, robot, record.resumed_at);
   return record;
 }
 
-absl::StatusOr<uint64_t> FakeStore::NextTerm(absl::string_view robot, uint64_t above) {
+absl::StatusOr<std::vector<Acquired>> FakeStore::Acquire(std::span<const std::string> robots) {
+  MutexLock lock(&mutex_);
+  RIPS_RETURN_IF_ERROR(write_status_);
+  RIPS_RETURN_IF_ERROR(read_status_);
+  std::vector<Acquired> acquired;
+  for (const std::string& robot : robots) {
+    const uint64_t tenure = ++state_.robots[robot].highest_term;
+    state_.tenures[robot] = tenure;
+    acquired.push_back({.record = state_.Record(robot), .tenure = tenure});
+  }
+  return acquired;
+}
+
+absl::Status FakeStore::State::CheckTenure(absl::string_view robot, uint64_t tenure) const {
+  const auto it = tenures.find(robot);
+  const uint64_t stored = it == tenures.end() ? 0 : it->second;
+  if (tenure != 0 && tenure == stored) return absl::OkStatus();
+  return Fenced(robot, tenure, stored);
+}
+
+absl::StatusOr<uint64_t> FakeStore::NextTerm(absl::string_view robot, uint64_t tenure,
+                                             uint64_t above) {
   Question();
   MutexLock lock(&mutex_);
   RIPS_RETURN_IF_ERROR(write_status_);
+  RIPS_RETURN_IF_ERROR(state_.CheckTenure(robot, tenure));
   RobotRecord& record = state_.robots[std::string(robot)];
   record.highest_term = std::max(record.highest_term, std::min(above, kTermAboveMax)) + 1;
   return record.highest_term;
@@ -156,7 +182,8 @@ uint64_t FakeStore::newest_commit() const {
   return state_.generations.empty() ? 0 : state_.generations.back().last_commit;
 }
 
-absl::Status FakeStore::CommitAll(std::span<const WriteBatch> batches) {
+absl::StatusOr<std::vector<absl::Status>> FakeStore::CommitAll(
+    std::span<const WriteBatch> batches) {
   std::function<void()> hook;
   {
     MutexLock lock(&mutex_);
@@ -169,18 +196,24 @@ absl::Status FakeStore::CommitAll(std::span<const WriteBatch> batches) {
                             [](const WriteBatch& batch) { return batch.uses_reserve; })) {
     return absl::ResourceExhaustedError("the disk is full");
   }
-  State next = state_;
+  std::vector<absl::Status> statuses;
+  bool written = false;
   for (const WriteBatch& batch : batches) {
-    RIPS_RETURN_IF_ERROR(Validate(batch));
-    RIPS_RETURN_IF_ERROR(next.Apply(batch));
+    // Nothing else can be refused half way.
+    const bool may_clash = !batch.decisions.empty() || !batch.refusals.empty();
+    State before = may_clash ? state_ : State();
+    statuses.push_back(state_.Apply(batch));
+    written |= statuses.back().ok();
+    if (!statuses.back().ok() && may_clash) state_ = std::move(before);
   }
-  if (!next.generations.empty()) ++next.generations.back().last_commit;
-  state_ = std::move(next);
+  if (written && !state_.generations.empty()) ++state_.generations.back().last_commit;
   commit_sizes_.push_back(batches.size());
-  return absl::OkStatus();
+  return statuses;
 }
 
 absl::Status FakeStore::State::Apply(const WriteBatch& batch) {
+  RIPS_RETURN_IF_ERROR(Validate(batch));
+  if (batch.tenure != 0) RIPS_RETURN_IF_ERROR(CheckTenure(batch.robot, batch.tenure));
   const std::string& robot = batch.robot;
   for (const DecisionRecord& each : batch.decisions) RIPS_RETURN_IF_ERROR(Apply(robot, each));
   for (const RefusalRecord& each : batch.refusals) RIPS_RETURN_IF_ERROR(Apply(robot, each));

@@ -19,7 +19,7 @@ namespace rips::store {
 
 class FakeStore final : public Store, public BanStore {
  public:
-  // From now on commits and terms fail with `status`, writing nothing; OK ends that.
+  // From now on commits, acquisitions and terms fail with `status`, writing nothing; OK ends that.
   void FailWrites(absl::Status status) ABSL_LOCKS_EXCLUDED(mutex_);
   // From now on, as on a full disk, commits fail with ResourceExhausted unless all their batches
   // may use the reserve; false ends that.
@@ -33,17 +33,20 @@ class FakeStore final : public Store, public BanStore {
   // Successful transactions so far, and how many batches each had.
   std::vector<size_t> commit_sizes() const ABSL_LOCKS_EXCLUDED(mutex_);
 
-  using Store::NextTerm;
+  using Store::Acquire;
   absl::StatusOr<RobotRecord> Load(absl::string_view robot) override ABSL_LOCKS_EXCLUDED(mutex_);
-  absl::StatusOr<uint64_t> NextTerm(absl::string_view robot, uint64_t above) override
+  absl::StatusOr<std::vector<Acquired>> Acquire(std::span<const std::string> robots) override
       ABSL_LOCKS_EXCLUDED(mutex_);
+  absl::StatusOr<uint64_t> NextTerm(absl::string_view robot, uint64_t tenure,
+                                    uint64_t above) override ABSL_LOCKS_EXCLUDED(mutex_);
   absl::StatusOr<std::optional<std::string>> FindDecision(absl::string_view robot,
                                                           const DecisionId& decision_id) override
       ABSL_LOCKS_EXCLUDED(mutex_);
   absl::Status BeginGeneration(absl::string_view id) override ABSL_LOCKS_EXCLUDED(mutex_);
   absl::StatusOr<std::vector<Generation>> Generations() override ABSL_LOCKS_EXCLUDED(mutex_);
   uint64_t newest_commit() const override ABSL_LOCKS_EXCLUDED(mutex_);
-  absl::Status CommitAll(std::span<const WriteBatch> batches) override ABSL_LOCKS_EXCLUDED(mutex_);
+  absl::StatusOr<std::vector<absl::Status>> CommitAll(std::span<const WriteBatch> batches) override
+      ABSL_LOCKS_EXCLUDED(mutex_);
   absl::StatusOr<std::vector<TransitionRecord>> ListTransitions(absl::string_view robot,
                                                                 uint32_t limit) override
       ABSL_LOCKS_EXCLUDED(mutex_);
@@ -67,6 +70,7 @@ class FakeStore final : public Store, public BanStore {
  private:
   struct State {
     absl::btree_map<std::string, RobotRecord> robots;
+    absl::btree_map<std::string, uint64_t> tenures;
     // Of each robot, in the order they were first seen.
     absl::btree_map<std::string, std::vector<LaneKey>> lanes;
     // In the order of writing.
@@ -75,6 +79,8 @@ class FakeStore final : public Store, public BanStore {
     absl::btree_map<std::string, std::string> notes;
     std::vector<Generation> generations;
 
+    RobotRecord Record(absl::string_view robot) const;
+    absl::Status CheckTenure(absl::string_view robot, uint64_t tenure) const;
     absl::Status Apply(const WriteBatch& batch);
     absl::Status Apply(const std::string& robot, const DecisionRecord& decision);
     absl::Status Apply(const std::string& robot, const RefusalRecord& refusal);

@@ -76,6 +76,15 @@ struct RobotRecord {
   friend bool operator==(const RobotRecord&, const RobotRecord&) = default;
 };
 
+// A robot that a server owns from now on.
+struct Acquired {
+  RobotRecord record;
+  // A term above all that the robot ever had: decisions may be made in it, and batches name it.
+  uint64_t tenure = 0;
+
+  friend bool operator==(const Acquired&, const Acquired&) = default;
+};
+
 // A level decision. Levels are stored by name.
 struct DecisionRecord {
   // 32 hex digits.
@@ -183,6 +192,9 @@ struct Checkpoint {
 struct WriteBatch {
   // kServerRobot for alerts of the server itself.
   std::string robot;
+  // As Store::Acquire drew it: the fence. 0 = of no owner, which is for alerts alone: nothing
+  // fences them.
+  uint64_t tenure = 0;
   std::vector<DecisionRecord> decisions;
   std::vector<RefusalRecord> refusals;
   std::vector<StageUpdate> stages;

@@ -28,6 +28,7 @@ CREATE TABLE robots (
   term INTEGER NOT NULL DEFAULT 0,           -- the mark that decided it
   epoch INTEGER NOT NULL DEFAULT 0,
   highest_term INTEGER NOT NULL DEFAULT 0,
+  tenure INTEGER NOT NULL DEFAULT 0,         -- drawn when the robot was acquired last; the fence
   soft_suspended INTEGER NOT NULL DEFAULT 0,
   rules_halted INTEGER NOT NULL DEFAULT 0,
   bundle TEXT NOT NULL DEFAULT '',           -- id of the bundle that was in force last
@@ -173,6 +174,7 @@ constexpr const char* kUpgrades[] = {
     "last_commit INTEGER NOT NULL) STRICT;",
     "ALTER TABLE transitions ADD COLUMN trace BLOB NOT NULL DEFAULT x'';"
     "ALTER TABLE alerts ADD COLUMN trace BLOB NOT NULL DEFAULT x'';",
+    "ALTER TABLE robots ADD COLUMN tenure INTEGER NOT NULL DEFAULT 0",
 };
 static_assert(std::size(kUpgrades) == kSchemaVersion - 1);
 
@@ -236,7 +238,7 @@ absl::Status CheckStateFile(const std::string& path) {
 
 }  // namespace
 
-absl::StatusOr<FileLock> FileLock::Take(const std::string& path) {
+absl::StatusOr<FileLock> FileLock::Acquire(const std::string& path) {
   const std::string name = path + ".lock";
   const int fd = open(name.c_str(), O_RDWR | O_CREAT | O_CLOEXEC, 0600);
   if (fd < 0 && errno == ENOENT) {

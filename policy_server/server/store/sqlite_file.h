@@ -11,13 +11,13 @@
 namespace rips::store {
 
 // Schema version this program reads and writes (`PRAGMA user_version`).
-inline constexpr int kSchemaVersion = 6;
+inline constexpr int kSchemaVersion = 7;
 
 // Keeps other processes from using the state file at `path`, through `path`.lock, until it goes.
 class [[nodiscard]] FileLock {
  public:
-  // FailedPrecondition if somebody else holds it; Unavailable if the lock file cannot be opened.
-  static absl::StatusOr<FileLock> Take(const std::string& path);
+  // FailedPrecondition if another process holds it; Unavailable if the lock file cannot be opened.
+  static absl::StatusOr<FileLock> Acquire(const std::string& path);
   FileLock(FileLock&& other) noexcept : fd_(other.fd_) { other.fd_ = -1; }
   FileLock& operator=(FileLock&&) = delete;
   ~FileLock();

@@ -51,7 +51,7 @@ struct SqliteStore::Parts {
 
 absl::StatusOr<std::unique_ptr<SqliteStore>> SqliteStore::Open(const std::string& path,
                                                                SqliteLimits limits) {
-  RIPS_ASSIGN_OR_RETURN(FileLock lock, FileLock::Take(path));
+  RIPS_ASSIGN_OR_RETURN(FileLock lock, FileLock::Acquire(path));
   absl::Status prepared = PrepareStateFile(path);
   absl::StatusOr<DiskReserve> reserve = DiskReserve::Open(path + ".reserve", limits.reserve_bytes);
   if (!reserve.ok()) return prepared.ok() ? reserve.status() : prepared;
@@ -82,12 +82,32 @@ absl::StatusOr<RobotRecord> SqliteStore::Load(absl::string_view robot) {
   return parts_->reader.Load(robot);
 }
 
-absl::StatusOr<uint64_t> SqliteStore::NextTerm(absl::string_view robot, uint64_t above) {
+absl::StatusOr<std::vector<Acquired>> SqliteStore::Acquire(std::span<const std::string> robots) {
+  std::vector<uint64_t> tenures;
+  {
+    MutexLock lock(&parts_->writer_mutex);
+    // Without a term no robot can be commanded at all.
+    RIPS_RETURN_IF_ERROR(parts_->WithReserve([&](SqliteWriter& writer) -> absl::Status {
+      RIPS_ASSIGN_OR_RETURN(tenures, writer.Acquire(robots));
+      return absl::OkStatus();
+    }));
+  }
+  // Read afterwards: nothing of an earlier tenure is written any more.
+  std::vector<Acquired> acquired;
+  MutexLock lock(&parts_->reader_mutex);
+  for (size_t i = 0; i < robots.size(); ++i) {
+    RIPS_ASSIGN_OR_RETURN(RobotRecord record, parts_->reader.Load(robots[i]));
+    acquired.push_back({.record = std::move(record), .tenure = tenures[i]});
+  }
+  return acquired;
+}
+
+absl::StatusOr<uint64_t> SqliteStore::NextTerm(absl::string_view robot, uint64_t tenure,
+                                               uint64_t above) {
   MutexLock lock(&parts_->writer_mutex);
-  // Without a term no robot can be commanded at all.
   uint64_t term = 0;
   RIPS_RETURN_IF_ERROR(parts_->WithReserve([&](SqliteWriter& writer) -> absl::Status {
-    RIPS_ASSIGN_OR_RETURN(term, writer.NextTerm(robot, above));
+    RIPS_ASSIGN_OR_RETURN(term, writer.NextTerm(robot, tenure, above));
     return absl::OkStatus();
   }));
   return term;
@@ -115,20 +135,26 @@ absl::StatusOr<std::vector<Generation>> SqliteStore::Generations() {
 
 uint64_t SqliteStore::newest_commit() const { return parts_->newest_commit; }
 
-absl::Status SqliteStore::CommitAll(std::span<const WriteBatch> batches) {
+absl::StatusOr<std::vector<absl::Status>> SqliteStore::CommitAll(
+    std::span<const WriteBatch> batches) {
   MutexLock lock(&parts_->writer_mutex);
   const bool may_use_reserve =
       !batches.empty() && std::all_of(batches.begin(), batches.end(),
                                       [](const WriteBatch& batch) { return batch.uses_reserve; });
+  std::vector<absl::Status> statuses;
   const auto write = [&](SqliteWriter& writer) -> absl::Status {
-    RIPS_RETURN_IF_ERROR(writer.CommitAll(batches));
-    parts_->newest_commit = writer.newest_commit();
+    RIPS_ASSIGN_OR_RETURN(statuses, writer.CommitAll(batches));
     return absl::OkStatus();
   };
-  if (may_use_reserve) return parts_->WithReserve(write);
-  // What the reserve has given up is for decisions: others wait until it is whole again.
-  RIPS_RETURN_IF_ERROR(parts_->reserve.Refill());
-  return write(parts_->writer);
+  if (may_use_reserve) {
+    RIPS_RETURN_IF_ERROR(parts_->WithReserve(write));
+  } else {
+    // What the reserve has given up is for decisions: others wait until it is whole again.
+    RIPS_RETURN_IF_ERROR(parts_->reserve.Refill());
+    RIPS_RETURN_IF_ERROR(write(parts_->writer));
+  }
+  parts_->newest_commit = parts_->writer.newest_commit();
+  return statuses;
 }
 
 absl::StatusOr<std::vector<TransitionRecord>> SqliteStore::ListTransitions(absl::string_view robot,

@@ -38,15 +38,17 @@ class SqliteStore final : public Store, public BanStore {
                                                            SqliteLimits limits = {});
   ~SqliteStore() override;
 
-  using Store::NextTerm;
+  using Store::Acquire;
   absl::StatusOr<RobotRecord> Load(absl::string_view robot) override;
-  absl::StatusOr<uint64_t> NextTerm(absl::string_view robot, uint64_t above) override;
+  absl::StatusOr<std::vector<Acquired>> Acquire(std::span<const std::string> robots) override;
+  absl::StatusOr<uint64_t> NextTerm(absl::string_view robot, uint64_t tenure,
+                                    uint64_t above) override;
   absl::StatusOr<std::optional<std::string>> FindDecision(absl::string_view robot,
                                                           const DecisionId& decision_id) override;
   absl::Status BeginGeneration(absl::string_view id) override;
   absl::StatusOr<std::vector<Generation>> Generations() override;
   uint64_t newest_commit() const override;
-  absl::Status CommitAll(std::span<const WriteBatch> batches) override;
+  absl::StatusOr<std::vector<absl::Status>> CommitAll(std::span<const WriteBatch> batches) override;
   absl::StatusOr<std::vector<TransitionRecord>> ListTransitions(absl::string_view robot,
                                                                 uint32_t limit) override;
   absl::StatusOr<std::vector<AlertRecord>> ListAlerts(absl::string_view robot,

@@ -5,6 +5,7 @@
 #include <signal.h>
 #include <sqlite3.h>
 #include <sys/mount.h>
+#include <sys/resource.h>
 #include <sys/stat.h>
 #include <sys/wait.h>
 #include <unistd.h>
@@ -39,7 +40,7 @@ class SqliteStoreTest : public testing::Test {
   void MakeHistory() {
     auto store = SqliteStore::Open(path_);
     ASSERT_THAT(store, IsOk());
-    ASSERT_THAT((*store)->NextTerm("r1"), IsOkAndHolds(1u));
+    ASSERT_EQ((*store)->Acquire("r1")->tenure, 1u);
     WriteBatch batch = Decide("r1", {1, 1}, "DEFAULT", "ALERT");
     batch.alerts.push_back(MakeAlert("r1", "kept"));
     ASSERT_THAT((*store)->Commit(batch), IsOk());
@@ -66,9 +67,12 @@ TEST_F(SqliteStoreTest, RemembersAcrossAReopen) {
   ASSERT_THAT(record, IsOk());
   EXPECT_EQ(record->level, "HALT");
   EXPECT_EQ(record->decision_id, (DecisionId{1, 2}));
-  EXPECT_THAT((*store)->NextTerm("r1"), IsOkAndHolds(2u));
+  EXPECT_THAT((*store)->Commit(Decide("r1", {1, 3}, "HALT", "ALERT")), IsOk()) << "still its owner";
+  EXPECT_EQ((*store)->Acquire("r1")->tenure, 2u);
+  EXPECT_THAT((*store)->Commit(Decide("r1", {1, 4}, "ALERT", "DEFAULT")),
+              StatusIs(absl::StatusCode::kAborted));
   EXPECT_TRUE((*store)->FindDecision("r1", {1, 1})->has_value());
-  EXPECT_THAT(*(*store)->ListTransitions("r1", 0), SizeIs(2));
+  EXPECT_THAT(*(*store)->ListTransitions("r1", 0), SizeIs(3));
 }
 
 TEST_F(SqliteStoreTest, TheFileIsForItsOwnerOnly) {
@@ -125,10 +129,10 @@ TEST_F(SqliteStoreTest, RefusesALogWithoutItsFile) {
 
 TEST_F(SqliteStoreTest, RefusesANewerSchema) {
   MakeHistory();
-  Execute("PRAGMA user_version = 7");
+  Execute("PRAGMA user_version = 8");
   EXPECT_THAT(SqliteStore::Open(path_),
               StatusIs(absl::StatusCode::kFailedPrecondition,
-                       HasSubstr("schema version 7, this program knows up to 6")));
+                       HasSubstr("schema version 8, this program knows up to 7")));
   Execute("PRAGMA user_version = 0");
   EXPECT_THAT(SqliteStore::Open(path_), StatusIs(absl::StatusCode::kDataLoss));
 }
@@ -141,8 +145,12 @@ TEST_F(SqliteStoreTest, TakesAnOlderSchemaForward) {
     return *(*store)->Load("r1");
   };
   const RobotRecord before = load();
+  Execute("ALTER TABLE robots DROP COLUMN tenure");
+  Execute("PRAGMA user_version = 6");
+  EXPECT_EQ(load(), before);
   bool only_traces = true;
   const auto undo_newest = [&] {
+    Execute("ALTER TABLE robots DROP COLUMN tenure");
     Execute("ALTER TABLE alerts DROP COLUMN trace");
     Execute("ALTER TABLE transitions DROP COLUMN trace");
     if (std::exchange(only_traces, false)) return;
@@ -171,6 +179,12 @@ TEST_F(SqliteStoreTest, TakesAnOlderSchemaForward) {
   Execute("PRAGMA user_version = 1");
   EXPECT_EQ(load(), before);
   EXPECT_EQ(load(), before) << "once is enough";
+  const auto store = SqliteStore::Open(path_);
+  ASSERT_THAT(store, IsOk());
+  EXPECT_THAT((*store)->Commit(Decide("r1", {1, 3}, "HALT", "DEFAULT")),
+              StatusIs(absl::StatusCode::kAborted))
+      << "no owner is known";
+  EXPECT_EQ((*store)->Acquire("r1")->tenure, 2u);
 }
 
 // The server runs on after a backup, an agent works with it, and the backup is restored.
@@ -181,6 +195,7 @@ TEST_F(SqliteStoreTest, ABackupIsToldFromWhatItWasMadeOf) {
     auto store = SqliteStore::Open(path_);
     ASSERT_THAT(store, IsOk());
     ASSERT_THAT((*store)->BeginGeneration(std::string(16, 'a')), IsOk());
+    ASSERT_THAT((*store)->Acquire("r1"), IsOk());
     ASSERT_THAT((*store)->Commit(Decide("r1", {1, 1}, "DEFAULT", "ALERT")), IsOk());
     before = {.generation = std::string(16, 'a'), .commit = (*store)->newest_commit()};
     Execute(absl::StrCat("VACUUM INTO '", backup, "'"));
@@ -241,8 +256,10 @@ TEST_F(SqliteStoreTest, NeverAnswersWronglyFromAnOverwrittenPage) {
 TEST_F(SqliteStoreTest, ForgetsTheOldestAlertsBeyondTheLimit) {
   auto store = SqliteStore::Open(path_, {.alerts_per_robot_max = 3});
   ASSERT_THAT(store, IsOk());
+  const std::vector<std::string> robots = {"r1", "quiet", "noisy"};
+  ASSERT_THAT((*store)->Acquire(robots), IsOk());
   for (int i = 1; i <= 5; ++i) {
-    WriteBatch batch{.robot = "r1"};
+    WriteBatch batch{.robot = "r1", .tenure = 1};
     batch.alerts.push_back(MakeAlert("r1", absl::StrCat(i)));
     ASSERT_THAT((*store)->Commit(batch), IsOk());
   }
@@ -256,8 +273,10 @@ TEST_F(SqliteStoreTest, ForgetsTheOldestAlertsBeyondTheLimit) {
 TEST_F(SqliteStoreTest, ARobotsAlertsPushOutNoOtherRobots) {
   auto store = SqliteStore::Open(path_, {.alerts_per_robot_max = 3});
   ASSERT_THAT(store, IsOk());
+  const std::vector<std::string> robots = {"r1", "quiet", "noisy"};
+  ASSERT_THAT((*store)->Acquire(robots), IsOk());
   const auto write = [&](const std::string& robot, const std::string& text) {
-    WriteBatch batch{.robot = robot};
+    WriteBatch batch{.robot = robot, .tenure = 1};
     batch.alerts.push_back(MakeAlert(robot, text));
     ASSERT_THAT((*store)->Commit(batch), IsOk());
   };
@@ -311,9 +330,10 @@ class FullDiskTest : public SqliteStoreTest {
 TEST_F(FullDiskTest, RecordsRaisesAndTermsFromTheReserveAndNothingElse) {
   auto store = SqliteStore::Open(path_, {.reserve_bytes = 2 << 20});
   ASSERT_THAT(store, IsOk());
+  ASSERT_THAT((*store)->Acquire("r1"), IsOk());
   ASSERT_THAT((*store)->Commit(Decide("r1", {1, 1}, "", "DEFAULT", "d1")), IsOk());
   FillDisk();
-  WriteBatch chatter{.robot = "r1"};
+  WriteBatch chatter{.robot = "r1", .tenure = 1};
   for (int i = 0; i < 2'000; ++i) {
     chatter.alerts.push_back(MakeAlert("r1", std::string(200, 'x')));
   }
@@ -325,9 +345,9 @@ TEST_F(FullDiskTest, RecordsRaisesAndTermsFromTheReserveAndNothingElse) {
     ASSERT_THAT((*store)->Commit(raise), IsOk()) << i;
     if (i == 4) FillDisk();  // others take what is given up
   }
-  EXPECT_THAT((*store)->NextTerm("r1"), IsOk());
+  EXPECT_THAT((*store)->NextTerm("r1", 1, 0), IsOk());
   EXPECT_EQ((*store)->Load("r1")->level, "HALT");
-  WriteBatch alert{.robot = "r1"};
+  WriteBatch alert{.robot = "r1", .tenure = 1};
   alert.alerts.push_back(MakeAlert("r1", "small"));
   EXPECT_THAT((*store)->Commit(alert), StatusIs(absl::StatusCode::kResourceExhausted))
       << "the reserve is not for others";
@@ -344,6 +364,7 @@ TEST_F(FullDiskTest, RecordsRaisesAndTermsFromTheReserveAndNothingElse) {
 TEST_F(FullDiskTest, OpensOnAFullDiskByItsReserve) {
   auto store = SqliteStore::Open(path_, {.reserve_bytes = 2 << 20});
   ASSERT_THAT(store, IsOk());
+  ASSERT_THAT((*store)->Acquire("r1"), IsOk());
   ASSERT_THAT((*store)->Commit(Decide("r1", {1, 1}, "", "HALT", "d1")), IsOk());
   store->reset();
   FillDisk();
@@ -353,13 +374,13 @@ TEST_F(FullDiskTest, OpensOnAFullDiskByItsReserve) {
   ASSERT_THAT(store, IsOk());
   EXPECT_THAT((*store)->BeginGeneration(std::string(16, 'g')), IsOk());
   EXPECT_EQ((*store)->Load("r1")->level, "HALT");
-  EXPECT_THAT((*store)->NextTerm("r1"), IsOk());
+  EXPECT_THAT((*store)->Acquire("r1"), IsOk());
 }
 
 TEST_F(SqliteStoreTest, RefusesAReserveForOtherThanDecisions) {
   auto store = SqliteStore::Open(path_);
   ASSERT_THAT(store, IsOk());
-  WriteBatch batch{.robot = "r1", .uses_reserve = true};
+  WriteBatch batch{.robot = "r1", .tenure = 1, .uses_reserve = true};
   batch.alerts.push_back(MakeAlert("r1", "text"));
   EXPECT_THAT((*store)->Commit(batch), StatusIs(absl::StatusCode::kInvalidArgument));
 }
@@ -367,9 +388,10 @@ TEST_F(SqliteStoreTest, RefusesAReserveForOtherThanDecisions) {
 TEST_F(SqliteStoreTest, ForgetsOldRefusalsButNoDecision) {
   auto store = SqliteStore::Open(path_, {.refusals_max = 3});
   ASSERT_THAT(store, IsOk());
+  ASSERT_THAT((*store)->Acquire("r1"), IsOk());
   ASSERT_THAT((*store)->Commit(Decide("r1", {1, 1}, "A", "B", "decision")), IsOk());
   for (int i = 1; i <= 5; ++i) {
-    WriteBatch batch{.robot = "r1"};
+    WriteBatch batch{.robot = "r1", .tenure = 1};
     batch.refusals.push_back({.id = absl::StrCat("f", i)});
     ASSERT_THAT((*store)->Commit(batch), IsOk());
   }
@@ -384,24 +406,45 @@ TEST_F(SqliteStoreTest, ForgetsOldRefusalsButNoDecision) {
 TEST_F(SqliteStoreTest, ABusyFileIsUnavailableAndLaterWorks) {
   auto store = SqliteStore::Open(path_);
   ASSERT_THAT(store, IsOk());
+  ASSERT_THAT((*store)->Acquire("r1"), IsOk());
   sqlite3* other = nullptr;
   ASSERT_EQ(sqlite3_open(path_.c_str(), &other), SQLITE_OK);
   ASSERT_EQ(sqlite3_exec(other, "BEGIN IMMEDIATE", nullptr, nullptr, nullptr), SQLITE_OK);
 
   EXPECT_THAT((*store)->Commit(Decide("r1", {1, 1}, "A", "B")),
               StatusIs(absl::StatusCode::kUnavailable, HasSubstr("locked")));
-  EXPECT_THAT((*store)->Load("r1"), IsOkAndHolds(RobotRecord{})) << "reads do not wait";
+  EXPECT_THAT((*store)->Load("r1"), IsOkAndHolds(RobotRecord{.highest_term = 1}))
+      << "reads do not wait";
 
   ASSERT_EQ(sqlite3_exec(other, "ROLLBACK", nullptr, nullptr, nullptr), SQLITE_OK);
   sqlite3_close(other);
   EXPECT_THAT((*store)->Commit(Decide("r1", {1, 1}, "A", "B")), IsOk());
 }
 
+TEST_F(SqliteStoreTest, ACommitThatTheDiskBreaksOffIsInDoubt) {
+  auto store = SqliteStore::Open(path_);
+  ASSERT_THAT(store, IsOk());
+  ASSERT_THAT((*store)->Acquire("r1"), IsOk());
+  // The log cannot grow.
+  signal(SIGXFSZ, SIG_IGN);
+  rlimit before = {};
+  ASSERT_EQ(getrlimit(RLIMIT_FSIZE, &before), 0);
+  rlimit small = before;
+  small.rlim_cur = std::filesystem::file_size(path_ + "-wal");
+  ASSERT_EQ(setrlimit(RLIMIT_FSIZE, &small), 0);
+  const absl::Status status = (*store)->Commit(Decide("r1", {1, 1}, "DEFAULT", "ALERT"));
+  ASSERT_EQ(setrlimit(RLIMIT_FSIZE, &before), 0);
+  EXPECT_THAT(status, StatusIs(absl::StatusCode::kUnknown, HasSubstr("it is not known whether")));
+
+  EXPECT_THAT((*store)->Commit(Decide("r1", {1, 2}, "DEFAULT", "HALT")), IsOk());
+  EXPECT_EQ((*store)->Load("r1")->level, "HALT");
+}
+
 // Commits decisions 1, 2, ... through a Committer and writes each number to `out` once its callback
 // has been told OK. Does not return.
 [[noreturn]] void CommitForEver(const std::string& path, int out) {
   auto store = SqliteStore::Open(path);
-  if (!store.ok()) _exit(2);
+  if (!store.ok() || !(*store)->Acquire("r1").ok()) _exit(2);
   Committer committer(store->get());
   for (uint64_t epoch = 1;; ++epoch) {
     WriteBatch batch = Decide("r1", {1, epoch}, "A", absl::StrCat("L", epoch));

@@ -32,7 +32,14 @@ absl::Status SqliteWriter::PrepareAll() {
       {&begin_, "BEGIN IMMEDIATE"},
       {&commit_, "COMMIT"},
       {&rollback_, "ROLLBACK"},
+      {&begin_batch_, "SAVEPOINT batch"},
+      {&rollback_batch_, "ROLLBACK TO batch"},
+      {&end_batch_, "RELEASE batch"},
       {&add_robot_, "INSERT INTO robots (robot) VALUES (?) ON CONFLICT DO NOTHING"},
+      {&acquire_,
+       "UPDATE robots SET highest_term = highest_term + 1, tenure = highest_term + 1 "
+       "WHERE robot = ? RETURNING tenure"},
+      {&tenure_, "SELECT tenure FROM robots WHERE robot = ?"},
       {&next_term_,
        "UPDATE robots SET highest_term = max(highest_term, ?2) + 1 WHERE robot = ?1 "
        "RETURNING highest_term"},
@@ -110,16 +117,53 @@ absl::Status SqliteWriter::PrepareAll() {
 absl::Status SqliteWriter::InTransaction(const std::function<absl::Status()>& work) {
   RIPS_RETURN_IF_ERROR(begin_.Start().Run());
   absl::Status status = work();
-  if (status.ok()) status = commit_.Start().Run();
+  if (status.ok()) {
+    status = commit_.Start().Run();
+    // The log may hold all of it, though it was not synced: a restart would find it.
+    if (absl::IsUnavailable(status)) {
+      status = absl::UnknownError(
+          absl::StrCat(status.message(), "; it is not known whether it was written"));
+    }
+  }
   // After some errors SQLite has rolled back by itself; then this fails and nothing is left to do.
   if (!status.ok()) rollback_.Start().Run().IgnoreError();
   return status;
 }
 
-absl::StatusOr<uint64_t> SqliteWriter::NextTerm(absl::string_view robot, uint64_t above) {
+absl::StatusOr<std::vector<uint64_t>> SqliteWriter::Acquire(std::span<const std::string> robots) {
+  std::vector<uint64_t> tenures;
+  const absl::Status status = InTransaction([&]() -> absl::Status {
+    tenures.clear();
+    for (const std::string& robot : robots) {
+      RIPS_RETURN_IF_ERROR(add_robot_.Start().Bind(robot).Run());
+      Query query = acquire_.Start();
+      query.Bind(robot);
+      RIPS_ASSIGN_OR_RETURN(const bool row, query.Step());
+      if (!row) return absl::InternalError("the tenure was not updated");
+      tenures.push_back(query.Unsigned(0));
+      // A statement with RETURNING has to be run to its end.
+      RIPS_RETURN_IF_ERROR(query.Run());
+    }
+    return absl::OkStatus();
+  });
+  RIPS_RETURN_IF_ERROR(status);
+  return tenures;
+}
+
+absl::Status SqliteWriter::CheckTenure(absl::string_view robot, uint64_t tenure) {
+  Query query = tenure_.Start();
+  query.Bind(robot);
+  RIPS_ASSIGN_OR_RETURN(const bool row, query.Step());
+  const uint64_t stored = row ? query.Unsigned(0) : 0;
+  if (tenure != 0 && tenure == stored) return absl::OkStatus();
+  return Fenced(robot, tenure, stored);
+}
+
+absl::StatusOr<uint64_t> SqliteWriter::NextTerm(absl::string_view robot, uint64_t tenure,
+                                                uint64_t above) {
   uint64_t term = 0;
   const absl::Status status = InTransaction([&]() -> absl::Status {
-    RIPS_RETURN_IF_ERROR(add_robot_.Start().Bind(robot).Run());
+    RIPS_RETURN_IF_ERROR(CheckTenure(robot, tenure));
     Query query = next_term_.Start();
     query.Bind(robot).Bind(std::min(above, kTermAboveMax));
     RIPS_ASSIGN_OR_RETURN(const bool row, query.Step());
@@ -132,15 +176,37 @@ absl::StatusOr<uint64_t> SqliteWriter::NextTerm(absl::string_view robot, uint64_
   return term;
 }
 
-absl::Status SqliteWriter::CommitAll(std::span<const WriteBatch> batches) {
-  for (const WriteBatch& batch : batches) RIPS_RETURN_IF_ERROR(Validate(batch));
-  uint64_t commit = 0;
-  const absl::Status status = InTransaction([&]() -> absl::Status {
-    for (const WriteBatch& batch : batches) RIPS_RETURN_IF_ERROR(Write(batch));
-    RIPS_ASSIGN_OR_RETURN(commit, CountCommit());
+absl::StatusOr<std::vector<absl::Status>> SqliteWriter::CommitAll(
+    std::span<const WriteBatch> batches) {
+  std::vector<absl::Status> statuses;
+  uint64_t commit = newest_commit_;
+  RIPS_RETURN_IF_ERROR(InTransaction([&]() -> absl::Status {
+    bool written = false;
+    for (const WriteBatch& batch : batches) {
+      statuses.push_back(WriteWhole(batch));
+      const absl::Status& status = statuses.back();
+      if (!status.ok() && !IsOfBatch(status)) return status;
+      written |= status.ok();
+    }
+    if (written) {
+      RIPS_ASSIGN_OR_RETURN(commit, CountCommit());
+    }
     return absl::OkStatus();
-  });
-  if (status.ok()) newest_commit_ = commit;
+  }));
+  newest_commit_ = commit;
+  return statuses;
+}
+
+absl::Status SqliteWriter::WriteWhole(const WriteBatch& batch) {
+  RIPS_RETURN_IF_ERROR(Validate(batch));
+  if (batch.tenure != 0) RIPS_RETURN_IF_ERROR(CheckTenure(batch.robot, batch.tenure));
+  RIPS_RETURN_IF_ERROR(begin_batch_.Start().Run());
+  const absl::Status status = Write(batch);
+  if (!status.ok()) {
+    if (!IsOfBatch(status)) return status;
+    RIPS_RETURN_IF_ERROR(rollback_batch_.Start().Run());
+  }
+  RIPS_RETURN_IF_ERROR(end_batch_.Start().Run());
   return status;
 }
 
@@ -181,8 +247,31 @@ absl::Status SqliteWriter::Write(const WriteBatch& batch) {
   if (!batch.refusals.empty()) {
     RIPS_RETURN_IF_ERROR(prune_refusals_.Start().Bind(limits_.refusals_max).Run());
   }
-  for (const StageUpdate& each : batch.stages) RIPS_RETURN_IF_ERROR(Write(robot, each));
-  for (const AlertRecord& each : batch.alerts) RIPS_RETURN_IF_ERROR(Write(each));
+  for (const StageUpdate& each : batch.stages) {
+    RIPS_RETURN_IF_ERROR(set_stage_.Start()
+                             .Bind(robot)
+                             .Bind(each.decision_id.term)
+                             .Bind(each.decision_id.epoch)
+                             .Bind(each.stage)
+                             .Bind(each.detail)
+                             .Run());
+  }
+  for (const AlertRecord& each : batch.alerts) {
+    const std::string trace = TraceToBytes(each.trace);
+    RIPS_RETURN_IF_ERROR(add_alert_.Start()
+                             .Bind(each.id)
+                             .Bind(each.time_unix_ns)
+                             .Bind(each.robot)
+                             .Bind(each.rule)
+                             .Bind(each.severity)
+                             .Bind(each.text)
+                             .Bind(each.level)
+                             .Bind(each.event)
+                             .Bind(each.decision_id.term)
+                             .Bind(each.decision_id.epoch)
+                             .BindBytes(trace)
+                             .Run());
+  }
   if (!batch.alerts.empty()) RIPS_RETURN_IF_ERROR(PruneAlerts(robot, batch.alerts.size()));
   return batch.checkpoint.empty() ? absl::OkStatus() : Write(robot, batch.checkpoint);
 }
@@ -218,7 +307,6 @@ absl::StatusOr<bool> SqliteWriter::IsStored(const std::string& robot,
 absl::Status SqliteWriter::Write(const std::string& robot, const DecisionRecord& decision) {
   RIPS_ASSIGN_OR_RETURN(const bool stored, IsStored(robot, decision));
   if (stored) return absl::OkStatus();
-  RIPS_RETURN_IF_ERROR(add_robot_.Start().Bind(robot).Run());
   // A query views what is bound.
   const std::string trace = TraceToBytes(decision.trace);
   RIPS_RETURN_IF_ERROR(add_decision_.Start()
@@ -260,33 +348,6 @@ absl::Status SqliteWriter::Write(const std::string& robot, const RefusalRecord& 
   return query.Run();
 }
 
-absl::Status SqliteWriter::Write(const std::string& robot, const StageUpdate& update) {
-  return set_stage_.Start()
-      .Bind(robot)
-      .Bind(update.decision_id.term)
-      .Bind(update.decision_id.epoch)
-      .Bind(update.stage)
-      .Bind(update.detail)
-      .Run();
-}
-
-absl::Status SqliteWriter::Write(const AlertRecord& alert) {
-  const std::string trace = TraceToBytes(alert.trace);
-  return add_alert_.Start()
-      .Bind(alert.id)
-      .Bind(alert.time_unix_ns)
-      .Bind(alert.robot)
-      .Bind(alert.rule)
-      .Bind(alert.severity)
-      .Bind(alert.text)
-      .Bind(alert.level)
-      .Bind(alert.event)
-      .Bind(alert.decision_id.term)
-      .Bind(alert.decision_id.epoch)
-      .BindBytes(trace)
-      .Run();
-}
-
 absl::Status SqliteWriter::PruneAlerts(const std::string& robot, size_t added) {
   const auto [it, first] = unpruned_.try_emplace(robot);
   it->second += static_cast<int64_t>(added);
@@ -310,7 +371,6 @@ absl::Status SqliteWriter::SetNote(absl::string_view name, absl::string_view val
 }
 
 absl::Status SqliteWriter::Write(const std::string& robot, const Checkpoint& checkpoint) {
-  RIPS_RETURN_IF_ERROR(add_robot_.Start().Bind(robot).Run());
   if (checkpoint.variables.has_value()) {
     RIPS_RETURN_IF_ERROR(WriteVariables(robot, *checkpoint.variables));
   }
@@ -332,7 +392,21 @@ absl::Status SqliteWriter::Write(const std::string& robot, const Checkpoint& che
   if (checkpoint.bundle.has_value()) {
     RIPS_RETURN_IF_ERROR(set_bundle_.Start().Bind(robot).Bind(*checkpoint.bundle).Run());
   }
-  return WriteHighWater(robot, checkpoint.high_water);
+  for (const auto& [key, sequence] : checkpoint.high_water) {
+    RIPS_RETURN_IF_ERROR(put_high_water_.Start()
+                             .Bind(robot)
+                             .Bind(key.host)
+                             .Bind(key.incarnation)
+                             .Bind(static_cast<int64_t>(key.lane))
+                             .Bind(sequence)
+                             .Run());
+    RIPS_RETURN_IF_ERROR(prune_high_water_.Start()
+                             .Bind(robot)
+                             .Bind(key.host)
+                             .Bind(uint64_t{kHighWaterPerHostMax})
+                             .Run());
+  }
+  return absl::OkStatus();
 }
 
 absl::Status SqliteWriter::WriteVariables(const std::string& robot, const Variables& variables) {
@@ -351,24 +425,6 @@ absl::Status SqliteWriter::WriteVariables(const std::string& robot, const Variab
                              .Bind(static_cast<int64_t>(value.index()))
                              .Bind(number)
                              .Bind(text)
-                             .Run());
-  }
-  return absl::OkStatus();
-}
-
-absl::Status SqliteWriter::WriteHighWater(const std::string& robot, const HighWater& high_water) {
-  for (const auto& [key, sequence] : high_water) {
-    RIPS_RETURN_IF_ERROR(put_high_water_.Start()
-                             .Bind(robot)
-                             .Bind(key.host)
-                             .Bind(key.incarnation)
-                             .Bind(static_cast<int64_t>(key.lane))
-                             .Bind(sequence)
-                             .Run());
-    RIPS_RETURN_IF_ERROR(prune_high_water_.Start()
-                             .Bind(robot)
-                             .Bind(key.host)
-                             .Bind(uint64_t{kHighWaterPerHostMax})
                              .Run());
   }
   return absl::OkStatus();

@@ -1,5 +1,7 @@
 #include "policy_server/server/store/store.h"
 
+#include <utility>
+
 #include "absl/strings/str_cat.h"
 #include "services/base/status_macros.h"
 
@@ -33,9 +35,33 @@ absl::Status Validate(const Checkpoint& checkpoint) {
 
 }  // namespace
 
+absl::StatusOr<Acquired> Store::Acquire(const std::string& robot) {
+  RIPS_ASSIGN_OR_RETURN(std::vector<Acquired> acquired, Acquire({&robot, 1}));
+  return std::move(acquired.front());
+}
+
+absl::Status Store::Commit(const WriteBatch& batch) {
+  RIPS_ASSIGN_OR_RETURN(const std::vector<absl::Status> statuses, CommitAll({&batch, 1}));
+  return statuses.front();
+}
+
+bool IsOfBatch(const absl::Status& status) {
+  return absl::IsInvalidArgument(status) || absl::IsAlreadyExists(status) ||
+         absl::IsAborted(status);
+}
+
+absl::Status Fenced(absl::string_view robot, uint64_t tenure, uint64_t stored) {
+  return absl::AbortedError(absl::StrCat("tenure ", tenure, " of robot `", robot,
+                                         "` is over: the robot was acquired with tenure ", stored));
+}
+
 absl::Status Validate(const WriteBatch& batch) {
-  if (batch.empty()) return absl::OkStatus();
   if (batch.robot.empty()) return Missing("batch", "robot");
+  RIPS_RETURN_IF_ERROR(CheckNumber("tenure", batch.tenure));
+  if (batch.tenure == 0 && (!batch.decisions.empty() || !batch.refusals.empty() ||
+                            !batch.stages.empty() || !batch.checkpoint.empty())) {
+    return Missing("batch", "tenure");
+  }
   if (batch.uses_reserve && (!batch.refusals.empty() || !batch.stages.empty() ||
                              !batch.alerts.empty() || !batch.checkpoint.empty())) {
     return absl::InvalidArgumentError("the reserve is for decisions alone");

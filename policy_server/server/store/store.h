@@ -2,16 +2,20 @@
 // and how far each sensor lane has been judged.
 //
 // What this port promises, and every implementation is tested for:
-//   - A commit that returned OK survives a crash of the process and of the machine.
-//   - A commit is all or nothing.
+//   - A batch whose status is OK survives a crash of the process and of the machine.
+//   - A batch is all or nothing, and spoils no other of its group.
+//   - A robot has one owner, the server that acquired it last. What a former owner still writes is
+//     refused, for ever: also after the robot was acquired again by the same server.
 //   - A decision, once written, never changes and its decision id never names another decision. The
 //     level that Load returns is that of the highest decision id, whatever the order of writing, so
 //     a repeated or late write cannot lower it.
 //   - A term, once handed out, is never handed out again.
-// Methods block on the disk and may be called from any thread. Errors: Unavailable (a retry may
-// help: busy, disk error), ResourceExhausted (disk full), DataLoss (what is stored is corrupt),
-// InvalidArgument (the caller's data will never do), AlreadyExists (the decision id or id is
-// taken).
+// Methods block on the disk and may be called from any thread. Errors:
+//   of the store   Unavailable (nothing was written; a retry may help: busy, disk error), Unknown
+//                  (in doubt: it may have been written, and a restart may find it),
+//                  ResourceExhausted (disk full), DataLoss (what is stored is corrupt)
+//   of the caller  InvalidArgument (the data will never do), AlreadyExists (the decision id or id
+//                  is taken), Aborted (fenced: the robot was acquired anew since)
 #ifndef RIPS_POLICY_SERVER_SERVER_STORE_STORE_H_
 #define RIPS_POLICY_SERVER_SERVER_STORE_STORE_H_
 
@@ -46,10 +50,16 @@ class Store {
   // An unknown robot gives an empty record.
   virtual absl::StatusOr<RobotRecord> Load(absl::string_view robot) = 0;
 
+  // Makes the caller the owner of the robots, in their order; durable when it returns. From now on
+  // batches of an earlier tenure are refused, the caller's own too, and nothing can be written but
+  // by the new one.
+  virtual absl::StatusOr<std::vector<Acquired>> Acquire(std::span<const std::string> robots) = 0;
+  absl::StatusOr<Acquired> Acquire(const std::string& robot);
+
   // A term above all that this robot ever had, and above `above` (cut to kTermAboveMax);
-  // durable when it returns.
-  virtual absl::StatusOr<uint64_t> NextTerm(absl::string_view robot, uint64_t above) = 0;
-  absl::StatusOr<uint64_t> NextTerm(absl::string_view robot) { return NextTerm(robot, 0); }
+  // durable when it returns. The tenure stays. Aborted if `tenure` is not the robot's.
+  virtual absl::StatusOr<uint64_t> NextTerm(absl::string_view robot, uint64_t tenure,
+                                            uint64_t above) = 0;
 
   // The level that this robot's decision of that decision id leads to, by name; nullopt if no
   // decision has that decision id.
@@ -65,11 +75,13 @@ class Store {
   // The newest that is durable, 0 before BeginGeneration. Never blocks.
   virtual uint64_t newest_commit() const = 0;
 
-  // One transaction of all batches, applied in order; one commit. A decision whose decision id
-  // exists: OK if it is the same in every field, else AlreadyExists and nothing is written.
-  // InvalidArgument: see Validate.
-  virtual absl::Status CommitAll(std::span<const WriteBatch> batches) = 0;
-  absl::Status Commit(const WriteBatch& batch) { return CommitAll({&batch, 1}); }
+  // One transaction of all batches, applied in order; one commit. What became of each: OK, or why
+  // nothing of it was written: InvalidArgument (see Validate), AlreadyExists, Aborted if the batch
+  // names a tenure that is not the robot's. An error is of the store, and of all batches. A
+  // decision whose decision id exists: OK if it is the same in every field, else AlreadyExists.
+  virtual absl::StatusOr<std::vector<absl::Status>> CommitAll(
+      std::span<const WriteBatch> batches) = 0;
+  absl::Status Commit(const WriteBatch& batch);
 
   // Decisions and refusals of the robot, the one written last first.
   virtual absl::StatusOr<std::vector<TransitionRecord>> ListTransitions(absl::string_view robot,
@@ -88,15 +100,23 @@ class Store {
   // The alert written last, sequence and id alone matter; sequence 0 = there is none.
   virtual absl::StatusOr<AlertRecord> NewestAlert() = 0;
 
-  // A small text under a name, for whoever must remember where it was; empty = none.
+  // A small text under a name; empty = none.
   virtual absl::StatusOr<std::string> Note(absl::string_view name) = 0;
   // InvalidArgument for an empty name or a value beyond kNoteBytesMax.
   virtual absl::Status SetNote(absl::string_view name, absl::string_view value) = 0;
 };
 
 // InvalidArgument if CommitAll must refuse the batch whatever is stored: an empty robot or id, a
-// decision without decision id or level, a number above kNumberMax. Shared by implementations.
+// decision without decision id or level, a number above kNumberMax, other than alerts without a
+// tenure. Shared by implementations.
 absl::Status Validate(const WriteBatch& batch);
+
+// True of what CommitAll says of one batch, not of the store.
+bool IsOfBatch(const absl::Status& status);
+
+// What a batch or a question of `tenure` is told when another one is stored. Shared by
+// implementations.
+absl::Status Fenced(absl::string_view robot, uint64_t tenure, uint64_t stored);
 
 // InvalidArgument if BeginGeneration must refuse it. Shared by implementations.
 absl::Status CheckGeneration(absl::string_view id);

@@ -29,11 +29,13 @@ class StoreContractTest : public testing::TestWithParam<Kind> {
   void SetUp() override {
     if (GetParam() == Kind::kFake) {
       store_ = std::make_unique<FakeStore>();
-      return;
+    } else {
+      auto opened = SqliteStore::Open(dir_.File("state.db"));
+      ASSERT_THAT(opened, IsOk());
+      store_ = *std::move(opened);
     }
-    absl::StatusOr<std::unique_ptr<SqliteStore>> opened = SqliteStore::Open(dir_.File("state.db"));
-    ASSERT_THAT(opened, IsOk());
-    store_ = *std::move(opened);
+    const std::vector<std::string> robots = {"r1", "r2", "r3"};
+    ASSERT_THAT(store_->Acquire(robots), IsOk());
   }
 
   RobotRecord Load(absl::string_view robot) {
@@ -65,7 +67,7 @@ class StoreContractTest : public testing::TestWithParam<Kind> {
   std::vector<WriteBatch> CommitThreeAlerts() {
     std::vector<WriteBatch> batches;
     for (const auto& [robot, text] : {std::pair("r1", "one"), {"r2", "two"}, {"r1", "three"}}) {
-      batches.push_back({.robot = robot, .alerts = {MakeAlert(robot, text)}});
+      batches.push_back({.robot = robot, .tenure = 1, .alerts = {MakeAlert(robot, text)}});
     }
     EXPECT_THAT(store_->CommitAll(batches), IsOk());
     return batches;
@@ -101,29 +103,112 @@ TEST_P(StoreContractTest, KeepsBansByIdentityAndSerial) {
 }
 
 TEST_P(StoreContractTest, KnowsNothingOfAnUnknownRobot) {
-  EXPECT_EQ(Load("r1"), RobotRecord{});
-  EXPECT_EQ(Decision("r1", {1, 1}), "");
-  EXPECT_EQ(Decision("r1", {}), "");
-  EXPECT_THAT(Transitions("r1"), IsEmpty());
+  EXPECT_EQ(Load("r9"), RobotRecord{});
+  EXPECT_EQ(Decision("r9", {1, 1}), "");
+  EXPECT_EQ(Decision("r9", {}), "");
+  EXPECT_THAT(Transitions("r9"), IsEmpty());
   EXPECT_THAT(AlertTexts(""), IsEmpty());
 }
 
 TEST_P(StoreContractTest, HandsOutEachTermOnce) {
-  EXPECT_THAT(store_->NextTerm("r1"), IsOkAndHolds(1u));
-  EXPECT_THAT(store_->NextTerm("r1"), IsOkAndHolds(2u));
-  EXPECT_THAT(store_->NextTerm("r2"), IsOkAndHolds(1u));
-  EXPECT_THAT(store_->NextTerm("r1", 10), IsOkAndHolds(11u));
-  EXPECT_THAT(store_->NextTerm("r1", 5), IsOkAndHolds(12u));
+  EXPECT_THAT(store_->NextTerm("r1", 1, 0), IsOkAndHolds(2u));
+  EXPECT_THAT(store_->NextTerm("r2", 1, 0), IsOkAndHolds(2u));
+  EXPECT_THAT(store_->NextTerm("r1", 1, 10), IsOkAndHolds(11u));
+  EXPECT_THAT(store_->NextTerm("r1", 1, 5), IsOkAndHolds(12u));
   EXPECT_EQ(Load("r1").highest_term, 12u);
+  EXPECT_EQ(store_->Acquire("r1")->tenure, 13u);
+  EXPECT_THAT(store_->NextTerm("r1", 13, 0), IsOkAndHolds(14u));
 }
 
 TEST_P(StoreContractTest, TermsCannotBeUsedUp) {
   const uint64_t most = std::numeric_limits<uint64_t>::max();
-  EXPECT_THAT(store_->NextTerm("r1", most), IsOkAndHolds(kTermAboveMax + 1));
-  EXPECT_THAT(store_->NextTerm("r1", most), IsOkAndHolds(kTermAboveMax + 2));
+  EXPECT_THAT(store_->NextTerm("r1", 1, most), IsOkAndHolds(kTermAboveMax + 1));
+  EXPECT_THAT(store_->NextTerm("r1", 1, most), IsOkAndHolds(kTermAboveMax + 2));
   EXPECT_THAT(store_->Commit(Decide("r1", {kTermAboveMax + 2, 1}, "A", "B")), IsOk());
   EXPECT_EQ(Load("r1").highest_term, kTermAboveMax + 2);
   EXPECT_EQ(Decision("r1", {kTermAboveMax + 2, 1}), "B");
+}
+
+TEST_P(StoreContractTest, AcquiringShowsWhatIsStoredUnderATermAboveAll) {
+  ASSERT_THAT(store_->Commit(Decide("r2", {7, 1}, "DEFAULT", "HALT")), IsOk());
+  const std::vector<std::string> robots = {"r2", "new", "r1"};
+  const auto acquired = store_->Acquire(robots);
+  ASSERT_THAT(acquired, IsOk());
+  ASSERT_THAT(*acquired, SizeIs(3));
+  EXPECT_EQ((*acquired)[0].tenure, 8u);
+  EXPECT_EQ((*acquired)[0].record, Load("r2"));
+  EXPECT_EQ((*acquired)[0].record.level, "HALT");
+  EXPECT_EQ((*acquired)[0].record.highest_term, 8u);
+  EXPECT_EQ((*acquired)[1].tenure, 1u);
+  EXPECT_EQ((*acquired)[1].record, (RobotRecord{.highest_term = 1}));
+  EXPECT_EQ((*acquired)[2].tenure, 2u);
+  EXPECT_THAT(store_->Acquire(std::vector<std::string>()), IsOkAndHolds(std::vector<Acquired>()));
+}
+
+TEST_P(StoreContractTest, AFormerOwnerWritesNothing) {
+  ASSERT_THAT(store_->Commit(Decide("r1", {1, 1}, "DEFAULT", "HALT")), IsOk());
+  const WriteBatch late = Decide("r1", {1, 2}, "HALT", "DEFAULT");
+  ASSERT_EQ(store_->Acquire("r1")->tenure, 2u);
+  const RobotRecord before = Load("r1");
+
+  WriteBatch checkpoint{.robot = "r1", .tenure = 1};
+  checkpoint.checkpoint.variables = Variables{{"n", int64_t{1}}};
+  WriteBatch alert{.robot = "r1", .tenure = 1};
+  alert.alerts.push_back(MakeAlert("r1", "late"));
+  for (const WriteBatch& batch : {late, checkpoint, alert}) {
+    EXPECT_THAT(store_->Commit(batch), StatusIs(absl::StatusCode::kAborted));
+  }
+  EXPECT_THAT(store_->NextTerm("r1", 1, 0), StatusIs(absl::StatusCode::kAborted));
+  EXPECT_EQ(Load("r1"), before);
+  EXPECT_THAT(AlertTexts("r1"), IsEmpty());
+
+  ASSERT_EQ(store_->Acquire("r1")->tenure, 3u) << "by the first one again";
+  EXPECT_THAT(store_->Commit(late), StatusIs(absl::StatusCode::kAborted));
+  EXPECT_EQ(Load("r1").level, "HALT");
+  WriteBatch now = late;
+  now.tenure = 3;
+  EXPECT_THAT(store_->Commit(now), IsOk());
+}
+
+TEST_P(StoreContractTest, WithoutAnOwnerAlertsAreAllThatIsWritten) {
+  WriteBatch unknown = Decide("r9", {1, 1}, "DEFAULT", "HALT");
+  EXPECT_THAT(store_->Commit(unknown), StatusIs(absl::StatusCode::kAborted));
+  unknown = Decide("r1", {2, 1}, "DEFAULT", "HALT");
+  unknown.tenure = 2;
+  EXPECT_THAT(store_->Commit(unknown), StatusIs(absl::StatusCode::kAborted)) << "never drawn";
+  EXPECT_THAT(store_->NextTerm("r9", 0, 0), StatusIs(absl::StatusCode::kAborted));
+  for (const std::string& robot :
+       {std::string(kServerRobot), std::string("r9"), std::string("r1")}) {
+    const WriteBatch alert{.robot = robot, .alerts = {MakeAlert(robot, "of the server")}};
+    EXPECT_THAT(store_->Commit(alert), IsOk());
+  }
+  EXPECT_THAT(AlertTexts(""), SizeIs(3));
+  EXPECT_EQ(Load("r9"), RobotRecord{});
+}
+
+TEST_P(StoreContractTest, EachBatchOfAGroupHasItsOwnStatus) {
+  ASSERT_THAT(store_->BeginGeneration(std::string(16, 'a')), IsOk());
+  ASSERT_THAT(store_->Commit(Decide("r3", {1, 1}, "DEFAULT", "ALERT")), IsOk());
+  ASSERT_EQ(store_->Acquire("r2")->tenure, 2u);
+  WriteBatch clash = Decide("r3", {1, 2}, "ALERT", "HALT");
+  clash.decisions.push_back(Decide("r3", {1, 1}, "ALERT", "HALT").decisions[0]);
+  clash.alerts.push_back(MakeAlert("r3", "of the clash"));
+  WriteBatch invalid = Decide("r1", {1, 2}, "ALERT", "HALT");
+  invalid.alerts.push_back({.robot = "r1"});
+  const std::vector<WriteBatch> group = {Decide("r1", {1, 1}, "DEFAULT", "ALERT"), clash,
+                                         Decide("r2", {1, 1}, "DEFAULT", "HALT"), invalid,
+                                         Decide("r1", {1, 3}, "ALERT", "HALT")};
+  const auto statuses = store_->CommitAll(group);
+  ASSERT_THAT(statuses, IsOk());
+  EXPECT_THAT(*statuses, ElementsAre(IsOk(), StatusIs(absl::StatusCode::kAlreadyExists),
+                                     StatusIs(absl::StatusCode::kAborted),
+                                     StatusIs(absl::StatusCode::kInvalidArgument), IsOk()));
+  EXPECT_EQ(Load("r1").decision_id, (DecisionId{1, 3}));
+  EXPECT_THAT(Transitions("r1"), SizeIs(2));
+  EXPECT_EQ(Load("r2").level, "");
+  EXPECT_EQ(Load("r3").level, "ALERT") << "nothing of the batch";
+  EXPECT_THAT(AlertTexts(""), IsEmpty());
+  EXPECT_EQ(store_->newest_commit(), 2u) << "one transaction";
 }
 
 TEST_P(StoreContractTest, TakesTheLevelFromTheHighestDecisionId) {
@@ -153,13 +238,13 @@ TEST_P(StoreContractTest, DoesNotSinkByALateWrite) {
 
 TEST_P(StoreContractTest, ADecisionRaisesTheTerm) {
   ASSERT_THAT(store_->Commit(Decide("r1", {7, 1}, "DEFAULT", "ALERT")), IsOk());
-  EXPECT_THAT(store_->NextTerm("r1"), IsOkAndHolds(8u));
+  EXPECT_THAT(store_->NextTerm("r1", 1, 0), IsOkAndHolds(8u));
 }
 
 TEST_P(StoreContractTest, WritingADecisionAgainChangesNothing) {
   const WriteBatch batch = Decide("r1", {1, 1}, "DEFAULT", "ALERT");
   ASSERT_THAT(store_->Commit(batch), IsOk());
-  WriteBatch stage{.robot = "r1"};
+  WriteBatch stage{.robot = "r1", .tenure = 1};
   stage.stages.push_back({.decision_id = {1, 1}, .stage = "verified", .detail = "2 parts"});
   ASSERT_THAT(store_->Commit(stage), IsOk());
 
@@ -187,7 +272,7 @@ TEST_P(StoreContractTest, ABatchIsAllOrNothing) {
   WriteBatch bad = good;
   bad.alerts.push_back({.id = "", .robot = "r1", .text = "no id"});
   EXPECT_THAT(store_->Commit(bad), StatusIs(absl::StatusCode::kInvalidArgument));
-  EXPECT_EQ(Load("r1"), RobotRecord{});
+  EXPECT_EQ(Load("r1"), RobotRecord{.highest_term = 1});
   EXPECT_THAT(Transitions("r1"), IsEmpty());
 
   ASSERT_THAT(store_->Commit(good), IsOk());
@@ -199,7 +284,7 @@ TEST_P(StoreContractTest, ABatchIsAllOrNothing) {
 }
 
 TEST_P(StoreContractTest, RefusesRecordsThatSayTooLittleOrTooMuch) {
-  std::vector<WriteBatch> bad(10, WriteBatch{.robot = "r1"});
+  std::vector<WriteBatch> bad(12, WriteBatch{.robot = "r1", .tenure = 1});
   bad[0] = Decide("", {1, 1}, "A", "B");
   bad[1] = Decide("r1", {0, 1}, "A", "B");
   bad[2] = Decide("r1", {1, 0}, "A", "B");
@@ -210,6 +295,10 @@ TEST_P(StoreContractTest, RefusesRecordsThatSayTooLittleOrTooMuch) {
   bad[7].alerts.push_back({.id = "x", .robot = ""});
   bad[8].alerts.push_back({.id = "x", .robot = "r2"});
   bad[9].checkpoint.high_water = {{LaneKey{}, kNumberMax + 1}};
+  bad[10] = Decide("r1", {1, 1}, "A", "B");
+  bad[10].tenure = 0;
+  bad[11].tenure = 0;
+  bad[11].checkpoint.rules_halted = true;
   for (size_t i = 0; i < bad.size(); ++i) {
     EXPECT_THAT(store_->Commit(bad[i]), StatusIs(absl::StatusCode::kInvalidArgument)) << i;
   }
@@ -254,7 +343,7 @@ TEST_P(StoreContractTest, ListsTransitionsAsTheyWereWrittenNewestFirst) {
 
 TEST_P(StoreContractTest, ARepeatedRefusalIsUpdatedNotAdded) {
   RefusalRecord refusal = {.id = "f1", .from = "B", .to = "A", .reason = "blind"};
-  WriteBatch batch{.robot = "r1"};
+  WriteBatch batch{.robot = "r1", .tenure = 1};
   batch.refusals = {refusal};
   ASSERT_THAT(store_->Commit(batch), IsOk());
   refusal.count = 17;
@@ -283,7 +372,7 @@ TEST_P(StoreContractTest, ListsAlertsOfOneRobotOrOfAll) {
 }
 
 TEST_P(StoreContractTest, AnAlertWrittenTwiceIsThereOnce) {
-  WriteBatch batch{.robot = "r1"};
+  WriteBatch batch{.robot = "r1", .tenure = 1};
   batch.alerts = {MakeAlert("r1", "first")};
   ASSERT_THAT(store_->Commit(batch), IsOk());
   batch.alerts[0].text = "second";
@@ -393,7 +482,7 @@ TEST_P(StoreContractTest, KeepsHostileTextAsItIs) {
   AlertRecord alert = MakeAlert("r1", hostile);
   alert.event = hostile;
   alert.rule = hostile;
-  WriteBatch batch{.robot = "r1"};
+  WriteBatch batch{.robot = "r1", .tenure = 1};
   batch.alerts = {alert};
   batch.checkpoint.variables = Variables{{"v", hostile}};
   ASSERT_THAT(store_->Commit(batch), IsOk());
@@ -405,7 +494,7 @@ TEST_P(StoreContractTest, KeepsHostileTextAsItIs) {
 }
 
 TEST_P(StoreContractTest, CutsListsToTheirLimit) {
-  WriteBatch batch{.robot = "r1"};
+  WriteBatch batch{.robot = "r1", .tenure = 1};
   for (uint64_t i = 1; i <= kListMax + 5; ++i) {
     batch.alerts.push_back(MakeAlert("r1", absl::StrCat(i)));
     batch.decisions.push_back(Decide("r1", {1, i}, "A", "B").decisions[0]);
@@ -432,7 +521,7 @@ TEST_P(StoreContractTest, RestoresVariablesExactly) {
       {"one", int64_t{1}},
       {"text", std::string("")},
   };
-  WriteBatch batch{.robot = "r1"};
+  WriteBatch batch{.robot = "r1", .tenure = 1};
   batch.checkpoint.variables = variables;
   ASSERT_THAT(store_->Commit(batch), IsOk());
 
@@ -449,14 +538,14 @@ TEST_P(StoreContractTest, RestoresVariablesExactly) {
 TEST_P(StoreContractTest, ACheckpointReplacesWhatItHasAndKeepsTheRest) {
   const LaneKey control = {.host = "base", .incarnation = "aa", .lane = LaneKey::Lane::kControl};
   const LaneKey messages = {.host = "base", .incarnation = "aa", .lane = LaneKey::Lane::kMessages};
-  WriteBatch batch{.robot = "r1"};
+  WriteBatch batch{.robot = "r1", .tenure = 1};
   batch.checkpoint = {.variables = Variables{{"a", int64_t{1}}, {"b", int64_t{2}}},
                       .high_water = {{control, 5}, {messages, 100}},
                       .soft_suspended = true,
                       .rules_halted = true,
                       .bundle = "sha256:b"};
   ASSERT_THAT(store_->Commit(batch), IsOk());
-  WriteBatch later{.robot = "r1"};
+  WriteBatch later{.robot = "r1", .tenure = 1};
   later.checkpoint.high_water = {{control, 6}};
   ASSERT_THAT(store_->Commit(later), IsOk());
   EXPECT_EQ(Load("r1").variables.size(), 2u);
@@ -474,12 +563,12 @@ TEST_P(StoreContractTest, ACheckpointReplacesWhatItHasAndKeepsTheRest) {
   EXPECT_FALSE(Load("r1").soft_suspended);
   EXPECT_FALSE(Load("r1").rules_halted);
   EXPECT_EQ(Load("r1").high_water.at(control), 6u) << "a sequence never goes back";
-  EXPECT_EQ(Load("r2"), RobotRecord{});
+  EXPECT_EQ(Load("r2"), RobotRecord{.highest_term = 1});
 }
 
 TEST_P(StoreContractTest, ForgetsTheOldestLanesOfAHostBeyondTheLimit) {
   const LaneKey other = {.host = "laptop", .incarnation = "l"};
-  WriteBatch batch{.robot = "r1"};
+  WriteBatch batch{.robot = "r1", .tenure = 1};
   batch.checkpoint.high_water = {{other, 1}};
   ASSERT_THAT(store_->Commit(batch), IsOk());
   for (size_t i = 0; i <= kHighWaterPerHostMax; ++i) {
@@ -581,7 +670,7 @@ TEST_P(StoreContractTest, ShowsTheNewestDecisionsOfRules) {
                                                      RuleDecision{{1, 2}, "ALERT", "DEFAULT", 10},
                                                      RuleDecision{{1, 3}, "DEFAULT", "ALERT", 10}));
 
-  WriteBatch resumed{.robot = "r1"};
+  WriteBatch resumed{.robot = "r1", .tenure = 1};
   resumed.checkpoint.resumed_at = DecisionId{1, 2};
   ASSERT_THAT(store_->Commit(resumed), IsOk());
   EXPECT_EQ(Load("r1").resumed_at, (DecisionId{1, 2}));
@@ -590,7 +679,7 @@ TEST_P(StoreContractTest, ShowsTheNewestDecisionsOfRules) {
   ASSERT_THAT(store_->Commit(resumed), IsOk());
   EXPECT_EQ(Load("r1").resumed_at, (DecisionId{1, 2})) << "absent = as before";
 
-  WriteBatch many{.robot = "r1"};
+  WriteBatch many{.robot = "r1", .tenure = 1};
   for (uint64_t i = 1; i <= kRuleDecisionsMax; ++i) {
     many.decisions.push_back(Decide("r1", {2, i}, "DEFAULT", "ALERT").decisions[0]);
   }

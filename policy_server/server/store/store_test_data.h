@@ -41,9 +41,10 @@ MATCHER_P(IsOkAndHolds, value, "") {
   return arg.ok() && *arg == value;
 }
 
+// Of a robot that was acquired once.
 inline WriteBatch Decide(const std::string& robot, DecisionId decision_id, const std::string& from,
                          const std::string& to, const std::string& id = NewId()) {
-  WriteBatch batch{.robot = robot};
+  WriteBatch batch{.robot = robot, .tenure = 1};
   batch.decisions.push_back(
       {.id = id,
        .decision_id = decision_id,

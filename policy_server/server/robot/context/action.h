@@ -101,10 +101,16 @@ struct FindDecision {
 // TermDrawn.
 struct DrawTerm {
   uint64_t question = 0;
+  uint64_t tenure = 0;
   uint64_t above = 0;
 };
 
 // ---- to others
+// The robot has retired; once. Aborted: it has another owner, and nothing that it decides is
+// recorded any more.
+struct ReportRetired {
+  absl::Status why;
+};
 // To be answered with Inspected.
 struct Inspect {
   std::shared_ptr<Inspector> inspector;
@@ -169,9 +175,9 @@ using Action =
                  action::SetInterest, action::GrantLease, action::SendCommand, action::Close,
                  action::Record, action::SaveRaises, action::FindDecision, action::DrawTerm,
                  action::Inspect, action::AnswerOrder, action::AnswerDrill, action::PublishStatus,
-                 action::LogRule, action::RecordEvent, action::Count, action::CountEndpoints,
-                 action::CountBlind, action::CountLeftOut, action::ShowClockSkew,
-                 action::CountSkipped>;
+                 action::ReportRetired, action::LogRule, action::RecordEvent, action::Count,
+                 action::CountEndpoints, action::CountBlind, action::CountLeftOut,
+                 action::ShowClockSkew, action::CountSkipped>;
 using Actions = std::vector<Action>;
 
 }  // namespace rips::pipeline

@@ -23,6 +23,8 @@ struct Context {
   // In force; its interest and kept topics are not null.
   Policy policy;
   Timing timing;
+  // Names the robot's batches and its questions for terms.
+  uint64_t tenure = 0;
   IdSource ids;
   // Of the input that is judged.
   Moment moment;

@@ -53,18 +53,20 @@ std::vector<store::AlertRecord> DurableOutbox::alerts() const {
 }
 
 bool DurableOutbox::CanSeal() const {
-  return !in_flight_ &&
+  return !in_flight_ && collected_.tenure != 0 &&
          (!collected_.empty() || unsaved_.sequences || unsaved_.variables || unsaved_.bundle);
 }
 
 bool DurableOutbox::done() const {
-  return !in_flight_ && collected_.empty() && !unsaved_.sequences && !unsaved_.variables;
+  if (in_flight_) return false;
+  return collected_.tenure == 0 ||
+         (collected_.empty() && !unsaved_.sequences && !unsaved_.variables);
 }
 
 std::shared_ptr<const store::WriteBatch> DurableOutbox::Seal(store::Checkpoint checkpoint) {
   RIPS_CHECK(!in_flight_, "a batch is in flight already");
-  store::WriteBatch batch = std::exchange(collected_, {});
-  batch.robot = robot_;
+  store::WriteBatch batch =
+      std::exchange(collected_, {.robot = collected_.robot, .tenure = collected_.tenure});
   batch.checkpoint = std::move(checkpoint);
   unsaved_ = {.bundle = false};
   in_flight_ = InFlight{.batch = std::make_shared<const store::WriteBatch>(std::move(batch)),
@@ -92,7 +94,8 @@ DurableOutbox::Settled DurableOutbox::OnRecorded(bool ok) {
 }
 
 store::WriteBatch DurableOutbox::Raises(const levels::LevelTable& levels) const {
-  store::WriteBatch raises{.robot = robot_, .uses_reserve = true};
+  store::WriteBatch raises{
+      .robot = collected_.robot, .tenure = collected_.tenure, .uses_reserve = true};
   levels::LevelIndex held = 0;
   for (const store::DecisionRecord& decision : collected_.decisions) {
     const auto from = levels.Find(decision.from);

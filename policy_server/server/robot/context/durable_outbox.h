@@ -1,11 +1,12 @@
 // What must be on disk before what may leave: records that are collected, and one batch of them at
 // a time with the recorder.
 //
-//   collect      Add...: decisions, refusals, stages, alerts; Touch...: what a checkpoint will say
+//   collect      Add...: decisions, refusals, stages, alerts; Touch: what a checkpoint will say
 //   in flight    Seal: all that was collected, with a checkpoint; what comes now waits
 //   recorded     OnRecorded(true): what was waiting for it may go on (Settled)
 //   not recorded OnRecorded(false): all of it stands before what was collected since; its lowerings
 //                are never commanded
+//   abandoned    Abandon: the robot has another owner; nothing is recorded any more
 //
 // One batch at a time: a batch that succeeds after one that failed would record sequence numbers of
 // observations whose effects are not durable (I2). Pure.
@@ -49,8 +50,10 @@ class DurableOutbox {
     uint64_t alerts_dropped = 0;
   };
 
-  // `robot`: whose records they are.
-  explicit DurableOutbox(std::string robot) : robot_(std::move(robot)) {}
+  // Of the batches.
+  DurableOutbox(std::string robot, uint64_t tenure)
+      : collected_{.robot = std::move(robot), .tenure = tenure} {}
+  void Abandon() { collected_.tenure = 0; }
 
   void AddDecision(store::DecisionRecord decision);
   void AddRefusal(store::RefusalRecord refusal);
@@ -59,9 +62,7 @@ class DurableOutbox {
   bool AddAlert(store::AlertRecord alert);
   // A transition that must not be commanded before its decision is durable.
   void AddLowering(const levels::Transition& lowering);
-  void TouchSequences() { unsaved_.sequences = true; }
-  void TouchVariables() { unsaved_.variables = true; }
-  void TouchBundle() { unsaved_.bundle = true; }
+  void Touch(bool Unsaved::*what) { unsaved_.*what = true; }
 
   // The newest lowering that is neither commanded nor taken back; none = commands may leave.
   const DecisionId& held_back() const { return held_back_; }
@@ -75,7 +76,7 @@ class DurableOutbox {
   bool CanSeal() const;
   // Records wait, and the last batch was recorded.
   bool due() const { return !collected_.empty() && !failing_; }
-  // All of it is recorded.
+  // All of it is recorded, or will never be.
   bool done() const;
   // CanSeal. Hands out all that was collected; `checkpoint` is of now.
   std::shared_ptr<const store::WriteBatch> Seal(store::Checkpoint checkpoint);
@@ -92,7 +93,6 @@ class DurableOutbox {
     std::vector<levels::Transition> lowerings;
   };
 
-  const std::string robot_;
   store::WriteBatch collected_;
   std::vector<levels::Transition> lowerings_;
   Unsaved unsaved_;

@@ -34,7 +34,7 @@ class DurableOutboxTest : public ::testing::Test {
     return ids;
   }
 
-  DurableOutbox outbox_{"r1"};
+  DurableOutbox outbox_{"r1", 7};
 };
 
 TEST_F(DurableOutboxTest, OneBatchIsInFlightAndTheRestWaits) {
@@ -74,12 +74,23 @@ TEST_F(DurableOutboxTest, WhatCouldNotBeRecordedStandsBeforeWhatCameSince) {
   EXPECT_EQ(batch->checkpoint.high_water.begin()->second, 9u) << "only that of now";
 }
 
+TEST_F(DurableOutboxTest, AbandonedItHandsOutNothingMore) {
+  outbox_.AddDecision(Decision("a"));
+  outbox_.Seal(UpTo(7));
+  outbox_.AddDecision(Decision("b"));
+  outbox_.Abandon();
+  EXPECT_FALSE(outbox_.done()) << "one is in flight";
+  outbox_.OnRecorded(false);
+  EXPECT_TRUE(outbox_.done());
+  EXPECT_FALSE(outbox_.CanSeal());
+}
+
 TEST_F(DurableOutboxTest, ALoweringHoldsBackUntilItIsReleased) {
   EXPECT_TRUE(outbox_.held_back().none());
   outbox_.AddLowering(Lowering(3));
   outbox_.AddLowering(Lowering(5));
   EXPECT_EQ(outbox_.held_back(), Lowering(5).decision_id);
-  outbox_.TouchSequences();
+  outbox_.Touch(&DurableOutbox::Unsaved::sequences);
   outbox_.Seal(UpTo(7));
   const auto settled = outbox_.OnRecorded(true);
   ASSERT_THAT(settled.lowerings, SizeIs(2));
@@ -137,6 +148,7 @@ TEST_F(DurableOutboxTest, TheReserveIsForRaisesOnly) {
   outbox_.AddDecision(Decision("raise again", "ALERT", "HALT"));
   const store::WriteBatch raises = outbox_.Raises(table);
   EXPECT_EQ(raises.robot, "r1");
+  EXPECT_EQ(raises.tenure, 7u);
   EXPECT_TRUE(raises.uses_reserve);
   EXPECT_THAT(Ids(raises.decisions), ElementsAre("raise", "raise again"));
 }

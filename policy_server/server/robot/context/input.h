@@ -154,12 +154,14 @@ struct PolicyProblem {
   std::string problem;
 };
 struct Drain {};
+// The server no longer judges the robot.
 struct Retire {
   absl::Status why;
 };
 
 // ---- the store, the time
-// Of the batch of the last action::Record.
+// Of the batch of the last action::Record. Aborted, here and in TermDrawn: the robot has another
+// owner.
 struct Recorded {
   absl::Status status;
   store::StorePoint store;

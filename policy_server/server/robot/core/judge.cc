@@ -77,7 +77,7 @@ void Judge::JudgePiece(SensorHost& host, const Piece& piece) {
   if (accepted->missing > 0) parts_.losses.OnMissing(host, accepted->missing);
   parts_.decider.RunEvents();
   parts_.context.Count(Counter::kObservationsDuplicate, accepted->skip);
-  parts_.outbox.TouchSequences();
+  parts_.outbox.Touch(&DurableOutbox::Unsaved::sequences);
   for (size_t i = piece.from + accepted->skip; i < piece.to; ++i) {
     const auto* finding = std::get_if<FindingSeen>(&batch.observations[i].what);
     if (finding != nullptr && !parts_.findings.OnFinding(host.name, batch.incarnation, *finding)) {

@@ -1,5 +1,6 @@
 #include "policy_server/server/robot/core/robot_core.h"
 
+#include <type_traits>
 #include <utility>
 #include <variant>
 #include <vector>
@@ -10,6 +11,35 @@
 #include "services/base/overloaded.h"
 
 namespace rips::pipeline {
+namespace {
+
+// What a robot that has retired still takes: until it is gone, its shard has older tasks for it.
+bool StillHeard(const Input& input) {
+  return std::visit(
+      [](const auto& in) {
+        using In = std::decay_t<decltype(in)>;
+        return std::is_same_v<In, input::Retire> || std::is_same_v<In, input::Recorded> ||
+               std::is_same_v<In, input::RaisesSaved> || std::is_same_v<In, input::Time>;
+      },
+      input);
+}
+
+// Closes a new session, answers an order; all else is of sessions that are closed.
+void Refuse(const Input& input, const absl::Status& why, Context& context) {
+  std::visit(
+      [&](const auto& in) {
+        if constexpr (requires { in.hello; }) {
+          context.Do(action::Close{in.session, why});
+        } else if constexpr (std::is_same_v<std::decay_t<decltype(in)>, input::StartDrill>) {
+          context.Do(action::AnswerDrill{in.token, {.status = why, .drills = {}}});
+        } else if constexpr (requires { in.token; }) {
+          context.Do(action::AnswerOrder{in.token, {.status = why}});
+        }
+      },
+      input);
+}
+
+}  // namespace
 
 absl::StatusOr<std::unique_ptr<RobotCore>> RobotCore::Create(CoreStart start) {
   const levels::LevelTable& table = start.policy.program->rules().levels;
@@ -24,7 +54,7 @@ absl::StatusOr<std::unique_ptr<RobotCore>> RobotCore::Create(CoreStart start) {
     }
     level = *found;
   }
-  levels::LevelMachine machine(table, level, record.decision_id, start.term);
+  levels::LevelMachine machine(table, level, record.decision_id, start.tenure);
   machine.RestoreBudget(SoftLowerings(record, table, start.moment.now), record.resumed_at);
   if (record.soft_suspended) machine.Suspend();
   CompletePolicy(start.policy);
@@ -35,6 +65,7 @@ RobotCore::RobotCore(CoreStart start, levels::LevelMachine level)
     : context_{.config = std::move(start.config),
                .policy = std::move(start.policy),
                .timing = start.timing,
+               .tenure = start.tenure,
                .ids = IdSource(start.id_seed),
                .moment = start.moment,
                .store = std::move(start.store),
@@ -42,7 +73,7 @@ RobotCore::RobotCore(CoreStart start, levels::LevelMachine level)
                .events = {}},
       state_(context_.policy.program, std::move(level), start.moment.now),
       gate_(context_.policy.soft_hold_ns, start.moment.now),
-      outbox_(context_.config.id),
+      outbox_(context_.config.id, context_.tenure),
       alerts_(&context_, &outbox_, &state_.level),
       own_agents_(&context_, &alerts_, &state_.graph),
       losses_(&context_, &alerts_, &gate_),
@@ -78,7 +109,9 @@ RobotCore::RobotCore(CoreStart start, levels::LevelMachine level)
 
 Actions RobotCore::On(const Input& input, const Moment& moment) {
   context_.moment = moment;
-  Epilogue(Handle(input));
+  const bool heard = retired_.ok() || StillHeard(input);
+  if (!heard) Refuse(input, retired_, context_);
+  Epilogue(heard ? Handle(input) : After::kRoutine);
   return std::exchange(context_.actions, {});
 }
 
@@ -109,7 +142,10 @@ RobotCore::After RobotCore::Handle(const Input& input) {
           },
           [&](const input::ActuatorHello& in) { return OnArmed(admission_.OnHello(in)); },
           [&](const input::DecisionFound& in) { return OnArmed(admission_.OnDecisionFound(in)); },
-          [&](const input::TermDrawn& in) { return OnArmed(admission_.OnTermDrawn(in)); },
+          [&](const input::TermDrawn& in) {
+            if (!absl::IsAborted(in.term.status())) return OnArmed(admission_.OnTermDrawn(in));
+            return OnRetire(in.term.status()), After::kFlush;
+          },
           [&](const input::ActuatorHeartbeat& in) {
             if (const auto found = actuators_.OnHeartbeat(in)) {
               decider_.Adopt(found->level, state_.level.decision_id(), found->why);
@@ -140,7 +176,7 @@ RobotCore::After RobotCore::Handle(const Input& input) {
             return After::kPublish;
           },
           [&](const input::Drain&) { return OnDrain(), kAll; },
-          [&](const input::Retire& in) { return OnRetire(in), After::kFlush; },
+          [&](const input::Retire& in) { return OnRetire(in.why), After::kFlush; },
           [&](const input::Recorded& in) { return OnRecorded(in); },
           [&](const input::RaisesSaved& in) {
             for (const DecisionId& decision_id : in.decisions) OnDurable(decision_id);
@@ -152,13 +188,13 @@ RobotCore::After RobotCore::Handle(const Input& input) {
 }
 
 void RobotCore::Epilogue(After after) {
-  if (!retired_) {
+  if (retired_.ok()) {
     UpdateActuation();
     actuators_.SendCommands();
   }
   const bool flush = after == After::kFlush || after == After::kFlushAndPublish;
   if (flush || outbox_.due()) Flush();
-  if (retired_ || after == After::kRoutine || after == After::kFlush) return;
+  if (!retired_.ok() || after == After::kRoutine || after == After::kFlush) return;
   RobotStatus status = Status();
   if (status == published_) return;
   published_ = status;
@@ -228,6 +264,7 @@ void RobotCore::OnDurable(const DecisionId& decision_id) {
 RobotCore::After RobotCore::OnRecorded(const input::Recorded& in) {
   context_.store = in.store;
   const DurableOutbox::Settled settled = outbox_.OnRecorded(in.status.ok());
+  if (absl::IsAborted(in.status)) return OnRetire(in.status), After::kFlush;
   if (!in.status.ok()) {
     // Written again with the rest when that can be written, which changes nothing.
     if (absl::IsResourceExhausted(in.status)) {
@@ -235,8 +272,11 @@ RobotCore::After RobotCore::OnRecorded(const input::Recorded& in) {
       if (!raises.empty()) context_.Do(action::SaveRaises{std::move(raises)});
     }
     for (const levels::Transition& lowering : settled.lowerings) {
-      decider_.TakeBack(lowering, engine::Severity::kCritical,
-                        absl::StrCat("it could not be recorded: ", in.status.message()));
+      decider_.TakeBack(
+          lowering, engine::Severity::kCritical,
+          absl::StrCat(absl::IsUnknown(in.status) ? "it is not known whether it was recorded: "
+                                                  : "it could not be recorded: ",
+                       in.status.message()));
     }
     return After::kPublish;
   }
@@ -258,7 +298,7 @@ RobotCore::After RobotCore::OnRecorded(const input::Recorded& in) {
 
 RobotCore::After RobotCore::OnTime() {
   const bool checkpoint = context_.now_ns() >= next_checkpoint_ns_;
-  if (retired_) return checkpoint ? After::kFlush : After::kRoutine;
+  if (!retired_.ok()) return checkpoint ? After::kFlush : After::kRoutine;
   sensors_.CheckLost();
   for (const std::string& host : actuators_.CheckLost()) {
     drills_.OnGone(host);
@@ -311,7 +351,7 @@ void RobotCore::OnSwapPolicy(const input::SwapPolicy& in) {
   if (status.ok()) {
     context_.policy = in.policy;
     CompletePolicy(context_.policy);
-    outbox_.TouchBundle();
+    outbox_.Touch(&DurableOutbox::Unsaved::bundle);
     policy_problem_.clear();
     gate_.set_hold_ns(in.policy.soft_hold_ns);
     alerts_.Raise(engine::Severity::kInfo,
@@ -348,18 +388,20 @@ void RobotCore::OnDrain() {
       "the server is stopping; the order may be in force and recorded, or not: ask for the level"));
   drills_.Advance();
   actuators_.SendLeases(evidence_.complete());
-  outbox_.TouchSequences();
+  outbox_.Touch(&DurableOutbox::Unsaved::sequences);
 }
 
-void RobotCore::OnRetire(const input::Retire& in) {
-  retired_ = true;
-  sensors_.CloseAll(in.why);
-  actuators_.CloseAll(in.why);
-  admission_.CloseAll(in.why);
+void RobotCore::OnRetire(const absl::Status& why) {
+  if (absl::IsAborted(why)) outbox_.Abandon();
+  if (retired_.ok()) context_.Do(action::ReportRetired{why});
+  retired_ = why;
+  sensors_.CloseAll(why);
+  actuators_.CloseAll(why);
+  admission_.CloseAll(why);
   judge_.Clear();
-  drills_.Refuse(in.why);
-  orders_.RefuseAll(in.why);
-  outbox_.TouchSequences();
+  drills_.Refuse(why);
+  orders_.RefuseAll(why);
+  outbox_.Touch(&DurableOutbox::Unsaved::sequences);
 }
 
 // --------------------------------------------------------------------------------------- status

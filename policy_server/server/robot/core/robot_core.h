@@ -16,6 +16,8 @@
 //   Record                              one at a time; the next after its Recorded
 //   alerts to observers                 by the shell, when their Record is durable
 //   Close of a session                  nothing to it comes after it
+//   ReportRetired                       once, before the Close of all sessions; nothing is
+//                                       commanded any more, nor recorded if it was Aborted
 //   PublishStatus                       after all else, and only when the status has changed
 //
 // Each On ends with the same epilogue, whatever the input was:
@@ -72,8 +74,9 @@ struct CoreStart {
   // What the store knows of the robot, and by when.
   store::RobotRecord record;
   store::StorePoint store;
-  // Drawn for this start.
-  uint64_t term = 0;
+  // Drawn by the store when this server acquired the robot: the first term, and the fence of all
+  // that is recorded.
+  uint64_t tenure = 0;
   // As of IdSource.
   std::string id_seed;
   Moment moment;
@@ -92,8 +95,8 @@ class RobotCore {
   // There is more to Advance: of control, of messages. Each On judges at most one piece.
   bool has_control() const { return judge_.has_control(); }
   bool has_messages() const { return judge_.has_messages(); }
-  // Retired, and everything it decided is durable.
-  bool gone() const { return retired_ && outbox_.done(); }
+  // Retired, and everything it decided is durable, or will never be.
+  bool gone() const { return !retired_.ok() && outbox_.done(); }
 
   // What is known as of `moment`: to be asked before the next On.
   const RobotCore& At(const Moment& moment) {
@@ -130,7 +133,7 @@ class RobotCore {
   void OnSwapPolicy(const input::SwapPolicy& in);
   void OnSetHosts(const input::SetHosts& in);
   void OnDrain();
-  void OnRetire(const input::Retire& in);
+  void OnRetire(const absl::Status& why);
   void OnDurable(const DecisionId& decision_id);
 
   void Epilogue(After after);
@@ -154,7 +157,8 @@ class RobotCore {
   Orders orders_;
   Admission admission_;
   Judge judge_;
-  bool retired_ = false;
+  // Why, once it has retired.
+  absl::Status retired_;
   // Why the bundle that the inventory names is not the one in force; empty = it is.
   std::string policy_problem_;
   // CLOCK_BOOTTIME.

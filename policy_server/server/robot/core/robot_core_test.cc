@@ -65,6 +65,7 @@ std::string Text(const Action& action) {
                  [](const action::Close& close) { return absl::StrCat("close ", close.session); },
                  [](const action::RecordEvent&) { return std::string("event"); },
                  [](const action::PublishStatus&) { return std::string("status"); },
+                 [](const action::ReportRetired&) { return std::string("retired"); },
                  [](const auto&) { return std::string(); }},
       action);
 }
@@ -85,7 +86,7 @@ class RobotCoreTest : public ::testing::Test {
          .timing = {},
          .record = {},
          .store = {},
-         .term = 1,
+         .tenure = 1,
          .id_seed = "s",
          .moment = moment_});
     EXPECT_THAT(core, IsOk());
@@ -108,7 +109,10 @@ class RobotCoreTest : public ::testing::Test {
     std::vector<std::string> texts;
     for (const Action& action : actions) {
       if (std::string text = Text(action); !text.empty()) texts.push_back(std::move(text));
-      if (std::holds_alternative<action::Record>(action)) ++recording_;
+      if (const auto* record = std::get_if<action::Record>(&action)) {
+        batch_ = record->batch;
+        ++recording_;
+      }
       if (const auto* send = std::get_if<action::SendCommand>(&action)) command_ = send->command;
     }
     core_->Recycle(std::move(actions));
@@ -150,6 +154,8 @@ class RobotCoreTest : public ::testing::Test {
 
   Moment moment_{.now = {.boottime_ns = 1'000 * kNanosPerSecond, .unix_ns = 0}};
   std::unique_ptr<RobotCore> core_;
+  // The newest.
+  std::shared_ptr<const store::WriteBatch> batch_;
   int recording_ = 0;
   Command command_;
   uint64_t next_ = 1;
@@ -223,6 +229,52 @@ TEST_F(RobotCoreTest, NothingIsSentToASessionThatItHasClosed) {
       ElementsAre("close 3"))
       << "there is a live one";
   EXPECT_THAT(On(input::SensorHeartbeat{.host = "base", .session = 3, .heartbeat = {}}), IsEmpty());
+}
+
+TEST_F(RobotCoreTest, ABatchNamesRobotAndTenure) {
+  On(input::Raise{.order = {.operator_name = "ann", .to = "HALT", .reason = "seen"}, .token = 7});
+  EXPECT_EQ(batch_->robot, "r1");
+  EXPECT_EQ(batch_->tenure, 1u);
+}
+
+TEST_F(RobotCoreTest, ARobotOfAnotherOwnerRetiresAndCommandsNothing) {
+  SendSignals({"SIGUSR2"});
+  Record();
+  On(input::DeEscalate{.order = Lowering("ALERT"), .token = 7});
+  EXPECT_THAT(Record(absl::AbortedError("tenure 1 is over")),
+              ElementsAre("retired", "close 1", "close 2", "answer 7 ABORTED"));
+  EXPECT_TRUE(core_->gone());
+  EXPECT_FALSE(core_->outbox().CanSeal());
+
+  // What its shard had for it already.
+  EXPECT_THAT(On(input::ActuatorHello{.host = "base",
+                                      .session = 3,
+                                      .hello = {.levels = {"DEFAULT", "ALERT", "HALT"},
+                                                .effective_level = "DEFAULT",
+                                                .clock = moment_.now}}),
+              ElementsAre("close 3"));
+  EXPECT_THAT(On(input::Raise{.order = {.operator_name = "ann", .to = "HALT", .reason = "seen"},
+                              .token = 8}),
+              ElementsAre("answer 8 ABORTED"));
+  EXPECT_THAT(On(input::Retire{absl::FailedPreconditionError("held")}), IsEmpty());
+  moment_.now.boottime_ns += 10 * kNanosPerSecond;
+  EXPECT_THAT(On(input::Time{}), IsEmpty());
+}
+
+TEST_F(RobotCoreTest, ATermThatAFormerOwnerAsksForRetiresItsRobot) {
+  On(input::ActuatorGone{.host = "base", .session = kActuator});
+  Record();
+  EXPECT_THAT(On(input::ActuatorHello{.host = "base",
+                                      .session = 3,
+                                      .hello = {.levels = {"DEFAULT", "ALERT", "HALT"},
+                                                .decision_id = {.term = 9, .epoch = 1},
+                                                .decided_level = "DEFAULT",
+                                                .effective_level = "DEFAULT",
+                                                .highest_term = 9,
+                                                .clock = moment_.now}}),
+              Not(Contains("close 3")));
+  EXPECT_THAT(On(input::TermDrawn{.question = 1, .term = absl::AbortedError("tenure 1 is over")}),
+              ElementsAre("retired", "close 1", "close 3"));
 }
 
 TEST_F(RobotCoreTest, ARepeatedInputIsJudgedOnce) {

@@ -90,7 +90,8 @@ std::string Admission::GoOn(Arming arming) {
   const uint64_t ours = state_.level.term();
   if (obeyed >= (actuators_.Met(name) ? ours + 1 : ours)) {
     if (!arming.term) {
-      context_.Do(action::DrawTerm{.question = ++last_question_, .above = obeyed});
+      context_.Do(action::DrawTerm{
+          .question = ++last_question_, .tenure = context_.tenure, .above = obeyed});
       armings_.emplace(last_question_, std::move(arming));
       return "";
     }
@@ -196,6 +197,11 @@ void Admission::CloseAll(const absl::Status& why) {
     if (host.arming != 0) context_.Do(action::Close{host.arming, why});
     host.arming = 0;
   }
+  armings_.clear();
+  for (const auto& [question, reset] : resets_) {
+    context_.Do(action::AnswerOrder{reset.token, {.status = why}});
+  }
+  resets_.clear();
 }
 
 // --------------------------------------------------------------------------------------- terms
@@ -236,6 +242,7 @@ void Admission::OnResetTerm(const input::ResetTerm& in) {
     return context_.Do(action::AnswerOrder{in.token, {.status = shown.status()}});
   }
   context_.Do(action::DrawTerm{.question = ++last_question_,
+                               .tenure = context_.tenure,
                                .above = std::max(shown->term(), state_.level.term())});
   resets_.emplace(last_question_, in);
 }

@@ -50,8 +50,9 @@ class Admission {
   void OnGone(const std::string& host, SessionId session);
   // Goes above the term for which an actuator was refused, and decides the level anew.
   void OnResetTerm(const input::ResetTerm& in);
-  // Hellos of hosts that are no longer listed, or all: closed with `why`.
+  // Closes hellos of hosts that are no longer listed.
   void CloseUnlisted();
+  // Closes all hellos, and answers the orders that wait for a term.
   void CloseAll(const absl::Status& why);
 
  private:

@@ -35,7 +35,7 @@ void Decider::Run(const engine::Event& event, const Source& source) {
       !outcome.cut_strings.empty()) {
     Perform(outcome, absl::StrCat(engine::Describe(event), source.remark));
   } else if (outcome.variables_changed) {
-    outbox_.TouchVariables();
+    outbox_.Touch(&DurableOutbox::Unsaved::variables);
   }
 }
 
@@ -61,7 +61,7 @@ void Decider::OnProgramResult(const ProgramResult& result) {
 void Decider::Expire() { Perform(engine::Expire(context_.now(), state_), "deadline"); }
 
 void Decider::Perform(const engine::Outcome& outcome, const std::string& event) {
-  if (outcome.variables_changed) outbox_.TouchVariables();
+  if (outcome.variables_changed) outbox_.Touch(&DurableOutbox::Unsaved::variables);
   for (const auto& refused : outcome.refused_programs) {
     alerts_.Raise(engine::Severity::kMedium,
                   absl::StrCat("program `", refused.program, "` of rule ", refused.rule,
