@@ -1,6 +1,7 @@
 #include "mode_actuator/decide/drill_controller.h"
 
 #include <algorithm>
+#include <variant>
 
 #include "absl/strings/escaping.h"
 #include "absl/strings/str_cat.h"
@@ -24,9 +25,10 @@ std::string FailedSteps(const std::vector<StepResult>& steps) {
 
 }  // namespace
 
-Receipt DrillController::OnCommand(const DrillCommand& command, bool admitted,
+Receipt DrillController::OnCommand(const model::Command& command, bool admitted,
                                    const std::string& held,
                                    const std::function<bool(const DrillJob&)>& begin) {
+  const std::string& level = std::get<model::Drill>(command.what).level;
   Receipt receipt;
   receipt.command_id = command.id;
   receipt.effective_level = held;
@@ -40,12 +42,12 @@ Receipt DrillController::OnCommand(const DrillCommand& command, bool admitted,
     return receipt;
   }
   if (known != receipts_.end()) return *known;
-  if (std::find(levels_.begin(), levels_.end(), command.level) == levels_.end()) {
-    receipt.detail = absl::StrCat("no level `", absl::CHexEscape(command.level.substr(0, 100)),
+  if (std::find(levels_.begin(), levels_.end(), level) == levels_.end()) {
+    receipt.detail = absl::StrCat("no level `", absl::CHexEscape(level.substr(0, 100)),
                                   "`; there are ", absl::StrJoin(levels_, ", "));
   } else if (!running_.empty()) {
     receipt.detail = "another drill runs";
-  } else if (!begin({.id = command.id, .level = command.level, .held = held})) {
+  } else if (!begin({.id = command.id, .level = level, .held = held})) {
     receipt.detail = "a level is being applied";
   } else {
     running_ = command.id;

@@ -21,6 +21,7 @@
 #include <vector>
 
 #include "mode_actuator/decide/receipt.h"
+#include "services/model/command.h"
 
 namespace rips::actuator {
 
@@ -28,12 +29,6 @@ namespace rips::actuator {
 inline constexpr size_t kDrillReceiptsMax = 16;
 // Of a receipt's detail that names the steps that failed.
 inline constexpr size_t kDrillDetailBytesMax = 1024;
-
-struct DrillCommand {
-  std::string id;
-  uint64_t term = 0;
-  std::string level;
-};
 
 struct DrillJob {
   std::string id;
@@ -51,9 +46,9 @@ class DrillController {
  public:
   explicit DrillController(std::vector<std::string> levels) : levels_(std::move(levels)) {}
 
-  // `admitted`: the term is not stale; `held`: the effective level. `begin` starts the job, and
-  // gives false if a level is being applied.
-  Receipt OnCommand(const DrillCommand& command, bool admitted, const std::string& held,
+  // `command` is a Drill; `admitted`: the term is not stale; `held`: the effective level. `begin`
+  // starts the job, and gives false if a level is being applied.
+  Receipt OnCommand(const model::Command& command, bool admitted, const std::string& held,
                     const std::function<bool(const DrillJob&)>& begin);
   Receipt OnOutcome(DrillOutcome outcome);
 

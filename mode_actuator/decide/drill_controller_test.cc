@@ -16,8 +16,8 @@ class DrillControllerTest : public ::testing::Test {
  protected:
   Receipt Ask(const std::string& id, const std::string& level = "ALERT", bool admitted = true) {
     begun_.reset();
-    return desk_.OnCommand({.id = id, .term = 3, .level = level}, admitted, "DEFAULT",
-                           [this](const DrillJob& job) {
+    return desk_.OnCommand({.id = id, .term = 3, .what = model::Drill{.level = level}}, admitted,
+                           "DEFAULT", [this](const DrillJob& job) {
                              if (!free_) return false;
                              begun_ = job;
                              return true;

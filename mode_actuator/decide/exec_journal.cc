@@ -3,12 +3,12 @@
 #include <algorithm>
 
 #include "absl/status/status.h"
-#include "absl/strings/escaping.h"
 #include "absl/strings/numbers.h"
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_format.h"
 #include "absl/strings/str_split.h"
 #include "mode_actuator/decide/actuator_state.h"
+#include "services/model/command.h"
 
 namespace rips::actuator {
 namespace {
@@ -22,8 +22,8 @@ absl::Status Corrupt() { return absl::DataLossError("the journal of programs is 
 std::string ExecJournal::Encode() const {
   std::string text = absl::StrCat(kMagic, "\n");
   for (const Entry& entry : entries_) {
-    absl::StrAppend(&text, absl::BytesToHexString(entry.id), " ", static_cast<int>(entry.stage),
-                    " ", entry.exit_code, "\n");
+    absl::StrAppend(&text, entry.id, " ", static_cast<int>(entry.stage), " ", entry.exit_code,
+                    "\n");
   }
   return absl::StrCat(text, absl::StrFormat("crc %08x\n", Crc32(text)));
 }
@@ -37,13 +37,13 @@ absl::StatusOr<ExecJournal> ExecJournal::Decode(absl::string_view bytes) {
     const std::vector<absl::string_view> words = absl::StrSplit(lines[i], ' ');
     Entry entry;
     int stage = 0;
-    if (words.size() != 3 || words[0].size() != 2 * kCommandIdBytes ||
+    if (words.size() != 3 || words[0].size() != model::kCommandIdHexDigits ||
         words[0].find_first_not_of("0123456789abcdef") != absl::string_view::npos ||
         !absl::SimpleAtoi(words[1], &stage) || stage < 1 || stage > 7 ||
         !absl::SimpleAtoi(words[2], &entry.exit_code)) {
       return Corrupt();
     }
-    entry.id = absl::HexStringToBytes(words[0]);
+    entry.id = std::string(words[0]);
     entry.stage = static_cast<Receipt::Stage>(stage);
     decoded.entries_.push_back(std::move(entry));
   }

@@ -20,7 +20,6 @@ namespace rips::actuator {
 
 // Ids remembered; the oldest finished one is forgotten first.
 inline constexpr size_t kExecIdsMax = 512;
-inline constexpr size_t kCommandIdBytes = 16;
 inline constexpr size_t kJournalBytesMax = 64 << 10;
 
 class ExecJournal {
@@ -41,7 +40,7 @@ class ExecJournal {
 
  private:
   struct Entry {
-    std::string id;  // kCommandIdBytes bytes
+    std::string id;
     Receipt::Stage stage = Receipt::Stage::kAcknowledged;
     int exit_code = 0;
   };

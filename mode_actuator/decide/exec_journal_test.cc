@@ -9,7 +9,7 @@ namespace {
 
 using Stage = Receipt::Stage;
 
-std::string Id(int n) { return absl::StrFormat("%016d", n); }
+std::string Id(int n) { return absl::StrFormat("%032d", n); }
 
 ExecJournal Sample() {
   ExecJournal ledger;

@@ -3,7 +3,6 @@
 #define RIPS_MODE_ACTUATOR_DECIDE_LEVEL_ACTIONS_H_
 
 #include <cstdint>
-#include <optional>
 #include <string>
 #include <variant>
 #include <vector>
@@ -14,23 +13,7 @@
 
 namespace rips::actuator {
 
-// --- inputs
-
-struct SetLevelCommand {
-  std::string id;
-  uint64_t term = 0;
-  DecisionId decision_id;
-  std::string to;
-  std::optional<DecisionId> based_on;
-};
-
-struct LeaseGrant {
-  uint64_t term = 0;
-  // Our own heartbeat's reading that the server echoes: the lease runs from there.
-  int64_t echo_boottime_ns = 0;
-  int64_t ttl_ns = 0;
-  bool evidence_complete = false;
-};
+// --- inputs, besides commands and leases
 
 enum class JobKind {
   kEnter,    // leave steps of `from`, enter steps of `to`

@@ -105,8 +105,9 @@ bool LevelController::AdmitTerm(uint64_t term) {
   return true;
 }
 
-std::optional<Receipt> LevelController::Judge(const SetLevelCommand& command) const {
-  const Command as_sent{command.id, command.decision_id};
+std::optional<Receipt> LevelController::Judge(const model::Command& command) const {
+  const auto& set = std::get<model::SetLevel>(command.what);
+  const LevelCommand as_sent{command.id, set.decision_id};
   const auto refuse = [&](Receipt::Stage stage, std::string why) {
     Receipt receipt = MakeReceipt(as_sent, stage);
     receipt.detail = std::move(why);
@@ -115,40 +116,40 @@ std::optional<Receipt> LevelController::Judge(const SetLevelCommand& command) co
   for (const Receipt& receipt : recent_) {
     if (receipt.command_id == command.id) return receipt;
   }
-  if (command.decision_id.none() || command.decision_id.term > command.term) {
-    return refuse(Receipt::Stage::kRefused, absl::StrCat("decision ", ToString(command.decision_id),
+  if (set.decision_id.none() || set.decision_id.term > command.term) {
+    return refuse(Receipt::Stage::kRefused, absl::StrCat("decision ", ToString(set.decision_id),
                                                          " does not fit term ", command.term));
   }
-  const int to = LevelIndex(command.to);
+  const int to = LevelIndex(set.to);
   if (to < 0) {
-    return refuse(Receipt::Stage::kRefused, absl::StrCat("level ", QuoteBytes(command.to),
-                                                         " is not in this actuator's levels"));
+    return refuse(Receipt::Stage::kRefused,
+                  absl::StrCat("level ", QuoteBytes(set.to), " is not in this actuator's levels"));
   }
-  if (command.decision_id == decision_id_ && to != decided_) {
+  if (set.decision_id == decision_id_ && to != decided_) {
     return refuse(Receipt::Stage::kRefused,
                   absl::StrCat("decision ", ToString(decision_id_), " names ",
                                QuoteBytes(options_.levels[decided_]), " here"));
   }
-  if (command.decision_id < decision_id_) {
+  if (set.decision_id < decision_id_) {
     return refuse(Receipt::Stage::kRefusedStale,
                   absl::StrCat("decision ", ToString(decision_id_), " is held"));
   }
-  const bool names_held =
-      command.based_on.has_value() &&
-      (*command.based_on == decision_id_ ||
-       (pending_.has_value() && *command.based_on == pending_->command.decision_id));
-  if (command.decision_id != decision_id_ && to < decided_ && !names_held) {
+  const bool names_held = !set.based_on.none() &&
+                          (set.based_on == decision_id_ ||
+                           (pending_.has_value() && set.based_on == pending_->command.decision_id));
+  if (set.decision_id != decision_id_ && to < decided_ && !names_held) {
     return refuse(Receipt::Stage::kRefused,
-                  absl::StrCat("lowering to ", QuoteBytes(command.to),
-                               " must be based on decision ", ToString(decision_id_)));
+                  absl::StrCat("lowering to ", QuoteBytes(set.to), " must be based on decision ",
+                               ToString(decision_id_)));
   }
   return std::nullopt;
 }
 
-Actions LevelController::OnSetLevel(const SetLevelCommand& command, int64_t now_ns) {
+Actions LevelController::OnSetLevel(const model::Command& command, int64_t now_ns) {
+  const auto& set = std::get<model::SetLevel>(command.what);
   Actions actions;
   if (!AdmitTerm(command.term)) {
-    Receipt receipt = MakeReceipt({command.id, command.decision_id}, Receipt::Stage::kRefusedStale);
+    Receipt receipt = MakeReceipt({command.id, set.decision_id}, Receipt::Stage::kRefusedStale);
     receipt.detail = absl::StrCat("term ", command.term, " is below ", highest_term_);
     Send(std::move(receipt), actions);
     return actions;
@@ -157,15 +158,15 @@ Actions LevelController::OnSetLevel(const SetLevelCommand& command, int64_t now_
     Send(*std::move(answer), actions);
     return actions;
   }
-  Command accepted{command.id, command.decision_id, LevelIndex(command.to), false};
-  if (pending_.has_value() && pending_->command.decision_id == command.decision_id) {
+  LevelCommand accepted{command.id, set.decision_id, LevelIndex(set.to), false};
+  if (pending_.has_value() && pending_->command.decision_id == set.decision_id) {
     pending_->command.id = command.id;  // sent again while it is being recorded
-  } else if (pending_.has_value() && command.decision_id < pending_->command.decision_id) {
+  } else if (pending_.has_value() && set.decision_id < pending_->command.decision_id) {
     Receipt receipt = MakeReceipt(accepted, Receipt::Stage::kRefusedStale);
     receipt.detail =
         absl::StrCat("decision ", ToString(pending_->command.decision_id), " is being recorded");
     Send(std::move(receipt), actions);
-  } else if (command.decision_id == decision_id_) {
+  } else if (set.decision_id == decision_id_) {
     accepted.lowering = command_.has_value() ? command_->lowering : effective_ > decided_;
     command_ = accepted;
     Send(MakeReceipt(accepted, Receipt::Stage::kAcknowledged), actions);
@@ -191,7 +192,7 @@ Actions LevelController::OnSetLevel(const SetLevelCommand& command, int64_t now_
   return actions;
 }
 
-void LevelController::Adopt(const Command& command, Actions& actions) {
+void LevelController::Adopt(const LevelCommand& command, Actions& actions) {
   if (pending_.has_value() && pending_->command.decision_id != command.decision_id) {
     Send(MakeReceipt(pending_->command, Receipt::Stage::kSuperseded), actions);
   }
@@ -205,7 +206,7 @@ void LevelController::Adopt(const Command& command, Actions& actions) {
   Send(MakeReceipt(command, Receipt::Stage::kAcknowledged), actions);
 }
 
-Receipt LevelController::MakeReceipt(const Command& command, Receipt::Stage stage) const {
+Receipt LevelController::MakeReceipt(const LevelCommand& command, Receipt::Stage stage) const {
   Receipt receipt;
   receipt.command_id = command.id;
   receipt.decision_id = command.decision_id;
@@ -248,7 +249,7 @@ Actions LevelController::OnPersisted(uint64_t sequence, const absl::Status& stat
   if (sequence == sequence_) dirty_ = !status.ok();
   if (!status.ok()) persist_retry_ns_ = now_ns + kPersistRetryNs;
   if (!pending_.has_value() || pending_->sequence != sequence) return actions;
-  const Command command = pending_->command;
+  const LevelCommand command = pending_->command;
   if (!status.ok()) {
     pending_.reset();
     dirty_ = true;  // the disk may hold the lowering all the same
@@ -265,14 +266,14 @@ Actions LevelController::OnPersisted(uint64_t sequence, const absl::Status& stat
 
 // --- lease and floor
 
-bool LevelController::OnLease(const LeaseGrant& lease, int64_t now_ns) {
-  if (lease.term == 0 || lease.echo_boottime_ns <= 0 || lease.ttl_ns < 0) return false;
+bool LevelController::OnLease(const model::LeaseGrant& lease, int64_t now_ns) {
+  if (lease.term == 0 || lease.echo_boottime_ns <= 0) return false;
   if (lease.echo_boottime_ns > now_ns || lease.echo_boottime_ns < newest_echo_ns_) return false;
   CheckLease(now_ns);  // a gap that no tick saw is a gap
   if (!AdmitTerm(lease.term)) return false;
   newest_echo_ns_ = lease.echo_boottime_ns;
   lease_term_ = lease.term;
-  lease_end_ns_ = lease.echo_boottime_ns + std::min(lease.ttl_ns, kLeaseNsMax);
+  lease_end_ns_ = lease.echo_boottime_ns + std::min(lease.ttl_ms * kNanosPerMilli, kLeaseNsMax);
   evidence_complete_ = lease.evidence_complete;
   if (LeaseLive(now_ns)) {
     lost_ = false;

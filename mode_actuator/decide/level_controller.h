@@ -64,6 +64,7 @@
 #include "mode_actuator/decide/receipt.h"
 #include "services/base/clock.h"
 #include "services/base/decision_id.h"
+#include "services/model/command.h"
 
 namespace rips::actuator {
 
@@ -101,11 +102,12 @@ class LevelController {
 
   // Once, first: re-applies the effective level, after a survey of the robot.
   Actions Start(int64_t now_ns);
-  Actions OnSetLevel(const SetLevelCommand& command, int64_t now_ns);
+  // A command that is a SetLevel.
+  Actions OnSetLevel(const model::Command& command, int64_t now_ns);
   // Fencing for commands that are not levels: false if `term` is stale.
   bool AdmitTerm(uint64_t term);
   // False if the grant was ignored: stale term, older echo than known, an echo from the future.
-  bool OnLease(const LeaseGrant& lease, int64_t now_ns);
+  bool OnLease(const model::LeaseGrant& lease, int64_t now_ns);
   // Outcomes of jobs that were replaced are ignored, except of a survey.
   Actions OnOutcome(const LevelOutcome& outcome, int64_t now_ns);
   Actions OnPersisted(uint64_t sequence, const absl::Status& status, int64_t now_ns);
@@ -115,7 +117,7 @@ class LevelController {
   ExecutorReport Report(int64_t now_ns) const;
 
  private:
-  struct Command {
+  struct LevelCommand {
     std::string id;
     DecisionId decision_id;
     int to = 0;
@@ -128,7 +130,7 @@ class LevelController {
     int level = 0;
   };
   struct PendingLowering {
-    Command command;
+    LevelCommand command;
     uint64_t sequence = 0;
   };
 
@@ -141,13 +143,13 @@ class LevelController {
   // Nothing is entered before the survey's answer.
   bool surveying() const { return job_.has_value() && job_->kind == JobKind::kSurvey; }
 
-  Receipt MakeReceipt(const Command& command, Receipt::Stage stage) const;
+  Receipt MakeReceipt(const LevelCommand& command, Receipt::Stage stage) const;
   void Send(Receipt receipt, Actions& actions);
   // The answer to a command that has no effect: a refusal, or the receipt it had before.
-  std::optional<Receipt> Judge(const SetLevelCommand& command) const;
+  std::optional<Receipt> Judge(const model::Command& command) const;
   void Persist(Actions& actions);
   ActuatorState StateNow() const;
-  void Adopt(const Command& command, Actions& actions);
+  void Adopt(const LevelCommand& command, Actions& actions);
 
   void CheckLease(int64_t now_ns);
   void RaiseFloor(int level, std::string reason, int64_t now_ns);
@@ -176,7 +178,7 @@ class LevelController {
   int effective_ = 0;
   uint64_t highest_term_ = 0;
 
-  std::optional<Command> command_;  // of the held decision id; none after a restart
+  std::optional<LevelCommand> command_;  // of the held decision id; none after a restart
   std::optional<PendingLowering> pending_;
   uint64_t sequence_ = 0;          // last PersistState given out
   uint64_t settled_sequence_ = 0;  // newest that was answered

@@ -79,7 +79,7 @@ std::vector<Fault> Faults() {
        End::kTo, End::kFrom, "odd "},
       {"based on nothing",
        [](ExecutorRig& rig, const std::string&, const std::string& to) {
-         rig.Level(to, kOrdered, std::nullopt, "odd");
+         rig.Level(to, kOrdered, {}, "odd");
        },
        End::kTo, End::kFrom, "odd "},
       {"a level of another bundle",

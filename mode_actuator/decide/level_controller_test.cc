@@ -109,41 +109,23 @@ TEST(LevelControllerTest, JudgesCommands) {
     const char* name;
     const char* to;
     DecisionId decision_id;
-    std::optional<DecisionId> based_on;
+    DecisionId based_on;
     uint64_t term;
     std::vector<std::string> receipts;
     const char* decided;
   } kCases[] = {
       {"stale term", "HALT", {4, 9}, {}, 4, {"x refused_stale"}, "ALERT"},
-      {"stale term, lowering",
-       "DEFAULT",
-       {4, 9},
-       DecisionId{5, 5},
-       4,
-       {"x refused_stale"},
-       "ALERT"},
+      {"stale term, lowering", "DEFAULT", {4, 9}, {5, 5}, 4, {"x refused_stale"}, "ALERT"},
       {"no decision", "HALT", {0, 0}, {}, 5, {"x refused"}, "ALERT"},
       {"decision of a later term", "HALT", {6, 6}, {}, 5, {"x refused"}, "ALERT"},
       {"unknown level", "GREEN", {5, 6}, {}, 5, {"x refused"}, "ALERT"},
       {"held decision", "ALERT", {5, 5}, {}, 5, {"x acknowledged", "x verified"}, "ALERT"},
       {"held decision, other level", "HALT", {5, 5}, {}, 5, {"x refused"}, "ALERT"},
       {"older decision", "HALT", {5, 4}, {}, 5, {"x refused_stale"}, "ALERT"},
-      {"older decision, lowering",
-       "DEFAULT",
-       {5, 4},
-       DecisionId{5, 5},
-       5,
-       {"x refused_stale"},
-       "ALERT"},
+      {"older decision, lowering", "DEFAULT", {5, 4}, {5, 5}, 5, {"x refused_stale"}, "ALERT"},
       {"lowering on nothing", "DEFAULT", {5, 6}, {}, 5, {"x refused"}, "ALERT"},
-      {"lowering on another", "DEFAULT", {5, 6}, DecisionId{5, 4}, 5, {"x refused"}, "ALERT"},
-      {"lowering",
-       "DEFAULT",
-       {5, 6},
-       DecisionId{5, 5},
-       5,
-       {"x acknowledged", "x verified"},
-       "DEFAULT"},
+      {"lowering on another", "DEFAULT", {5, 6}, {5, 4}, 5, {"x refused"}, "ALERT"},
+      {"lowering", "DEFAULT", {5, 6}, {5, 5}, 5, {"x acknowledged", "x verified"}, "DEFAULT"},
       {"equal", "ALERT", {5, 6}, {}, 5, {"x acknowledged", "x verified"}, "ALERT"},
       {"raise", "HALT", {5, 6}, {}, 5, {"x acknowledged", "x verified"}, "HALT"},
       {"raise of a later term", "HALT", {7, 6}, {}, 7, {"x acknowledged", "x verified"}, "HALT"},
@@ -434,7 +416,7 @@ TEST(LevelControllerTest, IgnoresLeasesThatCannotBe) {
   EXPECT_TRUE(rig.Grant(1'000));
   EXPECT_FALSE(rig.Grant(2'000));  // an older echo
   EXPECT_FALSE(rig.Grant(-1));     // an echo from the future
-  EXPECT_FALSE(rig.executor().OnLease({.term = 1, .echo_boottime_ns = 0, .ttl_ns = 1}, 5));
+  EXPECT_FALSE(rig.executor().OnLease({.echo_boottime_ns = 0, .term = 1, .ttl_ms = 1}, 5));
   rig.term = 0;
   EXPECT_FALSE(rig.Grant());
   rig.term = 4;
@@ -592,11 +574,8 @@ TEST(LevelControllerTest, AGapNoTickSawIsAGap) {
   LevelController& executor = rig.executor();
   const int64_t later = rig.now_ns() + 3'600 * kNanosPerSecond;  // the host was suspended
 
-  EXPECT_TRUE(executor.OnLease({.term = 1,
-                                .echo_boottime_ns = later,
-                                .ttl_ns = 15 * kNanosPerSecond,
-                                .evidence_complete = true},
-                               later));
+  EXPECT_TRUE(executor.OnLease(
+      {.echo_boottime_ns = later, .term = 1, .ttl_ms = 15'000, .evidence_complete = true}, later));
 
   EXPECT_EQ(executor.Report(later).floor, "ALERT");
 }

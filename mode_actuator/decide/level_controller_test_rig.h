@@ -52,17 +52,20 @@ class ExecutorRig {
   std::string robot;  // the level that was reached last; empty before the first
 
   // --- inputs
-  void Level(const std::string& to, DecisionId decision_id,
-             std::optional<DecisionId> based_on = std::nullopt, std::string id = "",
-             uint64_t command_term = 0) {
+  void Level(const std::string& to, DecisionId decision_id, DecisionId based_on = {},
+             std::string id = "", uint64_t command_term = 0) {
     if (id.empty()) id = absl::StrCat("id-", ToString(decision_id));
     if (command_term == 0) command_term = std::max(term, decision_id.term);
-    Do(executor_.OnSetLevel({id, command_term, decision_id, to, based_on}, now_ns_));
+    Do(executor_.OnSetLevel(
+        {.id = id,
+         .term = command_term,
+         .what = model::SetLevel{.decision_id = decision_id, .to = to, .based_on = based_on}},
+        now_ns_));
   }
-  bool Grant(int64_t echo_age_ms = 0, int64_t ttl_ms = 15'000) {
-    return executor_.OnLease({.term = term,
-                              .echo_boottime_ns = now_ns_ - echo_age_ms * kMs,
-                              .ttl_ns = ttl_ms * kMs,
+  bool Grant(int64_t echo_age_ms = 0, uint32_t ttl_ms = 15'000) {
+    return executor_.OnLease({.echo_boottime_ns = now_ns_ - echo_age_ms * kMs,
+                              .term = term,
+                              .ttl_ms = ttl_ms,
                               .evidence_complete = evidence},
                              now_ns_);
   }

@@ -77,14 +77,14 @@ class Walk {
     const ExecutorReport report = rig_->report();
     DecisionId decision_id{rig_->term, next_epoch_++};
     if (Chance(10)) decision_id.epoch = random_() % next_epoch_;
-    std::optional<DecisionId> based_on;
+    DecisionId based_on;
     if (Chance(60)) based_on = report.decision_id;
     const std::string to = Levels()[random_() % Levels().size()];
     const uint64_t term = Chance(10) ? rig_->term - 1 : rig_->term;
     lowering_allowed_ = true;  // by this command only, if it is a legal one
     rig_->Level(to, decision_id, based_on,
                 absl::StrCat("c", random_() % 50, "-", decision_id.epoch), term);
-    if (!based_on.has_value() && Index(to) < Index(report.decided)) lowering_allowed_ = false;
+    if (based_on.none() && Index(to) < Index(report.decided)) lowering_allowed_ = false;
     if (term < report.highest_term || decision_id < report.decision_id) lowering_allowed_ = false;
   }
 

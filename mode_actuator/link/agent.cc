@@ -26,6 +26,7 @@
 #include "mode_actuator/steps/system_mode/system_modes.h"
 #include "mode_actuator/steps/workers.h"
 #include "services/base/ids.h"
+#include "services/base/overloaded.h"
 #include "services/base/status_macros.h"
 #include "services/dds/node_announcer.h"
 #include "services/dds/participant.h"
@@ -49,15 +50,15 @@ struct Persisted {
   absl::Status status;
 };
 struct ExecJournalled {
-  RunProgramCommand command;
+  model::Command command;
   absl::Status status;
 };
 struct ExecEnded {
   std::string id;
   ProgramResult result;
 };
-using Input = std::variant<SetLevelCommand, RunProgramCommand, DrillCommand, LeaseGrant, Connected,
-                           LevelOutcome, DrillOutcome, Persisted, ExecJournalled, ExecEnded>;
+using Input = std::variant<model::Command, model::LeaseGrant, Connected, LevelOutcome, DrillOutcome,
+                           Persisted, ExecJournalled, ExecEnded>;
 
 ExecutorOptions MakeExecutorOptions(const Config& config) {
   ExecutorOptions options;
@@ -227,8 +228,8 @@ class Agent::Impl {
   void Handle(Input input, int64_t now_ns);
   void Do(Actions actions, int64_t now_ns);
   void QueueReceipt(Receipt receipt);
-  void OnDrill(const DrillCommand& command);
-  void OnRunProgram(RunProgramCommand command);
+  void OnDrill(const model::Command& command);
+  void OnRunProgram(const model::Command& command);
   void OnExecJournalled(const ExecJournalled& journalled);
   void OnExecEnded(const ExecEnded& ended);
   void EndExec(Receipt receipt);
@@ -427,7 +428,7 @@ void Agent::Impl::StartDownlink(const Smh& smh, rpc::CredentialsSource credentia
   if (options.protected_parts.size() == kProtectedPartsMax) {
     LogWarning("sensors monitor only the first parts", {{"parts", kProtectedPartsMax}});
   }
-  if (participant_ != nullptr) options.participant_guid = participant_->guid().ToBytes();
+  if (participant_ != nullptr) options.participant = participant_->guid();
 
   Downlink::Callbacks callbacks;
   callbacks.connected = [this] {
@@ -436,12 +437,8 @@ void Agent::Impl::StartDownlink(const Smh& smh, rpc::CredentialsSource credentia
     MutexLock lock(&report_mu_);
     return report_;
   };
-  callbacks.set_level = [this](SetLevelCommand command) { PushFromNetwork(std::move(command)); };
-  callbacks.run_program = [this](RunProgramCommand command) {
-    PushFromNetwork(std::move(command));
-  };
-  callbacks.drill = [this](DrillCommand command) { PushFromNetwork(std::move(command)); };
-  callbacks.lease = [this](LeaseGrant lease) { PushFromNetwork(lease); };
+  callbacks.command = [this](model::Command command) { PushFromNetwork(std::move(command)); };
+  callbacks.lease = [this](model::LeaseGrant lease) { PushFromNetwork(std::move(lease)); };
   callbacks.malformed = [this](const absl::Status& status) {
     counters_.malformed.Increment();
     LogWarning("malformed command", {{"why", status.message()}});
@@ -499,18 +496,17 @@ void Agent::Impl::Loop() {
 }
 
 void Agent::Impl::Handle(Input input, int64_t now_ns) {
-  if (auto* level = std::get_if<SetLevelCommand>(&input)) {
+  if (const auto* command = std::get_if<model::Command>(&input)) {
     counters_.commands.Increment();
-    Do(controller_->OnSetLevel(*level, now_ns), now_ns);
-  } else if (auto* run = std::get_if<RunProgramCommand>(&input)) {
-    counters_.commands.Increment();
-    OnRunProgram(std::move(*run));
-  } else if (auto* drill = std::get_if<DrillCommand>(&input)) {
-    counters_.commands.Increment();
-    OnDrill(*drill);
+    std::visit(Overloaded{[&](const model::SetLevel&) {
+                            Do(controller_->OnSetLevel(*command, now_ns), now_ns);
+                          },
+                          [&](const model::RunProgram&) { OnRunProgram(*command); },
+                          [&](const model::Drill&) { OnDrill(*command); }},
+               command->what);
   } else if (auto* drilled = std::get_if<DrillOutcome>(&input)) {
     QueueReceipt(drills_.OnOutcome(std::move(*drilled)));
-  } else if (auto* lease = std::get_if<LeaseGrant>(&input)) {
+  } else if (auto* lease = std::get_if<model::LeaseGrant>(&input)) {
     controller_->OnLease(*lease, now_ns);
   } else if (std::holds_alternative<Connected>(input)) {
     receipts_.NewSession();
@@ -562,7 +558,7 @@ void Agent::Impl::QueueReceipt(Receipt receipt) {
   if (receipt.stage == Receipt::Stage::kRefused || receipt.stage == Receipt::Stage::kRefusedStale) {
     counters_.receipts_refused.Increment();
   }
-  LogInfo("receipt", {{"command", absl::BytesToHexString(receipt.command_id)},
+  LogInfo("receipt", {{"command", receipt.command_id},
                       {"stage", StageName(receipt.stage)},
                       {"decision_id", ToString(receipt.decision_id)},
                       {"detail", receipt.detail}});
@@ -611,7 +607,7 @@ void Agent::Impl::Publish(int64_t now_ns) {
 
 // --- drills
 
-void Agent::Impl::OnDrill(const DrillCommand& command) {
+void Agent::Impl::OnDrill(const model::Command& command) {
   const std::string held = controller_->Report(NowNs()).effective;
   const bool admitted = controller_->AdmitTerm(command.term);
   QueueReceipt(drills_.OnCommand(command, admitted, held, [this](const DrillJob& job) {
@@ -634,7 +630,8 @@ void Agent::Impl::WriteJournal(std::function<void(const absl::Status&)> done) {
   if (done) done(absl::ResourceExhaustedError("too many writes wait"));
 }
 
-void Agent::Impl::OnRunProgram(RunProgramCommand command) {
+void Agent::Impl::OnRunProgram(const model::Command& command) {
+  const std::string& program = std::get<model::RunProgram>(command.what).program;
   Receipt receipt;
   receipt.command_id = command.id;
   receipt.stage = Receipt::Stage::kRefused;
@@ -643,8 +640,8 @@ void Agent::Impl::OnRunProgram(RunProgramCommand command) {
     receipt.detail = absl::StrCat("term ", command.term, " is stale");
   } else if (std::optional<Receipt> known = journal_.Find(command.id)) {
     receipt = *std::move(known);
-  } else if (!IsAllowed(command.program)) {
-    receipt.detail = absl::StrCat("program `", absl::CHexEscape(command.program.substr(0, 100)),
+  } else if (!IsAllowed(program)) {
+    receipt.detail = absl::StrCat("program `", absl::CHexEscape(program.substr(0, 100)),
                                   "` is not in the allow-list");
   } else if (execs_ >= kExecsMax) {
     receipt.detail = absl::StrCat("running programs exceed limit ", kExecsMax);
@@ -663,7 +660,8 @@ void Agent::Impl::OnRunProgram(RunProgramCommand command) {
 }
 
 void Agent::Impl::OnExecJournalled(const ExecJournalled& journalled) {
-  const RunProgramCommand& command = journalled.command;
+  const model::Command& command = journalled.command;
+  const auto& program = std::get<model::RunProgram>(command.what);
   Receipt receipt;
   receipt.command_id = command.id;
   if (!journalled.status.ok()) {
@@ -676,9 +674,9 @@ void Agent::Impl::OnExecJournalled(const ExecJournalled& journalled) {
     return;
   }
   const absl::Duration timeout =
-      command.timeout > absl::ZeroDuration() ? command.timeout : absl::InfiniteDuration();
+      program.timeout_ms > 0 ? absl::Milliseconds(program.timeout_ms) : absl::InfiniteDuration();
   const absl::StatusOr<uint64_t> run =
-      programs_->Start({.name = command.program, .args = command.args, .timeout = timeout},
+      programs_->Start({.name = program.program, .args = program.args, .timeout = timeout},
                        [this, id = command.id](ProgramResult result) {
                          inputs_.Push(ExecEnded{id, std::move(result)});
                        });

@@ -17,6 +17,7 @@
 #include <thread>
 #include <utility>
 
+#include "absl/strings/escaping.h"
 #include "absl/strings/match.h"
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_replace.h"
@@ -614,7 +615,7 @@ TEST_F(AgentTest, AProgramWhoseRipsExecDiedIsUnknownAndTheNextOneRuns) {
 
 TEST_F(AgentTest, AProgramFoundUnfinishedIsUnknownAndNotRunAgain) {
   ExecJournal ledger;
-  ASSERT_THAT(ledger.Begin(Id('a')), IsOk());
+  ASSERT_THAT(ledger.Begin(absl::BytesToHexString(Id('a'))), IsOk());
   mkdir((dir_ + "/state").c_str(), 0700);
   std::ofstream(dir_ + "/state/journal") << ledger.Encode();
   FakeServer server(Pki().Server());

@@ -9,42 +9,17 @@
 #include <functional>
 #include <memory>
 #include <string>
-#include <variant>
 #include <vector>
 
 #include "absl/status/status.h"
-#include "absl/status/statusor.h"
-#include "absl/strings/string_view.h"
-#include "absl/time/time.h"
-#include "mode_actuator/decide/drill_controller.h"
 #include "mode_actuator/decide/level_controller.h"
 #include "mode_actuator/decide/receipt.h"
 #include "services/base/clock.h"
+#include "services/model/command.h"
+#include "services/ros2/guid.h"
 #include "services/rpc/credentials.h"
 
-namespace rips::v1 {
-class Command;
-class Lease;
-}  // namespace rips::v1
-
 namespace rips::actuator {
-
-struct RunProgramCommand {
-  std::string id;
-  uint64_t term = 0;
-  std::string program;
-  std::vector<std::string> args;
-  absl::Duration timeout;  // zero = the program's own
-};
-
-using AnyCommand = std::variant<SetLevelCommand, RunProgramCommand, DrillCommand>;
-
-// A command by its kind. InvalidArgument, saying what is wrong, for a message that no policy server
-// of ours sends: an id that is not 16 bytes, no kind, a program without a name, a drill without a
-// level.
-absl::StatusOr<AnyCommand> DecodeCommand(const v1::Command& command);
-// `ttl` and echo as sent; what they are worth is the executor's to say.
-LeaseGrant DecodeLease(const v1::Lease& lease);
 
 class Downlink {
  public:
@@ -60,16 +35,14 @@ class Downlink {
     std::string fail_safe_level;
     std::vector<std::string> programs;
     std::vector<std::string> protected_parts;
-    std::string participant_guid;  // 16 bytes, or empty without DDS
+    ros2::Guid participant;  // none without DDS
   };
   // All on the session thread, never two at once, not after Stop().
   struct Callbacks {
     // What to say hello with; a stream begins.
     std::function<ExecutorReport()> connected;
-    std::function<void(SetLevelCommand)> set_level;
-    std::function<void(RunProgramCommand)> run_program;
-    std::function<void(DrillCommand)> drill;
-    std::function<void(LeaseGrant)> lease;
+    std::function<void(model::Command)> command;
+    std::function<void(model::LeaseGrant)> lease;
     std::function<void(const absl::Status&)> malformed;
     std::function<void(const absl::Status&)> disconnected;
   };

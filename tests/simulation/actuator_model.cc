@@ -25,28 +25,6 @@ actuator::ExecutorOptions Options() {
           .survey = true};
 }
 
-pipeline::Receipt::Stage ToServer(actuator::Receipt::Stage stage) {
-  using From = actuator::Receipt::Stage;
-  using To = pipeline::Receipt::Stage;
-  switch (stage) {
-    case From::kAcknowledged:
-      return To::kAcknowledged;
-    case From::kVerified:
-      return To::kVerified;
-    case From::kFailed:
-      return To::kFailed;
-    case From::kSuperseded:
-      return To::kSuperseded;
-    case From::kRefusedStale:
-      return To::kRefusedStale;
-    case From::kRefused:
-      return To::kRefused;
-    case From::kUnknown:
-      return To::kUnknown;
-  }
-  return To::kUnknown;
-}
-
 }  // namespace
 
 struct ActuatorModel::Stream {
@@ -213,18 +191,17 @@ void ActuatorModel::Send(
 void ActuatorModel::OnCommand(const pipeline::Command& command) {
   if (!up()) return;
   const auto& set = std::get<pipeline::SetLevel>(command.what);
-  actuator::SetLevelCommand to{
-      .id = command.id, .term = command.term, .decision_id = set.decision_id, .to = set.to};
-  if (!set.based_on.none()) to.based_on = set.based_on;
   const actuator::ExecutorReport held = controller_->Report(now_ns());
   context_.trace.Add(
       "actuator",
       absl::StrCat("receives ", set.to, " ", ToString(set.decision_id), " of term ", command.term,
                    "; holds ", ToString(held.decision_id), ", term ", held.highest_term));
   context_.checker.OnCommandDelivered(command.id, command.term);
+  pipeline::Command to = command;
   if (context_.fault == Fault::kStaleTerm && command.term < held.highest_term) {
     to.term = held.highest_term;
-    to.decision_id = {.term = held.highest_term, .epoch = held.decision_id.epoch + 1};
+    std::get<pipeline::SetLevel>(to.what).decision_id = {.term = held.highest_term,
+                                                         .epoch = held.decision_id.epoch + 1};
   }
   Do(controller_->OnSetLevel(to, now_ns()));
   Turn();
@@ -232,12 +209,8 @@ void ActuatorModel::OnCommand(const pipeline::Command& command) {
 
 void ActuatorModel::OnLease(const pipeline::LeaseGrant& lease) {
   if (!up()) return;
-  const actuator::LeaseGrant to{.term = lease.term,
-                                .echo_boottime_ns = lease.echo_boottime_ns,
-                                .ttl_ns = lease.ttl_ms * kNanosPerMilli,
-                                .evidence_complete = lease.evidence_complete};
-  context_.checker.OnLeaseDelivered(to, now_ns());
-  controller_->OnLease(to, now_ns());
+  context_.checker.OnLeaseDelivered(lease, now_ns());
+  controller_->OnLease(lease, now_ns());
   Turn();
 }
 
@@ -261,12 +234,7 @@ void ActuatorModel::Publish() {
   if (stream_ != nullptr) {
     receipts_.Flush(now_ns(), [this](const actuator::Receipt& receipt) {
       Send([receipt](pipeline::Robot& robot, const pipeline::ActuatorLink* link) {
-        robot.OnReceipt(kHost, link,
-                        {.command_id = receipt.command_id,
-                         .decision_id = receipt.decision_id,
-                         .stage = ToServer(receipt.stage),
-                         .detail = receipt.detail,
-                         .effective_level = receipt.effective_level});
+        robot.OnReceipt(kHost, link, receipt);
       });
       return true;
     });

@@ -191,12 +191,12 @@ void Checker::OnCommandDelivered(const std::string& id, uint64_t term) {
   newest_term_ = std::max(newest_term_, term);
 }
 
-void Checker::OnLeaseDelivered(const actuator::LeaseGrant& lease, int64_t now_ns) {
+void Checker::OnLeaseDelivered(const model::LeaseGrant& lease, int64_t now_ns) {
   if (lease.term < newest_term_ || lease.echo_boottime_ns <= 0) return;
   if (lease.echo_boottime_ns > now_ns || lease.echo_boottime_ns < newest_echo_ns_) return;
   newest_term_ = lease.term;
   newest_echo_ns_ = lease.echo_boottime_ns;
-  lease_end_ns_ = lease.echo_boottime_ns + lease.ttl_ns;
+  lease_end_ns_ = lease.echo_boottime_ns + lease.ttl_ms * kNanosPerMilli;
   evidence_complete_ = lease.evidence_complete;
 }
 

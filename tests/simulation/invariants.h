@@ -61,7 +61,7 @@ class Checker {
   void OnActuatorStart(const actuator::ExecutorReport& report, int64_t now_ns);
   // `term` is the one that the server sent.
   void OnCommandDelivered(const std::string& id, uint64_t term);
-  void OnLeaseDelivered(const actuator::LeaseGrant& lease, int64_t now_ns);
+  void OnLeaseDelivered(const model::LeaseGrant& lease, int64_t now_ns);
   void OnReadBack(int level) { read_back_ = level; }
   void OnReceipt(const actuator::Receipt& receipt);
   void OnActuatorHolds(const actuator::ExecutorReport& report, int64_t now_ns);

@@ -17,6 +17,7 @@
 #include "services/base/decision_id.h"
 #include "services/base/ids.h"
 #include "services/base/status_macros.h"
+#include "services/model_proto/decision_id_codec.h"
 
 namespace rips::ripsctl {
 namespace {
@@ -55,11 +56,6 @@ absl::StatusOr<Target> ParseTarget(const std::string& what) {
       absl::StrCat(robot, "@", ToString(*decision_id)) != what)
     return wrong;
   return Target{.robot = robot, .decision_id = *decision_id};
-}
-
-void SetDecisionId(const DecisionId& decision_id, v1::DecisionId* out) {
-  out->set_term(decision_id.term);
-  out->set_epoch(decision_id.epoch);
 }
 
 // What would raise the robot again from the next less restrictive level; none at the lowest.
@@ -146,20 +142,19 @@ class Explain final : public Command {
     }
     if (!target_.decision_id.has_value()) return OfRobot(env, target_.robot);
     request.set_robot(target_.robot);
-    SetDecisionId(*target_.decision_id, request.mutable_decision_id());
+    model_proto::Encode(*target_.decision_id, *request.mutable_decision_id());
     return Ask(env, request);
   }
 
   // The decision that the robot is at.
   static absl::StatusOr<Explanation> OfRobot(Env& env, const std::string& robot) {
     RIPS_ASSIGN_OR_RETURN(v1::GetLevelResponse now, ReadLevel(env, robot));
-    const DecisionId decision_id = {.term = now.status().decision_id().term(),
-                                    .epoch = now.status().decision_id().epoch()};
+    const DecisionId decision_id = model_proto::Decode(now.status().decision_id());
     Explanation explanation;
     if (!decision_id.none()) {
       v1::ExplainRequest request;
       request.set_robot(robot);
-      SetDecisionId(decision_id, request.mutable_decision_id());
+      model_proto::Encode(decision_id, *request.mutable_decision_id());
       absl::StatusOr<Explanation> asked = Ask(env, request);
       if (absl::IsNotFound(asked.status())) {
         return absl::FailedPreconditionError(absl::StrCat(

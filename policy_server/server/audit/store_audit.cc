@@ -6,6 +6,7 @@
 #include <utility>
 
 #include "absl/strings/str_cat.h"
+#include "services/model_proto/decision_id_codec.h"
 
 namespace rips::audit {
 namespace {
@@ -14,11 +15,6 @@ using v1::AuditRecord;
 
 // The rule of RIPS's own alerts.
 constexpr char kOwnRule[] = "(rips)";
-
-void FillDecisionId(const DecisionId& decision_id, v1::DecisionId* out) {
-  out->set_term(decision_id.term);
-  out->set_epoch(decision_id.epoch);
-}
 
 // Of a decision or a refusal.
 template <typename Change>
@@ -37,9 +33,9 @@ AuditRecord OfChange(const std::string& robot, const Change& change, AuditRecord
 
 AuditRecord Of(const std::string& robot, const store::DecisionRecord& decision) {
   AuditRecord record = OfChange(robot, decision, AuditRecord::KIND_DECISION);
-  FillDecisionId(decision.decision_id, record.mutable_decision_id());
+  model_proto::Encode(decision.decision_id, *record.mutable_decision_id());
   if (decision.based_on != DecisionId())
-    FillDecisionId(decision.based_on, record.mutable_based_on());
+    model_proto::Encode(decision.based_on, *record.mutable_based_on());
   return record;
 }
 

@@ -5,9 +5,9 @@
 #include <string>
 #include <utility>
 
-#include "policy_server/server/dispatch/actuator_codec.h"
 #include "policy_server/server/shard/mailbox.h"
 #include "policy_server/server/shard/refused_field.h"
+#include "services/model_proto/actuator_codec.h"
 #include "services/ros2/ros_name.h"
 #include "services/rpc/peer.h"
 #include "services/rpc/server_stream.h"
@@ -46,12 +46,12 @@ class Link final : public pipeline::ActuatorLink {
       }
     }
     ActuatorReply reply;
-    *reply.mutable_lease() = EncodeLease(lease, RealClock().Now());
+    *reply.mutable_lease() = model_proto::Encode(lease, RealClock().Now());
     outbound_->Send(std::move(reply));
   }
   void Send(const pipeline::Command& command) override {
     ActuatorReply reply;
-    *reply.mutable_command() = EncodeCommand(command);
+    *reply.mutable_command() = model_proto::Encode(command);
     outbound_->Send(std::move(reply));
     commands_.Increment();
   }
@@ -114,9 +114,10 @@ class ActuatorStream final : public Stream {
       case ActuatorMessage::kReceipt:
         return OnReceipt(message.receipt());
       case ActuatorMessage::kHeartbeat:
-        return Post(message.ByteSizeLong(),
-                    [host = host_, link = link_, heartbeat = DecodeHeartbeat(message.heartbeat())](
-                        Robot& robot) { robot.OnActuatorHeartbeat(host, link.get(), heartbeat); });
+        return Post(
+            message.ByteSizeLong(),
+            [host = host_, link = link_, heartbeat = model_proto::Decode(message.heartbeat())](
+                Robot& robot) { robot.OnActuatorHeartbeat(host, link.get(), heartbeat); });
       case ActuatorMessage::KIND_NOT_SET:
         return;  // a newer actuator's kind
     }
@@ -132,7 +133,7 @@ class ActuatorStream final : public Stream {
            absl::PermissionDeniedError("the hello names another host than the certificate")},
           &session_->peer, address_));
     }
-    absl::StatusOr<pipeline::ActuatorHello> decoded = DecodeHello(hello);
+    absl::StatusOr<pipeline::ActuatorHello> decoded = model_proto::Decode(hello);
     if (!decoded.ok()) return Refuse(decoded.status());
     link_->SetPeer(mailbox_->robot(), host_, address_);
     decoded->peer = address_;
@@ -141,7 +142,7 @@ class ActuatorStream final : public Stream {
   }
 
   void OnReceipt(const rips::v1::Receipt& receipt) {
-    absl::StatusOr<pipeline::Receipt> decoded = DecodeReceipt(receipt);
+    absl::StatusOr<pipeline::Receipt> decoded = model_proto::Decode(receipt);
     if (!decoded.ok()) return Refuse(decoded.status());
     Post(receipt.ByteSizeLong(), [host = host_, link = link_, receipt = *std::move(decoded)](
                                      Robot& robot) { robot.OnReceipt(host, link.get(), receipt); });

@@ -5,6 +5,7 @@
 #include <string>
 
 #include "services/base/cut_text.h"
+#include "services/model_proto/decision_id_codec.h"
 
 namespace rips::operator_api {
 namespace {
@@ -30,8 +31,7 @@ rips::v1::RobotStatus EncodeStatus(const pipeline::RobotStatus& status) {
   out.set_decided_level(status.decided_level);
   out.set_effective_level(status.effective_level);
   out.set_stage(status.stage);
-  out.mutable_decision_id()->set_term(status.decision_id.term);
-  out.mutable_decision_id()->set_epoch(status.decision_id.epoch);
+  model_proto::Encode(status.decision_id, *out.mutable_decision_id());
   out.set_bundle_version(status.bundle_version);
   const size_t shown = std::min(status.degraded.size(), kDegradedShownMax);
   out.set_degraded_cut(shown < status.degraded.size());

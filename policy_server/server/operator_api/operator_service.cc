@@ -18,6 +18,7 @@
 #include "policy_server/server/operator_api/watch_stream.h"
 #include "services/base/cut_text.h"
 #include "services/base/status_macros.h"
+#include "services/model_proto/decision_id_codec.h"
 #include "services/ros2_proto/graph_codec.h"
 #include "services/rpc/peer.h"
 #include "services/rpc/status_conversion.h"
@@ -582,14 +583,13 @@ grpc::ServerUnaryReactor* OperatorService::ChangeLevel(grpc::CallbackServerConte
       .to = request->to(),
       .reason = request->reason(),
       .expected_level = request->expected_level(),
-      .expected_decision_id = {.term = request->expected_decision_id().term(),
-                               .epoch = request->expected_decision_id().epoch()},
+      .expected_decision_id = model_proto::Decode(request->expected_decision_id()),
       .dry_run = request->dry_run(),
       .accept_blind = request->accept_blind(),
       .request_id = request->request_id()};
   grpc::ServerUnaryReactor* reactor = Answer(who->ticket);
   pipeline::LevelReply reply = [reactor, response](const pipeline::LevelAnswer& answer) {
-    FillDecisionId(answer.decision_id, response->mutable_decision_id());
+    model_proto::Encode(answer.decision_id, *response->mutable_decision_id());
     response->set_decided_level(answer.decided_level);
     response->set_soft(answer.soft);
     for (const std::string& rule : answer.would_raise_again) {
@@ -662,7 +662,7 @@ grpc::ServerUnaryReactor* OperatorService::ResetTerm(grpc::CallbackServerContext
   pipeline::TermResetOrder order{
       .operator_name = OperatorName(*who), .host = request->host(), .reason = request->reason()};
   pipeline::LevelReply reply = [reactor, response](const pipeline::LevelAnswer& answer) {
-    FillDecisionId(answer.decision_id, response->mutable_decision_id());
+    model_proto::Encode(answer.decision_id, *response->mutable_decision_id());
     response->set_decided_level(answer.decided_level);
     reactor->Finish(rpc::ToGrpc(answer.status));
   };

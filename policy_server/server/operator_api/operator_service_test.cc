@@ -717,7 +717,7 @@ TEST_F(OperatorServiceTest, DrillsAndListsReceipts) {
                                  .steps = {{.step = "program horn",
                                             .took_ms = 7,
                                             .detail = "not \xff there",
-                                            .drilled = pipeline::StepReport::Drilled::kLooked,
+                                            .drilled = pipeline::Drilled::kLooked,
                                             .output_tail = "\xff"}},
                                  .detail = "in short"});
               }),

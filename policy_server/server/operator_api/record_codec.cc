@@ -13,6 +13,7 @@
 #include "services/base/cut_text.h"
 #include "services/base/decision_id.h"
 #include "services/base/status_macros.h"
+#include "services/model_proto/decision_id_codec.h"
 
 namespace rips::operator_api {
 namespace {
@@ -73,11 +74,6 @@ absl::StatusOr<Found> FindByDecisionId(const std::string& robot, const DecisionI
 
 }  // namespace
 
-void FillDecisionId(const DecisionId& decision_id, rips::v1::DecisionId* out) {
-  out->set_term(decision_id.term);
-  out->set_epoch(decision_id.epoch);
-}
-
 rips::v1::Alert Encode(const store::AlertRecord& alert) {
   rips::v1::Alert out;
   out.set_id(alert.id);
@@ -89,7 +85,7 @@ rips::v1::Alert Encode(const store::AlertRecord& alert) {
   out.set_text(Shortened(alert.text, pipeline::kAlertTextBytesMax));
   out.set_level(alert.level);
   out.set_event(Shortened(alert.event, pipeline::kAlertEventBytesMax));
-  FillDecisionId(alert.decision_id, out.mutable_decision_id());
+  model_proto::Encode(alert.decision_id, *out.mutable_decision_id());
   for (const engine::TracedSubject& subject : alert.trace.subjects) {
     *out.add_subjects() = store::EncodeSubject(subject);
   }
@@ -105,7 +101,7 @@ rips::v1::Transition Encode(const store::TransitionRecord& record) {
   out.set_to(record.to);
   out.set_cause(record.cause);
   out.set_reason(record.reason);
-  if (!record.refused) FillDecisionId(record.decision_id, out.mutable_decision_id());
+  if (!record.refused) model_proto::Encode(record.decision_id, *out.mutable_decision_id());
   out.set_refused(record.refused);
   out.set_count(static_cast<uint32_t>(std::min<uint64_t>(record.count, UINT32_MAX)));
   out.set_stage(record.stage);
@@ -119,7 +115,7 @@ absl::StatusOr<rips::v1::ExplainResponse> Explain(const rips::v1::ExplainRequest
   if (by_id == !request.robot().empty()) {
     return absl::InvalidArgumentError("explain takes an id, or a robot and a decision");
   }
-  const DecisionId decision_id = {request.decision_id().term(), request.decision_id().epoch()};
+  const DecisionId decision_id = model_proto::Decode(request.decision_id());
   RIPS_ASSIGN_OR_RETURN(const Found found,
                         by_id ? FindById(request.id(), store)
                               : FindByDecisionId(request.robot(), decision_id, store));

@@ -9,7 +9,6 @@
 
 namespace rips::operator_api {
 
-void FillDecisionId(const DecisionId& decision_id, rips::v1::DecisionId* out);
 rips::v1::Alert Encode(const store::AlertRecord& alert);
 rips::v1::Transition Encode(const store::TransitionRecord& record);
 

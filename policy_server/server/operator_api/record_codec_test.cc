@@ -6,6 +6,7 @@
 #include "gtest/gtest.h"
 #include "policy_server/server/store/fake_store.h"
 #include "services/base/status_matchers.h"
+#include "services/model_proto/decision_id_codec.h"
 
 namespace rips::operator_api {
 namespace {
@@ -64,7 +65,7 @@ class ExplainTest : public testing::Test {
                                                          const DecisionId& decision_id) {
     rips::v1::ExplainRequest request;
     request.set_robot(robot);
-    FillDecisionId(decision_id, request.mutable_decision_id());
+    model_proto::Encode(decision_id, *request.mutable_decision_id());
     return Explain(request, store_);
   }
 

@@ -29,7 +29,7 @@ class RobotDrillTest : public RobotTest {
     }
     return nullptr;
   }
-  void Answer(Told stage, std::vector<StepReport> steps = {}, const std::string& detail = "") {
+  void Answer(Told stage, std::vector<StepResult> steps = {}, const std::string& detail = "") {
     ASSERT_NE(Sent(), nullptr);
     robot_->OnReceipt(
         "base", actuator_.get(),

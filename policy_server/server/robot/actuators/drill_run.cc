@@ -114,7 +114,7 @@ std::string Summary(const std::vector<DrillEntry>& drills) {
   size_t steps = 0, work = 0;
   std::string failed;
   for (const DrillEntry& drill : drills) {
-    for (const StepReport& step : drill.steps) {
+    for (const StepResult& step : drill.steps) {
       ++steps;
       work += step.ok ? 1 : 0;
       if (step.ok) continue;

@@ -30,7 +30,7 @@ class DrillRunTest : public ::testing::Test {
     }
     return texts;
   }
-  void Answer(const std::string& host, Told stage, std::vector<StepReport> steps = {}) {
+  void Answer(const std::string& host, Told stage, std::vector<StepResult> steps = {}) {
     EXPECT_TRUE(run_.OnReceipt(host, {.command_id = ids_[host],
                                       .stage = stage,
                                       .steps = std::move(steps),
@@ -72,9 +72,9 @@ TEST_F(DrillRunTest, LevelsComeInTurnOnEachActuator) {
                                  each.detail));
   }
   EXPECT_THAT(texts,
-              ElementsAre("DEFAULT arm 1 as told", "DEFAULT away -1 the actuator is not attached",
-                          "DEFAULT base 2 as told", "ALERT arm 1 as told",
-                          "ALERT away -1 the actuator is not attached", "ALERT base 5 as told"));
+              ElementsAre("DEFAULT arm 2 as told", "DEFAULT away -1 the actuator is not attached",
+                          "DEFAULT base 3 as told", "ALERT arm 2 as told",
+                          "ALERT away -1 the actuator is not attached", "ALERT base 6 as told"));
   EXPECT_THAT(entries[0].steps, SizeIs(1));
   EXPECT_FALSE(AllWork(entries));
 }
@@ -143,13 +143,13 @@ TEST_F(DrillRunTest, ReceiptsOfOthersAndRepeatedOnesChangeNothing) {
 
 TEST_F(DrillRunTest, AnswersAreHarmlessAndBounded) {
   Due();
-  std::vector<StepReport> steps(300, {.step = "\x1b[2J", .output_tail = std::string(4096, 'x')});
+  std::vector<StepResult> steps(300, {.step = "\x1b[2J", .output_tail = std::string(4096, 'x')});
   Answer("base", Told::kFailed, steps);
   const DrillEntry entry = run_.PopEntries()[2];
   ASSERT_THAT(entry.steps, SizeIs(kReceiptStepsKept));
   EXPECT_EQ(entry.steps[0].step, "\\x1b[2J");
   size_t bytes = 0;
-  for (const StepReport& step : entry.steps) bytes += step.step.size() + step.output_tail.size();
+  for (const StepResult& step : entry.steps) bytes += step.step.size() + step.output_tail.size();
   EXPECT_LE(bytes, kReceiptBytesKept);
 }
 

@@ -109,7 +109,7 @@ Receipt Trimmed(const Receipt& receipt, size_t bytes_max) {
 
 std::string FailureText(const Receipt& receipt) {
   std::string text;
-  for (const StepReport& step : receipt.steps) {
+  for (const StepResult& step : receipt.steps) {
     if (step.ok) continue;
     absl::StrAppend(&text, text.empty() ? "" : "; ", step.step, step.detail.empty() ? "" : ": ",
                     step.detail);

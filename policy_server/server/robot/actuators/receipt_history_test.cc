@@ -155,7 +155,7 @@ TEST(ReceiptLogTest, FailedStepsKeepTheirWordsWhereThereIsTooMuch) {
   EXPECT_EQ(kept.steps[100].output_tail.size(), 4096u);
   EXPECT_TRUE(kept.output_tail.ends_with("the end"));
   size_t bytes = kept.command_id.size() + kept.detail.size() + kept.output_tail.size();
-  for (const StepReport& step : kept.steps) {
+  for (const StepResult& step : kept.steps) {
     bytes += step.step.size() + step.detail.size() + step.output_tail.size();
   }
   EXPECT_LE(bytes, kReceiptBytesKept);

@@ -23,7 +23,7 @@ struct DrillEntry {
   std::string host;
   // None: no answer.
   std::optional<Receipt::Stage> stage;
-  std::vector<StepReport> steps;
+  std::vector<StepResult> steps;
   // Human-readable and printable.
   std::string detail;
 };
