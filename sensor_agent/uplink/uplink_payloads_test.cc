@@ -340,7 +340,8 @@ TEST_F(UplinkPayloadsTest, AFullOutboxShedsPayloadsAndKeepsMessagesAndControl) {
 }
 
 TEST_F(UplinkPayloadsTest, AnOutageSetsPayloadsAsideInMemory) {
-  options_.core.live = absl::Milliseconds(40);
+  // Half of it is what the chunks of one payload may take.
+  options_.core.live = absl::Milliseconds(600);
   options_.core.backlog.memory_bytes = 64 * kMiB;
   options_.core.backlog_bytes_per_second = 1 << 30;
   Start();

@@ -18,7 +18,11 @@ namespace rips::inspect {
 inline constexpr size_t kTrialBytes = size_t{16} << 10;
 inline constexpr absl::Duration kTrialCpuMax = absl::Milliseconds(25);
 // All trials of one file together.
+#ifdef RIPS_SANITIZED  // memory costs some ten times as much
+inline constexpr absl::Duration kTrialsCpuMax = absl::Seconds(20);
+#else
 inline constexpr absl::Duration kTrialsCpuMax = absl::Seconds(2);
+#endif
 
 // Scans runs of each byte value and pseudo-random bytes, first a little, then four times as much,
 // and so on, so that a file whose cost grows with the square is refused within about a second; then
