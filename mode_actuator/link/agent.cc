@@ -32,6 +32,7 @@
 #include "services/dds/participant.h"
 #include "services/runtime/atomic_file.h"
 #include "services/runtime/cancel_flag.h"
+#include "services/runtime/file_lock.h"
 #include "services/runtime/log.h"
 #include "services/runtime/mutex.h"
 
@@ -256,6 +257,8 @@ class Agent::Impl {
   bool announcing_ = true;  // the last claim was published
   int64_t check_helpers_at_ns_ = 0;
 
+  UniqueFd state_lock_;  // two actuators would fight for the same parts
+
   mutable Mutex report_mu_;
   ExecutorReport report_ ABSL_GUARDED_BY(report_mu_);
 
@@ -281,6 +284,14 @@ class Agent::Impl {
 
 absl::Status Agent::Impl::LoadState() {
   RIPS_RETURN_IF_ERROR(MakeDirectory(config_.state_dir));
+  absl::StatusOr<UniqueFd> lock = LockFile(absl::StrCat(config_.state_dir, "/lock"));
+  if (absl::IsFailedPrecondition(lock.status())) {
+    return absl::FailedPreconditionError(
+        absl::StrCat("another actuator uses the state directory `", config_.state_dir,
+                     "`; two would order the same parts: stop that one first"));
+  }
+  RIPS_RETURN_IF_ERROR(lock.status());
+  state_lock_ = *std::move(lock);
   absl::StatusOr<ActuatorState> state = absl::NotFoundError("no state file");
   if (absl::StatusOr<std::string> bytes = ReadFile(StatePath(), kStateBytesMax); bytes.ok()) {
     state = DecodeState(*bytes);

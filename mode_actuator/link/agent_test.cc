@@ -628,6 +628,15 @@ TEST_F(AgentTest, AProgramFoundUnfinishedIsUnknownAndNotRunAgain) {
   EXPECT_EQ(Slurp(dir_ + "/ran"), "");
 }
 
+TEST_F(AgentTest, ASecondOneOnTheStateDirectoryIsRefused) {
+  FakeServer server(Pki().Server());
+  ASSERT_THAT(Start(server.port(), Pki().Actuator()), IsOk());
+  const std::unique_ptr<Agent> first = std::move(agent_);
+  EXPECT_THAT(Start(server.port(), Pki().Actuator()),
+              StatusIs(absl::StatusCode::kFailedPrecondition,
+                       HasSubstr("another actuator uses the state directory")));
+}
+
 TEST_F(AgentTest, ACorruptStateIsLostAndNeverTheFirstLevel) {
   mkdir((dir_ + "/state").c_str(), 0700);
   std::ofstream(dir_ + "/state/state") << "rips-actuator-state 1\nmark 1.1\ndecided DEFAULT\n";

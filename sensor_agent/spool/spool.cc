@@ -1,7 +1,6 @@
 #include "sensor_agent/spool/spool.h"
 
 #include <fcntl.h>
-#include <sys/file.h>
 #include <sys/stat.h>
 #include <unistd.h>
 
@@ -17,6 +16,7 @@
 #include "absl/strings/str_cat.h"
 #include "services/base/status_macros.h"
 #include "services/runtime/atomic_file.h"
+#include "services/runtime/file_lock.h"
 
 namespace rips::sensor {
 
@@ -61,13 +61,12 @@ absl::StatusOr<std::unique_ptr<Spool>> Spool::Open(SpoolOptions options) {
         absl::StrCat("cannot create `", options.dir, "`: ", error.message()));
   }
   const std::string lock_path = absl::StrCat(options.dir, "/", kLockName);
-  UniqueFd lock(open(lock_path.c_str(), O_RDWR | O_CREAT | O_CLOEXEC | O_NOFOLLOW, 0600));
-  if (lock.get() < 0) return Errno("open", lock_path);
-  if (flock(lock.get(), LOCK_EX | LOCK_NB) != 0) {
-    if (errno != EWOULDBLOCK) return Errno("lock", lock_path);
+  absl::StatusOr<UniqueFd> lock = LockFile(lock_path);
+  if (absl::IsFailedPrecondition(lock.status())) {
     return absl::FailedPreconditionError(absl::StrCat(
         "another process uses the spool `", options.dir, "`; give each sensor a directory"));
   }
+  RIPS_RETURN_IF_ERROR(lock.status());
   if (chmod(options.dir.c_str(), 0700) != 0) return Errno("protect", options.dir);
   const std::string running = absl::StrCat(options.dir, "/", kRunningName);
   const bool unclean = std::filesystem::exists(running, error);
@@ -75,7 +74,7 @@ absl::StatusOr<std::unique_ptr<Spool>> Spool::Open(SpoolOptions options) {
   const std::string probe = absl::StrCat(options.dir, "/", kProbeName);
   RIPS_RETURN_IF_ERROR(WriteFileAtomically(probe, "can this be written?\n"));
   unlink(probe.c_str());
-  return std::unique_ptr<Spool>(new Spool(std::move(options), std::move(lock), unclean));
+  return std::unique_ptr<Spool>(new Spool(std::move(options), *std::move(lock), unclean));
 }
 
 std::string Spool::PathOf(const SegmentHeader& header) const {

@@ -1,7 +1,6 @@
 #include "policy_server/server/audit/segment_writer.h"
 
 #include <fcntl.h>
-#include <sys/file.h>
 #include <sys/stat.h>
 #include <unistd.h>
 
@@ -15,6 +14,7 @@
 #include "policy_server/audit/segments.h"
 #include "services/base/status_macros.h"
 #include "services/runtime/atomic_file.h"
+#include "services/runtime/file_lock.h"
 
 namespace rips::audit {
 namespace {
@@ -128,12 +128,14 @@ absl::StatusOr<std::unique_ptr<SegmentWriter>> SegmentWriter::Open(const std::st
 }
 
 absl::Status SegmentWriter::Lock() {
-  const std::string path = PathOf(kLock);
-  lock_ = UniqueFd(open(path.c_str(), O_RDWR | O_CREAT | O_CLOEXEC | O_NOFOLLOW, 0600));
-  if (lock_.get() < 0) return Errno("open", path);
-  if (flock(lock_.get(), LOCK_EX | LOCK_NB) == 0) return absl::OkStatus();
-  return absl::FailedPreconditionError(
-      absl::StrCat("another process writes the audit log in `", directory_, "`"));
+  absl::StatusOr<UniqueFd> lock = LockFile(PathOf(kLock));
+  if (absl::IsFailedPrecondition(lock.status())) {
+    return absl::FailedPreconditionError(
+        absl::StrCat("another process writes the audit log in `", directory_, "`"));
+  }
+  RIPS_RETURN_IF_ERROR(lock.status());
+  lock_ = *std::move(lock);
+  return absl::OkStatus();
 }
 
 absl::Status SegmentWriter::Continue(const std::string& name) {

@@ -1,7 +1,6 @@
 #include "policy_server/server/store/sqlite_file.h"
 
 #include <fcntl.h>
-#include <sys/file.h>
 #include <sys/stat.h>
 #include <unistd.h>
 
@@ -14,6 +13,7 @@
 #include "absl/strings/str_cat.h"
 #include "policy_server/server/store/sqlite_db.h"
 #include "services/base/status_macros.h"
+#include "services/runtime/file_lock.h"
 
 namespace rips::store {
 namespace {
@@ -238,24 +238,18 @@ absl::Status CheckStateFile(const std::string& path) {
 
 }  // namespace
 
-absl::StatusOr<FileLock> FileLock::Acquire(const std::string& path) {
-  const std::string name = path + ".lock";
-  const int fd = open(name.c_str(), O_RDWR | O_CREAT | O_CLOEXEC, 0600);
-  if (fd < 0 && errno == ENOENT) {
+absl::StatusOr<UniqueFd> LockStateFile(const std::string& path) {
+  absl::StatusOr<UniqueFd> lock = LockFile(path + ".lock");
+  if (absl::IsNotFound(lock.status())) {
     return absl::UnavailableError(absl::StrCat(
         "the directory of the state file `", path,
         "` does not exist; make it, and let it belong to the user of the policy server"));
   }
-  if (fd < 0) return FromErrno(absl::StrCat("opening `", name, "`"));
-  FileLock lock(fd);
-  if (flock(fd, LOCK_EX | LOCK_NB) == 0) return lock;
-  if (errno != EWOULDBLOCK) return FromErrno(absl::StrCat("locking `", name, "`"));
-  return absl::FailedPreconditionError(absl::StrCat(
-      "state file `", path, "` is in use by another policy server; stop that one first"));
-}
-
-FileLock::~FileLock() {
-  if (fd_ >= 0) close(fd_);
+  if (absl::IsFailedPrecondition(lock.status())) {
+    return absl::FailedPreconditionError(absl::StrCat(
+        "state file `", path, "` is in use by another policy server; stop that one first"));
+  }
+  return lock;
 }
 
 absl::Status PrepareStateFile(const std::string& path) {

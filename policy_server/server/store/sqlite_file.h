@@ -7,6 +7,7 @@
 
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
+#include "services/runtime/unique_fd.h"
 
 namespace rips::store {
 
@@ -14,21 +15,11 @@ namespace rips::store {
 inline constexpr int kSchemaVersion = 7;
 
 // Keeps other processes from using the state file at `path`, through `path`.lock, until it goes.
-class [[nodiscard]] FileLock {
- public:
-  // FailedPrecondition if another process holds it; Unavailable if the lock file cannot be opened.
-  static absl::StatusOr<FileLock> Acquire(const std::string& path);
-  FileLock(FileLock&& other) noexcept : fd_(other.fd_) { other.fd_ = -1; }
-  FileLock& operator=(FileLock&&) = delete;
-  ~FileLock();
-
- private:
-  explicit FileLock(int fd) : fd_(fd) {}
-  int fd_;
-};
+// FailedPrecondition if another process holds it; Unavailable if it cannot be locked.
+absl::StatusOr<UniqueFd> LockStateFile(const std::string& path);
 
 // Makes the file with an empty schema (mode 0600) if there is none, else checks the one there.
-// The caller holds the FileLock. A file is built beside and renamed, so a crash leaves none or a
+// The caller holds the lock. A file is built beside and renamed, so a crash leaves none or a
 // whole one.
 //   DataLoss: it is empty, damaged, not ours, or gone while its write-ahead log is still there.
 //   FailedPrecondition: a newer program wrote it, or the path is not a regular file.

@@ -24,7 +24,7 @@ constexpr int kOpeningPiecesMax = 2;
 
 // The two locks are never held together.
 struct SqliteStore::Parts {
-  Parts(FileLock taken_lock, DiskReserve opened_reserve, SqliteWriter opened_writer,
+  Parts(UniqueFd taken_lock, DiskReserve opened_reserve, SqliteWriter opened_writer,
         SqliteReader opened_reader)
       : lock(std::move(taken_lock)),
         reserve(std::move(opened_reserve)),
@@ -39,7 +39,7 @@ struct SqliteStore::Parts {
     return status;
   }
 
-  FileLock lock;
+  UniqueFd lock;
   Mutex writer_mutex;
   DiskReserve reserve ABSL_GUARDED_BY(writer_mutex);
   SqliteWriter writer ABSL_GUARDED_BY(writer_mutex);
@@ -51,7 +51,7 @@ struct SqliteStore::Parts {
 
 absl::StatusOr<std::unique_ptr<SqliteStore>> SqliteStore::Open(const std::string& path,
                                                                SqliteLimits limits) {
-  RIPS_ASSIGN_OR_RETURN(FileLock lock, FileLock::Acquire(path));
+  RIPS_ASSIGN_OR_RETURN(UniqueFd lock, LockStateFile(path));
   absl::Status prepared = PrepareStateFile(path);
   absl::StatusOr<DiskReserve> reserve = DiskReserve::Open(path + ".reserve", limits.reserve_bytes);
   if (!reserve.ok()) return prepared.ok() ? reserve.status() : prepared;
