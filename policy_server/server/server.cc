@@ -103,8 +103,9 @@ absl::Status Server::Open() {
     orders_ = std::make_unique<audit::OrderAudit>(audit_.get(), &clock_);
     LogInfo("audit log opened",
             {{"dir", config_.audit_dir}, {"head", audit::FormatHead(audit_->head())}});
-    committing.before_commit = [log = audit_.get()](std::span<const store::WriteBatch> batches) {
-      return audit::RecordBefore(*log, batches);
+    committing.before_commit = [audit = std::make_shared<audit::StoreAudit>(audit_.get())](
+                                   std::span<const store::WriteBatch> batches) {
+      return audit->RecordBefore(batches);
     };
   }
   committer_ = std::make_unique<store::Committer>(store_.get(), std::move(committing), &clock_);

@@ -5,6 +5,7 @@
 #include <string>
 #include <utility>
 
+#include "absl/strings/match.h"
 #include "absl/strings/str_cat.h"
 #include "services/model_proto/decision_id_codec.h"
 
@@ -15,6 +16,8 @@ using v1::AuditRecord;
 
 // The rule of RIPS's own alerts.
 constexpr char kOwnRule[] = "(rips)";
+constexpr char kRunsBundle[] = "runs bundle ";
+constexpr char kSoftLevels[] = "soft levels";
 
 // Of a decision or a refusal.
 template <typename Change>
@@ -66,14 +69,25 @@ void AddPolicy(const std::string& robot, const store::Checkpoint& checkpoint,
     record.set_actor(kOwnRule);
     record.set_text(std::move(text));
   };
-  if (checkpoint.bundle) add(absl::StrCat("runs bundle ", *checkpoint.bundle));
+  if (checkpoint.bundle) add(absl::StrCat(kRunsBundle, *checkpoint.bundle));
   if (checkpoint.rules_halted) {
     add(*checkpoint.rules_halted ? "a rule called crash: no rule runs" : "rules run");
   }
   if (checkpoint.soft_suspended) {
-    add(*checkpoint.soft_suspended ? "rules may not lower soft levels"
-                                   : "rules may lower soft levels");
+    add(absl::StrCat(*checkpoint.soft_suspended ? "rules may not lower " : "rules may lower ",
+                     kSoftLevels));
   }
+}
+
+// What a record is known by. A refusal is recorded again with a higher count; of a policy, its
+// subject.
+std::string KeyOf(const AuditRecord& record) {
+  if (record.kind() != AuditRecord::KIND_POLICY)
+    return absl::StrCat(record.id(), " ", record.count());
+  const absl::string_view subject = absl::StartsWith(record.text(), kRunsBundle)    ? "bundle"
+                                    : absl::StrContains(record.text(), kSoftLevels) ? "lowering"
+                                                                                    : "rules";
+  return absl::StrCat(record.robot(), "/", subject);
 }
 
 }  // namespace
@@ -95,25 +109,43 @@ std::vector<AuditRecord> RecordsOf(std::span<const store::WriteBatch> batches) {
   return out;
 }
 
-absl::Status RecordBefore(AuditLog& log, std::span<const store::WriteBatch> batches) {
+bool StoreAudit::Knows(const AuditRecord& record) const {
+  if (record.kind() != AuditRecord::KIND_POLICY) return known_.contains(KeyOf(record));
+  const auto known = policies_.find(KeyOf(record));
+  return known != policies_.end() && known->second == record.text();
+}
+
+void StoreAudit::Remember(const std::vector<AuditRecord>& records) {
+  for (const AuditRecord& record : records) {
+    if (record.kind() == AuditRecord::KIND_POLICY) {
+      policies_[KeyOf(record)] = record.text();
+    } else if (known_.insert(KeyOf(record)).second) {
+      order_.push_back(KeyOf(record));
+    }
+  }
+  for (; order_.size() > kRememberedMax; order_.pop_front()) known_.erase(order_.front());
+}
+
+absl::Status StoreAudit::RecordBefore(std::span<const store::WriteBatch> batches) {
   std::vector<AuditRecord> records = RecordsOf(batches);
-  const bool healthy = log.health().ok();
+  std::erase_if(records, [this](const AuditRecord& record) { return Knows(record); });
+  const bool healthy = log_->health().ok();
   if (records.empty() && healthy) return absl::OkStatus();
   const bool raises =
       std::all_of(batches.begin(), batches.end(),
                   [](const store::WriteBatch& batch) { return batch.uses_reserve; });
-  if (raises && !healthy) {
-    for (AuditRecord& record : records) log.Add(std::move(record));
-    return absl::OkStatus();
+  const absl::Status status = raises && !healthy
+                                  ? absl::UnavailableError("it could not be written before")
+                                  : log_->Commit(records);
+  if (!status.ok() && !raises) {
+    return absl::ResourceExhaustedError(
+        absl::StrCat("the audit log cannot be written: ", status.message()));
   }
-  const absl::Status status = log.Commit(raises ? records : std::move(records));
-  if (status.ok()) return absl::OkStatus();
-  if (raises) {
-    for (AuditRecord& record : records) log.Add(std::move(record));
-    return absl::OkStatus();
+  Remember(records);
+  if (!status.ok()) {
+    for (AuditRecord& record : records) log_->Add(std::move(record));
   }
-  return absl::ResourceExhaustedError(
-      absl::StrCat("the audit log cannot be written: ", status.message()));
+  return absl::OkStatus();
 }
 
 }  // namespace rips::audit

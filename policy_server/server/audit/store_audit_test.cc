@@ -48,9 +48,9 @@ TEST(RecordsOfTest, WhatAnAuditorNeedsAndNoMore) {
                           "KIND_POLICY  a rule called crash: no rule runs"));
 }
 
-class RecordBeforeTest : public testing::Test {
+class StoreAuditTest : public testing::Test {
  protected:
-  RecordBeforeTest() {
+  StoreAuditTest() {
     std::string name = (fs::temp_directory_path() / "audit-XXXXXX").string();
     EXPECT_NE(mkdtemp(name.data()), nullptr);
     root_ = name;
@@ -58,15 +58,16 @@ class RecordBeforeTest : public testing::Test {
     options_ = {.directory = name + "/audit", .segment_bytes = 1};
     log_ = *AuditLog::Open(options_, &clock_);
     EXPECT_TRUE(store_.Acquire("r1").ok());
+    audit_ = std::make_unique<StoreAudit>(log_.get());
     committer_ = std::make_unique<store::Committer>(
         &store_,
         store::CommitterOptions{.before_commit =
                                     [this](std::span<const store::WriteBatch> batches) {
-                                      return RecordBefore(*log_, batches);
+                                      return audit_->RecordBefore(batches);
                                     }},
         &clock_);
   }
-  ~RecordBeforeTest() override {
+  ~StoreAuditTest() override {
     committer_->Stop();
     fs::remove_all(root_);
   }
@@ -87,11 +88,12 @@ class RecordBeforeTest : public testing::Test {
   fs::path root_;
   AuditOptions options_;
   std::unique_ptr<AuditLog> log_;
+  std::unique_ptr<StoreAudit> audit_;
   store::FakeStore store_;
   std::unique_ptr<store::Committer> committer_;
 };
 
-TEST_F(RecordBeforeTest, ADecisionIsInTheLogBeforeItIsInTheStore) {
+TEST_F(StoreAuditTest, ADecisionIsInTheLogBeforeItIsInTheStore) {
   const uint64_t before = log_->head().sequence;
   uint64_t at_commit = 0;
   store_.OnCommit([&] { at_commit = log_->head().sequence; });
@@ -103,7 +105,36 @@ TEST_F(RecordBeforeTest, ADecisionIsInTheLogBeforeItIsInTheStore) {
   EXPECT_EQ(log_->head().sequence, before + 1);
 }
 
-TEST_F(RecordBeforeTest, WithoutTheLogALoweringIsNotStoredAndARaiseIs) {
+TEST_F(StoreAuditTest, ABatchThatTheStoreCouldNotWriteIsInTheLogOnce) {
+  const uint64_t before = log_->head().sequence;
+  store_.FailWrites(absl::UnavailableError("disk"));
+  store::WriteBatch batch = Decides(1, "ALERT");
+  batch.alerts.push_back({.id = "a", .robot = "r1", .rule = "(rips)"});
+  for (int i = 0; i < 3; ++i) EXPECT_FALSE(Commit(batch).ok());
+  store_.FailWrites(absl::OkStatus());
+  batch.alerts.push_back({.id = "b", .robot = "r1", .rule = "(rips)"});
+  EXPECT_TRUE(Commit(batch).ok());
+  EXPECT_EQ(log_->head().sequence, before + 3) << "a decision and two alerts";
+}
+
+TEST_F(StoreAuditTest, APolicyIsRecordedWhenItChanges) {
+  const auto commit = [&](bool halted, bool suspended) {
+    return Commit({.robot = "r1",
+                   .tenure = 1,
+                   .checkpoint = {.soft_suspended = suspended, .rules_halted = halted}});
+  };
+  const uint64_t before = log_->head().sequence;
+  ASSERT_TRUE(commit(false, false).ok());
+  EXPECT_EQ(log_->head().sequence, before + 2);
+  ASSERT_TRUE(commit(false, false).ok());
+  EXPECT_EQ(log_->head().sequence, before + 2);
+  ASSERT_TRUE(commit(false, true).ok());
+  EXPECT_EQ(log_->head().sequence, before + 3);
+  ASSERT_TRUE(commit(false, false).ok());
+  EXPECT_EQ(log_->head().sequence, before + 4);
+}
+
+TEST_F(StoreAuditTest, WithoutTheLogALoweringIsNotStoredAndARaiseIs) {
   Break();
   EXPECT_EQ(Commit(Decides(1, "DEFAULT")).code(), absl::StatusCode::kResourceExhausted);
   EXPECT_FALSE(committer_->healthy());
