@@ -113,8 +113,13 @@ bool ExecServer::Serve(uint64_t id, Connection& connection) {
     if (!message->has_value()) break;
     if (!Handle(id, connection, **message)) return false;
   }
-  if (!connection.channel.Flush().ok()) return false;
-  return !connection.answered || connection.channel.unsent();
+  if (connection.channel.Flush().ok()) return !connection.answered || connection.channel.unsent();
+  // The client has closed. A cancel that it sent before, perhaps while its program began, counts.
+  while (true) {
+    const absl::StatusOr<std::optional<std::string>> last = connection.channel.Receive();
+    if (absl::IsAborted(last.status())) continue;
+    if (!last.ok() || !last->has_value() || !Handle(id, connection, **last)) return false;
+  }
 }
 
 bool ExecServer::Handle(uint64_t id, Connection& connection, const std::string& message) {
