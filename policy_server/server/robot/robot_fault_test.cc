@@ -196,7 +196,44 @@ TEST_F(RobotTest, ASensorThatNeverConnectedIsLostToo) {
   Pass(5'200);
 
   EXPECT_EQ(audience_.Count("sensor base is lost"), 1);
-  EXPECT_EQ(audience_.Count("actuator base is lost"), 1);
+  EXPECT_EQ(audience_.Count("actuator base has not connected since this server started"), 1);
+}
+
+TEST_F(RobotTest, ARaiseThatNoActuatorHearsOfIsACriticalAlert) {
+  Start();
+  Arm();
+  actuator_heartbeats_ = false;
+  Pass(20'000);
+  ASSERT_EQ(audience_.Count("if it has ended, r1 stays as it is"), 1);
+  IntruderAppears();
+  Pass(1'000);
+  EXPECT_EQ(audience_.Count("is not in force on actuator base"), 0) << "it may come back";
+  Pass(20'000);
+  EXPECT_EQ(audience_.Count("level ALERT is not in force on actuator base"), 1);
+
+  actuator_heartbeats_ = true;
+  ConnectActuator({.effective_level = "DEFAULT"});
+  Drain();
+  Obey();
+  Pass(20'000);
+  EXPECT_EQ(audience_.Count("is not in force"), 1);
+}
+
+TEST_F(RobotTest, ALevelThatWasReachedStaysSoInTheHistory) {
+  Start();
+  Arm();
+  IntruderAppears();
+  Obey();
+  ASSERT_EQ(recorder_.stages.back().stage, "verified");
+  const DecisionId reached = recorder_.stages.back().decision_id;
+  actuator_heartbeats_ = false;
+  Pass(20'000);
+  robot_->Raise({.operator_name = "alice", .to = "HALT", .reason = "drill"},
+                [](const LevelAnswer&) {});
+  Drain();
+  for (const store::StageUpdate& each : recorder_.stages) {
+    EXPECT_FALSE(each.decision_id == reached && each.stage == "superseded");
+  }
 }
 
 TEST_F(RobotTest, ASilentActuatorMakesBlind) {

@@ -124,7 +124,7 @@ TEST_F(SoftBudgetTest, ASpentBudgetIsToldAgainOnlyAfterAnOperatorHasResumed) {
   for (int i = 0; i < 5; ++i) ComeAndGo();
   EXPECT_EQ(Lowerings(), 3);
   EXPECT_EQ(audience_.Count(kSpent), 1);
-  EXPECT_EQ(audience_.Count("`ripsctl rules resume r1`"), 1);
+  EXPECT_EQ(audience_.Count("`ripsctl rules resume r1 --reason TEXT`"), 1);
 
   EXPECT_TRUE(robot_->ResumeRules("alice", "maintenance").ok());
   Pass(1'000);

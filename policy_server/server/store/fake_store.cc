@@ -262,6 +262,7 @@ absl::Status FakeStore::State::Apply(const std::string& robot, const RefusalReco
 void FakeStore::State::Apply(const std::string& robot, const StageUpdate& update) {
   for (TransitionRecord& known : transitions) {
     if (known.robot != robot || known.refused || known.decision_id != update.decision_id) continue;
+    if (known.stage == "verified" && update.stage == "superseded") continue;
     known.stage = update.stage;
     known.detail = update.detail;
   }

@@ -121,7 +121,8 @@ struct RefusalRecord {
   friend bool operator==(const RefusalRecord&, const RefusalRecord&) = default;
 };
 
-// What the actuators have reported of a decision. Of an unknown decision id: ignored.
+// What the actuators have reported of a decision. Of an unknown decision id: ignored. One that was
+// verified does not become superseded: the robot was there.
 struct StageUpdate {
   DecisionId decision_id;
   // requested | acknowledged | verified | failed | superseded

@@ -68,7 +68,8 @@ absl::Status SqliteWriter::PrepareAll() {
        " seq <= (SELECT max(seq) FROM transitions) - ?"},
       {&set_stage_,
        "UPDATE transitions SET stage = ?4, detail = ?5 "
-       "WHERE robot = ?1 AND term = ?2 AND epoch = ?3 AND refused = 0"},
+       "WHERE robot = ?1 AND term = ?2 AND epoch = ?3 AND refused = 0"
+       " AND NOT (stage = 'verified' AND ?4 = 'superseded')"},
       {&add_alert_,
        "INSERT INTO alerts (id, time_unix_ns, robot, rule, severity, text, level, event, term,"
        " epoch, trace) VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?) ON CONFLICT (id) DO NOTHING"},

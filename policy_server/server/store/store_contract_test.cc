@@ -251,6 +251,9 @@ TEST_P(StoreContractTest, WritingADecisionAgainChangesNothing) {
   EXPECT_THAT(store_->Commit(batch), IsOk());
   ASSERT_THAT(Transitions("r1"), SizeIs(1));
   EXPECT_EQ(Transitions("r1")[0].stage, "verified");
+  stage.stages = {{.decision_id = {1, 1}, .stage = "superseded"}};
+  ASSERT_THAT(store_->Commit(stage), IsOk());
+  EXPECT_EQ(Transitions("r1")[0].stage, "verified") << "the robot was there";
 }
 
 TEST_P(StoreContractTest, ADecisionIdNamesOneDecisionForEver) {

@@ -124,11 +124,32 @@ std::vector<std::string> ActuatorSide::CheckLost() {
     host.lost = true;
     alerts_.Raise(
         engine::Severity::kHigh,
-        absl::StrCat("actuator ", name, " is lost: when its lease ends, ", context_.config.id,
-                     " goes to its fail-safe level, unless it is at a higher one"));
+        absl::StrCat("actuator ", name,
+                     host.met ? " is lost" : " has not connected since this server started",
+                     ": if it runs without a connection, ", context_.config.id,
+                     " goes to its fail-safe level when its lease ends, unless it is at a higher "
+                     "one; if it has ended, ",
+                     context_.config.id, " stays as it is and nothing can stop it from here"));
     context_.events.push_back(engine::AgentEvent{.agent = "actuator", .state = "lost"});
   }
+  ReportAbsence();
   return ended;
+}
+
+void ActuatorSide::ReportAbsence() {
+  if (!newest_.raises || newest_.reached || newest_.absence_reported) return;
+  if (context_.now_ns() - newest_.ordered_ns < context_.timing.lost_ns) return;
+  std::vector<std::string> absent;
+  for (const auto& [name, host] : hosts_) {
+    if (!Live(host)) absent.push_back(Named(name));
+  }
+  if (absent.empty()) return;
+  newest_.absence_reported = true;
+  alerts_.Raise(engine::Severity::kCritical,
+                absl::StrCat("level ", reconciler_.level_name(), " is not in force on ",
+                             absl::StrJoin(absent, ", "),
+                             ", which is not connected: what it guards may go on moving; the level "
+                             "is ordered as soon as it connects"));
 }
 
 void ActuatorSide::SetHosts(const std::vector<std::string>& hosts) {
@@ -284,9 +305,10 @@ std::optional<ProgramResult> ActuatorSide::OnReceipt(const input::Receipt& in) {
 // --------------------------------------------------------------------------- what they are sent
 
 void ActuatorSide::Order(const levels::Transition& transition, const std::string& cause) {
-  if (!reconciler_.decision_id().none() && reported_stage_ != Stage::kVerified) {
+  if (!reconciler_.decision_id().none() && !newest_.reached) {
     outbox_.AddStage({.decision_id = reconciler_.decision_id(), .stage = "superseded"});
   }
+  newest_ = {.ordered_ns = context_.now_ns(), .raises = transition.to > transition.from};
   reconciler_.Order(transition.decision_id, transition.to, levels().name(transition.to), cause,
                     transition.lowers());
   reported_stage_ = Stage::kRequested;
@@ -358,11 +380,14 @@ engine::Actuation ActuatorSide::UpdateStage() {
   const Stage stage = reconciler_.stage();
   if (stage != reported_stage_) {
     reported_stage_ = stage;
-    outbox_.AddStage({.decision_id = reconciler_.decision_id(),
-                      .stage = std::string(ToString(stage)),
-                      .detail = reconciler_.failure()});
-    if (stage == Stage::kFailed && failed_decision_ != level_.decision_id()) {
-      failed_decision_ = level_.decision_id();
+    newest_.reached |= stage == Stage::kVerified;
+    // That an actuator is away does not undo that the level was reached.
+    if (!newest_.reached || stage == Stage::kVerified || stage == Stage::kFailed) {
+      outbox_.AddStage({.decision_id = reconciler_.decision_id(),
+                        .stage = std::string(ToString(stage)),
+                        .detail = reconciler_.failure()});
+    }
+    if (stage == Stage::kFailed && !std::exchange(newest_.failure_reported, true)) {
       alerts_.Raise(engine::Severity::kCritical,
                     absl::StrCat("level ", reconciler_.level_name(),
                                  " was not reached: ", reconciler_.failure(),

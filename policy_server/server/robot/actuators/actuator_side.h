@@ -115,12 +115,24 @@ class ActuatorSide {
     DecisionId verified;
   };
 
+  // What became of the newest decision that was ordered.
+  struct Newest {
+    int64_t ordered_ns = 0;
+    bool raises = false;
+    // Every actuator has read it back, some time.
+    bool reached = false;
+    bool failure_reported = false;
+    bool absence_reported = false;
+  };
+
   const levels::LevelTable& levels() const { return level_.table(); }
   bool Live(const Host& host) const;
   void End(const std::string& name, Host& host);
   void OnStateLost(const std::string& name, Host& host, const ActuatorHello& hello);
   std::optional<FoundLevel> Found(const std::string& name, Session& session,
                                   std::optional<levels::LevelIndex> effective) const;
+  // A raise that an actuator cannot hear of.
+  void ReportAbsence();
   void ReportFloor(const std::string& name, Host& host);
   void ReportDegraded(const std::string& name, Host& host);
 
@@ -133,8 +145,7 @@ class ActuatorSide {
   CommandReconciler reconciler_;
   ReceiptHistory receipts_;
   Stage reported_stage_ = Stage::kRequested;
-  // Of which the failure is reported.
-  DecisionId failed_decision_;
+  Newest newest_;
   // Programs that no actuator offers, as reported; empty = none.
   std::string missing_programs_;
 };

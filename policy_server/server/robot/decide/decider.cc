@@ -127,7 +127,7 @@ void Decider::OnRefusal(const engine::TransitionEffect& effect) {
         absl::StrCat("rules have lowered the level ", kBudget.lowerings_max, " times in ",
                      kBudget.window_ns / (60 * kNanosPerSecond),
                      " minutes: they lower it no more until an operator says `ripsctl rules ",
-                     "resume ", context_.config.id, "`"));
+                     "resume ", context_.config.id, " --reason TEXT`"));
   }
   const std::string key = absl::StrCat(CauseText(transition.cause), "\n", transition.from, "\n",
                                        transition.to, "\n", levels::ToString(transition.refusal));
