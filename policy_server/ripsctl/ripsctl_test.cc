@@ -210,10 +210,11 @@ TEST_F(RipsctlTest, LowersWithWhatItReadAndShowed) {
   const Result result =
       Run({"level", "lower", "r1", "--to", "DEFAULT", "--reason", "intruder unplugged"});
   EXPECT_EQ(result.code, 0);
-  EXPECT_EQ(result.out,
-            "r1 is at COMPROMISED (3.17) since 2026-01-01T00:00:00.000Z, rule rogue_cmd_vel\n"
-            "r1 goes to DEFAULT (3.18)\n"
-            "may be raised again by rule unknown_node\n");
+  EXPECT_EQ(
+      result.out,
+      "r1 is at COMPROMISED (3.17) since 2026-01-01T00:00:00.000Z, rule rogue_cmd_vel\n"
+      "r1 goes to DEFAULT (3.18)\n"
+      "may be raised again by rule unknown_node at the next change of the graph, not before\n");
   EXPECT_THAT(fake_.calls(), testing::ElementsAre("GetLevel", "DeEscalate"));
   const v1::LevelRequest request = fake_.last_level_request();
   EXPECT_EQ(request.expected_level(), "COMPROMISED");
@@ -285,13 +286,16 @@ TEST_F(RipsctlTest, ADryRunSaysWhatWouldHappen) {
       Run({"level", "lower", "r1", "--to", "DEFAULT", "--reason", "x", "--dry-run"});
   EXPECT_EQ(result.code, 1);
   EXPECT_TRUE(fake_.last_level_request().dry_run());
-  EXPECT_THAT(result.out, HasSubstr("nothing was changed\n"
-                                    "blind: sensor base lost\n"
-                                    "would be refused, because RIPS does not see all of r1 now; "
-                                    "--accept-blind lowers it all the same\n"
-                                    "would be raised again by rule unknown_node\n"
-                                    "not tried: rules on messages and on external events; the next "
-                                    "one may raise r1 again\n"));
+  EXPECT_THAT(
+      result.out,
+      HasSubstr(
+          "nothing was changed\n"
+          "blind: sensor base lost\n"
+          "would be refused, because RIPS does not see all of r1 now; "
+          "--accept-blind lowers it all the same\n"
+          "would be raised again by rule unknown_node at the next change of the graph, not before\n"
+          "not tried: rules on messages and on external events; the next "
+          "one may raise r1 again\n"));
   EXPECT_THAT(result.out, testing::Not(HasSubstr("would lower")));
 
   const Result accepted = Run(

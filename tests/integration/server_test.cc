@@ -4,6 +4,7 @@
 #include <sys/resource.h>
 #include <unistd.h>
 
+#include <algorithm>
 #include <deque>
 #include <fstream>
 #include <functional>
@@ -173,8 +174,10 @@ TEST_F(ServerTest, JudgesASensorsGraphAndAcknowledgesItWhenDurable) {
   rips::v1::ListAlertsRequest request;
   rips::v1::ListAlertsResponse alerts;
   ASSERT_TRUE(operators->ListAlerts(&context, request, &alerts).ok());
-  ASSERT_THAT(alerts.alerts(), SizeIs(1));
-  EXPECT_EQ(alerts.alerts(0).rule(), "stranger_came");
+  // On a busy machine the agents that this test does not have are missed by now.
+  EXPECT_EQ(std::count_if(alerts.alerts().begin(), alerts.alerts().end(),
+                          [](const auto& each) { return each.rule() == "stranger_came"; }),
+            1);
 }
 
 TEST_F(ServerTest, RefusesRobotsAndHostsThatAreNotListed) {

@@ -16,13 +16,14 @@ namespace rips::inspect {
 // scanned up to three times, and is too slow if each scan takes longer. Ordinary rules take less
 // than a hundredth of it.
 inline constexpr size_t kTrialBytes = size_t{16} << 10;
-inline constexpr absl::Duration kTrialCpuMax = absl::Milliseconds(25);
-// All trials of one file together.
 #ifdef RIPS_SANITIZED  // memory costs some ten times as much
-inline constexpr absl::Duration kTrialsCpuMax = absl::Seconds(20);
+inline constexpr int kTrialCostFactor = 10;
 #else
-inline constexpr absl::Duration kTrialsCpuMax = absl::Seconds(2);
+inline constexpr int kTrialCostFactor = 1;
 #endif
+inline constexpr absl::Duration kTrialCpuMax = absl::Milliseconds(25 * kTrialCostFactor);
+// All trials of one file together.
+inline constexpr absl::Duration kTrialsCpuMax = absl::Seconds(2 * kTrialCostFactor);
 
 // Scans runs of each byte value and pseudo-random bytes, first a little, then four times as much,
 // and so on, so that a file whose cost grows with the square is refused within about a second; then

@@ -66,11 +66,11 @@ class ListAlerts final : public AlertCommand {
       add(*it);
     }
     std::for_each(response.alerts().begin(), response.alerts().end(), add);
-    table.Print(env.out);
     if (response.unrecorded_size() > 0) {
       env.out << "the first " << response.unrecorded_size()
               << " are in the server's memory only: its store cannot be written\n";
     }
+    table.Print(env.out);
     if (response.cut()) env.out << "older alerts do not fit into one response\n";
     return ExitCode::kDone;
   }

@@ -32,7 +32,7 @@ void PrintDryRun(absl::string_view robot, const v1::LevelResponse& found, bool r
         << " now; --accept-blind lowers it all the same\n";
   }
   for (const std::string& rule : found.would_raise_again()) {
-    out << margin << "would be raised again by rule " << EscapeText(rule) << "\n";
+    out << margin << "would be raised again by rule " << EscapeText(rule) << kRaisedWhen << "\n";
   }
   out << margin << "not tried: rules on messages and on external events; the next one may raise "
       << EscapeText(robot) << " again\n";

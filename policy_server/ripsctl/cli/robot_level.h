@@ -19,6 +19,8 @@ absl::StatusOr<v1::GetLevelResponse> ReadLevel(Env& env, const std::string& robo
 // The first rows of what there is to say of one robot.
 Table StatusTable(const v1::RobotStatus& status);
 
+// Rules on the graph are evaluated when it changes.
+inline constexpr absl::string_view kRaisedWhen = " at the next change of the graph, not before";
 // What a dry run of a lowering found, one line each behind `margin`. `refused`: RIPS is blind, and
 // the operator has not accepted that.
 void PrintDryRun(absl::string_view robot, const v1::LevelResponse& found, bool refused,

@@ -184,7 +184,7 @@ class ChangeLevel : public RobotCommand {
         env.out << "blind: " << EscapeText(why) << "\n";
       }
       for (const std::string& rule : response.would_raise_again()) {
-        env.out << "may be raised again by rule " << EscapeText(rule) << "\n";
+        env.out << "may be raised again by rule " << EscapeText(rule) << kRaisedWhen << "\n";
       }
     }
     if (wait_ && !dry_run_) {

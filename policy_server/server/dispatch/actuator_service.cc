@@ -161,18 +161,25 @@ class ActuatorStream final : public Stream {
     const bool hostile = !absl::IsFailedPrecondition(status);
     if (hostile && session_->connection != nullptr) session_->connection->OnRefused();
     metrics_.malformed.Increment();
+    LogRefusal(status);
+    outbound()->Close(rpc::ToGrpc(status));
+  }
+
+  void LogRefusal(const absl::Status& status) {
     if (const auto left_out = pipeline_->logs().Admit(mailbox_->robot())) {
       LogWarning("actuator stream refused", {{"robot", mailbox_->robot()},
                                              {"host", host_},
                                              {"reason", status.ToString()},
                                              {"left_out", *left_out}});
     }
-    outbound()->Close(rpc::ToGrpc(status));
   }
 
   void Post(size_t bytes, std::function<void(Robot&)> task) {
     const absl::Status posted = mailbox_->Post(Queue::kActuators, bytes, std::move(task));
-    if (!posted.ok()) outbound()->Close(rpc::ToGrpc(posted));
+    if (posted.ok()) return;
+    // A robot that is not in the inventory, or held.
+    if (!std::exchange(refused_, true)) LogRefusal(posted);
+    outbound()->Close(rpc::ToGrpc(posted));
   }
 
   void OnEnded() override {

@@ -91,6 +91,25 @@ grpc::ServerUnaryReactor* Answer(CallerQuota::Ticket ticket) {
   return new Call(std::move(ticket));
 }
 
+// As many as there is room for behind those that are not recorded.
+void AddRecorded(const std::vector<store::AlertRecord>& records, uint32_t limit,
+                 rips::v1::ListAlertsResponse& response) {
+  std::set<std::string> recorded;
+  for (const store::AlertRecord& record : records) recorded.insert(record.id);
+  auto& unrecorded = *response.mutable_unrecorded();
+  unrecorded.erase(std::remove_if(unrecorded.begin(), unrecorded.end(),
+                                  [&](const auto& alert) { return recorded.contains(alert.id()); }),
+                   unrecorded.end());
+  size_t left = store::ListLimit(limit) - static_cast<size_t>(unrecorded.size());
+  AnswerRoom room;
+  for (const store::AlertRecord& record : records) {
+    if (left-- == 0) return;
+    rips::v1::Alert alert = operator_api::Encode(record);
+    if (!room.Take(alert)) return response.set_cut(true);
+    *response.add_alerts() = std::move(alert);
+  }
+}
+
 }  // namespace
 
 OperatorService::OperatorService(pipeline::Pipeline* pipeline, store::Store* store,
@@ -387,24 +406,7 @@ grpc::ServerUnaryReactor* OperatorService::ListAlerts(grpc::CallbackServerContex
     // Asked first: what is recorded in between is in both, not in neither.
     if (access_.store_writable && !access_.store_writable()) AddUnrecorded(*request, *response);
     const auto records = store_->ListAlerts(request->robot(), request->limit());
-    if (records.ok()) {
-      AnswerRoom room;
-      std::set<std::string> recorded;
-      for (const auto& record : *records) {
-        rips::v1::Alert alert = Encode(record);
-        if (!room.Take(alert)) {
-          response->set_cut(true);
-          break;
-        }
-        recorded.insert(record.id);
-        *response->add_alerts() = std::move(alert);
-      }
-      auto& unrecorded = *response->mutable_unrecorded();
-      unrecorded.erase(
-          std::remove_if(unrecorded.begin(), unrecorded.end(),
-                         [&](const auto& alert) { return recorded.contains(alert.id()); }),
-          unrecorded.end());
-    }
+    if (records.ok()) AddRecorded(*records, request->limit(), *response);
     const bool none = records.ok() && records->empty() && response->unrecorded().empty();
     const bool of_one = !request->robot().empty() && request->robot() != store::kServerRobot;
     reactor->Finish(rpc::ToGrpc(none && of_one ? CheckListed(*pipeline_, {request->robot()})
@@ -419,13 +421,19 @@ void OperatorService::AddUnrecorded(const rips::v1::ListAlertsRequest& request,
   AnswerRoom room(kAnswerBytesMax / 4);
   const auto gathered = pipeline_->Gather<Alerts>(
       [](Robot& robot) { return robot.core().outbox().alerts(); }, patience_);
+  Alerts waiting;
   for (const auto& [robot, alerts] : gathered.answers) {
     if (!request.robot().empty() && request.robot() != robot) continue;
-    for (const store::AlertRecord& record : alerts) {
-      rips::v1::Alert alert = Encode(record);
-      if (!room.Take(alert)) return response.set_cut(true);
-      *response.add_unrecorded() = std::move(alert);
-    }
+    waiting.insert(waiting.end(), alerts.begin(), alerts.end());
+  }
+  std::stable_sort(waiting.begin(), waiting.end(),
+                   [](const auto& a, const auto& b) { return a.time_unix_ns < b.time_unix_ns; });
+  const size_t limit = store::ListLimit(request.limit());
+  const size_t first = waiting.size() - std::min(waiting.size(), limit);
+  for (size_t i = first; i < waiting.size(); ++i) {
+    rips::v1::Alert alert = Encode(waiting[i]);
+    if (!room.Take(alert)) return response.set_cut(true);
+    *response.add_unrecorded() = std::move(alert);
   }
 }
 
