@@ -161,12 +161,12 @@ class Experiment(Fleet):
         return run
 
     def read_back_times(self):
-        """When the actuator had read each decision's mode back from the robot: mark -> unix ns."""
+        """When the actuator had read each decision's mode back from the robot: decision id -> ns."""
         out = {}
         for _, text in list(self.actuator.lines):
             at = log_time(text)
             if at is not None and " receipt " in text and "stage=verified" in text:
-                out.setdefault(text.partition(" mark=")[2].split(" ")[0], at)
+                out.setdefault(text.partition(" decision_id=")[2].split(" ")[0], at)
         return out
 
 
