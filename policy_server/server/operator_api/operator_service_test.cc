@@ -189,6 +189,7 @@ class OperatorServiceTest : public ::testing::Test {
   void List() {
     Lists::Call& call = *lists_.calls.emplace_back(std::make_unique<Lists::Call>());
     SetDeadline(call.context);
+    call.context.set_wait_for_ready(true);  // on a machine that has much to do
     call.request.set_robot("r1");
     StubFor(lists_.calls.size())
         .async()

@@ -47,6 +47,12 @@ using ::testing::UnorderedElementsAre;
 
 // Generous: the machine may be busy. Nothing waits for so long when all is well.
 constexpr absl::Duration kPatience = absl::Seconds(20);
+// How far from its rate a publisher may be, as a multiple; a sanitizer takes most of the machine.
+#ifdef RIPS_SANITIZED
+constexpr double kSlack = 3;
+#else
+constexpr double kSlack = 1;
+#endif
 
 // A domain for one test, its process and its children: others who happen to use the same number at
 // the same time have another tag. Above 100, ports lie where Linux gives them to others.
@@ -476,9 +482,9 @@ TEST_F(RobotSimTest, PublishesAtItsRates) {
   const Listener scan(observer.participant(), "/scan", "sensor_msgs/msg/LaserScan");
   const Listener odom(observer.participant(), "/odom", "nav_msgs/msg/Odometry");
 
-  EXPECT_NEAR(camera.Rate(absl::Seconds(2)), 15, 2);
-  EXPECT_NEAR(scan.Rate(absl::Seconds(1)), 10, 2);
-  EXPECT_NEAR(odom.Rate(absl::Seconds(1)), 20, 3);
+  EXPECT_NEAR(camera.Rate(absl::Seconds(2)), 15, 2 * kSlack);
+  EXPECT_NEAR(scan.Rate(absl::Seconds(1)), 10, 2 * kSlack);
+  EXPECT_NEAR(odom.Rate(absl::Seconds(1)), 20, 3 * kSlack);
 }
 
 TEST_F(RobotSimTest, ModesSwitchThePublishers) {
@@ -583,7 +589,7 @@ TEST_F(RobotSimTest, IntrudersComeAndSayGoodbye) {
   EXPECT_GT(rogue->Await("first_sample").value("unix_ns", int64_t{0}), 0);
   EXPECT_TRUE(Eventually([&] { return command.count() > 0; }));
   EXPECT_DOUBLE_EQ(DecodeTwist(command.last())->angular_z, 1.5);
-  EXPECT_NEAR(command.Rate(absl::Seconds(1)), 20, 3);
+  EXPECT_NEAR(command.Rate(absl::Seconds(1)), 20, 3 * kSlack);
   EXPECT_TRUE(Eventually([&] { return observer.Nodes().size() == 1; }));
   EXPECT_THAT(observer.Nodes(), ElementsAre("/evil/driver"));
   EXPECT_EQ(rogue->Finish(true), 0);
@@ -630,7 +636,7 @@ TEST_F(RobotSimTest, ProbeMeasuresAndIsNoNode) {
   probe->Await("rate");
   const nlohmann::json rate = probe->Await("rate");
 
-  EXPECT_NEAR(rate.value("hz", 0.0), 15, 2);
+  EXPECT_NEAR(rate.value("hz", 0.0), 15, 2 * kSlack);
   EXPECT_GT(rate.value("last_sample_unix_ns", int64_t{0}), 0);
   EXPECT_EQ(observer.Infos().size(), before);
   EXPECT_EQ(probe->Finish(false), 0);
