@@ -36,9 +36,10 @@ constexpr Noun kNouns[] = {
 };
 // In the order in which --help lists the verbs of a noun.
 constexpr Commands (*kMakers[])() = {
-    RobotCommands,   CoverageCommands, ActuatorCommands, LevelCommands, AlertCommands,
-    ExplainCommands, CheckRules,       FormatRules,      RulesBuiltins, TestRules,
-    ReplayRules,     ResumeRules,      AuditCommands,    AgentCommands, RecordCommands};
+    RobotCommands,   CoverageCommands, ActuatorCommands, LevelCommands,
+    ApproveCommands, AlertCommands,    ExplainCommands,  CheckRules,
+    FormatRules,     RulesBuiltins,    TestRules,        ReplayRules,
+    ResumeRules,     AuditCommands,    AgentCommands,    RecordCommands};
 
 // The whole command line.
 class Parser {

@@ -10,6 +10,7 @@ Commands RobotCommands();     // list, watch, show, graph
 Commands CoverageCommands();  // robot interest, robot coverage
 Commands ActuatorCommands();  // robot receipts, robot drill
 Commands LevelCommands();     // show, history, raise, lower
+Commands ApproveCommands();   // level approve
 Commands AlertCommands();     // list, watch
 Commands ExplainCommands();
 Commands CheckRules();

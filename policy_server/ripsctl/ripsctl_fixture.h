@@ -55,6 +55,8 @@ class FakeOperator final : public v1::OperatorService::Service {
   grpc::Status robots_watch_end;
   // What GetLevel gives, one after the other, and the last one for ever; empty = COMPROMISED.
   std::vector<v1::RobotStatus> level_states;
+  // Of GetLevel.
+  std::vector<v1::PendingApproval> pending;
   // What Explain gives by id, by decision id (`r1@3.17`), and how all else fails.
   std::map<std::string, v1::ExplainResponse> explained;
   grpc::Status explain_failure{grpc::StatusCode::NOT_FOUND, "there is no record of it"};
@@ -177,6 +179,7 @@ class FakeOperator final : public v1::OperatorService::Service {
     }
     for (const char* level : {"DEFAULT", "ALERT", "COMPROMISED"}) response->add_levels(level);
     response->add_soft_levels("ALERT");
+    for (const v1::PendingApproval& each : pending) *response->add_pending_approvals() = each;
     *response->mutable_last() = MakeTransition();
     return Record("GetLevel");
   }
@@ -233,6 +236,13 @@ class FakeOperator final : public v1::OperatorService::Service {
   grpc::Status Raise(grpc::ServerContext*, const v1::LevelRequest* request,
                      v1::LevelResponse* response) override {
     return Change("Raise", *request, response);
+  }
+  grpc::Status Approve(grpc::ServerContext*, const v1::ApproveRequest* request,
+                       v1::LevelResponse* response) override {
+    *response = level_response;
+    return Record(absl::StrCat("Approve ", request->robot(), " ", request->pending_approval_id(),
+                               " ", request->reason(), request->reject() ? " reject" : "",
+                               request->accept_blind() ? " accept-blind" : ""));
   }
   grpc::Status ResumeRules(grpc::ServerContext*, const v1::ResumeRulesRequest* request,
                            v1::ResumeRulesResponse*) override {

@@ -269,6 +269,7 @@ TEST_F(RipsctlTest, LowersWithWhatTheOperatorExpects) {
                                   {"to", "ALERT"},
                                   {"dry_run", false},
                                   {"decided_level", "ALERT"},
+                                  {"needs_approval", false},
                                   {"soft", false},
                                   {"decision_id", "3.18"},
                                   {"expected", "COMPROMISED@2.9"},
@@ -363,6 +364,7 @@ TEST_F(RipsctlHelpTest, EveryVerbThatItNamesPassesOnRefusals) {
       {"level", "history", "r1"},
       {"level", "raise", "r1", "--to", "A", "--reason", "x"},
       {"level", "lower", "r1", "--to", "A", "--reason", "x"},
+      {"level", "approve", "r1", "333333", "--reason", "x"},
       {"alert", "list"},
       {"alert", "watch"},
       {"explain", "r1"},
@@ -717,7 +719,8 @@ TEST_F(RipsctlTest, AVerbThatIsNoneIsNamed) {
   EXPECT_EQ(slip.code, 2);
   EXPECT_EQ(slip.err, "error: `rules` has no `chek`; did you mean `check`?\n");
   const Result other = Run({"level", "nonsense"});
-  EXPECT_EQ(other.err, "error: `level` has no `nonsense`; it has show, history, raise, lower\n");
+  EXPECT_EQ(other.err,
+            "error: `level` has no `nonsense`; it has show, history, raise, lower, approve\n");
 }
 
 TEST_F(RipsctlTest, RecordsIntoANewFile) {

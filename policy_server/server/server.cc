@@ -299,6 +299,7 @@ absl::StatusOr<pipeline::Policy> Server::LoadPolicy(const std::string& dir,
                           .bundle_id = loaded.id,
                           .start_level = loaded.start_level,
                           .soft_hold_ns = absl::ToInt64Nanoseconds(loaded.manifest.soft_hold),
+                          .two_person = loaded.manifest.two_person,
                           .inspector = std::move(inspector),
                           .interest = pipeline::MakeInterest(*loaded.program),
                           .payload_limits = loaded.manifest.payload_limits};

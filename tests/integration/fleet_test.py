@@ -131,6 +131,70 @@ def explained_when_the_driver_has_gone(fleet):
     check(code == 1 and "1.999" in error, f"{code} {error}")
 
 
+@may_lower(("operator alice", "COMPROMISED", "ALERT"))
+def two_persons_release_a_robot(fleet):
+    """Where the bundle wants two persons, one operator alone lowers nothing, whatever role the
+    certificate has; the second lowers what the first asked for, unless the robot has changed."""
+    fleet.bundle = "two"
+    fleet.write("bundles/two/warehouse.rul", (SOURCE / "rules/warehouse/warehouse.rul").read_text())
+    fleet.write("bundles/two/manifest.yaml",
+                "name: two\nrules: [warehouse.rul]\nlevels: [DEFAULT, ALERT, COMPROMISED, HALT]\n"
+                "two_person: [COMPROMISED, HALT]\n")
+    fleet.arm()
+    for role, name in (("admin", "alice"), ("viewer", "vera"), ("operator", "bob")):
+        fleet.mint("operator", role, name)
+    driver = compromise(fleet)
+    driver.kill()
+    until(fleet, 20, "the driver has gone",
+          lambda: "/intruder" not in fleet.ripsctl("robot", "graph", "r1")[1])
+
+    def ask():
+        code, out, error = fleet.ripsctl("--output", "json", "level", "lower", "r1", "--to",
+                                         "ALERT", "--reason", "the aisle is clear", check=False)
+        check(code == 1, f"one operator asked and got {code}: {out}{error}")
+        answer = json.loads(out)
+        check(answer["needs_approval"] and answer["decided_level"] == "COMPROMISED", f"{answer}")
+        return answer["pending_approval_id"]
+
+    def approve(role, name, lowering):
+        return ripsctl_as(fleet, role, name, "level", "approve", "r1", lowering, "--reason",
+                          "seen on the camera", "--wait")
+
+    first = ask()
+    shown = fleet.ripsctl("level", "show", "r1")[1]
+    check(first[:8] in shown and "COMPROMISED (two persons)" in shown, shown)
+    check("1 lowering waits for a second operator" in fleet.ripsctl("robot", "list")[1],
+          "the list of robots does not say that a lowering waits")
+    for role, name, why in (("operator", "alice", "who asks for a lowering cannot approve it"),
+                            ("admin", "alice", "who asks for a lowering cannot approve it"),
+                            ("viewer", "vera", "this needs the role `operator`")):
+        code, out, error = approve(role, name, first)
+        check(code == 1 and why in error, f"{role} {name}: {code} {out} {error}")
+
+    visitor = fleet.start_intruder("unknown-node", "--node", "/visitor")
+    until(fleet, 20, "the request is void",
+          lambda: any("cannot be approved any more" in a["text"] for a in fleet.alerts()))
+    code, _, error = approve("operator", "bob", first)
+    check(code == 1 and "no lowering of r1 waits" in error, f"{code} {error}")
+    visitor.kill()
+    until(fleet, 20, "the visitor has gone",
+          lambda: "/visitor" not in fleet.ripsctl("robot", "graph", "r1")[1])
+
+    second = ask()
+    fleet.server.kill(signal.SIGKILL)
+    fleet.server = fleet.start_server()
+    fleet.wait_level("COMPROMISED", 20)
+    code, _, error = approve("operator", "bob", second)
+    check(code == 1 and "no lowering of r1 waits" in error, f"{code} {error}")
+
+    code, out, error = approve("operator", "bob", ask())
+    check(code == 0 and "r1 is at ALERT: every actuator has read it back" in out,
+          f"{code} {out} {error}")
+    last = fleet.history()[-1]
+    check(last["cause"].startswith("operator alice ") and ", approved by bob (" in last["cause"]
+          and last["reason"] == "the aisle is clear; approved: seen on the camera", f"{last}")
+
+
 def audited(fleet):
     """Records of the audit log, which is whole."""
     directory = str(fleet.dir / "server/audit")
@@ -1005,11 +1069,16 @@ def actuator_whose_term_is_far_ahead(fleet):
 
 
 def ripsctl_as_admin(fleet, *args):
-    pki = fleet.dir / "pki/operator/admin/root"
+    return ripsctl_as(fleet, "admin", "root", *args)
+
+
+def ripsctl_as(fleet, role, name, *args):
+    """As Fleet.ripsctl, which asks as operator alice, and never fails."""
+    pki = fleet.dir / "pki/operator" / role / name
     done = subprocess.run(
         [fleet.bin / "ripsctl", "--server", f"127.0.0.1:{fleet.port}", "--ca", pki / "ca.pem",
          "--cert", pki / "cert.pem", "--key", pki / "key.pem", *args],
-        capture_output=True, text=True, timeout=30, env=fleet.env)
+        capture_output=True, text=True, timeout=60, env=fleet.env)
     return done.returncode, done.stdout, done.stderr
 
 
@@ -1021,7 +1090,7 @@ def until(fleet, seconds, what, found):
 
 
 SCENARIOS = [kill_server_while_compromised, explained_when_the_driver_has_gone,
-             audit_log_outlives_a_kill,
+             two_persons_release_a_robot, audit_log_outlives_a_kill,
              kill_server_at_the_moment_of_a_raise,
              kill_sensor_in_the_story, sensor_on_a_wrong_domain, kill_actuator_while_compromised,
              server_absent_at_agent_start, lost_lease_raises_the_floor, manager_that_lies,

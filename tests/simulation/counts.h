@@ -10,6 +10,7 @@ struct Counts {
   uint64_t decisions = 0;
   uint64_t soft_lowerings = 0;
   uint64_t operator_lowerings = 0;
+  uint64_t approved_lowerings = 0;  // of these, by two
   uint64_t judged = 0;
   uint64_t resent = 0;
   uint64_t verified = 0;
@@ -21,6 +22,7 @@ struct Counts {
     decisions += other.decisions;
     soft_lowerings += other.soft_lowerings;
     operator_lowerings += other.operator_lowerings;
+    approved_lowerings += other.approved_lowerings;
     judged += other.judged;
     resent += other.resent;
     verified += other.verified;

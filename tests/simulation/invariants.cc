@@ -35,6 +35,11 @@ void Checker::CheckLowering(const Decision& lowering) {
   const int from = LevelIndex(decision.from);
   if (absl::StartsWith(decision.cause, "operator ")) {
     ++counts_.operator_lowerings;
+    const bool approved = absl::StrContains(decision.reason, kApproved);
+    if (approved) ++counts_.approved_lowerings;
+    if (decision.from == "HALT" && !approved) {
+      Fail("I1", "one operator alone lowers from HALT", ToString(decision.decision_id));
+    }
     if (ordered_.contains(decision.reason)) return;
     return Fail("I1", "no operator ordered this lowering", ToString(decision.decision_id));
   }

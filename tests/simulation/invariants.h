@@ -36,6 +36,9 @@ struct Violation {
   std::string what;
 };
 
+// Between the reasons of the two operators who lowered a robot.
+inline constexpr char kApproved[] = "; approved: ";
+
 class Checker {
  public:
   // --- the server and its store

@@ -74,7 +74,10 @@ void ServerModel::Start() {
   context_.checker.OnServerStart(context_.scheduler.now_ns());
   auto robot = pipeline::Robot::Create(
       {.id = "r1", .sensor_hosts = {kHost}, .primary_sensor = kHost, .actuator_hosts = {kHost}},
-      {.program = *program, .bundle_id = "sha256:0", .soft_hold_ns = kSoftHoldNs},
+      {.program = *program,
+       .bundle_id = "sha256:0",
+       .soft_hold_ns = kSoftHoldNs,
+       .two_person = {"HALT"}},
       pipeline::Timing{.lease_ns = 3 * kNanosPerSecond}, record, term, MakePorts());
   RIPS_CHECK(robot.ok(), "the robot's record is refused");
   robot_ = *std::move(robot);

@@ -41,6 +41,7 @@ TEST(SimulationTest, NoInvariantIsViolated) {
   EXPECT_GT(counts.decisions, Rounds(100u));
   EXPECT_GT(counts.soft_lowerings, Rounds(4u));
   EXPECT_GT(counts.operator_lowerings, Rounds(20u));
+  EXPECT_GT(counts.approved_lowerings, Rounds(5u));
   EXPECT_GT(counts.judged, Rounds(1'000u));
   EXPECT_GT(counts.resent, Rounds(10u));
   EXPECT_GT(counts.verified, Rounds(50u));

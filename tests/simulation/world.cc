@@ -75,15 +75,39 @@ void World::Order(bool lower) {
                                    .expected_level = seen_.decided_level,
                                    .expected_decision_id = seen_.decision_id,
                                    .accept_blind = scheduler.Chance(80),
-                                   .request_id = absl::StrCat("request ", orders_)};
+                                   .request_id = absl::StrCat("request ", orders_),
+                                   .identity = "td/alice"};
   context_.trace.Add("operator", absl::StrCat(lower ? "lowers to " : "raises to ", order.to));
   if (lower) context_.checker.OnLoweringOrdered(order.reason);
-  const pipeline::LevelReply reply = [this](const pipeline::LevelAnswer& answer) {
-    if (answer.status.ok() && !answer.decision_id.none())
-      context_.checker.OnOrderAnswered(answer.decision_id);
+  const pipeline::LevelReply reply = [this,
+                                      reason = order.reason](const pipeline::LevelAnswer& answer) {
+    if (!answer.status.ok()) return;
+    if (answer.needs_approval) return Approve(answer.pending_approval_id, reason);
+    if (!answer.decision_id.none()) context_.checker.OnOrderAnswered(answer.decision_id);
   };
   server_.Call(server_.life(), [&](pipeline::Robot& robot) {
     lower ? robot.DeEscalate(order, reply) : robot.Raise(order, reply);
+  });
+}
+
+void World::Approve(const std::string& lowering, const std::string& reason) {
+  Scheduler& scheduler = context_.scheduler;
+  scheduler.After(scheduler.Between(20, 2'000) * kMs, [this, lowering, reason] {
+    if (!server_.up()) return;
+    const bool alone = context_.scheduler.Chance(20);
+    const pipeline::ApprovalOrder order{.operator_name = alone ? "alice" : "bob",
+                                        .identity = alone ? "td/alice" : "td/bob",
+                                        .id = lowering,
+                                        .reason = alone ? "alone" : "seen",
+                                        .accept_blind = context_.scheduler.Chance(80),
+                                        .request_id = absl::StrCat("approval of ", reason)};
+    context_.trace.Add("operator", absl::StrCat(order.operator_name, " approves ", reason));
+    if (!alone) context_.checker.OnLoweringOrdered(absl::StrCat(reason, kApproved, order.reason));
+    server_.Call(server_.life(), [&](pipeline::Robot& robot) {
+      robot.Approve(order, [this](const pipeline::LevelAnswer& answer) {
+        if (answer.status.ok()) context_.checker.OnOrderAnswered(answer.decision_id);
+      });
+    });
   });
 }
 

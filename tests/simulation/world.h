@@ -32,6 +32,8 @@ class World {
   void Operator();  // the operator acts, and again
   void Trouble();   // something goes wrong, and again
   void Order(bool lower);
+  // What waits for a second operator, who comes later, or the first one tries it alone.
+  void Approve(const std::string& lowering, const std::string& reason);
   void CrashServer();
 
   Context context_;

@@ -149,9 +149,7 @@ def verbs():
 
 def calls():
     folder = "policy_server/server/operator_api"
-    # A call that the proto reserves for two persons, and no server answers yet.
-    spoken = [name for name in re.findall(r"^ *rpc (\w+)\(", read("proto/rips/v1/operator.proto"),
-                                          re.M) if name != "Approve"]
+    spoken = re.findall(r"^ *rpc (\w+)\(", read("proto/rips/v1/operator.proto"), re.M)
     streams = re.findall(r"^ *rpc (\w+)\([^)]*\) returns \(stream", read(
         "proto/rips/v1/operator.proto"), re.M)
     roles = file_comment(read(f"{folder}/operator_service.h"))

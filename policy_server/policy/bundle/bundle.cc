@@ -138,6 +138,13 @@ absl::Status Reading::Compile() {
                                "], the rule files declare [", absl::StrJoin(declared, ", "),
                                "]; make them equal, least restrictive first")));
   }
+  for (const std::string& level : manifest_.two_person) {
+    if (!compiled.rules->levels.at(*compiled.rules->levels.Find(level)).soft) continue;
+    return InContext(dir_, absl::InvalidArgumentError(absl::StrCat(
+                               "manifest says two_person of `", level,
+                               "`, which the rule files declare `soft`: a rule may lower it, and "
+                               "no person; remove one of both")));
+  }
   absl::StatusOr<std::string> id = BundleId(manifest_text_, manifest_, files_, *directory_);
   if (!id.ok()) return InContext(dir_, id.status());
   RIPS_ASSIGN_OR_RETURN(

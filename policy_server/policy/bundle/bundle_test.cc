@@ -116,7 +116,7 @@ plugins: []
 start_level: ALERT
 dialect: prototype
 on_inspection_error: alert
-two_person: []
+two_person: [HALT]
 soft_hold: 2s
 scope: {namespaces: [], hosts: []}
 payload_limits:
@@ -127,6 +127,7 @@ payload_limits:
   EXPECT_EQ(bundle->start_level, 1);
   EXPECT_EQ(bundle->program->rules().dialect, lang::CheckedRules::Dialect::kPrototype);
   EXPECT_EQ(bundle->manifest.soft_hold, absl::Seconds(2));
+  EXPECT_THAT(bundle->manifest.two_person, ElementsAre("HALT"));
   EXPECT_EQ(bundle->manifest.on_inspection_error, engine::OnInspectionError::kAlert);
   EXPECT_EQ(bundle->manifest.payload_limits,
             (engine::PayloadLimits{{.topic_regex = "^/camera/", .bytes = 4 << 20},
@@ -134,8 +135,7 @@ payload_limits:
 }
 
 TEST_F(BundleTest, RefusesWhatThisVersionWouldNotKeep) {
-  for (const char* text :
-       {"two_person: [HALT]", "scope: {namespaces: [/a]}", "scope: {hosts: [h]}"}) {
+  for (const char* text : {"scope: {namespaces: [/a]}", "scope: {hosts: [h]}"}) {
     EXPECT_THAT(
         LoadWith(absl::StrCat(kManifest, text, "\n")),
         StatusIs(absl::StatusCode::kInvalidArgument, HasSubstr("is not available in this version")))
@@ -157,6 +157,10 @@ TEST_F(BundleTest, RefusesABadManifest) {
       {absl::StrCat(kManifest, "start_level: GONE\n"), "start level `GONE` is not one of `levels`"},
       {absl::StrCat(kManifest, "soft_hold: 0s\n"), "soft_hold"},
       {absl::StrCat(kManifest, "soft_hold: 2h\n"), "soft_hold"},
+      {absl::StrCat(kManifest, "two_person: [GONE]\n"), "`GONE` is not one of `levels`"},
+      {absl::StrCat(kManifest, "two_person: [DEFAULT]\n"), "no level is below `DEFAULT`"},
+      {absl::StrCat(kManifest, "two_person: [HALT, HALT]\n"), "`HALT` is listed twice"},
+      {absl::StrCat(kManifest, "two_person: [ALERT]\n"), "a rule may lower it, and no person"},
       {absl::StrCat(kManifest, "dialect: ours\n"), "write `rips` or `prototype`"},
   };
   for (const auto& each : cases) {

@@ -53,6 +53,23 @@ void ReadLevels(const ConfigSection& root, Manifest* manifest) {
   }
 }
 
+void ReadTwoPerson(const ConfigSection& root, Manifest* manifest) {
+  root.Optional("two_person", &manifest->two_person);
+  const std::vector<std::string>& levels = manifest->levels;
+  absl::btree_set<absl::string_view> seen;
+  for (const std::string& level : manifest->two_person) {
+    const auto found = std::find(levels.begin(), levels.end(), level);
+    if (found == levels.end()) {
+      root.Problem("two_person", absl::StrCat("`", level, "` is not one of `levels`"));
+    } else if (found == levels.begin()) {
+      root.Problem("two_person", absl::StrCat("no level is below `", level, "`"));
+    }
+    if (!seen.insert(level).second) {
+      root.Problem("two_person", absl::StrCat("`", level, "` is listed twice"));
+    }
+  }
+}
+
 // Why sensors would not take the pattern; empty if they do. Its size is added to `instructions`.
 std::string PatternProblem(const std::string& pattern, size_t* instructions) {
   // As sensors compile it first (kInterestPatternBytes).
@@ -126,10 +143,6 @@ void RefuseIf(bool used, const ConfigSection& section, absl::string_view key,
 }
 
 void ReadUnavailable(const ConfigSection& root) {
-  std::vector<std::string> two_person;
-  root.Optional("two_person", &two_person);
-  RefuseIf(!two_person.empty(), root, "two_person", "remove it; one operator may lower a level");
-
   const ConfigSection scope = root.OptionalSection("scope");
   for (const char* key : {"namespaces", "hosts"}) {
     std::vector<std::string> names;
@@ -148,6 +161,7 @@ absl::StatusOr<Manifest> ParseManifest(absl::string_view file, absl::string_view
   root.Required("rules", &manifest.rules);
   CheckPaths(root, "rules", "rule file", manifest.rules, kRuleFilesMax);
   ReadLevels(root, &manifest);
+  ReadTwoPerson(root, &manifest);
   using Dialect = lang::CheckedRules::Dialect;
   root.OptionalEnum<Dialect>("dialect", &manifest.dialect,
                              {{"rips", Dialect::kRips}, {"prototype", Dialect::kPrototype}});

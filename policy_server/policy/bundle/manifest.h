@@ -37,6 +37,8 @@ struct Manifest {
   // One of `levels`; default: the first.
   std::string start_level;
   lang::CheckedRules::Dialect dialect = lang::CheckedRules::Dialect::kRips;
+  // Of `levels`, neither the first nor soft: an operator lowers them only if a second one approves.
+  std::vector<std::string> two_person;
   // How long the evidence must have been complete before a rule may lower a soft level; 500 ms to
   // 1 h.
   absl::Duration soft_hold = absl::Seconds(5);
@@ -51,7 +53,7 @@ struct Manifest {
 };
 
 // InvalidArgument with every problem and its place. Known, but refused unless empty, because this
-// version would not keep what they promise: two_person, scope.
+// version would not keep what it promises: scope.
 absl::StatusOr<Manifest> ParseManifest(absl::string_view file, absl::string_view text);
 
 }  // namespace rips::bundle

@@ -2,6 +2,7 @@
 
 #include <nlohmann/json.hpp>
 
+#include "absl/strings/str_cat.h"
 #include "policy_server/ripsctl/cli/command.h"
 #include "policy_server/ripsctl/cli/printer.h"
 
@@ -17,9 +18,31 @@ Table StatusTable(const v1::RobotStatus& status) {
   Table table({"robot", EscapeText(status.robot())});
   table.Add({"decided level", status.decided_level()});
   table.Add({"effective level", status.effective_level()});
-  table.Add({"stage", status.stage()});
+  table.Add({"stage", StageAndPending(status)});
   table.Add({"decision", DecisionIdText(status.decision_id())});
   return table;
+}
+
+std::string StageAndPending(const v1::RobotStatus& status) {
+  if (status.pending_approvals() == 0) return status.stage();
+  return absl::StrCat(status.stage(), "; ", status.pending_approvals(),
+                      status.pending_approvals() == 1 ? " lowering waits" : " lowerings wait",
+                      " for a second operator");
+}
+
+std::string PendingText(absl::string_view robot, const v1::PendingApproval& pending) {
+  return absl::StrCat(ShortId(pending.id()), ": operator ", pending.operator_(), " asked at ",
+                      ShortTime(pending.asked_unix_ns()), " to lower ", robot, " from ",
+                      pending.from(), " to ", pending.to(),
+                      pending.accept_blind() ? ", though the server may not see all of it" : "",
+                      "; until ", ShortTime(pending.expires_unix_ns()), ": ", pending.reason());
+}
+
+void PrintWarnings(const v1::LevelResponse& found, std::ostream& out) {
+  for (const std::string& why : found.blind_because()) out << "blind: " << EscapeText(why) << "\n";
+  for (const std::string& rule : found.would_raise_again()) {
+    out << "may be raised again by rule " << EscapeText(rule) << kRaisedWhen << "\n";
+  }
 }
 
 void PrintDryRun(absl::string_view robot, const v1::LevelResponse& found, bool refused,
@@ -30,6 +53,9 @@ void PrintDryRun(absl::string_view robot, const v1::LevelResponse& found, bool r
   if (refused) {
     out << margin << "would be refused, because RIPS does not see all of " << EscapeText(robot)
         << " now; --accept-blind lowers it all the same\n";
+  }
+  if (found.needs_approval()) {
+    out << margin << "would need a second operator: `ripsctl level approve`\n";
   }
   for (const std::string& rule : found.would_raise_again()) {
     out << margin << "would be raised again by rule " << EscapeText(rule) << kRaisedWhen << "\n";

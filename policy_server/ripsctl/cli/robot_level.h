@@ -21,6 +21,12 @@ Table StatusTable(const v1::RobotStatus& status);
 
 // Rules on the graph are evaluated when it changes.
 inline constexpr absl::string_view kRaisedWhen = " at the next change of the graph, not before";
+// What an operator should know of a lowering that is in force, one line each.
+void PrintWarnings(const v1::LevelResponse& found, std::ostream& out);
+// What waits for a second operator, in one line; to be escaped.
+std::string PendingText(absl::string_view robot, const v1::PendingApproval& pending);
+// `verified`; and how many lowerings wait for a second operator.
+std::string StageAndPending(const v1::RobotStatus& status);
 // What a dry run of a lowering found, one line each behind `margin`. `refused`: RIPS is blind, and
 // the operator has not accepted that.
 void PrintDryRun(absl::string_view robot, const v1::LevelResponse& found, bool refused,

@@ -10,12 +10,11 @@
 #include "absl/strings/escaping.h"
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_join.h"
-#include "absl/time/clock.h"
-#include "absl/time/time.h"
 #include "policy_server/ripsctl/cli/json_output.h"
 #include "policy_server/ripsctl/cli/printer.h"
 #include "policy_server/ripsctl/cli/robot_level.h"
 #include "policy_server/ripsctl/commands.h"
+#include "policy_server/ripsctl/level/await_level.h"
 #include "services/base/decision_id.h"
 #include "services/base/ids.h"
 #include "services/base/status_macros.h"
@@ -23,10 +22,6 @@
 
 namespace rips::ripsctl {
 namespace {
-
-constexpr absl::Duration kWaitMax = absl::Seconds(30);
-// Well below the quota of queries, also if a colleague waits, too.
-constexpr absl::Duration kWaitPoll = absl::Milliseconds(500);
 
 class ShowLevel final : public RobotCommand {
  public:
@@ -45,6 +40,9 @@ class ShowLevel final : public RobotCommand {
       table.Add({"reason", last.reason()});
       table.Add({"detail", last.detail()});
     }
+    for (const v1::PendingApproval& each : response.pending_approvals()) {
+      table.Add({"to approve", PendingText(robot_, each)});
+    }
     table.Print(env.out);
     return ExitCode::kDone;
   }
@@ -55,7 +53,9 @@ class ShowLevel final : public RobotCommand {
     std::vector<std::string> names;
     for (const std::string& name : response.levels()) {
       const bool is_soft = std::find(soft.begin(), soft.end(), name) != soft.end();
-      names.push_back(is_soft ? absl::StrCat(name, " (soft)") : name);
+      const auto& two_person = response.two_person_levels();
+      const bool two = std::find(two_person.begin(), two_person.end(), name) != two_person.end();
+      names.push_back(absl::StrCat(name, is_soft ? " (soft)" : "", two ? " (two persons)" : ""));
     }
     return absl::StrJoin(names, " < ");
   }
@@ -145,22 +145,33 @@ class ChangeLevel : public RobotCommand {
   ExitCode Report(Env& env, const v1::LevelResponse& response) const {
     // Only lowerings need to be seen.
     const bool refused = dry_run_ && !response.blind_because().empty() && !request_.accept_blind();
-    const bool waits = wait_ && !dry_run_;
-    if (!env.json()) PrintReport(env, refused, response);
+    const bool pending = !dry_run_ && response.needs_approval();
+    if (!env.json() && pending) {
+      PrintPending(env, response);
+    } else if (!env.json()) {
+      PrintReport(env, refused, response);
+    }
     std::optional<Awaited> awaited;
-    if (waits) awaited = AwaitReached(env, response);
+    if (wait_ && !dry_run_ && !pending) awaited = AwaitReached(env, robot_, response);
     if (env.json()) {
       PrintJsonReport(env, response, awaited);
-    } else if (waits && awaited->reached) {
-      env.out << robot_ << " is at " << EscapeText(awaited->level)
-              << (awaited->level == response.decided_level() ? "" : ", above the level decided")
-              << ": every actuator has read it back\n";
-    } else if (waits) {
-      env.out << robot_ << " is not at " << EscapeText(response.decided_level()) << ": "
-              << EscapeText(awaited->why) << "\n";
+    } else if (awaited.has_value()) {
+      PrintAwaited(env, robot_, response, *awaited);
     }
-    const bool missed = waits && !awaited->reached;
-    return refused || missed ? ExitCode::kRefused : ExitCode::kDone;
+    const bool missed = awaited.has_value() && !awaited->reached;
+    // What waits is not done: a script must not go on as if it were.
+    return refused || missed || pending ? ExitCode::kRefused : ExitCode::kDone;
+  }
+
+  void PrintPending(Env& env, const v1::LevelResponse& response) const {
+    env.out << robot_ << " stays at " << EscapeText(response.decided_level())
+            << ": a second operator must approve it until "
+            << ShortTime(response.approval_expires_unix_ns()) << ", with\n  ripsctl level approve "
+            << robot_ << " " << ShortId(response.pending_approval_id()) << " --reason TEXT\n"
+            << "it must be asked for again if the robot's level, graph or rules change before that"
+            << "\n";
+    PrintWarnings(response, env.out);
+    if (wait_) env.out << "not waiting: nothing is decided yet\n";
   }
 
   void PrintReport(Env& env, bool refused, const v1::LevelResponse& response) const {
@@ -180,57 +191,8 @@ class ChangeLevel : public RobotCommand {
     if (dry_run_ && verb == "lower") {
       PrintDryRun(robot_, response, refused, "", env.out);
     } else {
-      for (const std::string& why : response.blind_because()) {
-        env.out << "blind: " << EscapeText(why) << "\n";
-      }
-      for (const std::string& rule : response.would_raise_again()) {
-        env.out << "may be raised again by rule " << EscapeText(rule) << kRaisedWhen << "\n";
-      }
+      PrintWarnings(response, env.out);
     }
-    if (wait_ && !dry_run_) {
-      env.out << "waiting for the robot to reach it, for at most " << absl::FormatDuration(kWaitMax)
-              << "; Ctrl-C stops the wait, not the decision" << std::endl;
-    }
-  }
-
-  // What --wait came to; `why` if the robot is not there.
-  struct Awaited {
-    bool reached = false;
-    std::string level;  // that the actuators hold; may be above the one decided
-    std::string why;
-  };
-
-  // The level that was decided is one thing, and where the robot is another. The server tries again
-  // what failed, so that only the time ends the wait.
-  Awaited AwaitReached(Env& env, const v1::LevelResponse& response) const {
-    const absl::Time end = absl::Now() + kWaitMax;
-    std::string why;
-    do {
-      const auto seen = ReadLevel(env, robot_);
-      if (seen.ok()) {
-        const v1::RobotStatus& status = seen->status();
-        if (DecisionIdText(status.decision_id()) != DecisionIdText(response.decision_id())) {
-          return {.why = absl::StrCat(
-                      "a newer decision has replaced this one: ", status.decided_level(), " (",
-                      DecisionIdText(status.decision_id()), ")", seen->has_last() ? ", " : "",
-                      seen->last().cause())};
-        }
-        if (status.stage() == "verified") {
-          return {.reached = true, .level = status.effective_level()};
-        }
-        why = absl::StrCat(status.stage(), status.degraded().empty() ? "" : ": ",
-                           absl::StrJoin(status.degraded(), "; "));
-      } else {
-        why = std::string(seen.status().message());
-        const absl::Status& status = seen.status();
-        const bool passes = absl::IsUnavailable(status) || absl::IsDeadlineExceeded(status) ||
-                            absl::IsResourceExhausted(status);
-        if (!passes) return {.why = why};
-      }
-      absl::SleepFor(kWaitPoll);
-    } while (absl::Now() < end);
-    return {.why = absl::StrCat("not read back in ", absl::FormatDuration(kWaitMax), "; ", why,
-                                "; the decision stands, and is tried again")};
   }
 
   void PrintJsonReport(Env& env, const v1::LevelResponse& response,
@@ -249,9 +211,12 @@ class ChangeLevel : public RobotCommand {
     json["would_raise_again"] = JsonList(response.would_raise_again());
     if (dry_run_ && info().verb == "lower") json["not_tried"] = NotTried();
     json["blind_because"] = JsonList(response.blind_because());
-    if (awaited.has_value()) json["reached"] = awaited->reached;
-    if (awaited.has_value() && awaited->reached) json["effective_level"] = awaited->level;
-    if (awaited.has_value() && !awaited->reached) json["not_reached_because"] = awaited->why;
+    if (info().verb == "lower") json["needs_approval"] = response.needs_approval();
+    if (!response.pending_approval_id().empty()) {
+      json["pending_approval_id"] = response.pending_approval_id();
+      json["approval_expires_unix_ns"] = response.approval_expires_unix_ns();
+    }
+    if (awaited.has_value()) AddAwaited(*awaited, json);
     PrintJson(json, env.out);
   }
 

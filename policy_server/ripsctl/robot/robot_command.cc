@@ -42,9 +42,9 @@ class ListRobots final : public Command {
     }
     Table table({"ROBOT", "DECIDED", "EFFECTIVE", "STAGE", "DECISION", "BUNDLE", "DEGRADED"});
     for (const v1::RobotStatus& status : response.robots()) {
-      table.Add({status.robot(), status.decided_level(), status.effective_level(), status.stage(),
-                 DecisionIdText(status.decision_id()), ShortBundle(status.bundle_version()),
-                 DegradedText(status)});
+      table.Add({status.robot(), status.decided_level(), status.effective_level(),
+                 StageAndPending(status), DecisionIdText(status.decision_id()),
+                 ShortBundle(status.bundle_version()), DegradedText(status)});
     }
     for (const std::string& robot : response.no_answer()) {
       table.Add({robot, "", "", "", "", "", "no response in time: the server is overloaded"});
@@ -84,7 +84,7 @@ class WatchRobots final : public Command {
     env.out << ShortTime(absl::GetCurrentTimeNanos()) << "  " << EscapeText(status.robot())
             << "  decided " << EscapeText(status.decided_level()) << "  effective "
             << (status.effective_level().empty() ? "-" : EscapeText(status.effective_level()))
-            << "  " << EscapeText(status.stage()) << "  decision "
+            << "  " << EscapeText(StageAndPending(status)) << "  decision "
             << DecisionIdText(status.decision_id());
     if (const std::string text = DegradedText(status); !text.empty()) {
       env.out << "  degraded: " << EscapeText(text);

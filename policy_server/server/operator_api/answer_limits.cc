@@ -33,6 +33,7 @@ rips::v1::RobotStatus EncodeStatus(const pipeline::RobotStatus& status) {
   out.set_stage(status.stage);
   model_proto::Encode(status.decision_id, *out.mutable_decision_id());
   out.set_bundle_version(status.bundle_version);
+  out.set_pending_approvals(static_cast<uint32_t>(status.pending_approvals.size()));
   const size_t shown = std::min(status.degraded.size(), kDegradedShownMax);
   out.set_degraded_cut(shown < status.degraded.size());
   for (size_t i = 0; i < shown; ++i) {

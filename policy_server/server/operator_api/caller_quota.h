@@ -7,8 +7,8 @@
 // |          |                                             | reserve for role operator and above |
 // | kQuery   | all other calls of a viewer                 | calls at a time, and a second; one  |
 // |          |                                             | that costs much counts for several  |
-// | kOrder   | Raise DeEscalate ResumeRules DrillRobot Ban | calls at a time, and a second: an   |
-// |          | Unban ResetTerm                             | account of their own                |
+// | kOrder   | Raise DeEscalate Approve ResumeRules        | calls at a time, and a second: an   |
+// |          | DrillRobot Ban Unban ResetTerm              | account of their own                |
 //
 // Orders of one identity are therefore refused only for its own orders.
 #ifndef RIPS_POLICY_SERVER_SERVER_OPERATOR_API_CALLER_QUOTA_H_

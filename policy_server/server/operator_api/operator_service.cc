@@ -11,6 +11,7 @@
 #include "absl/strings/str_cat.h"
 #include "policy_server/server/operator_api/answer_limits.h"
 #include "policy_server/server/operator_api/coverage_codec.h"
+#include "policy_server/server/operator_api/level_codec.h"
 #include "policy_server/server/operator_api/overtaken_states.h"
 #include "policy_server/server/operator_api/receipt_codec.h"
 #include "policy_server/server/operator_api/record_codec.h"
@@ -42,8 +43,7 @@ constexpr size_t kBanReasonBytesMax = 1'000;
 // Calls that ask every robot, or that cost milliseconds for a large graph, as calls of a quota.
 constexpr double kFleetWeight = 2;
 constexpr double kGraphWeight = 5;
-// Of a robot's transitions, to find the newest that was not refused.
-constexpr int kNewestRead = 200;
+constexpr int kNewestRead = 200;  // transitions, to find the newest that was not refused
 
 void RunAll(BoundedQueue<std::function<void()>>& tasks) {
   while (auto task = tasks.Pop(absl::InfiniteDuration())) (*task)();
@@ -52,6 +52,11 @@ void RunAll(BoundedQueue<std::function<void()>>& tasks) {
 // Who records name: `alice (spiffe://td/operator/admin/alice serial 0f)`.
 std::string OperatorName(const rpc::Peer& peer) {
   return absl::StrCat(peer.identity.name, " (", rpc::Describe(peer), ")");
+}
+
+// Who it is, whatever role the certificate has.
+std::string IdentityOf(const rpc::Peer& peer) {
+  return absl::StrCat(peer.identity.trust_domain, "/", peer.identity.name);
 }
 
 grpc::ServerUnaryReactor* Refuse(grpc::CallbackServerContext* context, const absl::Status& status) {
@@ -89,6 +94,13 @@ grpc::ServerUnaryReactor* Answer(CallerQuota::Ticket ticket) {
     CallerQuota::Ticket ticket_;
   };
   return new Call(std::move(ticket));
+}
+
+pipeline::LevelReply ReplyTo(grpc::ServerUnaryReactor* reactor, rips::v1::LevelResponse* response) {
+  return [reactor, response](const pipeline::LevelAnswer& answer) {
+    operator_api::Encode(answer, *response);
+    reactor->Finish(rpc::ToGrpc(answer.status));
+  };
 }
 
 // As many as there is room for behind those that are not recorded.
@@ -349,12 +361,7 @@ grpc::ServerUnaryReactor* OperatorService::GetLevel(grpc::CallbackServerContext*
   const absl::Status posted =
       pipeline_->Post(request->robot(), Queue::kOrders,
                       [this, reactor, response, robot_id = request->robot()](Robot& robot) {
-                        *response->mutable_status() = EncodeStatus(robot.Status());
-                        for (int i = 0; i < robot.core().levels().size(); ++i) {
-                          response->add_levels(robot.core().levels().name(i));
-                          if (robot.core().levels().at(i).soft)
-                            response->add_soft_levels(robot.core().levels().name(i));
-                        }
+                        EncodeLevels(robot.core(), *response);
                         Read(reactor, [this, reactor, response, robot_id] {
                           const auto newest = store_->ListTransitions(robot_id, kNewestRead);
                           if (newest.ok()) {
@@ -594,18 +601,10 @@ grpc::ServerUnaryReactor* OperatorService::ChangeLevel(grpc::CallbackServerConte
       .expected_decision_id = model_proto::Decode(request->expected_decision_id()),
       .dry_run = request->dry_run(),
       .accept_blind = request->accept_blind(),
-      .request_id = request->request_id()};
+      .request_id = request->request_id(),
+      .identity = IdentityOf(*who)};
   grpc::ServerUnaryReactor* reactor = Answer(who->ticket);
-  pipeline::LevelReply reply = [reactor, response](const pipeline::LevelAnswer& answer) {
-    model_proto::Encode(answer.decision_id, *response->mutable_decision_id());
-    response->set_decided_level(answer.decided_level);
-    response->set_soft(answer.soft);
-    for (const std::string& rule : answer.would_raise_again) {
-      response->add_would_raise_again(rule);
-    }
-    for (const std::string& reason : answer.blind_because) response->add_blind_because(reason);
-    reactor->Finish(rpc::ToGrpc(answer.status));
-  };
+  pipeline::LevelReply reply = ReplyTo(reactor, response);
   const absl::Status posted = pipeline_->Post(
       request->robot(), Queue::kOrders,
       [direction, order = std::move(order), reply = std::move(reply)](Robot& robot) {
@@ -615,6 +614,32 @@ grpc::ServerUnaryReactor* OperatorService::ChangeLevel(grpc::CallbackServerConte
           robot.DeEscalate(order, reply);
         }
       });
+  if (!posted.ok()) reactor->Finish(rpc::ToGrpc(posted));
+  return reactor;
+}
+
+grpc::ServerUnaryReactor* OperatorService::Approve(grpc::CallbackServerContext* context,
+                                                   const rips::v1::ApproveRequest* request,
+                                                   rips::v1::LevelResponse* response) {
+  const auto who = AuthorizeOrder(context, "Approve", *request, OperatorRole::kOperator);
+  if (!who.ok()) return Refuse(context, who.status());
+  LogInfo(request->reject() ? "operator rejects a lowering" : "operator approves a lowering",
+          {{"operator", rpc::Describe(*who)},
+           {"robot", request->robot()},
+           {"lowering", request->pending_approval_id()},
+           {"reason", request->reason()}});
+  pipeline::ApprovalOrder order{.operator_name = OperatorName(*who),
+                                .identity = IdentityOf(*who),
+                                .id = request->pending_approval_id(),
+                                .reason = request->reason(),
+                                .reject = request->reject(),
+                                .accept_blind = request->accept_blind(),
+                                .request_id = request->request_id()};
+  grpc::ServerUnaryReactor* reactor = Answer(who->ticket);
+  pipeline::LevelReply reply = ReplyTo(reactor, response);
+  const absl::Status posted = pipeline_->Post(request->robot(), Queue::kOrders,
+                                              [order = std::move(order), reply = std::move(reply)](
+                                                  Robot& robot) { robot.Approve(order, reply); });
   if (!posted.ok()) reactor->Finish(rpc::ToGrpc(posted));
   return reactor;
 }

@@ -4,7 +4,8 @@
 //   ListRobots WatchRobots GetGraph GetInterest
 //   GetCoverage GetLevel ListTransitions ListAlerts
 //   WatchAlerts Explain ListReceipts ListAgents      viewer
-//   Raise DeEscalate ResumeRules Record DrillRobot   operator
+//   Raise DeEscalate Approve ResumeRules Record
+//   DrillRobot                                       operator
 //   Ban Unban ResetTerm                              admin
 //
 // Each call on an open connection is judged anew, and streams for as long as they are open: an
@@ -108,6 +109,9 @@ class OperatorService final : public rips::v1::OperatorService::CallbackService 
   grpc::ServerUnaryReactor* Raise(grpc::CallbackServerContext* context,
                                   const rips::v1::LevelRequest* request,
                                   rips::v1::LevelResponse* response) override;
+  grpc::ServerUnaryReactor* Approve(grpc::CallbackServerContext* context,
+                                    const rips::v1::ApproveRequest* request,
+                                    rips::v1::LevelResponse* response) override;
   grpc::ServerUnaryReactor* ResumeRules(grpc::CallbackServerContext* context,
                                         const rips::v1::ResumeRulesRequest* request,
                                         rips::v1::ResumeRulesResponse* response) override;

@@ -143,6 +143,10 @@ void Robot::DeEscalate(const LevelOrder& order, LevelReply reply) {
   Do(input::DeEscalate{.order = order, .token = performer_.Await(std::move(reply))});
 }
 
+void Robot::Approve(const ApprovalOrder& order, LevelReply reply) {
+  Do(input::Approve{.order = order, .token = performer_.Await(std::move(reply))});
+}
+
 void Robot::ResetTerm(const TermResetOrder& order, LevelReply reply) {
   Do(input::ResetTerm{.order = order, .token = performer_.Await(std::move(reply))});
 }

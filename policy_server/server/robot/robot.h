@@ -55,6 +55,7 @@ class Robot {
   // ---- operators; `reply` is called once, later, on the shard's thread.
   void Raise(const LevelOrder& order, LevelReply reply);
   void DeEscalate(const LevelOrder& order, LevelReply reply);
+  void Approve(const ApprovalOrder& order, LevelReply reply);
   void ResetTerm(const TermResetOrder& order, LevelReply reply);
   absl::Status ResumeRules(const std::string& operator_name, const std::string& reason);
   void RecordRefusedOrder(const LevelOrder& order, const absl::Status& why);

@@ -152,13 +152,16 @@ class RobotTest : public ::testing::Test {
         .post_work = [this](std::function<void()> task) { posted_.push_back(std::move(task)); },
         .fenced = [this](const std::string& robot, auto&) { fenced_.push_back(robot); },
         .new_id = [this] { return absl::StrCat("id", ++ids_); }};
-    auto robot = Robot::Create(
-        {.id = "r1",
-         .sensor_hosts = sensor_hosts_,
-         .primary_sensor = "base",
-         .actuator_hosts = {"base"}},
-        {.program = *program, .bundle_id = "sha256:0", .inspector = inspector_},
-        Timing{.graph_wait_ns = 500 * kNanosPerMilli}, record, term, std::move(ports));
+    auto robot = Robot::Create({.id = "r1",
+                                .sensor_hosts = sensor_hosts_,
+                                .primary_sensor = "base",
+                                .actuator_hosts = {"base"}},
+                               {.program = *program,
+                                .bundle_id = "sha256:0",
+                                .two_person = two_person_,
+                                .inspector = inspector_},
+                               Timing{.graph_wait_ns = 500 * kNanosPerMilli}, record, term,
+                               std::move(ports));
     ASSERT_TRUE(robot.ok()) << robot.status();
     robot_ = *std::move(robot);
     Drain();
@@ -235,7 +238,6 @@ class RobotTest : public ::testing::Test {
     }
     Drain();
   }
-
   static ros2::Guid Participant(uint8_t n) {
     ros2::Guid guid;
     guid.bytes = {1, 0x10, n, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 1, 0xc1};
@@ -320,6 +322,7 @@ class RobotTest : public ::testing::Test {
   std::string Stage() const { return robot_->Status().stage; }
 
   std::vector<std::string> sensor_hosts_ = {"base"};
+  std::vector<std::string> two_person_;
   FakeClock clock_;
   FakeRecorder recorder_;
   FakeObserver audience_;

@@ -120,6 +120,10 @@ struct DeEscalate {
   LevelOrder order;
   ReplyToken token = 0;
 };
+struct Approve {
+  ApprovalOrder order;
+  ReplyToken token = 0;
+};
 struct ResetTerm {
   TermResetOrder order;
   ReplyToken token = 0;
@@ -185,13 +189,15 @@ struct Time {};
 
 }  // namespace input
 
-using Input = std::variant<
-    input::SensorHello, input::SensorHeartbeat, input::InterestAnswer, input::InterestSent,
-    input::SensorBatch, input::SensorGone, input::Advance, input::Inspected, input::ActuatorHello,
-    input::ActuatorHeartbeat, input::Receipt, input::ActuatorGone, input::Raise, input::DeEscalate,
-    input::ResetTerm, input::ResumeRules, input::StartDrill, input::RefusedOrder, input::Report,
-    input::SwapPolicy, input::SetHosts, input::PolicyProblem, input::Drain, input::Retire,
-    input::Recorded, input::RaisesSaved, input::DecisionFound, input::TermDrawn, input::Time>;
+using Input =
+    std::variant<input::SensorHello, input::SensorHeartbeat, input::InterestAnswer,
+                 input::InterestSent, input::SensorBatch, input::SensorGone, input::Advance,
+                 input::Inspected, input::ActuatorHello, input::ActuatorHeartbeat, input::Receipt,
+                 input::ActuatorGone, input::Raise, input::DeEscalate, input::Approve,
+                 input::ResetTerm, input::ResumeRules, input::StartDrill, input::RefusedOrder,
+                 input::Report, input::SwapPolicy, input::SetHosts, input::PolicyProblem,
+                 input::Drain, input::Retire, input::Recorded, input::RaisesSaved,
+                 input::DecisionFound, input::TermDrawn, input::Time>;
 
 }  // namespace rips::pipeline
 

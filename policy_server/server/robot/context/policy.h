@@ -5,6 +5,7 @@
 #include <cstdint>
 #include <memory>
 #include <string>
+#include <vector>
 
 #include "policy_server/policy/engine/interest/interest.h"
 #include "policy_server/policy/engine/state/compiled_policy.h"
@@ -23,6 +24,8 @@ struct Policy {
   std::string bundle_id;
   levels::LevelIndex start_level = 0;
   int64_t soft_hold_ns = 5 * kNanosPerSecond;
+  // Names of the levels that an operator lowers only if a second one approves. None is soft.
+  std::vector<std::string> two_person;
   // Opaque here. Null: no message is inspected, and rules that want it get no verdict.
   std::shared_ptr<Inspector> inspector;
   // What the program needs (MakeInterest), so that robots share it; null: each finds out itself.

@@ -162,6 +162,7 @@ RobotCore::After RobotCore::Handle(const Input& input) {
           },
           [&](const input::Raise& in) { return orders_.OnRaise(in), kAll; },
           [&](const input::DeEscalate& in) { return orders_.OnDeEscalate(in), kAll; },
+          [&](const input::Approve& in) { return orders_.OnApprove(in), kAll; },
           [&](const input::ResetTerm& in) { return admission_.OnResetTerm(in), kAll; },
           [&](const input::ResumeRules& in) { return orders_.OnResume(in), kAll; },
           [&](const input::StartDrill& in) { return drills_.Start(in), kAll; },
@@ -307,6 +308,7 @@ RobotCore::After RobotCore::OnTime() {
   decider_.RunEvents();
   findings_.Expire();
   if (own_agents_.Expire()) sensors_.SendSetups();
+  orders_.approvals().Expire();
   sight_.Update();
   judge_.Wake();
   judge_.ExpireGraphs();
@@ -411,7 +413,8 @@ RobotStatus RobotCore::Status() const {
                      .decided_level = state_.level.table().name(state_.level.level()),
                      .decision_id = state_.level.decision_id(),
                      .bundle_version = context_.policy.bundle_id,
-                     .degraded = evidence_.Problems()};
+                     .degraded = evidence_.Problems(),
+                     .pending_approvals = orders_.approvals().pending()};
   actuators_.AddStatus(status);
   if (!policy_problem_.empty()) status.degraded.push_back(policy_problem_);
   if (std::string skipped = losses_.SkippedText(); !skipped.empty()) {

@@ -66,11 +66,59 @@ void Orders::OnDeEscalate(const input::DeEscalate& in) {
     return context_.Do(action::AnswerOrder{in.token, std::move(answer)});
   }
   levels::LevelMachine trial = state_.level;
-  levels::LevelMachine& machine = order.dry_run ? trial : state_.level;
-  const levels::Transition transition =
-      machine.DeEscalate(*levels().Find(order.to), CauseOf(order), context_.now(),
-                         *levels().Find(order.expected_level), order.expected_decision_id);
+  levels::Transition transition = Lower(order, trial);
+  answer.needs_approval = transition.decided() && approvals_.Needed(transition.to);
+  if (answer.needs_approval && !order.dry_run) {
+    answer.decision_id = state_.level.decision_id();
+    answer.decided_level = levels().name(state_.level.level());
+    approvals_.Ask(order, answer);
+    return context_.Do(action::AnswerOrder{in.token, std::move(answer)});
+  }
+  if (!order.dry_run) transition = Lower(order, state_.level);
   Decide(transition, order, {.token = in.token, .answer = std::move(answer)});
+}
+
+levels::Transition Orders::Lower(const LevelOrder& order, levels::LevelMachine& machine) const {
+  return machine.DeEscalate(*levels().Find(order.to), CauseOf(order), context_.now(),
+                            *levels().Find(order.expected_level), order.expected_decision_id);
+}
+
+void Orders::OnApprove(const input::Approve& in) {
+  const ApprovalOrder& order = in.order;
+  if (AnsweredAlready({.request_id = order.request_id}, in.token)) return;
+  absl::StatusOr<LevelOrder> lowering = approvals_.Find(order);
+  LevelAnswer answer{.status = lowering.status(),
+                     .decision_id = state_.level.decision_id(),
+                     .decided_level = levels().name(state_.level.level())};
+  if (answer.status.ok()) answer.status = CheckReason(order.reason);
+  if (answer.status.ok() && !order.reject && order.identity == lowering->identity) {
+    answer.status = absl::PermissionDeniedError(
+        "who asks for a lowering cannot approve it; another operator must");
+    OnRefused({.order = {.operator_name = order.operator_name, .to = lowering->to},
+               .why = answer.status});
+  }
+  if (answer.status.ok() && order.reject) {
+    approvals_.Remove(order.id);
+    alerts_.Raise(engine::Severity::kInfo,
+                  absl::StrCat("operator ", order.operator_name, " rejects to lower ",
+                               context_.config.id, " to ", lowering->to, ", for which operator ",
+                               lowering->operator_name, " asked: ", order.reason));
+    return context_.Do(action::AnswerOrder{in.token, std::move(answer)});
+  }
+  if (answer.status.ok()) {
+    lowering->operator_name =
+        absl::StrCat(lowering->operator_name, ", approved by ", order.operator_name);
+    lowering->reason = absl::StrCat(lowering->reason, "; approved: ", order.reason);
+    lowering->accept_blind = lowering->accept_blind && order.accept_blind;
+    lowering->request_id = order.request_id;
+    answer.status = CheckLowering(*lowering, answer);
+  }
+  if (!answer.status.ok()) {
+    return context_.Do(action::AnswerOrder{in.token, std::move(answer)});
+  }
+  approvals_.Remove(order.id);
+  Decide(Lower(*lowering, state_.level), *lowering,
+         {.token = in.token, .answer = std::move(answer)});
 }
 
 absl::Status Orders::CheckLowering(const LevelOrder& order, LevelAnswer& answer) const {

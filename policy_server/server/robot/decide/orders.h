@@ -13,6 +13,7 @@
 #include "policy_server/server/robot/context/alerts.h"
 #include "policy_server/server/robot/context/context.h"
 #include "policy_server/server/robot/context/durable_outbox.h"
+#include "policy_server/server/robot/decide/approvals.h"
 #include "policy_server/server/robot/decide/decider.h"
 #include "policy_server/server/robot/decide/evidence.h"
 
@@ -28,10 +29,14 @@ class Orders {
         alerts_(*alerts),
         outbox_(*outbox),
         decider_(*decider),
-        evidence_(*evidence) {}
+        evidence_(*evidence),
+        approvals_(context, state, alerts) {}
 
   void OnRaise(const input::Raise& in);
+  // Waits for a second operator if one of the levels that it would leave says so.
   void OnDeEscalate(const input::DeEscalate& in);
+  // The second operator's: everything is checked anew.
+  void OnApprove(const input::Approve& in);
   // A record of an order that its sender had no right to: among the refused transitions, once for
   // each operator and level, with a count. Not of a level that the robot does not have.
   void OnRefused(const input::RefusedOrder& in);
@@ -41,6 +46,9 @@ class Orders {
   void Decide(const levels::Transition& transition, const LevelOrder& order,
               action::AnswerOrder answer);
   void RefuseAll(const absl::Status& why);
+  // Lowerings that wait for a second operator.
+  Approvals& approvals() { return approvals_; }
+  const Approvals& approvals() const { return approvals_; }
   // InvalidArgument unless the reason has 1 to kReasonBytesMax bytes.
   static absl::Status CheckReason(const std::string& reason);
 
@@ -48,6 +56,8 @@ class Orders {
   // True if it was answered: it repeats another order, or the server is stopping.
   bool AnsweredAlready(const LevelOrder& order, ReplyToken token);
   absl::Status NoLevel(const std::string& level) const;
+  // Of one that CheckLowering found in order.
+  levels::Transition Lower(const LevelOrder& order, levels::LevelMachine& machine) const;
   // Whether a lowering can be considered, and what `answer` says of it.
   absl::Status CheckLowering(const LevelOrder& order, LevelAnswer& answer) const;
   const levels::LevelTable& levels() const { return state_.level.table(); }
@@ -58,6 +68,7 @@ class Orders {
   DurableOutbox& outbox_;
   Decider& decider_;
   const Evidence& evidence_;
+  Approvals approvals_;
   // By operator and level: the id of the record, and the count.
   absl::btree_map<std::string, std::pair<std::string, uint64_t>> refused_;
 };

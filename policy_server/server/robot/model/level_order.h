@@ -3,6 +3,7 @@
 #define RIPS_POLICY_SERVER_SERVER_ROBOT_MODEL_LEVEL_ORDER_H_
 
 #include <cstddef>
+#include <cstdint>
 #include <functional>
 #include <string>
 #include <vector>
@@ -22,6 +23,36 @@ struct LevelOrder {
   bool dry_run = false;
   bool accept_blind = false;
   std::string request_id;
+  // Who the operator is, whatever role the certificate has: `TRUST_DOMAIN/NAME`.
+  std::string identity;
+};
+
+// A second operator's answer to a lowering that waits for one (Policy::two_person).
+struct ApprovalOrder {
+  std::string operator_name;
+  std::string identity;
+  // Of the lowering.
+  std::string id;
+  std::string reason;
+  bool reject = false;
+  bool accept_blind = false;
+  std::string request_id;
+};
+
+// A lowering that waits for a second operator.
+struct PendingApproval {
+  std::string id;
+  std::string from;
+  std::string to;
+  DecisionId decision_id;
+  std::string operator_name;
+  std::string reason;
+  bool accept_blind = false;
+  // By the clock of the server's host.
+  int64_t asked_unix_ns = 0;
+  int64_t expires_unix_ns = 0;
+
+  friend bool operator==(const PendingApproval&, const PendingApproval&) = default;
 };
 
 // An administrator's: the server is to go above the term for which an actuator was refused.
@@ -41,6 +72,11 @@ struct LevelAnswer {
   std::vector<std::string> blind_because;
   // The level decided is soft: rules may lower it again.
   bool soft = false;
+  // Nothing is decided: a second operator must approve it.
+  bool needs_approval = false;
+  // What waits now, if it was not a dry run.
+  std::string pending_approval_id;
+  int64_t approval_expires_unix_ns = 0;
 };
 using LevelReply = std::function<void(const LevelAnswer&)>;
 

@@ -5,6 +5,7 @@
 #include <string>
 #include <vector>
 
+#include "policy_server/server/robot/model/level_order.h"
 #include "services/base/decision_id.h"
 
 namespace rips::pipeline {
@@ -18,6 +19,8 @@ struct RobotStatus {
   DecisionId decision_id;
   std::string bundle_version;
   std::vector<std::string> degraded;
+  // Lowerings that wait for a second operator, oldest first.
+  std::vector<PendingApproval> pending_approvals;
 
   friend bool operator==(const RobotStatus&, const RobotStatus&) = default;
 };

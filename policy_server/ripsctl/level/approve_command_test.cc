@@ -1,0 +1,93 @@
+// `ripsctl level` where lowering needs two persons, against the server of the fixture.
+
+#include <nlohmann/json.hpp>
+#include <string>
+#include <vector>
+
+#include "absl/strings/str_cat.h"
+#include "gmock/gmock.h"
+#include "gtest/gtest.h"
+#include "policy_server/ripsctl/ripsctl_fixture.h"
+
+namespace rips::ripsctl {
+namespace {
+
+using ::testing::HasSubstr;
+
+v1::PendingApproval MakePending(char digit) {
+  v1::PendingApproval pending;
+  pending.set_id(std::string(32, digit));
+  pending.set_from("COMPROMISED");
+  pending.set_to("DEFAULT");
+  pending.set_operator_("alice (spiffe://td/operator/operator/alice)");
+  pending.set_reason("aisle\nis clear");
+  pending.set_asked_unix_ns(kNewYear);
+  pending.set_expires_unix_ns(kNewYear + 600'000'000'000);
+  return pending;
+}
+
+TEST_F(RipsctlTest, SaysThatALoweringWaitsForASecondOperator) {
+  fake_.level_response.set_needs_approval(true);
+  fake_.level_response.set_pending_approval_id(std::string(32, '3'));
+  fake_.level_response.set_approval_expires_unix_ns(kNewYear);
+  const std::vector<std::string> lower = {
+      "level", "lower", "r1", "--to", "DEFAULT", "--reason", "x", "--expect", "COMPROMISED@3.17",
+      "--wait"};
+  const Result result = Run(lower);
+  EXPECT_EQ(result.code, 1) << "it is not lowered";
+  EXPECT_EQ(result.out,
+            "r1 stays at DEFAULT: a second operator must approve it until "
+            "2026-01-01T00:00:00.000Z, with\n"
+            "  ripsctl level approve r1 33333333 --reason TEXT\n"
+            "it must be asked for again if the robot's level, graph or rules change before that\n"
+            "not waiting: nothing is decided yet\n");
+  const nlohmann::json json = RunJson(lower, 1);
+  EXPECT_EQ(json["needs_approval"], true);
+  EXPECT_EQ(json["pending_approval_id"], std::string(32, '3'));
+  EXPECT_EQ(json.contains("reached"), false);
+  fake_.level_response.clear_pending_approval_id();
+  EXPECT_THAT(Run({"level", "lower", "r1", "--to", "DEFAULT", "--reason", "x", "--dry-run"}).out,
+              HasSubstr("would need a second operator: `ripsctl level approve`\n"));
+}
+
+TEST_F(RipsctlTest, ApprovesWhatItShowed) {
+  fake_.pending = {MakePending('3'), MakePending('4')};
+  fake_.level_response.set_decided_level("DEFAULT");
+  *fake_.level_response.mutable_decision_id() = MakeDecisionId(3, 18);
+  const Result result = Run({"level", "approve", "r1", "444444", "--reason", "I see it, too"});
+  EXPECT_EQ(result.code, 0) << result.err;
+  EXPECT_EQ(result.out,
+            "44444444: operator alice (spiffe://td/operator/operator/alice) asked at "
+            "2026-01-01T00:00:00.000Z to lower r1 from COMPROMISED to DEFAULT; until "
+            "2026-01-01T00:10:00.000Z: aisle\\x0ais clear\n"
+            "r1 goes to DEFAULT (3.18)\n");
+  EXPECT_THAT(fake_.calls(),
+              testing::ElementsAre(
+                  "GetLevel", absl::StrCat("Approve r1 ", std::string(32, '4'), " I see it, too")));
+  EXPECT_EQ(Run({"level", "approve", "r1", "33333333", "--reason", "no", "--reject"}).out,
+            "33333333: operator alice (spiffe://td/operator/operator/alice) asked at "
+            "2026-01-01T00:00:00.000Z to lower r1 from COMPROMISED to DEFAULT; until "
+            "2026-01-01T00:10:00.000Z: aisle\\x0ais clear\n"
+            "r1 stays at DEFAULT\n");
+  EXPECT_THAT(fake_.calls().back(), HasSubstr("reject"));
+  EXPECT_EQ(RunJson({"level", "approve", "r1", "33333333", "--reason", "x"})["decision_id"],
+            "3.18");
+
+  const Result none = Run({"level", "approve", "r1", "555555", "--reason", "x"});
+  EXPECT_EQ(none.code, 1);
+  EXPECT_THAT(none.err, HasSubstr("no lowering of r1 waits under `555555`"));
+  fake_.pending = {MakePending('3'), MakePending('3')};
+  EXPECT_THAT(Run({"level", "approve", "r1", "333333", "--reason", "x"}).err,
+              HasSubstr("write more digits"));
+  for (const char* id : {"33333", "3333333g", "333333333333333333333333333333333"}) {
+    EXPECT_EQ(Run({"level", "approve", "r1", id, "--reason", "x"}).code, 2) << id;
+  }
+  EXPECT_EQ(Run({"level", "approve", "r1", "333333"}).code, 2) << "a reason is required";
+  EXPECT_EQ(Run({"level", "approve", "r1", "333333", "--reason", "x", "--reject", "--wait"}).code,
+            2);
+  fake_.pending = {MakePending('3')};
+  EXPECT_THAT(Run({"level", "show", "r1"}).out, HasSubstr("33333333: operator alice"));
+}
+
+}  // namespace
+}  // namespace rips::ripsctl

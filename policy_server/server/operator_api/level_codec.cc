@@ -1,0 +1,53 @@
+#include "policy_server/server/operator_api/level_codec.h"
+
+#include <string>
+
+#include "policy_server/server/operator_api/answer_limits.h"
+#include "services/model_proto/decision_id_codec.h"
+
+namespace rips::operator_api {
+
+namespace {
+
+rips::v1::PendingApproval EncodePending(const pipeline::PendingApproval& pending) {
+  rips::v1::PendingApproval out;
+  out.set_id(pending.id);
+  out.set_from(pending.from);
+  out.set_to(pending.to);
+  model_proto::Encode(pending.decision_id, *out.mutable_decision_id());
+  out.set_operator_(pending.operator_name);
+  out.set_reason(pending.reason);
+  out.set_accept_blind(pending.accept_blind);
+  out.set_asked_unix_ns(pending.asked_unix_ns);
+  out.set_expires_unix_ns(pending.expires_unix_ns);
+  return out;
+}
+
+}  // namespace
+
+void Encode(const pipeline::LevelAnswer& answer, rips::v1::LevelResponse& out) {
+  model_proto::Encode(answer.decision_id, *out.mutable_decision_id());
+  out.set_decided_level(answer.decided_level);
+  out.set_soft(answer.soft);
+  for (const std::string& rule : answer.would_raise_again) out.add_would_raise_again(rule);
+  for (const std::string& reason : answer.blind_because) out.add_blind_because(reason);
+  out.set_needs_approval(answer.needs_approval);
+  out.set_pending_approval_id(answer.pending_approval_id);
+  out.set_approval_expires_unix_ns(answer.approval_expires_unix_ns);
+}
+
+void EncodeLevels(const pipeline::RobotCore& core, rips::v1::GetLevelResponse& out) {
+  const pipeline::RobotStatus status = core.Status();
+  *out.mutable_status() = EncodeStatus(status);
+  const levels::LevelTable& levels = core.levels();
+  for (int i = 0; i < levels.size(); ++i) {
+    out.add_levels(levels.name(i));
+    if (levels.at(i).soft) out.add_soft_levels(levels.name(i));
+  }
+  for (const std::string& level : core.policy().two_person) out.add_two_person_levels(level);
+  for (const pipeline::PendingApproval& pending : status.pending_approvals) {
+    *out.add_pending_approvals() = EncodePending(pending);
+  }
+}
+
+}  // namespace rips::operator_api

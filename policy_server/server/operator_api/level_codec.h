@@ -1,0 +1,18 @@
+// A robot's levels and what became of orders about them, as operators see it.
+#ifndef RIPS_POLICY_SERVER_SERVER_OPERATOR_API_LEVEL_CODEC_H_
+#define RIPS_POLICY_SERVER_SERVER_OPERATOR_API_LEVEL_CODEC_H_
+
+#include "policy_server/server/robot/core/robot_core.h"
+#include "policy_server/server/robot/model/level_order.h"
+#include "rips/v1/operator.pb.h"
+
+namespace rips::operator_api {
+
+// All but the status.
+void Encode(const pipeline::LevelAnswer& answer, rips::v1::LevelResponse& out);
+// All but the last transition.
+void EncodeLevels(const pipeline::RobotCore& core, rips::v1::GetLevelResponse& out);
+
+}  // namespace rips::operator_api
+
+#endif  // RIPS_POLICY_SERVER_SERVER_OPERATOR_API_LEVEL_CODEC_H_

@@ -1,0 +1,119 @@
+#include "policy_server/server/robot/decide/approvals.h"
+
+#include <algorithm>
+#include <utility>
+
+#include "absl/status/status.h"
+#include "absl/strings/escaping.h"
+#include "absl/strings/str_cat.h"
+
+namespace rips::pipeline {
+
+bool Approvals::Needed(levels::LevelIndex to) const {
+  // Also of a level in between: who may not leave it alone must not go round it, by raising the
+  // robot above it first.
+  const std::vector<std::string>& two_person = context_.policy.two_person;
+  for (levels::LevelIndex level = state_.level.level(); level > to; --level) {
+    const std::string name = state_.level.table().name(level);
+    if (std::find(two_person.begin(), two_person.end(), name) != two_person.end()) return true;
+  }
+  return false;
+}
+
+void Approvals::Ask(const LevelOrder& order, LevelAnswer& answer) {
+  auto it = std::find_if(pending_.begin(), pending_.end(), [&](const Pending& each) {
+    return each.order.identity == order.identity;
+  });
+  const bool repeated =
+      it != pending_.end() && !order.request_id.empty() && it->order.request_id == order.request_id;
+  if (!repeated) {
+    if (it != pending_.end()) pending_.erase(it);
+    if (pending_.size() >= kPendingMax) {
+      answer.status = absl::ResourceExhaustedError(absl::StrCat(
+          kPendingMax, " lowerings of ", context_.config.id,
+          " wait for a second operator already, the limit; approve or reject one of them"));
+      return;
+    }
+    it = pending_.insert(
+        pending_.end(),
+        {.id = context_.ids.Next(), .order = order, .seen = Now(), .asked = context_.now()});
+    alerts_.Raise(engine::Severity::kInfo,
+                  absl::StrCat("operator ", order.operator_name, " asks to lower ",
+                               context_.config.id, " from ", order.expected_level, " to ", order.to,
+                               ", which a second operator must approve: ", order.reason));
+  }
+  answer.pending_approval_id = it->id;
+  answer.approval_expires_unix_ns = it->asked.unix_ns + kApprovalNs;
+}
+
+absl::StatusOr<LevelOrder> Approvals::Find(const ApprovalOrder& approval) {
+  if (const std::string why = End(approval.id); !why.empty()) {
+    return absl::FailedPreconditionError(
+        absl::StrCat("that lowering must be asked for again: ", why));
+  }
+  const auto it = std::find_if(pending_.begin(), pending_.end(),
+                               [&](const Pending& each) { return each.id == approval.id; });
+  if (it == pending_.end()) {
+    return absl::NotFoundError(absl::StrCat(
+        "no lowering of ", context_.config.id, " waits under `", absl::CHexEscape(approval.id),
+        "`; `ripsctl level show ", context_.config.id, "` lists those that wait"));
+  }
+  return it->order;
+}
+
+void Approvals::Remove(absl::string_view id) {
+  std::erase_if(pending_, [&](const Pending& each) { return each.id == id; });
+}
+
+Approvals::Seen Approvals::Now() const {
+  return {.decision_id = state_.level.decision_id(),
+          .graph_revision = state_.graph.revision(),
+          .bundle_id = context_.policy.bundle_id};
+}
+
+std::string Approvals::WhyOver(const Pending& pending) const {
+  const Seen now = Now();
+  if (pending.seen.decision_id != now.decision_id) {
+    return absl::StrCat("the level was decided anew (", ToString(now.decision_id), ")");
+  }
+  if (pending.seen.bundle_id != now.bundle_id) return "another bundle is in force";
+  if (pending.seen.graph_revision != now.graph_revision) return "the robot's graph has changed";
+  if (context_.now_ns() - pending.asked.boottime_ns >= kApprovalNs) {
+    return absl::StrCat("it was not approved within ", kApprovalNs / (60 * kNanosPerSecond),
+                        " minutes");
+  }
+  return "";
+}
+
+std::string Approvals::End(absl::string_view id) {
+  std::string of_id;
+  std::erase_if(pending_, [&](const Pending& each) {
+    std::string why = WhyOver(each);
+    if (why.empty()) return false;
+    alerts_.Raise(engine::Severity::kInfo,
+                  absl::StrCat("the lowering of ", context_.config.id, " to ", each.order.to,
+                               " that operator ", each.order.operator_name,
+                               " asked for cannot be approved any more: ", why));
+    if (each.id == id) of_id = std::move(why);
+    return true;
+  });
+  return of_id;
+}
+
+std::vector<PendingApproval> Approvals::pending() const {
+  std::vector<PendingApproval> out;
+  for (const Pending& each : pending_) {
+    out.push_back({.id = each.id,
+                   .from = each.order.expected_level,
+                   .to = each.order.to,
+                   .decision_id = each.seen.decision_id,
+                   .operator_name = each.order.operator_name,
+                   .reason = each.order.reason,
+                   .accept_blind = each.order.accept_blind,
+                   .asked_unix_ns = each.asked.unix_ns,
+                   .expires_unix_ns = each.asked.unix_ns + kApprovalNs});
+  }
+  return out;
+}
+
+}  // namespace rips::pipeline

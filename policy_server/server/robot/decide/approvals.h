@@ -1,0 +1,84 @@
+// Lowerings that need a second operator (Policy::two_person), and those that wait for one. A
+// restart forgets them: the robot's decision is another one then. Pure.
+//
+//   one that waits ends by                     then
+//   the approval of another identity           it is decided
+//   a rejection, also by who asked             nothing is decided
+//   another request of who asked               only the newer one waits
+//   another decision, graph or bundle          nothing is decided: neither of the two saw that
+//   kApprovalNs                                nothing is decided
+#ifndef RIPS_POLICY_SERVER_SERVER_ROBOT_DECIDE_APPROVALS_H_
+#define RIPS_POLICY_SERVER_SERVER_ROBOT_DECIDE_APPROVALS_H_
+
+#include <cstddef>
+#include <cstdint>
+#include <string>
+#include <vector>
+
+#include "absl/status/statusor.h"
+#include "absl/strings/string_view.h"
+#include "policy_server/policy/engine/state/robot_state.h"
+#include "policy_server/policy/levels/level_table.h"
+#include "policy_server/server/robot/context/alerts.h"
+#include "policy_server/server/robot/context/context.h"
+#include "policy_server/server/robot/model/level_order.h"
+#include "services/base/clock.h"
+#include "services/base/decision_id.h"
+
+namespace rips::pipeline {
+
+// Not thread-safe. All that it is given outlives it.
+class Approvals {
+ public:
+  static constexpr int64_t kApprovalNs = 600 * kNanosPerSecond;
+  // One for each operator; one more is refused.
+  static constexpr size_t kPendingMax = 16;
+
+  Approvals(Context* context, const engine::RobotState* state, Alerts* alerts)
+      : context_(*context), state_(*state), alerts_(*alerts) {}
+
+  // A lowering to `to` leaves a level that says so, or goes past one.
+  bool Needed(levels::LevelIndex to) const;
+  // The order waits from now on; an earlier one of the same identity does no more. `answer` is told
+  // its id. ResourceExhausted past kPendingMax.
+  void Ask(const LevelOrder& order, LevelAnswer& answer);
+  // The lowering that `approval` is about. NotFound; FailedPrecondition: it has ended just now. It
+  // waits on.
+  absl::StatusOr<LevelOrder> Find(const ApprovalOrder& approval);
+  // It waits no more.
+  void Remove(absl::string_view id);
+  // Ends what may not be approved any more, each with an alert.
+  void Expire() { End(""); }
+  // Oldest first.
+  std::vector<PendingApproval> pending() const;
+
+ private:
+  // The robot as the first operator saw it.
+  struct Seen {
+    DecisionId decision_id;
+    uint64_t graph_revision = 0;
+    std::string bundle_id;
+  };
+  struct Pending {
+    std::string id;
+    LevelOrder order;
+    Seen seen;
+    Instant asked;
+  };
+
+  Seen Now() const;
+  // Why it may not be approved any more; empty = it may.
+  std::string WhyOver(const Pending& pending) const;
+  // Why the lowering of that id has ended just now; empty = it has not.
+  std::string End(absl::string_view id);
+
+  Context& context_;
+  const engine::RobotState& state_;
+  Alerts& alerts_;
+  // Oldest first.
+  std::vector<Pending> pending_;
+};
+
+}  // namespace rips::pipeline
+
+#endif  // RIPS_POLICY_SERVER_SERVER_ROBOT_DECIDE_APPROVALS_H_
