@@ -193,6 +193,12 @@ def two_persons_release_a_robot(fleet):
     last = fleet.history()[-1]
     check(last["cause"].startswith("operator alice ") and ", approved by bob (" in last["cause"]
           and last["reason"] == "the aisle is clear; approved: seen on the camera", f"{last}")
+    approvals = [(r["actor"].rpartition("/")[2].split()[0], r["outcome"])
+                 for r in audited(fleet) if r["action"] == "Approve"]
+    check(("alice", "admitted") in approvals and approvals[-1] == ("bob", "admitted")
+          and any(who == "alice" and "cannot approve it" in outcome for who, outcome in approvals)
+          and any(who == "vera" and "needs the role" in outcome for who, outcome in approvals),
+          f"the audit log does not say who approved, and what came of it: {approvals}")
 
 
 def audited(fleet):

@@ -23,7 +23,7 @@ struct Order {
   // As the proto names it.
   absl::string_view call;
   const google::protobuf::Message& request;
-  // OK: admitted. What it came to is in the decisions and refusals of robots.
+  // OK: admitted. One that is refused after that is recorded a second time.
   absl::Status status;
 };
 

@@ -16,6 +16,7 @@
 #include "policy_server/server/operator_api/receipt_codec.h"
 #include "policy_server/server/operator_api/record_codec.h"
 #include "policy_server/server/operator_api/record_tap.h"
+#include "policy_server/server/operator_api/unary_call.h"
 #include "policy_server/server/operator_api/watch_stream.h"
 #include "services/base/cut_text.h"
 #include "services/base/status_macros.h"
@@ -83,23 +84,10 @@ grpc::ServerWriteReactor<T>* RefuseWatch(const absl::Status& status) {
   return stream;
 }
 
-// Answers a call; holds its caller's ticket until it is over.
-grpc::ServerUnaryReactor* Answer(CallerQuota::Ticket ticket) {
-  class Call final : public grpc::ServerUnaryReactor {
-   public:
-    explicit Call(CallerQuota::Ticket ticket) : ticket_(std::move(ticket)) {}
-
-   private:
-    void OnDone() override { delete this; }
-    CallerQuota::Ticket ticket_;
-  };
-  return new Call(std::move(ticket));
-}
-
-pipeline::LevelReply ReplyTo(grpc::ServerUnaryReactor* reactor, rips::v1::LevelResponse* response) {
+pipeline::LevelReply ReplyTo(UnaryCall* reactor, rips::v1::LevelResponse* response) {
   return [reactor, response](const pipeline::LevelAnswer& answer) {
     operator_api::Encode(answer, *response);
-    reactor->Finish(rpc::ToGrpc(answer.status));
+    reactor->End(answer.status);
   };
 }
 
@@ -175,14 +163,19 @@ absl::StatusOr<OperatorService::Caller> OperatorService::AuthorizeOrder(
     grpc::CallbackServerContext* context, absl::string_view call,
     const google::protobuf::Message& request, OperatorRole needed, Use use) {
   absl::StatusOr<Caller> who = Authorize(context, request, needed, use);
-  if (access_.audit != nullptr) {
-    const absl::StatusOr<rpc::Peer> peer = rpc::PeerOf(*context->auth_context());
-    access_.audit->Record({.caller = peer.ok() ? rpc::Describe(*peer) : "",
-                           .address = context->peer(),
-                           .call = call,
-                           .request = request,
-                           .status = who.status()});
-  }
+  const absl::StatusOr<rpc::Peer> peer = rpc::PeerOf(*context->auth_context());
+  const auto record = [audit = access_.audit, caller = peer.ok() ? rpc::Describe(*peer) : "",
+                       address = context->peer(), call, &request](const absl::Status& status) {
+    if (audit == nullptr) return;
+    audit->Record(
+        {.caller = caller, .address = address, .call = call, .request = request, .status = status});
+  };
+  record(who.status());
+  if (!who.ok()) return who;
+  who->on_refused = [record, caller = rpc::Describe(*who), call](const absl::Status& why) {
+    LogInfo("an order is refused", {{"operator", caller}, {"call", call}, {"why", why.message()}});
+    record(why);
+  };
   return who;
 }
 
@@ -215,10 +208,10 @@ void OperatorService::RecordRefusal(const grpc::CallbackServerContext& context,
       .IgnoreError();  // of an unknown robot there is no record
 }
 
-void OperatorService::Read(grpc::ServerUnaryReactor* reactor, std::function<void()> task) {
+void OperatorService::Read(UnaryCall* reactor, std::function<void()> task) {
   if (reads_.Push(std::move(task))) return;
-  reactor->Finish(rpc::ToGrpc(absl::ResourceExhaustedError(
-      absl::StrCat(kReadsMax, " reads of the store wait already, the limit; try again later"))));
+  reactor->End(absl::ResourceExhaustedError(
+      absl::StrCat(kReadsMax, " reads of the store wait already, the limit; try again later")));
 }
 
 grpc::ServerUnaryReactor* OperatorService::ListRobots(grpc::CallbackServerContext* context,
@@ -226,7 +219,7 @@ grpc::ServerUnaryReactor* OperatorService::ListRobots(grpc::CallbackServerContex
                                                       rips::v1::ListRobotsResponse* response) {
   const auto who = Authorize(context, *request, OperatorRole::kViewer, Use::kQuery, kFleetWeight);
   if (!who.ok()) return Refuse(context, who.status());
-  grpc::ServerUnaryReactor* reactor = Answer(who->ticket);
+  auto* reactor = new UnaryCall(who->ticket, who->on_refused);
   // Asks every robot on its own thread; must not be done on a gRPC thread, which may not block.
   Read(reactor, [this, reactor, response] {
     auto gathered = pipeline_->Gather<rips::v1::RobotStatus>(
@@ -237,7 +230,7 @@ grpc::ServerUnaryReactor* OperatorService::ListRobots(grpc::CallbackServerContex
     for (auto& [id, status] : gathered.answers) *response->add_robots() = std::move(status);
     for (const std::string& robot : gathered.silent) response->add_no_answer(robot);
     FitStatuses(*response);
-    reactor->Finish(grpc::Status::OK);
+    reactor->End(absl::OkStatus());
   });
   return reactor;
 }
@@ -293,10 +286,10 @@ grpc::ServerUnaryReactor* OperatorService::GetGraph(grpc::CallbackServerContext*
                                                     rips::v1::GetGraphResponse* response) {
   const auto who = Authorize(context, *request, OperatorRole::kViewer, Use::kQuery, kGraphWeight);
   if (!who.ok()) return Refuse(context, who.status());
-  grpc::ServerUnaryReactor* reactor = Answer(who->ticket);
+  auto* reactor = new UnaryCall(who->ticket, who->on_refused);
   absl::StatusOr<pipeline::GraphView> view = pipeline_->Graph(request->robot());
   if (!view.ok()) {
-    reactor->Finish(rpc::ToGrpc(view.status()));
+    reactor->End(view.status());
     return reactor;
   }
   // Milliseconds for a large graph: neither on the robot's thread nor on a gRPC thread.
@@ -307,11 +300,11 @@ grpc::ServerUnaryReactor* OperatorService::GetGraph(grpc::CallbackServerContext*
     }
     response->set_changed_unix_ns(view.changed_unix_ns);
     FitGraph(*response);
-    reactor->Finish(grpc::Status::OK);
+    reactor->End(absl::OkStatus());
   });
   if (!taken) {
-    reactor->Finish(rpc::ToGrpc(absl::ResourceExhaustedError(
-        absl::StrCat(kGraphsMax, " graphs wait to be sent already, the limit; try again later"))));
+    reactor->End(absl::ResourceExhaustedError(
+        absl::StrCat(kGraphsMax, " graphs wait to be sent already, the limit; try again later")));
   }
   return reactor;
 }
@@ -321,13 +314,13 @@ grpc::ServerUnaryReactor* OperatorService::GetInterest(grpc::CallbackServerConte
                                                        rips::v1::GetInterestResponse* response) {
   const auto who = Authorize(context, *request, OperatorRole::kViewer, Use::kQuery, kGraphWeight);
   if (!who.ok()) return Refuse(context, who.status());
-  grpc::ServerUnaryReactor* reactor = Answer(who->ticket);
+  auto* reactor = new UnaryCall(who->ticket, who->on_refused);
   const absl::Status posted =
       pipeline_->Post(request->robot(), Queue::kOrders, [reactor, response](Robot& robot) {
         EncodeInterest(robot, *response);
-        reactor->Finish(grpc::Status::OK);
+        reactor->End(absl::OkStatus());
       });
-  if (!posted.ok()) reactor->Finish(rpc::ToGrpc(posted));
+  if (!posted.ok()) reactor->End(posted);
   return reactor;
 }
 
@@ -336,13 +329,13 @@ grpc::ServerUnaryReactor* OperatorService::GetCoverage(grpc::CallbackServerConte
                                                        rips::v1::GetCoverageResponse* response) {
   const auto who = Authorize(context, *request, OperatorRole::kViewer, Use::kQuery, kGraphWeight);
   if (!who.ok()) return Refuse(context, who.status());
-  grpc::ServerUnaryReactor* reactor = Answer(who->ticket);
+  auto* reactor = new UnaryCall(who->ticket, who->on_refused);
   const absl::Status posted =
       pipeline_->Post(request->robot(), Queue::kOrders, [reactor, response](Robot& robot) {
         EncodeCoverage(robot, *response);
-        reactor->Finish(grpc::Status::OK);
+        reactor->End(absl::OkStatus());
       });
-  if (!posted.ok()) reactor->Finish(rpc::ToGrpc(posted));
+  if (!posted.ok()) reactor->End(posted);
   return reactor;
 }
 
@@ -351,11 +344,11 @@ grpc::ServerUnaryReactor* OperatorService::GetLevel(grpc::CallbackServerContext*
                                                     rips::v1::GetLevelResponse* response) {
   const auto who = Authorize(context, *request, OperatorRole::kViewer, Use::kQuery);
   if (!who.ok()) return Refuse(context, who.status());
-  grpc::ServerUnaryReactor* reactor = Answer(who->ticket);
+  auto* reactor = new UnaryCall(who->ticket, who->on_refused);
   for (const pipeline::RobotStatus& held : pipeline_->held()) {
     if (held.robot != request->robot()) continue;
     *response->mutable_status() = EncodeStatus(held);
-    reactor->Finish(grpc::Status::OK);
+    reactor->End(absl::OkStatus());
     return reactor;
   }
   const absl::Status posted =
@@ -371,10 +364,10 @@ grpc::ServerUnaryReactor* OperatorService::GetLevel(grpc::CallbackServerContext*
                                 [](const auto& transition) { return !transition.refused; });
                             if (last != newest->end()) *response->mutable_last() = Encode(*last);
                           }
-                          reactor->Finish(rpc::ToGrpc(newest.status()));
+                          reactor->End(newest.status());
                         });
                       });
-  if (!posted.ok()) reactor->Finish(rpc::ToGrpc(posted));
+  if (!posted.ok()) reactor->End(posted);
   return reactor;
 }
 
@@ -383,7 +376,7 @@ grpc::ServerUnaryReactor* OperatorService::ListTransitions(
     rips::v1::ListTransitionsResponse* response) {
   const auto who = Authorize(context, *request, OperatorRole::kViewer, Use::kQuery);
   if (!who.ok()) return Refuse(context, who.status());
-  grpc::ServerUnaryReactor* reactor = Answer(who->ticket);
+  auto* reactor = new UnaryCall(who->ticket, who->on_refused);
   Read(reactor, [this, reactor, request, response] {
     const auto records = store_->ListTransitions(request->robot(), request->limit());
     if (records.ok()) {
@@ -397,8 +390,7 @@ grpc::ServerUnaryReactor* OperatorService::ListTransitions(
     }
     // Also of a robot that was removed, as long as there is something.
     const bool none = records.ok() && records->empty();
-    reactor->Finish(
-        rpc::ToGrpc(none ? CheckListed(*pipeline_, {request->robot()}) : records.status()));
+    reactor->End(none ? CheckListed(*pipeline_, {request->robot()}) : records.status());
   });
   return reactor;
 }
@@ -408,7 +400,7 @@ grpc::ServerUnaryReactor* OperatorService::ListAlerts(grpc::CallbackServerContex
                                                       rips::v1::ListAlertsResponse* response) {
   const auto who = Authorize(context, *request, OperatorRole::kViewer, Use::kQuery);
   if (!who.ok()) return Refuse(context, who.status());
-  grpc::ServerUnaryReactor* reactor = Answer(who->ticket);
+  auto* reactor = new UnaryCall(who->ticket, who->on_refused);
   Read(reactor, [this, reactor, request, response] {
     // Asked first: what is recorded in between is in both, not in neither.
     if (access_.store_writable && !access_.store_writable()) AddUnrecorded(*request, *response);
@@ -416,8 +408,7 @@ grpc::ServerUnaryReactor* OperatorService::ListAlerts(grpc::CallbackServerContex
     if (records.ok()) AddRecorded(*records, request->limit(), *response);
     const bool none = records.ok() && records->empty() && response->unrecorded().empty();
     const bool of_one = !request->robot().empty() && request->robot() != store::kServerRobot;
-    reactor->Finish(rpc::ToGrpc(none && of_one ? CheckListed(*pipeline_, {request->robot()})
-                                               : records.status()));
+    reactor->End(none && of_one ? CheckListed(*pipeline_, {request->robot()}) : records.status());
   });
   return reactor;
 }
@@ -449,11 +440,11 @@ grpc::ServerUnaryReactor* OperatorService::Explain(grpc::CallbackServerContext* 
                                                    rips::v1::ExplainResponse* response) {
   const auto who = Authorize(context, *request, OperatorRole::kViewer, Use::kQuery, kGraphWeight);
   if (!who.ok()) return Refuse(context, who.status());
-  grpc::ServerUnaryReactor* reactor = Answer(who->ticket);
+  auto* reactor = new UnaryCall(who->ticket, who->on_refused);
   Read(reactor, [this, reactor, request, response] {
     auto explained = operator_api::Explain(*request, *store_);
     if (explained.ok()) *response = *std::move(explained);
-    reactor->Finish(rpc::ToGrpc(explained.status()));
+    reactor->End(explained.status());
   });
   return reactor;
 }
@@ -518,7 +509,7 @@ grpc::ServerUnaryReactor* OperatorService::ListReceipts(
     rips::v1::ListReceiptsResponse* response) {
   const auto who = Authorize(context, *request, OperatorRole::kViewer, Use::kQuery);
   if (!who.ok()) return Refuse(context, who.status());
-  grpc::ServerUnaryReactor* reactor = Answer(who->ticket);
+  auto* reactor = new UnaryCall(who->ticket, who->on_refused);
   const absl::Status posted =
       pipeline_->Post(request->robot(), Queue::kOrders,
                       [reactor, response, limit = request->limit()](Robot& robot) {
@@ -526,9 +517,9 @@ grpc::ServerUnaryReactor* OperatorService::ListReceipts(
                              robot.core().actuators().receipts().Newest(limit)) {
                           Encode(receipt, response->add_receipts());
                         }
-                        reactor->Finish(grpc::Status::OK);
+                        reactor->End(absl::OkStatus());
                       });
-  if (!posted.ok()) reactor->Finish(rpc::ToGrpc(posted));
+  if (!posted.ok()) reactor->End(posted);
   return reactor;
 }
 
@@ -537,7 +528,7 @@ grpc::ServerWriteReactor<rips::v1::Recording>* OperatorService::Record(
   const auto who =
       AuthorizeOrder(context, "Record", *request, OperatorRole::kOperator, Use::kStream);
   if (!who.ok()) return RefuseWatch<rips::v1::Recording>(who.status());
-  LogInfo("operator started a recording",
+  LogInfo("operator starts a recording",
           {{"operator", rpc::Describe(*who)}, {"robot", request->robot()}});
   auto* stream = new WatchStream<rips::v1::Recording>();
   Keep(rpc::StreamKind::kRecord, stream, *who, context);
@@ -603,7 +594,7 @@ grpc::ServerUnaryReactor* OperatorService::ChangeLevel(grpc::CallbackServerConte
       .accept_blind = request->accept_blind(),
       .request_id = request->request_id(),
       .identity = IdentityOf(*who)};
-  grpc::ServerUnaryReactor* reactor = Answer(who->ticket);
+  auto* reactor = new UnaryCall(who->ticket, who->on_refused);
   pipeline::LevelReply reply = ReplyTo(reactor, response);
   const absl::Status posted = pipeline_->Post(
       request->robot(), Queue::kOrders,
@@ -614,7 +605,7 @@ grpc::ServerUnaryReactor* OperatorService::ChangeLevel(grpc::CallbackServerConte
           robot.DeEscalate(order, reply);
         }
       });
-  if (!posted.ok()) reactor->Finish(rpc::ToGrpc(posted));
+  if (!posted.ok()) reactor->End(posted);
   return reactor;
 }
 
@@ -635,12 +626,12 @@ grpc::ServerUnaryReactor* OperatorService::Approve(grpc::CallbackServerContext* 
                                 .reject = request->reject(),
                                 .accept_blind = request->accept_blind(),
                                 .request_id = request->request_id()};
-  grpc::ServerUnaryReactor* reactor = Answer(who->ticket);
+  auto* reactor = new UnaryCall(who->ticket, who->on_refused);
   pipeline::LevelReply reply = ReplyTo(reactor, response);
   const absl::Status posted = pipeline_->Post(request->robot(), Queue::kOrders,
                                               [order = std::move(order), reply = std::move(reply)](
                                                   Robot& robot) { robot.Approve(order, reply); });
-  if (!posted.ok()) reactor->Finish(rpc::ToGrpc(posted));
+  if (!posted.ok()) reactor->End(posted);
   return reactor;
 }
 
@@ -649,13 +640,12 @@ grpc::ServerUnaryReactor* OperatorService::ResumeRules(grpc::CallbackServerConte
                                                        rips::v1::ResumeRulesResponse*) {
   const auto who = AuthorizeOrder(context, "ResumeRules", *request, OperatorRole::kOperator);
   if (!who.ok()) return Refuse(context, who.status());
-  grpc::ServerUnaryReactor* reactor = Answer(who->ticket);
-  const absl::Status posted = pipeline_->Post(
-      request->robot(), Queue::kOrders,
-      [reactor, name = OperatorName(*who), reason = request->reason()](Robot& robot) {
-        reactor->Finish(rpc::ToGrpc(robot.ResumeRules(name, reason)));
-      });
-  if (!posted.ok()) reactor->Finish(rpc::ToGrpc(posted));
+  auto* reactor = new UnaryCall(who->ticket, who->on_refused);
+  const absl::Status posted =
+      pipeline_->Post(request->robot(), Queue::kOrders,
+                      [reactor, name = OperatorName(*who), reason = request->reason()](
+                          Robot& robot) { reactor->End(robot.ResumeRules(name, reason)); });
+  if (!posted.ok()) reactor->End(posted);
   return reactor;
 }
 
@@ -664,21 +654,21 @@ grpc::ServerUnaryReactor* OperatorService::DrillRobot(grpc::CallbackServerContex
                                                       rips::v1::DrillRobotResponse* response) {
   const auto who = AuthorizeOrder(context, "DrillRobot", *request, OperatorRole::kOperator);
   if (!who.ok()) return Refuse(context, who.status());
-  LogInfo("operator started a drill", {{"operator", rpc::Describe(*who)},
-                                       {"robot", request->robot()},
-                                       {"level", request->level()}});
-  grpc::ServerUnaryReactor* reactor = Answer(who->ticket);
+  LogInfo("operator starts a drill", {{"operator", rpc::Describe(*who)},
+                                      {"robot", request->robot()},
+                                      {"level", request->level()}});
+  auto* reactor = new UnaryCall(who->ticket, who->on_refused);
   pipeline::DrillOrder order{.operator_name = OperatorName(*who), .level = request->level()};
   pipeline::DrillReply reply = [reactor, response](const pipeline::DrillAnswer& answer) {
     for (const pipeline::DrillEntry& drill : answer.drills) Encode(drill, response->add_drills());
-    reactor->Finish(rpc::ToGrpc(answer.status));
+    reactor->End(answer.status);
   };
   const absl::Status posted =
       pipeline_->Post(request->robot(), Queue::kOrders,
                       [order = std::move(order), reply = std::move(reply)](Robot& robot) {
                         robot.StartDrill(order, reply);
                       });
-  if (!posted.ok()) reactor->Finish(rpc::ToGrpc(posted));
+  if (!posted.ok()) reactor->End(posted);
   return reactor;
 }
 
@@ -687,22 +677,22 @@ grpc::ServerUnaryReactor* OperatorService::ResetTerm(grpc::CallbackServerContext
                                                      rips::v1::ResetTermResponse* response) {
   const auto who = AuthorizeOrder(context, "ResetTerm", *request, OperatorRole::kAdmin);
   if (!who.ok()) return Refuse(context, who.status());
-  LogInfo("operator reset a term", {{"operator", rpc::Describe(*who)},
-                                    {"robot", request->robot()},
-                                    {"host", request->host()},
-                                    {"reason", request->reason()}});
-  grpc::ServerUnaryReactor* reactor = Answer(who->ticket);
+  LogInfo("operator resets a term", {{"operator", rpc::Describe(*who)},
+                                     {"robot", request->robot()},
+                                     {"host", request->host()},
+                                     {"reason", request->reason()}});
+  auto* reactor = new UnaryCall(who->ticket, who->on_refused);
   pipeline::TermResetOrder order{
       .operator_name = OperatorName(*who), .host = request->host(), .reason = request->reason()};
   pipeline::LevelReply reply = [reactor, response](const pipeline::LevelAnswer& answer) {
     model_proto::Encode(answer.decision_id, *response->mutable_decision_id());
     response->set_decided_level(answer.decided_level);
-    reactor->Finish(rpc::ToGrpc(answer.status));
+    reactor->End(answer.status);
   };
   const absl::Status posted = pipeline_->Post(request->robot(), Queue::kOrders,
                                               [order = std::move(order), reply = std::move(reply)](
                                                   Robot& robot) { robot.ResetTerm(order, reply); });
-  if (!posted.ok()) reactor->Finish(rpc::ToGrpc(posted));
+  if (!posted.ok()) reactor->End(posted);
   return reactor;
 }
 
@@ -728,8 +718,8 @@ grpc::ServerUnaryReactor* OperatorService::ListAgents(grpc::CallbackServerContex
     out->set_by(ban.by);
     out->set_time_unix_ns(ban.time_unix_ns);
   }
-  grpc::ServerUnaryReactor* reactor = Answer(who->ticket);
-  reactor->Finish(grpc::Status::OK);
+  auto* reactor = new UnaryCall(who->ticket, who->on_refused);
+  reactor->End(absl::OkStatus());
   return reactor;
 }
 
@@ -748,18 +738,20 @@ grpc::ServerUnaryReactor* OperatorService::Ban(grpc::CallbackServerContext* cont
   const auto who = AuthorizeOrder(context, "Ban", *request, OperatorRole::kAdmin);
   if (!who.ok()) return Refuse(context, who.status());
   if (access_.bans == nullptr) return Refuse(context, absl::UnimplementedError("no deny list"));
+  auto* reactor = new UnaryCall(who->ticket, who->on_refused);
   if (request->reason().empty() || request->reason().size() > kBanReasonBytesMax) {
-    return Refuse(context, absl::InvalidArgumentError(absl::StrCat(
-                               "a reason of 1 to ", kBanReasonBytesMax, " bytes is required")));
+    reactor->End(absl::InvalidArgumentError(
+        absl::StrCat("a reason of 1 to ", kBanReasonBytesMax, " bytes is required")));
+    return reactor;
   }
   if (request->uri() == rpc::ToString(who->identity)) {
-    return Refuse(context, absl::InvalidArgumentError("this would ban the caller"));
+    reactor->End(absl::InvalidArgumentError("this would ban the caller"));
+    return reactor;
   }
-  LogInfo("operator banned a certificate", {{"operator", rpc::Describe(*who)},
-                                            {"uri", request->uri()},
-                                            {"serial", request->serial()},
-                                            {"reason", request->reason()}});
-  grpc::ServerUnaryReactor* reactor = Answer(who->ticket);
+  LogInfo("operator bans a certificate", {{"operator", rpc::Describe(*who)},
+                                          {"uri", request->uri()},
+                                          {"serial", request->serial()},
+                                          {"reason", request->reason()}});
   Read(reactor, [this, reactor, request, by = rpc::Describe(*who)] {
     const absl::Status status = access_.bans->Ban({.uri = request->uri(),
                                                    .serial = request->serial(),
@@ -771,7 +763,7 @@ grpc::ServerUnaryReactor* OperatorService::Ban(grpc::CallbackServerContext* cont
       TellRobotOf(request->uri(),
                   absl::StrCat(request->uri(), " is banned by ", by, ": ", request->reason()));
     }
-    reactor->Finish(rpc::ToGrpc(status));
+    reactor->End(status);
   });
   return reactor;
 }
@@ -783,16 +775,16 @@ grpc::ServerUnaryReactor* OperatorService::Unban(grpc::CallbackServerContext* co
   if (!who.ok()) return Refuse(context, who.status());
   if (access_.bans == nullptr) return Refuse(context, absl::UnimplementedError("no deny list"));
   LogInfo(
-      "operator lifted a ban",
+      "operator lifts a ban",
       {{"operator", rpc::Describe(*who)}, {"uri", request->uri()}, {"serial", request->serial()}});
-  grpc::ServerUnaryReactor* reactor = Answer(who->ticket);
+  auto* reactor = new UnaryCall(who->ticket, who->on_refused);
   Read(reactor, [this, reactor, request, by = rpc::Describe(*who)] {
     const absl::Status status = access_.bans->Unban(request->uri(), request->serial());
     if (status.ok()) {
       TellRobotOf(request->uri(),
                   absl::StrCat("the ban of ", request->uri(), " is lifted by ", by));
     }
-    reactor->Finish(rpc::ToGrpc(status));
+    reactor->End(status);
   });
   return reactor;
 }

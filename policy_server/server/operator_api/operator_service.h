@@ -23,6 +23,7 @@
 #include "policy_server/server/operator_api/ban_list.h"
 #include "policy_server/server/operator_api/caller_quota.h"
 #include "policy_server/server/operator_api/status_broadcaster.h"
+#include "policy_server/server/operator_api/unary_call.h"
 #include "policy_server/server/operator_api/watch_stream.h"
 #include "policy_server/server/shard/pipeline.h"
 #include "policy_server/server/store/store.h"
@@ -137,13 +138,15 @@ class OperatorService final : public rips::v1::OperatorService::CallbackService 
   // A peer that is served, and what it holds of its quota until the call is over.
   struct Caller : rpc::Peer {
     CallerQuota::Ticket ticket;
+    // Records what an admitted order came to, if it is refused after all; else empty.
+    UnaryCall::OnRefused on_refused;
   };
   grpc::ServerUnaryReactor* ChangeLevel(grpc::CallbackServerContext* context,
                                         const rips::v1::LevelRequest* request,
                                         rips::v1::LevelResponse* response, Direction direction);
   // Runs `task` on the thread for store reads; it finishes `reactor`. Beyond kReadsMax it is
   // finished at once with RESOURCE_EXHAUSTED.
-  void Read(grpc::ServerUnaryReactor* reactor, std::function<void()> task);
+  void Read(UnaryCall* reactor, std::function<void()> task);
   // On the reader's thread: what robots hold that the store has not taken.
   void AddUnrecorded(const rips::v1::ListAlertsRequest& request,
                      rips::v1::ListAlertsResponse& response);
