@@ -109,6 +109,14 @@ CREATE TABLE bans (                          -- certificates that are not served
 ) STRICT, WITHOUT ROWID;
 )sql";
 
+using FileId = std::pair<dev_t, ino_t>;
+
+std::optional<FileId> IdOf(const std::string& path) {
+  struct stat info = {};
+  if (stat(path.c_str(), &info) != 0) return std::nullopt;
+  return FileId{info.st_dev, info.st_ino};
+}
+
 absl::Status FromErrno(const std::string& doing) {
   return absl::UnavailableError(absl::StrCat(doing, ": ", std::strerror(errno)));
 }
@@ -268,6 +276,22 @@ absl::Status PrepareStateFile(const std::string& path) {
     return Damaged(path, "is gone, but its write-ahead log is still there");
   }
   return MakeStateFile(path);
+}
+
+OpenedFiles::OpenedFiles(std::string path)
+    : files_{{.path = path, .id = IdOf(path)}, {.path = path + "-wal", .id = IdOf(path + "-wal")}} {
+}
+
+absl::Status OpenedFiles::InPlace() {
+  for (File& file : files_) {
+    const std::optional<FileId> id = IdOf(file.path);
+    if (!file.id.has_value()) file.id = id;
+    if (id == file.id) continue;
+    return absl::UnavailableError(absl::StrCat(
+        "`", file.path, "` was removed, moved or replaced while the server uses it, and what is ",
+        "recorded now would be lost; put the file back, or restart the server on what is there"));
+  }
+  return absl::OkStatus();
 }
 
 }  // namespace rips::store

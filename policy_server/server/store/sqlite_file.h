@@ -3,7 +3,11 @@
 #ifndef RIPS_POLICY_SERVER_SERVER_STORE_SQLITE_FILE_H_
 #define RIPS_POLICY_SERVER_SERVER_STORE_SQLITE_FILE_H_
 
+#include <sys/types.h>
+
+#include <optional>
 #include <string>
+#include <utility>
 
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
@@ -25,6 +29,25 @@ absl::StatusOr<UniqueFd> LockStateFile(const std::string& path);
 //   FailedPrecondition: a newer program wrote it, or the path is not a regular file.
 //   Unavailable: it cannot be read or made.
 absl::Status PrepareStateFile(const std::string& path);
+
+// The state file and its write-ahead log as they were opened. What is written into files that were
+// removed, moved or replaced since, as by who restores a backup under a running server, is gone at
+// the next start.
+class OpenedFiles {
+ public:
+  // As they are at `path` now.
+  explicit OpenedFiles(std::string path);
+  // Unavailable while one of them is not at its place. Costs two stats.
+  absl::Status InPlace();
+
+ private:
+  struct File {
+    std::string path;
+    // None = it was not made yet.
+    std::optional<std::pair<dev_t, ino_t>> id;
+  };
+  File files_[2];
+};
 
 }  // namespace rips::store
 

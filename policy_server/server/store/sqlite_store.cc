@@ -24,9 +24,10 @@ constexpr int kOpeningPiecesMax = 2;
 
 // The two locks are never held together.
 struct SqliteStore::Parts {
-  Parts(UniqueFd taken_lock, DiskReserve opened_reserve, SqliteWriter opened_writer,
-        SqliteReader opened_reader)
+  Parts(const std::string& path, UniqueFd taken_lock, DiskReserve opened_reserve,
+        SqliteWriter opened_writer, SqliteReader opened_reader)
       : lock(std::move(taken_lock)),
+        files(path),
         reserve(std::move(opened_reserve)),
         writer(std::move(opened_writer)),
         reader(std::move(opened_reader)) {}
@@ -34,6 +35,7 @@ struct SqliteStore::Parts {
   // `write` may be tried again: a full disk gets room from the reserve, piece by piece.
   absl::Status WithReserve(const std::function<absl::Status(SqliteWriter&)>& write)
       ABSL_EXCLUSIVE_LOCKS_REQUIRED(writer_mutex) {
+    RIPS_RETURN_IF_ERROR(files.InPlace());
     absl::Status status = write(writer);
     while (absl::IsResourceExhausted(status) && reserve.Release()) status = write(writer);
     return status;
@@ -41,6 +43,7 @@ struct SqliteStore::Parts {
 
   UniqueFd lock;
   Mutex writer_mutex;
+  OpenedFiles files ABSL_GUARDED_BY(writer_mutex);
   DiskReserve reserve ABSL_GUARDED_BY(writer_mutex);
   SqliteWriter writer ABSL_GUARDED_BY(writer_mutex);
   // The writer's, for those who do not wait for it.
@@ -63,7 +66,7 @@ absl::StatusOr<std::unique_ptr<SqliteStore>> SqliteStore::Open(const std::string
           writer.ok() ? SqliteReader::Create(path) : writer.status();
       if (reader.ok()) {
         return std::unique_ptr<SqliteStore>(new SqliteStore(std::make_unique<Parts>(
-            std::move(lock), *std::move(reserve), *std::move(writer), *std::move(reader))));
+            path, std::move(lock), *std::move(reserve), *std::move(writer), *std::move(reader))));
       }
       status = reader.status();
     }
@@ -149,6 +152,7 @@ absl::StatusOr<std::vector<absl::Status>> SqliteStore::CommitAll(
   if (may_use_reserve) {
     RIPS_RETURN_IF_ERROR(parts_->WithReserve(write));
   } else {
+    RIPS_RETURN_IF_ERROR(parts_->files.InPlace());
     // What the reserve has given up is for decisions: others wait until it is whole again.
     RIPS_RETURN_IF_ERROR(parts_->reserve.Refill());
     RIPS_RETURN_IF_ERROR(write(parts_->writer));
@@ -198,17 +202,20 @@ absl::StatusOr<std::string> SqliteStore::Note(absl::string_view name) {
 absl::Status SqliteStore::SetNote(absl::string_view name, absl::string_view value) {
   RIPS_RETURN_IF_ERROR(CheckNote(name, value));
   MutexLock lock(&parts_->writer_mutex);
+  RIPS_RETURN_IF_ERROR(parts_->files.InPlace());
   RIPS_RETURN_IF_ERROR(parts_->reserve.Refill());
   return parts_->writer.SetNote(name, value);
 }
 
 absl::Status SqliteStore::PutBan(const BanRecord& ban) {
   MutexLock lock(&parts_->writer_mutex);
+  RIPS_RETURN_IF_ERROR(parts_->files.InPlace());
   return parts_->writer.PutBan(ban);
 }
 
 absl::StatusOr<bool> SqliteStore::RemoveBan(absl::string_view uri, absl::string_view serial) {
   MutexLock lock(&parts_->writer_mutex);
+  RIPS_RETURN_IF_ERROR(parts_->files.InPlace());
   return parts_->writer.RemoveBan(uri, serial);
 }
 

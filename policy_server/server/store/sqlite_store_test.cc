@@ -91,6 +91,33 @@ TEST_F(SqliteStoreTest, OneProcessAtATime) {
   EXPECT_THAT(SqliteStore::Open(path_), IsOk());
 }
 
+TEST_F(SqliteStoreTest, WritesNothingWhileItsFileIsAway) {
+  MakeHistory();
+  auto store = SqliteStore::Open(path_);
+  ASSERT_THAT(store, IsOk());
+  const uint64_t tenure = (*store)->Acquire("r1")->tenure;
+  const auto decide = [&](uint64_t epoch) {
+    WriteBatch batch = Decide("r1", {tenure, epoch}, "HALT", "ALERT");
+    batch.tenure = tenure;
+    return (*store)->Commit(batch);
+  };
+  ASSERT_THAT(decide(3), IsOk());
+  for (const char* suffix : {"", "-wal"}) {
+    const std::string file = path_ + suffix;
+    SCOPED_TRACE(file);
+    std::filesystem::rename(file, file + ".away");
+    EXPECT_THAT(decide(4),
+                StatusIs(absl::StatusCode::kUnavailable, HasSubstr("put the file back")));
+    EXPECT_THAT((*store)->SetNote("a", "b"), StatusIs(absl::StatusCode::kUnavailable));
+    // An administrator restores a backup, and the server runs.
+    std::filesystem::copy_file(file + ".away", file);
+    EXPECT_THAT(decide(4), StatusIs(absl::StatusCode::kUnavailable, HasSubstr("replaced")));
+    std::filesystem::rename(file + ".away", file);
+    EXPECT_THAT((*store)->SetNote("a", "b"), IsOk());
+  }
+  EXPECT_THAT(decide(4), IsOk());
+}
+
 TEST_F(SqliteStoreTest, NeedsADirectory) {
   EXPECT_THAT(SqliteStore::Open(dir_.File("none/state.db")),
               StatusIs(absl::StatusCode::kUnavailable, HasSubstr("does not exist; make it")));
