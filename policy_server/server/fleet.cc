@@ -163,7 +163,10 @@ void Fleet::SetProblem(const std::string& robot, const std::string& text,
              [text](pipeline::Robot& each) { each.SetPolicyProblem(text); })
       .IgnoreError();  // one that is held shows it already
   if (text.empty()) {
-    problems_.erase(robot);
+    if (problems_.erase(robot) == 0) return;
+    LogInfo("bundle is in order again", {{"robot", robot}});
+    alerts_->Raise(robot, engine::Severity::kInfo,
+                   "the bundle that the inventory names is in order again");
     return;
   }
   std::string& known = problems_[robot];

@@ -8,6 +8,7 @@
 #include <utility>
 #include <vector>
 
+#include "absl/strings/match.h"
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_split.h"
 #include "gmock/gmock.h"
@@ -277,6 +278,12 @@ TEST_F(FleetTest, ABundleThatIsRefusedAtReloadLeavesTheOldOneInForceAndIsShown) 
   EXPECT_NE(Status("r1").bundle_version, before);
   EXPECT_THAT(Status("r1").degraded,
               testing::Not(Contains(HasSubstr("the old policy stays in force"))));
+  Stop();
+  int again = 0;
+  for (const store::AlertRecord& alert : *store_.ListAlerts("r1", 100)) {
+    again += absl::StrContains(alert.text, "is in order again") ? 1 : 0;
+  }
+  EXPECT_EQ(again, 1);
 }
 
 TEST_F(FleetTest, ARobotThatAnotherServerAcquiresIsHeldWithAnAlertAndCostsNoOther) {

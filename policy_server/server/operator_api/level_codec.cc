@@ -36,6 +36,11 @@ void Encode(const pipeline::LevelAnswer& answer, rips::v1::LevelResponse& out) {
   out.set_approval_expires_unix_ns(answer.approval_expires_unix_ns);
 }
 
+void Encode(const pipeline::LevelAnswer& answer, rips::v1::ResetTermResponse& out) {
+  model_proto::Encode(answer.decision_id, *out.mutable_decision_id());
+  out.set_decided_level(answer.decided_level);
+}
+
 void EncodeLevels(const pipeline::RobotCore& core, rips::v1::GetLevelResponse& out) {
   const pipeline::RobotStatus status = core.Status();
   *out.mutable_status() = EncodeStatus(status);

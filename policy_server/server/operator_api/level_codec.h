@@ -10,6 +10,7 @@ namespace rips::operator_api {
 
 // All but the status.
 void Encode(const pipeline::LevelAnswer& answer, rips::v1::LevelResponse& out);
+void Encode(const pipeline::LevelAnswer& answer, rips::v1::ResetTermResponse& out);
 // All but the last transition.
 void EncodeLevels(const pipeline::RobotCore& core, rips::v1::GetLevelResponse& out);
 

@@ -56,8 +56,8 @@ std::string OperatorName(const rpc::Peer& peer) {
 }
 
 // Who it is, whatever role the certificate has.
-std::string IdentityOf(const rpc::Peer& peer) {
-  return absl::StrCat(peer.identity.trust_domain, "/", peer.identity.name);
+std::string IdentityOf(const rpc::PeerIdentity& identity) {
+  return absl::StrCat(identity.trust_domain, "/", identity.name);
 }
 
 grpc::ServerUnaryReactor* Refuse(grpc::CallbackServerContext* context, const absl::Status& status) {
@@ -84,7 +84,8 @@ grpc::ServerWriteReactor<T>* RefuseWatch(const absl::Status& status) {
   return stream;
 }
 
-pipeline::LevelReply ReplyTo(UnaryCall* reactor, rips::v1::LevelResponse* response) {
+template <typename Response>
+pipeline::LevelReply ReplyTo(UnaryCall* reactor, Response* response) {
   return [reactor, response](const pipeline::LevelAnswer& answer) {
     operator_api::Encode(answer, *response);
     reactor->End(answer.status);
@@ -593,7 +594,7 @@ grpc::ServerUnaryReactor* OperatorService::ChangeLevel(grpc::CallbackServerConte
       .dry_run = request->dry_run(),
       .accept_blind = request->accept_blind(),
       .request_id = request->request_id(),
-      .identity = IdentityOf(*who)};
+      .identity = IdentityOf(who->identity)};
   auto* reactor = new UnaryCall(who->ticket, who->on_refused);
   pipeline::LevelReply reply = ReplyTo(reactor, response);
   const absl::Status posted = pipeline_->Post(
@@ -620,7 +621,7 @@ grpc::ServerUnaryReactor* OperatorService::Approve(grpc::CallbackServerContext* 
            {"lowering", request->pending_approval_id()},
            {"reason", request->reason()}});
   pipeline::ApprovalOrder order{.operator_name = OperatorName(*who),
-                                .identity = IdentityOf(*who),
+                                .identity = IdentityOf(who->identity),
                                 .id = request->pending_approval_id(),
                                 .reason = request->reason(),
                                 .reject = request->reject(),
@@ -684,19 +685,13 @@ grpc::ServerUnaryReactor* OperatorService::ResetTerm(grpc::CallbackServerContext
   auto* reactor = new UnaryCall(who->ticket, who->on_refused);
   pipeline::TermResetOrder order{
       .operator_name = OperatorName(*who), .host = request->host(), .reason = request->reason()};
-  pipeline::LevelReply reply = [reactor, response](const pipeline::LevelAnswer& answer) {
-    model_proto::Encode(answer.decision_id, *response->mutable_decision_id());
-    response->set_decided_level(answer.decided_level);
-    reactor->End(answer.status);
-  };
+  pipeline::LevelReply reply = ReplyTo(reactor, response);
   const absl::Status posted = pipeline_->Post(request->robot(), Queue::kOrders,
                                               [order = std::move(order), reply = std::move(reply)](
                                                   Robot& robot) { robot.ResetTerm(order, reply); });
   if (!posted.ok()) reactor->End(posted);
   return reactor;
 }
-
-// --- who is served
 
 grpc::ServerUnaryReactor* OperatorService::ListAgents(grpc::CallbackServerContext* context,
                                                       const rips::v1::ListAgentsRequest* request,
@@ -732,6 +727,17 @@ void OperatorService::TellRobotOf(const std::string& uri, const std::string& tex
       .IgnoreError();  // an unknown robot may be banned, too
 }
 
+void OperatorService::EndRequestsOf(const std::string& uri) {
+  const absl::StatusOr<rpc::PeerIdentity> identity = rpc::ParseSpiffeUri(uri);
+  if (!identity.ok() || identity->role != rpc::Role::kOperator) return;
+  for (const std::string& robot : pipeline_->robots()) {
+    pipeline_
+        ->Post(robot, Queue::kOrders,
+               [who = IdentityOf(*identity)](Robot& each) { each.OnOperatorBanned(who); })
+        .IgnoreError();  // it is not judged any more
+  }
+}
+
 grpc::ServerUnaryReactor* OperatorService::Ban(grpc::CallbackServerContext* context,
                                                const rips::v1::BanRequest* request,
                                                rips::v1::BanResponse*) {
@@ -760,6 +766,7 @@ grpc::ServerUnaryReactor* OperatorService::Ban(grpc::CallbackServerContext* cont
                                                    .time_unix_ns = RealClock().Now().unix_ns});
     if (!absl::IsInvalidArgument(status)) {
       access_.watch->CheckSessions();  // what is open ends now
+      EndRequestsOf(request->uri());
       TellRobotOf(request->uri(),
                   absl::StrCat(request->uri(), " is banned by ", by, ": ", request->reason()));
     }

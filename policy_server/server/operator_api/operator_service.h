@@ -171,6 +171,8 @@ class OperatorService final : public rips::v1::OperatorService::CallbackService 
                      const rips::v1::LevelRequest& request, const absl::Status& why);
   // The robot that `uri` is of, if any, gets an alert.
   void TellRobotOf(const std::string& uri, const std::string& text);
+  // What the operator of that URI asked for waits for no second one any more, on any robot.
+  void EndRequestsOf(const std::string& uri);
 
   pipeline::Pipeline* pipeline_;
   store::Store* store_;

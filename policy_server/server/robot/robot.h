@@ -56,6 +56,7 @@ class Robot {
   void Raise(const LevelOrder& order, LevelReply reply);
   void DeEscalate(const LevelOrder& order, LevelReply reply);
   void Approve(const ApprovalOrder& order, LevelReply reply);
+  void OnOperatorBanned(const std::string& identity) { Do(input::OperatorBanned{identity}); }
   void ResetTerm(const TermResetOrder& order, LevelReply reply);
   absl::Status ResumeRules(const std::string& operator_name, const std::string& reason);
   void RecordRefusedOrder(const LevelOrder& order, const absl::Status& why);

@@ -244,6 +244,17 @@ TEST_F(TwoPersonTest, HasALimitThatOneOperatorDoesNotFill) {
   EXPECT_THAT(PendingNow(), SizeIs(Approvals::kPendingMax));
 }
 
+TEST_F(TwoPersonTest, ABanOfWhoAskedEndsIt) {
+  StartAt("COMPROMISED", {"COMPROMISED"});
+  const std::string of_thief = Ask("ALERT", "alice").pending_approval_id;
+  const std::string of_other = Ask("ALERT", "dora").pending_approval_id;
+  robot_->OnOperatorBanned("td/alice");
+  Drain();
+  EXPECT_THAT(Approve(of_thief).status, StatusIs(absl::StatusCode::kNotFound));
+  EXPECT_EQ(audience_.Count("a certificate of who asked is banned"), 1);
+  EXPECT_THAT(Approve(of_other).status, IsOk());
+}
+
 TEST_F(TwoPersonTest, AnotherBundleEndsIt) {
   StartAt("COMPROMISED", {"COMPROMISED"});
   const std::string id = Ask("ALERT").pending_approval_id;

@@ -124,6 +124,10 @@ struct Approve {
   ApprovalOrder order;
   ReplyToken token = 0;
 };
+// A certificate of that operator is banned (LevelOrder::identity).
+struct OperatorBanned {
+  std::string identity;
+};
 struct ResetTerm {
   TermResetOrder order;
   ReplyToken token = 0;
@@ -194,10 +198,10 @@ using Input =
                  input::InterestSent, input::SensorBatch, input::SensorGone, input::Advance,
                  input::Inspected, input::ActuatorHello, input::ActuatorHeartbeat, input::Receipt,
                  input::ActuatorGone, input::Raise, input::DeEscalate, input::Approve,
-                 input::ResetTerm, input::ResumeRules, input::StartDrill, input::RefusedOrder,
-                 input::Report, input::SwapPolicy, input::SetHosts, input::PolicyProblem,
-                 input::Drain, input::Retire, input::Recorded, input::RaisesSaved,
-                 input::DecisionFound, input::TermDrawn, input::Time>;
+                 input::OperatorBanned, input::ResetTerm, input::ResumeRules, input::StartDrill,
+                 input::RefusedOrder, input::Report, input::SwapPolicy, input::SetHosts,
+                 input::PolicyProblem, input::Drain, input::Retire, input::Recorded,
+                 input::RaisesSaved, input::DecisionFound, input::TermDrawn, input::Time>;
 
 }  // namespace rips::pipeline
 

@@ -163,6 +163,9 @@ RobotCore::After RobotCore::Handle(const Input& input) {
           [&](const input::Raise& in) { return orders_.OnRaise(in), kAll; },
           [&](const input::DeEscalate& in) { return orders_.OnDeEscalate(in), kAll; },
           [&](const input::Approve& in) { return orders_.OnApprove(in), kAll; },
+          [&](const input::OperatorBanned& in) {
+            return orders_.approvals().EndOf(in.identity), kAll;
+          },
           [&](const input::ResetTerm& in) { return admission_.OnResetTerm(in), kAll; },
           [&](const input::ResumeRules& in) { return orders_.OnResume(in), kAll; },
           [&](const input::StartDrill& in) { return drills_.Start(in), kAll; },

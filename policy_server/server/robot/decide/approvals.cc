@@ -90,14 +90,26 @@ std::string Approvals::End(absl::string_view id) {
   std::erase_if(pending_, [&](const Pending& each) {
     std::string why = WhyOver(each);
     if (why.empty()) return false;
-    alerts_.Raise(engine::Severity::kInfo,
-                  absl::StrCat("the lowering of ", context_.config.id, " to ", each.order.to,
-                               " that operator ", each.order.operator_name,
-                               " asked for cannot be approved any more: ", why));
+    ReportEnd(each, why);
     if (each.id == id) of_id = std::move(why);
     return true;
   });
   return of_id;
+}
+
+void Approvals::EndOf(absl::string_view identity) {
+  std::erase_if(pending_, [&](const Pending& each) {
+    if (each.order.identity != identity) return false;
+    ReportEnd(each, "a certificate of who asked is banned");
+    return true;
+  });
+}
+
+void Approvals::ReportEnd(const Pending& pending, absl::string_view why) {
+  alerts_.Raise(engine::Severity::kInfo,
+                absl::StrCat("the lowering of ", context_.config.id, " to ", pending.order.to,
+                             " that operator ", pending.order.operator_name,
+                             " asked for cannot be approved any more: ", why));
 }
 
 std::vector<PendingApproval> Approvals::pending() const {

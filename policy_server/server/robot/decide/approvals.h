@@ -5,6 +5,7 @@
 //   the approval of another identity           it is decided
 //   a rejection, also by who asked             nothing is decided
 //   another request of who asked               only the newer one waits
+//   a ban of who asked                         nothing is decided
 //   another decision, graph or bundle          nothing is decided: neither of the two saw that
 //   kApprovalNs                                nothing is decided
 #ifndef RIPS_POLICY_SERVER_SERVER_ROBOT_DECIDE_APPROVALS_H_
@@ -49,6 +50,8 @@ class Approvals {
   void Remove(absl::string_view id);
   // Ends what may not be approved any more, each with an alert.
   void Expire() { End(""); }
+  // Ends what an operator asked for who is banned by now, with an alert.
+  void EndOf(absl::string_view identity);
   // Oldest first.
   std::vector<PendingApproval> pending() const;
 
@@ -69,6 +72,8 @@ class Approvals {
   Seen Now() const;
   // Why it may not be approved any more; empty = it may.
   std::string WhyOver(const Pending& pending) const;
+  // Says so; the caller removes it.
+  void ReportEnd(const Pending& pending, absl::string_view why);
   // Why the lowering of that id has ended just now; empty = it has not.
   std::string End(absl::string_view id);
 
