@@ -5,8 +5,8 @@
 //
 // Two connections: writes wait for the disk, reads do not wait for writes. One process at a time
 // uses the file. While it, or its write-ahead log, is not at its place any more, writes are
-// Unavailable: they would be gone at the next start. A damaged or empty file is DataLoss at Open and
-// is left as it is: starting anew would forget every level, and that is for the operator to decide.
+// Unavailable: they would be gone at the next start. A damaged or empty file is DataLoss at Open
+// and is left as it is: starting anew would forget every level; that is for the operator to decide.
 #ifndef RIPS_POLICY_SERVER_SERVER_STORE_SQLITE_STORE_H_
 #define RIPS_POLICY_SERVER_SERVER_STORE_SQLITE_STORE_H_
 
