@@ -85,7 +85,8 @@ TEST_F(RipsctlTest, ListsRobots) {
                                        {"decision_id", "3.17"},
                                        {"bundle", "sha256:" + std::string(64, 'b')},
                                        {"degraded", nlohmann::json::array()},
-                                       {"degraded_cut", false}}));
+                                       {"degraded_cut", false},
+                                       {"pending_approvals", 0}}));
 }
 
 TEST_F(RipsctlTest, WatchesRobotsUntilTheServerEndsIt) {
@@ -178,7 +179,8 @@ TEST_F(RipsctlTest, ShowsTheLevel) {
             "detail           -\n");
   const nlohmann::json json = RunJson({"level", "show", "r1"});
   EXPECT_EQ(json["status"]["decision_id"], "3.17");
-  EXPECT_EQ(json["levels"][1], nlohmann::json({{"name", "ALERT"}, {"soft", true}}));
+  EXPECT_EQ(json["levels"][1],
+            nlohmann::json({{"name", "ALERT"}, {"soft", true}, {"two_person", false}}));
   EXPECT_EQ(json["last"]["time"], "2026-01-01T00:00:00.000000005Z");
 }
 

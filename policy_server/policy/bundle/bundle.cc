@@ -140,10 +140,11 @@ absl::Status Reading::Compile() {
   }
   for (const std::string& level : manifest_.two_person) {
     if (!compiled.rules->levels.at(*compiled.rules->levels.Find(level)).soft) continue;
-    return InContext(dir_, absl::InvalidArgumentError(absl::StrCat(
-                               "manifest says two_person of `", level,
-                               "`, which the rule files declare `soft`: a rule may lower it, and "
-                               "no person; remove one of both")));
+    return InContext(
+        dir_,
+        absl::InvalidArgumentError(absl::StrCat(
+            "two_person lists `", level, "`, which the rule files declare `soft`: a rule may ",
+            "lower it with no person at all; take it out of two_person, or remove `soft`")));
   }
   absl::StatusOr<std::string> id = BundleId(manifest_text_, manifest_, files_, *directory_);
   if (!id.ok()) return InContext(dir_, id.status());

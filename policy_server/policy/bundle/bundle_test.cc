@@ -160,7 +160,7 @@ TEST_F(BundleTest, RefusesABadManifest) {
       {absl::StrCat(kManifest, "two_person: [GONE]\n"), "`GONE` is not one of `levels`"},
       {absl::StrCat(kManifest, "two_person: [DEFAULT]\n"), "no level is below `DEFAULT`"},
       {absl::StrCat(kManifest, "two_person: [HALT, HALT]\n"), "`HALT` is listed twice"},
-      {absl::StrCat(kManifest, "two_person: [ALERT]\n"), "a rule may lower it, and no person"},
+      {absl::StrCat(kManifest, "two_person: [ALERT]\n"), "with no person at all"},
       {absl::StrCat(kManifest, "dialect: ours\n"), "write `rips` or `prototype`"},
   };
   for (const auto& each : cases) {

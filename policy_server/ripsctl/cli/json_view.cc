@@ -78,7 +78,8 @@ Json ToJson(const v1::RobotStatus& status) {
           {"decision_id", JsonDecisionId(status.has_decision_id(), status.decision_id())},
           {"bundle", status.bundle_version()},
           {"degraded", Strings(status.degraded())},
-          {"degraded_cut", status.degraded_cut()}};
+          {"degraded_cut", status.degraded_cut()},
+          {"pending_approvals", status.pending_approvals()}};
 }
 
 Json ToJson(const v1::Transition& transition) {
@@ -144,16 +145,35 @@ Json ToJson(const v1::ExplainResponse& response) {
           {"transitions", List(response.transitions())}};
 }
 
+Json ToJson(const v1::PendingApproval& pending) {
+  return {{"id", pending.id()},
+          {"from", pending.from()},
+          {"to", pending.to()},
+          {"decision_id", JsonDecisionId(true, pending.decision_id())},
+          {"operator", pending.operator_()},
+          {"reason", pending.reason()},
+          {"accept_blind", pending.accept_blind()},
+          {"asked", FullTime(pending.asked_unix_ns())},
+          {"expires", FullTime(pending.expires_unix_ns())}};
+}
+
 Json ToJson(const v1::GetLevelResponse& response) {
   Json levels = Json::array();
   for (const std::string& name : response.levels()) {
     const bool soft = std::find(response.soft_levels().begin(), response.soft_levels().end(),
                                 name) != response.soft_levels().end();
-    levels.push_back({{"name", name}, {"soft", soft}});
+    const auto& two = response.two_person_levels();
+    const bool two_person = std::find(two.begin(), two.end(), name) != two.end();
+    levels.push_back({{"name", name}, {"soft", soft}, {"two_person", two_person}});
+  }
+  Json pending = Json::array();
+  for (const v1::PendingApproval& each : response.pending_approvals()) {
+    pending.push_back(ToJson(each));
   }
   return {{"status", ToJson(response.status())},
           {"levels", std::move(levels)},
-          {"last", response.has_last() ? ToJson(response.last()) : Json(nullptr)}};
+          {"last", response.has_last() ? ToJson(response.last()) : Json(nullptr)},
+          {"pending_approvals", std::move(pending)}};
 }
 
 Json ToJson(const v1::GraphSnapshot& graph) {

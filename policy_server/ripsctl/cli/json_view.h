@@ -29,6 +29,7 @@ Json ToJson(const v1::Evidence& evidence);
 // {"alert","transition","evidence","alerts":[..],"transitions":[..]}; null what is not there.
 Json ToJson(const v1::ExplainResponse& response);
 // {"status":{..},"levels":[{"name","soft"}],"last":transition or null}
+Json ToJson(const v1::PendingApproval& pending);
 Json ToJson(const v1::GetLevelResponse& response);
 // {"nodes":[{"name","services":[..]}],"topics":[{"name","types":[..],"publishers":[..],
 //  "subscribers":[..]}],"unattributed":[{"guid","topic","kind"}]}

@@ -31,9 +31,11 @@ std::string StageAndPending(const v1::RobotStatus& status) {
 }
 
 std::string PendingText(absl::string_view robot, const v1::PendingApproval& pending) {
-  return absl::StrCat(ShortId(pending.id()), ": operator ", pending.operator_(), " asked at ",
-                      ShortTime(pending.asked_unix_ns()), " to lower ", robot, " from ",
-                      pending.from(), " to ", pending.to(),
+  // The name is enough here; JSON has the certificate.
+  const std::string& who = pending.operator_();
+  return absl::StrCat(ShortId(pending.id()), ": operator ", who.substr(0, who.find(" (")),
+                      " asked at ", ShortTime(pending.asked_unix_ns()), " to lower ", robot,
+                      " from ", pending.from(), " to ", pending.to(),
                       pending.accept_blind() ? ", though the server may not see all of it" : "",
                       "; until ", ShortTime(pending.expires_unix_ns()), ": ", pending.reason());
 }
@@ -55,7 +57,7 @@ void PrintDryRun(absl::string_view robot, const v1::LevelResponse& found, bool r
         << " now; --accept-blind lowers it all the same\n";
   }
   if (found.needs_approval()) {
-    out << margin << "would need a second operator: `ripsctl level approve`\n";
+    out << margin << "would wait for a second operator to approve it\n";
   }
   for (const std::string& rule : found.would_raise_again()) {
     out << margin << "would be raised again by rule " << EscapeText(rule) << kRaisedWhen << "\n";

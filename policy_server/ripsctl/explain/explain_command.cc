@@ -81,6 +81,7 @@ Json LoweringJson(const Lowering& lowering) {
   return {{"to", lowering.to},
           {"would_raise_again", JsonList(lowering.found->would_raise_again())},
           {"not_tried", NotTried()},
+          {"needs_approval", lowering.found->needs_approval()},
           {"blind_because", JsonList(lowering.found->blind_because())}};
 }
 

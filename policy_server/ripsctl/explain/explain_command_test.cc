@@ -196,6 +196,7 @@ TEST_F(ExplainTest, JsonHasTheSameContent) {
   EXPECT_EQ(json["lowering"], nlohmann::json({{"to", "ALERT"},
                                               {"would_raise_again", {"rogue_cmd_vel"}},
                                               {"not_tried", {"rules Msg", "rules External"}},
+                                              {"needs_approval", false},
                                               {"blind_because", nlohmann::json::array()}}));
   fake_.unknown_robots = {"r1"};
   const nlohmann::json alert = RunJson({"explain", std::string(32, '2')});

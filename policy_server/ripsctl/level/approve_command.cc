@@ -57,7 +57,12 @@ class ApproveLevel final : public RobotCommand {
   absl::StatusOr<ExitCode> Run(Env& env) override {
     RIPS_ASSIGN_OR_RETURN(const v1::GetLevelResponse seen, ReadLevel(env, robot_));
     RIPS_ASSIGN_OR_RETURN(const v1::PendingApproval pending, Find(seen));
-    if (!env.json()) env.out << EscapeText(PendingText(robot_, pending)) << "\n";
+    if (!env.json()) {
+      env.out << EscapeText(PendingText(robot_, pending)) << "\n";
+      for (const std::string& why : seen.status().degraded()) {
+        env.out << "now: " << EscapeText(why) << "\n";
+      }
+    }
     v1::ApproveRequest request;
     request.set_robot(robot_);
     request.set_pending_approval_id(pending.id());
@@ -82,9 +87,15 @@ class ApproveLevel final : public RobotCommand {
       found = each;
     }
     if (found.has_value()) return *std::move(found);
+    std::string waiting;
+    for (const v1::PendingApproval& each : seen.pending_approvals()) {
+      absl::StrAppend(&waiting, "; this one does: ", PendingText(robot_, each));
+    }
     return absl::NotFoundError(absl::StrCat(
-        "no lowering of ", robot_, " waits under `", id_, "`: it was approved or rejected, the ",
-        "robot has changed, or it is too late; see `ripsctl alert list --robot ", robot_, "`"));
+        "no lowering of ", robot_, " waits under `", id_, "`",
+        waiting.empty() ? absl::StrCat(", nor any other; if one did, `ripsctl alert list ", robot_,
+                                       "` says why it does no more, unless the server restarted")
+                        : waiting));
   }
 
   ExitCode Report(Env& env, const v1::PendingApproval& pending,
@@ -103,7 +114,10 @@ class ApproveLevel final : public RobotCommand {
     if (env.json()) {
       Json json = {{"robot", robot_},
                    {"id", pending.id()},
+                   {"from", pending.from()},
                    {"to", pending.to()},
+                   {"operator", pending.operator_()},
+                   {"reason", pending.reason()},
                    {"rejected", reject_},
                    {"decided_level", response.decided_level()},
                    {"decision_id", DecisionIdText(response.decision_id())},

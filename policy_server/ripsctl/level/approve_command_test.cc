@@ -35,19 +35,21 @@ TEST_F(RipsctlTest, SaysThatALoweringWaitsForASecondOperator) {
       "--wait"};
   const Result result = Run(lower);
   EXPECT_EQ(result.code, 1) << "it is not lowered";
-  EXPECT_EQ(result.out,
-            "r1 stays at DEFAULT: a second operator must approve it until "
-            "2026-01-01T00:00:00.000Z, with\n"
-            "  ripsctl level approve r1 33333333 --reason TEXT\n"
-            "it must be asked for again if the robot's level, graph or rules change before that\n"
-            "not waiting: nothing is decided yet\n");
+  EXPECT_EQ(
+      result.out,
+      "r1 stays at DEFAULT: a second operator must approve it until "
+      "2026-01-01T00:00:00.000Z, with\n"
+      "  ripsctl level approve r1 33333333 --reason TEXT --wait\n"
+      "it must be asked for again if the level, the ROS graph or the rules change before that, "
+      "or the server restarts\n"
+      "not waiting: nothing is decided yet\n");
   const nlohmann::json json = RunJson(lower, 1);
   EXPECT_EQ(json["needs_approval"], true);
   EXPECT_EQ(json["pending_approval_id"], std::string(32, '3'));
   EXPECT_EQ(json.contains("reached"), false);
   fake_.level_response.clear_pending_approval_id();
   EXPECT_THAT(Run({"level", "lower", "r1", "--to", "DEFAULT", "--reason", "x", "--dry-run"}).out,
-              HasSubstr("would need a second operator: `ripsctl level approve`\n"));
+              HasSubstr("would wait for a second operator to approve it\n"));
 }
 
 TEST_F(RipsctlTest, ApprovesWhatItShowed) {
@@ -57,7 +59,7 @@ TEST_F(RipsctlTest, ApprovesWhatItShowed) {
   const Result result = Run({"level", "approve", "r1", "444444", "--reason", "I see it, too"});
   EXPECT_EQ(result.code, 0) << result.err;
   EXPECT_EQ(result.out,
-            "44444444: operator alice (spiffe://td/operator/operator/alice) asked at "
+            "44444444: operator alice asked at "
             "2026-01-01T00:00:00.000Z to lower r1 from COMPROMISED to DEFAULT; until "
             "2026-01-01T00:10:00.000Z: aisle\\x0ais clear\n"
             "r1 goes to DEFAULT (3.18)\n");
@@ -65,7 +67,7 @@ TEST_F(RipsctlTest, ApprovesWhatItShowed) {
               testing::ElementsAre(
                   "GetLevel", absl::StrCat("Approve r1 ", std::string(32, '4'), " I see it, too")));
   EXPECT_EQ(Run({"level", "approve", "r1", "33333333", "--reason", "no", "--reject"}).out,
-            "33333333: operator alice (spiffe://td/operator/operator/alice) asked at "
+            "33333333: operator alice asked at "
             "2026-01-01T00:00:00.000Z to lower r1 from COMPROMISED to DEFAULT; until "
             "2026-01-01T00:10:00.000Z: aisle\\x0ais clear\n"
             "r1 stays at DEFAULT\n");
@@ -75,7 +77,8 @@ TEST_F(RipsctlTest, ApprovesWhatItShowed) {
 
   const Result none = Run({"level", "approve", "r1", "555555", "--reason", "x"});
   EXPECT_EQ(none.code, 1);
-  EXPECT_THAT(none.err, HasSubstr("no lowering of r1 waits under `555555`"));
+  EXPECT_THAT(none.err,
+              HasSubstr("no lowering of r1 waits under `555555`; this one does: 33333333"));
   fake_.pending = {MakePending('3'), MakePending('3')};
   EXPECT_THAT(Run({"level", "approve", "r1", "333333", "--reason", "x"}).err,
               HasSubstr("write more digits"));
@@ -85,7 +88,11 @@ TEST_F(RipsctlTest, ApprovesWhatItShowed) {
   EXPECT_EQ(Run({"level", "approve", "r1", "333333"}).code, 2) << "a reason is required";
   EXPECT_EQ(Run({"level", "approve", "r1", "333333", "--reason", "x", "--reject", "--wait"}).code,
             2);
+  fake_.pending = {};
+  EXPECT_THAT(Run({"level", "approve", "r1", "333333", "--reason", "x"}).err,
+              HasSubstr("nor any other; if one did, `ripsctl alert list r1` says why"));
   fake_.pending = {MakePending('3')};
+  EXPECT_EQ(RunJson({"level", "show", "r1"})["pending_approvals"][0]["id"], std::string(32, '3'));
   EXPECT_THAT(Run({"level", "show", "r1"}).out, HasSubstr("33333333: operator alice"));
 }
 

@@ -167,9 +167,11 @@ class ChangeLevel : public RobotCommand {
     env.out << robot_ << " stays at " << EscapeText(response.decided_level())
             << ": a second operator must approve it until "
             << ShortTime(response.approval_expires_unix_ns()) << ", with\n  ripsctl level approve "
-            << robot_ << " " << ShortId(response.pending_approval_id()) << " --reason TEXT\n"
-            << "it must be asked for again if the robot's level, graph or rules change before that"
-            << "\n";
+            << robot_ << " " << ShortId(response.pending_approval_id()) << " --reason TEXT --wait"
+            << (request_.accept_blind() ? " --accept-blind" : "") << "\n"
+            << "it must be asked for again if the level, the ROS graph or the rules change before "
+               "that, "
+               "or the server restarts\n";
     PrintWarnings(response, env.out);
     if (wait_) env.out << "not waiting: nothing is decided yet\n";
   }
@@ -214,7 +216,7 @@ class ChangeLevel : public RobotCommand {
     if (info().verb == "lower") json["needs_approval"] = response.needs_approval();
     if (!response.pending_approval_id().empty()) {
       json["pending_approval_id"] = response.pending_approval_id();
-      json["approval_expires_unix_ns"] = response.approval_expires_unix_ns();
+      json["approval_expires"] = FullTime(response.approval_expires_unix_ns());
     }
     if (awaited.has_value()) AddAwaited(*awaited, json);
     PrintJson(json, env.out);

@@ -16,6 +16,7 @@
 #include "policy_server/server/operator_api/receipt_codec.h"
 #include "policy_server/server/operator_api/record_codec.h"
 #include "policy_server/server/operator_api/record_tap.h"
+#include "policy_server/server/operator_api/requesters.h"
 #include "policy_server/server/operator_api/unary_call.h"
 #include "policy_server/server/operator_api/watch_stream.h"
 #include "services/base/cut_text.h"
@@ -48,16 +49,6 @@ constexpr int kNewestRead = 200;  // transitions, to find the newest that was no
 
 void RunAll(BoundedQueue<std::function<void()>>& tasks) {
   while (auto task = tasks.Pop(absl::InfiniteDuration())) (*task)();
-}
-
-// Who records name: `alice (spiffe://td/operator/admin/alice serial 0f)`.
-std::string OperatorName(const rpc::Peer& peer) {
-  return absl::StrCat(peer.identity.name, " (", rpc::Describe(peer), ")");
-}
-
-// Who it is, whatever role the certificate has.
-std::string IdentityOf(const rpc::PeerIdentity& identity) {
-  return absl::StrCat(identity.trust_domain, "/", identity.name);
 }
 
 grpc::ServerUnaryReactor* Refuse(grpc::CallbackServerContext* context, const absl::Status& status) {
@@ -572,8 +563,8 @@ grpc::ServerUnaryReactor* OperatorService::ChangeLevel(grpc::CallbackServerConte
                                                        const rips::v1::LevelRequest* request,
                                                        rips::v1::LevelResponse* response,
                                                        Direction direction) {
-  const auto who = AuthorizeOrder(context, direction == Direction::kRaise ? "Raise" : "DeEscalate",
-                                  *request, OperatorRole::kOperator);
+  const char* const call = direction == Direction::kRaise ? "Raise" : "DeEscalate";
+  const auto who = AuthorizeOrder(context, call, *request, OperatorRole::kOperator);
   if (!who.ok()) {
     // Who only asks what would happen has tried nothing.
     if (!request->dry_run()) RecordRefusal(*context, *request, who.status());
@@ -593,10 +584,14 @@ grpc::ServerUnaryReactor* OperatorService::ChangeLevel(grpc::CallbackServerConte
       .expected_decision_id = model_proto::Decode(request->expected_decision_id()),
       .dry_run = request->dry_run(),
       .accept_blind = request->accept_blind(),
-      .request_id = request->request_id(),
+      .request_id = RequestKey(*who, call, request->request_id()),
       .identity = IdentityOf(who->identity)};
   auto* reactor = new UnaryCall(who->ticket, who->on_refused);
-  pipeline::LevelReply reply = ReplyTo(reactor, response);
+  pipeline::LevelReply reply = [reply = ReplyTo(reactor, response), this,
+                                peer = rpc::Peer(*who)](const pipeline::LevelAnswer& answer) {
+    if (!answer.pending_approval_id.empty()) requesters_.Add(answer.pending_approval_id, peer);
+    reply(answer);
+  };
   const absl::Status posted = pipeline_->Post(
       request->robot(), Queue::kOrders,
       [direction, order = std::move(order), reply = std::move(reply)](Robot& robot) {
@@ -626,8 +621,13 @@ grpc::ServerUnaryReactor* OperatorService::Approve(grpc::CallbackServerContext* 
                                 .reason = request->reason(),
                                 .reject = request->reject(),
                                 .accept_blind = request->accept_blind(),
-                                .request_id = request->request_id()};
+                                .request_id = RequestKey(*who, "Approve", request->request_id())};
   auto* reactor = new UnaryCall(who->ticket, who->on_refused);
+  const absl::Status asked = requesters_.Check(order.id, access_.watch->gate());
+  if (!order.reject && !asked.ok()) {
+    reactor->End(asked);
+    return reactor;
+  }
   pipeline::LevelReply reply = ReplyTo(reactor, response);
   const absl::Status posted = pipeline_->Post(request->robot(), Queue::kOrders,
                                               [order = std::move(order), reply = std::move(reply)](

@@ -22,6 +22,7 @@
 #include "policy_server/server/audit/order_audit.h"
 #include "policy_server/server/operator_api/ban_list.h"
 #include "policy_server/server/operator_api/caller_quota.h"
+#include "policy_server/server/operator_api/requesters.h"
 #include "policy_server/server/operator_api/status_broadcaster.h"
 #include "policy_server/server/operator_api/unary_call.h"
 #include "policy_server/server/operator_api/watch_stream.h"
@@ -179,6 +180,7 @@ class OperatorService final : public rips::v1::OperatorService::CallbackService 
   StatusBroadcaster* hub_;
   Access access_;
   const absl::Duration patience_;
+  Requesters requesters_;
   using Tasks = BoundedQueue<std::function<void()>>;
   Tasks reads_{{.capacity = kReadsMax}};
   Tasks graphs_{{.capacity = kGraphsMax}};

@@ -132,7 +132,7 @@ TEST_F(TwoPersonTest, IsOverWhenTheRobotIsAnotherOne) {
   IntruderAppears();
   const LevelAnswer graph = Approve(of_graph);
   EXPECT_THAT(graph.status, StatusIs(absl::StatusCode::kFailedPrecondition));
-  EXPECT_THAT(graph.status.message(), HasSubstr("the robot's graph has changed"));
+  EXPECT_THAT(graph.status.message(), HasSubstr("the robot's graph has changed: /intruder came"));
   EXPECT_THAT(PendingNow(), IsEmpty());
 
   const std::string of_level = Ask("ALERT").pending_approval_id;
@@ -195,7 +195,8 @@ TEST_F(TwoPersonTest, AnApprovalThatOnlyTheSecondCallsBlindIsRefused) {
   robot_->OnSensorGone("base", sensor_.get());
   Drain();
   EXPECT_THAT(Approve(id, "bob", {.accept_blind = true}).status,
-              StatusIs(absl::StatusCode::kFailedPrecondition));
+              StatusIs(absl::StatusCode::kFailedPrecondition,
+                       HasSubstr("it was asked for without --accept-blind")));
   EXPECT_EQ(Level(), "COMPROMISED");
 }
 
@@ -212,8 +213,11 @@ TEST_F(TwoPersonTest, OneRequestOfEachOperatorWaitsAndARepeatedOneIsTheSame) {
   StartAt("COMPROMISED", {"COMPROMISED"});
   const std::string first = Ask("ALERT", "alice", {.request_id = "q1"}).pending_approval_id;
   EXPECT_EQ(Ask("ALERT", "alice", {.request_id = "q1"}).pending_approval_id, first);
+  EXPECT_EQ(Ask("ALERT", "alice").pending_approval_id, first) << "a script that asks on and on";
+  EXPECT_EQ(audience_.Count("asks to lower"), 1);
   const std::string newer = Ask("DEFAULT", "alice", {.request_id = "q2"}).pending_approval_id;
   EXPECT_NE(newer, first);
+  EXPECT_EQ(audience_.Count("the same operator asks for another one"), 1);
   EXPECT_THAT(Approve(first).status, StatusIs(absl::StatusCode::kNotFound));
   const std::string bobs = Ask("ALERT", "bob").pending_approval_id;
   EXPECT_THAT(PendingNow(), SizeIs(2));
@@ -242,6 +246,14 @@ TEST_F(TwoPersonTest, HasALimitThatOneOperatorDoesNotFill) {
   EXPECT_THAT(over.status, StatusIs(absl::StatusCode::kResourceExhausted));
   EXPECT_EQ(over.pending_approval_id, "");
   EXPECT_THAT(PendingNow(), SizeIs(Approvals::kPendingMax));
+}
+
+TEST_F(TwoPersonTest, OneOperatorHidesNoRequestOfAnother) {
+  StartAt("COMPROMISED", {"COMPROMISED"});
+  for (int i = 0; i < 200; ++i) Ask(i % 2 == 0 ? "ALERT" : "DEFAULT", "mallory");
+  EXPECT_LT(audience_.Count("operator mallory asks to lower"), 100);
+  Ask("ALERT", "alice");
+  EXPECT_EQ(audience_.Count("operator alice asks to lower"), 1);
 }
 
 TEST_F(TwoPersonTest, ABanOfWhoAskedEndsIt) {

@@ -360,7 +360,9 @@ void RobotCore::OnSwapPolicy(const input::SwapPolicy& in) {
     policy_problem_.clear();
     gate_.set_hold_ns(in.policy.soft_hold_ns);
     alerts_.Raise(engine::Severity::kInfo,
-                  absl::StrCat("bundle ", in.policy.bundle_id, " is in force"));
+                  absl::StrCat("bundle ", in.policy.bundle_id, " is in force",
+                               in.policy.two_person.empty() ? "" : "; two operators lower from ",
+                               absl::StrJoin(in.policy.two_person, ", ")));
     sensors_.AskInterest();
     actuators_.ReportMissingPrograms();
     judge_.Wake();

@@ -6,8 +6,33 @@
 #include "absl/status/status.h"
 #include "absl/strings/escaping.h"
 #include "absl/strings/str_cat.h"
+#include "absl/strings/str_join.h"
 
 namespace rips::pipeline {
+namespace {
+
+// As `ripsctl` shows it.
+std::string ShortId(const std::string& id) { return id.substr(0, 8); }
+
+// Who came and who left, or that something else is new.
+std::string ChangeOf(const ros2::RosGraph& before, const ros2::RosGraph& now) {
+  constexpr size_t kNamed = 3;
+  std::vector<std::string> names;
+  const auto add = [&](const ros2::RosGraph& from, const ros2::RosGraph& without,
+                       absl::string_view what) {
+    for (const ros2::Node& node : from.nodes()) {
+      if (names.size() < kNamed && !without.nodes().contains(node)) {
+        names.push_back(absl::StrCat(node.full_name, what));
+      }
+    }
+  };
+  add(now, before, " came");
+  add(before, now, " left");
+  if (names.empty()) names.push_back("topics, services or participants");
+  return absl::StrCat(": ", absl::StrJoin(names, ", "));
+}
+
+}  // namespace
 
 bool Approvals::Needed(levels::LevelIndex to) const {
   // Also of a level in between: who may not leave it alone must not go round it, by raising the
@@ -24,10 +49,14 @@ void Approvals::Ask(const LevelOrder& order, LevelAnswer& answer) {
   auto it = std::find_if(pending_.begin(), pending_.end(), [&](const Pending& each) {
     return each.order.identity == order.identity;
   });
-  const bool repeated =
-      it != pending_.end() && !order.request_id.empty() && it->order.request_id == order.request_id;
+  const bool repeated = it != pending_.end() && it->order.to == order.to &&
+                        it->order.reason == order.reason &&
+                        it->order.accept_blind == order.accept_blind && WhyOver(*it).empty();
   if (!repeated) {
-    if (it != pending_.end()) pending_.erase(it);
+    if (it != pending_.end()) {
+      ReportEnd(*it, "the same operator asks for another one");
+      pending_.erase(it);
+    }
     if (pending_.size() >= kPendingMax) {
       answer.status = absl::ResourceExhaustedError(absl::StrCat(
           kPendingMax, " lowerings of ", context_.config.id,
@@ -37,10 +66,11 @@ void Approvals::Ask(const LevelOrder& order, LevelAnswer& answer) {
     it = pending_.insert(
         pending_.end(),
         {.id = context_.ids.Next(), .order = order, .seen = Now(), .asked = context_.now()});
-    alerts_.Raise(engine::Severity::kInfo,
-                  absl::StrCat("operator ", order.operator_name, " asks to lower ",
+    Report(order, absl::StrCat("operator ", order.operator_name, " asks to lower ",
                                context_.config.id, " from ", order.expected_level, " to ", order.to,
-                               ", which a second operator must approve: ", order.reason));
+                               order.accept_blind ? ", whatever RIPS sees of it" : "",
+                               ", which a second operator must approve (", ShortId(it->id),
+                               "): ", order.reason));
   }
   answer.pending_approval_id = it->id;
   answer.approval_expires_unix_ns = it->asked.unix_ns + kApprovalNs;
@@ -67,7 +97,7 @@ void Approvals::Remove(absl::string_view id) {
 
 Approvals::Seen Approvals::Now() const {
   return {.decision_id = state_.level.decision_id(),
-          .graph_revision = state_.graph.revision(),
+          .graph = state_.graph.version(),
           .bundle_id = context_.policy.bundle_id};
 }
 
@@ -77,7 +107,10 @@ std::string Approvals::WhyOver(const Pending& pending) const {
     return absl::StrCat("the level was decided anew (", ToString(now.decision_id), ")");
   }
   if (pending.seen.bundle_id != now.bundle_id) return "another bundle is in force";
-  if (pending.seen.graph_revision != now.graph_revision) return "the robot's graph has changed";
+  if (pending.seen.graph.revision != now.graph.revision) {
+    return absl::StrCat("the robot's graph has changed",
+                        ChangeOf(*pending.seen.graph.graph, *now.graph.graph));
+  }
   if (context_.now_ns() - pending.asked.boottime_ns >= kApprovalNs) {
     return absl::StrCat("it was not approved within ", kApprovalNs / (60 * kNanosPerSecond),
                         " minutes");
@@ -106,15 +139,20 @@ void Approvals::EndOf(absl::string_view identity) {
 }
 
 void Approvals::ReportEnd(const Pending& pending, absl::string_view why) {
-  alerts_.Raise(engine::Severity::kInfo,
-                absl::StrCat("the lowering of ", context_.config.id, " to ", pending.order.to,
-                             " that operator ", pending.order.operator_name,
-                             " asked for cannot be approved any more: ", why));
+  Report(pending.order,
+         absl::StrCat("the lowering of ", context_.config.id, " to ", pending.order.to, " (",
+                      ShortId(pending.id), ") that operator ", pending.order.operator_name,
+                      " asked for cannot be approved any more: ", why));
+}
+
+void Approvals::Report(const LevelOrder& asked, const std::string& text) {
+  alerts_.RaiseOfKind(absl::StrCat("asked by ", asked.identity), engine::Severity::kInfo, text);
 }
 
 std::vector<PendingApproval> Approvals::pending() const {
   std::vector<PendingApproval> out;
   for (const Pending& each : pending_) {
+    if (!WhyOver(each).empty()) continue;  // ended with the next step of time
     out.push_back({.id = each.id,
                    .from = each.order.expected_level,
                    .to = each.order.to,

@@ -40,8 +40,8 @@ class Approvals {
 
   // A lowering to `to` leaves a level that says so, or goes past one.
   bool Needed(levels::LevelIndex to) const;
-  // The order waits from now on; an earlier one of the same identity does no more. `answer` is told
-  // its id. ResourceExhausted past kPendingMax.
+  // The order waits from now on, or still, if it asks for the same again; another one of the same
+  // identity does no more. `answer` is told its id. ResourceExhausted past kPendingMax.
   void Ask(const LevelOrder& order, LevelAnswer& answer);
   // The lowering that `approval` is about. NotFound; FailedPrecondition: it has ended just now. It
   // waits on.
@@ -59,7 +59,7 @@ class Approvals {
   // The robot as the first operator saw it.
   struct Seen {
     DecisionId decision_id;
-    uint64_t graph_revision = 0;
+    engine::CurrentGraph::Version graph;
     std::string bundle_id;
   };
   struct Pending {
@@ -72,6 +72,8 @@ class Approvals {
   Seen Now() const;
   // Why it may not be approved any more; empty = it may.
   std::string WhyOver(const Pending& pending) const;
+  // An alert, of which each operator has a limit of their own: none hides another's requests.
+  void Report(const LevelOrder& asked, const std::string& text);
   // Says so; the caller removes it.
   void ReportEnd(const Pending& pending, absl::string_view why);
   // Why the lowering of that id has ended just now; empty = it has not.

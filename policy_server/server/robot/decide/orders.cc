@@ -99,10 +99,11 @@ void Orders::OnApprove(const input::Approve& in) {
   }
   if (answer.status.ok() && order.reject) {
     approvals_.Remove(order.id);
-    alerts_.Raise(engine::Severity::kInfo,
-                  absl::StrCat("operator ", order.operator_name, " rejects to lower ",
-                               context_.config.id, " to ", lowering->to, ", for which operator ",
-                               lowering->operator_name, " asked: ", order.reason));
+    alerts_.Raise(
+        engine::Severity::kInfo,
+        absl::StrCat("operator ", order.operator_name, " rejects to lower ", context_.config.id,
+                     " to ", lowering->to, " (", order.id.substr(0, 8), "), for which operator ",
+                     lowering->operator_name, " asked: ", order.reason));
     return context_.Do(action::AnswerOrder{in.token, std::move(answer)});
   }
   if (answer.status.ok()) {
@@ -112,11 +113,23 @@ void Orders::OnApprove(const input::Approve& in) {
     lowering->accept_blind = lowering->accept_blind && order.accept_blind;
     lowering->request_id = order.request_id;
     answer.status = CheckLowering(*lowering, answer);
+    if (!answer.status.ok() && order.accept_blind && !answer.blind_because.empty()) {
+      answer.status = absl::FailedPreconditionError(absl::StrCat(
+          "RIPS does not see all of ", context_.config.id,
+          " now: ", absl::StrJoin(answer.blind_because, "; "),
+          "; both operators must accept that: it was asked for without --accept-blind"));
+    }
   }
   if (!answer.status.ok()) {
     return context_.Do(action::AnswerOrder{in.token, std::move(answer)});
   }
   approvals_.Remove(order.id);
+  alerts_.RaiseOfKind(
+      absl::StrCat("approval by ", order.identity), engine::Severity::kInfo,
+      absl::StrCat("operator ", lowering->operator_name, ", lowers ", context_.config.id, " to ",
+                   lowering->to, " (", order.id.substr(0, 8), ")",
+                   answer.blind_because.empty() ? "" : ", though RIPS does not see it: ",
+                   absl::StrJoin(answer.blind_because, "; ")));
   Decide(Lower(*lowering, state_.level), *lowering,
          {.token = in.token, .answer = std::move(answer)});
 }
