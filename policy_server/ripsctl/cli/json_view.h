@@ -28,8 +28,10 @@ Json ToJson(const v1::Subject& subject);
 Json ToJson(const v1::Evidence& evidence);
 // {"alert","transition","evidence","alerts":[..],"transitions":[..]}; null what is not there.
 Json ToJson(const v1::ExplainResponse& response);
-// {"status":{..},"levels":[{"name","soft"}],"last":transition or null}
+// {"id","from","to","decision_id","operator","reason","accept_blind","asked","expires"}
 Json ToJson(const v1::PendingApproval& pending);
+// {"status":{..},"levels":[{"name","soft","two_person"}],"last":transition or null,
+//  "pending_approvals":[..]}
 Json ToJson(const v1::GetLevelResponse& response);
 // {"nodes":[{"name","services":[..]}],"topics":[{"name","types":[..],"publishers":[..],
 //  "subscribers":[..]}],"unattributed":[{"guid","topic","kind"}]}

@@ -35,7 +35,7 @@ class TwoPersonTest : public RobotTest {
     order.operator_name = who;
     order.identity = "td/" + who;
     order.to = to;
-    order.reason = "aisle is clear";
+    if (order.reason.empty()) order.reason = "aisle is clear";
     order.expected_level = Level();
     order.expected_decision_id = robot_->Status().decision_id;
     LevelAnswer answer{.status = absl::UnknownError("not answered")};
@@ -49,7 +49,7 @@ class TwoPersonTest : public RobotTest {
     order.operator_name = who;
     order.identity = "td/" + who;
     order.id = id;
-    order.reason = "I see it, too";
+    if (order.reason.empty()) order.reason = "I see it, too";
     LevelAnswer answer{.status = absl::UnknownError("not answered")};
     robot_->Approve(order, [&](const LevelAnswer& got) { answer = got; });
     Drain();
@@ -85,6 +85,16 @@ TEST_F(TwoPersonTest, ASecondOperatorLowersWhatTheFirstAskedFor) {
   EXPECT_THAT(Approve(asked.pending_approval_id, "carol").status,
               StatusIs(absl::StatusCode::kNotFound))
       << "twice";
+}
+
+TEST_F(TwoPersonTest, BothReasonsMayBeAsLongAsAReasonMayBe) {
+  StartAt("COMPROMISED", {"COMPROMISED"});
+  const std::string longest(kReasonBytesMax, 'x');
+  const std::string id = Ask("ALERT", "alice", {.reason = longest}).pending_approval_id;
+  EXPECT_THAT(Approve(id, "bob", {.reason = longest + "x"}).status,
+              StatusIs(absl::StatusCode::kInvalidArgument));
+  EXPECT_THAT(Approve(id, "bob", {.reason = longest}).status, IsOk());
+  EXPECT_EQ(recorder_.decisions.back().reason, longest + "; approved: " + longest);
 }
 
 TEST_F(TwoPersonTest, NoOneApprovesTheirOwn) {
@@ -252,8 +262,15 @@ TEST_F(TwoPersonTest, OneOperatorHidesNoRequestOfAnother) {
   StartAt("COMPROMISED", {"COMPROMISED"});
   for (int i = 0; i < 200; ++i) Ask(i % 2 == 0 ? "ALERT" : "DEFAULT", "mallory");
   EXPECT_LT(audience_.Count("operator mallory asks to lower"), 100);
-  Ask("ALERT", "alice");
+  for (int i = 0; i < 200; ++i) {
+    const std::string id = Ask("ALERT", "mallory").pending_approval_id;
+    EXPECT_THAT(Approve(id, "mallory", {.reject = true}).status, IsOk());
+  }
+  EXPECT_LT(audience_.Count("operator mallory rejects"), 100);
+  const std::string id = Ask("ALERT", "alice").pending_approval_id;
   EXPECT_EQ(audience_.Count("operator alice asks to lower"), 1);
+  EXPECT_THAT(Approve(id, "bob", {.reject = true}).status, IsOk());
+  EXPECT_EQ(audience_.Count("operator bob rejects"), 1);
 }
 
 TEST_F(TwoPersonTest, ABanOfWhoAskedEndsIt) {

@@ -8,6 +8,8 @@
 //   a ban of who asked                         nothing is decided
 //   another decision, graph or bundle          nothing is decided: neither of the two saw that
 //   kApprovalNs                                nothing is decided
+//
+// Whether the certificate of who asked counts yet is for the caller to know (Requesters).
 #ifndef RIPS_POLICY_SERVER_SERVER_ROBOT_DECIDE_APPROVALS_H_
 #define RIPS_POLICY_SERVER_SERVER_ROBOT_DECIDE_APPROVALS_H_
 
@@ -43,8 +45,8 @@ class Approvals {
   // The order waits from now on, or still, if it asks for the same again; another one of the same
   // identity does no more. `answer` is told its id. ResourceExhausted past kPendingMax.
   void Ask(const LevelOrder& order, LevelAnswer& answer);
-  // The lowering that `approval` is about. NotFound; FailedPrecondition: it has ended just now. It
-  // waits on.
+  // The lowering that `approval` is about, which goes on waiting. NotFound; FailedPrecondition: it
+  // has ended just now.
   absl::StatusOr<LevelOrder> Find(const ApprovalOrder& approval);
   // It waits no more.
   void Remove(absl::string_view id);

@@ -99,17 +99,14 @@ void Orders::OnApprove(const input::Approve& in) {
   }
   if (answer.status.ok() && order.reject) {
     approvals_.Remove(order.id);
-    alerts_.Raise(
-        engine::Severity::kInfo,
+    alerts_.RaiseOfKind(
+        absl::StrCat("approval by ", order.identity), engine::Severity::kInfo,
         absl::StrCat("operator ", order.operator_name, " rejects to lower ", context_.config.id,
                      " to ", lowering->to, " (", order.id.substr(0, 8), "), for which operator ",
                      lowering->operator_name, " asked: ", order.reason));
     return context_.Do(action::AnswerOrder{in.token, std::move(answer)});
   }
   if (answer.status.ok()) {
-    lowering->operator_name =
-        absl::StrCat(lowering->operator_name, ", approved by ", order.operator_name);
-    lowering->reason = absl::StrCat(lowering->reason, "; approved: ", order.reason);
     lowering->accept_blind = lowering->accept_blind && order.accept_blind;
     lowering->request_id = order.request_id;
     answer.status = CheckLowering(*lowering, answer);
@@ -124,6 +121,10 @@ void Orders::OnApprove(const input::Approve& in) {
     return context_.Do(action::AnswerOrder{in.token, std::move(answer)});
   }
   approvals_.Remove(order.id);
+  lowering->operator_name =
+      absl::StrCat(lowering->operator_name, ", approved by ", order.operator_name);
+  // Each is within the limit of a reason; both together need not be.
+  lowering->reason = absl::StrCat(lowering->reason, "; approved: ", order.reason);
   alerts_.RaiseOfKind(
       absl::StrCat("approval by ", order.identity), engine::Severity::kInfo,
       absl::StrCat("operator ", lowering->operator_name, ", lowers ", context_.config.id, " to ",
