@@ -280,7 +280,9 @@ TEST_F(FleetTest, ABundleThatIsRefusedAtReloadLeavesTheOldOneInForceAndIsShown) 
               testing::Not(Contains(HasSubstr("the old policy stays in force"))));
   Stop();
   int again = 0;
-  for (const store::AlertRecord& alert : *store_.ListAlerts("r1", 100)) {
+  const auto alerts = store_.ListAlerts("r1", 100);
+  ASSERT_THAT(alerts, IsOk());
+  for (const store::AlertRecord& alert : *alerts) {
     again += absl::StrContains(alert.text, "is in order again") ? 1 : 0;
   }
   EXPECT_EQ(again, 1);
