@@ -58,6 +58,33 @@ class TwoPersonTest : public RobotTest {
   std::vector<PendingApproval> PendingNow() { return robot_->Status().pending_approvals; }
 };
 
+TEST_F(TwoPersonTest, IsOverWhenARuleAsksForALevelAboveAgain) {
+  two_person_ = {"COMPROMISED", "HALT"};
+  Start();
+  Arm();
+  ros2::GraphDelta delta;
+  AddNode(&delta, 9, "/intruder", "/cmd_vel");
+  SendDelta(std::move(delta));
+  SendMessage(9);
+  Obey();
+  ASSERT_EQ(Level(), "COMPROMISED");
+  const DecisionId decided = robot_->Status().decision_id;
+  const std::string id = Ask("ALERT").pending_approval_id;
+  SendMessage(9);
+  EXPECT_EQ(robot_->Status().decision_id, decided) << "the robot is there already";
+  EXPECT_THAT(PendingNow(), IsEmpty());
+  const LevelAnswer refused = Approve(id);
+  EXPECT_THAT(refused.status, StatusIs(absl::StatusCode::kFailedPrecondition));
+  EXPECT_THAT(refused.status.message(), HasSubstr("rule rogue asked for COMPROMISED since"));
+  EXPECT_EQ(Level(), "COMPROMISED");
+
+  // To a level that the rule does not exceed.
+  Raise("HALT");
+  const std::string to_it = Ask("COMPROMISED").pending_approval_id;
+  SendMessage(9);
+  EXPECT_THAT(Approve(to_it).status, IsOk());
+}
+
 TEST_F(TwoPersonTest, ASecondOperatorLowersWhatTheFirstAskedFor) {
   StartAt("COMPROMISED", {"COMPROMISED", "HALT"});
   const DecisionId before = robot_->Status().decision_id;

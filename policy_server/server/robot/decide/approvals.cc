@@ -98,7 +98,8 @@ void Approvals::Remove(absl::string_view id) {
 Approvals::Seen Approvals::Now() const {
   return {.decision_id = state_.level.decision_id(),
           .graph = state_.graph.version(),
-          .bundle_id = context_.policy.bundle_id};
+          .bundle_id = context_.policy.bundle_id,
+          .requests = state_.level.requests()};
 }
 
 std::string Approvals::WhyOver(const Pending& pending) const {
@@ -107,6 +108,7 @@ std::string Approvals::WhyOver(const Pending& pending) const {
     return absl::StrCat("the level was decided anew (", ToString(now.decision_id), ")");
   }
   if (pending.seen.bundle_id != now.bundle_id) return "another bundle is in force";
+  if (const std::string rule = RuleSince(pending); !rule.empty()) return rule;
   if (pending.seen.graph.revision != now.graph.revision) {
     return absl::StrCat("the robot's graph has changed",
                         ChangeOf(*pending.seen.graph.graph, *now.graph.graph));
@@ -114,6 +116,17 @@ std::string Approvals::WhyOver(const Pending& pending) const {
   if (context_.now_ns() - pending.asked.boottime_ns >= kApprovalNs) {
     return absl::StrCat("it was not approved within ", kApprovalNs / (60 * kNanosPerSecond),
                         " minutes");
+  }
+  return "";
+}
+
+std::string Approvals::RuleSince(const Pending& pending) const {
+  const levels::LevelTable& table = state_.level.table();
+  const std::vector<levels::LevelMachine::Requests>& now = state_.level.requests();
+  const levels::LevelIndex to = table.Find(pending.order.to).value_or(0);
+  for (levels::LevelIndex level = table.size() - 1; level > to; --level) {
+    if (pending.seen.requests[level] == now[level]) continue;
+    return absl::StrCat("rule ", now[level].rule, " asked for ", table.name(level), " since");
   }
   return "";
 }

@@ -7,6 +7,7 @@
 //   another request of who asked               only the newer one waits
 //   a ban of who asked                         nothing is decided
 //   another decision, graph or bundle          nothing is decided: neither of the two saw that
+//   a rule that asks for a level above `to`    nothing is decided, even if the robot is there
 //   kApprovalNs                                nothing is decided
 //
 // Whether the certificate of who asked counts yet is for the caller to know (Requesters).
@@ -63,6 +64,7 @@ class Approvals {
     DecisionId decision_id;
     engine::CurrentGraph::Version graph;
     std::string bundle_id;
+    std::vector<levels::LevelMachine::Requests> requests;
   };
   struct Pending {
     std::string id;
@@ -74,6 +76,9 @@ class Approvals {
   Seen Now() const;
   // Why it may not be approved any more; empty = it may.
   std::string WhyOver(const Pending& pending) const;
+  // Says which rule has asked for a level above the one to lower to; empty = none has. The bundle is
+  // the one that was seen.
+  std::string RuleSince(const Pending& pending) const;
   // An alert, of which each operator has a limit of their own: none hides another's requests.
   void Report(const LevelOrder& asked, const std::string& text);
   // Says so; the caller removes it.
