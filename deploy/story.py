@@ -181,6 +181,20 @@ class Story:
         self.decision("DEFAULT", start_ns - 10**9, 20)
         self.tell_robot("DEFAULT", camera_on=True)
 
+    def replays(self):
+        title("7. What led to each alert is on record")
+        grave = [alert for alert in self.fleet.alerts()
+                 if alert["severity"] in ("high", "critical") and alert["rule"] != "(rips)"]
+        for alert in grave:
+            say("operator", f"$ ripsctl alert recording {alert['id'][:8]} --out alert.rips")
+            result, path = self.fleet.replay(alert)
+            same = [each for each in result["recorded"] if each["id"] == alert["id"]]
+            if not same or same[0]["event"] is None:
+                raise Failed(f"the recording {path} does not replay to `{alert['text']}`")
+            events = result["events"]
+            say("rips", f"replayed: {events['message']} messages, {events['graph']} changes of the "
+                        f"graph; rule {alert['rule']} raises the same alert")
+
     def summary(self, started):
         title("What it took")
         print("                                     sample to alert   to command   to mode read back")
@@ -211,7 +225,7 @@ def main():
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))
     try:
         for step in (story.normal, story.stranger, story.rogue, story.gone, story.release,
-                     story.soft_return):
+                     story.soft_return, story.replays):
             step()
         story.summary(started)
         if options.keep:

@@ -27,7 +27,7 @@ struct Noun {
 constexpr Noun kNouns[] = {
     {"robot", "List robots and show their state, ROS graph and coverage"},
     {"level", "Show, raise and lower alert levels"},
-    {"alert", "List and watch alerts"},
+    {"alert", "List and watch alerts, and fetch what led to them"},
     {"explain", "Explain an alert, or why a robot is at its level"},
     {"rules", "Check, format, test and replay rules"},
     {"audit", "Verify and read a policy server's audit log; needs no server"},
@@ -36,10 +36,11 @@ constexpr Noun kNouns[] = {
 };
 // In the order in which --help lists the verbs of a noun.
 constexpr Commands (*kMakers[])() = {
-    RobotCommands,   CoverageCommands, ActuatorCommands, LevelCommands,
-    ApproveCommands, AlertCommands,    ExplainCommands,  CheckRules,
-    FormatRules,     RulesBuiltins,    TestRules,        ReplayRules,
-    ResumeRules,     AuditCommands,    AgentCommands,    RecordCommands};
+    RobotCommands,   CoverageCommands, ActuatorCommands,       LevelCommands,
+    ApproveCommands, AlertCommands,    AlertRecordingCommands, ExplainCommands,
+    CheckRules,      FormatRules,      RulesBuiltins,          TestRules,
+    ReplayRules,     ResumeRules,      AuditCommands,          AgentCommands,
+    RecordCommands};
 
 // The whole command line.
 class Parser {

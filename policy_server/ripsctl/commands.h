@@ -6,12 +6,13 @@
 
 namespace rips::ripsctl {
 
-Commands RobotCommands();     // list, watch, show, graph
-Commands CoverageCommands();  // robot interest, robot coverage
-Commands ActuatorCommands();  // robot receipts, robot drill
-Commands LevelCommands();     // show, history, raise, lower
-Commands ApproveCommands();   // level approve
-Commands AlertCommands();     // list, watch
+Commands RobotCommands();           // list, watch, show, graph
+Commands CoverageCommands();        // robot interest, robot coverage
+Commands ActuatorCommands();        // robot receipts, robot drill
+Commands LevelCommands();           // show, history, raise, lower
+Commands ApproveCommands();         // level approve
+Commands AlertCommands();           // list, watch
+Commands AlertRecordingCommands();  // alert recording
 Commands ExplainCommands();
 Commands CheckRules();
 Commands FormatRules();

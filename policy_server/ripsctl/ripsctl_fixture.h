@@ -98,12 +98,19 @@ class FakeOperator final : public v1::OperatorService::Service {
     v1::Recording piece;
     piece.mutable_header()->set_robot(request->robot());
     writer->Write(piece);
+    piece.mutable_event()->mutable_signal()->set_name("SIGUSR1");
     for (int i = 0; i < 2; ++i) {
       piece.mutable_event()->set_time_unix_ns(kNewYear + i);
-      piece.mutable_event()->mutable_signal()->set_name("SIGUSR1");
       writer->Write(piece);
     }
     return Record("Record");
+  }
+  grpc::Status GetAlertRecording(grpc::ServerContext*, const v1::GetAlertRecordingRequest* request,
+                                 grpc::ServerWriter<v1::Recording>* writer) override {
+    for (const v1::Recording& piece : MakeAlertRecording()) {
+      if (failure.ok()) writer->Write(piece);
+    }
+    return Record(absl::StrCat("GetAlertRecording ", request->alert_id()));
   }
   grpc::Status ListAgents(grpc::ServerContext*, const v1::ListAgentsRequest*,
                           v1::ListAgentsResponse* response) override {

@@ -369,6 +369,7 @@ TEST_F(RipsctlHelpTest, EveryVerbThatItNamesPassesOnRefusals) {
       {"level", "approve", "r1", "333333", "--reason", "x"},
       {"alert", "list"},
       {"alert", "watch"},
+      {"alert", "recording", "1", "--out", recording},
       {"explain", "r1"},
       {"rules", "resume", "r1", "--reason", "x"},
       {"agent", "list"},
@@ -743,6 +744,31 @@ TEST_F(RipsctlTest, RecordsIntoANewFile) {
   const Result replayed = Run({"rules", "replay", "--rules", rules, "--events", path});
   EXPECT_EQ(replayed.code, 0) << replayed.err;
   EXPECT_THAT(replayed.out, HasSubstr("seen"));
+}
+
+TEST_F(RipsctlTest, FetchesTheRecordingOfAnAlertAndSaysHowToReplayIt) {
+  const std::string path = home_ + "/alert.rips";
+  const Result first = Run({"alert", "recording", "11111111", "--out", path});
+  EXPECT_EQ(first.code, 0) << first.err;
+  EXPECT_EQ(
+      first.out,
+      absl::StrCat("1 events in 1.5s of r1 from 2026-01-01T00:00:00.000Z on, at ALERT, in ", path,
+                   "\nwith alert 11111111, rogue: who drives\\x1b[1m?\n"
+                   "what the rules did with them, with the directory of the robot's bundle "
+                   "(sha256:01234567):\n  ripsctl rules replay --rules BUNDLE --events ",
+                   path, "\n"));
+  EXPECT_EQ(fake_.calls().back(), "GetAlertRecording 11111111");
+  EXPECT_EQ(Run({"alert", "recording", "11111111", "--out", path}).code, 2) << "is there already";
+  const auto json = RunJson({"alert", "recording", "11111111", "--out", path, "--force"});
+  EXPECT_EQ(json["alerts"][0]["id"], std::string(32, '1'));
+  EXPECT_EQ(json["end"], "2026-01-01T00:00:01.500000000Z");
+  EXPECT_EQ(json["events"], 1);
+
+  fake_.failure = grpc::Status(grpc::StatusCode::NOT_FOUND, "no recording is kept of it");
+  const Result none = Run({"alert", "recording", "2", "--out", home_ + "/none.rips"});
+  EXPECT_EQ(none.code, 1);
+  EXPECT_THAT(none.err, HasSubstr("no recording is kept of it"));
+  EXPECT_FALSE(std::filesystem::exists(home_ + "/none.rips"));
 }
 
 TEST_F(RipsctlTest, ARefusedRecordingSaysWhy) {

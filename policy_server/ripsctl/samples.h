@@ -4,8 +4,10 @@
 
 #include <cstdint>
 #include <string>
+#include <vector>
 
 #include "rips/v1/operator.pb.h"
+#include "rips/v1/recording.pb.h"
 
 namespace rips::ripsctl {
 
@@ -27,6 +29,23 @@ inline v1::RobotStatus MakeStatus(const std::string& robot, const std::string& l
   *status.mutable_decision_id() = MakeDecisionId(3, 17);
   status.set_bundle_version("sha256:" + std::string(64, 'b'));
   return status;
+}
+
+// A header, and one event a second and a half later.
+inline std::vector<v1::Recording> MakeAlertRecording() {
+  std::vector<v1::Recording> pieces(2);
+  v1::RecordingHeader& header = *pieces[0].mutable_header();
+  header.set_robot("r1");
+  header.set_bundle_id("sha256:0123456789");
+  header.set_level("ALERT");
+  header.set_start_unix_ns(kNewYear);
+  v1::RecordedAlert& alert = *header.add_alerts();
+  alert.set_id(std::string(32, '1'));
+  alert.set_rule("rogue");
+  alert.set_text("who drives\x1b[1m?");
+  pieces[1].mutable_event()->set_time_unix_ns(kNewYear + 1'500'000'000);
+  pieces[1].mutable_event()->mutable_signal()->set_name("SIGUSR1");
+  return pieces;
 }
 
 inline v1::Transition MakeTransition() {

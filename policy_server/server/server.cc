@@ -120,7 +120,31 @@ absl::Status Server::Open() {
   inspections_ = std::make_unique<inspect::InspectionPool>(
       inspect::PoolOptions{.threads = std::max(2, threads)}, &clock_);
   recorder_ = std::make_unique<pipeline::StoreRecorder>(store_.get(), committer_.get());
+  OpenRecordings();
   return absl::OkStatus();
+}
+
+void Server::OpenRecordings() {
+  if (config_.recordings_bytes == 0) return;
+  const auto problem = [this](const absl::Status& why) {
+    OwnAlert(engine::Severity::kMedium,
+             absl::StrCat("recordings of what leads to alerts are not saved: ", why.message()));
+  };
+  auto files = flight::FlightFiles::Open(
+      {.directory = config_.recordings_directory(), .bytes_max = config_.recordings_bytes});
+  if (!files.ok()) return problem(files.status());
+  recordings_ = *std::move(files);
+  if (const absl::Status writable = recordings_->CheckWritable(); !writable.ok()) problem(writable);
+  const auto recordings = [this](const char* result) {
+    return metrics_.AddCounter("rips_recordings_total",
+                               "Recordings of what led to alerts, by what became of them.",
+                               {{"result", result}});
+  };
+  flights_ = std::make_unique<flight::FlightArchive>(
+      recordings_.get(),
+      flight::ArchiveReports{.saved = [saved = recordings("saved")] { saved.Increment(); },
+                             .failed = [failed = recordings("failed")] { failed.Increment(); },
+                             .problem = problem});
 }
 
 absl::Status Server::AwaitCredentials(const Pause& pause) {
@@ -457,6 +481,12 @@ std::shared_ptr<operator_api::CallerQuota> Server::MakeQuota() {
   return operator_api::CallerQuota::Create(&clock_, limits, [refused] { refused.Increment(); });
 }
 
+std::function<std::unique_ptr<pipeline::FlightRecorder>(const std::string&)>
+Server::NewFlightRecorder() {
+  if (flights_ == nullptr) return nullptr;
+  return [this](const std::string& robot) { return flights_->NewRecorder(robot); };
+}
+
 absl::Status Server::AddRobots() {
   RIPS_RETURN_IF_ERROR(recorder_->BeginGeneration(absl::HexStringToBytes(NewId())));
   const int shards = config_.shards > 0
@@ -485,8 +515,11 @@ absl::Status Server::AddRobots() {
                    .timing = ToPipeline(config_.timing)},
       store_.get(), pipeline_.get(), alerts_.get(),
       [this](const std::string& dir, const std::string& name) { return LoadPolicy(dir, name); },
-      pipeline::Ports{
-          .recorder = recorder_.get(), .audience = hub_.get(), .counts = counts, .new_id = NewId},
+      pipeline::Ports{.recorder = recorder_.get(),
+                      .audience = hub_.get(),
+                      .counts = counts,
+                      .flight_recorder = NewFlightRecorder(),
+                      .new_id = NewId},
       FleetCounts{.robots =
                       [robots](size_t armed, size_t on_last_good, size_t held) {
                         robots("current", armed);
@@ -544,7 +577,8 @@ absl::Status Server::Listen() {
               },
           .quota = MakeQuota(),
           .audit = orders_.get(),
-          .store_writable = [this] { return committer_->healthy(); }});
+          .store_writable = [this] { return committer_->healthy(); },
+          .recordings = recordings_.get()});
   RIPS_ASSIGN_OR_RETURN(
       rpc_, rpc::RpcServer::Start({.listen = config_.listen,
                                    .guard = connections_.get(),

@@ -20,6 +20,8 @@
 #include "policy_server/server/config/config.h"
 #include "policy_server/server/dispatch/actuator_service.h"
 #include "policy_server/server/fleet.h"
+#include "policy_server/server/flight/flight_archive.h"
+#include "policy_server/server/flight/flight_files.h"
 #include "policy_server/server/ingest/sensor_service.h"
 #include "policy_server/server/operator_api/ban_list.h"
 #include "policy_server/server/operator_api/operator_service.h"
@@ -81,6 +83,10 @@ class Server {
   // Reads the revocation lists if they have changed, and says what is wrong with them.
   void LookAtRevocations();
   absl::Status OpenJail();
+  // What is wrong with them is an alert: robots are judged all the same.
+  void OpenRecordings();
+  // Null if no recordings are kept.
+  std::function<std::unique_ptr<pipeline::FlightRecorder>(const std::string&)> NewFlightRecorder();
   // `name` empty: whatever the manifest calls it.
   absl::StatusOr<pipeline::Policy> LoadPolicy(const std::string& dir, const std::string& name);
   absl::Status AddRobots();
@@ -110,6 +116,9 @@ class Server {
   std::unique_ptr<AttackAlerts> attacks_;
   std::unique_ptr<pipeline::StoreWatch> store_watch_;
   std::unique_ptr<pipeline::StoreRecorder> recorder_;
+  // Both null if no recordings are kept.
+  std::unique_ptr<flight::FlightFiles> recordings_;
+  std::unique_ptr<flight::FlightArchive> flights_;
   std::unique_ptr<pipeline::Pipeline> pipeline_;
   std::unique_ptr<Fleet> fleet_;
   std::unique_ptr<operator_api::BanList> bans_;

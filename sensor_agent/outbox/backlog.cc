@@ -119,9 +119,8 @@ absl::Status Backlog::Acknowledge(const StreamKey& stream, uint64_t sequence) {
                                                    " of the backlog, but the last number given is ",
                                                    queue->next_sequence() - 1));
   }
-  const absl::StatusOr<bool> went = queue->Acknowledge(sequence, to_release_);
-  if (went.ok() && *went) refusals_ = 0;
-  return went.status();
+  if (queue->Acknowledge(sequence, to_release_)) refusals_ = 0;
+  return absl::OkStatus();
 }
 
 void Backlog::Discard(const StreamKey& stream, uint64_t first_sequence, int64_t now_ns) {

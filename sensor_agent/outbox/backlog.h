@@ -115,8 +115,8 @@ class Backlog {
   std::optional<BacklogBatch> Front(Lane lane) const;
   // Front(stream.lane) has gone out.
   void MarkSent(const StreamKey& stream);
-  // Forgets batches up to and including `sequence`. InvalidArgument if that was never sent, and
-  // this is not the first acknowledgement of the connection.
+  // Forgets batches up to and including `sequence`, as BacklogQueue does. InvalidArgument if this
+  // process has given no such number.
   absl::Status Acknowledge(const StreamKey& stream, uint64_t sequence);
   // That batch cannot be decoded or read: it is lost.
   void Discard(const StreamKey& stream, uint64_t first_sequence, int64_t now_ns);

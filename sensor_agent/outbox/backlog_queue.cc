@@ -3,7 +3,6 @@
 #include <algorithm>
 #include <utility>
 
-#include "absl/strings/str_cat.h"
 #include "services/base/check.h"
 
 namespace rips::sensor {
@@ -43,7 +42,6 @@ void BacklogQueue::AdvanceWritten() {
 
 bool BacklogQueue::Rewind() {
   sent_ = 0;
-  highest_sent_ = 0;
   resumed_ = entries_.empty();
   return !entries_.empty();
 }
@@ -54,20 +52,11 @@ const BacklogEntry* BacklogQueue::Front() const {
 
 void BacklogQueue::MarkSent() {
   RIPS_CHECK(sent_ < entries_.size(), "no such batch");
-  highest_sent_ = entries_[sent_].last_sequence();
   ++sent_;
 }
 
-absl::StatusOr<bool> BacklogQueue::Acknowledge(uint64_t sequence,
-                                               std::vector<SpoolRecord>& release) {
-  const bool resuming = !resumed_;
+bool BacklogQueue::Acknowledge(uint64_t sequence, std::vector<SpoolRecord>& release) {
   resumed_ = true;
-  if (!resuming && sequence > highest_sent_ && !entries_.empty() &&
-      sequence >= entries_.front().first_sequence) {
-    return absl::InvalidArgumentError(absl::StrCat(
-        "acknowledgement of ", sequence, " of the backlog, but the last sent is ", highest_sent_));
-  }
-  if (resuming) highest_sent_ = sequence;
   bool went = false;
   while (!entries_.empty() && entries_.front().last_sequence() <= sequence) {
     PopFront(release);

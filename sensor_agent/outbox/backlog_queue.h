@@ -11,7 +11,6 @@
 #include <string>
 #include <vector>
 
-#include "absl/status/status.h"
 #include "sensor_agent/outbox/spool_types.h"
 
 namespace rips::sensor {
@@ -55,9 +54,9 @@ class BacklogQueue {
   void MarkSent();
   size_t sent() const { return sent_; }
   // Forgets entries up to and including `sequence`; records of theirs are added to `release`. True
-  // if one went. InvalidArgument if that was never sent, and this is not the first acknowledgement
-  // of the connection.
-  absl::StatusOr<bool> Acknowledge(uint64_t sequence, std::vector<SpoolRecord>& release);
+  // if one went. They need not have been sent on this connection: the server may come to what an
+  // earlier one brought, live or by a process before, while this one is made.
+  bool Acknowledge(uint64_t sequence, std::vector<SpoolRecord>& release);
 
   // The oldest entry that is not on disk; null = none.
   const BacklogEntry* NextToWrite() const;
@@ -92,7 +91,6 @@ class BacklogQueue {
   // Leading entries that have gone out, and that are on disk or gaps.
   size_t sent_ = 0;
   size_t written_ = 0;
-  uint64_t highest_sent_ = 0;
   bool resumed_ = true;
   size_t memory_bytes_ = 0;
   size_t unwritten_bytes_ = 0;

@@ -213,6 +213,8 @@ absl::StatusOr<std::optional<model::ExternalEvent>> DecodeExternal(
     case rips::v1::RecordedEvent::kMessage:
     case rips::v1::RecordedEvent::kSnapshot:
     case rips::v1::RecordedEvent::kDelta:
+    case rips::v1::RecordedEvent::kLevel:
+    case rips::v1::RecordedEvent::kTick:
     case rips::v1::RecordedEvent::kOther:
     case rips::v1::RecordedEvent::WHAT_NOT_SET:
       break;

@@ -1,6 +1,7 @@
 // What the threads that judge cost: a task on its way through a shard, and the longest pieces of
 // work that one robot can make.
 #include <time.h>
+#include <unistd.h>
 
 #include <atomic>
 #include <filesystem>
@@ -12,6 +13,8 @@
 #include <vector>
 
 #include "absl/strings/str_cat.h"
+#include "policy_server/server/flight/flight_archive.h"
+#include "policy_server/server/flight/flight_files.h"
 #include "policy_server/server/robot/fake_ports.h"
 #include "policy_server/server/shard/pipeline.h"
 #include "services/runtime/real_clock.h"
@@ -133,8 +136,26 @@ Load MakeLoad(int robot, const std::vector<std::string>& topics) {
   return load;
 }
 
+// The flight recorder of a server, on files of its own.
+class Flights {
+ public:
+  pipeline::Ports With(pipeline::Ports ports) {
+    ports.flight_recorder = [this](const std::string& robot) {
+      return archive_.NewRecorder(robot);
+    };
+    return ports;
+  }
+  ~Flights() { std::filesystem::remove_all(directory_); }
+
+ private:
+  const std::string directory_ = absl::StrCat("/tmp/rips_bench_flight.", getpid());
+  std::unique_ptr<flight::FlightFiles> files_ =
+      *flight::FlightFiles::Open({.directory = directory_});
+  flight::FlightArchive archive_{files_.get(), {}};
+};
+
 // CPU time of the shard's thread for batches of messages, from the first to the last.
-void ShardMessages(benchmark::State& state) {
+void RunShardMessages(benchmark::State& state, Flights* flights) {
   const int robots = static_cast<int>(state.range(0));
   const RealClock clock;
   const std::vector<std::string> topics = Topics();
@@ -142,6 +163,9 @@ void ShardMessages(benchmark::State& state) {
   NullObserver audience;
   const auto program = MakeProgram(TopicRules(100));
   for (auto _ : state) {
+    pipeline::Ports ports{
+        .recorder = &recorder, .audience = &audience, .new_id = [] { return "id"; }};
+    if (flights != nullptr) ports = flights->With(std::move(ports));
     pipeline::Pipeline pipeline(1, &clock);
     std::vector<Load> loads;
     for (int r = 0; r < robots; ++r) {
@@ -149,8 +173,7 @@ void ShardMessages(benchmark::State& state) {
       const Load& load = loads.back();
       if (!pipeline
                .Add({.id = load.robot, .sensor_hosts = {"base"}, .primary_sensor = "base"},
-                    {.program = program}, Patient(), {}, 1,
-                    {.recorder = &recorder, .audience = &audience, .new_id = [] { return "id"; }})
+                    {.program = program}, Patient(), {}, 1, ports)
                .ok()) {
         return state.SkipWithError("no robot");
       }
@@ -187,7 +210,15 @@ void ShardMessages(benchmark::State& state) {
   }
   SetEvents(state, int64_t{kMessages} * robots * kTasksPerRobot);
 }
+void ShardMessages(benchmark::State& state) { RunShardMessages(state, nullptr); }
 BENCHMARK(ShardMessages)->Name("shard/messages")->Arg(1)->Arg(4)->UseManualTime();
+
+// The same with the last events kept for recordings.
+void ShardMessagesKept(benchmark::State& state) {
+  Flights flights;
+  RunShardMessages(state, &flights);
+}
+BENCHMARK(ShardMessagesKept)->Name("shard/messages_kept")->Arg(1)->Arg(4)->UseManualTime();
 
 // --------------------------------------------------------------------- long pieces of one robot
 
@@ -206,14 +237,16 @@ std::vector<lang::SourceFile> WarehouseRules() {
 // A robot with a graph of kFullGraph endpoints, under the warehouse policy.
 class FullRobot {
  public:
-  FullRobot() {
+  explicit FullRobot(Flights* flights = nullptr) {
+    pipeline::Ports ports{.clock = &clock_,
+                          .recorder = &recorder_,
+                          .audience = &audience_,
+                          .post = [](const std::function<void()>& task) { task(); },
+                          .new_id = [] { return "id"; }};
+    if (flights != nullptr) ports = flights->With(std::move(ports));
     auto robot = Robot::Create({.id = "r", .sensor_hosts = {"base"}, .primary_sensor = "base"},
                                {.program = MakeProgram(WarehouseRules())}, Patient(), {}, 1,
-                               {.clock = &clock_,
-                                .recorder = &recorder_,
-                                .audience = &audience_,
-                                .post = [](const std::function<void()>& task) { task(); },
-                                .new_id = [] { return "id"; }});
+                               std::move(ports));
     robot_ = *std::move(robot);
     robot_->OnSensorHello("base", sensor_, {.incarnation = kIncarnation});
   }
@@ -250,8 +283,8 @@ void LongSnapshot(benchmark::State& state) {
 }
 BENCHMARK(LongSnapshot)->Name("long/snapshot")->Unit(benchmark::kMillisecond);
 
-void LongDelta(benchmark::State& state) {
-  FullRobot full;
+void RunLongDelta(benchmark::State& state, Flights* flights) {
+  FullRobot full(flights);
   full.Snapshot(FullGraph(kFullGraph));
   const ros2::Endpoint one = FullGraph(1).upsert_endpoints[0];
   for (auto _ : state) {
@@ -260,7 +293,14 @@ void LongDelta(benchmark::State& state) {
     full.Delta(std::move(delta));
   }
 }
+void LongDelta(benchmark::State& state) { RunLongDelta(state, nullptr); }
 BENCHMARK(LongDelta)->Name("long/delta")->Unit(benchmark::kMillisecond);
+
+void LongDeltaKept(benchmark::State& state) {
+  Flights flights;
+  RunLongDelta(state, &flights);
+}
+BENCHMARK(LongDeltaKept)->Name("long/delta_kept")->Unit(benchmark::kMillisecond);
 
 // Names that no node has, as many as fit into a message of 1 MiB.
 void LongGoneNodes(benchmark::State& state) {

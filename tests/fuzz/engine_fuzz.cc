@@ -64,7 +64,7 @@ class Player {
       : program_(std::move(program)),
         forget_(forget),
         state_(program_, levels::LevelMachine(program_->rules().levels, 0, {1, 1}, 1), now_) {
-    state_.set_robot_id("r1");
+    state_.robot_id = "r1";
   }
 
   // What came of it, a line an effect.

@@ -131,6 +131,46 @@ def explained_when_the_driver_has_gone(fleet):
     check(code == 1 and "1.999" in error, f"{code} {error}")
 
 
+def alerts_replay_to_the_same_verdict(fleet):
+    """What led to each grave alert is saved with it: replayed, the same rules raise the same alert;
+    also after the server died and was started anew. Only operators get it."""
+    fleet.arm()
+    fleet.mint("operator", "viewer", "vera")
+    time.sleep(3)
+    stranger = fleet.start_intruder("unknown-node")
+    fleet.wait_level("ALERT", 20)
+    time.sleep(6)  # a recording of its own
+    compromise(fleet)
+    grave = [a for a in fleet.alerts() if a["severity"] in ("high", "critical")]
+    by_rule = {a["rule"]: a for a in grave}
+    check({"stranger_came", "rogue_driver"} <= by_rule.keys(), f"{by_rule.keys()}")
+    until(fleet, 10, "the recordings are saved", lambda: all(
+        fleet.ripsctl("alert", "recording", a["id"], "--out", str(fleet.dir / "seen.rips"),
+                      "--force", check=False)[0] == 0 for a in grave))
+    stranger.kill()
+    fleet.server.kill(signal.SIGKILL)
+    fleet.server = fleet.start_server()
+    fleet.wait_level("COMPROMISED", 20)
+
+    for rule, level in (("stranger_came", "ALERT"), ("rogue_driver", "COMPROMISED")):
+        result, path = fleet.replay(by_rule[rule])
+        check(any(a["id"] == by_rule[rule]["id"] and a["event"] is not None
+                  for a in result["recorded"]),
+              f"{rule} does not fire in its replay: {result['recorded']}, {path}")
+        check(any(t["to"] == level and not t.get("refused") for t in result["transitions"]),
+              f"{rule} leads to no {level} in its replay: {result['transitions']}")
+    code, _, error = ripsctl_as(fleet, "viewer", "vera", "alert", "recording", grave[0]["id"],
+                                "--out", str(fleet.dir / "vera.rips"))
+    check(code == 1 and "needs the role `operator`" in error, f"{code} {error}")
+    code, _, error = fleet.ripsctl("alert", "recording", "0" * 32, "--out",
+                                   str(fleet.dir / "none.rips"), check=False)
+    check(code == 1 and "its id is wrong" in error, f"{code} {error}")
+    mild = next((a for a in fleet.alerts() if a["severity"] == "info"), None)
+    if mild:
+        check(fleet.ripsctl("alert", "recording", mild["id"], "--out", str(fleet.dir / "no.rips"),
+                            check=False)[0] == 1, "a recording of an alert of severity info")
+
+
 @may_lower(("operator alice", "COMPROMISED", "ALERT"))
 def two_persons_release_a_robot(fleet):
     """Where the bundle wants two persons, one operator alone lowers nothing, whatever role the
@@ -1096,7 +1136,7 @@ def until(fleet, seconds, what, found):
 
 
 SCENARIOS = [kill_server_while_compromised, explained_when_the_driver_has_gone,
-             two_persons_release_a_robot, audit_log_outlives_a_kill,
+             alerts_replay_to_the_same_verdict, two_persons_release_a_robot, audit_log_outlives_a_kill,
              kill_server_at_the_moment_of_a_raise,
              kill_sensor_in_the_story, sensor_on_a_wrong_domain, kill_actuator_while_compromised,
              server_absent_at_agent_start, lost_lease_raises_the_floor, manager_that_lies,

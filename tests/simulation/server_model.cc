@@ -51,10 +51,10 @@ std::shared_ptr<const engine::CompiledPolicy> Compile() {
 class JudgedTap final : public pipeline::EventRecorder {
  public:
   explicit JudgedTap(Checker* checker) : checker_(*checker) {}
-  bool OnEvent(const engine::Event& event, const std::shared_ptr<const ros2::RosGraph>&,
-               const pipeline::MessageSeen* message) override {
-    if (message != nullptr) checker_.OnJudged(message->size_bytes);
-    const auto* external = std::get_if<engine::ExternalEvent>(&event.what);
+  bool OnLevel(const pipeline::LevelChange&) override { return true; }
+  bool OnEvent(const pipeline::JudgedEvent& judged) override {
+    if (judged.message != nullptr) checker_.OnJudged(judged.message->size_bytes);
+    const auto* external = std::get_if<engine::ExternalEvent>(&judged.event.what);
     if (external == nullptr) return true;
     const auto* ids = std::get_if<model::IdsAlert>(external);
     if (ids != nullptr) checker_.OnJudged(ids->sid);

@@ -360,6 +360,15 @@ levels:
         """Alerts, oldest first."""
         return self.query("alert", "list", "r1", "--limit", "1000")["alerts"][::-1]
 
+    def replay(self, alert, name="alert.rips"):
+        """Fetches the recording of that alert and runs the robot's rules on it; gives the result of
+        `rules replay` and the recording's file."""
+        path = self.dir / name
+        self.ripsctl("alert", "recording", alert["id"], "--out", str(path), "--force")
+        return self.query("rules", "replay", "--rules",
+                          str(pathlib.Path(self.bundles_source()) / self.bundle),
+                          "--events", str(path)), path
+
     def wait_level(self, level, seconds, stage="verified", effective=None):
         """Waits until `level` is decided, has reached `stage`, and the robot is held at
         `effective` (the same level unless said otherwise)."""

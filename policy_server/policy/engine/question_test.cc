@@ -77,7 +77,7 @@ TEST(MessageQuestionTest, NamesOfTheMessage) {
                                          Concat(Concat(Name(Predefined::kSenderGuid), S(" ")),
                                                 Name(Predefined::kRobot))))))}});
   TestRobot robot(rules);
-  robot.state.set_robot_id("r1");
+  robot.state.robot_id = "r1";
   const Outcome outcome = robot.Judge(MessageEvent{
       .topic = "/a", .type = "std_msgs/msg/String", .writer = Writer(1), .sender = "/n"});
   EXPECT_THAT(Lines(outcome, robot.state), ElementsAre("alert r medium: /a std_msgs/msg/String /n "

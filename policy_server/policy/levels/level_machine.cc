@@ -28,7 +28,6 @@ LevelMachine::LevelMachine(LevelTable table, LevelIndex level, DecisionId decisi
       budget_(budget) {
   RIPS_CHECK(table_.contains(level_), "the level must be in the table");
   RIPS_CHECK(term_ >= decision_id_.term, "the term must not be below that of the last decision");
-  requests_.resize(table_.size());
 }
 
 Transition LevelMachine::Propose(LevelIndex to, const Cause& cause, Instant now) const {
@@ -48,7 +47,6 @@ Transition LevelMachine::Request(LevelIndex to, const Cause& cause, Instant now,
   if (!table_.contains(to)) {
     return Refused(std::move(proposed), Refusal::kUnexpected, absl::StrCat("no level ", to));
   }
-  Note(to, cause);
   if (to == level_) return proposed;
   if (to > level_) return Decide(std::move(proposed));
   if (!table_.at(level_).soft) {
@@ -72,11 +70,6 @@ Transition LevelMachine::Request(LevelIndex to, const Cause& cause, Instant now,
                    "soft lowerings are suspended; an operator can resume them");
   }
   return Decide(std::move(proposed));
-}
-
-void LevelMachine::Note(LevelIndex to, const Cause& cause) {
-  ++requests_[to].count;
-  requests_[to].rule = cause.name;
 }
 
 bool LevelMachine::SpendBudget(Instant now) {
@@ -106,7 +99,6 @@ Transition LevelMachine::Raise(LevelIndex to, const Cause& cause, Instant now) {
 Transition LevelMachine::Crash(const Cause& cause, Instant now) {
   const LevelIndex last = table_.size() - 1;
   Transition proposed = Propose(last, cause, now);
-  Note(last, cause);
   return last > level_ ? Decide(std::move(proposed)) : proposed;
 }
 
@@ -164,7 +156,6 @@ bool LevelMachine::SwapTable(LevelTable table) {
   if (!level.has_value()) return false;
   table_ = std::move(table);
   level_ = *level;
-  requests_.assign(table_.size(), {});
   return true;
 }
 

@@ -62,14 +62,6 @@ class LevelMachine {
   LevelMachine(LevelTable table, LevelIndex level, DecisionId decision_id, uint64_t term,
                SoftBudget budget = {});
 
-  // How often rules have asked for a level, and which rule did last.
-  struct Requests {
-    uint64_t count = 0;
-    std::string rule;
-
-    friend bool operator==(const Requests&, const Requests&) = default;
-  };
-
   // A rule's trigger(to).
   Transition Request(LevelIndex to, const Cause& cause, Instant now, const Evidence& evidence,
                      Lateness lateness);
@@ -108,15 +100,10 @@ class LevelMachine {
   // The decision that stood when the whole budget was given back last; none = never. Lowerings up
   // to that one do not count.
   const DecisionId& resumed_at() const { return resumed_at_; }
-  // Of each level of the table, since it is in force. Also those without effect, as of the level
-  // that the robot is at.
-  const std::vector<Requests>& requests() const { return requests_; }
 
  private:
   Transition Propose(LevelIndex to, const Cause& cause, Instant now) const;
   Transition Decide(Transition transition);
-  // A rule asks for `to`.
-  void Note(LevelIndex to, const Cause& cause);
   // Takes one soft lowering from the budget; false (and suspended) if there is none left.
   bool SpendBudget(Instant now);
 
@@ -130,7 +117,6 @@ class LevelMachine {
   std::deque<int64_t> lowered_at_ns_;
   bool suspended_ = false;
   DecisionId resumed_at_;
-  std::vector<Requests> requests_;
 };
 
 }  // namespace rips::levels

@@ -1,9 +1,12 @@
 #include "policy_server/policy/recording/event_codec.h"
 
 #include <optional>
+#include <string>
 #include <utility>
+#include <variant>
 
 #include "absl/strings/str_cat.h"
+#include "services/base/overloaded.h"
 #include "services/base/status_macros.h"
 #include "services/model_proto/observation_codec.h"
 #include "services/ros2_proto/graph_codec.h"
@@ -60,12 +63,42 @@ struct Encoder {
     ros2_proto::EncodeGraph(graph.content, *wire.mutable_delta());
   }
   void operator()(const model::ExternalEvent& external) const {
-    model_proto::Encode(external, wire);
+    if (!model_proto::Encode(external, wire)) wire.mutable_tick();
+  }
+  void operator()(const RecordedLevel& level) const {
+    wire.mutable_level()->set_to(level.to);
+    wire.mutable_level()->set_cause(level.cause);
   }
   void operator()(const RecordedOther& other) const { wire.mutable_other()->set_what(other.what); }
 
   rips::v1::RecordedEvent& wire;
 };
+
+void EncodeVariable(const std::string& name, const lang::Value& value,
+                    rips::v1::RecordedVariable* out) {
+  out->set_name(name);
+  std::visit(Overloaded{[&](int64_t integer) { out->set_integer(integer); },
+                        [&](double real) { out->set_real(real); },
+                        [&](bool boolean) { out->set_boolean(boolean); },
+                        [&](const std::string& text) { out->set_text(text); }},
+             value);
+}
+
+std::optional<lang::Value> DecodeVariable(const rips::v1::RecordedVariable& wire) {
+  switch (wire.value_case()) {
+    case rips::v1::RecordedVariable::kInteger:
+      return wire.integer();
+    case rips::v1::RecordedVariable::kReal:
+      return wire.real();
+    case rips::v1::RecordedVariable::kBoolean:
+      return wire.boolean();
+    case rips::v1::RecordedVariable::kText:
+      return wire.text();
+    case rips::v1::RecordedVariable::VALUE_NOT_SET:
+      break;
+  }
+  return std::nullopt;
+}
 
 }  // namespace
 
@@ -82,6 +115,8 @@ absl::StatusOr<Recorded> DecodeEvent(const rips::v1::RecordedEvent& wire) {
   using Wire = rips::v1::RecordedEvent;
   Recorded event;
   if (wire.has_time_unix_ns()) event.time_unix_ns = wire.time_unix_ns();
+  if (wire.has_blind()) event.blind = wire.blind();
+  event.late = wire.late();
   if (wire.has_context()) {
     RIPS_ASSIGN_OR_RETURN(event.context, DecodeSnapshot(wire.context()));
   }
@@ -104,6 +139,12 @@ absl::StatusOr<Recorded> DecodeEvent(const rips::v1::RecordedEvent& wire) {
       RIPS_ASSIGN_OR_RETURN(event.what, DecodeDelta(wire.delta()));
       break;
     }
+    case Wire::kLevel:
+      event.what = RecordedLevel{.to = wire.level().to(), .cause = wire.level().cause()};
+      break;
+    case Wire::kTick:
+      event.what = model::ExternalEvent(model::TickEvent{});
+      break;
     case Wire::kOther:
       event.what = RecordedOther{.what = wire.other().what()};
       break;
@@ -115,17 +156,33 @@ absl::StatusOr<Recorded> DecodeEvent(const rips::v1::RecordedEvent& wire) {
 }
 
 RecordedOrigin DecodeHeader(const rips::v1::RecordingHeader& wire) {
-  return {.robot = wire.robot(),
-          .bundle_id = wire.bundle_id(),
-          .level = wire.level(),
-          .start_unix_ns = wire.start_unix_ns(),
-          .rips_version = wire.rips_version()};
+  RecordedOrigin origin{.robot = wire.robot(),
+                        .bundle_id = wire.bundle_id(),
+                        .level = wire.level(),
+                        .start_unix_ns = wire.start_unix_ns(),
+                        .rips_version = wire.rips_version(),
+                        .uptime_ns = wire.uptime_ns()};
+  for (const rips::v1::RecordedAlert& each : wire.alerts()) {
+    origin.alerts.push_back({.id = each.id(),
+                             .rule = each.rule(),
+                             .severity = each.severity(),
+                             .text = each.text(),
+                             .time_unix_ns = each.time_unix_ns()});
+  }
+  for (const rips::v1::RecordedVariable& each : wire.variables()) {
+    if (std::optional<lang::Value> value = DecodeVariable(each)) {
+      origin.variables.insert_or_assign(each.name(), *std::move(value));
+    }
+  }
+  return origin;
 }
 
 rips::v1::RecordedEvent EncodeEvent(const Recorded& event) {
   rips::v1::RecordedEvent wire;
   if (event.time_unix_ns) wire.set_time_unix_ns(*event.time_unix_ns);
   if (event.context) EncodeSnapshot(*event.context, *wire.mutable_context());
+  if (event.blind) wire.set_blind(*event.blind);
+  wire.set_late(event.late);
   std::visit(Encoder{wire}, event.what);
   return wire;
 }
@@ -137,6 +194,18 @@ rips::v1::RecordingHeader EncodeHeader(const RecordedOrigin& origin) {
   wire.set_level(origin.level);
   wire.set_start_unix_ns(origin.start_unix_ns);
   wire.set_rips_version(origin.rips_version);
+  for (const auto& [name, value] : origin.variables) {
+    EncodeVariable(name, value, wire.add_variables());
+  }
+  wire.set_uptime_ns(origin.uptime_ns);
+  for (const RecordedAlert& each : origin.alerts) {
+    rips::v1::RecordedAlert* alert = wire.add_alerts();
+    alert->set_id(each.id);
+    alert->set_rule(each.rule);
+    alert->set_severity(each.severity);
+    alert->set_text(each.text);
+    alert->set_time_unix_ns(each.time_unix_ns);
+  }
   return wire;
 }
 

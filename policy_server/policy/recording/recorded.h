@@ -2,11 +2,15 @@
 #ifndef RIPS_POLICY_SERVER_POLICY_RECORDING_RECORDED_H_
 #define RIPS_POLICY_SERVER_POLICY_RECORDING_RECORDED_H_
 
+#include <cstddef>
 #include <cstdint>
 #include <optional>
 #include <string>
 #include <variant>
+#include <vector>
 
+#include "absl/container/btree_map.h"
+#include "policy_server/policy/lang/checked_rules.h"
 #include "services/model/event.h"
 #include "services/ros2/guid.h"
 #include "services/ros2/ros_graph.h"
@@ -40,6 +44,16 @@ struct RecordedGraph {
   bool settled = false;
 };
 
+// The level changed, and no rule did it. No rule is judged.
+struct RecordedLevel {
+  // Name of the level.
+  std::string to;
+  // `operator alice`, `adopted`
+  std::string cause;
+
+  friend bool operator==(const RecordedLevel&, const RecordedLevel&) = default;
+};
+
 // Not judged; it keeps its index.
 struct RecordedOther {
   // The recording's word for it.
@@ -56,7 +70,28 @@ struct Recorded {
   std::optional<int64_t> time_unix_ns;
   // Replaces the graph before this event is judged; always `whole`. Not an event of its own.
   std::optional<RecordedGraph> context;
-  std::variant<RecordedMessage, RecordedGraph, model::ExternalEvent, RecordedOther> what;
+  std::variant<RecordedMessage, RecordedGraph, model::ExternalEvent, RecordedLevel, RecordedOther>
+      what;
+  // RIPS saw less than all of the robot: no rule may lower the level. None = not known.
+  std::optional<bool> blind;
+  // Judged so late that it may not lower the level, nor run programs.
+  bool late = false;
+};
+
+// An alert that a recording was saved with.
+struct RecordedAlert {
+  // Bytes of `text`.
+  static constexpr size_t kTextBytesMax = 200;
+
+  std::string id;
+  // `(rips)` for RIPS's own.
+  std::string rule;
+  std::string severity;
+  // As Shortened.
+  std::string text;
+  int64_t time_unix_ns = 0;
+
+  friend bool operator==(const RecordedAlert&, const RecordedAlert&) = default;
 };
 
 // Where a recording of ours comes from.
@@ -69,6 +104,12 @@ struct RecordedOrigin {
   int64_t start_unix_ns = 0;
   // Version of the program that recorded, for people.
   std::string rips_version;
+  // Those of the rules at the start; empty = not known.
+  absl::btree_map<std::string, lang::Value> variables;
+  // `Uptime` at the start; 0 = not known.
+  int64_t uptime_ns = 0;
+  // Those that it was saved with.
+  std::vector<RecordedAlert> alerts;
 
   friend bool operator==(const RecordedOrigin&, const RecordedOrigin&) = default;
 };

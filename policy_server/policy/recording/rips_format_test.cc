@@ -17,11 +17,16 @@ constexpr auto kDataLoss = absl::StatusCode::kDataLoss;
 constexpr auto kInvalid = absl::StatusCode::kInvalidArgument;
 constexpr auto kExhausted = absl::StatusCode::kResourceExhausted;
 
-const RecordedOrigin kOrigin = {.robot = "r1",
-                                .bundle_id = "abcd",
-                                .level = "ALERT",
-                                .start_unix_ns = -5,
-                                .rips_version = "0.1.0"};
+const RecordedOrigin kOrigin = {
+    .robot = "r1",
+    .bundle_id = "abcd",
+    .level = "ALERT",
+    .start_unix_ns = -5,
+    .rips_version = "0.1.0",
+    .variables = {{"b", true}, {"f", 0.5}, {"i", int64_t{-7}}, {"s", std::string("l\u00e9")}},
+    .uptime_ns = 12,
+    .alerts = {{.id = "a", .rule = "r", .severity = "high", .text = "t", .time_unix_ns = 4},
+               {.id = "b"}}};
 
 RecordedGraph Graph() {
   RecordedGraph graph{.whole = true, .settled = true};
@@ -72,6 +77,10 @@ std::vector<Recorded> Events() {
                                         .last_ns = 9,
                                         .cause = "queue full"}});
   events.push_back({.what = RecordedOther{.what = "tick"}});
+  events.push_back({.time_unix_ns = 9,
+                    .what = RecordedLevel{.to = "HALT", .cause = "operator alice"},
+                    .blind = true});
+  events.push_back({.what = model::TickEvent{}, .blind = false, .late = true});
   for (size_t i = 0; i < events.size(); ++i) events[i].index = i;
   return events;
 }

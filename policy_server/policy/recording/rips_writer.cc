@@ -100,31 +100,45 @@ absl::StatusOr<std::string> BodyOf(const google::protobuf::Message& message) {
   return message.SerializeAsString();
 }
 
-}  // namespace
-
-absl::Status RipsWriter::WriteFrame(absl::string_view before, absl::string_view body) {
+std::string FrameOf(absl::string_view before, absl::string_view body) {
   std::string frame;
   frame.reserve(before.size() + kFrameHeaderBytes + body.size());
   frame.append(before.data(), before.size());
   AppendNumber(body.size(), 4, &frame);
   AppendNumber(Crc32(0, body), 4, &frame);
   frame.append(body.data(), body.size());
-  broken_ = WriteAll(fd_, frame);
+  return frame;
+}
+
+}  // namespace
+
+absl::StatusOr<std::string> EncodeStart(const RecordedOrigin& origin) {
+  RIPS_ASSIGN_OR_RETURN(const std::string body, BodyOf(EncodeHeader(origin)));
+  return FrameOf(kRipsMagic, body);
+}
+
+absl::StatusOr<std::string> EncodeFrame(const Recorded& event) {
+  RIPS_RETURN_IF_ERROR(CheckEvent(event));
+  RIPS_ASSIGN_OR_RETURN(const std::string body, BodyOf(EncodeEvent(event)));
+  return FrameOf({}, body);
+}
+
+absl::Status RipsWriter::Write(absl::string_view bytes) {
+  broken_ = WriteAll(fd_, bytes);
   return broken_;
 }
 
 absl::StatusOr<RipsWriter> RipsWriter::Create(int fd, const RecordedOrigin& origin) {
-  RIPS_ASSIGN_OR_RETURN(const std::string body, BodyOf(EncodeHeader(origin)));
+  RIPS_ASSIGN_OR_RETURN(const std::string start, EncodeStart(origin));
   RipsWriter writer(fd);
-  RIPS_RETURN_IF_ERROR(writer.WriteFrame(kRipsMagic, body));
+  RIPS_RETURN_IF_ERROR(writer.Write(start));
   return writer;
 }
 
 absl::Status RipsWriter::Append(const Recorded& event) {
   RIPS_RETURN_IF_ERROR(broken_);
-  RIPS_RETURN_IF_ERROR(CheckEvent(event));
-  RIPS_ASSIGN_OR_RETURN(const std::string body, BodyOf(EncodeEvent(event)));
-  return WriteFrame({}, body);
+  RIPS_ASSIGN_OR_RETURN(const std::string frame, EncodeFrame(event));
+  return Write(frame);
 }
 
 }  // namespace rips::recording

@@ -12,6 +12,11 @@
 
 namespace rips::recording {
 
+// Magic and header, and the frame of an event, as a file holds them. Errors as RipsWriter::Append
+// says of what is not written.
+absl::StatusOr<std::string> EncodeStart(const RecordedOrigin& origin);
+absl::StatusOr<std::string> EncodeFrame(const Recorded& event);
+
 // Not thread-safe. Each event is on its way to the file when Append returns (one write a frame, no
 // buffer here); syncing and closing are the caller's.
 class RipsWriter {
@@ -30,7 +35,7 @@ class RipsWriter {
 
  private:
   explicit RipsWriter(int fd) : fd_(fd) {}
-  absl::Status WriteFrame(absl::string_view before, absl::string_view body);
+  absl::Status Write(absl::string_view bytes);
 
   int fd_;
   absl::Status broken_;

@@ -93,12 +93,12 @@ Replayer::Replayer(std::shared_ptr<const engine::CompiledPolicy> program, Replay
       state_(program_,
              levels::LevelMachine(program_->rules().levels, options_.start_level,
                                   /*decision_id=*/{1, 1}, /*term=*/1),
-             /*started=*/{}) {
+             /*started=*/{.boottime_ns = -options_.uptime_ns}) {
   RIPS_CHECK(options_.event_interval_ns >= 0 && options_.tick_ns >= 0, "times do not go back");
   state_.scripted = script_.get();
   state_.observer = observer_.get();
   state_.graph_known = options_.graph_known;
-  state_.set_robot_id(options_.robot);
+  state_.robot_id = options_.robot;
   for (const lang::TypedRule& rule : program_->rules().rules) {
     result_.rules.push_back({.name = rule.name, .section = rule.section});
   }
@@ -112,7 +112,7 @@ void Replayer::SetVariables(const absl::btree_map<std::string, lang::Value>& val
 
 absl::Status Replayer::Judge(const Recorded& event) {
   int64_t time_ns = event.time_unix_ns.value_or(
-      first_ns_.has_value() ? After(last_ns_, options_.event_interval_ns) : 0);
+      times_.first_ns.has_value() ? After(times_.last_ns, options_.event_interval_ns) : 0);
   if (time_ns < 0 || time_ns > kTimeNsMax) {
     return absl::InvalidArgumentError(absl::StrCat("event ", event.index, ": time ", time_ns,
                                                    " ns is not from 0 to ", kTimeNsMax));
@@ -121,8 +121,10 @@ absl::Status Replayer::Judge(const Recorded& event) {
   if (const absl::Status ticks = TicksUntil(time_ns); !ticks.ok()) {
     return AtEvent(event.index, ticks);
   }
-  last_ns_ = time_ns;
+  times_.last_ns = time_ns;
   SetTime(event.index, time_ns);
+  times_.lateness = event.late ? levels::Lateness::kLate : levels::Lateness::kTimely;
+  if (event.blind.has_value()) SetEvidence(!*event.blind);
   if (event.context.has_value()) {
     if (const absl::Status taken = TakeGraph(*event.context); !taken.ok()) {
       return AtEvent(event.index, taken);
@@ -135,33 +137,36 @@ absl::Status Replayer::Judge(const Recorded& event) {
                           judged = AtEvent(event.index, JudgeGraph(graph));
                         },
                         [&](const model::ExternalEvent& external) { JudgeExternal(external); },
+                        [&](const recording::RecordedLevel& level) { SetLevel(level); },
                         [](const recording::RecordedOther&) {}},
              event.what);
+  times_.lateness = levels::Lateness::kTimely;
   return judged;
 }
 
 absl::Status Replayer::TicksUntil(int64_t time_ns) {
   if (options_.tick_ns == 0) return absl::OkStatus();
-  if (!first_ns_.has_value()) {
-    next_tick_ns_ = After(time_ns, options_.tick_ns);
+  if (!times_.first_ns.has_value()) {
+    times_.next_tick_ns = After(time_ns, options_.tick_ns);
     return absl::OkStatus();
   }
-  if (next_tick_ns_ <= time_ns &&
-      (time_ns - next_tick_ns_) / options_.tick_ns >= kTicksBetweenEventsMax) {
+  if (times_.next_tick_ns <= time_ns &&
+      (time_ns - times_.next_tick_ns) / options_.tick_ns >= kTicksBetweenEventsMax) {
     return absl::ResourceExhaustedError(
-        absl::StrCat("it comes ", (time_ns - last_ns_) / kNanosPerSecond,
+        absl::StrCat("it comes ", (time_ns - times_.last_ns) / kNanosPerSecond,
                      " s after the event before it, which is more than ", kTicksBetweenEventsMax,
                      " virtual ticks; make them rarer"));
   }
-  for (; next_tick_ns_ <= time_ns; next_tick_ns_ = After(next_tick_ns_, options_.tick_ns)) {
-    JudgeTick(now_.event, next_tick_ns_);
+  for (; times_.next_tick_ns <= time_ns;
+       times_.next_tick_ns = After(times_.next_tick_ns, options_.tick_ns)) {
+    JudgeTick(now_.event, times_.next_tick_ns);
   }
   return absl::OkStatus();
 }
 
 void Replayer::SetTime(uint64_t event, int64_t time_ns) {
-  if (!first_ns_.has_value()) first_ns_ = time_ns;
-  elapsed_ns_ = std::max(elapsed_ns_, time_ns - *first_ns_);
+  if (!times_.first_ns.has_value()) times_.first_ns = time_ns;
+  times_.elapsed_ns = std::max(times_.elapsed_ns, time_ns - *times_.first_ns);
   now_ = {.event = event, .time_ns = time_ns};
 }
 
@@ -172,16 +177,29 @@ void Replayer::JudgeTick(uint64_t event, int64_t time_ns) {
 
 void Replayer::Order(uint64_t event, int64_t time_ns, bool raise, levels::LevelIndex to) {
   SetTime(event, time_ns);
-  const Instant now{.boottime_ns = elapsed_ns_, .unix_ns = now_.time_ns};
+  const Instant now{.boottime_ns = times_.elapsed_ns, .unix_ns = now_.time_ns};
   const levels::Cause cause{.kind = levels::Cause::Kind::kOperator, .name = kOperatorName};
   levels::LevelMachine& level = state_.level;
   Take(raise ? level.Raise(to, cause, now)
              : level.DeEscalate(to, cause, now, level.level(), level.decision_id()));
 }
 
+void Replayer::SetLevel(const recording::RecordedLevel& level) {
+  const std::optional<levels::LevelIndex> to = program_->rules().levels.Find(level.to);
+  if (!to.has_value()) {
+    return Keep(result_.faults, {.at = now_,
+                                 .rule = level.cause,
+                                 .text = absl::StrCat("set the level `", level.to,
+                                                      "`, which the rules do not have")});
+  }
+  if (*to != state_.level.level()) {
+    Order(now_.event, now_.time_ns, *to > state_.level.level(), *to);
+  }
+}
+
 void Replayer::SetEvidence(bool complete) {
   state_.evidence = {};
-  if (!complete) state_.evidence.blind_because = {"the test says so"};
+  if (!complete) state_.evidence.blind_because = {"evidence is not complete"};
 }
 
 absl::Status Replayer::TakeGraph(const RecordedGraph& graph) {
@@ -197,7 +215,7 @@ absl::Status Replayer::JudgeGraph(const RecordedGraph& graph) {
   RIPS_RETURN_IF_ERROR(TakeGraph(graph));
   if (!settled_) return absl::OkStatus();
   state_.graph = graph_;
-  Run({.what = engine::GraphEvent{}, .time_unix_ns = now_.time_ns});
+  Run({.what = engine::GraphEvent{}, .time_unix_ns = now_.time_ns, .lateness = times_.lateness});
   return absl::OkStatus();
 }
 
@@ -216,7 +234,8 @@ void Replayer::JudgeMessage(const RecordedMessage& message) {
                                                    .writer = message.writer,
                                                    .sender = sender,
                                                    .size_bytes = message.size_bytes},
-                      .time_unix_ns = now_.time_ns};
+                      .time_unix_ns = now_.time_ns,
+                      .lateness = times_.lateness};
   std::vector<engine::Verdict> verdicts;
   Inspect(message, event, verdicts);
   Run(event);
@@ -224,7 +243,7 @@ void Replayer::JudgeMessage(const RecordedMessage& message) {
 
 void Replayer::Inspect(const RecordedMessage& message, engine::Event& event,
                        std::vector<engine::Verdict>& verdicts) {
-  const Instant now{.boottime_ns = elapsed_ns_, .unix_ns = now_.time_ns};
+  const Instant now{.boottime_ns = times_.elapsed_ns, .unix_ns = now_.time_ns};
   const std::vector<uint32_t> needed = engine::NeededInspections(event, now, state_);
   if (needed.empty()) return;
   verdicts.assign(program_->rules().inspections.size(), engine::Verdict::kUnscanned);
@@ -245,7 +264,7 @@ void Replayer::Inspect(const RecordedMessage& message, engine::Event& event,
 }
 
 void Replayer::JudgeExternal(engine::ExternalEvent external) {
-  engine::Event event{.time_unix_ns = now_.time_ns};
+  engine::Event event{.time_unix_ns = now_.time_ns, .lateness = times_.lateness};
   event.what.emplace<engine::ExternalEvent>(std::move(external));
   Run(event);
 }
@@ -261,7 +280,7 @@ void Replayer::Run(const engine::Event& event) {
     ++counts.external;
   }
   if (state_.halted()) return;
-  const Instant now{.boottime_ns = elapsed_ns_, .unix_ns = now_.time_ns};
+  const Instant now{.boottime_ns = times_.elapsed_ns, .unix_ns = now_.time_ns};
   observer_->Start();
   const engine::Outcome outcome = engine::Evaluate(event, now, state_);
   ++judged_[static_cast<size_t>(event_class)];
@@ -338,8 +357,13 @@ absl::StatusOr<Result> Replay(recording::Reader& reader,
                               std::shared_ptr<const engine::CompiledPolicy> program,
                               ReplayOptions options, inspect::Session* session) {
   options.graph_known = reader.has_graph();
-  if (options.robot.empty() && reader.origin() != nullptr) options.robot = reader.origin()->robot;
+  const recording::RecordedOrigin* origin = reader.origin();
+  if (origin != nullptr) {
+    if (options.robot.empty()) options.robot = origin->robot;
+    options.uptime_ns = origin->uptime_ns;
+  }
   Replayer replayer(std::move(program), std::move(options), session);
+  if (origin != nullptr) replayer.SetVariables(origin->variables);
   while (true) {
     RIPS_ASSIGN_OR_RETURN(const std::optional<Recorded> event, reader.Next());
     if (!event.has_value()) return replayer.Finish();

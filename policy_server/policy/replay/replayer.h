@@ -3,10 +3,11 @@
 // What differs from a live robot:
 //   - Time is that of the events; no clock is read. An event without one happens `event_interval`
 //     after the one before it, the first at 0. Of times that go back, the latest so far counts.
-//     `Uptime` counts from the first event.
+//     `Uptime` counts from the first event, on from `uptime_ns`.
 //   - Programs and levels have their answer at once, as the options say, so that a chain has ended
-//     before the next begins. Evidence is complete unless said otherwise, nothing is late, and each
-//     refused transition is recorded.
+//     before the next begins. Evidence is complete and nothing is late unless said otherwise, here
+//     or by the recording, and each refused transition is recorded.
+//   - Messages before the recording began are in no count.
 //   - A graph that is not settled is not judged, as on the server; its changes are collected until
 //     it is. If the recording knows no graph, questions about it are undecidable.
 //   - The sender of a message is the recorded one; without, it is found in the graph.
@@ -45,6 +46,8 @@ struct ReplayOptions {
   levels::LevelIndex start_level = 0;
   // `Robot`.
   std::string robot;
+  // `Uptime` at the first event.
+  int64_t uptime_ns = 0;
   // Programs whose every run fails, and levels that the robot never reaches.
   absl::flat_hash_set<std::string> failing_programs;
   absl::flat_hash_set<levels::LevelIndex> failing_levels;
@@ -98,12 +101,23 @@ class Replayer {
  private:
   class Script;
   class Observer;
+  struct Times {
+    // Of events.
+    std::optional<int64_t> first_ns;
+    int64_t last_ns = 0;
+    int64_t next_tick_ns = 0;
+    // Since the first event; never goes back.
+    int64_t elapsed_ns = 0;
+    // Of the event that is judged.
+    levels::Lateness lateness = levels::Lateness::kTimely;
+  };
 
   absl::Status TicksUntil(int64_t time_ns);
   absl::Status TakeGraph(const recording::RecordedGraph& graph);
   absl::Status JudgeGraph(const recording::RecordedGraph& graph);
   void JudgeMessage(const recording::RecordedMessage& message);
   void JudgeExternal(engine::ExternalEvent external);
+  void SetLevel(const recording::RecordedLevel& level);
   void Run(const engine::Event& event);
   void Inspect(const recording::RecordedMessage& message, engine::Event& event,
                std::vector<engine::Verdict>& verdicts);
@@ -129,19 +143,15 @@ class Replayer {
   bool settled_ = false;
 
   Moment now_;
-  std::optional<int64_t> first_ns_;
-  int64_t last_ns_ = 0;
-  int64_t next_tick_ns_ = 0;
+  Times times_;
   // Events that were judged, by class.
   std::array<uint64_t, lang::kEventClassCount> judged_ = {};
   // The rule that called `crash`.
   std::optional<uint32_t> crashed_rule_;
-  // Since the first event; never goes back.
-  int64_t elapsed_ns_ = 0;
 };
 
-// Replays all of `reader`. Whether the graph is known, and the robot if the options name none, come
-// from it. Errors of the reader, and of Replayer::Judge.
+// Replays all of `reader`. Whether the graph is known, variables and `Uptime` at the start, and the
+// robot if the options name none, come from it. Errors of the reader, and of Replayer::Judge.
 absl::StatusOr<Result> Replay(recording::Reader& reader,
                               std::shared_ptr<const engine::CompiledPolicy> program,
                               ReplayOptions options, inspect::Session* session);

@@ -37,6 +37,51 @@ TEST(ReplayerTest, ProgramsAndLevelsHaveTheirAnswerBeforeTheNextChain) {
   EXPECT_EQ(result.level, "C");
 }
 
+TEST(ReplayerTest, GoesOnFromWhereTheRecordingSays) {
+  const auto program = MakeProgram(R"(
+    vars: n int = 0; fresh int = 3;
+    rules Graph: never: false ? set(n, n), set(fresh, fresh);
+    rules External: r: Uptime > 60000000000 ?
+      alert("n " + string(n) + ", fresh " + string(fresh) + " at " + Level);
+  )");
+  FakeReader reader({Signal()});
+  reader.robot = {
+      .robot = "r1", .variables = {{"n", int64_t{7}}}, .uptime_ns = 61 * kNanosPerSecond};
+
+  const auto result = Replay(reader, program, {.start_level = 2}, nullptr);
+
+  ASSERT_THAT(result, IsOk());
+  EXPECT_THAT(Alerts(*result), ElementsAre("0 r n 7, fresh 3 at C"));
+}
+
+TEST(ReplayerTest, WhatWasBlindOrLateLowersNothing) {
+  const auto program = MakeProgram("rules External: down: CurrLevel == C ? trigger(B);");
+  std::vector<Recorded> events(4, Signal());
+  events[0].blind = true;
+  events[1].blind = false;
+  events[1].late = true;
+
+  const Result result = Replayed(program, events, {.start_level = 2});
+
+  EXPECT_THAT(Transitions(result), ElementsAre("0 down C->B refused: blind",
+                                               "1 down C->B refused: late", "2 down C->B"));
+}
+
+TEST(ReplayerTest, FollowsWhatOthersThanRulesMadeOfTheLevel) {
+  const auto program = MakeProgram("rules External: r: CurrLevel == D ? alert(\"at D\");");
+
+  const Result result =
+      Replayed(program, {Event(recording::RecordedLevel{"D", "operator alice"}), Signal(),
+                         Event(recording::RecordedLevel{"B", "operator bob"}), Signal(),
+                         Event(recording::RecordedLevel{"B", "adopted"}),
+                         Event(recording::RecordedLevel{"GONE", "operator bob"})});
+
+  EXPECT_THAT(Transitions(result), ElementsAre("0 operator A->D", "2 operator D->B"));
+  EXPECT_THAT(Alerts(result), ElementsAre("1 r at D"));
+  ASSERT_THAT(result.faults, SizeIs(1));
+  EXPECT_EQ(result.faults[0].text, "set the level `GONE`, which the rules do not have");
+}
+
 TEST(ReplayerTest, EvidenceIsCompleteAndEachRefusalIsRecorded) {
   const auto program = MakeProgram(R"(
     rules External: down: CurrLevel > A ? trigger(A);

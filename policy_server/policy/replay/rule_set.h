@@ -26,6 +26,8 @@ struct RuleSet {
   std::shared_ptr<const engine::CompiledPolicy> program;
   // Null if the rules inspect nothing.
   std::shared_ptr<const inspect::InspectionSet> inspections;
+  // Of the bundle that they are; empty = rule files.
+  std::string bundle_id;
 
   // Null if the rules inspect nothing; Replayer takes it as it is.
   std::unique_ptr<inspect::Session> NewSession() const {

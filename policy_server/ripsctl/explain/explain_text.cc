@@ -278,6 +278,13 @@ void PrintNow(const Explanation& explanation, std::ostream& out) {
   if (explanation.lowering.has_value()) PrintLowering(status.robot(), *explanation.lowering, out);
 }
 
+// The server keeps what led to such an alert.
+void PrintRecording(const v1::Alert& alert, std::ostream& out) {
+  if (alert.severity() != "high" && alert.severity() != "critical") return;
+  out << "\nEvents that led to it:\n  ripsctl alert recording " << EscapeText(ShortId(alert.id()))
+      << " --out FILE\n";
+}
+
 }  // namespace
 
 std::string PieceText(absl::string_view condition, uint32_t offset, uint32_t length,
@@ -332,6 +339,7 @@ void PrintExplanation(const Explanation& explanation, std::ostream& out) {
     PrintWhy(recorded, out);
     PrintWho(recorded, out);
     PrintOutcome(recorded, out);
+    PrintRecording(recorded.alert(), out);
   }
   PrintNow(explanation, out);
 }

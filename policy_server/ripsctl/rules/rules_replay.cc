@@ -5,10 +5,12 @@
 // do not have; then nothing is printed but the error.
 #include <CLI/CLI.hpp>
 #include <algorithm>
+#include <filesystem>
 #include <nlohmann/json.hpp>
 #include <optional>
 #include <set>
 #include <string>
+#include <system_error>
 #include <utility>
 #include <vector>
 
@@ -16,6 +18,7 @@
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_format.h"
 #include "absl/strings/str_join.h"
+#include "policy_server/policy/bundle/bundle.h"
 #include "policy_server/policy/lang/check/type.h"
 #include "policy_server/policy/lang/value_text.h"
 #include "policy_server/policy/recording/reader.h"
@@ -26,6 +29,7 @@
 #include "policy_server/ripsctl/cli/json_output.h"
 #include "policy_server/ripsctl/cli/printer.h"
 #include "policy_server/ripsctl/commands.h"
+#include "services/base/cut_text.h"
 #include "services/base/status_macros.h"
 #include "services/runtime/real_clock.h"
 
@@ -220,6 +224,54 @@ void PrintDifference(const replay::Difference& difference, bool timed, std::ostr
   PrintVariables(difference, out);
 }
 
+// The event at which the rules raise that recorded alert; nullopt = they do not.
+std::optional<replay::Moment> CameAgain(const recording::RecordedAlert& recorded,
+                                        const Result& result) {
+  for (const replay::Alerted& each : result.alerts) {
+    const bool same =
+        each.rule == recorded.rule &&
+        Shortened(each.text, recording::RecordedAlert::kTextBytesMax) == recorded.text;
+    if (same) return each.at;
+  }
+  return std::nullopt;
+}
+
+void PrintRecorded(const std::vector<recording::RecordedAlert>& recorded, const Result& result,
+                   std::ostream& out) {
+  if (recorded.empty()) return;
+  out << "\nAlerts that it was recorded with\n";
+  Table table({"ID", "RULE", "IN THIS REPLAY", "TEXT"});
+  bool missed = false;
+  for (const recording::RecordedAlert& each : recorded) {
+    const std::optional<replay::Moment> at = CameAgain(each, result);
+    const bool own = each.rule == "(rips)";
+    missed |= !own && !at.has_value();
+    table.Add({ShortId(each.id), each.rule,
+               own              ? "RIPS's own: no rule raises it"
+               : at.has_value() ? absl::StrCat("at event ", MomentText(*at, result.timed))
+                                : "not raised",
+               each.text});
+  }
+  table.Print(out);
+  if (missed) {
+    out << "what may keep one from coming again: other rules; messages before the recording that "
+           "were counted;\na program that failed or a level that was not reached (--exec-fail, "
+           "--trigger-fail)\n";
+  }
+}
+
+Json RecordedJson(const std::vector<recording::RecordedAlert>& recorded, const Result& result) {
+  Json out = Json::array();
+  for (const recording::RecordedAlert& each : recorded) {
+    const std::optional<replay::Moment> at = CameAgain(each, result);
+    Json event;
+    if (at.has_value()) event = at->event;
+    out.push_back(
+        {{"id", each.id}, {"rule", each.rule}, {"text", each.text}, {"event", std::move(event)}});
+  }
+  return out;
+}
+
 class ReplayRulesCommand final : public Command {
  public:
   ReplayRulesCommand()
@@ -227,13 +279,15 @@ class ReplayRulesCommand final : public Command {
                  "Run rules on a recording and show what they do; needs no server",
                  /*needs_server=*/false}) {}
   void AddFlags(CLI::App& app) override {
-    app.add_option("--rules", rules_, "Rule files, compiled as one policy in this order")
+    app.add_option("--rules", rules_,
+                   "Rule files, compiled as one policy in this order, or the directory of a bundle")
         ->required();
     app.add_option(
            "--events", events_,
            "Recording: a file of `ripsctl record`, a rosbag2 bag or file, or YAML of the prototype")
         ->required();
-    app.add_option("--against", against_, "Other rule files; show how their results differ");
+    app.add_option("--against", against_,
+                   "Other rule files, or another bundle; show how their results differ");
     app.add_option("--dialect", dialect_, "Dialect of the rules: what the include forms mean")
         ->check(CLI::IsMember({"rips", "prototype"}))
         ->capture_default_str();
@@ -269,21 +323,31 @@ class ReplayRulesCommand final : public Command {
       return UsageError(env, known.message());
     }
 
-    const absl::StatusOr<Result> result = Replay(env, *rules);
+    std::vector<recording::RecordedAlert> recorded;
+    const absl::StatusOr<Result> result = Replay(env, *rules, &recorded);
     if (!result.ok()) return UsageError(env, result.status().message());
     std::optional<replay::Difference> difference;
+    absl::StatusOr<Result> after = Result{};
     if (other->program != nullptr) {
-      const absl::StatusOr<Result> after = Replay(env, *other);
+      after = Replay(env, *other, nullptr);
       if (!after.ok()) return UsageError(env, after.status().message());
       difference = replay::Compare(*result, *after);
     }
     if (env.json()) {
       Json json = replay::ToJson(*result);
-      if (difference.has_value()) json["against"] = replay::ToJson(*difference);
+      if (!recorded.empty()) json["recorded"] = RecordedJson(recorded, *result);
+      if (difference.has_value()) {
+        json["against"] = replay::ToJson(*difference);
+        json["against"]["rules"] = replay::ToJson(*after)["rules"];
+      }
       PrintJson(json, env.out);
     } else {
       PrintResult(*result, *rules, profile_, env.out);
-      if (difference.has_value()) PrintDifference(*difference, result->timed, env.out);
+      PrintRecorded(recorded, *result, env.out);
+      if (difference.has_value()) {
+        PrintDifference(*difference, result->timed, env.out);
+        PrintNotTold(*after, *other, env.out);
+      }
     }
     return ExitCode::kDone;
   }
@@ -292,6 +356,13 @@ class ReplayRulesCommand final : public Command {
   absl::StatusOr<RuleSet> Load(const std::vector<std::string>& paths) const {
     using Dialect = lang::CheckedRules::Dialect;
     using engine::OnInspectionError;
+    std::error_code error;
+    if (paths.size() == 1 && std::filesystem::is_directory(paths[0], error)) {
+      RIPS_ASSIGN_OR_RETURN(bundle::Bundle of, bundle::LoadBundle(paths[0], &clock_));
+      return RuleSet{.program = std::move(of.program),
+                     .inspections = std::move(of.inspections),
+                     .bundle_id = std::move(of.id)};
+    }
     return replay::LoadRuleSet(
         paths,
         {.dialect = dialect_ == "rips" ? Dialect::kRips : Dialect::kPrototype,
@@ -352,7 +423,26 @@ class ReplayRulesCommand final : public Command {
     return found.value_or(0);
   }
 
-  absl::StatusOr<Result> Replay(Env& env, const RuleSet& rules) const {
+  static void NoteOtherRules(const recording::RecordedOrigin& origin, const RuleSet& rules,
+                             Env& env) {
+    std::set<std::string> unknown;
+    for (const auto& [name, value] : origin.variables) unknown.insert(name);
+    for (const lang::Variable& each : rules.program->rules().variables) unknown.erase(each.name);
+    const bool other_bundle = !rules.bundle_id.empty() && !origin.bundle_id.empty() &&
+                              rules.bundle_id != origin.bundle_id;
+    if (!other_bundle && unknown.empty()) return;
+    env.err << "note: these are not the rules that it was recorded under (bundle "
+            << EscapeText(origin.bundle_id) << ")";
+    if (!unknown.empty()) {
+      env.err << "; they lack " << EscapeText(absl::StrJoin(unknown, ", "));
+    }
+    env.err << "\n";
+  }
+
+  // `recorded`: the alerts that the recording was saved with; null for rules of which it is known
+  // that they are others.
+  absl::StatusOr<Result> Replay(Env& env, const RuleSet& rules,
+                                std::vector<recording::RecordedAlert>* recorded) const {
     const levels::LevelTable& levels = rules.program->rules().levels;
     replay::ReplayOptions options{.tick_ns = tick_ms_ * kNanosPerMilli,
                                   .event_interval_ns = interval_ms_ * kNanosPerMilli,
@@ -366,6 +456,11 @@ class ReplayRulesCommand final : public Command {
     RIPS_ASSIGN_OR_RETURN(const std::unique_ptr<recording::Reader> reader,
                           recording::Open(events_));
     RIPS_ASSIGN_OR_RETURN(options.start_level, StartLevel(levels, *reader, env));
+    const recording::RecordedOrigin* origin = reader->origin();
+    if (origin != nullptr && recorded != nullptr) {
+      *recorded = origin->alerts;
+      NoteOtherRules(*origin, rules, env);
+    }
     const std::unique_ptr<inspect::Session> session = rules.NewSession();
     absl::StatusOr<Result> result =
         replay::Replay(*reader, rules.program, std::move(options), session.get());

@@ -147,7 +147,31 @@ void ReadAudit(const ConfigSection& root, ServerConfig* config) {
   config->audit_segment_bytes = static_cast<uint64_t>(segment.bytes);
 }
 
+// Twice what one recording may have.
+constexpr ByteSize kRecordingsMin = {8 << 20};
+
+void ReadRecordings(const ConfigSection& root, ServerConfig* config) {
+  const ConfigSection recordings = root.OptionalSection("recordings");
+  // Of a store without an absolute path no second problem is made.
+  const bool beside = config->store_path.front() == '/';
+  config->recordings_dir = beside ? config->recordings_directory() : "/";
+  ReadOptionalPath(recordings, "dir", &config->recordings_dir);
+  ByteSize keep = {static_cast<int64_t>(config->recordings_bytes)};
+  recordings.Optional("keep", &keep, {ByteSize{0}, ByteSize{int64_t{1} << 40}});
+  if (keep.bytes > 0 && keep < kRecordingsMin) {
+    recordings.Problem("keep",
+                       "`keep` is less than 8MiB, so that few recordings would fit; write "
+                       "more, or `0B` for none");
+  }
+  config->recordings_bytes = static_cast<uint64_t>(keep.bytes);
+}
+
 }  // namespace
+
+std::string ServerConfig::recordings_directory() const {
+  if (!recordings_dir.empty()) return recordings_dir;
+  return absl::StrCat(store_path.substr(0, store_path.rfind('/')), "/recordings");
+}
 
 absl::StatusOr<ParsedServerConfig> ParseServerConfig(absl::string_view file,
                                                      absl::string_view text) {
@@ -170,6 +194,7 @@ absl::StatusOr<ParsedServerConfig> ParseServerConfig(absl::string_view file,
   const ConfigSection alerts = root.OptionalSection("alerts");
   ReadOptionalPath(alerts, "file", &config.alerts_file);
   ReadAudit(root, &config);
+  ReadRecordings(root, &config);
   ReadTiming(root, &config.timing);
   ReadConnections(root, &config.connections);
   ReadFairness(root, &config.fairness);

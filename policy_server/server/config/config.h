@@ -83,6 +83,10 @@ struct ServerConfig {
   std::string audit_dir;
   // A segment of it that has so many bytes is followed by the next one.
   uint64_t audit_segment_bytes = 64ull << 20;
+  // Where recordings of what led to alerts are kept; empty: `recordings` beside the store.
+  std::string recordings_dir;
+  // Of all of them; 0: none are kept.
+  uint64_t recordings_bytes = 256ull << 20;
   Timing timing;
   // How many connections are taken from where.
   rpc::AdmissionLimits connections;
@@ -99,6 +103,9 @@ struct ServerConfig {
   std::string plugin_helpers;
   // Where /metrics, /healthz and /readyz are served.
   std::string metrics = "127.0.0.1:9464";
+
+  // `recordings_dir`, or what stands for it.
+  std::string recordings_directory() const;
 
   friend bool operator==(const ServerConfig&, const ServerConfig&) = default;
 };

@@ -43,6 +43,7 @@ TEST(ServerConfigTest, FillsInTheDefaults) {
   expected.id = "ps1";
   expected.trust_domain = "fleet.example";
   expected.tls = {.ca = "/p/ca.pem", .cert = "/p/cert.pem", .key = "/p/key.pem"};
+  expected.recordings_dir = "/var/lib/rips/policy-server/recordings";
   EXPECT_EQ(parsed->config, expected);
   EXPECT_EQ(expected.timing.lease, absl::Seconds(15));
   EXPECT_THAT(parsed->effective,
@@ -67,6 +68,8 @@ TEST(ServerConfigTest, ReadsEveryKey) {
   EXPECT_EQ(config.bundles_source, "/e/bundles");
   EXPECT_EQ(config.bundles_dir, "/v/bundles");
   EXPECT_EQ(config.store_path, "/v/state.db");
+  EXPECT_EQ(config.recordings_directory(), "/v/recordings") << "beside it";
+  EXPECT_EQ(config.recordings_bytes, 256u << 20);
   EXPECT_EQ(config.alerts_file, "/l/alerts.jsonl");
   EXPECT_EQ(config.plugin_user, "detectors");
   EXPECT_EQ(config.plugin_readable, (std::vector<std::string>{"/opt/detectors", "/srv/models"}));
@@ -134,6 +137,9 @@ INSTANTIATE_TEST_SUITE_P(
         BadCase{"TooManyShards", "shards: 3", "shards: 65", "write `auto` or a number"},
         BadCase{"WordShards", "shards: 3", "shards: many", "`shards` is `many`"},
         BadCase{"AuditPath", "shards: 3", "audit: {dir: audit}", "write an absolute path"},
+        BadCase{"RecordingsPath", "shards: 3", "recordings: {dir: here}", "write an absolute path"},
+        BadCase{"RecordingsFew", "shards: 3", "recordings: {keep: 64KiB}", "write more, or `0B`"},
+        BadCase{"RecordingsKeep", "shards: 3", "recordings: {keep: -1MiB}", "`keep`"},
         BadCase{"AuditSegment", "shards: 3", "audit: {segment: 1KiB}", "`segment`"}),
     [](const testing::TestParamInfo<BadCase>& param) { return param.param.name; });
 

@@ -4,7 +4,7 @@
 // | use      | calls                                       | limits                              |
 // |----------|---------------------------------------------|-------------------------------------|
 // | kStream  | WatchRobots WatchAlerts Record              | streams at a time, in all too; a    |
-// |          |                                             | reserve for role operator and above |
+// |          | GetAlertRecording                           | reserve for role operator and above |
 // | kQuery   | all other calls of a viewer                 | calls at a time, and a second; one  |
 // |          |                                             | that costs much counts for several  |
 // | kOrder   | Raise DeEscalate Approve ResumeRules        | calls at a time, and a second: an   |

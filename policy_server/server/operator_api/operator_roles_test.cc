@@ -46,6 +46,7 @@ const std::map<std::string, Role> kLeastRoles = {
     {"Approve", Role::kOperator},
     {"ResumeRules", Role::kOperator},
     {"Record", Role::kOperator},
+    {"GetAlertRecording", Role::kOperator},
     {"DrillRobot", Role::kOperator},
     {"Ban", Role::kAdmin},
     {"Unban", Role::kAdmin},

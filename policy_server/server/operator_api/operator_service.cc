@@ -15,7 +15,6 @@
 #include "policy_server/server/operator_api/overtaken_states.h"
 #include "policy_server/server/operator_api/receipt_codec.h"
 #include "policy_server/server/operator_api/record_codec.h"
-#include "policy_server/server/operator_api/record_tap.h"
 #include "policy_server/server/operator_api/requesters.h"
 #include "policy_server/server/operator_api/unary_call.h"
 #include "policy_server/server/operator_api/watch_stream.h"
@@ -66,13 +65,6 @@ absl::Status CheckListed(const pipeline::Pipeline& pipeline, const std::set<std:
   if (unknown.empty()) return absl::OkStatus();
   return absl::NotFoundError(
       absl::StrCat("robot `", absl::CHexEscape(*unknown.begin()), "` is not in the inventory"));
-}
-
-template <typename T>
-grpc::ServerWriteReactor<T>* RefuseWatch(const absl::Status& status) {
-  auto* stream = new WatchStream<T>();
-  stream->outbound()->Close(rpc::ToGrpc(status));
-  return stream;
 }
 
 template <typename Response>
@@ -169,18 +161,6 @@ absl::StatusOr<OperatorService::Caller> OperatorService::AuthorizeOrder(
     record(why);
   };
   return who;
-}
-
-template <typename T>
-void OperatorService::Keep(rpc::StreamKind kind, WatchStream<T>* stream, const Caller& caller,
-                           grpc::CallbackServerContext* context) {
-  struct Kept {
-    std::shared_ptr<rpc::SessionWatch::Session> session;
-    CallerQuota::Ticket ticket;
-  };
-  const auto session = access_.watch->Guard(kind, caller, context, stream->outbound());
-  session->greeted = true;
-  stream->set_session(std::make_shared<Kept>(Kept{session, caller.ticket}));
 }
 
 void OperatorService::RecordRefusal(const grpc::CallbackServerContext& context,
@@ -513,38 +493,6 @@ grpc::ServerUnaryReactor* OperatorService::ListReceipts(
                       });
   if (!posted.ok()) reactor->End(posted);
   return reactor;
-}
-
-grpc::ServerWriteReactor<rips::v1::Recording>* OperatorService::Record(
-    grpc::CallbackServerContext* context, const rips::v1::RecordRequest* request) {
-  const auto who =
-      AuthorizeOrder(context, "Record", *request, OperatorRole::kOperator, Use::kStream);
-  if (!who.ok()) return RefuseWatch<rips::v1::Recording>(who.status());
-  LogInfo("operator starts a recording",
-          {{"operator", rpc::Describe(*who)}, {"robot", request->robot()}});
-  auto* stream = new WatchStream<rips::v1::Recording>();
-  Keep(rpc::StreamKind::kRecord, stream, *who, context);
-  auto outbound = stream->outbound();
-  const absl::Status posted =
-      pipeline_->Post(request->robot(), Queue::kOrders, [outbound](Robot& robot) {
-        auto tap = std::make_shared<RecordingWriter>(
-            [outbound](rips::v1::Recording piece) { return outbound->Send(std::move(piece)); },
-            [outbound] { return outbound->open(); });
-        if (const absl::Status added = robot.AddTap(tap); !added.ok()) {
-          return outbound->Close(rpc::ToGrpc(added));
-        }
-        const pipeline::RobotStatus status = robot.Status();
-        rips::v1::RecordingHeader header;
-        header.set_robot(robot.id());
-        header.set_bundle_id(status.bundle_version);
-        header.set_level(status.decided_level);
-        header.set_start_unix_ns(RealClock().Now().unix_ns);
-        header.set_rips_version(std::string(RipsVersion()));
-        tap->Start(std::move(header), robot.core().graph_version().graph,
-                   robot.core().judge().graph_changed_unix_ns() != 0);
-      });
-  if (!posted.ok()) outbound->Close(rpc::ToGrpc(posted));
-  return stream;
 }
 
 grpc::ServerUnaryReactor* OperatorService::DeEscalate(grpc::CallbackServerContext* context,

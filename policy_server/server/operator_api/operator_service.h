@@ -5,7 +5,7 @@
 //   GetCoverage GetLevel ListTransitions ListAlerts
 //   WatchAlerts Explain ListReceipts ListAgents      viewer
 //   Raise DeEscalate Approve ResumeRules Record
-//   DrillRobot                                       operator
+//   GetAlertRecording DrillRobot                     operator
 //   Ban Unban ResetTerm                              admin
 //
 // Each call on an open connection is judged anew, and streams for as long as they are open: an
@@ -14,12 +14,14 @@
 #define RIPS_POLICY_SERVER_SERVER_OPERATOR_API_OPERATOR_SERVICE_H_
 
 #include <functional>
+#include <memory>
 #include <thread>
 
 #include "absl/status/statusor.h"
 #include "absl/strings/string_view.h"
 #include "google/protobuf/message.h"
 #include "policy_server/server/audit/order_audit.h"
+#include "policy_server/server/flight/flight_files.h"
 #include "policy_server/server/operator_api/ban_list.h"
 #include "policy_server/server/operator_api/caller_quota.h"
 #include "policy_server/server/operator_api/requesters.h"
@@ -62,6 +64,8 @@ class OperatorService final : public rips::v1::OperatorService::CallbackService 
     // False while the store takes nothing; ListAlerts then shows what robots hold in memory. May be
     // empty: it always does.
     std::function<bool()> store_writable = {};
+    // Null: none are kept.
+    const flight::FlightFiles* recordings = nullptr;
   };
 
   // No pointer is owned; all outlive every call. Reads of the store run on a thread of their own,
@@ -105,6 +109,9 @@ class OperatorService final : public rips::v1::OperatorService::CallbackService 
                                          rips::v1::ListReceiptsResponse* response) override;
   grpc::ServerWriteReactor<rips::v1::Recording>* Record(
       grpc::CallbackServerContext* context, const rips::v1::RecordRequest* request) override;
+  grpc::ServerWriteReactor<rips::v1::Recording>* GetAlertRecording(
+      grpc::CallbackServerContext* context,
+      const rips::v1::GetAlertRecordingRequest* request) override;
   grpc::ServerUnaryReactor* DeEscalate(grpc::CallbackServerContext* context,
                                        const rips::v1::LevelRequest* request,
                                        rips::v1::LevelResponse* response) override;
@@ -187,6 +194,18 @@ class OperatorService final : public rips::v1::OperatorService::CallbackService 
   std::thread reader_;
   std::thread encoder_;
 };
+
+template <typename T>
+void OperatorService::Keep(rpc::StreamKind kind, WatchStream<T>* stream, const Caller& caller,
+                           grpc::CallbackServerContext* context) {
+  struct Kept {
+    std::shared_ptr<rpc::SessionWatch::Session> session;
+    CallerQuota::Ticket ticket;
+  };
+  const auto session = access_.watch->Guard(kind, caller, context, stream->outbound());
+  session->greeted = true;
+  stream->set_session(std::make_shared<Kept>(Kept{session, caller.ticket}));
+}
 
 }  // namespace rips::operator_api
 

@@ -41,14 +41,25 @@ void RecordingWriter::Start(rips::v1::RecordingHeader header,
   send_(std::move(second));
 }
 
-bool RecordingWriter::OnEvent(const engine::Event& event,
-                              const std::shared_ptr<const ros2::RosGraph>& graph,
-                              const pipeline::MessageSeen* message) {
+bool RecordingWriter::OnLevel(const pipeline::LevelChange& level) {
+  rips::v1::Recording piece;
+  RecordedEvent* out = piece.mutable_event();
+  out->set_time_unix_ns(level.time_unix_ns);
+  out->mutable_level()->set_to(level.to);
+  out->mutable_level()->set_cause(level.cause);
+  return send_(std::move(piece));
+}
+
+bool RecordingWriter::OnEvent(const pipeline::JudgedEvent& judged) {
+  const engine::Event& event = judged.event;
+  const std::shared_ptr<const ros2::RosGraph>& graph = judged.graph;
   rips::v1::Recording piece;
   RecordedEvent* out = piece.mutable_event();
   out->set_time_unix_ns(event.time_unix_ns);
+  out->set_blind(judged.blind);
+  out->set_late(event.lateness == levels::Lateness::kLate);
   if (const auto* sample = std::get_if<engine::MessageEvent>(&event.what)) {
-    Fill(*sample, message, out->mutable_message());
+    Fill(*sample, judged.message, out->mutable_message());
   } else if (std::holds_alternative<engine::GraphEvent>(event.what)) {
     out->mutable_delta()->set_settled(true);
     ros2_proto::EncodeGraph(ros2::RosGraph::Diff(*graph_, *graph), *out->mutable_delta());

@@ -26,8 +26,8 @@ class RecordingWriter final : public pipeline::EventRecorder {
   // Header and graph; before the first event. `settled`: there is a graph.
   void Start(rips::v1::RecordingHeader header, std::shared_ptr<const ros2::RosGraph> graph,
              bool settled);
-  bool OnEvent(const engine::Event& event, const std::shared_ptr<const ros2::RosGraph>& graph,
-               const pipeline::MessageSeen* message) override;
+  bool OnEvent(const pipeline::JudgedEvent& judged) override;
+  bool OnLevel(const pipeline::LevelChange& level) override;
 
  private:
   Send send_;

@@ -6,7 +6,9 @@
 #include <memory>
 #include <utility>
 
+#include "absl/status/status.h"
 #include "grpcpp/support/server_callback.h"
+#include "services/rpc/status_conversion.h"
 #include "services/rpc/stream_outbound.h"
 
 namespace rips::operator_api {
@@ -43,6 +45,14 @@ class WatchStream final : public grpc::ServerWriteReactor<T> {
   std::function<void()> on_drained_;
   std::shared_ptr<void> session_;
 };
+
+// A stream that ends at once.
+template <typename T>
+grpc::ServerWriteReactor<T>* RefuseWatch(const absl::Status& status) {
+  auto* stream = new WatchStream<T>();
+  stream->outbound()->Close(rpc::ToGrpc(status));
+  return stream;
+}
 
 }  // namespace rips::operator_api
 

@@ -8,6 +8,12 @@
 
 namespace rips::pipeline {
 
+Performer::Performer(std::string robot, Ports ports, std::function<void(Input)> deliver)
+    : robot_(std::move(robot)),
+      ports_(std::move(ports)),
+      deliver_(std::move(deliver)),
+      flight_(ports_.flight_recorder ? ports_.flight_recorder(robot_) : nullptr) {}
+
 void Performer::Perform(const Actions& actions) {
   for (const Action& each : actions) {
     std::visit([this](const auto& what) { Do(what); }, each);
@@ -192,9 +198,21 @@ void Performer::Do(const action::LogRule& what) {
 }
 
 void Performer::Do(const action::RecordEvent& what) {
+  if (flight_ != nullptr) flight_->OnEvent(what.event);
   std::erase_if(recorders_, [&](const std::shared_ptr<EventRecorder>& recorder) {
-    return !recorder->OnEvent(what.event, what.graph, what.message);
+    return !recorder->OnEvent(what.event);
   });
+}
+
+void Performer::Do(const action::RecordLevel& what) {
+  if (flight_ != nullptr) flight_->OnLevel(what.level);
+  std::erase_if(recorders_, [&](const std::shared_ptr<EventRecorder>& recorder) {
+    return !recorder->OnLevel(what.level);
+  });
+}
+
+void Performer::Do(const action::KeepRecording& what) {
+  if (flight_ != nullptr) flight_->Keep(what.alert);
 }
 
 // ------------------------------------------------------------------------------------- metrics

@@ -23,8 +23,7 @@ namespace rips::pipeline {
 class Performer {
  public:
   // `deliver` takes what ports answer, later, on the robot's thread.
-  Performer(std::string robot, Ports ports, std::function<void(Input)> deliver)
-      : robot_(std::move(robot)), ports_(std::move(ports)), deliver_(std::move(deliver)) {}
+  Performer(std::string robot, Ports ports, std::function<void(Input)> deliver);
 
   void Perform(const Actions& actions);
   // What the actions have been answered at once; to be judged next.
@@ -40,7 +39,9 @@ class Performer {
   ReplyToken Await(DrillReply reply);
   // Recordings, until the robot retires: as Robot::AddTap.
   absl::Status AddRecorder(std::shared_ptr<EventRecorder> recorder, size_t max);
-  bool recorded() const { return !recorders_.empty(); }
+  bool recorded() const { return !recorders_.empty() || flight_ != nullptr; }
+  // Null if there is none.
+  FlightRecorder* flight() const { return flight_.get(); }
 
   const Ports& ports() const { return ports_; }
 
@@ -73,6 +74,8 @@ class Performer {
   void Do(const action::ReportRetired& what);
   void Do(const action::LogRule& what);
   void Do(const action::RecordEvent& what);
+  void Do(const action::RecordLevel& what);
+  void Do(const action::KeepRecording& what);
   void Do(const action::Count& what);
   void Do(const action::CountEndpoints& what);
   void Do(const action::CountBlind& what);
@@ -89,6 +92,7 @@ class Performer {
   absl::flat_hash_map<ReplyToken, LevelReply> orders_;
   absl::flat_hash_map<ReplyToken, DrillReply> drills_;
   std::vector<std::shared_ptr<EventRecorder>> recorders_;
+  const std::unique_ptr<FlightRecorder> flight_;
   std::vector<Input> answers_;
 };
 

@@ -11,17 +11,15 @@
 
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
-#include "policy_server/policy/engine/state/event.h"
 #include "policy_server/policy/engine/state/verdict.h"
 #include "policy_server/server/robot/model/coverage.h"
 #include "policy_server/server/robot/model/inbound.h"
 #include "policy_server/server/robot/model/inspected_message.h"
+#include "policy_server/server/robot/model/judged_event.h"
 #include "policy_server/server/robot/model/robot_status.h"
 #include "policy_server/server/store/store.h"
 #include "services/base/clock.h"
 #include "services/base/decision_id.h"
-#include "services/ros2/guid.h"
-#include "services/ros2/ros_graph.h"
 
 namespace rips::pipeline {
 
@@ -63,17 +61,25 @@ class RobotObserver {
 };
 
 // One who records what a robot's rules are given to judge: messages that they do not need are never
-// sent. Called on the robot's thread; must not
-// block.
+// sent. Called on the robot's thread; must not block.
 class EventRecorder {
  public:
   virtual ~EventRecorder() = default;
-  // `graph`: the one that the event is judged against. An event may be judged against an earlier
-  // one than the event before. `message` is what MessageEvent was made of, else null. False: no
-  // more, please.
-  virtual bool OnEvent(const engine::Event& event,
-                       const std::shared_ptr<const ros2::RosGraph>& graph,
-                       const MessageSeen* message) = 0;
+  // False: no more, please.
+  virtual bool OnEvent(const JudgedEvent& event) = 0;
+  virtual bool OnLevel(const LevelChange& level) = 0;
+};
+
+// Keeps the last events of one robot, in pieces that each begin with a state of the rules, and
+// saves them with alerts. Called on the robot's thread; must not block.
+class FlightRecorder : public EventRecorder {
+ public:
+  // A piece is due, to begin between two inputs. Asked at least every 50 ms.
+  virtual bool wants_piece(Instant now) const = 0;
+  // At first, and whenever one is due or another policy is in force.
+  virtual void BeginPiece(RulesState state, Instant now) = 0;
+  // What has been kept by the next piece is saved with that alert.
+  virtual void Keep(const GraveAlert& alert) = 0;
 };
 
 // Asks YARA files and plugins of one policy about messages.
@@ -129,6 +135,8 @@ struct Ports {
   // The robot has another owner, and has retired: nothing that it decides is recorded any more. On
   // the robot's thread; may be empty.
   std::function<void(const std::string& robot, const absl::Status& why)> fenced;
+  // Makes the flight recorder of a robot; may be empty.
+  std::function<std::unique_ptr<FlightRecorder>(const std::string& robot)> flight_recorder;
   // Draws ids of alerts, transitions and commands.
   std::function<std::string()> new_id;
 };

@@ -27,6 +27,7 @@ absl::StatusOr<std::unique_ptr<Robot>> Robot::Create(RobotConfig config, Policy 
                                                          .tenure = tenure,
                                                          .id_seed = outside.new_id(),
                                                          .moment = robot->Now()}));
+  robot->BeginPiece();
   return robot;
 }
 
@@ -49,6 +50,14 @@ void Robot::Do(Input input) {
   performer_.Perform(actions);
   core_->Recycle(std::move(actions));
   for (Input& answer : performer_.PopAnswers()) Do(std::move(answer));
+  FlightRecorder* flight = performer_.flight();
+  if (flight != nullptr && flight->wants_piece(performer_.ports().clock->Now())) BeginPiece();
+}
+
+void Robot::BeginPiece() {
+  if (performer_.flight() == nullptr) return;
+  const Instant now = performer_.ports().clock->Now();
+  performer_.flight()->BeginPiece(core_->At(Now()).rules(), now);
 }
 
 // -------------------------------------------------------------------------------------- agents
@@ -189,6 +198,7 @@ absl::Status Robot::SwapPolicy(Policy policy) {
   const ReplyToken token =
       performer_.Await(LevelReply([&](const LevelAnswer& answer) { status = answer.status; }));
   Do(input::SwapPolicy{.policy = std::move(policy), .token = token});
+  if (status.ok()) BeginPiece();
   AdvanceMessages();
   return status;
 }

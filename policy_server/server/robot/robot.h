@@ -100,6 +100,8 @@ class Robot {
   Moment Now() const;
   // Has the core judge the input, performs its actions, and goes on with what was answered at once.
   void Do(Input input);
+  // Of the flight recording, if there is one.
+  void BeginPiece();
   // Judge what sensors have sent, until the turn is over.
   void AdvanceControl();
   void AdvanceMessages();

@@ -151,6 +151,7 @@ class RobotTest : public ::testing::Test {
         .post = [this](std::function<void()> task) { posted_.push_back(std::move(task)); },
         .post_work = [this](std::function<void()> task) { posted_.push_back(std::move(task)); },
         .fenced = [this](const std::string& robot, auto&) { fenced_.push_back(robot); },
+        .flight_recorder = flight_recorder_,
         .new_id = [this] { return absl::StrCat("id", ++ids_); }};
     auto robot = Robot::Create({.id = "r1",
                                 .sensor_hosts = sensor_hosts_,
@@ -221,7 +222,7 @@ class RobotTest : public ::testing::Test {
                                  .degraded = degraded_,
                                  .drifts = drifts_});
   }
-  // The actuator obeys its newest level command.
+  // The newest level command is obeyed.
   void Obey(Receipt::Stage stage = Receipt::Stage::kVerified, const std::string& detail = "") {
     ASSERT_NE(actuator_->level(), nullptr);
     const SetLevel set = *actuator_->level();
@@ -329,16 +330,15 @@ class RobotTest : public ::testing::Test {
   Counts counts_;
   std::deque<std::function<void()>> posted_;
   std::vector<std::string> fenced_;
+  std::function<std::unique_ptr<FlightRecorder>(const std::string&)> flight_recorder_;
   int ids_ = 0;
   std::unique_ptr<Robot> robot_;
   std::shared_ptr<FakeInspector> inspector_ = std::make_shared<FakeInspector>();
   std::shared_ptr<FakeSensor> sensor_;
   std::shared_ptr<FakeActuator> actuator_;
-  bool sensor_heartbeats_ = true;
-  bool actuator_heartbeats_ = true;
-  std::string effective_;
+  bool sensor_heartbeats_ = true, actuator_heartbeats_ = true;
+  std::string effective_, floor_;
   bool verified_ = false;
-  std::string floor_;
   std::vector<std::string> degraded_;
   uint64_t drifts_ = 0;
   uint64_t next_sequence_[kLaneCount] = {1, 1};

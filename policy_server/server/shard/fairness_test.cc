@@ -345,13 +345,13 @@ TEST_F(FairnessTest, TheGraphIsReadWithoutTheRobotsThread) {
 class GraphTap final : public EventRecorder {
  public:
   explicit GraphTap(std::function<void()> on_graph) : on_graph_(std::move(on_graph)) {}
-  bool OnEvent(const engine::Event& event, const std::shared_ptr<const ros2::RosGraph>& graph,
-               const MessageSeen*) override {
-    if (std::holds_alternative<engine::GraphEvent>(event.what)) {
-      nodes.push_back(graph->nodes().size());
+  bool OnLevel(const LevelChange&) override { return true; }
+  bool OnEvent(const JudgedEvent& judged) override {
+    if (std::holds_alternative<engine::GraphEvent>(judged.event.what)) {
+      nodes.push_back(judged.graph->nodes().size());
       on_graph_();
     }
-    if (std::holds_alternative<engine::MessageEvent>(event.what)) {
+    if (std::holds_alternative<engine::MessageEvent>(judged.event.what)) {
       ++messages;
       if (message_takes) message_takes();
     }

@@ -18,6 +18,13 @@ using lang::Connector;
 
 constexpr int64_t kAlertEveryNs = kNanosPerSecond;
 
+// A rule asks for a level.
+void NoteRequest(RobotState::Internal& state, const std::string& rule, levels::LevelIndex to) {
+  LevelRequests& requests = state.level_requests[to];
+  ++requests.count;
+  requests.rule = rule;
+}
+
 bool GoesOn(Connector next, bool ok) {
   switch (next) {
     case Connector::kEnd:
@@ -292,6 +299,7 @@ Runner::Step Runner::Trigger(Current& current, uint32_t chain, size_t index) {
   const lang::TypedChain& actions = current.rule.chains[chain];
   const std::optional<levels::LevelIndex> to = LevelArg(current, actions[index].args[0]);
   if (!to.has_value()) return Step::kFailed;
+  NoteRequest(in_, current.rule.name, *to);
   // What was seen before a change says nothing about the level it led to.
   static const levels::Evidence kNoneYet = {
       .blind_because = {"the level has changed within this event"}};
@@ -339,6 +347,7 @@ Runner::Step Runner::Debug(Current& current, const lang::TypedAction& action) {
 // Whatever the text comes to, the robot stops: a rule that wanted it crashed says so.
 Runner::Step Runner::Crash(Current& current, const lang::TypedAction& action) {
   std::optional<std::string> text = TextArg(current, action.args[0]);
+  NoteRequest(in_, current.rule.name, state_.level.table().size() - 1);
   levels::Transition transition =
       state_.level.Crash({.kind = levels::Cause::Kind::kCrash, .name = current.rule.name}, now_);
   if (transition.decided()) {

@@ -222,7 +222,7 @@ EvalStatus Named(const EvalNode& node, Evaluation& run, Slot& out) {
   if constexpr (name == Predefined::kTime) out.integer = run.time_ns;
   if constexpr (name == Predefined::kUptime) out.integer = run.uptime_ns;
   if constexpr (name == Predefined::kCurrRule) out.text = run.rule_name;
-  if constexpr (name == Predefined::kRobot) out.text = run.state->robot_id();
+  if constexpr (name == Predefined::kRobot) out.text = run.state->robot_id;
   if (run.message != nullptr) {
     if constexpr (name == Predefined::kTopic) out.text = run.message->topic;
     if constexpr (name == Predefined::kMsgType) out.text = run.message->type;

@@ -97,6 +97,7 @@ struct RobotState::Internal {
   absl::flat_hash_map<std::string, TraceCount> traces;
   absl::flat_hash_set<std::string> cut_rules;
   absl::flat_hash_map<std::pair<std::string, levels::LevelIndex>, RefusalRecord> refusals;
+  absl::btree_map<levels::LevelIndex, LevelRequests> level_requests;
 };
 
 }  // namespace rips::engine

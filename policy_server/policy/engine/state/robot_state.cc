@@ -90,6 +90,12 @@ void RobotState::RestoreVariables(const absl::btree_map<std::string, lang::Value
   }
 }
 
+const Instant& RobotState::started() const { return internal_->started; }
+
+const absl::btree_map<levels::LevelIndex, LevelRequests>& RobotState::level_requests() const {
+  return internal_->level_requests;
+}
+
 absl::Status RobotState::SwapProgram(std::shared_ptr<const CompiledPolicy> program) {
   const levels::LevelTable old_table = level.table();
   if (!level.SwapTable(program->rules().levels)) {
@@ -118,6 +124,7 @@ absl::Status RobotState::SwapProgram(std::shared_ptr<const CompiledPolicy> progr
   in.fault_alerted_ns.clear();
   in.cut_rules.clear();
   in.refusals.clear();
+  in.level_requests.clear();
   program_ = std::move(program);
   return absl::OkStatus();
 }

@@ -91,6 +91,14 @@ class CurrentGraph {
   uint64_t newest_ = 1;
 };
 
+// How often rules have asked for a level, and which rule did last.
+struct LevelRequests {
+  uint64_t count = 0;
+  std::string rule;
+
+  friend bool operator==(const LevelRequests&, const LevelRequests&) = default;
+};
+
 class RobotState {
  public:
   // `level` must have the program's table. `started` is when this process began judging the robot
@@ -110,20 +118,24 @@ class RobotState {
   levels::LevelMachine level;
 
   const std::shared_ptr<const CompiledPolicy>& program() const { return program_; }
-  // `Robot`.
-  const std::string& robot_id() const { return robot_id_; }
-  void set_robot_id(std::string id) { robot_id_ = std::move(id); }
+  const Instant& started() const;
 
   // A rule has called `crash`: none runs, and no chain goes on, until an operator resumes them.
   bool halted() const { return halted_; }
   void Halt() { halted_ = true; }
   void Resume() { halted_ = false; }
 
+  // `Robot`.
+  std::string robot_id;
+
   // Not owned; may be null.
   RuleObserver* observer = nullptr;
   // Not owned; null: results come through the evaluator's functions. Otherwise `actuation` does not
   // matter, and a RunProgramEffect tells what was run and has had its answer.
   ScriptedRobot* scripted = nullptr;
+
+  // Since the policy is in force. Also requests without effect, as for the level of the robot.
+  const absl::btree_map<levels::LevelIndex, LevelRequests>& level_requests() const;
 
   // By name; for checkpoints and tests.
   absl::btree_map<std::string, lang::Value> Variables() const;
@@ -144,7 +156,6 @@ class RobotState {
 
  private:
   std::shared_ptr<const CompiledPolicy> program_;
-  std::string robot_id_;
   bool halted_ = false;
   std::unique_ptr<Internal> internal_;
 };

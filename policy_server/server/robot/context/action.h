@@ -16,6 +16,7 @@
 #include "policy_server/server/robot/model/coverage.h"
 #include "policy_server/server/robot/model/drill_order.h"
 #include "policy_server/server/robot/model/inspected_message.h"
+#include "policy_server/server/robot/model/judged_event.h"
 #include "policy_server/server/robot/model/level_order.h"
 #include "policy_server/server/robot/model/outbound.h"
 #include "policy_server/server/robot/model/robot_status.h"
@@ -134,13 +135,16 @@ struct LogRule {
   std::string rule;
   std::string text;
 };
-// An event that is judged, against which graph, and what it was made of; see EventRecorder.
+// See EventRecorder.
 struct RecordEvent {
-  engine::Event event;
-  std::shared_ptr<const ros2::RosGraph> graph;
-  const MessageSeen* message = nullptr;
-  // Keeps what these view alive.
-  std::shared_ptr<const Batch> batch;
+  JudgedEvent event;
+};
+struct RecordLevel {
+  LevelChange level;
+};
+// What was recorded so far is saved with that alert.
+struct KeepRecording {
+  GraveAlert alert;
 };
 
 // ---- metrics
@@ -175,9 +179,9 @@ using Action =
                  action::SetInterest, action::GrantLease, action::SendCommand, action::Close,
                  action::Record, action::SaveRaises, action::FindDecision, action::DrawTerm,
                  action::Inspect, action::AnswerOrder, action::AnswerDrill, action::PublishStatus,
-                 action::ReportRetired, action::LogRule, action::RecordEvent, action::Count,
-                 action::CountEndpoints, action::CountBlind, action::CountLeftOut,
-                 action::ShowClockSkew, action::CountSkipped>;
+                 action::ReportRetired, action::LogRule, action::RecordEvent, action::RecordLevel,
+                 action::KeepRecording, action::Count, action::CountEndpoints, action::CountBlind,
+                 action::CountLeftOut, action::ShowClockSkew, action::CountSkipped>;
 using Actions = std::vector<Action>;
 
 }  // namespace rips::pipeline

@@ -33,7 +33,15 @@ void Alerts::Summarize() {
 }
 
 void Alerts::Add(engine::AlertEffect alert, const std::string& event) {
-  const bool kept = outbox_.AddAlert({.id = context_.ids.Next(),
+  const std::string id = context_.ids.Next();
+  if (alert.severity >= engine::Severity::kHigh && context_.moment.recorded) {
+    context_.Do(action::KeepRecording{{.id = id,
+                                       .rule = alert.rule,
+                                       .severity = alert.severity,
+                                       .text = alert.text,
+                                       .time_unix_ns = context_.now().unix_ns}});
+  }
+  const bool kept = outbox_.AddAlert({.id = id,
                                       .time_unix_ns = context_.now().unix_ns,
                                       .robot = context_.config.id,
                                       .rule = std::move(alert.rule),

@@ -98,7 +98,7 @@ RobotCore::RobotCore(CoreStart start, levels::LevelMachine level)
               .decider = decider_}) {
   const store::RobotRecord& record = start.record;
   state_.RestoreVariables(record.variables);
-  state_.set_robot_id(context_.config.id);
+  state_.robot_id = context_.config.id;
   if (record.rules_halted) state_.Halt();
   if (record.decision_id.none()) {
     decider_.Adopt(state_.level.level(), DecisionId{}, "first start");
@@ -412,6 +412,16 @@ void RobotCore::OnRetire(const absl::Status& why) {
 }
 
 // --------------------------------------------------------------------------------------- status
+
+RulesState RobotCore::rules() const {
+  return {.bundle_id = context_.policy.bundle_id,
+          .level = state_.level.table().name(state_.level.level()),
+          .variables = state_.Variables(),
+          .graph = state_.graph.version().graph,
+          .settled = judge_.graph_changed_unix_ns() != 0,
+          .time_unix_ns = context_.now().unix_ns,
+          .uptime_ns = context_.now_ns() - state_.started().boottime_ns};
+}
 
 RobotStatus RobotCore::Status() const {
   RobotStatus status{.robot = context_.config.id,

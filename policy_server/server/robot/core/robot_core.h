@@ -58,6 +58,7 @@
 #include "policy_server/server/robot/decide/decider.h"
 #include "policy_server/server/robot/decide/evidence.h"
 #include "policy_server/server/robot/decide/orders.h"
+#include "policy_server/server/robot/model/judged_event.h"
 #include "policy_server/server/robot/sensors/losses.h"
 #include "policy_server/server/robot/sensors/sensor_side.h"
 #include "policy_server/server/robot/sight/findings.h"
@@ -104,6 +105,8 @@ class RobotCore {
     return *this;
   }
   RobotStatus Status() const;
+  // As rules judge the next event.
+  RulesState rules() const;
   const std::string& id() const { return context_.config.id; }
   const Policy& policy() const { return context_.policy; }
   const levels::LevelTable& levels() const { return state_.level.table(); }

@@ -99,7 +99,7 @@ Approvals::Seen Approvals::Now() const {
   return {.decision_id = state_.level.decision_id(),
           .graph = state_.graph.version(),
           .bundle_id = context_.policy.bundle_id,
-          .requests = state_.level.requests()};
+          .level_requests = state_.level_requests()};
 }
 
 std::string Approvals::WhyOver(const Pending& pending) const {
@@ -122,11 +122,12 @@ std::string Approvals::WhyOver(const Pending& pending) const {
 
 std::string Approvals::RuleSince(const Pending& pending) const {
   const levels::LevelTable& table = state_.level.table();
-  const std::vector<levels::LevelMachine::Requests>& now = state_.level.requests();
   const levels::LevelIndex to = table.Find(pending.order.to).value_or(0);
-  for (levels::LevelIndex level = table.size() - 1; level > to; --level) {
-    if (pending.seen.requests[level] == now[level]) continue;
-    return absl::StrCat("rule ", now[level].rule, " asked for ", table.name(level), " since");
+  const auto& seen = pending.seen.level_requests;
+  for (const auto& [level, now] : state_.level_requests()) {
+    const auto before = seen.find(level);
+    if (level <= to || (before != seen.end() && before->second == now)) continue;
+    return absl::StrCat("rule ", now.rule, " asked for ", table.name(level), " since");
   }
   return "";
 }

@@ -19,6 +19,7 @@
 #include <string>
 #include <vector>
 
+#include "absl/container/btree_map.h"
 #include "absl/status/statusor.h"
 #include "absl/strings/string_view.h"
 #include "policy_server/policy/engine/state/robot_state.h"
@@ -64,7 +65,7 @@ class Approvals {
     DecisionId decision_id;
     engine::CurrentGraph::Version graph;
     std::string bundle_id;
-    std::vector<levels::LevelMachine::Requests> requests;
+    absl::btree_map<levels::LevelIndex, engine::LevelRequests> level_requests;
   };
   struct Pending {
     std::string id;
@@ -76,8 +77,8 @@ class Approvals {
   Seen Now() const;
   // Why it may not be approved any more; empty = it may.
   std::string WhyOver(const Pending& pending) const;
-  // Says which rule has asked for a level above the one to lower to; empty = none has. The bundle is
-  // the one that was seen.
+  // Which rule has asked for a level above the one to lower to, while the bundle was the one that
+  // was seen; empty = none.
   std::string RuleSince(const Pending& pending) const;
   // An alert, of which each operator has a limit of their own: none hides another's requests.
   void Report(const LevelOrder& asked, const std::string& text);

@@ -23,13 +23,14 @@ std::string CauseText(const levels::Cause& cause) {
 }
 
 void Decider::Run(const engine::Event& event, const Source& source) {
-  if (context_.moment.recorded) {
-    context_.Do(action::RecordEvent{.event = event,
-                                    .graph = state_.graph.version().graph,
-                                    .message = source.message,
-                                    .batch = source.batch});
-  }
   state_.evidence = evidence_.Assess(context_.now());
+  if (context_.moment.recorded) {
+    context_.Do(action::RecordEvent{{.event = event,
+                                     .graph = state_.graph.version().graph,
+                                     .message = source.message,
+                                     .batch = source.batch,
+                                     .blind = !state_.evidence.blind_because.empty()}});
+  }
   const engine::Outcome outcome = engine::Evaluate(event, context_.now(), state_);
   if (!outcome.effects.empty() || !outcome.refused_programs.empty() ||
       !outcome.cut_strings.empty()) {
@@ -104,6 +105,13 @@ void Decider::OnTransition(const engine::TransitionEffect& effect) {
                        .reason = transition.cause.reason,
                        .time_unix_ns = transition.at.unix_ns,
                        .trace = CopyOf(effect.trace)});
+  using Kind = levels::Cause::Kind;
+  const Kind kind = transition.cause.kind;
+  if (context_.moment.recorded && kind != Kind::kRule && kind != Kind::kCrash) {
+    context_.Do(action::RecordLevel{{.to = table.name(transition.to),
+                                     .cause = CauseText(transition.cause),
+                                     .time_unix_ns = transition.at.unix_ns}});
+  }
   evidence_.Restart(context_.now());
   // A raise from a lowering that is not durable yet lowers the robot, too, unless it leads at least
   // to where the robot was ordered.

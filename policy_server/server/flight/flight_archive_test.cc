@@ -1,0 +1,260 @@
+// What a robot's rules fired on, saved with the alert, and replayed to the same verdict.
+#include "policy_server/server/flight/flight_archive.h"
+
+#include <unistd.h>
+
+#include <atomic>
+#include <filesystem>
+#include <memory>
+#include <string>
+#include <utility>
+#include <vector>
+
+#include "absl/strings/str_cat.h"
+#include "absl/time/clock.h"
+#include "gmock/gmock.h"
+#include "policy_server/policy/recording/reader.h"
+#include "policy_server/policy/replay/replayer.h"
+#include "policy_server/server/robot/robot_fixture.h"
+#include "services/base/status_matchers.h"
+
+namespace rips::flight {
+namespace {
+
+namespace fs = std::filesystem;
+
+using ::testing::IsEmpty;
+using ::testing::SizeIs;
+
+class FlightArchiveTest : public pipeline::RobotTest {
+ protected:
+  FlightArchiveTest() {
+    char name[] = "/tmp/rips_archive.XXXXXX";
+    root_ = mkdtemp(name);
+    files_ = *FlightFiles::Open({.directory = root_ + "/r", .free_bytes_min = 0});
+    archive_ = std::make_unique<FlightArchive>(
+        files_.get(), ArchiveReports{.saved = [this] { ++saved_; },
+                                     .failed = [this] { ++failed_; },
+                                     .problem = [this](auto&) { ++problems_; }});
+    flight_recorder_ = [this](const std::string& robot) { return archive_->NewRecorder(robot); };
+  }
+  ~FlightArchiveTest() override {
+    robot_.reset();
+    archive_.reset();
+    fs::remove_all(root_);
+  }
+  // Everything that waits is on the disk.
+  void Settle() {
+    robot_.reset();
+    archive_.reset();
+  }
+  std::vector<store::AlertRecord> AlertsOf(const std::string& rule) {
+    std::vector<store::AlertRecord> out;
+    for (const store::AlertRecord& alert : audience_.alerts) {
+      if (alert.rule == rule) out.push_back(alert);
+    }
+    return out;
+  }
+  // What the robot's rules do with the recording of that alert.
+  replay::Result ReplayOf(const store::AlertRecord& alert) {
+    const auto path = files_->Find(alert.id);
+    EXPECT_THAT(path, IsOk()) << alert.text;
+    if (!path.ok()) return {};
+    auto reader = recording::Open(*path);
+    EXPECT_THAT(reader, IsOk());
+    const auto start = program_->rules().levels.Find((*reader)->origin()->level);
+    auto result = replay::Replay(**reader, program_, {.start_level = *start}, nullptr);
+    EXPECT_THAT(result, IsOk());
+    return *std::move(result);
+  }
+  // As Start, and keeps the rules for replays.
+  void Fly(const std::string& rules = pipeline::kPaperRules) {
+    Start(rules);
+    program_ = robot_->core().policy().program;
+    Arm();
+  }
+  static bool Fired(const replay::Result& result, const store::AlertRecord& alert) {
+    for (const auto& each : result.alerts) {
+      if (each.rule == alert.rule && each.text == alert.text) return true;
+    }
+    return false;
+  }
+
+  std::string root_;
+  std::atomic<int> saved_ = 0, failed_ = 0, problems_ = 0;
+  std::unique_ptr<FlightFiles> files_;
+  std::unique_ptr<FlightArchive> archive_;
+  std::shared_ptr<const engine::CompiledPolicy> program_;
+};
+
+TEST_F(FlightArchiveTest, AnAlertReplaysToTheSameVerdict) {
+  Fly();
+  for (int i = 0; i < 20; ++i) {
+    SendMessage(2);
+    Pass(1'000);
+  }
+  ros2::GraphDelta delta;
+  AddNode(&delta, 9, "/intruder", "/cmd_vel");
+  SendDelta(std::move(delta));
+  SendMessage(9);
+  Obey();
+  Pass(10'000);
+  const auto unknown = AlertsOf("unknown_node");
+  const auto rogue = AlertsOf("rogue");
+  ASSERT_THAT(unknown, SizeIs(1));
+  ASSERT_THAT(rogue, SizeIs(1));
+  Settle();
+  EXPECT_TRUE(Fired(ReplayOf(unknown[0]), unknown[0]));
+  const replay::Result result = ReplayOf(rogue[0]);
+  EXPECT_TRUE(Fired(result, rogue[0]));
+  EXPECT_EQ(result.level, "COMPROMISED");
+  EXPECT_THAT(result.faults, IsEmpty());
+}
+
+// What a replay from the middle could not know by itself.
+TEST_F(FlightArchiveTest, VariablesLevelUptimeTicksAndOperatorsAreInIt) {
+  Fly(R"(
+levels: DEFAULT; ALERT soft; COMPROMISED; HALT;
+vars:
+  seen int = 0;
+rules Msg:
+  count: topicin("/cmd_vel") ? set(seen, seen + 1);
+rules External:
+  late_in_the_day: CurrLevel == COMPROMISED && seen > 3 && Uptime > 60000000000 ?
+    alert("seen " + string(seen), "high");
+  last: false ? trigger(HALT), trigger(COMPROMISED), trigger(ALERT), trigger(DEFAULT);
+)");
+  for (int i = 0; i < 4; ++i) SendMessage(2);
+  Pass(70'000);  // the messages are long forgotten
+  EXPECT_THAT(AlertsOf("late_in_the_day"), IsEmpty());
+  robot_->Raise({.operator_name = "alice", .to = "COMPROMISED", .reason = "drill"},
+                [](const pipeline::LevelAnswer&) {});
+  Pass(1'000);
+  const auto alerts = AlertsOf("late_in_the_day");
+  ASSERT_THAT(alerts, testing::Not(IsEmpty()));
+  EXPECT_EQ(alerts[0].text, "seen 4");
+  Settle();
+  const replay::Result result = ReplayOf(alerts[0]);
+  EXPECT_TRUE(Fired(result, alerts[0]));
+  EXPECT_EQ(result.level, "COMPROMISED");
+}
+
+TEST_F(FlightArchiveTest, ARobotThatIsNotSeenIsNotLoweredByTheReplayEither) {
+  Fly();
+  IntruderAppears();  // to ALERT, which is soft
+  Obey();
+  sensor_heartbeats_ = false;  // blind from now on
+  Pass(8'000);
+  ASSERT_EQ(Level(), "ALERT");
+  const auto alerts = AlertsOf("unknown_node");
+  ASSERT_THAT(alerts, SizeIs(1));
+  robot_->Report(engine::Severity::kHigh, "saved");
+  Pass(10'000);
+  const auto own = AlertsOf(std::string(pipeline::kOwnRule));
+  Settle();
+  for (const store::AlertRecord& alert : own) {
+    if (alert.text == "saved") {
+      EXPECT_EQ(ReplayOf(alert).level, "ALERT");
+    }
+  }
+}
+
+TEST_F(FlightArchiveTest, AnIntruderThatWasThereBeforeIsNotJudgedAgain) {
+  Fly();
+  IntruderAppears();
+  Obey();
+  Pass(60'000);
+  SendMessage(2);
+  robot_->Report(engine::Severity::kCritical, "much later");
+  Pass(6'000);
+  const auto own = AlertsOf(std::string(pipeline::kOwnRule));
+  Settle();
+  for (const store::AlertRecord& alert : own) {
+    if (alert.text == "much later") {
+      EXPECT_THAT(ReplayOf(alert).alerts, IsEmpty());
+    }
+  }
+}
+
+TEST_F(FlightArchiveTest, AlertsOfAStormShareRecordings) {
+  Fly();
+  ros2::GraphDelta delta;
+  AddNode(&delta, 9, "/intruder", "/cmd_vel");
+  SendDelta(std::move(delta));
+  for (int i = 0; i < 200; ++i) {
+    SendMessage(9);
+    Pass(50);
+  }
+  const auto rogue = AlertsOf("rogue");
+  ASSERT_GT(rogue.size(), 3u);
+  Settle();
+  for (const store::AlertRecord& alert : rogue) EXPECT_THAT(files_->Find(alert.id), IsOk());
+  EXPECT_LE(saved_, 5) << "in 10 s";
+  EXPECT_EQ(failed_, 0);
+}
+
+// The alert that stops the robot comes milliseconds after the one that a stranger is there.
+TEST_F(FlightArchiveTest, AGraverAlertIsSavedAtOnce) {
+  Fly();
+  ros2::GraphDelta delta;
+  AddNode(&delta, 9, "/intruder", "/cmd_vel");
+  SendDelta(std::move(delta));
+  while (saved_ == 0) Pass(50);
+  SendMessage(9);
+  for (int i = 0; i < 100 && saved_ < 2; ++i) absl::SleepFor(absl::Milliseconds(20));
+  const auto rogue = AlertsOf("rogue");
+  ASSERT_THAT(rogue, SizeIs(1));
+  EXPECT_THAT(files_->Find(rogue[0].id), IsOk()) << "although no time has passed";
+  // One that is as grave waits, and says so.
+  SendMessage(9);
+  robot_->Report(engine::Severity::kCritical, "as grave");
+  Pass(50);
+  const auto own = AlertsOf(std::string(pipeline::kOwnRule));
+  EXPECT_THAT(files_->Find(own.back().id).status(),
+              StatusIs(absl::StatusCode::kFailedPrecondition));
+  Settle();
+  EXPECT_THAT(files_->Find(own.back().id), IsOk());
+}
+
+TEST_F(FlightArchiveTest, OnlyGraveAlertsAreSaved) {
+  Fly();
+  robot_->Report(engine::Severity::kMedium, "nothing much");
+  Pass(6'000);
+  const auto own = AlertsOf(std::string(pipeline::kOwnRule));
+  Settle();
+  EXPECT_EQ(saved_, 0);
+  for (const store::AlertRecord& alert : own) {
+    EXPECT_THAT(files_->Find(alert.id).status(), StatusIs(absl::StatusCode::kNotFound));
+  }
+}
+
+TEST_F(FlightArchiveTest, AnotherBundleSavesWhatTheOldOneJudged) {
+  Fly();
+  ros2::GraphDelta delta;
+  AddNode(&delta, 9, "/intruder", "/cmd_vel");
+  SendDelta(std::move(delta));
+  SendMessage(9);
+  SendMessage(9);
+  pipeline::Policy other = robot_->core().policy();
+  other.bundle_id = "sha256:1";
+  ASSERT_THAT(robot_->SwapPolicy(other), IsOk());
+  Pass(100);
+  const auto rogue = AlertsOf("rogue");
+  Settle();
+  for (const store::AlertRecord& alert : rogue) EXPECT_TRUE(Fired(ReplayOf(alert), alert));
+}
+
+TEST_F(FlightArchiveTest, AFullDiskIsReportedOnceAndStopsNothing) {
+  fs::remove_all(root_ + "/r");
+  Fly();
+  for (int i = 0; i < 4; ++i) {
+    robot_->Report(engine::Severity::kHigh, absl::StrCat("problem ", i));
+    Pass(6'000);
+  }
+  Settle();
+  EXPECT_GE(failed_, 2);
+  EXPECT_EQ(problems_, 1);
+}
+
+}  // namespace
+}  // namespace rips::flight
