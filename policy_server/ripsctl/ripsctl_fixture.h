@@ -43,7 +43,7 @@ class FakeOperator final : public v1::OperatorService::Service {
   grpc::Status failure;
   v1::LevelResponse level_response;
   std::string alert_text = "unknown node /intruder";
-  std::string unrecorded_alert;
+  std::string unrecorded_alert, alert_recording = MakeAlertRecording();
   // What each watch of alerts in turn is told, and how it ends; empty = one alert.
   struct AlertWatch {
     std::vector<v1::Alert> alerts;
@@ -106,10 +106,8 @@ class FakeOperator final : public v1::OperatorService::Service {
     return Record("Record");
   }
   grpc::Status GetAlertRecording(grpc::ServerContext*, const v1::GetAlertRecordingRequest* request,
-                                 grpc::ServerWriter<v1::Recording>* writer) override {
-    for (const v1::Recording& piece : MakeAlertRecording()) {
-      if (failure.ok()) writer->Write(piece);
-    }
+                                 grpc::ServerWriter<v1::FilePiece>* writer) override {
+    if (failure.ok()) SendInPieces(alert_recording, *writer);
     return Record(absl::StrCat("GetAlertRecording ", request->alert_id()));
   }
   grpc::Status ListAgents(grpc::ServerContext*, const v1::ListAgentsRequest*,

@@ -764,6 +764,17 @@ TEST_F(RipsctlTest, FetchesTheRecordingOfAnAlertAndSaysHowToReplayIt) {
   EXPECT_EQ(json["end"], "2026-01-01T00:00:01.500000000Z");
   EXPECT_EQ(json["events"], 1);
 
+  // What came is checked, and what is not whole does not stay.
+  for (const bool cut : {true, false}) {
+    fake_.alert_recording = MakeAlertRecording();
+    if (cut) fake_.alert_recording.pop_back();
+    if (!cut) fake_.alert_recording[20] ^= 1;
+    const Result torn = Run({"alert", "recording", "11111111", "--out", home_ + "/torn.rips"});
+    EXPECT_EQ(torn.code, 1);
+    EXPECT_THAT(torn.err, HasSubstr(cut ? "cut within a frame" : "checksum"));
+    EXPECT_FALSE(std::filesystem::exists(home_ + "/torn.rips"));
+  }
+
   fake_.failure = grpc::Status(grpc::StatusCode::NOT_FOUND, "no recording is kept of it");
   const Result none = Run({"alert", "recording", "2", "--out", home_ + "/none.rips"});
   EXPECT_EQ(none.code, 1);

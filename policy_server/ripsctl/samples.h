@@ -4,10 +4,9 @@
 
 #include <cstdint>
 #include <string>
-#include <vector>
 
+#include "policy_server/policy/recording/rips_writer.h"
 #include "rips/v1/operator.pb.h"
-#include "rips/v1/recording.pb.h"
 
 namespace rips::ripsctl {
 
@@ -31,21 +30,28 @@ inline v1::RobotStatus MakeStatus(const std::string& robot, const std::string& l
   return status;
 }
 
-// A header, and one event a second and a half later.
-inline std::vector<v1::Recording> MakeAlertRecording() {
-  std::vector<v1::Recording> pieces(2);
-  v1::RecordingHeader& header = *pieces[0].mutable_header();
-  header.set_robot("r1");
-  header.set_bundle_id("sha256:0123456789");
-  header.set_level("ALERT");
-  header.set_start_unix_ns(kNewYear);
-  v1::RecordedAlert& alert = *header.add_alerts();
-  alert.set_id(std::string(32, '1'));
-  alert.set_rule("rogue");
-  alert.set_text("who drives\x1b[1m?");
-  pieces[1].mutable_event()->set_time_unix_ns(kNewYear + 1'500'000'000);
-  pieces[1].mutable_event()->mutable_signal()->set_name("SIGUSR1");
-  return pieces;
+// The file of a recording, with one event, a second and a half after its start.
+inline std::string MakeAlertRecording() {
+  const recording::RecordedOrigin origin{
+      .robot = "r1",
+      .bundle_id = "sha256:0123456789",
+      .level = "ALERT",
+      .start_unix_ns = kNewYear,
+      .alerts = {{.id = std::string(32, '1'), .rule = "rogue", .text = "who drives\x1b[1m?"}}};
+  return *recording::EncodeStart(origin) +
+         *recording::EncodeFrame({.time_unix_ns = kNewYear + 1'500'000'000,
+                                  .what = model::SignalSeen{.name = "SIGUSR1"}});
+}
+
+// Of 100 bytes each.
+template <typename Writer>
+void SendInPieces(const std::string& file, Writer& writer) {
+  for (size_t at = 0; at < file.size(); at += 100) {
+    v1::FilePiece piece;
+    piece.set_data(file.substr(at, 100));
+    piece.set_file_bytes(file.size());
+    writer.Write(piece);
+  }
 }
 
 inline v1::Transition MakeTransition() {

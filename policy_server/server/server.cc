@@ -481,12 +481,6 @@ std::shared_ptr<operator_api::CallerQuota> Server::MakeQuota() {
   return operator_api::CallerQuota::Create(&clock_, limits, [refused] { refused.Increment(); });
 }
 
-std::function<std::unique_ptr<pipeline::FlightRecorder>(const std::string&)>
-Server::NewFlightRecorder() {
-  if (flights_ == nullptr) return nullptr;
-  return [this](const std::string& robot) { return flights_->NewRecorder(robot); };
-}
-
 absl::Status Server::AddRobots() {
   RIPS_RETURN_IF_ERROR(recorder_->BeginGeneration(absl::HexStringToBytes(NewId())));
   const int shards = config_.shards > 0
@@ -508,6 +502,10 @@ absl::Status Server::AddRobots() {
         .Set(static_cast<double>(count));
   };
   const pipeline::Counts counts = MakeCounts();
+  std::function<std::unique_ptr<pipeline::FlightRecorder>(const std::string&)> flight_recorder;
+  if (flights_ != nullptr) {
+    flight_recorder = [this](const std::string& robot) { return flights_->NewRecorder(robot); };
+  }
   fleet_ = std::make_unique<Fleet>(
       FleetOptions{.inventory = config_.inventory,
                    .bundles_source = config_.bundles_source,
@@ -518,7 +516,7 @@ absl::Status Server::AddRobots() {
       pipeline::Ports{.recorder = recorder_.get(),
                       .audience = hub_.get(),
                       .counts = counts,
-                      .flight_recorder = NewFlightRecorder(),
+                      .flight_recorder = flight_recorder,
                       .new_id = NewId},
       FleetCounts{.robots =
                       [robots](size_t armed, size_t on_last_good, size_t held) {

@@ -85,8 +85,6 @@ class Server {
   absl::Status OpenJail();
   // What is wrong with them is an alert: robots are judged all the same.
   void OpenRecordings();
-  // Null if no recordings are kept.
-  std::function<std::unique_ptr<pipeline::FlightRecorder>(const std::string&)> NewFlightRecorder();
   // `name` empty: whatever the manifest calls it.
   absl::StatusOr<pipeline::Policy> LoadPolicy(const std::string& dir, const std::string& name);
   absl::Status AddRobots();

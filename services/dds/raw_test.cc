@@ -1,6 +1,10 @@
+#include <unistd.h>
+
 #include <algorithm>
 #include <atomic>
+#include <fstream>
 #include <map>
+#include <memory>
 #include <vector>
 
 #include "absl/strings/str_cat.h"
@@ -163,6 +167,27 @@ TEST_F(RawTest, TheLimitMayChangeWhileReading) {
     EXPECT_EQ(adjusted.Get().back().sample.size, payload.size());
     EXPECT_TRUE(adjusted.Get().back().payload == payload.substr(0, std::max(bytes, 4u))) << bytes;
     EXPECT_TRUE(fixed.Get().back().payload == payload.substr(0, 7));
+  }
+}
+
+// Of this process, bytes.
+size_t ResidentBytes() {
+  std::ifstream file("/proc/self/statm");
+  size_t pages = 0;
+  file >> pages >> pages;
+  return pages * static_cast<size_t>(sysconf(_SC_PAGESIZE));
+}
+
+// As where a rule asks for every topic, and hundreds carry std_msgs/String.
+TEST_F(RawTest, ManyTopicsOfOneTypeTakeLittleMemory) {
+  const size_t before = ResidentBytes();
+  std::vector<RawTopic> topics;
+  for (int i = 0; i < 500; ++i) {
+    auto topic = CreateRawTopic(near().entity(), absl::StrCat("rt/many_", i), kType, kWholePayload,
+                                std::make_shared<const PayloadLimit>(100));
+    ASSERT_THAT(topic, IsOk());
+    topics.push_back(*std::move(topic));
+    ASSERT_LT(ResidentBytes() - before, size_t{64} << 20) << "after " << i << " topics";
   }
 }
 

@@ -5,11 +5,14 @@
 
 #include <algorithm>
 #include <cerrno>
+#include <memory>
+#include <optional>
 #include <utility>
 
 #include "absl/status/statusor.h"
 #include "absl/strings/str_cat.h"
 #include "policy_server/policy/recording/event_codec.h"
+#include "policy_server/policy/recording/reader.h"
 #include "policy_server/policy/recording/rips_writer.h"
 #include "services/base/status_macros.h"
 
@@ -59,6 +62,49 @@ absl::Status RecordingFile::Write(grpc::ClientReaderInterface<v1::Recording>& re
     end_unix_ns_ = std::max(end_unix_ns_, event.time_unix_ns.value_or(0));
   }
   return absl::OkStatus();
+}
+
+absl::Status RecordingFile::Write(grpc::ClientReaderInterface<v1::FilePiece>& reader,
+                                  ServerExpiry& expiry) {
+  v1::FilePiece piece;
+  uint64_t bytes = 0;
+  while (reader.Read(&piece)) {
+    expiry.Received();
+    if (!begun()) {
+      RIPS_ASSIGN_OR_RETURN(file_, CreateFile(path_, force_));
+    }
+    absl::string_view left = piece.data();
+    while (!left.empty()) {
+      const ssize_t written = write(file_.get(), left.data(), left.size());
+      if (written < 0 && errno == EINTR) continue;
+      if (written < 0)
+        return absl::ErrnoToStatus(errno, absl::StrCat("cannot write `", path_, "`"));
+      left.remove_prefix(static_cast<size_t>(written));
+    }
+    bytes += piece.data().size();
+  }
+  if (!begun()) return absl::OkStatus();
+  if (bytes != piece.file_bytes()) {
+    return absl::DataLossError(absl::StrCat("the recording has ", piece.file_bytes(),
+                                            " bytes, of which ", bytes, " came"));
+  }
+  return Verify();
+}
+
+absl::Status RecordingFile::Verify() {
+  RIPS_ASSIGN_OR_RETURN(const std::unique_ptr<recording::Reader> reader,
+                        recording::OpenFile(path_));
+  if (reader->origin() == nullptr) {
+    return absl::DataLossError("what the server sent is no recording");
+  }
+  origin_ = *reader->origin();
+  end_unix_ns_ = origin_.start_unix_ns;
+  while (true) {
+    RIPS_ASSIGN_OR_RETURN(const std::optional<recording::Recorded> event, reader->Next());
+    if (!event.has_value()) return absl::OkStatus();
+    ++events_;
+    end_unix_ns_ = std::max(end_unix_ns_, event->time_unix_ns.value_or(0));
+  }
 }
 
 void RecordingFile::Discard() {

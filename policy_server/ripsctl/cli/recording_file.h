@@ -10,6 +10,7 @@
 #include "grpcpp/support/sync_stream.h"
 #include "policy_server/policy/recording/recorded.h"
 #include "policy_server/ripsctl/cli/server_expiry.h"
+#include "rips/v1/operator.pb.h"
 #include "rips/v1/recording.pb.h"
 #include "services/runtime/unique_fd.h"
 
@@ -26,6 +27,8 @@ class RecordingFile {
   // recording leaves none. OK with begun() false: it sent nothing, and the status of the call says
   // why.
   absl::Status Write(grpc::ClientReaderInterface<v1::Recording>& reader, ServerExpiry& expiry);
+  // The same of a recording that comes as a file: DataLoss unless all of it came, and is whole.
+  absl::Status Write(grpc::ClientReaderInterface<v1::FilePiece>& reader, ServerExpiry& expiry);
   // On the disk when it returns OK.
   absl::Status Sync() const;
   // What came is not whole: no one must take it for a recording.
@@ -39,6 +42,9 @@ class RecordingFile {
   int64_t end_unix_ns() const { return end_unix_ns_; }
 
  private:
+  // Reads what was written.
+  absl::Status Verify();
+
   std::string path_;
   bool force_ = false;
   UniqueFd file_;

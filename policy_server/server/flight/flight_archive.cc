@@ -43,6 +43,7 @@ class FlightArchive::RobotRecorder final : public pipeline::FlightRecorder {
     return ring_.wants_piece(now) || (!alerts_.empty() && MaySave(now));
   }
   void BeginPiece(pipeline::RulesState state, Instant now) override {
+    Refill(now);
     // Those of another bundle are saved before they go.
     const bool last_chance = bundle_id_ != state.bundle_id;
     if (!alerts_.empty() && (last_chance || MaySave(now))) {
@@ -58,12 +59,22 @@ class FlightArchive::RobotRecorder final : public pipeline::FlightRecorder {
 
  private:
   bool MaySave(Instant now) const {
-    const bool due = now.boottime_ns >= next_ns_ || gravest_ > saved_;
+    const bool graver = gravest_ > saved_;
+    const bool due = (now.boottime_ns >= next_ns_ && spent_bytes_ < kBurstBytes) ||
+                     (graver && spent_bytes_ < 2 * kBurstBytes);
     return due && !*waits_ && archive_.has_room();
+  }
+  // What was saved is forgotten at the rate that a robot has.
+  void Refill(Instant now) {
+    const int64_t passed_ns = now.boottime_ns - refilled_ns_;
+    const auto refill = static_cast<size_t>(passed_ns / kNanosPerMilli * kBytesPerMilli);
+    spent_bytes_ -= std::min(spent_bytes_, refill);
+    refilled_ns_ = now.boottime_ns;
   }
   void Save() {
     *waits_ = true;
     gravest_ = engine::Severity::kInfo;
+    spent_bytes_ += ring_.bytes();
     archive_.Submit({.robot = robot_,
                      .flight = ring_.Take(),
                      .bytes = ring_.bytes(),
@@ -81,6 +92,8 @@ class FlightArchive::RobotRecorder final : public pipeline::FlightRecorder {
   engine::Severity gravest_ = engine::Severity::kInfo;
   engine::Severity saved_ = engine::Severity::kInfo;
   int64_t next_ns_ = 0;
+  size_t spent_bytes_ = 0;
+  int64_t refilled_ns_ = 0;
   const std::shared_ptr<std::atomic<bool>> waits_ = std::make_shared<std::atomic<bool>>(false);
 };
 

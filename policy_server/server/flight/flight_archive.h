@@ -3,6 +3,8 @@
 //   alert of a robot        saved with the next piece, and again at most every kPauseNs, or at once
 //                           if it is graver than what was saved; alerts in between share one
 //                           recording
+//   a robot saves much      past kBurstBytes it saves kBytesPerMilli at most, so that it does not
+//                           replace all that was saved of it within minutes
 //   the disk is slow        a robot has at most one recording that waits, and all together hold at
 //                           most kPendingBytesMax; alerts meanwhile share the next one
 //   it cannot be saved      counted, and reported once until one is saved again
@@ -38,6 +40,8 @@ struct ArchiveReports {
 class FlightArchive {
  public:
   static constexpr int64_t kPauseNs = 5 * kNanosPerSecond;
+  static constexpr size_t kBurstBytes = size_t{32} << 20;
+  static constexpr int64_t kBytesPerMilli = 64;
   // Alerts that one recording names; of more there is the recording, but not under their id.
   static constexpr size_t kAlertsMax = 500;
   // Memory of the flights that wait, one excepted.

@@ -245,7 +245,7 @@ TEST_F(FlightArchiveTest, AnotherBundleSavesWhatTheOldOneJudged) {
 }
 
 TEST_F(FlightArchiveTest, AFullDiskIsReportedOnceAndStopsNothing) {
-  fs::remove_all(root_ + "/r");
+  fs::remove_all(root_);
   Fly();
   for (int i = 0; i < 4; ++i) {
     robot_->Report(engine::Severity::kHigh, absl::StrCat("problem ", i));

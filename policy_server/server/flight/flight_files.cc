@@ -29,8 +29,9 @@ namespace fs = std::filesystem;
 
 constexpr absl::string_view kSuffix = ".rips";
 constexpr size_t kIdBytes = 32;
-// As `ripsctl` shows ids.
+// As `ripsctl` shows ids, and as few of their digits as are taken.
 constexpr size_t kShortIdBytes = 8;
+constexpr size_t kPrefixBytesMin = 6;
 
 bool IsId(absl::string_view text) {
   return !text.empty() && text.size() <= kIdBytes &&
@@ -97,28 +98,50 @@ void FlightFiles::Add(const std::string& robot, const std::string& name, File fi
 }
 
 void FlightFiles::MakeRoom(uint64_t bytes) {
+  while (bytes_ > 0 && bytes_ + bytes > options_.bytes_max) RemoveOne();
+}
+
+absl::Status FlightFiles::FreeDisk(uint64_t bytes) {
+  struct statvfs space = {};
+  if (statvfs(options_.directory.c_str(), &space) != 0) {
+    return absl::ErrnoToStatus(errno, absl::StrCat("cannot read `", options_.directory, "`"));
+  }
+  const uint64_t free_bytes = uint64_t{space.f_bavail} * space.f_frsize;
+  const uint64_t needed = options_.free_bytes_min + bytes;
+  if (free_bytes >= needed) return absl::OkStatus();
+  // Ours make room if that is enough; others' files would fill what they leave.
+  const uint64_t missing = needed - free_bytes;
+  if (bytes_ < missing) {
+    return absl::ResourceExhaustedError(absl::StrCat(
+        "the disk of `", options_.directory, "` has ", free_bytes >> 20, " MiB free, and ",
+        options_.free_bytes_min >> 20, " MiB are left to the store"));
+  }
+  const uint64_t until = bytes_ - missing;
+  while (bytes_ > until) RemoveOne();
+  return absl::OkStatus();
+}
+
+void FlightFiles::RemoveOne() {
   const auto bytes_of = [](const Files& files) {
     uint64_t sum = 0;
     for (const auto& [name, file] : files) sum += file.bytes;
     return sum;
   };
-  while (bytes_ > 0 && bytes_ + bytes > options_.bytes_max) {
-    const auto most =
-        std::max_element(robots_.begin(), robots_.end(), [&](const auto& one, const auto& other) {
-          return bytes_of(one.second) < bytes_of(other.second);
-        });
-    const auto oldest = most->second.begin();
-    const File file = std::move(oldest->second);
-    most->second.erase(oldest);
-    if (most->second.empty()) robots_.erase(most);
-    bytes_ -= file.bytes;
-    for (const recording::RecordedAlert& alert : file.alerts) {
-      alerts_.erase(alert.id);
-      Miss(alert.id, absl::NotFoundError("its recording made room for newer ones"));
-    }
-    if (unlink(file.path.c_str()) != 0 && errno != ENOENT) {
-      LogWarning("cannot remove an old recording", {{"file", file.path}});
-    }
+  const auto most =
+      std::max_element(robots_.begin(), robots_.end(), [&](const auto& one, const auto& other) {
+        return bytes_of(one.second) < bytes_of(other.second);
+      });
+  const auto oldest = most->second.begin();
+  const File file = std::move(oldest->second);
+  most->second.erase(oldest);
+  if (most->second.empty()) robots_.erase(most);
+  bytes_ -= file.bytes;
+  for (const recording::RecordedAlert& alert : file.alerts) {
+    alerts_.erase(alert.id);
+    Miss(alert.id, absl::NotFoundError("its recording made room for newer ones"));
+  }
+  if (unlink(file.path.c_str()) != 0 && errno != ENOENT) {
+    LogWarning("cannot remove an old recording", {{"file", file.path}});
   }
 }
 
@@ -140,18 +163,10 @@ absl::Status FlightFiles::Save(const recording::RecordedOrigin& origin, absl::st
   const std::string name = NameOf(origin);
   const std::string path = absl::StrCat(directory, "/", name);
   MutexLock lock(&mu_);
+  RIPS_RETURN_IF_ERROR(MakeDirectory(options_.directory));  // if it was removed
   RIPS_RETURN_IF_ERROR(MakeDirectory(directory));
   MakeRoom(bytes.size());
-  struct statvfs space = {};
-  if (statvfs(options_.directory.c_str(), &space) != 0) {
-    return absl::ErrnoToStatus(errno, absl::StrCat("cannot read `", options_.directory, "`"));
-  }
-  const uint64_t free_bytes = uint64_t{space.f_bavail} * space.f_frsize;
-  if (free_bytes < options_.free_bytes_min + bytes.size()) {
-    return absl::ResourceExhaustedError(absl::StrCat(
-        "the disk of `", options_.directory, "` has ", free_bytes >> 20, " MiB free, and ",
-        options_.free_bytes_min >> 20, " MiB are left to the store"));
-  }
+  RIPS_RETURN_IF_ERROR(FreeDisk(bytes.size()));
   RIPS_RETURN_IF_ERROR(WriteFileAtomically(path, bytes));
   Add(origin.robot, name, {.path = path, .bytes = bytes.size(), .alerts = origin.alerts});
   return absl::OkStatus();
@@ -176,9 +191,10 @@ void FlightFiles::Lose(const std::string& alert, absl::string_view why) {
 }
 
 absl::StatusOr<std::string> FlightFiles::Find(absl::string_view alert_prefix) const {
-  if (!IsId(alert_prefix)) {
+  if (!IsId(alert_prefix) || alert_prefix.size() < kPrefixBytesMin) {
     return absl::InvalidArgumentError(absl::StrCat("`", absl::CHexEscape(alert_prefix),
-                                                   "` is not the beginning of an alert's id"));
+                                                   "` is not an alert's id, nor its first ",
+                                                   kPrefixBytesMin, " to ", kIdBytes, " digits"));
   }
   MutexLock lock(&mu_);
   const auto first = alerts_.lower_bound(alert_prefix);

@@ -78,6 +78,11 @@ class FlightFiles {
   void Miss(const std::string& alert, absl::Status why) ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
   // Removes old ones until `bytes` more fit.
   void MakeRoom(uint64_t bytes) ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
+  // The same, until they fit on the disk. ResourceExhausted, and none is removed, if they would
+  // not.
+  absl::Status FreeDisk(uint64_t bytes) ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
+  // The oldest of the robot that has most; there is one.
+  void RemoveOne() ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
 
   const FlightFilesOptions options_;
   mutable Mutex mu_;

@@ -1,5 +1,6 @@
 #include "policy_server/server/flight/flight_files.h"
 
+#include <sys/mount.h>
 #include <unistd.h>
 
 #include <filesystem>
@@ -59,17 +60,17 @@ TEST_F(FlightFilesTest, FindsWhatItSavedAlsoAfterARestart) {
     ASSERT_THAT(found, IsOk());
     EXPECT_THAT(*found, HasSubstr("/r1/"));
     EXPECT_TRUE(fs::exists(*found));
-    EXPECT_THAT(files_->Find("c").status(), StatusIs(absl::StatusCode::kNotFound));
+    EXPECT_THAT(files_->Find("cccccc").status(), StatusIs(absl::StatusCode::kNotFound));
     Open();
   }
 }
 
 TEST_F(FlightFilesTest, AnIdMustTellAlertsApartAndBeOne) {
-  ASSERT_THAT(Save("r1", "aa" + std::string(30, '1')), IsOk());
-  ASSERT_THAT(Save("r1", "aa" + std::string(30, '2')), IsOk());
-  EXPECT_THAT(files_->Find("aa").status(), StatusIs(absl::StatusCode::kInvalidArgument));
-  EXPECT_THAT(files_->Find("aa1"), IsOk());
-  for (const char* bad : {"", "../r1", "AA", "g", "%"}) {
+  ASSERT_THAT(Save("r1", "aaaaaa" + std::string(26, '1')), IsOk());
+  ASSERT_THAT(Save("r1", "aaaaaa" + std::string(26, '2')), IsOk());
+  EXPECT_THAT(files_->Find("aaaaaa").status(), StatusIs(absl::StatusCode::kInvalidArgument));
+  EXPECT_THAT(files_->Find("aaaaaa1"), IsOk());
+  for (const char* bad : {"", "../r1", "AAAAAA", "gggggg", "%", "aaaaa"}) {
     EXPECT_THAT(files_->Find(bad).status(), StatusIs(absl::StatusCode::kInvalidArgument)) << bad;
   }
   EXPECT_THAT(files_->Find(std::string(33, 'a')).status(),
@@ -108,7 +109,7 @@ TEST_F(FlightFilesTest, WhatIsNoRecordingIsLeftAlone) {
   std::ofstream(options_.directory + "/r1/notes.txt") << "mine";
   std::ofstream(options_.directory + "/loose.rips") << "x";
   fs::create_directories(options_.directory + "/r2");
-  fs::copy_file(*files_->Find("a"), options_.directory + "/r2/of_r1.rips");
+  fs::copy_file(*files_->Find(Id('a')), options_.directory + "/r2/of_r1.rips");
   options_.bytes_max = 1;
   Open();
   EXPECT_EQ(files_->bytes(), 0u) << "only its own made room";
@@ -131,18 +132,38 @@ TEST_F(FlightFilesTest, RefusesWhatCannotBeKept) {
   EXPECT_TRUE(Kept(Id('a'))) << "nothing is lost by that";
 }
 
+// On a file system of its own, which is small.
+TEST_F(FlightFilesTest, OnADiskThatFillsUpItsOwnMakeRoom) {
+  const std::string disk = root_ + "/disk";
+  fs::create_directory(disk);
+  if (mount("none", disk.c_str(), "tmpfs", 0, "size=4m") != 0) GTEST_SKIP() << "mount needs root";
+  options_.directory = disk + "/recordings";
+  options_.free_bytes_min = uint64_t{2} << 20;
+  Open();
+  for (const char digit : {'a', 'b', 'c', 'd'}) {
+    EXPECT_THAT(Save("r1", Id(digit), 800'000), IsOk()) << digit;
+  }
+  EXPECT_FALSE(Kept(Id('a')));
+  EXPECT_TRUE(Kept(Id('d')));
+  std::ofstream(disk + "/others") << std::string(3'000'000, 'x');
+  EXPECT_FALSE(Save("r1", Id('e'), 800'000).ok());
+  EXPECT_TRUE(Kept(Id('d'))) << "to remove it would not have been enough";
+  files_.reset();
+  umount(disk.c_str());
+}
+
 TEST_F(FlightFilesTest, SaysWhyThereIsNone) {
   const auto why = [this](const std::string& alert) {
     return std::string(files_->Find(alert).status().message());
   };
   EXPECT_THAT(why(Id('a')), HasSubstr("its id is wrong"));
   files_->Expect(Id('a'));
-  EXPECT_THAT(files_->Find("aa").status(),
+  EXPECT_THAT(files_->Find("aaaaaa").status(),
               StatusIs(absl::StatusCode::kFailedPrecondition, HasSubstr("try again")));
   files_->Lose(Id('a'), "disk on fire");
-  EXPECT_THAT(why("aaaa"), HasSubstr("could not be saved: disk on fire"));
+  EXPECT_THAT(why("aaaaaa"), HasSubstr("could not be saved: disk on fire"));
   ASSERT_THAT(Save("r1", Id('a')), IsOk());
-  EXPECT_TRUE(Kept("a"));
+  EXPECT_TRUE(Kept("aaaaaaa"));
   options_.bytes_max = 1'500;
   Open();
   ASSERT_THAT(Save("r1", Id('b'), 1'000), IsOk());
@@ -157,9 +178,12 @@ TEST_F(FlightFilesTest, SaysWhyThereIsNone) {
 TEST_F(FlightFilesTest, WithoutItsDirectoryItSaysSo) {
   options_.directory = root_ + "/not/there";
   EXPECT_THAT(FlightFiles::Open(options_).status().message(), HasSubstr("/not/there"));
-  fs::remove_all(root_);
+  EXPECT_THAT(Save("r1", Id('a')), IsOk());
+  fs::remove_all(root_ + "/recordings");
   EXPECT_FALSE(files_->CheckWritable().ok());
-  EXPECT_FALSE(Save("r1", Id('a')).ok());
+  EXPECT_THAT(Save("r1", Id('b')), IsOk()) << "it is made again";
+  fs::remove_all(root_);
+  EXPECT_FALSE(Save("r1", Id('c')).ok());
 }
 
 }  // namespace

@@ -47,8 +47,13 @@ size_t BytesOf(const pipeline::Batch& batch) {
 }  // namespace
 
 size_t BytesOf(const ros2::RosGraph& graph) {
-  return kGraphEntryBytes *
-         (1 + graph.participants().size() + graph.nodes().size() + graph.endpoints().size());
+  size_t bytes = 64 * (1 + graph.participants().size());
+  for (const auto& [guid, participant] : graph.participants()) bytes += participant.host.size();
+  for (const ros2::Node& node : graph.nodes()) bytes += 64 + node.full_name.size();
+  for (const auto& [guid, endpoint] : graph.endpoints()) {
+    bytes += 64 + endpoint.name.size() + endpoint.type.size() + endpoint.node.size();
+  }
+  return bytes;
 }
 
 void FlightRing::Begin(pipeline::RulesState state, Instant now) {
@@ -57,9 +62,12 @@ void FlightRing::Begin(pipeline::RulesState state, Instant now) {
   } else if (piece_ != nullptr && !piece_->events.empty()) {
     whole_.push_back(piece_);
   }
+  const bool same_graph = piece_ != nullptr && piece_->state.graph == state.graph;
+  const size_t graph_bytes = same_graph ? piece_->graph_bytes : BytesOf(*state.graph);
   graph_ = state.graph;
   piece_ = std::make_shared<FlightPiece>();
   piece_->state = std::move(state);
+  piece_->graph_bytes = graph_bytes;
   piece_->began_ns = now.boottime_ns;
   taken_ = false;
   DropOld(now);
@@ -70,19 +78,20 @@ bool FlightRing::wants_piece(Instant now) const {
 }
 
 void FlightRing::DropOld(Instant now) {
-  size_t held = bytes();
   while (!whole_.empty()) {
     const int64_t end_ns = whole_.size() > 1 ? whole_[1]->began_ns : piece_->began_ns;
-    if (held <= kBytesMax && now.boottime_ns - end_ns < kSpanNs) return;
-    held -= whole_.front()->bytes;
+    if (bytes() <= kBytesMax && now.boottime_ns - end_ns < kSpanNs) return;
     whole_.pop_front();
   }
 }
 
 size_t FlightRing::bytes() const {
-  size_t bytes = piece_ == nullptr ? 0 : piece_->bytes;
+  if (piece_ == nullptr) return 0;
+  size_t bytes = piece_->bytes;
   for (const auto& each : whole_) bytes += each->bytes;
-  return bytes;
+  // The graph at the start is written out; those of later pieces are not.
+  const FlightPiece& first = whole_.empty() ? *piece_ : *whole_.front();
+  return bytes + first.graph_bytes;
 }
 
 FlightEvent& FlightRing::AddEvent(int64_t time_unix_ns, size_t bytes) {
@@ -121,7 +130,9 @@ void FlightRing::Add(const pipeline::JudgedEvent& judged) {
                         }},
              of.what);
   if (judged.graph != graph_) {
-    piece().bytes += BytesOf(*judged.graph);
+    const auto [bytes, fresh] = piece().context_bytes.try_emplace(judged.graph.get());
+    if (fresh) bytes->second = BytesOf(*judged.graph);
+    piece().bytes += bytes->second;
     event.context = judged.graph;
     graph_ = judged.graph;
   }

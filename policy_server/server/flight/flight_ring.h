@@ -18,6 +18,7 @@
 #include <variant>
 #include <vector>
 
+#include "absl/container/flat_hash_map.h"
 #include "absl/container/flat_hash_set.h"
 #include "absl/container/node_hash_set.h"
 #include "policy_server/server/robot/model/judged_event.h"
@@ -52,11 +53,16 @@ struct FlightPiece {
   pipeline::RulesState state;
   // CLOCK_BOOTTIME.
   int64_t began_ns = 0;
+  // Of the graph in `state`.
+  size_t graph_bytes = 0;
   std::vector<FlightEvent> events;
+  // Without graph_bytes.
   size_t bytes = 0;
   absl::node_hash_set<std::string> senders;
   // Counted already.
   absl::flat_hash_set<const pipeline::Batch*> batches;
+  // Of the contexts of events, which keep them alive.
+  absl::flat_hash_map<const ros2::RosGraph*, size_t> context_bytes;
 };
 
 // Oldest first; not empty. What one holds never changes.
@@ -79,7 +85,7 @@ class FlightRing {
 
   // All that is kept. The piece that grows ends with it, and another one is due.
   Flight Take();
-  // Of all pieces.
+  // Of all pieces, and of the graph that they begin with.
   size_t bytes() const;
 
  private:

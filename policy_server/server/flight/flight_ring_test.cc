@@ -99,10 +99,10 @@ TEST_F(FlightRingTest, IsBoundedWhateverComes) {
 TEST_F(FlightRingTest, AGraphThatGoesBackAndForthCountsEachTime) {
   const Graph large = MakeGraph(1'000);
   const Graph small = graph_;
-  for (int i = 0; i < 100; ++i) AddMessage(0, i % 2 == 0 ? large : small);
+  for (int i = 0; i < 1'000; ++i) AddMessage(0, i % 2 == 0 ? large : small);
   EXPECT_LE(ring_.bytes(), FlightRing::kBytesMax + 2 * BytesOf(*large));
   const Flight flight = ring_.Take();
-  EXPECT_LT(Events(flight), 60u) << "each one is written out with its graph";
+  EXPECT_LT(Events(flight) / 2 * BytesOf(*large), FlightRing::kBytesMax) << "with their graphs";
   EXPECT_THAT(flight.back()->events.back().context, NotNull());
 }
 
@@ -116,6 +116,17 @@ TEST_F(FlightRingTest, AChangeOfTheGraphIsKeptAsADifference) {
   ASSERT_THAT(delta->upsert_nodes, SizeIs(1));
   EXPECT_EQ(delta->upsert_nodes[0].full_name, "/n2");
   EXPECT_THAT(flight.back()->events[1].context, IsNull()) << "the graph as it is";
+}
+
+TEST_F(FlightRingTest, TheGraphAtTheStartCounts) {
+  AddGraph(MakeGraph(30'000));
+  for (int i = 0; i < 100; ++i) {
+    AddMessage();
+    Pass(kNanosPerSecond);
+  }
+  ASSERT_GT(BytesOf(*graph_), FlightRing::kBytesMax / 4);
+  EXPECT_LE(ring_.bytes(),
+            std::max(FlightRing::kBytesMax, BytesOf(*graph_)) + FlightRing::kPieceBytes);
 }
 
 TEST_F(FlightRingTest, AnotherBundleDropsWhatItDidNotJudge) {

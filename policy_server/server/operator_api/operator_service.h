@@ -109,7 +109,7 @@ class OperatorService final : public rips::v1::OperatorService::CallbackService 
                                          rips::v1::ListReceiptsResponse* response) override;
   grpc::ServerWriteReactor<rips::v1::Recording>* Record(
       grpc::CallbackServerContext* context, const rips::v1::RecordRequest* request) override;
-  grpc::ServerWriteReactor<rips::v1::Recording>* GetAlertRecording(
+  grpc::ServerWriteReactor<rips::v1::FilePiece>* GetAlertRecording(
       grpc::CallbackServerContext* context,
       const rips::v1::GetAlertRecordingRequest* request) override;
   grpc::ServerUnaryReactor* DeEscalate(grpc::CallbackServerContext* context,

@@ -1,12 +1,15 @@
 // Recordings: of a robot from now on, and what was saved with an alert.
+#include <fcntl.h>
+#include <sys/stat.h>
+#include <unistd.h>
+
+#include <algorithm>
 #include <atomic>
+#include <functional>
 #include <memory>
-#include <optional>
 #include <string>
 #include <utility>
 
-#include "policy_server/policy/recording/event_codec.h"
-#include "policy_server/policy/recording/reader.h"
 #include "policy_server/server/operator_api/operator_service.h"
 #include "policy_server/server/operator_api/record_tap.h"
 #include "policy_server/server/operator_api/watch_stream.h"
@@ -16,30 +19,37 @@
 #include "services/runtime/daemon_flags.h"
 #include "services/runtime/log.h"
 #include "services/runtime/real_clock.h"
+#include "services/runtime/unique_fd.h"
 
 namespace rips::operator_api {
 namespace {
 
 using pipeline::Queue;
 using pipeline::Robot;
+using rips::v1::FilePiece;
 using rips::v1::Recording;
 using rpc::OperatorRole;
 
 // A recording on its way from its file. On the thread for reads.
 class StoredRecording {
  public:
-  using Outbound = WatchStream<Recording>::Outbound;
+  using Outbound = WatchStream<FilePiece>::Outbound;
 
   StoredRecording(std::shared_ptr<Outbound> outbound, const flight::FlightFiles* files,
-                  std::string alert)
-      : outbound_(std::move(outbound)), files_(*files), alert_(std::move(alert)) {}
+                  std::string alert, std::function<void(const absl::Status&)> on_failed)
+      : outbound_(std::move(outbound)),
+        files_(*files),
+        alert_(std::move(alert)),
+        on_failed_(std::move(on_failed)) {}
 
   // Sends what one read may take; to be called again when all of it has been written.
   void Send() {
     queued_ = false;
     if (!outbound_->open()) return;
     const absl::Status sent = SendSome();
-    if (!sent.ok()) outbound_->CloseWhenSent(rpc::ToGrpc(sent));
+    if (sent.ok()) return;
+    if (on_failed_) on_failed_(sent);
+    outbound_->CloseWhenSent(rpc::ToGrpc(sent));
   }
   // True once until Send.
   bool Queue() { return !queued_.exchange(true); }
@@ -48,23 +58,26 @@ class StoredRecording {
   static constexpr size_t kBytesAtOnce = size_t{256} << 10;
 
   absl::Status SendSome() {
-    if (reader_ == nullptr) {
+    if (file_.get() < 0) {
       RIPS_ASSIGN_OR_RETURN(const std::string path, files_.Find(alert_));
-      RIPS_ASSIGN_OR_RETURN(reader_, recording::OpenFile(path));
-      Recording first;
-      *first.mutable_header() = recording::EncodeHeader(*reader_->origin());
-      outbound_->Send(std::move(first));
-    }
-    for (size_t bytes = 0; bytes < kBytesAtOnce;) {
-      RIPS_ASSIGN_OR_RETURN(const std::optional<recording::Recorded> event, reader_->Next());
-      if (!event.has_value()) {
-        outbound_->CloseWhenSent(grpc::Status::OK);
-        return absl::OkStatus();
+      file_ = UniqueFd(open(path.c_str(), O_RDONLY | O_CLOEXEC | O_NOFOLLOW));
+      struct stat about = {};
+      if (file_.get() < 0 || fstat(file_.get(), &about) != 0 || !S_ISREG(about.st_mode)) {
+        return absl::NotFoundError("its recording is gone from the server's disk");
       }
-      Recording piece;
-      *piece.mutable_event() = recording::EncodeEvent(*event);
-      bytes += piece.ByteSizeLong();
-      if (!outbound_->Send(std::move(piece))) return absl::OkStatus();
+      left_bytes_ = file_bytes_ = static_cast<uint64_t>(about.st_size);
+    }
+    FilePiece piece;
+    piece.set_file_bytes(file_bytes_);
+    std::string& data = *piece.mutable_data();
+    data.resize(std::min<uint64_t>(left_bytes_, kBytesAtOnce));
+    if (!data.empty() &&
+        read(file_.get(), data.data(), data.size()) != static_cast<ssize_t>(data.size())) {
+      return absl::DataLossError("its recording cannot be read from the server's disk");
+    }
+    left_bytes_ -= data.size();
+    if (outbound_->Send(std::move(piece)) && left_bytes_ == 0) {
+      outbound_->CloseWhenSent(grpc::Status::OK);
     }
     return absl::OkStatus();
   }
@@ -72,7 +85,10 @@ class StoredRecording {
   const std::shared_ptr<Outbound> outbound_;
   const flight::FlightFiles& files_;
   const std::string alert_;
-  std::unique_ptr<recording::Reader> reader_;
+  const std::function<void(const absl::Status&)> on_failed_;
+  UniqueFd file_;
+  uint64_t file_bytes_ = 0;
+  uint64_t left_bytes_ = 0;
   std::atomic<bool> queued_ = false;
 };
 
@@ -110,20 +126,32 @@ grpc::ServerWriteReactor<Recording>* OperatorService::Record(
   return stream;
 }
 
-grpc::ServerWriteReactor<Recording>* OperatorService::GetAlertRecording(
+grpc::ServerWriteReactor<FilePiece>* OperatorService::GetAlertRecording(
     grpc::CallbackServerContext* context, const rips::v1::GetAlertRecordingRequest* request) {
   const auto who =
       AuthorizeOrder(context, "GetAlertRecording", *request, OperatorRole::kOperator, Use::kStream);
-  if (!who.ok()) return RefuseWatch<Recording>(who.status());
+  if (!who.ok()) return RefuseWatch<FilePiece>(who.status());
   if (access_.recordings == nullptr) {
-    return RefuseWatch<Recording>(
+    return RefuseWatch<FilePiece>(
         absl::NotFoundError("this server keeps no recordings (`recordings: {keep: 0B}`)"));
   }
-  auto* stream = new WatchStream<Recording>();
+  auto* stream = new WatchStream<FilePiece>();
   Keep(rpc::StreamKind::kRecord, stream, *who, context);
   const auto outbound = stream->outbound();
-  const auto stored =
-      std::make_shared<StoredRecording>(outbound, access_.recordings, request->alert_id());
+  // The request may be gone by then.
+  std::function<void(const absl::Status&)> on_failed;
+  if (access_.audit != nullptr) {
+    on_failed = [audit = access_.audit, caller = rpc::Describe(*who), address = context->peer(),
+                 asked = *request](const absl::Status& why) {
+      audit->Record({.caller = caller,
+                     .address = address,
+                     .call = "GetAlertRecording",
+                     .request = asked,
+                     .status = why});
+    };
+  }
+  const auto stored = std::make_shared<StoredRecording>(outbound, access_.recordings,
+                                                        request->alert_id(), std::move(on_failed));
   const auto send = [this, outbound, stored] {
     if (!stored->Queue() || reads_.Push([stored] { stored->Send(); })) return;
     outbound->Close(
