@@ -217,15 +217,16 @@ TEST_F(BacklogTest, ANewConnectionSendsAgainWhatIsNotAcknowledgedAfterItsAcknowl
   EXPECT_EQ(Send(), "3 at 5");
 }
 
-TEST_F(BacklogTest, AnAcknowledgementOfWhatWasNotSentIsRefused) {
+// What lies below it may have been sent on another connection, or live.
+TEST_F(BacklogTest, AnAcknowledgementOfANumberThatWasNeverGivenIsRefused) {
   Start();
   SetAside(1, 3);
   EXPECT_EQ(Send(), "1 at 1");
-  EXPECT_THAT(backlog().Acknowledge(last_, 4), StatusIs(absl::StatusCode::kInvalidArgument));
-  backlog().Rewind();
-  EXPECT_THAT(backlog().Acknowledge(last_, 7), StatusIs(absl::StatusCode::kInvalidArgument))
-      << "a number that was never given";
-  EXPECT_EQ(backlog().state().observations, 6u);
+  for (int i = 0; i < 2; ++i) {
+    EXPECT_THAT(backlog().Acknowledge(last_, 7), StatusIs(absl::StatusCode::kInvalidArgument));
+    EXPECT_EQ(backlog().state().observations, 6u);
+    backlog().Rewind();
+  }
 }
 
 TEST_F(BacklogTest, WhatIsLeftIsSentByTheNextProcessUnderItsNumbers) {
