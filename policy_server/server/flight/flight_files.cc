@@ -92,6 +92,7 @@ void FlightFiles::Add(const std::string& robot, const std::string& name, File fi
   bytes_ += file.bytes;
   for (const recording::RecordedAlert& alert : file.alerts) {
     alerts_.insert_or_assign(alert.id, file.path);
+    MutexLock lock(&missing_mu_);
     missing_.erase(alert.id);
   }
   robots_[robot].insert_or_assign(name, std::move(file));
@@ -162,17 +163,21 @@ absl::Status FlightFiles::Save(const recording::RecordedOrigin& origin, absl::st
   const std::string directory = absl::StrCat(options_.directory, "/", origin.robot);
   const std::string name = NameOf(origin);
   const std::string path = absl::StrCat(directory, "/", name);
-  MutexLock lock(&mu_);
   RIPS_RETURN_IF_ERROR(MakeDirectory(options_.directory));  // if it was removed
   RIPS_RETURN_IF_ERROR(MakeDirectory(directory));
-  MakeRoom(bytes.size());
-  RIPS_RETURN_IF_ERROR(FreeDisk(bytes.size()));
+  {
+    MutexLock lock(&mu_);
+    MakeRoom(bytes.size());
+    RIPS_RETURN_IF_ERROR(FreeDisk(bytes.size()));
+  }
   RIPS_RETURN_IF_ERROR(WriteFileAtomically(path, bytes));
+  MutexLock lock(&mu_);
   Add(origin.robot, name, {.path = path, .bytes = bytes.size(), .alerts = origin.alerts});
   return absl::OkStatus();
 }
 
 void FlightFiles::Miss(const std::string& alert, absl::Status why) {
+  MutexLock lock(&missing_mu_);
   if (missing_.insert_or_assign(alert, std::move(why)).second) missing_order_.push_back(alert);
   while (missing_order_.size() > kMissingMax) {
     missing_.erase(missing_order_.front());
@@ -181,13 +186,24 @@ void FlightFiles::Miss(const std::string& alert, absl::Status why) {
 }
 
 void FlightFiles::Expect(const std::string& alert) {
-  MutexLock lock(&mu_);
   Miss(alert, absl::FailedPreconditionError("its recording is saved in a few seconds; try again"));
 }
 
 void FlightFiles::Lose(const std::string& alert, absl::string_view why) {
-  MutexLock lock(&mu_);
   Miss(alert, absl::NotFoundError(absl::StrCat("its recording could not be saved: ", why)));
+}
+
+absl::Status FlightFiles::WhyMissing(absl::string_view alert_prefix) const {
+  MutexLock lock(&missing_mu_);
+  const auto missing = missing_.lower_bound(alert_prefix);
+  if (missing != missing_.end() && absl::StartsWith(missing->first, alert_prefix)) {
+    return absl::Status(missing->second.code(),
+                        absl::StrCat("alert ", missing->first.substr(0, kShortIdBytes), ": ",
+                                     missing->second.message()));
+  }
+  return absl::NotFoundError(
+      absl::StrCat("no recording is kept of alert `", alert_prefix,
+                   "`: it is not of severity high or critical, too old, or its id is wrong"));
 }
 
 absl::StatusOr<std::string> FlightFiles::Find(absl::string_view alert_prefix) const {
@@ -199,15 +215,7 @@ absl::StatusOr<std::string> FlightFiles::Find(absl::string_view alert_prefix) co
   MutexLock lock(&mu_);
   const auto first = alerts_.lower_bound(alert_prefix);
   if (first == alerts_.end() || !absl::StartsWith(first->first, alert_prefix)) {
-    const auto missing = missing_.lower_bound(alert_prefix);
-    if (missing != missing_.end() && absl::StartsWith(missing->first, alert_prefix)) {
-      return absl::Status(missing->second.code(),
-                          absl::StrCat("alert ", missing->first.substr(0, kShortIdBytes), ": ",
-                                       missing->second.message()));
-    }
-    return absl::NotFoundError(
-        absl::StrCat("no recording is kept of alert `", alert_prefix,
-                     "`: it is not of severity high or critical, too old, or its id is wrong"));
+    return WhyMissing(alert_prefix);
   }
   const auto second = std::next(first);
   if (second != alerts_.end() && absl::StartsWith(second->first, alert_prefix)) {

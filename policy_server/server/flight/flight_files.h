@@ -32,7 +32,7 @@ struct FlightFilesOptions {
   uint64_t free_bytes_min = uint64_t{64} << 20;
 };
 
-// Any thread; blocks on the disk.
+// Any thread; blocks on the disk, except Expect.
 class FlightFiles {
  public:
   // Alerts of which it is remembered why they have no recording.
@@ -45,14 +45,14 @@ class FlightFiles {
   // Unavailable: nothing can be saved now, as on a file system that is read-only.
   absl::Status CheckWritable() const;
 
-  // Durable when it returns OK. ResourceExhausted: larger than all may be, or the disk is too full.
-  // InvalidArgument: no alert, or a robot that is no name. Otherwise Unavailable.
+  // One at a time. Durable when it returns OK. ResourceExhausted: larger than all may be, or the
+  // disk is too full. InvalidArgument: no alert, or a robot that is no name. Otherwise Unavailable.
   absl::Status Save(const recording::RecordedOrigin& origin, absl::string_view bytes)
       ABSL_LOCKS_EXCLUDED(mu_);
 
-  // A recording will be saved with that alert; or it could not be.
-  void Expect(const std::string& alert) ABSL_LOCKS_EXCLUDED(mu_);
-  void Lose(const std::string& alert, absl::string_view why) ABSL_LOCKS_EXCLUDED(mu_);
+  // A recording will be saved with that alert; or it could not be. Never wait for the disk.
+  void Expect(const std::string& alert) ABSL_LOCKS_EXCLUDED(missing_mu_);
+  void Lose(const std::string& alert, absl::string_view why) ABSL_LOCKS_EXCLUDED(missing_mu_);
 
   // The file that was saved with the alert whose id begins so. NotFound, with the reason if it is
   // one of the kMissingMax newest; FailedPrecondition: it will be there in a few seconds;
@@ -75,7 +75,9 @@ class FlightFiles {
   absl::Status Scan() ABSL_LOCKS_EXCLUDED(mu_);
   void Add(const std::string& robot, const std::string& name, File file)
       ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
-  void Miss(const std::string& alert, absl::Status why) ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
+  void Miss(const std::string& alert, absl::Status why) ABSL_LOCKS_EXCLUDED(missing_mu_);
+  // Why there is no recording of an alert whose id begins so.
+  absl::Status WhyMissing(absl::string_view alert_prefix) const ABSL_LOCKS_EXCLUDED(missing_mu_);
   // Removes old ones until `bytes` more fit.
   void MakeRoom(uint64_t bytes) ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
   // The same, until they fit on the disk. ResourceExhausted, and none is removed, if they would
@@ -85,14 +87,17 @@ class FlightFiles {
   void RemoveOne() ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
 
   const FlightFilesOptions options_;
+  // Held while files are removed, not while one is written.
   mutable Mutex mu_;
   std::map<std::string, Files> robots_ ABSL_GUARDED_BY(mu_);
   // Path by alert.
   std::map<std::string, std::string, std::less<>> alerts_ ABSL_GUARDED_BY(mu_);
-  // Why there is none, by alert, and those alerts, oldest first.
-  std::map<std::string, absl::Status, std::less<>> missing_ ABSL_GUARDED_BY(mu_);
-  std::deque<std::string> missing_order_ ABSL_GUARDED_BY(mu_);
   uint64_t bytes_ ABSL_GUARDED_BY(mu_) = 0;
+  // Held for no longer than a look into memory; after mu_ where both are held.
+  mutable Mutex missing_mu_;
+  // Why there is none, by alert, and those alerts, oldest first.
+  std::map<std::string, absl::Status, std::less<>> missing_ ABSL_GUARDED_BY(missing_mu_);
+  std::deque<std::string> missing_order_ ABSL_GUARDED_BY(missing_mu_);
 };
 
 }  // namespace rips::flight
