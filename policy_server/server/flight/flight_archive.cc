@@ -31,7 +31,9 @@ class FlightArchive::RobotRecorder final : public pipeline::FlightRecorder {
   }
   void Keep(const pipeline::GraveAlert& alert) override {
     gravest_ = std::max(gravest_, alert.severity);
-    if (alerts_.size() >= kAlertsMax) return;
+    if (alerts_.size() >= kAlertsMax) {
+      return archive_.files_->Lose(alert.id, "too many alerts came at once; see an earlier one's");
+    }
     alerts_.push_back({.id = alert.id,
                        .rule = alert.rule,
                        .severity = std::string(engine::ToString(alert.severity)),

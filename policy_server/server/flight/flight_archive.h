@@ -42,7 +42,7 @@ class FlightArchive {
   static constexpr int64_t kPauseNs = 5 * kNanosPerSecond;
   static constexpr size_t kBurstBytes = size_t{32} << 20;
   static constexpr int64_t kBytesPerMilli = 64;
-  // Alerts that one recording names; of more there is the recording, but not under their id.
+  // Alerts that one recording names; of more it is said that they were too many.
   static constexpr size_t kAlertsMax = 500;
   // Memory of the flights that wait, one excepted.
   static constexpr size_t kPendingBytesMax = size_t{64} << 20;
@@ -52,7 +52,7 @@ class FlightArchive {
   // What waits is saved first.
   ~FlightArchive();
 
-  // Robots' recorders outlive nothing: the archive outlives them.
+  // Of one robot, to be called on its thread; the archive outlives it.
   std::unique_ptr<pipeline::FlightRecorder> NewRecorder(const std::string& robot);
 
  private:

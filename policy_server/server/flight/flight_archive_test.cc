@@ -17,6 +17,7 @@
 #include "policy_server/policy/replay/replayer.h"
 #include "policy_server/server/robot/robot_fixture.h"
 #include "services/base/status_matchers.h"
+#include "services/runtime/bounded_queue.h"
 
 namespace rips::flight {
 namespace {
@@ -54,6 +55,14 @@ class FlightArchiveTest : public pipeline::RobotTest {
       if (alert.rule == rule) out.push_back(alert);
     }
     return out;
+  }
+  // RIPS's own of that text; there must be one.
+  store::AlertRecord OwnAlert(const std::string& text) {
+    for (const store::AlertRecord& alert : AlertsOf(std::string(pipeline::kOwnRule))) {
+      if (alert.text == text) return alert;
+    }
+    ADD_FAILURE() << "no alert `" << text << "`";
+    return {};
   }
   // What the robot's rules do with the recording of that alert.
   replay::Result ReplayOf(const store::AlertRecord& alert) {
@@ -150,13 +159,9 @@ TEST_F(FlightArchiveTest, ARobotThatIsNotSeenIsNotLoweredByTheReplayEither) {
   ASSERT_THAT(alerts, SizeIs(1));
   robot_->Report(engine::Severity::kHigh, "saved");
   Pass(10'000);
-  const auto own = AlertsOf(std::string(pipeline::kOwnRule));
+  const store::AlertRecord saved = OwnAlert("saved");
   Settle();
-  for (const store::AlertRecord& alert : own) {
-    if (alert.text == "saved") {
-      EXPECT_EQ(ReplayOf(alert).level, "ALERT");
-    }
-  }
+  EXPECT_EQ(ReplayOf(saved).level, "ALERT");
 }
 
 TEST_F(FlightArchiveTest, AnIntruderThatWasThereBeforeIsNotJudgedAgain) {
@@ -167,13 +172,9 @@ TEST_F(FlightArchiveTest, AnIntruderThatWasThereBeforeIsNotJudgedAgain) {
   SendMessage(2);
   robot_->Report(engine::Severity::kCritical, "much later");
   Pass(6'000);
-  const auto own = AlertsOf(std::string(pipeline::kOwnRule));
+  const store::AlertRecord later = OwnAlert("much later");
   Settle();
-  for (const store::AlertRecord& alert : own) {
-    if (alert.text == "much later") {
-      EXPECT_THAT(ReplayOf(alert).alerts, IsEmpty());
-    }
-  }
+  EXPECT_THAT(ReplayOf(later).alerts, IsEmpty());
 }
 
 TEST_F(FlightArchiveTest, AlertsOfAStormShareRecordings) {
@@ -220,12 +221,10 @@ TEST_F(FlightArchiveTest, OnlyGraveAlertsAreSaved) {
   Fly();
   robot_->Report(engine::Severity::kMedium, "nothing much");
   Pass(6'000);
-  const auto own = AlertsOf(std::string(pipeline::kOwnRule));
+  const store::AlertRecord mild = OwnAlert("nothing much");
   Settle();
   EXPECT_EQ(saved_, 0);
-  for (const store::AlertRecord& alert : own) {
-    EXPECT_THAT(files_->Find(alert.id).status(), StatusIs(absl::StatusCode::kNotFound));
-  }
+  EXPECT_THAT(files_->Find(mild.id).status(), StatusIs(absl::StatusCode::kNotFound));
 }
 
 TEST_F(FlightArchiveTest, AnotherBundleSavesWhatTheOldOneJudged) {
@@ -240,8 +239,98 @@ TEST_F(FlightArchiveTest, AnotherBundleSavesWhatTheOldOneJudged) {
   ASSERT_THAT(robot_->SwapPolicy(other), IsOk());
   Pass(100);
   const auto rogue = AlertsOf("rogue");
+  ASSERT_THAT(rogue, testing::Not(IsEmpty()));
   Settle();
   for (const store::AlertRecord& alert : rogue) EXPECT_TRUE(Fired(ReplayOf(alert), alert));
+}
+
+// Recorders without a robot, each holding a message of `bytes` by its own account.
+class FlightLimitsTest : public FlightArchiveTest {
+ protected:
+  std::unique_ptr<pipeline::FlightRecorder> NewRecorder(const std::string& robot) {
+    auto recorder = archive_->NewRecorder(robot);
+    recorder->BeginPiece(State(), now_);
+    return recorder;
+  }
+  pipeline::RulesState State() const { return {.bundle_id = "b", .level = "L", .graph = graph_}; }
+  void AddMessage(pipeline::FlightRecorder& recorder, size_t bytes) {
+    auto batch = std::make_shared<pipeline::Batch>();
+    batch->observations.push_back({.what = pipeline::MessageSeen{.topic = "/t"}});
+    batch->bytes = bytes;
+    const auto* seen = &std::get<pipeline::MessageSeen>(batch->observations[0].what);
+    recorder.OnEvent({.event = {.what = engine::MessageEvent{.topic = seen->topic}},
+                      .graph = graph_,
+                      .message = seen,
+                      .batch = batch});
+  }
+  std::string Keep(pipeline::FlightRecorder& recorder) {
+    const std::string id = absl::StrCat(absl::Hex(++alerts_, absl::kZeroPad16), "0000000000000000");
+    recorder.Keep({.id = id, .rule = "r", .text = "t"});
+    return id;
+  }
+  // Saves, if it may, and everything has come to the disk. True: it did.
+  bool Save(pipeline::FlightRecorder& recorder) {
+    const int before = saved_;
+    if (!recorder.wants_piece(now_)) return false;
+    recorder.BeginPiece(State(), now_);
+    for (int i = 0; i < 50 && saved_ == before; ++i) absl::SleepFor(absl::Milliseconds(2));
+    return saved_ > before;
+  }
+
+  const std::shared_ptr<const ros2::RosGraph> graph_ = std::make_shared<ros2::RosGraph>();
+  Instant now_{.boottime_ns = kNanosPerSecond};
+  uint64_t alerts_ = 0;
+};
+
+TEST_F(FlightLimitsTest, ARobotThatSavesMuchSlowsDown) {
+  const auto recorder = NewRecorder("r1");
+  int saved = 0;
+  for (int i = 0; i < 40; ++i) {
+    AddMessage(*recorder, size_t{3} << 20);
+    Keep(*recorder);
+    now_.boottime_ns += FlightArchive::kPauseNs;
+    saved += Save(*recorder) ? 1 : 0;
+  }
+  EXPECT_GE(saved, 10) << "32 MiB at once";
+  EXPECT_LE(saved, 36) << "and 64 KiB a second";
+}
+
+TEST_F(FlightLimitsTest, OfTooManyAlertsItIsSaid) {
+  const auto recorder = NewRecorder("r1");
+  std::string last;
+  for (size_t i = 0; i < FlightArchive::kAlertsMax; ++i) last = Keep(*recorder);
+  const std::string over = Keep(*recorder);
+  ASSERT_TRUE(Save(*recorder));
+  EXPECT_THAT(files_->Find(last), IsOk());
+  EXPECT_THAT(files_->Find(over).status().message(), testing::HasSubstr("too many alerts"));
+}
+
+TEST_F(FlightLimitsTest, WhatWaitsForASlowDiskIsBounded) {
+  BoundedQueue<int> go_on{{.capacity = 1}};  // the disk, until it is closed
+  archive_ = std::make_unique<FlightArchive>(files_.get(), ArchiveReports{.saved = [&] {
+                                               ++saved_;
+                                               go_on.Pop(absl::InfiniteDuration());
+                                             }});
+  std::vector<std::unique_ptr<pipeline::FlightRecorder>> recorders;
+  int taken = 0;
+  for (int i = 0; i < 40; ++i) {
+    recorders.push_back(NewRecorder(absl::StrCat("r", i)));
+    AddMessage(*recorders.back(), size_t{400} << 10);
+    for (int m = 0; m < 8; ++m) {  // 3 MiB, in pieces
+      if (recorders.back()->wants_piece(now_)) recorders.back()->BeginPiece(State(), now_);
+      AddMessage(*recorders.back(), size_t{400} << 10);
+    }
+    recorders.back()->BeginPiece(State(), now_);
+    Keep(*recorders.back());
+    taken += recorders.back()->wants_piece(now_) ? 1 : 0;
+    recorders.back()->BeginPiece(State(), now_);
+  }
+  EXPECT_GT(taken, 10);
+  EXPECT_LT(taken, 30) << "64 MiB";
+  go_on.Close();
+  recorders.clear();
+  archive_.reset();
+  EXPECT_EQ(saved_, 40) << "none is lost";
 }
 
 TEST_F(FlightArchiveTest, AFullDiskIsReportedOnceAndStopsNothing) {
