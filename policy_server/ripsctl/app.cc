@@ -29,18 +29,30 @@ constexpr Noun kNouns[] = {
     {"level", "Show, raise and lower alert levels"},
     {"alert", "List and watch alerts, and fetch what led to them"},
     {"explain", "Explain an alert, or why a robot is at its level"},
-    {"rules", "Check, format, test and replay rules"},
+    {"rules", "Check, format, test, replay and sign rules"},
     {"audit", "Verify and read a policy server's audit log; needs no server"},
     {"agent", "List certificates; ban and unban agents and operators"},
     {"record", "Record the events a robot's rules are evaluated on"},
 };
 // In the order in which --help lists the verbs of a noun.
-constexpr Commands (*kMakers[])() = {
-    RobotCommands,   CoverageCommands, ActuatorCommands,       LevelCommands,
-    ApproveCommands, AlertCommands,    AlertRecordingCommands, ExplainCommands,
-    CheckRules,      FormatRules,      RulesBuiltins,          TestRules,
-    ReplayRules,     ResumeRules,      AuditCommands,          AgentCommands,
-    RecordCommands};
+constexpr Commands (*kMakers[])() = {RobotCommands,
+                                     CoverageCommands,
+                                     ActuatorCommands,
+                                     LevelCommands,
+                                     ApproveCommands,
+                                     AlertCommands,
+                                     AlertRecordingCommands,
+                                     ExplainCommands,
+                                     CheckRules,
+                                     FormatRules,
+                                     RulesBuiltins,
+                                     TestRules,
+                                     ReplayRules,
+                                     SignRules,
+                                     ResumeRules,
+                                     AuditCommands,
+                                     AgentCommands,
+                                     RecordCommands};
 
 // The whole command line.
 class Parser {

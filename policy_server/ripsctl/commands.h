@@ -19,6 +19,7 @@ Commands FormatRules();
 Commands RulesBuiltins();
 Commands TestRules();
 Commands ReplayRules();
+Commands SignRules();
 Commands ResumeRules();
 Commands AuditCommands();  // verify, tail, export
 Commands AgentCommands();  // list, ban, unban, reset-term

@@ -24,6 +24,16 @@ pipeline::RobotConfig ToConfig(const bundle::InventoryRobot& robot) {
   return config;
 }
 
+bool IsOf(const std::set<std::string>* only, const std::string& robot) {
+  return only == nullptr || only->contains(robot);
+}
+
+// As an operator knows it.
+std::string Described(const std::string& name, const std::string& id) {
+  return id.empty() ? absl::StrCat("bundle `", name, "`")
+                    : absl::StrCat("bundle `", name, "`, activated as ", id.substr(0, 19), ",");
+}
+
 bool SameHosts(const bundle::InventoryRobot& a, const bundle::InventoryRobot& b) {
   return a.sensors == b.sensors && a.actuators == b.actuators && a.graph_limits == b.graph_limits;
 }
@@ -63,32 +73,58 @@ absl::Status Fleet::Start() {
   for (size_t i = 0; i < robots.size(); ++i) {
     const bundle::InventoryRobot& robot = inventory_.robots[i];
     if (counts_.listed) counts_.listed(robot);
-    RIPS_RETURN_IF_ERROR(Arm(robot, policies.at(robot.bundle), acquired[i]));
+    RIPS_RETURN_IF_ERROR(Arm(robot, policies.at(SourceOf(robot)), acquired[i]));
   }
   ForgetUnused();
   Count();
   return absl::OkStatus();
 }
 
-Fleet::Policies Fleet::LoadPolicies(const bundle::Inventory& inventory) {
+Fleet::Source Fleet::SourceOf(const bundle::InventoryRobot& robot) const {
+  return {robot.bundle, options_.activated ? options_.activated(robot) : ""};
+}
+
+Fleet::Policies Fleet::LoadPolicies(const bundle::Inventory& inventory,
+                                    const std::set<std::string>* only) {
   Policies policies;
   for (const bundle::InventoryRobot& robot : inventory.robots) {
-    if (policies.contains(robot.bundle)) continue;
-    const std::string dir = absl::StrCat(options_.bundles_source, "/", robot.bundle);
-    absl::StatusOr<pipeline::Policy> policy = load_(dir, robot.bundle);
-    if (!policy.ok()) {
-      LogError("bundle refused", {{"bundle", dir}, {"reason", policy.status().message()}});
-    } else if (const absl::Status kept =
-                   bundle::KeepBundle(dir, policy->bundle_id, options_.bundles_dir);
-               !kept.ok()) {
-      LogWarning(
-          "cannot keep a copy of the bundle; if the next start rejects it, its robots stay at "
-          "their level",
-          {{"bundle", dir}, {"reason", kept.message()}});
-    }
-    policies.emplace(robot.bundle, std::move(policy));
+    const Source source = SourceOf(robot);
+    if (!IsOf(only, robot.id) || policies.contains(source)) continue;
+    policies.emplace(source, Find(source.first, source.second));
   }
   return policies;
+}
+
+absl::StatusOr<pipeline::Policy> Fleet::Find(const std::string& name, const std::string& id) {
+  if (id.empty()) return LoadFromDirectory(name);
+  if (const auto known = loaded_.find(id); known != loaded_.end()) return known->second;
+  RIPS_ASSIGN_OR_RETURN(const std::string path, bundle::KeptBundlePath(options_.bundles_dir, id));
+  absl::StatusOr<pipeline::Policy> policy = load_(path, name);
+  if (policy.ok() && policy->bundle_id != id) {
+    policy = absl::DataLossError("its copy was changed");
+  }
+  if (policy.ok()) {
+    loaded_.emplace(id, *policy);
+  } else {
+    LogError("bundle refused", {{"bundle", path}, {"reason", policy.status().message()}});
+  }
+  return policy;
+}
+
+absl::StatusOr<pipeline::Policy> Fleet::LoadFromDirectory(const std::string& name) {
+  const std::string dir = absl::StrCat(options_.bundles_source, "/", name);
+  absl::StatusOr<pipeline::Policy> policy = load_(dir, name);
+  if (!policy.ok()) {
+    LogError("bundle refused", {{"bundle", dir}, {"reason", policy.status().message()}});
+  } else if (const absl::Status kept =
+                 bundle::KeepBundle(dir, policy->bundle_id, options_.bundles_dir);
+             !kept.ok()) {
+    LogWarning(
+        "cannot keep a copy of the bundle; if the next start rejects it, its robots stay at "
+        "their level",
+        {{"bundle", dir}, {"reason", kept.message()}});
+  }
+  return policy;
 }
 
 absl::Status Fleet::Arm(const bundle::InventoryRobot& robot,
@@ -101,7 +137,8 @@ absl::Status Fleet::Arm(const bundle::InventoryRobot& robot,
   absl::Status added = policy.ok() ? add(*policy) : policy.status();
   std::string problem;
   if (!added.ok()) {
-    problem = absl::StrCat("bundle `", robot.bundle, "` is refused: ", FirstLine(added.message()));
+    problem = absl::StrCat(Described(robot.bundle, SourceOf(robot).second),
+                           " is refused: ", FirstLine(added.message()));
     const absl::StatusOr<std::string> kept =
         bundle::KeptBundlePath(options_.bundles_dir, record.bundle);
     if (!kept.ok()) return Hold(robot, record, problem);
@@ -194,10 +231,23 @@ void Fleet::Reload() {
   }
   const bundle::Inventory now = read.ok() ? *std::move(read) : inventory_;
   RemoveMissing(now);
-  const Policies policies = LoadPolicies(now);
+  Settle(now);
+  inventory_ = now;
+  ForgetUnused();
+  Count();
+}
+
+void Fleet::Apply(const std::set<std::string>& robots) {
+  Settle(inventory_, &robots);
+  Count();
+}
+
+void Fleet::Settle(const bundle::Inventory& now, const std::set<std::string>* only) {
+  const Policies policies = LoadPolicies(now, only);
   const std::vector<std::string> judged = pipeline_->robots();
   for (const bundle::InventoryRobot& robot : now.robots) {
-    const absl::StatusOr<pipeline::Policy>& policy = policies.at(robot.bundle);
+    if (!IsOf(only, robot.id)) continue;
+    const absl::StatusOr<pipeline::Policy>& policy = policies.at(SourceOf(robot));
     if (counts_.listed && inventory_.Find(robot.id) == nullptr) counts_.listed(robot);
     if (std::binary_search(judged.begin(), judged.end(), robot.id)) {
       Change(robot, inventory_.Find(robot.id), policy);
@@ -214,9 +264,6 @@ void Fleet::Reload() {
     LogError("robot not added", {{"robot", robot.id}, {"reason", armed.message()}});
     Hold(robot, {}, FirstLine(armed.message())).IgnoreError();
   }
-  inventory_ = now;
-  ForgetUnused();
-  Count();
 }
 
 void Fleet::RemoveMissing(const bundle::Inventory& now) {
@@ -246,8 +293,8 @@ void Fleet::Change(const bundle::InventoryRobot& robot, const bundle::InventoryR
   }
   if (!policy.ok()) {
     SetProblem(robot.id,
-               absl::StrCat("bundle `", robot.bundle,
-                            "` is refused: ", FirstLine(policy.status().message()),
+               absl::StrCat(Described(robot.bundle, SourceOf(robot).second),
+                            " is refused: ", FirstLine(policy.status().message()),
                             "; the old policy stays in force"),
                "");
   } else {
@@ -268,6 +315,8 @@ void Fleet::Change(const bundle::InventoryRobot& robot, const bundle::InventoryR
 
 void Fleet::ForgetUnused() {
   std::set<std::string> in_use;
+  if (options_.needed) in_use = options_.needed();
+  absl::erase_if(loaded_, [&](const auto& each) { return !in_use.contains(each.first); });
   for (const bundle::InventoryRobot& robot : inventory_.robots) {
     const absl::StatusOr<store::RobotRecord> record = store_->Load(robot.id);
     if (!record.ok()) return;  // nothing is removed that might be needed
@@ -282,6 +331,11 @@ void Fleet::Count() {
   const size_t troubled = problems_.size();
   counts_.robots(inventory_.robots.size() - std::max(troubled, held),
                  troubled > held ? troubled - held : 0, held);
+}
+
+std::string Fleet::Problem(const std::string& robot) const {
+  const auto found = problems_.find(robot);
+  return found == problems_.end() ? "" : found->second;
 }
 
 int Fleet::agents() const {

@@ -11,6 +11,9 @@
 //   the robot is recorded at
 //   mended, then Reload              judged
 //
+// Its bundle is the one that an operator activated for it (server/rollout), else the one in the
+// server's directory of the name that the inventory has.
+//
 // A robot that another server acquires is held, too, until Reload acquires it anew: its leases end,
 // its level is the other server's.
 //
@@ -19,7 +22,9 @@
 #define RIPS_POLICY_SERVER_SERVER_FLEET_H_
 
 #include <functional>
+#include <set>
 #include <string>
+#include <utility>
 
 #include "absl/container/btree_map.h"
 #include "absl/status/status.h"
@@ -40,6 +45,10 @@ struct FleetOptions {
   pipeline::Timing timing;
   // How long a robot that was removed may take to be gone before it can be added again.
   absl::Duration leaving = absl::Seconds(5);
+  // Id of the kept bundle that was activated for a robot; empty: none. Null: of no robot.
+  std::function<std::string(const bundle::InventoryRobot&)> activated;
+  // Ids of further bundles that are kept. Null: none.
+  std::function<std::set<std::string>()> needed;
 };
 
 // What is counted; a null entry is not.
@@ -53,7 +62,9 @@ struct FleetCounts {
 // One thread at a time.
 class Fleet {
  public:
-  // A bundle of a directory, ready to judge; its manifest has that name, or any if `name` is empty.
+  // A bundle of a directory, ready to judge; its manifest has that name. If `name` is empty it is
+  // one that judged the robot before, whose id is compared: of any name, and no signature is wanted,
+  // so that robots whose bundles are not signed yet are not left without a policy.
   using Load = std::function<absl::StatusOr<pipeline::Policy>(const std::string& dir,
                                                               const std::string& name)>;
 
@@ -67,14 +78,33 @@ class Fleet {
   // Reads inventory and bundles anew: robots and hosts come, change and go. What is refused leaves
   // the old in force and says so.
   void Reload();
+  // Has those robots of the inventory judged by what is activated for them now.
+  void Apply(const std::set<std::string>& robots);
+  // The policy of that name that the directory holds, or, if `id` is not empty, the kept bundle of
+  // that id; also where it is to run muted. What refuses a bundle at start.
+  absl::StatusOr<pipeline::Policy> Find(const std::string& name, const std::string& id);
+  // Removes copies of bundles that are not needed, beyond what bundle_keep.h lets stay.
+  void ForgetUnused();
+  // Why the robot is not judged by what it should be; empty = it is.
+  std::string Problem(const std::string& robot) const;
+  // In force.
+  const bundle::Inventory& inventory() const { return inventory_; }
   // Sensors and actuators that the inventory in force lists.
   int agents() const;
 
  private:
   absl::StatusOr<bundle::Inventory> ReadInventory() const;
-  // Of every bundle that the inventory names: the policy, or why it is refused.
-  using Policies = absl::btree_map<std::string, absl::StatusOr<pipeline::Policy>>;
-  Policies LoadPolicies(const bundle::Inventory& inventory);
+  // A policy's name in the inventory, and the id of the bundle that was activated; empty = none.
+  using Source = std::pair<std::string, std::string>;
+  Source SourceOf(const bundle::InventoryRobot& robot) const;
+  // The policy, or why it is refused.
+  using Policies = absl::btree_map<Source, absl::StatusOr<pipeline::Policy>>;
+  // Of every robot of the inventory, or of `only`.
+  Policies LoadPolicies(const bundle::Inventory& inventory,
+                        const std::set<std::string>* only = nullptr);
+  absl::StatusOr<pipeline::Policy> LoadFromDirectory(const std::string& name);
+  // Adds, changes or holds each robot of `now`, or of `only`.
+  void Settle(const bundle::Inventory& now, const std::set<std::string>* only = nullptr);
   // Adds or holds it.
   absl::Status Arm(const bundle::InventoryRobot& robot,
                    const absl::StatusOr<pipeline::Policy>& policy, const store::Acquired& acquired);
@@ -89,7 +119,6 @@ class Fleet {
   // Tells of it where it is news, and forgets it if `text` is empty. `status`: as the robot shows
   // it.
   void SetProblem(const std::string& robot, const std::string& text, const std::string& level);
-  void ForgetUnused();
   void Count();
 
   const FleetOptions options_;
@@ -100,6 +129,8 @@ class Fleet {
   pipeline::Ports ports_;
   const FleetCounts counts_;
   bundle::Inventory inventory_;
+  // Kept bundles that were loaded, by id.
+  absl::btree_map<std::string, pipeline::Policy> loaded_;
   // By robot: why it is not judged by what the inventory names.
   absl::btree_map<std::string, std::string> problems_;
 };

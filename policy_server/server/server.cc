@@ -71,6 +71,7 @@ absl::StatusOr<std::unique_ptr<Server>> Server::Start(const ServerConfig& config
   RIPS_RETURN_IF_ERROR(server->AwaitCredentials(pause));
   RIPS_RETURN_IF_ERROR(server->AddRobots());
   server->pipeline_->Start();
+  server->bundles_->Start();
   RIPS_RETURN_IF_ERROR(server->GuardPeers());
   RIPS_RETURN_IF_ERROR(server->Listen());
   return server;
@@ -80,6 +81,7 @@ absl::Status Server::Open() {
   // Read again with the robots; what is malformed must not wait for certificates.
   RIPS_ASSIGN_OR_RETURN(const std::string text, ReadConfigFile(config_.inventory));
   RIPS_RETURN_IF_ERROR(bundle::ParseInventory(config_.inventory, text).status());
+  RIPS_RETURN_IF_ERROR(LoadSigners());
   RIPS_ASSIGN_OR_RETURN(store_, store::SqliteStore::Open(config_.store_path));
   RIPS_ASSIGN_OR_RETURN(alert_log_, store::AlertLog::Open(config_.alerts_file));
   const Counter file_failures = metrics_.AddCounter(
@@ -299,11 +301,40 @@ absl::Status Server::OpenJail() {
   return absl::OkStatus();
 }
 
+absl::Status Server::LoadSigners() {
+  RIPS_ASSIGN_OR_RETURN(bundle::SignerKeys signers, bundle::SignerKeys::Load(config_.bundle_keys));
+  MutexLock lock(&signers_mu_);
+  signers_ = std::move(signers);
+  return absl::OkStatus();
+}
+
+absl::StatusOr<std::string> Server::SignedBy(const std::string& dir, const std::string& id) const {
+  if (config_.bundle_keys.empty()) return "";
+  const absl::StatusOr<std::string> signature = bundle::ReadSignature(dir);
+  if (!signature.ok()) return absl::PermissionDeniedError(signature.status().message());
+  MutexLock lock(&signers_mu_);
+  return signers_.Verify(id, *signature);
+}
+
+absl::StatusOr<bundle::Bundle> Server::LoadBundle(const std::string& dir) {
+  return bundle::LoadBundle(dir, &clock_, {.plugin = {.contain = jail_.containment}});
+}
+
+absl::StatusOr<bundle::Bundle> Server::LoadSignedBundle(const std::string& dir) {
+  if (!config_.bundle_keys.empty()) {
+    // Before any of its plugins is started.
+    const bundle::BundleCheck check = bundle::CheckBundle(dir);
+    if (check.ok()) RIPS_RETURN_IF_ERROR(SignedBy(dir, check.id).status());
+  }
+  RIPS_ASSIGN_OR_RETURN(bundle::Bundle loaded, LoadBundle(dir));
+  RIPS_RETURN_IF_ERROR(SignedBy(dir, loaded.id).status());
+  return loaded;
+}
+
 absl::StatusOr<pipeline::Policy> Server::LoadPolicy(const std::string& dir,
                                                     const std::string& name) {
-  RIPS_ASSIGN_OR_RETURN(
-      bundle::Bundle loaded,
-      bundle::LoadBundle(dir, &clock_, {.plugin = {.contain = jail_.containment}}));
+  RIPS_ASSIGN_OR_RETURN(bundle::Bundle loaded,
+                        name.empty() ? LoadBundle(dir) : LoadSignedBundle(dir));
   if (!name.empty() && loaded.manifest.name != name) {
     return absl::InvalidArgumentError(absl::StrCat("its manifest calls it `", loaded.manifest.name,
                                                    "`; the inventory wants `", name, "`"));
@@ -481,8 +512,46 @@ std::shared_ptr<operator_api::CallerQuota> Server::MakeQuota() {
   return operator_api::CallerQuota::Create(&clock_, limits, [refused] { refused.Increment(); });
 }
 
+void Server::OpenActivations() {
+  activations_ = std::make_unique<rollout::Activations>(
+      absl::StrCat(config_.bundles_dir, "/activated.json"), store_.get());
+  alert_rates_ = std::make_unique<rollout::AlertRates>(hub_.get(), &clock_);
+  if (activations_->problem().ok()) return;
+  OwnAlert(
+      engine::Severity::kCritical,
+      absl::StrCat("which bundles were activated is not known: ", activations_->problem().message(),
+                   "; each robot keeps the bundle that judged it last; activate them anew "
+                   "(`ripsctl rules status`, `ripsctl rules activate`)"));
+}
+
+void Server::OpenBundleControl() {
+  library_ = std::make_unique<rollout::BundleLibrary>(
+      config_.bundles_dir,
+      [this](const std::string& dir) -> absl::StatusOr<rollout::LoadedBundle> {
+        RIPS_ASSIGN_OR_RETURN(const bundle::Bundle loaded, LoadSignedBundle(dir));
+        return rollout::LoadedBundle{
+            .id = loaded.id, .name = loaded.manifest.name, .warnings = loaded.warnings};
+      },
+      [this](const std::string& dir, const std::string& id) { return SignedBy(dir, id); });
+  bundles_ = std::make_unique<rollout::BundleControl>(
+      rollout::BundleControl::Parts{.fleet = fleet_.get(),
+                                    .activations = activations_.get(),
+                                    .library = library_.get(),
+                                    .rates = alert_rates_.get(),
+                                    .pipeline = pipeline_.get(),
+                                    .alerts = alerts_.get(),
+                                    .clock = &clock_,
+                                    .new_id = NewId});
+  // What each robot keeps instead; a file that could not be read may be in order the next time.
+  if (!absl::IsDataLoss(activations_->problem())) return;
+  if (const absl::Status kept = activations_->Set(activations_->now()); !kept.ok()) {
+    LogError("cannot record which bundles robots keep", {{"reason", kept.message()}});
+  }
+}
+
 absl::Status Server::AddRobots() {
   RIPS_RETURN_IF_ERROR(recorder_->BeginGeneration(absl::HexStringToBytes(NewId())));
+  OpenActivations();
   const int shards = config_.shards > 0
                          ? config_.shards
                          : static_cast<int>(std::clamp(std::thread::hardware_concurrency(), 1u,
@@ -507,14 +576,18 @@ absl::Status Server::AddRobots() {
     flight_recorder = [this](const std::string& robot) { return flights_->NewRecorder(robot); };
   }
   fleet_ = std::make_unique<Fleet>(
-      FleetOptions{.inventory = config_.inventory,
-                   .bundles_source = config_.bundles_source,
-                   .bundles_dir = config_.bundles_dir,
-                   .timing = ToPipeline(config_.timing)},
+      FleetOptions{
+          .inventory = config_.inventory,
+          .bundles_source = config_.bundles_source,
+          .bundles_dir = config_.bundles_dir,
+          .timing = ToPipeline(config_.timing),
+          .activated = [activations = activations_.get()](
+                           const bundle::InventoryRobot& robot) { return activations->For(robot); },
+          .needed = [activations = activations_.get()] { return activations->now().bundles(); }},
       store_.get(), pipeline_.get(), alerts_.get(),
       [this](const std::string& dir, const std::string& name) { return LoadPolicy(dir, name); },
       pipeline::Ports{.recorder = recorder_.get(),
-                      .audience = hub_.get(),
+                      .audience = alert_rates_.get(),
                       .counts = counts,
                       .flight_recorder = flight_recorder,
                       .new_id = NewId},
@@ -532,7 +605,9 @@ absl::Status Server::AddRobots() {
                               .Set(std::numeric_limits<double>::quiet_NaN());
                         }
                       }});
-  return fleet_->Start();
+  RIPS_RETURN_IF_ERROR(fleet_->Start());
+  OpenBundleControl();
+  return absl::OkStatus();
 }
 
 absl::Status Server::Listen() {
@@ -576,7 +651,8 @@ absl::Status Server::Listen() {
           .quota = MakeQuota(),
           .audit = orders_.get(),
           .store_writable = [this] { return committer_->healthy(); },
-          .recordings = recordings_.get()});
+          .recordings = recordings_.get(),
+          .bundles = bundles_.get()});
   RIPS_ASSIGN_OR_RETURN(
       rpc_, rpc::RpcServer::Start({.listen = config_.listen,
                                    .guard = connections_.get(),
@@ -607,7 +683,18 @@ void Server::Reload() {
   if (const absl::Status status = alert_log_->Reopen(); !status.ok()) {
     LogError("cannot reopen the alert file", {{"reason", status.message()}});
   }
-  fleet_->Reload();
+  const bool reloaded = bundles_->Await([this] {
+    if (const absl::Status loaded = LoadSigners(); !loaded.ok()) {
+      OwnAlert(engine::Severity::kHigh,
+               absl::StrCat("the keys of bundles are not read anew, the old ones count: ",
+                            loaded.message()));
+    }
+    fleet_->Reload();
+  });
+  if (reloaded) return;
+  LogWarning(
+      "inventory and bundles are not read anew: too many orders about bundles wait; send SIGHUP "
+      "again");
 }
 
 void Server::Stop() {
@@ -622,6 +709,7 @@ void Server::Stop() {
     watch_->CloseAll(grpc::Status(grpc::StatusCode::UNAVAILABLE, "the server is stopping"));
     rpc_->Shutdown(kShutdownGrace);
   }
+  if (bundles_ != nullptr) bundles_->Stop();
   // What is still being inspected is judged by whoever gets it again.
   pipeline_->Stop();
   inspections_->Stop();

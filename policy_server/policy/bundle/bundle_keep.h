@@ -20,8 +20,10 @@ inline constexpr size_t kUnusedKeptMax = 16;
 absl::StatusOr<std::string> KeptBundlePath(const std::string& keep_dir, absl::string_view id);
 
 // Copies the files that the manifest in `dir` lists, synced to the disk, unless the copy is there
-// and whole. Aborted: what is in `dir` is not `id` (any more). Unavailable or ResourceExhausted: it
-// cannot be written. Errors of LoadBundle for files that cannot be read.
+// and whole; and its signature, which replaces the copy's: a bundle may be signed later, or anew. A
+// copy's signature is never removed. Aborted: what is in `dir` is not `id` (any more). Unavailable
+// or ResourceExhausted: it cannot be written. Errors of LoadBundle for files that cannot be read;
+// if only the signature cannot, the copy is made without it.
 absl::Status KeepBundle(const std::string& dir, absl::string_view id, const std::string& keep_dir);
 
 // Removes copies beyond kUnusedKeptMax that are not `in_use`, and what was left half made.

@@ -11,6 +11,7 @@
 #include "gtest/gtest.h"
 #include "policy_server/policy/bundle/bundle.h"
 #include "policy_server/policy/bundle/bundle_files.h"
+#include "policy_server/policy/bundle/bundle_signature.h"
 #include "services/base/status_matchers.h"
 #include "services/runtime/real_clock.h"
 
@@ -76,6 +77,57 @@ TEST_F(BundleKeepTest, ADamagedCopyIsMadeAnew) {
   std::ofstream(path + "/base.rul") << "levels: DEFAULT;";
   ASSERT_THAT(KeepBundle(dir(), id, keep()), IsOk());
   EXPECT_EQ(CheckBundle(path).id, id);
+}
+
+TEST_F(BundleKeepTest, TheCopyGetsTheSignatureAlsoWhenItComesLaterOrChanges) {
+  const std::string id = Id();
+  const std::string path = *KeptBundlePath(keep(), id);
+  ASSERT_THAT(KeepBundle(dir(), id, keep()), IsOk());
+  EXPECT_EQ(*ReadSignature(path), "");
+  for (const char* text : {"first\n", "second\n"}) {
+    Write("signature", text);
+    EXPECT_EQ(Id(), id) << "it is no part of the id";
+    ASSERT_THAT(KeepBundle(dir(), id, keep()), IsOk());
+    EXPECT_EQ(*ReadSignature(path), text);
+  }
+  EXPECT_FALSE(fs::exists(path + "/signature.tmp"));
+  EXPECT_EQ(CheckBundle(path).id, id);
+
+  fs::remove_all(keep());
+  ASSERT_THAT(KeepBundle(dir(), id, keep()), IsOk());
+  EXPECT_EQ(*ReadSignature(path), "second\n") << "of a new copy";
+}
+
+TEST_F(BundleKeepTest, ACopysSignatureIsNotRemoved) {
+  const std::string id = Id();
+  const std::string path = *KeptBundlePath(keep(), id);
+  Write("signature", "text\n");
+  ASSERT_THAT(KeepBundle(dir(), id, keep()), IsOk());
+  fs::remove(fs::path(dir()) / "signature");
+  ASSERT_THAT(KeepBundle(dir(), id, keep()), IsOk());
+  EXPECT_EQ(*ReadSignature(path), "text\n");
+  std::ofstream(path + "/base.rul") << "levels: DEFAULT;";
+  ASSERT_THAT(KeepBundle(dir(), id, keep()), IsOk());
+  EXPECT_EQ(CheckBundle(path).id, id);
+  EXPECT_EQ(*ReadSignature(path), "text\n") << "of a damaged copy";
+  ASSERT_THAT(KeepBundle(path, id, keep()), IsOk()) << "of itself";
+  EXPECT_EQ(*ReadSignature(path), "text\n");
+}
+
+TEST_F(BundleKeepTest, ASignatureThatCannotBeReadLeavesTheRestKept) {
+  const std::string id = Id();
+  const std::string path = *KeptBundlePath(keep(), id);
+  const fs::path signature = fs::path(dir()) / "signature";
+  fs::create_symlink("base.rul", signature);
+  for (int i = 0; i < 2; ++i) {
+    EXPECT_THAT(KeepBundle(dir(), id, keep()),
+                StatusIs(absl::StatusCode::kInvalidArgument, ::testing::HasSubstr("symbolic")));
+    EXPECT_EQ(CheckBundle(path).id, id);
+    EXPECT_EQ(*ReadSignature(path), "");
+  }
+  fs::remove(signature);
+  Write("signature", std::string(kSignatureBytesMax + 1, 'x'));
+  EXPECT_THAT(KeepBundle(dir(), id, keep()), StatusIs(absl::StatusCode::kResourceExhausted));
 }
 
 TEST_F(BundleKeepTest, TakesNoIdThatIsAPath) {

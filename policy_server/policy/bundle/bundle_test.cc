@@ -161,6 +161,10 @@ TEST_F(BundleTest, RefusesABadManifest) {
       {absl::StrCat(kManifest, "two_person: [DEFAULT]\n"), "no level is below `DEFAULT`"},
       {absl::StrCat(kManifest, "two_person: [HALT, HALT]\n"), "`HALT` is listed twice"},
       {absl::StrCat(kManifest, "two_person: [ALERT]\n"), "with no person at all"},
+      {With("more/nodes.rul", "signature"),
+       "`signature` is where the bundle's signature is written"},
+      {With("more/nodes.rul", "signature.tmp"), "give the file another name"},
+      {absl::StrCat(kManifest, "yara: [signature/x]\n"), "give the file another name"},
       {absl::StrCat(kManifest, "dialect: ours\n"), "write `rips` or `prototype`"},
   };
   for (const auto& each : cases) {

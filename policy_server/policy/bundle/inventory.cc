@@ -9,6 +9,7 @@
 #include "services/base/status_macros.h"
 #include "services/runtime/config_reader.h"
 #include "services/runtime/config_sections.h"
+#include "services/text/quote.h"
 
 namespace rips::bundle {
 namespace {
@@ -63,7 +64,39 @@ void ReadGraphLimits(const ConfigSection& section, ros2::GraphLimits& limits) {
             &limits.endpoints_per_participant);
 }
 
+void ReadLabels(const ConfigSection& robot, absl::btree_map<std::string, std::string>* labels) {
+  const ConfigSection section = robot.OptionalSection("labels");
+  const std::vector<std::string> keys = section.Keys();
+  CheckCount(robot, "labels", keys.size(), kLabelsMax);
+  for (const std::string& key : keys) {
+    if (const absl::Status valid = ValidateName("label", key); !valid.ok()) {
+      section.Problem(key, valid.message());
+    }
+    ReadName(section, key, "value of a label", &(*labels)[key]);
+  }
+}
+
 }  // namespace
+
+bool InventoryRobot::HasLabel(absl::string_view label) const {
+  const auto parsed = ParseLabel(label);
+  if (!parsed.ok()) return false;
+  const auto found = labels.find(parsed->first);
+  return found != labels.end() && found->second == parsed->second;
+}
+
+absl::StatusOr<std::pair<std::string, std::string>> ParseLabel(absl::string_view label) {
+  const size_t equals = label.find('=');
+  if (equals == label.npos) {
+    return absl::InvalidArgumentError(absl::StrCat(
+        QuoteBytes(label), " is not a label; write KEY=VALUE, for example `ring=canary`"));
+  }
+  const absl::string_view key = label.substr(0, equals);
+  const absl::string_view value = label.substr(equals + 1);
+  RIPS_RETURN_IF_ERROR(ValidateName("label", key));
+  RIPS_RETURN_IF_ERROR(ValidateName("value of a label", value));
+  return std::pair(std::string(key), std::string(value));
+}
 
 const InventoryRobot* Inventory::Find(absl::string_view id) const {
   const auto it = std::lower_bound(
@@ -85,6 +118,7 @@ absl::StatusOr<Inventory> ParseInventory(absl::string_view file, absl::string_vi
     ReadSensors(section, &robot.sensors);
     ReadActuators(section, &robot.actuators);
     ReadGraphLimits(section.OptionalSection("graph_limits"), robot.graph_limits);
+    ReadLabels(section, &robot.labels);
     if (!robot.id.empty() && !ids.insert(robot.id).second) {
       section.Problem("id", absl::StrCat("robot `", robot.id, "` is listed twice"));
     }

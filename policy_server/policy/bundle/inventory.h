@@ -4,8 +4,10 @@
 
 #include <cstddef>
 #include <string>
+#include <utility>
 #include <vector>
 
+#include "absl/container/btree_map.h"
 #include "absl/status/statusor.h"
 #include "absl/strings/string_view.h"
 #include "services/ros2/graph_limits.h"
@@ -15,6 +17,8 @@ namespace rips::bundle {
 inline constexpr size_t kRobotsMax = 2'000;
 // Sensors of one robot, and actuators of one robot.
 inline constexpr size_t kHostsMax = 16;
+// Of one robot.
+inline constexpr size_t kLabelsMax = 16;
 // The largest of each limit on a graph: a server holds up to kRobotsMax graphs.
 inline constexpr size_t kGraphLimitMax = 65'536;
 
@@ -37,6 +41,12 @@ struct InventoryRobot {
   std::vector<std::string> actuators;
   // What the server holds of its graph.
   ros2::GraphLimits graph_limits;
+  // What groups robots, for example for roll-outs: `ring: canary`. Keys and values are names as in
+  // IsValidName.
+  absl::btree_map<std::string, std::string> labels;
+
+  // `label` is `KEY=VALUE`; false for one that ParseLabel refuses.
+  bool HasLabel(absl::string_view label) const;
 
   friend bool operator==(const InventoryRobot&, const InventoryRobot&) = default;
 };
@@ -48,6 +58,9 @@ struct Inventory {
   // nullptr if it is not listed. Valid as long as this.
   const InventoryRobot* Find(absl::string_view id) const;
 };
+
+// The key and the value of `KEY=VALUE`. InvalidArgument if one of them is no name.
+absl::StatusOr<std::pair<std::string, std::string>> ParseLabel(absl::string_view label);
 
 // InvalidArgument with every problem and its place.
 absl::StatusOr<Inventory> ParseInventory(absl::string_view file, absl::string_view text);

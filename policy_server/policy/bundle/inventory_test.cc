@@ -1,6 +1,7 @@
 #include "policy_server/policy/bundle/inventory.h"
 
 #include <string>
+#include <utility>
 
 #include "absl/strings/str_cat.h"
 #include "gmock/gmock.h"
@@ -11,7 +12,9 @@ namespace rips::bundle {
 namespace {
 
 using ::testing::AllOf;
+using ::testing::ElementsAre;
 using ::testing::HasSubstr;
+using ::testing::Pair;
 using ::testing::SizeIs;
 
 TEST(InventoryTest, ReadsRobotsAndFindsThem) {
@@ -48,6 +51,101 @@ TEST(InventoryTest, MayBoundARobotsGraph) {
                                                                     .endpoints_per_participant = 6,
                                                                     .nodes_per_participant = 5}));
   EXPECT_EQ(inventory->Find("r2")->graph_limits, ros2::GraphLimits());
+}
+
+TEST(InventoryTest, RobotsMayHaveLabels) {
+  const auto inventory = ParseInventory("robots.yaml", R"(robots:
+  - {id: r1, bundle: b, sensors: [{host: base, primary: true}],
+     labels: {site: hall-1, ring: canary, floor: 2}}
+  - {id: r2, bundle: b, sensors: [{host: base, primary: true}], labels: {}}
+)");
+  ASSERT_THAT(inventory, IsOk());
+  const InventoryRobot& robot = *inventory->Find("r1");
+  EXPECT_THAT(robot.labels,
+              ElementsAre(Pair("floor", "2"), Pair("ring", "canary"), Pair("site", "hall-1")));
+  EXPECT_TRUE(robot.HasLabel("ring=canary"));
+  EXPECT_TRUE(robot.HasLabel("floor=2"));
+  for (const char* label :
+       {"", "=", "ring", "ring=", "ring=canar", "ring=canary ", "ring=hall-1", "site=canary",
+        "=canary", "rin=canary", "ring==canary", "Ring=canary"}) {
+    EXPECT_FALSE(robot.HasLabel(label)) << label;
+  }
+  EXPECT_THAT(inventory->Find("r2")->labels, SizeIs(0));
+  EXPECT_FALSE(inventory->Find("r2")->HasLabel("ring=canary"));
+}
+
+TEST(InventoryTest, ALabelIsKeyAndValue) {
+  const auto label = ParseLabel("ring=canary");
+  ASSERT_THAT(label, IsOk());
+  EXPECT_THAT(*label, Pair("ring", "canary"));
+  const std::pair<std::string, std::string> cases[] = {
+      {"", "`` is not a label; write KEY=VALUE, for example `ring=canary`"},
+      {"ring", "`ring` is not a label"},
+      {"ring:canary", "`ring:canary` is not a label"},
+      {"\x1b[2J", "`\\x1b[2J` is not a label"},
+      {"=", "`` is not a valid label"},
+      {"=canary", "`` is not a valid label"},
+      {"ring=", "`` is not a valid value of a label"},
+      {"Ring=canary", "`Ring` is not a valid label"},
+      {"ring=a=b", "`a=b` is not a valid value of a label"},
+      {"ring= canary", "` canary` is not a valid value of a label"},
+      {"ring=-canary", "`-canary` is not a valid value"},
+      {absl::StrCat("ring=", std::string(64, 'x')), "is not a valid value of a label; use 1 to 63"},
+      {absl::StrCat(std::string(64, 'x'), "=canary"), "is not a valid label"},
+  };
+  for (const auto& [text, message] : cases) {
+    EXPECT_THAT(ParseLabel(text), StatusIs(absl::StatusCode::kInvalidArgument, HasSubstr(message)))
+        << text;
+  }
+  const std::string longest(63, 'x');
+  EXPECT_THAT(ParseLabel(absl::StrCat(longest, "=", longest)), IsOk());
+}
+
+TEST(InventoryTest, HasALimitOfLabels) {
+  std::string labels = "a: b";
+  for (size_t i = 1; i < kLabelsMax; ++i) absl::StrAppend(&labels, ", l", i, ": v");
+  const auto with = [](const std::string& text) {
+    return ParseInventory("robots.yaml",
+                          absl::StrCat("robots: [{id: r1, bundle: b, sensors: [{host: h, primary: "
+                                       "true}], labels: {",
+                                       text, "}}]\n"));
+  };
+  EXPECT_THAT(with(labels), IsOk());
+  EXPECT_THAT(with(absl::StrCat(labels, ", more: v")),
+              StatusIs(absl::StatusCode::kInvalidArgument, HasSubstr("17 labels exceed limit 16")));
+}
+
+// What `labels` of a robot may not be, and the message.
+TEST(InventoryTest, RefusesBadLabels) {
+  const std::pair<std::string, std::string> cases[] = {
+      {"{Ring: canary}", "`Ring` is not a valid label"},
+      {"{ring_1: canary}", "`ring_1` is not a valid label"},
+      {"{-ring: canary}", "`-ring` is not a valid label"},
+      {"{\"\": canary}", "`` is not a valid label"},
+      {"{a=b: canary}", "`a=b` is not a valid label"},
+      {absl::StrCat("{", std::string(64, 'x'), ": canary}"), "is not a valid label"},
+      {"{ring: Canary}", "`Canary` is not a valid value of a label"},
+      {"{ring: a=b}", "`a=b` is not a valid value of a label"},
+      {"{ring: \"\"}", "`ring` must not be empty"},
+      {"{ring: }", "`ring` is empty"},
+      {"{ring: [a, b]}", "`ring` is a list; write a text"},
+      {"{ring: {a: b}}", "`ring` is a mapping; write a text"},
+      {"{ring: a, ring: b}", "ring"},
+      {"{ring: \"a\\u001b\"}", "contains a control character"},
+      {"{ring: \"a\\u00e9\"}", "is not a valid value of a label"},
+      {"[ring]", "write a mapping"},
+      {"ring=canary", "write a mapping"},
+  };
+  for (const auto& [labels, message] : cases) {
+    EXPECT_THAT(
+        ParseInventory("robots.yaml",
+                       absl::StrCat("robots:\n  - {id: r1, bundle: b, sensors: [{host: h, primary: "
+                                    "true}],\n     labels: ",
+                                    labels, "}\n")),
+        StatusIs(absl::StatusCode::kInvalidArgument,
+                 AllOf(HasSubstr("robots.yaml:3:"), HasSubstr(message))))
+        << labels;
+  }
 }
 
 TEST(InventoryTest, MayBeEmpty) {

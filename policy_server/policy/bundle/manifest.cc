@@ -7,6 +7,7 @@
 #include "absl/strings/ascii.h"
 #include "absl/strings/str_cat.h"
 #include "policy_server/policy/bundle/bundle_files.h"
+#include "policy_server/policy/bundle/bundle_signature.h"
 #include "policy_server/policy/lang/limits.h"
 #include "re2/re2.h"
 #include "services/base/payload_limits.h"
@@ -25,6 +26,11 @@ void CheckCount(const ConfigSection& section, absl::string_view key, size_t coun
 void CheckPath(const ConfigSection& section, absl::string_view key, absl::string_view path) {
   const absl::Status status = CheckBundlePath(path);
   if (!status.ok()) section.Problem(key, status.message());
+  const absl::string_view first = path.substr(0, path.find('/'));
+  if (first == kSignatureName || first == kSignatureTemporaryName) {
+    section.Problem(key, absl::StrCat("`", first, "` is where the bundle's signature is written; ",
+                                      "give the file another name"));
+  }
 }
 
 // `kind` is "rule file" or "YARA file".

@@ -1,6 +1,7 @@
 #include "policy_server/server/config/config.h"
 
 #include <algorithm>
+#include <set>
 #include <utility>
 
 #include "absl/strings/numbers.h"
@@ -137,6 +138,28 @@ void ReadPlugins(const ConfigSection& root, ServerConfig* config) {
   }
 }
 
+void ReadBundles(const ConfigSection& root, ServerConfig* config) {
+  const ConfigSection bundles = root.OptionalSection("bundles");
+  ReadOptionalPath(bundles, "source", &config->bundles_source);
+  ReadOptionalPath(bundles, "dir", &config->bundles_dir);
+  bundles.Optional("keys", &config->bundle_keys);
+  const std::vector<std::string>& keys = config->bundle_keys;
+  if (keys.size() > kBundleKeysMax) {
+    bundles.Problem("keys", absl::StrCat(keys.size(), " keys exceed limit ", kBundleKeysMax));
+  }
+  std::set<absl::string_view> seen;
+  for (const std::string& path : keys) {
+    if (path.empty() || path.front() != '/') {
+      bundles.Problem("keys", absl::StrCat("`keys` has `", path,
+                                           "`; write the absolute path of a public key, for "
+                                           "example `/etc/rips/bundle-keys/alice.pem`"));
+    }
+    if (!seen.insert(path).second) {
+      bundles.Problem("keys", absl::StrCat("key `", path, "` is listed twice"));
+    }
+  }
+}
+
 void ReadAudit(const ConfigSection& root, ServerConfig* config) {
   if (!root.Has("audit")) return;
   const ConfigSection audit = root.OptionalSection("audit");
@@ -184,9 +207,7 @@ absl::StatusOr<ParsedServerConfig> ParseServerConfig(absl::string_view file,
   ReadTrustDomain(root, &config.trust_domain);
   config.tls = ReadTls(root);
   ReadOptionalPath(root, "inventory", &config.inventory);
-  const ConfigSection bundles = root.OptionalSection("bundles");
-  ReadOptionalPath(bundles, "source", &config.bundles_source);
-  ReadOptionalPath(bundles, "dir", &config.bundles_dir);
+  ReadBundles(root, &config);
   const ConfigSection store = root.OptionalSection("store");
   enum class StoreKind { kSqlite } kind = StoreKind::kSqlite;
   store.OptionalEnum<StoreKind>("kind", &kind, {{"sqlite", StoreKind::kSqlite}});

@@ -2,6 +2,7 @@
 #ifndef RIPS_POLICY_SERVER_SERVER_CONFIG_CONFIG_H_
 #define RIPS_POLICY_SERVER_SERVER_CONFIG_CONFIG_H_
 
+#include <cstddef>
 #include <cstdint>
 #include <string>
 #include <vector>
@@ -15,6 +16,7 @@
 namespace rips::server {
 
 inline constexpr int kShardsMax = 64;
+inline constexpr size_t kBundleKeysMax = 32;
 inline constexpr char kPluginUser[] = "rips-plugin";
 
 // Ordered: heartbeat < stale < lost < lease <= drain_lease.
@@ -75,6 +77,9 @@ struct ServerConfig {
   std::string bundles_source = "/etc/rips/bundles";
   // Where bundles that were pushed are kept.
   std::string bundles_dir = "/var/lib/rips/policy-server/bundles";
+  // Public keys in PEM; with any, a bundle must have a signature of one of them, also one of
+  // `bundles_source`. At most kBundleKeysMax, distinct.
+  std::vector<std::string> bundle_keys;
   // SQLite file.
   std::string store_path = "/var/lib/rips/policy-server/state.db";
   // JSON lines.

@@ -24,7 +24,7 @@ listen: "127.0.0.1:0"
 trust_domain: fleet.example
 tls: {ca: /p/ca.pem, cert: /p/cert.pem, key: /p/key.pem}
 inventory: /e/robots.yaml
-bundles: {source: /e/bundles, dir: /v/bundles}
+bundles: {source: /e/bundles, dir: /v/bundles, keys: [/k/alice.pem, /k/bob.pem]}
 store: {kind: sqlite, path: /v/state.db}
 alerts: {file: /l/alerts.jsonl}
 timing: {heartbeat: 100ms, stale: 300ms, lost: 1s, lease: 3s, drain_lease: 10s, late_after: 2s, linger: 0ms, tick: 50ms}
@@ -47,7 +47,20 @@ TEST(ServerConfigTest, FillsInTheDefaults) {
   EXPECT_EQ(parsed->config, expected);
   EXPECT_EQ(expected.timing.lease, absl::Seconds(15));
   EXPECT_THAT(parsed->effective,
-              AllOf(HasSubstr("timing.lease: 15s"), HasSubstr("listen: \"0.0.0.0:7443\"")));
+              AllOf(HasSubstr("timing.lease: 15s"), HasSubstr("listen: \"0.0.0.0:7443\""),
+                    HasSubstr("bundles.keys: []")));
+}
+
+TEST(ServerConfigTest, HasALimitOfBundleKeys) {
+  std::string keys = "/k/0.pem";
+  for (size_t i = 1; i < kBundleKeysMax; ++i) absl::StrAppend(&keys, ", /k/", i, ".pem");
+  const auto with = [](const std::string& list) {
+    return ParseServerConfig("ps.yaml", absl::StrCat(kShort, "bundles: {keys: [", list, "]}\n"));
+  };
+  ASSERT_THAT(with(keys), IsOk());
+  EXPECT_EQ(with(keys)->config.bundle_keys.size(), kBundleKeysMax);
+  EXPECT_THAT(with(absl::StrCat(keys, ", /k/more.pem")),
+              StatusIs(absl::StatusCode::kInvalidArgument, HasSubstr("33 keys exceed limit 32")));
 }
 
 TEST(ServerConfigTest, PluginsAreKeptFromRootAndFromAllFiles) {
@@ -67,6 +80,8 @@ TEST(ServerConfigTest, ReadsEveryKey) {
   EXPECT_EQ(config.inventory, "/e/robots.yaml");
   EXPECT_EQ(config.bundles_source, "/e/bundles");
   EXPECT_EQ(config.bundles_dir, "/v/bundles");
+  EXPECT_EQ(config.bundle_keys, (std::vector<std::string>{"/k/alice.pem", "/k/bob.pem"}));
+  EXPECT_THAT(parsed->effective, HasSubstr("bundles.keys: [\"/k/alice.pem\", \"/k/bob.pem\"]"));
   EXPECT_EQ(config.store_path, "/v/state.db");
   EXPECT_EQ(config.recordings_directory(), "/v/recordings") << "beside it";
   EXPECT_EQ(config.recordings_bytes, 256u << 20);
@@ -120,6 +135,14 @@ INSTANTIATE_TEST_SUITE_P(
         BadCase{"NoKey", ", key: /p/key.pem", "", "missing key `tls.key`"},
         BadCase{"RelativePath", "/v/state.db", "state.db", "write an absolute path"},
         BadCase{"RelativeBundles", "/e/bundles", "bundles", "write an absolute path"},
+        BadCase{"RelativeBundleKey", "/k/bob.pem", "bob.pem",
+                "`keys` has `bob.pem`; write the abs"},
+        BadCase{"EmptyBundleKey", "/k/bob.pem", "\"\"", "`keys` has ``; write the absolute path"},
+        BadCase{"BundleKeyTwice", "/k/bob.pem", "/k/alice.pem", "`/k/alice.pem` is listed twice"},
+        BadCase{"BundleKeyAlone", "[/k/alice.pem, /k/bob.pem]", "/k/alice.pem", "write a list"},
+        BadCase{"BundleKeyMapping", "[/k/alice.pem, /k/bob.pem]", "{a: /k/a.pem}", "write a list"},
+        BadCase{"BundleKeyList", "/k/bob.pem", "[/k/bob.pem]", "must be a list of texts"},
+        BadCase{"BundleKeysMistyped", "keys: [", "key: [", "unknown key `key`"},
         BadCase{"OtherStore", "kind: sqlite", "kind: etcd", "`kind` is `etcd`; write `sqlite`"},
         BadCase{"BareNumber", "lost: 1s", "lost: 1", "is not a duration"},
         BadCase{"StaleTooShort", "stale: 300ms", "stale: 100ms",

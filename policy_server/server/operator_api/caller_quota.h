@@ -4,11 +4,13 @@
 // | use      | calls                                       | limits                              |
 // |----------|---------------------------------------------|-------------------------------------|
 // | kStream  | WatchRobots WatchAlerts Record              | streams at a time, in all too; a    |
-// |          | GetAlertRecording                           | reserve for role operator and above |
+// |          | GetAlertRecording PushBundle                | reserve for role operator and above |
 // | kQuery   | all other calls of a viewer                 | calls at a time, and a second; one  |
 // |          |                                             | that costs much counts for several  |
 // | kOrder   | Raise DeEscalate Approve ResumeRules        | calls at a time, and a second: an   |
 // |          | DrillRobot Ban Unban ResetTerm              | account of their own                |
+// |          | ActivateBundle RollBackBundle StopRollout   |                                     |
+// |          | ShadowBundle                                |                                     |
 //
 // Orders of one identity are therefore refused only for its own orders.
 #ifndef RIPS_POLICY_SERVER_SERVER_OPERATOR_API_CALLER_QUOTA_H_

@@ -41,6 +41,8 @@ const std::map<std::string, Role> kLeastRoles = {
     {"ListReceipts", Role::kViewer},
     {"Explain", Role::kViewer},
     {"ListAgents", Role::kViewer},
+    {"ListBundles", Role::kViewer},
+    {"GetRulesStatus", Role::kViewer},
     {"Raise", Role::kOperator},
     {"DeEscalate", Role::kOperator},
     {"Approve", Role::kOperator},
@@ -48,9 +50,14 @@ const std::map<std::string, Role> kLeastRoles = {
     {"Record", Role::kOperator},
     {"GetAlertRecording", Role::kOperator},
     {"DrillRobot", Role::kOperator},
+    {"ShadowBundle", Role::kOperator},
     {"Ban", Role::kAdmin},
     {"Unban", Role::kAdmin},
     {"ResetTerm", Role::kAdmin},
+    {"PushBundle", Role::kAdmin},
+    {"ActivateBundle", Role::kAdmin},
+    {"RollBackBundle", Role::kAdmin},
+    {"StopRollout", Role::kAdmin},
 };
 
 TEST(OperatorRolesTest, EveryMethodRefusesTheRoleBelowItsLeastBeforeAnythingElse) {

@@ -50,12 +50,6 @@ void RunAll(BoundedQueue<std::function<void()>>& tasks) {
   while (auto task = tasks.Pop(absl::InfiniteDuration())) (*task)();
 }
 
-grpc::ServerUnaryReactor* Refuse(grpc::CallbackServerContext* context, const absl::Status& status) {
-  grpc::ServerUnaryReactor* reactor = context->DefaultReactor();
-  reactor->Finish(rpc::ToGrpc(status));
-  return reactor;
-}
-
 // A name that stands for no robot of the inventory: a typing error must not look like silence.
 absl::Status CheckListed(const pipeline::Pipeline& pipeline, const std::set<std::string>& wanted) {
   std::set<std::string> unknown = wanted;

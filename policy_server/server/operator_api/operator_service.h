@@ -3,16 +3,19 @@
 //   call                                             role
 //   ListRobots WatchRobots GetGraph GetInterest
 //   GetCoverage GetLevel ListTransitions ListAlerts
-//   WatchAlerts Explain ListReceipts ListAgents      viewer
+//   WatchAlerts Explain ListReceipts ListAgents
+//   ListBundles GetRulesStatus                       viewer
 //   Raise DeEscalate Approve ResumeRules Record
-//   GetAlertRecording DrillRobot                     operator
-//   Ban Unban ResetTerm                              admin
+//   GetAlertRecording DrillRobot ShadowBundle        operator
+//   Ban Unban ResetTerm PushBundle ActivateBundle
+//   RollBackBundle StopRollout                       admin
 //
 // Each call on an open connection is judged anew, and streams for as long as they are open: an
 // expired, revoked or banned certificate gets nothing (CallGate).
 #ifndef RIPS_POLICY_SERVER_SERVER_OPERATOR_API_OPERATOR_SERVICE_H_
 #define RIPS_POLICY_SERVER_SERVER_OPERATOR_API_OPERATOR_SERVICE_H_
 
+#include <atomic>
 #include <functional>
 #include <memory>
 #include <thread>
@@ -28,6 +31,7 @@
 #include "policy_server/server/operator_api/status_broadcaster.h"
 #include "policy_server/server/operator_api/unary_call.h"
 #include "policy_server/server/operator_api/watch_stream.h"
+#include "policy_server/server/rollout/bundle_control.h"
 #include "policy_server/server/shard/pipeline.h"
 #include "policy_server/server/store/store.h"
 #include "rips/v1/operator.grpc.pb.h"
@@ -66,6 +70,8 @@ class OperatorService final : public rips::v1::OperatorService::CallbackService 
     std::function<bool()> store_writable = {};
     // Null: none are kept.
     const flight::FlightFiles* recordings = nullptr;
+    // Null: calls about bundles are UNIMPLEMENTED.
+    rollout::BundleControl* bundles = nullptr;
   };
 
   // No pointer is owned; all outlive every call. Reads of the store run on a thread of their own,
@@ -141,6 +147,24 @@ class OperatorService final : public rips::v1::OperatorService::CallbackService 
                                       const rips::v1::ResetTermRequest* request,
                                       rips::v1::ResetTermResponse* response) override;
 
+  grpc::ServerUnaryReactor* ListBundles(grpc::CallbackServerContext* context,
+                                        const rips::v1::ListBundlesRequest* request,
+                                        rips::v1::ListBundlesResponse* response) override;
+  grpc::ServerUnaryReactor* GetRulesStatus(grpc::CallbackServerContext* context,
+                                           const rips::v1::GetRulesStatusRequest* request,
+                                           rips::v1::GetRulesStatusResponse* response) override;
+  grpc::ServerReadReactor<rips::v1::PushBundleRequest>* PushBundle(
+      grpc::CallbackServerContext* context, rips::v1::PushBundleResponse* response) override;
+  grpc::ServerUnaryReactor* ActivateBundle(grpc::CallbackServerContext* context,
+                                           const rips::v1::ActivateBundleRequest* request,
+                                           rips::v1::RolloutResponse* response) override;
+  grpc::ServerUnaryReactor* RollBackBundle(grpc::CallbackServerContext* context,
+                                           const rips::v1::RollBackBundleRequest* request,
+                                           rips::v1::RolloutResponse* response) override;
+  grpc::ServerUnaryReactor* StopRollout(grpc::CallbackServerContext* context,
+                                        const rips::v1::StopRolloutRequest* request,
+                                        rips::v1::RolloutResponse* response) override;
+
  private:
   enum class Direction { kRaise, kLower };
   // A peer that is served, and what it holds of its quota until the call is over.
@@ -174,6 +198,10 @@ class OperatorService final : public rips::v1::OperatorService::CallbackService 
   template <typename T>
   void Keep(rpc::StreamKind kind, WatchStream<T>* stream, const Caller& caller,
             grpc::CallbackServerContext* context);
+  // Runs the task on the thread of BundleControl; what it returns ends the call.
+  grpc::ServerUnaryReactor* OnBundles(grpc::CallbackServerContext* context,
+                                      const absl::StatusOr<Caller>& who,
+                                      std::function<absl::Status(rollout::BundleControl&)> task);
   // A robot's record of what an operator asked of it and was not allowed to.
   void RecordRefusal(const grpc::CallbackServerContext& context,
                      const rips::v1::LevelRequest& request, const absl::Status& why);
@@ -188,6 +216,8 @@ class OperatorService final : public rips::v1::OperatorService::CallbackService 
   Access access_;
   const absl::Duration patience_;
   Requesters requesters_;
+  // A bundle is on its way from an operator.
+  std::atomic<bool> pushing_ = false;
   using Tasks = BoundedQueue<std::function<void()>>;
   Tasks reads_{{.capacity = kReadsMax}};
   Tasks graphs_{{.capacity = kGraphsMax}};

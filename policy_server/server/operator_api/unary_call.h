@@ -35,6 +35,14 @@ class UnaryCall final : public grpc::ServerUnaryReactor {
   OnRefused on_refused_;
 };
 
+// Ends a call that is not served.
+inline grpc::ServerUnaryReactor* Refuse(grpc::CallbackServerContext* context,
+                                        const absl::Status& status) {
+  grpc::ServerUnaryReactor* reactor = context->DefaultReactor();
+  reactor->Finish(rpc::ToGrpc(status));
+  return reactor;
+}
+
 }  // namespace rips::operator_api
 
 #endif  // RIPS_POLICY_SERVER_SERVER_OPERATOR_API_UNARY_CALL_H_

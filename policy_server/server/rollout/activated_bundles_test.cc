@@ -1,0 +1,159 @@
+#include "policy_server/server/rollout/activated_bundles.h"
+
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+#include <sys/stat.h>
+
+#include <filesystem>
+#include <fstream>
+#include <sstream>
+#include <string>
+
+#include "policy_server/server/store/fake_store.h"
+#include "policy_server/server/store/store_test_data.h"
+#include "services/base/status_matchers.h"
+
+namespace rips::rollout {
+namespace {
+
+using ::testing::ElementsAre;
+using ::testing::UnorderedElementsAre;
+
+constexpr char kA[] = "sha256:aaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaa";
+constexpr char kB[] = "sha256:bbbbbbbbbbbbbbbbbbbbbbbbbbbbbbbbbbbbbbbbbbbbbbbbbbbbbbbbbbbbbbbb";
+
+ActivatedBundles Some() {
+  ActivatedBundles some;
+  some.robots["r1"] = {.bundle_id = kA,
+                       .name = "warehouse",
+                       .operator_name = "alice",
+                       .reason = "a \"quoted\" reason, \xC3\xA4",
+                       .time_unix_ns = 1'700'000'000'000'000'001,
+                       .before = ""};
+  some.robots["r2"] = {.name = "warehouse", .operator_name = "bob", .before = kB};
+  some.robots["r3"] = {.bundle_id = kB, .name = "dock"};
+  some.shadows["r1"] = {.bundle_id = kB, .operator_name = "carol", .reason = "to see"};
+  RolloutRecord& record = some.rollout.emplace();
+  record.plan = {.id = "0f",
+                 .bundle_id = kA,
+                 .from_directory = true,
+                 .name = "warehouse",
+                 .operator_name = "alice",
+                 .reason = "new rules",
+                 .stages = {{"r1"}, {"r2", "r3"}},
+                 .soak_ns = 7,
+                 .alerts_per_minute_max = 3,
+                 .roll_back_when_stopped = true};
+  record.state = RolloutState::kStopped;
+  record.why = "r1: it does not answer";
+  record.stage = 1;
+  record.began_unix_ns = 5;
+  record.ended_unix_ns = 6;
+  record.before["r1"] = {.degraded = {"x", "y"}, .level_rank = 2};
+  record.before["r2"] = {.level_rank = -1};
+  return some;
+}
+
+class ActivatedBundlesTest : public ::testing::Test {
+ protected:
+  std::string Content() const {
+    std::ifstream file(path_);
+    std::stringstream text;
+    text << file.rdbuf();
+    return text.str();
+  }
+  void Write(const std::string& text) const { std::ofstream(path_) << text; }
+
+  store::TempDir dir_;
+  const std::string path_ = dir_.File("activated.json");
+};
+
+TEST_F(ActivatedBundlesTest, ComesBackAsItWasWritten) {
+  ASSERT_THAT(WriteActivatedBundles(path_, Some()), IsOk());
+  const auto read = ReadActivatedBundles(path_);
+  ASSERT_THAT(read, IsOk());
+  EXPECT_EQ(*read, Some());
+  EXPECT_THAT(Some().bundles(), UnorderedElementsAre(kA, kB));
+}
+
+TEST_F(ActivatedBundlesTest, NoFileIsNothingActivated) {
+  const auto read = ReadActivatedBundles(path_);
+  ASSERT_THAT(read, IsOk());
+  EXPECT_EQ(*read, ActivatedBundles());
+}
+
+TEST_F(ActivatedBundlesTest, AFileCutAtAnyByteIsDamagedOrWhole) {
+  ASSERT_THAT(WriteActivatedBundles(path_, Some()), IsOk());
+  const std::string whole = Content();
+  for (size_t bytes = 0; bytes < whole.size(); ++bytes) {
+    Write(whole.substr(0, bytes));
+    const auto read = ReadActivatedBundles(path_);
+    if (read.ok()) {
+      EXPECT_EQ(*read, Some()) << bytes;
+    } else {
+      EXPECT_TRUE(absl::IsDataLoss(read.status())) << read.status();
+    }
+  }
+}
+
+TEST_F(ActivatedBundlesTest, RefusesARollOutThatCannotBe) {
+  for (const char* text :
+       {R"({"rollout": {"state": "flying", "stages": [{"robots": ["r1"]}]}})",
+        R"({"rollout": {"state": "running"}})",
+        R"({"rollout": {"state": "running", "stage": 1, "stages": [{"robots": ["r1"]}]}})",
+        R"({"robots": []})", R"([])", "no JSON"}) {
+    Write(text);
+    EXPECT_THAT(ReadActivatedBundles(path_), StatusIs(absl::StatusCode::kDataLoss)) << text;
+  }
+}
+
+TEST_F(ActivatedBundlesTest, WhatALaterVersionAddsIsNoDamage) {
+  Write(R"({"robots": {"r1": {"bundleId": "sha256:x", "name": "w", "mood": 3}}, "later": [1]})");
+  const auto read = ReadActivatedBundles(path_);
+  ASSERT_THAT(read, IsOk());
+  EXPECT_EQ(read->robots.at("r1").bundle_id, "sha256:x");
+}
+
+TEST_F(ActivatedBundlesTest, CountsWhileTheInventoryHasThePolicyOfThatName) {
+  store::FakeStore store;
+  Activations activations(path_, &store);
+  EXPECT_THAT(activations.problem(), IsOk());
+  ASSERT_THAT(activations.Set(Some()), IsOk());
+  EXPECT_EQ(activations.For({.id = "r1", .bundle = "warehouse"}), kA);
+  EXPECT_EQ(activations.For({.id = "r1", .bundle = "dock"}), "");
+  EXPECT_EQ(activations.For({.id = "r2", .bundle = "warehouse"}), "");
+  EXPECT_EQ(activations.For({.id = "r9", .bundle = "warehouse"}), "");
+}
+
+TEST_F(ActivatedBundlesTest, WhatCannotBeWrittenDoesNotCount) {
+  store::FakeStore store;
+  Activations activations(dir_.File("missing/activated.json"), &store);
+  EXPECT_FALSE(activations.Set(Some()).ok());
+  EXPECT_EQ(activations.For({.id = "r1", .bundle = "warehouse"}), "");
+}
+
+TEST_F(ActivatedBundlesTest, AfterDamageEachRobotKeepsWhatJudgedItLast) {
+  store::FakeStore store;
+  const auto acquired = store.Acquire("r1");
+  ASSERT_THAT(acquired, IsOk());
+  ASSERT_THAT(
+      store.Commit({.robot = "r1", .tenure = acquired->tenure, .checkpoint = {.bundle = kB}}),
+      IsOk());
+  Write("{ half");
+  Activations activations(path_, &store);
+  EXPECT_THAT(activations.problem(), StatusIs(absl::StatusCode::kDataLoss));
+  EXPECT_TRUE(std::filesystem::exists(path_ + ".damaged"));
+  EXPECT_EQ(activations.For({.id = "r1", .bundle = "warehouse"}), kB);
+  EXPECT_EQ(activations.For({.id = "r2", .bundle = "warehouse"}), "");
+  // What an operator activates then takes nothing from r1.
+  ActivatedBundles next = activations.now();
+  next.robots["r2"] = {.bundle_id = kA, .name = "warehouse"};
+  ASSERT_THAT(activations.Set(next), IsOk());
+  Activations restarted(path_, &store);
+  EXPECT_THAT(restarted.problem(), IsOk());
+  EXPECT_EQ(restarted.For({.id = "r1", .bundle = "warehouse"}), kB);
+  EXPECT_EQ(restarted.For({.id = "r2", .bundle = "warehouse"}), kA);
+}
+
+}  // namespace
+}  // namespace rips::rollout

@@ -1,0 +1,392 @@
+#include "policy_server/server/rollout/bundle_control.h"
+
+#include <algorithm>
+#include <memory>
+#include <utility>
+
+#include "absl/strings/escaping.h"
+#include "absl/strings/match.h"
+#include "absl/strings/str_cat.h"
+#include "absl/strings/str_join.h"
+#include "services/base/status_macros.h"
+#include "services/runtime/log.h"
+
+namespace rips::rollout {
+namespace {
+
+using pipeline::Robot;
+using pipeline::RobotStatus;
+
+// `sha256:` and the digits that tell bundles apart.
+constexpr size_t kIdShown = 15;
+constexpr size_t kRobotsNamed = 8;
+
+std::string Named(const std::vector<std::string>& robots) {
+  if (robots.size() <= kRobotsNamed) return absl::StrJoin(robots, ", ");
+  return absl::StrCat(absl::StrJoin(robots.begin(), robots.begin() + kRobotsNamed, ", "), " and ",
+                      robots.size() - kRobotsNamed, " more");
+}
+
+std::string Described(const RolloutPlan& plan) {
+  return absl::StrCat("roll-out of `", plan.name, "` ", plan.bundle_id.substr(0, kIdShown), " by ",
+                      plan.operator_name);
+}
+
+// Why it has not taken a bundle, as Fleet has told it.
+std::string PolicyProblem(const RobotStatus& status) {
+  for (const std::string& each : status.degraded) {
+    if (absl::StartsWith(each, "bundle ") || absl::StartsWith(each, "no policy: ")) return each;
+  }
+  return "";
+}
+
+RobotHealth HealthOf(const RobotStatus& status, int level_rank) {
+  return {.bundle_id = status.bundle_version,
+          .degraded = status.degraded,
+          .problem = PolicyProblem(status),
+          .level = status.decided_level,
+          .level_rank = level_rank};
+}
+
+}  // namespace
+
+BundleControl::BundleControl(Parts parts) : parts_(std::move(parts)) {
+  if (const std::optional<RolloutRecord>& record = parts_.activations->now().rollout; record) {
+    rollout_.emplace(*record, parts_.clock->Now(), /*restarted=*/true);
+  }
+  if (rollout_ && rollout_->running()) {
+    const RolloutRecord& record = rollout_->record();
+    for (const auto& [robot, before] : record.before) parts_.rates->Watch(robot);
+    LogInfo("a roll-out goes on", {{"bundle", record.plan.bundle_id},
+                                   {"stage", static_cast<uint64_t>(record.stage + 1)}});
+  }
+  Publish();
+}
+
+BundleControl::~BundleControl() { Stop(); }
+
+void BundleControl::Start() {
+  thread_ = std::thread([this] { Run(); });
+}
+
+void BundleControl::Stop() {
+  tasks_.Close();
+  if (thread_.joinable()) thread_.join();
+}
+
+void BundleControl::Run() {
+  Instant looked = parts_.clock->Now();
+  while (true) {
+    std::optional<std::function<void()>> task = tasks_.Pop(kInterval);
+    if (task) {
+      (*task)();
+    } else if (tasks_.closed()) {
+      return;
+    }
+    const Instant now = parts_.clock->Now();
+    if (now.boottime_ns - looked.boottime_ns < absl::ToInt64Nanoseconds(kInterval)) continue;
+    looked = now;
+    Look();
+  }
+}
+
+bool BundleControl::Post(std::function<void()> task) { return tasks_.Push(std::move(task)); }
+
+bool BundleControl::Await(std::function<void()> task) {
+  const auto done =
+      std::make_shared<BoundedQueue<bool>>(BoundedQueue<bool>::Options{.capacity = 1});
+  const bool posted = Post([this, done, task = std::move(task)] {
+    task();
+    Publish();
+    done->Push(true);
+  });
+  if (posted) done->Pop(absl::InfiniteDuration());
+  return posted;
+}
+
+// --------------------------------------------------------------------------------------- orders
+
+absl::StatusOr<BundleLibrary::Added> BundleControl::Push(absl::string_view archive) {
+  absl::StatusOr<BundleLibrary::Added> added = parts_.library->Add(archive);
+  if (added.ok()) parts_.fleet->ForgetUnused();
+  return added;
+}
+
+absl::StatusOr<BundleControl::Chosen> BundleControl::Choose(const ActivateOrder& order) {
+  if (order.bundle != kDirectory) {
+    RIPS_ASSIGN_OR_RETURN(const KeptBundle kept, parts_.library->Find(order.bundle));
+    if (!kept.problem.empty()) {
+      return absl::FailedPreconditionError(absl::StrCat(kept.id, ": ", kept.problem));
+    }
+    RIPS_RETURN_IF_ERROR(parts_.fleet->Find(kept.name, kept.id).status());
+    return Chosen{.id = kept.id, .name = kept.name};
+  }
+  RIPS_ASSIGN_OR_RETURN(const auto robots,
+                        Select(parts_.fleet->inventory(), order.robots, std::nullopt));
+  const std::string& name = robots.front()->bundle;
+  for (const bundle::InventoryRobot* robot : robots) {
+    if (robot->bundle == name) continue;
+    return absl::FailedPreconditionError(
+        absl::StrCat("the inventory has policy `", name, "` for ", robots.front()->id, " and `",
+                     robot->bundle, "` for ", robot->id, "; choose robots of one policy"));
+  }
+  RIPS_ASSIGN_OR_RETURN(const pipeline::Policy policy, parts_.fleet->Find(name, ""));
+  return Chosen{.id = policy.bundle_id, .name = name, .from_directory = true};
+}
+
+absl::StatusOr<RolloutAnswer> BundleControl::Activate(const ActivateOrder& order) {
+  if (rollout_ && rollout_->running()) {
+    return absl::FailedPreconditionError(absl::StrCat(
+        "a ", Described(rollout_->record().plan),
+        " runs; wait for its end, or end it with `ripsctl rules stop` or `rules rollback`"));
+  }
+  RIPS_ASSIGN_OR_RETURN(const Chosen chosen, Choose(order));
+  RIPS_ASSIGN_OR_RETURN(auto robots, Select(parts_.fleet->inventory(), order.robots, chosen.name));
+  RolloutAnswer answer;
+  const std::string wanted = chosen.from_directory ? "" : chosen.id;
+  std::erase_if(robots, [&](const bundle::InventoryRobot* robot) {
+    // One of the directory may hold another version by now.
+    if (chosen.from_directory || parts_.activations->For(*robot) != wanted) return false;
+    answer.left_out.push_back(absl::StrCat(robot->id, ": is to be judged by it already"));
+    return true;
+  });
+  if (robots.empty()) {
+    answer.rollout = parts_.activations->now().rollout;
+    return answer;
+  }
+  RolloutPlan plan{.id = parts_.new_id(),
+                   .bundle_id = chosen.id,
+                   .from_directory = chosen.from_directory,
+                   .name = chosen.name,
+                   .operator_name = order.operator_name,
+                   .reason = order.reason,
+                   .roll_back_when_stopped = order.roll_back_when_stopped};
+  if (order.soak_ns > 0) plan.soak_ns = std::min(order.soak_ns, kSoakNsMax);
+  if (order.alerts_per_minute_max > 0) {
+    plan.alerts_per_minute_max = std::min(order.alerts_per_minute_max, kAlertsPerMinuteMax);
+  }
+  RIPS_ASSIGN_OR_RETURN(plan.stages, PlanStages(robots, order.stages));
+  if (!order.dry_run) return Begin(std::move(plan), std::move(answer));
+  answer.changed = plan.stages.front();
+  answer.rollout = RolloutRecord{.plan = std::move(plan)};
+  return answer;
+}
+
+absl::StatusOr<RolloutAnswer> BundleControl::Begin(RolloutPlan plan, RolloutAnswer answer) {
+  const Instant now = parts_.clock->Now();
+  Rollout rollout({.plan = std::move(plan)}, now, /*restarted=*/false);
+  const RolloutStep step = rollout.Begin(Health(), now);
+  RIPS_RETURN_IF_ERROR(Perform(rollout, step));
+  rollout_ = std::move(rollout);
+  Publish();
+  answer.changed = step.activate;
+  answer.rollout = rollout_->record();
+  return answer;
+}
+
+absl::StatusOr<RolloutAnswer> BundleControl::RollBack(const RollBackOrder& order) {
+  RIPS_ASSIGN_OR_RETURN(const auto robots,
+                        Select(parts_.fleet->inventory(), order.robots, std::nullopt));
+  RolloutAnswer answer;
+  ActivatedBundles next = parts_.activations->now();
+  for (const bundle::InventoryRobot* robot : robots) {
+    const auto found = next.robots.find(robot->id);
+    if (found == next.robots.end() || !found->second.before) {
+      answer.left_out.push_back(absl::StrCat(robot->id, ": has nothing to go back to"));
+      continue;
+    }
+    found->second = {.bundle_id = *found->second.before,
+                     .name = found->second.name,
+                     .operator_name = order.operator_name,
+                     .reason = order.reason,
+                     .time_unix_ns = parts_.clock->Now().unix_ns};
+    answer.changed.push_back(robot->id);
+  }
+  answer.rollout = next.rollout;
+  if (order.dry_run || answer.changed.empty()) return answer;
+  std::optional<Rollout> stopped = rollout_;
+  const bool concerns =
+      stopped && stopped->running() &&
+      std::any_of(answer.changed.begin(), answer.changed.end(), [&](const std::string& robot) {
+        return stopped->record().before.contains(robot);
+      });
+  if (concerns) {
+    stopped->Stop(absl::StrCat(order.operator_name, " rolled back ", Named(answer.changed)),
+                  parts_.clock->Now());
+    next.rollout = stopped->record();
+    answer.rollout = next.rollout;
+  }
+  RIPS_RETURN_IF_ERROR(parts_.activations->Set(std::move(next)));
+  rollout_ = std::move(stopped);
+  parts_.fleet->Apply({answer.changed.begin(), answer.changed.end()});
+  Publish();
+  parts_.alerts->Raise(std::string(store::kServerRobot), engine::Severity::kInfo,
+                       absl::StrCat(order.operator_name, " rolled back the bundle of ",
+                                    Named(answer.changed), ": ", order.reason));
+  return answer;
+}
+
+absl::StatusOr<RolloutAnswer> BundleControl::StopRollout(const std::string& operator_name,
+                                                         const std::string& reason) {
+  if (!rollout_ || !rollout_->running()) return absl::NotFoundError("no roll-out runs");
+  Rollout stopped = *rollout_;
+  const RolloutStep step =
+      stopped.Stop(absl::StrCat(operator_name, ": ", reason), parts_.clock->Now());
+  RIPS_RETURN_IF_ERROR(Perform(stopped, step));
+  rollout_ = std::move(stopped);
+  Publish();
+  return Answer();
+}
+
+// --------------------------------------------------------------------------------------- status
+
+RolloutAnswer BundleControl::Answer() const {
+  RolloutAnswer answer{.rollout = parts_.activations->now().rollout};
+  if (rollout_) answer.healthy_since_unix_ns = rollout_->healthy_since_unix_ns();
+  return answer;
+}
+
+void BundleControl::Publish() {
+  const RolloutAnswer newest = Answer();
+  auto status = std::make_shared<RulesStatus>();
+  status->rollout = newest.rollout;
+  status->healthy_since_unix_ns = newest.healthy_since_unix_ns;
+  const absl::btree_map<std::string, Activation>& activated = parts_.activations->now().robots;
+  for (const bundle::InventoryRobot& listed : parts_.fleet->inventory().robots) {
+    RobotRules& rules = status->robots.emplace_back(RobotRules{
+        .robot = listed.id, .name = listed.bundle, .problem = parts_.fleet->Problem(listed.id)});
+    const auto found = activated.find(listed.id);
+    if (found != activated.end() && found->second.name == listed.bundle) {
+      rules.activation = found->second;
+    }
+  }
+  MutexLock lock(&mu_);
+  published_ = std::move(status);
+}
+
+absl::StatusOr<RulesStatus> BundleControl::Status(const std::string& robot) const {
+  RulesStatus out;
+  {
+    MutexLock lock(&mu_);
+    out = *published_;
+  }
+  if (!robot.empty()) {
+    std::erase_if(out.robots, [&](const RobotRules& each) { return each.robot != robot; });
+    if (out.robots.empty()) {
+      return absl::NotFoundError(
+          absl::StrCat("robot `", absl::CHexEscape(robot), "` is not in the inventory"));
+    }
+  }
+  auto gathered = parts_.pipeline->Gather<RobotStatus>([](Robot& each) { return each.Status(); });
+  for (const RobotStatus& held : parts_.pipeline->held()) {
+    gathered.answers.insert_or_assign(held.robot, held);
+  }
+  out.no_answer = std::move(gathered.silent);
+  for (RobotRules& rules : out.robots) {
+    const auto is = gathered.answers.find(rules.robot);
+    if (is == gathered.answers.end()) continue;
+    rules.bundle_in_use = is->second.bundle_version;
+    const bool other = rules.activation && !rules.activation->bundle_id.empty() &&
+                       !rules.bundle_in_use.empty() &&
+                       rules.bundle_in_use != rules.activation->bundle_id;
+    if (!rules.problem.empty() || !other) continue;
+    rules.problem = "it has not taken what was activated";
+    if (const std::string why = PolicyProblem(is->second); !why.empty()) {
+      absl::StrAppend(&rules.problem, ": ", why);
+    }
+  }
+  return out;
+}
+
+FleetHealth BundleControl::Health() const {
+  struct Ranked {
+    RobotStatus status;
+    int rank = -1;
+  };
+  const auto gathered = parts_.pipeline->Gather<Ranked>([](Robot& each) {
+    Ranked ranked{.status = each.Status()};
+    const auto level = each.core().levels().Find(ranked.status.decided_level);
+    if (level) ranked.rank = static_cast<int>(*level);
+    return ranked;
+  });
+  FleetHealth health;
+  for (const auto& [robot, answer] : gathered.answers) {
+    health[robot] = HealthOf(answer.status, answer.rank);
+    health[robot].alerts = parts_.rates->Count(robot);
+  }
+  for (const RobotStatus& held : parts_.pipeline->held()) {
+    health[held.robot] = HealthOf(held, /*level_rank=*/-1);
+  }
+  return health;
+}
+
+// ------------------------------------------------------------------------------------- roll-out
+
+void BundleControl::Look() {
+  if (!rollout_ || !rollout_->running()) return;
+  Rollout looked = *rollout_;
+  const RolloutStep step = looked.Look(Health(), parts_.clock->Now());
+  if (!step.empty()) {
+    if (const absl::Status done = Perform(looked, step); !done.ok()) {
+      LogError("the roll-out does not go on", {{"reason", done.message()}});
+      return;  // looked at again
+    }
+  }
+  rollout_ = std::move(looked);
+  Publish();
+}
+
+absl::Status BundleControl::Perform(Rollout& rollout, const RolloutStep& step) {
+  const RolloutRecord& record = rollout.record();
+  const RolloutPlan& plan = record.plan;
+  ActivatedBundles next = parts_.activations->now();
+  next.rollout = record;
+  std::set<std::string> changed(step.activate.begin(), step.activate.end());
+  for (const std::string& robot : step.activate) {
+    const bundle::InventoryRobot* listed = parts_.fleet->inventory().Find(robot);
+    if (listed == nullptr || listed->bundle != plan.name) continue;  // stops it later
+    next.robots[robot] = {.bundle_id = plan.from_directory ? "" : plan.bundle_id,
+                          .name = plan.name,
+                          .operator_name = plan.operator_name,
+                          .reason = plan.reason,
+                          .time_unix_ns = parts_.clock->Now().unix_ns,
+                          .before = parts_.activations->For(*listed)};
+  }
+  for (const std::string& robot : step.roll_back) {
+    const auto found = next.robots.find(robot);
+    if (found == next.robots.end() || !found->second.before) continue;
+    found->second.bundle_id = *std::exchange(found->second.before, std::nullopt);
+    found->second.reason = absl::StrCat("the roll-out stopped: ", record.why);
+    changed.insert(robot);
+  }
+  RIPS_RETURN_IF_ERROR(parts_.activations->Set(std::move(next)));
+  if (step.over) parts_.rates->Clear();
+  for (const std::string& robot : step.activate) parts_.rates->Watch(robot);
+  if (!changed.empty()) parts_.fleet->Apply(changed);
+  Report(record, step);
+  return absl::OkStatus();
+}
+
+void BundleControl::Report(const RolloutRecord& record, const RolloutStep& step) {
+  const std::string what = Described(record.plan);
+  const auto raise = [&](engine::Severity severity, const std::string& text) {
+    LogInfo("roll-out", {{"what", text}});
+    parts_.alerts->Raise(std::string(store::kServerRobot), severity, text);
+  };
+  if (record.state == RolloutState::kDone)
+    return raise(engine::Severity::kInfo, absl::StrCat(what, " is done"));
+  if (record.state == RolloutState::kStopped) {
+    return raise(engine::Severity::kHigh,
+                 absl::StrCat(what, " stopped at stage ", record.stage + 1, " of ",
+                              record.plan.stages.size(), ": ", record.why,
+                              step.roll_back.empty()
+                                  ? "; robots stay as they are, `ripsctl rules rollback` takes "
+                                    "them back"
+                                  : absl::StrCat("; rolled back ", Named(step.roll_back))));
+  }
+  raise(engine::Severity::kInfo,
+        absl::StrCat(what, ": stage ", record.stage + 1, " of ", record.plan.stages.size(), ", ",
+                     Named(step.activate), ": ", record.plan.reason));
+}
+
+}  // namespace rips::rollout

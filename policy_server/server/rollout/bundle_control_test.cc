@@ -1,0 +1,377 @@
+#include "policy_server/server/rollout/bundle_control.h"
+
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include <filesystem>
+#include <fstream>
+#include <functional>
+#include <memory>
+#include <string>
+#include <vector>
+
+#include "absl/strings/match.h"
+#include "policy_server/policy/bundle/bundle_archive.h"
+#include "policy_server/server/robot/fake_ports.h"
+#include "policy_server/server/rollout/bundle_files_for_test.h"
+#include "policy_server/server/shard/store_recorder.h"
+#include "policy_server/server/store/committer.h"
+#include "policy_server/server/store/fake_store.h"
+#include "policy_server/server/store/store_test_data.h"
+#include "services/base/fake_clock.h"
+#include "services/base/ids.h"
+#include "services/base/status_matchers.h"
+
+namespace rips::rollout {
+namespace {
+
+using ::testing::ElementsAre;
+using ::testing::HasSubstr;
+using ::testing::IsEmpty;
+using ::testing::SizeIs;
+
+// Told by several threads.
+class QuietObserver final : public pipeline::RobotObserver {
+ public:
+  void OnAlert(const store::AlertRecord&) override {}
+  void OnNotice(const std::string&) override {}
+  void OnStatus(const pipeline::RobotStatus&) override {}
+  void OnRuleLog(const std::string&, const std::string&, const std::string&) override {}
+};
+
+// A server's parts around real bundles on disk and a store in memory, which outlive a restart.
+class BundleControlTest : public ::testing::Test {
+ protected:
+  void SetUp() override {
+    WriteBundle(dir_.File("source/warehouse"), "warehouse");
+    WriteBundle(dir_.File("source/dock"), "dock");
+    std::ofstream inventory(dir_.File("robots.yaml"));
+    inventory << "robots:\n";
+    for (const char* robot : {"r1", "r2", "r3", "r4"}) {
+      inventory << "  - {id: " << robot << ", bundle: warehouse, sensors: [{host: base, primary: "
+                << "true}], labels: {ring: " << (robot[1] == '2' ? "canary" : "main") << "}}\n";
+    }
+    inventory << "  - {id: d1, bundle: dock, sensors: [{host: base, primary: true}]}\n";
+    inventory.close();
+    Start();
+  }
+  void TearDown() override { Stop(); }
+
+  void Start() {
+    committer_ = std::make_unique<store::Committer>(&store_);
+    recorder_ = std::make_unique<pipeline::StoreRecorder>(&store_, committer_.get());
+    alerts_ = std::make_unique<pipeline::ServerAlerts>(committer_.get(), &quiet_, &clock_, NewId);
+    rates_ = std::make_unique<AlertRates>(&quiet_, &clock_);
+    activations_ = std::make_unique<Activations>(dir_.File("kept/activated.json"), &store_);
+    pipeline_ = std::make_unique<pipeline::Pipeline>(2, &clock_);
+    fleet_ = std::make_unique<server::Fleet>(
+        server::FleetOptions{
+            .inventory = dir_.File("robots.yaml"),
+            .bundles_source = dir_.File("source"),
+            .bundles_dir = dir_.File("kept"),
+            .leaving = absl::Seconds(10),
+            .activated = [this](const auto& robot) { return activations_->For(robot); },
+            .needed = [this] { return activations_->now().bundles(); }},
+        &store_, pipeline_.get(), alerts_.get(),
+        [this](const std::string& dir, const std::string& name) { return Load(dir, name); },
+        pipeline::Ports{.recorder = recorder_.get(), .audience = rates_.get(), .new_id = NewId});
+    ASSERT_THAT(fleet_->Start(), IsOk());
+    pipeline_->Start();
+    library_ = std::make_unique<BundleLibrary>(
+        dir_.File("kept"), LoadForTest,
+        [](const std::string&, const std::string&) { return std::string("alice"); });
+    control_ =
+        std::make_unique<BundleControl>(BundleControl::Parts{.fleet = fleet_.get(),
+                                                             .activations = activations_.get(),
+                                                             .library = library_.get(),
+                                                             .rates = rates_.get(),
+                                                             .pipeline = pipeline_.get(),
+                                                             .alerts = alerts_.get(),
+                                                             .clock = &clock_,
+                                                             .new_id = NewId});
+  }
+  void Stop() {
+    control_.reset();
+    if (pipeline_ != nullptr) pipeline_->Stop();
+    if (committer_ != nullptr) committer_->Stop();
+    fleet_.reset();
+    pipeline_.reset();
+  }
+  void Restart() {
+    Stop();
+    Start();
+  }
+  absl::StatusOr<pipeline::Policy> Load(const std::string& dir, const std::string& name) {
+    ++loads_;
+    absl::StatusOr<bundle::Bundle> loaded = bundle::LoadBundle(dir, &real_clock_);
+    if (!loaded.ok()) return loaded.status();
+    if (!name.empty() && loaded->manifest.name != name) {
+      return absl::InvalidArgumentError("another name");
+    }
+    return pipeline::Policy{.program = loaded->program, .bundle_id = loaded->id};
+  }
+  // The id of a bundle that was pushed.
+  std::string Push(const std::string& name, const std::string& mark,
+                   const std::string& levels = "DEFAULT, ALERT, HALT") {
+    const std::string source = dir_.File("pushed/" + mark);
+    WriteBundle(source, name, absl::StrCat("# ", mark, "\n"), levels);
+    const auto packed = bundle::PackBundle(source);
+    EXPECT_THAT(packed, IsOk());
+    const auto added = control_->Push(*packed);
+    EXPECT_THAT(added, IsOk());
+    return added.ok() ? added->bundle.id : "";
+  }
+  ActivateOrder Order(const std::string& bundle, std::vector<StageSelection> stages = {}) {
+    return {.bundle = bundle,
+            .robots = {.all = true},
+            .stages = std::move(stages),
+            .soak_ns = kSoakNs,
+            .operator_name = "alice",
+            .reason = "new rules"};
+  }
+  std::string InUse(const std::string& robot) {
+    const auto status = control_->Status(robot);
+    EXPECT_THAT(status, IsOk());
+    return status->robots.at(0).bundle_in_use;
+  }
+  std::vector<std::string> InUse() {
+    std::vector<std::string> ids;
+    for (const char* robot : {"r1", "r2", "r3", "r4"}) ids.push_back(InUse(robot));
+    return ids;
+  }
+  void LookFor(int64_t ns) {
+    for (int64_t passed = 0; passed < ns; passed += kNanosPerSecond) {
+      clock_.Advance(kNanosPerSecond);
+      control_->Look();
+    }
+  }
+  RolloutState State() { return activations_->now().rollout->state; }
+  std::vector<std::string> ServerAlertTexts() {
+    Stop();
+    std::vector<std::string> texts;
+    const auto alerts = store_.ListAlerts(store::kServerRobot, 1'000);
+    for (const store::AlertRecord& alert : *alerts) {
+      texts.push_back(absl::StrCat(alert.severity, ": ", alert.text));
+    }
+    return texts;
+  }
+
+  static constexpr int64_t kSoakNs = 5 * kNanosPerSecond;
+  store::TempDir dir_;
+  FakeClock clock_;
+  RealClock real_clock_;
+  store::FakeStore store_;
+  QuietObserver quiet_;
+  int loads_ = 0;
+  std::unique_ptr<store::Committer> committer_;
+  std::unique_ptr<pipeline::StoreRecorder> recorder_;
+  std::unique_ptr<pipeline::ServerAlerts> alerts_;
+  std::unique_ptr<AlertRates> rates_;
+  std::unique_ptr<Activations> activations_;
+  std::unique_ptr<pipeline::Pipeline> pipeline_;
+  std::unique_ptr<server::Fleet> fleet_;
+  std::unique_ptr<BundleLibrary> library_;
+  std::unique_ptr<BundleControl> control_;
+};
+
+TEST_F(BundleControlTest, RollsOutStageByStageAndBack) {
+  const std::string old = InUse("r1");
+  const std::string fresh = Push("warehouse", "fresh");
+  EXPECT_THAT(InUse(), ElementsAre(old, old, old, old));
+  const auto answer =
+      control_->Activate(Order(fresh.substr(7, 12), {{.label = "ring=canary"}, {.percent = 100}}));
+  ASSERT_THAT(answer, IsOk());
+  EXPECT_THAT(answer->changed, ElementsAre("r2"));
+  EXPECT_THAT(InUse(), ElementsAre(old, fresh, old, old));
+  LookFor(kSoakNs + 3 * kNanosPerSecond);
+  EXPECT_THAT(InUse(), ElementsAre(fresh, fresh, fresh, fresh));
+  EXPECT_EQ(State(), RolloutState::kRunning);
+  LookFor(kSoakNs + 3 * kNanosPerSecond);
+  EXPECT_EQ(State(), RolloutState::kDone);
+  EXPECT_NE(InUse("d1"), fresh);
+
+  const auto back = control_->RollBack(
+      {.robots = {.labels = {"ring=main"}}, .operator_name = "bob", .reason = "false alarms"});
+  ASSERT_THAT(back, IsOk());
+  EXPECT_THAT(back->changed, ElementsAre("r1", "r3", "r4"));
+  EXPECT_THAT(InUse(), ElementsAre(old, fresh, old, old));
+  const auto again = control_->RollBack(
+      {.robots = {.robots = {"r1", "d1"}}, .operator_name = "bob", .reason = "again"});
+  ASSERT_THAT(again, IsOk());
+  EXPECT_THAT(again->changed, IsEmpty());
+  EXPECT_THAT(again->left_out,
+              ElementsAre("d1: has nothing to go back to", "r1: has nothing to go back to"));
+}
+
+TEST_F(BundleControlTest, ARestartGoesOnWithWhatWasActivated) {
+  const std::string old = InUse("r1");
+  const std::string fresh = Push("warehouse", "fresh");
+  ASSERT_THAT(control_->Activate(Order(fresh, {{.percent = 50}, {.percent = 100}})), IsOk());
+  Restart();
+  EXPECT_THAT(InUse(), ElementsAre(fresh, fresh, old, old));
+  EXPECT_EQ(State(), RolloutState::kRunning);
+  LookFor(kRestartGraceNs - 2 * kNanosPerSecond);
+  EXPECT_THAT(InUse(), ElementsAre(fresh, fresh, old, old));
+  LookFor(kSoakNs + 5 * kNanosPerSecond);
+  EXPECT_THAT(InUse(), ElementsAre(fresh, fresh, fresh, fresh));
+}
+
+TEST_F(BundleControlTest, TheDirectoryDoesNotJudgeWhatAnotherBundleWasActivatedFor) {
+  const std::string fresh = Push("warehouse", "fresh");
+  ActivateOrder order = Order(fresh);
+  order.robots = {.robots = {"r1"}};
+  ASSERT_THAT(control_->Activate(order), IsOk());
+  WriteBundle(dir_.File("source/warehouse"), "warehouse", "# edited\n");
+  fleet_->Reload();
+  EXPECT_EQ(InUse("r1"), fresh);
+  const std::string edited = InUse("r2");
+  EXPECT_NE(edited, fresh);
+  LookFor(kSoakNs + 3 * kNanosPerSecond);
+  order.bundle = std::string(kDirectory);
+  const auto answer = control_->Activate(order);
+  ASSERT_THAT(answer, IsOk());
+  EXPECT_EQ(InUse("r1"), edited);
+}
+
+TEST_F(BundleControlTest, StopsByItselfWhenARobotDoesNotTakeTheBundleAndSaysHowToGoOn) {
+  // At a level that the bundle does not have.
+  ASSERT_THAT(pipeline_->Post("r3", pipeline::Queue::kOrders,
+                              [](pipeline::Robot& robot) {
+                                robot.Raise({.operator_name = "bob", .to = "HALT", .reason = "x"},
+                                            [](const pipeline::LevelAnswer&) {});
+                              }),
+              IsOk());
+  const std::string old = InUse("r3");
+  const std::string fresh = Push("warehouse", "fresh", "DEFAULT, ALERT");
+  ASSERT_THAT(control_->Activate(Order(fresh, {{.percent = 75}, {.percent = 100}})), IsOk());
+  LookFor(kTakeNs + 5 * kNanosPerSecond);
+  EXPECT_EQ(State(), RolloutState::kStopped);
+  EXPECT_THAT(InUse(), ElementsAre(fresh, fresh, old, old));
+  EXPECT_THAT(control_->Status("r3")->robots.at(0).problem,
+              HasSubstr("has not taken what was activated: bundle sha256:"));
+  const auto texts = ServerAlertTexts();
+  EXPECT_THAT(texts,
+              ::testing::Contains(::testing::AllOf(HasSubstr("high: roll-out of `warehouse`"),
+                                                   HasSubstr("stopped at stage 1 of 2: r3: "),
+                                                   HasSubstr("ripsctl rules rollback"))));
+}
+
+TEST_F(BundleControlTest, GoesBackByItselfWhenTheOrderWantsIt) {
+  const std::string old = InUse("r1");
+  const std::string fresh = Push("warehouse", "fresh");
+  ActivateOrder order = Order(fresh, {{.percent = 50}, {.percent = 100}});
+  order.roll_back_when_stopped = true;
+  ASSERT_THAT(control_->Activate(order), IsOk());
+  EXPECT_THAT(InUse(), ElementsAre(fresh, fresh, old, old));
+  ASSERT_THAT(pipeline_->Post("r1", pipeline::Queue::kOrders,
+                              [](pipeline::Robot& robot) {
+                                robot.Raise({.operator_name = "bob", .to = "HALT", .reason = "x"},
+                                            [](const pipeline::LevelAnswer&) {});
+                              }),
+              IsOk());
+  LookFor(2 * kNanosPerSecond);
+  EXPECT_EQ(State(), RolloutState::kStopped);
+  EXPECT_THAT(InUse(), ElementsAre(old, old, old, old));
+}
+
+TEST_F(BundleControlTest, OneRollOutAtATimeWhichAnOperatorEndsOrRollsBack) {
+  const std::string fresh = Push("warehouse", "fresh");
+  EXPECT_THAT(control_->StopRollout("bob", "none"), StatusIs(absl::StatusCode::kNotFound));
+  ASSERT_THAT(control_->Activate(Order(fresh, {{.percent = 50}, {.percent = 100}})), IsOk());
+  EXPECT_THAT(control_->Activate(Order(fresh)),
+              StatusIs(absl::StatusCode::kFailedPrecondition, HasSubstr("by alice runs")));
+  ASSERT_THAT(control_->StopRollout("bob", "lunch"), IsOk());
+  EXPECT_EQ(activations_->now().rollout->why, "bob: lunch");
+  LookFor(10 * kNanosPerSecond);
+  EXPECT_THAT(InUse("r1"), fresh);
+  const auto rest = control_->Activate(Order(fresh));
+  ASSERT_THAT(rest, IsOk());
+  EXPECT_THAT(rest->changed, ElementsAre("r3", "r4"));
+  EXPECT_THAT(rest->left_out, SizeIs(2));
+  ASSERT_THAT(
+      control_->RollBack({.robots = {.robots = {"r4"}}, .operator_name = "bob", .reason = "x"}),
+      IsOk());
+  EXPECT_EQ(State(), RolloutState::kStopped);
+  EXPECT_THAT(activations_->now().rollout->why, HasSubstr("bob rolled back r4"));
+}
+
+TEST_F(BundleControlTest, ADryRunChangesNothing) {
+  const std::string old = InUse("r1");
+  const std::string fresh = Push("warehouse", "fresh");
+  ActivateOrder order = Order(fresh, {{.percent = 25}, {.percent = 100}});
+  order.dry_run = true;
+  const auto answer = control_->Activate(order);
+  ASSERT_THAT(answer, IsOk());
+  EXPECT_THAT(answer->changed, ElementsAre("r1"));
+  EXPECT_THAT(answer->rollout->plan.stages, SizeIs(2));
+  EXPECT_FALSE(activations_->now().rollout.has_value());
+  EXPECT_EQ(InUse("r1"), old);
+}
+
+TEST_F(BundleControlTest, RefusesWhatCannotBeActivated) {
+  const std::string crane = Push("crane", "crane");
+  EXPECT_THAT(control_->Activate(Order(crane)), StatusIs(absl::StatusCode::kNotFound));
+  ActivateOrder order = Order(crane);
+  order.robots = {.robots = {"r1"}};
+  EXPECT_THAT(control_->Activate(order), StatusIs(absl::StatusCode::kFailedPrecondition,
+                                                  HasSubstr("policy `warehouse` for robot `r1`")));
+  EXPECT_THAT(control_->Activate(Order("sha256:0000000000")),
+              StatusIs(absl::StatusCode::kNotFound));
+  EXPECT_THAT(control_->Activate(Order(std::string(kDirectory))),
+              StatusIs(absl::StatusCode::kFailedPrecondition, HasSubstr("robots of one policy")));
+  // Its copy was changed on the disk.
+  const std::string fresh = Push("warehouse", "fresh");
+  std::ofstream(dir_.File("kept/") + fresh.substr(7) + "/r.rul", std::ios::app) << "# more\n";
+  EXPECT_THAT(control_->Activate(Order(fresh)),
+              StatusIs(absl::StatusCode::kDataLoss, HasSubstr("changed")));
+}
+
+TEST_F(BundleControlTest, NothingHappensWhatCannotBeMadeDurable) {
+  const std::string old = InUse("r1");
+  const std::string fresh = Push("warehouse", "fresh");
+  // A directory stands where the file is to be.
+  std::filesystem::create_directories(dir_.File("kept/activated.json/x"));
+  EXPECT_FALSE(control_->Activate(Order(fresh)).ok());
+  EXPECT_EQ(InUse("r1"), old);
+  EXPECT_FALSE(activations_->now().rollout.has_value());
+}
+
+TEST_F(BundleControlTest, AnUnusedBundleIsForgottenBeforeOneThatARollBackNeeds) {
+  const std::string first = Push("warehouse", "first");
+  ASSERT_THAT(control_->Activate(Order(first)), IsOk());
+  LookFor(kSoakNs + 3 * kNanosPerSecond);
+  const std::string second = Push("warehouse", "second");
+  ASSERT_THAT(control_->Activate(Order(second)), IsOk());
+  for (int i = 0; i < 20; ++i) Push("warehouse", absl::StrCat("unused", i));
+  EXPECT_THAT(library_->Find(first), IsOk());
+  EXPECT_THAT(library_->Find(second), IsOk());
+  ASSERT_THAT(control_->RollBack({.robots = {.all = true}, .operator_name = "bob", .reason = "x"}),
+              IsOk());
+  EXPECT_EQ(InUse("r1"), first);
+}
+
+TEST_F(BundleControlTest, ABundleOfManyRobotsIsLoadedOnce) {
+  const std::string fresh = Push("warehouse", "fresh");
+  const int before = loads_;
+  ASSERT_THAT(control_->Activate(Order(fresh, {{.percent = 25}, {.percent = 100}})), IsOk());
+  LookFor(kSoakNs + 3 * kNanosPerSecond);
+  EXPECT_THAT(InUse("r4"), fresh);
+  EXPECT_EQ(loads_, before + 1);
+}
+
+TEST_F(BundleControlTest, TheThreadRunsWhatIsPostedInOrderAndEndsWithIt) {
+  control_->Start();
+  std::vector<int> ran;
+  for (int i = 0; i < 5; ++i) {
+    EXPECT_TRUE(control_->Post([&ran, i] { ran.push_back(i); }));
+  }
+  EXPECT_TRUE(control_->Await([&ran] { ran.push_back(5); }));
+  EXPECT_THAT(ran, SizeIs(6));
+  control_->Stop();
+  EXPECT_FALSE(control_->Await([] {}));
+  EXPECT_THAT(ran, ElementsAre(0, 1, 2, 3, 4, 5));
+  EXPECT_FALSE(control_->Post([] {}));
+}
+
+}  // namespace
+}  // namespace rips::rollout

@@ -1,0 +1,147 @@
+#include "policy_server/server/rollout/rollout.h"
+
+#include <algorithm>
+#include <utility>
+
+#include "absl/strings/ascii.h"
+#include "absl/strings/str_cat.h"
+#include "services/base/check.h"
+
+namespace rips::rollout {
+
+absl::string_view ToString(RolloutState state) {
+  switch (state) {
+    case RolloutState::kRunning:
+      return "running";
+    case RolloutState::kDone:
+      return "done";
+    case RolloutState::kStopped:
+      return "stopped";
+  }
+  return "";
+}
+
+std::string Normalized(absl::string_view degraded) {
+  std::string out(degraded);
+  std::erase_if(out, [](char each) { return absl::ascii_isdigit(each); });
+  return out;
+}
+
+Rollout::Rollout(RolloutRecord record, Instant now, bool restarted)
+    : record_(std::move(record)),
+      patient_until_ns_(now.boottime_ns + (restarted ? kRestartGraceNs : 0)) {
+  RIPS_CHECK(record_.stage < record_.plan.stages.size(), "a roll-out has stages");
+}
+
+RolloutStep Rollout::Begin(const FleetHealth& health, Instant now) {
+  record_.began_unix_ns = now.unix_ns;
+  return BeginStage(health, now);
+}
+
+RolloutStep Rollout::BeginStage(const FleetHealth& health, Instant now) {
+  healthy_since_.reset();
+  RolloutStep step{.activate = record_.plan.stages[record_.stage]};
+  for (const std::string& robot : step.activate) {
+    Baseline& before = record_.before[robot];
+    // Of one that does not answer nothing is known; it has to come back as healthy as any.
+    const auto found = health.find(robot);
+    if (found == health.end()) continue;
+    for (const std::string& each : found->second.degraded) before.degraded.insert(Normalized(each));
+    before.level_rank = found->second.level_rank;
+  }
+  bad_since_ns_.clear();
+  patient_until_ns_ = std::max(patient_until_ns_, now.boottime_ns);
+  return step;
+}
+
+std::string Rollout::Bad(const std::string& robot, std::string what, int64_t patience_ns,
+                         Instant now) {
+  if (now.boottime_ns < patient_until_ns_) return "";
+  const auto [since, fresh] = bad_since_ns_.try_emplace(robot, now.boottime_ns);
+  return now.boottime_ns - since->second >= patience_ns ? what : "";
+}
+
+std::string Rollout::Harm(const std::string& robot, const FleetHealth& health, Instant now,
+                          bool& healthy) {
+  const auto found = health.find(robot);
+  if (found == health.end()) {
+    healthy = false;
+    return Bad(robot, "it does not answer", kTakeNs, now);
+  }
+  const RobotHealth& is = found->second;
+  const Baseline& before = record_.before[robot];
+  if (before.level_rank >= 0 && is.level_rank > before.level_rank) {
+    return absl::StrCat("its level rose to ", is.level);
+  }
+  if (is.alerts > record_.plan.alerts_per_minute_max) {
+    return absl::StrCat("its rules raised ", is.alerts, " alerts within a minute, more than ",
+                        record_.plan.alerts_per_minute_max);
+  }
+  if (is.bundle_id != record_.plan.bundle_id) {
+    healthy = false;
+    return Bad(robot,
+               absl::StrCat("it has not taken the bundle",
+                            is.problem.empty() ? "" : absl::StrCat(": ", is.problem)),
+               kTakeNs, now);
+  }
+  for (const std::string& each : is.degraded) {
+    if (before.degraded.contains(Normalized(each))) continue;
+    healthy = false;
+    return Bad(robot, absl::StrCat("it is degraded: ", each), kGraceNs, now);
+  }
+  bad_since_ns_.erase(robot);
+  return "";
+}
+
+RolloutStep Rollout::Look(const FleetHealth& health, Instant now) {
+  if (!running()) return {};
+  bool healthy = now.boottime_ns >= patient_until_ns_;
+  for (const std::string& robot : Begun()) {
+    const std::string harm = Harm(robot, health, now, healthy);
+    if (!harm.empty()) return StopByItself(absl::StrCat(robot, ": ", harm), now);
+  }
+  if (!healthy) {
+    healthy_since_.reset();
+    return {};
+  }
+  if (!healthy_since_) healthy_since_ = now;
+  if (now.boottime_ns - healthy_since_->boottime_ns < record_.plan.soak_ns) return {};
+  if (record_.stage + 1 < record_.plan.stages.size()) {
+    ++record_.stage;
+    return BeginStage(health, now);
+  }
+  record_.state = RolloutState::kDone;
+  record_.ended_unix_ns = now.unix_ns;
+  return {.over = true};
+}
+
+RolloutStep Rollout::StopByItself(const std::string& why, Instant now) {
+  RolloutStep step = Stop(why, now);
+  if (record_.plan.roll_back_when_stopped) step.roll_back = Begun();
+  return step;
+}
+
+RolloutStep Rollout::Stop(absl::string_view why, Instant now) {
+  if (!running()) return {};
+  record_.state = RolloutState::kStopped;
+  record_.why = std::string(why);
+  record_.ended_unix_ns = now.unix_ns;
+  healthy_since_.reset();
+  return {.over = true};
+}
+
+std::optional<int64_t> Rollout::healthy_since_unix_ns() const {
+  if (!running() || !healthy_since_) return std::nullopt;
+  return healthy_since_->unix_ns;
+}
+
+std::vector<std::string> Rollout::Begun() const {
+  std::vector<std::string> robots;
+  for (size_t i = 0; i <= record_.stage; ++i) {
+    const std::vector<std::string>& stage = record_.plan.stages[i];
+    robots.insert(robots.end(), stage.begin(), stage.end());
+  }
+  return robots;
+}
+
+}  // namespace rips::rollout

@@ -1,0 +1,228 @@
+"""Twenty robots and one policy server, as processes: new rules reach them stage by stage, and stop
+where they do harm.
+
+    rollout_test.py BINARIES SCENARIO      runs one; without SCENARIO prints their names
+"""
+
+import json
+import pathlib
+import shutil
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+
+sys.path.insert(0, str(pathlib.Path(__file__).resolve().parents[1] / "support"))
+from fleet import Failed, Fleet, check, perform  # noqa: E402
+
+ROBOTS = [f"r{number:02}" for number in range(1, 21)]
+CANARIES = ROBOTS[:2]
+LEVELS = ("DEFAULT", "ALERT", "HALT")
+# What the first version says nothing about, the second one raises an alert for, the third a level.
+RULES = """# {mark}
+levels: DEFAULT; ALERT; HALT;
+rules External:
+  bell: signal("SIGUSR1") ? {action};
+  others: false ? trigger(ALERT), trigger(HALT);
+"""
+
+
+class ManyRobots(Fleet):
+    def prepare(self):
+        from sim_robots import SimRobots
+        self.mint("init")
+        self.mint("server", "ps1")
+        for name in ROBOTS:
+            self.mint("sensor", name, "base")
+            self.mint("actuator", name, "base")
+        self.mint("operator", "admin", "root")
+        self.mint("operator", "viewer", "vera")
+        (self.dir / "server").mkdir()
+        self.write("robots.yaml", "robots:\n" + "".join(
+            f"  - {{id: {name}, bundle: hall, sensors: [{{host: base, primary: true}}], "
+            f"actuators: [base], labels: {{ring: {'canary' if name in CANARIES else 'main'}}}}}\n"
+            for name in ROBOTS))
+        self.bundle_files("bundles/hall", "first", "set(rung, true)")
+        self.write_server_config(0)
+        self.server = self.start_server()
+        self.robots = SimRobots(self.port, self.dir / "pki", ROBOTS, LEVELS)
+        self.robots.start()
+
+    def bundle_files(self, path, mark, action):
+        rules = RULES.format(mark=mark, action=action)
+        if "rung" in action:
+            rules = rules.replace("rules External", "vars: rung bool = false;\nrules External")
+        self.write(f"{path}/hall.rul", rules)
+        self.write(f"{path}/manifest.yaml", f"""name: hall
+rules: [hall.rul]
+levels: [{", ".join(LEVELS)}]
+""")
+        return self.dir / path
+
+    def stop(self):
+        if hasattr(self, "robots"):
+            self.robots.stop()
+        super().stop()
+
+    def admin(self, *args, role="admin", name="root", check_code=True, timeout=120):
+        """(exit code, stdout, stderr) of ripsctl with the administrator's key."""
+        pki = self.dir / "pki/operator" / role / name
+        done = subprocess.run(
+            [self.bin / "ripsctl", "--server", f"127.0.0.1:{self.port}", "--ca", pki / "ca.pem",
+             "--cert", pki / "cert.pem", "--key", pki / "key.pem", *args],
+            capture_output=True, text=True, timeout=timeout, env=self.env)
+        if check_code and done.returncode != 0:
+            raise Failed(f"ripsctl {args} ended with {done.returncode}: {done.stderr}{done.stdout}")
+        return done.returncode, done.stdout, done.stderr
+
+    def ask(self, *args):
+        return json.loads(self.admin("--output", "json", *args)[1])
+
+    def in_use(self):
+        """Robot to the id of the bundle that judges it."""
+        return {each["robot"]: each["bundle_in_use"] for each in self.ask("rules", "status")["robots"]}
+
+    def push(self, mark, action):
+        return self.ask("rules", "push", str(self.bundle_files(f"pushed/{mark}", mark, action)))["id"]
+
+    def until(self, seconds, what, found):
+        deadline = time.monotonic() + seconds
+        while not (value := found()):
+            check(time.monotonic() < deadline, f"{what}: not within {seconds} s: "
+                  f"{json.dumps(self.ask('rules', 'status'))[:2000]}")
+            time.sleep(0.5)
+        return value
+
+    def wait_quiet(self):
+        """All robots are attached, at DEFAULT, and nothing is wrong with them."""
+        def quiet():
+            robots = self.ask("robot", "list")["robots"]
+            return len(robots) == len(ROBOTS) and all(
+                each["effective_level"] == "DEFAULT" and not each["degraded"] for each in robots)
+        self.until(60, "all robots are well", quiet)
+
+
+STAGES = ("--stage", "ring=canary", "--stage", "50%", "--stage", "100%", "--soak", "2s")
+
+
+def reaches_all_robots_stage_by_stage(fleet):
+    fleet.wait_quiet()
+    old = fleet.in_use()
+    fresh = fleet.push("second", 'alert("rung", "low")')
+    check(fleet.in_use() == old, "a push changes what judges robots")
+    shown = fleet.admin("rules", "activate", fresh, "--all", *STAGES, "--reason", "x", "--dry-run")[1]
+    check("r01" in shown and fleet.in_use() == old, f"a dry run: {shown}")
+    code, out, err = fleet.admin("rules", "activate", fresh, "--all", *STAGES, "--reason",
+                                 "a bell that is heard", "--wait")
+    check(code == 0, f"{out}{err}")
+    check(set(fleet.in_use().values()) == {fresh}, f"{fleet.in_use()}")
+    fleet.robots["r20"].signal("SIGUSR1")
+    fleet.until(10, "the new rules judge", lambda: [
+        a for a in fleet.ask("alert", "list", "r20", "--limit", "50")["alerts"] if a["rule"] == "bell"])
+    lost = {name: fleet.robots[name].lost for name in ROBOTS if fleet.robots[name].lost}
+    check(not lost, f"streams were lost: {lost}")
+    fleet.admin("rules", "rollback", "--all", "--reason", "too loud")
+    check(fleet.in_use() == old, "the roll-back takes robots back to what judged them")
+
+
+def stops_by_itself_when_a_robot_is_degraded(fleet):
+    fleet.wait_quiet()
+    old = fleet.in_use()
+    fresh = fleet.push("second", 'alert("rung", "low")')
+    fleet.admin("rules", "activate", fresh, "--all", *STAGES[:-2], "--soak", "6s", "--reason", "new")
+    fleet.until(30, "the second stage begins",
+                lambda: sum(each == fresh for each in fleet.in_use().values()) == 10)
+    fleet.robots["r07"].silent = True
+    rollout = fleet.until(60, "the roll-out stops", lambda: (
+        lambda r: r if r["state"] == "stopped" else None)(fleet.ask("rules", "status")["rollout"]))
+    check("r07" in rollout["why"] and "degraded" in rollout["why"], rollout["why"])
+    used = fleet.in_use()
+    check([name for name in ROBOTS if used[name] == fresh] == ROBOTS[:10],
+          f"robots of the last stage are left alone: {used}")
+    check(all(used[name] == old[name] for name in ROBOTS[10:]), "they are judged as before")
+    alerts = fleet.ask("alert", "list", "--limit", "200")["alerts"]
+    check(any(a["robot"] == "(server)" and "stopped at stage 2 of 3: r07" in a["text"]
+              for a in alerts), f"an alert says so: {[a['text'] for a in alerts]}")
+    shown = fleet.admin("rules", "status")[1]
+    check("stopped" in shown and "r07" in shown, shown)
+    fleet.admin("rules", "rollback", "--all", "--reason", "r07 is silent")
+    check(fleet.in_use() == old, "the roll-back takes them back")
+
+
+def stops_by_itself_when_rules_raise_a_level_and_goes_back(fleet):
+    fleet.wait_quiet()
+    old = fleet.in_use()
+    fresh = fleet.push("third", "trigger(ALERT)")
+    waiting = fleet.start("activate", *admin_args(fleet, "rules", "activate", fresh, "--all", *STAGES,
+                                                  "--reason", "new", "--rollback", "--wait"))
+    fleet.until(20, "the first stage begins", lambda: fleet.in_use()["r01"] == fresh)
+    fleet.robots["r01"].signal("SIGUSR1")
+    check(waiting.child.wait(60) == 1, "who waits for it is told that it stopped")
+    fleet.until(10, "robots go back", lambda: fleet.in_use() == old)
+    why = fleet.ask("rules", "status")["rollout"]["why"]
+    check("r01" in why and "its level rose to ALERT" in why, why)
+    check(fleet.ask("level", "show", "r01")["status"]["decided_level"] == "ALERT",
+          "the level that was decided stands")
+
+
+def goes_on_after_the_server_was_killed(fleet):
+    fleet.wait_quiet()
+    old = fleet.in_use()
+    fresh = fleet.push("second", 'alert("rung", "low")')
+    fleet.admin("rules", "activate", fresh, "--all", "--stage", "ring=canary", "--stage", "100%",
+                "--soak", "600s", "--reason", "new")
+    fleet.until(10, "the first stage begins", lambda: fleet.in_use()["r01"] == fresh)
+    before = fleet.in_use()
+    fleet.server.kill(signal.SIGKILL)
+    fleet.server = fleet.start_server()
+    check(fleet.in_use() == before, "each robot is judged by what judged it before")
+    status = fleet.ask("rules", "status")["rollout"]
+    check(status["state"] == "running" and status["stages"][0]["robots"] == CANARIES, f"{status}")
+    fleet.admin("rules", "stop", "--reason", "enough")
+    # A damaged file: each robot keeps what judged it, and an alert says so.
+    fleet.server.kill()
+    activated = fleet.dir / "server/bundles/activated.json"
+    activated.write_text(activated.read_text()[:100])
+    fleet.server = fleet.start_server()
+    check(fleet.in_use() == before, "each robot keeps what judged it last")
+    texts = [a["text"] for a in fleet.ask("alert", "list", "--limit", "200")["alerts"]]
+    check(any("which bundles were activated is not known" in text for text in texts), f"{texts}")
+    fleet.admin("rules", "activate", "directory", "--robot", "r01", "--robot", "r02", "--reason",
+                "back to the files")
+    fleet.until(10, "the directory judges", lambda: fleet.in_use() == old)
+
+
+def admin_args(fleet, *args):
+    pki = fleet.dir / "pki/operator/admin/root"
+    return [fleet.bin / "ripsctl", "--server", f"127.0.0.1:{fleet.port}", "--ca", pki / "ca.pem",
+            "--cert", pki / "cert.pem", "--key", pki / "key.pem", *args]
+
+
+SCENARIOS = [reaches_all_robots_stage_by_stage, stops_by_itself_when_a_robot_is_degraded,
+             stops_by_itself_when_rules_raise_a_level_and_goes_back,
+             goes_on_after_the_server_was_killed]
+
+
+def main():
+    if len(sys.argv) < 3:
+        print("\n".join(scenario.__name__ for scenario in SCENARIOS))
+        return 0
+    scenario = next(each for each in SCENARIOS if each.__name__ == sys.argv[2])
+    parent = pathlib.Path(sys.argv[1]).resolve().parent / "scenarios"
+    parent.mkdir(exist_ok=True)
+    directory = pathlib.Path(tempfile.mkdtemp(prefix=scenario.__name__ + ".", dir=parent))
+    fleet = ManyRobots(sys.argv[1], directory)
+
+    def play(fleet):
+        fleet.prepare()
+        scenario(fleet)
+
+    code = perform(scenario.__name__, play, fleet)
+    if code == 0:
+        shutil.rmtree(directory)
+    return code
+
+
+if __name__ == "__main__":
+    sys.exit(main())
