@@ -1,5 +1,9 @@
 #include "policy_server/server/operator_api/receipt_codec.h"
 
+#include <set>
+#include <utility>
+
+#include "policy_server/server/operator_api/answer_limits.h"
 #include "services/model_proto/actuator_codec.h"
 
 namespace rips::operator_api {
@@ -9,6 +13,24 @@ void Encode(const pipeline::LoggedReceipt& receipt, rips::v1::ReceivedReceipt* o
   out->set_host(receipt.host);
   out->set_command(receipt.command);
   *out->mutable_receipt() = model_proto::Encode(receipt.receipt);
+}
+
+void Encode(const std::vector<store::ReceiptRecord>& newest,
+            const std::vector<store::ReceiptRecord>& stored, uint32_t limit,
+            rips::v1::ListReceiptsResponse& out) {
+  AnswerRoom room;
+  const size_t most = limit == 0 ? kReceiptsListed : limit;
+  std::set<std::pair<std::string, std::string>> told;
+  for (const auto* receipts : {&newest, &stored}) {
+    for (const store::ReceiptRecord& receipt : *receipts) {
+      if (static_cast<size_t>(out.receipts_size()) == most) return;
+      if (!told.emplace(receipt.host, receipt.receipt.command_id).second) continue;
+      rips::v1::ReceivedReceipt row;
+      Encode(receipt, &row);
+      if (!room.Take(row)) return;
+      *out.add_receipts() = std::move(row);
+    }
+  }
 }
 
 void Encode(const pipeline::DrillEntry& drill, rips::v1::ActuatorDrill* out) {

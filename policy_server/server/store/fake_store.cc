@@ -219,6 +219,7 @@ absl::Status FakeStore::State::Apply(const WriteBatch& batch) {
   for (const RefusalRecord& each : batch.refusals) RIPS_RETURN_IF_ERROR(Apply(robot, each));
   for (const StageUpdate& each : batch.stages) Apply(robot, each);
   for (const AlertRecord& each : batch.alerts) Apply(each);
+  for (const ReceiptRecord& each : batch.receipts) Apply(robot, each);
   if (!batch.checkpoint.empty()) Apply(robot, batch.checkpoint);
   return absl::OkStatus();
 }
@@ -268,6 +269,15 @@ void FakeStore::State::Apply(const std::string& robot, const StageUpdate& update
   }
 }
 
+void FakeStore::State::Apply(const std::string& robot, const ReceiptRecord& receipt) {
+  std::vector<ReceiptRecord>& known = receipts[robot];
+  std::erase_if(known, [&](const ReceiptRecord& each) {
+    return each.host == receipt.host && each.receipt.command_id == receipt.receipt.command_id;
+  });
+  known.push_back(receipt);
+  if (known.size() > kReceiptsPerRobotMax) known.erase(known.begin());
+}
+
 void FakeStore::State::Apply(const AlertRecord& alert) {
   const auto same = [&](const AlertRecord& known) { return known.id == alert.id; };
   if (std::none_of(alerts.begin(), alerts.end(), same)) alerts.push_back(alert);
@@ -309,6 +319,17 @@ absl::StatusOr<std::vector<AlertRecord>> FakeStore::ListAlerts(absl::string_view
   MutexLock lock(&mutex_);
   RIPS_RETURN_IF_ERROR(read_status_);
   return Newest(state_.alerts, robot, limit);
+}
+
+absl::StatusOr<std::vector<ReceiptRecord>> FakeStore::ListReceipts(absl::string_view robot,
+                                                                   uint32_t limit) {
+  MutexLock lock(&mutex_);
+  RIPS_RETURN_IF_ERROR(read_status_);
+  const auto found = state_.receipts.find(robot);
+  if (found == state_.receipts.end()) return std::vector<ReceiptRecord>();
+  std::vector<ReceiptRecord> out(found->second.rbegin(), found->second.rend());
+  if (out.size() > ListLimit(limit)) out.resize(ListLimit(limit));
+  return out;
 }
 
 absl::StatusOr<AlertPage> FakeStore::AlertsAfter(absl::string_view robot, uint64_t sequence,

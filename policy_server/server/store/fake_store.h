@@ -58,6 +58,9 @@ class FakeStore final : public Store, public BanStore {
   absl::StatusOr<FoundRecords> FindRecords(absl::string_view prefix) override
       ABSL_LOCKS_EXCLUDED(mutex_);
   absl::StatusOr<uint64_t> FindAlert(absl::string_view id) override ABSL_LOCKS_EXCLUDED(mutex_);
+  absl::StatusOr<std::vector<ReceiptRecord>> ListReceipts(absl::string_view robot,
+                                                          uint32_t limit) override
+      ABSL_LOCKS_EXCLUDED(mutex_);
   absl::StatusOr<AlertRecord> NewestAlert() override ABSL_LOCKS_EXCLUDED(mutex_);
   absl::StatusOr<std::string> Note(absl::string_view name) override ABSL_LOCKS_EXCLUDED(mutex_);
   absl::Status SetNote(absl::string_view name, absl::string_view value) override
@@ -76,6 +79,8 @@ class FakeStore final : public Store, public BanStore {
     // In the order of writing.
     std::vector<TransitionRecord> transitions;
     std::vector<AlertRecord> alerts;
+    // By robot, in the order of writing.
+    absl::btree_map<std::string, std::vector<ReceiptRecord>> receipts;
     absl::btree_map<std::string, std::string> notes;
     std::vector<Generation> generations;
 
@@ -86,6 +91,7 @@ class FakeStore final : public Store, public BanStore {
     absl::Status Apply(const std::string& robot, const RefusalRecord& refusal);
     void Apply(const std::string& robot, const StageUpdate& update);
     void Apply(const AlertRecord& alert);
+    void Apply(const std::string& robot, const ReceiptRecord& receipt);
     void Apply(const std::string& robot, const Checkpoint& checkpoint);
   };
 

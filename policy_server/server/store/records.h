@@ -15,6 +15,7 @@
 #include "policy_server/policy/engine/state/trace.h"
 #include "policy_server/policy/lang/checked_rules.h"
 #include "services/base/decision_id.h"
+#include "services/model/receipt.h"
 
 namespace rips::store {
 
@@ -158,6 +159,22 @@ struct AlertRecord {
   friend bool operator==(const AlertRecord&, const AlertRecord&) = default;
 };
 
+// The newest answer of an actuator to a command. Written again for the same host and command: the
+// newer one takes the place of the older.
+struct ReceiptRecord {
+  // When it came.
+  int64_t unix_ns = 0;
+  std::string host;
+  // `level ALERT`, `exec usb_alarm`, `drill ALERT`; `unknown command`.
+  std::string command;
+  model::Receipt receipt;
+
+  friend bool operator==(const ReceiptRecord&, const ReceiptRecord&) = default;
+};
+
+// Receipts kept per robot; beyond, those written longest ago are forgotten.
+inline constexpr size_t kReceiptsPerRobotMax = 256;
+
 // A run of alerts, in the order of writing.
 struct AlertPage {
   // With their sequences.
@@ -200,6 +217,7 @@ struct WriteBatch {
   std::vector<RefusalRecord> refusals;
   std::vector<StageUpdate> stages;
   std::vector<AlertRecord> alerts;
+  std::vector<ReceiptRecord> receipts;
   Checkpoint checkpoint;
   // On a full disk the store gives up a piece of its reserve for this: only decisions, and no
   // lowering among them.
@@ -207,7 +225,7 @@ struct WriteBatch {
 
   bool empty() const {
     return decisions.empty() && refusals.empty() && stages.empty() && alerts.empty() &&
-           checkpoint.empty();
+           receipts.empty() && checkpoint.empty();
   }
 };
 

@@ -99,6 +99,17 @@ CREATE TABLE high_water (                    -- in the order in which a lane was
   sequence INTEGER NOT NULL,
   UNIQUE (robot, host, incarnation, lane)
 ) STRICT;
+CREATE TABLE receipts (                      -- the newest of each command, in the order of writing
+  seq INTEGER PRIMARY KEY AUTOINCREMENT,
+  robot TEXT NOT NULL,
+  host TEXT NOT NULL,
+  command_id TEXT NOT NULL,                  -- hex digits
+  command TEXT NOT NULL,
+  time_unix_ns INTEGER NOT NULL,
+  receipt BLOB NOT NULL,                     -- rips.v1.Receipt
+  UNIQUE (robot, host, command_id)
+) STRICT;
+CREATE INDEX receipts_robot ON receipts (robot, seq);
 CREATE TABLE bans (                          -- certificates that are not served any more
   uri TEXT NOT NULL,
   serial TEXT NOT NULL,                      -- empty = every certificate of the identity
@@ -183,6 +194,10 @@ constexpr const char* kUpgrades[] = {
     "ALTER TABLE transitions ADD COLUMN trace BLOB NOT NULL DEFAULT x'';"
     "ALTER TABLE alerts ADD COLUMN trace BLOB NOT NULL DEFAULT x'';",
     "ALTER TABLE robots ADD COLUMN tenure INTEGER NOT NULL DEFAULT 0",
+    "CREATE TABLE receipts (seq INTEGER PRIMARY KEY AUTOINCREMENT, robot TEXT NOT NULL, host TEXT "
+    "NOT NULL, command_id TEXT NOT NULL, command TEXT NOT NULL, time_unix_ns INTEGER NOT NULL, "
+    "receipt BLOB NOT NULL, UNIQUE (robot, host, command_id)) STRICT;"
+    "CREATE INDEX receipts_robot ON receipts (robot, seq);",
 };
 static_assert(std::size(kUpgrades) == kSchemaVersion - 1);
 

@@ -7,6 +7,7 @@
 #include "absl/strings/str_cat.h"
 #include "policy_server/server/store/trace_codec.h"
 #include "services/base/status_macros.h"
+#include "services/model_proto/actuator_codec.h"
 
 namespace rips::store {
 namespace {
@@ -111,6 +112,9 @@ absl::StatusOr<SqliteReader> SqliteReader::Create(const std::string& path) {
        "SELECT ifnull(max(alerts_forgotten), 0) FROM robots WHERE robot = ?"},
       {&reader.find_alert_, "SELECT seq FROM alerts WHERE id = ?"},
       {&reader.newest_alert_, "SELECT id, seq FROM alerts ORDER BY seq DESC LIMIT 1"},
+      {&reader.receipts_,
+       "SELECT time_unix_ns, host, command, receipt FROM receipts WHERE robot = ? "
+       "ORDER BY seq DESC LIMIT ?"},
       {&reader.note_, "SELECT value FROM notes WHERE name = ?"},
       {&reader.bans_,
        "SELECT uri, serial, reason, by, time_unix_ns FROM bans ORDER BY uri, serial"},
@@ -239,6 +243,26 @@ absl::StatusOr<std::vector<AlertRecord>> SqliteReader::ListAlerts(absl::string_v
     RIPS_ASSIGN_OR_RETURN(const bool row, query.Step());
     if (!row) return out;
     out.push_back(ReadAlert(query));
+  }
+}
+
+absl::StatusOr<std::vector<ReceiptRecord>> SqliteReader::ListReceipts(absl::string_view robot,
+                                                                      uint32_t limit) {
+  std::vector<ReceiptRecord> out;
+  Query query = receipts_.Start();
+  query.Bind(robot).Bind(int64_t{ListLimit(limit)});
+  while (true) {
+    RIPS_ASSIGN_OR_RETURN(const bool row, query.Step());
+    if (!row) return out;
+    rips::v1::Receipt stored;
+    if (!stored.ParseFromString(query.Text(3))) {
+      return absl::DataLossError("a receipt that cannot be read");
+    }
+    RIPS_ASSIGN_OR_RETURN(model::Receipt receipt, model_proto::Decode(stored));
+    out.push_back({.unix_ns = query.Number(0),
+                   .host = query.Text(1),
+                   .command = query.Text(2),
+                   .receipt = std::move(receipt)});
   }
 }
 

@@ -28,6 +28,7 @@ class SqliteReader {
   absl::StatusOr<AlertPage> AlertsAfter(absl::string_view robot, uint64_t sequence, uint32_t limit);
   absl::StatusOr<FoundRecords> FindRecords(absl::string_view prefix);
   absl::StatusOr<uint64_t> FindAlert(absl::string_view id);
+  absl::StatusOr<std::vector<ReceiptRecord>> ListReceipts(absl::string_view robot, uint32_t limit);
   absl::StatusOr<AlertRecord> NewestAlert();
   absl::StatusOr<std::string> Note(absl::string_view name);
   absl::StatusOr<std::vector<BanRecord>> ListBans();
@@ -44,7 +45,8 @@ class SqliteReader {
   Statement robot_, variables_, high_water_, decision_id_, transitions_, alerts_, robot_alerts_,
       bans_;
   Statement alerts_after_, robot_alerts_after_, forgotten_, robot_forgotten_, find_alert_,
-      newest_alert_, note_, rule_decisions_, generations_, alerts_by_id_, transitions_by_id_;
+      newest_alert_, note_, receipts_, rule_decisions_, generations_, alerts_by_id_,
+      transitions_by_id_;
 };
 
 }  // namespace rips::store

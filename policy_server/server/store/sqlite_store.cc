@@ -173,6 +173,12 @@ absl::StatusOr<std::vector<AlertRecord>> SqliteStore::ListAlerts(absl::string_vi
   return parts_->reader.ListAlerts(robot, limit);
 }
 
+absl::StatusOr<std::vector<ReceiptRecord>> SqliteStore::ListReceipts(absl::string_view robot,
+                                                                     uint32_t limit) {
+  MutexLock lock(&parts_->reader_mutex);
+  return parts_->reader.ListReceipts(robot, limit);
+}
+
 absl::StatusOr<AlertPage> SqliteStore::AlertsAfter(absl::string_view robot, uint64_t sequence,
                                                    uint32_t limit) {
   MutexLock lock(&parts_->reader_mutex);

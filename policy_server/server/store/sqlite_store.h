@@ -58,6 +58,8 @@ class SqliteStore final : public Store, public BanStore {
                                         uint32_t limit) override;
   absl::StatusOr<FoundRecords> FindRecords(absl::string_view prefix) override;
   absl::StatusOr<uint64_t> FindAlert(absl::string_view id) override;
+  absl::StatusOr<std::vector<ReceiptRecord>> ListReceipts(absl::string_view robot,
+                                                          uint32_t limit) override;
   absl::StatusOr<AlertRecord> NewestAlert() override;
   absl::StatusOr<std::string> Note(absl::string_view name) override;
   absl::Status SetNote(absl::string_view name, absl::string_view value) override;

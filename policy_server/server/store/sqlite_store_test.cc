@@ -156,10 +156,10 @@ TEST_F(SqliteStoreTest, RefusesALogWithoutItsFile) {
 
 TEST_F(SqliteStoreTest, RefusesANewerSchema) {
   MakeHistory();
-  Execute("PRAGMA user_version = 8");
+  Execute("PRAGMA user_version = 9");
   EXPECT_THAT(SqliteStore::Open(path_),
               StatusIs(absl::StatusCode::kFailedPrecondition,
-                       HasSubstr("schema version 8, this program knows up to 7")));
+                       HasSubstr("schema version 9, this program knows up to 8")));
   Execute("PRAGMA user_version = 0");
   EXPECT_THAT(SqliteStore::Open(path_), StatusIs(absl::StatusCode::kDataLoss));
 }
@@ -172,11 +172,16 @@ TEST_F(SqliteStoreTest, TakesAnOlderSchemaForward) {
     return *(*store)->Load("r1");
   };
   const RobotRecord before = load();
+  Execute("DROP TABLE receipts");
+  Execute("PRAGMA user_version = 7");
+  EXPECT_EQ(load(), before);
+  Execute("DROP TABLE receipts");
   Execute("ALTER TABLE robots DROP COLUMN tenure");
   Execute("PRAGMA user_version = 6");
   EXPECT_EQ(load(), before);
   bool only_traces = true;
   const auto undo_newest = [&] {
+    Execute("DROP TABLE receipts");
     Execute("ALTER TABLE robots DROP COLUMN tenure");
     Execute("ALTER TABLE alerts DROP COLUMN trace");
     Execute("ALTER TABLE transitions DROP COLUMN trace");

@@ -9,6 +9,7 @@
 #include "absl/strings/str_cat.h"
 #include "policy_server/server/store/trace_codec.h"
 #include "services/base/status_macros.h"
+#include "services/model_proto/actuator_codec.h"
 
 namespace rips::store {
 
@@ -73,6 +74,13 @@ absl::Status SqliteWriter::PrepareAll() {
       {&add_alert_,
        "INSERT INTO alerts (id, time_unix_ns, robot, rule, severity, text, level, event, term,"
        " epoch, trace) VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?) ON CONFLICT (id) DO NOTHING"},
+      // A repeated one goes to the end of the order.
+      {&put_receipt_,
+       "INSERT OR REPLACE INTO receipts (robot, host, command_id, command, time_unix_ns, receipt) "
+       "VALUES (?, ?, ?, ?, ?, ?)"},
+      {&prune_receipts_,
+       "DELETE FROM receipts WHERE robot = ?1 AND seq <= (SELECT seq FROM receipts "
+       "WHERE robot = ?1 ORDER BY seq DESC LIMIT 1 OFFSET ?2)"},
       {&find_prune_, "SELECT seq FROM alerts WHERE robot = ? ORDER BY seq DESC LIMIT 1 OFFSET ?"},
       {&prune_alerts_, "DELETE FROM alerts WHERE robot = ? AND seq <= ?"},
       {&note_prune_, "UPDATE robots SET alerts_forgotten = ?2 WHERE robot = ?1"},
@@ -274,6 +282,11 @@ absl::Status SqliteWriter::Write(const WriteBatch& batch) {
                              .Run());
   }
   if (!batch.alerts.empty()) RIPS_RETURN_IF_ERROR(PruneAlerts(robot, batch.alerts.size()));
+  for (const ReceiptRecord& each : batch.receipts) RIPS_RETURN_IF_ERROR(Write(robot, each));
+  if (!batch.receipts.empty()) {
+    RIPS_RETURN_IF_ERROR(
+        prune_receipts_.Start().Bind(robot).Bind(uint64_t{kReceiptsPerRobotMax}).Run());
+  }
   return batch.checkpoint.empty() ? absl::OkStatus() : Write(robot, batch.checkpoint);
 }
 
@@ -347,6 +360,20 @@ absl::Status SqliteWriter::Write(const std::string& robot, const RefusalRecord& 
   RIPS_ASSIGN_OR_RETURN(const bool written, query.Step());
   if (!written) return absl::AlreadyExistsError("the id of a refusal names another transition");
   return query.Run();
+}
+
+absl::Status SqliteWriter::Write(const std::string& robot, const ReceiptRecord& receipt) {
+  // A query views what is bound.
+  const std::string command_id = absl::BytesToHexString(receipt.receipt.command_id);
+  const std::string bytes = model_proto::Encode(receipt.receipt).SerializeAsString();
+  return put_receipt_.Start()
+      .Bind(robot)
+      .Bind(receipt.host)
+      .Bind(command_id)
+      .Bind(receipt.command)
+      .Bind(receipt.unix_ns)
+      .BindBytes(bytes)
+      .Run();
 }
 
 absl::Status SqliteWriter::PruneAlerts(const std::string& robot, size_t added) {

@@ -46,6 +46,7 @@ class SqliteWriter {
   absl::Status CheckTenure(absl::string_view robot, uint64_t tenure);
   absl::Status Write(const std::string& robot, const DecisionRecord& decision);
   absl::Status Write(const std::string& robot, const RefusalRecord& refusal);
+  absl::Status Write(const std::string& robot, const ReceiptRecord& receipt);
   absl::Status Write(const std::string& robot, const Checkpoint& checkpoint);
   // Forgets the oldest alerts of a robot that has more than its share, when so many were `added`.
   absl::Status PruneAlerts(const std::string& robot, size_t added);
@@ -60,6 +61,7 @@ class SqliteWriter {
   Statement begin_, commit_, rollback_, begin_batch_, rollback_batch_, end_batch_;
   Statement add_robot_, acquire_, tenure_, next_term_, find_decision_, add_decision_,
       apply_decision_;
+  Statement put_receipt_, prune_receipts_;
   Statement put_refusal_, prune_refusals_, set_stage_, add_alert_, find_prune_, prune_alerts_,
       note_prune_, set_note_, set_bundle_;
   Statement clear_variables_, add_variable_, set_suspended_, set_halted_, set_resumed_,

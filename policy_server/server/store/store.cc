@@ -58,13 +58,19 @@ absl::Status Fenced(absl::string_view robot, uint64_t tenure, uint64_t stored) {
 absl::Status Validate(const WriteBatch& batch) {
   if (batch.robot.empty()) return Missing("batch", "robot");
   RIPS_RETURN_IF_ERROR(CheckNumber("tenure", batch.tenure));
-  if (batch.tenure == 0 && (!batch.decisions.empty() || !batch.refusals.empty() ||
-                            !batch.stages.empty() || !batch.checkpoint.empty())) {
+  if (batch.tenure == 0 &&
+      (!batch.decisions.empty() || !batch.refusals.empty() || !batch.stages.empty() ||
+       !batch.receipts.empty() || !batch.checkpoint.empty())) {
     return Missing("batch", "tenure");
   }
-  if (batch.uses_reserve && (!batch.refusals.empty() || !batch.stages.empty() ||
-                             !batch.alerts.empty() || !batch.checkpoint.empty())) {
+  if (batch.uses_reserve &&
+      (!batch.refusals.empty() || !batch.stages.empty() || !batch.alerts.empty() ||
+       !batch.receipts.empty() || !batch.checkpoint.empty())) {
     return absl::InvalidArgumentError("the reserve is for decisions alone");
+  }
+  for (const ReceiptRecord& receipt : batch.receipts) {
+    if (receipt.host.empty()) return Missing("receipt", "host");
+    if (receipt.receipt.command_id.empty()) return Missing("receipt", "command");
   }
   for (const DecisionRecord& decision : batch.decisions) {
     if (decision.id.empty()) return Missing("decision", "id");

@@ -93,6 +93,9 @@ class Store {
   // one written first first.
   virtual absl::StatusOr<AlertPage> AlertsAfter(absl::string_view robot, uint64_t sequence,
                                                 uint32_t limit) = 0;
+  // Of the robot, the one written last first.
+  virtual absl::StatusOr<std::vector<ReceiptRecord>> ListReceipts(absl::string_view robot,
+                                                                  uint32_t limit) = 0;
   // Those whose id begins with `prefix`, which is not empty.
   virtual absl::StatusOr<FoundRecords> FindRecords(absl::string_view prefix) = 0;
   // The sequence of the alert with that id; 0 = there is none (any more).

@@ -102,6 +102,55 @@ TEST_P(StoreContractTest, KeepsBansByIdentityAndSerial) {
   EXPECT_THAT(bans.PutBan({.uri = ""}), StatusIs(absl::StatusCode::kInvalidArgument));
 }
 
+ReceiptRecord AReceipt(const std::string& command_id, model::Receipt::Stage stage) {
+  return {.unix_ns = 5,
+          .host = "base",
+          .command = "level ALERT",
+          .receipt = {.command_id = command_id,
+                      .decision_id = {1, 2},
+                      .stage = stage,
+                      .steps = {{.step = "system_mode /safety=ALERT", .ok = true, .took_ms = 7}},
+                      .exit_code = 3,
+                      .output_tail = std::string("\xff\0\n", 3),
+                      .detail = "as it was",
+                      .effective_level = "ALERT"}};
+}
+
+TEST_P(StoreContractTest, KeepsTheNewestReceiptOfEachCommand) {
+  using Stage = model::Receipt::Stage;
+  const uint64_t tenure = store_->Acquire("r1")->tenure;
+  const auto commit = [&](std::vector<ReceiptRecord> receipts) {
+    EXPECT_THAT(store_->Commit({.robot = "r1", .tenure = tenure, .receipts = std::move(receipts)}),
+                IsOk());
+  };
+  const std::string first("\x00\x01", 2);
+  const std::string second("\x02", 1);
+  commit({AReceipt(first, Stage::kAcknowledged), AReceipt(second, Stage::kFailed)});
+  commit({AReceipt(first, Stage::kVerified)});
+  EXPECT_THAT(*store_->ListReceipts("r1", 10),
+              ElementsAre(AReceipt(first, Stage::kVerified), AReceipt(second, Stage::kFailed)));
+  EXPECT_THAT(*store_->ListReceipts("r1", 1), ElementsAre(AReceipt(first, Stage::kVerified)));
+  EXPECT_THAT(*store_->ListReceipts("r2", 10), IsEmpty());
+  for (size_t i = 0; i < kReceiptsPerRobotMax; ++i) {
+    commit({AReceipt(absl::StrCat("more ", i), Stage::kRefused)});
+  }
+  const auto kept = *store_->ListReceipts("r1", 1'000);
+  EXPECT_EQ(kept.size(), kReceiptsPerRobotMax);
+  EXPECT_EQ(kept.back().receipt.command_id, "more 0");
+}
+
+TEST_P(StoreContractTest, RefusesAReceiptThatNobodyCouldFind) {
+  const uint64_t tenure = store_->Acquire("r1")->tenure;
+  EXPECT_THAT(store_->Commit({.robot = "r1",
+                              .tenure = tenure,
+                              .receipts = {AReceipt("", model::Receipt::Stage::kFailed)}}),
+              StatusIs(absl::StatusCode::kInvalidArgument));
+  EXPECT_THAT(
+      store_->Commit({.robot = "r1", .receipts = {AReceipt("x", model::Receipt::Stage::kFailed)}}),
+      StatusIs(absl::StatusCode::kInvalidArgument))
+      << "of no owner";
+}
+
 TEST_P(StoreContractTest, KnowsNothingOfAnUnknownRobot) {
   EXPECT_EQ(Load("r9"), RobotRecord{});
   EXPECT_EQ(Decision("r9", {1, 1}), "");

@@ -279,7 +279,8 @@ bool ActuatorSide::Hear(const input::Receipt& in) {
     return false;
   }
   it->second.session->heard_ns = context_.now_ns();
-  receipts_.Received(in.host, in.receipt, context_.now().unix_ns);
+  const LoggedReceipt* logged = receipts_.Received(in.host, in.receipt, context_.now().unix_ns);
+  if (logged != nullptr) outbox_.AddReceipt(*logged);
   return true;
 }
 

@@ -88,7 +88,9 @@ class ActuatorSide {
   void AddProblems(std::vector<std::string>& problems) const;
   void AddStatus(RobotStatus& status) const;
   const CommandReconciler& reconciler() const { return reconciler_; }
-  const ReceiptHistory& receipts() const { return receipts_; }  // since the start
+  const ReceiptHistory& receipts() const {
+    return receipts_;
+  }  // since the start; older ones are in the store
 
  private:
   struct Session {

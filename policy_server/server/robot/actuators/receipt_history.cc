@@ -127,13 +127,18 @@ void ReceiptHistory::Sent(const std::string& host, const Command& command) {
   if (commands_.size() > kCommandsKnown) commands_.pop_front();
 }
 
-void ReceiptHistory::Received(const std::string& host, const Receipt& receipt, int64_t unix_ns) {
+const LoggedReceipt* ReceiptHistory::Received(const std::string& host, const Receipt& receipt,
+                                              int64_t unix_ns) {
   LoggedReceipt added{.unix_ns = unix_ns, .host = host, .receipt = Trimmed(receipt)};
   const auto old = std::find_if(receipts_.begin(), receipts_.end(), [&](const LoggedReceipt& each) {
     return each.host == host && each.receipt.command_id == added.receipt.command_id;
   });
+  bool moves_up = true;
   if (old != receipts_.end()) {
-    if (Rank(receipt.stage) < Rank(old->receipt.stage) || added.receipt == old->receipt) return;
+    moves_up = Rank(receipt.stage) > Rank(old->receipt.stage);
+    if (Rank(receipt.stage) < Rank(old->receipt.stage) || added.receipt == old->receipt) {
+      return nullptr;
+    }
     added.command = std::move(old->command);
     receipts_.erase(old);
   } else {
@@ -144,6 +149,8 @@ void ReceiptHistory::Received(const std::string& host, const Receipt& receipt, i
   }
   receipts_.push_back(std::move(added));
   MakeRoom(receipts_.back());
+  const LoggedReceipt& logged = receipts_.back();
+  return moves_up && logged.command != kUnknownCommand ? &logged : nullptr;
 }
 
 void ReceiptHistory::MakeRoom(const LoggedReceipt& added) {

@@ -16,6 +16,7 @@
 #include "absl/strings/string_view.h"
 #include "policy_server/server/robot/model/actuator_inbound.h"
 #include "policy_server/server/robot/model/outbound.h"
+#include "policy_server/server/store/records.h"
 
 namespace rips::pipeline {
 
@@ -34,19 +35,16 @@ inline constexpr size_t kStepNameBytesKept = 128;
 inline constexpr size_t kDetailBytesKept = 1024;
 inline constexpr size_t kOutputBytesKept = 4 << 10;  // from the end
 
-struct LoggedReceipt {
-  int64_t unix_ns = 0;  // when it came
-  std::string host;
-  // `level ALERT`, `exec usb_alarm`, `drill ALERT`; `unknown command`.
-  std::string command;
-  Receipt receipt;
-};
+using LoggedReceipt = store::ReceiptRecord;
 
 class ReceiptHistory {
  public:
   // `command` went to `host`.
   void Sent(const std::string& host, const Command& command);
-  void Received(const std::string& host, const Receipt& receipt, int64_t unix_ns);
+  // What is to be recorded of it, so that a peer cannot fill a disk: nullptr unless it is of a
+  // command that this server sent and has not forgotten, and moves its stage up. Valid until the
+  // next call.
+  const LoggedReceipt* Received(const std::string& host, const Receipt& receipt, int64_t unix_ns);
   // Newest first, at most `limit`; 0 = all.
   std::vector<LoggedReceipt> Newest(size_t limit) const;
 

@@ -173,5 +173,22 @@ TEST(ReceiptLogTest, AFailureNamesTheStepsThatFailed) {
   EXPECT_EQ(FailureText(receipt).size(), kDetailBytesKept);
 }
 
+TEST(ReceiptHistoryTest, RecordsWhatMovesACommandOfOursUp) {
+  ReceiptHistory log;
+  const auto received = [&](const std::string& id, Receipt::Stage stage, const char* detail) {
+    return log.Received("base", {.command_id = id, .stage = stage, .detail = detail}, 1);
+  };
+  EXPECT_EQ(received("stranger", Receipt::Stage::kVerified, ""), nullptr);
+  log.Sent("base", {.id = "ours", .what = SetLevel{.to = "ALERT"}});
+  const LoggedReceipt* logged = received("ours", Receipt::Stage::kAcknowledged, "a");
+  ASSERT_NE(logged, nullptr);
+  EXPECT_EQ(logged->command, "level ALERT");
+  // A peer that says other words a thousand times a second writes nothing.
+  EXPECT_EQ(received("ours", Receipt::Stage::kAcknowledged, "b"), nullptr);
+  ASSERT_NE(received("ours", Receipt::Stage::kVerified, "c"), nullptr);
+  EXPECT_EQ(received("ours", Receipt::Stage::kVerified, "d"), nullptr);
+  EXPECT_EQ(received("ours", Receipt::Stage::kFailed, "e"), nullptr);
+}
+
 }  // namespace
 }  // namespace rips::pipeline

@@ -37,6 +37,15 @@ bool DurableOutbox::AddAlert(store::AlertRecord alert) {
   return !full;
 }
 
+void DurableOutbox::AddReceipt(store::ReceiptRecord receipt) {
+  std::vector<store::ReceiptRecord>& receipts = collected_.receipts;
+  std::erase_if(receipts, [&](const store::ReceiptRecord& each) {
+    return each.host == receipt.host && each.receipt.command_id == receipt.receipt.command_id;
+  });
+  receipts.push_back(std::move(receipt));
+  if (receipts.size() > kReceiptsMax) receipts.erase(receipts.begin());
+}
+
 void DurableOutbox::AddLowering(const levels::Transition& lowering) {
   lowerings_.push_back(lowering);
   held_back_ = lowering.decision_id;
@@ -89,6 +98,9 @@ DurableOutbox::Settled DurableOutbox::OnRecorded(bool ok) {
   Prepend(done.batch->refusals, collected_.refusals);
   Prepend(done.batch->stages, collected_.stages);
   Prepend(done.batch->alerts, collected_.alerts);
+  std::vector<store::ReceiptRecord> newer =
+      std::exchange(collected_.receipts, done.batch->receipts);
+  for (store::ReceiptRecord& receipt : newer) AddReceipt(std::move(receipt));
   unsaved_ = {.sequences = true, .variables = true, .bundle = true};
   return settled;
 }

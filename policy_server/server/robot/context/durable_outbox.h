@@ -1,7 +1,8 @@
 // What must be on disk before what may leave: records that are collected, and one batch of them at
 // a time with the recorder.
 //
-//   collect      Add...: decisions, refusals, stages, alerts; Touch: what a checkpoint will say
+//   collect      Add...: decisions, refusals, stages, alerts, receipts; Touch: what a checkpoint
+//                will say
 //   in flight    Seal: all that was collected, with a checkpoint; what comes now waits
 //   recorded     OnRecorded(true): what was waiting for it may go on (Settled)
 //   not recorded OnRecorded(false): all of it stands before what was collected since; its lowerings
@@ -33,6 +34,8 @@ class DurableOutbox {
  public:
   // Alerts that wait; the oldest go first.
   static constexpr size_t kAlertsMax = 1'000;
+  // Receipts that wait; the oldest go first.
+  static constexpr size_t kReceiptsMax = 64;
 
   // What the store does not know yet, besides records.
   struct Unsaved {
@@ -60,6 +63,8 @@ class DurableOutbox {
   void AddStage(store::StageUpdate stage);
   // False: the oldest alert was dropped for it.
   bool AddAlert(store::AlertRecord alert);
+  // Of one command only the newest waits.
+  void AddReceipt(store::ReceiptRecord receipt);
   // A transition that must not be commanded before its decision is durable.
   void AddLowering(const levels::Transition& lowering);
   void Touch(bool Unsaved::*what) { unsaved_.*what = true; }

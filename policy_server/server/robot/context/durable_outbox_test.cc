@@ -153,5 +153,25 @@ TEST_F(DurableOutboxTest, TheReserveIsForRaisesOnly) {
   EXPECT_THAT(Ids(raises.decisions), ElementsAre("raise", "raise again"));
 }
 
+TEST_F(DurableOutboxTest, OfOneCommandTheNewestReceiptWaitsAlsoAfterAFailure) {
+  using Stage = model::Receipt::Stage;
+  const auto receipt = [](const std::string& command, Stage stage) {
+    return store::ReceiptRecord{.host = "base", .receipt = {.command_id = command, .stage = stage}};
+  };
+  outbox_.AddReceipt(receipt("1", Stage::kAcknowledged));
+  outbox_.AddReceipt(receipt("2", Stage::kAcknowledged));
+  ASSERT_TRUE(outbox_.CanSeal());
+  EXPECT_THAT(outbox_.Seal({})->receipts, SizeIs(2));
+  outbox_.AddReceipt(receipt("1", Stage::kVerified));
+  outbox_.OnRecorded(false);
+  EXPECT_THAT(outbox_.Seal({})->receipts,
+              ElementsAre(receipt("2", Stage::kAcknowledged), receipt("1", Stage::kVerified)));
+  for (size_t i = 0; i <= DurableOutbox::kReceiptsMax; ++i) {
+    outbox_.AddReceipt(receipt(absl::StrCat("more ", i), Stage::kVerified));
+  }
+  outbox_.OnRecorded(true);
+  EXPECT_THAT(outbox_.Seal({})->receipts, SizeIs(DurableOutbox::kReceiptsMax));
+}
+
 }  // namespace
 }  // namespace rips::pipeline
