@@ -9,6 +9,7 @@
 
 #include "absl/strings/escaping.h"
 #include "absl/strings/str_cat.h"
+#include "policy_server/policy/bundle/bundle_keep.h"
 #include "policy_server/server/audit/store_audit.h"
 #include "policy_server/server/pooled_inspector.h"
 #include "services/base/ids.h"
@@ -533,15 +534,26 @@ void Server::OpenBundleControl() {
             .id = loaded.id, .name = loaded.manifest.name, .warnings = loaded.warnings};
       },
       [this](const std::string& dir, const std::string& id) { return SignedBy(dir, id); });
-  bundles_ = std::make_unique<rollout::BundleControl>(
-      rollout::BundleControl::Parts{.fleet = fleet_.get(),
-                                    .activations = activations_.get(),
-                                    .library = library_.get(),
-                                    .rates = alert_rates_.get(),
-                                    .pipeline = pipeline_.get(),
-                                    .alerts = alerts_.get(),
-                                    .clock = &clock_,
-                                    .new_id = NewId});
+  bundles_ = std::make_unique<rollout::BundleControl>(rollout::BundleControl::Parts{
+      .fleet = fleet_.get(),
+      .activations = activations_.get(),
+      .library = library_.get(),
+      .rates = alert_rates_.get(),
+      .shadows = &shadows_,
+      .load_shadow =
+          [this](const rollout::KeptBundle& kept) -> absl::StatusOr<shadow::ShadowPolicy> {
+        RIPS_ASSIGN_OR_RETURN(const std::string dir,
+                              bundle::KeptBundlePath(config_.bundles_dir, kept.id));
+        RIPS_ASSIGN_OR_RETURN(const bundle::Bundle loaded, LoadSignedBundle(dir));
+        if (loaded.id != kept.id) {
+          return absl::DataLossError("its copy was changed");
+        }
+        return shadow::PolicyOf(loaded);
+      },
+      .pipeline = pipeline_.get(),
+      .alerts = alerts_.get(),
+      .clock = &clock_,
+      .new_id = NewId});
   // What each robot keeps instead; a file that could not be read may be in order the next time.
   if (!absl::IsDataLoss(activations_->problem())) return;
   if (const absl::Status kept = activations_->Set(activations_->now()); !kept.ok()) {
@@ -710,6 +722,7 @@ void Server::Stop() {
     rpc_->Shutdown(kShutdownGrace);
   }
   if (bundles_ != nullptr) bundles_->Stop();
+  shadows_.Stop();
   // What is still being inspected is judged by whoever gets it again.
   pipeline_->Stop();
   inspections_->Stop();

@@ -32,6 +32,7 @@
 #include "policy_server/server/rollout/alert_rates.h"
 #include "policy_server/server/rollout/bundle_control.h"
 #include "policy_server/server/rollout/bundle_library.h"
+#include "policy_server/server/shadow/shadows.h"
 #include "policy_server/server/shard/pipeline.h"
 #include "policy_server/server/shard/server_alerts.h"
 #include "policy_server/server/shard/store_recorder.h"
@@ -139,6 +140,8 @@ class Server {
   bundle::SignerKeys signers_ ABSL_GUARDED_BY(signers_mu_);
   std::unique_ptr<rollout::Activations> activations_;
   std::unique_ptr<rollout::AlertRates> alert_rates_;
+  // Before the robots, which call its taps.
+  shadow::Shadows shadows_;
   std::unique_ptr<pipeline::Pipeline> pipeline_;
   std::unique_ptr<Fleet> fleet_;
   std::unique_ptr<rollout::BundleLibrary> library_;

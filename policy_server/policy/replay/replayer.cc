@@ -343,6 +343,18 @@ void Replayer::Keep(std::vector<Record>& list, Record record) {
   }
 }
 
+Records Replayer::TakeRecords() {
+  return {.transitions = std::exchange(result_.transitions, {}),
+          .alerts = std::exchange(result_.alerts, {}),
+          .execs = std::exchange(result_.execs, {}),
+          .faults = std::exchange(result_.faults, {}),
+          .logs = std::exchange(result_.logs, {})};
+}
+
+std::string Replayer::crashed_rule() const {
+  return crashed_rule_.has_value() ? result_.rules[*crashed_rule_].name : "";
+}
+
 std::string Replayer::level() const { return state_.level.table().name(state_.level.level()); }
 
 Result Replayer::Finish() const {

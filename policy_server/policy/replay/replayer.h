@@ -81,7 +81,7 @@ class Replayer {
 
   // The next event. InvalidArgument: its time is out of range, or its change does not fit the graph
   // so far. ResourceExhausted: too many ticks since the event before. The message names the event;
-  // the replayer is of no more use then.
+  // the replayer is of no more use then, unless the next graph is whole.
   absl::Status Judge(const recording::Recorded& event);
   // A tick at `time_ns`, which is of event `event`. Times are up to kTimeNsMax.
   void JudgeTick(uint64_t event, int64_t time_ns);
@@ -91,6 +91,11 @@ class Replayer {
   // Complete at first. While it is not, soft lowerings are refused as blind.
   void SetEvidence(bool complete);
 
+  // The lists so far, which are empty afterwards and have room again; all counts go on, `left_out`
+  // too.
+  Records TakeRecords();
+  // Name of the rule that called `crash`; empty = none has.
+  std::string crashed_rule() const;
   // The lists and counts so far; `level` and `variables` are not set.
   const Result& so_far() const { return result_; }
   std::string level() const;

@@ -554,6 +554,37 @@ TEST(ReplayerTest, ListsHaveALimit) {
   EXPECT_EQ(Replayed(program, {Signal(), Signal(), Signal()}, {.records_max = 6}).left_out, 0u);
 }
 
+TEST(ReplayerTest, TakenRecordsMakeRoomAndCountsGoOn) {
+  Replayer replayer(MakeProgram(R"(
+    rules Msg: seen: true ? alert("hi") => exec("p") => trigger(B) => True("x", 1);
+    rules External: bad: false ? trigger(B);)"),
+                    {.records_max = 4}, nullptr);
+  for (uint64_t i = 0; i < 10; ++i) {
+    Recorded message = Message("/t");
+    message.index = i;
+    ASSERT_THAT(replayer.Judge(message), IsOk());
+    const Records records = replayer.TakeRecords();
+    ASSERT_THAT(records.alerts, SizeIs(1));
+    EXPECT_EQ(records.alerts[0].at.event, i);
+    EXPECT_THAT(records.execs, SizeIs(1));
+    EXPECT_THAT(records.transitions, SizeIs(i == 0 ? 1 : 0));
+    EXPECT_THAT(replayer.so_far().alerts, IsEmpty());
+  }
+  EXPECT_EQ(replayer.so_far().left_out, 0u);
+  EXPECT_EQ(replayer.so_far().rules[0].fired, 10u);
+  EXPECT_EQ(replayer.crashed_rule(), "");
+}
+
+TEST(ReplayerTest, AfterAGraphThatDoesNotFitAWholeOneGoesOn) {
+  Replayer replayer(MakeProgram(R"(rules Graph: one: nodes("/a") ? alert("one");)"), {}, nullptr);
+  RecordedGraph bad = Graph({"/b"}, /*whole=*/false);
+  bad.content.upsert_endpoints[0].node = "/nowhere";
+  bad.content.upsert_endpoints[0].guid = WriterGuid(7);
+  EXPECT_THAT(replayer.Judge(Event(bad)), StatusIs(absl::StatusCode::kInvalidArgument));
+  EXPECT_THAT(replayer.Judge(Event(Graph({"/a"}))), IsOk());
+  EXPECT_THAT(Alerts(replayer.so_far()), ElementsAre("0 one one"));
+}
+
 TEST(ResultJsonTest, IsTheContract) {
   const auto program = MakeProgram(R"(
     vars: n int = 1; big int = 9007199254740993; f float = 0.0; s string = "x"; b bool = true;

@@ -126,6 +126,15 @@ struct Result {
   friend bool operator==(const Result&, const Result&) = default;
 };
 
+// The lists of a Result.
+struct Records {
+  std::vector<Changed> transitions;
+  std::vector<Alerted> alerts;
+  std::vector<Executed> execs;
+  std::vector<Noted> faults;
+  std::vector<Noted> logs;
+};
+
 }  // namespace rips::replay
 
 #endif  // RIPS_POLICY_SERVER_POLICY_REPLAY_RESULT_H_

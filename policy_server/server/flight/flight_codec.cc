@@ -4,6 +4,7 @@
 #include <variant>
 
 #include "policy_server/policy/recording/rips_writer.h"
+#include "policy_server/server/flight/recorded_event.h"
 #include "services/base/overloaded.h"
 #include "services/base/status_macros.h"
 #include "services/runtime/daemon_flags.h"
@@ -11,26 +12,14 @@
 namespace rips::flight {
 namespace {
 
-recording::RecordedGraph Whole(const ros2::RosGraph& graph) {
-  return {.content = ros2::RosGraph::Diff(ros2::RosGraph(), graph), .whole = true, .settled = true};
-}
-
-recording::RecordedMessage MessageOf(const FlightMessage& message) {
-  const pipeline::MessageSeen& seen = *message.seen;
-  return {.topic = std::string(seen.topic),
-          .type = std::string(seen.type),
-          .sender = *message.sender,
-          .writer = seen.writer,
-          .payload = seen.payload,
-          .size_bytes = seen.size_bytes,
-          .truncated = seen.payload.size() < seen.size_bytes};
-}
-
 recording::Recorded RecordedOf(const FlightEvent& event) {
   recording::Recorded out{
       .time_unix_ns = event.time_unix_ns, .blind = event.blind, .late = event.late};
-  if (event.context != nullptr) out.context = Whole(*event.context);
-  std::visit(Overloaded{[&](const FlightMessage& message) { out.what = MessageOf(message); },
+  if (event.context != nullptr) out.context = WholeGraph(*event.context);
+  std::visit(Overloaded{[&](const FlightMessage& message) {
+                          out.what =
+                              MessageOf(*message.seen, *message.sender, message.payload_bytes_max);
+                        },
                         [&](const std::unique_ptr<const ros2::GraphDelta>& delta) {
                           out.what = recording::RecordedGraph{.content = *delta, .settled = true};
                         },
@@ -38,8 +27,7 @@ recording::Recorded RecordedOf(const FlightEvent& event) {
                           out.what = *external;
                         },
                         [&](const std::unique_ptr<const pipeline::LevelChange>& level) {
-                          out.what =
-                              recording::RecordedLevel{.to = level->to, .cause = level->cause};
+                          out.what = LevelOf(*level);
                         }},
              event.what);
   return out;
@@ -69,7 +57,7 @@ absl::StatusOr<std::string> EncodeFlight(const recording::RecordedOrigin& origin
     for (const FlightEvent& event : piece->events) {
       recording::Recorded recorded = RecordedOf(event);
       if (std::exchange(first, false) && start.settled && !recorded.context) {
-        recorded.context = Whole(*start.graph);
+        recorded.context = WholeGraph(*start.graph);
       }
       absl::StatusOr<std::string> frame = recording::EncodeFrame(recorded);
       if (!frame.ok()) {

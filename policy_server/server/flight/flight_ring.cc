@@ -18,6 +18,8 @@ size_t BytesOf(const ros2::GraphDelta& delta) {
           delta.upsert_endpoints.size() + delta.gone_guids.size() + delta.gone_nodes.size());
 }
 
+}  // namespace
+
 size_t BytesOf(const model::ExternalEvent& external) {
   const size_t texts = std::visit(
       Overloaded{
@@ -43,8 +45,6 @@ size_t BytesOf(const pipeline::Batch& batch) {
   return sizeof(batch) + batch.observations.size() * sizeof(pipeline::Observation) + batch.bytes +
          batch.payload_bytes;
 }
-
-}  // namespace
 
 size_t BytesOf(const ros2::RosGraph& graph) {
   size_t bytes = 64 * (1 + graph.participants().size());
@@ -109,8 +109,10 @@ void FlightRing::Add(const pipeline::JudgedEvent& judged) {
   event.late = of.lateness == levels::Lateness::kLate;
   std::visit(Overloaded{[&](const engine::MessageEvent& message) {
                           const auto [sender, fresh] = piece().senders.emplace(message.sender);
-                          event.what = FlightMessage{
-                              .seen = judged.message, .sender = &*sender, .batch = judged.batch};
+                          event.what = FlightMessage{.seen = judged.message,
+                                                     .sender = &*sender,
+                                                     .batch = judged.batch,
+                                                     .payload_bytes_max = judged.payload_bytes_max};
                           piece().bytes +=
                               message.topic.size() + message.type.size() + message.sender.size();
                           const bool counted = !piece().batches.insert(judged.batch.get()).second;

@@ -34,6 +34,8 @@ struct FlightMessage {
   // Of the piece; never null.
   const std::string* sender = nullptr;
   std::shared_ptr<const pipeline::Batch> batch;
+  // As JudgedEvent::payload_bytes_max.
+  size_t payload_bytes_max = SIZE_MAX;
 };
 
 struct FlightEvent {
@@ -105,6 +107,9 @@ class FlightRing {
 
 // Of a graph that is written out, estimated.
 size_t BytesOf(const ros2::RosGraph& graph);
+// In memory, estimated.
+size_t BytesOf(const model::ExternalEvent& external);
+size_t BytesOf(const pipeline::Batch& batch);
 
 }  // namespace rips::flight
 

@@ -151,6 +151,23 @@ grpc::ServerUnaryReactor* OperatorService::StopRollout(grpc::CallbackServerConte
       });
 }
 
+grpc::ServerUnaryReactor* OperatorService::ShadowBundle(
+    grpc::CallbackServerContext* context, const rips::v1::ShadowBundleRequest* request,
+    rips::v1::ShadowBundleResponse* response) {
+  const auto who = AuthorizeOrder(context, "ShadowBundle", *request, OperatorRole::kOperator);
+  rollout::ShadowWish wish{.bundle = request->bundle_id(),
+                           .robots = Decode(request->robots()),
+                           .reason = request->reason()};
+  if (who.ok()) wish.operator_name = OperatorName(*who);
+  return OnBundles(context, who, [wish, response](BundleControl& control) -> absl::Status {
+    RIPS_RETURN_IF_ERROR(CheckReason(wish.reason));
+    RIPS_ASSIGN_OR_RETURN(const rollout::ShadowAnswer answer, control.Shadow(wish));
+    for (const std::string& robot : answer.changed) response->add_changed(robot);
+    for (const std::string& text : answer.left_out) response->add_left_out(text);
+    return absl::OkStatus();
+  });
+}
+
 grpc::ServerReadReactor<rips::v1::PushBundleRequest>* OperatorService::PushBundle(
     grpc::CallbackServerContext* context, rips::v1::PushBundleResponse* response) {
   // The audit record of a push that is refused later has no request either.

@@ -75,11 +75,13 @@ void EncodeLists(const pipeline::Robot& robot, rips::v1::GetCoverageResponse& ou
 }  // namespace
 
 void EncodeInterest(const pipeline::Robot& robot, rips::v1::GetInterestResponse& out) {
+  // What a policy that runs muted asks for, too.
+  const pipeline::Policy& policy = robot.core().policy();
+  const pipeline::Watch& watch = robot.core().watch();
   *out.mutable_interest() =
-      ingest::EncodeInterest(*robot.core().policy().interest, robot.core().policy().payload_limits,
-                             *robot.core().policy().kept_topics);
+      ingest::EncodeInterest(*watch.plan(policy), watch.limits(policy), *watch.kept_topics(policy));
   AnswerRoom room(kAnswerBytesMax / 2);
-  for (const engine::TopicInterest& row : *robot.core().policy().interest) {
+  for (const engine::TopicInterest& row : *watch.plan(policy)) {
     rips::v1::InterestReason reason;
     for (const std::string& rule : row.wanted_by) reason.add_wanted_by(rule);
     if (!room.Take(reason)) reason.clear_wanted_by();

@@ -164,6 +164,9 @@ class OperatorService final : public rips::v1::OperatorService::CallbackService 
   grpc::ServerUnaryReactor* StopRollout(grpc::CallbackServerContext* context,
                                         const rips::v1::StopRolloutRequest* request,
                                         rips::v1::RolloutResponse* response) override;
+  grpc::ServerUnaryReactor* ShadowBundle(grpc::CallbackServerContext* context,
+                                         const rips::v1::ShadowBundleRequest* request,
+                                         rips::v1::ShadowBundleResponse* response) override;
 
  private:
   enum class Direction { kRaise, kLower };

@@ -13,14 +13,15 @@ namespace {
 
 using rips::v1::RecordedEvent;
 
-void Fill(const engine::MessageEvent& message, const pipeline::MessageSeen* seen,
+void Fill(const engine::MessageEvent& message, const pipeline::JudgedEvent& judged,
           rips::v1::RecordedMessage* out) {
+  const pipeline::MessageSeen* seen = judged.message;
   out->set_topic(std::string(message.topic));
   out->set_type(std::string(message.type));
   out->set_sender(std::string(message.sender));
   if (!message.writer.none()) out->set_writer_guid(message.writer.ToBytes());
   out->set_size_bytes(message.size_bytes);
-  if (seen != nullptr) out->set_payload(seen->payload);
+  if (seen != nullptr) out->set_payload(seen->payload.substr(0, judged.payload_bytes_max));
   out->set_truncated(out->payload().size() < message.size_bytes);
 }
 
@@ -59,7 +60,7 @@ bool RecordingWriter::OnEvent(const pipeline::JudgedEvent& judged) {
   out->set_blind(judged.blind);
   out->set_late(event.lateness == levels::Lateness::kLate);
   if (const auto* sample = std::get_if<engine::MessageEvent>(&event.what)) {
-    Fill(*sample, judged.message, out->mutable_message());
+    Fill(*sample, judged, out->mutable_message());
   } else if (std::holds_alternative<engine::GraphEvent>(event.what)) {
     out->mutable_delta()->set_settled(true);
     ros2_proto::EncodeGraph(ros2::RosGraph::Diff(*graph_, *graph), *out->mutable_delta());

@@ -3,7 +3,9 @@
 #include <algorithm>
 #include <utility>
 
+#include "absl/strings/escaping.h"
 #include "policy_server/server/operator_api/answer_limits.h"
+#include "services/text/utf8.h"
 
 namespace rips::operator_api {
 namespace {
@@ -19,6 +21,20 @@ std::string StageState(const rollout::RolloutRecord& record, size_t stage) {
   return std::string(rollout::ToString(record.state));
 }
 
+// Text of a robot may be any bytes; a string field must be UTF-8.
+std::string ToUtf8(const std::string& text) {
+  return FindInvalidUtf8(text).has_value() ? absl::Utf8SafeCHexEscape(text) : text;
+}
+
+void Encode(const shadow::ShadowCounts& counts, rips::v1::ShadowCounts& out) {
+  out.set_alerts(counts.alerts);
+  out.set_raises(counts.raises);
+  out.set_lowerings(counts.lowerings);
+  out.set_refusals(counts.refusals);
+  out.set_programs(counts.programs);
+  out.set_faults(counts.faults);
+}
+
 void Encode(const rollout::RolloutRecord& record, rips::v1::Rollout& out) {
   const rollout::RolloutPlan& plan = record.plan;
   out.set_id(plan.id);
@@ -26,7 +42,7 @@ void Encode(const rollout::RolloutRecord& record, rips::v1::Rollout& out) {
   out.set_from_directory(plan.from_directory);
   out.set_name(plan.name);
   out.set_state(std::string(rollout::ToString(record.state)));
-  out.set_why(record.why);
+  out.set_why(ToUtf8(record.why));
   out.set_operator_(plan.operator_name);
   out.set_reason(plan.reason);
   out.set_began_unix_ns(record.began_unix_ns);
@@ -87,12 +103,44 @@ void Encode(const std::vector<rollout::KeptBundle>& bundles, const rollout::Rule
   }
 }
 
+rips::v1::ShadowReport Encode(const shadow::ShadowReport& report) {
+  rips::v1::ShadowReport out;
+  out.set_bundle_id(report.bundle_id);
+  out.set_name(report.name);
+  out.set_operator_(report.operator_name);
+  out.set_reason(report.reason);
+  out.set_began_unix_ns(report.began_unix_ns);
+  out.set_events(report.events);
+  out.set_missed(report.missed);
+  out.set_problem(ToUtf8(report.problem));
+  out.set_level(report.level);
+  out.set_live_level(report.live_level);
+  Encode(report.would, *out.mutable_would());
+  Encode(report.live, *out.mutable_live());
+  for (const shadow::ShadowRule& rule : report.rules) {
+    rips::v1::ShadowRule& row = *out.add_rules();
+    row.set_rule(rule.rule);
+    row.set_fired(rule.fired);
+    row.set_unscanned(rule.unscanned);
+    row.set_undecidable(rule.undecidable);
+  }
+  for (const shadow::ShadowExample& example : report.examples) {
+    rips::v1::ShadowExample& row = *out.add_examples();
+    row.set_time_unix_ns(example.time_unix_ns);
+    row.set_rule(example.rule);
+    row.set_kind(example.kind);
+    row.set_text(ToUtf8(example.text));
+  }
+  return out;
+}
+
 rips::v1::RobotRules Encode(const rollout::RobotRules& rules) {
   rips::v1::RobotRules out;
   out.set_robot(rules.robot);
   out.set_name(rules.name);
   out.set_bundle_in_use(rules.bundle_in_use);
-  out.set_problem(rules.problem);
+  out.set_problem(ToUtf8(rules.problem));
+  if (rules.shadow) *out.mutable_shadow() = Encode(*rules.shadow);
   if (!rules.activation) return out;
   const rollout::Activation& activation = *rules.activation;
   out.set_activated(activation.bundle_id);

@@ -18,6 +18,7 @@ rips::v1::StoredBundle Encode(const rollout::KeptBundle& bundle);
 // With the robots that each judges; what does not fit is left out.
 void Encode(const std::vector<rollout::KeptBundle>& bundles, const rollout::RulesStatus& status,
             rips::v1::ListBundlesResponse& out);
+rips::v1::ShadowReport Encode(const shadow::ShadowReport& report);
 rips::v1::RobotRules Encode(const rollout::RobotRules& rules);
 void Encode(const rollout::RolloutAnswer& answer, rips::v1::RolloutResponse& out);
 // What does not fit is left out, and said so.

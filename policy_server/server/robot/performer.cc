@@ -190,6 +190,7 @@ void Performer::Do(const action::PublishStatus& what) { ports_.audience->OnStatu
 
 void Performer::Do(const action::ReportRetired& what) {
   recorders_.clear();
+  if (shadow_ != nullptr) std::exchange(shadow_, nullptr)->OnRetired();
   if (absl::IsAborted(what.why) && ports_.fenced) ports_.fenced(robot_, what.why);
 }
 
@@ -197,7 +198,15 @@ void Performer::Do(const action::LogRule& what) {
   ports_.audience->OnRuleLog(robot_, what.rule, what.text);
 }
 
+void Performer::KeepShadow(bool wants_more) {
+  if (wants_more) return;
+  shadow_.reset();
+  answers_.push_back(input::WatchAlso{});
+}
+
 void Performer::Do(const action::RecordEvent& what) {
+  if (shadow_ != nullptr) KeepShadow(shadow_->OnEvent(what.event));
+  if (what.event.muted) return;
   if (flight_ != nullptr) flight_->OnEvent(what.event);
   std::erase_if(recorders_, [&](const std::shared_ptr<EventRecorder>& recorder) {
     return !recorder->OnEvent(what.event);
@@ -205,10 +214,15 @@ void Performer::Do(const action::RecordEvent& what) {
 }
 
 void Performer::Do(const action::RecordLevel& what) {
+  if (shadow_ != nullptr) KeepShadow(shadow_->OnLevel(what.level));
   if (flight_ != nullptr) flight_->OnLevel(what.level);
   std::erase_if(recorders_, [&](const std::shared_ptr<EventRecorder>& recorder) {
     return !recorder->OnLevel(what.level);
   });
+}
+
+void Performer::Do(const action::RecordOutcome& what) {
+  if (shadow_ != nullptr) KeepShadow(shadow_->OnOutcome(what.outcome));
 }
 
 void Performer::Do(const action::KeepRecording& what) {

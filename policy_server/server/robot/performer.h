@@ -39,7 +39,9 @@ class Performer {
   ReplyToken Await(DrillReply reply);
   // Recordings, until the robot retires: as Robot::AddTap.
   absl::Status AddRecorder(std::shared_ptr<EventRecorder> recorder, size_t max);
-  bool recorded() const { return !recorders_.empty() || flight_ != nullptr; }
+  // Null = none any more.
+  void SetShadow(std::shared_ptr<ShadowRecorder> shadow) { shadow_ = std::move(shadow); }
+  bool recorded() const { return !recorders_.empty() || flight_ != nullptr || shadow_ != nullptr; }
   // Null if there is none.
   FlightRecorder* flight() const { return flight_.get(); }
 
@@ -75,6 +77,7 @@ class Performer {
   void Do(const action::LogRule& what);
   void Do(const action::RecordEvent& what);
   void Do(const action::RecordLevel& what);
+  void Do(const action::RecordOutcome& what);
   void Do(const action::KeepRecording& what);
   void Do(const action::Count& what);
   void Do(const action::CountEndpoints& what);
@@ -82,6 +85,9 @@ class Performer {
   void Do(const action::CountLeftOut& what);
   void Do(const action::ShowClockSkew& what);
   void Do(const action::CountSkipped& what);
+
+  // Ends the shadow if it wants no more.
+  void KeepShadow(bool wants_more);
 
   const std::string robot_;
   const Ports ports_;
@@ -93,6 +99,7 @@ class Performer {
   absl::flat_hash_map<ReplyToken, DrillReply> drills_;
   std::vector<std::shared_ptr<EventRecorder>> recorders_;
   const std::unique_ptr<FlightRecorder> flight_;
+  std::shared_ptr<ShadowRecorder> shadow_;
   std::vector<Input> answers_;
 };
 

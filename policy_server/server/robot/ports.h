@@ -82,6 +82,18 @@ class FlightRecorder : public EventRecorder {
   virtual void Keep(const GraveAlert& alert) = 0;
 };
 
+// Runs another policy muted on what the robot's rules are given, and on messages that it alone
+// asked for (JudgedEvent::muted). Called on the robot's thread; must not block.
+class ShadowRecorder : public EventRecorder {
+ public:
+  // First; from here on all is recorded.
+  virtual void OnBegin(RulesState state) = 0;
+  // After the event that it is of. False: no more, please.
+  virtual bool OnOutcome(const RuleOutcome& outcome) = 0;
+  // The robot has retired; last.
+  virtual void OnRetired() = 0;
+};
+
 // Asks YARA files and plugins of one policy about messages.
 class Inspector {
  public:

@@ -186,6 +186,13 @@ absl::Status Robot::AddTap(std::shared_ptr<EventRecorder> tap) {
   return performer_.AddRecorder(std::move(tap), kTapsMax);
 }
 
+void Robot::SetShadow(std::shared_ptr<ShadowRecorder> shadow,
+                      std::shared_ptr<const AlsoWatched> also) {
+  if (shadow != nullptr) shadow->OnBegin(core_->At(Now()).rules());
+  performer_.SetShadow(std::move(shadow));
+  Do(input::WatchAlso{std::move(also)});
+}
+
 // ---------------------------------------------------------------------------- time, inventory
 
 void Robot::OnTime() {

@@ -68,6 +68,10 @@ class Robot {
   // The recorder gets every event that is judged. ResourceExhausted past kTapsMax.
   static constexpr size_t kTapsMax = 4;
   absl::Status AddTap(std::shared_ptr<EventRecorder> tap);
+  // From now on the robot's sensors are asked for what `also` needs, too, and the recorder gets
+  // every event, muted ones too, until it wants no more. Verdicts do not change. Takes the place of
+  // the one before; null: ends it. `also` is not null if `shadow` is not.
+  void SetShadow(std::shared_ptr<ShadowRecorder> shadow, std::shared_ptr<const AlsoWatched> also);
 
   // ---- time; call at least every 50 ms. What agents sent waits for its turn for too long, or not.
   void SetBacklog(bool backlog) { backlog_ = backlog; }

@@ -60,6 +60,7 @@ BundleControl::BundleControl(Parts parts) : parts_(std::move(parts)) {
     LogInfo("a roll-out goes on", {{"bundle", record.plan.bundle_id},
                                    {"stage", static_cast<uint64_t>(record.stage + 1)}});
   }
+  RestoreShadows();
   Publish();
 }
 
@@ -238,6 +239,85 @@ absl::StatusOr<RolloutAnswer> BundleControl::StopRollout(const std::string& oper
   return Answer();
 }
 
+// -------------------------------------------------------------------------------------- shadows
+
+absl::Status BundleControl::BeginShadow(const std::string& robot, const ShadowOrder& order,
+                                        const shadow::ShadowPolicy& policy) {
+  parts_.shadows->End(robot);
+  return parts_.shadows->Begin(
+      robot, {.policy = policy, .operator_name = order.operator_name, .reason = order.reason},
+      [this, &robot](std::shared_ptr<pipeline::ShadowRecorder> tap,
+                     std::shared_ptr<const pipeline::AlsoWatched> also) {
+        return parts_.pipeline->Post(robot, pipeline::Queue::kOrders,
+                                     [tap = std::move(tap), also = std::move(also)](Robot& each) {
+                                       each.SetShadow(tap, also);
+                                     });
+      });
+}
+
+void BundleControl::RestoreShadows() {
+  for (const auto& [robot, order] : parts_.activations->now().shadows) {
+    absl::Status begun;
+    if (const absl::StatusOr<KeptBundle> kept = parts_.library->Find(order.bundle_id); !kept.ok()) {
+      begun = kept.status();
+    } else if (const auto policy = parts_.load_shadow(*kept); !policy.ok()) {
+      begun = policy.status();
+    } else {
+      begun = BeginShadow(robot, order, *policy);
+    }
+    if (begun.ok()) continue;
+    LogWarning("a shadow does not begin again",
+               {{"robot", robot}, {"bundle", order.bundle_id}, {"reason", begun.message()}});
+  }
+}
+
+void BundleControl::EndShadows(const std::vector<const bundle::InventoryRobot*>& robots,
+                               ActivatedBundles& next, ShadowAnswer& answer) {
+  for (const bundle::InventoryRobot* robot : robots) {
+    const bool ordered = next.shadows.erase(robot->id) > 0;
+    if (ordered || parts_.shadows->Report(robot->id, false).has_value()) {
+      answer.changed.push_back(robot->id);
+    } else {
+      answer.left_out.push_back(absl::StrCat(robot->id, ": has no shadow"));
+    }
+  }
+}
+
+absl::StatusOr<ShadowAnswer> BundleControl::Shadow(const ShadowWish& wish) {
+  ShadowAnswer answer;
+  ActivatedBundles next = parts_.activations->now();
+  if (wish.bundle.empty()) {
+    RIPS_ASSIGN_OR_RETURN(const auto robots,
+                          Select(parts_.fleet->inventory(), wish.robots, std::nullopt));
+    EndShadows(robots, next, answer);
+    RIPS_RETURN_IF_ERROR(parts_.activations->Set(std::move(next)));
+    for (const std::string& robot : answer.changed) parts_.shadows->End(robot);
+    return answer;
+  }
+  RIPS_ASSIGN_OR_RETURN(const KeptBundle kept, parts_.library->Find(wish.bundle));
+  if (!kept.problem.empty()) {
+    return absl::FailedPreconditionError(absl::StrCat(kept.id, ": ", kept.problem));
+  }
+  RIPS_ASSIGN_OR_RETURN(const auto robots,
+                        Select(parts_.fleet->inventory(), wish.robots, kept.name));
+  RIPS_ASSIGN_OR_RETURN(const shadow::ShadowPolicy policy, parts_.load_shadow(kept));
+  const ShadowOrder order{
+      .bundle_id = kept.id, .operator_name = wish.operator_name, .reason = wish.reason};
+  for (const bundle::InventoryRobot* robot : robots) next.shadows[robot->id] = order;
+  RIPS_RETURN_IF_ERROR(parts_.activations->Set(next));
+  for (const bundle::InventoryRobot* robot : robots) {
+    const absl::Status begun = BeginShadow(robot->id, order, policy);
+    if (begun.ok()) {
+      answer.changed.push_back(robot->id);
+      continue;
+    }
+    answer.left_out.push_back(absl::StrCat(robot->id, ": ", begun.message()));
+    next.shadows.erase(robot->id);
+  }
+  if (!answer.left_out.empty()) RIPS_RETURN_IF_ERROR(parts_.activations->Set(std::move(next)));
+  return answer;
+}
+
 // --------------------------------------------------------------------------------------- status
 
 RolloutAnswer BundleControl::Answer() const {
@@ -283,6 +363,7 @@ absl::StatusOr<RulesStatus> BundleControl::Status(const std::string& robot) cons
   }
   out.no_answer = std::move(gathered.silent);
   for (RobotRules& rules : out.robots) {
+    rules.shadow = parts_.shadows->Report(rules.robot, /*with_examples=*/!robot.empty());
     const auto is = gathered.answers.find(rules.robot);
     if (is == gathered.answers.end()) continue;
     rules.bundle_in_use = is->second.bundle_version;

@@ -1,5 +1,5 @@
-// What operators order of bundles: to keep one, to have robots judged by it stage by stage, to go
-// back. Wires the fleet, the durable activations, the library and the roll-out that runs, on one
+// What operators order of bundles: to keep one, to run it muted beside the one in force, to have
+// robots judged by it stage by stage, to go back. Wires the fleet, the durable activations, the library and the roll-out that runs, on one
 // thread. An order is durable before any robot is judged by it, so that a restart goes on from it.
 #ifndef RIPS_POLICY_SERVER_SERVER_ROLLOUT_BUNDLE_CONTROL_H_
 #define RIPS_POLICY_SERVER_SERVER_ROLLOUT_BUNDLE_CONTROL_H_
@@ -24,6 +24,8 @@
 #include "policy_server/server/rollout/bundle_library.h"
 #include "policy_server/server/rollout/robot_selection.h"
 #include "policy_server/server/rollout/rollout.h"
+#include "policy_server/server/shadow/shadow_report.h"
+#include "policy_server/server/shadow/shadows.h"
 #include "policy_server/server/shard/pipeline.h"
 #include "policy_server/server/shard/server_alerts.h"
 #include "services/base/clock.h"
@@ -53,6 +55,21 @@ struct RollBackOrder {
   bool dry_run = false;
 };
 
+struct ShadowWish {
+  // As BundleLibrary::Find; empty: ends the shadows of these robots.
+  std::string bundle;
+  RobotSelection robots;
+  std::string operator_name;
+  std::string reason;
+};
+
+struct ShadowAnswer {
+  // Robots whose shadow began or ended.
+  std::vector<std::string> changed;
+  // `r7: has none`
+  std::vector<std::string> left_out;
+};
+
 // Stands for the bundle that the server's directory holds.
 inline constexpr absl::string_view kDirectory = "directory";
 
@@ -77,6 +94,8 @@ struct RobotRules {
   std::optional<Activation> activation;
   // Why it is not judged by what it should be; empty = it is.
   std::string problem;
+  // Of what runs muted beside it; with examples only if the robot was asked for by name.
+  std::optional<shadow::ShadowReport> shadow;
 };
 
 struct RulesStatus {
@@ -95,6 +114,9 @@ class BundleControl {
     Activations* activations = nullptr;
     BundleLibrary* library = nullptr;
     AlertRates* rates = nullptr;
+    shadow::Shadows* shadows = nullptr;
+    // The kept bundle of that id and name, to run muted.
+    std::function<absl::StatusOr<shadow::ShadowPolicy>(const KeptBundle&)> load_shadow;
     pipeline::Pipeline* pipeline = nullptr;
     pipeline::ServerAlerts* alerts = nullptr;
     const Clock* clock = nullptr;
@@ -105,7 +127,8 @@ class BundleControl {
   // Between two looks at a roll-out.
   static constexpr absl::Duration kInterval = absl::Seconds(1);
 
-  // After Fleet::Start. Nothing is owned; all outlive this. A roll-out that ran goes on.
+  // After Fleet::Start. Nothing is owned; all outlive this. A roll-out that ran goes on, and shadows
+  // begin anew.
   explicit BundleControl(Parts parts);
   ~BundleControl();
 
@@ -132,6 +155,7 @@ class BundleControl {
   // NotFound if none runs.
   absl::StatusOr<RolloutAnswer> StopRollout(const std::string& operator_name,
                                             const std::string& reason);
+  absl::StatusOr<ShadowAnswer> Shadow(const ShadowWish& wish);
   // Looks at the roll-out that runs, if any.
   void Look();
 
@@ -147,6 +171,12 @@ class BundleControl {
   // Makes durable what the step asks for, and does it. An error: nothing was done.
   absl::Status Perform(Rollout& rollout, const RolloutStep& step);
   void Report(const RolloutRecord& record, const RolloutStep& step);
+  absl::Status BeginShadow(const std::string& robot, const ShadowOrder& order,
+                           const shadow::ShadowPolicy& policy);
+  void EndShadows(const std::vector<const bundle::InventoryRobot*>& robots, ActivatedBundles& next,
+                  ShadowAnswer& answer);
+  // As they were ordered before this start.
+  void RestoreShadows();
   FleetHealth Health() const;
   // Has Status answer from how it is now.
   void Publish() ABSL_LOCKS_EXCLUDED(mu_);

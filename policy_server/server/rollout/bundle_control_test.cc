@@ -80,22 +80,32 @@ class BundleControlTest : public ::testing::Test {
     library_ = std::make_unique<BundleLibrary>(
         dir_.File("kept"), LoadForTest,
         [](const std::string&, const std::string&) { return std::string("alice"); });
-    control_ =
-        std::make_unique<BundleControl>(BundleControl::Parts{.fleet = fleet_.get(),
-                                                             .activations = activations_.get(),
-                                                             .library = library_.get(),
-                                                             .rates = rates_.get(),
-                                                             .pipeline = pipeline_.get(),
-                                                             .alerts = alerts_.get(),
-                                                             .clock = &clock_,
-                                                             .new_id = NewId});
+    shadows_ = std::make_unique<shadow::Shadows>();
+    control_ = std::make_unique<BundleControl>(BundleControl::Parts{
+        .fleet = fleet_.get(),
+        .activations = activations_.get(),
+        .library = library_.get(),
+        .rates = rates_.get(),
+        .shadows = shadows_.get(),
+        .load_shadow = [this](const KeptBundle& kept) { return LoadShadow(kept); },
+        .pipeline = pipeline_.get(),
+        .alerts = alerts_.get(),
+        .clock = &clock_,
+        .new_id = NewId});
   }
   void Stop() {
     control_.reset();
+    if (shadows_ != nullptr) shadows_->Stop();
     if (pipeline_ != nullptr) pipeline_->Stop();
     if (committer_ != nullptr) committer_->Stop();
     fleet_.reset();
     pipeline_.reset();
+    shadows_.reset();
+  }
+  absl::StatusOr<shadow::ShadowPolicy> LoadShadow(const KeptBundle& kept) {
+    const auto loaded = bundle::LoadBundle(dir_.File("kept/") + kept.id.substr(7), &real_clock_);
+    if (!loaded.ok()) return loaded.status();
+    return shadow::PolicyOf(*loaded);
   }
   void Restart() {
     Stop();
@@ -168,6 +178,7 @@ class BundleControlTest : public ::testing::Test {
   std::unique_ptr<pipeline::ServerAlerts> alerts_;
   std::unique_ptr<AlertRates> rates_;
   std::unique_ptr<Activations> activations_;
+  std::unique_ptr<shadow::Shadows> shadows_;
   std::unique_ptr<pipeline::Pipeline> pipeline_;
   std::unique_ptr<server::Fleet> fleet_;
   std::unique_ptr<BundleLibrary> library_;
@@ -357,6 +368,44 @@ TEST_F(BundleControlTest, ABundleOfManyRobotsIsLoadedOnce) {
   LookFor(kSoakNs + 3 * kNanosPerSecond);
   EXPECT_THAT(InUse("r4"), fresh);
   EXPECT_EQ(loads_, before + 1);
+}
+
+TEST_F(BundleControlTest, AShadowJudgesNothingAndLastsOverARestart) {
+  const std::string old = InUse("r1");
+  const std::string fresh = Push("warehouse", "fresh");
+  const auto begun = control_->Shadow({.bundle = fresh,
+                                       .robots = {.labels = {"ring=canary"}},
+                                       .operator_name = "alice",
+                                       .reason = "to see"});
+  ASSERT_THAT(begun, IsOk());
+  EXPECT_THAT(begun->changed, ElementsAre("r2"));
+  EXPECT_EQ(InUse("r2"), old);
+  EXPECT_EQ(control_->Status("r2")->robots.at(0).shadow->bundle_id, fresh);
+  EXPECT_FALSE(control_->Status("r1")->robots.at(0).shadow.has_value());
+  Restart();
+  const auto report = control_->Status("r2")->robots.at(0).shadow;
+  ASSERT_TRUE(report.has_value());
+  EXPECT_EQ(report->operator_name, "alice");
+  // Another one takes its place.
+  const std::string other = Push("warehouse", "other");
+  ASSERT_THAT(control_->Shadow({.bundle = other, .robots = {.robots = {"r2"}}, .reason = "x"}),
+              IsOk());
+  EXPECT_EQ(control_->Status("r2")->robots.at(0).shadow->bundle_id, other);
+  const auto ended = control_->Shadow({.robots = {.robots = {"r1", "r2"}}, .reason = "seen"});
+  ASSERT_THAT(ended, IsOk());
+  EXPECT_THAT(ended->changed, ElementsAre("r2"));
+  EXPECT_THAT(ended->left_out, ElementsAre("r1: has no shadow"));
+  Restart();
+  EXPECT_FALSE(control_->Status("r2")->robots.at(0).shadow.has_value());
+}
+
+TEST_F(BundleControlTest, RefusesAShadowOfAnotherPolicy) {
+  const std::string crane = Push("crane", "crane");
+  EXPECT_THAT(control_->Shadow({.bundle = crane, .robots = {.robots = {"r1"}}, .reason = "x"}),
+              StatusIs(absl::StatusCode::kFailedPrecondition));
+  EXPECT_THAT(control_->Shadow({.bundle = "0123456789", .robots = {.all = true}, .reason = "x"}),
+              StatusIs(absl::StatusCode::kNotFound));
+  EXPECT_THAT(activations_->now().shadows, IsEmpty());
 }
 
 TEST_F(BundleControlTest, TheThreadRunsWhatIsPostedInOrderAndEndsWithIt) {

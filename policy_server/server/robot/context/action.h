@@ -142,6 +142,10 @@ struct RecordEvent {
 struct RecordLevel {
   LevelChange level;
 };
+// See ShadowRecorder.
+struct RecordOutcome {
+  RuleOutcome outcome;
+};
 // What was recorded so far is saved with that alert.
 struct KeepRecording {
   GraveAlert alert;
@@ -180,8 +184,9 @@ using Action =
                  action::Record, action::SaveRaises, action::FindDecision, action::DrawTerm,
                  action::Inspect, action::AnswerOrder, action::AnswerDrill, action::PublishStatus,
                  action::ReportRetired, action::LogRule, action::RecordEvent, action::RecordLevel,
-                 action::KeepRecording, action::Count, action::CountEndpoints, action::CountBlind,
-                 action::CountLeftOut, action::ShowClockSkew, action::CountSkipped>;
+                 action::RecordOutcome, action::KeepRecording, action::Count,
+                 action::CountEndpoints, action::CountBlind, action::CountLeftOut,
+                 action::ShowClockSkew, action::CountSkipped>;
 using Actions = std::vector<Action>;
 
 }  // namespace rips::pipeline

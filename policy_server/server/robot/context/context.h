@@ -11,6 +11,7 @@
 #include "policy_server/server/robot/context/id_source.h"
 #include "policy_server/server/robot/context/input.h"
 #include "policy_server/server/robot/context/policy.h"
+#include "policy_server/server/robot/context/watch.h"
 #include "policy_server/server/robot/model/robot_config.h"
 #include "policy_server/server/store/generations.h"
 #include "services/base/clock.h"
@@ -22,6 +23,7 @@ struct Context {
   RobotConfig config;
   // In force; its interest and kept topics are not null.
   Policy policy;
+  Watch watch = {};
   Timing timing;
   // Names the robot's batches and its questions for terms.
   uint64_t tenure = 0;

@@ -15,6 +15,7 @@
 #include "policy_server/policy/engine/state/effect.h"
 #include "policy_server/policy/engine/state/verdict.h"
 #include "policy_server/server/robot/context/policy.h"
+#include "policy_server/server/robot/context/watch.h"
 #include "policy_server/server/robot/model/actuator_inbound.h"
 #include "policy_server/server/robot/model/drill_order.h"
 #include "policy_server/server/robot/model/inbound.h"
@@ -155,6 +156,10 @@ struct SwapPolicy {
   Policy policy;
   ReplyToken token = 0;
 };
+// A policy runs muted beside the one in force; null: none does.
+struct WatchAlso {
+  std::shared_ptr<const AlsoWatched> also;
+};
 struct SetHosts {
   RobotConfig config;
 };
@@ -193,15 +198,14 @@ struct Time {};
 
 }  // namespace input
 
-using Input =
-    std::variant<input::SensorHello, input::SensorHeartbeat, input::InterestAnswer,
-                 input::InterestSent, input::SensorBatch, input::SensorGone, input::Advance,
-                 input::Inspected, input::ActuatorHello, input::ActuatorHeartbeat, input::Receipt,
-                 input::ActuatorGone, input::Raise, input::DeEscalate, input::Approve,
-                 input::OperatorBanned, input::ResetTerm, input::ResumeRules, input::StartDrill,
-                 input::RefusedOrder, input::Report, input::SwapPolicy, input::SetHosts,
-                 input::PolicyProblem, input::Drain, input::Retire, input::Recorded,
-                 input::RaisesSaved, input::DecisionFound, input::TermDrawn, input::Time>;
+using Input = std::variant<
+    input::SensorHello, input::SensorHeartbeat, input::InterestAnswer, input::InterestSent,
+    input::SensorBatch, input::SensorGone, input::Advance, input::Inspected, input::ActuatorHello,
+    input::ActuatorHeartbeat, input::Receipt, input::ActuatorGone, input::Raise, input::DeEscalate,
+    input::Approve, input::OperatorBanned, input::ResetTerm, input::ResumeRules, input::StartDrill,
+    input::RefusedOrder, input::Report, input::SwapPolicy, input::WatchAlso, input::SetHosts,
+    input::PolicyProblem, input::Drain, input::Retire, input::Recorded, input::RaisesSaved,
+    input::DecisionFound, input::TermDrawn, input::Time>;
 
 }  // namespace rips::pipeline
 

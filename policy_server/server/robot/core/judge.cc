@@ -124,6 +124,10 @@ void Judge::JudgeOne(SensorHost& host, const Piece& piece, size_t index) {
                           if (has_graph) JudgeGraph(host, batch, change, seen.boottime_ns, event);
                         },
                         [&](const LossSeen& loss) {
+                          if (!loss.topic.empty() && !Concerns(loss.topic)) {
+                            event.what = engine::ExternalEvent(EventOf(loss, session));
+                            return parts_.decider.Run(event, {.muted = true});
+                          }
                           parts_.losses.OnLoss(host, loss);
                           run(EventOf(loss, session));
                         },
@@ -141,14 +145,16 @@ void Judge::JudgeOne(SensorHost& host, const Piece& piece, size_t index) {
 
 void Judge::JudgeMessage(SensorHost& host, const Piece& piece, const MessageSeen& message,
                          size_t index, engine::Event event) {
-  parts_.sight.OnMessage(message);
+  const bool concerns = Concerns(message.topic);
+  if (concerns) parts_.sight.OnMessage(message);
   const GraphHistory::Choice choice = messages_.Choose(host, *piece.waiting.batch, message);
   engine::MessageEvent judged = InspectionLine::EventOf(message, choice);
   if (index < piece.verdicts.size()) judged.inspections = piece.verdicts[index];
   event.what = judged;
   const Source source = {.message = &message,
                          .batch = piece.waiting.batch,
-                         .remark = messages_.Unattributed(message, choice)};
+                         .remark = messages_.Unattributed(message, choice),
+                         .muted = !concerns};
   engine::CurrentGraph& graph = parts_.state.graph;
   if (choice.version->revision == graph.revision()) return parts_.decider.Run(event, source);
   const engine::CurrentGraph::Version newest = graph.version();

@@ -7,6 +7,7 @@
 #include <cstdint>
 #include <memory>
 
+#include "absl/strings/string_view.h"
 #include "absl/types/span.h"
 #include "policy_server/policy/engine/evaluator.h"
 #include "policy_server/server/robot/context/context.h"
@@ -73,6 +74,7 @@ class Judge {
   void JudgeGraph(SensorHost& host, const Batch& batch, const GraphChange& change,
                   int64_t boottime_ns, engine::Event event);
   void OnGraph(SensorHost& host, engine::Event event);
+  bool Concerns(absl::string_view topic) const { return parts_.context.watch.Concerns(topic); }
 
   JudgeParts parts_;
   InspectionLine messages_;

@@ -174,6 +174,11 @@ RobotCore::After RobotCore::Handle(const Input& input) {
             return alerts_.RaiseOfKind(in.kind, in.severity, in.text), kAll;
           },
           [&](const input::SwapPolicy& in) { return OnSwapPolicy(in), kAll; },
+          [&](const input::WatchAlso& in) {
+            context_.watch.SetAlso(in.also, context_.policy);
+            sensors_.AskInterest();
+            return After::kRoutine;
+          },
           [&](const input::SetHosts& in) { return OnSetHosts(in), kAll; },
           [&](const input::PolicyProblem& in) {
             policy_problem_ = in.problem;
@@ -356,6 +361,7 @@ void RobotCore::OnSwapPolicy(const input::SwapPolicy& in) {
   if (status.ok()) {
     context_.policy = in.policy;
     CompletePolicy(context_.policy);
+    context_.watch.OnPolicy(context_.policy);
     outbox_.Touch(&DurableOutbox::Unsaved::bundle);
     policy_problem_.clear();
     gate_.set_hold_ns(in.policy.soft_hold_ns);

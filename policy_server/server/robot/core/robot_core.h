@@ -109,6 +109,7 @@ class RobotCore {
   RulesState rules() const;
   const std::string& id() const { return context_.config.id; }
   const Policy& policy() const { return context_.policy; }
+  const Watch& watch() const { return context_.watch; }
   const levels::LevelTable& levels() const { return state_.level.table(); }
   // In force.
   const ros2::RosGraph& graph() const { return state_.graph.get(); }

@@ -7,6 +7,49 @@
 #include "services/base/overloaded.h"
 
 namespace rips::pipeline {
+namespace {
+
+void CountEffect(const engine::Effect& effect, RuleCounts& counts) {
+  if (std::holds_alternative<engine::AlertEffect>(effect)) {
+    ++counts.alerts;
+  } else if (std::holds_alternative<engine::RunProgramEffect>(effect)) {
+    ++counts.programs;
+  } else if (const auto* change = std::get_if<engine::TransitionEffect>(&effect)) {
+    const levels::Transition& transition = change->transition;
+    if (transition.refused()) {
+      ++counts.refusals;
+    } else if (transition.decided() && transition.from != transition.to) {
+      ++(transition.lowers() ? counts.lowerings : counts.raises);
+    }
+  }
+}
+
+void RecordEvent(const engine::Event& event, const Source& source, const levels::Evidence& evidence,
+                 const engine::RobotState& state, Context& context) {
+  if (!context.moment.recorded) return;
+  const MessageSeen* message = source.message;
+  context.Do(action::RecordEvent{
+      {.event = event,
+       .graph = state.graph.version().graph,
+       .message = message,
+       .batch = source.batch,
+       .blind = !evidence.blind_because.empty(),
+       .payload_bytes_max = message == nullptr ? 0 : context.watch.PayloadBytes(message->topic),
+       .muted = source.muted}});
+}
+
+// To those who compare.
+void RecordOutcome(const engine::Outcome& outcome, const engine::RobotState& state,
+                   Context& context) {
+  if (!context.watch.also() || !context.moment.recorded) return;
+  RuleOutcome recorded{.counts = {.faults = outcome.faults}, .level = {}};
+  for (const engine::Effect& effect : outcome.effects) CountEffect(effect, recorded.counts);
+  if (recorded.counts == RuleCounts{}) return;
+  recorded.level = state.level.table().name(state.level.level());
+  context.Do(action::RecordOutcome{std::move(recorded)});
+}
+
+}  // namespace
 
 std::string CauseText(const levels::Cause& cause) {
   switch (cause.kind) {
@@ -23,16 +66,12 @@ std::string CauseText(const levels::Cause& cause) {
 }
 
 void Decider::Run(const engine::Event& event, const Source& source) {
-  state_.evidence = evidence_.Assess(context_.now());
-  if (context_.moment.recorded) {
-    context_.Do(action::RecordEvent{{.event = event,
-                                     .graph = state_.graph.version().graph,
-                                     .message = source.message,
-                                     .batch = source.batch,
-                                     .blind = !state_.evidence.blind_because.empty()}});
-  }
+  levels::Evidence evidence = evidence_.Assess(context_.now());
+  RecordEvent(event, source, evidence, state_, context_);
+  if (source.muted) return;
+  state_.evidence = std::move(evidence);
   const engine::Outcome outcome = engine::Evaluate(event, context_.now(), state_);
-  if (!outcome.effects.empty() || !outcome.refused_programs.empty() ||
+  if (!outcome.effects.empty() || outcome.faults > 0 || !outcome.refused_programs.empty() ||
       !outcome.cut_strings.empty()) {
     Perform(outcome, absl::StrCat(engine::Describe(event), source.remark));
   } else if (outcome.variables_changed) {
@@ -62,6 +101,7 @@ void Decider::OnProgramResult(const ProgramResult& result) {
 void Decider::Expire() { Perform(engine::Expire(context_.now(), state_), "deadline"); }
 
 void Decider::Perform(const engine::Outcome& outcome, const std::string& event) {
+  RecordOutcome(outcome, state_, context_);
   if (outcome.variables_changed) outbox_.Touch(&DurableOutbox::Unsaved::variables);
   for (const auto& refused : outcome.refused_programs) {
     alerts_.Raise(engine::Severity::kMedium,

@@ -31,6 +31,8 @@ struct Source {
   const MessageSeen* message = nullptr;
   std::shared_ptr<const Batch> batch;
   std::string remark;
+  // Only a policy that runs muted asked for it: the rules in force are not given it.
+  bool muted = false;
 };
 
 // Not thread-safe. All that it is given outlives it.
@@ -46,7 +48,7 @@ class Decider {
         actuators_(*actuators),
         budget_spent_(state->level.soft_suspended()) {}
 
-  // Evaluates the rules on an event, and does what they ask for.
+  // Evaluates the rules on an event, and does what they ask for; a muted one is only recorded.
   void Run(const engine::Event& event, const Source& source = {});
   // The same with all of context.events, and those that these make.
   void RunEvents();

@@ -88,7 +88,7 @@ size_t InspectionLine::Ask(Entry& entry, const SensorHost& host) {
     const auto* message = std::get_if<MessageSeen>(&observations[entry.asked].what);
     if (message != nullptr && !KnowsGraph(entry, host, *message)) break;
     const size_t index = entry.asked++;
-    if (!inspects || message == nullptr) continue;
+    if (!inspects || message == nullptr || !context_.watch.Concerns(message->topic)) continue;
     engine::Event event;
     event.what = EventOf(*message, Choose(host, batch, *message));
     std::vector<uint32_t> needed = engine::NeededInspections(event, context_.now(), state_);
@@ -117,7 +117,8 @@ void InspectionLine::AskOne(Entry& entry, const SensorHost& host, size_t index,
           .sender = event.sender,
           .writer = event.writer,
           .time_unix_ns = seen.boottime_ns + (host.session ? host.session->unix_offset_ns : 0),
-          .payload = message.payload,
+          .payload = absl::string_view(message.payload)
+                         .substr(0, context_.watch.PayloadBytes(message.topic)),
           .size_bytes = message.size_bytes,
           .owner = entry.waiting.batch}});
 }

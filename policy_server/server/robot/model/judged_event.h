@@ -2,6 +2,7 @@
 #ifndef RIPS_POLICY_SERVER_SERVER_ROBOT_MODEL_JUDGED_EVENT_H_
 #define RIPS_POLICY_SERVER_SERVER_ROBOT_MODEL_JUDGED_EVENT_H_
 
+#include <cstddef>
 #include <cstdint>
 #include <memory>
 #include <string>
@@ -26,6 +27,32 @@ struct JudgedEvent {
   std::shared_ptr<const Batch> batch;
   // RIPS saw less than all of the robot.
   bool blind = false;
+  // Of a message's payload the rules in force were given so many first bytes at most.
+  size_t payload_bytes_max = SIZE_MAX;
+  // The rules in force were not given it: only a policy that runs muted asked for it.
+  bool muted = false;
+};
+
+// What rules did, and faults in them.
+struct RuleCounts {
+  uint64_t alerts = 0;
+  // Decisions of rules, `crash` among them.
+  uint64_t raises = 0;
+  uint64_t lowerings = 0;
+  // Refused transitions, each time.
+  uint64_t refusals = 0;
+  uint64_t programs = 0;
+  // Rules that faulted on an event.
+  uint64_t faults = 0;
+
+  friend bool operator==(const RuleCounts&, const RuleCounts&) = default;
+};
+
+// What the rules in force did on an event, or on an answer of the robot.
+struct RuleOutcome {
+  RuleCounts counts;
+  // Name of the level afterwards.
+  std::string level;
 };
 
 // The level changed, and no rule did it.

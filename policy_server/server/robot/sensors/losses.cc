@@ -85,7 +85,9 @@ void Losses::OnSkipped(const MessageSeen& message, uint64_t inspections) {
   if (inspections == 0) return;
   const auto& [no_payload, cut_payload, not_answered] = kSkipReasons;
   const char* reason = not_answered;
-  if (message.truncated) reason = message.payload.empty() ? no_payload : cut_payload;
+  const bool cut =
+      message.truncated || message.payload.size() > context_.watch.PayloadBytes(message.topic);
+  if (cut) reason = message.payload.empty() ? no_payload : cut_payload;
   skipped_[reason].Add(inspections, context_.now_ns());
   context_.Do(action::CountSkipped{.reason = reason, .inspections = inspections});
 }

@@ -132,13 +132,15 @@ void SensorSide::SendSetup(SensorHost& host) {
 void SensorSide::SendInterest(SensorHost& host) {
   context_.Do(action::SetInterest{.host = host.name,
                                   .session = host.session->id,
-                                  .plan = context_.policy.interest,
-                                  .limits = context_.policy.payload_limits,
-                                  .kept_topics = context_.policy.kept_topics});
+                                  .plan = context_.watch.plan(context_.policy),
+                                  .limits = context_.watch.limits(context_.policy),
+                                  .kept_topics = context_.watch.kept_topics(context_.policy)});
 }
 
 void SensorSide::AskInterest() {
-  for (auto& [name, host] : hosts_) host.graph.SetKeptTopics(context_.policy.kept_topics);
+  for (auto& [name, host] : hosts_) {
+    host.graph.SetKeptTopics(context_.watch.kept_topics(context_.policy));
+  }
   SensorHost* host = primary();
   if (host != nullptr && host->session) SendInterest(*host);
 }
@@ -274,6 +276,7 @@ void SensorSide::CloseAll(const absl::Status& why) {
 // report differs.
 void SensorSide::SetHosts(const RobotConfig& next) {
   const RobotConfig& config = context_.config;
+  const auto kept_topics = context_.watch.kept_topics(context_.policy);
   for (auto it = hosts_.begin(); it != hosts_.end();) {
     auto& [name, host] = *it;
     const bool listed = std::find(next.sensor_hosts.begin(), next.sensor_hosts.end(), name) !=
@@ -288,14 +291,14 @@ void SensorSide::SetHosts(const RobotConfig& next) {
     } else if (part_changed) {
       Close(host, absl::AbortedError("its part in the inventory has changed"));
     }
-    if (part_changed) host.BeginGraph(next.graph_limits, context_.policy.kept_topics);
+    if (part_changed) host.BeginGraph(next.graph_limits, kept_topics);
     it = listed ? std::next(it) : hosts_.erase(it);
   }
   for (const std::string& name : next.sensor_hosts) {
     const auto [it, fresh] = hosts_.try_emplace(name);
     if (!fresh) continue;
     it->second.name = name;
-    it->second.BeginGraph(next.graph_limits, context_.policy.kept_topics);
+    it->second.BeginGraph(next.graph_limits, kept_topics);
     it->second.gone_since_ns = context_.now_ns();
   }
 }

@@ -51,7 +51,7 @@ class SensorSide {
   // ---- what sensors are sent
   void SendSetups();
   void EchoHeartbeats();
-  // The policy in force has changed.
+  // The policy in force, or the one that runs muted, has changed.
   void AskInterest();
   void GrantCredit(SensorHost& host);
   // All up to `judged` is durable, as of context.store.

@@ -73,10 +73,13 @@ void Sight::OnState(const SensorHost& host) {
 
 void Sight::OnMessage(const MessageSeen& message) {
   // Without any payload it was not asked for, or shed: then it was not cut.
-  if (!message.truncated || message.payload.empty()) return;
+  const size_t bytes_max = context_.watch.PayloadBytes(message.topic);
+  const size_t bytes = std::min(message.payload.size(), bytes_max);
+  const bool cut = message.truncated || bytes < message.payload.size();
+  if (!cut || bytes == 0) return;
   context_.Count(Counter::kPayloadsCut);
-  cut_payloads_.Add(message.topic, static_cast<uint32_t>(message.payload.size()),
-                    message.size_bytes, context_.now_ns());
+  cut_payloads_.Add(message.topic, static_cast<uint32_t>(bytes), message.size_bytes,
+                    context_.now_ns());
 }
 
 void Sight::Report(bool parts_verified) {
