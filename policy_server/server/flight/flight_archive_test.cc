@@ -8,6 +8,7 @@
 #include <memory>
 #include <string>
 #include <utility>
+#include <variant>
 #include <vector>
 
 #include "absl/strings/str_cat.h"
@@ -242,6 +243,95 @@ TEST_F(FlightArchiveTest, AnotherBundleSavesWhatTheOldOneJudged) {
   ASSERT_THAT(rogue, testing::Not(IsEmpty()));
   Settle();
   for (const store::AlertRecord& alert : rogue) EXPECT_TRUE(Fired(ReplayOf(alert), alert));
+}
+
+// The graph that a replay of that file ends with.
+ros2::RosGraph GraphAtTheEnd(const std::string& path) {
+  ros2::RosGraph graph(ros2::kWideGraphLimits);
+  auto reader = recording::Open(path);
+  EXPECT_THAT(reader, IsOk());
+  while (true) {
+    const auto event = *(*reader)->Next();
+    if (!event) return graph;
+    const auto apply = [&](const recording::RecordedGraph& change) {
+      if (change.whole) graph.Clear();
+      EXPECT_THAT(graph.Apply(change.content), IsOk());
+    };
+    if (event->context) apply(*event->context);
+    if (const auto* change = std::get_if<recording::RecordedGraph>(&event->what)) apply(*change);
+  }
+}
+
+// Changes that come one at a time, several at once, as a snapshot, and of a writer that is judged
+// against an earlier graph.
+TEST_F(FlightArchiveTest, AReplayEndsWithTheGraphOfTheRobot) {
+  Fly();
+  const auto change = [this](uint8_t node, bool gone = false) {
+    ros2::GraphDelta delta;
+    if (gone) delta.gone_guids = {Participant(node)};
+    if (!gone) AddNode(&delta, node, absl::StrCat("/node", node), "/scan");
+    const uint64_t from = graph_version_++;
+    return pipeline::Observation{
+        .what = pipeline::GraphChange{from, graph_version_, true, std::move(delta)}};
+  };
+  const auto send = [this](std::vector<pipeline::Observation> changes) {
+    SendBatch(pipeline::Lane::kControl, std::move(changes));
+    Pass(50);
+  };
+  for (uint8_t round = 0; round < 6; ++round) {
+    const uint8_t node = 20 + 10 * round;
+    send({change(node)});
+    send({change(node + 1), change(node + 2)});
+    SendBatch(pipeline::Lane::kMessages,
+              {{.what = pipeline::MessageSeen{.topic = "/cmd_vel",
+                                              .type = "geometry_msgs/msg/Twist",
+                                              .writer = Writer(2),
+                                              .size_bytes = 52,
+                                              .graph_version = graph_version_ - 2}}});
+    if (round % 2 == 0) send({change(node, true)});
+    std::vector<pipeline::Observation> many;
+    for (uint8_t i = 3; i < 10; ++i) many.push_back(change(node + i));
+    send(std::move(many));
+    send({change(node + 3, true)});
+    if (round == 2) SendSnapshot();
+    robot_->Report(engine::Severity::kCritical, absl::StrCat("round ", round));
+    Pass(50);
+    const std::string alert = OwnAlert(absl::StrCat("round ", round)).id;
+    while (absl::IsFailedPrecondition(files_->Find(alert).status())) Pass(50);
+    const auto path = files_->Find(alert);
+    ASSERT_THAT(path, IsOk());
+    const ros2::RosGraph replayed = GraphAtTheEnd(*path);
+    const ros2::RosGraph& graph = robot_->core().graph();
+    EXPECT_TRUE(ros2::RosGraph::Diff(replayed, graph).empty()) << round;
+    EXPECT_EQ(replayed.nodes().size(), graph.nodes().size());
+  }
+}
+
+TEST_F(FlightArchiveTest, EveryMessageOfABatchIsInIt) {
+  Fly();
+  std::vector<pipeline::Observation> messages;
+  for (int i = 0; i < 100; ++i) {
+    messages.push_back({.what = pipeline::MessageSeen{.topic = "/cmd_vel",
+                                                      .type = "geometry_msgs/msg/Twist",
+                                                      .writer = Writer(2),
+                                                      .size_bytes = 52,
+                                                      .payload = absl::StrCat("payload ", i)}});
+  }
+  SendBatch(pipeline::Lane::kMessages, std::move(messages));
+  robot_->Report(engine::Severity::kCritical, "saved");
+  Pass(100);
+  const store::AlertRecord saved = OwnAlert("saved");
+  Settle();
+  auto reader = recording::Open(*files_->Find(saved.id));
+  ASSERT_THAT(reader, IsOk());
+  int next = 0;
+  while (const auto event = *(*reader)->Next()) {
+    const auto* message = std::get_if<recording::RecordedMessage>(&event->what);
+    if (message == nullptr) continue;
+    EXPECT_EQ(message->payload, absl::StrCat("payload ", next++));
+    EXPECT_EQ(message->sender, "/navigator");
+  }
+  EXPECT_EQ(next, 100);
 }
 
 // Recorders without a robot, each holding a message of `bytes` by its own account.

@@ -1,5 +1,6 @@
 #include "policy_server/server/flight/flight_codec.h"
 
+#include <cstddef>
 #include <utility>
 #include <variant>
 
@@ -12,26 +13,45 @@
 namespace rips::flight {
 namespace {
 
-recording::Recorded RecordedOf(const FlightEvent& event) {
-  recording::Recorded out{
-      .time_unix_ns = event.time_unix_ns, .blind = event.blind, .late = event.late};
-  if (event.context != nullptr) out.context = WholeGraph(*event.context);
-  std::visit(Overloaded{[&](const FlightMessage& message) {
-                          out.what =
-                              MessageOf(*message.seen, *message.sender, message.payload_bytes_max);
-                        },
-                        [&](const std::unique_ptr<const ros2::GraphDelta>& delta) {
-                          out.what = recording::RecordedGraph{.content = *delta, .settled = true};
-                        },
-                        [&](const std::unique_ptr<const model::ExternalEvent>& external) {
-                          out.what = *external;
-                        },
-                        [&](const std::unique_ptr<const pipeline::LevelChange>& level) {
-                          out.what = LevelOf(*level);
-                        }},
-             event.what);
-  return out;
-}
+// The events of a piece, in their order.
+class Events {
+ public:
+  explicit Events(const FlightPiece& piece)
+      : piece_(piece), other_(piece.others.begin()), context_(piece.contexts.begin()) {}
+
+  bool done() const { return next_ == piece_.events.size(); }
+  // Not done().
+  recording::Recorded Next() {
+    const size_t index = next_++;
+    const FlightEvent& event = piece_.events[index];
+    recording::Recorded out{
+        .time_unix_ns = event.time_unix_ns, .blind = event.blind, .late = event.late};
+    if (context_ != piece_.contexts.end() && context_->event == index) {
+      out.context = WholeGraph(*context_++->graph);
+    }
+    if (event.sender != nullptr) {
+      out.what = MessageOf(*event.seen, *event.sender, event.payload_bytes_max);
+    } else {
+      SetOther(*other_++, out);
+    }
+    return out;
+  }
+
+ private:
+  static void SetOther(const FlightOther& other, recording::Recorded& out) {
+    std::visit(Overloaded{[&](const std::shared_ptr<const ros2::GraphDelta>& delta) {
+                            out.what = recording::RecordedGraph{.content = *delta, .settled = true};
+                          },
+                          [&](const model::ExternalEvent& external) { out.what = external; },
+                          [&](const pipeline::LevelChange& level) { out.what = LevelOf(level); }},
+               other.what);
+  }
+
+  const FlightPiece& piece_;
+  size_t next_ = 0;
+  std::vector<FlightOther>::const_iterator other_;
+  std::vector<FlightContext>::const_iterator context_;
+};
 
 }  // namespace
 
@@ -54,8 +74,8 @@ absl::StatusOr<std::string> EncodeFlight(const recording::RecordedOrigin& origin
   const pipeline::RulesState& start = flight.front()->state;
   bool first = true;
   for (const std::shared_ptr<const FlightPiece>& piece : flight) {
-    for (const FlightEvent& event : piece->events) {
-      recording::Recorded recorded = RecordedOf(event);
+    for (Events events(*piece); !events.done();) {
+      recording::Recorded recorded = events.Next();
       if (std::exchange(first, false) && start.settled && !recorded.context) {
         recorded.context = WholeGraph(*start.graph);
       }

@@ -10,17 +10,20 @@
 #ifndef RIPS_POLICY_SERVER_SERVER_FLIGHT_FLIGHT_RING_H_
 #define RIPS_POLICY_SERVER_SERVER_FLIGHT_FLIGHT_RING_H_
 
+#include <array>
 #include <cstddef>
 #include <cstdint>
 #include <deque>
 #include <memory>
 #include <string>
+#include <type_traits>
 #include <variant>
 #include <vector>
 
 #include "absl/container/flat_hash_map.h"
 #include "absl/container/flat_hash_set.h"
 #include "absl/container/node_hash_set.h"
+#include "absl/strings/string_view.h"
 #include "policy_server/server/robot/model/judged_event.h"
 #include "services/base/clock.h"
 #include "services/model/event.h"
@@ -28,27 +31,34 @@
 
 namespace rips::flight {
 
-struct FlightMessage {
-  // Of `batch`.
-  const pipeline::MessageSeen* seen = nullptr;
-  // Of the piece; never null.
-  const std::string* sender = nullptr;
-  std::shared_ptr<const pipeline::Batch> batch;
-  // As JudgedEvent::payload_bytes_max.
-  size_t payload_bytes_max = SIZE_MAX;
-};
-
+// Small, since most are messages, and trivial, since a piece drops thousands of them at once.
 struct FlightEvent {
   int64_t time_unix_ns = 0;
+  // Of a message: as a batch of the piece holds it, and the name that the piece holds. `sender` is
+  // null of what is no message.
+  const pipeline::MessageSeen* seen = nullptr;
+  const std::string* sender = nullptr;
+  // As JudgedEvent::payload_bytes_max; the largest is all of it.
+  uint32_t payload_bytes_max = UINT32_MAX;
   bool blind = false;
   bool late = false;
-  // The graph before this event, if it is not the one that the events so far have led to.
-  std::shared_ptr<const ros2::RosGraph> context;
-  // Others are behind a pointer, so that a message stays small.
-  std::variant<FlightMessage, std::unique_ptr<const ros2::GraphDelta>,
-               std::unique_ptr<const model::ExternalEvent>,
-               std::unique_ptr<const pipeline::LevelChange>>
+};
+static_assert(std::is_trivially_destructible_v<FlightEvent> && sizeof(FlightEvent) <= 32);
+
+// What an event is that is no message.
+struct FlightOther {
+  // Index of FlightPiece::events.
+  size_t event = 0;
+  // A difference may be a part of the batch that brought it, which it keeps alive.
+  std::variant<std::shared_ptr<const ros2::GraphDelta>, model::ExternalEvent, pipeline::LevelChange>
       what;
+};
+
+// The graph before an event, where it is not the one that the events so far have led to.
+struct FlightContext {
+  // Index of FlightPiece::events.
+  size_t event = 0;
+  std::shared_ptr<const ros2::RosGraph> graph;
 };
 
 struct FlightPiece {
@@ -58,12 +68,15 @@ struct FlightPiece {
   // Of the graph in `state`.
   size_t graph_bytes = 0;
   std::vector<FlightEvent> events;
+  // Both by event.
+  std::vector<FlightOther> others;
+  std::vector<FlightContext> contexts;
   // Without graph_bytes.
   size_t bytes = 0;
   absl::node_hash_set<std::string> senders;
-  // Counted already.
-  absl::flat_hash_set<const pipeline::Batch*> batches;
-  // Of the contexts of events, which keep them alive.
+  // Each counted once. They keep messages alive.
+  absl::flat_hash_set<std::shared_ptr<const pipeline::Batch>> batches;
+  // Of `contexts`, which keep them alive.
   absl::flat_hash_map<const ros2::RosGraph*, size_t> context_bytes;
 };
 
@@ -77,11 +90,14 @@ class FlightRing {
   static constexpr int64_t kPieceNs = 5 * kNanosPerSecond;
   static constexpr size_t kPieceBytes = size_t{512} << 10;
   static constexpr size_t kBytesMax = size_t{4} << 20;
+  // A larger change of the graph is compared with the graph before: much of it may be no news.
+  static constexpr size_t kToldBytesMax = kPieceBytes / 8;
 
   // Before the first event, and from then on whenever wants_piece().
   void Begin(pipeline::RulesState state, Instant now);
   bool wants_piece(Instant now) const;
 
+  // As action::RecordEvent; a piece does not begin between the events of one input.
   void Add(const pipeline::JudgedEvent& judged);
   void Add(const pipeline::LevelChange& level);
 
@@ -91,7 +107,14 @@ class FlightRing {
   size_t bytes() const;
 
  private:
-  FlightEvent& AddEvent(int64_t time_unix_ns, size_t bytes);
+  FlightEvent& AddEvent(int64_t time_unix_ns);
+  // Of the last event.
+  void AddOther(decltype(FlightOther::what) what, size_t bytes);
+  void CountBatch(const std::shared_ptr<const pipeline::Batch>& batch);
+  // That name, as the piece keeps it.
+  const std::string* SenderOf(absl::string_view name);
+  // From `graph_` to the graph of a GraphEvent.
+  std::shared_ptr<const ros2::GraphDelta> DifferenceOf(const pipeline::JudgedEvent& judged);
   void DropOld(Instant now);
   FlightPiece& piece() { return *piece_; }
 
@@ -103,6 +126,10 @@ class FlightRing {
   bool taken_ = false;
   // The graph that the events so far have led to.
   std::shared_ptr<const ros2::RosGraph> graph_;
+  // The newest graph of the robot; `graph_` unless the last message was taken under an earlier one.
+  std::shared_ptr<const ros2::RosGraph> newest_;
+  // Of the piece, by a hash of where their name was.
+  std::array<const std::string*, 64> recent_senders_ = {};
 };
 
 // Of a graph that is written out, estimated.

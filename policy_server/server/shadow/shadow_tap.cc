@@ -1,5 +1,8 @@
 #include "policy_server/server/shadow/shadow_tap.h"
 
+#include <memory>
+#include <utility>
+
 #include "policy_server/server/flight/flight_ring.h"
 
 namespace rips::shadow {
@@ -7,12 +10,14 @@ namespace {
 
 size_t TextBytes(const engine::Event& event) {
   const auto* external = std::get_if<engine::ExternalEvent>(&event.what);
-  return external == nullptr ? 0 : flight::BytesOf(*external);
+  return external == nullptr ? 0 : sizeof(*external) + flight::BytesOf(*external);
 }
 
 // What the copy may keep: views of what its batch and its graph keep alive.
-pipeline::JudgedEvent CopyOf(const pipeline::JudgedEvent& event) {
+pipeline::JudgedEvent CopyOf(const pipeline::JudgedEvent& event,
+                             const std::shared_ptr<const pipeline::Batch>& batch) {
   pipeline::JudgedEvent copy = event;
+  if (copy.message != nullptr) copy.batch = batch;
   if (auto* message = std::get_if<engine::MessageEvent>(&copy.event.what)) {
     message->memo = nullptr;
     message->inspections = {};
@@ -46,6 +51,7 @@ void ShadowTap::OnBegin(pipeline::RulesState state) {
 
 bool ShadowTap::OnEvent(const pipeline::JudgedEvent& event) {
   bool wake = false;
+  if (event.batch != nullptr) batch_ = event.batch;
   {
     MutexLock lock(&mu_);
     if (closed_) return false;
@@ -53,9 +59,11 @@ bool ShadowTap::OnEvent(const pipeline::JudgedEvent& event) {
       ++live_.missed;
       return true;
     }
-    wake = Push({.item = CopyOf(event),
+    pipeline::JudgedEvent copy = CopyOf(event, batch_);
+    ChargePtr batch = charges_.OfBatch(copy.batch.get());
+    wake = Push({.item = std::move(copy),
                  .bytes = sizeof(Waiting) + TextBytes(event.event),
-                 .batch = charges_.OfBatch(event.batch.get()),
+                 .batch = std::move(batch),
                  .graph = charges_.OfGraph(event.graph.get())});
   }
   if (wake) on_item_();

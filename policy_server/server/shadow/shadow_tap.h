@@ -82,6 +82,8 @@ class ShadowTap final : public pipeline::ShadowRecorder {
   void Drop(std::deque<Waiting>& dropped);
 
   const std::function<void()> on_item_;
+  // Of the robot's thread: of the newest message.
+  std::shared_ptr<const pipeline::Batch> batch_;
   // Before what counts in them.
   Charges charges_;
   std::atomic<size_t> events_ = 0;

@@ -364,12 +364,11 @@ absl::Status SqliteWriter::Write(const std::string& robot, const RefusalRecord& 
 
 absl::Status SqliteWriter::Write(const std::string& robot, const ReceiptRecord& receipt) {
   // A query views what is bound.
-  const std::string command_id = absl::BytesToHexString(receipt.receipt.command_id);
   const std::string bytes = model_proto::Encode(receipt.receipt).SerializeAsString();
   return put_receipt_.Start()
       .Bind(robot)
       .Bind(receipt.host)
-      .Bind(command_id)
+      .Bind(receipt.receipt.command_id)
       .Bind(receipt.command)
       .Bind(receipt.unix_ns)
       .BindBytes(bytes)

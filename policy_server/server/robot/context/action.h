@@ -135,7 +135,11 @@ struct LogRule {
   std::string rule;
   std::string text;
 };
-// See EventRecorder.
+// See EventRecorder. `batch`:
+//   of a message   of several of one batch among these actions, the first that is not muted has it,
+//                  and the muted ones before it
+//   of a graph     holds the one change of a graph that led from the newest to this one; null if
+//                  several did, or a snapshot
 struct RecordEvent {
   JudgedEvent event;
 };

@@ -1,6 +1,7 @@
 #include "policy_server/server/robot/core/judge.h"
 
 #include <algorithm>
+#include <memory>
 #include <optional>
 #include <string>
 #include <utility>
@@ -54,7 +55,7 @@ void Judge::AdvanceControl() {
   std::optional<engine::Event> merged = control_.Pop();
   if (!merged) return;
   SensorHost* listed = parts_.sensors.Listed(name);
-  if (listed != nullptr && listed->settled) OnGraph(*listed, *std::move(merged));
+  if (listed != nullptr && listed->settled) OnGraph(*listed, *std::move(merged), nullptr);
 }
 
 void Judge::AdvanceMessages() {
@@ -78,12 +79,13 @@ void Judge::JudgePiece(SensorHost& host, const Piece& piece) {
   parts_.decider.RunEvents();
   parts_.context.Count(Counter::kObservationsDuplicate, accepted->skip);
   parts_.outbox.Touch(&DurableOutbox::Unsaved::sequences);
+  std::shared_ptr<const Batch> keeps = piece.waiting.batch;
   for (size_t i = piece.from + accepted->skip; i < piece.to; ++i) {
     const auto* finding = std::get_if<FindingSeen>(&batch.observations[i].what);
     if (finding != nullptr && !parts_.findings.OnFinding(host.name, batch.incarnation, *finding)) {
       continue;
     }
-    JudgeOne(host, piece, i);
+    JudgeOne(host, piece, i, keeps);
     // Judging may have ended the session (a graph that contradicts itself).
     if (!host.session) break;
   }
@@ -96,7 +98,8 @@ void Judge::JudgePiece(SensorHost& host, const Piece& piece) {
   parts_.sensors.GrantCredit(host);
 }
 
-void Judge::JudgeOne(SensorHost& host, const Piece& piece, size_t index) {
+void Judge::JudgeOne(SensorHost& host, const Piece& piece, size_t index,
+                     std::shared_ptr<const Batch>& keeps) {
   const Batch& batch = *piece.waiting.batch;
   const Observation& seen = batch.observations[index];
   const SensorSession& session = *host.session;
@@ -117,11 +120,11 @@ void Judge::JudgeOne(SensorHost& host, const Piece& piece, size_t index) {
   };
   // The graph of an incarnation that is over leads nowhere.
   const bool has_graph = primary && batch.incarnation == session.incarnation;
-  std::visit(Overloaded{[&](const MessageSeen& message) {
-                          if (primary) JudgeMessage(host, piece, message, index, std::move(event));
+  std::visit(Overloaded{[&](const MessageSeen&) {
+                          if (primary) JudgeMessage(host, piece, index, std::move(event), keeps);
                         },
                         [&](const GraphChange& change) {
-                          if (has_graph) JudgeGraph(host, batch, change, seen.boottime_ns, event);
+                          if (has_graph) JudgeGraph(host, piece, change, seen.boottime_ns, event);
                         },
                         [&](const LossSeen& loss) {
                           if (!loss.topic.empty() && !Concerns(loss.topic)) {
@@ -143,16 +146,20 @@ void Judge::JudgeOne(SensorHost& host, const Piece& piece, size_t index) {
              seen.what);
 }
 
-void Judge::JudgeMessage(SensorHost& host, const Piece& piece, const MessageSeen& message,
-                         size_t index, engine::Event event) {
+void Judge::JudgeMessage(SensorHost& host, const Piece& piece, size_t index, engine::Event event,
+                         std::shared_ptr<const Batch>& keeps) {
+  const Batch& batch = *piece.waiting.batch;
+  const auto& message = std::get<MessageSeen>(batch.observations[index].what);
   const bool concerns = Concerns(message.topic);
   if (concerns) parts_.sight.OnMessage(message);
-  const GraphHistory::Choice choice = messages_.Choose(host, *piece.waiting.batch, message);
+  const GraphHistory::Choice choice = messages_.Choose(host, batch, message);
   engine::MessageEvent judged = InspectionLine::EventOf(message, choice);
   if (index < piece.verdicts.size()) judged.inspections = piece.verdicts[index];
   event.what = judged;
+  // One action keeps the batch alive: counting its owners for each message costs more. Not a muted
+  // one, which not all recorders are given.
   const Source source = {.message = &message,
-                         .batch = piece.waiting.batch,
+                         .batch = concerns ? std::exchange(keeps, nullptr) : keeps,
                          .remark = messages_.Unattributed(message, choice),
                          .muted = !concerns};
   engine::CurrentGraph& graph = parts_.state.graph;
@@ -163,9 +170,10 @@ void Judge::JudgeMessage(SensorHost& host, const Piece& piece, const MessageSeen
   graph.Show(newest);
 }
 
-void Judge::JudgeGraph(SensorHost& host, const Batch& batch, const GraphChange& change,
+void Judge::JudgeGraph(SensorHost& host, const Piece& piece, const GraphChange& change,
                        int64_t boottime_ns, engine::Event event) {
   const std::string& incarnation = host.session->incarnation;
+  const bool next = !change.whole() && in_force_ == InForce{incarnation, change.from_version};
   bool news = true;
   absl::Status status;
   if (change.whole()) {
@@ -178,20 +186,24 @@ void Judge::JudgeGraph(SensorHost& host, const Batch& batch, const GraphChange& 
     status = host.ApplyDelta(incarnation, change);
   }
   if (!status.ok()) return parts_.sensors.RefuseGraph(host, status);
-  const bool control = batch.lane == Lane::kControl;
-  if (!news || !host.settled || (control && control_.Merges(event, boottime_ns))) return;
-  OnGraph(host, std::move(event));
+  if (!news) return;
+  in_force_.reset();
+  const std::shared_ptr<const Batch>& batch = piece.waiting.batch;
+  const bool control = batch->lane == Lane::kControl;
+  if (!host.settled || (control && control_.Merges(event, boottime_ns))) return;
+  OnGraph(host, std::move(event), next ? batch : nullptr);
 }
 
-void Judge::OnGraph(SensorHost& host, engine::Event event) {
+void Judge::OnGraph(SensorHost& host, engine::Event event, std::shared_ptr<const Batch> told_by) {
   parts_.state.graph = host.graph;
+  in_force_ = {.incarnation = host.graph_incarnation, .version = host.graph_version};
   messages_.OnGraph(host);
   graph_changed_unix_ns_ = event.time_unix_ns;
   // A graph that shows no node must not lower a level in the very event that shows it.
   parts_.sight.Update();
   parts_.evidence.Update();
   event.what = engine::GraphEvent{};
-  parts_.decider.Run(event);
+  parts_.decider.Run(event, {.batch = std::move(told_by), .remark = ""});
   if (host.session) parts_.sensors.GrantCredit(host);
 }
 

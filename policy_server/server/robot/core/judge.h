@@ -6,6 +6,8 @@
 #include <cstddef>
 #include <cstdint>
 #include <memory>
+#include <optional>
+#include <string>
 
 #include "absl/strings/string_view.h"
 #include "absl/types/span.h"
@@ -68,17 +70,28 @@ class Judge {
   void AdvanceControl();
   void AdvanceMessages();
   void JudgePiece(SensorHost& host, const Piece& piece);
-  void JudgeOne(SensorHost& host, const Piece& piece, size_t index);
-  void JudgeMessage(SensorHost& host, const Piece& piece, const MessageSeen& message, size_t index,
-                    engine::Event event);
-  void JudgeGraph(SensorHost& host, const Batch& batch, const GraphChange& change,
+  // `keeps`: the piece's batch, until a message of it was judged; then null.
+  void JudgeOne(SensorHost& host, const Piece& piece, size_t index,
+                std::shared_ptr<const Batch>& keeps);
+  void JudgeMessage(SensorHost& host, const Piece& piece, size_t index, engine::Event event,
+                    std::shared_ptr<const Batch>& keeps);
+  void JudgeGraph(SensorHost& host, const Piece& piece, const GraphChange& change,
                   int64_t boottime_ns, engine::Event event);
-  void OnGraph(SensorHost& host, engine::Event event);
+  // `told_by` holds the change that led from the graph in force to the host's; null if several did.
+  void OnGraph(SensorHost& host, engine::Event event, std::shared_ptr<const Batch> told_by);
   bool Concerns(absl::string_view topic) const { return parts_.context.watch.Concerns(topic); }
 
   JudgeParts parts_;
   InspectionLine messages_;
   ControlLine control_;
+  // Which graph of a sensor is in force; none after a change of it that is not.
+  struct InForce {
+    std::string incarnation;
+    uint64_t version = 0;
+
+    friend bool operator==(const InForce&, const InForce&) = default;
+  };
+  std::optional<InForce> in_force_;
   int64_t graph_changed_unix_ns_ = 0;
 };
 

@@ -23,7 +23,8 @@ struct JudgedEvent {
   std::shared_ptr<const ros2::RosGraph> graph;
   // What a MessageEvent was made of, else null.
   const MessageSeen* message = nullptr;
-  // Keeps alive what event and message view, together with `graph`.
+  // Keeps alive what event and message view, together with `graph`. Null of a message: it is the
+  // batch of the message before it (action::RecordEvent).
   std::shared_ptr<const Batch> batch;
   // RIPS saw less than all of the robot.
   bool blind = false;
