@@ -29,7 +29,7 @@ constexpr Noun kNouns[] = {
     {"level", "Show, raise and lower alert levels"},
     {"alert", "List and watch alerts, and fetch what led to them"},
     {"explain", "Explain an alert, or why a robot is at its level"},
-    {"rules", "Check, format, test, replay and sign rules"},
+    {"rules", "Check, test, sign and replay rules; bring them into force on robots"},
     {"audit", "Verify and read a policy server's audit log; needs no server"},
     {"agent", "List certificates; ban and unban agents and operators"},
     {"record", "Record the events a robot's rules are evaluated on"},
@@ -49,6 +49,10 @@ constexpr Commands (*kMakers[])() = {RobotCommands,
                                      TestRules,
                                      ReplayRules,
                                      SignRules,
+                                     PushRules,
+                                     ActivateRules,
+                                     RulesStatus,
+                                     ShadowRules,
                                      ResumeRules,
                                      AuditCommands,
                                      AgentCommands,
@@ -168,6 +172,7 @@ absl::Status Apply(const RawSettings& settings, const Command& command, Env* env
 ExitCode RunCommand(Command& command, const RawSettings& flags, const World& world) {
   Env env{.out = world.out, .err = world.err};
   env.in = world.in;
+  env.sleep = world.sleep;
   const absl::StatusOr<RawSettings> file = ReadSettingsFile(world);
   if (!file.ok()) return UsageError(env, file.status().message());
   const RawSettings settings = Merge(flags, world.get_env, *file);

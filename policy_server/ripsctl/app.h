@@ -10,6 +10,8 @@
 #include <vector>
 
 #include "absl/status/statusor.h"
+#include "absl/time/clock.h"
+#include "absl/time/time.h"
 #include "policy_server/ripsctl/cli/settings.h"
 #include "rips/v1/operator.grpc.pb.h"
 
@@ -27,6 +29,8 @@ struct World {
       connect;
   // Standard input; nullptr is an empty one.
   std::istream* in = nullptr;
+  // As Env's.
+  std::function<void(absl::Duration)> sleep = absl::SleepFor;
 };
 
 // Mutual TLS to `server` with the files of the settings.

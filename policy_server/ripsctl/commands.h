@@ -20,6 +20,10 @@ Commands RulesBuiltins();
 Commands TestRules();
 Commands ReplayRules();
 Commands SignRules();
+Commands PushRules();      // push, list
+Commands ActivateRules();  // activate, rollback, stop
+Commands RulesStatus();
+Commands ShadowRules();
 Commands ResumeRules();
 Commands AuditCommands();  // verify, tail, export
 Commands AgentCommands();  // list, ban, unban, reset-term

@@ -19,6 +19,7 @@
 #include "grpcpp/server_builder.h"
 #include "gtest/gtest.h"
 #include "policy_server/ripsctl/app.h"
+#include "policy_server/ripsctl/fake_rules_operator.h"
 #include "policy_server/ripsctl/offline_run.h"
 #include "policy_server/ripsctl/samples.h"
 #include "services/rpc/test_pki.h"
@@ -38,9 +39,8 @@ inline void AddEndpoint(v1::GraphSnapshot* graph, v1::Endpoint::Kind kind, const
 }
 
 // One robot `r1` at COMPROMISED (3.17). Remembers the last request; fails with `failure` if set.
-class FakeOperator final : public v1::OperatorService::Service {
+class FakeOperator final : public FakeRulesOperator {
  public:
-  grpc::Status failure;
   v1::LevelResponse level_response;
   std::string alert_text = "unknown node /intruder";
   std::string unrecorded_alert, alert_recording = MakeAlertRecording();
@@ -67,10 +67,6 @@ class FakeOperator final : public v1::OperatorService::Service {
   v1::LevelRequest last_level_request() ABSL_LOCKS_EXCLUDED(mutex_) {
     MutexLock lock(&mutex_);
     return last_level_request_;
-  }
-  std::vector<std::string> calls() ABSL_LOCKS_EXCLUDED(mutex_) {
-    MutexLock lock(&mutex_);
-    return calls_;
   }
 
   grpc::Status ListRobots(grpc::ServerContext*, const v1::ListRobotsRequest*,
@@ -255,11 +251,7 @@ class FakeOperator final : public v1::OperatorService::Service {
   }
 
  private:
-  grpc::Status Record(const std::string& call) ABSL_LOCKS_EXCLUDED(mutex_) {
-    MutexLock lock(&mutex_);
-    calls_.push_back(call);
-    return failure;
-  }
+  using FakeRulesOperator::Record;
   grpc::Status Change(const std::string& call, const v1::LevelRequest& request,
                       v1::LevelResponse* response) ABSL_LOCKS_EXCLUDED(mutex_) {
     {
@@ -276,7 +268,6 @@ class FakeOperator final : public v1::OperatorService::Service {
 
   Mutex mutex_;
   v1::LevelRequest last_level_request_ ABSL_GUARDED_BY(mutex_);
-  std::vector<std::string> calls_ ABSL_GUARDED_BY(mutex_);
   size_t watched_ ABSL_GUARDED_BY(mutex_) = 0;
 };
 
@@ -302,7 +293,8 @@ class RipsctlTest : public testing::Test {
                  if (it == env_.end()) return std::nullopt;
                  return it->second;
                },
-               .connect = [this](const RawSettings& settings) { return Connect(settings); }});
+               .connect = [this](const RawSettings& settings) { return Connect(settings); },
+               .sleep = [this](absl::Duration) { ++sleeps_; }});
     return {code, out.str(), err.str()};
   }
   absl::StatusOr<std::unique_ptr<v1::OperatorService::StubInterface>> Connect(
@@ -330,6 +322,7 @@ class RipsctlTest : public testing::Test {
   const std::string home_ = directory_.path();
   std::map<std::string, std::string> env_;
   bool tls_ = false;
+  int sleeps_ = 0;
   FakeOperator fake_;
   std::unique_ptr<grpc::Server> server_;
   int port_ = 0;

@@ -2,9 +2,11 @@
 #ifndef RIPS_POLICY_SERVER_RIPSCTL_CLI_ENV_H_
 #define RIPS_POLICY_SERVER_RIPSCTL_CLI_ENV_H_
 
+#include <functional>
 #include <istream>
 #include <ostream>
 
+#include "absl/time/clock.h"
 #include "absl/time/time.h"
 #include "rips/v1/operator.grpc.pb.h"
 
@@ -32,6 +34,8 @@ struct Env {
   v1::OperatorService::StubInterface* server = nullptr;
   // Standard input. Not owned; nullptr is an empty one.
   std::istream* in = nullptr;
+  // Waits between two questions; a test lets time pass instead.
+  std::function<void(absl::Duration)> sleep = absl::SleepFor;
 
   bool json() const { return output == Output::kJson; }
 };

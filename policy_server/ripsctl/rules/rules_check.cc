@@ -13,7 +13,6 @@
 #include <vector>
 
 #include "absl/strings/str_cat.h"
-#include "absl/strings/str_split.h"
 #include "policy_server/policy/bundle/bundle.h"
 #include "policy_server/policy/inspect/checked_files.h"
 #include "policy_server/policy/inspect/file_source.h"
@@ -21,6 +20,7 @@
 #include "policy_server/ripsctl/cli/json_output.h"
 #include "policy_server/ripsctl/cli/printer.h"
 #include "policy_server/ripsctl/commands.h"
+#include "policy_server/ripsctl/rules/bundle_report.h"
 #include "policy_server/ripsctl/rules/rule_input.h"
 
 namespace rips::ripsctl {
@@ -50,12 +50,6 @@ size_t CountWarnings(const std::vector<lang::Diagnostic>& diagnostics) {
       std::count_if(diagnostics.begin(), diagnostics.end(), [](const lang::Diagnostic& diagnostic) {
         return lang::SeverityOf(diagnostic.kind) == lang::DiagnosticSeverity::kWarning;
       }));
-}
-
-// `text` may have several lines.
-void PrintProblem(absl::string_view severity, absl::string_view text, std::ostream& out) {
-  out << severity << ": ";
-  for (const absl::string_view line : absl::StrSplit(text, '\n')) out << EscapeText(line) << "\n";
 }
 
 class CheckRulesCommand final : public Command {
@@ -114,17 +108,9 @@ class CheckRulesCommand final : public Command {
   ExitCode CheckBundle(Env& env, const std::string& dir) const {
     const bundle::BundleCheck check = bundle::CheckBundle(dir);
     if (env.json()) {
-      Json json = Json::parse(lang::RenderJson(check.files, check.diagnostics));
-      json["bundle"] = {{"name", check.name},
-                        {"id", check.id},
-                        {"ok", check.ok()},
-                        {"problems", check.problems},
-                        {"warnings", check.warnings}};
-      PrintJson(json, env.out);
+      PrintJson(BundleCheckJson(check), env.out);
     } else {
-      env.out << lang::RenderText(check.files, check.diagnostics);
-      for (const std::string& text : check.problems) PrintProblem("error", text, env.out);
-      for (const std::string& text : check.warnings) PrintProblem("warning", text, env.out);
+      PrintBundleCheck(check, env.out);
     }
     if (!check.ok()) return ExitCode::kRefused;
     return Accepted(env, CountWarnings(check.diagnostics) + check.warnings.size(),

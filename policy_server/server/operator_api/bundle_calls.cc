@@ -178,19 +178,17 @@ grpc::ServerReadReactor<rips::v1::PushBundleRequest>* OperatorService::PushBundl
   if (access_.bundles == nullptr) {
     return new RefusedPush(NoBundles());
   }
-  // Of all operators: an archive is held in memory.
-  if (pushing_.exchange(true)) {
+  // One of all operators: an archive is held in memory until it is stored.
+  if (pushing_->exchange(true)) {
     return new RefusedPush(
         absl::ResourceExhaustedError("another bundle is being pushed; try again later"));
   }
+  std::shared_ptr<void> turn(nullptr, [pushing = pushing_](void*) { *pushing = false; });
   struct Held {
-    ~Held() { *pushing = false; }
-    std::atomic<bool>* pushing;
     std::shared_ptr<rpc::SessionWatch::Session> session;
     CallerQuota::Ticket ticket;
   };
   auto held = std::make_shared<Held>();
-  held->pushing = &pushing_;
   held->ticket = who->ticket;
   LogInfo("operator pushes a bundle", {{"operator", rpc::Describe(*who)}});
   auto* stream = new PushStream(
@@ -200,9 +198,12 @@ grpc::ServerReadReactor<rips::v1::PushBundleRequest>* OperatorService::PushBundl
         const auto hit = wire_limits::Check(piece);
         return hit ? hit->ToStatus() : absl::OkStatus();
       },
-      [control = access_.bundles, on_refused = who->on_refused](
+      [control = access_.bundles, on_refused = who->on_refused, held = held.get()](
           std::string archive, const std::shared_ptr<PushStream::Answer>& answer) {
-        const bool posted = control->Post([=, archive = std::move(archive)] {
+        // Its client has nothing more to say, however long the bundle takes.
+        held->session->heard_boottime_ns = 0;
+        const bool posted = control->Post([control, on_refused, answer, turn = answer->TakeTurn(),
+                                           archive = std::move(archive)]() mutable {
           const auto added = control->Push(archive);
           if (added.ok()) {
             rips::v1::PushBundleResponse filled;
@@ -215,10 +216,13 @@ grpc::ServerReadReactor<rips::v1::PushBundleRequest>* OperatorService::PushBundl
           } else if (on_refused) {
             on_refused(added.status());
           }
+          archive = std::string();
+          turn.reset();
           answer->End(added.status());
         });
         if (!posted) answer->End(Busy());
       });
+  stream->answer()->set_turn(std::move(turn));
   held->session = access_.watch->Add(*who, [answer = stream->answer()](const grpc::Status& status) {
     answer->End(rpc::FromGrpc(status));
   });

@@ -219,8 +219,9 @@ class OperatorService final : public rips::v1::OperatorService::CallbackService 
   Access access_;
   const absl::Duration patience_;
   Requesters requesters_;
-  // A bundle is on its way from an operator.
-  std::atomic<bool> pushing_ = false;
+  // A bundle is on its way from an operator, or is being stored. An order of BundleControl may
+  // outlive this.
+  const std::shared_ptr<std::atomic<bool>> pushing_ = std::make_shared<std::atomic<bool>>(false);
   using Tasks = BoundedQueue<std::function<void()>>;
   Tasks reads_{{.capacity = kReadsMax}};
   Tasks graphs_{{.capacity = kGraphsMax}};

@@ -10,12 +10,15 @@ namespace rips::operator_api {
 
 void PushStream::Answer::End(const absl::Status& status) {
   PushStream* stream = nullptr;
+  std::shared_ptr<void> turn;
   {
     MutexLock lock(&mu_);
     if (stream_ == nullptr || ended_) return;
     ended_ = true;
     stream = stream_;
+    turn = std::move(turn_);
   }
+  turn.reset();
   // It is not over before this.
   stream->Finish(rpc::ToGrpc(status));
 }
@@ -30,6 +33,21 @@ void PushStream::Answer::Fill(const rips::v1::PushBundleResponse& response) {
   if (stream_ != nullptr && !ended_) *stream_->response_ = response;
 }
 
+bool PushStream::Answer::ended() {
+  MutexLock lock(&mu_);
+  return stream_ == nullptr || ended_;
+}
+
+void PushStream::Answer::set_turn(std::shared_ptr<void> turn) {
+  MutexLock lock(&mu_);
+  turn_ = std::move(turn);
+}
+
+std::shared_ptr<void> PushStream::Answer::TakeTurn() {
+  MutexLock lock(&mu_);
+  return std::move(turn_);
+}
+
 PushStream::PushStream(const Clock* clock, rips::v1::PushBundleResponse* response, Heard heard,
                        Whole whole)
     : clock_(clock),
@@ -40,6 +58,8 @@ PushStream::PushStream(const Clock* clock, rips::v1::PushBundleResponse* respons
       answer_(std::make_shared<Answer>(this)) {}
 
 void PushStream::OnReadDone(bool ok) {
+  // Another thread may have ended it meanwhile; what is whole then is not wanted any more.
+  if (answer_->ended()) return;
   if (ok) {
     const absl::Status taken = Take();
     if (!taken.ok()) return answer_->End(taken);

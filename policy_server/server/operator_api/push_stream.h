@@ -33,11 +33,18 @@ class PushStream final : public grpc::ServerReadReactor<rips::v1::PushBundleRequ
     void Detach() ABSL_LOCKS_EXCLUDED(mu_);
     // Fills in the response if the stream is not over.
     void Fill(const rips::v1::PushBundleResponse& response) ABSL_LOCKS_EXCLUDED(mu_);
+    // The call has been answered, or the stream is over.
+    bool ended() ABSL_LOCKS_EXCLUDED(mu_);
+    // Dropped before the call is answered, so that a client that has the answer may push again,
+    // unless it is taken: then the taker drops it.
+    void set_turn(std::shared_ptr<void> turn) ABSL_LOCKS_EXCLUDED(mu_);
+    std::shared_ptr<void> TakeTurn() ABSL_LOCKS_EXCLUDED(mu_);
 
    private:
     Mutex mu_;
     PushStream* stream_ ABSL_GUARDED_BY(mu_);
     bool ended_ ABSL_GUARDED_BY(mu_) = false;
+    std::shared_ptr<void> turn_ ABSL_GUARDED_BY(mu_);
   };
   // Called once with the whole archive, on a thread of gRPC; must not block.
   using Whole = std::function<void(std::string archive, const std::shared_ptr<Answer>& answer)>;

@@ -70,18 +70,21 @@ absl::StatusOr<BundleLibrary::Added> BundleLibrary::Add(absl::string_view archiv
   const Removed removed(arriving);
   RIPS_RETURN_IF_ERROR(bundle::UnpackBundle(archive, arriving));
   const absl::StatusOr<LoadedBundle> loaded = load_(arriving);
+  // The author knows the bundle as it is in the directory that was pushed.
+  const auto shown = [&arriving](absl::string_view text) {
+    return absl::StrReplaceAll(text, {{absl::StrCat("bundle `", arriving, "`: "), ""},
+                                      {absl::StrCat(arriving, "/"), ""},
+                                      {arriving, "DIR"}});
+  };
   if (!loaded.ok()) {
-    // The author knows the bundle as it is in the directory that was pushed.
-    const std::string shown = absl::StrReplaceAll(loaded.status().message(),
-                                                  {{absl::StrCat("bundle `", arriving, "`: "), ""},
-                                                   {absl::StrCat(arriving, "/"), ""},
-                                                   {arriving, "DIR"}});
-    return absl::Status(loaded.status().code(), absl::StrCat("the bundle is refused: ", shown));
+    return absl::Status(loaded.status().code(),
+                        absl::StrCat("the bundle is refused: ", shown(loaded.status().message())));
   }
   RIPS_ASSIGN_OR_RETURN(const std::string path, bundle::KeptBundlePath(directory_, loaded->id));
   const bool known = fs::exists(path, error);
   RIPS_RETURN_IF_ERROR(bundle::KeepBundle(arriving, loaded->id, directory_));
-  return Added{.bundle = Describe(path, loaded->id), .warnings = loaded->warnings, .known = known};
+  return Added{
+      .bundle = Describe(path, loaded->id), .warnings = shown(loaded->warnings), .known = known};
 }
 
 KeptBundle BundleLibrary::Describe(const std::string& path, const std::string& id) const {

@@ -54,6 +54,7 @@ TEST_F(BundleLibraryTest, KeepsWhatIsPushedAndFindsItByItsFirstDigits) {
   ASSERT_THAT(added, IsOk());
   EXPECT_FALSE(added->known);
   EXPECT_EQ(added->bundle.name, "warehouse");
+  EXPECT_EQ(added->warnings, "r.rul:1:1: warning NoRules\n") << "without the server's directory";
   EXPECT_EQ(added->bundle.signed_by, "alice");
   const std::string& id = added->bundle.id;
   for (const std::string& name : {id, id.substr(7), id.substr(7, 8), id.substr(0, 15)}) {

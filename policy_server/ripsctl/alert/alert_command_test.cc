@@ -1,0 +1,103 @@
+// `ripsctl alert list` and `ripsctl alert watch`.
+#include <algorithm>
+#include <nlohmann/json.hpp>
+#include <string>
+
+#include "absl/strings/str_cat.h"
+#include "gmock/gmock.h"
+#include "gtest/gtest.h"
+#include "policy_server/ripsctl/ripsctl_fixture.h"
+
+namespace rips::ripsctl {
+namespace {
+
+using ::testing::HasSubstr;
+
+TEST_F(RipsctlTest, ListsAlertsWithHostileTextEscaped) {
+  fake_.alert_text = "node \xe2\x80\xae\x1b[2J";
+  const Result text = Run({"alert", "list"});
+  EXPECT_EQ(text.code, 0);
+  EXPECT_EQ(text.out,
+            "TIME                      ROBOT  SEVERITY  LEVEL  RULE          ID        TEXT\n"
+            "2026-01-01T00:00:00.000Z  r1     high      ALERT  unknown_node  22222222  node "
+            "\\u202e\\x1b[2J\n");
+  const Result raw = Run({"alert", "list", "r1", "--limit", "5", "--output", "json"});
+  EXPECT_EQ(raw.out.find('\x1b'), std::string::npos);
+  EXPECT_EQ(nlohmann::json::parse(raw.out)["alerts"][0],
+            nlohmann::json({{"id", std::string(32, '2')},
+                            {"time", "2026-01-01T00:00:00.000000000Z"},
+                            {"robot", "r1"},
+                            {"rule", "unknown_node"},
+                            {"severity", "high"},
+                            {"text", fake_.alert_text},
+                            {"level", "ALERT"},
+                            {"event", "graph change"},
+                            {"decision_id", "3.16"},
+                            {"subjects", nlohmann::json::array()}}));
+  EXPECT_THAT(fake_.calls(), testing::ElementsAre("ListAlerts  100", "ListAlerts r1 5"));
+}
+
+TEST_F(RipsctlTest, ListsTheAlertsOfTheServerByTheNameThatItShows) {
+  Run({"alert", "list", "(server)"});
+  EXPECT_THAT(fake_.calls(), testing::ElementsAre("ListAlerts (server) 100"));
+  EXPECT_EQ(Run({"alert", "list", "(other)"}).code, 2);
+}
+
+TEST_F(RipsctlTest, WatchesAlerts) {
+  EXPECT_EQ(Run({"alert", "watch"}).out,
+            "2026-01-01T00:00:00.000Z  r1  high  ALERT  unknown_node: unknown node /intruder\n");
+  EXPECT_EQ(RunJson({"alert", "watch", "r1"})["text"], "unknown node /intruder");
+}
+
+TEST_F(RipsctlTest, AWatchGoesOnAfterALostConnectionWithoutGapOrDuplicate) {
+  const auto position = [](const std::string& cursor) {
+    v1::Alert alert;
+    alert.set_cursor(cursor);
+    return alert;
+  };
+  const auto numbered = [](int n) {
+    v1::Alert alert = MakeAlert(absl::StrCat("alert ", n));
+    alert.set_cursor(absl::StrCat(n, "-abc"));
+    return alert;
+  };
+  v1::Alert gap;
+  gap.set_gap("forgotten \x1b[2J");
+  const grpc::Status lost(grpc::StatusCode::UNAVAILABLE, "the server is stopping");
+  fake_.alert_watches = {{{position("0"), numbered(1), numbered(2)}, lost},
+                         {{}, lost},
+                         {{position("2-abc")}, lost},
+                         {{position("2-abc"), gap, numbered(9)}, grpc::Status::OK}};
+  const Result watch = Run({"alert", "watch", "--after", "0"});
+  EXPECT_EQ(watch.code, 0) << watch.err;
+  EXPECT_THAT(watch.out,
+              AllOf(HasSubstr("alert 1\n"), HasSubstr("alert 2\n"), HasSubstr("alert 9\n")));
+  EXPECT_EQ(std::count(watch.out.begin(), watch.out.end(), '\n'), 3);
+  EXPECT_THAT(watch.err, AllOf(HasSubstr("the connection is lost (the server is stopping)"),
+                               HasSubstr("note: forgotten \\x1b[2J")));
+  EXPECT_THAT(fake_.calls(),
+              testing::ElementsAre("WatchAlerts after 0", "WatchAlerts after 2-abc",
+                                   "WatchAlerts after 2-abc", "WatchAlerts after 2-abc"));
+}
+
+TEST_F(RipsctlTest, AWatchThatIsRefusedEnds) {
+  fake_.alert_watches = {
+      {{}, grpc::Status(grpc::StatusCode::INVALID_ARGUMENT, "`x` is not a cursor")}};
+  const Result watch = Run({"alert", "watch", "--after", "x"});
+  EXPECT_EQ(watch.code, 1);
+  EXPECT_EQ(watch.err, "error: `x` is not a cursor\n");
+  fake_.alert_watches = {{{}, grpc::Status(grpc::StatusCode::UNAVAILABLE, "nobody there")}};
+  EXPECT_EQ(Run({"alert", "watch"}).code, 3) << "never connected";
+}
+
+TEST_F(RipsctlTest, ListsAlertsThatTheStoreHasNotTaken) {
+  fake_.unrecorded_alert = "rogue driver";
+  const Result result = Run({"alert", "list"});
+  EXPECT_EQ(result.code, 0);
+  EXPECT_THAT(result.out, HasSubstr("rogue driver"));
+  EXPECT_THAT(result.out, HasSubstr("the first 1 are in the server's memory only: its store "
+                                    "cannot be written\n"));
+  EXPECT_EQ(RunJson({"alert", "list"})["unrecorded"][0]["text"], "rogue driver");
+}
+
+}  // namespace
+}  // namespace rips::ripsctl
