@@ -116,6 +116,9 @@ absl::Status Server::Open() {
   attacks_ = std::make_unique<AttackAlerts>(alerts_.get(), &clock_);
   store_watch_ = std::make_unique<pipeline::StoreWatch>(committer_.get(), alerts_.get(), &clock_,
                                                         config_.store_path, MakeStoreCounts());
+  outputs_ = std::make_unique<outputs::Outputs>(
+      config_.outputs, store_.get(), &metrics_, &clock_,
+      [this](engine::Severity severity, const std::string& what) { OwnAlert(severity, what); });
   RIPS_RETURN_IF_ERROR(OpenJail());
   // Half the machine at most: scanning must not keep shards from judging. At least two, so that a
   // robot whose scans are slow leaves one to the others.
@@ -726,6 +729,7 @@ void Server::Stop() {
   // What is still being inspected is judged by whoever gets it again.
   pipeline_->Stop();
   inspections_->Stop();
+  outputs_->Stop();
   // Its last alerts are written with the rest.
   store_watch_.reset();
   committer_->Stop();

@@ -27,6 +27,7 @@
 #include "policy_server/server/operator_api/ban_list.h"
 #include "policy_server/server/operator_api/operator_service.h"
 #include "policy_server/server/operator_api/status_broadcaster.h"
+#include "policy_server/server/outputs/outputs.h"
 #include "policy_server/server/plugin_jail.h"
 #include "policy_server/server/rollout/activated_bundles.h"
 #include "policy_server/server/rollout/alert_rates.h"
@@ -131,6 +132,7 @@ class Server {
   std::unique_ptr<pipeline::ServerAlerts> alerts_;
   std::unique_ptr<AttackAlerts> attacks_;
   std::unique_ptr<pipeline::StoreWatch> store_watch_;
+  std::unique_ptr<outputs::Outputs> outputs_;
   std::unique_ptr<pipeline::StoreRecorder> recorder_;
   // Both null if no recordings are kept.
   std::unique_ptr<flight::FlightFiles> recordings_;

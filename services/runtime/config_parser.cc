@@ -161,6 +161,13 @@ std::string Remedy(absl::string_view key, const std::vector<std::string>& known)
   return absl::StrCat("known keys are `", absl::StrJoin(known, "`, `"), "`");
 }
 
+// A secret where the file of one belongs, or the password of a URL: the line is not quoted.
+bool MayHoldSecret(absl::string_view line) {
+  const size_t scheme = line.find("://");
+  return absl::StrContains(line, "secret") || absl::StrContains(line, "password") ||
+         (scheme != absl::string_view::npos && absl::StrContains(line.substr(scheme), "@"));
+}
+
 }  // namespace
 
 ConfigTree::ConfigTree(absl::string_view file, absl::string_view text) : file_(file), text_(text) {
@@ -247,7 +254,7 @@ std::string ConfigTree::Format(const Problem& problem) const {
   const absl::string_view before = line.substr(0, problem.place.column);
   std::string out = absl::StrCat(file_, ":", problem.place.line + 1, ":",
                                  CountCodePoints(before) + 1, ": ", problem.message);
-  if (line.empty() || line.size() > kShownBytesMax) return out;
+  if (line.empty() || line.size() > kShownBytesMax || MayHoldSecret(line)) return out;
   std::string shown(line);
   for (char& c : shown) {
     if (static_cast<unsigned char>(c) < 0x20 || c == 0x7f) c = ' ';

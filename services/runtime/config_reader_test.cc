@@ -91,6 +91,17 @@ TEST(ConfigReaderTest, FillsAStruct) {
   EXPECT_THAT(config->steps, ElementsAre(Step{"one", 2}, Step{"two", 0}));
 }
 
+TEST(ConfigReaderTest, QuotesNoLineThatMayHoldASecret) {
+  for (const char* text :
+       {"secret: hunter2\n", "password: hunter2\n", "url: https://u:hunter2@h/\n"}) {
+    ConfigReader reader("f.yaml", text);
+    reader.root().Problem("", "it is wrong");
+    const absl::Status status = reader.Finish();
+    EXPECT_THAT(status, StatusIs(absl::StatusCode::kInvalidArgument, HasSubstr("f.yaml:1:1")));
+    EXPECT_THAT(std::string(status.message()), Not(HasSubstr("hunter2")));
+  }
+}
+
 TEST(ConfigReaderTest, QuotesNothingOfATextThatHoldsAPrivateKey) {
   for (const char* text : {"-----BEGIN PRIVATE KEY-----\nhidden\n-----END PRIVATE KEY-----\n",
                            "robot: r1\nnonsense: |\n  -----BEGIN EC PRIVATE KEY-----\n  hidden\n",

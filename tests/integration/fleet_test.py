@@ -98,6 +98,9 @@ def kill_server_while_compromised(fleet):
     check([d["decision_id"] for d in after] == [d["decision_id"] for d in before],
           f"decisions changed from {before} to {after}")
     check(applied(fleet) == entered, "a level was entered again")
+    receipts = fleet.query("robot", "receipts", "r1")["receipts"]
+    check(any(each["command"] == "level COMPROMISED" for each in receipts),
+          f"what the actuator answered before the kill is not known any more: {receipts}")
     time.sleep(8)  # longer than soft_hold
     check(fleet.level()["decided_level"] == "COMPROMISED", "the level sank after the restart")
     rogue = [a for a in fleet.alerts() if a["rule"] == "rogue_driver"]

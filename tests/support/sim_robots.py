@@ -89,7 +89,10 @@ class SimRobot:
         hello.hello.fail_safe_level = hello.hello.effective_level = self.level
         self.actuator.send(hello)
         # The graph: nothing, settled.
-        self._observe(lambda each: setattr(each.snapshot, "settled", True))
+        def settled(observation):
+            observation.snapshot.graph_version = 1
+            observation.snapshot.settled = True
+        self._observe(settled)
 
     def _greet(self, hello, incarnation):
         hello.protocol = 1

@@ -97,7 +97,7 @@ class ListReceipts final : public RobotCommand {
           env, {{"robot", robot_}, {"receipts", JsonList(response.receipts(), ReceiptJson)}});
     }
     if (response.receipts().empty()) {
-      env.out << "no actuator of " << robot_ << " has sent a receipt since the server started\n";
+      env.out << "no actuator of " << robot_ << " has sent a receipt\n";
     }
     for (int i = 0; i < response.receipts_size(); ++i) {
       if (i > 0) env.out << "\n";

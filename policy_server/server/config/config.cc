@@ -214,6 +214,7 @@ absl::StatusOr<ParsedServerConfig> ParseServerConfig(absl::string_view file,
   ReadOptionalPath(store, "path", &config.store_path);
   const ConfigSection alerts = root.OptionalSection("alerts");
   ReadOptionalPath(alerts, "file", &config.alerts_file);
+  config.outputs = ReadOutputs(root);
   ReadAudit(root, &config);
   ReadRecordings(root, &config);
   ReadTiming(root, &config.timing);

@@ -10,6 +10,7 @@
 #include "absl/status/statusor.h"
 #include "absl/strings/string_view.h"
 #include "absl/time/time.h"
+#include "policy_server/server/config/output_config.h"
 #include "services/rpc/connection_admission.h"
 #include "services/runtime/config_sections.h"
 
@@ -84,6 +85,8 @@ struct ServerConfig {
   std::string store_path = "/var/lib/rips/policy-server/state.db";
   // JSON lines.
   std::string alerts_file = "/var/log/rips/alerts.jsonl";
+  // At most kOutputsMax.
+  std::vector<OutputConfig> outputs;
   // Where the audit log is; empty: none is written.
   std::string audit_dir;
   // A segment of it that has so many bytes is followed by the next one.

@@ -47,6 +47,16 @@ absl::StatusOr<Cursor> ParseCursor(absl::string_view text) {
   return cursor;
 }
 
+absl::StatusOr<CursorPlace> FindCursor(store::Store& store, const Cursor& cursor,
+                                       const store::AlertRecord& newest) {
+  if (cursor.sequence == 0) return CursorPlace::kKnown;
+  RIPS_ASSIGN_OR_RETURN(const uint64_t sequence, store.FindAlert(cursor.id));
+  if (sequence == cursor.sequence) return CursorPlace::kKnown;
+  RIPS_ASSIGN_OR_RETURN(const store::AlertPage page, store.AlertsAfter("", cursor.sequence - 1, 1));
+  const bool forgotten = sequence == 0 && page.forgotten && cursor.sequence <= newest.sequence;
+  return forgotten ? CursorPlace::kForgotten : CursorPlace::kUnknown;
+}
+
 AlertFeed::AlertFeed(store::Store* store, store::AlertLog* log, FeedCounts counts,
                      absl::Duration interval)
     : store_(store), log_(log), counts_(std::move(counts)), interval_(interval) {
@@ -194,17 +204,9 @@ absl::StatusOr<bool> AlertFeed::Place(Watching& watching, const store::AlertReco
   Cursor at{.sequence = newest.sequence, .id = newest.id};
   bool unknown = false;
   if (watching.after.has_value()) {
-    const Cursor& wanted = *watching.after;
-    uint64_t sequence = 0;
-    bool forgotten = false;
-    if (wanted.sequence > 0) {
-      RIPS_ASSIGN_OR_RETURN(sequence, store_->FindAlert(wanted.id));
-      RIPS_ASSIGN_OR_RETURN(const store::AlertPage page,
-                            store_->AlertsAfter("", wanted.sequence - 1, 1));
-      forgotten = sequence == 0 && page.forgotten && wanted.sequence <= newest.sequence;
-    }
-    unknown = wanted.sequence > 0 && sequence != wanted.sequence && !forgotten;
-    if (!unknown) at = wanted;
+    RIPS_ASSIGN_OR_RETURN(const CursorPlace place, FindCursor(*store_, *watching.after, newest));
+    unknown = place == CursorPlace::kUnknown;
+    if (!unknown) at = *watching.after;
   }
   watching.placed = true;
   watching.sequence = at.sequence;

@@ -42,6 +42,13 @@ std::string FormatCursor(const Cursor& cursor);
 // InvalidArgument with an example for what FormatCursor does not make.
 absl::StatusOr<Cursor> ParseCursor(absl::string_view text);
 
+// What the store knows of the alert that a cursor names. kForgotten: it was there, and the limit
+// has forgotten it. kUnknown: the store was made anew, or a backup was restored.
+enum class CursorPlace { kKnown, kForgotten, kUnknown };
+// `newest`: Store::NewestAlert. An error is of the store.
+absl::StatusOr<CursorPlace> FindCursor(store::Store& store, const Cursor& cursor,
+                                       const store::AlertRecord& newest);
+
 // One who follows. Called on the feed's thread, must not block; false = no longer interested.
 struct AlertWatcher {
   // Empty = all.
