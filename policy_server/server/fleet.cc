@@ -6,7 +6,6 @@
 #include <vector>
 
 #include "absl/strings/str_cat.h"
-#include "policy_server/policy/bundle/bundle_keep.h"
 #include "services/base/status_macros.h"
 #include "services/runtime/config_sections.h"
 #include "services/runtime/log.h"
@@ -46,12 +45,13 @@ std::string FirstLine(absl::string_view text) {
 }  // namespace
 
 Fleet::Fleet(FleetOptions options, store::Store* store, pipeline::Pipeline* pipeline,
-             pipeline::ServerAlerts* alerts, Load load, pipeline::Ports ports, FleetCounts counts)
+             pipeline::ServerAlerts* alerts, PolicySource* policies, pipeline::Ports ports,
+             FleetCounts counts)
     : options_(std::move(options)),
       store_(store),
       pipeline_(pipeline),
       alerts_(alerts),
-      load_(std::move(load)),
+      policies_(policies),
       ports_(std::move(ports)),
       counts_(std::move(counts)) {
   ports_.fenced = [this](const std::string& robot, const absl::Status& why) {
@@ -66,65 +66,18 @@ absl::StatusOr<bundle::Inventory> Fleet::ReadInventory() const {
 
 absl::Status Fleet::Start() {
   RIPS_ASSIGN_OR_RETURN(inventory_, ReadInventory());
-  const Policies policies = LoadPolicies(inventory_);
+  const PolicySource::Policies policies = policies_->FindAll(inventory_);
   std::vector<std::string> robots;
   for (const bundle::InventoryRobot& robot : inventory_.robots) robots.push_back(robot.id);
   RIPS_ASSIGN_OR_RETURN(const std::vector<store::Acquired> acquired, store_->Acquire(robots));
   for (size_t i = 0; i < robots.size(); ++i) {
     const bundle::InventoryRobot& robot = inventory_.robots[i];
     if (counts_.listed) counts_.listed(robot);
-    RIPS_RETURN_IF_ERROR(Arm(robot, policies.at(SourceOf(robot)), acquired[i]));
+    RIPS_RETURN_IF_ERROR(Arm(robot, policies.at(policies_->SourceOf(robot)), acquired[i]));
   }
   ForgetUnused();
   Count();
   return absl::OkStatus();
-}
-
-Fleet::Source Fleet::SourceOf(const bundle::InventoryRobot& robot) const {
-  return {robot.bundle, options_.activated ? options_.activated(robot) : ""};
-}
-
-Fleet::Policies Fleet::LoadPolicies(const bundle::Inventory& inventory,
-                                    const std::set<std::string>* only) {
-  Policies policies;
-  for (const bundle::InventoryRobot& robot : inventory.robots) {
-    const Source source = SourceOf(robot);
-    if (!IsOf(only, robot.id) || policies.contains(source)) continue;
-    policies.emplace(source, Find(source.first, source.second));
-  }
-  return policies;
-}
-
-absl::StatusOr<pipeline::Policy> Fleet::Find(const std::string& name, const std::string& id) {
-  if (id.empty()) return LoadFromDirectory(name);
-  if (const auto known = loaded_.find(id); known != loaded_.end()) return known->second;
-  RIPS_ASSIGN_OR_RETURN(const std::string path, bundle::KeptBundlePath(options_.bundles_dir, id));
-  absl::StatusOr<pipeline::Policy> policy = load_(path, name);
-  if (policy.ok() && policy->bundle_id != id) {
-    policy = absl::DataLossError("its copy was changed");
-  }
-  if (policy.ok()) {
-    loaded_.emplace(id, *policy);
-  } else {
-    LogError("bundle refused", {{"bundle", path}, {"reason", policy.status().message()}});
-  }
-  return policy;
-}
-
-absl::StatusOr<pipeline::Policy> Fleet::LoadFromDirectory(const std::string& name) {
-  const std::string dir = absl::StrCat(options_.bundles_source, "/", name);
-  absl::StatusOr<pipeline::Policy> policy = load_(dir, name);
-  if (!policy.ok()) {
-    LogError("bundle refused", {{"bundle", dir}, {"reason", policy.status().message()}});
-  } else if (const absl::Status kept =
-                 bundle::KeepBundle(dir, policy->bundle_id, options_.bundles_dir);
-             !kept.ok()) {
-    LogWarning(
-        "cannot keep a copy of the bundle; if the next start rejects it, its robots stay at "
-        "their level",
-        {{"bundle", dir}, {"reason", kept.message()}});
-  }
-  return policy;
 }
 
 absl::Status Fleet::Arm(const bundle::InventoryRobot& robot,
@@ -137,16 +90,11 @@ absl::Status Fleet::Arm(const bundle::InventoryRobot& robot,
   absl::Status added = policy.ok() ? add(*policy) : policy.status();
   std::string problem;
   if (!added.ok()) {
-    problem = absl::StrCat(Described(robot.bundle, SourceOf(robot).second),
+    problem = absl::StrCat(Described(robot.bundle, policies_->SourceOf(robot).second),
                            " is refused: ", FirstLine(added.message()));
-    const absl::StatusOr<std::string> kept =
-        bundle::KeptBundlePath(options_.bundles_dir, record.bundle);
-    if (!kept.ok()) return Hold(robot, record, problem);
-    const absl::StatusOr<pipeline::Policy> last_good = load_(*kept, "");
+    if (record.bundle.empty()) return Hold(robot, record, problem);
+    const absl::StatusOr<pipeline::Policy> last_good = policies_->FindLastGood(record.bundle);
     absl::Status fits = last_good.status();
-    if (last_good.ok() && last_good->bundle_id != record.bundle) {
-      fits = absl::DataLossError("its copy was changed");
-    }
     if (fits.ok()) fits = add(*last_good);
     if (!fits.ok()) {
       return Hold(robot, record,
@@ -243,11 +191,11 @@ void Fleet::Apply(const std::set<std::string>& robots) {
 }
 
 void Fleet::Settle(const bundle::Inventory& now, const std::set<std::string>* only) {
-  const Policies policies = LoadPolicies(now, only);
+  const PolicySource::Policies policies = policies_->FindAll(now, only);
   const std::vector<std::string> judged = pipeline_->robots();
   for (const bundle::InventoryRobot& robot : now.robots) {
     if (!IsOf(only, robot.id)) continue;
-    const absl::StatusOr<pipeline::Policy>& policy = policies.at(SourceOf(robot));
+    const absl::StatusOr<pipeline::Policy>& policy = policies.at(policies_->SourceOf(robot));
     if (counts_.listed && inventory_.Find(robot.id) == nullptr) counts_.listed(robot);
     if (std::binary_search(judged.begin(), judged.end(), robot.id)) {
       Change(robot, inventory_.Find(robot.id), policy);
@@ -293,7 +241,7 @@ void Fleet::Change(const bundle::InventoryRobot& robot, const bundle::InventoryR
   }
   if (!policy.ok()) {
     SetProblem(robot.id,
-               absl::StrCat(Described(robot.bundle, SourceOf(robot).second),
+               absl::StrCat(Described(robot.bundle, policies_->SourceOf(robot).second),
                             " is refused: ", FirstLine(policy.status().message()),
                             "; the old policy stays in force"),
                "");
@@ -315,14 +263,12 @@ void Fleet::Change(const bundle::InventoryRobot& robot, const bundle::InventoryR
 
 void Fleet::ForgetUnused() {
   std::set<std::string> in_use;
-  if (options_.needed) in_use = options_.needed();
-  absl::erase_if(loaded_, [&](const auto& each) { return !in_use.contains(each.first); });
   for (const bundle::InventoryRobot& robot : inventory_.robots) {
     const absl::StatusOr<store::RobotRecord> record = store_->Load(robot.id);
     if (!record.ok()) return;  // nothing is removed that might be needed
     in_use.insert(record->bundle);
   }
-  bundle::ForgetBundles(options_.bundles_dir, in_use);
+  policies_->ForgetUnused(std::move(in_use));
 }
 
 void Fleet::Count() {

@@ -24,13 +24,13 @@
 #include <functional>
 #include <set>
 #include <string>
-#include <utility>
 
 #include "absl/container/btree_map.h"
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
 #include "absl/time/time.h"
 #include "policy_server/policy/bundle/inventory.h"
+#include "policy_server/server/policy_source.h"
 #include "policy_server/server/shard/pipeline.h"
 #include "policy_server/server/shard/server_alerts.h"
 #include "policy_server/server/store/store.h"
@@ -38,17 +38,11 @@
 namespace rips::server {
 
 struct FleetOptions {
-  // Paths, as ServerConfig's.
+  // A path, as ServerConfig's.
   std::string inventory;
-  std::string bundles_source;
-  std::string bundles_dir;
   pipeline::Timing timing;
   // How long a robot that was removed may take to be gone before it can be added again.
   absl::Duration leaving = absl::Seconds(5);
-  // Id of the kept bundle that was activated for a robot; empty: none. Null: of no robot.
-  std::function<std::string(const bundle::InventoryRobot&)> activated;
-  // Ids of further bundles that are kept. Null: none.
-  std::function<std::set<std::string>()> needed;
 };
 
 // What is counted; a null entry is not.
@@ -62,15 +56,10 @@ struct FleetCounts {
 // One thread at a time.
 class Fleet {
  public:
-  // A bundle of a directory, ready to judge; its manifest has that name. If `name` is empty it is
-  // one that judged the robot before, whose id is compared: of any name, and no signature is wanted,
-  // so that robots whose bundles are not signed yet are not left without a policy.
-  using Load = std::function<absl::StatusOr<pipeline::Policy>(const std::string& dir,
-                                                              const std::string& name)>;
-
   // Nothing is owned; all outlive this. `ports` are given to each robot.
   Fleet(FleetOptions options, store::Store* store, pipeline::Pipeline* pipeline,
-        pipeline::ServerAlerts* alerts, Load load, pipeline::Ports ports, FleetCounts counts = {});
+        pipeline::ServerAlerts* alerts, PolicySource* policies, pipeline::Ports ports,
+        FleetCounts counts = {});
 
   // Before Pipeline::Start: the robots of the inventory. An error only if the inventory or the
   // store cannot be read, or the store not be written.
@@ -80,9 +69,6 @@ class Fleet {
   void Reload();
   // Has those robots of the inventory judged by what is activated for them now.
   void Apply(const std::set<std::string>& robots);
-  // The policy of that name that the directory holds, or, if `id` is not empty, the kept bundle of
-  // that id; also where it is to run muted. What refuses a bundle at start.
-  absl::StatusOr<pipeline::Policy> Find(const std::string& name, const std::string& id);
   // Removes copies of bundles that are not needed, beyond what bundle_keep.h lets stay.
   void ForgetUnused();
   // Why the robot is not judged by what it should be; empty = it is.
@@ -94,15 +80,6 @@ class Fleet {
 
  private:
   absl::StatusOr<bundle::Inventory> ReadInventory() const;
-  // A policy's name in the inventory, and the id of the bundle that was activated; empty = none.
-  using Source = std::pair<std::string, std::string>;
-  Source SourceOf(const bundle::InventoryRobot& robot) const;
-  // The policy, or why it is refused.
-  using Policies = absl::btree_map<Source, absl::StatusOr<pipeline::Policy>>;
-  // Of every robot of the inventory, or of `only`.
-  Policies LoadPolicies(const bundle::Inventory& inventory,
-                        const std::set<std::string>* only = nullptr);
-  absl::StatusOr<pipeline::Policy> LoadFromDirectory(const std::string& name);
   // Adds, changes or holds each robot of `now`, or of `only`.
   void Settle(const bundle::Inventory& now, const std::set<std::string>* only = nullptr);
   // Adds or holds it.
@@ -125,12 +102,10 @@ class Fleet {
   store::Store* store_;
   pipeline::Pipeline* pipeline_;
   pipeline::ServerAlerts* alerts_;
-  const Load load_;
+  PolicySource* policies_;
   pipeline::Ports ports_;
   const FleetCounts counts_;
   bundle::Inventory inventory_;
-  // Kept bundles that were loaded, by id.
-  absl::btree_map<std::string, pipeline::Policy> loaded_;
   // By robot: why it is not judged by what the inventory names.
   absl::btree_map<std::string, std::string> problems_;
 };

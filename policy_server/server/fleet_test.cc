@@ -49,10 +49,8 @@ class QuietObserver final : public pipeline::RobotObserver {
 class FleetTest : public ::testing::Test {
  protected:
   void SetUp() override {
-    options_ = {.inventory = dir_.File("robots.yaml"),
-                .bundles_source = dir_.File("source"),
-                .bundles_dir = dir_.File("kept"),
-                .leaving = kLong};
+    options_ = {.inventory = dir_.File("robots.yaml"), .leaving = kLong};
+    sources_ = {.bundles_source = dir_.File("source"), .bundles_dir = dir_.File("kept")};
     WriteBundle("good", "DEFAULT, ALERT, HALT");
     WriteBundle("other", "DEFAULT, ALERT, HALT");
     List({{"r1", "good"}, {"r2", "other"}});
@@ -61,7 +59,7 @@ class FleetTest : public ::testing::Test {
 
   void WriteBundle(const std::string& name, const std::string& levels,
                    const std::string& more = "") {
-    const std::string path = absl::StrCat(options_.bundles_source, "/", name);
+    const std::string path = absl::StrCat(sources_.bundles_source, "/", name);
     std::filesystem::create_directories(path);
     std::ofstream(path + "/manifest.yaml")
         << "name: " << name << "\nrules: [r.rul]\nlevels: [" << levels << "]\n";
@@ -71,7 +69,7 @@ class FleetTest : public ::testing::Test {
     rules << more;
   }
   void Break(const std::string& name) {
-    std::ofstream(absl::StrCat(options_.bundles_source, "/", name, "/r.rul"))
+    std::ofstream(absl::StrCat(sources_.bundles_source, "/", name, "/r.rul"))
         << "levels: nonsense(";
   }
   void List(const std::vector<std::pair<std::string, std::string>>& robots,
@@ -89,9 +87,11 @@ class FleetTest : public ::testing::Test {
     alerts_ =
         std::make_unique<pipeline::ServerAlerts>(committer_.get(), &audience_, &clock_, NewId);
     pipeline_ = std::make_unique<pipeline::Pipeline>(2, &clock_);
+    policies_ = std::make_unique<PolicySource>(
+        sources_,
+        [this](const std::string& dir, const std::string& name) { return Load(dir, name); });
     fleet_ = std::make_unique<Fleet>(
-        options_, &store_, pipeline_.get(), alerts_.get(),
-        [this](const std::string& dir, const std::string& name) { return Load(dir, name); },
+        options_, &store_, pipeline_.get(), alerts_.get(), policies_.get(),
         pipeline::Ports{.recorder = recorder_.get(), .audience = &audience_, .new_id = NewId},
         FleetCounts{.robots = [this](size_t armed, size_t on_last_good, size_t held) {
           counts_ = {armed, on_last_good, held};
@@ -151,6 +151,7 @@ class FleetTest : public ::testing::Test {
 
   store::TempDir dir_;
   FleetOptions options_;
+  PolicySource::Options sources_;
   FakeClock clock_;
   RealClock real_clock_;
   store::FakeStore store_;
@@ -159,6 +160,7 @@ class FleetTest : public ::testing::Test {
   std::unique_ptr<pipeline::StoreRecorder> recorder_;
   std::unique_ptr<pipeline::ServerAlerts> alerts_;
   std::unique_ptr<pipeline::Pipeline> pipeline_;
+  std::unique_ptr<PolicySource> policies_;
   std::unique_ptr<Fleet> fleet_;
   std::vector<size_t> counts_;
 };
@@ -208,7 +210,7 @@ TEST_F(FleetTest, ALevelThatTheBundleNoLongerDeclaresCostsThatRobotOnlyAndNeverS
   EXPECT_EQ(Status("r1").decided_level, "ALERT") << "by the last good bundle";
   EXPECT_THAT(Status("r1").degraded, Contains(HasSubstr("does not declare")));
 
-  std::filesystem::remove_all(options_.bundles_dir);
+  std::filesystem::remove_all(sources_.bundles_dir);
   // The copy is gone too.
   Restart();
   ASSERT_THAT(pipeline_->held(), SizeIs(1));
@@ -223,7 +225,7 @@ TEST_F(FleetTest, ALevelThatTheBundleNoLongerDeclaresCostsThatRobotOnlyAndNeverS
 TEST_F(FleetTest, ACopyThatWasChangedIsNotUsed) {
   ASSERT_THAT(Start(), IsOk());
   Raise("r1", "ALERT");
-  for (const auto& entry : std::filesystem::recursive_directory_iterator(options_.bundles_dir)) {
+  for (const auto& entry : std::filesystem::recursive_directory_iterator(sources_.bundles_dir)) {
     if (entry.path().filename() == "r.rul") {
       std::ofstream(entry.path()) << "levels:\n  DEFAULT;\n  ALERT;\n  HALT;\n\n";
     }

@@ -45,8 +45,14 @@ int main(int argc, char** argv) {
   // Signals are taken from here on: the start may wait for a certificate, and must end if told to.
   std::unique_ptr<server::Server> owned;  // outlives `signals`, which calls it
   std::atomic<server::Server*> running = nullptr;
-  SignalWaiter signals({{SIGHUP, [&running] {
+  SignalWaiter signals({{SIGHUP, [&] {
                            if (server::Server* each = running) each->Reload();
+                           const absl::StatusOr<std::string> now = ReadConfigFile(flags.config);
+                           if (now.ok() && *now == *text) return;
+                           LogWarning(
+                               "the configuration has changed and is read at start only; restart "
+                               "the server to apply it",
+                               {{"file", flags.config}});
                          }}});
   auto started = server::Server::Start(
       parsed->config, [&](absl::Duration pause) { return signals.WaitForShutdown(pause); });

@@ -11,7 +11,6 @@
 #include "absl/strings/str_cat.h"
 #include "policy_server/policy/bundle/bundle_keep.h"
 #include "policy_server/server/audit/store_audit.h"
-#include "policy_server/server/pooled_inspector.h"
 #include "services/base/ids.h"
 #include "services/base/status_macros.h"
 #include "services/runtime/await.h"
@@ -82,7 +81,6 @@ absl::Status Server::Open() {
   // Read again with the robots; what is malformed must not wait for certificates.
   RIPS_ASSIGN_OR_RETURN(const std::string text, ReadConfigFile(config_.inventory));
   RIPS_RETURN_IF_ERROR(bundle::ParseInventory(config_.inventory, text).status());
-  RIPS_RETURN_IF_ERROR(LoadSigners());
   RIPS_ASSIGN_OR_RETURN(store_, store::SqliteStore::Open(config_.store_path));
   RIPS_ASSIGN_OR_RETURN(alert_log_, store::AlertLog::Open(config_.alerts_file));
   const Counter file_failures = metrics_.AddCounter(
@@ -127,7 +125,9 @@ absl::Status Server::Open() {
       inspect::PoolOptions{.threads = std::max(2, threads)}, &clock_);
   recorder_ = std::make_unique<pipeline::StoreRecorder>(store_.get(), committer_.get());
   OpenRecordings();
-  return absl::OkStatus();
+  loader_ = std::make_unique<BundleLoader>(config_.bundle_keys, &clock_, jail_.containment,
+                                           inspections_.get());
+  return loader_->ReadKeys();
 }
 
 void Server::OpenRecordings() {
@@ -305,65 +305,6 @@ absl::Status Server::OpenJail() {
   return absl::OkStatus();
 }
 
-absl::Status Server::LoadSigners() {
-  RIPS_ASSIGN_OR_RETURN(bundle::SignerKeys signers, bundle::SignerKeys::Load(config_.bundle_keys));
-  MutexLock lock(&signers_mu_);
-  signers_ = std::move(signers);
-  return absl::OkStatus();
-}
-
-absl::StatusOr<std::string> Server::SignedBy(const std::string& dir, const std::string& id) const {
-  if (config_.bundle_keys.empty()) return "";
-  const absl::StatusOr<std::string> signature = bundle::ReadSignature(dir);
-  if (!signature.ok()) return absl::PermissionDeniedError(signature.status().message());
-  MutexLock lock(&signers_mu_);
-  return signers_.Verify(id, *signature);
-}
-
-absl::StatusOr<bundle::Bundle> Server::LoadBundle(const std::string& dir) {
-  return bundle::LoadBundle(dir, &clock_, {.plugin = {.contain = jail_.containment}});
-}
-
-absl::StatusOr<bundle::Bundle> Server::LoadSignedBundle(const std::string& dir) {
-  if (!config_.bundle_keys.empty()) {
-    // Before any of its plugins is started.
-    const bundle::BundleCheck check = bundle::CheckBundle(dir);
-    if (check.ok()) RIPS_RETURN_IF_ERROR(SignedBy(dir, check.id).status());
-  }
-  RIPS_ASSIGN_OR_RETURN(bundle::Bundle loaded, LoadBundle(dir));
-  RIPS_RETURN_IF_ERROR(SignedBy(dir, loaded.id).status());
-  return loaded;
-}
-
-absl::StatusOr<pipeline::Policy> Server::LoadPolicy(const std::string& dir,
-                                                    const std::string& name) {
-  RIPS_ASSIGN_OR_RETURN(bundle::Bundle loaded,
-                        name.empty() ? LoadBundle(dir) : LoadSignedBundle(dir));
-  if (!name.empty() && loaded.manifest.name != name) {
-    return absl::InvalidArgumentError(absl::StrCat("its manifest calls it `", loaded.manifest.name,
-                                                   "`; the inventory wants `", name, "`"));
-  }
-  if (!loaded.warnings.empty()) {
-    // Rule text stays out of logs; `ripsctl rules check` shows it to its author.
-    LogWarning("rule compiler warnings", {{"bundle", dir}, {"warnings", loaded.warnings}});
-  }
-  LogInfo("bundle loaded", {{"bundle", loaded.manifest.name},
-                            {"id", loaded.id},
-                            {"rules", loaded.program->rules().rules.size()}});
-  std::shared_ptr<pipeline::Inspector> inspector;
-  if (loaded.inspections != nullptr) {
-    inspector = std::make_shared<PooledInspector>(inspections_.get(), loaded.inspections);
-  }
-  return pipeline::Policy{.program = loaded.program,
-                          .bundle_id = loaded.id,
-                          .start_level = loaded.start_level,
-                          .soft_hold_ns = absl::ToInt64Nanoseconds(loaded.manifest.soft_hold),
-                          .two_person = loaded.manifest.two_person,
-                          .inspector = std::move(inspector),
-                          .interest = pipeline::MakeInterest(*loaded.program),
-                          .payload_limits = loaded.manifest.payload_limits};
-}
-
 pipeline::StoreCounts Server::MakeStoreCounts() {
   const Gauge healthy =
       metrics_.AddGauge("rips_store_healthy", "1 while the store can be written, else 0.");
@@ -517,49 +458,52 @@ std::shared_ptr<operator_api::CallerQuota> Server::MakeQuota() {
 }
 
 void Server::OpenActivations() {
-  activations_ = std::make_unique<rollout::Activations>(
+  rollouts_.activations = std::make_unique<rollout::Activations>(
       absl::StrCat(config_.bundles_dir, "/activated.json"), store_.get());
-  alert_rates_ = std::make_unique<rollout::AlertRates>(hub_.get(), &clock_);
-  if (activations_->problem().ok()) return;
+  rollouts_.rates = std::make_unique<rollout::AlertRates>(hub_.get(), &clock_);
+  const auto* activations = rollouts_.activations.get();
+  rollouts_.policies = std::make_unique<PolicySource>(
+      PolicySource::Options{.bundles_source = config_.bundles_source,
+                            .bundles_dir = config_.bundles_dir,
+                            .activated = [activations = rollouts_.activations.get()](
+                                             const auto& robot) { return activations->For(robot); },
+                            .needed = [activations] { return activations->now().bundles(); }},
+      [this](const std::string& dir, const std::string& name) {
+        return loader_->LoadPolicy(dir, name);
+      });
+  if (activations->problem().ok()) return;
   OwnAlert(
       engine::Severity::kCritical,
-      absl::StrCat("which bundles were activated is not known: ", activations_->problem().message(),
+      absl::StrCat("which bundles were activated is not known: ", activations->problem().message(),
                    "; each robot keeps the bundle that judged it last; activate them anew "
                    "(`ripsctl rules status`, `ripsctl rules activate`)"));
 }
 
 void Server::OpenBundleControl() {
-  library_ = std::make_unique<rollout::BundleLibrary>(
-      config_.bundles_dir,
-      [this](const std::string& dir) -> absl::StatusOr<rollout::LoadedBundle> {
-        RIPS_ASSIGN_OR_RETURN(const bundle::Bundle loaded, LoadSignedBundle(dir));
-        return rollout::LoadedBundle{
-            .id = loaded.id, .name = loaded.manifest.name, .warnings = loaded.warnings};
-      },
-      [this](const std::string& dir, const std::string& id) { return SignedBy(dir, id); });
+  rollouts_.library = std::make_unique<rollout::BundleLibrary>(
+      config_.bundles_dir, [this](const std::string& dir) { return loader_->LoadPushed(dir); },
+      [this](const std::string& dir, const std::string& id) { return loader_->SignedBy(dir, id); });
   bundles_ = std::make_unique<rollout::BundleControl>(rollout::BundleControl::Parts{
       .fleet = fleet_.get(),
-      .activations = activations_.get(),
-      .library = library_.get(),
-      .rates = alert_rates_.get(),
-      .shadows = &shadows_,
+      .activations = rollouts_.activations.get(),
+      .library = rollouts_.library.get(),
+      .rates = rollouts_.rates.get(),
+      .policies = rollouts_.policies.get(),
+      .shadows = &rollouts_.shadows,
       .load_shadow =
           [this](const rollout::KeptBundle& kept) -> absl::StatusOr<shadow::ShadowPolicy> {
         RIPS_ASSIGN_OR_RETURN(const std::string dir,
                               bundle::KeptBundlePath(config_.bundles_dir, kept.id));
-        RIPS_ASSIGN_OR_RETURN(const bundle::Bundle loaded, LoadSignedBundle(dir));
-        if (loaded.id != kept.id) {
-          return absl::DataLossError("its copy was changed");
-        }
-        return shadow::PolicyOf(loaded);
+        return loader_->LoadShadow(dir, kept.id);
       },
       .pipeline = pipeline_.get(),
       .alerts = alerts_.get(),
       .clock = &clock_,
       .new_id = NewId});
   // What each robot keeps instead; a file that could not be read may be in order the next time.
-  if (!absl::IsDataLoss(activations_->problem())) return;
-  if (const absl::Status kept = activations_->Set(activations_->now()); !kept.ok()) {
+  if (!absl::IsDataLoss(rollouts_.activations->problem())) return;
+  if (const absl::Status kept = rollouts_.activations->Set(rollouts_.activations->now());
+      !kept.ok()) {
     LogError("cannot record which bundles robots keep", {{"reason", kept.message()}});
   }
 }
@@ -591,18 +535,10 @@ absl::Status Server::AddRobots() {
     flight_recorder = [this](const std::string& robot) { return flights_->NewRecorder(robot); };
   }
   fleet_ = std::make_unique<Fleet>(
-      FleetOptions{
-          .inventory = config_.inventory,
-          .bundles_source = config_.bundles_source,
-          .bundles_dir = config_.bundles_dir,
-          .timing = ToPipeline(config_.timing),
-          .activated = [activations = activations_.get()](
-                           const bundle::InventoryRobot& robot) { return activations->For(robot); },
-          .needed = [activations = activations_.get()] { return activations->now().bundles(); }},
-      store_.get(), pipeline_.get(), alerts_.get(),
-      [this](const std::string& dir, const std::string& name) { return LoadPolicy(dir, name); },
+      FleetOptions{.inventory = config_.inventory, .timing = ToPipeline(config_.timing)},
+      store_.get(), pipeline_.get(), alerts_.get(), rollouts_.policies.get(),
       pipeline::Ports{.recorder = recorder_.get(),
-                      .audience = alert_rates_.get(),
+                      .audience = rollouts_.rates.get(),
                       .counts = counts,
                       .flight_recorder = flight_recorder,
                       .new_id = NewId},
@@ -698,13 +634,12 @@ void Server::Reload() {
   if (const absl::Status status = alert_log_->Reopen(); !status.ok()) {
     LogError("cannot reopen the alert file", {{"reason", status.message()}});
   }
-  const bool reloaded = bundles_->Await([this] {
-    if (const absl::Status loaded = LoadSigners(); !loaded.ok()) {
+  const bool reloaded = bundles_->Reload([this] {
+    if (const absl::Status read = loader_->ReadKeys(); !read.ok()) {
       OwnAlert(engine::Severity::kHigh,
                absl::StrCat("the keys of bundles are not read anew, the old ones count: ",
-                            loaded.message()));
+                            read.message()));
     }
-    fleet_->Reload();
   });
   if (reloaded) return;
   LogWarning(
@@ -725,7 +660,7 @@ void Server::Stop() {
     rpc_->Shutdown(kShutdownGrace);
   }
   if (bundles_ != nullptr) bundles_->Stop();
-  shadows_.Stop();
+  rollouts_.shadows.Stop();
   // What is still being inspected is judged by whoever gets it again.
   pipeline_->Stop();
   inspections_->Stop();

@@ -12,12 +12,11 @@
 #include "absl/container/btree_map.h"
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
-#include "policy_server/policy/bundle/bundle.h"
-#include "policy_server/policy/bundle/bundle_signature.h"
 #include "policy_server/policy/inspect/inspection_pool.h"
 #include "policy_server/server/attack_alerts.h"
 #include "policy_server/server/audit/audit_log.h"
 #include "policy_server/server/audit/order_audit.h"
+#include "policy_server/server/bundle_loader.h"
 #include "policy_server/server/config/config.h"
 #include "policy_server/server/dispatch/actuator_service.h"
 #include "policy_server/server/fleet.h"
@@ -29,6 +28,7 @@
 #include "policy_server/server/operator_api/status_broadcaster.h"
 #include "policy_server/server/outputs/outputs.h"
 #include "policy_server/server/plugin_jail.h"
+#include "policy_server/server/policy_source.h"
 #include "policy_server/server/rollout/activated_bundles.h"
 #include "policy_server/server/rollout/alert_rates.h"
 #include "policy_server/server/rollout/bundle_control.h"
@@ -92,20 +92,9 @@ class Server {
   absl::Status OpenJail();
   // What is wrong with them is an alert: robots are judged all the same.
   void OpenRecordings();
-  // With the signature that the configuration wants, or without.
-  absl::StatusOr<bundle::Bundle> LoadSignedBundle(const std::string& dir);
-  absl::StatusOr<bundle::Bundle> LoadBundle(const std::string& dir);
-  // The key that signed the bundle of that id; PermissionDenied if the configuration wants one. Any
-  // thread.
-  absl::StatusOr<std::string> SignedBy(const std::string& dir, const std::string& id) const
-      ABSL_LOCKS_EXCLUDED(signers_mu_);
-  absl::Status LoadSigners() ABSL_LOCKS_EXCLUDED(signers_mu_);
-  // `name` empty: one that was accepted before, whatever its manifest calls it, signed or not.
-  absl::StatusOr<pipeline::Policy> LoadPolicy(const std::string& dir, const std::string& name);
   absl::Status AddRobots();
-  // Activated bundles; after AddRobots has begun, before robots are added.
+  // Before robots are added, and after that.
   void OpenActivations();
-  // After the robots have been added.
   void OpenBundleControl();
   absl::Status Listen();
   pipeline::Counts MakeCounts();
@@ -137,16 +126,19 @@ class Server {
   // Both null if no recordings are kept.
   std::unique_ptr<flight::FlightFiles> recordings_;
   std::unique_ptr<flight::FlightArchive> flights_;
-  // Keys of those who may sign bundles.
-  mutable Mutex signers_mu_;
-  bundle::SignerKeys signers_ ABSL_GUARDED_BY(signers_mu_);
-  std::unique_ptr<rollout::Activations> activations_;
-  std::unique_ptr<rollout::AlertRates> alert_rates_;
-  // Before the robots, which call its taps.
-  shadow::Shadows shadows_;
+  std::unique_ptr<BundleLoader> loader_;
+  // What operators order of bundles; in the order of start.
+  struct Rollouts {
+    std::unique_ptr<rollout::Activations> activations;
+    std::unique_ptr<rollout::AlertRates> rates;
+    // Before the robots, which call its taps.
+    shadow::Shadows shadows;
+    std::unique_ptr<PolicySource> policies;
+    std::unique_ptr<rollout::BundleLibrary> library;
+  };
+  Rollouts rollouts_;
   std::unique_ptr<pipeline::Pipeline> pipeline_;
   std::unique_ptr<Fleet> fleet_;
-  std::unique_ptr<rollout::BundleLibrary> library_;
   std::unique_ptr<rollout::BundleControl> bundles_;
   std::unique_ptr<operator_api::BanList> bans_;
   std::unique_ptr<rpc::CertificateMonitor> certificates_;

@@ -80,11 +80,11 @@ levels: [{", ".join(LEVELS)}]
 
     def in_use(self):
         """Robot to the id of the bundle that judges it."""
-        return {each["robot"]: each["in_use"] for each in self.ask("rules", "status")["robots"]}
+        return {each["robot"]: each["bundle_in_use"] for each in self.ask("rules", "status")["robots"]}
 
     def push(self, mark, action):
         directory = self.bundle_files(f"pushed/{mark}", mark, action)
-        return self.ask("rules", "push", str(directory))["pushed"]["id"]
+        return self.ask("rules", "push", str(directory))["id"]
 
     def until(self, seconds, what, found):
         deadline = time.monotonic() + seconds
@@ -96,11 +96,15 @@ levels: [{", ".join(LEVELS)}]
 
     def wait_quiet(self):
         """All robots are attached, at DEFAULT, and nothing is wrong with them."""
-        def quiet():
+        deadline = time.monotonic() + 60
+        while True:
             robots = self.ask("robot", "list")["robots"]
-            return len(robots) == len(ROBOTS) and all(
-                each["effective_level"] == "DEFAULT" and not each["degraded"] for each in robots)
-        self.until(60, "all robots are well", quiet)
+            unwell = [each for each in robots
+                      if each["effective_level"] != "DEFAULT" or each["degraded"]]
+            if len(robots) == len(ROBOTS) and not unwell:
+                return
+            check(time.monotonic() < deadline, f"robots are not well after 60 s: {unwell[:3]}")
+            time.sleep(0.5)
 
 
 STAGES = ("--stage", "ring=canary", "--stage", "50%", "--stage", "100%", "--soak", "2s")
@@ -251,7 +255,7 @@ def only_signed_bundles_come_into_force(fleet):
     code, _, error = fleet.admin("rules", "push", str(bundle), check_code=False)
     check(code == 1 and "rules sign" in error, f"{code} {error}")
     fleet.admin("rules", "sign", str(bundle), "--key", str(key))
-    fresh = fleet.ask("rules", "push", str(bundle))["pushed"]["id"]
+    fresh = fleet.ask("rules", "push", str(bundle))["id"]
     fleet.admin("rules", "activate", fresh, "--all", "--soak", "1s", "--reason", "signed")
     fleet.until(20, "the signed one judges", lambda: set(fleet.in_use().values()) == {fresh})
 

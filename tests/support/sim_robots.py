@@ -88,10 +88,14 @@ class SimRobot:
         hello.hello.levels.extend(self.levels)
         hello.hello.fail_safe_level = hello.hello.effective_level = self.level
         self.actuator.send(hello)
-        # The graph: nothing, settled.
+        # The graph: one node, settled.
         def settled(observation):
             observation.snapshot.graph_version = 1
             observation.snapshot.settled = True
+            # One node, so that the robot is not blind.
+            participant = observation.snapshot.participants.add(host="base", vendor="0110")
+            participant.guid = os.urandom(12) + bytes.fromhex("000001c1")
+            observation.snapshot.nodes.add(full_name="/base", participant_guid=participant.guid)
         self._observe(settled)
 
     def _greet(self, hello, incarnation):

@@ -6,8 +6,11 @@
 #include <system_error>
 #include <utility>
 
+#include "absl/container/btree_map.h"
+#include "absl/functional/function_ref.h"
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_join.h"
+#include "policy_server/policy/bundle/bundle_contents.h"
 #include "policy_server/policy/bundle/bundle_files.h"
 #include "policy_server/policy/bundle/inspection_source.h"
 #include "policy_server/policy/inspect/checked_files.h"
@@ -30,20 +33,29 @@ std::string PrefixOf(const std::string& dir) {
   return prefix;
 }
 
+// `hash_of`: of the file of that path. Plugins are in the manifest, with their hashes.
+std::string IdOf(const Manifest& manifest,
+                 absl::FunctionRef<std::string(const std::string& path)> hash_of) {
+  std::string listing =
+      absl::StrCat("rips-bundle 1\n", kManifestName, " ", hash_of(kManifestName), "\n");
+  for (const std::vector<std::string>* paths : {&manifest.rules, &manifest.yara}) {
+    for (const std::string& path : *paths) {
+      absl::StrAppend(&listing, path, " ", hash_of(path), "\n");
+    }
+  }
+  return absl::StrCat("sha256:", Sha256Hex(listing));
+}
+
 absl::StatusOr<std::string> BundleId(absl::string_view manifest_text, const Manifest& manifest,
                                      const std::vector<lang::SourceFile>& files,
                                      const BundleDirectory& directory) {
-  std::string listing =
-      absl::StrCat("rips-bundle 1\n", kManifestName, " ", Sha256Hex(manifest_text), "\n");
-  for (size_t i = 0; i < files.size(); ++i) {
-    absl::StrAppend(&listing, manifest.rules[i], " ", Sha256Hex(files[i].text), "\n");
-  }
+  absl::btree_map<std::string, std::string> hashes = {{kManifestName, Sha256Hex(manifest_text)}};
   for (const std::string& path : manifest.yara) {
     RIPS_ASSIGN_OR_RETURN(const std::string text, directory.Read(path, kBundleBytesMax));
-    absl::StrAppend(&listing, path, " ", Sha256Hex(text), "\n");
+    hashes[path] = Sha256Hex(text);
   }
-  // Plugins are in the manifest, with their hashes.
-  return absl::StrCat("sha256:", Sha256Hex(listing));
+  for (size_t i = 0; i < files.size(); ++i) hashes[manifest.rules[i]] = Sha256Hex(files[i].text);
+  return IdOf(manifest, [&](const std::string& path) { return hashes[path]; });
 }
 
 // A bundle as it was read, once, and judged without running anything.
@@ -214,6 +226,18 @@ absl::StatusOr<Bundle> LoadBundle(const std::string& dir, const Clock* clock,
                           inspect::LoadInspections(inspections, reading.checked(), options, clock));
   }
   return bundle;
+}
+
+absl::StatusOr<std::string> BundleIdOf(const std::string& dir) {
+  std::string manifest_text;
+  absl::btree_map<std::string, std::string> hashes;
+  RIPS_RETURN_IF_ERROR(ReadContents(dir, [&](const ContentFile& file, std::string bytes) {
+    hashes[file.path] = Sha256Hex(bytes);
+    if (file.path == kManifestName) manifest_text = std::move(bytes);
+    return absl::OkStatus();
+  }));
+  RIPS_ASSIGN_OR_RETURN(const Manifest manifest, ParseManifest(kManifestName, manifest_text));
+  return IdOf(manifest, [&](const std::string& path) { return hashes[path]; });
 }
 
 BundleCheck CheckBundle(const std::string& dir) {

@@ -55,6 +55,10 @@ struct Bundle {
 absl::StatusOr<Bundle> LoadBundle(const std::string& dir, const Clock* clock,
                                   const inspect::InspectOptions& options = {});
 
+// The id that the bundle in `dir` has, whether or not its rules are right: nothing of it is
+// compiled or run. Errors of LoadBundle for files that cannot be read, and of the manifest.
+absl::StatusOr<std::string> BundleIdOf(const std::string& dir);
+
 // What there is to say of a bundle.
 struct BundleCheck {
   // What its manifest calls it; empty if the manifest is refused.

@@ -15,10 +15,11 @@ namespace {
 
 constexpr absl::Duration kPoll = absl::Seconds(1);
 
-// What may be over by itself; a refusal is not.
+// What may be over by itself; a refusal is not. A server that stops cancels what it has not
+// answered.
 bool MayPass(const absl::Status& status) {
-  return absl::IsUnavailable(status) || absl::IsDeadlineExceeded(status) ||
-         absl::IsResourceExhausted(status);
+  return absl::IsUnavailable(status) || absl::IsCancelled(status) ||
+         absl::IsDeadlineExceeded(status) || absl::IsResourceExhausted(status);
 }
 
 }  // namespace
@@ -32,7 +33,8 @@ absl::StatusOr<v1::Rollout> AwaitRollout(Env& env, const v1::Rollout& begun) {
     if (!status.ok()) {
       if (!MayPass(status.status()) || lost > kAwaitLost) return status.status();
       if (lost == absl::ZeroDuration()) {
-        env.err << "the server does not answer (" << EscapeText(status.status().message())
+        env.err << ShortTime(absl::GetCurrentTimeNanos()) << "  the server does not answer ("
+                << EscapeText(status.status().message())
                 << "); the roll-out is its own, trying again" << std::endl;
       }
       lost += kPoll + (absl::Now() - asked);
@@ -40,7 +42,8 @@ absl::StatusOr<v1::Rollout> AwaitRollout(Env& env, const v1::Rollout& begun) {
       continue;
     }
     if (std::exchange(lost, absl::ZeroDuration()) > absl::ZeroDuration()) {
-      env.err << "the server answers again" << std::endl;
+      env.err << ShortTime(absl::GetCurrentTimeNanos()) << "  the server answers again"
+              << std::endl;
     }
     const v1::Rollout& now = status->rollout();
     if (now.id() != begun.id()) {

@@ -56,6 +56,13 @@ std::string PartOf(absl::Duration part, absl::Duration whole) {
                                 : " s");
 }
 
+// `stage 1 of 2 (r2) is not healthy: r2: sensor base is silent`.
+std::string NotHealthy(const v1::Rollout& rollout) {
+  const std::string& why = rollout.not_healthy_because();
+  return absl::StrCat(StageText(rollout),
+                      why.empty() ? " is not healthy yet" : " is not healthy: ", why);
+}
+
 // Of a roll-out that is over.
 std::string OverText(const v1::Rollout& rollout) {
   if (rollout.state() == "done") {
@@ -119,7 +126,7 @@ std::string RolloutState(const v1::Rollout& rollout, int64_t now_unix_ns) {
     return absl::StrCat(OverText(rollout), "; at ", ShortTime(rollout.ended_unix_ns()));
   }
   if (rollout.healthy_since_unix_ns() == 0) {
-    return absl::StrCat("running: ", StageText(rollout), " is not healthy yet");
+    return absl::StrCat("running: ", NotHealthy(rollout));
   }
   const absl::Duration healthy = absl::Nanoseconds(now_unix_ns - rollout.healthy_since_unix_ns());
   return absl::StrCat("running: ", StageText(rollout), " has been healthy for ",
@@ -129,7 +136,7 @@ std::string RolloutState(const v1::Rollout& rollout, int64_t now_unix_ns) {
 std::string RolloutProgress(const v1::Rollout& rollout) {
   if (!Running(rollout)) return OverText(rollout);
   if (rollout.healthy_since_unix_ns() == 0) {
-    return absl::StrCat(StageText(rollout), " is not healthy yet");
+    return NotHealthy(rollout);
   }
   const absl::Time end = absl::FromUnixNanos(rollout.healthy_since_unix_ns()) + Soak(rollout);
   return absl::StrCat(StageText(rollout), " is healthy; it is done at ",
@@ -137,10 +144,12 @@ std::string RolloutProgress(const v1::Rollout& rollout) {
 }
 
 std::string RolloutLimits(const v1::Rollout& rollout) {
-  return absl::StrCat("each stage is healthy for ", FormatConfigDuration(Soak(rollout)),
-                      "; it stops if a level rises, a robot is not healthy, or one has more than ",
-                      rollout.alerts_per_minute_max(), " alerts within a minute",
-                      rollout.roll_back_when_stopped() ? "; then its robots go back" : "");
+  return absl::StrCat(
+      "each stage is healthy for ", FormatConfigDuration(Soak(rollout)),
+      "; it stops if a level rises, a robot is not healthy for 10 s (or has not taken "
+      "the bundle for 30 s), or one has more than ",
+      rollout.alerts_per_minute_max(), " alerts within a minute",
+      rollout.roll_back_when_stopped() ? "; then its robots go back" : "");
 }
 
 void PrintStages(const v1::Rollout& rollout, std::ostream& out) {
@@ -165,6 +174,9 @@ void PrintRollout(const v1::Rollout& rollout, int64_t now_unix_ns, std::ostream&
                                 ShortTime(rollout.began_unix_ns()))});
   table.Add({"reason", rollout.reason()});
   table.Add({"limits", RolloutLimits(rollout)});
+  if (!rollout.rolled_back().empty()) {
+    table.Add({"rolled back", WithoutCertificates(rollout.rolled_back())});
+  }
   table.Print(out);
   PrintStages(rollout, out);
 }
@@ -185,6 +197,8 @@ Json ToJson(const v1::Rollout& rollout) {
           {"began", TimeOrNull(rollout.began_unix_ns())},
           {"ended", TimeOrNull(rollout.ended_unix_ns())},
           {"stages", JsonList(rollout.stages(), stage_json)},
+          {"not_healthy_because", rollout.not_healthy_because()},
+          {"rolled_back", rollout.rolled_back()},
           {"healthy_since", TimeOrNull(rollout.healthy_since_unix_ns())},
           {"soak_ms", rollout.soak_ms()},
           {"alerts_per_minute_max", rollout.alerts_per_minute_max()},

@@ -1,5 +1,5 @@
 // `ripsctl rules activate`, `rollback` and `stop`: which bundle judges which robots. JSON:
-// {"dry_run","rollout":{..} or null,"changed":[..],"left_out":[..]}; of `stop` {"rollout":{..}}.
+// {"dry_run","rollout":{..} or null,"changed":[..],"left_out":[..],"notes":[..]}; of `stop` {"rollout":{..}}.
 // The roll-out as ToJson in rollout_text.h; with --wait, as it is at its end.
 #include <CLI/CLI.hpp>
 #include <nlohmann/json.hpp>
@@ -68,13 +68,15 @@ Json ResponseJson(const v1::RolloutResponse& response, bool dry_run) {
   return {{"dry_run", dry_run},
           {"rollout", ToJson(response.rollout())},
           {"changed", JsonList(response.changed())},
-          {"left_out", JsonList(response.left_out())}};
+          {"left_out", JsonList(response.left_out())},
+          {"notes", JsonList(response.notes())}};
 }
 
 void PrintLeftOut(const v1::RolloutResponse& response, std::ostream& out) {
   for (const std::string& text : response.left_out()) {
     out << "left out  " << EscapeText(text) << "\n";
   }
+  for (const std::string& text : response.notes()) out << "note      " << EscapeText(text) << "\n";
 }
 
 class ActivateRulesCommand final : public Command {
@@ -153,7 +155,7 @@ class ActivateRulesCommand final : public Command {
     const v1::Rollout& rollout = response.rollout();
     env.out << (dry_run_ ? "nothing was changed; it would be: " : "")
             << EscapeText(absl::StrCat(ShortBundle(rollout.bundle_id()), " `", rollout.name(), "` ",
-                                       dry_run_ ? "would judge " : "judges from now on ",
+                                       dry_run_ ? "would first judge " : "is first to judge ",
                                        NamedRobots(response.changed())))
             << "\n";
     PrintStages(rollout, env.out);

@@ -1,6 +1,6 @@
 // `ripsctl rules push` and `ripsctl rules list`: bundles on their way to the server, and those that
-// it keeps. JSON of `push`: that of `rules check DIR`, and "pushed": null if the bundle is refused
-// here, else {"id","name","signed_by","known","warnings"}. Of `list`:
+// it keeps. JSON of `push`: that of `rules check DIR`, and "id","name","signed_by","known",
+// "warnings" as the server has it; only "id", null, if the bundle is refused here. Of `list`:
 // {"bundles":[{"id","name","signed_by","stored","robots":[..],"problem"}]}, newest first.
 #include <CLI/CLI.hpp>
 #include <algorithm>
@@ -61,7 +61,7 @@ class PushRulesCommand final : public Command {
     const bundle::BundleCheck check = bundle::CheckBundle(dir_);
     if (!env.json()) PrintBundleCheck(check, env.out);
     if (!check.ok()) {
-      if (env.json()) PrintResult(env, check, nullptr);
+      if (env.json()) PrintResult(env, check, Json::object({{"id", nullptr}}));
       env.err << "error: the bundle is refused; nothing was sent\n";
       return ExitCode::kRefused;
     }
@@ -76,9 +76,9 @@ class PushRulesCommand final : public Command {
   }
 
  private:
-  static void PrintResult(Env& env, const bundle::BundleCheck& check, Json pushed) {
+  static void PrintResult(Env& env, const bundle::BundleCheck& check, const Json& pushed) {
     Json json = BundleCheckJson(check);
-    json["pushed"] = std::move(pushed);
+    json.update(pushed);
     PrintJson(json, env.out);
   }
   static Json PushedJson(const v1::PushBundleResponse& pushed) {
@@ -99,10 +99,11 @@ class PushRulesCommand final : public Command {
     }
     Table table({pushed.known() ? "had already" : "pushed", EscapeText(pushed.name())});
     table.Add({"id", pushed.id()});
-    table.Add({"signed by",
-               pushed.signed_by().empty() ? "no key that the server knows" : pushed.signed_by()});
+    table.Add({"signed by", pushed.signed_by().empty()
+                                ? "not checked: the server demands no signature (bundles.keys)"
+                                : pushed.signed_by()});
     table.Print(env.out);
-    env.out << "no robot is judged by it before: ripsctl rules activate "
+    env.out << "it judges no robot yet; to roll it out: ripsctl rules activate "
             << EscapeText(ShortBundle(pushed.id()))
             << " --all --stage 10% --stage 100% --reason TEXT\n";
   }

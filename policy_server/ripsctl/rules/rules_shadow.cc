@@ -1,5 +1,6 @@
 // `ripsctl rules shadow`: a bundle that runs muted beside the one in force, to see what it would
-// do. JSON: {"bundle": as given, or null for --end,"changed":[..],"left_out":[..]}.
+// do. JSON: {"bundle": as given, or null for --end,"changed":[..],"left_out":[..],
+// "notes":[..]}.
 #include <CLI/CLI.hpp>
 #include <nlohmann/json.hpp>
 #include <string>
@@ -45,7 +46,8 @@ class ShadowRulesCommand final : public Command {
     if (env.json()) {
       PrintJson({{"bundle", end_ ? Json(nullptr) : Json(bundle_)},
                  {"changed", JsonList(response.changed())},
-                 {"left_out", JsonList(response.left_out())}},
+                 {"left_out", JsonList(response.left_out())},
+                 {"notes", JsonList(response.notes())}},
                 env.out);
     } else {
       Print(env, response);
@@ -64,6 +66,9 @@ class ShadowRulesCommand final : public Command {
     }
     for (const std::string& text : response.left_out()) {
       env.out << "left out  " << EscapeText(text) << "\n";
+    }
+    for (const std::string& text : response.notes()) {
+      env.out << "note      " << EscapeText(text) << "\n";
     }
     if (end_ || response.changed().empty()) return;
     env.out << "what it would do  ripsctl rules status " << EscapeText(response.changed(0)) << "\n"

@@ -11,6 +11,7 @@
 #include <string>
 #include <vector>
 
+#include "absl/strings/match.h"
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_format.h"
 #include "absl/strings/str_split.h"
@@ -34,13 +35,20 @@ absl::StatusOr<std::string> ReadPrivateKey(const std::string& path) {
   if (stat(path.c_str(), &info) != 0) {
     return absl::InvalidArgumentError(absl::StrCat("`", path, "`: ", std::strerror(errno)));
   }
+  absl::StatusOr<std::string> pem = ReadFile(path, bundle::kKeyFileBytesMax);
+  if (!pem.ok()) return pem;
+  if (absl::StrContains(*pem, "BEGIN PUBLIC KEY")) {
+    return absl::InvalidArgumentError(absl::StrCat(
+        "`", path,
+        "` is a public key; a bundle is signed with the private one that it belongs to"));
+  }
   if (S_ISREG(info.st_mode) && (info.st_mode & kOthers) != 0) {
     return absl::InvalidArgumentError(
         absl::StrFormat("private key `%s` is open to other users (mode %04o); run `chmod 600 %s`, "
                         "and replace the key if one of them may have read it",
                         path, info.st_mode & 07777, path));
   }
-  return ReadFile(path, bundle::kKeyFileBytesMax);
+  return pem;
 }
 
 class SignRulesCommand final : public Command {

@@ -124,7 +124,7 @@ TEST_F(RulesSignTest, RefusesAKeyThatOthersMayRead) {
 TEST_F(RulesSignTest, RefusesWhatIsNotOnePrivateEd25519Key) {
   const std::pair<std::string, std::string> cases[] = {
       {"", "is not a key in PEM"},
-      {key_.public_pem, "is not a private key"},
+      {key_.public_pem, "is a public key"},
       {key_.encrypted_pem, "is encrypted"},
       {bundle::MakeRsa().private_pem, "is a key of kind RSA, not Ed25519"},
       {std::string(10 << 20, 'A'), "is longer than the limit"},

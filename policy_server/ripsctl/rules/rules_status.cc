@@ -1,9 +1,9 @@
 // `ripsctl rules status`: the newest roll-out, and by which bundle each robot is judged. Exits with
 // 1 if a robot has a problem or has not answered. JSON: {"rollout":{..} or null,"robots":[{"robot",
-// "policy","in_use","activated","operator","since","reason","before","problem","shadow"}],
-// "no_answer":[..],"cut"}. `in_use` is null if nothing judges the robot; `activated` and `before`
-// are an id or `directory`, `before` null if there is nothing to go back to; `operator`, `since`
-// and `reason` are null if no operator activated it. `shadow`: null, or {"bundle","name",
+// "policy","bundle_in_use","activated","operator","since","reason","before","problem","shadow"}],
+// "no_answer":[..],"cut"}. `bundle_in_use` is null if nothing judges the robot; `activated` and
+// `before` are an id or `directory`, `before` null if there is nothing to go back to; `operator`,
+// `since` and `reason` are null if no operator activated it. `shadow`: null, or {"bundle","name",
 // "operator","reason","began","events","missed","problem","level","live_level","would":{counts},
 // "live":{counts},"rules":[{"rule","fired","unscanned","undecidable"}],"examples":[{"time","kind",
 // "rule","text"}]}.
@@ -78,7 +78,8 @@ Json RobotJson(const v1::RobotRules& rules) {
   };
   return {{"robot", rules.robot()},
           {"policy", rules.name()},
-          {"in_use", rules.bundle_in_use().empty() ? Json(nullptr) : Json(rules.bundle_in_use())},
+          {"bundle_in_use",
+           rules.bundle_in_use().empty() ? Json(nullptr) : Json(rules.bundle_in_use())},
           {"activated", OrDirectory(rules.activated())},
           {"operator", if_activated(rules.operator_())},
           {"since", if_activated(FullTime(rules.activated_unix_ns()))},
@@ -142,8 +143,10 @@ void PrintRobots(const v1::GetRulesStatusResponse& response, std::ostream& out) 
 // What the shadow would have done beside what was done, then its rules and examples.
 void PrintShadow(const v1::ShadowReport& shadow, std::ostream& out) {
   Table about({"shadow", EscapeText(absl::StrCat(shadow.bundle_id(), " `", shadow.name(), "`"))});
-  about.Add({"by", absl::StrCat(shadow.operator_(), ", ", ShortTime(shadow.began_unix_ns()))});
+  about.Add({"by", shadow.operator_()});
   about.Add({"reason", shadow.reason()});
+  about.Add({"counts since", absl::StrCat(ShortTime(shadow.began_unix_ns()),
+                                          " (the server's start at the earliest)")});
   about.Add({"events", absl::StrCat(shadow.events())});
   if (shadow.missed() > 0) {
     about.Add(
@@ -166,7 +169,7 @@ void PrintShadow(const v1::ShadowReport& shadow, std::ostream& out) {
     rules.Print(out);
   }
   if (shadow.examples().empty()) return;
-  Table examples({"TIME", "KIND", "RULE", "WHAT IT WOULD HAVE DONE"});
+  Table examples({"TIME", "KIND", "RULE", "THE FIRST AND THE NEWEST THINGS IT WOULD HAVE DONE"});
   for (const v1::ShadowExample& example : shadow.examples()) {
     examples.Add(
         {ShortTime(example.time_unix_ns()), example.kind(), example.rule(), example.text()});

@@ -121,23 +121,25 @@ TEST_F(RulesStatusTest, ShowsTheRollOutAndRobotsWithProblemsFirst) {
   Show();
   const Result result = Run({"rules", "status"});
   EXPECT_EQ(result.code, 1) << "r3 is not judged";
-  EXPECT_EQ(result.out,
-            "roll-out  sha256:bbbbbbbbbbbb `warehouse`\n"
-            "state     running: stage 1 of 2 (r2) is not healthy yet\n"
-            "by        alice, 2026-01-01T00:00:00.000Z\n"
-            "reason    new \\x1b[2Jrules\n"
-            "limits    each stage is healthy for 10min; it stops if a level rises, a robot is not "
-            "healthy, or one has more than 10 alerts within a minute\n"
-            "STAGE  STATE    ROBOTS\n"
-            "1      running  r2\n"
-            "2      waiting  r1, r3\n"
-            "\n"
-            "ROBOT  POLICY     IN USE               ACTIVATED            BY     SINCE\n"
-            "r3     warehouse  -                    directory            -      -\n"
-            "  no policy: \\x1b[2Jgone\n"
-            "r1     warehouse  sha256:aaaaaaaaaaaa  directory            -      -\n"
-            "r2     warehouse  sha256:bbbbbbbbbbbb  sha256:bbbbbbbbbbbb  alice  "
-            "2026-01-01T00:00:00.000Z\n");
+  EXPECT_EQ(
+      result.out,
+      "roll-out  sha256:bbbbbbbbbbbb `warehouse`\n"
+      "state     running: stage 1 of 2 (r2) is not healthy yet\n"
+      "by        alice, 2026-01-01T00:00:00.000Z\n"
+      "reason    new \\x1b[2Jrules\n"
+      "limits    each stage is healthy for 10min; it stops if a level rises, a robot is not "
+      "healthy for 10 s (or has not taken the bundle for 30 s), or one has more than 10 alerts "
+      "within a minute\n"
+      "STAGE  STATE    ROBOTS\n"
+      "1      running  r2\n"
+      "2      waiting  r1, r3\n"
+      "\n"
+      "ROBOT  POLICY     IN USE               ACTIVATED            BY     SINCE\n"
+      "r3     warehouse  -                    directory            -      -\n"
+      "  no policy: \\x1b[2Jgone\n"
+      "r1     warehouse  sha256:aaaaaaaaaaaa  directory            -      -\n"
+      "r2     warehouse  sha256:bbbbbbbbbbbb  sha256:bbbbbbbbbbbb  alice  "
+      "2026-01-01T00:00:00.000Z\n");
 }
 
 TEST_F(RulesStatusTest, SaysHowLongAStageHasBeenHealthy) {
@@ -182,13 +184,15 @@ TEST_F(RulesStatusTest, ShowsAllOfOneRobotAndItsShadow) {
                          "reason        new rules\n"
                          "goes back to  directory\n"
                          "\n"
-                         "shadow  ",
+                         "shadow        ",
                          kFresh,
                          " `warehouse`\n"
-                         "by      bob, 2026-01-01T00:00:00.000Z\n"
-                         "reason  try\n"
-                         "events  1200\n"
-                         "missed  3: it is too slow; its counts are too low\n"
+                         "by            bob\n"
+                         "reason        try\n"
+                         "counts since  2026-01-01T00:00:00.000Z (the server's start at the "
+                         "earliest)\n"
+                         "events        1200\n"
+                         "missed        3: it is too slow; its counts are too low\n"
                          "           WOULD  LIVE\n"
                          "level      ALERT  DEFAULT\n"
                          "alerts     12     2\n"
@@ -199,8 +203,8 @@ TEST_F(RulesStatusTest, ShowsAllOfOneRobotAndItsShadow) {
                          "faults     0      0\n"
                          "RULE  FIRED  UNSCANNED  UNDECIDABLE\n"
                          "spy   12     0          4\n"
-                         "TIME                      KIND   RULE  WHAT IT WOULD HAVE "
-                         "DONE\n"
+                         "TIME                      KIND   RULE  THE FIRST AND THE NEWEST "
+                         "THINGS IT WOULD HAVE DONE\n"
                          "2026-01-01T00:00:00.000Z  alert  spy   who \\x1b[2J reads?\n"));
   // In the table of all, in one line.
   EXPECT_THAT(Run({"rules", "status"}).out,
@@ -236,13 +240,15 @@ TEST_F(RulesStatusTest, ItsJsonIsStable) {
                                              {"stages",
                                               {{{"state", "running"}, {"robots", {"r2"}}},
                                                {{"state", "waiting"}, {"robots", {"r1", "r3"}}}}},
+                                             {"not_healthy_because", ""},
+                                             {"rolled_back", ""},
                                              {"healthy_since", nullptr},
                                              {"soak_ms", 600'000},
                                              {"alerts_per_minute_max", 10},
                                              {"roll_back_when_stopped", false}}));
   EXPECT_EQ(json["robots"][0], nlohmann::json({{"robot", "r1"},
                                                {"policy", "warehouse"},
-                                               {"in_use", kOld},
+                                               {"bundle_in_use", kOld},
                                                {"activated", "directory"},
                                                {"operator", nullptr},
                                                {"since", nullptr},
@@ -261,7 +267,7 @@ TEST_F(RulesStatusTest, ItsJsonIsStable) {
   EXPECT_EQ(shadow["rules"][0],
             nlohmann::json({{"rule", "spy"}, {"fired", 12}, {"unscanned", 0}, {"undecidable", 4}}));
   EXPECT_EQ(shadow["examples"][0]["text"], "who \x1b[2J reads?");
-  EXPECT_TRUE(json["robots"][2]["in_use"].is_null());
+  EXPECT_TRUE(json["robots"][2]["bundle_in_use"].is_null());
   EXPECT_EQ(json["no_answer"], nlohmann::json::array());
   EXPECT_EQ(json["cut"], false);
   fake_.rules_states = {v1::GetRulesStatusResponse()};
@@ -372,9 +378,9 @@ TEST_F(RulesStatusTest, AWaitEndsWhenAnotherRollOutHasBegunAndWhenNoServerAnswer
   gone.lost = 20;
   const Result back = Run(Activate({"--wait"}));
   EXPECT_EQ(back.code, 0);
-  EXPECT_EQ(back.err,
-            "the server does not answer (draining); the roll-out is its own, trying again\n"
-            "the server answers again\n");
+  EXPECT_THAT(back.err, HasSubstr("  the server does not answer (draining); the roll-out is its "
+                                  "own, trying again\n"));
+  EXPECT_THAT(back.err, testing::EndsWith("  the server answers again\n"));
   gone.asked = 0;
   gone.refuse = true;
   EXPECT_EQ(Run(Activate({"--wait"})).code, 1) << "a refusal is for good";
@@ -402,10 +408,11 @@ TEST_F(RulesStatusTest, ShadowsBeginAndEnd) {
   EXPECT_EQ(fake_.calls().back(),
             absl::StrCat("ShadowBundle bundle_id: \"", kFresh,
                          "\" robots { labels: \"ring=canary\" } reason: \"try\""));
-  EXPECT_EQ(
-      RunJson({"rules", "shadow", "--end", "--robot", "r2", "r7", "--reason", "try"}),
-      nlohmann::json(
-          {{"bundle", nullptr}, {"changed", {"r2"}}, {"left_out", {"r7: is not \x1b there"}}}));
+  EXPECT_EQ(RunJson({"rules", "shadow", "--end", "--robot", "r2", "r7", "--reason", "try"}),
+            nlohmann::json({{"bundle", nullptr},
+                            {"changed", {"r2"}},
+                            {"left_out", {"r7: is not \x1b there"}},
+                            {"notes", nlohmann::json::array()}}));
   EXPECT_EQ(fake_.calls().back(),
             "ShadowBundle robots { robots: \"r2\" robots: \"r7\" } reason: \"try\"");
   fake_.shadowed.clear_changed();
@@ -431,7 +438,7 @@ TEST_F(RulesStatusTest, SendsWhatTheFlagsSay) {
             "roll_back_when_stopped: true reason: \"x\" dry_run: true");
   EXPECT_THAT(result.out,
               AllOf(StartsWith("nothing was changed; it would be: sha256:bbbbbbbbbbbb `warehouse` "
-                               "would judge r2\n"),
+                               "would first judge r2\n"),
                     Not(HasSubstr("rules stop"))));
 }
 

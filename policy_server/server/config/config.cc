@@ -6,6 +6,8 @@
 
 #include "absl/strings/numbers.h"
 #include "absl/strings/str_cat.h"
+#include "absl/strings/str_join.h"
+#include "absl/strings/str_split.h"
 #include "services/base/status_macros.h"
 #include "services/runtime/config_reader.h"
 
@@ -189,6 +191,18 @@ void ReadRecordings(const ConfigSection& root, ServerConfig* config) {
   config->recordings_bytes = static_cast<uint64_t>(keep.bytes);
 }
 
+// URLs up to their host: what follows may be a token.
+std::string WithoutPaths(const std::string& effective) {
+  std::vector<std::string> lines = absl::StrSplit(effective, '\n');
+  for (std::string& line : lines) {
+    const size_t url = line.find(".url: ");
+    const size_t host = url == line.npos ? line.npos : line.find("://", url);
+    const size_t path = host == line.npos ? line.npos : line.find_first_of("/?", host + 3);
+    if (path != line.npos) line = absl::StrCat(line.substr(0, path), "/...");
+  }
+  return absl::StrJoin(lines, "\n");
+}
+
 }  // namespace
 
 std::string ServerConfig::recordings_directory() const {
@@ -225,7 +239,7 @@ absl::StatusOr<ParsedServerConfig> ParseServerConfig(absl::string_view file,
   ReadPlugins(root, &config);
   ReadAddress(root, "metrics", &config.metrics);
   RIPS_RETURN_IF_ERROR(reader.Finish());
-  parsed.effective = reader.Effective();
+  parsed.effective = WithoutPaths(reader.Effective());
   return parsed;
 }
 

@@ -50,8 +50,10 @@ TEST(OutputConfigTest, ReadsBothKinds) {
                           .robots = {"r1", "(server)"}}));
   EXPECT_EQ(outputs[2], (OutputConfig{.name = "relay",
                                       .endpoint = {.host = "::1", .port = 514, .tls = false}}));
-  EXPECT_THAT(parsed->effective, AllOf(HasSubstr("outputs[1].secret_file: \"/s\""),
-                                       HasSubstr("outputs[0].severity: \"info\"")));
+  EXPECT_THAT(
+      parsed->effective,
+      AllOf(HasSubstr("outputs[1].secret_file: \"/s\""), HasSubstr("https://pager.example/..."),
+            Not(HasSubstr("v=1")), HasSubstr("outputs[0].severity: \"info\"")));
 }
 
 TEST(OutputConfigTest, TheRootOfAUrlMayBeLeftOut) {

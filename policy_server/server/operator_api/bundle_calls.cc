@@ -63,9 +63,12 @@ grpc::ServerUnaryReactor* OperatorService::OnBundles(
     return Refuse(context, NoBundles());
   }
   auto* reactor = new UnaryCall(who->ticket, who->on_refused);
-  const bool posted =
-      access_.bundles->Post([reactor, control = access_.bundles, task = std::move(task)] {
-        reactor->End(task(*control));
+  const bool posted = access_.bundles->thread().Post(
+      [reactor, context, control = access_.bundles, task = std::move(task)] {
+        // An order must not be carried out behind the back of who gave it up.
+        reactor->End(context->IsCancelled()
+                         ? absl::CancelledError("the caller has gone; nothing was done")
+                         : task(*control));
       });
   if (!posted) reactor->End(Busy());
   return reactor;
@@ -164,6 +167,7 @@ grpc::ServerUnaryReactor* OperatorService::ShadowBundle(
     RIPS_ASSIGN_OR_RETURN(const rollout::ShadowAnswer answer, control.Shadow(wish));
     for (const std::string& robot : answer.changed) response->add_changed(robot);
     for (const std::string& text : answer.left_out) response->add_left_out(text);
+    for (const std::string& text : answer.notes) response->add_notes(text);
     return absl::OkStatus();
   });
 }
@@ -202,24 +206,25 @@ grpc::ServerReadReactor<rips::v1::PushBundleRequest>* OperatorService::PushBundl
           std::string archive, const std::shared_ptr<PushStream::Answer>& answer) {
         // Its client has nothing more to say, however long the bundle takes.
         held->session->heard_boottime_ns = 0;
-        const bool posted = control->Post([control, on_refused, answer, turn = answer->TakeTurn(),
-                                           archive = std::move(archive)]() mutable {
-          const auto added = control->Push(archive);
-          if (added.ok()) {
-            rips::v1::PushBundleResponse filled;
-            filled.set_id(added->bundle.id);
-            filled.set_name(added->bundle.name);
-            filled.set_signed_by(added->bundle.signed_by);
-            filled.set_known(added->known);
-            filled.set_warnings(added->warnings);
-            answer->Fill(filled);
-          } else if (on_refused) {
-            on_refused(added.status());
-          }
-          archive = std::string();
-          turn.reset();
-          answer->End(added.status());
-        });
+        const bool posted =
+            control->thread().Post([control, on_refused, answer, turn = answer->TakeTurn(),
+                                    archive = std::move(archive)]() mutable {
+              const auto added = control->Push(archive);
+              if (added.ok()) {
+                rips::v1::PushBundleResponse filled;
+                filled.set_id(added->bundle.id);
+                filled.set_name(added->bundle.name);
+                filled.set_signed_by(added->bundle.signed_by);
+                filled.set_known(added->known);
+                filled.set_warnings(added->warnings);
+                answer->Fill(filled);
+              } else if (on_refused) {
+                on_refused(added.status());
+              }
+              archive = std::string();
+              turn.reset();
+              answer->End(added.status());
+            });
         if (!posted) answer->End(Busy());
       });
   stream->answer()->set_turn(std::move(turn));

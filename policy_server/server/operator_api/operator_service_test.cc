@@ -26,7 +26,6 @@ namespace {
 
 using pipeline::Lane;
 using ::testing::HasSubstr;
-
 constexpr absl::Duration kPatience = absl::Seconds(60);
 // Calls on one connection: below the server's limit, beyond which a client waits without an error.
 constexpr size_t kCallsPerChannel = 90;
@@ -72,6 +71,10 @@ class SlowStore final : public store::Store {
   absl::StatusOr<store::AlertPage> AlertsAfter(absl::string_view robot, uint64_t sequence,
                                                uint32_t limit) override {
     return inner_.AlertsAfter(robot, sequence, limit);
+  }
+  absl::StatusOr<std::vector<store::ReceiptRecord>> ListReceipts(absl::string_view robot,
+                                                                 uint32_t most) override {
+    return inner_.ListReceipts(robot, most);
   }
   absl::StatusOr<store::FoundRecords> FindRecords(absl::string_view prefix) override {
     return inner_.FindRecords(prefix);

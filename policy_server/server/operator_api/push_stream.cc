@@ -74,9 +74,11 @@ void PushStream::OnReadDone(bool ok) {
 
 absl::Status PushStream::Take() {
   if (absl::Status heard = heard_(piece_); !heard.ok()) return heard;
-  if (clock_->Now().boottime_ns - began_ns_ > absl::ToInt64Nanoseconds(kPatience)) {
+  const absl::Duration allowed =
+      kPatience + absl::Seconds(static_cast<int64_t>(archive_.size() / kBytesPerSecond));
+  if (absl::Nanoseconds(clock_->Now().boottime_ns - began_ns_) > allowed) {
     return absl::DeadlineExceededError(
-        absl::StrCat("the push takes longer than ", absl::FormatDuration(kPatience)));
+        absl::StrCat("the push is too slow: less than ", kBytesPerSecond, " bytes a second"));
   }
   if (piece_.archive_bytes() == 0 || piece_.archive_bytes() > bundle::kArchiveBytesMax) {
     return absl::InvalidArgumentError(absl::StrCat(

@@ -21,8 +21,10 @@ namespace rips::operator_api {
 // Owned by gRPC until OnDone, which deletes it.
 class PushStream final : public grpc::ServerReadReactor<rips::v1::PushBundleRequest> {
  public:
-  // From the first piece to the last: beyond, the stream is ended, so that it does not hold memory.
-  static constexpr absl::Duration kPatience = absl::Seconds(120);
+  // From the first piece on a push may take kPatience, and a second for each kBytesPerSecond that
+  // have come: beyond, the stream is ended, so that it does not keep others from pushing.
+  static constexpr absl::Duration kPatience = absl::Seconds(15);
+  static constexpr size_t kBytesPerSecond = size_t{64} << 10;
 
   // Answers the call once, on any thread; after the stream is over it does nothing.
   class Answer {

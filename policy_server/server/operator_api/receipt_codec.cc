@@ -18,13 +18,22 @@ void Encode(const pipeline::LoggedReceipt& receipt, rips::v1::ReceivedReceipt* o
 void Encode(const std::vector<store::ReceiptRecord>& newest,
             const std::vector<store::ReceiptRecord>& stored, uint32_t limit,
             rips::v1::ListReceiptsResponse& out) {
+  // After the server was started anew an actuator repeats what it said last, of a command that this
+  // process did not send.
+  std::set<std::pair<std::string, std::string>> known;
+  for (const store::ReceiptRecord& receipt : stored) {
+    known.emplace(receipt.host, receipt.receipt.command_id);
+  }
   AnswerRoom room;
   const size_t most = limit == 0 ? kReceiptsListed : limit;
   std::set<std::pair<std::string, std::string>> told;
   for (const auto* receipts : {&newest, &stored}) {
     for (const store::ReceiptRecord& receipt : *receipts) {
       if (static_cast<size_t>(out.receipts_size()) == most) return;
-      if (!told.emplace(receipt.host, receipt.receipt.command_id).second) continue;
+      const std::pair key(receipt.host, receipt.receipt.command_id);
+      const bool repeated = receipts == &newest && receipt.command == pipeline::kUnknownCommand &&
+                            known.contains(key);
+      if (repeated || !told.insert(key).second) continue;
       rips::v1::ReceivedReceipt row;
       Encode(receipt, &row);
       if (!room.Take(row)) return;

@@ -43,6 +43,7 @@ void Encode(const rollout::RolloutRecord& record, rips::v1::Rollout& out) {
   out.set_name(plan.name);
   out.set_state(std::string(rollout::ToString(record.state)));
   out.set_why(ToUtf8(record.why));
+  out.set_rolled_back(ToUtf8(record.rolled_back));
   out.set_operator_(plan.operator_name);
   out.set_reason(plan.reason);
   out.set_began_unix_ns(record.began_unix_ns);
@@ -157,11 +158,13 @@ void Encode(const rollout::RolloutAnswer& answer, rips::v1::RolloutResponse& out
   out.mutable_rollout()->set_healthy_since_unix_ns(answer.healthy_since_unix_ns.value_or(0));
   for (const std::string& robot : answer.changed) out.add_changed(robot);
   for (const std::string& text : answer.left_out) out.add_left_out(text);
+  for (const std::string& text : answer.notes) out.add_notes(text);
 }
 
 void Encode(const rollout::RulesStatus& status, rips::v1::GetRulesStatusResponse& out) {
   if (status.rollout) Encode(*status.rollout, *out.mutable_rollout());
   out.mutable_rollout()->set_healthy_since_unix_ns(status.healthy_since_unix_ns.value_or(0));
+  out.mutable_rollout()->set_not_healthy_because(ToUtf8(status.not_healthy_because));
   for (const std::string& robot : status.no_answer) out.add_no_answer(robot);
   AnswerRoom room(kAnswerBytesMax - out.ByteSizeLong());
   for (const rollout::RobotRules& rules : status.robots) {

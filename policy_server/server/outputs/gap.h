@@ -8,6 +8,7 @@
 #include <string>
 
 #include "absl/strings/string_view.h"
+#include "policy_server/server/store/found_records.h"
 #include "policy_server/server/store/records.h"
 
 namespace rips::outputs {

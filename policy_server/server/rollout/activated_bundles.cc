@@ -1,10 +1,11 @@
 #include "policy_server/server/rollout/activated_bundles.h"
 
-#include <cstdio>
 #include <utility>
 
+#include "absl/strings/match.h"
 #include "absl/strings/str_cat.h"
 #include "google/protobuf/util/json_util.h"
+#include "policy_server/policy/bundle/bundle_files.h"
 #include "policy_server/server/robot/model/robot_config.h"
 #include "rips/v1/rollout.pb.h"
 #include "services/base/status_macros.h"
@@ -15,6 +16,11 @@ namespace {
 
 // 2,000 robots with reasons of 1,000 bytes, and more baselines than are likely.
 constexpr size_t kFileBytesMax = size_t{64} << 20;
+// Of the store: SHA-256 of the file that was there and of the one that was written last, since a
+// crash may come between; of no file, that of nothing.
+constexpr char kNote[] = "activated bundles";
+
+std::string HashOf(const std::string& text) { return bundle::Sha256Hex(text); }
 
 void Encode(const RolloutRecord& record, v1::StoredRollout& out) {
   const RolloutPlan& plan = record.plan;
@@ -33,6 +39,7 @@ void Encode(const RolloutRecord& record, v1::StoredRollout& out) {
   out.set_roll_back_when_stopped(plan.roll_back_when_stopped);
   out.set_state(std::string(ToString(record.state)));
   out.set_why(record.why);
+  out.set_rolled_back(record.rolled_back);
   out.set_stage(static_cast<uint32_t>(record.stage));
   out.set_began_unix_ns(record.began_unix_ns);
   out.set_ended_unix_ns(record.ended_unix_ns);
@@ -62,6 +69,7 @@ absl::StatusOr<RolloutRecord> Decode(const v1::StoredRollout& in) {
                                 .alerts_per_minute_max = in.alerts_per_minute_max(),
                                 .roll_back_when_stopped = in.roll_back_when_stopped()},
                        .why = in.why(),
+                       .rolled_back = in.rolled_back(),
                        .stage = in.stage(),
                        .began_unix_ns = in.began_unix_ns(),
                        .ended_unix_ns = in.ended_unix_ns()};
@@ -80,6 +88,34 @@ absl::StatusOr<RolloutRecord> Decode(const v1::StoredRollout& in) {
   return record;
 }
 
+absl::StatusOr<std::string> TextOf(const ActivatedBundles& activated) {
+  v1::ActivatedBundles out;
+  for (const auto& [robot, activation] : activated.robots) {
+    v1::Activation& stored = (*out.mutable_robots())[robot];
+    stored.set_bundle_id(activation.bundle_id);
+    stored.set_name(activation.name);
+    stored.set_operator_(activation.operator_name);
+    stored.set_reason(activation.reason);
+    stored.set_time_unix_ns(activation.time_unix_ns);
+    stored.set_before(activation.before.value_or(""));
+    stored.set_can_roll_back(activation.before.has_value());
+  }
+  for (const auto& [robot, shadow] : activated.shadows) {
+    v1::ShadowOrder& stored = (*out.mutable_shadows())[robot];
+    stored.set_bundle_id(shadow.bundle_id);
+    stored.set_operator_(shadow.operator_name);
+    stored.set_reason(shadow.reason);
+  }
+  if (activated.rollout) Encode(*activated.rollout, *out.mutable_rollout());
+  google::protobuf::util::JsonPrintOptions options;
+  options.add_whitespace = true;
+  std::string text;
+  if (!google::protobuf::util::MessageToJsonString(out, &text, options).ok()) {
+    return absl::InternalError("which bundles are activated cannot be written as JSON");
+  }
+  return text;
+}
+
 }  // namespace
 
 std::set<std::string> ActivatedBundles::bundles() const {
@@ -96,19 +132,32 @@ std::set<std::string> ActivatedBundles::bundles() const {
 
 Activations::Activations(std::string path, store::Store* store)
     : path_(std::move(path)), store_(store) {
+  const absl::StatusOr<std::string> known = store_->Note(kNote);
+  const absl::StatusOr<std::string> text = ReadFile(path_, kFileBytesMax);
   absl::StatusOr<ActivatedBundles> read = ReadActivatedBundles(path_);
+  if (read.ok() && known.ok() && !known->empty() &&
+      !absl::StrContains(*known, HashOf(text.ok() ? *text : ""))) {
+    read = absl::DataLossError(absl::StrCat(
+        "`", path_, "` is ", text.ok() ? "not the one that was written last" : "gone"));
+  }
   if (read.ok()) {
     now_ = *std::move(read);
     return;
   }
   problem_ = read.status();
-  if (absl::IsDataLoss(problem_)) {
-    std::rename(path_.c_str(), absl::StrCat(path_, ".damaged").c_str());
-  }
+  // It stays in its place until another one is written, which a full disk may prevent.
+  if (text.ok()) WriteFileAtomically(absl::StrCat(path_, ".damaged"), *text, 0640).IgnoreError();
+}
+
+absl::Status Activations::Announce(const std::string& text) {
+  const absl::StatusOr<std::string> old = ReadFile(path_, kFileBytesMax);
+  return store_->SetNote(kNote, absl::StrCat(HashOf(old.ok() ? *old : ""), " ", HashOf(text)));
 }
 
 absl::Status Activations::Set(ActivatedBundles next) {
-  RIPS_RETURN_IF_ERROR(WriteActivatedBundles(path_, next));
+  RIPS_ASSIGN_OR_RETURN(const std::string text, TextOf(next));
+  RIPS_RETURN_IF_ERROR(Announce(text));
+  RIPS_RETURN_IF_ERROR(WriteFileAtomically(path_, text, 0640));
   now_ = std::move(next);
   return absl::OkStatus();
 }
@@ -166,30 +215,7 @@ absl::StatusOr<ActivatedBundles> ReadActivatedBundles(const std::string& path) {
 }
 
 absl::Status WriteActivatedBundles(const std::string& path, const ActivatedBundles& activated) {
-  v1::ActivatedBundles out;
-  for (const auto& [robot, activation] : activated.robots) {
-    v1::Activation& stored = (*out.mutable_robots())[robot];
-    stored.set_bundle_id(activation.bundle_id);
-    stored.set_name(activation.name);
-    stored.set_operator_(activation.operator_name);
-    stored.set_reason(activation.reason);
-    stored.set_time_unix_ns(activation.time_unix_ns);
-    stored.set_before(activation.before.value_or(""));
-    stored.set_can_roll_back(activation.before.has_value());
-  }
-  for (const auto& [robot, shadow] : activated.shadows) {
-    v1::ShadowOrder& stored = (*out.mutable_shadows())[robot];
-    stored.set_bundle_id(shadow.bundle_id);
-    stored.set_operator_(shadow.operator_name);
-    stored.set_reason(shadow.reason);
-  }
-  if (activated.rollout) Encode(*activated.rollout, *out.mutable_rollout());
-  google::protobuf::util::JsonPrintOptions options;
-  options.add_whitespace = true;
-  std::string text;
-  if (!google::protobuf::util::MessageToJsonString(out, &text, options).ok()) {
-    return absl::InternalError("which bundles are activated cannot be written as JSON");
-  }
+  RIPS_ASSIGN_OR_RETURN(const std::string text, TextOf(activated));
   return WriteFileAtomically(path, text, 0640);
 }
 

@@ -56,7 +56,8 @@ struct ActivatedBundles {
 //
 // If the file is damaged or cannot be read, it is not known what was activated: each robot that is
 // asked for keeps the bundle that judged it last, as the store has it, until an operator activates
-// another one. A damaged file is set aside as PATH.damaged.
+// another one. So it is if the file is not the one that was written last, as the store knows: it
+// was removed, or an older one took its place. A damaged file is also kept as PATH.damaged.
 class Activations {
  public:
   // `store` is not owned and outlives this.
@@ -71,6 +72,9 @@ class Activations {
   std::string For(const bundle::InventoryRobot& robot);
 
  private:
+  // The store knows that what is there now, or `text`, is what was written last.
+  absl::Status Announce(const std::string& text);
+
   const std::string path_;
   store::Store* const store_;
   absl::Status problem_;

@@ -46,6 +46,7 @@ ActivatedBundles Some() {
                  .roll_back_when_stopped = true};
   record.state = RolloutState::kStopped;
   record.why = "r1: it does not answer";
+  record.rolled_back = "r1 by bob: x";
   record.stage = 1;
   record.began_unix_ns = 5;
   record.ended_unix_ns = 6;
@@ -143,6 +144,7 @@ TEST_F(ActivatedBundlesTest, AfterDamageEachRobotKeepsWhatJudgedItLast) {
   Activations activations(path_, &store);
   EXPECT_THAT(activations.problem(), StatusIs(absl::StatusCode::kDataLoss));
   EXPECT_TRUE(std::filesystem::exists(path_ + ".damaged"));
+  EXPECT_TRUE(std::filesystem::exists(path_)) << "a full disk may keep another from being written";
   EXPECT_EQ(activations.For({.id = "r1", .bundle = "warehouse"}), kB);
   EXPECT_EQ(activations.For({.id = "r2", .bundle = "warehouse"}), "");
   // What an operator activates then takes nothing from r1.
@@ -153,6 +155,47 @@ TEST_F(ActivatedBundlesTest, AfterDamageEachRobotKeepsWhatJudgedItLast) {
   EXPECT_THAT(restarted.problem(), IsOk());
   EXPECT_EQ(restarted.For({.id = "r1", .bundle = "warehouse"}), kB);
   EXPECT_EQ(restarted.For({.id = "r2", .bundle = "warehouse"}), kA);
+}
+
+TEST_F(ActivatedBundlesTest, AFileThatIsGoneOrOlderIsNotTakenForWhatWasActivated) {
+  store::FakeStore store;
+  const auto acquired = store.Acquire("r1");
+  ASSERT_THAT(
+      store.Commit({.robot = "r1", .tenure = acquired->tenure, .checkpoint = {.bundle = kB}}),
+      IsOk());
+  Activations activations(path_, &store);
+  ActivatedBundles first;
+  first.robots["r1"] = {.bundle_id = kA, .name = "warehouse"};
+  ASSERT_THAT(activations.Set(first), IsOk());
+  const std::string old = Content();
+  ASSERT_THAT(activations.Set(Some()), IsOk());
+  ActivatedBundles third = Some();
+  third.shadows.clear();
+  ASSERT_THAT(activations.Set(third), IsOk());
+  EXPECT_THAT(Activations(path_, &store).problem(), IsOk());
+  for (const char* how : {"older", "empty", "gone"}) {
+    if (std::string(how) == "older") Write(old);
+    if (std::string(how) == "empty") Write("{}");
+    if (std::string(how) == "gone") std::filesystem::remove(path_);
+    Activations restarted(path_, &store);
+    EXPECT_THAT(restarted.problem(), StatusIs(absl::StatusCode::kDataLoss)) << how;
+    EXPECT_EQ(restarted.For({.id = "r1", .bundle = "warehouse"}), kB) << how;
+    EXPECT_FALSE(restarted.now().rollout.has_value());
+  }
+}
+
+TEST_F(ActivatedBundlesTest, ACrashBetweenStoreAndFileIsNoDamage) {
+  store::FakeStore store;
+  Activations activations(path_, &store);
+  ASSERT_THAT(activations.Set(Some()), IsOk());
+  const std::string before = Content();
+  ActivatedBundles next = Some();
+  next.robots.erase("r1");
+  ASSERT_THAT(activations.Set(next), IsOk());
+  Write(before);  // the store had been told, the file not been written
+  Activations restarted(path_, &store);
+  EXPECT_THAT(restarted.problem(), IsOk());
+  EXPECT_EQ(restarted.now(), Some());
 }
 
 }  // namespace

@@ -8,6 +8,7 @@
 #include "absl/strings/match.h"
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_join.h"
+#include "policy_server/server/robot/model/robot_config.h"
 #include "services/base/status_macros.h"
 #include "services/runtime/log.h"
 
@@ -40,17 +41,31 @@ std::string PolicyProblem(const RobotStatus& status) {
   return "";
 }
 
+// As SensorSide::AddProblems words it.
+bool Watched(const RobotStatus& status) {
+  return std::none_of(status.degraded.begin(), status.degraded.end(), [](const std::string& each) {
+    return absl::StartsWith(each, "sensor ") &&
+           (absl::EndsWith(each, " is not connected") || absl::EndsWith(each, " is silent"));
+  });
+}
+
 RobotHealth HealthOf(const RobotStatus& status, int level_rank) {
   return {.bundle_id = status.bundle_version,
           .degraded = status.degraded,
           .problem = PolicyProblem(status),
+          .watched = Watched(status),
           .level = status.decided_level,
           .level_rank = level_rank};
 }
 
 }  // namespace
 
-BundleControl::BundleControl(Parts parts) : parts_(std::move(parts)) {
+BundleControl::BundleControl(Parts parts)
+    : parts_(std::move(parts)),
+      shadows_(parts_.activations, parts_.library, parts_.shadows, parts_.pipeline,
+               parts_.load_shadow),
+      thread_(parts_.clock),
+      pushes_(parts_.clock) {
   if (const std::optional<RolloutRecord>& record = parts_.activations->now().rollout; record) {
     rollout_.emplace(*record, parts_.clock->Now(), /*restarted=*/true);
   }
@@ -60,56 +75,35 @@ BundleControl::BundleControl(Parts parts) : parts_(std::move(parts)) {
     LogInfo("a roll-out goes on", {{"bundle", record.plan.bundle_id},
                                    {"stage", static_cast<uint64_t>(record.stage + 1)}});
   }
-  RestoreShadows();
+  shadows_.Restore();
   Publish();
 }
 
-BundleControl::~BundleControl() { Stop(); }
-
 void BundleControl::Start() {
-  thread_ = std::thread([this] { Run(); });
+  thread_.Start([this] { Look(); });
+  pushes_.Start([] {});
 }
 
 void BundleControl::Stop() {
-  tasks_.Close();
-  if (thread_.joinable()) thread_.join();
+  pushes_.Stop();
+  thread_.Stop();
 }
 
-void BundleControl::Run() {
-  Instant looked = parts_.clock->Now();
-  while (true) {
-    std::optional<std::function<void()>> task = tasks_.Pop(kInterval);
-    if (task) {
-      (*task)();
-    } else if (tasks_.closed()) {
-      return;
-    }
-    const Instant now = parts_.clock->Now();
-    if (now.boottime_ns - looked.boottime_ns < absl::ToInt64Nanoseconds(kInterval)) continue;
-    looked = now;
-    Look();
-  }
-}
-
-bool BundleControl::Post(std::function<void()> task) { return tasks_.Push(std::move(task)); }
-
-bool BundleControl::Await(std::function<void()> task) {
-  const auto done =
-      std::make_shared<BoundedQueue<bool>>(BoundedQueue<bool>::Options{.capacity = 1});
-  const bool posted = Post([this, done, task = std::move(task)] {
-    task();
+bool BundleControl::Reload(std::function<void()> before) {
+  return thread_.Await([this, before = std::move(before)] {
+    before();
+    parts_.fleet->Reload();
     Publish();
-    done->Push(true);
   });
-  if (posted) done->Pop(absl::InfiniteDuration());
-  return posted;
 }
 
 // --------------------------------------------------------------------------------------- orders
 
 absl::StatusOr<BundleLibrary::Added> BundleControl::Push(absl::string_view archive) {
   absl::StatusOr<BundleLibrary::Added> added = parts_.library->Add(archive);
-  if (added.ok()) parts_.fleet->ForgetUnused();
+  if (added.ok()) {
+    thread_.Post([this] { parts_.fleet->ForgetUnused(); });
+  }
   return added;
 }
 
@@ -119,8 +113,8 @@ absl::StatusOr<BundleControl::Chosen> BundleControl::Choose(const ActivateOrder&
     if (!kept.problem.empty()) {
       return absl::FailedPreconditionError(absl::StrCat(kept.id, ": ", kept.problem));
     }
-    RIPS_RETURN_IF_ERROR(parts_.fleet->Find(kept.name, kept.id).status());
-    return Chosen{.id = kept.id, .name = kept.name};
+    RIPS_ASSIGN_OR_RETURN(pipeline::Policy policy, parts_.policies->Find(kept.name, kept.id));
+    return Chosen{.id = kept.id, .name = kept.name, .policy = std::move(policy)};
   }
   RIPS_ASSIGN_OR_RETURN(const auto robots,
                         Select(parts_.fleet->inventory(), order.robots, std::nullopt));
@@ -131,8 +125,9 @@ absl::StatusOr<BundleControl::Chosen> BundleControl::Choose(const ActivateOrder&
         absl::StrCat("the inventory has policy `", name, "` for ", robots.front()->id, " and `",
                      robot->bundle, "` for ", robot->id, "; choose robots of one policy"));
   }
-  RIPS_ASSIGN_OR_RETURN(const pipeline::Policy policy, parts_.fleet->Find(name, ""));
-  return Chosen{.id = policy.bundle_id, .name = name, .from_directory = true};
+  RIPS_ASSIGN_OR_RETURN(pipeline::Policy policy, parts_.policies->Find(name, ""));
+  return Chosen{
+      .id = policy.bundle_id, .name = name, .from_directory = true, .policy = std::move(policy)};
 }
 
 absl::StatusOr<RolloutAnswer> BundleControl::Activate(const ActivateOrder& order) {
@@ -143,18 +138,25 @@ absl::StatusOr<RolloutAnswer> BundleControl::Activate(const ActivateOrder& order
   }
   RIPS_ASSIGN_OR_RETURN(const Chosen chosen, Choose(order));
   RIPS_ASSIGN_OR_RETURN(auto robots, Select(parts_.fleet->inventory(), order.robots, chosen.name));
-  RolloutAnswer answer;
+  RIPS_ASSIGN_OR_RETURN(PlannedStages planned, PlanStages(robots, order.stages));
+  RolloutAnswer answer{.notes = std::move(planned.notes)};
   const std::string wanted = chosen.from_directory ? "" : chosen.id;
+  std::set<std::string> left_out;
   std::erase_if(robots, [&](const bundle::InventoryRobot* robot) {
     // One of the directory may hold another version by now.
     if (chosen.from_directory || parts_.activations->For(*robot) != wanted) return false;
     answer.left_out.push_back(absl::StrCat(robot->id, ": is to be judged by it already"));
-    return true;
+    return left_out.insert(robot->id).second;
   });
   if (robots.empty()) {
     answer.rollout = parts_.activations->now().rollout;
     return answer;
   }
+  for (std::vector<std::string>& stage : planned.stages) {
+    std::erase_if(stage, [&](const std::string& robot) { return left_out.contains(robot); });
+  }
+  std::erase_if(planned.stages, [](const auto& stage) { return stage.empty(); });
+  for (std::string& note : Forecast(robots, chosen.policy)) answer.notes.push_back(std::move(note));
   RolloutPlan plan{.id = parts_.new_id(),
                    .bundle_id = chosen.id,
                    .from_directory = chosen.from_directory,
@@ -166,11 +168,52 @@ absl::StatusOr<RolloutAnswer> BundleControl::Activate(const ActivateOrder& order
   if (order.alerts_per_minute_max > 0) {
     plan.alerts_per_minute_max = std::min(order.alerts_per_minute_max, kAlertsPerMinuteMax);
   }
-  RIPS_ASSIGN_OR_RETURN(plan.stages, PlanStages(robots, order.stages));
+  plan.stages = std::move(planned.stages);
   if (!order.dry_run) return Begin(std::move(plan), std::move(answer));
   answer.changed = plan.stages.front();
   answer.rollout = RolloutRecord{.plan = std::move(plan)};
   return answer;
+}
+
+std::vector<std::string> BundleControl::Forecast(
+    const std::vector<const bundle::InventoryRobot*>& robots,
+    const pipeline::Policy& policy) const {
+  struct Is {
+    RobotStatus status;
+    std::vector<std::string> levels;
+    std::vector<std::string> two_person;
+  };
+  const auto gathered = parts_.pipeline->Gather<Is>([](Robot& each) {
+    return Is{.status = each.Status(),
+              .levels = each.core().levels().names(),
+              .two_person = each.core().policy().two_person};
+  });
+  const levels::LevelTable& levels = policy.program->rules().levels;
+  std::vector<std::string> notes;
+  for (const bundle::InventoryRobot* robot : robots) {
+    const auto found = gathered.answers.find(robot->id);
+    if (found == gathered.answers.end()) continue;
+    const Is& is = found->second;
+    const auto note = [&](const auto&... text) {
+      notes.push_back(absl::StrCat(robot->id, ": ", text...));
+    };
+    if (!levels.Find(is.status.decided_level)) {
+      note("will not take it: it is at ", is.status.decided_level,
+           ", which the bundle does not have");
+    } else if (!is.status.effective_level.empty() && levels.names() != is.levels) {
+      note("will not take it: the bundle's levels differ from those of its attached actuators");
+    }
+    if (!Watched(is.status)) note("sends nothing now, so it cannot show what the bundle does");
+    std::vector<std::string> dropped = is.two_person;
+    std::erase_if(dropped, [&](const std::string& level) {
+      return std::count(policy.two_person.begin(), policy.two_person.end(), level) > 0;
+    });
+    if (!dropped.empty()) {
+      note("one operator alone will lower it from ", absl::StrJoin(dropped, ", "),
+           "; the bundle in force wants two");
+    }
+  }
+  return notes;
 }
 
 absl::StatusOr<RolloutAnswer> BundleControl::Begin(RolloutPlan plan, RolloutAnswer answer) {
@@ -196,6 +239,11 @@ absl::StatusOr<RolloutAnswer> BundleControl::RollBack(const RollBackOrder& order
       answer.left_out.push_back(absl::StrCat(robot->id, ": has nothing to go back to"));
       continue;
     }
+    const auto named = [](const std::string& id) {
+      return id.empty() ? absl::StrCat("what the ", kDirectory, " holds") : id.substr(0, kIdShown);
+    };
+    answer.notes.push_back(absl::StrCat(robot->id, ": ", named(found->second.bundle_id), " -> ",
+                                        named(*found->second.before)));
     found->second = {.bundle_id = *found->second.before,
                      .name = found->second.name,
                      .operator_name = order.operator_name,
@@ -216,6 +264,12 @@ absl::StatusOr<RolloutAnswer> BundleControl::RollBack(const RollBackOrder& order
                   parts_.clock->Now());
     next.rollout = stopped->record();
     answer.rollout = next.rollout;
+  }
+  if (next.rollout) {
+    next.rollout->rolled_back =
+        absl::StrCat(Named(answer.changed), " by ", order.operator_name, ": ", order.reason);
+    answer.rollout = next.rollout;
+    stopped.emplace(*next.rollout, parts_.clock->Now(), /*restarted=*/false);
   }
   RIPS_RETURN_IF_ERROR(parts_.activations->Set(std::move(next)));
   rollout_ = std::move(stopped);
@@ -239,82 +293,15 @@ absl::StatusOr<RolloutAnswer> BundleControl::StopRollout(const std::string& oper
   return Answer();
 }
 
-// -------------------------------------------------------------------------------------- shadows
-
-absl::Status BundleControl::BeginShadow(const std::string& robot, const ShadowOrder& order,
-                                        const shadow::ShadowPolicy& policy) {
-  parts_.shadows->End(robot);
-  return parts_.shadows->Begin(
-      robot, {.policy = policy, .operator_name = order.operator_name, .reason = order.reason},
-      [this, &robot](std::shared_ptr<pipeline::ShadowRecorder> tap,
-                     std::shared_ptr<const pipeline::AlsoWatched> also) {
-        return parts_.pipeline->Post(robot, pipeline::Queue::kOrders,
-                                     [tap = std::move(tap), also = std::move(also)](Robot& each) {
-                                       each.SetShadow(tap, also);
-                                     });
-      });
-}
-
-void BundleControl::RestoreShadows() {
-  for (const auto& [robot, order] : parts_.activations->now().shadows) {
-    absl::Status begun;
-    if (const absl::StatusOr<KeptBundle> kept = parts_.library->Find(order.bundle_id); !kept.ok()) {
-      begun = kept.status();
-    } else if (const auto policy = parts_.load_shadow(*kept); !policy.ok()) {
-      begun = policy.status();
-    } else {
-      begun = BeginShadow(robot, order, *policy);
-    }
-    if (begun.ok()) continue;
-    LogWarning("a shadow does not begin again",
-               {{"robot", robot}, {"bundle", order.bundle_id}, {"reason", begun.message()}});
-  }
-}
-
-void BundleControl::EndShadows(const std::vector<const bundle::InventoryRobot*>& robots,
-                               ActivatedBundles& next, ShadowAnswer& answer) {
-  for (const bundle::InventoryRobot* robot : robots) {
-    const bool ordered = next.shadows.erase(robot->id) > 0;
-    if (ordered || parts_.shadows->Report(robot->id, false).has_value()) {
-      answer.changed.push_back(robot->id);
-    } else {
-      answer.left_out.push_back(absl::StrCat(robot->id, ": has no shadow"));
-    }
-  }
-}
-
 absl::StatusOr<ShadowAnswer> BundleControl::Shadow(const ShadowWish& wish) {
-  ShadowAnswer answer;
-  ActivatedBundles next = parts_.activations->now();
-  if (wish.bundle.empty()) {
-    RIPS_ASSIGN_OR_RETURN(const auto robots,
-                          Select(parts_.fleet->inventory(), wish.robots, std::nullopt));
-    EndShadows(robots, next, answer);
-    RIPS_RETURN_IF_ERROR(parts_.activations->Set(std::move(next)));
-    for (const std::string& robot : answer.changed) parts_.shadows->End(robot);
-    return answer;
+  RIPS_ASSIGN_OR_RETURN(ShadowAnswer answer, shadows_.Set(wish, parts_.fleet->inventory()));
+  if (wish.bundle.empty()) return answer;
+  const FleetHealth health = Health();
+  for (const std::string& robot : answer.changed) {
+    const auto found = health.find(robot);
+    if (found != health.end() && found->second.watched) continue;
+    answer.notes.push_back(absl::StrCat(robot, ": sends nothing now, so its shadow shows nothing"));
   }
-  RIPS_ASSIGN_OR_RETURN(const KeptBundle kept, parts_.library->Find(wish.bundle));
-  if (!kept.problem.empty()) {
-    return absl::FailedPreconditionError(absl::StrCat(kept.id, ": ", kept.problem));
-  }
-  RIPS_ASSIGN_OR_RETURN(const auto robots,
-                        Select(parts_.fleet->inventory(), wish.robots, kept.name));
-  RIPS_ASSIGN_OR_RETURN(const shadow::ShadowPolicy policy, parts_.load_shadow(kept));
-  const ShadowOrder order{
-      .bundle_id = kept.id, .operator_name = wish.operator_name, .reason = wish.reason};
-  for (const bundle::InventoryRobot* robot : robots) next.shadows[robot->id] = order;
-  RIPS_RETURN_IF_ERROR(parts_.activations->Set(next));
-  for (const bundle::InventoryRobot* robot : robots) {
-    const absl::Status begun = BeginShadow(robot->id, order, policy);
-    if (begun.ok()) {
-      answer.changed.push_back(robot->id);
-      continue;
-    }
-    answer.left_out.push_back(absl::StrCat(robot->id, ": ", begun.message()));
-    next.shadows.erase(robot->id);
-  }
-  if (!answer.left_out.empty()) RIPS_RETURN_IF_ERROR(parts_.activations->Set(std::move(next)));
   return answer;
 }
 
@@ -331,6 +318,7 @@ void BundleControl::Publish() {
   auto status = std::make_shared<RulesStatus>();
   status->rollout = newest.rollout;
   status->healthy_since_unix_ns = newest.healthy_since_unix_ns;
+  if (rollout_) status->not_healthy_because = rollout_->not_healthy_because();
   const absl::btree_map<std::string, Activation>& activated = parts_.activations->now().robots;
   for (const bundle::InventoryRobot& listed : parts_.fleet->inventory().robots) {
     RobotRules& rules = status->robots.emplace_back(RobotRules{
@@ -397,6 +385,15 @@ FleetHealth BundleControl::Health() const {
   }
   for (const RobotStatus& held : parts_.pipeline->held()) {
     health[held.robot] = HealthOf(held, /*level_rank=*/-1);
+    health[held.robot].watched = false;
+  }
+  if (!rollout_) return health;
+  const RolloutPlan& plan = rollout_->record().plan;
+  for (const std::vector<std::string>& stage : plan.stages) {
+    for (const std::string& robot : stage) {
+      const bundle::InventoryRobot* listed = parts_.fleet->inventory().Find(robot);
+      if (listed == nullptr || listed->bundle != plan.name) health[robot].gone = true;
+    }
   }
   return health;
 }
@@ -437,9 +434,13 @@ absl::Status BundleControl::Perform(Rollout& rollout, const RolloutStep& step) {
     const auto found = next.robots.find(robot);
     if (found == next.robots.end() || !found->second.before) continue;
     found->second.bundle_id = *std::exchange(found->second.before, std::nullopt);
+    found->second.operator_name = std::string(pipeline::kOwnRule);
+    found->second.time_unix_ns = parts_.clock->Now().unix_ns;
     found->second.reason = absl::StrCat("the roll-out stopped: ", record.why);
     changed.insert(robot);
   }
+  if (!step.roll_back.empty())
+    next.rollout->rolled_back = absl::StrCat(Named(step.roll_back), " at once");
   RIPS_RETURN_IF_ERROR(parts_.activations->Set(std::move(next)));
   if (step.over) parts_.rates->Clear();
   for (const std::string& robot : step.activate) parts_.rates->Watch(robot);
@@ -457,7 +458,7 @@ void BundleControl::Report(const RolloutRecord& record, const RolloutStep& step)
   if (record.state == RolloutState::kDone)
     return raise(engine::Severity::kInfo, absl::StrCat(what, " is done"));
   if (record.state == RolloutState::kStopped) {
-    return raise(engine::Severity::kHigh,
+    return raise(step.by_itself ? engine::Severity::kHigh : engine::Severity::kInfo,
                  absl::StrCat(what, " stopped at stage ", record.stage + 1, " of ",
                               record.plan.stages.size(), ": ", record.why,
                               step.roll_back.empty()

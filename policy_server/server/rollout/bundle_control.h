@@ -1,6 +1,7 @@
 // What operators order of bundles: to keep one, to run it muted beside the one in force, to have
-// robots judged by it stage by stage, to go back. Wires the fleet, the durable activations, the library and the roll-out that runs, on one
-// thread. An order is durable before any robot is judged by it, so that a restart goes on from it.
+// robots judged by it stage by stage, to go back. Wires the fleet, the durable activations, the
+// library and the roll-out that runs, on one thread. An order is durable before any robot is judged
+// by it, so that a restart goes on from it.
 #ifndef RIPS_POLICY_SERVER_SERVER_ROLLOUT_BUNDLE_CONTROL_H_
 #define RIPS_POLICY_SERVER_SERVER_ROLLOUT_BUNDLE_CONTROL_H_
 
@@ -10,26 +11,26 @@
 #include <optional>
 #include <set>
 #include <string>
-#include <thread>
 #include <vector>
 
 #include "absl/base/thread_annotations.h"
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
 #include "absl/strings/string_view.h"
-#include "absl/time/time.h"
 #include "policy_server/server/fleet.h"
+#include "policy_server/server/policy_source.h"
 #include "policy_server/server/rollout/activated_bundles.h"
 #include "policy_server/server/rollout/alert_rates.h"
 #include "policy_server/server/rollout/bundle_library.h"
+#include "policy_server/server/rollout/order_thread.h"
 #include "policy_server/server/rollout/robot_selection.h"
 #include "policy_server/server/rollout/rollout.h"
+#include "policy_server/server/rollout/shadow_orders.h"
 #include "policy_server/server/shadow/shadow_report.h"
 #include "policy_server/server/shadow/shadows.h"
 #include "policy_server/server/shard/pipeline.h"
 #include "policy_server/server/shard/server_alerts.h"
 #include "services/base/clock.h"
-#include "services/runtime/bounded_queue.h"
 #include "services/runtime/mutex.h"
 
 namespace rips::rollout {
@@ -55,21 +56,6 @@ struct RollBackOrder {
   bool dry_run = false;
 };
 
-struct ShadowWish {
-  // As BundleLibrary::Find; empty: ends the shadows of these robots.
-  std::string bundle;
-  RobotSelection robots;
-  std::string operator_name;
-  std::string reason;
-};
-
-struct ShadowAnswer {
-  // Robots whose shadow began or ended.
-  std::vector<std::string> changed;
-  // `r7: has none`
-  std::vector<std::string> left_out;
-};
-
 // Stands for the bundle that the server's directory holds.
 inline constexpr absl::string_view kDirectory = "directory";
 
@@ -81,6 +67,8 @@ struct RolloutAnswer {
   std::vector<std::string> changed;
   // `r7: is judged by it already`
   std::vector<std::string> left_out;
+  // What else the operator should know, `r7: will not take it: ...`
+  std::vector<std::string> notes;
 };
 
 // By which bundle a robot is judged, and should be.
@@ -103,6 +91,8 @@ struct RulesStatus {
   std::vector<RobotRules> robots;
   std::optional<RolloutRecord> rollout;
   std::optional<int64_t> healthy_since_unix_ns;
+  // Of the roll-out that runs: why its stage is not healthy.
+  std::string not_healthy_because;
   // Robots that have not answered in time; sorted.
   std::vector<std::string> no_answer;
 };
@@ -114,33 +104,28 @@ class BundleControl {
     Activations* activations = nullptr;
     BundleLibrary* library = nullptr;
     AlertRates* rates = nullptr;
+    server::PolicySource* policies = nullptr;
     shadow::Shadows* shadows = nullptr;
-    // The kept bundle of that id and name, to run muted.
-    std::function<absl::StatusOr<shadow::ShadowPolicy>(const KeptBundle&)> load_shadow;
+    ShadowOrders::Load load_shadow;
     pipeline::Pipeline* pipeline = nullptr;
     pipeline::ServerAlerts* alerts = nullptr;
     const Clock* clock = nullptr;
     std::function<std::string()> new_id;
   };
-  // Tasks that wait; one more is refused.
-  static constexpr size_t kTasksMax = 64;
-  // Between two looks at a roll-out.
-  static constexpr absl::Duration kInterval = absl::Seconds(1);
 
-  // After Fleet::Start. Nothing is owned; all outlive this. A roll-out that ran goes on, and shadows
-  // begin anew.
+  // After Fleet::Start. Nothing is owned; all outlive this. A roll-out that ran goes on, and
+  // shadows begin anew.
   explicit BundleControl(Parts parts);
-  ~BundleControl();
 
-  // Begins the thread.
+  // On which everything below runs, but for what any thread may ask, and Push: checking a bundle
+  // may take long, and no order waits for it.
+  OrderThread& thread() { return thread_; }
+  OrderThread& pushes() { return pushes_; }
   void Start();
-  // Ends it; tasks that wait are run first. Idempotent.
+  // Ends both threads. Idempotent.
   void Stop();
-  // Runs the task on the thread, after those before it. False: too many wait, or it has ended. Any
-  // thread.
-  bool Post(std::function<void()> task);
-  // As Post, and waits for it. Not from the thread.
-  bool Await(std::function<void()> task);
+  // Posts Fleet::Reload, after `before`, and waits for it. False: too many orders wait.
+  bool Reload(std::function<void()> before);
 
   // ---- any thread that may wait
   absl::StatusOr<std::vector<KeptBundle>> List() const { return parts_.library->List(); }
@@ -148,8 +133,10 @@ class BundleControl {
   // now. NotFound.
   absl::StatusOr<RulesStatus> Status(const std::string& robot) const ABSL_LOCKS_EXCLUDED(mu_);
 
-  // ---- on the thread; errors are for the operator who asks.
+  // ---- on the thread of pushes
   absl::StatusOr<BundleLibrary::Added> Push(absl::string_view archive);
+
+  // ---- on the thread; errors are for the operator who asks.
   absl::StatusOr<RolloutAnswer> Activate(const ActivateOrder& order);
   absl::StatusOr<RolloutAnswer> RollBack(const RollBackOrder& order);
   // NotFound if none runs.
@@ -165,31 +152,30 @@ class BundleControl {
     std::string id;
     std::string name;
     bool from_directory = false;
+    pipeline::Policy policy;
   };
   absl::StatusOr<Chosen> Choose(const ActivateOrder& order);
+  // What of the robots speaks against the bundle, or is lost with it.
+  std::vector<std::string> Forecast(const std::vector<const bundle::InventoryRobot*>& robots,
+                                    const pipeline::Policy& policy) const;
   absl::StatusOr<RolloutAnswer> Begin(RolloutPlan plan, RolloutAnswer answer);
   // Makes durable what the step asks for, and does it. An error: nothing was done.
   absl::Status Perform(Rollout& rollout, const RolloutStep& step);
   void Report(const RolloutRecord& record, const RolloutStep& step);
-  absl::Status BeginShadow(const std::string& robot, const ShadowOrder& order,
-                           const shadow::ShadowPolicy& policy);
-  void EndShadows(const std::vector<const bundle::InventoryRobot*>& robots, ActivatedBundles& next,
-                  ShadowAnswer& answer);
-  // As they were ordered before this start.
-  void RestoreShadows();
   FleetHealth Health() const;
   // Has Status answer from how it is now.
   void Publish() ABSL_LOCKS_EXCLUDED(mu_);
   RolloutAnswer Answer() const;
-  void Run();
 
   const Parts parts_;
+  ShadowOrders shadows_;
   std::optional<Rollout> rollout_;
   mutable Mutex mu_;
   // Without what robots say.
   std::shared_ptr<const RulesStatus> published_ ABSL_GUARDED_BY(mu_);
-  BoundedQueue<std::function<void()>> tasks_{{.capacity = kTasksMax}};
-  std::thread thread_;
+  // Last: they use the others.
+  OrderThread thread_;
+  OrderThread pushes_;
 };
 
 }  // namespace rips::rollout

@@ -10,6 +10,7 @@
 
 #include "policy_server/policy/bundle/bundle.h"
 #include "policy_server/policy/bundle/bundle_signature.h"
+#include "policy_server/server/robot/fake_ports.h"
 #include "policy_server/server/robot/ports.h"
 #include "policy_server/server/rollout/bundle_control.h"
 #include "policy_server/server/rollout/bundle_files_for_test.h"
@@ -60,19 +61,21 @@ class BundleControlFixture : public ::testing::Test {
     rates_ = std::make_unique<AlertRates>(&quiet_, &clock_);
     activations_ = std::make_unique<Activations>(dir_.File("kept/activated.json"), &store_);
     pipeline_ = std::make_unique<pipeline::Pipeline>(2, &clock_);
-    fleet_ = std::make_unique<server::Fleet>(
-        server::FleetOptions{
-            .inventory = dir_.File("robots.yaml"),
+    policies_ = std::make_unique<server::PolicySource>(
+        server::PolicySource::Options{
             .bundles_source = dir_.File("source"),
             .bundles_dir = dir_.File("kept"),
-            .leaving = absl::Seconds(10),
             .activated = [this](const auto& robot) { return activations_->For(robot); },
             .needed = [this] { return activations_->now().bundles(); }},
-        &store_, pipeline_.get(), alerts_.get(),
-        [this](const std::string& dir, const std::string& name) { return Load(dir, name); },
+        [this](const std::string& dir, const std::string& name) { return Load(dir, name); });
+    fleet_ = std::make_unique<server::Fleet>(
+        server::FleetOptions{.inventory = dir_.File("robots.yaml"), .leaving = absl::Seconds(10)},
+        &store_, pipeline_.get(), alerts_.get(), policies_.get(),
         pipeline::Ports{.recorder = recorder_.get(), .audience = rates_.get(), .new_id = NewId});
     ASSERT_THAT(fleet_->Start(), IsOk());
     pipeline_->Start();
+    for (const std::string& robot : pipeline_->robots()) sensors_[robot].link = nullptr;
+    Beat();
     library_ = std::make_unique<BundleLibrary>(
         dir_.File("kept"),
         [this](const std::string& dir) -> absl::StatusOr<LoadedBundle> {
@@ -87,6 +90,7 @@ class BundleControlFixture : public ::testing::Test {
         .activations = activations_.get(),
         .library = library_.get(),
         .rates = rates_.get(),
+        .policies = policies_.get(),
         .shadows = shadows_.get(),
         .load_shadow = [this](const KeptBundle& kept) { return LoadShadow(kept); },
         .pipeline = pipeline_.get(),
@@ -108,6 +112,22 @@ class BundleControlFixture : public ::testing::Test {
     if (!loaded.ok()) return loaded.status();
     return shadow::PolicyOf(*loaded);
   }
+  // The sensors of all robots are connected, and heard now.
+  void Beat() {
+    pipeline_->ForEach([this, now = clock_.Now()](pipeline::Robot& robot) {
+      Sensor& sensor = sensors_.at(robot.id());
+      if (sensor.off) return;
+      if (sensor.link == nullptr) {
+        sensor.link = std::make_shared<pipeline::FakeSensor>();
+        robot.OnSensorHello("base", sensor.link,
+                            {.incarnation = std::string(16, 'i'), .clock = now});
+      }
+      robot.OnSensorHeartbeat("base", sensor.link.get(),
+                              {.clock = now, .echo_boottime_ns = now.boottime_ns});
+      robot.OnInterestAnswer("base", sensor.link.get(),
+                             {.id = sensor.link->interest_id(), .problem = ""});
+    });
+  }
   void Restart() {
     Stop();
     Start();
@@ -128,6 +148,13 @@ class BundleControlFixture : public ::testing::Test {
     return signers_.Verify(id, signature);
   }
 
+  // Of the thread of its robot.
+  struct Sensor {
+    std::shared_ptr<pipeline::FakeSensor> link;
+    // It says nothing.
+    bool off = false;
+  };
+
   store::TempDir dir_;
   FakeClock clock_;
   RealClock real_clock_;
@@ -135,6 +162,7 @@ class BundleControlFixture : public ::testing::Test {
   QuietObserver quiet_;
   bundle::SignerKeys signers_;
   int loads_ = 0;
+  absl::btree_map<std::string, Sensor> sensors_;
   std::unique_ptr<store::Committer> committer_;
   std::unique_ptr<pipeline::StoreRecorder> recorder_;
   std::unique_ptr<pipeline::ServerAlerts> alerts_;
@@ -142,6 +170,7 @@ class BundleControlFixture : public ::testing::Test {
   std::unique_ptr<Activations> activations_;
   std::unique_ptr<shadow::Shadows> shadows_;
   std::unique_ptr<pipeline::Pipeline> pipeline_;
+  std::unique_ptr<server::PolicySource> policies_;
   std::unique_ptr<server::Fleet> fleet_;
   std::unique_ptr<BundleLibrary> library_;
   std::unique_ptr<BundleControl> control_;

@@ -3,6 +3,7 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
+#include <atomic>
 #include <filesystem>
 #include <fstream>
 #include <functional>
@@ -58,6 +59,7 @@ class BundleControlTest : public BundleControlFixture {
   void LookFor(int64_t ns) {
     for (int64_t passed = 0; passed < ns; passed += kNanosPerSecond) {
       clock_.Advance(kNanosPerSecond);
+      Beat();
       control_->Look();
     }
   }
@@ -95,6 +97,8 @@ TEST_F(BundleControlTest, RollsOutStageByStageAndBack) {
       {.robots = {.labels = {"ring=main"}}, .operator_name = "bob", .reason = "false alarms"});
   ASSERT_THAT(back, IsOk());
   EXPECT_THAT(back->changed, ElementsAre("r1", "r3", "r4"));
+  EXPECT_THAT(back->notes.at(0), HasSubstr(" -> what the directory holds"));
+  EXPECT_THAT(activations_->now().rollout->rolled_back, "r1, r3, r4 by bob: false alarms");
   EXPECT_THAT(InUse(), ElementsAre(old, fresh, old, old));
   const auto again = control_->RollBack(
       {.robots = {.robots = {"r1", "d1"}}, .operator_name = "bob", .reason = "again"});
@@ -196,6 +200,51 @@ TEST_F(BundleControlTest, OneRollOutAtATimeWhichAnOperatorEndsOrRollsBack) {
   EXPECT_THAT(activations_->now().rollout->why, HasSubstr("bob rolled back r4"));
 }
 
+TEST_F(BundleControlTest, SaysBeforehandWhatSpeaksAgainstABundle) {
+  sensors_.at("r2").off = true;
+  clock_.Advance(3 * kNanosPerSecond);
+  Beat();
+  ASSERT_THAT(pipeline_->Post("r3", pipeline::Queue::kOrders,
+                              [](pipeline::Robot& robot) {
+                                robot.Raise({.operator_name = "bob", .to = "HALT", .reason = "x"},
+                                            [](const pipeline::LevelAnswer&) {});
+                              }),
+              IsOk());
+  ActivateOrder order = Order(Push("warehouse", "fresh", "DEFAULT, ALERT"));
+  order.dry_run = true;
+  const auto answer = control_->Activate(order);
+  ASSERT_THAT(answer, IsOk());
+  EXPECT_THAT(answer->notes,
+              ElementsAre("r2: sends nothing now, so it cannot show what the bundle does",
+                          "r3: will not take it: it is at HALT, which the bundle does not have"));
+  const auto shadow = control_->Shadow(
+      {.bundle = Push("warehouse", "muted"), .robots = {.robots = {"r1", "r2"}}, .reason = "x"});
+  ASSERT_THAT(shadow, IsOk());
+  EXPECT_THAT(shadow->notes, ElementsAre("r2: sends nothing now, so its shadow shows nothing"));
+}
+
+TEST_F(BundleControlTest, ARobotThatLeavesTheInventoryStopsNothing) {
+  const std::string fresh = Push("warehouse", "fresh");
+  ASSERT_THAT(control_->Activate(Order(fresh, {{.percent = 50}, {.percent = 100}})), IsOk());
+  std::ofstream(dir_.File("robots.yaml"))
+      << "robots:\n  - {id: r1, bundle: warehouse, sensors: [{host: base, primary: true}]}\n";
+  fleet_->Reload();
+  LookFor(2 * kSoakNs + 8 * kNanosPerSecond);
+  EXPECT_EQ(State(), RolloutState::kDone);
+  EXPECT_EQ(InUse("r1"), fresh);
+}
+
+TEST_F(BundleControlTest, TheSameCommandGoesOnWhereARollOutStopped) {
+  const std::string fresh = Push("warehouse", "fresh");
+  const std::vector<StageSelection> stages = {{.label = "ring=canary"}, {.percent = 100}};
+  ASSERT_THAT(control_->Activate(Order(fresh, stages)), IsOk());
+  ASSERT_THAT(control_->StopRollout("bob", "lunch"), IsOk());
+  const auto again = control_->Activate(Order(fresh, stages));
+  ASSERT_THAT(again, IsOk());
+  EXPECT_THAT(again->changed, ElementsAre("r1", "r3", "r4"));
+  EXPECT_THAT(again->left_out, ElementsAre("r2: is to be judged by it already"));
+}
+
 TEST_F(BundleControlTest, ADryRunChangesNothing) {
   const std::string old = InUse("r1");
   const std::string fresh = Push("warehouse", "fresh");
@@ -244,6 +293,7 @@ TEST_F(BundleControlTest, AnUnusedBundleIsForgottenBeforeOneThatARollBackNeeds) 
   const std::string second = Push("warehouse", "second");
   ASSERT_THAT(control_->Activate(Order(second)), IsOk());
   for (int i = 0; i < 20; ++i) Push("warehouse", absl::StrCat("unused", i));
+  fleet_->ForgetUnused();
   EXPECT_THAT(library_->Find(first), IsOk());
   EXPECT_THAT(library_->Find(second), IsOk());
   ASSERT_THAT(control_->RollBack({.robots = {.all = true}, .operator_name = "bob", .reason = "x"}),
@@ -298,18 +348,34 @@ TEST_F(BundleControlTest, RefusesAShadowOfAnotherPolicy) {
   EXPECT_THAT(activations_->now().shadows, IsEmpty());
 }
 
-TEST_F(BundleControlTest, TheThreadRunsWhatIsPostedInOrderAndEndsWithIt) {
-  control_->Start();
+TEST(OrderThreadTest, RunsWhatIsPostedInOrderLooksAroundAndEndsWithIt) {
+  FakeClock clock;
+  OrderThread thread(&clock);
+  std::atomic<int> looked = 0;
+  thread.Start([&looked] { ++looked; });
   std::vector<int> ran;
   for (int i = 0; i < 5; ++i) {
-    EXPECT_TRUE(control_->Post([&ran, i] { ran.push_back(i); }));
+    EXPECT_TRUE(thread.Post([&ran, i] { ran.push_back(i); }));
   }
-  EXPECT_TRUE(control_->Await([&ran] { ran.push_back(5); }));
-  EXPECT_THAT(ran, SizeIs(6));
-  control_->Stop();
-  EXPECT_FALSE(control_->Await([] {}));
+  EXPECT_TRUE(thread.Await([&ran] { ran.push_back(5); }));
   EXPECT_THAT(ran, ElementsAre(0, 1, 2, 3, 4, 5));
-  EXPECT_FALSE(control_->Post([] {}));
+  EXPECT_EQ(looked, 0);
+  clock.Advance(2 * kNanosPerSecond);
+  EXPECT_TRUE(thread.Await([] {}));
+  EXPECT_TRUE(thread.Await([] {})) << "after that it has looked";
+  EXPECT_EQ(looked, 1);
+  thread.Stop();
+  EXPECT_FALSE(thread.Await([] {}));
+  EXPECT_FALSE(thread.Post([] {}));
+}
+
+TEST_F(BundleControlTest, AReloadShowsInTheStatusWhenItReturns) {
+  control_->Start();
+  WriteBundle(dir_.File("source/warehouse"), "warehouse", "# edited\n");
+  bool before = false;
+  EXPECT_TRUE(control_->Reload([&before] { before = true; }));
+  EXPECT_TRUE(before);
+  EXPECT_EQ(control_->Status("r1")->robots.size(), 1u);
 }
 
 }  // namespace

@@ -14,6 +14,7 @@
 #include "policy_server/policy/bundle/bundle.h"
 #include "policy_server/policy/bundle/bundle_archive.h"
 #include "policy_server/policy/bundle/bundle_keep.h"
+#include "policy_server/policy/bundle/bundle_signature.h"
 #include "policy_server/policy/bundle/manifest.h"
 #include "services/base/clock.h"
 #include "services/base/status_macros.h"
@@ -26,8 +27,8 @@ namespace fs = std::filesystem;
 
 constexpr absl::string_view kIdPrefix = "sha256:";
 constexpr size_t kIdDigits = 64;
-// ForgetBundles removes what begins so.
-constexpr char kArriving[] = ".new-pushed";
+// Not one of those that ForgetBundles removes.
+constexpr char kArriving[] = ".pushed";
 
 bool IsHex(absl::string_view text) {
   return text.find_first_not_of("0123456789abcdef") == absl::string_view::npos;
@@ -82,9 +83,19 @@ absl::StatusOr<BundleLibrary::Added> BundleLibrary::Add(absl::string_view archiv
   }
   RIPS_ASSIGN_OR_RETURN(const std::string path, bundle::KeptBundlePath(directory_, loaded->id));
   const bool known = fs::exists(path, error);
+  if (known) RIPS_RETURN_IF_ERROR(KeepSignature(path, arriving, loaded->id));
   RIPS_RETURN_IF_ERROR(bundle::KeepBundle(arriving, loaded->id, directory_));
   return Added{
       .bundle = Describe(path, loaded->id), .warnings = shown(loaded->warnings), .known = known};
+}
+
+absl::Status BundleLibrary::KeepSignature(const std::string& kept, const std::string& arriving,
+                                          const std::string& id) const {
+  const absl::StatusOr<std::string> key = signed_by_(arriving, id);
+  const absl::StatusOr<std::string> signature = bundle::ReadSignature(kept);
+  // One that was verified may take the place of another one.
+  if ((key.ok() && !key->empty()) || !signature.ok() || signature->empty()) return absl::OkStatus();
+  return WriteFileAtomically(absl::StrCat(arriving, "/", bundle::kSignatureName), *signature, 0640);
 }
 
 KeptBundle BundleLibrary::Describe(const std::string& path, const std::string& id) const {

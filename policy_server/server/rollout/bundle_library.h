@@ -37,7 +37,7 @@ struct LoadedBundle {
   std::string warnings;
 };
 
-// One thread at a time.
+// Add: one thread at a time; the others: any.
 class BundleLibrary {
  public:
   // Loads what is in a directory, with all checks.
@@ -66,6 +66,9 @@ class BundleLibrary {
   absl::StatusOr<KeptBundle> Find(absl::string_view id) const;
 
  private:
+  // Has the kept copy's signature arrive, too, if nobody verifies the one that was pushed.
+  absl::Status KeepSignature(const std::string& kept, const std::string& arriving,
+                             const std::string& id) const;
   KeptBundle Describe(const std::string& path, const std::string& id) const;
 
   const std::string directory_;

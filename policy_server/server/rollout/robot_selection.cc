@@ -80,23 +80,37 @@ absl::StatusOr<Robots> Select(const bundle::Inventory& inventory, const RobotSel
   return robots;
 }
 
-absl::StatusOr<std::vector<std::vector<std::string>>> PlanStages(
-    const Robots& robots, const std::vector<StageSelection>& stages) {
+absl::StatusOr<PlannedStages> PlanStages(const Robots& robots,
+                                         const std::vector<StageSelection>& stages) {
   if (stages.size() > kStagesMax) {
     return absl::InvalidArgumentError(absl::StrCat("there are more than ", kStagesMax, " stages"));
   }
-  std::vector<std::vector<std::string>> plan;
+  PlannedStages plan;
   std::set<std::string> placed;
+  int number = 0;
   for (const StageSelection& stage :
        stages.empty() ? std::vector<StageSelection>{{.percent = 100}} : stages) {
     RIPS_RETURN_IF_ERROR(CheckStage(stage));
+    ++number;
+    const bool labelled = !stage.label.empty();
+    const auto has = [&](const InventoryRobot* robot) { return robot->HasLabel(stage.label); };
+    if (labelled && std::none_of(robots.begin(), robots.end(), has)) {
+      return absl::InvalidArgumentError(
+          absl::StrCat("no robot of the selection has ", stage.label, ", stage ", number));
+    }
     const size_t first = (robots.size() * stage.percent + 99) / 100;
     std::vector<std::string> fresh;
     for (size_t i = 0; i < robots.size(); ++i) {
-      const bool in = stage.label.empty() ? i < first : robots[i]->HasLabel(stage.label);
+      const bool in = labelled ? has(robots[i]) : i < first;
       if (in && placed.insert(robots[i]->id).second) fresh.push_back(robots[i]->id);
     }
-    if (!fresh.empty()) plan.push_back(std::move(fresh));
+    if (!fresh.empty()) {
+      plan.stages.push_back(std::move(fresh));
+    } else {
+      plan.notes.push_back(absl::StrCat(
+          "stage ", number, " (", labelled ? stage.label : absl::StrCat(stage.percent, "%"),
+          ") has no robot that is not in a stage before it; it is left out"));
+    }
   }
   std::vector<std::string> left;
   for (const InventoryRobot* robot : robots) {

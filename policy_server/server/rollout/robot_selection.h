@@ -37,12 +37,18 @@ absl::StatusOr<std::vector<const bundle::InventoryRobot*>> Select(
     const bundle::Inventory& inventory, const RobotSelection& selection,
     const std::optional<std::string>& name);
 
-// The stages, one of all robots if `stages` is empty; stages without robots of their own are left
-// out. InvalidArgument: a stage is malformed, there are too many, or together they do not have all
-// robots, which are named then.
-absl::StatusOr<std::vector<std::vector<std::string>>> PlanStages(
-    const std::vector<const bundle::InventoryRobot*>& robots,
-    const std::vector<StageSelection>& stages);
+struct PlannedStages {
+  // Each with robots of its own.
+  std::vector<std::vector<std::string>> stages;
+  // `stage 2 (25%) has no robot that is not in a stage before it; it is left out`
+  std::vector<std::string> notes;
+};
+
+// The stages, one of all robots if `stages` is empty. InvalidArgument: a stage is malformed or its
+// label is of no robot, there are too many, or together they do not have all robots, which are
+// named then.
+absl::StatusOr<PlannedStages> PlanStages(const std::vector<const bundle::InventoryRobot*>& robots,
+                                         const std::vector<StageSelection>& stages);
 
 }  // namespace rips::rollout
 

@@ -63,12 +63,14 @@ TEST(SelectTest, SaysWhatIsWrong) {
 TEST(PlanStagesTest, EachStageHasTheRobotsThatNoneBeforeItHas) {
   const bundle::Inventory fleet = Fleet();
   const auto robots = *Select(fleet, {.all = true}, "warehouse");
-  EXPECT_THAT(*PlanStages(robots, {}), ElementsAre(ElementsAre("r1", "r2", "r3", "r4")));
-  EXPECT_THAT(*PlanStages(robots, {{.label = "ring=canary"}, {.percent = 30}, {.percent = 100}}),
-              ElementsAre(ElementsAre("r2"), ElementsAre("r1"), ElementsAre("r3", "r4")));
-  // Of four, 1 % is one; a stage without robots of its own is none.
-  EXPECT_THAT(*PlanStages(robots, {{.percent = 1}, {.percent = 25}, {.percent = 100}}),
-              ElementsAre(ElementsAre("r1"), ElementsAre("r2", "r3", "r4")));
+  EXPECT_THAT(PlanStages(robots, {})->stages, ElementsAre(ElementsAre("r1", "r2", "r3", "r4")));
+  EXPECT_THAT(
+      PlanStages(robots, {{.label = "ring=canary"}, {.percent = 30}, {.percent = 100}})->stages,
+      ElementsAre(ElementsAre("r2"), ElementsAre("r1"), ElementsAre("r3", "r4")));
+  // Of four, 1 % is one; a stage without robots of its own is none, and named.
+  const auto plan = PlanStages(robots, {{.percent = 1}, {.percent = 25}, {.percent = 100}});
+  EXPECT_THAT(plan->stages, ElementsAre(ElementsAre("r1"), ElementsAre("r2", "r3", "r4")));
+  EXPECT_THAT(plan->notes, ElementsAre(HasSubstr("stage 2 (25%) has no robot")));
 }
 
 TEST(PlanStagesTest, RefusesStagesThatLeaveRobotsOut) {
@@ -77,6 +79,9 @@ TEST(PlanStagesTest, RefusesStagesThatLeaveRobotsOut) {
   EXPECT_THAT(PlanStages(robots, {{.label = "ring=main"}}),
               StatusIs(absl::StatusCode::kInvalidArgument,
                        HasSubstr("the stages leave out r2; end them with 100%")));
+  // A typing error must not make one stage of all.
+  EXPECT_THAT(PlanStages(robots, {{.label = "ring=canari"}, {.percent = 100}}),
+              StatusIs(absl::StatusCode::kInvalidArgument, HasSubstr("has ring=canari")));
   EXPECT_THAT(PlanStages(robots, {{.percent = 101}}), StatusIs(absl::StatusCode::kInvalidArgument));
   EXPECT_THAT(PlanStages(robots, {{}}), StatusIs(absl::StatusCode::kInvalidArgument));
   EXPECT_THAT(PlanStages(robots, {{.label = "ring=main", .percent = 5}}),

@@ -8,6 +8,11 @@
 #include "services/base/check.h"
 
 namespace rips::rollout {
+namespace {
+
+constexpr int64_t kElapsedNsMax = 5 * kNanosPerSecond;
+
+}  // namespace
 
 absl::string_view ToString(RolloutState state) {
   switch (state) {
@@ -29,7 +34,8 @@ std::string Normalized(absl::string_view degraded) {
 
 Rollout::Rollout(RolloutRecord record, Instant now, bool restarted)
     : record_(std::move(record)),
-      patient_until_ns_(now.boottime_ns + (restarted ? kRestartGraceNs : 0)) {
+      patient_until_ns_(now.boottime_ns + (restarted ? kRestartGraceNs : 0)),
+      looked_ns_(now.boottime_ns) {
   RIPS_CHECK(record_.stage < record_.plan.stages.size(), "a roll-out has stages");
 }
 
@@ -49,36 +55,41 @@ RolloutStep Rollout::BeginStage(const FleetHealth& health, Instant now) {
     for (const std::string& each : found->second.degraded) before.degraded.insert(Normalized(each));
     before.level_rank = found->second.level_rank;
   }
-  bad_since_ns_.clear();
+  bad_ns_.clear();
   patient_until_ns_ = std::max(patient_until_ns_, now.boottime_ns);
   return step;
 }
 
 std::string Rollout::Bad(const std::string& robot, std::string what, int64_t patience_ns,
                          Instant now) {
+  if (not_healthy_because_.empty()) not_healthy_because_ = absl::StrCat(robot, ": ", what);
   if (now.boottime_ns < patient_until_ns_) return "";
-  const auto [since, fresh] = bad_since_ns_.try_emplace(robot, now.boottime_ns);
-  return now.boottime_ns - since->second >= patience_ns ? what : "";
+  int64_t& bad_ns = bad_ns_[robot];
+  bad_ns += elapsed_ns_;
+  return bad_ns > patience_ns ? what : "";
 }
 
-std::string Rollout::Harm(const std::string& robot, const FleetHealth& health, Instant now,
-                          bool& healthy) {
+void Rollout::Forgive(const std::string& robot) {
+  const auto found = bad_ns_.find(robot);
+  if (found == bad_ns_.end()) return;
+  found->second -= elapsed_ns_ / 4;
+  if (found->second <= 0) bad_ns_.erase(found);
+}
+
+std::string Rollout::Harm(const std::string& robot, const FleetHealth& health, Instant now) {
   const auto found = health.find(robot);
-  if (found == health.end()) {
-    healthy = false;
-    return Bad(robot, "it does not answer", kTakeNs, now);
-  }
+  if (found == health.end()) return Bad(robot, "it does not answer", kTakeNs, now);
   const RobotHealth& is = found->second;
+  if (is.gone) return "";
   const Baseline& before = record_.before[robot];
   if (before.level_rank >= 0 && is.level_rank > before.level_rank) {
-    return absl::StrCat("its level rose to ", is.level);
+    return absl::StrCat("its level rose to ", is.level, " (`ripsctl explain ", robot, "`)");
   }
   if (is.alerts > record_.plan.alerts_per_minute_max) {
     return absl::StrCat("its rules raised ", is.alerts, " alerts within a minute, more than ",
                         record_.plan.alerts_per_minute_max);
   }
   if (is.bundle_id != record_.plan.bundle_id) {
-    healthy = false;
     return Bad(robot,
                absl::StrCat("it has not taken the bundle",
                             is.problem.empty() ? "" : absl::StrCat(": ", is.problem)),
@@ -86,21 +97,29 @@ std::string Rollout::Harm(const std::string& robot, const FleetHealth& health, I
   }
   for (const std::string& each : is.degraded) {
     if (before.degraded.contains(Normalized(each))) continue;
-    healthy = false;
     return Bad(robot, absl::StrCat("it is degraded: ", each), kGraceNs, now);
   }
-  bad_since_ns_.erase(robot);
+  Forgive(robot);
   return "";
 }
 
 RolloutStep Rollout::Look(const FleetHealth& health, Instant now) {
   if (!running()) return {};
-  bool healthy = now.boottime_ns >= patient_until_ns_;
+  // A machine that slept has not seen its robots meanwhile.
+  elapsed_ns_ = std::clamp<int64_t>(now.boottime_ns - looked_ns_, 0, kElapsedNsMax);
+  looked_ns_ = now.boottime_ns;
+  not_healthy_because_.clear();
+  if (now.boottime_ns < patient_until_ns_) {
+    not_healthy_because_ = "the server has just started, and sensors have a minute to come back";
+  }
   for (const std::string& robot : Begun()) {
-    const std::string harm = Harm(robot, health, now, healthy);
+    const std::string harm = Harm(robot, health, now);
     if (!harm.empty()) return StopByItself(absl::StrCat(robot, ": ", harm), now);
   }
-  if (!healthy) {
+  if (not_healthy_because_.empty() && !Watches(health)) {
+    not_healthy_because_ = "no sensor of a robot of this stage is connected, so it proves nothing";
+  }
+  if (!not_healthy_because_.empty()) {
     healthy_since_.reset();
     return {};
   }
@@ -115,8 +134,20 @@ RolloutStep Rollout::Look(const FleetHealth& health, Instant now) {
   return {.over = true};
 }
 
+bool Rollout::Watches(const FleetHealth& health) const {
+  bool all_gone = true;
+  for (const std::string& robot : record_.plan.stages[record_.stage]) {
+    const auto found = health.find(robot);
+    if (found == health.end()) continue;
+    if (found->second.watched) return true;
+    all_gone &= found->second.gone;
+  }
+  return all_gone;
+}
+
 RolloutStep Rollout::StopByItself(const std::string& why, Instant now) {
   RolloutStep step = Stop(why, now);
+  step.by_itself = true;
   if (record_.plan.roll_back_when_stopped) step.roll_back = Begun();
   return step;
 }
@@ -127,6 +158,7 @@ RolloutStep Rollout::Stop(absl::string_view why, Instant now) {
   record_.why = std::string(why);
   record_.ended_unix_ns = now.unix_ns;
   healthy_since_.reset();
+  not_healthy_because_.clear();
   return {.over = true};
 }
 

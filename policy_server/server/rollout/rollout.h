@@ -3,6 +3,7 @@
 //
 //   a robot of a stage that has begun         then
 //   is judged by the bundle, nothing else     healthy
+//   is in no inventory any more               does not count
 //   has not taken it within kTakeNs           the roll-out stops
 //   does not answer, is held                  not healthy; for kTakeNs: stops
 //   degraded as it was before                 healthy
@@ -10,8 +11,12 @@
 //   its level rose since the stage began      stops
 //   more alerts a minute than the plan has    stops
 //
+// Time in which a robot is not healthy adds up, and is forgotten a quarter as fast when it is: a
+// sensor that the bundle makes start anew again and again is healthy in between.
+//
 // A stage is done when all robots of the stages so far have been healthy for the plan's soak time
-// without a break. Robots of stages that have not begun do not count. After a restart of the server
+// without a break, and at least one of the stage is watched by its sensors: one that sends nothing
+// proves nothing. Robots of stages that have not begun do not count. After a restart of the server
 // the soak time begins anew, and for kRestartGraceNs, in which sensors come back, nothing counts as
 // harm but a level that rises.
 #ifndef RIPS_POLICY_SERVER_SERVER_ROLLOUT_ROLLOUT_H_
@@ -82,6 +87,8 @@ struct RolloutRecord {
   RolloutState state = RolloutState::kRunning;
   // Why it stopped.
   std::string why;
+  // Robots that went back since, and why, for people; empty = none.
+  std::string rolled_back;
   // Of the stage that runs, or ran last.
   size_t stage = 0;
   int64_t began_unix_ns = 0;
@@ -100,6 +107,10 @@ struct RobotHealth {
   std::vector<std::string> degraded;
   // Why it has not taken a bundle; may be empty.
   std::string problem;
+  // Its sensors are connected.
+  bool watched = false;
+  // The inventory does not have it any more, or with another policy.
+  bool gone = false;
   std::string level;
   // Place of its level in its table, the least restrictive is 0; -1 = not known.
   int level_rank = -1;
@@ -118,6 +129,8 @@ struct RolloutStep {
   std::vector<std::string> roll_back;
   // It stopped, or is done.
   bool over = false;
+  // It stopped by itself.
+  bool by_itself = false;
 
   bool empty() const { return activate.empty() && roll_back.empty() && !over; }
 };
@@ -136,25 +149,33 @@ class Rollout {
 
   const RolloutRecord& record() const { return record_; }
   bool running() const { return record_.state == RolloutState::kRunning; }
+  // `r7: sensor base is silent`; empty if all are healthy, or it is over.
+  const std::string& not_healthy_because() const { return not_healthy_because_; }
   // Wall clock; nullopt if a robot is not healthy, or it is over.
   std::optional<int64_t> healthy_since_unix_ns() const;
 
  private:
   RolloutStep BeginStage(const FleetHealth& health, Instant now);
   RolloutStep StopByItself(const std::string& why, Instant now);
-  // Why a robot stops the roll-out, or an empty text; `healthy` is cleared if it is not healthy.
-  std::string Harm(const std::string& robot, const FleetHealth& health, Instant now, bool& healthy);
+  // Why a robot stops the roll-out, or an empty text. One that is not healthy is noted.
+  std::string Harm(const std::string& robot, const FleetHealth& health, Instant now);
+  bool Watches(const FleetHealth& health) const;
   // As Harm, for what stops the roll-out only after a time.
   std::string Bad(const std::string& robot, std::string what, int64_t patience_ns, Instant now);
+  void Forgive(const std::string& robot);
   // Robots of all stages that have begun.
   std::vector<std::string> Begun() const;
 
   RolloutRecord record_;
+  std::string not_healthy_because_;
   // CLOCK_BOOTTIME.
   int64_t patient_until_ns_ = 0;
   std::optional<Instant> healthy_since_;
-  // Since when a robot has been bad, CLOCK_BOOTTIME.
-  absl::btree_map<std::string, int64_t> bad_since_ns_;
+  // CLOCK_BOOTTIME of the look before this one, and how long before.
+  int64_t looked_ns_ = 0;
+  int64_t elapsed_ns_ = 0;
+  // For how long a robot has been bad.
+  absl::btree_map<std::string, int64_t> bad_ns_;
 };
 
 // Without digits, so that a count or a time in it makes no other one.

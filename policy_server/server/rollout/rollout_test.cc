@@ -21,7 +21,7 @@ class RolloutTest : public ::testing::Test {
  protected:
   RolloutTest() {
     for (const char* robot : {"r1", "r2", "r3"}) {
-      health_[robot] = {.bundle_id = kOld, .level = "DEFAULT", .level_rank = 0};
+      health_[robot] = {.bundle_id = kOld, .watched = true, .level = "DEFAULT", .level_rank = 0};
     }
   }
 
@@ -110,6 +110,21 @@ TEST_F(RolloutTest, AShortTroubleBeginsTheSoakTimeAnew) {
   EXPECT_FALSE(LookFor(3 * kNanosPerSecond).empty());
 }
 
+TEST_F(RolloutTest, StopsWhenARobotIsWellInBetweenOnly) {
+  Begin();
+  Take({"r1"});
+  RolloutStep stopped;
+  for (int i = 0; i < 6 && stopped.empty(); ++i) {
+    health_["r1"].degraded = {"sensor base is silent"};
+    stopped = LookFor(4 * kNanosPerSecond);
+    if (!stopped.empty()) break;
+    health_["r1"].degraded.clear();
+    stopped = LookFor(2 * kNanosPerSecond);
+  }
+  EXPECT_TRUE(stopped.over);
+  EXPECT_EQ(why(), "r1: it is degraded: sensor base is silent");
+}
+
 TEST_F(RolloutTest, WhatWasWrongBeforeStopsNothingWhateverItsNumbers) {
   health_["r1"].degraded = {"actuator base: disk has 12 MB left"};
   Begin();
@@ -127,7 +142,7 @@ TEST_F(RolloutTest, StopsAtOnceWhenALevelRoseOrRulesRaiseTooManyAlerts) {
   health_["r1"].level = "HALT";
   health_["r1"].level_rank = 2;
   EXPECT_TRUE(rollout_.Look(health_, now_).over);
-  EXPECT_EQ(why(), "r1: its level rose to HALT");
+  EXPECT_EQ(why(), "r1: its level rose to HALT (`ripsctl explain r1`)");
   health_["r1"].level_rank = 0;
   health_["r1"].alerts = 5;
   EXPECT_TRUE(other.Look(health_, now_).empty());
@@ -198,8 +213,48 @@ TEST_F(RolloutTest, AfterARestartSensorsHaveTimeToComeBackButALevelMustNotRise) 
 TEST_F(RolloutTest, AHeldRobotMayBeMendedByIt) {
   health_["r1"] = {.degraded = {"no policy: bundle `warehouse` is refused"}};
   Begin();
-  health_["r1"] = {.bundle_id = kNew, .level = "HALT", .level_rank = 2};
+  health_["r1"] = {.bundle_id = kNew, .watched = true, .level = "HALT", .level_rank = 2};
   EXPECT_THAT(LookFor(kSoakNs + 2 * kNanosPerSecond).activate, ElementsAre("r2", "r3"));
+}
+
+TEST_F(RolloutTest, AStageThatNoSensorWatchesProvesNothing) {
+  health_["r1"].watched = false;
+  health_["r1"].degraded = {"sensor base is not connected"};
+  Begin();
+  Take({"r1"});
+  EXPECT_TRUE(LookFor(10 * kSoakNs).empty());
+  EXPECT_THAT(rollout_.not_healthy_because(), HasSubstr("no sensor of a robot of this stage"));
+  health_["r1"].watched = true;
+  health_["r1"].degraded.clear();
+  EXPECT_THAT(LookFor(kSoakNs + 2 * kNanosPerSecond).activate, ElementsAre("r2", "r3"));
+  // Of several robots one is enough.
+  Take({"r2", "r3"});
+  health_["r3"].watched = false;
+  EXPECT_TRUE(LookFor(kSoakNs + 2 * kNanosPerSecond).over);
+  EXPECT_EQ(rollout_.record().state, RolloutState::kDone);
+}
+
+TEST_F(RolloutTest, ARobotThatLeftTheInventoryDoesNotCount) {
+  Begin();
+  Take({"r1"});
+  LookFor(kSoakNs + 2 * kNanosPerSecond);
+  Take({"r2"});
+  health_["r3"] = {.gone = true};
+  EXPECT_TRUE(LookFor(kSoakNs + 2 * kNanosPerSecond).over);
+  EXPECT_EQ(rollout_.record().state, RolloutState::kDone);
+}
+
+TEST_F(RolloutTest, SaysWhyAStageIsNotHealthyYet) {
+  Begin();
+  LookFor(kNanosPerSecond);
+  EXPECT_EQ(rollout_.not_healthy_because(), "r1: it has not taken the bundle");
+  Take({"r1"});
+  health_["r1"].degraded = {"the graph of sensor base has not settled"};
+  LookFor(kNanosPerSecond);
+  EXPECT_THAT(rollout_.not_healthy_because(), HasSubstr("r1: it is degraded: the graph"));
+  health_["r1"].degraded.clear();
+  LookFor(kNanosPerSecond);
+  EXPECT_EQ(rollout_.not_healthy_because(), "");
 }
 
 }  // namespace

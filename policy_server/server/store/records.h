@@ -175,16 +175,6 @@ struct ReceiptRecord {
 // Receipts kept per robot; beyond, those written longest ago are forgotten.
 inline constexpr size_t kReceiptsPerRobotMax = 256;
 
-// A run of alerts, in the order of writing.
-struct AlertPage {
-  // With their sequences.
-  std::vector<AlertRecord> alerts;
-  // Alerts between the one asked for and the first of these were forgotten by the limit.
-  bool forgotten = false;
-
-  friend bool operator==(const AlertPage&, const AlertPage&) = default;
-};
-
 // Stands for the server itself where a record names a robot; no robot can be called so.
 inline constexpr absl::string_view kServerRobot = "(server)";
 
@@ -227,35 +217,6 @@ struct WriteBatch {
     return decisions.empty() && refusals.empty() && stages.empty() && alerts.empty() &&
            receipts.empty() && checkpoint.empty();
   }
-};
-
-// A decision or a refusal, as read back.
-struct TransitionRecord {
-  std::string id;
-  std::string robot;
-  int64_t time_unix_ns = 0;
-  std::string from;
-  std::string to;
-  std::string cause;
-  std::string reason;
-  // None when refused.
-  DecisionId decision_id;
-  DecisionId based_on;
-  bool refused = false;
-  // How often this refusal was seen; 1 for a decision.
-  uint64_t count = 1;
-  // `requested` until the actuators report; empty when refused.
-  std::string stage;
-  std::string detail;
-  engine::Trace trace;
-
-  friend bool operator==(const TransitionRecord&, const TransitionRecord&) = default;
-};
-
-// What was written under ids that begin alike; at most two of each.
-struct FoundRecords {
-  std::vector<AlertRecord> alerts;
-  std::vector<TransitionRecord> transitions;
 };
 
 }  // namespace rips::store

@@ -29,6 +29,7 @@
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
 #include "absl/strings/string_view.h"
+#include "policy_server/server/store/found_records.h"
 #include "policy_server/server/store/generations.h"
 #include "policy_server/server/store/records.h"
 #include "services/base/decision_id.h"

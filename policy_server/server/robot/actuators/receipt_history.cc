@@ -9,8 +9,6 @@
 namespace rips::pipeline {
 namespace {
 
-constexpr absl::string_view kUnknownCommand = "unknown command";
-
 int Rank(Receipt::Stage stage) {
   switch (stage) {
     case Receipt::Stage::kAcknowledged:

@@ -36,6 +36,8 @@ inline constexpr size_t kDetailBytesKept = 1024;
 inline constexpr size_t kOutputBytesKept = 4 << 10;  // from the end
 
 using LoggedReceipt = store::ReceiptRecord;
+// LoggedReceipt::command of one that this server did not send, or has forgotten.
+inline constexpr absl::string_view kUnknownCommand = "unknown command";
 
 class ReceiptHistory {
  public:

@@ -1,5 +1,7 @@
 #include "policy_server/server/robot/core/robot_core.h"
 
+#include <algorithm>
+#include <string>
 #include <type_traits>
 #include <utility>
 #include <variant>
@@ -359,16 +361,24 @@ void RobotCore::OnSwapPolicy(const input::SwapPolicy& in) {
     status = state_.SwapProgram(in.policy.program);
   }
   if (status.ok()) {
+    std::vector<std::string> dropped = context_.policy.two_person;
+    std::erase_if(dropped, [&](const std::string& level) {
+      const std::vector<std::string>& kept = in.policy.two_person;
+      return std::find(kept.begin(), kept.end(), level) != kept.end();
+    });
     context_.policy = in.policy;
     CompletePolicy(context_.policy);
     context_.watch.OnPolicy(context_.policy);
     outbox_.Touch(&DurableOutbox::Unsaved::bundle);
     policy_problem_.clear();
     gate_.set_hold_ns(in.policy.soft_hold_ns);
-    alerts_.Raise(engine::Severity::kInfo,
-                  absl::StrCat("bundle ", in.policy.bundle_id, " is in force",
-                               in.policy.two_person.empty() ? "" : "; two operators lower from ",
-                               absl::StrJoin(in.policy.two_person, ", ")));
+    alerts_.Raise(
+        dropped.empty() ? engine::Severity::kInfo : engine::Severity::kMedium,
+        absl::StrCat("bundle ", in.policy.bundle_id, " is in force",
+                     dropped.empty() ? "" : "; one operator alone lowers from now on from ",
+                     absl::StrJoin(dropped, ", "),
+                     in.policy.two_person.empty() ? "" : "; two operators lower from ",
+                     absl::StrJoin(in.policy.two_person, ", ")));
     sensors_.AskInterest();
     actuators_.ReportMissingPrograms();
     judge_.Wake();
