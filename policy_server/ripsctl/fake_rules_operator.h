@@ -34,7 +34,7 @@ class FakeRulesOperator : public v1::OperatorService::Service {
   grpc::Status ListBundles(grpc::ServerContext*, const v1::ListBundlesRequest*,
                            v1::ListBundlesResponse* response) override {
     *response = bundles;
-    return Record("ListBundles");
+    return Remember("ListBundles");
   }
   grpc::Status GetRulesStatus(grpc::ServerContext*, const v1::GetRulesStatusRequest* request,
                               v1::GetRulesStatusResponse* response) override {
@@ -42,7 +42,7 @@ class FakeRulesOperator : public v1::OperatorService::Service {
       *response = rules_states.front();
       if (rules_states.size() > 1) rules_states.erase(rules_states.begin());
     }
-    return Record(absl::StrCat("GetRulesStatus ", request->robot()));
+    return Remember(absl::StrCat("GetRulesStatus ", request->robot()));
   }
   grpc::Status PushBundle(grpc::ServerContext*, grpc::ServerReader<v1::PushBundleRequest>* reader,
                           v1::PushBundleResponse* response) override {
@@ -50,31 +50,31 @@ class FakeRulesOperator : public v1::OperatorService::Service {
     size_t bytes = 0;
     v1::PushBundleRequest piece;
     while (reader->Read(&piece)) bytes += piece.data().size();
-    return Record(absl::StrCat("PushBundle ", bytes == piece.archive_bytes() ? "whole" : "torn"));
+    return Remember(absl::StrCat("PushBundle ", bytes == piece.archive_bytes() ? "whole" : "torn"));
   }
   grpc::Status ActivateBundle(grpc::ServerContext*, const v1::ActivateBundleRequest* request,
                               v1::RolloutResponse* response) override {
     *response = rollout;
-    return Record(absl::StrCat("ActivateBundle ", request->ShortDebugString()));
+    return Remember(absl::StrCat("ActivateBundle ", request->ShortDebugString()));
   }
   grpc::Status RollBackBundle(grpc::ServerContext*, const v1::RollBackBundleRequest* request,
                               v1::RolloutResponse* response) override {
     *response = rollout;
-    return Record(absl::StrCat("RollBackBundle ", request->ShortDebugString()));
+    return Remember(absl::StrCat("RollBackBundle ", request->ShortDebugString()));
   }
   grpc::Status StopRollout(grpc::ServerContext*, const v1::StopRolloutRequest* request,
                            v1::RolloutResponse* response) override {
     *response = rollout;
-    return Record(absl::StrCat("StopRollout ", request->reason()));
+    return Remember(absl::StrCat("StopRollout ", request->reason()));
   }
   grpc::Status ShadowBundle(grpc::ServerContext*, const v1::ShadowBundleRequest* request,
                             v1::ShadowBundleResponse* response) override {
     *response = shadowed;
-    return Record(absl::StrCat("ShadowBundle ", request->ShortDebugString()));
+    return Remember(absl::StrCat("ShadowBundle ", request->ShortDebugString()));
   }
 
  protected:
-  grpc::Status Record(const std::string& call) ABSL_LOCKS_EXCLUDED(calls_mutex_) {
+  grpc::Status Remember(const std::string& call) ABSL_LOCKS_EXCLUDED(calls_mutex_) {
     MutexLock lock(&calls_mutex_);
     calls_.push_back(call);
     return failure;

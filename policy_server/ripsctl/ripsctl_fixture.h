@@ -77,20 +77,20 @@ class FakeOperator final : public FakeRulesOperator {
     response->mutable_robots(1)->clear_effective_level();
     response->mutable_robots(1)->add_degraded("sensor base lost");
     response->mutable_robots(1)->add_degraded("\x1b[2Jactuator");
-    return Record("ListRobots");
+    return Remember("ListRobots");
   }
   grpc::Status WatchRobots(grpc::ServerContext*, const v1::WatchRobotsRequest* request,
                            grpc::ServerWriter<v1::RobotStatus>* writer) override {
     const std::string robot = request->robots().empty() ? "r9" : request->robots(0);
-    if (!failure.ok()) return Record("WatchRobots");
+    if (!failure.ok()) return Remember("WatchRobots");
     writer->Write(MakeStatus(robot, "ALERT"));
     writer->Write(MakeStatus(robot, "COMPROMISED"));
-    Record("WatchRobots");
+    Remember("WatchRobots");
     return std::exchange(robots_watch_end, grpc::Status::OK);
   }
   grpc::Status Record(grpc::ServerContext*, const v1::RecordRequest* request,
                       grpc::ServerWriter<v1::Recording>* writer) override {
-    if (!failure.ok()) return Record("Record");
+    if (!failure.ok()) return Remember("Record");
     v1::Recording piece;
     piece.mutable_header()->set_robot(request->robot());
     writer->Write(piece);
@@ -99,12 +99,12 @@ class FakeOperator final : public FakeRulesOperator {
       piece.mutable_event()->set_time_unix_ns(kNewYear + i);
       writer->Write(piece);
     }
-    return Record("Record");
+    return Remember("Record");
   }
   grpc::Status GetAlertRecording(grpc::ServerContext*, const v1::GetAlertRecordingRequest* request,
                                  grpc::ServerWriter<v1::FilePiece>* writer) override {
     if (failure.ok()) SendInPieces(alert_recording, *writer);
-    return Record(absl::StrCat("GetAlertRecording ", request->alert_id()));
+    return Remember(absl::StrCat("GetAlertRecording ", request->alert_id()));
   }
   grpc::Status ListAgents(grpc::ServerContext*, const v1::ListAgentsRequest*,
                           v1::ListAgentsResponse* response) override {
@@ -117,22 +117,22 @@ class FakeOperator final : public FakeRulesOperator {
     ban->set_reason("stolen \x1b[2J");
     ban->set_by("spiffe://td/operator/admin/alice serial 0a");
     ban->set_time_unix_ns(kNewYear);
-    return Record("ListAgents");
+    return Remember("ListAgents");
   }
   grpc::Status Ban(grpc::ServerContext*, const v1::BanRequest* request, v1::BanResponse*) override {
-    return Record(
+    return Remember(
         absl::StrCat("Ban ", request->uri(), " ", request->serial(), " ", request->reason()));
   }
   grpc::Status Unban(grpc::ServerContext*, const v1::UnbanRequest* request,
                      v1::UnbanResponse*) override {
-    return Record(absl::StrCat("Unban ", request->uri(), " ", request->serial()));
+    return Remember(absl::StrCat("Unban ", request->uri(), " ", request->serial()));
   }
   grpc::Status ResetTerm(grpc::ServerContext*, const v1::ResetTermRequest* request,
                          v1::ResetTermResponse* response) override {
     response->mutable_decision_id()->set_term(2'000'000);
     response->mutable_decision_id()->set_epoch(8);
     response->set_decided_level("ALERT");
-    return Record(
+    return Remember(
         absl::StrCat("ResetTerm ", request->robot(), " ", request->host(), " ", request->reason()));
   }
   grpc::Status GetGraph(grpc::ServerContext*, const v1::GetGraphRequest*,
@@ -150,23 +150,23 @@ class FakeOperator final : public FakeRulesOperator {
     AddEndpoint(graph, v1::Endpoint::PUBLISHER, "", "/cmd_vel", "geometry_msgs/msg/Twist");
     AddEndpoint(graph, v1::Endpoint::SUBSCRIBER, "", "raw_topic", "T", false);
     response->set_changed_unix_ns(kNewYear);
-    return Record("GetGraph");
+    return Remember("GetGraph");
   }
   grpc::Status GetInterest(grpc::ServerContext*, const v1::GetInterestRequest* request,
                            v1::GetInterestResponse*) override {
-    return Record(absl::StrCat("GetInterest ", request->robot()));
+    return Remember(absl::StrCat("GetInterest ", request->robot()));
   }
   grpc::Status GetCoverage(grpc::ServerContext*, const v1::GetCoverageRequest* request,
                            v1::GetCoverageResponse*) override {
-    return Record(absl::StrCat("GetCoverage ", request->robot()));
+    return Remember(absl::StrCat("GetCoverage ", request->robot()));
   }
   grpc::Status ListReceipts(grpc::ServerContext*, const v1::ListReceiptsRequest* request,
                             v1::ListReceiptsResponse*) override {
-    return Record(absl::StrCat("ListReceipts ", request->robot()));
+    return Remember(absl::StrCat("ListReceipts ", request->robot()));
   }
   grpc::Status DrillRobot(grpc::ServerContext*, const v1::DrillRobotRequest* request,
                           v1::DrillRobotResponse*) override {
-    return Record(absl::StrCat("DrillRobot ", request->robot()));
+    return Remember(absl::StrCat("DrillRobot ", request->robot()));
   }
   grpc::Status GetLevel(grpc::ServerContext*, const v1::GetLevelRequest* request,
                         v1::GetLevelResponse* response) override {
@@ -182,7 +182,7 @@ class FakeOperator final : public FakeRulesOperator {
     response->add_soft_levels("ALERT");
     for (const v1::PendingApproval& each : pending) *response->add_pending_approvals() = each;
     *response->mutable_last() = MakeTransition();
-    return Record("GetLevel");
+    return Remember("GetLevel");
   }
   grpc::Status ListTransitions(grpc::ServerContext*, const v1::ListTransitionsRequest* request,
                                v1::ListTransitionsResponse* response) override {
@@ -193,21 +193,21 @@ class FakeOperator final : public FakeRulesOperator {
     refused->set_refused(true);
     refused->set_count(request->limit());
     refused->set_reason("needs an operator");
-    return Record("ListTransitions");
+    return Remember("ListTransitions");
   }
   grpc::Status ListAlerts(grpc::ServerContext*, const v1::ListAlertsRequest* request,
                           v1::ListAlertsResponse* response) override {
     *response->add_alerts() = MakeAlert(alert_text);
     if (!unrecorded_alert.empty()) *response->add_unrecorded() = MakeAlert(unrecorded_alert);
-    return Record(absl::StrCat("ListAlerts ", request->robot(), " ", request->limit()));
+    return Remember(absl::StrCat("ListAlerts ", request->robot(), " ", request->limit()));
   }
   grpc::Status WatchAlerts(grpc::ServerContext*, const v1::WatchAlertsRequest* request,
                            grpc::ServerWriter<v1::Alert>* writer) override {
     if (alert_watches.empty()) {
       writer->Write(MakeAlert(alert_text));
-      return Record("WatchAlerts");
+      return Remember("WatchAlerts");
     }
-    static_cast<void>(Record(absl::StrCat("WatchAlerts after ", request->after())));
+    static_cast<void>(Remember(absl::StrCat("WatchAlerts after ", request->after())));
     AlertWatch watch;
     {
       MutexLock lock(&mutex_);
@@ -222,7 +222,7 @@ class FakeOperator final : public FakeRulesOperator {
                                 ? absl::StrCat(request->robot(), "@", request->decision_id().term(),
                                                ".", request->decision_id().epoch())
                                 : request->id();
-    const grpc::Status status = Record("Explain " + key);
+    const grpc::Status status = Remember("Explain " + key);
     const auto it = explained.find(key);
     if (!status.ok()) return status;
     if (it == explained.end()) return explain_failure;
@@ -241,17 +241,16 @@ class FakeOperator final : public FakeRulesOperator {
   grpc::Status Approve(grpc::ServerContext*, const v1::ApproveRequest* request,
                        v1::LevelResponse* response) override {
     *response = level_response;
-    return Record(absl::StrCat("Approve ", request->robot(), " ", request->pending_approval_id(),
-                               " ", request->reason(), request->reject() ? " reject" : "",
-                               request->accept_blind() ? " accept-blind" : ""));
+    return Remember(absl::StrCat("Approve ", request->robot(), " ", request->pending_approval_id(),
+                                 " ", request->reason(), request->reject() ? " reject" : "",
+                                 request->accept_blind() ? " accept-blind" : ""));
   }
   grpc::Status ResumeRules(grpc::ServerContext*, const v1::ResumeRulesRequest* request,
                            v1::ResumeRulesResponse*) override {
-    return Record(absl::StrCat("ResumeRules ", request->robot(), " ", request->reason()));
+    return Remember(absl::StrCat("ResumeRules ", request->robot(), " ", request->reason()));
   }
 
  private:
-  using FakeRulesOperator::Record;
   grpc::Status Change(const std::string& call, const v1::LevelRequest& request,
                       v1::LevelResponse* response) ABSL_LOCKS_EXCLUDED(mutex_) {
     {
@@ -263,7 +262,7 @@ class FakeOperator final : public FakeRulesOperator {
       response->set_decided_level(request.to());
       *response->mutable_decision_id() = MakeDecisionId(3, 18);
     }
-    return Record(call);
+    return Remember(call);
   }
 
   Mutex mutex_;
