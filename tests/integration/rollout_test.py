@@ -43,7 +43,7 @@ class ManyRobots(Fleet):
             f"  - {{id: {name}, bundle: hall, sensors: [{{host: base, primary: true}}], "
             f"actuators: [base], labels: {{ring: {'canary' if name in CANARIES else 'main'}}}}}\n"
             for name in ROBOTS))
-        self.bundle_files("bundles/hall", "first", 'alert("nobody rings", "low")', "SIGUSR2")
+        self.bundle_files("bundles/hall", "first", 'alert("no bell", "low")', "SIGUSR2")
         self.write_server_config(0)
         self.server = self.start_server()
         self.robots = SimRobots(self.port, self.dir / "pki", ROBOTS, LEVELS)
@@ -162,7 +162,7 @@ def stops_by_itself_when_rules_raise_a_level_and_goes_back(fleet):
                                                   "--reason", "new", "--rollback", "--wait"))
     fleet.until(20, "the first stage begins", lambda: fleet.in_use()["r01"] == fresh)
     fleet.robots["r01"].signal("SIGUSR1")
-    check(waiting.child.wait(60) == 1, "who waits for it is told that it stopped")
+    check(waiting.child.wait(60) == 1, "--wait exits with 1 when it stopped")
     fleet.until(10, "robots go back", lambda: fleet.in_use() == old)
     why = fleet.ask("rules", "status")["rollout"]["why"]
     check("r01" in why and "its level rose to ALERT" in why, why)

@@ -26,7 +26,7 @@
 namespace rips::ripsctl {
 namespace {
 
-// What is counted, with its name for people and for programs.
+// What is counted, with its name in text and JSON.
 constexpr std::pair<const char*, uint64_t (v1::ShadowCounts::*)() const> kCounts[] = {
     {"alerts", &v1::ShadowCounts::alerts},       {"raises", &v1::ShadowCounts::raises},
     {"lowerings", &v1::ShadowCounts::lowerings}, {"refusals", &v1::ShadowCounts::refusals},

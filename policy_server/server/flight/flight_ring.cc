@@ -137,7 +137,7 @@ void FlightRing::CountBatch(const std::shared_ptr<const pipeline::Batch>& batch)
 }
 
 const std::string* FlightRing::SenderOf(absl::string_view name) {
-  // The names of one graph stay where they are; another name in that place is told by its text.
+  // The names of one graph stay where they are; another name in that place has another text.
   const size_t hash = reinterpret_cast<uintptr_t>(name.data()) / 16 * 0x9e3779b97f4a7c15;
   const std::string*& recent = recent_senders_[hash >> 58];
   if (recent == nullptr || *recent != name) recent = &*piece().senders.emplace(name).first;

@@ -297,7 +297,7 @@ TEST_F(OutputTest, APlaceThatTheStoreDoesNotKnowIsAGapOfUnknownSize) {
     ASSERT_THAT(store_.SetNote("output/pager", note), IsOk());
     Raise("before");
     receiver_.judge = Away;
-    Open()->Look();  // a crash before the gap is told
+    Open()->Look();  // a crash before the gap is sent
     receiver_.judge = nullptr;
     const auto output = Open();
     output->Look();

@@ -94,7 +94,7 @@ absl::StatusOr<HttpAnswer> WebhookReceiver::Post(absl::string_view request) {
   while (!answer.done()) {
     const absl::StatusOr<std::string> bytes = connection->Read(HttpAnswer::kHeadBytesMax, deadline);
     if (!bytes.ok() || bytes->empty()) {
-      // The head decides; the body is for people.
+      // The head decides; the body only explains.
       if (answer.status() != 0) return answer;
       RIPS_RETURN_IF_ERROR(sent);
       RIPS_RETURN_IF_ERROR(bytes.status());

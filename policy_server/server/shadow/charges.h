@@ -26,7 +26,7 @@ class Charge {
   std::atomic<size_t>& total_;
   const size_t bytes_;
 };
-// Shared by all that keep the same thing alive; whoever holds it holds that thing, too.
+// Shared by all that keep the same thing alive: who holds a charge holds that thing, too.
 using ChargePtr = std::shared_ptr<const Charge>;
 
 // Charges end on any thread; all else is of one thread at a time. Outlives its charges. Bytes are

@@ -92,7 +92,7 @@ TEST_F(ShadowsTest, OneForEachRobotAndSoManyAtMost) {
   EXPECT_THAT(Begin("more", PolicyFrom(kAlertAll)), StatusIs(absl::StatusCode::kResourceExhausted));
   EXPECT_TRUE(shadows_.End("r0"));
   EXPECT_FALSE(shadows_.End("r0"));
-  EXPECT_FALSE(Message("r0")) << "the robot is told with the next event";
+  EXPECT_FALSE(Message("r0")) << "the robot learns of it with the next event";
   EXPECT_THAT(Begin("more", PolicyFrom(kAlertAll)), IsOk());
   EXPECT_THAT(shadows_.Reports(), SizeIs(Shadows::kRobotsMax));
 }
