@@ -122,7 +122,8 @@ absl::Status Fleet::Hold(const bundle::InventoryRobot& robot, const store::Robot
   RIPS_RETURN_IF_ERROR(pipeline_->Hold({.robot = robot.id,
                                         .decided_level = record.level,
                                         .decision_id = record.decision_id,
-                                        .degraded = {text}},
+                                        .degraded = {text},
+                                        .policy_problem = text},
                                        absl::FailedPreconditionError(text)));
   SetProblem(robot.id, text, record.level);
   return absl::OkStatus();

@@ -37,14 +37,6 @@ using ::testing::SizeIs;
 
 constexpr absl::Duration kLong = absl::Seconds(60);
 
-class QuietObserver final : public pipeline::RobotObserver {
- public:
-  void OnAlert(const store::AlertRecord&) override {}
-  void OnNotice(const std::string&) override {}
-  void OnStatus(const pipeline::RobotStatus&) override {}
-  void OnRuleLog(const std::string&, const std::string&, const std::string&) override {}
-};
-
 // Real bundles on disk, a store in memory that outlives several servers.
 class FleetTest : public ::testing::Test {
  protected:
@@ -155,7 +147,7 @@ class FleetTest : public ::testing::Test {
   FakeClock clock_;
   RealClock real_clock_;
   store::FakeStore store_;
-  QuietObserver audience_;
+  pipeline::SilentObserver audience_;
   std::unique_ptr<store::Committer> committer_;
   std::unique_ptr<pipeline::StoreRecorder> recorder_;
   std::unique_ptr<pipeline::ServerAlerts> alerts_;

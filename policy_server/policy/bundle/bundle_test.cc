@@ -84,6 +84,18 @@ TEST_F(BundleTest, CompilesTheFilesAsOneProgram) {
   EXPECT_THAT(bundle->warnings, IsEmpty());
 }
 
+TEST_F(BundleTest, TheIdIsKnownWithoutCompiling) {
+  EXPECT_EQ(*BundleIdOf(dir_.string()), Load()->id);
+  Write("base.rul", "levels: nonsense(");
+  EXPECT_FALSE(Load().ok());
+  const auto broken = BundleIdOf(dir_.string());
+  ASSERT_THAT(broken, IsOk());
+  Write("base.rul", "levels: nonsense{");
+  EXPECT_NE(*BundleIdOf(dir_.string()), *broken);
+  fs::remove(dir_ / "base.rul");
+  EXPECT_THAT(BundleIdOf(dir_.string()), StatusIs(absl::StatusCode::kNotFound));
+}
+
 TEST_F(BundleTest, TheIdIsTheHashOfTheDocumentedListing) {
   const auto bundle = Load();
   ASSERT_THAT(bundle, IsOk());

@@ -34,6 +34,15 @@ class FakeObserver final : public RobotObserver {
   std::vector<std::string> rule_logs;
 };
 
+// Any thread.
+class SilentObserver final : public RobotObserver {
+ public:
+  void OnAlert(const store::AlertRecord&) override {}
+  void OnNotice(const std::string&) override {}
+  void OnStatus(const RobotStatus&) override {}
+  void OnRuleLog(const std::string&, const std::string&, const std::string&) override {}
+};
+
 struct FakeSensor final : SensorLink {
   void Setup(const SensorSetup& s) override { setup = s; }
   void Acknowledge(const std::string&, Lane lane, uint64_t sequence, uint64_t commit) override {

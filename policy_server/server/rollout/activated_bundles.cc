@@ -88,7 +88,107 @@ absl::StatusOr<RolloutRecord> Decode(const v1::StoredRollout& in) {
   return record;
 }
 
-absl::StatusOr<std::string> TextOf(const ActivatedBundles& activated) {
+}  // namespace
+
+std::set<std::string> ActivatedBundles::bundles() const {
+  std::set<std::string> ids;
+  for (const auto& [robot, activation] : robots) {
+    ids.insert(activation.bundle_id);
+    if (activation.before) ids.insert(*activation.before);
+  }
+  for (const auto& [robot, shadow] : shadows) ids.insert(shadow.bundle_id);
+  if (rollout) ids.insert(rollout->plan.bundle_id);
+  ids.erase("");
+  return ids;
+}
+
+Activations::Activations(std::string path, store::Store* store)
+    : path_(std::move(path)), store_(store) {
+  const absl::StatusOr<std::string> known = store_->Note(kNote);
+  const absl::StatusOr<std::string> text = ReadFile(path_, kFileBytesMax);
+  absl::StatusOr<ActivatedBundles> read = ActivatedBundles();
+  if (text.ok()) {
+    read = ParseActivatedBundles(*text);
+  } else if (!absl::IsNotFound(text.status())) {
+    read = text.status();
+  }
+  if (read.ok() && known.ok() && !known->empty() &&
+      !absl::StrContains(*known, HashOf(text.ok() ? *text : ""))) {
+    read = absl::DataLossError(
+        absl::StrCat("it is ", text.ok() ? "not the one that was written last" : "gone"));
+  }
+  if (read.ok()) {
+    now_ = *std::move(read);
+    return;
+  }
+  problem_ =
+      absl::Status(read.status().code(), absl::StrCat("`", path_, "`: ", read.status().message()));
+  // It stays in its place until another one is written, which a full disk may prevent.
+  if (text.ok()) WriteFileAtomically(absl::StrCat(path_, ".damaged"), *text, 0640).IgnoreError();
+}
+
+absl::Status Activations::Announce(const std::string& text) {
+  const absl::StatusOr<std::string> old = ReadFile(path_, kFileBytesMax);
+  return store_->SetNote(kNote, absl::StrCat(HashOf(old.ok() ? *old : ""), " ", HashOf(text)));
+}
+
+absl::Status Activations::Set(ActivatedBundles next) {
+  RIPS_ASSIGN_OR_RETURN(const std::string text, FormatActivatedBundles(next));
+  RIPS_RETURN_IF_ERROR(Announce(text));
+  RIPS_RETURN_IF_ERROR(WriteFileAtomically(path_, text, 0640));
+  now_ = std::move(next);
+  return absl::OkStatus();
+}
+
+std::string Activations::For(const bundle::InventoryRobot& robot) {
+  const auto found = now_.robots.find(robot.id);
+  if (found != now_.robots.end()) {
+    return found->second.name == robot.bundle ? found->second.bundle_id : "";
+  }
+  if (problem_.ok()) return "";
+  const absl::StatusOr<store::RobotRecord> record = store_->Load(robot.id);
+  if (!record.ok() || record->bundle.empty()) return "";
+  now_.robots[robot.id] = {.bundle_id = record->bundle,
+                           .name = robot.bundle,
+                           .operator_name = std::string(pipeline::kOwnRule),
+                           .reason = "what was activated is not known; it was in force last"};
+  return record->bundle;
+}
+
+absl::StatusOr<ActivatedBundles> ParseActivatedBundles(const std::string& text) {
+  v1::ActivatedBundles in;
+  // Of a later version, maybe; what it knows and this one does not is no reason to lose the rest.
+  google::protobuf::util::JsonParseOptions options;
+  options.ignore_unknown_fields = true;
+  if (!google::protobuf::util::JsonStringToMessage(text, &in, options).ok()) {
+    return absl::DataLossError("it is damaged");
+  }
+  ActivatedBundles out;
+  for (const auto& [robot, stored] : in.robots()) {
+    Activation& activation = out.robots[robot];
+    activation = {.bundle_id = stored.bundle_id(),
+                  .name = stored.name(),
+                  .operator_name = stored.operator_(),
+                  .reason = stored.reason(),
+                  .time_unix_ns = stored.time_unix_ns()};
+    if (stored.can_roll_back()) activation.before = stored.before();
+  }
+  for (const auto& [robot, stored] : in.shadows()) {
+    out.shadows[robot] = {.bundle_id = stored.bundle_id(),
+                          .operator_name = stored.operator_(),
+                          .reason = stored.reason()};
+  }
+  if (in.has_rollout()) {
+    absl::StatusOr<RolloutRecord> record = Decode(in.rollout());
+    if (!record.ok()) {
+      return absl::DataLossError(absl::StrCat("it is damaged: ", record.status().message()));
+    }
+    out.rollout = *std::move(record);
+  }
+  return out;
+}
+
+absl::StatusOr<std::string> FormatActivatedBundles(const ActivatedBundles& activated) {
   v1::ActivatedBundles out;
   for (const auto& [robot, activation] : activated.robots) {
     v1::Activation& stored = (*out.mutable_robots())[robot];
@@ -114,109 +214,6 @@ absl::StatusOr<std::string> TextOf(const ActivatedBundles& activated) {
     return absl::InternalError("which bundles are activated cannot be written as JSON");
   }
   return text;
-}
-
-}  // namespace
-
-std::set<std::string> ActivatedBundles::bundles() const {
-  std::set<std::string> ids;
-  for (const auto& [robot, activation] : robots) {
-    ids.insert(activation.bundle_id);
-    if (activation.before) ids.insert(*activation.before);
-  }
-  for (const auto& [robot, shadow] : shadows) ids.insert(shadow.bundle_id);
-  if (rollout) ids.insert(rollout->plan.bundle_id);
-  ids.erase("");
-  return ids;
-}
-
-Activations::Activations(std::string path, store::Store* store)
-    : path_(std::move(path)), store_(store) {
-  const absl::StatusOr<std::string> known = store_->Note(kNote);
-  const absl::StatusOr<std::string> text = ReadFile(path_, kFileBytesMax);
-  absl::StatusOr<ActivatedBundles> read = ReadActivatedBundles(path_);
-  if (read.ok() && known.ok() && !known->empty() &&
-      !absl::StrContains(*known, HashOf(text.ok() ? *text : ""))) {
-    read = absl::DataLossError(absl::StrCat(
-        "`", path_, "` is ", text.ok() ? "not the one that was written last" : "gone"));
-  }
-  if (read.ok()) {
-    now_ = *std::move(read);
-    return;
-  }
-  problem_ = read.status();
-  // It stays in its place until another one is written, which a full disk may prevent.
-  if (text.ok()) WriteFileAtomically(absl::StrCat(path_, ".damaged"), *text, 0640).IgnoreError();
-}
-
-absl::Status Activations::Announce(const std::string& text) {
-  const absl::StatusOr<std::string> old = ReadFile(path_, kFileBytesMax);
-  return store_->SetNote(kNote, absl::StrCat(HashOf(old.ok() ? *old : ""), " ", HashOf(text)));
-}
-
-absl::Status Activations::Set(ActivatedBundles next) {
-  RIPS_ASSIGN_OR_RETURN(const std::string text, TextOf(next));
-  RIPS_RETURN_IF_ERROR(Announce(text));
-  RIPS_RETURN_IF_ERROR(WriteFileAtomically(path_, text, 0640));
-  now_ = std::move(next);
-  return absl::OkStatus();
-}
-
-std::string Activations::For(const bundle::InventoryRobot& robot) {
-  const auto found = now_.robots.find(robot.id);
-  if (found != now_.robots.end()) {
-    return found->second.name == robot.bundle ? found->second.bundle_id : "";
-  }
-  if (problem_.ok()) return "";
-  const absl::StatusOr<store::RobotRecord> record = store_->Load(robot.id);
-  if (!record.ok() || record->bundle.empty()) return "";
-  now_.robots[robot.id] = {.bundle_id = record->bundle,
-                           .name = robot.bundle,
-                           .operator_name = std::string(pipeline::kOwnRule),
-                           .reason = "what was activated is not known; it was in force last"};
-  return record->bundle;
-}
-
-absl::StatusOr<ActivatedBundles> ReadActivatedBundles(const std::string& path) {
-  const absl::StatusOr<std::string> text = ReadFile(path, kFileBytesMax);
-  if (absl::IsNotFound(text.status())) return ActivatedBundles();
-  RIPS_RETURN_IF_ERROR(text.status());
-  v1::ActivatedBundles in;
-  // Of a later version, maybe; what it knows and this one does not is no reason to lose the rest.
-  google::protobuf::util::JsonParseOptions options;
-  options.ignore_unknown_fields = true;
-  if (!google::protobuf::util::JsonStringToMessage(*text, &in, options).ok()) {
-    return absl::DataLossError(absl::StrCat("`", path, "` is damaged"));
-  }
-  ActivatedBundles out;
-  for (const auto& [robot, stored] : in.robots()) {
-    Activation& activation = out.robots[robot];
-    activation = {.bundle_id = stored.bundle_id(),
-                  .name = stored.name(),
-                  .operator_name = stored.operator_(),
-                  .reason = stored.reason(),
-                  .time_unix_ns = stored.time_unix_ns()};
-    if (stored.can_roll_back()) activation.before = stored.before();
-  }
-  for (const auto& [robot, stored] : in.shadows()) {
-    out.shadows[robot] = {.bundle_id = stored.bundle_id(),
-                          .operator_name = stored.operator_(),
-                          .reason = stored.reason()};
-  }
-  if (in.has_rollout()) {
-    absl::StatusOr<RolloutRecord> record = Decode(in.rollout());
-    if (!record.ok()) {
-      return absl::DataLossError(
-          absl::StrCat("`", path, "` is damaged: ", record.status().message()));
-    }
-    out.rollout = *std::move(record);
-  }
-  return out;
-}
-
-absl::Status WriteActivatedBundles(const std::string& path, const ActivatedBundles& activated) {
-  RIPS_ASSIGN_OR_RETURN(const std::string text, TextOf(activated));
-  return WriteFileAtomically(path, text, 0640);
 }
 
 }  // namespace rips::rollout

@@ -66,7 +66,7 @@ class Activations {
   // Why the file could not be read; OK = it was, or there was none.
   const absl::Status& problem() const { return problem_; }
   const ActivatedBundles& now() const { return now_; }
-  // Makes `next` durable, then it counts. Errors of WriteActivatedBundles: the old ones count.
+  // Makes `next` durable, then it counts. ResourceExhausted, Unavailable: the old ones count.
   absl::Status Set(ActivatedBundles next);
   // Id of the bundle that was activated for the robot; empty = the directory's.
   std::string For(const bundle::InventoryRobot& robot);
@@ -81,12 +81,10 @@ class Activations {
   ActivatedBundles now_;
 };
 
-// Nothing is activated if there is no such file. DataLoss: it is damaged; Unavailable and others:
-// it cannot be read.
-absl::StatusOr<ActivatedBundles> ReadActivatedBundles(const std::string& path);
-
-// Durable when it returns OK; else the old file stands. ResourceExhausted, Unavailable.
-absl::Status WriteActivatedBundles(const std::string& path, const ActivatedBundles& activated);
+// As JSON. DataLoss: it is none, or of what cannot be; fields that this version does not know are
+// passed over.
+absl::StatusOr<ActivatedBundles> ParseActivatedBundles(const std::string& text);
+absl::StatusOr<std::string> FormatActivatedBundles(const ActivatedBundles& activated);
 
 }  // namespace rips::rollout
 

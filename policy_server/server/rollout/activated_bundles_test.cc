@@ -70,25 +70,25 @@ class ActivatedBundlesTest : public ::testing::Test {
 };
 
 TEST_F(ActivatedBundlesTest, ComesBackAsItWasWritten) {
-  ASSERT_THAT(WriteActivatedBundles(path_, Some()), IsOk());
-  const auto read = ReadActivatedBundles(path_);
+  const auto text = FormatActivatedBundles(Some());
+  ASSERT_THAT(text, IsOk());
+  const auto read = ParseActivatedBundles(*text);
   ASSERT_THAT(read, IsOk());
   EXPECT_EQ(*read, Some());
   EXPECT_THAT(Some().bundles(), UnorderedElementsAre(kA, kB));
 }
 
 TEST_F(ActivatedBundlesTest, NoFileIsNothingActivated) {
-  const auto read = ReadActivatedBundles(path_);
-  ASSERT_THAT(read, IsOk());
-  EXPECT_EQ(*read, ActivatedBundles());
+  store::FakeStore store;
+  const Activations activations(path_, &store);
+  EXPECT_THAT(activations.problem(), IsOk());
+  EXPECT_EQ(activations.now(), ActivatedBundles());
 }
 
 TEST_F(ActivatedBundlesTest, AFileCutAtAnyByteIsDamagedOrWhole) {
-  ASSERT_THAT(WriteActivatedBundles(path_, Some()), IsOk());
-  const std::string whole = Content();
+  const std::string whole = *FormatActivatedBundles(Some());
   for (size_t bytes = 0; bytes < whole.size(); ++bytes) {
-    Write(whole.substr(0, bytes));
-    const auto read = ReadActivatedBundles(path_);
+    const auto read = ParseActivatedBundles(whole.substr(0, bytes));
     if (read.ok()) {
       EXPECT_EQ(*read, Some()) << bytes;
     } else {
@@ -103,14 +103,13 @@ TEST_F(ActivatedBundlesTest, RefusesARollOutThatCannotBe) {
         R"({"rollout": {"state": "running"}})",
         R"({"rollout": {"state": "running", "stage": 1, "stages": [{"robots": ["r1"]}]}})",
         R"({"robots": []})", R"([])", "no JSON"}) {
-    Write(text);
-    EXPECT_THAT(ReadActivatedBundles(path_), StatusIs(absl::StatusCode::kDataLoss)) << text;
+    EXPECT_THAT(ParseActivatedBundles(text), StatusIs(absl::StatusCode::kDataLoss)) << text;
   }
 }
 
 TEST_F(ActivatedBundlesTest, WhatALaterVersionAddsIsNoDamage) {
-  Write(R"({"robots": {"r1": {"bundleId": "sha256:x", "name": "w", "mood": 3}}, "later": [1]})");
-  const auto read = ReadActivatedBundles(path_);
+  const auto read = ParseActivatedBundles(
+      R"({"robots": {"r1": {"bundleId": "sha256:x", "name": "w", "mood": 3}}, "later": [1]})");
   ASSERT_THAT(read, IsOk());
   EXPECT_EQ(read->robots.at("r1").bundle_id, "sha256:x");
 }
@@ -196,6 +195,13 @@ TEST_F(ActivatedBundlesTest, ACrashBetweenStoreAndFileIsNoDamage) {
   Activations restarted(path_, &store);
   EXPECT_THAT(restarted.problem(), IsOk());
   EXPECT_EQ(restarted.now(), Some());
+}
+
+TEST_F(ActivatedBundlesTest, AFileThatIsTooLargeIsNotTakenForNothingActivated) {
+  std::ofstream(path_) << "{";
+  std::filesystem::resize_file(path_, (uint64_t{64} << 20) + 1);
+  store::FakeStore store;
+  EXPECT_THAT(Activations(path_, &store).problem(), StatusIs(absl::StatusCode::kResourceExhausted));
 }
 
 }  // namespace

@@ -11,6 +11,7 @@
 #include "absl/base/thread_annotations.h"
 #include "absl/container/flat_hash_map.h"
 #include "policy_server/server/robot/ports.h"
+#include "policy_server/server/rollout/rollout.h"
 #include "services/base/clock.h"
 #include "services/runtime/mutex.h"
 
@@ -20,7 +21,7 @@ namespace rips::rollout {
 class AlertRates final : public pipeline::RobotObserver {
  public:
   // Of one robot within a minute; more are counted as so many.
-  static constexpr size_t kCountMax = 1'001;
+  static constexpr size_t kCountMax = kAlertsPerMinuteMax + 1;
 
   // Neither is owned; both outlive this.
   AlertRates(pipeline::RobotObserver* next, const Clock* clock) : next_(next), clock_(clock) {}

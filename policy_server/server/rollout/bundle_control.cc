@@ -33,27 +33,11 @@ std::string Described(const RolloutPlan& plan) {
                       plan.operator_name);
 }
 
-// Why it has not taken a bundle, as Fleet has told it.
-std::string PolicyProblem(const RobotStatus& status) {
-  for (const std::string& each : status.degraded) {
-    if (absl::StartsWith(each, "bundle ") || absl::StartsWith(each, "no policy: ")) return each;
-  }
-  return "";
-}
-
-// As SensorSide::AddProblems words it.
-bool Watched(const RobotStatus& status) {
-  return std::none_of(status.degraded.begin(), status.degraded.end(), [](const std::string& each) {
-    return absl::StartsWith(each, "sensor ") &&
-           (absl::EndsWith(each, " is not connected") || absl::EndsWith(each, " is silent"));
-  });
-}
-
 RobotHealth HealthOf(const RobotStatus& status, int level_rank) {
   return {.bundle_id = status.bundle_version,
           .degraded = status.degraded,
-          .problem = PolicyProblem(status),
-          .watched = Watched(status),
+          .problem = status.policy_problem,
+          .watched = status.watched,
           .level = status.decided_level,
           .level_rank = level_rank};
 }
@@ -203,7 +187,7 @@ std::vector<std::string> BundleControl::Forecast(
     } else if (!is.status.effective_level.empty() && levels.names() != is.levels) {
       note("will not take it: the bundle's levels differ from those of its attached actuators");
     }
-    if (!Watched(is.status)) note("sends nothing now, so it cannot show what the bundle does");
+    if (!is.status.watched) note("sends nothing now, so it cannot show what the bundle does");
     std::vector<std::string> dropped = is.two_person;
     std::erase_if(dropped, [&](const std::string& level) {
       return std::count(policy.two_person.begin(), policy.two_person.end(), level) > 0;
@@ -360,7 +344,7 @@ absl::StatusOr<RulesStatus> BundleControl::Status(const std::string& robot) cons
                        rules.bundle_in_use != rules.activation->bundle_id;
     if (!rules.problem.empty() || !other) continue;
     rules.problem = "it has not taken what was activated";
-    if (const std::string why = PolicyProblem(is->second); !why.empty()) {
+    if (const std::string& why = is->second.policy_problem; !why.empty()) {
       absl::StrAppend(&rules.problem, ": ", why);
     }
   }
@@ -385,7 +369,6 @@ FleetHealth BundleControl::Health() const {
   }
   for (const RobotStatus& held : parts_.pipeline->held()) {
     health[held.robot] = HealthOf(held, /*level_rank=*/-1);
-    health[held.robot].watched = false;
   }
   if (!rollout_) return health;
   const RolloutPlan& plan = rollout_->record().plan;

@@ -27,15 +27,6 @@
 
 namespace rips::rollout {
 
-// Told by several threads.
-class QuietObserver final : public pipeline::RobotObserver {
- public:
-  void OnAlert(const store::AlertRecord&) override {}
-  void OnNotice(const std::string&) override {}
-  void OnStatus(const pipeline::RobotStatus&) override {}
-  void OnRuleLog(const std::string&, const std::string&, const std::string&) override {}
-};
-
 // A server's parts around real bundles on disk and a store in memory, which outlive a restart.
 class BundleControlFixture : public ::testing::Test {
  protected:
@@ -159,7 +150,7 @@ class BundleControlFixture : public ::testing::Test {
   FakeClock clock_;
   RealClock real_clock_;
   store::FakeStore store_;
-  QuietObserver quiet_;
+  pipeline::SilentObserver quiet_;
   bundle::SignerKeys signers_;
   int loads_ = 0;
   absl::btree_map<std::string, Sensor> sensors_;

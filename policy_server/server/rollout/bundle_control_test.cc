@@ -369,6 +369,20 @@ TEST(OrderThreadTest, RunsWhatIsPostedInOrderLooksAroundAndEndsWithIt) {
   EXPECT_FALSE(thread.Post([] {}));
 }
 
+TEST(OrderThreadTest, RefusesMoreOrdersThanMayWait) {
+  FakeClock clock;
+  OrderThread thread(&clock);
+  int ran = 0;
+  for (size_t i = 0; i < OrderThread::kOrdersMax; ++i) {
+    EXPECT_TRUE(thread.Post([&ran] { ++ran; }));
+  }
+  EXPECT_FALSE(thread.Post([] {}));
+  EXPECT_FALSE(thread.Await([] {}));
+  thread.Start([] {});
+  thread.Stop();
+  EXPECT_EQ(ran, static_cast<int>(OrderThread::kOrdersMax));
+}
+
 TEST_F(BundleControlTest, AReloadShowsInTheStatusWhenItReturns) {
   control_->Start();
   WriteBundle(dir_.File("source/warehouse"), "warehouse", "# edited\n");

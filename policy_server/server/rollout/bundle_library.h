@@ -33,7 +33,7 @@ struct KeptBundle {
 struct LoadedBundle {
   std::string id;
   std::string name;
-  // Of the compiler, for people.
+  // Of the compiler, as text.
   std::string warnings;
 };
 
@@ -66,7 +66,7 @@ class BundleLibrary {
   absl::StatusOr<KeptBundle> Find(absl::string_view id) const;
 
  private:
-  // Has the kept copy's signature arrive, too, if nobody verifies the one that was pushed.
+  // Has the kept copy's signature arrive, too, unless the one that was pushed is verified.
   absl::Status KeepSignature(const std::string& kept, const std::string& arriving,
                              const std::string& id) const;
   KeptBundle Describe(const std::string& path, const std::string& id) const;

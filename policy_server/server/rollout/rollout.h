@@ -87,7 +87,7 @@ struct RolloutRecord {
   RolloutState state = RolloutState::kRunning;
   // Why it stopped.
   std::string why;
-  // Robots that went back since, and why, for people; empty = none.
+  // Robots that went back since, and why, as text; empty = none.
   std::string rolled_back;
   // Of the stage that runs, or ran last.
   size_t stage = 0;

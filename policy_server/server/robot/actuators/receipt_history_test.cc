@@ -178,7 +178,7 @@ TEST(ReceiptHistoryTest, RecordsWhatMovesACommandOfOursUp) {
   const auto received = [&](const std::string& id, Receipt::Stage stage, const char* detail) {
     return log.Received("base", {.command_id = id, .stage = stage, .detail = detail}, 1);
   };
-  EXPECT_EQ(received("stranger", Receipt::Stage::kVerified, ""), nullptr);
+  EXPECT_EQ(received("unknown", Receipt::Stage::kVerified, ""), nullptr);
   log.Sent("base", {.id = "ours", .what = SetLevel{.to = "ALERT"}});
   const LoggedReceipt* logged = received("ours", Receipt::Stage::kAcknowledged, "a");
   ASSERT_NE(logged, nullptr);

@@ -445,7 +445,9 @@ RobotStatus RobotCore::Status() const {
                      .decision_id = state_.level.decision_id(),
                      .bundle_version = context_.policy.bundle_id,
                      .degraded = evidence_.Problems(),
-                     .pending_approvals = orders_.approvals().pending()};
+                     .pending_approvals = orders_.approvals().pending(),
+                     .policy_problem = policy_problem_,
+                     .watched = sensors_.connected()};
   actuators_.AddStatus(status);
   if (!policy_problem_.empty()) status.degraded.push_back(policy_problem_);
   if (std::string skipped = losses_.SkippedText(); !skipped.empty()) {

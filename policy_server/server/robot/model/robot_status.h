@@ -21,6 +21,10 @@ struct RobotStatus {
   std::vector<std::string> degraded;
   // Lowerings that wait for a second operator, oldest first.
   std::vector<PendingApproval> pending_approvals;
+  // Why it is not judged by the bundle that it should be; one of `degraded`, or empty.
+  std::string policy_problem;
+  // All of its sensors are connected, and were heard lately.
+  bool watched = false;
 
   friend bool operator==(const RobotStatus&, const RobotStatus&) = default;
 };

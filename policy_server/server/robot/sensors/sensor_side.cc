@@ -376,11 +376,19 @@ bool SensorSide::HasBacklog() const {
                      [](const auto& sensor) { return sensor.second.HasBacklog(); });
 }
 
+bool SensorSide::Connected(const SensorHost& host) const {
+  return host.session && context_.now_ns() - host.session->heard_ns <= context_.timing.stale_ns;
+}
+
+bool SensorSide::connected() const {
+  return std::all_of(hosts_.begin(), hosts_.end(),
+                     [&](const auto& sensor) { return Connected(sensor.second); });
+}
+
 bool SensorSide::complete() const {
   return std::all_of(hosts_.begin(), hosts_.end(), [&](const auto& sensor) {
     const SensorHost& host = sensor.second;
-    return host.session && context_.now_ns() - host.session->heard_ns <= context_.timing.stale_ns &&
-           (host.settled || !IsPrimary(host)) && !host.HasBacklog();
+    return Connected(host) && (host.settled || !IsPrimary(host)) && !host.HasBacklog();
   });
 }
 

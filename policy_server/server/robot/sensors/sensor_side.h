@@ -68,11 +68,15 @@ class SensorSide {
   bool HasBacklog() const;
   // All have a session that is heard, a settled graph if primary, and no backlog.
   bool complete() const;
+  // All have a session that is heard.
+  bool connected() const;
   // Why the primary sensor does not watch what the rules need; empty = it does.
   std::string InterestProblem(const SensorHost& host) const;
   void AddHighWater(store::HighWater& judged) const;
 
  private:
+  // It has a session that is heard.
+  bool Connected(const SensorHost& host) const;
   bool IsPrimary(const SensorHost& host) const {
     return host.name == context_.config.primary_sensor;
   }
