@@ -13,6 +13,7 @@
 #include "policy_server/policy/bundle/bundle_signature.h"
 #include "services/base/status_macros.h"
 #include "services/runtime/atomic_file.h"
+#include "services/runtime/mutex.h"
 
 namespace rips::bundle {
 namespace {
@@ -26,6 +27,12 @@ constexpr absl::string_view kHalfMade = ".new-";
 bool IsDigits(absl::string_view name) {
   return name.size() == kDigits &&
          name.find_first_not_of("0123456789abcdef") == absl::string_view::npos;
+}
+
+// Held while copies are made or removed: pushed ones and the directory's come on different threads.
+Mutex& CopiesMutex() {
+  static Mutex mu;
+  return mu;
 }
 
 // All that the manifest lists, and `signature` if that is not empty, into `to`, which is not there
@@ -79,6 +86,7 @@ absl::StatusOr<std::string> KeptBundlePath(const std::string& keep_dir, absl::st
 
 absl::Status KeepBundle(const std::string& dir, absl::string_view id, const std::string& keep_dir) {
   RIPS_ASSIGN_OR_RETURN(const std::string path, KeptBundlePath(keep_dir, id));
+  MutexLock lock(&CopiesMutex());
   const absl::StatusOr<std::string> source = ReadSignature(dir);
   const std::string kept = ReadSignature(path).value_or("");
   const std::string signature = source.ok() && !source->empty() ? *source : kept;
@@ -89,10 +97,13 @@ absl::Status KeepBundle(const std::string& dir, absl::string_view id, const std:
     RIPS_RETURN_IF_ERROR(
         WriteFileAtomically(absl::StrCat(path, "/", kSignatureName), signature, kContentMode));
   }
-  return source.status();
+  if (source.ok()) return absl::OkStatus();
+  return absl::Status(source.status().code(), absl::StrCat("it is kept, but not its signature: ",
+                                                           source.status().message()));
 }
 
 void ForgetBundles(const std::string& keep_dir, const std::set<std::string>& in_use) {
+  MutexLock lock(&CopiesMutex());
   std::error_code error;
   std::vector<std::pair<fs::file_time_type, fs::path>> unused;
   for (fs::directory_iterator it(keep_dir, error), end; !error && it != end; it.increment(error)) {

@@ -19,6 +19,8 @@ inline constexpr size_t kUnusedKeptMax = 16;
 // Where the copy of the bundle `id` (as Bundle::id) is or would be. InvalidArgument for no id.
 absl::StatusOr<std::string> KeptBundlePath(const std::string& keep_dir, absl::string_view id);
 
+// Any thread; one at a time within the process.
+
 // Copies the files that the manifest in `dir` lists, synced to the disk, unless the copy is there
 // and whole; and its signature, which replaces the copy's: a bundle may be signed later, or anew. A
 // copy's signature is never removed. Aborted: what is in `dir` is not `id` (any more). Unavailable

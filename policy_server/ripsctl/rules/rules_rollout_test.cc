@@ -1,5 +1,6 @@
 // `ripsctl rules` against a server with robots and bundles on disk: how an operator brings rules
 // into force, over mutual TLS.
+#include <atomic>
 #include <chrono>
 #include <filesystem>
 #include <fstream>
@@ -9,6 +10,7 @@
 #include <nlohmann/json.hpp>
 #include <sstream>
 #include <string>
+#include <thread>
 #include <utility>
 #include <vector>
 
@@ -348,6 +350,26 @@ TEST_F(RulesRolloutTest, OneBundleIsPushedAtATimeAndTheNextRightAfterIt) {
     const Result next = Run({"rules", "push", Write(absl::StrCat("next", i))});
     EXPECT_EQ(next.code, 0) << next.err;
   }
+}
+
+TEST_F(RulesRolloutTest, NoOrderWaitsForABundleThatIsBeingChecked) {
+  BoundedQueue<int> checking({.capacity = 1});
+  BoundedQueue<int> go({.capacity = 1});
+  std::atomic<bool> checked = false;
+  on_push_ = [&] {
+    checking.Push(1);
+    go.Pop(kPatience);
+    checked = true;
+  };
+  Result pushed;
+  std::thread push([&] { pushed = Run({"rules", "push", Write("fresh")}); });
+  EXPECT_TRUE(checking.Pop(kPatience).has_value());
+  const Result stopped = Run({"rules", "stop", "--reason", "x"});
+  EXPECT_FALSE(checked);
+  EXPECT_THAT(stopped.err, HasSubstr("no roll-out runs"));
+  go.Push(1);
+  push.join();
+  EXPECT_EQ(pushed.code, 0) << pushed.err;
 }
 
 TEST_F(RulesRolloutTest, APieceBeyondTheLimitOfItsFieldIsRefused) {

@@ -97,7 +97,7 @@ void ReadUrl(const ConfigSection& section, OutputConfig* output) {
   if (url.empty() || ParseUrl(url, output)) return;
   section.Problem("url",
                   "`url` is not one that can be used; write `https://HOST[:PORT]/PATH` in "
-                  "printable ASCII, without user, password and fragment");
+                  "printable ASCII, without user, password and fragment, of 2,000 bytes at most");
 }
 
 void ReadRobots(const ConfigSection& section, std::vector<std::string>* robots) {

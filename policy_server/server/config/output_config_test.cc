@@ -94,6 +94,8 @@ TEST(OutputConfigTest, RefusesWhatCannotBeUsed) {
   refuses("kind: webhook, url: \"https://\"", "`url` is not one");
   refuses("kind: webhook, url: \"https://h:99999/\"", "`url` is not one");
   refuses("kind: webhook, url: \"https://h/a b\"", "`url` is not one");
+  refuses(absl::StrCat("kind: webhook, url: \"https://h/", std::string(2'000, 'a'), "\""),
+          "2,000 bytes at most");
   refuses("kind: webhook, url: \"https://h/\\r\\nX: y\"", "control character");
   refuses("kind: webhook, url: \"https://h/\", format: text", "`format` is `text`");
   refuses("kind: webhook, url: \"https://h/\", secret_file: s", "must be an absolute path");
@@ -122,6 +124,18 @@ TEST(OutputConfigTest, HasALimitAndNamesOnce) {
   EXPECT_THAT(Parse(absl::StrCat(" - {name: o1, kind: syslog, address: \"h:1\"}\n",
                                  " - {name: o1, kind: syslog, address: \"h:1\"}\n")),
               StatusIs(absl::StatusCode::kInvalidArgument, HasSubstr("`o1` is listed twice")));
+}
+
+TEST(OutputConfigTest, RobotsHaveALimit) {
+  const auto parse = [](size_t robots) {
+    std::string list;
+    for (size_t i = 0; i < robots; ++i) absl::StrAppend(&list, i == 0 ? "" : ", ", "r", i);
+    return Parse(
+        absl::StrCat(" - {name: a, kind: syslog, address: \"h:1\", robots: [", list, "]}"));
+  };
+  EXPECT_THAT(parse(kOutputRobotsMax), IsOk());
+  EXPECT_THAT(parse(kOutputRobotsMax + 1), StatusIs(absl::StatusCode::kInvalidArgument,
+                                                    HasSubstr("1001 robots exceed limit 1000")));
 }
 
 TEST(OutputConfigTest, SeveritiesAreOrdered) {

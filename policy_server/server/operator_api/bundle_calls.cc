@@ -207,7 +207,7 @@ grpc::ServerReadReactor<rips::v1::PushBundleRequest>* OperatorService::PushBundl
         // Its client has nothing more to say, however long the bundle takes.
         held->session->heard_boottime_ns = 0;
         const bool posted =
-            control->thread().Post([control, on_refused, answer, turn = answer->TakeTurn(),
+            control->pushes().Post([control, on_refused, answer, turn = answer->TakeTurn(),
                                     archive = std::move(archive)]() mutable {
               const auto added = control->Push(archive);
               if (added.ok()) {

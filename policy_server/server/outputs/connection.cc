@@ -92,7 +92,13 @@ bool ExpectPeer(SSL* tls, const std::string& host) {
 absl::StatusOr<std::unique_ptr<Connection>> Connection::Open(const server::OutputEndpoint& endpoint,
                                                              absl::Duration within,
                                                              const WakeFd* stop) {
-  const Deadline deadline(within);
+  absl::StatusOr<std::unique_ptr<Connection>> opened = OpenWithin(endpoint, Deadline(within), stop);
+  if (!absl::IsDeadlineExceeded(opened.status())) return opened;
+  return absl::UnavailableError(opened.status().message());
+}
+
+absl::StatusOr<std::unique_ptr<Connection>> Connection::OpenWithin(
+    const server::OutputEndpoint& endpoint, const Deadline& deadline, const WakeFd* stop) {
   RIPS_ASSIGN_OR_RETURN(UniqueFd fd, ConnectTo(endpoint.host, endpoint.port, deadline, *stop));
   std::unique_ptr<Connection> connection(new Connection(std::move(fd), stop));
   if (endpoint.tls) RIPS_RETURN_IF_ERROR(connection->StartTls(endpoint, deadline));

@@ -32,7 +32,8 @@ namespace rips::outputs {
 // One thread at a time.
 class Connection {
  public:
-  // `stop` is not owned and outlives the connection; once woken, it stays so.
+  // `stop` is not owned and outlives the connection; once woken, it stays so. Unavailable also if
+  // it takes too long: nothing has been sent, so that less of it would not help.
   static absl::StatusOr<std::unique_ptr<Connection>> Open(const server::OutputEndpoint& endpoint,
                                                           absl::Duration within,
                                                           const WakeFd* stop);
@@ -53,6 +54,8 @@ class Connection {
   };
   Connection(UniqueFd fd, const WakeFd* stop) : stop_(stop), fd_(std::move(fd)) {}
 
+  static absl::StatusOr<std::unique_ptr<Connection>> OpenWithin(
+      const server::OutputEndpoint& endpoint, const Deadline& deadline, const WakeFd* stop);
   absl::Status StartTls(const server::OutputEndpoint& endpoint, const Deadline& deadline);
   // Waits until the socket is ready for `events` of poll().
   absl::Status Await(short events, const Deadline& deadline, absl::string_view doing);

@@ -6,17 +6,19 @@
 #include <memory>
 #include <string>
 #include <thread>
+#include <utility>
+#include <vector>
 
 #include "absl/strings/str_cat.h"
 #include "gmock/gmock.h"
 #include "policy_server/server/outputs/fake_peer_for_test.h"
+#include "policy_server/server/outputs/resolver.h"
 #include "services/base/status_matchers.h"
 #include "services/rpc/test_pki.h"
 
 namespace rips::outputs {
 namespace {
 
-using ::testing::AnyOf;
 using ::testing::HasSubstr;
 using ::testing::Not;
 
@@ -124,7 +126,7 @@ TEST_F(ConnectionTest, PeersThatAreAwayOrHangHaveATime) {
   EXPECT_THAT(Open(gone), StatusIs(absl::StatusCode::kUnavailable, HasSubstr("cannot connect")));
   FakePeer silent([](Taken& taken) { taken.Hang(); });
   EXPECT_THAT(Connection::Open(Endpoint(silent), absl::Milliseconds(50), &stop_),
-              StatusIs(absl::StatusCode::kDeadlineExceeded, HasSubstr("TLS handshake")));
+              StatusIs(absl::StatusCode::kUnavailable, HasSubstr("TLS handshake took too long")));
   server::OutputEndpoint plain = Endpoint(silent);
   plain.tls = false;
   const auto connection = Connection::Open(plain, kPatience, &stop_);
@@ -162,8 +164,21 @@ TEST_F(ConnectionTest, StopEndsEveryWait) {
 
 TEST_F(ConnectionTest, ANameThatIsNotKnownIsAnError) {
   const server::OutputEndpoint endpoint{.host = "nothing.invalid", .port = 1, .tls = false};
-  EXPECT_THAT(Open(endpoint).code(),
-              AnyOf(absl::StatusCode::kUnavailable, absl::StatusCode::kDeadlineExceeded));
+  EXPECT_THAT(Open(endpoint), StatusIs(absl::StatusCode::kUnavailable, HasSubstr("resolv")));
+}
+
+TEST_F(ConnectionTest, SoManyNamesAreResolvedAtATime) {
+  const server::OutputEndpoint endpoint{.host = "nothing.invalid", .port = 1, .tls = false};
+  std::vector<std::shared_ptr<void>> taken;
+  // Those of other tests may still run.
+  while (std::shared_ptr<void> turn = TakeLookup()) taken.push_back(std::move(turn));
+  EXPECT_LE(taken.size(), static_cast<size_t>(kLookupsMax));
+  EXPECT_GT(taken.size(), 0u);
+  EXPECT_THAT(Open(endpoint), StatusIs(absl::StatusCode::kUnavailable,
+                                       HasSubstr("32 names wait for a name server already")));
+  taken.clear();
+  EXPECT_THAT(Open(endpoint),
+              StatusIs(absl::StatusCode::kUnavailable, Not(HasSubstr("names wait"))));
 }
 
 TEST_F(ConnectionTest, ItShowsWhetherAPeerClosed) {

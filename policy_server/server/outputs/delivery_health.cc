@@ -28,10 +28,12 @@ void DeliveryHealth::Poll(int64_t now_ns, uint64_t behind) {
     return;
   }
   reported_ = true;
-  alert_(engine::Severity::kHigh,
-         absl::StrCat(what_, " has delivered no alert for ",
-                      (now_ns - *failing_since_ns_) / kNanosPerSecond, " s: ", reason_, "; ",
-                      behind, " alerts wait in the store and are sent when it works again"));
+  alert_(
+      engine::Severity::kHigh,
+      absl::StrCat(what_, " has delivered no alert for ",
+                   (now_ns - *failing_since_ns_) / kNanosPerSecond, " s: ", reason_, "; ", behind,
+                   " alerts of any robot and severity are behind it in the store; its "
+                   "own are sent when it works again"));
 }
 
 }  // namespace rips::outputs

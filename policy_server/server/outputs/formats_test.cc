@@ -153,9 +153,10 @@ TEST(GapTest, TheSameGapHasTheSameId) {
   EXPECT_NE(event.id, MakeGapEvent("pager", gap, 5).id);
   EXPECT_NE(event.id, MakeGapEvent("siem", {.after = 4, .up_to = 40, .count = 13}, 5).id);
   EXPECT_EQ(event.event, "gap");
-  EXPECT_THAT(event.text, HasSubstr("12 alerts are missing here"));
+  EXPECT_THAT(event.text, HasSubstr("12 alerts are missing here, of any robot and severity"));
   EXPECT_THAT(MakeGapEvent("siem", {.count = 1}, 5).text, HasSubstr("1 alert is missing"));
-  EXPECT_THAT(MakeGapEvent("siem", {}, 5).text, HasSubstr("restored from a backup"));
+  EXPECT_THAT(MakeGapEvent("siem", {}, 5).text,
+              HasSubstr("does not know the alert that was sent last"));
 }
 
 }  // namespace

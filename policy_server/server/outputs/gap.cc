@@ -21,12 +21,11 @@ std::string IdOf(const std::string& text) {
 store::AlertRecord MakeGapEvent(absl::string_view output, const Gap& gap, int64_t now_unix_ns) {
   std::string text;
   if (gap.count == 0) {
-    text =
-        "alerts may be missing here: the store was made anew or restored from a backup, and does "
-        "not know the alert that was sent last";
+    text = "alerts may be missing here: the store does not know the alert that was sent last";
   } else {
     text = absl::StrCat(gap.count, gap.count == 1 ? " alert is" : " alerts are",
-                        " missing here: the store forgot them by its limit before they were sent");
+                        " missing here, of any robot and severity: the store forgot them by its "
+                        "limit before they were sent");
   }
   absl::StrAppend(&text, "; the alert file has what was raised (output `", output, "`)");
   return {

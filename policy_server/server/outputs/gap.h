@@ -1,6 +1,6 @@
 // The event that tells a receiver of alerts that it will never get. It looks like an alert of the
 // server: robot `(server)`, rule `(rips)`, severity high, event `gap`; its id is made of the output
-// and the sequences, so that a gap that is sent again has the same id. It is in no store.
+// and the sequences. It is in no store.
 #ifndef RIPS_POLICY_SERVER_SERVER_OUTPUTS_GAP_H_
 #define RIPS_POLICY_SERVER_SERVER_OUTPUTS_GAP_H_
 
@@ -17,7 +17,7 @@ struct Gap {
   // Sequences of the store between which alerts are missing.
   uint64_t after = 0;
   uint64_t up_to = 0;
-  // How many; 0 = not known: the store was made anew, or a backup was restored.
+  // How many, whether the output would have sent them or not; 0 = not known.
   uint64_t count = 0;
 };
 

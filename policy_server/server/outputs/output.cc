@@ -5,7 +5,6 @@
 #include <vector>
 
 #include "absl/strings/str_cat.h"
-#include "policy_server/server/outputs/gap.h"
 #include "services/runtime/log.h"
 
 namespace rips::outputs {
@@ -85,9 +84,7 @@ void Output::Look() {
 
 bool Output::Follow(const store::AlertRecord& newest) {
   if (place_.lost()) {
-    const store::AlertRecord event = MakeGapEvent(
-        config_.name, {.after = newest.sequence, .up_to = newest.sequence}, clock_->Now().unix_ns);
-    if (!Deliver({&event, 1}, 0)) return false;
+    if (!ReportGap({.after = place_.sequence(), .up_to = place_.sequence()})) return false;
     place_.Accept();
   }
   if (place_.sequence() >= newest.sequence) return false;
@@ -111,17 +108,31 @@ bool Output::Follow(const store::AlertRecord& newest) {
   return true;
 }
 
+bool Output::ReportGap(const Gap& gap) {
+  if (!attempts_.gap) {
+    attempts_.gap = MakeGapEvent(config_.name, gap, clock_->Now().unix_ns);
+    attempts_.gap_count = gap.count;
+  }
+  if (!Deliver({&*attempts_.gap, 1}, 0)) return false;
+  attempts_.gap.reset();
+  return true;
+}
+
 bool Output::ReportForgotten(const store::AlertPage& page, uint64_t forgotten) {
-  // Those of a page that was not accepted are known to the receiver.
-  if (forgotten <= attempts_.forgotten_told) return true;
-  const uint64_t more = forgotten - attempts_.forgotten_told;
-  const store::AlertRecord event = MakeGapEvent(
-      config_.name,
-      {.after = place_.sequence(), .up_to = page.alerts.back().sequence, .count = more},
-      clock_->Now().unix_ns);
-  if (!Deliver({&event, 1}, 0)) return false;
-  reports_.forgotten(more);
-  attempts_.forgotten_told = forgotten;
+  // Those of a page that was not accepted are known to the receiver. More may be forgotten while it
+  // is told of some.
+  while (forgotten > attempts_.forgotten_told) {
+    if (!ReportGap({.after = place_.sequence(),
+                    .up_to = page.alerts.back().sequence,
+                    .count = forgotten - attempts_.forgotten_told})) {
+      return false;
+    }
+    // One that refuses to be told is not told again of what was forgotten meanwhile.
+    const uint64_t told =
+        attempts_.skipped ? forgotten - attempts_.forgotten_told : attempts_.gap_count;
+    reports_.forgotten(told);
+    attempts_.forgotten_told += told;
+  }
   return true;
 }
 
@@ -132,20 +143,21 @@ bool Output::Deliver(std::span<const store::AlertRecord> alerts, uint64_t up_to)
     health_.OnAccepted(clock_->Now().boottime_ns);
     backoff_.Reset();
     attempts_.refused = 0;
+    attempts_.skipped = false;
     return true;
   }
   if (absl::IsCancelled(status)) return false;
   reports_.failed();
   OnFailed(status, alerts, up_to);
   if (!absl::IsInvalidArgument(status) || alerts.size() > 1) return false;
-  // A gap may grow between two tries, and have another id.
-  const std::string id = up_to == 0 ? "gap" : alerts.front().id;
+  const std::string& id = alerts.front().id;
   if (std::exchange(attempts_.refused_id, id) != id) attempts_.refused = 0;
   if (++attempts_.refused < kTriesMax) return false;
-  LogError("the receiver of an output refuses an alert for ever; skipping it",
+  LogError("the receiver of an output has refused an alert three times; skipping it",
            {{"output", config_.name}, {"alert", id}, {"reason", status.message()}});
   reports_.skipped(1);
   attempts_.refused = 0;
+  attempts_.skipped = true;
   attempts_.retry_at_ns = 0;
   return true;
 }

@@ -14,13 +14,14 @@
 // |                                   | (logged, counted), which ends no trouble                |
 //
 // What the store has forgotten meanwhile is sent as an event of its own (gap.h) before the alerts
-// that follow.
+// that follow; the same event until it is accepted, so that a receiver can tell it from another.
 #ifndef RIPS_POLICY_SERVER_SERVER_OUTPUTS_OUTPUT_H_
 #define RIPS_POLICY_SERVER_SERVER_OUTPUTS_OUTPUT_H_
 
 #include <cstdint>
 #include <functional>
 #include <memory>
+#include <optional>
 #include <span>
 #include <string>
 #include <thread>
@@ -30,6 +31,7 @@
 #include "absl/time/time.h"
 #include "policy_server/server/config/output_config.h"
 #include "policy_server/server/outputs/delivery_health.h"
+#include "policy_server/server/outputs/gap.h"
 #include "policy_server/server/outputs/output_place.h"
 #include "policy_server/server/outputs/receiver.h"
 #include "policy_server/server/store/store.h"
@@ -80,13 +82,20 @@ class Output {
     uint64_t singly_up_to = 0;
     std::string refused_id;
     int refused = 0;
+    // What was delivered last was skipped.
+    bool skipped = false;
     // Forgotten alerts after the place that the receiver knows of.
     uint64_t forgotten_told = 0;
+    // The gap that it is to know of next, and of how many alerts it is.
+    std::optional<store::AlertRecord> gap;
+    uint64_t gap_count = 0;
   };
   void Run();
   bool stopping() ABSL_LOCKS_EXCLUDED(mu_);
   // Delivers the next page. False: there is none, or it must be tried again later.
   bool Follow(const store::AlertRecord& newest);
+  // Tells the receiver of a gap, the same until it is accepted; false as Follow.
+  bool ReportGap(const Gap& gap);
   // Of the page that was read; false as Follow.
   bool ReportForgotten(const store::AlertPage& page, uint64_t forgotten);
   // True: accepted or skipped.

@@ -7,6 +7,7 @@
 #include <sys/socket.h>
 
 #include <algorithm>
+#include <atomic>
 #include <cerrno>
 #include <cstring>
 #include <memory>
@@ -62,7 +63,12 @@ absl::StatusOr<std::vector<Address>> Resolve(const std::string& host, int port,
   lookup->port = absl::StrCat(port);
   Ask(*lookup, AI_NUMERICHOST);
   if (lookup->error != 0) {
-    std::thread([lookup] {
+    std::shared_ptr<void> turn = TakeLookup();
+    if (turn == nullptr) {
+      return absl::UnavailableError(absl::StrCat("cannot resolve ", host, ": ", kLookupsMax,
+                                                 " names wait for a name server already"));
+    }
+    std::thread([lookup, turn = std::move(turn)] {
       Ask(*lookup, 0);
       lookup->done.Wake();
     }).detach();
@@ -113,6 +119,15 @@ absl::Status AwaitFd(int fd, short events, const Deadline& deadline, const WakeF
     if (ready == 0) return absl::DeadlineExceededError(absl::StrCat(doing, " took too long"));
     return absl::OkStatus();
   }
+}
+
+std::shared_ptr<void> TakeLookup() {
+  static std::atomic<int> taken = 0;
+  if (++taken > kLookupsMax) {
+    --taken;
+    return nullptr;
+  }
+  return {&taken, [](void*) { --taken; }};
 }
 
 absl::StatusOr<UniqueFd> ConnectTo(const std::string& host, int port, const Deadline& deadline,

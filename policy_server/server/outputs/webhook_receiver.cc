@@ -3,6 +3,8 @@
 #include <openssl/evp.h>
 #include <openssl/hmac.h>
 
+#include <algorithm>
+#include <iterator>
 #include <memory>
 
 #include "absl/strings/escaping.h"
@@ -19,17 +21,18 @@ namespace rips::outputs {
 namespace {
 
 constexpr size_t kSecretBytesMax = 4'096;
-constexpr int kRequestTimeout = 408;
-constexpr int kTooManyRequests = 429;
+// Of these the body is the reason: bad request, too large, of an unsupported type, unprocessable.
+// Others, such as 401 or 404, are of a wrong secret or address, which an operator mends.
+constexpr int kBodyRefused[] = {400, 413, 415, 422};
 
-absl::Status Judge(const HttpAnswer& answer) {
+absl::Status ClassifyAnswer(const HttpAnswer& answer) {
   const int status = answer.status();
   if (status >= 200 && status < 300) return absl::OkStatus();
   std::string text = absl::StrCat("the receiver answered ", status);
   if (!answer.body().empty()) absl::StrAppend(&text, ": ", Quote(answer.body()));
-  const bool for_ever =
-      status >= 400 && status < 500 && status != kRequestTimeout && status != kTooManyRequests;
-  return for_ever ? absl::InvalidArgumentError(text) : absl::UnavailableError(text);
+  const bool refused =
+      std::find(std::begin(kBodyRefused), std::end(kBodyRefused), status) != std::end(kBodyRefused);
+  return refused ? absl::InvalidArgumentError(text) : absl::UnavailableError(text);
 }
 
 }  // namespace
@@ -80,7 +83,7 @@ absl::Status WebhookReceiver::Send(std::span<const store::AlertRecord> alerts) {
   RIPS_ASSIGN_OR_RETURN(
       const HttpAnswer answer,
       Post(FormatPost(config_.endpoint.host, config_.endpoint.port, config_.path, headers, body)));
-  return Judge(answer);
+  return ClassifyAnswer(answer);
 }
 
 absl::StatusOr<HttpAnswer> WebhookReceiver::Post(absl::string_view request) {

@@ -7,7 +7,7 @@
 // | answer                      | result of Send                                   |
 // |-----------------------------|--------------------------------------------------|
 // | 2xx                         | OK                                               |
-// | 4xx, but not 408 and 429    | InvalidArgument: refused for ever                |
+// | 400, 413, 415, 422          | InvalidArgument: the body is refused             |
 // | others, 3xx among them      | Unavailable: redirects are not followed          |
 // | none, or none that is HTTP  | Unavailable, DeadlineExceeded, DataLoss          |
 #ifndef RIPS_POLICY_SERVER_SERVER_OUTPUTS_WEBHOOK_RECEIVER_H_

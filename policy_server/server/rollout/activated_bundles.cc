@@ -10,6 +10,7 @@
 #include "rips/v1/rollout.pb.h"
 #include "services/base/status_macros.h"
 #include "services/runtime/atomic_file.h"
+#include "services/runtime/log.h"
 
 namespace rips::rollout {
 namespace {
@@ -46,7 +47,8 @@ void Encode(const RolloutRecord& record, v1::StoredRollout& out) {
   for (const auto& [robot, baseline] : record.before) {
     v1::StoredBaseline& stored = (*out.mutable_before())[robot];
     for (const std::string& each : baseline.degraded) stored.add_degraded(each);
-    stored.set_level_rank(baseline.level_rank);
+    stored.set_level(baseline.level);
+    stored.set_bundle_id(baseline.bundle_id);
   }
 }
 
@@ -83,7 +85,8 @@ absl::StatusOr<RolloutRecord> Decode(const v1::StoredRollout& in) {
   for (const auto& [robot, stored] : in.before()) {
     Baseline& baseline = record.before[robot];
     baseline.degraded.insert(stored.degraded().begin(), stored.degraded().end());
-    baseline.level_rank = stored.level_rank();
+    baseline.level = stored.level();
+    baseline.bundle_id = stored.bundle_id();
   }
   return record;
 }
@@ -112,6 +115,7 @@ Activations::Activations(std::string path, store::Store* store)
   } else if (!absl::IsNotFound(text.status())) {
     read = text.status();
   }
+  if (!known.ok() && !text.ok()) read = known.status();  // whether there was one is not known
   if (read.ok() && known.ok() && !known->empty() &&
       !absl::StrContains(*known, HashOf(text.ok() ? *text : ""))) {
     read = absl::DataLossError(
@@ -134,6 +138,11 @@ absl::Status Activations::Announce(const std::string& text) {
 
 absl::Status Activations::Set(ActivatedBundles next) {
   RIPS_ASSIGN_OR_RETURN(const std::string text, FormatActivatedBundles(next));
+  // It could not be read again.
+  if (text.size() > kFileBytesMax) {
+    return absl::ResourceExhaustedError(absl::StrCat(
+        "`", path_, "` would have ", text.size(), " bytes, which exceeds limit ", kFileBytesMax));
+  }
   RIPS_RETURN_IF_ERROR(Announce(text));
   RIPS_RETURN_IF_ERROR(WriteFileAtomically(path_, text, 0640));
   now_ = std::move(next);
@@ -147,6 +156,10 @@ std::string Activations::For(const bundle::InventoryRobot& robot) {
   }
   if (problem_.ok()) return "";
   const absl::StatusOr<store::RobotRecord> record = store_->Load(robot.id);
+  if (!record.ok()) {
+    LogError("which bundle judged a robot last cannot be read; the directory's does",
+             {{"robot", robot.id}, {"reason", record.status().message()}});
+  }
   if (!record.ok() || record->bundle.empty()) return "";
   now_.robots[robot.id] = {.bundle_id = record->bundle,
                            .name = robot.bundle,

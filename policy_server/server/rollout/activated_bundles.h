@@ -66,7 +66,8 @@ class Activations {
   // Why the file could not be read; OK = it was, or there was none.
   const absl::Status& problem() const { return problem_; }
   const ActivatedBundles& now() const { return now_; }
-  // Makes `next` durable, then it counts. ResourceExhausted, Unavailable: the old ones count.
+  // Makes `next` durable, then it counts. ResourceExhausted (also: more than the file may hold),
+  // Unavailable: the old ones count.
   absl::Status Set(ActivatedBundles next);
   // Id of the bundle that was activated for the robot; empty = the directory's.
   std::string For(const bundle::InventoryRobot& robot);

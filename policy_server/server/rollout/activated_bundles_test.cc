@@ -17,6 +17,7 @@ namespace rips::rollout {
 namespace {
 
 using ::testing::ElementsAre;
+using ::testing::HasSubstr;
 using ::testing::UnorderedElementsAre;
 
 constexpr char kA[] = "sha256:aaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaa";
@@ -50,8 +51,8 @@ ActivatedBundles Some() {
   record.stage = 1;
   record.began_unix_ns = 5;
   record.ended_unix_ns = 6;
-  record.before["r1"] = {.degraded = {"x", "y"}, .level_rank = 2};
-  record.before["r2"] = {.level_rank = -1};
+  record.before["r1"] = {.degraded = {"x", "y"}, .level = "ALERT", .bundle_id = kB};
+  record.before["r2"] = {};
   return some;
 }
 
@@ -202,6 +203,24 @@ TEST_F(ActivatedBundlesTest, AFileThatIsTooLargeIsNotTakenForNothingActivated) {
   std::filesystem::resize_file(path_, (uint64_t{64} << 20) + 1);
   store::FakeStore store;
   EXPECT_THAT(Activations(path_, &store).problem(), StatusIs(absl::StatusCode::kResourceExhausted));
+}
+
+TEST_F(ActivatedBundlesTest, WhatCouldNotBeReadAgainIsNotWritten) {
+  store::FakeStore store;
+  Activations activations(path_, &store);
+  ASSERT_THAT(activations.Set(Some()), IsOk());
+  ActivatedBundles huge = Some();
+  huge.robots["r1"].reason = std::string(size_t{65} << 20, 'x');
+  EXPECT_THAT(activations.Set(huge),
+              StatusIs(absl::StatusCode::kResourceExhausted, HasSubstr("exceeds limit")));
+  EXPECT_EQ(activations.now(), Some());
+  EXPECT_EQ(Activations(path_, &store).now(), Some());
+}
+
+TEST_F(ActivatedBundlesTest, AStoreThatFailsAndNoFileIsNotNothingActivated) {
+  store::FakeStore store;
+  store.FailReads(absl::UnavailableError("disk"));
+  EXPECT_THAT(Activations(path_, &store).problem(), StatusIs(absl::StatusCode::kUnavailable));
 }
 
 }  // namespace

@@ -33,13 +33,13 @@ std::string Described(const RolloutPlan& plan) {
                       plan.operator_name);
 }
 
-RobotHealth HealthOf(const RobotStatus& status, int level_rank) {
+RobotHealth HealthOf(const RobotStatus& status, std::vector<std::string> levels) {
   return {.bundle_id = status.bundle_version,
           .degraded = status.degraded,
           .problem = status.policy_problem,
           .watched = status.watched,
           .level = status.decided_level,
-          .level_rank = level_rank};
+          .levels = std::move(levels)};
 }
 
 }  // namespace
@@ -237,26 +237,26 @@ absl::StatusOr<RolloutAnswer> BundleControl::RollBack(const RollBackOrder& order
   }
   answer.rollout = next.rollout;
   if (order.dry_run || answer.changed.empty()) return answer;
-  std::optional<Rollout> stopped = rollout_;
-  const bool concerns =
-      stopped && stopped->running() &&
-      std::any_of(answer.changed.begin(), answer.changed.end(), [&](const std::string& robot) {
-        return stopped->record().before.contains(robot);
-      });
+  std::optional<Rollout> ended;
+  const bool concerns = rollout_ && std::any_of(answer.changed.begin(), answer.changed.end(),
+                                                [this](const std::string& robot) {
+                                                  return rollout_->record().before.contains(robot);
+                                                });
   if (concerns) {
-    stopped->Stop(absl::StrCat(order.operator_name, " rolled back ", Named(answer.changed)),
-                  parts_.clock->Now());
-    next.rollout = stopped->record();
-    answer.rollout = next.rollout;
-  }
-  if (next.rollout) {
+    ended = rollout_;
+    ended->Stop(absl::StrCat(order.operator_name, " rolled back ", Named(answer.changed)),
+                parts_.clock->Now());
+    next.rollout = ended->record();
     next.rollout->rolled_back =
         absl::StrCat(Named(answer.changed), " by ", order.operator_name, ": ", order.reason);
     answer.rollout = next.rollout;
-    stopped.emplace(*next.rollout, parts_.clock->Now(), /*restarted=*/false);
+    ended.emplace(*next.rollout, parts_.clock->Now(), /*restarted=*/false);
   }
   RIPS_RETURN_IF_ERROR(parts_.activations->Set(std::move(next)));
-  rollout_ = std::move(stopped);
+  if (ended) {
+    rollout_ = std::move(ended);
+    parts_.rates->Clear();
+  }
   parts_.fleet->Apply({answer.changed.begin(), answer.changed.end()});
   Publish();
   parts_.alerts->Raise(std::string(store::kServerRobot), engine::Severity::kInfo,
@@ -303,6 +303,9 @@ void BundleControl::Publish() {
   status->rollout = newest.rollout;
   status->healthy_since_unix_ns = newest.healthy_since_unix_ns;
   if (rollout_) status->not_healthy_because = rollout_->not_healthy_because();
+  if (rollout_ && rollout_->running() && !unrecorded_.empty()) {
+    status->not_healthy_because = unrecorded_;
+  }
   const absl::btree_map<std::string, Activation>& activated = parts_.activations->now().robots;
   for (const bundle::InventoryRobot& listed : parts_.fleet->inventory().robots) {
     RobotRules& rules = status->robots.emplace_back(RobotRules{
@@ -352,24 +355,14 @@ absl::StatusOr<RulesStatus> BundleControl::Status(const std::string& robot) cons
 }
 
 FleetHealth BundleControl::Health() const {
-  struct Ranked {
-    RobotStatus status;
-    int rank = -1;
-  };
-  const auto gathered = parts_.pipeline->Gather<Ranked>([](Robot& each) {
-    Ranked ranked{.status = each.Status()};
-    const auto level = each.core().levels().Find(ranked.status.decided_level);
-    if (level) ranked.rank = static_cast<int>(*level);
-    return ranked;
-  });
+  const auto gathered = parts_.pipeline->Gather<RobotHealth>(
+      [](Robot& each) { return HealthOf(each.Status(), each.core().levels().names()); });
   FleetHealth health;
   for (const auto& [robot, answer] : gathered.answers) {
-    health[robot] = HealthOf(answer.status, answer.rank);
+    health[robot] = answer;
     health[robot].alerts = parts_.rates->Count(robot);
   }
-  for (const RobotStatus& held : parts_.pipeline->held()) {
-    health[held.robot] = HealthOf(held, /*level_rank=*/-1);
-  }
+  for (const RobotStatus& held : parts_.pipeline->held()) health[held.robot] = HealthOf(held, {});
   if (!rollout_) return health;
   const RolloutPlan& plan = rollout_->record().plan;
   for (const std::vector<std::string>& stage : plan.stages) {
@@ -389,33 +382,53 @@ void BundleControl::Look() {
   const RolloutStep step = looked.Look(Health(), parts_.clock->Now());
   if (!step.empty()) {
     if (const absl::Status done = Perform(looked, step); !done.ok()) {
-      LogError("the roll-out does not go on", {{"reason", done.message()}});
-      return;  // looked at again
+      return OnUnrecorded(looked.record(), done);  // looked at again
     }
   }
+  unrecorded_.clear();
   rollout_ = std::move(looked);
   Publish();
 }
 
-absl::Status BundleControl::Perform(Rollout& rollout, const RolloutStep& step) {
+void BundleControl::OnUnrecorded(const RolloutRecord& next, const absl::Status& status) {
+  const std::string before =
+      std::exchange(unrecorded_, absl::StrCat("what follows cannot be recorded, and is not done: ",
+                                              next.why.empty() ? "" : absl::StrCat(next.why, "; "),
+                                              status.message()));
+  Publish();
+  if (!before.empty()) return;
+  const std::string text = absl::StrCat(Described(next.plan), ": ", unrecorded_);
+  LogError("the roll-out does not go on", {{"reason", text}});
+  parts_.alerts->Raise(std::string(store::kServerRobot), engine::Severity::kHigh, text);
+}
+
+absl::Status BundleControl::Perform(Rollout& rollout, RolloutStep step) {
   const RolloutRecord& record = rollout.record();
   const RolloutPlan& plan = record.plan;
   ActivatedBundles next = parts_.activations->now();
   next.rollout = record;
+  const std::string activated = plan.from_directory ? "" : plan.bundle_id;
   std::set<std::string> changed(step.activate.begin(), step.activate.end());
   for (const std::string& robot : step.activate) {
     const bundle::InventoryRobot* listed = parts_.fleet->inventory().Find(robot);
     if (listed == nullptr || listed->bundle != plan.name) continue;  // stops it later
-    next.robots[robot] = {.bundle_id = plan.from_directory ? "" : plan.bundle_id,
+    std::string before = parts_.activations->For(*listed);
+    // The directory does not hold any more what it has been judged by.
+    if (before.empty() && plan.from_directory) before = record.before.at(robot).bundle_id;
+    next.robots[robot] = {.bundle_id = activated,
                           .name = plan.name,
                           .operator_name = plan.operator_name,
                           .reason = plan.reason,
                           .time_unix_ns = parts_.clock->Now().unix_ns,
-                          .before = parts_.activations->For(*listed)};
+                          .before = std::move(before)};
   }
+  std::erase_if(step.roll_back, [&](const std::string& robot) {
+    const auto found = next.robots.find(robot);
+    return found == next.robots.end() || !found->second.before ||
+           found->second.bundle_id != activated || found->second.name != plan.name;
+  });
   for (const std::string& robot : step.roll_back) {
     const auto found = next.robots.find(robot);
-    if (found == next.robots.end() || !found->second.before) continue;
     found->second.bundle_id = *std::exchange(found->second.before, std::nullopt);
     found->second.operator_name = std::string(pipeline::kOwnRule);
     found->second.time_unix_ns = parts_.clock->Now().unix_ns;

@@ -160,7 +160,9 @@ class BundleControl {
                                     const pipeline::Policy& policy) const;
   absl::StatusOr<RolloutAnswer> Begin(RolloutPlan plan, RolloutAnswer answer);
   // Makes durable what the step asks for, and does it. An error: nothing was done.
-  absl::Status Perform(Rollout& rollout, const RolloutStep& step);
+  absl::Status Perform(Rollout& rollout, RolloutStep step);
+  // Says that the roll-out, which would be `next`, cannot go on.
+  void OnUnrecorded(const RolloutRecord& next, const absl::Status& status);
   void Report(const RolloutRecord& record, const RolloutStep& step);
   FleetHealth Health() const;
   // Has Status answer from how it is now.
@@ -170,6 +172,8 @@ class BundleControl {
   const Parts parts_;
   ShadowOrders shadows_;
   std::optional<Rollout> rollout_;
+  // Why its next step cannot be made durable; empty = it can.
+  std::string unrecorded_;
   mutable Mutex mu_;
   // Without what robots say.
   std::shared_ptr<const RulesStatus> published_ ABSL_GUARDED_BY(mu_);

@@ -5,6 +5,7 @@
 #include <gtest/gtest.h>
 
 #include <fstream>
+#include <functional>
 #include <memory>
 #include <string>
 
@@ -70,6 +71,7 @@ class BundleControlFixture : public ::testing::Test {
     library_ = std::make_unique<BundleLibrary>(
         dir_.File("kept"),
         [this](const std::string& dir) -> absl::StatusOr<LoadedBundle> {
+          if (on_push_) on_push_();
           RIPS_ASSIGN_OR_RETURN(const LoadedBundle loaded, LoadForTest(dir));
           RIPS_RETURN_IF_ERROR(SignedBy(dir, loaded.id).status());
           return loaded;
@@ -153,6 +155,8 @@ class BundleControlFixture : public ::testing::Test {
   pipeline::SilentObserver quiet_;
   bundle::SignerKeys signers_;
   int loads_ = 0;
+  // Before a pushed bundle is checked; on the thread that checks it.
+  std::function<void()> on_push_;
   absl::btree_map<std::string, Sensor> sensors_;
   std::unique_ptr<store::Committer> committer_;
   std::unique_ptr<pipeline::StoreRecorder> recorder_;

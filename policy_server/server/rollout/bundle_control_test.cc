@@ -3,6 +3,7 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
+#include <algorithm>
 #include <atomic>
 #include <filesystem>
 #include <fstream>
@@ -55,6 +56,15 @@ class BundleControlTest : public BundleControlFixture {
     std::vector<std::string> ids;
     for (const char* robot : {"r1", "r2", "r3", "r4"}) ids.push_back(InUse(robot));
     return ids;
+  }
+  // Raises the robot to HALT.
+  void Halt(const std::string& robot) {
+    EXPECT_THAT(pipeline_->Post(robot, pipeline::Queue::kOrders,
+                                [](pipeline::Robot& each) {
+                                  each.Raise({.operator_name = "bob", .to = "HALT", .reason = "x"},
+                                             [](const pipeline::LevelAnswer&) {});
+                                }),
+                IsOk());
   }
   void LookFor(int64_t ns) {
     for (int64_t passed = 0; passed < ns; passed += kNanosPerSecond) {
@@ -140,12 +150,7 @@ TEST_F(BundleControlTest, TheDirectoryDoesNotJudgeWhatAnotherBundleWasActivatedF
 
 TEST_F(BundleControlTest, StopsByItselfWhenARobotDoesNotTakeTheBundleAndSaysHowToGoOn) {
   // At a level that the bundle does not have.
-  ASSERT_THAT(pipeline_->Post("r3", pipeline::Queue::kOrders,
-                              [](pipeline::Robot& robot) {
-                                robot.Raise({.operator_name = "bob", .to = "HALT", .reason = "x"},
-                                            [](const pipeline::LevelAnswer&) {});
-                              }),
-              IsOk());
+  Halt("r3");
   const std::string old = InUse("r3");
   const std::string fresh = Push("warehouse", "fresh", "DEFAULT, ALERT");
   ASSERT_THAT(control_->Activate(Order(fresh, {{.percent = 75}, {.percent = 100}})), IsOk());
@@ -168,12 +173,7 @@ TEST_F(BundleControlTest, GoesBackByItselfWhenTheOrderWantsIt) {
   order.roll_back_when_stopped = true;
   ASSERT_THAT(control_->Activate(order), IsOk());
   EXPECT_THAT(InUse(), ElementsAre(fresh, fresh, old, old));
-  ASSERT_THAT(pipeline_->Post("r1", pipeline::Queue::kOrders,
-                              [](pipeline::Robot& robot) {
-                                robot.Raise({.operator_name = "bob", .to = "HALT", .reason = "x"},
-                                            [](const pipeline::LevelAnswer&) {});
-                              }),
-              IsOk());
+  Halt("r1");
   LookFor(2 * kNanosPerSecond);
   EXPECT_EQ(State(), RolloutState::kStopped);
   EXPECT_THAT(InUse(), ElementsAre(old, old, old, old));
@@ -204,12 +204,7 @@ TEST_F(BundleControlTest, SaysBeforehandWhatSpeaksAgainstABundle) {
   sensors_.at("r2").off = true;
   clock_.Advance(3 * kNanosPerSecond);
   Beat();
-  ASSERT_THAT(pipeline_->Post("r3", pipeline::Queue::kOrders,
-                              [](pipeline::Robot& robot) {
-                                robot.Raise({.operator_name = "bob", .to = "HALT", .reason = "x"},
-                                            [](const pipeline::LevelAnswer&) {});
-                              }),
-              IsOk());
+  Halt("r3");
   ActivateOrder order = Order(Push("warehouse", "fresh", "DEFAULT, ALERT"));
   order.dry_run = true;
   const auto answer = control_->Activate(order);
@@ -284,6 +279,92 @@ TEST_F(BundleControlTest, NothingHappensWhatCannotBeMadeDurable) {
   EXPECT_FALSE(control_->Activate(Order(fresh)).ok());
   EXPECT_EQ(InUse("r1"), old);
   EXPECT_FALSE(activations_->now().rollout.has_value());
+}
+
+TEST_F(BundleControlTest, AStopThatCannotBeMadeDurableIsSaidOnceAndTriedAgain) {
+  const std::string fresh = Push("warehouse", "fresh");
+  ASSERT_THAT(control_->Activate(Order(fresh)), IsOk());
+  LookFor(2 * kNanosPerSecond);
+  std::filesystem::remove(dir_.File("kept/activated.json"));
+  std::filesystem::create_directories(dir_.File("kept/activated.json/x"));
+  Halt("r1");
+  LookFor(5 * kNanosPerSecond);
+  EXPECT_EQ(State(), RolloutState::kRunning);
+  EXPECT_THAT(control_->Status("")->not_healthy_because,
+              ::testing::AllOf(HasSubstr("cannot be recorded"), HasSubstr("its level rose to HALT"),
+                               HasSubstr("activated.json")));
+  std::filesystem::remove_all(dir_.File("kept/activated.json"));
+  LookFor(2 * kNanosPerSecond);
+  EXPECT_EQ(State(), RolloutState::kStopped);
+  EXPECT_THAT(control_->Status("")->not_healthy_because, IsEmpty());
+  const auto texts = ServerAlertTexts();
+  EXPECT_EQ(std::count_if(texts.begin(), texts.end(),
+                          [](const std::string& text) {
+                            return absl::StartsWith(text, "high: ") &&
+                                   absl::StrContains(text, "cannot be recorded");
+                          }),
+            1);
+}
+
+TEST_F(BundleControlTest, ARollBackOfRobotsOfNoRollOutLeavesItAlone) {
+  ActivateOrder dock = Order(Push("dock", "other"));
+  dock.robots = {.robots = {"d1"}};
+  ASSERT_THAT(control_->Activate(dock), IsOk());
+  LookFor(kSoakNs + 3 * kNanosPerSecond);
+  const std::string fresh = Push("warehouse", "fresh");
+  ASSERT_THAT(control_->Activate(Order(fresh, {{.percent = 50}, {.percent = 100}})), IsOk());
+  LookFor(kSoakNs - kNanosPerSecond);
+  const auto healthy_since = control_->Status("")->healthy_since_unix_ns;
+  ASSERT_TRUE(healthy_since.has_value());
+  ASSERT_THAT(
+      control_->RollBack({.robots = {.robots = {"d1"}}, .operator_name = "bob", .reason = "x"}),
+      IsOk());
+  EXPECT_EQ(State(), RolloutState::kRunning);
+  EXPECT_EQ(activations_->now().rollout->rolled_back, "");
+  EXPECT_EQ(control_->Status("")->healthy_since_unix_ns, healthy_since);
+}
+
+TEST_F(BundleControlTest, GoingBackByItselfLeavesAnActivationOfAnotherRollOutAlone) {
+  const std::string old = InUse("r1");
+  const std::string first = Push("warehouse", "first");
+  ActivateOrder order = Order(first);
+  order.robots = {.robots = {"r2"}};
+  ASSERT_THAT(control_->Activate(order), IsOk());
+  LookFor(kSoakNs + 3 * kNanosPerSecond);
+  order = Order(Push("warehouse", "second"), {{.percent = 25}, {.percent = 100}});
+  order.robots = {.robots = {"r1", "r2"}};
+  order.roll_back_when_stopped = true;
+  ASSERT_THAT(control_->Activate(order), IsOk());
+  // r2 leaves before its stage begins.
+  std::ofstream(dir_.File("robots.yaml"))
+      << "robots:\n  - {id: r1, bundle: warehouse, sensors: [{host: base, primary: true}]}\n";
+  fleet_->Reload();
+  LookFor(kSoakNs + 3 * kNanosPerSecond);
+  ASSERT_EQ(activations_->now().rollout->stage, 1u);
+  Halt("r1");
+  LookFor(2 * kNanosPerSecond);
+  EXPECT_EQ(State(), RolloutState::kStopped);
+  EXPECT_EQ(InUse("r1"), old);
+  EXPECT_EQ(activations_->now().robots.at("r2").bundle_id, first);
+  EXPECT_EQ(activations_->now().rollout->rolled_back, "r1 at once");
+}
+
+TEST_F(BundleControlTest, ARollOutOfTheDirectoryGoesBackToWhatItHeldBefore) {
+  const std::string old = InUse("r1");
+  WriteBundle(dir_.File("source/warehouse"), "warehouse", "# edited\n");
+  ActivateOrder order = Order(std::string(kDirectory));
+  order.robots = {.robots = {"r1", "r2", "r3", "r4"}};
+  order.roll_back_when_stopped = true;
+  ASSERT_THAT(control_->Activate(order), IsOk());
+  const std::string edited = InUse("r1");
+  EXPECT_NE(edited, old);
+  LookFor(2 * kNanosPerSecond);
+  Halt("r1");
+  LookFor(2 * kNanosPerSecond);
+  EXPECT_EQ(State(), RolloutState::kStopped);
+  EXPECT_THAT(InUse(), ElementsAre(old, old, old, old));
+  Restart();
+  EXPECT_THAT(InUse(), ElementsAre(old, old, old, old));
 }
 
 TEST_F(BundleControlTest, AnUnusedBundleIsForgottenBeforeOneThatARollBackNeeds) {

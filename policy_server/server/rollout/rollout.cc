@@ -12,6 +12,16 @@ namespace {
 
 constexpr int64_t kElapsedNsMax = 5 * kNanosPerSecond;
 
+// By the table that is in force now: the bundle may have brought another one.
+bool HasRisen(const std::string& before, const RobotHealth& is) {
+  if (before.empty()) return false;
+  const auto rank = [&is](const std::string& level) {
+    const auto found = std::find(is.levels.begin(), is.levels.end(), level);
+    return found == is.levels.end() ? 0 : found - is.levels.begin();
+  };
+  return rank(is.level) > rank(before);
+}
+
 }  // namespace
 
 absl::string_view ToString(RolloutState state) {
@@ -53,7 +63,8 @@ RolloutStep Rollout::BeginStage(const FleetHealth& health, Instant now) {
     const auto found = health.find(robot);
     if (found == health.end()) continue;
     for (const std::string& each : found->second.degraded) before.degraded.insert(Normalized(each));
-    before.level_rank = found->second.level_rank;
+    before.level = found->second.level;
+    before.bundle_id = found->second.bundle_id;
   }
   bad_ns_.clear();
   patient_until_ns_ = std::max(patient_until_ns_, now.boottime_ns);
@@ -64,7 +75,7 @@ std::string Rollout::Bad(const std::string& robot, std::string what, int64_t pat
                          Instant now) {
   if (not_healthy_because_.empty()) not_healthy_because_ = absl::StrCat(robot, ": ", what);
   if (now.boottime_ns < patient_until_ns_) return "";
-  int64_t& bad_ns = bad_ns_[robot];
+  int64_t& bad_ns = bad_ns_[robot][patience_ns];
   bad_ns += elapsed_ns_;
   return bad_ns > patience_ns ? what : "";
 }
@@ -72,8 +83,9 @@ std::string Rollout::Bad(const std::string& robot, std::string what, int64_t pat
 void Rollout::Forgive(const std::string& robot) {
   const auto found = bad_ns_.find(robot);
   if (found == bad_ns_.end()) return;
-  found->second -= elapsed_ns_ / 4;
-  if (found->second <= 0) bad_ns_.erase(found);
+  for (auto& [patience_ns, bad_ns] : found->second) {
+    bad_ns = std::max<int64_t>(0, bad_ns - elapsed_ns_ / 4);
+  }
 }
 
 std::string Rollout::Harm(const std::string& robot, const FleetHealth& health, Instant now) {
@@ -82,10 +94,11 @@ std::string Rollout::Harm(const std::string& robot, const FleetHealth& health, I
   const RobotHealth& is = found->second;
   if (is.gone) return "";
   const Baseline& before = record_.before[robot];
-  if (before.level_rank >= 0 && is.level_rank > before.level_rank) {
+  if (HasRisen(before.level, is)) {
     return absl::StrCat("its level rose to ", is.level, " (`ripsctl explain ", robot, "`)");
   }
-  if (is.alerts > record_.plan.alerts_per_minute_max) {
+  const bool patient = now.boottime_ns < patient_until_ns_;
+  if (!patient && is.alerts > record_.plan.alerts_per_minute_max) {
     return absl::StrCat("its rules raised ", is.alerts, " alerts within a minute, more than ",
                         record_.plan.alerts_per_minute_max);
   }

@@ -8,17 +8,19 @@
 //   does not answer, is held                  not healthy; for kTakeNs: stops
 //   degraded as it was before                 healthy
 //   degraded otherwise                        not healthy; for kGraceNs: stops
-//   its level rose since the stage began      stops
+//   its level rose since the stage began      stops; a level that its table does not have any more
+//                                             counts as the least restrictive
 //   more alerts a minute than the plan has    stops
 //
-// Time in which a robot is not healthy adds up, and is forgotten a quarter as fast when it is: a
-// sensor that the bundle makes start anew again and again is healthy in between.
+// Time in which a robot is not healthy adds up, for each of the two limits on its own, and is
+// forgotten a quarter as fast when it is: a sensor that the bundle makes start anew again and again
+// is healthy in between.
 //
 // A stage is done when all robots of the stages so far have been healthy for the plan's soak time
 // without a break, and at least one of the stage is watched by its sensors: one that sends nothing
 // proves nothing. Robots of stages that have not begun do not count. After a restart of the server
-// the soak time begins anew, and for kRestartGraceNs, in which sensors come back, nothing counts as
-// harm but a level that rises.
+// the soak time begins anew, and for kRestartGraceNs, in which sensors come back and their graphs
+// are judged anew, nothing counts as harm but a level that rises.
 #ifndef RIPS_POLICY_SERVER_SERVER_ROLLOUT_ROLLOUT_H_
 #define RIPS_POLICY_SERVER_SERVER_ROLLOUT_ROLLOUT_H_
 
@@ -75,8 +77,10 @@ absl::string_view ToString(RolloutState state);
 struct Baseline {
   // As Normalized.
   std::set<std::string> degraded;
-  // As RobotHealth's.
-  int level_rank = -1;
+  // Empty = not known.
+  std::string level;
+  // What judged it; empty = nothing, or not known.
+  std::string bundle_id;
 
   friend bool operator==(const Baseline&, const Baseline&) = default;
 };
@@ -112,8 +116,8 @@ struct RobotHealth {
   // The inventory does not have it any more, or with another policy.
   bool gone = false;
   std::string level;
-  // Place of its level in its table, the least restrictive is 0; -1 = not known.
-  int level_rank = -1;
+  // All of its table, the least restrictive first; empty = not known.
+  std::vector<std::string> levels;
   // Within the last minute, since its stage began.
   uint32_t alerts = 0;
 };
@@ -174,8 +178,8 @@ class Rollout {
   // CLOCK_BOOTTIME of the look before this one, and how long before.
   int64_t looked_ns_ = 0;
   int64_t elapsed_ns_ = 0;
-  // For how long a robot has been bad.
-  absl::btree_map<std::string, int64_t> bad_ns_;
+  // For how long a robot has been bad, by robot and the time that it may be.
+  absl::btree_map<std::string, absl::btree_map<int64_t, int64_t>> bad_ns_;
 };
 
 // Without digits, so that a count or a time in it makes no other one.

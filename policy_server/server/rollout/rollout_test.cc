@@ -16,12 +16,13 @@ using ::testing::IsEmpty;
 constexpr char kOld[] = "sha256:old";
 constexpr char kNew[] = "sha256:new";
 constexpr int64_t kSoakNs = 20 * kNanosPerSecond;
+const std::vector<std::string> kLevels = {"DEFAULT", "ALERT", "HALT"};
 
 class RolloutTest : public ::testing::Test {
  protected:
   RolloutTest() {
     for (const char* robot : {"r1", "r2", "r3"}) {
-      health_[robot] = {.bundle_id = kOld, .watched = true, .level = "DEFAULT", .level_rank = 0};
+      health_[robot] = {.bundle_id = kOld, .watched = true, .level = "DEFAULT", .levels = kLevels};
     }
   }
 
@@ -134,16 +135,15 @@ TEST_F(RolloutTest, WhatWasWrongBeforeStopsNothingWhateverItsNumbers) {
 }
 
 TEST_F(RolloutTest, StopsAtOnceWhenALevelRoseOrRulesRaiseTooManyAlerts) {
-  health_["r1"].level_rank = 1;
+  health_["r1"].level = "ALERT";
   Begin();
   Take({"r1"});
   EXPECT_TRUE(rollout_.Look(health_, now_).empty());
   Rollout other = rollout_;
   health_["r1"].level = "HALT";
-  health_["r1"].level_rank = 2;
   EXPECT_TRUE(rollout_.Look(health_, now_).over);
   EXPECT_EQ(why(), "r1: its level rose to HALT (`ripsctl explain r1`)");
-  health_["r1"].level_rank = 0;
+  health_["r1"].level = "DEFAULT";
   health_["r1"].alerts = 5;
   EXPECT_TRUE(other.Look(health_, now_).empty());
   health_["r1"].alerts = 6;
@@ -151,10 +151,36 @@ TEST_F(RolloutTest, StopsAtOnceWhenALevelRoseOrRulesRaiseTooManyAlerts) {
   EXPECT_THAT(other.record().why, HasSubstr("6 alerts within a minute, more than 5"));
 }
 
+TEST_F(RolloutTest, LevelsAreComparedByTheTableInForceNow) {
+  health_["r1"].level = "ALERT";
+  Begin();
+  Take({"r1"});
+  // The bundle has one more below it: nothing has risen.
+  health_["r1"].levels = {"DEFAULT", "NOTICE", "ALERT", "HALT"};
+  EXPECT_TRUE(rollout_.Look(health_, now_).empty());
+  // It has it no more, and one of a lower place than ALERT had is more than none.
+  health_["r1"].levels = {"DEFAULT", "HALT"};
+  health_["r1"].level = "DEFAULT";
+  EXPECT_TRUE(rollout_.Look(health_, now_).empty());
+  health_["r1"].level = "HALT";
+  EXPECT_TRUE(rollout_.Look(health_, now_).over);
+  EXPECT_THAT(why(), HasSubstr("r1: its level rose to HALT"));
+}
+
+TEST_F(RolloutTest, TimeToTakeTheBundleIsNoTimeOfTrouble) {
+  Begin();
+  EXPECT_TRUE(LookFor(kTakeNs - 5 * kNanosPerSecond).empty());
+  Take({"r1"});
+  health_["r1"].degraded = {"the graph of sensor base has not settled"};
+  EXPECT_TRUE(LookFor(kGraceNs - 2 * kNanosPerSecond).empty());
+  health_["r1"].degraded.clear();
+  EXPECT_THAT(LookFor(kSoakNs + 2 * kNanosPerSecond).activate, ElementsAre("r2", "r3"));
+}
+
 TEST_F(RolloutTest, ARobotOfAStageThatHasNotBegunDoesNotCount) {
   Begin();
   Take({"r1"});
-  health_["r2"].level_rank = 3;
+  health_["r2"].level = "HALT";
   health_.erase("r3");
   EXPECT_THAT(LookFor(kSoakNs + 2 * kNanosPerSecond).activate, ElementsAre("r2", "r3"));
   // What r2 was like then is no harm; that r3 does not answer is.
@@ -169,7 +195,7 @@ TEST_F(RolloutTest, ARobotOfAnEarlierStageStillCounts) {
   Take({"r1"});
   LookFor(kSoakNs + 2 * kNanosPerSecond);
   Take({"r2", "r3"});
-  health_["r1"].level_rank = 1;
+  health_["r1"].level = "ALERT";
   EXPECT_TRUE(LookFor(kNanosPerSecond).over);
   EXPECT_THAT(why(), HasSubstr("r1: its level rose"));
 }
@@ -180,7 +206,7 @@ TEST_F(RolloutTest, GoesBackByItselfIfThePlanWantsIt) {
   rollout_ = Rollout(record, now_, false);
   Begin();
   Take({"r1"});
-  health_["r1"].level_rank = 1;
+  health_["r1"].level = "ALERT";
   EXPECT_THAT(LookFor(kNanosPerSecond).roll_back, ElementsAre("r1"));
 }
 
@@ -200,20 +226,22 @@ TEST_F(RolloutTest, AfterARestartSensorsHaveTimeToComeBackButALevelMustNotRise) 
   Rollout restarted(rollout_.record(), now_, /*restarted=*/true);
   rollout_ = restarted;
   health_["r1"].degraded = {"sensor base is not connected"};
+  health_["r1"].alerts = 100;
   EXPECT_TRUE(LookFor(kRestartGraceNs - 2 * kNanosPerSecond).empty());
   health_["r1"].degraded.clear();
+  health_["r1"].alerts = 0;
   EXPECT_TRUE(LookFor(kSoakNs).empty());
   EXPECT_THAT(LookFor(4 * kNanosPerSecond).activate, ElementsAre("r2", "r3"));
 
   rollout_ = restarted;
-  health_["r1"].level_rank = 1;
+  health_["r1"].level = "ALERT";
   EXPECT_TRUE(LookFor(kNanosPerSecond).over);
 }
 
 TEST_F(RolloutTest, AHeldRobotMayBeMendedByIt) {
   health_["r1"] = {.degraded = {"no policy: bundle `warehouse` is refused"}};
   Begin();
-  health_["r1"] = {.bundle_id = kNew, .watched = true, .level = "HALT", .level_rank = 2};
+  health_["r1"] = {.bundle_id = kNew, .watched = true, .level = "HALT", .levels = kLevels};
   EXPECT_THAT(LookFor(kSoakNs + 2 * kNanosPerSecond).activate, ElementsAre("r2", "r3"));
 }
 

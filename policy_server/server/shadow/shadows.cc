@@ -178,6 +178,7 @@ bool Shadows::Next(std::vector<ShadowPtr>& turns) {
 
 bool Shadows::Turn(Shadow& shadow) {
   if (shadow.tap->closed()) {
+    shadow.tap->Pop();  // drops what it has taken
     shadow.run.reset();
     shadow.session.reset();
     return false;
@@ -219,10 +220,12 @@ void Shadows::Publish(Shadow& shadow, int64_t now_ns) {
   ShadowReport report = shadow.blank;
   if (shadow.run != nullptr) shadow.run->Report(report);
   if (retired && report.problem.empty()) {
-    report.problem = "its robot is no longer judged by this server";
+    report.problem =
+        "its robot is no longer judged by this server; order it anew when the robot is back";
   }
   if (stopped || retired) {
     shadow.tap->Close();
+    shadow.tap->Pop();  // drops what it has taken
     shadow.run.reset();
     shadow.session.reset();
     LogWarning(
