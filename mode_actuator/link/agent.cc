@@ -16,6 +16,7 @@
 #include "mode_actuator/decide/drill_controller.h"
 #include "mode_actuator/decide/exec_journal.h"
 #include "mode_actuator/decide/receipt_queue.h"
+#include "mode_actuator/link/audit_head_file.h"
 #include "mode_actuator/link/downlink.h"
 #include "mode_actuator/steps/alarm/alarm_board.h"
 #include "mode_actuator/steps/alarm/drivers.h"
@@ -199,6 +200,7 @@ class Agent::Impl {
       : config_(std::move(config)),
         clock_(clock),
         counters_(MakeCounters(metrics)),
+        audit_head_(absl::StrCat(config_.state_dir, "/audit_head"), counters_.write_failures),
         inputs_({.capacity = kInputsMax}),
         drills_(MakeExecutorOptions(config_).levels) {}
 
@@ -244,6 +246,7 @@ class Agent::Impl {
   const Config config_;
   const Clock* const clock_;  // Not owned; outlives this.
   const Counters counters_;
+  AuditHeadFile audit_head_;
   BoundedQueue<Input> inputs_;
 
   // Of the agent's thread.
@@ -313,6 +316,7 @@ absl::Status Agent::Impl::LoadState() {
     }
   }
   for (Receipt& receipt : journal_.CloseUnfinished()) QueueReceipt(std::move(receipt));
+  audit_head_.Load();
   return absl::OkStatus();
 }
 
@@ -448,6 +452,7 @@ void Agent::Impl::StartDownlink(const Smh& smh, rpc::CredentialsSource credentia
     MutexLock lock(&report_mu_);
     return report_;
   };
+  callbacks.audit_head = [this] { return audit_head_.head(); };
   callbacks.command = [this](model::Command command) { PushFromNetwork(std::move(command)); };
   callbacks.lease = [this](model::LeaseGrant lease) { PushFromNetwork(std::move(lease)); };
   callbacks.malformed = [this](const absl::Status& status) {
@@ -519,6 +524,7 @@ void Agent::Impl::Handle(Input input, int64_t now_ns) {
     QueueReceipt(drills_.OnOutcome(std::move(*drilled)));
   } else if (auto* lease = std::get_if<model::LeaseGrant>(&input)) {
     controller_->OnLease(*lease, now_ns);
+    audit_head_.OnLease(lease->audit_head, now_ns, *files_);
   } else if (std::holds_alternative<Connected>(input)) {
     receipts_.NewSession();
   } else if (auto* outcome = std::get_if<LevelOutcome>(&input)) {

@@ -80,6 +80,7 @@ class Downlink::Impl {
                                                  .fail_safe_level = options_.fail_safe_level,
                                                  .participant = options_.participant,
                                                  .protected_parts = options_.protected_parts,
+                                                 .last_audit_head = callbacks_.audit_head(),
                                                  .clock = clock_->Now()});
     v1::Hello* hello = message.mutable_hello()->mutable_hello();
     hello->set_version(std::string(RipsVersion()));

@@ -15,6 +15,7 @@
 #include "mode_actuator/decide/level_controller.h"
 #include "mode_actuator/decide/receipt.h"
 #include "services/base/clock.h"
+#include "services/model/audit_head.h"
 #include "services/model/command.h"
 #include "services/ros2/guid.h"
 #include "services/rpc/credentials.h"
@@ -41,6 +42,7 @@ class Downlink {
   struct Callbacks {
     // What to say hello with; a stream begins.
     std::function<ExecutorReport()> connected;
+    std::function<model::AuditHead()> audit_head;
     std::function<void(model::Command)> command;
     std::function<void(model::LeaseGrant)> lease;
     std::function<void(const absl::Status&)> malformed;

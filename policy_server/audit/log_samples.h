@@ -13,6 +13,7 @@
 #include "policy_server/audit/segments.h"
 #include "policy_server/audit/signing_key.h"
 #include "policy_server/audit/verify.h"
+#include "services/model/audit_head.h"
 
 namespace rips::audit {
 
@@ -36,6 +37,8 @@ class SampleLog {
  public:
   SegmentsInMemory segments;
   Head head;
+  // The same with its proof.
+  model::AuditHead proven;
 
   void BeginSegment() {
     const auto key = std::make_shared<const SigningKey>(*SigningKey::Generate());
@@ -67,6 +70,7 @@ class SampleLog {
                .previous_hash = hash_,
                .payload = *key_->Sign(SealToSign(number_, head.sequence, head.hash))};
     absl::StrAppend(&file, EncodePiece(seal));
+    proven = {number_, key_->public_key(), head.sequence, head.hash, seal.payload};
     hash_ = seal.hash;
     sealed_ = file.size();
   }

@@ -55,6 +55,17 @@ Counter InspectionsSkipped(Metrics& metrics, const std::string& reason) {
                             {{"reason", reason}});
 }
 
+std::unique_ptr<audit::ReturnedHeads> CompareHeads(const std::string& directory,
+                                                   pipeline::ServerAlerts* alerts) {
+  return std::make_unique<audit::ReturnedHeads>(
+      std::make_unique<audit::SegmentsInDirectory>(directory),
+      [alerts](const audit::HeadBringer& bringer, const model::AuditHead& head,
+               audit::HeadVerdict verdict) {
+        const audit::HeadAlert alert = audit::AlertOf(bringer, head, verdict);
+        if (!alert.text.empty()) alerts->Raise(bringer.robot, alert.severity, alert.text);
+      });
+}
+
 }  // namespace
 
 Server::Server(const ServerConfig& config) : config_(config) {}
@@ -111,6 +122,7 @@ absl::Status Server::Open() {
   }
   committer_ = std::make_unique<store::Committer>(store_.get(), std::move(committing), &clock_);
   alerts_ = std::make_unique<pipeline::ServerAlerts>(committer_.get(), hub_.get(), &clock_, NewId);
+  if (audit_ != nullptr) heads_ = CompareHeads(config_.audit_dir, alerts_.get());
   attacks_ = std::make_unique<AttackAlerts>(alerts_.get(), &clock_);
   store_watch_ = std::make_unique<pipeline::StoreWatch>(committer_.get(), alerts_.get(), &clock_,
                                                         config_.store_path, MakeStoreCounts());
@@ -585,7 +597,15 @@ absl::Status Server::Listen() {
           .malformed = malformed("actuator"),
           .streams = streams("actuator"),
           .commands = metrics_.AddCounter("rips_commands_total", "Commands sent to actuators."),
-          .fields_refused = fields_refused});
+          .fields_refused = fields_refused},
+      audit_ == nullptr
+          ? dispatch::AuditHeads()
+          : dispatch::AuditHeads{
+                .newest = [audit = audit_.get()] { return audit->sealed(); },
+                .returned =
+                    [heads = heads_.get()](const auto& robot, const auto& host, auto head) {
+                      heads->Compare({robot, host}, std::move(head));
+                    }});
   operators_ = std::make_unique<operator_api::OperatorService>(
       pipeline_.get(), store_.get(), hub_.get(),
       operator_api::OperatorService::Access{

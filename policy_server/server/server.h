@@ -16,6 +16,7 @@
 #include "policy_server/server/attack_alerts.h"
 #include "policy_server/server/audit/audit_log.h"
 #include "policy_server/server/audit/order_audit.h"
+#include "policy_server/server/audit/returned_heads.h"
 #include "policy_server/server/bundle_loader.h"
 #include "policy_server/server/config/config.h"
 #include "policy_server/server/dispatch/actuator_service.h"
@@ -119,6 +120,8 @@ class Server {
   std::unique_ptr<operator_api::StatusBroadcaster> hub_;
   std::unique_ptr<store::Committer> committer_;
   std::unique_ptr<pipeline::ServerAlerts> alerts_;
+  // Null if there is no audit log.
+  std::unique_ptr<audit::ReturnedHeads> heads_;
   std::unique_ptr<AttackAlerts> attacks_;
   std::unique_ptr<pipeline::StoreWatch> store_watch_;
   std::unique_ptr<outputs::Outputs> outputs_;

@@ -10,6 +10,7 @@
 #include <vector>
 
 #include "services/base/decision_id.h"
+#include "services/model/audit_head.h"
 
 namespace rips::model {
 
@@ -62,6 +63,8 @@ struct LeaseGrant {
   uint32_t ttl_ms = 0;
   // Sensor live and backlog judged: a floor may lift.
   bool evidence_complete = false;
+  // None: the server has no audit log.
+  AuditHead audit_head;
 
   friend bool operator==(const LeaseGrant&, const LeaseGrant&) = default;
 };

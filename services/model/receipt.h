@@ -11,6 +11,7 @@
 
 #include "services/base/clock.h"
 #include "services/base/decision_id.h"
+#include "services/model/audit_head.h"
 #include "services/ros2/guid.h"
 
 namespace rips::model {
@@ -77,6 +78,8 @@ struct ActuatorHello {
   ros2::Guid participant;
   // Full names of the parts whose modes its levels set.
   std::vector<std::string> protected_parts;
+  // The newest that a server granted a lease with.
+  AuditHead last_audit_head;
   Instant clock;
   // Its address, as the transport says; not on the wire.
   std::string peer;

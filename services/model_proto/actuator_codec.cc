@@ -58,6 +58,24 @@ std::vector<std::string> DecodeDegraded(const rips::v1::ActuatorHeartbeat& wire)
   return degraded;
 }
 
+void Encode(const model::AuditHead& head, rips::v1::AuditHead& wire) {
+  wire.set_segment(head.segment);
+  wire.set_public_key(head.public_key);
+  wire.set_sequence(head.sequence);
+  wire.set_hash(head.hash);
+  wire.set_signature(head.signature);
+}
+
+// None if a part of it is missing.
+model::AuditHead Decode(const rips::v1::AuditHead& wire) {
+  model::AuditHead head{.segment = wire.segment(),
+                        .public_key = wire.public_key(),
+                        .sequence = wire.sequence(),
+                        .hash = wire.hash(),
+                        .signature = wire.signature()};
+  return head.whole() ? head : model::AuditHead();
+}
+
 }  // namespace
 
 // --- server to actuator
@@ -125,6 +143,7 @@ rips::v1::Lease Encode(const model::LeaseGrant& lease, Instant now) {
   wire.set_level(lease.level);
   wire.set_ttl_ms(lease.ttl_ms);
   wire.set_evidence_complete(lease.evidence_complete);
+  if (!lease.audit_head.none()) Encode(lease.audit_head, *wire.mutable_audit_head());
   return wire;
 }
 
@@ -134,7 +153,8 @@ model::LeaseGrant Decode(const rips::v1::Lease& wire) {
           .decision_id = Decode(wire.decision_id()),
           .level = wire.level(),
           .ttl_ms = wire.ttl_ms(),
-          .evidence_complete = wire.evidence_complete()};
+          .evidence_complete = wire.evidence_complete(),
+          .audit_head = Decode(wire.audit_head())};
 }
 
 // --- actuator to server
@@ -209,6 +229,9 @@ rips::v1::ActuatorHello Encode(const model::ActuatorHello& hello) {
   wire.set_state_lost(hello.state_lost);
   wire.set_fail_safe_level(hello.fail_safe_level);
   if (!hello.participant.none()) wire.set_participant_guid(hello.participant.ToBytes());
+  if (!hello.last_audit_head.none()) {
+    Encode(hello.last_audit_head, *wire.mutable_hello()->mutable_last_audit_head());
+  }
   return wire;
 }
 
@@ -230,6 +253,12 @@ absl::StatusOr<model::ActuatorHello> Decode(const rips::v1::ActuatorHello& wire)
                              .fail_safe_level = wire.fail_safe_level()};
   hello.clock = {.boottime_ns = static_cast<int64_t>(wire.hello().clock().boottime_ns()),
                  .unix_ns = wire.hello().clock().unix_ns()};
+  if (wire.hello().has_last_audit_head()) {
+    hello.last_audit_head = Decode(wire.hello().last_audit_head());
+    if (hello.last_audit_head.none()) {
+      return absl::InvalidArgumentError("a head of an audit log that is not whole");
+    }
+  }
   if (!wire.participant_guid().empty()) {
     RIPS_ASSIGN_OR_RETURN(hello.participant, ros2::GuidFromBytes(wire.participant_guid()));
   }

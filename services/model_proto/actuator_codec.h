@@ -42,7 +42,8 @@ absl::StatusOr<model::Receipt> Decode(const rips::v1::Receipt& wire);
 // All but version, incarnation and host.
 rips::v1::ActuatorHello Encode(const model::ActuatorHello& hello);
 // Of a message within its limits (wire_limits::Check). FailedPrecondition: a newer protocol.
-// InvalidArgument: no protocol, a GUID that is not 16 bytes, a part that is no node name.
+// InvalidArgument: no protocol, a GUID that is not 16 bytes, a part that is no node name, a head of
+// an audit log that is not whole.
 absl::StatusOr<model::ActuatorHello> Decode(const rips::v1::ActuatorHello& wire);
 
 // All but the echo and the wall clock.

@@ -2,8 +2,10 @@
 
 #include <cstddef>
 #include <cstdint>
+#include <functional>
 #include <string>
 #include <utility>
+#include <vector>
 
 #include "absl/strings/str_cat.h"
 #include "gmock/gmock.h"
@@ -20,6 +22,14 @@ rips::v1::ActuatorHello Hello() {
   rips::v1::ActuatorHello hello;
   hello.mutable_hello()->set_protocol(1);
   return hello;
+}
+
+model::AuditHead SomeAuditHead() {
+  return {.segment = 3,
+          .public_key = std::string(32, '\xff'),
+          .sequence = 812,
+          .hash = std::string(32, '\0'),
+          .signature = std::string(64, 's')};
 }
 
 TEST(ActuatorCodecTest, ProtectedPartsAreTaken) {
@@ -94,12 +104,35 @@ TEST(ActuatorCodecTest, LeasesComeBackAsTheyWere) {
                                 .decision_id = {7, 3},
                                 .level = "ALERT",
                                 .ttl_ms = 15'000,
-                                .evidence_complete = true};
+                                .evidence_complete = true,
+                                .audit_head = SomeAuditHead()};
   rips::v1::Lease wire = Encode(lease, {.boottime_ns = 34, .unix_ns = 56});
   EXPECT_EQ(wire.heartbeat().clock().boottime_ns(), 34u);
   EXPECT_EQ(Decode(wire), lease);
   wire.mutable_heartbeat()->set_echo_boottime_ns(UINT64_MAX);
   EXPECT_GT(Decode(wire).echo_boottime_ns, 0) << "no time before the boot";
+}
+
+TEST(ActuatorCodecTest, AnAuditHeadThatIsNotWholeIsNone) {
+  const model::LeaseGrant lease{.audit_head = SomeAuditHead()};
+  const std::vector<std::function<void(rips::v1::AuditHead&)>> faults = {
+      [](auto& head) { head.clear_segment(); }, [](auto& head) { head.clear_sequence(); },
+      [](auto& head) { head.mutable_public_key()->pop_back(); },
+      [](auto& head) { head.mutable_hash()->push_back('x'); },
+      [](auto& head) { head.clear_signature(); }};
+  for (const auto& fault : faults) {
+    rips::v1::Lease granted = Encode(lease, {});
+    fault(*granted.mutable_audit_head());
+    EXPECT_TRUE(Decode(granted).audit_head.none());
+    rips::v1::ActuatorHello hello =
+        Encode(model::ActuatorHello{.last_audit_head = SomeAuditHead()});
+    ASSERT_THAT(Decode(hello), IsOk());
+    EXPECT_EQ(Decode(hello)->last_audit_head, SomeAuditHead());
+    fault(*hello.mutable_hello()->mutable_last_audit_head());
+    EXPECT_THAT(Decode(hello), StatusIs(absl::StatusCode::kInvalidArgument));
+  }
+  EXPECT_FALSE(Encode(model::LeaseGrant(), {}).has_audit_head());
+  EXPECT_FALSE(Encode(model::ActuatorHello()).hello().has_last_audit_head());
 }
 
 TEST(ActuatorCodecTest, ReceiptsComeBackAsTheyWere) {

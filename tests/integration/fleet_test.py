@@ -289,6 +289,49 @@ def audit_log_outlives_a_kill(fleet):
     check(code == 1 and "altered" in error, f"{code} {error}")
 
 
+def kept_audit_head(fleet):
+    """(sequence, hash) of the audit log, as the actuator keeps it on its host; None = none yet."""
+    path = fleet.dir / "actuator/audit_head"
+    if not path.exists():
+        return None
+    values = dict(line.split(" ", 1) for line in path.read_text().splitlines())
+    return int(values["sequence"]), values["hash"]
+
+
+def audit_log_put_back_is_contradicted_by_the_robot(fleet):
+    """Restarts and kills of either end are no trouble; an audit log that was put back to an older
+    state is contradicted by what the actuator was shown, and an auditor can prove it."""
+    fleet.arm()
+    until(fleet, 20, "the actuator keeps no head", lambda: kept_audit_head(fleet))
+    fleet.server.kill(signal.SIGKILL)
+    directory = fleet.dir / "server/audit"
+    yesterday = fleet.dir / "yesterday"
+    shutil.copytree(directory, yesterday)
+    fleet.server = fleet.start_server()
+    fleet.actuator.kill()
+    fleet.actuator = fleet.start_agent("actuator")
+    before = kept_audit_head(fleet)
+    compromise(fleet).kill()
+    until(fleet, 30, "the actuator is not shown the raise", lambda: kept_audit_head(fleet) > before)
+    check(not alerted(fleet, "audit log"), f"whole, and yet: {fleet.alerts()}")
+
+    fleet.server.kill()
+    shutil.rmtree(directory)
+    shutil.copytree(yesterday, directory)
+    fleet.server = fleet.start_server()
+    until(fleet, 40, "the log is not contradicted",
+          lambda: alerted(fleet, "was shown record", "signed by the key", "put back"))
+    alert = next(a for a in fleet.alerts() if "was shown record" in a["text"])
+    check(alert["severity"] == "critical" and alert["robot"] == "r1", f"{alert}")
+    fleet.actuator.wait_for(lambda line: "audit log contradicted" in line, 20, "the robot's own log")
+    head = re.search(r"--head (\d+:[0-9a-f]{64})`", alert["text"])[1]
+    check(int(head.partition(":")[0]) >= kept_audit_head(fleet)[0], f"{head} is not what it keeps")
+    code, _, error = fleet.ripsctl("audit", "verify", str(directory), "--head", head, check=False)
+    check(code == 1 and "rolled back" in error, f"{code} {error}")
+    check(any("was shown record" in r["text"] for r in audited(fleet)), "the log itself is silent")
+    check(fleet.level()["decided_level"] == "COMPROMISED", "the level went down")
+
+
 def kill_server_at_the_moment_of_a_raise(fleet):
     """Raises are commanded while they are recorded: whatever the store lost, the robot's own decision id
     brings back."""
@@ -1140,6 +1183,7 @@ def until(fleet, seconds, what, found):
 
 SCENARIOS = [kill_server_while_compromised, explained_when_the_driver_has_gone,
              alerts_replay_to_the_same_verdict, two_persons_release_a_robot, audit_log_outlives_a_kill,
+    audit_log_put_back_is_contradicted_by_the_robot,
              kill_server_at_the_moment_of_a_raise,
              kill_sensor_in_the_story, sensor_on_a_wrong_domain, kill_actuator_while_compromised,
              server_absent_at_agent_start, lost_lease_raises_the_floor, manager_that_lies,

@@ -104,6 +104,11 @@ Head AuditLog::head() const {
   return head_;
 }
 
+model::AuditHead AuditLog::sealed() const {
+  MutexLock lock(&mu_);
+  return sealed_;
+}
+
 absl::Status AuditLog::Write(std::vector<v1::AuditRecord>& records, bool wants_gap) {
   const int64_t now = clock_->Now().unix_ns;
   std::vector<std::string> payloads;
@@ -124,6 +129,7 @@ absl::Status AuditLog::Write(std::vector<v1::AuditRecord>& records, bool wants_g
   if (!status.ok() && options_.on_failure) options_.on_failure();
   MutexLock lock(&mu_);
   head_ = writer_->head();
+  sealed_ = writer_->sealed();
   if (status.ok() && wants_gap) dropped_ = 0;
   if (!status.ok() && health_.ok()) failed_unix_ns_ = now;
   health_ = Copy(status);

@@ -17,6 +17,7 @@
 #include "policy_server/server/audit/segment_writer.h"
 #include "rips/v1/audit.pb.h"
 #include "services/base/clock.h"
+#include "services/model/audit_head.h"
 #include "services/runtime/mutex.h"
 
 namespace rips::audit {
@@ -50,6 +51,8 @@ class AuditLog {
   // Not OK, with the reason, from an attempt that failed until one that did not.
   absl::Status health() const ABSL_LOCKS_EXCLUDED(mu_);
   Head head() const ABSL_LOCKS_EXCLUDED(mu_);
+  // The same with its proof. Any thread; never blocks on the disk.
+  model::AuditHead sealed() const ABSL_LOCKS_EXCLUDED(mu_);
 
  private:
   AuditLog(std::unique_ptr<SegmentWriter> writer, const AuditOptions& options, const Clock* clock);
@@ -70,6 +73,7 @@ class AuditLog {
   absl::Status health_ ABSL_GUARDED_BY(mu_);
   int64_t failed_unix_ns_ ABSL_GUARDED_BY(mu_) = 0;
   Head head_ ABSL_GUARDED_BY(mu_);
+  model::AuditHead sealed_ ABSL_GUARDED_BY(mu_);
   bool stopping_ ABSL_GUARDED_BY(mu_) = false;
   std::thread thread_;
 };

@@ -230,6 +230,11 @@ absl::Status SegmentWriter::Append(absl::Span<const std::string> payloads, int64
   RIPS_RETURN_IF_ERROR(Write(out));
   bytes_ += out.size();
   hash_ = seal.hash;
+  sealed_ = {.segment = number_,
+             .public_key = key_->public_key(),
+             .sequence = head.sequence,
+             .hash = head.hash,
+             .signature = std::move(seal.payload)};
   head_ = std::move(head);
   return absl::OkStatus();
 }

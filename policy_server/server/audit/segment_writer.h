@@ -16,6 +16,7 @@
 #include "policy_server/audit/format.h"
 #include "policy_server/audit/signing_key.h"
 #include "policy_server/audit/verify.h"
+#include "services/model/audit_head.h"
 #include "services/runtime/unique_fd.h"
 
 namespace rips::audit {
@@ -37,6 +38,8 @@ class SegmentWriter {
 
   // The newest that is durable.
   const Head& head() const { return head_; }
+  // The same with its proof; none until the first Append.
+  const model::AuditHead& sealed() const { return sealed_; }
   uint64_t segment() const { return number_; }
 
  private:
@@ -62,6 +65,7 @@ class SegmentWriter {
   uint64_t bytes_ = 0;
   std::string hash_ = std::string(kHashBytes, '\0');
   Head head_;
+  model::AuditHead sealed_;
   // More than `bytes_` may stand in the file.
   bool torn_ = false;
 };

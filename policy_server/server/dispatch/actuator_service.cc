@@ -1,5 +1,6 @@
 #include "policy_server/server/dispatch/actuator_service.h"
 
+#include <functional>
 #include <memory>
 #include <optional>
 #include <string>
@@ -28,8 +29,12 @@ using Stream = rpc::ServerStream<ActuatorMessage, ActuatorReply>;
 // What the pipeline holds of one stream.
 class Link final : public pipeline::ActuatorLink {
  public:
-  Link(std::shared_ptr<Stream::Outbound> outbound, Counter commands, LogLimiter* logs)
-      : outbound_(std::move(outbound)), commands_(commands), logs_(logs) {}
+  Link(std::shared_ptr<Stream::Outbound> outbound, Counter commands, LogLimiter* logs,
+       std::function<model::AuditHead()> newest_head)
+      : outbound_(std::move(outbound)),
+        commands_(commands),
+        logs_(logs),
+        newest_head_(std::move(newest_head)) {}
 
   // Once, before the hello is posted.
   void SetPeer(std::string robot, std::string host, std::string address) {
@@ -46,7 +51,9 @@ class Link final : public pipeline::ActuatorLink {
       }
     }
     ActuatorReply reply;
-    *reply.mutable_lease() = model_proto::Encode(lease, RealClock().Now());
+    pipeline::LeaseGrant granted = lease;
+    if (newest_head_) granted.audit_head = newest_head_();
+    *reply.mutable_lease() = model_proto::Encode(granted, RealClock().Now());
     outbound_->Send(std::move(reply));
   }
   void Send(const pipeline::Command& command) override {
@@ -76,17 +83,21 @@ class Link final : public pipeline::ActuatorLink {
   bool admitted_ = false;
   Counter commands_;
   LogLimiter* logs_;
+  // Robots may hold links for longer than the service lives.
+  const std::function<model::AuditHead()> newest_head_;
 };
 
 class ActuatorStream final : public Stream {
  public:
   ActuatorStream(const absl::StatusOr<rpc::Peer>& peer, grpc::CallbackServerContext* context,
                  pipeline::Pipeline* pipeline, rpc::SessionWatch* watch,
-                 const DispatchMetrics& metrics)
+                 const DispatchMetrics& metrics, const AuditHeads* heads)
       : pipeline_(pipeline),
         watch_(watch),
         metrics_(metrics),
-        link_(std::make_shared<Link>(outbound(), metrics.commands, &pipeline->logs())) {
+        heads_(heads),
+        link_(std::make_shared<Link>(outbound(), metrics.commands, &pipeline->logs(),
+                                     heads->newest)) {
     if (!peer.ok()) {
       outbound()->Close(rpc::ToGrpc(peer.status()));
     } else {
@@ -137,8 +148,13 @@ class ActuatorStream final : public Stream {
     if (!decoded.ok()) return Refuse(decoded.status());
     link_->SetPeer(mailbox_->robot(), host_, address_);
     decoded->peer = address_;
+    model::AuditHead head = decoded->last_audit_head;
     Post(hello.ByteSizeLong(), [host = host_, link = link_, hello = *std::move(decoded)](
                                    Robot& robot) { robot.OnActuatorHello(host, link, hello); });
+    // Posted: the robot is one of the inventory.
+    if (!refused_ && heads_->returned) {
+      heads_->returned(mailbox_->robot(), host_, std::move(head));
+    }
   }
 
   void OnReceipt(const rips::v1::Receipt& receipt) {
@@ -194,6 +210,7 @@ class ActuatorStream final : public Stream {
   pipeline::Pipeline* pipeline_;
   rpc::SessionWatch* watch_;
   DispatchMetrics metrics_;
+  const AuditHeads* heads_;
   std::shared_ptr<Link> link_;
   std::shared_ptr<rpc::SessionWatch::Session> session_;
   std::optional<pipeline::Mailbox> mailbox_;
@@ -207,7 +224,7 @@ class ActuatorStream final : public Stream {
 grpc::ServerBidiReactor<ActuatorMessage, ActuatorReply>* ActuatorService::Attach(
     grpc::CallbackServerContext* context) {
   return new ActuatorStream(watch_->Admit(*context, rpc::Role::kActuator), context, pipeline_,
-                            watch_, metrics_);
+                            watch_, metrics_, &heads_);
 }
 
 }  // namespace rips::dispatch

@@ -2,8 +2,13 @@
 #ifndef RIPS_POLICY_SERVER_SERVER_DISPATCH_ACTUATOR_SERVICE_H_
 #define RIPS_POLICY_SERVER_SERVER_DISPATCH_ACTUATOR_SERVICE_H_
 
+#include <functional>
+#include <string>
+#include <utility>
+
 #include "policy_server/server/shard/pipeline.h"
 #include "rips/v1/actuator.grpc.pb.h"
+#include "services/model/audit_head.h"
 #include "services/rpc/session_watch.h"
 #include "services/runtime/metrics.h"
 #include "services/wire_limits/limit_counters.h"
@@ -19,12 +24,21 @@ struct DispatchMetrics {
   wire_limits::LimitCounters fields_refused = {};
 };
 
+// The audit log, as actuators carry its heads. Empty without one. Any thread; never block.
+struct AuditHeads {
+  // To grant leases with; called for as long as the pipeline lives.
+  std::function<model::AuditHead()> newest;
+  // An actuator came back with one.
+  std::function<void(const std::string& robot, const std::string& host, model::AuditHead)> returned;
+};
+
 // Robot, host and role are taken from the certificate alone.
 class ActuatorService final : public rips::v1::ActuatorService::CallbackService {
  public:
   // Not owned; both outlive every call.
-  ActuatorService(pipeline::Pipeline* pipeline, rpc::SessionWatch* watch, DispatchMetrics metrics)
-      : pipeline_(pipeline), watch_(watch), metrics_(metrics) {}
+  ActuatorService(pipeline::Pipeline* pipeline, rpc::SessionWatch* watch, DispatchMetrics metrics,
+                  AuditHeads heads = {})
+      : pipeline_(pipeline), watch_(watch), metrics_(metrics), heads_(std::move(heads)) {}
 
   grpc::ServerBidiReactor<rips::v1::ActuatorMessage, rips::v1::ActuatorReply>* Attach(
       grpc::CallbackServerContext* context) override;
@@ -33,6 +47,7 @@ class ActuatorService final : public rips::v1::ActuatorService::CallbackService 
   pipeline::Pipeline* pipeline_;
   rpc::SessionWatch* watch_;
   DispatchMetrics metrics_;
+  const AuditHeads heads_;
 };
 
 }  // namespace rips::dispatch

@@ -1,0 +1,75 @@
+// Compares the heads that actuators bring back with the audit log, on a thread of its own.
+//
+// One pass at most in `pause`, over what came since: of each actuator its newest head, of each
+// segment one read. A hostile actuator costs one read of one segment in a pass.
+#ifndef RIPS_POLICY_SERVER_SERVER_AUDIT_RETURNED_HEADS_H_
+#define RIPS_POLICY_SERVER_SERVER_AUDIT_RETURNED_HEADS_H_
+
+#include <functional>
+#include <map>
+#include <memory>
+#include <string>
+#include <thread>
+#include <utility>
+
+#include "absl/base/thread_annotations.h"
+#include "absl/status/status.h"
+#include "absl/time/time.h"
+#include "policy_server/audit/returned_head.h"
+#include "policy_server/policy/engine/state/effect.h"
+#include "services/model/audit_head.h"
+#include "services/runtime/mutex.h"
+
+namespace rips::audit {
+
+// An actuator, by its certificate.
+struct HeadBringer {
+  std::string robot;
+  std::string host;
+  friend auto operator<=>(const HeadBringer&, const HeadBringer&) = default;
+};
+
+class ReturnedHeads {
+ public:
+  // Actuators whose heads wait; more are not compared, which is logged.
+  static constexpr size_t kWaitingMax = 8'192;
+
+  // `told` is called on the thread for each head that was compared, and must not block.
+  using Told =
+      std::function<void(const HeadBringer&, const model::AuditHead&, HeadVerdict verdict)>;
+  ReturnedHeads(std::unique_ptr<Segments> segments, Told told,
+                absl::Duration pause = absl::Seconds(10));
+  // What waits is not compared.
+  ~ReturnedHeads();
+
+  // Nothing happens for a head that is none. Any thread; never blocks.
+  void Compare(HeadBringer bringer, model::AuditHead head) ABSL_LOCKS_EXCLUDED(mu_);
+
+ private:
+  using Waiting = std::map<HeadBringer, model::AuditHead>;
+
+  void Run() ABSL_LOCKS_EXCLUDED(mu_);
+  void CompareAll(const Waiting& heads) const;
+
+  const std::unique_ptr<Segments> segments_;
+  const Told told_;
+  const absl::Duration pause_;
+  Mutex mu_;
+  CondVar changed_;
+  // Of stopping_ alone.
+  CondVar stopped_;
+  Waiting waiting_ ABSL_GUARDED_BY(mu_);
+  bool stopping_ ABSL_GUARDED_BY(mu_) = false;
+  std::thread thread_;
+};
+
+// What to tell people of a verdict. Empty text: nothing.
+struct HeadAlert {
+  engine::Severity severity = engine::Severity::kHigh;
+  std::string text;
+};
+HeadAlert AlertOf(const HeadBringer& bringer, const model::AuditHead& head, HeadVerdict verdict);
+
+}  // namespace rips::audit
+
+#endif  // RIPS_POLICY_SERVER_SERVER_AUDIT_RETURNED_HEADS_H_
