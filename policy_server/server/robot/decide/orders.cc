@@ -125,12 +125,6 @@ void Orders::OnApprove(const input::Approve& in) {
       absl::StrCat(lowering->operator_name, ", approved by ", order.operator_name);
   // Each is within the limit of a reason; both together need not be.
   lowering->reason = absl::StrCat(lowering->reason, "; approved: ", order.reason);
-  alerts_.RaiseOfKind(
-      absl::StrCat("approval by ", order.identity), engine::Severity::kInfo,
-      absl::StrCat("operator ", lowering->operator_name, ", lowers ", context_.config.id, " to ",
-                   lowering->to, " (", order.id.substr(0, 8), ")",
-                   answer.blind_because.empty() ? "" : ", though RIPS does not see it: ",
-                   absl::StrJoin(answer.blind_because, "; ")));
   Decide(Lower(*lowering, state_.level), *lowering,
          {.token = in.token, .answer = std::move(answer)});
 }
@@ -165,7 +159,27 @@ void Orders::Decide(const levels::Transition& transition, const LevelOrder& orde
   if (transition.refused()) out.status = RefusalStatus(transition, levels());
   if (!order.dry_run) decider_.OnTransition({.transition = transition});
   if (order.dry_run || !transition.decided()) return context_.Do(std::move(answer));
+  Tell(transition, order, out);
   decider_.orders().Wait(transition.decision_id, order.request_id, std::move(answer));
+}
+
+void Orders::Tell(const levels::Transition& transition, const LevelOrder& order,
+                  const LevelAnswer& answer) {
+  if (transition.from == transition.to) return;
+  const bool lowers = transition.lowers();
+  const bool blind = lowers && !answer.blind_because.empty();
+  alerts_.RaiseOfKind(
+      absl::StrCat("order by ", order.operator_name),
+      blind    ? engine::Severity::kHigh
+      : lowers ? engine::Severity::kMedium
+               : engine::Severity::kLow,
+      absl::StrCat("operator ", order.operator_name, lowers ? " lowers " : " raises ",
+                   context_.config.id, " from ", levels().name(transition.from), " to ",
+                   levels().name(transition.to),
+                   blind ? absl::StrCat(", though RIPS does not see all of it (",
+                                        absl::StrJoin(answer.blind_because, "; "), ")")
+                         : "",
+                   ": ", order.reason));
 }
 
 void Orders::OnResume(const input::ResumeRules& in) {
@@ -191,6 +205,10 @@ void Orders::OnRefused(const input::RefusedOrder& in) {
   if (fresh) it->second.first = context_.ids.Next();
   const uint64_t count = ++it->second.second;
   if ((count & (count - 1)) != 0) return;  // written at 1, 2, 4, 8, ...
+  alerts_.RaiseOfKind(
+      absl::StrCat("refused ", cause), engine::Severity::kMedium,
+      absl::StrCat(cause, " was refused to move ", context_.config.id, " to ", in.order.to, ", ",
+                   count, count == 1 ? " time: " : " times: ", in.why.message()));
   outbox_.AddRefusal({.id = it->second.first,
                       .from = levels().name(state_.level.level()),
                       .to = in.order.to,

@@ -1,0 +1,98 @@
+// Changes of a level by hand reach those who watch alerts.
+#include <string>
+
+#include "gmock/gmock.h"
+#include "policy_server/server/robot/robot_fixture.h"
+#include "services/base/status_matchers.h"
+
+namespace rips::pipeline {
+namespace {
+
+using ::testing::AllOf;
+using ::testing::Contains;
+using ::testing::Field;
+using ::testing::HasSubstr;
+using ::testing::Not;
+
+class OrderAlertsTest : public RobotTest {
+ protected:
+  OrderAlertsTest() {
+    Start();
+    Arm();
+  }
+  LevelAnswer Raise(const std::string& to, bool dry_run = false) {
+    LevelAnswer answer;
+    robot_->Raise(
+        {.operator_name = "alice", .to = to, .reason = "a person fell", .dry_run = dry_run},
+        [&](const LevelAnswer& got) { answer = got; });
+    Drain();
+    Obey();
+    return answer;
+  }
+  LevelAnswer Lower(const std::string& to, bool accept_blind = false) {
+    LevelAnswer answer;
+    robot_->DeEscalate({.operator_name = "bob",
+                        .to = to,
+                        .reason = "the aisle is clear",
+                        .expected_level = Level(),
+                        .expected_decision_id = robot_->Status().decision_id,
+                        .accept_blind = accept_blind},
+                       [&](const LevelAnswer& got) { answer = got; });
+    Drain();
+    return answer;
+  }
+  static auto Alert(const std::string& severity, const std::string& text) {
+    return Contains(AllOf(Field(&store::AlertRecord::severity, severity),
+                          Field(&store::AlertRecord::text, HasSubstr(text))));
+  }
+};
+
+TEST_F(OrderAlertsTest, ARaiseAndALoweringByHandAreToldWithTheirReasons) {
+  ASSERT_THAT(Raise("COMPROMISED").status, IsOk());
+  EXPECT_THAT(audience_.alerts, Alert("low",
+                                      "operator alice raises r1 from DEFAULT to COMPROMISED: "
+                                      "a person fell"));
+  ASSERT_THAT(Lower("DEFAULT").status, IsOk());
+  EXPECT_THAT(audience_.alerts, Alert("medium",
+                                      "operator bob lowers r1 from COMPROMISED to "
+                                      "DEFAULT: the aisle is clear"));
+}
+
+TEST_F(OrderAlertsTest, ALoweringOfARobotThatIsNotSeenIsHigh) {
+  ASSERT_THAT(Raise("COMPROMISED").status, IsOk());
+  robot_->OnSensorGone("base", sensor_.get());
+  Drain();
+  EXPECT_THAT(Lower("DEFAULT").status, StatusIs(absl::StatusCode::kFailedPrecondition));
+  EXPECT_THAT(audience_.alerts, Not(Alert("high", "operator bob lowers")));
+  ASSERT_THAT(Lower("DEFAULT", true).status, IsOk());
+  EXPECT_THAT(audience_.alerts,
+              Alert("high",
+                    "operator bob lowers r1 from COMPROMISED to DEFAULT, though RIPS does "
+                    "not see all of it ("));
+}
+
+TEST_F(OrderAlertsTest, WhatChangesNothingIsNotTold) {
+  Raise("COMPROMISED", true);
+  Raise("NOWHERE");
+  EXPECT_THAT(audience_.alerts, Not(Alert("low", "operator alice")));
+  Raise("COMPROMISED");
+  const size_t told = audience_.alerts.size();
+  Raise("COMPROMISED");
+  EXPECT_EQ(audience_.alerts.size(), told) << "it is there already";
+}
+
+TEST_F(OrderAlertsTest, AnOrderWithoutTheRightToItIsToldAtPowersOfTwo) {
+  const size_t before = audience_.alerts.size();
+  for (int i = 0; i < 5; ++i) {
+    robot_->RecordRefusedOrder({.operator_name = "vera", .to = "DEFAULT"},
+                               absl::PermissionDeniedError("needs the role `operator`"));
+  }
+  Drain();
+  EXPECT_THAT(audience_.alerts, Alert("medium",
+                                      "operator vera was refused to move r1 to DEFAULT, "
+                                      "1 time: needs the role `operator`"));
+  EXPECT_LE(audience_.alerts.size(), before + 3);
+}
+
+}  // namespace
+}  // namespace rips::pipeline
