@@ -66,6 +66,7 @@ absl::StatusOr<bundle::Inventory> Fleet::ReadInventory() const {
 
 absl::Status Fleet::Start() {
   RIPS_ASSIGN_OR_RETURN(inventory_, ReadInventory());
+  if (counts_.inventory) counts_.inventory(inventory_);
   const PolicySource::Policies policies = policies_->FindAll(inventory_);
   std::vector<std::string> robots;
   for (const bundle::InventoryRobot& robot : inventory_.robots) robots.push_back(robot.id);
@@ -182,6 +183,7 @@ void Fleet::Reload() {
   RemoveMissing(now);
   Settle(now);
   inventory_ = now;
+  if (counts_.inventory) counts_.inventory(inventory_);
   ForgetUnused();
   Count();
 }

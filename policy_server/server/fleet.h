@@ -51,6 +51,8 @@ struct FleetCounts {
   std::function<void(size_t armed, size_t on_last_good, size_t held)> robots;
   // A robot of the inventory, when it is first seen there.
   std::function<void(const bundle::InventoryRobot&)> listed;
+  // The inventory that is in force from now on; before Start returns, and at each Reload.
+  std::function<void(const bundle::Inventory&)> inventory;
 };
 
 // One thread at a time.

@@ -85,9 +85,15 @@ class FleetTest : public ::testing::Test {
     fleet_ = std::make_unique<Fleet>(
         options_, &store_, pipeline_.get(), alerts_.get(), policies_.get(),
         pipeline::Ports{.recorder = recorder_.get(), .audience = &audience_, .new_id = NewId},
-        FleetCounts{.robots = [this](size_t armed, size_t on_last_good, size_t held) {
-          counts_ = {armed, on_last_good, held};
-        }});
+        FleetCounts{.robots =
+                        [this](size_t armed, size_t on_last_good, size_t held) {
+                          counts_ = {armed, on_last_good, held};
+                        },
+                    .inventory =
+                        [this](const bundle::Inventory& now) {
+                          in_force_.emplace_back();
+                          for (const auto& robot : now.robots) in_force_.back().push_back(robot.id);
+                        }});
     const absl::Status status = fleet_->Start();
     pipeline_->Start();
     return status;
@@ -155,6 +161,8 @@ class FleetTest : public ::testing::Test {
   std::unique_ptr<PolicySource> policies_;
   std::unique_ptr<Fleet> fleet_;
   std::vector<size_t> counts_;
+  // Robots of each inventory that was told to be in force.
+  std::vector<std::vector<std::string>> in_force_;
 };
 
 TEST_F(FleetTest, ABrokenBundleCostsItsRobotOnlyWhichGoesOnByItsLastGoodOne) {
@@ -257,6 +265,17 @@ TEST_F(FleetTest, AnInventoryThatIsRefusedLeavesTheOldOneInForce) {
   Stop();
   EXPECT_THAT(store_.ListAlerts(std::string(store::kServerRobot), 100)->front().text,
               HasSubstr("the inventory is refused, the old one stays in force"));
+}
+
+TEST_F(FleetTest, TellsTheInventoryInForceAtTheStartAndAtEachReload) {
+  ASSERT_THAT(Start(), IsOk());
+  List({{"r2", "other"}, {"r3", "good"}});
+  fleet_->Reload();
+  std::ofstream(options_.inventory) << "robots: [";
+  fleet_->Reload();
+
+  EXPECT_THAT(in_force_, ElementsAre(ElementsAre("r1", "r2"), ElementsAre("r2", "r3"),
+                                     ElementsAre("r2", "r3")));
 }
 
 TEST_F(FleetTest, ABundleThatIsRefusedAtReloadLeavesTheOldOneInForceAndIsShown) {

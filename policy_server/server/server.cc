@@ -6,6 +6,7 @@
 #include <span>
 #include <thread>
 #include <utility>
+#include <vector>
 
 #include "absl/strings/escaping.h"
 #include "absl/strings/str_cat.h"
@@ -31,6 +32,9 @@ constexpr int kOtherConnections = 32;
 constexpr int kConnectionsOfAHost = 4;
 // Of one operator's certificate, beside those that its streams hold: an order finds one.
 constexpr int kConnectionsForCalls = 32;
+
+// From a fast disk to what is an outage.
+const std::vector<double> kCommitSeconds = {0.001, 0.003, 0.01, 0.03, 0.1, 0.3, 1, 3, 10};
 
 pipeline::Timing ToPipeline(const Timing& timing) {
   return {.heartbeat_ns = absl::ToInt64Nanoseconds(timing.heartbeat),
@@ -98,10 +102,19 @@ absl::Status Server::Open() {
       "rips_alert_file_failures_total", "Attempts to write the alert file that failed.");
   hub_ = std::make_unique<operator_api::StatusBroadcaster>(
       store_.get(), alert_log_.get(),
-      operator_api::FeedCounts{.file_failures = [file_failures](uint64_t by) {
-        file_failures.Increment(static_cast<double>(by));
-      }});
+      operator_api::FeedCounts{
+          .file_failures =
+              [file_failures](uint64_t by) { file_failures.Increment(static_cast<double>(by)); },
+          .cut_traces = [cut = metrics_.AddCounter(
+                             "rips_alert_traces_cut_total",
+                             "Alerts whose trace leaves something out.")] { cut.Increment(); }});
   store::CommitterOptions committing;
+  committing.on_commit =
+      [took = metrics_.AddHistogram("rips_store_commit_seconds",
+                                    "How long transactions took, those of the audit log included.",
+                                    kCommitSeconds)](int64_t took_ns) {
+        took.Observe(static_cast<double>(took_ns) / kNanosPerSecond);
+      };
   if (config_.audit_dir.empty()) {
     LogWarning("no `audit` in the configuration: decisions are kept in the store alone");
   } else {
@@ -546,6 +559,7 @@ absl::Status Server::AddRobots() {
   if (flights_ != nullptr) {
     flight_recorder = [this](const std::string& robot) { return flights_->NewRecorder(robot); };
   }
+  fleet_metrics_ = std::make_unique<FleetMetrics>(pipeline_.get(), &clock_, &metrics_);
   fleet_ = std::make_unique<Fleet>(
       FleetOptions{.inventory = config_.inventory, .timing = ToPipeline(config_.timing)},
       store_.get(), pipeline_.get(), alerts_.get(), rollouts_.policies.get(),
@@ -562,12 +576,16 @@ absl::Status Server::AddRobots() {
                       },
                   .listed =
                       [this, counts](const bundle::InventoryRobot& robot) {
+                        // What an earlier robot of that name has left.
                         counts.endpoints(robot.id, {});
+                        counts.graph_left_out(robot.id, 0, false);
                         for (const bundle::InventorySensor& sensor : robot.sensors) {
                           ClockSkew(metrics_, robot.id, sensor.host)
                               .Set(std::numeric_limits<double>::quiet_NaN());
                         }
-                      }});
+                      },
+                  .inventory =
+                      [this](const bundle::Inventory& now) { fleet_metrics_->SetInventory(now); }});
   RIPS_RETURN_IF_ERROR(fleet_->Start());
   OpenBundleControl();
   return absl::OkStatus();
@@ -629,6 +647,13 @@ absl::Status Server::Listen() {
                                    .guard = connections_.get(),
                                    .credentials = credentials_->ForServer()},
                                   {sensors_.get(), actuators_.get(), operators_.get()}));
+  fleet_metrics_->Start({.certificates = certificates_.get(),
+                         .sessions = watch_.get(),
+                         .shadows = &rollouts_.shadows,
+                         .orders = &bundles_->thread(),
+                         .pushes = &bundles_->pushes(),
+                         .committer = committer_.get(),
+                         .store_path = config_.store_path});
   listening_ = true;
   LogInfo("listening", {{"address", rpc_->address()}, {"metrics", page_->address()}});
   return absl::OkStatus();
@@ -669,6 +694,7 @@ void Server::Reload() {
 
 void Server::Stop() {
   if (std::exchange(stopped_, true) || pipeline_ == nullptr) return;
+  if (fleet_metrics_ != nullptr) fleet_metrics_->Stop();
   if (rpc_ != nullptr) {
     LogInfo("stopping");
     rpc_->SetServing(false);

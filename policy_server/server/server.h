@@ -21,6 +21,7 @@
 #include "policy_server/server/config/config.h"
 #include "policy_server/server/dispatch/actuator_service.h"
 #include "policy_server/server/fleet.h"
+#include "policy_server/server/fleet_metrics.h"
 #include "policy_server/server/flight/flight_archive.h"
 #include "policy_server/server/flight/flight_files.h"
 #include "policy_server/server/ingest/sensor_service.h"
@@ -141,6 +142,7 @@ class Server {
   };
   Rollouts rollouts_;
   std::unique_ptr<pipeline::Pipeline> pipeline_;
+  std::unique_ptr<FleetMetrics> fleet_metrics_;
   std::unique_ptr<Fleet> fleet_;
   std::unique_ptr<rollout::BundleControl> bundles_;
   std::unique_ptr<operator_api::BanList> bans_;

@@ -59,6 +59,14 @@ std::vector<std::shared_ptr<SessionWatch::Session>> SessionWatch::Live() {
   return live;
 }
 
+std::map<Role, size_t> SessionWatch::Open() {
+  std::map<Role, size_t> open;
+  for (const auto& session : Live()) {
+    if (session->greeted && !session->closed) ++open[session->peer.identity.role];
+  }
+  return open;
+}
+
 void SessionWatch::CloseAll(const grpc::Status& status) {
   for (const auto& session : Live()) session->close_when_sent(status);
 }

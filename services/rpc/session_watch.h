@@ -9,8 +9,10 @@
 #define RIPS_SERVICES_RPC_SESSION_WATCH_H_
 
 #include <atomic>
+#include <cstddef>
 #include <cstdint>
 #include <functional>
+#include <map>
 #include <memory>
 #include <optional>
 #include <vector>
@@ -88,6 +90,8 @@ class SessionWatch {
   // Ends what is due now: DEADLINE_EXCEEDED without a hello or a heartbeat, or as CallGate refuses
   // the peer.
   void CheckSessions();
+  // Streams that are open and have said hello, by role of their peer.
+  std::map<Role, size_t> Open() ABSL_LOCKS_EXCLUDED(mu_);
   // Ends every stream with `status`, after what waits to be written if its owner can do that: the
   // lease that a stopping server grants must not be lost with the stream.
   void CloseAll(const grpc::Status& status);

@@ -13,6 +13,7 @@ namespace {
 
 using ::testing::ElementsAre;
 using ::testing::IsEmpty;
+using ::testing::Pair;
 using ::testing::SizeIs;
 
 class SessionWatchTest : public ::testing::Test {
@@ -94,6 +95,24 @@ TEST_F(SessionWatchTest, AStreamThatSaidHelloStays) {
   watch_.CheckSessions();
 
   EXPECT_THAT(greeted.ends, IsEmpty());
+}
+
+TEST_F(SessionWatchTest, CountsOpenStreamsThatHaveSaidHelloByRole) {
+  Watched ends;
+  Watched silent;
+  Add(&ends);
+  Add(&silent);
+  auto viewer = watch_.Add({.identity = {.role = Role::kOperator}, .not_after = Wall()},
+                           [](const grpc::Status&) {});
+  ends.session->greeted = true;
+  viewer->greeted = true;
+
+  EXPECT_THAT(watch_.Open(), ElementsAre(Pair(Role::kSensor, 1), Pair(Role::kOperator, 1)));
+  ends.session.reset();
+  EXPECT_THAT(watch_.Open(), ElementsAre(Pair(Role::kOperator, 1)));
+  clock_.Advance(1);
+  watch_.CheckSessions();
+  EXPECT_THAT(watch_.Open(), IsEmpty()) << "its certificate has expired";
 }
 
 TEST_F(SessionWatchTest, AJumpOfTheWallClockIsNoTimeWithoutHello) {

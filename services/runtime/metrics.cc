@@ -7,6 +7,7 @@
 #include "absl/strings/str_cat.h"
 #include "prometheus/counter.h"
 #include "prometheus/gauge.h"
+#include "prometheus/histogram.h"
 #include "prometheus/registry.h"
 #include "prometheus/text_serializer.h"
 #include "services/base/check.h"
@@ -18,6 +19,13 @@ namespace rips {
 namespace {
 
 constexpr absl::Duration kPageRetryMax = absl::Seconds(30);
+
+bool IsShown(const Metrics::Shown& shown, const prometheus::ClientMetric& metric) {
+  if (metric.label.empty()) return true;
+  MetricLabels labels;
+  for (const auto& label : metric.label) labels.emplace(label.name, label.value);
+  return shown(labels);
+}
 
 }  // namespace
 
@@ -39,6 +47,24 @@ void Gauge::Add(double by) const {
 
 double Gauge::Value() const {
   return cell_ == nullptr ? 0 : static_cast<prometheus::Gauge*>(cell_)->Value();
+}
+
+void Histogram::Observe(double value) const {
+  if (cell_ != nullptr) static_cast<prometheus::Histogram*>(cell_)->Observe(value);
+}
+
+// ---------------------------------------------------------------------------------- tables
+
+struct GaugeTable::Cell {
+  std::string help;
+  Mutex mu;
+  std::vector<MetricSample> samples ABSL_GUARDED_BY(mu);
+};
+
+void GaugeTable::Replace(std::vector<MetricSample> samples) const {
+  if (cell_ == nullptr) return;
+  MutexLock lock(&cell_->mu);
+  cell_->samples = std::move(samples);
 }
 
 struct Metrics::Registry {
@@ -69,8 +95,53 @@ Gauge Metrics::AddGauge(const std::string& name, const std::string& help, Metric
   }
 }
 
+Histogram Metrics::AddHistogram(const std::string& name, const std::string& help,
+                                const std::vector<double>& bounds, MetricLabels labels) {
+  try {
+    return Histogram(&prometheus::BuildHistogram()
+                          .Name(name)
+                          .Help(help)
+                          .Register(registry_->registry)
+                          .Add(labels, bounds));
+  } catch (const std::exception&) {
+    RIPS_CHECK(false, "a metric has a wrong name or two kinds");
+  }
+}
+
+GaugeTable Metrics::AddTable(const std::string& name, const std::string& help) {
+  MutexLock lock(&mu_);
+  auto& cell = tables_[name];
+  if (cell == nullptr) cell = std::make_unique<GaugeTable::Cell>();
+  cell->help = help;
+  return GaugeTable(cell.get());
+}
+
+void Metrics::SetShown(Shown shown) {
+  MutexLock lock(&mu_);
+  shown_ = std::move(shown);
+}
+
 std::string Metrics::Text() const {
-  return prometheus::TextSerializer().Serialize(registry_->registry.Collect());
+  std::vector<prometheus::MetricFamily> families = registry_->registry.Collect();
+  MutexLock lock(&mu_);
+  if (shown_) {
+    for (prometheus::MetricFamily& family : families) {
+      std::erase_if(family.metric, [&](const auto& metric) { return !IsShown(shown_, metric); });
+    }
+  }
+  for (const auto& [name, table] : tables_) {
+    prometheus::MetricFamily family{
+        .name = name, .help = table->help, .type = prometheus::MetricType::Gauge, .metric = {}};
+    MutexLock table_lock(&table->mu);
+    for (const MetricSample& sample : table->samples) {
+      prometheus::ClientMetric& metric = family.metric.emplace_back();
+      for (const auto& [label, value] : sample.labels) metric.label.push_back({label, value});
+      metric.gauge.value = sample.value;
+    }
+    families.push_back(std::move(family));
+  }
+  std::erase_if(families, [](const auto& family) { return family.metric.empty(); });
+  return prometheus::TextSerializer().Serialize(families);
 }
 
 MetricsServer::MetricsServer() = default;

@@ -1,4 +1,4 @@
-// Counters and gauges, and the HTTP page where Prometheus reads them.
+// Counters, gauges, histograms and tables, and the HTTP page where Prometheus reads them.
 #ifndef RIPS_SERVICES_RUNTIME_METRICS_H_
 #define RIPS_SERVICES_RUNTIME_METRICS_H_
 
@@ -8,6 +8,7 @@
 #include <string>
 #include <thread>
 #include <utility>
+#include <vector>
 
 #include "absl/base/thread_annotations.h"
 #include "absl/status/status.h"
@@ -50,6 +51,41 @@ class Gauge {
   void* cell_ = nullptr;  // prometheus::Gauge
 };
 
+// Counts values by the bucket that holds them. As Counter otherwise.
+class Histogram {
+ public:
+  Histogram() = default;
+  void Observe(double value) const;
+
+ private:
+  friend class Metrics;
+  explicit Histogram(void* cell) : cell_(cell) {}
+  void* cell_ = nullptr;  // prometheus::Histogram
+};
+
+// One line of a table.
+struct MetricSample {
+  MetricLabels labels;
+  double value = 0;
+
+  friend bool operator==(const MetricSample&, const MetricSample&) = default;
+};
+
+// Gauges of one name that are replaced together: the page shows all of the old or all of the new.
+// As Counter otherwise.
+class GaugeTable {
+ public:
+  GaugeTable() = default;
+  // Labels of the samples are distinct.
+  void Replace(std::vector<MetricSample> samples) const;
+
+ private:
+  friend class Metrics;
+  struct Cell;
+  explicit GaugeTable(Cell* cell) : cell_(cell) {}
+  Cell* cell_ = nullptr;
+};
+
 // The metrics of one process. Any thread.
 class Metrics {
  public:
@@ -62,12 +98,26 @@ class Metrics {
   // `rips_observations_total` and always comes with the same kind, help and label names.
   Counter AddCounter(const std::string& name, const std::string& help, MetricLabels labels = {});
   Gauge AddGauge(const std::string& name, const std::string& help, MetricLabels labels = {});
+  // `bounds` are the upper ends of the buckets, ascending; the last bucket has no end.
+  Histogram AddHistogram(const std::string& name, const std::string& help,
+                         const std::vector<double>& bounds, MetricLabels labels = {});
+  // No other metric has its name. Not on the page while it has no samples.
+  GaugeTable AddTable(const std::string& name, const std::string& help) ABSL_LOCKS_EXCLUDED(mu_);
+
+  // Counters, gauges and histograms with labels are on the page while `shown` is true of them.
+  // They keep counting, since others may hold them. Called by Text; must not call this.
+  using Shown = std::function<bool(const MetricLabels&)>;
+  void SetShown(Shown shown) ABSL_LOCKS_EXCLUDED(mu_);
 
   // All metrics in the Prometheus text format 0.0.4.
-  std::string Text() const;
+  std::string Text() const ABSL_LOCKS_EXCLUDED(mu_);
 
  private:
   struct Registry;
+  mutable Mutex mu_;
+  Shown shown_ ABSL_GUARDED_BY(mu_);
+  // By name.
+  std::map<std::string, std::unique_ptr<GaugeTable::Cell>> tables_ ABSL_GUARDED_BY(mu_);
   std::unique_ptr<Registry> registry_;
 };
 

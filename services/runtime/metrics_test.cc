@@ -61,11 +61,62 @@ TEST(MetricsTest, GivesTheSameMetricForTheSameNameAndLabels) {
 TEST(MetricsTest, ADefaultMadeMetricCountsNothing) {
   const Counter counter;
   const Gauge gauge;
+  Histogram().Observe(1);
+  GaugeTable().Replace({{{}, 1}});
   counter.Increment();
   gauge.Set(1);
   gauge.Add(1);
   EXPECT_EQ(counter.Value(), 0);
   EXPECT_EQ(gauge.Value(), 0);
+}
+
+TEST(MetricsTest, AHistogramCountsByBucket) {
+  Metrics metrics;
+  const Histogram took = metrics.AddHistogram("rips_took_seconds", "Took.", {0.1, 1});
+
+  took.Observe(0.05);
+  took.Observe(0.5);
+  took.Observe(50);
+
+  const std::string text = metrics.Text();
+  EXPECT_THAT(text, HasSubstr("# TYPE rips_took_seconds histogram\n"));
+  EXPECT_THAT(text, HasSubstr("rips_took_seconds_bucket{le=\"0.1\"} 1\n"));
+  EXPECT_THAT(text, HasSubstr("rips_took_seconds_bucket{le=\"1\"} 2\n"));
+  EXPECT_THAT(text, HasSubstr("rips_took_seconds_bucket{le=\"+Inf\"} 3\n"));
+}
+
+TEST(MetricsTest, ATableIsReplacedAsAWhole) {
+  Metrics metrics;
+  const GaugeTable table = metrics.AddTable("rips_robot_level", "Level.");
+  EXPECT_THAT(metrics.Text(), Not(HasSubstr("rips_robot_level")));
+
+  table.Replace({{{{"robot", "r1"}, {"level", "DEFAULT"}}, 1}});
+  EXPECT_THAT(metrics.Text(), HasSubstr("# HELP rips_robot_level Level.\n"
+                                        "# TYPE rips_robot_level gauge\n"
+                                        "rips_robot_level{level=\"DEFAULT\",robot=\"r1\"} 1\n"));
+  metrics.AddTable("rips_robot_level", "Level.")
+      .Replace({{{{"robot", "r1"}, {"level", "A\"\n\\"}}, 1}});
+
+  EXPECT_THAT(metrics.Text(), Not(HasSubstr("DEFAULT")));
+  EXPECT_THAT(metrics.Text(), HasSubstr("{level=\"A\\\"\\n\\\\\",robot=\"r1\"} 1\n")) << "escaped";
+  table.Replace({});
+  EXPECT_THAT(metrics.Text(), Not(HasSubstr("rips_robot_level")));
+}
+
+TEST(MetricsTest, WhatIsNotShownKeepsCounting) {
+  Metrics metrics;
+  const Counter gone = metrics.AddCounter("rips_x_total", "X.", {{"robot", "gone"}});
+  metrics.AddCounter("rips_x_total", "X.", {{"robot", "here"}}).Increment();
+  metrics.AddGauge("rips_plain", "Plain.").Set(1);
+
+  metrics.SetShown([](const MetricLabels& labels) { return labels.at("robot") != "gone"; });
+  gone.Increment(2);
+
+  EXPECT_THAT(metrics.Text(), Not(HasSubstr("gone")));
+  EXPECT_THAT(metrics.Text(), HasSubstr("rips_x_total{robot=\"here\"} 1\n"));
+  EXPECT_THAT(metrics.Text(), HasSubstr("rips_plain 1\n")) << "has no labels";
+  metrics.SetShown([](const MetricLabels&) { return true; });
+  EXPECT_THAT(metrics.Text(), HasSubstr("rips_x_total{robot=\"gone\"} 2\n"));
 }
 
 TEST(MetricsServerTest, ServesMetricsHealthAndReadiness) {

@@ -682,6 +682,48 @@ def reload_of_a_broken_bundle(fleet):
     compromise(fleet)
 
 
+def metrics_follow_the_level_and_the_inventory(fleet):
+    fleet.arm()
+
+    def wait_for(lines, what):
+        deadline = time.monotonic() + 15
+        while missing := lines - set(page(fleet.server, "metrics").splitlines()):
+            check(time.monotonic() < deadline, f"{what}: {sorted(missing)} not on the page")
+            time.sleep(0.2)
+
+    wait_for({'rips_robot_level{level="DEFAULT",robot="r1"} 1',
+              'rips_robot_level_index{robot="r1"} 0',
+              'rips_robot_effective_level_index{robot="r1"} 0',
+              'rips_robot_stage{robot="r1",stage="verified"} 1',
+              f'rips_robot_bundle_info{{bundle="{fleet.level()["bundle_version"]}",robot="r1"}} 1',
+              'rips_robot_judged{robot="r1"} 1',
+              'rips_robot_agents_connected{agent="sensor",robot="r1"} 1',
+              'rips_robot_agents_connected{agent="actuator",robot="r1"} 1',
+              'rips_streams_open{agent="sensor"} 1', 'rips_streams_open{agent="actuator"} 1',
+              'rips_store_healthy 1'}, "an armed robot")
+    text = page(fleet.server, "metrics")
+    for name in ("rips_robot_certificate_expiry_seconds", "rips_store_commit_seconds_bucket",
+                 "rips_store_bytes", "rips_robot_tasks_waiting", "rips_robot_status_age_seconds"):
+        check(f"\n{name}{{" in text, f"{name} is not on the page")
+    compromise(fleet)
+    wait_for({'rips_robot_level{level="COMPROMISED",robot="r1"} 1'}, "a raise")
+    check('level="DEFAULT"' not in page(fleet.server, "metrics"), "two levels are shown")
+
+    inventory = (fleet.dir / "robots.yaml").read_text()
+    fleet.write("robots.yaml", inventory.replace("id: r1", "id: r9"))
+    fleet.server.child.send_signal(signal.SIGHUP)
+    wait_for({'rips_robot_level{level="DEFAULT",robot="r9"} 1'}, "another inventory")
+    # The agents of the robot that has left go on trying.
+    for _ in range(10):
+        text = page(fleet.server, "metrics")
+        check('"r1"' not in text and '"r1/' not in text, f"of a robot that has left: {text}")
+        time.sleep(0.2)
+    fleet.write("robots.yaml", inventory)
+    fleet.server.child.send_signal(signal.SIGHUP)
+    wait_for({'rips_robot_level{level="COMPROMISED",robot="r1"} 1',
+              'rips_robot_agents_connected{agent="sensor",robot="r1"} 1'}, "the robot is back")
+
+
 INSPECTING = """
 levels:
   DEFAULT;
@@ -1188,6 +1230,7 @@ SCENARIOS = [kill_server_while_compromised, explained_when_the_driver_has_gone,
              kill_sensor_in_the_story, sensor_on_a_wrong_domain, kill_actuator_while_compromised,
              server_absent_at_agent_start, lost_lease_raises_the_floor, manager_that_lies,
              bad_discovery_messages, programs_that_misbehave, drill, reload_of_a_broken_bundle,
+             metrics_follow_the_level_and_the_inventory,
              payloads_are_inspected_and_recorded, camera_guard_watches_a_real_camera,
              findings_are_told, server_killed_under_load,
              sensor_restarted_while_the_server_is_away, store_restored_from_a_backup,

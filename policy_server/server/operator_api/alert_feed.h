@@ -67,6 +67,8 @@ struct AlertWatcher {
 struct FeedCounts {
   // Attempts to write alerts to the file that failed.
   std::function<void(uint64_t)> file_failures;
+  // An alert whose trace leaves something out was recorded. Any thread; must not block.
+  std::function<void()> cut_traces;
 };
 
 class AlertFeed {

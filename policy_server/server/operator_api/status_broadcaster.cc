@@ -18,7 +18,7 @@ absl::StatusOr<uint64_t> StatusBroadcaster::NewIdLocked() {
 
 StatusBroadcaster::StatusBroadcaster(store::Store* store, store::AlertLog* alerts,
                                      FeedCounts counts, absl::Duration interval)
-    : feed_(store, alerts, std::move(counts), interval) {
+    : cut_traces_(counts.cut_traces), feed_(store, alerts, std::move(counts), interval) {
   feed_.set_on_left([this](uint64_t id) { Unwatch(id); });
 }
 
@@ -46,6 +46,11 @@ void StatusBroadcaster::Unwatch(uint64_t id) {
   MutexLock lock(&mu_);
   alert_watchers_.erase(id);
   status_watchers_.erase(id);
+}
+
+void StatusBroadcaster::OnAlert(const store::AlertRecord& alert) {
+  if (alert.trace.cut && cut_traces_) cut_traces_();
+  feed_.Wake();
 }
 
 void StatusBroadcaster::OnStatus(const pipeline::RobotStatus& status) {

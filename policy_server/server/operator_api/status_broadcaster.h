@@ -43,7 +43,7 @@ class StatusBroadcaster final : public pipeline::RobotObserver {
   // The watcher may still be told what is being told now. An id that is gone does nothing.
   void Unwatch(uint64_t id) ABSL_LOCKS_EXCLUDED(mu_);
 
-  void OnAlert(const store::AlertRecord&) override { feed_.Wake(); }
+  void OnAlert(const store::AlertRecord& alert) override;
   void OnNotice(const std::string& text) override { feed_.Notify(text); }
   void OnStatus(const pipeline::RobotStatus& status) override ABSL_LOCKS_EXCLUDED(mu_);
   AlertFeed& feed() { return feed_; }
@@ -55,6 +55,7 @@ class StatusBroadcaster final : public pipeline::RobotObserver {
   // ResourceExhausted if there are kWatchersMax already.
   absl::StatusOr<uint64_t> NewIdLocked() ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
 
+  const std::function<void()> cut_traces_;
   LogLimiter rule_logs_;
   Mutex mu_;
   uint64_t next_id_ ABSL_GUARDED_BY(mu_) = 1;

@@ -139,6 +139,17 @@ TEST(StatusBroadcasterTest, AWatcherThatLeftIsToldNothing) {
   EXPECT_EQ(told, 1);
 }
 
+TEST(StatusBroadcasterTest, CountsAlertsWhoseTraceIsCut) {
+  store::FakeStore store;
+  int cut = 0;
+  StatusBroadcaster hub(&store, nullptr, {.cut_traces = [&] { ++cut; }}, absl::InfiniteDuration());
+
+  hub.OnAlert({.id = "a1"});
+  hub.OnAlert({.id = "a2", .trace = {.cut = true}});
+
+  EXPECT_EQ(cut, 1);
+}
+
 TEST(StatusBroadcasterTest, AWatcherMayLeaveWhileItIsTold) {
   store::FakeStore store;
   StatusBroadcaster hub(&store, nullptr, {}, absl::InfiniteDuration());

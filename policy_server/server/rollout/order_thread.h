@@ -28,6 +28,8 @@ class OrderThread {
   void Stop();
   // Runs the order after those before it. False: too many wait, or it has ended. Any thread.
   bool Post(std::function<void()> order) { return orders_.Push(std::move(order)); }
+  // Orders that wait now. Any thread.
+  size_t waiting() const { return orders_.size(); }
   // As Post, and waits for it. Not from the thread.
   bool Await(std::function<void()> order);
 

@@ -304,6 +304,17 @@ std::vector<std::string> Pipeline::robots() const {
   return names;
 }
 
+Pipeline::Waiting Pipeline::waiting() const {
+  Waiting tasks;
+  MutexLock lock(&mu_);
+  for (const auto& [name, seat] : robots_) {
+    auto& counts = tasks[name];
+    MutexLock seat_lock(&seat->mu);
+    for (size_t i = 0; i < kQueueCount; ++i) counts[i] = seat->queues[i].size();
+  }
+  return tasks;
+}
+
 std::vector<RobotStatus> Pipeline::held() const {
   std::vector<RobotStatus> out;
   MutexLock lock(&mu_);

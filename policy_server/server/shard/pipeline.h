@@ -14,6 +14,8 @@
 #ifndef RIPS_POLICY_SERVER_SERVER_SHARD_PIPELINE_H_
 #define RIPS_POLICY_SERVER_SERVER_SHARD_PIPELINE_H_
 
+#include <array>
+#include <cstddef>
 #include <cstdint>
 #include <functional>
 #include <memory>
@@ -119,6 +121,9 @@ class Pipeline {
   LogLimiter& logs() { return logs_; }
   // Those that are judged; sorted.
   std::vector<std::string> robots() const ABSL_LOCKS_EXCLUDED(mu_);
+  // Tasks that wait now, by robot and by Queue: of those that are judged. Any thread.
+  using Waiting = absl::btree_map<std::string, std::array<size_t, kQueueCount>>;
+  Waiting waiting() const ABSL_LOCKS_EXCLUDED(mu_);
   // Those that are held; sorted by name.
   std::vector<RobotStatus> held() const ABSL_LOCKS_EXCLUDED(mu_);
 

@@ -82,13 +82,17 @@ void Committer::UpdateHealth(const std::vector<WriteBatch>& batches, const Statu
 }
 
 Committer::Statuses Committer::Commit(const std::vector<WriteBatch>& batches) {
-  if (clock_ != nullptr) {
+  const int64_t began_ns = clock_ == nullptr ? 0 : clock_->Now().boottime_ns;
+  {
     MutexLock lock(&mu_);
-    began_ns_ = clock_->Now().boottime_ns;
+    began_ns_ = began_ns;
   }
   const absl::Status before =
       options_.before_commit ? options_.before_commit(batches) : absl::OkStatus();
   Statuses statuses = before.ok() ? store_->CommitAll(batches) : Statuses(before);
+  if (clock_ != nullptr && options_.on_commit) {
+    options_.on_commit(clock_->Now().boottime_ns - began_ns);
+  }
   MutexLock lock(&mu_);
   began_ns_ = 0;
   return statuses;

@@ -39,6 +39,9 @@ struct CommitterOptions {
   // Called before a group of batches is stored, on the committer's thread; an error becomes that
   // of the transaction, and nothing is stored. May block on the disk; may be empty.
   std::function<absl::Status(std::span<const WriteBatch>)> before_commit = {};
+  // Called after each transaction, stored or not, on the committer's thread: how long it took,
+  // before_commit included. Needs a clock; must not block; may be empty.
+  std::function<void(int64_t took_ns)> on_commit = {};
 };
 
 class Committer {

@@ -229,6 +229,26 @@ TEST(CommitterTest, AWriteThatDoesNotEndIsAnOutage) {
   EXPECT_THAT(told.codes(), ElementsAre(absl::StatusCode::kOk));
 }
 
+TEST(CommitterTest, TellsHowLongEachTransactionTook) {
+  FakeStore store;
+  ASSERT_THAT(store.Acquire("r1"), IsOk());
+  FakeClock clock;
+  std::vector<int64_t> took_ns;
+  Committer committer(&store,
+                      {.before_commit =
+                           [&](std::span<const WriteBatch>) {
+                             clock.Advance(7);
+                             return absl::UnavailableError("no audit");
+                           },
+                       .on_commit = [&](int64_t ns) { took_ns.push_back(ns); }},
+                      &clock);
+  Told told;
+  ASSERT_THAT(committer.Submit(Decision(1), told.Next(1)), IsOk());
+  committer.Stop();
+
+  EXPECT_THAT(took_ns, ElementsAre(7));
+}
+
 TEST(CommitterTest, OnAFullDiskRaisesAreWrittenFromTheReserve) {
   FakeStore store;
   ASSERT_THAT(store.Acquire("r1"), IsOk());
