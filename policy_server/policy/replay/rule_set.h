@@ -44,8 +44,8 @@ struct RuleSet {
 
 // A single path that is a directory is a bundle: its manifest decides and `options` do not count.
 // Errors as bundle::LoadBundle; one that is refused is InvalidArgument.
-// Other paths are compiled as one program, in this order. YARA files and plugins are those on the disk;
-// plugins are run once to see what they speak. Errors: a rule file that cannot be read
+// Other paths are compiled as one program, in this order. YARA files and plugins are those on the
+// disk; plugins are run once to see what they speak. Errors: a rule file that cannot be read
 // (lang::kFileBytesMax), or as LoadInspections. `clock` as there.
 absl::StatusOr<RuleSet> LoadRuleSet(const std::vector<std::string>& paths,
                                     const RuleSetOptions& options, const Clock* clock);

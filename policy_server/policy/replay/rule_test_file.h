@@ -1,7 +1,7 @@
 // Unit tests of rules, as a YAML file:
 //
-//   rules: [warehouse.rul]        relative to this file; one program, in this order; or [DIRECTORY],
-//                                 a bundle, whose manifest then sets dialect, start_level and
+//   rules: [warehouse.rul]        relative to this file; one program, in this order;
+//                                 or [DIRECTORY], a bundle, whose manifest then sets dialect, start_level and
 //                                 on_inspection_error
 //   dialect: rips                 or prototype; optional, as all below up to `tests`
 //   robot: r1
@@ -48,7 +48,8 @@
 //
 // Messages: the type is that of the topic in the graph unless given; `payload_text`, `payload_hex`
 // or `payload_file` (relative to this file) is the serialized payload; `payload_string` is the text
-// of a std_msgs/msg/String, which is also the type unless another one is known. `size`, its length by
+// of a std_msgs/msg/String, which is also the type unless another one is known. `size`, its length
+// by
 // default, may be given for one that is longer, or not there at all. The writer is the endpoint of
 // `sender` on that topic, or one of its own.
 //

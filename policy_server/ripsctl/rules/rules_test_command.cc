@@ -195,8 +195,8 @@ void PrintJunit(const std::vector<Tested>& all, std::ostream& out) {
   out << "</testsuites>\n";
 }
 
-// `pattern` is a part of `name`; if it holds `*` (any text) or `?` (one byte), all of it. In time of
-// the product of their lengths.
+// `pattern` is a part of `name`; if it holds `*` (any text) or `?` (one byte), all of it. In time
+// of the product of their lengths.
 bool IsNamed(absl::string_view pattern, absl::string_view name) {
   if (pattern.find_first_of("*?") == absl::string_view::npos) {
     return absl::StrContains(name, pattern);
