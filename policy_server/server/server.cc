@@ -97,7 +97,15 @@ absl::Status Server::Open() {
   RIPS_ASSIGN_OR_RETURN(const std::string text, ReadConfigFile(config_.inventory));
   RIPS_RETURN_IF_ERROR(bundle::ParseInventory(config_.inventory, text).status());
   RIPS_ASSIGN_OR_RETURN(store_, store::SqliteStore::Open(config_.store_path));
-  RIPS_ASSIGN_OR_RETURN(alert_log_, store::AlertLog::Open(config_.alerts_file));
+  const Counter rotation_failures = metrics_.AddCounter(
+      "rips_alert_file_rotation_failures_total", "Attempts to rotate the alert file that failed.");
+  RIPS_ASSIGN_OR_RETURN(
+      alert_log_,
+      store::AlertLog::Open(config_.alerts_file, {.rotate_bytes = config_.alerts_rotate_bytes,
+                                                  .keep = config_.alerts_keep,
+                                                  .on_rotation_failure = [rotation_failures] {
+                                                    rotation_failures.Increment();
+                                                  }}));
   const Counter file_failures = metrics_.AddCounter(
       "rips_alert_file_failures_total", "Attempts to write the alert file that failed.");
   hub_ = std::make_unique<operator_api::StatusBroadcaster>(

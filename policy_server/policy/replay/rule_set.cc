@@ -1,7 +1,11 @@
 #include "policy_server/policy/replay/rule_set.h"
 
+#include <filesystem>
+#include <system_error>
 #include <utility>
 
+#include "absl/time/time.h"
+#include "policy_server/policy/bundle/bundle.h"
 #include "policy_server/policy/inspect/checked_files.h"
 #include "policy_server/policy/inspect/file_source.h"
 #include "policy_server/policy/lang/limits.h"
@@ -9,9 +13,26 @@
 #include "services/runtime/atomic_file.h"
 
 namespace rips::replay {
+namespace {
+
+absl::StatusOr<RuleSet> LoadFromBundle(const std::string& dir, const Clock* clock) {
+  RIPS_ASSIGN_OR_RETURN(bundle::Bundle of, bundle::LoadBundle(dir, clock));
+  return RuleSet{.program = std::move(of.program),
+                 .inspections = std::move(of.inspections),
+                 .bundle_id = std::move(of.id),
+                 .start_level = of.start_level,
+                 .soft_hold_ns = absl::ToInt64Nanoseconds(of.manifest.soft_hold),
+                 .two_person = std::move(of.manifest.two_person)};
+}
+
+}  // namespace
 
 absl::StatusOr<RuleSet> LoadRuleSet(const std::vector<std::string>& paths,
                                     const RuleSetOptions& options, const Clock* clock) {
+  std::error_code error;
+  if (paths.size() == 1 && std::filesystem::is_directory(paths[0], error)) {
+    return LoadFromBundle(paths[0], clock);
+  }
   RuleSet set;
   for (const std::string& path : paths) {
     RIPS_ASSIGN_OR_RETURN(std::string text, ReadFile(path, lang::kFileBytesMax));

@@ -11,6 +11,7 @@
 #include "policy_server/policy/lang/check/signature.h"
 #include "policy_server/policy/replay/rule_test_graph.h"
 #include "services/base/status_macros.h"
+#include "services/ros2/cdr.h"
 #include "services/ros2/ros_name.h"
 #include "services/runtime/atomic_file.h"
 #include "services/runtime/config_reader.h"
@@ -20,6 +21,7 @@ namespace {
 
 constexpr int64_t kUint32Max = std::numeric_limits<uint32_t>::max();
 constexpr int64_t kTickMs = 200;
+constexpr char kStringType[] = "std_msgs/msg/String";
 
 // `words` as they stand in a message.
 std::string Choices(std::span<const absl::string_view> words) {
@@ -113,6 +115,10 @@ OrderSpec ReadOrder(const ConfigSection& section) {
     if (section.Has(key)) section.Required(key, &order.level.text);
   }
   order.level.line = section.LineOf(order.raise ? "raise" : "lower");
+  section.Optional("approved", &order.approved);
+  if (order.approved && order.raise) {
+    section.Problem("approved", "only a lowering is approved; remove `approved`");
+  }
   return order;
 }
 
@@ -211,6 +217,7 @@ void EventReader::ReadMessage(const ConfigSection& section, TestEvent& event) {
   }
   message.writer = graph_.WriterOf(message.sender, message.topic);
   message.payload = ReadPayload(section);
+  if (message.type.empty() && section.Has("payload_string")) message.type = kStringType;
   const auto length = static_cast<int64_t>(message.payload.size());
   int64_t size = length;
   section.Optional<int64_t>("size", &size, {length, kUint32Max});
@@ -220,7 +227,22 @@ void EventReader::ReadMessage(const ConfigSection& section, TestEvent& event) {
   event.what = std::move(message);
 }
 
+// The payload of a std_msgs/msg/String. The reader of configurations has refused a NUL.
+std::string ReadString(const ConfigSection& section) {
+  std::string text;
+  section.Optional("payload_string", &text);
+  if (text.size() > kTestStringBytesMax) {
+    section.Problem("payload_string", absl::StrCat("`payload_string` has ", text.size(),
+                                                   " bytes; it may have ", kTestStringBytesMax));
+    return "";
+  }
+  ros2::CdrWriter writer;
+  writer.String(text);
+  return std::move(writer).Finish();
+}
+
 std::string EventReader::ReadPayload(const ConfigSection& section) {
+  const bool string = Ask(section, "payload_string");
   const bool text = Ask(section, "payload_text");
   const bool hex = Ask(section, "payload_hex");
   const bool file = Ask(section, "payload_file");
@@ -228,10 +250,13 @@ std::string EventReader::ReadPayload(const ConfigSection& section) {
   if (text) section.Optional("payload_text", &given);
   if (hex) section.Optional("payload_hex", &given);
   if (file) section.Required("payload_file", &given);
-  if (text + hex + file > 1) {
-    section.Problem("", "give `payload_text`, `payload_hex` or `payload_file`, not several");
+  if (string + text + hex + file > 1) {
+    section.Problem("",
+                    "give `payload_string`, `payload_text`, `payload_hex` or `payload_file`, not "
+                    "several");
     return "";
   }
+  if (string) return ReadString(section);
   if (hex) {
     const bool digits = given.find_first_not_of("0123456789abcdefABCDEF") == std::string::npos;
     if (!digits || given.size() % 2 != 0) {
@@ -328,6 +353,9 @@ absl::StatusOr<RuleTestFile> ParseRuleTestFile(const std::string& path, absl::st
                                        {{"match", OnInspectionError::kMatch},
                                         {"alert", OnInspectionError::kAlert},
                                         {"ignore", OnInspectionError::kIgnore}});
+  for (const char* key : {"dialect", "on_inspection_error"}) {
+    if (file.options_line == 0 && root.Has(key)) file.options_line = root.LineOf(key);
+  }
   root.Optional("robot", &file.robot);
   file.start_level = ReadText(root, "start_level");
   absl::btree_map<std::string, int> lines;

@@ -1,6 +1,8 @@
 // Unit tests of rules, as a YAML file:
 //
-//   rules: [warehouse.rul]        relative to this file; one program, in this order
+//   rules: [warehouse.rul]        relative to this file; one program, in this order;
+//                                 or [DIRECTORY], a bundle, whose manifest then sets dialect, start_level and
+//                                 on_inspection_error
 //   dialect: rips                 or prototype; optional, as all below up to `tests`
 //   robot: r1
 //   start_level: DEFAULT          the first level of the rules
@@ -26,7 +28,8 @@
 //         - finding: impostor
 //         - lost: 12
 //         - tick: {repeat: 5, every_ms: 200}
-//         - operator: {lower: DEFAULT}               or raise: a level
+//         - operator: {lower: DEFAULT}               or raise: a level; with `approved: true`, a
+//                                                     second operator approves the lowering
 //         - evidence: complete                        or incomplete, from here on
 //         - wait_ms: 500
 //           expect:                               what this event, repeats included, brings about
@@ -44,7 +47,9 @@
 // entries the keys that are given.
 //
 // Messages: the type is that of the topic in the graph unless given; `payload_text`, `payload_hex`
-// or `payload_file` (relative to this file) is the serialized payload. `size`, its length by
+// or `payload_file` (relative to this file) is the serialized payload; `payload_string` is the text
+// of a std_msgs/msg/String, which is also the type unless another one is known. `size`, its length
+// by
 // default, may be given for one that is longer, or not there at all. The writer is the endpoint of
 // `sender` on that topic, or one of its own.
 //
@@ -73,6 +78,8 @@ inline constexpr int64_t kTestStartNs = 1'767'225'600 * kNanosPerSecond;
 inline constexpr int64_t kTestRepeatMax = 100'000;
 inline constexpr int64_t kTestWaitMsMax = 24 * 3'600 * 1'000;
 inline constexpr size_t kTestPayloadBytesMax = size_t{16} << 20;
+// Of a `payload_string`, without its terminator.
+inline constexpr size_t kTestStringBytesMax = size_t{64} << 10;
 
 // One entry of an expected list: the keys that are given, by name.
 struct WantedEntry {
@@ -110,6 +117,8 @@ struct WaitSpec {};
 // What an operator orders.
 struct OrderSpec {
   bool raise = false;
+  // A lowering that a second operator approves at once.
+  bool approved = false;
   WantedText level;
 };
 struct EvidenceSpec {
@@ -147,6 +156,8 @@ struct RuleTestFile {
   // As the file has them, seen from where its path is seen from.
   std::vector<std::string> rules;
   RuleSetOptions options;
+  // Of the first key that gives one of `options`; 0 = none does.
+  int options_line = 0;
   std::string robot;
   WantedText start_level;
   std::vector<RuleTest> tests;

@@ -8,6 +8,7 @@
 #include "absl/strings/str_cat.h"
 #include "gmock/gmock.h"
 #include "services/base/status_matchers.h"
+#include "services/ros2/cdr.h"
 #include "services/runtime/config_reader.h"
 
 namespace rips::replay {
@@ -182,6 +183,18 @@ TEST(RuleTestFileTest, SaysWhatIsWrongAndWhere) {
       {WithEvents("    - message: {topic: /t, payload_hex: zz}\n"), "even number of hexadecimal"},
       {WithEvents("    - message: {topic: /t, payload_hex: '00', payload_text: a}\n"),
        "not several"},
+      {WithEvents("    - message: {topic: /t, payload_hex: '00', payload_string: a}\n"),
+       "not several"},
+      {WithEvents("    - message: {topic: /t, payload_string: \"a\\0b\"}\n"), "x_test.yaml:5:44: "},
+      {WithEvents("    - message: {topic: /t, payload_string: \"a\\0b\"}\n"),
+       "`payload_string` contains a control character"},
+      {WithEvents("    - message: {topic: /t, payload_string: " +
+                  std::string(kTestStringBytesMax + 1, 'a') + "}\n"),
+       "`payload_string` has 65537 bytes; it may have 65536"},
+      {WithEvents("    - message: {topic: /t, payload_string: abc, size: 11}\n"),
+       "from 12 to 4294967295"},
+      {WithEvents("    - operator: {raise: B, approved: true}\n"), "only a lowering is approved"},
+      {WithEvents("    - operator: {lower: B, approved: 2}\n"), "x_test.yaml:5:"},
       {WithEvents("    - message: {topic: /t, payload_text: abc, size: 2}\n"),
        "from 3 to 4294967295"},
       {WithEvents("    - message: {topic: /t, size: 4294967296}\n"), "from 0 to 4294967295"},
@@ -206,6 +219,30 @@ TEST(RuleTestFileTest, SaysWhatIsWrongAndWhere) {
     EXPECT_THAT(ErrorOf(text), StatusIs(absl::StatusCode::kInvalidArgument, HasSubstr(problem)))
         << text;
   }
+}
+
+TEST(RuleTestFileTest, AStringIsSerializedAsRosDoes) {
+  const std::string longest(kTestStringBytesMax, 'a');
+  const auto file = ParseRuleTestFile(
+      "d/x_test.yaml",
+      WithEvents("    - message: {topic: /t, payload_string: hello}\n"
+                 "    - message: {topic: /t, type: a/msg/B, payload_string: '', size: 20}\n"
+                 "    - message: {topic: /t, payload_string: " +
+                 longest + "}\n"));
+  ASSERT_THAT(file, IsOk());
+  const auto message = [&](size_t i) {
+    return std::get<recording::RecordedMessage>(file->tests[0].events[i].what);
+  };
+  EXPECT_EQ(message(0).payload, std::string("\0\1\0\0\6\0\0\0hello\0\0\0", 16));
+  EXPECT_EQ(message(0).type, "std_msgs/msg/String");
+  EXPECT_FALSE(message(0).truncated);
+  EXPECT_EQ(message(1).payload, std::string("\0\1\0\0\1\0\0\0\0\0\0\0", 12));
+  EXPECT_EQ(message(1).type, "a/msg/B");
+  EXPECT_TRUE(message(1).truncated);
+  const std::string payload = message(2).payload;
+  ros2::CdrReader reader(payload);
+  EXPECT_EQ(reader.String(), longest);
+  EXPECT_TRUE(reader.Finish().ok());
 }
 
 TEST(RuleTestFileTest, ATopicNeedsNoType) {

@@ -56,13 +56,21 @@ const std::vector<absl::string_view>& Reasons() {
 // Finds the names and values of a file that its rules do not have.
 class NameChecker {
  public:
-  NameChecker(const RuleTestFile& file, const lang::CheckedRules& rules)
-      : file_(file), rules_(rules), level_names_(rules.levels.names()) {
-    for (const lang::TypedRule& rule : rules.rules) rule_names_.push_back(rule.name);
-    for (const lang::Variable& variable : rules.variables) variable_names_.push_back(variable.name);
+  NameChecker(const RuleTestFile& file, const RuleSet& set)
+      : file_(file),
+        of_bundle_(!set.bundle_id.empty()),
+        rules_(set.program->rules()),
+        level_names_(rules_.levels.names()) {
+    for (const lang::TypedRule& rule : rules_.rules) rule_names_.push_back(rule.name);
+    for (const lang::Variable& each : rules_.variables) variable_names_.push_back(each.name);
   }
 
   absl::Status Check() {
+    if (of_bundle_ && file_.options_line > 0) {
+      Problem(file_.options_line,
+              "the manifest of the bundle sets `dialect` and `on_inspection_error`; remove them "
+              "here");
+    }
     if (!file_.start_level.text.empty()) Level(file_.start_level.line, file_.start_level.text);
     for (const RuleTest& test : file_.tests) {
       if (!test.start_level.text.empty()) Level(test.start_level.line, test.start_level.text);
@@ -144,6 +152,7 @@ class NameChecker {
   }
 
   const RuleTestFile& file_;
+  const bool of_bundle_;
   const lang::CheckedRules& rules_;
   std::vector<std::string> level_names_;
   std::vector<std::string> rule_names_;
@@ -208,12 +217,14 @@ class Runner {
  public:
   Runner(const RuleTestFile& file, const RuleTest& test, const RuleSet& rules)
       : test_(test),
+        set_(rules),
         rules_(rules.program->rules()),
         fires_unscanned_(rules.program->options().on_inspection_error ==
                          engine::OnInspectionError::kMatch),
+        evidence_complete_(test.evidence_complete),
         session_(rules.NewSession()),
-        replayer_(rules.program, Options(file, test, rules_.levels), session_.get()) {
-    replayer_.SetEvidence(test.evidence_complete);
+        replayer_(rules.program, Options(file, test, rules), session_.get()) {
+    replayer_.SetEvidence(evidence_complete_);
     Values values;
     for (const auto& [name, text] : test.variables) values[name] = *ParseAs(name, text.text);
     replayer_.SetVariables(values);
@@ -261,10 +272,12 @@ class Runner {
   };
 
   static ReplayOptions Options(const RuleTestFile& file, const RuleTest& test,
-                               const levels::LevelTable& levels) {
+                               const RuleSet& rules) {
+    const levels::LevelTable& levels = rules.program->rules().levels;
     const std::string& start =
         test.start_level.text.empty() ? file.start_level.text : test.start_level.text;
-    ReplayOptions options{.start_level = levels.Find(start).value_or(0), .robot = file.robot};
+    ReplayOptions options{.start_level = levels.Find(start).value_or(rules.start_level),
+                          .robot = file.robot};
     options.failing_programs.insert(test.exec_fail.begin(), test.exec_fail.end());
     for (const std::string& level : test.trigger_fail) {
       options.failing_levels.insert(levels.Find(level).value_or(0));
@@ -296,21 +309,41 @@ class Runner {
 
   absl::Status HappenOnce(size_t, const WaitSpec&) { return absl::OkStatus(); }
   absl::Status HappenOnce(size_t, const EvidenceSpec& evidence) {
-    replayer_.SetEvidence(evidence.complete);
+    if (evidence.complete && evidence_complete_) return absl::OkStatus();
+    evidence_complete_ = evidence.complete;
+    held_at_ns_ = time_ns_ + set_.soft_hold_ns;
+    replayer_.SetEvidence(evidence.complete && set_.soft_hold_ns == 0);
     return absl::OkStatus();
+  }
+  // Rules may lower again once the evidence has been complete for the bundle's soft_hold.
+  void UpdateEvidence() {
+    if (evidence_complete_ && time_ns_ >= held_at_ns_) replayer_.SetEvidence(true);
   }
   absl::Status HappenOnce(size_t index, const TickSpec&) {
     if (time_ns_ > kTimeNsMax) return TooLate();
+    UpdateEvidence();
     replayer_.JudgeTick(index, time_ns_);
     return absl::OkStatus();
   }
   absl::Status HappenOnce(size_t index, const OrderSpec& order) {
     if (time_ns_ > kTimeNsMax) return TooLate();
+    if (WaitsForApproval(order)) return absl::OkStatus();
     replayer_.Order(index, time_ns_, order.raise, rules_.levels.Find(order.level.text).value_or(0));
     return absl::OkStatus();
   }
+  // A lowering from or past a level of the bundle's `two_person` that no second operator approves.
+  bool WaitsForApproval(const OrderSpec& order) const {
+    if (order.raise || order.approved) return false;
+    const auto to = rules_.levels.Find(order.level.text).value_or(0);
+    const auto from = rules_.levels.Find(replayer_.level()).value_or(0);
+    return std::any_of(set_.two_person.begin(), set_.two_person.end(), [&](const auto& name) {
+      const auto level = rules_.levels.Find(name);
+      return level.has_value() && *level > to && *level <= from;
+    });
+  }
   template <typename What>
   absl::Status HappenOnce(size_t index, const What& what) {
+    UpdateEvidence();
     recording::Recorded recorded{.index = index, .time_unix_ns = time_ns_};
     recorded.what = what;
     return replayer_.Judge(recorded);
@@ -408,9 +441,13 @@ class Runner {
   }
 
   const RuleTest& test_;
+  const RuleSet& set_;
   const lang::CheckedRules& rules_;
   // Rules that an inspection could not tell.
   const bool fires_unscanned_;
+  bool evidence_complete_;
+  // When evidence that is complete has been so for long enough.
+  int64_t held_at_ns_ = 0;
   const std::unique_ptr<inspect::Session> session_;
   Replayer replayer_;
   int64_t time_ns_ = kTestStartNs;
@@ -424,7 +461,7 @@ class Runner {
 
 absl::StatusOr<FileOutcome> RunRuleTests(const RuleTestFile& file, const RuleSet& rules) {
   const lang::CheckedRules& checked = rules.program->rules();
-  const absl::Status names = NameChecker(file, checked).Check();
+  const absl::Status names = NameChecker(file, rules).Check();
   if (!names.ok()) return names;
   FileOutcome out;
   std::vector<uint64_t> fired(checked.rules.size());

@@ -5,12 +5,10 @@
 // do not have; then nothing is printed but the error.
 #include <CLI/CLI.hpp>
 #include <algorithm>
-#include <filesystem>
 #include <nlohmann/json.hpp>
 #include <optional>
 #include <set>
 #include <string>
-#include <system_error>
 #include <utility>
 #include <vector>
 
@@ -18,7 +16,6 @@
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_format.h"
 #include "absl/strings/str_join.h"
-#include "policy_server/policy/bundle/bundle.h"
 #include "policy_server/policy/lang/check/type.h"
 #include "policy_server/policy/lang/value_text.h"
 #include "policy_server/policy/recording/reader.h"
@@ -291,8 +288,10 @@ class ReplayRulesCommand final : public Command {
     app.add_option("--dialect", dialect_, "Dialect of the rules: what the include forms mean")
         ->check(CLI::IsMember({"rips", "prototype"}))
         ->capture_default_str();
-    app.add_option("--start-level", start_level_,
-                   "Level before the first event; default: the recording's, else the first");
+    app.add_option(
+        "--start-level", start_level_,
+        "Level before the first event; default: the recording's, else the bundle's, else "
+        "the first");
     app.add_option("--virtual-tick", tick_ms_, "External tick every N ms; 0 = none")
         ->check(CLI::Range(int64_t{0}, kMillisMax))
         ->capture_default_str();
@@ -356,13 +355,6 @@ class ReplayRulesCommand final : public Command {
   absl::StatusOr<RuleSet> Load(const std::vector<std::string>& paths) const {
     using Dialect = lang::CheckedRules::Dialect;
     using engine::OnInspectionError;
-    std::error_code error;
-    if (paths.size() == 1 && std::filesystem::is_directory(paths[0], error)) {
-      RIPS_ASSIGN_OR_RETURN(bundle::Bundle of, bundle::LoadBundle(paths[0], &clock_));
-      return RuleSet{.program = std::move(of.program),
-                     .inspections = std::move(of.inspections),
-                     .bundle_id = std::move(of.id)};
-    }
     return replay::LoadRuleSet(
         paths,
         {.dialect = dialect_ == "rips" ? Dialect::kRips : Dialect::kPrototype,
@@ -409,18 +401,21 @@ class ReplayRulesCommand final : public Command {
     return absl::OkStatus();
   }
 
-  absl::StatusOr<levels::LevelIndex> StartLevel(const levels::LevelTable& levels,
+  absl::StatusOr<levels::LevelIndex> StartLevel(const RuleSet& rules,
                                                 const recording::Reader& reader, Env& env) const {
+    const levels::LevelTable& levels = rules.program->rules().levels;
     if (!start_level_.empty()) return FindLevel(levels, "--start-level", start_level_);
-    if (reader.origin() == nullptr || reader.origin()->level.empty()) return 0;
+    if (reader.origin() == nullptr || reader.origin()->level.empty()) {
+      return rules.start_level;
+    }
     const std::string& recorded = reader.origin()->level;
     const std::optional<levels::LevelIndex> found = levels.Find(recorded);
     if (!found.has_value()) {
       env.err << "note: the recording starts at level `" << EscapeText(recorded)
-              << "`, which the rules do not have; starting at `" << EscapeText(levels.name(0))
-              << "`\n";
+              << "`, which the rules do not have; starting at `"
+              << EscapeText(levels.name(rules.start_level)) << "`\n";
     }
-    return found.value_or(0);
+    return found.value_or(rules.start_level);
   }
 
   static void NoteOtherRules(const recording::RecordedOrigin& origin, const RuleSet& rules,
@@ -455,7 +450,7 @@ class ReplayRulesCommand final : public Command {
     }
     RIPS_ASSIGN_OR_RETURN(const std::unique_ptr<recording::Reader> reader,
                           recording::Open(events_));
-    RIPS_ASSIGN_OR_RETURN(options.start_level, StartLevel(levels, *reader, env));
+    RIPS_ASSIGN_OR_RETURN(options.start_level, StartLevel(rules, *reader, env));
     const recording::RecordedOrigin* origin = reader->origin();
     if (origin != nullptr && recorded != nullptr) {
       *recorded = origin->alerts;

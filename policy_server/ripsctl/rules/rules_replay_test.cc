@@ -407,6 +407,150 @@ tests:
               HasSubstr(absl::StrCat(note, "</failure>")));
 }
 
+TEST_F(RulesReplayTest, RunChoosesTestsByName) {
+  const std::string tests = Write("a_test.yaml",
+                                  "rules: [a.rul]\ntests:\n  - {name: strangers come}\n"
+                                  "  - {name: stranger goes, expect: {level: OFF}}\n");
+  const std::string others = Write("b_test.yaml", "rules: [a.rul]\ntests: [{name: other}]\n");
+  const auto run = [&](const std::string& pattern) {
+    return RunOffline({"rules", "test", tests, others, "--run", pattern});
+  };
+
+  EXPECT_EQ(run("come").out, "ok: 1 tests, 0 failed\n");
+  EXPECT_THAT(run("stranger").out, HasSubstr("failed: 2 tests, 1 failed\n"));
+  EXPECT_THAT(run("*e").out, HasSubstr("ok: 1 tests, 0 failed\n"));
+  EXPECT_THAT(run("stranger?*").out, HasSubstr("failed: 2 tests, 1 failed\n"));
+  EXPECT_THAT(run("*").out, HasSubstr("failed: 3 tests, 1 failed\n"));
+  EXPECT_THAT(run("o?h?r").out, HasSubstr("ok: 1 tests, 0 failed\n"));
+  const std::string there = "`strangers come`, `stranger goes`, `other`\n";
+  for (const char* pattern : {"stranger?", "other?", "?other", "o*x", "STRANGERS"}) {
+    const Result none = run(pattern);
+    EXPECT_EQ(none.code, 1) << pattern;
+    EXPECT_EQ(none.out, "") << pattern;
+    EXPECT_THAT(none.err, AllOf(HasSubstr(absl::StrCat("no test is named `", pattern, "`; ")),
+                                HasSubstr(there)));
+  }
+  EXPECT_THAT(run("othre").err, HasSubstr("did you mean `other`? the files have `strangers come`"));
+  EXPECT_THAT(run(std::string(100, '*') + "x").err, HasSubstr("no test is named"));
+  const nlohmann::json json = nlohmann::json::parse(
+      RunOffline({"rules", "test", tests, others, "--run", "come", "--output", "json"}).out);
+  ASSERT_EQ(json["files"].size(), 1u);
+  EXPECT_EQ(json["files"][0]["not_exercised"], nlohmann::json::array());
+}
+
+TEST_F(RulesReplayTest, NoMatchNamesOnlySomeOfManyTests) {
+  std::string text = "rules: [a.rul]\ntests:\n";
+  for (int i = 0; i < 25; ++i) absl::StrAppend(&text, "  - {name: t", i, "}\n");
+  const Result none = RunOffline({"rules", "test", Write("a_test.yaml", text), "--run", "zzzz"});
+  EXPECT_EQ(none.code, 1);
+  EXPECT_THAT(none.err, AllOf(HasSubstr("`t19` and 5 more"), Not(HasSubstr("t20"))));
+}
+
+// Its manifest starts at LOUD, holds for 2 s, and has two operators lower from OFF.
+constexpr char kBundleManifest[] = R"(name: site
+rules: [a.rul]
+levels: [QUIET, LOUD, OFF]
+start_level: LOUD
+soft_hold: 2s
+two_person: [OFF]
+)";
+
+TEST_F(RulesReplayTest, TestsRunABundleAsItsManifestSays) {
+  Write("site/manifest.yaml", kBundleManifest);
+  Write("site/a.rul", kRules);
+  const std::string text = R"(rules: [site]
+tests:
+  - name: held
+    evidence: incomplete
+    events:
+      - tick: {}
+        expect: {level: LOUD, transitions: [{result: refused, reason: blind}]}
+      - evidence: complete
+      - wait_ms: 1900
+      - tick: {}
+        expect: {level: LOUD}
+      - evidence: complete
+      - tick: {}
+        expect: {level: QUIET}
+  - name: interrupted
+    evidence: incomplete
+    events:
+      - evidence: complete
+      - wait_ms: 1900
+      - evidence: incomplete
+      - evidence: complete
+      - wait_ms: 1900
+      - tick: {}
+        expect: {level: LOUD}
+  - name: complete from the beginning
+    events: [{tick: {}}]
+    expect: {level: QUIET}
+  - name: two operators
+    start_level: OFF
+    events:
+      - operator: {lower: LOUD}
+        expect: {level: OFF, transitions: []}
+      - operator: {lower: LOUD, approved: true}
+        expect: {level: LOUD}
+      - operator: {lower: QUIET}
+        expect: {level: QUIET}
+)";
+  const std::string tests = Write("a_test.yaml", text);
+  const Result result = RunOffline({"rules", "test", tests});
+  EXPECT_EQ(result.code, 0) << result.out << result.err;
+  EXPECT_THAT(result.out, HasSubstr("ok: 4 tests, 0 failed"));
+
+  // The same tests of the rules alone: no hold, no second operator, and the first level.
+  std::string alone = text;
+  alone.replace(alone.find("[site]"), 6, "[a.rul]");
+  const std::string files = Write("b_test.yaml", alone);
+  EXPECT_THAT(RunOffline({"rules", "test", files}).out, HasSubstr("4 tests, 3 failed"));
+  EXPECT_THAT(RunOffline({"rules", "test", files, "--bundle", folder_ + "/site"}).out,
+              HasSubstr("ok: 4 tests, 0 failed"));
+}
+
+TEST_F(RulesReplayTest, BundlesThatCannotBeTestedExitWithTwo) {
+  Write("site/manifest.yaml", kBundleManifest);
+  Write("site/a.rul", kRules);
+  Write("bad/manifest.yaml", "name: bad\nrules: [a.rul]\nlevels: [QUIET]\n");
+  Write("bad/a.rul", kRules);
+  const std::string of_site = "rules: [site]\ntests: [{name: t}]\n";
+  const struct {
+    std::string text;
+    std::vector<std::string> flags;
+    std::string problem;
+  } kCases[] = {
+      {"dialect: rips\n" + of_site, {}, "x_test.yaml:1: the manifest of the bundle sets"},
+      {"on_inspection_error: alert\n" + of_site, {}, "x_test.yaml:1: the manifest of the bundle"},
+      {"rules: [bad]\ntests: [{name: t}]\n", {}, "levels"},
+      {of_site, {"--bundle", folder_ + "/none"}, "none` is not the directory of a bundle"},
+      {of_site, {"--bundle", rules_}, "a.rul` is not the directory of a bundle"},
+      {of_site, {"--bundle", folder_}, "manifest.yaml"},
+      {"rules: [site, a.rul]\ntests: [{name: t}]\n", {}, "site"},
+  };
+  for (const auto& [text, flags, problem] : kCases) {
+    std::vector<std::string> args = {"rules", "test", Write("x_test.yaml", text)};
+    args.insert(args.end(), flags.begin(), flags.end());
+    const Result result = RunOffline(args);
+    EXPECT_EQ(result.code, 2) << text << result.out;
+    EXPECT_THAT(result.err, HasSubstr(problem)) << text;
+  }
+}
+
+TEST_F(RulesReplayTest, ReplayStartsAtTheLevelOfTheBundle) {
+  Write("site/manifest.yaml", kBundleManifest);
+  Write("site/a.rul", kRules);
+  const auto level = [&](std::vector<std::string> more) {
+    std::vector<std::string> args = {
+        "rules",           "replay",   "--rules",
+        folder_ + "/site", "--events", Write("none.yaml", "---\nevent: parameter\n...\n")};
+    args.insert(args.end(), more.begin(), more.end());
+    return RunOffline(args).out;
+  };
+  EXPECT_THAT(level({}), HasSubstr("level at the end: LOUD\n"));
+  EXPECT_THAT(level({"--start-level", "QUIET"}), HasSubstr("level at the end: QUIET\n"));
+}
+
 TEST_F(RulesReplayTest, RefusedRulesFailTheirTestsOnly) {
   const std::string good = Write("a_test.yaml", kTests);
   Write("broken.rul", "levels: A\n");

@@ -1,16 +1,20 @@
 // `ripsctl rules test`: runs unit tests of rules (policy_server/policy/replay/rule_test_file.h).
 // Exits with kDone if all passed, kRefused if one failed or rules do not compile, kUsage if a file
-// cannot be read or is not well formed; then no test is run. JSON:
+// cannot be read or is not well formed; then no test is run. With `--run`, kRefused if no test has
+// such a name. JSON:
 // {"tests":count,"failed":count,"files":[{"path","ok":bool,"tests":[{"name","line","ok":bool,
 // "failures":[{"line","what","expected":[..],"got":[..]}]}],"not_exercised":[rules], "refused"?:{as
-// rules check}}]}. `--output junit`: one test suite a file.
+// rules check}}]}. `not_exercised` is empty with `--run`. `--output junit`: one test suite a file.
 #include <CLI/CLI.hpp>
 #include <algorithm>
+#include <filesystem>
 #include <nlohmann/json.hpp>
 #include <string>
+#include <system_error>
 #include <utility>
 #include <vector>
 
+#include "absl/strings/match.h"
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_join.h"
 #include "absl/strings/str_split.h"
@@ -23,6 +27,7 @@
 #include "services/base/status_macros.h"
 #include "services/runtime/config_sections.h"
 #include "services/runtime/real_clock.h"
+#include "services/text/nearest.h"
 
 namespace rips::ripsctl {
 namespace {
@@ -190,6 +195,44 @@ void PrintJunit(const std::vector<Tested>& all, std::ostream& out) {
   out << "</testsuites>\n";
 }
 
+// `pattern` is a part of `name`; if it holds `*` (any text) or `?` (one byte), all of it. In time
+// of the product of their lengths.
+bool IsNamed(absl::string_view pattern, absl::string_view name) {
+  if (pattern.find_first_of("*?") == absl::string_view::npos) {
+    return absl::StrContains(name, pattern);
+  }
+  size_t at = 0;
+  size_t star = absl::string_view::npos;
+  size_t after_star = 0;
+  for (size_t i = 0; i < name.size();) {
+    if (at < pattern.size() && pattern[at] == '*') {
+      star = at++;
+      after_star = i;
+    } else if (at < pattern.size() && (pattern[at] == '?' || pattern[at] == name[i])) {
+      ++at;
+      ++i;
+    } else if (star != absl::string_view::npos) {
+      at = star + 1;
+      i = ++after_star;
+    } else {
+      return false;
+    }
+  }
+  return pattern.find_first_not_of('*', at) == absl::string_view::npos;
+}
+
+absl::Status NoSuchTest(absl::string_view pattern, const std::vector<std::string>& names) {
+  constexpr size_t kShown = 20;
+  const std::vector<absl::string_view> views(names.begin(), names.end());
+  const std::string hint = NearestHint(pattern, views);
+  const size_t shown = std::min(names.size(), kShown);
+  std::string list;
+  for (size_t i = 0; i < shown; ++i) absl::StrAppend(&list, i > 0 ? ", `" : "`", names[i], "`");
+  if (names.size() > shown) absl::StrAppend(&list, " and ", names.size() - shown, " more");
+  return absl::NotFoundError(absl::StrCat("no test is named `", pattern, "`; ", hint,
+                                          hint.empty() ? "" : " ", "the files have ", list));
+}
+
 class TestRulesCommand final : public Command {
  public:
   TestRulesCommand()
@@ -197,18 +240,37 @@ class TestRulesCommand final : public Command {
                  /*needs_server=*/false, /*writes_junit=*/true}) {}
   void AddFlags(CLI::App& app) override {
     app.add_option("FILE", paths_, "Test files, for example warehouse_test.yaml")->required();
+    app.add_option(
+        "--run", run_,
+        "Run only tests of which this is a part of the name, or, with * or ?, all of it");
+    app.add_option("--bundle", bundle_,
+                   "Directory of a bundle to test in the place of the rules that the files name");
   }
 
   absl::StatusOr<ExitCode> Run(Env& env) override {
     std::vector<Tested> all;
     std::vector<std::string> problems;
     for (const std::string& path : paths_) {
-      absl::StatusOr<Tested> tested = Test(path);
+      absl::StatusOr<Tested> tested = Load(path);
       if (tested.ok()) {
         all.push_back(*std::move(tested));
       } else {
         problems.push_back(std::string(tested.status().message()));
       }
+    }
+    if (!problems.empty()) return Unusable(env, problems);
+    if (!run_.empty()) {
+      if (const absl::Status chosen = Choose(all); !chosen.ok()) return Failed(env, chosen);
+    }
+    for (Tested& one : all) {
+      if (one.refused()) continue;
+      absl::StatusOr<FileOutcome> outcome = replay::RunRuleTests(one.file, one.rules);
+      if (!outcome.ok()) {
+        problems.push_back(std::string(outcome.status().message()));
+        continue;
+      }
+      one.outcome = *std::move(outcome);
+      if (!run_.empty()) one.outcome.not_exercised.clear();
     }
     if (!problems.empty()) return Unusable(env, problems);
     if (env.output == Output::kJunit) {
@@ -225,15 +287,39 @@ class TestRulesCommand final : public Command {
   }
 
  private:
-  absl::StatusOr<Tested> Test(const std::string& path) const {
+  absl::StatusOr<Tested> Load(const std::string& path) const {
     Tested out;
     RIPS_ASSIGN_OR_RETURN(const std::string text, ReadConfigFile(path));
     RIPS_ASSIGN_OR_RETURN(out.file, replay::ParseRuleTestFile(path, text));
+    if (!bundle_.empty()) {
+      std::error_code error;
+      if (!std::filesystem::is_directory(bundle_, error)) {
+        return absl::InvalidArgumentError(
+            absl::StrCat("--bundle: `", bundle_, "` is not the directory of a bundle"));
+      }
+      out.file.rules = {bundle_};
+    }
     RIPS_ASSIGN_OR_RETURN(out.rules,
                           replay::LoadRuleSet(out.file.rules, out.file.options, &clock_));
-    if (out.refused()) return out;
-    RIPS_ASSIGN_OR_RETURN(out.outcome, replay::RunRuleTests(out.file, out.rules));
     return out;
+  }
+
+  // Leaves the tests that --run names, and the files that have one. NotFound if none has.
+  absl::Status Choose(std::vector<Tested>& all) const {
+    std::vector<std::string> names;
+    for (Tested& one : all) {
+      std::vector<replay::RuleTest>& tests = one.file.tests;
+      for (const replay::RuleTest& test : tests) names.push_back(test.name);
+      tests.erase(
+          std::remove_if(tests.begin(), tests.end(),
+                         [&](const replay::RuleTest& test) { return !IsNamed(run_, test.name); }),
+          tests.end());
+    }
+    all.erase(std::remove_if(all.begin(), all.end(),
+                             [](const Tested& one) { return one.file.tests.empty(); }),
+              all.end());
+    if (!all.empty()) return absl::OkStatus();
+    return NoSuchTest(run_, names);
   }
 
   // Messages may have several lines.
@@ -248,6 +334,8 @@ class TestRulesCommand final : public Command {
 
   const RealClock clock_;
   std::vector<std::string> paths_;
+  std::string run_;
+  std::string bundle_;
 };
 
 }  // namespace

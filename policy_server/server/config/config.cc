@@ -162,6 +162,25 @@ void ReadBundles(const ConfigSection& root, ServerConfig* config) {
   }
 }
 
+void ReadAlerts(const ConfigSection& root, ServerConfig* config) {
+  const ConfigSection alerts = root.OptionalSection("alerts");
+  ReadOptionalPath(alerts, "file", &config->alerts_file);
+  // The least holds some lines of full length.
+  constexpr ByteSize kLeast = {64 << 10};
+  ByteSize rotate = {0};
+  alerts.Optional("rotate_bytes", &rotate, {ByteSize{0}, ByteSize{int64_t{1} << 40}});
+  if (rotate.bytes > 0 && rotate < kLeast) {
+    alerts.Problem("rotate_bytes",
+                   "`rotate_bytes` is less than 64KiB; write more, or `0B` to leave the rotation "
+                   "to logrotate");
+  }
+  config->alerts_rotate_bytes = static_cast<uint64_t>(rotate.bytes);
+  alerts.Optional("keep", &config->alerts_keep, {1, 100});
+  if (alerts.Has("keep") && rotate.bytes == 0) {
+    alerts.Problem("keep", "`keep` does nothing without `rotate_bytes`; write both or neither");
+  }
+}
+
 void ReadAudit(const ConfigSection& root, ServerConfig* config) {
   if (!root.Has("audit")) return;
   const ConfigSection audit = root.OptionalSection("audit");
@@ -226,8 +245,7 @@ absl::StatusOr<ParsedServerConfig> ParseServerConfig(absl::string_view file,
   enum class StoreKind { kSqlite } kind = StoreKind::kSqlite;
   store.OptionalEnum<StoreKind>("kind", &kind, {{"sqlite", StoreKind::kSqlite}});
   ReadOptionalPath(store, "path", &config.store_path);
-  const ConfigSection alerts = root.OptionalSection("alerts");
-  ReadOptionalPath(alerts, "file", &config.alerts_file);
+  ReadAlerts(root, &config);
   config.outputs = ReadOutputs(root);
   ReadAudit(root, &config);
   ReadRecordings(root, &config);

@@ -85,6 +85,10 @@ struct ServerConfig {
   std::string store_path = "/var/lib/rips/policy-server/state.db";
   // JSON lines.
   std::string alerts_file = "/var/log/rips/alerts.jsonl";
+  // The server rotates that file before it becomes longer; 0: logrotate or an operator does.
+  uint64_t alerts_rotate_bytes = 0;
+  // Rotated files that are kept; 1 to 100.
+  int alerts_keep = 5;
   // At most kOutputsMax.
   std::vector<OutputConfig> outputs;
   // Where the audit log is; empty: none is written.

@@ -26,7 +26,7 @@ tls: {ca: /p/ca.pem, cert: /p/cert.pem, key: /p/key.pem}
 inventory: /e/robots.yaml
 bundles: {source: /e/bundles, dir: /v/bundles, keys: [/k/alice.pem, /k/bob.pem]}
 store: {kind: sqlite, path: /v/state.db}
-alerts: {file: /l/alerts.jsonl}
+alerts: {file: /l/alerts.jsonl, rotate_bytes: 1MiB, keep: 3}
 timing: {heartbeat: 100ms, stale: 300ms, lost: 1s, lease: 3s, drain_lease: 10s, late_after: 2s, linger: 0ms, tick: 50ms}
 shards: 3
 plugins: {user: detectors, readable: [/opt/detectors, /srv/models], helpers: /opt/rips/bin}
@@ -86,6 +86,8 @@ TEST(ServerConfigTest, ReadsEveryKey) {
   EXPECT_EQ(config.recordings_directory(), "/v/recordings") << "beside it";
   EXPECT_EQ(config.recordings_bytes, 256u << 20);
   EXPECT_EQ(config.alerts_file, "/l/alerts.jsonl");
+  EXPECT_EQ(config.alerts_rotate_bytes, 1u << 20);
+  EXPECT_EQ(config.alerts_keep, 3);
   EXPECT_EQ(config.plugin_user, "detectors");
   EXPECT_EQ(config.plugin_readable, (std::vector<std::string>{"/opt/detectors", "/srv/models"}));
   EXPECT_EQ(config.plugin_helpers, "/opt/rips/bin");
@@ -143,6 +145,14 @@ INSTANTIATE_TEST_SUITE_P(
         BadCase{"BundleKeyMapping", "[/k/alice.pem, /k/bob.pem]", "{a: /k/a.pem}", "write a list"},
         BadCase{"BundleKeyList", "/k/bob.pem", "[/k/bob.pem]", "must be a list of texts"},
         BadCase{"BundleKeysMistyped", "keys: [", "key: [", "unknown key `key`"},
+        BadCase{"RotateTooLittle", "rotate_bytes: 1MiB", "rotate_bytes: 63KiB", "less than 64KiB"},
+        BadCase{"RotateTooMuch", "rotate_bytes: 1MiB", "rotate_bytes: 1025GiB", "`rotate_bytes`"},
+        BadCase{"RotateNoUnit", "rotate_bytes: 1MiB", "rotate_bytes: 100000", "`rotate_bytes`"},
+        BadCase{"KeepNone", "keep: 3", "keep: 0", "it must be from 1 to 100"},
+        BadCase{"KeepTooMany", "keep: 3", "keep: 101", "it must be from 1 to 100"},
+        BadCase{"KeepAlone", "rotate_bytes: 1MiB, ", "", "`keep` does nothing without"},
+        BadCase{"KeepNothingRotated", "rotate_bytes: 1MiB", "rotate_bytes: 0B",
+                "`keep` does nothing without"},
         BadCase{"OtherStore", "kind: sqlite", "kind: etcd", "`kind` is `etcd`; write `sqlite`"},
         BadCase{"BareNumber", "lost: 1s", "lost: 1", "is not a duration"},
         BadCase{"StaleTooShort", "stale: 300ms", "stale: 100ms",

@@ -178,9 +178,10 @@ void AlertFeed::FeedFile() {
       RIPS_ASSIGN_OR_RETURN(const store::AlertPage page,
                             store_->AlertsAfter("", *file_sequence_, kPage));
       if (page.alerts.empty()) return absl::OkStatus();
-      RIPS_RETURN_IF_ERROR(log_->Append(page.alerts));
-      file_sequence_ = page.alerts.back().sequence;
-      file_id_ = page.alerts.back().id;
+      RIPS_ASSIGN_OR_RETURN(const size_t written, log_->Append(page.alerts));
+      const store::AlertRecord& last = page.alerts[written - 1];
+      file_sequence_ = last.sequence;
+      file_id_ = last.id;
     }
   };
   const absl::Status status = feed();

@@ -5,13 +5,16 @@
 #include <unistd.h>
 
 #include <cerrno>
+#include <cstdio>
 #include <cstring>
 #include <nlohmann/json.hpp>
 #include <utility>
+#include <vector>
 
 #include "absl/strings/str_cat.h"
 #include "absl/time/time.h"
 #include "services/base/status_macros.h"
+#include "services/runtime/log.h"
 
 namespace rips::store {
 namespace {
@@ -69,8 +72,15 @@ std::string FormatAlertLine(const AlertRecord& alert) {
   return line.dump(-1, ' ', /*ensure_ascii=*/true, nlohmann::json::error_handler_t::replace);
 }
 
-absl::StatusOr<std::unique_ptr<AlertLog>> AlertLog::Open(const std::string& path) {
-  std::unique_ptr<AlertLog> log(new AlertLog(path));
+AlertLog::AlertLog(std::string path, AlertLogOptions options)
+    : path_(std::move(path)), options_(std::move(options)) {}
+
+absl::StatusOr<std::unique_ptr<AlertLog>> AlertLog::Open(const std::string& path,
+                                                         AlertLogOptions options) {
+  if (!options.rename_file) {
+    options.rename_file = [](const char* from, const char* to) { return rename(from, to); };
+  }
+  std::unique_ptr<AlertLog> log(new AlertLog(path, std::move(options)));
   RIPS_RETURN_IF_ERROR(log->Reopen());
   return log;
 }
@@ -86,7 +96,15 @@ absl::Status AlertLog::Reopen() {
 
 absl::Status AlertLog::OpenLocked() {
   // Readable, because the last byte tells whether the last line is whole.
-  const int fd = open(path_.c_str(), O_RDWR | O_APPEND | O_CREAT | O_CLOEXEC | O_NOCTTY, 0640);
+  // A link would be renamed in the place of the file that it names.
+  const int no_link = options_.rotate_bytes > 0 ? O_NOFOLLOW : 0;
+  const int fd =
+      open(path_.c_str(), O_RDWR | O_APPEND | O_CREAT | O_CLOEXEC | O_NOCTTY | no_link, 0640);
+  if (fd < 0 && errno == ELOOP && no_link != 0) {
+    return absl::UnavailableError(absl::StrCat("alert file `", path_,
+                                               "` is a symbolic link, which `rotate_bytes` does "
+                                               "not follow; name the file itself"));
+  }
   if (fd < 0) return FromErrno(absl::StrCat("opening alert file `", path_, "`"));
   struct stat info = {};
   if (fstat(fd, &info) != 0 || !S_ISREG(info.st_mode)) {
@@ -111,13 +129,27 @@ absl::StatusOr<std::string> AlertLog::LastId() {
   MutexLock lock(&mutex_);
   struct stat info = {};
   if (fstat(fd_, &info) != 0) return FromErrno(absl::StrCat("reading alert file `", path_, "`"));
-  std::string tail = ReadTail(fd_, info.st_size);
+  const int rotated = info.st_size == 0 ? OpenRotatedLocked() : -1;
+  if (rotated >= 0 && fstat(rotated, &info) != 0) info.st_size = 0;
+  std::string tail = ReadTail(rotated >= 0 ? rotated : fd_, info.st_size);
+  if (rotated >= 0) close(rotated);
   if (!tail.empty() && tail.back() == '\n') tail.pop_back();
   const size_t before = tail.rfind('\n');
   const auto line = nlohmann::json::parse(
       before == std::string::npos ? tail : tail.substr(before + 1), nullptr, false);
   if (!line.is_object() || !line.contains("id") || !line["id"].is_string()) return std::string();
   return line["id"].get<std::string>();
+}
+
+int AlertLog::OpenRotatedLocked() const {
+  if (options_.rotate_bytes == 0) return -1;
+  // Without O_NONBLOCK a pipe in its place would hold us up.
+  const int fd = open(RotatedName(path_, 1).c_str(),
+                      O_RDONLY | O_CLOEXEC | O_NOCTTY | O_NOFOLLOW | O_NONBLOCK);
+  struct stat info = {};
+  if (fd < 0 || (fstat(fd, &info) == 0 && S_ISREG(info.st_mode))) return fd;
+  close(fd);
+  return -1;
 }
 
 bool AlertLog::MovedLocked() const {
@@ -127,13 +159,30 @@ bool AlertLog::MovedLocked() const {
   return by_path.st_dev != by_fd.st_dev || by_path.st_ino != by_fd.st_ino;
 }
 
-absl::Status AlertLog::Append(std::span<const AlertRecord> alerts) {
-  if (alerts.empty()) return absl::OkStatus();
-  std::string text;
-  for (const AlertRecord& alert : alerts) absl::StrAppend(&text, FormatAlertLine(alert), "\n");
+absl::Status AlertLog::RotateIfFullLocked(size_t line_bytes) {
+  struct stat info = {};
+  if (options_.rotate_bytes == 0 || fstat(fd_, &info) != 0 || info.st_size == 0) {
+    return absl::OkStatus();
+  }
+  const auto size = static_cast<uint64_t>(info.st_size);
+  const bool fits = size <= options_.rotate_bytes && line_bytes <= options_.rotate_bytes - size;
+  if (fits) return absl::OkStatus();
+  const absl::Status rotated = RotateFile(path_, options_.keep, options_.rename_file);
+  if (!rotated.ok()) {
+    if (options_.on_rotation_failure) options_.on_rotation_failure();
+    if (!std::exchange(rotation_failing_, true)) {
+      LogError("cannot rotate the alert file; it grows until that is possible",
+               {{"file", path_}, {"reason", rotated.message()}});
+    }
+    return absl::OkStatus();
+  }
+  if (std::exchange(rotation_failing_, false)) {
+    LogInfo("alert file rotated again", {{"file", path_}});
+  }
+  return OpenLocked();
+}
 
-  MutexLock lock(&mutex_);
-  if (MovedLocked()) RIPS_RETURN_IF_ERROR(OpenLocked());
+absl::Status AlertLog::WriteLocked(std::string text) {
   if (torn_) text.insert(text.begin(), '\n');
   struct stat before = {};
   const bool sized = fstat(fd_, &before) == 0;
@@ -151,6 +200,34 @@ absl::Status AlertLog::Append(std::span<const AlertRecord> alerts) {
   }
   torn_ = false;
   return absl::OkStatus();
+}
+
+absl::StatusOr<size_t> AlertLog::Append(std::span<const AlertRecord> alerts) {
+  if (alerts.empty()) return 0;
+  std::vector<std::string> lines;
+  for (const AlertRecord& alert : alerts) lines.push_back(FormatAlertLine(alert) + "\n");
+
+  MutexLock lock(&mutex_);
+  if (MovedLocked()) RIPS_RETURN_IF_ERROR(OpenLocked());
+  size_t written = 0;
+  while (written < lines.size()) {
+    absl::Status status = RotateIfFullLocked(lines[written].size());
+    struct stat info = {};
+    if (status.ok() && fstat(fd_, &info) != 0) status = FromErrno("examining the alert file");
+    // As many as fit go in one write, at least one.
+    std::string text = lines[written];
+    size_t end = written + 1;
+    const auto fits = [&](size_t more) {
+      return options_.rotate_bytes == 0 || rotation_failing_ ||
+             static_cast<uint64_t>(info.st_size) + text.size() + more <= options_.rotate_bytes;
+    };
+    while (end < lines.size() && fits(lines[end].size())) text += lines[end++];
+    if (status.ok()) status = WriteLocked(std::move(text));
+    if (!status.ok() && written == 0) return status;
+    if (!status.ok()) return written;
+    written = end;
+  }
+  return written;
 }
 
 }  // namespace rips::store

@@ -42,7 +42,7 @@ std::vector<std::string> Texts(const std::string& path) {
 
 absl::Status Append(AlertLog& log, const std::string& text) {
   const AlertRecord alert = MakeAlert("r1", text);
-  return log.Append({&alert, 1});
+  return log.Append({&alert, 1}).status();
 }
 
 TEST(AlertLineTest, HasTheDocumentedShape) {
