@@ -3,10 +3,15 @@
 #define RIPS_POLICY_SERVER_RIPSCTL_OFFLINE_RUN_H_
 
 #include <stdlib.h>
+#include <unistd.h>
 
+#include <algorithm>
+#include <atomic>
+#include <cstdlib>
 #include <filesystem>
 #include <fstream>
 #include <memory>
+#include <nlohmann/json.hpp>
 #include <optional>
 #include <sstream>
 #include <string>
@@ -25,6 +30,19 @@ struct Result {
   std::string out;
   std::string err;
 };
+
+// For the test `ripsctl_json`: if RIPS_JSON_SAMPLES names a directory, leaves what was printed as
+// JSON in a file of its own there, below a line {"args":[..],"code":N}. Gives `result` back.
+inline Result Saved(const std::vector<std::string>& args, Result result) {
+  const char* directory = std::getenv("RIPS_JSON_SAMPLES");
+  const bool is_json = std::find(args.begin(), args.end(), "json") != args.end();
+  if (directory == nullptr || !is_json || result.out.empty()) return result;
+  static std::atomic<int> number = 0;
+  std::ofstream(absl::StrCat(directory, "/", getpid(), "-", ++number, ".jsonl"), std::ios::binary)
+      << nlohmann::json({{"args", args}, {"code", result.code}}).dump() << "\n"
+      << result.out;
+  return result;
+}
 
 // Removed with all that is in it.
 class TestDirectory {
@@ -69,7 +87,7 @@ inline Result RunOffline(const std::vector<std::string>& args, const std::string
                           return absl::InternalError("connected");
                         },
                         .in = &in});
-  return {code, out.str(), err.str()};
+  return Saved(args, {code, out.str(), err.str()});
 }
 
 }  // namespace rips::ripsctl

@@ -294,7 +294,7 @@ class RipsctlTest : public testing::Test {
                },
                .connect = [this](const RawSettings& settings) { return Connect(settings); },
                .sleep = [this](absl::Duration) { ++sleeps_; }});
-    return {code, out.str(), err.str()};
+    return Saved(args, {code, out.str(), err.str()});
   }
   absl::StatusOr<std::unique_ptr<v1::OperatorService::StubInterface>> Connect(
       const RawSettings& settings) {

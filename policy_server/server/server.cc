@@ -101,8 +101,8 @@ absl::Status Server::Open() {
       "rips_alert_file_rotation_failures_total", "Attempts to rotate the alert file that failed.");
   RIPS_ASSIGN_OR_RETURN(
       alert_log_,
-      store::AlertLog::Open(config_.alerts_file, {.rotate_bytes = config_.alerts_rotate_bytes,
-                                                  .keep = config_.alerts_keep,
+      store::AlertLog::Open(config_.alerts.path, {.rotate_bytes = config_.alerts.rotate_bytes,
+                                                  .keep = config_.alerts.keep,
                                                   .on_rotation_failure = [rotation_failures] {
                                                     rotation_failures.Increment();
                                                   }}));

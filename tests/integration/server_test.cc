@@ -63,7 +63,7 @@ class ServerTest : public ::testing::Test {
     config_.bundles_source = RIPS_SOURCE_DIR "/rules";
     config_.bundles_dir = dir_ + "/bundles";
     config_.store_path = dir_ + "/state.db";
-    config_.alerts_file = dir_ + "/alerts.jsonl";
+    config_.alerts.path = dir_ + "/alerts.jsonl";
     config_.metrics = "127.0.0.1:0";
     Start();
   }

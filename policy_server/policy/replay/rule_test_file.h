@@ -1,8 +1,8 @@
 // Unit tests of rules, as a YAML file:
 //
 //   rules: [warehouse.rul]        relative to this file; one program, in this order;
-//                                 or [DIRECTORY], a bundle, whose manifest then sets dialect, start_level and
-//                                 on_inspection_error
+//                                 or [DIRECTORY], a bundle, whose manifest then sets dialect,
+//                                 start_level and on_inspection_error
 //   dialect: rips                 or prototype; optional, as all below up to `tests`
 //   robot: r1
 //   start_level: DEFAULT          the first level of the rules

@@ -60,6 +60,8 @@ TEST_F(AuditCommandTest, TailAndExportReadRecords) {
   const Result result = Audit("export");
   EXPECT_EQ(result.code, 0);
   EXPECT_THAT(result.out, StartsWith(R"({"sequence":1,)"));
+  EXPECT_EQ(Audit("export", {"--output", "json"}).out, result.out);
+  EXPECT_THAT(Audit("tail", {"--output", "json"}).out, HasSubstr(R"("log":{"whole":true,)"));
 }
 
 TEST_F(AuditCommandTest, WhatIsNoLogIsAUsageError) {

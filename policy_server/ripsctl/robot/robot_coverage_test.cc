@@ -107,7 +107,7 @@ class RobotCoverageTest : public testing::Test {
                      v1::OperatorService::NewStub(grpc::CreateChannel(
                          absl::StrCat("127.0.0.1:", port_), grpc::InsecureChannelCredentials())));
                }});
-    return {code, out.str(), err.str()};
+    return Saved(args, {code, out.str(), err.str()});
   }
   nlohmann::json RunJson(std::vector<std::string> args, int expected_code = 0) {
     args.insert(args.end(), {"--output", "json"});

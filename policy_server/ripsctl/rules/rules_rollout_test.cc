@@ -105,7 +105,7 @@ class RulesRolloutTest : public rollout::BundleControlFixture {
                           },
                           .connect = ConnectWithTls,
                           .sleep = [this](absl::Duration) { LetASecondPass(); }});
-    return {code, out.str(), err.str()};
+    return Saved(args, {code, out.str(), err.str()});
   }
   nlohmann::json RunJson(std::vector<std::string> args, int expected_code = 0) {
     args.insert(args.end(), {"--output", "json"});
@@ -460,6 +460,12 @@ TEST_F(RulesRolloutTest, AnOperatorStopsARollOutThatAnotherOneFollows) {
   EXPECT_THAT(twice.out, StartsWith("nothing changes: no robot has anything to go back to\n"));
 }
 
+TEST_F(RulesRolloutTest, StopPrintsTheRollOutAsJson) {
+  const std::string fresh = Push("fresh");
+  ASSERT_EQ(Run({"rules", "activate", fresh, "--all", "--reason", "x"}).code, 0);
+  EXPECT_EQ(RunJson({"rules", "stop", "--reason", "lunch"})["rollout"]["state"], "stopped");
+}
+
 TEST_F(RulesRolloutTest, ARollOutThatDoesHarmStopsAndGoesBack) {
   const std::string fresh = Push("fresh");
   each_second_ = [&] {
@@ -488,6 +494,9 @@ TEST_F(RulesRolloutTest, ARollBackStopsTheRollOutOfItsRobots) {
   EXPECT_EQ(dry.code, 0);
   EXPECT_THAT(dry.out, AllOf(StartsWith("nothing was changed; would be judged as before: r1\n"),
                              HasSubstr(" -> what the directory holds\n")));
+  EXPECT_EQ(
+      RunJson({"rules", "rollback", "--robot", "r1", "--reason", "x", "--dry-run"})["changed"],
+      nlohmann::json({"r1"}));
   EXPECT_EQ(InUse("r1"), fresh);
   const Result back = Run({"rules", "rollback", "--robot", "r1", "--reason", "x"});
   EXPECT_EQ(back.code, 0);

@@ -164,7 +164,7 @@ void ReadBundles(const ConfigSection& root, ServerConfig* config) {
 
 void ReadAlerts(const ConfigSection& root, ServerConfig* config) {
   const ConfigSection alerts = root.OptionalSection("alerts");
-  ReadOptionalPath(alerts, "file", &config->alerts_file);
+  ReadOptionalPath(alerts, "file", &config->alerts.path);
   // The least holds some lines of full length.
   constexpr ByteSize kLeast = {64 << 10};
   ByteSize rotate = {0};
@@ -174,8 +174,8 @@ void ReadAlerts(const ConfigSection& root, ServerConfig* config) {
                    "`rotate_bytes` is less than 64KiB; write more, or `0B` to leave the rotation "
                    "to logrotate");
   }
-  config->alerts_rotate_bytes = static_cast<uint64_t>(rotate.bytes);
-  alerts.Optional("keep", &config->alerts_keep, {1, 100});
+  config->alerts.rotate_bytes = static_cast<uint64_t>(rotate.bytes);
+  alerts.Optional("keep", &config->alerts.keep, {1, 100});
   if (alerts.Has("keep") && rotate.bytes == 0) {
     alerts.Problem("keep", "`keep` does nothing without `rotate_bytes`; write both or neither");
   }

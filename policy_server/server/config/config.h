@@ -64,6 +64,17 @@ struct OperatorQuota {
   friend bool operator==(const OperatorQuota&, const OperatorQuota&) = default;
 };
 
+struct AlertFile {
+  // JSON lines.
+  std::string path = "/var/log/rips/alerts.jsonl";
+  // The server rotates it before it becomes longer; 0: logrotate or an operator does.
+  uint64_t rotate_bytes = 0;
+  // Rotated files that are kept; 1 to 100.
+  int keep = 5;
+
+  friend bool operator==(const AlertFile&, const AlertFile&) = default;
+};
+
 struct ServerConfig {
   // A name as in IsValidName.
   std::string id;
@@ -83,12 +94,7 @@ struct ServerConfig {
   std::vector<std::string> bundle_keys;
   // SQLite file.
   std::string store_path = "/var/lib/rips/policy-server/state.db";
-  // JSON lines.
-  std::string alerts_file = "/var/log/rips/alerts.jsonl";
-  // The server rotates that file before it becomes longer; 0: logrotate or an operator does.
-  uint64_t alerts_rotate_bytes = 0;
-  // Rotated files that are kept; 1 to 100.
-  int alerts_keep = 5;
+  AlertFile alerts;
   // At most kOutputsMax.
   std::vector<OutputConfig> outputs;
   // Where the audit log is; empty: none is written.

@@ -85,9 +85,9 @@ TEST(ServerConfigTest, ReadsEveryKey) {
   EXPECT_EQ(config.store_path, "/v/state.db");
   EXPECT_EQ(config.recordings_directory(), "/v/recordings") << "beside it";
   EXPECT_EQ(config.recordings_bytes, 256u << 20);
-  EXPECT_EQ(config.alerts_file, "/l/alerts.jsonl");
-  EXPECT_EQ(config.alerts_rotate_bytes, 1u << 20);
-  EXPECT_EQ(config.alerts_keep, 3);
+  EXPECT_EQ(config.alerts.path, "/l/alerts.jsonl");
+  EXPECT_EQ(config.alerts.rotate_bytes, 1u << 20);
+  EXPECT_EQ(config.alerts.keep, 3);
   EXPECT_EQ(config.plugin_user, "detectors");
   EXPECT_EQ(config.plugin_readable, (std::vector<std::string>{"/opt/detectors", "/srv/models"}));
   EXPECT_EQ(config.plugin_helpers, "/opt/rips/bin");
