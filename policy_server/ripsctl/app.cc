@@ -33,6 +33,7 @@ constexpr Noun kNouns[] = {
     {"audit", "Verify and read a policy server's audit log; needs no server"},
     {"agent", "List certificates; ban and unban agents and operators"},
     {"record", "Record the events a robot's rules are evaluated on"},
+    {"context", "List the contexts of the settings file; change the current one"},
 };
 // In the order in which --help lists the verbs of a noun.
 constexpr Commands (*kMakers[])() = {RobotCommands,
@@ -56,7 +57,8 @@ constexpr Commands (*kMakers[])() = {RobotCommands,
                                      ResumeRules,
                                      AuditCommands,
                                      AgentCommands,
-                                     RecordCommands};
+                                     RecordCommands,
+                                     ContextCommands};
 
 // The whole command line.
 class Parser {
@@ -65,6 +67,7 @@ class Parser {
     app_.require_subcommand(1);
     app_.fallthrough();
     app_.set_version_flag("--version", std::string(RipsVersion()));
+    app_.add_option("--context", flags_.context, "Context of the settings file to use");
     app_.add_option("--server", flags_.server, "HOST:PORT of the policy server");
     app_.add_option("--cert", flags_.cert, "Certificate to connect with, a PEM file");
     app_.add_option("--key", flags_.key, "Private key of --cert, a PEM file");
@@ -73,7 +76,8 @@ class Parser {
     app_.add_option("--timeout", flags_.timeout, "Time limit of one call, for example 10s");
     app_.footer(
         "Settings (--server, --cert, --key, --ca, --output, --timeout) come from flags, then\n"
-        "RIPSCTL_SERVER, RIPSCTL_CERT, ..., then ~/.config/rips/ripsctl.yaml.\n"
+        "RIPSCTL_SERVER, RIPSCTL_CERT, ..., then ~/.config/rips/ripsctl.yaml: the context that\n"
+        "--context, RIPSCTL_CONTEXT or its key `current` names, then its top.\n"
         "Exit codes: 0 success, 1 refused or problems found, 2 usage error, 3 server unreachable.");
     for (const Noun& noun : kNouns) app_.add_subcommand(noun.name, noun.synopsis)->fallthrough();
     for (const auto maker : kMakers) {
@@ -137,13 +141,25 @@ class Parser {
   Command* chosen_ = nullptr;  // Into commands_.
 };
 
-absl::StatusOr<RawSettings> ReadSettingsFile(const World& world) {
-  const std::string path = SettingsPath(world.get_env);
-  if (path.empty()) return RawSettings{};
+absl::StatusOr<SettingsFile> ReadSettingsFile(const std::string& path) {
+  if (path.empty()) return SettingsFile{};
   const absl::StatusOr<std::string> text = ReadConfigFile(path);
-  if (absl::IsNotFound(text.status())) return RawSettings{};
+  if (absl::IsNotFound(text.status())) return SettingsFile{};
   RIPS_RETURN_IF_ERROR(text.status());
   return ParseSettings(path, *text);
+}
+
+// Fills what `env` has of settings.
+absl::Status ReadSettings(RawSettings flags, SettingsUse uses, const World& world, Env* env) {
+  const GetEnv none = [](const std::string&) { return std::nullopt; };
+  const GetEnv& get_env = uses == SettingsUse::kNothing ? none : world.get_env;
+  env->settings_path = SettingsPath(get_env);
+  RIPS_ASSIGN_OR_RETURN(env->settings_file, ReadSettingsFile(env->settings_path));
+  if (uses == SettingsUse::kAll) {
+    RIPS_ASSIGN_OR_RETURN(flags.context, ChooseContext(flags, get_env, env->settings_file));
+  }
+  env->settings = Merge(std::move(flags), get_env, env->settings_file);
+  return absl::OkStatus();
 }
 
 // Checks what does not need a connection.
@@ -173,15 +189,13 @@ ExitCode RunCommand(Command& command, const RawSettings& flags, const World& wor
   Env env{.out = world.out, .err = world.err};
   env.in = world.in;
   env.sleep = world.sleep;
-  const absl::StatusOr<RawSettings> file = ReadSettingsFile(world);
-  if (!file.ok()) return UsageError(env, file.status().message());
-  const RawSettings settings = Merge(flags, world.get_env, *file);
-  absl::Status status = Apply(settings, command, &env);
+  absl::Status status = ReadSettings(flags, command.info().uses, world, &env);
+  if (status.ok()) status = Apply(env.settings, command, &env);
   if (status.ok()) status = command.Check();
   if (!status.ok()) return UsageError(env, status.message());
   std::unique_ptr<v1::OperatorService::StubInterface> stub;
   if (command.info().needs_server) {
-    auto connected = world.connect(settings);
+    auto connected = world.connect(env.settings);
     if (!connected.ok()) return UsageError(env, connected.status().message());
     stub = *std::move(connected);
     env.server = stub.get();

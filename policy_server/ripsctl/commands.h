@@ -28,6 +28,7 @@ Commands ResumeRules();
 Commands AuditCommands();  // verify, tail, export
 Commands AgentCommands();  // list, ban, unban, reset-term
 Commands RecordCommands();
+Commands ContextCommands();  // list, use
 
 }  // namespace rips::ripsctl
 

@@ -19,6 +19,13 @@ class App;
 
 namespace rips::ripsctl {
 
+// What a command uses of the settings.
+enum class SettingsUse {
+  kAll,      // a context that is not in the settings file is an error
+  kFile,     // the settings file, whichever context is chosen
+  kNothing,  // flags only: works with a settings file that is wrong
+};
+
 class Command {
  public:
   struct Info {
@@ -27,6 +34,7 @@ class Command {
     std::string synopsis;  // one line for --help
     bool needs_server = true;
     bool writes_junit = false;  // knows `--output junit`, too
+    SettingsUse uses = SettingsUse::kAll;
   };
 
   explicit Command(Info info) : info_(std::move(info)) {}

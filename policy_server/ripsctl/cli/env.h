@@ -5,9 +5,11 @@
 #include <functional>
 #include <istream>
 #include <ostream>
+#include <string>
 
 #include "absl/time/clock.h"
 #include "absl/time/time.h"
+#include "policy_server/ripsctl/cli/settings.h"
 #include "rips/v1/operator.grpc.pb.h"
 
 namespace rips::ripsctl {
@@ -32,6 +34,11 @@ struct Env {
   absl::Duration timeout = absl::Seconds(10);
   // Not owned; nullptr for commands that need no server.
   v1::OperatorService::StubInterface* server = nullptr;
+  // What applies to this command; `context` is the chosen one.
+  RawSettings settings;
+  // Where the settings file is, or would be; empty without HOME.
+  std::string settings_path;
+  SettingsFile settings_file;
   // Standard input. Not owned; nullptr is an empty one.
   std::istream* in = nullptr;
   // Waits between two questions; a test lets time pass instead.
