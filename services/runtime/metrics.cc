@@ -124,9 +124,9 @@ void Metrics::SetShown(Shown shown) {
 std::string Metrics::Text() const {
   std::vector<prometheus::MetricFamily> families = registry_->registry.Collect();
   MutexLock lock(&mu_);
-  if (shown_) {
+  if (const Shown shown = shown_) {
     for (prometheus::MetricFamily& family : families) {
-      std::erase_if(family.metric, [&](const auto& metric) { return !IsShown(shown_, metric); });
+      std::erase_if(family.metric, [&](const auto& metric) { return !IsShown(shown, metric); });
     }
   }
   for (const auto& [name, table] : tables_) {

@@ -50,6 +50,7 @@ OF_VERB = {
     "agent list": "agent_list", "agent ban": "agent_ban", "agent unban": "agent_ban",
     "agent reset-term": "agent_reset_term",
     "record": "record",
+    "context list": "context_list", "context use": "context_use",
 }
 # Verbs that print no JSON.
 WITHOUT_JSON = set()

@@ -20,7 +20,7 @@ import zlib
 
 sys.path.insert(0, str(pathlib.Path(__file__).resolve().parents[1] / "support"))
 from fleet import (  # noqa: E402
-    LEVELS, SOURCE, Failed, Fleet, Skipped, check, cpu_seconds, metrics, perform)
+    LEVELS, SOURCE, Failed, Fleet, Skipped, check, cpu_seconds, metrics, page, perform)
 
 
 def decided(fleet):
@@ -695,7 +695,7 @@ def metrics_follow_the_level_and_the_inventory(fleet):
               'rips_robot_level_index{robot="r1"} 0',
               'rips_robot_effective_level_index{robot="r1"} 0',
               'rips_robot_stage{robot="r1",stage="verified"} 1',
-              f'rips_robot_bundle_info{{bundle="{fleet.level()["bundle_version"]}",robot="r1"}} 1',
+              f'rips_robot_bundle_info{{bundle="{fleet.level()["bundle"]}",robot="r1"}} 1',
               'rips_robot_judged{robot="r1"} 1',
               'rips_robot_agents_connected{agent="sensor",robot="r1"} 1',
               'rips_robot_agents_connected{agent="actuator",robot="r1"} 1',

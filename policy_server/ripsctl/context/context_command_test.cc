@@ -86,6 +86,7 @@ TEST_F(ContextTest, AreListed) {
   EXPECT_EQ(none.code, 0);
   EXPECT_EQ(none.err, "no contexts in " + path_ + "\n");
   EXPECT_EQ(RunJson({"context", "list"})["current"], nlohmann::json());
+  EXPECT_EQ(RunJson({"context", "use", "site"})["current"], "site");
 }
 
 TEST_F(ContextTest, UseChangesTheCurrentOneAndNothingElse) {
