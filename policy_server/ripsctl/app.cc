@@ -22,6 +22,7 @@ namespace {
 struct Noun {
   const char* name;
   const char* synopsis;
+  bool hidden = false;  // not in --help: for who builds packages
 };
 
 constexpr Noun kNouns[] = {
@@ -34,6 +35,8 @@ constexpr Noun kNouns[] = {
     {"agent", "List certificates; ban and unban agents and operators"},
     {"record", "Record the events a robot's rules are evaluated on"},
     {"context", "List the contexts of the settings file; change the current one"},
+    {"completion", "Print the completion of commands for a shell"},
+    {"man", "Print ripsctl(1), the manual page, in roff", /*hidden=*/true},
 };
 // In the order in which --help lists the verbs of a noun.
 constexpr Commands (*kMakers[])() = {RobotCommands,
@@ -58,7 +61,8 @@ constexpr Commands (*kMakers[])() = {RobotCommands,
                                      AuditCommands,
                                      AgentCommands,
                                      RecordCommands,
-                                     ContextCommands};
+                                     ContextCommands,
+                                     ReferenceCommands};
 
 // The whole command line.
 class Parser {
@@ -67,19 +71,29 @@ class Parser {
     app_.require_subcommand(1);
     app_.fallthrough();
     app_.set_version_flag("--version", std::string(RipsVersion()));
-    app_.add_option("--context", flags_.context, "Context of the settings file to use");
+    app_.add_option("--context", flags_.context, "Context of the settings file to use")
+        ->type_name("CONTEXT");
     app_.add_option("--server", flags_.server, "HOST:PORT of the policy server");
     app_.add_option("--cert", flags_.cert, "Certificate to connect with, a PEM file");
     app_.add_option("--key", flags_.key, "Private key of --cert, a PEM file");
     app_.add_option("--ca", flags_.ca, "Certificate authority to trust, a PEM file");
-    app_.add_option("--output", flags_.output, "text, or json for programs");
+    app_.add_option("--output", flags_.output, "text, or json for programs")
+        ->type_name("text|json");
     app_.add_option("--timeout", flags_.timeout, "Time limit of one call, for example 10s");
     app_.footer(
         "Settings (--server, --cert, --key, --ca, --output, --timeout) come from flags, then\n"
         "RIPSCTL_SERVER, RIPSCTL_CERT, ..., then ~/.config/rips/ripsctl.yaml: the context that\n"
         "--context, RIPSCTL_CONTEXT or its key `current` names, then its top.\n"
-        "Exit codes: 0 success, 1 refused or problems found, 2 usage error, 3 server unreachable.");
-    for (const Noun& noun : kNouns) app_.add_subcommand(noun.name, noun.synopsis)->fallthrough();
+        "Exit codes: " +
+        absl::StrJoin(kExitCodes, ", ",
+                      [](std::string* out, const ExitCodeMeaning& each) {
+                        absl::StrAppend(out, static_cast<int>(each.code), " ", each.meaning);
+                      }) +
+        ".");
+    for (const Noun& noun : kNouns) {
+      CLI::App* const app = app_.add_subcommand(noun.name, noun.synopsis)->fallthrough();
+      if (noun.hidden) app->group("");
+    }
     for (const auto maker : kMakers) {
       for (std::unique_ptr<Command>& command : maker()) Add(std::move(command));
     }

@@ -28,7 +28,8 @@ Commands ResumeRules();
 Commands AuditCommands();  // verify, tail, export
 Commands AgentCommands();  // list, ban, unban, reset-term
 Commands RecordCommands();
-Commands ContextCommands();  // list, use
+Commands ContextCommands();    // list, use
+Commands ReferenceCommands();  // completion bash, man
 
 }  // namespace rips::ripsctl
 

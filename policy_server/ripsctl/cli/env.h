@@ -22,6 +22,17 @@ enum class ExitCode {
   kUnreachable = 3,  // no answer from the server
 };
 
+struct ExitCodeMeaning {
+  ExitCode code;
+  const char* meaning;
+};
+inline constexpr ExitCodeMeaning kExitCodes[] = {
+    {ExitCode::kDone, "success"},
+    {ExitCode::kRefused, "refused or problems found"},
+    {ExitCode::kUsage, "usage error"},
+    {ExitCode::kUnreachable, "server unreachable"},
+};
+
 // Text is for people and may change; JSON is a contract to which fields may be added.
 // kJunit: only for commands that write it (Command::writes_junit).
 enum class Output { kText, kJson, kJunit };

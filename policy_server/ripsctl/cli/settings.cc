@@ -36,7 +36,7 @@ constexpr absl::string_view kContextVariable = "RIPSCTL_CONTEXT";
 constexpr absl::string_view kCurrentKey = "current:";
 
 std::string VariableOf(const Setting& setting) {
-  return absl::StrCat("RIPSCTL_", absl::AsciiStrToUpper(setting.name));
+  return absl::StrCat(kSettingVariablePrefix, absl::AsciiStrToUpper(setting.name));
 }
 
 // With the slash; empty for a file in the working directory.

@@ -67,6 +67,7 @@ RawSettings Merge(RawSettings flags, const GetEnv& get_env, const SettingsFile& 
 absl::StatusOr<std::string> WithCurrentContext(absl::string_view file, absl::string_view text,
                                                absl::string_view name);
 
+inline constexpr absl::string_view kSettingVariablePrefix = "RIPSCTL_";
 // The environment variables that are settings, RIPSCTL_CONTEXT included.
 std::vector<std::string> SettingVariables();
 

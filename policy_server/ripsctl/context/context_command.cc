@@ -74,7 +74,9 @@ class UseContext final : public Command {
  public:
   UseContext() : Command(OfContext("use", "Make a context the current one; needs no server")) {}
   void AddFlags(CLI::App& app) override {
-    app.add_option("CONTEXT", name_, "Name of a context of the settings file")->required();
+    app.add_option("CONTEXT", name_, "Name of a context of the settings file")
+        ->type_name("CONTEXT")
+        ->required();
   }
   absl::StatusOr<ExitCode> Run(Env& env) override {
     if (const absl::Status known = CheckContext(name_, "CONTEXT", env.settings_file); !known.ok()) {

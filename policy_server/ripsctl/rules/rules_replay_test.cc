@@ -1,11 +1,5 @@
 // `ripsctl rules replay` and `ripsctl rules test`, from the command line on.
-#include <fcntl.h>
-#include <spawn.h>
-#include <sys/wait.h>
-#include <unistd.h>
-
 #include <filesystem>
-#include <fstream>
 #include <nlohmann/json.hpp>
 #include <string>
 #include <vector>
@@ -15,6 +9,7 @@
 #include "gtest/gtest.h"
 #include "policy_server/policy/recording/recording_test_data.h"
 #include "policy_server/ripsctl/offline_run.h"
+#include "policy_server/ripsctl/run_program.h"
 
 namespace rips::ripsctl {
 namespace {
@@ -95,29 +90,6 @@ class RulesReplayTest : public testing::Test {
   std::string events_;
 };
 
-// What the program itself prints, through a file.
-std::string Printed(const std::vector<std::string>& args, const std::string& file) {
-  std::string program = RIPS_BIN_DIR "/ripsctl";
-  std::vector<std::string> all = {program};
-  all.insert(all.end(), args.begin(), args.end());
-  std::vector<char*> argv;
-  for (std::string& arg : all) argv.push_back(arg.data());
-  argv.push_back(nullptr);
-  posix_spawn_file_actions_t actions;
-  posix_spawn_file_actions_init(&actions);
-  posix_spawn_file_actions_addopen(&actions, 1, file.c_str(), O_WRONLY | O_CREAT | O_TRUNC, 0600);
-  pid_t pid = 0;
-  const int failed = posix_spawn(&pid, program.c_str(), &actions, nullptr, argv.data(), environ);
-  posix_spawn_file_actions_destroy(&actions);
-  EXPECT_EQ(failed, 0) << program;
-  if (failed != 0) return "";
-  int status = -1;
-  EXPECT_EQ(waitpid(pid, &status, 0), pid);
-  EXPECT_EQ(status, 0);
-  std::ifstream in(file, std::ios::binary);
-  return std::string(std::istreambuf_iterator<char>(in), {});
-}
-
 constexpr char kGolden[] =
     R"({"events":{"message":2,"graph":1,"external":0,"undecidable":0,"unattributed":2},)"
     R"("level":"LOUD",)"
@@ -137,10 +109,14 @@ TEST_F(RulesReplayTest, JsonIsTheSameBytesInEveryProcess) {
   const std::vector<std::string> args = ReplayArgs({"--output", "json"});
 
   EXPECT_EQ(RunOffline(args).out, kGolden);
-  EXPECT_EQ(Printed(args, folder_ + "/first"), kGolden);
-  EXPECT_EQ(Printed(args, folder_ + "/second"), kGolden);
+  const auto printed = [](std::vector<std::string> all) {
+    all.insert(all.begin(), RIPS_BIN_DIR "/ripsctl");
+    return RunProgram(all).out;
+  };
+  EXPECT_EQ(printed(args), kGolden);
+  EXPECT_EQ(printed(args), kGolden);
   const std::vector<std::string> text = ReplayArgs({});
-  EXPECT_EQ(Printed(text, folder_ + "/third"), RunOffline(text).out);
+  EXPECT_EQ(printed(text), RunOffline(text).out);
 }
 
 TEST_F(RulesReplayTest, TextIsForPeople) {
