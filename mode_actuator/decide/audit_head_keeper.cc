@@ -59,8 +59,9 @@ absl::StatusOr<model::AuditHead> DecodeAuditHead(absl::string_view bytes) {
   head.public_key = absl::HexStringToBytes(values[1]);
   head.hash = absl::HexStringToBytes(values[3]);
   head.signature = absl::HexStringToBytes(values[4]);
+  if (!head.whole()) return Corrupt("a part is missing or out of range");
   // Written again it must be the same bytes: that covers the checksum and every other spelling.
-  if (!head.whole() || EncodeAuditHead(head) != bytes) return Corrupt("wrong checksum");
+  if (EncodeAuditHead(head) != bytes) return Corrupt("wrong checksum");
   return head;
 }
 

@@ -42,6 +42,12 @@ TEST(AuditHeadFileTest, EachCutAndEachFlippedBitIsLost) {
   EXPECT_TRUE(absl::IsDataLoss(DecodeAuditHead(std::string(1 << 20, 'x')).status()));
 }
 
+TEST(AuditHeadFileTest, ANumberThatCannotBeIsLost) {
+  for (const AuditHead& head : {Head(UINT64_MAX, 1), Head(1, UINT64_MAX), Head(0, 1), Head(1, 0)}) {
+    EXPECT_TRUE(absl::IsDataLoss(DecodeAuditHead(EncodeAuditHead(head)).status()));
+  }
+}
+
 TEST(AuditHeadKeeperTest, FollowsALogThatGrows) {
   AuditHeadKeeper keeper;
   EXPECT_EQ(keeper.OnLease(Head(1, 5)), "");

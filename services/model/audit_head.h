@@ -13,6 +13,8 @@ struct AuditHead {
   static constexpr size_t kKeyBytes = 32;
   static constexpr size_t kHashBytes = 32;
   static constexpr size_t kSignatureBytes = 64;
+  // Of a segment and a sequence; more is not sent.
+  static constexpr uint64_t kNumberMax = uint64_t{1} << 62;
 
   // From 1; 0 = none.
   uint64_t segment = 0;
@@ -27,8 +29,9 @@ struct AuditHead {
   bool none() const { return segment == 0; }
   // Neither none nor a part missing.
   bool whole() const {
-    return segment != 0 && sequence != 0 && public_key.size() == kKeyBytes &&
-           hash.size() == kHashBytes && signature.size() == kSignatureBytes;
+    return segment != 0 && segment <= kNumberMax && sequence != 0 && sequence <= kNumberMax &&
+           public_key.size() == kKeyBytes && hash.size() == kHashBytes &&
+           signature.size() == kSignatureBytes;
   }
   friend bool operator==(const AuditHead&, const AuditHead&) = default;
 };

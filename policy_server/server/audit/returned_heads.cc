@@ -32,7 +32,7 @@ void ReturnedHeads::Compare(HeadBringer bringer, model::AuditHead head) {
                {{"robot", bringer.robot}, {"host", bringer.host}, {"limit", kWaitingMax}});
     return;
   }
-  waiting_.insert_or_assign(std::move(bringer), std::move(head));
+  waiting_.try_emplace(std::move(bringer), std::move(head));
   changed_.NotifyOne();
 }
 
@@ -51,7 +51,8 @@ void ReturnedHeads::Run() {
   }
 }
 
-void ReturnedHeads::CompareAll(const Waiting& heads) const {
+void ReturnedHeads::CompareAll(const Waiting& heads) {
+  ++pass_;
   struct Group {
     std::vector<const HeadBringer*> bringers;
     std::vector<model::AuditHead> heads;
@@ -71,9 +72,25 @@ void ReturnedHeads::CompareAll(const Waiting& heads) const {
       continue;
     }
     for (size_t i = 0; i < group.heads.size(); ++i) {
-      told_(*group.bringers[i], group.heads[i], (*verdicts)[i]);
+      Tell(*group.bringers[i], group.heads[i], (*verdicts)[i]);
     }
   }
+}
+
+void ReturnedHeads::Tell(const HeadBringer& bringer, const model::AuditHead& head,
+                         HeadVerdict verdict) {
+  if (verdict != HeadVerdict::kHeld) {
+    const auto [last, fresh] = last_.try_emplace(bringer);
+    const bool proof = verdict == HeadVerdict::kContradicted;
+    const bool again = !fresh && last->second.verdict == verdict &&
+                       (!proof || last->second.hash == head.hash) &&
+                       pass_ - last->second.pass < kAgainPasses;
+    if (again) return;
+    last->second = {.verdict = verdict, .hash = head.hash, .pass = pass_};
+    // Names are of the inventory; those that have left it are forgotten with the rest.
+    if (last_.size() > kWaitingMax) last_.clear();
+  }
+  told_(bringer, head, verdict);
 }
 
 HeadAlert AlertOf(const HeadBringer& bringer, const model::AuditHead& head, HeadVerdict verdict) {

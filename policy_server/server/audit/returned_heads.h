@@ -1,7 +1,9 @@
 // Compares the heads that actuators bring back with the audit log, on a thread of its own.
 //
-// One pass at most in `pause`, over what came since: of each actuator its newest head, of each
-// segment one read. A hostile actuator costs one read of one segment in a pass.
+// One pass at most in `pause`, over what came since: of each actuator its first head, since what an
+// honest one brings later it was shown by this server; of each segment one read. A hostile actuator
+// costs one read of one segment in a pass. The same trouble of one actuator is told once in
+// kAgainPasses: the same head, or another one that proves nothing.
 #ifndef RIPS_POLICY_SERVER_SERVER_AUDIT_RETURNED_HEADS_H_
 #define RIPS_POLICY_SERVER_SERVER_AUDIT_RETURNED_HEADS_H_
 
@@ -33,8 +35,11 @@ class ReturnedHeads {
  public:
   // Actuators whose heads wait; more are not compared, which is logged.
   static constexpr size_t kWaitingMax = 8'192;
+  // With the default pause, an hour at least.
+  static constexpr uint64_t kAgainPasses = 360;
 
-  // `told` is called on the thread for each head that was compared, and must not block.
+  // `told` is called on the thread for what is to be told of a head, also that it is held, and must
+  // not block.
   using Told =
       std::function<void(const HeadBringer&, const model::AuditHead&, HeadVerdict verdict)>;
   ReturnedHeads(std::unique_ptr<Segments> segments, Told told,
@@ -48,12 +53,23 @@ class ReturnedHeads {
  private:
   using Waiting = std::map<HeadBringer, model::AuditHead>;
 
+  // What was told last of an actuator.
+  struct Last {
+    HeadVerdict verdict = HeadVerdict::kHeld;
+    std::string hash;
+    uint64_t pass = 0;
+  };
+
   void Run() ABSL_LOCKS_EXCLUDED(mu_);
-  void CompareAll(const Waiting& heads) const;
+  void CompareAll(const Waiting& heads);
+  void Tell(const HeadBringer& bringer, const model::AuditHead& head, HeadVerdict verdict);
 
   const std::unique_ptr<Segments> segments_;
   const Told told_;
   const absl::Duration pause_;
+  // Both of the thread.
+  uint64_t pass_ = 0;
+  std::map<HeadBringer, Last> last_;
   Mutex mu_;
   CondVar changed_;
   // Of stopping_ alone.

@@ -46,6 +46,7 @@ class ReturnedHeadsTest : public testing::Test {
         [this](const HeadBringer& bringer, const AuditHead&, HeadVerdict verdict) {
           MutexLock lock(&mu_);
           told_[bringer.robot] = verdict;
+          ++count_;
           changed_.NotifyAll();
         },
         pause);
@@ -63,6 +64,7 @@ class ReturnedHeadsTest : public testing::Test {
   Mutex mu_;
   CondVar changed_;
   std::map<std::string, HeadVerdict> told_ ABSL_GUARDED_BY(mu_);
+  int count_ ABSL_GUARDED_BY(mu_) = 0;
   std::unique_ptr<ReturnedHeads> heads_;
 };
 
@@ -106,6 +108,35 @@ TEST_F(ReturnedHeadsTest, AForgedHeadReadsNoSegment) {
   AwaitTold(1);
   EXPECT_EQ(told().begin()->second, HeadVerdict::kForged);
   EXPECT_EQ(reads_, 0);
+}
+
+TEST_F(ReturnedHeadsTest, TheFirstOfSeveralHeadsIsCompared) {
+  SampleLog log = TwoSegments();
+  const AuditHead held = log.proven;
+  const SegmentsInMemory before = log.segments;
+  log.Group(1);
+  Start(before, absl::Milliseconds(200));
+  heads_->Compare({"first", "h"}, held);
+  AwaitTold(1);
+  heads_->Compare({"r1", "h"}, log.proven);
+  heads_->Compare({"r1", "h"}, held);
+  AwaitTold(2);
+  EXPECT_EQ(told()["r1"], HeadVerdict::kContradicted);
+}
+
+TEST_F(ReturnedHeadsTest, TheSameTroubleOfOneActuatorIsToldOnce) {
+  const SampleLog log = TwoSegments();
+  Start(log.segments);
+  AuditHead forged = log.proven;
+  for (int i = 0; i < 5; ++i) {
+    forged.signature[0] = static_cast<char>(forged.signature[0] + 1);
+    heads_->Compare({"r1", "h"}, forged);
+    // Behind it in a pass of its own or in the same one.
+    heads_->Compare({absl::StrCat("z", i), "h"}, log.proven);
+    AwaitTold(static_cast<size_t>(i) + 2);
+  }
+  MutexLock lock(&mu_);
+  EXPECT_EQ(count_, 1 + 5);
 }
 
 TEST_F(ReturnedHeadsTest, EndsWithinAPause) {

@@ -81,6 +81,19 @@ TEST_F(OrderAlertsTest, WhatChangesNothingIsNotTold) {
   EXPECT_EQ(audience_.alerts.size(), told) << "it is there already";
 }
 
+TEST_F(OrderAlertsTest, OneLoweringIsNotHiddenAmongOtherChanges) {
+  for (int i = 0; i < 40; ++i) {
+    Raise("ALERT");
+    Lower("DEFAULT");
+  }
+  EXPECT_LT(audience_.Count("operator bob lowers"), 40) << "folded";
+  Raise("HALT");
+  Lower("DEFAULT");
+  EXPECT_THAT(audience_.alerts, Alert("medium", "operator bob lowers r1 from HALT to DEFAULT"));
+  Raise("ALERT");
+  EXPECT_EQ(audience_.Count("from HALT to DEFAULT"), 1);
+}
+
 TEST_F(OrderAlertsTest, AnOrderWithoutTheRightToItIsToldAtPowersOfTwo) {
   const size_t before = audience_.alerts.size();
   for (int i = 0; i < 5; ++i) {

@@ -169,7 +169,9 @@ void Orders::Tell(const levels::Transition& transition, const LevelOrder& order,
   const bool lowers = transition.lowers();
   const bool blind = lowers && !answer.blind_because.empty();
   alerts_.RaiseOfKind(
-      absl::StrCat("order by ", order.operator_name),
+      // One change is not folded away among others: each has a limit of its own.
+      absl::StrCat("order by ", order.operator_name, "\n", levels().name(transition.from), "\n",
+                   levels().name(transition.to)),
       blind    ? engine::Severity::kHigh
       : lowers ? engine::Severity::kMedium
                : engine::Severity::kLow,
