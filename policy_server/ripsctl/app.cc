@@ -27,6 +27,7 @@ struct Noun {
 
 constexpr Noun kNouns[] = {
     {"robot", "List robots and show their state, ROS graph and coverage"},
+    {"top", "Show the most urgent robots on the whole terminal, live"},
     {"level", "Show, raise and lower alert levels"},
     {"alert", "List and watch alerts, and fetch what led to them"},
     {"explain", "Explain an alert, or why a robot is at its level"},
@@ -39,30 +40,14 @@ constexpr Noun kNouns[] = {
     {"man", "Print ripsctl(1), the manual page, in roff", /*hidden=*/true},
 };
 // In the order in which --help lists the verbs of a noun.
-constexpr Commands (*kMakers[])() = {RobotCommands,
-                                     CoverageCommands,
-                                     ActuatorCommands,
-                                     LevelCommands,
-                                     ApproveCommands,
-                                     AlertCommands,
-                                     AlertRecordingCommands,
-                                     ExplainCommands,
-                                     CheckRules,
-                                     FormatRules,
-                                     RulesBuiltins,
-                                     TestRules,
-                                     ReplayRules,
-                                     SignRules,
-                                     PushRules,
-                                     ActivateRules,
-                                     RulesStatus,
-                                     ShadowRules,
-                                     ResumeRules,
-                                     AuditCommands,
-                                     AgentCommands,
-                                     RecordCommands,
-                                     ContextCommands,
-                                     ReferenceCommands};
+constexpr Commands (*kMakers[])() = {
+    RobotCommands,    CoverageCommands, ActuatorCommands, TopCommand,
+    LevelCommands,    ApproveCommands,  AlertCommands,    AlertRecordingCommands,
+    ExplainCommands,  CheckRules,       FormatRules,      RulesBuiltins,
+    TestRules,        ReplayRules,      SignRules,        PushRules,
+    ActivateRules,    RulesStatus,      ShadowRules,      ResumeRules,
+    AuditCommands,    AgentCommands,    RecordCommands,   ContextCommands,
+    ReferenceCommands};
 
 // The whole command line.
 class Parser {
@@ -203,6 +188,7 @@ ExitCode RunCommand(Command& command, const RawSettings& flags, const World& wor
   Env env{.out = world.out, .err = world.err};
   env.in = world.in;
   env.sleep = world.sleep;
+  env.terminal = world.terminal;
   absl::Status status = ReadSettings(flags, command.info().uses, world, &env);
   if (status.ok()) status = Apply(env.settings, command, &env);
   if (status.ok()) status = command.Check();

@@ -12,6 +12,7 @@
 #include "absl/status/statusor.h"
 #include "absl/time/clock.h"
 #include "absl/time/time.h"
+#include "policy_server/ripsctl/cli/env.h"
 #include "policy_server/ripsctl/cli/settings.h"
 #include "rips/v1/operator.grpc.pb.h"
 
@@ -31,6 +32,7 @@ struct World {
   std::istream* in = nullptr;
   // As Env's.
   std::function<void(absl::Duration)> sleep = absl::SleepFor;
+  TerminalFds terminal = {};
 };
 
 // Mutual TLS to `server` with the files of the settings.

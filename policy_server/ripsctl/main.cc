@@ -1,5 +1,6 @@
 // ripsctl: the operator's command line.
 #include <stdlib.h>
+#include <unistd.h>
 
 #include <cstdlib>
 #include <iostream>
@@ -24,6 +25,8 @@ int main(int argc, char** argv) {
       },
       .connect = rips::ripsctl::ConnectWithTls,
       .in = &std::cin,
+      .terminal = {.in = isatty(STDIN_FILENO) == 1 ? STDIN_FILENO : -1,
+                   .out = isatty(STDOUT_FILENO) == 1 ? STDOUT_FILENO : -1},
   };
   const std::vector<std::string> args(argv + 1, argv + argc);
   return rips::ripsctl::RunRipsctl(args, world);

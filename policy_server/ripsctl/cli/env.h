@@ -37,6 +37,12 @@ inline constexpr ExitCodeMeaning kExitCodes[] = {
 // kJunit: only for commands that write it (Command::writes_junit).
 enum class Output { kText, kJson, kJunit };
 
+// Descriptors of the operator's terminal, not owned; -1 = there is none.
+struct TerminalFds {
+  int in = -1;
+  int out = -1;
+};
+
 struct Env {
   std::ostream& out;
   std::ostream& err;
@@ -52,6 +58,7 @@ struct Env {
   SettingsFile settings_file;
   // Standard input. Not owned; nullptr is an empty one.
   std::istream* in = nullptr;
+  TerminalFds terminal;
   // Waits between two questions; a test lets time pass instead.
   std::function<void(absl::Duration)> sleep = absl::SleepFor;
 

@@ -33,7 +33,7 @@ bool Passes(const grpc::Status& status) {
 
 }  // namespace
 
-absl::Status KeepWatching(Env& env, const WatchOnce& once) {
+absl::Status KeepWatching(const WatchHooks& hooks, const WatchOnce& once) {
   absl::Duration pause = kPauseMin;
   bool connected = false;
   bool lost = false;
@@ -41,16 +41,26 @@ absl::Status KeepWatching(Env& env, const WatchOnce& once) {
     const grpc::Status status = once(connected, [&] {
       connected = true;
       pause = kPauseMin;
-      if (std::exchange(lost, false)) env.err << "connected again" << std::endl;
+      if (std::exchange(lost, false)) hooks.connected_again();
     });
     if (status.ok() || !connected || !Passes(status)) return rpc::FromGrpc(status);
-    if (!std::exchange(lost, true)) {
-      env.err << "the connection is lost (" << EscapeText(status.error_message())
-              << "); trying again, from where it was" << std::endl;
-    }
-    absl::SleepFor(pause);
+    if (!std::exchange(lost, true)) hooks.lost(status);
+    if (!hooks.pause(pause)) return absl::OkStatus();
     pause = std::min(2 * pause, kPauseMax);
   }
+}
+
+absl::Status KeepWatching(Env& env, const WatchOnce& once) {
+  const auto lost = [&](const grpc::Status& status) {
+    env.err << "the connection is lost (" << EscapeText(status.error_message())
+            << "); trying again, from where it was" << std::endl;
+  };
+  const auto connected_again = [&] { env.err << "connected again" << std::endl; };
+  const auto pause = [](absl::Duration duration) {
+    absl::SleepFor(duration);
+    return true;
+  };
+  return KeepWatching({lost, connected_again, pause}, once);
 }
 
 }  // namespace rips::ripsctl

@@ -5,6 +5,7 @@
 #include <functional>
 
 #include "absl/status/status.h"
+#include "absl/time/time.h"
 #include "grpcpp/client_context.h"
 #include "grpcpp/support/status.h"
 #include "policy_server/ripsctl/cli/env.h"
@@ -16,6 +17,18 @@ namespace rips::ripsctl {
 // the connection (a channel makes progress only while a call waits for it: one that fails fast, and
 // a pause, would leave a new connection's handshake undone for ever). Calls `heard` for what comes.
 using WatchOnce = std::function<grpc::Status(bool again, const std::function<void()>& heard)>;
+
+// What a watch says and asks of its command; each is set.
+struct WatchHooks {
+  // The connection is lost, once until it is there again.
+  std::function<void(const grpc::Status&)> lost;
+  std::function<void()> connected_again;
+  // Waits before the next attempt. False ends the watch, which then came to OK.
+  std::function<bool(absl::Duration)> pause;
+};
+
+// Until a stream ends well, or with how it is refused or the first one cannot be begun.
+absl::Status KeepWatching(const WatchHooks& hooks, const WatchOnce& once);
 
 // Until a stream ends well, or with how it is refused or the first one cannot be begun. Says on
 // env.err that the connection is lost, and that it is there again.
