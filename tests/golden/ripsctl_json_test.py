@@ -53,7 +53,7 @@ OF_VERB = {
     "context list": "context_list", "context use": "context_use",
 }
 # Verbs that print no JSON.
-WITHOUT_JSON = {"completion bash"}
+WITHOUT_JSON = {"completion bash", "top"}
 # Fields that no test prints: lists of a million entries.
 UNSEEN = {"rules_replay": {"left_out"}}
 
