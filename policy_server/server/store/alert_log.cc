@@ -217,8 +217,9 @@ absl::StatusOr<size_t> AlertLog::Append(std::span<const AlertRecord> alerts) {
     // As many as fit go in one write, at least one.
     std::string text = lines[written];
     size_t end = written + 1;
+    const bool any_size = options_.rotate_bytes == 0 || rotation_failing_;
     const auto fits = [&](size_t more) {
-      return options_.rotate_bytes == 0 || rotation_failing_ ||
+      return any_size ||
              static_cast<uint64_t>(info.st_size) + text.size() + more <= options_.rotate_bytes;
     };
     while (end < lines.size() && fits(lines[end].size())) text += lines[end++];
