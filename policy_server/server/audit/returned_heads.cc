@@ -111,9 +111,9 @@ HeadAlert AlertOf(const HeadBringer& bringer, const model::AuditHead& head, Head
                            proof)};
     case HeadVerdict::kUnknownSegment:
       return {Severity::kHigh,
-              absl::StrCat(who, " in a segment ", head.segment,
-                           " that the log does not have: the log was put back or replaced, or the "
-                           "actuator's key is in wrong hands; ",
+              absl::StrCat(who, " in segment ", head.segment,
+                           ", which the log does not have, or has with another key: the log was "
+                           "put back or replaced, or the actuator's key is in wrong hands; ",
                            proof)};
     case HeadVerdict::kForged:
       return {

@@ -171,7 +171,7 @@ void Orders::Tell(const levels::Transition& transition, const LevelOrder& order,
   alerts_.RaiseOfKind(
       // One change is not folded away among others: each has a limit of its own.
       absl::StrCat("order by ", order.operator_name, "\n", levels().name(transition.from), "\n",
-                   levels().name(transition.to)),
+                   levels().name(transition.to), blind ? "\nblind" : ""),
       blind    ? engine::Severity::kHigh
       : lowers ? engine::Severity::kMedium
                : engine::Severity::kLow,
