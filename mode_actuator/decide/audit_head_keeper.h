@@ -41,8 +41,8 @@ class AuditHeadKeeper {
   // What was kept; none at first.
   explicit AuditHeadKeeper(model::AuditHead kept = {}) : head_(std::move(kept)) {}
 
-  // Takes the head of a lease. Gives a text for people if it is behind the one before or of another
-  // log: the server's log was put back or replaced.
+  // Keeps the head of a lease. Returns a text for the journal if the head is behind the previous
+  // one or of another log: the server's log was put back or replaced. Empty otherwise.
   std::string OnLease(const model::AuditHead& head);
   // What to write now, if it is time.
   std::optional<std::string> TakeWrite(int64_t boottime_ns);

@@ -59,8 +59,8 @@ class FleetMetrics {
   // Nothing is owned; all outlive this.
   FleetMetrics(pipeline::Pipeline* pipeline, const Clock* clock, Metrics* metrics);
 
-  // The inventory in force. From now on nothing of other robots and hosts is shown, whoever counts
-  // it; what Look itself shows follows with the next one. Any thread.
+  // The inventory in force. From now on the page shows no counter, gauge or histogram of other
+  // robots and hosts; the tables that Look fills follow with the next Look. Any thread.
   void SetInventory(const bundle::Inventory& inventory) ABSL_LOCKS_EXCLUDED(mu_);
   // Looks every `interval`; InfiniteDuration = only when asked. Once.
   void Start(FleetMetricsSources sources, absl::Duration interval = kInterval);

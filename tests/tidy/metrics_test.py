@@ -1,8 +1,7 @@
 """The metrics of the policy server: METRICS.md, the code and the alert rules agree, as a test.
 
-Every name in the code stands in one table, with its type, and every name in a table in the code.
-Alert rules name only metrics, labels' metrics included, that the tables have, and have the form
-that Prometheus reads.
+Every name in the code stands in the list once, with its type, and every name of the list in the
+code. Alert rules name only metrics that the list has, and have the form that Prometheus reads.
 """
 
 import pathlib
@@ -14,7 +13,8 @@ import yaml
 ROOT = pathlib.Path(__file__).resolve().parents[2]
 PAGE = "policy_server/METRICS.md"
 RULES = "deploy/prometheus/rips.rules.yml"
-COLUMNS = ["metric", "type", "labels", "what it says", "what to do"]
+ITEM = re.compile(r"- `(?P<name>rips_\w+)` \((?P<type>\w+)(?:; `\w+`(?:, `\w+`)*)?\): "
+                  r"\S.*\. \*Do:\* \S.*\.")
 # What only other daemons have; the rest of services/ the server has, too.
 FOLDERS = ["policy_server", "services/rpc", "services/runtime", "services/wire_limits"]
 TYPE_OF_CALL = {"AddCounter": "counter", "counter": "counter", "AddGauge": "gauge",
@@ -30,21 +30,19 @@ def in_code(text):
 
 
 def in_page(text):
-    """({name: type}, problems) of the tables."""
+    """({name: type}, problems) of the list: an item is ITEM, on one line or more."""
     found, problems = {}, []
-    for number, line in enumerate(text.splitlines(), 1):
-        if not line.startswith("|"):
+    for item in re.split(r"\n(?=- |\n|#)", text):
+        item = " ".join(item.split())
+        if not item.startswith("- `rips_") or item.startswith("- `rips_robot_*`"):
             continue
-        row = [cell.strip() for cell in line.strip().strip("|").split("|")]
-        if row == COLUMNS or set(row) == {"---"}:
-            continue
-        name = re.fullmatch(r"`(rips_\w+)`", row[0])
-        if len(row) != len(COLUMNS) or "" in row or name is None:
-            problems.append(f"line {number}: not a row of {', '.join(COLUMNS)}")
-        elif name[1] in found:
-            problems.append(f"line {number}: {name[1]} stands there twice")
+        match = ITEM.fullmatch(item)
+        if match is None:
+            problems.append(f"not `NAME` (TYPE; LABELS): MEANING. *Do:* ACTION.: {item}")
+        elif match["name"] in found:
+            problems.append(f"{match['name']} stands there twice")
         else:
-            found[name[1]] = row[1]
+            found[match["name"]] = match["type"]
     return found, problems
 
 
@@ -108,9 +106,11 @@ def check_self():
     """This test finds what it must."""
     code = in_code('m.AddCounter(\n    "rips_a_total", counter("rips_b_total" odd("rips_c" "rips_d"')
     assert code == {"rips_a_total": "counter", "rips_b_total": "counter", "rips_c": None}, code
-    head = "| " + " | ".join(COLUMNS) + " |\n|---|---|---|---|---|\n"
-    page, problems = in_page(head + "| `rips_a_total` | gauge | - | x | y |\n| `rips_a` | gauge |\n")
-    assert page == {"rips_a_total": "gauge"} and len(problems) == 1, problems
+    item = "- `rips_a_total` (gauge; `robot`, `host`): so\n  many. *Do:* this.\n"
+    for bad in (item, "- `rips_a`: no type. *Do:* this.\n", "- `rips_a` (gauge): no action.\n",
+                "- `rips_a` (gauge; robot): x. *Do:* y.\n", "- `rips_a` (gauge): *Do:* y.\n"):
+        page, problems = in_page(f"# Page\n\n{item}{bad}\n## Next\n- other\n")
+        assert page == {"rips_a_total": "gauge"} and len(problems) == 1, (bad, problems)
     assert list(differences(code, page | {"rips_z": "gauge"})) == [
         f"rips_a_total: a counter, not a gauge as {PAGE} says", f"rips_b_total: missing from {PAGE}",
         f"rips_c: missing from {PAGE}", "rips_z: no code makes it"]

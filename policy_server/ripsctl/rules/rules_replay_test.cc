@@ -385,28 +385,28 @@ tests:
 
 TEST_F(RulesReplayTest, RunChoosesTestsByName) {
   const std::string tests = Write("a_test.yaml",
-                                  "rules: [a.rul]\ntests:\n  - {name: strangers come}\n"
-                                  "  - {name: stranger goes, expect: {level: OFF}}\n");
+                                  "rules: [a.rul]\ntests:\n  - {name: intruders come}\n"
+                                  "  - {name: intruder goes, expect: {level: OFF}}\n");
   const std::string others = Write("b_test.yaml", "rules: [a.rul]\ntests: [{name: other}]\n");
   const auto run = [&](const std::string& pattern) {
     return RunOffline({"rules", "test", tests, others, "--run", pattern});
   };
 
   EXPECT_EQ(run("come").out, "ok: 1 tests, 0 failed\n");
-  EXPECT_THAT(run("stranger").out, HasSubstr("failed: 2 tests, 1 failed\n"));
+  EXPECT_THAT(run("intruder").out, HasSubstr("failed: 2 tests, 1 failed\n"));
   EXPECT_THAT(run("*e").out, HasSubstr("ok: 1 tests, 0 failed\n"));
-  EXPECT_THAT(run("stranger?*").out, HasSubstr("failed: 2 tests, 1 failed\n"));
+  EXPECT_THAT(run("intruder?*").out, HasSubstr("failed: 2 tests, 1 failed\n"));
   EXPECT_THAT(run("*").out, HasSubstr("failed: 3 tests, 1 failed\n"));
   EXPECT_THAT(run("o?h?r").out, HasSubstr("ok: 1 tests, 0 failed\n"));
-  const std::string there = "`strangers come`, `stranger goes`, `other`\n";
-  for (const char* pattern : {"stranger?", "other?", "?other", "o*x", "STRANGERS"}) {
+  const std::string there = "`intruders come`, `intruder goes`, `other`\n";
+  for (const char* pattern : {"intruder?", "other?", "?other", "o*x", "INTRUDERS"}) {
     const Result none = run(pattern);
     EXPECT_EQ(none.code, 1) << pattern;
     EXPECT_EQ(none.out, "") << pattern;
     EXPECT_THAT(none.err, AllOf(HasSubstr(absl::StrCat("no test is named `", pattern, "`; ")),
                                 HasSubstr(there)));
   }
-  EXPECT_THAT(run("othre").err, HasSubstr("did you mean `other`? the files have `strangers come`"));
+  EXPECT_THAT(run("othre").err, HasSubstr("did you mean `other`? the files have `intruders come`"));
   EXPECT_THAT(run(std::string(100, '*') + "x").err, HasSubstr("no test is named"));
   const nlohmann::json json = nlohmann::json::parse(
       RunOffline({"rules", "test", tests, others, "--run", "come", "--output", "json"}).out);

@@ -2,8 +2,8 @@
 //
 // One pass at most in `pause`, over what came since: of each actuator its first head, since what an
 // honest one brings later it was shown by this server; of each segment one read. A hostile actuator
-// costs one read of one segment in a pass. The same trouble of one actuator is told once in
-// kAgainPasses: the same head, or another one that proves nothing.
+// costs one read of one segment in a pass. The same finding about one actuator is
+// reported once in kAgainPasses: the same head, or another one that proves nothing.
 #ifndef RIPS_POLICY_SERVER_SERVER_AUDIT_RETURNED_HEADS_H_
 #define RIPS_POLICY_SERVER_SERVER_AUDIT_RETURNED_HEADS_H_
 
@@ -38,8 +38,8 @@ class ReturnedHeads {
   // With the default pause, an hour at least.
   static constexpr uint64_t kAgainPasses = 360;
 
-  // `told` is called on the thread for what is to be told of a head, also that it is held, and must
-  // not block.
+  // Calls `told` on its thread with each verdict that is held or that it has not reported yet;
+  // `told` must not block.
   using Told =
       std::function<void(const HeadBringer&, const model::AuditHead&, HeadVerdict verdict)>;
   ReturnedHeads(std::unique_ptr<Segments> segments, Told told,
@@ -53,7 +53,7 @@ class ReturnedHeads {
  private:
   using Waiting = std::map<HeadBringer, model::AuditHead>;
 
-  // What was told last of an actuator.
+  // The last finding that was reported about an actuator.
   struct Last {
     HeadVerdict verdict = HeadVerdict::kHeld;
     std::string hash;
@@ -79,7 +79,7 @@ class ReturnedHeads {
   std::thread thread_;
 };
 
-// What to tell people of a verdict. Empty text: nothing.
+// The alert that a verdict raises; an empty text: none.
 struct HeadAlert {
   engine::Severity severity = engine::Severity::kHigh;
   std::string text;

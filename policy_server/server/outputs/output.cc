@@ -119,15 +119,15 @@ bool Output::ReportGap(const Gap& gap) {
 }
 
 bool Output::ReportForgotten(const store::AlertPage& page, uint64_t forgotten) {
-  // Those of a page that was not accepted are known to the receiver. More may be forgotten while it
-  // is told of some.
+  // The receiver knows of those of a page that it did not accept. The store may forget more while
+  // the receiver accepts the first count.
   while (forgotten > attempts_.forgotten_told) {
     if (!ReportGap({.after = place_.sequence(),
                     .up_to = page.alerts.back().sequence,
                     .count = forgotten - attempts_.forgotten_told})) {
       return false;
     }
-    // One that refuses to be told is not told again of what was forgotten meanwhile.
+    // A receiver that refuses the gap gets no second one for what was forgotten meanwhile.
     const uint64_t told =
         attempts_.skipped ? forgotten - attempts_.forgotten_told : attempts_.gap_count;
     reports_.forgotten(told);
