@@ -21,7 +21,8 @@ void AuditHeadFile::Load() {
   absl::StatusOr<model::AuditHead> head = ReadHead(path_);
   if (absl::IsNotFound(head.status())) return;
   if (!head.ok()) {
-    LogWarning("audit head lost", {{"why", head.status().message()}});
+    LogWarning("cannot use the kept audit head; starting without one",
+               {{"file", path_}, {"reason", head.status().message()}});
     return;
   }
   MutexLock lock(&mu_);

@@ -231,7 +231,8 @@ void FleetMetrics::ShowStates(const AllFacts& facts, const Listed& listed) const
     };
     const Hosts& hosts = listed.at(robot);
     add_agents(agents, hosts.sensors.size(), hosts.actuators.size());
-    add_agents(connected, each.sensors, each.actuators);
+    // A robot that is held has no sessions, whatever its agents do.
+    if (!each.levels.empty()) add_agents(connected, each.sensors, each.actuators);
   }
   tables_->judged.Replace(std::move(judged));
   tables_->degraded.Replace(std::move(degraded));

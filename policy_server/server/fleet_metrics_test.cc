@@ -207,6 +207,7 @@ TEST_F(FleetMetricsTest, ARobotThatIsHeldShowsWhatIsKnownWithoutIt) {
               ElementsAre("{robot=\"r1\"} 0", "{robot=\"r2\"} 1"));
   EXPECT_THAT(Lines("rips_robot_degraded"), Contains("{robot=\"r2\"} 1"));
   EXPECT_THAT(Lines("rips_robot_bundle_info"), testing::SizeIs(1));
+  EXPECT_THAT(Lines("rips_robot_agents_connected"), testing::SizeIs(2)) << "of r1 alone";
 
   ASSERT_THAT(Add("r2"), IsOk());
   Look();

@@ -27,6 +27,12 @@ bool IsShown(const Metrics::Shown& shown, const prometheus::ClientMetric& metric
   return shown(labels);
 }
 
+void RemoveHidden(const Metrics::Shown& shown, std::vector<prometheus::MetricFamily>* families) {
+  for (prometheus::MetricFamily& family : *families) {
+    std::erase_if(family.metric, [&](const auto& metric) { return !IsShown(shown, metric); });
+  }
+}
+
 }  // namespace
 
 void Counter::Increment(double by) const {
@@ -124,11 +130,7 @@ void Metrics::SetShown(Shown shown) {
 std::string Metrics::Text() const {
   std::vector<prometheus::MetricFamily> families = registry_->registry.Collect();
   MutexLock lock(&mu_);
-  if (const Shown shown = shown_) {
-    for (prometheus::MetricFamily& family : families) {
-      std::erase_if(family.metric, [&](const auto& metric) { return !IsShown(shown, metric); });
-    }
-  }
+  if (shown_) RemoveHidden(shown_, &families);
   for (const auto& [name, table] : tables_) {
     prometheus::MetricFamily family{
         .name = name, .help = table->help, .type = prometheus::MetricType::Gauge, .metric = {}};

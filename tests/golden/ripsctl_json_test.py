@@ -189,7 +189,9 @@ def main(programs):
     fields_seen = {}
     for verb, sample in samples(programs, known):
         if verb not in OF_VERB:
-            continue  # said above
+            if verb not in known:
+                problems.append(f"a sample of no verb: {verb}")
+            continue  # else said above
         seen[verb] = seen.get(verb, 0) + 1
         if isinstance(sample, dict):
             fields_seen.setdefault(verb, set()).update(sample)

@@ -1225,7 +1225,7 @@ def until(fleet, seconds, what, found):
 
 SCENARIOS = [kill_server_while_compromised, explained_when_the_driver_has_gone,
              alerts_replay_to_the_same_verdict, two_persons_release_a_robot, audit_log_outlives_a_kill,
-    audit_log_put_back_is_contradicted_by_the_robot,
+             audit_log_put_back_is_contradicted_by_the_robot,
              kill_server_at_the_moment_of_a_raise,
              kill_sensor_in_the_story, sensor_on_a_wrong_domain, kill_actuator_while_compromised,
              server_absent_at_agent_start, lost_lease_raises_the_floor, manager_that_lies,

@@ -743,7 +743,12 @@ class StateLost(Fault):
             text for _, text in self.rig.actuator.lines if " applying level " in text])[0]
         first = dict(re.findall(r"(\w+)=(\"[^\"]*\"|\S*)", applied))["to"]
         check(rank(first) >= rank(self.before), f"from {self.before} it applies {first} first")
-        self.rig.wait_level(self.rig.level()["decided_level"], LIMIT)
+        def at_what_was_decided():
+            # Read together: what the robot still holds may be adopted as a newer decision.
+            status = self.rig.level()
+            return (status["stage"] == "verified"
+                    and status["decided_level"] == status["effective_level"])
+        wait_for("the robot is at the level that was decided last", at_what_was_decided)
         return super().judge(ordered)
 
 

@@ -35,6 +35,10 @@ absl::StatusOr<RuleSet> LoadRuleSet(const std::vector<std::string>& paths,
   }
   RuleSet set;
   for (const std::string& path : paths) {
+    if (std::filesystem::is_directory(path, error)) {
+      return absl::InvalidArgumentError(
+          absl::StrCat("`", path, "` is a directory; a bundle must be the only entry"));
+    }
     RIPS_ASSIGN_OR_RETURN(std::string text, ReadFile(path, lang::kFileBytesMax));
     set.files.push_back({.path = path, .text = std::move(text)});
   }

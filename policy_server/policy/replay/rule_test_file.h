@@ -49,9 +49,8 @@
 // Messages: the type is that of the topic in the graph unless given; `payload_text`, `payload_hex`
 // or `payload_file` (relative to this file) is the serialized payload; `payload_string` is the text
 // of a std_msgs/msg/String, which is also the type unless another one is known. `size`, its length
-// by
-// default, may be given for one that is longer, or not there at all. The writer is the endpoint of
-// `sender` on that topic, or one of its own.
+// by default, may be given for one that is longer, or not there at all. The writer is the endpoint
+// of `sender` on that topic, or one of its own.
 //
 // Time starts at kTestStartNs. An event takes 1 ms, a repeated one `every_ms` each (1, for ticks
 // 200).

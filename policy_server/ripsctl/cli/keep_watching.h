@@ -30,8 +30,7 @@ struct WatchHooks {
 // Until a stream ends well, or with how it is refused or the first one cannot be begun.
 absl::Status KeepWatching(const WatchHooks& hooks, const WatchOnce& once);
 
-// Until a stream ends well, or with how it is refused or the first one cannot be begun. Says on
-// env.err that the connection is lost, and that it is there again.
+// The same; says on env.err that the connection is lost, and that it is there again.
 absl::Status KeepWatching(Env& env, const WatchOnce& once);
 
 // The same for streams of messages: `open` makes the call with a context, `on_message` takes what

@@ -152,7 +152,7 @@ absl::Status CheckContext(absl::string_view name, absl::string_view origin,
   const std::string hint = NearestHint(name, known);
   return absl::InvalidArgumentError(
       absl::StrCat(origin, " is `", name, "`, which is no context of the settings file; ", hint,
-                   hint.empty() ? "" : " ", "It has ", absl::StrJoin(known, ", ")));
+                   hint.empty() ? "it has " : " It has ", absl::StrJoin(known, ", ")));
 }
 
 absl::StatusOr<std::string> ChooseContext(const RawSettings& flags, const GetEnv& get_env,

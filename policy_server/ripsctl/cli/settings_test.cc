@@ -79,7 +79,7 @@ contexts:
   EXPECT_THAT(ChooseContext({.context = "nothing-like-it"}, env, *file),
               StatusIs(absl::StatusCode::kInvalidArgument,
                        "--context is `nothing-like-it`, which is no context of the settings file; "
-                       "It has lab, site"));
+                       "it has lab, site"));
 }
 
 TEST(SettingsTest, WrongContextsAreNamed) {

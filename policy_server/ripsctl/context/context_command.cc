@@ -1,24 +1,18 @@
 // `ripsctl context`: list, use.
-#include <sys/stat.h>
-
 #include <CLI/CLI.hpp>
-#include <filesystem>
 #include <nlohmann/json.hpp>
 #include <string>
-#include <system_error>
 
 #include "absl/strings/str_cat.h"
 #include "policy_server/ripsctl/cli/json_output.h"
 #include "policy_server/ripsctl/cli/printer.h"
+#include "policy_server/ripsctl/cli/rewrite_file.h"
 #include "policy_server/ripsctl/commands.h"
 #include "services/base/status_macros.h"
-#include "services/runtime/atomic_file.h"
 #include "services/runtime/config_sections.h"
 
 namespace rips::ripsctl {
 namespace {
-
-constexpr mode_t kNewFileMode = 0600;
 
 Command::Info OfContext(const char* verb, const char* synopsis) {
   return {.noun = "context",
@@ -82,7 +76,11 @@ class UseContext final : public Command {
     if (const absl::Status known = CheckContext(name_, "CONTEXT", env.settings_file); !known.ok()) {
       return UsageError(env, known.message());
     }
-    RIPS_RETURN_IF_ERROR(Write(env.settings_path));
+    // No failure of the server: Failed would say so of an Unavailable.
+    if (const absl::Status written = Write(env.settings_path); !written.ok()) {
+      env.err << "error: " << EscapeText(written.message()) << "\n";
+      return ExitCode::kRefused;
+    }
     if (env.json()) return PrintJson(env, {{"current", name_}});
     env.out << "context " << name_ << " is the current one: server "
             << EscapeText(env.settings_file.contexts.at(name_).server) << "\n";
@@ -91,18 +89,9 @@ class UseContext final : public Command {
 
  private:
   absl::Status Write(const std::string& path) const {
-    // A symbolic link stays one: the file that it names is replaced, with the mode that it has.
-    std::error_code error;
-    const std::string real = std::filesystem::canonical(path, error).string();
-    if (error) {
-      return absl::UnavailableError(absl::StrCat("cannot read `", path, "`: ", error.message()));
-    }
-    struct stat info {};
-    const bool has_mode = stat(real.c_str(), &info) == 0;
-    RIPS_ASSIGN_OR_RETURN(const std::string text, ReadConfigFile(real));
+    RIPS_ASSIGN_OR_RETURN(const std::string text, ReadConfigFile(path));
     RIPS_ASSIGN_OR_RETURN(const std::string changed, WithCurrentContext(path, text, name_));
-    if (changed == text) return absl::OkStatus();
-    return WriteFileAtomically(real, changed, has_mode ? info.st_mode & 0777 : kNewFileMode);
+    return changed == text ? absl::OkStatus() : RewriteFile(path, changed);
   }
 
   std::string name_;

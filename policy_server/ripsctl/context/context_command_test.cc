@@ -89,6 +89,15 @@ TEST_F(ContextTest, AreListed) {
   EXPECT_EQ(RunJson({"context", "list"})["current"], nlohmann::json());
 }
 
+TEST_F(ContextTest, AFileThatCannotBeWrittenIsNoFailureOfTheServer) {
+  std::filesystem::create_directories(path_ + ".tmp/in-the-way");
+  const Result result = Run({"context", "use", "site"});
+  EXPECT_EQ(result.code, 1);
+  EXPECT_THAT(result.err,
+              testing::AllOf(HasSubstr("ripsctl.yaml"), testing::Not(HasSubstr("policy server"))));
+  EXPECT_EQ(Read(), kContexts);
+}
+
 TEST_F(ContextTest, UseChangesTheCurrentOneAndNothingElse) {
   std::filesystem::permissions(path_, std::filesystem::perms(0640));
   const Result use = Run({"context", "use", "site"});

@@ -67,10 +67,11 @@ _ripsctl() {
 complete -F _ripsctl ripsctl
 )";
 
-// A value whose choices are not in the tree, and how they are found. They are safe in a shell
-// (ValidateName).
+// A value whose choices are not in the tree, and how they are found. compgen expands them, so only
+// names may come, which are safe (ValidateName): never the JSON that the settings may ask for.
 constexpr absl::string_view kContext = "CONTEXT";
-constexpr absl::string_view kContexts = R"($("${COMP_WORDS[0]}" context list --names 2>/dev/null))";
+constexpr absl::string_view kContexts =
+    R"($("${COMP_WORDS[0]}" context list --names --output text 2>/dev/null))";
 
 // In single quotes, as one word.
 std::string Quoted(absl::string_view text) {

@@ -16,8 +16,14 @@ namespace {
 
 // Text of one line that means itself in roff, wherever it stands.
 std::string Roff(absl::string_view text) {
-  std::string out = absl::StrReplaceAll(
-      text, {{"\\", "\\e"}, {"-", "\\-"}, {"\"", "\\(dq"}, {"'", "\\(aq"}, {"\n", " "}});
+  std::string out = absl::StrReplaceAll(text, {{"\\", "\\e"},
+                                               {"-", "\\-"},
+                                               {"\"", "\\(dq"},
+                                               {"'", "\\(aq"},
+                                               {"`", "\\(ga"},
+                                               {"^", "\\(ha"},
+                                               {"~", "\\(ti"},
+                                               {"\n", " "}});
   if (!out.empty() && out[0] == '.') out.insert(0, "\\&");
   return out;
 }

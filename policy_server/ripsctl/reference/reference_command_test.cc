@@ -1,4 +1,5 @@
 // `ripsctl completion bash` in bash itself, and `ripsctl man` in groff.
+#include <filesystem>
 #include <string>
 #include <vector>
 
@@ -27,7 +28,8 @@ class CompletionTest : public testing::Test {
   // What bash has in COMPREPLY for these words, the last of which is being written.
   std::string Complete(const std::string& words) {
     directory_.Write(".config/rips/ripsctl.yaml",
-                     "contexts: {lab: {server: \"a:1\"}, site: {server: \"b:1\"}}\n");
+                     absl::StrCat("output: json\ncontexts: {lab: {server: \"$(touch ",
+                                  directory_.path(), "/ran)\"}, site: {server: \"b:1\"}}\n"));
     const std::string script = directory_.Write("script", RunOffline({"completion", "bash"}).out);
     const std::string test = directory_.Write(
         "test", absl::StrCat("set -u\nsource ", script, "\nexport HOME=", directory_.path(),
@@ -66,6 +68,7 @@ TEST_F(CompletionTest, Values) {
   EXPECT_EQ(Complete("--context s"), "site");
   EXPECT_EQ(Complete("robot list --context ''"), "lab site");
   EXPECT_EQ(Complete("context use l"), "lab");
+  EXPECT_FALSE(std::filesystem::exists(directory_.path() + "/ran")) << "a setting ran as a command";
   EXPECT_EQ(Complete("context list --n"), "--names");
   EXPECT_EQ(Complete("robot list --cert ''"), "") << "bash completes files";
 }

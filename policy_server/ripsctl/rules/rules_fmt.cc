@@ -2,40 +2,22 @@
 // that would change (`--check`). Exits with kRefused if a file does not parse, or if `--check`
 // names one. JSON: {"files":[{"path","ok","diagnostics":[..],"changed":bool,"text"?}]}, `text` when
 // it is printed.
-#include <errno.h>
-#include <sys/stat.h>
-
 #include <CLI/CLI.hpp>
 #include <algorithm>
-#include <cstring>
-#include <filesystem>
 #include <nlohmann/json.hpp>
 #include <string>
-#include <system_error>
 #include <vector>
 
 #include "absl/strings/str_cat.h"
 #include "policy_server/policy/lang/format/formatter.h"
 #include "policy_server/ripsctl/cli/json_output.h"
 #include "policy_server/ripsctl/cli/printer.h"
+#include "policy_server/ripsctl/cli/rewrite_file.h"
 #include "policy_server/ripsctl/commands.h"
 #include "policy_server/ripsctl/rules/rule_input.h"
-#include "services/runtime/atomic_file.h"
 
 namespace rips::ripsctl {
 namespace {
-
-// Keeps the file's mode; follows a link to the file.
-absl::Status Rewrite(const std::string& path, absl::string_view text) {
-  std::error_code error;
-  const std::string target = std::filesystem::canonical(path, error).string();
-  if (error) return absl::UnavailableError(absl::StrCat(path, ": ", error.message()));
-  struct stat status = {};
-  if (stat(target.c_str(), &status) != 0) {
-    return absl::UnavailableError(absl::StrCat(path, ": ", std::strerror(errno)));
-  }
-  return WriteFileAtomically(target, text, status.st_mode & 07777);
-}
 
 class FmtRulesCommand final : public Command {
  public:
@@ -66,7 +48,7 @@ class FmtRulesCommand final : public Command {
       const lang::FormatResult result = lang::Format(file);
       const bool changed = result.text.has_value() && *result.text != file.text;
       if (changed && write_) {
-        const absl::Status written = Rewrite(file.path, *result.text);
+        const absl::Status written = RewriteFile(file.path, *result.text);
         if (!written.ok()) return UsageError(env, written.message());
       }
       if (!result.text.has_value() || (changed && check_)) code = ExitCode::kRefused;

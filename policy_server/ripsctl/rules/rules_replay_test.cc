@@ -406,7 +406,7 @@ TEST_F(RulesReplayTest, RunChoosesTestsByName) {
     EXPECT_THAT(none.err, AllOf(HasSubstr(absl::StrCat("no test is named `", pattern, "`; ")),
                                 HasSubstr(there)));
   }
-  EXPECT_THAT(run("othre").err, HasSubstr("did you mean `other`? the files have `intruders come`"));
+  EXPECT_THAT(run("othre").err, HasSubstr("did you mean `other`? The files have `intruders come`"));
   EXPECT_THAT(run(std::string(100, '*') + "x").err, HasSubstr("no test is named"));
   const nlohmann::json json = nlohmann::json::parse(
       RunOffline({"rules", "test", tests, others, "--run", "come", "--output", "json"}).out);
@@ -502,7 +502,7 @@ TEST_F(RulesReplayTest, BundlesThatCannotBeTestedExitWithTwo) {
       {of_site, {"--bundle", folder_ + "/none"}, "none` is not the directory of a bundle"},
       {of_site, {"--bundle", rules_}, "a.rul` is not the directory of a bundle"},
       {of_site, {"--bundle", folder_}, "manifest.yaml"},
-      {"rules: [site, a.rul]\ntests: [{name: t}]\n", {}, "site"},
+      {"rules: [site, a.rul]\ntests: [{name: t}]\n", {}, "a bundle must be the only entry"},
   };
   for (const auto& [text, flags, problem] : kCases) {
     std::vector<std::string> args = {"rules", "test", Write("x_test.yaml", text)};

@@ -230,7 +230,8 @@ absl::Status NoSuchTest(absl::string_view pattern, const std::vector<std::string
   for (size_t i = 0; i < shown; ++i) absl::StrAppend(&list, i > 0 ? ", `" : "`", names[i], "`");
   if (names.size() > shown) absl::StrAppend(&list, " and ", names.size() - shown, " more");
   return absl::NotFoundError(absl::StrCat("no test is named `", pattern, "`; ", hint,
-                                          hint.empty() ? "" : " ", "the files have ", list));
+                                          hint.empty() ? "the files have " : " The files have ",
+                                          list));
 }
 
 class TestRulesCommand final : public Command {
@@ -245,6 +246,12 @@ class TestRulesCommand final : public Command {
         "Run only tests of which this is a part of the name, or, with * or ?, all of it");
     app.add_option("--bundle", bundle_,
                    "Directory of a bundle to test in the place of the rules that the files name");
+  }
+  absl::Status Check() override {
+    std::error_code error;
+    if (bundle_.empty() || std::filesystem::is_directory(bundle_, error)) return absl::OkStatus();
+    return absl::InvalidArgumentError(
+        absl::StrCat("--bundle: `", bundle_, "` is not the directory of a bundle"));
   }
 
   absl::StatusOr<ExitCode> Run(Env& env) override {
@@ -291,14 +298,7 @@ class TestRulesCommand final : public Command {
     Tested out;
     RIPS_ASSIGN_OR_RETURN(const std::string text, ReadConfigFile(path));
     RIPS_ASSIGN_OR_RETURN(out.file, replay::ParseRuleTestFile(path, text));
-    if (!bundle_.empty()) {
-      std::error_code error;
-      if (!std::filesystem::is_directory(bundle_, error)) {
-        return absl::InvalidArgumentError(
-            absl::StrCat("--bundle: `", bundle_, "` is not the directory of a bundle"));
-      }
-      out.file.rules = {bundle_};
-    }
+    if (!bundle_.empty()) out.file.rules = {bundle_};
     RIPS_ASSIGN_OR_RETURN(out.rules,
                           replay::LoadRuleSet(out.file.rules, out.file.options, &clock_));
     return out;

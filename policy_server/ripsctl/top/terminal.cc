@@ -5,6 +5,7 @@
 #include <unistd.h>
 
 #include <algorithm>
+#include <atomic>
 #include <cerrno>
 
 #include "absl/strings/str_cat.h"
@@ -21,12 +22,13 @@ constexpr int kEndSignals[] = {SIGINT, SIGTERM, SIGHUP, SIGQUIT};
 constexpr char kCtrlC = '\x03';
 
 // Written by the handlers, which may run on any thread: they do nothing else.
-volatile sig_atomic_t end_signal = 0;
+std::atomic<int> end_signal = 0;
+static_assert(std::atomic<int>::is_always_lock_free);
 const WakeFd& SignalWake() {
   static const WakeFd* const wake = new WakeFd();
   return *wake;
 }
-int signal_wake_fd = -1;
+std::atomic<int> signal_wake_fd = -1;
 
 void OnSignal(int signal) {
   const int saved = errno;
@@ -99,7 +101,7 @@ absl::Status Terminal::Write(absl::string_view bytes) {
       pollfd ready = {.fd = fds_.out, .events = POLLOUT, .revents = 0};
       poll(&ready, 1, -1);
     } else if (errno != EINTR) {
-      return absl::UnavailableError(
+      return absl::InternalError(
           absl::StrCat("cannot write to the terminal: ", absl::ErrnoToStatus(errno, "").message()));
     }
     // A terminal that takes nothing must not keep the process from its end.

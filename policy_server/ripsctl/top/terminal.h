@@ -21,7 +21,7 @@ namespace rips::ripsctl {
 
 // While it lives, the terminal shows its alternate screen, without cursor, and gives each key at
 // once. Then it is as it was: also after SIGINT, SIGTERM, SIGHUP and SIGQUIT, which end a wait.
-// Only SIGKILL leaves it changed.
+// SIGKILL, SIGSTOP and a crash leave it changed; `reset` restores it.
 //
 // At most one at a time in a process, as signals are the process's. One thread.
 class Terminal {
@@ -40,7 +40,7 @@ class Terminal {
 
   // 80x24 if the terminal does not say.
   TerminalSize size() const;
-  // Unavailable if the terminal does not take it.
+  // Internal if the terminal does not take it.
   absl::Status Write(absl::string_view bytes);
   // Waits for a key, a signal, or `fd` to be readable; at most `timeout`, at least 0.
   Wake Wait(int fd, absl::Duration timeout);

@@ -8,9 +8,10 @@
 
 namespace rips::audit {
 
-ReturnedHeads::ReturnedHeads(std::unique_ptr<Segments> segments, Told told, absl::Duration pause)
+ReturnedHeads::ReturnedHeads(std::unique_ptr<Segments> segments, Report report,
+                             absl::Duration pause)
     : segments_(std::move(segments)),
-      told_(std::move(told)),
+      report_(std::move(report)),
       pause_(pause),
       thread_([this] { Run(); }) {}
 
@@ -24,15 +25,15 @@ ReturnedHeads::~ReturnedHeads() {
   thread_.join();
 }
 
-void ReturnedHeads::Compare(HeadBringer bringer, model::AuditHead head) {
+void ReturnedHeads::Compare(HeadSource source, model::AuditHead head) {
   if (head.none()) return;
   MutexLock lock(&mu_);
-  if (waiting_.size() >= kWaitingMax && !waiting_.contains(bringer)) {
+  if (waiting_.size() >= kWaitingMax && !waiting_.contains(source)) {
     LogWarning("an actuator's audit head is not compared; too many wait",
-               {{"robot", bringer.robot}, {"host", bringer.host}, {"limit", kWaitingMax}});
+               {{"robot", source.robot}, {"host", source.host}, {"limit", kWaitingMax}});
     return;
   }
-  waiting_.try_emplace(std::move(bringer), std::move(head));
+  waiting_.try_emplace(std::move(source), std::move(head));
   changed_.NotifyOne();
 }
 
@@ -42,7 +43,7 @@ void ReturnedHeads::Run() {
     {
       MutexLock lock(&mu_);
       while (waiting_.empty() && !stopping_) changed_.Wait(lock);
-      if (stopping_) return;
+      if (waiting_.empty()) return;
       heads.swap(waiting_);
     }
     CompareAll(heads);
@@ -54,13 +55,13 @@ void ReturnedHeads::Run() {
 void ReturnedHeads::CompareAll(const Waiting& heads) {
   ++pass_;
   struct Group {
-    std::vector<const HeadBringer*> bringers;
+    std::vector<const HeadSource*> sources;
     std::vector<model::AuditHead> heads;
   };
   std::map<uint64_t, Group> groups;
-  for (const auto& [bringer, head] : heads) {
+  for (const auto& [source, head] : heads) {
     Group& group = groups[head.segment];
-    group.bringers.push_back(&bringer);
+    group.sources.push_back(&source);
     group.heads.push_back(head);
   }
   for (const auto& [segment, group] : groups) {
@@ -72,30 +73,27 @@ void ReturnedHeads::CompareAll(const Waiting& heads) {
       continue;
     }
     for (size_t i = 0; i < group.heads.size(); ++i) {
-      Tell(*group.bringers[i], group.heads[i], (*verdicts)[i]);
+      ReportOnce(*group.sources[i], group.heads[i], (*verdicts)[i]);
     }
   }
 }
 
-void ReturnedHeads::Tell(const HeadBringer& bringer, const model::AuditHead& head,
-                         HeadVerdict verdict) {
+void ReturnedHeads::ReportOnce(const HeadSource& source, const model::AuditHead& head,
+                               HeadVerdict verdict) {
   if (verdict != HeadVerdict::kHeld) {
-    const auto [last, fresh] = last_.try_emplace(bringer);
-    const bool proof = verdict == HeadVerdict::kContradicted;
-    const bool again = !fresh && last->second.verdict == verdict &&
-                       (!proof || last->second.hash == head.hash) &&
-                       pass_ - last->second.pass < kAgainPasses;
-    if (again) return;
-    last->second = {.verdict = verdict, .hash = head.hash, .pass = pass_};
-    // Names are of the inventory; those that have left it are forgotten with the rest.
+    const auto [last, fresh] = last_.try_emplace({source, verdict});
+    const bool same = verdict != HeadVerdict::kContradicted || last->second.hash == head.hash;
+    if (!fresh && same && pass_ - last->second.pass < kAgainPasses) return;
+    last->second = {.hash = head.hash, .pass = pass_};
+    // Actuators that are gone are forgotten with the rest.
     if (last_.size() > kWaitingMax) last_.clear();
   }
-  told_(bringer, head, verdict);
+  report_(source, head, verdict);
 }
 
-HeadAlert AlertOf(const HeadBringer& bringer, const model::AuditHead& head, HeadVerdict verdict) {
+HeadAlert AlertOf(const HeadSource& source, const model::AuditHead& head, HeadVerdict verdict) {
   using engine::Severity;
-  const std::string who = absl::StrCat("the actuator on ", bringer.host, " was shown record ",
+  const std::string who = absl::StrCat("the actuator on ", source.host, " was shown record ",
                                        head.sequence, " of the audit log");
   const std::string proof =
       absl::StrCat("`ripsctl audit verify --head ",
@@ -118,10 +116,11 @@ HeadAlert AlertOf(const HeadBringer& bringer, const model::AuditHead& head, Head
     case HeadVerdict::kForged:
       return {
           Severity::kHigh,
-          absl::StrCat("the actuator on ", bringer.host, " says that it was shown record ",
+          absl::StrCat("the actuator on ", source.host, " says that it was shown record ",
                        head.sequence, " of the audit log, but the key of segment ", head.segment,
-                       " has not signed it: its file audit_head was damaged, or its key is in "
-                       "wrong hands")};
+                       " has not signed it: its key is in wrong hands, or its file audit_head was "
+                       "damaged; remove that file and restart the actuator, and if this comes "
+                       "again, revoke its certificate")};
     case HeadVerdict::kOlder:
       return {Severity::kMedium,
               absl::StrCat(who, " in segment ", head.segment,

@@ -25,10 +25,10 @@
 namespace rips::audit {
 
 // An actuator, by its certificate.
-struct HeadBringer {
+struct HeadSource {
   std::string robot;
   std::string host;
-  friend auto operator<=>(const HeadBringer&, const HeadBringer&) = default;
+  friend auto operator<=>(const HeadSource&, const HeadSource&) = default;
 };
 
 class ReturnedHeads {
@@ -38,38 +38,37 @@ class ReturnedHeads {
   // With the default pause, an hour at least.
   static constexpr uint64_t kAgainPasses = 360;
 
-  // Calls `told` on its thread with each verdict that is held or that it has not reported yet;
-  // `told` must not block.
-  using Told =
-      std::function<void(const HeadBringer&, const model::AuditHead&, HeadVerdict verdict)>;
-  ReturnedHeads(std::unique_ptr<Segments> segments, Told told,
+  // Calls `report` on its thread with each verdict that is held or that it has not reported yet;
+  // `report` must not block.
+  using Report =
+      std::function<void(const HeadSource&, const model::AuditHead&, HeadVerdict verdict)>;
+  ReturnedHeads(std::unique_ptr<Segments> segments, Report report,
                 absl::Duration pause = absl::Seconds(10));
-  // What waits is not compared.
+  // Compares what waits, without the pause: an actuator brings a head once.
   ~ReturnedHeads();
 
   // Nothing happens for a head that is none. Any thread; never blocks.
-  void Compare(HeadBringer bringer, model::AuditHead head) ABSL_LOCKS_EXCLUDED(mu_);
+  void Compare(HeadSource source, model::AuditHead head) ABSL_LOCKS_EXCLUDED(mu_);
 
  private:
-  using Waiting = std::map<HeadBringer, model::AuditHead>;
+  using Waiting = std::map<HeadSource, model::AuditHead>;
 
-  // The last finding that was reported about an actuator.
+  // The last finding of one kind that was reported about an actuator.
   struct Last {
-    HeadVerdict verdict = HeadVerdict::kHeld;
     std::string hash;
     uint64_t pass = 0;
   };
 
   void Run() ABSL_LOCKS_EXCLUDED(mu_);
   void CompareAll(const Waiting& heads);
-  void Tell(const HeadBringer& bringer, const model::AuditHead& head, HeadVerdict verdict);
+  void ReportOnce(const HeadSource& source, const model::AuditHead& head, HeadVerdict verdict);
 
   const std::unique_ptr<Segments> segments_;
-  const Told told_;
+  const Report report_;
   const absl::Duration pause_;
   // Both of the thread.
   uint64_t pass_ = 0;
-  std::map<HeadBringer, Last> last_;
+  std::map<std::pair<HeadSource, HeadVerdict>, Last> last_;
   Mutex mu_;
   CondVar changed_;
   // Of stopping_ alone.
@@ -84,7 +83,7 @@ struct HeadAlert {
   engine::Severity severity = engine::Severity::kHigh;
   std::string text;
 };
-HeadAlert AlertOf(const HeadBringer& bringer, const model::AuditHead& head, HeadVerdict verdict);
+HeadAlert AlertOf(const HeadSource& source, const model::AuditHead& head, HeadVerdict verdict);
 
 }  // namespace rips::audit
 

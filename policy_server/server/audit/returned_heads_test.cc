@@ -40,20 +40,40 @@ class CountedSegments final : public Segments {
 
 class ReturnedHeadsTest : public testing::Test {
  protected:
-  void Start(const SegmentsInMemory& segments, absl::Duration pause = absl::Milliseconds(1)) {
+  void Start(const SegmentsInMemory& segments, absl::Duration pause = absl::ZeroDuration()) {
     heads_ = std::make_unique<ReturnedHeads>(
         std::make_unique<CountedSegments>(segments, &reads_),
-        [this](const HeadBringer& bringer, const AuditHead&, HeadVerdict verdict) {
+        [this](const HeadSource& source, const AuditHead&, HeadVerdict verdict) {
           MutexLock lock(&mu_);
-          told_[bringer.robot] = verdict;
-          ++count_;
+          told_[source.robot] = verdict;
+          ++counts_[source.robot];
           changed_.NotifyAll();
+          while (held_) changed_.Wait(lock);
         },
         pause);
   }
   void AwaitTold(size_t robots) {
     MutexLock lock(&mu_);
     while (told_.size() < robots) changed_.Wait(lock);
+  }
+  // The next report blocks its pass until Release.
+  void Hold() {
+    MutexLock lock(&mu_);
+    held_ = true;
+  }
+  void Release() {
+    MutexLock lock(&mu_);
+    held_ = false;
+    changed_.NotifyAll();
+  }
+  // Reports about an actuator.
+  int Count(const std::string& robot) {
+    MutexLock lock(&mu_);
+    return counts_[robot];
+  }
+  void AwaitCount(const std::string& robot, int count) {
+    MutexLock lock(&mu_);
+    while (counts_[robot] < count) changed_.Wait(lock);
   }
   std::map<std::string, HeadVerdict> told() {
     MutexLock lock(&mu_);
@@ -64,7 +84,8 @@ class ReturnedHeadsTest : public testing::Test {
   Mutex mu_;
   CondVar changed_;
   std::map<std::string, HeadVerdict> told_ ABSL_GUARDED_BY(mu_);
-  int count_ ABSL_GUARDED_BY(mu_) = 0;
+  std::map<std::string, int> counts_ ABSL_GUARDED_BY(mu_);
+  bool held_ ABSL_GUARDED_BY(mu_) = false;
   std::unique_ptr<ReturnedHeads> heads_;
 };
 
@@ -91,12 +112,14 @@ TEST_F(ReturnedHeadsTest, NothingIsReadForAnActuatorWithoutAHead) {
 
 TEST_F(ReturnedHeadsTest, ManyHeadsBetweenTwoPassesAreOneRead) {
   const SampleLog log = TwoSegments();
-  Start(log.segments, absl::Milliseconds(200));
+  Start(log.segments);
+  Hold();
   heads_->Compare({"first", "h"}, log.proven);
   AwaitTold(1);
   for (int i = 0; i < 1000; ++i) heads_->Compare({absl::StrCat("r", i % 10), "h"}, log.proven);
+  Release();
   AwaitTold(11);
-  EXPECT_LE(reads_, 3);
+  EXPECT_EQ(reads_, 2);
 }
 
 TEST_F(ReturnedHeadsTest, AForgedHeadReadsNoSegment) {
@@ -115,52 +138,90 @@ TEST_F(ReturnedHeadsTest, TheFirstOfSeveralHeadsIsCompared) {
   const AuditHead held = log.proven;
   const SegmentsInMemory before = log.segments;
   log.Group(1);
-  Start(before, absl::Milliseconds(200));
+  Start(before);
+  Hold();
   heads_->Compare({"first", "h"}, held);
   AwaitTold(1);
   heads_->Compare({"r1", "h"}, log.proven);
   heads_->Compare({"r1", "h"}, held);
+  Release();
   AwaitTold(2);
   EXPECT_EQ(told()["r1"], HeadVerdict::kContradicted);
 }
 
-TEST_F(ReturnedHeadsTest, TheSameTroubleOfOneActuatorIsToldOnce) {
+TEST_F(ReturnedHeadsTest, FindingsOfOneKindAboutAnActuatorAreReportedOnceInManyPasses) {
   const SampleLog log = TwoSegments();
   Start(log.segments);
   AuditHead forged = log.proven;
-  for (int i = 0; i < 5; ++i) {
-    forged.signature[0] = static_cast<char>(forged.signature[0] + 1);
-    heads_->Compare({"r1", "h"}, forged);
-    // Behind it in a pass of its own or in the same one.
-    heads_->Compare({absl::StrCat("z", i), "h"}, log.proven);
-    AwaitTold(static_cast<size_t>(i) + 2);
+  forged.signature[0] ^= 1;
+  AuditHead unknown = log.proven;
+  unknown.public_key[0] ^= 1;
+  // Two passes: "a" blocks the first until the others have come; "z" is reported behind "r1".
+  int calls = 0;
+  const auto reported = [&](const AuditHead& head) {
+    ++calls;
+    Hold();
+    heads_->Compare({"a", "h"}, log.proven);
+    AwaitCount("a", calls);
+    const int before = Count("r1");
+    heads_->Compare({"r1", "h"}, head);
+    heads_->Compare({"z", "h"}, log.proven);
+    Release();
+    AwaitCount("z", calls);
+    return Count("r1") - before;
+  };
+  EXPECT_EQ(reported(forged), 1);
+  EXPECT_EQ(reported(unknown), 1);
+  for (uint64_t i = 2; i < ReturnedHeads::kAgainPasses / 2; ++i) {
+    ASSERT_EQ(reported(i % 2 == 0 ? forged : unknown), 0) << i;
   }
-  MutexLock lock(&mu_);
-  EXPECT_EQ(count_, 1 + 5);
+  EXPECT_EQ(reported(forged), 1) << "it is still so";
 }
 
-TEST_F(ReturnedHeadsTest, EndsWithinAPause) {
+TEST_F(ReturnedHeadsTest, MoreActuatorsThanTheLimitWaitForNothing) {
+  const SampleLog log = TwoSegments();
+  AuditHead forged = log.proven;
+  forged.signature[0] ^= 1;
+  Start(log.segments);
+  Hold();
+  heads_->Compare({"first", "h"}, log.proven);
+  AwaitTold(1);
+  testing::internal::CaptureStderr();
+  for (size_t i = 0; i <= ReturnedHeads::kWaitingMax; ++i) {
+    heads_->Compare({absl::StrCat("r", i), "h"}, forged);
+  }
+  EXPECT_THAT(testing::internal::GetCapturedStderr(),
+              HasSubstr(absl::StrCat("robot=r", ReturnedHeads::kWaitingMax)));
+  Release();
+  AwaitTold(1 + ReturnedHeads::kWaitingMax);
+  heads_.reset();
+  EXPECT_EQ(told().size(), 1 + ReturnedHeads::kWaitingMax);
+}
+
+TEST_F(ReturnedHeadsTest, EndsWithinAPauseAndComparesWhatWaits) {
   const SampleLog log = TwoSegments();
   Start(log.segments, absl::Hours(1));
   heads_->Compare({"r1", "h"}, log.proven);
   AwaitTold(1);
+  heads_->Compare({"r2", "h"}, log.proven);
   heads_.reset();
+  EXPECT_EQ(told().size(), 2u);
 }
 
 TEST(HeadAlertTest, SaysWhatIsProvenAndHowToCheckIt) {
   const AuditHead head{.segment = 3, .sequence = 812, .hash = std::string(32, '\xab')};
-  const HeadBringer bringer{"r1", "base"};
-  EXPECT_THAT(AlertOf(bringer, head, HeadVerdict::kHeld).text, IsEmpty());
-  const HeadAlert contradicted = AlertOf(bringer, head, HeadVerdict::kContradicted);
+  const HeadSource source{"r1", "base"};
+  EXPECT_THAT(AlertOf(source, head, HeadVerdict::kHeld).text, IsEmpty());
+  const HeadAlert contradicted = AlertOf(source, head, HeadVerdict::kContradicted);
   EXPECT_EQ(contradicted.severity, engine::Severity::kCritical);
   EXPECT_THAT(contradicted.text, AllOf(HasSubstr("the actuator on base was shown record 812"),
                                        HasSubstr("put back to an older state, or rewritten"),
                                        HasSubstr("ripsctl audit verify --head 812:abab")));
-  EXPECT_EQ(AlertOf(bringer, head, HeadVerdict::kUnknownSegment).severity, engine::Severity::kHigh);
-  EXPECT_EQ(AlertOf(bringer, head, HeadVerdict::kForged).severity, engine::Severity::kHigh);
-  EXPECT_THAT(AlertOf(bringer, head, HeadVerdict::kForged).text,
+  EXPECT_EQ(AlertOf(source, head, HeadVerdict::kUnknownSegment).severity, engine::Severity::kHigh);
+  EXPECT_EQ(AlertOf(source, head, HeadVerdict::kForged).severity, engine::Severity::kHigh);
+  EXPECT_THAT(AlertOf(source, head, HeadVerdict::kForged).text,
               testing::Not(HasSubstr("put back")));
-  EXPECT_EQ(AlertOf(bringer, head, HeadVerdict::kOlder).severity, engine::Severity::kMedium);
+  EXPECT_EQ(AlertOf(source, head, HeadVerdict::kOlder).severity, engine::Severity::kMedium);
 }
 
 }  // namespace

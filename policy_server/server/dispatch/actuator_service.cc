@@ -151,7 +151,7 @@ class ActuatorStream final : public Stream {
     model::AuditHead head = decoded->last_audit_head;
     Post(hello.ByteSizeLong(), [host = host_, link = link_, hello = *std::move(decoded)](
                                    Robot& robot) { robot.OnActuatorHello(host, link, hello); });
-    // Posted: the robot is one of the inventory.
+    // Posted: the robot, though perhaps not the host, is one of the inventory.
     if (!refused_ && heads_->returned) {
       heads_->returned(mailbox_->robot(), host_, std::move(head));
     }

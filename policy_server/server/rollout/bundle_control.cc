@@ -438,6 +438,7 @@ absl::Status BundleControl::Perform(Rollout& rollout, RolloutStep step) {
   if (!step.roll_back.empty())
     next.rollout->rolled_back = absl::StrCat(Named(step.roll_back), " at once");
   RIPS_RETURN_IF_ERROR(parts_.activations->Set(std::move(next)));
+  unrecorded_.clear();
   if (step.over) parts_.rates->Clear();
   for (const std::string& robot : step.activate) parts_.rates->Watch(robot);
   if (!changed.empty()) parts_.fleet->Apply(changed);

@@ -167,7 +167,11 @@ absl::Status AlertLog::RotateIfFullLocked(size_t line_bytes) {
   const auto size = static_cast<uint64_t>(info.st_size);
   const bool fits = size <= options_.rotate_bytes && line_bytes <= options_.rotate_bytes - size;
   if (fits) return absl::OkStatus();
-  const absl::Status rotated = RotateFile(path_, options_.keep, options_.rename_file);
+  // LastId looks into FILE.1 only if FILE is empty: what moves there must not be lost any more.
+  absl::Status rotated = fdatasync(fd_) == 0
+                             ? absl::OkStatus()
+                             : FromErrno(absl::StrCat("syncing alert file `", path_, "`"));
+  if (rotated.ok()) rotated = RotateFile(path_, options_.keep, options_.rename_file);
   if (!rotated.ok()) {
     if (options_.on_rotation_failure) options_.on_rotation_failure();
     if (!std::exchange(rotation_failing_, true)) {
@@ -213,11 +217,15 @@ absl::StatusOr<size_t> AlertLog::Append(std::span<const AlertRecord> alerts) {
   while (written < lines.size()) {
     absl::Status status = RotateIfFullLocked(lines[written].size());
     struct stat info = {};
-    if (status.ok() && fstat(fd_, &info) != 0) status = FromErrno("examining the alert file");
+    if (status.ok() && fstat(fd_, &info) != 0)
+      status = FromErrno(absl::StrCat("examining alert file `", path_, "`"));
     // As many as fit go in one write, at least one.
     std::string text = lines[written];
     size_t end = written + 1;
-    const bool any_size = options_.rotate_bytes == 0 || rotation_failing_;
+    // A file that is too long could not be rotated.
+    const bool any_size = options_.rotate_bytes == 0 ||
+                          (info.st_size > 0 && static_cast<uint64_t>(info.st_size) + text.size() >
+                                                   options_.rotate_bytes);
     const auto fits = [&](size_t more) {
       return any_size ||
              static_cast<uint64_t>(info.st_size) + text.size() + more <= options_.rotate_bytes;

@@ -159,12 +159,12 @@ void Orders::Decide(const levels::Transition& transition, const LevelOrder& orde
   if (transition.refused()) out.status = RefusalStatus(transition, levels());
   if (!order.dry_run) decider_.OnTransition({.transition = transition});
   if (order.dry_run || !transition.decided()) return context_.Do(std::move(answer));
-  Tell(transition, order, out);
+  ReportChange(transition, order, out);
   decider_.orders().Wait(transition.decision_id, order.request_id, std::move(answer));
 }
 
-void Orders::Tell(const levels::Transition& transition, const LevelOrder& order,
-                  const LevelAnswer& answer) {
+void Orders::ReportChange(const levels::Transition& transition, const LevelOrder& order,
+                          const LevelAnswer& answer) {
   if (transition.from == transition.to) return;
   const bool lowers = transition.lowers();
   const bool blind = lowers && !answer.blind_because.empty();

@@ -58,8 +58,8 @@ class Orders {
   absl::Status NoLevel(const std::string& level) const;
   // An alert of a change by hand, for those who watch alerts elsewhere: high if it lowers the robot
   // while RIPS does not see all of it, medium if it lowers it, low if it raises it.
-  void Tell(const levels::Transition& transition, const LevelOrder& order,
-            const LevelAnswer& answer);
+  void ReportChange(const levels::Transition& transition, const LevelOrder& order,
+                    const LevelAnswer& answer);
   // Of one that CheckLowering found in order.
   levels::Transition Lower(const LevelOrder& order, levels::LevelMachine& machine) const;
   // Whether a lowering can be considered, and what `answer` says of it.
