@@ -11,7 +11,7 @@ Commands CoverageCommands();        // robot interest, robot coverage
 Commands ActuatorCommands();        // robot receipts, robot drill
 Commands LevelCommands();           // show, history, raise, lower
 Commands ApproveCommands();         // level approve
-Commands AlertCommands();           // list, watch
+Commands AlertCommands();           // list, watch, ack
 Commands AlertRecordingCommands();  // alert recording
 Commands ExplainCommands();
 Commands CheckRules();

@@ -1,8 +1,10 @@
-// `ripsctl alert`: list, watch.
+// `ripsctl alert`: list, watch, ack.
 #include <CLI/CLI.hpp>
 #include <algorithm>
 #include <nlohmann/json.hpp>
 #include <string>
+#include <utility>
+#include <vector>
 
 #include "absl/strings/str_cat.h"
 #include "absl/strings/string_view.h"
@@ -11,6 +13,7 @@
 #include "policy_server/ripsctl/cli/printer.h"
 #include "policy_server/ripsctl/commands.h"
 #include "services/base/status_macros.h"
+#include "services/text/utf8.h"
 
 namespace rips::ripsctl {
 namespace {
@@ -19,6 +22,15 @@ namespace {
 std::string TextOf(const v1::Alert& alert) {
   if (alert.event().empty() || alert.event() == "graph change") return alert.text();
   return absl::StrCat(alert.text(), " [", alert.event(), "]");
+}
+
+// Empty of an alert that is not acknowledged.
+std::string WhoAndNote(const v1::Acknowledgement& ack) {
+  return ack.note().empty() ? ack.by() : absl::StrCat(ack.by(), ": ", ack.note());
+}
+
+Json AckJson(const v1::Acknowledgement& ack) {
+  return {{"by", ack.by()}, {"time_unix_ns", ack.time_unix_ns()}, {"note", ack.note()}};
 }
 
 // Of what there are alerts: a robot, or the server itself, as the column ROBOT names it.
@@ -46,21 +58,36 @@ class ListAlerts final : public AlertCommand {
     app.add_option("--limit", limit_, "Maximum number of entries")
         ->check(CLI::Range(1, 1000))
         ->capture_default_str();
+    app.add_flag("--open", open_, "Only alerts that are not acknowledged");
   }
   absl::StatusOr<ExitCode> Run(Env& env) override {
     v1::ListAlertsRequest request;
     request.set_robot(robot_);
     request.set_limit(limit_);
+    request.set_open(open_);
     RIPS_ASSIGN_OR_RETURN(const auto response, Call(env, &Stub::ListAlerts, request));
     if (env.json()) {
-      return PrintJson(env, {{"alerts", JsonList(response.alerts())},
+      return PrintJson(env, {{"alerts", JsonList(response.alerts(), ListedJson)},
                              {"cut", response.cut()},
-                             {"unrecorded", JsonList(response.unrecorded())}});
+                             {"unrecorded", JsonList(response.unrecorded(), ListedJson)}});
     }
-    Table table({"TIME", "ROBOT", "SEVERITY", "LEVEL", "RULE", "ID", "TEXT"});
-    const auto add = [&table](const v1::Alert& alert) {
-      table.Add({ShortTime(alert.time_unix_ns()), alert.robot(), alert.severity(), alert.level(),
-                 alert.rule(), ShortId(alert.id()), TextOf(alert)});
+    const bool any_acked =
+        std::any_of(response.alerts().begin(), response.alerts().end(),
+                    [](const v1::Alert& alert) { return alert.has_acknowledged(); });
+    std::vector<std::string> header = {"TIME", "ROBOT", "SEVERITY", "LEVEL", "RULE", "ID"};
+    if (any_acked) header.push_back("ACKNOWLEDGED");
+    header.push_back("TEXT");
+    Table table(std::move(header));
+    const auto add = [&table, any_acked](const v1::Alert& alert) {
+      std::vector<std::string> row = {ShortTime(alert.time_unix_ns()),
+                                      alert.robot(),
+                                      alert.severity(),
+                                      alert.level(),
+                                      alert.rule(),
+                                      ShortId(alert.id())};
+      if (any_acked) row.push_back(WhoAndNote(alert.acknowledged()));
+      row.push_back(TextOf(alert));
+      table.Add(std::move(row));
     };
     for (auto it = response.unrecorded().rbegin(); it != response.unrecorded().rend(); ++it) {
       add(*it);
@@ -76,7 +103,74 @@ class ListAlerts final : public AlertCommand {
   }
 
  private:
+  static Json ListedJson(const v1::Alert& alert) {
+    Json json = ToJson(alert);
+    json["acknowledged"] = alert.has_acknowledged() ? AckJson(alert.acknowledged()) : Json(nullptr);
+    return json;
+  }
+
   uint32_t limit_ = 100;
+  bool open_ = false;
+};
+
+class AckAlerts final : public Command {
+ public:
+  AckAlerts()
+      : Command({"alert", "ack",
+                 "Acknowledge alerts, all or none; changes no level, decision or rule"}) {}
+  void AddFlags(CLI::App& app) override {
+    app.add_option("ID", ids_,
+                   "Ids of alerts, or their first digits, as `alert list` shows them; at most 100")
+        ->required();
+    app.add_option("--note", note_, "Note, shown with the alerts; at most 1,000 bytes");
+  }
+  absl::Status Check() override {
+    if (ids_.size() > kIdsMax) {
+      return absl::InvalidArgumentError(
+          absl::StrCat(ids_.size(), " ids are given, limit ", kIdsMax));
+    }
+    if (note_.size() > kNoteBytesMax) {
+      return absl::InvalidArgumentError(
+          absl::StrCat("--note has ", note_.size(), " bytes, limit ", kNoteBytesMax));
+    }
+    for (const std::string& id : ids_) {
+      if (FindInvalidUtf8(id)) return absl::InvalidArgumentError("an ID is not valid UTF-8");
+    }
+    if (FindInvalidUtf8(note_)) return absl::InvalidArgumentError("--note is not valid UTF-8");
+    return absl::OkStatus();
+  }
+  absl::StatusOr<ExitCode> Run(Env& env) override {
+    v1::AckAlertsRequest request;
+    for (const std::string& id : ids_) request.add_alert_ids(id);
+    request.set_note(note_);
+    RIPS_ASSIGN_OR_RETURN(const auto response, Call(env, &Stub::AckAlerts, request));
+    if (env.json()) {
+      return PrintJson(env, {{"alerts", JsonList(response.alerts(), AckedJson)}});
+    }
+    for (const v1::AckedAlert& alert : response.alerts()) {
+      env.out << EscapeText(ShortId(alert.alert_id()));
+      if (alert.already()) {
+        env.out << " was acknowledged already, at "
+                << ShortTime(alert.acknowledged().time_unix_ns()) << " by "
+                << EscapeText(WhoAndNote(alert.acknowledged())) << "\n";
+      } else {
+        env.out << " is acknowledged\n";
+      }
+    }
+    return ExitCode::kDone;
+  }
+
+ private:
+  static Json AckedJson(const v1::AckedAlert& alert) {
+    return {{"id", alert.alert_id()},
+            {"acknowledged", AckJson(alert.acknowledged())},
+            {"already", alert.already()}};
+  }
+
+  static constexpr size_t kIdsMax = 100;
+  static constexpr size_t kNoteBytesMax = 1'000;
+  std::vector<std::string> ids_;
+  std::string note_;
 };
 
 class WatchAlerts final : public AlertCommand {
@@ -126,6 +220,6 @@ class WatchAlerts final : public AlertCommand {
 
 }  // namespace
 
-Commands AlertCommands() { return MakeCommands<ListAlerts, WatchAlerts>(); }
+Commands AlertCommands() { return MakeCommands<ListAlerts, WatchAlerts, AckAlerts>(); }
 
 }  // namespace rips::ripsctl

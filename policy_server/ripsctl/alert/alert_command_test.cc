@@ -1,7 +1,8 @@
-// `ripsctl alert list` and `ripsctl alert watch`.
+// `ripsctl alert list`, `ripsctl alert watch` and `ripsctl alert ack`.
 #include <algorithm>
 #include <nlohmann/json.hpp>
 #include <string>
+#include <vector>
 
 #include "absl/strings/str_cat.h"
 #include "gmock/gmock.h"
@@ -33,7 +34,8 @@ TEST_F(RipsctlTest, ListsAlertsWithHostileTextEscaped) {
                             {"level", "ALERT"},
                             {"event", "graph change"},
                             {"decision_id", "3.16"},
-                            {"subjects", nlohmann::json::array()}}));
+                            {"subjects", nlohmann::json::array()},
+                            {"acknowledged", nullptr}}));
   EXPECT_THAT(fake_.calls(), testing::ElementsAre("ListAlerts  100", "ListAlerts r1 5"));
 }
 
@@ -87,6 +89,56 @@ TEST_F(RipsctlTest, AWatchThatIsRefusedEnds) {
   EXPECT_EQ(watch.err, "error: `x` is not a cursor\n");
   fake_.alert_watches = {{{}, grpc::Status(grpc::StatusCode::UNAVAILABLE, "nobody there")}};
   EXPECT_EQ(Run({"alert", "watch"}).code, 3) << "never connected";
+}
+
+v1::Acknowledgement MakeAck(const std::string& note) {
+  v1::Acknowledgement ack;
+  ack.set_by("spiffe://td/operator/operator/bob serial 0a");
+  ack.set_time_unix_ns(kNewYear);
+  ack.set_note(note);
+  return ack;
+}
+
+TEST_F(RipsctlTest, AcknowledgesAlerts) {
+  const Result first = Run({"alert", "ack", "22222222", "33333333", "--note", "it was me"});
+  EXPECT_EQ(first.code, 0) << first.err;
+  EXPECT_EQ(first.out, "22222222 is acknowledged\n33333333 is acknowledged\n");
+
+  fake_.alert_ack = MakeAck("seen \x1b[2J");
+  const Result second = Run({"alert", "ack", std::string(32, '2')});
+  EXPECT_EQ(second.code, 0) << second.err;
+  EXPECT_EQ(second.out,
+            "22222222 was acknowledged already, at 2026-01-01T00:00:00.000Z by "
+            "spiffe://td/operator/operator/bob serial 0a: seen \\x1b[2J\n");
+  EXPECT_EQ(RunJson({"alert", "ack", "222222"})["alerts"][0],
+            nlohmann::json({{"id", "222222"},
+                            {"acknowledged",
+                             {{"by", "spiffe://td/operator/operator/bob serial 0a"},
+                              {"time_unix_ns", kNewYear},
+                              {"note", "seen \x1b[2J"}}},
+                            {"already", true}}));
+  EXPECT_THAT(fake_.calls(),
+              testing::ElementsAre("AckAlerts 22222222 33333333 it was me",
+                                   absl::StrCat("AckAlerts ", std::string(32, '2'), " "),
+                                   "AckAlerts 222222 "));
+  std::vector<std::string> many(101, "22222222");
+  many.insert(many.begin(), {"alert", "ack"});
+  EXPECT_EQ(Run(many).code, 2);
+}
+
+TEST_F(RipsctlTest, ListsWhoAcknowledgedAlerts) {
+  fake_.alert_ack = MakeAck("seen \x1b[2J");
+  EXPECT_EQ(Run({"alert", "list", "--open"}).out,
+            "TIME                      ROBOT  SEVERITY  LEVEL  RULE          ID        "
+            "ACKNOWLEDGED                                               TEXT\n"
+            "2026-01-01T00:00:00.000Z  r1     high      ALERT  unknown_node  22222222  "
+            "spiffe://td/operator/operator/bob serial 0a: seen \\x1b[2J  "
+            "unknown node /intruder\n");
+  EXPECT_EQ(RunJson({"alert", "list"})["alerts"][0]["acknowledged"],
+            nlohmann::json({{"by", "spiffe://td/operator/operator/bob serial 0a"},
+                            {"time_unix_ns", kNewYear},
+                            {"note", "seen \x1b[2J"}}));
+  EXPECT_THAT(fake_.calls(), testing::ElementsAre("ListAlerts  100 open", "ListAlerts  100"));
 }
 
 TEST_F(RipsctlTest, ListsAlertsThatTheStoreHasNotTaken) {

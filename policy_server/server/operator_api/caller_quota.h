@@ -10,7 +10,7 @@
 // | kOrder   | Raise DeEscalate Approve ResumeRules        | calls at a time, and a second: an   |
 // |          | DrillRobot Ban Unban ResetTerm              | account of their own                |
 // |          | ActivateBundle RollBackBundle StopRollout   |                                     |
-// |          | ShadowBundle                                |                                     |
+// |          | ShadowBundle AckAlerts                      |                                     |
 //
 // Orders of one identity are therefore refused only for its own orders.
 #ifndef RIPS_POLICY_SERVER_SERVER_OPERATOR_API_CALLER_QUOTA_H_

@@ -1,6 +1,7 @@
 #include "policy_server/server/operator_api/operator_service.h"
 
 #include <algorithm>
+#include <map>
 #include <memory>
 #include <optional>
 #include <set>
@@ -9,6 +10,7 @@
 
 #include "absl/strings/escaping.h"
 #include "absl/strings/str_cat.h"
+#include "policy_server/server/operator_api/alert_acks.h"
 #include "policy_server/server/operator_api/answer_limits.h"
 #include "policy_server/server/operator_api/coverage_codec.h"
 #include "policy_server/server/operator_api/level_codec.h"
@@ -70,7 +72,8 @@ pipeline::LevelReply ReplyTo(UnaryCall* reactor, Response* response) {
 }
 
 // As many as there is room for behind those that are not recorded.
-void AddRecorded(const std::vector<store::AlertRecord>& records, uint32_t limit,
+void AddRecorded(const std::vector<store::AlertRecord>& records,
+                 const std::map<std::string, store::Ack>& acks, uint32_t limit,
                  rips::v1::ListAlertsResponse& response) {
   std::set<std::string> recorded;
   for (const store::AlertRecord& record : records) recorded.insert(record.id);
@@ -83,6 +86,9 @@ void AddRecorded(const std::vector<store::AlertRecord>& records, uint32_t limit,
   for (const store::AlertRecord& record : records) {
     if (left-- == 0) return;
     rips::v1::Alert alert = operator_api::Encode(record);
+    if (const auto ack = acks.find(record.id); ack != acks.end()) {
+      *alert.mutable_acknowledged() = operator_api::Encode(ack->second);
+    }
     if (!room.Take(alert)) return response.set_cut(true);
     *response.add_alerts() = std::move(alert);
   }
@@ -366,15 +372,44 @@ grpc::ServerUnaryReactor* OperatorService::ListAlerts(grpc::CallbackServerContex
                                                       rips::v1::ListAlertsResponse* response) {
   const auto who = Authorize(context, *request, OperatorRole::kViewer, Use::kQuery);
   if (!who.ok()) return Refuse(context, who.status());
+  const bool open = request->open();
+  if (open && access_.acks == nullptr) {
+    return Refuse(context, absl::UnimplementedError("no acknowledgements are kept"));
+  }
   auto* reactor = new UnaryCall(who->ticket, who->on_refused);
-  Read(reactor, [this, reactor, request, response] {
+  Read(reactor, [this, reactor, request, response, open] {
     // Asked first: what is recorded in between is in both, not in neither.
     if (access_.store_writable && !access_.store_writable()) AddUnrecorded(*request, *response);
-    const auto records = store_->ListAlerts(request->robot(), request->limit());
-    if (records.ok()) AddRecorded(*records, request->limit(), *response);
+    const auto records = open ? access_.acks->ListOpenAlerts(request->robot(), request->limit())
+                              : store_->ListAlerts(request->robot(), request->limit());
+    std::map<std::string, store::Ack> acks;
+    if (records.ok() && !open && access_.acks != nullptr) {
+      auto found = AcksOf(*records, *access_.acks);
+      if (!found.ok()) return reactor->End(found.status());
+      acks = *std::move(found);
+    }
+    if (records.ok()) AddRecorded(*records, acks, request->limit(), *response);
     const bool none = records.ok() && records->empty() && response->unrecorded().empty();
     const bool of_one = !request->robot().empty() && request->robot() != store::kServerRobot;
     reactor->End(none && of_one ? CheckListed(*pipeline_, {request->robot()}) : records.status());
+  });
+  return reactor;
+}
+
+grpc::ServerUnaryReactor* OperatorService::AckAlerts(grpc::CallbackServerContext* context,
+                                                     const rips::v1::AckAlertsRequest* request,
+                                                     rips::v1::AckAlertsResponse* response) {
+  const auto who = AuthorizeOrder(context, "AckAlerts", *request, OperatorRole::kOperator);
+  if (!who.ok()) return Refuse(context, who.status());
+  if (access_.acks == nullptr) {
+    return Refuse(context, absl::UnimplementedError("no acknowledgements are kept"));
+  }
+  auto* reactor = new UnaryCall(who->ticket, who->on_refused);
+  Read(reactor, [this, reactor, request, response, by = rpc::Describe(*who)] {
+    auto acked = operator_api::AckAlerts(
+        *request, {.by = by, .time_unix_ns = RealClock().Now().unix_ns}, *store_, *access_.acks);
+    if (acked.ok()) *response = *std::move(acked);
+    reactor->End(acked.status());
   });
   return reactor;
 }

@@ -6,7 +6,8 @@
 //   WatchAlerts Explain ListReceipts ListAgents
 //   ListBundles GetRulesStatus                       viewer
 //   Raise DeEscalate Approve ResumeRules Record
-//   GetAlertRecording DrillRobot ShadowBundle        operator
+//   GetAlertRecording AckAlerts DrillRobot
+//   ShadowBundle                                     operator
 //   Ban Unban ResetTerm PushBundle ActivateBundle
 //   RollBackBundle StopRollout                       admin
 //
@@ -33,6 +34,7 @@
 #include "policy_server/server/operator_api/watch_stream.h"
 #include "policy_server/server/rollout/bundle_control.h"
 #include "policy_server/server/shard/pipeline.h"
+#include "policy_server/server/store/ack_store.h"
 #include "policy_server/server/store/store.h"
 #include "rips/v1/operator.grpc.pb.h"
 #include "services/rpc/certificate_monitor.h"
@@ -70,8 +72,9 @@ class OperatorService final : public rips::v1::OperatorService::CallbackService 
     std::function<bool()> store_writable = {};
     // Null: none are kept.
     const flight::FlightFiles* recordings = nullptr;
-    // Null: calls about bundles are UNIMPLEMENTED.
+    // Null: calls about bundles, and about acknowledgements, are UNIMPLEMENTED.
     rollout::BundleControl* bundles = nullptr;
+    store::AckStore* acks = nullptr;
   };
 
   // No pointer is owned; all outlive every call. Reads of the store run on a thread of their own,
@@ -118,6 +121,9 @@ class OperatorService final : public rips::v1::OperatorService::CallbackService 
   grpc::ServerWriteReactor<rips::v1::FilePiece>* GetAlertRecording(
       grpc::CallbackServerContext* context,
       const rips::v1::GetAlertRecordingRequest* request) override;
+  grpc::ServerUnaryReactor* AckAlerts(grpc::CallbackServerContext* context,
+                                      const rips::v1::AckAlertsRequest* request,
+                                      rips::v1::AckAlertsResponse* response) override;
   grpc::ServerUnaryReactor* DeEscalate(grpc::CallbackServerContext* context,
                                        const rips::v1::LevelRequest* request,
                                        rips::v1::LevelResponse* response) override;
@@ -133,7 +139,6 @@ class OperatorService final : public rips::v1::OperatorService::CallbackService 
   grpc::ServerUnaryReactor* DrillRobot(grpc::CallbackServerContext* context,
                                        const rips::v1::DrillRobotRequest* request,
                                        rips::v1::DrillRobotResponse* response) override;
-
   grpc::ServerUnaryReactor* ListAgents(grpc::CallbackServerContext* context,
                                        const rips::v1::ListAgentsRequest* request,
                                        rips::v1::ListAgentsResponse* response) override;
@@ -146,7 +151,6 @@ class OperatorService final : public rips::v1::OperatorService::CallbackService 
   grpc::ServerUnaryReactor* ResetTerm(grpc::CallbackServerContext* context,
                                       const rips::v1::ResetTermRequest* request,
                                       rips::v1::ResetTermResponse* response) override;
-
   grpc::ServerUnaryReactor* ListBundles(grpc::CallbackServerContext* context,
                                         const rips::v1::ListBundlesRequest* request,
                                         rips::v1::ListBundlesResponse* response) override;

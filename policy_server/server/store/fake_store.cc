@@ -415,4 +415,43 @@ absl::StatusOr<std::vector<BanRecord>> FakeStore::ListBans() {
   return bans;
 }
 
+absl::StatusOr<std::vector<AckRecord>> FakeStore::Acknowledge(
+    std::span<const std::string> alert_ids, const Ack& ack) {
+  RIPS_RETURN_IF_ERROR(CheckAck(ack));
+  MutexLock lock(&mutex_);
+  RIPS_RETURN_IF_ERROR(write_status_);
+  std::vector<AckRecord> acks;
+  for (const std::string& id : alert_ids) {
+    const auto is_it = [&id](const AlertRecord& alert) { return alert.id == id; };
+    if (std::none_of(state_.alerts.begin(), state_.alerts.end(), is_it)) return NoSuchAlert(id);
+  }
+  for (const std::string& id : alert_ids) {
+    const auto [stands, added] = acks_.try_emplace(id, ack);
+    acks.push_back({.alert_id = id, .ack = stands->second, .already = !added});
+  }
+  return acks;
+}
+
+absl::StatusOr<std::vector<AckRecord>> FakeStore::FindAcks(std::span<const std::string> alert_ids) {
+  MutexLock lock(&mutex_);
+  RIPS_RETURN_IF_ERROR(read_status_);
+  std::vector<AckRecord> acks;
+  for (const std::string& id : alert_ids) {
+    const auto found = acks_.find(id);
+    if (found != acks_.end()) acks.push_back({.alert_id = id, .ack = found->second});
+  }
+  return acks;
+}
+
+absl::StatusOr<std::vector<AlertRecord>> FakeStore::ListOpenAlerts(absl::string_view robot,
+                                                                   uint32_t limit) {
+  MutexLock lock(&mutex_);
+  RIPS_RETURN_IF_ERROR(read_status_);
+  std::vector<AlertRecord> open;
+  for (const AlertRecord& alert : state_.alerts) {
+    if (!acks_.contains(alert.id)) open.push_back(alert);
+  }
+  return Newest(open, robot, limit);
+}
+
 }  // namespace rips::store

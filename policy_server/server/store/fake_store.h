@@ -11,13 +11,14 @@
 
 #include "absl/base/thread_annotations.h"
 #include "absl/container/btree_map.h"
+#include "policy_server/server/store/ack_store.h"
 #include "policy_server/server/store/ban_store.h"
 #include "policy_server/server/store/store.h"
 #include "services/runtime/mutex.h"
 
 namespace rips::store {
 
-class FakeStore final : public Store, public BanStore {
+class FakeStore final : public Store, public BanStore, public AckStore {
  public:
   // From now on commits, acquisitions and terms fail with `status`, writing nothing; OK ends that.
   void FailWrites(absl::Status status) ABSL_LOCKS_EXCLUDED(mutex_);
@@ -69,6 +70,14 @@ class FakeStore final : public Store, public BanStore {
   absl::StatusOr<bool> RemoveBan(absl::string_view uri, absl::string_view serial) override
       ABSL_LOCKS_EXCLUDED(mutex_);
   absl::StatusOr<std::vector<BanRecord>> ListBans() override ABSL_LOCKS_EXCLUDED(mutex_);
+  absl::StatusOr<std::vector<AckRecord>> Acknowledge(std::span<const std::string> alert_ids,
+                                                     const Ack& ack) override
+      ABSL_LOCKS_EXCLUDED(mutex_);
+  absl::StatusOr<std::vector<AckRecord>> FindAcks(std::span<const std::string> alert_ids) override
+      ABSL_LOCKS_EXCLUDED(mutex_);
+  absl::StatusOr<std::vector<AlertRecord>> ListOpenAlerts(absl::string_view robot,
+                                                          uint32_t limit) override
+      ABSL_LOCKS_EXCLUDED(mutex_);
 
  private:
   struct State {
@@ -98,6 +107,8 @@ class FakeStore final : public Store, public BanStore {
   mutable Mutex mutex_;
   // By URI and serial.
   std::map<std::pair<std::string, std::string>, BanRecord> bans_ ABSL_GUARDED_BY(mutex_);
+  // By id of the alert.
+  std::map<std::string, Ack> acks_ ABSL_GUARDED_BY(mutex_);
   State state_ ABSL_GUARDED_BY(mutex_);
   absl::Status write_status_ ABSL_GUARDED_BY(mutex_);
   bool full_ ABSL_GUARDED_BY(mutex_) = false;

@@ -58,6 +58,20 @@ TransitionRecord ReadTransition(const Query& query) {
           .trace = TraceFromBytes(query.Text(15))};
 }
 
+// `statement` takes the robot, unless it is empty, and the limit.
+absl::StatusOr<std::vector<AlertRecord>> ReadAlerts(const Statement& statement,
+                                                    absl::string_view robot, uint32_t limit) {
+  std::vector<AlertRecord> out;
+  Query query = statement.Start();
+  if (!robot.empty()) query.Bind(robot);
+  query.Bind(int64_t{ListLimit(limit)});
+  while (true) {
+    RIPS_ASSIGN_OR_RETURN(const bool row, query.Step());
+    if (!row) return out;
+    out.push_back(ReadAlert(query));
+  }
+}
+
 }  // namespace
 
 absl::StatusOr<SqliteReader> SqliteReader::Create(const std::string& path) {
@@ -118,6 +132,16 @@ absl::StatusOr<SqliteReader> SqliteReader::Create(const std::string& path) {
       {&reader.note_, "SELECT value FROM notes WHERE name = ?"},
       {&reader.bans_,
        "SELECT uri, serial, reason, by, time_unix_ns FROM bans ORDER BY uri, serial"},
+      {&reader.ack_,
+       "SELECT ack_by, ack_note, ack_unix_ns FROM alerts WHERE id = ? AND ack_unix_ns > 0"},
+      // However many of the newest are acknowledged, none of them is read.
+      {&reader.open_alerts_,
+       "SELECT id, time_unix_ns, robot, rule, severity, text, level, event, term, epoch, trace "
+       "FROM alerts INDEXED BY alerts_open WHERE ack_unix_ns = 0 ORDER BY seq DESC LIMIT ?"},
+      {&reader.robot_open_alerts_,
+       "SELECT id, time_unix_ns, robot, rule, severity, text, level, event, term, epoch, trace "
+       "FROM alerts INDEXED BY alerts_robot_open WHERE robot = ? AND ack_unix_ns = 0 "
+       "ORDER BY seq DESC LIMIT ?"},
   };
   for (const auto& [statement, sql] : statements) {
     RIPS_ASSIGN_OR_RETURN(*statement, reader.db_.Prepare(sql));
@@ -235,15 +259,12 @@ absl::StatusOr<std::vector<TransitionRecord>> SqliteReader::ListTransitions(absl
 
 absl::StatusOr<std::vector<AlertRecord>> SqliteReader::ListAlerts(absl::string_view robot,
                                                                   uint32_t limit) {
-  std::vector<AlertRecord> out;
-  Query query = robot.empty() ? alerts_.Start() : robot_alerts_.Start();
-  if (!robot.empty()) query.Bind(robot);
-  query.Bind(int64_t{ListLimit(limit)});
-  while (true) {
-    RIPS_ASSIGN_OR_RETURN(const bool row, query.Step());
-    if (!row) return out;
-    out.push_back(ReadAlert(query));
-  }
+  return ReadAlerts(robot.empty() ? alerts_ : robot_alerts_, robot, limit);
+}
+
+absl::StatusOr<std::vector<AlertRecord>> SqliteReader::ListOpenAlerts(absl::string_view robot,
+                                                                      uint32_t limit) {
+  return ReadAlerts(robot.empty() ? open_alerts_ : robot_open_alerts_, robot, limit);
 }
 
 absl::StatusOr<std::vector<ReceiptRecord>> SqliteReader::ListReceipts(absl::string_view robot,
@@ -351,6 +372,21 @@ absl::StatusOr<std::vector<BanRecord>> SqliteReader::ListBans() {
                    .by = query.Text(3),
                    .time_unix_ns = query.Number(4)});
   }
+}
+
+absl::StatusOr<std::vector<AckRecord>> SqliteReader::FindAcks(
+    std::span<const std::string> alert_ids) {
+  std::vector<AckRecord> out;
+  for (const std::string& id : alert_ids) {
+    Query query = ack_.Start();
+    query.Bind(id);
+    RIPS_ASSIGN_OR_RETURN(const bool row, query.Step());
+    if (!row) continue;
+    out.push_back(
+        {.alert_id = id,
+         .ack = {.by = query.Text(0), .note = query.Text(1), .time_unix_ns = query.Number(2)}});
+  }
+  return out;
 }
 
 }  // namespace rips::store

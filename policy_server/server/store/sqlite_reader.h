@@ -3,10 +3,12 @@
 #define RIPS_POLICY_SERVER_SERVER_STORE_SQLITE_READER_H_
 
 #include <optional>
+#include <span>
 #include <string>
 #include <utility>
 #include <vector>
 
+#include "policy_server/server/store/ack_store.h"
 #include "policy_server/server/store/ban_store.h"
 #include "policy_server/server/store/sqlite_db.h"
 #include "policy_server/server/store/store.h"
@@ -32,6 +34,8 @@ class SqliteReader {
   absl::StatusOr<AlertRecord> NewestAlert();
   absl::StatusOr<std::string> Note(absl::string_view name);
   absl::StatusOr<std::vector<BanRecord>> ListBans();
+  absl::StatusOr<std::vector<AckRecord>> FindAcks(std::span<const std::string> alert_ids);
+  absl::StatusOr<std::vector<AlertRecord>> ListOpenAlerts(absl::string_view robot, uint32_t limit);
 
  private:
   explicit SqliteReader(Database db) : db_(std::move(db)) {}
@@ -43,7 +47,7 @@ class SqliteReader {
   Database db_;
   Statement begin_, end_;
   Statement robot_, variables_, high_water_, decision_id_, transitions_, alerts_, robot_alerts_,
-      bans_;
+      bans_, ack_, open_alerts_, robot_open_alerts_;
   Statement alerts_after_, robot_alerts_after_, forgotten_, robot_forgotten_, find_alert_,
       newest_alert_, note_, receipts_, rule_decisions_, generations_, alerts_by_id_,
       transitions_by_id_;

@@ -105,6 +105,10 @@ absl::Status SqliteWriter::PrepareAll() {
        "ON CONFLICT (uri, serial) DO UPDATE SET reason = excluded.reason, by = excluded.by,"
        " time_unix_ns = excluded.time_unix_ns"},
       {&remove_ban_, "DELETE FROM bans WHERE uri = ? AND serial = ? RETURNING 1"},
+      {&add_ack_,
+       "UPDATE alerts SET ack_by = ?2, ack_note = ?3, ack_unix_ns = ?4 "
+       "WHERE id = ?1 AND ack_unix_ns = 0 RETURNING 1"},
+      {&find_ack_, "SELECT ack_by, ack_note, ack_unix_ns FROM alerts WHERE id = ?"},
       {&set_resumed_, "UPDATE robots SET resumed_term = ?2, resumed_epoch = ?3 WHERE robot = ?1"},
       {&add_generation_,
        "INSERT INTO generations (id, last_commit) "
@@ -480,6 +484,35 @@ absl::StatusOr<bool> SqliteWriter::RemoveBan(absl::string_view uri, absl::string
     return removed ? query.Run() : absl::OkStatus();
   }));
   return removed;
+}
+
+absl::StatusOr<std::vector<AckRecord>> SqliteWriter::Acknowledge(
+    std::span<const std::string> alert_ids, const Ack& ack) {
+  std::vector<AckRecord> acks;
+  const absl::Status status = InTransaction([&]() -> absl::Status {
+    acks.clear();
+    for (const std::string& id : alert_ids) {
+      bool added = false;
+      {
+        Query query = add_ack_.Start();
+        query.Bind(id).Bind(ack.by).Bind(ack.note).Bind(ack.time_unix_ns);
+        RIPS_ASSIGN_OR_RETURN(added, query.Step());
+        // A statement with RETURNING has to be run to its end.
+        if (added) RIPS_RETURN_IF_ERROR(query.Run());
+      }
+      Query query = find_ack_.Start();
+      query.Bind(id);
+      RIPS_ASSIGN_OR_RETURN(const bool row, query.Step());
+      if (!row) return NoSuchAlert(id);
+      acks.push_back(
+          {.alert_id = id,
+           .ack = {.by = query.Text(0), .note = query.Text(1), .time_unix_ns = query.Number(2)},
+           .already = !added});
+    }
+    return absl::OkStatus();
+  });
+  RIPS_RETURN_IF_ERROR(status);
+  return acks;
 }
 
 }  // namespace rips::store

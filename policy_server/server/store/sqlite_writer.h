@@ -9,6 +9,7 @@
 #include <vector>
 
 #include "absl/container/btree_map.h"
+#include "policy_server/server/store/ack_store.h"
 #include "policy_server/server/store/ban_store.h"
 #include "policy_server/server/store/sqlite_db.h"
 #include "policy_server/server/store/sqlite_store.h"
@@ -30,6 +31,8 @@ class SqliteWriter {
   absl::Status SetNote(absl::string_view name, absl::string_view value);
   absl::Status PutBan(const BanRecord& ban);
   absl::StatusOr<bool> RemoveBan(absl::string_view uri, absl::string_view serial);
+  absl::StatusOr<std::vector<AckRecord>> Acknowledge(std::span<const std::string> alert_ids,
+                                                     const Ack& ack);
 
  private:
   SqliteWriter(Database db, SqliteLimits limits) : db_(std::move(db)), limits_(limits) {}
@@ -66,7 +69,7 @@ class SqliteWriter {
       note_prune_, set_note_, set_bundle_;
   Statement clear_variables_, add_variable_, set_suspended_, set_halted_, set_resumed_,
       put_high_water_, prune_high_water_;
-  Statement put_ban_, remove_ban_;
+  Statement put_ban_, remove_ban_, add_ack_, find_ack_;
   Statement add_generation_, prune_generations_, count_commit_;
   uint64_t newest_commit_ = 0;
 };
