@@ -604,7 +604,8 @@ absl::Status Server::Listen() {
           .store_writable = [this] { return committer_->healthy(); },
           .recordings = recordings_.get(),
           .bundles = bundles_.get(),
-          .acks = store_.get()});
+          .acks = store_.get(),
+          .committer = committer_.get()});
   RIPS_ASSIGN_OR_RETURN(
       rpc_, rpc::RpcServer::Start({.listen = config_.listen,
                                    .guard = connections_.get(),

@@ -1,6 +1,7 @@
 // `ripsctl alert`: list, watch, ack.
 #include <CLI/CLI.hpp>
 #include <algorithm>
+#include <iterator>
 #include <nlohmann/json.hpp>
 #include <string>
 #include <utility>
@@ -8,11 +9,14 @@
 
 #include "absl/strings/str_cat.h"
 #include "absl/strings/string_view.h"
+#include "absl/time/time.h"
 #include "policy_server/ripsctl/cli/json_output.h"
 #include "policy_server/ripsctl/cli/keep_watching.h"
 #include "policy_server/ripsctl/cli/printer.h"
 #include "policy_server/ripsctl/commands.h"
+#include "services/base/cut_text.h"
 #include "services/base/status_macros.h"
+#include "services/runtime/config_reader.h"
 #include "services/text/utf8.h"
 
 namespace rips::ripsctl {
@@ -24,13 +28,17 @@ std::string TextOf(const v1::Alert& alert) {
   return absl::StrCat(alert.text(), " [", alert.event(), "]");
 }
 
-// Empty of an alert that is not acknowledged.
-std::string WhoAndNote(const v1::Acknowledgement& ack) {
-  return ack.note().empty() ? ack.by() : absl::StrCat(ack.by(), ": ", ack.note());
-}
+// Of a cell; who and note are whole in JSON and `ripsctl explain`.
+constexpr size_t kAckCellBytes = 48;
+constexpr size_t kIdsMax = 100;
+constexpr size_t kNoteBytesMax = 1'000;
 
-Json AckJson(const v1::Acknowledgement& ack) {
-  return {{"by", ack.by()}, {"time_unix_ns", ack.time_unix_ns()}, {"note", ack.note()}};
+// `alice: on it`; empty of an alert that is not acknowledged.
+std::string AckCell(const v1::Acknowledgement& ack) {
+  absl::string_view name = ack.by();
+  name = name.substr(0, name.find(' '));
+  name = name.substr(name.rfind('/') + 1);
+  return Shortened(ack.note().empty() ? name : absl::StrCat(name, ": ", ack.note()), kAckCellBytes);
 }
 
 // Of what there are alerts: a robot, or the server itself, as the column ROBOT names it.
@@ -59,17 +67,47 @@ class ListAlerts final : public AlertCommand {
         ->check(CLI::Range(1, 1000))
         ->capture_default_str();
     app.add_flag("--open", open_, "Only alerts that are not acknowledged");
+    app.add_option("--severity", severity_,
+                   "Only of this severity or a graver one: info, low, medium, high or critical");
+    app.add_option("--rule", rule_, "Only of this rule; `(rips)`: RIPS's own alerts");
+    app.add_option("--since", since_, "Only of this last time, for example 30min, 2h or 1d");
+  }
+  absl::Status Check() override {
+    RIPS_RETURN_IF_ERROR(AlertCommand::Check());
+    constexpr absl::string_view kSeverities[] = {"", "info", "low", "medium", "high", "critical"};
+    if (std::find(std::begin(kSeverities), std::end(kSeverities), severity_) ==
+        std::end(kSeverities)) {
+      return absl::InvalidArgumentError(absl::StrCat(
+          "--severity is `", severity_, "`; write info, low, medium, high or critical"));
+    }
+    if (rule_.size() > kRuleBytesMax) {
+      return absl::InvalidArgumentError(
+          absl::StrCat("--rule has ", rule_.size(), " bytes, limit ", kRuleBytesMax));
+    }
+    if (FindInvalidUtf8(rule_)) return absl::InvalidArgumentError("--rule is not valid UTF-8");
+    if (since_.empty()) return absl::OkStatus();
+    const absl::StatusOr<absl::Duration> since = ParseConfigDuration(since_);
+    if (!since.ok()) {
+      return absl::InvalidArgumentError(absl::StrCat("--since: ", since.status().message()));
+    }
+    within_ms_ = absl::ToInt64Milliseconds(*since);
+    if (within_ms_ > 0) return absl::OkStatus();
+    return absl::InvalidArgumentError("--since must be 1ms or longer");
   }
   absl::StatusOr<ExitCode> Run(Env& env) override {
     v1::ListAlertsRequest request;
     request.set_robot(robot_);
     request.set_limit(limit_);
     request.set_open(open_);
+    request.set_severity(severity_);
+    request.set_rule(rule_);
+    request.set_within_ms(static_cast<uint64_t>(within_ms_));
     RIPS_ASSIGN_OR_RETURN(const auto response, Call(env, &Stub::ListAlerts, request));
     if (env.json()) {
-      return PrintJson(env, {{"alerts", JsonList(response.alerts(), ListedJson)},
+      return PrintJson(env, {{"alerts", JsonList(response.alerts(), AlertWithAck)},
                              {"cut", response.cut()},
-                             {"unrecorded", JsonList(response.unrecorded(), ListedJson)}});
+                             {"older_not_searched", response.older_not_searched()},
+                             {"unrecorded", JsonList(response.unrecorded(), AlertWithAck)}});
     }
     const bool any_acked =
         std::any_of(response.alerts().begin(), response.alerts().end(),
@@ -85,7 +123,7 @@ class ListAlerts final : public AlertCommand {
                                       alert.level(),
                                       alert.rule(),
                                       ShortId(alert.id())};
-      if (any_acked) row.push_back(WhoAndNote(alert.acknowledged()));
+      if (any_acked) row.push_back(AckCell(alert.acknowledged()));
       row.push_back(TextOf(alert));
       table.Add(std::move(row));
     };
@@ -99,18 +137,21 @@ class ListAlerts final : public AlertCommand {
     }
     table.Print(env.out);
     if (response.cut()) env.out << "older alerts do not fit into one response\n";
+    if (response.older_not_searched()) {
+      env.out << "only the newest 20,000 alerts were searched; name a ROBOT to search all of it\n";
+    }
     return ExitCode::kDone;
   }
 
  private:
-  static Json ListedJson(const v1::Alert& alert) {
-    Json json = ToJson(alert);
-    json["acknowledged"] = alert.has_acknowledged() ? AckJson(alert.acknowledged()) : Json(nullptr);
-    return json;
-  }
-
+  static constexpr size_t kRuleBytesMax = 255;
   uint32_t limit_ = 100;
   bool open_ = false;
+  std::string severity_;
+  std::string rule_;
+  std::string since_;
+  // Of `since_`; 0 = any time.
+  int64_t within_ms_ = 0;
 };
 
 class AckAlerts final : public Command {
@@ -148,13 +189,13 @@ class AckAlerts final : public Command {
       return PrintJson(env, {{"alerts", JsonList(response.alerts(), AckedJson)}});
     }
     for (const v1::AckedAlert& alert : response.alerts()) {
-      env.out << EscapeText(ShortId(alert.alert_id()));
+      env.out << EscapeText(ShortId(alert.alert_id())) << " (" << EscapeText(alert.robot()) << ", "
+              << EscapeText(alert.rule()) << ") ";
       if (alert.already()) {
-        env.out << " was acknowledged already, at "
-                << ShortTime(alert.acknowledged().time_unix_ns()) << " by "
-                << EscapeText(WhoAndNote(alert.acknowledged())) << "\n";
+        env.out << "was acknowledged already, and that stays: " << AckText(alert.acknowledged())
+                << "\n";
       } else {
-        env.out << " is acknowledged\n";
+        env.out << "is acknowledged\n";
       }
     }
     return ExitCode::kDone;
@@ -163,12 +204,12 @@ class AckAlerts final : public Command {
  private:
   static Json AckedJson(const v1::AckedAlert& alert) {
     return {{"id", alert.alert_id()},
-            {"acknowledged", AckJson(alert.acknowledged())},
-            {"already", alert.already()}};
+            {"robot", alert.robot()},
+            {"rule", alert.rule()},
+            {"already", alert.already()},
+            {"acknowledged", ToJson(alert.acknowledged())}};
   }
 
-  static constexpr size_t kIdsMax = 100;
-  static constexpr size_t kNoteBytesMax = 1'000;
   std::vector<std::string> ids_;
   std::string note_;
 };

@@ -5,12 +5,12 @@
 // |----------|---------------------------------------------|-------------------------------------|
 // | kStream  | WatchRobots WatchAlerts Record              | streams at a time, in all too; a    |
 // |          | GetAlertRecording PushBundle                | reserve for role operator and above |
-// | kQuery   | all other calls of a viewer                 | calls at a time, and a second; one  |
-// |          |                                             | that costs much counts for several  |
+// | kQuery   | all other calls of a viewer; AckAlerts,     | calls at a time, and a second; one  |
+// |          | which so uses up no order                   | that costs much counts for several  |
 // | kOrder   | Raise DeEscalate Approve ResumeRules        | calls at a time, and a second: an   |
 // |          | DrillRobot Ban Unban ResetTerm              | account of their own                |
 // |          | ActivateBundle RollBackBundle StopRollout   |                                     |
-// |          | ShadowBundle AckAlerts                      |                                     |
+// |          | ShadowBundle                                |                                     |
 //
 // Orders of one identity are therefore refused only for its own orders.
 #ifndef RIPS_POLICY_SERVER_SERVER_OPERATOR_API_CALLER_QUOTA_H_

@@ -1,21 +1,15 @@
 #include "policy_server/server/store/ack_store.h"
 
-#include "absl/strings/str_cat.h"
+#include <algorithm>
 
 namespace rips::store {
 
-absl::Status CheckAck(const Ack& ack) {
-  if (ack.by.empty() || ack.time_unix_ns <= 0) {
-    return absl::InvalidArgumentError("an acknowledgement needs an operator and a time");
-  }
-  if (ack.note.size() <= kAckNoteBytesMax) return absl::OkStatus();
-  return absl::InvalidArgumentError(
-      absl::StrCat("note of ", ack.note.size(), " bytes, limit ", kAckNoteBytesMax));
-}
-
-absl::Status NoSuchAlert(absl::string_view alert_id) {
-  return absl::NotFoundError(
-      absl::StrCat("no alert with the id ", alert_id, " is kept; none was acknowledged"));
+bool Matches(const AlertQuery& query, const AlertRecord& alert) {
+  const std::vector<std::string>& severities = query.severities;
+  const bool grave = severities.empty() || std::find(severities.begin(), severities.end(),
+                                                     alert.severity) != severities.end();
+  return grave && (query.rule.empty() || query.rule == alert.rule) &&
+         (query.since_unix_ns == 0 || alert.time_unix_ns >= query.since_unix_ns);
 }
 
 }  // namespace rips::store

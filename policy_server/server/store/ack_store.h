@@ -1,68 +1,61 @@
-// That operators have seen alerts.
+// Acknowledgements of alerts, which WriteBatch::acks writes, and the search for alerts.
 #ifndef RIPS_POLICY_SERVER_SERVER_STORE_ACK_STORE_H_
 #define RIPS_POLICY_SERVER_SERVER_STORE_ACK_STORE_H_
 
-#include <cstddef>
 #include <cstdint>
 #include <span>
 #include <string>
 #include <vector>
 
-#include "absl/status/status.h"
 #include "absl/status/statusor.h"
-#include "absl/strings/string_view.h"
+#include "policy_server/server/store/ack_records.h"
 #include "policy_server/server/store/records.h"
 
 namespace rips::store {
 
-// Bytes of an acknowledgement's note.
-inline constexpr size_t kAckNoteBytesMax = 1'000;
+// The newest alerts among which a search by severity, rule or time looks; bounds what it costs. One
+// robot keeps fewer.
+inline constexpr int64_t kAlertsSearchedMax = 20'000;
 
-struct Ack {
-  // Who acknowledged it, as rpc::Describe gives it.
-  std::string by;
-  // The operator's words: any bytes; may be empty.
-  std::string note;
-  // Above 0.
-  int64_t time_unix_ns = 0;
+// Which alerts are wanted; all conditions together.
+struct AlertQuery {
+  // Empty = of all robots.
+  std::string robot;
+  // As ListLimit.
+  uint32_t limit = 0;
+  // Only those that are not acknowledged.
+  bool open = false;
+  // One of these; empty = any.
+  std::vector<std::string> severities;
+  // Empty = any.
+  std::string rule;
+  // At this time or later; 0 = any.
+  int64_t since_unix_ns = 0;
 
-  friend bool operator==(const Ack&, const Ack&) = default;
+  // It has a condition that no index serves.
+  bool searches() const { return !severities.empty() || !rule.empty() || since_unix_ns != 0; }
 };
 
-// The acknowledgement of one alert.
-struct AckRecord {
-  // Of the alert, 32 hex digits.
-  std::string alert_id;
-  Ack ack;
-  // Of what Acknowledge returns: it was there before.
-  bool already = false;
-
-  friend bool operator==(const AckRecord&, const AckRecord&) = default;
+struct AlertList {
+  // The one written last first.
+  std::vector<AlertRecord> alerts;
+  // There are fewer than the limit, and alerts older than the newest kAlertsSearchedMax.
+  bool older_not_searched = false;
 };
 
 // At most one acknowledgement of each alert that a Store keeps; it is forgotten with the alert.
-// Durable when a method returns OK; errors as for Store.
+// Errors as for Store.
 class AckStore {
  public:
   virtual ~AckStore() = default;
-  // All of these alerts or none. The acknowledgements that stand now, in the order of the ids: of
-  // an alert that had one, the first. NotFound, naming it, if an alert is not kept; InvalidArgument
-  // for what CheckAck refuses.
-  virtual absl::StatusOr<std::vector<AckRecord>> Acknowledge(std::span<const std::string> alert_ids,
-                                                             const Ack& ack) = 0;
   // Those that there are of these alerts, in the order of the ids.
   virtual absl::StatusOr<std::vector<AckRecord>> FindAcks(
       std::span<const std::string> alert_ids) = 0;
-  // As Store::ListAlerts, without those that are acknowledged.
-  virtual absl::StatusOr<std::vector<AlertRecord>> ListOpenAlerts(absl::string_view robot,
-                                                                  uint32_t limit) = 0;
+  virtual absl::StatusOr<AlertList> SearchAlerts(const AlertQuery& query) = 0;
 };
 
-// InvalidArgument without `by` or a time above 0, or for a note beyond kAckNoteBytesMax. Shared by
-// implementations.
-absl::Status CheckAck(const Ack& ack);
-// NotFound. Shared by implementations.
-absl::Status NoSuchAlert(absl::string_view alert_id);
+// Whether severity, rule and time are as the query wants them.
+bool Matches(const AlertQuery& query, const AlertRecord& alert);
 
 }  // namespace rips::store
 

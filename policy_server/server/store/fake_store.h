@@ -70,13 +70,9 @@ class FakeStore final : public Store, public BanStore, public AckStore {
   absl::StatusOr<bool> RemoveBan(absl::string_view uri, absl::string_view serial) override
       ABSL_LOCKS_EXCLUDED(mutex_);
   absl::StatusOr<std::vector<BanRecord>> ListBans() override ABSL_LOCKS_EXCLUDED(mutex_);
-  absl::StatusOr<std::vector<AckRecord>> Acknowledge(std::span<const std::string> alert_ids,
-                                                     const Ack& ack) override
-      ABSL_LOCKS_EXCLUDED(mutex_);
   absl::StatusOr<std::vector<AckRecord>> FindAcks(std::span<const std::string> alert_ids) override
       ABSL_LOCKS_EXCLUDED(mutex_);
-  absl::StatusOr<std::vector<AlertRecord>> ListOpenAlerts(absl::string_view robot,
-                                                          uint32_t limit) override
+  absl::StatusOr<AlertList> SearchAlerts(const AlertQuery& query) override
       ABSL_LOCKS_EXCLUDED(mutex_);
 
  private:
@@ -88,6 +84,8 @@ class FakeStore final : public Store, public BanStore, public AckStore {
     // In the order of writing.
     std::vector<TransitionRecord> transitions;
     std::vector<AlertRecord> alerts;
+    // By id of the alert.
+    absl::btree_map<std::string, Ack> acks;
     // By robot, in the order of writing.
     absl::btree_map<std::string, std::vector<ReceiptRecord>> receipts;
     absl::btree_map<std::string, std::string> notes;
@@ -100,6 +98,7 @@ class FakeStore final : public Store, public BanStore, public AckStore {
     absl::Status Apply(const std::string& robot, const RefusalRecord& refusal);
     void Apply(const std::string& robot, const StageUpdate& update);
     void Apply(const AlertRecord& alert);
+    absl::Status Apply(const AckRecord& record);
     void Apply(const std::string& robot, const ReceiptRecord& receipt);
     void Apply(const std::string& robot, const Checkpoint& checkpoint);
   };
@@ -107,8 +106,6 @@ class FakeStore final : public Store, public BanStore, public AckStore {
   mutable Mutex mutex_;
   // By URI and serial.
   std::map<std::pair<std::string, std::string>, BanRecord> bans_ ABSL_GUARDED_BY(mutex_);
-  // By id of the alert.
-  std::map<std::string, Ack> acks_ ABSL_GUARDED_BY(mutex_);
   State state_ ABSL_GUARDED_BY(mutex_);
   absl::Status write_status_ ABSL_GUARDED_BY(mutex_);
   bool full_ ABSL_GUARDED_BY(mutex_) = false;

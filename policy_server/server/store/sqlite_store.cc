@@ -230,25 +230,15 @@ absl::StatusOr<std::vector<BanRecord>> SqliteStore::ListBans() {
   return parts_->reader.ListBans();
 }
 
-absl::StatusOr<std::vector<AckRecord>> SqliteStore::Acknowledge(
-    std::span<const std::string> alert_ids, const Ack& ack) {
-  RIPS_RETURN_IF_ERROR(CheckAck(ack));
-  MutexLock lock(&parts_->writer_mutex);
-  RIPS_RETURN_IF_ERROR(parts_->files.InPlace());
-  RIPS_RETURN_IF_ERROR(parts_->reserve.Refill());
-  return parts_->writer.Acknowledge(alert_ids, ack);
-}
-
 absl::StatusOr<std::vector<AckRecord>> SqliteStore::FindAcks(
     std::span<const std::string> alert_ids) {
   MutexLock lock(&parts_->reader_mutex);
   return parts_->reader.FindAcks(alert_ids);
 }
 
-absl::StatusOr<std::vector<AlertRecord>> SqliteStore::ListOpenAlerts(absl::string_view robot,
-                                                                     uint32_t limit) {
+absl::StatusOr<AlertList> SqliteStore::SearchAlerts(const AlertQuery& query) {
   MutexLock lock(&parts_->reader_mutex);
-  return parts_->reader.ListOpenAlerts(robot, limit);
+  return parts_->reader.SearchAlerts(query);
 }
 
 }  // namespace rips::store

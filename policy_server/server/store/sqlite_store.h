@@ -67,11 +67,8 @@ class SqliteStore final : public Store, public BanStore, public AckStore {
   absl::Status PutBan(const BanRecord& ban) override;
   absl::StatusOr<bool> RemoveBan(absl::string_view uri, absl::string_view serial) override;
   absl::StatusOr<std::vector<BanRecord>> ListBans() override;
-  absl::StatusOr<std::vector<AckRecord>> Acknowledge(std::span<const std::string> alert_ids,
-                                                     const Ack& ack) override;
   absl::StatusOr<std::vector<AckRecord>> FindAcks(std::span<const std::string> alert_ids) override;
-  absl::StatusOr<std::vector<AlertRecord>> ListOpenAlerts(absl::string_view robot,
-                                                          uint32_t limit) override;
+  absl::StatusOr<AlertList> SearchAlerts(const AlertQuery& query) override;
 
  private:
   struct Parts;

@@ -108,7 +108,7 @@ absl::Status SqliteWriter::PrepareAll() {
       {&add_ack_,
        "UPDATE alerts SET ack_by = ?2, ack_note = ?3, ack_unix_ns = ?4 "
        "WHERE id = ?1 AND ack_unix_ns = 0 RETURNING 1"},
-      {&find_ack_, "SELECT ack_by, ack_note, ack_unix_ns FROM alerts WHERE id = ?"},
+      {&find_alert_, "SELECT 1 FROM alerts WHERE id = ?"},
       {&set_resumed_, "UPDATE robots SET resumed_term = ?2, resumed_epoch = ?3 WHERE robot = ?1"},
       {&add_generation_,
        "INSERT INTO generations (id, last_commit) "
@@ -291,6 +291,7 @@ absl::Status SqliteWriter::Write(const WriteBatch& batch) {
     RIPS_RETURN_IF_ERROR(
         prune_receipts_.Start().Bind(robot).Bind(uint64_t{kReceiptsPerRobotMax}).Run());
   }
+  for (const AckRecord& each : batch.acks) RIPS_RETURN_IF_ERROR(Write(each));
   return batch.checkpoint.empty() ? absl::OkStatus() : Write(robot, batch.checkpoint);
 }
 
@@ -377,6 +378,19 @@ absl::Status SqliteWriter::Write(const std::string& robot, const ReceiptRecord& 
       .Bind(receipt.unix_ns)
       .BindBytes(bytes)
       .Run();
+}
+
+absl::Status SqliteWriter::Write(const AckRecord& record) {
+  const Ack& ack = record.ack;
+  Query add = add_ack_.Start();
+  add.Bind(record.alert_id).Bind(ack.by).Bind(ack.note).Bind(ack.time_unix_ns);
+  RIPS_ASSIGN_OR_RETURN(const bool added, add.Step());
+  // A statement with RETURNING has to be run to its end.
+  if (added) return add.Run();
+  Query find = find_alert_.Start();
+  find.Bind(record.alert_id);
+  RIPS_ASSIGN_OR_RETURN(const bool kept, find.Step());
+  return kept ? absl::OkStatus() : NoSuchAlert(record.alert_id);
 }
 
 absl::Status SqliteWriter::PruneAlerts(const std::string& robot, size_t added) {
@@ -484,35 +498,6 @@ absl::StatusOr<bool> SqliteWriter::RemoveBan(absl::string_view uri, absl::string
     return removed ? query.Run() : absl::OkStatus();
   }));
   return removed;
-}
-
-absl::StatusOr<std::vector<AckRecord>> SqliteWriter::Acknowledge(
-    std::span<const std::string> alert_ids, const Ack& ack) {
-  std::vector<AckRecord> acks;
-  const absl::Status status = InTransaction([&]() -> absl::Status {
-    acks.clear();
-    for (const std::string& id : alert_ids) {
-      bool added = false;
-      {
-        Query query = add_ack_.Start();
-        query.Bind(id).Bind(ack.by).Bind(ack.note).Bind(ack.time_unix_ns);
-        RIPS_ASSIGN_OR_RETURN(added, query.Step());
-        // A statement with RETURNING has to be run to its end.
-        if (added) RIPS_RETURN_IF_ERROR(query.Run());
-      }
-      Query query = find_ack_.Start();
-      query.Bind(id);
-      RIPS_ASSIGN_OR_RETURN(const bool row, query.Step());
-      if (!row) return NoSuchAlert(id);
-      acks.push_back(
-          {.alert_id = id,
-           .ack = {.by = query.Text(0), .note = query.Text(1), .time_unix_ns = query.Number(2)},
-           .already = !added});
-    }
-    return absl::OkStatus();
-  });
-  RIPS_RETURN_IF_ERROR(status);
-  return acks;
 }
 
 }  // namespace rips::store

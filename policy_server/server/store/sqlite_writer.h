@@ -9,7 +9,6 @@
 #include <vector>
 
 #include "absl/container/btree_map.h"
-#include "policy_server/server/store/ack_store.h"
 #include "policy_server/server/store/ban_store.h"
 #include "policy_server/server/store/sqlite_db.h"
 #include "policy_server/server/store/sqlite_store.h"
@@ -31,8 +30,6 @@ class SqliteWriter {
   absl::Status SetNote(absl::string_view name, absl::string_view value);
   absl::Status PutBan(const BanRecord& ban);
   absl::StatusOr<bool> RemoveBan(absl::string_view uri, absl::string_view serial);
-  absl::StatusOr<std::vector<AckRecord>> Acknowledge(std::span<const std::string> alert_ids,
-                                                     const Ack& ack);
 
  private:
   SqliteWriter(Database db, SqliteLimits limits) : db_(std::move(db)), limits_(limits) {}
@@ -50,6 +47,7 @@ class SqliteWriter {
   absl::Status Write(const std::string& robot, const DecisionRecord& decision);
   absl::Status Write(const std::string& robot, const RefusalRecord& refusal);
   absl::Status Write(const std::string& robot, const ReceiptRecord& receipt);
+  absl::Status Write(const AckRecord& record);
   absl::Status Write(const std::string& robot, const Checkpoint& checkpoint);
   // Forgets the oldest alerts of a robot that has more than its share, when so many were `added`.
   absl::Status PruneAlerts(const std::string& robot, size_t added);
@@ -69,7 +67,7 @@ class SqliteWriter {
       note_prune_, set_note_, set_bundle_;
   Statement clear_variables_, add_variable_, set_suspended_, set_halted_, set_resumed_,
       put_high_water_, prune_high_water_;
-  Statement put_ban_, remove_ban_, add_ack_, find_ack_;
+  Statement put_ban_, remove_ban_, add_ack_, find_alert_;
   Statement add_generation_, prune_generations_, count_commit_;
   uint64_t newest_commit_ = 0;
 };
