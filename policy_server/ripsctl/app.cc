@@ -29,7 +29,7 @@ constexpr Noun kNouns[] = {
     {"robot", "List robots and show their state, ROS graph and coverage"},
     {"top", "Show the most urgent robots on the whole terminal, live"},
     {"level", "Show, raise and lower alert levels"},
-    {"alert", "List and watch alerts, and fetch what led to them"},
+    {"alert", "List, watch and acknowledge alerts, and fetch what led to them"},
     {"explain", "Explain an alert, or why a robot is at its level"},
     {"rules", "Check, test, sign and replay rules; bring them into force on robots"},
     {"audit", "Verify and read a policy server's audit log; needs no server"},

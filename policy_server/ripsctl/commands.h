@@ -12,7 +12,7 @@ Commands ActuatorCommands();  // robot receipts, robot drill
 Commands TopCommand();
 Commands LevelCommands();           // show, history, raise, lower
 Commands ApproveCommands();         // level approve
-Commands AlertCommands();           // list, watch
+Commands AlertCommands();           // list, watch, ack
 Commands AlertRecordingCommands();  // alert recording
 Commands ExplainCommands();
 Commands CheckRules();

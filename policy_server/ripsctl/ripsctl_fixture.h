@@ -14,6 +14,7 @@
 #include "absl/base/thread_annotations.h"
 #include "absl/status/statusor.h"
 #include "absl/strings/str_cat.h"
+#include "absl/strings/str_join.h"
 #include "grpcpp/create_channel.h"
 #include "grpcpp/security/server_credentials.h"
 #include "grpcpp/server_builder.h"
@@ -44,6 +45,7 @@ class FakeOperator final : public FakeRulesOperator {
   v1::LevelResponse level_response;
   std::string alert_text = "unknown node /intruder";
   std::string unrecorded_alert, alert_recording = MakeAlertRecording();
+  std::optional<v1::Acknowledgement> alert_ack;  // Of the alert, from before.
   // What each watch of alerts in turn is told, and how it ends; empty = one alert.
   struct AlertWatch {
     std::vector<v1::Alert> alerts;
@@ -198,8 +200,23 @@ class FakeOperator final : public FakeRulesOperator {
   grpc::Status ListAlerts(grpc::ServerContext*, const v1::ListAlertsRequest* request,
                           v1::ListAlertsResponse* response) override {
     *response->add_alerts() = MakeAlert(alert_text);
+    if (alert_ack) *response->mutable_alerts(0)->mutable_acknowledged() = *alert_ack;
+    response->set_older_not_searched(request->rule() == "old");
     if (!unrecorded_alert.empty()) *response->add_unrecorded() = MakeAlert(unrecorded_alert);
-    return Remember(absl::StrCat("ListAlerts ", request->robot(), " ", request->limit()));
+    return Remember("ListAlerts " + FilterText(*request));
+  }
+  grpc::Status AckAlerts(grpc::ServerContext*, const v1::AckAlertsRequest* request,
+                         v1::AckAlertsResponse* response) override {
+    for (const std::string& id : request->alert_ids()) {
+      v1::AckedAlert& alert = *response->add_alerts();
+      alert.set_alert_id(id);
+      *alert.mutable_acknowledged() = alert_ack.value_or(v1::Acknowledgement());
+      alert.set_already(alert_ack.has_value());
+      alert.set_robot("r1");
+      alert.set_rule("unknown_node");
+    }
+    return Remember(
+        absl::StrCat("AckAlerts ", absl::StrJoin(request->alert_ids(), " "), " ", request->note()));
   }
   grpc::Status WatchAlerts(grpc::ServerContext*, const v1::WatchAlertsRequest* request,
                            grpc::ServerWriter<v1::Alert>* writer) override {

@@ -82,6 +82,16 @@ inline v1::Alert MakeAlert(const std::string& text) {
   return alert;
 }
 
+// `r1 100 open severity high rule x within 1`, what is set of it.
+inline std::string FilterText(const v1::ListAlertsRequest& request) {
+  const auto with = [](const char* name, const std::string& value) {
+    return value.empty() || value == "0" ? "" : name + value;
+  };
+  return request.robot() + " " + std::to_string(request.limit()) + (request.open() ? " open" : "") +
+         with(" severity ", request.severity()) + with(" rule ", request.rule()) +
+         with(" within ", std::to_string(request.within_ms()));
+}
+
 // Rule rogue_cmd_vel of two lines, three values of two depths, one subject.
 inline v1::Evidence MakeEvidence() {
   v1::Evidence evidence;

@@ -654,7 +654,9 @@ absl::Status Server::Listen() {
           .audit = orders_.get(),
           .store_writable = [this] { return committer_->healthy(); },
           .recordings = recordings_.get(),
-          .bundles = bundles_.get()});
+          .bundles = bundles_.get(),
+          .acks = store_.get(),
+          .committer = committer_.get()});
   RIPS_ASSIGN_OR_RETURN(
       rpc_, rpc::RpcServer::Start({.listen = config_.listen,
                                    .guard = connections_.get(),

@@ -1,7 +1,8 @@
-// `ripsctl alert list` and `ripsctl alert watch`.
+// `ripsctl alert list`, `ripsctl alert watch` and `ripsctl alert ack`.
 #include <algorithm>
 #include <nlohmann/json.hpp>
 #include <string>
+#include <vector>
 
 #include "absl/strings/str_cat.h"
 #include "gmock/gmock.h"
@@ -33,7 +34,8 @@ TEST_F(RipsctlTest, ListsAlertsWithHostileTextEscaped) {
                             {"level", "ALERT"},
                             {"event", "graph change"},
                             {"decision_id", "3.16"},
-                            {"subjects", nlohmann::json::array()}}));
+                            {"subjects", nlohmann::json::array()},
+                            {"acknowledged", nullptr}}));
   EXPECT_THAT(fake_.calls(), testing::ElementsAre("ListAlerts  100", "ListAlerts r1 5"));
 }
 
@@ -87,6 +89,84 @@ TEST_F(RipsctlTest, AWatchThatIsRefusedEnds) {
   EXPECT_EQ(watch.err, "error: `x` is not a cursor\n");
   fake_.alert_watches = {{{}, grpc::Status(grpc::StatusCode::UNAVAILABLE, "nobody there")}};
   EXPECT_EQ(Run({"alert", "watch"}).code, 3) << "never connected";
+}
+
+v1::Acknowledgement MakeAck(const std::string& note) {
+  v1::Acknowledgement ack;
+  ack.set_by("spiffe://td/operator/operator/bob serial 0a");
+  ack.set_time_unix_ns(kNewYear);
+  ack.set_note(note);
+  return ack;
+}
+
+TEST_F(RipsctlTest, AcknowledgesAlerts) {
+  const Result first = Run({"alert", "ack", "22222222", "33333333", "--note", "it was me"});
+  EXPECT_EQ(first.code, 0) << first.err;
+  EXPECT_EQ(first.out,
+            "22222222 (r1, unknown_node) is acknowledged\n"
+            "33333333 (r1, unknown_node) is acknowledged\n");
+
+  fake_.alert_ack = MakeAck("seen \x1b[2J");
+  const Result second = Run({"alert", "ack", std::string(32, '2')});
+  EXPECT_EQ(second.code, 0) << second.err;
+  EXPECT_EQ(second.out,
+            "22222222 (r1, unknown_node) was acknowledged already, and that stays: at "
+            "2026-01-01T00:00:00.000Z by spiffe://td/operator/operator/bob serial 0a: seen "
+            "\\x1b[2J\n");
+  EXPECT_EQ(RunJson({"alert", "ack", "222222"})["alerts"][0],
+            nlohmann::json({{"id", "222222"},
+                            {"robot", "r1"},
+                            {"rule", "unknown_node"},
+                            {"already", true},
+                            {"acknowledged",
+                             {{"by", "spiffe://td/operator/operator/bob serial 0a"},
+                              {"time", "2026-01-01T00:00:00.000000000Z"},
+                              {"note", "seen \x1b[2J"}}}}));
+  EXPECT_THAT(fake_.calls(),
+              testing::ElementsAre("AckAlerts 22222222 33333333 it was me",
+                                   absl::StrCat("AckAlerts ", std::string(32, '2'), " "),
+                                   "AckAlerts 222222 "));
+  std::vector<std::string> many(101, "22222222");
+  many.insert(many.begin(), {"alert", "ack"});
+  EXPECT_EQ(Run(many).code, 2);
+}
+
+TEST_F(RipsctlTest, AnAcknowledgementOfAnUnknownAlertSaysSo) {
+  fake_.failure = grpc::Status(grpc::StatusCode::NOT_FOUND, "no alert with the id 333333 is kept");
+  const Result result = Run({"alert", "ack", "222222", "333333"});
+  EXPECT_EQ(result.code, 1);
+  EXPECT_EQ(result.out, "");
+  EXPECT_EQ(result.err, "error: no alert with the id 333333 is kept\n");
+}
+
+TEST_F(RipsctlTest, ListsWhoAcknowledgedAlerts) {
+  fake_.alert_ack = MakeAck("seen \x1b[2J");
+  EXPECT_EQ(Run({"alert", "list"}).out,
+            "TIME                      ROBOT  SEVERITY  LEVEL  RULE          ID        "
+            "ACKNOWLEDGED       TEXT\n"
+            "2026-01-01T00:00:00.000Z  r1     high      ALERT  unknown_node  22222222  "
+            "bob: seen \\x1b[2J  unknown node /intruder\n");
+  EXPECT_EQ(RunJson({"alert", "list"})["alerts"][0]["acknowledged"],
+            nlohmann::json({{"by", "spiffe://td/operator/operator/bob serial 0a"},
+                            {"time", "2026-01-01T00:00:00.000000000Z"},
+                            {"note", "seen \x1b[2J"}}));
+  fake_.alert_ack = MakeAck(std::string(1'000, 'x'));
+  const std::string cut = Run({"alert", "list"}).out;
+  EXPECT_THAT(cut, HasSubstr(absl::StrCat("bob: ", std::string(40, 'x'), "...  unknown node")));
+  fake_.alert_ack = MakeAck("");
+  EXPECT_THAT(Run({"alert", "list"}).out, HasSubstr("  bob           unknown node"));
+}
+
+TEST_F(RipsctlTest, ListsAlertsBySeverityRuleAndTime) {
+  Run({"alert", "list", "--open"});
+  Run({"alert", "list", "r1", "--severity", "high", "--rule", "(rips)", "--since", "2h"});
+  EXPECT_THAT(fake_.calls(),
+              testing::ElementsAre("ListAlerts  100 open",
+                                   "ListAlerts r1 100 severity high rule (rips) within 7200000"));
+  EXPECT_THAT(Run({"alert", "list", "--rule", "old"}).out,
+              HasSubstr("only the newest 20,000 alerts were searched"));
+  EXPECT_EQ(RunJson({"alert", "list", "--rule", "old"})["older_not_searched"], true);
+  EXPECT_EQ(RunJson({"alert", "list"})["older_not_searched"], false);
 }
 
 TEST_F(RipsctlTest, ListsAlertsThatTheStoreHasNotTaken) {

@@ -65,6 +65,11 @@ std::string GuidText(const std::string& bytes) {
   return guid.ok() ? ros2::ToString(*guid) : "invalid";
 }
 
+std::string AckText(const v1::Acknowledgement& ack) {
+  return absl::StrCat("at ", ShortTime(ack.time_unix_ns()), " by ", EscapeText(ack.by()),
+                      ack.note().empty() ? "" : absl::StrCat(": ", EscapeText(ack.note())));
+}
+
 std::string DecisionIdText(const v1::DecisionId& decision_id) {
   if (decision_id.term() == 0 && decision_id.epoch() == 0) return "-";
   return absl::StrCat(decision_id.term(), ".", decision_id.epoch());
@@ -110,6 +115,16 @@ Json ToJson(const v1::Alert& alert) {
           {"subjects", List(alert.subjects())}};
 }
 
+Json ToJson(const v1::Acknowledgement& ack) {
+  return {{"by", ack.by()}, {"time", FullTime(ack.time_unix_ns())}, {"note", ack.note()}};
+}
+
+Json AlertWithAck(const v1::Alert& alert) {
+  Json json = ToJson(alert);
+  json["acknowledged"] = alert.has_acknowledged() ? ToJson(alert.acknowledged()) : Json(nullptr);
+  return json;
+}
+
 Json ToJson(const v1::Subject& subject) {
   return {{"name", subject.name()},
           {"role", subject.role()},
@@ -138,10 +153,12 @@ Json ToJson(const v1::Evidence& evidence) {
 }
 
 Json ToJson(const v1::ExplainResponse& response) {
-  return {{"alert", response.has_alert() ? ToJson(response.alert()) : Json(nullptr)},
+  Json alerts = Json::array();
+  for (const v1::Alert& each : response.alerts()) alerts.push_back(AlertWithAck(each));
+  return {{"alert", response.has_alert() ? AlertWithAck(response.alert()) : Json(nullptr)},
           {"transition", response.has_transition() ? ToJson(response.transition()) : Json(nullptr)},
           {"evidence", response.has_evidence() ? ToJson(response.evidence()) : Json(nullptr)},
-          {"alerts", List(response.alerts())},
+          {"alerts", std::move(alerts)},
           {"transitions", List(response.transitions())}};
 }
 

@@ -21,6 +21,9 @@ Json ToJson(const v1::RobotStatus& status);
 Json ToJson(const v1::Transition& transition);
 // {"id","time","robot","rule","severity","text","level","event","decision_id","subjects":[..]}
 Json ToJson(const v1::Alert& alert);
+// The same with "acknowledged": {"by","time","note"}, null if it is not.
+Json AlertWithAck(const v1::Alert& alert);
+Json ToJson(const v1::Acknowledgement& ack);
 // {"name","role","guid","host","pid"}; pid is null when not known.
 Json ToJson(const v1::Subject& subject);
 // {"place","condition","values":[{"offset","length","depth","value"}],"subjects":[..],"event",
@@ -43,6 +46,8 @@ Json ToJson(const v1::GraphSnapshot& graph);
 const char* KindName(v1::Endpoint::Kind kind);
 // As hexadecimal digits; "invalid" if it is no GUID.
 std::string GuidText(const std::string& bytes);
+// `at TIME by WHO: NOTE`, escaped.
+std::string AckText(const v1::Acknowledgement& ack);
 // "3.17"; "-" when unset.
 std::string DecisionIdText(const v1::DecisionId& decision_id);
 

@@ -336,6 +336,9 @@ void PrintExplanation(const Explanation& explanation, std::ostream& out) {
     out << (recorded.has_transition() ? TransitionLine(recorded.transition())
                                       : AlertLine(recorded.alert()))
         << "\n";
+    if (recorded.alert().has_acknowledged()) {
+      out << "acknowledged " << AckText(recorded.alert().acknowledged()) << "\n";
+    }
     PrintWhy(recorded, out);
     PrintWho(recorded, out);
     PrintOutcome(recorded, out);

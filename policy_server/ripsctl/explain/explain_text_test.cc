@@ -49,6 +49,20 @@ void AddValue(v1::Evidence* evidence, uint32_t offset, uint32_t length, uint32_t
   each->set_value(value);
 }
 
+TEST(ExplainTextTest, SaysWhoAcknowledgedAnAlert) {
+  v1::ExplainResponse recorded;
+  *recorded.mutable_alert() = MakeAlert("rogue driver");
+  EXPECT_THAT(Print({.recorded = recorded}), Not(HasSubstr("acknowledged")));
+  v1::Acknowledgement* ack = recorded.mutable_alert()->mutable_acknowledged();
+  ack->set_by("spiffe://td/operator/operator/bob serial 0a");
+  ack->set_time_unix_ns(kNewYear);
+  EXPECT_THAT(Print({.recorded = recorded}),
+              HasSubstr("rogue driver\nacknowledged at 2026-01-01T00:00:00.000Z by "
+                        "spiffe://td/operator/operator/bob serial 0a\n"));
+  ack->set_note("on it \x1b[2J\n");
+  EXPECT_THAT(Print({.recorded = recorded}), HasSubstr("serial 0a: on it \\x1b[2J\\x0a\n"));
+}
+
 TEST(ExplainTextTest, TellsAllOfADecisionInOrder) {
   v1::ExplainResponse recorded = OfTransition(MakeTransition());
   recorded.mutable_transition()->set_detail("read back by base");

@@ -5,8 +5,8 @@
 // |----------|---------------------------------------------|-------------------------------------|
 // | kStream  | WatchRobots WatchAlerts Record              | streams at a time, in all too; a    |
 // |          | GetAlertRecording PushBundle                | reserve for role operator and above |
-// | kQuery   | all other calls of a viewer                 | calls at a time, and a second; one  |
-// |          |                                             | that costs much counts for several  |
+// | kQuery   | all other calls of a viewer; AckAlerts,     | calls at a time, and a second; one  |
+// |          | which so uses up no order                   | that costs much counts for several  |
 // | kOrder   | Raise DeEscalate Approve ResumeRules        | calls at a time, and a second: an   |
 // |          | DrillRobot Ban Unban ResetTerm              | account of their own                |
 // |          | ActivateBundle RollBackBundle StopRollout   |                                     |

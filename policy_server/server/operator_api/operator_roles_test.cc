@@ -49,6 +49,7 @@ const std::map<std::string, Role> kLeastRoles = {
     {"ResumeRules", Role::kOperator},
     {"Record", Role::kOperator},
     {"GetAlertRecording", Role::kOperator},
+    {"AckAlerts", Role::kOperator},
     {"DrillRobot", Role::kOperator},
     {"ShadowBundle", Role::kOperator},
     {"Ban", Role::kAdmin},

@@ -1,6 +1,8 @@
 #include "policy_server/server/operator_api/operator_service.h"
 
 #include <algorithm>
+#include <iterator>
+#include <map>
 #include <memory>
 #include <optional>
 #include <set>
@@ -9,6 +11,7 @@
 
 #include "absl/strings/escaping.h"
 #include "absl/strings/str_cat.h"
+#include "policy_server/server/operator_api/alert_acks.h"
 #include "policy_server/server/operator_api/answer_limits.h"
 #include "policy_server/server/operator_api/coverage_codec.h"
 #include "policy_server/server/operator_api/level_codec.h"
@@ -44,6 +47,8 @@ constexpr size_t kBanReasonBytesMax = 1'000;
 // Calls that ask every robot, or that cost milliseconds for a large graph, as calls of a quota.
 constexpr double kFleetWeight = 2;
 constexpr double kGraphWeight = 5;
+// A search that no index serves looks at thousands of alerts.
+constexpr double kSearchWeight = 5;
 constexpr int kNewestRead = 200;  // transitions, to find the newest that was not refused
 
 void RunAll(BoundedQueue<std::function<void()>>& tasks) {
@@ -69,8 +74,33 @@ pipeline::LevelReply ReplyTo(UnaryCall* reactor, Response* response) {
   };
 }
 
+// What robots hold that the store has not taken, which is not acknowledged. Waits for the robots.
+void AddUnrecorded(pipeline::Pipeline& pipeline, absl::Duration patience,
+                   const store::AlertQuery& query, rips::v1::ListAlertsResponse& response) {
+  using Alerts = std::vector<store::AlertRecord>;
+  AnswerRoom room(kAnswerBytesMax / 4);
+  const auto gathered = pipeline.Gather<Alerts>(
+      [](Robot& robot) { return robot.core().outbox().alerts(); }, patience);
+  Alerts waiting;
+  for (const auto& [robot, alerts] : gathered.answers) {
+    if (!query.robot.empty() && query.robot != robot) continue;
+    std::copy_if(alerts.begin(), alerts.end(), std::back_inserter(waiting),
+                 [&query](const auto& alert) { return store::Matches(query, alert); });
+  }
+  std::stable_sort(waiting.begin(), waiting.end(),
+                   [](const auto& a, const auto& b) { return a.time_unix_ns < b.time_unix_ns; });
+  const size_t limit = store::ListLimit(query.limit);
+  const size_t first = waiting.size() - std::min(waiting.size(), limit);
+  for (size_t i = first; i < waiting.size(); ++i) {
+    rips::v1::Alert alert = operator_api::Encode(waiting[i]);
+    if (!room.Take(alert)) return response.set_cut(true);
+    *response.add_unrecorded() = std::move(alert);
+  }
+}
+
 // As many as there is room for behind those that are not recorded.
-void AddRecorded(const std::vector<store::AlertRecord>& records, uint32_t limit,
+void AddRecorded(const std::vector<store::AlertRecord>& records,
+                 const std::map<std::string, store::Ack>& acks, uint32_t limit,
                  rips::v1::ListAlertsResponse& response) {
   std::set<std::string> recorded;
   for (const store::AlertRecord& record : records) recorded.insert(record.id);
@@ -83,6 +113,9 @@ void AddRecorded(const std::vector<store::AlertRecord>& records, uint32_t limit,
   for (const store::AlertRecord& record : records) {
     if (left-- == 0) return;
     rips::v1::Alert alert = operator_api::Encode(record);
+    if (const auto ack = acks.find(record.id); ack != acks.end()) {
+      *alert.mutable_acknowledged() = operator_api::Encode(ack->second);
+    }
     if (!room.Take(alert)) return response.set_cut(true);
     *response.add_alerts() = std::move(alert);
   }
@@ -139,8 +172,8 @@ absl::StatusOr<OperatorService::Caller> OperatorService::Authorize(
 
 absl::StatusOr<OperatorService::Caller> OperatorService::AuthorizeOrder(
     grpc::CallbackServerContext* context, absl::string_view call,
-    const google::protobuf::Message& request, OperatorRole needed, Use use) {
-  absl::StatusOr<Caller> who = Authorize(context, request, needed, use);
+    const google::protobuf::Message& request, OperatorRole needed, Use use, double weight) {
+  absl::StatusOr<Caller> who = Authorize(context, request, needed, use, weight);
   const absl::StatusOr<rpc::Peer> peer = rpc::PeerOf(*context->auth_context());
   const auto record = [audit = access_.audit, caller = peer.ok() ? rpc::Describe(*peer) : "",
                        address = context->peer(), call, &request](const absl::Status& status) {
@@ -364,41 +397,35 @@ grpc::ServerUnaryReactor* OperatorService::ListTransitions(
 grpc::ServerUnaryReactor* OperatorService::ListAlerts(grpc::CallbackServerContext* context,
                                                       const rips::v1::ListAlertsRequest* request,
                                                       rips::v1::ListAlertsResponse* response) {
-  const auto who = Authorize(context, *request, OperatorRole::kViewer, Use::kQuery);
+  auto query = DecodeAlertQuery(*request, RealClock().Now().unix_ns);
+  const bool searches = query.ok() && query->searches();
+  const auto who = Authorize(context, *request, OperatorRole::kViewer, Use::kQuery,
+                             searches ? kSearchWeight : 1);
   if (!who.ok()) return Refuse(context, who.status());
+  if (!query.ok()) return Refuse(context, query.status());
+  const bool filtered = query->open || searches;
+  if (filtered && access_.acks == nullptr) return Refuse(context, NoAcks());
   auto* reactor = new UnaryCall(who->ticket, who->on_refused);
-  Read(reactor, [this, reactor, request, response] {
+  Read(reactor, [this, reactor, response, filtered, query = *std::move(query)] {
     // Asked first: what is recorded in between is in both, not in neither.
-    if (access_.store_writable && !access_.store_writable()) AddUnrecorded(*request, *response);
-    const auto records = store_->ListAlerts(request->robot(), request->limit());
-    if (records.ok()) AddRecorded(*records, request->limit(), *response);
-    const bool none = records.ok() && records->empty() && response->unrecorded().empty();
-    const bool of_one = !request->robot().empty() && request->robot() != store::kServerRobot;
-    reactor->End(none && of_one ? CheckListed(*pipeline_, {request->robot()}) : records.status());
+    if (access_.store_writable && !access_.store_writable()) {
+      AddUnrecorded(*pipeline_, patience_, query, *response);
+    }
+    const auto listed = ListAlertsOf(query, *store_, filtered ? access_.acks : nullptr);
+    if (!listed.ok()) return reactor->End(listed.status());
+    response->set_older_not_searched(listed->older_not_searched);
+    const auto acks = AcksOf(listed->alerts, access_.acks);
+    if (!acks.ok()) return reactor->End(acks.status());
+    AddRecorded(listed->alerts, *acks, query.limit, *response);
+    const bool none = listed->alerts.empty() && response->unrecorded().empty();
+    const bool of_one = !query.robot.empty() && query.robot != store::kServerRobot;
+    if (!none || !of_one) return reactor->End(absl::OkStatus());
+    const absl::Status of_robot = CheckListed(*pipeline_, {query.robot});
+    // Also of a robot that was removed, as long as there is something.
+    const auto any = store_->ListAlerts(query.robot, 1);
+    reactor->End(any.ok() && !any->empty() ? absl::OkStatus() : of_robot);
   });
   return reactor;
-}
-
-void OperatorService::AddUnrecorded(const rips::v1::ListAlertsRequest& request,
-                                    rips::v1::ListAlertsResponse& response) {
-  using Alerts = std::vector<store::AlertRecord>;
-  AnswerRoom room(kAnswerBytesMax / 4);
-  const auto gathered = pipeline_->Gather<Alerts>(
-      [](Robot& robot) { return robot.core().outbox().alerts(); }, patience_);
-  Alerts waiting;
-  for (const auto& [robot, alerts] : gathered.answers) {
-    if (!request.robot().empty() && request.robot() != robot) continue;
-    waiting.insert(waiting.end(), alerts.begin(), alerts.end());
-  }
-  std::stable_sort(waiting.begin(), waiting.end(),
-                   [](const auto& a, const auto& b) { return a.time_unix_ns < b.time_unix_ns; });
-  const size_t limit = store::ListLimit(request.limit());
-  const size_t first = waiting.size() - std::min(waiting.size(), limit);
-  for (size_t i = first; i < waiting.size(); ++i) {
-    rips::v1::Alert alert = Encode(waiting[i]);
-    if (!room.Take(alert)) return response.set_cut(true);
-    *response.add_unrecorded() = std::move(alert);
-  }
 }
 
 grpc::ServerUnaryReactor* OperatorService::Explain(grpc::CallbackServerContext* context,
@@ -409,8 +436,10 @@ grpc::ServerUnaryReactor* OperatorService::Explain(grpc::CallbackServerContext* 
   auto* reactor = new UnaryCall(who->ticket, who->on_refused);
   Read(reactor, [this, reactor, request, response] {
     auto explained = operator_api::Explain(*request, *store_);
-    if (explained.ok()) *response = *std::move(explained);
-    reactor->End(explained.status());
+    absl::Status status = explained.status();
+    if (status.ok()) status = AddAcks(access_.acks, *explained);
+    if (status.ok()) *response = *std::move(explained);
+    reactor->End(status);
   });
   return reactor;
 }

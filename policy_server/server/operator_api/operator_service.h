@@ -5,8 +5,8 @@
 //   GetCoverage GetLevel ListTransitions ListAlerts
 //   WatchAlerts Explain ListReceipts ListAgents
 //   ListBundles GetRulesStatus                       viewer
-//   Raise DeEscalate Approve ResumeRules Record
-//   GetAlertRecording DrillRobot ShadowBundle        operator
+//   Raise DeEscalate Approve ResumeRules DrillRobot
+//   Record GetAlertRecording ShadowBundle AckAlerts  operator
 //   Ban Unban ResetTerm PushBundle ActivateBundle
 //   RollBackBundle StopRollout                       admin
 //
@@ -33,6 +33,8 @@
 #include "policy_server/server/operator_api/watch_stream.h"
 #include "policy_server/server/rollout/bundle_control.h"
 #include "policy_server/server/shard/pipeline.h"
+#include "policy_server/server/store/ack_store.h"
+#include "policy_server/server/store/committer.h"
 #include "policy_server/server/store/store.h"
 #include "rips/v1/operator.grpc.pb.h"
 #include "services/rpc/certificate_monitor.h"
@@ -70,8 +72,10 @@ class OperatorService final : public rips::v1::OperatorService::CallbackService 
     std::function<bool()> store_writable = {};
     // Null: none are kept.
     const flight::FlightFiles* recordings = nullptr;
-    // Null: calls about bundles are UNIMPLEMENTED.
+    // Null: calls about bundles, and about acknowledgements, are UNIMPLEMENTED.
     rollout::BundleControl* bundles = nullptr;
+    store::AckStore* acks = nullptr;
+    store::Committer* committer = nullptr;
   };
 
   // No pointer is owned; all outlive every call. Reads of the store run on a thread of their own,
@@ -118,6 +122,9 @@ class OperatorService final : public rips::v1::OperatorService::CallbackService 
   grpc::ServerWriteReactor<rips::v1::FilePiece>* GetAlertRecording(
       grpc::CallbackServerContext* context,
       const rips::v1::GetAlertRecordingRequest* request) override;
+  grpc::ServerUnaryReactor* AckAlerts(grpc::CallbackServerContext* context,
+                                      const rips::v1::AckAlertsRequest* request,
+                                      rips::v1::AckAlertsResponse* response) override;
   grpc::ServerUnaryReactor* DeEscalate(grpc::CallbackServerContext* context,
                                        const rips::v1::LevelRequest* request,
                                        rips::v1::LevelResponse* response) override;
@@ -133,7 +140,6 @@ class OperatorService final : public rips::v1::OperatorService::CallbackService 
   grpc::ServerUnaryReactor* DrillRobot(grpc::CallbackServerContext* context,
                                        const rips::v1::DrillRobotRequest* request,
                                        rips::v1::DrillRobotResponse* response) override;
-
   grpc::ServerUnaryReactor* ListAgents(grpc::CallbackServerContext* context,
                                        const rips::v1::ListAgentsRequest* request,
                                        rips::v1::ListAgentsResponse* response) override;
@@ -146,7 +152,6 @@ class OperatorService final : public rips::v1::OperatorService::CallbackService 
   grpc::ServerUnaryReactor* ResetTerm(grpc::CallbackServerContext* context,
                                       const rips::v1::ResetTermRequest* request,
                                       rips::v1::ResetTermResponse* response) override;
-
   grpc::ServerUnaryReactor* ListBundles(grpc::CallbackServerContext* context,
                                         const rips::v1::ListBundlesRequest* request,
                                         rips::v1::ListBundlesResponse* response) override;
@@ -182,9 +187,6 @@ class OperatorService final : public rips::v1::OperatorService::CallbackService 
   // Runs `task` on the thread for store reads; it finishes `reactor`. Beyond kReadsMax it is
   // finished at once with RESOURCE_EXHAUSTED.
   void Read(UnaryCall* reactor, std::function<void()> task);
-  // On the reader's thread: what robots hold that the store has not taken.
-  void AddUnrecorded(const rips::v1::ListAlertsRequest& request,
-                     rips::v1::ListAlertsResponse& response);
 
   // The operator behind the call, if it is served, its role is enough, the request is within the
   // limits of its fields, and it is within its quota; refusals are counted. `weight` as
@@ -196,7 +198,8 @@ class OperatorService final : public rips::v1::OperatorService::CallbackService 
   absl::StatusOr<Caller> AuthorizeOrder(grpc::CallbackServerContext* context,
                                         absl::string_view call,
                                         const google::protobuf::Message& request,
-                                        rpc::OperatorRole needed, Use use = Use::kOrder);
+                                        rpc::OperatorRole needed, Use use = Use::kOrder,
+                                        double weight = 1);
   // Ends `stream` when its operator is not served any more.
   template <typename T>
   void Keep(rpc::StreamKind kind, WatchStream<T>* stream, const Caller& caller,

@@ -18,17 +18,8 @@
 namespace rips::operator_api {
 namespace {
 
-constexpr size_t kIdDigitsMin = 6;
-constexpr size_t kIdDigits = 32;
 // Of one firing of a rule: their traces are equal.
 constexpr int kSameFiringMax = 16;
-
-bool IsIdPrefix(const std::string& id) {
-  return id.size() >= kIdDigitsMin && id.size() <= kIdDigits &&
-         std::all_of(id.begin(), id.end(), [](char c) {
-           return absl::ascii_isdigit(static_cast<unsigned char>(c)) || (c >= 'a' && c <= 'f');
-         });
-}
 
 struct Found {
   std::optional<store::AlertRecord> alert;
@@ -73,6 +64,13 @@ absl::StatusOr<Found> FindByDecisionId(const std::string& robot, const DecisionI
 }
 
 }  // namespace
+
+bool IsIdPrefix(absl::string_view id) {
+  return id.size() >= kIdDigitsMin && id.size() <= kIdDigits &&
+         std::all_of(id.begin(), id.end(), [](char c) {
+           return absl::ascii_isdigit(static_cast<unsigned char>(c)) || (c >= 'a' && c <= 'f');
+         });
+}
 
 rips::v1::Alert Encode(const store::AlertRecord& alert) {
   rips::v1::Alert out;

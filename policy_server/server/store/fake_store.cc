@@ -200,7 +200,8 @@ absl::StatusOr<std::vector<absl::Status>> FakeStore::CommitAll(
   bool written = false;
   for (const WriteBatch& batch : batches) {
     // Nothing else can be refused half way.
-    const bool may_clash = !batch.decisions.empty() || !batch.refusals.empty();
+    const bool may_clash =
+        !batch.decisions.empty() || !batch.refusals.empty() || !batch.acks.empty();
     State before = may_clash ? state_ : State();
     statuses.push_back(state_.Apply(batch));
     written |= statuses.back().ok();
@@ -220,6 +221,7 @@ absl::Status FakeStore::State::Apply(const WriteBatch& batch) {
   for (const StageUpdate& each : batch.stages) Apply(robot, each);
   for (const AlertRecord& each : batch.alerts) Apply(each);
   for (const ReceiptRecord& each : batch.receipts) Apply(robot, each);
+  for (const AckRecord& each : batch.acks) RIPS_RETURN_IF_ERROR(Apply(each));
   if (!batch.checkpoint.empty()) Apply(robot, batch.checkpoint);
   return absl::OkStatus();
 }
@@ -281,6 +283,13 @@ void FakeStore::State::Apply(const std::string& robot, const ReceiptRecord& rece
 void FakeStore::State::Apply(const AlertRecord& alert) {
   const auto same = [&](const AlertRecord& known) { return known.id == alert.id; };
   if (std::none_of(alerts.begin(), alerts.end(), same)) alerts.push_back(alert);
+}
+
+absl::Status FakeStore::State::Apply(const AckRecord& record) {
+  const auto is_it = [&](const AlertRecord& alert) { return alert.id == record.alert_id; };
+  if (std::none_of(alerts.begin(), alerts.end(), is_it)) return NoSuchAlert(record.alert_id);
+  acks.try_emplace(record.alert_id, record.ack);
+  return absl::OkStatus();
 }
 
 void FakeStore::State::Apply(const std::string& robot, const Checkpoint& checkpoint) {
@@ -413,6 +422,28 @@ absl::StatusOr<std::vector<BanRecord>> FakeStore::ListBans() {
   std::vector<BanRecord> bans;
   for (const auto& [key, ban] : bans_) bans.push_back(ban);
   return bans;
+}
+
+absl::StatusOr<std::vector<AckRecord>> FakeStore::FindAcks(std::span<const std::string> alert_ids) {
+  MutexLock lock(&mutex_);
+  RIPS_RETURN_IF_ERROR(read_status_);
+  std::vector<AckRecord> acks;
+  for (const std::string& id : alert_ids) {
+    const auto found = state_.acks.find(id);
+    if (found != state_.acks.end()) acks.push_back({.alert_id = id, .ack = found->second});
+  }
+  return acks;
+}
+
+absl::StatusOr<AlertList> FakeStore::SearchAlerts(const AlertQuery& query) {
+  MutexLock lock(&mutex_);
+  RIPS_RETURN_IF_ERROR(read_status_);
+  std::vector<AlertRecord> wanted;
+  for (const AlertRecord& alert : state_.alerts) {
+    if (query.open && state_.acks.contains(alert.id)) continue;
+    if (Matches(query, alert)) wanted.push_back(alert);
+  }
+  return AlertList{.alerts = Newest(wanted, query.robot, query.limit)};
 }
 
 }  // namespace rips::store

@@ -11,13 +11,14 @@
 
 #include "absl/base/thread_annotations.h"
 #include "absl/container/btree_map.h"
+#include "policy_server/server/store/ack_store.h"
 #include "policy_server/server/store/ban_store.h"
 #include "policy_server/server/store/store.h"
 #include "services/runtime/mutex.h"
 
 namespace rips::store {
 
-class FakeStore final : public Store, public BanStore {
+class FakeStore final : public Store, public BanStore, public AckStore {
  public:
   // From now on commits, acquisitions and terms fail with `status`, writing nothing; OK ends that.
   void FailWrites(absl::Status status) ABSL_LOCKS_EXCLUDED(mutex_);
@@ -69,6 +70,10 @@ class FakeStore final : public Store, public BanStore {
   absl::StatusOr<bool> RemoveBan(absl::string_view uri, absl::string_view serial) override
       ABSL_LOCKS_EXCLUDED(mutex_);
   absl::StatusOr<std::vector<BanRecord>> ListBans() override ABSL_LOCKS_EXCLUDED(mutex_);
+  absl::StatusOr<std::vector<AckRecord>> FindAcks(std::span<const std::string> alert_ids) override
+      ABSL_LOCKS_EXCLUDED(mutex_);
+  absl::StatusOr<AlertList> SearchAlerts(const AlertQuery& query) override
+      ABSL_LOCKS_EXCLUDED(mutex_);
 
  private:
   struct State {
@@ -79,6 +84,8 @@ class FakeStore final : public Store, public BanStore {
     // In the order of writing.
     std::vector<TransitionRecord> transitions;
     std::vector<AlertRecord> alerts;
+    // By id of the alert.
+    absl::btree_map<std::string, Ack> acks;
     // By robot, in the order of writing.
     absl::btree_map<std::string, std::vector<ReceiptRecord>> receipts;
     absl::btree_map<std::string, std::string> notes;
@@ -91,6 +98,7 @@ class FakeStore final : public Store, public BanStore {
     absl::Status Apply(const std::string& robot, const RefusalRecord& refusal);
     void Apply(const std::string& robot, const StageUpdate& update);
     void Apply(const AlertRecord& alert);
+    absl::Status Apply(const AckRecord& record);
     void Apply(const std::string& robot, const ReceiptRecord& receipt);
     void Apply(const std::string& robot, const Checkpoint& checkpoint);
   };

@@ -14,6 +14,7 @@
 #include "absl/strings/string_view.h"
 #include "policy_server/policy/engine/state/trace.h"
 #include "policy_server/policy/lang/checked_rules.h"
+#include "policy_server/server/store/ack_records.h"
 #include "services/base/decision_id.h"
 #include "services/model/receipt.h"
 
@@ -200,14 +201,16 @@ struct Checkpoint {
 struct WriteBatch {
   // kServerRobot for alerts of the server itself.
   std::string robot;
-  // As Store::Acquire drew it: the fence. 0 = of no owner, which is for alerts alone: nothing
-  // fences them.
+  // As Store::Acquire drew it: the fence. 0 = of no owner, which is for alerts and their
+  // acknowledgements alone: nothing fences them.
   uint64_t tenure = 0;
   std::vector<DecisionRecord> decisions;
   std::vector<RefusalRecord> refusals;
   std::vector<StageUpdate> stages;
   std::vector<AlertRecord> alerts;
   std::vector<ReceiptRecord> receipts;
+  // Of alerts of any robot. Of an alert that has one, the first stays.
+  std::vector<AckRecord> acks;
   Checkpoint checkpoint;
   // On a full disk the store gives up a piece of its reserve for this: only decisions, and no
   // lowering among them.
@@ -215,7 +218,7 @@ struct WriteBatch {
 
   bool empty() const {
     return decisions.empty() && refusals.empty() && stages.empty() && alerts.empty() &&
-           receipts.empty() && checkpoint.empty();
+           receipts.empty() && acks.empty() && checkpoint.empty();
   }
 };
 

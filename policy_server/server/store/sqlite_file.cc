@@ -79,9 +79,14 @@ CREATE TABLE alerts (
   event TEXT NOT NULL,
   term INTEGER NOT NULL,
   epoch INTEGER NOT NULL,
-  trace BLOB NOT NULL DEFAULT x''             -- why the rule fired: rips.v1.Evidence
+  trace BLOB NOT NULL DEFAULT x'',            -- why the rule fired: rips.v1.Evidence
+  ack_by TEXT NOT NULL DEFAULT '',           -- the operator who acknowledged it
+  ack_note TEXT NOT NULL DEFAULT '',
+  ack_unix_ns INTEGER NOT NULL DEFAULT 0     -- 0 = it is not acknowledged
 ) STRICT;
 CREATE INDEX alerts_robot ON alerts (robot, seq);
+CREATE INDEX alerts_open ON alerts (seq) WHERE ack_unix_ns = 0;
+CREATE INDEX alerts_robot_open ON alerts (robot, seq) WHERE ack_unix_ns = 0;
 CREATE TABLE variables (
   robot TEXT NOT NULL,
   name TEXT NOT NULL,
@@ -198,6 +203,11 @@ constexpr const char* kUpgrades[] = {
     "NOT NULL, command_id TEXT NOT NULL, command TEXT NOT NULL, time_unix_ns INTEGER NOT NULL, "
     "receipt BLOB NOT NULL, UNIQUE (robot, host, command_id)) STRICT;"
     "CREATE INDEX receipts_robot ON receipts (robot, seq);",
+    "ALTER TABLE alerts ADD COLUMN ack_by TEXT NOT NULL DEFAULT '';"
+    "ALTER TABLE alerts ADD COLUMN ack_note TEXT NOT NULL DEFAULT '';"
+    "ALTER TABLE alerts ADD COLUMN ack_unix_ns INTEGER NOT NULL DEFAULT 0;"
+    "CREATE INDEX alerts_open ON alerts (seq) WHERE ack_unix_ns = 0;"
+    "CREATE INDEX alerts_robot_open ON alerts (robot, seq) WHERE ack_unix_ns = 0;",
 };
 static_assert(std::size(kUpgrades) == kSchemaVersion - 1);
 

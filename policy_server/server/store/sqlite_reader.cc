@@ -2,9 +2,11 @@
 
 #include <algorithm>
 #include <bit>
+#include <limits>
 
 #include "absl/strings/escaping.h"
 #include "absl/strings/str_cat.h"
+#include "absl/strings/str_join.h"
 #include "policy_server/server/store/trace_codec.h"
 #include "services/base/status_macros.h"
 #include "services/model_proto/actuator_codec.h"
@@ -118,11 +120,42 @@ absl::StatusOr<SqliteReader> SqliteReader::Create(const std::string& path) {
       {&reader.note_, "SELECT value FROM notes WHERE name = ?"},
       {&reader.bans_,
        "SELECT uri, serial, reason, by, time_unix_ns FROM bans ORDER BY uri, serial"},
+      {&reader.ack_,
+       "SELECT ack_by, ack_note, ack_unix_ns FROM alerts WHERE id = ? AND ack_unix_ns > 0"},
   };
   for (const auto& [statement, sql] : statements) {
     RIPS_ASSIGN_OR_RETURN(*statement, reader.db_.Prepare(sql));
   }
+  RIPS_RETURN_IF_ERROR(reader.PrepareSearches());
   return reader;
+}
+
+// However many of the newest are acknowledged, a search for open ones reads none of them.
+absl::Status SqliteReader::PrepareSearches() {
+  constexpr absl::string_view kFrom[2][2] = {
+      {"FROM alerts WHERE ?1 = ''",
+       "FROM alerts INDEXED BY alerts_open WHERE ?1 = '' AND "
+       "ack_unix_ns = 0"},
+      {"FROM alerts INDEXED BY alerts_robot WHERE robot = ?1",
+       "FROM alerts INDEXED BY alerts_robot_open WHERE robot = ?1 AND ack_unix_ns = 0"}};
+  for (const bool of_one : {false, true}) {
+    for (const bool open : {false, true}) {
+      Search& search = searches_[of_one][open];
+      const absl::string_view from = kFrom[of_one][open];
+      RIPS_ASSIGN_OR_RETURN(
+          search.alerts,
+          db_.Prepare(absl::StrCat(
+              "SELECT id, time_unix_ns, robot, rule, severity, text, level, event, term, epoch,"
+              " trace ",
+              from,
+              " AND seq > ?2 AND (?3 = '' OR instr(?3, ',' || severity || ',') > 0)"
+              " AND (?4 = '' OR rule = ?4) AND time_unix_ns >= ?5 ORDER BY seq DESC LIMIT ?6")));
+      RIPS_ASSIGN_OR_RETURN(
+          search.too_old,
+          db_.Prepare(absl::StrCat("SELECT seq ", from, " ORDER BY seq DESC LIMIT 1 OFFSET ?2")));
+    }
+  }
+  return absl::OkStatus();
 }
 
 absl::StatusOr<RobotRecord> SqliteReader::Load(absl::string_view robot) {
@@ -351,6 +384,52 @@ absl::StatusOr<std::vector<BanRecord>> SqliteReader::ListBans() {
                    .by = query.Text(3),
                    .time_unix_ns = query.Number(4)});
   }
+}
+
+absl::StatusOr<AlertList> SqliteReader::SearchAlerts(const AlertQuery& wanted) {
+  const Search& search = searches_[!wanted.robot.empty()][wanted.open];
+  uint64_t too_old = 0;
+  if (wanted.searches()) {
+    Query query = search.too_old.Start();
+    query.Bind(wanted.robot).Bind(kAlertsSearchedMax);
+    RIPS_ASSIGN_OR_RETURN(const bool row, query.Step());
+    if (row) too_old = query.Unsigned(0);
+  }
+  // A query views what is bound.
+  const std::string severities =
+      wanted.severities.empty() ? ""
+                                : absl::StrCat(",", absl::StrJoin(wanted.severities, ","), ",");
+  const int64_t limit = ListLimit(wanted.limit);
+  AlertList list;
+  Query query = search.alerts.Start();
+  query.Bind(wanted.robot)
+      .Bind(too_old)
+      .Bind(severities)
+      .Bind(wanted.rule)
+      .Bind(wanted.since_unix_ns == 0 ? std::numeric_limits<int64_t>::min() : wanted.since_unix_ns)
+      .Bind(limit);
+  while (true) {
+    RIPS_ASSIGN_OR_RETURN(const bool row, query.Step());
+    if (!row) break;
+    list.alerts.push_back(ReadAlert(query));
+  }
+  list.older_not_searched = too_old > 0 && static_cast<int64_t>(list.alerts.size()) < limit;
+  return list;
+}
+
+absl::StatusOr<std::vector<AckRecord>> SqliteReader::FindAcks(
+    std::span<const std::string> alert_ids) {
+  std::vector<AckRecord> out;
+  for (const std::string& id : alert_ids) {
+    Query query = ack_.Start();
+    query.Bind(id);
+    RIPS_ASSIGN_OR_RETURN(const bool row, query.Step());
+    if (!row) continue;
+    out.push_back(
+        {.alert_id = id,
+         .ack = {.by = query.Text(0), .note = query.Text(1), .time_unix_ns = query.Number(2)}});
+  }
+  return out;
 }
 
 }  // namespace rips::store

@@ -3,10 +3,12 @@
 #define RIPS_POLICY_SERVER_SERVER_STORE_SQLITE_READER_H_
 
 #include <optional>
+#include <span>
 #include <string>
 #include <utility>
 #include <vector>
 
+#include "policy_server/server/store/ack_store.h"
 #include "policy_server/server/store/ban_store.h"
 #include "policy_server/server/store/sqlite_db.h"
 #include "policy_server/server/store/store.h"
@@ -32,6 +34,8 @@ class SqliteReader {
   absl::StatusOr<AlertRecord> NewestAlert();
   absl::StatusOr<std::string> Note(absl::string_view name);
   absl::StatusOr<std::vector<BanRecord>> ListBans();
+  absl::StatusOr<std::vector<AckRecord>> FindAcks(std::span<const std::string> alert_ids);
+  absl::StatusOr<AlertList> SearchAlerts(const AlertQuery& query);
 
  private:
   explicit SqliteReader(Database db) : db_(std::move(db)) {}
@@ -40,13 +44,22 @@ class SqliteReader {
   absl::Status LoadHighWater(absl::string_view robot, HighWater* high_water);
   absl::Status LoadRuleDecisions(absl::string_view robot, RobotRecord* record);
 
+  // Of all robots or of one, of all alerts or of open ones.
+  struct Search {
+    Statement alerts;
+    // The sequence of the newest alert that is too old to be looked at.
+    Statement too_old;
+  };
+  absl::Status PrepareSearches();
+
   Database db_;
   Statement begin_, end_;
   Statement robot_, variables_, high_water_, decision_id_, transitions_, alerts_, robot_alerts_,
-      bans_;
+      bans_, ack_;
   Statement alerts_after_, robot_alerts_after_, forgotten_, robot_forgotten_, find_alert_,
       newest_alert_, note_, receipts_, rule_decisions_, generations_, alerts_by_id_,
       transitions_by_id_;
+  Search searches_[2][2];
 };
 
 }  // namespace rips::store

@@ -230,4 +230,15 @@ absl::StatusOr<std::vector<BanRecord>> SqliteStore::ListBans() {
   return parts_->reader.ListBans();
 }
 
+absl::StatusOr<std::vector<AckRecord>> SqliteStore::FindAcks(
+    std::span<const std::string> alert_ids) {
+  MutexLock lock(&parts_->reader_mutex);
+  return parts_->reader.FindAcks(alert_ids);
+}
+
+absl::StatusOr<AlertList> SqliteStore::SearchAlerts(const AlertQuery& query) {
+  MutexLock lock(&parts_->reader_mutex);
+  return parts_->reader.SearchAlerts(query);
+}
+
 }  // namespace rips::store

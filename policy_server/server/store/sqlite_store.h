@@ -15,6 +15,7 @@
 #include <string>
 #include <vector>
 
+#include "policy_server/server/store/ack_store.h"
 #include "policy_server/server/store/ban_store.h"
 #include "policy_server/server/store/store.h"
 
@@ -31,7 +32,7 @@ struct SqliteLimits {
   int64_t reserve_bytes = int64_t{16} << 20;
 };
 
-class SqliteStore final : public Store, public BanStore {
+class SqliteStore final : public Store, public BanStore, public AckStore {
  public:
   // `path` is made if it does not exist; its directory must exist. Errors: see the port, and
   // FailedPrecondition if another process uses the file or a newer program wrote it.
@@ -66,6 +67,8 @@ class SqliteStore final : public Store, public BanStore {
   absl::Status PutBan(const BanRecord& ban) override;
   absl::StatusOr<bool> RemoveBan(absl::string_view uri, absl::string_view serial) override;
   absl::StatusOr<std::vector<BanRecord>> ListBans() override;
+  absl::StatusOr<std::vector<AckRecord>> FindAcks(std::span<const std::string> alert_ids) override;
+  absl::StatusOr<AlertList> SearchAlerts(const AlertQuery& query) override;
 
  private:
   struct Parts;

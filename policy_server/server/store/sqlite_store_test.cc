@@ -156,10 +156,10 @@ TEST_F(SqliteStoreTest, RefusesALogWithoutItsFile) {
 
 TEST_F(SqliteStoreTest, RefusesANewerSchema) {
   MakeHistory();
-  Execute("PRAGMA user_version = 9");
+  Execute("PRAGMA user_version = 10");
   EXPECT_THAT(SqliteStore::Open(path_),
               StatusIs(absl::StatusCode::kFailedPrecondition,
-                       HasSubstr("schema version 9, this program knows up to 8")));
+                       HasSubstr("schema version 10, this program knows up to 9")));
   Execute("PRAGMA user_version = 0");
   EXPECT_THAT(SqliteStore::Open(path_), StatusIs(absl::StatusCode::kDataLoss));
 }
@@ -172,15 +172,28 @@ TEST_F(SqliteStoreTest, TakesAnOlderSchemaForward) {
     return *(*store)->Load("r1");
   };
   const RobotRecord before = load();
+  const auto drop_acks = [&] {
+    Execute("DROP INDEX alerts_open");
+    Execute("DROP INDEX alerts_robot_open");
+    for (const char* column : {"ack_by", "ack_note", "ack_unix_ns"}) {
+      Execute(absl::StrCat("ALTER TABLE alerts DROP COLUMN ", column));
+    }
+  };
+  drop_acks();
+  Execute("PRAGMA user_version = 8");
+  EXPECT_EQ(load(), before);
+  drop_acks();
   Execute("DROP TABLE receipts");
   Execute("PRAGMA user_version = 7");
   EXPECT_EQ(load(), before);
+  drop_acks();
   Execute("DROP TABLE receipts");
   Execute("ALTER TABLE robots DROP COLUMN tenure");
   Execute("PRAGMA user_version = 6");
   EXPECT_EQ(load(), before);
   bool only_traces = true;
   const auto undo_newest = [&] {
+    drop_acks();
     Execute("DROP TABLE receipts");
     Execute("ALTER TABLE robots DROP COLUMN tenure");
     Execute("ALTER TABLE alerts DROP COLUMN trace");

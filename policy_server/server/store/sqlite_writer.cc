@@ -105,6 +105,10 @@ absl::Status SqliteWriter::PrepareAll() {
        "ON CONFLICT (uri, serial) DO UPDATE SET reason = excluded.reason, by = excluded.by,"
        " time_unix_ns = excluded.time_unix_ns"},
       {&remove_ban_, "DELETE FROM bans WHERE uri = ? AND serial = ? RETURNING 1"},
+      {&add_ack_,
+       "UPDATE alerts SET ack_by = ?2, ack_note = ?3, ack_unix_ns = ?4 "
+       "WHERE id = ?1 AND ack_unix_ns = 0 RETURNING 1"},
+      {&find_alert_, "SELECT 1 FROM alerts WHERE id = ?"},
       {&set_resumed_, "UPDATE robots SET resumed_term = ?2, resumed_epoch = ?3 WHERE robot = ?1"},
       {&add_generation_,
        "INSERT INTO generations (id, last_commit) "
@@ -287,6 +291,7 @@ absl::Status SqliteWriter::Write(const WriteBatch& batch) {
     RIPS_RETURN_IF_ERROR(
         prune_receipts_.Start().Bind(robot).Bind(uint64_t{kReceiptsPerRobotMax}).Run());
   }
+  for (const AckRecord& each : batch.acks) RIPS_RETURN_IF_ERROR(Write(each));
   return batch.checkpoint.empty() ? absl::OkStatus() : Write(robot, batch.checkpoint);
 }
 
@@ -373,6 +378,19 @@ absl::Status SqliteWriter::Write(const std::string& robot, const ReceiptRecord& 
       .Bind(receipt.unix_ns)
       .BindBytes(bytes)
       .Run();
+}
+
+absl::Status SqliteWriter::Write(const AckRecord& record) {
+  const Ack& ack = record.ack;
+  Query add = add_ack_.Start();
+  add.Bind(record.alert_id).Bind(ack.by).Bind(ack.note).Bind(ack.time_unix_ns);
+  RIPS_ASSIGN_OR_RETURN(const bool added, add.Step());
+  // A statement with RETURNING has to be run to its end.
+  if (added) return add.Run();
+  Query find = find_alert_.Start();
+  find.Bind(record.alert_id);
+  RIPS_ASSIGN_OR_RETURN(const bool kept, find.Step());
+  return kept ? absl::OkStatus() : NoSuchAlert(record.alert_id);
 }
 
 absl::Status SqliteWriter::PruneAlerts(const std::string& robot, size_t added) {

@@ -47,6 +47,7 @@ class SqliteWriter {
   absl::Status Write(const std::string& robot, const DecisionRecord& decision);
   absl::Status Write(const std::string& robot, const RefusalRecord& refusal);
   absl::Status Write(const std::string& robot, const ReceiptRecord& receipt);
+  absl::Status Write(const AckRecord& record);
   absl::Status Write(const std::string& robot, const Checkpoint& checkpoint);
   // Forgets the oldest alerts of a robot that has more than its share, when so many were `added`.
   absl::Status PruneAlerts(const std::string& robot, size_t added);
@@ -66,7 +67,7 @@ class SqliteWriter {
       note_prune_, set_note_, set_bundle_;
   Statement clear_variables_, add_variable_, set_suspended_, set_halted_, set_resumed_,
       put_high_water_, prune_high_water_;
-  Statement put_ban_, remove_ban_;
+  Statement put_ban_, remove_ban_, add_ack_, find_alert_;
   Statement add_generation_, prune_generations_, count_commit_;
   uint64_t newest_commit_ = 0;
 };

@@ -22,6 +22,15 @@ absl::Status CheckDecisionId(const DecisionId& decision_id) {
   return CheckNumber("epoch", decision_id.epoch);
 }
 
+absl::Status Validate(const AckRecord& record) {
+  if (record.alert_id.empty()) return Missing("acknowledgement", "alert");
+  if (record.ack.by.empty()) return Missing("acknowledgement", "operator");
+  if (record.ack.time_unix_ns <= 0) return Missing("acknowledgement", "time");
+  if (record.ack.note.size() <= kAckNoteBytesMax) return absl::OkStatus();
+  return absl::InvalidArgumentError(
+      absl::StrCat("note of ", record.ack.note.size(), " bytes, limit ", kAckNoteBytesMax));
+}
+
 absl::Status Validate(const Checkpoint& checkpoint) {
   if (checkpoint.bundle.has_value() && checkpoint.bundle->size() > kNoteBytesMax) {
     return absl::InvalidArgumentError("the id of a bundle is too long");
@@ -47,7 +56,12 @@ absl::Status Store::Commit(const WriteBatch& batch) {
 
 bool IsOfBatch(const absl::Status& status) {
   return absl::IsInvalidArgument(status) || absl::IsAlreadyExists(status) ||
-         absl::IsAborted(status);
+         absl::IsAborted(status) || absl::IsNotFound(status);
+}
+
+absl::Status NoSuchAlert(absl::string_view alert_id) {
+  return absl::NotFoundError(
+      absl::StrCat("no alert with the id ", alert_id, " is kept; none was acknowledged"));
 }
 
 absl::Status Fenced(absl::string_view robot, uint64_t tenure, uint64_t stored) {
@@ -65,7 +79,7 @@ absl::Status Validate(const WriteBatch& batch) {
   }
   if (batch.uses_reserve &&
       (!batch.refusals.empty() || !batch.stages.empty() || !batch.alerts.empty() ||
-       !batch.receipts.empty() || !batch.checkpoint.empty())) {
+       !batch.receipts.empty() || !batch.acks.empty() || !batch.checkpoint.empty())) {
     return absl::InvalidArgumentError("the reserve is for decisions alone");
   }
   for (const ReceiptRecord& receipt : batch.receipts) {
@@ -96,6 +110,7 @@ absl::Status Validate(const WriteBatch& batch) {
     }
     RIPS_RETURN_IF_ERROR(CheckDecisionId(alert.decision_id));
   }
+  for (const AckRecord& ack : batch.acks) RIPS_RETURN_IF_ERROR(Validate(ack));
   return Validate(batch.checkpoint);
 }
 

@@ -15,7 +15,8 @@
 //                  (in doubt: it may have been written, and a restart may find it),
 //                  ResourceExhausted (disk full), DataLoss (what is stored is corrupt)
 //   of the caller  InvalidArgument (the data will never do), AlreadyExists (the decision id or id
-//                  is taken), Aborted (fenced: the robot was acquired anew since)
+//                  is taken), Aborted (fenced: the robot was acquired anew since), NotFound (the
+//                  alert that it acknowledges is not kept)
 #ifndef RIPS_POLICY_SERVER_SERVER_STORE_STORE_H_
 #define RIPS_POLICY_SERVER_SERVER_STORE_STORE_H_
 
@@ -78,8 +79,9 @@ class Store {
 
   // One transaction of all batches, applied in order; one commit. What became of each: OK, or why
   // nothing of it was written: InvalidArgument (see Validate), AlreadyExists, Aborted if the batch
-  // names a tenure that is not the robot's. An error is of the store, and of all batches. A
-  // decision whose decision id exists: OK if it is the same in every field, else AlreadyExists.
+  // names a tenure that is not the robot's, NotFound if it acknowledges an alert that is not kept.
+  // An error is of the store, and of all batches. A decision whose decision id exists: OK if it is
+  // the same in every field, else AlreadyExists.
   virtual absl::StatusOr<std::vector<absl::Status>> CommitAll(
       std::span<const WriteBatch> batches) = 0;
   absl::Status Commit(const WriteBatch& batch);
@@ -111,9 +113,13 @@ class Store {
 };
 
 // InvalidArgument if CommitAll must refuse the batch whatever is stored: an empty robot or id, a
-// decision without decision id or level, a number above kNumberMax, other than alerts without a
-// tenure. Shared by implementations.
+// decision without decision id or level, a number above kNumberMax, an acknowledgement
+// without operator or time, or with a longer note than kAckNoteBytesMax, other than alerts and
+// acknowledgements without a tenure. Shared by implementations.
 absl::Status Validate(const WriteBatch& batch);
+
+// NotFound, naming the alert. Shared by implementations.
+absl::Status NoSuchAlert(absl::string_view alert_id);
 
 // True of what CommitAll says of one batch, not of the store.
 bool IsOfBatch(const absl::Status& status);
