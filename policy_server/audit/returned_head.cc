@@ -31,6 +31,22 @@ std::map<uint64_t, std::string> HashesIn(absl::string_view bytes,
 
 }  // namespace
 
+const char* ToString(HeadVerdict verdict) {
+  switch (verdict) {
+    case HeadVerdict::kHeld:
+      return "held";
+    case HeadVerdict::kContradicted:
+      return "contradicted";
+    case HeadVerdict::kUnknownSegment:
+      return "unknown_segment";
+    case HeadVerdict::kOlder:
+      return "older";
+    case HeadVerdict::kForged:
+      return "forged";
+  }
+  return "?";
+}
+
 absl::StatusOr<std::vector<HeadVerdict>> CompareHeads(const Segments& segments, uint64_t segment,
                                                       absl::Span<const model::AuditHead> heads) {
   RIPS_ASSIGN_OR_RETURN(const std::vector<std::string> names, segments.Names());

@@ -25,6 +25,11 @@ enum class HeadVerdict {
   // It is not signed by its segment's key: the actuator lies, or its file was damaged.
   kForged,
 };
+inline constexpr HeadVerdict kHeadVerdicts[] = {HeadVerdict::kHeld, HeadVerdict::kContradicted,
+                                                HeadVerdict::kUnknownSegment, HeadVerdict::kOlder,
+                                                HeadVerdict::kForged};
+// `held`, `contradicted`, `unknown_segment`, `older`, `forged`.
+const char* ToString(HeadVerdict verdict);
 
 // One verdict for each of `heads`, all whole and of `segment`. Reads that segment once, and only if
 // a head of it is signed. An error is one of reading the files. Blocks on the disk.

@@ -60,11 +60,19 @@ Counter InspectionsSkipped(Metrics& metrics, const std::string& reason) {
 }
 
 std::unique_ptr<audit::ReturnedHeads> MakeReturnedHeads(const std::string& directory,
+                                                        Metrics& metrics,
                                                         pipeline::ServerAlerts* alerts) {
+  std::map<audit::HeadVerdict, Counter> counters;
+  for (const audit::HeadVerdict verdict : audit::kHeadVerdicts) {
+    counters[verdict] = metrics.AddCounter("rips_audit_heads_total",
+                                           "Heads of the audit log that actuators brought back.",
+                                           {{"verdict", audit::ToString(verdict)}});
+  }
   return std::make_unique<audit::ReturnedHeads>(
       std::make_unique<audit::SegmentsInDirectory>(directory),
-      [alerts](const audit::HeadSource& source, const model::AuditHead& head,
-               audit::HeadVerdict verdict) {
+      [alerts, counters](const audit::HeadSource& source, const model::AuditHead& head,
+                         audit::HeadVerdict verdict) {
+        counters.at(verdict).Increment();
         const audit::HeadAlert alert = audit::AlertOf(source, head, verdict);
         // A line, and so a limit, of its own for proof: no forged heads fold it away.
         if (verdict == audit::HeadVerdict::kContradicted) {
@@ -148,7 +156,7 @@ absl::Status Server::Open() {
   }
   committer_ = std::make_unique<store::Committer>(store_.get(), std::move(committing), &clock_);
   alerts_ = std::make_unique<pipeline::ServerAlerts>(committer_.get(), hub_.get(), &clock_, NewId);
-  if (audit_ != nullptr) heads_ = MakeReturnedHeads(config_.audit_dir, alerts_.get());
+  if (audit_ != nullptr) heads_ = MakeReturnedHeads(config_.audit_dir, metrics_, alerts_.get());
   attacks_ = std::make_unique<AttackAlerts>(alerts_.get(), &clock_);
   store_watch_ = std::make_unique<pipeline::StoreWatch>(committer_.get(), alerts_.get(), &clock_,
                                                         config_.store_path, MakeStoreCounts());

@@ -324,6 +324,8 @@ def audit_log_put_back_is_contradicted_by_the_robot(fleet):
     alert = next(a for a in fleet.alerts() if "was shown record" in a["text"])
     check(alert["severity"] == "critical" and alert["robot"] == "r1", f"{alert}")
     fleet.actuator.wait_for(lambda line: "audit log contradicted" in line, 20, "the robot's own log")
+    check('rips_audit_heads_total{verdict="contradicted"} 1' in
+          page(fleet.server, "metrics").splitlines(), "the metrics do not say so")
     head = re.search(r"--head (\d+:[0-9a-f]{64})`", alert["text"])[1]
     check(int(head.partition(":")[0]) >= kept_audit_head(fleet)[0], f"{head} is not what it keeps")
     code, _, error = fleet.ripsctl("audit", "verify", str(directory), "--head", head, check=False)

@@ -46,14 +46,20 @@ void ReturnedHeads::Run() {
       if (waiting_.empty()) return;
       heads.swap(waiting_);
     }
-    CompareAll(heads);
+    Waiting unread = CompareAll(heads);
     MutexLock lock(&mu_);
-    if (!stopping_) stopped_.WaitFor(lock, pause_);
+    if (stopping_) continue;
+    for (auto& [source, head] : waiting_) {
+      if (unread.size() < kWaitingMax) unread.try_emplace(source, std::move(head));
+    }
+    waiting_ = std::move(unread);
+    stopped_.WaitFor(lock, pause_);
   }
 }
 
-void ReturnedHeads::CompareAll(const Waiting& heads) {
+ReturnedHeads::Waiting ReturnedHeads::CompareAll(const Waiting& heads) {
   ++pass_;
+  Waiting unread;
   struct Group {
     std::vector<const HeadSource*> sources;
     std::vector<model::AuditHead> heads;
@@ -70,12 +76,16 @@ void ReturnedHeads::CompareAll(const Waiting& heads) {
     if (!verdicts.ok()) {
       LogError("cannot compare the audit heads of actuators",
                {{"segment", segment}, {"reason", verdicts.status().message()}});
+      for (size_t i = 0; i < group.heads.size(); ++i) {
+        unread.emplace(*group.sources[i], group.heads[i]);
+      }
       continue;
     }
     for (size_t i = 0; i < group.heads.size(); ++i) {
       ReportOnce(*group.sources[i], group.heads[i], (*verdicts)[i]);
     }
   }
+  return unread;
 }
 
 void ReturnedHeads::ReportOnce(const HeadSource& source, const model::AuditHead& head,

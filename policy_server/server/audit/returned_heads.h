@@ -60,7 +60,8 @@ class ReturnedHeads {
   };
 
   void Run() ABSL_LOCKS_EXCLUDED(mu_);
-  void CompareAll(const Waiting& heads);
+  // Those whose segments could not be read: they are compared again.
+  Waiting CompareAll(const Waiting& heads);
   void ReportOnce(const HeadSource& source, const model::AuditHead& head, HeadVerdict verdict);
 
   const std::unique_ptr<Segments> segments_;

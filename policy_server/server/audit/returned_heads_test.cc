@@ -22,27 +22,29 @@ using testing::IsEmpty;
 using testing::Pair;
 using testing::UnorderedElementsAre;
 
-// Counts reads of whole segments.
+// Counts reads of whole segments, of which the first fail.
 class CountedSegments final : public Segments {
  public:
-  CountedSegments(const SegmentsInMemory& segments, std::atomic<int>* reads)
-      : segments_(segments), reads_(reads) {}
+  CountedSegments(const SegmentsInMemory& segments, std::atomic<int>* reads, int failing)
+      : segments_(segments), reads_(reads), failing_(failing) {}
   absl::StatusOr<std::vector<std::string>> Names() const override { return segments_.Names(); }
   absl::StatusOr<std::string> Read(absl::string_view name, uint64_t bytes_max) const override {
-    if (bytes_max == kAll) ++*reads_;
+    if (bytes_max == kAll && ++*reads_ <= failing_) return absl::UnavailableError("cannot read");
     return segments_.Read(name, bytes_max);
   }
 
  private:
   const SegmentsInMemory segments_;
   std::atomic<int>* reads_;
+  const int failing_;
 };
 
 class ReturnedHeadsTest : public testing::Test {
  protected:
-  void Start(const SegmentsInMemory& segments, absl::Duration pause = absl::ZeroDuration()) {
+  void Start(const SegmentsInMemory& segments, absl::Duration pause = absl::ZeroDuration(),
+             int failing_reads = 0) {
     heads_ = std::make_unique<ReturnedHeads>(
-        std::make_unique<CountedSegments>(segments, &reads_),
+        std::make_unique<CountedSegments>(segments, &reads_, failing_reads),
         [this](const HeadSource& source, const AuditHead&, HeadVerdict verdict) {
           MutexLock lock(&mu_);
           told_[source.robot] = verdict;
@@ -196,6 +198,23 @@ TEST_F(ReturnedHeadsTest, MoreActuatorsThanTheLimitWaitForNothing) {
   AwaitTold(1 + ReturnedHeads::kWaitingMax);
   heads_.reset();
   EXPECT_EQ(told().size(), 1 + ReturnedHeads::kWaitingMax);
+}
+
+TEST_F(ReturnedHeadsTest, WhatCouldNotBeReadIsComparedAgain) {
+  const SampleLog log = TwoSegments();
+  Start(log.segments, absl::ZeroDuration(), /*failing_reads=*/2);
+  heads_->Compare({"r1", "h"}, log.proven);
+  AwaitTold(1);
+  EXPECT_THAT(told(), UnorderedElementsAre(Pair("r1", HeadVerdict::kHeld)));
+  EXPECT_EQ(reads_, 3);
+}
+
+TEST_F(ReturnedHeadsTest, EndsAlthoughSegmentsCannotBeRead) {
+  const SampleLog log = TwoSegments();
+  Start(log.segments, absl::InfiniteDuration(), /*failing_reads=*/1'000'000);
+  heads_->Compare({"r1", "h"}, log.proven);
+  heads_.reset();
+  EXPECT_THAT(told(), IsEmpty());
 }
 
 TEST_F(ReturnedHeadsTest, EndsWithinAPauseAndComparesWhatWaits) {
