@@ -34,6 +34,7 @@ constexpr Noun kNouns[] = {
     {"rules", "Check, test, sign and replay rules; bring them into force on robots"},
     {"audit", "Verify and read a policy server's audit log; needs no server"},
     {"agent", "List certificates; ban and unban agents and operators"},
+    {"enrol", "Make tokens with which robots fetch their certificates; list what was issued"},
     {"record", "Record the events a robot's rules are evaluated on"},
     {"context", "List the contexts of the settings file; change the current one"},
     {"completion", "Print the completion of commands for a shell"},
@@ -41,13 +42,13 @@ constexpr Noun kNouns[] = {
 };
 // In the order in which --help lists the verbs of a noun.
 constexpr Commands (*kMakers[])() = {
-    RobotCommands,    CoverageCommands, ActuatorCommands, TopCommand,
-    LevelCommands,    ApproveCommands,  AlertCommands,    AlertRecordingCommands,
-    ExplainCommands,  CheckRules,       FormatRules,      RulesBuiltins,
-    TestRules,        ReplayRules,      SignRules,        PushRules,
-    ActivateRules,    RulesStatus,      ShadowRules,      ResumeRules,
-    AuditCommands,    AgentCommands,    RecordCommands,   ContextCommands,
-    ReferenceCommands};
+    RobotCommands,   CoverageCommands, ActuatorCommands, TopCommand,
+    LevelCommands,   ApproveCommands,  AlertCommands,    AlertRecordingCommands,
+    ExplainCommands, CheckRules,       FormatRules,      RulesBuiltins,
+    TestRules,       ReplayRules,      SignRules,        PushRules,
+    ActivateRules,   RulesStatus,      ShadowRules,      ResumeRules,
+    AuditCommands,   AgentCommands,    EnrolCommands,    RecordCommands,
+    ContextCommands, ReferenceCommands};
 
 // The whole command line.
 class Parser {

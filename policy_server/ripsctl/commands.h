@@ -28,6 +28,7 @@ Commands ShadowRules();
 Commands ResumeRules();
 Commands AuditCommands();  // verify, tail, export
 Commands AgentCommands();  // list, ban, unban, reset-term
+Commands EnrolCommands();  // create-token, revoke-token, list
 Commands RecordCommands();
 Commands ContextCommands();    // list, use
 Commands ReferenceCommands();  // completion bash, man

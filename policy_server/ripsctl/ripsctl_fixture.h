@@ -20,7 +20,7 @@
 #include "grpcpp/server_builder.h"
 #include "gtest/gtest.h"
 #include "policy_server/ripsctl/app.h"
-#include "policy_server/ripsctl/fake_rules_operator.h"
+#include "policy_server/ripsctl/fake_enrol_operator.h"
 #include "policy_server/ripsctl/offline_run.h"
 #include "policy_server/ripsctl/samples.h"
 #include "services/rpc/test_pki.h"
@@ -40,7 +40,7 @@ inline void AddEndpoint(v1::GraphSnapshot* graph, v1::Endpoint::Kind kind, const
 }
 
 // One robot `r1` at COMPROMISED (3.17). Remembers the last request; fails with `failure` if set.
-class FakeOperator final : public FakeRulesOperator {
+class FakeOperator final : public FakeEnrolOperator {
  public:
   v1::LevelResponse level_response;
   std::string alert_text = "unknown node /intruder";

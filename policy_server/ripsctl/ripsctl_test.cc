@@ -377,6 +377,9 @@ TEST_F(RipsctlHelpTest, EveryVerbThatItNamesPassesOnRefusals) {
       {"agent", "ban", "spiffe://rips/robot/r1/sensor/base", "--reason", "x"},
       {"agent", "unban", "spiffe://rips/robot/r1/sensor/base"},
       {"agent", "reset-term", "r1", "base", "--reason", "x"},
+      {"enrol", "create-token", "r1", "base"},
+      {"enrol", "revoke-token", "00112233aabbccdd"},
+      {"enrol", "list"},
       {"record", "r1", "--out", recording},
   };
   const std::set<std::string> offline = {"rules check",  "rules fmt",    "rules builtins",

@@ -171,9 +171,33 @@ absl::Status Server::Open() {
       inspect::PoolOptions{.threads = std::max(2, threads)}, &clock_);
   recorder_ = std::make_unique<pipeline::StoreRecorder>(store_.get(), committer_.get());
   OpenRecordings();
+  OpenEnrolment();
   loader_ = std::make_unique<BundleLoader>(config_.bundle_keys, &clock_, jail_.containment,
                                            inspections_.get());
   return loader_->ReadKeys();
+}
+
+void Server::OpenEnrolment() {
+  if (config_.enrolment.cert.empty()) return;
+  const auto problem = [this](const absl::Status& why) {
+    OwnAlert(engine::Severity::kHigh,
+             absl::StrCat("no certificates can be issued: ", why.message()));
+  };
+  auto opened = store::SqliteEnrolments::Open(config_.enrolment_path());
+  if (!opened.ok()) return problem(opened.status());
+  enrolments_ = *std::move(opened);
+  enrolment_ = std::make_unique<enrol::Enrolment>(
+      enrol::EnrolmentOptions{.files = {.cert = config_.enrolment.cert,
+                                        .key = config_.enrolment.key,
+                                        .ca = config_.tls.ca},
+                              .trust_domain = config_.trust_domain,
+                              .life = config_.enrolment.life},
+      enrolments_.get(), &clock_,
+      enrol::EnrolmentReports{
+          .tell = [this](const std::string& robot, engine::Severity severity,
+                         const std::string& text) { alerts_->Raise(robot, severity, text); },
+          .issued = [this](const rpc::Peer& agent) { certificates_->Seen(agent); }});
+  if (const absl::Status usable = enrolment_->Check(); !usable.ok()) problem(usable);
 }
 
 void Server::OpenRecordings() {
@@ -291,7 +315,10 @@ absl::Status Server::GuardPeers() {
         return revoked ? revoked : bans_->Against(peer);
       },
       &metrics_, connections_.get());
-  gate_->set_on_admitted([this](const rpc::Peer& peer) { certificates_->Seen(peer); });
+  gate_->set_on_admitted([this](const rpc::Peer& peer) {
+    // A token's is used for a minute.
+    if (peer.identity.role != rpc::Role::kEnrolment) certificates_->Seen(peer);
+  });
   gate_->set_on_refused(
       [this](const rpc::Peer& peer, const rpc::Refusal& refusal, absl::string_view address) {
         attacks_->OnCallRefused(peer.identity, refusal.reason, address);
@@ -606,7 +633,10 @@ absl::Status Server::AddRobots() {
                         }
                       },
                   .inventory =
-                      [this](const bundle::Inventory& now) { fleet_metrics_->SetInventory(now); }});
+                      [this](const bundle::Inventory& now) {
+                        fleet_metrics_->SetInventory(now);
+                        if (enrolment_ != nullptr) enrolment_->SetInventory(now);
+                      }});
   RIPS_RETURN_IF_ERROR(fleet_->Start());
   OpenBundleControl();
   return absl::OkStatus();
@@ -664,12 +694,15 @@ absl::Status Server::Listen() {
           .recordings = recordings_.get(),
           .bundles = bundles_.get(),
           .acks = store_.get(),
-          .committer = committer_.get()});
-  RIPS_ASSIGN_OR_RETURN(
-      rpc_, rpc::RpcServer::Start({.listen = config_.listen,
-                                   .guard = connections_.get(),
-                                   .credentials = credentials_->ForServer()},
-                                  {sensors_.get(), actuators_.get(), operators_.get()}));
+          .committer = committer_.get(),
+          .enrolment = enrolment_.get()});
+  enrolment_service_ =
+      std::make_unique<enrol::EnrolmentService>(enrolment_.get(), watch_.get(), orders_.get());
+  RIPS_ASSIGN_OR_RETURN(rpc_, rpc::RpcServer::Start({.listen = config_.listen,
+                                                     .guard = connections_.get(),
+                                                     .credentials = credentials_->ForServer()},
+                                                    {sensors_.get(), actuators_.get(),
+                                                     operators_.get(), enrolment_service_.get()}));
   fleet_metrics_->Start({.certificates = certificates_.get(),
                          .sessions = watch_.get(),
                          .shadows = &rollouts_.shadows,

@@ -20,6 +20,8 @@
 #include "policy_server/server/bundle_loader.h"
 #include "policy_server/server/config/config.h"
 #include "policy_server/server/dispatch/actuator_service.h"
+#include "policy_server/server/enrol/enrolment.h"
+#include "policy_server/server/enrol/enrolment_service.h"
 #include "policy_server/server/fleet.h"
 #include "policy_server/server/fleet_metrics.h"
 #include "policy_server/server/flight/flight_archive.h"
@@ -42,6 +44,7 @@
 #include "policy_server/server/shard/store_watch.h"
 #include "policy_server/server/store/alert_log.h"
 #include "policy_server/server/store/committer.h"
+#include "policy_server/server/store/sqlite_enrolments.h"
 #include "policy_server/server/store/sqlite_store.h"
 #include "services/rpc/call_gate.h"
 #include "services/rpc/certificate_monitor.h"
@@ -95,6 +98,8 @@ class Server {
   // What is wrong with them is an alert: robots are judged all the same.
   void OpenRecordings();
   absl::Status AddRobots();
+  // As OpenRecordings: without it no certificates are issued.
+  void OpenEnrolment();
   // Before robots are added, and after that.
   void OpenActivations();
   void OpenBundleControl();
@@ -130,6 +135,9 @@ class Server {
   // Both null if no recordings are kept.
   std::unique_ptr<flight::FlightFiles> recordings_;
   std::unique_ptr<flight::FlightArchive> flights_;
+  // Null if no certificates are issued.
+  std::unique_ptr<store::SqliteEnrolments> enrolments_;
+  std::unique_ptr<enrol::Enrolment> enrolment_;
   std::unique_ptr<BundleLoader> loader_;
   // What operators order of bundles; in the order of start.
   struct Rollouts {
@@ -157,6 +165,7 @@ class Server {
   std::unique_ptr<ingest::SensorService> sensors_;
   std::unique_ptr<dispatch::ActuatorService> actuators_;
   std::unique_ptr<operator_api::OperatorService> operators_;
+  std::unique_ptr<enrol::EnrolmentService> enrolment_service_;
   std::unique_ptr<rpc::RpcServer> rpc_;
   std::atomic<bool> listening_ = false;
   std::unique_ptr<MetricsPage> page_;

@@ -11,7 +11,7 @@ CallGate::CallGate(const Clock* clock, Judge judge, Metrics* metrics, Connection
     : clock_(clock), judge_(std::move(judge)), metrics_(metrics), connections_(connections) {
   // There from the start, so that a first refusal is an increase.
   for (const absl::string_view reason : kRefusalReasons) {
-    for (const Role role : {Role::kSensor, Role::kActuator, Role::kOperator}) {
+    for (const Role role : {Role::kSensor, Role::kActuator, Role::kOperator, Role::kEnrolment}) {
       Count(reason, RoleName(role), 0);
     }
   }
@@ -58,7 +58,7 @@ absl::StatusOr<Peer> CallGate::Admit(const grpc::CallbackServerContext& context,
       if (connection != nullptr) connection->OnThrottled();
       return Refuse({"throttled", absl::ResourceExhaustedError(text)}, &*peer, address);
     }
-    const bool agent = role != Role::kOperator;
+    const bool agent = role == Role::kSensor || role == Role::kActuator;
     absl::Status status = connections_->OnIdentified(address, certificate, agent);
     if (!status.ok()) {
       if (connection != nullptr) connection->OnThrottled();

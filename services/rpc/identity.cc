@@ -27,6 +27,11 @@ bool ParsePath(const std::vector<absl::string_view>& path, PeerIdentity* identit
     identity->name = std::string(path[1]);
     return IsValidName(path[1]);
   }
+  if (path.size() == 2 && path[0] == "enrolment") {
+    identity->role = Role::kEnrolment;
+    identity->name = std::string(path[1]);
+    return IsValidName(path[1]);
+  }
   if (path.size() == 4 && path[0] == "robot" && (path[2] == "sensor" || path[2] == "actuator")) {
     identity->role = path[2] == "sensor" ? Role::kSensor : Role::kActuator;
     identity->robot = std::string(path[1]);
@@ -78,6 +83,8 @@ std::string ToString(const PeerIdentity& identity) {
     case Role::kOperator:
       return absl::StrCat(domain, "/operator/", OperatorRoleName(identity.operator_role), "/",
                           identity.name);
+    case Role::kEnrolment:
+      return absl::StrCat(domain, "/enrolment/", identity.name);
   }
   return domain;
 }
@@ -92,6 +99,8 @@ absl::string_view RoleName(Role role) {
       return "actuator";
     case Role::kOperator:
       return "operator";
+    case Role::kEnrolment:
+      return "enrolment";
   }
   return "";
 }

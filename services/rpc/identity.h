@@ -9,7 +9,7 @@
 
 namespace rips::rpc {
 
-enum class Role { kPolicyServer, kSensor, kActuator, kOperator };
+enum class Role { kPolicyServer, kSensor, kActuator, kOperator, kEnrolment };
 
 // In ascending order of power; each may do what the ones before it may.
 enum class OperatorRole { kViewer, kOperator, kAdmin };
@@ -20,13 +20,14 @@ enum class OperatorRole { kViewer, kOperator, kAdmin };
 // | kSensor       | spiffe://<td>/robot/<robot>/sensor/<host>             | robot, host         |
 // | kActuator     | spiffe://<td>/robot/<robot>/actuator/<host>           | robot, host         |
 // | kOperator     | spiffe://<td>/operator/<viewer|operator|admin>/<name> | operator_role, name |
+// | kEnrolment    | spiffe://<td>/enrolment/<token>                       | name                |
 struct PeerIdentity {
   Role role = Role::kSensor;
   std::string trust_domain;
   std::string robot;
   std::string host;
   OperatorRole operator_role = OperatorRole::kViewer;
-  std::string name;  // id of the server, name of the operator
+  std::string name;  // id of the server, name of the operator, id of the token
 
   friend bool operator==(const PeerIdentity&, const PeerIdentity&) = default;
 };
@@ -40,7 +41,7 @@ absl::StatusOr<PeerIdentity> ParseSpiffeUri(absl::string_view uri);
 // The URI; ParseSpiffeUri(ToString(i)) == i for every identity that came from it.
 std::string ToString(const PeerIdentity& identity);
 
-// `policy-server`, `sensor`, `actuator`, `operator`.
+// `policy-server`, `sensor`, `actuator`, `operator`, `enrolment`.
 absl::string_view RoleName(Role role);
 // `viewer`, `operator`, `admin`.
 absl::string_view OperatorRoleName(OperatorRole role);

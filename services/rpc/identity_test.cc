@@ -35,6 +35,8 @@ TEST(IdentityTest, ReadsEveryForm) {
         .trust_domain = "f",
         .operator_role = OperatorRole::kOperator,
         .name = "bob"}},
+      {"spiffe://f/enrolment/00112233aabbccdd",
+       {.role = Role::kEnrolment, .trust_domain = "f", .name = "00112233aabbccdd"}},
       {"spiffe://f/operator/admin/alice",
        {.role = Role::kOperator,
         .trust_domain = "f",

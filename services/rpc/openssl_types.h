@@ -1,5 +1,5 @@
 // Owning pointers to libcrypto's objects, and the few readings of them that several files need.
-// Inside services/rpc only; any thread.
+// Inside services/rpc and services/pki only; any thread.
 #ifndef RIPS_SERVICES_RPC_OPENSSL_TYPES_H_
 #define RIPS_SERVICES_RPC_OPENSSL_TYPES_H_
 

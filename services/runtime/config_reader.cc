@@ -80,7 +80,7 @@ absl::StatusOr<absl::Duration> ParseConfigDuration(absl::string_view text) {
   }
   return absl::InvalidArgumentError(absl::StrCat(
       "`", text,
-      "` is not a duration; write a number and a unit, such as `500ms`, `15s`, `10min`"));
+      "` is not a duration; write a number and a unit, such as `500ms`, `15s`, `10min`, `2h`"));
 }
 
 std::string FormatConfigDuration(absl::Duration duration) {

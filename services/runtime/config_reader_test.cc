@@ -152,7 +152,7 @@ TEST(ConfigReaderTest, ReportsAllProblemsInTheOrderOfTheText) {
             "f.yaml:1:1: missing key `robot`\n  settle: 15\n  ^\n"
             "f.yaml:1:1: missing key `servers`\n  settle: 15\n  ^\n"
             "f.yaml:1:9: `settle`: `15` is not a duration; write a number and a unit, such as "
-            "`500ms`, `15s`, `10min`\n  settle: 15\n          ^\n"
+            "`500ms`, `15s`, `10min`, `2h`\n  settle: 15\n          ^\n"
             "f.yaml:2:9: missing key `steps[0].name`\n  steps: [{nmae: x, retries: 10}]\n"
             "          ^\n"
             "f.yaml:2:10: unknown key `nmae`; did you mean `name`\n"

@@ -81,7 +81,7 @@ class Plans {
   Plans() {
     const auto* pool = google::protobuf::DescriptorPool::generated_pool();
     for (const char* name :
-         {"session", "observation", "sensor", "command", "actuator", "operator"}) {
+         {"session", "observation", "sensor", "command", "actuator", "operator", "enrolment"}) {
       // Null if this program uses none of its messages.
       const auto* file = pool->FindFileByName(absl::StrCat("rips/v1/", name, ".proto"));
       for (int i = 0; file != nullptr && i < file->message_type_count(); ++i) {

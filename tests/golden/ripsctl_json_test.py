@@ -50,6 +50,8 @@ OF_VERB = {
     "audit verify": "audit_log", "audit tail": "audit_tail", "audit export": "audit_record",
     "agent list": "agent_list", "agent ban": "agent_ban", "agent unban": "agent_ban",
     "agent reset-term": "agent_reset_term",
+    "enrol create-token": "enrol_create_token", "enrol revoke-token": "enrol_revoke_token",
+    "enrol list": "enrol_list",
     "record": "record",
     "context list": "context_list", "context use": "context_use",
 }

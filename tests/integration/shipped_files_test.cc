@@ -72,19 +72,35 @@ std::multimap<std::string, std::string> UnitOf(const std::filesystem::path& path
   return keys;
 }
 
-std::map<std::string, std::multimap<std::string, std::string>> Services() {
-  std::map<std::string, std::multimap<std::string, std::string>> services;
-  for (const auto& entry : std::filesystem::directory_iterator(RIPS_SOURCE_DIR "/deploy/systemd")) {
-    if (entry.path().extension() != ".service") continue;
-    services[entry.path().stem()] = UnitOf(entry.path());
-  }
-  return services;
-}
-
 std::string Only(const std::multimap<std::string, std::string>& unit, const std::string& key) {
   EXPECT_EQ(unit.count(key), 1u) << key;
   const auto found = unit.find(key);
   return found == unit.end() ? "" : found->second;
+}
+
+using Units = std::map<std::string, std::multimap<std::string, std::string>>;
+
+// Daemons; or what a timer starts and then ends.
+Units Services(bool jobs = false) {
+  Units services;
+  for (const auto& entry : std::filesystem::directory_iterator(RIPS_SOURCE_DIR "/deploy/systemd")) {
+    if (entry.path().extension() != ".service") continue;
+    auto unit = UnitOf(entry.path());
+    const auto type = unit.find("Type");
+    const bool job = type != unit.end() && type->second == "oneshot";
+    if (job == jobs) services[entry.path().stem()] = std::move(unit);
+  }
+  return services;
+}
+
+void ExpectConfined(const std::multimap<std::string, std::string>& unit) {
+  EXPECT_THAT(Only(unit, "MemoryMax"), MatchesRegex("[1-9][0-9]*[MG]"));
+  EXPECT_THAT(Only(unit, "TasksMax"), MatchesRegex("[1-9][0-9]*"));
+  EXPECT_EQ(Only(unit, "NoNewPrivileges"), "yes");
+  EXPECT_EQ(Only(unit, "ProtectSystem"), "strict");
+  EXPECT_EQ(Only(unit, "ProtectHome"), "yes");
+  EXPECT_EQ(Only(unit, "LimitCORE"), "0");
+  EXPECT_EQ(Only(unit, "UMask"), "0077");
 }
 
 TEST(ShippedFilesTest, EveryServiceIsStartedAnewAndBoundedAndConfined) {
@@ -97,19 +113,21 @@ TEST(ShippedFilesTest, EveryServiceIsStartedAnewAndBoundedAndConfined) {
     EXPECT_EQ(Only(unit, "Restart"), "always");
     EXPECT_EQ(Only(unit, "StartLimitIntervalSec"), "0") << "else it is given up after some starts";
     EXPECT_EQ(Only(unit, "RestartPreventExitStatus"), "2");
-    EXPECT_THAT(Only(unit, "MemoryMax"), MatchesRegex("[1-9][0-9]*[MG]"));
-    EXPECT_THAT(Only(unit, "TasksMax"), MatchesRegex("[1-9][0-9]*"));
-    EXPECT_EQ(Only(unit, "NoNewPrivileges"), "yes");
-    EXPECT_EQ(Only(unit, "ProtectSystem"), "strict");
-    EXPECT_EQ(Only(unit, "ProtectHome"), "yes");
-    EXPECT_EQ(Only(unit, "LimitCORE"), "0");
-    EXPECT_EQ(Only(unit, "UMask"), "0077");
+    ExpectConfined(unit);
+  }
+  for (const auto& [name, unit] : Services(/*jobs=*/true)) {
+    SCOPED_TRACE(name);
+    ExpectConfined(unit);
+    const std::string timer = "deploy/systemd/" + name + ".timer";
+    EXPECT_TRUE(std::filesystem::exists(std::string(RIPS_SOURCE_DIR "/") + timer));
   }
 }
 
 // The reason of the number stands above it.
 TEST(ShippedFilesTest, EveryMemoryMaxSaysWhy) {
-  for (const auto& [name, unit] : Services()) {
+  Units all = Services();
+  all.merge(Services(/*jobs=*/true));
+  for (const auto& [name, unit] : all) {
     std::istringstream text(Read("deploy/systemd/" + name + ".service"));
     std::string before;
     for (std::string line; std::getline(text, line); before = line) {

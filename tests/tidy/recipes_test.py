@@ -155,9 +155,10 @@ def calls():
     roles = file_comment(read(f"{folder}/operator_service.h"))
     yield from missing("call", spoken, [
         (f"the table of roles in {folder}/operator_service.h", roles, word),
-        ("FakeOperator in policy_server/ripsctl (ripsctl_fixture.h, fake_rules_operator.h)",
+        ("FakeOperator in policy_server/ripsctl (ripsctl_fixture.h, fake_rules_operator.h, fake_enrol_operator.h)",
          read("policy_server/ripsctl/ripsctl_fixture.h",
-              "policy_server/ripsctl/fake_rules_operator.h"), word),
+              "policy_server/ripsctl/fake_rules_operator.h",
+              "policy_server/ripsctl/fake_enrol_operator.h"), word),
     ])
     viewers = re.search(r"role\n(.*?)viewer\n", roles, re.S)[1]
     ordered = [name for name in spoken if not re.search(word(name), viewers)]

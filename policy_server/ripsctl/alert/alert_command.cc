@@ -7,6 +7,7 @@
 #include <utility>
 #include <vector>
 
+#include "absl/strings/ascii.h"
 #include "absl/strings/str_cat.h"
 #include "absl/strings/string_view.h"
 #include "absl/time/time.h"
@@ -31,6 +32,8 @@ std::string TextOf(const v1::Alert& alert) {
 // Of a cell; who and note are whole in JSON and `ripsctl explain`.
 constexpr size_t kAckCellBytes = 48;
 constexpr size_t kIdsMax = 100;
+constexpr size_t kAlertIdDigitsMin = 6;
+constexpr size_t kAlertIdDigitsMax = 32;
 constexpr size_t kNoteBytesMax = 1'000;
 
 // `alice: on it`; empty of an alert that is not acknowledged.
@@ -70,7 +73,8 @@ class ListAlerts final : public AlertCommand {
     app.add_option("--severity", severity_,
                    "Only of this severity or a graver one: info, low, medium, high or critical");
     app.add_option("--rule", rule_, "Only of this rule; `(rips)`: RIPS's own alerts");
-    app.add_option("--since", since_, "Only of this last time, for example 30min, 2h or 1d");
+    app.add_option("--since", since_,
+                   "Only those not older than this, for example 30min, 2h or 1d");
   }
   absl::Status Check() override {
     RIPS_RETURN_IF_ERROR(AlertCommand::Check());
@@ -106,6 +110,7 @@ class ListAlerts final : public AlertCommand {
     if (env.json()) {
       return PrintJson(env, {{"alerts", JsonList(response.alerts(), AlertWithAck)},
                              {"cut", response.cut()},
+                             {"limited", IsLimited(response)},
                              {"older_not_searched", response.older_not_searched()},
                              {"unrecorded", JsonList(response.unrecorded(), AlertWithAck)}});
     }
@@ -136,14 +141,23 @@ class ListAlerts final : public AlertCommand {
               << " are in the server's memory only: its store cannot be written\n";
     }
     table.Print(env.out);
+    if (IsLimited(response)) {
+      env.out << "only the newest " << limit_ << " are shown; --limit shows more, at most 1000\n";
+    }
     if (response.cut()) env.out << "older alerts do not fit into one response\n";
     if (response.older_not_searched()) {
-      env.out << "only the newest 20,000 alerts were searched; name a ROBOT to search all of it\n";
+      env.out << "older alerts were not searched: of all robots only the newest 20,000 are, with "
+                 "--severity high or critical the newest 20,000 of these; name a ROBOT\n";
     }
     return ExitCode::kDone;
   }
 
  private:
+  // There may be more than were asked for.
+  bool IsLimited(const v1::ListAlertsResponse& response) const {
+    return static_cast<uint32_t>(response.alerts_size() + response.unrecorded_size()) >= limit_;
+  }
+
   static constexpr size_t kRuleBytesMax = 255;
   uint32_t limit_ = 100;
   bool open_ = false;
@@ -174,8 +188,15 @@ class AckAlerts final : public Command {
       return absl::InvalidArgumentError(
           absl::StrCat("--note has ", note_.size(), " bytes, limit ", kNoteBytesMax));
     }
-    for (const std::string& id : ids_) {
-      if (FindInvalidUtf8(id)) return absl::InvalidArgumentError("an ID is not valid UTF-8");
+    for (std::string& id : ids_) {
+      id = absl::AsciiStrToLower(id);
+      const bool hex = std::all_of(id.begin(), id.end(), [](char c) {
+        return absl::ascii_isdigit(static_cast<unsigned char>(c)) || (c >= 'a' && c <= 'f');
+      });
+      if (hex && id.size() >= kAlertIdDigitsMin && id.size() <= kAlertIdDigitsMax) continue;
+      return absl::InvalidArgumentError(
+          absl::StrCat("`", EscapeText(id), "` is no ID of an alert: that has ", kAlertIdDigitsMax,
+                       " digits 0-9a-f; write it, or its first ", kAlertIdDigitsMin, " or more"));
     }
     if (FindInvalidUtf8(note_)) return absl::InvalidArgumentError("--note is not valid UTF-8");
     return absl::OkStatus();
@@ -192,7 +213,7 @@ class AckAlerts final : public Command {
       env.out << EscapeText(ShortId(alert.alert_id())) << " (" << EscapeText(alert.robot()) << ", "
               << EscapeText(alert.rule()) << ") ";
       if (alert.already()) {
-        env.out << "was acknowledged already, and that stays: " << AckText(alert.acknowledged())
+        env.out << "was acknowledged before, which stays: " << AckText(alert.acknowledged())
                 << "\n";
       } else {
         env.out << "is acknowledged\n";

@@ -110,7 +110,7 @@ TEST_F(RipsctlTest, AcknowledgesAlerts) {
   const Result second = Run({"alert", "ack", std::string(32, '2')});
   EXPECT_EQ(second.code, 0) << second.err;
   EXPECT_EQ(second.out,
-            "22222222 (r1, unknown_node) was acknowledged already, and that stays: at "
+            "22222222 (r1, unknown_node) was acknowledged before, which stays: at "
             "2026-01-01T00:00:00.000Z by spiffe://td/operator/operator/bob serial 0a: seen "
             "\\x1b[2J\n");
   EXPECT_EQ(RunJson({"alert", "ack", "222222"})["alerts"][0],
@@ -129,6 +129,19 @@ TEST_F(RipsctlTest, AcknowledgesAlerts) {
   std::vector<std::string> many(101, "22222222");
   many.insert(many.begin(), {"alert", "ack"});
   EXPECT_EQ(Run(many).code, 2);
+}
+
+TEST_F(RipsctlTest, AnIdThatIsNoneIsRefusedBeforeTheServerHearsOfIt) {
+  for (const std::string& id :
+       {std::string("12345"), std::string(33, 'a'), std::string("22222g"), std::string("../../etc"),
+        std::string("\xff\xff\xff\xff\xff\xff")}) {
+    const Result result = Run({"alert", "ack", id});
+    EXPECT_EQ(result.code, 2) << id;
+    EXPECT_THAT(result.err, HasSubstr("is no ID of an alert")) << id;
+  }
+  EXPECT_THAT(fake_.calls(), testing::IsEmpty());
+  EXPECT_EQ(Run({"alert", "ack", "ABCDEF"}).code, 0) << "as some print it";
+  EXPECT_THAT(fake_.calls(), testing::ElementsAre("AckAlerts abcdef "));
 }
 
 TEST_F(RipsctlTest, AnAcknowledgementOfAnUnknownAlertSaysSo) {
@@ -164,9 +177,13 @@ TEST_F(RipsctlTest, ListsAlertsBySeverityRuleAndTime) {
               testing::ElementsAre("ListAlerts  100 open",
                                    "ListAlerts r1 100 severity high rule (rips) within 7200000"));
   EXPECT_THAT(Run({"alert", "list", "--rule", "old"}).out,
-              HasSubstr("only the newest 20,000 alerts were searched"));
+              HasSubstr("older alerts were not searched: "));
   EXPECT_EQ(RunJson({"alert", "list", "--rule", "old"})["older_not_searched"], true);
   EXPECT_EQ(RunJson({"alert", "list"})["older_not_searched"], false);
+  EXPECT_EQ(RunJson({"alert", "list"})["limited"], false);
+  EXPECT_EQ(RunJson({"alert", "list", "--limit", "1"})["limited"], true);
+  EXPECT_THAT(Run({"alert", "list", "--limit", "1"}).out,
+              HasSubstr("only the newest 1 are shown; --limit shows more"));
 }
 
 TEST_F(RipsctlTest, ListsAlertsThatTheStoreHasNotTaken) {

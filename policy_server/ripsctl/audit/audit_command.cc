@@ -51,6 +51,10 @@ Json RecordJson(uint64_t sequence, const AuditRecord& record) {
 std::string Words(const AuditRecord& record) {
   std::string words;
   if (!record.action().empty()) words = absl::StrCat(record.action(), " ", record.outcome());
+  if (record.kind() == AuditRecord::KIND_ACK) {
+    words = absl::StrCat("acknowledged alert ", record.id(), " of ", record.action(), " (",
+                         record.outcome(), ")");
+  }
   if (!record.to().empty()) {
     words = absl::StrCat(record.kind() == AuditRecord::KIND_REFUSAL ? "refused " : "",
                          record.from(), " to ", record.to());

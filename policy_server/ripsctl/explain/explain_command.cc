@@ -85,8 +85,20 @@ Json LoweringJson(const Lowering& lowering) {
           {"blind_because", JsonList(lowering.found->blind_because())}};
 }
 
+// Of each subject, in its order: true or false, null if it is not known.
+Json SubjectsNow(const Explanation& explanation) {
+  Json now = Json::array();
+  for (const v1::Subject& each : SubjectsOf(explanation.recorded)) {
+    const Presence presence = PresenceOf(each, explanation);
+    now.push_back(presence == Presence::kUnknown ? Json(nullptr)
+                                                 : Json(presence == Presence::kThere));
+  }
+  return now;
+}
+
 Json ExplanationJson(const Explanation& explanation) {
   Json json = ToJson(explanation.recorded);
+  json["subjects_there_now"] = SubjectsNow(explanation);
   const bool decided = explanation.recorded.has_alert() || explanation.recorded.has_transition();
   if (decided && !explanation.recorded.has_evidence()) {
     json["no_evidence_because"] = NoEvidenceText(explanation.recorded);
@@ -186,9 +198,15 @@ class Explain final : public Command {
     if (!explanation.now.has_value() && CheckRobot(robot).ok()) {
       explanation.now = ReadLevel(env, robot);
     }
-    if (explanation.now.has_value() && explanation.now->ok()) {
-      explanation.lowering = TryLowering(env, **explanation.now);
+    if (!explanation.now.has_value() || !explanation.now->ok()) return;
+    const auto& subjects = SubjectsOf(recorded);
+    if (std::any_of(subjects.begin(), subjects.end(),
+                    [](const v1::Subject& each) { return !each.guid().empty(); })) {
+      v1::GetGraphRequest request;
+      request.set_robot((*explanation.now)->status().robot());
+      explanation.graph = Call(env, &Stub::GetGraph, request);
     }
+    explanation.lowering = TryLowering(env, **explanation.now);
   }
 
   std::string what_;

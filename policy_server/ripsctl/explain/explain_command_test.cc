@@ -39,7 +39,7 @@ TEST_F(ExplainTest, ALevelChangeByTheStartOfItsId) {
   EXPECT_THAT(result.out, AllOf(HasSubstr("Why: rule rogue_cmd_vel, warehouse.rul:31"),
                                 HasSubstr("would be raised again by rule rogue_cmd_vel"
                                           " at the next change of the graph, not before\n")));
-  EXPECT_THAT(fake_.calls(), ElementsAre("Explain 11111111", "GetLevel", "DeEscalate"));
+  EXPECT_THAT(fake_.calls(), ElementsAre("Explain 11111111", "GetLevel", "GetGraph", "DeEscalate"));
   const v1::LevelRequest asked = fake_.last_level_request();
   EXPECT_TRUE(asked.dry_run());
   EXPECT_FALSE(asked.accept_blind());
@@ -58,12 +58,12 @@ TEST_F(ExplainTest, AnAlertByItsId) {
 
 TEST_F(ExplainTest, TheDecisionThatARobotIsAt) {
   EXPECT_THAT(Run({"explain", "r1"}).out, StartsWith(kFirstWords));
-  EXPECT_THAT(fake_.calls(), ElementsAre("GetLevel", "Explain r1@3.17", "DeEscalate"));
+  EXPECT_THAT(fake_.calls(), ElementsAre("GetLevel", "Explain r1@3.17", "GetGraph", "DeEscalate"));
 }
 
 TEST_F(ExplainTest, ADecisionByItsDecisionId) {
   EXPECT_THAT(Run({"explain", "r1@3.17"}).out, StartsWith(kFirstWords));
-  EXPECT_THAT(fake_.calls(), ElementsAre("Explain r1@3.17", "GetLevel", "DeEscalate"));
+  EXPECT_THAT(fake_.calls(), ElementsAre("Explain r1@3.17", "GetLevel", "GetGraph", "DeEscalate"));
   const Result gone = Run({"explain", "r1@3.2"});
   EXPECT_EQ(gone.code, 1);
   EXPECT_EQ(gone.err, "error: there is no record of it\n");
@@ -72,8 +72,8 @@ TEST_F(ExplainTest, ADecisionByItsDecisionId) {
 TEST_F(ExplainTest, ARobotWhoseNameIsHex) {
   fake_.explained["cafe42@3.17"] = fake_.explained["r1@3.17"];
   EXPECT_THAT(Run({"explain", "cafe42"}).out, StartsWith(kFirstWords));
-  EXPECT_THAT(fake_.calls(),
-              ElementsAre("Explain cafe42", "GetLevel", "Explain cafe42@3.17", "DeEscalate"));
+  EXPECT_THAT(fake_.calls(), ElementsAre("Explain cafe42", "GetLevel", "Explain cafe42@3.17",
+                                         "GetGraph", "DeEscalate"));
   fake_.unknown_robots = {"cafe42", "r7"};
   const Result neither = Run({"explain", "cafe42"});
   EXPECT_EQ(neither.code, 1);

@@ -195,14 +195,26 @@ void PrintWhy(const v1::ExplainResponse& recorded, std::ostream& out) {
   }
 }
 
-void PrintWho(const v1::ExplainResponse& recorded, std::ostream& out) {
-  const bool by_evidence = !recorded.evidence().subjects().empty();
-  const auto& subjects = by_evidence ? recorded.evidence().subjects() : recorded.alert().subjects();
+const char* PresenceText(Presence presence) {
+  switch (presence) {
+    case Presence::kThere:
+      return "still there";
+    case Presence::kGone:
+      return "gone";
+    case Presence::kUnknown:
+      break;
+  }
+  return "not known";
+}
+
+void PrintWho(const Explanation& explanation, std::ostream& out) {
+  const v1::ExplainResponse& recorded = explanation.recorded;
+  const auto& subjects = SubjectsOf(recorded);
   if (!subjects.empty()) {
     out << "\nWho:\n";
-    Table table({"NAME", "WHAT", "HOST", "PID", "GUID"});
+    Table table({"NAME", "WHAT", "NOW", "HOST", "PID", "GUID"});
     for (const v1::Subject& each : subjects) {
-      table.Add({each.name(), each.role(), each.host(),
+      table.Add({each.name(), each.role(), PresenceText(PresenceOf(each, explanation)), each.host(),
                  each.pid() == 0 ? "" : absl::StrCat(each.pid()), each.guid()});
     }
     table.Print(out, "  ");
@@ -254,7 +266,7 @@ void PrintLowering(absl::string_view robot, const Lowering& lowering, std::ostre
   out << "  if it were lowered to " << EscapeText(lowering.to) << " now, it\n";
   const v1::LevelResponse& found = *lowering.found;
   if (found.would_raise_again().empty()) {
-    out << "    would not be raised again by a rule on the graph\n";
+    out << "    would not be raised again at once: no rule on the graph would fire\n";
   }
   PrintDryRun(robot, found, !found.blind_because().empty(), "    ", out);
 }
@@ -285,7 +297,42 @@ void PrintRecording(const v1::Alert& alert, std::ostream& out) {
       << " --out FILE\n";
 }
 
+// All that is there is in the graph.
+bool SeesAll(const Explanation& explanation) {
+  const v1::GetGraphResponse& graph = **explanation.graph;
+  if (!graph.graph().settled() || graph.graph().has_truncation() || graph.left_out() > 0) {
+    return false;
+  }
+  if (explanation.lowering.has_value() && explanation.lowering->found.ok() &&
+      !explanation.lowering->found->blind_because().empty()) {
+    return false;
+  }
+  // A sensor that is away shows here.
+  return explanation.now.has_value() && explanation.now->ok() &&
+         (*explanation.now)->status().degraded().empty();
+}
+
 }  // namespace
+
+const google::protobuf::RepeatedPtrField<v1::Subject>& SubjectsOf(
+    const v1::ExplainResponse& recorded) {
+  const bool by_evidence = !recorded.evidence().subjects().empty();
+  return by_evidence ? recorded.evidence().subjects() : recorded.alert().subjects();
+}
+
+Presence PresenceOf(const v1::Subject& subject, const Explanation& explanation) {
+  if (subject.guid().empty() || !explanation.graph.has_value() || !explanation.graph->ok()) {
+    return Presence::kUnknown;
+  }
+  const v1::GraphSnapshot& graph = (*explanation.graph)->graph();
+  const auto is_it = [&subject](const auto& each) {
+    return GuidText(each.guid()) == subject.guid();
+  };
+  const bool there = std::any_of(graph.endpoints().begin(), graph.endpoints().end(), is_it) ||
+                     std::any_of(graph.participants().begin(), graph.participants().end(), is_it);
+  if (there) return Presence::kThere;
+  return SeesAll(explanation) ? Presence::kGone : Presence::kUnknown;
+}
 
 std::string PieceText(absl::string_view condition, uint32_t offset, uint32_t length,
                       size_t columns) {
@@ -340,7 +387,7 @@ void PrintExplanation(const Explanation& explanation, std::ostream& out) {
       out << "acknowledged " << AckText(recorded.alert().acknowledged()) << "\n";
     }
     PrintWhy(recorded, out);
-    PrintWho(recorded, out);
+    PrintWho(explanation, out);
     PrintOutcome(recorded, out);
     PrintRecording(recorded.alert(), out);
   }

@@ -28,7 +28,18 @@ struct Explanation {
   std::optional<absl::StatusOr<v1::GetLevelResponse>> now;
   // Unset at the lowest level.
   std::optional<Lowering> lowering;
+  // Of the robot now; unset if nobody with a GUID is named.
+  std::optional<absl::StatusOr<v1::GetGraphResponse>> graph;
 };
+
+// Who or what made the rule fire: of the evidence, or else of the alert.
+const google::protobuf::RepeatedPtrField<v1::Subject>& SubjectsOf(
+    const v1::ExplainResponse& recorded);
+
+// Whether that endpoint or participant is in the graph now. kUnknown if it has no GUID, or if it is
+// not in a graph of which not all is seen.
+enum class Presence { kUnknown, kThere, kGone };
+Presence PresenceOf(const v1::Subject& subject, const Explanation& explanation);
 
 // The parts, in this order, each left out if there is nothing to say: what happened, why, who, what
 // came of it, what is now.

@@ -49,6 +49,18 @@ void AddValue(v1::Evidence* evidence, uint32_t offset, uint32_t length, uint32_t
   each->set_value(value);
 }
 
+// Of MakeEvidence's subject.
+std::string IntruderGuid() {
+  return std::string("\x01\x10\x4a\x3b\0\0\0\0\0\0\0\0\0\0\x03\xc1", 16);
+}
+
+v1::GetGraphResponse GraphWithIntruder() {
+  v1::GetGraphResponse graph;
+  graph.mutable_graph()->set_settled(true);
+  graph.mutable_graph()->add_endpoints()->set_guid(IntruderGuid());
+  return graph;
+}
+
 TEST(ExplainTextTest, SaysWhoAcknowledgedAnAlert) {
   v1::ExplainResponse recorded;
   *recorded.mutable_alert() = MakeAlert("rogue driver");
@@ -75,8 +87,10 @@ TEST(ExplainTextTest, TellsAllOfADecisionInOrder) {
   refused->set_reason("needs an operator");
   v1::LevelResponse found;
   found.add_would_raise_again("rogue_cmd_vel");
-  const std::string text =
-      Print({.recorded = recorded, .now = At("COMPROMISED"), .lowering = Lowering{"ALERT", found}});
+  const std::string text = Print({.recorded = recorded,
+                                  .now = At("COMPROMISED"),
+                                  .lowering = Lowering{"ALERT", found},
+                                  .graph = GraphWithIntruder()});
   EXPECT_EQ(
       text,
       R"(r1 went from ALERT to COMPROMISED at 2026-01-01T00:00:00.000Z (3.17), by rule rogue_cmd_vel
@@ -92,8 +106,8 @@ Why: rule rogue_cmd_vel, warehouse.rul:31, of bundle sha256:bbbbbbbbbbbb
       !nodes("/teleop")                                    not evaluated
 
 Who:
-  NAME       WHAT                HOST  PID   GUID
-  /intruder  publishes /cmd_vel  base  4711  01104a3b.00000000.00000000.000003c1
+  NAME       WHAT                NOW          HOST  PID   GUID
+  /intruder  publishes /cmd_vel  still there  base  4711  01104a3b.00000000.00000000.000003c1
   host and process id are what the process says of itself; it may lie
 
 Effects:
@@ -106,6 +120,44 @@ Now: r1 is at COMPROMISED (3.17), verified: every actuator has read the level ba
     would be raised again by rule rogue_cmd_vel at the next change of the graph, not before
     not tried: rules on messages and on external events; the next one may raise r1 again
 )");
+}
+
+TEST(ExplainTextTest, SaysWhetherWhoItWasIsStillThereAndNothingThatItCannotKnow) {
+  v1::ExplainResponse recorded = OfTransition(MakeTransition());
+  *recorded.mutable_evidence() = MakeEvidence();
+  Explanation explanation{.recorded = recorded,
+                          .now = At("COMPROMISED"),
+                          .lowering = Lowering{"ALERT", v1::LevelResponse()},
+                          .graph = GraphWithIntruder()};
+  const v1::Subject& who = recorded.evidence().subjects(0);
+  EXPECT_EQ(PresenceOf(who, explanation), Presence::kThere);
+  v1::GetGraphResponse& graph = **explanation.graph;
+  graph.mutable_graph()->clear_endpoints();
+  EXPECT_EQ(PresenceOf(who, explanation), Presence::kGone);
+  EXPECT_THAT(Print(explanation), HasSubstr("/intruder  publishes /cmd_vel  gone "));
+  graph.mutable_graph()->add_participants()->set_guid(IntruderGuid());
+  EXPECT_EQ(PresenceOf(who, explanation), Presence::kThere) << "as a participant";
+  graph.mutable_graph()->clear_participants();
+
+  graph.set_left_out(1);
+  EXPECT_EQ(PresenceOf(who, explanation), Presence::kUnknown);
+  graph.set_left_out(0);
+  graph.mutable_graph()->mutable_truncation()->set_left_out(1);
+  EXPECT_EQ(PresenceOf(who, explanation), Presence::kUnknown);
+  graph.mutable_graph()->clear_truncation();
+  graph.mutable_graph()->set_settled(false);
+  EXPECT_EQ(PresenceOf(who, explanation), Presence::kUnknown);
+  graph.mutable_graph()->set_settled(true);
+  explanation.lowering->found->add_blind_because("sensor base lost");
+  EXPECT_EQ(PresenceOf(who, explanation), Presence::kUnknown);
+  explanation.lowering->found->clear_blind_because();
+  (*explanation.now)->mutable_status()->add_degraded("sensor base lost");
+  EXPECT_EQ(PresenceOf(who, explanation), Presence::kUnknown);
+  (*explanation.now)->mutable_status()->clear_degraded();
+  EXPECT_EQ(PresenceOf(who, explanation), Presence::kGone);
+  explanation.graph = absl::UnavailableError("no answer");
+  EXPECT_EQ(PresenceOf(who, explanation), Presence::kUnknown);
+  EXPECT_EQ(PresenceOf(v1::Subject(), explanation), Presence::kUnknown);
 }
 
 TEST(ExplainTextTest, TellsAnAlert) {
@@ -237,11 +289,13 @@ TEST(ExplainTextTest, SaysWhatIsNow) {
               HasSubstr("  what would raise it again is not known: the store is full\n"));
   v1::LevelResponse blind;
   blind.add_blind_because("sensor base lost");
-  EXPECT_THAT(with(blind), HasSubstr("  if it were lowered to ALERT now, it\n"
-                                     "    would not be raised again by a rule on the graph\n"
-                                     "    blind: sensor base lost\n"
-                                     "    would be refused, because RIPS does not see all of r1 "
-                                     "now; --accept-blind lowers it all the same\n"));
+  EXPECT_THAT(with(blind),
+              HasSubstr("  if it were lowered to ALERT now, it\n"
+                        "    would not be raised again at once: no rule on the graph would "
+                        "fire\n"
+                        "    blind: sensor base lost\n"
+                        "    would be refused, because RIPS does not see all of r1 "
+                        "now; --accept-blind lowers it all the same\n"));
   EXPECT_THAT(Print({.now = At("DEFAULT")}),
               StartsWith("nothing was ever decided for r1: it is where it began\n"));
 }

@@ -60,6 +60,19 @@ AuditRecord Of(const store::AlertRecord& alert) {
   return record;
 }
 
+AuditRecord Of(const store::AckRecord& ack) {
+  AuditRecord record;
+  record.set_kind(AuditRecord::KIND_ACK);
+  record.set_time_unix_ns(ack.ack.time_unix_ns);
+  record.set_robot(ack.robot);
+  record.set_id(ack.alert_id);
+  record.set_actor(ack.ack.by);
+  record.set_action(ack.rule);
+  record.set_text(ack.ack.note);
+  record.set_outcome(ack.severity);
+  return record;
+}
+
 void AddPolicy(const std::string& robot, const store::Checkpoint& checkpoint,
                std::vector<AuditRecord>& out) {
   const auto add = [&](std::string text) {
@@ -82,6 +95,9 @@ void AddPolicy(const std::string& robot, const store::Checkpoint& checkpoint,
 // What a record is known by. A refusal is recorded again with a higher count; of a policy, its
 // subject.
 std::string KeyOf(const AuditRecord& record) {
+  if (record.kind() == AuditRecord::KIND_ACK) {
+    return absl::StrCat(record.id(), " ", record.actor());
+  }
   if (record.kind() != AuditRecord::KIND_POLICY)
     return absl::StrCat(record.id(), " ", record.count());
   const absl::string_view subject = absl::StartsWith(record.text(), kRunsBundle)    ? "bundle"
@@ -104,6 +120,7 @@ std::vector<AuditRecord> RecordsOf(std::span<const store::WriteBatch> batches) {
     for (const store::AlertRecord& alert : batch.alerts) {
       if (alert.rule == kOwnRule) out.push_back(Of(alert));
     }
+    for (const store::AckRecord& ack : batch.acks) out.push_back(Of(ack));
     AddPolicy(batch.robot, batch.checkpoint, out);
   }
   return out;

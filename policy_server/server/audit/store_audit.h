@@ -17,8 +17,9 @@
 
 namespace rips::audit {
 
-// In order: decisions; refusals when their count is 1, 2, 4, 8, ...; RIPS's own alerts; bundles,
-// and whether rules run and lower. Stages, alerts of rules and variables are the store's alone.
+// In order: decisions; refusals when their count is 1, 2, 4, 8, ...; RIPS's own alerts;
+// acknowledgements; bundles, and whether rules run and lower. Stages, alerts of rules and variables
+// are the store's alone.
 std::vector<v1::AuditRecord> RecordsOf(std::span<const store::WriteBatch> batches);
 
 // What one store's commits leave in `log`, each once: a batch that the store could not write comes

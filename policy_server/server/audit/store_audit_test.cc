@@ -36,16 +36,17 @@ TEST(RecordsOfTest, WhatAnAuditorNeedsAndNoMore) {
   batch.alerts = {{.id = "a", .robot = "r1", .rule = "stranger"},
                   {.id = "b", .robot = "r1", .rule = "(rips)", .text = "banned"}};
   batch.stages = {{}};
+  batch.acks = {{.alert_id = "a", .ack = {.by = "alice", .note = "on it"}, .rule = "stranger"}};
   batch.checkpoint = {.variables = store::Variables(), .rules_halted = true, .bundle = "sha256:12"};
   std::vector<std::string> lines;
   for (const AuditRecord& record : RecordsOf({&batch, 1})) {
     lines.push_back(AuditRecord::Kind_Name(record.kind()) + " " + record.id() + " " +
                     record.text());
   }
-  EXPECT_THAT(lines,
-              ElementsAre("KIND_DECISION 0123456789abcdef0123456789abcde3 why", "KIND_REFUSAL s ",
-                          "KIND_ALERT b banned", "KIND_POLICY  runs bundle sha256:12",
-                          "KIND_POLICY  a rule called crash: no rule runs"));
+  EXPECT_THAT(lines, ElementsAre("KIND_DECISION 0123456789abcdef0123456789abcde3 why",
+                                 "KIND_REFUSAL s ", "KIND_ALERT b banned", "KIND_ACK a on it",
+                                 "KIND_POLICY  runs bundle sha256:12",
+                                 "KIND_POLICY  a rule called crash: no rule runs"));
 }
 
 class StoreAuditTest : public testing::Test {
@@ -115,6 +116,18 @@ TEST_F(StoreAuditTest, ABatchThatTheStoreCouldNotWriteIsInTheLogOnce) {
   batch.alerts.push_back({.id = "b", .robot = "r1", .rule = "(rips)"});
   EXPECT_TRUE(Commit(batch).ok());
   EXPECT_EQ(log_->head().sequence, before + 3) << "a decision and two alerts";
+}
+
+TEST_F(StoreAuditTest, AnAlertAndItsAcknowledgementsAreRecordsOfTheirOwn) {
+  const uint64_t before = log_->head().sequence;
+  ASSERT_TRUE(
+      Commit({.robot = "r1", .alerts = {{.id = "a", .robot = "r1", .rule = "(rips)"}}}).ok());
+  for (const char* by : {"alice", "bob", "alice"}) {
+    ASSERT_TRUE(Commit({.robot = "(server)",
+                        .acks = {{.alert_id = "a", .ack = {.by = by, .time_unix_ns = 1}}}})
+                    .ok());
+  }
+  EXPECT_EQ(log_->head().sequence, before + 3) << "the alert, and one of each operator";
 }
 
 TEST_F(StoreAuditTest, APolicyIsRecordedWhenItChanges) {

@@ -191,6 +191,14 @@ void ReadAudit(const ConfigSection& root, ServerConfig* config) {
   config->audit_segment_bytes = static_cast<uint64_t>(segment.bytes);
 }
 
+void ReadEnrolment(const ConfigSection& root, EnrolmentConfig* enrolment) {
+  if (!root.Has("enrolment")) return;
+  const ConfigSection section = root.OptionalSection("enrolment");
+  ReadPath(section, "cert", &enrolment->cert);
+  ReadPath(section, "key", &enrolment->key);
+  section.Optional("life", &enrolment->life, {absl::Hours(1), 2 * absl::Hours(24 * 365)});
+}
+
 // Twice what one recording may have.
 constexpr ByteSize kRecordingsMin = {8 << 20};
 
@@ -229,6 +237,10 @@ std::string ServerConfig::recordings_directory() const {
   return absl::StrCat(store_path.substr(0, store_path.rfind('/')), "/recordings");
 }
 
+std::string ServerConfig::enrolment_path() const {
+  return absl::StrCat(store_path.substr(0, store_path.rfind('/')), "/enrolment.db");
+}
+
 absl::StatusOr<ParsedServerConfig> ParseServerConfig(absl::string_view file,
                                                      absl::string_view text) {
   ConfigReader reader(file, text);
@@ -248,6 +260,7 @@ absl::StatusOr<ParsedServerConfig> ParseServerConfig(absl::string_view file,
   ReadAlerts(root, &config);
   config.outputs = ReadOutputs(root);
   ReadAudit(root, &config);
+  ReadEnrolment(root, &config.enrolment);
   ReadRecordings(root, &config);
   ReadTiming(root, &config.timing);
   ReadConnections(root, &config.connections);

@@ -43,6 +43,18 @@ struct Timing {
   friend bool operator==(const Timing&, const Timing&) = default;
 };
 
+// Certificates that the server issues to agents.
+struct EnrolmentConfig {
+  // PEM, absolute paths: the issuing certificate with those between it and the root, and its key.
+  // Both empty: none are issued.
+  std::string cert;
+  std::string key;
+  // Of a certificate; an hour to two years.
+  absl::Duration life = absl::Hours(24 * 30);
+
+  friend bool operator==(const EnrolmentConfig&, const EnrolmentConfig&) = default;
+};
+
 // What one robot may cost the threads that judge.
 struct Fairness {
   // CPU time in a second; what its agents send beyond it waits.
@@ -101,6 +113,7 @@ struct ServerConfig {
   std::string audit_dir;
   // A segment of it that has so many bytes is followed by the next one.
   uint64_t audit_segment_bytes = 64ull << 20;
+  EnrolmentConfig enrolment;
   // Where recordings of what led to alerts are kept; empty: `recordings` beside the store.
   std::string recordings_dir;
   // Of all of them; 0: none are kept.
@@ -124,6 +137,8 @@ struct ServerConfig {
 
   // `recordings_dir`, or what stands for it.
   std::string recordings_directory() const;
+  // `enrolment.db` beside the store: tokens and what was issued.
+  std::string enrolment_path() const;
 
   friend bool operator==(const ServerConfig&, const ServerConfig&) = default;
 };

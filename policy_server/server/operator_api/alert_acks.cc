@@ -120,7 +120,13 @@ absl::StatusOr<AckPlan> AckPlan::Make(const rips::v1::AckAlertsRequest& request,
 store::WriteBatch AckPlan::ToWrite() const {
   store::WriteBatch batch{.robot = std::string(store::kServerRobot)};
   for (const store::AlertRecord& alert : alerts_) {
-    if (!before_.contains(alert.id)) batch.acks.push_back({.alert_id = alert.id, .ack = ack_});
+    if (!before_.contains(alert.id)) {
+      batch.acks.push_back({.alert_id = alert.id,
+                            .ack = ack_,
+                            .robot = alert.robot,
+                            .rule = alert.rule,
+                            .severity = alert.severity});
+    }
   }
   return batch;
 }

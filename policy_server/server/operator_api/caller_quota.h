@@ -10,6 +10,7 @@
 // | kOrder   | Raise DeEscalate Approve ResumeRules        | calls at a time, and a second: an   |
 // |          | DrillRobot Ban Unban ResetTerm              | account of their own                |
 // |          | ActivateBundle RollBackBundle StopRollout   |                                     |
+// |          | CreateEnrolmentToken RevokeEnrolmentToken   |                                     |
 // |          | ShadowBundle                                |                                     |
 //
 // Orders of one identity are therefore refused only for its own orders.

@@ -43,6 +43,7 @@ const std::map<std::string, Role> kLeastRoles = {
     {"ListAgents", Role::kViewer},
     {"ListBundles", Role::kViewer},
     {"GetRulesStatus", Role::kViewer},
+    {"ListEnrolments", Role::kViewer},
     {"Raise", Role::kOperator},
     {"DeEscalate", Role::kOperator},
     {"Approve", Role::kOperator},
@@ -59,6 +60,8 @@ const std::map<std::string, Role> kLeastRoles = {
     {"ActivateBundle", Role::kAdmin},
     {"RollBackBundle", Role::kAdmin},
     {"StopRollout", Role::kAdmin},
+    {"CreateEnrolmentToken", Role::kAdmin},
+    {"RevokeEnrolmentToken", Role::kAdmin},
 };
 
 TEST(OperatorRolesTest, EveryMethodRefusesTheRoleBelowItsLeastBeforeAnythingElse) {

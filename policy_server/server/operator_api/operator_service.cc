@@ -172,7 +172,8 @@ absl::StatusOr<OperatorService::Caller> OperatorService::Authorize(
 
 absl::StatusOr<OperatorService::Caller> OperatorService::AuthorizeOrder(
     grpc::CallbackServerContext* context, absl::string_view call,
-    const google::protobuf::Message& request, OperatorRole needed, Use use, double weight) {
+    const google::protobuf::Message& request, OperatorRole needed, Use use, double weight,
+    bool effects_are_recorded) {
   absl::StatusOr<Caller> who = Authorize(context, request, needed, use, weight);
   const absl::StatusOr<rpc::Peer> peer = rpc::PeerOf(*context->auth_context());
   const auto record = [audit = access_.audit, caller = peer.ok() ? rpc::Describe(*peer) : "",
@@ -181,7 +182,7 @@ absl::StatusOr<OperatorService::Caller> OperatorService::AuthorizeOrder(
     audit->Record(
         {.caller = caller, .address = address, .call = call, .request = request, .status = status});
   };
-  record(who.status());
+  if (!who.ok() || !effects_are_recorded) record(who.status());
   if (!who.ok()) return who;
   who->on_refused = [record, caller = rpc::Describe(*who), call](const absl::Status& why) {
     LogInfo("an order is refused", {{"operator", caller}, {"call", call}, {"why", why.message()}});
@@ -542,9 +543,11 @@ grpc::ServerUnaryReactor* OperatorService::ChangeLevel(grpc::CallbackServerConte
                                                        rips::v1::LevelResponse* response,
                                                        Direction direction) {
   const char* const call = direction == Direction::kRaise ? "Raise" : "DeEscalate";
-  const auto who = AuthorizeOrder(context, call, *request, OperatorRole::kOperator);
+  // Who only asks what would happen has tried nothing.
+  const auto who = request->dry_run()
+                       ? Authorize(context, *request, OperatorRole::kOperator, Use::kOrder)
+                       : AuthorizeOrder(context, call, *request, OperatorRole::kOperator);
   if (!who.ok()) {
-    // Who only asks what would happen has tried nothing.
     if (!request->dry_run()) RecordRefusal(*context, *request, who.status());
     return Refuse(context, who.status());
   }

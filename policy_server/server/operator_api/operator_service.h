@@ -4,11 +4,12 @@
 //   ListRobots WatchRobots GetGraph GetInterest
 //   GetCoverage GetLevel ListTransitions ListAlerts
 //   WatchAlerts Explain ListReceipts ListAgents
-//   ListBundles GetRulesStatus                       viewer
+//   ListBundles GetRulesStatus ListEnrolments        viewer
 //   Raise DeEscalate Approve ResumeRules DrillRobot
 //   Record GetAlertRecording ShadowBundle AckAlerts  operator
 //   Ban Unban ResetTerm PushBundle ActivateBundle
-//   RollBackBundle StopRollout                       admin
+//   RollBackBundle StopRollout
+//   CreateEnrolmentToken RevokeEnrolmentToken        admin
 //
 // Each call on an open connection is judged anew, and streams for as long as they are open: an
 // expired, revoked or banned certificate gets nothing (CallGate).
@@ -23,26 +24,20 @@
 #include "absl/status/statusor.h"
 #include "absl/strings/string_view.h"
 #include "google/protobuf/message.h"
-#include "policy_server/server/audit/order_audit.h"
-#include "policy_server/server/flight/flight_files.h"
-#include "policy_server/server/operator_api/ban_list.h"
 #include "policy_server/server/operator_api/caller_quota.h"
+#include "policy_server/server/operator_api/operator_access.h"
 #include "policy_server/server/operator_api/requesters.h"
 #include "policy_server/server/operator_api/status_broadcaster.h"
 #include "policy_server/server/operator_api/unary_call.h"
 #include "policy_server/server/operator_api/watch_stream.h"
 #include "policy_server/server/rollout/bundle_control.h"
 #include "policy_server/server/shard/pipeline.h"
-#include "policy_server/server/store/ack_store.h"
-#include "policy_server/server/store/committer.h"
 #include "policy_server/server/store/store.h"
 #include "rips/v1/operator.grpc.pb.h"
-#include "services/rpc/certificate_monitor.h"
 #include "services/rpc/identity.h"
 #include "services/rpc/peer.h"
 #include "services/rpc/session_watch.h"
 #include "services/runtime/bounded_queue.h"
-#include "services/wire_limits/limit_counters.h"
 
 namespace rips::operator_api {
 
@@ -53,30 +48,7 @@ class OperatorService final : public rips::v1::OperatorService::CallbackService 
   // Graphs waiting to be encoded behind the one that is.
   static constexpr size_t kGraphsMax = 64;
 
-  struct Access {
-    rpc::SessionWatch* watch = nullptr;
-    // Null: Ban, Unban and ListAgents are UNIMPLEMENTED.
-    BanList* bans = nullptr;
-    rpc::CertificateMonitor* certificates = nullptr;
-    // Requests with a field past its limit, which are refused; told who sent it, from where, and
-    // field, size and limit. May be empty.
-    wire_limits::LimitCounters fields_refused = {};
-    std::function<void(const rpc::Peer&, const std::string& address, const std::string& what)>
-        on_refused_field = {};
-    // Null: no limits of one identity.
-    std::shared_ptr<CallerQuota> quota;
-    // Calls that change something or record a robot, admitted or refused. Null: not recorded.
-    audit::OrderAudit* audit = nullptr;
-    // False while the store takes nothing; ListAlerts then shows what robots hold in memory. May be
-    // empty: it always does.
-    std::function<bool()> store_writable = {};
-    // Null: none are kept.
-    const flight::FlightFiles* recordings = nullptr;
-    // Null: calls about bundles, and about acknowledgements, are UNIMPLEMENTED.
-    rollout::BundleControl* bundles = nullptr;
-    store::AckStore* acks = nullptr;
-    store::Committer* committer = nullptr;
-  };
+  using Access = OperatorAccess;
 
   // No pointer is owned; all outlive every call. Reads of the store run on a thread of their own,
   // and so does the encoding of graphs.
@@ -152,6 +124,15 @@ class OperatorService final : public rips::v1::OperatorService::CallbackService 
   grpc::ServerUnaryReactor* ResetTerm(grpc::CallbackServerContext* context,
                                       const rips::v1::ResetTermRequest* request,
                                       rips::v1::ResetTermResponse* response) override;
+  grpc::ServerUnaryReactor* CreateEnrolmentToken(
+      grpc::CallbackServerContext* context, const rips::v1::CreateEnrolmentTokenRequest* request,
+      rips::v1::CreateEnrolmentTokenResponse* response) override;
+  grpc::ServerUnaryReactor* RevokeEnrolmentToken(
+      grpc::CallbackServerContext* context, const rips::v1::RevokeEnrolmentTokenRequest* request,
+      rips::v1::RevokeEnrolmentTokenResponse* response) override;
+  grpc::ServerUnaryReactor* ListEnrolments(grpc::CallbackServerContext* context,
+                                           const rips::v1::ListEnrolmentsRequest* request,
+                                           rips::v1::ListEnrolmentsResponse* response) override;
   grpc::ServerUnaryReactor* ListBundles(grpc::CallbackServerContext* context,
                                         const rips::v1::ListBundlesRequest* request,
                                         rips::v1::ListBundlesResponse* response) override;
@@ -194,12 +175,13 @@ class OperatorService final : public rips::v1::OperatorService::CallbackService 
   absl::StatusOr<Caller> Authorize(grpc::CallbackServerContext* context,
                                    const google::protobuf::Message& request,
                                    rpc::OperatorRole needed, Use use, double weight = 1);
-  // As Authorize, for a call that changes something; recorded in the audit log.
+  // As Authorize, for a call that changes something; recorded in the audit log. One whose effects
+  // the log has of themselves is recorded only if it is refused.
   absl::StatusOr<Caller> AuthorizeOrder(grpc::CallbackServerContext* context,
                                         absl::string_view call,
                                         const google::protobuf::Message& request,
                                         rpc::OperatorRole needed, Use use = Use::kOrder,
-                                        double weight = 1);
+                                        double weight = 1, bool effects_are_recorded = false);
   // Ends `stream` when its operator is not served any more.
   template <typename T>
   void Keep(rpc::StreamKind kind, WatchStream<T>* stream, const Caller& caller,

@@ -27,6 +27,10 @@ struct AckRecord {
   // Of the alert, 32 hex digits.
   std::string alert_id;
   Ack ack;
+  // Of the alert, for the audit log: no store keeps them here.
+  std::string robot = {};
+  std::string rule = {};
+  std::string severity = {};
 
   friend bool operator==(const AckRecord&, const AckRecord&) = default;
 };

@@ -14,7 +14,7 @@
 namespace rips::store {
 
 // The newest alerts among which a search by severity, rule or time looks; bounds what it costs. One
-// robot keeps fewer.
+// robot keeps fewer. A search for high and critical ones alone looks at so many of these.
 inline constexpr int64_t kAlertsSearchedMax = 20'000;
 
 // Which alerts are wanted; all conditions together.

@@ -189,6 +189,8 @@ TEST(SqliteAcksTest, ASearchHasABound) {
   ASSERT_THAT(store, IsOk());
   WriteBatch batch{.robot = "r1"};
   for (int64_t i = 0; i <= kAlertsSearchedMax; ++i) batch.alerts.push_back(MakeAlert("r1", "x"));
+  for (AlertRecord& alert : batch.alerts) alert.severity = "low";
+  batch.alerts[0].severity = "critical";
   batch.alerts[0].rule = "oldest";
   batch.alerts[1].rule = "second";
   ASSERT_THAT((*store)->Commit(batch), IsOk());
@@ -207,6 +209,11 @@ TEST(SqliteAcksTest, ASearchHasABound) {
       (*store)->Commit({.robot = "r1", .acks = {{.alert_id = batch.alerts[5].id, .ack = kBobs}}}),
       IsOk());
   EXPECT_EQ((*store)->SearchAlerts({.open = true, .rule = "oldest"})->alerts.size(), 1u);
+  for (const bool open : {false, true}) {
+    const auto grave = (*store)->SearchAlerts({.open = open, .severities = {"critical"}});
+    EXPECT_EQ(grave->alerts.size(), 1u) << "however many of less severity came later";
+    EXPECT_FALSE(grave->older_not_searched);
+  }
   EXPECT_EQ((*store)->SearchAlerts({.limit = 1'000, .open = true})->alerts.size(), 1'000u);
 }
 

@@ -87,6 +87,7 @@ CREATE TABLE alerts (
 CREATE INDEX alerts_robot ON alerts (robot, seq);
 CREATE INDEX alerts_open ON alerts (seq) WHERE ack_unix_ns = 0;
 CREATE INDEX alerts_robot_open ON alerts (robot, seq) WHERE ack_unix_ns = 0;
+CREATE INDEX alerts_grave ON alerts (seq) WHERE severity IN ('high', 'critical');
 CREATE TABLE variables (
   robot TEXT NOT NULL,
   name TEXT NOT NULL,
@@ -207,7 +208,8 @@ constexpr const char* kUpgrades[] = {
     "ALTER TABLE alerts ADD COLUMN ack_note TEXT NOT NULL DEFAULT '';"
     "ALTER TABLE alerts ADD COLUMN ack_unix_ns INTEGER NOT NULL DEFAULT 0;"
     "CREATE INDEX alerts_open ON alerts (seq) WHERE ack_unix_ns = 0;"
-    "CREATE INDEX alerts_robot_open ON alerts (robot, seq) WHERE ack_unix_ns = 0;",
+    "CREATE INDEX alerts_robot_open ON alerts (robot, seq) WHERE ack_unix_ns = 0;"
+    "CREATE INDEX alerts_grave ON alerts (seq) WHERE severity IN ('high', 'critical');",
 };
 static_assert(std::size(kUpgrades) == kSchemaVersion - 1);
 

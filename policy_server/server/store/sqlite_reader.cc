@@ -132,16 +132,20 @@ absl::StatusOr<SqliteReader> SqliteReader::Create(const std::string& path) {
 
 // However many of the newest are acknowledged, a search for open ones reads none of them.
 absl::Status SqliteReader::PrepareSearches() {
-  constexpr absl::string_view kFrom[2][2] = {
+  constexpr absl::string_view kFrom[3][2] = {
       {"FROM alerts WHERE ?1 = ''",
        "FROM alerts INDEXED BY alerts_open WHERE ?1 = '' AND "
        "ack_unix_ns = 0"},
+      // However many of less severity came later.
+      {"FROM alerts INDEXED BY alerts_grave WHERE ?1 = '' AND severity IN ('high', 'critical')",
+       "FROM alerts INDEXED BY alerts_grave WHERE ?1 = '' AND severity IN ('high', 'critical') AND "
+       "ack_unix_ns = 0"},
       {"FROM alerts INDEXED BY alerts_robot WHERE robot = ?1",
        "FROM alerts INDEXED BY alerts_robot_open WHERE robot = ?1 AND ack_unix_ns = 0"}};
-  for (const bool of_one : {false, true}) {
+  for (const int which : {kFromAll, kFromGrave, kFromOne}) {
     for (const bool open : {false, true}) {
-      Search& search = searches_[of_one][open];
-      const absl::string_view from = kFrom[of_one][open];
+      Search& search = searches_[which][open];
+      const absl::string_view from = kFrom[which][open];
       RIPS_ASSIGN_OR_RETURN(
           search.alerts,
           db_.Prepare(absl::StrCat(
@@ -387,7 +391,13 @@ absl::StatusOr<std::vector<BanRecord>> SqliteReader::ListBans() {
 }
 
 absl::StatusOr<AlertList> SqliteReader::SearchAlerts(const AlertQuery& wanted) {
-  const Search& search = searches_[!wanted.robot.empty()][wanted.open];
+  const bool grave = !wanted.severities.empty() &&
+                     std::all_of(wanted.severities.begin(), wanted.severities.end(),
+                                 [](const std::string& severity) {
+                                   return severity == "high" || severity == "critical";
+                                 });
+  const From from = !wanted.robot.empty() ? kFromOne : grave ? kFromGrave : kFromAll;
+  const Search& search = searches_[from][wanted.open];
   uint64_t too_old = 0;
   if (wanted.searches()) {
     Query query = search.too_old.Start();

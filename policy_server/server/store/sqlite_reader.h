@@ -44,7 +44,9 @@ class SqliteReader {
   absl::Status LoadHighWater(absl::string_view robot, HighWater* high_water);
   absl::Status LoadRuleDecisions(absl::string_view robot, RobotRecord* record);
 
-  // Of all robots or of one, of all alerts or of open ones.
+  // Of all robots, of all those of severity high and critical, or of one robot; of all alerts or of
+  // open ones.
+  enum From { kFromAll, kFromGrave, kFromOne };
   struct Search {
     Statement alerts;
     // The sequence of the newest alert that is too old to be looked at.
@@ -59,7 +61,7 @@ class SqliteReader {
   Statement alerts_after_, robot_alerts_after_, forgotten_, robot_forgotten_, find_alert_,
       newest_alert_, note_, receipts_, rule_decisions_, generations_, alerts_by_id_,
       transitions_by_id_;
-  Search searches_[2][2];
+  Search searches_[3][2];
 };
 
 }  // namespace rips::store

@@ -24,6 +24,7 @@ namespace rips::store {
 struct SqliteLimits {
   // Of each robot the newest so many alerts are kept, and up to a sixteenth more; older ones go
   // with a later commit. One robot's alerts push out no other's.
+  // A tenth as many of severity high and critical are kept beyond that, the newest.
   int64_t alerts_per_robot_max = 10'000;
   // Refusals among the newest so many transitions are kept. Decisions are kept for ever: they are
   // the history against which a robot's decision id is checked.

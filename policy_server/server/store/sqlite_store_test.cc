@@ -175,6 +175,7 @@ TEST_F(SqliteStoreTest, TakesAnOlderSchemaForward) {
   const auto drop_acks = [&] {
     Execute("DROP INDEX alerts_open");
     Execute("DROP INDEX alerts_robot_open");
+    Execute("DROP INDEX alerts_grave");
     for (const char* column : {"ack_by", "ack_note", "ack_unix_ns"}) {
       Execute(absl::StrCat("ALTER TABLE alerts DROP COLUMN ", column));
     }
@@ -313,6 +314,29 @@ TEST_F(SqliteStoreTest, ForgetsTheOldestAlertsBeyondTheLimit) {
   ASSERT_THAT(alerts, IsOk());
   for (const AlertRecord& alert : *alerts) texts.push_back(alert.text);
   EXPECT_THAT(texts, ElementsAre("5", "4", "3"));
+}
+
+TEST_F(SqliteStoreTest, AFloodOfSmallAlertsPushesOutNoGraveOnes) {
+  auto store = SqliteStore::Open(path_, {.alerts_per_robot_max = 20});
+  ASSERT_THAT(store, IsOk());
+  const auto write = [&](const std::string& text, const std::string& severity) {
+    WriteBatch batch{.robot = "r1"};
+    batch.alerts.push_back(MakeAlert("r1", text));
+    batch.alerts.back().severity = severity;
+    ASSERT_THAT((*store)->Commit(batch), IsOk());
+  };
+  write("first", "critical");
+  write("second", "high");
+  write("third", "critical");
+  for (int i = 0; i < 200; ++i) write(absl::StrCat(i), "low");
+  const auto alerts = *(*store)->ListAlerts("r1", 1'000);
+  ASSERT_THAT(alerts, SizeIs(22)) << "two, a tenth, beyond the limit";
+  EXPECT_EQ(alerts[20].text, "third");
+  EXPECT_EQ(alerts[21].text, "second");
+  const auto grave = (*store)->SearchAlerts({.severities = {"critical"}});
+  EXPECT_THAT(grave->alerts, SizeIs(1));
+  EXPECT_TRUE((*store)->AlertsAfter("r1", 0, 0)->forgotten);
+  EXPECT_EQ((*store)->AlertsAfter("r1", 0, 0)->alerts.front().text, "second");
 }
 
 TEST_F(SqliteStoreTest, ARobotsAlertsPushOutNoOtherRobots) {

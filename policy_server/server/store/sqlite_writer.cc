@@ -12,6 +12,12 @@
 #include "services/model_proto/actuator_codec.h"
 
 namespace rips::store {
+namespace {
+
+// One in so many of the alerts that a robot keeps is a grave one that would be forgotten.
+constexpr int64_t kGraveShare = 10;
+
+}  // namespace
 
 absl::StatusOr<SqliteWriter> SqliteWriter::Create(const std::string& path, SqliteLimits limits) {
   RIPS_ASSIGN_OR_RETURN(Database db, Database::Open(path, Database::Mode::kReadWrite));
@@ -82,7 +88,11 @@ absl::Status SqliteWriter::PrepareAll() {
        "DELETE FROM receipts WHERE robot = ?1 AND seq <= (SELECT seq FROM receipts "
        "WHERE robot = ?1 ORDER BY seq DESC LIMIT 1 OFFSET ?2)"},
       {&find_prune_, "SELECT seq FROM alerts WHERE robot = ? ORDER BY seq DESC LIMIT 1 OFFSET ?"},
-      {&prune_alerts_, "DELETE FROM alerts WHERE robot = ? AND seq <= ?"},
+      // Of the grave ones ?3 are kept however many of less severity came later.
+      {&prune_alerts_,
+       "DELETE FROM alerts WHERE robot = ?1 AND seq <= ?2 AND "
+       "(severity NOT IN ('high', 'critical') OR seq <= ifnull((SELECT seq FROM alerts WHERE "
+       "robot = ?1 AND severity IN ('high', 'critical') ORDER BY seq DESC LIMIT 1 OFFSET ?3), 0))"},
       {&note_prune_, "UPDATE robots SET alerts_forgotten = ?2 WHERE robot = ?1"},
       {&set_note_,
        "INSERT INTO notes (name, value) VALUES (?, ?) "
@@ -407,7 +417,11 @@ absl::Status SqliteWriter::PruneAlerts(const std::string& robot, size_t added) {
     last = query.Number(0);
   }
   RIPS_RETURN_IF_ERROR(add_robot_.Start().Bind(robot).Run());
-  RIPS_RETURN_IF_ERROR(prune_alerts_.Start().Bind(robot).Bind(last).Run());
+  RIPS_RETURN_IF_ERROR(prune_alerts_.Start()
+                           .Bind(robot)
+                           .Bind(last)
+                           .Bind(limits_.alerts_per_robot_max / kGraveShare)
+                           .Run());
   return note_prune_.Start().Bind(robot).Bind(last).Run();
 }
 

@@ -60,8 +60,8 @@ bool IsOfBatch(const absl::Status& status) {
 }
 
 absl::Status NoSuchAlert(absl::string_view alert_id) {
-  return absl::NotFoundError(
-      absl::StrCat("no alert with the id ", alert_id, " is kept; none was acknowledged"));
+  return absl::NotFoundError(absl::StrCat("there is no alert ", alert_id,
+                                          " in the store (any more); none was acknowledged"));
 }
 
 absl::Status Fenced(absl::string_view robot, uint64_t tenure, uint64_t stored) {

@@ -1,0 +1,238 @@
+#include "policy_server/server/enrol/enrolment.h"
+
+#include <algorithm>
+#include <utility>
+
+#include "absl/strings/str_cat.h"
+#include "absl/strings/str_join.h"
+#include "absl/strings/str_split.h"
+#include "services/base/ids.h"
+#include "services/base/status_macros.h"
+#include "services/runtime/config_sections.h"
+#include "services/runtime/log.h"
+
+namespace rips::enrol {
+namespace {
+
+constexpr size_t kTokenIdDigits = 16;
+// Remembered; of more, the next may come sooner.
+constexpr size_t kLastMax = 20'000;
+constexpr const char* kRoles[] = {"sensor", "actuator"};
+
+bool IsRole(const std::string& role) {
+  return std::find(std::begin(kRoles), std::end(kRoles), role) != std::end(kRoles);
+}
+
+std::string KeyOf(const std::string& robot, const std::string& host, const std::string& role) {
+  return absl::StrCat(robot, "/", host, "/", role);
+}
+
+std::string UtcText(absl::Time time) {
+  return absl::FormatTime("%Y-%m-%d %H:%M UTC", time, absl::UTCTimeZone());
+}
+
+absl::Status NotListed(const std::string& robot, const std::string& host, const std::string& role) {
+  return absl::PermissionDeniedError(absl::StrCat("the inventory does not list the ", role, " of ",
+                                                  robot, " on host ", host,
+                                                  " (any more); see robots.yaml"));
+}
+
+absl::Status WithFile(const absl::Status& status, const std::string& file) {
+  return absl::FailedPreconditionError(absl::StrCat("`enrolment`: ", file, ": ", status.message()));
+}
+
+absl::StatusOr<std::string> ReadPem(const std::string& path) {
+  absl::StatusOr<std::string> text = ReadConfigFile(path);
+  if (!text.ok()) return absl::FailedPreconditionError(text.status().message());
+  return text;
+}
+
+}  // namespace
+
+void Enrolment::SetInventory(const bundle::Inventory& inventory) {
+  std::set<std::string> listed;
+  for (const bundle::InventoryRobot& robot : inventory.robots) {
+    for (const bundle::InventorySensor& sensor : robot.sensors) {
+      listed.insert(KeyOf(robot.id, sensor.host, "sensor"));
+    }
+    for (const std::string& host : robot.actuators) {
+      listed.insert(KeyOf(robot.id, host, "actuator"));
+    }
+  }
+  MutexLock lock(&mu_);
+  listed_ = std::move(listed);
+}
+
+bool Enrolment::IsListed(const std::string& robot, const std::string& host,
+                         const std::string& role) {
+  MutexLock lock(&mu_);
+  return listed_.contains(KeyOf(robot, host, role));
+}
+
+absl::Status Enrolment::NotTooSoon(const std::string& who, absl::Duration between) {
+  MutexLock lock(&mu_);
+  const int64_t now_ns = clock_->Now().boottime_ns;
+  const auto last = last_ns_.find(who);
+  if (last != last_ns_.end() && now_ns - last->second < absl::ToInt64Nanoseconds(between)) {
+    return absl::ResourceExhaustedError(
+        absl::StrCat("the last certificate was asked for less than ", absl::FormatDuration(between),
+                     " ago; try again later"));
+  }
+  if (last_ns_.size() >= kLastMax) last_ns_.clear();
+  last_ns_[who] = now_ns;
+  return absl::OkStatus();
+}
+
+absl::StatusOr<Enrolment::Authority> Enrolment::ReadAuthority() const {
+  const IssuingFiles& files = options_.files;
+  RIPS_ASSIGN_OR_RETURN(const std::string cert, ReadPem(files.cert));
+  RIPS_ASSIGN_OR_RETURN(const std::string key, ReadPem(files.key));
+  RIPS_ASSIGN_OR_RETURN(std::string ca, ReadPem(files.ca));
+  absl::StatusOr<pki::Issuer> issuer = pki::Issuer::Read(cert, key, ca);
+  if (!issuer.ok()) {
+    return WithFile(issuer.status(), absl::StrCat(files.cert, " with ", files.key));
+  }
+  return Authority{*std::move(issuer), std::move(ca)};
+}
+
+absl::Status Enrolment::Check() const { return ReadAuthority().status(); }
+
+absl::StatusOr<NewToken> Enrolment::CreateToken(const TokenOrder& order) {
+  std::vector<std::string> roles = order.roles;
+  for (const std::string& role : roles) {
+    if (!IsRole(role)) return absl::InvalidArgumentError("a role is `sensor` or `actuator`");
+  }
+  if (roles.empty()) {
+    for (const char* role : kRoles) {
+      if (IsListed(order.robot, order.host, role)) roles.emplace_back(role);
+    }
+    if (roles.empty()) {
+      return absl::NotFoundError(
+          absl::StrCat("the inventory lists neither a sensor nor an actuator "
+                       "of ",
+                       order.robot, " on host ", order.host, "; add it to robots.yaml and reload"));
+    }
+  }
+  for (const std::string& role : roles) {
+    if (IsListed(order.robot, order.host, role)) continue;
+    return absl::NotFoundError(NotListed(order.robot, order.host, role).message());
+  }
+  std::sort(roles.begin(), roles.end());
+  roles.erase(std::unique(roles.begin(), roles.end()), roles.end());
+  const absl::Duration valid =
+      order.valid == absl::ZeroDuration() ? kTokenLifeDefault : order.valid;
+  if (valid < kTokenLifeMin || valid > kTokenLifeMax) {
+    return absl::InvalidArgumentError("a token is valid for 1 minute to 24 hours");
+  }
+  RIPS_ASSIGN_OR_RETURN(const pki::CertificateRequest request,
+                        pki::CertificateRequest::Read(order.request_pem));
+  RIPS_ASSIGN_OR_RETURN(const Authority authority, ReadAuthority());
+  const absl::Time now = Now();
+  NewToken token;
+  token.record = {.id = NewId().substr(0, kTokenIdDigits),
+                  .robot = order.robot,
+                  .host = order.host,
+                  .roles = absl::StrJoin(roles, ","),
+                  .by = order.by,
+                  .time_unix_ns = absl::ToUnixNanos(now)};
+  RIPS_ASSIGN_OR_RETURN(pki::Issued issued,
+                        authority.issuer.Sign(request,
+                                              {.role = rpc::Role::kEnrolment,
+                                               .trust_domain = options_.trust_domain,
+                                               .name = token.record.id},
+                                              now, valid));
+  token.record.expires_unix_ns = absl::ToUnixNanos(issued.not_after);
+  RIPS_RETURN_IF_ERROR(store_->PutToken(token.record));
+  token.fetched = {std::move(issued.certificates_pem), authority.ca_pem};
+  return token;
+}
+
+absl::Status Enrolment::RevokeToken(const std::string& id) { return store_->RevokeToken(id); }
+
+absl::StatusOr<std::string> Enrolment::OthersOf(const store::IssuedRecord& issued) {
+  RIPS_ASSIGN_OR_RETURN(const std::vector<store::IssuedRecord> all, store_->ListIssued(issued.uri));
+  std::vector<std::string> others;
+  for (const store::IssuedRecord& each : all) {
+    if (each.key_hash == issued.key_hash || each.not_after_unix_ns <= issued.time_unix_ns) continue;
+    others.push_back(absl::StrCat("serial ", each.serial, " until ",
+                                  UtcText(absl::FromUnixNanos(each.not_after_unix_ns))));
+  }
+  return absl::StrJoin(others, ", ");
+}
+
+absl::StatusOr<Fetched> Enrolment::Issue(const rpc::PeerIdentity& identity,
+                                         const std::string& token, const std::string& request_pem) {
+  RIPS_ASSIGN_OR_RETURN(const pki::CertificateRequest request,
+                        pki::CertificateRequest::Read(request_pem));
+  RIPS_ASSIGN_OR_RETURN(const Authority authority, ReadAuthority());
+  const absl::Time now = Now();
+  RIPS_ASSIGN_OR_RETURN(pki::Issued issued,
+                        authority.issuer.Sign(request, identity, now, options_.life));
+  const store::IssuedRecord record{.uri = rpc::ToString(identity),
+                                   .serial = issued.serial,
+                                   .key_hash = request.key_hash(),
+                                   .token = token,
+                                   .time_unix_ns = absl::ToUnixNanos(now),
+                                   .not_after_unix_ns = absl::ToUnixNanos(issued.not_after)};
+  RIPS_RETURN_IF_ERROR(store_->PutIssued(record));
+  LogInfo("issued a certificate", {{"uri", record.uri},
+                                   {"serial", record.serial},
+                                   {"until", UtcText(issued.not_after)},
+                                   {"token", token}});
+  if (const auto peer = rpc::ReadLeaf(issued.certificates_pem); peer.ok()) reports_.issued(*peer);
+  if (!token.empty()) {
+    // It is issued: what cannot be read must not keep it back.
+    const absl::StatusOr<std::string> others = OthersOf(record);
+    const std::string text =
+        absl::StrCat("the ", rpc::RoleName(identity.role), " of ", identity.robot, " on ",
+                     identity.host, " was enrolled with token ", token, ": serial ", record.serial);
+    const bool alone = others.ok() && others->empty();
+    reports_.tell(
+        identity.robot, alone ? engine::Severity::kLow : engine::Severity::kMedium,
+        alone ? text
+              : absl::StrCat(text, "; it had certificates that are still good (",
+                             others.ok() ? *others : std::string(others.status().message()),
+                             "): if their keys are not on the robot any more, `ripsctl agent ban ",
+                             record.uri, " --serial` them"));
+  }
+  return Fetched{std::move(issued.certificates_pem), authority.ca_pem};
+}
+
+absl::StatusOr<Fetched> Enrolment::Enrol(const rpc::PeerIdentity& token, const std::string& role,
+                                         const std::string& request_pem) {
+  if (!IsRole(role)) return absl::InvalidArgumentError("a role is `sensor` or `actuator`");
+  RIPS_RETURN_IF_ERROR(NotTooSoon(absl::StrCat(token.name, "/", role), kBetweenFetches));
+  absl::StatusOr<store::TokenRecord> found = store_->FindToken(token.name);
+  if (absl::IsNotFound(found.status())) {
+    return absl::PermissionDeniedError("this server does not know the token (any more)");
+  }
+  if (!found.ok()) return found.status();
+  if (found->revoked) return absl::PermissionDeniedError("the token is revoked");
+  if (absl::ToUnixNanos(Now()) >= found->expires_unix_ns) {
+    return absl::PermissionDeniedError("the token has expired; ask an admin for a new one");
+  }
+  const std::vector<std::string> roles = absl::StrSplit(found->roles, ',');
+  if (std::find(roles.begin(), roles.end(), role) == roles.end()) {
+    return absl::PermissionDeniedError(
+        absl::StrCat("the token is for ", found->roles, ", not for ", role));
+  }
+  if (!IsListed(found->robot, found->host, role)) {
+    return NotListed(found->robot, found->host, role);
+  }
+  return Issue({.role = role == "sensor" ? rpc::Role::kSensor : rpc::Role::kActuator,
+                .trust_domain = options_.trust_domain,
+                .robot = found->robot,
+                .host = found->host},
+               found->id, request_pem);
+}
+
+absl::StatusOr<Fetched> Enrolment::Renew(const rpc::PeerIdentity& agent,
+                                         const std::string& request_pem) {
+  const std::string role(rpc::RoleName(agent.role));
+  if (!IsRole(role)) return absl::PermissionDeniedError("only agents renew certificates");
+  if (!IsListed(agent.robot, agent.host, role)) return NotListed(agent.robot, agent.host, role);
+  RIPS_RETURN_IF_ERROR(NotTooSoon(rpc::ToString(agent), kBetweenRenewals));
+  return Issue(agent, "", request_pem);
+}
+
+}  // namespace rips::enrol

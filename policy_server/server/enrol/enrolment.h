@@ -1,0 +1,150 @@
+// Who gets a certificate, and of what: tokens that an admin makes, certificates fetched with them,
+// and renewals. Signs with the issuing key of the server's configuration.
+//
+// | asks                  | gets a certificate if                                               |
+// |-----------------------|---------------------------------------------------------------------|
+// | an admin, for a token | the inventory lists an agent of the robot on that host              |
+// | the holder of a token | it is known, neither revoked nor expired, for that role, not used   |
+// |                       | by another key, and the inventory lists the agent still             |
+// | an agent, to renew    | the inventory lists it still, and 10 s have passed                  |
+//
+// What a certificate says comes from the token or from the one that is renewed, never from who
+// asks. Nothing is given out before it is recorded. Any thread; all but the constructor block on
+// the disk.
+#ifndef RIPS_POLICY_SERVER_SERVER_ENROL_ENROLMENT_H_
+#define RIPS_POLICY_SERVER_SERVER_ENROL_ENROLMENT_H_
+
+#include <cstdint>
+#include <functional>
+#include <map>
+#include <set>
+#include <string>
+#include <utility>
+#include <vector>
+
+#include "absl/base/thread_annotations.h"
+#include "absl/status/status.h"
+#include "absl/status/statusor.h"
+#include "absl/strings/string_view.h"
+#include "absl/time/time.h"
+#include "policy_server/policy/bundle/inventory.h"
+#include "policy_server/policy/engine/state/effect.h"
+#include "policy_server/server/store/enrolment_store.h"
+#include "services/base/clock.h"
+#include "services/pki/issuer.h"
+#include "services/rpc/certificate.h"
+#include "services/runtime/mutex.h"
+
+namespace rips::enrol {
+
+inline constexpr absl::Duration kTokenLifeDefault = absl::Hours(1);
+inline constexpr absl::Duration kTokenLifeMin = absl::Minutes(1);
+inline constexpr absl::Duration kTokenLifeMax = absl::Hours(24);
+// Between two certificates for the same agent: each costs a signature and a write.
+inline constexpr absl::Duration kBetweenRenewals = absl::Seconds(10);
+inline constexpr absl::Duration kBetweenFetches = absl::Seconds(1);
+
+struct IssuingFiles {
+  // PEM: the issuing certificate and what is between it and a root of `ca`; its key; tls.ca.
+  std::string cert;
+  std::string key;
+  std::string ca;
+};
+
+struct EnrolmentOptions {
+  IssuingFiles files;
+  std::string trust_domain;
+  // Of a certificate that is issued.
+  absl::Duration life = absl::Hours(24 * 30);
+};
+
+struct TokenOrder {
+  std::string robot;
+  std::string host;
+  // `sensor`, `actuator`; empty = what the inventory lists on that host.
+  std::vector<std::string> roles;
+  // Zero = kTokenLifeDefault.
+  absl::Duration valid;
+  // Of the key that is the token's secret.
+  std::string request_pem;
+  // As rpc::Describe gives it.
+  std::string by;
+};
+
+struct Fetched {
+  std::string certificates_pem;
+  // The present content of `ca`.
+  std::string authorities_pem;
+};
+
+struct NewToken {
+  store::TokenRecord record;
+  Fetched fetched;
+};
+
+// None may block; both must be set.
+struct EnrolmentReports {
+  // To be raised as an alert of the robot.
+  std::function<void(const std::string& robot, engine::Severity, const std::string& text)> tell;
+  // An agent's certificate, before the agent shows it.
+  std::function<void(const rpc::Peer& agent)> issued;
+};
+
+class Enrolment {
+ public:
+  // `store` and `clock` are not owned and outlive this.
+  Enrolment(EnrolmentOptions options, store::EnrolmentStore* store, const Clock* clock,
+            EnrolmentReports reports)
+      : options_(std::move(options)), store_(store), clock_(clock), reports_(std::move(reports)) {}
+
+  // Who is listed from now on. Before it, nobody is.
+  void SetInventory(const bundle::Inventory& inventory) ABSL_LOCKS_EXCLUDED(mu_);
+  // What is wrong with the issuing files; OK = certificates can be signed.
+  absl::Status Check() const;
+
+  // InvalidArgument for a role or a life that there is not; NotFound if the inventory does not list
+  // such an agent; errors of CertificateRequest, Issuer and the store.
+  absl::StatusOr<NewToken> CreateToken(const TokenOrder& order) ABSL_LOCKS_EXCLUDED(mu_);
+  // What it has fetched stays good. NotFound.
+  absl::Status RevokeToken(const std::string& id);
+  // PermissionDenied, FailedPrecondition: see the table; ResourceExhausted: too soon.
+  absl::StatusOr<Fetched> Enrol(const rpc::PeerIdentity& token, const std::string& role,
+                                const std::string& request_pem) ABSL_LOCKS_EXCLUDED(mu_);
+  // As Enrol.
+  absl::StatusOr<Fetched> Renew(const rpc::PeerIdentity& agent, const std::string& request_pem)
+      ABSL_LOCKS_EXCLUDED(mu_);
+
+  store::EnrolmentStore& store() { return *store_; }
+
+ private:
+  struct Authority {
+    pki::Issuer issuer;
+    std::string ca_pem;
+  };
+
+  absl::Time Now() const { return absl::FromUnixNanos(clock_->Now().unix_ns); }
+  // Read anew each time, so that new files need no restart.
+  absl::StatusOr<Authority> ReadAuthority() const;
+  absl::StatusOr<Fetched> Issue(const rpc::PeerIdentity& identity, const std::string& token,
+                                const std::string& request_pem);
+  // Who else has a certificate for this identity that is still good.
+  absl::StatusOr<std::string> OthersOf(const store::IssuedRecord& issued);
+  bool IsListed(const std::string& robot, const std::string& host, const std::string& role)
+      ABSL_LOCKS_EXCLUDED(mu_);
+  // ResourceExhausted if `who` was here less than `between` ago.
+  absl::Status NotTooSoon(const std::string& who, absl::Duration between) ABSL_LOCKS_EXCLUDED(mu_);
+
+  const EnrolmentOptions options_;
+  store::EnrolmentStore* const store_;
+  const Clock* const clock_;
+  const EnrolmentReports reports_;
+  Mutex mu_;
+  // `ROBOT/HOST/ROLE`.
+  std::set<std::string> listed_ ABSL_GUARDED_BY(mu_);
+  // When each was here last, by CLOCK_BOOTTIME.
+  std::map<std::string, int64_t> last_ns_ ABSL_GUARDED_BY(mu_);
+};
+
+}  // namespace rips::enrol
+
+#endif  // RIPS_POLICY_SERVER_SERVER_ENROL_ENROLMENT_H_

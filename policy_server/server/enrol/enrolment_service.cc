@@ -1,0 +1,89 @@
+#include "policy_server/server/enrol/enrolment_service.h"
+
+#include <utility>
+
+#include "absl/status/status.h"
+#include "absl/time/time.h"
+#include "services/rpc/peer.h"
+#include "services/rpc/status_conversion.h"
+#include "services/wire_limits/field_limits.h"
+
+namespace rips::enrol {
+
+EnrolmentService::EnrolmentService(Enrolment* enrolment, rpc::SessionWatch* watch,
+                                   audit::OrderAudit* audit)
+    : enrolment_(enrolment), watch_(watch), audit_(audit), thread_([this] {
+        while (true) {
+          auto task = tasks_.Pop(absl::InfiniteDuration());
+          if (!task) return;
+          (*task)();
+        }
+      }) {}
+
+EnrolmentService::~EnrolmentService() {
+  tasks_.Close();
+  thread_.join();
+}
+
+grpc::ServerUnaryReactor* EnrolmentService::Answer(
+    grpc::CallbackServerContext* context, rpc::Role role, const char* call,
+    const google::protobuf::Message& request, rips::v1::IssuedCertificate* response,
+    std::function<absl::StatusOr<Fetched>(const rpc::Peer&)> fetch) {
+  grpc::ServerUnaryReactor* reactor = context->DefaultReactor();
+  const auto end = [reactor](const absl::Status& status) {
+    reactor->Finish(rpc::ToGrpc(status));
+    return reactor;
+  };
+  const absl::StatusOr<rpc::Peer> peer = watch_->Admit(*context, role);
+  if (!peer.ok()) return end(peer.status());
+  if (const auto hit = wire_limits::Check(request)) {
+    return end(watch_->gate().Refuse({"limit", hit->ToStatus()}, &*peer, context->peer()));
+  }
+  if (enrolment_ == nullptr) {
+    return end(absl::UnimplementedError(
+        "this server issues no certificates: its configuration has no `enrolment`"));
+  }
+  const auto task = [this, end, call, &request, response, peer = *peer, address = context->peer(),
+                     fetch = std::move(fetch)] {
+    absl::StatusOr<Fetched> fetched = fetch(peer);
+    if (audit_ != nullptr) {
+      audit_->Record({.caller = rpc::Describe(peer),
+                      .address = address,
+                      .call = call,
+                      .request = request,
+                      .status = fetched.status()});
+    }
+    if (fetched.ok()) {
+      response->set_certificates_pem(std::move(fetched->certificates_pem));
+      response->set_authorities_pem(std::move(fetched->authorities_pem));
+    }
+    end(fetched.status());
+  };
+  if (!tasks_.Push(task)) {
+    return end(absl::ResourceExhaustedError("too many robots ask for certificates; try again"));
+  }
+  return reactor;
+}
+
+grpc::ServerUnaryReactor* EnrolmentService::Enrol(grpc::CallbackServerContext* context,
+                                                  const rips::v1::EnrolRequest* request,
+                                                  rips::v1::IssuedCertificate* response) {
+  return Answer(context, rpc::Role::kEnrolment, "Enrol", *request, response,
+                [this, request](const rpc::Peer& peer) {
+                  return enrolment_->Enrol(peer.identity, request->role(), request->request_pem());
+                });
+}
+
+grpc::ServerUnaryReactor* EnrolmentService::Renew(grpc::CallbackServerContext* context,
+                                                  const rips::v1::RenewRequest* request,
+                                                  rips::v1::IssuedCertificate* response) {
+  // What it may be; who it is, Admit says.
+  const absl::StatusOr<rpc::Peer> peer = rpc::PeerOf(*context->auth_context());
+  const bool actuator = peer.ok() && peer->identity.role == rpc::Role::kActuator;
+  return Answer(context, actuator ? rpc::Role::kActuator : rpc::Role::kSensor, "Renew", *request,
+                response, [this, request](const rpc::Peer& agent) {
+                  return enrolment_->Renew(agent.identity, request->request_pem());
+                });
+}
+
+}  // namespace rips::enrol

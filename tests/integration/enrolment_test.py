@@ -1,0 +1,241 @@
+"""Robots that come to their certificates by a token and renew them: real processes.
+
+    enrolment_test.py BINARIES SCENARIO      runs one; without SCENARIO prints their names
+"""
+
+import pathlib
+import shutil
+import subprocess
+import sys
+import tempfile
+import time
+
+sys.path.insert(0, str(pathlib.Path(__file__).resolve().parents[1] / "support"))
+from fleet import SOURCE, Fleet, check, perform  # noqa: E402
+
+
+def eventually(condition, seconds, what):
+    deadline = time.monotonic() + seconds
+    while True:
+        value = condition()
+        if value:
+            return value
+        check(time.monotonic() < deadline, f"{what}: not within {seconds} s")
+        time.sleep(0.2)
+
+
+class EnrolledFleet(Fleet):
+    """The server issues certificates; the agents' are where rips-enrol puts them."""
+
+    def prepare(self):
+        super().prepare()
+        self.mint("operator", "admin", "root")
+        # What the server is told; a test changes these files, as an administrator would.
+        shutil.copy(self.dir / "pki/ca.pem", self.dir / "trusted.pem")
+        (self.dir / "issuing").mkdir()
+        self.issue_by(self.dir / "pki")
+        self.folder = self.dir / "etc-rips-pki"
+        self.folder.mkdir()
+
+    def issue_by(self, authority):
+        for name in ("pem", "key"):
+            fresh = self.dir / f"issuing/fresh.{name}"
+            shutil.copy(authority / f"ca/issuing.{name}", fresh)
+            fresh.rename(self.dir / f"issuing/issuing.{name}")
+
+    def trust(self, *roots):
+        fresh = self.dir / "trusted.fresh"
+        fresh.write_text("".join((root / "ca.pem").read_text() for root in roots))
+        fresh.rename(self.dir / "trusted.pem")
+
+    def tls(self, *path):
+        if path[0] in ("sensor", "actuator"):
+            directory = self.folder / path[0]
+            return (f"{{ca: {directory}/ca.pem, cert: {directory}/cert.pem, "
+                    f"key: {directory}/key.pem}}")
+        return super().tls(*path)
+
+    def write_server_config(self, port):
+        super().write_server_config(port)
+        path = self.dir / "policy-server.yaml"
+        text = path.read_text().replace(f"ca: {self.dir}/pki/server/ps1/ca.pem",
+                                        f"ca: {self.dir}/trusted.pem")
+        path.write_text(text + f"enrolment: {{cert: {self.dir}/issuing/issuing.pem, "
+                               f"key: {self.dir}/issuing/issuing.key, life: 24h}}\n")
+
+    def as_admin(self, *args, check_code=True):
+        args = [str(each).replace("operator/operator/alice", "operator/admin/root")
+                for each in self.ripsctl_args(*args)]
+        done = subprocess.run(args, stdin=subprocess.DEVNULL, capture_output=True, text=True,
+                              timeout=30, env=self.env)
+        check(not check_code or done.returncode == 0, f"{args}: {done.stderr}")
+        return done
+
+    def token(self, *options):
+        path = self.dir / f"token-{time.monotonic_ns()}"
+        self.as_admin("enrol", "create-token", "r1", "base", "--out", path, *options)
+        return path
+
+    def rips_enrol(self, *args, code=0, folder=None):
+        done = subprocess.run([self.bin / "rips-enrol", *args, "--dir", folder or self.folder],
+                              stdin=subprocess.DEVNULL, capture_output=True, text=True, timeout=60,
+                              env=self.env)
+        check(done.returncode == code, f"rips-enrol {args} ended with {done.returncode}: "
+                                       f"{done.stdout}{done.stderr}")
+        return done.stdout + done.stderr
+
+    def renew(self):
+        """Of both agents; no sooner than the server lets them."""
+        eventually(lambda: "renewed" in self.rips_enrol_any("renew", "--now"), 40, "renewed")
+
+    def rips_enrol_any(self, *args):
+        done = subprocess.run([self.bin / "rips-enrol", *args, "--dir", self.folder],
+                              stdin=subprocess.DEVNULL, capture_output=True, text=True, timeout=60,
+                              env=self.env)
+        return done.stdout if done.returncode == 0 else ""
+
+    def serials(self):
+        return {role: subprocess.run(
+            ["openssl", "x509", "-in", self.folder / role / "cert.pem", "-noout", "-serial"],
+            check=True, capture_output=True, text=True).stdout.partition("=")[2].strip().lower().lstrip("0")
+            for role in ("sensor", "actuator")}
+
+    def connected(self):
+        """Serial numbers that the server has seen."""
+        return {each["uri"].split("/")[-2]: each["serial"]
+                for each in self.query("agent", "list")["agents"] if "/robot/" in each["uri"]}
+
+    def arm_enrolled(self):
+        """Agents that are started before they have certificates, which then come."""
+        self.prepare()
+        self.robot = self.start_robot()
+        self.server = self.start_server()
+        for role in ("sensor", "actuator"):
+            (self.folder / role).mkdir()
+        self.sensor = self.start_agent("sensor", wait=False)
+        self.actuator = self.start_agent("actuator", wait=False)
+        used = self.token()
+        out = self.rips_enrol("fetch", "--token", used)
+        check("sensor of r1 on base: enrolled" in out and "actuator of r1 on base: enrolled" in out,
+              out)
+        self.wait_level("DEFAULT", 60)
+        return used
+
+
+def a_token_brings_a_robot_its_certificates(fleet):
+    """Once; what came of it is in the list, the alerts and the audit log."""
+    used = fleet.arm_enrolled()
+    thief = fleet.dir / "thief"
+    thief.mkdir()
+    out = fleet.rips_enrol("fetch", "--token", used, code=1, folder=thief)
+    check("used already, by another key" in out, out)
+    check(not (thief / "sensor/cert.pem").exists(), "the thief has a certificate")
+    listed = fleet.query("enrol", "list", "r1")
+    check([each["state"] for each in listed["tokens"]] == ["used"], f"{listed}")
+    issued = {each["uri"].split("/")[-2]: each["serial"] for each in listed["issued"]}
+    check(issued == fleet.serials() == fleet.connected(), f"{issued} {fleet.serials()}")
+    check(sum("was enrolled with token" in each["text"] for each in fleet.alerts()) == 2,
+          f"{fleet.alerts()}")
+    tail = fleet.ripsctl("audit", "tail", str(fleet.dir / "server/audit"), "--limit", "1000")[1]
+    for call in ("CreateEnrolmentToken", "Enrol"):
+        check(call in tail, f"{call} is not in the audit log")
+    check("BEGIN PRIVATE KEY" not in tail, "a key is in the audit log")
+
+    revoked = fleet.token()
+    fleet.as_admin("enrol", "revoke-token", fleet.query("enrol", "list")["tokens"][0]["id"])
+    check("revoked" in fleet.rips_enrol("fetch", "--token", revoked, code=1, folder=thief), "revoked")
+    refused = fleet.ripsctl("enrol", "create-token", "r1", "base", check=False)
+    check(refused[0] == 1 and "needs the role `admin`" in refused[2], f"an operator may: {refused}")
+    refused = fleet.as_admin("enrol", "create-token", "r9", "base", check_code=False)
+    check(refused.returncode == 1 and "robots.yaml" in refused.stderr, f"{refused}")
+
+
+def certificates_are_renewed_under_open_streams(fleet):
+    """Nothing ends while they are renewed; the next connection shows the new ones."""
+    fleet.arm_enrolled()
+    check("not due yet" in fleet.rips_enrol("renew"), "it is due at once")
+    before = fleet.serials()
+    marks = {each: len(each.lines) for each in (fleet.sensor, fleet.actuator)}
+    fleet.renew()
+    after = fleet.serials()
+    check(all(before[role] != after[role] for role in before), f"{before} {after}")
+    time.sleep(3)
+    for agent, mark in marks.items():
+        lost = [line for _, line in agent.lines[mark:] if "disconnect" in line or "lease" in line]
+        check(not lost, f"{agent.name}: {lost}")
+    fleet.wait_level("DEFAULT", 5)
+    fleet.server.kill()
+    fleet.server = fleet.start_server()
+    fleet.wait_level("DEFAULT", 60)
+    eventually(lambda: fleet.connected() == after, 20, "they connect with the new ones")
+
+
+def another_root_takes_over_without_a_gap(fleet):
+    """Old and new root trusted, then signed by the new one, then the old one forgotten: the robot is
+    held all the while, and the server is not restarted."""
+    fleet.arm_enrolled()
+    mark = len(fleet.actuator.lines)
+    old, new = fleet.dir / "pki", fleet.dir / "new-pki"
+    for args in (("init",), ("server", "ps1"), ("operator", "operator", "alice")):
+        subprocess.run([SOURCE / "deploy/pki/mint", "--dir", new, "--trust-domain", "fleet.example",
+                        *args], check=True, stdout=subprocess.DEVNULL)
+    fleet.trust(old, new)
+    time.sleep(3)  # the server looks at its files each second
+    fleet.renew()  # now the agents trust both
+    time.sleep(3)
+    # The server's own, and who signs; operators get theirs.
+    fleet.issue_by(new)
+    server = old / "server/ps1"
+    target = server.resolve()
+    fresh = target.parent / "fresh"
+    shutil.copytree((new / "server/ps1").resolve(), fresh)
+    link = server.parent / "ps1.link"
+    link.symlink_to(fresh)
+    link.rename(server)
+    alice = old / "operator/operator/alice"
+    link = alice.parent / "alice.link"
+    link.symlink_to((new / "operator/operator/alice").resolve())
+    both = (old / "ca.pem").read_text() + (new / "ca.pem").read_text()
+    ((new / "operator/operator/alice") / "ca.pem").write_text(both)
+    link.rename(alice)
+    time.sleep(3)
+    fleet.renew()
+    fleet.trust(new)
+    time.sleep(3)
+    fleet.renew()
+    for role in ("sensor", "actuator"):
+        check((fleet.folder / role / "ca.pem").read_text() == (new / "ca.pem").read_text(),
+              f"the {role} still trusts the old root")
+    status = fleet.level()
+    check((status["decided_level"], status["stage"]) == ("DEFAULT", "verified"), f"{status}")
+    floors = [line for _, line in fleet.actuator.lines[mark:] if "floor=ALERT" in line]
+    check(not floors, f"{floors}")
+    time.sleep(3)  # the agents look at their files each second
+    fleet.server.kill()
+    fleet.server = fleet.start_server()
+    fleet.wait_level("DEFAULT", 60)
+    eventually(lambda: fleet.connected() == fleet.serials(), 20, "they connect under the new root")
+
+
+SCENARIOS = [a_token_brings_a_robot_its_certificates, certificates_are_renewed_under_open_streams,
+             another_root_takes_over_without_a_gap]
+
+
+def main():
+    if len(sys.argv) < 3:
+        print("\n".join(scenario.__name__ for scenario in SCENARIOS))
+        return 0
+    scenario = next(each for each in SCENARIOS if each.__name__ == sys.argv[2])
+    parent = pathlib.Path(sys.argv[1]).resolve().parent / "scenarios"
+    parent.mkdir(exist_ok=True)
+    directory = pathlib.Path(tempfile.mkdtemp(prefix=scenario.__name__ + ".", dir=parent))
+    directory.chmod(0o755)
+    fleet = EnrolledFleet(sys.argv[1], directory)
+    code = perform(scenario.__name__, scenario, fleet)
+    if code == 0:
+        shutil.rmtree(directory)
+    return code
+
+
+if __name__ == "__main__":
+    sys.exit(main())
