@@ -1,6 +1,6 @@
 """Makes the Debian packages of deploy/debian/control from a build directory.
 
-    make_packages.py BUILD OUT [--suffix TEXT]    TEXT is appended to the version, for tests
+    make_packages.py BUILD OUT
 
 CMake's install rules (deploy/cmake/RipsInstall.cmake) say which file belongs to which package; this
 adds manual pages, completion, copyright, changelog and the control files. The same build gives the
@@ -33,9 +33,10 @@ class Failed(Exception):
 
 
 def run(*command, **options):
-    done = subprocess.run([str(word) for word in command], capture_output=True, text=True, **options)
+    words = [str(word) for word in command]
+    done = subprocess.run(words, capture_output=True, text=True, **options)
     if done.returncode != 0:
-        raise Failed(f"`{' '.join(map(str, command))}` failed:\n{done.stdout}{done.stderr}".rstrip())
+        raise Failed(f"`{' '.join(words)}` failed:\n{done.stdout}{done.stderr}".rstrip())
     return done.stdout
 
 
@@ -49,8 +50,8 @@ def version_and_time():
     """Of the changelog, whose version must be CMake's."""
     text = (HERE / "changelog").read_text(encoding="utf-8")
     version = re.match(r"rips \(([0-9.]+)\) ", text)
-    project = re.search(r"^project\(rips VERSION ([0-9.]+)", (SOURCE / "CMakeLists.txt").read_text(),
-                        re.M)
+    cmake = (SOURCE / "CMakeLists.txt").read_text(encoding="utf-8")
+    project = re.search(r"^project\(rips VERSION ([0-9.]+)", cmake, re.M)
     if not version or not project or version[1] != project[1]:
         raise Failed("deploy/debian/changelog must begin with the version of CMakeLists.txt, "
                      f"{project and project[1]}")
@@ -77,16 +78,15 @@ class Package:
                 packed.write(text.encode())
 
     def stage(self):
-        run("cmake", "--install", self.build, "--component", self.name, "--prefix", "/usr", "--strip",
-            env={**os.environ, "DESTDIR": str(self.root)})
+        run("cmake", "--install", self.build, "--component", self.name, "--prefix", "/usr",
+            "--strip", env={**os.environ, "DESTDIR": str(self.root)})
         for program in sorted((self.root / "usr/bin").glob("*")):
             self.add_manual_page(program)
         if self.name == "rips-policy-server":
             self.add_camera_guard()
         shutil.copyfile(HERE / "copyright", self.path(self.doc / "copyright"))
-        changelog = (HERE / "changelog").read_text(encoding="utf-8")
         self.write_compressed(self.doc / "changelog.gz",
-                              re.sub(r"\(.*?\)", f"({self.version})", changelog, 1))
+                              (HERE / "changelog").read_text(encoding="utf-8"))
 
     def add_manual_page(self, program):
         name = program.name
@@ -101,13 +101,14 @@ class Package:
                               manual_page(name, self.version, shown))
 
     def add_camera_guard(self):
-        """The bundle whose plugin is compiled. Its manifest has the hash of the stripped program."""
+        """The bundle with a compiled plugin. Its manifest has the hash of the stripped program."""
         plugin = self.root.parent / "rips-plugin-blinding"
         shutil.copyfile(self.build / "bin/rips-plugin-blinding", plugin)
         run("strip", plugin)
-        run("cmake", "-D", f"SOURCE={SOURCE / 'rules/camera_guard'}", "-D",
-            f"BUNDLE={self.path('usr/lib/rips/bundles/camera-guard')}", "-D", f"PLUGIN={plugin}", "-D",
-            "PLUGIN_ID=blinding", "-P", SOURCE / "deploy/cmake/RipsBundle.cmake")
+        run("cmake", "-D", f"SOURCE={SOURCE / 'rules/camera_guard'}",
+            "-D", f"BUNDLE={self.path('usr/lib/rips/bundles/camera-guard')}",
+            "-D", f"PLUGIN={plugin}", "-D", "PLUGIN_ID=blinding",
+            "-P", SOURCE / "deploy/cmake/RipsBundle.cmake")
 
     def files(self):
         return sorted(path for path in self.root.rglob("*")
@@ -128,11 +129,9 @@ class Package:
 
     def control(self, architecture):
         fields = {**self.fields, **{key: self.common[key] for key in
-                                    ("Maintainer", "Section", "Priority")}}
+                                    ("Source", "Maintainer", "Section", "Priority")}}
         fields["Version"] = self.version
         fields["Architecture"] = "all" if fields["Architecture"] == "all" else architecture
-        if self.name != "rips-common":
-            fields["Source"] = self.common["Source"]
         libraries = self.library_packages()
         for key in ("Depends", "Recommends"):
             if key in fields:
@@ -147,10 +146,10 @@ class Package:
 
     def write_control_files(self, architecture):
         control = self.control(architecture)
-        sums = "".join(f"{hashlib.md5(path.read_bytes()).hexdigest()}  {path.relative_to(self.root)}\n"
-                       for path in self.files())
-        kept = "".join(f"/{path.relative_to(self.root)}\n" for path in self.files()
-                       if path.relative_to(self.root).parts[0] == "etc")
+        files = {str(path.relative_to(self.root)): path for path in self.files()}
+        sums = "".join(f"{hashlib.md5(path.read_bytes()).hexdigest()}  {name}\n"
+                       for name, path in files.items())
+        kept = "".join(f"/{name}\n" for name in files if name.startswith("etc/"))
         directory = self.root / "DEBIAN"
         directory.mkdir()
         (directory / "control").write_text(control)
@@ -184,10 +183,9 @@ class Package:
         return out / name
 
 
-def make_packages(build, out, suffix=""):
+def make_packages(build, out):
     """The packages made, in the order of the control file."""
     version, time = version_and_time()
-    version += suffix
     common, *packages = paragraphs()
     architecture = run("dpkg", "--print-architecture").strip()
     out.mkdir(parents=True, exist_ok=True)
@@ -200,14 +198,13 @@ def main():
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("build", type=pathlib.Path)
     parser.add_argument("out", type=pathlib.Path)
-    parser.add_argument("--suffix", default="")
     args = parser.parse_args()
     os.umask(0o022)
     try:
-        for package in make_packages(args.build.resolve(), args.out.resolve(), args.suffix):
+        for package in make_packages(args.build.resolve(), args.out.resolve()):
             installed = int(run("dpkg-deb", "--field", package, "Installed-Size"))
-            print(f"    {package.stat().st_size / 1e6:5.1f} MB, {installed / 1e3:5.1f} MB installed: "
-                  f"{package.name}")
+            size = package.stat().st_size / 1e6
+            print(f"    {size:5.1f} MB, {installed / 1e3:5.1f} MB installed: {package.name}")
     except (Failed, OSError) as why:
         sys.exit(f"error: {why}")
 

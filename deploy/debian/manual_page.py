@@ -34,19 +34,22 @@ def escape(text):
 
 
 def options(lines):
-    """`  --flag VALUE   text`, where text may begin or go on in the next lines, as paragraphs."""
+    """Headings, paragraphs, and `  --flag VALUE   text`, where the text may be in the next line."""
+    paragraph = False
     for line in lines:
         flag = re.match(r" {2}(\S(?:\S| (?! ))*)(?: {2,}(.*))?$", line)
+        heading = re.match(r"([A-Za-z]+):?$", line)
         if flag:
             yield from (".TP", f"\\fB{escape(flag[1])}\\fR")
             if flag[2]:
                 yield escape(flag[2])
-        elif line.strip() and line.startswith(" "):
-            yield escape(line.strip())
-        elif line.strip() and line.rstrip().endswith(":"):
-            yield f".SH {line.strip().rstrip(':').upper()}"
+        elif heading:
+            yield f".SH {heading[1].upper()}"
         elif line.strip():
-            yield from (".PP", escape(line.strip()))
+            if not paragraph and not line.startswith(" "):
+                yield ".PP"
+            yield escape(line.strip())
+        paragraph = bool(line.strip()) and not line.startswith(" ") and not heading
 
 
 def manual_page(program, version, help_text):
@@ -59,11 +62,14 @@ def manual_page(program, version, help_text):
     if usage:
         page += [".SH SYNOPSIS", escape(usage[len("usage: "):])]
         lines.remove(usage)
-    page += [".SH DESCRIPTION", escape(description or (sentence[0].upper() + sentence[1:] + "."))]
+    page.append(".SH DESCRIPTION")
+    if not lines or not lines[0]:  # no sentence of its own
+        page.append(escape(description or sentence[0].upper() + sentence[1:] + "."))
     page += options(lines)
     files = sorted(set(re.findall(r"=(/\S+)", help_text or "")))
     if files:
-        page += [".SH FILES"] + [line for file in files for line in (".TP", f"\\fI{escape(file)}\\fR",
-                                                                    "The default; see above.")]
+        page.append(".SH FILES")
+        for file in files:
+            page += [".TP", f"\\fI{escape(file)}\\fR", "The default; see above."]
     see = "ripsctl(1)" if program != "rips-inspect" else "rips-policy-server(8), ripsctl(1)"
     return "\n".join(page + [".SH SEE ALSO", escape(see), ""])

@@ -3,9 +3,7 @@ if [ "$1" = remove ] && has_systemd; then
 fi
 if [ "$1" = purge ]; then
   for unit in $(services) $sockets; do
-    if [ -x /usr/bin/deb-systemd-helper ]; then
-      deb-systemd-helper purge "$unit" >/dev/null || true
-    fi
+    deb-systemd-helper purge "$unit" >/dev/null || true
   done
   echo "$directories" | while read -r path rest; do
     [ -n "$path" ] || continue

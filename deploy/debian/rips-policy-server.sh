@@ -3,4 +3,5 @@
 directories="/etc/rips/pki/policy-server root rips-policy-server 0750
 /var/lib/rips/policy-server rips-policy-server rips-policy-server 0700
 /var/log/rips rips-policy-server rips-policy-server 0750"
-daemons="rips-policy-server.service /usr/bin/rips-policy-server rips-policy-server /etc/rips/policy-server.yaml"
+server=rips-policy-server
+daemons="$server.service /usr/bin/$server $server /etc/rips/policy-server.yaml"
