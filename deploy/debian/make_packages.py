@@ -135,8 +135,8 @@ class Package:
         libraries = self.library_packages()
         for key in ("Depends", "Recommends"):
             if key in fields:
-                fields[key] = fields[key].replace("${shlibs:Depends}", libraries).replace(
-                    "${version}", self.version)
+                fields[key] = fields[key].replace("\n", "").replace(
+                    "${shlibs:Depends}", libraries).replace("${version}", self.version)
         kilobytes = sum(-(-path.stat().st_size // 1024) for path in self.files())
         directories = sum(1 for path in self.root.rglob("*") if path.is_dir())
         fields["Installed-Size"] = str(kilobytes + directories)

@@ -15,6 +15,7 @@ import shutil
 import subprocess
 import sys
 import tempfile
+import time
 
 HERE = pathlib.Path(__file__).resolve().parent
 SOURCE = HERE.parents[1]
@@ -96,24 +97,25 @@ def installed_upgraded_removed_purged(world):
         raise Skipped("only root can install packages, also into a copy of the root directory")
     place = world.dir / "root"
     place.mkdir()
-    command = ["unshare", "--mount", "--propagation", "private", sys.executable, "-B", __file__,
-               "--inside", place, *world.packages]
-    if run("unshare", "--mount", "true", ok=False).returncode != 0:
+    apart = ["unshare", "--mount", "--net", "--pid", "--fork", "--kill-child", "--propagation",
+             "private"]
+    if run(*apart, "true", ok=False).returncode != 0:
         raise Skipped("unshare is not allowed here")
+    command = [*apart, sys.executable, "-B", __file__, "--inside", place, *world.packages]
     done = run(*command, ok=False)
     if done.returncode == 77:
         raise Skipped(done.stdout.strip())
     check(done.returncode == 0, done.stdout)
 
 
-# What follows runs in a mount namespace of its own.
+# What follows runs in namespaces of its own, also of networks and processes.
 
-PROGRAMS = {  # program -> its user, its configuration
-    "rips-policy-server": ("rips-policy-server", "policy-server.yaml"),
-    "rips-sensor": ("rips-sensor", "sensor.yaml"),
-    "rips-actuator": ("rips", "actuator.yaml"),
-    "rips-exec": ("rips-exec", "actuator.yaml"),
-    "rips-fw": ("rips-fw", "actuator.yaml"),
+PROGRAMS = {  # program -> its user
+    "rips-policy-server": "rips-policy-server",
+    "rips-sensor": "rips-sensor",
+    "rips-actuator": "rips",
+    "rips-exec": "rips-exec",
+    "rips-fw": "rips-fw",
 }
 PRIVATE = {  # directory -> its mode, user and group
     "/etc/rips/pki/policy-server": "750 root rips-policy-server",
@@ -135,6 +137,11 @@ case "$*" in *is-active*rips-wire*) exit 3 ;; esac
 }
 
 
+def as_its_user(program):
+    user = PROGRAMS[program]
+    return ["setpriv", f"--reuid={user}", f"--regid={user}", "--init-groups", program]
+
+
 class Copy:
     """An overlay over / in memory. What is written into it is gone with this process."""
 
@@ -150,6 +157,7 @@ class Copy:
         run("mount", "--rbind", "/dev", self.root / "dev")
         for name in ("run", "tmp"):
             run("mount", "-t", "tmpfs", "rips-test", self.root / name)
+        (self.root / "tmp").chmod(0o1777)
         # What this machine has of RIPS does not count.
         known = run("dpkg-query", "-W", "-f", "${Package}\n").stdout
         there = re.findall(r"^(rips-\S+)", known, re.M)
@@ -183,9 +191,12 @@ class Copy:
         return [line for line in lines if "is-active" not in line]
 
     def check_config(self, program, ok=True):
-        user, _ = PROGRAMS[program]
-        return self.run("setpriv", f"--reuid={user}", f"--regid={user}", "--init-groups", program,
-                        "--check-config", ok=ok)
+        return self.run(*as_its_user(program), "--check-config", ok=ok)
+
+    def start(self, program):
+        with open(self.path("/tmp/daemons.log"), "a", encoding="utf-8") as log:
+            return subprocess.Popen(["chroot", str(self.root), *as_its_user(program)], stdout=log,
+                                    stderr=log)
 
 
 def next_version(packages, out):
@@ -225,12 +236,60 @@ def check_after_installation(copy):
     check(not mine, "systemd-analyze verify says:\n" + "\n".join(mine))
 
 
-def write_examples(copy):
-    for package in ("rips-policy-server", "rips-sensor", "rips-actuator"):
-        for example in copy.path(f"/usr/share/doc/{package}/examples").iterdir():
-            shutil.copy(example, copy.path("/etc/rips"))
-    shutil.copytree(copy.path("/usr/share/rips/policies/warehouse"),
-                    copy.path("/etc/rips/bundles/warehouse"))
+def commands_of_the_readme():
+    """What README.md, "Install", tells an administrator to type, but for making packages."""
+    text = (SOURCE / "README.md").read_text(encoding="utf-8")
+    chapter = text.partition("\n## Install\n")[2].partition("\n## ")[0].replace("\\\n", " ")
+    lines = [line.strip() for line in chapter.splitlines() if line.startswith("    ")]
+    return [line for line in lines if not line.startswith("./deploy/package")]
+
+
+def follow_the_readme(copy):
+    """Everything on one host. The examples name another server, and a network that is not there."""
+    commands = commands_of_the_readme()
+    kinds = {command.split()[0] for command in commands}
+    expected = {"rips-mint", "apt-get", "install", "cp", "runuser", "systemctl"}
+    check(kinds == expected, f"README.md has {kinds} in \"Install\"")
+    units = {path.name for path in (SOURCE / "deploy/systemd").iterdir()}
+    for command in commands:
+        words = command.split()
+        if words[0] == "systemctl":
+            named = {word if "." in word else f"{word}.service" for word in words[3:]}
+            check(words[1:3] == ["enable", "--now"] and named <= units, f"what is `{command}`?")
+        elif words[0] == "apt-get":
+            # dpkg does what apt-get would do with packages that are there.
+            copy.run("bash", "-c", f"cd /tmp/packages && dpkg -i {' '.join(words[2:])}")
+        else:
+            copy.run("bash", "-c", f"cd /tmp/packages && {command}")
+    for name in ("sensor", "actuator"):
+        path = copy.path(f"/etc/rips/{name}.yaml")
+        path.write_text(path.read_text().replace("policy.example", "127.0.0.1")
+                        .replace("interface: eth0", "interface: lo"))
+
+
+def daemons_work_together(copy):
+    """As installed and by their own users: the server, and both agents of the robot. The helpers
+    want sockets that systemd opens."""
+    run("ip", "link", "set", "lo", "up")
+    daemons = [copy.start(program) for program in
+               ("rips-policy-server", "rips-sensor", "rips-actuator")]
+    alice = "/tmp/packages/fleet/operator/admin/alice"
+    ripsctl = ["ripsctl", "--server", "127.0.0.1:7443", "--cert", f"{alice}/cert.pem", "--key",
+               f"{alice}/key.pem", "--ca", f"{alice}/ca.pem"]
+    deadline = time.monotonic() + LIMIT
+    while True:
+        done = copy.run(*ripsctl, "agent", "list", ok=False)
+        agents = re.findall(r"/robot/r1/(sensor|actuator)/base", done.stdout)
+        if {"sensor", "actuator"} <= set(agents):
+            break
+        ended = [f"{daemon.args}: {daemon.returncode}" for daemon in daemons if daemon.poll()]
+        check(not ended and time.monotonic() < deadline,
+              f"{ended}\n{done.stdout}\n{copy.path('/tmp/daemons.log').read_text()}")
+        time.sleep(0.2)
+    for daemon in daemons:
+        daemon.terminate()
+    for daemon in daemons:
+        check(daemon.wait(LIMIT) == 0, f"{daemon.args} ended with {daemon.returncode}")
 
 
 def check_configurations(copy):
@@ -261,9 +320,6 @@ def check_tools(copy):
     bundle = "/usr/lib/rips/bundles/camera-guard"
     copy.run("ripsctl", "rules", "check", bundle)
     copy.run("ripsctl", "rules", "test", f"{bundle}/camera-guard_test.yaml")
-    mint = ["rips-mint", "--dir", "/tmp/fleet", "--trust-domain", "fleet.example"]
-    copy.run(*mint, "init")
-    copy.run(*mint, "sensor", "r1", "base")
     copy.run("bash", "-n", "/usr/share/bash-completion/completions/ripsctl")
     if copy.path("/usr/sbin/logrotate").exists():
         alerts = copy.path("/var/log/rips/alerts.jsonl")
@@ -327,8 +383,7 @@ def check_removal(copy, names, packages):
     check(copy.path("/etc/rips/sensor.yaml").exists(), "the configuration is gone")
     check(not list(copy.path("/usr/bin").glob("rips*")), "programs are left")
     # And back: what was kept is in use again.
-    copy.path("/var/lib/rips/actuator/mark").unlink()
-    copy.path("/var/lib/rips/actuator").rmdir()
+    shutil.rmtree(copy.path("/var/lib/rips/actuator"))
     copy.install(packages)
     copy.path("/var/lib/rips/actuator/mark").write_text("mine\n")
     check_marks(copy)
@@ -355,8 +410,9 @@ def inside(place, packages):
     newer.mkdir()
     copy.install(packages)
     check_after_installation(copy)
-    write_examples(copy)
+    follow_the_readme(copy)
     check_configurations(copy)
+    daemons_work_together(copy)
     check_tools(copy)
     fake_systemd(copy)
     leave_marks(copy)
@@ -399,7 +455,7 @@ def main():
         except Skipped as skipped:
             print(skipped)
             return 77
-        except Failed as failed:
+        except (Failed, OSError) as failed:
             print(failed)
             return 1
         return 0
