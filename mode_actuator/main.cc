@@ -15,6 +15,7 @@
 #include "services/runtime/log.h"
 #include "services/runtime/metrics.h"
 #include "services/runtime/mutex.h"
+#include "services/runtime/needed_directories.h"
 #include "services/runtime/real_clock.h"
 #include "services/runtime/shutdown.h"
 
@@ -31,7 +32,12 @@ int Fail(int code, const absl::Status& status) {
   return code;
 }
 
-int CheckConfig(const LoadedConfig& loaded) {
+int CheckConfig(const std::string& file, const LoadedConfig& loaded) {
+  const std::string state = rips::ParentDirectory(loaded.config.state_dir);
+  if (const absl::Status there = rips::CheckDirectories(file, {{"state_dir", state}});
+      !there.ok()) {
+    return Fail(rips::kExitConfig, there);
+  }
   if (const auto enclave = rips::dds::LoadSecurity(loaded.config.dds, absl::Now()); !enclave.ok()) {
     return Fail(rips::kExitConfig, enclave.status());
   }
@@ -104,7 +110,7 @@ int main(int argc, char** argv) {
 
   const auto loaded = rips::actuator::LoadConfig(flags.config);
   if (!loaded.ok()) return Fail(rips::kExitConfig, loaded.status());
-  if (flags.check_config) return CheckConfig(*loaded);
+  if (flags.check_config) return CheckConfig(flags.config, *loaded);
 
   rips::Metrics metrics;
   rips::SignalWaiter signals({});

@@ -558,6 +558,13 @@ TEST_F(DaemonTest, CheckConfigNamesAMissingFileOfTheKeystore) {
               HasSubstr(absl::StrCat(keystore, "/enclaves/rips/sensor/identity_ca.cert.pem")));
 }
 
+TEST_F(DaemonTest, CheckConfigNamesMissingDirectories) {
+  WriteConfig("r1", "outbox: {dir: /no/such/spool}\n");
+  Spawn({"--check-config"});
+  EXPECT_EQ(WaitForExit(), 2);
+  EXPECT_THAT(Output(), HasSubstr("`outbox.dir` needs the directory `/no/such`, which does not"));
+}
+
 TEST_F(DaemonTest, CheckConfigPrintsTheEffectiveConfiguration) {
   WriteConfig("r1");
   Spawn({"--check-config"});

@@ -6,6 +6,7 @@
 #include <memory>
 #include <string>
 #include <utility>
+#include <vector>
 
 #include "absl/strings/str_cat.h"
 #include "absl/time/clock.h"
@@ -20,6 +21,7 @@
 #include "services/runtime/config_sections.h"
 #include "services/runtime/log.h"
 #include "services/runtime/metrics.h"
+#include "services/runtime/needed_directories.h"
 #include "services/runtime/real_clock.h"
 #include "services/runtime/shutdown.h"
 
@@ -103,6 +105,23 @@ int Serve(const DaemonFlags& flags, const SensorConfig& config,
   return code;
 }
 
+// --check-config: of the files that the configuration names, too.
+int CheckConfig(const std::string& file, const SensorConfig& config, const std::string& effective) {
+  std::vector<NeededDirectory> needed = {{"state_dir", ParentDirectory(config.state_dir)}};
+  const std::string spool = ParentDirectory(config.spool_dir);
+  const bool with_state = spool == ParentDirectory(absl::StrCat(config.state_dir, "/spool"));
+  if (config.outbox_disk.bytes > 0 && !with_state) needed.push_back({"outbox.dir", spool});
+  if (const absl::Status there = CheckDirectories(file, needed); !there.ok()) {
+    std::fprintf(stderr, "%s\n", std::string(there.message()).c_str());
+    return kExitConfig;
+  }
+  if (const auto enclave = dds::LoadSecurity(config.dds, absl::Now()); !enclave.ok()) {
+    return Fail(kExitConfig, "cannot use the keystore", enclave.status());
+  }
+  std::fputs(effective.c_str(), stdout);
+  return 0;
+}
+
 }  // namespace
 
 int RunDaemon(const DaemonFlags& flags) {
@@ -114,13 +133,7 @@ int RunDaemon(const DaemonFlags& flags) {
     std::fprintf(stderr, "%s\n", std::string(config.status().message()).c_str());
     return kExitConfig;
   }
-  if (flags.check_config) {
-    if (const auto enclave = dds::LoadSecurity(config->dds, absl::Now()); !enclave.ok()) {
-      return Fail(kExitConfig, "cannot use the keystore", enclave.status());
-    }
-    std::fputs(effective.c_str(), stdout);
-    return 0;
-  }
+  if (flags.check_config) return CheckConfig(flags.config, *config, effective);
   rpc::CredentialsSource credentials(config->tls);
   credentials.Require(
       [&config](const rpc::PeerIdentity& self) { return CheckIdentity(*config, self); });

@@ -715,6 +715,13 @@ TEST_F(BinaryTest, ChecksItsConfiguration) {
   EXPECT_EQ(good.code, 0) << good.output;
   EXPECT_THAT(good.output, HasSubstr("fail_safe.level: \"ALERT\""));
 
+  std::string elsewhere = absl::StrReplaceAll(
+      Slurp(path), {{absl::StrCat("state_dir: ", dir_), "state_dir: /no/such"}});
+  std::ofstream(dir_ + "/elsewhere.yaml") << elsewhere;
+  const Ended gone = RunBinary("--check-config --config " + dir_ + "/elsewhere.yaml");
+  EXPECT_EQ(gone.code, 2);
+  EXPECT_THAT(gone.output, HasSubstr("`state_dir` needs the directory `/no/such`, which does not"));
+
   std::ofstream(path, std::ios::app) << "colour: red\n";
   const Ended bad = RunBinary("--check-config --config " + path);
   EXPECT_EQ(bad.code, 2);

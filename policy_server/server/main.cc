@@ -6,7 +6,9 @@
 #include <string>
 #include <utility>
 
+#include "policy_server/policy/bundle/inventory.h"
 #include "policy_server/server/config/config.h"
+#include "policy_server/server/config/needed_files.h"
 #include "policy_server/server/server.h"
 #include "services/rpc/credentials.h"
 #include "services/runtime/config_sections.h"
@@ -14,6 +16,27 @@
 #include "services/runtime/daemon_flags.h"
 #include "services/runtime/log.h"
 #include "services/runtime/shutdown.h"
+
+namespace {
+
+// --check-config: of the files that the configuration names, too.
+int CheckConfig(const std::string& file, const rips::server::ParsedServerConfig& parsed) {
+  absl::Status problem = rips::server::CheckNeededDirectories(file, parsed.config);
+  if (problem.ok()) {
+    const absl::StatusOr<std::string> inventory = rips::ReadConfigFile(parsed.config.inventory);
+    problem = inventory.ok()
+                  ? rips::bundle::ParseInventory(parsed.config.inventory, *inventory).status()
+                  : inventory.status();
+  }
+  if (!problem.ok()) {
+    std::fprintf(stderr, "%s\n", std::string(problem.message()).c_str());
+    return rips::kExitConfig;
+  }
+  std::fputs(parsed.effective.c_str(), stdout);
+  return 0;
+}
+
+}  // namespace
 
 int main(int argc, char** argv) {
   using namespace rips;
@@ -36,10 +59,7 @@ int main(int argc, char** argv) {
     std::fprintf(stderr, "%s\n", std::string(parsed.status().message()).c_str());
     return kExitConfig;
   }
-  if (flags.check_config) {
-    std::fputs(parsed->effective.c_str(), stdout);
-    return 0;
-  }
+  if (flags.check_config) return CheckConfig(flags.config, *parsed);
 
   BlockSignals();
   // Signals are taken from here on: the start may wait for a certificate, and must end if told to.
