@@ -10,7 +10,7 @@ function(_rips_install_directories component)  # PATH...: empty ones, 0755
     install(DIRECTORY DESTINATION ${path} COMPONENT ${component})
   endforeach()
 endfunction()
-function(_rips_install_units component)  # NAME.service|socket...
+function(_rips_install_units component)  # NAME.service|socket|timer...
   list(TRANSFORM ARGN PREPEND ${PROJECT_SOURCE_DIR}/deploy/systemd/ OUTPUT_VARIABLE units)
   install(FILES ${units} DESTINATION /lib/systemd/system COMPONENT ${component})
 endfunction()
@@ -46,6 +46,9 @@ _rips_install_units(rips-actuator rips-actuator.service rips-exec.service rips-e
 _rips_install_examples(rips-actuator actuator.yaml alert.nft smh.yaml)
 install(FILES deploy/udev/70-rips-alarm.rules DESTINATION /lib/udev/rules.d
         COMPONENT rips-actuator)
+
+install(TARGETS rips-enrol DESTINATION bin COMPONENT rips-enrol)
+_rips_install_units(rips-enrol rips-enrol-renew.service rips-enrol-renew.timer)
 
 install(TARGETS ripsctl DESTINATION bin COMPONENT rips-tools)
 install(PROGRAMS deploy/pki/mint DESTINATION bin RENAME rips-mint COMPONENT rips-tools)

@@ -3,7 +3,7 @@ set -e
 # What each package sets (deploy/debian/PACKAGE.sh), one item a line:
 directories=""  # PATH OWNER GROUP MODE: made at the first installation, removed by a purge
 daemons=""      # UNIT PROGRAM USER CONFIGURATION: restarted by an upgrade; PROGRAM `-`: unchecked
-sockets=""      # UNIT
+triggers=""     # UNIT: sockets and timers
 on_configure() { :; }  # further steps of the package; $1 is the version that was there, or empty
 
 has_systemd() { [ -d /run/systemd/system ]; }

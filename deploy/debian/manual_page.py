@@ -19,6 +19,7 @@ SENTENCES = {
         "look for YARA rules in message payloads",
         "Started by rips-policy-server and ripsctl in a confinement of its own; it refuses to be "
         "started by hand."),
+    "rips-enrol": ("fetch the certificates of a robot's RIPS agents, and renew them", ""),
     "rips-mint": ("make the certificates of a small fleet of RIPS daemons and operators", ""),
 }
 USER_COMMANDS = ("rips-mint",)  # section 1; the others are daemons and their helpers, section 8

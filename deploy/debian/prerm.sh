@@ -1,5 +1,5 @@
 if [ "$1" = remove ] && has_systemd; then
-  for unit in $sockets $(services); do
+  for unit in $triggers $(services); do
     deb-systemd-invoke stop "$unit" >/dev/null || true
   done
 fi

@@ -5,7 +5,7 @@ directories="/etc/rips/pki/actuator root rips 0750
 daemons="rips-exec.service /usr/bin/rips-exec rips-exec /etc/rips/actuator.yaml
 rips-fw.service /usr/bin/rips-fw rips-fw /etc/rips/actuator.yaml
 rips-actuator.service /usr/bin/rips-actuator rips /etc/rips/actuator.yaml"
-sockets="rips-exec.socket rips-fw.socket"
+triggers="rips-exec.socket rips-fw.socket"
 on_configure() {
   # Alarms that are plugged in already get the group of the rules.
   if [ -z "$1" ] && [ -S /run/udev/control ]; then

@@ -52,7 +52,7 @@ absl::StatusOr<std::string> HashOf(EVP_PKEY* key) {
 }
 
 absl::StatusOr<std::string> NewKey() {
-  const Key key(EVP_EC_gen("P-256"));
+  const Key key(EVP_PKEY_Q_keygen(nullptr, nullptr, "EC", "P-256"));
   const Bio out(BIO_new(BIO_s_mem()));
   if (key == nullptr || out == nullptr ||
       PEM_write_bio_PKCS8PrivateKey(out.get(), key.get(), nullptr, nullptr, 0, nullptr, nullptr) !=
