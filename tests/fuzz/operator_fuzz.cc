@@ -11,6 +11,7 @@
 #include "google/protobuf/descriptor.h"
 #include "google/protobuf/message.h"
 #include "rips/v1/actuator.pb.h"
+#include "rips/v1/enrolment.pb.h"
 #include "rips/v1/operator.pb.h"
 #include "rips/v1/sensor.pb.h"
 #include "services/base/check.h"
@@ -26,7 +27,7 @@ std::vector<const google::protobuf::Message*> Requests() {
   std::vector<const google::protobuf::Message*> requests;
   for (const google::protobuf::FileDescriptor* file :
        {v1::ListAgentsRequest::descriptor()->file(), v1::SensorMessage::descriptor()->file(),
-        v1::ActuatorMessage::descriptor()->file()}) {
+        v1::ActuatorMessage::descriptor()->file(), v1::EnrolRequest::descriptor()->file()}) {
     for (int i = 0; i < file->service_count(); ++i) {
       for (int j = 0; j < file->service(i)->method_count(); ++j) {
         requests.push_back(google::protobuf::MessageFactory::generated_factory()->GetPrototype(

@@ -1,7 +1,11 @@
 #include "policy_server/server/config/needed_files.h"
 
+#include <filesystem>
+#include <system_error>
 #include <vector>
 
+#include "absl/strings/str_cat.h"
+#include "services/base/status_macros.h"
 #include "services/runtime/needed_directories.h"
 
 namespace rips::server {
@@ -18,7 +22,15 @@ absl::Status CheckNeededDirectories(absl::string_view file, const ServerConfig& 
   if (config.recordings_bytes > 0) {
     needed.push_back({"recordings.dir", ParentDirectory(config.recordings_directory())});
   }
-  return CheckDirectories(file, needed);
+  RIPS_RETURN_IF_ERROR(CheckDirectories(file, needed));
+  std::error_code error;
+  if (config.alerts.rotate_bytes > 0 && std::filesystem::is_symlink(config.alerts.path, error)) {
+    return absl::InvalidArgumentError(
+        absl::StrCat(file, ": `alerts.file` is the symbolic link `", config.alerts.path,
+                     "`, which `rotate_bytes` does not move; name the file, or leave "
+                     "`rotate_bytes` out"));
+  }
+  return absl::OkStatus();
 }
 
 }  // namespace rips::server

@@ -1,5 +1,6 @@
 #include "policy_server/server/config/needed_files.h"
 
+#include <filesystem>
 #include <string>
 
 #include "absl/strings/str_cat.h"
@@ -49,6 +50,18 @@ TEST_F(NeededFilesTest, WhatIsNotKeptNeedsNoDirectory) {
   EXPECT_THAT(CheckNeededDirectories("ps.yaml", config),
               StatusIs(absl::StatusCode::kInvalidArgument,
                        AllOf(Not(HasSubstr("audit.dir")), Not(HasSubstr("recordings.dir")))));
+}
+
+TEST_F(NeededFilesTest, AnAlertFileThatIsRotatedIsNoLink) {
+  ServerConfig config = Below(::testing::TempDir());
+  config.alerts.path = absl::StrCat(::testing::TempDir(), "/rips-needed-link.jsonl");
+  std::filesystem::remove(config.alerts.path);
+  std::filesystem::create_symlink("/dev/null", config.alerts.path);
+  EXPECT_THAT(CheckNeededDirectories("ps.yaml", config), IsOk());
+  config.alerts.rotate_bytes = 1 << 20;
+  EXPECT_THAT(CheckNeededDirectories("ps.yaml", config),
+              StatusIs(absl::StatusCode::kInvalidArgument, HasSubstr("symbolic link")));
+  std::filesystem::remove(config.alerts.path);
 }
 
 }  // namespace
