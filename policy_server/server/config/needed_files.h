@@ -8,8 +8,8 @@
 
 namespace rips::server {
 
-// InvalidArgument with every directory of `config` that must exist and does not; or if the alert file
-// is a link that the server cannot rotate. `file` is the name used in messages.
+// InvalidArgument with every directory of `config` that must exist and does not; or if the alert
+// file is a link that the server cannot rotate. `file` is the name used in messages.
 absl::Status CheckNeededDirectories(absl::string_view file, const ServerConfig& config);
 
 }  // namespace rips::server
