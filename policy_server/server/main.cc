@@ -9,6 +9,7 @@
 #include "policy_server/policy/bundle/inventory.h"
 #include "policy_server/server/config/config.h"
 #include "policy_server/server/config/needed_files.h"
+#include "policy_server/server/enrol/enrolment.h"
 #include "policy_server/server/server.h"
 #include "services/rpc/credentials.h"
 #include "services/runtime/config_sections.h"
@@ -27,6 +28,11 @@ int CheckConfig(const std::string& file, const rips::server::ParsedServerConfig&
     problem = inventory.ok()
                   ? rips::bundle::ParseInventory(parsed.config.inventory, *inventory).status()
                   : inventory.status();
+  }
+  const rips::server::EnrolmentConfig& enrolment = parsed.config.enrolment;
+  if (problem.ok() && !enrolment.cert.empty()) {
+    problem = rips::enrol::CheckIssuingFiles(
+        {.cert = enrolment.cert, .key = enrolment.key, .ca = parsed.config.tls.ca});
   }
   if (!problem.ok()) {
     std::fprintf(stderr, "%s\n", std::string(problem.message()).c_str());

@@ -186,18 +186,17 @@ void Server::OpenEnrolment() {
   auto opened = store::SqliteEnrolments::Open(config_.enrolment_path());
   if (!opened.ok()) return problem(opened.status());
   enrolments_ = *std::move(opened);
+  const enrol::IssuingFiles files = {
+      .cert = config_.enrolment.cert, .key = config_.enrolment.key, .ca = config_.tls.ca};
   enrolment_ = std::make_unique<enrol::Enrolment>(
-      enrol::EnrolmentOptions{.files = {.cert = config_.enrolment.cert,
-                                        .key = config_.enrolment.key,
-                                        .ca = config_.tls.ca},
-                              .trust_domain = config_.trust_domain,
-                              .life = config_.enrolment.life},
+      enrol::EnrolmentOptions{
+          .files = files, .trust_domain = config_.trust_domain, .life = config_.enrolment.life},
       enrolments_.get(), &clock_,
       enrol::EnrolmentReports{
           .tell = [this](const std::string& robot, engine::Severity severity,
                          const std::string& text) { alerts_->Raise(robot, severity, text); },
           .issued = [this](const rpc::Peer& agent) { certificates_->Seen(agent); }});
-  if (const absl::Status usable = enrolment_->Check(); !usable.ok()) problem(usable);
+  if (const absl::Status usable = enrol::CheckIssuingFiles(files); !usable.ok()) problem(usable);
 }
 
 void Server::OpenRecordings() {

@@ -24,7 +24,7 @@ class TokenFiles {
  public:
   static absl::StatusOr<std::unique_ptr<TokenFiles>> Make(const v1::EnrolmentToken& token,
                                                           const KeyFolder& folder) {
-    std::string path = folder.path() + "/.token-XXXXXX";
+    std::string path = absl::StrCat(folder.path(), "/", kTokenFolder, "XXXXXX");
     if (mkdtemp(path.data()) == nullptr) {
       return absl::ErrnoToStatus(errno, absl::StrCat("cannot write in `", folder.path(), "`"));
     }
@@ -88,28 +88,61 @@ absl::StatusOr<v1::IssuedCertificate> Call(const std::string& server,
   const grpc::Status status = (calls.*method)(&context, request, &issued);
   if (status.ok()) return issued;
   const absl::Status failed = rpc::FromGrpc(status);
-  return absl::Status(failed.code(), absl::StrCat(server, ": ", failed.message()));
+  const bool unreachable = absl::IsUnavailable(failed) || absl::IsDeadlineExceeded(failed);
+  return absl::Status(
+      failed.code(),
+      absl::StrCat(server, ": ", failed.message(),
+                   unreachable ? "; check that the policy server runs, that this host reaches it, "
+                                 "and that it is of this fleet"
+                               : ""));
+}
+
+std::string UtcText(absl::Time time) {
+  return absl::FormatTime("%Y-%m-%d %H:%M:%S UTC", time, absl::UTCTimeZone());
+}
+
+// Of a token whose certificate cannot be used.
+absl::Status WhyNotNow(const v1::EnrolmentToken& token, const absl::Status& status) {
+  const absl::Time now = absl::Now();
+  const auto peer = rpc::ReadLeaf(token.certificates_pem());
+  if (peer.ok() && now > peer->not_after) {
+    return absl::FailedPreconditionError(absl::StrCat(
+        "the token has expired, at ", UtcText(peer->not_after), ", and this host's clock says ",
+        UtcText(now), "; ask an admin for a new one, or set the clock"));
+  }
+  if (peer.ok() && now < peer->not_before) {
+    return absl::FailedPreconditionError(
+        absl::StrCat("this host's clock says ", UtcText(now), ", and the token is good from ",
+                     UtcText(peer->not_before), "; set the clock"));
+  }
+  return absl::FailedPreconditionError(
+      absl::StrCat("the token is damaged, or of another fleet: ", status.message()));
 }
 
 }  // namespace
 
 absl::StatusOr<rpc::Peer> FetchFirst(const v1::EnrolmentToken& token, const std::string& role,
-                                     const KeyFolder& folder, absl::Duration timeout) {
+                                     const KeyFolder& folder, absl::Duration timeout,
+                                     bool replace_identity) {
   RIPS_ASSIGN_OR_RETURN(const UniqueFd lock, folder.Lock());
   RIPS_ASSIGN_OR_RETURN(const auto files, TokenFiles::Make(token, folder));
   absl::StatusOr<std::shared_ptr<const rpc::Credentials>> credentials =
       rpc::Credentials::Load(files->tls());
-  if (!credentials.ok()) {
-    return absl::FailedPreconditionError(absl::StrCat(
-        "the token cannot be used now: ", credentials.status().message(), "; it expires at ",
-        absl::FormatTime("%Y-%m-%d %H:%M:%S UTC", absl::FromUnixNanos(token.expires_unix_ns()),
-                         absl::UTCTimeZone()),
-        ", and this host's clock says ",
-        absl::FormatTime("%Y-%m-%d %H:%M:%S UTC", absl::Now(), absl::UTCTimeZone())));
-  }
+  if (!credentials.ok()) return WhyNotNow(token, credentials.status());
   const rpc::PeerIdentity& own = (*credentials)->self();
   if (own.role != rpc::Role::kEnrolment) {
     return absl::InvalidArgumentError("the token's certificate is no token's");
+  }
+  const rpc::PeerIdentity wanted{
+      .role = role == "sensor" ? rpc::Role::kSensor : rpc::Role::kActuator,
+      .trust_domain = own.trust_domain,
+      .robot = token.robot(),
+      .host = token.host()};
+  const std::string holder = folder.Holder();
+  if (!replace_identity && !holder.empty() && holder != rpc::ToString(wanted)) {
+    return absl::FailedPreconditionError(absl::StrCat(
+        "`", folder.path(), "` holds the certificate of ", holder, ", and the token is for ",
+        rpc::ToString(wanted), "; if this host changes its identity, use --replace-identity"));
   }
   RIPS_ASSIGN_OR_RETURN(const std::string key, folder.PendingKey());
   v1::EnrolRequest request;
@@ -118,11 +151,6 @@ absl::StatusOr<rpc::Peer> FetchFirst(const v1::EnrolmentToken& token, const std:
   RIPS_ASSIGN_OR_RETURN(const v1::IssuedCertificate issued,
                         Call(token.server(), **credentials,
                              &rips::v1::EnrolmentService::StubInterface::Enrol, request, timeout));
-  const rpc::PeerIdentity wanted{
-      .role = role == "sensor" ? rpc::Role::kSensor : rpc::Role::kActuator,
-      .trust_domain = own.trust_domain,
-      .robot = token.robot(),
-      .host = token.host()};
   RIPS_ASSIGN_OR_RETURN(const rpc::Peer peer, Judge(issued, key, rpc::ToString(wanted)));
   RIPS_RETURN_IF_ERROR(folder.Install({.ca_pem = issued.authorities_pem(),
                                        .certificates_pem = issued.certificates_pem(),

@@ -13,12 +13,14 @@
 #include <vector>
 
 #include "absl/strings/ascii.h"
+#include "absl/strings/match.h"
 #include "absl/strings/str_cat.h"
 #include "absl/time/clock.h"
 #include "absl/time/time.h"
 #include "services/base/ids.h"
 #include "services/base/status_macros.h"
 #include "services/pki/key_request.h"
+#include "services/rpc/certificate.h"
 #include "services/runtime/atomic_file.h"
 
 namespace rips::enrol {
@@ -61,9 +63,9 @@ TlsFiles KeyFolder::tls() const {
 }
 
 absl::StatusOr<UniqueFd> KeyFolder::Lock() const {
-  if (mkdir(path_.c_str(), kFolderMode) != 0 && errno != EEXIST) {
-    return FromErrno("cannot make", path_);
-  }
+  const bool made = mkdir(path_.c_str(), kFolderMode) == 0;
+  if (!made && errno != EEXIST) return FromErrno("cannot make", path_);
+  if (made && chmod(path_.c_str(), kFolderMode) != 0) return FromErrno("cannot open up", path_);
   UniqueFd fd(open(path_.c_str(), O_RDONLY | O_DIRECTORY | O_CLOEXEC));
   struct stat info {};
   if (fd.get() < 0 || fstat(fd.get(), &info) != 0) return FromErrno("cannot open", path_);
@@ -72,6 +74,7 @@ absl::StatusOr<UniqueFd> KeyFolder::Lock() const {
     return absl::FailedPreconditionError(
         absl::StrCat("another process works in `", path_, "`; wait for it"));
   }
+  RemoveLeftovers();
   return fd;
 }
 
@@ -93,7 +96,9 @@ absl::Status KeyFolder::WriteVersion(const std::string& version, const KeyFiles&
     if (mkdir(folder.c_str(), kFolderMode) != 0 && errno != EEXIST) {
       return FromErrno("cannot make", folder);
     }
-    if (lchown(folder.c_str(), owner.st_uid, owner.st_gid) != 0) {
+    // Whatever the umask is: the agent must get through.
+    if (lchown(folder.c_str(), owner.st_uid, owner.st_gid) != 0 ||
+        chmod(folder.c_str(), kFolderMode) != 0) {
       return FromErrno("cannot give to its owner", folder);
     }
   }
@@ -141,6 +146,31 @@ absl::Status KeyFolder::Install(const KeyFiles& files) const {
   }
   RemoveOldVersions();
   return absl::OkStatus();
+}
+
+// What a process left that was killed: keys of tokens.
+void KeyFolder::RemoveLeftovers() const {
+  std::error_code error;
+  std::vector<fs::path> left;
+  for (const auto& each : fs::directory_iterator(path_, error)) {
+    if (absl::StartsWith(each.path().filename().string(), kTokenFolder))
+      left.push_back(each.path());
+  }
+  for (const fs::path& each : left) fs::remove_all(each, error);
+}
+
+std::string KeyFolder::Holder() const {
+  const absl::StatusOr<std::string> certificate = ReadFile(tls().cert, kFileBytesMax);
+  const auto peer = certificate.ok() ? rpc::ReadLeaf(*certificate)
+                                     : absl::StatusOr<rpc::Peer>(certificate.status());
+  return peer.ok() ? rpc::ToString(peer->identity) : "";
+}
+
+bool KeyFolder::HasCertificate() const {
+  // Also a link that leads nowhere.
+  std::error_code error;
+  return fs::symlink_status(tls().cert, error).type() != fs::file_type::not_found ||
+         fs::symlink_status(path_ + "/current", error).type() != fs::file_type::not_found;
 }
 
 void KeyFolder::RemoveOldVersions() const {

@@ -19,6 +19,9 @@
 
 namespace rips::enrol {
 
+// Names of folders that are removed when the folder is locked begin so.
+inline constexpr absl::string_view kTokenFolder = ".token-";
+
 struct KeyFiles {
   std::string ca_pem;
   std::string certificates_pem;
@@ -43,11 +46,16 @@ class KeyFolder {
   absl::Status Install(const KeyFiles& files) const;
   // Empty if these files were not installed by us.
   std::string Server() const;
+  // The URI of the certificate that is there; empty if there is none that can be read.
+  std::string Holder() const;
+  // Something is there, whether it can be used or not.
+  bool HasCertificate() const;
 
  private:
   absl::Status WriteVersion(const std::string& version, const KeyFiles& files) const;
   absl::Status Link(const std::string& name, const std::string& target) const;
   void RemoveOldVersions() const;
+  void RemoveLeftovers() const;
 
   const std::string path_;
 };

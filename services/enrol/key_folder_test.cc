@@ -89,6 +89,38 @@ TEST_F(KeyFolderTest, TheGroupOfTheFolderMayReadTheKey) {
   EXPECT_EQ(info.st_gid, 12'345u);
 }
 
+TEST_F(KeyFolderTest, TheAgentGetsThroughWhateverTheUmaskIs) {
+  const mode_t before = umask(0077);
+  ASSERT_THAT(folder_->Lock(), IsOk());
+  ASSERT_THAT(folder_->Install(Files("1")), IsOk());
+  umask(before);
+  const std::string version = fs::canonical(folder_->path() + "/current");
+  for (const std::string& path : {folder_->path(), folder_->path() + "/versions", version}) {
+    struct stat info {};
+    ASSERT_EQ(stat(path.c_str(), &info), 0);
+    EXPECT_EQ(info.st_mode & 07777, 0750u) << path;
+  }
+}
+
+TEST_F(KeyFolderTest, RemovesWhatAKilledProcessLeftAndNothingElse) {
+  ASSERT_THAT(folder_->Lock(), IsOk());
+  fs::create_directory(folder_->path() + "/.token-Ab12");
+  std::ofstream(folder_->path() + "/.token-Ab12/key.pem") << "secret";
+  std::ofstream(folder_->path() + "/mine") << "x";
+  ASSERT_THAT(folder_->Lock(), IsOk());
+  EXPECT_FALSE(fs::exists(folder_->path() + "/.token-Ab12"));
+  EXPECT_TRUE(fs::exists(folder_->path() + "/mine"));
+}
+
+TEST_F(KeyFolderTest, ALinkThatLeadsNowhereIsNoMissingCertificate) {
+  ASSERT_THAT(folder_->Lock(), IsOk());
+  EXPECT_FALSE(folder_->HasCertificate());
+  ASSERT_THAT(folder_->Install(Files("1")), IsOk());
+  fs::remove_all(folder_->path() + "/versions");
+  EXPECT_TRUE(folder_->HasCertificate());
+  EXPECT_EQ(folder_->Holder(), "");
+}
+
 TEST_F(KeyFolderTest, AKeyStaysPendingUntilItsCertificateIsInstalled) {
   ASSERT_THAT(folder_->Lock(), IsOk());
   const auto key = folder_->PendingKey();

@@ -1,9 +1,9 @@
 // rips-enrol: fetches the certificates of a robot's agents, and renews them.
+#include <sys/stat.h>
 #include <unistd.h>
 
 #include <CLI/CLI.hpp>
 #include <cstdio>
-#include <filesystem>
 #include <iostream>
 #include <string>
 #include <vector>
@@ -36,6 +36,7 @@ struct Flags {
   std::string server;
   int timeout_seconds = 15;
   bool now = false;
+  bool replace_identity = false;
 };
 
 std::string UtcText(absl::Time time) {
@@ -51,6 +52,15 @@ void PrintGood(const rpc::Peer& peer, const char* done, const KeyFolder& folder)
   std::cout << rpc::RoleName(peer.identity.role) << " of " << peer.identity.robot << " on "
             << peer.identity.host << ": " << done << "; certificate until "
             << UtcText(peer.not_after) << " in " << folder.path() << "\n";
+}
+
+// Packages of the agents give their folders to the agents' groups.
+void WarnOfGroup(const KeyFolder& folder) {
+  struct stat info {};
+  if (stat(folder.path().c_str(), &info) != 0 || info.st_gid != 0 || info.st_uid != 0) return;
+  std::cerr << "warning: " << folder.path()
+            << " belongs to root and its group: an agent with a user "
+            << "of its own cannot read it; `chgrp -R` it to that user's group\n";
 }
 
 absl::StatusOr<v1::EnrolmentToken> ReadToken(const std::string& path) {
@@ -70,9 +80,11 @@ int Fetch(const Flags& flags) {
   int code = kDone;
   for (const std::string& role : token->roles()) {
     const KeyFolder folder(absl::StrCat(flags.directory, "/", role));
-    const auto peer = FetchFirst(*token, role, folder, absl::Seconds(flags.timeout_seconds));
+    const auto peer = FetchFirst(*token, role, folder, absl::Seconds(flags.timeout_seconds),
+                                 flags.replace_identity);
     if (peer.ok()) {
       PrintGood(*peer, "enrolled", folder);
+      WarnOfGroup(folder);
     } else {
       code = Fail(peer.status(), role);
     }
@@ -85,7 +97,7 @@ int RenewAll(const Flags& flags) {
   int found = 0;
   for (const char* role : kRoles) {
     const KeyFolder folder(absl::StrCat(flags.directory, "/", role));
-    if (!std::filesystem::exists(folder.tls().cert)) continue;
+    if (!folder.HasCertificate()) continue;
     ++found;
     const absl::StatusOr<rpc::Peer> present = Present(folder);
     if (!present.ok()) {
@@ -143,6 +155,8 @@ int Main(int argc, char** argv) {
       "fetch", "Fetch first certificates with a token of `ripsctl enrol create-token`");
   fetch->add_option("--token", flags.token, "File with the token; - reads it from standard input")
       ->required();
+  fetch->add_flag("--replace-identity", flags.replace_identity,
+                  "Also if this host has the certificate of another robot or host");
   add_common(fetch);
   CLI::App* const renew = app.add_subcommand(
       "renew", "Renew the certificates that are due: when 60 % of their life is over");

@@ -182,6 +182,22 @@ struct CredentialsSource::State {
     if (!filter.Pass(why.message(), BoottimeNow())) return;
     LogError("waiting for a usable certificate", {{"reason", why.message()}});
   }
+
+  // Of files that were replaced since: they must be ours still. Not PermissionDenied, so that the
+  // daemon goes on: as when its server is away. What cannot be read is told; connections are made
+  // with what was read before for as long as that is good.
+  absl::Status CheckPresent() ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu) {
+    if (!files.has_value()) return absl::OkStatus();
+    const absl::StatusOr<Peer> present = ReadOwnCertificate(*files);
+    if (!present.ok()) {
+      Await(present.status());
+      return absl::OkStatus();
+    }
+    const absl::Status ours = check ? check(present->identity) : absl::OkStatus();
+    if (ours.ok()) return ours;
+    Await(ours);
+    return absl::UnauthenticatedError(ours.message());
+  }
 };
 
 CredentialsSource::CredentialsSource(std::shared_ptr<const Credentials> own)
@@ -208,6 +224,7 @@ absl::StatusOr<CredentialsSource::Usable> CredentialsSource::Get() const {
     if (state_->check && state_->usable->own != nullptr) {
       RIPS_RETURN_IF_ERROR(state_->check(state_->usable->own->self()));
     }
+    RIPS_RETURN_IF_ERROR(state_->CheckPresent());
     return *state_->usable;
   }
   auto own = LoadOwn(*state_->files, state_->check);

@@ -424,6 +424,27 @@ TEST_F(CredentialsSourceTest, ACertificateOfAnotherIsRefusedWhateverItsTimes) {
   EXPECT_THAT(source.Get(), StatusIs(absl::StatusCode::kPermissionDenied, HasSubstr("another's")));
 }
 
+TEST_F(CredentialsSourceTest, AnotherIdentityThatTakesItsPlaceLaterIsRefusedAndIsNoReasonToEnd) {
+  const TlsFiles ours = Pki().Sensor();
+  const TlsFiles anothers = Pki().Sensor("r2");
+  const std::string base = Pki().dir() + "/replaced-";
+  const TlsFiles files{.ca = ours.ca, .cert = base + "cert.pem", .key = base + "key.pem"};
+  const auto put = [&files](const TlsFiles& from) {
+    ASSERT_THAT(WriteFileAtomically(files.key, Read(from.key)), IsOk());
+    ASSERT_THAT(WriteFileAtomically(files.cert, Read(from.cert)), IsOk());
+  };
+  put(ours);
+  CredentialsSource source(files);
+  source.Require(IsOurs);
+  ASSERT_THAT(source.Get(), IsOk());
+  put(anothers);
+  EXPECT_THAT(source.Get(), StatusIs(absl::StatusCode::kUnauthenticated, HasSubstr("another's")));
+  ASSERT_THAT(WriteFileAtomically(files.cert, "half"), IsOk());
+  EXPECT_THAT(source.Get(), IsOk()) << "what was read before may do";
+  put(ours);
+  EXPECT_THAT(source.Get(), IsOk());
+}
+
 // Of an authority of its own: lists name all that was ever revoked.
 class RevocationTest : public ::testing::Test {
  protected:

@@ -21,6 +21,7 @@
 #include "services/base/status_macros.h"
 #include "services/enrol/token_text.h"
 #include "services/pki/key_request.h"
+#include "services/runtime/atomic_file.h"
 #include "services/runtime/config_reader.h"
 #include "services/runtime/config_sections.h"
 #include "services/runtime/unique_fd.h"
@@ -85,6 +86,15 @@ class CreateToken final : public RobotCommand {
     return absl::OkStatus();
   }
   absl::StatusOr<ExitCode> Run(Env& env) override {
+    // Before there is a token that nobody has.
+    if (!out_.empty()) RIPS_RETURN_IF_ERROR(WriteSecret(out_, ""));
+    absl::StatusOr<ExitCode> code = Make(env);
+    if (!code.ok() && !out_.empty()) unlink(out_.c_str());
+    return code;
+  }
+
+ private:
+  absl::StatusOr<ExitCode> Make(Env& env) {
     RIPS_ASSIGN_OR_RETURN(const std::string key, pki::NewKey());
     v1::CreateEnrolmentTokenRequest request;
     request.set_robot(robot_);
@@ -104,7 +114,7 @@ class CreateToken final : public RobotCommand {
     token.set_certificates_pem(response.certificates_pem());
     token.set_key_pem(key);
     const std::string text = enrol::FormatToken(token);
-    if (!out_.empty()) RIPS_RETURN_IF_ERROR(WriteSecret(out_, text + "\n"));
+    if (!out_.empty()) RIPS_RETURN_IF_ERROR(WriteFileAtomically(out_, text + "\n"));
     if (env.json()) {
       Json json = {{"id", token.id()},
                    {"robot", robot_},
@@ -129,7 +139,6 @@ class CreateToken final : public RobotCommand {
     return ExitCode::kDone;
   }
 
- private:
   std::string host_;
   std::vector<std::string> roles_;
   std::string valid_ = "1h";

@@ -15,9 +15,9 @@ namespace {
 class ListAgents final : public Command {
  public:
   ListAgents()
-      : Command(
-            {"agent", "list",
-             "List the certificates that have connected since the server started, and all bans"}) {}
+      : Command({"agent", "list",
+                 "List the newest certificate of each identity, seen or issued since the server "
+                 "started; all bans"}) {}
   absl::StatusOr<ExitCode> Run(Env& env) override {
     RIPS_ASSIGN_OR_RETURN(const auto response,
                           Call(env, &Stub::ListAgents, v1::ListAgentsRequest()));

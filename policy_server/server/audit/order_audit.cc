@@ -28,7 +28,9 @@ void OrderAudit::Record(const Order& order) {
   if (order.request.ByteSizeLong() <= kRequestBytesMax) {
     record.set_text(order.request.ShortDebugString());
     const auto* robot = order.request.GetDescriptor()->FindFieldByName("robot");
-    if (robot != nullptr) {
+    if (!order.robot.empty()) {
+      record.set_robot(order.robot);
+    } else if (robot != nullptr) {
       record.set_robot(order.request.GetReflection()->GetString(order.request, robot));
     }
   }

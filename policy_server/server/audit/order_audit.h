@@ -25,6 +25,8 @@ struct Order {
   const google::protobuf::Message& request;
   // OK: admitted. One that is refused after that is recorded a second time.
   absl::Status status;
+  // Empty: `robot` of the request, if it has one.
+  std::string robot = {};
 };
 
 class OrderAudit {

@@ -196,7 +196,7 @@ void ReadEnrolment(const ConfigSection& root, EnrolmentConfig* enrolment) {
   const ConfigSection section = root.OptionalSection("enrolment");
   ReadPath(section, "cert", &enrolment->cert);
   ReadPath(section, "key", &enrolment->key);
-  section.Optional("life", &enrolment->life, {absl::Hours(1), 2 * absl::Hours(24 * 365)});
+  section.Optional("life", &enrolment->life, {absl::Hours(6), 2 * absl::Hours(24 * 365)});
 }
 
 // Twice what one recording may have.

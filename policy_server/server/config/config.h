@@ -49,7 +49,7 @@ struct EnrolmentConfig {
   // Both empty: none are issued.
   std::string cert;
   std::string key;
-  // Of a certificate; an hour to two years.
+  // Of a certificate; 6 hours to two years: agents look each hour whether theirs is due.
   absl::Duration life = absl::Hours(24 * 30);
 
   friend bool operator==(const EnrolmentConfig&, const EnrolmentConfig&) = default;

@@ -38,16 +38,39 @@ absl::Status NotListed(const std::string& robot, const std::string& host, const 
 }
 
 absl::Status WithFile(const absl::Status& status, const std::string& file) {
-  return absl::FailedPreconditionError(absl::StrCat("`enrolment`: ", file, ": ", status.message()));
+  return absl::FailedPreconditionError(
+      absl::StrCat("`enrolment` of the policy server: ", file, ": ", status.message()));
 }
 
 absl::StatusOr<std::string> ReadPem(const std::string& path) {
   absl::StatusOr<std::string> text = ReadConfigFile(path);
-  if (!text.ok()) return absl::FailedPreconditionError(text.status().message());
+  if (!text.ok()) {
+    return absl::FailedPreconditionError(
+        absl::StrCat("`enrolment` of the policy server: ", text.status().message()));
+  }
   return text;
 }
 
+struct Authority {
+  pki::Issuer issuer;
+  std::string ca_pem;
+};
+
+// Anew each time, so that new files need no restart.
+absl::StatusOr<Authority> ReadAuthority(const IssuingFiles& files) {
+  RIPS_ASSIGN_OR_RETURN(const std::string cert, ReadPem(files.cert));
+  RIPS_ASSIGN_OR_RETURN(const std::string key, ReadPem(files.key));
+  RIPS_ASSIGN_OR_RETURN(std::string ca, ReadPem(files.ca));
+  absl::StatusOr<pki::Issuer> issuer = pki::Issuer::Read(cert, key, ca);
+  if (!issuer.ok()) {
+    return WithFile(issuer.status(), absl::StrCat(files.cert, " with ", files.key));
+  }
+  return Authority{*std::move(issuer), std::move(ca)};
+}
+
 }  // namespace
+
+absl::Status CheckIssuingFiles(const IssuingFiles& files) { return ReadAuthority(files).status(); }
 
 void Enrolment::SetInventory(const bundle::Inventory& inventory) {
   std::set<std::string> listed;
@@ -76,26 +99,12 @@ absl::Status Enrolment::NotTooSoon(const std::string& who, absl::Duration betwee
   if (last != last_ns_.end() && now_ns - last->second < absl::ToInt64Nanoseconds(between)) {
     return absl::ResourceExhaustedError(
         absl::StrCat("the last certificate was asked for less than ", absl::FormatDuration(between),
-                     " ago; try again later"));
+                     " ago; try again after that"));
   }
   if (last_ns_.size() >= kLastMax) last_ns_.clear();
   last_ns_[who] = now_ns;
   return absl::OkStatus();
 }
-
-absl::StatusOr<Enrolment::Authority> Enrolment::ReadAuthority() const {
-  const IssuingFiles& files = options_.files;
-  RIPS_ASSIGN_OR_RETURN(const std::string cert, ReadPem(files.cert));
-  RIPS_ASSIGN_OR_RETURN(const std::string key, ReadPem(files.key));
-  RIPS_ASSIGN_OR_RETURN(std::string ca, ReadPem(files.ca));
-  absl::StatusOr<pki::Issuer> issuer = pki::Issuer::Read(cert, key, ca);
-  if (!issuer.ok()) {
-    return WithFile(issuer.status(), absl::StrCat(files.cert, " with ", files.key));
-  }
-  return Authority{*std::move(issuer), std::move(ca)};
-}
-
-absl::Status Enrolment::Check() const { return ReadAuthority().status(); }
 
 absl::StatusOr<NewToken> Enrolment::CreateToken(const TokenOrder& order) {
   std::vector<std::string> roles = order.roles;
@@ -126,7 +135,7 @@ absl::StatusOr<NewToken> Enrolment::CreateToken(const TokenOrder& order) {
   }
   RIPS_ASSIGN_OR_RETURN(const pki::CertificateRequest request,
                         pki::CertificateRequest::Read(order.request_pem));
-  RIPS_ASSIGN_OR_RETURN(const Authority authority, ReadAuthority());
+  RIPS_ASSIGN_OR_RETURN(const Authority authority, ReadAuthority(options_.files));
   const absl::Time now = Now();
   NewToken token;
   token.record = {.id = NewId().substr(0, kTokenIdDigits),
@@ -143,7 +152,7 @@ absl::StatusOr<NewToken> Enrolment::CreateToken(const TokenOrder& order) {
                                               now, valid));
   token.record.expires_unix_ns = absl::ToUnixNanos(issued.not_after);
   RIPS_RETURN_IF_ERROR(store_->PutToken(token.record));
-  token.fetched = {std::move(issued.certificates_pem), authority.ca_pem};
+  token.fetched = {{}, std::move(issued.certificates_pem), authority.ca_pem};
   return token;
 }
 
@@ -164,7 +173,7 @@ absl::StatusOr<Fetched> Enrolment::Issue(const rpc::PeerIdentity& identity,
                                          const std::string& token, const std::string& request_pem) {
   RIPS_ASSIGN_OR_RETURN(const pki::CertificateRequest request,
                         pki::CertificateRequest::Read(request_pem));
-  RIPS_ASSIGN_OR_RETURN(const Authority authority, ReadAuthority());
+  RIPS_ASSIGN_OR_RETURN(const Authority authority, ReadAuthority(options_.files));
   const absl::Time now = Now();
   RIPS_ASSIGN_OR_RETURN(pki::Issued issued,
                         authority.issuer.Sign(request, identity, now, options_.life));
@@ -195,13 +204,12 @@ absl::StatusOr<Fetched> Enrolment::Issue(const rpc::PeerIdentity& identity,
                              "): if their keys are not on the robot any more, `ripsctl agent ban ",
                              record.uri, " --serial` them"));
   }
-  return Fetched{std::move(issued.certificates_pem), authority.ca_pem};
+  return Fetched{record, std::move(issued.certificates_pem), authority.ca_pem};
 }
 
 absl::StatusOr<Fetched> Enrolment::Enrol(const rpc::PeerIdentity& token, const std::string& role,
                                          const std::string& request_pem) {
   if (!IsRole(role)) return absl::InvalidArgumentError("a role is `sensor` or `actuator`");
-  RIPS_RETURN_IF_ERROR(NotTooSoon(absl::StrCat(token.name, "/", role), kBetweenFetches));
   absl::StatusOr<store::TokenRecord> found = store_->FindToken(token.name);
   if (absl::IsNotFound(found.status())) {
     return absl::PermissionDeniedError("this server does not know the token (any more)");
@@ -219,6 +227,7 @@ absl::StatusOr<Fetched> Enrolment::Enrol(const rpc::PeerIdentity& token, const s
   if (!IsListed(found->robot, found->host, role)) {
     return NotListed(found->robot, found->host, role);
   }
+  RIPS_RETURN_IF_ERROR(NotTooSoon(absl::StrCat(token.name, "/", role), kBetweenFetches));
   return Issue({.role = role == "sensor" ? rpc::Role::kSensor : rpc::Role::kActuator,
                 .trust_domain = options_.trust_domain,
                 .robot = found->robot,

@@ -51,6 +51,9 @@ struct IssuingFiles {
   std::string ca;
 };
 
+// What is wrong with them; OK = certificates can be signed, if the issuer is valid now.
+absl::Status CheckIssuingFiles(const IssuingFiles& files);
+
 struct EnrolmentOptions {
   IssuingFiles files;
   std::string trust_domain;
@@ -72,6 +75,8 @@ struct TokenOrder {
 };
 
 struct Fetched {
+  // What was recorded; of a token nothing.
+  store::IssuedRecord record;
   std::string certificates_pem;
   // The present content of `ca`.
   std::string authorities_pem;
@@ -99,8 +104,6 @@ class Enrolment {
 
   // Who is listed from now on. Before it, nobody is.
   void SetInventory(const bundle::Inventory& inventory) ABSL_LOCKS_EXCLUDED(mu_);
-  // What is wrong with the issuing files; OK = certificates can be signed.
-  absl::Status Check() const;
 
   // InvalidArgument for a role or a life that there is not; NotFound if the inventory does not list
   // such an agent; errors of CertificateRequest, Issuer and the store.
@@ -117,14 +120,7 @@ class Enrolment {
   store::EnrolmentStore& store() { return *store_; }
 
  private:
-  struct Authority {
-    pki::Issuer issuer;
-    std::string ca_pem;
-  };
-
   absl::Time Now() const { return absl::FromUnixNanos(clock_->Now().unix_ns); }
-  // Read anew each time, so that new files need no restart.
-  absl::StatusOr<Authority> ReadAuthority() const;
   absl::StatusOr<Fetched> Issue(const rpc::PeerIdentity& identity, const std::string& token,
                                 const std::string& request_pem);
   // Who else has a certificate for this identity that is still good.

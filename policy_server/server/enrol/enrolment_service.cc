@@ -4,6 +4,7 @@
 
 #include "absl/status/status.h"
 #include "absl/time/time.h"
+#include "rips/v1/operator.pb.h"
 #include "services/rpc/peer.h"
 #include "services/rpc/status_conversion.h"
 #include "services/wire_limits/field_limits.h"
@@ -25,6 +26,29 @@ EnrolmentService::~EnrolmentService() {
   thread_.join();
 }
 
+void EnrolmentService::Record(const char* call, const rpc::Peer& peer, const std::string& address,
+                              const absl::StatusOr<Fetched>& fetched) {
+  if (audit_ == nullptr) return;
+  // What came of it says more than the request, which is a key.
+  rips::v1::IssuedState issued;
+  std::string robot = peer.identity.robot;
+  if (fetched.ok()) {
+    const store::IssuedRecord& record = fetched->record;
+    issued.set_uri(record.uri);
+    issued.set_serial(record.serial);
+    issued.set_not_after_unix_ns(record.not_after_unix_ns);
+    issued.set_token(record.token);
+    const auto identity = rpc::ParseSpiffeUri(record.uri);
+    if (identity.ok()) robot = identity->robot;
+  }
+  audit_->Record({.caller = rpc::Describe(peer),
+                  .address = address,
+                  .call = call,
+                  .request = issued,
+                  .status = fetched.status(),
+                  .robot = robot});
+}
+
 grpc::ServerUnaryReactor* EnrolmentService::Answer(
     grpc::CallbackServerContext* context, rpc::Role role, const char* call,
     const google::protobuf::Message& request, rips::v1::IssuedCertificate* response,
@@ -43,16 +67,10 @@ grpc::ServerUnaryReactor* EnrolmentService::Answer(
     return end(absl::UnimplementedError(
         "this server issues no certificates: its configuration has no `enrolment`"));
   }
-  const auto task = [this, end, call, &request, response, peer = *peer, address = context->peer(),
+  const auto task = [this, end, call, response, peer = *peer, address = context->peer(),
                      fetch = std::move(fetch)] {
     absl::StatusOr<Fetched> fetched = fetch(peer);
-    if (audit_ != nullptr) {
-      audit_->Record({.caller = rpc::Describe(peer),
-                      .address = address,
-                      .call = call,
-                      .request = request,
-                      .status = fetched.status()});
-    }
+    Record(call, peer, address, fetched);
     if (fetched.ok()) {
       response->set_certificates_pem(std::move(fetched->certificates_pem));
       response->set_authorities_pem(std::move(fetched->authorities_pem));

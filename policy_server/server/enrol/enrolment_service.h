@@ -34,6 +34,8 @@ class EnrolmentService final : public rips::v1::EnrolmentService::CallbackServic
                                   rips::v1::IssuedCertificate* response) override;
 
  private:
+  void Record(const char* call, const rpc::Peer& peer, const std::string& address,
+              const absl::StatusOr<Fetched>& fetched);
   // Admits the peer, then runs `fetch` on the thread; records what came of it.
   grpc::ServerUnaryReactor* Answer(grpc::CallbackServerContext* context, rpc::Role role,
                                    const char* call, const google::protobuf::Message& request,

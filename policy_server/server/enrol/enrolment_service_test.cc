@@ -8,6 +8,7 @@
 #include <string>
 #include <utility>
 
+#include "absl/time/clock.h"
 #include "gmock/gmock.h"
 #include "gtest/gtest.h"
 #include "policy_server/server/store/sqlite_enrolments.h"
@@ -40,7 +41,8 @@ class EnrolmentServiceTest : public ::testing::Test {
                                         .issued = [](const auto&) {}});
     enrolment_->SetInventory(
         {.robots = {
-             {.id = "r1", .bundle = "b", .sensors = {{.host = "base"}}, .actuators = {"base"}}}});
+             {.id = "r1", .bundle = "b", .sensors = {{.host = "base"}}, .actuators = {"base"}},
+             {.id = "r2", .bundle = "b", .sensors = {{.host = "base"}}}}});
     Serve(&*enrolment_);
     folder_.emplace(pki_.dir() + "/robot-sensor");
   }
@@ -55,15 +57,15 @@ class EnrolmentServiceTest : public ::testing::Test {
     server_ = *std::move(server);
   }
   // As `ripsctl enrol create-token` makes it.
-  v1::EnrolmentToken Token() {
+  v1::EnrolmentToken Token(const std::string& robot = "r1") {
     v1::EnrolmentToken token;
     token.set_key_pem(*pki::NewKey());
     const auto made = enrolment_->CreateToken(
-        {.robot = "r1", .host = "base", .request_pem = *pki::RequestFor(token.key_pem())});
+        {.robot = robot, .host = "base", .request_pem = *pki::RequestFor(token.key_pem())});
     EXPECT_THAT(made, IsOk());
     token.set_id(made->record.id);
     token.set_server(server_->address());
-    token.set_robot("r1");
+    token.set_robot(robot);
     token.set_host("base");
     token.add_roles("sensor");
     token.set_authorities_pem(made->fetched.authorities_pem);
@@ -127,6 +129,34 @@ TEST_F(EnrolmentServiceTest, ASecondRobotWithTheSameTokenIsRefused) {
   EXPECT_FALSE(Present(thief).ok());
 }
 
+TEST_F(EnrolmentServiceTest, AHostDoesNotBecomeAnotherRobotUnasked) {
+  ASSERT_THAT(FetchFirst(Token("r1"), "sensor", *folder_, kPatience), IsOk());
+  const v1::EnrolmentToken token = Token("r2");
+  EXPECT_THAT(FetchFirst(token, "sensor", *folder_, kPatience),
+              StatusIs(absl::StatusCode::kFailedPrecondition, HasSubstr("--replace-identity")));
+  EXPECT_EQ(Present(*folder_)->identity.robot, "r1");
+  ASSERT_THAT(FetchFirst(token, "sensor", *folder_, kPatience, /*replace_identity=*/true), IsOk());
+  EXPECT_EQ(Present(*folder_)->identity.robot, "r2");
+}
+
+TEST_F(EnrolmentServiceTest, ATokenThatHasExpiredSaysSoAndWhatToDo) {
+  v1::EnrolmentToken token = Token();
+  const TlsFiles old = pki_.Mint(
+      {.folder = "old", .san = "URI:spiffe://fleet.example/enrolment/00112233aabbccdd", .days = 0});
+  const auto read = [](const std::string& path) {
+    std::ifstream file(path);
+    std::ostringstream text;
+    text << file.rdbuf();
+    return text.str();
+  };
+  token.set_certificates_pem(read(old.cert));
+  token.set_key_pem(read(old.key));
+  absl::SleepFor(absl::Seconds(1));  // it is good for the second in which it was made
+  EXPECT_THAT(FetchFirst(token, "sensor", *folder_, kPatience),
+              StatusIs(absl::StatusCode::kFailedPrecondition,
+                       HasSubstr("ask an admin for a new one, or set the clock")));
+}
+
 TEST_F(EnrolmentServiceTest, ATokenIsPinnedToItsAuthority) {
   rpc::TestPki other;
   v1::EnrolmentToken token = Token();
@@ -134,8 +164,9 @@ TEST_F(EnrolmentServiceTest, ATokenIsPinnedToItsAuthority) {
   std::ostringstream text;
   text << file.rdbuf();
   token.set_authorities_pem(text.str());
-  EXPECT_THAT(FetchFirst(token, "sensor", *folder_, absl::Seconds(5)),
-              StatusIs(absl::StatusCode::kFailedPrecondition, HasSubstr("token cannot be used")));
+  EXPECT_THAT(
+      FetchFirst(token, "sensor", *folder_, absl::Seconds(5)),
+      StatusIs(absl::StatusCode::kFailedPrecondition, HasSubstr("damaged, or of another fleet")));
   EXPECT_FALSE(Present(*folder_).ok());
 }
 

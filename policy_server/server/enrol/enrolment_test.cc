@@ -37,12 +37,9 @@ class EnrolmentTest : public ::testing::Test {
                      .actuators = {"base"}}}});
   }
   void Make(const std::string& key) {
+    files_ = {.cert = pki_.dir() + "/ca/issuing.pem", .key = key, .ca = pki_.dir() + "/ca.pem"};
     enrolment_ = std::make_unique<Enrolment>(
-        EnrolmentOptions{.files = {.cert = pki_.dir() + "/ca/issuing.pem",
-                                   .key = key,
-                                   .ca = pki_.dir() + "/ca.pem"},
-                         .trust_domain = "fleet.example",
-                         .life = absl::Hours(24)},
+        EnrolmentOptions{.files = files_, .trust_domain = "fleet.example", .life = absl::Hours(24)},
         store_.get(), &clock_,
         EnrolmentReports{.tell =
                              [this](const std::string& robot, engine::Severity severity,
@@ -76,6 +73,7 @@ class EnrolmentTest : public ::testing::Test {
   rpc::TestPki pki_;
   FakeClock clock_;
   std::unique_ptr<store::SqliteEnrolments> store_;
+  IssuingFiles files_;
   std::unique_ptr<Enrolment> enrolment_;
   std::vector<std::string> alerts_;
   std::vector<std::string> issued_;
@@ -174,14 +172,14 @@ TEST_F(EnrolmentTest, WithoutAUsableKeyItSaysWhichFile) {
   Make(pki_.dir() + "/nowhere.key");
   enrolment_->SetInventory(
       {.robots = {{.id = "r1", .bundle = "b", .sensors = {{.host = "base"}}}}});
-  EXPECT_THAT(enrolment_->Check(),
+  EXPECT_THAT(CheckIssuingFiles(files_),
               StatusIs(absl::StatusCode::kFailedPrecondition, HasSubstr("nowhere.key")));
   EXPECT_THAT(Enrol(*token, "sensor", *pki::NewKey()),
               StatusIs(absl::StatusCode::kFailedPrecondition));
   // Mended without a restart.
   std::ofstream(pki_.dir() + "/nowhere.key")
       << std::ifstream(pki_.dir() + "/ca/issuing.key").rdbuf();
-  EXPECT_THAT(enrolment_->Check(), IsOk());
+  EXPECT_THAT(CheckIssuingFiles(files_), IsOk());
   EXPECT_THAT(Enrol(*token, "sensor", *pki::NewKey()), IsOk());
 }
 

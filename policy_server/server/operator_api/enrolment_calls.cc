@@ -89,7 +89,8 @@ grpc::ServerUnaryReactor* OperatorService::CreateEnrolmentToken(
     grpc::CallbackServerContext* context, const rips::v1::CreateEnrolmentTokenRequest* request,
     rips::v1::CreateEnrolmentTokenResponse* response) {
   const auto who =
-      AuthorizeOrder(context, "CreateEnrolmentToken", *request, rpc::OperatorRole::kAdmin);
+      AuthorizeOrder(context, "CreateEnrolmentToken", *request, rpc::OperatorRole::kAdmin,
+                     Use::kOrder, /*weight=*/1, /*effects_are_recorded=*/true);
   if (!who.ok()) return Refuse(context, who.status());
   if (access_.enrolment == nullptr) return Refuse(context, NoEnrolment());
   auto* reactor = new UnaryCall(who->ticket, who->on_refused);
@@ -110,6 +111,19 @@ grpc::ServerUnaryReactor* OperatorService::CreateEnrolmentToken(
                                         {"robot", token->record.robot},
                                         {"host", token->record.host},
                                         {"roles", token->record.roles}});
+    if (access_.audit != nullptr) {
+      rips::v1::TokenState made;
+      made.set_id(token->record.id);
+      made.set_robot(token->record.robot);
+      made.set_host(token->record.host);
+      made.add_roles(token->record.roles);
+      made.set_expires_unix_ns(token->record.expires_unix_ns);
+      access_.audit->Record({.caller = by,
+                             .address = context->peer(),
+                             .call = "CreateEnrolmentToken",
+                             .request = made,
+                             .status = absl::OkStatus()});
+    }
     response->set_id(token->record.id);
     for (absl::string_view role : absl::StrSplit(token->record.roles, ',')) {
       response->add_roles(std::string(role));
