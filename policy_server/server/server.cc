@@ -192,7 +192,11 @@ void Server::OpenEnrolment() {
       enrol::EnrolmentOptions{
           .files = files, .trust_domain = config_.trust_domain, .life = config_.enrolment.life},
       enrolments_.get(), &clock_,
-      enrol::EnrolmentReports{
+      enrol::EnrolmentPorts{
+          .is_banned =
+              [this](const rpc::PeerIdentity& identity, const std::string& serial) {
+                return bans_->Against({.identity = identity, .serial = serial}).has_value();
+              },
           .tell = [this](const std::string& robot, engine::Severity severity,
                          const std::string& text) { alerts_->Raise(robot, severity, text); },
           .issued = [this](const rpc::Peer& agent) { certificates_->Seen(agent); }});

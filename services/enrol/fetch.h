@@ -19,7 +19,7 @@ inline constexpr double kDueAfter = 0.6;
 
 // Fetches the certificate of `role` (one of the token's) into the folder, and returns what it says.
 // Nothing changes on errors, except that the key stays pending: the same key can be asked for again
-// when the answer was lost. Errors are for people: they name what is wrong and what to do.
+// when the answer was lost. Errors name what is wrong and what to do.
 // FailedPrecondition if the folder holds a certificate of something else, unless
 // `replace_identity`; DataLoss if the server sent another certificate than it was asked for.
 absl::StatusOr<rpc::Peer> FetchFirst(const v1::EnrolmentToken& token, const std::string& role,

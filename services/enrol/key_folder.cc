@@ -37,17 +37,18 @@ absl::Status FromErrno(absl::string_view doing, const std::string& path) {
   return absl::ErrnoToStatus(errno, absl::StrCat(doing, " `", path, "`"));
 }
 
-// A folder that others can write to gives them the agent's identity.
+// Who else can write into the folder can make this process write elsewhere, and with root's powers.
 absl::Status CheckSafe(const std::string& path, const struct stat& info) {
   if (!S_ISDIR(info.st_mode)) {
     return absl::FailedPreconditionError(absl::StrCat("`", path, "` is no directory"));
   }
-  if ((info.st_mode & S_IWOTH) == 0 && (info.st_uid == geteuid() || geteuid() == 0)) {
+  if ((info.st_mode & (S_IWGRP | S_IWOTH)) == 0 && info.st_uid == geteuid()) {
     return absl::OkStatus();
   }
   return absl::FailedPreconditionError(absl::StrCat(
-      "`", path,
-      "` may be written by others, or is another user's; `chmod o-w` it, or run as root"));
+      "`", path, "` belongs to user ", info.st_uid,
+      " or may be written by its group or others; run as its owner, or `chown root` and `chmod "
+      "go-w` it"));
 }
 
 absl::Status Sync(const std::string& path) {
@@ -108,7 +109,7 @@ absl::Status KeyFolder::WriteVersion(const std::string& version, const KeyFiles&
                                                             {"server", &files.server}};
   for (const auto& [name, bytes] : all) {
     const std::string path = absl::StrCat(version, "/", name);
-    // First for nobody else: with its mode, the group could read it before it is theirs.
+    // At first for its owner alone: with its mode, the group could read it before it is theirs.
     RIPS_RETURN_IF_ERROR(WriteFileAtomically(path, *bytes, 0600));
     if (lchown(path.c_str(), owner.st_uid, owner.st_gid) != 0 ||
         chmod(path.c_str(), kFileMode) != 0) {

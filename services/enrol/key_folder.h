@@ -38,7 +38,8 @@ class KeyFolder {
   TlsFiles tls() const;
 
   // Makes the folder (mode 0750) if there is none, and locks it until what is returned goes.
-  // FailedPrecondition if another process has it, or it is writable for others.
+  // FailedPrecondition if another process has it, it is another user's, or its group or others may
+  // write into it.
   absl::StatusOr<UniqueFd> Lock() const;
   // The key that is pending, or a new one, which is on the disk when this returns.
   absl::StatusOr<std::string> PendingKey() const;

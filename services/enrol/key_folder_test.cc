@@ -5,12 +5,12 @@
 
 #include <filesystem>
 #include <fstream>
-#include <sstream>
 #include <string>
 
 #include "gmock/gmock.h"
 #include "gtest/gtest.h"
 #include "services/base/status_matchers.h"
+#include "services/runtime/atomic_file.h"
 
 namespace rips::enrol {
 namespace {
@@ -18,12 +18,7 @@ namespace {
 namespace fs = std::filesystem;
 using ::testing::HasSubstr;
 
-std::string Content(const std::string& path) {
-  std::ifstream file(path);
-  std::ostringstream text;
-  text << file.rdbuf();
-  return text.str();
-}
+std::string Content(const std::string& path) { return ReadFile(path, 1 << 20).value_or(""); }
 
 class KeyFolderTest : public ::testing::Test {
  protected:
@@ -142,8 +137,16 @@ TEST_F(KeyFolderTest, IsLockedAndNeverSharedWithOthers) {
   const KeyFolder open(root_ + "/open");
   ASSERT_THAT(open.Lock(), IsOk());
   ASSERT_EQ(chmod(open.path().c_str(), 0777), 0);
-  EXPECT_THAT(open.Lock(),
-              StatusIs(absl::StatusCode::kFailedPrecondition, HasSubstr("written by others")));
+  EXPECT_THAT(open.Lock(), StatusIs(absl::StatusCode::kFailedPrecondition, HasSubstr("others")));
+  ASSERT_EQ(chmod(open.path().c_str(), 0770), 0);
+  EXPECT_THAT(open.Lock(), StatusIs(absl::StatusCode::kFailedPrecondition)) << "by its group";
+  ASSERT_EQ(chmod(open.path().c_str(), 0750), 0);
+  EXPECT_THAT(open.Lock(), IsOk());
+  if (geteuid() == 0) {
+    ASSERT_EQ(chown(open.path().c_str(), 4'242, 4'242), 0);
+    EXPECT_THAT(open.Lock(),
+                StatusIs(absl::StatusCode::kFailedPrecondition, HasSubstr("belongs to user 4242")));
+  }
   std::ofstream(root_ + "/file") << "x";
   EXPECT_FALSE(KeyFolder(root_ + "/file").Lock().ok());
   EXPECT_FALSE(KeyFolder(root_ + "/none/sensor").Lock().ok());

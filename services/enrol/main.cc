@@ -21,6 +21,7 @@
 #include "services/runtime/config_sections.h"
 #include "services/runtime/core_dumps.h"
 #include "services/runtime/daemon_flags.h"
+#include "services/text/escape.h"
 
 namespace rips::enrol {
 namespace {
@@ -44,7 +45,8 @@ std::string UtcText(absl::Time time) {
 }
 
 int Fail(const absl::Status& status, const std::string& what = "") {
-  std::cerr << "error: " << what << (what.empty() ? "" : ": ") << status.message() << "\n";
+  std::cerr << "error: " << what << (what.empty() ? "" : ": ") << EscapeText(status.message())
+            << "\n";
   return kFailed;
 }
 
@@ -109,10 +111,12 @@ int RenewAll(const Flags& flags) {
       continue;
     }
     const std::string server = flags.server.empty() ? folder.Server() : flags.server;
-    if (server.empty()) {
-      code = Fail(absl::FailedPreconditionError(absl::StrCat(
-                      folder.path(), " was not written by rips-enrol; give --server HOST:PORT")),
-                  role);
+    if (!IsHostPort(server)) {
+      code = Fail(
+          absl::FailedPreconditionError(absl::StrCat(
+              folder.path(),
+              " names no server, so it was not written by rips-enrol; give --server HOST:PORT")),
+          role);
       continue;
     }
     const auto peer = Renew(folder, server, absl::Seconds(flags.timeout_seconds));

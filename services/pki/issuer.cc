@@ -1,6 +1,7 @@
 #include "services/pki/issuer.h"
 
 #include <openssl/bn.h>
+#include <openssl/core_names.h>
 #include <openssl/err.h>
 #include <openssl/evp.h>
 #include <openssl/pem.h>
@@ -13,6 +14,7 @@
 #include <utility>
 #include <vector>
 
+#include "absl/strings/ascii.h"
 #include "absl/strings/match.h"
 #include "absl/strings/str_cat.h"
 #include "services/base/status_macros.h"
@@ -43,6 +45,8 @@ using Extensions = std::unique_ptr<STACK_OF(X509_EXTENSION), decltype([](auto* a
                                      sk_X509_EXTENSION_pop_free(all, X509_EXTENSION_free);
                                    })>;
 
+constexpr absl::string_view kBegin = "-----BEGIN CERTIFICATE REQUEST-----";
+constexpr absl::string_view kEnd = "-----END CERTIFICATE REQUEST-----";
 constexpr int kSerialBytes = 15;
 constexpr int kRsaBitsMin = 3'072;
 constexpr int kRsaBitsMax = 4'096;
@@ -50,6 +54,13 @@ constexpr int kRsaBitsMax = 4'096;
 absl::Status CheckKey(EVP_PKEY* key) {
   const int type = EVP_PKEY_get_base_id(key);
   const int bits = EVP_PKEY_get_bits(key);
+  char encoding[32] = "";
+  if (type == EVP_PKEY_EC &&
+      EVP_PKEY_get_utf8_string_param(key, OSSL_PKEY_PARAM_EC_ENCODING, encoding, sizeof(encoding),
+                                     nullptr) == 1 &&
+      absl::string_view(encoding) != OSSL_PKEY_EC_ENCODING_GROUP) {
+    return absl::InvalidArgumentError("its key has a curve without a name; make another");
+  }
   if (type == EVP_PKEY_EC) {
     char group[64] = "";
     size_t size = 0;
@@ -158,6 +169,13 @@ absl::StatusOr<CertificateRequest> CertificateRequest::Read(absl::string_view pe
     return absl::InvalidArgumentError(absl::StrCat("the request for a certificate has ", pem.size(),
                                                    " bytes, limit ", kRequestBytesMax));
   }
+  // One block and nothing else: what stands beside it could be a key.
+  const absl::string_view block = absl::StripAsciiWhitespace(pem);
+  if (!absl::StartsWith(block, kBegin) || !absl::EndsWith(block, kEnd) ||
+      block.find("-----BEGIN", 1) != block.npos) {
+    return absl::InvalidArgumentError(
+        "it is not one request for a certificate (PKCS#10, PEM) and nothing else");
+  }
   const Bio bio(BIO_new_mem_buf(pem.data(), static_cast<int>(pem.size())));
   const Request request(
       PEM_read_bio_X509_REQ(bio.get(), nullptr, rpc::openssl::NoPassword, nullptr));
@@ -200,7 +218,8 @@ absl::StatusOr<Issuer> Issuer::Read(absl::string_view certificates_pem, absl::st
   ERR_clear_error();
   if (!chained) {
     return absl::InvalidArgumentError(
-        "the certificate in `cert` is not issued under `tls.ca`: nobody would trust what it signs");
+        "the certificate in `cert` is not issued under `tls.ca`: what it signs would not be "
+        "trusted");
   }
   for (const Certificate& each : chain) {
     RIPS_ASSIGN_OR_RETURN(const std::string pem, ToPem(each.get()));

@@ -17,12 +17,12 @@ inline constexpr size_t kRequestBytesMax = 8'192;
 // A certificate begins so long before it is made: clocks of robots are behind.
 inline constexpr absl::Duration kBackdated = absl::Minutes(5);
 
-// What somebody asks a certificate for: a key, proven to be theirs, and nothing else.
+// What a certificate is asked for: a key, which its holder has proven, and nothing else.
 class CertificateRequest {
  public:
   // InvalidArgument, saying why, for what is no PKCS#10 request in PEM of at most kRequestBytesMax;
   // one that its key has not signed; a key that is not P-256, P-384 or RSA of 3,072 to 4,096 bits;
-  // a request with a subject or extensions, because nobody may choose their own name.
+  // a request with a subject or extensions, because no agent chooses its name.
   static absl::StatusOr<CertificateRequest> Read(absl::string_view pem);
   CertificateRequest(CertificateRequest&&) noexcept;
   CertificateRequest& operator=(CertificateRequest&&) noexcept;

@@ -1,8 +1,6 @@
 #include "services/pki/issuer.h"
 
 #include <cstdlib>
-#include <fstream>
-#include <sstream>
 #include <string>
 
 #include "absl/strings/str_cat.h"
@@ -12,18 +10,14 @@
 #include "services/pki/key_request.h"
 #include "services/rpc/certificate.h"
 #include "services/rpc/test_pki.h"
+#include "services/runtime/atomic_file.h"
 
 namespace rips::pki {
 namespace {
 
 using ::testing::HasSubstr;
 
-std::string Content(const std::string& path) {
-  std::ifstream file(path);
-  std::ostringstream text;
-  text << file.rdbuf();
-  return text.str();
-}
+std::string Content(const std::string& path) { return ReadFile(path, 1 << 20).value_or(""); }
 
 class IssuerTest : public ::testing::Test {
  protected:
@@ -109,6 +103,18 @@ TEST_F(IssuerTest, ARequestMayAskForNothingButItsKey) {
                   OpensslRequest("-newkey ec -pkeyopt ec_paramgen_curve:P-384 -subj /")),
               IsOk());
   EXPECT_THAT(CertificateRequest::Read(OpensslRequest("-newkey rsa:3072 -subj /")), IsOk());
+  EXPECT_THAT(CertificateRequest::Read(OpensslRequest(
+                  "-newkey ec -pkeyopt ec_paramgen_curve:P-256 -pkeyopt ec_param_enc:explicit "
+                  "-subj /")),
+              StatusIs(absl::StatusCode::kInvalidArgument, HasSubstr("without a name")));
+  const std::string good = *RequestFor(*NewKey());
+  EXPECT_THAT(CertificateRequest::Read("\n" + good + "\n"), IsOk());
+  for (const std::string& beside : {*NewKey(), good, std::string("x\n")}) {
+    EXPECT_THAT(CertificateRequest::Read(beside + good),
+                StatusIs(absl::StatusCode::kInvalidArgument, HasSubstr("nothing else")));
+    EXPECT_THAT(CertificateRequest::Read(good + beside),
+                StatusIs(absl::StatusCode::kInvalidArgument, HasSubstr("nothing else")));
+  }
 }
 
 TEST_F(IssuerTest, WeakKeysAreRefused) {

@@ -184,7 +184,7 @@ struct CredentialsSource::State {
   }
 
   // Of files that were replaced since: they must be ours still. Not PermissionDenied, so that the
-  // daemon goes on: as when its server is away. What cannot be read is told; connections are made
+  // daemon goes on: as when its server is away. What cannot be read is logged; connections are made
   // with what was read before for as long as that is good.
   absl::Status CheckPresent() ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu) {
     if (!files.has_value()) return absl::OkStatus();

@@ -15,19 +15,9 @@ import urllib.error
 import urllib.request
 
 sys.path.insert(0, str(pathlib.Path(__file__).resolve().parents[1] / "support"))
-from fleet import SOURCE, Fleet, check, metrics, perform  # noqa: E402
+from fleet import SOURCE, Fleet, check, eventually, metrics, perform  # noqa: E402
 
 DAY = 24 * 3600
-
-
-def eventually(condition, seconds, what):
-    deadline = time.monotonic() + seconds
-    while True:
-        value = condition()
-        if value:
-            return value
-        check(time.monotonic() < deadline, f"{what}: not within {seconds} s")
-        time.sleep(0.1)
 
 
 def free_port():

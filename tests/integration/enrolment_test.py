@@ -11,17 +11,7 @@ import tempfile
 import time
 
 sys.path.insert(0, str(pathlib.Path(__file__).resolve().parents[1] / "support"))
-from fleet import SOURCE, Fleet, check, perform  # noqa: E402
-
-
-def eventually(condition, seconds, what):
-    deadline = time.monotonic() + seconds
-    while True:
-        value = condition()
-        if value:
-            return value
-        check(time.monotonic() < deadline, f"{what}: not within {seconds} s")
-        time.sleep(0.2)
+from fleet import SOURCE, Fleet, check, eventually, perform  # noqa: E402
 
 
 class EnrolledFleet(Fleet):
@@ -30,7 +20,7 @@ class EnrolledFleet(Fleet):
     def prepare(self):
         super().prepare()
         self.mint("operator", "admin", "root")
-        # What the server is told; a test changes these files, as an administrator would.
+        # What the server reads; a test changes these files, as an administrator would.
         shutil.copy(self.dir / "pki/ca.pem", self.dir / "trusted.pem")
         (self.dir / "issuing").mkdir()
         self.issue_by(self.dir / "pki")

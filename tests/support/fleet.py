@@ -407,6 +407,17 @@ levels:
         return self.wait_level("DEFAULT", seconds)
 
 
+def eventually(condition, seconds, what):
+    """The first true value of condition(); Failed with `what` if there is none in time."""
+    deadline = time.monotonic() + seconds
+    while True:
+        value = condition()
+        if value:
+            return value
+        check(time.monotonic() < deadline, f"{what}: not within {seconds} s")
+        time.sleep(0.1)
+
+
 def page(process, path):
     """What a daemon serves at `path` of its metrics address, as text."""
     _, address = process.wait_for(

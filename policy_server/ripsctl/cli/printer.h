@@ -1,4 +1,4 @@
-// Text for people: hostile bytes made harmless, columns aligned, times readable.
+// Text on a terminal: columns aligned, times readable, nothing hostile (services/text/escape.h).
 #ifndef RIPS_POLICY_SERVER_RIPSCTL_CLI_PRINTER_H_
 #define RIPS_POLICY_SERVER_RIPSCTL_CLI_PRINTER_H_
 
@@ -8,13 +8,9 @@
 #include <vector>
 
 #include "absl/strings/string_view.h"
+#include "services/text/escape.h"
 
 namespace rips::ripsctl {
-
-// `text` as it may be shown on a terminal, on one line. Becomes \xHH: control characters, bytes
-// that are not UTF-8. Becomes \uHHHH: C1 controls, line and paragraph separators, and characters
-// that are invisible or turn the direction of writing (they make text look like other text).
-std::string EscapeText(absl::string_view text);
 
 // `2026-01-01T00:00:00.000Z`; `-` for 0.
 std::string ShortTime(int64_t unix_ns);

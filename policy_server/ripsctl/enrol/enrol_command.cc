@@ -86,7 +86,7 @@ class CreateToken final : public RobotCommand {
     return absl::OkStatus();
   }
   absl::StatusOr<ExitCode> Run(Env& env) override {
-    // Before there is a token that nobody has.
+    // Before there is a token, so that none is lost.
     if (!out_.empty()) RIPS_RETURN_IF_ERROR(WriteSecret(out_, ""));
     absl::StatusOr<ExitCode> code = Make(env);
     if (!code.ok() && !out_.empty()) unlink(out_.c_str());

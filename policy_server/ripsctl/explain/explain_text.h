@@ -28,7 +28,7 @@ struct Explanation {
   std::optional<absl::StatusOr<v1::GetLevelResponse>> now;
   // Unset at the lowest level.
   std::optional<Lowering> lowering;
-  // Of the robot now; unset if nobody with a GUID is named.
+  // Of the robot now; unset if no subject has a GUID.
   std::optional<absl::StatusOr<v1::GetGraphResponse>> graph;
 };
 

@@ -158,15 +158,71 @@ absl::StatusOr<NewToken> Enrolment::CreateToken(const TokenOrder& order) {
 
 absl::Status Enrolment::RevokeToken(const std::string& id) { return store_->RevokeToken(id); }
 
-absl::StatusOr<std::string> Enrolment::OthersOf(const store::IssuedRecord& issued) {
-  RIPS_ASSIGN_OR_RETURN(const std::vector<store::IssuedRecord> all, store_->ListIssued(issued.uri));
-  std::vector<std::string> others;
-  for (const store::IssuedRecord& each : all) {
-    if (each.key_hash == issued.key_hash || each.not_after_unix_ns <= issued.time_unix_ns) continue;
-    others.push_back(absl::StrCat("serial ", each.serial, " until ",
-                                  UtcText(absl::FromUnixNanos(each.not_after_unix_ns))));
+absl::Status Enrolment::CheckNotBanned(const rpc::PeerIdentity& agent,
+                                       const std::string& made_by) const {
+  if (ports_.is_banned(agent, "")) {
+    return absl::PermissionDeniedError(
+        absl::StrCat(rpc::ToString(agent), " is banned; see `ripsctl agent list`"));
   }
-  return absl::StrJoin(others, ", ");
+  // As rpc::Describe writes it.
+  const std::vector<std::string> maker = absl::StrSplit(made_by, " serial ");
+  const auto identity = rpc::ParseSpiffeUri(maker.front());
+  if (identity.ok() && ports_.is_banned(*identity, maker.back())) {
+    return absl::PermissionDeniedError(
+        "the administrator who made the token is banned; ask another for a new one");
+  }
+  return absl::OkStatus();
+}
+
+absl::StatusOr<std::optional<Fetched>> Enrolment::GivenBefore(const rpc::PeerIdentity& identity,
+                                                              const std::string& token,
+                                                              const std::string& key_hash,
+                                                              const std::string& ca_pem) {
+  absl::StatusOr<store::IssuedRecord> found = store_->FindIssued(token, rpc::ToString(identity));
+  if (absl::IsNotFound(found.status())) return std::nullopt;
+  if (!found.ok()) return found.status();
+  if (found->key_hash != key_hash) {
+    const std::string text =
+        absl::StrCat("the token was used already, by another key, for ", found->uri);
+    ports_.tell(identity.robot, engine::Severity::kHigh,
+                absl::StrCat("token ", token, ": ", text, " (serial ", found->serial,
+                             "): it is in two hands; ban ", found->uri,
+                             " unless that certificate is on the robot, and make a new token"));
+    return absl::FailedPreconditionError(
+        absl::StrCat(text, "; if that was not this robot, ban that certificate; make a new token"));
+  }
+  if (ports_.is_banned(identity, found->serial)) {
+    return absl::PermissionDeniedError(
+        "the certificate that was fetched with this token is banned; ask for a new token");
+  }
+  std::string certificates_pem = std::move(found->certificates_pem);
+  found->certificates_pem.clear();
+  return Fetched{*std::move(found), std::move(certificates_pem), ca_pem};
+}
+
+void Enrolment::Report(const rpc::PeerIdentity& identity, const store::IssuedRecord& issued) {
+  const absl::StatusOr<std::vector<store::IssuedRecord>> all = store_->ListIssued(issued.uri);
+  const auto is_other = [&issued](const store::IssuedRecord& each) {
+    return each.serial != issued.serial && each.not_after_unix_ns > issued.time_unix_ns;
+  };
+  const size_t others =
+      all.ok() ? static_cast<size_t>(std::count_if(all->begin(), all->end(), is_other)) : 0;
+  const std::string who = absl::StrCat("the ", rpc::RoleName(identity.role), " of ", identity.robot,
+                                       " on ", identity.host);
+  const std::string still_good = absl::StrCat(
+      others, " other certificates of it are still good; `ripsctl enrol list ", identity.robot,
+      "` shows them, and if a key of them is not on the robot, "
+      "`ripsctl agent ban ",
+      issued.uri, "`");
+  if (issued.token.empty()) {
+    if (others < kGoodWithoutAlert) return;
+    return ports_.tell(identity.robot, engine::Severity::kMedium,
+                       absl::StrCat(who, " was renewed more often than it needs: ", still_good));
+  }
+  const std::string text =
+      absl::StrCat(who, " was enrolled with token ", issued.token, ": serial ", issued.serial);
+  ports_.tell(identity.robot, others == 0 ? engine::Severity::kLow : engine::Severity::kMedium,
+              others == 0 ? text : absl::StrCat(text, "; ", still_good));
 }
 
 absl::StatusOr<Fetched> Enrolment::Issue(const rpc::PeerIdentity& identity,
@@ -174,37 +230,30 @@ absl::StatusOr<Fetched> Enrolment::Issue(const rpc::PeerIdentity& identity,
   RIPS_ASSIGN_OR_RETURN(const pki::CertificateRequest request,
                         pki::CertificateRequest::Read(request_pem));
   RIPS_ASSIGN_OR_RETURN(const Authority authority, ReadAuthority(options_.files));
+  if (!token.empty()) {
+    RIPS_ASSIGN_OR_RETURN(std::optional<Fetched> before,
+                          GivenBefore(identity, token, request.key_hash(), authority.ca_pem));
+    if (before.has_value()) return *std::move(before);
+  }
   const absl::Time now = Now();
-  RIPS_ASSIGN_OR_RETURN(pki::Issued issued,
+  RIPS_ASSIGN_OR_RETURN(const pki::Issued issued,
                         authority.issuer.Sign(request, identity, now, options_.life));
-  const store::IssuedRecord record{.uri = rpc::ToString(identity),
-                                   .serial = issued.serial,
-                                   .key_hash = request.key_hash(),
-                                   .token = token,
-                                   .time_unix_ns = absl::ToUnixNanos(now),
-                                   .not_after_unix_ns = absl::ToUnixNanos(issued.not_after)};
+  store::IssuedRecord record{.uri = rpc::ToString(identity),
+                             .serial = issued.serial,
+                             .key_hash = request.key_hash(),
+                             .token = token,
+                             .time_unix_ns = absl::ToUnixNanos(now),
+                             .not_after_unix_ns = absl::ToUnixNanos(issued.not_after),
+                             .certificates_pem = issued.certificates_pem};
   RIPS_RETURN_IF_ERROR(store_->PutIssued(record));
+  record.certificates_pem.clear();
   LogInfo("issued a certificate", {{"uri", record.uri},
                                    {"serial", record.serial},
                                    {"until", UtcText(issued.not_after)},
                                    {"token", token}});
-  if (const auto peer = rpc::ReadLeaf(issued.certificates_pem); peer.ok()) reports_.issued(*peer);
-  if (!token.empty()) {
-    // It is issued: what cannot be read must not keep it back.
-    const absl::StatusOr<std::string> others = OthersOf(record);
-    const std::string text =
-        absl::StrCat("the ", rpc::RoleName(identity.role), " of ", identity.robot, " on ",
-                     identity.host, " was enrolled with token ", token, ": serial ", record.serial);
-    const bool alone = others.ok() && others->empty();
-    reports_.tell(
-        identity.robot, alone ? engine::Severity::kLow : engine::Severity::kMedium,
-        alone ? text
-              : absl::StrCat(text, "; it had certificates that are still good (",
-                             others.ok() ? *others : std::string(others.status().message()),
-                             "): if their keys are not on the robot any more, `ripsctl agent ban ",
-                             record.uri, " --serial` them"));
-  }
-  return Fetched{record, std::move(issued.certificates_pem), authority.ca_pem};
+  if (const auto peer = rpc::ReadLeaf(issued.certificates_pem); peer.ok()) ports_.issued(*peer);
+  Report(identity, record);
+  return Fetched{std::move(record), issued.certificates_pem, authority.ca_pem};
 }
 
 absl::StatusOr<Fetched> Enrolment::Enrol(const rpc::PeerIdentity& token, const std::string& role,
@@ -227,12 +276,14 @@ absl::StatusOr<Fetched> Enrolment::Enrol(const rpc::PeerIdentity& token, const s
   if (!IsListed(found->robot, found->host, role)) {
     return NotListed(found->robot, found->host, role);
   }
+  const rpc::PeerIdentity agent{
+      .role = role == "sensor" ? rpc::Role::kSensor : rpc::Role::kActuator,
+      .trust_domain = options_.trust_domain,
+      .robot = found->robot,
+      .host = found->host};
+  RIPS_RETURN_IF_ERROR(CheckNotBanned(agent, found->by));
   RIPS_RETURN_IF_ERROR(NotTooSoon(absl::StrCat(token.name, "/", role), kBetweenFetches));
-  return Issue({.role = role == "sensor" ? rpc::Role::kSensor : rpc::Role::kActuator,
-                .trust_domain = options_.trust_domain,
-                .robot = found->robot,
-                .host = found->host},
-               found->id, request_pem);
+  return Issue(agent, found->id, request_pem);
 }
 
 absl::StatusOr<Fetched> Enrolment::Renew(const rpc::PeerIdentity& agent,

@@ -5,9 +5,11 @@
 // |-----------------------|---------------------------------------------------------------------|
 // | an admin, for a token | the inventory lists an agent of the robot on that host              |
 // | the holder of a token | it is known, neither revoked nor expired, for that role, not used   |
-// |                       | by another key, and the inventory lists the agent still             |
+// |                       | by another key, the inventory lists the agent still, and neither    |
+// |                       | the agent nor who made the token is banned                          |
 // | an agent, to renew    | the inventory lists it still, and 10 s have passed                  |
 //
+// The same key with the same token gets the same certificate again: an answer can be lost.
 // What a certificate says comes from the token or from the one that is renewed, never from who
 // asks. Nothing is given out before it is recorded. Any thread; all but the constructor block on
 // the disk.
@@ -17,6 +19,7 @@
 #include <cstdint>
 #include <functional>
 #include <map>
+#include <optional>
 #include <set>
 #include <string>
 #include <utility>
@@ -43,6 +46,8 @@ inline constexpr absl::Duration kTokenLifeMax = absl::Hours(24);
 // Between two certificates for the same agent: each costs a signature and a write.
 inline constexpr absl::Duration kBetweenRenewals = absl::Seconds(10);
 inline constexpr absl::Duration kBetweenFetches = absl::Seconds(1);
+// Certificates of one agent that are good: more are an alert. A change of the root takes three.
+inline constexpr size_t kGoodWithoutAlert = 4;
 
 struct IssuingFiles {
   // PEM: the issuing certificate and what is between it and a root of `ca`; its key; tls.ca.
@@ -87,8 +92,10 @@ struct NewToken {
   Fetched fetched;
 };
 
-// None may block; both must be set.
-struct EnrolmentReports {
+// None may block; all must be set.
+struct EnrolmentPorts {
+  // Whether that certificate is banned; without a serial, whether its identity is.
+  std::function<bool(const rpc::PeerIdentity&, const std::string& serial)> is_banned;
   // To be raised as an alert of the robot.
   std::function<void(const std::string& robot, engine::Severity, const std::string& text)> tell;
   // An agent's certificate, before the agent shows it.
@@ -99,10 +106,10 @@ class Enrolment {
  public:
   // `store` and `clock` are not owned and outlive this.
   Enrolment(EnrolmentOptions options, store::EnrolmentStore* store, const Clock* clock,
-            EnrolmentReports reports)
-      : options_(std::move(options)), store_(store), clock_(clock), reports_(std::move(reports)) {}
+            EnrolmentPorts ports)
+      : options_(std::move(options)), store_(store), clock_(clock), ports_(std::move(ports)) {}
 
-  // Who is listed from now on. Before it, nobody is.
+  // Who is listed from now on; before, no agent is.
   void SetInventory(const bundle::Inventory& inventory) ABSL_LOCKS_EXCLUDED(mu_);
 
   // InvalidArgument for a role or a life that there is not; NotFound if the inventory does not list
@@ -123,8 +130,15 @@ class Enrolment {
   absl::Time Now() const { return absl::FromUnixNanos(clock_->Now().unix_ns); }
   absl::StatusOr<Fetched> Issue(const rpc::PeerIdentity& identity, const std::string& token,
                                 const std::string& request_pem);
-  // Who else has a certificate for this identity that is still good.
-  absl::StatusOr<std::string> OthersOf(const store::IssuedRecord& issued);
+  // What this token gave this key before; nothing if it gave none yet. FailedPrecondition, with an
+  // alert, if it was another key.
+  absl::StatusOr<std::optional<Fetched>> GivenBefore(const rpc::PeerIdentity& identity,
+                                                     const std::string& token,
+                                                     const std::string& key_hash,
+                                                     const std::string& ca_pem);
+  absl::Status CheckNotBanned(const rpc::PeerIdentity& agent, const std::string& made_by) const;
+  // Alerts of what was issued.
+  void Report(const rpc::PeerIdentity& identity, const store::IssuedRecord& issued);
   bool IsListed(const std::string& robot, const std::string& host, const std::string& role)
       ABSL_LOCKS_EXCLUDED(mu_);
   // ResourceExhausted if `who` was here less than `between` ago.
@@ -133,7 +147,7 @@ class Enrolment {
   const EnrolmentOptions options_;
   store::EnrolmentStore* const store_;
   const Clock* const clock_;
-  const EnrolmentReports reports_;
+  const EnrolmentPorts ports_;
   Mutex mu_;
   // `ROBOT/HOST/ROLE`.
   std::set<std::string> listed_ ABSL_GUARDED_BY(mu_);

@@ -1,10 +1,8 @@
 // Robots that fetch and renew their certificates, over real gRPC and TLS.
 #include "policy_server/server/enrol/enrolment_service.h"
 
-#include <fstream>
 #include <memory>
 #include <optional>
-#include <sstream>
 #include <string>
 #include <utility>
 
@@ -19,6 +17,7 @@
 #include "services/rpc/credentials.h"
 #include "services/rpc/server_builder.h"
 #include "services/rpc/test_pki.h"
+#include "services/runtime/atomic_file.h"
 #include "services/runtime/real_clock.h"
 
 namespace rips::enrol {
@@ -27,6 +26,8 @@ namespace {
 using ::testing::HasSubstr;
 
 constexpr absl::Duration kPatience = absl::Seconds(60);
+
+std::string Content(const std::string& path) { return ReadFile(path, 1 << 20).value_or(""); }
 
 class EnrolmentServiceTest : public ::testing::Test {
  protected:
@@ -37,8 +38,9 @@ class EnrolmentServiceTest : public ::testing::Test {
                                                   .ca = pki_.dir() + "/ca.pem"},
                                         .trust_domain = "fleet.example"},
                        store_.get(), &clock_,
-                       EnrolmentReports{.tell = [](const auto&, auto, const auto&) {},
-                                        .issued = [](const auto&) {}});
+                       EnrolmentPorts{.is_banned = [](const auto&, const auto&) { return false; },
+                                      .tell = [](const auto&, auto, const auto&) {},
+                                      .issued = [](const auto&) {}});
     enrolment_->SetInventory(
         {.robots = {
              {.id = "r1", .bundle = "b", .sensors = {{.host = "base"}}, .actuators = {"base"}},
@@ -143,14 +145,8 @@ TEST_F(EnrolmentServiceTest, ATokenThatHasExpiredSaysSoAndWhatToDo) {
   v1::EnrolmentToken token = Token();
   const TlsFiles old = pki_.Mint(
       {.folder = "old", .san = "URI:spiffe://fleet.example/enrolment/00112233aabbccdd", .days = 0});
-  const auto read = [](const std::string& path) {
-    std::ifstream file(path);
-    std::ostringstream text;
-    text << file.rdbuf();
-    return text.str();
-  };
-  token.set_certificates_pem(read(old.cert));
-  token.set_key_pem(read(old.key));
+  token.set_certificates_pem(Content(old.cert));
+  token.set_key_pem(Content(old.key));
   absl::SleepFor(absl::Seconds(1));  // it is good for the second in which it was made
   EXPECT_THAT(FetchFirst(token, "sensor", *folder_, kPatience),
               StatusIs(absl::StatusCode::kFailedPrecondition,
@@ -160,10 +156,7 @@ TEST_F(EnrolmentServiceTest, ATokenThatHasExpiredSaysSoAndWhatToDo) {
 TEST_F(EnrolmentServiceTest, ATokenIsPinnedToItsAuthority) {
   rpc::TestPki other;
   v1::EnrolmentToken token = Token();
-  std::ifstream file(other.dir() + "/ca.pem");
-  std::ostringstream text;
-  text << file.rdbuf();
-  token.set_authorities_pem(text.str());
+  token.set_authorities_pem(Content(other.dir() + "/ca.pem"));
   EXPECT_THAT(
       FetchFirst(token, "sensor", *folder_, absl::Seconds(5)),
       StatusIs(absl::StatusCode::kFailedPrecondition, HasSubstr("damaged, or of another fleet")));
@@ -196,10 +189,7 @@ TEST_F(EnrolmentServiceTest, AServerThatIsAwayLeavesTheKeyPending) {
   const std::string pending = *folder_->PendingKey();
   token.set_server(address);
   ASSERT_THAT(FetchFirst(token, "sensor", *folder_, kPatience), IsOk());
-  std::ifstream file(folder_->tls().key);
-  std::ostringstream key;
-  key << file.rdbuf();
-  EXPECT_EQ(key.str(), pending);
+  EXPECT_EQ(Content(folder_->tls().key), pending);
 }
 
 TEST(IsDueTest, BeforeTheServersFirstNotice) {

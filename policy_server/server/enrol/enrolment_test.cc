@@ -2,6 +2,7 @@
 
 #include <fstream>
 #include <memory>
+#include <set>
 #include <string>
 #include <vector>
 
@@ -23,6 +24,8 @@ using ::testing::HasSubstr;
 using ::testing::IsEmpty;
 using ::testing::SizeIs;
 
+constexpr char kAdmin[] = "spiffe://fleet.example/operator/admin/root serial 1f";
+
 class EnrolmentTest : public ::testing::Test {
  protected:
   EnrolmentTest() {
@@ -41,16 +44,21 @@ class EnrolmentTest : public ::testing::Test {
     enrolment_ = std::make_unique<Enrolment>(
         EnrolmentOptions{.files = files_, .trust_domain = "fleet.example", .life = absl::Hours(24)},
         store_.get(), &clock_,
-        EnrolmentReports{.tell =
-                             [this](const std::string& robot, engine::Severity severity,
-                                    const std::string& text) {
-                               alerts_.push_back(
-                                   absl::StrCat(robot, " ", engine::ToString(severity), " ", text));
-                             },
-                         .issued =
-                             [this](const rpc::Peer& agent) {
-                               issued_.push_back(rpc::ToString(agent.identity));
-                             }});
+        EnrolmentPorts{.is_banned =
+                           [this](const rpc::PeerIdentity& identity, const std::string& serial) {
+                             const std::string uri = rpc::ToString(identity);
+                             return banned_.contains(uri) || banned_.contains(uri + " " + serial);
+                           },
+                       .tell =
+                           [this](const std::string& robot, engine::Severity severity,
+                                  const std::string& text) {
+                             alerts_.push_back(
+                                 absl::StrCat(robot, " ", engine::ToString(severity), " ", text));
+                           },
+                       .issued =
+                           [this](const rpc::Peer& agent) {
+                             issued_.push_back(rpc::ToString(agent.identity));
+                           }});
   }
   absl::StatusOr<NewToken> Token(const std::string& host = "base",
                                  std::vector<std::string> roles = {}) {
@@ -58,7 +66,7 @@ class EnrolmentTest : public ::testing::Test {
                                     .host = host,
                                     .roles = std::move(roles),
                                     .request_pem = *pki::RequestFor(*pki::NewKey()),
-                                    .by = "root"});
+                                    .by = kAdmin});
   }
   // Who shows the token's certificate.
   static rpc::PeerIdentity Holder(const NewToken& token) {
@@ -77,6 +85,8 @@ class EnrolmentTest : public ::testing::Test {
   std::unique_ptr<Enrolment> enrolment_;
   std::vector<std::string> alerts_;
   std::vector<std::string> issued_;
+  // URIs, and URIs with a blank and a serial.
+  std::set<std::string> banned_;
 };
 
 constexpr char kSensor[] = "spiffe://fleet.example/robot/r1/sensor/base";
@@ -92,20 +102,53 @@ TEST_F(EnrolmentTest, ATokenFetchesEachOfItsCertificatesOnce) {
   EXPECT_THAT(rpc::CheckChain(sensor->authorities_pem, sensor->certificates_pem, key), IsOk());
   EXPECT_EQ(rpc::ToString(rpc::ReadLeaf(sensor->certificates_pem)->identity), kSensor);
   ASSERT_THAT(Enrol(*token, "actuator", *pki::NewKey()), IsOk());
-  EXPECT_THAT(Enrol(*token, "sensor", key), IsOk()) << "the answer was lost";
+  const auto again = Enrol(*token, "sensor", key);
+  ASSERT_THAT(again, IsOk()) << "the answer was lost";
+  EXPECT_EQ(again->certificates_pem, sensor->certificates_pem) << "no other serial";
+  EXPECT_EQ(again->record, sensor->record);
   EXPECT_THAT(Enrol(*token, "sensor", *pki::NewKey()),
               StatusIs(absl::StatusCode::kFailedPrecondition, HasSubstr("by another key")));
-  EXPECT_THAT(issued_, SizeIs(3));
+  EXPECT_THAT(issued_, SizeIs(2));
+  EXPECT_THAT(alerts_.back(),
+              AllOf(HasSubstr("r1 high"), HasSubstr("in two hands"), HasSubstr(token->record.id)));
   EXPECT_THAT(alerts_[0], AllOf(HasSubstr("r1 low the sensor of r1 on base was enrolled"),
                                 HasSubstr(token->record.id)));
 }
 
 TEST_F(EnrolmentTest, WhoIsEnrolledAnewIsReportedWithWhatIsStillGood) {
-  const std::string first =
-      rpc::ReadLeaf(Enrol(*Token(), "sensor", *pki::NewKey())->certificates_pem)->serial;
   ASSERT_THAT(Enrol(*Token(), "sensor", *pki::NewKey()), IsOk());
-  EXPECT_THAT(alerts_.back(), AllOf(HasSubstr("r1 medium"), HasSubstr(first),
+  ASSERT_THAT(Enrol(*Token(), "sensor", *pki::NewKey()), IsOk());
+  EXPECT_THAT(alerts_.back(), AllOf(HasSubstr("r1 medium"), HasSubstr("1 other certificates"),
                                     HasSubstr("agent ban"), HasSubstr(kSensor)));
+}
+
+TEST_F(EnrolmentTest, ABanIsNotEscapedWithTheTokenThatFetchedWhatIsBanned) {
+  const auto token = Token();
+  const std::string key = *pki::NewKey();
+  const auto fetched = Enrol(*token, "sensor", key);
+  ASSERT_THAT(fetched, IsOk());
+  banned_ = {absl::StrCat(kSensor, " ", fetched->record.serial)};
+  EXPECT_THAT(Enrol(*token, "sensor", key),
+              StatusIs(absl::StatusCode::kPermissionDenied, HasSubstr("is banned")));
+  banned_ = {kSensor};
+  EXPECT_THAT(Enrol(*Token(), "sensor", key),
+              StatusIs(absl::StatusCode::kPermissionDenied, HasSubstr("is banned")));
+  banned_ = {"spiffe://fleet.example/operator/admin/root 1f"};
+  EXPECT_THAT(Enrol(*Token(), "actuator", key),
+              StatusIs(absl::StatusCode::kPermissionDenied, HasSubstr("administrator")));
+  banned_ = {};
+  EXPECT_THAT(Enrol(*Token(), "actuator", key), IsOk());
+}
+
+TEST_F(EnrolmentTest, AnAgentThatIsRenewedWithoutEndIsReported) {
+  const rpc::PeerIdentity agent = *rpc::ParseSpiffeUri(kSensor);
+  for (size_t i = 0; i <= kGoodWithoutAlert; ++i) {
+    EXPECT_THAT(alerts_, IsEmpty()) << i;
+    ASSERT_THAT(enrolment_->Renew(agent, *pki::RequestFor(*pki::NewKey())), IsOk());
+    clock_.Advance(absl::ToInt64Nanoseconds(kBetweenRenewals));
+  }
+  ASSERT_THAT(alerts_, SizeIs(1));
+  EXPECT_THAT(alerts_[0], AllOf(HasSubstr("r1 medium"), HasSubstr("renewed more often")));
 }
 
 TEST_F(EnrolmentTest, ATokenIsForWhatItWasMadeForAndNoLongerThanThat) {

@@ -15,8 +15,9 @@ namespace rips::store {
 
 // Tokens kept; the oldest are forgotten, open ones last.
 inline constexpr size_t kTokensMax = 10'000;
-// Issued certificates kept of one identity, newest first.
-inline constexpr size_t kIssuedPerIdentityMax = 16;
+// Certificates of one identity that are good at a time: each is listed until it ends, so that an
+// administrator who bans them misses none. One more is refused.
+inline constexpr int64_t kGoodPerIdentityMax = 64;
 
 struct TokenRecord {
   // 16 hex digits.
@@ -45,6 +46,8 @@ struct IssuedRecord {
   std::string token;
   int64_t time_unix_ns = 0;
   int64_t not_after_unix_ns = 0;
+  // The certificate and those of the issuer; PEM. Empty in lists.
+  std::string certificates_pem = {};
 
   friend bool operator==(const IssuedRecord&, const IssuedRecord&) = default;
 };
@@ -62,8 +65,12 @@ class EnrolmentStore {
   // The newest first, kTokensMax at most.
   virtual absl::StatusOr<std::vector<TokenRecord>> ListTokens() = 0;
   // Of a token: FailedPrecondition if this identity's certificate was given to another key by it,
-  // or it is revoked; NotFound if it is not kept. The same key again: in place of what was issued.
+  // or it is revoked; AlreadyExists if it was given to this key; NotFound if the token is not kept.
+  // ResourceExhausted if kGoodPerIdentityMax are good at the time of `issued`.
   virtual absl::Status PutIssued(const IssuedRecord& issued) = 0;
+  // What a token gave this identity. NotFound.
+  virtual absl::StatusOr<IssuedRecord> FindIssued(absl::string_view token,
+                                                  absl::string_view uri) = 0;
   // Of this identity, of all if `uri` is empty; the newest first.
   virtual absl::StatusOr<std::vector<IssuedRecord>> ListIssued(absl::string_view uri) = 0;
 };

@@ -35,7 +35,8 @@ CREATE TABLE issued (
   key_hash TEXT NOT NULL,
   token TEXT NOT NULL,                        -- empty = it was renewed
   time_unix_ns INTEGER NOT NULL,
-  not_after_unix_ns INTEGER NOT NULL
+  not_after_unix_ns INTEGER NOT NULL,
+  certificates_pem TEXT NOT NULL
 ) STRICT;
 CREATE INDEX issued_uri ON issued (uri, seq);
 CREATE UNIQUE INDEX issued_token ON issued (token, uri) WHERE token != '';
@@ -57,6 +58,16 @@ TokenRecord ReadToken(const Query& query) {
           .time_unix_ns = query.Number(5),
           .expires_unix_ns = query.Number(6),
           .revoked = query.Number(7) != 0};
+}
+
+IssuedRecord ReadIssued(const Query& query) {
+  return {.uri = query.Text(0),
+          .serial = query.Text(1),
+          .key_hash = query.Text(2),
+          .token = query.Text(3),
+          .time_unix_ns = query.Number(4),
+          .not_after_unix_ns = query.Number(5),
+          .certificates_pem = query.Text(6)};
 }
 
 }  // namespace
@@ -106,19 +117,19 @@ absl::Status SqliteEnrolments::PrepareAll() {
       {&list_tokens_,
        "SELECT id, robot, host, roles, by, time_unix_ns, expires_unix_ns, revoked FROM tokens "
        "ORDER BY seq DESC"},
-      {&find_issued_, "SELECT key_hash FROM issued WHERE token = ? AND uri = ?"},
-      {&remove_issued_, "DELETE FROM issued WHERE token = ? AND uri = ?"},
+      {&find_issued_,
+       "SELECT uri, serial, key_hash, token, time_unix_ns, not_after_unix_ns, certificates_pem "
+       "FROM issued WHERE token = ? AND uri = ?"},
+      {&count_good_, "SELECT count(*) FROM issued WHERE uri = ? AND not_after_unix_ns > ?"},
       {&put_issued_,
-       "INSERT INTO issued (uri, serial, key_hash, token, time_unix_ns, not_after_unix_ns) "
-       "VALUES (?, ?, ?, ?, ?, ?)"},
+       "INSERT INTO issued (uri, serial, key_hash, token, time_unix_ns, not_after_unix_ns,"
+       " certificates_pem) VALUES (?, ?, ?, ?, ?, ?, ?)"},
       // What a token was used for must be known as long as the token is kept.
       {&prune_issued_,
-       absl::StrCat("DELETE FROM issued WHERE uri = ?1 AND seq <= (SELECT seq FROM issued WHERE "
-                    "uri = ?1 ORDER BY seq DESC LIMIT 1 OFFSET ",
-                    kIssuedPerIdentityMax,
-                    ") AND (token = '' OR token NOT IN (SELECT id FROM tokens))")},
+       "DELETE FROM issued WHERE uri = ? AND not_after_unix_ns <= ? "
+       "AND (token = '' OR token NOT IN (SELECT id FROM tokens))"},
       {&list_issued_,
-       "SELECT uri, serial, key_hash, token, time_unix_ns, not_after_unix_ns FROM issued "
+       "SELECT uri, serial, key_hash, token, time_unix_ns, not_after_unix_ns, '' FROM issued "
        "WHERE ?1 = '' OR uri = ?1 ORDER BY seq DESC"},
   };
   for (const auto& [statement, sql] : all) {
@@ -184,7 +195,10 @@ absl::Status SqliteEnrolments::CheckUnused(const IssuedRecord& issued) {
   Query find = find_issued_.Start();
   find.Bind(issued.token).Bind(issued.uri);
   RIPS_ASSIGN_OR_RETURN(const bool used, find.Step());
-  if (!used || find.Text(0) == issued.key_hash) return absl::OkStatus();
+  if (!used) return absl::OkStatus();
+  if (find.Text(2) == issued.key_hash) {
+    return absl::AlreadyExistsError("the token gave this key its certificate before");
+  }
   return absl::FailedPreconditionError(
       absl::StrCat("the token was used already, by another key, for ", issued.uri,
                    "; if that was not this robot, ban that certificate; make a new token"));
@@ -197,18 +211,39 @@ absl::Status SqliteEnrolments::PutIssued(const IssuedRecord& issued) {
       RIPS_ASSIGN_OR_RETURN(const TokenRecord token, Find(issued.token));
       if (token.revoked) return absl::FailedPreconditionError("the token is revoked");
       RIPS_RETURN_IF_ERROR(CheckUnused(issued));
-      RIPS_RETURN_IF_ERROR(remove_issued_.Start().Bind(issued.token).Bind(issued.uri).Run());
     }
-    RIPS_RETURN_IF_ERROR(put_issued_.Start()
-                             .Bind(issued.uri)
-                             .Bind(issued.serial)
-                             .Bind(issued.key_hash)
-                             .Bind(issued.token)
-                             .Bind(issued.time_unix_ns)
-                             .Bind(issued.not_after_unix_ns)
-                             .Run());
-    return prune_issued_.Start().Bind(issued.uri).Run();
+    RIPS_RETURN_IF_ERROR(prune_issued_.Start().Bind(issued.uri).Bind(issued.time_unix_ns).Run());
+    {
+      Query count = count_good_.Start();
+      count.Bind(issued.uri).Bind(issued.time_unix_ns);
+      RIPS_RETURN_IF_ERROR(count.Step().status());
+      if (count.Number(0) >= kGoodPerIdentityMax) {
+        return absl::ResourceExhaustedError(
+            absl::StrCat(issued.uri, " has ", count.Number(0),
+                         " certificates that are good, the limit; see "
+                         "`ripsctl enrol list`: perhaps another has its key"));
+      }
+    }
+    return put_issued_.Start()
+        .Bind(issued.uri)
+        .Bind(issued.serial)
+        .Bind(issued.key_hash)
+        .Bind(issued.token)
+        .Bind(issued.time_unix_ns)
+        .Bind(issued.not_after_unix_ns)
+        .Bind(issued.certificates_pem)
+        .Run();
   });
+}
+
+absl::StatusOr<IssuedRecord> SqliteEnrolments::FindIssued(absl::string_view token,
+                                                          absl::string_view uri) {
+  MutexLock lock(&mu_);
+  Query query = find_issued_.Start();
+  query.Bind(token).Bind(uri);
+  RIPS_ASSIGN_OR_RETURN(const bool row, query.Step());
+  if (!row) return absl::NotFoundError("the token gave it no certificate");
+  return ReadIssued(query);
 }
 
 absl::StatusOr<std::vector<IssuedRecord>> SqliteEnrolments::ListIssued(absl::string_view uri) {
@@ -219,12 +254,7 @@ absl::StatusOr<std::vector<IssuedRecord>> SqliteEnrolments::ListIssued(absl::str
   while (true) {
     RIPS_ASSIGN_OR_RETURN(const bool row, query.Step());
     if (!row) return all;
-    all.push_back({.uri = query.Text(0),
-                   .serial = query.Text(1),
-                   .key_hash = query.Text(2),
-                   .token = query.Text(3),
-                   .time_unix_ns = query.Number(4),
-                   .not_after_unix_ns = query.Number(5)});
+    all.push_back(ReadIssued(query));
   }
 }
 

@@ -29,6 +29,8 @@ class SqliteEnrolments final : public EnrolmentStore {
   absl::Status RevokeToken(absl::string_view id) override ABSL_LOCKS_EXCLUDED(mu_);
   absl::StatusOr<std::vector<TokenRecord>> ListTokens() override ABSL_LOCKS_EXCLUDED(mu_);
   absl::Status PutIssued(const IssuedRecord& issued) override ABSL_LOCKS_EXCLUDED(mu_);
+  absl::StatusOr<IssuedRecord> FindIssued(absl::string_view token, absl::string_view uri) override
+      ABSL_LOCKS_EXCLUDED(mu_);
   absl::StatusOr<std::vector<IssuedRecord>> ListIssued(absl::string_view uri) override
       ABSL_LOCKS_EXCLUDED(mu_);
 
@@ -40,7 +42,7 @@ class SqliteEnrolments final : public EnrolmentStore {
   absl::Status InTransaction(const std::function<absl::Status()>& work)
       ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
   absl::StatusOr<TokenRecord> Find(absl::string_view id) ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
-  // FailedPrecondition if its token gave this identity's certificate to another key.
+  // FailedPrecondition or AlreadyExists if its token gave this identity's certificate to a key.
   absl::Status CheckUnused(const IssuedRecord& issued) ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
 
   Mutex mu_;
@@ -51,7 +53,7 @@ class SqliteEnrolments final : public EnrolmentStore {
   Statement revoke_token_ ABSL_GUARDED_BY(mu_);
   Statement list_tokens_ ABSL_GUARDED_BY(mu_);
   Statement find_issued_ ABSL_GUARDED_BY(mu_);
-  Statement remove_issued_ ABSL_GUARDED_BY(mu_);
+  Statement count_good_ ABSL_GUARDED_BY(mu_);
   Statement put_issued_ ABSL_GUARDED_BY(mu_);
   Statement prune_issued_ ABSL_GUARDED_BY(mu_);
   Statement list_issued_ ABSL_GUARDED_BY(mu_);

@@ -78,13 +78,19 @@ TEST_F(SqliteEnrolmentsTest, KeepsTokensThroughARestartInAFileForItsOwnerAlone) 
 
 TEST_F(SqliteEnrolmentsTest, ATokenGivesAnIdentityToOneKeyAlone) {
   ASSERT_THAT(store_->PutToken(Token("t1")), IsOk());
-  ASSERT_THAT(store_->PutIssued(Issued("sensor", "a", "key", "t1")), IsOk());
+  IssuedRecord first = Issued("sensor", "a", "key", "t1");
+  first.certificates_pem = "pem of a";
+  ASSERT_THAT(store_->PutIssued(first), IsOk());
   EXPECT_THAT(store_->PutIssued(Issued("sensor", "b", "other", "t1")),
               StatusIs(absl::StatusCode::kFailedPrecondition, HasSubstr("another key")));
   ASSERT_THAT(store_->PutIssued(Issued("actuator", "c", "other", "t1")), IsOk());
-  ASSERT_THAT(store_->PutIssued(Issued("sensor", "d", "key", "t1")), IsOk())
-      << "its answer was lost";
-  EXPECT_THAT(*store_->ListIssued("sensor"), ElementsAre(Issued("sensor", "d", "key", "t1")));
+  EXPECT_THAT(store_->PutIssued(Issued("sensor", "d", "key", "t1")),
+              StatusIs(absl::StatusCode::kAlreadyExists));
+  IssuedRecord given = Issued("sensor", "a", "key", "t1");
+  EXPECT_THAT(*store_->ListIssued("sensor"), ElementsAre(given));
+  given.certificates_pem = "pem of a";
+  EXPECT_EQ(*store_->FindIssued("t1", "sensor"), given) << "to be given again";
+  EXPECT_THAT(store_->FindIssued("t1", "other"), StatusIs(absl::StatusCode::kNotFound));
   EXPECT_THAT(*store_->ListIssued(""), SizeIs(2));
 }
 
@@ -98,17 +104,24 @@ TEST_F(SqliteEnrolmentsTest, ATokenThatIsRevokedOrNotKeptGivesNothing) {
   EXPECT_THAT(*store_->ListIssued(""), SizeIs(0));
 }
 
-TEST_F(SqliteEnrolmentsTest, KeepsTheNewestRenewalsAndEveryUseOfATokenThatIsKept) {
+TEST_F(SqliteEnrolmentsTest, ListsEachCertificateUntilItEndsAndRefusesTooMany) {
   ASSERT_THAT(store_->PutToken(Token("t1")), IsOk());
   ASSERT_THAT(store_->PutIssued(Issued("sensor", "first", "key", "t1")), IsOk());
-  for (size_t i = 0; i < 2 * kIssuedPerIdentityMax; ++i) {
+  for (int64_t i = 1; i < kGoodPerIdentityMax; ++i) {
     ASSERT_THAT(store_->PutIssued(Issued("sensor", absl::StrCat(i), "key")), IsOk());
   }
-  ASSERT_THAT(store_->PutIssued(Issued("actuator", "x", "key")), IsOk());
-  const auto kept = *store_->ListIssued("sensor");
-  EXPECT_THAT(kept, SizeIs(kIssuedPerIdentityMax + 1));
-  EXPECT_EQ(kept.front().serial, absl::StrCat(2 * kIssuedPerIdentityMax - 1));
-  EXPECT_EQ(kept.back().serial, "first");
+  EXPECT_THAT(store_->PutIssued(Issued("sensor", "more", "key")),
+              StatusIs(absl::StatusCode::kResourceExhausted, HasSubstr("enrol list")));
+  ASSERT_THAT(store_->PutIssued(Issued("actuator", "x", "key")), IsOk()) << "of another identity";
+  EXPECT_THAT(*store_->ListIssued("sensor"), SizeIs(kGoodPerIdentityMax));
+
+  IssuedRecord later = Issued("sensor", "later", "key");
+  later.time_unix_ns = 900;  // the others have ended
+  later.not_after_unix_ns = 1'800;
+  ASSERT_THAT(store_->PutIssued(later), IsOk());
+  EXPECT_THAT(*store_->ListIssued("sensor"),
+              ElementsAre(later, Issued("sensor", "first", "key", "t1")))
+      << "and what a token was used for, as long as the token is kept";
   EXPECT_THAT(store_->PutIssued(Issued("sensor", "b", "other", "t1")),
               StatusIs(absl::StatusCode::kFailedPrecondition));
 }
