@@ -36,7 +36,7 @@ TEST(RecordsOfTest, WhatAnAuditorNeedsAndNoMore) {
   batch.alerts = {{.id = "a", .robot = "r1", .rule = "stranger"},
                   {.id = "b", .robot = "r1", .rule = "(rips)", .text = "banned"}};
   batch.stages = {{}};
-  batch.acks = {{.alert_id = "a", .ack = {.by = "alice", .note = "on it"}, .rule = "stranger"}};
+  batch.acks = {{.alert_id = "a", .ack = {.by = "alice", .note = "on it"}, .rule = "intruder"}};
   batch.checkpoint = {.variables = store::Variables(), .rules_halted = true, .bundle = "sha256:12"};
   std::vector<std::string> lines;
   for (const AuditRecord& record : RecordsOf({&batch, 1})) {
