@@ -5,6 +5,7 @@
 
 import os
 import pathlib
+import re
 import shutil
 import signal
 import subprocess
@@ -115,7 +116,10 @@ def units_are_valid(world):
     for unit in UNITS.iterdir():
         shutil.copy(unit, units)
     (root / "bin").symlink_to("usr/bin")
-    for program in [service.stem for service in services] + ["kill"]:
+    programs = re.findall(r"^ExecStart=/usr/bin/(\S+)", "\n".join(
+        service.read_text() for service in services), re.M)
+    check(len(programs) == len(services), f"not each unit starts a program: {programs}")
+    for program in [*programs, "kill"]:
         (root / "usr/bin" / program).write_bytes(b"")
         (root / "usr/bin" / program).chmod(0o755)
 
