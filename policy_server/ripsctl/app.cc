@@ -35,6 +35,7 @@ constexpr Noun kNouns[] = {
     {"audit", "Verify and read a policy server's audit log; needs no server"},
     {"agent", "List certificates; ban and unban agents and operators"},
     {"enrol", "Make tokens with which robots fetch their certificates; list what was issued"},
+    {"signal", "Send a signal for a robot's rules to judge"},
     {"record", "Record the events a robot's rules are evaluated on"},
     {"context", "List the contexts of the settings file; change the current one"},
     {"completion", "Print the completion of commands for a shell"},
@@ -47,8 +48,8 @@ constexpr Commands (*kMakers[])() = {
     ExplainCommands, CheckRules,       FormatRules,      RulesBuiltins,
     TestRules,       ReplayRules,      SignRules,        PushRules,
     ActivateRules,   RulesStatus,      ShadowRules,      ResumeRules,
-    AuditCommands,   AgentCommands,    EnrolCommands,    RecordCommands,
-    ContextCommands, ReferenceCommands};
+    AuditCommands,   AgentCommands,    EnrolCommands,    SignalCommands,
+    RecordCommands,  ContextCommands,  ReferenceCommands};
 
 // The whole command line.
 class Parser {

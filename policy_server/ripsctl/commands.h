@@ -26,6 +26,7 @@ Commands ActivateRules();  // activate, rollback, stop
 Commands RulesStatus();
 Commands ShadowRules();
 Commands ResumeRules();
+Commands SignalCommands();
 Commands AuditCommands();  // verify, tail, export
 Commands AgentCommands();  // list, ban, unban, reset-term
 Commands EnrolCommands();  // create-token, revoke-token, list

@@ -1,4 +1,4 @@
-// The calls about bundles of a server that plays OperatorService for a test.
+// The calls about rules of a server that plays OperatorService for a test.
 #ifndef RIPS_POLICY_SERVER_RIPSCTL_FAKE_RULES_OPERATOR_H_
 #define RIPS_POLICY_SERVER_RIPSCTL_FAKE_RULES_OPERATOR_H_
 
@@ -61,6 +61,17 @@ class FakeRulesOperator : public v1::OperatorService::Service {
                               v1::RolloutResponse* response) override {
     *response = rollout;
     return Remember(absl::StrCat("RollBackBundle ", request->ShortDebugString()));
+  }
+  grpc::Status ResumeRules(grpc::ServerContext*, const v1::ResumeRulesRequest* request,
+                           v1::ResumeRulesResponse*) override {
+    return Remember(absl::StrCat("ResumeRules ", request->robot(), " ", request->reason()));
+  }
+  grpc::Status SendSignal(grpc::ServerContext*, const v1::SendSignalRequest* request,
+                          v1::SendSignalResponse* response) override {
+    response->set_level_before("DEFAULT");
+    response->set_decided_level(request->signal() == "SIGUSR1" ? "HALT" : "DEFAULT");
+    return Remember(absl::StrCat("SendSignal ", request->robot(), " ", request->signal(), " ",
+                                 request->reason()));
   }
   grpc::Status StopRollout(grpc::ServerContext*, const v1::StopRolloutRequest* request,
                            v1::RolloutResponse* response) override {

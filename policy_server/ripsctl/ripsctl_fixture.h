@@ -262,10 +262,6 @@ class FakeOperator final : public FakeEnrolOperator {
                                  " ", request->reason(), request->reject() ? " reject" : "",
                                  request->accept_blind() ? " accept-blind" : ""));
   }
-  grpc::Status ResumeRules(grpc::ServerContext*, const v1::ResumeRulesRequest* request,
-                           v1::ResumeRulesResponse*) override {
-    return Remember(absl::StrCat("ResumeRules ", request->robot(), " ", request->reason()));
-  }
 
  private:
   grpc::Status Change(const std::string& call, const v1::LevelRequest& request,

@@ -373,6 +373,7 @@ TEST_F(RipsctlHelpTest, EveryVerbThatItNamesPassesOnRefusals) {
       {"rules", "status"},
       {"rules", "shadow", "--end", "--all", "--reason", "x"},
       {"rules", "resume", "r1", "--reason", "x"},
+      {"signal", "send", "r1", "SIGUSR1", "--reason", "x"},
       {"agent", "list"},
       {"agent", "ban", "spiffe://rips/robot/r1/sensor/base", "--reason", "x"},
       {"agent", "unban", "spiffe://rips/robot/r1/sensor/base"},
@@ -484,6 +485,24 @@ TEST_F(RipsctlTest, ResumesRules) {
   EXPECT_EQ(RunJson({"rules", "resume", "r1", "--reason", "seen to"}),
             nlohmann::json({{"robot", "r1"}, {"resumed", true}}));
   EXPECT_EQ(fake_.calls()[0], "ResumeRules r1 seen to");
+}
+
+TEST_F(RipsctlTest, SendsSignals) {
+  EXPECT_EQ(Run({"signal", "send", "r1", "SIGUSR1", "--reason", "stop"}).out,
+            "the rules of r1 judged SIGUSR1; its level: HALT, before: DEFAULT\n");
+  EXPECT_EQ(Run({"signal", "send", "r1", "USR2", "--reason", "go"}).out,
+            "the rules of r1 judged SIGUSR2; its level is DEFAULT, as before\n");
+  EXPECT_EQ(RunJson({"signal", "send", "r1", "usr1", "--reason", "stop"}),
+            nlohmann::json({{"robot", "r1"},
+                            {"signal", "SIGUSR1"},
+                            {"level_before", "DEFAULT"},
+                            {"decided_level", "HALT"}}));
+  EXPECT_THAT(fake_.calls(),
+              testing::ElementsAre("SendSignal r1 SIGUSR1 stop", "SendSignal r1 SIGUSR2 go",
+                                   "SendSignal r1 SIGUSR1 stop"));
+  const Result wrong = Run({"signal", "send", "r1", "SIGKILL", "--reason", "stop"});
+  EXPECT_EQ(wrong.code, 2);
+  EXPECT_THAT(wrong.err, HasSubstr("`SIGKILL` is neither SIGUSR1 nor SIGUSR2"));
 }
 
 TEST_F(RipsctlTest, ListsAgentsAndBans) {

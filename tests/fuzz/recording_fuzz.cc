@@ -22,7 +22,7 @@
 namespace rips::recording {
 namespace {
 
-// Of a recording, no more events are read than these: a packed chunk of 100 bytes may hold millions.
+// No more events of a recording are read: a packed chunk of 100 bytes may hold millions.
 constexpr size_t kEventsRead = 10'000;
 
 // An empty file of this process, and where it lies.

@@ -52,6 +52,7 @@ OF_VERB = {
     "agent reset-term": "agent_reset_term",
     "enrol create-token": "enrol_create_token", "enrol revoke-token": "enrol_revoke_token",
     "enrol list": "enrol_list",
+    "signal send": "signal_send",
     "record": "record",
     "context list": "context_list", "context use": "context_use",
 }

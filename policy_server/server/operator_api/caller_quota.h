@@ -8,7 +8,7 @@
 // | kQuery   | all other calls of a viewer; AckAlerts,     | calls at a time, and a second; one  |
 // |          | which so uses up no order                   | that costs much counts for several  |
 // | kOrder   | Raise DeEscalate Approve ResumeRules        | calls at a time, and a second: an   |
-// |          | DrillRobot Ban Unban ResetTerm              | account of their own                |
+// |          | SendSignal DrillRobot Ban Unban ResetTerm   | account of their own                |
 // |          | ActivateBundle RollBackBundle StopRollout   |                                     |
 // |          | CreateEnrolmentToken RevokeEnrolmentToken   |                                     |
 // |          | ShadowBundle                                |                                     |

@@ -631,6 +631,25 @@ grpc::ServerUnaryReactor* OperatorService::ResumeRules(grpc::CallbackServerConte
   return reactor;
 }
 
+grpc::ServerUnaryReactor* OperatorService::SendSignal(grpc::CallbackServerContext* context,
+                                                      const rips::v1::SendSignalRequest* request,
+                                                      rips::v1::SendSignalResponse* response) {
+  const auto who = AuthorizeOrder(context, "SendSignal", *request, OperatorRole::kOperator);
+  if (!who.ok()) return Refuse(context, who.status());
+  auto* reactor = new UnaryCall(who->ticket, who->on_refused);
+  pipeline::SignalOrder order{OperatorName(*who), request->signal(), request->reason()};
+  const absl::Status posted =
+      pipeline_->Post(request->robot(), Queue::kOrders,
+                      [reactor, response, order = std::move(order)](Robot& robot) {
+                        const pipeline::LevelAnswer answer = robot.SendSignal(order);
+                        response->set_level_before(answer.level_before);
+                        response->set_decided_level(answer.decided_level);
+                        reactor->End(answer.status);
+                      });
+  if (!posted.ok()) reactor->End(posted);
+  return reactor;
+}
+
 grpc::ServerUnaryReactor* OperatorService::DrillRobot(grpc::CallbackServerContext* context,
                                                       const rips::v1::DrillRobotRequest* request,
                                                       rips::v1::DrillRobotResponse* response) {

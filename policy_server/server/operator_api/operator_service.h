@@ -5,8 +5,9 @@
 //   GetCoverage GetLevel ListTransitions ListAlerts
 //   WatchAlerts Explain ListReceipts ListAgents
 //   ListBundles GetRulesStatus ListEnrolments        viewer
-//   Raise DeEscalate Approve ResumeRules DrillRobot
-//   Record GetAlertRecording ShadowBundle AckAlerts  operator
+//   Raise DeEscalate Approve ResumeRules SendSignal
+//   DrillRobot Record GetAlertRecording ShadowBundle
+//   AckAlerts                                        operator
 //   Ban Unban ResetTerm PushBundle ActivateBundle
 //   RollBackBundle StopRollout
 //   CreateEnrolmentToken RevokeEnrolmentToken        admin
@@ -109,6 +110,9 @@ class OperatorService final : public rips::v1::OperatorService::CallbackService 
   grpc::ServerUnaryReactor* ResumeRules(grpc::CallbackServerContext* context,
                                         const rips::v1::ResumeRulesRequest* request,
                                         rips::v1::ResumeRulesResponse* response) override;
+  grpc::ServerUnaryReactor* SendSignal(grpc::CallbackServerContext* context,
+                                       const rips::v1::SendSignalRequest* request,
+                                       rips::v1::SendSignalResponse* response) override;
   grpc::ServerUnaryReactor* DrillRobot(grpc::CallbackServerContext* context,
                                        const rips::v1::DrillRobotRequest* request,
                                        rips::v1::DrillRobotResponse* response) override;

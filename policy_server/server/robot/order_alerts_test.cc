@@ -17,7 +17,16 @@ using ::testing::Not;
 class OrderAlertsTest : public RobotTest {
  protected:
   OrderAlertsTest() {
-    Start();
+    Start(R"(
+levels:
+  DEFAULT;
+  ALERT soft;
+  COMPROMISED;
+  HALT;
+rules External:
+  up: signal("SIGUSR1") ? alert("stopped by hand"), trigger(COMPROMISED);
+  last: false ? trigger(ALERT), trigger(HALT);
+)");
     Arm();
   }
   LevelAnswer Raise(const std::string& to, bool dry_run = false) {
@@ -105,6 +114,45 @@ TEST_F(OrderAlertsTest, AnOrderWithoutTheRightToItIsToldAtPowersOfTwo) {
                                       "operator vera was refused to move r1 to DEFAULT, "
                                       "1 time: needs the role `operator`"));
   EXPECT_LE(audience_.alerts.size(), before + 3);
+}
+
+TEST_F(OrderAlertsTest, ASignalIsJudgedAtOnceAndSaysWhoSentIt) {
+  const LevelAnswer answer =
+      robot_->SendSignal({.operator_name = "alice", .signal = "SIGUSR1", .reason = "fire drill"});
+  Drain();
+
+  EXPECT_THAT(answer.status, IsOk());
+  EXPECT_EQ(answer.level_before, "DEFAULT");
+  EXPECT_EQ(answer.decided_level, "COMPROMISED");
+  EXPECT_EQ(Level(), "COMPROMISED");
+  EXPECT_THAT(audience_.alerts, Alert("info", "operator alice sends SIGUSR1 to r1: fire drill"));
+  EXPECT_THAT(audience_.alerts,
+              Contains(Field(&store::AlertRecord::event, "signal SIGUSR1 sent by operator alice")));
+}
+
+TEST_F(OrderAlertsTest, ASignalThatNoRuleAsksForChangesNothing) {
+  const LevelAnswer answer =
+      robot_->SendSignal({.operator_name = "alice", .signal = "SIGUSR2", .reason = "a test"});
+  EXPECT_THAT(answer.status, IsOk());
+  EXPECT_EQ(answer.level_before, "DEFAULT");
+  EXPECT_EQ(answer.decided_level, "DEFAULT");
+}
+
+TEST_F(OrderAlertsTest, ASignalOfAnotherNameOrWithoutReasonIsRefused) {
+  for (const char* name : {"", "SIGKILL", "USR1", "SIGUSR1\n", "\x1b[2J"}) {
+    const LevelAnswer answer =
+        robot_->SendSignal({.operator_name = "alice", .signal = name, .reason = "a test"});
+    EXPECT_THAT(answer.status, StatusIs(absl::StatusCode::kInvalidArgument,
+                                        HasSubstr("is neither SIGUSR1 nor SIGUSR2")));
+    EXPECT_THAT(std::string(answer.status.message()), Not(HasSubstr("\x1b")));
+  }
+  for (const std::string& reason : {std::string(), std::string(kReasonBytesMax + 1, 'r')}) {
+    const LevelAnswer answer =
+        robot_->SendSignal({.operator_name = "alice", .signal = "SIGUSR1", .reason = reason});
+    EXPECT_THAT(answer.status, StatusIs(absl::StatusCode::kInvalidArgument, HasSubstr("reason")));
+  }
+  EXPECT_EQ(Level(), "DEFAULT");
+  EXPECT_THAT(audience_.alerts, Not(Alert("info", "sends")));
 }
 
 }  // namespace

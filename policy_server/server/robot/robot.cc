@@ -168,6 +168,14 @@ absl::Status Robot::ResumeRules(const std::string& operator_name, const std::str
   return status;
 }
 
+LevelAnswer Robot::SendSignal(const SignalOrder& order) {
+  LevelAnswer answer;
+  const ReplyToken token =
+      performer_.Await(LevelReply([&](const LevelAnswer& given) { answer = given; }));
+  Do(input::SendSignal{.order = order, .token = token});
+  return answer;
+}
+
 void Robot::RecordRefusedOrder(const LevelOrder& order, const absl::Status& why) {
   Do(input::RefusedOrder{.order = order, .why = why});
 }

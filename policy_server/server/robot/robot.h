@@ -59,6 +59,7 @@ class Robot {
   void OnOperatorBanned(const std::string& identity) { Do(input::OperatorBanned{identity}); }
   void ResetTerm(const TermResetOrder& order, LevelReply reply);
   absl::Status ResumeRules(const std::string& operator_name, const std::string& reason);
+  LevelAnswer SendSignal(const SignalOrder& order);
   void RecordRefusedOrder(const LevelOrder& order, const absl::Status& why);
   // RIPS's own alert of what others found out about its agents; each caller is a kind.
   void Report(engine::Severity severity, const std::string& text,

@@ -217,6 +217,9 @@ TEST_F(RobotInspectionTest, ACrashStopsTheRulesUntilAnOperatorResumesThem) {
   SendBatch(Lane::kControl, {{.what = SignalSeen{"SIGUSR1"}}});
   EXPECT_EQ(robot_->Status().decided_level, "HALT");
   EXPECT_EQ(audience_.Count("crash: cannot go on"), 1);
+  EXPECT_THAT(
+      robot_->SendSignal({.operator_name = "bob", .signal = "SIGUSR2", .reason = "why not"}).status,
+      StatusIs(absl::StatusCode::kFailedPrecondition, HasSubstr("no rule runs")));
   EXPECT_TRUE(recorder_.rules_halted);
   EXPECT_EQ(recorder_.decisions.back().cause, "crash in rule crashes");
   EXPECT_THAT(robot_->Status().degraded, ::testing::Contains(::testing::HasSubstr("`crash`")));

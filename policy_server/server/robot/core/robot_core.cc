@@ -170,6 +170,7 @@ RobotCore::After RobotCore::Handle(const Input& input) {
           },
           [&](const input::ResetTerm& in) { return admission_.OnResetTerm(in), kAll; },
           [&](const input::ResumeRules& in) { return orders_.OnResume(in), kAll; },
+          [&](const input::SendSignal& in) { return orders_.OnSignal(in), kAll; },
           [&](const input::StartDrill& in) { return drills_.Start(in), kAll; },
           [&](const input::RefusedOrder& in) { return orders_.OnRefused(in), kAll; },
           [&](const input::Report& in) {

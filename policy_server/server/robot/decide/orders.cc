@@ -4,6 +4,7 @@
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_join.h"
 #include "services/base/status_macros.h"
+#include "services/ros2/ros_name.h"
 
 namespace rips::pipeline {
 namespace {
@@ -14,6 +15,13 @@ absl::Status RefusalStatus(const levels::Transition& transition, const levels::L
   return absl::FailedPreconditionError(absl::StrCat(
       "the level stays ", table.name(transition.from), ": ", levels::ToString(transition.refusal),
       transition.detail.empty() ? "" : absl::StrCat("; ", transition.detail)));
+}
+
+absl::Status NoLevel(const std::string& level, const std::string& robot,
+                     const levels::LevelTable& table) {
+  return absl::InvalidArgumentError(absl::StrCat("`", absl::CHexEscape(level),
+                                                 "` is not a level of ", robot, " (",
+                                                 absl::StrJoin(table.names(), ", "), ")"));
 }
 
 levels::Cause CauseOf(const LevelOrder& order) {
@@ -40,17 +48,12 @@ bool Orders::AnsweredAlready(const LevelOrder& order, ReplyToken token) {
   return true;
 }
 
-absl::Status Orders::NoLevel(const std::string& level) const {
-  return absl::InvalidArgumentError(absl::StrCat("`", absl::CHexEscape(level),
-                                                 "` is not a level of ", context_.config.id, " (",
-                                                 absl::StrJoin(levels().names(), ", "), ")"));
-}
-
 void Orders::OnRaise(const input::Raise& in) {
   const LevelOrder& order = in.order;
   if (AnsweredAlready(order, in.token)) return;
   const auto to = levels().Find(order.to);
-  const absl::Status status = to ? CheckReason(order.reason) : NoLevel(order.to);
+  const absl::Status status =
+      to ? CheckReason(order.reason) : NoLevel(order.to, context_.config.id, levels());
   if (!status.ok()) return context_.Do(action::AnswerOrder{in.token, {.status = status}});
   levels::LevelMachine trial = state_.level;
   levels::LevelMachine& machine = order.dry_run ? trial : state_.level;
@@ -131,8 +134,9 @@ void Orders::OnApprove(const input::Approve& in) {
 
 absl::Status Orders::CheckLowering(const LevelOrder& order, LevelAnswer& answer) const {
   const auto to = levels().Find(order.to);
-  if (!to) return NoLevel(order.to);
-  if (!levels().Find(order.expected_level)) return NoLevel(order.expected_level);
+  if (!to) return NoLevel(order.to, context_.config.id, levels());
+  if (!levels().Find(order.expected_level))
+    return NoLevel(order.expected_level, context_.config.id, levels());
   RIPS_RETURN_IF_ERROR(CheckReason(order.reason));
   if (!context_.moment.store_writable) {
     return absl::FailedPreconditionError(
@@ -196,6 +200,33 @@ void Orders::OnResume(const input::ResumeRules& in) {
                                in.reason));
   }
   context_.Do(action::AnswerOrder{in.token, {.status = status}});
+}
+
+void Orders::OnSignal(const input::SendSignal& in) {
+  const SignalOrder& order = in.order;
+  LevelAnswer answer{.status = CheckReason(order.reason)};
+  if (answer.status.ok() && order.signal != "SIGUSR1" && order.signal != "SIGUSR2") {
+    answer.status = absl::InvalidArgumentError(
+        absl::StrCat("`", ros2::Printable(order.signal), "` is neither SIGUSR1 nor SIGUSR2"));
+  }
+  if (answer.status.ok() && state_.halted()) {
+    answer.status = absl::FailedPreconditionError(
+        absl::StrCat("a rule of ", context_.config.id,
+                     " has called `crash`: no rule runs until an operator resumes them"));
+  }
+  if (answer.status.ok()) {
+    alerts_.RaiseOfKind(absl::StrCat("signal by ", order.operator_name), engine::Severity::kInfo,
+                        absl::StrCat("operator ", order.operator_name, " sends ", order.signal,
+                                     " to ", context_.config.id, ": ", order.reason));
+    answer.level_before = levels().name(state_.level.level());
+    decider_.Run(
+        {.what = engine::ExternalEvent(model::SignalSeen{.name = order.signal, .count = 1}),
+         .time_unix_ns = context_.now().unix_ns},
+        {.remark = absl::StrCat(" sent by operator ", order.operator_name)});
+    decider_.RunEvents();
+    answer.decided_level = levels().name(state_.level.level());
+  }
+  context_.Do(action::AnswerOrder{in.token, std::move(answer)});
 }
 
 void Orders::OnRefused(const input::RefusedOrder& in) {

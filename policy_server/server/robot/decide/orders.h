@@ -42,6 +42,8 @@ class Orders {
   void OnRefused(const input::RefusedOrder& in);
   // Rules may lower soft levels again, and run again after a `crash`.
   void OnResume(const input::ResumeRules& in);
+  // The rules judge it now, before what sensors have sent and waits.
+  void OnSignal(const input::SendSignal& in);
   // An operator's transition, which is in force: answered when it is durable.
   void Decide(const levels::Transition& transition, const LevelOrder& order,
               action::AnswerOrder answer);
@@ -55,7 +57,6 @@ class Orders {
  private:
   // True if it was answered: it repeats another order, or the server is stopping.
   bool AnsweredAlready(const LevelOrder& order, ReplyToken token);
-  absl::Status NoLevel(const std::string& level) const;
   // An alert of a change by hand, for those who watch alerts elsewhere: high if it lowers the robot
   // while RIPS does not see all of it, medium if it lowers it, low if it raises it.
   void ReportChange(const levels::Transition& transition, const LevelOrder& order,

@@ -62,12 +62,22 @@ struct TermResetOrder {
   std::string reason;
 };
 
+// A signal that the rules are to judge.
+struct SignalOrder {
+  std::string operator_name;
+  // SIGUSR1 | SIGUSR2
+  std::string signal;
+  std::string reason;
+};
+
 inline constexpr size_t kReasonBytesMax = 1'000;
 
 struct LevelAnswer {
   absl::Status status;
   DecisionId decision_id;
   std::string decided_level;
+  // Of a signal only: the level that was decided before it.
+  std::string level_before;
   std::vector<std::string> would_raise_again;
   std::vector<std::string> blind_because;
   // The level decided is soft: rules may lower it again.
