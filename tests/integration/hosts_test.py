@@ -146,6 +146,11 @@ def second_sensor_adds_what_its_host_sees(fleet):
     while len(fleet.told("told by a signal")) < 2:
         check(time.monotonic() < deadline, "a signal of the primary is not told")
         time.sleep(0.2)
+    _, out, _ = fleet.ripsctl("signal", "send", "r1", "usr1", "--reason", "a third")
+    check("judged SIGUSR1; its level is DEFAULT" in out, out)
+    fleet.wait_told("sends SIGUSR1 to r1: a third")
+    by_hand = [alert["event"] for alert in fleet.alerts() if "told by a signal" in alert["text"]]
+    check([event for event in by_hand if " sent by operator " in event], f"not told: {by_hand}")
 
     fleet.second_sensor.kill(signal.SIGKILL)
     fleet.wait_told("sensor laptop is lost")
