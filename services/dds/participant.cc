@@ -1,12 +1,18 @@
 #include "services/dds/participant.h"
 
+#include <net/if.h>
+
 #include <algorithm>
 #include <cstdlib>
 #include <fstream>
+#include <memory>
+#include <string>
 #include <utility>
+#include <vector>
 
 #include "absl/strings/ascii.h"
 #include "absl/strings/str_cat.h"
+#include "absl/strings/str_join.h"
 #include "dds/dds.h"
 #include "services/base/status_macros.h"
 #include "services/dds/qos.h"
@@ -61,6 +67,17 @@ void SetSecurity(dds_qos_t* qos, const Enclave& enclave) {
   set_file("org.eclipse.cyclonedds.sec.auth.crl", enclave.crl);
 }
 
+// `lo, eth0`
+std::string InterfaceNames() {
+  const std::unique_ptr<struct if_nameindex, void (*)(struct if_nameindex*)> list(if_nameindex(),
+                                                                                  if_freenameindex);
+  std::vector<std::string> names;
+  for (const auto* each = list.get(); each != nullptr && each->if_index != 0; ++each) {
+    names.push_back(ros2::Printable(each->if_name));
+  }
+  return names.empty() ? "none" : absl::StrJoin(names, ", ");
+}
+
 }  // namespace
 
 absl::StatusOr<std::string> DomainXml(const DomainOptions& options, uint64_t rmem_max) {
@@ -93,7 +110,13 @@ absl::StatusOr<std::shared_ptr<const Domain>> Domain::Create(const DomainOptions
   }
   RIPS_ASSIGN_OR_RETURN(std::string xml, DomainXml(options, ReadRmemMax()));
   const char* operators_own = std::getenv("CYCLONEDDS_URI");
-  if (operators_own != nullptr && *operators_own != '\0') xml = operators_own;
+  if (operators_own != nullptr && *operators_own != '\0') {
+    xml = operators_own;
+  } else if (!options.interface.empty() && if_nametoindex(options.interface.c_str()) == 0) {
+    return absl::NotFoundError(absl::StrCat("there is no network interface `", options.interface,
+                                            "` here, only ", InterfaceNames(),
+                                            "; see `dds.interface`"));
+  }
   DdsEntity entity(dds_create_domain(options.id, xml.c_str()));
   if (entity.get() == DDS_RETCODE_PRECONDITION_NOT_MET) {
     return absl::AlreadyExistsError(

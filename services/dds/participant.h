@@ -36,7 +36,7 @@ absl::StatusOr<std::string> DomainXml(const DomainOptions& options, uint64_t rme
 // ensures by sharing it.
 class Domain {
  public:
-  // AlreadyExists if this process has that domain already.
+  // AlreadyExists if this process has that domain already; NotFound if there is no such interface.
   static absl::StatusOr<std::shared_ptr<const Domain>> Create(const DomainOptions& options);
 
   uint32_t id() const { return id_; }

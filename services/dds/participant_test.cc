@@ -8,6 +8,7 @@
 namespace rips::dds {
 namespace {
 
+using ::testing::AllOf;
 using ::testing::HasSubstr;
 using ::testing::Not;
 
@@ -60,7 +61,9 @@ TEST(ParticipantTest, TheDomainEndsWithItsLastParticipant) {
 TEST(ParticipantTest, BadDomainOrInterface) {
   EXPECT_THAT(Participant::Create({.id = 233}),
               StatusIs(absl::StatusCode::kInvalidArgument, "domain 233 exceeds limit 232"));
-  EXPECT_FALSE(Participant::Create({.id = RandomDomain(), .interface = "nosuch0"}).ok());
+  EXPECT_THAT(Participant::Create({.id = RandomDomain(), .interface = "nosuch0"}),
+              StatusIs(absl::StatusCode::kNotFound,
+                       AllOf(HasSubstr("no network interface `nosuch0`"), HasSubstr("lo"))));
 }
 
 TEST(ParticipantTest, TheEnvironmentWins) {

@@ -7,10 +7,17 @@
 #include "grpcpp/create_channel.h"
 #include "grpcpp/support/channel_arguments.h"
 #include "services/base/check.h"
+#include "services/rpc/handshake_hint.h"
 #include "services/rpc/status_conversion.h"
 
 namespace rips::rpc {
 namespace {
+
+void AddHint(const std::string& server, const TlsFiles& files, grpc::Status& status) {
+  const std::string hint = HandshakeHint(status.error_message(), server, files);
+  if (hint.empty()) return;
+  status = grpc::Status(status.error_code(), absl::StrCat(hint, " (", status.error_message(), ")"));
+}
 
 // How soon Stop() is noticed while connecting.
 constexpr std::chrono::milliseconds kStopSlice(100);
@@ -146,6 +153,7 @@ BidiClientBase::SessionEnd BidiClientBase::Attempt(const std::string& server) {
   } else if (state == GRPC_CHANNEL_TRANSIENT_FAILURE) {
     context.set_deadline(std::chrono::system_clock::now() + kReasonTimeout);
     end.status = FailingCall(channel, &context);
+    if (usable->own != nullptr) AddHint(server, usable->own->files(), end.status);
   } else {
     end.status = grpc::Status(
         grpc::StatusCode::DEADLINE_EXCEEDED,

@@ -189,9 +189,9 @@ Connection::State Connection::Check(int64_t now_ns, Excess& excess) {
   tcp_info info = {};
   socklen_t size = sizeof(info);
   if (getsockopt(socket_.get(), IPPROTO_TCP, TCP_INFO, &info, &size) != 0) return State::kOver;
+  spoke_ = info.tcpi_bytes_received >= kClientHelloBytes;
   if (info.tcpi_state != kEstablished && info.tcpi_state != kCloseWait) return State::kOver;
   if (ended_) return State::kEnded;
-  spoke_ = info.tcpi_bytes_received >= kClientHelloBytes;
   excess = budget_.Check(info.tcpi_bytes_received, now_ns);
   return State::kOpen;
 }
@@ -621,6 +621,18 @@ void ConnectionGuard::EndFor(Connection& connection, Excess excess) {
   if (excess == Excess::kSilent) Wasted(connection.source(), now_ns);
 }
 
+void ConnectionGuard::LogStranger(const Connection& connection) {
+  if (!connection.spoke_) return;
+  const auto left_out = stranger_logs_.Admit("");
+  if (!left_out.has_value()) return;
+  LogWarning("connection ended before its peer was known",
+             {{"peer", connection.source().peer},
+              {"perhaps",
+               "its certificate is not issued under our `tls.ca`, or not valid now; or it does not "
+               "take ours"},
+              {"left_out", *left_out}});
+}
+
 void ConnectionGuard::CheckConnections() {
   std::vector<std::shared_ptr<Connection>> live;
   bool trim = false;
@@ -648,9 +660,9 @@ void ConnectionGuard::CheckConnections() {
         connections_.erase(it);
         open_.Set(static_cast<double>(connections_.size()));
       }
-      if (connection->EndedByPeer() && connection->shown().empty()) {
-        Wasted(connection->source(), now_ns);
-      }
+      if (!connection->EndedByPeer() || !connection->shown().empty()) continue;
+      LogStranger(*connection);
+      Wasted(connection->source(), now_ns);
     } else if (excess != Excess::kNone) {
       EndFor(*connection, excess);
     }

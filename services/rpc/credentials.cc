@@ -104,7 +104,7 @@ absl::StatusOr<Peer> ReadOwnCertificate(const TlsFiles& files) {
 
 Credentials::Credentials(const TlsFiles& files, PeerIdentity self,
                          std::shared_ptr<Revocations> revocations)
-    : self_(std::move(self)), revocations_(std::move(revocations)) {
+    : files_(files), self_(std::move(self)), revocations_(std::move(revocations)) {
   const auto provider = std::make_shared<tls::FileWatcherCertificateProvider>(
       files.key, files.cert, files.ca, kRefreshSeconds);
   const auto configure = [&](auto& options, Accept accept, std::shared_ptr<Revocations> lists) {

@@ -42,6 +42,7 @@ class Credentials {
   // Errors of ReadOwnCertificate and, if `files` name them, of Revocations::Open.
   static absl::StatusOr<std::shared_ptr<const Credentials>> Load(const TlsFiles& files);
 
+  const TlsFiles& files() const { return files_; }
   // From the certificate as it was at Load.
   const PeerIdentity& self() const { return self_; }
 
@@ -65,6 +66,7 @@ class Credentials {
  private:
   Credentials(const TlsFiles& files, PeerIdentity self, std::shared_ptr<Revocations> revocations);
 
+  const TlsFiles files_;
   PeerIdentity self_;
   std::shared_ptr<Revocations> revocations_;  // null = nothing is revoked
   std::shared_ptr<grpc::ChannelCredentials> client_;

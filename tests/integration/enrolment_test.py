@@ -7,11 +7,10 @@ import pathlib
 import shutil
 import subprocess
 import sys
-import tempfile
 import time
 
 sys.path.insert(0, str(pathlib.Path(__file__).resolve().parents[1] / "support"))
-from fleet import SOURCE, Fleet, check, eventually, perform  # noqa: E402
+from fleet import SOURCE, Fleet, check, eventually, play  # noqa: E402
 
 
 class EnrolledFleet(Fleet):
@@ -214,21 +213,5 @@ SCENARIOS = [a_token_brings_a_robot_its_certificates, certificates_are_renewed_u
              another_root_takes_over_without_a_gap]
 
 
-def main():
-    if len(sys.argv) < 3:
-        print("\n".join(scenario.__name__ for scenario in SCENARIOS))
-        return 0
-    scenario = next(each for each in SCENARIOS if each.__name__ == sys.argv[2])
-    parent = pathlib.Path(sys.argv[1]).resolve().parent / "scenarios"
-    parent.mkdir(exist_ok=True)
-    directory = pathlib.Path(tempfile.mkdtemp(prefix=scenario.__name__ + ".", dir=parent))
-    directory.chmod(0o755)
-    fleet = EnrolledFleet(sys.argv[1], directory)
-    code = perform(scenario.__name__, scenario, fleet)
-    if code == 0:
-        shutil.rmtree(directory)
-    return code
-
-
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(play(SCENARIOS, EnrolledFleet))

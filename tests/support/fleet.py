@@ -10,9 +10,11 @@ import os
 import pathlib
 import random
 import re
+import shutil
 import signal
 import subprocess
 import sys
+import tempfile
 import threading
 import time
 import urllib.request
@@ -53,6 +55,24 @@ def perform(name, scenario, world, tail=25):
         world.stop()
     print(f"passed {name}")
     return 0
+
+
+def play(scenarios, kind):
+    """Plays the scenario that the command line names (BINARIES SCENARIO) with a fleet of that kind,
+    in a directory that is removed if all went well; prints the names of all if it names none.
+    Returns the exit code."""
+    if len(sys.argv) < 3:
+        print("\n".join(scenario.__name__ for scenario in scenarios))
+        return 0
+    scenario = next(each for each in scenarios if each.__name__ == sys.argv[2])
+    parent = pathlib.Path(sys.argv[1]).resolve().parent / "scenarios"
+    parent.mkdir(exist_ok=True)
+    directory = pathlib.Path(tempfile.mkdtemp(prefix=scenario.__name__ + ".", dir=parent))
+    directory.chmod(0o755)  # plugins and others run as other users
+    code = perform(scenario.__name__, scenario, kind(sys.argv[1], directory))
+    if code == 0:
+        shutil.rmtree(directory)
+    return code
 
 
 def unix_ns(time_text):

@@ -6,6 +6,7 @@
 #include "absl/strings/strip.h"
 #include "policy_server/ripsctl/cli/printer.h"
 #include "services/base/ids.h"
+#include "services/rpc/handshake_hint.h"
 #include "services/text/utf8.h"
 
 namespace rips::ripsctl {
@@ -23,10 +24,15 @@ ExitCode UsageError(Env& env, absl::string_view message) {
 ExitCode Failed(Env& env, const absl::Status& status) {
   const std::string message = EscapeText(status.message());
   switch (status.code()) {
-    case absl::StatusCode::kUnavailable:
-      env.err << "error: cannot reach the policy server: " << message
+    case absl::StatusCode::kUnavailable: {
+      const std::string hint = EscapeText(rpc::HandshakeHint(
+          status.message(), env.settings.server,
+          {.ca = env.settings.ca, .cert = env.settings.cert, .key = env.settings.key, .crl = {}}));
+      env.err << "error: cannot reach the policy server: "
+              << (hint.empty() ? "" : absl::StrCat(hint, ": ")) << message
               << "; check --server, that the server runs, and that it accepts your certificate\n";
       return ExitCode::kUnreachable;
+    }
     case absl::StatusCode::kDeadlineExceeded:
       env.err << "error: no answer from the policy server within "
               << absl::FormatDuration(env.timeout) << "; check --server, or give it a longer "
