@@ -55,7 +55,7 @@ install(PROGRAMS deploy/pki/mint DESTINATION bin RENAME rips-mint COMPONENT rips
 _rips_install_examples(rips-tools ripsctl.yaml)
 install(FILES deploy/prometheus/rips.rules.yml DESTINATION ${RIPS_DOC}/rips-tools/examples
         COMPONENT rips-tools)
-install(FILES rules/LANGUAGE.md rules/PROTOTYPE.md policy_server/METRICS.md
+install(FILES rules/LANGUAGE.md rules/PROTOTYPE.md policy_server/METRICS.md deploy/RUNBOOK.md
         DESTINATION ${RIPS_DOC}/rips-tools COMPONENT rips-tools)
 install(DIRECTORY deploy/schema DESTINATION share/rips COMPONENT rips-tools)
 install(PROGRAMS deploy/security/keystore DESTINATION share/rips/security COMPONENT rips-tools)
