@@ -53,9 +53,9 @@ _rips_install_units(rips-enrol rips-enrol-renew.service rips-enrol-renew.timer)
 install(TARGETS ripsctl DESTINATION bin COMPONENT rips-tools)
 install(PROGRAMS deploy/pki/mint DESTINATION bin RENAME rips-mint COMPONENT rips-tools)
 _rips_install_examples(rips-tools ripsctl.yaml)
-install(FILES deploy/prometheus/rips.rules.yml DESTINATION ${RIPS_DOC}/rips-tools/examples
-        COMPONENT rips-tools)
-install(FILES rules/LANGUAGE.md rules/PROTOTYPE.md policy_server/METRICS.md
+install(FILES deploy/prometheus/rips.rules.yml deploy/grafana/rips.json
+        DESTINATION ${RIPS_DOC}/rips-tools/examples COMPONENT rips-tools)
+install(FILES rules/LANGUAGE.md rules/PROTOTYPE.md policy_server/METRICS.md deploy/RUNBOOK.md
         DESTINATION ${RIPS_DOC}/rips-tools COMPONENT rips-tools)
 install(DIRECTORY deploy/schema DESTINATION share/rips COMPONENT rips-tools)
 install(PROGRAMS deploy/security/keystore DESTINATION share/rips/security COMPONENT rips-tools)
