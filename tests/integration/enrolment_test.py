@@ -53,8 +53,7 @@ class EnrolledFleet(Fleet):
                                f"key: {self.dir}/issuing/issuing.key, life: 24h}}\n")
 
     def as_admin(self, *args, check_code=True):
-        args = [str(each).replace("operator/operator/alice", "operator/admin/root")
-                for each in self.ripsctl_args(*args)]
+        args = self.ripsctl_args(*args, who="admin/root")
         done = subprocess.run(args, stdin=subprocess.DEVNULL, capture_output=True, text=True,
                               timeout=30, env=self.env)
         check(not check_code or done.returncode == 0, f"{args}: {done.stderr}")
@@ -65,23 +64,16 @@ class EnrolledFleet(Fleet):
         self.as_admin("enrol", "create-token", "r1", "base", "--out", path, *options)
         return path
 
-    def rips_enrol(self, *args, code=0, folder=None):
-        done = subprocess.run([self.bin / "rips-enrol", *args, "--dir", folder or self.folder],
-                              stdin=subprocess.DEVNULL, capture_output=True, text=True, timeout=60,
-                              env=self.env)
+    def enrol(self, *args, code=0, folder=None):
+        done = self.rips_enrol(folder or self.folder, *args)
         check(done.returncode == code, f"rips-enrol {args} ended with {done.returncode}: "
                                        f"{done.stdout}{done.stderr}")
         return done.stdout + done.stderr
 
     def renew(self):
         """Of both agents; no sooner than the server lets them."""
-        eventually(lambda: "renewed" in self.rips_enrol_any("renew", "--now"), 40, "renewed")
-
-    def rips_enrol_any(self, *args):
-        done = subprocess.run([self.bin / "rips-enrol", *args, "--dir", self.folder],
-                              stdin=subprocess.DEVNULL, capture_output=True, text=True, timeout=60,
-                              env=self.env)
-        return done.stdout if done.returncode == 0 else ""
+        eventually(lambda: self.rips_enrol(self.folder, "renew", "--now").returncode == 0, 40,
+                   "renewed")
 
     def serials(self):
         return {role: subprocess.run(
@@ -104,7 +96,7 @@ class EnrolledFleet(Fleet):
         self.sensor = self.start_agent("sensor", wait=False)
         self.actuator = self.start_agent("actuator", wait=False)
         used = self.token()
-        out = self.rips_enrol("fetch", "--token", used)
+        out = self.enrol("fetch", "--token", used)
         check("sensor of r1 on base: enrolled" in out and "actuator of r1 on base: enrolled" in out,
               out)
         self.wait_level("DEFAULT", 60)
@@ -116,7 +108,7 @@ def a_token_brings_a_robot_its_certificates(fleet):
     used = fleet.arm_enrolled()
     thief = fleet.dir / "thief"
     thief.mkdir()
-    out = fleet.rips_enrol("fetch", "--token", used, code=1, folder=thief)
+    out = fleet.enrol("fetch", "--token", used, code=1, folder=thief)
     check("used already, by another key" in out, out)
     check(not (thief / "sensor/cert.pem").exists(), "the thief has a certificate")
     listed = fleet.query("enrol", "list", "r1")
@@ -135,7 +127,7 @@ def a_token_brings_a_robot_its_certificates(fleet):
 
     revoked = fleet.token()
     fleet.as_admin("enrol", "revoke-token", fleet.query("enrol", "list")["tokens"][0]["id"])
-    check("revoked" in fleet.rips_enrol("fetch", "--token", revoked, code=1, folder=thief), "revoked")
+    check("revoked" in fleet.enrol("fetch", "--token", revoked, code=1, folder=thief), "revoked")
     refused = fleet.ripsctl("enrol", "create-token", "r1", "base", check=False)
     check(refused[0] == 1 and "needs the role `admin`" in refused[2], f"an operator may: {refused}")
     refused = fleet.as_admin("enrol", "create-token", "r9", "base", check_code=False)
@@ -145,7 +137,7 @@ def a_token_brings_a_robot_its_certificates(fleet):
 def certificates_are_renewed_under_open_streams(fleet):
     """Nothing ends while they are renewed; the next connection shows the new ones."""
     fleet.arm_enrolled()
-    check("not due yet" in fleet.rips_enrol("renew"), "it is due at once")
+    check("not due yet" in fleet.enrol("renew"), "it is due at once")
     before = fleet.serials()
     marks = {each: len(each.lines) for each in (fleet.sensor, fleet.actuator)}
     fleet.renew()

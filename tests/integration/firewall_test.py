@@ -19,7 +19,8 @@ import threading
 import time
 
 sys.path.insert(0, str(pathlib.Path(__file__).resolve().parents[1] / "support"))
-from fleet import Failed, Fleet, Process, Skipped, check, perform  # noqa: E402
+from fleet import Failed, Fleet, Process, Skipped, check, dds_uri, perform  # noqa: E402
+from network import Network, run  # noqa: E402
 from protos import pb  # noqa: E402
 
 CONTROL_PORT = 7443
@@ -41,13 +42,6 @@ chain output {
 """
 
 
-def run(*args, ok=True):
-    done = subprocess.run([str(arg) for arg in args], capture_output=True, text=True, timeout=LIMIT)
-    if ok and done.returncode != 0:
-        raise Failed(f"{' '.join(map(str, args))}: {done.stderr.strip()}")
-    return done
-
-
 def isolation(kind, target, seconds=600):
     return {"kind": f"FW_KIND_ISOLATE_{kind}", "targets": [target.encode()],
             "for_ms": seconds * 1000}
@@ -59,47 +53,27 @@ class World:
     def __init__(self, binaries, directory):
         self.bin = pathlib.Path(binaries).resolve()
         self.dir = directory
-        self.tag = f"ripsfw{random.getrandbits(32):08x}"
+        tag = f"ripsfw{random.getrandbits(32):08x}"
+        self.network = Network(tag, HOSTS)
         self.domain = str(random.randint(10, 99))
         self.processes = []
         self.socket = self.dir / "fw.sock"
-        self.env = dict(os.environ, CYCLONEDDS_URI=(
-            "<CycloneDDS><Domain><General><Interfaces><NetworkInterface name=\"eth0\" "
-            f"multicast=\"true\"/></Interfaces></General><Discovery><Tag>{self.tag}</Tag>"
-            "<ParticipantIndex>none</ParticipantIndex></Discovery></Domain></CycloneDDS>"))
-
-    def ns(self, host):
-        return f"{self.tag}-{host}"
-
-    def build(self):
-        switch = self.ns("switch")
-        run("ip", "netns", "add", switch)
-        run("ip", "-n", switch, "link", "add", "br0", "type", "bridge", "mcast_snooping", "0")
-        run("ip", "-n", switch, "link", "set", "br0", "up")
-        for host, address in HOSTS.items():
-            run("ip", "netns", "add", self.ns(host))
-            run("ip", "-n", switch, "link", "add", host, "type", "veth", "peer", "name", "eth0",
-                "netns", self.ns(host))
-            run("ip", "-n", switch, "link", "set", host, "master", "br0", "up")
-            run("ip", "-n", self.ns(host), "link", "set", "lo", "up")
-            run("ip", "-n", self.ns(host), "link", "set", "eth0", "up")
-            run("ip", "-n", self.ns(host), "address", "add", f"{address}/24", "dev", "eth0")
+        self.env = dict(os.environ, CYCLONEDDS_URI=dds_uri("eth0", tag))
 
     def stop(self):
         for process in self.processes:
             if process.running:
                 process.kill(signal.SIGKILL)
-        for host in [*HOSTS, "switch"]:
-            run("ip", "netns", "delete", self.ns(host), ok=False)
+        self.network.remove()
 
     def start(self, host, name, *args, env=None):
-        process = Process(name, ["ip", "netns", "exec", self.ns(host), *args], self.dir,
+        process = Process(name, [*self.network.within(host), *args], self.dir,
                           env or self.env)
         self.processes.append(process)
         return process
 
     def nft(self, *args, ok=True):
-        return run("ip", "netns", "exec", self.ns("robot"), "nft", *args, ok=ok)
+        return run(*self.network.within("robot"), "nft", *args, ok=ok)
 
     # -------------------------------------------------------------------------------- rips-fw
 
@@ -341,7 +315,7 @@ def capability_and_socket_from_outside(world):
     shell = f"exec 3<&{listener.fileno()}; export LISTEN_PID=$$ LISTEN_FDS=1; exec \"$@\""
     config = world.write_config()
     child = subprocess.Popen(
-        ["ip", "netns", "exec", world.ns("robot"), "setpriv", "--reuid=65534", "--regid=65534",
+        [*world.network.within("robot"), "setpriv", "--reuid=65534", "--regid=65534",
          "--clear-groups", "--inh-caps=-all,+net_admin", "--ambient-caps=-all,+net_admin",
          "--bounding-set=-all,+net_admin", "--no-new-privs",
          "sh", "-c", shell, "sh", str(world.bin / "rips-fw"), "--config", str(config)],
@@ -365,7 +339,7 @@ def capability_and_socket_from_outside(world):
 def what_is_missing_is_told_at_the_start(world):
     config = world.write_config()
     fw = [world.bin / "rips-fw", "--config", config]
-    inside = ["ip", "netns", "exec", world.ns("robot")]
+    inside = world.network.within("robot")
     os.chmod(world.dir, 0o755)
     without = run(*inside, "setpriv", "--reuid=65534", "--clear-groups", "--bounding-set=-all", *fw,
                   ok=False)
@@ -479,7 +453,7 @@ def play(scenario, world):
     for tool in ("ip", "nft", "setpriv"):
         if shutil.which(tool, path="/usr/sbin:/usr/bin:/sbin:/bin") is None:
             raise Skipped(f"{tool} is not installed")
-    world.build()
+    world.network.build()
     scenario(world)
 
 

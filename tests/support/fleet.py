@@ -147,8 +147,21 @@ class Process:
         return self.child.returncode
 
 
+def dds_uri(interface, tag):
+    """CYCLONEDDS_URI for processes that use that interface alone, and find only those of the same
+    tag."""
+    return (f"<CycloneDDS><Domain><General><Interfaces><NetworkInterface name=\"{interface}\" "
+            f"multicast=\"true\"/></Interfaces></General><Discovery><Tag>{tag}</Tag>"
+            "<ParticipantIndex>none</ParticipantIndex></Discovery></Domain></CycloneDDS>")
+
+
 class Fleet:
-    """Robot `r1` with one host `base`, watched and commanded by one policy server."""
+    """A robot's host, and the policy server that watches and commands it: robot `r1`, host `base`,
+    all on loopback, unless a subclass says otherwise."""
+
+    robot_id, host_name = "r1", "base"
+    address = "127.0.0.1"  # where the policy server listens
+    interface = "lo"  # of DDS
 
     def __init__(self, binaries, directory, bundle="warehouse", fail_safe="ALERT",
                  floor_hold="10s", programs=""):
@@ -176,11 +189,7 @@ class Fleet:
         # same domain at the same time is neither seen nor sees us.
         self.env = {key: value for key, value in os.environ.items()
                     if not key.startswith("RIPSCTL_")}
-        self.env["CYCLONEDDS_URI"] = (
-            "<CycloneDDS><Domain><General><Interfaces><NetworkInterface name=\"lo\" "
-            "multicast=\"true\"/></Interfaces></General><Discovery><Tag>fleet-"
-            f"{random.getrandbits(64):016x}</Tag><ParticipantIndex>none</ParticipantIndex>"
-            "</Discovery></Domain></CycloneDDS>")
+        self.env["CYCLONEDDS_URI"] = dds_uri(self.interface, f"fleet-{random.getrandbits(64):016x}")
 
     # ------------------------------------------------------------------------------- set-up
 
@@ -215,7 +224,7 @@ class Fleet:
 
     def write_server_config(self, port):
         self.write("policy-server.yaml", f"""id: ps1
-listen: "127.0.0.1:{port}"
+listen: "{self.address}:{port}"
 trust_domain: fleet.example
 tls: {self.tls("server", "ps1")}
 inventory: {self.dir}/robots.yaml
@@ -234,13 +243,15 @@ metrics: "127.0.0.1:0"
         def common(role):
             security = (f", security: {{keystore: {self.keystore}, enclave: /rips/{role}}}"
                         if self.keystore else "")
-            return f"""robot: r1
-host: base
-servers: ["127.0.0.1:{self.port}"]
-dds: {{domain: {self.domain}, interface: lo{security}}}
+            return f"""robot: {self.robot_id}
+host: {self.host_name}
+servers: ["{self.address}:{self.port}"]
+dds: {{domain: {self.domain}, interface: {self.interface}{security}}}
 metrics: "127.0.0.1:0"
 """
-        self.write("sensor.yaml", common("sensor") + f"""tls: {self.tls("sensor", "r1", "base")}
+        tls = {role: self.tls(role, self.robot_id, self.host_name)
+               for role in ("sensor", "actuator")}
+        self.write("sensor.yaml", common("sensor") + f"""tls: {tls["sensor"]}
 state_dir: {self.dir}/sensor
 {self.sensor_options}""")
         levels = "".join(
@@ -249,7 +260,7 @@ state_dir: {self.dir}/sensor
       - {{system_mode: {{part: /safety, mode: {MODES.get(level, level)}}}, timeout: 4s, retries: 2}}
 {"".join(f"      - {step}{chr(10)}" for step in self.steps.get(level, []))}    leave: []
 """ for level in self.levels)
-        self.write("actuator.yaml", common("actuator") + f"""tls: {self.tls("actuator", "r1", "base")}
+        self.write("actuator.yaml", common("actuator") + f"""tls: {tls["actuator"]}
 state_dir: {self.dir}/actuator
 fail_safe: {{level: {self.fail_safe}, after: 0s}}
 system_modes: {{smh: {self.smh}, verify: parts{self.mode_options}}}
@@ -265,9 +276,13 @@ levels:
         self.processes.append(process)
         return process
 
+    def robot_sim(self, command):
+        """The beginning of a command of robot_sim."""
+        return [self.bin / "robot_sim", command, "--domain", str(self.domain), "--interface",
+                self.interface]
+
     def start_robot(self, *options):
-        robot = self.start("robot", self.bin / "robot_sim", "robot", "--domain", self.domain,
-                           "--smh", self.smh, *options)
+        robot = self.start("robot", *self.robot_sim("robot"), "--smh", self.smh, *options)
         robot.wait_for(lambda line: '"event":"ready"' in line, 15, "the robot starts")
         return robot
 
@@ -301,7 +316,7 @@ levels:
         ready = self.dir / role / "ready"
         ready.unlink(missing_ok=True)
         everybodys, self.env = self.env, dict(self.env)
-        if role == "sensor":  # as it is without CYCLONEDDS_URI
+        if role == "sensor" and "CYCLONEDDS_URI" in self.env:  # as it is without
             self.env["CYCLONEDDS_URI"] = self.env["CYCLONEDDS_URI"].replace(
                 "</General>", "<AllowMulticast>spdp</AllowMulticast></General>")
         agent = self.start(role, self.bin / f"rips-{role}", "--config", self.dir / f"{role}.yaml",
@@ -322,17 +337,14 @@ levels:
         return self.exec
 
     def start_intruder(self, mode, *options):
-        return self.start("intruder", self.bin / "robot_sim", "intruder", "--domain", self.domain,
-                          "--mode", mode, *options)
+        return self.start("intruder", *self.robot_sim("intruder"), "--mode", mode, *options)
 
     def start_publisher(self, *options):
         """A node `/load` that publishes on `/load`, from when somebody reads."""
-        return self.start("load", self.bin / "robot_sim", "publish", "--domain", self.domain,
-                          *options)
+        return self.start("load", *self.robot_sim("publish"), *options)
 
     def start_camera_probe(self):
-        return self.start("camera", self.bin / "robot_sim", "probe", "--domain", self.domain,
-                          "--window-ms", "1000")
+        return self.start("camera", *self.robot_sim("probe"), "--window-ms", "1000")
 
     def stop(self):
         for process in reversed(self.processes):
@@ -344,41 +356,49 @@ levels:
 
     # ------------------------------------------------------------------------------ ripsctl
 
-    def ripsctl_args(self, *args):
-        pki = self.dir / "pki/operator/operator/alice"
-        return [*self.within, str(self.bin / "ripsctl"), "--server", f"127.0.0.1:{self.port}", "--ca",
-                f"{pki}/ca.pem", "--cert", f"{pki}/cert.pem", "--key", f"{pki}/key.pem", *args]
+    def ripsctl_args(self, *args, who="operator/alice"):
+        pki = self.dir / "pki/operator" / who
+        return [*self.within, str(self.bin / "ripsctl"), "--server", f"{self.address}:{self.port}",
+                "--ca", f"{pki}/ca.pem", "--cert", f"{pki}/cert.pem", "--key", f"{pki}/key.pem",
+                *map(str, args)]
 
-    def ripsctl(self, *args, check=True):
-        """Runs ripsctl; gives (exit code, stdout, stderr). No faster than the server lets a
-        certificate ask, 40 questions and 20 a second."""
+    def ripsctl(self, *args, check=True, who="operator/alice"):
+        """Runs ripsctl as `who`, ROLE/NAME; gives (exit code, stdout, stderr). No faster than the
+        server lets a certificate ask, 40 questions and 20 a second."""
         now = time.monotonic()
         self.calls = max(0, self.calls - 18 * (now - self.called)) + 1
         self.called = now
         if self.calls > 30:
             time.sleep(1 / 18)
-        done = subprocess.run(self.ripsctl_args(*args), stdin=subprocess.DEVNULL,
+        done = subprocess.run(self.ripsctl_args(*args, who=who), stdin=subprocess.DEVNULL,
                               capture_output=True, text=True, timeout=30, env=self.env)
         if check and done.returncode != 0:
-            raise Failed(f"ripsctl {' '.join(args)} ended with code {done.returncode}: "
+            raise Failed(f"ripsctl {' '.join(map(str, args))} ended with code {done.returncode}: "
                          f"{done.stderr.strip()}")
         return done.returncode, done.stdout, done.stderr
 
-    def query(self, *args):
+    def rips_enrol(self, folder, *args):
+        """Runs rips-enrol for the agents whose certificates are below `folder`."""
+        return subprocess.run(
+            [*self.within, self.bin / "rips-enrol", *args, "--dir", folder],
+            stdin=subprocess.DEVNULL, capture_output=True, text=True, timeout=60, env=self.env)
+
+    def query(self, *args, **options):
         """The JSON answer of a ripsctl command."""
-        return json.loads(self.ripsctl("--output", "json", *args)[1])
+        return json.loads(self.ripsctl("--output", "json", *args, **options)[1])
 
     def level(self):
         """The robot's status: decided_level, effective_level, stage, decision, degraded."""
-        return self.query("level", "show", "r1")["status"]
+        return self.query("level", "show", self.robot_id)["status"]
 
     def history(self):
         """Decisions and refusals, oldest first."""
-        return self.query("level", "history", "r1", "--limit", "1000")["transitions"][::-1]
+        return self.query("level", "history", self.robot_id, "--limit",
+                          "1000")["transitions"][::-1]
 
     def alerts(self):
         """Alerts, oldest first."""
-        return self.query("alert", "list", "r1", "--limit", "1000")["alerts"][::-1]
+        return self.query("alert", "list", self.robot_id, "--limit", "1000")["alerts"][::-1]
 
     def replay(self, alert, name="alert.rips"):
         """Fetches the recording of that alert and runs the robot's rules on it; gives the result of
@@ -408,8 +428,7 @@ levels:
     def mode(self, *options):
         """The System Mode read back from the robot, with the state of each part."""
         done = subprocess.run(
-            [*self.within, self.bin / "robot_sim", "mode", "--domain", str(self.domain), "--smh",
-             self.smh, *options],
+            [*self.within, *self.robot_sim("mode"), "--smh", self.smh, *options],
             capture_output=True, text=True, timeout=30, env=self.env)
         for line in done.stdout.splitlines():
             event = json.loads(line)
@@ -427,15 +446,16 @@ levels:
         return self.wait_level("DEFAULT", seconds)
 
 
-def eventually(condition, seconds, what):
-    """The first true value of condition(); Failed with `what` if there is none in time."""
+def eventually(condition, seconds, what, every=0.1):
+    """The first true value of condition(), asked every so many seconds; Failed with `what` if there
+    is none in time."""
     deadline = time.monotonic() + seconds
     while True:
         value = condition()
         if value:
             return value
         check(time.monotonic() < deadline, f"{what}: not within {seconds} s")
-        time.sleep(0.1)
+        time.sleep(every)
 
 
 def page(process, path):
