@@ -17,7 +17,9 @@
 #include "services/runtime/mutex.h"
 #include "services/runtime/needed_directories.h"
 #include "services/runtime/real_clock.h"
+#include "services/runtime/service_manager.h"
 #include "services/runtime/shutdown.h"
+#include "services/runtime/ticker.h"
 
 namespace {
 
@@ -52,14 +54,15 @@ int CheckConfig(const std::string& file, const LoadedConfig& loaded) {
 // level meanwhile.
 class Running {
  public:
-  Running(const LoadedConfig* loaded, rips::Metrics* metrics)
-      : loaded_(loaded), metrics_(metrics), credentials_(loaded->config.tls) {
+  Running(const LoadedConfig* loaded, rips::Metrics* metrics, rips::ServiceManager* manager)
+      : loaded_(loaded), metrics_(metrics), manager_(manager), credentials_(loaded->config.tls) {
     monitor_.emplace(rips::rpc::CertificateMonitor::Options{.own = loaded->config.tls}, &clock_,
                      metrics);
   }
 
   absl::Status Start() {
-    auto agent = Agent::Start(*loaded_, credentials_, &clock_, metrics_, &*monitor_);
+    auto agent = Agent::Start(*loaded_, credentials_, &clock_, metrics_, &*monitor_,
+                              [manager = manager_] { manager->Ping(); });
     if (!agent.ok()) return agent.status();
     rips::MutexLock lock(&mu_);
     agent_ = *std::move(agent);
@@ -68,6 +71,10 @@ class Running {
   absl::Status Ready() {
     rips::MutexLock lock(&mu_);
     return agent_ == nullptr ? absl::UnavailableError("starting anew") : agent_->Ready();
+  }
+  std::string Describe() {
+    rips::MutexLock lock(&mu_);
+    return agent_ == nullptr ? "starting anew" : agent_->Describe();
   }
   // Until SIGTERM. Not OK: it cannot be started again.
   absl::Status Wait(rips::SignalWaiter& signals) {
@@ -88,6 +95,7 @@ class Running {
  private:
   const LoadedConfig* loaded_;
   rips::Metrics* metrics_;
+  rips::ServiceManager* manager_;
   const rips::RealClock clock_;
   rips::rpc::CredentialsSource credentials_;
   std::optional<rips::rpc::CertificateMonitor> monitor_;
@@ -101,6 +109,7 @@ int main(int argc, char** argv) {
   rips::ForbidCoreDumps();
   rips::rpc::RequireTls13();
   rips::rpc::RouteGrpcLogs();
+  rips::ServiceManager manager(rips::ServiceManager::FromEnvironment());
   rips::DaemonFlags flags;
   const rips::DaemonInfo info = {.name = "rips-actuator",
                                  .description = "Applies alert levels to a ROS 2 robot.",
@@ -114,7 +123,7 @@ int main(int argc, char** argv) {
 
   rips::Metrics metrics;
   rips::SignalWaiter signals({});
-  Running running(&*loaded, &metrics);
+  Running running(&*loaded, &metrics, &manager);
   // Before anything else that may fail: the robot is at the level its state demands, or on its way.
   const absl::Status started = running.Start();
   if (absl::IsPermissionDenied(started)) return Fail(rips::kExitConfig, started);
@@ -126,7 +135,16 @@ int main(int argc, char** argv) {
   if (const absl::Status ready = rips::WriteReadyFile(flags, "ready"); !ready.ok()) {
     return Fail(rips::kExitFailed, ready);
   }
-  const absl::Status ended = running.Wait(signals);
+  manager.Ready();
+  absl::Status ended;
+  {
+    const rips::Ticker status(absl::ZeroDuration(), [&] {
+      manager.SetStatus(running.Describe());
+      return rips::ServiceManager::kStatusEvery;
+    });
+    ended = running.Wait(signals);
+  }
+  manager.Stopping();
   if (!ended.ok()) return Fail(rips::kExitFailed, ended);
   rips::LogInfo("stopping");
   return 0;

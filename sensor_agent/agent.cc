@@ -250,9 +250,9 @@ void Agent::Announce(int64_t now_ns) {
   LogWarning("this sensor's node was not announced; trying again", {{"error", told.ToString()}});
 }
 
-void Agent::Start() {
+void Agent::Start(std::function<void()> on_turn) {
   uplink_->Start();
-  observer_ = std::thread([this] { Observe(); });
+  observer_ = std::thread([this, on_turn = std::move(on_turn)] { Observe(on_turn); });
   if (ids_ != nullptr) ids_->Start();
 }
 
@@ -290,7 +290,7 @@ bool Agent::WaitForWork(int64_t deadline_ns) {
   return !stopping_;
 }
 
-void Agent::Observe() {
+void Agent::Observe(const std::function<void()>& on_turn) {
   int64_t last_poll_ns = 0;
   while (WaitForWork(std::min(NextWork(), clock_->Now().boottime_ns + kIdleNs))) {
     // The next sample has come close behind the last: let some more come.
@@ -299,6 +299,7 @@ void Agent::Observe() {
     last_poll_ns = clock_->Now().boottime_ns;
     Poll(last_poll_ns);
     if (uplink_->snapshot_wanted()) ResendGraph(last_poll_ns);
+    if (on_turn) on_turn();
   }
   // What has been received so far is not lost with the process, either.
   for (int i = 0; i < kLastPolls; ++i) {

@@ -4,6 +4,7 @@
 
 #include <atomic>
 #include <cstdint>
+#include <functional>
 #include <memory>
 #include <optional>
 #include <string>
@@ -45,7 +46,8 @@ class Agent {
                                                        rpc::CertificateMonitor* monitor = nullptr);
   ~Agent();
 
-  void Start();
+  // The observer thread calls `on_turn`, which may be null, at least once a second unless it hangs.
+  void Start(std::function<void()> on_turn = nullptr);
   // Joins all threads. What is unacknowledged is spooled for the next process, or gone if there is
   // no spool.
   void Stop();
@@ -65,7 +67,7 @@ class Agent {
   bool WaitForWork(int64_t deadline_ns) ABSL_LOCKS_EXCLUDED(inbox_mu_);
 
   // --- Observer thread
-  void Observe();
+  void Observe(const std::function<void()>& on_turn);
   // Hands to the uplink what has come.
   void Poll(int64_t now_ns);
   void ApplyInbox(int64_t now_ns, Observations& seen) ABSL_LOCKS_EXCLUDED(inbox_mu_);

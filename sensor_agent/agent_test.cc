@@ -3,14 +3,19 @@
 #include <fcntl.h>
 #include <signal.h>
 #include <spawn.h>
+#include <stdlib.h>
+#include <sys/socket.h>
+#include <sys/un.h>
 #include <sys/wait.h>
 
+#include <algorithm>
 #include <cstdio>
 #include <filesystem>
 #include <fstream>
 #include <optional>
 #include <sstream>
 
+#include "absl/strings/match.h"
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_replace.h"
 #include "gmock/gmock.h"
@@ -528,6 +533,49 @@ TEST_F(DaemonTest, RunsWithoutAServerAndEndsCleanlyOnSigterm) {
   ASSERT_EQ(kill(pid_, SIGTERM), 0);
   EXPECT_EQ(WaitForExit(), 0) << Output();
   EXPECT_THAT(Output(), HasSubstr("listening address=127.0.0.1:"));
+}
+
+// What systemd hears of it, with a server or without.
+TEST_F(DaemonTest, NotifiesTheServiceManagerAndPingsWhileItWatches) {
+  WriteConfig("r1");
+  const std::string path = (dir_ / "notify").string();
+  sockaddr_un address{.sun_family = AF_UNIX, .sun_path = {}};
+  ASSERT_LT(path.size(), sizeof(address.sun_path));
+  path.copy(address.sun_path, path.size());
+  const UniqueFd receiver(socket(AF_UNIX, SOCK_DGRAM | SOCK_CLOEXEC, 0));
+  ASSERT_EQ(bind(receiver.get(), reinterpret_cast<sockaddr*>(&address), sizeof(address)), 0);
+  std::vector<std::string> heard;
+  const auto hears = [&](const std::string& message) {
+    return Eventually([&] {
+      char buffer[4096];
+      ssize_t size = 0;
+      while ((size = recv(receiver.get(), buffer, sizeof(buffer), MSG_DONTWAIT)) > 0) {
+        heard.emplace_back(buffer, size);
+      }
+      return std::any_of(heard.begin(), heard.end(),
+                         [&](const auto& each) { return absl::StartsWith(each, message); });
+    });
+  };
+  setenv("NOTIFY_SOCKET", path.c_str(), 1);
+  setenv("WATCHDOG_USEC", "1000000", 1);
+  Spawn();
+  unsetenv("NOTIFY_SOCKET");
+  unsetenv("WATCHDOG_USEC");
+  EXPECT_TRUE(hears("READY=1")) << Output();
+  EXPECT_TRUE(hears("STATUS=watching domain ")) << Output();
+  EXPECT_TRUE(hears("WATCHDOG=1"));
+  // A process that stands still is silent: what is heard from now on was sent before.
+  kill(pid_, SIGSTOP);
+  int status = 0;
+  ASSERT_EQ(waitpid(pid_, &status, WUNTRACED), pid_);
+  ASSERT_TRUE(WIFSTOPPED(status));
+  EXPECT_TRUE(hears("READY=1"));
+  heard.clear();
+  kill(pid_, SIGCONT);
+  EXPECT_TRUE(hears("WATCHDOG=1"));
+  kill(pid_, SIGTERM);
+  EXPECT_TRUE(hears("STOPPING=1"));
+  EXPECT_EQ(WaitForExit(), 0) << Output();
 }
 
 TEST_F(DaemonTest, CertificateOfAnotherRobotEndsWithTwo) {

@@ -23,7 +23,9 @@
 #include "services/runtime/metrics.h"
 #include "services/runtime/needed_directories.h"
 #include "services/runtime/real_clock.h"
+#include "services/runtime/service_manager.h"
 #include "services/runtime/shutdown.h"
+#include "services/runtime/ticker.h"
 
 namespace rips::sensor {
 
@@ -46,27 +48,43 @@ int Fail(int exit_code, absl::string_view doing, const absl::Status& status) {
   return exit_code;
 }
 
+// For `systemctl status`.
+std::string Describe(const SensorConfig& config, const Agent& sensor) {
+  const absl::Status ready = sensor.Ready();
+  return absl::StrCat(
+      "watching domain ", config.dds.domain, " of robot ", config.robot, "; ",
+      ready.ok() ? "connected to the policy server" : "not connected: ", ready.message());
+}
+
 int Watch(const DaemonFlags& flags, const SensorConfig& config, Agent& sensor,
-          SignalWaiter& signals, Metrics& metrics, const std::string& page) {
+          SignalWaiter& signals, Metrics& metrics, ServiceManager& manager) {
   HostMetrics host({.disk = config.state_dir}, &metrics);
   host.Start();
-  sensor.Start();
+  sensor.Start([&manager] { manager.Ping(); });
   LogInfo("watching", {{"robot", config.robot},
                        {"host", config.host},
                        {"domain", config.dds.domain},
                        {"participant", ToString(sensor.participant())}});
-  LogInfo("listening", {{"address", page}});
   if (absl::Status written = WriteReadyFile(flags, "ready"); !written.ok()) {
     return Fail(kExitFailed, "cannot write the ready file", written);
   }
-  const int signal = signals.WaitForShutdown();
+  manager.Ready();
+  int signal = 0;
+  {
+    const Ticker status(absl::ZeroDuration(), [&] {
+      manager.SetStatus(Describe(config, sensor));
+      return ServiceManager::kStatusEvery;
+    });
+    signal = signals.WaitForShutdown();
+  }
+  manager.Stopping();
   LogInfo("stopping", {{"signal", signal}});
   sensor.Stop();
   return 0;
 }
 
-int Serve(const DaemonFlags& flags, const SensorConfig& config,
-          rpc::CredentialsSource credentials) {
+int Serve(const DaemonFlags& flags, const SensorConfig& config, rpc::CredentialsSource credentials,
+          ServiceManager& manager) {
   const RealClock clock;
   Metrics metrics;
   rpc::CertificateMonitor monitor({.own = config.tls}, &clock, &metrics);
@@ -91,16 +109,25 @@ int Serve(const DaemonFlags& flags, const SensorConfig& config,
       "the DDS keystore",
       [&]() -> absl::Status {
         const auto enclave = dds::LoadSecurity(config.dds, absl::Now());
+        if (enclave.ok()) return absl::OkStatus();
+        // The robot's start must not wait for it.
+        manager.Ready();
+        manager.SetStatus(absl::StrCat("sees nothing: waiting for the DDS keystore: ",
+                                       enclave.status().message()));
         // PermissionDenied of a file may pass, too.
-        return enclave.ok() ? absl::OkStatus() : absl::UnavailableError(enclave.status().message());
+        return absl::UnavailableError(enclave.status().message());
       },
-      [&](absl::Duration pause) { return signals.WaitForShutdown(pause); });
+      [&](absl::Duration pause) {
+        manager.Ping();
+        return signals.WaitForShutdown(pause);
+      });
   if (!awaited.ok()) return 0;  // told to end
   auto created = Agent::Create(config, std::move(credentials), &clock, &metrics, &monitor);
   if (!created.ok()) return Fail(kExitFailed, "cannot begin to watch", created.status());
   agent = *std::move(created);
   running = agent.get();
-  const int code = Watch(flags, config, *agent, signals, metrics, (*pages)->address());
+  LogInfo("listening", {{"address", (*pages)->address()}});
+  const int code = Watch(flags, config, *agent, signals, metrics, manager);
   running = nullptr;
   return code;
 }
@@ -125,6 +152,7 @@ int CheckConfig(const std::string& file, const SensorConfig& config, const std::
 }  // namespace
 
 int RunDaemon(const DaemonFlags& flags) {
+  ServiceManager manager(ServiceManager::FromEnvironment());
   const absl::StatusOr<std::string> text = ReadConfigFile(flags.config);
   if (!text.ok()) return Fail(kExitConfig, "cannot read the configuration", text.status());
   std::string effective;
@@ -141,7 +169,7 @@ int RunDaemon(const DaemonFlags& flags) {
   if (const absl::Status mine = credentials.Get().status(); absl::IsPermissionDenied(mine)) {
     return Fail(kExitConfig, "wrong certificate", mine);
   }
-  return Serve(flags, *config, std::move(credentials));
+  return Serve(flags, *config, std::move(credentials), manager);
 }
 
 }  // namespace rips::sensor

@@ -5,6 +5,7 @@
 #include <algorithm>
 #include <cerrno>
 #include <cstring>
+#include <functional>
 #include <optional>
 #include <thread>
 #include <utility>
@@ -16,6 +17,7 @@
 #include "mode_actuator/decide/drill_controller.h"
 #include "mode_actuator/decide/exec_journal.h"
 #include "mode_actuator/decide/receipt_queue.h"
+#include "mode_actuator/decide/status_line.h"
 #include "mode_actuator/link/audit_head_file.h"
 #include "mode_actuator/link/downlink.h"
 #include "mode_actuator/steps/alarm/alarm_board.h"
@@ -206,9 +208,10 @@ class Agent::Impl {
 
   ~Impl();
   absl::Status Start(const Smh& smh, rpc::CredentialsSource credentials,
-                     rpc::CertificateMonitor* monitor);
+                     rpc::CertificateMonitor* monitor, std::function<void()> on_turn);
   const absl::Status& modes_problem() const { return modes_problem_; }
   absl::Status Ready() const ABSL_LOCKS_EXCLUDED(report_mu_);
+  std::string Describe() const ABSL_LOCKS_EXCLUDED(report_mu_);
 
  private:
   std::string StatePath() const { return absl::StrCat(config_.state_dir, "/state"); }
@@ -227,7 +230,7 @@ class Agent::Impl {
   void PushFromNetwork(Input input);
 
   // The agent's thread.
-  void Loop();
+  void Loop(const std::function<void()>& on_turn);
   void Handle(Input input, int64_t now_ns);
   void Do(Actions actions, int64_t now_ns);
   void QueueReceipt(Receipt receipt);
@@ -264,6 +267,7 @@ class Agent::Impl {
 
   mutable Mutex report_mu_;
   ExecutorReport report_ ABSL_GUARDED_BY(report_mu_);
+  absl::Status disconnected_ ABSL_GUARDED_BY(report_mu_);  // why the last stream ended
 
   // In the order of dependence; what is last goes first.
   std::unique_ptr<dds::Participant> participant_;
@@ -460,16 +464,17 @@ void Agent::Impl::StartDownlink(const Smh& smh, rpc::CredentialsSource credentia
     LogWarning("malformed command", {{"why", status.message()}});
   };
   // The same again and again is said once.
-  callbacks.disconnected = [last = absl::Status()](const absl::Status& status) mutable {
-    const LogLevel level = status == last ? LogLevel::kDebug : LogLevel::kWarning;
+  callbacks.disconnected = [this](const absl::Status& status) {
+    MutexLock lock(&report_mu_);
+    const LogLevel level = status == disconnected_ ? LogLevel::kDebug : LogLevel::kWarning;
     Log(level, "disconnected", {{"status", status.ToString()}});
-    last = status;
+    disconnected_ = status;
   };
   downlink_ = std::make_unique<Downlink>(std::move(options), std::move(callbacks), clock_);
 }
 
 absl::Status Agent::Impl::Start(const Smh& smh, rpc::CredentialsSource credentials,
-                                rpc::CertificateMonitor* monitor) {
+                                rpc::CertificateMonitor* monitor, std::function<void()> on_turn) {
   RIPS_RETURN_IF_ERROR(LoadState());
   RIPS_RETURN_IF_ERROR(FindHelpers());
   RIPS_RETURN_IF_ERROR(StartModes(smh));
@@ -478,7 +483,7 @@ absl::Status Agent::Impl::Start(const Smh& smh, rpc::CredentialsSource credentia
   const int64_t now_ns = NowNs();
   Do(controller_->Start(now_ns), now_ns);
   Publish(now_ns);
-  thread_ = std::thread([this] { Loop(); });
+  thread_ = std::thread([this, on_turn = std::move(on_turn)] { Loop(on_turn); });
   downlink_->Start();
   return absl::OkStatus();
 }
@@ -498,7 +503,7 @@ void Agent::Impl::PushFromNetwork(Input input) {
 
 // --- the agent's thread
 
-void Agent::Impl::Loop() {
+void Agent::Impl::Loop(const std::function<void()>& on_turn) {
   while (true) {
     std::vector<Input> batch = inputs_.PopAll(kTick);
     if (batch.empty() && inputs_.closed()) return;
@@ -508,6 +513,7 @@ void Agent::Impl::Loop() {
     CheckHelpers(now_ns);
     Publish(now_ns);
     Announce(now_ns);
+    if (on_turn) on_turn();
   }
 }
 
@@ -736,6 +742,12 @@ absl::Status Agent::Impl::Ready() const {
   return absl::OkStatus();
 }
 
+std::string Agent::Impl::Describe() const {
+  const bool connected = downlink_->connected();
+  MutexLock lock(&report_mu_);
+  return StatusLine(report_, connected, disconnected_);
+}
+
 // --- Agent
 
 Agent::Agent(std::unique_ptr<Impl> impl) : impl_(std::move(impl)) {}
@@ -744,7 +756,8 @@ Agent::~Agent() = default;
 absl::StatusOr<std::unique_ptr<Agent>> Agent::Start(const LoadedConfig& loaded,
                                                     rpc::CredentialsSource credentials,
                                                     const Clock* clock, Metrics* metrics,
-                                                    rpc::CertificateMonitor* monitor) {
+                                                    rpc::CertificateMonitor* monitor,
+                                                    std::function<void()> on_turn) {
   credentials.Require([robot = loaded.config.robot,
                        host = loaded.config.host](const rpc::PeerIdentity& self) -> absl::Status {
     if (self.role == rpc::Role::kActuator && self.robot == robot && self.host == host) {
@@ -762,11 +775,13 @@ absl::StatusOr<std::unique_ptr<Agent>> Agent::Start(const LoadedConfig& loaded,
     LogWarning("configuration", {{"warning", warning}});
   }
   auto impl = std::make_unique<Impl>(loaded.config, clock, metrics);
-  RIPS_RETURN_IF_ERROR(impl->Start(loaded.smh, std::move(credentials), monitor));
+  RIPS_RETURN_IF_ERROR(
+      impl->Start(loaded.smh, std::move(credentials), monitor, std::move(on_turn)));
   return std::unique_ptr<Agent>(new Agent(std::move(impl)));
 }
 
 absl::Status Agent::Ready() const { return impl_->Ready(); }
+std::string Agent::Describe() const { return impl_->Describe(); }
 absl::Status Agent::modes_problem() const { return impl_->modes_problem(); }
 
 absl::Status Agent::TryModes(const LoadedConfig& loaded, const Clock* clock) {

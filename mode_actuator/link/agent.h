@@ -2,6 +2,7 @@
 #ifndef RIPS_MODE_ACTUATOR_LINK_AGENT_H_
 #define RIPS_MODE_ACTUATOR_LINK_AGENT_H_
 
+#include <functional>
 #include <memory>
 #include <string>
 #include <vector>
@@ -36,7 +37,8 @@ std::vector<std::string> Warnings(const LoadedConfig& loaded);
 class Agent {
  public:
   // Reads the state, joins the DDS domain, starts the threads and enters the level that the state
-  // demands. `clock` and `metrics` are not owned and outlive this.
+  // demands. `clock` and `metrics` are not owned and outlive this. The thread that keeps the level
+  // calls `on_turn`, which may be null, several times a second while it does not hang.
   //
   // | what is missing now                    | what happens                                       |
   // |----------------------------------------|----------------------------------------------------|
@@ -49,7 +51,8 @@ class Agent {
   static absl::StatusOr<std::unique_ptr<Agent>> Start(const LoadedConfig& loaded,
                                                       rpc::CredentialsSource credentials,
                                                       const Clock* clock, Metrics* metrics,
-                                                      rpc::CertificateMonitor* monitor = nullptr);
+                                                      rpc::CertificateMonitor* monitor = nullptr,
+                                                      std::function<void()> on_turn = nullptr);
   // Ends the stream, the running job and programs. The robot stays where it is.
   ~Agent();
 
@@ -60,6 +63,8 @@ class Agent {
 
   // OK if connected, the lease live and the effective level read back. Any thread.
   absl::Status Ready() const;
+  // One line for people: the level, and what is wrong. Untrusted text may be in it. Any thread.
+  std::string Describe() const;
 
  private:
   class Impl;

@@ -16,7 +16,9 @@
 #include "services/runtime/core_dumps.h"
 #include "services/runtime/daemon_flags.h"
 #include "services/runtime/log.h"
+#include "services/runtime/service_manager.h"
 #include "services/runtime/shutdown.h"
+#include "services/runtime/ticker.h"
 
 namespace {
 
@@ -49,6 +51,7 @@ int main(int argc, char** argv) {
   ForbidCoreDumps();
   rpc::RequireTls13();
   rpc::RouteGrpcLogs();
+  ServiceManager manager(ServiceManager::FromEnvironment());
   DaemonFlags flags;
   const DaemonInfo info{.name = "rips-policy-server",
                         .description = "Judges what sensors see and commands mode actuators.",
@@ -72,7 +75,11 @@ int main(int argc, char** argv) {
   std::unique_ptr<server::Server> owned;  // outlives `signals`, which calls it
   std::atomic<server::Server*> running = nullptr;
   SignalWaiter signals({{SIGHUP, [&] {
-                           if (server::Server* each = running) each->Reload();
+                           if (server::Server* each = running) {
+                             manager.Reloading();
+                             each->Reload();
+                             manager.Ready();
+                           }
                            const absl::StatusOr<std::string> now = ReadConfigFile(flags.config);
                            if (now.ok() && *now == *text) return;
                            LogWarning(
@@ -81,7 +88,12 @@ int main(int argc, char** argv) {
                                {{"file", flags.config}});
                          }}});
   auto started = server::Server::Start(
-      parsed->config, [&](absl::Duration pause) { return signals.WaitForShutdown(pause); });
+      parsed->config,
+      [&](absl::Duration pause) {
+        manager.SetStatus("not serving: waiting for a usable certificate; the log says why");
+        return signals.WaitForShutdown(pause);
+      },
+      [&] { manager.Ping(); });
   if (absl::IsCancelled(started.status())) return 0;
   if (!started.ok()) {
     LogError("cannot start", {{"reason", started.status().message()}});
@@ -93,7 +105,15 @@ int main(int argc, char** argv) {
     LogError("cannot write the ready file", {{"reason", ready.message()}});
     return kExitFailed;
   }
-  signals.WaitForShutdown();
+  manager.Ready();
+  {
+    const Ticker status(absl::ZeroDuration(), [&] {
+      manager.SetStatus(owned->Describe());
+      return ServiceManager::kStatusEvery;
+    });
+    signals.WaitForShutdown();
+  }
+  manager.Stopping();
   owned->Stop();
   return 0;
 }

@@ -85,13 +85,15 @@ std::unique_ptr<audit::ReturnedHeads> MakeReturnedHeads(const std::string& direc
 
 }  // namespace
 
-Server::Server(const ServerConfig& config) : config_(config) {}
+Server::Server(const ServerConfig& config, std::function<void()> advanced)
+    : config_(config), advanced_(std::move(advanced)) {}
 
 Server::~Server() { Stop(); }
 
 absl::StatusOr<std::unique_ptr<Server>> Server::Start(const ServerConfig& config,
-                                                      const Pause& pause) {
-  std::unique_ptr<Server> server(new Server(config));
+                                                      const Pause& pause,
+                                                      std::function<void()> advanced) {
+  std::unique_ptr<Server> server(new Server(config, std::move(advanced)));
   RIPS_RETURN_IF_ERROR(server->Open());
   RIPS_RETURN_IF_ERROR(server->ServePage());
   // Before the robots: their terms are drawn, and their sensors missed, only by a server that can
@@ -519,7 +521,8 @@ pipeline::PipelineReports Server::MakeReports() {
           .lateness =
               [lateness](const std::string& thread, int64_t longest_ns) {
                 lateness(thread).Set(static_cast<double>(longest_ns) / kNanosPerSecond);
-              }};
+              },
+          .advanced = advanced_};
 }
 
 std::shared_ptr<operator_api::CallerQuota> Server::MakeQuota() {
@@ -722,6 +725,10 @@ absl::Status Server::Readiness() const {
   if (!listening_) return absl::UnavailableError("waiting for a usable certificate");
   RIPS_RETURN_IF_ERROR(certificates_->own_status());
   RIPS_RETURN_IF_ERROR(connections_->Probe(kProbePatience));
+  return DiskHealth();
+}
+
+absl::Status Server::DiskHealth() const {
   if (audit_ != nullptr) {
     if (const absl::Status audited = audit_->health(); !audited.ok()) {
       return absl::UnavailableError(absl::StrCat("the audit log ", config_.audit_dir,
@@ -732,6 +739,14 @@ absl::Status Server::Readiness() const {
   if (health.ok()) return absl::OkStatus();
   return absl::UnavailableError(
       absl::StrCat("the store ", config_.store_path, " cannot be written: ", health.message()));
+}
+
+std::string Server::Describe() const {
+  absl::Status problem = DiskHealth();
+  problem.Update(certificates_->own_status());
+  return absl::StrCat("serving on ", address(), "; robots judged: ", pipeline_->robots().size(),
+                      ", held: ", pipeline_->held().size(), problem.ok() ? "" : "; ",
+                      problem.message());
 }
 
 void Server::Reload() {

@@ -66,8 +66,10 @@ class Server {
   // Reads inventory, bundles and the store, serves /metrics, waits for usable certificates, then
   // listens. Every error names the file and the remedy; InvalidArgument: no waiting mends it.
   // Cancelled: `pause` ended the wait; without one nothing is waited for.
+  // `advanced`: as PipelineReports::advanced, on a thread of the pipeline; may be null.
   static absl::StatusOr<std::unique_ptr<Server>> Start(const ServerConfig& config,
-                                                       const Pause& pause = nullptr);
+                                                       const Pause& pause = nullptr,
+                                                       std::function<void()> advanced = nullptr);
   // As Stop.
   ~Server();
 
@@ -78,9 +80,11 @@ class Server {
 
   // `listen` with the real port.
   const std::string& address() const { return rpc_->address(); }
+  // One line for people: what is served, and what is wrong. Untrusted text may be in it.
+  std::string Describe() const;
 
  private:
-  explicit Server(const ServerConfig& config);
+  Server(const ServerConfig& config, std::function<void()> advanced);
   absl::Status Open();
   absl::Status ServePage();
   absl::Status AwaitCredentials(const Pause& pause);
@@ -109,8 +113,11 @@ class Server {
   pipeline::PipelineReports MakeReports();
   std::shared_ptr<operator_api::CallerQuota> MakeQuota();
   absl::Status Readiness() const;
+  // OK while the audit log and the store can be written.
+  absl::Status DiskHealth() const;
 
   const ServerConfig config_;
+  const std::function<void()> advanced_;
   RealClock clock_;
   Metrics metrics_;
   std::shared_ptr<const rpc::Credentials> credentials_;

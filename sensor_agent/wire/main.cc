@@ -15,6 +15,7 @@
 #include "services/runtime/daemon_flags.h"
 #include "services/runtime/log.h"
 #include "services/runtime/real_clock.h"
+#include "services/runtime/service_manager.h"
 #include "services/runtime/shutdown.h"
 #include "services/runtime/unique_fd.h"
 
@@ -62,6 +63,7 @@ int Run(int argc, char** argv) {
   if (const std::optional<int> exit_code = ParseFlags(argc, argv, flags); exit_code.has_value()) {
     return *exit_code;
   }
+  ServiceManager manager(ServiceManager::FromEnvironment());
   BlockSignals();
   const RealClock clock;
   // Before any thread starts, since it gives up the privileges of this one.
@@ -74,7 +76,9 @@ int Run(int argc, char** argv) {
   if (absl::Status written = WriteReadyFile(flags.daemon, "ready"); !written.ok()) {
     return Fail("cannot write the ready file", written);
   }
-  const absl::Status ended = (*tap)->Run(stop.get());
+  manager.Ready();
+  const absl::Status ended = (*tap)->Run(stop.get(), [&manager] { manager.Ping(); });
+  manager.Stopping();
   if (!ended.ok()) return Fail("stopped listening", ended);
   LogInfo("stopping");
   return 0;

@@ -51,7 +51,7 @@ absl::StatusOr<std::unique_ptr<Tap>> Tap::Create(TapOptions options, const Clock
   return tap;
 }
 
-absl::Status Tap::Run(int stop_fd) {
+absl::Status Tap::Run(int stop_fd, const std::function<void()>& on_turn) {
   std::vector<pollfd> fds = {{.fd = stop_fd, .events = POLLIN, .revents = 0}};
   for (const auto& socket : sockets_) {
     fds.push_back({.fd = socket->fd(), .events = POLLIN, .revents = 0});
@@ -63,6 +63,7 @@ absl::Status Tap::Run(int stop_fd) {
       for (const auto& socket : sockets_) RIPS_RETURN_IF_ERROR(socket->CheckInterface());
       Report(now_ns);
       next_report_ns = now_ns + kReportIntervalNs;
+      if (on_turn) on_turn();
     }
     const int64_t wait_ms = (next_report_ns - now_ns + kNanosPerMilli - 1) / kNanosPerMilli;
     if (poll(fds.data(), fds.size(), static_cast<int>(wait_ms)) < 0 && errno != EINTR) {

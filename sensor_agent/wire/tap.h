@@ -3,6 +3,7 @@
 #define RIPS_SENSOR_AGENT_WIRE_TAP_H_
 
 #include <cstdint>
+#include <functional>
 #include <memory>
 #include <string>
 #include <vector>
@@ -33,9 +34,10 @@ class Tap {
   // PacketSocket::Open. `clock` is not owned and outlives this.
   static absl::StatusOr<std::unique_ptr<Tap>> Create(TapOptions options, const Clock* clock);
 
-  // Tells the sensor what came since it has been connected, until `stop_fd` becomes readable.
+  // Tells the sensor what came since it has been connected, until `stop_fd` becomes readable. Calls
+  // `on_turn`, which may be null, at least once a second while it does not hang.
   // Unavailable when an interface is gone: privileges to open another are gone, too.
-  absl::Status Run(int stop_fd);
+  absl::Status Run(int stop_fd, const std::function<void()>& on_turn = nullptr);
 
  private:
   Tap(TapOptions options, const Clock* clock);

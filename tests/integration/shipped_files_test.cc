@@ -152,6 +152,23 @@ TEST(ShippedFilesTest, NoTwoDaemonsShareAUser) {
   EXPECT_EQ(daemon_of.count(server::kPluginUser), 0u) << "plugins would own what a daemon owns";
 }
 
+// They say when they are ready; those whose main loop must not hang are watched, but not so closely
+// that a loaded host ends them.
+TEST(ShippedFilesTest, DaemonsNotifyTheServiceManager) {
+  const std::set<std::string> unwatched = {"rips-exec", "rips-fw"};
+  for (const auto& [name, unit] : Services()) {
+    SCOPED_TRACE(name);
+    EXPECT_EQ(Only(unit, "Type"), "notify");
+    EXPECT_EQ(Only(unit, "NotifyAccess"), "main");
+    EXPECT_EQ(Only(unit, "Restart"), "always");
+    if (unwatched.contains(name)) {
+      EXPECT_EQ(unit.count("WatchdogSec"), 0u);
+    } else {
+      EXPECT_GE(std::stoi(Only(unit, "WatchdogSec")), 60);
+    }
+  }
+}
+
 TEST(ShippedFilesTest, TheServerMayOpenWhatItsConnectionsNeed) {
   const auto unit = Services().at("rips-policy-server");
   EXPECT_GE(std::stoi(Only(unit, "LimitNOFILE")), 2 * rpc::AdmissionLimits().total + 512);

@@ -22,6 +22,7 @@
 #include "services/runtime/log.h"
 #include "services/runtime/real_clock.h"
 #include "services/runtime/run_cgroups.h"
+#include "services/runtime/service_manager.h"
 #include "services/runtime/shutdown.h"
 
 namespace {
@@ -74,6 +75,7 @@ int CheckConfig(const ParsedConfig& parsed) {
 int main(int argc, char** argv) {
   if (rips::actuator::IsEnter(argc, argv)) return rips::actuator::EnterAndExec(argc, argv);
   rips::ForbidCoreDumps();
+  rips::ServiceManager manager(rips::ServiceManager::FromEnvironment());
   rips::DaemonFlags flags;
   const rips::DaemonInfo info = {.name = "rips-exec",
                                  .description = "Runs programs for rips-actuator.",
@@ -106,7 +108,11 @@ int main(int argc, char** argv) {
   rips::LogInfo("listening", {{"address", config.exec.socket},
                               {"cgroups", cgroups.ok() ? (*cgroups)->path() : "none"}});
   absl::Status ready = rips::WriteReadyFile(flags, "ready");
-  if (ready.ok()) signals.WaitForShutdown();
+  if (ready.ok()) {
+    manager.Ready();
+    signals.WaitForShutdown();
+  }
+  manager.Stopping();
   rips::LogInfo("stopping");
   server.Stop();
   serving.join();

@@ -20,6 +20,7 @@
 #include "services/runtime/daemon_flags.h"
 #include "services/runtime/log.h"
 #include "services/runtime/real_clock.h"
+#include "services/runtime/service_manager.h"
 #include "services/runtime/shutdown.h"
 
 namespace {
@@ -44,6 +45,7 @@ absl::StatusOr<ParsedConfig> Load(const std::string& path) {
 
 int main(int argc, char** argv) {
   rips::ForbidCoreDumps();
+  rips::ServiceManager manager(rips::ServiceManager::FromEnvironment());
   rips::DaemonFlags flags;
   const rips::DaemonInfo info = {.name = "rips-fw",
                                  .description = "Changes the packet filter for rips-actuator.",
@@ -79,7 +81,11 @@ int main(int argc, char** argv) {
   std::thread serving([&] { server.Run(); });
   rips::LogInfo("listening", {{"address", config.firewall.socket}});
   absl::Status ready = rips::WriteReadyFile(flags, "ready");
-  if (ready.ok()) signals.WaitForShutdown();
+  if (ready.ok()) {
+    manager.Ready();
+    signals.WaitForShutdown();
+  }
+  manager.Stopping();
   // What is in force stays so: the kernel holds it, and its time limits.
   rips::LogInfo("stopping");
   server.Stop();

@@ -70,7 +70,8 @@ class FairnessTest : public ::testing::Test {
                             [this](const std::string& robot, bool slow) {
                               moved_.Push(absl::StrCat(robot, slow ? " slow" : " back"));
                             },
-                        .refused = [this](const std::string& robot) { refused_.Push(robot); }},
+                        .refused = [this](const std::string& robot) { refused_.Push(robot); },
+                        .advanced = [this] { ++advanced_; }},
         [this] { return cpu_ns_.load(); });
     for (const char* id : {"r1", "r2"}) {
       ASSERT_EQ(store_.Acquire(id)->tenure, 1u);
@@ -136,6 +137,7 @@ class FairnessTest : public ::testing::Test {
   Names deferred_{{.capacity = 1'000}};
   Names moved_{{.capacity = 1'000}};
   Names refused_{{.capacity = 1'000}};
+  std::atomic<int> advanced_ = 0;
   // Held by the test until closed.
   BoundedQueue<int> arrived_{{.capacity = 1}};
   BoundedQueue<int> gate_{{.capacity = 1}};
@@ -283,6 +285,37 @@ TEST_F(FairnessTest, AThreadThatHangsIsReportedOnceWithItsRobotWhileItHangs) {
     clock_.Advance(20 * kFairMs);
     EXPECT_FALSE(late_.Pop(absl::Milliseconds(5)).has_value()) << "once an episode";
   }
+}
+
+// The service manager's watchdog hears no more then.
+TEST_F(FairnessTest, NothingAdvancesWhileAThreadHangs) {
+  Open(TurnsOnly());
+  pipeline_->Start();
+  const auto advances = [this] {
+    for (const int before = advanced_; advanced_ == before;) {
+      clock_.Advance(50 * kFairMs);
+      arrived_.Pop(absl::Milliseconds(1));
+    }
+  };
+  advances();
+  Post("r2", Queue::kControl, [&](Robot&) {
+    arrived_.Push(1);
+    gate_.Pop(kFairPatience);
+  });
+  ASSERT_TRUE(arrived_.Pop(kFairPatience).has_value());
+  const int before = advanced_;
+  std::optional<std::string> late;
+  while (!late) {
+    clock_.Advance(20 * kFairMs);
+    late = late_.Pop(absl::Milliseconds(10));
+  }
+  for (int i = 0; i < 50; ++i) {
+    clock_.Advance(50 * kFairMs);
+    late_.Pop(absl::Milliseconds(5));
+  }
+  EXPECT_LE(advanced_, before + 1) << "of the round before it hung";
+  gate_.Close();
+  advances();
 }
 
 TEST_F(FairnessTest, ARobotsFullQueueRefusesNoOtherRobotNorItsOrders) {

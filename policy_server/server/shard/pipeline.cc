@@ -194,6 +194,12 @@ void Pipeline::Watch() {
         Look(watched, now_ns, next);
       }
     }
+    const bool advanced = std::all_of(threads.begin(), threads.end(), [](const Watched& each) {
+      return each.shard->rounds() != each.rounds;
+    });
+    if (!advanced) continue;
+    for (Watched& watched : threads) watched.rounds = watched.shard->rounds();
+    if (reports_.advanced) reports_.advanced();
   }
 }
 

@@ -141,6 +141,8 @@ class Pipeline {
     int64_t reported_ns = -1;
     // When it was late by more than late_ns; 0 = not in this episode.
     int64_t late_at_ns = 0;
+    // Of the shard, when all of them were last seen to advance.
+    uint64_t rounds = 0;
   };
   // On the shard's thread, when the robot has been destroyed.
   void OnGone(const std::string& robot) ABSL_LOCKS_EXCLUDED(mu_);

@@ -48,6 +48,9 @@ struct PipelineReports {
   // that second; how late the thread was at most in the last 10 to 20 s.
   std::function<void(const std::string& robot, int64_t longest_ns)> waited;
   std::function<void(const std::string& thread, int64_t longest_ns)> lateness;
+  // Each thread has called OnTime of all its robots since the last such call. Several times a
+  // second, but not while a thread hangs.
+  std::function<void()> advanced;
 };
 
 }  // namespace rips::pipeline

@@ -225,6 +225,7 @@ void Shard::RunTime(int64_t now_ns) {
     if (seat->slow == (options_.slow != nullptr)) Move(seat);
   }
   time_at_ns_ = NowNs() + kTimeStepNs;
+  ++rounds_;
   MutexLock lock(&mu_);
   running_ = nullptr;
   due_ns_ = time_at_ns_;

@@ -12,6 +12,7 @@
 #ifndef RIPS_POLICY_SERVER_SERVER_SHARD_SHARD_H_
 #define RIPS_POLICY_SERVER_SERVER_SHARD_SHARD_H_
 
+#include <atomic>
 #include <cstddef>
 #include <cstdint>
 #include <deque>
@@ -73,6 +74,8 @@ class Shard {
 
   // How late this thread was, or is, at most since the last call.
   Lateness TakeLateness(int64_t now_ns) ABSL_LOCKS_EXCLUDED(mu_);
+  // How often the thread has called OnTime of all its robots; grows while it does not hang.
+  uint64_t rounds() const { return rounds_; }
 
  private:
   using Seated = std::shared_ptr<Seat>;
@@ -104,6 +107,7 @@ class Shard {
   CostMeter meter_;
   int64_t time_at_ns_ = 0;
   int64_t waits_at_ns_ = 0;
+  std::atomic<uint64_t> rounds_ = 0;
   std::thread thread_;
 
   Mutex mu_;
