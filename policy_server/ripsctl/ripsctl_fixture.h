@@ -71,7 +71,7 @@ class FakeOperator final : public FakeEnrolOperator {
     return last_level_request_;
   }
 
-  grpc::Status ListRobots(grpc::ServerContext*, const v1::ListRobotsRequest*,
+  grpc::Status ListRobots(grpc::ServerContext*, const v1::ListRobotsRequest* request,
                           v1::ListRobotsResponse* response) override {
     *response->add_robots() = MakeStatus("r1", "COMPROMISED");
     *response->add_robots() = MakeStatus("r2", "DEFAULT");
@@ -79,7 +79,14 @@ class FakeOperator final : public FakeEnrolOperator {
     response->mutable_robots(1)->clear_effective_level();
     response->mutable_robots(1)->add_degraded("sensor base lost");
     response->mutable_robots(1)->add_degraded("\x1b[2Jactuator");
-    return Remember("ListRobots");
+    AddAgent("sensor", "0.1.0", 3'000, *response->mutable_robots(0));
+    AddAgent("sensor", "\x1b]0;old\x07", 172'800'000, *response->mutable_robots(1));
+    AddAgent("actuator", "", 0, *response->mutable_robots(1));
+    response->set_server_version("0.1.0");
+    if (!request->labels().empty()) response->mutable_robots()->RemoveLast();
+    if (request->labels_size() > 1) response->clear_robots();
+    return Remember(absl::StrCat("ListRobots", request->labels().empty() ? "" : " ",
+                                 absl::StrJoin(request->labels(), " ")));
   }
   grpc::Status WatchRobots(grpc::ServerContext*, const v1::WatchRobotsRequest* request,
                            grpc::ServerWriter<v1::RobotStatus>* writer) override {

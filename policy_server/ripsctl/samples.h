@@ -30,6 +30,17 @@ inline v1::RobotStatus MakeStatus(const std::string& robot, const std::string& l
   return status;
 }
 
+// `ago_ms` 0: it was not heard.
+inline void AddAgent(const std::string& role, const std::string& version, uint64_t ago_ms,
+                     v1::RobotStatus& status) {
+  v1::AgentContact* agent = status.add_agents();
+  agent->set_role(role);
+  agent->set_host("base");
+  agent->set_version(version);
+  agent->set_heard_unix_ns(ago_ms == 0 ? 0 : kNewYear);
+  agent->set_heard_ago_ms(ago_ms);
+}
+
 // The file of a recording, with one event, a second and a half after its start.
 inline std::string MakeAlertRecording() {
   const recording::RecordedOrigin origin{

@@ -11,6 +11,7 @@
 #include "absl/strings/escaping.h"
 #include "absl/strings/str_cat.h"
 #include "policy_server/policy/bundle/bundle_keep.h"
+#include "policy_server/policy/bundle/inventory_files.h"
 #include "policy_server/server/audit/store_audit.h"
 #include "services/base/ids.h"
 #include "services/base/status_macros.h"
@@ -107,8 +108,7 @@ absl::StatusOr<std::unique_ptr<Server>> Server::Start(const ServerConfig& config
 
 absl::Status Server::Open() {
   // Read again with the robots; what is malformed must not wait for certificates.
-  RIPS_ASSIGN_OR_RETURN(const std::string text, ReadConfigFile(config_.inventory));
-  RIPS_RETURN_IF_ERROR(bundle::ParseInventory(config_.inventory, text).status());
+  RIPS_RETURN_IF_ERROR(bundle::ReadInventory(config_.inventory).status());
   RIPS_ASSIGN_OR_RETURN(store_, store::SqliteStore::Open(config_.store_path));
   const Counter rotation_failures = metrics_.AddCounter(
       "rips_alert_file_rotation_failures_total", "Attempts to rotate the alert file that failed.");
@@ -638,6 +638,8 @@ absl::Status Server::AddRobots() {
                   .inventory =
                       [this](const bundle::Inventory& now) {
                         fleet_metrics_->SetInventory(now);
+                        contacts_.SetListed(AgentsOf(now));
+                        labels_.Set(LabelsOf(now));
                         if (enrolment_ != nullptr) enrolment_->SetInventory(now);
                       }});
   RIPS_RETURN_IF_ERROR(fleet_->Start());
@@ -662,7 +664,8 @@ absl::Status Server::Listen() {
                             .interests_refused = metrics_.AddCounter(
                                 "rips_interests_refused_total",
                                 "Lists of wanted payloads that sensors could not apply."),
-                            .fields_refused = fields_refused});
+                            .fields_refused = fields_refused},
+      &contacts_);
   actuators_ = std::make_unique<dispatch::ActuatorService>(
       pipeline_.get(), watch_.get(),
       dispatch::DispatchMetrics{
@@ -677,7 +680,8 @@ absl::Status Server::Listen() {
                 .returned =
                     [heads = heads_.get()](const auto& robot, const auto& host, auto head) {
                       heads->Compare({robot, host}, std::move(head));
-                    }});
+                    }},
+      &contacts_);
   operators_ = std::make_unique<operator_api::OperatorService>(
       pipeline_.get(), store_.get(), hub_.get(),
       operator_api::OperatorService::Access{
@@ -698,7 +702,9 @@ absl::Status Server::Listen() {
           .bundles = bundles_.get(),
           .acks = store_.get(),
           .committer = committer_.get(),
-          .enrolment = enrolment_.get()});
+          .enrolment = enrolment_.get(),
+          .contacts = &contacts_,
+          .labels = &labels_});
   enrolment_service_ =
       std::make_unique<enrol::EnrolmentService>(enrolment_.get(), watch_.get(), orders_.get());
   RIPS_ASSIGN_OR_RETURN(rpc_, rpc::RpcServer::Start({.listen = config_.listen,

@@ -38,7 +38,9 @@
 #include "policy_server/server/rollout/bundle_control.h"
 #include "policy_server/server/rollout/bundle_library.h"
 #include "policy_server/server/shadow/shadows.h"
+#include "policy_server/server/shard/agent_contacts.h"
 #include "policy_server/server/shard/pipeline.h"
+#include "policy_server/server/shard/robot_labels.h"
 #include "policy_server/server/shard/server_alerts.h"
 #include "policy_server/server/shard/store_recorder.h"
 #include "policy_server/server/shard/store_watch.h"
@@ -113,6 +115,8 @@ class Server {
   const ServerConfig config_;
   RealClock clock_;
   Metrics metrics_;
+  pipeline::AgentContacts contacts_{&clock_};
+  pipeline::RobotLabels labels_;
   std::shared_ptr<const rpc::Credentials> credentials_;
   // What plugins and scanners run in.
   PluginJail jail_;
