@@ -73,18 +73,8 @@ class FakeOperator final : public FakeEnrolOperator {
 
   grpc::Status ListRobots(grpc::ServerContext*, const v1::ListRobotsRequest* request,
                           v1::ListRobotsResponse* response) override {
-    *response->add_robots() = MakeStatus("r1", "COMPROMISED");
-    *response->add_robots() = MakeStatus("r2", "DEFAULT");
+    *response = MakeRobotList(*request);
     for (const std::string& robot : no_answer) response->add_no_answer(robot);
-    response->mutable_robots(1)->clear_effective_level();
-    response->mutable_robots(1)->add_degraded("sensor base lost");
-    response->mutable_robots(1)->add_degraded("\x1b[2Jactuator");
-    AddAgent("sensor", "0.1.0", 3'000, *response->mutable_robots(0));
-    AddAgent("sensor", "\x1b]0;old\x07", 172'800'000, *response->mutable_robots(1));
-    AddAgent("actuator", "", 0, *response->mutable_robots(1));
-    response->set_server_version("0.1.0");
-    if (!request->labels().empty()) response->mutable_robots()->RemoveLast();
-    if (request->labels_size() > 1) response->clear_robots();
     return Remember(absl::StrCat("ListRobots", request->labels().empty() ? "" : " ",
                                  absl::StrJoin(request->labels(), " ")));
   }

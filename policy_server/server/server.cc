@@ -212,15 +212,16 @@ void Server::OpenRecordings() {
   auto files = flight::FlightFiles::Open(
       {.directory = config_.recordings_directory(), .bytes_max = config_.recordings_bytes});
   if (!files.ok()) return problem(files.status());
-  recordings_ = *std::move(files);
-  if (const absl::Status writable = recordings_->CheckWritable(); !writable.ok()) problem(writable);
+  recordings_.files = *std::move(files);
+  if (const absl::Status writable = recordings_.files->CheckWritable(); !writable.ok())
+    problem(writable);
   const auto recordings = [this](const char* result) {
     return metrics_.AddCounter("rips_recordings_total",
                                "Recordings of what led to alerts, by what became of them.",
                                {{"result", result}});
   };
-  flights_ = std::make_unique<flight::FlightArchive>(
-      recordings_.get(),
+  recordings_.archive = std::make_unique<flight::FlightArchive>(
+      recordings_.files.get(),
       flight::ArchiveReports{.saved = [saved = recordings("saved")] { saved.Increment(); },
                              .failed = [failed = recordings("failed")] { failed.Increment(); },
                              .problem = problem});
@@ -607,8 +608,10 @@ absl::Status Server::AddRobots() {
   };
   const pipeline::Counts counts = MakeCounts();
   std::function<std::unique_ptr<pipeline::FlightRecorder>(const std::string&)> flight_recorder;
-  if (flights_ != nullptr) {
-    flight_recorder = [this](const std::string& robot) { return flights_->NewRecorder(robot); };
+  if (recordings_.archive != nullptr) {
+    flight_recorder = [this](const std::string& robot) {
+      return recordings_.archive->NewRecorder(robot);
+    };
   }
   fleet_metrics_ = std::make_unique<FleetMetrics>(pipeline_.get(), &clock_, &metrics_);
   fleet_ = std::make_unique<Fleet>(
@@ -638,8 +641,8 @@ absl::Status Server::AddRobots() {
                   .inventory =
                       [this](const bundle::Inventory& now) {
                         fleet_metrics_->SetInventory(now);
-                        contacts_.SetListed(AgentsOf(now));
-                        labels_.Set(LabelsOf(now));
+                        listed_.contacts.SetListed(AgentsOf(now));
+                        listed_.labels.Set(LabelsOf(now));
                         if (enrolment_ != nullptr) enrolment_->SetInventory(now);
                       }});
   RIPS_RETURN_IF_ERROR(fleet_->Start());
@@ -665,7 +668,7 @@ absl::Status Server::Listen() {
                                 "rips_interests_refused_total",
                                 "Lists of wanted payloads that sensors could not apply."),
                             .fields_refused = fields_refused},
-      &contacts_);
+      &listed_.contacts);
   actuators_ = std::make_unique<dispatch::ActuatorService>(
       pipeline_.get(), watch_.get(),
       dispatch::DispatchMetrics{
@@ -681,7 +684,7 @@ absl::Status Server::Listen() {
                     [heads = heads_.get()](const auto& robot, const auto& host, auto head) {
                       heads->Compare({robot, host}, std::move(head));
                     }},
-      &contacts_);
+      &listed_.contacts);
   operators_ = std::make_unique<operator_api::OperatorService>(
       pipeline_.get(), store_.get(), hub_.get(),
       operator_api::OperatorService::Access{
@@ -698,13 +701,13 @@ absl::Status Server::Listen() {
           .quota = MakeQuota(),
           .audit = orders_.get(),
           .store_writable = [this] { return committer_->healthy(); },
-          .recordings = recordings_.get(),
+          .recordings = recordings_.files.get(),
           .bundles = bundles_.get(),
           .acks = store_.get(),
           .committer = committer_.get(),
           .enrolment = enrolment_.get(),
-          .contacts = &contacts_,
-          .labels = &labels_});
+          .contacts = &listed_.contacts,
+          .labels = &listed_.labels});
   enrolment_service_ =
       std::make_unique<enrol::EnrolmentService>(enrolment_.get(), watch_.get(), orders_.get());
   RIPS_ASSIGN_OR_RETURN(rpc_, rpc::RpcServer::Start({.listen = config_.listen,

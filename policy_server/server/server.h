@@ -115,8 +115,12 @@ class Server {
   const ServerConfig config_;
   RealClock clock_;
   Metrics metrics_;
-  pipeline::AgentContacts contacts_{&clock_};
-  pipeline::RobotLabels labels_;
+  // Of the inventory in force, for lists of robots.
+  struct Listed {
+    pipeline::AgentContacts contacts;
+    pipeline::RobotLabels labels;
+  };
+  Listed listed_{.contacts = pipeline::AgentContacts(&clock_)};
   std::shared_ptr<const rpc::Credentials> credentials_;
   // What plugins and scanners run in.
   PluginJail jail_;
@@ -137,8 +141,11 @@ class Server {
   std::unique_ptr<outputs::Outputs> outputs_;
   std::unique_ptr<pipeline::StoreRecorder> recorder_;
   // Both null if no recordings are kept.
-  std::unique_ptr<flight::FlightFiles> recordings_;
-  std::unique_ptr<flight::FlightArchive> flights_;
+  struct Recordings {
+    std::unique_ptr<flight::FlightFiles> files;
+    std::unique_ptr<flight::FlightArchive> archive;
+  };
+  Recordings recordings_;
   // Null if no certificates are issued.
   std::unique_ptr<store::SqliteEnrolments> enrolments_;
   std::unique_ptr<enrol::Enrolment> enrolment_;

@@ -17,8 +17,8 @@ std::string AgoText(uint64_t ago_ms);
 // An agent has said another version than the server's. False if one of both is not known.
 bool HasOtherVersion(const v1::RobotStatus& status, absl::string_view server_version);
 
-// Of the agent that was heard longest ago: `3 s ago`, `never`, empty without agents; with `*` behind
-// it if HasOtherVersion.
+// Of the agent that was heard longest ago: `3 s ago`, `never`, empty without agents; with `*` at
+// the end if HasOtherVersion.
 std::string OldestContact(const v1::RobotStatus& status, absl::string_view server_version);
 
 // `sensor base: version 0.9.0 (the server's is 0.1.0), heard 3 s ago`. Not escaped.
