@@ -71,15 +71,12 @@ class FakeOperator final : public FakeEnrolOperator {
     return last_level_request_;
   }
 
-  grpc::Status ListRobots(grpc::ServerContext*, const v1::ListRobotsRequest*,
+  grpc::Status ListRobots(grpc::ServerContext*, const v1::ListRobotsRequest* request,
                           v1::ListRobotsResponse* response) override {
-    *response->add_robots() = MakeStatus("r1", "COMPROMISED");
-    *response->add_robots() = MakeStatus("r2", "DEFAULT");
+    *response = MakeRobotList(*request);
     for (const std::string& robot : no_answer) response->add_no_answer(robot);
-    response->mutable_robots(1)->clear_effective_level();
-    response->mutable_robots(1)->add_degraded("sensor base lost");
-    response->mutable_robots(1)->add_degraded("\x1b[2Jactuator");
-    return Remember("ListRobots");
+    return Remember(absl::StrCat("ListRobots", request->labels().empty() ? "" : " ",
+                                 absl::StrJoin(request->labels(), " ")));
   }
   grpc::Status WatchRobots(grpc::ServerContext*, const v1::WatchRobotsRequest* request,
                            grpc::ServerWriter<v1::RobotStatus>* writer) override {

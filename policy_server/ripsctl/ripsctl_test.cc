@@ -70,13 +70,17 @@ TEST_F(RipsctlTest, ListsRobots) {
   const Result result = Run({"robot", "list"});
   EXPECT_EQ(result.code, 0);
   EXPECT_EQ(result.out,
-            "ROBOT  DECIDED      EFFECTIVE    STAGE     DECISION  BUNDLE               DEGRADED\n"
-            "r1     COMPROMISED  COMPROMISED  verified  3.17      sha256:bbbbbbbbbbbb  -\n"
-            "r2     DEFAULT      -            verified  3.17      sha256:bbbbbbbbbbbb  sensor base "
-            "lost; \\x1b[2Jactuator\n");
+            "ROBOT  DECIDED      EFFECTIVE    STAGE     DECISION  BUNDLE               HEARD    "
+            "DEGRADED\n"
+            "r1     COMPROMISED  COMPROMISED  verified  3.17      sha256:bbbbbbbbbbbb  3 s ago  -\n"
+            "r2     DEFAULT      -            verified  3.17      sha256:bbbbbbbbbbbb  never*   "
+            "sensor base lost; \\x1b[2Jactuator\n"
+            "* an agent has another version than the server, 0.1.0; see `ripsctl robot show`\n");
   EXPECT_EQ(result.err, "");
 
-  const nlohmann::json robots = RunJson({"robot", "list"})["robots"];
+  const nlohmann::json list = RunJson({"robot", "list"});
+  EXPECT_EQ(list["server_version"], "0.1.0");
+  const nlohmann::json robots = list["robots"];
   ASSERT_THAT(robots, SizeIs(2));
   EXPECT_EQ(robots[0], nlohmann::json({{"robot", "r1"},
                                        {"decided_level", "COMPROMISED"},
@@ -86,7 +90,30 @@ TEST_F(RipsctlTest, ListsRobots) {
                                        {"bundle", "sha256:" + std::string(64, 'b')},
                                        {"degraded", nlohmann::json::array()},
                                        {"degraded_cut", false},
-                                       {"pending_approvals", 0}}));
+                                       {"pending_approvals", 0},
+                                       {"agents",
+                                        {{{"role", "sensor"},
+                                          {"host", "base"},
+                                          {"version", "0.1.0"},
+                                          {"heard", "2026-01-01T00:00:00.000000000Z"},
+                                          {"heard_ago_ms", 3'000}}}}}));
+  EXPECT_EQ(robots[1]["agents"][0]["version"], "\x1b]0;old\x07") << "escaped as JSON";
+  EXPECT_EQ(robots[1]["agents"][1]["heard"], nullptr);
+  EXPECT_EQ(robots[1]["agents"][1]["heard_ago_ms"], nullptr);
+}
+
+TEST_F(RipsctlTest, ListsTheRobotsWithAllOfTheLabels) {
+  const Result result = Run({"robot", "list", "--label", "ring=canary"});
+  EXPECT_EQ(result.code, 0);
+  EXPECT_THAT(result.out, testing::Not(testing::HasSubstr("r2")));
+  EXPECT_EQ(fake_.calls().back(), "ListRobots ring=canary");
+  const Result none = Run({"robot", "list", "--label", "ring=canary", "--label", "site=x"});
+  EXPECT_EQ(none.code, 1);
+  EXPECT_EQ(none.err, "error: the inventory has no robot with ring=canary site=x\n");
+  const Result malformed = Run({"robot", "list", "--label", "canary\x1b[2J"});
+  EXPECT_NE(malformed.code, 0);
+  EXPECT_THAT(malformed.err, testing::HasSubstr("is not a label; write KEY=VALUE"));
+  EXPECT_THAT(malformed.err, testing::Not(testing::HasSubstr("\x1b")));
 }
 
 TEST_F(RipsctlTest, WatchesRobotsUntilTheServerEndsIt) {
@@ -125,6 +152,10 @@ TEST_F(RipsctlTest, ShowsOneRobot) {
                                      "bundle           sha256:",
                                      std::string(64, 'b'),
                                      "\n"
+                                     "agent            sensor base: version \\x1b]0;old\\x07 (the "
+                                     "server's is 0.1.0), heard 2 d ago\n"
+                                     "agent            actuator base: not heard since the server's "
+                                     "start\n"
                                      "degraded         sensor base lost\n"
                                      "degraded         \\x1b[2Jactuator\n"));
   EXPECT_EQ(RunJson({"robot", "show", "r1"})["decided_level"], "COMPROMISED");

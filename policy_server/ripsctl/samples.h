@@ -30,6 +30,36 @@ inline v1::RobotStatus MakeStatus(const std::string& robot, const std::string& l
   return status;
 }
 
+// `ago_ms` 0: it was not heard.
+inline void AddAgent(const std::string& role, const std::string& version, uint64_t ago_ms,
+                     v1::RobotStatus& status) {
+  v1::AgentContact* agent = status.add_agents();
+  agent->set_role(role);
+  agent->set_host("base");
+  agent->set_version(version);
+  agent->set_heard_unix_ns(ago_ms == 0 ? 0 : kNewYear);
+  agent->set_heard_ago_ms(ago_ms);
+}
+
+// r1 and r2; only r1 with one label, none with more.
+inline v1::ListRobotsResponse MakeRobotList(const v1::ListRobotsRequest& request) {
+  v1::ListRobotsResponse response;
+  response.set_server_version("0.1.0");
+  if (request.labels_size() > 1) return response;
+  v1::RobotStatus& first = *response.add_robots();
+  first = MakeStatus("r1", "COMPROMISED");
+  AddAgent("sensor", "0.1.0", 3'000, first);
+  if (request.labels_size() > 0) return response;
+  v1::RobotStatus& second = *response.add_robots();
+  second = MakeStatus("r2", "DEFAULT");
+  second.clear_effective_level();
+  second.add_degraded("sensor base lost");
+  second.add_degraded("\x1b[2Jactuator");
+  AddAgent("sensor", "\x1b]0;old\x07", 172'800'000, second);
+  AddAgent("actuator", "", 0, second);
+  return response;
+}
+
 // The file of a recording, with one event, a second and a half after its start.
 inline std::string MakeAlertRecording() {
   const recording::RecordedOrigin origin{

@@ -6,8 +6,8 @@
 #include <vector>
 
 #include "absl/strings/str_cat.h"
+#include "policy_server/policy/bundle/inventory_files.h"
 #include "services/base/status_macros.h"
-#include "services/runtime/config_sections.h"
 #include "services/runtime/log.h"
 
 namespace rips::server {
@@ -44,6 +44,29 @@ std::string FirstLine(absl::string_view text) {
 
 }  // namespace
 
+std::vector<pipeline::AgentId> AgentsOf(const bundle::Inventory& inventory) {
+  std::vector<pipeline::AgentId> agents;
+  for (const bundle::InventoryRobot& robot : inventory.robots) {
+    for (const bundle::InventorySensor& sensor : robot.sensors) {
+      agents.push_back({robot.id, pipeline::AgentKind::kSensor, sensor.host});
+    }
+    for (const std::string& host : robot.actuators) {
+      agents.push_back({robot.id, pipeline::AgentKind::kActuator, host});
+    }
+  }
+  return agents;
+}
+
+pipeline::RobotLabels::Labels LabelsOf(const bundle::Inventory& inventory) {
+  pipeline::RobotLabels::Labels labels;
+  for (const bundle::InventoryRobot& robot : inventory.robots) {
+    for (const auto& [key, value] : robot.labels) {
+      labels[robot.id].insert(absl::StrCat(key, "=", value));
+    }
+  }
+  return labels;
+}
+
 Fleet::Fleet(FleetOptions options, store::Store* store, pipeline::Pipeline* pipeline,
              pipeline::ServerAlerts* alerts, PolicySource* policies, pipeline::Ports ports,
              FleetCounts counts)
@@ -60,8 +83,8 @@ Fleet::Fleet(FleetOptions options, store::Store* store, pipeline::Pipeline* pipe
 }
 
 absl::StatusOr<bundle::Inventory> Fleet::ReadInventory() const {
-  RIPS_ASSIGN_OR_RETURN(const std::string text, ReadConfigFile(options_.inventory));
-  return bundle::ParseInventory(options_.inventory, text);
+  RIPS_ASSIGN_OR_RETURN(bundle::InventoryFiles read, bundle::ReadInventory(options_.inventory));
+  return std::move(read.inventory);
 }
 
 absl::Status Fleet::Start() {
@@ -287,12 +310,6 @@ std::string Fleet::Problem(const std::string& robot) const {
   return found == problems_.end() ? "" : found->second;
 }
 
-int Fleet::agents() const {
-  size_t count = 0;
-  for (const bundle::InventoryRobot& robot : inventory_.robots) {
-    count += robot.sensors.size() + robot.actuators.size();
-  }
-  return static_cast<int>(count);
-}
+int Fleet::agents() const { return static_cast<int>(AgentsOf(inventory_).size()); }
 
 }  // namespace rips::server

@@ -24,6 +24,7 @@
 #include <functional>
 #include <set>
 #include <string>
+#include <vector>
 
 #include "absl/container/btree_map.h"
 #include "absl/status/status.h"
@@ -31,14 +32,16 @@
 #include "absl/time/time.h"
 #include "policy_server/policy/bundle/inventory.h"
 #include "policy_server/server/policy_source.h"
+#include "policy_server/server/shard/agent_contacts.h"
 #include "policy_server/server/shard/pipeline.h"
+#include "policy_server/server/shard/robot_labels.h"
 #include "policy_server/server/shard/server_alerts.h"
 #include "policy_server/server/store/store.h"
 
 namespace rips::server {
 
 struct FleetOptions {
-  // A path, as ServerConfig's.
+  // A file or a directory, as ServerConfig's.
   std::string inventory;
   pipeline::Timing timing;
   // How long a robot that was removed may take to be gone before it can be added again.
@@ -54,6 +57,10 @@ struct FleetCounts {
   // The inventory that is in force from now on; before Start returns, and at each Reload.
   std::function<void(const bundle::Inventory&)> inventory;
 };
+
+// The sensors and actuators that it lists.
+std::vector<pipeline::AgentId> AgentsOf(const bundle::Inventory& inventory);
+pipeline::RobotLabels::Labels LabelsOf(const bundle::Inventory& inventory);
 
 // One thread at a time.
 class Fleet {

@@ -267,6 +267,50 @@ TEST_F(FleetTest, AnInventoryThatIsRefusedLeavesTheOldOneInForce) {
               HasSubstr("the inventory is refused, the old one stays in force"));
 }
 
+TEST_F(FleetTest, ADirectoryIsTakenAsAWholeOrTheOldInventoryStays) {
+  const std::string dir = dir_.File("robots.d");
+  std::filesystem::create_directory(dir);
+  const auto list = [&](const char* file, const std::string& robot) {
+    options_.inventory = absl::StrCat(dir, "/", file);
+    List({{robot, "good"}});
+    options_.inventory = dir;
+  };
+  list("a.yaml", "r1");
+  list("b.yaml", "r2");
+  ASSERT_THAT(Start(), IsOk());
+  EXPECT_THAT(pipeline_->robots(), ElementsAre("r1", "r2"));
+  list("c.yaml", "r3");
+  list("b.yaml", "r1");
+  fleet_->Reload();
+  EXPECT_THAT(pipeline_->robots(), ElementsAre("r1", "r2")) << "r1 is in two files: not even r3";
+  std::filesystem::remove(dir + "/b.yaml");
+  fleet_->Reload();
+  EXPECT_THAT(pipeline_->robots(), ElementsAre("r1", "r3"));
+  std::filesystem::remove_all(dir);
+  fleet_->Reload();
+  EXPECT_THAT(pipeline_->robots(), ElementsAre("r1", "r3")) << "the directory vanished";
+  std::filesystem::create_directory(dir);
+  fleet_->Reload();
+  EXPECT_THAT(pipeline_->robots(), ElementsAre("r1", "r3")) << "it is empty";
+  Stop();
+  const auto alerts = store_.ListAlerts(std::string(store::kServerRobot), 100);
+  ASSERT_THAT(alerts, IsOk());
+  bool named = false;
+  for (const store::AlertRecord& alert : *alerts) {
+    named |= absl::StrContains(alert.text, "a.yaml") && absl::StrContains(alert.text, "b.yaml");
+  }
+  EXPECT_TRUE(named);
+}
+
+TEST_F(FleetTest, KnowsAgentsAndLabelsOfTheInventory) {
+  const bundle::Inventory inventory = {
+      {{.id = "r1", .sensors = {{"base", true}}, .actuators = {"arm"}, .labels = {{"k", "v"}}}}};
+  EXPECT_THAT(AgentsOf(inventory),
+              ElementsAre(pipeline::AgentId{"r1", pipeline::AgentKind::kSensor, "base"},
+                          pipeline::AgentId{"r1", pipeline::AgentKind::kActuator, "arm"}));
+  EXPECT_TRUE(LabelsOf(inventory).at("r1").contains("k=v"));
+}
+
 TEST_F(FleetTest, TellsTheInventoryInForceAtTheStartAndAtEachReload) {
   ASSERT_THAT(Start(), IsOk());
   List({{"r2", "other"}, {"r3", "good"}});

@@ -6,7 +6,7 @@
 #include <string>
 #include <utility>
 
-#include "policy_server/policy/bundle/inventory.h"
+#include "policy_server/policy/bundle/inventory_files.h"
 #include "policy_server/server/config/config.h"
 #include "policy_server/server/config/needed_files.h"
 #include "policy_server/server/enrol/enrolment.h"
@@ -25,11 +25,11 @@ namespace {
 // --check-config: of the files that the configuration names, too.
 int CheckConfig(const std::string& file, const rips::server::ParsedServerConfig& parsed) {
   absl::Status problem = rips::server::CheckNeededDirectories(file, parsed.config);
+  rips::bundle::InventoryFiles inventory;
   if (problem.ok()) {
-    const absl::StatusOr<std::string> inventory = rips::ReadConfigFile(parsed.config.inventory);
-    problem = inventory.ok()
-                  ? rips::bundle::ParseInventory(parsed.config.inventory, *inventory).status()
-                  : inventory.status();
+    auto read = rips::bundle::ReadInventory(parsed.config.inventory);
+    problem = read.status();
+    if (read.ok()) inventory = *std::move(read);
   }
   const rips::server::EnrolmentConfig& enrolment = parsed.config.enrolment;
   if (problem.ok() && !enrolment.cert.empty()) {
@@ -41,6 +41,9 @@ int CheckConfig(const std::string& file, const rips::server::ParsedServerConfig&
     return rips::kExitConfig;
   }
   std::fputs(parsed.effective.c_str(), stdout);
+  for (const auto& [path, robots] : inventory.files) {
+    std::printf("robots of %s: %zu\n", path.c_str(), robots);
+  }
   return 0;
 }
 

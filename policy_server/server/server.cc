@@ -11,6 +11,7 @@
 #include "absl/strings/escaping.h"
 #include "absl/strings/str_cat.h"
 #include "policy_server/policy/bundle/bundle_keep.h"
+#include "policy_server/policy/bundle/inventory_files.h"
 #include "policy_server/server/audit/store_audit.h"
 #include "services/base/ids.h"
 #include "services/base/status_macros.h"
@@ -109,8 +110,7 @@ absl::StatusOr<std::unique_ptr<Server>> Server::Start(const ServerConfig& config
 
 absl::Status Server::Open() {
   // Read again with the robots; what is malformed must not wait for certificates.
-  RIPS_ASSIGN_OR_RETURN(const std::string text, ReadConfigFile(config_.inventory));
-  RIPS_RETURN_IF_ERROR(bundle::ParseInventory(config_.inventory, text).status());
+  RIPS_RETURN_IF_ERROR(bundle::ReadInventory(config_.inventory).status());
   RIPS_ASSIGN_OR_RETURN(store_, store::SqliteStore::Open(config_.store_path));
   const Counter rotation_failures = metrics_.AddCounter(
       "rips_alert_file_rotation_failures_total", "Attempts to rotate the alert file that failed.");
@@ -214,15 +214,16 @@ void Server::OpenRecordings() {
   auto files = flight::FlightFiles::Open(
       {.directory = config_.recordings_directory(), .bytes_max = config_.recordings_bytes});
   if (!files.ok()) return problem(files.status());
-  recordings_ = *std::move(files);
-  if (const absl::Status writable = recordings_->CheckWritable(); !writable.ok()) problem(writable);
+  recordings_.files = *std::move(files);
+  if (const absl::Status writable = recordings_.files->CheckWritable(); !writable.ok())
+    problem(writable);
   const auto recordings = [this](const char* result) {
     return metrics_.AddCounter("rips_recordings_total",
                                "Recordings of what led to alerts, by what became of them.",
                                {{"result", result}});
   };
-  flights_ = std::make_unique<flight::FlightArchive>(
-      recordings_.get(),
+  recordings_.archive = std::make_unique<flight::FlightArchive>(
+      recordings_.files.get(),
       flight::ArchiveReports{.saved = [saved = recordings("saved")] { saved.Increment(); },
                              .failed = [failed = recordings("failed")] { failed.Increment(); },
                              .problem = problem});
@@ -610,8 +611,10 @@ absl::Status Server::AddRobots() {
   };
   const pipeline::Counts counts = MakeCounts();
   std::function<std::unique_ptr<pipeline::FlightRecorder>(const std::string&)> flight_recorder;
-  if (flights_ != nullptr) {
-    flight_recorder = [this](const std::string& robot) { return flights_->NewRecorder(robot); };
+  if (recordings_.archive != nullptr) {
+    flight_recorder = [this](const std::string& robot) {
+      return recordings_.archive->NewRecorder(robot);
+    };
   }
   fleet_metrics_ = std::make_unique<FleetMetrics>(pipeline_.get(), &clock_, &metrics_);
   fleet_ = std::make_unique<Fleet>(
@@ -641,6 +644,8 @@ absl::Status Server::AddRobots() {
                   .inventory =
                       [this](const bundle::Inventory& now) {
                         fleet_metrics_->SetInventory(now);
+                        listed_.contacts.SetListed(AgentsOf(now));
+                        listed_.labels.Set(LabelsOf(now));
                         if (enrolment_ != nullptr) enrolment_->SetInventory(now);
                       }});
   RIPS_RETURN_IF_ERROR(fleet_->Start());
@@ -665,7 +670,8 @@ absl::Status Server::Listen() {
                             .interests_refused = metrics_.AddCounter(
                                 "rips_interests_refused_total",
                                 "Lists of wanted payloads that sensors could not apply."),
-                            .fields_refused = fields_refused});
+                            .fields_refused = fields_refused},
+      &listed_.contacts);
   actuators_ = std::make_unique<dispatch::ActuatorService>(
       pipeline_.get(), watch_.get(),
       dispatch::DispatchMetrics{
@@ -680,7 +686,8 @@ absl::Status Server::Listen() {
                 .returned =
                     [heads = heads_.get()](const auto& robot, const auto& host, auto head) {
                       heads->Compare({robot, host}, std::move(head));
-                    }});
+                    }},
+      &listed_.contacts);
   operators_ = std::make_unique<operator_api::OperatorService>(
       pipeline_.get(), store_.get(), hub_.get(),
       operator_api::OperatorService::Access{
@@ -697,11 +704,13 @@ absl::Status Server::Listen() {
           .quota = MakeQuota(),
           .audit = orders_.get(),
           .store_writable = [this] { return committer_->healthy(); },
-          .recordings = recordings_.get(),
+          .recordings = recordings_.files.get(),
           .bundles = bundles_.get(),
           .acks = store_.get(),
           .committer = committer_.get(),
-          .enrolment = enrolment_.get()});
+          .enrolment = enrolment_.get(),
+          .contacts = &listed_.contacts,
+          .labels = &listed_.labels});
   enrolment_service_ =
       std::make_unique<enrol::EnrolmentService>(enrolment_.get(), watch_.get(), orders_.get());
   RIPS_ASSIGN_OR_RETURN(rpc_, rpc::RpcServer::Start({.listen = config_.listen,

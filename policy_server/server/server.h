@@ -38,7 +38,9 @@
 #include "policy_server/server/rollout/bundle_control.h"
 #include "policy_server/server/rollout/bundle_library.h"
 #include "policy_server/server/shadow/shadows.h"
+#include "policy_server/server/shard/agent_contacts.h"
 #include "policy_server/server/shard/pipeline.h"
+#include "policy_server/server/shard/robot_labels.h"
 #include "policy_server/server/shard/server_alerts.h"
 #include "policy_server/server/shard/store_recorder.h"
 #include "policy_server/server/shard/store_watch.h"
@@ -120,6 +122,12 @@ class Server {
   const std::function<void()> advanced_;
   RealClock clock_;
   Metrics metrics_;
+  // Of the inventory in force, for lists of robots.
+  struct Listed {
+    pipeline::AgentContacts contacts;
+    pipeline::RobotLabels labels;
+  };
+  Listed listed_{.contacts = pipeline::AgentContacts(&clock_)};
   std::shared_ptr<const rpc::Credentials> credentials_;
   // What plugins and scanners run in.
   PluginJail jail_;
@@ -140,8 +148,11 @@ class Server {
   std::unique_ptr<outputs::Outputs> outputs_;
   std::unique_ptr<pipeline::StoreRecorder> recorder_;
   // Both null if no recordings are kept.
-  std::unique_ptr<flight::FlightFiles> recordings_;
-  std::unique_ptr<flight::FlightArchive> flights_;
+  struct Recordings {
+    std::unique_ptr<flight::FlightFiles> files;
+    std::unique_ptr<flight::FlightArchive> archive;
+  };
+  Recordings recordings_;
   // Null if no certificates are issued.
   std::unique_ptr<store::SqliteEnrolments> enrolments_;
   std::unique_ptr<enrol::Enrolment> enrolment_;

@@ -75,16 +75,27 @@ std::string DecisionIdText(const v1::DecisionId& decision_id) {
   return absl::StrCat(decision_id.term(), ".", decision_id.epoch());
 }
 
+Json ToJson(const v1::AgentContact& agent) {
+  const bool heard = agent.heard_unix_ns() != 0;
+  return {{"role", agent.role()},
+          {"host", agent.host()},
+          {"version", agent.version()},
+          {"heard", heard ? Json(FullTime(agent.heard_unix_ns())) : Json(nullptr)},
+          {"heard_ago_ms", heard ? Json(agent.heard_ago_ms()) : Json(nullptr)}};
+}
+
 Json ToJson(const v1::RobotStatus& status) {
-  return {{"robot", status.robot()},
-          {"decided_level", status.decided_level()},
-          {"effective_level", status.effective_level()},
-          {"stage", status.stage()},
-          {"decision_id", JsonDecisionId(status.has_decision_id(), status.decision_id())},
-          {"bundle", status.bundle_version()},
-          {"degraded", Strings(status.degraded())},
-          {"degraded_cut", status.degraded_cut()},
-          {"pending_approvals", status.pending_approvals()}};
+  Json json = {{"robot", status.robot()},
+               {"decided_level", status.decided_level()},
+               {"effective_level", status.effective_level()},
+               {"stage", status.stage()},
+               {"decision_id", JsonDecisionId(status.has_decision_id(), status.decision_id())},
+               {"bundle", status.bundle_version()},
+               {"degraded", Strings(status.degraded())},
+               {"degraded_cut", status.degraded_cut()},
+               {"pending_approvals", status.pending_approvals()}};
+  if (!status.agents().empty()) json["agents"] = List(status.agents());
+  return json;
 }
 
 Json ToJson(const v1::Transition& transition) {

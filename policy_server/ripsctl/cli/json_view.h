@@ -14,7 +14,10 @@ namespace rips::ripsctl {
 
 using Json = nlohmann::ordered_json;
 
-// {"robot","decided_level","effective_level","stage","decision_id","bundle","degraded":[..]}
+// {"role","host","version","heard","heard_ago_ms"}; the last two are null if it was not heard.
+Json ToJson(const v1::AgentContact& agent);
+// {"robot","decided_level","effective_level","stage","decision_id","bundle","degraded":[..],
+// "degraded_cut","pending_approvals","agents":[..]}; without "agents" if the answer has none.
 Json ToJson(const v1::RobotStatus& status);
 // {"id","robot","time","from","to","cause","reason","decision_id","refused","count","stage",
 // "detail"}

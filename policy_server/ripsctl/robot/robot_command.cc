@@ -7,11 +7,13 @@
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_join.h"
 #include "absl/time/clock.h"
+#include "policy_server/policy/bundle/inventory.h"
 #include "policy_server/ripsctl/cli/json_output.h"
 #include "policy_server/ripsctl/cli/keep_watching.h"
 #include "policy_server/ripsctl/cli/printer.h"
 #include "policy_server/ripsctl/cli/robot_level.h"
 #include "policy_server/ripsctl/commands.h"
+#include "policy_server/ripsctl/robot/agent_contact_text.h"
 #include "services/base/status_macros.h"
 
 namespace rips::ripsctl {
@@ -30,28 +32,59 @@ std::string DegradedText(const v1::RobotStatus& status) {
 class ListRobots final : public Command {
  public:
   ListRobots() : Command({"robot", "list", "Show all robots and their levels"}) {}
+  void AddFlags(CLI::App& app) override {
+    app.add_option("--label", labels_,
+                   "Only robots that have all of these labels in the inventory, each KEY=VALUE");
+  }
+  absl::Status Check() override {
+    for (const std::string& label : labels_) {
+      RIPS_RETURN_IF_ERROR(bundle::ParseLabel(label).status());
+    }
+    return absl::OkStatus();
+  }
   absl::StatusOr<ExitCode> Run(Env& env) override {
-    RIPS_ASSIGN_OR_RETURN(const auto response,
-                          Call(env, &Stub::ListRobots, v1::ListRobotsRequest()));
+    v1::ListRobotsRequest request;
+    for (const std::string& label : labels_) request.add_labels(label);
+    RIPS_ASSIGN_OR_RETURN(const auto response, Call(env, &Stub::ListRobots, request));
+    if (!labels_.empty() && response.robots().empty() && response.no_answer().empty()) {
+      return absl::NotFoundError(
+          absl::StrCat("the inventory has no robot with ", absl::StrJoin(labels_, " ")));
+    }
     const ExitCode code = response.no_answer().empty() ? ExitCode::kDone : ExitCode::kRefused;
     if (env.json()) {
-      PrintJson(
-          {{"robots", JsonList(response.robots())}, {"no_answer", JsonList(response.no_answer())}},
-          env.out);
+      PrintJson({{"robots", JsonList(response.robots())},
+                 {"no_answer", JsonList(response.no_answer())},
+                 {"server_version", response.server_version()}},
+                env.out);
       return code;
     }
-    Table table({"ROBOT", "DECIDED", "EFFECTIVE", "STAGE", "DECISION", "BUNDLE", "DEGRADED"});
+    PrintTable(response, env.out);
+    return code;
+  }
+
+ private:
+  static void PrintTable(const v1::ListRobotsResponse& response, std::ostream& out) {
+    const std::string& version = response.server_version();
+    bool other_version = false;
+    Table table(
+        {"ROBOT", "DECIDED", "EFFECTIVE", "STAGE", "DECISION", "BUNDLE", "HEARD", "DEGRADED"});
     for (const v1::RobotStatus& status : response.robots()) {
       table.Add({status.robot(), status.decided_level(), status.effective_level(),
                  StageAndPending(status), DecisionIdText(status.decision_id()),
-                 ShortBundle(status.bundle_version()), DegradedText(status)});
+                 ShortBundle(status.bundle_version()), OldestContact(status, version),
+                 DegradedText(status)});
+      other_version |= HasOtherVersion(status, version);
     }
     for (const std::string& robot : response.no_answer()) {
-      table.Add({robot, "", "", "", "", "", "no response in time: the server is overloaded"});
+      table.Add({robot, "", "", "", "", "", "", "no response in time: the server is overloaded"});
     }
-    table.Print(env.out);
-    return code;
+    table.Print(out);
+    if (!other_version) return;
+    out << "* an agent has another version than the server, " << EscapeText(version)
+        << "; see `ripsctl robot show`\n";
   }
+
+  std::vector<std::string> labels_;
 };
 
 class WatchRobots final : public Command {
@@ -102,7 +135,7 @@ class ShowRobot final : public RobotCommand {
     RIPS_ASSIGN_OR_RETURN(const auto response,
                           Call(env, &Stub::ListRobots, v1::ListRobotsRequest()));
     for (const v1::RobotStatus& status : response.robots()) {
-      if (status.robot() == robot_) return Print(env, status);
+      if (status.robot() == robot_) return Print(env, status, response.server_version());
     }
     for (const std::string& silent : response.no_answer()) {
       if (silent != robot_) continue;
@@ -117,10 +150,13 @@ class ShowRobot final : public RobotCommand {
   }
 
  private:
-  static ExitCode Print(Env& env, const v1::RobotStatus& status) {
+  static ExitCode Print(Env& env, const v1::RobotStatus& status, absl::string_view server_version) {
     if (env.json()) return PrintJson(env, ToJson(status));
     Table table = StatusTable(status);
     table.Add({"bundle", status.bundle_version()});
+    for (const v1::AgentContact& agent : status.agents()) {
+      table.Add({"agent", AgentText(agent, server_version)});
+    }
     for (const std::string& each : status.degraded()) table.Add({"degraded", each});
     if (status.degraded_cut()) {
       table.Add({"degraded", "(more than fits here; see `ripsctl level show`)"});

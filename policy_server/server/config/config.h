@@ -96,6 +96,7 @@ struct ServerConfig {
   std::string trust_domain;
   TlsFiles tls;
   // Paths are absolute.
+  // A file, or a directory of files `*.yaml` (bundle::ReadInventory).
   std::string inventory = "/etc/rips/robots.yaml";
   // `bundles_source`/NAME/manifest.yaml is read at start and on SIGHUP.
   std::string bundles_source = "/etc/rips/bundles";

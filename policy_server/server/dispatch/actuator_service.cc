@@ -91,11 +91,13 @@ class ActuatorStream final : public Stream {
  public:
   ActuatorStream(const absl::StatusOr<rpc::Peer>& peer, grpc::CallbackServerContext* context,
                  pipeline::Pipeline* pipeline, rpc::SessionWatch* watch,
-                 const DispatchMetrics& metrics, const AuditHeads* heads)
+                 const DispatchMetrics& metrics, const AuditHeads* heads,
+                 pipeline::AgentContacts* contacts)
       : pipeline_(pipeline),
         watch_(watch),
         metrics_(metrics),
         heads_(heads),
+        contacts_(contacts),
         link_(std::make_shared<Link>(outbound(), metrics.commands, &pipeline->logs(),
                                      heads->newest)) {
     if (!peer.ok()) {
@@ -114,6 +116,7 @@ class ActuatorStream final : public Stream {
  private:
   void OnMessage(ActuatorMessage& message) override {
     watch_->Heard(*session_, message.ByteSizeLong());
+    if (heard_ != nullptr) *heard_ = session_->heard_boottime_ns.load();
     if (refused_) return;  // came before the peer heard of it
     if (const auto hit = wire_limits::Check(message)) return RefuseField(*hit);
     if (!session_->greeted && !message.has_hello()) {
@@ -143,6 +146,10 @@ class ActuatorStream final : public Stream {
           {"claim",
            absl::PermissionDeniedError("the hello names another host than the certificate")},
           &session_->peer, address_));
+    }
+    if (contacts_ != nullptr) {
+      heard_ = contacts_->Greeted({mailbox_->robot(), pipeline::AgentKind::kActuator, host_},
+                                  hello.hello().version());
     }
     absl::StatusOr<pipeline::ActuatorHello> decoded = model_proto::Decode(hello);
     if (!decoded.ok()) return Refuse(decoded.status());
@@ -211,6 +218,9 @@ class ActuatorStream final : public Stream {
   rpc::SessionWatch* watch_;
   DispatchMetrics metrics_;
   const AuditHeads* heads_;
+  pipeline::AgentContacts* contacts_;
+  // Null before the hello, and of an agent that is not listed.
+  std::shared_ptr<pipeline::AgentContacts::Heard> heard_;
   std::shared_ptr<Link> link_;
   std::shared_ptr<rpc::SessionWatch::Session> session_;
   std::optional<pipeline::Mailbox> mailbox_;
@@ -224,7 +234,7 @@ class ActuatorStream final : public Stream {
 grpc::ServerBidiReactor<ActuatorMessage, ActuatorReply>* ActuatorService::Attach(
     grpc::CallbackServerContext* context) {
   return new ActuatorStream(watch_->Admit(*context, rpc::Role::kActuator), context, pipeline_,
-                            watch_, metrics_, &heads_);
+                            watch_, metrics_, &heads_, contacts_);
 }
 
 }  // namespace rips::dispatch

@@ -6,6 +6,7 @@
 #include <string>
 #include <utility>
 
+#include "policy_server/server/shard/agent_contacts.h"
 #include "policy_server/server/shard/pipeline.h"
 #include "rips/v1/actuator.grpc.pb.h"
 #include "services/model/audit_head.h"
@@ -35,10 +36,14 @@ struct AuditHeads {
 // Robot, host and role are taken from the certificate alone.
 class ActuatorService final : public rips::v1::ActuatorService::CallbackService {
  public:
-  // Not owned; both outlive every call.
+  // Not owned; all outlive every call. `contacts` may be null.
   ActuatorService(pipeline::Pipeline* pipeline, rpc::SessionWatch* watch, DispatchMetrics metrics,
-                  AuditHeads heads = {})
-      : pipeline_(pipeline), watch_(watch), metrics_(metrics), heads_(std::move(heads)) {}
+                  AuditHeads heads = {}, pipeline::AgentContacts* contacts = nullptr)
+      : pipeline_(pipeline),
+        watch_(watch),
+        metrics_(metrics),
+        heads_(std::move(heads)),
+        contacts_(contacts) {}
 
   grpc::ServerBidiReactor<rips::v1::ActuatorMessage, rips::v1::ActuatorReply>* Attach(
       grpc::CallbackServerContext* context) override;
@@ -48,6 +53,7 @@ class ActuatorService final : public rips::v1::ActuatorService::CallbackService 
   rpc::SessionWatch* watch_;
   DispatchMetrics metrics_;
   const AuditHeads heads_;
+  pipeline::AgentContacts* contacts_;
 };
 
 }  // namespace rips::dispatch

@@ -146,10 +146,12 @@ class Link final : public pipeline::SensorLink {
 class SensorStream final : public Stream {
  public:
   SensorStream(const absl::StatusOr<rpc::Peer>& peer, grpc::CallbackServerContext* context,
-               pipeline::Pipeline* pipeline, rpc::SessionWatch* watch, const IngestMetrics& metrics)
+               pipeline::Pipeline* pipeline, rpc::SessionWatch* watch, const IngestMetrics& metrics,
+               pipeline::AgentContacts* contacts)
       : pipeline_(pipeline),
         watch_(watch),
         metrics_(metrics),
+        contacts_(contacts),
         link_(std::make_shared<Link>(outbound(), &pipeline->logs())) {
     if (!peer.ok()) {
       outbound()->Close(rpc::ToGrpc(peer.status()));
@@ -167,6 +169,7 @@ class SensorStream final : public Stream {
  private:
   void OnMessage(SensorMessage& message) override {
     watch_->Heard(*session_, message.ByteSizeLong());
+    if (heard_ != nullptr) *heard_ = session_->heard_boottime_ns.load();
     if (refused_) return;  // came before the peer heard of it
     if (const auto hit = wire_limits::Check(message)) return RefuseField(*hit);
     if (!session_->greeted && !message.has_hello()) {
@@ -199,6 +202,10 @@ class SensorStream final : public Stream {
           {"claim",
            absl::PermissionDeniedError("the hello names another host than the certificate")},
           &session_->peer, address_));
+    }
+    if (contacts_ != nullptr) {
+      heard_ = contacts_->Greeted({mailbox_->robot(), pipeline::AgentKind::kSensor, host_},
+                                  hello.hello().version());
     }
     absl::StatusOr<pipeline::SensorHello> decoded = DecodeHello(hello);
     if (!decoded.ok()) return Refuse(decoded.status());
@@ -302,6 +309,9 @@ class SensorStream final : public Stream {
   pipeline::Pipeline* pipeline_;
   rpc::SessionWatch* watch_;
   IngestMetrics metrics_;
+  pipeline::AgentContacts* contacts_;
+  // Null before the hello, and of an agent that is not listed.
+  std::shared_ptr<pipeline::AgentContacts::Heard> heard_;
   std::shared_ptr<Link> link_;
   std::shared_ptr<rpc::SessionWatch::Session> session_;
   std::optional<pipeline::Mailbox> mailbox_;
@@ -318,7 +328,7 @@ class SensorStream final : public Stream {
 grpc::ServerBidiReactor<SensorMessage, SensorReply>* SensorService::Observe(
     grpc::CallbackServerContext* context) {
   return new SensorStream(watch_->Admit(*context, rpc::Role::kSensor), context, pipeline_, watch_,
-                          metrics_);
+                          metrics_, contacts_);
 }
 
 }  // namespace rips::ingest

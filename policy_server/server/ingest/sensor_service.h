@@ -2,6 +2,7 @@
 #ifndef RIPS_POLICY_SERVER_SERVER_INGEST_SENSOR_SERVICE_H_
 #define RIPS_POLICY_SERVER_SERVER_INGEST_SENSOR_SERVICE_H_
 
+#include "policy_server/server/shard/agent_contacts.h"
 #include "policy_server/server/shard/pipeline.h"
 #include "rips/v1/sensor.grpc.pb.h"
 #include "services/rpc/session_watch.h"
@@ -23,9 +24,10 @@ struct IngestMetrics {
 // Robot, host and role are taken from the certificate alone.
 class SensorService final : public rips::v1::SensorService::CallbackService {
  public:
-  // Not owned; both outlive every call.
-  SensorService(pipeline::Pipeline* pipeline, rpc::SessionWatch* watch, IngestMetrics metrics)
-      : pipeline_(pipeline), watch_(watch), metrics_(metrics) {}
+  // Not owned; all outlive every call. `contacts` may be null.
+  SensorService(pipeline::Pipeline* pipeline, rpc::SessionWatch* watch, IngestMetrics metrics,
+                pipeline::AgentContacts* contacts = nullptr)
+      : pipeline_(pipeline), watch_(watch), metrics_(metrics), contacts_(contacts) {}
 
   grpc::ServerBidiReactor<rips::v1::SensorMessage, rips::v1::SensorReply>* Observe(
       grpc::CallbackServerContext* context) override;
@@ -34,6 +36,7 @@ class SensorService final : public rips::v1::SensorService::CallbackService {
   pipeline::Pipeline* pipeline_;
   rpc::SessionWatch* watch_;
   IngestMetrics metrics_;
+  pipeline::AgentContacts* contacts_;
 };
 
 }  // namespace rips::ingest

@@ -39,12 +39,13 @@ struct Sensor {
     context.set_deadline(std::chrono::system_clock::now() + std::chrono::seconds(60));
     stream = stub->Observe(&context);
   }
-  void Hello(const std::string& in_use = "") {
+  void Hello(const std::string& in_use = "", const std::string& version = "") {
     SensorMessage message;
     auto* hello = message.mutable_hello()->mutable_hello();
     hello->set_protocol(1);
     hello->set_incarnation(std::string(16, 'i'));
     hello->set_host("base");
+    hello->set_version(version);
     hello->mutable_clock()->set_boottime_ns(static_cast<uint64_t>(BoottimeNow()));
     message.mutable_hello()->set_interest_in_use(in_use);
     stream->Write(message);
@@ -180,12 +181,14 @@ class SensorServiceTest : public ::testing::Test {
   pipeline::FakeObserver audience_;
   pipeline::Pipeline pipeline_{1, &clock_};
   rpc::SessionWatch watch_{&clock_};
+  pipeline::AgentContacts contacts_{&clock_};
   Counter malformed_ = metrics_.AddCounter("malformed_total", "Refused as malformed.");
   SensorService service_{&pipeline_,
                          &watch_,
                          {.malformed = malformed_,
                           .interests_refused = refused_,
-                          .fields_refused = wire_limits::LimitCounters(&metrics_)}};
+                          .fields_refused = wire_limits::LimitCounters(&metrics_)},
+                         &contacts_};
   std::unique_ptr<rpc::RpcServer> server_;
   std::shared_ptr<grpc::Channel> channel_;
 };
@@ -297,6 +300,32 @@ TEST_F(SensorServiceTest, AFieldPastItsLimitEndsTheStreamIsCountedAndTold) {
     return count;
   };
   EXPECT_EQ(told(), 1);
+}
+
+TEST_F(SensorServiceTest, AVersionAndTheLastContactOutliveTheStream) {
+  contacts_.SetListed({{"r1", pipeline::AgentKind::kSensor, "base"}});
+  Sensor sensor(channel_);
+  sensor.Hello("", "9.9\x1b[2J\n");
+  ASSERT_TRUE(sensor.Greeted());
+  const int64_t sent_ns = BoottimeNow();
+  sensor.InterestsUntilNow();
+  sensor.End();
+  const pipeline::AgentContacts::Contact contact = contacts_.Of("r1")[0];
+  EXPECT_EQ(contact.version, "9.9\x1b[2J\n") << "as it said; who shows it escapes it";
+  EXPECT_LE(contact.heard_ago_ns, BoottimeNow() - sent_ns) << "the heartbeat counts, too";
+}
+
+TEST_F(SensorServiceTest, AHugeOrMalformedVersionEndsTheStreamAndIsNotKept) {
+  contacts_.SetListed({{"r1", pipeline::AgentKind::kSensor, "base"}});
+  Sensor huge(channel_);
+  huge.Hello("", std::string(129, 'v'));
+  EXPECT_EQ(huge.Ended().error_code(), grpc::StatusCode::INVALID_ARGUMENT);
+  Sensor malformed(channel_);
+  malformed.Hello("", "\xff\xfe");
+  // gRPC cannot parse it, which the service sees as the end of the stream.
+  EXPECT_FALSE(malformed.Greeted());
+  EXPECT_EQ(contacts_.Of("r1")[0].version, "");
+  EXPECT_EQ(contacts_.Of("r1")[0].heard_unix_ns, 0);
 }
 
 // Those that came before the peer heard that it is refused are not looked at.

@@ -53,6 +53,7 @@ void FitStatuses(rips::v1::ListRobotsResponse& response, size_t bytes_max) {
     if (status.ByteSizeLong() + kElementBytesMax <= share) continue;
     status.clear_degraded();
     status.set_degraded_cut(true);
+    if (status.ByteSizeLong() + kElementBytesMax > share) status.clear_agents();
   }
 }
 

@@ -33,8 +33,8 @@ class AnswerRoom {
 
 // `degraded` as far as the limits above let, else `degraded_cut`.
 rips::v1::RobotStatus EncodeStatus(const pipeline::RobotStatus& status);
-// Robots whose texts are more than an equal share of the room lose them (`degraded_cut`) where all
-// together would be too long. Every robot stays.
+// Where all together would be too long, robots with more than an equal share of the room lose their
+// texts (`degraded_cut`), and if that is not enough their agents. Every robot stays.
 void FitStatuses(rips::v1::ListRobotsResponse& response, size_t bytes_max = kAnswerBytesMax);
 // Drops endpoints from the end, then nodes, then participants, until the rest fits; counts them.
 void FitGraph(rips::v1::GetGraphResponse& response, size_t bytes_max = kAnswerBytesMax);

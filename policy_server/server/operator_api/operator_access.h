@@ -12,6 +12,8 @@
 #include "policy_server/server/operator_api/ban_list.h"
 #include "policy_server/server/operator_api/caller_quota.h"
 #include "policy_server/server/rollout/bundle_control.h"
+#include "policy_server/server/shard/agent_contacts.h"
+#include "policy_server/server/shard/robot_labels.h"
 #include "policy_server/server/store/ack_store.h"
 #include "policy_server/server/store/committer.h"
 #include "services/rpc/certificate_monitor.h"
@@ -47,6 +49,10 @@ struct OperatorAccess {
   store::Committer* committer = nullptr;
   // Null: no certificates are issued, and calls about that are UNIMPLEMENTED.
   enrol::Enrolment* enrolment = nullptr;
+  // Null: no robot has agents.
+  const pipeline::AgentContacts* contacts = nullptr;
+  // Null: no robot has labels.
+  const pipeline::RobotLabels* labels = nullptr;
 };
 
 }  // namespace rips::operator_api

@@ -19,6 +19,7 @@
 #include "policy_server/server/operator_api/receipt_codec.h"
 #include "policy_server/server/operator_api/record_codec.h"
 #include "policy_server/server/operator_api/requesters.h"
+#include "policy_server/server/operator_api/robot_list.h"
 #include "policy_server/server/operator_api/unary_call.h"
 #include "policy_server/server/operator_api/watch_stream.h"
 #include "services/base/cut_text.h"
@@ -221,14 +222,14 @@ grpc::ServerUnaryReactor* OperatorService::ListRobots(grpc::CallbackServerContex
   if (!who.ok()) return Refuse(context, who.status());
   auto* reactor = new UnaryCall(who->ticket, who->on_refused);
   // Asks every robot on its own thread; must not be done on a gRPC thread, which may not block.
-  Read(reactor, [this, reactor, response] {
+  Read(reactor, [this, reactor, request, response] {
     auto gathered = pipeline_->Gather<rips::v1::RobotStatus>(
         [](Robot& robot) { return EncodeStatus(robot.Status()); }, patience_);
     for (const pipeline::RobotStatus& held : pipeline_->held()) {
       gathered.answers.insert_or_assign(held.robot, EncodeStatus(held));
     }
-    for (auto& [id, status] : gathered.answers) *response->add_robots() = std::move(status);
-    for (const std::string& robot : gathered.silent) response->add_no_answer(robot);
+    FillRobotList(*request, {.contacts = access_.contacts, .labels = access_.labels},
+                  std::move(gathered.answers), gathered.silent, *response);
     FitStatuses(*response);
     reactor->End(absl::OkStatus());
   });

@@ -1,0 +1,43 @@
+#include "policy_server/server/operator_api/robot_list.h"
+
+#include <cstdint>
+#include <utility>
+
+#include "services/runtime/daemon_flags.h"
+
+namespace rips::operator_api {
+namespace {
+
+void AddAgents(const std::vector<pipeline::AgentContacts::Contact>& contacts,
+               rips::v1::RobotStatus& status) {
+  for (const pipeline::AgentContacts::Contact& contact : contacts) {
+    rips::v1::AgentContact* agent = status.add_agents();
+    agent->set_role(contact.agent.kind == pipeline::AgentKind::kSensor ? "sensor" : "actuator");
+    agent->set_host(contact.agent.host);
+    agent->set_version(contact.version);
+    agent->set_heard_unix_ns(contact.heard_unix_ns);
+    agent->set_heard_ago_ms(static_cast<uint64_t>(contact.heard_ago_ns / kNanosPerMilli));
+  }
+}
+
+}  // namespace
+
+void FillRobotList(const rips::v1::ListRobotsRequest& request, const RobotListSources& sources,
+                   absl::btree_map<std::string, rips::v1::RobotStatus> statuses,
+                   const std::vector<std::string>& silent, rips::v1::ListRobotsResponse& response) {
+  const auto wanted = [&](const std::string& robot) {
+    return sources.labels == nullptr ? request.labels().empty()
+                                     : sources.labels->HasAll(robot, request.labels());
+  };
+  response.set_server_version(std::string(RipsVersion()));
+  for (auto& [robot, status] : statuses) {
+    if (!wanted(robot)) continue;
+    if (sources.contacts != nullptr) AddAgents(sources.contacts->Of(robot), status);
+    *response.add_robots() = std::move(status);
+  }
+  for (const std::string& robot : silent) {
+    if (wanted(robot)) response.add_no_answer(robot);
+  }
+}
+
+}  // namespace rips::operator_api

@@ -1,0 +1,49 @@
+#include "policy_server/server/shard/agent_contacts.h"
+
+#include <algorithm>
+#include <utility>
+
+#include "services/base/cut_text.h"
+
+namespace rips::pipeline {
+
+void AgentContacts::SetListed(std::vector<AgentId> agents) {
+  absl::btree_map<AgentId, Entry> listed;
+  MutexLock lock(&mu_);
+  for (AgentId& agent : agents) {
+    const auto known = listed_.find(agent);
+    Entry entry = known == listed_.end() ? Entry() : known->second;
+    listed.emplace(std::move(agent), std::move(entry));
+  }
+  listed_ = std::move(listed);
+}
+
+std::shared_ptr<AgentContacts::Heard> AgentContacts::Greeted(const AgentId& agent,
+                                                             absl::string_view version) {
+  const int64_t now_ns = clock_->Now().boottime_ns;
+  MutexLock lock(&mu_);
+  const auto found = listed_.find(agent);
+  if (found == listed_.end()) return nullptr;
+  found->second.version = Shortened(version, kVersionBytesMax);
+  *found->second.heard = now_ns;
+  return found->second.heard;
+}
+
+std::vector<AgentContacts::Contact> AgentContacts::Of(const std::string& robot) const {
+  std::vector<Contact> contacts;
+  const Instant now = clock_->Now();
+  MutexLock lock(&mu_);
+  for (auto it = listed_.lower_bound(AgentId{.robot = robot});
+       it != listed_.end() && it->first.robot == robot; ++it) {
+    Contact contact{.agent = it->first, .version = it->second.version};
+    if (const int64_t heard_ns = *it->second.heard; heard_ns != 0) {
+      // A message may have come since `now`.
+      contact.heard_ago_ns = std::max<int64_t>(0, now.boottime_ns - heard_ns);
+      contact.heard_unix_ns = now.unix_ns - contact.heard_ago_ns;
+    }
+    contacts.push_back(std::move(contact));
+  }
+  return contacts;
+}
+
+}  // namespace rips::pipeline
