@@ -215,8 +215,7 @@ void Server::OpenRecordings() {
       {.directory = config_.recordings_directory(), .bytes_max = config_.recordings_bytes});
   if (!files.ok()) return problem(files.status());
   recordings_.files = *std::move(files);
-  if (const absl::Status writable = recordings_.files->CheckWritable(); !writable.ok())
-    problem(writable);
+  if (const absl::Status bad = recordings_.files->CheckWritable(); !bad.ok()) problem(bad);
   const auto recordings = [this](const char* result) {
     return metrics_.AddCounter("rips_recordings_total",
                                "Recordings of what led to alerts, by what became of them.",
@@ -611,10 +610,8 @@ absl::Status Server::AddRobots() {
   };
   const pipeline::Counts counts = MakeCounts();
   std::function<std::unique_ptr<pipeline::FlightRecorder>(const std::string&)> flight_recorder;
-  if (recordings_.archive != nullptr) {
-    flight_recorder = [this](const std::string& robot) {
-      return recordings_.archive->NewRecorder(robot);
-    };
+  if (auto* archive = recordings_.archive.get()) {
+    flight_recorder = [archive](const std::string& robot) { return archive->NewRecorder(robot); };
   }
   fleet_metrics_ = std::make_unique<FleetMetrics>(pipeline_.get(), &clock_, &metrics_);
   fleet_ = std::make_unique<Fleet>(
@@ -738,11 +735,10 @@ absl::Status Server::Readiness() const {
 }
 
 absl::Status Server::DiskHealth() const {
-  if (audit_ != nullptr) {
-    if (const absl::Status audited = audit_->health(); !audited.ok()) {
-      return absl::UnavailableError(absl::StrCat("the audit log ", config_.audit_dir,
-                                                 " cannot be written: ", audited.message()));
-    }
+  const absl::Status audited = audit_ == nullptr ? absl::OkStatus() : audit_->health();
+  if (!audited.ok()) {
+    return absl::UnavailableError(absl::StrCat("the audit log ", config_.audit_dir,
+                                               " cannot be written: ", audited.message()));
   }
   const absl::Status health = committer_->health();
   if (health.ok()) return absl::OkStatus();

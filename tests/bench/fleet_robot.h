@@ -1,5 +1,5 @@
-// A robot as the policy server sees it: a sensor's and an actuator's stream, each with a certificate
-// and a connection of its own, which come back by themselves. What was not acknowledged is sent
+// A robot as the policy server sees it: a sensor's and an actuator's stream, each with its own
+// certificate and connection, which come back by themselves. What was not acknowledged is sent
 // again, as an agent does; no DDS, no disk, no rules.
 #ifndef RIPS_TESTS_BENCH_FLEET_ROBOT_H_
 #define RIPS_TESTS_BENCH_FLEET_ROBOT_H_
