@@ -291,10 +291,12 @@ std::vector<std::pair<std::string, std::string>> ModeTargets(const std::vector<L
   return {targets.begin(), targets.end()};
 }
 
-std::vector<std::string> ProtectedParts(const std::vector<LevelSpec>& levels, const Smh& smh) {
+std::vector<std::string> ProtectedParts(const std::vector<LevelSpec>& levels, const Smh& smh,
+                                        Backend backend) {
   std::vector<std::string> parts;
   std::set<std::string> known;
   const auto add = [&](const std::string& part) {
+    if (backend == Backend::kDirect && smh.systems.contains(part)) return;
     if (!ros2::ValidateNodeName(part).ok() || parts.size() >= kProtectedPartsMax) return;
     if (known.insert(part).second) parts.push_back(part);
   };

@@ -67,9 +67,12 @@ absl::Status AddScripts(ParsedConfig* parsed);
 std::vector<std::pair<std::string, std::string>> ModeTargets(const std::vector<LevelSpec>& levels);
 
 // Full names of the parts that only these steps control: those of the levels, then those of the SMH
-// file, each once. At most kProtectedPartsMax; names that no ROS node can have are left out.
+// file, each once; no systems if the nodes are always ordered directly, since nothing on the robot
+// need have such a name then. At most kProtectedPartsMax; names that no ROS node can have are left
+// out.
 inline constexpr size_t kProtectedPartsMax = 256;
-std::vector<std::string> ProtectedParts(const std::vector<LevelSpec>& levels, const Smh& smh);
+std::vector<std::string> ProtectedParts(const std::vector<LevelSpec>& levels, const Smh& smh,
+                                        Backend backend);
 
 // InvalidArgument if a level names a part or mode that the SMH file does not have.
 absl::Status CheckLevelsAgainstSmh(const Config& config, const Smh& smh);

@@ -378,12 +378,16 @@ cam: {ros__parameters: {type: node, modes: {__DEFAULT__: {ros__parameters: {a: 1
   levels[0].enter.push_back({.what = SystemModeStep{.part = "/zoom", .mode = "m"}});
   levels[0].leave.push_back({.what = SystemModeStep{.part = "/cam", .mode = "m"}});
   levels[0].leave.push_back({.what = SystemModeStep{.part = "/no name", .mode = "m"}});
-  EXPECT_THAT(ProtectedParts(levels, *smh), ElementsAre("/cam", "/zoom", "/safety"));
-  EXPECT_THAT(ProtectedParts({}, Smh{}), ElementsAre());
+  EXPECT_THAT(ProtectedParts(levels, *smh, Backend::kManager),
+              ElementsAre("/cam", "/zoom", "/safety"));
+  EXPECT_THAT(ProtectedParts({}, Smh{}, Backend::kManager), ElementsAre());
+  levels[0].enter.push_back({.what = SystemModeStep{.part = "/safety", .mode = "m"}});
+  EXPECT_THAT(ProtectedParts(levels, *smh, Backend::kDirect), ElementsAre("/cam", "/zoom"))
+      << "a robot without a manager has no `/safety` that a sensor could see";
 
   Smh many;
   for (size_t i = 0; i < kProtectedPartsMax; ++i) many.nodes[absl::StrCat("/n", i)] = {};
-  const std::vector<std::string> parts = ProtectedParts(levels, many);
+  const std::vector<std::string> parts = ProtectedParts(levels, many, Backend::kManager);
   EXPECT_EQ(parts.size(), kProtectedPartsMax);
   EXPECT_EQ(parts[1], "/zoom") << "those of the levels first";
 }

@@ -443,7 +443,7 @@ void Agent::Impl::StartDownlink(const Smh& smh, rpc::CredentialsSource credentia
   for (const ProgramSpec& program : config_.programs) {
     if (!program.script) options.programs.push_back(program.name);
   }
-  options.protected_parts = ProtectedParts(config_.levels, smh);
+  options.protected_parts = ProtectedParts(config_.levels, smh, config_.modes.backend);
   if (options.protected_parts.size() == kProtectedPartsMax) {
     LogWarning("sensors monitor only the first parts", {{"parts", kProtectedPartsMax}});
   }
