@@ -80,7 +80,7 @@ class SecuredFleet(Fleet):
     def up(self):
         return self.arm("--keystore", self.keystore)
 
-    def robot_sim(self, *args):
+    def order_modes(self, *args):
         """Runs robot_sim on the robot; gives (exit code, what it printed)."""
         done = subprocess.run([*self.within, self.bin / "robot_sim", args[0], "--domain",
                                str(self.domain), *args[1:]], capture_output=True, text=True,
@@ -229,7 +229,7 @@ def nodes_cannot_steer(world):
     modes = len(fleet.modes())
     node = fleet.keys.mint("/intruder", "node")
 
-    code, text = fleet.robot_sim("set-mode", "--part", "/safety", "--mode", "HALT", *node)
+    code, text = fleet.order_modes("set-mode", "--part", "/safety", "--mode", "HALT", *node)
 
     check(code == 1 and "Not Allowed By Security" in text, f"{code}: {text}")
     for topic in OTHER_DOORS:
@@ -247,7 +247,7 @@ def nodes_cannot_steer(world):
     for name in ("permissions_ca.cert.pem", "governance.p7s", "permissions.p7s"):
         fleet.keys.put("/intruder", name, forger.file("/intruder", name))
     start = len(fleet.robot.lines)
-    code, text = fleet.robot_sim("set-mode", "--part", "/safety", "--mode", "HALT", *node)
+    code, text = fleet.order_modes("set-mode", "--part", "/safety", "--mode", "HALT", *node)
     check(code == 1 and "no server for `/safety/change_mode`" in text and '"event":"set_mode"' not in text,
           f"{code}: {text}")
     fleet.robot.wait_for(lambda line: "Could not get remote participant" in line, 5,
@@ -270,7 +270,7 @@ def nodes_can_steer_with_permissions_that_allow_it(world):
     fleet = SecuredFleet(world)
     fleet.up()
 
-    code, text = fleet.robot_sim("set-mode", "--part", "/safety", "--mode", "ALERT",
+    code, text = fleet.order_modes("set-mode", "--part", "/safety", "--mode", "ALERT",
                                  *fleet.keys.mint("/intruder", OPEN_DOOR))
 
     check(code == 0 and '"success":true' in text, f"{code}: {text}")
