@@ -77,7 +77,7 @@ class RobotHost(Host):
         isolate = f"{{firewall: {{file: {rules}}}}}"
         self.steps = {"DEFAULT": ["{firewall: {release: all}}"], "COMPROMISED": [isolate],
                       "HALT": [isolate]}
-        if len(self.hosts) > 1:  # its manager knows only the nodes of its own host
+        if len(self.hosts) > 1:  # a manager would know only the nodes of its own host
             self.mode_options = ", backend: direct"
 
     def rules(self):
@@ -117,7 +117,8 @@ class RobotHost(Host):
         if len(self.hosts) == 1:
             return self.start_robot()
         if self.name == self.hosts[0]:
-            return self.start_robot("--only", "/base", "/lidar", "/navigator")
+            return self.start_robot("--manager", "absent", "--only", "/base", "/lidar",
+                                    "/navigator")
         return self.start_robot("--manager", "absent", "--only", "/camera")
 
     def start_agents(self):

@@ -381,8 +381,9 @@ cam: {ros__parameters: {type: node, modes: {__DEFAULT__: {ros__parameters: {a: 1
   EXPECT_THAT(ProtectedParts(levels, *smh, Backend::kManager),
               ElementsAre("/cam", "/zoom", "/safety"));
   EXPECT_THAT(ProtectedParts({}, Smh{}, Backend::kManager), ElementsAre());
-  levels[0].enter.push_back({.what = SystemModeStep{.part = "/safety", .mode = "m"}});
-  EXPECT_THAT(ProtectedParts(levels, *smh, Backend::kDirect), ElementsAre("/cam", "/zoom"))
+  std::vector<LevelSpec> of_system = levels;
+  of_system[0].enter.push_back({.what = SystemModeStep{.part = "/safety", .mode = "m"}});
+  EXPECT_THAT(ProtectedParts(of_system, *smh, Backend::kDirect), ElementsAre("/cam", "/zoom"))
       << "a robot without a manager has no `/safety` that a sensor could see";
 
   Smh many;

@@ -202,7 +202,10 @@ void Fleet::Reload() {
                    absl::StrCat("the inventory is refused, the old one stays in force: ",
                                 FirstLine(read.status().message())));
   }
-  const bundle::Inventory now = read.ok() ? *std::move(read) : inventory_;
+  const bool taken = read.ok();
+  const bundle::Inventory now = taken ? *std::move(read) : inventory_;
+  if (taken)
+    LogInfo("inventory read", {{"path", options_.inventory}, {"robots", now.robots.size()}});
   RemoveMissing(now);
   Settle(now);
   inventory_ = now;
@@ -244,7 +247,7 @@ void Fleet::RemoveMissing(const bundle::Inventory& now) {
   for (const bundle::InventoryRobot& robot : inventory_.robots) {
     if (now.Find(robot.id) != nullptr) continue;
     LogWarning("robot removed from the inventory", {{"robot", robot.id}});
-    alerts_->Raise(robot.id, engine::Severity::kMedium,
+    alerts_->Raise(robot.id, engine::Severity::kHigh,
                    "the robot was removed from the inventory: nothing judges it any more");
     problems_.erase(robot.id);
     const absl::Status removed =

@@ -623,7 +623,7 @@ void ConnectionGuard::EndFor(Connection& connection, Excess excess) {
 
 void ConnectionGuard::LogStranger(const Connection& connection) {
   if (!connection.spoke_) return;
-  const auto left_out = stranger_logs_.Admit("");
+  const auto left_out = stranger_logs_.Admit(connection.source().network);
   if (!left_out.has_value()) return;
   LogWarning("connection ended before its peer was known",
              {{"peer", connection.source().peer},

@@ -6,6 +6,7 @@
 #include <utility>
 
 #include "absl/strings/str_cat.h"
+#include "google/protobuf/stubs/logging.h"
 #include "grpc/support/log.h"
 #include "grpcpp/security/tls_certificate_provider.h"
 #include "grpcpp/security/tls_certificate_verifier.h"
@@ -85,6 +86,11 @@ void RouteGrpcLogs() {
   gpr_set_log_function([](gpr_log_func_args* args) {
     LogDebug("grpc", {{"text", args->message}, {"file", args->file}, {"line", args->line}});
   });
+  // It tells of each message with a text that is not UTF-8: peers would write into the log.
+  google::protobuf::SetLogHandler(
+      [](google::protobuf::LogLevel, const char* file, int line, const std::string& text) {
+        LogDebug("protobuf", {{"text", text}, {"file", file}, {"line", line}});
+      });
 }
 
 absl::StatusOr<Peer> ReadOwnCertificate(const TlsFiles& files) {

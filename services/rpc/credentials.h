@@ -25,8 +25,8 @@ namespace rips::rpc {
 // Leaves only TLS 1.3 to this process. Call first in main(), before there are threads (it sets an
 // environment variable that gRPC reads once, at its first TLS use); Credentials::Load calls it too.
 void RequireTls13();
-// Sends what gRPC logs to services/runtime/log.h at debug level: what matters of it reaches the
-// daemon as a status, and is logged there. Call first in main().
+// Sends what gRPC and Protobuf log to services/runtime/log.h at debug level: what matters of it
+// reaches the daemon as a status, and is logged there. Call first in main().
 void RouteGrpcLogs();
 
 // What `files` say, checked before they are used: all readable PEM, key belongs to certificate,

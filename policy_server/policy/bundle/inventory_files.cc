@@ -50,12 +50,27 @@ absl::StatusOr<std::vector<std::string>> ListFiles(const std::string& directory)
   return names;
 }
 
+// Who may write here says which robots are guarded; by a link, also which file's text an error
+// quotes. A path that cannot be looked at is left to the reader.
+absl::Status CheckNotEverybodys(const std::string& path) {
+  std::error_code error;
+  const auto allowed = std::filesystem::status(path, error).permissions();
+  if (error || (allowed & std::filesystem::perms::others_write) == std::filesystem::perms::none) {
+    return absl::OkStatus();
+  }
+  return absl::InvalidArgumentError(absl::StrCat("every user may write to `", path,
+                                                 "`, and so change which robots are guarded; ",
+                                                 "`chmod o-w` it"));
+}
+
 absl::StatusOr<Inventory> ReadOne(const std::string& path) {
+  RIPS_RETURN_IF_ERROR(CheckNotEverybodys(path));
   RIPS_ASSIGN_OR_RETURN(const std::string text, ReadConfigFile(path));
   return ParseInventory(path, text);
 }
 
 absl::StatusOr<InventoryFiles> ReadDirectory(const std::string& directory) {
+  RIPS_RETURN_IF_ERROR(CheckNotEverybodys(directory));
   RIPS_ASSIGN_OR_RETURN(const std::vector<std::string> names, ListFiles(directory));
   InventoryFiles read;
   std::vector<InventoryRobot>& robots = read.inventory.robots;

@@ -30,7 +30,8 @@ struct InventoryFiles {
 };
 
 // InvalidArgument with every problem of every file; also for a robot in two files, for a directory
-// without a file `*.yaml`, and for more than kRobotsMax robots. Else as the file cannot be read.
+// without a file `*.yaml`, for what every user may write, and for more than kRobotsMax robots. Else
+// as the file cannot be read.
 absl::StatusOr<InventoryFiles> ReadInventory(const std::string& path);
 
 }  // namespace rips::bundle

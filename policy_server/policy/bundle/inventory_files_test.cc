@@ -130,6 +130,20 @@ TEST_F(InventoryFilesTest, FollowsLinksAsOfTheSingleFile) {
   EXPECT_THAT(ReadInventory(root_ + "/linked.d"), IsOk());
 }
 
+TEST_F(InventoryFilesTest, WhatEveryUserMayWriteIsRefused) {
+  List("a.yaml", {"r1"});
+  const auto everybody = fs::perms::others_write;
+  for (const std::string& path : {dir_, Path("a.yaml")}) {
+    fs::permissions(path, everybody, fs::perm_options::add);
+    EXPECT_THAT(ReadInventory(dir_), StatusIs(absl::StatusCode::kInvalidArgument,
+                                              HasSubstr("every user may write to `" + path + "`")));
+    fs::permissions(path, everybody, fs::perm_options::remove);
+  }
+  EXPECT_THAT(ReadInventory(dir_), IsOk());
+  fs::permissions(Path("a.yaml"), everybody, fs::perm_options::add);
+  EXPECT_THAT(ReadInventory(Path("a.yaml")), StatusIs(absl::StatusCode::kInvalidArgument));
+}
+
 TEST_F(InventoryFilesTest, ADirectoryThatIsEmptyOrGoneIsAnError) {
   EXPECT_THAT(ReadInventory(dir_),
               StatusIs(absl::StatusCode::kInvalidArgument, HasSubstr("has no file `*.yaml`")));

@@ -219,6 +219,13 @@ void PrintWho(const Explanation& explanation, std::ostream& out) {
     }
     table.Print(out, "  ");
     out << "  host and process id are what the process says of itself; it may lie\n";
+    const auto is_gone = [&](const v1::Subject& each) {
+      return PresenceOf(each, explanation) == Presence::kGone;
+    };
+    if (std::any_of(subjects.begin(), subjects.end(), is_gone)) {
+      out << "  gone: not in the robot's graph; if this level's steps cut it off by a firewall\n"
+             "  (`ripsctl robot receipts`), lowering the robot lets it in again\n";
+    }
   }
   if (recorded.evidence().cut()) out << "  there were more values or subjects than are kept\n";
 }

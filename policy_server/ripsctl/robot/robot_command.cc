@@ -31,7 +31,9 @@ std::string DegradedText(const v1::RobotStatus& status) {
 
 class ListRobots final : public Command {
  public:
-  ListRobots() : Command({"robot", "list", "Show all robots and their levels"}) {}
+  ListRobots()
+      : Command({"robot", "list",
+                 "Show all robots, their levels, and when the agent silent longest was heard"}) {}
   void AddFlags(CLI::App& app) override {
     app.add_option("--label", labels_,
                    "Only robots that have all of these labels in the inventory, each KEY=VALUE");
