@@ -12,6 +12,8 @@ namespace rips::bench {
 namespace {
 
 constexpr int64_t kSecondNs = 1'000'000'000;
+// Of observations; the server takes no more (SensorConfig.batch_observations).
+constexpr int kBatchMax = 256;
 constexpr int kTopics = 10;
 // Numbers of names on a stream: topics 1 to 10, then these, then writers of all topics.
 constexpr int kProbeTopic = kTopics;
@@ -286,6 +288,7 @@ void FleetRobot::Step(int64_t now_ns) {
   stepped_ns_ = now_ns;
   if (graph_version_ > 0 && !quiet_) {
     owed_ += plan_.rate * static_cast<double>(passed_ns) / 1e9;
+    for (; owed_ >= kBatchMax; owed_ -= kBatchMax) MakeMessages(kBatchMax, 0, now_ns);
     const int count = static_cast<int>(owed_);
     owed_ -= count;
     MakeMessages(count, 0, now_ns);
@@ -298,7 +301,7 @@ void FleetRobot::Step(int64_t now_ns) {
       }
       if (plan_.hostile) MakeGraph(now_ns);
     }
-    while (plan_.hostile && messages_.size() < 64) MakeMessages(256, 0, now_ns);
+    while (plan_.hostile && messages_.size() < 64) MakeMessages(kBatchMax, 0, now_ns);
   }
   if (now_ns >= heartbeat_due_ns_) Heartbeats(now_ns);
   SendWaiting();
