@@ -144,7 +144,7 @@ class Story:
                          f"{len(graph['topics'])} topics")
         self.tell_robot("DEFAULT", camera_on=True)
 
-    def stranger(self):
+    def unknown_node(self):
         title("2. An unknown node joins (ALERT, soft)")
         self.join()
 
@@ -286,7 +286,7 @@ def main():
     fleet = Fleet(options.binaries, options.directory)
     story = Story(fleet)
     started = time.monotonic()
-    return tell((story.normal, story.stranger, story.rogue, story.gone, story.release,
+    return tell((story.normal, story.unknown_node, story.rogue, story.gone, story.release,
                  story.soft_return, story.replays, lambda: story.summary(started)), options, fleet,
                 keep)
 

@@ -8,7 +8,7 @@
 
 namespace rips::actuator {
 
-// One line for people: the level, then what is wrong. `disconnected`: why the last stream to a
+// For `systemctl status`: the level, then what is wrong. `disconnected`: why the last stream to a
 // policy server ended, OK if there was none; its text may be a peer's, and is not escaped.
 std::string StatusLine(const ExecutorReport& report, bool connected,
                        const absl::Status& disconnected);

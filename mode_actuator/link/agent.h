@@ -63,7 +63,7 @@ class Agent {
 
   // OK if connected, the lease live and the effective level read back. Any thread.
   absl::Status Ready() const;
-  // One line for people: the level, and what is wrong. Untrusted text may be in it. Any thread.
+  // A line for `systemctl status`: level and problems. It may hold untrusted text. Any thread.
   std::string Describe() const;
 
  private:

@@ -82,7 +82,7 @@ class Server {
 
   // `listen` with the real port.
   const std::string& address() const { return rpc_->address(); }
-  // One line for people: what is served, and what is wrong. Untrusted text may be in it.
+  // A line for `systemctl status`: what is served, and problems. It may hold untrusted text.
   std::string Describe() const;
 
  private:

@@ -621,9 +621,9 @@ void ConnectionGuard::EndFor(Connection& connection, Excess excess) {
   if (excess == Excess::kSilent) Wasted(connection.source(), now_ns);
 }
 
-void ConnectionGuard::LogStranger(const Connection& connection) {
+void ConnectionGuard::LogUnknownPeer(const Connection& connection) {
   if (!connection.spoke_) return;
-  const auto left_out = stranger_logs_.Admit(connection.source().network);
+  const auto left_out = unknown_peer_logs_.Admit(connection.source().network);
   if (!left_out.has_value()) return;
   LogWarning("connection ended before its peer was known",
              {{"peer", connection.source().peer},
@@ -661,7 +661,7 @@ void ConnectionGuard::CheckConnections() {
         open_.Set(static_cast<double>(connections_.size()));
       }
       if (!connection->EndedByPeer() || !connection->shown().empty()) continue;
-      LogStranger(*connection);
+      LogUnknownPeer(*connection);
       Wasted(connection->source(), now_ns);
     } else if (excess != Excess::kNone) {
       EndFor(*connection, excess);

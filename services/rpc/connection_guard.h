@@ -199,7 +199,7 @@ class ConnectionGuard {
   int64_t BanLocked(const Connection& connection, int64_t now_ns)
       ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
   // One that sent enough for a handshake is over, and no call has named its peer.
-  void LogStranger(const Connection& connection);
+  void LogUnknownPeer(const Connection& connection);
   // A connection of this address came to nothing.
   void Wasted(const Source& source, int64_t now_ns) ABSL_LOCKS_EXCLUDED(mu_);
   bool MayCallLocked(const std::string& certificate, int64_t now_ns)
@@ -217,7 +217,7 @@ class ConnectionGuard {
   std::unique_ptr<grpc::experimental::ExternalConnectionAcceptor> grpc_;
 
   LogLimiter refusal_logs_;
-  LogLimiter stranger_logs_;
+  LogLimiter unknown_peer_logs_;
   Mutex mu_;
   CondVar stop_cond_;
   bool stopping_ ABSL_GUARDED_BY(mu_) = false;

@@ -64,7 +64,7 @@ class ServiceManager {
   void Reloading() ABSL_LOCKS_EXCLUDED(mu_);
   // It ends by itself or as told. No state follows.
   void Stopping() ABSL_LOCKS_EXCLUDED(mu_);
-  // One line for people; it may hold untrusted text, which is escaped. Sent when it has changed.
+  // One line; it may hold untrusted text, which is escaped. Sent when it has changed.
   void SetStatus(absl::string_view text) ABSL_LOCKS_EXCLUDED(mu_);
   // The work of the daemon advances. Call it as often as you like: kPings in a period are sent.
   void Ping() ABSL_LOCKS_EXCLUDED(mu_);

@@ -50,7 +50,9 @@ programs:
 metrics: "127.0.0.1:9466"
 """
 COMPROMISED = "^level COMPROMISED, verified;( floor [^;]*;)? connected$"
-ALICE = "/root/fleet/operator/admin/alice"
+# Of the container's administrator.
+HOME = pathlib.PurePosixPath("/root")
+ALICE = HOME / "fleet/operator/admin/alice"
 RIPSCTL = ("ripsctl", "--server", "127.0.0.1:7443", "--cert", f"{ALICE}/cert.pem", "--key",
            f"{ALICE}/key.pem", "--ca", f"{ALICE}/ca.pem")
 
@@ -166,10 +168,10 @@ class Machine:
         return run("nsenter", "--target", self.leader, "--mount", "--uts", "--ipc", "--net", "--pid",
                    "--cgroup", "--root", "--wd", *command, ok=ok,
                    env={"PATH": "/usr/sbin:/usr/bin:/sbin:/bin", "LC_ALL": "C.UTF-8",
-                        "HOME": "/root", "DEBIAN_FRONTEND": "noninteractive"})
+                        "HOME": str(HOME), "DEBIAN_FRONTEND": "noninteractive"})
 
     def script(self, text):
-        return self.run("bash", "-euc", f"cd /root\n{text}").stdout
+        return self.run("bash", "-euc", f"cd {HOME}\n{text}").stdout
 
     def path(self, name):
         """A file of the container."""
@@ -200,7 +202,7 @@ class Machine:
 
 
 def install(machine, packages):
-    target = machine.path("/root/packages")
+    target = machine.path(f"{HOME}/packages")
     shutil.rmtree(target, ignore_errors=True)
     target.mkdir(parents=True)
     for package in packages:

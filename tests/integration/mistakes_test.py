@@ -13,7 +13,7 @@ sys.path.insert(0, str(pathlib.Path(__file__).resolve().parents[1] / "support"))
 sys.dont_write_bytecode = True
 from fleet import SOURCE, Fleet, Skipped, check, play  # noqa: E402
 
-NOBODY = 65534
+OTHER_USER = 65534
 
 
 def begin(fleet):
@@ -45,7 +45,7 @@ def files_of(fleet):
     return fleet.dir / "pki/sensor/r1/base"
 
 
-def stranger(fleet):
+def foreign_files(fleet):
     """Files of a sensor of the same name, by another authority."""
     mint = [SOURCE / "deploy/pki/mint", "--dir", fleet.dir / "other", "--trust-domain",
             "fleet.example"]
@@ -58,7 +58,7 @@ def wrong_authority(fleet):
     """All files are of another authority: the sensor does not trust the server."""
     begin(fleet)
     for name in ("ca.pem", "cert.pem", "key.pem"):
-        shutil.copy(stranger(fleet) / name, files_of(fleet) / name)
+        shutil.copy(foreign_files(fleet) / name, files_of(fleet) / name)
     says(start_sensor(fleet), f"127.0.0.1:{fleet.port}` is not issued under",
          f"{files_of(fleet)}/ca.pem", "openssl s_client")
     says(fleet.server, "connection ended before its peer was known", "it does not take ours")
@@ -68,11 +68,11 @@ def wrong_certificate(fleet):
     """The sensor trusts the server, and has its certificate of another authority."""
     begin(fleet)
     for name in ("cert.pem", "key.pem"):
-        shutil.copy(stranger(fleet) / name, files_of(fleet) / name)
+        shutil.copy(foreign_files(fleet) / name, files_of(fleet) / name)
     sensor = start_sensor(fleet)
     says(sensor, "waiting for a usable certificate", f"{files_of(fleet)}/cert.pem",
          "not valid under `ca`")
-    both = (files_of(fleet) / "ca.pem").read_text() + (stranger(fleet) / "ca.pem").read_text()
+    both = (files_of(fleet) / "ca.pem").read_text() + (foreign_files(fleet) / "ca.pem").read_text()
     (files_of(fleet) / "ca.pem").write_text(both)
     says(sensor, f"127.0.0.1:{fleet.port}` ended the handshake",
          f"the issuer of `{files_of(fleet)}/cert.pem`", "its log says why")
@@ -145,11 +145,11 @@ def unreadable_key(fleet):
     if closed:
         raise Skipped(f"other users cannot enter {closed[0]}")
     begin(fleet)
-    shutil.chown(fleet.dir / "sensor", NOBODY, NOBODY)
+    shutil.chown(fleet.dir / "sensor", OTHER_USER, OTHER_USER)
     for path in [fleet.dir / "pki", *(fleet.dir / "pki").rglob("*")]:
         path.chmod(0o755 if path.is_dir() else 0o644)
     (files_of(fleet) / "key.pem").chmod(0o600)
-    fleet.within = ["setpriv", f"--reuid={NOBODY}", "--clear-groups"]
+    fleet.within = ["setpriv", f"--reuid={OTHER_USER}", "--clear-groups"]
     says(start_sensor(fleet), "waiting for a usable certificate", f"`{files_of(fleet)}/key.pem`",
          "Permission denied")
 

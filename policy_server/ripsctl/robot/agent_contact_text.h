@@ -1,4 +1,4 @@
-// When a robot's agents were last heard, and their versions, for people.
+// When a robot's agents were last heard, and their versions, as text.
 #ifndef RIPS_POLICY_SERVER_RIPSCTL_ROBOT_AGENT_CONTACT_TEXT_H_
 #define RIPS_POLICY_SERVER_RIPSCTL_ROBOT_AGENT_CONTACT_TEXT_H_
 
