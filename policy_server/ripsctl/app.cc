@@ -15,6 +15,7 @@
 #include "services/runtime/config_sections.h"
 #include "services/runtime/daemon_flags.h"
 #include "services/text/nearest.h"
+#include "services/text/utf8.h"
 
 namespace rips::ripsctl {
 namespace {
@@ -93,6 +94,7 @@ class Parser {
       *exit_code = static_cast<int>(ExitCode::kUsage);
       return nullptr;
     }
+    const std::string garbled = NotUtf8(args);
     std::reverse(args.begin(), args.end());  // as CLI11 wants them
     try {
       app_.parse(args);
@@ -101,12 +103,25 @@ class Parser {
       *exit_code = static_cast<int>(code == 0 ? ExitCode::kDone : ExitCode::kUsage);
       return nullptr;
     }
+    if (!garbled.empty() && chosen_->info().needs_server) {
+      world.err << "error: argument `" << garbled << "` is not UTF-8; the server takes no other "
+                << "text, so use a terminal whose locale is UTF-8\n";
+      *exit_code = static_cast<int>(ExitCode::kUsage);
+      return nullptr;
+    }
     return chosen_;
   }
 
   const RawSettings& flags() const { return flags_; }
 
  private:
+  // The first such argument, escaped; empty if there is none.
+  static std::string NotUtf8(const std::vector<std::string>& args) {
+    for (const std::string& each : args) {
+      if (FindInvalidUtf8(each).has_value()) return EscapeText(each);
+    }
+    return "";
+  }
   // What is wrong with `NOUN VERB`; empty if nothing is, or if CLI11 says it better.
   std::string UnknownVerb(const std::vector<std::string>& args) const {
     if (args.size() < 2 || args[1].empty() || args[1][0] == '-') return "";

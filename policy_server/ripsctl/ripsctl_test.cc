@@ -487,6 +487,8 @@ TEST_F(RipsctlTest, WrongFlagsAreExitCodeTwoAndCallNobody) {
       {"robot", "list", "--timeout", "0s"},
       {"robot", "list", "--server", "nowhere"},
       {"robot", "list", "--no-such-flag"},
+      {"robot", "list", "--label", "ring=\xff"},
+      {"agent", "ban", "spiffe://td/operator/\xff", "--reason", "x"},
   };
   for (const auto& args : all) {
     const Result result = Run(args);
@@ -494,6 +496,9 @@ TEST_F(RipsctlTest, WrongFlagsAreExitCodeTwoAndCallNobody) {
     EXPECT_NE(result.err, "") << testing::PrintToString(args);
   }
   EXPECT_THAT(fake_.calls(), SizeIs(0));
+  EXPECT_EQ(Run({"agent", "ban", "spiffe://td/operator/\xff", "--reason", "x"}).err,
+            "error: argument `spiffe://td/operator/\\xff` is not UTF-8; the server takes no other "
+            "text, so use a terminal whose locale is UTF-8\n");
   EXPECT_EQ(Run({"level", "lower", "r1", "--to", "A", "--reason", "x", "--expect", "C@3"}).err,
             "error: --expect is `C@3`; write LEVEL@TERM.EPOCH, for example COMPROMISED@3.17\n");
 }

@@ -49,6 +49,7 @@ constexpr Reason kReasons[] = {
     {"", "for a reason of its own"},
     {"quota", "it asks more than its quota allows"},
     {"limit", "a field of its requests is past its limit"},
+    {"undecodable", "its requests cannot be decoded"},
     {"throttled", "its connections are too many, or broke the limits"},
     {"expired", "its certificate has expired", true},
     {"banned", "it is banned", true},

@@ -40,7 +40,7 @@ class FloodWatch {
   // may be too low by one for each time that this was needed.
   static constexpr size_t kSourcesMax = 8'192;
   static constexpr size_t kMostMax = 8;
-  static constexpr int kRanks = 9;
+  static constexpr int kRanks = 10;
 
   struct Limits {
     int of_source = 64;

@@ -710,11 +710,11 @@ absl::Status Server::Listen() {
           .labels = &listed_.labels});
   enrolment_service_ =
       std::make_unique<enrol::EnrolmentService>(enrolment_.get(), watch_.get(), orders_.get());
-  RIPS_ASSIGN_OR_RETURN(rpc_, rpc::RpcServer::Start({.listen = config_.listen,
-                                                     .guard = connections_.get(),
-                                                     .credentials = credentials_->ForServer()},
-                                                    {sensors_.get(), actuators_.get(),
-                                                     operators_.get(), enrolment_service_.get()}));
+  const rpc::RpcServerOptions options = {config_.listen, connections_.get(), gate_.get(),
+                                         credentials_->ForServer()};
+  RIPS_ASSIGN_OR_RETURN(
+      rpc_, rpc::RpcServer::Start(options, {sensors_.get(), actuators_.get(), operators_.get(),
+                                            enrolment_service_.get()}));
   fleet_metrics_->Start({.certificates = certificates_.get(),
                          .sessions = watch_.get(),
                          .shadows = &rollouts_.shadows,

@@ -69,6 +69,17 @@ absl::StatusOr<Peer> CallGate::Admit(const grpc::CallbackServerContext& context,
   return peer;
 }
 
+void CallGate::RefuseUndecodable(const grpc::ServerContextBase& context) {
+  const std::string address = context.peer();
+  const std::shared_ptr<Connection> connection = ConnectionOf(address);
+  const auto auth = context.auth_context();
+  absl::StatusOr<Peer> peer = absl::UnauthenticatedError("no certificate");
+  if (auth != nullptr) peer = connection == nullptr ? PeerOf(*auth) : connection->ReadPeer(*auth);
+  if (connection != nullptr) connection->OnThrottled();
+  const absl::Status status = absl::UnimplementedError("the request cannot be decoded");
+  Refuse({"undecodable", status}, peer.ok() ? &*peer : nullptr, address).IgnoreError();
+}
+
 absl::Status CallGate::Refuse(const Refusal& refusal, const Peer* peer, absl::string_view address) {
   const std::string role = peer == nullptr ? "unknown" : std::string(RoleName(peer->identity.role));
   Count(refusal.reason, role, 1);

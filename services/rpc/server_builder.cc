@@ -24,18 +24,42 @@ constexpr absl::Duration kHandshakeTimeout = absl::Seconds(5);
 // Of a connection without calls; an open header block is no call.
 constexpr absl::Duration kIdleTimeout = absl::Minutes(5);
 
-// Counts calls before anything is done for them; intercepts none.
+// Tells the gate of a call whose one request cannot be decoded: no handler sees it.
+class RequestCheck final : public grpc::experimental::Interceptor {
+ public:
+  RequestCheck(CallGate* gate, const grpc::ServerContextBase& context)
+      : gate_(gate), context_(context) {}
+  void Intercept(grpc::experimental::InterceptorBatchMethods* methods) override {
+    using Hook = grpc::experimental::InterceptionHookPoints;
+    if (methods->QueryInterceptionHookPoint(Hook::POST_RECV_MESSAGE) &&
+        methods->GetRecvMessage() == nullptr) {
+      gate_->RefuseUndecodable(context_);
+    }
+    methods->Proceed();
+  }
+
+ private:
+  CallGate* gate_;
+  const grpc::ServerContextBase& context_;  // of the call, which owns this too
+};
+
+// Counts calls before anything is done for them, and checks those of one request. Streams are not
+// intercepted, which would cost each message: ServerStream sees to theirs.
 class CallCounter final : public grpc::experimental::ServerInterceptorFactoryInterface {
  public:
-  explicit CallCounter(ConnectionGuard* guard) : guard_(guard) {}
+  CallCounter(ConnectionGuard* guard, CallGate* gate) : guard_(guard), gate_(gate) {}
   grpc::experimental::Interceptor* CreateServerInterceptor(
       grpc::experimental::ServerRpcInfo* info) override {
     guard_->OnCall(*info->server_context());
-    return nullptr;
+    using Type = grpc::experimental::ServerRpcInfo::Type;
+    const bool one = info->type() == Type::UNARY || info->type() == Type::SERVER_STREAMING;
+    if (gate_ == nullptr || !one) return nullptr;
+    return new RequestCheck(gate_, *info->server_context());
   }
 
  private:
   ConnectionGuard* guard_;
+  CallGate* gate_;
 };
 
 }  // namespace
@@ -58,7 +82,7 @@ absl::StatusOr<std::unique_ptr<RpcServer>> RpcServer::Start(
   auto acceptor =
       builder.experimental().AddExternalConnectionAcceptor(Acceptor::FROM_FD, options.credentials);
   std::vector<std::unique_ptr<grpc::experimental::ServerInterceptorFactoryInterface>> counters;
-  counters.push_back(std::make_unique<CallCounter>(server->guard_));
+  counters.push_back(std::make_unique<CallCounter>(server->guard_, options.gate));
   builder.experimental().SetInterceptorCreators(std::move(counters));
   builder.SetMaxReceiveMessageSize(kMessageBytesMax);
   builder.SetMaxSendMessageSize(kMessageBytesMax);

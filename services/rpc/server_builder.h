@@ -12,6 +12,7 @@
 #include "grpcpp/impl/service_type.h"
 #include "grpcpp/security/server_credentials.h"
 #include "grpcpp/server.h"
+#include "services/rpc/call_gate.h"
 #include "services/rpc/connection_guard.h"
 #include "services/runtime/real_clock.h"
 
@@ -22,6 +23,8 @@ struct RpcServerOptions {
   // Listens already, and outlives the server; null = one of its own at `listen`,
   // which lets peers that no gate identifies send as much as they like.
   ConnectionGuard* guard = nullptr;
+  // Is told of calls that end before a handler is asked; outlives the server. Null = none.
+  CallGate* gate = nullptr;
   std::shared_ptr<grpc::ServerCredentials> credentials;
   absl::Duration keepalive_time = absl::Seconds(5);
   absl::Duration keepalive_timeout = absl::Seconds(5);

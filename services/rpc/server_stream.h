@@ -24,6 +24,9 @@ class ServerStream : public grpc::ServerBidiReactor<In, Out> {
 
   // One message; may take its contents. Reactions of one stream's reads never overlap.
   virtual void OnMessage(In& message) = 0;
+  // The stream ends because a message of the peer could not be decoded, or because the peer
+  // half-closed it, which no agent does. Before OnEnded.
+  virtual void OnUnreadable() {}
   // The stream is over; nothing is called afterwards.
   virtual void OnEnded() = 0;
 
@@ -32,21 +35,34 @@ class ServerStream : public grpc::ServerBidiReactor<In, Out> {
   static constexpr size_t kReuseBytesMax = 1 << 20;
 
   void OnReadDone(bool ok) final {
-    if (!ok) return outbound_->Close(grpc::Status::OK);
+    if (!ok) {
+      unreadable_ = outbound_->open();
+      return outbound_->Close(grpc::Status(
+          grpc::StatusCode::INVALID_ARGUMENT,
+          "a message cannot be decoded (is a text not UTF-8?), or the stream was half-closed"));
+    }
     OnMessage(incoming_);
     if (incoming_.SpaceUsedLong() > kReuseBytesMax) incoming_ = In();
     this->StartRead(&incoming_);
   }
   void OnWriteDone(bool ok) final { outbound_->OnWritten(ok); }
-  void OnCancel() final { outbound_->Close(grpc::Status::CANCELLED); }
+  void OnCancel() final {
+    cancelled_ = true;
+    outbound_->Close(grpc::Status::CANCELLED);
+  }
   void OnDone() final {
     outbound_->Detach();
+    // A connection that breaks fails the read too; gRPC then calls OnCancel as well.
+    if (unreadable_ && !cancelled_) OnUnreadable();
     OnEnded();
     delete this;
   }
 
   std::shared_ptr<Outbound> outbound_;
   In incoming_;
+  // Each written by one callback and read by OnDone alone, which comes last.
+  bool unreadable_ = false;
+  bool cancelled_ = false;
 };
 
 }  // namespace rips::rpc

@@ -24,6 +24,7 @@ class StreamService final : public v1::SensorService::CallbackService {
   BoundedQueue<std::shared_ptr<Outbound>> opened{{.capacity = 100}};
   BoundedQueue<int> ended{{.capacity = 100}};
   std::atomic<int> messages = 0;
+  std::atomic<int> unreadable = 0;
   std::atomic<bool> refuse = false;  // the first message, once `gate` is closed
   BoundedQueue<int> gate{{.capacity = 1}};
 
@@ -46,6 +47,7 @@ class StreamService final : public v1::SensorService::CallbackService {
       reply.mutable_heartbeat()->set_echo_boottime_ns(message.heartbeat().clock().boottime_ns());
       outbound()->Send(std::move(reply));
     }
+    void OnUnreadable() override { ++service_->unreadable; }
     void OnEnded() override { service_->ended.Push(1); }
 
     StreamService* service_;
@@ -141,6 +143,44 @@ TEST_F(ServerStreamTest, CutsOffAPeerThatDoesNotReadAndServesOthers) {
   EXPECT_EQ(end.error_message(), "the peer does not read what it is sent: more than 8192 KiB wait");
   EXPECT_LE(deaf.replies, taken - waiting + 1);  // what waited was let go
   EXPECT_TRUE(service_.ended.Pop(kPatience).has_value());
+}
+
+TEST_F(ServerStreamTest, AMessageThatCannotBeDecodedAndAHalfClosedStreamEndItAndAreTold) {
+  Caller garbled(Connect());
+  v1::SensorMessage message;
+  message.mutable_hello()->mutable_hello()->set_host("\xff\xfe");
+  ASSERT_TRUE(garbled.stream->Write(message));
+  const grpc::Status end = garbled.End();
+  EXPECT_EQ(end.error_code(), grpc::StatusCode::INVALID_ARGUMENT);
+  EXPECT_EQ(end.error_message(),
+            "a message cannot be decoded (is a text not UTF-8?), or the stream was half-closed");
+  EXPECT_TRUE(service_.ended.Pop(kPatience).has_value());
+  EXPECT_EQ(service_.unreadable, 1);
+
+  Caller half(Connect());
+  ASSERT_TRUE(half.Heartbeat(1));
+  half.stream->WritesDone();
+  EXPECT_EQ(half.End().error_code(), grpc::StatusCode::INVALID_ARGUMENT);
+  EXPECT_TRUE(service_.ended.Pop(kPatience).has_value());
+  EXPECT_EQ(service_.unreadable, 2);
+}
+
+TEST_F(ServerStreamTest, AStreamThatIsCancelledOrClosedHereIsNotToldAsUnreadable) {
+  {
+    Caller leaving(Connect());
+    ASSERT_TRUE(leaving.Heartbeat(1));
+    ASSERT_TRUE(service_.opened.Pop(kPatience).has_value());
+    leaving.context.TryCancel();
+    leaving.End();
+  }
+  ASSERT_TRUE(service_.ended.Pop(kPatience).has_value());
+  Caller closed(Connect());
+  const auto outbound = service_.opened.Pop(kPatience);
+  ASSERT_TRUE(outbound.has_value());
+  (*outbound)->Close(grpc::Status(grpc::StatusCode::UNAVAILABLE, "stopping"));
+  EXPECT_EQ(closed.End().error_message(), "stopping");
+  ASSERT_TRUE(service_.ended.Pop(kPatience).has_value());
+  EXPECT_EQ(service_.unreadable, 0);
 }
 
 TEST_F(ServerStreamTest, APeerThatWasCutOffAndNeverReadsMayLeave) {

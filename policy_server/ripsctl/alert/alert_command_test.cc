@@ -132,9 +132,8 @@ TEST_F(RipsctlTest, AcknowledgesAlerts) {
 }
 
 TEST_F(RipsctlTest, AnIdThatIsNoneIsRefusedBeforeTheServerHearsOfIt) {
-  for (const std::string& id :
-       {std::string("12345"), std::string(33, 'a'), std::string("22222g"), std::string("../../etc"),
-        std::string("\xff\xff\xff\xff\xff\xff")}) {
+  for (const std::string& id : {std::string("12345"), std::string(33, 'a'), std::string("22222g"),
+                                std::string("../../etc")}) {
     const Result result = Run({"alert", "ack", id});
     EXPECT_EQ(result.code, 2) << id;
     EXPECT_THAT(result.err, HasSubstr("is no ID of an alert")) << id;

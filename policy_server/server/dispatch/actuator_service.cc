@@ -1,5 +1,6 @@
 #include "policy_server/server/dispatch/actuator_service.h"
 
+#include <atomic>
 #include <functional>
 #include <memory>
 #include <optional>
@@ -30,21 +31,32 @@ using Stream = rpc::ServerStream<ActuatorMessage, ActuatorReply>;
 class Link final : public pipeline::ActuatorLink {
  public:
   Link(std::shared_ptr<Stream::Outbound> outbound, Counter commands, LogLimiter* logs,
-       std::function<model::AuditHead()> newest_head)
+       std::function<model::AuditHead()> newest_head, pipeline::AgentContacts* contacts)
       : outbound_(std::move(outbound)),
         commands_(commands),
         logs_(logs),
+        contacts_(contacts),
         newest_head_(std::move(newest_head)) {}
 
   // Once, before the hello is posted.
-  void SetPeer(std::string robot, std::string host, std::string address) {
+  void SetPeer(std::string robot, std::string host, std::string address, std::string version) {
     robot_ = std::move(robot);
     host_ = std::move(host);
     address_ = std::move(address);
+    version_ = std::move(version);
+  }
+  // A message has come. Noted of an agent that was admitted: what others say with its key counts
+  // for nothing.
+  void Heard(int64_t boottime_ns) {
+    if (admitted_ && heard_ != nullptr) *heard_ = boottime_ns;
   }
 
   void Grant(const pipeline::LeaseGrant& lease) override {
-    if (!std::exchange(admitted_, true)) {
+    if (!admitted_) {
+      if (contacts_ != nullptr) {
+        heard_ = contacts_->Greeted({robot_, pipeline::AgentKind::kActuator, host_}, version_);
+      }
+      admitted_ = true;
       if (const auto left_out = logs_->Admit(robot_)) {
         LogInfo("actuator connected",
                 {{"robot", robot_}, {"host", host_}, {"peer", address_}, {"left_out", *left_out}});
@@ -79,10 +91,14 @@ class Link final : public pipeline::ActuatorLink {
   std::string robot_;
   std::string host_;
   std::string address_;
-  // The robot's thread has taken it as a session; of that thread.
-  bool admitted_ = false;
+  std::string version_;
+  // The robot's thread has taken it as a session, and written `heard_` before.
+  std::atomic<bool> admitted_ = false;
+  // Null of an agent that is not listed.
+  std::shared_ptr<pipeline::AgentContacts::Heard> heard_;
   Counter commands_;
   LogLimiter* logs_;
+  pipeline::AgentContacts* contacts_;  // may be null
   // Robots may hold links for longer than the service lives.
   const std::function<model::AuditHead()> newest_head_;
 };
@@ -97,9 +113,8 @@ class ActuatorStream final : public Stream {
         watch_(watch),
         metrics_(metrics),
         heads_(heads),
-        contacts_(contacts),
-        link_(std::make_shared<Link>(outbound(), metrics.commands, &pipeline->logs(),
-                                     heads->newest)) {
+        link_(std::make_shared<Link>(outbound(), metrics.commands, &pipeline->logs(), heads->newest,
+                                     contacts)) {
     if (!peer.ok()) {
       outbound()->Close(rpc::ToGrpc(peer.status()));
     } else {
@@ -116,7 +131,7 @@ class ActuatorStream final : public Stream {
  private:
   void OnMessage(ActuatorMessage& message) override {
     watch_->Heard(*session_, message.ByteSizeLong());
-    if (heard_ != nullptr) *heard_ = session_->heard_boottime_ns.load();
+    link_->Heard(session_->heard_boottime_ns.load());
     if (refused_) return;  // came before the peer heard of it
     if (const auto hit = wire_limits::Check(message)) return RefuseField(*hit);
     if (!session_->greeted && !message.has_hello()) {
@@ -147,13 +162,9 @@ class ActuatorStream final : public Stream {
            absl::PermissionDeniedError("the hello names another host than the certificate")},
           &session_->peer, address_));
     }
-    if (contacts_ != nullptr) {
-      heard_ = contacts_->Greeted({mailbox_->robot(), pipeline::AgentKind::kActuator, host_},
-                                  hello.hello().version());
-    }
     absl::StatusOr<pipeline::ActuatorHello> decoded = model_proto::Decode(hello);
     if (!decoded.ok()) return Refuse(decoded.status());
-    link_->SetPeer(mailbox_->robot(), host_, address_);
+    link_->SetPeer(mailbox_->robot(), host_, address_, hello.hello().version());
     decoded->peer = address_;
     model::AuditHead head = decoded->last_audit_head;
     Post(hello.ByteSizeLong(), [host = host_, link = link_, hello = *std::move(decoded)](
@@ -180,12 +191,16 @@ class ActuatorStream final : public Stream {
 
   void Refuse(const absl::Status& status) {
     refused_ = true;
+    CountRefused(status);
+    outbound()->Close(rpc::ToGrpc(status));
+  }
+
+  void CountRefused(const absl::Status& status) {
     // An agent of another version is no attacker.
     const bool hostile = !absl::IsFailedPrecondition(status);
     if (hostile && session_->connection != nullptr) session_->connection->OnRefused();
     metrics_.malformed.Increment();
     LogRefusal(status);
-    outbound()->Close(rpc::ToGrpc(status));
   }
 
   void LogRefusal(const absl::Status& status) {
@@ -205,6 +220,12 @@ class ActuatorStream final : public Stream {
     outbound()->Close(rpc::ToGrpc(posted));
   }
 
+  void OnUnreadable() override {
+    if (session_ == nullptr || refused_) return;
+    CountRefused(
+        absl::InvalidArgumentError("a message cannot be decoded, or a half-closed stream"));
+  }
+
   void OnEnded() override {
     if (!mailbox_) return;
     pipeline_
@@ -218,9 +239,6 @@ class ActuatorStream final : public Stream {
   rpc::SessionWatch* watch_;
   DispatchMetrics metrics_;
   const AuditHeads* heads_;
-  pipeline::AgentContacts* contacts_;
-  // Null before the hello, and of an agent that is not listed.
-  std::shared_ptr<pipeline::AgentContacts::Heard> heard_;
   std::shared_ptr<Link> link_;
   std::shared_ptr<rpc::SessionWatch::Session> session_;
   std::optional<pipeline::Mailbox> mailbox_;

@@ -33,18 +33,29 @@ using Stream = rpc::ServerStream<SensorMessage, SensorReply>;
 // What the pipeline holds of one stream.
 class Link final : public pipeline::SensorLink {
  public:
-  Link(std::shared_ptr<Stream::Outbound> outbound, LogLimiter* logs)
-      : outbound_(std::move(outbound)), logs_(logs) {}
+  Link(std::shared_ptr<Stream::Outbound> outbound, LogLimiter* logs,
+       pipeline::AgentContacts* contacts)
+      : outbound_(std::move(outbound)), logs_(logs), contacts_(contacts) {}
 
   // Once, before the hello is posted.
-  void SetPeer(std::string robot, std::string host, std::string address) {
+  void SetPeer(std::string robot, std::string host, std::string address, std::string version) {
     robot_ = std::move(robot);
     host_ = std::move(host);
     address_ = std::move(address);
+    version_ = std::move(version);
+  }
+  // A message has come. Noted of an agent that was admitted: what others say with its key counts
+  // for nothing.
+  void Heard(int64_t boottime_ns) {
+    if (admitted_ && heard_ != nullptr) *heard_ = boottime_ns;
   }
 
   void Setup(const pipeline::SensorSetup& setup) override {
-    if (!std::exchange(admitted_, true)) {
+    if (!admitted_) {
+      if (contacts_ != nullptr) {
+        heard_ = contacts_->Greeted({robot_, pipeline::AgentKind::kSensor, host_}, version_);
+      }
+      admitted_ = true;
       if (const auto left_out = logs_->Admit(robot_)) {
         LogInfo("sensor connected",
                 {{"robot", robot_}, {"host", host_}, {"peer", address_}, {"left_out", *left_out}});
@@ -134,8 +145,12 @@ class Link final : public pipeline::SensorLink {
   std::string robot_;
   std::string host_;
   std::string address_;
-  // The robot's thread has taken it as a session; of that thread.
-  bool admitted_ = false;
+  std::string version_;
+  // The robot's thread has taken it as a session, and written `heard_` before.
+  std::atomic<bool> admitted_ = false;
+  // Null of an agent that is not listed.
+  std::shared_ptr<pipeline::AgentContacts::Heard> heard_;
+  pipeline::AgentContacts* contacts_;  // may be null
   std::atomic<uint64_t> granted_ = 0;
   std::atomic<uint64_t> payload_granted_ = 0;
   Mutex mu_;
@@ -151,8 +166,7 @@ class SensorStream final : public Stream {
       : pipeline_(pipeline),
         watch_(watch),
         metrics_(metrics),
-        contacts_(contacts),
-        link_(std::make_shared<Link>(outbound(), &pipeline->logs())) {
+        link_(std::make_shared<Link>(outbound(), &pipeline->logs(), contacts)) {
     if (!peer.ok()) {
       outbound()->Close(rpc::ToGrpc(peer.status()));
     } else {
@@ -169,7 +183,7 @@ class SensorStream final : public Stream {
  private:
   void OnMessage(SensorMessage& message) override {
     watch_->Heard(*session_, message.ByteSizeLong());
-    if (heard_ != nullptr) *heard_ = session_->heard_boottime_ns.load();
+    link_->Heard(session_->heard_boottime_ns.load());
     if (refused_) return;  // came before the peer heard of it
     if (const auto hit = wire_limits::Check(message)) return RefuseField(*hit);
     if (!session_->greeted && !message.has_hello()) {
@@ -203,14 +217,10 @@ class SensorStream final : public Stream {
            absl::PermissionDeniedError("the hello names another host than the certificate")},
           &session_->peer, address_));
     }
-    if (contacts_ != nullptr) {
-      heard_ = contacts_->Greeted({mailbox_->robot(), pipeline::AgentKind::kSensor, host_},
-                                  hello.hello().version());
-    }
     absl::StatusOr<pipeline::SensorHello> decoded = DecodeHello(hello);
     if (!decoded.ok()) return Refuse(decoded.status());
     link_->InterestInUse(hello.interest_in_use());
-    link_->SetPeer(mailbox_->robot(), host_, address_);
+    link_->SetPeer(mailbox_->robot(), host_, address_, hello.hello().version());
     decoded->peer = address_;
     Post(Lane::kControl, hello.ByteSizeLong(),
          [host = host_, link = link_, hello = *std::move(decoded)](Robot& robot) {
@@ -273,12 +283,16 @@ class SensorStream final : public Stream {
 
   void Refuse(const absl::Status& status) {
     refused_ = true;
+    CountRefused(status);
+    outbound()->Close(rpc::ToGrpc(status));
+  }
+
+  void CountRefused(const absl::Status& status) {
     // An agent of another version is no attacker.
     const bool hostile = !absl::IsFailedPrecondition(status);
     if (hostile && session_->connection != nullptr) session_->connection->OnRefused();
     metrics_.malformed.Increment();
     LogRefusal(status);
-    outbound()->Close(rpc::ToGrpc(status));
   }
 
   void LogRefusal(const absl::Status& status) {
@@ -298,6 +312,12 @@ class SensorStream final : public Stream {
     outbound()->Close(rpc::ToGrpc(posted));
   }
 
+  void OnUnreadable() override {
+    if (session_ == nullptr || refused_) return;
+    CountRefused(
+        absl::InvalidArgumentError("a message cannot be decoded, or a half-closed stream"));
+  }
+
   void OnEnded() override {
     if (!mailbox_) return;
     pipeline_
@@ -309,9 +329,6 @@ class SensorStream final : public Stream {
   pipeline::Pipeline* pipeline_;
   rpc::SessionWatch* watch_;
   IngestMetrics metrics_;
-  pipeline::AgentContacts* contacts_;
-  // Null before the hello, and of an agent that is not listed.
-  std::shared_ptr<pipeline::AgentContacts::Heard> heard_;
   std::shared_ptr<Link> link_;
   std::shared_ptr<rpc::SessionWatch::Session> session_;
   std::optional<pipeline::Mailbox> mailbox_;

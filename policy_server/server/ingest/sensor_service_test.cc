@@ -119,11 +119,8 @@ struct Sensor {
     return stream->Finish();
   }
   void End() {
-    stream->WritesDone();
-    SensorReply reply;
-    while (stream->Read(&reply)) {
-    }
-    EXPECT_TRUE(stream->Finish().ok());
+    context.TryCancel();
+    EXPECT_EQ(Ended().error_code(), grpc::StatusCode::CANCELLED);
   }
 
   std::unique_ptr<rips::v1::SensorService::Stub> stub;
@@ -315,6 +312,18 @@ TEST_F(SensorServiceTest, AVersionAndTheLastContactOutliveTheStream) {
   EXPECT_LE(contact.heard_ago_ns, BoottimeNow() - sent_ns) << "the heartbeat counts, too";
 }
 
+TEST_F(SensorServiceTest, WhatARefusedAgentSaysIsNoContact) {
+  contacts_.SetListed({{"r1", pipeline::AgentKind::kSensor, "base"}});
+  const auto sensor = Connect();
+  ASSERT_NE(sensor, nullptr);
+  const std::string version = contacts_.Of("r1")[0].version;
+  Sensor second(channel_);
+  second.Hello("", "of another");
+  EXPECT_EQ(second.Ended().error_code(), grpc::StatusCode::ALREADY_EXISTS);
+  EXPECT_EQ(contacts_.Of("r1")[0].version, version);
+  sensor->End();
+}
+
 TEST_F(SensorServiceTest, AHugeOrMalformedVersionEndsTheStreamAndIsNotKept) {
   contacts_.SetListed({{"r1", pipeline::AgentKind::kSensor, "base"}});
   Sensor huge(channel_);
@@ -322,8 +331,9 @@ TEST_F(SensorServiceTest, AHugeOrMalformedVersionEndsTheStreamAndIsNotKept) {
   EXPECT_EQ(huge.Ended().error_code(), grpc::StatusCode::INVALID_ARGUMENT);
   Sensor malformed(channel_);
   malformed.Hello("", "\xff\xfe");
-  // gRPC cannot parse it, which the service sees as the end of the stream.
-  EXPECT_FALSE(malformed.Greeted());
+  // gRPC cannot decode it, which the service sees as the end of the stream.
+  EXPECT_EQ(malformed.Ended().error_code(), grpc::StatusCode::INVALID_ARGUMENT);
+  EXPECT_EQ(malformed_.Value(), 1);
   EXPECT_EQ(contacts_.Of("r1")[0].version, "");
   EXPECT_EQ(contacts_.Of("r1")[0].heard_unix_ns, 0);
 }

@@ -3,12 +3,12 @@
 //
 //   an agent                                       version      heard
 //   has not said hello since the server's start    empty        never
-//   said hello, also if the robot then refuses it  its own word when its last message came
+//   said hello, and the robot has admitted it      its own word when its last message came
+//   was refused                                    stays        stays
 //   its stream has ended                           stays        stays
 //   is no longer listed                            removed      removed
 //
-// Contact grants nothing: an agent that is heard may still be refused, and its version is only its
-// own word. Bounded by the inventory.
+// Contact grants nothing, and the version is only the agent's own word. Bounded by the inventory.
 #ifndef RIPS_POLICY_SERVER_SERVER_SHARD_AGENT_CONTACTS_H_
 #define RIPS_POLICY_SERVER_SERVER_SHARD_AGENT_CONTACTS_H_
 
@@ -61,7 +61,7 @@ class AgentContacts {
 
   // The agents that are listed from now on. What is known of those that stay is kept.
   void SetListed(std::vector<AgentId> agents) ABSL_LOCKS_EXCLUDED(mu_);
-  // The agent has said hello now. What its stream notes its messages in; null = it is not listed.
+  // The agent is admitted now. What its stream notes its messages in; null = it is not listed.
   std::shared_ptr<Heard> Greeted(const AgentId& agent, absl::string_view version)
       ABSL_LOCKS_EXCLUDED(mu_);
   // The listed agents of a robot, sensors first, by host.
