@@ -6,10 +6,12 @@
 #include <stdlib.h>
 #include <unistd.h>
 
+#include <algorithm>
 #include <cstddef>
 #include <cstdint>
 #include <string>
 
+#include "absl/strings/escaping.h"
 #include "absl/strings/match.h"
 #include "absl/strings/str_cat.h"
 #include "absl/strings/string_view.h"
@@ -60,6 +62,15 @@ std::string Everything(const std::string& path, size_t events_max, RipsWriter* w
   }
 }
 
+// Where two readings part, with what follows there in each.
+std::string Difference(absl::string_view left, absl::string_view right) {
+  constexpr size_t kShownBytes = 200;
+  const auto length = static_cast<size_t>(
+      std::mismatch(left.begin(), left.end(), right.begin(), right.end()).first - left.begin());
+  return absl::StrCat("at byte ", length, ": `", absl::CHexEscape(left.substr(length, kShownBytes)),
+                      "` or `", absl::CHexEscape(right.substr(length, kShownBytes)), "`");
+}
+
 // As one event of our own format, without its checksum.
 void OneEvent(absl::string_view bytes) {
   rips::v1::RecordedEvent wire;
@@ -91,8 +102,10 @@ extern "C" int LLVMFuzzerTestOneInput(const uint8_t* data, size_t size) {
   RIPS_CHECK(writer.ok(), "no room for the output");
   std::string taken;
   const std::string first = Everything(input.path, events_max, &*writer, &taken);
-  RIPS_CHECK(Everything(input.path, events_max, nullptr, nullptr) == first,
-             "another reading differs");
-  RIPS_CHECK(Everything(output.path, events_max, nullptr, nullptr) == taken, "a copy differs");
+  const std::string second = Everything(input.path, events_max, nullptr, nullptr);
+  RIPS_CHECK(second == first,
+             absl::StrCat("a second reading differs ", Difference(first, second)).c_str());
+  const std::string copy = Everything(output.path, events_max, nullptr, nullptr);
+  RIPS_CHECK(copy == taken, absl::StrCat("a copy differs ", Difference(taken, copy)).c_str());
   return 0;
 }
