@@ -42,6 +42,7 @@ inline void AddEndpoint(v1::GraphSnapshot* graph, v1::Endpoint::Kind kind, const
 // One robot `r1` at COMPROMISED (3.17). Remembers the last request; fails with `failure` if set.
 class FakeOperator final : public FakeEnrolOperator {
  public:
+  v1::ListReceiptsResponse receipts;
   v1::LevelResponse level_response;
   std::string alert_text = "unknown node /intruder";
   std::string unrecorded_alert, alert_recording = MakeAlertRecording();
@@ -160,7 +161,8 @@ class FakeOperator final : public FakeEnrolOperator {
     return Remember(absl::StrCat("GetCoverage ", request->robot()));
   }
   grpc::Status ListReceipts(grpc::ServerContext*, const v1::ListReceiptsRequest* request,
-                            v1::ListReceiptsResponse*) override {
+                            v1::ListReceiptsResponse* response) override {
+    *response = receipts;
     return Remember(absl::StrCat("ListReceipts ", request->robot()));
   }
   grpc::Status DrillRobot(grpc::ServerContext*, const v1::DrillRobotRequest* request,

@@ -4,10 +4,12 @@
 #include <nlohmann/json.hpp>
 #include <optional>
 #include <ostream>
+#include <set>
 #include <string>
 #include <utility>
 
 #include "absl/strings/escaping.h"
+#include "absl/strings/match.h"
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_join.h"
 #include "policy_server/ripsctl/cli/json_output.h"
@@ -277,6 +279,31 @@ class LowerLevel final : public ChangeLevel {
           << EscapeText(seen.last().cause());
     }
     out << "\n";
+    ShowFirewalls(env, seen.status().decision_id(), out);
+  }
+
+  // What the level's firewall steps keep out, and a lowering may let in again.
+  void ShowFirewalls(Env& env, const v1::DecisionId& level, std::ostream& out) const {
+    v1::ListReceiptsRequest request;
+    request.set_robot(robot_);
+    const auto response = Call(env, &Stub::ListReceipts, request);
+    if (!response.ok()) {
+      out << "what its firewalls hold is not known: " << EscapeText(response.status().message())
+          << "\n";
+      return;
+    }
+    std::set<std::string> hosts;
+    for (const v1::ReceivedReceipt& each : response->receipts()) {  // newest first
+      const v1::DecisionId& of = each.receipt().decision_id();
+      if (of.term() != level.term() || of.epoch() != level.epoch()) continue;
+      if (!hosts.insert(each.host()).second) continue;
+      for (const v1::StepResult& step : each.receipt().steps()) {
+        if (!step.ok() || !absl::StartsWith(step.step(), "firewall ")) continue;
+        if (step.step() == "firewall release") continue;
+        out << EscapeText(each.host()) << " holds `" << EscapeText(step.step())
+            << "`, which ends unless " << EscapeText(request_.to()) << " holds it, too\n";
+      }
+    }
   }
 
   std::string expect_;
