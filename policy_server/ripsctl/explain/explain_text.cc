@@ -367,7 +367,9 @@ std::string NoEvidenceText(const v1::ExplainResponse& recorded) {
   }
   if (transition.cause() == "adopted") {
     return absl::StrCat(
-        "no rule did it, but RIPS itself: it took over the level that an actuator held", reason);
+        "no rule did it, but RIPS itself: an actuator held another level than this server had "
+        "decided, and the more restrictive one was taken",
+        reason);
   }
   return absl::StrCat("no rule did it, but RIPS itself", reason);
 }

@@ -212,7 +212,8 @@ TEST(ExplainTextTest, SaysWhyThereIsNoEvidence) {
   transition.set_cause("adopted");
   transition.clear_reason();
   EXPECT_EQ(NoEvidenceText(OfTransition(transition)),
-            "no rule did it, but RIPS itself: it took over the level that an actuator held");
+            "no rule did it, but RIPS itself: an actuator held another level than this server had "
+            "decided, and the more restrictive one was taken");
   v1::ExplainResponse with = OfTransition(transition);
   *with.mutable_evidence() = MakeEvidence();
   EXPECT_EQ(NoEvidenceText(with), "");
