@@ -151,6 +151,12 @@ absl::Status BagReader::Connect() {
   sqlite3_limit(raw, SQLITE_LIMIT_LENGTH, static_cast<int>(kMessageBytesMax + kRowBytes));
   sqlite3_db_config(raw, SQLITE_DBCONFIG_TRUSTED_SCHEMA, 0, nullptr);
   sqlite3_db_config(raw, SQLITE_DBCONFIG_DEFENSIVE, 1, nullptr);
+  // Without it, a cell that a damaged page has at its end is read from the memory behind the page.
+  if (const int checks =
+          sqlite3_exec(raw, "PRAGMA cell_size_check = ON", nullptr, nullptr, nullptr);
+      checks != SQLITE_OK) {
+    return FromSqlite(checks);
+  }
   sqlite3_progress_handler(
       raw, kStepsPerCall,
       [](void* left) {

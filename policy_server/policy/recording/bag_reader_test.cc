@@ -231,6 +231,27 @@ TEST_F(BagReaderTest, AFileThatWalksInCirclesIsLeft) {
   EXPECT_THAT(reading.status, StatusIs(kDataLoss, HasSubstr("more steps than")));
 }
 
+// The number of an inner cell may begin where its page ends. SQLite would read it in the memory
+// behind the page, and find now this row and now that.
+TEST_F(BagReaderTest, ACellAtTheEndOfADamagedPageIsNotReadBeyondIt) {
+  std::vector<std::string> inserts = {"DROP INDEX timestamp_idx"};
+  for (int id = 1; id <= 20; ++id) {
+    inserts.push_back(Insert(id, 1, absl::StrCat(id), "zeroblob(100)"));
+  }
+  std::string bytes = ReadBytes(Make(inserts));
+  const size_t root = 512 * 2;
+  ASSERT_EQ(bytes[root], 5) << "the root of `messages`, page 3, is an inner page";
+  const size_t cell =
+      static_cast<uint8_t>(bytes[root + 12]) * 256u + static_cast<uint8_t>(bytes[root + 13]);
+  bytes.replace(root + 508, 4, bytes.substr(root + cell, 4));
+  bytes.replace(root + 12, 2, "\x01\xfc");
+
+  const Reading reading = ReadAll(folder_.Write("beyond.db3", bytes));
+
+  EXPECT_THAT(reading.status, StatusIs(kDataLoss, HasSubstr("disk image is malformed")));
+  EXPECT_THAT(reading.events, SizeIs(0));
+}
+
 class BagFolderTest : public BagReaderTest {
  protected:
   void WriteMetadata(absl::string_view files, absl::string_view more = "") {
