@@ -3,10 +3,13 @@
 #include <cstdio>
 #include <memory>
 #include <optional>
+#include <string>
+#include <vector>
 
 #include "absl/status/status.h"
 #include "absl/time/clock.h"
 #include "mode_actuator/link/agent.h"
+#include "services/dds/participant.h"
 #include "services/dds/security.h"
 #include "services/rpc/certificate_monitor.h"
 #include "services/rpc/credentials.h"
@@ -43,10 +46,20 @@ int CheckConfig(const std::string& file, const LoadedConfig& loaded) {
   if (const auto enclave = rips::dds::LoadSecurity(loaded.config.dds, absl::Now()); !enclave.ok()) {
     return Fail(rips::kExitConfig, enclave.status());
   }
+  std::string certificate;
+  const absl::Status mine = rips::rpc::CheckOwn(
+      loaded.config.tls,
+      [&](const rips::rpc::PeerIdentity& self) {
+        return rips::actuator::CheckIdentity(loaded.config, self);
+      },
+      &certificate);
+  if (!mine.ok()) return Fail(rips::kExitConfig, mine);
   std::printf("%s", loaded.effective.c_str());
-  for (const std::string& warning : rips::actuator::Warnings(loaded)) {
-    std::fprintf(stderr, "warning: %s\n", warning.c_str());
-  }
+  std::vector<std::string> warnings = rips::actuator::Warnings(loaded);
+  // What may come before the daemon starts.
+  warnings.push_back(certificate);
+  warnings.emplace_back(rips::dds::FindInterface(loaded.config.dds.interface).message());
+  rips::PrintWarnings(warnings);
   return 0;
 }
 

@@ -14,6 +14,7 @@
 #include "sensor_agent/config.h"
 #include "sensor_agent/host_metrics.h"
 #include "services/base/status_macros.h"
+#include "services/dds/participant.h"
 #include "services/dds/security.h"
 #include "services/rpc/certificate_monitor.h"
 #include "services/rpc/credentials.h"
@@ -145,7 +146,15 @@ int CheckConfig(const std::string& file, const SensorConfig& config, const std::
   if (const auto enclave = dds::LoadSecurity(config.dds, absl::Now()); !enclave.ok()) {
     return Fail(kExitConfig, "cannot use the keystore", enclave.status());
   }
+  std::string certificate;
+  const absl::Status mine = rpc::CheckOwn(
+      config.tls, [&](const rpc::PeerIdentity& self) { return CheckIdentity(config, self); },
+      &certificate);
+  if (!mine.ok()) return Fail(kExitConfig, "wrong certificate", mine);
+  const absl::Status interface = dds::FindInterface(config.dds.interface);
   std::fputs(effective.c_str(), stdout);
+  // What may come before the daemon starts.
+  PrintWarnings({certificate, std::string(interface.message())});
   return 0;
 }
 

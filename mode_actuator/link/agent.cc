@@ -188,6 +188,15 @@ absl::StatusOr<LoadedConfig> LoadConfig(const std::string& path) {
   return loaded;
 }
 
+absl::Status CheckIdentity(const Config& config, const rpc::PeerIdentity& self) {
+  if (self.role == rpc::Role::kActuator && self.robot == config.robot && self.host == config.host) {
+    return absl::OkStatus();
+  }
+  return absl::PermissionDeniedError(absl::StrCat(
+      "the certificate is of `", ToString(self), "`, but the configuration says robot `",
+      config.robot, "`, host `", config.host, "` of an actuator; correct the one that is wrong"));
+}
+
 std::vector<std::string> Warnings(const LoadedConfig& loaded) {
   std::vector<std::string> warnings = loaded.smh.warnings;
   for (std::string& warning : MonotonyWarnings(loaded.config, loaded.smh)) {
@@ -758,14 +767,8 @@ absl::StatusOr<std::unique_ptr<Agent>> Agent::Start(const LoadedConfig& loaded,
                                                     const Clock* clock, Metrics* metrics,
                                                     rpc::CertificateMonitor* monitor,
                                                     std::function<void()> on_turn) {
-  credentials.Require([robot = loaded.config.robot,
-                       host = loaded.config.host](const rpc::PeerIdentity& self) -> absl::Status {
-    if (self.role == rpc::Role::kActuator && self.robot == robot && self.host == host) {
-      return absl::OkStatus();
-    }
-    return absl::PermissionDeniedError(absl::StrCat(
-        "the certificate is of `", ToString(self), "`, but the configuration says robot `", robot,
-        "`, host `", host, "` of an actuator; correct the one that is wrong"));
+  credentials.Require([config = loaded.config](const rpc::PeerIdentity& self) {
+    return CheckIdentity(config, self);
   });
   // Whatever else is wrong with them may pass: the robot is kept safe meanwhile.
   if (const absl::Status mine = credentials.Get().status(); absl::IsPermissionDenied(mine)) {

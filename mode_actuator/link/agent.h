@@ -31,6 +31,8 @@ struct LoadedConfig {
   std::string effective;
 };
 absl::StatusOr<LoadedConfig> LoadConfig(const std::string& path);
+// PermissionDenied: the certificate is not of the configuration's robot and host.
+absl::Status CheckIdentity(const Config& config, const rpc::PeerIdentity& self);
 // Warnings: legal there, but likely to be wrong.
 std::vector<std::string> Warnings(const LoadedConfig& loaded);
 

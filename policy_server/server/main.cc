@@ -16,6 +16,7 @@
 #include "services/runtime/core_dumps.h"
 #include "services/runtime/daemon_flags.h"
 #include "services/runtime/log.h"
+#include "services/runtime/needed_directories.h"
 #include "services/runtime/service_manager.h"
 #include "services/runtime/shutdown.h"
 #include "services/runtime/ticker.h"
@@ -36,6 +37,15 @@ int CheckConfig(const std::string& file, const rips::server::ParsedServerConfig&
     problem = rips::enrol::CheckIssuingFiles(
         {.cert = enrolment.cert, .key = enrolment.key, .ca = parsed.config.tls.ca});
   }
+  std::string certificate;
+  if (problem.ok()) {
+    problem = rips::rpc::CheckOwn(
+        parsed.config.tls,
+        [&](const rips::rpc::PeerIdentity& self) {
+          return rips::server::CheckIdentity(parsed.config, self);
+        },
+        &certificate);
+  }
   if (!problem.ok()) {
     std::fprintf(stderr, "%s\n", std::string(problem.message()).c_str());
     return rips::kExitConfig;
@@ -44,6 +54,7 @@ int CheckConfig(const std::string& file, const rips::server::ParsedServerConfig&
   for (const auto& [path, robots] : inventory.files) {
     std::printf("robots of %s: %zu\n", path.c_str(), robots);
   }
+  rips::PrintWarnings({certificate});  // what may come before the daemon starts
   return 0;
 }
 

@@ -13,6 +13,7 @@
 #include "policy_server/policy/bundle/bundle_keep.h"
 #include "policy_server/policy/bundle/inventory_files.h"
 #include "policy_server/server/audit/store_audit.h"
+#include "policy_server/server/config/needed_files.h"
 #include "services/base/ids.h"
 #include "services/base/status_macros.h"
 #include "services/runtime/await.h"
@@ -230,14 +231,8 @@ void Server::OpenRecordings() {
 
 absl::Status Server::AwaitCredentials(const Pause& pause) {
   const auto attempt = [this]() -> absl::Status {
-    auto own = rpc::LoadOwn(config_.tls, [this](const rpc::PeerIdentity& self) -> absl::Status {
-      if (self.role == rpc::Role::kPolicyServer && self.name == config_.id &&
-          self.trust_domain == config_.trust_domain) {
-        return absl::OkStatus();
-      }
-      return absl::PermissionDeniedError(
-          absl::StrCat(config_.tls.cert, " is the certificate of ", rpc::ToString(self),
-                       ", not of spiffe://", config_.trust_domain, "/policy-server/", config_.id));
+    auto own = rpc::LoadOwn(config_.tls, [this](const rpc::PeerIdentity& self) {
+      return CheckIdentity(config_, self);
     });
     if (own.ok()) credentials_ = *own;
     return own.status();

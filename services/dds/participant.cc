@@ -80,6 +80,14 @@ std::string InterfaceNames() {
 
 }  // namespace
 
+absl::Status FindInterface(const std::string& name) {
+  const char* operators_own = std::getenv("CYCLONEDDS_URI");
+  if (operators_own != nullptr && *operators_own != '\0') return absl::OkStatus();
+  if (name.empty() || if_nametoindex(name.c_str()) != 0) return absl::OkStatus();
+  return absl::NotFoundError(absl::StrCat("there is no network interface `", name, "` here, only ",
+                                          InterfaceNames(), "; see `dds.interface`"));
+}
+
 absl::StatusOr<std::string> DomainXml(const DomainOptions& options, uint64_t rmem_max) {
   if (!IsInterfaceName(options.interface)) {
     return absl::InvalidArgumentError(absl::StrCat("`", ros2::Printable(options.interface),
@@ -110,13 +118,8 @@ absl::StatusOr<std::shared_ptr<const Domain>> Domain::Create(const DomainOptions
   }
   RIPS_ASSIGN_OR_RETURN(std::string xml, DomainXml(options, ReadRmemMax()));
   const char* operators_own = std::getenv("CYCLONEDDS_URI");
-  if (operators_own != nullptr && *operators_own != '\0') {
-    xml = operators_own;
-  } else if (!options.interface.empty() && if_nametoindex(options.interface.c_str()) == 0) {
-    return absl::NotFoundError(absl::StrCat("there is no network interface `", options.interface,
-                                            "` here, only ", InterfaceNames(),
-                                            "; see `dds.interface`"));
-  }
+  if (operators_own != nullptr && *operators_own != '\0') xml = operators_own;
+  RIPS_RETURN_IF_ERROR(FindInterface(options.interface));
   DdsEntity entity(dds_create_domain(options.id, xml.c_str()));
   if (entity.get() == DDS_RETCODE_PRECONDITION_NOT_MET) {
     return absl::AlreadyExistsError(

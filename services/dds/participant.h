@@ -27,6 +27,9 @@ struct DomainOptions {
   bool unicast_data = false;
 };
 
+// NotFound, with those that there are; OK of an empty name, and where CYCLONEDDS_URI decides.
+absl::Status FindInterface(const std::string& name);
+
 // The XML with which a domain starts when CYCLONEDDS_URI is unset. `rmem_max` is the largest
 // socket receive buffer the kernel grants, in bytes (/proc/sys/net/core/rmem_max): Cyclone
 // refuses to start if it asks for more. InvalidArgument if `interface` is no interface name.

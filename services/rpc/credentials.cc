@@ -175,6 +175,13 @@ absl::StatusOr<std::shared_ptr<const Credentials>> LoadOwn(const TlsFiles& files
   return own;
 }
 
+absl::Status CheckOwn(const TlsFiles& files, const CheckIdentity& check, std::string* warning) {
+  const absl::Status own = LoadOwn(files, check).status();
+  if (absl::IsPermissionDenied(own)) return own;
+  *warning = own.ok() ? "" : absl::StrCat("no usable certificate: ", own.message());
+  return absl::OkStatus();
+}
+
 // --- CredentialsSource
 
 struct CredentialsSource::State {

@@ -81,6 +81,10 @@ using CheckIdentity = std::function<absl::Status(const PeerIdentity&)>;
 absl::StatusOr<std::shared_ptr<const Credentials>> LoadOwn(const TlsFiles& files,
                                                            const CheckIdentity& check);
 
+// For --check-config, which refuses what the daemon would end for: PermissionDenied as LoadOwn. OK
+// otherwise; `warning` says then what the daemon would wait for, and is empty if it is nothing.
+absl::Status CheckOwn(const TlsFiles& files, const CheckIdentity& check, std::string* warning);
+
 // An agent's credentials, which may not be usable yet: a board without a clock of its own starts
 // before its certificate is valid, a disk is mounted late, a key is being replaced. Nothing of this
 // ends a daemon; each attempt to connect asks again. Copies are the same source. Any thread.

@@ -1,5 +1,6 @@
 #include "services/runtime/needed_directories.h"
 
+#include <cstdio>
 #include <filesystem>
 #include <system_error>
 
@@ -27,6 +28,12 @@ absl::Status CheckDirectories(absl::string_view file, const std::vector<NeededDi
   }
   if (problems.empty()) return absl::OkStatus();
   return absl::InvalidArgumentError(absl::StrJoin(problems, "\n"));
+}
+
+void PrintWarnings(const std::vector<std::string>& warnings) {
+  for (const std::string& each : warnings) {
+    if (!each.empty()) std::fprintf(stderr, "warning: %s\n", each.c_str());
+  }
 }
 
 }  // namespace rips

@@ -187,9 +187,44 @@ def broken_bundle(fleet):
           "`robot list` does not show it")
 
 
+def asked_before_the_start(fleet):
+    """--check-config says what the daemon would end for, and warns of what it would wait for."""
+    fleet.prepare()
+    fleet.port = 1
+    fleet.write_agent_configs()
+    fleet.env["CYCLONEDDS_URI"] = ""
+
+    def asked(name, code, *parts):
+        done = subprocess.run([fleet.bin / f"rips-{name}", "--check-config", "--config",
+                               fleet.dir / f"{name}.yaml"], capture_output=True, text=True,
+                              env=fleet.env, timeout=60)
+        missing = [part for part in parts if part not in done.stderr]
+        check(done.returncode == code and not missing,
+              f"rips-{name}: {done.returncode}, without {missing}: {done.stderr}")
+        return done.stderr
+
+    for name, mine in (("sensor", fleet.dir / "pki/sensor/r1/base"),
+                       ("actuator", fleet.dir / "pki/actuator/r1/base"),
+                       ("policy-server", fleet.dir / "pki/server/ps1")):
+        said = asked(name, 0)
+        check("certificate" not in said and "interface" not in said, f"rips-{name} says {said}")
+        away = mine.with_name("away")
+        mine.rename(away)
+        asked(name, 0, "warning: no usable certificate: ", f"`{mine}/", "No such file")
+        shutil.copytree(fleet.dir / "pki/operator/operator/alice", mine)
+        asked(name, 2, "/operator/", "is ")
+        shutil.rmtree(mine)
+        away.rename(mine)
+        if name != "policy-server":
+            config = fleet.dir / f"{name}.yaml"
+            config.write_text(config.read_text().replace("interface: lo", "interface: eth9"))
+            asked(name, 0, "warning: there is no network interface `eth9` here, only", "lo")
+
+
 SCENARIOS = [wrong_authority, wrong_certificate, wrong_robot, robot_that_is_not_listed,
              unreachable_server, not_a_tls_server, two_robots_with_one_key, missing_key,
-             unreadable_key, wrong_interface, wrong_domain, broken_bundle]
+             unreadable_key, wrong_interface, wrong_domain, broken_bundle,
+             asked_before_the_start]
 
 
 if __name__ == "__main__":

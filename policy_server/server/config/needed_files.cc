@@ -33,4 +33,14 @@ absl::Status CheckNeededDirectories(absl::string_view file, const ServerConfig& 
   return absl::OkStatus();
 }
 
+absl::Status CheckIdentity(const ServerConfig& config, const rpc::PeerIdentity& self) {
+  if (self.role == rpc::Role::kPolicyServer && self.name == config.id &&
+      self.trust_domain == config.trust_domain) {
+    return absl::OkStatus();
+  }
+  return absl::PermissionDeniedError(
+      absl::StrCat(config.tls.cert, " is the certificate of ", rpc::ToString(self),
+                   ", not of spiffe://", config.trust_domain, "/policy-server/", config.id));
+}
+
 }  // namespace rips::server
