@@ -2,6 +2,16 @@
 # deploy/debian/control. deploy/package installs each component into a directory of its own and adds
 # what is generated (manual pages, control files).
 #
+# On a robot, programs use the libraries of rips-agent-libs (deploy/debian/agent_libraries.py) by
+# DT_RPATH, which holds for what these libraries need, too. DT_RUNPATH does not.
+set(agent_programs rips-sensor rips-wire rips-actuator rips-exec rips-fw rips-alarm
+    rips-enrol)
+set_target_properties(${agent_programs} PROPERTIES
+  BUILD_WITH_INSTALL_RPATH ON INSTALL_RPATH "$ORIGIN/../lib/rips/lib")
+foreach(program IN LISTS agent_programs)
+  target_link_options(${program} PRIVATE LINKER:--disable-new-dtags)
+endforeach()
+
 # Units, sysusers.d and tmpfiles.d are where Debian 12 looks for them, whatever the prefix is.
 set(RIPS_DOC share/doc)
 

@@ -3,9 +3,10 @@
     make_packages.py BUILD OUT
 
 CMake's install rules (deploy/cmake/RipsInstall.cmake) say which file belongs to which package; this
-adds manual pages, completion, copyright, changelog and the control files. The same build gives the
-same bytes: every file has the time of the changelog and belongs to root, and tar sorts the names.
-Packages appear in OUT whole or not at all; those of other versions stay.
+adds manual pages, completion, copyright, changelog, the libraries of the agents
+(agent_libraries.py) and the control files. The same build gives the same bytes on a machine with
+the same libraries: every file has the time of the changelog and belongs to root, and tar sorts the
+names. Packages appear in OUT whole or not at all; those of other versions stay.
 """
 
 import argparse
@@ -16,28 +17,17 @@ import os
 import pathlib
 import re
 import shutil
-import subprocess
 import sys
 import tempfile
 
 HERE = pathlib.Path(__file__).resolve().parent
 SOURCE = HERE.parents[1]
 sys.path.insert(0, str(HERE))
+from agent_libraries import Failed, copy_libraries, run  # noqa: E402
 from manual_page import manual_page, section  # noqa: E402
 
 SCRIPTS = ("postinst", "prerm", "postrm")
-
-
-class Failed(Exception):
-    """Why there are no packages."""
-
-
-def run(*command, **options):
-    words = [str(word) for word in command]
-    done = subprocess.run(words, capture_output=True, text=True, **options)
-    if done.returncode != 0:
-        raise Failed(f"`{' '.join(words)}` failed:\n{done.stdout}{done.stderr}".rstrip())
-    return done.stdout
+LIBRARIES = "rips-agent-libs"  # the package of the agents' libraries; agents depend on it
 
 
 def paragraphs():
@@ -66,6 +56,11 @@ class Package:
         self.build, self.version, self.time = build, version, time
         self.root = work / self.name
         self.doc = self.root / "usr/share/doc" / self.name
+        self.carried = []  # Debian packages whose libraries LIBRARIES has
+
+    @property
+    def is_agent(self):
+        return LIBRARIES in self.fields.get("Depends", "")
 
     def path(self, name):
         path = self.root / name
@@ -84,7 +79,12 @@ class Package:
             self.add_manual_page(program)
         if self.name == "rips-policy-server":
             self.add_camera_guard()
-        shutil.copyfile(HERE / "copyright", self.path(self.doc / "copyright"))
+        overrides = HERE / f"{self.name}.lintian-overrides"
+        if overrides.is_file():
+            shutil.copyfile(overrides, self.path(f"usr/share/lintian/overrides/{self.name}"))
+        own = HERE / f"{self.name}.copyright"
+        shutil.copyfile(own if own.is_file() else HERE / "copyright",
+                        self.path(self.doc / "copyright"))
         self.write_compressed(self.doc / "changelog.gz",
                               (HERE / "changelog").read_text(encoding="utf-8"))
 
@@ -114,17 +114,21 @@ class Package:
         return sorted(path for path in self.root.rglob("*")
                       if path.is_file() and self.root / "DEBIAN" not in path.parents)
 
+    def programs(self):
+        """And shared libraries."""
+        return [path for path in self.files() if path.read_bytes()[:4] == b"\x7fELF"]
+
     def library_packages(self):
         """What dpkg-shlibdeps finds out; it wants the control file of a source package."""
-        programs = [path for path in self.files() if path.read_bytes()[:4] == b"\x7fELF"]
+        programs = self.programs()
         if not programs:
             return ""
         with tempfile.TemporaryDirectory() as directory:
             (pathlib.Path(directory) / "debian").mkdir()
             (pathlib.Path(directory) / "debian/control").write_text(
                 f"Source: rips\n\nPackage: {self.name}\nArchitecture: any\n")
-            found = run("dpkg-shlibdeps", "-O", *[f"-e{program}" for program in programs],
-                        cwd=directory)
+            found = run("dpkg-shlibdeps", "-O", *[f"-x{name}" for name in self.carried],
+                        *[f"-e{program}" for program in programs], cwd=directory)
         return found.partition("=")[2].strip()
 
     def control(self, architecture):
@@ -171,7 +175,6 @@ class Package:
             os.utime(path, (self.time, self.time))
 
     def build_into(self, out, architecture):
-        self.stage()
         self.write_control_files(architecture)
         self.normalise()
         mine = "all" if self.fields["Architecture"] == "all" else architecture
@@ -190,8 +193,17 @@ def make_packages(build, out):
     architecture = run("dpkg", "--print-architecture").strip()
     out.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(prefix="rips-packages-") as work:
-        return [Package(fields, common, build, version, time, pathlib.Path(work)).build_into(
-            out, architecture) for fields in packages]
+        made = [Package(fields, common, build, version, time, pathlib.Path(work))
+                for fields in packages]
+        for package in made:
+            package.stage()
+        agents = [package for package in made if package.is_agent]
+        libraries = next(package for package in made if package.name == LIBRARIES)
+        carried = copy_libraries(
+            [program for agent in agents for program in agent.programs()], libraries.root)
+        for package in (*agents, libraries):
+            package.carried = carried
+        return [package.build_into(out, architecture) for package in made]
 
 
 def main():

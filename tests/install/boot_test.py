@@ -350,7 +350,7 @@ def main():
             print(f"FAILED: {failed}")
             return 1
         return 0
-    for program in ("systemd-nspawn", "dpkg-shlibdeps", "nsenter"):
+    for program in ("systemd-nspawn", "dpkg-shlibdeps", "patchelf", "nsenter"):
         if not shutil.which(program):
             print(f"skipped boot: {program} is missing")
             return 77

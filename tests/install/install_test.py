@@ -2,7 +2,8 @@
 
     install_test.py BUILD
 
-RIPS_UPDATE_GOLDENS=1 rewrites contents.txt. Nothing is installed on this machine: packages go into
+RIPS_UPDATE_GOLDENS=1 rewrites contents.txt. RIPS_ROBOT_ROOT names a root directory in which the
+agents are tried in place of this machine's. Nothing is installed on this machine: packages go into
 a copy of its root directory, an overlay in memory that only this process sees. What cannot be tried
 here is named in a line that begins with `skipped`.
 """
@@ -22,17 +23,11 @@ SOURCE = HERE.parents[1]
 sys.path[:0] = [str(SOURCE / "deploy/debian"), str(SOURCE / "tests/support")]
 from fleet import Failed, Skipped, check  # noqa: E402
 from make_packages import Failed as NotMade, make_packages  # noqa: E402
+from agents import agents_need_what_every_release_has, agents_run_on_a_robot, \
+    what_one_release_lacks_is_refused  # noqa: E402
+from overlay import APART, LIMIT, Overlay, run  # noqa: E402
 
 EXPOSURE_MAX = 20  # of `systemd-analyze security`, in tenths
-LIMIT = 120  # seconds a command may take on a busy machine
-
-
-def run(*command, ok=True, timeout=LIMIT, **options):
-    done = subprocess.run([str(word) for word in command], stdout=subprocess.PIPE,
-                          stderr=subprocess.STDOUT, text=True, timeout=timeout, **options)
-    check(not ok or done.returncode == 0,
-          f"`{' '.join(map(str, command))}` ended with {done.returncode}:\n{done.stdout}")
-    return done
 
 
 def needs(program):
@@ -97,11 +92,9 @@ def installed_upgraded_removed_purged(world):
         raise Skipped("only root can install packages, also into a copy of the root directory")
     place = world.dir / "root"
     place.mkdir()
-    apart = ["unshare", "--mount", "--net", "--pid", "--fork", "--kill-child", "--propagation",
-             "private"]
-    if run(*apart, "true", ok=False).returncode != 0:
+    if run(*APART, "true", ok=False).returncode != 0:
         raise Skipped("unshare is not allowed here")
-    command = [*apart, sys.executable, "-B", __file__, "--inside", place, *world.packages]
+    command = [*APART, sys.executable, "-B", __file__, "--inside", place, *world.packages]
     done = run(*command, ok=False, timeout=4 * LIMIT)
     if done.returncode == 77:
         raise Skipped(done.stdout.strip())
@@ -142,22 +135,11 @@ def as_its_user(program):
     return ["setpriv", f"--reuid={user}", f"--regid={user}", "--init-groups", program]
 
 
-class Copy:
-    """An overlay over / in memory. What is written into it is gone with this process."""
+class Copy(Overlay):
+    """A host on which everything is installed."""
 
     def __init__(self, place):
-        run("mount", "-t", "tmpfs", "rips-test", place)
-        for name in ("upper", "work", "root"):
-            (place / name).mkdir()
-        self.root = place / "root"
-        if run("mount", "-t", "overlay", "rips-test", "-o", f"lowerdir=/,upperdir={place}/upper,"
-               f"workdir={place}/work", self.root, ok=False).returncode != 0:
-            raise Skipped("overlay file systems are not allowed here")
-        run("mount", "-t", "proc", "proc", self.root / "proc")
-        run("mount", "--rbind", "/dev", self.root / "dev")
-        for name in ("run", "tmp"):
-            run("mount", "-t", "tmpfs", "rips-test", self.root / name)
-        (self.root / "tmp").chmod(0o1777)
+        super().__init__(place)
         # What this machine has of RIPS does not count.
         known = run("dpkg-query", "-W", "-f", "${Package}\n").stdout
         there = re.findall(r"^(rips-\S+)", known, re.M)
@@ -165,23 +147,6 @@ class Copy:
             self.run("dpkg", "--purge", *there)
         for name in ("etc/rips", "var/lib/rips", "var/log/rips"):
             shutil.rmtree(self.root / name, ignore_errors=True)
-
-    def run(self, *command, ok=True):
-        return run("chroot", self.root, *command, ok=ok,
-                   env={"PATH": "/usr/sbin:/usr/bin:/sbin:/bin", "LC_ALL": "C.UTF-8",
-                        "DEBIAN_FRONTEND": "noninteractive"})
-
-    def install(self, packages):
-        target = self.root / "tmp/packages"
-        shutil.rmtree(target, ignore_errors=True)
-        target.mkdir()
-        for package in packages:
-            shutil.copy(package, target)
-        names = [f"/tmp/packages/{package.name}" for package in packages]
-        return self.run("dpkg", "-i", *names).stdout
-
-    def path(self, name):
-        return self.root / name.lstrip("/")
 
     def asked(self):
         """What the fakes were asked since the last call, but for whether units are active."""
@@ -432,7 +397,9 @@ class World:
 
 
 STEPS = [each_file_where_it_belongs, lintian_finds_no_error, units_are_confined,
-         broken_packages_are_not_made, same_build_same_bytes, installed_upgraded_removed_purged]
+         broken_packages_are_not_made, same_build_same_bytes, agents_need_what_every_release_has,
+         what_one_release_lacks_is_refused, agents_run_on_a_robot,
+         installed_upgraded_removed_purged]
 
 
 def perform(step, world):
@@ -461,9 +428,11 @@ def main():
             print(failed)
             return 1
         return 0
-    if not shutil.which("dpkg-shlibdeps"):
-        print("skipped packages: dpkg-shlibdeps is missing; deploy/debian/packages lists dpkg-dev")
-        return 77
+    for program in ("dpkg-shlibdeps", "patchelf"):
+        if not shutil.which(program):
+            print(f"skipped packages: {program} is missing; run "
+                  "./deploy/install-packages deploy/debian/packages")
+            return 77
     with tempfile.TemporaryDirectory(prefix="rips-packages-test-") as directory:
         try:
             world = World(pathlib.Path(sys.argv[1]).resolve(), pathlib.Path(directory))
