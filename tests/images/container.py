@@ -1,0 +1,146 @@
+"""A container without an engine: a process in mount and PID namespaces of its own, on an unpacked
+image that is mounted read-only, as the image's numeric user, without capabilities. It shares the
+network with its caller. As root, in a mount namespace that nothing else uses.
+
+    container.py --enter SPECIFICATION    (what Container starts; its process becomes the program)
+"""
+
+import ctypes
+import json
+import os
+import pathlib
+import platform
+import resource
+import subprocess
+import sys
+import tarfile
+
+HERE = pathlib.Path(__file__).resolve().parent
+sys.path.insert(0, str(HERE.parent / "support"))
+from fleet import Failed, Process, check  # noqa: E402
+
+PIVOT_ROOT = {"x86_64": 155, "aarch64": 41}
+MNT_DETACH = 2
+
+
+def unpack(layout, root):
+    """Applies the layers of an image layout to the new directory `root`; its configuration."""
+    def blob(descriptor):
+        return layout / "blobs" / descriptor["digest"].replace(":", "/")
+    manifest = json.loads(blob(json.loads((layout / "index.json").read_text())["manifests"][0])
+                          .read_text())
+    root.mkdir()
+    for each in manifest["layers"]:
+        with tarfile.open(blob(each)) as archive:
+            members = archive.getmembers()
+            for member in members:
+                place, _, name = member.name.rpartition("/")
+                if name.startswith(".wh."):
+                    subprocess.run(["rm", "-r", str(root / place / name[4:])], check=True)
+            archive.extractall(root, [member for member in members
+                                      if not member.name.rpartition("/")[2].startswith(".wh.")],
+                               numeric_owner=True)
+    return json.loads(blob(manifest["config"]).read_text())["config"]
+
+
+class Container:
+    """`mounts` are (SOURCE, TARGET, WRITABLE), SOURCE a file or a directory, or `tmpfs`."""
+
+    def __init__(self, name, directory, root, config, mounts, *, args=(), limits=None,
+                 user=None, groups=()):
+        uid, gid = (user or config["User"]).split(":")
+        self.setpriv = ["/usr/bin/setpriv", f"--reuid={uid}", f"--regid={gid}",
+                        f"--groups={','.join(map(str, groups))}" if groups else "--clear-groups",
+                        "--no-new-privs", "--bounding-set=-all", "--inh-caps=-all",
+                        "--ambient-caps=-all"]
+        self.env = dict(line.split("=", 1) for line in config["Env"])
+        work = pathlib.Path(directory) / f"container-{name}"
+        work.mkdir()
+        specification = work / "specification.json"
+        specification.write_text(json.dumps({
+            "work": str(work), "root": str(root), "mounts": [list(map(str, m[:2])) + [m[2]]
+                                                             for m in mounts],
+            "limits": limits or {}, "env": self.env,
+            "command": [*self.setpriv, *config["Entrypoint"], *args]}))
+        self.process = Process(name, [
+            "unshare", "--mount", "--pid", "--ipc", "--uts", "--fork", "--kill-child", sys.executable,
+            "-B", __file__, "--enter", specification], directory)
+
+    def pid(self):
+        """Of the program, as its caller sees it."""
+        child = self.process.child.pid
+        children = pathlib.Path(f"/proc/{child}/task/{child}/children").read_text().split()
+        check(len(children) == 1, f"{self.process.name} does not run")
+        return int(children[0])
+
+    def run(self, command):
+        """What an engine's `exec` does: the exit code, and what the command printed."""
+        done = subprocess.run(["nsenter", f"--target={self.pid()}", "--mount", "--pid", "--root",
+                               "--wd", *self.setpriv, *command], stdout=subprocess.PIPE,
+                              stderr=subprocess.STDOUT, text=True, env=self.env, timeout=60)
+        return done.returncode, done.stdout
+
+    def stop(self, sig, seconds):
+        """Its exit code, after a signal as an engine sends it."""
+        os.kill(self.pid(), sig)
+        try:
+            return self.process.child.wait(seconds)
+        except subprocess.TimeoutExpired:
+            self.process.child.kill()
+            raise Failed(f"{self.process.name} did not end within {seconds} s") from None
+
+
+def mount(*words):
+    subprocess.run(["mount", *map(str, words)], check=True)
+
+
+def make_root(specification):
+    """An overlay, so that the image stays as it is and mount points can be made in it, as engines
+    do, before it becomes read-only."""
+    work = pathlib.Path(specification["work"])
+    mount("-t", "tmpfs", "rips-test", work)
+    for name in ("upper", "work", "root"):
+        (work / name).mkdir()
+    root = work / "root"
+    mount("-t", "overlay", "rips-test", "-o",
+          f"lowerdir={specification['root']},upperdir={work}/upper,workdir={work}/work", root)
+    mount("-t", "proc", "proc", root / "proc")
+    mount("-t", "tmpfs", "-o", "mode=755", "rips-test", root / "dev")
+    for name in ("null", "zero", "full", "random", "urandom"):
+        (root / "dev" / name).touch()
+        mount("--bind", f"/dev/{name}", root / "dev" / name)
+    for source, target, writable in specification["mounts"]:
+        place = root / target.lstrip("/")
+        if source == "tmpfs":
+            place.mkdir(parents=True, exist_ok=True)
+            mount("-t", "tmpfs", "-o", "mode=1777,nosuid,nodev,noexec", "rips-test", place)
+            continue
+        if pathlib.Path(source).is_dir():
+            place.mkdir(parents=True, exist_ok=True)
+        else:
+            place.parent.mkdir(parents=True, exist_ok=True)
+            place.touch()
+        mount("--bind", source, place)
+        if not writable:
+            mount("-o", "remount,bind,ro", place)
+    mount("-o", "remount,ro", root)
+    return root
+
+
+def enter(specification):
+    libc = ctypes.CDLL(None, use_errno=True)
+    os.chdir(make_root(specification))
+    # The old root is mounted over the new one, and then taken off.
+    if libc.syscall(PIVOT_ROOT[platform.machine()], b".", b".") != 0:
+        sys.exit(f"pivot_root: {os.strerror(ctypes.get_errno())}")
+    if libc.umount2(b".", MNT_DETACH) != 0:
+        sys.exit(f"umount: {os.strerror(ctypes.get_errno())}")
+    os.chdir("/")
+    for name, value in specification["limits"].items():
+        resource.setrlimit(getattr(resource, f"RLIMIT_{name.upper()}"), (value, value))
+    command = specification["command"]
+    os.execve(command[0], command, specification["env"])
+
+
+if __name__ == "__main__":
+    enter(json.loads(pathlib.Path(sys.argv[2]).read_text()))
