@@ -1,4 +1,4 @@
-"""Layers of images: tar files, compressed, that depend on names, owners, modes and contents alone."""
+"""Layers of images: compressed tar files that depend on names, owners, modes and contents alone."""
 
 import dataclasses
 import gzip

@@ -1,16 +1,19 @@
 """A container without an engine: a process in mount and PID namespaces of its own, on an unpacked
-image that is mounted read-only, as the image's numeric user, without capabilities. It shares the
+image that is mounted read-only, as the image's numeric user, without capabilities and, as under the
+usual seccomp profile of engines, without a way to mount or to make namespaces. It shares the
 network with its caller. As root, in a mount namespace that nothing else uses.
 
     container.py --enter SPECIFICATION    (what Container starts; its process becomes the program)
 """
 
 import ctypes
+import errno
 import json
 import os
 import pathlib
 import platform
 import resource
+import struct
 import subprocess
 import sys
 import tarfile
@@ -19,8 +22,11 @@ HERE = pathlib.Path(__file__).resolve().parent
 sys.path.insert(0, str(HERE.parent / "support"))
 from fleet import Failed, Process, check  # noqa: E402
 
-PIVOT_ROOT = {"x86_64": 155, "aarch64": 41}
-MNT_DETACH = 2
+# Numbers of system calls: pivot_root, mount, unshare, clone, clone3.
+PIVOT_ROOT, MOUNT, UNSHARE, CLONE, CLONE3 = {
+    "x86_64": (155, 165, 272, 56, 435), "aarch64": (41, 40, 97, 220, 435)}[platform.machine()]
+MNT_DETACH, PR_SET_SECCOMP, SECCOMP_MODE_FILTER = 2, 22, 2
+NAMESPACES = 0x7E020000  # CLONE_NEWNS, NEWCGROUP, NEWUTS, NEWIPC, NEWUSER, NEWPID, NEWNET
 
 
 def unpack(layout, root):
@@ -63,8 +69,8 @@ class Container:
             "limits": limits or {}, "env": self.env,
             "command": [*self.setpriv, *config["Entrypoint"], *args]}))
         self.process = Process(name, [
-            "unshare", "--mount", "--pid", "--ipc", "--uts", "--fork", "--kill-child", sys.executable,
-            "-B", __file__, "--enter", specification], directory)
+            "unshare", "--mount", "--pid", "--ipc", "--uts", "--fork", "--kill-child",
+            sys.executable, "-B", __file__, "--enter", specification], directory)
 
     def pid(self):
         """Of the program, as its caller sees it."""
@@ -127,17 +133,38 @@ def make_root(specification):
     return root
 
 
+class Program(ctypes.Structure):
+    """struct sock_fprog."""
+    _fields_ = [("len", ctypes.c_ushort), ("filter", ctypes.c_char_p)]
+
+
+def refuse_namespaces(libc):
+    load, equal, any_bit, answer = 0x20, 0x15, 0x45, 0x06
+    refuse, unknown, allow = 0x50000 | errno.EPERM, 0x50000 | errno.ENOSYS, 0x7FFF0000
+    steps = [(load, 0, 0, 0),                # the number of the call
+             (equal, 6, 0, MOUNT), (equal, 5, 0, UNSHARE), (equal, 3, 0, CLONE3),
+             (equal, 0, 4, CLONE),
+             (load, 0, 0, 16),               # the low half of its first argument
+             (any_bit, 1, 2, NAMESPACES),
+             (answer, 0, 0, unknown), (answer, 0, 0, refuse), (answer, 0, 0, allow)]
+    code = b"".join(struct.pack("=HBBI", *step) for step in steps)
+    program = Program(len(steps), code)
+    if libc.prctl(PR_SET_SECCOMP, SECCOMP_MODE_FILTER, ctypes.byref(program), 0, 0) != 0:
+        sys.exit(f"seccomp: {os.strerror(ctypes.get_errno())}")
+
+
 def enter(specification):
     libc = ctypes.CDLL(None, use_errno=True)
     os.chdir(make_root(specification))
     # The old root is mounted over the new one, and then taken off.
-    if libc.syscall(PIVOT_ROOT[platform.machine()], b".", b".") != 0:
+    if libc.syscall(PIVOT_ROOT, b".", b".") != 0:
         sys.exit(f"pivot_root: {os.strerror(ctypes.get_errno())}")
     if libc.umount2(b".", MNT_DETACH) != 0:
         sys.exit(f"umount: {os.strerror(ctypes.get_errno())}")
     os.chdir("/")
     for name, value in specification["limits"].items():
         resource.setrlimit(getattr(resource, f"RLIMIT_{name.upper()}"), (value, value))
+    refuse_namespaces(libc)
     command = specification["command"]
     os.execve(command[0], command, specification["env"])
 

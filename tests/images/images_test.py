@@ -1,5 +1,5 @@
-"""The OCI images of a build directory: what is in them, and that they run as deploy/compose.yaml and
-deploy/kubernetes/policy-server.yaml say, in place of an engine in containers of container.py.
+"""The OCI images of a build directory: what is in them, and that they run as deploy/compose.yaml
+and deploy/kubernetes/policy-server.yaml say, in place of an engine in containers of container.py.
 
     images_test.py BUILD
 
@@ -195,7 +195,7 @@ def commands_of_the_readme():
     chapter = text.partition("\n## Containers\n")[2].partition("\n## ")[0].replace("\\\n", " ")
     lines = [line.strip().partition("  #")[0] for line in chapter.splitlines()
              if line.startswith("    ")]
-    return [line for line in lines if line.split()[0] in ("mkdir", "cp", "install", "sed")]
+    return [line for line in lines if line.split()[0] in ("mkdir", "cp", "install")]
 
 
 def wait(condition, what, containers=()):
@@ -284,11 +284,11 @@ def fleet_of_the_compose_file(inside):
     server = inside.start("policy-server")
     wait(lambda: server.run(health[1:])[0] == 0, "healthy", [server])
     code, said = server.run(["bash", "-c", "id -u; touch /var/lib/rips/x || touch /etc/x || "
-                             "grep -E 'Cap(Prm|Eff|Bnd)|NoNewPrivs' /proc/1/status"])
+                             "grep -E 'Cap(Prm|Eff|Bnd)|NoNewPrivs|Seccomp:' /proc/1/status"])
     user = IDS["rips-policy-server"]
     check(code == 0 and said.split()[0] == str(user) and said.count("Read-only file system") == 2
           and re.findall(r"Cap\w+:\s*(\w+)", said) == ["0" * 16] * 3
-          and re.search(r"NoNewPrivs:\s*1", said), f"in the container:\n{said}")
+          and re.search(r"NoNewPrivs:\s*1\s+Seccomp:\s*2", said), f"in the container:\n{said}")
     listed = inside.ripsctl("robot", "list")
     check(listed.returncode == 0 and "r1" in listed.stdout, listed.stdout)
     agents = [inside.start("sensor"), inside.start("actuator")]
@@ -322,7 +322,7 @@ def key_that_cannot_be_read(inside):
 
 
 def as_projected(inside, name, files, mode, group):
-    """A volume as the kubelet makes it of a ConfigMap or a Secret: links to files of one version."""
+    """A volume as the kubelet makes it of a ConfigMap or Secret: links to files of one version."""
     place = inside.dir / "kubelet" / name
     data = place / "..2026_11_26_00_00_00.1"
     data.mkdir(parents=True)

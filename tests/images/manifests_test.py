@@ -4,7 +4,7 @@ the project says.
 They are compared with the compose specification's JSON schema, which Debian's docker-compose has,
 and with the models of the Kubernetes API in Debian's python3-kubernetes, generated from its OpenAPI
 schema. Both are older than today's, so the files keep to what these know. What is not installed is
-named in a line that begins with `skipped`; what the project's own checks hold is checked in any case.
+named in a line that begins with `skipped`; the other checks need neither.
 """
 
 import datetime
@@ -66,7 +66,8 @@ def compose_confines_each_service():
         limits = unit(image)
         check(service["mem_limit"].upper() == limits["MemoryMax"], f"{name}: mem_limit")
         check(service["pids_limit"] == int(limits["TasksMax"]), f"{name}: pids_limit")
-        mounted = {volume.split(":")[1]: volume.split(":")[0] for volume in service["volumes"]}
+        mounted = {target: source for source, target, *_ in
+                   (volume.split(":") for volume in service["volumes"])}
         check(set(IMAGES[image][2]) | {"/etc/rips"} == set(mounted), f"{name} mounts {mounted}")
         check(all(source in file["volumes"] for source in mounted.values()
                   if not source.startswith("/")), f"{name}: a volume is not declared")
@@ -82,7 +83,8 @@ def ports_are_those_of_the_configuration():
     server = compose({})["services"]["policy-server"]
     check(server["ports"] == [f"{listen}:{listen}", f"127.0.0.1:{metrics}:{metrics}"],
           f"compose publishes {server['ports']}")
-    check(f"/127.0.0.1/{metrics};" in server["healthcheck"]["test"][-1], "health is asked elsewhere")
+    check(f"/127.0.0.1/{metrics};" in server["healthcheck"]["test"][-1],
+          "health is asked elsewhere")
     objects = kubernetes()
     pod = objects["StatefulSet", "rips-policy-server"]["spec"]["template"]["spec"]
     named = {port["name"]: port["containerPort"] for port in pod["containers"][0]["ports"]}
@@ -93,7 +95,8 @@ def ports_are_those_of_the_configuration():
     allowed = [each["ports"][0]["port"] for each in
                objects["NetworkPolicy", "rips-policy-server"]["spec"]["ingress"]]
     check(allowed == [listen, metrics], f"the policy allows {allowed}")
-    inside = yaml.safe_load(objects["ConfigMap", "rips-policy-server"]["data"]["policy-server.yaml"])
+    files = objects["ConfigMap", "rips-policy-server"]["data"]
+    inside = yaml.safe_load(files["policy-server.yaml"])
     for key, port in (("listen", listen), ("metrics", metrics)):
         check(inside[key] == f"0.0.0.0:{port}", f"the ConfigMap has {key}: {inside[key]}")
 
@@ -163,8 +166,9 @@ def kubernetes_is_one_confined_server():
         "allowPrivilegeEscalation": False, "privileged": False, "readOnlyRootFilesystem": True,
         "runAsNonRoot": True, "capabilities": {"drop": ["ALL"]}},
         f"the container's securityContext is {container['securityContext']}")
-    check(not {"hostNetwork", "hostPID", "hostIPC"} & set(pod), "the pod has a namespace of the host")
-    check(container["resources"]["limits"]["memory"] == unit("rips-policy-server")["MemoryMax"] + "i",
+    check(not {"hostNetwork", "hostPID", "hostIPC"} & set(pod), "the pod uses the host's namespaces")
+    limit = unit("rips-policy-server")["MemoryMax"]
+    check(container["resources"]["limits"]["memory"] == f"{limit}i",
           "the memory limit is not that of the unit")
     ports = {port["name"] for port in container["ports"]}
     for probe in ("startupProbe", "livenessProbe", "readinessProbe"):
