@@ -29,6 +29,19 @@ MNT_DETACH, PR_SET_SECCOMP, SECCOMP_MODE_FILTER = 2, 22, 2
 NAMESPACES = 0x7E020000  # CLONE_NEWNS, NEWCGROUP, NEWUTS, NEWIPC, NEWUSER, NEWPID, NEWNET
 
 
+def apply(layer, root):
+    """Changes the directory `root` as the layer, a file, says."""
+    with tarfile.open(layer) as archive:
+        kept = []
+        for member in archive.getmembers():
+            place, _, name = member.name.rpartition("/")
+            if name.startswith(".wh."):
+                subprocess.run(["rm", "-r", root / place / name[4:]], check=True)
+            else:
+                kept.append(member)
+        archive.extractall(root, kept, numeric_owner=True)
+
+
 def unpack(layout, root):
     """Applies the layers of an image layout to the new directory `root`; its configuration."""
     def blob(descriptor):
@@ -37,15 +50,7 @@ def unpack(layout, root):
                           .read_text())
     root.mkdir()
     for each in manifest["layers"]:
-        with tarfile.open(blob(each)) as archive:
-            members = archive.getmembers()
-            for member in members:
-                place, _, name = member.name.rpartition("/")
-                if name.startswith(".wh."):
-                    subprocess.run(["rm", "-r", str(root / place / name[4:])], check=True)
-            archive.extractall(root, [member for member in members
-                                      if not member.name.rpartition("/")[2].startswith(".wh.")],
-                               numeric_owner=True)
+        apply(blob(each), root)
     return json.loads(blob(manifest["config"]).read_text())["config"]
 
 

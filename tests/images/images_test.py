@@ -26,7 +26,8 @@ HERE = pathlib.Path(__file__).resolve().parent
 SOURCE = HERE.parents[1]
 sys.path[:0] = [str(SOURCE / "deploy/oci"), str(SOURCE / "deploy/debian"),
                 str(SOURCE / "tests/support")]
-from container import Container, unpack  # noqa: E402
+import layer  # noqa: E402
+from container import Container, apply, unpack  # noqa: E402
 from fleet import Failed, Skipped, check  # noqa: E402
 from make_images import IMAGES, NotMade, make_images  # noqa: E402
 from make_packages import make_packages  # noqa: E402
@@ -172,6 +173,61 @@ def check_member(what, member):
     check(not re.search(r": (etc/(machine-id|hostname|resolv\.conf|apt/.)|root/\.ssh|"
                         r"var/(cache|lib/apt|log)/(?!rips)|tmp/|run/)", what),
           f"{what} should not be there")
+
+
+def layers_say_what_changed(world):
+    """A layer over a base, applied to the base, gives the root, whatever was changed, and how."""
+    base, root, out = (world.dir / name for name in ("base root", "root", "out"))
+    (base / "gone/below").mkdir(parents=True)
+    (base / "gone/below/file").write_text("x")
+    for name in ("same", "gone file", "rewritten", "chmod", "chown", "becomes a link"):
+        (base / name).write_text(name)
+    run("cp", "-a", base, root)
+    shutil.rmtree(root / "gone")
+    (root / "gone file").unlink()
+    (root / "rewritten").write_text("REWRITTEN")  # as long as before
+    (root / "chmod").chmod(0o4755)
+    os.chown(root / "chown", 10443, 7)
+    (root / "becomes a link").unlink()
+    (root / "becomes a link").symlink_to("/nowhere")
+    (root / "new/empty").mkdir(parents=True)
+    (root / f"new/{'long' * 50}-ä").write_text("new")
+    os.link(root / "rewritten", root / "new/hard link")
+    blob = layer.write(root, layer.scan(base), out, 7)
+    check(blob.digest == f"sha256:{hashlib.sha256(out.read_bytes()).hexdigest()}"
+          and blob.size == out.stat().st_size, "digest or size")
+    with tarfile.open(out) as archive:
+        names = archive.getnames()
+        check(all(member.mtime == 7 for member in archive), "a time of now")
+    check(names == sorted(names) and "same" not in names and ".wh.gone" in names, str(names))
+    apply(out, base)
+    check(layer.scan(base) == layer.scan(root), "the layer does not give the root")
+
+
+def what_cannot_become_an_image_is_refused(world):
+    """With a reason, and nothing is left."""
+    packages, out = world.dir / "some packages", world.dir / "no images"
+    packages.mkdir()
+    sensor = next(world.packages.glob("rips-sensor_*"))
+    server = next(world.packages.glob("rips-policy-server_*"))
+    for why, files in {
+            "one package rips-policy-server, and has 0": {},
+            "one package rips-sensor, and has 2":
+                {"rips-sensor_9.deb": sensor,
+                 **{path.name: path for path in world.packages.iterdir()}},
+            "one package rips-inspect, and has 0": {server.name: server},
+            "`dpkg-deb` failed": {server.name: SOURCE / "README.md"}}.items():
+        for old in packages.iterdir():
+            old.unlink()
+        for name, source in files.items():
+            (packages / name).symlink_to(source)
+        try:
+            make_images(packages, out, world.dir / "no base")
+        except NoImage as refused:
+            check(why in str(refused), f"expected `{why}`: {refused}")
+        else:
+            raise Failed(f"no complaint that there is {why}")
+        check(not out.exists() and not (world.dir / "no base").exists(), "something is left")
 
 
 def they_run(world):
@@ -400,7 +456,7 @@ def play(build, directory):
 
 
 STEPS = (images_follow_the_specification, same_packages_same_bytes, nothing_of_this_machine,
-         they_run)
+         layers_say_what_changed, what_cannot_become_an_image_is_refused, they_run)
 
 
 def perform(step, world):

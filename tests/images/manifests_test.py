@@ -166,7 +166,7 @@ def kubernetes_is_one_confined_server():
         "allowPrivilegeEscalation": False, "privileged": False, "readOnlyRootFilesystem": True,
         "runAsNonRoot": True, "capabilities": {"drop": ["ALL"]}},
         f"the container's securityContext is {container['securityContext']}")
-    check(not {"hostNetwork", "hostPID", "hostIPC"} & set(pod), "the pod uses the host's namespaces")
+    check(not {"hostNetwork", "hostPID", "hostIPC"} & set(pod), "the pod shares namespaces")
     limit = unit("rips-policy-server")["MemoryMax"]
     check(container["resources"]["limits"]["memory"] == f"{limit}i",
           "the memory limit is not that of the unit")
