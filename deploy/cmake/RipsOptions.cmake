@@ -4,6 +4,8 @@ set(CMAKE_CXX_STANDARD_REQUIRED ON)
 set(CMAKE_CXX_EXTENSIONS OFF)
 set(CMAKE_EXPORT_COMPILE_COMMANDS ON)
 add_compile_options(-pthread)
+# Programs name their source files from here: the same bytes wherever the sources lie.
+add_compile_options("-ffile-prefix-map=${PROJECT_SOURCE_DIR}/=")
 set(CMAKE_RUNTIME_OUTPUT_DIRECTORY ${PROJECT_BINARY_DIR}/bin)
 
 set(RIPS_SANITIZE "" CACHE STRING "Value of -fsanitize= for every target; empty for none")

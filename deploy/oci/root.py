@@ -44,6 +44,10 @@ class Failed(Exception):
     """Why there is no image."""
 
 
+class NoRoot(Failed):
+    """Debian's packages cannot be had."""
+
+
 def run(*command, **options):
     words = [str(word) for word in command]
     done = subprocess.run(words, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True,
@@ -74,7 +78,7 @@ class Sources:
                 self.lines.append(f"deb [signed-by={KEYRING}] {uri} {suite} {component}\n")
                 self.lists.append(pathlib.Path(file))
         if not self.lines:
-            raise Failed(f"apt knows no Debian source for {self.codename}; try `apt-get update`")
+            raise NoRoot(f"apt knows no Debian source for {self.codename}; try `apt-get update`")
 
     def hosts(self):
         """Of which none may stand in an image."""
@@ -138,8 +142,11 @@ class Base:
                                 "--download-only", "-o", f"Dir::Cache::archives={part / image}",
                                 "install", *names])
             command.append(f'--customize-hook=APT_CONFIG="$MMDEBSTRAP_APT_CONFIG" {fetch}')
-        run(*command, sources.codename, part / "base.tar", "-", input="".join(sources.lines),
-            env={**os.environ, "SOURCE_DATE_EPOCH": str(self.time)})
+        try:
+            run(*command, sources.codename, part / "base.tar", "-", input="".join(sources.lines),
+                env={**os.environ, "SOURCE_DATE_EPOCH": str(self.time)})
+        except Failed as why:
+            raise NoRoot(str(why)) from why
         part.rename(self.directory)
 
     def unpack(self, root):

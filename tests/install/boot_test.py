@@ -262,6 +262,17 @@ systemctl enable --now rips-enrol-renew.timer
     machine.await_status("rips-actuator", "; connected")
 
 
+def the_tap_gives_up_its_capabilities(machine):
+    machine.script("sed -i 's/^wire: .enabled: false./wire: {enabled: true}/' /etc/rips/sensor.yaml")
+    machine.script("systemctl restart rips-sensor; systemctl enable --now rips-wire")
+    check(machine.show("rips-wire", "ActiveState") == "active", machine.status("rips-wire"))
+    process = machine.show("rips-wire", "MainPID")
+    held = machine.run("grep", "^Cap", f"/proc/{process}/status").stdout
+    check(re.findall(r"Cap(?:Inh|Prm|Eff|Amb):\s*(\w+)", held) == ["0" * 16] * 4, held)
+    machine.await_status("rips-sensor", "; connected")
+    check(machine.show("rips-wire", "NRestarts") == "0", machine.status("rips-wire"))
+
+
 def raise_level(machine):
     machine.run(*RIPSCTL, "level", "raise", "r1", "--to", "COMPROMISED", "--reason", "test")
     machine.await_status("rips-actuator", COMPROMISED)
@@ -327,6 +338,7 @@ def inside(place, packages):
         step(agents_start_without_certificates_and_server)
         step(the_server_is_active_when_it_serves)
         step(the_robot_enrols_with_a_token)
+        step(the_tap_gives_up_its_capabilities)
         step(raise_level)
         step(a_reload_ends)
         step(a_hung_sensor_is_started_anew)
