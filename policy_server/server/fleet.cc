@@ -89,7 +89,7 @@ absl::StatusOr<bundle::Inventory> Fleet::ReadInventory() const {
 
 absl::Status Fleet::Start() {
   RIPS_ASSIGN_OR_RETURN(inventory_, ReadInventory());
-  if (counts_.inventory) counts_.inventory(inventory_);
+  if (counts_.inventory) counts_.inventory(inventory_, /*refused=*/false);
   const PolicySource::Policies policies = policies_->FindAll(inventory_);
   std::vector<std::string> robots;
   for (const bundle::InventoryRobot& robot : inventory_.robots) robots.push_back(robot.id);
@@ -204,12 +204,13 @@ void Fleet::Reload() {
   }
   const bool taken = read.ok();
   const bundle::Inventory now = taken ? *std::move(read) : inventory_;
-  if (taken)
+  if (taken) {
     LogInfo("inventory read", {{"path", options_.inventory}, {"robots", now.robots.size()}});
+  }
   RemoveMissing(now);
   Settle(now);
   inventory_ = now;
-  if (counts_.inventory) counts_.inventory(inventory_);
+  if (counts_.inventory) counts_.inventory(inventory_, /*refused=*/!taken);
   ForgetUnused();
   Count();
 }

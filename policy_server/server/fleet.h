@@ -55,7 +55,8 @@ struct FleetCounts {
   // A robot of the inventory, when it is first seen there.
   std::function<void(const bundle::InventoryRobot&)> listed;
   // The inventory that is in force from now on; before Start returns, and at each Reload.
-  std::function<void(const bundle::Inventory&)> inventory;
+  // `refused`: it is an older one than that on disk.
+  std::function<void(const bundle::Inventory&, bool refused)> inventory;
 };
 
 // The sensors and actuators that it lists.

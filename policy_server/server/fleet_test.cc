@@ -90,7 +90,8 @@ class FleetTest : public ::testing::Test {
                           counts_ = {armed, on_last_good, held};
                         },
                     .inventory =
-                        [this](const bundle::Inventory& now) {
+                        [this](const bundle::Inventory& now, bool refused) {
+                          refused_ = refused;
                           in_force_.emplace_back();
                           for (const auto& robot : now.robots) in_force_.back().push_back(robot.id);
                         }});
@@ -163,6 +164,7 @@ class FleetTest : public ::testing::Test {
   std::vector<size_t> counts_;
   // Robots of each inventory that was told to be in force.
   std::vector<std::vector<std::string>> in_force_;
+  bool refused_ = false;  // the inventory that was read last
 };
 
 TEST_F(FleetTest, ABrokenBundleCostsItsRobotOnlyWhichGoesOnByItsLastGoodOne) {
@@ -283,8 +285,10 @@ TEST_F(FleetTest, ADirectoryIsTakenAsAWholeOrTheOldInventoryStays) {
   list("b.yaml", "r1");
   fleet_->Reload();
   EXPECT_THAT(pipeline_->robots(), ElementsAre("r1", "r2")) << "r1 is in two files: not even r3";
+  EXPECT_TRUE(refused_);
   std::filesystem::remove(dir + "/b.yaml");
   fleet_->Reload();
+  EXPECT_FALSE(refused_);
   EXPECT_THAT(pipeline_->robots(), ElementsAre("r1", "r3"));
   std::filesystem::remove_all(dir);
   fleet_->Reload();

@@ -2,6 +2,7 @@
 #include <atomic>
 #include <csignal>
 #include <cstdio>
+#include <map>
 #include <memory>
 #include <string>
 #include <utility>
@@ -53,6 +54,11 @@ int CheckConfig(const std::string& file, const rips::server::ParsedServerConfig&
   std::fputs(parsed.effective.c_str(), stdout);
   for (const auto& [path, robots] : inventory.files) {
     std::printf("robots of %s: %zu\n", path.c_str(), robots);
+  }
+  std::map<std::string, size_t> bundles;
+  for (const auto& robot : inventory.inventory.robots) ++bundles[robot.bundle];
+  for (const auto& [bundle, robots] : bundles) {
+    std::printf("robots with bundle %s: %zu\n", bundle.c_str(), robots);
   }
   rips::PrintWarnings({certificate});  // what may come before the daemon starts
   return 0;

@@ -634,7 +634,10 @@ absl::Status Server::AddRobots() {
                         }
                       },
                   .inventory =
-                      [this](const bundle::Inventory& now) {
+                      [this](const bundle::Inventory& now, bool refused) {
+                        if (listed_.outdated.exchange(refused) && !refused) {
+                          OwnAlert(engine::Severity::kInfo, "the inventory is in force again");
+                        }
                         fleet_metrics_->SetInventory(now);
                         listed_.contacts.SetListed(AgentsOf(now));
                         listed_.labels.Set(LabelsOf(now));
@@ -745,8 +748,9 @@ std::string Server::Describe() const {
   absl::Status problem = DiskHealth();
   problem.Update(certificates_->own_status());
   return absl::StrCat("serving on ", address(), "; robots judged: ", pipeline_->robots().size(),
-                      ", held: ", pipeline_->held().size(), problem.ok() ? "" : "; ",
-                      problem.message());
+                      ", without a policy: ", pipeline_->held().size(),
+                      listed_.outdated ? "; the inventory on disk is refused" : "",
+                      problem.ok() ? "" : "; ", problem.message());
 }
 
 void Server::Reload() {

@@ -126,6 +126,8 @@ class Server {
   struct Listed {
     pipeline::AgentContacts contacts;
     pipeline::RobotLabels labels;
+    // It is an older one than that on disk.
+    std::atomic<bool> outdated = false;
   };
   Listed listed_{.contacts = pipeline::AgentContacts(&clock_)};
   std::shared_ptr<const rpc::Credentials> credentials_;

@@ -247,7 +247,7 @@ systemctl enable --now --no-block rips-policy-server
     machine.script("""
 install -m 0640 -g rips-policy-server fleet/server/ps1/*.pem /etc/rips/pki/policy-server/
 """)
-    machine.await_status(unit, r"^serving on \S+:7443; robots judged: 1, held: 0$")
+    machine.await_status(unit, r"^serving on \S+:7443; robots judged: 1, without a policy: 0$")
 
 
 def the_robot_enrols_with_a_token(machine):
@@ -281,6 +281,14 @@ def raise_level(machine):
 def a_reload_ends(machine):
     machine.run("systemctl", "reload", "rips-policy-server")
     machine.await_status("rips-policy-server", "^serving on ")
+    inventory = machine.path("/etc/rips/robots.yaml")
+    text = inventory.read_text(encoding="utf-8")
+    inventory.write_text("robots: 7\n", encoding="utf-8")
+    machine.run("systemctl", "reload", "rips-policy-server")
+    machine.await_status("rips-policy-server", "; the inventory on disk is refused$")
+    inventory.write_text(text, encoding="utf-8")
+    machine.run("systemctl", "reload", "rips-policy-server")
+    machine.await_status("rips-policy-server", "without a policy: 0$")
 
 
 def a_hung_sensor_is_started_anew(machine):

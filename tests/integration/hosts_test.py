@@ -154,6 +154,8 @@ def second_sensor_adds_what_its_host_sees(fleet):
 
     fleet.second_sensor.kill(signal.SIGKILL)
     fleet.wait_told("sensor laptop is lost")
+    fleet.server.wait_for(lambda line: " alert " in line and "sensor laptop is lost" in line, 10,
+                          "the log says so, too")
     fleet.ripsctl("level", "raise", "r1", "--to", "ALERT", "--reason", "try")
     fleet.wait_level("ALERT", 20)
     code, _, error = fleet.ripsctl("level", "lower", "r1", "--to", "DEFAULT", "--reason", "try",

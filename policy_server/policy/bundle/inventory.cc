@@ -5,6 +5,7 @@
 
 #include "absl/container/btree_set.h"
 #include "absl/strings/str_cat.h"
+#include "absl/strings/str_join.h"
 #include "services/base/ids.h"
 #include "services/base/status_macros.h"
 #include "services/runtime/config_reader.h"
@@ -64,16 +65,32 @@ void ReadGraphLimits(const ConfigSection& section, ros2::GraphLimits& limits) {
             &limits.endpoints_per_participant);
 }
 
-void ReadLabels(const ConfigSection& robot, absl::btree_map<std::string, std::string>* labels) {
-  const ConfigSection section = robot.OptionalSection("labels");
+void ReadLabels(const ConfigSection& parent, absl::btree_map<std::string, std::string>* labels) {
+  const ConfigSection section = parent.OptionalSection("labels");
   const std::vector<std::string> keys = section.Keys();
-  CheckCount(robot, "labels", keys.size(), kLabelsMax);
+  CheckCount(parent, "labels", keys.size(), kLabelsMax);
   for (const std::string& key : keys) {
     if (const absl::Status valid = ValidateName("label", key); !valid.ok()) {
       section.Problem(key, valid.message());
     }
     ReadName(section, key, "value of a label", &(*labels)[key]);
   }
+}
+
+void ReadLabelBundles(const ConfigSection& root, std::vector<LabelBundle>* bundles) {
+  for (const ConfigSection& section : root.Sections("bundles")) {
+    LabelBundle& added = bundles->emplace_back();
+    ReadLabels(section, &added.labels);
+    ReadName(section, "bundle", "bundle name", &added.bundle);
+  }
+  CheckCount(root, "bundles", bundles->size(), kLabelBundlesMax);
+}
+
+bool Fits(const LabelBundle& entry, const InventoryRobot& robot) {
+  return std::all_of(entry.labels.begin(), entry.labels.end(), [&](const auto& label) {
+    const auto found = robot.labels.find(label.first);
+    return found != robot.labels.end() && found->second == label.second;
+  });
 }
 
 }  // namespace
@@ -110,11 +127,13 @@ absl::StatusOr<Inventory> ParseInventory(absl::string_view file, absl::string_vi
   const ConfigSection root = reader.root();
   Inventory inventory;
   absl::btree_set<std::string> ids;
-  if (root.present() && !root.Has("robots")) root.Problem("robots", "missing key `robots`");
+  const bool has_something = root.Has("robots") || root.Has("bundles");
+  if (root.present() && !has_something) root.Problem("robots", "missing key `robots`");
+  ReadLabelBundles(root, &inventory.bundles);
   for (const ConfigSection& section : root.Sections("robots")) {
     InventoryRobot robot;
     ReadName(section, "id", "robot id", &robot.id);
-    ReadName(section, "bundle", "bundle name", &robot.bundle);
+    if (section.Has("bundle")) ReadName(section, "bundle", "bundle name", &robot.bundle);
     ReadSensors(section, &robot.sensors);
     ReadActuators(section, &robot.actuators);
     ReadGraphLimits(section.OptionalSection("graph_limits"), robot.graph_limits);
@@ -129,6 +148,28 @@ absl::StatusOr<Inventory> ParseInventory(absl::string_view file, absl::string_vi
   std::sort(inventory.robots.begin(), inventory.robots.end(),
             [](const InventoryRobot& a, const InventoryRobot& b) { return a.id < b.id; });
   return inventory;
+}
+
+absl::Status AssignBundles(Inventory& inventory) {
+  if (inventory.bundles.size() > kLabelBundlesMax) {
+    return absl::InvalidArgumentError(
+        absl::StrCat(inventory.bundles.size(), " `bundles` exceed limit ", kLabelBundlesMax));
+  }
+  std::vector<std::string> without;
+  for (InventoryRobot& robot : inventory.robots) {
+    if (!robot.bundle.empty()) continue;
+    const auto entry = std::find_if(inventory.bundles.begin(), inventory.bundles.end(),
+                                    [&](const LabelBundle& each) { return Fits(each, robot); });
+    if (entry == inventory.bundles.end()) {
+      without.push_back(absl::StrCat("`", robot.id, "`"));
+    } else {
+      robot.bundle = entry->bundle;
+    }
+  }
+  if (without.empty()) return absl::OkStatus();
+  return absl::InvalidArgumentError(absl::StrCat(
+      "robot ", absl::StrJoin(without, ", "),
+      " has no `bundle`, and no entry of `bundles` has labels that fit; write `bundle: NAME`"));
 }
 
 }  // namespace rips::bundle

@@ -19,6 +19,8 @@ inline constexpr size_t kRobotsMax = 2'000;
 inline constexpr size_t kHostsMax = 16;
 // Of one robot.
 inline constexpr size_t kLabelsMax = 16;
+// Entries of `bundles`, in all files.
+inline constexpr size_t kLabelBundlesMax = 256;
 // The largest of each limit on a graph: a server holds up to kRobotsMax graphs.
 inline constexpr size_t kGraphLimitMax = 65'536;
 
@@ -32,7 +34,7 @@ struct InventorySensor {
 
 struct InventoryRobot {
   std::string id;
-  // Name of its bundle.
+  // Name of its bundle. Empty until AssignBundles if the robot names none.
   std::string bundle;
   // At least one; hosts are distinct.
   std::vector<InventorySensor> sensors;
@@ -51,9 +53,17 @@ struct InventoryRobot {
   friend bool operator==(const InventoryRobot&, const InventoryRobot&) = default;
 };
 
+// The bundle of robots that name none and have all of these labels.
+struct LabelBundle {
+  absl::btree_map<std::string, std::string> labels;  // empty = any robot
+  std::string bundle;
+};
+
 struct Inventory {
   // Sorted by id; ids are distinct. May be empty.
   std::vector<InventoryRobot> robots;
+  // The first that fits a robot decides.
+  std::vector<LabelBundle> bundles;
 
   // nullptr if it is not listed. Valid as long as this.
   const InventoryRobot* Find(absl::string_view id) const;
@@ -64,6 +74,9 @@ absl::StatusOr<std::pair<std::string, std::string>> ParseLabel(absl::string_view
 
 // InvalidArgument with every problem and its place.
 absl::StatusOr<Inventory> ParseInventory(absl::string_view file, absl::string_view text);
+
+// Gives a bundle to robots that name none. InvalidArgument with each for which there is none.
+absl::Status AssignBundles(Inventory& inventory);
 
 }  // namespace rips::bundle
 

@@ -5,6 +5,8 @@
 //   a directory          its entries `*.yaml` in the order of their names (bytes); the others are
 //                        ignored: names that begin with `.` or `#`, `*.bak`, `*~`, `*.yaml.tmp`
 //
+// Entries of `bundles` hold for the robots of all files, in the order of the files.
+//
 // All or nothing: one file that cannot be read or is malformed refuses the whole inventory. Each
 // file has the form of robots.yaml, and is opened as that is: links are followed.
 #ifndef RIPS_POLICY_SERVER_POLICY_BUNDLE_INVENTORY_FILES_H_

@@ -4,6 +4,7 @@
 
 #include <filesystem>
 #include <fstream>
+#include <map>
 
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_format.h"
@@ -190,6 +191,63 @@ TEST_F(InventoryFilesTest, ADirectoryOfTooManyEntriesIsRefused) {
   }
   EXPECT_THAT(ReadInventory(dir_),
               StatusIs(absl::StatusCode::kInvalidArgument, HasSubstr("the limit")));
+}
+
+class BundlesByLabelTest : public InventoryFilesTest {
+ protected:
+  // `id`, its bundle or "", its labels.
+  static std::string Robot(const std::string& id, const std::string& bundle,
+                           const std::string& labels) {
+    return absl::StrCat("  - {id: ", id, bundle.empty() ? "" : ", bundle: ", bundle,
+                        ", sensors: [{host: base, primary: true}], labels: {", labels, "}}\n");
+  }
+  std::map<std::string, std::string> Bundles() const {
+    const auto read = ReadInventory(dir_);
+    EXPECT_THAT(read, IsOk());
+    std::map<std::string, std::string> bundles;
+    if (!read.ok()) return bundles;
+    for (const InventoryRobot& each : read->inventory.robots) bundles[each.id] = each.bundle;
+    return bundles;
+  }
+};
+
+TEST_F(BundlesByLabelTest, TheFirstEntryWhoseLabelsFitDecidesUnlessTheRobotDoes) {
+  Write("00-bundles.yaml",
+        "bundles:\n  - {labels: {site: hall, ring: canary}, bundle: next}\n"
+        "  - {labels: {site: hall}, bundle: hall}\n");
+  Write("10-robots.yaml",
+        absl::StrCat("robots:\n", Robot("r1", "", "site: hall"),
+                     Robot("r2", "", "site: hall, ring: canary"), Robot("r3", "own", "site: hall"),
+                     Robot("r4", "", "ring: canary")));
+  Write("20-rest.yaml", "bundles: [{bundle: rest}]\nrobots: []\n");
+  EXPECT_THAT(Bundles(), ElementsAre(Pair("r1", "hall"), Pair("r2", "next"), Pair("r3", "own"),
+                                     Pair("r4", "rest")));
+}
+
+TEST_F(BundlesByLabelTest, ARobotThatNoEntryFitsRefusesTheInventory) {
+  Write("a.yaml", absl::StrCat("bundles: [{labels: {site: hall}, bundle: hall}]\nrobots:\n",
+                               Robot("r1", "", "site: yard"), Robot("r2", "", "")));
+  EXPECT_THAT(ReadInventory(dir_),
+              StatusIs(absl::StatusCode::kInvalidArgument,
+                       HasSubstr("robot `r1`, `r2` has no `bundle`, and no entry of `bundles` has "
+                                 "labels that fit; write `bundle: NAME`")));
+  EXPECT_THAT(ReadInventory(Path("a.yaml")),
+              StatusIs(absl::StatusCode::kInvalidArgument, HasSubstr("a.yaml`: robot `r1`")));
+}
+
+TEST_F(BundlesByLabelTest, EntriesAreCheckedAndBounded) {
+  for (const char* entry : {"{}", "{labels: {site: hall}}", "{bundle: ../b}",
+                            "{bundle: b, label: {site: hall}}", "{bundle: b, labels: {S: hall}}"}) {
+    Write("a.yaml", absl::StrCat("bundles: [", entry, "]\nrobots: []\n"));
+    EXPECT_THAT(ReadInventory(dir_), StatusIs(absl::StatusCode::kInvalidArgument)) << entry;
+  }
+  std::string entries;
+  for (size_t i = 0; i < kLabelBundlesMax; ++i) absl::StrAppend(&entries, "{bundle: b},");
+  Write("a.yaml", absl::StrCat("bundles: [", entries, "]\n"));
+  EXPECT_THAT(ReadInventory(dir_), IsOk());
+  Write("b.yaml", "bundles: [{bundle: b}]\n");
+  EXPECT_THAT(ReadInventory(dir_), StatusIs(absl::StatusCode::kInvalidArgument,
+                                            HasSubstr("257 `bundles` exceed limit 256")));
 }
 
 }  // namespace

@@ -3,6 +3,7 @@
 #include <utility>
 
 #include "absl/strings/str_cat.h"
+#include "policy_server/server/robot/model/robot_config.h"
 #include "services/base/status_macros.h"
 #include "services/runtime/log.h"
 
@@ -51,6 +52,15 @@ void StatusBroadcaster::Unwatch(uint64_t id) {
 void StatusBroadcaster::OnAlert(const store::AlertRecord& alert) {
   if (alert.trace.cut && cut_traces_) cut_traces_();
   feed_.Wake();
+  if (alert.rule != pipeline::kOwnRule) return;
+  if (alert.severity != "high" && alert.severity != "critical") return;
+  const auto left_out = alert_logs_.Admit(alert.robot);
+  if (!left_out.has_value()) return;
+  LogWarning("alert", {{"robot", alert.robot},
+                       {"severity", alert.severity},
+                       {"id", alert.id},
+                       {"text", alert.text},
+                       {"left_out", *left_out}});
 }
 
 void StatusBroadcaster::OnStatus(const pipeline::RobotStatus& status) {

@@ -43,6 +43,7 @@ class StatusBroadcaster final : public pipeline::RobotObserver {
   // The watcher may still be told what is being told now. An id that is gone does nothing.
   void Unwatch(uint64_t id) ABSL_LOCKS_EXCLUDED(mu_);
 
+  // To the log, too, if it is RIPS's own and grave: a lost agent, an attack.
   void OnAlert(const store::AlertRecord& alert) override;
   void OnNotice(const std::string& text) override { feed_.Notify(text); }
   void OnStatus(const pipeline::RobotStatus& status) override ABSL_LOCKS_EXCLUDED(mu_);
@@ -57,6 +58,7 @@ class StatusBroadcaster final : public pipeline::RobotObserver {
 
   const std::function<void()> cut_traces_;
   LogLimiter rule_logs_;
+  LogLimiter alert_logs_;
   Mutex mu_;
   uint64_t next_id_ ABSL_GUARDED_BY(mu_) = 1;
   std::set<uint64_t> alert_watchers_ ABSL_GUARDED_BY(mu_);
