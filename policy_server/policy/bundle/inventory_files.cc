@@ -32,6 +32,11 @@ absl::StatusOr<std::vector<std::string>> ListFiles(const std::string& directory)
                                                      kInventoryEntriesMax, " entries, the limit"));
     }
     std::string name = it->path().filename().string();
+    if (absl::EndsWith(name, ".yml")) {
+      return absl::InvalidArgumentError(
+          absl::StrCat("`", directory, "` has a file ", QuoteBytes(name),
+                       ", which is not read; end its name ", "with `.yaml`"));
+    }
     if (!IsInventoryFile(name)) continue;
     if (!std::all_of(name.begin(), name.end(), [](char c) { return absl::ascii_isprint(c); })) {
       return absl::InvalidArgumentError(absl::StrCat(

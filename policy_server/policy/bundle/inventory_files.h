@@ -3,7 +3,8 @@
 //   what the path is     what is read
 //   a file, or a link    that file
 //   a directory          its entries `*.yaml` in the order of their names (bytes); the others are
-//                        ignored: names that begin with `.` or `#`, `*.bak`, `*~`, `*.yaml.tmp`
+//                        ignored: names that begin with `.` or `#`, `*.bak`, `*~`, `*.yaml.tmp`;
+//                        a name `*.yml` is an error, since its robots would go without guard
 //
 // Entries of `bundles` hold for the robots of all files, in the order of the files.
 //

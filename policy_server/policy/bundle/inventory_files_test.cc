@@ -193,6 +193,15 @@ TEST_F(InventoryFilesTest, ADirectoryOfTooManyEntriesIsRefused) {
               StatusIs(absl::StatusCode::kInvalidArgument, HasSubstr("the limit")));
 }
 
+TEST_F(InventoryFilesTest, AFileThatOnlyLooksLikeOneIsAnError) {
+  List("a.yaml", {"r1"});
+  List("b.yml", {"r2"});
+  EXPECT_THAT(ReadInventory(dir_),
+              StatusIs(absl::StatusCode::kInvalidArgument,
+                       HasSubstr("has a file `b.yml`, which is not read; end its name with "
+                                 "`.yaml`")));
+}
+
 class BundlesByLabelTest : public InventoryFilesTest {
  protected:
   // `id`, its bundle or "", its labels.
