@@ -199,7 +199,8 @@ void Fleet::Reload() {
   if (!read.ok()) {
     LogError("inventory rejected; keeping the previous one", {{"reason", read.status().message()}});
     alerts_->Raise(std::string(store::kServerRobot), engine::Severity::kHigh,
-                   absl::StrCat("the inventory is refused, the old one stays in force: ",
+                   absl::StrCat("the inventory is refused, the old one stays in force until the "
+                                "server is started anew, which would fail: ",
                                 FirstLine(read.status().message())));
   }
   const bool taken = read.ok();

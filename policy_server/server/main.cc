@@ -2,11 +2,15 @@
 #include <atomic>
 #include <csignal>
 #include <cstdio>
+#include <filesystem>
 #include <map>
 #include <memory>
 #include <string>
+#include <system_error>
 #include <utility>
+#include <vector>
 
+#include "absl/strings/str_cat.h"
 #include "policy_server/policy/bundle/inventory_files.h"
 #include "policy_server/server/config/config.h"
 #include "policy_server/server/config/needed_files.h"
@@ -60,7 +64,16 @@ int CheckConfig(const std::string& file, const rips::server::ParsedServerConfig&
   for (const auto& [bundle, robots] : bundles) {
     std::printf("robots with bundle %s: %zu\n", bundle.c_str(), robots);
   }
-  rips::PrintWarnings({certificate});  // what may come before the daemon starts
+  std::vector<std::string> warnings = {certificate};
+  for (const auto& [bundle, robots] : bundles) {
+    const std::string manifest =
+        absl::StrCat(parsed.config.bundles_source, "/", bundle, "/manifest.yaml");
+    std::error_code error;
+    if (std::filesystem::exists(manifest, error)) continue;
+    warnings.push_back(absl::StrCat("no ", manifest, ": unless one is pushed, nothing judges ",
+                                    robots, " robots"));
+  }
+  rips::PrintWarnings(warnings);  // what may come before the daemon starts
   return 0;
 }
 

@@ -167,9 +167,9 @@ absl::Status AssignBundles(Inventory& inventory) {
     }
   }
   if (without.empty()) return absl::OkStatus();
-  return absl::InvalidArgumentError(absl::StrCat(
-      "robot ", absl::StrJoin(without, ", "),
-      " has no `bundle`, and no entry of `bundles` has labels that fit; write `bundle: NAME`"));
+  return absl::InvalidArgumentError(
+      absl::StrCat("without `bundle`, and no entry of `bundles` has labels that fit: robot ",
+                   absl::StrJoin(without, ", "), "; give it a `bundle: NAME`, or add an entry"));
 }
 
 }  // namespace rips::bundle

@@ -238,10 +238,11 @@ TEST_F(BundlesByLabelTest, ARobotThatNoEntryFitsRefusesTheInventory) {
                                Robot("r1", "", "site: yard"), Robot("r2", "", "")));
   EXPECT_THAT(ReadInventory(dir_),
               StatusIs(absl::StatusCode::kInvalidArgument,
-                       HasSubstr("robot `r1`, `r2` has no `bundle`, and no entry of `bundles` has "
-                                 "labels that fit; write `bundle: NAME`")));
+                       HasSubstr("without `bundle`, and no entry of `bundles` has labels that "
+                                 "fit: robot `r1`, `r2`; give it a `bundle: NAME`, or add an "
+                                 "entry")));
   EXPECT_THAT(ReadInventory(Path("a.yaml")),
-              StatusIs(absl::StatusCode::kInvalidArgument, HasSubstr("a.yaml`: robot `r1`")));
+              StatusIs(absl::StatusCode::kInvalidArgument, HasSubstr("a.yaml`: without `bundle`")));
 }
 
 TEST_F(BundlesByLabelTest, EntriesAreCheckedAndBounded) {

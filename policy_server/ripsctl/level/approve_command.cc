@@ -62,6 +62,7 @@ class ApproveLevel final : public RobotCommand {
       for (const std::string& why : seen.status().degraded()) {
         env.out << "now: " << EscapeText(why) << "\n";
       }
+      if (!reject_) PrintFirewalls(env, robot_, seen.status().decision_id(), env.out);
     }
     v1::ApproveRequest request;
     request.set_robot(robot_);

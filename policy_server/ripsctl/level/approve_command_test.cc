@@ -63,9 +63,9 @@ TEST_F(RipsctlTest, ApprovesWhatItShowed) {
             "2026-01-01T00:00:00.000Z to lower r1 from COMPROMISED to DEFAULT; until "
             "2026-01-01T00:10:00.000Z: aisle\\x0ais clear\n"
             "r1 goes to DEFAULT (3.18)\n");
-  EXPECT_THAT(fake_.calls(),
-              testing::ElementsAre(
-                  "GetLevel", absl::StrCat("Approve r1 ", std::string(32, '4'), " I see it, too")));
+  EXPECT_THAT(fake_.calls(), testing::ElementsAre("GetLevel", "ListReceipts r1",
+                                                  absl::StrCat("Approve r1 ", std::string(32, '4'),
+                                                               " I see it, too")));
   EXPECT_EQ(Run({"level", "approve", "r1", "33333333", "--reason", "no", "--reject"}).out,
             "33333333: operator alice asked at "
             "2026-01-01T00:00:00.000Z to lower r1 from COMPROMISED to DEFAULT; until "

@@ -4,12 +4,10 @@
 #include <nlohmann/json.hpp>
 #include <optional>
 #include <ostream>
-#include <set>
 #include <string>
 #include <utility>
 
 #include "absl/strings/escaping.h"
-#include "absl/strings/match.h"
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_join.h"
 #include "policy_server/ripsctl/cli/json_output.h"
@@ -46,6 +44,7 @@ class ShowLevel final : public RobotCommand {
       table.Add({"to approve", PendingText(robot_, each)});
     }
     table.Print(env.out);
+    PrintFirewalls(env, robot_, response.status().decision_id(), env.out);
     return ExitCode::kDone;
   }
 
@@ -123,13 +122,15 @@ class ChangeLevel : public RobotCommand {
   void AddFlags(CLI::App& app) override {
     RobotCommand::AddFlags(app);
     app.add_option("--to", to_, "Target level")->required();
-    app.add_option("--reason", reason_, "Reason, recorded with the decision")->required();
+    app.add_option("--reason", reason_,
+                   "Reason, recorded with the decision; required unless --dry-run");
     app.add_flag("--dry-run", dry_run_, "Show what would happen; change nothing");
     app.add_flag("--wait", wait_, "Wait until the robot is at the level, for at most 30 s");
   }
 
   absl::Status Check() override {
     RIPS_RETURN_IF_ERROR(RobotCommand::Check());
+    if (dry_run_ && reason_.empty()) reason_ = "dry run";
     RIPS_RETURN_IF_ERROR(CheckReason(reason_));
     if (to_.empty() || FindInvalidUtf8(to_)) {
       return absl::InvalidArgumentError("--to is not a level name");
@@ -187,7 +188,7 @@ class ChangeLevel : public RobotCommand {
       env.out << robot_ << " goes to " << EscapeText(response.decided_level()) << " ("
               << DecisionIdText(response.decision_id()) << ")\n";
     }
-    if (verb == "raise" && response.soft()) {
+    if (response.soft()) {
       env.out << EscapeText(response.decided_level())
               << " is a soft level: a rule may lower it again as soon as its condition holds\n";
     }
@@ -279,31 +280,7 @@ class LowerLevel final : public ChangeLevel {
           << EscapeText(seen.last().cause());
     }
     out << "\n";
-    ShowFirewalls(env, seen.status().decision_id(), out);
-  }
-
-  // What the level's firewall steps keep out, and a lowering may let in again.
-  void ShowFirewalls(Env& env, const v1::DecisionId& level, std::ostream& out) const {
-    v1::ListReceiptsRequest request;
-    request.set_robot(robot_);
-    const auto response = Call(env, &Stub::ListReceipts, request);
-    if (!response.ok()) {
-      out << "what its firewalls hold is not known: " << EscapeText(response.status().message())
-          << "\n";
-      return;
-    }
-    std::set<std::string> hosts;
-    for (const v1::ReceivedReceipt& each : response->receipts()) {  // newest first
-      const v1::DecisionId& of = each.receipt().decision_id();
-      if (of.term() != level.term() || of.epoch() != level.epoch()) continue;
-      if (!hosts.insert(each.host()).second) continue;
-      for (const v1::StepResult& step : each.receipt().steps()) {
-        if (!step.ok() || !absl::StartsWith(step.step(), "firewall ")) continue;
-        if (step.step() == "firewall release") continue;
-        out << EscapeText(each.host()) << " holds `" << EscapeText(step.step())
-            << "`, which ends unless " << EscapeText(request_.to()) << " holds it, too\n";
-      }
-    }
+    PrintFirewalls(env, robot_, seen.status().decision_id(), out);
   }
 
   std::string expect_;

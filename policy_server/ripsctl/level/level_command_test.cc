@@ -25,12 +25,14 @@ TEST_F(RipsctlTest, ALoweringSaysWhatFirewallsHoldThatMayEndWithTheLevel) {
   add("base", 17, "firewall isolate_host 10.0.0.67", true);   // older
   add("lidar", 16, "firewall isolate_host 10.0.0.68", true);  // of an earlier decision
   add("wrist", 17, "firewall /etc/rips/alert.nft", false);
-  EXPECT_THAT(Run({"level", "lower", "r1", "--to", "DEFAULT", "--reason", "x", "--dry-run"}).out,
+  EXPECT_THAT(Run({"level", "lower", "r1", "--to", "DEFAULT", "--dry-run"}).out,
               testing::StartsWith(
                   "r1 is at COMPROMISED (3.17) since 2026-01-01T00:00:00.000Z, rule "
                   "rogue_cmd_vel\n"
-                  "base holds `firewall isolate_host 10.0.0.66`, which ends unless DEFAULT holds "
-                  "it, too\n"
+                  "base holds `firewall isolate_host 10.0.0.66` until a level releases it or its "
+                  "time is over\n"
+                  "what a firewall keeps out is not seen by RIPS, and may come back then; `nft "
+                  "list ruleset` on the host shows whether it still sends\n"
                   "would lower r1"));
 }
 
