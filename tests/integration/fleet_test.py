@@ -1251,12 +1251,12 @@ def main(kind_of=lambda scenario: Fleet):
     directory = pathlib.Path(tempfile.mkdtemp(prefix=scenario.__name__ + ".", dir=parent))
     directory.chmod(0o755)  # plugins run as another user
     fleet = kind_of(scenario)(sys.argv[1], directory, floor_hold="1s")
-    fleet.leftovers = [directory]  # removed if all went well
+    fleet.leftovers = [directory]  # removed unless it fails
     def play(fleet):
         scenario(fleet)
         never_lower(fleet, getattr(scenario, "lowers", ()))
     code = perform(scenario.__name__, play, fleet)
-    if code == 0:
+    if code != 1:
         for leftover in fleet.leftovers:
             shutil.rmtree(leftover)
     return code

@@ -59,7 +59,7 @@ def perform(name, scenario, world, tail=25):
 
 def play(scenarios, kind):
     """Plays the scenario that the command line names (BINARIES SCENARIO) with a fleet of that kind,
-    in a directory that is removed if all went well; prints the names of all if it names none.
+    in a directory that is removed unless it fails; prints the names of all if it names none.
     Returns the exit code."""
     if len(sys.argv) < 3:
         print("\n".join(scenario.__name__ for scenario in scenarios))
@@ -70,7 +70,7 @@ def play(scenarios, kind):
     directory = pathlib.Path(tempfile.mkdtemp(prefix=scenario.__name__ + ".", dir=parent))
     directory.chmod(0o755)  # plugins and others run as other users
     code = perform(scenario.__name__, scenario, kind(sys.argv[1], directory))
-    if code == 0:
+    if code != 1:
         shutil.rmtree(directory)
     return code
 
@@ -166,6 +166,7 @@ class Fleet:
     def __init__(self, binaries, directory, bundle="warehouse", fail_safe="ALERT",
                  floor_hold="10s", programs=""):
         self.bin = pathlib.Path(binaries).resolve()
+        self.bin_of = {}  # program -> directory, of those that are not in `bin`
         self.dir = pathlib.Path(directory).resolve()
         self.dir.mkdir(parents=True, exist_ok=True)
         # Ports of domains above 100 lie where Linux gives ports to others (DDSI-RTPS 2.5 §9.6.2.3).
@@ -271,6 +272,9 @@ levels:
 
     # ---------------------------------------------------------------------------- processes
 
+    def path_of(self, name):
+        return pathlib.Path(self.bin_of.get(name, self.bin)) / name
+
     def start(self, name, *args):
         process = Process(name, [*self.within, *args], self.dir, self.env)
         self.processes.append(process)
@@ -303,7 +307,7 @@ levels:
         ready.unlink(missing_ok=True)
         if self.port is not None:
             self.write_server_config(self.port)
-        server = self.start("policy-server", self.bin / "rips-policy-server", "--config",
+        server = self.start("policy-server", self.path_of("rips-policy-server"), "--config",
                             self.dir / "policy-server.yaml", "--ready-file", ready)
         address = self._ready(server, ready, "the policy server")
         self.port = int(address.rsplit(":", 1)[1])
@@ -319,8 +323,8 @@ levels:
         if role == "sensor" and "CYCLONEDDS_URI" in self.env:  # as it is without
             self.env["CYCLONEDDS_URI"] = self.env["CYCLONEDDS_URI"].replace(
                 "</General>", "<AllowMulticast>spdp</AllowMulticast></General>")
-        agent = self.start(role, self.bin / f"rips-{role}", "--config", self.dir / f"{role}.yaml",
-                           "--ready-file", ready)
+        agent = self.start(role, self.path_of(f"rips-{role}"), "--config",
+                           self.dir / f"{role}.yaml", "--ready-file", ready)
         self.env = everybodys
         if wait:
             self._ready(agent, ready, f"the {role}")
@@ -331,7 +335,7 @@ levels:
         if self.exec is None or not self.exec.running:
             ready = self.dir / "exec.ready"
             ready.unlink(missing_ok=True)
-            self.exec = self.start("exec", self.bin / "rips-exec", "--config",
+            self.exec = self.start("exec", self.path_of("rips-exec"), "--config",
                                    self.dir / "actuator.yaml", "--ready-file", ready)
             self._ready(self.exec, ready, "rips-exec")
         return self.exec
@@ -358,9 +362,9 @@ levels:
 
     def ripsctl_args(self, *args, who="operator/alice"):
         pki = self.dir / "pki/operator" / who
-        return [*self.within, str(self.bin / "ripsctl"), "--server", f"{self.address}:{self.port}",
-                "--ca", f"{pki}/ca.pem", "--cert", f"{pki}/cert.pem", "--key", f"{pki}/key.pem",
-                *map(str, args)]
+        return [*self.within, str(self.path_of("ripsctl")), "--server",
+                f"{self.address}:{self.port}", "--ca", f"{pki}/ca.pem", "--cert",
+                f"{pki}/cert.pem", "--key", f"{pki}/key.pem", *map(str, args)]
 
     def ripsctl(self, *args, check=True, who="operator/alice"):
         """Runs ripsctl as `who`, ROLE/NAME; gives (exit code, stdout, stderr). No faster than the
@@ -380,7 +384,7 @@ levels:
     def rips_enrol(self, folder, *args):
         """Runs rips-enrol for the agents whose certificates are below `folder`."""
         return subprocess.run(
-            [*self.within, self.bin / "rips-enrol", *args, "--dir", folder],
+            [*self.within, self.path_of("rips-enrol"), *args, "--dir", folder],
             stdin=subprocess.DEVNULL, capture_output=True, text=True, timeout=60, env=self.env)
 
     def query(self, *args, **options):
