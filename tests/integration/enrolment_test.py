@@ -71,9 +71,13 @@ class EnrolledFleet(Fleet):
         return done.stdout + done.stderr
 
     def renew(self):
-        """Of both agents; no sooner than the server lets them."""
-        eventually(lambda: self.rips_enrol(self.folder, "renew", "--now").returncode == 0, 40,
-                   "renewed")
+        """Of both agents; no sooner than the server lets each of them, which may not be at once."""
+        before = self.serials()
+
+        def renewed():
+            self.rips_enrol(self.folder, "renew", "--now")
+            return all(serial != before[role] for role, serial in self.serials().items())
+        eventually(renewed, 40, "renewed", every=1)
 
     def serials(self):
         return {role: subprocess.run(
