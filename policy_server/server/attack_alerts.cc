@@ -97,7 +97,7 @@ bool AttackAlerts::IsDue(const std::string& name) {
 }
 
 void AttackAlerts::OnConnectionEnded(const rpc::ConnectionGuard::Report& report) {
-  if (report.banned_ns == 0) return;
+  if (report.excess == rpc::Excess::kSilent) return;
   if (!IsDue(absl::StrCat("certificate ", report.certificate))) return;
   std::string what = "sent bytes of which nothing came";
   if (report.excess == rpc::Excess::kCalls) what = "began calls without end";
@@ -105,10 +105,15 @@ void AttackAlerts::OnConnectionEnded(const rpc::ConnectionGuard::Report& report)
   alerts_->Raise(Server(), engine::Severity::kCritical,
                  absl::StrCat("the server is attacked: a connection from ", report.peer,
                               report.certificate.empty()
-                                  ? std::string(" without a certificate of ours")
+                                  ? std::string(", whose peer was not known yet,")
                                   : absl::StrCat(" with the certificate of ", report.certificate),
-                              " ", what, "; it was ended and is banned for ",
-                              report.banned_ns / kNanosPerSecond, " s", kRest));
+                              " ", what, "; it was ended",
+                              report.banned_ns == 0
+                                  ? std::string(", and nothing banned, since ours connect from "
+                                                "that address, too")
+                                  : absl::StrCat(" and is banned for ",
+                                                 report.banned_ns / kNanosPerSecond, " s"),
+                              kRest));
 }
 
 void AttackAlerts::OnConnectionWasted(const std::string& address, bool known) {

@@ -78,13 +78,19 @@ TEST_F(AttackAlertsTest, EachCertificateIsToldOnceAMinuteAndAllWithoutOneTogethe
       ElementsAre(AllOf(StartsWith("(server) critical the server is attacked: a connection from "
                                    "ipv4:10.0.0.7:4711"),
                         HasSubstr(kMallory), HasSubstr("banned for 10 s")),
-                  HasSubstr("without a certificate of ours sent bytes of which nothing came"),
+                  HasSubstr(", whose peer was not known yet, sent bytes of which nothing came"),
                   HasSubstr("began calls without end")));
 }
 
-TEST_F(AttackAlertsTest, AConnectionThatIsNotBannedIsNoAttack) {
+TEST_F(AttackAlertsTest, AConnectionThatOnlyKeepsSilentIsNoAttack) {
   End("", rpc::Excess::kSilent, 0);
   EXPECT_THAT(Told(), IsEmpty());
+}
+
+TEST_F(AttackAlertsTest, WhereNothingIsBannedItIsToldAllTheSame) {
+  End("", rpc::Excess::kBytes, 0);
+  EXPECT_THAT(Told(), ElementsAre(HasSubstr("it was ended, and nothing banned, since ours connect "
+                                            "from that address, too")));
 }
 
 TEST_F(AttackAlertsTest, AFloodNamesItsAddressAtOnceAndCountsItEachMinute) {

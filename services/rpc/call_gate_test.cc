@@ -22,16 +22,18 @@ class CallGateTest : public ::testing::Test {
     std::string peer;
     std::string reason;
     std::string address;
+    std::string certificate;
   };
 
   void SetUp() override {
     ConnectionGuard::Options options;
+    options.agent_calls_burst = 6;
     auto guard = ConnectionGuard::Listen("127.0.0.1:0", std::move(options), &clock_, &metrics_);
     ASSERT_TRUE(guard.ok()) << guard.status();
     guard_ = *std::move(guard);
     gate_ = std::make_unique<CallGate>(&clock_, nullptr, &metrics_, guard_.get());
     gate_->set_on_refused([this](const Peer& peer, const Refusal& refusal, absl::string_view from) {
-      told_.Push({ToString(peer.identity), refusal.reason, std::string(from)});
+      told_.Push({ToString(peer.identity), refusal.reason, std::string(from), Describe(peer)});
     });
     auto server = RpcServer::Start({.listen = "127.0.0.1:0",
                                     .guard = guard_.get(),
@@ -43,8 +45,9 @@ class CallGateTest : public ::testing::Test {
     channel_ = MakeChannel(server_->address(), LoadOrDie(pki_.Operator())->ForClient());
   }
 
-  grpc::Status Drill(const std::string& robot) {
+  grpc::Status Drill(const std::string& robot, bool packed = false) {
     grpc::ClientContext context;
+    if (packed) context.set_compression_algorithm(GRPC_COMPRESS_GZIP);
     context.set_deadline(std::chrono::system_clock::now() + absl::ToChronoSeconds(kPatience));
     rips::v1::DrillRobotRequest request;
     request.set_robot(robot);
@@ -90,6 +93,27 @@ TEST_F(CallGateTest, CallsThatCannotBeDecodedAreCountedWithTheirPeer) {
 TEST_F(CallGateTest, AStreamOfAnswersIsAskedForByARequestToo) {
   EXPECT_FALSE(Watch("\xc3").ok());
   EXPECT_THAT(metrics_.Text(), HasSubstr(absl::StrCat(kUndecodable, 1)));
+}
+
+// What is unpacked before its size is known may be a thousand times as large.
+TEST_F(CallGateTest, ACompressedRequestIsNotUnpacked) {
+  EXPECT_EQ(Drill(std::string(100'000, 'r'), /*packed=*/true).error_code(),
+            grpc::StatusCode::UNIMPLEMENTED);
+  EXPECT_THAT(metrics_.Text(), HasSubstr(absl::StrCat(kUndecodable, 1)));
+  EXPECT_EQ(Drill("r1").error_code(), grpc::StatusCode::UNIMPLEMENTED) << "no such handler here";
+  EXPECT_THAT(metrics_.Text(), HasSubstr(absl::StrCat(kUndecodable, 1)));
+}
+
+TEST_F(CallGateTest, ACertificateThatSendsManyIsBanned) {
+  const int64_t deadline_ns = BoottimeAfter(kPatience);
+  const std::string certificate = [&] {
+    Drill("\xff");
+    return told_.Pop(kPatience)->certificate;
+  }();
+  while (guard_->Banned(certificate) == absl::ZeroDuration()) {
+    ASSERT_LT(BoottimeNow(), deadline_ns);
+    Drill("\xff");
+  }
 }
 
 TEST_F(CallGateTest, CallsThatCanBeDecodedAreNotCounted) {

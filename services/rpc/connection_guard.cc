@@ -34,6 +34,8 @@ constexpr int64_t kTrimNs = kNanosPerSecond;
 // Of agents whose calls are counted, before those who have not called for long are forgotten.
 constexpr size_t kAgentCallsMax = 4'096;
 constexpr size_t kBannedMax = 4'096;
+// Calls that cannot be decoded have an account of their own beside those of an agent.
+constexpr char kUndecodable[] = " undecodable";
 // No ClientHello is shorter.
 constexpr uint64_t kClientHelloBytes = 64;
 // Ended to make room though gRPC had them, which closes its descriptors a moment later.
@@ -546,6 +548,18 @@ bool ConnectionGuard::MayCallLocked(const std::string& certificate, int64_t now_
   return true;
 }
 
+void ConnectionGuard::OnUndecodable(Connection& from, const std::string& certificate) {
+  const int64_t now_ns = clock_->Now().boottime_ns;
+  bool may = false;
+  {
+    MutexLock lock(&mu_);
+    may = !banned_.contains(certificate) &&
+          MayCallLocked(absl::StrCat(certificate, kUndecodable), now_ns);
+  }
+  if (may) return from.OnThrottled();
+  EndFor(from, Excess::kRefused);
+}
+
 absl::Status ConnectionGuard::OnIdentified(absl::string_view peer, const std::string& certificate,
                                            bool agent) {
   const std::string name = DecodePeer(peer);
@@ -608,8 +622,10 @@ void ConnectionGuard::EndFor(Connection& connection, Excess excess) {
   CountEnded(metrics_, ToString(excess));
   {
     MutexLock lock(&mu_);
-    // Who only keeps silent may be a scanner, or a peer on a bad line.
-    if (excess != Excess::kSilent) report.banned_ns = BanLocked(connection, now_ns);
+    // Who only keeps silent may be a scanner, or a peer on a bad line. Where ours connect from too,
+    // a peer that has not named itself costs them nothing.
+    const bool spared = report.certificate.empty() && admission_.Known(connection.source(), now_ns);
+    if (excess != Excess::kSilent && !spared) report.banned_ns = BanLocked(connection, now_ns);
     trim_at_ns_ = now_ns + kTrimNs;
   }
   LogWarning("connection closed: it exceeded its budget",

@@ -14,8 +14,8 @@
 // gRPC owns the descriptor it was given; the guard keeps a duplicate of its own, for the same
 // socket, and closes it when the connection is over.
 //
-// A connection whose peer was identified is banned by its certificate, which CallGate asks for
-// (Banned); and its address, as every other's, by Admission.
+// A ban is of the certificate, which CallGate asks for (Banned), and of the address; of neither where
+// ours connect from and the peer had not named itself.
 #ifndef RIPS_SERVICES_RPC_CONNECTION_GUARD_H_
 #define RIPS_SERVICES_RPC_CONNECTION_GUARD_H_
 
@@ -83,7 +83,6 @@ class Connection {
   // What the kernel says of the socket.
   State Check(int64_t now_ns, Excess& excess) ABSL_LOCKS_EXCLUDED(mu_);
   bool EndedByPeer() const ABSL_LOCKS_EXCLUDED(mu_);
-  // False if it was ended before.
   bool End() ABSL_LOCKS_EXCLUDED(mu_);
   // The one it was admitted with; empty = none.
   std::string certificate() const ABSL_LOCKS_EXCLUDED(mu_);
@@ -153,7 +152,7 @@ class ConnectionGuard {
   // Connects to the listener itself. Unavailable if nothing takes the connection in time.
   absl::Status Probe(absl::Duration patience) ABSL_LOCKS_EXCLUDED(mu_);
 
-  // The connection of this peer, as gRPC names it; null if there is none.
+  // Of this peer, as gRPC names it; null if there is none.
   std::shared_ptr<Connection> Find(absl::string_view peer) ABSL_LOCKS_EXCLUDED(mu_);
   // A call begins. First of all that is done for it.
   void OnCall(const grpc::ServerContextBase& context);
@@ -161,6 +160,9 @@ class ConnectionGuard {
   // or, of an agent, begins so many calls.
   absl::Status OnIdentified(absl::string_view peer, const std::string& certificate, bool agent)
       ABSL_LOCKS_EXCLUDED(mu_);
+  // A request could not be decoded: a second one ends the connection, more than an agent may make
+  // calls ban the certificate.
+  void OnUndecodable(Connection& from, const std::string& certificate) ABSL_LOCKS_EXCLUDED(mu_);
   // How long the certificate is banned still; 0 = it is not.
   absl::Duration Banned(const std::string& certificate) ABSL_LOCKS_EXCLUDED(mu_);
 
@@ -181,13 +183,11 @@ class ConnectionGuard {
   // Everything that waits at a listener. False: descriptors have run out.
   bool AcceptAll(int listener);
   void Admit(UniqueFd socket, Source source);
-  // Those whose turn it is.
   void HandOverWaiting() ABSL_LOCKS_EXCLUDED(mu_);
-  // Ends connections without a certificate that count against the limit `source` has met, so that
-  // a flood of those cannot keep out a peer that would name itself: first of addresses that are not
-  // known, of those of the network that has most, of those one that has sent nothing, of those the
-  // oldest; one, or one in 64 if there are many. Returns them; none if too many that gRPC had
-  // were ended since the last look.
+  // Ends connections without a certificate that count against the limit `source` has met, so that a
+  // flood of those keeps out no peer that would name itself: first of addresses that are not known,
+  // of the network that has most, one that has sent nothing, the oldest; one, or one in 64 of many.
+  // Returns them; none if too many that gRPC had were ended since the last look.
   std::vector<std::shared_ptr<Connection>> MakeRoomLocked(const Source& source,
                                                           Admission::Verdict limit, int64_t now_ns)
       ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
@@ -198,7 +198,7 @@ class ConnectionGuard {
   // Its address, and its certificate if that is known. Returns how long it lasts still.
   int64_t BanLocked(const Connection& connection, int64_t now_ns)
       ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
-  // One that sent enough for a handshake is over, and no call has named its peer.
+  // One that sent enough for a handshake is over, unnamed.
   void LogUnknownPeer(const Connection& connection);
   // A connection of this address came to nothing.
   void Wasted(const Source& source, int64_t now_ns) ABSL_LOCKS_EXCLUDED(mu_);

@@ -92,6 +92,9 @@ absl::StatusOr<std::unique_ptr<RpcServer>> RpcServer::Start(
   set(GRPC_ARG_SERVER_HANDSHAKE_TIMEOUT_MS, absl::ToInt64Milliseconds(kHandshakeTimeout));
   set(GRPC_ARG_MAX_CONNECTION_IDLE_MS, absl::ToInt64Milliseconds(kIdleTimeout));
   set(GRPC_ARG_MAX_METADATA_SIZE, kMetadataBytesMax);
+  // A compressed message would be unpacked whole before its size is looked at: 2 MB become 2 GB.
+  // None of ours compresses; what is compressed cannot be decoded then.
+  set(GRPC_ARG_ENABLE_PER_MESSAGE_DECOMPRESSION, 0);
   set(GRPC_ARG_MAX_CONCURRENT_STREAMS, kStreamsPerConnectionMax);
   set(GRPC_ARG_KEEPALIVE_TIME_MS, absl::ToInt64Milliseconds(options.keepalive_time));
   set(GRPC_ARG_KEEPALIVE_TIMEOUT_MS, absl::ToInt64Milliseconds(options.keepalive_timeout));

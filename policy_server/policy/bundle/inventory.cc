@@ -81,6 +81,10 @@ void ReadLabelBundles(const ConfigSection& root, std::vector<LabelBundle>* bundl
   for (const ConfigSection& section : root.Sections("bundles")) {
     LabelBundle& added = bundles->emplace_back();
     ReadLabels(section, &added.labels);
+    if (section.Has("labels") && added.labels.empty()) {
+      section.Problem("labels",
+                      "`labels` has none; leave it out for an entry that fits all robots");
+    }
     ReadName(section, "bundle", "bundle name", &added.bundle);
   }
   CheckCount(root, "bundles", bundles->size(), kLabelBundlesMax);
@@ -154,6 +158,13 @@ absl::Status AssignBundles(Inventory& inventory) {
   if (inventory.bundles.size() > kLabelBundlesMax) {
     return absl::InvalidArgumentError(
         absl::StrCat(inventory.bundles.size(), " `bundles` exceed limit ", kLabelBundlesMax));
+  }
+  const auto for_all = std::find_if(inventory.bundles.begin(), inventory.bundles.end(),
+                                    [](const LabelBundle& each) { return each.labels.empty(); });
+  if (for_all != inventory.bundles.end() && for_all + 1 != inventory.bundles.end()) {
+    return absl::InvalidArgumentError(
+        absl::StrCat("of `bundles`, the entry without labels for `", for_all->bundle,
+                     "` is not the last: those after it would never fit a robot"));
   }
   std::vector<std::string> without;
   for (InventoryRobot& robot : inventory.robots) {

@@ -251,8 +251,20 @@ TEST_F(BundlesByLabelTest, EntriesAreCheckedAndBounded) {
     Write("a.yaml", absl::StrCat("bundles: [", entry, "]\nrobots: []\n"));
     EXPECT_THAT(ReadInventory(dir_), StatusIs(absl::StatusCode::kInvalidArgument)) << entry;
   }
+  for (const char* empty : {"{}", "~", ""}) {
+    Write("a.yaml", absl::StrCat("bundles: [{labels: ", empty, ", bundle: b}]\nrobots: []\n"));
+    EXPECT_THAT(ReadInventory(dir_), StatusIs(absl::StatusCode::kInvalidArgument,
+                                              HasSubstr("leave it out for an entry that fits all")))
+        << empty;
+  }
+  Write("a.yaml", "bundles: [{bundle: all}, {labels: {site: hall}, bundle: hall}]\n");
+  EXPECT_THAT(ReadInventory(dir_),
+              StatusIs(absl::StatusCode::kInvalidArgument,
+                       HasSubstr("the entry without labels for `all` is not the last")));
   std::string entries;
-  for (size_t i = 0; i < kLabelBundlesMax; ++i) absl::StrAppend(&entries, "{bundle: b},");
+  for (size_t i = 0; i < kLabelBundlesMax; ++i) {
+    absl::StrAppend(&entries, "{labels: {n: n", i, "}, bundle: b},");
+  }
   Write("a.yaml", absl::StrCat("bundles: [", entries, "]\n"));
   EXPECT_THAT(ReadInventory(dir_), IsOk());
   Write("b.yaml", "bundles: [{bundle: b}]\n");

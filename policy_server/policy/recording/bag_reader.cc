@@ -278,9 +278,10 @@ absl::Status BagReader::Start() {
   RIPS_RETURN_IF_ERROR(CheckTable("topics", kTopics));
   RIPS_RETURN_IF_ERROR(CheckTable("messages", kMessages));
   RIPS_RETURN_IF_ERROR(ReadTopics());
-  // Without the payload, which would be sorted too.
+  // Without the payload, which would be sorted too; and without an index, which may be damaged and
+  // lack what the table has.
   RIPS_ASSIGN_OR_RETURN(order_, Prepare("SELECT id, topic_id, timestamp FROM messages "
-                                        "ORDER BY timestamp, id"));
+                                        "NOT INDEXED ORDER BY timestamp, id"));
   RIPS_ASSIGN_OR_RETURN(payload_, Prepare("SELECT data, timestamp FROM messages WHERE id = ?1"));
   return absl::OkStatus();
 }
