@@ -14,8 +14,8 @@
 // gRPC owns the descriptor it was given; the guard keeps a duplicate of its own, for the same
 // socket, and closes it when the connection is over.
 //
-// A ban is of the certificate, which CallGate asks for (Banned), and of the address; of neither where
-// ours connect from and the peer had not named itself.
+// A ban is of the certificate, which CallGate asks for (Banned), and of the address; of neither if
+// ours connect from there and the peer had not named itself.
 #ifndef RIPS_SERVICES_RPC_CONNECTION_GUARD_H_
 #define RIPS_SERVICES_RPC_CONNECTION_GUARD_H_
 
