@@ -77,8 +77,6 @@ void CallGate::RefuseUndecodable(const grpc::ServerContextBase& context) {
   if (auth != nullptr) peer = connection == nullptr ? PeerOf(*auth) : connection->ReadPeer(*auth);
   if (connection != nullptr && peer.ok()) {
     connections_->OnUndecodable(*connection, Describe(*peer));
-  } else if (connection != nullptr) {
-    connection->OnThrottled();
   }
   const absl::Status status = absl::UnimplementedError("the request cannot be decoded");
   Refuse({"undecodable", status}, peer.ok() ? &*peer : nullptr, address).IgnoreError();

@@ -34,8 +34,8 @@ namespace rips::rpc {
 // | role          | PERMISSION_DENIED | not what the call is for                                 |
 // | claim         | PERMISSION_DENIED | says that it is another agent                            |
 // | limit         | INVALID_ARGUMENT  | a field of its request is past its limit                 |
-// | undecodable   | UNIMPLEMENTED     | its request is not one message, or a text not UTF-8:     |
-// |               |                   | gRPC ends the call, no handler is asked                  |
+// | undecodable   | UNIMPLEMENTED     | its request is no message, a text in it not UTF-8, or it |
+// |               |                   | was reset before: gRPC ends the call, no handler is asked|
 // | throttled     | RESOURCE_EXHAUSTED| its connections broke the limits, or are too many        |
 // | quota         | RESOURCE_EXHAUSTED| an operator's certificate asks more than it may          |
 inline constexpr absl::string_view kRefusalReasons[] = {
@@ -70,8 +70,7 @@ class CallGate {
   std::optional<Refusal> Against(const Peer& peer) const;
   // The peer of a call for which it must have `role`. What is refused is counted and logged.
   absl::StatusOr<Peer> Admit(const grpc::CallbackServerContext& context, Role role);
-  // Counts and logs a call whose request gRPC could not decode; the connection of a second one is
-  // ended.
+  // Counts and logs a call whose request gRPC could not decode, and tells `connections` of it.
   void RefuseUndecodable(const grpc::ServerContextBase& context);
   // Null if connections are not guarded.
   std::shared_ptr<Connection> ConnectionOf(absl::string_view peer) {

@@ -1,6 +1,5 @@
 #include "services/rpc/call_gate.h"
 
-#include <map>
 #include <memory>
 #include <string>
 
@@ -121,19 +120,6 @@ TEST_F(CallGateTest, CallsThatCanBeDecodedAreNotCounted) {
   Drill("");
   Watch("r1");
   EXPECT_THAT(metrics_.Text(), HasSubstr(absl::StrCat(kUndecodable, 0)));
-}
-
-// Each costs a handshake then, of which an address may make few.
-TEST_F(CallGateTest, TheConnectionOfASecondOneIsEnded) {
-  std::map<std::string, int> calls;  // by address
-  const int64_t deadline_ns = BoottimeAfter(kPatience);
-  while (calls.size() < 3) {
-    ASSERT_LT(BoottimeNow(), deadline_ns);
-    if (Drill("\xff").error_code() != grpc::StatusCode::UNIMPLEMENTED) continue;  // ended meanwhile
-    const auto told = told_.Pop(kPatience);
-    ASSERT_TRUE(told.has_value());
-    EXPECT_LE(++calls[told->address], 3) << "one more may be under way";
-  }
 }
 
 }  // namespace

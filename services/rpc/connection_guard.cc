@@ -556,8 +556,7 @@ void ConnectionGuard::OnUndecodable(Connection& from, const std::string& certifi
     may = !banned_.contains(certificate) &&
           MayCallLocked(absl::StrCat(certificate, kUndecodable), now_ns);
   }
-  if (may) return from.OnThrottled();
-  EndFor(from, Excess::kRefused);
+  if (!may) EndFor(from, Excess::kRefused);
 }
 
 absl::Status ConnectionGuard::OnIdentified(absl::string_view peer, const std::string& certificate,

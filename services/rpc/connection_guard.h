@@ -160,8 +160,8 @@ class ConnectionGuard {
   // or, of an agent, begins so many calls.
   absl::Status OnIdentified(absl::string_view peer, const std::string& certificate, bool agent)
       ABSL_LOCKS_EXCLUDED(mu_);
-  // A request could not be decoded: a second one ends the connection, more than an agent may make
-  // calls ban the certificate.
+  // A request could not be decoded, or was reset before it came: more of those than an agent may
+  // make calls end the connection and ban the certificate.
   void OnUndecodable(Connection& from, const std::string& certificate) ABSL_LOCKS_EXCLUDED(mu_);
   // How long the certificate is banned still; 0 = it is not.
   absl::Duration Banned(const std::string& certificate) ABSL_LOCKS_EXCLUDED(mu_);
