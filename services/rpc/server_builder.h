@@ -23,7 +23,7 @@ struct RpcServerOptions {
   // Listens already, and outlives the server; null = one of its own at `listen`,
   // which lets peers that no gate identifies send as much as they like.
   ConnectionGuard* guard = nullptr;
-  // Is told of calls that end before a handler is asked; outlives the server. Null = none.
+  // Hears of calls that end before a handler is asked; outlives the server. Null = none.
   CallGate* gate = nullptr;
   std::shared_ptr<grpc::ServerCredentials> credentials;
   absl::Duration keepalive_time = absl::Seconds(5);

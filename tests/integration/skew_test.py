@@ -146,18 +146,18 @@ def same_words(fleet):
 
 
 def protect(fleet):
-    """A stranger in the graph raises to ALERT, a second driver to COMPROMISED; an operator lowers
+    """An unknown node in the graph raises to ALERT, a second driver to COMPROMISED; an operator lowers
     with each build of ripsctl. Each level is verified."""
     fleet.arm()
-    stranger = fleet.start_intruder("unknown-node", "--node", "/stranger")
+    unknown = fleet.start_intruder("unknown-node", "--node", "/unknown")
     fleet.wait_level("ALERT", 20)
     check(fleet.mode()["mode"] == "ALERT", "the robot is not in mode ALERT")
     driver = compromise(fleet)
     check(fleet.mode()["mode"] == "COMPROMISED", "the robot is not in mode COMPROMISED")
     same_words(fleet)
-    stranger.kill()
+    unknown.kill()
     driver.kill()
-    for node in ("/stranger", "/intruder"):
+    for node in ("/unknown", "/intruder"):
         wait_graph(fleet, node, there=False)
 
     def order(verb, level, mode):
@@ -367,7 +367,7 @@ def drain_spool_of_other_build(fleet, change):
     what it held. Those judged and those told as lost are all that were sent; gives how many are
     lost."""
     arm_under_load(fleet)
-    # It stays when it has sent all: a graph that changes while nobody can be told is a loss.
+    # It stays when it has sent all: a graph that changes without a connection is a loss.
     load = fleet.start_publisher("--rate", LOAD_RATE, "--count", 16_000)
     load.wait_for(lambda line: '"publishing"' in line, 20, "the publisher is read")
     time.sleep(3)
@@ -399,7 +399,7 @@ def spool_of_the_previous_sensor(fleet):
     lost = drain_spool_of_other_build(fleet, lambda: fleet.forward(SERVER, SENSOR))
     check(lost == 0, f"{lost:g} observations are lost")
     texts = texts_of_alerts(fleet)
-    check(texts.count("told by a signal") == 1, f"the signal is told in {texts}")
+    check(texts.count("told by a signal") == 1, f"the signal is in {texts}")
 
 
 def spool_of_a_newer_sensor(fleet):
