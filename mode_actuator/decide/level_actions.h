@@ -3,6 +3,7 @@
 #define RIPS_MODE_ACTUATOR_DECIDE_LEVEL_ACTIONS_H_
 
 #include <cstdint>
+#include <optional>
 #include <string>
 #include <variant>
 #include <vector>
@@ -28,9 +29,10 @@ struct LevelOutcome {
   JobKind kind = JobKind::kEnter;
   bool reached = false;  // read back; of a survey: the robot shows a level
   std::vector<StepResult> steps;
-  std::string detail;    // why not
-  std::string observed;  // `/safety=ALERT`
-  std::string shown;     // of a survey: the level that the robot shows; empty = none
+  std::string detail;               // why not
+  std::string observed;             // `/safety=ALERT`
+  std::string shown;                // of a survey: the level that the robot shows; empty = none
+  std::optional<uint64_t> dropped;  // of a check: StepReading::dropped
 };
 
 // --- actions

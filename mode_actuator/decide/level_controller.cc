@@ -364,6 +364,7 @@ void LevelController::StartJob(JobKind kind, int to, Actions& actions) {
     verified_ = false;
     retry_delay_ns_ = 0;
     drift_watch_.Reset();
+    drop_watch_.Reset();
     entered_from_ = position_;
     position_ = to;
   }
@@ -389,6 +390,7 @@ Actions LevelController::OnOutcome(const LevelOutcome& outcome, int64_t now_ns) 
     drift_watch_.Ran(outcome.reached ? absl::string_view() : outcome.detail);
   } else {
     if (!outcome.observed.empty()) observed_ = outcome.observed;
+    if (outcome.dropped.has_value()) drop_watch_.Saw(*outcome.dropped, now_ns);
     if (outcome.reached) {
       OnReached(outcome, job.level, now_ns, actions);
     } else {

@@ -60,6 +60,7 @@
 #include "absl/strings/string_view.h"
 #include "mode_actuator/decide/actuator_state.h"
 #include "mode_actuator/decide/drift_watch.h"
+#include "mode_actuator/decide/drop_watch.h"
 #include "mode_actuator/decide/level_actions.h"
 #include "mode_actuator/decide/receipt.h"
 #include "services/base/clock.h"
@@ -115,6 +116,9 @@ class LevelController {
   Actions OnTick(int64_t now_ns);
 
   ExecutorReport Report(int64_t now_ns) const;
+  std::optional<model::FirewallDrops> FirewallDrops(int64_t now_ns) const {
+    return drop_watch_.Report(now_ns);
+  }
 
  private:
   struct LevelCommand {
@@ -209,6 +213,7 @@ class LevelController {
   int64_t retry_delay_ns_ = 0;
   uint64_t drifts_ = 0;
   DriftWatch drift_watch_;  // of the level that was entered last
+  DropWatch drop_watch_;    // of the same
 };
 
 }  // namespace rips::actuator

@@ -138,7 +138,7 @@ void LogDegraded(const std::vector<std::string>& before, const std::vector<std::
 struct Counters {
   Gauge effective, verified, floor, lease_live;
   Counter commands, receipts_failed, receipts_refused, malformed, dropped, write_failures;
-  Gauge drifts, alarms_missing, announced, helpers_refused;
+  Gauge drifts, firewall_dropped, alarms_missing, announced, helpers_refused;
 };
 
 Counters MakeCounters(Metrics* m) {
@@ -154,6 +154,8 @@ Counters MakeCounters(Metrics* m) {
       .dropped = m->AddCounter("rips_actuator_inputs_dropped_total", "inputs lost to the limit"),
       .write_failures = m->AddCounter("rips_actuator_write_failures_total", "failed file writes"),
       .drifts = m->AddGauge("rips_actuator_drifts", "times a verified level was found left"),
+      .firewall_dropped = m->AddGauge("rips_actuator_firewall_dropped_packets",
+                                      "dropped on their way in since the level was entered"),
       .alarms_missing =
           m->AddGauge("rips_actuator_alarms_missing", "alarm devices that cannot be used"),
       .announced =
@@ -631,7 +633,9 @@ void Agent::Impl::Publish(int64_t now_ns) {
   // A change is sent at once; otherwise every 500 ms. It is sent before the receipts, so that no
   // level is reported as verified while the heartbeat still shows the one before.
   if (changed || now_ns >= next_heartbeat_ns_) {
-    if (downlink_->SendHeartbeat(report)) next_heartbeat_ns_ = now_ns + kHeartbeatNs;
+    const std::optional<model::FirewallDrops> drops = controller_->FirewallDrops(now_ns);
+    counters_.firewall_dropped.Set(drops.has_value() ? static_cast<double>(drops->packets) : 0);
+    if (downlink_->SendHeartbeat(report, drops)) next_heartbeat_ns_ = now_ns + kHeartbeatNs;
   }
   receipts_.Flush(now_ns,
                   [this](const Receipt& receipt) { return downlink_->SendReceipt(receipt); });

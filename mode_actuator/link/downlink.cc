@@ -47,7 +47,8 @@ class Downlink::Impl {
 
   Client& client() { return *client_; }
 
-  v1::ActuatorMessage MakeHeartbeat(const ExecutorReport& report) const {
+  v1::ActuatorMessage MakeHeartbeat(const ExecutorReport& report,
+                                    const std::optional<model::FirewallDrops>& drops) const {
     const Instant now = clock_->Now();
     v1::ActuatorMessage message;
     *message.mutable_heartbeat() =
@@ -57,7 +58,8 @@ class Downlink::Impl {
                                                      .verified = report.verified,
                                                      .floor_reason = report.floor_reason,
                                                      .degraded = report.degraded,
-                                                     .drifts = report.drifts});
+                                                     .drifts = report.drifts,
+                                                     .firewall_drops = drops});
     v1::Heartbeat* heartbeat = message.mutable_heartbeat()->mutable_heartbeat();
     heartbeat->mutable_clock()->set_unix_ns(now.unix_ns);
     heartbeat->set_echo_boottime_ns(newest_boottime_ns_);
@@ -126,8 +128,9 @@ bool Downlink::SendReceipt(const Receipt& receipt) {
   return impl_->client().Send(WithinLimits(std::move(message)));
 }
 
-bool Downlink::SendHeartbeat(const ExecutorReport& report) {
-  return impl_->client().Send(WithinLimits(impl_->MakeHeartbeat(report)));
+bool Downlink::SendHeartbeat(const ExecutorReport& report,
+                             const std::optional<model::FirewallDrops>& drops) {
+  return impl_->client().Send(WithinLimits(impl_->MakeHeartbeat(report, drops)));
 }
 
 }  // namespace rips::actuator

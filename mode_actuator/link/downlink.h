@@ -8,6 +8,7 @@
 #include <cstdint>
 #include <functional>
 #include <memory>
+#include <optional>
 #include <string>
 #include <vector>
 
@@ -58,7 +59,8 @@ class Downlink {
 
   // False if there is no stream, or its queue is full.
   bool SendReceipt(const Receipt& receipt);
-  bool SendHeartbeat(const ExecutorReport& report);
+  bool SendHeartbeat(const ExecutorReport& report,
+                     const std::optional<model::FirewallDrops>& drops);
   bool connected() const;
 
  private:

@@ -168,6 +168,7 @@ void LevelExecutor::Judge(const std::vector<LevelStep*>& steps,
                           LevelOutcome& outcome) const {
   for (size_t i = 0; i < steps.size(); ++i) {
     AddObserved(outcome, checks[i]->observed);
+    if (checks[i]->dropped.has_value()) outcome.dropped = checks[i]->dropped;
     if (!checks[i]->status.ok()) AddDetail(outcome, checks[i]->result);
     if (steps[i]->Left(*checks[i])) outcome.reached = false;
   }

@@ -60,6 +60,7 @@ class FakeOperator final : public FakeEnrolOperator {
   std::vector<v1::RobotStatus> level_states;
   // Of GetLevel.
   std::vector<v1::PendingApproval> pending;
+  std::vector<v1::HostFirewall> firewalls;
   // What Explain gives by id, by decision id (`r1@3.17`), and how all else fails.
   std::map<std::string, v1::ExplainResponse> explained;
   grpc::Status explain_failure{grpc::StatusCode::NOT_FOUND, "there is no record of it"};
@@ -182,6 +183,7 @@ class FakeOperator final : public FakeEnrolOperator {
     for (const char* level : {"DEFAULT", "ALERT", "COMPROMISED"}) response->add_levels(level);
     response->add_soft_levels("ALERT");
     for (const v1::PendingApproval& each : pending) *response->add_pending_approvals() = each;
+    for (const v1::HostFirewall& each : firewalls) *response->add_firewalls() = each;
     *response->mutable_last() = MakeTransition();
     return Remember("GetLevel");
   }

@@ -6,6 +6,7 @@
 
 #include <cstddef>
 #include <cstdint>
+#include <optional>
 #include <string>
 #include <vector>
 
@@ -85,6 +86,17 @@ struct ActuatorHello {
   std::string peer;
 };
 
+// Of the firewall of the level that an actuator holds.
+struct FirewallDrops {
+  // Dropped on their way in, for the last `counted_s`.
+  uint64_t packets = 0;
+  uint32_t counted_s = 0;
+  // At least so long no packet was dropped.
+  uint32_t quiet_s = 0;
+
+  friend bool operator==(const FirewallDrops&, const FirewallDrops&) = default;
+};
+
 struct ActuatorHeartbeat {
   // The actuator's own boottime, echoed in the next lease.
   int64_t boottime_ns = 0;
@@ -97,6 +109,8 @@ struct ActuatorHeartbeat {
   std::vector<std::string> degraded;
   // Times a verified level was found left since the actuator started.
   uint64_t drifts = 0;
+  // Absent: its level has no firewall, or it was not looked at yet.
+  std::optional<FirewallDrops> firewall_drops;
 };
 
 inline constexpr size_t kActuatorDegradedMax = 8;

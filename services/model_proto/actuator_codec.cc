@@ -279,17 +279,29 @@ rips::v1::ActuatorHeartbeat Encode(const model::ActuatorHeartbeat& heartbeat) {
   wire.set_floor_reason(heartbeat.floor_reason);
   for (const std::string& text : heartbeat.degraded) wire.add_degraded(text);
   wire.set_drifts(heartbeat.drifts);
+  if (heartbeat.firewall_drops.has_value()) {
+    wire.mutable_firewall_drops()->set_packets(heartbeat.firewall_drops->packets);
+    wire.mutable_firewall_drops()->set_counted_s(heartbeat.firewall_drops->counted_s);
+    wire.mutable_firewall_drops()->set_quiet_s(heartbeat.firewall_drops->quiet_s);
+  }
   return wire;
 }
 
 model::ActuatorHeartbeat Decode(const rips::v1::ActuatorHeartbeat& wire) {
+  std::optional<model::FirewallDrops> drops;
+  if (wire.has_firewall_drops()) {
+    drops = {.packets = wire.firewall_drops().packets(),
+             .counted_s = wire.firewall_drops().counted_s(),
+             .quiet_s = wire.firewall_drops().quiet_s()};
+  }
   return {.boottime_ns = static_cast<int64_t>(wire.heartbeat().clock().boottime_ns()),
           .effective_level = wire.effective_level(),
           .observed = wire.observed(),
           .verified = wire.verified(),
           .floor_reason = wire.floor_reason(),
           .degraded = DecodeDegraded(wire),
-          .drifts = wire.drifts()};
+          .drifts = wire.drifts(),
+          .firewall_drops = drops};
 }
 
 }  // namespace rips::model_proto

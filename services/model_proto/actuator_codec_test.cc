@@ -220,6 +220,13 @@ TEST(ActuatorCodecTest, WhatIsDegradedIsTakenWithinLimits) {
   EXPECT_EQ(heartbeat.drifts, 7u);
 }
 
+TEST(ActuatorCodecTest, WhatAFirewallDroppedComesBackOrIsAbsent) {
+  model::ActuatorHeartbeat heartbeat;
+  EXPECT_EQ(Decode(Encode(heartbeat)).firewall_drops, std::nullopt);
+  heartbeat.firewall_drops = model::FirewallDrops{.packets = 1240, .counted_s = 300, .quiet_s = 42};
+  EXPECT_EQ(Decode(Encode(heartbeat)).firewall_drops, heartbeat.firewall_drops);
+}
+
 TEST(ActuatorCodecTest, StepsKeepWhatTheyPrintedAndWhetherTheyWereDrilled) {
   rips::v1::Receipt receipt;
   receipt.set_stage(rips::v1::Receipt::VERIFIED);

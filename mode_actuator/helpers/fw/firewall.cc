@@ -113,9 +113,9 @@ FwResponse Firewall::Handle(const FwRequest& request) {
     case FwVerb::kEnter:
       return Enter(request.step);
     case FwVerb::kCheck: {
-      FwResponse response = ToResponse(Check(request.step));
-      if (!response.status.ok()) response.observed = "firewall=?";
-      return response;
+      absl::StatusOr<FwResponse> response = Check(request.step);
+      if (response.ok()) return *std::move(response);
+      return {.status = response.status(), .observed = "firewall=?"};
     }
     case FwVerb::kTry: {
       const absl::StatusOr<std::string> script = ScriptOf(request.step);
@@ -372,8 +372,8 @@ absl::Status Firewall::CompareTargets(const std::vector<Target>& targets,
   return Left(absl::StrCat("no longer isolated: ", Named(missing)));
 }
 
-absl::StatusOr<std::string> Firewall::Check(const FirewallStep& step) {
-  if (step.kind == Kind::kRelease) return "";
+absl::StatusOr<FwResponse> Firewall::Check(const FirewallStep& step) {
+  if (step.kind == Kind::kRelease) return FwResponse();
   RIPS_ASSIGN_OR_RETURN(const std::vector<Target> targets, Targets(step));
   RIPS_ASSIGN_OR_RETURN(const Ruleset now, List());
   RIPS_RETURN_IF_ERROR(CompareTable(now));
@@ -394,7 +394,10 @@ absl::StatusOr<std::string> Firewall::Check(const FirewallStep& step) {
   }
   absl::StrAppend(&renew, IsolateScript(isolations));
   if (!renew.empty()) RIPS_RETURN_IF_ERROR(nft_->Load(renew, NftMode::kCommit));
-  return Observed(step);
+  FwResponse response;
+  response.observed = Observed(step);
+  response.dropped = now.dropped;
+  return response;
 }
 
 absl::StatusOr<std::string> Firewall::ScriptOf(const FirewallStep& step) {

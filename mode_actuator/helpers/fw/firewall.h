@@ -62,7 +62,7 @@ class Firewall {
   // What was read back.
   absl::StatusOr<std::string> EnterRules(const FirewallStep& step);
   absl::StatusOr<std::string> EnterIsolation(const FirewallStep& step);
-  absl::StatusOr<std::string> Check(const FirewallStep& step);
+  absl::StatusOr<FwResponse> Check(const FirewallStep& step);
   FwResponse EnterRelease();
   // What Enter would load.
   absl::StatusOr<std::string> ScriptOf(const FirewallStep& step);

@@ -10,6 +10,7 @@
 
 #include <cerrno>
 #include <cstring>
+#include <map>
 #include <thread>
 
 #include "absl/strings/str_cat.h"
@@ -20,6 +21,7 @@
 #include "mode_actuator/helpers/fw/fw_server.h"
 #include "mode_actuator/helpers/fw/nft_runner.h"
 #include "mode_actuator/steps/firewall/fw_client.h"
+#include "nlohmann/json.hpp"
 #include "services/base/fake_clock.h"
 #include "services/base/status_matchers.h"
 #include "services/runtime/atomic_file.h"
@@ -32,7 +34,9 @@ namespace {
 using ::testing::ElementsAre;
 using ::testing::HasSubstr;
 using ::testing::IsEmpty;
+using ::testing::Pair;
 using ::testing::SizeIs;
+using ::testing::UnorderedElementsAre;
 using Kind = FirewallStep::Kind;
 
 constexpr absl::string_view kFragment = R"(chain input {
@@ -143,6 +147,44 @@ TEST_F(FirewallTest, LoadsTheRulesOfALevelAndReadsThemBack) {
     EXPECT_THAT(rules.back(), HasSubstr("\"jump\""));
     EXPECT_THAT(rules.back(), HasSubstr("@level_hold"));
   }
+}
+
+TEST_F(FirewallTest, CountsWhatIsDroppedOnItsWayIn) {
+  ASSERT_THAT(WriteFileAtomically(other_, R"(chain input {
+  tcp dport 22 counter drop
+  tcp dport 23 reject with tcp reset
+  udp dport 9 reject
+  ct state established accept
+  drop
+}
+chain forward {
+  ip saddr 10.0.0.7 drop
+}
+chain output {
+  ip daddr 10.0.0.7 drop
+}
+)"),
+              IsOk());
+  FirewallStep rules = Rules();
+  rules.file = other_;
+  ASSERT_THAT(Enter(rules).status, IsOk());
+  const nlohmann::json table = nlohmann::json::parse(nft_.ListTable().value_or(""));
+  // By chain: how many rules count.
+  std::map<std::string, int> counting;
+  for (const auto& entry : table["nftables"]) {
+    if (!entry.contains("rule")) continue;
+    for (const auto& each : entry["rule"]["expr"]) {
+      if (each.contains("counter") && each["counter"] == "dropped") {
+        ++counting[entry["rule"]["chain"]];
+      }
+    }
+  }
+  // The table's own: a participant; hosts by IPv4, IPv6 and MAC, where they come from.
+  EXPECT_THAT(counting,
+              UnorderedElementsAre(Pair("level_in", 4), Pair("level_forward", 1), Pair("input", 4),
+                                   Pair("forward", 4), Pair("output", 1)));
+  EXPECT_EQ(Check(rules).dropped, 0u);
+  EXPECT_EQ(Check({.kind = Kind::kRelease}).dropped, std::nullopt);
 }
 
 TEST_F(FirewallTest, LoadingTwiceGivesTheSameRulesetAndKeepsTimers) {

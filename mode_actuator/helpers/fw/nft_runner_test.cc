@@ -92,9 +92,23 @@ TEST_F(NftRunnerTest, NoTableIsToldFromOtherFailures) {
               StatusIs(absl::StatusCode::kUnavailable, HasSubstr("you must be root")));
 }
 
+TEST(RulesetTest, ACountThatIsNoneIsNotKnown) {
+  const auto dropped = [](absl::string_view counter) {
+    return ParseRuleset(absl::StrCat(R"({"nftables": [)", counter, "]}"))->dropped;
+  };
+  EXPECT_EQ(dropped(""), std::nullopt);
+  EXPECT_EQ(dropped(R"({"counter": {"name": "dropped"}})"), std::nullopt);
+  EXPECT_EQ(dropped(R"({"counter": {"name": "dropped", "packets": "many"}})"), std::nullopt);
+  EXPECT_EQ(dropped(R"({"counter": {"name": "dropped", "packets": -1}})"), std::nullopt);
+  EXPECT_EQ(dropped(R"({"counter": {"name": "dropped", "packets": 18446744073709551615}})"),
+            UINT64_MAX);
+}
+
 TEST(RulesetTest, ReadsWhatNftPrints) {
   const auto ruleset = ParseRuleset(R"({"nftables": [{"metainfo": {"version": "1.0.6"}},
     {"table": {"family": "inet", "name": "rips", "handle": 1}},
+    {"counter": {"name": "other", "table": "rips", "packets": 9, "bytes": 9}},
+    {"counter": {"name": "dropped", "table": "rips", "packets": 1240, "bytes": 99}},
     {"set": {"name": "quarantine4", "table": "rips", "elem": ["10.0.0.1",
       {"elem": {"val": "10.0.0.2", "timeout": 60, "expires": 59, "comment": "since 77"}}]}},
     {"set": {"name": "bad_guid", "table": "rips", "elem": [{"elem": {"val": 1, "timeout": 2}},
@@ -107,6 +121,7 @@ TEST(RulesetTest, ReadsWhatNftPrints) {
   ASSERT_THAT(ruleset, IsOk());
   EXPECT_TRUE(ruleset->present);
   EXPECT_FALSE(ruleset->dormant);
+  EXPECT_EQ(ruleset->dropped, 1240u);
   EXPECT_THAT(ruleset->sets.at("quarantine4"),
               ElementsAre(SetElement{"10.0.0.1"}, SetElement{"10.0.0.2", 59, 77}));
   EXPECT_THAT(ruleset->sets.at("bad_guid"), ElementsAre(SetElement{"000000000000000000000001"},

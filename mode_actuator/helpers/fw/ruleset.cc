@@ -126,6 +126,11 @@ absl::StatusOr<Ruleset> ParseRuleset(absl::string_view json) {
         ReadSet(body, ruleset);
       } else if (what == "rule") {
         ReadRule(body, ruleset);
+      } else if (what == "counter" && TextOf(body, "name") == "dropped") {
+        const auto packets = body.find("packets");
+        if (packets != body.end() && packets->is_number_unsigned()) {
+          ruleset.dropped = packets->get<uint64_t>();
+        }
       }
     }
   }

@@ -3,6 +3,7 @@
 #define RIPS_MODE_ACTUATOR_HELPERS_FW_RULESET_H_
 
 #include <cstdint>
+#include <optional>
 #include <string>
 #include <vector>
 
@@ -34,6 +35,8 @@ struct Ruleset {
   bool dormant = false;  // there, but with flags: switched off by another process
   absl::btree_map<std::string, ChainView> chains;
   absl::btree_map<std::string, std::vector<SetElement>> sets;
+  // Packets of counter `dropped`, since the table was made; absent: there is none.
+  std::optional<uint64_t> dropped;
 };
 
 // `json` is what `nft -j list table inet rips` prints. DataLoss if it is nothing of the kind; also,

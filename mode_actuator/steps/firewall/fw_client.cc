@@ -65,7 +65,7 @@ StepReading FwClient::Enter(const Step& step, absl::Duration timeout, int retrie
     if (!response.ok()) {
       reading = {.status = response.status(), .observed = "firewall=?"};
     } else {
-      reading = {response->status, std::move(response->observed), std::move(response->note)};
+      reading = {response->status, std::move(response->observed), std::move(response->note), {}};
     }
     if (reading.status.ok() || Final(reading.status)) break;
   }
@@ -76,7 +76,8 @@ StepReading FwClient::CallOnce(FwVerb verb, const Step& step, const CancelFlag& 
   const FwRequest request = {verb, std::get<FirewallStep>(step.what)};
   absl::StatusOr<FwResponse> response = Call(request, kFwCheckTimeout, cancel);
   if (!response.ok()) return {.status = response.status(), .observed = "firewall=?"};
-  return {response->status, std::move(response->observed), std::move(response->note)};
+  return {response->status, std::move(response->observed), std::move(response->note),
+          response->dropped};
 }
 
 StepReading FwClient::Check(const Step& step, const CancelFlag& cancel) {

@@ -122,6 +122,7 @@ std::string EncodeFwResponse(const FwResponse& response) {
   wire.set_message(Plain(response.status.message()));
   wire.set_observed(Plain(response.observed));
   wire.set_note(Plain(response.note));
+  if (response.dropped.has_value()) wire.set_dropped(*response.dropped);
   return wire.SerializeAsString();
 }
 
@@ -129,7 +130,8 @@ absl::StatusOr<FwResponse> DecodeFwResponse(absl::string_view packet) {
   v1::FwResponse wire;
   if (packet.size() <= kFwPacketBytesMax && Parse(packet, &wire) && wire.code() <= kCodeMax) {
     const auto code = static_cast<absl::StatusCode>(wire.code());
-    FwResponse response = {absl::Status(code, wire.message()), wire.observed(), wire.note()};
+    FwResponse response = {absl::Status(code, wire.message()), wire.observed(), wire.note(), {}};
+    if (wire.has_dropped()) response.dropped = wire.dropped();
     // Strict by encoding it again: unknown, missing and repeated fields, order, characters.
     if (EncodeFwResponse(response) == packet) return response;
   }

@@ -3,6 +3,8 @@
 #ifndef RIPS_MODE_ACTUATOR_STEPS_FIREWALL_FW_MESSAGE_H_
 #define RIPS_MODE_ACTUATOR_STEPS_FIREWALL_FW_MESSAGE_H_
 
+#include <cstdint>
+#include <optional>
 #include <string>
 
 #include "absl/status/status.h"
@@ -33,6 +35,8 @@ struct FwResponse {
   absl::Status status;
   std::string observed;
   std::string note;
+  // Of a check: packets that the table has dropped on their way in, since it was made.
+  std::optional<uint64_t> dropped;
   friend bool operator==(const FwResponse&, const FwResponse&) = default;
 };
 

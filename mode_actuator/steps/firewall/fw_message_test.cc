@@ -183,6 +183,17 @@ TEST(FwMessageTest, ResponsesComeBackAsTheyWere) {
   }
 }
 
+TEST(FwMessageTest, WhatWasDroppedComesBackOrIsAbsent) {
+  for (const uint64_t dropped : {uint64_t{0}, uint64_t{1240}, UINT64_MAX}) {
+    FwResponse response;
+    response.observed = "firewall=a.nft";
+    response.dropped = dropped;
+    const auto decoded = DecodeFwResponse(EncodeFwResponse(response));
+    ASSERT_THAT(decoded, IsOk());
+    EXPECT_EQ(*decoded, response);
+  }
+}
+
 TEST(FwMessageTest, TextsOfResponsesAreMadeHarmlessAndCut) {
   const FwResponse response = {
       absl::UnavailableError(absl::StrCat("a\nnote b\x1b[2J\xff", std::string(5000, 'x')))};

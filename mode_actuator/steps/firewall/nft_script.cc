@@ -2,6 +2,7 @@
 
 #include <algorithm>
 
+#include "absl/strings/match.h"
 #include "absl/strings/str_cat.h"
 #include "absl/strings/substitute.h"
 
@@ -10,6 +11,7 @@ namespace {
 
 // $0 = elements of a set of isolated ones, $1 = of a set of servers.
 constexpr absl::string_view kTable = R"(add table inet rips
+add counter inet rips dropped
 add set inet rips quarantine4 { type ipv4_addr; size $0; flags timeout; }
 add set inet rips quarantine6 { type ipv6_addr; size $0; flags timeout; }
 add set inet rips quarantine_mac { type ether_addr; size $0; flags timeout; }
@@ -42,8 +44,9 @@ add rule inet rips forward ip6 daddr . tcp dport @control6 accept
 
 // `RTPS` is 52 54 50 53; the prefix of the sender follows after version and vendor (DDSI-RTPS 2.5
 // §9.4.4): bits 64 to 160 of what UDP carries.
-constexpr absl::string_view kBadGuid =
-    "meta l4proto udp @ih,0,32 0x52545053 @ih,64,96 @bad_guid counter drop";
+constexpr absl::string_view kBadGuid = "meta l4proto udp @ih,0,32 0x52545053 @ih,64,96 @bad_guid";
+// Of what comes from those that are kept out; what we do not send to them is counted by its rule.
+constexpr absl::string_view kDropAndCount = "counter name dropped drop";
 constexpr absl::string_view kReachable[] = {
     "icmp type destination-unreachable accept",
     "icmpv6 type { destination-unreachable, packet-too-big, nd-router-solicit, nd-router-advert, "
@@ -57,18 +60,37 @@ void AddRule(absl::string_view chain, absl::string_view rule, std::string& scrip
 // What all three chains have in common, below the servers.
 void AddChainEnd(absl::string_view chain, absl::string_view level_chain,
                  const std::vector<absl::string_view>& directions, std::string& script) {
-  AddRule(chain, kBadGuid, script);
+  AddRule(chain, absl::StrCat(kBadGuid, " ", kDropAndCount), script);
   for (const absl::string_view direction : directions) {
-    AddRule(chain, absl::StrCat("ip ", direction, " @quarantine4 counter drop"), script);
-    AddRule(chain, absl::StrCat("ip6 ", direction, " @quarantine6 counter drop"), script);
+    const absl::string_view drop = direction == "saddr" ? kDropAndCount : "counter drop";
+    AddRule(chain, absl::StrCat("ip ", direction, " @quarantine4 ", drop), script);
+    AddRule(chain, absl::StrCat("ip6 ", direction, " @quarantine6 ", drop), script);
   }
   // A packet that leaves has no Ethernet header yet.
-  if (chain != "output") AddRule(chain, "ether saddr @quarantine_mac counter drop", script);
+  if (chain != "output") {
+    AddRule(chain, absl::StrCat("ether saddr @quarantine_mac ", kDropAndCount), script);
+  }
   for (const absl::string_view rule : kReachable) AddRule(chain, rule, script);
   // What our own nodes send by multicast comes back on the interface it left by. From outside, the
   // kernel takes no packet with our own source address.
   if (chain == "input") AddRule(chain, "fib saddr type local accept", script);
   AddRule(chain, absl::StrCat("meta nfproto @level_hold jump ", level_chain), script);
+}
+
+// `text` with our counter before its verdict, if that is the end of what it says: a packet that
+// the rest of the rule lets pass is not counted.
+std::string Counted(const FragmentRule& rule) {
+  if (rule.hook == Hook::kOutput) return rule.text;
+  size_t verdict = rule.text.rfind(" reject with ");
+  for (const absl::string_view word : {"drop", "reject"}) {
+    if (rule.text == word) return absl::StrCat("counter name dropped ", word);
+    if (absl::EndsWith(rule.text, absl::StrCat(" ", word))) {
+      verdict = rule.text.size() - word.size() - 1;
+    }
+  }
+  if (verdict == std::string::npos) return rule.text;
+  return absl::StrCat(rule.text.substr(0, verdict), " counter name dropped",
+                      rule.text.substr(verdict));
 }
 
 std::string ElementOf(const Target& target) {
@@ -130,7 +152,7 @@ std::string LevelScript(const std::vector<FragmentRule>& rules, absl::Duration h
   }
   for (size_t i = 0; i < rules.size(); ++i) {
     AddRule(LevelChainOf(rules[i].hook),
-            absl::StrCat(rules[i].text, " comment \"", RuleComment(i + 1), "\""), script);
+            absl::StrCat(Counted(rules[i]), " comment \"", RuleComment(i + 1), "\""), script);
   }
   absl::StrAppend(&script, HoldScript(hold_for));
   return script;

@@ -15,6 +15,7 @@
 #include <cstdint>
 #include <functional>
 #include <memory>
+#include <optional>
 #include <string>
 #include <utility>
 
@@ -38,6 +39,8 @@ struct StepReading {
   std::string observed;
   // A warning although it succeeded; empty mostly.
   std::string note;
+  // Of a firewall: packets dropped on their way in, since its table was made.
+  std::optional<uint64_t> dropped;
 };
 
 // A step that is being entered or checked, with its retries. One thread at a time.
@@ -56,6 +59,8 @@ class StepAttempt {
   absl::Status status;
   // `/safety=ALERT`, `horn=on`, without spaces; empty = no target.
   std::string observed;
+  // As StepReading::dropped.
+  std::optional<uint64_t> dropped;
 };
 
 // One thread at a time.
@@ -140,6 +145,7 @@ class BlockingAttempt final : public StepAttempt {
     StepReading reading = std::exchange(act_, nullptr)();
     status = reading.status;
     observed = std::move(reading.observed);
+    dropped = reading.dropped;
     result.ok = status.ok();
     result.detail = result.ok ? std::move(reading.note) : std::string(status.message());
     const int64_t took_ns = clock_->Now().boottime_ns - now_ns;

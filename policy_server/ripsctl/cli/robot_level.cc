@@ -1,9 +1,7 @@
 #include "policy_server/ripsctl/cli/robot_level.h"
 
 #include <nlohmann/json.hpp>
-#include <set>
 
-#include "absl/strings/match.h"
 #include "absl/strings/str_cat.h"
 #include "policy_server/ripsctl/cli/command.h"
 #include "policy_server/ripsctl/cli/printer.h"
@@ -46,36 +44,6 @@ void PrintWarnings(const v1::LevelResponse& found, std::ostream& out) {
   for (const std::string& why : found.blind_because()) out << "blind: " << EscapeText(why) << "\n";
   for (const std::string& rule : found.would_raise_again()) {
     out << "may be raised again by rule " << EscapeText(rule) << kRaisedWhen << "\n";
-  }
-}
-
-void PrintFirewalls(Env& env, const std::string& robot, const v1::DecisionId& level,
-                    std::ostream& out) {
-  v1::ListReceiptsRequest request;
-  request.set_robot(robot);
-  const auto response = Call(env, &Stub::ListReceipts, request);
-  if (!response.ok()) {
-    out << "what its firewalls hold is not known: " << EscapeText(response.status().message())
-        << "\n";
-    return;
-  }
-  std::set<std::string> hosts;
-  bool any = false;
-  for (const v1::ReceivedReceipt& each : response->receipts()) {  // newest first
-    const v1::DecisionId& of = each.receipt().decision_id();
-    if (of.term() != level.term() || of.epoch() != level.epoch()) continue;
-    if (!hosts.insert(each.host()).second) continue;
-    for (const v1::StepResult& step : each.receipt().steps()) {
-      if (!step.ok() || !absl::StartsWith(step.step(), "firewall ")) continue;
-      if (step.step() == "firewall release") continue;
-      any = true;
-      out << EscapeText(each.host()) << " holds `" << EscapeText(step.step())
-          << "` until a level releases it or its time is over\n";
-    }
-  }
-  if (any) {
-    out << "what a firewall keeps out is not seen by RIPS, and may come back then; `nft list "
-           "ruleset` on the host shows whether it still sends\n";
   }
 }
 

@@ -23,10 +23,6 @@ Table StatusTable(const v1::RobotStatus& status);
 inline constexpr absl::string_view kRaisedWhen = " at the next change of the graph, not before";
 // What an operator should know of a lowering that is in force, one line each.
 void PrintWarnings(const v1::LevelResponse& found, std::ostream& out);
-// What the level's firewall steps hold on the robot's hosts, one line each, and what that means for
-// a lowering. Nothing if they hold nothing; one line if that cannot be read.
-void PrintFirewalls(Env& env, const std::string& robot, const v1::DecisionId& level,
-                    std::ostream& out);
 // What waits for a second operator, in one line; to be escaped.
 std::string PendingText(absl::string_view robot, const v1::PendingApproval& pending);
 // `verified`; and how many lowerings wait for a second operator.

@@ -10,6 +10,7 @@
 #include "absl/strings/str_replace.h"
 #include "absl/strings/str_split.h"
 #include "absl/strings/strip.h"
+#include "policy_server/ripsctl/cli/firewalls.h"
 #include "policy_server/ripsctl/cli/json_view.h"
 #include "policy_server/ripsctl/cli/printer.h"
 #include "policy_server/ripsctl/cli/robot_level.h"
@@ -293,6 +294,9 @@ void PrintNow(const Explanation& explanation, std::ostream& out) {
     out << "  no actuator is attached\n";
   } else if (status.effective_level() != status.decided_level()) {
     out << "  its actuators hold " << EscapeText(status.effective_level()) << "\n";
+  }
+  for (const v1::HostFirewall& drops : (*explanation.now)->firewalls()) {
+    out << "  the firewall of " << EscapeText(drops.host()) << " " << DropsText(drops) << "\n";
   }
   if (explanation.lowering.has_value()) PrintLowering(status.robot(), *explanation.lowering, out);
 }

@@ -276,6 +276,11 @@ TEST(ExplainTextTest, SaysWhatIsNow) {
   EXPECT_THAT(Print({.recorded = recorded, .now = now}),
               HasSubstr("Now: r1 is at DEFAULT (3.17), failed: an actuator cannot reach the level; "
                         "it tries again\n  no actuator is attached\n"));
+  v1::HostFirewall& firewall = *now.add_firewalls();
+  firewall.set_host("base");
+  firewall.set_counted_s(300);
+  EXPECT_THAT(Print({.recorded = recorded, .now = now}),
+              HasSubstr("\n  the firewall of base has dropped no packet in 300 s\n"));
   EXPECT_THAT(Print({.recorded = recorded, .now = absl::NotFoundError("no robot `r1`")}),
               HasSubstr("Now: not known: no robot `r1`\n"));
   const auto with = [&](absl::StatusOr<v1::LevelResponse> found) {

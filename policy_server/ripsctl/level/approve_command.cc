@@ -9,6 +9,7 @@
 #include "absl/strings/escaping.h"
 #include "absl/strings/match.h"
 #include "absl/strings/str_cat.h"
+#include "policy_server/ripsctl/cli/firewalls.h"
 #include "policy_server/ripsctl/cli/json_output.h"
 #include "policy_server/ripsctl/cli/printer.h"
 #include "policy_server/ripsctl/cli/robot_level.h"
@@ -62,7 +63,7 @@ class ApproveLevel final : public RobotCommand {
       for (const std::string& why : seen.status().degraded()) {
         env.out << "now: " << EscapeText(why) << "\n";
       }
-      if (!reject_) PrintFirewalls(env, robot_, seen.status().decision_id(), env.out);
+      if (!reject_) PrintFirewalls(ReadFirewalls(env, robot_, seen), env.out);
     }
     v1::ApproveRequest request;
     request.set_robot(robot_);

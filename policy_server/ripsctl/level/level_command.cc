@@ -6,10 +6,12 @@
 #include <ostream>
 #include <string>
 #include <utility>
+#include <vector>
 
 #include "absl/strings/escaping.h"
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_join.h"
+#include "policy_server/ripsctl/cli/firewalls.h"
 #include "policy_server/ripsctl/cli/json_output.h"
 #include "policy_server/ripsctl/cli/printer.h"
 #include "policy_server/ripsctl/cli/robot_level.h"
@@ -30,7 +32,12 @@ class ShowLevel final : public RobotCommand {
                       "Show a robot's current level, its possible levels and the last change"}) {}
   absl::StatusOr<ExitCode> Run(Env& env) override {
     RIPS_ASSIGN_OR_RETURN(const auto response, ReadLevel(env, robot_));
-    if (env.json()) return PrintJson(env, ToJson(response));
+    const auto firewalls = ReadFirewalls(env, robot_, response);
+    if (env.json()) {
+      Json json = ToJson(response);
+      json["firewalls"] = FirewallsJson(firewalls);
+      return PrintJson(env, json);
+    }
     Table table = StatusTable(response.status());
     table.Add({"levels", LevelsText(response)});
     if (response.has_last()) {
@@ -44,7 +51,7 @@ class ShowLevel final : public RobotCommand {
       table.Add({"to approve", PendingText(robot_, each)});
     }
     table.Print(env.out);
-    PrintFirewalls(env, robot_, response.status().decision_id(), env.out);
+    PrintFirewalls(firewalls, env.out);
     return ExitCode::kDone;
   }
 
@@ -220,12 +227,15 @@ class ChangeLevel : public RobotCommand {
       json["pending_approval_id"] = response.pending_approval_id();
       json["approval_expires"] = FullTime(response.approval_expires_unix_ns());
     }
+    if (firewalls_.has_value()) json["firewalls"] = FirewallsJson(*firewalls_);
     if (awaited.has_value()) AddAwaited(*awaited, json);
     PrintJson(json, env.out);
   }
 
   // Set by Check.
   v1::LevelRequest request_;
+  // As shown before the call; unset if nothing was.
+  std::optional<absl::StatusOr<std::vector<FirewallOfHost>>> firewalls_;
 
  private:
   std::string to_;
@@ -271,7 +281,7 @@ class LowerLevel final : public ChangeLevel {
 
  private:
   // On the error stream when the output is for programs.
-  void Show(Env& env, const v1::GetLevelResponse& seen) const {
+  void Show(Env& env, const v1::GetLevelResponse& seen) {
     std::ostream& out = env.json() ? env.err : env.out;
     out << robot_ << " is at " << EscapeText(seen.status().decided_level()) << " ("
         << DecisionIdText(seen.status().decision_id()) << ")";
@@ -280,7 +290,8 @@ class LowerLevel final : public ChangeLevel {
           << EscapeText(seen.last().cause());
     }
     out << "\n";
-    PrintFirewalls(env, robot_, seen.status().decision_id(), out);
+    firewalls_ = ReadFirewalls(env, robot_, seen);
+    PrintFirewalls(*firewalls_, out);
   }
 
   std::string expect_;

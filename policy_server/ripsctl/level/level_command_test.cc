@@ -1,9 +1,11 @@
 // What `ripsctl level lower` says before it asks, against the server of the fixture.
 
+#include <nlohmann/json.hpp>
 #include <string>
 
 #include "gmock/gmock.h"
 #include "gtest/gtest.h"
+#include "policy_server/ripsctl/cli/firewalls.h"
 #include "policy_server/ripsctl/ripsctl_fixture.h"
 
 namespace rips::ripsctl {
@@ -25,15 +27,51 @@ TEST_F(RipsctlTest, ALoweringSaysWhatFirewallsHoldThatMayEndWithTheLevel) {
   add("base", 17, "firewall isolate_host 10.0.0.67", true);   // older
   add("lidar", 16, "firewall isolate_host 10.0.0.68", true);  // of an earlier decision
   add("wrist", 17, "firewall /etc/rips/alert.nft", false);
+  add("cam", 17, "firewall /etc/rips/alert.nft", true);
+  const auto drops = [this](const std::string& host, uint64_t packets, uint32_t quiet_s) {
+    v1::HostFirewall& firewall = fake_.firewalls.emplace_back();
+    firewall.set_host(host);
+    firewall.set_dropped_packets(packets);
+    firewall.set_counted_s(300);
+    firewall.set_quiet_s(quiet_s);
+  };
+  drops("base", 1240, 2);
+  drops("lidar", 7, 0);  // holds nothing any more
   EXPECT_THAT(Run({"level", "lower", "r1", "--to", "DEFAULT", "--dry-run"}).out,
               testing::StartsWith(
                   "r1 is at COMPROMISED (3.17) since 2026-01-01T00:00:00.000Z, rule "
                   "rogue_cmd_vel\n"
                   "base holds `firewall isolate_host 10.0.0.66` until a level releases it or its "
                   "time is over\n"
-                  "what a firewall keeps out is not seen by RIPS, and may come back then; `nft "
-                  "list ruleset` on the host shows whether it still sends\n"
+                  "base has dropped 1240 packets in 300 s, the newest less than 3 s ago: what it "
+                  "keeps out still sends\n"
+                  "cam holds `firewall /etc/rips/alert.nft` until a level releases it or its time "
+                  "is over\n"
+                  "what cam drops is not known; `nft list table inet rips` there shows it\n"
+                  "what a firewall keeps out may come back when it is released\n"
                   "would lower r1"));
+  const nlohmann::json expected = {{{"host", "base"},
+                                    {"steps", {"firewall isolate_host 10.0.0.66"}},
+                                    {"dropped_packets", 1240},
+                                    {"counted_s", 300},
+                                    {"quiet_s", 2}},
+                                   {{"host", "cam"},
+                                    {"steps", {"firewall /etc/rips/alert.nft"}},
+                                    {"dropped_packets", nullptr},
+                                    {"counted_s", nullptr},
+                                    {"quiet_s", nullptr}}};
+  EXPECT_EQ(RunJson({"level", "lower", "r1", "--to", "DEFAULT", "--dry-run"})["firewalls"],
+            expected);
+  EXPECT_EQ(RunJson({"level", "show", "r1"})["firewalls"], expected);
+}
+
+TEST(FirewallsTest, SaysHowMuchIsDroppedAndHowLongNothingWas) {
+  v1::HostFirewall drops;
+  drops.set_counted_s(300);
+  EXPECT_EQ(DropsText(drops), "has dropped no packet in 300 s");
+  drops.set_dropped_packets(1);
+  drops.set_quiet_s(42);
+  EXPECT_EQ(DropsText(drops), "has dropped 1 packet in 300 s, none in the last 42 s");
 }
 
 }  // namespace

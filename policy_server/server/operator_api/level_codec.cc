@@ -53,6 +53,13 @@ void EncodeLevels(const pipeline::RobotCore& core, rips::v1::GetLevelResponse& o
   for (const pipeline::PendingApproval& pending : status.pending_approvals) {
     *out.add_pending_approvals() = EncodePending(pending);
   }
+  for (const auto& [host, drops] : core.actuators().FirewallDrops()) {
+    rips::v1::HostFirewall& firewall = *out.add_firewalls();
+    firewall.set_host(host);
+    firewall.set_dropped_packets(drops.packets);
+    firewall.set_counted_s(drops.counted_s);
+    firewall.set_quiet_s(drops.quiet_s);
+  }
 }
 
 }  // namespace rips::operator_api

@@ -457,4 +457,13 @@ void ActuatorSide::AddStatus(RobotStatus& status) const {
   if (!missing_programs_.empty()) status.degraded.push_back(missing_programs_);
 }
 
+std::map<std::string, model::FirewallDrops> ActuatorSide::FirewallDrops() const {
+  std::map<std::string, model::FirewallDrops> drops;
+  for (const auto& [name, host] : hosts_) {
+    if (!host.session || !host.session->heartbeat.firewall_drops.has_value()) continue;
+    drops[name] = *host.session->heartbeat.firewall_drops;
+  }
+  return drops;
+}
+
 }  // namespace rips::pipeline

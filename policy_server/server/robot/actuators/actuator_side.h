@@ -4,6 +4,7 @@
 #define RIPS_POLICY_SERVER_SERVER_ROBOT_ACTUATORS_ACTUATOR_SIDE_H_
 
 #include <cstdint>
+#include <map>
 #include <optional>
 #include <string>
 #include <vector>
@@ -87,6 +88,8 @@ class ActuatorSide {
   bool PartsVerified() const;
   void AddProblems(std::vector<std::string>& problems) const;
   void AddStatus(RobotStatus& status) const;
+  // As each host with a session said last; a host whose level has no firewall is left out.
+  std::map<std::string, model::FirewallDrops> FirewallDrops() const;
   const CommandReconciler& reconciler() const { return reconciler_; }
   const ReceiptHistory& receipts() const {
     return receipts_;

@@ -1,0 +1,61 @@
+#include "mode_actuator/decide/drop_watch.h"
+
+#include <limits>
+#include <optional>
+
+#include "gtest/gtest.h"
+#include "services/base/clock.h"
+
+namespace rips::actuator {
+namespace {
+
+constexpr int64_t kSecond = kNanosPerSecond;
+
+model::FirewallDrops Drops(uint64_t packets, uint32_t counted_s, uint32_t quiet_s) {
+  return {.packets = packets, .counted_s = counted_s, .quiet_s = quiet_s};
+}
+
+TEST(DropWatchTest, SaysNothingOfALevelWithoutAFirewall) {
+  EXPECT_EQ(DropWatch().Report(5 * kSecond), std::nullopt);
+}
+
+TEST(DropWatchTest, CountsFromTheFirstLook) {
+  DropWatch watch;
+  watch.Saw(5000, 10 * kSecond);
+  EXPECT_EQ(watch.Report(12 * kSecond), Drops(0, 2, 2));
+  watch.Saw(5007, 13 * kSecond);
+  EXPECT_EQ(watch.Report(13 * kSecond), Drops(7, 3, 0));
+  watch.Saw(5007, 15 * kSecond);
+  watch.Saw(5007, 17 * kSecond);
+  EXPECT_EQ(watch.Report(18 * kSecond), Drops(7, 8, 5));
+}
+
+TEST(DropWatchTest, ATableThatWasMadeAnewCountsFromZero) {
+  DropWatch watch;
+  watch.Saw(100, 0);
+  watch.Saw(110, kSecond);
+  watch.Saw(3, 2 * kSecond);
+  EXPECT_EQ(watch.Report(2 * kSecond), Drops(13, 2, 0));
+  watch.Saw(0, 3 * kSecond);
+  EXPECT_EQ(watch.Report(3 * kSecond), Drops(13, 3, 0));
+}
+
+TEST(DropWatchTest, ALevelThatIsEnteredBeginsAnew) {
+  DropWatch watch;
+  watch.Saw(1, 0);
+  watch.Saw(9, kSecond);
+  watch.Reset();
+  EXPECT_EQ(watch.Report(2 * kSecond), std::nullopt);
+  watch.Saw(9, 3 * kSecond);
+  EXPECT_EQ(watch.Report(4 * kSecond), Drops(0, 1, 1));
+}
+
+TEST(DropWatchTest, TimesStayInTheirRange) {
+  DropWatch watch;
+  watch.Saw(0, 0);
+  EXPECT_EQ(watch.Report(-kSecond), Drops(0, 0, 0));
+  EXPECT_EQ(watch.Report(std::numeric_limits<int64_t>::max())->quiet_s, 4294967295u);
+}
+
+}  // namespace
+}  // namespace rips::actuator

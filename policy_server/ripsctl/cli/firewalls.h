@@ -1,0 +1,43 @@
+// What the firewalls of a robot's level hold and drop, as `level` verbs and `explain` say it.
+#ifndef RIPS_POLICY_SERVER_RIPSCTL_CLI_FIREWALLS_H_
+#define RIPS_POLICY_SERVER_RIPSCTL_CLI_FIREWALLS_H_
+
+#include <optional>
+#include <ostream>
+#include <string>
+#include <vector>
+
+#include "absl/status/statusor.h"
+#include "policy_server/ripsctl/cli/env.h"
+#include "policy_server/ripsctl/cli/json_view.h"
+#include "rips/v1/operator.pb.h"
+
+namespace rips::ripsctl {
+
+struct FirewallOfHost {
+  std::string host;
+  // Steps of the level that were carried out, `firewall isolate_host 10.0.0.66`.
+  std::vector<std::string> steps;
+  // Unset: its actuator has not said yet, is not connected, or is of an older version.
+  std::optional<v1::HostFirewall> drops;
+};
+
+// Of the decision in force that `seen` names: hosts with a step that holds something, newest
+// receipt first.
+absl::StatusOr<std::vector<FirewallOfHost>> ReadFirewalls(Env& env, const std::string& robot,
+                                                          const v1::GetLevelResponse& seen);
+
+// One line for each step and what each host drops, and what that means for a lowering. Nothing if
+// nothing is held; one line if that cannot be read.
+void PrintFirewalls(const absl::StatusOr<std::vector<FirewallOfHost>>& firewalls,
+                    std::ostream& out);
+
+// `has dropped 1240 packets in 300 s, none in the last 42 s`
+std::string DropsText(const v1::HostFirewall& drops);
+
+// An array; null if that cannot be read.
+Json FirewallsJson(const absl::StatusOr<std::vector<FirewallOfHost>>& firewalls);
+
+}  // namespace rips::ripsctl
+
+#endif  // RIPS_POLICY_SERVER_RIPSCTL_CLI_FIREWALLS_H_
