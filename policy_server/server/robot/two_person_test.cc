@@ -10,6 +10,9 @@
 namespace rips::pipeline {
 namespace {
 
+using ::testing::AllOf;
+using ::testing::Contains;
+using ::testing::Field;
 using ::testing::HasSubstr;
 using ::testing::IsEmpty;
 using ::testing::SizeIs;
@@ -99,6 +102,10 @@ TEST_F(TwoPersonTest, ASecondOperatorLowersWhatTheFirstAskedFor) {
   EXPECT_EQ(PendingNow()[0].id, asked.pending_approval_id);
   EXPECT_EQ(PendingNow()[0].operator_name, "alice");
   EXPECT_EQ(audience_.Count("a second operator must approve"), 1);
+  EXPECT_THAT(audience_.alerts,
+              Contains(AllOf(Field(&store::AlertRecord::severity, "medium"),
+                             Field(&store::AlertRecord::text,
+                                   HasSubstr("which a second operator must approve")))));
 
   const LevelAnswer approved = Approve(asked.pending_approval_id);
   EXPECT_THAT(approved.status, IsOk());

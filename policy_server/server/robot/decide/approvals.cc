@@ -66,11 +66,13 @@ void Approvals::Ask(const LevelOrder& order, LevelAnswer& answer) {
     it = pending_.insert(
         pending_.end(),
         {.id = context_.ids.Next(), .order = order, .seen = Now(), .asked = context_.now()});
-    Report(order, absl::StrCat("operator ", order.operator_name, " asks to lower ",
-                               context_.config.id, " from ", order.expected_level, " to ", order.to,
-                               order.accept_blind ? ", whatever RIPS sees of it" : "",
-                               ", which a second operator must approve (", ShortId(it->id),
-                               "): ", order.reason));
+    // Not `info`: a SIEM that filters it must receive this one.
+    Report(order, engine::Severity::kMedium,
+           absl::StrCat("operator ", order.operator_name, " asks to lower ", context_.config.id,
+                        " from ", order.expected_level, " to ", order.to,
+                        order.accept_blind ? ", whatever RIPS sees of it" : "",
+                        ", which a second operator must approve (", ShortId(it->id),
+                        "): ", order.reason));
   }
   answer.pending_approval_id = it->id;
   answer.approval_expires_unix_ns = it->asked.unix_ns + kApprovalNs;
@@ -153,14 +155,15 @@ void Approvals::EndOf(absl::string_view identity) {
 }
 
 void Approvals::ReportEnd(const Pending& pending, absl::string_view why) {
-  Report(pending.order,
+  Report(pending.order, engine::Severity::kInfo,
          absl::StrCat("the lowering of ", context_.config.id, " to ", pending.order.to, " (",
                       ShortId(pending.id), ") that operator ", pending.order.operator_name,
                       " asked for cannot be approved any more: ", why));
 }
 
-void Approvals::Report(const LevelOrder& asked, const std::string& text) {
-  alerts_.RaiseOfKind(absl::StrCat("asked by ", asked.identity), engine::Severity::kInfo, text);
+void Approvals::Report(const LevelOrder& asked, engine::Severity severity,
+                       const std::string& text) {
+  alerts_.RaiseOfKind(absl::StrCat("asked by ", asked.identity), severity, text);
 }
 
 std::vector<PendingApproval> Approvals::pending() const {

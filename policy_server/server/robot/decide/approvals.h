@@ -81,7 +81,7 @@ class Approvals {
   // was seen; empty = none.
   std::string RuleSince(const Pending& pending) const;
   // An alert, of which each operator has a limit of their own: none hides another's requests.
-  void Report(const LevelOrder& asked, const std::string& text);
+  void Report(const LevelOrder& asked, engine::Severity severity, const std::string& text);
   // Says so; the caller removes it.
   void ReportEnd(const Pending& pending, absl::string_view why);
   // Why the lowering of that id has ended just now; empty = it has not.
