@@ -6,7 +6,10 @@
 namespace rips::pipeline {
 namespace {
 
+using ::testing::AllOf;
 using ::testing::Contains;
+using ::testing::EndsWith;
+using ::testing::Field;
 using ::testing::HasSubstr;
 using ::testing::IsEmpty;
 
@@ -696,6 +699,53 @@ TEST_F(RobotTest, DryRunSaysWhatWouldRaiseItAgainAndChangesNothing) {
   EXPECT_THAT(answer.status, IsOk());
   EXPECT_THAT(answer.would_raise_again, Contains("unknown_node"));
   EXPECT_EQ(Level(), "ALERT");
+}
+
+constexpr char kSecondPublisher[] = R"(
+levels:
+  DEFAULT;
+  ALERT soft;
+  COMPROMISED;
+  HALT;
+rules Msg:
+  second: topicin("/cmd_vel") && !publishercount(0, 1) ? alert("two drive") => trigger(HALT);
+rules External:
+  others: false ? trigger(ALERT), trigger(COMPROMISED);
+)";
+
+TEST_F(RobotTest, AnAlertForASecondNodeOfTheSameNameSaysWhichOneWrote) {
+  Start(kSecondPublisher);
+  Arm();
+  ros2::GraphDelta delta;
+  AddNode(&delta, 9, "/navigator", "/cmd_vel");
+  delta.upsert_participants[0].host = "laptop";
+  SendDelta(std::move(delta));
+
+  SendMessage(9);
+
+  ASSERT_EQ(audience_.Count("two drive"), 1);
+  EXPECT_THAT(audience_.alerts,
+              Contains(Field(&store::AlertRecord::event,
+                             absl::StrCat("message on /cmd_vel from /navigator of participant ",
+                                          ToString(Participant(9)),
+                                          " on laptop; other nodes of this name: participant ",
+                                          ToString(Participant(2))))));
+}
+
+TEST_F(RobotTest, AnAlertNamesAFewOfManyNodesOfOneName) {
+  Start(kSecondPublisher);
+  Arm();
+  ros2::GraphDelta delta;
+  for (uint8_t n = 10; n < 100; ++n) AddNode(&delta, n, "/navigator", "/cmd_vel");
+  SendDelta(std::move(delta));
+
+  SendMessage(2);
+
+  const std::string few = absl::StrCat("from /navigator of participant ", ToString(Participant(2)),
+                                       "; other nodes of this name: participant ");
+  const std::string last = absl::StrCat(ToString(Participant(13)), ", and more");
+  EXPECT_THAT(audience_.alerts,
+              Contains(Field(&store::AlertRecord::event, AllOf(HasSubstr(few), EndsWith(last)))));
 }
 
 }  // namespace

@@ -1,9 +1,12 @@
 #include "policy_server/server/robot/decide/decider.h"
 
+#include <string>
 #include <utility>
 #include <variant>
+#include <vector>
 
 #include "absl/strings/str_cat.h"
+#include "absl/strings/str_join.h"
 #include "services/base/overloaded.h"
 
 namespace rips::pipeline {
@@ -36,6 +39,33 @@ void RecordEvent(const engine::Event& event, const Source& source, const levels:
        .blind = !evidence.blind_because.empty(),
        .payload_bytes_max = message == nullptr ? 0 : context.watch.PayloadBytes(message->topic),
        .muted = source.muted}});
+}
+
+// Behind a message's description, if several nodes have its sender's name: which of them wrote it,
+// and which did not. Hosts are what participants say of themselves.
+std::string NamesakesText(const engine::Event& event, const ros2::RosGraph& graph) {
+  constexpr size_t kNamed = 4;  // others of that name, of as many as a peer may make
+  const auto* message = std::get_if<engine::MessageEvent>(&event.what);
+  if (message == nullptr || message->sender.empty()) return "";
+  const auto place = [&graph](const ros2::Guid& guid) {
+    const auto it = graph.participants().find(guid);
+    const bool named = it != graph.participants().end() && !it->second.host.empty();
+    return absl::StrCat("participant ", ToString(guid), named ? " on " : "",
+                        named ? it->second.host : "");
+  };
+  const ros2::Guid writer = message->writer.Participant();
+  const std::string name(message->sender);
+  std::vector<std::string> others;
+  bool more = false;
+  for (auto it = graph.nodes().lower_bound({.full_name = name, .participant = {}});
+       it != graph.nodes().end() && it->full_name == name && !more; ++it) {
+    if (it->participant == writer) continue;
+    more = others.size() == kNamed;
+    others.push_back(more ? "and more" : place(it->participant));
+  }
+  if (others.empty()) return "";
+  return absl::StrCat(" of ", place(writer),
+                      "; other nodes of this name: ", absl::StrJoin(others, ", "));
 }
 
 // To those who compare.
@@ -73,7 +103,8 @@ void Decider::Run(const engine::Event& event, const Source& source) {
   const engine::Outcome outcome = engine::Evaluate(event, context_.now(), state_);
   if (!outcome.effects.empty() || outcome.faults > 0 || !outcome.refused_programs.empty() ||
       !outcome.cut_strings.empty()) {
-    Perform(outcome, absl::StrCat(engine::Describe(event), source.remark));
+    Perform(outcome, absl::StrCat(engine::Describe(event), NamesakesText(event, state_.graph.get()),
+                                  source.remark));
   } else if (outcome.variables_changed) {
     outbox_.Touch(&DurableOutbox::Unsaved::variables);
   }
