@@ -66,6 +66,9 @@ def compose_confines_each_service():
         limits = unit(image)
         check(service["mem_limit"].upper() == limits["MemoryMax"], f"{name}: mem_limit")
         check(service["pids_limit"] == int(limits["TasksMax"]), f"{name}: pids_limit")
+        log = service["logging"]
+        check(log["driver"] == "json-file" and log["options"].keys() == {"max-size", "max-file"},
+              f"{name}: its log is not bounded: {log}")
         mounted = {target: source for source, target, *_ in
                    (volume.split(":") for volume in service["volumes"])}
         check(set(IMAGES[image][2]) | {"/etc/rips"} == set(mounted), f"{name} mounts {mounted}")
