@@ -24,7 +24,6 @@
 #include "policy_server/server/operator_api/watch_stream.h"
 #include "services/base/cut_text.h"
 #include "services/base/status_macros.h"
-#include "services/model_proto/decision_id_codec.h"
 #include "services/ros2_proto/graph_codec.h"
 #include "services/rpc/peer.h"
 #include "services/rpc/status_conversion.h"
@@ -65,14 +64,6 @@ absl::Status CheckListed(const pipeline::Pipeline& pipeline, const std::set<std:
   if (unknown.empty()) return absl::OkStatus();
   return absl::NotFoundError(
       absl::StrCat("robot `", absl::CHexEscape(*unknown.begin()), "` is not in the inventory"));
-}
-
-template <typename Response>
-pipeline::LevelReply ReplyTo(UnaryCall* reactor, Response* response) {
-  return [reactor, response](const pipeline::LevelAnswer& answer) {
-    operator_api::Encode(answer, *response);
-    reactor->End(answer.status);
-  };
 }
 
 // What robots hold that the store has not taken, which is not acknowledged. Waits for the robots.
@@ -190,23 +181,6 @@ absl::StatusOr<OperatorService::Caller> OperatorService::AuthorizeOrder(
     record(why);
   };
   return who;
-}
-
-void OperatorService::RecordRefusal(const grpc::CallbackServerContext& context,
-                                    const rips::v1::LevelRequest& request,
-                                    const absl::Status& why) {
-  const absl::StatusOr<rpc::Peer> peer = rpc::PeerOf(*context.auth_context());
-  if (!peer.ok() || peer->identity.role != rpc::Role::kOperator) return;
-  if (access_.quota != nullptr &&
-      !access_.quota->Take(rpc::ToString(peer->identity), false, Use::kQuery).ok()) {
-    return;  // one that asks again and again is on record
-  }
-  pipeline_
-      ->Post(
-          request.robot(), Queue::kOrders,
-          [order = pipeline::LevelOrder{.operator_name = OperatorName(*peer), .to = request.to()},
-           why](Robot& robot) { robot.RecordRefusedOrder(order, why); })
-      .IgnoreError();  // of an unknown robot there is no record
 }
 
 void OperatorService::Read(UnaryCall* reactor, std::function<void()> task) {
@@ -527,97 +501,6 @@ grpc::ServerUnaryReactor* OperatorService::ListReceipts(
   return reactor;
 }
 
-grpc::ServerUnaryReactor* OperatorService::DeEscalate(grpc::CallbackServerContext* context,
-                                                      const rips::v1::LevelRequest* request,
-                                                      rips::v1::LevelResponse* response) {
-  return ChangeLevel(context, request, response, Direction::kLower);
-}
-
-grpc::ServerUnaryReactor* OperatorService::Raise(grpc::CallbackServerContext* context,
-                                                 const rips::v1::LevelRequest* request,
-                                                 rips::v1::LevelResponse* response) {
-  return ChangeLevel(context, request, response, Direction::kRaise);
-}
-
-grpc::ServerUnaryReactor* OperatorService::ChangeLevel(grpc::CallbackServerContext* context,
-                                                       const rips::v1::LevelRequest* request,
-                                                       rips::v1::LevelResponse* response,
-                                                       Direction direction) {
-  const char* const call = direction == Direction::kRaise ? "Raise" : "DeEscalate";
-  // Who only asks what would happen has tried nothing.
-  const auto who = request->dry_run()
-                       ? Authorize(context, *request, OperatorRole::kOperator, Use::kOrder)
-                       : AuthorizeOrder(context, call, *request, OperatorRole::kOperator);
-  if (!who.ok()) {
-    if (!request->dry_run()) RecordRefusal(*context, *request, who.status());
-    return Refuse(context, who.status());
-  }
-  LogInfo(direction == Direction::kRaise ? "operator raises" : "operator lowers",
-          {{"operator", rpc::Describe(*who)},
-           {"robot", request->robot()},
-           {"to", request->to()},
-           {"reason", request->reason()},
-           {"dry_run", request->dry_run()}});
-  pipeline::LevelOrder order{
-      .operator_name = OperatorName(*who),
-      .to = request->to(),
-      .reason = request->reason(),
-      .expected_level = request->expected_level(),
-      .expected_decision_id = model_proto::Decode(request->expected_decision_id()),
-      .dry_run = request->dry_run(),
-      .accept_blind = request->accept_blind(),
-      .request_id = RequestKey(*who, call, request->request_id()),
-      .identity = IdentityOf(who->identity)};
-  auto* reactor = new UnaryCall(who->ticket, who->on_refused);
-  pipeline::LevelReply reply = [reply = ReplyTo(reactor, response), this,
-                                peer = rpc::Peer(*who)](const pipeline::LevelAnswer& answer) {
-    if (!answer.pending_approval_id.empty()) requesters_.Add(answer.pending_approval_id, peer);
-    reply(answer);
-  };
-  const absl::Status posted = pipeline_->Post(
-      request->robot(), Queue::kOrders,
-      [direction, order = std::move(order), reply = std::move(reply)](Robot& robot) {
-        if (direction == Direction::kRaise) {
-          robot.Raise(order, reply);
-        } else {
-          robot.DeEscalate(order, reply);
-        }
-      });
-  if (!posted.ok()) reactor->End(posted);
-  return reactor;
-}
-
-grpc::ServerUnaryReactor* OperatorService::Approve(grpc::CallbackServerContext* context,
-                                                   const rips::v1::ApproveRequest* request,
-                                                   rips::v1::LevelResponse* response) {
-  const auto who = AuthorizeOrder(context, "Approve", *request, OperatorRole::kOperator);
-  if (!who.ok()) return Refuse(context, who.status());
-  LogInfo(request->reject() ? "operator rejects a lowering" : "operator approves a lowering",
-          {{"operator", rpc::Describe(*who)},
-           {"robot", request->robot()},
-           {"lowering", request->pending_approval_id()},
-           {"reason", request->reason()}});
-  pipeline::ApprovalOrder order{.operator_name = OperatorName(*who),
-                                .identity = IdentityOf(who->identity),
-                                .id = request->pending_approval_id(),
-                                .reason = request->reason(),
-                                .reject = request->reject(),
-                                .accept_blind = request->accept_blind(),
-                                .request_id = RequestKey(*who, "Approve", request->request_id())};
-  auto* reactor = new UnaryCall(who->ticket, who->on_refused);
-  const absl::Status asked = requesters_.Check(order.id, access_.watch->gate());
-  if (!order.reject && !asked.ok()) {
-    reactor->End(asked);
-    return reactor;
-  }
-  pipeline::LevelReply reply = ReplyTo(reactor, response);
-  const absl::Status posted = pipeline_->Post(request->robot(), Queue::kOrders,
-                                              [order = std::move(order), reply = std::move(reply)](
-                                                  Robot& robot) { robot.Approve(order, reply); });
-  if (!posted.ok()) reactor->End(posted);
-  return reactor;
-}
-
 grpc::ServerUnaryReactor* OperatorService::ResumeRules(grpc::CallbackServerContext* context,
                                                        const rips::v1::ResumeRulesRequest* request,
                                                        rips::v1::ResumeRulesResponse*) {
@@ -686,7 +569,10 @@ grpc::ServerUnaryReactor* OperatorService::ResetTerm(grpc::CallbackServerContext
   auto* reactor = new UnaryCall(who->ticket, who->on_refused);
   pipeline::TermResetOrder order{
       .operator_name = OperatorName(*who), .host = request->host(), .reason = request->reason()};
-  pipeline::LevelReply reply = ReplyTo(reactor, response);
+  pipeline::LevelReply reply = [reactor, response](const pipeline::LevelAnswer& answer) {
+    operator_api::Encode(answer, *response);
+    reactor->End(answer.status);
+  };
   const absl::Status posted = pipeline_->Post(request->robot(), Queue::kOrders,
                                               [order = std::move(order), reply = std::move(reply)](
                                                   Robot& robot) { robot.ResetTerm(order, reply); });

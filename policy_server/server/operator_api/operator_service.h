@@ -194,9 +194,10 @@ class OperatorService final : public rips::v1::OperatorService::CallbackService 
   grpc::ServerUnaryReactor* OnBundles(grpc::CallbackServerContext* context,
                                       const absl::StatusOr<Caller>& who,
                                       std::function<absl::Status(rollout::BundleControl&)> task);
-  // A robot's record of what an operator asked of it and was not allowed to.
-  void RecordRefusal(const grpc::CallbackServerContext& context,
-                     const rips::v1::LevelRequest& request, const absl::Status& why);
+  // A robot's record and alert of what an operator asked of it and was not allowed to: its move to
+  // the level `to`, or, if `to` is empty, the lowering that waits under the id `approval`.
+  void RecordRefusal(const grpc::CallbackServerContext& context, const std::string& robot,
+                     const std::string& to, const std::string& approval, const absl::Status& why);
   // The robot that `uri` is of, if any, gets an alert.
   void TellRobotOf(const std::string& uri, const std::string& text);
   // What the operator of that URI asked for waits for no second one any more, on any robot.
