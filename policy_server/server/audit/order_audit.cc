@@ -1,15 +1,41 @@
 #include "policy_server/server/audit/order_audit.h"
 
 #include <optional>
+#include <string>
 #include <utility>
 
+#include "absl/strings/ascii.h"
+#include "absl/strings/escaping.h"
 #include "google/protobuf/descriptor.h"
+#include "google/protobuf/text_format.h"
 
 namespace rips::audit {
 namespace {
 
 // The request of one who is refused may be of any size.
 constexpr size_t kRequestBytesMax = 16 * 1024;
+
+using google::protobuf::TextFormat;
+
+// Ids and keys as elsewhere: `request_id: 8f1a...`, instead of bytes in octal.
+class HexBytes final : public TextFormat::FastFieldValuePrinter {
+ public:
+  void PrintBytes(const std::string& value,
+                  TextFormat::BaseTextGenerator* generator) const override {
+    generator->PrintString(absl::BytesToHexString(value));
+  }
+};
+
+// On one line.
+std::string TextOf(const google::protobuf::Message& request) {
+  TextFormat::Printer printer;
+  printer.SetSingleLineMode(true);
+  printer.SetDefaultFieldValuePrinter(new HexBytes());  // owned by the printer
+  std::string text;
+  printer.PrintToString(request, &text);
+  absl::StripTrailingAsciiWhitespace(&text);
+  return text;
+}
 
 }  // namespace
 
@@ -26,7 +52,7 @@ void OrderAudit::Record(const Order& order) {
   record.set_count(1 + *left_out);
   record.set_outcome(order.status.ok() ? "admitted" : order.status.ToString());
   if (order.request.ByteSizeLong() <= kRequestBytesMax) {
-    record.set_text(order.request.ShortDebugString());
+    record.set_text(TextOf(order.request));
     const auto* robot = order.request.GetDescriptor()->FindFieldByName("robot");
     if (!order.robot.empty()) {
       record.set_robot(order.robot);

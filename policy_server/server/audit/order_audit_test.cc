@@ -25,6 +25,8 @@ TEST(OrderAuditTest, RefusedCallsOfOneCertificateAreCountedPastABurst) {
     v1::LevelRequest request;
     request.set_robot("r1");
     request.set_reason("why");
+    request.mutable_expected_decision_id()->set_term(3);
+    request.set_request_id(std::string("\x8f\x00\n\"\xff", 5));
     audit.Record({"alice", "ipv4:1", "DeEscalate", request, absl::OkStatus()});
     for (int i = 0; i < 1'000; ++i) {
       audit.Record({"mallory", "ipv4:2", "Ban", request, absl::PermissionDeniedError("role")});
@@ -46,7 +48,9 @@ TEST(OrderAuditTest, RefusedCallsOfOneCertificateAreCountedPastABurst) {
   EXPECT_LE(calls.size(), 60u);
   EXPECT_EQ(calls[0].robot(), "r1");
   EXPECT_EQ(calls[0].outcome(), "admitted");
-  EXPECT_THAT(calls[0].text(), HasSubstr("reason: \"why\""));
+  EXPECT_EQ(
+      calls[0].text(),
+      "robot: \"r1\" reason: \"why\" expected_decision_id { term: 3 } request_id: 8f000a22ff");
   EXPECT_THAT(calls[1].outcome(), HasSubstr("role"));
   EXPECT_EQ(calls.back().actor(), "eve");
   EXPECT_EQ(calls.back().text(), "");
