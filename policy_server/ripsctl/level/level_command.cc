@@ -79,6 +79,10 @@ class LevelHistory final : public RobotCommand {
     app.add_option("--limit", limit_, "Maximum number of entries")
         ->check(CLI::Range(1, 1000))
         ->capture_default_str();
+    app.footer(absl::StrCat(
+        "A rejected request to lower the robot is no change, and is not listed: `ripsctl alert\n"
+        "list ROBOT` has its alert, `ripsctl audit tail` on the server both its records.\n\n",
+        app.get_footer()));
   }
   absl::StatusOr<ExitCode> Run(Env& env) override {
     v1::ListTransitionsRequest request;
