@@ -213,6 +213,9 @@ def two_persons_release_a_robot(fleet):
                             ("viewer", "vera", "this needs the role `operator`")):
         code, out, error = approve(role, name, first)
         check(code == 1 and why in error, f"{role} {name}: {code} {out} {error}")
+    until(fleet, 20, "an alert for the viewer who approves", lambda: any(
+        "operator vera" in a["text"] and "was refused to move r1 to ALERT" in a["text"]
+        for a in fleet.alerts()))
 
     visitor = fleet.start_intruder("unknown-node", "--node", "/visitor")
     until(fleet, 20, "the request is void",
