@@ -15,6 +15,7 @@
 #include "services/rpc/certificate.h"
 #include "services/runtime/atomic_file.h"
 #include "services/runtime/await.h"
+#include "services/runtime/key_mode.h"
 #include "services/runtime/log.h"
 #include "services/runtime/real_clock.h"
 
@@ -157,8 +158,12 @@ absl::Status Credentials::RevocationProblem(absl::Time now) const {
   return revocations_ == nullptr ? absl::OkStatus() : revocations_->problem(now);
 }
 
+namespace {
+
+// LoadOwn; `warning` is set if something is to be said of what can be used.
 absl::StatusOr<std::shared_ptr<const Credentials>> LoadOwn(const TlsFiles& files,
-                                                           const CheckIdentity& check) {
+                                                           const CheckIdentity& check,
+                                                           std::string* warning) {
   // Checked first: a certificate of another identity stays wrong, whatever the clock says.
   const absl::StatusOr<std::string> cert = ReadFile(files.cert, kPemBytesMax);
   const absl::StatusOr<Peer> leaf = cert.ok() ? ReadLeaf(*cert) : cert.status();
@@ -166,6 +171,7 @@ absl::StatusOr<std::shared_ptr<const Credentials>> LoadOwn(const TlsFiles& files
     const absl::Status mine = check(leaf->identity);
     if (!mine.ok()) return absl::PermissionDeniedError(mine.message());
   }
+  RIPS_RETURN_IF_ERROR(CheckKeyMode(files.key, warning));
   auto own = Credentials::Load(files);
   if (!own.ok()) return absl::UnauthenticatedError(own.status().message());
   if (check) {  // it may have been replaced in between
@@ -175,10 +181,21 @@ absl::StatusOr<std::shared_ptr<const Credentials>> LoadOwn(const TlsFiles& files
   return own;
 }
 
+}  // namespace
+
+absl::StatusOr<std::shared_ptr<const Credentials>> LoadOwn(const TlsFiles& files,
+                                                           const CheckIdentity& check) {
+  std::string warning;
+  auto own = LoadOwn(files, check, &warning);
+  if (own.ok() && !warning.empty()) LogWarning(warning);
+  return own;
+}
+
 absl::Status CheckOwn(const TlsFiles& files, const CheckIdentity& check, std::string* warning) {
-  const absl::Status own = LoadOwn(files, check).status();
+  warning->clear();
+  const absl::Status own = LoadOwn(files, check, warning).status();
   if (absl::IsPermissionDenied(own)) return own;
-  *warning = own.ok() ? "" : absl::StrCat("no usable certificate: ", own.message());
+  if (!own.ok()) *warning = absl::StrCat("no usable certificate: ", own.message());
   return absl::OkStatus();
 }
 

@@ -76,8 +76,8 @@ class Credentials {
 // Refuses a certificate that is not this daemon's.
 using CheckIdentity = std::function<absl::Status(const PeerIdentity&)>;
 
-// Credentials of this daemon. PermissionDenied: `check` refused them, whatever else is wrong with
-// them; no waiting mends that. Unauthenticated: all other errors of Load; they may pass.
+// Credentials of this daemon. PermissionDenied, whatever else is wrong with them: `check` refused
+// them, or others may use the key file. Unauthenticated: all other errors of Load; they may pass.
 absl::StatusOr<std::shared_ptr<const Credentials>> LoadOwn(const TlsFiles& files,
                                                            const CheckIdentity& check);
 

@@ -445,6 +445,29 @@ TEST_F(CredentialsSourceTest, AnotherIdentityThatTakesItsPlaceLaterIsRefusedAndI
   EXPECT_THAT(source.Get(), IsOk());
 }
 
+TEST_F(CredentialsSourceTest, AKeyThatOthersMayReadIsRefused) {
+  TlsFiles files = Pki().Sensor();
+  const std::string pem = Read(files.key);
+  files.key = Pki().dir() + "/open-key.pem";
+  ASSERT_THAT(WriteFileAtomically(files.key, pem), IsOk());
+  ASSERT_EQ(chmod(files.key.c_str(), 0644), 0);
+  const auto refused = StatusIs(absl::StatusCode::kPermissionDenied,
+                                HasSubstr(absl::StrCat("`chmod 600 ", files.key, "`")));
+  CredentialsSource source(files);
+  source.Require(IsOurs);
+  EXPECT_THAT(source.Get(), refused);
+  std::string warning = "of before";
+  EXPECT_THAT(CheckOwn(files, IsOurs, &warning), refused);
+  TlsFiles without = files;
+  without.cert = "/nonexistent";
+  EXPECT_THAT(CheckOwn(without, IsOurs, &warning), refused) << "whatever else is wrong";
+
+  ASSERT_EQ(chmod(files.key.c_str(), 0600), 0);
+  EXPECT_THAT(CheckOwn(files, IsOurs, &warning), IsOk());
+  EXPECT_EQ(warning, "");
+  EXPECT_THAT(source.Get(), IsOk());
+}
+
 // Of an authority of its own: lists name all that was ever revoked.
 class RevocationTest : public ::testing::Test {
  protected:

@@ -133,9 +133,24 @@ def missing_key(fleet):
     key.unlink()
     sensor = start_sensor(fleet)
     says(sensor, "waiting for a usable certificate", f"`{key}`", "No such file")
+    key.touch(0o600)
     key.write_bytes(kept)
-    key.chmod(0o600)
     says(sensor, " streaming ")
+
+
+def open_key(fleet):
+    """No daemon starts with a key that others may read."""
+    fleet.prepare()
+    fleet.port = 1
+    fleet.write_agent_configs()
+    for name, mine in (("sensor", "sensor/r1/base"), ("actuator", "actuator/r1/base"),
+                       ("policy-server", "server/ps1")):
+        key = fleet.dir / "pki" / mine / "key.pem"
+        key.chmod(0o604)
+        done = subprocess.run([fleet.bin / f"rips-{name}", "--config", fleet.dir / f"{name}.yaml"],
+                              capture_output=True, text=True, env=fleet.env, timeout=60)
+        check(done.returncode == 2 and f"`{key}` is open to other users (mode 0604)" in done.stderr,
+              f"rips-{name}: {done.returncode}: {done.stderr}")
 
 
 def unreadable_key(fleet):
@@ -215,6 +230,12 @@ def asked_before_the_start(fleet):
         asked(name, 2, "/operator/", "is ")
         shutil.rmtree(mine)
         away.rename(mine)
+        key = mine / "key.pem"
+        key.chmod(0o644)
+        asked(name, 2, f"`{key}`", "(mode 0644)", f"run `chmod 600 {key}`")
+        key.chmod(0o640)
+        asked(name, 0)
+        key.chmod(0o600)
         if name != "policy-server":
             config = fleet.dir / f"{name}.yaml"
             config.write_text(config.read_text().replace("interface: lo", "interface: eth9"))
@@ -222,7 +243,7 @@ def asked_before_the_start(fleet):
 
 
 SCENARIOS = [wrong_authority, wrong_certificate, wrong_robot, robot_that_is_not_listed,
-             unreachable_server, not_a_tls_server, two_robots_with_one_key, missing_key,
+             unreachable_server, not_a_tls_server, two_robots_with_one_key, missing_key, open_key,
              unreadable_key, wrong_interface, wrong_domain, broken_bundle,
              asked_before_the_start]
 
