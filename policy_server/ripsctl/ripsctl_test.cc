@@ -218,17 +218,13 @@ TEST_F(RipsctlTest, ShowsTheLevel) {
 TEST_F(RipsctlTest, ListsTheHistory) {
   const Result text = Run({"level", "history", "r1", "--limit", "7"});
   EXPECT_EQ(text.code, 0);
-  EXPECT_EQ(
-      text.out,
-      "TIME                      FROM   TO           DECISION  STAGE       CAUSE               "
-      "ID       "
-      " REASON\n"
-      "2026-01-01T00:00:00.000Z  ALERT  COMPROMISED  3.17      verified    rule rogue_cmd_vel  "
-      "11111111 "
-      " -\n"
-      "2026-01-01T00:00:00.000Z  ALERT  COMPROMISED  -         refused x7  rule rogue_cmd_vel  "
-      "11111111 "
-      " needs an operator\n");
+  EXPECT_EQ(text.out,
+            "TIME                      FROM   TO           DECISION  STAGE\n"
+            "    ID        CAUSE: REASON\n"
+            "2026-01-01T00:00:00.000Z  ALERT  COMPROMISED  3.17      verified\n"
+            "    11111111  rule rogue_cmd_vel\n"
+            "2026-01-01T00:00:00.000Z  ALERT  COMPROMISED  -         refused x7\n"
+            "    11111111  rule rogue_cmd_vel: needs an operator\n");
   const nlohmann::json list = RunJson({"level", "history", "r1"})["transitions"];
   ASSERT_THAT(list, SizeIs(2));
   EXPECT_EQ(list[0]["decision_id"], "3.17");

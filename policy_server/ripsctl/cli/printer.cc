@@ -1,5 +1,7 @@
 #include "policy_server/ripsctl/cli/printer.h"
 
+#include <sys/ioctl.h>
+
 #include <algorithm>
 #include <utility>
 
@@ -45,20 +47,48 @@ void Table::Add(std::vector<std::string> cells) {
   rows_.push_back(std::move(cells));
 }
 
-void Table::Print(std::ostream& out, absl::string_view margin) const {
+std::vector<std::string> Table::Lines() const {
   std::vector<size_t> widths(rows_.front().size(), 0);
   for (const auto& row : rows_) {
     for (size_t i = 0; i < widths.size(); ++i)
       widths[i] = std::max(widths[i], CountCodePoints(row[i]));
   }
+  std::vector<std::string> lines;
   for (const auto& row : rows_) {
-    out << margin;
+    std::string& line = lines.emplace_back();
     for (size_t i = 0; i < widths.size(); ++i) {
-      out << row[i];
-      if (i + 1 < widths.size()) out << std::string(widths[i] - CountCodePoints(row[i]) + 2, ' ');
+      line += row[i];
+      if (i + 1 < widths.size()) line.append(widths[i] - CountCodePoints(row[i]) + 2, ' ');
     }
-    out << "\n";
   }
+  return lines;
+}
+
+void Table::Print(std::ostream& out, absl::string_view margin) const {
+  for (const std::string& line : Lines()) out << margin << line << "\n";
+}
+
+size_t TerminalColumns(int fd) {
+  winsize size{};
+  return fd >= 0 && ioctl(fd, TIOCGWINSZ, &size) == 0 ? size.ws_col : 0;
+}
+
+void PrintWrapped(absl::string_view text, absl::string_view margin, size_t columns,
+                  std::ostream& out) {
+  const size_t indent = CountCodePoints(margin);
+  const std::string escaped = EscapeText(text);
+  absl::string_view rest = escaped;
+  const size_t width = columns > indent ? columns - indent : std::string::npos;
+  do {
+    absl::string_view line = CutCodePoints(rest, width);
+    if (line.size() < rest.size() && rest[line.size()] != ' ') {
+      const size_t blank = line.rfind(' ');
+      if (blank != absl::string_view::npos && blank > 0) line = line.substr(0, blank);
+    }
+    rest.remove_prefix(line.size());
+    rest = absl::StripLeadingAsciiWhitespace(rest);
+    out << margin << absl::StripTrailingAsciiWhitespace(line) << "\n";
+  } while (!rest.empty());
 }
 
 }  // namespace rips::ripsctl

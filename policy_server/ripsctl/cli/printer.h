@@ -2,6 +2,7 @@
 #ifndef RIPS_POLICY_SERVER_RIPSCTL_CLI_PRINTER_H_
 #define RIPS_POLICY_SERVER_RIPSCTL_CLI_PRINTER_H_
 
+#include <cstddef>
 #include <cstdint>
 #include <ostream>
 #include <string>
@@ -26,6 +27,15 @@ std::string ShortId(absl::string_view id);
 // has no name or is unspecified.
 std::string EnumText(absl::string_view name, absl::string_view prefix, absl::string_view otherwise);
 
+// Columns of the terminal `fd`; 0 if it is none, or does not say.
+size_t TerminalColumns(int fd);
+
+// `text`, escaped, each line behind `margin` and with it at most `columns` code points wide: broken
+// at blanks, and within a word that is longer than a line. `columns` 0 or no wider than `margin`:
+// one line.
+void PrintWrapped(absl::string_view text, absl::string_view margin, size_t columns,
+                  std::ostream& out);
+
 // Columns two spaces apart, as wide as their widest cell in code points; the last is not padded.
 class Table {
  public:
@@ -34,6 +44,8 @@ class Table {
   void Add(std::vector<std::string> cells);
   // Each line behind `margin`.
   void Print(std::ostream& out, absl::string_view margin = "") const;
+  // What Print writes, line by line, the header first, without the line ends.
+  std::vector<std::string> Lines() const;
 
  private:
   std::vector<std::vector<std::string>> rows_;

@@ -1,5 +1,10 @@
 #include "policy_server/ripsctl/cli/printer.h"
 
+#include <fcntl.h>
+#include <stdlib.h>
+#include <sys/ioctl.h>
+#include <unistd.h>
+
 #include <sstream>
 #include <string>
 
@@ -75,6 +80,58 @@ TEST(ShortBundleTest, KeepsTwelveDigits) {
 TEST(ShortIdTest, KeepsEightDigits) {
   EXPECT_EQ(ShortId(std::string(32, 'a')), "aaaaaaaa");
   EXPECT_EQ(ShortId("abc"), "abc");
+}
+
+std::string Wrapped(const std::string& text, const std::string& margin, size_t columns) {
+  std::ostringstream out;
+  PrintWrapped(text, margin, columns, out);
+  return out.str();
+}
+
+TEST(PrintWrappedTest, BreaksAtBlanksAndWithinWordsThatAreTooLong) {
+  EXPECT_EQ(Wrapped("the aisle is clear", "  ", 11), "  the aisle\n  is clear\n");
+  EXPECT_EQ(Wrapped("the aisle is clear", "  ", 10), "  the\n  aisle is\n  clear\n");
+  EXPECT_EQ(Wrapped("spiffe://fleet.example is", "", 8), "spiffe:/\n/fleet.e\nxample\nis\n");
+  EXPECT_EQ(Wrapped("\xc3\xb1\xc3\xb1 \xc3\xb1\xc3\xb1", "", 2),
+            "\xc3\xb1\xc3\xb1\n\xc3\xb1\xc3\xb1\n");
+  EXPECT_EQ(Wrapped("a\nb", "", 80), "a\\x0ab\n") << "escaped";
+  EXPECT_EQ(Wrapped("", "  ", 80), "  \n");
+}
+
+TEST(PrintWrappedTest, IsOneLineWithoutAWidth) {
+  const std::string text = "a reason of " + std::string(1'000, 'x') + " and more";
+  EXPECT_EQ(Wrapped(text, "    ", 0), "    " + text + "\n");
+  EXPECT_EQ(Wrapped(text, "    ", 4), "    " + text + "\n") << "no room beside the margin";
+}
+
+TEST(PrintWrappedTest, LosesNothingAtAnyWidth) {
+  const std::string text = "operator alice (spiffe://a.b/operator/admin/alice serial 0f): it is ok";
+  for (size_t columns = 1; columns < 100; ++columns) {
+    std::istringstream lines(Wrapped(text, "  ", columns));
+    std::string all;
+    for (std::string line; std::getline(lines, line);) {
+      EXPECT_LE(line.size(), columns > 2 ? columns : 2 + text.size());
+      all += line;
+    }
+    std::erase(all, ' ');
+    std::string expected = text;
+    std::erase(expected, ' ');
+    EXPECT_EQ(all, expected) << columns;
+  }
+}
+
+TEST(TerminalColumnsTest, AreThoseOfTheTerminal) {
+  const int terminal = posix_openpt(O_RDWR | O_NOCTTY);
+  ASSERT_GE(terminal, 0);
+  const winsize size = {.ws_row = 24, .ws_col = 80, .ws_xpixel = 0, .ws_ypixel = 0};
+  ASSERT_EQ(ioctl(terminal, TIOCSWINSZ, &size), 0);
+  EXPECT_EQ(TerminalColumns(terminal), 80u);
+  close(terminal);
+}
+
+TEST(TerminalColumnsTest, AFileIsNoTerminal) {
+  EXPECT_EQ(TerminalColumns(-1), 0u);
+  EXPECT_EQ(TerminalColumns(1'000'000), 0u);
 }
 
 }  // namespace

@@ -93,20 +93,33 @@ class LevelHistory final : public RobotCommand {
       return PrintJson(
           env, {{"transitions", JsonList(response.transitions())}, {"cut", response.cut()}});
     }
-    Table table({"TIME", "FROM", "TO", "DECISION", "STAGE", "CAUSE", "ID", "REASON"});
-    for (const v1::Transition& each : response.transitions()) {
-      const std::string stage =
-          each.refused() ? absl::StrCat("refused x", each.count()) : each.stage();
-      table.Add({ShortTime(each.time_unix_ns()), each.from(), each.to(),
-                 DecisionIdText(each.decision_id()), stage, each.cause(), ShortId(each.id()),
-                 each.reason()});
-    }
-    table.Print(env.out);
+    Print(response, env);
     if (response.cut()) env.out << "older transitions do not fit into one response\n";
     return ExitCode::kDone;
   }
 
  private:
+  // Two lines for each, the second one wrapped: a cause with its certificate and a reason are long.
+  static void Print(const v1::ListTransitionsResponse& response, Env& env) {
+    constexpr absl::string_view kMargin = "    ";
+    const size_t columns = TerminalColumns(env.terminal.out);
+    Table table({"TIME", "FROM", "TO", "DECISION", "STAGE"});
+    std::vector<std::string> details = {"ID        CAUSE: REASON"};
+    for (const v1::Transition& each : response.transitions()) {
+      const std::string stage =
+          each.refused() ? absl::StrCat("refused x", each.count()) : each.stage();
+      table.Add({ShortTime(each.time_unix_ns()), each.from(), each.to(),
+                 DecisionIdText(each.decision_id()), stage});
+      details.push_back(absl::StrCat(ShortId(each.id()), "  ", each.cause(),
+                                     each.reason().empty() ? "" : ": ", each.reason()));
+    }
+    const std::vector<std::string> lines = table.Lines();
+    for (size_t i = 0; i < lines.size(); ++i) {
+      env.out << lines[i] << "\n";
+      PrintWrapped(details[i], kMargin, columns, env.out);
+    }
+  }
+
   uint32_t limit_ = 100;
 };
 
