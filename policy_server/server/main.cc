@@ -38,9 +38,11 @@ int CheckConfig(const std::string& file, const rips::server::ParsedServerConfig&
     if (read.ok()) inventory = *std::move(read);
   }
   const rips::server::EnrolmentConfig& enrolment = parsed.config.enrolment;
-  if (problem.ok() && !enrolment.cert.empty()) {
-    problem = rips::enrol::CheckIssuingFiles(
-        {.cert = enrolment.cert, .key = enrolment.key, .ca = parsed.config.tls.ca});
+  if (problem.ok() && enrolment.enabled()) {
+    problem = enrolment.external_ca.program.empty()
+                  ? rips::enrol::CheckIssuingFiles(
+                        {.cert = enrolment.cert, .key = enrolment.key, .ca = parsed.config.tls.ca})
+                  : rips::enrol::CheckExternalCaProgram(enrolment.external_ca.program[0]);
   }
   std::string certificate;
   if (problem.ok()) {

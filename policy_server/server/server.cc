@@ -180,32 +180,6 @@ absl::Status Server::Open() {
   return loader_->ReadKeys();
 }
 
-void Server::OpenEnrolment() {
-  if (config_.enrolment.cert.empty()) return;
-  const auto problem = [this](const absl::Status& why) {
-    OwnAlert(engine::Severity::kHigh,
-             absl::StrCat("no certificates can be issued: ", why.message()));
-  };
-  auto opened = store::SqliteEnrolments::Open(config_.enrolment_path());
-  if (!opened.ok()) return problem(opened.status());
-  enrolments_ = *std::move(opened);
-  const enrol::IssuingFiles files = {
-      .cert = config_.enrolment.cert, .key = config_.enrolment.key, .ca = config_.tls.ca};
-  enrolment_ = std::make_unique<enrol::Enrolment>(
-      enrol::EnrolmentOptions{
-          .files = files, .trust_domain = config_.trust_domain, .life = config_.enrolment.life},
-      enrolments_.get(), &clock_,
-      enrol::EnrolmentPorts{
-          .is_banned =
-              [this](const rpc::PeerIdentity& identity, const std::string& serial) {
-                return bans_->Against({.identity = identity, .serial = serial}).has_value();
-              },
-          .tell = [this](const std::string& robot, engine::Severity severity,
-                         const std::string& text) { alerts_->Raise(robot, severity, text); },
-          .issued = [this](const rpc::Peer& agent) { certificates_->Seen(agent); }});
-  if (const absl::Status usable = enrol::CheckIssuingFiles(files); !usable.ok()) problem(usable);
-}
-
 void Server::OpenRecordings() {
   if (config_.recordings_bytes == 0) return;
   const auto problem = [this](const absl::Status& why) {
@@ -641,7 +615,8 @@ absl::Status Server::AddRobots() {
                         fleet_metrics_->SetInventory(now);
                         listed_.contacts.SetListed(AgentsOf(now));
                         listed_.labels.Set(LabelsOf(now));
-                        if (enrolment_ != nullptr) enrolment_->SetInventory(now);
+                        if (enrolling_.enrolment != nullptr)
+                          enrolling_.enrolment->SetInventory(now);
                       }});
   RIPS_RETURN_IF_ERROR(fleet_->Start());
   OpenBundleControl();
@@ -703,11 +678,11 @@ absl::Status Server::Listen() {
           .bundles = bundles_.get(),
           .acks = store_.get(),
           .committer = committer_.get(),
-          .enrolment = enrolment_.get(),
+          .enrolment = enrolling_.enrolment.get(),
           .contacts = &listed_.contacts,
           .labels = &listed_.labels});
-  enrolment_service_ =
-      std::make_unique<enrol::EnrolmentService>(enrolment_.get(), watch_.get(), orders_.get());
+  enrolment_service_ = std::make_unique<enrol::EnrolmentService>(enrolling_.enrolment.get(),
+                                                                 watch_.get(), orders_.get());
   const rpc::RpcServerOptions options = {config_.listen, connections_.get(), gate_.get(),
                                          credentials_->ForServer()};
   RIPS_ASSIGN_OR_RETURN(
@@ -781,6 +756,8 @@ void Server::Stop() {
       LogWarning("robot not drained in time; its last lease stands", {{"robot", robot}});
     }
     watch_->CloseAll(grpc::Status(grpc::StatusCode::UNAVAILABLE, "the server is stopping"));
+    // Else its calls would hold up the end.
+    if (enrolling_.external_ca != nullptr) enrolling_.external_ca->Stop();
     rpc_->Shutdown(kShutdownGrace);
   }
   if (bundles_ != nullptr) bundles_->Stop();

@@ -155,9 +155,13 @@ class Server {
     std::unique_ptr<flight::FlightArchive> archive;
   };
   Recordings recordings_;
-  // Null if no certificates are issued.
-  std::unique_ptr<store::SqliteEnrolments> enrolments_;
-  std::unique_ptr<enrol::Enrolment> enrolment_;
+  // All null if no certificates are issued; `external_ca` also if our own key signs.
+  struct Enrolling {
+    std::unique_ptr<store::SqliteEnrolments> store;
+    std::unique_ptr<enrol::ExternalCa> external_ca;
+    std::unique_ptr<enrol::Enrolment> enrolment;
+  };
+  Enrolling enrolling_;
   std::unique_ptr<BundleLoader> loader_;
   // What operators order of bundles; in the order of start.
   struct Rollouts {

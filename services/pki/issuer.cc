@@ -132,16 +132,6 @@ bool Fill(X509* certificate, X509* issuer, EVP_PKEY* key, const rpc::PeerIdentit
                       absl::StrCat("URI:", rpc::ToString(identity)));
 }
 
-absl::StatusOr<std::string> ToPem(X509* certificate) {
-  const Bio out(BIO_new(BIO_s_mem()));
-  char* data = nullptr;
-  if (out == nullptr || PEM_write_bio_X509(out.get(), certificate) != 1) {
-    return absl::InternalError("libcrypto cannot write a certificate");
-  }
-  const long size = BIO_get_mem_data(out.get(), &data);
-  return std::string(data, static_cast<size_t>(size));
-}
-
 // Whatever the time is.
 bool ChainsTo(const std::vector<Certificate>& roots, const std::vector<Certificate>& chain) {
   const rpc::openssl::Store store(X509_STORE_new());
@@ -157,6 +147,16 @@ bool ChainsTo(const std::vector<Certificate>& roots, const std::vector<Certifica
 }
 
 }  // namespace
+
+absl::StatusOr<std::string> ToPem(X509* certificate) {
+  const Bio out(BIO_new(BIO_s_mem()));
+  char* data = nullptr;
+  if (out == nullptr || PEM_write_bio_X509(out.get(), certificate) != 1) {
+    return absl::InternalError("libcrypto cannot write a certificate");
+  }
+  const long size = BIO_get_mem_data(out.get(), &data);
+  return std::string(data, static_cast<size_t>(size));
+}
 
 CertificateRequest::CertificateRequest(std::unique_ptr<Key> key, std::string key_hash)
     : key_(std::move(key)), key_hash_(std::move(key_hash)) {}

@@ -19,6 +19,7 @@ using Request = std::unique_ptr<X509_REQ, rpc::openssl::Freer<X509_REQ_free>>;
 absl::StatusOr<rpc::openssl::Key> ReadKey(absl::string_view key_pem);
 // SHA-256 of the public half, lower-case hex.
 absl::StatusOr<std::string> HashOf(EVP_PKEY* key);
+absl::StatusOr<std::string> ToPem(X509* certificate);
 
 }  // namespace rips::pki
 

@@ -11,6 +11,7 @@
 #include "absl/strings/string_view.h"
 #include "absl/time/time.h"
 #include "mode_actuator/helpers/fw/nft.h"
+#include "services/runtime/run_to_end.h"
 
 namespace rips::actuator {
 
@@ -18,8 +19,7 @@ inline constexpr absl::Duration kNftTimeout = absl::Milliseconds(1500);
 // Of what nft says went wrong.
 inline constexpr size_t kNftErrorBytesMax = 512;
 
-// The child has no descriptor, environment or signal mask of ours. The calling process must not
-// wait for children of unknown id.
+// As RunToEnd.
 class NftRunner final : public Nft {
  public:
   struct Options {
@@ -32,13 +32,9 @@ class NftRunner final : public Nft {
   absl::StatusOr<std::string> ListTable() override;
 
  private:
-  struct Ended {
-    int exit_code = 0;
-    std::string out;
-    std::string err;
-  };
-  // Unavailable, DeadlineExceeded, ResourceExhausted (more than kRulesetBytesMax printed).
-  absl::StatusOr<Ended> Run(const std::vector<std::string>& args, absl::string_view input) const;
+  // Errors of RunToEnd, which it is; kRulesetBytesMax may be printed.
+  absl::StatusOr<ProgramEnd> Run(const std::vector<std::string>& args,
+                                 absl::string_view input) const;
 
   const Options options_;
 };

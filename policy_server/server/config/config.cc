@@ -191,11 +191,38 @@ void ReadAudit(const ConfigSection& root, ServerConfig* config) {
   config->audit_segment_bytes = static_cast<uint64_t>(segment.bytes);
 }
 
+void ReadExternalCa(const ConfigSection& enrolment, ExternalCaConfig* external) {
+  const ConfigSection section = enrolment.RequiredSection("external_ca");
+  section.Required("program", &external->program);
+  const std::vector<std::string>& words = external->program;
+  if (!words.empty() && (words[0].empty() || words[0].front() != '/')) {
+    section.Problem("program", absl::StrCat("`program` begins with `", words[0],
+                                            "`; write its absolute path, then its arguments"));
+  }
+  section.Optional("timeout", &external->timeout, {absl::Seconds(1), absl::Minutes(1)});
+}
+
 void ReadEnrolment(const ConfigSection& root, EnrolmentConfig* enrolment) {
   if (!root.Has("enrolment")) return;
   const ConfigSection section = root.OptionalSection("enrolment");
-  ReadPath(section, "cert", &enrolment->cert);
-  ReadPath(section, "key", &enrolment->key);
+  const bool has_key = section.Has("cert") || section.Has("key");
+  if (section.Has("external_ca")) {
+    ReadExternalCa(section, &enrolment->external_ca);
+    section.Optional("cert", &enrolment->cert);
+    section.Optional("key", &enrolment->key);
+    if (has_key) {
+      section.Problem("external_ca",
+                      "either `cert` and `key` sign certificates, or `external_ca` does; remove "
+                      "one of both");
+    }
+  } else if (has_key) {
+    ReadPath(section, "cert", &enrolment->cert);
+    ReadPath(section, "key", &enrolment->key);
+  } else {
+    root.Problem("enrolment",
+                 "`enrolment` needs `cert` and `key`, the issuing certificate and its key, or "
+                 "`external_ca`");
+  }
   section.Optional("life", &enrolment->life, {absl::Hours(6), 2 * absl::Hours(24 * 365)});
 }
 

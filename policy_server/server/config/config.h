@@ -43,14 +43,28 @@ struct Timing {
   friend bool operator==(const Timing&, const Timing&) = default;
 };
 
-// Certificates that the server issues to agents.
+// A program that signs certificates (enrol::ExternalCa).
+struct ExternalCaConfig {
+  // An absolute path, then arguments. Empty: there is none.
+  std::vector<std::string> program;
+  // 1 to 60 s.
+  absl::Duration timeout = absl::Seconds(10);
+
+  friend bool operator==(const ExternalCaConfig&, const ExternalCaConfig&) = default;
+};
+
+// Certificates that the server issues to agents: by its own key, or by a program.
 struct EnrolmentConfig {
   // PEM, absolute paths: the issuing certificate with those between it and the root, and its key.
-  // Both empty: none are issued.
+  // Both empty: the key does not sign.
   std::string cert;
   std::string key;
+  ExternalCaConfig external_ca;
   // Of a certificate; 6 hours to two years: agents look each hour whether theirs is due.
   absl::Duration life = absl::Hours(24 * 30);
+
+  // False: none are issued.
+  bool enabled() const { return !cert.empty() || !external_ca.program.empty(); }
 
   friend bool operator==(const EnrolmentConfig&, const EnrolmentConfig&) = default;
 };

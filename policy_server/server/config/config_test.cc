@@ -1,6 +1,7 @@
 #include "policy_server/server/config/config.h"
 
 #include <string>
+#include <vector>
 
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_replace.h"
@@ -49,6 +50,26 @@ TEST(ServerConfigTest, FillsInTheDefaults) {
   EXPECT_THAT(parsed->effective,
               AllOf(HasSubstr("timing.lease: 15s"), HasSubstr("listen: \"0.0.0.0:7443\""),
                     HasSubstr("bundles.keys: []")));
+}
+
+TEST(ServerConfigTest, CertificatesAreSignedByAKeyOrByAProgram) {
+  EXPECT_FALSE(ParseServerConfig("ps.yaml", kShort)->config.enrolment.enabled());
+  const auto key =
+      ParseServerConfig("ps.yaml", absl::StrCat(kShort, "enrolment: {cert: /c, key: /k}\n"));
+  ASSERT_THAT(key, IsOk());
+  EXPECT_TRUE(key->config.enrolment.enabled());
+  EXPECT_EQ(key->config.enrolment.external_ca, ExternalCaConfig{});
+  const auto program = ParseServerConfig(
+      "ps.yaml", absl::StrCat(kShort,
+                              "enrolment: {external_ca: {program: [/sign, -x, /ca], timeout: 30s}, "
+                              "life: 7d}\n"));
+  ASSERT_THAT(program, IsOk());
+  const EnrolmentConfig& enrolment = program->config.enrolment;
+  EXPECT_TRUE(enrolment.enabled());
+  EXPECT_EQ(enrolment.cert, "");
+  EXPECT_EQ(enrolment.external_ca.program, (std::vector<std::string>{"/sign", "-x", "/ca"}));
+  EXPECT_EQ(enrolment.external_ca.timeout, absl::Seconds(30));
+  EXPECT_EQ(enrolment.life, absl::Hours(24 * 7));
 }
 
 TEST(ServerConfigTest, HasALimitOfBundleKeys) {
@@ -173,6 +194,29 @@ INSTANTIATE_TEST_SUITE_P(
         BadCase{"RecordingsPath", "shards: 3", "recordings: {dir: here}", "write an absolute path"},
         BadCase{"RecordingsFew", "shards: 3", "recordings: {keep: 64KiB}", "write more, or `0B`"},
         BadCase{"RecordingsKeep", "shards: 3", "recordings: {keep: -1MiB}", "`keep`"},
+        BadCase{"EnrolmentEmpty", "shards: 3", "enrolment: {life: 30d}",
+                "needs `cert` and `key`, the issuing certificate and its key, or `external_ca`"},
+        BadCase{"EnrolmentNoKey", "shards: 3", "enrolment: {cert: /c}", "`enrolment.key`"},
+        BadCase{"EnrolmentBoth", "shards: 3",
+                "enrolment: {cert: /c, key: /k, external_ca: {program: [/sign]}}",
+                "either `cert` and `key` sign certificates, or `external_ca` does; remove one"},
+        BadCase{"EnrolmentKeyAndProgram", "shards: 3",
+                "enrolment: {key: /k, external_ca: {program: [/sign]}}", "remove one of both"},
+        BadCase{"ExternalCaNull", "shards: 3", "enrolment: {external_ca: null}", "external_ca"},
+        BadCase{"ExternalCaText", "shards: 3", "enrolment: {external_ca: /sign}", "external_ca"},
+        BadCase{"ExternalCaNoProgram", "shards: 3", "enrolment: {external_ca: {timeout: 5s}}",
+                "`enrolment.external_ca.program`"},
+        BadCase{"ExternalCaNoWords", "shards: 3", "enrolment: {external_ca: {program: []}}",
+                "program"},
+        BadCase{"ExternalCaOneWord", "shards: 3", "enrolment: {external_ca: {program: /sign}}",
+                "write a list"},
+        BadCase{"ExternalCaRelative", "shards: 3", "enrolment: {external_ca: {program: [sign, x]}}",
+                "`program` begins with `sign`; write its absolute path, then its arguments"},
+        BadCase{"ExternalCaSlow", "shards: 3",
+                "enrolment: {external_ca: {program: [/sign], timeout: 61s}}", "`timeout`"},
+        BadCase{"ExternalCaUnknownKey", "shards: 3",
+                "enrolment: {external_ca: {program: [/sign], retries: 3}}",
+                "unknown key `retries`"},
         BadCase{"AuditSegment", "shards: 3", "audit: {segment: 1KiB}", "`segment`"}),
     [](const testing::TestParamInfo<BadCase>& param) { return param.param.name; });
 

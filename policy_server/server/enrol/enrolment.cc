@@ -8,7 +8,6 @@
 #include "absl/strings/str_split.h"
 #include "services/base/ids.h"
 #include "services/base/status_macros.h"
-#include "services/runtime/config_sections.h"
 #include "services/runtime/log.h"
 
 namespace rips::enrol {
@@ -37,40 +36,21 @@ absl::Status NotListed(const std::string& robot, const std::string& host, const 
                                                   " (any more); see robots.yaml"));
 }
 
-absl::Status WithFile(const absl::Status& status, const std::string& file) {
-  return absl::FailedPreconditionError(
-      absl::StrCat("`enrolment` of the policy server: ", file, ": ", status.message()));
-}
-
-absl::StatusOr<std::string> ReadPem(const std::string& path) {
-  absl::StatusOr<std::string> text = ReadConfigFile(path);
-  if (!text.ok()) {
-    return absl::FailedPreconditionError(
-        absl::StrCat("`enrolment` of the policy server: ", text.status().message()));
+// ResourceExhausted if no more may be good; else the serials of all that are listed.
+absl::StatusOr<std::set<std::string>> SerialsOf(const std::string& uri,
+                                                store::EnrolmentStore& store, absl::Time now) {
+  RIPS_ASSIGN_OR_RETURN(const std::vector<store::IssuedRecord> all, store.ListIssued(uri));
+  std::set<std::string> serials;
+  int64_t good = 0;
+  for (const store::IssuedRecord& each : all) {
+    serials.insert(each.serial);
+    good += each.not_after_unix_ns > absl::ToUnixNanos(now) ? 1 : 0;
   }
-  return text;
-}
-
-struct Authority {
-  pki::Issuer issuer;
-  std::string ca_pem;
-};
-
-// Anew each time, so that new files need no restart.
-absl::StatusOr<Authority> ReadAuthority(const IssuingFiles& files) {
-  RIPS_ASSIGN_OR_RETURN(const std::string cert, ReadPem(files.cert));
-  RIPS_ASSIGN_OR_RETURN(const std::string key, ReadPem(files.key));
-  RIPS_ASSIGN_OR_RETURN(std::string ca, ReadPem(files.ca));
-  absl::StatusOr<pki::Issuer> issuer = pki::Issuer::Read(cert, key, ca);
-  if (!issuer.ok()) {
-    return WithFile(issuer.status(), absl::StrCat(files.cert, " with ", files.key));
-  }
-  return Authority{*std::move(issuer), std::move(ca)};
+  if (good >= store::kGoodPerIdentityMax) return store::TooManyGood(uri, good);
+  return serials;
 }
 
 }  // namespace
-
-absl::Status CheckIssuingFiles(const IssuingFiles& files) { return ReadAuthority(files).status(); }
 
 void Enrolment::SetInventory(const bundle::Inventory& inventory) {
   std::set<std::string> listed;
@@ -135,7 +115,8 @@ absl::StatusOr<NewToken> Enrolment::CreateToken(const TokenOrder& order) {
   }
   RIPS_ASSIGN_OR_RETURN(const pki::CertificateRequest request,
                         pki::CertificateRequest::Read(order.request_pem));
-  RIPS_ASSIGN_OR_RETURN(const Authority authority, ReadAuthority(options_.files));
+  RIPS_ASSIGN_OR_RETURN(const Authority authority,
+                        Authority::Read(options_.files, options_.external_ca));
   const absl::Time now = Now();
   NewToken token;
   token.record = {.id = NewId().substr(0, kTokenIdDigits),
@@ -145,14 +126,17 @@ absl::StatusOr<NewToken> Enrolment::CreateToken(const TokenOrder& order) {
                   .by = order.by,
                   .time_unix_ns = absl::ToUnixNanos(now)};
   RIPS_ASSIGN_OR_RETURN(pki::Issued issued,
-                        authority.issuer.Sign(request,
-                                              {.role = rpc::Role::kEnrolment,
-                                               .trust_domain = options_.trust_domain,
-                                               .name = token.record.id},
-                                              now, valid));
-  token.record.expires_unix_ns = absl::ToUnixNanos(issued.not_after);
+                        Sign(authority, {.request = &request,
+                                         .request_pem = order.request_pem,
+                                         .identity = {.role = rpc::Role::kEnrolment,
+                                                      .trust_domain = options_.trust_domain,
+                                                      .name = token.record.id},
+                                         .holder = {order.robot, order.host},
+                                         .life = valid}));
+  // A program's certificate may be good for a day longer; the token is not.
+  token.record.expires_unix_ns = absl::ToUnixNanos(std::min(issued.not_after, now + valid));
   RIPS_RETURN_IF_ERROR(store_->PutToken(token.record));
-  token.fetched = {{}, std::move(issued.certificates_pem), authority.ca_pem};
+  token.fetched = {{}, std::move(issued.certificates_pem), authority.ca_pem()};
   return token;
 }
 
@@ -225,27 +209,71 @@ void Enrolment::Report(const rpc::PeerIdentity& identity, const store::IssuedRec
               others == 0 ? text : absl::StrCat(text, "; ", still_good));
 }
 
+absl::StatusOr<pki::Issued> Enrolment::Sign(const Authority& authority, const SigningOrder& order) {
+  absl::StatusOr<pki::Issued> issued = authority.Sign(order, Now());
+  // What is tried again is no alert, nor what the server's own key does not sign.
+  const bool alert =
+      options_.external_ca != nullptr && !issued.ok() && !absl::IsUnavailable(issued.status());
+  if (!alert) return issued;
+  ports_.tell(order.holder.robot,
+              absl::IsPermissionDenied(issued.status()) ? engine::Severity::kMedium
+                                                        : engine::Severity::kHigh,
+              absl::StrCat("no certificate for ", rpc::ToString(order.identity), ": ",
+                           issued.status().message()));
+  return issued;
+}
+
+absl::StatusOr<pki::Issued> Enrolment::SignNew(const Authority& authority,
+                                               const SigningOrder& order) {
+  const std::string uri = rpc::ToString(order.identity);
+  RIPS_ASSIGN_OR_RETURN(const std::set<std::string> before, SerialsOf(uri, *store_, Now()));
+  RIPS_ASSIGN_OR_RETURN(pki::Issued issued, Sign(authority, order));
+  // A program takes its time; much can happen meanwhile.
+  if (ports_.is_banned(order.identity, issued.serial)) {
+    return absl::PermissionDeniedError(absl::StrCat(uri, " is banned; see `ripsctl agent list`"));
+  }
+  if (!before.contains(issued.serial)) return issued;
+  const absl::Status repeated = absl::FailedPreconditionError(
+      absl::StrCat("the certificate authority gave a wrong certificate: its serial number ",
+                   issued.serial, " is that of an earlier one of ", uri));
+  ports_.tell(order.holder.robot, engine::Severity::kHigh, std::string(repeated.message()));
+  return repeated;
+}
+
 absl::StatusOr<Fetched> Enrolment::Issue(const rpc::PeerIdentity& identity,
                                          const std::string& token, const std::string& request_pem) {
   RIPS_ASSIGN_OR_RETURN(const pki::CertificateRequest request,
                         pki::CertificateRequest::Read(request_pem));
-  RIPS_ASSIGN_OR_RETURN(const Authority authority, ReadAuthority(options_.files));
+  const auto claim = ongoing_.TryClaim(absl::StrCat(token, " ", rpc::ToString(identity)));
+  if (claim == nullptr) {
+    return absl::UnavailableError(
+        "another call for this certificate has not ended yet; try again later");
+  }
+  RIPS_ASSIGN_OR_RETURN(const Authority authority,
+                        Authority::Read(options_.files, options_.external_ca));
   if (!token.empty()) {
     RIPS_ASSIGN_OR_RETURN(std::optional<Fetched> before,
-                          GivenBefore(identity, token, request.key_hash(), authority.ca_pem));
+                          GivenBefore(identity, token, request.key_hash(), authority.ca_pem()));
     if (before.has_value()) return *std::move(before);
   }
-  const absl::Time now = Now();
   RIPS_ASSIGN_OR_RETURN(const pki::Issued issued,
-                        authority.issuer.Sign(request, identity, now, options_.life));
+                        SignNew(authority, {.request = &request,
+                                            .request_pem = request_pem,
+                                            .identity = identity,
+                                            .holder = {identity.robot, identity.host},
+                                            .life = options_.life}));
   store::IssuedRecord record{.uri = rpc::ToString(identity),
                              .serial = issued.serial,
                              .key_hash = request.key_hash(),
                              .token = token,
-                             .time_unix_ns = absl::ToUnixNanos(now),
+                             .time_unix_ns = absl::ToUnixNanos(Now()),
                              .not_after_unix_ns = absl::ToUnixNanos(issued.not_after),
                              .certificates_pem = issued.certificates_pem};
-  RIPS_RETURN_IF_ERROR(store_->PutIssued(record));
+  if (const absl::Status put = store_->PutIssued(record); !put.ok()) {
+    LogWarning("a signed certificate was not handed out",
+               {{"uri", record.uri}, {"serial", record.serial}, {"why", put.message()}});
+    return put;
+  }
   record.certificates_pem.clear();
   LogInfo("issued a certificate", {{"uri", record.uri},
                                    {"serial", record.serial},
@@ -253,7 +281,7 @@ absl::StatusOr<Fetched> Enrolment::Issue(const rpc::PeerIdentity& identity,
                                    {"token", token}});
   if (const auto peer = rpc::ReadLeaf(issued.certificates_pem); peer.ok()) ports_.issued(*peer);
   Report(identity, record);
-  return Fetched{std::move(record), issued.certificates_pem, authority.ca_pem};
+  return Fetched{std::move(record), issued.certificates_pem, authority.ca_pem()};
 }
 
 absl::StatusOr<Fetched> Enrolment::Enrol(const rpc::PeerIdentity& token, const std::string& role,

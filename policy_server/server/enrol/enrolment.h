@@ -1,5 +1,5 @@
 // Who gets a certificate, and of what: tokens that an admin makes, certificates fetched with them,
-// and renewals. Signs with the issuing key of the server's configuration.
+// and renewals. Signs with the issuing key of the server's configuration, or has a program sign.
 //
 // | asks                  | gets a certificate if                                               |
 // |-----------------------|---------------------------------------------------------------------|
@@ -11,8 +11,11 @@
 //
 // The same key with the same token gets the same certificate again: an answer can be lost.
 // What a certificate says comes from the token or from the one that is renewed, never from who
-// asks. Nothing is given out before it is recorded. Any thread; all but the constructor block on
-// the disk.
+// asks. Nothing is given out before it is recorded. While a certificate is being signed, a second
+// one for the same agent with the same token, or for its renewal, is refused: of two that show one
+// token at once, one gets a certificate. A token whose call failed can be used again.
+// Any thread; all but the constructor block on the disk, and CreateToken, Enrol and Renew on the
+// program: with one, call them on threads().
 #ifndef RIPS_POLICY_SERVER_SERVER_ENROL_ENROLMENT_H_
 #define RIPS_POLICY_SERVER_SERVER_ENROL_ENROLMENT_H_
 
@@ -32,9 +35,11 @@
 #include "absl/time/time.h"
 #include "policy_server/policy/bundle/inventory.h"
 #include "policy_server/policy/engine/state/effect.h"
+#include "policy_server/server/enrol/authority.h"
+#include "policy_server/server/enrol/ongoing_calls.h"
+#include "policy_server/server/enrol/signing_threads.h"
 #include "policy_server/server/store/enrolment_store.h"
 #include "services/base/clock.h"
-#include "services/pki/issuer.h"
 #include "services/rpc/certificate.h"
 #include "services/runtime/mutex.h"
 
@@ -49,18 +54,10 @@ inline constexpr absl::Duration kBetweenFetches = absl::Seconds(1);
 // Certificates of one agent that are good: more are an alert. A change of the root takes three.
 inline constexpr size_t kGoodWithoutAlert = 4;
 
-struct IssuingFiles {
-  // PEM: the issuing certificate and what is between it and a root of `ca`; its key; tls.ca.
-  std::string cert;
-  std::string key;
-  std::string ca;
-};
-
-// What is wrong with them; OK = certificates can be signed, if the issuer is valid now.
-absl::Status CheckIssuingFiles(const IssuingFiles& files);
-
 struct EnrolmentOptions {
   IssuingFiles files;
+  // Not owned, outlives the enrolment; null: the key in `files` signs.
+  const ExternalCa* external_ca = nullptr;
   std::string trust_domain;
   // Of a certificate that is issued.
   absl::Duration life = absl::Hours(24 * 30);
@@ -107,17 +104,22 @@ class Enrolment {
   // `store` and `clock` are not owned and outlive this.
   Enrolment(EnrolmentOptions options, store::EnrolmentStore* store, const Clock* clock,
             EnrolmentPorts ports)
-      : options_(std::move(options)), store_(store), clock_(clock), ports_(std::move(ports)) {}
+      : options_(std::move(options)),
+        store_(store),
+        clock_(clock),
+        ports_(std::move(ports)),
+        threads_(options_.external_ca == nullptr ? 1 : kExternalCaRunsMax) {}
 
   // Who is listed from now on; before, no agent is.
   void SetInventory(const bundle::Inventory& inventory) ABSL_LOCKS_EXCLUDED(mu_);
 
   // InvalidArgument for a role or a life that there is not; NotFound if the inventory does not list
-  // such an agent; errors of CertificateRequest, Issuer and the store.
+  // such an agent; errors of CertificateRequest, Issuer, ExternalCa and the store.
   absl::StatusOr<NewToken> CreateToken(const TokenOrder& order) ABSL_LOCKS_EXCLUDED(mu_);
   // What it has fetched stays good. NotFound.
   absl::Status RevokeToken(const std::string& id);
-  // PermissionDenied, FailedPrecondition: see the table; ResourceExhausted: too soon.
+  // PermissionDenied, FailedPrecondition: see the table; ResourceExhausted: too soon, or too many
+  // that are good; Unavailable: one is being signed, or the program says to try again later.
   absl::StatusOr<Fetched> Enrol(const rpc::PeerIdentity& token, const std::string& role,
                                 const std::string& request_pem) ABSL_LOCKS_EXCLUDED(mu_);
   // As Enrol.
@@ -125,9 +127,16 @@ class Enrolment {
       ABSL_LOCKS_EXCLUDED(mu_);
 
   store::EnrolmentStore& store() { return *store_; }
+  // Where calls run that ask for signatures.
+  SigningThreads& threads() { return threads_; }
 
  private:
   absl::Time Now() const { return absl::FromUnixNanos(clock_->Now().unix_ns); }
+  // What the program of `authority` does wrong is an alert of the robot.
+  absl::StatusOr<pki::Issued> Sign(const Authority& authority, const SigningOrder& order);
+  // Sign, for an agent: ResourceExhausted if it has too many, PermissionDenied if it is banned by
+  // the end, FailedPrecondition, with an alert, if the serial number is not new.
+  absl::StatusOr<pki::Issued> SignNew(const Authority& authority, const SigningOrder& order);
   absl::StatusOr<Fetched> Issue(const rpc::PeerIdentity& identity, const std::string& token,
                                 const std::string& request_pem);
   // What this token gave this key before; nothing if it gave none yet. FailedPrecondition, with an
@@ -153,6 +162,9 @@ class Enrolment {
   std::set<std::string> listed_ ABSL_GUARDED_BY(mu_);
   // When each was here last, by CLOCK_BOOTTIME.
   std::map<std::string, int64_t> last_ns_ ABSL_GUARDED_BY(mu_);
+  OngoingCalls ongoing_;
+  // Last: what runs on them uses the others.
+  SigningThreads threads_;
 };
 
 }  // namespace rips::enrol

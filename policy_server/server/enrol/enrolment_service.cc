@@ -13,18 +13,7 @@ namespace rips::enrol {
 
 EnrolmentService::EnrolmentService(Enrolment* enrolment, rpc::SessionWatch* watch,
                                    audit::OrderAudit* audit)
-    : enrolment_(enrolment), watch_(watch), audit_(audit), thread_([this] {
-        while (true) {
-          auto task = tasks_.Pop(absl::InfiniteDuration());
-          if (!task) return;
-          (*task)();
-        }
-      }) {}
-
-EnrolmentService::~EnrolmentService() {
-  tasks_.Close();
-  thread_.join();
-}
+    : enrolment_(enrolment), watch_(watch), audit_(audit) {}
 
 void EnrolmentService::Record(const char* call, const rpc::Peer& peer, const std::string& address,
                               const absl::StatusOr<Fetched>& fetched) {
@@ -67,8 +56,12 @@ grpc::ServerUnaryReactor* EnrolmentService::Answer(
     return end(absl::UnimplementedError(
         "this server issues no certificates: its configuration has no `enrolment`"));
   }
-  const auto task = [this, end, call, response, peer = *peer, address = context->peer(),
+  const auto task = [this, context, end, call, response, peer = *peer, address = context->peer(),
                      fetch = std::move(fetch)] {
+    if (context->IsCancelled()) {
+      end(absl::CancelledError("the caller has gone; nothing was signed"));
+      return;
+    }
     absl::StatusOr<Fetched> fetched = fetch(peer);
     Record(call, peer, address, fetched);
     if (fetched.ok()) {
@@ -77,7 +70,7 @@ grpc::ServerUnaryReactor* EnrolmentService::Answer(
     }
     end(fetched.status());
   };
-  if (!tasks_.Push(task)) {
+  if (!enrolment_->threads().Push(task)) {
     return end(absl::ResourceExhaustedError("too many robots ask for certificates; try again"));
   }
   return reactor;

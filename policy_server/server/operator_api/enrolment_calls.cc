@@ -1,5 +1,5 @@
 // Calls about tokens and issued certificates; they run on the thread for reads, which may wait for
-// the disk.
+// the disk. One that signs runs on the enrolment's threads, which may wait for a program.
 #include <algorithm>
 #include <map>
 #include <string>
@@ -94,7 +94,7 @@ grpc::ServerUnaryReactor* OperatorService::CreateEnrolmentToken(
   if (!who.ok()) return Refuse(context, who.status());
   if (access_.enrolment == nullptr) return Refuse(context, NoEnrolment());
   auto* reactor = new UnaryCall(who->ticket, who->on_refused);
-  Read(reactor, [this, context, reactor, request, response, by = rpc::Describe(*who)] {
+  const auto task = [this, context, reactor, request, response, by = rpc::Describe(*who)] {
     if (context->IsCancelled()) {
       return reactor->End(absl::CancelledError("the caller has gone; nothing was made"));
     }
@@ -132,7 +132,11 @@ grpc::ServerUnaryReactor* OperatorService::CreateEnrolmentToken(
     response->set_certificates_pem(token->fetched.certificates_pem);
     response->set_authorities_pem(token->fetched.authorities_pem);
     reactor->End(absl::OkStatus());
-  });
+  };
+  if (!access_.enrolment->threads().Push(task)) {
+    reactor->End(
+        absl::ResourceExhaustedError("too many robots ask for certificates; try again later"));
+  }
   return reactor;
 }
 

@@ -9,6 +9,7 @@
 
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
+#include "absl/strings/str_cat.h"
 #include "absl/strings/string_view.h"
 
 namespace rips::store {
@@ -18,6 +19,13 @@ inline constexpr size_t kTokensMax = 10'000;
 // Certificates of one identity that are good at a time: each is listed until it ends, so that an
 // administrator who bans them misses none. One more is refused.
 inline constexpr int64_t kGoodPerIdentityMax = 64;
+
+// ResourceExhausted, for an identity with so many that are good.
+inline absl::Status TooManyGood(absl::string_view uri, int64_t good) {
+  return absl::ResourceExhaustedError(
+      absl::StrCat(uri, " has ", good, " certificates that are good, the limit; see ",
+                   "`ripsctl enrol list`: perhaps another has its key"));
+}
 
 struct TokenRecord {
   // 16 hex digits.

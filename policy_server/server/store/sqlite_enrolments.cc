@@ -218,10 +218,7 @@ absl::Status SqliteEnrolments::PutIssued(const IssuedRecord& issued) {
       count.Bind(issued.uri).Bind(issued.time_unix_ns);
       RIPS_RETURN_IF_ERROR(count.Step().status());
       if (count.Number(0) >= kGoodPerIdentityMax) {
-        return absl::ResourceExhaustedError(
-            absl::StrCat(issued.uri, " has ", count.Number(0),
-                         " certificates that are good, the limit; see "
-                         "`ripsctl enrol list`: perhaps another has its key"));
+        return TooManyGood(issued.uri, count.Number(0));
       }
     }
     return put_issued_.Start()
