@@ -41,6 +41,8 @@ install(TARGETS rips-inspect rips-scan DESTINATION bin COMPONENT rips-inspect)
 install(TARGETS rips-policy-server DESTINATION bin COMPONENT rips-policy-server)
 _rips_install_units(rips-policy-server rips-policy-server.service)
 _rips_install_examples(rips-policy-server policy-server.yaml robots.yaml)
+install(PROGRAMS deploy/pki/external-ca-openssl
+        DESTINATION ${RIPS_DOC}/rips-policy-server/examples COMPONENT rips-policy-server)
 install(FILES deploy/logrotate/rips-policy-server DESTINATION /etc/logrotate.d
         COMPONENT rips-policy-server)
 _rips_install_directories(rips-policy-server /etc/rips/bundles)

@@ -7,6 +7,7 @@
 #include <system_error>
 #include <utility>
 
+#include "absl/strings/match.h"
 #include "absl/strings/str_cat.h"
 #include "rips/v1/enrolment.grpc.pb.h"
 #include "services/base/status_macros.h"
@@ -88,7 +89,9 @@ absl::StatusOr<v1::IssuedCertificate> Call(const std::string& server,
   const grpc::Status status = (calls.*method)(&context, request, &issued);
   if (status.ok()) return issued;
   const absl::Status failed = rpc::FromGrpc(status);
-  const bool unreachable = absl::IsUnavailable(failed) || absl::IsDeadlineExceeded(failed);
+  // A server that is there says itself what to do.
+  const bool unreachable = (absl::IsUnavailable(failed) || absl::IsDeadlineExceeded(failed)) &&
+                           !absl::StrContains(failed.message(), "try again later");
   return absl::Status(
       failed.code(),
       absl::StrCat(server, ": ", failed.message(),

@@ -10,11 +10,13 @@ import sys
 import time
 
 sys.path.insert(0, str(pathlib.Path(__file__).resolve().parents[1] / "support"))
-from fleet import SOURCE, Fleet, check, eventually, play  # noqa: E402
+from fleet import SOURCE, Fleet, check, eventually, metrics, play  # noqa: E402
 
 
 class EnrolledFleet(Fleet):
     """The server issues certificates; the agents' are where rips-enrol puts them."""
+
+    program = None  # that signs in place of the key
 
     def prepare(self):
         super().prepare()
@@ -25,6 +27,20 @@ class EnrolledFleet(Fleet):
         self.issue_by(self.dir / "pki")
         self.folder = self.dir / "etc-rips-pki"
         self.folder.mkdir()
+
+    def signer(self):
+        """What signs, in the configuration of the server."""
+        if self.program is not None:
+            return f"external_ca: {{program: [{self.program}, {self.dir}/issuing], timeout: 30s}}"
+        return f"cert: {self.dir}/issuing/issuing.pem, key: {self.dir}/issuing/issuing.key"
+
+    def sign_by(self, text):
+        """A program signs from now on; `$SIGN` in the text is the shipped example."""
+        self.program = self.dir / "sign"
+        fresh = self.dir / "sign.fresh"
+        fresh.write_text(f"#!/bin/bash\nSIGN={SOURCE}/deploy/pki/external-ca-openssl\n{text}\n")
+        fresh.chmod(0o755)
+        fresh.rename(self.program)
 
     def issue_by(self, authority):
         for name in ("pem", "key"):
@@ -49,8 +65,7 @@ class EnrolledFleet(Fleet):
         path = self.dir / "policy-server.yaml"
         text = path.read_text().replace(f"ca: {self.dir}/pki/server/ps1/ca.pem",
                                         f"ca: {self.dir}/trusted.pem")
-        path.write_text(text + f"enrolment: {{cert: {self.dir}/issuing/issuing.pem, "
-                               f"key: {self.dir}/issuing/issuing.key, life: 24h}}\n")
+        path.write_text(text + f"enrolment: {{{self.signer()}, life: 24h}}\n")
 
     def as_admin(self, *args, check_code=True):
         args = self.ripsctl_args(*args, who="admin/root")
@@ -205,8 +220,52 @@ def another_root_takes_over_without_a_gap(fleet):
     eventually(lambda: fleet.connected() == fleet.serials(), 20, "they connect under the new root")
 
 
+def a_program_signs_what_a_robot_enrols_and_renews_with(fleet):
+    """The key is not the server's. A program that is busy, or signs something else, costs neither
+    the token nor the robot its level."""
+    good = 'exec "$SIGN" "$@"'
+    fleet.sign_by(good)
+    used = fleet.arm_enrolled()
+    thief = fleet.dir / "thief"
+    thief.mkdir()
+    out = fleet.enrol("fetch", "--token", used, code=1, folder=thief)
+    check("used already, by another key" in out, out)
+    before = fleet.serials()
+    fleet.renew()
+    after = fleet.serials()
+    check(all(before[role] != after[role] for role in before), f"{before} {after}")
+    issued = {each["serial"] for each in fleet.query("enrol", "list", "r1")["issued"]}
+    check(issued == {*before.values(), *after.values()}, f"{issued} {before} {after}")
+
+    again = fleet.token("--role", "sensor")
+    spare = fleet.dir / "spare"
+    spare.mkdir()
+    for text, why in (("echo sealed >&2; exit 75", "asks to try again later"),
+                      ("exit 1", "refused with exit code 1"),
+                      ('export RIPS_DAYS=90; exec "$SIGN" "$@"', "valid for too long"),
+                      ('export RIPS_IDENTITY=${RIPS_IDENTITY/base/arm}; exec "$SIGN" "$@"',
+                       "its subject alternative name must be")):
+        fleet.sign_by(text)
+        time.sleep(1.1)  # between two calls with one token
+        out = fleet.enrol("fetch", "--token", again, code=1, folder=spare)
+        check(why in out and "check that the policy server runs" not in out, f"{why}: {out}")
+        check(not (spare / "sensor/cert.pem").exists(), f"{why}: a certificate")
+    counted = metrics(fleet.server)["rips_enrolment_ca_failures_total"]
+    check(counted == 4, f"{counted} failures are counted")
+    check(any("stderr=sealed" in line for _, line in fleet.server.lines), "what it said is lost")
+    alerts = [each["text"] for each in fleet.alerts() if "no certificate for" in each["text"]]
+    check(len(alerts) >= 1 and not any("sealed" in each for each in alerts), f"{alerts}")
+    listed = [each["state"] for each in fleet.query("enrol", "list", "r1")["tokens"]]
+    check(sorted(listed) == ["open", "used"], f"{listed}")
+    fleet.sign_by(good)
+    time.sleep(1.1)
+    fleet.enrol("fetch", "--token", again, folder=spare)
+    fleet.wait_level("DEFAULT", 5)
+
+
 SCENARIOS = [a_token_brings_a_robot_its_certificates, certificates_are_renewed_under_open_streams,
-             another_root_takes_over_without_a_gap]
+             another_root_takes_over_without_a_gap,
+             a_program_signs_what_a_robot_enrols_and_renews_with]
 
 
 if __name__ == "__main__":

@@ -234,9 +234,11 @@ absl::StatusOr<pki::Issued> Enrolment::SignNew(const Authority& authority,
   }
   if (!before.contains(issued.serial)) return issued;
   const absl::Status repeated = absl::FailedPreconditionError(
-      absl::StrCat("the certificate authority gave a wrong certificate: its serial number ",
-                   issued.serial, " is that of an earlier one of ", uri));
-  ports_.tell(order.holder.robot, engine::Severity::kHigh, std::string(repeated.message()));
+      absl::StrCat("the certificate authority of the policy server gave a wrong certificate: its "
+                   "serial number ",
+                   issued.serial, " is that of an earlier one"));
+  ports_.tell(order.holder.robot, engine::Severity::kHigh,
+              absl::StrCat("no certificate for ", uri, ": ", repeated.message()));
   return repeated;
 }
 
