@@ -1,5 +1,5 @@
-// Verifies a certificate that another authority signed for us: it is what was asked for, and nothing
-// more. Any thread.
+// Verifies a certificate that another authority signed for us: it is what was asked for, and
+// nothing more. Any thread.
 //
 // | of the certificate       | must be                                                            |
 // |--------------------------|--------------------------------------------------------------------|

@@ -176,6 +176,25 @@ TEST_F(CertificateCheckTest, RefusesAnotherRootAndAnIncompleteChain) {
       StatusIs(absl::StatusCode::kInvalidArgument, HasSubstr("does not lead to a root")));
 }
 
+TEST_F(CertificateCheckTest, OneCutOrAlteredAnywhereIsRefused) {
+  const std::string good = Sign(Names()) + Issuing();
+  const auto accepted = Check(good);
+  ASSERT_THAT(accepted, IsOk());
+  // The last two bytes are those of an end line.
+  for (size_t size = 0; size + 2 < good.size(); size += 7) {
+    EXPECT_FALSE(Check(good.substr(0, size)).ok()) << size;
+  }
+  for (size_t at = 0; at < good.size(); at += 3) {
+    std::string altered = good;
+    altered[at] = altered[at] == 'A' ? 'B' : 'A';
+    const auto issued = Check(altered);
+    // A bit that base64 does not use.
+    if (issued.ok()) {
+      EXPECT_EQ(issued->certificates_pem, accepted->certificates_pem) << at;
+    }
+  }
+}
+
 TEST_F(CertificateCheckTest, RefusesWhatIsNotCertificatesOnly) {
   const std::string leaf = Sign(Names());
   const std::string good = leaf + Issuing();

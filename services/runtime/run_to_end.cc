@@ -104,6 +104,11 @@ int SpawnProgram(const ProgramCall& call, int in, int out, int err, pid_t* pid) 
   return error;
 }
 
+bool IsReadable(int fd) {
+  pollfd poll_fd = {.fd = fd, .events = POLLIN, .revents = 0};
+  return poll(&poll_fd, 1, 0) > 0;
+}
+
 // One running program, until it is killed and reaped.
 class Child {
  public:
@@ -179,6 +184,7 @@ class Child {
 }  // namespace
 
 absl::StatusOr<ProgramEnd> RunToEnd(const ProgramCall& call) {
+  if (IsReadable(call.cancel_fd)) return absl::CancelledError("given up before it was started");
   RIPS_ASSIGN_OR_RETURN(UniqueFd in, FileOf(call.input));
   RIPS_ASSIGN_OR_RETURN(OutputPipe out, MakeOutputPipe());
   RIPS_ASSIGN_OR_RETURN(OutputPipe err, MakeOutputPipe());

@@ -10,6 +10,7 @@
 #include <vector>
 
 #include "absl/strings/numbers.h"
+#include "absl/strings/str_cat.h"
 #include "gmock/gmock.h"
 #include "gtest/gtest.h"
 #include "services/base/status_matchers.h"
@@ -44,10 +45,16 @@ TEST(RunToEndTest, TheProgramHasNoDescriptorSignalOrSessionOfOurs) {
   // Deliberately without close-on-exec.
   const UniqueFd ours(open("/dev/null", O_RDONLY));
   ASSERT_GE(ours.get(), 0);
+  sigset_t some, before;
+  sigemptyset(&some);
+  sigaddset(&some, SIGUSR1);
+  pthread_sigmask(SIG_BLOCK, &some, &before);
+  // The shell itself blocks signals while it waits; what it starts does not.
   const auto end =
       RunToEnd(Shell("for n in 3 4 5 6 7 8 9; do [ -e /proc/$$/fd/$n ] && echo $n; "
                      "done; [ $(cut -d' ' -f6 /proc/$$/stat) = $$ ] || echo session; "
-                     "grep -q 'SigBlk:.0*$' /proc/$$/status || echo blocked"));
+                     "grep -q 'SigBlk:.0*$' /proc/self/status || echo blocked"));
+  pthread_sigmask(SIG_SETMASK, &before, nullptr);
   ASSERT_THAT(end, IsOk());
   EXPECT_EQ(end->out, "");
 }
@@ -94,7 +101,15 @@ TEST(RunToEndTest, IsGivenUpWhenAsked) {
   wake.Wake();
   ProgramCall call = Shell("exec sleep 600");
   call.cancel_fd = wake.get();
-  EXPECT_THAT(RunToEnd(call), StatusIs(absl::StatusCode::kCancelled));
+  EXPECT_THAT(RunToEnd(call), StatusIs(absl::StatusCode::kCancelled)) << "not even started";
+  int ends[2];
+  ASSERT_EQ(pipe2(ends, O_CLOEXEC | O_NONBLOCK), 0);
+  const UniqueFd cancel(ends[0]);
+  const UniqueFd write_end(ends[1]);
+  // The program itself asks for its end, through /proc: it has none of our descriptors.
+  call = Shell(absl::StrCat("echo x > /proc/", getpid(), "/fd/", ends[1], "; exec sleep 600"));
+  call.cancel_fd = cancel.get();
+  EXPECT_THAT(RunToEnd(call), StatusIs(absl::StatusCode::kCancelled, HasSubstr("given up")));
   EXPECT_TRUE(NoChildren());
 }
 

@@ -208,9 +208,9 @@ void ReadEnrolment(const ConfigSection& root, EnrolmentConfig* enrolment) {
   const bool has_key = section.Has("cert") || section.Has("key");
   if (section.Has("external_ca")) {
     ReadExternalCa(section, &enrolment->external_ca);
-    section.Optional("cert", &enrolment->cert);
-    section.Optional("key", &enrolment->key);
     if (has_key) {
+      section.Optional("cert", &enrolment->cert);
+      section.Optional("key", &enrolment->key);
       section.Problem("external_ca",
                       "either `cert` and `key` sign certificates, or `external_ca` does; remove "
                       "one of both");

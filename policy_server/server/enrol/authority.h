@@ -16,8 +16,8 @@
 namespace rips::enrol {
 
 struct IssuingFiles {
-  // PEM: the issuing certificate and what is between it and a root of `ca`; its key; tls.ca. With an
-  // ExternalCa only the last is read.
+  // PEM: the issuing certificate and what is between it and a root of `ca`; its key; tls.ca. Only
+  // the last is read if there is an ExternalCa.
   std::string cert;
   std::string key;
   std::string ca;
@@ -38,12 +38,13 @@ struct SigningOrder {
 // Any thread.
 class Authority {
  public:
-  // Reads the files anew, so that new ones need no restart. `external` is not owned and outlives the
-  // result; null: the key signs. FailedPrecondition, naming the file.
+  // Reads the files anew, so that new ones need no restart. `external` is not owned and outlives
+  // the result; null: the key signs. FailedPrecondition, naming the file.
   static absl::StatusOr<Authority> Read(const IssuingFiles& files, const ExternalCa* external);
 
   // Blocks on the program, if there is one. Errors of Issuer and of ExternalCa.
   absl::StatusOr<pki::Issued> Sign(const SigningOrder& order, absl::Time now) const;
+  bool is_external() const { return external_ != nullptr; }
   // The content of `ca`.
   const std::string& ca_pem() const { return ca_pem_; }
 

@@ -50,6 +50,22 @@ absl::StatusOr<std::set<std::string>> SerialsOf(const std::string& uri,
   return serials;
 }
 
+// What a program does wrong is an alert of the robot.
+absl::StatusOr<pki::Issued> Sign(const Authority& authority, const SigningOrder& order,
+                                 absl::Time now, const EnrolmentPorts& ports) {
+  absl::StatusOr<pki::Issued> issued = authority.Sign(order, now);
+  // What is tried again later is none.
+  if (issued.ok() || !authority.is_external() || absl::IsUnavailable(issued.status())) {
+    return issued;
+  }
+  ports.tell(order.holder.robot,
+             absl::IsPermissionDenied(issued.status()) ? engine::Severity::kMedium
+                                                       : engine::Severity::kHigh,
+             absl::StrCat("no certificate for ", rpc::ToString(order.identity), ": ",
+                          issued.status().message()));
+  return issued;
+}
+
 }  // namespace
 
 void Enrolment::SetInventory(const bundle::Inventory& inventory) {
@@ -126,13 +142,15 @@ absl::StatusOr<NewToken> Enrolment::CreateToken(const TokenOrder& order) {
                   .by = order.by,
                   .time_unix_ns = absl::ToUnixNanos(now)};
   RIPS_ASSIGN_OR_RETURN(pki::Issued issued,
-                        Sign(authority, {.request = &request,
-                                         .request_pem = order.request_pem,
-                                         .identity = {.role = rpc::Role::kEnrolment,
-                                                      .trust_domain = options_.trust_domain,
-                                                      .name = token.record.id},
-                                         .holder = {order.robot, order.host},
-                                         .life = valid}));
+                        Sign(authority,
+                             {.request = &request,
+                              .request_pem = order.request_pem,
+                              .identity = {.role = rpc::Role::kEnrolment,
+                                           .trust_domain = options_.trust_domain,
+                                           .name = token.record.id},
+                              .holder = {order.robot, order.host},
+                              .life = valid},
+                             now, ports_));
   // A program's certificate may be good for a day longer; the token is not.
   token.record.expires_unix_ns = absl::ToUnixNanos(std::min(issued.not_after, now + valid));
   RIPS_RETURN_IF_ERROR(store_->PutToken(token.record));
@@ -209,25 +227,11 @@ void Enrolment::Report(const rpc::PeerIdentity& identity, const store::IssuedRec
               others == 0 ? text : absl::StrCat(text, "; ", still_good));
 }
 
-absl::StatusOr<pki::Issued> Enrolment::Sign(const Authority& authority, const SigningOrder& order) {
-  absl::StatusOr<pki::Issued> issued = authority.Sign(order, Now());
-  // What is tried again is no alert, nor what the server's own key does not sign.
-  const bool alert =
-      options_.external_ca != nullptr && !issued.ok() && !absl::IsUnavailable(issued.status());
-  if (!alert) return issued;
-  ports_.tell(order.holder.robot,
-              absl::IsPermissionDenied(issued.status()) ? engine::Severity::kMedium
-                                                        : engine::Severity::kHigh,
-              absl::StrCat("no certificate for ", rpc::ToString(order.identity), ": ",
-                           issued.status().message()));
-  return issued;
-}
-
 absl::StatusOr<pki::Issued> Enrolment::SignNew(const Authority& authority,
                                                const SigningOrder& order) {
   const std::string uri = rpc::ToString(order.identity);
   RIPS_ASSIGN_OR_RETURN(const std::set<std::string> before, SerialsOf(uri, *store_, Now()));
-  RIPS_ASSIGN_OR_RETURN(pki::Issued issued, Sign(authority, order));
+  RIPS_ASSIGN_OR_RETURN(pki::Issued issued, Sign(authority, order, Now(), ports_));
   // A program takes its time; much can happen meanwhile.
   if (ports_.is_banned(order.identity, issued.serial)) {
     return absl::PermissionDeniedError(absl::StrCat(uri, " is banned; see `ripsctl agent list`"));

@@ -132,9 +132,7 @@ class Enrolment {
 
  private:
   absl::Time Now() const { return absl::FromUnixNanos(clock_->Now().unix_ns); }
-  // What the program of `authority` does wrong is an alert of the robot.
-  absl::StatusOr<pki::Issued> Sign(const Authority& authority, const SigningOrder& order);
-  // Sign, for an agent: ResourceExhausted if it has too many, PermissionDenied if it is banned by
+  // For an agent: ResourceExhausted if it has too many, PermissionDenied if it is banned by
   // the end, FailedPrecondition, with an alert, if the serial number is not new.
   absl::StatusOr<pki::Issued> SignNew(const Authority& authority, const SigningOrder& order);
   absl::StatusOr<Fetched> Issue(const rpc::PeerIdentity& identity, const std::string& token,

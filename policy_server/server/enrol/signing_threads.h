@@ -8,6 +8,7 @@
 #include <utility>
 #include <vector>
 
+#include "absl/time/time.h"
 #include "services/runtime/bounded_queue.h"
 
 namespace rips::enrol {
