@@ -80,6 +80,9 @@ Fleet::Fleet(FleetOptions options, store::Store* store, pipeline::Pipeline* pipe
   ports_.fenced = [this](const std::string& robot, const absl::Status& why) {
     OnFenced(robot, why);
   };
+  ports_.on_status = [alerts](const pipeline::RobotStatus& status) {
+    alerts->SetMaintenance(status.robot, status.maintenance);
+  };
 }
 
 absl::StatusOr<bundle::Inventory> Fleet::ReadInventory() const {

@@ -77,6 +77,8 @@ struct FleetMetrics::Tables {
                            "1 = the robot is not judged by the bundle that it should be.");
     approvals = table("rips_robot_approvals_waiting",
                       "Lowerings of the level that wait for a second operator.");
+    maintenance = table("rips_robot_maintenance",
+                        "1 = the robot is in maintenance: its agents may be away; 0 = it is not.");
     listed = table("rips_robot_agents_listed", "Agents of the robot in the inventory.");
     connected = table("rips_robot_agents_connected", "Of these, agents with a session.");
     age = table("rips_robot_status_age_seconds", "Since the robot's thread told its status.");
@@ -94,7 +96,7 @@ struct FleetMetrics::Tables {
                                         "Writes refused because too many waited to be made.");
   }
   GaugeTable level, level_index, effective_index, stage, bundle, judged, degraded, policy_problem;
-  GaugeTable approvals, listed, connected, age, tasks, certificate, shadow;
+  GaugeTable approvals, maintenance, listed, connected, age, tasks, certificate, shadow;
   GaugeTable streams, orders, store_bytes;
   Gauge store_waiting;
   Counter store_refused;
@@ -213,7 +215,8 @@ void FleetMetrics::ShowLevels(const AllFacts& facts) const {
 }
 
 void FleetMetrics::ShowStates(const AllFacts& facts, const Listed& listed) const {
-  std::vector<MetricSample> judged, degraded, problem, approvals, age, connected, agents;
+  std::vector<MetricSample> judged, degraded, problem, approvals, maintenance, age, connected,
+      agents;
   const int64_t now_ns = clock_->Now().boottime_ns;
   for (const auto& [robot, each] : facts) {
     const auto add = [&robot = robot](std::vector<MetricSample>& samples, double value) {
@@ -223,6 +226,7 @@ void FleetMetrics::ShowStates(const AllFacts& facts, const Listed& listed) const
     add(degraded, static_cast<double>(each.status.degraded.size()));
     add(problem, each.status.policy_problem.empty() ? 0 : 1);
     add(approvals, static_cast<double>(each.status.pending_approvals.size()));
+    add(maintenance, each.status.maintenance ? 1 : 0);
     add(age, SecondsOf(now_ns - each.at_ns));
     const auto add_agents = [&robot = robot](std::vector<MetricSample>& samples, size_t sensors,
                                              size_t actuators) {
@@ -238,6 +242,7 @@ void FleetMetrics::ShowStates(const AllFacts& facts, const Listed& listed) const
   tables_->degraded.Replace(std::move(degraded));
   tables_->policy_problem.Replace(std::move(problem));
   tables_->approvals.Replace(std::move(approvals));
+  tables_->maintenance.Replace(std::move(maintenance));
   tables_->age.Replace(std::move(age));
   tables_->listed.Replace(std::move(agents));
   tables_->connected.Replace(std::move(connected));

@@ -12,6 +12,8 @@ namespace {
 
 // Tag and length of an element.
 constexpr size_t kElementBytesMax = 8;
+// Of a reason, where there is no room for more.
+constexpr size_t kReasonBytesCut = 64;
 
 }  // namespace
 
@@ -23,6 +25,15 @@ bool AnswerRoom::Take(const google::protobuf::MessageLite& element) {
   }
   left_ -= bytes;
   return true;
+}
+
+rips::v1::Maintenance Encode(const store::Maintenance& maintenance) {
+  rips::v1::Maintenance out;
+  out.set_began_unix_ns(maintenance.began_unix_ns);
+  out.set_until_unix_ns(maintenance.until_unix_ns);
+  out.set_operator_(maintenance.by);
+  out.set_reason(maintenance.reason);
+  return out;
 }
 
 rips::v1::RobotStatus EncodeStatus(const pipeline::RobotStatus& status) {
@@ -41,6 +52,7 @@ rips::v1::RobotStatus EncodeStatus(const pipeline::RobotStatus& status) {
     out.add_degraded(Shortened(text, kDegradedShownBytesMax));
     if (text.size() > kDegradedShownBytesMax) out.set_degraded_cut(true);
   }
+  if (status.maintenance) *out.mutable_maintenance() = Encode(*status.maintenance);
   return out;
 }
 
@@ -53,7 +65,11 @@ void FitStatuses(rips::v1::ListRobotsResponse& response, size_t bytes_max) {
     if (status.ByteSizeLong() + kElementBytesMax <= share) continue;
     status.clear_degraded();
     status.set_degraded_cut(true);
-    if (status.ByteSizeLong() + kElementBytesMax > share) status.clear_agents();
+    if (status.ByteSizeLong() + kElementBytesMax <= share) continue;
+    status.clear_agents();
+    if (!status.has_maintenance()) continue;
+    std::string& reason = *status.mutable_maintenance()->mutable_reason();
+    reason = Shortened(reason, kReasonBytesCut);
   }
 }
 

@@ -31,10 +31,12 @@ class AnswerRoom {
   size_t left_;
 };
 
+rips::v1::Maintenance Encode(const store::Maintenance& maintenance);
 // `degraded` as far as the limits above let, else `degraded_cut`.
 rips::v1::RobotStatus EncodeStatus(const pipeline::RobotStatus& status);
 // Where all together would be too long, robots with more than an equal share of the room lose their
-// texts (`degraded_cut`), and if that is not enough their agents. Every robot stays.
+// texts (`degraded_cut`), and if that is not enough their agents and the end of a maintenance's
+// reason. Every robot stays.
 void FitStatuses(rips::v1::ListRobotsResponse& response, size_t bytes_max = kAnswerBytesMax);
 // Drops endpoints from the end, then nodes, then participants, until the rest fits; counts them.
 void FitGraph(rips::v1::GetGraphResponse& response, size_t bytes_max = kAnswerBytesMax);

@@ -11,7 +11,7 @@
 // |          | SendSignal DrillRobot Ban Unban ResetTerm   | account of their own                |
 // |          | ActivateBundle RollBackBundle StopRollout   |                                     |
 // |          | CreateEnrolmentToken RevokeEnrolmentToken   |                                     |
-// |          | ShadowBundle                                |                                     |
+// |          | ShadowBundle SetMaintenance                 |                                     |
 //
 // Orders of one identity are therefore refused only for its own orders.
 #ifndef RIPS_POLICY_SERVER_SERVER_OPERATOR_API_CALLER_QUOTA_H_

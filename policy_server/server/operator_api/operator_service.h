@@ -7,7 +7,7 @@
 //   ListBundles GetRulesStatus ListEnrolments        viewer
 //   Raise DeEscalate Approve ResumeRules SendSignal
 //   DrillRobot Record GetAlertRecording ShadowBundle
-//   AckAlerts                                        operator
+//   AckAlerts SetMaintenance                         operator
 //   Ban Unban ResetTerm PushBundle ActivateBundle
 //   RollBackBundle StopRollout
 //   CreateEnrolmentToken RevokeEnrolmentToken        admin
@@ -110,6 +110,9 @@ class OperatorService final : public rips::v1::OperatorService::CallbackService 
   grpc::ServerUnaryReactor* ResumeRules(grpc::CallbackServerContext* context,
                                         const rips::v1::ResumeRulesRequest* request,
                                         rips::v1::ResumeRulesResponse* response) override;
+  grpc::ServerUnaryReactor* SetMaintenance(grpc::CallbackServerContext* context,
+                                           const rips::v1::SetMaintenanceRequest* request,
+                                           rips::v1::SetMaintenanceResponse* response) override;
   grpc::ServerUnaryReactor* SendSignal(grpc::CallbackServerContext* context,
                                        const rips::v1::SendSignalRequest* request,
                                        rips::v1::SendSignalResponse* response) override;

@@ -83,6 +83,7 @@ rips::v1::Alert Encode(const store::AlertRecord& alert) {
   out.set_text(Shortened(alert.text, pipeline::kAlertTextBytesMax));
   out.set_level(alert.level);
   out.set_event(Shortened(alert.event, pipeline::kAlertEventBytesMax));
+  out.set_maintenance(alert.maintenance);
   model_proto::Encode(alert.decision_id, *out.mutable_decision_id());
   for (const engine::TracedSubject& subject : alert.trace.subjects) {
     *out.add_subjects() = store::EncodeSubject(subject);

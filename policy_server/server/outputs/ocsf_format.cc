@@ -66,8 +66,10 @@ std::string FormatOcsf(const store::AlertRecord& alert) {
   finding["resources"] =
       Json::array({Json{{"uid", alert.robot}, {"name", alert.robot}, {"type", "robot"}}});
   finding["evidences"] = std::move(evidences);
-  finding["unmapped"] = {
-      {"level", alert.level}, {"decision_id", ToString(alert.decision_id)}, {"event", alert.event}};
+  finding["unmapped"] = {{"level", alert.level},
+                         {"decision_id", ToString(alert.decision_id)},
+                         {"event", alert.event},
+                         {"maintenance", alert.maintenance}};
   return finding.dump(-1, ' ', /*ensure_ascii=*/true, Json::error_handler_t::replace);
 }
 

@@ -81,6 +81,9 @@ std::string FormatSyslog(const store::AlertRecord& alert, absl::string_view host
   for (const auto& [name, value] : values) {
     absl::StrAppend(&message, " ", name, "=\"", Value(value), "\"");
   }
+  if (!alert.maintenance.empty()) {
+    absl::StrAppend(&message, " maintenance=\"", Value(alert.maintenance), "\"");
+  }
   absl::StrAppend(&message, "] ", kBom);
   if (!json.empty()) return absl::StrCat(message, json);
   absl::StrAppend(&message, Escape(alert.robot), ": ", Escape(alert.severity), ": ",

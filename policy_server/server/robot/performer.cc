@@ -186,7 +186,10 @@ void Performer::Do(const action::AnswerDrill& what) {
   if (auto reply = drills_.extract(what.token); !reply.empty()) reply.mapped()(what.answer);
 }
 
-void Performer::Do(const action::PublishStatus& what) { ports_.audience->OnStatus(what.status); }
+void Performer::Do(const action::PublishStatus& what) {
+  ports_.audience->OnStatus(what.status);
+  if (ports_.on_status) ports_.on_status(what.status);
+}
 
 void Performer::Do(const action::ReportRetired& what) {
   recorders_.clear();

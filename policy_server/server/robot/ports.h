@@ -147,6 +147,8 @@ struct Ports {
   // The robot has another owner, and has retired: nothing that it decides is recorded any more. On
   // the robot's thread; may be empty.
   std::function<void(const std::string& robot, const absl::Status& why)> fenced;
+  // A status of the robot is published. On the robot's thread; may be empty.
+  std::function<void(const RobotStatus& status)> on_status;
   // Makes the flight recorder of a robot; may be empty.
   std::function<std::unique_ptr<FlightRecorder>(const std::string& robot)> flight_recorder;
   // Draws ids of alerts, transitions and commands.

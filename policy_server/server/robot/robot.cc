@@ -168,6 +168,14 @@ absl::Status Robot::ResumeRules(const std::string& operator_name, const std::str
   return status;
 }
 
+absl::Status Robot::SetMaintenance(const MaintenanceOrder& order) {
+  absl::Status status;
+  const ReplyToken token =
+      performer_.Await(LevelReply([&](const LevelAnswer& answer) { status = answer.status; }));
+  Do(input::SetMaintenance{.order = order, .token = token});
+  return status;
+}
+
 LevelAnswer Robot::SendSignal(const SignalOrder& order) {
   LevelAnswer answer;
   const ReplyToken token =

@@ -59,6 +59,8 @@ class Robot {
   void OnOperatorBanned(const std::string& identity) { Do(input::OperatorBanned{identity}); }
   void ResetTerm(const TermResetOrder& order, LevelReply reply);
   absl::Status ResumeRules(const std::string& operator_name, const std::string& reason);
+  // As MaintenanceOrders::OnSet.
+  absl::Status SetMaintenance(const MaintenanceOrder& order);
   LevelAnswer SendSignal(const SignalOrder& order);
   void RecordRefusedOrder(const LevelOrder& order, const absl::Status& why);
   // RIPS's own alert of what others found out about its agents; each caller is a kind.

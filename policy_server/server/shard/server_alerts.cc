@@ -4,6 +4,7 @@
 #include <vector>
 
 #include "absl/strings/str_cat.h"
+#include "policy_server/server/robot/context/maintenance_window.h"
 #include "policy_server/server/robot/model/robot_config.h"
 #include "services/base/cut_text.h"
 
@@ -29,6 +30,22 @@ void ServerAlerts::Raise(const std::string& robot, engine::Severity severity,
   if (admitted) Put(robot, alert, level);
 }
 
+void ServerAlerts::SetMaintenance(const std::string& robot,
+                                  const std::optional<store::Maintenance>& maintenance) {
+  MutexLock lock(&mu_);
+  if (maintenance) {
+    maintenance_[robot] = *maintenance;
+  } else {
+    maintenance_.erase(robot);
+  }
+}
+
+std::string ServerAlerts::MarkOf(const std::string& robot) {
+  MutexLock lock(&mu_);
+  const auto found = maintenance_.find(robot);
+  return found == maintenance_.end() ? "" : MaintenanceMark(found->second);
+}
+
 void ServerAlerts::Put(const std::string& robot, const engine::AlertEffect& effect,
                        const std::string& level) {
   store::AlertRecord alert{.id = new_id_(),
@@ -37,7 +54,8 @@ void ServerAlerts::Put(const std::string& robot, const engine::AlertEffect& effe
                            .rule = effect.rule,
                            .severity = std::string(engine::ToString(effect.severity)),
                            .text = effect.text,
-                           .level = level};
+                           .level = level,
+                           .maintenance = MarkOf(robot)};
   store::WriteBatch batch{.robot = robot};
   batch.alerts.push_back(alert);
   committer_->PutFirst(std::move(batch), [audience = audience_,

@@ -7,6 +7,7 @@
 #define RIPS_POLICY_SERVER_SERVER_SHARD_SERVER_ALERTS_H_
 
 #include <functional>
+#include <optional>
 #include <source_location>
 #include <string>
 
@@ -16,6 +17,7 @@
 #include "policy_server/server/robot/context/alert_limiter.h"
 #include "policy_server/server/robot/ports.h"
 #include "policy_server/server/store/committer.h"
+#include "policy_server/server/store/maintenance.h"
 #include "services/base/clock.h"
 #include "services/runtime/mutex.h"
 
@@ -33,11 +35,18 @@ class ServerAlerts {
   void Raise(const std::string& robot, engine::Severity severity, const std::string& text,
              const std::string& level = "",
              std::source_location where = std::source_location::current()) ABSL_LOCKS_EXCLUDED(mu_);
+  // Alerts of the robot carry its mark until another call; nullopt: the robot is in none.
+  void SetMaintenance(const std::string& robot,
+                      const std::optional<store::Maintenance>& maintenance)
+      ABSL_LOCKS_EXCLUDED(mu_);
   // Tells those who watch at once, whether it can be recorded or not.
   void Announce(const std::string& text) { audience_->OnNotice(text); }
 
  private:
   void Put(const std::string& robot, const engine::AlertEffect& alert, const std::string& level);
+
+  // As Alerts, of the robot's maintenance; empty = it is in none.
+  std::string MarkOf(const std::string& robot) ABSL_LOCKS_EXCLUDED(mu_);
 
   store::Committer* committer_;
   RobotObserver* audience_;
@@ -46,6 +55,8 @@ class ServerAlerts {
   Mutex mu_;
   // By robot, all of the inventory or kServerRobot.
   absl::btree_map<std::string, AlertLimiter> limiters_ ABSL_GUARDED_BY(mu_);
+  // By robot, those that are in one.
+  absl::btree_map<std::string, store::Maintenance> maintenance_ ABSL_GUARDED_BY(mu_);
 };
 
 }  // namespace rips::pipeline

@@ -59,6 +59,7 @@ std::string FormatAlertLine(const AlertRecord& alert) {
   line["text"] = alert.text;
   line["level"] = alert.level;
   line["event"] = alert.event;
+  line["maintenance"] = alert.maintenance;
   line["decision_id"] = ToString(alert.decision_id);
   nlohmann::ordered_json subjects = nlohmann::ordered_json::array();
   for (const engine::TracedSubject& subject : alert.trace.subjects) {

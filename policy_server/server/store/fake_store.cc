@@ -299,6 +299,7 @@ void FakeStore::State::Apply(const std::string& robot, const Checkpoint& checkpo
   if (checkpoint.rules_halted.has_value()) record.rules_halted = *checkpoint.rules_halted;
   if (checkpoint.resumed_at.has_value()) record.resumed_at = *checkpoint.resumed_at;
   if (checkpoint.bundle.has_value()) record.bundle = *checkpoint.bundle;
+  if (checkpoint.maintenance.has_value()) record.maintenance = *checkpoint.maintenance;
   std::vector<LaneKey>& order = lanes[robot];
   for (const auto& [key, sequence] : checkpoint.high_water) {
     if (!record.high_water.contains(key)) order.push_back(key);

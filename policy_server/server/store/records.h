@@ -15,6 +15,7 @@
 #include "policy_server/policy/engine/state/trace.h"
 #include "policy_server/policy/lang/checked_rules.h"
 #include "policy_server/server/store/ack_records.h"
+#include "policy_server/server/store/maintenance.h"
 #include "services/base/decision_id.h"
 #include "services/model/receipt.h"
 
@@ -74,6 +75,8 @@ struct RobotRecord {
   std::vector<RuleDecision> rule_decisions;
   // Id of the bundle that was in force last; empty = none yet.
   std::string bundle;
+  // As written last, whether it is over by now or not.
+  Maintenance maintenance;
 
   friend bool operator==(const RobotRecord&, const RobotRecord&) = default;
 };
@@ -152,6 +155,8 @@ struct AlertRecord {
   // What was being judged, for people.
   std::string event;
   DecisionId decision_id;
+  // What a maintenance of the robot at that time says of itself; empty = there was none.
+  std::string maintenance;
   // Why its rule fired; none for RIPS's own.
   engine::Trace trace;
   // Its place in the order of writing, from 1, never given twice; 0 = not told. Set by AlertsAfter.
@@ -190,6 +195,8 @@ struct Checkpoint {
   std::optional<bool> rules_halted;
   std::optional<DecisionId> resumed_at;
   std::optional<std::string> bundle;
+  // none() = there is none from now on.
+  std::optional<Maintenance> maintenance;
 
   bool empty() const { return *this == Checkpoint(); }
 

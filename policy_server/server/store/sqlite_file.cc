@@ -82,7 +82,8 @@ CREATE TABLE alerts (
   trace BLOB NOT NULL DEFAULT x'',            -- why the rule fired: rips.v1.Evidence
   ack_by TEXT NOT NULL DEFAULT '',           -- the operator who acknowledged it
   ack_note TEXT NOT NULL DEFAULT '',
-  ack_unix_ns INTEGER NOT NULL DEFAULT 0     -- 0 = it is not acknowledged
+  ack_unix_ns INTEGER NOT NULL DEFAULT 0,    -- 0 = it is not acknowledged
+  maintenance TEXT NOT NULL DEFAULT ''       -- of the robot at that time, as text
 ) STRICT;
 CREATE INDEX alerts_robot ON alerts (robot, seq);
 CREATE INDEX alerts_open ON alerts (seq) WHERE ack_unix_ns = 0;
@@ -123,6 +124,13 @@ CREATE TABLE bans (                          -- certificates that are not served
   by TEXT NOT NULL,
   time_unix_ns INTEGER NOT NULL,
   PRIMARY KEY (uri, serial)
+) STRICT, WITHOUT ROWID;
+CREATE TABLE maintenance (                   -- of robots whose agents may be away
+  robot TEXT PRIMARY KEY,
+  began_unix_ns INTEGER NOT NULL,
+  until_unix_ns INTEGER NOT NULL,
+  by TEXT NOT NULL,
+  reason TEXT NOT NULL
 ) STRICT, WITHOUT ROWID;
 )sql";
 
@@ -210,6 +218,10 @@ constexpr const char* kUpgrades[] = {
     "CREATE INDEX alerts_open ON alerts (seq) WHERE ack_unix_ns = 0;"
     "CREATE INDEX alerts_robot_open ON alerts (robot, seq) WHERE ack_unix_ns = 0;"
     "CREATE INDEX alerts_grave ON alerts (seq) WHERE severity IN ('high', 'critical');",
+    "ALTER TABLE alerts ADD COLUMN maintenance TEXT NOT NULL DEFAULT '';"
+    "CREATE TABLE maintenance (robot TEXT PRIMARY KEY, began_unix_ns INTEGER NOT NULL, "
+    "until_unix_ns INTEGER NOT NULL, by TEXT NOT NULL, reason TEXT NOT NULL) STRICT, "
+    "WITHOUT ROWID;",
 };
 static_assert(std::size(kUpgrades) == kSchemaVersion - 1);
 

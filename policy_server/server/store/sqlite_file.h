@@ -16,7 +16,7 @@
 namespace rips::store {
 
 // Schema version this program reads and writes (`PRAGMA user_version`).
-inline constexpr int kSchemaVersion = 9;
+inline constexpr int kSchemaVersion = 10;
 
 // Keeps other processes from using the state file at `path`, through `path`.lock, until it goes.
 // FailedPrecondition if another process holds it; Unavailable if it cannot be locked.

@@ -40,6 +40,7 @@ AlertRecord ReadAlert(const Query& query) {
           .level = query.Text(6),
           .event = query.Text(7),
           .decision_id = {query.Unsigned(8), query.Unsigned(9)},
+          .maintenance = query.Text(11),
           .trace = TraceFromBytes(query.Text(10))};
 }
 
@@ -75,6 +76,8 @@ absl::StatusOr<SqliteReader> SqliteReader::Create(const std::string& path) {
       {&reader.variables_, "SELECT name, kind, number, text FROM variables WHERE robot = ?"},
       {&reader.high_water_,
        "SELECT host, incarnation, lane, sequence FROM high_water WHERE robot = ?"},
+      {&reader.maintenance_,
+       "SELECT began_unix_ns, until_unix_ns, by, reason FROM maintenance WHERE robot = ?"},
       // Those of rules, newest first.
       {&reader.rule_decisions_,
        "SELECT term, epoch, from_level, to_level, time_unix_ns FROM transitions "
@@ -93,21 +96,24 @@ absl::StatusOr<SqliteReader> SqliteReader::Create(const std::string& path) {
        " based_term, based_epoch, count, stage, detail, trace FROM transitions "
        "WHERE id >= ? AND id < ? ORDER BY id LIMIT 2"},
       {&reader.alerts_by_id_,
-       "SELECT id, time_unix_ns, robot, rule, severity, text, level, event, term, epoch, trace "
+       "SELECT id, time_unix_ns, robot, rule, severity, text, level, event, term, epoch, trace,"
+       " maintenance "
        "FROM alerts WHERE id >= ? AND id < ? ORDER BY id LIMIT 2"},
       {&reader.alerts_,
-       "SELECT id, time_unix_ns, robot, rule, severity, text, level, event, term, epoch, trace "
+       "SELECT id, time_unix_ns, robot, rule, severity, text, level, event, term, epoch, trace,"
+       " maintenance "
        "FROM alerts ORDER BY seq DESC LIMIT ?"},
       {&reader.robot_alerts_,
-       "SELECT id, time_unix_ns, robot, rule, severity, text, level, event, term, epoch, trace "
+       "SELECT id, time_unix_ns, robot, rule, severity, text, level, event, term, epoch, trace,"
+       " maintenance "
        "FROM alerts WHERE robot = ? ORDER BY seq DESC LIMIT ?"},
       {&reader.alerts_after_,
-       "SELECT id, time_unix_ns, robot, rule, severity, text, level, event, term, epoch, trace, "
-       "seq "
+       "SELECT id, time_unix_ns, robot, rule, severity, text, level, event, term, epoch, trace,"
+       " maintenance, seq "
        "FROM alerts WHERE seq > ? ORDER BY seq LIMIT ?"},
       {&reader.robot_alerts_after_,
-       "SELECT id, time_unix_ns, robot, rule, severity, text, level, event, term, epoch, trace, "
-       "seq "
+       "SELECT id, time_unix_ns, robot, rule, severity, text, level, event, term, epoch, trace,"
+       " maintenance, seq "
        "FROM alerts WHERE robot = ? AND seq > ? ORDER BY seq LIMIT ?"},
       {&reader.forgotten_, "SELECT ifnull(max(alerts_forgotten), 0) FROM robots"},
       {&reader.robot_forgotten_,
@@ -150,7 +156,7 @@ absl::Status SqliteReader::PrepareSearches() {
           search.alerts,
           db_.Prepare(absl::StrCat(
               "SELECT id, time_unix_ns, robot, rule, severity, text, level, event, term, epoch,"
-              " trace ",
+              " trace, maintenance ",
               from,
               " AND seq > ?2 AND (?3 = '' OR instr(?3, ',' || severity || ',') > 0)"
               " AND (?4 = '' OR rule = ?4) AND time_unix_ns >= ?5 ORDER BY seq DESC LIMIT ?6")));
@@ -181,6 +187,7 @@ absl::StatusOr<RobotRecord> SqliteReader::Load(absl::string_view robot) {
     RIPS_RETURN_IF_ERROR(LoadRuleDecisions(robot, &record));
     RIPS_RETURN_IF_ERROR(LoadVariables(robot, &record.variables));
     RIPS_RETURN_IF_ERROR(LoadHighWater(robot, &record.high_water));
+    RIPS_RETURN_IF_ERROR(LoadMaintenance(robot, &record.maintenance));
     return record;
   };
   absl::StatusOr<RobotRecord> record = read();
@@ -216,6 +223,18 @@ absl::Status SqliteReader::LoadHighWater(absl::string_view robot, HighWater* hig
                                   .lane = static_cast<LaneKey::Lane>(lane)},
                                  query.Unsigned(3));
   }
+}
+
+absl::Status SqliteReader::LoadMaintenance(absl::string_view robot, Maintenance* maintenance) {
+  Query query = maintenance_.Start();
+  query.Bind(robot);
+  RIPS_ASSIGN_OR_RETURN(const bool row, query.Step());
+  if (!row) return absl::OkStatus();
+  *maintenance = {.began_unix_ns = query.Number(0),
+                  .until_unix_ns = query.Number(1),
+                  .by = query.Text(2),
+                  .reason = query.Text(3)};
+  return absl::OkStatus();
 }
 
 absl::Status SqliteReader::LoadRuleDecisions(absl::string_view robot, RobotRecord* record) {
@@ -324,7 +343,7 @@ absl::StatusOr<AlertPage> SqliteReader::AlertsAfter(absl::string_view robot, uin
       RIPS_ASSIGN_OR_RETURN(const bool row, query.Step());
       if (!row) return page;
       page.alerts.push_back(ReadAlert(query));
-      page.alerts.back().sequence = query.Unsigned(11);
+      page.alerts.back().sequence = query.Unsigned(12);
     }
   };
   absl::StatusOr<AlertPage> page = read();

@@ -42,6 +42,7 @@ class SqliteReader {
 
   absl::Status LoadVariables(absl::string_view robot, Variables* variables);
   absl::Status LoadHighWater(absl::string_view robot, HighWater* high_water);
+  absl::Status LoadMaintenance(absl::string_view robot, Maintenance* maintenance);
   absl::Status LoadRuleDecisions(absl::string_view robot, RobotRecord* record);
 
   // Of all robots, of all those of severity high and critical, or of one robot; of all alerts or of
@@ -59,7 +60,7 @@ class SqliteReader {
   Statement robot_, variables_, high_water_, decision_id_, transitions_, alerts_, robot_alerts_,
       bans_, ack_;
   Statement alerts_after_, robot_alerts_after_, forgotten_, robot_forgotten_, find_alert_,
-      newest_alert_, note_, receipts_, rule_decisions_, generations_, alerts_by_id_,
+      newest_alert_, note_, receipts_, rule_decisions_, generations_, maintenance_, alerts_by_id_,
       transitions_by_id_;
   Search searches_[3][2];
 };

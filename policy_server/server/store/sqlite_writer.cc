@@ -79,7 +79,8 @@ absl::Status SqliteWriter::PrepareAll() {
        " AND NOT (stage = 'verified' AND ?4 = 'superseded')"},
       {&add_alert_,
        "INSERT INTO alerts (id, time_unix_ns, robot, rule, severity, text, level, event, term,"
-       " epoch, trace) VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?) ON CONFLICT (id) DO NOTHING"},
+       " epoch, trace, maintenance) VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?) ON CONFLICT (id) "
+       "DO NOTHING"},
       // A repeated one goes to the end of the order.
       {&put_receipt_,
        "INSERT OR REPLACE INTO receipts (robot, host, command_id, command, time_unix_ns, receipt) "
@@ -110,6 +111,10 @@ absl::Status SqliteWriter::PrepareAll() {
       {&prune_high_water_,
        "DELETE FROM high_water WHERE robot = ?1 AND host = ?2 AND seq <= (SELECT seq FROM "
        "high_water WHERE robot = ?1 AND host = ?2 ORDER BY seq DESC LIMIT 1 OFFSET ?3)"},
+      {&put_maintenance_,
+       "INSERT OR REPLACE INTO maintenance (robot, began_unix_ns, until_unix_ns, by, reason) "
+       "VALUES (?, ?, ?, ?, ?)"},
+      {&end_maintenance_, "DELETE FROM maintenance WHERE robot = ?"},
       {&put_ban_,
        "INSERT INTO bans (uri, serial, reason, by, time_unix_ns) VALUES (?, ?, ?, ?, ?) "
        "ON CONFLICT (uri, serial) DO UPDATE SET reason = excluded.reason, by = excluded.by,"
@@ -293,6 +298,7 @@ absl::Status SqliteWriter::Write(const WriteBatch& batch) {
                              .Bind(each.decision_id.term)
                              .Bind(each.decision_id.epoch)
                              .BindBytes(trace)
+                             .Bind(each.maintenance)
                              .Run());
   }
   if (!batch.alerts.empty()) RIPS_RETURN_IF_ERROR(PruneAlerts(robot, batch.alerts.size()));
@@ -451,6 +457,9 @@ absl::Status SqliteWriter::Write(const std::string& robot, const Checkpoint& che
   if (checkpoint.bundle.has_value()) {
     RIPS_RETURN_IF_ERROR(set_bundle_.Start().Bind(robot).Bind(*checkpoint.bundle).Run());
   }
+  if (checkpoint.maintenance.has_value()) {
+    RIPS_RETURN_IF_ERROR(Write(robot, *checkpoint.maintenance));
+  }
   for (const auto& [key, sequence] : checkpoint.high_water) {
     RIPS_RETURN_IF_ERROR(put_high_water_.Start()
                              .Bind(robot)
@@ -466,6 +475,17 @@ absl::Status SqliteWriter::Write(const std::string& robot, const Checkpoint& che
                              .Run());
   }
   return absl::OkStatus();
+}
+
+absl::Status SqliteWriter::Write(const std::string& robot, const Maintenance& maintenance) {
+  if (maintenance.none()) return end_maintenance_.Start().Bind(robot).Run();
+  return put_maintenance_.Start()
+      .Bind(robot)
+      .Bind(maintenance.began_unix_ns)
+      .Bind(maintenance.until_unix_ns)
+      .Bind(maintenance.by)
+      .Bind(maintenance.reason)
+      .Run();
 }
 
 absl::Status SqliteWriter::WriteVariables(const std::string& robot, const Variables& variables) {

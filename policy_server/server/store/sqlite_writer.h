@@ -51,6 +51,7 @@ class SqliteWriter {
   absl::Status Write(const std::string& robot, const Checkpoint& checkpoint);
   // Forgets the oldest alerts of a robot that has more than its share, when so many were `added`.
   absl::Status PruneAlerts(const std::string& robot, size_t added);
+  absl::Status Write(const std::string& robot, const Maintenance& maintenance);
   absl::Status WriteVariables(const std::string& robot, const Variables& variables);
   // True if exactly this decision is stored; AlreadyExists if another has its decision id or id.
   absl::StatusOr<bool> IsStored(const std::string& robot, const DecisionRecord& decision);
@@ -67,6 +68,7 @@ class SqliteWriter {
       note_prune_, set_note_, set_bundle_;
   Statement clear_variables_, add_variable_, set_suspended_, set_halted_, set_resumed_,
       put_high_water_, prune_high_water_;
+  Statement put_maintenance_, end_maintenance_;
   Statement put_ban_, remove_ban_, add_ack_, find_alert_;
   Statement add_generation_, prune_generations_, count_commit_;
   uint64_t newest_commit_ = 0;

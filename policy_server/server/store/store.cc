@@ -31,11 +31,23 @@ absl::Status Validate(const AckRecord& record) {
       absl::StrCat("note of ", record.ack.note.size(), " bytes, limit ", kAckNoteBytesMax));
 }
 
+absl::Status Validate(const Maintenance& maintenance) {
+  if (maintenance.none()) return absl::OkStatus();
+  if (maintenance.by.empty()) return Missing("maintenance", "operator");
+  if (maintenance.until_unix_ns <= maintenance.began_unix_ns) {
+    return absl::InvalidArgumentError("a maintenance that ends before it begins");
+  }
+  if (maintenance.reason.size() <= kMaintenanceReasonBytesMax) return absl::OkStatus();
+  return absl::InvalidArgumentError(absl::StrCat("reason of ", maintenance.reason.size(),
+                                                 " bytes, limit ", kMaintenanceReasonBytesMax));
+}
+
 absl::Status Validate(const Checkpoint& checkpoint) {
   if (checkpoint.bundle.has_value() && checkpoint.bundle->size() > kNoteBytesMax) {
     return absl::InvalidArgumentError("the id of a bundle is too long");
   }
   if (checkpoint.resumed_at) RIPS_RETURN_IF_ERROR(CheckDecisionId(*checkpoint.resumed_at));
+  if (checkpoint.maintenance) RIPS_RETURN_IF_ERROR(Validate(*checkpoint.maintenance));
   for (const auto& [key, sequence] : checkpoint.high_water) {
     RIPS_RETURN_IF_ERROR(CheckNumber("sequence", sequence));
   }

@@ -114,8 +114,9 @@ class Store {
 
 // InvalidArgument if CommitAll must refuse the batch whatever is stored: an empty robot or id, a
 // decision without decision id or level, a number above kNumberMax, an acknowledgement
-// without operator or time, or with a longer note than kAckNoteBytesMax, other than alerts and
-// acknowledgements without a tenure. Shared by implementations.
+// without operator or time, or with a longer note than kAckNoteBytesMax, a maintenance without
+// operator, that ends before it begins, or with a longer reason than kMaintenanceReasonBytesMax,
+// other than alerts and acknowledgements without a tenure. Shared by implementations.
 absl::Status Validate(const WriteBatch& batch);
 
 // NotFound, naming the alert. Shared by implementations.

@@ -122,14 +122,12 @@ std::vector<std::string> ActuatorSide::CheckLost() {
       continue;
     }
     host.lost = true;
-    alerts_.Raise(
-        engine::Severity::kHigh,
-        absl::StrCat("actuator ", name,
-                     host.met ? " is lost" : " has not connected since this server started",
-                     ": if it runs without a connection, ", context_.config.id,
-                     " goes to its fail-safe level when its lease ends, unless it is at a higher "
-                     "one; if it has ended, ",
-                     context_.config.id, " stays as it is and nothing can stop it from here"));
+    alerts_.RaiseAbsence(absl::StrCat(
+        "actuator ", name, host.met ? " is lost" : " has not connected since this server started",
+        ": if it runs without a connection, ", context_.config.id,
+        " goes to its fail-safe level when its lease ends, unless it is at a higher "
+        "one; if it has ended, ",
+        context_.config.id, " stays as it is and nothing can stop it from here"));
     context_.events.push_back(engine::AgentEvent{.agent = "actuator", .state = "lost"});
   }
   ReportAbsence();
@@ -413,6 +411,14 @@ std::vector<std::string> ActuatorSide::attached() const {
   std::vector<std::string> names;
   for (const auto& [name, host] : hosts_) {
     if (host.session) names.push_back(name);
+  }
+  return names;
+}
+
+std::vector<std::string> ActuatorSide::lost() const {
+  std::vector<std::string> names;
+  for (const auto& [name, host] : hosts_) {
+    if (host.lost) names.push_back(name);
   }
   return names;
 }

@@ -84,6 +84,8 @@ class ActuatorSide {
   bool verified() const;
   // Hosts with a session.
   std::vector<std::string> attached() const;
+  // Hosts whose absence was reported.
+  std::vector<std::string> lost() const;
   // An actuator has read back its parts.
   bool PartsVerified() const;
   void AddProblems(std::vector<std::string>& problems) const;
@@ -136,7 +138,7 @@ class ActuatorSide {
   void OnStateLost(const std::string& name, Host& host, const ActuatorHello& hello);
   std::optional<FoundLevel> Found(const std::string& name, Session& session,
                                   std::optional<levels::LevelIndex> effective) const;
-  // A raise that an actuator cannot hear of.
+  // A raise that an actuator cannot hear of; in a maintenance, too.
   void ReportAbsence();
   void ReportFloor(const std::string& name, Host& host);
   void ReportDegraded(const std::string& name, Host& host);

@@ -21,6 +21,14 @@ void Alerts::RaiseOfKind(const std::string& kind, engine::Severity severity,
   if (own_.Admit(kind, alert, context_.now())) Add(std::move(alert), event);
 }
 
+void Alerts::RaiseAbsence(const std::string& text, std::source_location where) {
+  const std::string kind = absl::StrCat(where.file_name(), ":", where.line());
+  const std::string mark = maintenance_.MarkAt(context_.now());
+  if (mark.empty()) return RaiseOfKind(kind, engine::Severity::kHigh, text);
+  RaiseOfKind(absl::StrCat(kind, " in maintenance"), engine::Severity::kInfo,
+              absl::StrCat(text, "; ", mark));
+}
+
 void Alerts::RaiseOfRule(const engine::AlertEffect& alert, const std::string& event) {
   if (!rules_.Admit(alert, context_.now())) return;
   Add(alert, alert.graph_truncated ? absl::StrCat(event, " (graph truncated)") : event);
@@ -50,6 +58,7 @@ void Alerts::Add(engine::AlertEffect alert, const std::string& event) {
                                       .level = level_.table().name(alert.level),
                                       .event = Shortened(event, kAlertEventBytesMax),
                                       .decision_id = alert.decision_id,
+                                      .maintenance = maintenance_.MarkAt(context_.now()),
                                       .trace = CopyOf(alert.trace)});
   if (!kept) context_.Count(Counter::kAlertsLost);
   context_.Count(Counter::kAlerts);

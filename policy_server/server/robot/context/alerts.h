@@ -1,5 +1,5 @@
-// The alerts of one robot: admitted by their limits, cut, stamped with the level, and handed to the
-// outbox. Pure.
+// The alerts of one robot: admitted by their limits, cut, stamped with the level and a maintenance,
+// and handed to the outbox. Pure.
 #ifndef RIPS_POLICY_SERVER_SERVER_ROBOT_CONTEXT_ALERTS_H_
 #define RIPS_POLICY_SERVER_SERVER_ROBOT_CONTEXT_ALERTS_H_
 
@@ -11,14 +11,16 @@
 #include "policy_server/server/robot/context/alert_limiter.h"
 #include "policy_server/server/robot/context/context.h"
 #include "policy_server/server/robot/context/durable_outbox.h"
+#include "policy_server/server/robot/context/maintenance_window.h"
 
 namespace rips::pipeline {
 
 // Not thread-safe. All that it is given outlives it.
 class Alerts {
  public:
-  Alerts(Context* context, DurableOutbox* outbox, const levels::LevelMachine* level)
-      : context_(*context), outbox_(*outbox), level_(*level) {}
+  Alerts(Context* context, DurableOutbox* outbox, const levels::LevelMachine* level,
+         const MaintenanceWindow* maintenance)
+      : context_(*context), outbox_(*outbox), level_(*level), maintenance_(*maintenance) {}
 
   // RIPS's own. What one place in the code says is one kind, for the limit.
   void Raise(engine::Severity severity, const std::string& text,
@@ -26,6 +28,10 @@ class Alerts {
   // The same of a kind that is given; `event`: what it was raised for, may be empty.
   void RaiseOfKind(const std::string& kind, engine::Severity severity, const std::string& text,
                    const std::string& event = "");
+  // RIPS's own, that an agent is absent: high, but info, with the reason, in a maintenance. Those
+  // of a maintenance are a kind of their own: they use up no rate of those after it.
+  void RaiseAbsence(const std::string& text,
+                    std::source_location where = std::source_location::current());
   // A rule's.
   void RaiseOfRule(const engine::AlertEffect& alert, const std::string& event);
   // What limits have folded away and is due.
@@ -37,6 +43,7 @@ class Alerts {
   Context& context_;
   DurableOutbox& outbox_;
   const levels::LevelMachine& level_;
+  const MaintenanceWindow& maintenance_;
   AlertLimiter rules_;
   AlertLimiter own_{kOwnAlertLimits};
 };

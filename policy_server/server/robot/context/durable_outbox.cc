@@ -63,13 +63,14 @@ std::vector<store::AlertRecord> DurableOutbox::alerts() const {
 
 bool DurableOutbox::CanSeal() const {
   return !in_flight_ && collected_.tenure != 0 &&
-         (!collected_.empty() || unsaved_.sequences || unsaved_.variables || unsaved_.bundle);
+         (!collected_.empty() || unsaved_.sequences || unsaved_.variables || unsaved_.bundle ||
+          unsaved_.maintenance);
 }
 
 bool DurableOutbox::done() const {
   if (in_flight_) return false;
-  return collected_.tenure == 0 ||
-         (collected_.empty() && !unsaved_.sequences && !unsaved_.variables);
+  return collected_.tenure == 0 || (collected_.empty() && !unsaved_.sequences &&
+                                    !unsaved_.variables && !unsaved_.maintenance);
 }
 
 std::shared_ptr<const store::WriteBatch> DurableOutbox::Seal(store::Checkpoint checkpoint) {
@@ -101,7 +102,7 @@ DurableOutbox::Settled DurableOutbox::OnRecorded(bool ok) {
   std::vector<store::ReceiptRecord> newer =
       std::exchange(collected_.receipts, done.batch->receipts);
   for (store::ReceiptRecord& receipt : newer) AddReceipt(std::move(receipt));
-  unsaved_ = {.sequences = true, .variables = true, .bundle = true};
+  unsaved_ = {.sequences = true, .variables = true, .bundle = true, .maintenance = true};
   return settled;
 }
 

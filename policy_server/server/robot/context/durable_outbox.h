@@ -42,6 +42,7 @@ class DurableOutbox {
     bool sequences = false;
     bool variables = false;
     bool bundle = true;
+    bool maintenance = false;
   };
   // Of a batch that the recorder has answered for.
   struct Settled {

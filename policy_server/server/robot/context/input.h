@@ -138,6 +138,10 @@ struct ResumeRules {
   std::string reason;
   ReplyToken token = 0;
 };
+struct SetMaintenance {
+  MaintenanceOrder order;
+  ReplyToken token = 0;
+};
 struct SendSignal {
   SignalOrder order;
   ReplyToken token = 0;
@@ -202,14 +206,16 @@ struct Time {};
 
 }  // namespace input
 
-using Input = std::variant<
-    input::SensorHello, input::SensorHeartbeat, input::InterestAnswer, input::InterestSent,
-    input::SensorBatch, input::SensorGone, input::Advance, input::Inspected, input::ActuatorHello,
-    input::ActuatorHeartbeat, input::Receipt, input::ActuatorGone, input::Raise, input::DeEscalate,
-    input::Approve, input::OperatorBanned, input::ResetTerm, input::ResumeRules, input::SendSignal,
-    input::StartDrill, input::RefusedOrder, input::Report, input::SwapPolicy, input::WatchAlso,
-    input::SetHosts, input::PolicyProblem, input::Drain, input::Retire, input::Recorded,
-    input::RaisesSaved, input::DecisionFound, input::TermDrawn, input::Time>;
+using Input =
+    std::variant<input::SensorHello, input::SensorHeartbeat, input::InterestAnswer,
+                 input::InterestSent, input::SensorBatch, input::SensorGone, input::Advance,
+                 input::Inspected, input::ActuatorHello, input::ActuatorHeartbeat, input::Receipt,
+                 input::ActuatorGone, input::Raise, input::DeEscalate, input::Approve,
+                 input::OperatorBanned, input::ResetTerm, input::ResumeRules, input::SetMaintenance,
+                 input::SendSignal, input::StartDrill, input::RefusedOrder, input::Report,
+                 input::SwapPolicy, input::WatchAlso, input::SetHosts, input::PolicyProblem,
+                 input::Drain, input::Retire, input::Recorded, input::RaisesSaved,
+                 input::DecisionFound, input::TermDrawn, input::Time>;
 
 }  // namespace rips::pipeline
 

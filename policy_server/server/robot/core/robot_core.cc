@@ -76,7 +76,7 @@ RobotCore::RobotCore(CoreStart start, levels::LevelMachine level)
       state_(context_.policy.program, std::move(level), start.moment.now),
       gate_(context_.policy.soft_hold_ns, start.moment.now),
       outbox_(context_.config.id, context_.tenure),
-      alerts_(&context_, &outbox_, &state_.level),
+      alerts_(&context_, &outbox_, &state_.level, &window_),
       own_agents_(&context_, &alerts_, &state_.graph),
       losses_(&context_, &alerts_, &gate_),
       sensors_(&context_, &alerts_, &gate_, &own_agents_, &losses_, start.record),
@@ -84,6 +84,7 @@ RobotCore::RobotCore(CoreStart start, levels::LevelMachine level)
       sight_(&context_, &alerts_, &own_agents_, &sensors_, &state_.graph),
       actuators_(&context_, &alerts_, &outbox_, &own_agents_, &state_.level),
       drills_(&context_, &alerts_, &actuators_, &state_.level),
+      maintenance_(&context_, &window_, &alerts_, &outbox_, &sensors_, &actuators_),
       evidence_(&context_, &gate_, &sensors_, &sight_, &actuators_),
       decider_(&context_, &state_, &alerts_, &gate_, &outbox_, &actuators_),
       orders_(&context_, &state_, &alerts_, &outbox_, &decider_, &evidence_),
@@ -102,6 +103,7 @@ RobotCore::RobotCore(CoreStart start, levels::LevelMachine level)
   state_.RestoreVariables(record.variables);
   state_.robot_id = context_.config.id;
   if (record.rules_halted) state_.Halt();
+  window_.Restore(record.maintenance, context_.now());
   if (record.decision_id.none()) {
     decider_.Adopt(state_.level.level(), DecisionId{}, "first start");
   } else {
@@ -170,6 +172,7 @@ RobotCore::After RobotCore::Handle(const Input& input) {
           },
           [&](const input::ResetTerm& in) { return admission_.OnResetTerm(in), kAll; },
           [&](const input::ResumeRules& in) { return orders_.OnResume(in), kAll; },
+          [&](const input::SetMaintenance& in) { return maintenance_.OnSet(in), kAll; },
           [&](const input::SendSignal& in) { return orders_.OnSignal(in), kAll; },
           [&](const input::StartDrill& in) { return drills_.Start(in), kAll; },
           [&](const input::RefusedOrder& in) { return orders_.OnRefused(in), kAll; },
@@ -232,6 +235,9 @@ void RobotCore::Flush() {
                                .resumed_at = state_.level.resumed_at()};
   if (outbox_.unsaved().variables) checkpoint.variables = state_.Variables();
   if (outbox_.unsaved().bundle) checkpoint.bundle = context_.policy.bundle_id;
+  if (outbox_.unsaved().maintenance) {
+    checkpoint.maintenance = window_.At(context_.now()).value_or(store::Maintenance());
+  }
   sensors_.AddHighWater(checkpoint.high_water);
   next_checkpoint_ns_ = context_.now_ns() + context_.timing.checkpoint_ns;
   context_.Do(action::Record{outbox_.Seal(std::move(checkpoint))});
@@ -311,6 +317,7 @@ RobotCore::After RobotCore::OnRecorded(const input::Recorded& in) {
 RobotCore::After RobotCore::OnTime() {
   const bool checkpoint = context_.now_ns() >= next_checkpoint_ns_;
   if (!retired_.ok()) return checkpoint ? After::kFlush : After::kRoutine;
+  maintenance_.Expire();
   sensors_.CheckLost();
   for (const std::string& host : actuators_.CheckLost()) {
     drills_.OnGone(host);
@@ -448,7 +455,8 @@ RobotStatus RobotCore::Status() const {
                      .degraded = evidence_.Problems(),
                      .pending_approvals = orders_.approvals().pending(),
                      .policy_problem = policy_problem_,
-                     .watched = sensors_.connected()};
+                     .watched = sensors_.connected(),
+                     .maintenance = window_.At(context_.now())};
   actuators_.AddStatus(status);
   if (!policy_problem_.empty()) status.degraded.push_back(policy_problem_);
   if (std::string skipped = losses_.SkippedText(); !skipped.empty()) {

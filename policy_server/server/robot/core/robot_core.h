@@ -52,11 +52,13 @@
 #include "policy_server/server/robot/context/durable_outbox.h"
 #include "policy_server/server/robot/context/evidence_gate.h"
 #include "policy_server/server/robot/context/input.h"
+#include "policy_server/server/robot/context/maintenance_window.h"
 #include "policy_server/server/robot/context/own_agents.h"
 #include "policy_server/server/robot/core/judge.h"
 #include "policy_server/server/robot/decide/admission.h"
 #include "policy_server/server/robot/decide/decider.h"
 #include "policy_server/server/robot/decide/evidence.h"
+#include "policy_server/server/robot/decide/maintenance_orders.h"
 #include "policy_server/server/robot/decide/orders.h"
 #include "policy_server/server/robot/model/judged_event.h"
 #include "policy_server/server/robot/sensors/losses.h"
@@ -148,6 +150,7 @@ class RobotCore {
   engine::RobotState state_;
   EvidenceGate gate_;
   DurableOutbox outbox_;
+  MaintenanceWindow window_;
   Alerts alerts_;
   OwnAgents own_agents_;
   Losses losses_;
@@ -156,6 +159,7 @@ class RobotCore {
   Sight sight_;
   ActuatorSide actuators_;
   Drills drills_;
+  MaintenanceOrders maintenance_;
   Evidence evidence_;
   Decider decider_;
   Orders orders_;

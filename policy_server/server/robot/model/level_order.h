@@ -39,6 +39,14 @@ struct ApprovalOrder {
   std::string request_id;
 };
 
+// That the robot's agents may be away. Identity and role were checked by the caller.
+struct MaintenanceOrder {
+  std::string operator_name;
+  std::string reason;
+  // From now on; 0 = it ends now.
+  int64_t for_ns = 0;
+};
+
 // A lowering that waits for a second operator.
 struct PendingApproval {
   std::string id;

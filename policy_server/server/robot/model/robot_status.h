@@ -2,10 +2,12 @@
 #ifndef RIPS_POLICY_SERVER_SERVER_ROBOT_MODEL_ROBOT_STATUS_H_
 #define RIPS_POLICY_SERVER_SERVER_ROBOT_MODEL_ROBOT_STATUS_H_
 
+#include <optional>
 #include <string>
 #include <vector>
 
 #include "policy_server/server/robot/model/level_order.h"
+#include "policy_server/server/store/maintenance.h"
 #include "services/base/decision_id.h"
 
 namespace rips::pipeline {
@@ -25,6 +27,8 @@ struct RobotStatus {
   std::string policy_problem;
   // All of its sensors are connected, and were heard lately.
   bool watched = false;
+  // That holds now, if any.
+  std::optional<store::Maintenance> maintenance = std::nullopt;
 
   friend bool operator==(const RobotStatus&, const RobotStatus&) = default;
 };

@@ -261,8 +261,7 @@ void SensorSide::CheckLost() {
       continue;
     }
     host.lost = true;
-    alerts_.Raise(
-        engine::Severity::kHigh,
+    alerts_.RaiseAbsence(
         absl::StrCat("sensor ", name, " is lost: ", context_.config.id, " is not watched"));
     context_.events.push_back(engine::AgentEvent{.agent = "sensor", .state = "lost"});
   }
