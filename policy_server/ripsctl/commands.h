@@ -6,9 +6,10 @@
 
 namespace rips::ripsctl {
 
-Commands RobotCommands();     // list, watch, show, graph
-Commands CoverageCommands();  // robot interest, robot coverage
-Commands ActuatorCommands();  // robot receipts, robot drill
+Commands RobotCommands();        // list, watch, show, graph
+Commands CoverageCommands();     // robot interest, robot coverage
+Commands ActuatorCommands();     // robot receipts, robot drill
+Commands MaintenanceCommands();  // robot maintenance
 Commands TopCommand();
 Commands LevelCommands();           // show, history, raise, lower
 Commands ApproveCommands();         // level approve

@@ -58,6 +58,8 @@ class FakeOperator final : public FakeEnrolOperator {
   grpc::Status robots_watch_end;
   // What GetLevel gives, one after the other, and the last one for ever; empty = COMPROMISED.
   std::vector<v1::RobotStatus> level_states;
+  // Of the first robot that ListRobots gives.
+  std::optional<v1::Maintenance> maintenance;
   // Of GetLevel.
   std::vector<v1::PendingApproval> pending;
   std::vector<v1::HostFirewall> firewalls;
@@ -76,6 +78,7 @@ class FakeOperator final : public FakeEnrolOperator {
   grpc::Status ListRobots(grpc::ServerContext*, const v1::ListRobotsRequest* request,
                           v1::ListRobotsResponse* response) override {
     *response = MakeRobotList(*request);
+    if (maintenance) *response->mutable_robots(0)->mutable_maintenance() = *maintenance;
     for (const std::string& robot : no_answer) response->add_no_answer(robot);
     return Remember(absl::StrCat("ListRobots", request->labels().empty() ? "" : " ",
                                  absl::StrJoin(request->labels(), " ")));
@@ -169,6 +172,12 @@ class FakeOperator final : public FakeEnrolOperator {
   grpc::Status DrillRobot(grpc::ServerContext*, const v1::DrillRobotRequest* request,
                           v1::DrillRobotResponse*) override {
     return Remember(absl::StrCat("DrillRobot ", request->robot()));
+  }
+  grpc::Status SetMaintenance(grpc::ServerContext*, const v1::SetMaintenanceRequest* request,
+                              v1::SetMaintenanceResponse* response) override {
+    if (request->for_ms() > 0) *response->mutable_maintenance() = MakeMaintenance();
+    return Remember(absl::StrCat("SetMaintenance ", request->robot(), " ", request->for_ms(), " ",
+                                 request->reason()));
   }
   grpc::Status GetLevel(grpc::ServerContext*, const v1::GetLevelRequest* request,
                         v1::GetLevelResponse* response) override {

@@ -30,6 +30,17 @@ inline v1::RobotStatus MakeStatus(const std::string& robot, const std::string& l
   return status;
 }
 
+// Until 18:20 of the new year's day, by carol.
+inline v1::Maintenance MakeMaintenance() {
+  constexpr int64_t kMinute = 60'000'000'000;
+  v1::Maintenance maintenance;
+  maintenance.set_began_unix_ns(kNewYear);
+  maintenance.set_until_unix_ns(kNewYear + (18 * 60 + 20) * kMinute);
+  maintenance.set_operator_("carol (spiffe://td/operator/operator/carol serial 0c)");
+  maintenance.set_reason("kernel \x1b[2J");
+  return maintenance;
+}
+
 // `ago_ms` 0: it was not heard.
 inline void AddAgent(const std::string& role, const std::string& version, uint64_t ago_ms,
                      v1::RobotStatus& status) {

@@ -136,6 +136,24 @@ TEST_F(AttackAlertsTest, DecoysDoNotHideHowManyThereAre) {
   EXPECT_GE(minutes, 29);
 }
 
+// Severity and rate are those without it.
+TEST_F(AttackAlertsTest, AlertsOfARobotInMaintenanceCarryItsMark) {
+  alerts_.SetMaintenance(
+      "r1", store::Maintenance{.until_unix_ns = 1, .by = "carol (x)", .reason = "reboot"});
+  attacks_.OnPeerRefused("r1");
+  attacks_.OnPeerRefused("r2");
+  alerts_.SetMaintenance("r1", std::nullopt);
+  clock_.Advance(60 * kNanosPerSecond);
+  attacks_.OnPeerRefused("r1");
+  EXPECT_THAT(Told(), Each(HasSubstr(" high peers of robot r")));
+  std::vector<std::string> marks;
+  const auto page = store_.AlertsAfter("", 0, 0);
+  for (const store::AlertRecord& alert : page->alerts) marks.push_back(alert.maintenance);
+  EXPECT_THAT(marks, ElementsAre("in maintenance until 1970-01-01 00:00:00 UTC (asked by carol: "
+                                 "reboot)",
+                                 "", ""));
+}
+
 TEST_F(AttackAlertsTest, ARobotsPeersAreToldOfThatRobot) {
   attacks_.OnPeerRefused("r1");
   attacks_.OnPeerRefused("r1");

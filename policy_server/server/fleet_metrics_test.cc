@@ -130,6 +130,16 @@ class FleetMetricsTest : public ::testing::Test {
   FleetMetrics fleet_{&pipeline_, &clock_, &metrics_};
 };
 
+TEST_F(FleetMetricsTest, ShowsWhichRobotsAreInMaintenance) {
+  OnRobot("r2", [](Robot& robot) {
+    EXPECT_THAT(robot.SetMaintenance(
+                    {.operator_name = "carol", .reason = "reboot", .for_ns = 60 * kNanosPerSecond}),
+                IsOk());
+  });
+  Look();
+  EXPECT_THAT(Lines("rips_robot_maintenance"), ElementsAre("{robot=\"r1\"} 0", "{robot=\"r2\"} 1"));
+}
+
 TEST_F(FleetMetricsTest, ShowsTheLevelInForceAndNoOther) {
   Look();
   EXPECT_THAT(Lines("rips_robot_level"), ElementsAre("{level=\"DEFAULT\",robot=\"r1\"} 1",

@@ -35,7 +35,7 @@ OF_VERB = {
     "robot list": "robot_list", "robot watch": "robot_status", "robot show": "robot_status",
     "robot graph": "robot_graph", "robot interest": "robot_interest",
     "robot coverage": "robot_coverage", "robot receipts": "robot_receipts",
-    "robot drill": "robot_drill",
+    "robot drill": "robot_drill", "robot maintenance": "robot_maintenance",
     "level show": "level_show", "level history": "level_history", "level raise": "level_change",
     "level lower": "level_change", "level approve": "level_approve",
     "alert list": "alert_list", "alert watch": "alert", "alert ack": "alert_ack",

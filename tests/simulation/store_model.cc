@@ -137,6 +137,7 @@ absl::Status StoreModel::Apply(const store::WriteBatch& batch) {
   if (checkpoint.soft_suspended) record_.soft_suspended = *checkpoint.soft_suspended;
   if (checkpoint.rules_halted) record_.rules_halted = *checkpoint.rules_halted;
   if (checkpoint.resumed_at) record_.resumed_at = *checkpoint.resumed_at;
+  if (checkpoint.maintenance) record_.maintenance = *checkpoint.maintenance;
   for (const auto& [lane, sequence] : checkpoint.high_water) {
     uint64_t& stored = record_.high_water[lane];
     stored = std::max(stored, sequence);

@@ -8,6 +8,7 @@
 #include <vector>
 
 #include "absl/strings/ascii.h"
+#include "absl/strings/match.h"
 #include "absl/strings/str_cat.h"
 #include "absl/strings/string_view.h"
 #include "absl/time/time.h"
@@ -23,10 +24,17 @@
 namespace rips::ripsctl {
 namespace {
 
-// With the event that raised it, which names who it was, or says that the graph was truncated.
+// With the event that raised it, which names who it was, or says that the graph was truncated; and
+// with the maintenance that the robot was in.
 std::string TextOf(const v1::Alert& alert) {
-  if (alert.event().empty() || alert.event() == "graph change") return alert.text();
-  return absl::StrCat(alert.text(), " [", alert.event(), "]");
+  std::string text = alert.text();
+  if (!alert.event().empty() && alert.event() != "graph change") {
+    absl::StrAppend(&text, " [", alert.event(), "]");
+  }
+  if (!absl::StrContains(text, alert.maintenance())) {
+    absl::StrAppend(&text, " [", alert.maintenance(), "]");
+  }
+  return text;
 }
 
 // Of a cell; who and note are whole in JSON and `ripsctl explain`.

@@ -84,16 +84,25 @@ Json ToJson(const v1::AgentContact& agent) {
           {"heard_ago_ms", heard ? Json(agent.heard_ago_ms()) : Json(nullptr)}};
 }
 
+Json ToJson(const v1::Maintenance& maintenance) {
+  return {{"began", FullTime(maintenance.began_unix_ns())},
+          {"until", FullTime(maintenance.until_unix_ns())},
+          {"operator", maintenance.operator_()},
+          {"reason", maintenance.reason()}};
+}
+
 Json ToJson(const v1::RobotStatus& status) {
-  Json json = {{"robot", status.robot()},
-               {"decided_level", status.decided_level()},
-               {"effective_level", status.effective_level()},
-               {"stage", status.stage()},
-               {"decision_id", JsonDecisionId(status.has_decision_id(), status.decision_id())},
-               {"bundle", status.bundle_version()},
-               {"degraded", Strings(status.degraded())},
-               {"degraded_cut", status.degraded_cut()},
-               {"pending_approvals", status.pending_approvals()}};
+  Json json = {
+      {"robot", status.robot()},
+      {"decided_level", status.decided_level()},
+      {"effective_level", status.effective_level()},
+      {"stage", status.stage()},
+      {"decision_id", JsonDecisionId(status.has_decision_id(), status.decision_id())},
+      {"bundle", status.bundle_version()},
+      {"degraded", Strings(status.degraded())},
+      {"degraded_cut", status.degraded_cut()},
+      {"pending_approvals", status.pending_approvals()},
+      {"maintenance", status.has_maintenance() ? ToJson(status.maintenance()) : Json(nullptr)}};
   if (!status.agents().empty()) json["agents"] = List(status.agents());
   return json;
 }
@@ -123,6 +132,7 @@ Json ToJson(const v1::Alert& alert) {
           {"level", alert.level()},
           {"event", alert.event()},
           {"decision_id", JsonDecisionId(alert.has_decision_id(), alert.decision_id())},
+          {"maintenance", alert.maintenance()},
           {"subjects", List(alert.subjects())}};
 }
 

@@ -18,6 +18,7 @@ using Json = nlohmann::ordered_json;
 Json ToJson(const v1::AgentContact& agent);
 // {"robot","decided_level","effective_level","stage","decision_id","bundle","degraded":[..],
 // "degraded_cut","pending_approvals","agents":[..]}; without "agents" if the answer has none.
+Json ToJson(const v1::Maintenance& maintenance);
 Json ToJson(const v1::RobotStatus& status);
 // {"id","robot","time","from","to","cause","reason","decision_id","refused","count","stage",
 // "detail"}

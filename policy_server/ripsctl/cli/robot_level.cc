@@ -3,6 +3,7 @@
 #include <nlohmann/json.hpp>
 
 #include "absl/strings/str_cat.h"
+#include "absl/time/time.h"
 #include "policy_server/ripsctl/cli/command.h"
 #include "policy_server/ripsctl/cli/printer.h"
 
@@ -20,7 +21,22 @@ Table StatusTable(const v1::RobotStatus& status) {
   table.Add({"effective level", status.effective_level()});
   table.Add({"stage", StageAndPending(status)});
   table.Add({"decision", DecisionIdText(status.decision_id())});
+  if (status.has_maintenance()) {
+    table.Add({"maintenance",
+               absl::StrCat(MaintenanceText(status), ": ", status.maintenance().reason())});
+  }
   return table;
+}
+
+std::string MaintenanceText(const v1::RobotStatus& status) {
+  if (!status.has_maintenance()) return "";
+  // A day or less ahead; the name is enough here. JSON has date and certificate.
+  const std::string& who = status.maintenance().operator_();
+  return absl::StrCat(
+      "maintenance until ",
+      absl::FormatTime("%H:%M UTC", absl::FromUnixNanos(status.maintenance().until_unix_ns()),
+                       absl::UTCTimeZone()),
+      " (", who.substr(0, who.find(" (")), ")");
 }
 
 std::string StageAndPending(const v1::RobotStatus& status) {

@@ -19,9 +19,12 @@
 namespace rips::ripsctl {
 namespace {
 
-// What is wrong, in one line; it says so where the server has left something out.
+// What is wrong, in one line, behind a maintenance that may be why; it says so where the server has
+// left something out.
 std::string DegradedText(const v1::RobotStatus& status) {
-  std::string text = absl::StrJoin(status.degraded(), "; ");
+  std::string text = MaintenanceText(status);
+  if (!text.empty() && !status.degraded().empty()) text += "; ";
+  absl::StrAppend(&text, absl::StrJoin(status.degraded(), "; "));
   if (status.degraded_cut()) {
     absl::StrAppend(&text, text.empty() ? "" : "; ",
                     "(more than fits here; see `ripsctl level show ", status.robot(), "`)");

@@ -184,6 +184,7 @@ std::vector<std::string> FleetView::CellsOf(const Robot& robot) const {
     wrong.push_back(
         absl::StrCat(Plural(status.pending_approvals(), "lowering"), " to be approved"));
   }
+  if (status.has_maintenance()) wrong.push_back(MaintenanceText(status));
   wrong.insert(wrong.end(), status.degraded().begin(), status.degraded().end());
   if (status.degraded_cut()) wrong.push_back("(more than fits here)");
   std::vector<std::string> cells = {status.robot(), status.decided_level(),

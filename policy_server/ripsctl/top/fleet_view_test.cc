@@ -61,6 +61,15 @@ class FleetViewTest : public testing::Test {
   FleetView view_{"ps.example:7443"};
 };
 
+TEST_F(FleetViewTest, ShowsAMaintenanceBeforeWhatMayComeOfIt) {
+  Add("r1", "DEFAULT", [](v1::RobotStatus& status) {
+    *status.mutable_maintenance() = MakeMaintenance();
+    status.add_degraded("sensor base lost");
+  });
+  EXPECT_THAT(view_.Render(kSize, kNow)[3].text,
+              HasSubstr("  maintenance until 18:20 UTC (carol); sensor base lost"));
+}
+
 TEST_F(FleetViewTest, HasAHeaderAndARowForEachRobot) {
   Add("r1", "DEFAULT");
   Add("r2", "ALERT", [](v1::RobotStatus& status) { status.add_degraded("sensor base lost"); });

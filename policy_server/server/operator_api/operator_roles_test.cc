@@ -48,6 +48,7 @@ const std::map<std::string, Role> kLeastRoles = {
     {"DeEscalate", Role::kOperator},
     {"Approve", Role::kOperator},
     {"ResumeRules", Role::kOperator},
+    {"SetMaintenance", Role::kOperator},
     {"SendSignal", Role::kOperator},
     {"Record", Role::kOperator},
     {"GetAlertRecording", Role::kOperator},

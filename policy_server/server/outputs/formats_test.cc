@@ -47,6 +47,10 @@ TEST(SyslogFormatTest, IsAsTheRfcSays) {
             "\xEF\xBB\xBFr1: high: a text (graph change)");
   EXPECT_THAT(FormatSyslog(Sample(), "", R"({"id":"a"})"),
               EndsWith("] \xEF\xBB\xBF{\"id\":\"a\"}"));
+  store::AlertRecord marked = Sample();
+  marked.maintenance = "in maintenance \"]";
+  EXPECT_THAT(FormatSyslog(marked, "", ""),
+              HasSubstr("decision=\"3.17\" maintenance=\"in maintenance \\\"\\]\"] "));
   EXPECT_EQ(FrameSyslog("\xEF\xBB\xBF"), "3 \xEF\xBB\xBF");
 }
 

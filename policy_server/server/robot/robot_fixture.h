@@ -102,6 +102,7 @@ class FakeRecorder final : public Recorder {
     if (batch.checkpoint.rules_halted) rules_halted = *batch.checkpoint.rules_halted;
     if (batch.checkpoint.soft_suspended) soft_suspended = *batch.checkpoint.soft_suspended;
     if (batch.checkpoint.resumed_at) resumed_at = *batch.checkpoint.resumed_at;
+    if (batch.checkpoint.maintenance) maintenance = *batch.checkpoint.maintenance;
   }
 
   bool held = false;
@@ -119,6 +120,7 @@ class FakeRecorder final : public Recorder {
   bool rules_halted = false;
   bool soft_suspended = false;
   DecisionId resumed_at;
+  store::Maintenance maintenance;
   std::vector<store::Generation> generations = {{.id = std::string(16, 'g')}};
 
  private:

@@ -59,8 +59,8 @@ std::string FormatAlertLine(const AlertRecord& alert) {
   line["text"] = alert.text;
   line["level"] = alert.level;
   line["event"] = alert.event;
-  line["maintenance"] = alert.maintenance;
   line["decision_id"] = ToString(alert.decision_id);
+  line["maintenance"] = alert.maintenance;
   nlohmann::ordered_json subjects = nlohmann::ordered_json::array();
   for (const engine::TracedSubject& subject : alert.trace.subjects) {
     subjects.push_back({{"name", subject.name},

@@ -51,7 +51,10 @@ TEST(AlertLineTest, HasTheDocumentedShape) {
   EXPECT_EQ(FormatAlertLine(alert),
             R"({"id":"0123456789abcdef0123456789abcdef","time":"2026-01-01T00:00:00.000000007Z",)"
             R"("robot":"r1","rule":"intruder","severity":"high","text":"unknown node",)"
-            R"("level":"ALERT","event":"graph change","decision_id":"3.17","subjects":[]})");
+            R"("level":"ALERT","event":"graph change","decision_id":"3.17",)"
+            R"("maintenance":"","subjects":[]})");
+  alert.maintenance = "in maintenance \x1b";
+  EXPECT_THAT(FormatAlertLine(alert), HasSubstr(R"("maintenance":"in maintenance \u001b")"));
 }
 
 TEST(AlertLineTest, EscapesHostileText) {

@@ -156,10 +156,10 @@ TEST_F(SqliteStoreTest, RefusesALogWithoutItsFile) {
 
 TEST_F(SqliteStoreTest, RefusesANewerSchema) {
   MakeHistory();
-  Execute("PRAGMA user_version = 10");
+  Execute("PRAGMA user_version = 11");
   EXPECT_THAT(SqliteStore::Open(path_),
               StatusIs(absl::StatusCode::kFailedPrecondition,
-                       HasSubstr("schema version 10, this program knows up to 9")));
+                       HasSubstr("schema version 11, this program knows up to 10")));
   Execute("PRAGMA user_version = 0");
   EXPECT_THAT(SqliteStore::Open(path_), StatusIs(absl::StatusCode::kDataLoss));
 }
@@ -172,7 +172,15 @@ TEST_F(SqliteStoreTest, TakesAnOlderSchemaForward) {
     return *(*store)->Load("r1");
   };
   const RobotRecord before = load();
+  const auto drop_maintenance = [&] {
+    Execute("DROP TABLE maintenance");
+    Execute("ALTER TABLE alerts DROP COLUMN maintenance");
+  };
+  drop_maintenance();
+  Execute("PRAGMA user_version = 9");
+  EXPECT_EQ(load(), before);
   const auto drop_acks = [&] {
+    drop_maintenance();
     Execute("DROP INDEX alerts_open");
     Execute("DROP INDEX alerts_robot_open");
     Execute("DROP INDEX alerts_grave");

@@ -336,7 +336,7 @@ TEST_P(StoreContractTest, ABatchIsAllOrNothing) {
 }
 
 TEST_P(StoreContractTest, RefusesRecordsThatSayTooLittleOrTooMuch) {
-  std::vector<WriteBatch> bad(12, WriteBatch{.robot = "r1", .tenure = 1});
+  std::vector<WriteBatch> bad(15, WriteBatch{.robot = "r1", .tenure = 1});
   bad[0] = Decide("", {1, 1}, "A", "B");
   bad[1] = Decide("r1", {0, 1}, "A", "B");
   bad[2] = Decide("r1", {1, 0}, "A", "B");
@@ -351,6 +351,10 @@ TEST_P(StoreContractTest, RefusesRecordsThatSayTooLittleOrTooMuch) {
   bad[10].tenure = 0;
   bad[11].tenure = 0;
   bad[11].checkpoint.rules_halted = true;
+  bad[12].checkpoint.maintenance = {.until_unix_ns = 60, .reason = "no operator"};
+  bad[13].checkpoint.maintenance = {.began_unix_ns = 60, .until_unix_ns = 60, .by = "carol"};
+  bad[14].checkpoint.maintenance = {
+      .until_unix_ns = 60, .by = "c", .reason = std::string(kMaintenanceReasonBytesMax + 1, 'x')};
   for (size_t i = 0; i < bad.size(); ++i) {
     EXPECT_THAT(store_->Commit(bad[i]), StatusIs(absl::StatusCode::kInvalidArgument)) << i;
   }
@@ -738,6 +742,33 @@ TEST_P(StoreContractTest, ShowsTheNewestDecisionsOfRules) {
   ASSERT_THAT(store_->Commit(many), IsOk());
   EXPECT_THAT(Load("r1").rule_decisions, SizeIs(kRuleDecisionsMax));
   EXPECT_EQ(Load("r1").rule_decisions.front().decision_id, (DecisionId{2, 1}));
+}
+
+TEST_P(StoreContractTest, KeepsTheMaintenanceOfARobotUntilItEnds) {
+  EXPECT_TRUE(Load("r1").maintenance.none());
+  WriteBatch batch{.robot = "r1", .tenure = 1};
+  const std::string hostile("it's\0 \xFF", 8);
+  const Maintenance first{
+      .began_unix_ns = 5, .until_unix_ns = 60, .by = "carol", .reason = hostile};
+  batch.checkpoint.maintenance = first;
+  batch.alerts = {MakeAlert("r1", "marked")};
+  batch.alerts[0].maintenance = hostile;
+  ASSERT_THAT(store_->Commit(batch), IsOk());
+  EXPECT_EQ(Load("r1").maintenance, first);
+  EXPECT_TRUE(Load("r2").maintenance.none());
+  EXPECT_EQ((*store_->ListAlerts("r1", 0)).front().maintenance, hostile);
+  EXPECT_EQ((*store_->AlertsAfter("", 0, 0)).alerts.front().maintenance, hostile);
+
+  WriteBatch other{.robot = "r1", .tenure = 1};
+  other.checkpoint.rules_halted = true;
+  ASSERT_THAT(store_->Commit(other), IsOk());
+  EXPECT_EQ(Load("r1").maintenance, first) << "absent = as before";
+  batch.checkpoint.maintenance->by = "dave";
+  ASSERT_THAT(store_->Commit(batch), IsOk());
+  EXPECT_EQ(Load("r1").maintenance.by, "dave") << "one of each robot";
+  batch.checkpoint.maintenance = Maintenance();
+  ASSERT_THAT(store_->Commit(batch), IsOk());
+  EXPECT_TRUE(Load("r1").maintenance.none());
 }
 
 INSTANTIATE_TEST_SUITE_P(All, StoreContractTest, testing::Values(Kind::kFake, Kind::kSqlite),
