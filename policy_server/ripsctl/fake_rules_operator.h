@@ -10,6 +10,7 @@
 #include "absl/base/thread_annotations.h"
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_join.h"
+#include "policy_server/ripsctl/samples.h"
 #include "rips/v1/operator.grpc.pb.h"
 #include "services/runtime/mutex.h"
 
@@ -61,6 +62,12 @@ class FakeRulesOperator : public v1::OperatorService::Service {
                               v1::RolloutResponse* response) override {
     *response = rollout;
     return Remember(absl::StrCat("RollBackBundle ", request->ShortDebugString()));
+  }
+  grpc::Status SetMaintenance(grpc::ServerContext*, const v1::SetMaintenanceRequest* request,
+                              v1::SetMaintenanceResponse* response) override {
+    if (request->for_ms() > 0) *response->mutable_maintenance() = MakeMaintenance();
+    return Remember(absl::StrCat("SetMaintenance ", request->robot(), " ", request->for_ms(), " ",
+                                 request->reason()));
   }
   grpc::Status ResumeRules(grpc::ServerContext*, const v1::ResumeRulesRequest* request,
                            v1::ResumeRulesResponse*) override {

@@ -173,12 +173,6 @@ class FakeOperator final : public FakeEnrolOperator {
                           v1::DrillRobotResponse*) override {
     return Remember(absl::StrCat("DrillRobot ", request->robot()));
   }
-  grpc::Status SetMaintenance(grpc::ServerContext*, const v1::SetMaintenanceRequest* request,
-                              v1::SetMaintenanceResponse* response) override {
-    if (request->for_ms() > 0) *response->mutable_maintenance() = MakeMaintenance();
-    return Remember(absl::StrCat("SetMaintenance ", request->robot(), " ", request->for_ms(), " ",
-                                 request->reason()));
-  }
   grpc::Status GetLevel(grpc::ServerContext*, const v1::GetLevelRequest* request,
                         v1::GetLevelResponse* response) override {
     *response->mutable_status() = MakeStatus(request->robot(), "COMPROMISED");

@@ -138,20 +138,23 @@ TEST_F(AttackAlertsTest, DecoysDoNotHideHowManyThereAre) {
 
 // Severity and rate are those without it.
 TEST_F(AttackAlertsTest, AlertsOfARobotInMaintenanceCarryItsMark) {
-  alerts_.SetMaintenance(
-      "r1", store::Maintenance{.until_unix_ns = 1, .by = "carol (x)", .reason = "reboot"});
-  attacks_.OnPeerRefused("r1");
-  attacks_.OnPeerRefused("r2");
-  alerts_.SetMaintenance("r1", std::nullopt);
-  clock_.Advance(60 * kNanosPerSecond);
-  attacks_.OnPeerRefused("r1");
+  const store::Maintenance reboot{.until_unix_ns = clock_.Now().unix_ns + 90 * kNanosPerSecond,
+                                  .by = "carol (x)",
+                                  .reason = "reboot"};
+  alerts_.SetMaintenance("r1", reboot);
+  alerts_.SetMaintenance("r2", reboot);
+  alerts_.SetMaintenance("r2", std::nullopt);
+  for (int i = 0; i < 3; ++i) {
+    attacks_.OnPeerRefused("r1");
+    attacks_.OnPeerRefused("r2");
+    clock_.Advance(60 * kNanosPerSecond);
+  }
   EXPECT_THAT(Told(), Each(HasSubstr(" high peers of robot r")));
   std::vector<std::string> marks;
   const auto page = store_.AlertsAfter("", 0, 0);
   for (const store::AlertRecord& alert : page->alerts) marks.push_back(alert.maintenance);
-  EXPECT_THAT(marks, ElementsAre("in maintenance until 1970-01-01 00:00:00 UTC (asked by carol: "
-                                 "reboot)",
-                                 "", ""));
+  const std::string mark = "in maintenance until 2026-01-01 00:01:30 UTC (asked by carol: reboot)";
+  EXPECT_THAT(marks, ElementsAre(mark, "", mark, "", "", ""));
 }
 
 TEST_F(AttackAlertsTest, ARobotsPeersAreToldOfThatRobot) {

@@ -27,6 +27,7 @@ ELSEWHERE = {
     "policy_server/server/fleet.cc": 2,
     "policy_server/server/operator_api/operator_service.cc": 1,
     "policy_server/server/robot/actuators/actuator_side.cc": 2,
+    "policy_server/server/robot/context/alerts.cc": 1,
     "policy_server/server/robot/decide/admission.cc": 2,
     "policy_server/server/robot/sensors/sensor_side.cc": 1,
     "policy_server/server/rollout/bundle_control.cc": 1,

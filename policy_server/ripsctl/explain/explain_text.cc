@@ -102,10 +102,12 @@ std::string TransitionLine(const v1::Transition& transition) {
 std::string AlertLine(const v1::Alert& alert) {
   const std::string rule =
       alert.rule() == kOwnRule ? "RIPS itself" : absl::StrCat("rule ", EscapeText(alert.rule()));
+  // What RIPS says of an absent agent has the words already.
+  const bool said = absl::StrContains(alert.text(), alert.maintenance());
   return absl::StrCat(EscapeText(alert.robot()), ": ", EscapeText(alert.severity()), " alert at ",
                       ShortTime(alert.time_unix_ns()), Behind(" in ", alert.level()),
                       DecisionIn(" (", alert.decision_id(), ")"), ", by ", rule, ": ",
-                      EscapeText(alert.text()));
+                      EscapeText(alert.text()), said ? "" : Behind("; ", alert.maintenance()));
 }
 
 // Of the transition or the alert; empty if no rule did it.

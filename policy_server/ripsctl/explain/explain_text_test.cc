@@ -176,6 +176,11 @@ TEST(ExplainTextTest, TellsAnAlert) {
   EXPECT_THAT(Print({.recorded = recorded}),
               AllOf(HasSubstr(", by RIPS itself: unknown node\n"),
                     HasSubstr("Why: no rule did it, but RIPS itself\n")));
+
+  recorded.mutable_alert()->set_maintenance("in maintenance until noon (asked by carol: \x1b[2J)");
+  EXPECT_THAT(Print({.recorded = recorded}),
+              AllOf(HasSubstr(": unknown node; in maintenance until noon (asked by carol: "),
+                    Not(HasSubstr("\x1b"))));
 }
 
 TEST(ExplainTextTest, TellsARefusedChange) {

@@ -106,8 +106,7 @@ class FakeRecorder final : public Recorder {
   }
 
   bool held = false;
-  absl::Status fail;
-  absl::Status term_fail;
+  absl::Status fail, term_fail;
   uint64_t newest_term = 0;
   bool questions_held = false;
   // What may use the reserve succeeds all the same.
@@ -117,8 +116,7 @@ class FakeRecorder final : public Recorder {
   std::vector<store::StageUpdate> stages;
   store::HighWater high_water;
   store::Variables variables;
-  bool rules_halted = false;
-  bool soft_suspended = false;
+  bool rules_halted = false, soft_suspended = false;
   DecisionId resumed_at;
   store::Maintenance maintenance;
   std::vector<store::Generation> generations = {{.id = std::string(16, 'g')}};

@@ -43,7 +43,11 @@ void ServerAlerts::SetMaintenance(const std::string& robot,
 std::string ServerAlerts::MarkOf(const std::string& robot) {
   MutexLock lock(&mu_);
   const auto found = maintenance_.find(robot);
-  return found == maintenance_.end() ? "" : MaintenanceMark(found->second);
+  // Of a robot that nothing judges any more no other status comes.
+  if (found == maintenance_.end() || found->second.until_unix_ns <= clock_->Now().unix_ns) {
+    return "";
+  }
+  return MaintenanceMark(found->second);
 }
 
 void ServerAlerts::Put(const std::string& robot, const engine::AlertEffect& effect,

@@ -35,7 +35,7 @@ class ServerAlerts {
   void Raise(const std::string& robot, engine::Severity severity, const std::string& text,
              const std::string& level = "",
              std::source_location where = std::source_location::current()) ABSL_LOCKS_EXCLUDED(mu_);
-  // Alerts of the robot carry its mark until another call; nullopt: the robot is in none.
+  // Alerts of the robot carry its mark until its end or another call; nullopt: it is in none.
   void SetMaintenance(const std::string& robot,
                       const std::optional<store::Maintenance>& maintenance)
       ABSL_LOCKS_EXCLUDED(mu_);

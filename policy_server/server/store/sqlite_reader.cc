@@ -44,6 +44,16 @@ AlertRecord ReadAlert(const Query& query) {
           .trace = TraceFromBytes(query.Text(10))};
 }
 
+// Of the row that is next; none if there is no row.
+absl::StatusOr<Maintenance> ReadMaintenance(Query& query) {
+  RIPS_ASSIGN_OR_RETURN(const bool row, query.Step());
+  if (!row) return Maintenance();
+  return Maintenance{.began_unix_ns = query.Number(0),
+                     .until_unix_ns = query.Number(1),
+                     .by = query.Text(2),
+                     .reason = query.Text(3)};
+}
+
 TransitionRecord ReadTransition(const Query& query) {
   return {.id = query.Text(0),
           .robot = query.Text(1),
@@ -187,7 +197,9 @@ absl::StatusOr<RobotRecord> SqliteReader::Load(absl::string_view robot) {
     RIPS_RETURN_IF_ERROR(LoadRuleDecisions(robot, &record));
     RIPS_RETURN_IF_ERROR(LoadVariables(robot, &record.variables));
     RIPS_RETURN_IF_ERROR(LoadHighWater(robot, &record.high_water));
-    RIPS_RETURN_IF_ERROR(LoadMaintenance(robot, &record.maintenance));
+    Query maintenance = maintenance_.Start();
+    maintenance.Bind(robot);
+    RIPS_ASSIGN_OR_RETURN(record.maintenance, ReadMaintenance(maintenance));
     return record;
   };
   absl::StatusOr<RobotRecord> record = read();
@@ -223,18 +235,6 @@ absl::Status SqliteReader::LoadHighWater(absl::string_view robot, HighWater* hig
                                   .lane = static_cast<LaneKey::Lane>(lane)},
                                  query.Unsigned(3));
   }
-}
-
-absl::Status SqliteReader::LoadMaintenance(absl::string_view robot, Maintenance* maintenance) {
-  Query query = maintenance_.Start();
-  query.Bind(robot);
-  RIPS_ASSIGN_OR_RETURN(const bool row, query.Step());
-  if (!row) return absl::OkStatus();
-  *maintenance = {.began_unix_ns = query.Number(0),
-                  .until_unix_ns = query.Number(1),
-                  .by = query.Text(2),
-                  .reason = query.Text(3)};
-  return absl::OkStatus();
 }
 
 absl::Status SqliteReader::LoadRuleDecisions(absl::string_view robot, RobotRecord* record) {

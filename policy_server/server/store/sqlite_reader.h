@@ -42,7 +42,6 @@ class SqliteReader {
 
   absl::Status LoadVariables(absl::string_view robot, Variables* variables);
   absl::Status LoadHighWater(absl::string_view robot, HighWater* high_water);
-  absl::Status LoadMaintenance(absl::string_view robot, Maintenance* maintenance);
   absl::Status LoadRuleDecisions(absl::string_view robot, RobotRecord* record);
 
   // Of all robots, of all those of severity high and critical, or of one robot; of all alerts or of

@@ -458,7 +458,15 @@ absl::Status SqliteWriter::Write(const std::string& robot, const Checkpoint& che
     RIPS_RETURN_IF_ERROR(set_bundle_.Start().Bind(robot).Bind(*checkpoint.bundle).Run());
   }
   if (checkpoint.maintenance.has_value()) {
-    RIPS_RETURN_IF_ERROR(Write(robot, *checkpoint.maintenance));
+    const Maintenance& maintenance = *checkpoint.maintenance;
+    RIPS_RETURN_IF_ERROR(maintenance.none() ? end_maintenance_.Start().Bind(robot).Run()
+                                            : put_maintenance_.Start()
+                                                  .Bind(robot)
+                                                  .Bind(maintenance.began_unix_ns)
+                                                  .Bind(maintenance.until_unix_ns)
+                                                  .Bind(maintenance.by)
+                                                  .Bind(maintenance.reason)
+                                                  .Run());
   }
   for (const auto& [key, sequence] : checkpoint.high_water) {
     RIPS_RETURN_IF_ERROR(put_high_water_.Start()
@@ -475,17 +483,6 @@ absl::Status SqliteWriter::Write(const std::string& robot, const Checkpoint& che
                              .Run());
   }
   return absl::OkStatus();
-}
-
-absl::Status SqliteWriter::Write(const std::string& robot, const Maintenance& maintenance) {
-  if (maintenance.none()) return end_maintenance_.Start().Bind(robot).Run();
-  return put_maintenance_.Start()
-      .Bind(robot)
-      .Bind(maintenance.began_unix_ns)
-      .Bind(maintenance.until_unix_ns)
-      .Bind(maintenance.by)
-      .Bind(maintenance.reason)
-      .Run();
 }
 
 absl::Status SqliteWriter::WriteVariables(const std::string& robot, const Variables& variables) {

@@ -51,7 +51,6 @@ class SqliteWriter {
   absl::Status Write(const std::string& robot, const Checkpoint& checkpoint);
   // Forgets the oldest alerts of a robot that has more than its share, when so many were `added`.
   absl::Status PruneAlerts(const std::string& robot, size_t added);
-  absl::Status Write(const std::string& robot, const Maintenance& maintenance);
   absl::Status WriteVariables(const std::string& robot, const Variables& variables);
   // True if exactly this decision is stored; AlreadyExists if another has its decision id or id.
   absl::StatusOr<bool> IsStored(const std::string& robot, const DecisionRecord& decision);
@@ -67,8 +66,7 @@ class SqliteWriter {
   Statement put_refusal_, prune_refusals_, set_stage_, add_alert_, find_prune_, prune_alerts_,
       note_prune_, set_note_, set_bundle_;
   Statement clear_variables_, add_variable_, set_suspended_, set_halted_, set_resumed_,
-      put_high_water_, prune_high_water_;
-  Statement put_maintenance_, end_maintenance_;
+      put_high_water_, prune_high_water_, put_maintenance_, end_maintenance_;
   Statement put_ban_, remove_ban_, add_ack_, find_alert_;
   Statement add_generation_, prune_generations_, count_commit_;
   uint64_t newest_commit_ = 0;
