@@ -262,6 +262,28 @@ def a_program_signs_what_a_robot_enrols_and_renews_with(fleet):
     fleet.enrol("fetch", "--token", again, folder=spare)
     fleet.wait_level("DEFAULT", 5)
 
+    # One that hangs does not hold up the server's end.
+    fleet.sign_by(f"echo $$ > {fleet.dir}/hangs; exec sleep 600")
+    hangs = fleet.dir / "hangs"
+    asking = []
+
+    def runs():
+        # The server may say first that it is too soon.
+        if not asking or asking[-1].poll() is not None:
+            asking.append(subprocess.Popen(
+                [*fleet.within, fleet.path_of("rips-enrol"), "renew", "--now", "--dir",
+                 fleet.folder], stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL,
+                stderr=subprocess.DEVNULL, env=fleet.env))
+        return hangs.exists() and hangs.read_text().strip()
+    try:
+        eventually(runs, 30, "the program runs", every=0.5)
+        fleet.server.kill()
+        check(not pathlib.Path("/proc", hangs.read_text().strip()).exists(), "it runs on")
+    finally:
+        for each in asking:
+            each.kill()
+            each.wait()
+
 
 SCENARIOS = [a_token_brings_a_robot_its_certificates, certificates_are_renewed_under_open_streams,
              another_root_takes_over_without_a_gap,
