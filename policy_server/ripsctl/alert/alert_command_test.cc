@@ -34,6 +34,7 @@ TEST_F(RipsctlTest, ListsAlertsWithHostileTextEscaped) {
                             {"level", "ALERT"},
                             {"event", "graph change"},
                             {"decision_id", "3.16"},
+                            {"maintenance", ""},
                             {"subjects", nlohmann::json::array()},
                             {"acknowledged", nullptr}}));
   EXPECT_THAT(fake_.calls(), testing::ElementsAre("ListAlerts  100", "ListAlerts r1 5"));
