@@ -1,5 +1,6 @@
 // A robot whose agents may be away, as its alerts, its level and its store say.
 #include <string>
+#include <utility>
 
 #include "gmock/gmock.h"
 #include "policy_server/server/robot/robot_fixture.h"
@@ -45,8 +46,10 @@ class MaintenanceTest : public RobotTest {
     Pass(6'000);
   }
   void RogueMessage() {
+    ros2::GraphDelta delta;
+    AddNode(&delta, 9, "/intruder", "/cmd_vel");
+    SendDelta(std::move(delta));
     SendMessage(9);
-    Pass(1'000);  // it waits for the graph that has its writer
   }
   // At once: the time between is of no interest.
   void Wait(int64_t ns) {
