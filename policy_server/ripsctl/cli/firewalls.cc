@@ -52,12 +52,13 @@ std::string DropsText(const v1::HostFirewall& drops) {
   if (drops.dropped_packets() == 0) {
     return absl::StrCat("has dropped no packet in ", drops.counted_s(), " s");
   }
-  return absl::StrCat(
-      "has dropped ", drops.dropped_packets(),
-      drops.dropped_packets() == 1 ? " packet" : " packets", " in ", drops.counted_s(), " s, ",
-      drops.quiet_s() < kStillSendsS ? absl::StrCat("the newest less than ", drops.quiet_s() + 1,
-                                                    " s ago: what it keeps out still sends")
-                                     : absl::StrCat("none in the last ", drops.quiet_s(), " s"));
+  return absl::StrCat("has dropped ", drops.dropped_packets(),
+                      drops.dropped_packets() == 1 ? " packet" : " packets", " in ",
+                      drops.counted_s(), " s, ",
+                      drops.quiet_s() < kStillSendsS
+                          ? absl::StrCat("the newest less than ", drops.quiet_s() + 1,
+                                         " s ago: something that it keeps out still sends")
+                          : absl::StrCat("none in the last ", drops.quiet_s(), " s"));
 }
 
 void PrintFirewalls(const absl::StatusOr<std::vector<FirewallOfHost>>& firewalls,

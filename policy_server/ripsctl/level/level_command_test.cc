@@ -37,19 +37,20 @@ TEST_F(RipsctlTest, ALoweringSaysWhatFirewallsHoldThatMayEndWithTheLevel) {
   };
   drops("base", 1240, 2);
   drops("lidar", 7, 0);  // holds nothing any more
-  EXPECT_THAT(Run({"level", "lower", "r1", "--to", "DEFAULT", "--dry-run"}).out,
-              testing::StartsWith(
-                  "r1 is at COMPROMISED (3.17) since 2026-01-01T00:00:00.000Z, rule "
-                  "rogue_cmd_vel\n"
-                  "base holds `firewall isolate_host 10.0.0.66` until a level releases it or its "
-                  "time is over\n"
-                  "base has dropped 1240 packets in 300 s, the newest less than 3 s ago: what it "
-                  "keeps out still sends\n"
-                  "cam holds `firewall /etc/rips/alert.nft` until a level releases it or its time "
-                  "is over\n"
-                  "what cam drops is not known; `nft list table inet rips` there shows it\n"
-                  "what a firewall keeps out may come back when it is released\n"
-                  "would lower r1"));
+  EXPECT_THAT(
+      Run({"level", "lower", "r1", "--to", "DEFAULT", "--dry-run"}).out,
+      testing::StartsWith(
+          "r1 is at COMPROMISED (3.17) since 2026-01-01T00:00:00.000Z, rule "
+          "rogue_cmd_vel\n"
+          "base holds `firewall isolate_host 10.0.0.66` until a level releases it or its "
+          "time is over\n"
+          "base has dropped 1240 packets in 300 s, the newest less than 3 s ago: something that "
+          "it keeps out still sends\n"
+          "cam holds `firewall /etc/rips/alert.nft` until a level releases it or its time "
+          "is over\n"
+          "what cam drops is not known; `nft list table inet rips` there shows it\n"
+          "what a firewall keeps out may come back when it is released\n"
+          "would lower r1"));
   const nlohmann::json expected = {{{"host", "base"},
                                     {"steps", {"firewall isolate_host 10.0.0.66"}},
                                     {"dropped_packets", 1240},
