@@ -103,17 +103,6 @@ TEST_F(CallGateTest, ACompressedRequestIsNotUnpacked) {
   EXPECT_THAT(metrics_.Text(), HasSubstr(absl::StrCat(kUndecodable, 1)));
 }
 
-// gRPC ends it by itself: no interceptor and no handler sees that there was a call.
-TEST_F(CallGateTest, ARequestBeyondTheReceiveLimitIsNotShown) {
-  grpc::ChannelArguments arguments;
-  arguments.SetMaxSendMessageSize(-1);
-  channel_ = grpc::CreateCustomChannel(server_->address(), LoadOrDie(pki_.Operator())->ForClient(),
-                                       arguments);
-  EXPECT_EQ(Drill(std::string(kMessageBytesMax + 1, 'r')).error_code(),
-            grpc::StatusCode::RESOURCE_EXHAUSTED);
-  EXPECT_THAT(metrics_.Text(), HasSubstr(absl::StrCat(kUndecodable, 0)));
-}
-
 TEST_F(CallGateTest, ACertificateThatSendsManyIsBanned) {
   const int64_t deadline_ns = BoottimeAfter(kPatience);
   const std::string certificate = [&] {
