@@ -1,7 +1,10 @@
 #include "policy_server/ripsctl/cli/firewalls.h"
 
+#include <algorithm>
+#include <cstdint>
 #include <nlohmann/json.hpp>
 #include <set>
+#include <utility>
 
 #include "absl/strings/match.h"
 #include "absl/strings/str_cat.h"
@@ -15,17 +18,13 @@ namespace {
 // What was dropped not longer ago is said to go on: an actuator looks every 2 s.
 constexpr uint32_t kStillSendsS = 10;
 
-FirewallOfHost OfReceipt(const v1::ReceivedReceipt& received, const v1::GetLevelResponse& seen) {
-  FirewallOfHost firewall;
-  firewall.host = received.host();
-  for (const v1::StepResult& step : received.receipt().steps()) {
-    if (!step.ok() || !absl::StartsWith(step.step(), "firewall ")) continue;
-    if (step.step() != "firewall release") firewall.steps.push_back(step.step());
-  }
-  for (const v1::HostFirewall& drops : seen.firewalls()) {
-    if (drops.host() == firewall.host) firewall.drops = drops;
-  }
-  return firewall;
+bool IsFirewall(const v1::StepResult& step) {
+  return step.ok() && step.drilled() == v1::StepResult::DRILLED_UNSPECIFIED &&
+         absl::StartsWith(step.step(), "firewall ");
+}
+
+bool SameDecision(const v1::DecisionId& a, const v1::DecisionId& b) {
+  return a.term() == b.term() && a.epoch() == b.epoch();
 }
 
 }  // namespace
@@ -35,15 +34,29 @@ absl::StatusOr<std::vector<FirewallOfHost>> ReadFirewalls(Env& env, const std::s
   v1::ListReceiptsRequest request;
   request.set_robot(robot);
   RIPS_ASSIGN_OR_RETURN(const auto response, Call(env, &Stub::ListReceipts, request));
-  const v1::DecisionId& level = seen.status().decision_id();
   std::vector<FirewallOfHost> firewalls;
-  std::set<std::string> hosts;
+  std::set<std::string> settled;
   for (const v1::ReceivedReceipt& each : response.receipts()) {  // newest first
-    const v1::DecisionId& of = each.receipt().decision_id();
-    if (of.term() != level.term() || of.epoch() != level.epoch()) continue;
-    if (!hosts.insert(each.host()).second) continue;
-    FirewallOfHost firewall = OfReceipt(each, seen);
-    if (!firewall.steps.empty()) firewalls.push_back(std::move(firewall));
+    if (settled.contains(each.host())) continue;
+    FirewallOfHost firewall;
+    firewall.host = each.host();
+    firewall.decision_id = each.receipt().decision_id();
+    firewall.renewed = SameDecision(firewall.decision_id, seen.status().decision_id());
+    bool released = false;
+    for (const v1::StepResult& step : each.receipt().steps()) {
+      if (!IsFirewall(step)) continue;
+      if (step.step() == "firewall release") {
+        released = true;
+      } else {
+        firewall.steps.push_back(step.step());
+      }
+    }
+    if (released || !firewall.steps.empty()) settled.insert(each.host());
+    if (firewall.steps.empty()) continue;
+    for (const v1::HostFirewall& drops : seen.firewalls()) {
+      if (firewall.renewed && drops.host() == firewall.host) firewall.drops = drops;
+    }
+    firewalls.push_back(std::move(firewall));
   }
   return firewalls;
 }
@@ -52,13 +65,18 @@ std::string DropsText(const v1::HostFirewall& drops) {
   if (drops.dropped_packets() == 0) {
     return absl::StrCat("has dropped no packet in ", drops.counted_s(), " s");
   }
-  return absl::StrCat("has dropped ", drops.dropped_packets(),
-                      drops.dropped_packets() == 1 ? " packet" : " packets", " in ",
-                      drops.counted_s(), " s, ",
-                      drops.quiet_s() < kStillSendsS
-                          ? absl::StrCat("the newest less than ", drops.quiet_s() + 1,
-                                         " s ago: something that it keeps out still sends")
-                          : absl::StrCat("none in the last ", drops.quiet_s(), " s"));
+  // Seconds are whole: within the first one it is no rate.
+  const uint64_t a_second = drops.dropped_packets() / std::max<uint32_t>(drops.counted_s(), 1);
+  std::string text = absl::StrCat("has dropped ", drops.dropped_packets(),
+                                  drops.dropped_packets() == 1 ? " packet" : " packets", " in ",
+                                  drops.counted_s(), " s");
+  if (a_second > 0) absl::StrAppend(&text, " (", a_second, " a second)");
+  if (drops.quiet_s() >= kStillSendsS) {
+    return absl::StrCat(text, ", none in the last ", drops.quiet_s(), " s");
+  }
+  return absl::StrCat(text, ", the newest less than ", drops.quiet_s() + 1,
+                      " s ago: something that it keeps out still sends, the attacker or other "
+                      "hosts");
 }
 
 void PrintFirewalls(const absl::StatusOr<std::vector<FirewallOfHost>>& firewalls,
@@ -71,8 +89,14 @@ void PrintFirewalls(const absl::StatusOr<std::vector<FirewallOfHost>>& firewalls
   for (const FirewallOfHost& each : *firewalls) {
     const std::string host = EscapeText(each.host);
     for (const std::string& step : each.steps) {
-      out << host << " holds `" << EscapeText(step)
-          << "` until a level releases it or its time is over\n";
+      if (each.renewed) {
+        out << host << " holds `" << EscapeText(step)
+            << "` until a level releases it or its time is over\n";
+      } else {
+        out << host << " may still hold `" << EscapeText(step) << "` of the level before ("
+            << DecisionIdText(each.decision_id) << "): no level since has released it, so it "
+            << "ends, and lets everything in, when its time is over\n";
+      }
     }
     if (each.drops.has_value()) {
       out << host << " " << DropsText(*each.drops) << "\n";
@@ -87,7 +111,10 @@ Json FirewallsJson(const absl::StatusOr<std::vector<FirewallOfHost>>& firewalls)
   if (!firewalls.ok()) return nullptr;
   Json list = Json::array();
   for (const FirewallOfHost& each : *firewalls) {
-    Json firewall = {{"host", each.host}, {"steps", each.steps}};
+    Json firewall = {{"host", each.host},
+                     {"steps", each.steps},
+                     {"decision_id", DecisionIdText(each.decision_id)},
+                     {"renewed", each.renewed}};
     const auto& drops = each.drops;
     firewall["dropped_packets"] = drops ? Json(drops->dropped_packets()) : Json(nullptr);
     firewall["counted_s"] = drops ? Json(drops->counted_s()) : Json(nullptr);

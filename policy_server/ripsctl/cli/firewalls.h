@@ -16,14 +16,18 @@ namespace rips::ripsctl {
 
 struct FirewallOfHost {
   std::string host;
-  // Steps of the level that were carried out, `firewall isolate_host 10.0.0.66`.
+  // Steps that were carried out, `firewall isolate_host 10.0.0.66`.
   std::vector<std::string> steps;
+  // Of the level that has them.
+  v1::DecisionId decision_id;
+  // That level is in force. Else the firewall is no longer renewed: it ends with its time.
+  bool renewed = true;
   // Unset: its actuator has not said yet, is not connected, or is of an older version.
   std::optional<v1::HostFirewall> drops;
 };
 
-// Of the decision in force that `seen` names: hosts with a step that holds something, newest
-// receipt first.
+// Hosts whose newest firewall step holds something, of the level that `seen` names or of one before
+// that no later step released; newest receipt first.
 absl::StatusOr<std::vector<FirewallOfHost>> ReadFirewalls(Env& env, const std::string& robot,
                                                           const v1::GetLevelResponse& seen);
 

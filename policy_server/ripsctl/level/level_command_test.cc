@@ -26,6 +26,8 @@ TEST_F(RipsctlTest, ALoweringSaysWhatFirewallsHoldThatMayEndWithTheLevel) {
   add("base", 17, "firewall isolate_host 10.0.0.66", true);
   add("base", 17, "firewall isolate_host 10.0.0.67", true);   // older
   add("lidar", 16, "firewall isolate_host 10.0.0.68", true);  // of an earlier decision
+  add("lidar", 15, "firewall isolate_host 10.0.0.69", true);  // which that one replaced
+  add("arm", 16, "firewall isolate_host 10.0.0.70", true);    // released since
   add("wrist", 17, "firewall /etc/rips/alert.nft", false);
   add("cam", 17, "firewall /etc/rips/alert.nft", true);
   const auto drops = [this](const std::string& host, uint64_t packets, uint32_t quiet_s) {
@@ -44,8 +46,12 @@ TEST_F(RipsctlTest, ALoweringSaysWhatFirewallsHoldThatMayEndWithTheLevel) {
           "rogue_cmd_vel\n"
           "base holds `firewall isolate_host 10.0.0.66` until a level releases it or its "
           "time is over\n"
-          "base has dropped 1240 packets in 300 s, the newest less than 3 s ago: something that "
-          "it keeps out still sends\n"
+          "base has dropped 1240 packets in 300 s (4 a second), the newest less than 3 s ago: "
+          "something that it keeps out still sends, the attacker or other hosts\n"
+          "lidar may still hold `firewall isolate_host 10.0.0.68` of the level before (3.16): no "
+          "level since has released it, so it ends, and lets everything in, when its time is "
+          "over\n"
+          "what lidar drops is not known; `nft list table inet rips` there shows it\n"
           "cam holds `firewall /etc/rips/alert.nft` until a level releases it or its time "
           "is over\n"
           "what cam drops is not known; `nft list table inet rips` there shows it\n"
@@ -53,11 +59,22 @@ TEST_F(RipsctlTest, ALoweringSaysWhatFirewallsHoldThatMayEndWithTheLevel) {
           "would lower r1"));
   const nlohmann::json expected = {{{"host", "base"},
                                     {"steps", {"firewall isolate_host 10.0.0.66"}},
+                                    {"decision_id", "3.17"},
+                                    {"renewed", true},
                                     {"dropped_packets", 1240},
                                     {"counted_s", 300},
                                     {"quiet_s", 2}},
+                                   {{"host", "lidar"},
+                                    {"steps", {"firewall isolate_host 10.0.0.68"}},
+                                    {"decision_id", "3.16"},
+                                    {"renewed", false},
+                                    {"dropped_packets", nullptr},
+                                    {"counted_s", nullptr},
+                                    {"quiet_s", nullptr}},
                                    {{"host", "cam"},
                                     {"steps", {"firewall /etc/rips/alert.nft"}},
+                                    {"decision_id", "3.17"},
+                                    {"renewed", true},
                                     {"dropped_packets", nullptr},
                                     {"counted_s", nullptr},
                                     {"quiet_s", nullptr}}};
