@@ -7,6 +7,7 @@
 #include "absl/time/time.h"
 #include "policy_server/ripsctl/cli/json_output.h"
 #include "policy_server/ripsctl/cli/printer.h"
+#include "policy_server/ripsctl/cli/robot_level.h"
 #include "policy_server/ripsctl/commands.h"
 #include "services/base/status_macros.h"
 #include "services/runtime/config_reader.h"
@@ -49,6 +50,7 @@ class SetMaintenance final : public RobotCommand {
     request.set_robot(robot_);
     request.set_for_ms(static_cast<uint64_t>(for_ms_));
     request.set_reason(reason_);
+    RIPS_ASSIGN_OR_RETURN(const auto seen, ReadLevel(env, robot_));
     RIPS_ASSIGN_OR_RETURN(const auto response, Call(env, &Stub::SetMaintenance, request));
     const bool holds = response.has_maintenance();
     if (env.json()) {
@@ -56,8 +58,14 @@ class SetMaintenance final : public RobotCommand {
                        {{"robot", robot_},
                         {"maintenance", holds ? ToJson(response.maintenance()) : Json(nullptr)}});
     }
+    if (seen.status().has_maintenance()) {
+      env.out << "until now: " << EscapeText(MaintenanceText(seen.status())) << "\n";
+    }
     if (!holds) {
       env.out << robot_ << " is no longer in maintenance\n";
+      for (const std::string& why : seen.status().degraded()) {
+        env.out << "still: " << EscapeText(why) << "\n";
+      }
       return ExitCode::kDone;
     }
     env.out << robot_ << " is in maintenance until "

@@ -36,8 +36,8 @@ TEST_F(MaintenanceCommandTest, BeginsAndEnds) {
             "work as before\n");
   const Result ended = Run(With({"--end", "--reason", "it is back"}));
   EXPECT_EQ(ended.out, "r1 is no longer in maintenance\n");
-  EXPECT_THAT(fake_.calls(),
-              ElementsAre("SetMaintenance r1 5400000 kernel", "SetMaintenance r1 0 it is back"));
+  EXPECT_THAT(fake_.calls(), ElementsAre("GetLevel", "SetMaintenance r1 5400000 kernel", "GetLevel",
+                                         "SetMaintenance r1 0 it is back"));
 }
 
 TEST_F(MaintenanceCommandTest, PrintsJson) {
