@@ -452,7 +452,7 @@ TEST_F(CredentialsSourceTest, AKeyThatOthersMayReadIsRefused) {
   ASSERT_THAT(WriteFileAtomically(files.key, pem), IsOk());
   ASSERT_EQ(chmod(files.key.c_str(), 0644), 0);
   const auto refused = StatusIs(absl::StatusCode::kPermissionDenied,
-                                HasSubstr(absl::StrCat("`chmod 600 ", files.key, "`")));
+                                HasSubstr(absl::StrCat("`chmod o-rwx ", files.key, "`")));
   CredentialsSource source(files);
   source.Require(IsOurs);
   EXPECT_THAT(source.Get(), refused);

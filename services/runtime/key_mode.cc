@@ -43,12 +43,15 @@ absl::Status JudgeKeyMode(const std::string& path, const struct stat& info, cons
     *warning = open;
     return absl::OkStatus();
   }
-  // A daemon that is not the owner reads the key as one of its group, and needs that bit.
-  const bool by_group =
-      own_group && (info.st_uid != user.user || (user.user == 0 && info.st_gid != 0));
-  return absl::PermissionDeniedError(
-      absl::StrCat(open, "; run `chmod ", by_group ? "640 " : "600 ", path,
-                   "`, and replace the key if one of them may have read it"));
+  // Root checks for the daemon, which may be its owner or of its group.
+  std::string remedy = absl::StrCat("chmod o-rwx ", path);
+  if (!own_group && info.st_uid == user.user) {
+    remedy = absl::StrCat("chmod go-rwx ", path);
+  } else if (!own_group) {
+    remedy = absl::StrCat("chown ", user.user, " ", path, "; chmod 600 ", path);
+  }
+  return absl::PermissionDeniedError(absl::StrCat(
+      open, "; run `", remedy, "`, and replace the key if one of them may have read it"));
 }
 
 absl::Status CheckKeyMode(const std::string& path, std::string* warning) {

@@ -6,6 +6,7 @@
 #include <fstream>
 #include <string>
 
+#include "absl/strings/str_cat.h"
 #include "gmock/gmock.h"
 #include "gtest/gtest.h"
 #include "services/base/status_matchers.h"
@@ -51,7 +52,7 @@ TEST(KeyModeTest, ADaemonAndItsGroupsMayReadIt) {
 TEST(KeyModeTest, OtherUsersMayNot) {
   for (const mode_t mode : {0644, 0604, 0602, 0601, 0444, 0777, 04'644}) {
     EXPECT_THAT(Judge(mode, kDaemon, kDaemon).status,
-                Refuses("`chmod 600 /etc/rips/pki/sensor/key.pem`"))
+                Refuses("`chmod o-rwx /etc/rips/pki/sensor/key.pem`"))
         << mode;
   }
   EXPECT_THAT(Judge(0644, kDaemon, kDaemon).status,
@@ -61,16 +62,19 @@ TEST(KeyModeTest, OtherUsersMayNot) {
 
 TEST(KeyModeTest, AnotherGroupMayNot) {
   for (const mode_t mode : {0640, 0440, 0620, 0610}) {
-    EXPECT_THAT(Judge(mode, kDaemon, kOtherGroup).status, Refuses("`chmod 600 ")) << mode;
+    EXPECT_THAT(Judge(mode, kDaemon, kOtherGroup).status, Refuses("`chmod go-rwx ")) << mode;
   }
   EXPECT_THAT(Judge(0600, kDaemon, kOtherGroup).status, IsOk());
 }
 
-TEST(KeyModeTest, TheRemedyLeavesADaemonThatIsNotTheOwnerItsGroup) {
-  EXPECT_THAT(Judge(0644, 0, kDaemon).status, Refuses("`chmod 640 "));
+TEST(KeyModeTest, TheRemedyLeavesTheDaemonItsKey) {
+  EXPECT_THAT(Judge(0644, 0, kDaemon).status, Refuses("`chmod o-rwx ")) << "read by its group";
   const KeyUser root = {.user = 0, .groups = {0}};
-  EXPECT_THAT(Judge(0644, 0, kDaemon, kKey, root).status, Refuses("`chmod 640 "));
-  EXPECT_THAT(Judge(0644, 0, 0, kKey, root).status, Refuses("`chmod 600 "));
+  EXPECT_THAT(Judge(0644, 0, kDaemon, kKey, root).status, Refuses("`chmod o-rwx "));
+  EXPECT_THAT(Judge(0644, 0, 0, kKey, root).status, Refuses("`chmod o-rwx "));
+  EXPECT_THAT(Judge(0644, 0, kOtherGroup).status,
+              Refuses(absl::StrCat("`chown ", kDaemon, " ", kKey, "; chmod 600 ", kKey, "`")))
+      << "read by all alone";
 }
 
 TEST(KeyModeTest, RootChecksForADaemonOfAnotherGroup) {

@@ -232,7 +232,7 @@ def asked_before_the_start(fleet):
         away.rename(mine)
         key = mine / "key.pem"
         key.chmod(0o644)
-        asked(name, 2, f"`{key}`", "(mode 0644)", f"run `chmod 600 {key}`")
+        asked(name, 2, f"`{key}`", "(mode 0644)", f"run `chmod o-rwx {key}`")
         key.chmod(0o640)
         asked(name, 0)
         key.chmod(0o600)
