@@ -2,6 +2,7 @@
 
 #include <CLI/CLI.hpp>
 
+#include "absl/strings/match.h"
 #include "absl/strings/str_cat.h"
 #include "absl/strings/strip.h"
 #include "policy_server/ripsctl/cli/printer.h"
@@ -25,6 +26,11 @@ ExitCode Failed(Env& env, const absl::Status& status) {
   const std::string message = EscapeText(status.message());
   switch (status.code()) {
     case absl::StatusCode::kUnavailable: {
+      // The server's own words.
+      if (absl::EndsWith(status.message(), "; try again later")) {
+        env.err << "error: " << message << "\n";
+        return ExitCode::kRefused;
+      }
       const std::string hint = EscapeText(rpc::HandshakeHint(
           status.message(), env.settings.server,
           {.ca = env.settings.ca, .cert = env.settings.cert, .key = env.settings.key, .crl = {}}));

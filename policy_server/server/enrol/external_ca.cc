@@ -99,8 +99,15 @@ absl::StatusOr<pki::Issued> ExternalCa::Sign(pki::CertificateOrder order,
                 order, "");
   }
   if (!end.ok()) {
-    const bool late = absl::IsDeadlineExceeded(end.status());
-    return Fail(late ? "timeout" : "not_started",
+    if (!absl::IsDeadlineExceeded(end.status())) {
+      return Fail("not_started",
+                  absl::FailedPreconditionError(absl::StrCat(
+                      authority, "did not start: ", end.status().message(),
+                      "; does its first line name an interpreter that is there, without a carriage "
+                      "return behind it?")),
+                  order, "");
+    }
+    return Fail("timeout",
                 absl::UnavailableError(absl::StrCat(
                     authority, "is not available: ", end.status().message(), "; try again later")),
                 order, "");

@@ -42,7 +42,7 @@ inline constexpr size_t kExternalCaReasonBytesMax = 512;
 // | reason      | status             | when                                                   |
 // |-------------|--------------------|--------------------------------------------------------|
 // | unusable    | FailedPrecondition | its file is not as CheckExternalCaProgram wants it     |
-// | not_started | Unavailable        | the system cannot start it                             |
+// | not_started | FailedPrecondition | the system cannot start it, or its interpreter         |
 // | try_later   | Unavailable        | exit code 75                                           |
 // | timeout     | Unavailable        | it did not end in time; it is killed with its group    |
 // | refused     | PermissionDenied   | any other exit code                                    |

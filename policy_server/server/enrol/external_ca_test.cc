@@ -292,7 +292,7 @@ TEST_F(ExternalCaTest, AnUnusableProgramIsNamedWithWhatToDo) {
   EXPECT_THAT(CheckExternalCaProgram(Path("sign")), IsOk());
   ASSERT_THAT(WriteFileAtomically(Path("sign"), "#!/nowhere/sh\n", 0755), IsOk());
   ASSERT_EQ(chmod(Path("sign").c_str(), 0755), 0);
-  EXPECT_THAT(Failure("not_started", absl::StatusCode::kUnavailable), HasSubstr("cannot start"));
+  EXPECT_THAT(Failure("not_started", code), HasSubstr("name an interpreter that is there"));
 }
 
 TEST_F(ExternalCaTest, ATokenIsGivenBackWhenItsCallFails) {
