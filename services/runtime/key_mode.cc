@@ -36,7 +36,10 @@ absl::Status JudgeKeyMode(const std::string& path, const struct stat& info, cons
   const bool group = (info.st_mode & S_IRWXG) != 0;
   const bool own_group = user.user == 0 || std::find(user.groups.begin(), user.groups.end(),
                                                      info.st_gid) != user.groups.end();
-  if (!others && (!group || own_group)) return absl::OkStatus();
+  // Neither its owner nor of its group, and closed to others: it cannot read the key, and says that
+  // when it tries.
+  const bool out_of_reach = info.st_uid != user.user && !own_group;
+  if (!others && (!group || own_group || out_of_reach)) return absl::OkStatus();
   const std::string open = absl::StrFormat("private key `%s` is open to other users (mode %04o)",
                                            path, info.st_mode & 07777);
   if (IsContainerSecret(path)) {

@@ -26,6 +26,7 @@ KeyUser ThisProcess();
 //   the owner alone          any                           OK
 //   the group                of a group of `user`          OK
 //   the group                any, and `user` is root       OK: root checks for the daemon
+//   another group            not owned by `user`           OK: to read it fails
 //   others, another group    below /run/secrets            OK, and a `warning`: a container engine
 //                                                          mounts it so, for that container alone
 //   others, another group    elsewhere                     PermissionDenied

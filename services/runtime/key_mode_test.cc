@@ -65,6 +65,8 @@ TEST(KeyModeTest, AnotherGroupMayNot) {
     EXPECT_THAT(Judge(mode, kDaemon, kOtherGroup).status, Refuses("`chmod go-rwx ")) << mode;
   }
   EXPECT_THAT(Judge(0600, kDaemon, kOtherGroup).status, IsOk());
+  EXPECT_THAT(Judge(0640, 0, kOtherGroup).status, IsOk())
+      << "it cannot be read, which is told then";
 }
 
 TEST(KeyModeTest, TheRemedyLeavesTheDaemonItsKey) {

@@ -62,12 +62,13 @@ absl::StatusOr<std::vector<FirewallOfHost>> ReadFirewalls(Env& env, const std::s
 }
 
 std::string DropsText(const v1::HostFirewall& drops) {
+  if (drops.quiet_s() > drops.counted_s()) return "says of what it dropped what cannot be";
   if (drops.dropped_packets() == 0) {
-    return absl::StrCat("has dropped no packet in ", drops.counted_s(), " s");
+    return absl::StrCat("says that it dropped no packet in ", drops.counted_s(), " s");
   }
   // Seconds are whole: within the first one it is no rate.
   const uint64_t a_second = drops.dropped_packets() / std::max<uint32_t>(drops.counted_s(), 1);
-  std::string text = absl::StrCat("has dropped ", drops.dropped_packets(),
+  std::string text = absl::StrCat("says that it dropped ", drops.dropped_packets(),
                                   drops.dropped_packets() == 1 ? " packet" : " packets", " in ",
                                   drops.counted_s(), " s");
   if (a_second > 0) absl::StrAppend(&text, " (", a_second, " a second)");

@@ -36,7 +36,7 @@ absl::StatusOr<std::vector<FirewallOfHost>> ReadFirewalls(Env& env, const std::s
 void PrintFirewalls(const absl::StatusOr<std::vector<FirewallOfHost>>& firewalls,
                     std::ostream& out);
 
-// `has dropped 1240 packets in 300 s, none in the last 42 s`
+// `says that it dropped 1240 packets in 300 s, none in the last 42 s`
 std::string DropsText(const v1::HostFirewall& drops);
 
 // An array; null if that cannot be read.

@@ -285,7 +285,7 @@ TEST(ExplainTextTest, SaysWhatIsNow) {
   firewall.set_host("base");
   firewall.set_counted_s(300);
   EXPECT_THAT(Print({.recorded = recorded, .now = now}),
-              HasSubstr("\n  the firewall of base has dropped no packet in 300 s\n"));
+              HasSubstr("\n  the firewall of base says that it dropped no packet in 300 s\n"));
   EXPECT_THAT(Print({.recorded = recorded, .now = absl::NotFoundError("no robot `r1`")}),
               HasSubstr("Now: not known: no robot `r1`\n"));
   const auto with = [&](absl::StatusOr<v1::LevelResponse> found) {

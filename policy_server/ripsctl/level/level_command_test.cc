@@ -46,7 +46,8 @@ TEST_F(RipsctlTest, ALoweringSaysWhatFirewallsHoldThatMayEndWithTheLevel) {
           "rogue_cmd_vel\n"
           "base holds `firewall isolate_host 10.0.0.66` until a level releases it or its "
           "time is over\n"
-          "base has dropped 1240 packets in 300 s (4 a second), the newest less than 3 s ago: "
+          "base says that it dropped 1240 packets in 300 s (4 a second), the newest less than 3 s "
+          "ago: "
           "something that it keeps out still sends, the attacker or other hosts\n"
           "lidar may still hold `firewall isolate_host 10.0.0.68` of the level before (3.16): no "
           "level since has released it, so it ends, and lets everything in, when its time is "
@@ -86,10 +87,12 @@ TEST_F(RipsctlTest, ALoweringSaysWhatFirewallsHoldThatMayEndWithTheLevel) {
 TEST(FirewallsTest, SaysHowMuchIsDroppedAndHowLongNothingWas) {
   v1::HostFirewall drops;
   drops.set_counted_s(300);
-  EXPECT_EQ(DropsText(drops), "has dropped no packet in 300 s");
+  EXPECT_EQ(DropsText(drops), "says that it dropped no packet in 300 s");
+  drops.set_quiet_s(301);
+  EXPECT_EQ(DropsText(drops), "says of what it dropped what cannot be");
   drops.set_dropped_packets(1);
   drops.set_quiet_s(42);
-  EXPECT_EQ(DropsText(drops), "has dropped 1 packet in 300 s, none in the last 42 s");
+  EXPECT_EQ(DropsText(drops), "says that it dropped 1 packet in 300 s, none in the last 42 s");
 }
 
 }  // namespace

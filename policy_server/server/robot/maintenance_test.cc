@@ -2,6 +2,7 @@
 #include <string>
 #include <utility>
 
+#include "absl/strings/str_cat.h"
 #include "gmock/gmock.h"
 #include "policy_server/server/robot/robot_fixture.h"
 #include "services/base/status_matchers.h"
@@ -73,6 +74,31 @@ class MaintenanceTest : public RobotTest {
                           Field(&store::AlertRecord::text, HasSubstr(text))));
   }
 };
+
+TEST_F(MaintenanceTest, OneOperatorChangesItSoOftenThatEachChangeHasItsAlert) {
+  Start();
+  for (int64_t i = 0; i < 6; ++i) ASSERT_THAT(Begin(20 + i), IsOk()) << i;
+  EXPECT_THAT(Begin(24 * 60),
+              StatusIs(absl::StatusCode::kResourceExhausted, HasSubstr("too often")));
+  EXPECT_THAT(End(), IsOk()) << "another operator";
+  for (int minutes = 20; minutes < 26; ++minutes) {
+    EXPECT_THAT(audience_.alerts, Alert("medium", absl::StrCat("until 2026-01-01 00:", minutes)));
+  }
+  Wait(10 * kNanosPerSecond);
+  EXPECT_THAT(Begin(), IsOk());
+  EXPECT_THAT(Begin(), StatusIs(absl::StatusCode::kResourceExhausted, HasSubstr("10 s")));
+}
+
+TEST_F(MaintenanceTest, AMarkHasTheStartOfALongReason) {
+  Start();
+  ASSERT_THAT(robot_->SetMaintenance(
+                  {.operator_name = kCarol, .reason = std::string(1'000, 'x'), .for_ns = kMinute}),
+              IsOk());
+  Drain();
+  LoseSensor();
+  ASSERT_FALSE(audience_.alerts.empty());
+  for (const store::AlertRecord& each : audience_.alerts) EXPECT_LT(each.maintenance.size(), 250u);
+}
 
 TEST_F(MaintenanceTest, AlertsOfAbsenceAreInfoAndSayWhy) {
   Start();

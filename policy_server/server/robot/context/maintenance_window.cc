@@ -4,8 +4,16 @@
 
 #include "absl/strings/str_cat.h"
 #include "absl/time/time.h"
+#include "services/base/cut_text.h"
 
 namespace rips::pipeline {
+
+namespace {
+
+// Each alert of the robot carries the mark; the alert of the beginning has the whole reason.
+constexpr size_t kReasonInMarkBytesMax = 120;
+
+}  // namespace
 
 std::string UtcText(int64_t unix_ns) {
   return absl::FormatTime("%Y-%m-%d %H:%M:%S UTC", absl::FromUnixNanos(unix_ns),
@@ -18,7 +26,8 @@ std::string ShortName(const std::string& operator_name) {
 
 std::string MaintenanceMark(const store::Maintenance& maintenance) {
   return absl::StrCat("in maintenance until ", UtcText(maintenance.until_unix_ns), " (asked by ",
-                      ShortName(maintenance.by), ": ", maintenance.reason, ")");
+                      ShortName(maintenance.by), ": ",
+                      Shortened(maintenance.reason, kReasonInMarkBytesMax), ")");
 }
 
 void MaintenanceWindow::Restore(const store::Maintenance& stored, const Instant& now) {

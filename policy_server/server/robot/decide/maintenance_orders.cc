@@ -1,5 +1,6 @@
 #include "policy_server/server/robot/decide/maintenance_orders.h"
 
+#include <algorithm>
 #include <optional>
 #include <utility>
 #include <vector>
@@ -15,8 +16,31 @@ void MaintenanceOrders::OnSet(const input::SetMaintenance& in) {
   context_.Do(action::AnswerOrder{in.token, {.status = Set(in.order)}});
 }
 
+absl::Status MaintenanceOrders::NotTooOften(const std::string& operator_name) {
+  const int64_t now_ns = context_.now_ns();
+  const auto fill = [now_ns](Changes& each) {
+    each.left =
+        std::min(kMaintenanceChangesMax,
+                 each.left + static_cast<double>(now_ns - each.at_ns) / kMaintenanceChangeEveryNs);
+    each.at_ns = now_ns;
+    return each.left;
+  };
+  std::erase_if(changes_,
+                [&fill](auto& each) { return fill(each.second) >= kMaintenanceChangesMax; });
+  Changes& changes = changes_.try_emplace(operator_name, Changes{.at_ns = now_ns}).first->second;
+  if (changes.left < 1) {
+    return absl::ResourceExhaustedError(
+        absl::StrCat("you change the maintenance of ", context_.config.id, " too often: after ",
+                     kMaintenanceChangesMax, " times, once in ",
+                     kMaintenanceChangeEveryNs / kNanosPerSecond, " s; try again later"));
+  }
+  changes.left -= 1;
+  return absl::OkStatus();
+}
+
 absl::Status MaintenanceOrders::Set(const MaintenanceOrder& order) {
   RIPS_RETURN_IF_ERROR(Orders::CheckReason(order.reason));
+  RIPS_RETURN_IF_ERROR(NotTooOften(order.operator_name));
   if (order.for_ns != 0) return Begin(order);
   if (!window_.At(context_.now())) {
     return absl::FailedPreconditionError(absl::StrCat(context_.config.id, " is in no maintenance"));

@@ -9,6 +9,8 @@
 #ifndef RIPS_POLICY_SERVER_SERVER_ROBOT_DECIDE_MAINTENANCE_ORDERS_H_
 #define RIPS_POLICY_SERVER_SERVER_ROBOT_DECIDE_MAINTENANCE_ORDERS_H_
 
+#include <cstdint>
+#include <map>
 #include <string>
 
 #include "absl/status/status.h"
@@ -18,8 +20,14 @@
 #include "policy_server/server/robot/context/durable_outbox.h"
 #include "policy_server/server/robot/context/maintenance_window.h"
 #include "policy_server/server/robot/sensors/sensor_side.h"
+#include "services/base/clock.h"
 
 namespace rips::pipeline {
+
+// Changes of one operator at once, and how often one more: fewer than the limit of their alerts, so
+// that none is folded away.
+inline constexpr double kMaintenanceChangesMax = 6;
+inline constexpr int64_t kMaintenanceChangeEveryNs = 10 * kNanosPerSecond;
 
 // Not thread-safe. All that it is given outlives it.
 class MaintenanceOrders {
@@ -34,6 +42,7 @@ class MaintenanceOrders {
         actuators_(*actuators) {}
 
   // Answered at once. InvalidArgument for a reason or a duration out of its limits;
+  // ResourceExhausted for an operator who changes it too often;
   // FailedPrecondition to begin one while the store cannot be written, or to end one if there is
   // none.
   void OnSet(const input::SetMaintenance& in);
@@ -41,6 +50,12 @@ class MaintenanceOrders {
   void Expire();
 
  private:
+  struct Changes {
+    double left = kMaintenanceChangesMax;
+    int64_t at_ns = 0;
+  };
+
+  absl::Status NotTooOften(const std::string& operator_name);
   absl::Status Set(const MaintenanceOrder& order);
   absl::Status Begin(const MaintenanceOrder& order);
   // An alert of the end, which `text` says. `kind` as of Alerts::RaiseOfKind.
@@ -52,6 +67,8 @@ class MaintenanceOrders {
   DurableOutbox& outbox_;
   const SensorSide& sensors_;
   const ActuatorSide& actuators_;
+  // Of operators with fewer left than the most.
+  std::map<std::string, Changes> changes_;
 };
 
 }  // namespace rips::pipeline
