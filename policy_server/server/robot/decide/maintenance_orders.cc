@@ -1,6 +1,7 @@
 #include "policy_server/server/robot/decide/maintenance_orders.h"
 
 #include <algorithm>
+#include <iterator>
 #include <optional>
 #include <utility>
 #include <vector>
@@ -18,15 +19,13 @@ void MaintenanceOrders::OnSet(const input::SetMaintenance& in) {
 
 absl::Status MaintenanceOrders::NotTooOften(const std::string& operator_name) {
   const int64_t now_ns = context_.now_ns();
-  const auto fill = [now_ns](Changes& each) {
-    each.left =
-        std::min(kMaintenanceChangesMax,
-                 each.left + static_cast<double>(now_ns - each.at_ns) / kMaintenanceChangeEveryNs);
+  for (auto it = changes_.begin(); it != changes_.end();) {
+    Changes& each = it->second;
+    const auto passed_ns = static_cast<double>(now_ns - each.at_ns);
+    each.left = std::min(kMaintenanceChangesMax, each.left + passed_ns / kMaintenanceChangeEveryNs);
     each.at_ns = now_ns;
-    return each.left;
-  };
-  std::erase_if(changes_,
-                [&fill](auto& each) { return fill(each.second) >= kMaintenanceChangesMax; });
+    it = each.left >= kMaintenanceChangesMax ? changes_.erase(it) : std::next(it);
+  }
   Changes& changes = changes_.try_emplace(operator_name, Changes{.at_ns = now_ns}).first->second;
   if (changes.left < 1) {
     return absl::ResourceExhaustedError(
