@@ -17,6 +17,8 @@ namespace {
 
 // What was dropped not longer ago is said to go on: an actuator looks every 2 s.
 constexpr uint32_t kStillSendsS = 10;
+// All that the server keeps of a robot: programs have receipts, too.
+constexpr uint32_t kReceiptsMax = 256;
 
 bool IsFirewall(const v1::StepResult& step) {
   return step.ok() && step.drilled() == v1::StepResult::DRILLED_UNSPECIFIED &&
@@ -33,6 +35,7 @@ absl::StatusOr<std::vector<FirewallOfHost>> ReadFirewalls(Env& env, const std::s
                                                           const v1::GetLevelResponse& seen) {
   v1::ListReceiptsRequest request;
   request.set_robot(robot);
+  request.set_limit(kReceiptsMax);
   RIPS_ASSIGN_OR_RETURN(const auto response, Call(env, &Stub::ListReceipts, request));
   std::vector<FirewallOfHost> firewalls;
   std::set<std::string> settled;
@@ -46,7 +49,8 @@ absl::StatusOr<std::vector<FirewallOfHost>> ReadFirewalls(Env& env, const std::s
     for (const v1::StepResult& step : each.receipt().steps()) {
       if (!IsFirewall(step)) continue;
       if (step.step() == "firewall release") {
-        released = true;
+        // A raise does not run it (mode_actuator/DESIGN.md, Release).
+        released = released || !absl::StartsWith(step.detail(), "not run");
       } else {
         firewall.steps.push_back(step.step());
       }

@@ -29,6 +29,9 @@ TEST_F(RipsctlTest, ALoweringSaysWhatFirewallsHoldThatMayEndWithTheLevel) {
   add("lidar", 15, "firewall isolate_host 10.0.0.69", true);  // which that one replaced
   add("arm", 16, "firewall isolate_host 10.0.0.70", true);    // released since
   add("wrist", 17, "firewall /etc/rips/alert.nft", false);
+  add("cam", 17, "firewall release", true);
+  fake_.receipts.mutable_receipts()->rbegin()->mutable_receipt()->mutable_steps(1)->set_detail(
+      "not run: a raise opens nothing; what is in force ends with its time");
   add("cam", 17, "firewall /etc/rips/alert.nft", true);
   const auto drops = [this](const std::string& host, uint64_t packets, uint32_t quiet_s) {
     v1::HostFirewall& firewall = fake_.firewalls.emplace_back();
