@@ -17,6 +17,7 @@ import struct
 import subprocess
 import sys
 import tarfile
+import time
 
 HERE = pathlib.Path(__file__).resolve().parent
 sys.path.insert(0, str(HERE.parent / "support"))
@@ -80,9 +81,16 @@ class Container:
     def pid(self):
         """Of the program, as its caller sees it."""
         child = self.process.child.pid
-        children = pathlib.Path(f"/proc/{child}/task/{child}/children").read_text().split()
-        check(len(children) == 1, f"{self.process.name} does not run")
-        return int(children[0])
+        file = pathlib.Path(f"/proc/{child}/task/{child}/children")
+        deadline = time.monotonic() + 30  # until unshare has forked
+        while self.process.running:
+            children = file.read_text().split()
+            if len(children) == 1:
+                return int(children[0])
+            check(time.monotonic() < deadline, f"{self.process.name} does not begin")
+            time.sleep(0.02)
+        raise Failed(f"{self.process.name} ended with {self.process.child.returncode}; it said\n"
+                     + "\n".join(text for _, text in self.process.lines[-15:]))
 
     def run(self, command):
         """What an engine's `exec` does: the exit code, and what the command printed."""
