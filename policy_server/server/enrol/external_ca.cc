@@ -22,6 +22,9 @@ namespace {
 // Without a PATH of ours, as systemd sets one.
 constexpr absl::string_view kUsualPath = "/usr/local/sbin:/usr/local/bin:/usr/sbin:/usr/bin";
 
+// As RunToEnd and shells give the end by a signal.
+constexpr int kSignalCodes = 128;
+
 std::vector<std::string> EnvironmentOf(const pki::CertificateOrder& order,
                                        const CertificateHolder& holder) {
   const char* const path = std::getenv("PATH");
@@ -117,6 +120,13 @@ absl::StatusOr<pki::Issued> ExternalCa::Sign(pki::CertificateOrder order,
                 absl::UnavailableError(
                     absl::StrCat(authority, "asks to try again later; the server's log says why")),
                 order, end->err);
+  }
+  if (end->exit_code > kSignalCodes) {
+    return Fail(
+        "killed",
+        absl::UnavailableError(absl::StrCat(authority, "was ended by signal ",
+                                            end->exit_code - kSignalCodes, "; try again later")),
+        order, end->err);
   }
   if (end->exit_code != 0) {
     return Fail(

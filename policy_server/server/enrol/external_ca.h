@@ -45,10 +45,11 @@ inline constexpr size_t kExternalCaReasonBytesMax = 512;
 // | not_started | FailedPrecondition | the system cannot start it, or its interpreter         |
 // | try_later   | Unavailable        | exit code 75                                           |
 // | timeout     | Unavailable        | it did not end in time; it is killed with its group    |
+// | killed      | Unavailable        | a signal ended it: exit codes above 128                |
 // | refused     | PermissionDenied   | any other exit code                                    |
 // | wrong       | FailedPrecondition | what it printed is too long, or not what was asked for |
-inline constexpr absl::string_view kExternalCaFailures[] = {"unusable", "not_started", "try_later",
-                                                            "timeout",  "refused",     "wrong"};
+inline constexpr absl::string_view kExternalCaFailures[] = {
+    "unusable", "not_started", "try_later", "timeout", "killed", "refused", "wrong"};
 
 struct ExternalCaOptions {
   // The file, absolute, and its arguments; at least one word.

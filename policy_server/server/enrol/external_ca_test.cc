@@ -238,6 +238,14 @@ TEST_F(ExternalCaTest, TryAgainLaterIsUnavailableWithoutAnAlert) {
   EXPECT_THAT(alerts_, IsEmpty());
 }
 
+TEST_F(ExternalCaTest, AProgramThatASignalEndedHasRefusedNothing) {
+  enrolment();
+  Program("kill -9 $$");
+  EXPECT_THAT(Failure("killed", absl::StatusCode::kUnavailable),
+              HasSubstr("was ended by signal 9; try again later"));
+  EXPECT_THAT(alerts_, IsEmpty());
+}
+
 TEST_F(ExternalCaTest, WhyItRefusesIsOneHarmlessLineOfTheLog) {
   enrolment();
   Program(
