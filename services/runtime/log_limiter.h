@@ -25,6 +25,9 @@ class LogLimiter {
   static constexpr double kPerSecond = 1;
   static constexpr size_t kSourcesMax = 4'096;
 
+  explicit LogLimiter(double burst = kBurst, double per_second = kPerSecond)
+      : burst_(burst), per_second_(per_second) {}
+
   // Lines of this source left out since the last one that was written; nullopt: leave this one out.
   std::optional<uint64_t> Admit(const std::string& source) ABSL_LOCKS_EXCLUDED(mu_) {
     const auto now = std::chrono::steady_clock::now().time_since_epoch();
@@ -35,8 +38,8 @@ class LogLimiter {
     MutexLock lock(&mu_);
     const bool known = sources_.contains(source) || sources_.size() < kSourcesMax;
     Bucket& bucket =
-        sources_.try_emplace(known ? source : "", Bucket{kBurst, now_s, 0}).first->second;
-    bucket.tokens = std::min(kBurst, bucket.tokens + (now_s - bucket.refilled_s) * kPerSecond);
+        sources_.try_emplace(known ? source : "", Bucket{burst_, now_s, 0}).first->second;
+    bucket.tokens = std::min(burst_, bucket.tokens + (now_s - bucket.refilled_s) * per_second_);
     bucket.refilled_s = now_s;
     if (bucket.tokens < 1) {
       ++bucket.left_out;
@@ -52,6 +55,8 @@ class LogLimiter {
     double refilled_s = 0;
     uint64_t left_out = 0;
   };
+  const double burst_;
+  const double per_second_;
   Mutex mu_;
   absl::btree_map<std::string, Bucket> sources_ ABSL_GUARDED_BY(mu_);
 };

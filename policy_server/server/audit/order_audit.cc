@@ -8,12 +8,15 @@
 #include "absl/strings/escaping.h"
 #include "google/protobuf/descriptor.h"
 #include "google/protobuf/text_format.h"
+#include "services/base/cut_text.h"
 
 namespace rips::audit {
 namespace {
 
-// The request of one who is refused may be of any size.
+// Of a larger request there is no text.
 constexpr size_t kRequestBytesMax = 16 * 1024;
+// Of the text of one that is refused, which costs its sender nothing.
+constexpr size_t kRefusedTextBytesMax = 512;
 
 using google::protobuf::TextFormat;
 
@@ -52,7 +55,9 @@ void OrderAudit::Record(const Order& order) {
   record.set_count(1 + *left_out);
   record.set_outcome(order.status.ok() ? "admitted" : order.status.ToString());
   if (order.request.ByteSizeLong() <= kRequestBytesMax) {
-    record.set_text(TextOf(order.request));
+    std::string text = TextOf(order.request);
+    if (!order.status.ok()) text = Shortened(text, kRefusedTextBytesMax);
+    record.set_text(std::move(text));
     const auto* robot = order.request.GetDescriptor()->FindFieldByName("robot");
     if (!order.robot.empty()) {
       record.set_robot(order.robot);

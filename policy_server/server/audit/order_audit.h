@@ -34,14 +34,14 @@ class OrderAudit {
   // Nothing is owned; both outlive this.
   OrderAudit(AuditLog* log, const Clock* clock) : log_(log), clock_(clock) {}
 
-  // Of a certificate that is refused again and again, one a second with their count. Any thread;
-  // never blocks on the disk.
+  // Of a certificate that is refused again and again, 50 and then one in 30 s with their count. Any
+  // thread; never blocks on the disk.
   void Record(const Order& order);
 
  private:
   AuditLog* log_;
   const Clock* clock_;
-  LogLimiter refused_;
+  LogLimiter refused_{50, 1.0 / 30};
 };
 
 }  // namespace rips::audit

@@ -34,6 +34,7 @@ void CallerQuota::Fill(Account& account, const QuotaLimits::Rate& rate, int64_t 
   const double passed_s =
       static_cast<double>(now_ns - account.filled_ns) / static_cast<double>(kNanosPerSecond);
   account.tokens = std::min(rate.burst, account.tokens + passed_s * rate.per_second);
+  account.reserve = std::min(rate.reserve, account.reserve + passed_s * rate.lasting_per_second);
   account.filled_ns = now_ns;
 }
 
@@ -55,7 +56,13 @@ absl::Status CallerQuota::Admit(Accounts& accounts, bool privileged, Use use, do
                                                      rate.per_second, " ", NameOf(use),
                                                      " a second; try again later"));
   }
+  if (rate.reserve > 0 && account.reserve < weight) {
+    return absl::ResourceExhaustedError(absl::StrCat(
+        "this certificate has used up its reserve of ", rate.reserve, " ", NameOf(use), ", which ",
+        rate.lasting_per_second, " a second fill again; another certificate can go on"));
+  }
   account.tokens -= weight;
+  if (rate.reserve > 0) account.reserve -= weight;
   ++account.used;
   if (use == Use::kStream) ++streams_;
   return absl::OkStatus();
@@ -71,7 +78,9 @@ absl::StatusOr<CallerQuota::Ticket> CallerQuota::Take(const std::string& identit
     const auto [at, fresh] = accounts_.try_emplace(identity);
     for (size_t i = 0; i < kUseCount; ++i) {
       const QuotaLimits::Rate& rate = RateOf(static_cast<Use>(i));
-      if (fresh) at->second[i] = {.tokens = rate.burst, .filled_ns = now_ns};
+      if (fresh) {
+        at->second[i] = {.tokens = rate.burst, .reserve = rate.reserve, .filled_ns = now_ns};
+      }
       Fill(at->second[i], rate, now_ns);
     }
     status = Admit(at->second, privileged, use, weight);
@@ -98,7 +107,8 @@ void CallerQuota::Expire(int64_t now_ns) {
     for (size_t i = 0; i < kUseCount; ++i) {
       const QuotaLimits::Rate& rate = RateOf(static_cast<Use>(i));
       Fill(it->second[i], rate, now_ns);
-      in_use |= it->second[i].used > 0 || it->second[i].tokens < rate.burst;
+      in_use |= it->second[i].used > 0 || it->second[i].tokens < rate.burst ||
+                it->second[i].reserve < rate.reserve;
     }
     it = in_use ? std::next(it) : accounts_.erase(it);
   }

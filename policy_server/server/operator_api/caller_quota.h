@@ -5,10 +5,10 @@
 // |----------|---------------------------------------------|-------------------------------------|
 // | kStream  | WatchRobots WatchAlerts Record              | streams at a time, in all too; a    |
 // |          | GetAlertRecording PushBundle                | reserve for role operator and above |
-// | kQuery   | all other calls of a viewer; AckAlerts,     | calls at a time, and a second; one  |
-// |          | which so uses up no order                   | that costs much counts for several  |
-// | kOrder   | Raise DeEscalate Approve ResumeRules        | calls at a time, and a second: an   |
-// |          | SendSignal DrillRobot Ban Unban ResetTerm   | account of their own                |
+// | kQuery   | all other calls of a viewer; AckAlerts and  | calls at a time, and a second; one  |
+// |          | dry runs, which so use up no order          | that costs much counts for several  |
+// | kOrder   | Raise DeEscalate Approve ResumeRules        | calls at a time, and a second, and  |
+// |          | SendSignal DrillRobot Ban Unban ResetTerm   | in the long run: a separate account |
 // |          | ActivateBundle RollBackBundle StopRollout   |                                     |
 // |          | CreateEnrolmentToken RevokeEnrolmentToken   |                                     |
 // |          | ShadowBundle SetMaintenance                 |                                     |
@@ -40,12 +40,20 @@ struct QuotaLimits {
     int at_a_time = 0;
     double per_second = 0;
     double burst = 0;
+    // In the long run, besides: so many a second, and so many in reserve; 0 = without such a limit.
+    double lasting_per_second = 0;
+    double reserve = 0;
   };
   // Of one identity.
   Rate streams = {.at_a_time = 16, .per_second = 2, .burst = 32};
   Rate queries = {.at_a_time = 8, .per_second = 20, .burst = 40};
   // Many: a raise is answered when it is durable, and one may be due of every robot.
-  Rate orders = {.at_a_time = 1'024, .per_second = 50, .burst = 500};
+  // Each leaves a record in the audit log, which a key in other hands must not fill: 90 MB a day.
+  Rate orders = {.at_a_time = 1'024,
+                 .per_second = 50,
+                 .burst = 500,
+                 .lasting_per_second = 1,
+                 .reserve = 10'000};
   // Of all identities, and how many of these only operators and administrators get.
   int streams_in_all = 256;
   int streams_reserved = 32;
@@ -77,6 +85,7 @@ class CallerQuota : public std::enable_shared_from_this<CallerQuota> {
   struct Account {
     int used = 0;
     double tokens = 0;
+    double reserve = 0;
     int64_t filled_ns = 0;
   };
   using Accounts = std::array<Account, kUseCount>;

@@ -79,6 +79,45 @@ TEST_F(CallerQuotaTest, OrdersAreRefusedOnlyForOrders) {
   EXPECT_THAT(Take("alice", Use::kOrder, true), Not(IsOk()));
 }
 
+TEST_F(CallerQuotaTest, OrdersInTheLongRunAreFewer) {
+  quota_ = CallerQuota::Create(&clock_, {.orders = {.at_a_time = 5,
+                                                    .per_second = 50,
+                                                    .burst = 100,
+                                                    .lasting_per_second = 1,
+                                                    .reserve = 200}});
+  int taken = 0;
+  const auto take_all = [&] {
+    while (Take("alice", Use::kOrder, true).ok()) {
+      held_.clear();
+      ++taken;
+    }
+  };
+  take_all();
+  EXPECT_EQ(taken, 100) << "of one burst";
+  clock_.Advance(3600 * kNanosPerSecond);
+  take_all();
+  EXPECT_EQ(taken, 200);
+  for (int i = 0; i < 60; ++i) {
+    clock_.Advance(2 * kNanosPerSecond);
+    take_all();
+  }
+  EXPECT_EQ(taken, 200 + 100 + 120) << "what was in reserve, and one a second";
+  EXPECT_THAT(Take("alice", Use::kOrder, true),
+              StatusIs(absl::StatusCode::kResourceExhausted,
+                       HasSubstr("used up its reserve of 200 orders, which 1 a second fill again; "
+                                 "another certificate can go on")));
+  EXPECT_THAT(Take("alice", Use::kQuery, true), IsOk());
+  EXPECT_THAT(Take("bob", Use::kOrder, true), IsOk()) << "others have their own";
+  EXPECT_EQ(quota_->accounts(), 2u);
+  held_.clear();
+  clock_.Advance(100 * kNanosPerSecond);
+  ASSERT_THAT(Take("bob", Use::kQuery, true), IsOk());
+  EXPECT_EQ(quota_->accounts(), 2u) << "not forgotten before it is full again";
+  clock_.Advance(200 * kNanosPerSecond);
+  ASSERT_THAT(Take("bob", Use::kQuery, true), IsOk());
+  EXPECT_EQ(quota_->accounts(), 1u);
+}
+
 TEST_F(CallerQuotaTest, IdentitiesThatUseNothingAreForgottenAndATicketOutlivesTheQuota) {
   for (int i = 0; i < 100; ++i) ASSERT_THAT(Take(absl::StrCat(i), Use::kQuery), IsOk());
   EXPECT_EQ(quota_->accounts(), 100u);

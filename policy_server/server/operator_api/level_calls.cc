@@ -69,7 +69,7 @@ grpc::ServerUnaryReactor* OperatorService::ChangeLevel(grpc::CallbackServerConte
   const char* const call = direction == Direction::kRaise ? "Raise" : "DeEscalate";
   // Who only asks what would happen has tried nothing.
   const auto who = request->dry_run()
-                       ? Authorize(context, *request, OperatorRole::kOperator, Use::kOrder)
+                       ? Authorize(context, *request, OperatorRole::kOperator, Use::kQuery)
                        : AuthorizeOrder(context, call, *request, OperatorRole::kOperator);
   if (!who.ok()) {
     if (!request->dry_run()) {

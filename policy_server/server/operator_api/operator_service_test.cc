@@ -324,7 +324,6 @@ TEST_F(OperatorQuotaTest, AGraphIsSentWhileItsRobotsThreadHangsAndRefusedBeyondT
   raise.set_robot("r1");
   raise.set_to("HALT");
   raise.set_reason("drill");
-  raise.set_dry_run(true);
   rips::v1::LevelResponse response;
   const grpc::Status raised = Connect()->Raise(&context, raise, &response);
   EXPECT_TRUE(raised.ok()) << raised.error_message();
