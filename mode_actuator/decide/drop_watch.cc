@@ -15,23 +15,32 @@ uint32_t WholeSeconds(int64_t ns) {
 
 }  // namespace
 
-void DropWatch::Saw(uint64_t packets, int64_t now_ns) {
+void DropWatch::Saw(const DropCount& count, int64_t now_ns) {
   if (!first_ns_.has_value()) {
     first_ns_ = now_ns;
     newest_ns_ = now_ns;
     packets_ = 0;
-  } else if (packets != last_) {
-    packets_ += packets > last_ ? packets - last_ : packets;
+  } else if (count.packets != last_.packets) {
+    packets_ += count.packets > last_.packets ? count.packets - last_.packets : count.packets;
     newest_ns_ = now_ns;
   }
-  last_ = packets;
+  last_ = count;
+  last_ns_ = now_ns;
 }
 
 std::optional<model::FirewallDrops> DropWatch::Report(int64_t now_ns) const {
   if (!first_ns_.has_value()) return std::nullopt;
-  return model::FirewallDrops{.packets = packets_,
-                              .counted_s = WholeSeconds(now_ns - *first_ns_),
-                              .quiet_s = WholeSeconds(now_ns - newest_ns_)};
+  model::FirewallDrops drops = {.packets = packets_,
+                                .counted_s = WholeSeconds(now_ns - *first_ns_),
+                                .quiet_s = WholeSeconds(now_ns - newest_ns_),
+                                .sources = last_.sources,
+                                .more_sources = last_.more_sources};
+  for (model::DropSource& source : drops.sources) {
+    source.quiet_s = static_cast<uint32_t>(
+        std::min<uint64_t>(uint64_t{source.quiet_s} + WholeSeconds(now_ns - last_ns_),
+                           std::numeric_limits<uint32_t>::max()));
+  }
+  return drops;
 }
 
 }  // namespace rips::actuator

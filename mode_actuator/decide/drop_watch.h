@@ -6,24 +6,37 @@
 
 #include <cstdint>
 #include <optional>
+#include <vector>
 
 #include "services/model/receipt.h"
 
 namespace rips::actuator {
 
+// As rips-fw counts.
+struct DropCount {
+  // On their way in, since the table was made.
+  uint64_t packets = 0;
+  // From whom, the newest first, at most kDropSourcesMax; and how many others.
+  std::vector<model::DropSource> sources;
+  uint32_t more_sources = 0;
+
+  friend bool operator==(const DropCount&, const DropCount&) = default;
+};
+
 class DropWatch {
  public:
   // A level is entered: nothing was seen of it.
-  void Reset() { first_ns_.reset(); }
-  // The table had dropped `packets` at `now_ns`. Fewer than before: the table was made anew.
-  void Saw(uint64_t packets, int64_t now_ns);
+  void Reset() { *this = DropWatch(); }
+  // What the table had dropped at `now_ns`. Less than before: the table was made anew.
+  void Saw(const DropCount& count, int64_t now_ns);
 
   // nullopt: nothing was seen; the level has no firewall.
   std::optional<model::FirewallDrops> Report(int64_t now_ns) const;
 
  private:
   std::optional<int64_t> first_ns_;  // since when it is counted
-  uint64_t last_ = 0;                // as of the newest Saw
+  DropCount last_;                   // as of the newest Saw
+  int64_t last_ns_ = 0;              // its time
   uint64_t packets_ = 0;             // since first_ns_
   int64_t newest_ns_ = 0;            // when packets_ grew last; first_ns_ if it never did
 };

@@ -9,6 +9,7 @@
 #include <vector>
 
 #include "mode_actuator/decide/actuator_state.h"
+#include "mode_actuator/decide/drop_watch.h"
 #include "mode_actuator/decide/receipt.h"
 #include "services/base/decision_id.h"
 
@@ -29,10 +30,10 @@ struct LevelOutcome {
   JobKind kind = JobKind::kEnter;
   bool reached = false;  // read back; of a survey: the robot shows a level
   std::vector<StepResult> steps;
-  std::string detail;               // why not
-  std::string observed;             // `/safety=ALERT`
-  std::string shown;                // of a survey: the level that the robot shows; empty = none
-  std::optional<uint64_t> dropped;  // of a check: StepReading::dropped
+  std::string detail;                // why not
+  std::string observed;              // `/safety=ALERT`
+  std::string shown;                 // of a survey: the level that the robot shows; empty = none
+  std::optional<DropCount> dropped;  // of a check: StepReading::dropped
 };
 
 // --- actions

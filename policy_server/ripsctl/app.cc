@@ -57,7 +57,12 @@ constexpr Commands (*kMakers[])() = {RobotCommands,       CoverageCommands, Actu
 // The whole command line.
 class Parser {
  public:
-  Parser() : app_("Watch and control robots guarded by a RIPS policy server.", "ripsctl") {
+  Parser()
+      : app_(
+            "Watch and control robots guarded by a RIPS policy server.\n"
+            "A robot was stopped? `ripsctl robot list`, `ripsctl explain ROBOT`, and what that "
+            "says.",
+            "ripsctl") {
     app_.require_subcommand(1);
     app_.fallthrough();
     app_.set_version_flag("--version", std::string(RipsVersion()));

@@ -63,12 +63,12 @@ class FakeOperator final : public FakeEnrolOperator {
   // Of GetLevel.
   std::vector<v1::PendingApproval> pending;
   std::vector<v1::HostFirewall> firewalls;
-  // What Explain gives by id, by decision id (`r1@3.17`), and how all else fails.
+  std::vector<v1::Transition> newer_transitions;  // first in the history
+  // Of Explain, by id or decision id (`r1@3.17`), and how all else fails.
   std::map<std::string, v1::ExplainResponse> explained;
   grpc::Status explain_failure{grpc::StatusCode::NOT_FOUND, "there is no record of it"};
   std::vector<std::string> unknown_robots;
-  // How a lowering fails, a dry run too.
-  grpc::Status lower_failure;
+  grpc::Status lower_failure;  // of a dry run, too
 
   v1::LevelRequest last_level_request() ABSL_LOCKS_EXCLUDED(mutex_) {
     MutexLock lock(&mutex_);
@@ -192,13 +192,13 @@ class FakeOperator final : public FakeEnrolOperator {
   }
   grpc::Status ListTransitions(grpc::ServerContext*, const v1::ListTransitionsRequest* request,
                                v1::ListTransitionsResponse* response) override {
+    for (const v1::Transition& each : newer_transitions) *response->add_transitions() = each;
     *response->add_transitions() = MakeTransition();
-    v1::Transition* refused = response->add_transitions();
-    *refused = MakeTransition();
-    refused->clear_decision_id();
-    refused->set_refused(true);
-    refused->set_count(request->limit());
-    refused->set_reason("needs an operator");
+    v1::Transition& refused = *response->add_transitions() = MakeTransition();
+    refused.clear_decision_id();
+    refused.set_refused(true);
+    refused.set_count(request->limit());
+    refused.set_reason("needs an operator");
     return Remember("ListTransitions");
   }
   grpc::Status ListAlerts(grpc::ServerContext*, const v1::ListAlertsRequest* request,

@@ -75,6 +75,7 @@ TEST_F(RipsctlTest, ListsRobots) {
             "r1     COMPROMISED  COMPROMISED  verified  3.17      sha256:bbbbbbbbbbbb  3 s ago  -\n"
             "r2     DEFAULT      -            verified  3.17      sha256:bbbbbbbbbbbb  never*   "
             "sensor base lost; \\x1b[2Jactuator\n"
+            "why a robot is at its level, and what to do: ripsctl explain ROBOT\n"
             "* an agent has another version than the server, 0.1.0; see `ripsctl robot show`\n");
   EXPECT_EQ(result.err, "");
 

@@ -155,6 +155,7 @@ inline v1::Evidence MakeEvidence() {
   subject->set_guid("01104a3b.00000000.00000000.000003c1");
   subject->set_host("base");
   subject->set_pid(4711);
+  subject->set_address("10.0.0.66");
   evidence.set_event("graph change");
   evidence.set_event_unix_ns(kNewYear - 1'000'000);
   evidence.set_bundle("sha256:" + std::string(64, 'b'));

@@ -10,6 +10,7 @@
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_join.h"
 #include "policy_server/server/store/store.h"
+#include "services/rpc/peer_address.h"
 
 namespace rips {
 namespace {

@@ -2,6 +2,7 @@
 
 #include <utility>
 
+#include "sensor_agent/wire/locator.h"
 #include "services/base/status_macros.h"
 #include "services/ros2/ros_name.h"
 
@@ -18,7 +19,8 @@ Discovered FromDds(const dds::ParticipantSeen& seen) {
                                     .host = seen.host,
                                     .enclave = seen.enclave,
                                     .pid = seen.pid,
-                                    .vendor = seen.vendor},
+                                    .vendor = seen.vendor,
+                                    .address = wire::FirstAddress(seen.addresses)},
           .addresses = seen.addresses};
 }
 

@@ -286,7 +286,7 @@ TEST_F(WireEncoderTest, ControlObservationsCarryWhatTheySay) {
   ros2::Guid guid;
   guid.bytes[0] = 9;
   delta.upsert_participants = {
-      {.guid = guid, .host = "h", .enclave = "/e", .pid = 4, .vendor = "0110"}};
+      {.guid = guid, .host = "h", .enclave = "/e", .pid = 4, .vendor = "0110", .address = "::1"}};
   delta.upsert_nodes = {{"/n", guid}};
   delta.gone_guids = {guid};
   delta.gone_nodes = {"/gone"};

@@ -97,4 +97,14 @@ std::vector<Locator> ParseLocators(absl::string_view text) {
   return locators;
 }
 
+std::string FirstAddress(absl::string_view text) {
+  std::string first;
+  for (const Locator& each : ParseLocators(text)) {
+    if (each.address.multicast()) continue;
+    if (!each.address.loopback()) return ToString(each.address);
+    if (first.empty()) first = ToString(each.address);
+  }
+  return first;
+}
+
 }  // namespace rips::wire

@@ -54,6 +54,10 @@ std::string ToString(const Locator& locator);
 inline constexpr size_t kAdvertisedMax = 64;
 std::vector<Locator> ParseLocators(absl::string_view text);
 
+// The address of the first of them that other hosts could reach, else of the first that is not
+// multicast; empty if there is none.
+std::string FirstAddress(absl::string_view text);
+
 }  // namespace rips::wire
 
 #endif  // RIPS_SENSOR_AGENT_WIRE_LOCATOR_H_

@@ -22,6 +22,15 @@ std::vector<std::string> Texts(absl::string_view text) {
   return texts;
 }
 
+TEST(LocatorTest, TheFirstAddressIsOneThatOthersReach) {
+  EXPECT_EQ(FirstAddress("udp/239.255.0.1:7401@1,udp/127.0.0.1:7@1,udp/10.0.0.2:41234@1"),
+            "10.0.0.2");
+  EXPECT_EQ(FirstAddress("udp6/[fd00::7]:7411@2,udp/10.0.0.2:7"), "fd00::7");
+  EXPECT_EQ(FirstAddress("udp/239.255.0.1:7401@1,udp/127.0.0.1:7@1"), "127.0.0.1");
+  EXPECT_EQ(FirstAddress("udp/239.255.0.1:7401@1"), "");
+  EXPECT_EQ(FirstAddress("tcp/10.0.0.2:7,\x1b[2J"), "");
+}
+
 TEST(LocatorTest, ReadsWhatTheMiddlewarePrints) {
   EXPECT_THAT(Texts("udp/239.255.0.1:7401@1,udp/10.0.0.2:41234@1"),
               ElementsAre("239.255.0.1:7401", "10.0.0.2:41234"));

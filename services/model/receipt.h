@@ -86,6 +86,21 @@ struct ActuatorHello {
   std::string peer;
 };
 
+// A source address that was kept out in the last 10 min.
+struct DropSource {
+  // IPv4 or IPv6, as text. UDP lets a sender write what it likes there.
+  std::string address;
+  // Since it began to send; a pause of 10 min begins anew.
+  uint64_t packets = 0;
+  // At least so long nothing from it was dropped.
+  uint32_t quiet_s = 0;
+
+  friend bool operator==(const DropSource&, const DropSource&) = default;
+};
+
+inline constexpr size_t kDropSourcesMax = 24;
+inline constexpr size_t kDropAddressBytesMax = 45;
+
 // Of the firewall of the level that an actuator holds.
 struct FirewallDrops {
   // Dropped on their way in, for the last `counted_s`.
@@ -93,6 +108,9 @@ struct FirewallDrops {
   uint32_t counted_s = 0;
   // At least so long no packet was dropped.
   uint32_t quiet_s = 0;
+  // From whom, the newest first, at most kDropSourcesMax; and how many others.
+  std::vector<DropSource> sources;
+  uint32_t more_sources = 0;
 
   friend bool operator==(const FirewallDrops&, const FirewallDrops&) = default;
 };

@@ -280,9 +280,17 @@ rips::v1::ActuatorHeartbeat Encode(const model::ActuatorHeartbeat& heartbeat) {
   for (const std::string& text : heartbeat.degraded) wire.add_degraded(text);
   wire.set_drifts(heartbeat.drifts);
   if (heartbeat.firewall_drops.has_value()) {
-    wire.mutable_firewall_drops()->set_packets(heartbeat.firewall_drops->packets);
-    wire.mutable_firewall_drops()->set_counted_s(heartbeat.firewall_drops->counted_s);
-    wire.mutable_firewall_drops()->set_quiet_s(heartbeat.firewall_drops->quiet_s);
+    rips::v1::FirewallDrops& drops = *wire.mutable_firewall_drops();
+    drops.set_packets(heartbeat.firewall_drops->packets);
+    drops.set_counted_s(heartbeat.firewall_drops->counted_s);
+    drops.set_quiet_s(heartbeat.firewall_drops->quiet_s);
+    for (const model::DropSource& source : heartbeat.firewall_drops->sources) {
+      rips::v1::DropSource& out = *drops.add_sources();
+      out.set_address(source.address);
+      out.set_packets(source.packets);
+      out.set_quiet_s(source.quiet_s);
+    }
+    drops.set_more_sources(heartbeat.firewall_drops->more_sources);
   }
   return wire;
 }
@@ -292,7 +300,11 @@ model::ActuatorHeartbeat Decode(const rips::v1::ActuatorHeartbeat& wire) {
   if (wire.has_firewall_drops()) {
     drops = {.packets = wire.firewall_drops().packets(),
              .counted_s = wire.firewall_drops().counted_s(),
-             .quiet_s = wire.firewall_drops().quiet_s()};
+             .quiet_s = wire.firewall_drops().quiet_s(),
+             .more_sources = wire.firewall_drops().more_sources()};
+    for (const rips::v1::DropSource& source : wire.firewall_drops().sources()) {
+      drops->sources.push_back({source.address(), source.packets(), source.quiet_s()});
+    }
   }
   return {.boottime_ns = static_cast<int64_t>(wire.heartbeat().clock().boottime_ns()),
           .effective_level = wire.effective_level(),

@@ -225,6 +225,9 @@ TEST(ActuatorCodecTest, WhatAFirewallDroppedComesBackOrIsAbsent) {
   EXPECT_EQ(Decode(Encode(heartbeat)).firewall_drops, std::nullopt);
   heartbeat.firewall_drops = model::FirewallDrops{.packets = 1240, .counted_s = 300, .quiet_s = 42};
   EXPECT_EQ(Decode(Encode(heartbeat)).firewall_drops, heartbeat.firewall_drops);
+  heartbeat.firewall_drops->sources = {{"10.0.0.66", 1200, 42}, {"fd00::7", 40, 60}};
+  heartbeat.firewall_drops->more_sources = 3;
+  EXPECT_EQ(Decode(Encode(heartbeat)).firewall_drops, heartbeat.firewall_drops);
 }
 
 TEST(ActuatorCodecTest, StepsKeepWhatTheyPrintedAndWhetherTheyWereDrilled) {

@@ -31,6 +31,8 @@ struct Participant {
   // RTPS vendor id, 4 hex digits.
   std::string vendor;
   bool authenticated = false;
+  // An IP address where it says that it is reached; self-declared, empty if it does not.
+  std::string address;
 
   friend bool operator==(const Participant&, const Participant&) = default;
 };

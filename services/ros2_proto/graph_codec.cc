@@ -16,7 +16,8 @@ absl::StatusOr<ros2::Participant> DecodeParticipant(const rips::v1::Participant&
                            .enclave = participant.enclave(),
                            .pid = participant.pid(),
                            .vendor = participant.vendor(),
-                           .authenticated = participant.authenticated()};
+                           .authenticated = participant.authenticated(),
+                           .address = participant.address()};
 }
 
 absl::StatusOr<ros2::Node> DecodeNode(const rips::v1::Node& node) {
@@ -111,6 +112,7 @@ void Encode(const ros2::Participant& participant, rips::v1::Participant& wire) {
   wire.set_pid(participant.pid);
   wire.set_vendor(participant.vendor);
   wire.set_authenticated(participant.authenticated);
+  wire.set_address(participant.address);
 }
 
 void Encode(const ros2::Node& node, rips::v1::Node& wire) {

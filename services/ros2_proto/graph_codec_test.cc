@@ -25,7 +25,8 @@ ros2::GraphDelta Upserts() {
                                        .enclave = "/e",
                                        .pid = 7,
                                        .vendor = "0110",
-                                       .authenticated = true});
+                                       .authenticated = true,
+                                       .address = "10.0.0.66"});
   delta.upsert_nodes.push_back({.full_name = "/camera", .participant = Participant()});
   char id = 1;
   for (const auto kind : {ros2::EndpointKind::kPublisher, ros2::EndpointKind::kSubscriber,

@@ -18,6 +18,7 @@
 #include "absl/strings/numbers.h"
 #include "absl/strings/str_cat.h"
 #include "services/base/status_macros.h"
+#include "services/rpc/peer_address.h"
 #include "services/runtime/log.h"
 
 namespace rips::rpc {
@@ -120,21 +121,6 @@ bool HasLeft(const UniqueFd& socket) {
 }
 
 }  // namespace
-
-std::string DecodePeer(absl::string_view peer) {
-  std::string out;
-  for (size_t i = 0; i < peer.size(); ++i) {
-    uint32_t byte = 0;
-    if (peer[i] == '%' && i + 2 < peer.size() &&
-        absl::SimpleHexAtoi(peer.substr(i + 1, 2), &byte)) {
-      out.push_back(static_cast<char>(byte));
-      i += 2;
-    } else {
-      out.push_back(peer[i]);
-    }
-  }
-  return out;
-}
 
 // ---------------------------------------------------------------------------------- connection
 

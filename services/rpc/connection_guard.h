@@ -242,9 +242,6 @@ class ConnectionGuard {
   std::thread watch_;
 };
 
-// How gRPC names a peer, percent-decoded.
-std::string DecodePeer(absl::string_view peer);
-
 }  // namespace rips::rpc
 
 #endif  // RIPS_SERVICES_RPC_CONNECTION_GUARD_H_

@@ -478,12 +478,5 @@ TEST_F(ConnectionGuardTest, APortInUseIsAnError) {
               StatusIs(absl::StatusCode::kUnavailable, HasSubstr("HOST:PORT")));
 }
 
-TEST(DecodePeerTest, TakesPercentsOut) {
-  EXPECT_EQ(DecodePeer("ipv6:%5B::1%5D:4711"), "ipv6:[::1]:4711");
-  EXPECT_EQ(DecodePeer("ipv4:127.0.0.1:1"), "ipv4:127.0.0.1:1");
-  EXPECT_EQ(DecodePeer("a%"), "a%");
-  EXPECT_EQ(DecodePeer("a%zz"), "a%zz");
-}
-
 }  // namespace
 }  // namespace rips::rpc

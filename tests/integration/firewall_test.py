@@ -463,8 +463,13 @@ def play_inside(fleet):
         return firewalls["firewalls"][0]
     fleet.until(lambda: (shown()["dropped_packets"] or 0) > 10, "what is dropped is counted")
     check(shown()["steps"][0].startswith("firewall /") and shown()["quiet_s"] < 10, f"{shown()}")
+    sources = {each["address"]: each for each in shown()["sources"]}
+    knocking = sources.get(HOSTS["intruder"])
+    check(knocking and knocking["packets"] > 0 and knocking["quiet_s"] < 10
+          and not knocking["agents"], f"{sources}")
     text = fleet.ripsctl("level", "lower", "r1", "--to", "DEFAULT", "--dry-run")[1]
-    check("something that it keeps out still sends" in text, text)
+    check("something that it keeps out still sends" in text
+          and f"from {HOSTS['intruder']}: " in text, text)
 
     fleet.ripsctl("level", "lower", "r1", "--to", "DEFAULT", "--reason", "test")
     fleet.wait_level("DEFAULT", LIMIT)

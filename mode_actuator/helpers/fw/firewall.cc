@@ -2,6 +2,10 @@
 
 #include <algorithm>
 #include <array>
+#include <cstdint>
+#include <optional>
+#include <tuple>
+#include <utility>
 
 #include "absl/strings/match.h"
 #include "absl/strings/str_cat.h"
@@ -16,7 +20,12 @@ namespace {
 
 using Kind = FirewallStep::Kind;
 
-constexpr std::array<absl::string_view, 3> kTableChains = {"input", "output", "forward"};
+// Of the table, with what the kernel says of their hook.
+constexpr std::pair<absl::string_view, absl::string_view> kTableChains[] = {
+    {"input", "filter input -150 accept"},
+    {"output", "filter output -150 accept"},
+    {"forward", "filter forward -150 accept"},
+    {"count_and_drop", ""}};
 constexpr std::array<absl::string_view, 3> kLevelChains = {"level_in", "level_out",
                                                            "level_forward"};
 constexpr std::array<TargetKind, 4> kTargetKinds = {TargetKind::kIpv4, TargetKind::kIpv6,
@@ -80,6 +89,32 @@ std::string Observed(const FirewallStep& step) {
 FwResponse ToResponse(const absl::StatusOr<std::string>& observed) {
   if (!observed.ok()) return {.status = observed.status()};
   return {.status = absl::OkStatus(), .observed = *observed};
+}
+
+// Of the counter, and of the sets of sources.
+std::optional<DropCount> DropsOf(const Ruleset& now) {
+  if (!now.dropped.has_value()) return std::nullopt;
+  DropCount count = {.packets = *now.dropped};
+  const int64_t kept_s = absl::ToInt64Seconds(kCountedSourceKept);
+  for (const absl::string_view set : {"dropped4", "dropped6"}) {
+    const auto found = now.sets.find(set);
+    if (found == now.sets.end()) continue;
+    for (const SetElement& element : found->second) {
+      if (element.value.size() > model::kDropAddressBytesMax) continue;
+      const int64_t quiet_s = kept_s - std::min(element.expires_s, kept_s);
+      count.sources.push_back({element.value, element.packets, static_cast<uint32_t>(quiet_s)});
+    }
+  }
+  std::sort(count.sources.begin(), count.sources.end(),
+            [](const model::DropSource& a, const model::DropSource& b) {
+              return std::tie(a.quiet_s, b.packets, a.address) <
+                     std::tie(b.quiet_s, a.packets, b.address);
+            });
+  if (count.sources.size() > model::kDropSourcesMax) {
+    count.more_sources = static_cast<uint32_t>(count.sources.size() - model::kDropSourcesMax);
+    count.sources.resize(model::kDropSourcesMax);
+  }
+  return count;
 }
 
 // Of all that is in force.
@@ -169,9 +204,8 @@ absl::Status Firewall::Learn(const std::string& script, const Ruleset& now) {
   // A table that was switched off would be loaded without effect.
   if (now.dormant) return Left("the table is switched off (dormant); delete it by hand");
   absl::btree_map<std::string, ChainView> table;
-  for (const absl::string_view chain : kTableChains) {
+  for (const auto& [chain, base] : kTableChains) {
     const auto found = now.chains.find(chain);
-    const std::string base = absl::StrCat("filter ", chain, " -150 accept");
     if (found == now.chains.end() || found->second.base != base ||
         found->second.rules.size() != CountRules(script, chain)) {
       return Left(absl::StrCat("chain `", chain, "` was not loaded as it should be"));
@@ -396,7 +430,7 @@ absl::StatusOr<FwResponse> Firewall::Check(const FirewallStep& step) {
   if (!renew.empty()) RIPS_RETURN_IF_ERROR(nft_->Load(renew, NftMode::kCommit));
   FwResponse response;
   response.observed = Observed(step);
-  response.dropped = now.dropped;
+  response.dropped = DropsOf(now);
   return response;
 }
 

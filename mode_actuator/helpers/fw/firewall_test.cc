@@ -2,9 +2,15 @@
 // the host is not touched, and nothing is left behind.
 #include "mode_actuator/helpers/fw/firewall.h"
 
+#include <arpa/inet.h>
 #include <fcntl.h>
+#include <linux/if_packet.h>
+#include <net/if.h>
+#include <netinet/in.h>
+#include <poll.h>
 #include <sched.h>
 #include <stdlib.h>
+#include <sys/socket.h>
 #include <sys/stat.h>
 #include <unistd.h>
 
@@ -15,6 +21,7 @@
 
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_replace.h"
+#include "absl/strings/str_split.h"
 #include "absl/time/clock.h"
 #include "gmock/gmock.h"
 #include "gtest/gtest.h"
@@ -26,6 +33,7 @@
 #include "services/base/status_matchers.h"
 #include "services/runtime/atomic_file.h"
 #include "services/runtime/cancel_flag.h"
+#include "services/runtime/run_to_end.h"
 #include "services/runtime/unique_fd.h"
 
 namespace rips::actuator {
@@ -169,22 +177,196 @@ chain output {
   rules.file = other_;
   ASSERT_THAT(Enter(rules).status, IsOk());
   const nlohmann::json table = nlohmann::json::parse(nft_.ListTable().value_or(""));
-  // By chain: how many rules count.
-  std::map<std::string, int> counting;
+  // By chain: how many rules count, with their source and without.
+  std::map<std::string, int> by_source, counting;
   for (const auto& entry : table["nftables"]) {
     if (!entry.contains("rule")) continue;
+    const std::string chain = entry["rule"]["chain"];
     for (const auto& each : entry["rule"]["expr"]) {
-      if (each.contains("counter") && each["counter"] == "dropped") {
-        ++counting[entry["rule"]["chain"]];
-      }
+      if (each.contains("counter") && each["counter"] == "dropped") ++counting[chain];
+      if (each.contains("goto")) ++by_source[chain];
     }
   }
-  // The table's own: a participant; hosts by IPv4, IPv6 and MAC, where they come from.
-  EXPECT_THAT(counting,
-              UnorderedElementsAre(Pair("level_in", 4), Pair("level_forward", 1), Pair("input", 4),
-                                   Pair("forward", 4), Pair("output", 1)));
-  EXPECT_EQ(Check(rules).dropped, 0u);
+  EXPECT_THAT(counting, UnorderedElementsAre(Pair("level_in", 2), Pair("count_and_drop", 1)));
+  // The table's own: a participant; hosts by IPv4, IPv6 and MAC, where they come from; what comes in
+  // and claims to come from here.
+  EXPECT_THAT(by_source, UnorderedElementsAre(Pair("level_in", 2), Pair("level_forward", 1),
+                                              Pair("input", 5), Pair("forward", 4)));
+  EXPECT_EQ(Check(rules).dropped, DropCount());
   EXPECT_EQ(Check({.kind = Kind::kRelease}).dropped, std::nullopt);
+}
+
+// A link of this namespace, both ends: what is written to `far` arrives at `near`.
+class FirewallDropsTest : public FirewallTest {
+ protected:
+  void SetUp() override {
+    FirewallTest::SetUp();
+    if (IsSkipped() || HasFatalFailure()) return;
+    for (const absl::string_view words :
+         {"link add far type veth peer name near", "link set far up",
+          "link set near address 02:00:00:00:00:02 up", "address add 10.5.0.2/16 dev near",
+          "-6 address add fd05::2/16 dev near nodad", "route add 10.0.0.1/32 dev near"}) {
+      ProgramCall ip = {.words = {"/usr/sbin/ip"}, .timeout = absl::Seconds(60)};
+      for (const absl::string_view word : absl::StrSplit(words, ' ')) ip.words.emplace_back(word);
+      const absl::StatusOr<ProgramEnd> end = RunToEnd(ip);
+      ASSERT_THAT(end, IsOk());
+      ASSERT_EQ(end->exit_code, 0) << words << ": " << end->err;
+    }
+    raw_ = UniqueFd(socket(AF_PACKET, SOCK_RAW | SOCK_CLOEXEC, 0));
+    ASSERT_GE(raw_.get(), 0) << std::strerror(errno);
+    ASSERT_THAT(WriteFileAtomically(other_, "chain input {\n  udp dport 7400 drop\n}\n"), IsOk());
+    rules_ = Rules();
+    rules_.file = other_;
+    ASSERT_THAT(Enter(rules_).status, IsOk());
+  }
+
+  // A UDP datagram for port 7400 that says it comes from there.
+  void Send(const std::string& from) {
+    SendIp(from, 17, absl::string_view("\x10\x00\x1c\xe8\0\x09\0\0x", 9));
+  }
+  // A TCP segment for port 22 with these flags that says it comes from a policy server.
+  void SendTcp(uint8_t flags) {
+    std::string tcp("\x1d\x13\0\x16\0\0\0\x01\0\0\0\0\x50\0\x10\0\0\0\0\0", 20);
+    tcp[13] = static_cast<char>(flags);
+    SendIp("10.0.0.1", 6, tcp);
+  }
+  void SendIp(const std::string& from, char protocol, absl::string_view payload) {
+    const bool v4 = from.find(':') == from.npos;
+    std::string frame("\x02\0\0\0\0\x02\x02\0\0\0\0\x01", 12);
+    const char length = static_cast<char>(payload.size());
+    char source[16] = {}, target[16] = {};
+    ASSERT_EQ(inet_pton(v4 ? AF_INET : AF_INET6, from.c_str(), source), 1);
+    ASSERT_EQ(inet_pton(v4 ? AF_INET : AF_INET6, v4 ? "10.5.0.2" : "fd05::2", target), 1);
+    if (v4) {
+      std::string ip("\x45\0\0\0\0\0\0\0\x40\0\0\0", 12);
+      ip[3] = static_cast<char>(20 + length);
+      ip[9] = protocol;
+      ip.append(source, 4).append(target, 4);
+      const uint16_t sum = Checksum(ip);
+      ip[10] = static_cast<char>(sum >> 8);
+      ip[11] = static_cast<char>(sum & 0xff);
+      absl::StrAppend(&frame, absl::string_view("\x08\0", 2), ip, payload);
+    } else {
+      std::string ip("\x60\0\0\0\0\0\0\x40", 8);
+      ip[5] = length;
+      ip[6] = protocol;
+      ip.append(source, 16).append(target, 16);
+      absl::StrAppend(&frame, "\x86\xdd", ip, payload);
+    }
+    sockaddr_ll to = {};
+    to.sll_family = AF_PACKET;
+    to.sll_ifindex = static_cast<int>(if_nametoindex("far"));
+    ASSERT_EQ(sendto(raw_.get(), frame.data(), frame.size(), 0, reinterpret_cast<sockaddr*>(&to),
+                     sizeof(to)),
+              static_cast<ssize_t>(frame.size()))
+        << std::strerror(errno);
+  }
+  static uint16_t Checksum(absl::string_view header) {
+    uint32_t sum = 0;
+    for (size_t i = 0; i < header.size(); i += 2) {
+      sum += static_cast<uint8_t>(header[i]) << 8 | static_cast<uint8_t>(header[i + 1]);
+    }
+    while (sum > 0xffff) sum = (sum & 0xffff) + (sum >> 16);
+    return static_cast<uint16_t>(~sum);
+  }
+  // Once as many were dropped.
+  DropCount Dropped(uint64_t packets) {
+    DropCount count;
+    for (int i = 0; i < 500; ++i) {
+      count = Check(rules_).dropped.value_or(DropCount());
+      if (count.packets >= packets) break;
+      absl::SleepFor(absl::Milliseconds(10));
+    }
+    EXPECT_EQ(count.packets, packets);
+    for (model::DropSource& source : count.sources) {
+      EXPECT_LE(source.quiet_s, 60u);  // from the kernel's clock, on a busy machine
+      source.quiet_s = 0;
+    }
+    return count;
+  }
+
+  UniqueFd raw_;
+  FirewallStep rules_;
+};
+
+TEST_F(FirewallDropsTest, AreCountedBySourceOfBothFamilies) {
+  for (int i = 0; i < 3; ++i) Send("10.5.0.66");
+  for (int i = 0; i < 2; ++i) Send("fd05::66");
+  Send("10.5.0.13");
+  const DropCount count = Dropped(6);
+  EXPECT_THAT(count.sources, UnorderedElementsAre(model::DropSource{"10.5.0.66", 3, 0},
+                                                  model::DropSource{"fd05::66", 2, 0},
+                                                  model::DropSource{"10.5.0.13", 1, 0}));
+  EXPECT_EQ(count.more_sources, 0u);
+  // A level that is entered counts its own; the table goes on.
+  ASSERT_THAT(Enter(rules_).status, IsOk());
+  EXPECT_THAT(Dropped(6).sources, IsEmpty());
+}
+
+TEST_F(FirewallDropsTest, OfMoreSourcesThanAreCountedAreDroppedAllTheSame) {
+  constexpr int kMany = kCountedSourcesMax + 44;
+  for (int i = 0; i < kMany; ++i) Send(absl::StrCat("10.5.", 1 + i / 200, ".", 1 + i % 200));
+  for (int i = 0; i < kMany; ++i) Send(absl::StrCat("fd05::", absl::Hex(0x1000 + i)));
+  const DropCount count = Dropped(2 * kMany);
+  EXPECT_THAT(count.sources, SizeIs(model::kDropSourcesMax));
+  EXPECT_EQ(count.more_sources, 2 * kCountedSourcesMax - model::kDropSourcesMax);
+}
+
+TEST_F(FirewallDropsTest, WhatClaimsToComeFromThisHostIsDropped) {
+  Send("fd05::2");
+  EXPECT_THAT(Dropped(1).sources, ElementsAre(model::DropSource{"fd05::2", 1, 0}));
+}
+
+TEST_F(FirewallDropsTest, OurOwnMulticastComesBack) {
+  ASSERT_THAT(WriteFileAtomically(other_, "chain input {\n  drop\n}\n"), IsOk());
+  ASSERT_THAT(Enter(rules_).status, IsOk());
+  const UniqueFd reader(socket(AF_INET6, SOCK_DGRAM | SOCK_CLOEXEC, 0));
+  sockaddr_in6 at = {};
+  at.sin6_family = AF_INET6;
+  ASSERT_EQ(bind(reader.get(), reinterpret_cast<sockaddr*>(&at), sizeof(at)), 0);
+  socklen_t size = sizeof(at);
+  ASSERT_EQ(getsockname(reader.get(), reinterpret_cast<sockaddr*>(&at), &size), 0);
+  ipv6_mreq group = {};
+  group.ipv6mr_interface = if_nametoindex("near");
+  ASSERT_EQ(inet_pton(AF_INET6, "ff02::7", &group.ipv6mr_multiaddr), 1);
+  ASSERT_EQ(setsockopt(reader.get(), IPPROTO_IPV6, IPV6_JOIN_GROUP, &group, sizeof(group)), 0);
+  at.sin6_addr = group.ipv6mr_multiaddr;
+  at.sin6_scope_id = group.ipv6mr_interface;
+  ASSERT_EQ(sendto(reader.get(), "own", 3, 0, reinterpret_cast<sockaddr*>(&at), sizeof(at)), 3)
+      << std::strerror(errno);
+  pollfd polled = {.fd = reader.get(), .events = POLLIN, .revents = 0};
+  EXPECT_EQ(poll(&polled, 1, 30'000), 1);
+}
+
+TEST_F(FirewallDropsTest, NoConnectionBeginsAtAServer) {
+  ASSERT_THAT(WriteFileAtomically(other_, "chain input {\n  drop\n}\n"), IsOk());
+  ASSERT_THAT(Enter(rules_).status, IsOk());
+  constexpr uint8_t kSyn = 2, kAck = 16;
+  SendTcp(kAck);  // of a connection to it
+  SendTcp(kSyn | kAck);
+  SendTcp(kSyn);
+  EXPECT_THAT(Dropped(1).sources, ElementsAre(model::DropSource{"10.0.0.1", 1, 0}));
+}
+
+TEST_F(FirewallDropsTest, TheNewestSourceComesFirst) {
+  Admin("add element inet rips dropped4 { 10.5.0.7 timeout 600s expires 300s }");
+  Admin("add element inet rips dropped4 { 10.5.0.8 timeout 600s expires 590s }");
+  Admin("add element inet rips dropped6 { fd05::8 timeout 600s expires 400s }");
+  const std::optional<DropCount> count = Check(rules_).dropped;
+  ASSERT_TRUE(count.has_value());
+  ASSERT_THAT(count->sources, SizeIs(3));
+  EXPECT_EQ(count->sources[0].address, "10.5.0.8");
+  EXPECT_EQ(count->sources[1].address, "fd05::8");
+  EXPECT_EQ(count->sources[2].address, "10.5.0.7");
+  EXPECT_GE(count->sources[2].quiet_s, 300u);
+}
+
+TEST_F(FirewallDropsTest, AChainThatNoLongerDropsIsADrift) {
+  Admin("flush chain inet rips count_and_drop");
+  EXPECT_THAT(Check(rules_).status,
+              StatusIs(absl::StatusCode::kFailedPrecondition, HasSubstr("count_and_drop")));
+  ASSERT_THAT(Enter(rules_).status, IsOk());
+  EXPECT_THAT(Check(rules_).status, IsOk());
 }
 
 TEST_F(FirewallTest, LoadingTwiceGivesTheSameRulesetAndKeepsTimers) {

@@ -113,6 +113,10 @@ TEST(RulesetTest, ReadsWhatNftPrints) {
       {"elem": {"val": "10.0.0.2", "timeout": 60, "expires": 59, "comment": "since 77"}}]}},
     {"set": {"name": "bad_guid", "table": "rips", "elem": [{"elem": {"val": 1, "timeout": 2}},
       {"elem": {"val": "0x110000000000000000000a1", "timeout": 9, "expires": 3}}]}},
+    {"set": {"name": "dropped4", "table": "rips", "flags": ["timeout"], "timeout": 600, "elem": [
+      {"elem": {"val": "10.0.0.66", "expires": 598, "counter": {"packets": 7, "bytes": 9}}},
+      {"elem": {"val": "10.0.0.67", "counter": {"packets": -1}}},
+      {"elem": {"val": "10.0.0.68", "counter": null}}]}},
     {"set": {"name": "control4", "table": "rips", "elem": [{"concat": ["10.0.0.1", 7443]}]}},
     {"chain": {"name": "input", "type": "filter", "hook": "input", "prio": -150,
       "policy": "accept"}},
@@ -126,6 +130,9 @@ TEST(RulesetTest, ReadsWhatNftPrints) {
               ElementsAre(SetElement{"10.0.0.1"}, SetElement{"10.0.0.2", 59, 77}));
   EXPECT_THAT(ruleset->sets.at("bad_guid"), ElementsAre(SetElement{"000000000000000000000001"},
                                                         SetElement{"0110000000000000000000a1", 3}));
+  EXPECT_THAT(ruleset->sets.at("dropped4"),
+              ElementsAre(SetElement{"10.0.0.66", 598, 0, 7}, SetElement{"10.0.0.67"},
+                          SetElement{"10.0.0.68"}));
   EXPECT_THAT(ruleset->sets.at("control4"), ElementsAre(SetElement{"10.0.0.1 . 7443"}));
   EXPECT_EQ(
       ruleset->chains.at("input"),

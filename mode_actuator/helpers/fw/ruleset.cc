@@ -24,6 +24,13 @@ int64_t NumberOf(const Json& object, const char* key) {
   return found != object.end() && found->is_number_integer() ? found->get<int64_t>() : 0;
 }
 
+// Of a counter.
+std::optional<uint64_t> PacketsOf(const Json& counter) {
+  const auto packets = counter.find("packets");
+  if (packets == counter.end() || !packets->is_number_unsigned()) return std::nullopt;
+  return packets->get<uint64_t>();
+}
+
 // What moves while packets pass is no part of a rule.
 void DropMoving(Json& value) {
   if (value.is_object()) {
@@ -72,6 +79,7 @@ SetElement ElementOf(const Json& entry, bool guids) {
   SetElement element;
   if (body.contains("val")) element.value = ValueText(body["val"], guids);
   element.expires_s = NumberOf(body, "expires");
+  if (body.contains("counter")) element.packets = PacketsOf(body["counter"]).value_or(0);
   const std::string comment = TextOf(body, "comment");
   absl::string_view since = comment;
   if (!absl::ConsumePrefix(&since, "since ") || !absl::SimpleAtoi(since, &element.since_s)) {
@@ -127,10 +135,7 @@ absl::StatusOr<Ruleset> ParseRuleset(absl::string_view json) {
       } else if (what == "rule") {
         ReadRule(body, ruleset);
       } else if (what == "counter" && TextOf(body, "name") == "dropped") {
-        const auto packets = body.find("packets");
-        if (packets != body.end() && packets->is_number_unsigned()) {
-          ruleset.dropped = packets->get<uint64_t>();
-        }
+        ruleset.dropped = PacketsOf(body);
       }
     }
   }

@@ -19,6 +19,7 @@ struct SetElement {
   std::string value;      // as Target::text; `10.0.0.1 . 7443`
   int64_t expires_s = 0;  // seconds left; 0 = no time limit, or less than a second
   int64_t since_s = 0;    // Isolation::since_s; 0 = not known
+  uint64_t packets = 0;   // of its counter
   friend bool operator==(const SetElement&, const SetElement&) = default;
 };
 

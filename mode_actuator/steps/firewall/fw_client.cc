@@ -77,7 +77,7 @@ StepReading FwClient::CallOnce(FwVerb verb, const Step& step, const CancelFlag& 
   absl::StatusOr<FwResponse> response = Call(request, kFwCheckTimeout, cancel);
   if (!response.ok()) return {.status = response.status(), .observed = "firewall=?"};
   return {response->status, std::move(response->observed), std::move(response->note),
-          response->dropped};
+          std::move(response->dropped)};
 }
 
 StepReading FwClient::Check(const Step& step, const CancelFlag& cancel) {

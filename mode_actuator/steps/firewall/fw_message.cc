@@ -47,6 +47,14 @@ std::string Plain(absl::string_view text) {
   return plain;
 }
 
+bool SourcesFit(const std::optional<DropCount>& dropped) {
+  if (!dropped.has_value()) return true;
+  return dropped->sources.size() <= model::kDropSourcesMax &&
+         std::all_of(dropped->sources.begin(), dropped->sources.end(), [](const auto& source) {
+           return source.address.size() <= model::kDropAddressBytesMax;
+         });
+}
+
 absl::Status CheckStep(const FirewallStep& step) {
   if (step.kind == Kind::kRules && !IsName(step.file, kPathBytesMax)) {
     return Malformed("no file name");
@@ -122,7 +130,16 @@ std::string EncodeFwResponse(const FwResponse& response) {
   wire.set_message(Plain(response.status.message()));
   wire.set_observed(Plain(response.observed));
   wire.set_note(Plain(response.note));
-  if (response.dropped.has_value()) wire.set_dropped(*response.dropped);
+  if (response.dropped.has_value()) {
+    wire.set_dropped(response.dropped->packets);
+    for (const model::DropSource& source : response.dropped->sources) {
+      v1::FwSource& out = *wire.add_sources();
+      out.set_address(Plain(source.address));
+      out.set_packets(source.packets);
+      out.set_quiet_s(source.quiet_s);
+    }
+    wire.set_more_sources(response.dropped->more_sources);
+  }
   return wire.SerializeAsString();
 }
 
@@ -131,9 +148,14 @@ absl::StatusOr<FwResponse> DecodeFwResponse(absl::string_view packet) {
   if (packet.size() <= kFwPacketBytesMax && Parse(packet, &wire) && wire.code() <= kCodeMax) {
     const auto code = static_cast<absl::StatusCode>(wire.code());
     FwResponse response = {absl::Status(code, wire.message()), wire.observed(), wire.note(), {}};
-    if (wire.has_dropped()) response.dropped = wire.dropped();
+    if (wire.has_dropped()) {
+      response.dropped = {.packets = wire.dropped(), .more_sources = wire.more_sources()};
+      for (const v1::FwSource& source : wire.sources()) {
+        response.dropped->sources.push_back({source.address(), source.packets(), source.quiet_s()});
+      }
+    }
     // Strict by encoding it again: unknown, missing and repeated fields, order, characters.
-    if (EncodeFwResponse(response) == packet) return response;
+    if (SourcesFit(response.dropped) && EncodeFwResponse(response) == packet) return response;
   }
   return absl::DataLossError("rips-fw sent a malformed reply");
 }

@@ -10,6 +10,7 @@
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
 #include "absl/strings/string_view.h"
+#include "mode_actuator/decide/drop_watch.h"
 #include "mode_actuator/decide/level_plan.h"
 
 namespace rips::actuator {
@@ -35,8 +36,8 @@ struct FwResponse {
   absl::Status status;
   std::string observed;
   std::string note;
-  // Of a check: packets that the table has dropped on their way in, since it was made.
-  std::optional<uint64_t> dropped;
+  // Of a check.
+  std::optional<DropCount> dropped;
   friend bool operator==(const FwResponse&, const FwResponse&) = default;
 };
 

@@ -184,10 +184,20 @@ TEST(FwMessageTest, ResponsesComeBackAsTheyWere) {
 }
 
 TEST(FwMessageTest, WhatWasDroppedComesBackOrIsAbsent) {
-  for (const uint64_t dropped : {uint64_t{0}, uint64_t{1240}, UINT64_MAX}) {
+  const DropCount kCounts[] = {
+      {},
+      {.packets = 1240, .sources = {{"10.0.0.66", 1200, 2}, {"fd00::7", 40, 60}}},
+      {.packets = UINT64_MAX,
+       .sources = std::vector<model::DropSource>(
+           model::kDropSourcesMax,
+           {std::string(model::kDropAddressBytesMax, 'f'), UINT64_MAX, UINT32_MAX}),
+       .more_sources = UINT32_MAX}};
+  for (const DropCount& dropped : kCounts) {
     FwResponse response;
-    response.observed = "firewall=a.nft";
+    response.observed = std::string(kFwTextBytesMax, 'o');
+    response.note = std::string(kFwTextBytesMax, 'n');
     response.dropped = dropped;
+    EXPECT_LE(EncodeFwResponse(response).size(), kFwPacketBytesMax);
     const auto decoded = DecodeFwResponse(EncodeFwResponse(response));
     ASSERT_THAT(decoded, IsOk());
     EXPECT_EQ(*decoded, response);
@@ -203,6 +213,19 @@ TEST(FwMessageTest, TextsOfResponsesAreMadeHarmlessAndCut) {
   EXPECT_THAT(std::string(decoded->status.message()), testing::StartsWith("a|note b?[2J?xxx"));
   EXPECT_EQ(decoded->status.message().size(), kFwTextBytesMax);
   EXPECT_EQ(decoded->note, "");
+}
+
+// With a count of one source.
+v1::FwResponse& Count(v1::FwResponse& wire) {
+  wire.set_dropped(1);
+  wire.set_more_sources(0);
+  if (wire.sources_size() == 0) {
+    v1::FwSource& source = *wire.add_sources();
+    source.set_address("10.0.0.66");
+    source.set_packets(1);
+    source.set_quiet_s(2);
+  }
+  return wire;
 }
 
 TEST(FwMessageTest, RefusesResponsesOfAnotherShape) {
@@ -221,6 +244,15 @@ TEST(FwMessageTest, RefusesResponsesOfAnotherShape) {
       [](Wire& wire) { wire.set_observed("\xff"); },
       [](Wire& wire) { wire.clear_note(); },
       [](Wire& wire) { wire.set_note("\x1b[2J"); },
+      [](Wire& wire) { wire.set_more_sources(0); },  // sources of nothing
+      [](Wire& wire) { wire.add_sources(); },
+      [](Wire& wire) { Count(wire).clear_more_sources(); },
+      [](Wire& wire) { Count(wire).mutable_sources(0)->clear_quiet_s(); },
+      [](Wire& wire) { Count(wire).mutable_sources(0)->set_address("\x1b[2J"); },
+      [](Wire& wire) { Count(wire).mutable_sources(0)->set_address(std::string(46, '0')); },
+      [](Wire& wire) {
+        while (wire.sources_size() <= 24) *wire.add_sources() = Count(wire).sources(0);
+      },
   };
   for (size_t i = 0; i < std::size(kEdits); ++i) {
     const std::string bad = Edited<Wire>(good, kEdits[i]);

@@ -4,14 +4,24 @@
 
 #include "absl/strings/match.h"
 #include "absl/strings/str_cat.h"
+#include "absl/strings/strip.h"
 #include "absl/strings/substitute.h"
 
 namespace rips::actuator {
 namespace {
 
-// $0 = elements of a set of isolated ones, $1 = of a set of servers.
+// $0 = elements of a set of isolated ones, $1 = of a set of servers, $2 = of a set of counted
+// sources, $3 = seconds that these stay. A rule that counts a source ends without a verdict where
+// the set is full or the packet of the other family: the drop is a rule of its own.
 constexpr absl::string_view kTable = R"(add table inet rips
 add counter inet rips dropped
+add set inet rips dropped4 { type ipv4_addr; size $2; flags dynamic, timeout; timeout $3s; }
+add set inet rips dropped6 { type ipv6_addr; size $2; flags dynamic, timeout; timeout $3s; }
+add chain inet rips count_and_drop
+flush chain inet rips count_and_drop
+add rule inet rips count_and_drop update @dropped4 { ip saddr counter }
+add rule inet rips count_and_drop update @dropped6 { ip6 saddr counter }
+add rule inet rips count_and_drop counter name dropped drop
 add set inet rips quarantine4 { type ipv4_addr; size $0; flags timeout; }
 add set inet rips quarantine6 { type ipv6_addr; size $0; flags timeout; }
 add set inet rips quarantine_mac { type ether_addr; size $0; flags timeout; }
@@ -31,13 +41,13 @@ flush chain inet rips forward
 flush set inet rips control4
 flush set inet rips control6
 add rule inet rips input iifname "lo" accept
-add rule inet rips input ip saddr . tcp sport @control4 accept
-add rule inet rips input ip6 saddr . tcp sport @control6 accept
+add rule inet rips input ip saddr . tcp sport @control4 tcp flags & (syn | ack) != syn accept
+add rule inet rips input ip6 saddr . tcp sport @control6 tcp flags & (syn | ack) != syn accept
 add rule inet rips output oifname "lo" accept
 add rule inet rips output ip daddr . tcp dport @control4 accept
 add rule inet rips output ip6 daddr . tcp dport @control6 accept
-add rule inet rips forward ip saddr . tcp sport @control4 accept
-add rule inet rips forward ip6 saddr . tcp sport @control6 accept
+add rule inet rips forward ip saddr . tcp sport @control4 tcp flags & (syn | ack) != syn accept
+add rule inet rips forward ip6 saddr . tcp sport @control6 tcp flags & (syn | ack) != syn accept
 add rule inet rips forward ip daddr . tcp dport @control4 accept
 add rule inet rips forward ip6 daddr . tcp dport @control6 accept
 )";
@@ -46,11 +56,25 @@ add rule inet rips forward ip6 daddr . tcp dport @control6 accept
 // §9.4.4): bits 64 to 160 of what UDP carries.
 constexpr absl::string_view kBadGuid = "meta l4proto udp @ih,0,32 0x52545053 @ih,64,96 @bad_guid";
 // Of what comes from those that are kept out; what we do not send to them is counted by its rule.
-constexpr absl::string_view kDropAndCount = "counter name dropped drop";
+constexpr absl::string_view kCountAndDrop = "goto count_and_drop";
 constexpr absl::string_view kReachable[] = {
     "icmp type destination-unreachable accept",
     "icmpv6 type { destination-unreachable, packet-too-big, nd-router-solicit, nd-router-advert, "
     "nd-neighbor-solicit, nd-neighbor-advert } accept",
+};
+
+// A level that is entered counts its own.
+constexpr absl::string_view kForgetSources =
+    "flush set inet rips dropped4\nflush set inet rips dropped6\n";
+
+// What our own nodes send by multicast comes back on the interface it left by, and then has no
+// Ethernet header. From outside, the kernel takes no IPv4 packet with our own source address, but
+// it does take IPv6 ones.
+constexpr absl::string_view kOwnMulticast[] = {
+    "meta nfproto ipv4 fib saddr type local accept",
+    "ether type ip6 fib saddr type local goto count_and_drop",
+    // `ip6` first: behind `iiftype ether` nft reads it from the Ethernet header.
+    "ip6 daddr ff00::/8 meta iiftype ether fib saddr type local accept",
 };
 
 void AddRule(absl::string_view chain, absl::string_view rule, std::string& script) {
@@ -60,34 +84,34 @@ void AddRule(absl::string_view chain, absl::string_view rule, std::string& scrip
 // What all three chains have in common, below the servers.
 void AddChainEnd(absl::string_view chain, absl::string_view level_chain,
                  const std::vector<absl::string_view>& directions, std::string& script) {
-  AddRule(chain, absl::StrCat(kBadGuid, " ", kDropAndCount), script);
+  AddRule(chain, absl::StrCat(kBadGuid, " ", chain == "output" ? "counter drop" : kCountAndDrop),
+          script);
   for (const absl::string_view direction : directions) {
-    const absl::string_view drop = direction == "saddr" ? kDropAndCount : "counter drop";
+    const absl::string_view drop = direction == "saddr" ? kCountAndDrop : "counter drop";
     AddRule(chain, absl::StrCat("ip ", direction, " @quarantine4 ", drop), script);
     AddRule(chain, absl::StrCat("ip6 ", direction, " @quarantine6 ", drop), script);
   }
   // A packet that leaves has no Ethernet header yet.
   if (chain != "output") {
-    AddRule(chain, absl::StrCat("ether saddr @quarantine_mac ", kDropAndCount), script);
+    AddRule(chain, absl::StrCat("ether saddr @quarantine_mac ", kCountAndDrop), script);
   }
   for (const absl::string_view rule : kReachable) AddRule(chain, rule, script);
-  // What our own nodes send by multicast comes back on the interface it left by. From outside, the
-  // kernel takes no packet with our own source address.
-  if (chain == "input") AddRule(chain, "fib saddr type local accept", script);
+  if (chain == "input") {
+    for (const absl::string_view rule : kOwnMulticast) AddRule(chain, rule, script);
+  }
   AddRule(chain, absl::StrCat("meta nfproto @level_hold jump ", level_chain), script);
 }
 
-// `text` with our counter before its verdict, if that is the end of what it says: a packet that
-// the rest of the rule lets pass is not counted.
+// `text` so that it counts what its verdict drops, if that is the end of what it says: a packet
+// that the rest of the rule lets pass is not counted. What is rejected is counted without a source.
 std::string Counted(const FragmentRule& rule) {
   if (rule.hook == Hook::kOutput) return rule.text;
-  size_t verdict = rule.text.rfind(" reject with ");
-  for (const absl::string_view word : {"drop", "reject"}) {
-    if (rule.text == word) return absl::StrCat("counter name dropped ", word);
-    if (absl::EndsWith(rule.text, absl::StrCat(" ", word))) {
-      verdict = rule.text.size() - word.size() - 1;
-    }
-  }
+  if (rule.text == "drop") return std::string(kCountAndDrop);
+  if (rule.text == "reject") return "counter name dropped reject";
+  absl::string_view match = rule.text;
+  if (absl::ConsumeSuffix(&match, " drop")) return absl::StrCat(match, " ", kCountAndDrop);
+  const size_t verdict = absl::EndsWith(rule.text, " reject") ? rule.text.rfind(" reject")
+                                                              : rule.text.rfind(" reject with ");
   if (verdict == std::string::npos) return rule.text;
   return absl::StrCat(rule.text.substr(0, verdict), " counter name dropped",
                       rule.text.substr(verdict));
@@ -133,7 +157,8 @@ absl::string_view LevelChainOf(Hook hook) {
 std::string RuleComment(size_t n) { return absl::StrCat("rips ", n); }
 
 std::string TableScript(const std::vector<ControlAddress>& control) {
-  std::string script = absl::Substitute(kTable, kIsolatedMax, kControlMax);
+  std::string script = absl::Substitute(kTable, kIsolatedMax, kControlMax, kCountedSourcesMax,
+                                        absl::ToInt64Seconds(kCountedSourceKept));
   AddChainEnd("input", "level_in", {"saddr"}, script);
   AddChainEnd("output", "level_out", {"daddr"}, script);
   AddChainEnd("forward", "level_forward", {"saddr", "daddr"}, script);
@@ -146,7 +171,7 @@ std::string TableScript(const std::vector<ControlAddress>& control) {
 }
 
 std::string LevelScript(const std::vector<FragmentRule>& rules, absl::Duration hold_for) {
-  std::string script;
+  std::string script = absl::StrCat(kForgetSources);
   for (const Hook hook : {Hook::kInput, Hook::kOutput, Hook::kForward}) {
     absl::StrAppend(&script, "flush chain inet rips ", LevelChainOf(hook), "\n");
   }
@@ -191,6 +216,7 @@ std::string ReleaseScript(const std::vector<Isolation>& kept) {
        {"level_hold", "quarantine4", "quarantine6", "quarantine_mac", "bad_guid"}) {
     absl::StrAppend(&script, "flush set inet rips ", set, "\n");
   }
+  absl::StrAppend(&script, kForgetSources);
   absl::StrAppend(&script, IsolateScript(kept));
   return script;
 }

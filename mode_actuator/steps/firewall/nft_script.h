@@ -4,11 +4,14 @@
 //
 //   table inet rips, chains input, output, forward at priority -150 (after connection tracking,
 //   before whatever the administrator has), policy accept:
-//     loopback and the policy servers' connections   accept: nothing below reaches them
+//     loopback, and connections to policy servers    accept: nothing below reaches them; none that
+//                                                    begins there
 //     bad_guid, quarantine4/6, quarantine_mac        drop, until their time is over
 //     neighbour discovery, path MTU                  accept: servers stay reachable
 //     level_in, level_out, level_forward             the level's file, while level_hold has not run
 //                                                    out
+//     count_and_drop                                 where `drop` of what comes in ends: it counts,
+//                                                    also by source address
 // We can only restrict: `accept` here ends our own chain, not the administrator's.
 #ifndef RIPS_MODE_ACTUATOR_STEPS_FIREWALL_NFT_SCRIPT_H_
 #define RIPS_MODE_ACTUATOR_STEPS_FIREWALL_NFT_SCRIPT_H_
@@ -24,6 +27,9 @@
 
 namespace rips::actuator {
 
+// Source addresses of each family that are counted; packets of others are dropped all the same.
+inline constexpr size_t kCountedSourcesMax = 256;
+inline constexpr absl::Duration kCountedSourceKept = absl::Minutes(10);
 // Elements of each set of isolated ones.
 inline constexpr size_t kIsolatedMax = 256;
 // Addresses and ports of policy servers.

@@ -21,6 +21,7 @@
 
 #include "absl/status/status.h"
 #include "absl/time/time.h"
+#include "mode_actuator/decide/drop_watch.h"
 #include "mode_actuator/decide/level_plan.h"
 #include "mode_actuator/decide/receipt.h"
 #include "services/base/clock.h"
@@ -39,8 +40,8 @@ struct StepReading {
   std::string observed;
   // A warning although it succeeded; empty mostly.
   std::string note;
-  // Of a firewall: packets dropped on their way in, since its table was made.
-  std::optional<uint64_t> dropped;
+  // Of a firewall.
+  std::optional<DropCount> dropped;
 };
 
 // A step that is being entered or checked, with its retries. One thread at a time.
@@ -60,7 +61,7 @@ class StepAttempt {
   // `/safety=ALERT`, `horn=on`, without spaces; empty = no target.
   std::string observed;
   // As StepReading::dropped.
-  std::optional<uint64_t> dropped;
+  std::optional<DropCount> dropped;
 };
 
 // One thread at a time.
@@ -145,7 +146,7 @@ class BlockingAttempt final : public StepAttempt {
     StepReading reading = std::exchange(act_, nullptr)();
     status = reading.status;
     observed = std::move(reading.observed);
-    dropped = reading.dropped;
+    dropped = std::move(reading.dropped);
     result.ok = status.ok();
     result.detail = result.ok ? std::move(reading.note) : std::string(status.message());
     const int64_t took_ns = clock_->Now().boottime_ns - now_ns;

@@ -8,6 +8,7 @@
 
 #include "absl/strings/match.h"
 #include "absl/strings/str_cat.h"
+#include "absl/strings/str_join.h"
 #include "policy_server/ripsctl/cli/command.h"
 #include "policy_server/ripsctl/cli/printer.h"
 #include "services/base/status_macros.h"
@@ -17,12 +18,34 @@ namespace {
 
 // What was dropped not longer ago is said to go on: an actuator looks every 2 s.
 constexpr uint32_t kStillSendsS = 10;
+// Lines of addresses; JSON has all that the server knows.
+constexpr size_t kSourcesShown = 10;
+// Of one family; a host that drops packets of more does not tell all.
+constexpr uint64_t kSourcesCounted = 256;
 // All that the server keeps of a robot: programs have receipts, too.
 constexpr uint32_t kReceiptsMax = 256;
 
 bool IsFirewall(const v1::StepResult& step) {
   return step.ok() && step.drilled() == v1::StepResult::DRILLED_UNSPECIFIED &&
          absl::StartsWith(step.step(), "firewall ");
+}
+
+std::string NewestText(uint32_t quiet_s) {
+  if (quiet_s >= kStillSendsS) return absl::StrCat(", none in the last ", quiet_s, " s");
+  return absl::StrCat(", the newest less than ", quiet_s + 1, " s ago");
+}
+
+Json SourcesJson(const v1::HostFirewall& drops) {
+  Json list = Json::array();
+  for (const v1::FirewallSource& source : drops.sources()) {
+    Json agents = Json::array();
+    for (const std::string& agent : source.agents()) agents.push_back(agent);
+    list.push_back({{"address", source.address()},
+                    {"packets", source.packets()},
+                    {"quiet_s", source.quiet_s()},
+                    {"agents", std::move(agents)}});
+  }
+  return list;
 }
 
 bool SameDecision(const v1::DecisionId& a, const v1::DecisionId& b) {
@@ -67,8 +90,10 @@ absl::StatusOr<std::vector<FirewallOfHost>> ReadFirewalls(Env& env, const std::s
 
 std::string DropsText(const v1::HostFirewall& drops) {
   if (drops.quiet_s() > drops.counted_s()) return "says of what it dropped what cannot be";
+  const absl::string_view by_address =
+      drops.sources().empty() ? "" : "; by address, which may be forged:";
   if (drops.dropped_packets() == 0) {
-    return absl::StrCat("says that it dropped no packet in ", drops.counted_s(), " s");
+    return absl::StrCat("says that it dropped no packet in ", drops.counted_s(), " s", by_address);
   }
   // Seconds are whole: within the first one it is no rate.
   const uint64_t a_second = drops.dropped_packets() / std::max<uint32_t>(drops.counted_s(), 1);
@@ -76,12 +101,51 @@ std::string DropsText(const v1::HostFirewall& drops) {
                                   drops.dropped_packets() == 1 ? " packet" : " packets", " in ",
                                   drops.counted_s(), " s");
   if (a_second > 0) absl::StrAppend(&text, " (", a_second, " a second)");
-  if (drops.quiet_s() >= kStillSendsS) {
-    return absl::StrCat(text, ", none in the last ", drops.quiet_s(), " s");
+  absl::StrAppend(&text, NewestText(drops.quiet_s()));
+  if (drops.quiet_s() < kStillSendsS) {
+    absl::StrAppend(&text, ": something that it keeps out still sends");
+    if (drops.sources().empty()) absl::StrAppend(&text, ", the attacker or other hosts");
   }
-  return absl::StrCat(text, ", the newest less than ", drops.quiet_s() + 1,
-                      " s ago: something that it keeps out still sends, the attacker or other "
-                      "hosts");
+  return absl::StrCat(text, by_address);
+}
+
+std::vector<std::string> SourceLines(const v1::HostFirewall& drops,
+                                     const std::map<std::string, std::string>& claims) {
+  // Who was named first, then what no agent of ours explains; of each the newest first.
+  std::vector<const v1::FirewallSource*> sources;
+  for (const v1::FirewallSource& source : drops.sources()) sources.push_back(&source);
+  const auto place = [&](const v1::FirewallSource* source) {
+    return claims.contains(source->address()) ? 0 : source->agents().empty() ? 1 : 2;
+  };
+  std::stable_sort(sources.begin(), sources.end(),
+                   [&](const auto* a, const auto* b) { return place(a) < place(b); });
+  uint64_t more = drops.more_sources();
+  if (sources.size() > kSourcesShown) {
+    more += sources.size() - kSourcesShown;
+    sources.resize(kSourcesShown);
+  }
+  std::vector<std::string> lines;
+  for (const v1::FirewallSource* const each : sources) {
+    const v1::FirewallSource& source = *each;
+    std::string line = EscapeText(source.address());
+    if (!source.agents().empty()) {
+      absl::StrAppend(&line, " (", EscapeText(absl::StrJoin(source.agents(), ", ")),
+                      source.agents_size() == 1 ? " connects" : " connect", " from there)");
+    }
+    if (const auto claim = claims.find(source.address()); claim != claims.end()) {
+      absl::StrAppend(&line, " (which ", EscapeText(claim->second), " gave as its own)");
+    }
+    absl::StrAppend(&line, ": ", source.packets(), source.packets() == 1 ? " packet" : " packets",
+                    NewestText(source.quiet_s()));
+    lines.push_back(std::move(line));
+  }
+  if (more > 0) {
+    const bool all = sources.size() + more < kSourcesCounted;
+    lines.push_back(absl::StrCat(all ? "" : "at least ", more,
+                                 more == 1 ? " other address" : " other addresses",
+                                 " in the last 10 min"));
+  }
+  return lines;
 }
 
 void PrintFirewalls(const absl::StatusOr<std::vector<FirewallOfHost>>& firewalls,
@@ -105,6 +169,7 @@ void PrintFirewalls(const absl::StatusOr<std::vector<FirewallOfHost>>& firewalls
     }
     if (each.drops.has_value()) {
       out << host << " " << DropsText(*each.drops) << "\n";
+      for (const std::string& line : SourceLines(*each.drops)) out << "  from " << line << "\n";
     } else {
       out << "what " << host << " drops is not known; `nft list table inet rips` there shows it\n";
     }
@@ -124,6 +189,8 @@ Json FirewallsJson(const absl::StatusOr<std::vector<FirewallOfHost>>& firewalls)
     firewall["dropped_packets"] = drops ? Json(drops->dropped_packets()) : Json(nullptr);
     firewall["counted_s"] = drops ? Json(drops->counted_s()) : Json(nullptr);
     firewall["quiet_s"] = drops ? Json(drops->quiet_s()) : Json(nullptr);
+    firewall["sources"] = drops ? SourcesJson(*drops) : Json(nullptr);
+    firewall["more_sources"] = drops ? Json(drops->more_sources()) : Json(nullptr);
     list.push_back(std::move(firewall));
   }
   return list;

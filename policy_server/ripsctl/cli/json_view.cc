@@ -151,7 +151,8 @@ Json ToJson(const v1::Subject& subject) {
           {"role", subject.role()},
           {"guid", subject.guid()},
           {"host", subject.host()},
-          {"pid", subject.pid() == 0 ? Json(nullptr) : Json(subject.pid())}};
+          {"pid", subject.pid() == 0 ? Json(nullptr) : Json(subject.pid())},
+          {"address", subject.address()}};
 }
 
 Json ToJson(const v1::Evidence& evidence) {

@@ -28,7 +28,7 @@ Json ToJson(const v1::Alert& alert);
 // The same with "acknowledged": {"by","time","note"}, null if it is not.
 Json AlertWithAck(const v1::Alert& alert);
 Json ToJson(const v1::Acknowledgement& ack);
-// {"name","role","guid","host","pid"}; pid is null when not known.
+// {"name","role","guid","host","pid","address"}; pid is null when not known.
 Json ToJson(const v1::Subject& subject);
 // {"place","condition","values":[{"offset","length","depth","value"}],"subjects":[..],"event",
 //  "event_time","bundle","cut"}

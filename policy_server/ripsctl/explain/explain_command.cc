@@ -74,6 +74,29 @@ std::optional<Lowering> TryLowering(Env& env, const v1::GetLevelResponse& now) {
   return Lowering{.to = request.to(), .found = Call(env, &Stub::DeEscalate, request)};
 }
 
+// What had raised the robot to the level that `lowered` left, or above it, by the newest changes on
+// record.
+std::optional<v1::Transition> FindRaise(Env& env, const v1::Transition& lowered,
+                                        const v1::GetLevelResponse& now) {
+  const auto height = [&](const std::string& level) {
+    return std::find(now.levels().begin(), now.levels().end(), level) - now.levels().begin();
+  };
+  if (lowered.refused() || height(lowered.to()) >= height(lowered.from())) return std::nullopt;
+  v1::ListTransitionsRequest request;
+  request.set_robot(lowered.robot());
+  const auto history = Call(env, &Stub::ListTransitions, request);
+  if (!history.ok()) return std::nullopt;
+  bool before = false;
+  for (const v1::Transition& each : history->transitions()) {  // newest first
+    if (before && !each.refused() && height(each.to()) >= height(lowered.from()) &&
+        height(each.to()) > height(each.from())) {
+      return each;
+    }
+    before = before || each.id() == lowered.id();
+  }
+  return std::nullopt;
+}
+
 Json LoweringJson(const Lowering& lowering) {
   if (!lowering.found.ok()) {
     return {{"to", lowering.to}, {"not_known_because", NoDryRunText(lowering.found.status())}};
@@ -90,8 +113,8 @@ Json SubjectsNow(const Explanation& explanation) {
   Json now = Json::array();
   for (const v1::Subject& each : SubjectsOf(explanation.recorded)) {
     const Presence presence = PresenceOf(each, explanation);
-    now.push_back(presence == Presence::kUnknown ? Json(nullptr)
-                                                 : Json(presence == Presence::kThere));
+    const bool known = presence == Presence::kThere || presence == Presence::kGone;
+    now.push_back(known ? Json(presence == Presence::kThere) : Json(nullptr));
   }
   return now;
 }
@@ -108,6 +131,8 @@ Json ExplanationJson(const Explanation& explanation) {
   if (explanation.now.has_value() && !known) {
     json["now_not_known_because"] = std::string(explanation.now->status().message());
   }
+  json["raised_before_by"] =
+      explanation.raised.has_value() ? ToJson(*explanation.raised) : Json(nullptr);
   json["lowering"] =
       explanation.lowering.has_value() ? LoweringJson(*explanation.lowering) : Json(nullptr);
   return json;
@@ -199,6 +224,9 @@ class Explain final : public Command {
       explanation.now = ReadLevel(env, robot);
     }
     if (!explanation.now.has_value() || !explanation.now->ok()) return;
+    if (recorded.has_transition()) {
+      explanation.raised = FindRaise(env, recorded.transition(), **explanation.now);
+    }
     const auto& subjects = SubjectsOf(recorded);
     if (std::any_of(subjects.begin(), subjects.end(),
                     [](const v1::Subject& each) { return !each.guid().empty(); })) {

@@ -56,6 +56,27 @@ TEST_F(ExplainTest, AnAlertByItsId) {
   EXPECT_THAT(result.out, StartsWith("r1: high alert at "));
 }
 
+TEST_F(ExplainTest, ALoweringLeadsToWhatHadRaisedTheRobot) {
+  const auto lowered = [](char digit, const char* from, const char* to) {
+    v1::Transition transition = MakeTransition();
+    transition.set_id(std::string(32, digit));
+    transition.set_from(from);
+    transition.set_to(to);
+    transition.set_cause("operator carol");
+    return transition;
+  };
+  fake_.newer_transitions = {lowered('5', "ALERT", "DEFAULT"),
+                             lowered('4', "COMPROMISED", "ALERT")};
+  for (const v1::Transition& each : fake_.newer_transitions) {
+    *fake_.explained[each.id()].mutable_transition() = each;
+    const std::string text = Run({"explain", each.id()}).out;
+    EXPECT_THAT(text, HasSubstr("before that, r1 went from ALERT to COMPROMISED at "));
+    EXPECT_THAT(text, HasSubstr("  why: ripsctl explain 11111111\n"));
+    EXPECT_EQ(RunJson({"explain", each.id()})["raised_before_by"]["id"], std::string(32, '1'));
+  }
+  EXPECT_TRUE(RunJson({"explain", "11111111"})["raised_before_by"].is_null()) << "it is a raise";
+}
+
 TEST_F(ExplainTest, TheDecisionThatARobotIsAt) {
   EXPECT_THAT(Run({"explain", "r1"}).out, StartsWith(kFirstWords));
   EXPECT_THAT(fake_.calls(), ElementsAre("GetLevel", "Explain r1@3.17", "GetGraph", "DeEscalate"));
@@ -189,7 +210,8 @@ TEST_F(ExplainTest, JsonHasTheSameContent) {
                             {"role", "publishes /cmd_vel"},
                             {"guid", "01104a3b.00000000.00000000.000003c1"},
                             {"host", "base"},
-                            {"pid", 4711}}));
+                            {"pid", 4711},
+                            {"address", "10.0.0.66"}}));
   EXPECT_EQ(json["alerts"][0]["text"], "\x1b[2J");
   EXPECT_EQ(json["alerts"][0]["subjects"], nlohmann::json::array());
   EXPECT_EQ(json["now"]["status"]["decided_level"], "COMPROMISED");

@@ -1,6 +1,8 @@
 #include "policy_server/ripsctl/explain/explain_text.h"
 
 #include <algorithm>
+#include <map>
+#include <string>
 #include <utility>
 #include <vector>
 
@@ -202,6 +204,8 @@ const char* PresenceText(Presence presence) {
   switch (presence) {
     case Presence::kThere:
       return "still there";
+    case Presence::kKeptOut:
+      return "not seen";
     case Presence::kGone:
       return "gone";
     case Presence::kUnknown:
@@ -215,20 +219,24 @@ void PrintWho(const Explanation& explanation, std::ostream& out) {
   const auto& subjects = SubjectsOf(recorded);
   if (!subjects.empty()) {
     out << "\nWho:\n";
-    Table table({"NAME", "WHAT", "NOW", "HOST", "PID", "GUID"});
+    Table table({"NAME", "WHAT", "NOW", "ADDRESS", "HOST", "PID", "GUID"});
     for (const v1::Subject& each : subjects) {
-      table.Add({each.name(), each.role(), PresenceText(PresenceOf(each, explanation)), each.host(),
-                 each.pid() == 0 ? "" : absl::StrCat(each.pid()), each.guid()});
+      table.Add({each.name(), each.role(), PresenceText(PresenceOf(each, explanation)),
+                 each.address(), each.host(), each.pid() == 0 ? "" : absl::StrCat(each.pid()),
+                 each.guid()});
     }
     table.Print(out, "  ");
-    out << "  host and process id are what the process says of itself; it may lie\n";
-    const auto is_gone = [&](const v1::Subject& each) {
-      return PresenceOf(each, explanation) == Presence::kGone;
+    out << "  address, host and process id are what the process says of itself; it may lie\n";
+    const auto any = [&](Presence presence) {
+      return std::any_of(subjects.begin(), subjects.end(), [&](const v1::Subject& each) {
+        return PresenceOf(each, explanation) == presence;
+      });
     };
-    if (std::any_of(subjects.begin(), subjects.end(), is_gone)) {
-      out << "  gone: not in the robot's graph; if this level's steps cut it off by a firewall\n"
-             "  (`ripsctl robot receipts`), lowering the robot lets it in again\n";
+    if (any(Presence::kKeptOut)) {
+      out << "  not seen: not in the robot's graph, but a firewall keeps things out; what still\n"
+             "  sends, see below; lowering the robot may let it in again\n";
     }
+    if (any(Presence::kGone)) out << "  gone: not in the robot's graph\n";
   }
   if (recorded.evidence().cut()) out << "  there were more values or subjects than are kept\n";
 }
@@ -297,10 +305,19 @@ void PrintNow(const Explanation& explanation, std::ostream& out) {
   } else if (status.effective_level() != status.decided_level()) {
     out << "  its actuators hold " << EscapeText(status.effective_level()) << "\n";
   }
+  std::map<std::string, std::string> claims;
+  for (const v1::Subject& each : SubjectsOf(explanation.recorded)) {
+    if (!each.address().empty()) claims.emplace(each.address(), each.name());
+  }
   for (const v1::HostFirewall& drops : (*explanation.now)->firewalls()) {
     out << "  the firewall of " << EscapeText(drops.host()) << " " << DropsText(drops) << "\n";
+    for (const std::string& line : SourceLines(drops, claims)) out << "    from " << line << "\n";
   }
-  if (explanation.lowering.has_value()) PrintLowering(status.robot(), *explanation.lowering, out);
+  if (!explanation.lowering.has_value()) return;
+  PrintLowering(status.robot(), *explanation.lowering, out);
+  const auto& levels = (*explanation.now)->levels();
+  out << "  to lower it: ripsctl level lower " << EscapeText(status.robot()) << " --to "
+      << EscapeText(levels.empty() ? "LEVEL" : levels[0]) << " --reason TEXT --wait\n";
 }
 
 // The server keeps what led to such an alert.
@@ -344,7 +361,8 @@ Presence PresenceOf(const v1::Subject& subject, const Explanation& explanation) 
   const bool there = std::any_of(graph.endpoints().begin(), graph.endpoints().end(), is_it) ||
                      std::any_of(graph.participants().begin(), graph.participants().end(), is_it);
   if (there) return Presence::kThere;
-  return SeesAll(explanation) ? Presence::kGone : Presence::kUnknown;
+  if (!SeesAll(explanation)) return Presence::kUnknown;
+  return (*explanation.now)->firewalls().empty() ? Presence::kGone : Presence::kKeptOut;
 }
 
 std::string PieceText(absl::string_view condition, uint32_t offset, uint32_t length,
@@ -400,6 +418,10 @@ void PrintExplanation(const Explanation& explanation, std::ostream& out) {
         << "\n";
     if (recorded.alert().has_acknowledged()) {
       out << "acknowledged " << AckText(recorded.alert().acknowledged()) << "\n";
+    }
+    if (explanation.raised.has_value()) {
+      out << "before that, " << TransitionLine(*explanation.raised) << "\n"
+          << "  why: ripsctl explain " << EscapeText(ShortId(explanation.raised->id())) << "\n";
     }
     PrintWhy(recorded, out);
     PrintWho(explanation, out);

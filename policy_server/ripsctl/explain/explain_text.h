@@ -26,6 +26,9 @@ struct Explanation {
   v1::ExplainResponse recorded;
   // The robot now, and unset if it is no robot that did it, but the server.
   std::optional<absl::StatusOr<v1::GetLevelResponse>> now;
+  // What had raised the robot to the level that `recorded` lowers it from; unset if it does not, or
+  // if that is not known.
+  std::optional<v1::Transition> raised;
   // Unset at the lowest level.
   std::optional<Lowering> lowering;
   // Of the robot now; unset if no subject has a GUID.
@@ -37,8 +40,9 @@ const google::protobuf::RepeatedPtrField<v1::Subject>& SubjectsOf(
     const v1::ExplainResponse& recorded);
 
 // Whether that endpoint or participant is in the graph now. kUnknown if it has no GUID, or if it is
-// not in a graph of which not all is seen.
-enum class Presence { kUnknown, kThere, kGone };
+// not in a graph of which not all is seen; kKeptOut if it is not, but a firewall of the robot may
+// keep it out.
+enum class Presence { kUnknown, kThere, kKeptOut, kGone };
 Presence PresenceOf(const v1::Subject& subject, const Explanation& explanation);
 
 // The parts, in this order, each left out if there is nothing to say: what happened, why, who, what

@@ -106,9 +106,9 @@ Why: rule rogue_cmd_vel, warehouse.rul:31, of bundle sha256:bbbbbbbbbbbb
       !nodes("/teleop")                                    not evaluated
 
 Who:
-  NAME       WHAT                NOW          HOST  PID   GUID
-  /intruder  publishes /cmd_vel  still there  base  4711  01104a3b.00000000.00000000.000003c1
-  host and process id are what the process says of itself; it may lie
+  NAME       WHAT                NOW          ADDRESS    HOST  PID   GUID
+  /intruder  publishes /cmd_vel  still there  10.0.0.66  base  4711  01104a3b.00000000.00000000.000003c1
+  address, host and process id are what the process says of itself; it may lie
 
 Effects:
   verified: every actuator has read the level back; read back by base
@@ -119,6 +119,7 @@ Now: r1 is at COMPROMISED (3.17), verified: every actuator has read the level ba
   if it were lowered to ALERT now, it
     would be raised again by rule rogue_cmd_vel at the next change of the graph, not before
     not tried: rules on messages and on external events; the next one may raise r1 again
+  to lower it: ripsctl level lower r1 --to DEFAULT --reason TEXT --wait
 )");
 }
 
@@ -155,9 +156,25 @@ TEST(ExplainTextTest, SaysWhetherWhoItWasIsStillThereAndNothingThatItCannotKnow)
   EXPECT_EQ(PresenceOf(who, explanation), Presence::kUnknown);
   (*explanation.now)->mutable_status()->clear_degraded();
   EXPECT_EQ(PresenceOf(who, explanation), Presence::kGone);
+  (*explanation.now)->add_firewalls()->set_host("base");
+  EXPECT_EQ(PresenceOf(who, explanation), Presence::kKeptOut);
+  EXPECT_THAT(Print(explanation),
+              HasSubstr("not seen: not in the robot's graph, but a firewall keeps things out"));
   explanation.graph = absl::UnavailableError("no answer");
   EXPECT_EQ(PresenceOf(who, explanation), Presence::kUnknown);
   EXPECT_EQ(PresenceOf(v1::Subject(), explanation), Presence::kUnknown);
+}
+
+TEST(ExplainTextTest, OfALoweringNamesWhatHadRaisedTheRobot) {
+  v1::Transition lowered = MakeTransition();
+  lowered.set_from("COMPROMISED");
+  lowered.set_to("DEFAULT");
+  lowered.set_cause("operator carol");
+  const std::string text = Print({.recorded = OfTransition(lowered), .raised = MakeTransition()});
+  EXPECT_THAT(text,
+              HasSubstr("by operator carol\nbefore that, r1 went from ALERT to COMPROMISED at "
+                        "2026-01-01T00:00:00.000Z (3.17), by rule rogue_cmd_vel\n"
+                        "  why: ripsctl explain "));
 }
 
 TEST(ExplainTextTest, TellsAnAlert) {
@@ -286,6 +303,18 @@ TEST(ExplainTextTest, SaysWhatIsNow) {
   firewall.set_counted_s(300);
   EXPECT_THAT(Print({.recorded = recorded, .now = now}),
               HasSubstr("\n  the firewall of base says that it dropped no packet in 300 s\n"));
+  v1::FirewallSource& source = *firewall.add_sources();
+  source.set_address("10.0.0.66");
+  source.set_packets(7);
+  source.set_quiet_s(60);
+  EXPECT_THAT(Print({.recorded = recorded, .now = now}),
+              HasSubstr(" in 300 s; by address, which may be forged:\n"
+                        "    from 10.0.0.66: 7 packets, none in the last 60 s\n"));
+  *recorded.mutable_evidence() = MakeEvidence();
+  EXPECT_THAT(Print({.recorded = recorded, .now = now}),
+              HasSubstr("    from 10.0.0.66 (which /intruder gave as its own): 7 packets, none in "
+                        "the last 60 s\n"));
+  recorded.clear_evidence();
   EXPECT_THAT(Print({.recorded = recorded, .now = absl::NotFoundError("no robot `r1`")}),
               HasSubstr("Now: not known: no robot `r1`\n"));
   const auto with = [&](absl::StatusOr<v1::LevelResponse> found) {

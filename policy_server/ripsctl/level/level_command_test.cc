@@ -41,6 +41,18 @@ TEST_F(RipsctlTest, ALoweringSaysWhatFirewallsHoldThatMayEndWithTheLevel) {
     firewall.set_quiet_s(quiet_s);
   };
   drops("base", 1240, 2);
+  const auto source = [this](const std::string& address, uint64_t packets, uint32_t quiet_s) {
+    v1::FirewallSource& from = *fake_.firewalls.front().add_sources();
+    from.set_address(address);
+    from.set_packets(packets);
+    from.set_quiet_s(quiet_s);
+    return &from;
+  };
+  source("10.0.0.66", 1200, 2);
+  v1::FirewallSource* const robot = source("10.0.0.13", 40, 55);
+  robot->add_agents("sensor/r3/base");
+  robot->add_agents("actuator/r3/base");
+  fake_.firewalls.front().set_more_sources(3);
   drops("lidar", 7, 0);  // holds nothing any more
   EXPECT_THAT(
       Run({"level", "lower", "r1", "--to", "DEFAULT", "--dry-run"}).out,
@@ -50,8 +62,11 @@ TEST_F(RipsctlTest, ALoweringSaysWhatFirewallsHoldThatMayEndWithTheLevel) {
           "base holds `firewall isolate_host 10.0.0.66` until a level releases it or its "
           "time is over\n"
           "base says that it dropped 1240 packets in 300 s (4 a second), the newest less than 3 s "
-          "ago: "
-          "something that it keeps out still sends, the attacker or other hosts\n"
+          "ago: something that it keeps out still sends; by address, which may be forged:\n"
+          "  from 10.0.0.66: 1200 packets, the newest less than 3 s ago\n"
+          "  from 10.0.0.13 (sensor/r3/base, actuator/r3/base connect from there): 40 packets, "
+          "none in the last 55 s\n"
+          "  from 3 other addresses in the last 10 min\n"
           "lidar may still hold `firewall isolate_host 10.0.0.68` of the level before (3.16): no "
           "level since has released it, so it ends, and lets everything in, when its time is "
           "over\n"
@@ -67,21 +82,35 @@ TEST_F(RipsctlTest, ALoweringSaysWhatFirewallsHoldThatMayEndWithTheLevel) {
                                     {"renewed", true},
                                     {"dropped_packets", 1240},
                                     {"counted_s", 300},
-                                    {"quiet_s", 2}},
+                                    {"quiet_s", 2},
+                                    {"sources",
+                                     {{{"address", "10.0.0.66"},
+                                       {"packets", 1200},
+                                       {"quiet_s", 2},
+                                       {"agents", nlohmann::json::array()}},
+                                      {{"address", "10.0.0.13"},
+                                       {"packets", 40},
+                                       {"quiet_s", 55},
+                                       {"agents", {"sensor/r3/base", "actuator/r3/base"}}}}},
+                                    {"more_sources", 3}},
                                    {{"host", "lidar"},
                                     {"steps", {"firewall isolate_host 10.0.0.68"}},
                                     {"decision_id", "3.16"},
                                     {"renewed", false},
                                     {"dropped_packets", nullptr},
                                     {"counted_s", nullptr},
-                                    {"quiet_s", nullptr}},
+                                    {"quiet_s", nullptr},
+                                    {"sources", nullptr},
+                                    {"more_sources", nullptr}},
                                    {{"host", "cam"},
                                     {"steps", {"firewall /etc/rips/alert.nft"}},
                                     {"decision_id", "3.17"},
                                     {"renewed", true},
                                     {"dropped_packets", nullptr},
                                     {"counted_s", nullptr},
-                                    {"quiet_s", nullptr}}};
+                                    {"quiet_s", nullptr},
+                                    {"sources", nullptr},
+                                    {"more_sources", nullptr}}};
   EXPECT_EQ(RunJson({"level", "lower", "r1", "--to", "DEFAULT", "--dry-run"})["firewalls"],
             expected);
   EXPECT_EQ(RunJson({"level", "show", "r1"})["firewalls"], expected);
@@ -96,6 +125,42 @@ TEST(FirewallsTest, SaysHowMuchIsDroppedAndHowLongNothingWas) {
   drops.set_dropped_packets(1);
   drops.set_quiet_s(42);
   EXPECT_EQ(DropsText(drops), "says that it dropped 1 packet in 300 s, none in the last 42 s");
+  EXPECT_THAT(SourceLines(drops), testing::IsEmpty());
+}
+
+TEST(FirewallsTest, SaysFromWhom) {
+  v1::HostFirewall drops;
+  v1::FirewallSource& source = *drops.add_sources();
+  source.set_address("\x1b[2J");
+  source.set_packets(1);
+  source.add_agents("sensor/r3/\x1b[2J");
+  EXPECT_EQ(DropsText(drops),
+            "says that it dropped no packet in 0 s; by address, which may be forged:");
+  EXPECT_THAT(SourceLines(drops),
+              testing::ElementsAre("\\x1b[2J (sensor/r3/\\x1b[2J connects from there): 1 packet, "
+                                   "the newest less than 1 s ago"));
+  drops.set_more_sources(1);
+  EXPECT_EQ(SourceLines(drops).back(), "1 other address in the last 10 min");
+  // Of so many not all are counted.
+  drops.set_more_sources(255);
+  EXPECT_EQ(SourceLines(drops).back(), "at least 255 other addresses in the last 10 min");
+}
+
+TEST(FirewallsTest, OfManySourcesShowsFirstWhatNoAgentExplains) {
+  v1::HostFirewall drops;
+  for (int i = 0; i < 12; ++i) {
+    drops.add_sources()->set_address(absl::StrCat("10.0.0.", i));
+    drops.mutable_sources(i)->add_agents("sensor/r3/base");
+  }
+  drops.mutable_sources(11)->clear_agents();
+  drops.set_more_sources(5);
+  const std::vector<std::string> lines = SourceLines(drops, {{"10.0.0.10", "/intruder"}});
+  ASSERT_THAT(lines, testing::SizeIs(11));
+  EXPECT_THAT(lines[0], testing::StartsWith("10.0.0.10 (sensor/r3/base connects from there) (which "
+                                            "/intruder gave as its own): 0 packets"));
+  EXPECT_THAT(lines[1], testing::StartsWith("10.0.0.11: "));
+  EXPECT_THAT(lines[2], testing::StartsWith("10.0.0.0 ("));
+  EXPECT_EQ(lines[10], "7 other addresses in the last 10 min");
 }
 
 }  // namespace

@@ -84,6 +84,9 @@ class ListRobots final : public Command {
       table.Add({robot, "", "", "", "", "", "", "no response in time: the server is overloaded"});
     }
     table.Print(out);
+    if (!response.robots().empty()) {
+      out << "why a robot is at its level, and what to do: ripsctl explain ROBOT\n";
+    }
     if (!other_version) return;
     out << "* an agent has another version than the server, " << EscapeText(version)
         << "; see `ripsctl robot show`\n";

@@ -6,6 +6,7 @@
 
 #include "absl/strings/ascii.h"
 #include "absl/strings/escaping.h"
+#include "absl/strings/str_cat.h"
 #include "google/protobuf/descriptor.h"
 #include "google/protobuf/text_format.h"
 #include "services/base/cut_text.h"
@@ -44,7 +45,8 @@ std::string TextOf(const google::protobuf::Message& request) {
 
 void OrderAudit::Record(const Order& order) {
   const std::optional<uint64_t> left_out =
-      order.status.ok() ? std::optional<uint64_t>(0) : refused_.Admit(order.caller);
+      order.status.ok() ? std::optional<uint64_t>(0)
+                        : refused_.Admit(absl::StrCat(order.caller, "\n", order.call));
   if (!left_out) return;
   v1::AuditRecord record;
   record.set_time_unix_ns(clock_->Now().unix_ns);

@@ -34,8 +34,8 @@ class OrderAudit {
   // Nothing is owned; both outlive this.
   OrderAudit(AuditLog* log, const Clock* clock) : log_(log), clock_(clock) {}
 
-  // Of a certificate that is refused again and again, 50 and then one in 30 s with their count. Any
-  // thread; never blocks on the disk.
+  // Of a certificate that is refused one call again and again, 50 and then one in 30 s with their
+  // count. Any thread; never blocks on the disk.
   void Record(const Order& order);
 
  private:

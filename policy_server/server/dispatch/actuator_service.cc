@@ -12,6 +12,7 @@
 #include "services/model_proto/actuator_codec.h"
 #include "services/ros2/ros_name.h"
 #include "services/rpc/peer.h"
+#include "services/rpc/peer_address.h"
 #include "services/rpc/server_stream.h"
 #include "services/rpc/status_conversion.h"
 #include "services/runtime/log.h"
@@ -54,7 +55,8 @@ class Link final : public pipeline::ActuatorLink {
   void Grant(const pipeline::LeaseGrant& lease) override {
     if (!admitted_) {
       if (contacts_ != nullptr) {
-        heard_ = contacts_->Greeted({robot_, pipeline::AgentKind::kActuator, host_}, version_);
+        heard_ = contacts_->Greeted({robot_, pipeline::AgentKind::kActuator, host_}, version_,
+                                    rpc::AddressOfPeer(address_));
       }
       admitted_ = true;
       if (const auto left_out = logs_->Admit(robot_)) {

@@ -14,6 +14,7 @@
 #include "policy_server/server/shard/refused_field.h"
 #include "services/ros2/ros_name.h"
 #include "services/rpc/peer.h"
+#include "services/rpc/peer_address.h"
 #include "services/rpc/server_stream.h"
 #include "services/rpc/status_conversion.h"
 #include "services/runtime/log.h"
@@ -53,7 +54,8 @@ class Link final : public pipeline::SensorLink {
   void Setup(const pipeline::SensorSetup& setup) override {
     if (!admitted_) {
       if (contacts_ != nullptr) {
-        heard_ = contacts_->Greeted({robot_, pipeline::AgentKind::kSensor, host_}, version_);
+        heard_ = contacts_->Greeted({robot_, pipeline::AgentKind::kSensor, host_}, version_,
+                                    rpc::AddressOfPeer(address_));
       }
       admitted_ = true;
       if (const auto left_out = logs_->Admit(robot_)) {

@@ -2,12 +2,16 @@
 
 #include <string>
 
+#include "absl/strings/str_cat.h"
 #include "policy_server/server/operator_api/answer_limits.h"
 #include "services/model_proto/decision_id_codec.h"
 
 namespace rips::operator_api {
 
 namespace {
+
+// Several are behind one address where there is NAT.
+constexpr size_t kAgentsNamedMax = 4;
 
 rips::v1::PendingApproval EncodePending(const pipeline::PendingApproval& pending) {
   rips::v1::PendingApproval out;
@@ -59,6 +63,25 @@ void EncodeLevels(const pipeline::RobotCore& core, rips::v1::GetLevelResponse& o
     firewall.set_dropped_packets(drops.packets);
     firewall.set_counted_s(drops.counted_s);
     firewall.set_quiet_s(drops.quiet_s);
+    for (const model::DropSource& source : drops.sources) {
+      rips::v1::FirewallSource& out_source = *firewall.add_sources();
+      out_source.set_address(source.address);
+      out_source.set_packets(source.packets);
+      out_source.set_quiet_s(source.quiet_s);
+    }
+    firewall.set_more_sources(drops.more_sources);
+  }
+}
+
+void NameAgents(const pipeline::AgentContacts& contacts, rips::v1::GetLevelResponse& out) {
+  for (rips::v1::HostFirewall& firewall : *out.mutable_firewalls()) {
+    for (rips::v1::FirewallSource& source : *firewall.mutable_sources()) {
+      for (const pipeline::AgentId& agent : contacts.At(source.address(), kAgentsNamedMax)) {
+        source.add_agents(
+            absl::StrCat(agent.kind == pipeline::AgentKind::kSensor ? "sensor/" : "actuator/",
+                         agent.robot, "/", agent.host));
+      }
+    }
   }
 }
 

@@ -4,6 +4,7 @@
 
 #include "policy_server/server/robot/core/robot_core.h"
 #include "policy_server/server/robot/model/level_order.h"
+#include "policy_server/server/shard/agent_contacts.h"
 #include "rips/v1/operator.pb.h"
 
 namespace rips::operator_api {
@@ -13,6 +14,8 @@ void Encode(const pipeline::LevelAnswer& answer, rips::v1::LevelResponse& out);
 void Encode(const pipeline::LevelAnswer& answer, rips::v1::ResetTermResponse& out);
 // All but the last transition.
 void EncodeLevels(const pipeline::RobotCore& core, rips::v1::GetLevelResponse& out);
+// Which agents the server knows at the addresses that its firewalls drop packets from.
+void NameAgents(const pipeline::AgentContacts& contacts, rips::v1::GetLevelResponse& out);
 
 }  // namespace rips::operator_api
 

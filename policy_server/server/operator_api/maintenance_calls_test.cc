@@ -1,7 +1,6 @@
 // Maintenance of a robot as operators call for it, over real gRPC.
 #include <stdlib.h>
 
-#include <chrono>
 #include <filesystem>
 #include <limits>
 #include <memory>
@@ -14,16 +13,7 @@
 #include "policy_server/audit/verify.h"
 #include "policy_server/server/audit/audit_log.h"
 #include "policy_server/server/operator_api/answer_limits.h"
-#include "policy_server/server/operator_api/operator_service.h"
-#include "policy_server/server/robot/robot_fixture.h"
-#include "policy_server/server/store/fake_store.h"
-#include "services/base/ids.h"
-#include "services/base/status_matchers.h"
-#include "services/rpc/bidi_client.h"
-#include "services/rpc/credentials.h"
-#include "services/rpc/server_builder.h"
-#include "services/rpc/test_pki.h"
-#include "services/runtime/real_clock.h"
+#include "policy_server/server/operator_api/calls_fixture.h"
 
 namespace rips::operator_api {
 namespace {
@@ -35,7 +25,7 @@ using ::testing::HasSubstr;
 constexpr uint64_t kMinuteMs = 60'000;
 constexpr uint64_t kDayMs = 24 * 60 * kMinuteMs;
 
-class MaintenanceCallsTest : public ::testing::Test {
+class MaintenanceCallsTest : public CallsTest {
  protected:
   void SetUp() override {
     std::string name = (std::filesystem::temp_directory_path() / "rips-calls-XXXXXX").string();
@@ -43,76 +33,35 @@ class MaintenanceCallsTest : public ::testing::Test {
     directory_ = name;
     log_ = *audit::AuditLog::Open({.directory = directory_}, &clock_);
     orders_ = std::make_unique<audit::OrderAudit>(log_.get(), &clock_);
-    lang::CompileResult compiled =
-        lang::Compile({{.path = "test.rul", .text = pipeline::kPaperRules}});
-    ASSERT_TRUE(compiled.rules);
-    auto program = engine::CompiledPolicy::Create(*std::move(compiled.rules));
-    ASSERT_THAT(program, IsOk());
-    ASSERT_THAT(pipeline_.Add({.id = "r1", .sensor_hosts = {"base"}, .primary_sensor = "base"},
-                              {.program = *program, .bundle_id = "sha256:0"}, {}, {}, 1,
-                              {.recorder = &recorder_, .audience = &hub_, .new_id = NewId}),
-                IsOk());
-    pipeline_.Start();
-    service_ = std::make_unique<OperatorService>(
-        &pipeline_, &store_, &hub_,
-        OperatorService::Access{.watch = &watch_, .audit = orders_.get()});
-    const auto own = *rpc::Credentials::Load(pki_.Server());
-    auto server = rpc::RpcServer::Start({.listen = "127.0.0.1:0", .credentials = own->ForServer()},
-                                        {service_.get()});
-    ASSERT_THAT(server, IsOk());
-    server_ = *std::move(server);
+    Start({}, {}, orders_.get());
   }
   void TearDown() override {
     Stop();
     std::filesystem::remove_all(directory_);
   }
   void Stop() {
-    server_.reset();
-    service_.reset();
-    pipeline_.Stop();
+    CallsTest::Stop();
     orders_.reset();
     log_.reset();
   }
-  using Stub = rips::v1::OperatorService::Stub;
-  std::unique_ptr<Stub> Connect(const std::string& role, const std::string& name) {
-    const auto credentials = *rpc::Credentials::Load(pki_.Operator(role, name));
-    return rips::v1::OperatorService::NewStub(
-        rpc::MakeChannel(server_->address(), credentials->ForClient()));
-  }
-  static void SetDeadline(grpc::ClientContext& context) {
-    context.set_deadline(std::chrono::system_clock::now() + std::chrono::seconds(60));
-  }
   grpc::Status Set(Stub& stub, uint64_t for_ms, const std::string& reason = "reboot",
                    const std::string& robot = "r1") {
-    grpc::ClientContext context;
-    SetDeadline(context);
     rips::v1::SetMaintenanceRequest request;
     request.set_robot(robot);
     request.set_for_ms(for_ms);
     request.set_reason(reason);
     answer_.Clear();
-    return stub.SetMaintenance(&context, request, &answer_);
+    return Call(stub, &Stub::SetMaintenance, request, answer_);
   }
   rips::v1::RobotStatus Status(Stub& stub) {
-    grpc::ClientContext context;
-    SetDeadline(context);
     rips::v1::ListRobotsResponse response;
-    EXPECT_TRUE(stub.ListRobots(&context, {}, &response).ok());
+    EXPECT_TRUE(Call(stub, &Stub::ListRobots, rips::v1::ListRobotsRequest(), response).ok());
     return response.robots_size() == 1 ? response.robots(0) : rips::v1::RobotStatus();
   }
 
-  rpc::TestPki pki_;
-  RealClock clock_;
-  store::FakeStore store_;
-  StatusBroadcaster hub_{&store_, nullptr};
-  pipeline::FakeRecorder recorder_;
-  pipeline::Pipeline pipeline_{1, &clock_};
-  rpc::SessionWatch watch_{&clock_};
   std::string directory_;
   std::unique_ptr<audit::AuditLog> log_;
   std::unique_ptr<audit::OrderAudit> orders_;
-  std::unique_ptr<OperatorService> service_;
-  std::unique_ptr<rpc::RpcServer> server_;
   rips::v1::SetMaintenanceResponse answer_;
 };
 

@@ -331,6 +331,7 @@ grpc::ServerUnaryReactor* OperatorService::GetLevel(grpc::CallbackServerContext*
                       [this, reactor, response, robot_id = request->robot()](Robot& robot) {
                         EncodeLevels(robot.core(), *response);
                         Read(reactor, [this, reactor, response, robot_id] {
+                          if (access_.contacts) NameAgents(*access_.contacts, *response);
                           const auto newest = store_->ListTransitions(robot_id, kNewestRead);
                           if (newest.ok()) {
                             // What was refused changed nothing.

@@ -105,8 +105,12 @@ TEST(SyslogFormatTest, LongTextsAreWhole) {
 
 TEST(OcsfFormatTest, IsADetectionFinding) {
   store::AlertRecord alert = Sample();
-  alert.trace.subjects.push_back(
-      {.name = "/camera", .role = "sent the message", .guid = {}, .host = "base", .pid = 7});
+  alert.trace.subjects.push_back({.name = "/camera",
+                                  .role = "sent the message",
+                                  .guid = {},
+                                  .host = "base",
+                                  .pid = 7,
+                                  .address = "10.0.0.66"});
   alert.trace.subjects.push_back({.name = "/odd", .role = "is not there", .guid = {}, .host = ""});
   const auto finding = nlohmann::json::parse(FormatOcsf(alert));
   EXPECT_EQ(finding["class_uid"], 2004);
@@ -123,6 +127,7 @@ TEST(OcsfFormatTest, IsADetectionFinding) {
   EXPECT_EQ(finding["resources"][0]["uid"], "r1");
   EXPECT_EQ(finding["evidences"][0]["process"]["pid"], 7);
   EXPECT_FALSE(finding["evidences"][1].contains("process"));
+  EXPECT_EQ(finding["evidences"][0]["data"]["address"], "10.0.0.66");
   EXPECT_EQ(finding["unmapped"]["decision_id"], "3.17");
 }
 

@@ -19,7 +19,8 @@ Json Evidence(const engine::TracedSubject& subject) {
                     {{"name", subject.name},
                      {"role", subject.role},
                      {"guid", subject.guid.none() ? "" : ToString(subject.guid)},
-                     {"host", subject.host}}}};
+                     {"host", subject.host},
+                     {"address", subject.address}}}};
   if (subject.pid != 0) evidence["process"] = {{"name", subject.name}, {"pid", subject.pid}};
   return evidence;
 }

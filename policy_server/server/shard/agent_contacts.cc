@@ -19,12 +19,14 @@ void AgentContacts::SetListed(std::vector<AgentId> agents) {
 }
 
 std::shared_ptr<AgentContacts::Heard> AgentContacts::Greeted(const AgentId& agent,
-                                                             absl::string_view version) {
+                                                             absl::string_view version,
+                                                             std::string address) {
   const int64_t now_ns = clock_->Now().boottime_ns;
   MutexLock lock(&mu_);
   const auto found = listed_.find(agent);
   if (found == listed_.end()) return nullptr;
   found->second.version = Shortened(version, kVersionBytesMax);
+  found->second.address = std::move(address);
   *found->second.heard = now_ns;
   return found->second.heard;
 }
@@ -44,6 +46,17 @@ std::vector<AgentContacts::Contact> AgentContacts::Of(const std::string& robot) 
     contacts.push_back(std::move(contact));
   }
   return contacts;
+}
+
+std::vector<AgentId> AgentContacts::At(absl::string_view address, size_t limit) const {
+  std::vector<AgentId> agents;
+  if (address.empty()) return agents;
+  MutexLock lock(&mu_);
+  for (const auto& [agent, entry] : listed_) {
+    if (agents.size() == limit) break;
+    if (entry.address == address) agents.push_back(agent);
+  }
+  return agents;
 }
 
 }  // namespace rips::pipeline

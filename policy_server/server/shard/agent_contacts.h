@@ -1,5 +1,5 @@
-// Which agents the inventory lists, which version each says it is, and when the server last heard
-// from it. In memory only: a server that starts anew has heard from none.
+// Which agents the inventory lists, which version each says it is, from which address it came, and
+// when the server last heard from it. In memory only: a server that starts anew heard from none.
 //
 //   an agent                                       version      heard
 //   has not said hello since the server's start    empty        never
@@ -61,15 +61,20 @@ class AgentContacts {
 
   // The agents that are listed from now on. What is known of those that stay is kept.
   void SetListed(std::vector<AgentId> agents) ABSL_LOCKS_EXCLUDED(mu_);
-  // The agent is admitted now. What its stream notes its messages in; null = it is not listed.
-  std::shared_ptr<Heard> Greeted(const AgentId& agent, absl::string_view version)
-      ABSL_LOCKS_EXCLUDED(mu_);
+  // The agent is admitted now, from an IP address. What its stream notes its messages in; null = it
+  // is not listed.
+  std::shared_ptr<Heard> Greeted(const AgentId& agent, absl::string_view version,
+                                 std::string address) ABSL_LOCKS_EXCLUDED(mu_);
   // The listed agents of a robot, sensors first, by host.
   std::vector<Contact> Of(const std::string& robot) const ABSL_LOCKS_EXCLUDED(mu_);
+  // Listed agents that were admitted last from that address, at most `limit`: several behind one
+  // NAT. Looks at all.
+  std::vector<AgentId> At(absl::string_view address, size_t limit) const ABSL_LOCKS_EXCLUDED(mu_);
 
  private:
   struct Entry {
     std::string version;
+    std::string address;
     std::shared_ptr<Heard> heard = std::make_shared<Heard>(0);
   };
 

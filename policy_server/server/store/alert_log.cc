@@ -67,7 +67,8 @@ std::string FormatAlertLine(const AlertRecord& alert) {
                         {"role", subject.role},
                         {"guid", subject.guid.none() ? "" : ToString(subject.guid)},
                         {"host", subject.host},
-                        {"pid", subject.pid}});
+                        {"pid", subject.pid},
+                        {"address", subject.address}});
   }
   line["subjects"] = std::move(subjects);
   return line.dump(-1, ' ', /*ensure_ascii=*/true, nlohmann::json::error_handler_t::replace);

@@ -1,8 +1,9 @@
 // Alerts as a file of JSON lines, for log shippers and people with `tail -f`. One line an alert:
 //   {"id":"..","time":"2026-01-01T00:00:00.000000000Z","robot":"r1","rule":"..","severity":"high",
 //    "text":"..","level":"ALERT","event":"..","decision_id":"3.17",
-//    "subjects":[{"name":"/n","role":"sent the message","guid":"..","host":"..","pid":7}]}
-// A decision id of "0.0" = before any decision; of subjects guid, host and pid may be "" and 0.
+//    "subjects":[{"name":"/n","role":"sent the message","guid":"..","host":"..","pid":7,
+//    "address":".."}]}
+// A decision id of "0.0" = before any decision; of subjects all but name and role may be "" or 0.
 // Output is ASCII: everything else, control characters included, is \u-escaped, so that text from a
 // robot cannot act on a terminal; bytes that are not UTF-8 become U+FFFD.
 //

@@ -20,6 +20,7 @@ rips::v1::Subject EncodeSubject(const engine::TracedSubject& subject) {
   if (!subject.guid.none()) out.set_guid(ToString(subject.guid));
   out.set_host(ToUtf8(subject.host));
   out.set_pid(subject.pid);
+  out.set_address(ToUtf8(subject.address));
   return out;
 }
 
@@ -70,7 +71,8 @@ engine::Trace TraceFromBytes(absl::string_view bytes) {
                             .role = subject.role(),
                             .guid = ros2::ParseGuid(subject.guid()).value_or(ros2::Guid{}),
                             .host = subject.host(),
-                            .pid = subject.pid()});
+                            .pid = subject.pid(),
+                            .address = subject.address()});
   }
   return out;
 }

@@ -37,6 +37,8 @@ struct TracedSubject {
   // As its process says; empty and 0 if it is not known.
   std::string host;
   uint32_t pid = 0;
+  // IP address where it says that it is reached.
+  std::string address;
 
   friend bool operator==(const TracedSubject&, const TracedSubject&) = default;
 };

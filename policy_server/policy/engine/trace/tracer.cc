@@ -61,6 +61,7 @@ class Witnesses {
     if (participant != graph_.participants().end()) {
       subject.host = Cut(participant->second.host);
       subject.pid = participant->second.pid;
+      subject.address = Cut(participant->second.address);
     }
     subject.name = Cut(subject.name);
     subject.role = Cut(subject.role);

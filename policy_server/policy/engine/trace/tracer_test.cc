@@ -162,7 +162,8 @@ TEST_F(TracerTest, SaysWhoAMessageIsFromOnce) {
 TEST_F(TracerTest, SaysWhatAProcessSaysOfItself) {
   ros2::GraphDelta delta;
   const ros2::Guid guid{{1, 0, 0, 1, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 1, 0xc1}};
-  delta.upsert_participants.push_back({.guid = guid, .host = "laptop", .pid = 4711});
+  delta.upsert_participants.push_back(
+      {.guid = guid, .host = "laptop", .pid = 4711, .address = "10.0.0.66"});
   delta.upsert_nodes.push_back({.full_name = "/evil", .participant = guid});
   ros2::RosGraph graph;
   ASSERT_THAT(graph.Apply(delta), IsOk());
@@ -173,6 +174,7 @@ TEST_F(TracerTest, SaysWhatAProcessSaysOfItself) {
   EXPECT_EQ(trace.subjects[0].guid, guid);
   EXPECT_EQ(trace.subjects[0].host, "laptop");
   EXPECT_EQ(trace.subjects[0].pid, 4711u);
+  EXPECT_EQ(trace.subjects[0].address, "10.0.0.66");
 }
 
 TEST_F(TracerTest, ATruncatedGraphIsSaidToBeSo) {
