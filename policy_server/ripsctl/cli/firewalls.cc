@@ -35,6 +35,15 @@ std::string NewestText(uint32_t quiet_s) {
   return absl::StrCat(", the newest less than ", quiet_s + 1, " s ago");
 }
 
+// Every address that sent lately is one that agents connect from.
+bool OnlyAgentsSend(const v1::HostFirewall& drops) {
+  const auto explained = [](const v1::FirewallSource& source) {
+    return !source.agents().empty() || source.quiet_s() >= kStillSendsS;
+  };
+  return !drops.sources().empty() && drops.more_sources() == 0 &&
+         std::all_of(drops.sources().begin(), drops.sources().end(), explained);
+}
+
 Json SourcesJson(const v1::HostFirewall& drops) {
   Json list = Json::array();
   for (const v1::FirewallSource& source : drops.sources()) {
@@ -95,15 +104,14 @@ std::string DropsText(const v1::HostFirewall& drops) {
   if (drops.dropped_packets() == 0) {
     return absl::StrCat("says that it dropped no packet in ", drops.counted_s(), " s", by_address);
   }
-  // Seconds are whole: within the first one it is no rate.
-  const uint64_t a_second = drops.dropped_packets() / std::max<uint32_t>(drops.counted_s(), 1);
   std::string text = absl::StrCat("says that it dropped ", drops.dropped_packets(),
                                   drops.dropped_packets() == 1 ? " packet" : " packets", " in ",
                                   drops.counted_s(), " s");
-  if (a_second > 0) absl::StrAppend(&text, " (", a_second, " a second)");
   absl::StrAppend(&text, NewestText(drops.quiet_s()));
   if (drops.quiet_s() < kStillSendsS) {
-    absl::StrAppend(&text, ": something that it keeps out still sends");
+    absl::StrAppend(&text, OnlyAgentsSend(drops)
+                               ? ": all that still sends has addresses of known agents"
+                               : ": something that it keeps out still sends");
     if (drops.sources().empty()) absl::StrAppend(&text, ", the attacker or other hosts");
   }
   return absl::StrCat(text, by_address);
@@ -137,6 +145,10 @@ std::vector<std::string> SourceLines(const v1::HostFirewall& drops,
     }
     absl::StrAppend(&line, ": ", source.packets(), source.packets() == 1 ? " packet" : " packets",
                     NewestText(source.quiet_s()));
+    if (claims.contains(source.address())) {
+      absl::StrAppend(&line,
+                      source.quiet_s() < kStillSendsS ? ": it still sends" : ": it is silent");
+    }
     lines.push_back(std::move(line));
   }
   if (more > 0) {

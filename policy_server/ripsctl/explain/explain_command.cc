@@ -58,14 +58,14 @@ absl::StatusOr<Target> ParseTarget(const std::string& what) {
   return Target{.robot = robot, .decision_id = *decision_id};
 }
 
-// What would raise the robot again from the next less restrictive level; none at the lowest.
+// What would raise the robot again from the lowest level; none if it is there.
 std::optional<Lowering> TryLowering(Env& env, const v1::GetLevelResponse& now) {
   const v1::RobotStatus& status = now.status();
   const auto at = std::find(now.levels().begin(), now.levels().end(), status.decided_level());
   if (at == now.levels().end() || at == now.levels().begin()) return std::nullopt;
   v1::LevelRequest request;
   request.set_robot(status.robot());
-  request.set_to(*std::prev(at));
+  request.set_to(now.levels(0));
   request.set_reason("ripsctl explain");
   request.set_expected_level(status.decided_level());
   *request.mutable_expected_decision_id() = status.decision_id();
@@ -74,25 +74,25 @@ std::optional<Lowering> TryLowering(Env& env, const v1::GetLevelResponse& now) {
   return Lowering{.to = request.to(), .found = Call(env, &Stub::DeEscalate, request)};
 }
 
-// What had raised the robot to the level that `lowered` left, or above it, by the newest changes on
-// record.
-std::optional<v1::Transition> FindRaise(Env& env, const v1::Transition& lowered,
+// What had raised the robot to the level that `change` left, or above it, by the newest changes on
+// record; none if that was the lowest.
+std::optional<v1::Transition> FindRaise(Env& env, const v1::Transition& change,
                                         const v1::GetLevelResponse& now) {
   const auto height = [&](const std::string& level) {
     return std::find(now.levels().begin(), now.levels().end(), level) - now.levels().begin();
   };
-  if (lowered.refused() || height(lowered.to()) >= height(lowered.from())) return std::nullopt;
+  if (change.refused() || height(change.from()) == 0) return std::nullopt;
   v1::ListTransitionsRequest request;
-  request.set_robot(lowered.robot());
+  request.set_robot(change.robot());
   const auto history = Call(env, &Stub::ListTransitions, request);
   if (!history.ok()) return std::nullopt;
   bool before = false;
   for (const v1::Transition& each : history->transitions()) {  // newest first
-    if (before && !each.refused() && height(each.to()) >= height(lowered.from()) &&
+    if (before && !each.refused() && height(each.to()) >= height(change.from()) &&
         height(each.to()) > height(each.from())) {
       return each;
     }
-    before = before || each.id() == lowered.id();
+    before = before || each.id() == change.id();
   }
   return std::nullopt;
 }

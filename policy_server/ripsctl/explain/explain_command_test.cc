@@ -39,11 +39,12 @@ TEST_F(ExplainTest, ALevelChangeByTheStartOfItsId) {
   EXPECT_THAT(result.out, AllOf(HasSubstr("Why: rule rogue_cmd_vel, warehouse.rul:31"),
                                 HasSubstr("would be raised again by rule rogue_cmd_vel"
                                           " at the next change of the graph, not before\n")));
-  EXPECT_THAT(fake_.calls(), ElementsAre("Explain 11111111", "GetLevel", "GetGraph", "DeEscalate"));
+  EXPECT_THAT(fake_.calls(), ElementsAre("Explain 11111111", "GetLevel", "ListTransitions",
+                                         "GetGraph", "DeEscalate"));
   const v1::LevelRequest asked = fake_.last_level_request();
   EXPECT_TRUE(asked.dry_run());
   EXPECT_FALSE(asked.accept_blind());
-  EXPECT_EQ(asked.to(), "ALERT") << "the next less restrictive one";
+  EXPECT_EQ(asked.to(), "DEFAULT") << "the lowest";
   EXPECT_EQ(asked.expected_level(), "COMPROMISED");
   EXPECT_EQ(asked.expected_decision_id().epoch(), 17u);
   EXPECT_EQ(asked.request_id().size(), 16u);
@@ -74,17 +75,20 @@ TEST_F(ExplainTest, ALoweringLeadsToWhatHadRaisedTheRobot) {
     EXPECT_THAT(text, HasSubstr("  why: ripsctl explain 11111111\n"));
     EXPECT_EQ(RunJson({"explain", each.id()})["raised_before_by"]["id"], std::string(32, '1'));
   }
-  EXPECT_TRUE(RunJson({"explain", "11111111"})["raised_before_by"].is_null()) << "it is a raise";
+  EXPECT_TRUE(RunJson({"explain", "11111111"})["raised_before_by"].is_null())
+      << "there is no older one";
 }
 
 TEST_F(ExplainTest, TheDecisionThatARobotIsAt) {
   EXPECT_THAT(Run({"explain", "r1"}).out, StartsWith(kFirstWords));
-  EXPECT_THAT(fake_.calls(), ElementsAre("GetLevel", "Explain r1@3.17", "GetGraph", "DeEscalate"));
+  EXPECT_THAT(fake_.calls(), ElementsAre("GetLevel", "Explain r1@3.17", "ListTransitions",
+                                         "GetGraph", "DeEscalate"));
 }
 
 TEST_F(ExplainTest, ADecisionByItsDecisionId) {
   EXPECT_THAT(Run({"explain", "r1@3.17"}).out, StartsWith(kFirstWords));
-  EXPECT_THAT(fake_.calls(), ElementsAre("Explain r1@3.17", "GetLevel", "GetGraph", "DeEscalate"));
+  EXPECT_THAT(fake_.calls(), ElementsAre("Explain r1@3.17", "GetLevel", "ListTransitions",
+                                         "GetGraph", "DeEscalate"));
   const Result gone = Run({"explain", "r1@3.2"});
   EXPECT_EQ(gone.code, 1);
   EXPECT_EQ(gone.err, "error: there is no record of it\n");
@@ -94,7 +98,7 @@ TEST_F(ExplainTest, ARobotWhoseNameIsHex) {
   fake_.explained["cafe42@3.17"] = fake_.explained["r1@3.17"];
   EXPECT_THAT(Run({"explain", "cafe42"}).out, StartsWith(kFirstWords));
   EXPECT_THAT(fake_.calls(), ElementsAre("Explain cafe42", "GetLevel", "Explain cafe42@3.17",
-                                         "GetGraph", "DeEscalate"));
+                                         "ListTransitions", "GetGraph", "DeEscalate"));
   fake_.unknown_robots = {"cafe42", "r7"};
   const Result neither = Run({"explain", "cafe42"});
   EXPECT_EQ(neither.code, 1);
@@ -148,7 +152,7 @@ TEST_F(ExplainTest, AViewerLearnsAllButWhatWouldRaiseTheRobotAgain) {
                                 HasSubstr("  what would raise it again: to ask that needs an "
                                           "operator's certificate\n")));
   EXPECT_EQ(RunJson({"explain", "r1"})["lowering"],
-            nlohmann::json({{"to", "ALERT"},
+            nlohmann::json({{"to", "DEFAULT"},
                             {"not_known_because",
                              "what would raise it again: to ask that needs an operator's "
                              "certificate"}}));
@@ -215,7 +219,7 @@ TEST_F(ExplainTest, JsonHasTheSameContent) {
   EXPECT_EQ(json["alerts"][0]["text"], "\x1b[2J");
   EXPECT_EQ(json["alerts"][0]["subjects"], nlohmann::json::array());
   EXPECT_EQ(json["now"]["status"]["decided_level"], "COMPROMISED");
-  EXPECT_EQ(json["lowering"], nlohmann::json({{"to", "ALERT"},
+  EXPECT_EQ(json["lowering"], nlohmann::json({{"to", "DEFAULT"},
                                               {"would_raise_again", {"rogue_cmd_vel"}},
                                               {"not_tried", {"rules Msg", "rules External"}},
                                               {"needs_approval", false},

@@ -26,7 +26,7 @@ struct Explanation {
   v1::ExplainResponse recorded;
   // The robot now, and unset if it is no robot that did it, but the server.
   std::optional<absl::StatusOr<v1::GetLevelResponse>> now;
-  // What had raised the robot to the level that `recorded` lowers it from; unset if it does not, or
+  // What had raised the robot to the level that `recorded` left; unset if that was the lowest, or
   // if that is not known.
   std::optional<v1::Transition> raised;
   // Unset at the lowest level.

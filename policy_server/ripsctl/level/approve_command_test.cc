@@ -42,7 +42,7 @@ TEST_F(RipsctlTest, SaysThatALoweringWaitsForASecondOperator) {
       "  ripsctl level approve r1 33333333 --reason TEXT --wait\n"
       "it must be asked for again if the level, the ROS graph or the rules change before that, "
       "or the server restarts\n"
-      "not waiting: nothing is decided yet\n");
+      "nothing to wait for yet: a second operator decides\n");
   const nlohmann::json json = RunJson(lower, 1);
   EXPECT_EQ(json["needs_approval"], true);
   EXPECT_EQ(json["pending_approval_id"], std::string(32, '3'));

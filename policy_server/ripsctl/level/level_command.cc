@@ -199,7 +199,7 @@ class ChangeLevel : public RobotCommand {
             << "it must be asked for again if the level, the ROS graph or the rules change "
                "before that, or the server restarts\n";
     PrintWarnings(response, env.out);
-    if (wait_) env.out << "not waiting: nothing is decided yet\n";
+    if (wait_) env.out << "nothing to wait for yet: a second operator decides\n";
   }
 
   void PrintReport(Env& env, bool refused, const v1::LevelResponse& response) const {

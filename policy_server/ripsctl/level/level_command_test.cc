@@ -61,7 +61,7 @@ TEST_F(RipsctlTest, ALoweringSaysWhatFirewallsHoldThatMayEndWithTheLevel) {
           "rogue_cmd_vel\n"
           "base holds `firewall isolate_host 10.0.0.66` until a level releases it or its "
           "time is over\n"
-          "base says that it dropped 1240 packets in 300 s (4 a second), the newest less than 3 s "
+          "base says that it dropped 1240 packets in 300 s, the newest less than 3 s "
           "ago: something that it keeps out still sends; by address, which may be forged:\n"
           "  from 10.0.0.66: 1200 packets, the newest less than 3 s ago\n"
           "  from 10.0.0.13 (sensor/r3/base, actuator/r3/base connect from there): 40 packets, "
@@ -146,6 +146,20 @@ TEST(FirewallsTest, SaysFromWhom) {
   EXPECT_EQ(SourceLines(drops).back(), "at least 255 other addresses in the last 10 min");
 }
 
+TEST(FirewallsTest, SaysWhenAllThatStillSendsHasAddressesOfAgents) {
+  v1::HostFirewall drops;
+  drops.set_dropped_packets(9);
+  drops.set_counted_s(300);
+  drops.add_sources()->add_agents("sensor/r3/base");
+  v1::FirewallSource& other = *drops.add_sources();
+  const char kOnlyAgents[] = "all that still sends has addresses of known agents";
+  EXPECT_THAT(DropsText(drops), testing::Not(HasSubstr(kOnlyAgents)));
+  other.set_quiet_s(10);
+  EXPECT_THAT(DropsText(drops), HasSubstr(kOnlyAgents));
+  drops.set_more_sources(1);
+  EXPECT_THAT(DropsText(drops), testing::Not(HasSubstr(kOnlyAgents))) << "not all are shown";
+}
+
 TEST(FirewallsTest, OfManySourcesShowsFirstWhatNoAgentExplains) {
   v1::HostFirewall drops;
   for (int i = 0; i < 12; ++i) {
@@ -158,6 +172,7 @@ TEST(FirewallsTest, OfManySourcesShowsFirstWhatNoAgentExplains) {
   ASSERT_THAT(lines, testing::SizeIs(11));
   EXPECT_THAT(lines[0], testing::StartsWith("10.0.0.10 (sensor/r3/base connects from there) (which "
                                             "/intruder gave as its own): 0 packets"));
+  EXPECT_THAT(lines[0], testing::EndsWith("the newest less than 1 s ago: it still sends"));
   EXPECT_THAT(lines[1], testing::StartsWith("10.0.0.11: "));
   EXPECT_THAT(lines[2], testing::StartsWith("10.0.0.0 ("));
   EXPECT_EQ(lines[10], "7 other addresses in the last 10 min");
