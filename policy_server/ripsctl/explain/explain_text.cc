@@ -315,9 +315,8 @@ void PrintNow(const Explanation& explanation, std::ostream& out) {
   }
   if (!explanation.lowering.has_value()) return;
   PrintLowering(status.robot(), *explanation.lowering, out);
-  const auto& levels = (*explanation.now)->levels();
   out << "  to lower it: ripsctl level lower " << EscapeText(status.robot()) << " --to "
-      << EscapeText(levels.empty() ? "LEVEL" : levels[0]) << " --reason TEXT --wait\n";
+      << EscapeText(explanation.lowering->to) << " --reason TEXT --wait\n";
 }
 
 // The server keeps what led to such an alert.

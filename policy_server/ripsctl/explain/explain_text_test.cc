@@ -119,7 +119,7 @@ Now: r1 is at COMPROMISED (3.17), verified: every actuator has read the level ba
   if it were lowered to ALERT now, it
     would be raised again by rule rogue_cmd_vel at the next change of the graph, not before
     not tried: rules on messages and on external events; the next one may raise r1 again
-  to lower it: ripsctl level lower r1 --to DEFAULT --reason TEXT --wait
+  to lower it: ripsctl level lower r1 --to ALERT --reason TEXT --wait
 )");
 }
 

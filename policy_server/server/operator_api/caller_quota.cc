@@ -58,8 +58,8 @@ absl::Status CallerQuota::Admit(Accounts& accounts, bool privileged, Use use, do
   }
   if (rate.reserve > 0 && account.reserve < weight) {
     return absl::ResourceExhaustedError(absl::StrCat(
-        "this certificate has used up its reserve of ", rate.reserve, " ", NameOf(use), ", which ",
-        rate.lasting_per_second, " a second fill again; another certificate can go on"));
+        "this certificate has used up its reserve of ", rate.reserve, " ", NameOf(use),
+        "; from now on ", rate.lasting_per_second, " a second; another operator's has its own"));
   }
   account.tokens -= weight;
   if (rate.reserve > 0) account.reserve -= weight;

@@ -104,8 +104,8 @@ TEST_F(CallerQuotaTest, OrdersInTheLongRunAreFewer) {
   EXPECT_EQ(taken, 200 + 100 + 120) << "what was in reserve, and one a second";
   EXPECT_THAT(Take("alice", Use::kOrder, true),
               StatusIs(absl::StatusCode::kResourceExhausted,
-                       HasSubstr("used up its reserve of 200 orders, which 1 a second fill again; "
-                                 "another certificate can go on")));
+                       HasSubstr("used up its reserve of 200 orders; from now on 1 a second; "
+                                 "another operator's has its own")));
   EXPECT_THAT(Take("alice", Use::kQuery, true), IsOk());
   EXPECT_THAT(Take("bob", Use::kOrder, true), IsOk()) << "others have their own";
   EXPECT_EQ(quota_->accounts(), 2u);
