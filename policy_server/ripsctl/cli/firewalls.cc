@@ -145,9 +145,9 @@ std::vector<std::string> SourceLines(const v1::HostFirewall& drops,
     }
     absl::StrAppend(&line, ": ", source.packets(), source.packets() == 1 ? " packet" : " packets",
                     NewestText(source.quiet_s()));
-    if (claims.contains(source.address())) {
-      absl::StrAppend(&line,
-                      source.quiet_s() < kStillSendsS ? ": it still sends" : ": it is silent");
+    // That it is silent is no verdict: it may send under another address.
+    if (claims.contains(source.address()) && source.quiet_s() < kStillSendsS) {
+      absl::StrAppend(&line, ": it still sends");
     }
     lines.push_back(std::move(line));
   }
