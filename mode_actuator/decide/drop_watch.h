@@ -1,6 +1,6 @@
 // What the firewall of the level that is held has dropped: how much, and how long nothing was.
-// rips-fw counts since its table was made; this begins to count when a level is entered. Pure; used
-// by one thread, times are CLOCK_BOOTTIME nanoseconds.
+// rips-fw's counter runs since its table was made; its sources begin anew with each level, and this
+// with them. Pure; used by one thread, times are CLOCK_BOOTTIME nanoseconds.
 #ifndef RIPS_MODE_ACTUATOR_DECIDE_DROP_WATCH_H_
 #define RIPS_MODE_ACTUATOR_DECIDE_DROP_WATCH_H_
 
@@ -26,7 +26,7 @@ struct DropCount {
 class DropWatch {
  public:
   // A level is entered: nothing was seen of it.
-  void Reset() { *this = DropWatch(); }
+  void Enter(int64_t now_ns);
   // What the table had dropped at `now_ns`. Less than before: the table was made anew.
   void Saw(const DropCount& count, int64_t now_ns);
 
@@ -34,11 +34,11 @@ class DropWatch {
   std::optional<model::FirewallDrops> Report(int64_t now_ns) const;
 
  private:
-  std::optional<int64_t> first_ns_;  // since when it is counted
-  DropCount last_;                   // as of the newest Saw
-  int64_t last_ns_ = 0;              // its time
-  uint64_t packets_ = 0;             // since first_ns_
-  int64_t newest_ns_ = 0;            // when packets_ grew last; first_ns_ if it never did
+  int64_t entered_ns_ = 0;         // since when it is counted
+  std::optional<DropCount> last_;  // as of the newest Saw
+  int64_t last_ns_ = 0;            // its time
+  uint64_t packets_ = 0;           // since entered_ns_
+  int64_t newest_ns_ = 0;          // when packets_ grew last, or the first Saw
 };
 
 }  // namespace rips::actuator

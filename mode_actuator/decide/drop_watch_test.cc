@@ -24,15 +24,31 @@ TEST(DropWatchTest, SaysNothingOfALevelWithoutAFirewall) {
   EXPECT_EQ(DropWatch().Report(5 * kSecond), std::nullopt);
 }
 
-TEST(DropWatchTest, CountsFromTheFirstLook) {
+TEST(DropWatchTest, CountsSinceTheLevelWasEntered) {
   DropWatch watch;
+  watch.Enter(9 * kSecond);
+  EXPECT_EQ(watch.Report(10 * kSecond), std::nullopt);
   watch.Saw({5000}, 10 * kSecond);
-  EXPECT_EQ(watch.Report(12 * kSecond), Drops(0, 2, 2));
+  EXPECT_EQ(watch.Report(12 * kSecond), Drops(0, 3, 2)) << "of the level before, for all we know";
   watch.Saw({5007}, 13 * kSecond);
-  EXPECT_EQ(watch.Report(13 * kSecond), Drops(7, 3, 0));
+  EXPECT_EQ(watch.Report(13 * kSecond), Drops(7, 4, 0));
   watch.Saw({5007}, 15 * kSecond);
   watch.Saw({5007}, 17 * kSecond);
-  EXPECT_EQ(watch.Report(18 * kSecond), Drops(7, 8, 5));
+  EXPECT_EQ(watch.Report(18 * kSecond), Drops(7, 9, 5));
+}
+
+TEST(DropWatchTest, WhatWasDroppedBeforeTheFirstLookIsTheSources) {
+  DropWatch watch;
+  watch.Enter(10 * kSecond);
+  watch.Saw({5000, {{"10.0.0.66", 180, 0}, {"10.0.0.13", 5, 1}}, 0}, 14 * kSecond);
+  EXPECT_EQ(watch.Report(14 * kSecond)->packets, 185u);
+  EXPECT_EQ(watch.Report(14 * kSecond)->counted_s, 4u);
+  EXPECT_EQ(watch.Report(14 * kSecond)->quiet_s, 0u);
+  watch.Saw({5010, {{"10.0.0.66", 190, 0}, {"10.0.0.13", 5, 5}}, 0}, 18 * kSecond);
+  EXPECT_EQ(watch.Report(18 * kSecond)->packets, 195u);
+  watch.Enter(20 * kSecond);
+  watch.Saw({3, {{"10.0.0.66", 180, 0}}, 0}, 21 * kSecond);
+  EXPECT_EQ(watch.Report(21 * kSecond)->packets, 3u) << "never more than the table's counter";
 }
 
 TEST(DropWatchTest, ATableThatWasMadeAnewCountsFromZero) {
@@ -49,10 +65,10 @@ TEST(DropWatchTest, ALevelThatIsEnteredBeginsAnew) {
   DropWatch watch;
   watch.Saw({1}, 0);
   watch.Saw({9}, kSecond);
-  watch.Reset();
+  watch.Enter(2 * kSecond);
   EXPECT_EQ(watch.Report(2 * kSecond), std::nullopt);
   watch.Saw({9}, 3 * kSecond);
-  EXPECT_EQ(watch.Report(4 * kSecond), Drops(0, 1, 1));
+  EXPECT_EQ(watch.Report(4 * kSecond), Drops(0, 2, 1));
 }
 
 TEST(DropWatchTest, SourcesGrowOlderUntilTheNextLook) {
@@ -67,7 +83,7 @@ TEST(DropWatchTest, SourcesGrowOlderUntilTheNextLook) {
   EXPECT_THAT(watch.Report(3 * kSecond)->sources, IsEmpty()) << "forgotten by the kernel";
   watch.Saw({8, {{"10.0.0.66", 1, UINT32_MAX}}, 0}, 4 * kSecond);
   EXPECT_EQ(watch.Report(9 * kSecond)->sources[0].quiet_s, UINT32_MAX);
-  watch.Reset();
+  watch.Enter(10 * kSecond);
   watch.Saw({8, {}, 0}, 10 * kSecond);
   EXPECT_EQ(watch.Report(11 * kSecond), Drops(0, 1, 1));
 }

@@ -341,9 +341,10 @@ void LevelController::Reconcile(int64_t now_ns, Actions& actions) {
   if (entering && goal <= job_->level) {
     // Under way, or less restrictive: that waits until this is done.
   } else if (position_ != goal) {
-    StartJob(JobKind::kEnter, goal, actions);
+    StartJob(JobKind::kEnter, goal, now_ns, actions);
   } else if (!job_.has_value()) {
-    if (const std::optional<JobKind> next = NextJob(goal, now_ns)) StartJob(*next, goal, actions);
+    if (const std::optional<JobKind> next = NextJob(goal, now_ns))
+      StartJob(*next, goal, now_ns, actions);
   }
   if (raised) Persist(actions);
 }
@@ -359,12 +360,12 @@ std::optional<JobKind> LevelController::NextJob(int goal, int64_t now_ns) {
   return std::nullopt;
 }
 
-void LevelController::StartJob(JobKind kind, int to, Actions& actions) {
+void LevelController::StartJob(JobKind kind, int to, int64_t now_ns, Actions& actions) {
   if (kind == JobKind::kEnter) {
     verified_ = false;
     retry_delay_ns_ = 0;
     drift_watch_.Reset();
-    drop_watch_.Reset();
+    drop_watch_.Enter(now_ns);
     entered_from_ = position_;
     position_ = to;
   }

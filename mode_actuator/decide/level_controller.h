@@ -164,7 +164,7 @@ class LevelController {
   void Reconcile(int64_t now_ns, Actions& actions);
   // What to do for the level that was entered last, if anything.
   std::optional<JobKind> NextJob(int goal, int64_t now_ns);
-  void StartJob(JobKind kind, int to, Actions& actions);
+  void StartJob(JobKind kind, int to, int64_t now_ns, Actions& actions);
   void StartSurvey(int64_t now_ns, Actions& actions);
   void OnSurveyed(const LevelOutcome& outcome);
   void OnReached(const LevelOutcome& outcome, int level, int64_t now_ns, Actions& actions);

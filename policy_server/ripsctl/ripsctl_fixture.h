@@ -28,21 +28,11 @@
 
 namespace rips::ripsctl {
 
-inline void AddEndpoint(v1::GraphSnapshot* graph, v1::Endpoint::Kind kind, const std::string& node,
-                        const std::string& name, const std::string& type, bool ros = true) {
-  v1::Endpoint* endpoint = graph->add_endpoints();
-  endpoint->set_guid(std::string("\x01\x10\x4a\x3b", 4) + std::string(10, '\0') + "\x03\xc1");
-  endpoint->set_kind(kind);
-  endpoint->set_node(node);
-  endpoint->set_name(name);
-  endpoint->set_type(type);
-  endpoint->set_ros(ros);
-}
-
 // One robot `r1` at COMPROMISED (3.17). Remembers the last request; fails with `failure` if set.
 class FakeOperator final : public FakeEnrolOperator {
  public:
   v1::ListReceiptsResponse receipts;
+  uint32_t graph_left_out = 0;
   v1::LevelResponse level_response;
   std::string alert_text = "unknown node /intruder";
   std::string unrecorded_alert, alert_recording = MakeAlertRecording();
@@ -141,18 +131,8 @@ class FakeOperator final : public FakeEnrolOperator {
   }
   grpc::Status GetGraph(grpc::ServerContext*, const v1::GetGraphRequest*,
                         v1::GetGraphResponse* response) override {
-    v1::GraphSnapshot* graph = response->mutable_graph();
-    graph->set_settled(true);
-    graph->add_nodes()->set_full_name("/talker");
-    graph->add_nodes()->set_full_name("/listener");
-    AddEndpoint(graph, v1::Endpoint::SUBSCRIBER, "/rips", "/chatter", "std_msgs/msg/String");
-    AddEndpoint(graph, v1::Endpoint::SUBSCRIBER, "/listener", "/chatter", "std_msgs/msg/String");
-    AddEndpoint(graph, v1::Endpoint::PUBLISHER, "/talker", "/chatter", "std_msgs/msg/String");
-    AddEndpoint(graph, v1::Endpoint::PUBLISHER, "/talker", "/chatter", "std_msgs/msg/String");
-    AddEndpoint(graph, v1::Endpoint::SERVICE, "/talker", "/talker/get_parameters", "x");
-    AddEndpoint(graph, v1::Endpoint::CLIENT, "/listener", "/talker/get_parameters", "x");
-    AddEndpoint(graph, v1::Endpoint::PUBLISHER, "", "/cmd_vel", "geometry_msgs/msg/Twist");
-    AddEndpoint(graph, v1::Endpoint::SUBSCRIBER, "", "raw_topic", "T", false);
+    *response->mutable_graph() = MakeGraph();
+    response->set_left_out(graph_left_out);
     response->set_changed_unix_ns(kNewYear);
     return Remember("GetGraph");
   }

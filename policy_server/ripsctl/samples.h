@@ -30,6 +30,32 @@ inline v1::RobotStatus MakeStatus(const std::string& robot, const std::string& l
   return status;
 }
 
+inline void AddEndpoint(v1::Endpoint::Kind kind, const std::string& node, const std::string& name,
+                        const std::string& type, bool ros, v1::GraphSnapshot& graph) {
+  v1::Endpoint* endpoint = graph.add_endpoints();
+  endpoint->set_guid(std::string("\x01\x10\x4a\x3b", 4) + std::string(10, '\0') + "\x03\xc1");
+  endpoint->set_kind(kind);
+  endpoint->set_node(node);
+  endpoint->set_name(name);
+  endpoint->set_type(type);
+  endpoint->set_ros(ros);
+}
+
+inline v1::GraphSnapshot MakeGraph() {
+  v1::GraphSnapshot graph;
+  graph.set_settled(true);
+  graph.add_nodes()->set_full_name("/talker");
+  graph.add_nodes()->set_full_name("/listener");
+  AddEndpoint(v1::Endpoint::SUBSCRIBER, "/rips", "/chatter", "std_msgs/msg/String", true, graph);
+  AddEndpoint(v1::Endpoint::SUBSCRIBER, "/listener", "/chatter", "std_msgs/msg/String", true,
+              graph);
+  AddEndpoint(v1::Endpoint::PUBLISHER, "/talker", "/chatter", "std_msgs/msg/String", true, graph);
+  AddEndpoint(v1::Endpoint::SERVICE, "/talker", "/talker/get_parameters", "x", true, graph);
+  AddEndpoint(v1::Endpoint::PUBLISHER, "", "/cmd_vel", "geometry_msgs/msg/Twist", true, graph);
+  AddEndpoint(v1::Endpoint::SUBSCRIBER, "", "raw_topic", "T", false, graph);
+  return graph;
+}
+
 // Until 18:20 of the new year's day, by carol.
 inline v1::Maintenance MakeMaintenance() {
   constexpr int64_t kMinute = 60'000'000'000;

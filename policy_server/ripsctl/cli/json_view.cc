@@ -4,8 +4,6 @@
 #include <nlohmann/json.hpp>
 #include <vector>
 
-#include "absl/container/btree_map.h"
-#include "absl/container/btree_set.h"
 #include "absl/strings/str_cat.h"
 #include "policy_server/ripsctl/cli/printer.h"
 #include "services/ros2/guid.h"
@@ -30,17 +28,6 @@ Json List(const google::protobuf::RepeatedPtrField<Message>& messages) {
   Json list = Json::array();
   for (const Message& each : messages) list.push_back(ToJson(each));
   return list;
-}
-
-struct Topic {
-  absl::btree_set<std::string> types;
-  std::vector<std::string> publishers;
-  std::vector<std::string> subscribers;
-};
-
-Json SortedList(std::vector<std::string> names) {
-  std::sort(names.begin(), names.end());
-  return names;
 }
 
 }  // namespace
@@ -213,44 +200,6 @@ Json ToJson(const v1::GetLevelResponse& response) {
           {"levels", std::move(levels)},
           {"last", response.has_last() ? ToJson(response.last()) : Json(nullptr)},
           {"pending_approvals", std::move(pending)}};
-}
-
-Json ToJson(const v1::GraphSnapshot& graph) {
-  absl::btree_map<std::string, std::vector<std::string>> services_of;
-  absl::btree_map<std::string, Topic> topics;
-  std::vector<std::vector<std::string>> unattributed;  // topic, kind, guid
-  for (const v1::Node& node : graph.nodes()) services_of[node.full_name()];
-  for (const v1::Endpoint& endpoint : graph.endpoints()) {
-    if (endpoint.node().empty() || !endpoint.ros()) {
-      unattributed.push_back(
-          {endpoint.name(), KindName(endpoint.kind()), GuidText(endpoint.guid())});
-      continue;
-    }
-    std::vector<std::string>& services = services_of[endpoint.node()];
-    if (endpoint.kind() == v1::Endpoint::SERVICE) services.push_back(endpoint.name());
-    const bool publishes = endpoint.kind() == v1::Endpoint::PUBLISHER;
-    if (!publishes && endpoint.kind() != v1::Endpoint::SUBSCRIBER) continue;
-    Topic& topic = topics[endpoint.name()];
-    topic.types.insert(endpoint.type());
-    (publishes ? topic.publishers : topic.subscribers).push_back(endpoint.node());
-  }
-  std::sort(unattributed.begin(), unattributed.end());
-
-  Json json = {
-      {"nodes", Json::array()}, {"topics", Json::array()}, {"unattributed", Json::array()}};
-  for (auto& [name, services] : services_of) {
-    json["nodes"].push_back({{"name", name}, {"services", SortedList(std::move(services))}});
-  }
-  for (auto& [name, topic] : topics) {
-    json["topics"].push_back({{"name", name},
-                              {"types", SortedList({topic.types.begin(), topic.types.end()})},
-                              {"publishers", SortedList(std::move(topic.publishers))},
-                              {"subscribers", SortedList(std::move(topic.subscribers))}});
-  }
-  for (const auto& each : unattributed) {
-    json["unattributed"].push_back({{"guid", each[2]}, {"topic", each[0]}, {"kind", each[1]}});
-  }
-  return json;
 }
 
 void PrintJson(const Json& json, std::ostream& out) {

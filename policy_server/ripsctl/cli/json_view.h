@@ -40,11 +40,6 @@ Json ToJson(const v1::PendingApproval& pending);
 // {"status":{..},"levels":[{"name","soft","two_person"}],"last":transition or null,
 //  "pending_approvals":[..]}
 Json ToJson(const v1::GetLevelResponse& response);
-// {"nodes":[{"name","services":[..]}],"topics":[{"name","types":[..],"publishers":[..],
-//  "subscribers":[..]}],"unattributed":[{"guid","topic","kind"}]}
-// Sorted; publishers and subscribers have one entry per endpoint. Endpoints without a node and
-// those that are not ROS are under `unattributed`.
-Json ToJson(const v1::GraphSnapshot& graph);
 
 // "publisher", "subscriber", "service", "client" or "unknown".
 const char* KindName(v1::Endpoint::Kind kind);

@@ -14,6 +14,7 @@
 #include "policy_server/ripsctl/cli/robot_level.h"
 #include "policy_server/ripsctl/commands.h"
 #include "policy_server/ripsctl/robot/agent_contact_text.h"
+#include "policy_server/ripsctl/robot/graph_view.h"
 #include "services/base/status_macros.h"
 
 namespace rips::ripsctl {
@@ -182,51 +183,23 @@ class ShowGraph final : public RobotCommand {
     v1::GetGraphRequest request;
     request.set_robot(robot_);
     RIPS_ASSIGN_OR_RETURN(const auto response, Call(env, &Stub::GetGraph, request));
-    Json graph = ToJson(response.graph());
-    if (response.left_out() > 0) graph["left_out"] = response.left_out();
-    if (env.json()) return PrintJson(env, graph);
+    if (env.json()) {
+      Json graph = GraphJson(response.graph());
+      if (response.left_out() > 0) graph["left_out"] = response.left_out();
+      return PrintJson(env, graph);
+    }
     if (response.changed_unix_ns() == 0) {
       env.out << "no graph yet; is the robot's sensor connected?\n";
       return ExitCode::kDone;
     }
     env.out << "changed " << ShortTime(response.changed_unix_ns())
             << (response.graph().settled() ? "" : ", discovery not settled") << "\n";
-    PrintText(graph, env.out);
+    PrintGraph(response.graph(), env.out);
     if (response.left_out() > 0) {
       env.out << response.left_out()
               << " endpoints, nodes and participants do not fit into one response\n";
     }
     return ExitCode::kDone;
-  }
-
- private:
-  static std::string Joined(const Json& names) {
-    std::vector<std::string> list;
-    for (const Json& name : names) list.push_back(name.get<std::string>());
-    return absl::StrJoin(list, ", ");
-  }
-  static void PrintText(const Json& graph, std::ostream& out) {
-    out << "\n";
-    Table nodes({"NODE", "SERVICES"});
-    for (const Json& node : graph["nodes"]) {
-      nodes.Add({node["name"].get<std::string>(), Joined(node["services"])});
-    }
-    nodes.Print(out);
-    out << "\n";
-    Table topics({"TOPIC", "TYPES", "PUBLISHERS", "SUBSCRIBERS"});
-    for (const Json& topic : graph["topics"]) {
-      topics.Add({topic["name"].get<std::string>(), Joined(topic["types"]),
-                  Joined(topic["publishers"]), Joined(topic["subscribers"])});
-    }
-    topics.Print(out);
-    if (graph["unattributed"].empty()) return;
-    out << "\n";
-    Table others({"WITHOUT A NODE", "KIND", "GUID"});
-    for (const Json& each : graph["unattributed"]) {
-      others.Add({each["topic"].get<std::string>(), each["kind"].get<std::string>(),
-                  each["guid"].get<std::string>()});
-    }
-    others.Print(out);
   }
 };
 
