@@ -32,6 +32,7 @@ namespace rips::ripsctl {
 class FakeOperator final : public FakeEnrolOperator {
  public:
   v1::ListReceiptsResponse receipts;
+  std::optional<v1::ListReceiptsResponse> receipts_after_approval;
   uint32_t graph_left_out = 0;
   v1::LevelResponse level_response;
   std::string alert_text = "unknown node /intruder";
@@ -242,6 +243,7 @@ class FakeOperator final : public FakeEnrolOperator {
   grpc::Status Approve(grpc::ServerContext*, const v1::ApproveRequest* request,
                        v1::LevelResponse* response) override {
     *response = level_response;
+    if (receipts_after_approval.has_value()) receipts = *receipts_after_approval;
     return Remember(absl::StrCat("Approve ", request->robot(), " ", request->pending_approval_id(),
                                  " ", request->reason(), request->reject() ? " reject" : "",
                                  request->accept_blind() ? " accept-blind" : ""));

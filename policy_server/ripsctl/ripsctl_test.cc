@@ -309,8 +309,8 @@ TEST_F(RipsctlTest, ADryRunSaysWhatWouldHappen) {
           "would be refused, because RIPS does not see all of r1 now; "
           "--accept-blind lowers it all the same\n"
           "would be raised again by rule unknown_node at the next change of the graph, not before\n"
-          "not tried: rules on messages and on external events; the next "
-          "one may raise r1 again\n"));
+          "not tried: rules on messages and on external events; the next of those may raise r1 "
+          "again\n"));
   EXPECT_THAT(result.out, testing::Not(HasSubstr("would lower")));
 
   const Result accepted = Run(

@@ -11,6 +11,7 @@
 #include "absl/strings/str_join.h"
 #include "policy_server/ripsctl/cli/command.h"
 #include "policy_server/ripsctl/cli/printer.h"
+#include "policy_server/ripsctl/cli/robot_level.h"
 #include "services/base/status_macros.h"
 
 namespace rips::ripsctl {
@@ -110,7 +111,7 @@ std::string DropsText(const v1::HostFirewall& drops) {
   absl::StrAppend(&text, NewestText(drops.quiet_s()));
   if (drops.quiet_s() < kStillSendsS) {
     absl::StrAppend(&text, OnlyAgentsSend(drops)
-                               ? ": all that still sends has addresses of known agents"
+                               ? ": only hosts with agents of RIPS still send, as robots do"
                                : ": something that it keeps out still sends");
     if (drops.sources().empty()) absl::StrAppend(&text, ", the attacker or other hosts");
   }
@@ -141,7 +142,8 @@ std::vector<std::string> SourceLines(const v1::HostFirewall& drops,
                       source.agents_size() == 1 ? " connects" : " connect", " from there)");
     }
     if (const auto claim = claims.find(source.address()); claim != claims.end()) {
-      absl::StrAppend(&line, " (which ", EscapeText(claim->second), " gave as its own)");
+      absl::StrAppend(&line, " (which ", EscapeText(claim->second), " gave as its own",
+                      source.agents().empty() ? "; no agent of RIPS is there)" : ")");
     }
     absl::StrAppend(&line, ": ", source.packets(), source.packets() == 1 ? " packet" : " packets",
                     NewestText(source.quiet_s()));
@@ -171,8 +173,7 @@ void PrintFirewalls(const absl::StatusOr<std::vector<FirewallOfHost>>& firewalls
     const std::string host = EscapeText(each.host);
     for (const std::string& step : each.steps) {
       if (each.renewed) {
-        out << host << " holds `" << EscapeText(step)
-            << "` until a level releases it or its time is over\n";
+        out << host << " holds `" << EscapeText(step) << "` as long as this level stands\n";
       } else {
         out << host << " may still hold `" << EscapeText(step) << "` of the level before ("
             << DecisionIdText(each.decision_id) << "): no level since has released it, so it "
@@ -187,6 +188,19 @@ void PrintFirewalls(const absl::StatusOr<std::vector<FirewallOfHost>>& firewalls
     }
   }
   if (!firewalls->empty()) out << "what a firewall keeps out may come back when it is released\n";
+}
+
+void PrintReleased(Env& env, const std::string& robot,
+                   const absl::StatusOr<std::vector<FirewallOfHost>>& before) {
+  if (!before.ok() || before->empty()) return;
+  const auto now = ReadLevel(env, robot);
+  if (!now.ok()) return;
+  const auto after = ReadFirewalls(env, robot, *now);
+  if (after.ok() && after->empty()) {
+    env.out << "its firewall is released: what that kept out can come back\n";
+  } else {
+    PrintFirewalls(after, env.out);
+  }
 }
 
 Json FirewallsJson(const absl::StatusOr<std::vector<FirewallOfHost>>& firewalls) {

@@ -37,6 +37,11 @@ absl::StatusOr<std::vector<FirewallOfHost>> ReadFirewalls(Env& env, const std::s
 void PrintFirewalls(const absl::StatusOr<std::vector<FirewallOfHost>>& firewalls,
                     std::ostream& out);
 
+// After a change of level: that nothing is held any more, or else what is. Nothing if nothing was
+// held before, or if the robot's level cannot be read.
+void PrintReleased(Env& env, const std::string& robot,
+                   const absl::StatusOr<std::vector<FirewallOfHost>>& before);
+
 // `says that it dropped 1240 packets in 300 s, none in the last 42 s`
 std::string DropsText(const v1::HostFirewall& drops);
 // From whom, a line each: `10.0.0.66: 1200 packets, none in the last 42 s`. Safe to print. `claims`

@@ -64,7 +64,7 @@ void PrintWarnings(const v1::LevelResponse& found, std::ostream& out) {
 }
 
 void PrintDryRun(absl::string_view robot, const v1::LevelResponse& found, bool refused,
-                 absl::string_view margin, std::ostream& out) {
+                 absl::string_view margin, std::ostream& out, absl::string_view not_tried) {
   for (const std::string& why : found.blind_because()) {
     out << margin << "blind: " << EscapeText(why) << "\n";
   }
@@ -78,8 +78,9 @@ void PrintDryRun(absl::string_view robot, const v1::LevelResponse& found, bool r
   for (const std::string& rule : found.would_raise_again()) {
     out << margin << "would be raised again by rule " << EscapeText(rule) << kRaisedWhen << "\n";
   }
-  out << margin << "not tried: rules on messages and on external events; the next one may raise "
-      << EscapeText(robot) << " again\n";
+  out << margin << "not tried: rules on messages and on external events";
+  if (!not_tried.empty()) out << " (" << EscapeText(not_tried) << " is one)";
+  out << "; the next of those may raise " << EscapeText(robot) << " again\n";
 }
 
 Json NotTried() { return {"rules Msg", "rules External"}; }

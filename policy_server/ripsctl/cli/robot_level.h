@@ -30,9 +30,9 @@ std::string MaintenanceText(const v1::RobotStatus& status);
 // `verified`; and how many lowerings wait for a second operator.
 std::string StageAndPending(const v1::RobotStatus& status);
 // What a dry run of a lowering found, one line each behind `margin`. `refused`: RIPS is blind, and
-// the operator has not accepted that.
+// the operator has not accepted that. `not_tried`: the name of a rule that such a run leaves out.
 void PrintDryRun(absl::string_view robot, const v1::LevelResponse& found, bool refused,
-                 absl::string_view margin, std::ostream& out);
+                 absl::string_view margin, std::ostream& out, absl::string_view not_tried = "");
 // Which rules a dry run does not try, for JSON.
 Json NotTried();
 

@@ -132,7 +132,12 @@ Json ExplanationJson(const Explanation& explanation) {
     json["now_not_known_because"] = std::string(explanation.now->status().message());
   }
   json["raised_before_by"] =
-      explanation.raised.has_value() ? ToJson(*explanation.raised) : Json(nullptr);
+      explanation.raised.has_value() ? ToJson(explanation.raised->transition()) : Json(nullptr);
+  Json raisers = Json::array();
+  if (explanation.raised.has_value()) {
+    for (const v1::Subject& each : SubjectsOf(*explanation.raised)) raisers.push_back(ToJson(each));
+  }
+  json["raised_before_subjects"] = std::move(raisers);
   json["lowering"] =
       explanation.lowering.has_value() ? LoweringJson(*explanation.lowering) : Json(nullptr);
   return json;
@@ -225,7 +230,14 @@ class Explain final : public Command {
     }
     if (!explanation.now.has_value() || !explanation.now->ok()) return;
     if (recorded.has_transition()) {
-      explanation.raised = FindRaise(env, recorded.transition(), **explanation.now);
+      if (auto raise = FindRaise(env, recorded.transition(), **explanation.now)) {
+        v1::ExplainRequest request;
+        request.set_id(raise->id());
+        const absl::StatusOr<Explanation> asked = Ask(env, request);
+        explanation.raised.emplace();
+        if (asked.ok()) *explanation.raised = asked->recorded;
+        *explanation.raised->mutable_transition() = *std::move(raise);
+      }
     }
     const auto& subjects = SubjectsOf(recorded);
     if (std::any_of(subjects.begin(), subjects.end(),

@@ -24,6 +24,7 @@ class ExplainTest : public RipsctlTest {
     *decision.mutable_transition() = MakeTransition();
     *decision.mutable_evidence() = MakeEvidence();
     fake_.explained["11111111"] = decision;
+    fake_.explained[std::string(32, '1')] = decision;
     fake_.explained["r1@3.17"] = decision;
     *fake_.explained[std::string(32, '2')].mutable_alert() = MakeAlert("rogue driver");
   }
@@ -72,7 +73,9 @@ TEST_F(ExplainTest, ALoweringLeadsToWhatHadRaisedTheRobot) {
     *fake_.explained[each.id()].mutable_transition() = each;
     const std::string text = Run({"explain", each.id()}).out;
     EXPECT_THAT(text, HasSubstr("before that, r1 went from ALERT to COMPROMISED at "));
-    EXPECT_THAT(text, HasSubstr("  why: ripsctl explain 11111111\n"));
+    EXPECT_THAT(text, HasSubstr("\n  who: /intruder at 10.0.0.66\n  why: ripsctl explain "
+                                "11111111\n"));
+    EXPECT_EQ(RunJson({"explain", each.id()})["raised_before_subjects"][0]["name"], "/intruder");
     EXPECT_EQ(RunJson({"explain", each.id()})["raised_before_by"]["id"], std::string(32, '1'));
   }
   EXPECT_TRUE(RunJson({"explain", "11111111"})["raised_before_by"].is_null())

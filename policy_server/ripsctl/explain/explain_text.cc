@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <map>
+#include <set>
 #include <string>
 #include <utility>
 #include <vector>
@@ -9,6 +10,7 @@
 #include "absl/strings/ascii.h"
 #include "absl/strings/match.h"
 #include "absl/strings/str_cat.h"
+#include "absl/strings/str_join.h"
 #include "absl/strings/str_replace.h"
 #include "absl/strings/str_split.h"
 #include "absl/strings/strip.h"
@@ -97,7 +99,7 @@ std::string TransitionLine(const v1::Transition& transition) {
                         Behind("; asked by ", transition.cause()));
   }
   return absl::StrCat(robot, " went from ", from, " to ", to, " at ", time,
-                      DecisionIn(" (", transition.decision_id(), ")"),
+                      DecisionIn(" (decision ", transition.decision_id(), ")"),
                       Behind(", by ", transition.cause()));
 }
 
@@ -122,6 +124,27 @@ std::string RuleOf(const v1::ExplainResponse& recorded) {
     return "";
   }
   return recorded.alert().rule() == kOwnRule ? "" : recorded.alert().rule();
+}
+
+// Who made that rule fire, if anybody is known.
+std::string RaisersText(const Explanation& explanation) {
+  constexpr int kRaisersShown = 3;
+  const auto& raisers = SubjectsOf(*explanation.raised);
+  std::set<std::string> addresses;
+  for (const v1::Subject& each : SubjectsOf(explanation.recorded)) addresses.insert(each.address());
+  addresses.erase("");
+  std::vector<std::string> names;
+  for (const v1::Subject& each : raisers) {
+    if (names.size() == kRaisersShown) {
+      names.push_back(absl::StrCat("and ", raisers.size() - kRaisersShown, " more"));
+      break;
+    }
+    std::string name = EscapeText(each.name());
+    if (!each.address().empty()) absl::StrAppend(&name, " at ", EscapeText(each.address()));
+    if (addresses.contains(each.address())) name += ", as below";
+    names.push_back(std::move(name));
+  }
+  return names.empty() ? "" : absl::StrCat("  who: ", absl::StrJoin(names, "; "), "\n");
 }
 
 // The lines of a file, those after the first as far to the left as they may stand.
@@ -233,8 +256,9 @@ void PrintWho(const Explanation& explanation, std::ostream& out) {
       });
     };
     if (any(Presence::kKeptOut)) {
-      out << "  not seen: not in the robot's graph, but a firewall keeps things out; what still\n"
-             "  sends, see below; lowering the robot may let it in again\n";
+      out << "  not seen: it left the robot's graph, but a firewall would hide it there; whether "
+             "it\n"
+             "  still sends, the firewall says below; a lowering may let it in again\n";
     }
     if (any(Presence::kGone)) out << "  gone: not in the robot's graph\n";
   }
@@ -276,7 +300,8 @@ void PrintOutcome(const v1::ExplainResponse& recorded, std::ostream& out) {
   for (const auto& [time, text] : lines) out << "  " << ShortTime(time) << "  " << text << "\n";
 }
 
-void PrintLowering(absl::string_view robot, const Lowering& lowering, std::ostream& out) {
+void PrintLowering(absl::string_view robot, const Lowering& lowering,
+                   const v1::ExplainResponse& recorded, std::ostream& out) {
   if (!lowering.found.ok()) {
     out << "  " << EscapeText(NoDryRunText(lowering.found.status())) << "\n";
     return;
@@ -286,7 +311,25 @@ void PrintLowering(absl::string_view robot, const Lowering& lowering, std::ostre
   if (found.would_raise_again().empty()) {
     out << "    would not be raised again at once: no rule on the graph would fire\n";
   }
-  PrintDryRun(robot, found, !found.blind_because().empty(), "    ", out);
+  // Of most interest is what raised the robot.
+  const bool by_message = absl::StartsWith(recorded.evidence().event(), "message ");
+  PrintDryRun(robot, found, !found.blind_because().empty(), "    ", out,
+              by_message ? RuleOf(recorded) : "");
+}
+
+// Who may do what next, and how.
+void PrintNext(const v1::GetLevelResponse& now, absl::string_view to, std::ostream& out) {
+  const std::string robot = EscapeText(now.status().robot());
+  for (const v1::PendingApproval& each : now.pending_approvals()) {
+    out << "  waits for a second operator: " << EscapeText(PendingText(robot, each))
+        << "\n    to approve it: ripsctl level approve " << robot << " "
+        << EscapeText(ShortId(each.id())) << " --reason TEXT --wait"
+        << (each.accept_blind() ? " --accept-blind" : "") << "\n";
+  }
+  if (now.pending_approvals().empty()) {
+    out << "  to lower it: ripsctl level lower " << robot << " --to " << EscapeText(to)
+        << " --reason TEXT --wait\n";
+  }
 }
 
 void PrintNow(const Explanation& explanation, std::ostream& out) {
@@ -297,7 +340,7 @@ void PrintNow(const Explanation& explanation, std::ostream& out) {
   }
   const v1::RobotStatus& status = (*explanation.now)->status();
   out << "\nNow: " << EscapeText(status.robot()) << " is at " << EscapeText(status.decided_level())
-      << DecisionIn(" (", status.decision_id(), ")");
+      << DecisionIn(" (decision ", status.decision_id(), ")");
   const std::string stage = StageText(status.stage());
   out << (stage.empty() ? "" : ", ") << stage << "\n";
   if (status.effective_level().empty()) {
@@ -314,9 +357,8 @@ void PrintNow(const Explanation& explanation, std::ostream& out) {
     for (const std::string& line : SourceLines(drops, claims)) out << "    from " << line << "\n";
   }
   if (!explanation.lowering.has_value()) return;
-  PrintLowering(status.robot(), *explanation.lowering, out);
-  out << "  to lower it: ripsctl level lower " << EscapeText(status.robot()) << " --to "
-      << EscapeText(explanation.lowering->to) << " --reason TEXT --wait\n";
+  PrintLowering(status.robot(), *explanation.lowering, explanation.recorded, out);
+  PrintNext(**explanation.now, explanation.lowering->to, out);
 }
 
 // The server keeps what led to such an alert.
@@ -419,8 +461,9 @@ void PrintExplanation(const Explanation& explanation, std::ostream& out) {
       out << "acknowledged " << AckText(recorded.alert().acknowledged()) << "\n";
     }
     if (explanation.raised.has_value()) {
-      out << "before that, " << TransitionLine(*explanation.raised) << "\n"
-          << "  why: ripsctl explain " << EscapeText(ShortId(explanation.raised->id())) << "\n";
+      out << "before that, " << TransitionLine(explanation.raised->transition()) << "\n"
+          << RaisersText(explanation) << "  why: ripsctl explain "
+          << EscapeText(ShortId(explanation.raised->transition().id())) << "\n";
     }
     PrintWhy(recorded, out);
     PrintWho(explanation, out);

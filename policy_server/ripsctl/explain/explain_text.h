@@ -26,9 +26,9 @@ struct Explanation {
   v1::ExplainResponse recorded;
   // The robot now, and unset if it is no robot that did it, but the server.
   std::optional<absl::StatusOr<v1::GetLevelResponse>> now;
-  // What had raised the robot to the level that `recorded` left; unset if that was the lowest, or
-  // if that is not known.
-  std::optional<v1::Transition> raised;
+  // What had raised the robot to the level that `recorded` left, without evidence if that is not
+  // known; unset if that was the lowest, or if nothing is known of it.
+  std::optional<v1::ExplainResponse> raised;
   // Unset at the lowest level.
   std::optional<Lowering> lowering;
   // Of the robot now; unset if no subject has a GUID.

@@ -93,7 +93,7 @@ TEST(ExplainTextTest, TellsAllOfADecisionInOrder) {
                                   .graph = GraphWithIntruder()});
   EXPECT_EQ(
       text,
-      R"(r1 went from ALERT to COMPROMISED at 2026-01-01T00:00:00.000Z (3.17), by rule rogue_cmd_vel
+      R"(r1 went from ALERT to COMPROMISED at 2026-01-01T00:00:00.000Z (decision 3.17), by rule rogue_cmd_vel
 
 Why: rule rogue_cmd_vel, warehouse.rul:31, of bundle sha256:bbbbbbbbbbbb
   the event: graph change, at 2025-12-31T23:59:59.999Z by the robot's clock
@@ -115,10 +115,10 @@ Effects:
   2026-01-01T00:00:00.000Z  22222222  alert, high: rogue driver
   2026-01-01T00:00:00.000Z  11111111  level ALERT -> COMPROMISED refused 3 times: needs an operator
 
-Now: r1 is at COMPROMISED (3.17), verified: every actuator has read the level back
+Now: r1 is at COMPROMISED (decision 3.17), verified: every actuator has read the level back
   if it were lowered to ALERT now, it
     would be raised again by rule rogue_cmd_vel at the next change of the graph, not before
-    not tried: rules on messages and on external events; the next one may raise r1 again
+    not tried: rules on messages and on external events; the next of those may raise r1 again
   to lower it: ripsctl level lower r1 --to ALERT --reason TEXT --wait
 )");
 }
@@ -159,7 +159,7 @@ TEST(ExplainTextTest, SaysWhetherWhoItWasIsStillThereAndNothingThatItCannotKnow)
   (*explanation.now)->add_firewalls()->set_host("base");
   EXPECT_EQ(PresenceOf(who, explanation), Presence::kKeptOut);
   EXPECT_THAT(Print(explanation),
-              HasSubstr("not seen: not in the robot's graph, but a firewall keeps things out"));
+              HasSubstr("not seen: it left the robot's graph, but a firewall would hide it there"));
   explanation.graph = absl::UnavailableError("no answer");
   EXPECT_EQ(PresenceOf(who, explanation), Presence::kUnknown);
   EXPECT_EQ(PresenceOf(v1::Subject(), explanation), Presence::kUnknown);
@@ -170,11 +170,68 @@ TEST(ExplainTextTest, OfALoweringNamesWhatHadRaisedTheRobot) {
   lowered.set_from("COMPROMISED");
   lowered.set_to("DEFAULT");
   lowered.set_cause("operator carol");
-  const std::string text = Print({.recorded = OfTransition(lowered), .raised = MakeTransition()});
+  const std::string text =
+      Print({.recorded = OfTransition(lowered), .raised = OfTransition(MakeTransition())});
   EXPECT_THAT(text,
               HasSubstr("by operator carol\nbefore that, r1 went from ALERT to COMPROMISED at "
-                        "2026-01-01T00:00:00.000Z (3.17), by rule rogue_cmd_vel\n"
+                        "2026-01-01T00:00:00.000Z (decision 3.17), by rule rogue_cmd_vel\n"
                         "  why: ripsctl explain "));
+}
+
+TEST(ExplainTextTest, NamesWhoHadRaisedTheRobotBefore) {
+  v1::ExplainResponse raised = OfTransition(MakeTransition());
+  *raised.mutable_evidence() = MakeEvidence();
+  v1::ExplainResponse recorded = OfTransition(MakeTransition());
+  EXPECT_THAT(Print({.recorded = recorded, .raised = raised}),
+              HasSubstr("\n  who: /intruder at 10.0.0.66\n  why: ripsctl explain "));
+  *recorded.mutable_evidence() = MakeEvidence();
+  EXPECT_THAT(Print({.recorded = recorded, .raised = raised}),
+              HasSubstr("\n  who: /intruder at 10.0.0.66, as below\n"));
+  for (int i = 0; i < 4; ++i) {
+    *raised.mutable_evidence()->add_subjects() = MakeEvidence().subjects(0);
+  }
+  raised.mutable_evidence()->mutable_subjects(1)->set_name("/\x1b[2J");
+  raised.mutable_evidence()->mutable_subjects(1)->clear_address();
+  EXPECT_THAT(Print({.recorded = recorded, .raised = raised}),
+              HasSubstr("at 10.0.0.66, as below; /\\x1b[2J; /intruder at 10.0.0.66, as below; "
+                        "and 2 more\n"));
+}
+
+TEST(ExplainTextTest, SaysWhichLoweringWaitsAndHowToApproveIt) {
+  v1::GetLevelResponse now = At("COMPROMISED");
+  v1::PendingApproval& pending = *now.add_pending_approvals();
+  pending.set_id(std::string(32, '3'));
+  pending.set_operator_("carol (spiffe://td/operator/operator/carol serial 0c)");
+  pending.set_from("COMPROMISED");
+  pending.set_to("DEFAULT");
+  pending.set_reason("unplugged \x1b[2J");
+  pending.set_asked_unix_ns(kNewYear);
+  pending.set_expires_unix_ns(kNewYear + 600'000'000'000);
+  const Explanation explanation{.recorded = OfTransition(MakeTransition()),
+                                .now = now,
+                                .lowering = Lowering{"DEFAULT", v1::LevelResponse()}};
+  const std::string text = Print(explanation);
+  EXPECT_THAT(text, HasSubstr("  waits for a second operator: 33333333: operator carol asked at "
+                              "2026-01-01T00:00:00.000Z to lower r1 from COMPROMISED to DEFAULT; "
+                              "until 2026-01-01T00:10:00.000Z: unplugged \\x1b[2J\n"
+                              "    to approve it: ripsctl level approve r1 33333333 --reason TEXT "
+                              "--wait\n"));
+  EXPECT_THAT(text, Not(HasSubstr("to lower it: "))) << "it was asked for";
+  (*now.mutable_pending_approvals())[0].set_accept_blind(true);
+  EXPECT_THAT(
+      Print({.recorded = explanation.recorded, .now = now, .lowering = explanation.lowering}),
+      HasSubstr("--reason TEXT --wait --accept-blind\n"));
+}
+
+TEST(ExplainTextTest, SaysThatARuleOnMessagesIsNotTried) {
+  v1::ExplainResponse recorded = OfTransition(MakeTransition());
+  *recorded.mutable_evidence() = MakeEvidence();
+  recorded.mutable_evidence()->set_event("message on /cmd_vel from /intruder");
+  EXPECT_THAT(Print({.recorded = recorded,
+                     .now = At("COMPROMISED"),
+                     .lowering = Lowering{"ALERT", v1::LevelResponse()}}),
+              HasSubstr("not tried: rules on messages and on external events (rogue_cmd_vel is "
+                        "one); the next of those may raise r1 again\n"));
 }
 
 TEST(ExplainTextTest, TellsAnAlert) {
@@ -295,9 +352,11 @@ TEST(ExplainTextTest, SaysWhatIsNow) {
   v1::GetLevelResponse now = At("DEFAULT");
   now.mutable_status()->set_stage("failed");
   now.mutable_status()->clear_effective_level();
-  EXPECT_THAT(Print({.recorded = recorded, .now = now}),
-              HasSubstr("Now: r1 is at DEFAULT (3.17), failed: an actuator cannot reach the level; "
-                        "it tries again\n  no actuator is attached\n"));
+  EXPECT_THAT(
+      Print({.recorded = recorded, .now = now}),
+      HasSubstr(
+          "Now: r1 is at DEFAULT (decision 3.17), failed: an actuator cannot reach the level; "
+          "it tries again\n  no actuator is attached\n"));
   v1::HostFirewall& firewall = *now.add_firewalls();
   firewall.set_host("base");
   firewall.set_counted_s(300);
@@ -312,8 +371,8 @@ TEST(ExplainTextTest, SaysWhatIsNow) {
                         "    from 10.0.0.66: 7 packets, none in the last 60 s\n"));
   *recorded.mutable_evidence() = MakeEvidence();
   EXPECT_THAT(Print({.recorded = recorded, .now = now}),
-              HasSubstr("    from 10.0.0.66 (which /intruder gave as its own): 7 packets, none in "
-                        "the last 60 s\n"));
+              HasSubstr("    from 10.0.0.66 (which /intruder gave as its own; no agent of RIPS is "
+                        "there): 7 packets, none in the last 60 s\n"));
   recorded.clear_evidence();
   EXPECT_THAT(Print({.recorded = recorded, .now = absl::NotFoundError("no robot `r1`")}),
               HasSubstr("Now: not known: no robot `r1`\n"));

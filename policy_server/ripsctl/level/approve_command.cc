@@ -63,7 +63,10 @@ class ApproveLevel final : public RobotCommand {
       for (const std::string& why : seen.status().degraded()) {
         env.out << "now: " << EscapeText(why) << "\n";
       }
-      if (!reject_) PrintFirewalls(ReadFirewalls(env, robot_, seen), env.out);
+      if (!reject_) {
+        firewalls_ = ReadFirewalls(env, robot_, seen);
+        PrintFirewalls(*firewalls_, env.out);
+      }
     }
     v1::ApproveRequest request;
     request.set_robot(robot_);
@@ -129,6 +132,7 @@ class ApproveLevel final : public RobotCommand {
       PrintJson(json, env.out);
     } else if (awaited.has_value()) {
       PrintAwaited(env, robot_, response, *awaited);
+      if (awaited->reached && firewalls_.has_value()) PrintReleased(env, robot_, *firewalls_);
     }
     return awaited.has_value() && !awaited->reached ? ExitCode::kRefused : ExitCode::kDone;
   }
@@ -138,6 +142,7 @@ class ApproveLevel final : public RobotCommand {
   bool reject_ = false;
   bool accept_blind_ = false;
   bool wait_ = false;
+  std::optional<absl::StatusOr<std::vector<FirewallOfHost>>> firewalls_;  // before; text only
 };
 
 }  // namespace

@@ -37,12 +37,11 @@ TEST_F(RipsctlTest, SaysThatALoweringWaitsForASecondOperator) {
   EXPECT_EQ(result.code, 1) << "it is not lowered";
   EXPECT_EQ(
       result.out,
-      "r1 stays at DEFAULT: a second operator must approve it until "
+      "r1 stays at DEFAULT until a second operator approves the lowering, before "
       "2026-01-01T00:00:00.000Z, with\n"
       "  ripsctl level approve r1 33333333 --reason TEXT --wait\n"
       "it must be asked for again if the level, the ROS graph or the rules change before that, "
-      "or the server restarts\n"
-      "nothing to wait for yet: a second operator decides\n");
+      "or the server restarts\n");
   const nlohmann::json json = RunJson(lower, 1);
   EXPECT_EQ(json["needs_approval"], true);
   EXPECT_EQ(json["pending_approval_id"], std::string(32, '3'));
@@ -50,6 +49,42 @@ TEST_F(RipsctlTest, SaysThatALoweringWaitsForASecondOperator) {
   fake_.level_response.clear_pending_approval_id();
   EXPECT_THAT(Run({"level", "lower", "r1", "--to", "DEFAULT", "--reason", "x", "--dry-run"}).out,
               HasSubstr("would wait for a second operator to approve it\n"));
+}
+
+TEST_F(RipsctlTest, SaysAfterTheLoweringWhatBecameOfTheFirewall) {
+  fake_.pending = {MakePending('3')};
+  fake_.level_response.set_decided_level("DEFAULT");
+  *fake_.level_response.mutable_decision_id() = MakeDecisionId(3, 18);
+  fake_.level_states = {MakeStatus("r1", "COMPROMISED"), MakeStatus("r1", "DEFAULT")};
+  *fake_.level_states[1].mutable_decision_id() = MakeDecisionId(3, 18);
+  const auto receipt = [this](const char* step, uint64_t epoch) {
+    v1::ReceivedReceipt received;
+    received.set_host("base");
+    *received.mutable_receipt()->mutable_decision_id() = MakeDecisionId(3, epoch);
+    v1::StepResult& added = *received.mutable_receipt()->add_steps();
+    added.set_step(step);
+    added.set_ok(true);
+    return received;
+  };
+  const auto begin = fake_.level_states;
+  const std::vector<std::string> approve = {"level",    "approve", "r1",    "33333333",
+                                            "--reason", "x",       "--wait"};
+  EXPECT_THAT(Run(approve).out, testing::EndsWith("every actuator has read it back\n"))
+      << "there was none";
+  fake_.level_states = begin;
+  *fake_.receipts.add_receipts() = receipt("firewall isolate_host 10.0.0.66", 17);
+  fake_.receipts_after_approval.emplace();
+  *fake_.receipts_after_approval->add_receipts() = receipt("firewall release", 18);
+  EXPECT_THAT(Run(approve).out,
+              testing::EndsWith("every actuator has read it back\n"
+                                "its firewall is released: what that kept out can come back\n"));
+  fake_.level_states = begin;
+  fake_.receipts.Clear();
+  *fake_.receipts.add_receipts() = receipt("firewall isolate_host 10.0.0.66", 17);
+  fake_.receipts_after_approval = fake_.receipts;
+  EXPECT_THAT(Run(approve).out,
+              HasSubstr("every actuator has read it back\nbase may still hold `firewall "
+                        "isolate_host 10.0.0.66` of the level before (3.17): no level since"));
 }
 
 TEST_F(RipsctlTest, ApprovesWhatItShowed) {

@@ -184,6 +184,7 @@ class ChangeLevel : public RobotCommand {
       PrintJsonReport(env, response, awaited);
     } else if (awaited.has_value()) {
       PrintAwaited(env, robot_, response, *awaited);
+      if (awaited->reached && firewalls_.has_value()) PrintReleased(env, robot_, *firewalls_);
     }
     const bool missed = awaited.has_value() && !awaited->reached;
     // What waits is not done: a script must not go on as if it were.
@@ -192,14 +193,13 @@ class ChangeLevel : public RobotCommand {
 
   void PrintPending(Env& env, const v1::LevelResponse& response) const {
     env.out << robot_ << " stays at " << EscapeText(response.decided_level())
-            << ": a second operator must approve it until "
+            << " until a second operator approves the lowering, before "
             << ShortTime(response.approval_expires_unix_ns()) << ", with\n  ripsctl level approve "
             << robot_ << " " << ShortId(response.pending_approval_id()) << " --reason TEXT --wait"
             << (request_.accept_blind() ? " --accept-blind" : "") << "\n"
             << "it must be asked for again if the level, the ROS graph or the rules change "
                "before that, or the server restarts\n";
     PrintWarnings(response, env.out);
-    if (wait_) env.out << "nothing to wait for yet: a second operator decides\n";
   }
 
   void PrintReport(Env& env, bool refused, const v1::LevelResponse& response) const {

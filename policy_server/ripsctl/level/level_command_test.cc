@@ -59,8 +59,7 @@ TEST_F(RipsctlTest, ALoweringSaysWhatFirewallsHoldThatMayEndWithTheLevel) {
       testing::StartsWith(
           "r1 is at COMPROMISED (3.17) since 2026-01-01T00:00:00.000Z, rule "
           "rogue_cmd_vel\n"
-          "base holds `firewall isolate_host 10.0.0.66` until a level releases it or its "
-          "time is over\n"
+          "base holds `firewall isolate_host 10.0.0.66` as long as this level stands\n"
           "base says that it dropped 1240 packets in 300 s, the newest less than 3 s "
           "ago: something that it keeps out still sends; by address, which may be forged:\n"
           "  from 10.0.0.66: 1200 packets, the newest less than 3 s ago\n"
@@ -71,8 +70,7 @@ TEST_F(RipsctlTest, ALoweringSaysWhatFirewallsHoldThatMayEndWithTheLevel) {
           "level since has released it, so it ends, and lets everything in, when its time is "
           "over\n"
           "what lidar drops is not known; `nft list table inet rips` there shows it\n"
-          "cam holds `firewall /etc/rips/alert.nft` until a level releases it or its time "
-          "is over\n"
+          "cam holds `firewall /etc/rips/alert.nft` as long as this level stands\n"
           "what cam drops is not known; `nft list table inet rips` there shows it\n"
           "what a firewall keeps out may come back when it is released\n"
           "would lower r1"));
@@ -152,7 +150,7 @@ TEST(FirewallsTest, SaysWhenAllThatStillSendsHasAddressesOfAgents) {
   drops.set_counted_s(300);
   drops.add_sources()->add_agents("sensor/r3/base");
   v1::FirewallSource& other = *drops.add_sources();
-  const char kOnlyAgents[] = "all that still sends has addresses of known agents";
+  const char kOnlyAgents[] = "only hosts with agents of RIPS still send, as robots do";
   EXPECT_THAT(DropsText(drops), testing::Not(HasSubstr(kOnlyAgents)));
   other.set_quiet_s(10);
   EXPECT_THAT(DropsText(drops), HasSubstr(kOnlyAgents));
