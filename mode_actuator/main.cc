@@ -54,7 +54,7 @@ int CheckConfig(const std::string& file, const LoadedConfig& loaded) {
       },
       &certificate);
   if (!mine.ok()) return Fail(rips::kExitConfig, mine);
-  std::printf("%s", loaded.effective.c_str());
+  std::fputs(rips::FormatSettings(loaded.settings).c_str(), stdout);
   std::vector<std::string> warnings = rips::actuator::Warnings(loaded);
   // What may come before the daemon starts.
   warnings.push_back(certificate);

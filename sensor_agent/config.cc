@@ -54,8 +54,7 @@ void ReadGraphLimits(const ConfigSection& section, ros2::GraphLimits& limits) {
 
 }  // namespace
 
-absl::StatusOr<SensorConfig> ParseSensorConfig(absl::string_view file, absl::string_view text,
-                                               std::string* effective) {
+absl::StatusOr<SensorConfig> ParseSensorConfig(absl::string_view file, absl::string_view text) {
   ConfigReader reader(file, text);
   const ConfigSection root = reader.root();
   SensorConfig config;
@@ -98,7 +97,7 @@ absl::StatusOr<SensorConfig> ParseSensorConfig(absl::string_view file, absl::str
   root.Optional("signals", &config.signals);
   root.Optional("metrics", &config.metrics);
   RIPS_RETURN_IF_ERROR(reader.Finish());
-  if (effective != nullptr) *effective = reader.Effective();
+  config.settings = reader.Settings();
   return config;
 }
 

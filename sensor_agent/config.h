@@ -46,14 +46,14 @@ struct SensorConfig {
   // SIGUSR1 and SIGUSR2 are reported.
   bool signals = true;
   std::string metrics = "127.0.0.1:9465";
+  // All of this as it was read, defaults included.
+  std::vector<ConfigSetting> settings;
 
   friend bool operator==(const SensorConfig&, const SensorConfig&) = default;
 };
 
 // `file` is the name used in messages. InvalidArgument with every problem and its place.
-// `effective`, if not null, takes the effective configuration as text.
-absl::StatusOr<SensorConfig> ParseSensorConfig(absl::string_view file, absl::string_view text,
-                                               std::string* effective = nullptr);
+absl::StatusOr<SensorConfig> ParseSensorConfig(absl::string_view file, absl::string_view text);
 
 }  // namespace rips::sensor
 

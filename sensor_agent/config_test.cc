@@ -40,8 +40,7 @@ tls: {ca: /a, cert: /b, key: /c}
 )";
 
 TEST(SensorConfigTest, EveryKeyIsTaken) {
-  std::string effective;
-  const auto config = ParseSensorConfig("sensor.yaml", kFull, &effective);
+  const auto config = ParseSensorConfig("sensor.yaml", kFull);
   ASSERT_THAT(config, IsOk());
   EXPECT_EQ(config->robot, "r1");
   EXPECT_EQ(config->host, "base");
@@ -67,7 +66,9 @@ TEST(SensorConfigTest, EveryKeyIsTaken) {
   EXPECT_TRUE(config->wire);
   EXPECT_EQ(config->wire_socket, "/run/rips/tap.sock");
   EXPECT_EQ(config->metrics, "127.0.0.1:0");
-  EXPECT_THAT(effective, AllOf(HasSubstr("settle: 3s"), HasSubstr("outbox.memory: 8MiB")));
+  EXPECT_THAT(FormatSettings(config->settings),
+              AllOf(HasSubstr("settle: 3s  # sensor.yaml:"),
+                    HasSubstr("outbox.memory: 8MiB  # sensor.yaml:")));
 }
 
 TEST(SensorConfigTest, DefaultsAreThoseOfTheStruct) {
@@ -79,6 +80,7 @@ TEST(SensorConfigTest, DefaultsAreThoseOfTheStruct) {
   expected.servers = {"policy.example:7443"};
   expected.tls = {.ca = "/a", .cert = "/b", .key = "/c"};
   expected.spool_dir = "/var/lib/rips/sensor/spool";
+  expected.settings = config->settings;
   EXPECT_EQ(*config, expected);
   EXPECT_THAT(config->unwatched, ElementsAre("/rosout", "/parameter_events"));
 }

@@ -134,7 +134,7 @@ int Serve(const DaemonFlags& flags, const SensorConfig& config, rpc::Credentials
 }
 
 // --check-config: of the files that the configuration names, too.
-int CheckConfig(const std::string& file, const SensorConfig& config, const std::string& effective) {
+int CheckConfig(const std::string& file, const SensorConfig& config) {
   std::vector<NeededDirectory> needed = {{"state_dir", ParentDirectory(config.state_dir)}};
   const std::string spool = ParentDirectory(config.spool_dir);
   const bool with_state = spool == ParentDirectory(absl::StrCat(config.state_dir, "/spool"));
@@ -152,7 +152,7 @@ int CheckConfig(const std::string& file, const SensorConfig& config, const std::
       &certificate);
   if (!mine.ok()) return Fail(kExitConfig, "wrong certificate", mine);
   const absl::Status interface = dds::FindInterface(config.dds.interface);
-  std::fputs(effective.c_str(), stdout);
+  std::fputs(FormatSettings(config.settings).c_str(), stdout);
   // What may come before the daemon starts.
   PrintWarnings({certificate, std::string(interface.message())});
   return 0;
@@ -164,13 +164,12 @@ int RunDaemon(const DaemonFlags& flags) {
   ServiceManager manager(ServiceManager::FromEnvironment());
   const absl::StatusOr<std::string> text = ReadConfigFile(flags.config);
   if (!text.ok()) return Fail(kExitConfig, "cannot read the configuration", text.status());
-  std::string effective;
-  const absl::StatusOr<SensorConfig> config = ParseSensorConfig(flags.config, *text, &effective);
+  const absl::StatusOr<SensorConfig> config = ParseSensorConfig(flags.config, *text);
   if (!config.ok()) {
     std::fprintf(stderr, "%s\n", std::string(config.status().message()).c_str());
     return kExitConfig;
   }
-  if (flags.check_config) return CheckConfig(flags.config, *config, effective);
+  if (flags.check_config) return CheckConfig(flags.config, *config);
   rpc::CredentialsSource credentials(config->tls);
   credentials.Require(
       [&config](const rpc::PeerIdentity& self) { return CheckIdentity(*config, self); });

@@ -264,7 +264,7 @@ absl::StatusOr<ParsedConfig> ParseConfig(absl::string_view file, absl::string_vi
   timing.Optional("reconcile", &config.reconcile, {absl::Milliseconds(100), absl::Minutes(1)});
   root.Optional("metrics", &config.metrics);
   RIPS_RETURN_IF_ERROR(reader.Finish());
-  parsed.effective = reader.Effective();
+  parsed.settings = reader.Settings();
   return parsed;
 }
 
@@ -272,7 +272,7 @@ absl::Status AddScripts(ParsedConfig* parsed) {
   Config& config = parsed->config;
   if (config.scripts.empty()) return absl::OkStatus();
   RIPS_RETURN_IF_ERROR(
-      AddLevelScripts(config.scripts, &config.levels, &config.programs, &parsed->effective));
+      AddLevelScripts(config.scripts, &config.levels, &config.programs, &parsed->settings));
   for (const LevelSpec& level : config.levels) {
     const std::string over = OverBudget(level.enter);
     if (over.empty()) continue;

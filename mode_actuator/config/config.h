@@ -53,13 +53,13 @@ struct Config {
 
 struct ParsedConfig {
   Config config;
-  std::string effective;  // for --check-config
+  std::vector<ConfigSetting> settings;  // the effective configuration
 };
 
 // InvalidArgument with all problems, each with its place in the text.
 absl::StatusOr<ParsedConfig> ParseConfig(absl::string_view file, absl::string_view text);
 
-// Adds the level scripts of `config.scripts` to levels, programs and the effective text.
+// Adds the level scripts of `config.scripts` to levels, programs and settings.
 // InvalidArgument as AddLevelScripts, and if a level exceeds kLevelBudget with its script.
 absl::Status AddScripts(ParsedConfig* parsed);
 

@@ -67,7 +67,7 @@ TEST(ConfigTest, ReadsWhatItSays) {
   EXPECT_EQ(program.on_failure, OnFailure::kContinue);
   EXPECT_EQ(config.levels[0].enter[0].on_failure, OnFailure::kFail);
   EXPECT_EQ(config.floor_hold, absl::Seconds(10));
-  EXPECT_THAT(parsed->effective, HasSubstr("timing.reconcile: 2s"));
+  EXPECT_THAT(FormatSettings(parsed->settings), HasSubstr("timing.reconcile: 2s"));
   EXPECT_THAT(ModeTargets(config.levels),
               ElementsAre(Pair("/safety", "ALERT"), Pair("/safety", "__DEFAULT__")));
 }
@@ -198,7 +198,7 @@ TEST(ConfigTest, ReadsAlarms) {
   EXPECT_EQ(on.retries, 2);
   EXPECT_EQ(on.on_failure, OnFailure::kContinue);
   EXPECT_EQ(config.levels[1].leave[0].timeout, absl::Milliseconds(500));
-  EXPECT_THAT(parsed->effective,
+  EXPECT_THAT(FormatSettings(parsed->settings),
               AllOf(HasSubstr("devices[0].kind: usb_relay"), HasSubstr("devices[0].channel: 2"),
                     HasSubstr("enter[2].alarm.state: \"on\"")));
 }

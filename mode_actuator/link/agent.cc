@@ -181,7 +181,7 @@ absl::StatusOr<LoadedConfig> LoadConfig(const std::string& path) {
   RIPS_ASSIGN_OR_RETURN(ParsedConfig parsed, ParseConfig(path, text));
   RIPS_RETURN_IF_ERROR(AddScripts(&parsed));
   loaded.config = std::move(parsed.config);
-  loaded.effective = std::move(parsed.effective);
+  loaded.settings = std::move(parsed.settings);
   RIPS_RETURN_IF_ERROR(CheckFirewallFiles(loaded.config.levels));
   if (loaded.config.smh_file.empty()) return loaded;
   RIPS_ASSIGN_OR_RETURN(const std::string smh_text, ReadFile(loaded.config.smh_file, kSmhBytesMax));
@@ -218,7 +218,7 @@ class Agent::Impl {
         drills_(MakeExecutorOptions(config_).levels) {}
 
   ~Impl();
-  absl::Status Start(const Smh& smh, rpc::CredentialsSource credentials,
+  absl::Status Start(const LoadedConfig& loaded, rpc::CredentialsSource credentials,
                      rpc::CertificateMonitor* monitor, std::function<void()> on_turn);
   const absl::Status& modes_problem() const { return modes_problem_; }
   absl::Status Ready() const ABSL_LOCKS_EXCLUDED(report_mu_);
@@ -236,7 +236,7 @@ class Agent::Impl {
   PartModes* Modes() {
     return modes_ != nullptr ? modes_.get() : static_cast<PartModes*>(&missing_);
   }
-  void StartDownlink(const Smh& smh, rpc::CredentialsSource credentials,
+  void StartDownlink(const LoadedConfig& loaded, rpc::CredentialsSource credentials,
                      rpc::CertificateMonitor* monitor);
   void PushFromNetwork(Input input);
 
@@ -439,7 +439,7 @@ void Agent::Impl::StartWorkers() {
   levels_ = std::make_unique<LevelWorker>(executor_.get(), std::move(callbacks));
 }
 
-void Agent::Impl::StartDownlink(const Smh& smh, rpc::CredentialsSource credentials,
+void Agent::Impl::StartDownlink(const LoadedConfig& loaded, rpc::CredentialsSource credentials,
                                 rpc::CertificateMonitor* monitor) {
   Downlink::Options options;
   if (monitor != nullptr) {
@@ -448,13 +448,14 @@ void Agent::Impl::StartDownlink(const Smh& smh, rpc::CredentialsSource credentia
   options.servers = config_.servers;
   options.credentials = std::move(credentials);
   options.host = config_.host;
+  options.settings = loaded.settings;
   options.incarnation = absl::HexStringToBytes(NewId());
   for (const LevelSpec& level : config_.levels) options.levels.push_back(level.name);
   options.fail_safe_level = config_.fail_safe_level;
   for (const ProgramSpec& program : config_.programs) {
     if (!program.script) options.programs.push_back(program.name);
   }
-  options.protected_parts = ProtectedParts(config_.levels, smh, config_.modes.backend);
+  options.protected_parts = ProtectedParts(config_.levels, loaded.smh, config_.modes.backend);
   if (options.protected_parts.size() == kProtectedPartsMax) {
     LogWarning("sensors monitor only the first parts", {{"parts", kProtectedPartsMax}});
   }
@@ -484,13 +485,13 @@ void Agent::Impl::StartDownlink(const Smh& smh, rpc::CredentialsSource credentia
   downlink_ = std::make_unique<Downlink>(std::move(options), std::move(callbacks), clock_);
 }
 
-absl::Status Agent::Impl::Start(const Smh& smh, rpc::CredentialsSource credentials,
+absl::Status Agent::Impl::Start(const LoadedConfig& loaded, rpc::CredentialsSource credentials,
                                 rpc::CertificateMonitor* monitor, std::function<void()> on_turn) {
   RIPS_RETURN_IF_ERROR(LoadState());
   RIPS_RETURN_IF_ERROR(FindHelpers());
-  RIPS_RETURN_IF_ERROR(StartModes(smh));
+  RIPS_RETURN_IF_ERROR(StartModes(loaded.smh));
   StartWorkers();
-  StartDownlink(smh, std::move(credentials), monitor);
+  StartDownlink(loaded, std::move(credentials), monitor);
   const int64_t now_ns = NowNs();
   Do(controller_->Start(now_ns), now_ns);
   Publish(now_ns);
@@ -782,8 +783,7 @@ absl::StatusOr<std::unique_ptr<Agent>> Agent::Start(const LoadedConfig& loaded,
     LogWarning("configuration", {{"warning", warning}});
   }
   auto impl = std::make_unique<Impl>(loaded.config, clock, metrics);
-  RIPS_RETURN_IF_ERROR(
-      impl->Start(loaded.smh, std::move(credentials), monitor, std::move(on_turn)));
+  RIPS_RETURN_IF_ERROR(impl->Start(loaded, std::move(credentials), monitor, std::move(on_turn)));
   return std::unique_ptr<Agent>(new Agent(std::move(impl)));
 }
 

@@ -28,7 +28,7 @@ inline constexpr size_t kExecsMax = 4;
 struct LoadedConfig {
   Config config;
   Smh smh;
-  std::string effective;
+  std::vector<ConfigSetting> settings;  // the effective configuration
 };
 absl::StatusOr<LoadedConfig> LoadConfig(const std::string& path);
 // PermissionDenied: the certificate is not of the configuration's robot and host.

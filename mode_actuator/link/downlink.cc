@@ -5,6 +5,7 @@
 
 #include "rips/v1/actuator.grpc.pb.h"
 #include "services/model_proto/actuator_codec.h"
+#include "services/model_proto/configuration_codec.h"
 #include "services/rpc/bidi_client.h"
 #include "services/rpc/status_conversion.h"
 #include "services/runtime/daemon_flags.h"
@@ -88,6 +89,7 @@ class Downlink::Impl {
     hello->set_version(std::string(RipsVersion()));
     hello->set_incarnation(options_.incarnation);
     hello->set_host(options_.host);
+    *hello->mutable_configuration() = model_proto::Encode(options_.settings);
     return message;
   }
 

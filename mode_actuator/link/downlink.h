@@ -16,6 +16,7 @@
 #include "mode_actuator/decide/level_controller.h"
 #include "mode_actuator/decide/receipt.h"
 #include "services/base/clock.h"
+#include "services/base/config_setting.h"
 #include "services/model/audit_head.h"
 #include "services/model/command.h"
 #include "services/ros2/guid.h"
@@ -37,7 +38,8 @@ class Downlink {
     std::string fail_safe_level;
     std::vector<std::string> programs;
     std::vector<std::string> protected_parts;
-    ros2::Guid participant;  // none without DDS
+    ros2::Guid participant;               // none without DDS
+    std::vector<ConfigSetting> settings;  // for people
   };
   // All on the session thread, never two at once, not after Stop().
   struct Callbacks {

@@ -43,16 +43,13 @@ constexpr Noun kNouns[] = {
     {"man", "Print ripsctl(1), the manual page, in roff", /*hidden=*/true},
 };
 // In the order in which --help lists the verbs of a noun.
-constexpr Commands (*kMakers[])() = {RobotCommands,       CoverageCommands, ActuatorCommands,
-                                     MaintenanceCommands, TopCommand,       LevelCommands,
-                                     ApproveCommands,     AlertCommands,    AlertRecordingCommands,
-                                     ExplainCommands,     CheckRules,       FormatRules,
-                                     RulesBuiltins,       TestRules,        ReplayRules,
-                                     SignRules,           PushRules,        ActivateRules,
-                                     RulesStatus,         ShadowRules,      ResumeRules,
-                                     AuditCommands,       AgentCommands,    EnrolCommands,
-                                     SignalCommands,      RecordCommands,   ContextCommands,
-                                     ReferenceCommands};
+constexpr Commands (*kMakers[])() = {
+    RobotCommands,   ConfigCommands, CoverageCommands, ActuatorCommands, MaintenanceCommands,
+    TopCommand,      LevelCommands,  ApproveCommands,  AlertCommands,    AlertRecordingCommands,
+    ExplainCommands, CheckRules,     FormatRules,      RulesBuiltins,    TestRules,
+    ReplayRules,     SignRules,      PushRules,        ActivateRules,    RulesStatus,
+    ShadowRules,     ResumeRules,    AuditCommands,    AgentCommands,    EnrolCommands,
+    SignalCommands,  RecordCommands, ContextCommands,  ReferenceCommands};
 
 // The whole command line.
 class Parser {

@@ -7,6 +7,7 @@
 namespace rips::ripsctl {
 
 Commands RobotCommands();        // list, watch, show, graph
+Commands ConfigCommands();       // robot config
 Commands CoverageCommands();     // robot interest, robot coverage
 Commands ActuatorCommands();     // robot receipts, robot drill
 Commands MaintenanceCommands();  // robot maintenance

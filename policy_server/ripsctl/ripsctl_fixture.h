@@ -34,6 +34,7 @@ class FakeOperator final : public FakeEnrolOperator {
   v1::ListReceiptsResponse receipts;
   std::optional<v1::ListReceiptsResponse> receipts_after_approval;
   uint32_t graph_left_out = 0;
+  v1::GetConfigurationResponse configuration;
   v1::LevelResponse level_response;
   std::string alert_text = "unknown node /intruder";
   std::string unrecorded_alert, alert_recording = MakeAlertRecording();
@@ -136,6 +137,11 @@ class FakeOperator final : public FakeEnrolOperator {
     response->set_left_out(graph_left_out);
     response->set_changed_unix_ns(kNewYear);
     return Remember("GetGraph");
+  }
+  grpc::Status GetConfiguration(grpc::ServerContext*, const v1::GetConfigurationRequest* request,
+                                v1::GetConfigurationResponse* response) override {
+    *response = configuration;
+    return Remember(absl::StrCat("GetConfiguration ", request->robot()));
   }
   grpc::Status GetInterest(grpc::ServerContext*, const v1::GetInterestRequest* request,
                            v1::GetInterestResponse*) override {

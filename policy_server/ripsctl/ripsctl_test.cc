@@ -180,6 +180,10 @@ TEST_F(RipsctlTest, ShowsTheGraph) {
                                 "response\n"));
 }
 
+TEST_F(RipsctlTest, ShowsTheSettingsInForce) {
+  EXPECT_THAT(Run({"robot", "config", "r1"}).out, HasSubstr("inventory of the policy server\n"));
+}
+
 TEST_F(RipsctlTest, ShowsTheLevel) {
   const Result text = Run({"level", "show", "r1"});
   EXPECT_EQ(text.code, 0);
@@ -363,6 +367,7 @@ TEST_F(RipsctlHelpTest, EveryVerbThatItNamesPassesOnRefusals) {
       {"robot", "watch"},
       {"robot", "show", "r1"},
       {"robot", "graph", "r1"},
+      {"robot", "config", "r1"},
       {"robot", "interest", "r1"},
       {"robot", "coverage", "r1"},
       {"robot", "receipts", "r1"},

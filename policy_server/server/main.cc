@@ -57,7 +57,7 @@ int CheckConfig(const std::string& file, const rips::server::ParsedServerConfig&
     std::fprintf(stderr, "%s\n", std::string(problem.message()).c_str());
     return rips::kExitConfig;
   }
-  std::fputs(parsed.effective.c_str(), stdout);
+  std::fputs(rips::FormatSettings(parsed.settings).c_str(), stdout);
   for (const auto& [path, robots] : inventory.files) {
     std::printf("robots of %s: %zu\n", path.c_str(), robots);
   }
@@ -128,7 +128,7 @@ int main(int argc, char** argv) {
         manager.SetStatus("not serving: waiting for a usable certificate; the log says why");
         return signals.WaitForShutdown(pause);
       },
-      [&] { manager.Ping(); });
+      [&] { manager.Ping(); }, parsed->settings);
   if (absl::IsCancelled(started.status())) return 0;
   if (!started.ok()) {
     LogError("cannot start", {{"reason", started.status().message()}});

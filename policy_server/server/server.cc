@@ -87,15 +87,20 @@ std::unique_ptr<audit::ReturnedHeads> MakeReturnedHeads(const std::string& direc
 
 }  // namespace
 
-Server::Server(const ServerConfig& config, std::function<void()> advanced)
-    : config_(config), advanced_(std::move(advanced)) {}
+Server::Server(const ServerConfig& config, std::function<void()> advanced,
+               std::vector<ConfigSetting> settings)
+    : config_(config),
+      advanced_(std::move(advanced)),
+      listed_{.contacts = pipeline::AgentContacts(&clock_),
+              .settings = pipeline::ListedSettings(std::move(settings))} {}
 
 Server::~Server() { Stop(); }
 
 absl::StatusOr<std::unique_ptr<Server>> Server::Start(const ServerConfig& config,
                                                       const Pause& pause,
-                                                      std::function<void()> advanced) {
-  std::unique_ptr<Server> server(new Server(config, std::move(advanced)));
+                                                      std::function<void()> advanced,
+                                                      std::vector<ConfigSetting> settings) {
+  std::unique_ptr<Server> server(new Server(config, std::move(advanced), std::move(settings)));
   RIPS_RETURN_IF_ERROR(server->Open());
   RIPS_RETURN_IF_ERROR(server->ServePage());
   // Before the robots: their terms are drawn, and their sensors missed, only by a server that can
@@ -615,6 +620,7 @@ absl::Status Server::AddRobots() {
                         fleet_metrics_->SetInventory(now);
                         listed_.contacts.SetListed(AgentsOf(now));
                         listed_.labels.Set(LabelsOf(now));
+                        listed_.settings.Set(now.settings);
                         if (enrolling_.enrolment != nullptr)
                           enrolling_.enrolment->SetInventory(now);
                       }});
@@ -680,7 +686,8 @@ absl::Status Server::Listen() {
           .committer = committer_.get(),
           .enrolment = enrolling_.enrolment.get(),
           .contacts = &listed_.contacts,
-          .labels = &listed_.labels});
+          .labels = &listed_.labels,
+          .settings = &listed_.settings});
   enrolment_service_ = std::make_unique<enrol::EnrolmentService>(enrolling_.enrolment.get(),
                                                                  watch_.get(), orders_.get());
   const rpc::RpcServerOptions options = {config_.listen, connections_.get(), gate_.get(),

@@ -61,6 +61,15 @@
 
 namespace rips::server {
 
+// Of the inventory in force, for lists of robots.
+struct Listed {
+  pipeline::AgentContacts contacts;
+  pipeline::RobotLabels labels;
+  pipeline::ListedSettings settings;
+  // It is an older one than that on disk.
+  std::atomic<bool> outdated = false;
+};
+
 class Server {
  public:
   // Waits so long; true ends the wait for good.
@@ -69,9 +78,11 @@ class Server {
   // listens. Every error names the file and the remedy; InvalidArgument: no waiting mends it.
   // Cancelled: `pause` ended the wait; without one nothing is waited for.
   // `advanced`: as PipelineReports::advanced, on a thread of the pipeline; may be null.
+  // `settings`: `config` as it was read, for operators.
   static absl::StatusOr<std::unique_ptr<Server>> Start(const ServerConfig& config,
                                                        const Pause& pause = nullptr,
-                                                       std::function<void()> advanced = nullptr);
+                                                       std::function<void()> advanced = nullptr,
+                                                       std::vector<ConfigSetting> settings = {});
   // As Stop.
   ~Server();
 
@@ -86,7 +97,8 @@ class Server {
   std::string Describe() const;
 
  private:
-  Server(const ServerConfig& config, std::function<void()> advanced);
+  Server(const ServerConfig& config, std::function<void()> advanced,
+         std::vector<ConfigSetting> settings);
   absl::Status Open();
   absl::Status ServePage();
   absl::Status AwaitCredentials(const Pause& pause);
@@ -122,14 +134,7 @@ class Server {
   const std::function<void()> advanced_;
   RealClock clock_;
   Metrics metrics_;
-  // Of the inventory in force, for lists of robots.
-  struct Listed {
-    pipeline::AgentContacts contacts;
-    pipeline::RobotLabels labels;
-    // It is an older one than that on disk.
-    std::atomic<bool> outdated = false;
-  };
-  Listed listed_{.contacts = pipeline::AgentContacts(&clock_)};
+  Listed listed_;
   std::shared_ptr<const rpc::Credentials> credentials_;
   // What plugins and scanners run in.
   PluginJail jail_;

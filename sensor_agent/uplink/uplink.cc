@@ -10,6 +10,7 @@
 #include "sensor_agent/interest/interest_file.h"
 #include "services/base/check.h"
 #include "services/base/ids.h"
+#include "services/model_proto/configuration_codec.h"
 #include "services/ros2/ros_name.h"
 #include "services/rpc/status_conversion.h"
 #include "services/runtime/daemon_flags.h"
@@ -260,6 +261,7 @@ SensorMessage Uplink::MakeHello(const SendHello& action, Instant now) {
   hello->set_incarnation(action.incarnation);
   hello->set_host(options_.host);
   SetClock(now, hello->mutable_clock());
+  *hello->mutable_configuration() = model_proto::Encode(options_.settings);
   sensor->set_domain(options_.domain);
   if (!participant_.none()) sensor->set_participant_guid(participant_.ToBytes());
   sensor->set_interest_in_use(interest_.in_use());

@@ -10,6 +10,7 @@
 #include "sensor_agent/outbox/uplink_core.h"
 #include "sensor_agent/spool/spool.h"
 #include "sensor_agent/uplink/wire_encoder.h"
+#include "services/base/config_setting.h"
 #include "services/rpc/bidi_client.h"
 
 namespace rips::sensor {
@@ -21,6 +22,8 @@ struct UplinkOptions {
   std::function<void(const rpc::Peer&)> on_peer;
   std::string host;
   uint32_t domain = 0;
+  // Of the sensor, for people.
+  std::vector<ConfigSetting> settings;
   // Interests are kept there, for the next start; empty = nowhere.
   std::string interest_file;
   // What the server's store held is kept there, likewise.

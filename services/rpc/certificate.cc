@@ -89,6 +89,19 @@ std::vector<std::string> UriNames(const X509* certificate) {
   return uris;
 }
 
+// Of a certificate that is refused for its times: which time, and what else may be wrong. The same
+// text each time, so that who waits says it once.
+std::string TimesText(int error, const X509* certificate) {
+  const bool early = error == X509_V_ERR_CERT_NOT_YET_VALID;
+  if (certificate == nullptr || (!early && error != X509_V_ERR_CERT_HAS_EXPIRED)) return "";
+  const auto time =
+      openssl::ToTime(early ? X509_get0_notBefore(certificate) : X509_get0_notAfter(certificate));
+  if (!time.ok()) return "";
+  return absl::StrCat(early ? "; it is valid from " : "; it was valid until ",
+                      absl::FormatTime("%Y-%m-%d %H:%M:%S UTC", *time, absl::UTCTimeZone()),
+                      ": is the clock of this host right?");
+}
+
 absl::Status VerifyChain(const std::vector<Certificate>& roots,
                          const std::vector<Certificate>& chain) {
   const Store store(X509_STORE_new());
@@ -101,8 +114,9 @@ absl::Status VerifyChain(const std::vector<Certificate>& roots,
   }
   if (X509_verify_cert(context.get()) == 1) return absl::OkStatus();
   const int error = X509_STORE_CTX_get_error(context.get());
-  return absl::InvalidArgumentError(absl::StrCat("the certificate is not valid under `ca`: ",
-                                                 X509_verify_cert_error_string(error)));
+  return absl::InvalidArgumentError(absl::StrCat(
+      "the certificate is not valid under `ca`: ", X509_verify_cert_error_string(error),
+      TimesText(error, X509_STORE_CTX_get_current_cert(context.get()))));
 }
 
 }  // namespace

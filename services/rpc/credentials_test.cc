@@ -25,6 +25,7 @@
 namespace rips::rpc {
 namespace {
 
+using ::testing::AllOf;
 using ::testing::HasSubstr;
 using ::testing::Not;
 namespace tls = grpc::experimental;
@@ -141,7 +142,7 @@ TEST_F(OwnCertificateTest, RefusesWhatCannotWork) {
       {MintUri("own-domain", "spiffe://evil.test/policy-server/ps1"),
        "permitted subtree violation"},
       {Pki().Mint({.folder = "own-old", .san = absl::StrCat("URI:", kSensorUri), .days = 0}),
-       "certificate has expired"},
+       "certificate has expired; it was valid until 20"},
   };
   for (const Case& c : cases) {
     EXPECT_THAT(ReadOwnCertificate(c.files),
@@ -413,8 +414,11 @@ TEST_F(CredentialsSourceTest, ACertificateThatIsNotValidYetIsWaitedFor) {
   CredentialsSource source(
       Pki().Mint({.folder = "early", .san = absl::StrCat("URI:", kSensorUri), .age_seconds = -60}));
   source.Require(IsOurs);
-  EXPECT_THAT(source.Get(),
-              StatusIs(absl::StatusCode::kUnauthenticated, HasSubstr("not yet valid")));
+  EXPECT_THAT(source.Get(), StatusIs(absl::StatusCode::kUnauthenticated,
+                                     AllOf(HasSubstr("not yet valid; it is valid from 20"),
+                                           HasSubstr(" UTC: is the clock of this host right?"))));
+  const std::string once(source.Get().status().message());
+  EXPECT_EQ(source.Get().status().message(), once);
 }
 
 TEST_F(CredentialsSourceTest, ACertificateOfAnotherIsRefusedWhateverItsTimes) {

@@ -263,8 +263,10 @@ std::string ConfigTree::Format(const Problem& problem) const {
   return out;
 }
 
-void ConfigTree::AddEffective(absl::string_view path, absl::string_view value) {
-  absl::StrAppend(&effective_, path, ": ", value, "\n");
+void ConfigTree::AddSetting(absl::string_view path, absl::string_view value, int line) {
+  settings_.push_back({.path = std::string(path),
+                       .value = std::string(value),
+                       .source = line == 0 ? "" : absl::StrCat(file_, ":", line)});
 }
 
 }  // namespace rips

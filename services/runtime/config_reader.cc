@@ -128,6 +128,10 @@ std::vector<std::string> ConfigSection::Keys() const {
   return keys;
 }
 
+void ConfigSection::AddSetting(absl::string_view key, absl::string_view value) const {
+  tree_->AddSetting(PathOf(key), value, Has(key) ? LineOf(key) : 0);
+}
+
 int ConfigSection::LineOf(absl::string_view key) const {
   if (node_ == nullptr) return 0;
   const ConfigNode::Entry* entry = node_->Find(key);
@@ -176,7 +180,7 @@ void ConfigSection::ReadString(absl::string_view key, std::string* value, bool r
       *value = node->text;
     }
   }
-  tree_->AddEffective(PathOf(key), absl::StrCat("\"", *value, "\""));
+  AddSetting(key, absl::StrCat("\"", *value, "\""));
 }
 
 void ConfigSection::ReadBool(absl::string_view key, bool* value, bool required) const {
@@ -188,7 +192,7 @@ void ConfigSection::ReadBool(absl::string_view key, bool* value, bool required) 
       Problem(key, absl::StrCat("`", key, "` is `", node->text, "`; write ", kWhat));
     }
   }
-  tree_->AddEffective(PathOf(key), *value ? "true" : "false");
+  AddSetting(key, *value ? "true" : "false");
 }
 
 void ConfigSection::ReadInt(absl::string_view key, int64_t* value, ConfigRange<int64_t> range,
@@ -204,7 +208,7 @@ void ConfigSection::ReadInt(absl::string_view key, int64_t* value, ConfigRange<i
       *value = number;
     }
   }
-  tree_->AddEffective(PathOf(key), absl::StrCat(*value));
+  AddSetting(key, absl::StrCat(*value));
 }
 
 void ConfigSection::ReadQuantity(absl::string_view key, absl::Duration* value,
@@ -221,7 +225,7 @@ void ConfigSection::ReadQuantity(absl::string_view key, absl::Duration* value,
       *value = *duration;
     }
   }
-  tree_->AddEffective(PathOf(key), FormatConfigDuration(*value));
+  AddSetting(key, FormatConfigDuration(*value));
 }
 
 void ConfigSection::ReadQuantity(absl::string_view key, ByteSize* value,
@@ -237,7 +241,7 @@ void ConfigSection::ReadQuantity(absl::string_view key, ByteSize* value,
       *value = *size;
     }
   }
-  tree_->AddEffective(PathOf(key), FormatByteSize(*value));
+  AddSetting(key, FormatByteSize(*value));
 }
 
 void ConfigSection::ReadStrings(absl::string_view key, std::vector<std::string>* value,
@@ -260,9 +264,8 @@ void ConfigSection::ReadStrings(absl::string_view key, std::vector<std::string>*
     }
     if (good) *value = std::move(texts);
   }
-  tree_->AddEffective(
-      PathOf(key),
-      value->empty() ? "[]" : absl::StrCat("[\"", absl::StrJoin(*value, "\", \""), "\"]"));
+  AddSetting(key,
+             value->empty() ? "[]" : absl::StrCat("[\"", absl::StrJoin(*value, "\", \""), "\"]"));
 }
 
 int ConfigSection::ReadName(absl::string_view key, const std::vector<std::string>& names,
@@ -277,7 +280,7 @@ int ConfigSection::ReadName(absl::string_view key, const std::vector<std::string
       index = static_cast<int>(found - names.begin());
     }
   }
-  tree_->AddEffective(PathOf(key), index < 0 ? now : absl::string_view(names[index]));
+  AddSetting(key, index < 0 ? now : absl::string_view(names[index]));
   return index;
 }
 
@@ -330,6 +333,15 @@ absl::Status ConfigReader::Finish() {
   return tree_->Problems();
 }
 
-std::string ConfigReader::Effective() const { return tree_->effective(); }
+const std::vector<ConfigSetting>& ConfigReader::Settings() const { return tree_->settings(); }
+
+std::string FormatSettings(const std::vector<ConfigSetting>& settings) {
+  std::string text;
+  for (const ConfigSetting& each : settings) {
+    absl::StrAppend(&text, each.path, ": ", each.value, "  # ",
+                    each.source.empty() ? "default" : each.source, "\n");
+  }
+  return text;
+}
 
 }  // namespace rips

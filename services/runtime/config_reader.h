@@ -32,6 +32,7 @@
 #include "absl/status/statusor.h"
 #include "absl/strings/string_view.h"
 #include "absl/time/time.h"
+#include "services/base/config_setting.h"
 
 namespace rips {
 
@@ -179,6 +180,8 @@ class ConfigSection {
   // As Find, but only a scalar; anything else is reported as not `what`.
   ConfigNode* FindScalar(absl::string_view key, absl::string_view what, bool required) const;
   std::string PathOf(absl::string_view key) const;
+  // `value` is in force for `key`.
+  void AddSetting(absl::string_view key, absl::string_view value) const;
 
   ConfigTree* tree_;  // Not owned; outlives this.
   ConfigNode* node_;  // Not owned; nullptr if absent.
@@ -200,13 +203,16 @@ class ConfigReader {
   // Call once, when everything has been asked for: what was not asked for is unknown.
   absl::Status Finish();
 
-  // What was read, one `path: value` a line in the order asked, defaults included: the effective
-  // configuration. Meaningful after an OK Finish().
-  std::string Effective() const;
+  // What was read, in the order asked, defaults included: the effective configuration. Meaningful
+  // after an OK Finish().
+  const std::vector<ConfigSetting>& Settings() const;
 
  private:
   std::unique_ptr<ConfigTree> tree_;
 };
+
+// For --check-config: `path: value  # FILE:LINE` or `# default`, a line each.
+std::string FormatSettings(const std::vector<ConfigSetting>& settings);
 
 }  // namespace rips
 

@@ -37,8 +37,9 @@ struct Config {
   std::vector<Step> steps;
 };
 
-// Reads `text` as `f.yaml`; `effective` may be null.
-absl::StatusOr<Config> Parse(absl::string_view text, std::string* effective = nullptr) {
+// Reads `text` as `f.yaml`; `settings` may be null.
+absl::StatusOr<Config> Parse(absl::string_view text,
+                             std::vector<ConfigSetting>* settings = nullptr) {
   Config config;
   ConfigReader reader("f.yaml", text);
   const ConfigSection root = reader.root();
@@ -59,7 +60,7 @@ absl::StatusOr<Config> Parse(absl::string_view text, std::string* effective = nu
     config.steps.push_back(step);
   }
   RIPS_RETURN_IF_ERROR(reader.Finish());
-  if (effective != nullptr) *effective = reader.Effective();
+  if (settings != nullptr) *settings = reader.Settings();
   return config;
 }
 
@@ -278,14 +279,22 @@ TEST(ConfigReaderTest, SurvivesATextCutOrBrokenAnywhere) {
 }
 
 TEST(ConfigReaderTest, ShowsTheEffectiveConfiguration) {
-  std::string effective;
+  std::vector<ConfigSetting> settings;
 
-  ASSERT_THAT(Parse("robot: r1\nservers: [a:1, b:2]\nsteps: [{name: one}]\n", &effective), IsOk());
+  ASSERT_THAT(Parse("robot: r1\nservers:\n  - a:1\n  - b:2\nsteps: [{name: one}]\n", &settings),
+              IsOk());
 
-  EXPECT_EQ(effective,
-            "robot: \"r1\"\nnote: \"none\"\nobserver: counted\nsignals: true\noffset: 7\n"
-            "settle: 2s\noutbox.memory: 64MiB\nservers: [\"a:1\", \"b:2\"]\n"
-            "steps[0].name: \"one\"\nsteps[0].retries: 0\n");
+  EXPECT_EQ(FormatSettings(settings),
+            "robot: \"r1\"  # f.yaml:1\n"
+            "note: \"none\"  # default\n"
+            "observer: counted  # default\n"
+            "signals: true  # default\n"
+            "offset: 7  # default\n"
+            "settle: 2s  # default\n"
+            "outbox.memory: 64MiB  # default\n"
+            "servers: [\"a:1\", \"b:2\"]  # f.yaml:3\n"
+            "steps[0].name: \"one\"  # f.yaml:5\n"
+            "steps[0].retries: 0  # default\n");
 }
 
 TEST(ConfigReaderTest, ReportsAProblemOfTheCallerAtTheValue) {

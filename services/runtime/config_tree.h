@@ -8,6 +8,7 @@
 
 #include "absl/status/status.h"
 #include "absl/strings/string_view.h"
+#include "services/base/config_setting.h"
 
 namespace rips {
 
@@ -57,8 +58,9 @@ class ConfigTree {
   }
   absl::Status Problems();
 
-  void AddEffective(absl::string_view path, absl::string_view value);
-  const std::string& effective() const { return effective_; }
+  // `line` from 1; 0: the text does not say it.
+  void AddSetting(absl::string_view path, absl::string_view value, int line);
+  const std::vector<ConfigSetting>& settings() const { return settings_; }
 
  private:
   struct Problem {
@@ -74,7 +76,7 @@ class ConfigTree {
   const std::string text_;
   std::unique_ptr<ConfigNode> root_;
   std::vector<Problem> problems_;
-  std::string effective_;
+  std::vector<ConfigSetting> settings_;
 };
 
 }  // namespace rips

@@ -33,7 +33,7 @@ HELP = SOURCE / "policy_server/ripsctl/testdata/help.txt"
 # The schema of each verb; of a list, any of them.
 OF_VERB = {
     "robot list": "robot_list", "robot watch": "robot_status", "robot show": "robot_status",
-    "robot graph": "robot_graph", "robot interest": "robot_interest",
+    "robot config": "robot_config", "robot graph": "robot_graph", "robot interest": "robot_interest",
     "robot coverage": "robot_coverage", "robot receipts": "robot_receipts",
     "robot drill": "robot_drill", "robot maintenance": "robot_maintenance",
     "level show": "level_show", "level history": "level_history", "level raise": "level_change",

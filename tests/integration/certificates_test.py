@@ -18,6 +18,7 @@ sys.path.insert(0, str(pathlib.Path(__file__).resolve().parents[1] / "support"))
 from fleet import SOURCE, Fleet, check, eventually, metrics, perform  # noqa: E402
 
 DAY = 24 * 3600
+FAKETIME = "/usr/lib/x86_64-linux-gnu/faketime/libfaketimeMT.so.1"
 
 
 def free_port():
@@ -52,7 +53,19 @@ class LateFleet(Fleet):
         self.port = free_port()
         self.pages = {name: free_port() for name in ("policy-server", "sensor", "actuator")}
 
-    def start_late(self, name):
+    def set_clock(self, seconds):
+        """How far the wall clock of the robot is away, from now on."""
+        new = self.dir / "clock.new"
+        new.write_text(f"{seconds:+d}\n")
+        new.rename(self.dir / "clock")
+
+    def start_on_robot(self, name):
+        """As start_late, with the robot's wall clock."""
+        return self.start_late(name, "env", f"LD_PRELOAD={FAKETIME}", "FAKETIME_NO_CACHE=1",
+                               f"FAKETIME_TIMESTAMP_FILE={self.dir}/clock",
+                               "FAKETIME_DONT_FAKE_MONOTONIC=1")
+
+    def start_late(self, name, *before):
         if name == "policy-server":
             self.write_server_config(self.port)
         else:
@@ -60,7 +73,7 @@ class LateFleet(Fleet):
         # A file of its own: the others' are written anew with each start.
         config = self.write(f"{name}.late.yaml", (self.dir / f"{name}.yaml").read_text().replace(
             'metrics: "127.0.0.1:0"', f'metrics: "127.0.0.1:{self.pages[name]}"'))
-        return self.start(name, self.bin / f"rips-{name}", "--config", config, "--ready-file",
+        return self.start(name, *before, self.bin / f"rips-{name}", "--config", config, "--ready-file",
                           self.dir / f"{name}.ready")
 
     def start_all_late(self):
@@ -148,6 +161,48 @@ def certificates_that_are_not_valid_yet(fleet):
     check(time.monotonic() < begin, "the certificates were valid before they were looked at")
     eventually((fleet.dir / "policy-server.ready").exists, ahead + 20, "the server is ready")
     fleet.wait_level("DEFAULT", 40)
+
+
+def the_robot_boots_in_1970(fleet):
+    """A board without a clock of its own, which has the time when NTP has it; and loses it again, as
+    when somebody sets it. The server, on another host, has it throughout."""
+    fleet.plan()
+    fleet.prepare()
+    in_1970 = DAY - int(time.time())
+    fleet.set_clock(in_1970)
+    fleet.robot = fleet.start_robot()
+    fleet.server = fleet.start_late("policy-server")
+    eventually((fleet.dir / "policy-server.ready").exists, 20, "the server is ready")
+    fleet.actuator = fleet.start_on_robot("actuator")
+    fleet.sensor = fleet.start_on_robot("sensor")
+    for agent in (fleet.actuator, fleet.sensor):
+        agent.wait_for(lambda line: "not yet valid" in line and "clock" in line, 20,
+                       f"{agent.name} says that the clock may be wrong")
+    eventually(lambda: fleet.mode()["mode"] == fleet.fail_safe, 30, "the robot is safe meanwhile")
+    check(fleet.level()["decided_level"] == "DEFAULT", "a wrong clock raised the robot")
+
+    fleet.set_clock(0)
+
+    fleet.wait_level("DEFAULT", 40)
+    eventually(lambda: fleet.mode()["mode"] == "__DEFAULT__", 20, "the robot is as decided")
+    check("rogue" not in str(fleet.history()), f"it looked like an attack: {fleet.history()}")
+
+    fleet.set_clock(in_1970)
+
+    # Leases and order know nothing of it, and a stream that is open stays: it is said, no more.
+    eventually(lambda: any("clock" in alert["text"] for alert in fleet.alerts()), 20,
+               "the server says that the sensor's clock is off")
+    end = time.monotonic() + 10
+    while time.monotonic() < end:
+        check(fleet.mode()["mode"] == "__DEFAULT__", "a clock that was set stopped the robot")
+        time.sleep(1)
+    for agent in (fleet.actuator, fleet.sensor):
+        check(agent.running, f"{agent.name} has ended")
+
+    fleet.set_clock(0)
+    fleet.wait_level("DEFAULT", 20)
+    lost = [alert["text"] for alert in fleet.alerts() if "were lost" in alert["text"]]
+    check(not lost, f"events were lost: {lost}")
 
 
 def the_servers_certificate_expires(fleet):
@@ -284,7 +339,7 @@ def the_modes_keystore_comes_late(fleet):
                "the modes follow when there is a way")
 
 
-SCENARIOS = [keys_that_come_late, certificates_that_are_not_valid_yet,
+SCENARIOS = [keys_that_come_late, certificates_that_are_not_valid_yet, the_robot_boots_in_1970,
              the_servers_certificate_expires, an_agents_certificate_expires,
              metrics_ports_that_are_taken, the_modes_keystore_comes_late]
 

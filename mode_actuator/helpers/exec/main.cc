@@ -61,7 +61,7 @@ absl::StatusOr<std::unique_ptr<RunCgroups>> OpenCgroups(const Config& config, bo
 }
 
 int CheckConfig(const ParsedConfig& parsed) {
-  std::printf("%s", parsed.effective.c_str());
+  std::fputs(rips::FormatSettings(parsed.settings).c_str(), stdout);
   const auto cgroups = OpenCgroups(parsed.config, true);
   if (!cgroups.ok()) {
     std::printf("# warning: %s: %s\n", kWithoutCgroups,

@@ -55,7 +55,7 @@ int main(int argc, char** argv) {
   const auto loaded = Load(flags.config);
   if (!loaded.ok()) return Fail(rips::kExitConfig, loaded.status());
   if (flags.check_config) {
-    std::printf("%s", loaded->effective.c_str());
+    std::fputs(rips::FormatSettings(loaded->settings).c_str(), stdout);
     return 0;
   }
   const rips::actuator::Config& config = loaded->config;

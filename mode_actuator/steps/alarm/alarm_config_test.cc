@@ -22,7 +22,7 @@ constexpr absl::string_view kDevices = R"(devices:
 struct Parsed {
   std::vector<AlarmSpec> devices;
   AlarmStep step;
-  std::string effective;
+  std::vector<ConfigSetting> settings;
 };
 
 absl::StatusOr<Parsed> Parse(const std::string& text) {
@@ -32,7 +32,7 @@ absl::StatusOr<Parsed> Parse(const std::string& text) {
   const ConfigSection step = reader.root().OptionalSection("alarm");
   if (step.present()) parsed.step = ReadAlarmStep(step, parsed.devices);
   RIPS_RETURN_IF_ERROR(reader.Finish());
-  parsed.effective = reader.Effective();
+  parsed.settings = reader.Settings();
   return parsed;
 }
 
@@ -49,7 +49,7 @@ TEST(AlarmConfigTest, ReadsWhatItSays) {
                                     "/dev/serial/by-path/pci-0-port0", 1},
                           AlarmSpec{"lamp", AlarmKind::kBlink1, "20001234", "", 1}));
   EXPECT_EQ(parsed->step, (AlarmStep{"lamp", {AlarmPattern::kStrobe, {0xff, 0, 0}}}));
-  EXPECT_THAT(parsed->effective, HasSubstr("devices[1].channel: 2"));
+  EXPECT_THAT(FormatSettings(parsed->settings), HasSubstr("devices[1].channel: 2"));
 }
 
 TEST(AlarmConfigTest, ADrillMayFlashADevice) {

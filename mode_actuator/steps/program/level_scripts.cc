@@ -70,7 +70,8 @@ std::vector<Step>* ListOf(absl::string_view name, std::vector<LevelSpec>* levels
 }  // namespace
 
 absl::Status AddLevelScripts(const std::string& directory, std::vector<LevelSpec>* levels,
-                             std::vector<ProgramSpec>* programs, std::string* told) {
+                             std::vector<ProgramSpec>* programs,
+                             std::vector<ConfigSetting>* settings) {
   RIPS_ASSIGN_OR_RETURN(const std::set<std::string> names, NamesIn(directory));
   const UniqueFd root(open("/", O_PATH | O_DIRECTORY | O_CLOEXEC));
   std::vector<std::string> problems;
@@ -99,7 +100,9 @@ absl::Status AddLevelScripts(const std::string& directory, std::vector<LevelSpec
     program.script = true;
     programs->push_back(std::move(program));
     steps->push_back(ScriptStep(name));
-    absl::StrAppend(told, place, ".program.name: \"", name, "\"  # ", path, " TO FROM\n");
+    settings->push_back({.path = absl::StrCat(place, ".program.name"),
+                         .value = absl::StrCat("\"", name, "\""),
+                         .source = absl::StrCat(path, " TO FROM")});
   }
   if (problems.empty()) return absl::OkStatus();
   return absl::InvalidArgumentError(absl::StrJoin(problems, "\n"));

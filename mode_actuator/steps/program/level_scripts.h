@@ -10,6 +10,7 @@
 #include "absl/status/status.h"
 #include "absl/time/time.h"
 #include "mode_actuator/decide/level_plan.h"
+#include "services/base/config_setting.h"
 
 namespace rips::actuator {
 
@@ -19,12 +20,13 @@ inline constexpr absl::Duration kScriptTimeout = absl::Seconds(5);
 inline constexpr size_t kScriptFilesMax = 256;
 
 // Adds what is in `directory` to `levels`, as one more step at the end of `leave` or `enter`, to
-// `programs`, named as the file, and as a line each, `levels[1].enter[2]: ...`, to `*told`. Files
-// whose names begin with a dot, and those that end with `~`, are passed over. InvalidArgument with
-// all problems, one a line: a file that is no level's, one that could not be run
+// `programs`, named as the file, and to `*settings`, its source the script with what it is given.
+// Files whose names begin with a dot, and those that end with `~`, are passed over. InvalidArgument
+// with all problems, one a line: a file that is no level's, one that could not be run
 // (CheckProgramPath), a name that a program has already.
 absl::Status AddLevelScripts(const std::string& directory, std::vector<LevelSpec>* levels,
-                             std::vector<ProgramSpec>* programs, std::string* told);
+                             std::vector<ProgramSpec>* programs,
+                             std::vector<ConfigSetting>* settings);
 
 }  // namespace rips::actuator
 

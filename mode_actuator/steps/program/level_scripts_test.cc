@@ -12,6 +12,7 @@
 #include "gtest/gtest.h"
 #include "mode_actuator/config/config.h"
 #include "services/base/status_matchers.h"
+#include "services/runtime/config_reader.h"
 
 namespace rips::actuator {
 namespace {
@@ -40,12 +41,12 @@ class LevelScriptsTest : public ::testing::Test {
     std::ofstream(path) << "#!/bin/sh\n";
     chmod(path.c_str(), mode);
   }
-  absl::Status Add() { return AddLevelScripts(directory_, &levels_, &programs_, &told_); }
+  absl::Status Add() { return AddLevelScripts(directory_, &levels_, &programs_, &settings_); }
 
   std::string directory_;
   std::vector<LevelSpec> levels_;
   std::vector<ProgramSpec> programs_;
-  std::string told_;
+  std::vector<ConfigSetting> settings_;
 };
 
 TEST_F(LevelScriptsTest, AreOneMoreStepOfTheirLevels) {
@@ -64,8 +65,10 @@ TEST_F(LevelScriptsTest, AreOneMoreStepOfTheirLevels) {
   ASSERT_EQ(programs_.size(), 2u);
   EXPECT_EQ(programs_[0].path, directory_ + "/ALERT.to");
   EXPECT_TRUE(programs_[0].script);
-  EXPECT_THAT(told_, HasSubstr("levels[1].enter[1].program.name: \"ALERT.to\""));
-  EXPECT_THAT(told_, HasSubstr("levels[0].leave[0].program.name: \"DEFAULT.from\""));
+  EXPECT_THAT(FormatSettings(settings_),
+              HasSubstr("levels[1].enter[1].program.name: \"ALERT.to\""));
+  EXPECT_THAT(FormatSettings(settings_),
+              HasSubstr("levels[0].leave[0].program.name: \"DEFAULT.from\""));
 }
 
 TEST_F(LevelScriptsTest, EachMistakeIsTold) {
@@ -85,7 +88,7 @@ TEST_F(LevelScriptsTest, EachMistakeIsTold) {
     EXPECT_THAT(std::string(status.message()), HasSubstr(part));
   }
   EXPECT_THAT(
-      AddLevelScripts(directory_ + "/no", &levels_, &programs_, &told_),
+      AddLevelScripts(directory_ + "/no", &levels_, &programs_, &settings_),
       StatusIs(absl::StatusCode::kInvalidArgument, HasSubstr("/no`: No such file or directory")));
 }
 
@@ -104,7 +107,7 @@ TEST_F(LevelScriptsTest, ALevelWithItsScriptMustKeepItsTime) {
   step.timeout = kLevelBudget - kScriptTimeout;
   ParsedConfig copy = parsed;
   EXPECT_THAT(AddScripts(&copy), IsOk());
-  EXPECT_THAT(copy.effective, HasSubstr("ALERT.to"));
+  EXPECT_THAT(FormatSettings(copy.settings), HasSubstr("ALERT.to"));
   parsed.config.levels[1].enter[0].timeout += absl::Milliseconds(1);
   EXPECT_THAT(AddScripts(&parsed),
               StatusIs(absl::StatusCode::kInvalidArgument,

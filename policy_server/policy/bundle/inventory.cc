@@ -77,7 +77,8 @@ void ReadLabels(const ConfigSection& parent, absl::btree_map<std::string, std::s
   }
 }
 
-void ReadLabelBundles(const ConfigSection& root, std::vector<LabelBundle>* bundles) {
+void ReadLabelBundles(const ConfigSection& root, absl::string_view file,
+                      std::vector<LabelBundle>* bundles) {
   for (const ConfigSection& section : root.Sections("bundles")) {
     LabelBundle& added = bundles->emplace_back();
     ReadLabels(section, &added.labels);
@@ -86,8 +87,24 @@ void ReadLabelBundles(const ConfigSection& root, std::vector<LabelBundle>* bundl
                       "`labels` has none; leave it out for an entry that fits all robots");
     }
     ReadName(section, "bundle", "bundle name", &added.bundle);
+    added.source = absl::StrCat(file, ":", section.LineOf("bundle"));
   }
   CheckCount(root, "bundles", bundles->size(), kLabelBundlesMax);
+}
+
+// Those of `robots[I].PATH` as PATH, by the I-th of `robots`.
+void AddSettings(const std::vector<ConfigSetting>& settings,
+                 const std::vector<InventoryRobot>& robots, Inventory& inventory) {
+  for (const ConfigSetting& each : settings) {
+    absl::string_view path = each.path;
+    if (!absl::ConsumePrefix(&path, "robots[")) continue;
+    const size_t end = path.find("].");
+    size_t index = 0;
+    if (end == path.npos || !absl::SimpleAtoi(path.substr(0, end), &index)) continue;
+    if (index >= robots.size()) continue;
+    inventory.settings[robots[index].id].push_back(
+        {.path = std::string(path.substr(end + 2)), .value = each.value, .source = each.source});
+  }
 }
 
 bool Fits(const LabelBundle& entry, const InventoryRobot& robot) {
@@ -133,7 +150,7 @@ absl::StatusOr<Inventory> ParseInventory(absl::string_view file, absl::string_vi
   absl::btree_set<std::string> ids;
   const bool has_something = root.Has("robots") || root.Has("bundles");
   if (root.present() && !has_something) root.Problem("robots", "missing key `robots`");
-  ReadLabelBundles(root, &inventory.bundles);
+  ReadLabelBundles(root, file, &inventory.bundles);
   for (const ConfigSection& section : root.Sections("robots")) {
     InventoryRobot robot;
     ReadName(section, "id", "robot id", &robot.id);
@@ -149,6 +166,7 @@ absl::StatusOr<Inventory> ParseInventory(absl::string_view file, absl::string_vi
   }
   CheckCount(root, "robots", inventory.robots.size(), kRobotsMax);
   RIPS_RETURN_IF_ERROR(reader.Finish());
+  AddSettings(reader.Settings(), inventory.robots, inventory);
   std::sort(inventory.robots.begin(), inventory.robots.end(),
             [](const InventoryRobot& a, const InventoryRobot& b) { return a.id < b.id; });
   return inventory;
@@ -175,6 +193,9 @@ absl::Status AssignBundles(Inventory& inventory) {
       without.push_back(absl::StrCat("`", robot.id, "`"));
     } else {
       robot.bundle = entry->bundle;
+      inventory.settings[robot.id].push_back({.path = "bundle",
+                                              .value = absl::StrCat("\"", entry->bundle, "\""),
+                                              .source = entry->source});
     }
   }
   if (without.empty()) return absl::OkStatus();

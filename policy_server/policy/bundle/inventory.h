@@ -10,6 +10,7 @@
 #include "absl/container/btree_map.h"
 #include "absl/status/statusor.h"
 #include "absl/strings/string_view.h"
+#include "services/base/config_setting.h"
 #include "services/ros2/graph_limits.h"
 
 namespace rips::bundle {
@@ -57,6 +58,7 @@ struct InventoryRobot {
 struct LabelBundle {
   absl::btree_map<std::string, std::string> labels;  // empty = any robot
   std::string bundle;
+  std::string source;  // `FILE:LINE`
 };
 
 struct Inventory {
@@ -64,6 +66,8 @@ struct Inventory {
   std::vector<InventoryRobot> robots;
   // The first that fits a robot decides.
   std::vector<LabelBundle> bundles;
+  // What is in force for each robot, by its id, and which line says it.
+  absl::btree_map<std::string, std::vector<ConfigSetting>> settings;
 
   // nullptr if it is not listed. Valid as long as this.
   const InventoryRobot* Find(absl::string_view id) const;

@@ -92,6 +92,7 @@ absl::StatusOr<InventoryFiles> ReadDirectory(const std::string& directory) {
     read.files.emplace_back(path, one->robots.size());
     read.inventory.bundles.insert(read.inventory.bundles.end(), one->bundles.begin(),
                                   one->bundles.end());
+    read.inventory.settings.merge(one->settings);
     for (InventoryRobot& robot : one->robots) {
       const auto [first, fresh] = listed.emplace(robot.id, path);
       if (!fresh) {

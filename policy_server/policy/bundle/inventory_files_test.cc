@@ -66,6 +66,16 @@ TEST_F(InventoryFilesTest, ReadsASingleFile) {
   EXPECT_THAT(read->files, ElementsAre(Pair(Path("one.yaml"), 2)));
 }
 
+TEST_F(InventoryFilesTest, SettingsNameTheFileOfEachRobot) {
+  List("20-hall.yaml", {"r1"});
+  List("10-dock.yaml", {"r2", "r3"});
+  const auto read = ReadInventory(dir_);
+  ASSERT_THAT(read, IsOk());
+  ASSERT_THAT(read->inventory.settings, SizeIs(3));
+  EXPECT_EQ(read->inventory.settings.at("r1").front().source, Path("20-hall.yaml") + ":2");
+  EXPECT_EQ(read->inventory.settings.at("r3").front().source, Path("10-dock.yaml") + ":3");
+}
+
 TEST_F(InventoryFilesTest, ReadsTheFilesOfADirectoryInTheOrderOfTheirNames) {
   List("20-hall.yaml", {"r1"});
   List("10-yard.yaml", {"r9", "r3"});

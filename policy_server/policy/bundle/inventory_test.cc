@@ -74,6 +74,37 @@ TEST(InventoryTest, RobotsMayHaveLabels) {
   EXPECT_FALSE(inventory->Find("r2")->HasLabel("ring=canary"));
 }
 
+TEST(InventoryTest, TellsOfEachRobotWhatIsInForceAndWhichLineSaysIt) {
+  auto inventory = ParseInventory("robots.yaml", R"(bundles:
+  - labels: {ring: canary}
+    bundle: trial
+robots:
+  - id: r2
+    labels: {ring: canary}
+    sensors: [{host: base, primary: true}]
+  - {id: r1, bundle: warehouse, sensors: [{host: base, primary: true}], graph_limits: {nodes: 8}}
+)");
+  ASSERT_THAT(inventory, IsOk());
+  ASSERT_THAT(AssignBundles(*inventory), IsOk());
+  const auto of = [&](const std::string& robot, const std::string& path) {
+    for (const ConfigSetting& each : inventory->settings[robot]) {
+      if (each.path == path) return each;
+    }
+    return ConfigSetting();
+  };
+  EXPECT_EQ(of("r2", "id"), (ConfigSetting{"id", "\"r2\"", "robots.yaml:5"}));
+  EXPECT_EQ(of("r2", "labels.ring"), (ConfigSetting{"labels.ring", "\"canary\"", "robots.yaml:6"}));
+  EXPECT_EQ(of("r2", "sensors[0].primary"),
+            (ConfigSetting{"sensors[0].primary", "true", "robots.yaml:7"}));
+  EXPECT_EQ(of("r2", "bundle"), (ConfigSetting{"bundle", "\"trial\"", "robots.yaml:3"}))
+      << "by its label";
+  EXPECT_EQ(of("r1", "bundle"), (ConfigSetting{"bundle", "\"warehouse\"", "robots.yaml:8"}));
+  EXPECT_EQ(of("r1", "graph_limits.nodes"),
+            (ConfigSetting{"graph_limits.nodes", "8", "robots.yaml:8"}));
+  EXPECT_EQ(of("r1", "graph_limits.topics").source, "") << "a default";
+  EXPECT_NE(of("r1", "graph_limits.topics").value, "");
+}
+
 TEST(InventoryTest, ALabelIsKeyAndValue) {
   const auto label = ParseLabel("ring=canary");
   ASSERT_THAT(label, IsOk());

@@ -19,6 +19,8 @@ namespace {
 
 // What was dropped not longer ago is said to go on: an actuator looks every 2 s.
 constexpr uint32_t kStillSendsS = 10;
+// Two looks, and the way here.
+constexpr uint32_t kSurelySendsS = 5;
 // Lines of addresses; JSON has all that the server knows.
 constexpr size_t kSourcesShown = 10;
 // Of one family; a host that drops packets of more does not tell all.
@@ -149,7 +151,9 @@ std::vector<std::string> SourceLines(const v1::HostFirewall& drops,
                     NewestText(source.quiet_s()));
     // That it is silent is no verdict: it may send under another address.
     if (claims.contains(source.address()) && source.quiet_s() < kStillSendsS) {
-      absl::StrAppend(&line, ": it still sends");
+      absl::StrAppend(&line, source.quiet_s() < kSurelySendsS
+                                 ? ": it still sends"
+                                 : ": it may still send; look again in 10 s");
     }
     lines.push_back(std::move(line));
   }

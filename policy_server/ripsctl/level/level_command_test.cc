@@ -171,6 +171,10 @@ TEST(FirewallsTest, OfManySourcesShowsFirstWhatNoAgentExplains) {
   EXPECT_THAT(lines[0], testing::StartsWith("10.0.0.10 (sensor/r3/base connects from there) (which "
                                             "/intruder gave as its own): 0 packets"));
   EXPECT_THAT(lines[0], testing::EndsWith("the newest less than 1 s ago: it still sends"));
+  drops.mutable_sources(10)->set_quiet_s(5);
+  EXPECT_THAT(SourceLines(drops, {{"10.0.0.10", "/intruder"}})[0],
+              testing::EndsWith("the newest less than 6 s ago: it may still send; look again in "
+                                "10 s"));
   EXPECT_THAT(lines[1], testing::StartsWith("10.0.0.11: "));
   EXPECT_THAT(lines[2], testing::StartsWith("10.0.0.0 ("));
   EXPECT_EQ(lines[10], "7 other addresses in the last 10 min");

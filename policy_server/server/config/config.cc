@@ -4,10 +4,9 @@
 #include <set>
 #include <utility>
 
+#include "absl/strings/match.h"
 #include "absl/strings/numbers.h"
 #include "absl/strings/str_cat.h"
-#include "absl/strings/str_join.h"
-#include "absl/strings/str_split.h"
 #include "services/base/status_macros.h"
 #include "services/runtime/config_reader.h"
 
@@ -246,15 +245,14 @@ void ReadRecordings(const ConfigSection& root, ServerConfig* config) {
 }
 
 // URLs up to their host: what follows may be a token.
-std::string WithoutPaths(const std::string& effective) {
-  std::vector<std::string> lines = absl::StrSplit(effective, '\n');
-  for (std::string& line : lines) {
-    const size_t url = line.find(".url: ");
-    const size_t host = url == line.npos ? line.npos : line.find("://", url);
-    const size_t path = host == line.npos ? line.npos : line.find_first_of("/?", host + 3);
-    if (path != line.npos) line = absl::StrCat(line.substr(0, path), "/...");
+std::vector<ConfigSetting> WithoutPaths(std::vector<ConfigSetting> settings) {
+  for (ConfigSetting& each : settings) {
+    if (!absl::EndsWith(each.path, ".url")) continue;
+    const size_t host = each.value.find("://");
+    const size_t path = host == each.value.npos ? host : each.value.find_first_of("/?", host + 3);
+    if (path != each.value.npos) each.value = absl::StrCat(each.value.substr(0, path), "/...");
   }
-  return absl::StrJoin(lines, "\n");
+  return settings;
 }
 
 }  // namespace
@@ -297,7 +295,7 @@ absl::StatusOr<ParsedServerConfig> ParseServerConfig(absl::string_view file,
   ReadPlugins(root, &config);
   ReadAddress(root, "metrics", &config.metrics);
   RIPS_RETURN_IF_ERROR(reader.Finish());
-  parsed.effective = WithoutPaths(reader.Effective());
+  parsed.settings = WithoutPaths(reader.Settings());
   return parsed;
 }
 

@@ -160,8 +160,8 @@ struct ServerConfig {
 
 struct ParsedServerConfig {
   ServerConfig config;
-  // `path: value` a line: the effective configuration, for --check-config.
-  std::string effective;
+  // The effective configuration.
+  std::vector<ConfigSetting> settings;
 };
 
 // InvalidArgument with every problem and its place. `file` is the name used in messages.

@@ -47,7 +47,7 @@ TEST(ServerConfigTest, FillsInTheDefaults) {
   expected.recordings_dir = "/var/lib/rips/policy-server/recordings";
   EXPECT_EQ(parsed->config, expected);
   EXPECT_EQ(expected.timing.lease, absl::Seconds(15));
-  EXPECT_THAT(parsed->effective,
+  EXPECT_THAT(FormatSettings(parsed->settings),
               AllOf(HasSubstr("timing.lease: 15s"), HasSubstr("listen: \"0.0.0.0:7443\""),
                     HasSubstr("bundles.keys: []")));
 }
@@ -102,7 +102,8 @@ TEST(ServerConfigTest, ReadsEveryKey) {
   EXPECT_EQ(config.bundles_source, "/e/bundles");
   EXPECT_EQ(config.bundles_dir, "/v/bundles");
   EXPECT_EQ(config.bundle_keys, (std::vector<std::string>{"/k/alice.pem", "/k/bob.pem"}));
-  EXPECT_THAT(parsed->effective, HasSubstr("bundles.keys: [\"/k/alice.pem\", \"/k/bob.pem\"]"));
+  EXPECT_THAT(FormatSettings(parsed->settings),
+              HasSubstr("bundles.keys: [\"/k/alice.pem\", \"/k/bob.pem\"]"));
   EXPECT_EQ(config.store_path, "/v/state.db");
   EXPECT_EQ(config.recordings_directory(), "/v/recordings") << "beside it";
   EXPECT_EQ(config.recordings_bytes, 256u << 20);

@@ -51,7 +51,7 @@ TEST(OutputConfigTest, ReadsBothKinds) {
   EXPECT_EQ(outputs[2], (OutputConfig{.name = "relay",
                                       .endpoint = {.host = "::1", .port = 514, .tls = false}}));
   EXPECT_THAT(
-      parsed->effective,
+      FormatSettings(parsed->settings),
       AllOf(HasSubstr("outputs[1].secret_file: \"/s\""), HasSubstr("https://pager.example/..."),
             Not(HasSubstr("v=1")), HasSubstr("outputs[0].severity: \"info\"")));
 }

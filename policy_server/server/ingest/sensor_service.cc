@@ -12,6 +12,7 @@
 #include "policy_server/server/ingest/observation_decoder.h"
 #include "policy_server/server/shard/mailbox.h"
 #include "policy_server/server/shard/refused_field.h"
+#include "services/model_proto/configuration_codec.h"
 #include "services/ros2/ros_name.h"
 #include "services/rpc/peer.h"
 #include "services/rpc/peer_address.h"
@@ -39,11 +40,15 @@ class Link final : public pipeline::SensorLink {
       : outbound_(std::move(outbound)), logs_(logs), contacts_(contacts) {}
 
   // Once, before the hello is posted.
-  void SetPeer(std::string robot, std::string host, std::string address, std::string version) {
+  void SetPeer(std::string robot, std::string host, std::string address,
+               const rips::v1::Hello& hello) {
     robot_ = std::move(robot);
     host_ = std::move(host);
     address_ = std::move(address);
-    version_ = std::move(version);
+    said_ = {.version = hello.version(), .address = rpc::AddressOfPeer(address_)};
+    if (hello.has_configuration()) {
+      said_.configuration = model_proto::Bounded(hello.configuration()).SerializeAsString();
+    }
   }
   // A message has come. Noted of an agent that was admitted: what others say with its key counts
   // for nothing.
@@ -54,8 +59,8 @@ class Link final : public pipeline::SensorLink {
   void Setup(const pipeline::SensorSetup& setup) override {
     if (!admitted_) {
       if (contacts_ != nullptr) {
-        heard_ = contacts_->Greeted({robot_, pipeline::AgentKind::kSensor, host_}, version_,
-                                    rpc::AddressOfPeer(address_));
+        heard_ =
+            contacts_->Greeted({robot_, pipeline::AgentKind::kSensor, host_}, std::move(said_));
       }
       admitted_ = true;
       if (const auto left_out = logs_->Admit(robot_)) {
@@ -147,7 +152,7 @@ class Link final : public pipeline::SensorLink {
   std::string robot_;
   std::string host_;
   std::string address_;
-  std::string version_;
+  pipeline::AgentContacts::Greeting said_;  // until it is admitted
   // The robot's thread has taken it as a session, and written `heard_` before.
   std::atomic<bool> admitted_ = false;
   // Null of an agent that is not listed.
@@ -222,7 +227,7 @@ class SensorStream final : public Stream {
     absl::StatusOr<pipeline::SensorHello> decoded = DecodeHello(hello);
     if (!decoded.ok()) return Refuse(decoded.status());
     link_->InterestInUse(hello.interest_in_use());
-    link_->SetPeer(mailbox_->robot(), host_, address_, hello.hello().version());
+    link_->SetPeer(mailbox_->robot(), host_, address_, hello.hello());
     decoded->peer = address_;
     Post(Lane::kControl, hello.ByteSizeLong(),
          [host = host_, link = link_, hello = *std::move(decoded)](Robot& robot) {

@@ -49,6 +49,7 @@ struct Sensor {
     hello->set_version(version);
     hello->mutable_clock()->set_boottime_ns(static_cast<uint64_t>(BoottimeNow()));
     message.mutable_hello()->set_interest_in_use(in_use);
+    *hello->mutable_configuration() = configuration;
     stream->Write(message);
   }
   // The server has answered the hello: it has sent the configuration.
@@ -128,6 +129,7 @@ struct Sensor {
   grpc::ClientContext context;
   std::unique_ptr<grpc::ClientReaderWriter<SensorMessage, SensorReply>> stream;
   rips::v1::SensorConfig config;
+  rips::v1::Configuration configuration;  // of the hello
 };
 
 class SensorServiceTest : public ::testing::Test {
@@ -311,6 +313,26 @@ TEST_F(SensorServiceTest, AVersionAndTheLastContactOutliveTheStream) {
   const pipeline::AgentContacts::Contact contact = contacts_.Of("r1")[0];
   EXPECT_EQ(contact.version, "9.9\x1b[2J\n") << "as it said; who shows it escapes it";
   EXPECT_LE(contact.heard_ago_ns, BoottimeNow() - sent_ns) << "the heartbeat counts, too";
+}
+
+TEST_F(SensorServiceTest, KeepsOfAConfigurationWhatItsLimitsAllow) {
+  contacts_.SetListed({{"r1", pipeline::AgentKind::kSensor, "base"}});
+  Sensor sensor(channel_);
+  for (int i = 0; i < 100; ++i) {
+    sensor.configuration.add_settings()->set_value(std::string(1'000, 'v'));
+  }
+  sensor.configuration.set_left_out(7);
+  sensor.Hello();
+  ASSERT_TRUE(sensor.Greeted());
+  const auto found = contacts_.ConfigurationsOf("r1");
+  ASSERT_EQ(found.size(), 1u);
+  EXPECT_EQ(found[0].second.settings_size(), 16);
+  EXPECT_EQ(found[0].second.left_out(), 84u + 7u);
+  sensor.End();
+  Sensor wrong(channel_);
+  wrong.configuration.add_settings()->set_path(std::string(257, 'p'));
+  wrong.Hello();
+  EXPECT_EQ(wrong.Ended().error_code(), grpc::StatusCode::INVALID_ARGUMENT);
 }
 
 TEST_F(SensorServiceTest, WhatARefusedAgentSaysIsNoContact) {

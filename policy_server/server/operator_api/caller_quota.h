@@ -5,8 +5,9 @@
 // |----------|---------------------------------------------|-------------------------------------|
 // | kStream  | WatchRobots WatchAlerts Record              | streams at a time, in all too; a    |
 // |          | GetAlertRecording PushBundle                | reserve for role operator and above |
-// | kQuery   | all other calls of a viewer; AckAlerts and  | calls at a time, and a second; one  |
-// |          | dry runs, which so use up no order          | that costs much counts for several  |
+// | kQuery   | all other calls of a viewer; AckAlerts,     | calls at a time, and a second; one  |
+// |          | GetConfiguration and dry runs, which so use | that costs much counts for several  |
+// |          | up no order                                 |                                     |
 // | kOrder   | Raise DeEscalate Approve ResumeRules        | calls at a time, and a second, and  |
 // |          | SendSignal DrillRobot Ban Unban ResetTerm   | in the long run: a separate account |
 // |          | ActivateBundle RollBackBundle StopRollout   |                                     |

@@ -46,7 +46,9 @@ class CallsTest : public ::testing::Test {
         IsOk());
     pipeline_.Start();
     service_ = std::make_unique<OperatorService>(
-        &pipeline_, &store_, &hub_, OperatorService::Access{.watch = &watch_, .audit = audit});
+        &pipeline_, &store_, &hub_,
+        OperatorService::Access{
+            .watch = &watch_, .audit = audit, .contacts = &contacts_, .settings = &settings_});
     const auto own = rpc::Credentials::Load(pki_.Server());
     ASSERT_THAT(own, IsOk());
     auto server = rpc::RpcServer::Start(
@@ -84,6 +86,8 @@ class CallsTest : public ::testing::Test {
   pipeline::FakeRecorder recorder_;
   pipeline::Pipeline pipeline_{1, &clock_};
   rpc::SessionWatch watch_{&clock_};
+  pipeline::AgentContacts contacts_{&clock_};
+  pipeline::ListedSettings settings_{{{"listen", "\"0.0.0.0:7443\"", "policy-server.yaml:2"}}};
   std::unique_ptr<OperatorService> service_;
   std::unique_ptr<rpc::RpcServer> server_;
 };

@@ -20,8 +20,8 @@ TEST(NameAgentsTest, NamesThoseAtTheAddressOfASource) {
   contacts.SetListed({AgentId{"r3", AgentKind::kActuator, "arm"},
                       AgentId{"r3", AgentKind::kSensor, "base"},
                       AgentId{"r4", AgentKind::kSensor, "base"}});
-  contacts.Greeted({"r3", AgentKind::kActuator, "arm"}, "1", "10.0.0.13");
-  contacts.Greeted({"r3", AgentKind::kSensor, "base"}, "1", "10.0.0.13");
+  contacts.Greeted({"r3", AgentKind::kActuator, "arm"}, {"1", "10.0.0.13"});
+  contacts.Greeted({"r3", AgentKind::kSensor, "base"}, {"1", "10.0.0.13"});
   rips::v1::GetLevelResponse response;
   rips::v1::HostFirewall& firewall = *response.add_firewalls();
   for (const char* address : {"10.0.0.66", "10.0.0.13", ""}) {
@@ -39,7 +39,7 @@ TEST(NameAgentsTest, OfManyBehindOneAddressNamesFour) {
   std::vector<AgentId> agents;
   for (int i = 0; i < 9; ++i) agents.push_back({absl::StrCat("r", i), AgentKind::kSensor, "base"});
   contacts.SetListed(agents);
-  for (const AgentId& agent : agents) contacts.Greeted(agent, "1", "10.0.0.1");
+  for (const AgentId& agent : agents) contacts.Greeted(agent, {"1", "10.0.0.1"});
   rips::v1::GetLevelResponse response;
   response.add_firewalls()->add_sources()->set_address("10.0.0.1");
   NameAgents(contacts, response);

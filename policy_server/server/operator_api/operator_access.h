@@ -13,6 +13,7 @@
 #include "policy_server/server/operator_api/caller_quota.h"
 #include "policy_server/server/rollout/bundle_control.h"
 #include "policy_server/server/shard/agent_contacts.h"
+#include "policy_server/server/shard/listed_settings.h"
 #include "policy_server/server/shard/robot_labels.h"
 #include "policy_server/server/store/ack_store.h"
 #include "policy_server/server/store/committer.h"
@@ -53,6 +54,8 @@ struct OperatorAccess {
   const pipeline::AgentContacts* contacts = nullptr;
   // Null: no robot has labels.
   const pipeline::RobotLabels* labels = nullptr;
+  // Null: nothing is known of settings; with `contacts`.
+  const pipeline::ListedSettings* settings = nullptr;
 };
 
 }  // namespace rips::operator_api

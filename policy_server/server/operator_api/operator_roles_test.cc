@@ -49,6 +49,7 @@ const std::map<std::string, Role> kLeastRoles = {
     {"Approve", Role::kOperator},
     {"ResumeRules", Role::kOperator},
     {"SetMaintenance", Role::kOperator},
+    {"GetConfiguration", Role::kOperator},
     {"SendSignal", Role::kOperator},
     {"Record", Role::kOperator},
     {"GetAlertRecording", Role::kOperator},

@@ -24,6 +24,7 @@
 #include "policy_server/server/operator_api/watch_stream.h"
 #include "services/base/cut_text.h"
 #include "services/base/status_macros.h"
+#include "services/model_proto/configuration_codec.h"
 #include "services/ros2_proto/graph_codec.h"
 #include "services/rpc/peer.h"
 #include "services/rpc/status_conversion.h"
@@ -311,6 +312,32 @@ grpc::ServerUnaryReactor* OperatorService::GetCoverage(grpc::CallbackServerConte
         reactor->End(absl::OkStatus());
       });
   if (!posted.ok()) reactor->End(posted);
+  return reactor;
+}
+
+grpc::ServerUnaryReactor* OperatorService::GetConfiguration(
+    grpc::CallbackServerContext* context, const rips::v1::GetConfigurationRequest* request,
+    rips::v1::GetConfigurationResponse* response) {
+  const auto who = Authorize(context, *request, OperatorRole::kOperator, Use::kQuery);
+  if (!who.ok()) return Refuse(context, who.status());
+  if (access_.settings == nullptr) {
+    return Refuse(context, absl::UnimplementedError("no settings are known"));
+  }
+  auto* reactor = new UnaryCall(who->ticket, who->on_refused);
+  if (request->robot().empty()) {
+    *response->mutable_server() = model_proto::Encode(access_.settings->own());
+    reactor->End(absl::OkStatus());
+    return reactor;
+  }
+  const auto listed = access_.settings->Of(request->robot());
+  if (!listed.has_value()) {
+    reactor->End(absl::NotFoundError(
+        absl::StrCat("robot `", request->robot(), "` is not in the inventory")));
+    return reactor;
+  }
+  *response->mutable_server() = model_proto::Encode(*listed);
+  FillAgentConfigurations(*access_.contacts, request->robot(), *response);
+  reactor->End(absl::OkStatus());
   return reactor;
 }
 

@@ -7,7 +7,7 @@
 //   ListBundles GetRulesStatus ListEnrolments        viewer
 //   Raise DeEscalate Approve ResumeRules SendSignal
 //   DrillRobot Record GetAlertRecording ShadowBundle
-//   AckAlerts SetMaintenance                         operator
+//   AckAlerts SetMaintenance GetConfiguration        operator
 //   Ban Unban ResetTerm PushBundle ActivateBundle
 //   RollBackBundle StopRollout
 //   CreateEnrolmentToken RevokeEnrolmentToken        admin
@@ -73,6 +73,9 @@ class OperatorService final : public rips::v1::OperatorService::CallbackService 
   grpc::ServerUnaryReactor* GetCoverage(grpc::CallbackServerContext* context,
                                         const rips::v1::GetCoverageRequest* request,
                                         rips::v1::GetCoverageResponse* response) override;
+  grpc::ServerUnaryReactor* GetConfiguration(grpc::CallbackServerContext* context,
+                                             const rips::v1::GetConfigurationRequest* request,
+                                             rips::v1::GetConfigurationResponse* response) override;
   grpc::ServerUnaryReactor* GetLevel(grpc::CallbackServerContext* context,
                                      const rips::v1::GetLevelRequest* request,
                                      rips::v1::GetLevelResponse* response) override;

@@ -8,11 +8,15 @@
 namespace rips::operator_api {
 namespace {
 
+const char* RoleName(pipeline::AgentKind kind) {
+  return kind == pipeline::AgentKind::kSensor ? "sensor" : "actuator";
+}
+
 void AddAgents(const std::vector<pipeline::AgentContacts::Contact>& contacts,
                rips::v1::RobotStatus& status) {
   for (const pipeline::AgentContacts::Contact& contact : contacts) {
     rips::v1::AgentContact* agent = status.add_agents();
-    agent->set_role(contact.agent.kind == pipeline::AgentKind::kSensor ? "sensor" : "actuator");
+    agent->set_role(RoleName(contact.agent.kind));
     agent->set_host(contact.agent.host);
     agent->set_version(contact.version);
     agent->set_heard_unix_ns(contact.heard_unix_ns);
@@ -37,6 +41,21 @@ void FillRobotList(const rips::v1::ListRobotsRequest& request, const RobotListSo
   }
   for (const std::string& robot : silent) {
     if (wanted(robot)) response.add_no_answer(robot);
+  }
+}
+
+void FillAgentConfigurations(const pipeline::AgentContacts& contacts, const std::string& robot,
+                             rips::v1::GetConfigurationResponse& response) {
+  absl::btree_map<pipeline::AgentId, rips::v1::Configuration> said;
+  for (auto& [agent, configuration] : contacts.ConfigurationsOf(robot)) {
+    said.emplace(agent, std::move(configuration));
+  }
+  for (const pipeline::AgentContacts::Contact& contact : contacts.Of(robot)) {
+    rips::v1::AgentConfiguration* const added = response.add_agents();
+    added->set_role(RoleName(contact.agent.kind));
+    added->set_host(contact.agent.host);
+    const auto found = said.find(contact.agent);
+    if (found != said.end()) *added->mutable_configuration() = std::move(found->second);
   }
 }
 

@@ -24,6 +24,10 @@ void FillRobotList(const rips::v1::ListRobotsRequest& request, const RobotListSo
                    absl::btree_map<std::string, rips::v1::RobotStatus> statuses,
                    const std::vector<std::string>& silent, rips::v1::ListRobotsResponse& response);
 
+// What each agent of the robot that the inventory lists said of its configuration.
+void FillAgentConfigurations(const pipeline::AgentContacts& contacts, const std::string& robot,
+                             rips::v1::GetConfigurationResponse& response);
+
 }  // namespace rips::operator_api
 
 #endif  // RIPS_POLICY_SERVER_SERVER_OPERATOR_API_ROBOT_LIST_H_

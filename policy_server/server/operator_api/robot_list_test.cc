@@ -39,7 +39,7 @@ class RobotListTest : public ::testing::Test {
 TEST_F(RobotListTest, NamesTheAgentsOfEachRobotWithVersionAndLastContact) {
   contacts_.SetListed(
       {AgentId{"r1", AgentKind::kActuator, "arm"}, AgentId{"r1", AgentKind::kSensor, "base"}});
-  contacts_.Greeted({"r1", AgentKind::kSensor, "base"}, "0.9.0\x1b[2J", "10.0.0.7");
+  contacts_.Greeted({"r1", AgentKind::kSensor, "base"}, {"0.9.0\x1b[2J", "10.0.0.7"});
   const rips::v1::ListRobotsResponse response = List();
   EXPECT_EQ(response.server_version(), RipsVersion());
   ASSERT_THAT(response.robots(), SizeIs(2));
@@ -85,7 +85,7 @@ TEST_F(RobotListTest, FitsWhateverVersionsAgentsName) {
   contacts_.SetListed(agents);
   absl::btree_map<std::string, rips::v1::RobotStatus> statuses;
   for (const AgentId& agent : agents) {
-    contacts_.Greeted(agent, std::string(128, 'v'), "10.0.0.7");
+    contacts_.Greeted(agent, {std::string(128, 'v'), "10.0.0.7"});
     statuses[agent.robot].set_robot(agent.robot);
   }
   statuses["quiet"].set_robot("quiet");

@@ -19,14 +19,13 @@ void AgentContacts::SetListed(std::vector<AgentId> agents) {
 }
 
 std::shared_ptr<AgentContacts::Heard> AgentContacts::Greeted(const AgentId& agent,
-                                                             absl::string_view version,
-                                                             std::string address) {
+                                                             Greeting greeting) {
   const int64_t now_ns = clock_->Now().boottime_ns;
   MutexLock lock(&mu_);
   const auto found = listed_.find(agent);
   if (found == listed_.end()) return nullptr;
-  found->second.version = Shortened(version, kVersionBytesMax);
-  found->second.address = std::move(address);
+  greeting.version = Shortened(greeting.version, kVersionBytesMax);
+  found->second.said = std::move(greeting);
   *found->second.heard = now_ns;
   return found->second.heard;
 }
@@ -37,7 +36,7 @@ std::vector<AgentContacts::Contact> AgentContacts::Of(const std::string& robot) 
   MutexLock lock(&mu_);
   for (auto it = listed_.lower_bound(AgentId{.robot = robot});
        it != listed_.end() && it->first.robot == robot; ++it) {
-    Contact contact{.agent = it->first, .version = it->second.version};
+    Contact contact{.agent = it->first, .version = it->second.said.version};
     if (const int64_t heard_ns = *it->second.heard; heard_ns != 0) {
       // A message may have come since `now`.
       contact.heard_ago_ns = std::max<int64_t>(0, now.boottime_ns - heard_ns);
@@ -48,13 +47,27 @@ std::vector<AgentContacts::Contact> AgentContacts::Of(const std::string& robot) 
   return contacts;
 }
 
+std::vector<std::pair<AgentId, rips::v1::Configuration>> AgentContacts::ConfigurationsOf(
+    const std::string& robot) const {
+  std::vector<std::pair<AgentId, rips::v1::Configuration>> configurations;
+  MutexLock lock(&mu_);
+  for (auto it = listed_.lower_bound(AgentId{.robot = robot});
+       it != listed_.end() && it->first.robot == robot; ++it) {
+    rips::v1::Configuration configuration;
+    const std::string& said = it->second.said.configuration;
+    if (said.empty() || !configuration.ParseFromString(said)) continue;
+    configurations.emplace_back(it->first, std::move(configuration));
+  }
+  return configurations;
+}
+
 std::vector<AgentId> AgentContacts::At(absl::string_view address, size_t limit) const {
   std::vector<AgentId> agents;
   if (address.empty()) return agents;
   MutexLock lock(&mu_);
   for (const auto& [agent, entry] : listed_) {
     if (agents.size() == limit) break;
-    if (entry.address == address) agents.push_back(agent);
+    if (entry.said.address == address) agents.push_back(agent);
   }
   return agents;
 }

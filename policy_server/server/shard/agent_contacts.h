@@ -1,14 +1,16 @@
-// Which agents the inventory lists, which version each says it is, from which address it came, and
-// when the server last heard from it. In memory only: a server that starts anew heard from none.
+// Which agents the inventory lists, which version each says it is, with which configuration it
+// works, from which address it came, and when the server last heard from it. In memory only: a
+// server that starts anew heard from none.
 //
-//   an agent                                       version      heard
+//   an agent                                       what it said heard
 //   has not said hello since the server's start    empty        never
 //   said hello, and the robot has admitted it      its own word when its last message came
 //   was refused                                    stays        stays
 //   its stream has ended                           stays        stays
 //   is no longer listed                            removed      removed
 //
-// Contact grants nothing, and the version is only the agent's own word. Bounded by the inventory.
+// Contact grants nothing; version and configuration are only the agent's own word, and change
+// together. Bounded by the inventory.
 #ifndef RIPS_POLICY_SERVER_SERVER_SHARD_AGENT_CONTACTS_H_
 #define RIPS_POLICY_SERVER_SERVER_SHARD_AGENT_CONTACTS_H_
 
@@ -18,11 +20,13 @@
 #include <cstdint>
 #include <memory>
 #include <string>
+#include <utility>
 #include <vector>
 
 #include "absl/base/thread_annotations.h"
 #include "absl/container/btree_map.h"
 #include "absl/strings/string_view.h"
+#include "rips/v1/session.pb.h"
 #include "services/base/clock.h"
 #include "services/runtime/mutex.h"
 
@@ -61,20 +65,29 @@ class AgentContacts {
 
   // The agents that are listed from now on. What is known of those that stay is kept.
   void SetListed(std::vector<AgentId> agents) ABSL_LOCKS_EXCLUDED(mu_);
-  // The agent is admitted now, from an IP address. What its stream notes its messages in; null = it
-  // is not listed.
-  std::shared_ptr<Heard> Greeted(const AgentId& agent, absl::string_view version,
-                                 std::string address) ABSL_LOCKS_EXCLUDED(mu_);
+  // What an admitted agent said of itself.
+  struct Greeting {
+    std::string version;
+    // IP address that it came from.
+    std::string address;
+    // A rips.v1.Configuration within its limits, serialized: that is a fifth of the memory. Empty:
+    // it said none, it is of an older version.
+    std::string configuration;
+  };
+  // The agent is admitted now. What its stream notes its messages in; null = it is not listed.
+  std::shared_ptr<Heard> Greeted(const AgentId& agent, Greeting greeting) ABSL_LOCKS_EXCLUDED(mu_);
   // The listed agents of a robot, sensors first, by host.
   std::vector<Contact> Of(const std::string& robot) const ABSL_LOCKS_EXCLUDED(mu_);
+  // What each of these said last, where it said one.
+  std::vector<std::pair<AgentId, rips::v1::Configuration>> ConfigurationsOf(
+      const std::string& robot) const ABSL_LOCKS_EXCLUDED(mu_);
   // Listed agents that were admitted last from that address, at most `limit`: several behind one
   // NAT. Looks at all.
   std::vector<AgentId> At(absl::string_view address, size_t limit) const ABSL_LOCKS_EXCLUDED(mu_);
 
  private:
   struct Entry {
-    std::string version;
-    std::string address;
+    Greeting said;
     std::shared_ptr<Heard> heard = std::make_shared<Heard>(0);
   };
 

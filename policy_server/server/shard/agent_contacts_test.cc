@@ -44,9 +44,26 @@ TEST_F(AgentContactsTest, AnAgentThatHasNotSaidHelloIsListedAsNeverHeard) {
   EXPECT_THAT(contacts_.Of("r2"), IsEmpty());
 }
 
+TEST_F(AgentContactsTest, TheConfigurationIsOfTheLastHelloAndGoesWithTheAgent) {
+  rips::v1::Configuration configuration;
+  configuration.add_settings()->set_path("settle");
+  contacts_.Greeted(base_, {"1", "", configuration.SerializeAsString()});
+  contacts_.Greeted(arm_, {"0.9", "", ""});
+  contacts_.Greeted(other_, {"1", "", "\xff"});
+  const auto found = contacts_.ConfigurationsOf("r1");
+  ASSERT_THAT(found, SizeIs(1)) << "the actuator is of an older version";
+  EXPECT_EQ(found[0].first, base_);
+  EXPECT_EQ(found[0].second.settings(0).path(), "settle");
+  EXPECT_THAT(contacts_.ConfigurationsOf("r10"), IsEmpty()) << "it cannot be decoded";
+  contacts_.Greeted(base_, {"1", "", ""});
+  EXPECT_THAT(contacts_.ConfigurationsOf("r1"), IsEmpty());
+  contacts_.SetListed({arm_});
+  EXPECT_THAT(contacts_.ConfigurationsOf("r1"), IsEmpty());
+}
+
 TEST_F(AgentContactsTest, TheLastMessageStaysWhenTheStreamHasEnded) {
   {
-    const auto heard = contacts_.Greeted(base_, "0.9.0", "10.0.0.7");
+    const auto heard = contacts_.Greeted(base_, {"0.9.0", "10.0.0.7"});
     ASSERT_NE(heard, nullptr);
     Pass(kNanosPerSecond);
     *heard = clock_.now.boottime_ns;
@@ -59,7 +76,7 @@ TEST_F(AgentContactsTest, TheLastMessageStaysWhenTheStreamHasEnded) {
 }
 
 TEST_F(AgentContactsTest, AWallClockThatJumpsChangesNoAge) {
-  contacts_.Greeted(base_, "1", "10.0.0.7");
+  contacts_.Greeted(base_, {"1", "10.0.0.7"});
   Pass(2 * kNanosPerSecond);
   clock_.now.unix_ns = 7 * kNanosPerSecond;
   EXPECT_EQ(contacts_.Of("r1")[0].heard_ago_ns, 2 * kNanosPerSecond);
@@ -67,19 +84,19 @@ TEST_F(AgentContactsTest, AWallClockThatJumpsChangesNoAge) {
 }
 
 TEST_F(AgentContactsTest, AMessageThatCameDuringTheQuestionIsNoNegativeAge) {
-  *contacts_.Greeted(base_, "1", "10.0.0.7") = clock_.now.boottime_ns + 1;
+  *contacts_.Greeted(base_, {"1", "10.0.0.7"}) = clock_.now.boottime_ns + 1;
   EXPECT_EQ(contacts_.Of("r1")[0].heard_ago_ns, 0);
 }
 
 TEST_F(AgentContactsTest, AnAgentThatIsNotListedIsNotKept) {
-  EXPECT_EQ(contacts_.Greeted({"r1", AgentKind::kActuator, "base"}, "1", "10.0.0.7"), nullptr);
-  EXPECT_EQ(contacts_.Greeted({"r2", AgentKind::kSensor, "base"}, "1", "10.0.0.7"), nullptr);
+  EXPECT_EQ(contacts_.Greeted({"r1", AgentKind::kActuator, "base"}, {"1", "10.0.0.7"}), nullptr);
+  EXPECT_EQ(contacts_.Greeted({"r2", AgentKind::kSensor, "base"}, {"1", "10.0.0.7"}), nullptr);
   EXPECT_THAT(contacts_.Of("r1"), SizeIs(2));
 }
 
 TEST_F(AgentContactsTest, AnotherInventoryKeepsWhatIsKnownOfAgentsThatStay) {
-  const auto heard = contacts_.Greeted(base_, "0.9.0", "10.0.0.7");
-  contacts_.Greeted(arm_, "0.9.0", "10.0.0.7");
+  const auto heard = contacts_.Greeted(base_, {"0.9.0", "10.0.0.7"});
+  contacts_.Greeted(arm_, {"0.9.0", "10.0.0.7"});
   contacts_.SetListed({base_});
   Pass(kNanosPerSecond);
   *heard = clock_.now.boottime_ns;
@@ -91,27 +108,27 @@ TEST_F(AgentContactsTest, AnotherInventoryKeepsWhatIsKnownOfAgentsThatStay) {
 }
 
 TEST_F(AgentContactsTest, TheirAddressLeadsToThoseThatCameFromIt) {
-  contacts_.Greeted(base_, "1", "10.0.0.7");
-  contacts_.Greeted(arm_, "1", "10.0.0.7");
+  contacts_.Greeted(base_, {"1", "10.0.0.7"});
+  contacts_.Greeted(arm_, {"1", "10.0.0.7"});
   EXPECT_THAT(contacts_.At("10.0.0.7", 4), ElementsAre(base_, arm_));
   EXPECT_THAT(contacts_.At("10.0.0.7", 1), ElementsAre(base_));
-  contacts_.Greeted(arm_, "1", "10.0.0.8");
+  contacts_.Greeted(arm_, {"1", "10.0.0.8"});
   EXPECT_THAT(contacts_.At("10.0.0.7", 4), ElementsAre(base_));
   contacts_.SetListed({arm_});
   EXPECT_THAT(contacts_.At("10.0.0.7", 4), IsEmpty());
 }
 
 TEST_F(AgentContactsTest, AnUnknownAddressIsThatOfNoAgent) {
-  contacts_.Greeted(base_, "1", "");
+  contacts_.Greeted(base_, {"1", ""});
   EXPECT_THAT(contacts_.At("", 4), IsEmpty());
 }
 
 TEST_F(AgentContactsTest, AHugeOrMalformedVersionIsCut) {
-  contacts_.Greeted(base_, std::string(1 << 20, 'v'), "");
+  contacts_.Greeted(base_, {std::string(1 << 20, 'v'), ""});
   EXPECT_EQ(contacts_.Of("r1")[0].version, std::string(61, 'v') + "...");
   std::string umlauts;
   for (int i = 0; i < 64; ++i) umlauts += "\xC3\xA4";
-  contacts_.Greeted(base_, umlauts, "");
+  contacts_.Greeted(base_, {umlauts, ""});
   EXPECT_EQ(contacts_.Of("r1")[0].version, umlauts.substr(0, 60) + "...") << "between characters";
 }
 

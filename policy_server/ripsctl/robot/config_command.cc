@@ -1,0 +1,99 @@
+// `ripsctl robot config`: the settings in force on the server and on a robot's agents, and what
+// says each. What an agent says of itself is untrusted.
+#include <CLI/CLI.hpp>
+#include <nlohmann/json.hpp>
+#include <string>
+#include <vector>
+
+#include "absl/strings/str_cat.h"
+#include "policy_server/ripsctl/cli/json_output.h"
+#include "policy_server/ripsctl/cli/printer.h"
+#include "policy_server/ripsctl/commands.h"
+#include "services/base/ids.h"
+#include "services/base/status_macros.h"
+
+namespace rips::ripsctl {
+namespace {
+
+class ShowConfiguration final : public Command {
+ public:
+  ShowConfiguration()
+      : Command({"robot", "config", "Show the settings in force, and what says each"}) {}
+  void AddFlags(CLI::App& app) override {
+    app.add_option("ROBOT", robot_, "Robot id; without one, the policy server's own settings");
+    app.add_flag("--no-defaults", no_defaults_, "Leave out what no file says");
+  }
+  absl::Status Check() override { return robot_.empty() ? absl::OkStatus() : CheckRobot(robot_); }
+  absl::StatusOr<ExitCode> Run(Env& env) override {
+    v1::GetConfigurationRequest request;
+    request.set_robot(robot_);
+    RIPS_ASSIGN_OR_RETURN(const auto response, Call(env, &Stub::GetConfiguration, request));
+    if (env.json()) return PrintJson(env, ToJson(response));
+    env.out << (robot_.empty() ? "policy server" : "inventory of the policy server") << "\n";
+    Print(response.server(), env.out);
+    for (const v1::AgentConfiguration& agent : response.agents()) {
+      env.out << "\n" << EscapeText(agent.role()) << " " << EscapeText(agent.host()) << "\n";
+      if (agent.has_configuration()) {
+        Print(agent.configuration(), env.out);
+      } else {
+        env.out << "  not known: it has not connected since the policy server started, or is of an "
+                   "older version\n";
+      }
+    }
+    return ExitCode::kDone;
+  }
+
+ private:
+  void Print(const v1::Configuration& configuration, std::ostream& out) const {
+    Table table({"SETTING", "VALUE", "FROM"});
+    size_t defaults = 0;
+    for (const v1::Setting& each : configuration.settings()) {
+      if (each.source().empty() && no_defaults_) {
+        ++defaults;
+      } else {
+        table.Add({each.path(), each.value(), each.source().empty() ? "default" : each.source()});
+      }
+    }
+    table.Print(out, "  ");
+    if (defaults > 0) {
+      out << "  and " << defaults << (defaults == 1 ? " default\n" : " defaults\n");
+    }
+    if (configuration.left_out() > 0) {
+      out << "  and " << configuration.left_out() << " more, for which there was no room; "
+          << "`--check-config` of the program shows all\n";
+    }
+  }
+
+  Json ToJson(const v1::Configuration& configuration) const {
+    Json settings = Json::array();
+    for (const v1::Setting& each : configuration.settings()) {
+      if (each.source().empty() && no_defaults_) continue;
+      settings.push_back({{"path", each.path()},
+                          {"value", each.value()},
+                          {"source", each.source().empty() ? Json(nullptr) : Json(each.source())}});
+    }
+    return {{"settings", std::move(settings)}, {"left_out", configuration.left_out()}};
+  }
+
+  Json ToJson(const v1::GetConfigurationResponse& response) const {
+    Json agents = Json::array();
+    for (const v1::AgentConfiguration& agent : response.agents()) {
+      agents.push_back({{"role", agent.role()},
+                        {"host", agent.host()},
+                        {"configuration", agent.has_configuration() ? ToJson(agent.configuration())
+                                                                    : Json(nullptr)}});
+    }
+    return {{"robot", robot_.empty() ? Json(nullptr) : Json(robot_)},
+            {"server", ToJson(response.server())},
+            {"agents", std::move(agents)}};
+  }
+
+  std::string robot_;
+  bool no_defaults_ = false;
+};
+
+}  // namespace
+
+Commands ConfigCommands() { return MakeCommands<ShowConfiguration>(); }
+
+}  // namespace rips::ripsctl

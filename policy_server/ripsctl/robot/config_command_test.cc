@@ -1,0 +1,98 @@
+// `robot config` against a server that plays OperatorService.
+#include <nlohmann/json.hpp>
+#include <string>
+
+#include "gmock/gmock.h"
+#include "gtest/gtest.h"
+#include "policy_server/ripsctl/ripsctl_fixture.h"
+
+namespace rips::ripsctl {
+namespace {
+
+using testing::HasSubstr;
+using testing::Not;
+
+void Add(const std::string& path, const std::string& value, const std::string& source,
+         v1::Configuration& configuration) {
+  v1::Setting& setting = *configuration.add_settings();
+  setting.set_path(path);
+  setting.set_value(value);
+  setting.set_source(source);
+}
+
+class ConfigCommandTest : public RipsctlTest {
+ protected:
+  ConfigCommandTest() {
+    v1::GetConfigurationResponse& said = fake_.configuration;
+    Add("labels.ring", "\"canary\"", "/etc/rips/robots.yaml:7", *said.mutable_server());
+    v1::AgentConfiguration& sensor = *said.add_agents();
+    sensor.set_role("sensor");
+    sensor.set_host("base");
+    Add("settle", "3s", "/etc/rips/sensor.yaml:4", *sensor.mutable_configuration());
+    Add("outbox.memory", "64MiB", "", *sensor.mutable_configuration());
+    sensor.mutable_configuration()->set_left_out(2);
+    v1::AgentConfiguration& actuator = *said.add_agents();
+    actuator.set_role("actuator");
+    actuator.set_host("base");
+  }
+};
+
+TEST_F(ConfigCommandTest, ShowsWhatIsInForceAndWhatSaysIt) {
+  const Result result = Run({"robot", "config", "r1"});
+  EXPECT_EQ(result.code, 0) << result.err;
+  EXPECT_EQ(result.out,
+            "inventory of the policy server\n"
+            "  SETTING      VALUE     FROM\n"
+            "  labels.ring  \"canary\"  /etc/rips/robots.yaml:7\n"
+            "\n"
+            "sensor base\n"
+            "  SETTING        VALUE  FROM\n"
+            "  settle         3s     /etc/rips/sensor.yaml:4\n"
+            "  outbox.memory  64MiB  default\n"
+            "  and 2 more, for which there was no room; `--check-config` of the program shows all\n"
+            "\n"
+            "actuator base\n"
+            "  not known: it has not connected since the policy server started, or is of an older "
+            "version\n");
+  EXPECT_EQ(fake_.calls().back(), "GetConfiguration r1");
+  EXPECT_EQ(RunJson({"robot", "config", "r1"}), nlohmann::json::parse(R"({
+    "robot": "r1",
+    "server": {"settings": [{"path": "labels.ring", "value": "\"canary\"",
+                             "source": "/etc/rips/robots.yaml:7"}], "left_out": 0},
+    "agents": [
+      {"role": "sensor", "host": "base", "configuration": {
+        "settings": [{"path": "settle", "value": "3s", "source": "/etc/rips/sensor.yaml:4"},
+                     {"path": "outbox.memory", "value": "64MiB", "source": null}],
+        "left_out": 2}},
+      {"role": "actuator", "host": "base", "configuration": null}]
+  })"));
+}
+
+TEST_F(ConfigCommandTest, LeavesDefaultsOutAndCountsThem) {
+  const Result result = Run({"robot", "config", "r1", "--no-defaults"});
+  EXPECT_THAT(result.out, Not(HasSubstr("outbox.memory")));
+  EXPECT_THAT(result.out, HasSubstr("  and 1 default\n  and 2 more"));
+  EXPECT_EQ(
+      RunJson({"robot", "config", "r1", "--no-defaults"})["agents"][0]["configuration"]["settings"]
+          .size(),
+      1u);
+}
+
+TEST_F(ConfigCommandTest, WithoutARobotAsksForTheServersOwn) {
+  fake_.configuration.clear_agents();
+  EXPECT_THAT(Run({"robot", "config"}).out, testing::StartsWith("policy server\n"));
+  EXPECT_EQ(fake_.calls().back(), "GetConfiguration ");
+  EXPECT_TRUE(RunJson({"robot", "config"})["robot"].is_null());
+  EXPECT_EQ(Run({"robot", "config", "no robot"}).code, 2);
+}
+
+TEST_F(ConfigCommandTest, WhatAnAgentSaysIsEscaped) {
+  Add("evil\n", "\x1b[2J", "\x1b]0;x\x07",
+      *fake_.configuration.mutable_agents(0)->mutable_configuration());
+  const std::string text = Run({"robot", "config", "r1"}).out;
+  EXPECT_THAT(text, Not(HasSubstr("\x1b")));
+  EXPECT_THAT(text, HasSubstr("evil\\x0a"));
+}
+
+}  // namespace
+}  // namespace rips::ripsctl
