@@ -122,6 +122,7 @@ int main(int argc, char** argv) {
   rips::ForbidCoreDumps();
   rips::rpc::RequireTls13();
   rips::rpc::RouteGrpcLogs();
+  rips::rpc::TrustGrpcLockOrder();
   rips::ServiceManager manager(rips::ServiceManager::FromEnvironment());
   rips::DaemonFlags flags;
   const rips::DaemonInfo info = {.name = "rips-actuator",

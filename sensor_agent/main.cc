@@ -11,6 +11,7 @@ int main(int argc, char** argv) {
   rips::ForbidCoreDumps();
   rips::rpc::RequireTls13();
   rips::rpc::RouteGrpcLogs();
+  rips::rpc::TrustGrpcLockOrder();
   rips::DaemonFlags flags;
   const std::optional<int> exit_code =
       rips::ParseDaemonFlags(argc, argv,

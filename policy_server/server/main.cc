@@ -86,6 +86,7 @@ int main(int argc, char** argv) {
   ForbidCoreDumps();
   rpc::RequireTls13();
   rpc::RouteGrpcLogs();
+  rpc::TrustGrpcLockOrder();
   ServiceManager manager(ServiceManager::FromEnvironment());
   DaemonFlags flags;
   const DaemonInfo info{.name = "rips-policy-server",

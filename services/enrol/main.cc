@@ -138,6 +138,7 @@ int Main(int argc, char** argv) {
   ForbidCoreDumps();
   rpc::RequireTls13();
   rpc::RouteGrpcLogs();
+  rpc::TrustGrpcLockOrder();
   Flags flags;
   CLI::App app("Fetches the certificates of a robot's agents from the policy server.",
                "rips-enrol");

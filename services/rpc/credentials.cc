@@ -6,6 +6,7 @@
 #include <utility>
 
 #include "absl/strings/str_cat.h"
+#include "absl/synchronization/mutex.h"
 #include "google/protobuf/stubs/logging.h"
 #include "grpc/support/log.h"
 #include "grpcpp/security/tls_certificate_provider.h"
@@ -93,6 +94,8 @@ void RouteGrpcLogs() {
         LogDebug("protobuf", {{"text", text}, {"file", file}, {"line", line}});
       });
 }
+
+void TrustGrpcLockOrder() { absl::SetMutexDeadlockDetectionMode(absl::OnDeadlockCycle::kIgnore); }
 
 absl::StatusOr<Peer> ReadOwnCertificate(const TlsFiles& files) {
   RIPS_ASSIGN_OR_RETURN(const std::string ca, ReadFile(files.ca, kPemBytesMax));

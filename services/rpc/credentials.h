@@ -28,6 +28,10 @@ void RequireTls13();
 // Sends what gRPC and Protobuf log to services/runtime/log.h at debug level: what matters of it
 // reaches the daemon as a status, and is logged there. Call first in main().
 void RouteGrpcLogs();
+// Debian's abseil watches in which order gRPC takes its locks, and aborts the process at an order
+// that could lead to a deadlock, whether it ever does or not. This ends that watch: a daemon must
+// not end for it. Our own locks are others (services/runtime/mutex.h). Call first in main().
+void TrustGrpcLockOrder();
 
 // What `files` say, checked before they are used: all readable PEM, key belongs to certificate,
 // certificate valid now and issued under `ca`, exactly one URI SAN of the forms of ParseSpiffeUri.

@@ -1,12 +1,14 @@
 #include "services/rpc/credentials.h"
 
 #include <arpa/inet.h>
+#include <grpc/support/sync.h>
 #include <netinet/in.h>
 #include <sys/socket.h>
 #include <sys/stat.h>
 #include <unistd.h>
 
 #include <cstdio>
+#include <cstdlib>
 #include <memory>
 #include <string>
 
@@ -597,6 +599,34 @@ TEST_F(RevocationTest, ARevokedServerIsRefusedInTheHandshake) {
   ASSERT_TRUE(end.has_value());
   EXPECT_FALSE(end->status.ok());
   EXPECT_EQ(service.calls, 0);
+}
+
+// Takes two of gRPC's locks in one order, then in the other, with nobody waiting for either.
+void LockInBothOrders() {
+  gpr_mu first;
+  gpr_mu second;
+  gpr_mu_init(&first);
+  gpr_mu_init(&second);
+  const auto lock = [](gpr_mu* outer, gpr_mu* inner) {
+    gpr_mu_lock(outer);
+    gpr_mu_lock(inner);
+    gpr_mu_unlock(inner);
+    gpr_mu_unlock(outer);
+  };
+  lock(&first, &second);
+  lock(&second, &first);
+}
+
+TEST(GrpcLockOrderTest, EndsNoDaemon) {
+  testing::FLAGS_gtest_death_test_style = "threadsafe";
+  EXPECT_DEATH(LockInBothOrders(), "potential deadlock") << "abseil does not watch any more";
+  EXPECT_EXIT(
+      {
+        TrustGrpcLockOrder();
+        LockInBothOrders();
+        std::_Exit(0);
+      },
+      testing::ExitedWithCode(0), "");
 }
 
 }  // namespace
