@@ -472,20 +472,23 @@ void Agent::OnEndpoint(const EndpointFact& endpoint, bool alive, int64_t now_ns)
 
 void Agent::PollClaims(int64_t now_ns, Observations& seen) {
   for (const Claim& claim : domain_->TakeClaims()) {
-    const auto entities = ros2::DecodeParticipantEntities(claim.payload);
-    if (!entities.ok()) {
+    size_t misnamed = 0;
+    const auto entities = ros2::DecodeParticipantEntities(claim.payload, {}, &misnamed);
+    if (!entities.ok() || misnamed > 0) {
       bad_claims_.Increment();
       if (const auto left_out = bus_logs_.Admit("undecodable claims")) {
-        LogWarning("cannot decode ros_discovery_info", {{"writer", ToString(claim.writer)},
-                                                        {"error", entities.status().ToString()},
-                                                        {"left_out", *left_out}});
+        const std::string error =
+            entities.ok() ? absl::StrCat(misnamed, " nodes have names that no node can have")
+                          : entities.status().ToString();
+        LogWarning("cannot decode ros_discovery_info",
+                   {{"writer", ToString(claim.writer)}, {"error", error}, {"left_out", *left_out}});
       }
       seen.losses.push_back({.cause = LossCause::kUndecodable,
                              .count = 1,
                              .first_boottime_ns = now_ns,
                              .last_boottime_ns = now_ns});
-      continue;
     }
+    if (!entities.ok()) continue;
     if (announcer_ != nullptr) announcer_->Heard(claim.writer.Participant(), claim.payload);
     const absl::Status taken = graph_->NodesClaimed(claim.writer, *entities, now_ns);
     findings_->OnClaim(claim.writer, taken, now_ns);

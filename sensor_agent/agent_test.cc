@@ -472,6 +472,26 @@ TEST_F(AgentTest, UndecodableClaimIsALoss) {
   }));
 }
 
+TEST_F(AgentTest, ANameThatNoNodeCanHaveIsALossAndHidesNoOtherNodeOfItsProcess) {
+  auto process = robot_.AddProcess();
+  const ros2::Guid writer = process->AddWriter("rt/chatter").guid();
+  StartServer();
+  StartAgent();
+  ASSERT_TRUE(server_.WaitUntil([](const auto& s) { return s.settled; }));
+  process->AnnounceBytes(ros2::EncodeParticipantEntities(
+      {.participant = process->participant().guid(),
+       .nodes = {
+           {.node_namespace = "/", .node_name = "a b", .readers = {}, .writers = {}},
+           {.node_namespace = "/", .node_name = "sneaky", .readers = {}, .writers = {writer}}}}));
+  ASSERT_TRUE(WaitForPublisher("/chatter", "/sneaky"));
+  EXPECT_TRUE(server_.WaitUntil([](const FakePolicyServer& s) {
+    for (const Recorded& each : s.Distinct(CONTROL)) {
+      if (each.what.loss().cause() == rips::v1::Loss::UNDECODABLE) return true;
+    }
+    return false;
+  }));
+}
+
 // --- The daemon as a process
 
 class DaemonTest : public AgentTest {

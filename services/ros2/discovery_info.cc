@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <utility>
 
+#include "absl/strings/match.h"
 #include "absl/strings/str_cat.h"
 #include "services/base/status_macros.h"
 #include "services/ros2/cdr.h"
@@ -34,7 +35,8 @@ std::vector<Guid> ReadGids(CdrReader& reader, GidBytes gid_bytes, size_t limit) 
 
 absl::StatusOr<ParticipantEntities> DecodeAs(absl::string_view payload, GidBytes gid_bytes,
                                              const DiscoveryLimits& limits) {
-  CdrReader reader(payload, {.string_bytes = kRosNameBytesMax});
+  // Of any length that fits: a name that is too long is one that no node has.
+  CdrReader reader(payload, {.string_bytes = payload.size()});
   ParticipantEntities info;
   info.gid_bytes = gid_bytes;
   info.participant = ReadGid(reader, gid_bytes);
@@ -53,19 +55,10 @@ absl::StatusOr<ParticipantEntities> DecodeAs(absl::string_view payload, GidBytes
   return info;
 }
 
-absl::Status CheckNames(const ParticipantEntities& info) {
-  for (const NodeEntities& node : info.nodes) {
-    const bool root = node.node_namespace == "/";
-    absl::Status status = root ? absl::OkStatus() : ValidateNodeName(node.node_namespace);
-    if (status.ok() && node.node_name.find('/') != std::string::npos) {
-      status = absl::DataLossError("a node's base name has a slash");
-    }
-    if (status.ok()) {
-      status = ValidateNodeName(JoinNodeName(node.node_namespace, node.node_name));
-    }
-    if (!status.ok()) return absl::DataLossError(status.message());
-  }
-  return absl::OkStatus();
+bool IsNamed(const NodeEntities& node) {
+  if (node.node_namespace != "/" && !ValidateNodeName(node.node_namespace).ok()) return false;
+  if (absl::StrContains(node.node_name, '/')) return false;
+  return ValidateNodeName(JoinNodeName(node.node_namespace, node.node_name)).ok();
 }
 
 void WriteGid(CdrWriter& writer, const Guid& guid, GidBytes gid_bytes) {
@@ -81,7 +74,8 @@ void WriteGids(CdrWriter& writer, const std::vector<Guid>& gids, GidBytes gid_by
 }  // namespace
 
 absl::StatusOr<ParticipantEntities> DecodeParticipantEntities(absl::string_view payload,
-                                                              const DiscoveryLimits& limits) {
+                                                              const DiscoveryLimits& limits,
+                                                              size_t* misnamed) {
   absl::StatusOr<ParticipantEntities> info = DecodeAs(payload, GidBytes::k24, limits);
   if (!info.ok()) {
     const absl::Status as_24 = info.status();
@@ -91,7 +85,9 @@ absl::StatusOr<ParticipantEntities> DecodeParticipantEntities(absl::string_view 
                                               "; with 16-byte gids: ", info.status().message()));
     }
   }
-  RIPS_RETURN_IF_ERROR(CheckNames(*info));
+  const size_t dropped =
+      std::erase_if(info->nodes, [](const auto& each) { return !IsNamed(each); });
+  if (misnamed != nullptr) *misnamed = dropped;
   return info;
 }
 

@@ -44,10 +44,12 @@ struct DiscoveryLimits {
 };
 
 // Reads `payload` as both gid sizes, strictly; at most one fits, since 24-byte gids end in zeros
-// where the other form has its node count. DataLoss if neither does, if a node's name or
-// namespace is no valid ROS name, or past a limit.
+// where the other form has its node count. DataLoss if neither does, or past a limit. A node whose
+// name or namespace is no valid ROS name is left out, so that it hides no other of its process;
+// `misnamed`, if not null, takes how many are.
 absl::StatusOr<ParticipantEntities> DecodeParticipantEntities(absl::string_view payload,
-                                                              const DiscoveryLimits& limits = {});
+                                                              const DiscoveryLimits& limits = {},
+                                                              size_t* misnamed = nullptr);
 
 // Little endian, with encapsulation header. Decode gives `info` back.
 std::string EncodeParticipantEntities(const ParticipantEntities& info);

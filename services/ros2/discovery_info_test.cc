@@ -148,18 +148,30 @@ TEST(DiscoveryInfoTest, Limits) {
               StatusIs(absl::StatusCode::kDataLoss, HasSubstr("2 elements exceeds limit 1")));
 }
 
-TEST(DiscoveryInfoTest, NamesMustBeRosNames) {
-  const std::pair<const char*, const char*> cases[] = {
-      {"", "n"},    {"ns", "n"},   {"/ns/", "n"}, {"//", "n"},      {"/", ""},
-      {"/", "a/b"}, {"/", "a\nb"}, {"/", "1n"},   {"/a b", "node"}, {"/", "/n"}};
+TEST(DiscoveryInfoTest, ANameThatNoNodeCanHaveHidesNoOtherNode) {
+  const std::string longest(1'000, 'n');
+  const std::pair<std::string, std::string> cases[] = {
+      {"", "n"},         {"ns", "n"},          {"/ns/", "n"}, {"//", "n"},      {"/", ""},
+      {"/", "a/b"},      {"/", "a\nb"},        {"/", "1n"},   {"/a b", "node"}, {"/", "/n"},
+      {"/", "\xff\xfe"}, {"/", "\x1b[2Jnode"}, {"/", longest}};
   for (const auto& [node_namespace, node_name] : cases) {
-    ParticipantEntities info = Sample(GidBytes::k24);
-    info.nodes[1].node_namespace = node_namespace;
-    info.nodes[1].node_name = node_name;
-    EXPECT_THAT(DecodeParticipantEntities(EncodeParticipantEntities(info)),
-                StatusIs(absl::StatusCode::kDataLoss))
-        << node_namespace << " " << node_name;
+    for (const size_t at : {0, 1}) {
+      ParticipantEntities info = Sample(GidBytes::k24);
+      info.nodes[at].node_namespace = node_namespace;
+      info.nodes[at].node_name = node_name;
+      size_t misnamed = 0;
+      const auto found = DecodeParticipantEntities(EncodeParticipantEntities(info), {}, &misnamed);
+      ASSERT_THAT(found, IsOk()) << node_namespace << " " << node_name;
+      EXPECT_EQ(misnamed, 1u);
+      ASSERT_EQ(found->nodes.size(), info.nodes.size() - 1);
+      EXPECT_EQ(found->nodes[0], info.nodes[1 - at]);
+    }
   }
+  size_t misnamed = 7;
+  EXPECT_THAT(
+      DecodeParticipantEntities(EncodeParticipantEntities(Sample(GidBytes::k24)), {}, &misnamed),
+      IsOk());
+  EXPECT_EQ(misnamed, 0u);
 }
 
 TEST(CheckOriginTest, AnotherParticipantIsRefused) {

@@ -15,6 +15,7 @@
 
 #include "absl/strings/ascii.h"
 #include "absl/strings/str_cat.h"
+#include "absl/time/clock.h"
 #include "services/base/status_macros.h"
 #include "services/rpc/openssl_types.h"
 
@@ -89,8 +90,8 @@ std::vector<std::string> UriNames(const X509* certificate) {
   return uris;
 }
 
-// Of a certificate that is refused for its times: which time, and what else may be wrong. The same
-// text each time, so that who waits says it once.
+// Of a certificate that is refused for its times: which time, and the day that this host has, which
+// may be the mistake. The same text all day, so that who waits says it once.
 std::string TimesText(int error, const X509* certificate) {
   const bool early = error == X509_V_ERR_CERT_NOT_YET_VALID;
   if (certificate == nullptr || (!early && error != X509_V_ERR_CERT_HAS_EXPIRED)) return "";
@@ -99,7 +100,8 @@ std::string TimesText(int error, const X509* certificate) {
   if (!time.ok()) return "";
   return absl::StrCat(early ? "; it is valid from " : "; it was valid until ",
                       absl::FormatTime("%Y-%m-%d %H:%M:%S UTC", *time, absl::UTCTimeZone()),
-                      ": is the clock of this host right?");
+                      ", and the clock of this host says ",
+                      absl::FormatTime("%Y-%m-%d", absl::Now(), absl::UTCTimeZone()));
 }
 
 absl::Status VerifyChain(const std::vector<Certificate>& roots,

@@ -4,6 +4,7 @@
 
 #include "absl/strings/str_cat.h"
 #include "services/rpc/credentials.h"
+#include "services/runtime/key_mode.h"
 #include "services/runtime/log.h"
 
 namespace rips::rpc {
@@ -82,10 +83,18 @@ absl::Status CertificateMonitor::own_status() const {
 void CertificateMonitor::Check() {
   const absl::StatusOr<Peer> own = ReadOwnCertificate(options_.own);
   const absl::Time now = absl::FromUnixNanos(clock_->Now().unix_ns);
+  std::string warning;
+  const absl::Status private_key = CheckKeyMode(options_.own.key, &warning);
   std::vector<Notice> notices;
   {
     MutexLock lock(&mu_);
     own_status_ = own.status();
+    if (private_key.ok()) {
+      if (open_key_.said()) LogInfo("the private key is private again");
+      open_key_.Clear();
+    } else if (open_key_.Pass(private_key.message(), clock_->Now().boottime_ns)) {
+      LogError("the next start will refuse the private key", {{"reason", private_key.message()}});
+    }
     if (own.ok()) PutLocked("", *own, /*own=*/true);
     for (auto& [key, watched] : watched_) {
       const Peer& peer = watched.certificate;

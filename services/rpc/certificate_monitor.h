@@ -19,6 +19,7 @@
 #include "absl/time/time.h"
 #include "services/base/clock.h"
 #include "services/rpc/peer.h"
+#include "services/runtime/await.h"
 #include "services/runtime/config_sections.h"
 #include "services/runtime/metrics.h"
 #include "services/runtime/mutex.h"
@@ -64,7 +65,9 @@ class CertificateMonitor {
   // OK if connections can be made now with what the files hold. Any thread.
   absl::Status own_status() const ABSL_LOCKS_EXCLUDED(mu_);
 
-  // Reads the own certificate, sets the gauges, gives the notices that are due.
+  // Reads the own certificate, sets the gauges, gives the notices that are due. Logs a key that is
+  // open to others now, as a renewal may leave it: a daemon refuses it at its start (key_mode.h),
+  // and one that runs must not stop for it.
   void Check() ABSL_LOCKS_EXCLUDED(mu_);
 
  private:
@@ -82,6 +85,7 @@ class CertificateMonitor {
   mutable Mutex mu_;
   // By URI; the own one under the empty key.
   std::map<std::string, Watched> watched_ ABSL_GUARDED_BY(mu_);
+  RepeatFilter open_key_ ABSL_GUARDED_BY(mu_);
   absl::Status own_status_ ABSL_GUARDED_BY(mu_) = absl::UnavailableError("not read yet");
   std::optional<Ticker> ticker_;  // last: uses the others
 };

@@ -1,5 +1,9 @@
 #include "services/rpc/certificate_monitor.h"
 
+#include <sys/stat.h>
+
+#include <cstdio>
+#include <fstream>
 #include <string>
 #include <vector>
 
@@ -91,6 +95,31 @@ TEST_F(CertificateMonitorTest, ItsOwnFilesCountForReadiness) {
   monitor_.Check();
   EXPECT_THAT(monitor_.own_status(), Not(IsOk()));
   EXPECT_THAT(stages_, IsEmpty());
+}
+
+TEST(CertificateMonitorKeyTest, SaysThatARenewedKeyIsOpenToOthersAndWhenItIsNoMore) {
+  const std::string key = testing::TempDir() + "/monitor-key.pem";
+  std::ofstream(key) << "x";
+  FakeClock clock;
+  Metrics metrics;
+  CertificateMonitor monitor(
+      {.own = {.ca = "/none", .cert = "/none", .key = key}, .interval = absl::InfiniteDuration()},
+      &clock, &metrics);
+  const auto said = [&](mode_t mode) {
+    chmod(key.c_str(), mode);
+    testing::internal::CaptureStderr();
+    monitor.Check();
+    monitor.Check();
+    return testing::internal::GetCapturedStderr();
+  };
+  EXPECT_EQ(said(0600), "");
+  const std::string open = said(0644);
+  EXPECT_THAT(open, HasSubstr("the next start will refuse the private key"));
+  EXPECT_THAT(open, HasSubstr("chmod o-rwx " + key));
+  EXPECT_EQ(open.find("refuse"), open.rfind("refuse")) << "once";
+  EXPECT_THAT(said(0600), HasSubstr("the private key is private again"));
+  EXPECT_EQ(said(0600), "");
+  std::remove(key.c_str());
 }
 
 }  // namespace

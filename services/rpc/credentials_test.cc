@@ -418,7 +418,7 @@ TEST_F(CredentialsSourceTest, ACertificateThatIsNotValidYetIsWaitedFor) {
   source.Require(IsOurs);
   EXPECT_THAT(source.Get(), StatusIs(absl::StatusCode::kUnauthenticated,
                                      AllOf(HasSubstr("not yet valid; it is valid from 20"),
-                                           HasSubstr(" UTC: is the clock of this host right?"))));
+                                           HasSubstr(" UTC, and the clock of this host says 20"))));
   const std::string once(source.Get().status().message());
   EXPECT_EQ(source.Get().status().message(), once);
 }

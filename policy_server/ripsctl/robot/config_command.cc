@@ -18,27 +18,40 @@ namespace {
 class ShowConfiguration final : public Command {
  public:
   ShowConfiguration()
-      : Command({"robot", "config", "Show the settings in force, and what says each"}) {}
+      : Command({"robot", "config",
+                 "Show the settings in force, and what says each (role operator)"}) {}
   void AddFlags(CLI::App& app) override {
-    app.add_option("ROBOT", robot_, "Robot id; without one, the policy server's own settings");
+    app.add_option("ROBOT", robot_, "Robot id");
+    app.add_flag("--policy-server", own_,
+                 "The policy server's own settings, in place of a robot's");
     app.add_flag("--no-defaults", no_defaults_, "Leave out what no file says");
   }
-  absl::Status Check() override { return robot_.empty() ? absl::OkStatus() : CheckRobot(robot_); }
+  absl::Status Check() override {
+    if (!own_) return CheckRobot(robot_);
+    if (robot_.empty()) return absl::OkStatus();
+    return absl::InvalidArgumentError("--policy-server goes with no ROBOT");
+  }
   absl::StatusOr<ExitCode> Run(Env& env) override {
     v1::GetConfigurationRequest request;
     request.set_robot(robot_);
     RIPS_ASSIGN_OR_RETURN(const auto response, Call(env, &Stub::GetConfiguration, request));
     if (env.json()) return PrintJson(env, ToJson(response));
-    env.out << (robot_.empty() ? "policy server" : "inventory of the policy server") << "\n";
+    env.out << (own_ ? "policy server" : "inventory of the policy server") << "\n";
     Print(response.server(), env.out);
     for (const v1::AgentConfiguration& agent : response.agents()) {
-      env.out << "\n" << EscapeText(agent.role()) << " " << EscapeText(agent.host()) << "\n";
+      env.out << "\n" << EscapeText(agent.role()) << " " << EscapeText(agent.host());
       if (agent.has_configuration()) {
+        env.out << ", as it said when it connected, at " << ShortTime(agent.said_unix_ns()) << "\n";
         Print(agent.configuration(), env.out);
       } else {
-        env.out << "  not known: it has not connected since the policy server started, or is of an "
-                   "older version\n";
+        env.out
+            << "\n  not known: it has not connected since the policy server started, or is of an "
+               "older version\n";
       }
+    }
+    if (!response.agents().empty()) {
+      env.out
+          << "\nwhat an agent says of itself proves nothing: one whose key was stolen may lie\n";
     }
     return ExitCode::kDone;
   }
@@ -66,13 +79,19 @@ class ShowConfiguration final : public Command {
 
   Json ToJson(const v1::Configuration& configuration) const {
     Json settings = Json::array();
+    size_t defaults = 0;
     for (const v1::Setting& each : configuration.settings()) {
-      if (each.source().empty() && no_defaults_) continue;
+      if (each.source().empty() && no_defaults_) {
+        ++defaults;
+        continue;
+      }
       settings.push_back({{"path", each.path()},
                           {"value", each.value()},
                           {"source", each.source().empty() ? Json(nullptr) : Json(each.source())}});
     }
-    return {{"settings", std::move(settings)}, {"left_out", configuration.left_out()}};
+    return {{"settings", std::move(settings)},
+            {"defaults_left_out", defaults},
+            {"left_out", configuration.left_out()}};
   }
 
   Json ToJson(const v1::GetConfigurationResponse& response) const {
@@ -80,15 +99,18 @@ class ShowConfiguration final : public Command {
     for (const v1::AgentConfiguration& agent : response.agents()) {
       agents.push_back({{"role", agent.role()},
                         {"host", agent.host()},
+                        {"said", agent.has_configuration() ? Json(FullTime(agent.said_unix_ns()))
+                                                           : Json(nullptr)},
                         {"configuration", agent.has_configuration() ? ToJson(agent.configuration())
                                                                     : Json(nullptr)}});
     }
-    return {{"robot", robot_.empty() ? Json(nullptr) : Json(robot_)},
+    return {{"robot", own_ ? Json(nullptr) : Json(robot_)},
             {"server", ToJson(response.server())},
             {"agents", std::move(agents)}};
   }
 
   std::string robot_;
+  bool own_ = false;
   bool no_defaults_ = false;
 };
 

@@ -31,6 +31,7 @@ class ConfigCommandTest : public RipsctlTest {
     Add("settle", "3s", "/etc/rips/sensor.yaml:4", *sensor.mutable_configuration());
     Add("outbox.memory", "64MiB", "", *sensor.mutable_configuration());
     sensor.mutable_configuration()->set_left_out(2);
+    sensor.set_said_unix_ns(kNewYear);
     v1::AgentConfiguration& actuator = *said.add_agents();
     actuator.set_role("actuator");
     actuator.set_host("base");
@@ -45,7 +46,7 @@ TEST_F(ConfigCommandTest, ShowsWhatIsInForceAndWhatSaysIt) {
             "  SETTING      VALUE     FROM\n"
             "  labels.ring  \"canary\"  /etc/rips/robots.yaml:7\n"
             "\n"
-            "sensor base\n"
+            "sensor base, as it said when it connected, at 2026-01-01T00:00:00.000Z\n"
             "  SETTING        VALUE  FROM\n"
             "  settle         3s     /etc/rips/sensor.yaml:4\n"
             "  outbox.memory  64MiB  default\n"
@@ -53,18 +54,21 @@ TEST_F(ConfigCommandTest, ShowsWhatIsInForceAndWhatSaysIt) {
             "\n"
             "actuator base\n"
             "  not known: it has not connected since the policy server started, or is of an older "
-            "version\n");
+            "version\n"
+            "\n"
+            "what an agent says of itself proves nothing: one whose key was stolen may lie\n");
   EXPECT_EQ(fake_.calls().back(), "GetConfiguration r1");
   EXPECT_EQ(RunJson({"robot", "config", "r1"}), nlohmann::json::parse(R"({
     "robot": "r1",
     "server": {"settings": [{"path": "labels.ring", "value": "\"canary\"",
-                             "source": "/etc/rips/robots.yaml:7"}], "left_out": 0},
+                             "source": "/etc/rips/robots.yaml:7"}], "defaults_left_out": 0,
+               "left_out": 0},
     "agents": [
-      {"role": "sensor", "host": "base", "configuration": {
+      {"role": "sensor", "host": "base", "said": "2026-01-01T00:00:00.000000000Z", "configuration": {
         "settings": [{"path": "settle", "value": "3s", "source": "/etc/rips/sensor.yaml:4"},
                      {"path": "outbox.memory", "value": "64MiB", "source": null}],
-        "left_out": 2}},
-      {"role": "actuator", "host": "base", "configuration": null}]
+        "defaults_left_out": 0, "left_out": 2}},
+      {"role": "actuator", "host": "base", "said": null, "configuration": null}]
   })"));
 }
 
@@ -72,18 +76,24 @@ TEST_F(ConfigCommandTest, LeavesDefaultsOutAndCountsThem) {
   const Result result = Run({"robot", "config", "r1", "--no-defaults"});
   EXPECT_THAT(result.out, Not(HasSubstr("outbox.memory")));
   EXPECT_THAT(result.out, HasSubstr("  and 1 default\n  and 2 more"));
-  EXPECT_EQ(
-      RunJson({"robot", "config", "r1", "--no-defaults"})["agents"][0]["configuration"]["settings"]
-          .size(),
-      1u);
+  const nlohmann::json sensor =
+      RunJson({"robot", "config", "r1", "--no-defaults"})["agents"][0]["configuration"];
+  EXPECT_EQ(sensor["settings"].size(), 1u);
+  EXPECT_EQ(sensor["defaults_left_out"], 1);
 }
 
-TEST_F(ConfigCommandTest, WithoutARobotAsksForTheServersOwn) {
+TEST_F(ConfigCommandTest, AsksForTheServersOwnOnlyWhenToldTo) {
   fake_.configuration.clear_agents();
-  EXPECT_THAT(Run({"robot", "config"}).out, testing::StartsWith("policy server\n"));
+  EXPECT_THAT(Run({"robot", "config", "--policy-server"}).out,
+              testing::StartsWith("policy server\n"));
   EXPECT_EQ(fake_.calls().back(), "GetConfiguration ");
-  EXPECT_TRUE(RunJson({"robot", "config"})["robot"].is_null());
+  EXPECT_TRUE(RunJson({"robot", "config", "--policy-server"})["robot"].is_null());
+  const size_t calls = fake_.calls().size();
+  EXPECT_EQ(Run({"robot", "config"}).code, 2);
+  EXPECT_EQ(Run({"robot", "config", ""}).code, 2) << "a variable of the shell that is not set";
   EXPECT_EQ(Run({"robot", "config", "no robot"}).code, 2);
+  EXPECT_EQ(Run({"robot", "config", "r1", "--policy-server"}).code, 2);
+  EXPECT_EQ(fake_.calls().size(), calls);
 }
 
 TEST_F(ConfigCommandTest, WhatAnAgentSaysIsEscaped) {

@@ -326,8 +326,8 @@ TEST_F(SensorServiceTest, KeepsOfAConfigurationWhatItsLimitsAllow) {
   ASSERT_TRUE(sensor.Greeted());
   const auto found = contacts_.ConfigurationsOf("r1");
   ASSERT_EQ(found.size(), 1u);
-  EXPECT_EQ(found[0].second.settings_size(), 16);
-  EXPECT_EQ(found[0].second.left_out(), 84u + 7u);
+  EXPECT_EQ(found[0].configuration.settings_size(), 16);
+  EXPECT_EQ(found[0].configuration.left_out(), 84u + 7u);
   sensor.End();
   Sensor wrong(channel_);
   wrong.configuration.add_settings()->set_path(std::string(257, 'p'));

@@ -37,6 +37,7 @@ TEST_F(ConfigurationCallTest, TellsWhatTheInventorySaysAndWhatEachAgentSaid) {
   ASSERT_EQ(answer_.agents_size(), 2);
   EXPECT_EQ(answer_.agents(0).role(), "sensor");
   EXPECT_EQ(answer_.agents(0).configuration().settings(0).value(), "3s");
+  EXPECT_GT(answer_.agents(0).said_unix_ns(), 0);
   EXPECT_EQ(answer_.agents(1).role(), "actuator");
   EXPECT_FALSE(answer_.agents(1).has_configuration()) << "it has not connected";
   settings_.Set({});

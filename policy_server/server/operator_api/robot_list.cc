@@ -46,16 +46,18 @@ void FillRobotList(const rips::v1::ListRobotsRequest& request, const RobotListSo
 
 void FillAgentConfigurations(const pipeline::AgentContacts& contacts, const std::string& robot,
                              rips::v1::GetConfigurationResponse& response) {
-  absl::btree_map<pipeline::AgentId, rips::v1::Configuration> said;
-  for (auto& [agent, configuration] : contacts.ConfigurationsOf(robot)) {
-    said.emplace(agent, std::move(configuration));
+  absl::btree_map<pipeline::AgentId, pipeline::AgentContacts::Said> said;
+  for (pipeline::AgentContacts::Said& each : contacts.ConfigurationsOf(robot)) {
+    said.emplace(each.agent, std::move(each));
   }
   for (const pipeline::AgentContacts::Contact& contact : contacts.Of(robot)) {
     rips::v1::AgentConfiguration* const added = response.add_agents();
     added->set_role(RoleName(contact.agent.kind));
     added->set_host(contact.agent.host);
     const auto found = said.find(contact.agent);
-    if (found != said.end()) *added->mutable_configuration() = std::move(found->second);
+    if (found == said.end()) continue;
+    *added->mutable_configuration() = std::move(found->second.configuration);
+    added->set_said_unix_ns(found->second.unix_ns);
   }
 }
 

@@ -20,13 +20,14 @@ void AgentContacts::SetListed(std::vector<AgentId> agents) {
 
 std::shared_ptr<AgentContacts::Heard> AgentContacts::Greeted(const AgentId& agent,
                                                              Greeting greeting) {
-  const int64_t now_ns = clock_->Now().boottime_ns;
+  const Instant now = clock_->Now();
   MutexLock lock(&mu_);
   const auto found = listed_.find(agent);
   if (found == listed_.end()) return nullptr;
   greeting.version = Shortened(greeting.version, kVersionBytesMax);
   found->second.said = std::move(greeting);
-  *found->second.heard = now_ns;
+  found->second.said_unix_ns = now.unix_ns;
+  *found->second.heard = now.boottime_ns;
   return found->second.heard;
 }
 
@@ -47,18 +48,18 @@ std::vector<AgentContacts::Contact> AgentContacts::Of(const std::string& robot) 
   return contacts;
 }
 
-std::vector<std::pair<AgentId, rips::v1::Configuration>> AgentContacts::ConfigurationsOf(
-    const std::string& robot) const {
-  std::vector<std::pair<AgentId, rips::v1::Configuration>> configurations;
+std::vector<AgentContacts::Said> AgentContacts::ConfigurationsOf(const std::string& robot) const {
+  std::vector<Said> all;
   MutexLock lock(&mu_);
   for (auto it = listed_.lower_bound(AgentId{.robot = robot});
        it != listed_.end() && it->first.robot == robot; ++it) {
-    rips::v1::Configuration configuration;
-    const std::string& said = it->second.said.configuration;
-    if (said.empty() || !configuration.ParseFromString(said)) continue;
-    configurations.emplace_back(it->first, std::move(configuration));
+    const Entry& entry = it->second;
+    Said said{.agent = it->first, .unix_ns = entry.said_unix_ns};
+    const std::string& text = entry.said.configuration;
+    if (text.empty() || !said.configuration.ParseFromString(text)) continue;
+    all.push_back(std::move(said));
   }
-  return configurations;
+  return all;
 }
 
 std::vector<AgentId> AgentContacts::At(absl::string_view address, size_t limit) const {

@@ -20,7 +20,6 @@
 #include <cstdint>
 #include <memory>
 #include <string>
-#include <utility>
 #include <vector>
 
 #include "absl/base/thread_annotations.h"
@@ -78,9 +77,14 @@ class AgentContacts {
   std::shared_ptr<Heard> Greeted(const AgentId& agent, Greeting greeting) ABSL_LOCKS_EXCLUDED(mu_);
   // The listed agents of a robot, sensors first, by host.
   std::vector<Contact> Of(const std::string& robot) const ABSL_LOCKS_EXCLUDED(mu_);
+  struct Said {
+    AgentId agent;
+    rips::v1::Configuration configuration;
+    // By the server's wall clock as it was then.
+    int64_t unix_ns = 0;
+  };
   // What each of these said last, where it said one.
-  std::vector<std::pair<AgentId, rips::v1::Configuration>> ConfigurationsOf(
-      const std::string& robot) const ABSL_LOCKS_EXCLUDED(mu_);
+  std::vector<Said> ConfigurationsOf(const std::string& robot) const ABSL_LOCKS_EXCLUDED(mu_);
   // Listed agents that were admitted last from that address, at most `limit`: several behind one
   // NAT. Looks at all.
   std::vector<AgentId> At(absl::string_view address, size_t limit) const ABSL_LOCKS_EXCLUDED(mu_);
@@ -88,6 +92,7 @@ class AgentContacts {
  private:
   struct Entry {
     Greeting said;
+    int64_t said_unix_ns = 0;
     std::shared_ptr<Heard> heard = std::make_shared<Heard>(0);
   };
 

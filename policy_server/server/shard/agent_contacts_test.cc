@@ -52,8 +52,9 @@ TEST_F(AgentContactsTest, TheConfigurationIsOfTheLastHelloAndGoesWithTheAgent) {
   contacts_.Greeted(other_, {"1", "", "\xff"});
   const auto found = contacts_.ConfigurationsOf("r1");
   ASSERT_THAT(found, SizeIs(1)) << "the actuator is of an older version";
-  EXPECT_EQ(found[0].first, base_);
-  EXPECT_EQ(found[0].second.settings(0).path(), "settle");
+  EXPECT_EQ(found[0].agent, base_);
+  EXPECT_EQ(found[0].configuration.settings(0).path(), "settle");
+  EXPECT_EQ(found[0].unix_ns, 1'000 * kNanosPerSecond);
   EXPECT_THAT(contacts_.ConfigurationsOf("r10"), IsEmpty()) << "it cannot be decoded";
   contacts_.Greeted(base_, {"1", "", ""});
   EXPECT_THAT(contacts_.ConfigurationsOf("r1"), IsEmpty());
