@@ -69,8 +69,8 @@ class AgentContacts {
     std::string version;
     // IP address that it came from.
     std::string address;
-    // A rips.v1.Configuration within its limits, serialized: that is a fifth of the memory. Empty:
-    // it said none, it is of an older version.
+    // A rips.v1.Configuration within its limits, serialized: as messages, strings of few bytes take
+    // several times their size. Empty: it said none, it is of an older version.
     std::string configuration;
   };
   // The agent is admitted now. What its stream notes its messages in; null = it is not listed.
