@@ -4,8 +4,10 @@
 #include <utility>
 
 #include "absl/container/btree_set.h"
+#include "absl/strings/numbers.h"
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_join.h"
+#include "absl/strings/strip.h"
 #include "services/base/ids.h"
 #include "services/base/status_macros.h"
 #include "services/runtime/config_reader.h"

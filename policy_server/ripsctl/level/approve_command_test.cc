@@ -57,7 +57,7 @@ TEST_F(RipsctlTest, SaysAfterTheLoweringWhatBecameOfTheFirewall) {
   *fake_.level_response.mutable_decision_id() = MakeDecisionId(3, 18);
   fake_.level_states = {MakeStatus("r1", "COMPROMISED"), MakeStatus("r1", "DEFAULT")};
   *fake_.level_states[1].mutable_decision_id() = MakeDecisionId(3, 18);
-  const auto receipt = [this](const char* step, uint64_t epoch) {
+  const auto receipt = [](const char* step, uint64_t epoch) {
     v1::ReceivedReceipt received;
     received.set_host("base");
     *received.mutable_receipt()->mutable_decision_id() = MakeDecisionId(3, epoch);

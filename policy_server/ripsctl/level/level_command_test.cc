@@ -151,11 +151,12 @@ TEST(FirewallsTest, SaysWhenAllThatStillSendsHasAddressesOfAgents) {
   drops.add_sources()->add_agents("sensor/r3/base");
   v1::FirewallSource& other = *drops.add_sources();
   const char kOnlyAgents[] = "only hosts with agents of RIPS still send, as robots do";
-  EXPECT_THAT(DropsText(drops), testing::Not(HasSubstr(kOnlyAgents)));
+  EXPECT_THAT(DropsText(drops), testing::Not(testing::HasSubstr(kOnlyAgents)));
   other.set_quiet_s(10);
-  EXPECT_THAT(DropsText(drops), HasSubstr(kOnlyAgents));
+  EXPECT_THAT(DropsText(drops), testing::HasSubstr(kOnlyAgents));
   drops.set_more_sources(1);
-  EXPECT_THAT(DropsText(drops), testing::Not(HasSubstr(kOnlyAgents))) << "not all are shown";
+  EXPECT_THAT(DropsText(drops), testing::Not(testing::HasSubstr(kOnlyAgents)))
+      << "not all are shown";
 }
 
 TEST(FirewallsTest, OfManySourcesShowsFirstWhatNoAgentExplains) {
