@@ -41,6 +41,8 @@ class ServerStream : public grpc::ServerBidiReactor<In, Out> {
           grpc::StatusCode::INVALID_ARGUMENT,
           "a message cannot be decoded (is a text not UTF-8?), or the stream was half-closed"));
     }
+    // Its read was under way when the stream was ended.
+    if (outbound_->ended()) return;
     OnMessage(incoming_);
     if (incoming_.SpaceUsedLong() > kReuseBytesMax) incoming_ = In();
     this->StartRead(&incoming_);

@@ -94,6 +94,11 @@ class StreamOutbound {
     MutexLock lock(&mu_);
     return reactor_ != nullptr && !finishing_ && !last_words_.has_value();
   }
+  // Its end is on its way to the peer, or gone: nothing can be said any more.
+  bool ended() const ABSL_LOCKS_EXCLUDED(mu_) {
+    MutexLock lock(&mu_);
+    return reactor_ == nullptr || finishing_;
+  }
 
   // Messages waiting, the one being written included.
   size_t waiting() const ABSL_LOCKS_EXCLUDED(mu_) {

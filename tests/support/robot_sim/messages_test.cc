@@ -114,8 +114,15 @@ TEST(BadDiscoveryTest, AllAreRefusedAndTheForeignOneSpeaksForAnother) {
   ros2::Guid writer = sender;
   writer.bytes[15] = 0x03;
   size_t foreign = 0;
+  size_t misnamed = 0;
   for (const BadDiscoveryMessage& message : BadDiscoveryMessages(sender)) {
-    const auto info = ros2::DecodeParticipantEntities(message.payload);
+    const auto info = ros2::DecodeParticipantEntities(message.payload, {}, &misnamed);
+    if (message.name == "name that is no ROS name") {
+      ASSERT_THAT(info, IsOk());
+      EXPECT_EQ(info->nodes.size(), 0U);
+      EXPECT_EQ(misnamed, 1U);
+      continue;
+    }
     if (message.name != "foreign gid") {
       EXPECT_THAT(info, StatusIs(absl::StatusCode::kDataLoss)) << message.name;
       continue;
