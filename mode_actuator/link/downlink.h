@@ -39,7 +39,7 @@ class Downlink {
     std::vector<std::string> programs;
     std::vector<std::string> protected_parts;
     ros2::Guid participant;               // none without DDS
-    std::vector<ConfigSetting> settings;  // for people
+    std::vector<ConfigSetting> settings;  // shown to operators
   };
   // All on the session thread, never two at once, not after Stop().
   struct Callbacks {

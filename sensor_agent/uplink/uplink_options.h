@@ -22,7 +22,7 @@ struct UplinkOptions {
   std::function<void(const rpc::Peer&)> on_peer;
   std::string host;
   uint32_t domain = 0;
-  // Of the sensor, for people.
+  // Shown to operators.
   std::vector<ConfigSetting> settings;
   // Interests are kept there, for the next start; empty = nowhere.
   std::string interest_file;

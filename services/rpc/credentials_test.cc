@@ -601,7 +601,7 @@ TEST_F(RevocationTest, ARevokedServerIsRefusedInTheHandshake) {
   EXPECT_EQ(service.calls, 0);
 }
 
-// Takes two of gRPC's locks in one order, then in the other, with nobody waiting for either.
+// Takes two of gRPC's locks in one order, then in the other; no thread waits for either.
 void LockInBothOrders() {
   gpr_mu first;
   gpr_mu second;

@@ -165,7 +165,7 @@ def certificates_that_are_not_valid_yet(fleet):
 
 def the_robot_boots_in_1970(fleet):
     """A board without a clock of its own, which has the time when NTP has it; and loses it again, as
-    when somebody sets it. The server, on another host, has it throughout."""
+    after a manual change. The server, on another host, has it throughout."""
     fleet.plan()
     fleet.prepare()
     in_1970 = DAY - int(time.time())

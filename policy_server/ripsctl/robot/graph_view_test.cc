@@ -46,8 +46,8 @@ void AddEndpoint(v1::Endpoint::Kind kind, const std::string& node, const std::st
   endpoint.set_ros(name.starts_with("/"));
 }
 
-// Of a robot with a talker and a listener, a talker of the same name on another host, and somebody
-// who publishes /cmd_vel and tells no node.
+// Of a robot with a talker and a listener, a talker of the same name on another host, and a process
+// that publishes /cmd_vel and announces no node.
 v1::GraphSnapshot Graph() {
   v1::GraphSnapshot graph;
   AddProcess('2', "10.0.0.66", "vm", 0, graph);
