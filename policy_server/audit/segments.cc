@@ -1,6 +1,7 @@
 #include "policy_server/audit/segments.h"
 
 #include <fcntl.h>
+#include <sys/stat.h>
 #include <unistd.h>
 
 #include <algorithm>
@@ -52,6 +53,11 @@ absl::StatusOr<std::string> SegmentsInDirectory::Read(absl::string_view name,
   const std::string path = absl::StrCat(directory_, "/", name);
   const UniqueFd file(open(path.c_str(), O_RDONLY | O_CLOEXEC | O_NOFOLLOW));
   std::string bytes;
+  struct stat status {};
+  // At once: growing copies, and each page that is new to the process costs a fault.
+  if (fstat(file.get(), &status) == 0) {
+    bytes.reserve(std::min<uint64_t>(status.st_size + kReadBytes, bytes_max));
+  }
   ssize_t got = file.get() < 0 ? -1 : 1;
   while (got > 0 && bytes.size() < bytes_max) {
     const size_t size = bytes.size();
