@@ -6,6 +6,7 @@ The container's root directory is an overlay in memory over this machine's, its 
 and all its processes end with this one. Where a container cannot boot, the test ends with 77.
 """
 
+import json
 import os
 import pathlib
 import re
@@ -39,22 +40,38 @@ servers: ["127.0.0.1:7443"]
 tls: {ca: /etc/rips/pki/actuator/ca.pem, cert: /etc/rips/pki/actuator/cert.pem,
       key: /etc/rips/pki/actuator/key.pem}
 state_dir: /var/lib/rips/actuator
+dds: {domain: 0, interface: lo}
+system_modes: {smh: /etc/rips/smh.yaml, verify: parts}
 fail_safe: {level: ALERT, after: 0s}
 levels:
-  - {name: DEFAULT, enter: []}
-  - {name: ALERT, enter: []}
-  - {name: COMPROMISED, enter: [{program: {name: note}}]}
-  - {name: HALT, enter: []}
+  - {name: DEFAULT, enter: [{system_mode: {part: /safety, mode: __DEFAULT__}}]}
+  - {name: ALERT, enter: [{system_mode: {part: /safety, mode: ALERT}}]}
+  - name: COMPROMISED
+    enter: [{system_mode: {part: /safety, mode: COMPROMISED}}, {program: {name: note}}]
+  - {name: HALT, enter: [{system_mode: {part: /safety, mode: HALT}}]}
 programs:
   - {name: note, path: /usr/bin/true, timeout: 10s}
 metrics: "127.0.0.1:9466"
 """
-COMPROMISED = "^level COMPROMISED, verified;( floor [^;]*;)? connected$"
+
+
+def held(level):
+    """How the actuator says it: the robot's mode was read back."""
+    return f"^level {level}, verified;( floor [^;]*;)? connected$"
+
+
 # Of the container's administrator.
 HOME = pathlib.PurePosixPath("/root")
 ALICE = HOME / "fleet/operator/admin/alice"
 RIPSCTL = ("ripsctl", "--server", "127.0.0.1:7443", "--cert", f"{ALICE}/cert.pem", "--key",
            f"{ALICE}/key.pem", "--ca", f"{ALICE}/ca.pem")
+
+ROBOT = ("/usr/local/bin/robot_sim", "--domain", "0", "--interface", "lo")
+
+
+def robot(command):
+    """The beginning of a command of the simulated robot."""
+    return ROBOT[0], command, *ROBOT[1:]
 
 
 def run(*command, ok=True, **options):
@@ -189,6 +206,10 @@ class Machine:
                    and re.search(pattern, self.show(unit, "StatusText")),
                    lambda: f"{unit} does not say `{pattern}`:\n{self.status(unit)}")
 
+    def start(self, unit, *command):
+        """A process of the robot, not of RIPS."""
+        self.run("systemd-run", "--quiet", f"--unit={unit}", *command)
+
     def stop(self):
         if self.nspawn.poll() is None and self.leader is not None:
             self.nspawn.terminate()  # nspawn orders an orderly shutdown
@@ -208,6 +229,13 @@ def install(machine, packages):
     for package in packages:
         shutil.copy(package, target)
     return machine.script("dpkg -i packages/*.deb")
+
+
+def the_robot_starts(machine, simulator):
+    """Its nodes, with System Modes, on the container's loopback."""
+    shutil.copy(simulator, machine.path(ROBOT[0]))
+    machine.script("cp /usr/share/doc/rips-actuator/examples/smh.yaml /etc/rips/")
+    machine.start("robot", *robot("robot"), "--smh", "/etc/rips/smh.yaml")
 
 
 def agents_start_without_certificates_and_server(machine):
@@ -259,7 +287,7 @@ systemctl enable --now rips-enrol-renew.timer
 """)
     # They find the certificates by themselves.
     machine.await_status("rips-sensor", "; connected")
-    machine.await_status("rips-actuator", "; connected")
+    machine.await_status("rips-actuator", held("DEFAULT"))
 
 
 def the_tap_gives_up_its_capabilities(machine):
@@ -273,9 +301,12 @@ def the_tap_gives_up_its_capabilities(machine):
     check(machine.show("rips-wire", "NRestarts") == "0", machine.status("rips-wire"))
 
 
-def raise_level(machine):
-    machine.run(*RIPSCTL, "level", "raise", "r1", "--to", "COMPROMISED", "--reason", "test")
-    machine.await_status("rips-actuator", COMPROMISED)
+def an_attack_stops_the_robot(machine):
+    machine.start("stranger", *robot("intruder"), "--mode", "unknown-node")
+    machine.await_status("rips-actuator", held("ALERT"))
+    machine.start("driver", *robot("intruder"), "--mode", "rogue-cmd-vel", "--node", "/driver")
+    machine.await_status("rips-actuator", held("COMPROMISED"))
+    machine.run("systemctl", "stop", "driver", "stranger")
 
 
 def a_reload_ends(machine):
@@ -314,10 +345,20 @@ def an_upgrade_keeps_the_level(machine, packages):
     before = {unit: machine.show(unit, "MainPID") for unit in DAEMONS}
     install(machine, packages)
     machine.await_status("rips-policy-server", "^serving on ")
-    machine.await_status("rips-actuator", COMPROMISED)
+    machine.await_status("rips-actuator", held("COMPROMISED"))
     machine.await_status("rips-sensor", "; connected")
     same = [unit for unit in DAEMONS if machine.show(unit, "MainPID") == before[unit]]
     check(not same, f"{same} were not restarted by the upgrade")
+
+
+def the_operator_brings_the_robot_back(machine):
+    machine.run(*RIPSCTL, "level", "lower", "r1", "--to", "ALERT", "--reason", "seen on site")
+    # The rest of the way is a rule's, once all is quiet.
+    machine.await_status("rips-actuator", held("DEFAULT"))
+    told = json.loads(machine.run(*RIPSCTL, "--output", "json", "level", "history", "r1").stdout)
+    levels = [each["to"] for each in told["transitions"] if not each["refused"]]
+    check(levels[:4] == ["DEFAULT", "ALERT", "COMPROMISED", "ALERT"],
+          f"the history, newest first, is {levels}")
 
 
 def a_removal_leaves_no_process(machine, packages):
@@ -327,7 +368,7 @@ def a_removal_leaves_no_process(machine, packages):
     check(not left, f"the removal leaves {left}")
 
 
-def inside(place, packages):
+def inside(place, simulator, packages):
     cgroup = Cgroup()
     machine = None
     began = time.monotonic()
@@ -343,14 +384,16 @@ def inside(place, packages):
         print(f"booted in {time.monotonic() - began:.1f} s", flush=True)
         began = time.monotonic()
         step(install, packages)
+        step(the_robot_starts, simulator)
         step(agents_start_without_certificates_and_server)
         step(the_server_is_active_when_it_serves)
         step(the_robot_enrols_with_a_token)
         step(the_tap_gives_up_its_capabilities)
-        step(raise_level)
+        step(an_attack_stops_the_robot)
         step(a_reload_ends)
         step(a_hung_sensor_is_started_anew)
         step(an_upgrade_keeps_the_level, packages)
+        step(the_operator_brings_the_robot_back)
         step(a_removal_leaves_no_process, packages)
     finally:
         if machine is not None:
@@ -362,7 +405,8 @@ def main():
     os.umask(0o022)
     if sys.argv[1] == "--inside":
         try:
-            inside(pathlib.Path(sys.argv[2]), [pathlib.Path(name) for name in sys.argv[3:]])
+            place, simulator, *packages = map(pathlib.Path, sys.argv[2:])
+            inside(place, simulator, packages)
         except Skipped as skipped:
             print(f"skipped boot: {skipped}")
             return 77
@@ -380,14 +424,14 @@ def main():
     with tempfile.TemporaryDirectory(prefix="rips-boot-test-") as directory:
         place = pathlib.Path(directory) / "machine"
         place.mkdir()
+        build = pathlib.Path(sys.argv[1]).resolve()
         try:
-            packages = make_packages(pathlib.Path(sys.argv[1]).resolve(),
-                                     pathlib.Path(directory) / "packages")
+            packages = make_packages(build, pathlib.Path(directory) / "packages")
         except NotMade as why:
             print(f"FAILED to make the packages: {why}")
             return 1
         return subprocess.run([*UNSHARE, sys.executable, "-B", __file__, "--inside", place,
-                               *packages], check=False).returncode
+                               build / "bin/robot_sim", *packages], check=False).returncode
 
 
 if __name__ == "__main__":
