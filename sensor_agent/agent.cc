@@ -208,8 +208,9 @@ absl::StatusOr<std::unique_ptr<Agent>> Agent::Create(const SensorConfig& config,
                        .limits = config.graph_limits};
   agent->graph_.emplace(std::move(options), clock->Now().boottime_ns);
   agent->flow_.emplace(FlowOptions{.attribution_grace_ns = grace_ns}, &*agent->graph_);
-  agent->findings_.emplace(
-      FindingsOptions{.own = agent->domain_->own(), .secured = secured && !admits_strangers});
+  agent->findings_.emplace(FindingsOptions{.own = agent->domain_->own(),
+                                           .secured = secured && !admits_strangers,
+                                           .raw_readers = config.raw_readers});
   agent->watch_.unwatched = config.unwatched;
   agent->watch_.interest = KeptInterest(config.state_dir);
   if (agent->watch_.interest != nullptr) {

@@ -52,6 +52,15 @@ void ReadGraphLimits(const ConfigSection& section, ros2::GraphLimits& limits) {
             &limits.endpoints_per_participant);
 }
 
+void ReadTopics(const ConfigSection& root, const char* key, std::vector<std::string>* topics) {
+  root.Optional(key, topics);
+  for (const std::string& topic : *topics) {
+    if (absl::Status valid = ros2::ValidateTopicName(topic); !valid.ok()) {
+      root.Problem(key, valid.message());
+    }
+  }
+}
+
 }  // namespace
 
 absl::StatusOr<SensorConfig> ParseSensorConfig(absl::string_view file, absl::string_view text) {
@@ -73,12 +82,8 @@ absl::StatusOr<SensorConfig> ParseSensorConfig(absl::string_view file, absl::str
   root.Optional("attribution_grace", &config.attribution_grace,
                 {absl::ZeroDuration(), absl::Seconds(10)});
   ReadGraphLimits(root.OptionalSection("graph_limits"), config.graph_limits);
-  root.Optional("unwatched", &config.unwatched);
-  for (const std::string& topic : config.unwatched) {
-    if (absl::Status valid = ros2::ValidateTopicName(topic); !valid.ok()) {
-      root.Problem("unwatched", valid.message());
-    }
-  }
+  ReadTopics(root, "unwatched", &config.unwatched);
+  ReadTopics(root, "raw_readers", &config.raw_readers);
   root.Optional("state_dir", &config.state_dir);
   const ConfigSection outbox = root.OptionalSection("outbox");
   outbox.Optional("memory", &config.outbox_memory,

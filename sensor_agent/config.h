@@ -31,6 +31,8 @@ struct SensorConfig {
   ros2::GraphLimits graph_limits;
   // ROS topics whose messages are not read.
   std::vector<std::string> unwatched = {"/rosout", "/parameter_events"};
+  // ROS topics that programs without a node may read: that is no finding.
+  std::vector<std::string> raw_readers;
   std::string state_dir = "/var/lib/rips/sensor";
   ByteSize outbox_memory = {int64_t{64} << 20};
   // What is not acknowledged goes on in `spool_dir` when memory is short or the process ends; 0 =

@@ -23,6 +23,7 @@ observer: hidden
 settle: 3s
 attribution_grace: 250ms
 unwatched: [/rosout]
+raw_readers: [/scan]
 state_dir: /tmp/sensor
 outbox: {memory: 8MiB, disk: 32MiB, dir: /tmp/spool}
 ids: [{format: eve, path: /var/log/suricata/eve.json}, {format: fast, path: /var/log/snort/alert}]
@@ -52,6 +53,7 @@ TEST(SensorConfigTest, EveryKeyIsTaken) {
   EXPECT_EQ(config->settle, absl::Seconds(3));
   EXPECT_EQ(config->attribution_grace, absl::Milliseconds(250));
   EXPECT_THAT(config->unwatched, ElementsAre("/rosout"));
+  EXPECT_THAT(config->raw_readers, ElementsAre("/scan"));
   EXPECT_EQ(config->graph_limits, (ros2::GraphLimits{.nodes = 8,
                                                      .endpoints = 7,
                                                      .participants = 9,
@@ -132,6 +134,8 @@ INSTANTIATE_TEST_SUITE_P(
         BadCase{"ServerWithoutPort", "policy.example:7443", "policy.example",
                 "3:", "`policy.example` is not HOST:PORT"},
         BadCase{"BareNumber", "settle: 3s", "settle: 3", "7:9", "settle"},
+        BadCase{"TopicOfARawReader", "raw_readers: [/scan]", "raw_readers: [\"/a b\"]",
+                "10:", "raw_readers"},
         BadCase{"SettleTooLong", "settle: 3s", "settle: 11s", "7:9", "settle"},
         BadCase{"BadObserver", "observer: hidden", "observer: secret", "6:", "counted"},
         BadCase{"RelativeKey", "/etc/rips/pki/key.pem", "key.pem", "4:", "absolute path"},

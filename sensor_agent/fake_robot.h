@@ -45,13 +45,22 @@ class FakeProcess {
     EXPECT_TRUE(writer.ok()) << writer.status();
     return *(writers_[topic] = *std::move(writer));
   }
+  // A subscriber, which throws away what it reads.
+  void AddReader(const std::string& topic) {
+    auto reader = dds::RawReader::Create(*participant_,
+                                         {.topic = topic, .type = "std_msgs::msg::dds_::String_"},
+                                         [](const dds::RawSample&) {});
+    EXPECT_TRUE(reader.ok()) << reader.status();
+    readers_.push_back(*std::move(reader));
+  }
   void RemoveWriter(const std::string& topic) { writers_.erase(topic); }
 
-  // Tells that all writers belong to `node`.
+  // Tells that all writers and readers belong to `node`.
   void Announce(const std::string& node, ros2::GidBytes gid_bytes = ros2::GidBytes::k24,
                 std::vector<ros2::Guid> more_writers = {}) {
     ros2::NodeEntities entities{.node_namespace = "/", .node_name = node};
     for (const auto& [topic, writer] : writers_) entities.writers.push_back(writer->guid());
+    for (const auto& reader : readers_) entities.readers.push_back(reader->guid());
     for (const ros2::Guid& guid : more_writers) entities.writers.push_back(guid);
     EXPECT_TRUE(
         info_
@@ -74,6 +83,7 @@ class FakeProcess {
   std::unique_ptr<dds::Participant> participant_;
   std::unique_ptr<dds::RawWriter> info_;
   std::map<std::string, std::unique_ptr<dds::RawWriter>> writers_;
+  std::vector<std::unique_ptr<dds::RawReader>> readers_;
 };
 
 // Processes that share one domain of the middleware, whose packets use the ports of

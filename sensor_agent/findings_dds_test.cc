@@ -131,6 +131,29 @@ TEST_F(HostileProcessTest, TakesTheNameOfAnotherNode) {
   EXPECT_THAT(Kinds(), ElementsAre("duplicate_node", "duplicate_node"));
 }
 
+TEST_F(HostileProcessTest, ReadsWithoutANode) {
+  auto camera = robot_.AddProcess();
+  camera->AddWriter("rt/image");
+  camera->Announce("camera");
+  Start();
+  auto viewer = robot_.AddProcess();
+  viewer->AddReader("rt/image");
+  viewer->Announce("viewer");
+  auto thief = robot_.AddParticipant();
+  auto stolen = dds::RawReader::Create(*thief, {.topic = "rt/image", .type = kStringType},
+                                       [](const dds::RawSample&) {});
+  ASSERT_THAT(stolen, IsOk());
+
+  const auto finding = WaitFor("non_ros_reader");
+  ASSERT_TRUE(finding.has_value());
+  EXPECT_EQ(finding->topic(), "/image");
+  EXPECT_EQ(finding->guid(), thief->guid().ToBytes());
+  EXPECT_THAT(finding->detail(), HasSubstr("reads without a node: /image"));
+  stolen->reset();
+  ASSERT_TRUE(WaitFor("non_ros_reader", /*over=*/true).has_value());
+  EXPECT_THAT(Kinds(), ElementsAre("non_ros_reader", "non_ros_reader"));
+}
+
 TEST_F(HostileProcessTest, CallsItselfRipsAndClaimsEndpointsOfOthers) {
   auto camera = robot_.AddProcess();
   const ros2::Guid writer = camera->AddWriter("rt/image").guid();

@@ -2,6 +2,7 @@
 
 #include <algorithm>
 
+#include "absl/algorithm/container.h"
 #include "absl/strings/match.h"
 #include "absl/strings/str_cat.h"
 #include "services/ros2/ros_name.h"
@@ -21,7 +22,8 @@ constexpr absl::string_view kChangeMode = "/change_mode";
 constexpr absl::string_view kSteering[] = {kChangeMode, "/change_state", "/set_parameters",
                                            "/set_parameters_atomically"};
 constexpr const char* kKindNames[] = {"duplicate_node",      "impostor",       "false_claim",
-                                      "foreign_mode_writer", "non_ros_writer", "unauthenticated"};
+                                      "foreign_mode_writer", "non_ros_writer", "non_ros_reader",
+                                      "unauthenticated"};
 
 // The part whose mode the service steers; empty = it is no such service.
 absl::string_view PartOf(absl::string_view service) {
@@ -36,21 +38,6 @@ bool IsRipsName(absl::string_view node) { return absl::EndsWith(node, kOwnNode);
 // GUID prefixes of participants with DDS Security begin with a one (DDS Security 1.1 §9.3.3).
 bool HasSecurePrefix(const Guid& guid) { return (guid.bytes[0] & 0x80) != 0; }
 
-bool IsSuspect(const ros2::Endpoint& endpoint) {
-  if (!endpoint.ros) return false;
-  switch (endpoint.kind) {
-    case EndpointKind::kPublisher:
-      return endpoint.node.empty() && !endpoint.pending;
-    case EndpointKind::kClient:
-      return !PartOf(endpoint.name).empty();
-    case EndpointKind::kService:
-      return absl::EndsWith(endpoint.name, kChangeMode);
-    case EndpointKind::kSubscriber:
-      return false;
-  }
-  return false;
-}
-
 }  // namespace
 
 absl::Span<const char* const> Findings::Kinds() { return kKindNames; }
@@ -61,6 +48,22 @@ Findings::Findings(FindingsOptions options) : options_(std::move(options)) {
 
 bool Findings::IsOwn(const Guid& participant) const {
   return participant == options_.own || own_participants_.contains(participant);
+}
+
+bool Findings::IsSuspect(const ros2::Endpoint& endpoint) const {
+  if (!endpoint.ros) return false;
+  const bool nobodys = endpoint.node.empty() && !endpoint.pending;
+  switch (endpoint.kind) {
+    case EndpointKind::kPublisher:
+      return nobodys;
+    case EndpointKind::kSubscriber:
+      return nobodys && !absl::c_linear_search(options_.raw_readers, endpoint.name);
+    case EndpointKind::kClient:
+      return !PartOf(endpoint.name).empty();
+    case EndpointKind::kService:
+      return absl::EndsWith(endpoint.name, kChangeMode);
+  }
+  return false;
 }
 
 // --- Facts
@@ -288,13 +291,13 @@ void Findings::CollectClaims(int64_t now_ns, WantedMap& wanted) {
 }
 
 bool Findings::MayBeOurs(const Key& key) {
-  return key.kind == kForeignModeWriter || key.kind == kImpostor ||
+  return key.kind == kForeignModeWriter || key.kind == kImpostor || key.kind == kNonRosReader ||
          (key.kind == kDuplicateNode && IsRipsName(key.node));
 }
 
-bool Findings::IsToldLate(const Key& key) const {
+bool Findings::IsToldLate(const Key& key, const Held& held) const {
   if (IsOwn(key.guid.Participant())) return false;
-  return key.kind == kImpostor ||
+  return key.kind == kImpostor || held.late ||
          (key.kind == kForeignModeWriter && !now_.suspects.contains(key.guid));
 }
 
@@ -369,6 +372,36 @@ void Findings::CollectNonRosWriters(WantedMap& wanted) {
   }
 }
 
+void Findings::CollectNonRosReaders(WantedMap& wanted) {
+  // What each reads, and since when.
+  absl::btree_map<Guid, std::pair<int64_t, absl::btree_set<absl::string_view>>> readers;
+  for (const auto& [guid, suspect] : now_.suspects) {
+    const Guid participant = guid.Participant();
+    if (suspect.kind != EndpointKind::kSubscriber || IsOwn(participant)) continue;
+    auto& [since_ns, topics] = readers[participant];
+    since_ns = topics.empty() ? suspect.seen_ns : std::min(since_ns, suspect.seen_ns);
+    topics.insert(suspect.name);
+  }
+  for (const auto& [participant, read] : readers) {
+    const auto& [since_ns, topics] = read;
+    const bool announces = !now_.parties.at(participant).announcer.none();
+    const int64_t slow_ns = announces ? since_ns + options_.slow_node_ns : 0;
+    Wanted* fresh =
+        Want({kNonRosReader, participant, ""}, std::max(slow_ns, ForeignDue(since_ns)), wanted);
+    if (fresh == nullptr) continue;
+    fresh->late = !announces;
+    std::string detail = absl::StrCat(Describe(participant), " reads without a node:");
+    size_t named = 0;
+    for (const absl::string_view topic : topics) {
+      if (named == kNamedMax) break;
+      absl::StrAppend(&detail, named++ == 0 ? " " : ", ", topic);
+    }
+    if (topics.size() > named) absl::StrAppend(&detail, " and ", topics.size() - named, " more");
+    fresh->finding = {
+        .guid = participant, .topic = std::string(*topics.begin()), .detail = std::move(detail)};
+  }
+}
+
 void Findings::CollectStrangers(int64_t now_ns, WantedMap& wanted) {
   secured_strangers_ = 0;
   strangers_due_ns_ = kNever;
@@ -397,6 +430,7 @@ Findings::WantedMap Findings::Collect(int64_t now_ns) {
   CollectClaims(now_ns, wanted);
   CollectModeWriters(wanted);
   CollectNonRosWriters(wanted);
+  CollectNonRosReaders(wanted);
   CollectStrangers(now_ns, wanted);
   for (auto& [key, each] : wanted) {
     each.finding.kind = kKindNames[key.kind];
@@ -432,7 +466,7 @@ void Findings::End(const WantedMap& wanted, std::vector<Finding>& told) {
     if (held.told) {
       told.push_back(held.finding);
       told.back().over = true;
-    } else if (IsToldLate(key)) {
+    } else if (IsToldLate(key, held)) {
       it->second.gone = true;
       ++it;
       continue;
@@ -451,12 +485,13 @@ void Findings::Begin(WantedMap wanted) {
       if (it->second.told) continue;
       it->second.gone = false;
       it->second.due_ns = each.due_ns;
+      it->second.late = each.late;
       // Its node may have become known meanwhile.
       it->second.finding = std::move(each.finding);
     } else if (held_.size() >= options_.findings_max) {
       ++not_held;
     } else {
-      held_[key] = {.finding = std::move(each.finding), .due_ns = each.due_ns};
+      held_[key] = {.finding = std::move(each.finding), .due_ns = each.due_ns, .late = each.late};
     }
   }
   if (not_held > not_held_) dropped_ += not_held - not_held_;

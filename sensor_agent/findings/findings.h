@@ -12,12 +12,16 @@
 // |                     |                                                           | grace       |
 // | non_ros_writer      | a ROS topic has a writer that no node claims, past the    | at once, or |
 // |                     | attribution grace                                         | slow node   |
+// | non_ros_reader      | a participant reads ROS topics, other than those that may | foreign     |
+// |                     | be read so, without claiming a node for it                | grace       |
 // | unauthenticated     | with DDS Security: a participant shows no endpoint        | handshake   |
 //
 // "At once" is after the graph step that shows it, so never before discovery has settled.
 // A node that died without farewell and was started again is a duplicate until its lease ends.
 // A writer without a node waits for the slow node if its participant publishes
 // `ros_discovery_info`; one that does not publish it is no ROS process.
+// A participant that reads waits for the slow node, too, and for the server's word, since RIPS's own
+// may read unannounced. One that claims nothing at all and has left by then is told all the same.
 // A foreign mode writer waits because RIPS's own processes are on the bus before the server tells
 // us that they are; the grace counts from when the server can tell us, so while there is no stream
 // none is told. One that has left by then is told all the same: it may have written. An impostor
@@ -57,6 +61,8 @@ struct FindingsOptions {
   ros2::Guid own;
   // It uses DDS Security, and the domain's governance admits nobody without it.
   bool secured = false;
+  // ROS topics that programs without a node may read.
+  std::vector<std::string> raw_readers;
   int64_t foreign_grace_ns = 5'000'000'000;
   // Above the longest usual lease, 10 s with Cyclone DDS.
   int64_t rival_grace_ns = 15'000'000'000;
@@ -115,6 +121,7 @@ class Findings {
     kFalseClaim,
     kForeignModeWriter,
     kNonRosWriter,
+    kNonRosReader,
     kUnauthenticated,
     kKinds
   };
@@ -151,10 +158,13 @@ class Findings {
   struct Wanted {
     Finding finding;
     int64_t due_ns = 0;
+    // Told although it has left.
+    bool late = false;
   };
   struct Held {
     Finding finding;
     int64_t due_ns = 0;
+    bool late = false;
     bool told = false;
     // Due, but its kind is told too often.
     bool withheld = false;
@@ -177,6 +187,7 @@ class Findings {
   using Servers = absl::btree_map<std::string, Server>;
 
   bool IsOwn(const ros2::Guid& participant) const;
+  bool IsSuspect(const ros2::Endpoint& endpoint) const;
   void UpsertParticipant(const ros2::Participant& participant, int64_t now_ns);
   void UpsertNode(const ros2::Node& node);
   void UpsertEndpoint(const ros2::Endpoint& endpoint, int64_t now_ns);
@@ -189,6 +200,7 @@ class Findings {
   Servers CollectServers() const;
   void CollectModeWriters(WantedMap& wanted);
   void CollectNonRosWriters(WantedMap& wanted);
+  void CollectNonRosReaders(WantedMap& wanted);
   void CollectStrangers(int64_t now_ns, WantedMap& wanted);
   // `key` stands. Where to say what it is, unless it was told already or too many are new.
   Wanted* Want(const Key& key, int64_t due_ns, WantedMap& wanted);
@@ -201,7 +213,7 @@ class Findings {
   // The server may still tell us that it is RIPS's.
   static bool MayBeOurs(const Key& key);
   // It is told although it has left.
-  bool IsToldLate(const Key& key) const;
+  bool IsToldLate(const Key& key, const Held& held) const;
   int64_t ForeignDue(int64_t seen_ns) const;
   bool CanBeTold(const Key& key) const { return connected_ || !MayBeOurs(key); }
   void ScheduleNext();

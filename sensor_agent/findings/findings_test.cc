@@ -469,6 +469,108 @@ TEST_F(FindingsTest, SlowNodeIsNotAWriterWithoutOne) {
   EXPECT_THAT(told[0].detail, HasSubstr("does not claim this writer"));
 }
 
+// Of a process that announces no nodes.
+GraphDelta RawReader(uint16_t number, const std::vector<std::string>& topics) {
+  GraphDelta delta;
+  delta.upsert_participants.push_back({.guid = ParticipantGuid(number), .host = "h", .pid = 7});
+  for (size_t i = 0; i < topics.size(); ++i) {
+    delta.upsert_endpoints.push_back(
+        {.guid = EndpointGuid(number, static_cast<uint8_t>(2 + i), /*writer=*/false),
+         .kind = EndpointKind::kSubscriber,
+         .name = topics[i],
+         .type = "t"});
+  }
+  return delta;
+}
+
+TEST_F(FindingsTest, ReaderWithoutNode) {
+  GraphDelta raw = RawReader(3, {"/scan", "/image"});
+  raw.upsert_endpoints[0].pending = true;
+  raw.upsert_endpoints[1].pending = true;
+  Step(raw);
+  EXPECT_THAT(After(6 * kSecond), IsEmpty()) << "within the attribution grace";
+  raw.upsert_endpoints[0].pending = false;
+  raw.upsert_endpoints[1].pending = false;
+  Step(raw);
+  EXPECT_THAT(After(4'900 * kMs), IsEmpty()) << "the server may still name it";
+  const std::vector<Finding> told = After(200 * kMs);
+  ASSERT_THAT(told, ElementsAre(Begins("non_ros_reader", ParticipantGuid(3))));
+  EXPECT_EQ(told[0].topic, "/image");
+  EXPECT_THAT(told[0].detail, HasSubstr("reads without a node: /image, /scan"));
+  // One finding for a participant, whatever else it reads, until it reads nothing more.
+  GraphDelta more = RawReader(3, {"/scan", "/image", "/odom"});
+  Step(more);
+  EXPECT_THAT(After(60 * kSecond), IsEmpty());
+  Step({.gone_guids = {EndpointGuid(3, 2, false), EndpointGuid(3, 3, false)}});
+  EXPECT_THAT(Poll(), IsEmpty());
+  Step({.gone_guids = {EndpointGuid(3, 4, false)}});
+  EXPECT_THAT(Poll(), ElementsAre(Ends("non_ros_reader", ParticipantGuid(3))));
+}
+
+TEST_F(FindingsTest, ReaderOfManyTopicsIsToldWithSome) {
+  Step(RawReader(3, {"/a", "/b", "/c", "/d", "/e", "/f"}));
+  const std::vector<Finding> told = After(6 * kSecond);
+  ASSERT_THAT(told, SizeIs(1));
+  EXPECT_THAT(told[0].detail, HasSubstr("reads without a node: /a, /b, /c, /d and 2 more"));
+}
+
+TEST_F(FindingsTest, ReaderThatClaimsNothingIsToldAlthoughItHasLeft) {
+  Step(RawReader(3, {"/image"}));
+  EXPECT_THAT(After(1 * kSecond), IsEmpty());
+  Gone(ParticipantGuid(3));
+  EXPECT_THAT(Poll(), IsEmpty());
+  const std::vector<Finding> told = After(5 * kSecond);
+  ASSERT_THAT(told, ElementsAre(Begins("non_ros_reader", ParticipantGuid(3)),
+                                Ends("non_ros_reader", ParticipantGuid(3))));
+  EXPECT_THAT(told[0].detail, StartsWith("it has left: "));
+}
+
+TEST_F(FindingsTest, ReaderOfASlowNodeIsNone) {
+  GraphDelta slow = Process(1);
+  slow.upsert_endpoints.push_back(RawReader(1, {"/image"}).upsert_endpoints[0]);
+  Step(slow);
+  EXPECT_THAT(After(4'900 * kMs), IsEmpty());
+  slow.upsert_endpoints[1].node = "/slow";
+  Step({.upsert_nodes = {{.full_name = "/slow", .participant = ParticipantGuid(1)}},
+        .upsert_endpoints = {slow.upsert_endpoints[1]}});
+  EXPECT_THAT(After(60 * kSecond), IsEmpty());
+  // A node that ends lets go of the claim first.
+  Step({.upsert_endpoints = {RawReader(1, {"/image"}).upsert_endpoints[0]},
+        .gone_nodes = {"/slow"}});
+  EXPECT_THAT(After(1 * kSecond), IsEmpty());
+  Gone(ParticipantGuid(1));
+  EXPECT_THAT(After(60 * kSecond), IsEmpty());
+  // One that claims other nodes only is told when the slow node cannot come any more.
+  GraphDelta hides = Process(2, "/known");
+  hides.upsert_endpoints.push_back(RawReader(2, {"/image"}).upsert_endpoints[0]);
+  Step(hides);
+  EXPECT_THAT(After(4'900 * kMs), IsEmpty());
+  EXPECT_THAT(After(200 * kMs), ElementsAre(Begins("non_ros_reader", ParticipantGuid(2))));
+}
+
+TEST_F(FindingsTest, ReadersOfRipsAndOfOpenTopicsAreNone) {
+  Restart({.raw_readers = {"/image"}});
+  Step(RawReader(3, {"/image"}));
+  Step(RawReader(kOwn, {"/scan"}));
+  Step(RawReader(kActuator, {"/scan"}));  // another sensor, unannounced: as the server says
+  EXPECT_THAT(After(4 * kSecond), IsEmpty());
+  findings_->SetOwnParticipants({ParticipantGuid(kActuator)});
+  EXPECT_THAT(After(60 * kSecond), IsEmpty());
+  Step(RawReader(3, {"/image", "/scan"}));
+  const std::vector<Finding> told = After(6 * kSecond);
+  ASSERT_THAT(told, ElementsAre(Begins("non_ros_reader", ParticipantGuid(3))));
+  EXPECT_THAT(told[0].detail, testing::EndsWith("reads without a node: /scan"));
+}
+
+TEST_F(FindingsTest, NoReaderIsToldWithoutTheServersWord) {
+  findings_->SetConnected(false, now_ns_);
+  Step(RawReader(3, {"/image"}));
+  EXPECT_THAT(After(60 * kSecond), IsEmpty());
+  findings_->SetConnected(true, now_ns_);
+  EXPECT_THAT(After(4'900 * kMs), IsEmpty());
+  EXPECT_THAT(After(200 * kMs), ElementsAre(Begins("non_ros_reader", ParticipantGuid(3))));
+}
+
 TEST_F(FindingsTest, ParticipantThatNeverAuthenticates) {
   Restart({.secured = true});
   Step({.upsert_participants = {{.guid = ParticipantGuid(1), .host = "h", .pid = 3}}});

@@ -837,6 +837,12 @@ def findings_are_told(fleet):
     second.kill()
     fleet.start_intruder("rogue-cmd-vel", "--anonymous")
     check("topic /cmd_vel" in wait_told("non_ros_writer"), "the topic is not named")
+    raw = fleet.start("raw", *fleet.robot_sim("probe"), "--topic", "/cmd_vel")
+    text = wait_told("non_ros_reader")
+    check("topic /cmd_vel" in text and "reads without a node" in text, text)
+    raw.kill()
+    fleet.server.wait_for(lambda line: "no longer: finding non_ros_reader" in line, 20,
+                          "the reader has gone")
     before = len(told())
     code, text, _ = fleet.ripsctl("robot", "coverage", "r1", check=False)
     check(code == 1 and "non_ros_writer" in text and "impostor" not in text, f"{code}: {text}")

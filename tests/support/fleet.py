@@ -254,6 +254,7 @@ metrics: "127.0.0.1:0"
                for role in ("sensor", "actuator")}
         self.write("sensor.yaml", common("sensor") + f"""tls: {tls["sensor"]}
 state_dir: {self.dir}/sensor
+raw_readers: [/camera/image_raw]  # the probe
 {self.sensor_options}""")
         levels = "".join(
             f"""  - name: {level}

@@ -19,8 +19,8 @@ constexpr absl::string_view kSensorStates[] = {"connected", "lost", "restarting"
 constexpr absl::string_view kActuatorStates[] = {"connected", "lost", "drift", "failed",
                                                  "state_lost"};
 constexpr absl::string_view kFindings[] = {
-    "duplicate_node",  "impostor",       "false_claim",    "foreign_mode_writer", "non_ros_writer",
-    "unauthenticated", "unicast_writer", "spoofed_writer", "directed_data"};
+    "duplicate_node", "impostor",        "false_claim",    "foreign_mode_writer", "non_ros_writer",
+    "non_ros_reader", "unauthenticated", "unicast_writer", "spoofed_writer",      "directed_data"};
 
 constexpr Parameter kTopicParameter = {"topic", kString, ParameterRole::kTopic};
 constexpr Parameter kMin = {"min", kInt, ParameterRole::kRangeMin};
