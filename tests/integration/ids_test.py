@@ -14,6 +14,7 @@ import uuid
 
 import fleet_test
 from fleet_test import Failed, Skipped, check
+from network import need_namespaces
 
 RULES = """
 levels:
@@ -177,7 +178,7 @@ class Network:
                 self._ip("-n", space, "addr", "add", address, "dev", "wire")
                 self._ip("-n", space, "link", "set", "wire", "up")
                 self._ip("-n", space, "link", "set", "lo", "up")
-        except Skipped:
+        except Failed:
             self.__exit__()
             raise
         return self
@@ -190,8 +191,7 @@ class Network:
     def _ip(*args):
         done = subprocess.run(["ip", *args], capture_output=True, text=True, check=False)
         if done.returncode != 0:
-            raise Skipped(f"no network namespaces here: ip {' '.join(args)}: "
-                          f"{done.stderr.strip()}")
+            raise Failed(f"ip {' '.join(args)}: {done.stderr.strip()}")
 
     def attack(self, what):
         subprocess.run(["ip", "netns", "exec", self.peer, sys.executable, "-c", PEER, what],
@@ -200,8 +200,7 @@ class Network:
 
 def suricata_sees_live_traffic(fleet):
     """A real Suricata on a wire between two hosts; its log is rotated in between."""
-    if os.geteuid() != 0:
-        raise Skipped("network namespaces need root")
+    need_namespaces()
     if shutil.which("suricata") is None:
         raise Skipped("suricata is not installed (deploy/install-packages)")
     logs = fleet.dir / "ids"

@@ -18,7 +18,8 @@ import tempfile
 import time
 
 sys.path.insert(0, str(pathlib.Path(__file__).resolve().parents[1] / "support"))
-from fleet import SOURCE, Failed, Fleet, Process, Skipped, check, perform  # noqa: E402
+from fleet import SOURCE, Failed, Fleet, Process, check, perform  # noqa: E402
+from network import need_namespaces  # noqa: E402
 
 ROBOT = "10.77.0.1"
 OTHER = "10.77.0.9"
@@ -46,10 +47,9 @@ class World:
         self.made = []
 
     def build(self):
+        need_namespaces()
         for namespace in (self.robot, self.other):
-            done = subprocess.run(["ip", "netns", "add", namespace], capture_output=True, text=True)
-            if done.returncode != 0:
-                raise Skipped(f"no network namespace: {done.stderr.strip()}")
+            self.ip("netns", "add", namespace)
             self.made.append(namespace)
         self.ip("-n", self.robot, "link", "add", "eth0", "type", "veth", "peer", "name", "eth0",
                 "netns", self.other)
@@ -499,12 +499,6 @@ def main():
         print("\n".join(scenario.__name__ for scenario in SCENARIOS))
         return 0
     scenario = next(each for each in SCENARIOS if each.__name__ == sys.argv[2])
-    if os.geteuid() != 0:
-        print(f"skipped {scenario.__name__}: needs root, for network namespaces")
-        return 77
-    if shutil.which("ip") is None:
-        print(f"skipped {scenario.__name__}: needs ip of iproute2")
-        return 77
     directory = pathlib.Path(tempfile.mkdtemp(prefix="rips-wire."))
     def build_and_play(world):
         world.build()

@@ -6,7 +6,7 @@ import shutil
 import signal
 import subprocess
 
-from fleet import Failed
+from fleet import Failed, Skipped
 
 LIMIT = 90  # seconds one command may take on a busy machine
 PATH = "/usr/sbin:/usr/bin:/sbin:/bin"
@@ -36,11 +36,11 @@ class Network:
         return ["ip", "netns", "exec", self.ns(host)]
 
     def build(self):
-        switch = self._add("switch")
+        switch = self.add("switch")
         run("ip", "-n", switch, "link", "add", "br0", "type", "bridge", "mcast_snooping", "0")
         run("ip", "-n", switch, "link", "set", "br0", "up")
         for host, address in self.hosts.items():
-            namespace = self._add(host)
+            namespace = self.add(host)
             run("ip", "-n", switch, "link", "add", host, "type", "veth", "peer", "name", "eth0",
                 "netns", namespace)
             run("ip", "-n", switch, "link", "set", host, "master", "br0", "up")
@@ -64,25 +64,48 @@ class Network:
         names = [line.split()[0] for line in run("ip", "netns", "list").stdout.splitlines()]
         return [name for name in names if name.startswith(f"{self.tag}-")]
 
-    def _add(self, host):
+    def add(self, host):
         self.made.append(self.ns(host))  # before it is there: a signal may come between
         run("ip", "netns", "add", self.ns(host))
         return self.ns(host)
 
 
-def missing():
-    """What this machine or this user lacks for a network of hosts with packet filters, in one line;
-    None if nothing."""
-    for tool in ("ip", "nft"):
-        if shutil.which(tool, path=PATH) is None:
-            return f"the program `{tool}` is not installed"
-    trial = Network(f"ripstrial{os.getpid()}", {"host": "10.77.0.1"})
+def _try(hosts, attempt):
+    """Why an attempt with a network of these hosts fails, in one line; None if it does not."""
+    trial = Network(f"ripstrial{os.getpid()}", hosts)
     try:
-        trial.build()
-        run(*trial.within("host"), "nft", "list", "ruleset")
+        attempt(trial)
     except Failed as failed:
-        why = " ".join(str(failed).split())
-        return f"network namespaces need CAP_SYS_ADMIN and CAP_NET_ADMIN, as root has them: {why}"
+        return f"network namespaces are not allowed here: {' '.join(str(failed).split())}"
     finally:
         trial.remove()
     return None
+
+
+def _absent(tools):
+    for tool in tools:
+        if shutil.which(tool, path=PATH) is None:
+            return f"the program `{tool}` is not installed"
+    return None if os.geteuid() == 0 else "network namespaces need root"
+
+
+def missing():
+    """What this machine or this user lacks for a network of hosts with packet filters, in one line;
+    None if nothing."""
+    def attempt(trial):
+        trial.build()
+        run(*trial.within("host"), "nft", "list", "ruleset")
+
+    return _absent(("ip", "nft")) or _try({"host": "10.77.0.1"}, attempt)
+
+
+def need_namespaces():
+    """Raises Skipped where no program can be started in a network namespace with an interface."""
+    def attempt(trial):
+        namespace = trial.add("host")
+        run("ip", "-n", namespace, "link", "add", "eth0", "type", "veth", "peer", "name", "eth1")
+        run(*trial.within("host"), "true")
+
+    lacks = _absent(["ip"]) or _try({}, attempt)
+    if lacks is not None:
+        raise Skipped(lacks)
