@@ -20,7 +20,7 @@ import time
 
 sys.path.insert(0, str(pathlib.Path(__file__).resolve().parents[1] / "support"))
 from fleet import Failed, Fleet, Process, Skipped, check, dds_uri, perform  # noqa: E402
-from network import Network, run  # noqa: E402
+from network import Network, missing, run  # noqa: E402
 from protos import pb  # noqa: E402
 
 CONTROL_PORT = 7443
@@ -93,6 +93,11 @@ levels:
   - {{name: ALERT, enter: [{{firewall: {{file: {rules}}}}}]}}
 """)
         return path
+
+    def open_to_all(self):
+        """rips-fw where each user may start it; the checkout may be below a directory of root's."""
+        self.dir.chmod(0o755)
+        return shutil.copy(self.bin / "rips-fw", self.dir)
 
     def start_fw(self, *before):
         ready = self.dir / "ready"
@@ -330,7 +335,7 @@ def capability_and_socket_from_outside(world):
     listener.bind(str(world.socket))
     listener.listen(8)
     os.chmod(world.socket, 0o666)
-    os.chmod(world.dir, 0o755)
+    rips_fw = world.open_to_all()
     os.set_inheritable(listener.fileno(), True)
     shell = f"exec 3<&{listener.fileno()}; export LISTEN_PID=$$ LISTEN_FDS=1; exec \"$@\""
     config = world.write_config()
@@ -338,7 +343,7 @@ def capability_and_socket_from_outside(world):
         [*world.network.within("robot"), "setpriv", "--reuid=65534", "--regid=65534",
          "--clear-groups", "--inh-caps=-all,+net_admin", "--ambient-caps=-all,+net_admin",
          "--bounding-set=-all,+net_admin", "--no-new-privs",
-         "sh", "-c", shell, "sh", str(world.bin / "rips-fw"), "--config", str(config)],
+         "sh", "-c", shell, "sh", rips_fw, "--config", str(config)],
         pass_fds=[listener.fileno()], stdin=subprocess.DEVNULL)
     try:
         check(world.enter(world.rules_step())["observed"] == "firewall=alert.nft", "not entered")
@@ -358,9 +363,8 @@ def capability_and_socket_from_outside(world):
 
 def what_is_missing_is_told_at_the_start(world):
     config = world.write_config()
-    fw = [world.bin / "rips-fw", "--config", config]
+    fw = [world.open_to_all(), "--config", config]
     inside = world.network.within("robot")
-    os.chmod(world.dir, 0o755)
     without = run(*inside, "setpriv", "--reuid=65534", "--clear-groups", "--bounding-set=-all", *fw,
                   ok=False)
     check(without.returncode != 0 and "not permitted" in without.stderr,
@@ -483,11 +487,9 @@ SCENARIOS = [levels_with_a_firewall, one_participant_is_isolated, one_host_is_is
 
 
 def play(scenario, world):
-    if os.geteuid() != 0:
-        raise Skipped("network namespaces need root")
-    for tool in ("ip", "nft", "setpriv"):
-        if shutil.which(tool, path="/usr/sbin:/usr/bin:/sbin:/bin") is None:
-            raise Skipped(f"{tool} is not installed")
+    lacks = missing()
+    if lacks is not None:
+        raise Skipped(lacks)
     world.network.build()
     scenario(world)
 
