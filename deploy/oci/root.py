@@ -38,6 +38,8 @@ REMOVED = ("etc/hostname", "etc/machine-id", "etc/resolv.conf", "etc/passwd-", "
            "var/lib/dpkg/available-old", "var/lib/dpkg/diversions-old",
            "var/lib/dpkg/statoverride-old", "var/lib/dpkg/lock", "var/lib/dpkg/lock-frontend",
            "var/lib/dpkg/triggers/Lock", "var/lib/dbus/machine-id")
+# What dpkg of a root runs in.
+APART = ("unshare", "--mount", "--net", "--ipc", "--uts", "--pid", "--fork", "--kill-child")
 
 
 class Failed(Exception):
@@ -181,10 +183,10 @@ def install(root, packages, time):
     users.parent.mkdir(exist_ok=True)
     users.write_text("".join(numbered_users()))
     names = [f"/tmp/packages/{package.name}" for package in packages]
-    run("unshare", "--mount", "--net", "--ipc", "--uts", "--pid", "--fork", "--kill-child",
-        f"--mount-proc={root / 'proc'}", "chroot", root, "dpkg", "--force-unsafe-io", "--install",
-        *names, env={"PATH": "/usr/sbin:/usr/bin:/sbin:/bin", "LC_ALL": "C.UTF-8",
-                     "DEBIAN_FRONTEND": "noninteractive", "SOURCE_DATE_EPOCH": str(time)})
+    run(*APART, f"--mount-proc={root / 'proc'}", "chroot", root, "dpkg", "--force-unsafe-io",
+        "--install", *names,
+        env={"PATH": "/usr/sbin:/usr/bin:/sbin:/bin", "LC_ALL": "C.UTF-8",
+             "DEBIAN_FRONTEND": "noninteractive", "SOURCE_DATE_EPOCH": str(time)})
 
 
 def clean(root, kept=()):
