@@ -3,6 +3,7 @@
 #include <fcntl.h>
 #include <poll.h>
 #include <pty.h>
+#include <sys/ioctl.h>
 #include <unistd.h>
 
 #include <cerrno>
@@ -43,6 +44,8 @@ void FakeLcus::Unplug() {
   slave_.Reset();
   master_.Reset();
 }
+
+void FakeLcus::EndExclusiveUse() { EXPECT_EQ(ioctl(slave_.get(), TIOCNXCL), 0); }
 
 void FakeLcus::set_answer(Answer answer) {
   MutexLock lock(&mu_);

@@ -25,6 +25,8 @@ class FakeLcus {
   FakeLcus& operator=(const FakeLcus&) = delete;
 
   void Unplug();
+  // Lets another process open the line, as the last close of a real one does; this one stays open.
+  void EndExclusiveUse();
   // Of the terminal that the driver opens.
   const std::string& path() const { return path_; }
   void set_answer(Answer answer) ABSL_LOCKS_EXCLUDED(mu_);
