@@ -23,7 +23,6 @@ observer: hidden
 settle: 3s
 attribution_grace: 250ms
 unwatched: [/rosout]
-raw_readers: [/scan]
 state_dir: /tmp/sensor
 outbox: {memory: 8MiB, disk: 32MiB, dir: /tmp/spool}
 ids: [{format: eve, path: /var/log/suricata/eve.json}, {format: fast, path: /var/log/snort/alert}]
@@ -32,6 +31,7 @@ wire: {enabled: true, socket: /run/rips/tap.sock}
 metrics: "127.0.0.1:0"
 graph_limits: {participants: 9, nodes: 8, endpoints: 7, nodes_per_participant: 6,
                endpoints_per_participant: 5}
+raw_readers: [/scan]
 )";
 
 constexpr char kMinimal[] = R"(robot: r1
@@ -135,7 +135,7 @@ INSTANTIATE_TEST_SUITE_P(
                 "3:", "`policy.example` is not HOST:PORT"},
         BadCase{"BareNumber", "settle: 3s", "settle: 3", "7:9", "settle"},
         BadCase{"TopicOfARawReader", "raw_readers: [/scan]", "raw_readers: [\"/a b\"]",
-                "10:", "raw_readers"},
+                "18:", "/a b"},
         BadCase{"SettleTooLong", "settle: 3s", "settle: 11s", "7:9", "settle"},
         BadCase{"BadObserver", "observer: hidden", "observer: secret", "6:", "counted"},
         BadCase{"RelativeKey", "/etc/rips/pki/key.pem", "key.pem", "4:", "absolute path"},

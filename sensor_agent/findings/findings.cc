@@ -38,6 +38,22 @@ bool IsRipsName(absl::string_view node) { return absl::EndsWith(node, kOwnNode);
 // GUID prefixes of participants with DDS Security begin with a one (DDS Security 1.1 §9.3.3).
 bool HasSecurePrefix(const Guid& guid) { return (guid.bytes[0] & 0x80) != 0; }
 
+bool IsSuspect(const ros2::Endpoint& endpoint, const std::vector<std::string>& raw_readers) {
+  if (!endpoint.ros) return false;
+  const bool nobodys = endpoint.node.empty() && !endpoint.pending;
+  switch (endpoint.kind) {
+    case EndpointKind::kPublisher:
+      return nobodys;
+    case EndpointKind::kSubscriber:
+      return nobodys && !absl::c_linear_search(raw_readers, endpoint.name);
+    case EndpointKind::kClient:
+      return !PartOf(endpoint.name).empty();
+    case EndpointKind::kService:
+      return absl::EndsWith(endpoint.name, kChangeMode);
+  }
+  return false;
+}
+
 }  // namespace
 
 absl::Span<const char* const> Findings::Kinds() { return kKindNames; }
@@ -48,22 +64,6 @@ Findings::Findings(FindingsOptions options) : options_(std::move(options)) {
 
 bool Findings::IsOwn(const Guid& participant) const {
   return participant == options_.own || own_participants_.contains(participant);
-}
-
-bool Findings::IsSuspect(const ros2::Endpoint& endpoint) const {
-  if (!endpoint.ros) return false;
-  const bool nobodys = endpoint.node.empty() && !endpoint.pending;
-  switch (endpoint.kind) {
-    case EndpointKind::kPublisher:
-      return nobodys;
-    case EndpointKind::kSubscriber:
-      return nobodys && !absl::c_linear_search(options_.raw_readers, endpoint.name);
-    case EndpointKind::kClient:
-      return !PartOf(endpoint.name).empty();
-    case EndpointKind::kService:
-      return absl::EndsWith(endpoint.name, kChangeMode);
-  }
-  return false;
 }
 
 // --- Facts
@@ -109,7 +109,7 @@ void Findings::UpsertEndpoint(const ros2::Endpoint& endpoint, int64_t now_ns) {
       endpoint.name == ros2::kDiscoveryTopic) {
     party->second.announcer = endpoint.guid;
   }
-  if (!IsSuspect(endpoint)) {
+  if (!IsSuspect(endpoint, options_.raw_readers)) {
     now_.suspects.erase(endpoint.guid);
     return;
   }
@@ -356,7 +356,7 @@ void Findings::CollectModeWriters(WantedMap& wanted) {
   }
 }
 
-void Findings::CollectNonRosWriters(WantedMap& wanted) {
+void Findings::CollectNonRos(WantedMap& wanted) {
   for (const auto& [guid, suspect] : now_.suspects) {
     const Guid participant = guid.Participant();
     if (suspect.kind != EndpointKind::kPublisher || IsOwn(participant)) continue;
@@ -370,9 +370,6 @@ void Findings::CollectNonRosWriters(WantedMap& wanted) {
                                              announces ? " does not claim this writer for a node"
                                                        : " is no ROS process")};
   }
-}
-
-void Findings::CollectNonRosReaders(WantedMap& wanted) {
   // What each reads, and since when.
   absl::btree_map<Guid, std::pair<int64_t, absl::btree_set<absl::string_view>>> readers;
   for (const auto& [guid, suspect] : now_.suspects) {
@@ -429,8 +426,7 @@ Findings::WantedMap Findings::Collect(int64_t now_ns) {
   CollectNodes(wanted);
   CollectClaims(now_ns, wanted);
   CollectModeWriters(wanted);
-  CollectNonRosWriters(wanted);
-  CollectNonRosReaders(wanted);
+  CollectNonRos(wanted);
   CollectStrangers(now_ns, wanted);
   for (auto& [key, each] : wanted) {
     each.finding.kind = kKindNames[key.kind];

@@ -20,8 +20,8 @@
 // A node that died without farewell and was started again is a duplicate until its lease ends.
 // A writer without a node waits for the slow node if its participant publishes
 // `ros_discovery_info`; one that does not publish it is no ROS process.
-// A participant that reads waits for the slow node, too, and for the server's word, since RIPS's own
-// may read unannounced. One that claims nothing at all and has left by then is told all the same.
+// A reader waits for the slow node, too, and for the server's word, since RIPS's own may read
+// unannounced. One that claims nothing at all and has left by then is told all the same.
 // A foreign mode writer waits because RIPS's own processes are on the bus before the server tells
 // us that they are; the grace counts from when the server can tell us, so while there is no stream
 // none is told. One that has left by then is told all the same: it may have written. An impostor
@@ -187,7 +187,6 @@ class Findings {
   using Servers = absl::btree_map<std::string, Server>;
 
   bool IsOwn(const ros2::Guid& participant) const;
-  bool IsSuspect(const ros2::Endpoint& endpoint) const;
   void UpsertParticipant(const ros2::Participant& participant, int64_t now_ns);
   void UpsertNode(const ros2::Node& node);
   void UpsertEndpoint(const ros2::Endpoint& endpoint, int64_t now_ns);
@@ -199,8 +198,8 @@ class Findings {
   void CollectClaims(int64_t now_ns, WantedMap& wanted);
   Servers CollectServers() const;
   void CollectModeWriters(WantedMap& wanted);
-  void CollectNonRosWriters(WantedMap& wanted);
-  void CollectNonRosReaders(WantedMap& wanted);
+  // Writers, then readers.
+  void CollectNonRos(WantedMap& wanted);
   void CollectStrangers(int64_t now_ns, WantedMap& wanted);
   // `key` stands. Where to say what it is, unless it was told already or too many are new.
   Wanted* Want(const Key& key, int64_t due_ns, WantedMap& wanted);
