@@ -260,7 +260,8 @@ void PrintWho(const Explanation& explanation, std::ostream& out) {
              "it\n"
              "  still sends, the firewall says below; a lowering may let it in again\n";
     }
-    if (any(Presence::kGone)) out << "  gone: not in the robot's graph\n";
+    if (any(Presence::kGone))
+      out << "  gone: not in the robot's graph, and no actuator says that a firewall hides it\n";
   }
   if (recorded.evidence().cut()) out << "  there were more values or subjects than are kept\n";
 }
@@ -403,7 +404,10 @@ Presence PresenceOf(const v1::Subject& subject, const Explanation& explanation) 
                      std::any_of(graph.participants().begin(), graph.participants().end(), is_it);
   if (there) return Presence::kThere;
   if (!SeesAll(explanation)) return Presence::kUnknown;
-  return (*explanation.now)->firewalls().empty() ? Presence::kGone : Presence::kKeptOut;
+  const v1::GetLevelResponse& now = **explanation.now;
+  if (!now.firewalls().empty()) return Presence::kKeptOut;
+  // Until the level is read back, an actuator may be setting a firewall that it has not told of.
+  return now.status().stage() == "verified" ? Presence::kGone : Presence::kUnknown;
 }
 
 std::string PieceText(absl::string_view condition, uint32_t offset, uint32_t length,

@@ -155,6 +155,9 @@ TEST(ExplainTextTest, SaysWhetherWhoItWasIsStillThereAndNothingThatItCannotKnow)
   (*explanation.now)->mutable_status()->add_degraded("sensor base lost");
   EXPECT_EQ(PresenceOf(who, explanation), Presence::kUnknown);
   (*explanation.now)->mutable_status()->clear_degraded();
+  (*explanation.now)->mutable_status()->set_stage("acknowledged");
+  EXPECT_EQ(PresenceOf(who, explanation), Presence::kUnknown) << "a firewall may be on its way";
+  (*explanation.now)->mutable_status()->set_stage("verified");
   EXPECT_EQ(PresenceOf(who, explanation), Presence::kGone);
   (*explanation.now)->add_firewalls()->set_host("base");
   EXPECT_EQ(PresenceOf(who, explanation), Presence::kKeptOut);
