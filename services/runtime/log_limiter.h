@@ -49,6 +49,14 @@ class LogLimiter {
     return std::exchange(bucket.left_out, 0);
   }
 
+  // How many lines of this source were left out since the last one that was written; none are then.
+  uint64_t TakeLeftOut(const std::string& source) ABSL_LOCKS_EXCLUDED(mu_) {
+    MutexLock lock(&mu_);
+    auto it = sources_.find(source);
+    if (it == sources_.end()) it = sources_.find("");
+    return it == sources_.end() ? 0 : std::exchange(it->second.left_out, 0);
+  }
+
  private:
   struct Bucket {
     double tokens = 0;
