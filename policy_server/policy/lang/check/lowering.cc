@@ -7,6 +7,7 @@
 
 #include "absl/strings/str_cat.h"
 #include "policy_server/policy/lang/check/fold.h"
+#include "policy_server/policy/lang/check/signature.h"
 #include "policy_server/policy/lang/limits.h"
 #include "services/text/quote.h"
 
@@ -42,6 +43,10 @@ Known Unknown(const std::vector<Known>& parts) {
   return {.kind = anything ? Known::Kind::kAnything : Known::Kind::kTime, .value = {}};
 }
 
+bool IsAboutAnEvent(Builtin builtin) {
+  return SignatureOf(builtin).event_class == EventClass::kExternal;
+}
+
 bool AsksLevel(const TypedExpr& expr) {
   if (expr.kind == TypedExpr::Kind::kPredefined) {
     return expr.predefined == Predefined::kCurrLevel || expr.predefined == Predefined::kLevel;
@@ -51,8 +56,10 @@ bool AsksLevel(const TypedExpr& expr) {
 
 class Analysis {
  public:
-  explicit Analysis(const levels::LevelTable& levels)
+  // `on_a_tick`: where there is no event, so that no question about one is answered with yes.
+  Analysis(const levels::LevelTable& levels, bool on_a_tick)
       : levels_(levels),
+        on_a_tick_(on_a_tick),
         all_(levels.size() == 64 ? ~LevelSet{0} : (LevelSet{1} << levels.size()) - 1) {}
 
   LevelSet all() const { return all_; }
@@ -78,6 +85,9 @@ class Analysis {
               .may_be_false = left.may_be_false & right.may_be_false,
               .true_alone = left.true_alone | right.true_alone,
               .false_alone = left.false_alone & right.false_alone};
+    }
+    if (on_a_tick_ && expr.kind == TypedExpr::Kind::kCall && IsAboutAnEvent(expr.builtin)) {
+      return {.may_be_true = all_, .may_be_false = all_, .false_alone = all_};
     }
     return TruthOfPart(expr);
   }
@@ -164,6 +174,7 @@ class Analysis {
   }
 
   const levels::LevelTable& levels_;
+  const bool on_a_tick_;
   const LevelSet all_;
 };
 
@@ -171,7 +182,11 @@ class Lowerings {
  public:
   Lowerings(const CheckedRules& rules, const std::vector<uint64_t>& variable_levels,
             DiagnosticSink& sink)
-      : rules_(rules), variable_levels_(variable_levels), sink_(sink), analysis_(rules.levels) {}
+      : rules_(rules),
+        variable_levels_(variable_levels),
+        sink_(sink),
+        analysis_(rules.levels, /*on_a_tick=*/false),
+        ticking_(rules.levels, /*on_a_tick=*/true) {}
 
   void Warn(const TypedRule& rule) {
     const auto triggers = [](const TypedChain& chain) {
@@ -183,26 +198,38 @@ class Lowerings {
     const Truth truth = analysis_.TruthOf(rule.condition);
     if (truth.may_be_true == 0) return;
     // Where the level may be when a chain begins: chains before it may have moved it.
-    LevelSet at = truth.may_be_true, alone = truth.true_alone;
+    const Places begin = {.at = truth.may_be_true,
+                          .alone = truth.true_alone,
+                          .on_a_tick = ticking_.TruthOf(rule.condition).true_alone};
+    Places places = begin;
     for (const TypedChain& chain : rule.chains) {
-      LevelSet here = at;
-      LevelSet here_alone = alone;
+      Places here = places;
       for (const TypedAction& action : chain) {
         if (action.kind == ActionKind::kTrigger) {
           const LevelSet targets = TargetsOf(action.args[0]);
-          WarnTrigger(action, targets, here, here_alone);
-          at |= targets;
-          if (alone != 0) alone |= targets;
+          WarnTrigger(action, targets, here);
+          places = places.Or(targets);
         }
         if (action.kind == ActionKind::kTrigger || action.kind == ActionKind::kExec) {
-          here = analysis_.all();
-          here_alone = truth.true_alone != 0 ? analysis_.all() : 0;
+          here = begin.Or(analysis_.all());
         }
       }
     }
   }
 
  private:
+  // Levels at which a trigger may run, and those where nothing else was asked, or nothing but that
+  // there is no event.
+  struct Places {
+    LevelSet at = 0;
+    LevelSet alone = 0;
+    LevelSet on_a_tick = 0;
+
+    Places Or(LevelSet more) const {
+      return {at | more, alone == 0 ? 0 : alone | more, on_a_tick == 0 ? 0 : on_a_tick | more};
+    }
+  };
+
   // None for `CurrLevel`, which changes nothing.
   LevelSet TargetsOf(const TypedExpr& level) const {
     if (level.is_constant()) {
@@ -212,16 +239,17 @@ class Lowerings {
     return variable_levels_[level.variable] & analysis_.all();
   }
 
-  // `at`: levels at which the trigger may run; `alone`: those where nothing else was asked.
-  void WarnTrigger(const TypedAction& trigger, LevelSet targets, LevelSet at, LevelSet alone) {
+  void WarnTrigger(const TypedAction& trigger, LevelSet targets, const Places& here) {
     bool acts = false;
     std::optional<std::pair<int, int>> refused;  // from, to
     for (int from = 0; from < rules_.levels.size(); ++from) {
-      if ((at & Bit(from)) == 0) continue;
+      if ((here.at & Bit(from)) == 0) continue;
       for (int to = 0; to < rules_.levels.size(); ++to) {
         if ((targets & Bit(to)) == 0) continue;
         const bool lowers = to == from - 1 && rules_.levels.at(from).soft;
-        if (lowers && (alone & Bit(from)) != 0) return WarnUnguarded(trigger.range, from);
+        if (lowers && ((here.alone | here.on_a_tick) & Bit(from)) != 0) {
+          return WarnUnguarded(trigger.range, from, (here.alone & Bit(from)) != 0);
+        }
         acts = acts || lowers || to > from;
         if (to < from && !lowers && !refused) refused = {from, to};
       }
@@ -229,12 +257,13 @@ class Lowerings {
     if (!acts && refused) WarnNever(trigger.range, refused->first, refused->second);
   }
 
-  void WarnUnguarded(SourceRange range, int from) {
+  void WarnUnguarded(SourceRange range, int from, bool alone) {
     const std::string level = rules_.levels.name(from);
     sink_.Add(DiagnosticKind::kUnguardedLowering, range,
               absl::StrCat("this leaves level ", Quote(level),
                            " although what raised it may still be there: the rule asks for nothing "
-                           "but the level and the time"),
+                           "but the level and the time",
+                           alone ? "" : ", and that no event comes, which is so at the next tick"),
               absl::StrCat("ask that it is over, as in `CurrLevel == ", level,
                            " && !intruder`, with a variable that other rules set"));
   }
@@ -260,6 +289,7 @@ class Lowerings {
   const std::vector<uint64_t>& variable_levels_;
   DiagnosticSink& sink_;
   const Analysis analysis_;
+  const Analysis ticking_;
 };
 
 }  // namespace
