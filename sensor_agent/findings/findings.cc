@@ -1,6 +1,7 @@
 #include "sensor_agent/findings/findings.h"
 
 #include <algorithm>
+#include <tuple>
 
 #include "absl/algorithm/container.h"
 #include "absl/strings/match.h"
@@ -88,6 +89,7 @@ void Findings::UpsertParticipant(const ros2::Participant& participant, int64_t n
     it->second.seen_ns = before == before_.parties.end() ? now_ns : before->second.seen_ns;
   }
   it->second.host = participant.host;
+  it->second.address = participant.address;
   it->second.pid = participant.pid;
 }
 
@@ -109,8 +111,13 @@ void Findings::UpsertEndpoint(const ros2::Endpoint& endpoint, int64_t now_ns) {
       endpoint.name == ros2::kDiscoveryTopic) {
     party->second.announcer = endpoint.guid;
   }
+  const bool reads = endpoint.ros && endpoint.kind == EndpointKind::kSubscriber;
+  if (reads && !endpoint.node.empty()) now_.claimed.insert(endpoint.guid);
   if (!IsSuspect(endpoint, options_.raw_readers)) {
     now_.suspects.erase(endpoint.guid);
+    // A slow node, which has not left.
+    const auto held = held_.find({kNonRosReader, endpoint.guid.Participant(), endpoint.name});
+    if (reads && held != held_.end() && !held->second.told) held_.erase(held);
     return;
   }
   const auto [it, is_new] = now_.suspects.try_emplace(endpoint.guid);
@@ -121,6 +128,9 @@ void Findings::UpsertEndpoint(const ros2::Endpoint& endpoint, int64_t now_ns) {
   it->second.kind = endpoint.kind;
   it->second.name = endpoint.name;
   it->second.node = endpoint.node;
+  it->second.was_claimed =
+      now_.claimed.contains(endpoint.guid) || before_.claimed.contains(endpoint.guid);
+  if (it->second.was_claimed) now_.claimed.insert(endpoint.guid);
 }
 
 void Findings::DropNode(const std::string& name) {
@@ -134,6 +144,7 @@ void Findings::DropGuid(const Guid& guid) {
   const auto party = now_.parties.find(guid.Participant());
   if (guid != guid.Participant()) {
     now_.suspects.erase(guid);
+    now_.claimed.erase(guid);
     if (party != now_.parties.end() && party->second.announcer == guid) {
       party->second.announcer = Guid{};
     }
@@ -153,6 +164,10 @@ void Findings::DropGuid(const Guid& guid) {
   auto end = begin;
   while (end != now_.suspects.end() && end->first.SamePrefix(guid)) ++end;
   now_.suspects.erase(begin, end);
+  const auto claimed = now_.claimed.lower_bound(first);
+  auto claimed_end = claimed;
+  while (claimed_end != now_.claimed.end() && claimed_end->SamePrefix(guid)) ++claimed_end;
+  now_.claimed.erase(claimed, claimed_end);
 }
 
 void Findings::OnEndpointSeen(const EndpointFact& endpoint, int64_t now_ns) {
@@ -176,16 +191,17 @@ void Findings::OnEndpointGone(const Guid& endpoint) {
   const Servers servers = CollectServers();
   const auto server = servers.find(part);
   if (server != servers.end() && server->second.manager == participant) return;
-  if (held_.size() >= options_.findings_max) {
+  if (held_.size() >= kKinds * options_.findings_max) {
     ++dropped_;
     return;
   }
-  held_[key] = {.finding = {.kind = kKindNames[kForeignModeWriter],
-                            .guid = endpoint,
-                            .topic = service,
-                            .detail = absl::StrCat(Describe(participant), " may steer this part")},
-                .due_ns = std::max(seen_ns, connected_ns_) + options_.foreign_grace_ns,
-                .gone = true};
+  Held& held = held_[key];
+  held.finding = {.kind = kKindNames[kForeignModeWriter],
+                  .guid = endpoint,
+                  .topic = service,
+                  .detail = absl::StrCat(Describe(participant), " may steer this part")};
+  held.due_ns = std::max(seen_ns, connected_ns_) + options_.foreign_grace_ns;
+  held.gone = true;
   dirty_ = true;
 }
 
@@ -236,8 +252,10 @@ std::string Findings::Describe(const Guid& participant) const {
   if (party == now_.parties.end() || party->second.host.empty()) {
     return absl::StrCat("participant ", ToString(participant));
   }
-  return absl::StrCat("participant ", ToString(participant), " (says: host ", party->second.host,
-                      ", process ", party->second.pid, ")");
+  const Party& it = party->second;
+  return absl::StrCat("participant ", ToString(participant), " (says: host ", it.host,
+                      it.address.empty() ? "" : ", address ", it.address, ", process ", it.pid,
+                      ")");
 }
 
 void Findings::CollectNodes(WantedMap& wanted) {
@@ -308,7 +326,8 @@ int64_t Findings::ForeignDue(int64_t seen_ns) const {
 Findings::Wanted* Findings::Want(const Key& key, int64_t due_ns, WantedMap& wanted) {
   const auto held = held_.find(key);
   const bool is_held = held != held_.end();
-  if (!is_held && ++fresh_ > options_.findings_max) return nullptr;
+  const bool is_new = !is_held && !wanted.contains(key);
+  if (is_new && ++fresh_[key.kind] > options_.findings_max) return nullptr;
   Wanted& each = wanted[key];
   each.due_ns = due_ns;
   return is_held && held->second.told ? nullptr : &each;
@@ -370,32 +389,26 @@ void Findings::CollectNonRos(WantedMap& wanted) {
                                              announces ? " does not claim this writer for a node"
                                                        : " is no ROS process")};
   }
-  // What each reads, and since when.
-  absl::btree_map<Guid, std::pair<int64_t, absl::btree_set<absl::string_view>>> readers;
   for (const auto& [guid, suspect] : now_.suspects) {
     const Guid participant = guid.Participant();
     if (suspect.kind != EndpointKind::kSubscriber || IsOwn(participant)) continue;
-    auto& [since_ns, topics] = readers[participant];
-    since_ns = topics.empty() ? suspect.seen_ns : std::min(since_ns, suspect.seen_ns);
-    topics.insert(suspect.name);
-  }
-  for (const auto& [participant, read] : readers) {
-    const auto& [since_ns, topics] = read;
+    const Key key{kNonRosReader, participant, suspect.name};
+    const auto held = held_.find(key);
     const bool announces = !now_.parties.at(participant).announcer.none();
-    const int64_t slow_ns = announces ? since_ns + options_.slow_node_ns : 0;
-    Wanted* fresh =
-        Want({kNonRosReader, participant, ""}, std::max(slow_ns, ForeignDue(since_ns)), wanted);
-    if (fresh == nullptr) continue;
-    fresh->late = !announces;
-    std::string detail = absl::StrCat(Describe(participant), " reads without a node:");
-    size_t named = 0;
-    for (const absl::string_view topic : topics) {
-      if (named == kNamedMax) break;
-      absl::StrAppend(&detail, named++ == 0 ? " " : ", ", topic);
+    const bool late = !announces || !suspect.was_claimed;
+    int64_t since_ns = suspect.seen_ns;
+    if (held != held_.end()) since_ns = std::min(since_ns, held->second.since_ns);
+    if (const auto other = wanted.find(key); other != wanted.end()) {
+      since_ns = std::min(since_ns, other->second.since_ns);
     }
-    if (topics.size() > named) absl::StrAppend(&detail, " and ", topics.size() - named, " more");
-    fresh->finding = {
-        .guid = participant, .topic = std::string(*topics.begin()), .detail = std::move(detail)};
+    const int64_t slow_ns = announces ? since_ns + options_.slow_node_ns : 0;
+    Wanted* fresh = Want(key, std::max(slow_ns, ForeignDue(since_ns)), wanted);
+    if (fresh == nullptr) continue;
+    fresh->since_ns = since_ns;
+    fresh->late |= late;
+    fresh->finding = {.guid = participant,
+                      .topic = suspect.name,
+                      .detail = absl::StrCat(Describe(participant), " reads without a node")};
   }
 }
 
@@ -422,7 +435,7 @@ void Findings::CollectStrangers(int64_t now_ns, WantedMap& wanted) {
 
 Findings::WantedMap Findings::Collect(int64_t now_ns) {
   WantedMap wanted;
-  fresh_ = 0;
+  fresh_ = {};
   CollectNodes(wanted);
   CollectClaims(now_ns, wanted);
   CollectModeWriters(wanted);
@@ -474,7 +487,12 @@ void Findings::End(const WantedMap& wanted, std::vector<Finding>& told) {
 }
 
 void Findings::Begin(WantedMap wanted) {
-  size_t not_held = fresh_ > options_.findings_max ? fresh_ - options_.findings_max : 0;
+  size_t not_held = 0;
+  for (const size_t fresh : fresh_) {
+    not_held += fresh > options_.findings_max ? fresh - options_.findings_max : 0;
+  }
+  std::array<size_t, kKinds> held_of = {};
+  for (const auto& [key, held] : held_) ++held_of[key.kind];
   for (auto& [key, each] : wanted) {
     const auto it = held_.find(key);
     if (it != held_.end()) {
@@ -482,12 +500,14 @@ void Findings::Begin(WantedMap wanted) {
       it->second.gone = false;
       it->second.due_ns = each.due_ns;
       it->second.late = each.late;
+      it->second.since_ns = each.since_ns;
       // Its node may have become known meanwhile.
       it->second.finding = std::move(each.finding);
-    } else if (held_.size() >= options_.findings_max) {
+    } else if (held_of[key.kind] >= options_.findings_max) {
       ++not_held;
     } else {
-      held_[key] = {.finding = std::move(each.finding), .due_ns = each.due_ns, .late = each.late};
+      ++held_of[key.kind];
+      held_[key] = Held{std::move(each)};
     }
   }
   if (not_held > not_held_) dropped_ += not_held - not_held_;
@@ -511,29 +531,31 @@ void Findings::TurnWindows(int64_t now_ns, std::vector<Finding>& told) {
 }
 
 void Findings::Tell(int64_t now_ns, std::vector<Finding>& told) {
-  for (auto it = held_.begin(); it != held_.end();) {
-    Held& held = it->second;
-    if (held.told || held.due_ns > now_ns || !CanBeTold(it->first)) {
-      ++it;
-      continue;
-    }
-    Window& window = windows_[it->first.kind];
+  // What stands before what has left.
+  std::vector<std::tuple<bool, int64_t, Key>> due;
+  for (const auto& [key, held] : held_) {
+    if (held.told || held.due_ns > now_ns || !CanBeTold(key)) continue;
+    due.emplace_back(held.gone, held.due_ns, key);
+  }
+  std::sort(due.begin(), due.end());
+  for (const auto& [gone, due_ns, key] : due) {
+    Held& held = held_.at(key);
+    Window& window = windows_[key.kind];
     held.withheld = window.told >= options_.told_per_minute;
     if (held.withheld) {
-      ++it;
+      if (!gone) continue;
+      ++window.folded;
+      held_.erase(key);
       continue;
     }
     if (window.told++ == 0) window.start_ns = now_ns;
     told.push_back(held.finding);
     held.told = true;
-    if (!held.gone) {
-      ++it;
-      continue;
-    }
+    if (!gone) continue;
     told.back().detail = absl::StrCat("it has left: ", told.back().detail);
     told.push_back(told.back());
     told.back().over = true;
-    it = held_.erase(it);
+    held_.erase(key);
   }
 }
 

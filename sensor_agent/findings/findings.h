@@ -12,8 +12,8 @@
 // |                     |                                                           | grace       |
 // | non_ros_writer      | a ROS topic has a writer that no node claims, past the    | at once, or |
 // |                     | attribution grace                                         | slow node   |
-// | non_ros_reader      | a participant reads ROS topics, other than those that may | foreign     |
-// |                     | be read so, without claiming a node for it                | grace       |
+// | non_ros_reader      | a participant reads a ROS topic, none of those that may   | foreign     |
+// |                     | be read so, and no node claims its reader                 | grace       |
 // | unauthenticated     | with DDS Security: a participant shows no endpoint        | handshake   |
 //
 // "At once" is after the graph step that shows it, so never before discovery has settled.
@@ -21,7 +21,8 @@
 // A writer without a node waits for the slow node if its participant publishes
 // `ros_discovery_info`; one that does not publish it is no ROS process.
 // A reader waits for the slow node, too, and for the server's word, since RIPS's own may read
-// unannounced. One that claims nothing at all and has left by then is told all the same.
+// unannounced. One that no node ever claimed is told although it has left by then. The grace counts
+// from its participant's first reader of that topic, whatever takes its place.
 // A foreign mode writer waits because RIPS's own processes are on the bus before the server tells
 // us that they are; the grace counts from when the server can tell us, so while there is no stream
 // none is told. One that has left by then is told all the same: it may have written. An impostor
@@ -72,10 +73,10 @@ struct FindingsOptions {
   int64_t handshake_ns = 15'000'000'000;
   // A refused claim whose participant the graph does not show is forgotten then.
   int64_t orphan_claim_ns = 30'000'000'000;
-  // Findings held, told or not. Further ones are counted in dropped().
-  size_t findings_max = 1'024;
-  // Of one kind in a minute. What comes and goes beyond that is told as a number when the minute
-  // is over; what still stands then is told.
+  // Findings of one kind that are held, told or not. Further ones are counted in dropped().
+  size_t findings_max = 256;
+  // Of one kind in a minute, first those that stand. What comes and goes beyond that is told as a
+  // number when the minute is over; what still stands then is told.
   size_t told_per_minute = 30;
 };
 
@@ -128,6 +129,7 @@ class Findings {
   struct Key {
     Kind kind = kKinds;
     ros2::Guid guid;
+    // Or the topic that is read.
     std::string node;
 
     friend auto operator<=>(const Key&, const Key&) = default;
@@ -135,6 +137,7 @@ class Findings {
   struct Party {
     int64_t seen_ns = 0;
     std::string host;
+    std::string address;
     uint32_t pid = 0;
     // Its writer of ros_discovery_info; none() = it has none.
     ros2::Guid announcer;
@@ -148,23 +151,23 @@ class Findings {
     ros2::EndpointKind kind = ros2::EndpointKind::kPublisher;
     std::string name;
     std::string node;
+    bool was_claimed = false;  // by a node that has gone
   };
   struct Tables {
     absl::btree_map<ros2::Guid, Party> parties;
     absl::btree_map<ros2::Guid, Suspect> suspects;
+    // Readers that a node claims or claimed.
+    absl::btree_set<ros2::Guid> claimed;
     // Participants that claim a node of that name.
     absl::btree_map<std::string, absl::btree_set<ros2::Guid>> owners;
   };
   struct Wanted {
     Finding finding;
     int64_t due_ns = 0;
-    // Told although it has left.
-    bool late = false;
+    int64_t since_ns = 0;
+    bool late = false;  // told although it has left
   };
-  struct Held {
-    Finding finding;
-    int64_t due_ns = 0;
-    bool late = false;
+  struct Held : Wanted {
     bool told = false;
     // Due, but its kind is told too often.
     bool withheld = false;
@@ -198,7 +201,6 @@ class Findings {
   void CollectClaims(int64_t now_ns, WantedMap& wanted);
   Servers CollectServers() const;
   void CollectModeWriters(WantedMap& wanted);
-  // Writers, then readers.
   void CollectNonRos(WantedMap& wanted);
   void CollectStrangers(int64_t now_ns, WantedMap& wanted);
   // `key` stands. Where to say what it is, unless it was told already or too many are new.
@@ -237,8 +239,8 @@ class Findings {
   int64_t strangers_due_ns_ = kNever;
   int64_t next_due_ns_ = kNever;
   size_t secured_strangers_ = 0;
-  // New ones in the Collect that is going on.
-  size_t fresh_ = 0;
+  // New ones in the Collect that is going on, of each kind.
+  std::array<size_t, kKinds> fresh_ = {};
   size_t not_held_ = 0;
   uint64_t dropped_ = 0;
 };

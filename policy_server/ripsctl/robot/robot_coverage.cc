@@ -159,7 +159,7 @@ class ShowCoverage final : public RobotCommand {
   ShowCoverage()
       : RobotCommand({"robot", "coverage",
                       "Show which of a robot's endpoints the sensors see; exit with 1 if any is "
-                      "not visible"}) {}
+                      "not visible or a finding stands"}) {}
   void AddFlags(CLI::App& app) override {
     RobotCommand::AddFlags(app);
     app.add_flag("--all", all_, "Show every endpoint, not only those that are not visible");
