@@ -99,6 +99,7 @@ host: base
 servers: ["127.0.0.1:1"]
 tls: {{ca: {pki}/ca.pem, cert: {pki}/cert.pem, key: {pki}/key.pem}}
 dds: {{domain: {self.domain}, interface: eth0}}
+raw_readers: [/cmd_vel]
 wire: {{enabled: true, socket: {self.socket}}}
 state_dir: {self.dir}/sensor
 metrics: ""
@@ -125,6 +126,7 @@ metrics: ""
         fleet.domain, fleet.processes = self.domain, self.processes
         fleet.env["CYCLONEDDS_URI"] = (
             f"<CycloneDDS><Domain>{at_index(SENSOR_INDEX)}</Domain></CycloneDDS>")
+        fleet.probed = "/cmd_vel"
         fleet.sensor_options = f"wire: {{enabled: true, socket: {self.socket}}}\n"
         fleet.write("bundles/wire/manifest.yaml",
                     "name: wire\nrules: [wire.rul]\nlevels: [DEFAULT, ALERT, COMPROMISED, HALT]\n")

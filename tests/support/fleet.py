@@ -177,6 +177,7 @@ class Fleet:
         self.programs = programs  # YAML list of actuator.yaml
         self.mode_options = ""  # more of `system_modes`, each after a comma
         self.steps = {}  # further enter steps of a level, each a YAML list item in one line
+        self.probed = "/camera/image_raw"  # what a probe, which is no node, may read
         self.sensor_options = ""  # more lines of sensor.yaml
         self.within = []  # what each command begins with, such as `ip netns exec NAME`
         self.keystore = None  # with DDS Security: the enclaves /rips/sensor and /rips/actuator
@@ -254,7 +255,7 @@ metrics: "127.0.0.1:0"
                for role in ("sensor", "actuator")}
         self.write("sensor.yaml", common("sensor") + f"""tls: {tls["sensor"]}
 state_dir: {self.dir}/sensor
-raw_readers: [/camera/image_raw]  # the probe
+raw_readers: [{self.probed}]
 {self.sensor_options}""")
         levels = "".join(
             f"""  - name: {level}
