@@ -41,12 +41,12 @@ bool HasSecurePrefix(const Guid& guid) { return (guid.bytes[0] & 0x80) != 0; }
 
 bool IsSuspect(const ros2::Endpoint& endpoint, const std::vector<std::string>& raw_readers) {
   if (!endpoint.ros) return false;
-  const bool nobodys = endpoint.node.empty() && !endpoint.pending;
+  const bool unclaimed = endpoint.node.empty() && !endpoint.pending;
   switch (endpoint.kind) {
     case EndpointKind::kPublisher:
-      return nobodys;
+      return unclaimed;
     case EndpointKind::kSubscriber:
-      return nobodys && !absl::c_linear_search(raw_readers, endpoint.name);
+      return unclaimed && !absl::c_linear_search(raw_readers, endpoint.name);
     case EndpointKind::kClient:
       return !PartOf(endpoint.name).empty();
     case EndpointKind::kService:
@@ -111,13 +111,14 @@ void Findings::UpsertEndpoint(const ros2::Endpoint& endpoint, int64_t now_ns) {
       endpoint.name == ros2::kDiscoveryTopic) {
     party->second.announcer = endpoint.guid;
   }
-  const bool reads = endpoint.ros && endpoint.kind == EndpointKind::kSubscriber;
-  if (reads && !endpoint.node.empty()) now_.claimed.insert(endpoint.guid);
+  if (endpoint.ros && endpoint.kind == EndpointKind::kSubscriber && !endpoint.node.empty()) {
+    now_.claimed.insert(endpoint.guid);
+    // A slow node, which has not left. (A new reader that is pending proves nothing.)
+    const auto held = held_.find({kNonRosReader, endpoint.guid.Participant(), endpoint.name});
+    if (held != held_.end() && !held->second.told) held_.erase(held);
+  }
   if (!IsSuspect(endpoint, options_.raw_readers)) {
     now_.suspects.erase(endpoint.guid);
-    // A slow node, which has not left.
-    const auto held = held_.find({kNonRosReader, endpoint.guid.Participant(), endpoint.name});
-    if (reads && held != held_.end() && !held->second.told) held_.erase(held);
     return;
   }
   const auto [it, is_new] = now_.suspects.try_emplace(endpoint.guid);
@@ -191,7 +192,9 @@ void Findings::OnEndpointGone(const Guid& endpoint) {
   const Servers servers = CollectServers();
   const auto server = servers.find(part);
   if (server != servers.end() && server->second.manager == participant) return;
-  if (held_.size() >= kKinds * options_.findings_max) {
+  const auto held_of_kind = absl::c_count_if(
+      held_, [](const auto& each) { return each.first.kind == kForeignModeWriter; });
+  if (static_cast<size_t>(held_of_kind) >= options_.findings_max) {
     ++dropped_;
     return;
   }

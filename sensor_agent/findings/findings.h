@@ -21,7 +21,7 @@
 // A writer without a node waits for the slow node if its participant publishes
 // `ros_discovery_info`; one that does not publish it is no ROS process.
 // A reader waits for the slow node, too, and for the server's word, since RIPS's own may read
-// unannounced. One that no node ever claimed is told although it has left by then. The grace counts
+// unannounced. One that no node ever claimed is one although it has left by then. The grace counts
 // from its participant's first reader of that topic, whatever takes its place.
 // A foreign mode writer waits because RIPS's own processes are on the bus before the server tells
 // us that they are; the grace counts from when the server can tell us, so while there is no stream
@@ -75,8 +75,8 @@ struct FindingsOptions {
   int64_t orphan_claim_ns = 30'000'000'000;
   // Findings of one kind that are held, told or not. Further ones are counted in dropped().
   size_t findings_max = 256;
-  // Of one kind in a minute, first those that stand. What comes and goes beyond that is told as a
-  // number when the minute is over; what still stands then is told.
+  // Of one kind in a minute, first those that stand. What comes and goes beyond that becomes a
+  // number when the minute is over; what still stands then follows.
   size_t told_per_minute = 30;
 };
 

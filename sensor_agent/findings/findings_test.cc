@@ -501,7 +501,7 @@ TEST_F(FindingsTest, ReaderWithoutNode) {
   EXPECT_EQ(told[1].topic, "/scan");
   EXPECT_THAT(told[0].detail,
               HasSubstr("(says: host h, address 10.0.0.9, process 7) reads without a node"));
-  // What it reads besides is told, too.
+  // What it reads besides is a finding, too.
   Step(RawReader(3, {"/scan", "/image", "/odom"}));
   const std::vector<Finding> more = After(60 * kSecond);
   ASSERT_THAT(more, SizeIs(1));
@@ -519,6 +519,10 @@ TEST_F(FindingsTest, ReaderThatTakesTheNextOnesPlaceGainsNothing) {
     GraphDelta next;
     next.upsert_endpoints.push_back(RawReader(3, {"/image"}).upsert_endpoints[0]);
     next.upsert_endpoints[0].guid = EndpointGuid(3, 10 + visit, false);
+    next.upsert_endpoints[0].pending = true;
+    Step(next);
+    EXPECT_THAT(Poll(), IsEmpty());
+    next.upsert_endpoints[0].pending = false;
     Step(next);
     if (visit > 0) Step({.gone_guids = {EndpointGuid(3, 9 + visit, false)}});
     EXPECT_THAT(Poll(), IsEmpty());
@@ -549,6 +553,20 @@ TEST_F(FindingsTest, WhatStandsIsToldBeforeWhatHasLeft) {
   ASSERT_THAT(told, SizeIs(3));
   EXPECT_EQ(told[0].detail, "35 more came and went within a minute");
   EXPECT_THAT(told[2], Begins("non_ros_reader", ParticipantGuid(900)));
+}
+
+TEST_F(FindingsTest, GlimpsesOfModeWritersAreHeldUpToTheLimit) {
+  Restart({.findings_max = 3});
+  findings_->SetProtectedParts({"/safety"});
+  for (uint8_t i = 1; i <= 5; ++i) {
+    const Guid writer = EndpointGuid(5, i);
+    findings_->OnEndpointSeen(
+        {.guid = writer, .writer = true, .topic = "rq/safety/change_modeRequest", .type = "t"},
+        now_ns_);
+    findings_->OnEndpointGone(writer);
+  }
+  EXPECT_EQ(findings_->dropped(), 2);
+  EXPECT_THAT(After(6 * kSecond), SizeIs(6)) << "three began and ended";
 }
 
 TEST_F(FindingsTest, OneKindLeavesRoomForOthers) {
@@ -588,7 +606,7 @@ TEST_F(FindingsTest, ReaderOfASlowNodeIsNone) {
   EXPECT_THAT(After(1 * kSecond), IsEmpty());
   Gone(ParticipantGuid(1));
   EXPECT_THAT(After(60 * kSecond), IsEmpty());
-  // One that claims other nodes only is told when the slow node cannot come any more.
+  // One that claims other nodes only: when the slow node cannot come any more.
   GraphDelta hides = Process(2, "/known");
   hides.upsert_endpoints.push_back(RawReader(2, {"/image"}).upsert_endpoints[0]);
   Step(hides);

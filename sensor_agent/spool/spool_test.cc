@@ -173,7 +173,7 @@ TEST_F(SpoolTest, ADirectoryThatIsNoneIsUnavailable) {
 }
 
 TEST_F(SpoolTest, AnUnwritableOrUnreadableDirectoryIsRefusedAtOnce) {
-  // Root, who may write everywhere, is somebody else meanwhile.
+  // Root may write everywhere, so another user does it.
   const bool root = RootMay({CAP_DAC_OVERRIDE});
   if (root && !RootMay({CAP_SETUID})) GTEST_SKIP() << "becoming another user needs CAP_SETUID";
   ASSERT_EQ(chmod(dir_.c_str(), 0755), 0);

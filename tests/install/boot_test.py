@@ -302,11 +302,11 @@ def the_tap_gives_up_its_capabilities(machine):
 
 
 def an_attack_stops_the_robot(machine):
-    machine.start("stranger", *robot("intruder"), "--mode", "unknown-node")
+    machine.start("unknown", *robot("intruder"), "--mode", "unknown-node")
     machine.await_status("rips-actuator", held("ALERT"))
     machine.start("driver", *robot("intruder"), "--mode", "rogue-cmd-vel", "--node", "/driver")
     machine.await_status("rips-actuator", held("COMPROMISED"))
-    machine.run("systemctl", "stop", "driver", "stranger")
+    machine.run("systemctl", "stop", "driver", "unknown")
 
 
 def a_reload_ends(machine):

@@ -117,7 +117,7 @@ TEST_F(ScannerProcessTest, ItCanDoNothingButScan) {
   EXPECT_THAT(status, ::testing::AllOf(::testing::HasSubstr("Seccomp:\t2"),
                                        ::testing::HasSubstr("NoNewPrivs:\t1"),
                                        ::testing::HasSubstr("CapPrm:\t0000000000000000")));
-  if (geteuid() == 0) {  // nobody else may drop what programs could be given
+  if (geteuid() == 0) {  // others cannot drop it
     EXPECT_THAT(status, ::testing::HasSubstr("CapBnd:\t0000000000000000"));
   }
   if (as_another) {

@@ -260,8 +260,9 @@ void PrintWho(const Explanation& explanation, std::ostream& out) {
              "it\n"
              "  still sends, the firewall says below; a lowering may let it in again\n";
     }
-    if (any(Presence::kGone))
+    if (any(Presence::kGone)) {
       out << "  gone: not in the robot's graph, and no actuator says that a firewall hides it\n";
+    }
   }
   if (recorded.evidence().cut()) out << "  there were more values or subjects than are kept\n";
 }

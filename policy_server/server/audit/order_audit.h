@@ -58,7 +58,7 @@ class OrderAudit {
   const Clock* clock_;
   LogLimiter refused_{50, 1.0 / 30};
   Mutex mu_;
-  // By what the limiter tells apart; as many at most.
+  // By certificate and call, as the limiter tells them apart.
   absl::btree_map<std::string, LeftOut> left_out_ ABSL_GUARDED_BY(mu_);
   Ticker ticker_;  // last: uses the others
 };
