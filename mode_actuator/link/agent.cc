@@ -182,7 +182,7 @@ absl::StatusOr<LoadedConfig> LoadConfig(const std::string& path) {
   RIPS_RETURN_IF_ERROR(AddScripts(&parsed));
   loaded.config = std::move(parsed.config);
   loaded.settings = std::move(parsed.settings);
-  RIPS_RETURN_IF_ERROR(CheckFirewallFiles(loaded.config.levels));
+  RIPS_RETURN_IF_ERROR(CheckFirewallFiles(loaded.config.levels, loaded.settings));
   if (loaded.config.smh_file.empty()) return loaded;
   RIPS_ASSIGN_OR_RETURN(const std::string smh_text, ReadFile(loaded.config.smh_file, kSmhBytesMax));
   RIPS_ASSIGN_OR_RETURN(loaded.smh, ParseSmh(smh_text, loaded.config.smh_file));

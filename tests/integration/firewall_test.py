@@ -378,6 +378,9 @@ def what_is_missing_is_told_at_the_start(world):
     (world.dir / "alert.nft").unlink()
     gone = run(*inside, *fw, "--check-config", ok=False)
     check(gone.returncode == 2 and "No such file" in gone.stderr, f"{gone.stderr}")
+    line = next(number for number, text in enumerate(config.read_text().splitlines(), 1)
+                if "alert.nft" in text)
+    check(f"{config}:{line}: cannot read" in gone.stderr, f"not where: {gone.stderr}")
     check("table" not in world.nft("list", "ruleset").stdout, "something was loaded")
 
 

@@ -37,7 +37,7 @@ int Fail(int code, const absl::Status& status) {
 absl::StatusOr<ParsedConfig> Load(const std::string& path) {
   RIPS_ASSIGN_OR_RETURN(const std::string text, rips::ReadConfigFile(path));
   RIPS_ASSIGN_OR_RETURN(ParsedConfig parsed, rips::actuator::ParseConfig(path, text));
-  RIPS_RETURN_IF_ERROR(rips::actuator::CheckFirewallFiles(parsed.config.levels));
+  RIPS_RETURN_IF_ERROR(rips::actuator::CheckFirewallFiles(parsed.config.levels, parsed.settings));
   return parsed;
 }
 

@@ -11,6 +11,7 @@
 #include <variant>
 
 #include "absl/strings/escaping.h"
+#include "absl/strings/match.h"
 #include "absl/strings/str_cat.h"
 #include "mode_actuator/steps/firewall/real_host.h"
 #include "mode_actuator/steps/firewall/target.h"
@@ -136,9 +137,18 @@ std::vector<std::string> FirewallFiles(const std::vector<LevelSpec>& levels) {
   return {files.begin(), files.end()};
 }
 
-absl::Status CheckFirewallFiles(const std::vector<LevelSpec>& levels) {
+absl::Status CheckFirewallFiles(const std::vector<LevelSpec>& levels,
+                                const std::vector<ConfigSetting>& settings) {
   for (const std::string& file : FirewallFiles(levels)) {
-    RIPS_RETURN_IF_ERROR(ReadFragment(file).status());
+    const absl::Status wrong = ReadFragment(file).status();
+    if (wrong.ok()) continue;
+    const auto names_it = [&](const ConfigSetting& each) {
+      return absl::EndsWith(each.path, ".firewall.file") &&
+             each.value == absl::StrCat("\"", file, "\"");
+    };
+    const auto setting = std::find_if(settings.begin(), settings.end(), names_it);
+    if (setting == settings.end()) return wrong;
+    return absl::Status(wrong.code(), absl::StrCat(setting->source, ": ", wrong.message()));
   }
   return absl::OkStatus();
 }

@@ -10,6 +10,7 @@
 #include "absl/time/time.h"
 #include "mode_actuator/decide/level_plan.h"
 #include "mode_actuator/steps/firewall/fragment.h"
+#include "services/base/config_setting.h"
 #include "services/runtime/config_reader.h"
 
 namespace rips::actuator {
@@ -43,8 +44,10 @@ void CheckFirewallSteps(const ConfigSection& level, const std::string& key,
 bool HasFirewallSteps(const std::vector<LevelSpec>& levels);
 // The files of all steps, each once.
 std::vector<std::string> FirewallFiles(const std::vector<LevelSpec>& levels);
-// Reads them all: what is wrong with the first that is wrong (ReadFragment).
-absl::Status CheckFirewallFiles(const std::vector<LevelSpec>& levels);
+// Reads them all: what is wrong with the first that is wrong (ReadFragment), after the line of the
+// configuration that names it. `settings` are those of ParsedConfig.
+absl::Status CheckFirewallFiles(const std::vector<LevelSpec>& levels,
+                                const std::vector<ConfigSetting>& settings);
 
 // The rules of the file of a `firewall: {file: ...}` step. PermissionDenied unless `path` is a
 // regular file, no symbolic link, that root or our own user owns and no other user can write;
