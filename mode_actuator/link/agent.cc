@@ -43,7 +43,6 @@ namespace rips::actuator {
 namespace {
 
 constexpr absl::Duration kTick = absl::Milliseconds(50);
-constexpr int64_t kHeartbeatNs = 500 * kNanosPerMilli;
 constexpr size_t kInputsMax = 4096;
 constexpr size_t kFileTasksMax = 256;
 
@@ -270,7 +269,7 @@ class Agent::Impl {
   ReceiptQueue receipts_;
   DegradedStatus degraded_;
   size_t execs_ = 0;
-  int64_t next_heartbeat_ns_ = 0;
+  int64_t heartbeat_sent_ns_ = 0;
   bool announcing_ = true;  // the last claim was published
   int64_t check_helpers_at_ns_ = 0;
 
@@ -631,12 +630,12 @@ void Agent::Impl::Publish(int64_t now_ns) {
                       {"floor_reason", report.floor_reason},
                       {"decision_id", ToString(report.decision_id)}});
   }
-  // A change is sent at once; otherwise every 500 ms. It is sent before the receipts, so that no
-  // level is reported as verified while the heartbeat still shows the one before.
-  if (changed || now_ns >= next_heartbeat_ns_) {
+  // A change is sent at once. It is sent before the receipts, so that no level is reported as
+  // verified while the heartbeat still shows the one before.
+  if (changed || now_ns >= heartbeat_sent_ns_ + downlink_->heartbeat_ns()) {
     const std::optional<model::FirewallDrops> drops = controller_->FirewallDrops(now_ns);
     counters_.firewall_dropped.Set(drops.has_value() ? static_cast<double>(drops->packets) : 0);
-    if (downlink_->SendHeartbeat(report, drops)) next_heartbeat_ns_ = now_ns + kHeartbeatNs;
+    if (downlink_->SendHeartbeat(report, drops)) heartbeat_sent_ns_ = now_ns;
   }
   receipts_.Flush(now_ns,
                   [this](const Receipt& receipt) { return downlink_->SendReceipt(receipt); });

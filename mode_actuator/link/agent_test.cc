@@ -83,6 +83,7 @@ class FakeServer final : public v1::ActuatorService::Service {
                          : 0;
       } else if (message.has_heartbeat()) {
         heartbeat_ = message.heartbeat();
+        sent_ms_.push_back(heartbeat_.heartbeat().clock().boottime_ns() / kNanosPerMilli);
         if (leases_) replies_.push_back(LeaseLocked());
       }
       changed_.NotifyAll();
@@ -181,6 +182,8 @@ class FakeServer final : public v1::ActuatorService::Service {
   v1::ActuatorHeartbeat heartbeat_;
   int overtook_ = 0;  // receipts that came before the heartbeat with their level
   bool leases_ = true;
+  uint32_t heartbeat_ms_ = 0;
+  std::vector<uint64_t> sent_ms_;  // when each heartbeat was sent
 
  private:
   std::optional<v1::ActuatorReply> NextReply(grpc::ServerContext* context) {
@@ -199,6 +202,7 @@ class FakeServer final : public v1::ActuatorService::Service {
     lease->mutable_heartbeat()->set_echo_boottime_ns(heartbeat_.heartbeat().clock().boottime_ns());
     lease->set_term(1);
     lease->set_ttl_ms(15'000);
+    lease->set_heartbeat_ms(heartbeat_ms_);
     lease->set_evidence_complete(true);
     return reply;
   }
@@ -338,6 +342,22 @@ TEST_F(AgentTest, AFreshOneStartsAtTheFailSafeLevelAndSaysSo) {
   EXPECT_TRUE(Verified(server, "ALERT"));
   EXPECT_EQ(server.Heartbeat().floor_reason(), "state lost");
   EXPECT_THAT(agent_->Ready(), StatusIs(absl::StatusCode::kUnavailable, "no live lease"));
+}
+
+TEST_F(AgentTest, HeartbeatsGoAsOftenAsTheServerSays) {
+  FakeServer server(Pki().Server());
+  server.heartbeat_ms_ = 800;
+  ASSERT_THAT(Start(server.port(), Pki().Actuator()), IsOk());
+  ASSERT_TRUE(Verified(server, "DEFAULT"));
+
+  // A change sends one between; afterwards nothing changes.
+  const auto gap_ms = [&server] {
+    const size_t size = server.sent_ms_.size();
+    return size < 3 ? 0
+                    : std::min(server.sent_ms_[size - 1] - server.sent_ms_[size - 2],
+                               server.sent_ms_[size - 2] - server.sent_ms_[size - 3]);
+  };
+  EXPECT_TRUE(server.Until([&] { return gap_ms() >= 800; }));
 }
 
 TEST_F(AgentTest, RaisesLowersAndSurvivesARestart) {

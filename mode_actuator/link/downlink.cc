@@ -4,6 +4,7 @@
 #include <utility>
 
 #include "rips/v1/actuator.grpc.pb.h"
+#include "services/model/heartbeat.h"
 #include "services/model_proto/actuator_codec.h"
 #include "services/model_proto/configuration_codec.h"
 #include "services/rpc/bidi_client.h"
@@ -47,6 +48,7 @@ class Downlink::Impl {
   }
 
   Client& client() { return *client_; }
+  int64_t heartbeat_ns() const { return heartbeat_ns_; }
 
   v1::ActuatorMessage MakeHeartbeat(const ExecutorReport& report,
                                     const std::optional<model::FirewallDrops>& drops) const {
@@ -70,6 +72,7 @@ class Downlink::Impl {
  private:
   v1::ActuatorMessage MakeHello() {
     newest_boottime_ns_ = 0;
+    heartbeat_ns_ = model::kHeartbeatNs;
     const ExecutorReport report = callbacks_.connected();
     v1::ActuatorMessage message;
     *message.mutable_hello() =
@@ -97,6 +100,7 @@ class Downlink::Impl {
     if (reply.has_lease()) {
       const uint64_t boottime_ns = reply.lease().heartbeat().clock().boottime_ns();
       if (boottime_ns > newest_boottime_ns_) newest_boottime_ns_ = boottime_ns;
+      heartbeat_ns_ = model::HeartbeatIntervalNs(reply.lease().heartbeat_ms());
       callbacks_.lease(model_proto::Decode(reply.lease()));
     } else if (reply.has_command()) {
       absl::StatusOr<model::Command> command = model_proto::Decode(reply.command());
@@ -113,6 +117,7 @@ class Downlink::Impl {
   const Callbacks callbacks_;
   const Clock* const clock_;                      // Not owned; outlives this.
   std::atomic<uint64_t> newest_boottime_ns_ = 0;  // the server's, of this stream
+  std::atomic<int64_t> heartbeat_ns_ = model::kHeartbeatNs;
   std::unique_ptr<Client> client_;
 };
 
@@ -123,6 +128,7 @@ Downlink::~Downlink() { Stop(); }
 void Downlink::Start() { impl_->client().Start(); }
 void Downlink::Stop() { impl_->client().Stop(); }
 bool Downlink::connected() const { return impl_->client().connected(); }
+int64_t Downlink::heartbeat_ns() const { return impl_->heartbeat_ns(); }
 
 bool Downlink::SendReceipt(const Receipt& receipt) {
   v1::ActuatorMessage message;

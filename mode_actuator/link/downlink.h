@@ -64,6 +64,8 @@ class Downlink {
   bool SendHeartbeat(const ExecutorReport& report,
                      const std::optional<model::FirewallDrops>& drops);
   bool connected() const;
+  // How often the server wants a heartbeat on this stream.
+  int64_t heartbeat_ns() const;
 
  private:
   class Impl;

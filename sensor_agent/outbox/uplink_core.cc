@@ -31,12 +31,13 @@ void AddJobs(Backlog& backlog, int64_t now_ns, UplinkActions& actions) {
 
 UplinkCore::UplinkCore(const UplinkCoreOptions& options, std::string incarnation,
                        std::string backlog_incarnation)
-    : heartbeat_ns_(absl::ToInt64Nanoseconds(options.heartbeat)),
+    : look_ns_(absl::ToInt64Nanoseconds(options.heartbeat)),
       kept_{.outbox = Outbox(options.outbox),
             .backlog = Backlog(options.backlog, std::move(backlog_incarnation)),
             .live_ns = absl::ToInt64Nanoseconds(options.live),
             .backlog_bytes_per_second = options.backlog_bytes_per_second},
-      incarnation_(std::move(incarnation)) {}
+      incarnation_(std::move(incarnation)),
+      heartbeat_ns_(look_ns_) {}
 
 // --- Inputs
 
@@ -52,12 +53,14 @@ struct UplinkCore::Handler {
 
   void operator()(StreamBegan& in) {
     core.BeginStream(std::move(in.incarnation), actions);
+    core.last_heartbeat_ns_ = now_ns;  // the hello says as much
     core.hurry_ = true;
   }
   void operator()(StreamEnded& in) { core.EndStream(in.status, now_ns, actions); }
   void operator()(ConfigReceived& in) {
     if (!core.session_.has_value()) return;
     core.kept_.policy = in.policy;
+    core.heartbeat_ns_ = model::HeartbeatIntervalNs(in.heartbeat_ms, core.look_ns_);
     core.kept_.outbox.SetPrimary(in.primary);
     core.resume_.config = true;
     core.resume_.wants_snapshot |= in.want_snapshot;
@@ -82,6 +85,7 @@ struct UplinkCore::Handler {
   void operator()(Turn&) {
     core.hurry_ = false;
     core.set_aside_left_ = kSetAsideAtOnce;
+    core.Look(now_ns, actions);
     core.Heartbeat(now_ns, actions);
     core.Continue(now_ns, actions);
   }
@@ -179,6 +183,7 @@ void UplinkCore::BeginStream(std::string fresh_incarnation, UplinkActions& actio
   kept_.outbox.Rewind();
   session_.emplace(&kept_);
   resume_ = {};
+  heartbeat_ns_ = look_ns_;
   phase_ = Phase::kResuming;
   status_.MarkReported();
   actions.list.emplace_back(SendHello{.incarnation = incarnation_,
@@ -273,14 +278,19 @@ void UplinkCore::FinishResume(int64_t now_ns, UplinkActions& actions) {
 // --- Turns
 
 void UplinkCore::Heartbeat(int64_t now_ns, UplinkActions& actions) {
-  if (now_ns < last_heartbeat_ns_ + heartbeat_ns_) return;
+  if (phase_ == Phase::kDown || now_ns < last_heartbeat_ns_ + heartbeat_ns_) return;
   last_heartbeat_ns_ = now_ns;
+  actions.list.emplace_back(SendHeartbeat{.echo_boottime_ns = server_boottime_ns_});
+}
+
+void UplinkCore::Look(int64_t now_ns, UplinkActions& actions) {
+  if (now_ns < last_look_ns_ + look_ns_) return;
+  last_look_ns_ = now_ns;
   MergeLosses();
   if (phase_ == Phase::kDown) return;
   if (kept_.backlog.state().announced_too_much) {
     return Close("the end of the backlog that was announced cannot be read", actions);
   }
-  actions.list.emplace_back(SendHeartbeat{.echo_boottime_ns = server_boottime_ns_});
   if (phase_ != Phase::kStreaming) return;
   if (const auto state = status_.Poll(kept_.outbox, kept_.backlog, now_ns)) {
     kept_.outbox.AddState(*state, now_ns);
@@ -354,7 +364,8 @@ void UplinkCore::SetAsideNext(int64_t now_ns, UplinkActions& actions) {
 }
 
 int64_t UplinkCore::NextWake(int64_t now_ns) const {
-  int64_t wake_ns = last_heartbeat_ns_ + heartbeat_ns_;
+  int64_t wake_ns = last_look_ns_ + look_ns_;
+  if (phase_ != Phase::kDown) wake_ns = std::min(wake_ns, last_heartbeat_ns_ + heartbeat_ns_);
   if (const auto retry_ns = kept_.backlog.RetryAt()) wake_ns = std::min(wake_ns, *retry_ns);
   return phase_ == Phase::kStreaming ? std::min(wake_ns, session_->NextDue(now_ns)) : wake_ns;
 }

@@ -36,6 +36,7 @@
 #include "sensor_agent/outbox/sensor_status.h"
 #include "sensor_agent/outbox/uplink_io.h"
 #include "services/base/clock.h"
+#include "services/model/heartbeat.h"
 
 namespace rips::sensor {
 
@@ -45,7 +46,9 @@ struct UplinkCoreOptions {
   uint64_t backlog_bytes_per_second = 512 * 1024;
   // What waits longer to be sent is not live any more.
   absl::Duration live = absl::Seconds(2);
-  absl::Duration heartbeat = absl::Milliseconds(500);
+  // Until the server sets another interval. Losses and the sensor's own state are looked at as
+  // often.
+  absl::Duration heartbeat = absl::Nanoseconds(model::kHeartbeatNs);
 };
 
 class UplinkCore {
@@ -87,6 +90,7 @@ class UplinkCore {
   void FinishResume(int64_t now_ns, UplinkActions& actions);
   void Close(std::string why, UplinkActions& actions);
   void Heartbeat(int64_t now_ns, UplinkActions& actions);
+  void Look(int64_t now_ns, UplinkActions& actions);
   // The next step of a turn: sending, then setting aside.
   void Continue(int64_t now_ns, UplinkActions& actions);
   void SetAsideNext(int64_t now_ns, UplinkActions& actions);
@@ -96,7 +100,7 @@ class UplinkCore {
   bool OutboxIsFull() const;
   int64_t NextWake(int64_t now_ns) const;
 
-  const int64_t heartbeat_ns_;
+  const int64_t look_ns_;
   Kept kept_;
   SensorStatus status_;
   std::string incarnation_;
@@ -109,7 +113,10 @@ class UplinkCore {
   // The highest that a server has reported durable, of what was announced last.
   std::map<StreamKey, uint64_t> acknowledged_;
   uint64_t server_boottime_ns_ = 0;
+  // How often this stream carries a heartbeat.
+  int64_t heartbeat_ns_;
   int64_t last_heartbeat_ns_ = 0;
+  int64_t last_look_ns_ = 0;
   // Batches that may still be set aside in this turn.
   int set_aside_left_ = 0;
   // Something has come since the last turn that asks for another one at once.

@@ -179,6 +179,30 @@ TEST_F(UplinkCoreTest, NothingButHeartbeatsGoesUntilTheServerHasSaidAll) {
   EXPECT_THAT(Sent(), ElementsAre("c1+1", "m1+2"));
 }
 
+TEST_F(UplinkCoreTest, HeartbeatsGoAsOftenAsTheServerOfThisStreamSays) {
+  Settle();
+  const auto heartbeats = [&](uint32_t heartbeat_ms, int64_t millis) {
+    On(StreamBegan{});
+    On(ConfigReceived{.heartbeat_ms = heartbeat_ms});
+    const std::vector<std::string> sent = Run(millis);
+    On(StreamEnded{});
+    return std::count(sent.begin(), sent.end(), "heartbeat");
+  };
+  EXPECT_EQ(heartbeats(2'000, 6'100), 3);
+  EXPECT_EQ(heartbeats(0, 6'100), 12) << "a server that sets none, whatever the last one set";
+  EXPECT_EQ(heartbeats(100, 1'050), 10);
+  EXPECT_EQ(heartbeats(1, 1'020), 20) << "not more often than each 50 ms";
+  EXPECT_EQ(heartbeats(3'600'000, 21'000), 2) << "not more seldom than each 10 s";
+}
+
+TEST_F(UplinkCoreTest, LossesAreLookedForWhateverTheHeartbeat) {
+  Settle();
+  On(StreamBegan{});
+  On(ConfigReceived{.heartbeat_ms = 10'000});
+  Run(600);
+  EXPECT_LE(wake_ns_ - now_ns_, 500 * kNanosPerMilli);
+}
+
 TEST_F(UplinkCoreTest, AStreamThatComesBackSendsWhatIsNotAcknowledgedUnderItsNumbers) {
   Settle();
   Stream();

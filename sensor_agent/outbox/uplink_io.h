@@ -60,6 +60,8 @@ struct StreamEnded {
 };
 struct ConfigReceived {
   BatchPolicy policy;
+  // See HeartbeatIntervalNs.
+  uint32_t heartbeat_ms = 0;
   bool primary = true;
   bool want_snapshot = false;
 };

@@ -316,6 +316,7 @@ void Uplink::OnConfig(const rips::v1::SensorConfig& config) {
                        std::clamp(config.batch_observations(), 1u, kBatchObservationsMax),
                    .bytes = std::clamp(config.batch_bytes(), kBatchBytesMin, kBatchBytesMax),
                    .linger_ns = std::min(config.linger_ms(), kLingerMsMax) * kNanosPerMilli},
+        .heartbeat_ms = config.heartbeat_ms(),
         .primary = config.primary(),
         .want_snapshot = config.want_snapshot()});
   }

@@ -61,6 +61,8 @@ struct LeaseGrant {
   DecisionId decision_id;
   std::string level;
   uint32_t ttl_ms = 0;
+  // See HeartbeatIntervalNs.
+  uint32_t heartbeat_ms = 0;
   // Sensor live and backlog judged: a floor may lift.
   bool evidence_complete = false;
   // None: the server has no audit log.

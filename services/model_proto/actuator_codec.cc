@@ -142,6 +142,7 @@ rips::v1::Lease Encode(const model::LeaseGrant& lease, Instant now) {
   Encode(lease.decision_id, *wire.mutable_decision_id());
   wire.set_level(lease.level);
   wire.set_ttl_ms(lease.ttl_ms);
+  wire.set_heartbeat_ms(lease.heartbeat_ms);
   wire.set_evidence_complete(lease.evidence_complete);
   if (!lease.audit_head.none()) Encode(lease.audit_head, *wire.mutable_audit_head());
   return wire;
@@ -153,6 +154,7 @@ model::LeaseGrant Decode(const rips::v1::Lease& wire) {
           .decision_id = Decode(wire.decision_id()),
           .level = wire.level(),
           .ttl_ms = wire.ttl_ms(),
+          .heartbeat_ms = wire.heartbeat_ms(),
           .evidence_complete = wire.evidence_complete(),
           .audit_head = Decode(wire.audit_head())};
 }

@@ -104,6 +104,7 @@ TEST(ActuatorCodecTest, LeasesComeBackAsTheyWere) {
                                 .decision_id = {7, 3},
                                 .level = "ALERT",
                                 .ttl_ms = 15'000,
+                                .heartbeat_ms = 2'000,
                                 .evidence_complete = true,
                                 .audit_head = SomeAuditHead()};
   rips::v1::Lease wire = Encode(lease, {.boottime_ns = 34, .unix_ns = 56});

@@ -289,9 +289,12 @@ void FleetRobot::Step(int64_t now_ns) {
   if (graph_version_ > 0 && !quiet_) {
     owed_ += plan_.rate * static_cast<double>(passed_ns) / 1e9;
     for (; owed_ >= kBatchMax; owed_ -= kBatchMax) MakeMessages(kBatchMax, 0, now_ns);
-    const int count = static_cast<int>(owed_);
-    owed_ -= count;
-    MakeMessages(count, 0, now_ns);
+    if (now_ns >= batch_due_ns_) {
+      batch_due_ns_ = now_ns + linger_ns_;
+      const int count = static_cast<int>(owed_);
+      owed_ -= count;
+      MakeMessages(count, 0, now_ns);
+    }
     if (plan_.raises && !std::exchange(raised_, true)) MakeMessages(1, kRaiseTopic, now_ns);
     if (now_ns >= second_due_ns_) {
       second_due_ns_ = now_ns + kSecondNs;
@@ -303,12 +306,13 @@ void FleetRobot::Step(int64_t now_ns) {
     }
     while (plan_.hostile && messages_.size() < 64) MakeMessages(kBatchMax, 0, now_ns);
   }
-  if (now_ns >= heartbeat_due_ns_) Heartbeats(now_ns);
+  Heartbeats(now_ns);
   SendWaiting();
 }
 
 void FleetRobot::ConnectSensor(int64_t now_ns) {
   sensor_due_ns_ = now_ns + Backoff();
+  sensor_interval_ns_ = model::kHeartbeatNs;
   configured_ = named_ = false;
   credit_bytes_ = used_bytes_ = 0;
   sent_batches_ = sent_control_ = 0;
@@ -337,6 +341,7 @@ void FleetRobot::ConnectSensor(int64_t now_ns) {
 
 void FleetRobot::ConnectActuator(int64_t now_ns) {
   actuator_due_ns_ = now_ns + Backoff();
+  actuator_interval_ns_ = model::kHeartbeatNs;
   actuator_ = new ActuatorStream(this);  // deletes itself
   actuator_stub_->async()->Attach(actuator_->context(), actuator_);
   v1::ActuatorMessage message;
@@ -373,6 +378,8 @@ void FleetRobot::OnReply(const v1::SensorReply& reply) {
   const int64_t now_ns = RealClock().Now().boottime_ns;
   if (reply.has_config()) {
     want_snapshot_ = reply.config().want_snapshot();
+    linger_ns_ = reply.config().linger_ms() * kNanosPerMilli;
+    sensor_interval_ns_ = model::HeartbeatIntervalNs(reply.config().heartbeat_ms());
     configured_ = true;
   } else if (reply.has_credit()) {
     credit_bytes_ = reply.credit().message_bytes();
@@ -413,6 +420,7 @@ void FleetRobot::OnReply(const v1::ActuatorReply& reply) {
   if (reply.has_lease()) {
     const v1::Lease& lease = reply.lease();
     lease_boottime_ns_ = lease.heartbeat().clock().boottime_ns();
+    actuator_interval_ns_ = model::HeartbeatIntervalNs(lease.heartbeat_ms());
     term_ = std::max(term_, lease.term());
     if (Rank(lease.level()) < Rank(level_)) ++counts_.lowered;
   } else if (reply.has_command()) {
@@ -503,14 +511,17 @@ void FleetRobot::SendWaiting() {
 }
 
 void FleetRobot::Heartbeats(int64_t now_ns) {
-  heartbeat_due_ns_ = now_ns + kSecondNs / 2;
-  if (sensor_ != nullptr && !sensor_->abandoned()) {
+  const bool sensor_due = now_ns >= sensor_heartbeat_ns_ + sensor_interval_ns_;
+  if (sensor_due && sensor_ != nullptr && !sensor_->abandoned()) {
+    sensor_heartbeat_ns_ = now_ns;
     v1::SensorMessage message;
     *message.mutable_heartbeat()->mutable_clock() = ClockNow();
     message.mutable_heartbeat()->set_echo_boottime_ns(server_boottime_ns_);
     sensor_->Send(std::move(message));
   }
-  if (actuator_ != nullptr && !actuator_->abandoned()) {
+  const bool actuator_due = now_ns >= actuator_heartbeat_ns_ + actuator_interval_ns_;
+  if (actuator_due && actuator_ != nullptr && !actuator_->abandoned()) {
+    actuator_heartbeat_ns_ = now_ns;
     v1::ActuatorMessage message;
     v1::ActuatorHeartbeat* heartbeat = message.mutable_heartbeat();
     *heartbeat->mutable_heartbeat()->mutable_clock() = ClockNow();

@@ -14,6 +14,7 @@
 #include "grpcpp/channel.h"
 #include "rips/v1/actuator.grpc.pb.h"
 #include "rips/v1/sensor.grpc.pb.h"
+#include "services/model/heartbeat.h"
 #include "services/runtime/mutex.h"
 
 namespace rips::bench {
@@ -78,6 +79,8 @@ class FleetRobot {
   ~FleetRobot();
 
   // Connects what is not, and sends what is due. Call it every kStepNs, later the more at once.
+  // Messages wait as long as the server lets a sensor collect them, those on /probe and /raise too;
+  // heartbeats go as often as the server says.
   void Step(int64_t now_ns) ABSL_LOCKS_EXCLUDED(mu_);
   // No further messages are made.
   void Quiet() ABSL_LOCKS_EXCLUDED(mu_);
@@ -125,7 +128,12 @@ class FleetRobot {
   RobotCounts counts_ ABSL_GUARDED_BY(mu_);
   int64_t sensor_due_ns_ ABSL_GUARDED_BY(mu_) = 0;
   int64_t actuator_due_ns_ ABSL_GUARDED_BY(mu_) = 0;
-  int64_t heartbeat_due_ns_ ABSL_GUARDED_BY(mu_) = 0;
+  int64_t batch_due_ns_ ABSL_GUARDED_BY(mu_) = 0;
+  int64_t linger_ns_ ABSL_GUARDED_BY(mu_) = 0;
+  int64_t sensor_heartbeat_ns_ ABSL_GUARDED_BY(mu_) = 0;
+  int64_t sensor_interval_ns_ ABSL_GUARDED_BY(mu_) = model::kHeartbeatNs;
+  int64_t actuator_heartbeat_ns_ ABSL_GUARDED_BY(mu_) = 0;
+  int64_t actuator_interval_ns_ ABSL_GUARDED_BY(mu_) = model::kHeartbeatNs;
   int64_t second_due_ns_ ABSL_GUARDED_BY(mu_) = 0;
   int64_t stepped_ns_ ABSL_GUARDED_BY(mu_) = 0;
   double owed_ ABSL_GUARDED_BY(mu_) = 0;

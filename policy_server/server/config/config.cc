@@ -69,6 +69,12 @@ void ReadTiming(const ConfigSection& root, Timing* timing) {
                                         ") must be longer than `", lower, "` (",
                                         FormatConfigDuration(shorter), ")"));
   }
+  if (timing->stale < 2 * timing->heartbeat) {
+    section.Problem("stale", absl::StrCat("`stale` (", FormatConfigDuration(timing->stale),
+                                          ") must be at least twice `heartbeat` (",
+                                          FormatConfigDuration(timing->heartbeat),
+                                          "): one late heartbeat would make every agent stale"));
+  }
   if (timing->drain_lease < timing->lease) {
     section.Problem("drain_lease",
                     absl::StrCat("`drain_lease` (", FormatConfigDuration(timing->drain_lease),

@@ -22,7 +22,7 @@ inline constexpr char kPluginUser[] = "rips-plugin";
 
 // Ordered: heartbeat < stale < lost < lease <= drain_lease.
 struct Timing {
-  // How often both ends of a stream say that they live; 50 ms to 10 s.
+  // How often both ends of a stream say that they live; 50 ms to 10 s. Agents follow it.
   absl::Duration heartbeat = absl::Milliseconds(500);
   // An agent silent for so long is shown as stale, and may be replaced by a second session.
   absl::Duration stale = absl::Milliseconds(1500);

@@ -179,6 +179,8 @@ INSTANTIATE_TEST_SUITE_P(
         BadCase{"BareNumber", "lost: 1s", "lost: 1", "is not a duration"},
         BadCase{"StaleTooShort", "stale: 300ms", "stale: 100ms",
                 "`stale` (100ms) must be longer than `heartbeat` (100ms)"},
+        BadCase{"StaleAfterOneHeartbeat", "stale: 300ms", "stale: 199ms",
+                "`stale` (199ms) must be at least twice `heartbeat` (100ms)"},
         BadCase{"LostTooShort", "lost: 1s", "lost: 200ms",
                 "`lost` (200ms) must be longer than `stale` (300ms)"},
         BadCase{"LeaseTooShort", "lease: 3s", "lease: 1s",

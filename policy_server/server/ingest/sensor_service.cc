@@ -71,6 +71,7 @@ class Link final : public pipeline::SensorLink {
     SensorReply reply;
     rips::v1::SensorConfig* config = reply.mutable_config();
     config->set_linger_ms(setup.linger_ms);
+    config->set_heartbeat_ms(setup.heartbeat_ms);
     config->set_batch_observations(setup.batch_observations);
     config->set_batch_bytes(setup.batch_bytes);
     config->set_primary(setup.primary);

@@ -352,12 +352,14 @@ void ActuatorSide::SendLease(const std::string& host, bool evidence_complete) {
   const bool held_back = !outbox_.held_back().none();
   context_.Do(action::GrantLease{
       .session = session.id,
-      .lease = {.echo_boottime_ns = session.peer_boottime_ns,
-                .term = level_.term(),
-                .decision_id = held_back ? reconciler_.decision_id() : level_.decision_id(),
-                .level = held_back ? reconciler_.level_name() : levels().name(level_.level()),
-                .ttl_ms = static_cast<uint32_t>(ttl_ns / kNanosPerMilli),
-                .evidence_complete = evidence_complete}});
+      .lease = {
+          .echo_boottime_ns = session.peer_boottime_ns,
+          .term = level_.term(),
+          .decision_id = held_back ? reconciler_.decision_id() : level_.decision_id(),
+          .level = held_back ? reconciler_.level_name() : levels().name(level_.level()),
+          .ttl_ms = static_cast<uint32_t>(ttl_ns / kNanosPerMilli),
+          .heartbeat_ms = static_cast<uint32_t>(context_.timing.heartbeat_ns / kNanosPerMilli),
+          .evidence_complete = evidence_complete}});
 }
 
 void ActuatorSide::ReportMissingPrograms() {

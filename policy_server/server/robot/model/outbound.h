@@ -21,6 +21,7 @@ using model::SetLevel;
 struct SensorSetup {
   uint32_t linger_ms = 20;
   uint32_t batch_observations = 128;
+  uint32_t heartbeat_ms = 500;
   uint32_t batch_bytes = 32 * 1024;
   std::vector<ros2::Guid> own_participants;
   // Full names.

@@ -120,12 +120,14 @@ void SensorSide::SendSetup(SensorHost& host) {
   const bool primary = IsPrimary(host);
   context_.Do(action::Setup{
       .session = host.session->id,
-      .setup = {.linger_ms = context_.timing.linger_ms,
-                .own_participants = own_agents_.participants(),
-                .protected_parts = own_agents_.parts(),
-                .primary = primary,
-                .want_snapshot = primary && host.graph_incarnation != host.session->incarnation,
-                .store = context_.store}});
+      .setup = {
+          .linger_ms = context_.timing.linger_ms,
+          .heartbeat_ms = static_cast<uint32_t>(context_.timing.heartbeat_ns / kNanosPerMilli),
+          .own_participants = own_agents_.participants(),
+          .protected_parts = own_agents_.parts(),
+          .primary = primary,
+          .want_snapshot = primary && host.graph_incarnation != host.session->incarnation,
+          .store = context_.store}});
   if (primary) SendInterest(host);
 }
 
