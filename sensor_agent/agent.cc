@@ -60,7 +60,7 @@ std::shared_ptr<const Interest> KeptInterest(const std::string& state_dir) {
 IdsFeedOptions IdsOptions(const SensorConfig& config) {
   return {.logs = config.ids,
           .offsets_file = absl::StrCat(config.state_dir, "/ids-offsets"),
-          .outbox_survives_stop = config.outbox_disk.bytes > 0};
+          .outbox_survives_stop = config.watch.outbox_disk.bytes > 0};
 }
 
 IdsSink SinkInto(Uplink* uplink) {
@@ -109,7 +109,7 @@ absl::StatusOr<std::unique_ptr<Agent>> Agent::Create(const SensorConfig& config,
                                                      rpc::CertificateMonitor* monitor) {
   std::unique_ptr<Agent> agent(new Agent(config, clock, metrics));
   Agent* raw = agent.get();
-  const auto memory = static_cast<size_t>(config.outbox_memory.bytes);
+  const auto memory = static_cast<size_t>(config.watch.outbox_memory.bytes);
   std::function<void(const rpc::Peer&)> on_peer;
   if (monitor != nullptr) on_peer = [monitor](const rpc::Peer& peer) { monitor->Seen(peer); };
   agent->uplink_ = std::make_unique<Uplink>(
@@ -119,12 +119,13 @@ absl::StatusOr<std::unique_ptr<Agent>> Agent::Create(const SensorConfig& config,
                     .host = config.host,
                     .domain = config.dds.domain,
                     .settings = config.settings,
+                    .refused = config.refused,
                     .interest_file = InterestFile(config.state_dir),
                     .store_file = StoreFile(config.state_dir),
                     .core = {.outbox = {.message_bytes = memory / 2, .control_bytes = memory},
                              .backlog = {.memory_bytes = memory / 2}},
                     .spool = {.dir = config.spool_dir,
-                              .disk_bytes = static_cast<uint64_t>(config.outbox_disk.bytes),
+                              .disk_bytes = static_cast<uint64_t>(config.watch.outbox_disk.bytes),
                               .boot_id = BootId(),
                               .now = clock->Now()}},
       Uplink::Hooks{
@@ -168,6 +169,10 @@ absl::StatusOr<std::unique_ptr<Agent>> Agent::Create(const SensorConfig& config,
                   raw->primary_ = primary;
                 }
                 raw->Wake();
+              },
+          .on_settings =
+              [raw](std::vector<ConfigSetting> settings) {
+                if (raw->on_settings_) raw->on_settings_(std::move(settings));
               }},
       clock, metrics);
   RIPS_RETURN_IF_ERROR(agent->uplink_->Open());
@@ -187,8 +192,8 @@ absl::StatusOr<std::unique_ptr<Agent>> Agent::Create(const SensorConfig& config,
                       .interface = config.dds.interface,
                       .unicast_data = true},
            .participant = {.security = std::move(enclave)},
-           .topics = {.payload_bytes =
-                          static_cast<size_t>(config.outbox_memory.bytes) + kPayloadsUnderwayBytes,
+           .topics = {.payload_bytes = static_cast<size_t>(config.watch.outbox_memory.bytes) +
+                                       kPayloadsUnderwayBytes,
                       .secured = secured}},
           [raw] { raw->Wake(); }));
   if (config.wire) {
@@ -197,21 +202,21 @@ absl::StatusOr<std::unique_ptr<Agent>> Agent::Create(const SensorConfig& config,
                               {.socket = config.wire_socket, .domain = config.dds.domain},
                               [raw] { raw->Wake(); }, metrics));
   }
-  const int64_t grace_ns = absl::ToInt64Nanoseconds(config.attribution_grace);
-  const int64_t settle_ns = absl::ToInt64Nanoseconds(config.settle);
+  const int64_t grace_ns = absl::ToInt64Nanoseconds(config.watch.attribution_grace);
+  const int64_t settle_ns = absl::ToInt64Nanoseconds(config.watch.settle);
   GraphOptions options{.own = agent->domain_->own(),
                        .secured = secured && !admits_strangers,
-                       .observer_hidden = config.observer_hidden,
-                       .unwatched = config.unwatched,
+                       .observer_hidden = config.watch.observer_hidden,
+                       .unwatched = config.watch.unwatched,
                        .attribution_grace_ns = grace_ns,
                        .settle_ns = settle_ns,
-                       .limits = config.graph_limits};
+                       .limits = config.watch.graph_limits};
   agent->graph_.emplace(std::move(options), clock->Now().boottime_ns);
   agent->flow_.emplace(FlowOptions{.attribution_grace_ns = grace_ns}, &*agent->graph_);
   agent->findings_.emplace(FindingsOptions{.own = agent->domain_->own(),
                                            .secured = secured && !admits_strangers,
-                                           .raw_readers = config.raw_readers});
-  agent->watch_.unwatched = config.unwatched;
+                                           .raw_readers = config.watch.raw_readers});
+  agent->watch_.unwatched = config.watch.unwatched;
   agent->watch_.interest = KeptInterest(config.state_dir);
   if (agent->watch_.interest != nullptr) {
     agent->uplink_->InterestInUse(agent->watch_.interest->id());
@@ -252,7 +257,8 @@ void Agent::Announce(int64_t now_ns) {
   LogWarning("this sensor's node was not announced; trying again", {{"error", told.ToString()}});
 }
 
-void Agent::Start(std::function<void()> on_turn) {
+void Agent::Start(std::function<void()> on_turn, OnSettings on_settings) {
+  on_settings_ = std::move(on_settings);
   uplink_->Start();
   observer_ = std::thread([this, on_turn = std::move(on_turn)] { Observe(on_turn); });
   if (ids_ != nullptr) ids_->Start();

@@ -26,6 +26,7 @@
 #include "sensor_agent/uplink/uplink.h"
 #include "sensor_agent/wire/wire_input.h"
 #include "services/base/clock.h"
+#include "services/base/config_setting.h"
 #include "services/dds/node_announcer.h"
 #include "services/rpc/certificate_monitor.h"
 #include "services/rpc/credentials.h"
@@ -46,8 +47,10 @@ class Agent {
                                                        rpc::CertificateMonitor* monitor = nullptr);
   ~Agent();
 
+  using OnSettings = std::function<void(std::vector<ConfigSetting>)>;
   // The observer thread calls `on_turn`, which may be null, at least once a second unless it hangs.
-  void Start(std::function<void()> on_turn = nullptr);
+  // `on_settings`, which may be null: see Uplink::Hooks.
+  void Start(std::function<void()> on_turn = nullptr, OnSettings on_settings = nullptr);
   // Joins all threads. What is unacknowledged is spooled for the next process, or gone if there is
   // no spool.
   void Stop();
@@ -111,6 +114,7 @@ class Agent {
   Gauge graph_left_out_;
   Gauge announced_;
 
+  OnSettings on_settings_;  // set before the uplink starts
   std::atomic<bool> woken_ = false;
   Mutex inbox_mu_;
   CondVar inbox_cond_;

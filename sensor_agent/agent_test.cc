@@ -64,8 +64,7 @@ class AgentTest : public testing::Test {
                         .host = "base",
                         .servers = {server_.address()},
                         .dds = {.domain = dds::RandomDomain(), .interface = "lo"},
-                        .observer_hidden = hidden,
-                        .settle = absl::Milliseconds(500),
+                        .watch = {.observer_hidden = hidden, .settle = absl::Milliseconds(500)},
                         .state_dir = dir_.string()};
     const auto credentials = rpc::Credentials::Load(pki_.Sensor());
     ASSERT_THAT(credentials, IsOk());

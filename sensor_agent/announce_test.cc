@@ -49,7 +49,7 @@ class AnnounceTest : public testing::Test {
         .host = "base",
         .servers = {server_.address()},
         .dds = {.domain = dds::RandomDomain(), .interface = "lo", .announce = announce},
-        .settle = absl::Milliseconds(500),
+        .watch = {.settle = absl::Milliseconds(500)},
         .state_dir = dir_.string()};
     const auto credentials = rpc::Credentials::Load(pki_.Sensor());
     ASSERT_THAT(credentials, IsOk());

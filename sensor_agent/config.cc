@@ -1,18 +1,17 @@
 #include "sensor_agent/config.h"
 
 #include <algorithm>
+#include <utility>
 
 #include "absl/strings/str_cat.h"
+#include "absl/strings/str_join.h"
 #include "sensor_agent/wire/socket_address.h"
 #include "services/base/status_macros.h"
-#include "services/ros2/ros_name.h"
 
 namespace rips::sensor {
 
 namespace {
 
-// Some segments.
-constexpr int64_t kSpoolBytesMin = int64_t{16} << 20;
 std::vector<IdsLog> ReadIds(const ConfigSection& root) {
   std::vector<IdsLog> logs;
   for (const ConfigSection& source : root.Sections("ids")) {
@@ -40,31 +39,20 @@ void ReadSocket(const ConfigSection& section, std::string* path) {
   }
 }
 
-// Of a sensor; more would take memory that robots do not have.
-constexpr size_t kGraphLimitMax = 65'536;
-
-void ReadGraphLimits(const ConfigSection& section, ros2::GraphLimits& limits) {
-  ReadCount(section, "participants", kGraphLimitMax, &limits.participants);
-  ReadCount(section, "nodes", kGraphLimitMax, &limits.nodes);
-  ReadCount(section, "endpoints", kGraphLimitMax, &limits.endpoints);
-  ReadCount(section, "nodes_per_participant", kGraphLimitMax, &limits.nodes_per_participant);
-  ReadCount(section, "endpoints_per_participant", kGraphLimitMax,
-            &limits.endpoints_per_participant);
-}
-
-void ReadTopics(const ConfigSection& root, const char* key, std::vector<std::string>* topics) {
-  root.Optional(key, topics);
-  for (const std::string& topic : *topics) {
-    if (absl::Status valid = ros2::ValidateTopicName(topic); !valid.ok()) {
-      root.Problem(key, valid.message());
-    }
+void ReadServerMaySet(const ConfigSection& root, std::vector<std::string>* names) {
+  root.Optional("server_may_set", names);
+  const std::vector<std::string>& known = SettableNames();
+  for (const std::string& name : *names) {
+    if (std::find(known.begin(), known.end(), name) != known.end()) continue;
+    root.Problem("server_may_set",
+                 absl::StrCat("`", name, "` is not the server's to set; it may be given `",
+                              absl::StrJoin(known, "`, `"), "`"));
   }
 }
 
-}  // namespace
-
-absl::StatusOr<SensorConfig> ParseSensorConfig(absl::string_view file, absl::string_view text) {
-  ConfigReader reader(file, text);
+absl::StatusOr<SensorConfig> Parse(absl::string_view file, absl::string_view text,
+                                   const std::vector<ConfigSetting>& overrides) {
+  ConfigReader reader(file, text, overrides);
   const ConfigSection root = reader.root();
   SensorConfig config;
   ReadName(root, "robot", "robot id", &config.robot);
@@ -76,22 +64,10 @@ absl::StatusOr<SensorConfig> ParseSensorConfig(absl::string_view file, absl::str
   }
   config.tls = ReadTls(root);
   config.dds = ReadDds(root);
-  root.OptionalEnum<bool>("observer", &config.observer_hidden,
-                          {{"counted", false}, {"hidden", true}});
-  root.Optional("settle", &config.settle, {absl::ZeroDuration(), absl::Seconds(10)});
-  root.Optional("attribution_grace", &config.attribution_grace,
-                {absl::ZeroDuration(), absl::Seconds(10)});
-  ReadGraphLimits(root.OptionalSection("graph_limits"), config.graph_limits);
-  ReadTopics(root, "unwatched", &config.unwatched);
-  ReadTopics(root, "raw_readers", &config.raw_readers);
+  ReadSensorSettings(root, config.watch);
+  ReadServerMaySet(root, &config.server_may_set);
   root.Optional("state_dir", &config.state_dir);
   const ConfigSection outbox = root.OptionalSection("outbox");
-  outbox.Optional("memory", &config.outbox_memory,
-                  {ByteSize{int64_t{1} << 20}, ByteSize{int64_t{4} << 30}});
-  outbox.Optional("disk", &config.outbox_disk, {ByteSize{0}, ByteSize{int64_t{64} << 30}});
-  if (config.outbox_disk.bytes != 0 && config.outbox_disk.bytes < kSpoolBytesMin) {
-    outbox.Problem("disk", "a spool needs at least 16MiB; `0B` = none");
-  }
   config.spool_dir = absl::StrCat(config.state_dir, "/spool");
   outbox.Optional("dir", &config.spool_dir);
   if (config.spool_dir.front() != '/') outbox.Problem("dir", "needs an absolute path");
@@ -99,11 +75,39 @@ absl::StatusOr<SensorConfig> ParseSensorConfig(absl::string_view file, absl::str
   const ConfigSection wire = root.OptionalSection("wire");
   wire.Optional("enabled", &config.wire);
   ReadSocket(wire, &config.wire_socket);
-  root.Optional("signals", &config.signals);
   root.Optional("metrics", &config.metrics);
   RIPS_RETURN_IF_ERROR(reader.Finish());
   config.settings = reader.Settings();
   return config;
+}
+
+}  // namespace
+
+absl::StatusOr<SensorConfig> ParseSensorConfig(absl::string_view file, absl::string_view text,
+                                               const std::vector<ConfigSetting>& from_server) {
+  RIPS_ASSIGN_OR_RETURN(SensorConfig own, Parse(file, text, {}));
+  std::vector<ConfigSetting> allowed;
+  for (const ConfigSetting& each : from_server) {
+    const auto covers = [&](const std::string& name) { return IsSettingOf(each.path, name); };
+    if (std::any_of(own.server_may_set.begin(), own.server_may_set.end(), covers)) {
+      allowed.push_back(each);
+    } else {
+      own.refused.push_back(absl::StrCat("`", each.path, ": ", each.value, "` (", each.source,
+                                         "): `server_may_set` of ", file, " does not list it"));
+    }
+  }
+  if (allowed.empty()) return own;
+  absl::StatusOr<SensorConfig> both = Parse(file, text, allowed);
+  if (both.ok()) {
+    both->refused = std::move(own.refused);
+    return both;
+  }
+  for (const ConfigSetting& each : allowed) {
+    own.refused.push_back(
+        absl::StrCat("`", each.path, ": ", each.value, "` (", each.source,
+                     "): not all that the policy server sets is valid: ", both.status().message()));
+  }
+  return own;
 }
 
 }  // namespace rips::sensor

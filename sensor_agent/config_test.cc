@@ -32,6 +32,7 @@ metrics: "127.0.0.1:0"
 graph_limits: {participants: 9, nodes: 8, endpoints: 7, nodes_per_participant: 6,
                endpoints_per_participant: 5}
 raw_readers: [/scan]
+server_may_set: [unwatched]
 )";
 
 constexpr char kMinimal[] = R"(robot: r1
@@ -49,22 +50,23 @@ TEST(SensorConfigTest, EveryKeyIsTaken) {
   EXPECT_EQ(config->tls.cert, "/etc/rips/pki/cert.pem");
   EXPECT_EQ(config->dds.domain, 7);
   EXPECT_EQ(config->dds.interface, "lo");
-  EXPECT_TRUE(config->observer_hidden);
-  EXPECT_EQ(config->settle, absl::Seconds(3));
-  EXPECT_EQ(config->attribution_grace, absl::Milliseconds(250));
-  EXPECT_THAT(config->unwatched, ElementsAre("/rosout"));
-  EXPECT_THAT(config->raw_readers, ElementsAre("/scan"));
-  EXPECT_EQ(config->graph_limits, (ros2::GraphLimits{.nodes = 8,
-                                                     .endpoints = 7,
-                                                     .participants = 9,
-                                                     .endpoints_per_participant = 5,
-                                                     .nodes_per_participant = 6}));
-  EXPECT_EQ(config->outbox_memory.bytes, 8 << 20);
-  EXPECT_EQ(config->outbox_disk.bytes, 32 << 20);
+  EXPECT_TRUE(config->watch.observer_hidden);
+  EXPECT_EQ(config->watch.settle, absl::Seconds(3));
+  EXPECT_EQ(config->watch.attribution_grace, absl::Milliseconds(250));
+  EXPECT_THAT(config->watch.unwatched, ElementsAre("/rosout"));
+  EXPECT_THAT(config->watch.raw_readers, ElementsAre("/scan"));
+  EXPECT_EQ(config->watch.graph_limits, (ros2::GraphLimits{.nodes = 8,
+                                                           .endpoints = 7,
+                                                           .participants = 9,
+                                                           .endpoints_per_participant = 5,
+                                                           .nodes_per_participant = 6}));
+  EXPECT_EQ(config->watch.outbox_memory.bytes, 8 << 20);
+  EXPECT_EQ(config->watch.outbox_disk.bytes, 32 << 20);
+  EXPECT_THAT(config->server_may_set, ElementsAre("unwatched"));
   EXPECT_EQ(config->spool_dir, "/tmp/spool");
   EXPECT_THAT(config->ids, ElementsAre(IdsLog{IdsFormat::kEve, "/var/log/suricata/eve.json"},
                                        IdsLog{IdsFormat::kFast, "/var/log/snort/alert"}));
-  EXPECT_FALSE(config->signals);
+  EXPECT_FALSE(config->watch.signals);
   EXPECT_TRUE(config->wire);
   EXPECT_EQ(config->wire_socket, "/run/rips/tap.sock");
   EXPECT_EQ(config->metrics, "127.0.0.1:0");
@@ -84,13 +86,80 @@ TEST(SensorConfigTest, DefaultsAreThoseOfTheStruct) {
   expected.spool_dir = "/var/lib/rips/sensor/spool";
   expected.settings = config->settings;
   EXPECT_EQ(*config, expected);
-  EXPECT_THAT(config->unwatched, ElementsAre("/rosout", "/parameter_events"));
+  EXPECT_THAT(config->watch.unwatched, ElementsAre("/rosout", "/parameter_events"));
+}
+
+constexpr char kLetting[] = "server_may_set: [settle, outbox.memory, graph_limits]\nsettle: 1s\n";
+
+TEST(SensorConfigTest, FollowsWhatItLetsTheServerSet) {
+  const auto config = ParseSensorConfig("sensor.yaml", absl::StrCat(kMinimal, kLetting),
+                                        {{"settle", "3s", "policy server, robots.yaml:4"},
+                                         {"outbox.memory", "8MiB", "policy server, robots.yaml:5"},
+                                         {"graph_limits.nodes", "7", "policy server, x:1"}});
+  ASSERT_THAT(config, IsOk());
+  EXPECT_EQ(config->watch.settle, absl::Seconds(3)) << "in place of the file's";
+  EXPECT_EQ(config->watch.outbox_memory.bytes, 8 << 20);
+  EXPECT_EQ(config->watch.graph_limits.nodes, 7u);
+  EXPECT_THAT(config->refused, IsEmpty());
+  EXPECT_THAT(FormatSettings(config->settings),
+              AllOf(HasSubstr("settle: 3s  # policy server, robots.yaml:4\n"),
+                    HasSubstr("outbox.memory: 8MiB  # policy server, robots.yaml:5\n"),
+                    HasSubstr("outbox.disk: 256MiB  # default\n"),
+                    HasSubstr("host: \"base\"  # sensor.yaml:2\n")));
+}
+
+TEST(SensorConfigTest, WhatItDoesNotLetTheServerSetIsRefusedAndSaysSo) {
+  const std::pair<const char*, const char*> others[] = {
+      {"signals", "false"},   {"servers", "[\"evil:1\"]"}, {"outbox", "{memory: 8MiB}"},
+      {"outbox.disk", "0B"},  {"outbox.dir", "/tmp"},      {"server_may_set", "[servers]"},
+      {"settle.more", "1s"},  {"tls.ca", "/evil"},         {"", "1"},
+      {"graph_limitsx", "{}"}};
+  for (const auto& [path, value] : others) {
+    const auto own = ParseSensorConfig("sensor.yaml", absl::StrCat(kMinimal, kLetting));
+    auto config = ParseSensorConfig("sensor.yaml", absl::StrCat(kMinimal, kLetting),
+                                    {{path, value, "policy server, robots.yaml:4"}});
+    ASSERT_THAT(config, IsOk());
+    ASSERT_THAT(config->refused, testing::SizeIs(1)) << path;
+    EXPECT_THAT(config->refused[0], HasSubstr(absl::StrCat("`", path, ": ", value, "`")));
+    config->refused.clear();
+    EXPECT_EQ(*config, *own) << path;
+  }
+  const auto none = ParseSensorConfig("sensor.yaml", kMinimal, {{"settle", "3s", "policy server"}});
+  ASSERT_THAT(none, IsOk());
+  EXPECT_EQ(none->watch.settle, absl::Seconds(2)) << "nothing is allowed by default";
+  EXPECT_THAT(none->refused, ElementsAre("`settle: 3s` (policy server): `server_may_set` of "
+                                         "sensor.yaml does not list it"));
+}
+
+TEST(SensorConfigTest, OneWrongSettingOfTheServerLeavesAllOfThemOut) {
+  const char* wrong[] = {"1h", "3", "[3s]", "3s\nsignals: false", "{", "'3s", "&a 3s", ""};
+  for (const char* value : wrong) {
+    const auto config =
+        ParseSensorConfig("sensor.yaml", absl::StrCat(kMinimal, kLetting),
+                          {{"outbox.memory", "8MiB", "policy server, robots.yaml:4"},
+                           {"settle", value, "policy server, robots.yaml:5"}});
+    ASSERT_THAT(config, IsOk()) << "its own file is good";
+    EXPECT_EQ(config->watch.settle, absl::Seconds(1)) << value;
+    EXPECT_EQ(config->watch.outbox_memory.bytes, 64 << 20) << value;
+    EXPECT_TRUE(config->watch.signals) << value;
+    ASSERT_THAT(config->refused, testing::SizeIs(2)) << value;
+    EXPECT_THAT(config->refused[0], HasSubstr("policy server, robots.yaml:5: `settle`")) << value;
+  }
+}
+
+TEST(SensorConfigTest, NamesWhatTheServerMayBeLetSet) {
+  const auto config = ParseSensorConfig(
+      "sensor.yaml", absl::StrCat(kMinimal, "server_may_set: [settle, servers, tls, outbox]\n"));
+  EXPECT_THAT(config, StatusIs(absl::StatusCode::kInvalidArgument,
+                               AllOf(HasSubstr("`servers` is not the server's to set"),
+                                     HasSubstr("`tls` is not"), HasSubstr("`outbox` is not"),
+                                     HasSubstr("`outbox.memory`"))));
 }
 
 TEST(SensorConfigTest, UnwatchedMayBeEmpty) {
   const auto config = ParseSensorConfig("sensor.yaml", absl::StrCat(kMinimal, "unwatched: []\n"));
   ASSERT_THAT(config, IsOk());
-  EXPECT_THAT(config->unwatched, IsEmpty());
+  EXPECT_THAT(config->watch.unwatched, IsEmpty());
 }
 
 TEST(SensorConfigTest, OnlySoManyLogsOfAnIds) {

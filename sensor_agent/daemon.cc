@@ -4,6 +4,7 @@
 #include <csignal>
 #include <cstdio>
 #include <memory>
+#include <optional>
 #include <string>
 #include <utility>
 #include <vector>
@@ -13,6 +14,7 @@
 #include "sensor_agent/agent.h"
 #include "sensor_agent/config.h"
 #include "sensor_agent/host_metrics.h"
+#include "sensor_agent/server_settings.h"
 #include "services/base/status_macros.h"
 #include "services/dds/participant.h"
 #include "services/dds/security.h"
@@ -31,6 +33,12 @@
 namespace rips::sensor {
 
 namespace {
+
+// How soon the policy server's settings are followed, and how often at most.
+constexpr absl::Duration kSettingsLook = absl::Seconds(1);
+constexpr int64_t kSettingsPauseNs = 60 * kNanosPerSecond;
+
+int64_t BoottimeNs() { return RealClock().Now().boottime_ns; }
 
 // What a peer says about itself grants nothing, so a configuration that contradicts the certificate
 // would be refused by the server; it is better to say so here.
@@ -57,11 +65,41 @@ std::string Describe(const SensorConfig& config, const Agent& sensor) {
       ready.ok() ? "connected to the policy server" : "not connected: ", ready.message());
 }
 
-int Watch(const DaemonFlags& flags, const SensorConfig& config, Agent& sensor,
-          SignalWaiter& signals, Metrics& metrics, ServiceManager& manager) {
+// The policy server's settings, and which of them a run follows.
+class Following {
+ public:
+  // Not over before CLOCK_BOOTTIME `not_before_ns`.
+  Following(ServerSettings* settings, int64_t not_before_ns)
+      : settings_(*settings), followed_(settings_.Get()), not_before_ns_(not_before_ns) {}
+
+  const std::vector<ConfigSetting>& followed() const { return followed_; }
+  void Offer(std::vector<ConfigSetting> offered) { settings_.Offer(std::move(offered)); }
+  // It is time to begin anew with others.
+  bool over() const { return BoottimeNs() >= not_before_ns_ && settings_.Differ(followed_); }
+
+ private:
+  ServerSettings& settings_;
+  const std::vector<ConfigSetting> followed_;
+  const int64_t not_before_ns_;
+};
+
+// Nullopt: the policy server's settings have changed.
+std::optional<int> WaitForEnd(SignalWaiter& signals, const Following& following) {
+  while (!signals.WaitForShutdown(kSettingsLook)) {
+    if (following.over()) return std::nullopt;
+  }
+  return signals.WaitForShutdown();
+}
+
+// As WaitForEnd, with the exit code.
+std::optional<int> Watch(const DaemonFlags& flags, const SensorConfig& config, Agent& sensor,
+                         SignalWaiter& signals, Metrics& metrics, ServiceManager& manager,
+                         Following& following) {
   HostMetrics host({.disk = config.state_dir}, &metrics);
   host.Start();
-  sensor.Start([&manager] { manager.Ping(); });
+  sensor.Start(
+      [&manager] { manager.Ping(); },
+      [&following](std::vector<ConfigSetting> settings) { following.Offer(std::move(settings)); });
   LogInfo("watching", {{"robot", config.robot},
                        {"host", config.host},
                        {"domain", config.dds.domain},
@@ -70,28 +108,35 @@ int Watch(const DaemonFlags& flags, const SensorConfig& config, Agent& sensor,
     return Fail(kExitFailed, "cannot write the ready file", written);
   }
   manager.Ready();
-  int signal = 0;
+  std::optional<int> signal;
   {
     const Ticker status(absl::ZeroDuration(), [&] {
       manager.SetStatus(Describe(config, sensor));
       return ServiceManager::kStatusEvery;
     });
-    signal = signals.WaitForShutdown();
+    signal = WaitForEnd(signals, following);
+  }
+  if (!signal.has_value()) {
+    LogInfo("the policy server has changed this sensor's settings; beginning to watch anew");
+    sensor.Stop();
+    return std::nullopt;
   }
   manager.Stopping();
-  LogInfo("stopping", {{"signal", signal}});
+  LogInfo("stopping", {{"signal", *signal}});
   sensor.Stop();
   return 0;
 }
 
-int Serve(const DaemonFlags& flags, const SensorConfig& config, rpc::CredentialsSource credentials,
-          ServiceManager& manager) {
+// As Watch.
+std::optional<int> Serve(const DaemonFlags& flags, const SensorConfig& config,
+                         rpc::CredentialsSource credentials, ServiceManager& manager,
+                         Following& following) {
   const RealClock clock;
   Metrics metrics;
   rpc::CertificateMonitor monitor({.own = config.tls}, &clock, &metrics);
   std::atomic<Agent*> running = nullptr;
   SignalWaiter::Callbacks callbacks;
-  if (config.signals) {
+  if (config.watch.signals) {
     const auto tell = [&running](const char* name) {
       if (Agent* sensor = running) sensor->OnSignal(name);
     };
@@ -128,7 +173,8 @@ int Serve(const DaemonFlags& flags, const SensorConfig& config, rpc::Credentials
   agent = *std::move(created);
   running = agent.get();
   LogInfo("listening", {{"address", (*pages)->address()}});
-  const int code = Watch(flags, config, *agent, signals, metrics, manager);
+  const std::optional<int> code =
+      Watch(flags, config, *agent, signals, metrics, manager, following);
   running = nullptr;
   return code;
 }
@@ -138,7 +184,7 @@ int CheckConfig(const std::string& file, const SensorConfig& config) {
   std::vector<NeededDirectory> needed = {{"state_dir", ParentDirectory(config.state_dir)}};
   const std::string spool = ParentDirectory(config.spool_dir);
   const bool with_state = spool == ParentDirectory(absl::StrCat(config.state_dir, "/spool"));
-  if (config.outbox_disk.bytes > 0 && !with_state) needed.push_back({"outbox.dir", spool});
+  if (config.watch.outbox_disk.bytes > 0 && !with_state) needed.push_back({"outbox.dir", spool});
   if (const absl::Status there = CheckDirectories(file, needed); !there.ok()) {
     std::fprintf(stderr, "%s\n", std::string(there.message()).c_str());
     return kExitConfig;
@@ -154,7 +200,10 @@ int CheckConfig(const std::string& file, const SensorConfig& config) {
   const absl::Status interface = dds::FindInterface(config.dds.interface);
   std::fputs(FormatSettings(config.settings).c_str(), stdout);
   // What may come before the daemon starts.
-  PrintWarnings({certificate, std::string(interface.message())});
+  std::vector<std::string> warnings = config.refused;
+  warnings.push_back(certificate);
+  warnings.emplace_back(interface.message());
+  PrintWarnings(warnings);
   return 0;
 }
 
@@ -164,20 +213,32 @@ int RunDaemon(const DaemonFlags& flags) {
   ServiceManager manager(ServiceManager::FromEnvironment());
   const absl::StatusOr<std::string> text = ReadConfigFile(flags.config);
   if (!text.ok()) return Fail(kExitConfig, "cannot read the configuration", text.status());
-  const absl::StatusOr<SensorConfig> config = ParseSensorConfig(flags.config, *text);
-  if (!config.ok()) {
-    std::fprintf(stderr, "%s\n", std::string(config.status().message()).c_str());
+  const absl::StatusOr<SensorConfig> own = ParseSensorConfig(flags.config, *text);
+  if (!own.ok()) {
+    std::fprintf(stderr, "%s\n", std::string(own.status().message()).c_str());
     return kExitConfig;
   }
-  if (flags.check_config) return CheckConfig(flags.config, *config);
-  rpc::CredentialsSource credentials(config->tls);
-  credentials.Require(
-      [&config](const rpc::PeerIdentity& self) { return CheckIdentity(*config, self); });
-  // Whatever else is wrong with them may pass: what is seen meanwhile is kept.
-  if (const absl::Status mine = credentials.Get().status(); absl::IsPermissionDenied(mine)) {
-    return Fail(kExitConfig, "wrong certificate", mine);
+  ServerSettings from_server(ServerSettingsFile(own->state_dir));
+  for (int64_t not_before_ns = 0;; not_before_ns = BoottimeNs() + kSettingsPauseNs) {
+    Following following(&from_server, not_before_ns);
+    const absl::StatusOr<SensorConfig> config =
+        ParseSensorConfig(flags.config, *text, following.followed());
+    if (!config.ok()) return Fail(kExitConfig, "wrong configuration", config.status());
+    if (flags.check_config) return CheckConfig(flags.config, *config);
+    for (const std::string& refused : config->refused) {
+      LogWarning("not following a setting of the policy server", {{"error", refused}});
+    }
+    rpc::CredentialsSource credentials(config->tls);
+    credentials.Require(
+        [&config](const rpc::PeerIdentity& self) { return CheckIdentity(*config, self); });
+    // Whatever else is wrong with them may pass: what is seen meanwhile is kept.
+    if (const absl::Status mine = credentials.Get().status(); absl::IsPermissionDenied(mine)) {
+      return Fail(kExitConfig, "wrong certificate", mine);
+    }
+    const std::optional<int> code =
+        Serve(flags, *config, std::move(credentials), manager, following);
+    if (code.has_value()) return *code;
   }
-  return Serve(flags, *config, std::move(credentials), manager);
 }
 
 }  // namespace rips::sensor

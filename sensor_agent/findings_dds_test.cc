@@ -50,7 +50,7 @@ class AgentFindingsTest : public testing::Test {
             .host = "base",
             .servers = {server_.address()},
             .dds = {.domain = dds::RandomDomain(), .interface = "lo"},
-            .settle = absl::Milliseconds(500)};
+            .watch = {.settle = absl::Milliseconds(500)}};
   }
   absl::StatusOr<std::unique_ptr<Agent>> Create(const SensorConfig& config) {
     const auto credentials = rpc::Credentials::Load(pki_.Sensor());

@@ -14,8 +14,10 @@ namespace rips::server {
 namespace {
 
 pipeline::RobotConfig ToConfig(const bundle::InventoryRobot& robot) {
-  pipeline::RobotConfig config{
-      .id = robot.id, .actuator_hosts = robot.actuators, .graph_limits = robot.graph_limits};
+  pipeline::RobotConfig config{.id = robot.id,
+                               .actuator_hosts = robot.actuators,
+                               .graph_limits = robot.graph_limits,
+                               .sensor_settings = robot.sensor_settings};
   for (const bundle::InventorySensor& sensor : robot.sensors) {
     config.sensor_hosts.push_back(sensor.host);
     if (sensor.primary) config.primary_sensor = sensor.host;
@@ -34,7 +36,8 @@ std::string Described(const std::string& name, const std::string& id) {
 }
 
 bool SameHosts(const bundle::InventoryRobot& a, const bundle::InventoryRobot& b) {
-  return a.sensors == b.sensors && a.actuators == b.actuators && a.graph_limits == b.graph_limits;
+  return a.sensors == b.sensors && a.actuators == b.actuators && a.graph_limits == b.graph_limits &&
+         a.sensor_settings == b.sensor_settings;
 }
 
 // One line of what may be a page of diagnostics: the whole is in the log.

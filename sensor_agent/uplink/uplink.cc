@@ -261,7 +261,7 @@ SensorMessage Uplink::MakeHello(const SendHello& action, Instant now) {
   hello->set_incarnation(action.incarnation);
   hello->set_host(options_.host);
   SetClock(now, hello->mutable_clock());
-  *hello->mutable_configuration() = model_proto::Encode(options_.settings);
+  *hello->mutable_configuration() = model_proto::Encode(options_.settings, options_.refused);
   sensor->set_domain(options_.domain);
   if (!participant_.none()) sensor->set_participant_guid(participant_.ToBytes());
   sensor->set_interest_in_use(interest_.in_use());
@@ -324,6 +324,9 @@ void Uplink::OnConfig(const rips::v1::SensorConfig& config) {
   if (hooks_.on_protected_parts) hooks_.on_protected_parts(ProtectedParts(config));
   store_.Save();
   if (hooks_.on_primary) hooks_.on_primary(config.primary());
+  if (hooks_.on_settings && config.has_settings()) {
+    hooks_.on_settings(model_proto::Decode(model_proto::Bounded(config.settings())));
+  }
   CallHooks(outcome);
 }
 

@@ -51,6 +51,9 @@ class Uplink {
     std::function<void(std::shared_ptr<const Interest>)> on_interest;
     // Graph and messages are this host's to report, or not. May be empty.
     std::function<void(bool)> on_primary;
+    // What the inventory sets of the sensor's configuration; each time that the server says it. May
+    // be empty.
+    std::function<void(std::vector<ConfigSetting>)> on_settings;
   };
 
   // `clock` and `metrics` are not owned and outlive this.

@@ -22,8 +22,9 @@ struct UplinkOptions {
   std::function<void(const rpc::Peer&)> on_peer;
   std::string host;
   uint32_t domain = 0;
-  // Shown to operators.
+  // Shown to operators: the configuration, and what is refused of the server's part of it.
   std::vector<ConfigSetting> settings;
+  std::vector<std::string> refused;
   // Interests are kept there, for the next start; empty = nowhere.
   std::string interest_file;
   // What the server's store held is kept there, likewise.

@@ -55,7 +55,7 @@ class WireInputTest : public testing::Test {
                                 .host = "base",
                                 .servers = {server_.address()},
                                 .dds = {.domain = dds::RandomDomain(), .interface = "lo"},
-                                .settle = absl::Milliseconds(200),
+                                .watch = {.settle = absl::Milliseconds(200)},
                                 .wire = true,
                                 .wire_socket = path_},
                                (*sensor)->ForClient(), &clock_, &metrics_);

@@ -37,18 +37,41 @@ void Add(absl::string_view path, absl::string_view value, absl::string_view sour
   *out.add_settings() = std::move(setting);
 }
 
+template <typename Texts>
+void AddRefused(const Texts& refused, size_t& bytes, rips::v1::Configuration& out) {
+  for (const std::string& each : refused) {
+    std::string text = AsUtf8(each, kSettingTextBytesMax);
+    const bool room = static_cast<size_t>(out.refused_size()) < kRefusedMax &&
+                      bytes + text.size() <= kConfigurationBytesMax;
+    if (!room) return;
+    bytes += text.size();
+    out.add_refused(std::move(text));
+  }
+}
+
 }  // namespace
 
-rips::v1::Configuration Encode(const std::vector<ConfigSetting>& settings) {
+rips::v1::Configuration Encode(const std::vector<ConfigSetting>& settings,
+                               const std::vector<std::string>& refused) {
   rips::v1::Configuration out;
   size_t bytes = 0;
+  AddRefused(refused, bytes, out);
   for (const ConfigSetting& each : settings) Add(each.path, each.value, each.source, bytes, out);
   return out;
+}
+
+std::vector<ConfigSetting> Decode(const rips::v1::Configuration& configuration) {
+  std::vector<ConfigSetting> settings;
+  for (const rips::v1::Setting& each : configuration.settings()) {
+    settings.push_back({.path = each.path(), .value = each.value(), .source = each.source()});
+  }
+  return settings;
 }
 
 rips::v1::Configuration Bounded(const rips::v1::Configuration& configuration) {
   rips::v1::Configuration out;
   size_t bytes = 0;
+  AddRefused(configuration.refused(), bytes, out);
   for (const rips::v1::Setting& each : configuration.settings()) {
     Add(each.path(), each.value(), each.source(), bytes, out);
   }

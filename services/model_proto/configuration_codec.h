@@ -3,6 +3,7 @@
 #define RIPS_SERVICES_MODEL_PROTO_CONFIGURATION_CODEC_H_
 
 #include <cstddef>
+#include <string>
 #include <vector>
 
 #include "rips/v1/session.pb.h"
@@ -17,8 +18,12 @@ inline constexpr size_t kSettingsMax = 512;
 inline constexpr size_t kSettingPathBytesMax = 256;
 inline constexpr size_t kSettingTextBytesMax = 1'024;
 
-// The first settings that fit; the rest is counted.
-rips::v1::Configuration Encode(const std::vector<ConfigSetting>& settings);
+inline constexpr size_t kRefusedMax = 64;
+
+// The first settings that fit; the rest is counted. `refused` is cut to its limits.
+rips::v1::Configuration Encode(const std::vector<ConfigSetting>& settings,
+                               const std::vector<std::string>& refused = {});
+std::vector<ConfigSetting> Decode(const rips::v1::Configuration& configuration);
 
 // What a peer may have sent, within the same limits. All text is untrusted.
 rips::v1::Configuration Bounded(const rips::v1::Configuration& configuration);

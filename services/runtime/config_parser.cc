@@ -145,6 +145,15 @@ class TreeBuilder final : public YAML::EventHandler {
   bool too_deep_ = false;
 };
 
+void SetPlace(ConfigNode& node, ConfigPlace place) {
+  node.place = place;
+  for (const auto& item : node.items) SetPlace(*item, place);
+  for (ConfigNode::Entry& entry : node.entries) {
+    entry.place = place;
+    SetPlace(*entry.value, place);
+  }
+}
+
 std::string Remedy(absl::string_view key, const std::vector<std::string>& known) {
   constexpr int kLimit = 2;
   int best_distance = kLimit + 1;
@@ -170,13 +179,16 @@ bool MayHoldSecret(absl::string_view line) {
 
 }  // namespace
 
-ConfigTree::ConfigTree(absl::string_view file, absl::string_view text) : file_(file), text_(text) {
+ConfigTree::ConfigTree(absl::string_view file, absl::string_view text,
+                       std::vector<ConfigSetting> overrides)
+    : file_(file), text_(text), overrides_(std::move(overrides)) {
   if (text.size() > kConfigBytesMax) {
     AddProblem({},
                absl::StrCat("the text is longer than the limit of ", kConfigBytesMax, " bytes"));
     return;
   }
   Parse();
+  for (size_t i = 0; root_ != nullptr && i < overrides_.size(); ++i) Override(i);
 }
 
 void ConfigTree::Parse() {
@@ -205,6 +217,39 @@ void ConfigTree::Parse() {
     AddProblem(root_->place, "the text is not a mapping; write `key: value` lines");
     root_ = nullptr;
   }
+}
+
+void ConfigTree::Override(size_t index) {
+  const ConfigSetting& override = overrides_[index];
+  const ConfigPlace place = {.line = OverrideLine(index)};
+  // Its own problems have lines of its own; any of them spoils it.
+  ConfigTree value("", absl::StrCat("value: ", override.value), {});
+  const ConfigNode::Entry* parsed = value.root_ == nullptr ? nullptr : value.root_->Find("value");
+  if (parsed == nullptr || value.root_->entries.size() != 1 || !value.problems_.empty()) {
+    return AddProblem(place, absl::StrCat("`", override.path, "` is not a value in YAML"));
+  }
+  ConfigNode* map = root_.get();
+  const std::vector<std::string> keys = absl::StrSplit(override.path, '.');
+  for (size_t i = 0; i + 1 < keys.size(); ++i) {
+    ConfigNode::Entry* entry = map->Find(keys[i]);
+    if (entry == nullptr) {
+      map->entries.push_back({keys[i], place, std::make_unique<ConfigNode>()});
+      entry = &map->entries.back();
+    }
+    map = entry->value.get();
+    if (map->kind == ConfigNode::Kind::kNull) map->kind = ConfigNode::Kind::kMap;
+    if (map->kind != ConfigNode::Kind::kMap) {
+      return AddProblem(place, absl::StrCat("`", keys[i], "` of the file is not a mapping"));
+    }
+  }
+  ConfigNode::Entry* entry = map->Find(keys.back());
+  if (entry == nullptr) {
+    map->entries.push_back({keys.back(), place, nullptr});
+    entry = &map->entries.back();
+  }
+  entry->place = place;
+  entry->value = std::move(value.root_->entries[0].value);
+  SetPlace(*entry->value, place);
 }
 
 void ConfigTree::AddProblem(ConfigPlace place, absl::string_view message) {
@@ -248,6 +293,9 @@ std::string ConfigTree::Format(const Problem& problem) const {
                         ": wrong, and not shown: the text holds a private key. Configuration names "
                         "the file that a key stands in");
   }
+  if (const ConfigSetting* override = OverrideAt(problem.place.line)) {
+    return absl::StrCat(override->source, ": ", problem.message);
+  }
   const std::vector<absl::string_view> lines = absl::StrSplit(text_, '\n');
   const size_t index = static_cast<size_t>(problem.place.line);
   const absl::string_view line = index < lines.size() ? lines[index] : "";
@@ -264,9 +312,11 @@ std::string ConfigTree::Format(const Problem& problem) const {
 }
 
 void ConfigTree::AddSetting(absl::string_view path, absl::string_view value, int line) {
-  settings_.push_back({.path = std::string(path),
-                       .value = std::string(value),
-                       .source = line == 0 ? "" : absl::StrCat(file_, ":", line)});
+  std::string source;
+  if (line > 0) source = absl::StrCat(file_, ":", line);
+  if (line < 0) source = OverrideAt(line - 1)->source;
+  settings_.push_back(
+      {.path = std::string(path), .value = std::string(value), .source = std::move(source)});
 }
 
 }  // namespace rips

@@ -318,8 +318,9 @@ std::vector<ConfigSection> ConfigSection::Sections(absl::string_view key) const 
   return sections;
 }
 
-ConfigReader::ConfigReader(absl::string_view file, absl::string_view text)
-    : tree_(std::make_unique<ConfigTree>(file, text)) {}
+ConfigReader::ConfigReader(absl::string_view file, absl::string_view text,
+                           std::vector<ConfigSetting> overrides)
+    : tree_(std::make_unique<ConfigTree>(file, text, std::move(overrides))) {}
 
 ConfigReader::~ConfigReader() = default;
 

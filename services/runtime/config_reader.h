@@ -192,7 +192,10 @@ class ConfigReader {
  public:
   // `file` is the name used in messages. A text that is not YAML, not a mapping, too long, too
   // deep, or that has duplicate keys, anchors, tags or several documents is a problem, too.
-  ConfigReader(absl::string_view file, absl::string_view text);
+  // Each of `overrides` takes the place of what the text says at its path, which leads through
+  // mappings; its value is YAML, and its source stands in settings and problems.
+  ConfigReader(absl::string_view file, absl::string_view text,
+               std::vector<ConfigSetting> overrides = {});
   ~ConfigReader();
   ConfigReader(const ConfigReader&) = delete;
   ConfigReader& operator=(const ConfigReader&) = delete;

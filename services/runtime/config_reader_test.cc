@@ -297,6 +297,38 @@ TEST(ConfigReaderTest, ShowsTheEffectiveConfiguration) {
             "steps[0].retries: 0  # default\n");
 }
 
+TEST(ConfigReaderTest, OverridesTakeThePlaceOfWhatTheTextSays) {
+  const auto read = [](const std::string& path, const std::string& value) {
+    ConfigReader reader("f.yaml", "settle: 1s\nmixed: [1]\noutbox: {memory: 8MiB, disk: 0B}\n",
+                        {{path, value, "elsewhere:4"}});
+    absl::Duration settle;
+    ByteSize memory;
+    ByteSize disk;
+    std::vector<std::string> mixed;
+    reader.root().Optional("settle", &settle, {absl::ZeroDuration(), absl::Seconds(9)});
+    reader.root().Optional("mixed", &mixed);
+    reader.root().OptionalSection("outbox").Optional("memory", &memory);
+    reader.root().OptionalSection("outbox").Optional("disk", &disk);
+    const absl::Status status = reader.Finish();
+    return status.ok() ? FormatSettings(reader.Settings()) : std::string(status.message());
+  };
+  EXPECT_EQ(read("settle", "2s"),
+            "settle: 2s  # elsewhere:4\nmixed: [\"1\"]  # f.yaml:2\n"
+            "outbox.memory: 8MiB  # f.yaml:3\noutbox.disk: 0B  # f.yaml:3\n");
+  EXPECT_THAT(read("outbox.disk", "1MiB"),
+              HasSubstr("outbox.memory: 8MiB  # f.yaml:3\noutbox.disk: 1MiB  # elsewhere:4\n"));
+  EXPECT_THAT(read("mixed", "[a, b]"), HasSubstr("mixed: [\"a\", \"b\"]  # elsewhere:4\n"));
+
+  EXPECT_EQ(read("settle", "10s"), "elsewhere:4: `settle` is 10s; it must be from 0s to 9s");
+  EXPECT_EQ(read("settel", "2s"), "elsewhere:4: unknown key `settel`; did you mean `settle`");
+  EXPECT_EQ(read("outbox.more", "2s"),
+            "elsewhere:4: unknown key `more`; known keys are `memory`, `disk`");
+  EXPECT_EQ(read("settle.more", "2s"), "elsewhere:4: `settle` of the file is not a mapping");
+  for (const char* value : {"{", "1s\nmixed: []", "&a 1s", "- 1s", "*a", "'1s"}) {
+    EXPECT_EQ(read("settle", value), "elsewhere:4: `settle` is not a value in YAML") << value;
+  }
+}
+
 TEST(ConfigReaderTest, ReportsAProblemOfTheCallerAtTheValue) {
   ConfigReader reader("f.yaml", "a: 1\nb: 2\n");
   const ConfigSection root = reader.root();

@@ -12,7 +12,7 @@
 
 namespace rips {
 
-// 0-based; the column in bytes.
+// 0-based; the column in bytes. A line below 0 is of an override (ConfigTree::OverrideLine).
 struct ConfigPlace {
   int line = 0;
   int column = 0;
@@ -32,6 +32,9 @@ struct ConfigNode {
     }
     return nullptr;
   }
+  Entry* Find(absl::string_view key) {
+    return const_cast<Entry*>(static_cast<const ConfigNode*>(this)->Find(key));
+  }
 
   Kind kind = Kind::kNull;
   ConfigPlace place;
@@ -46,7 +49,7 @@ struct ConfigNode {
 class ConfigTree {
  public:
   // Parses; see ConfigReader for what is a problem.
-  ConfigTree(absl::string_view file, absl::string_view text);
+  ConfigTree(absl::string_view file, absl::string_view text, std::vector<ConfigSetting> overrides);
 
   // Always a mapping; nullptr if the text could not be parsed.
   ConfigNode* root() { return root_.get(); }
@@ -58,7 +61,7 @@ class ConfigTree {
   }
   absl::Status Problems();
 
-  // `line` from 1; 0: the text does not say it.
+  // `line` from 1; 0: nothing says it; below 0: of an override, its place's line plus 1.
   void AddSetting(absl::string_view path, absl::string_view value, int line);
   const std::vector<ConfigSetting>& settings() const { return settings_; }
 
@@ -68,12 +71,20 @@ class ConfigTree {
     std::string message;
   };
 
+  // Of what `overrides_[index]` puts into the tree.
+  static int OverrideLine(size_t index) { return -2 - static_cast<int>(index); }
+  const ConfigSetting* OverrideAt(int line) const {
+    return line > -2 ? nullptr : &overrides_[static_cast<size_t>(-2 - line)];
+  }
+
   void Parse();
+  void Override(size_t index);
   void ReportUnknownKeys(const ConfigNode& node);
   std::string Format(const Problem& problem) const;
 
   const std::string file_;
   const std::string text_;
+  const std::vector<ConfigSetting> overrides_;
   std::unique_ptr<ConfigNode> root_;
   std::vector<Problem> problems_;
   std::vector<ConfigSetting> settings_;

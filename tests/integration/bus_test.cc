@@ -58,7 +58,7 @@ class BusTest : public testing::Test {
                               .host = "base",
                               .servers = {server_.address()},
                               .dds = {.domain = dds::RandomDomain(), .interface = "lo"},
-                              .settle = absl::Milliseconds(500),
+                              .watch = {.settle = absl::Milliseconds(500)},
                               .state_dir = dir_.string()};
     auto agent = Agent::Create(config, grpc::InsecureChannelCredentials(), &clock_, &metrics_);
     ASSERT_THAT(agent, IsOk());

@@ -1,6 +1,7 @@
 #include "policy_server/policy/bundle/inventory.h"
 
 #include <algorithm>
+#include <optional>
 #include <utility>
 
 #include "absl/container/btree_set.h"
@@ -12,10 +13,15 @@
 #include "services/base/status_macros.h"
 #include "services/runtime/config_reader.h"
 #include "services/runtime/config_sections.h"
+#include "services/sensor_settings/sensor_settings.h"
 #include "services/text/quote.h"
 
 namespace rips::bundle {
 namespace {
+
+// As the wire takes them: of one value, and of what the sensors of a robot are sent.
+constexpr size_t kSettingBytesMax = 1'024;
+constexpr size_t kSensorSettingsBytesMax = 12 * 1'024;
 
 void CheckCount(const ConfigSection& section, absl::string_view key, size_t count, size_t max) {
   if (count <= max) return;
@@ -79,41 +85,140 @@ void ReadLabels(const ConfigSection& parent, absl::btree_map<std::string, std::s
   }
 }
 
+// Labels of an entry that holds for all robots with them.
+void ReadEntryLabels(const ConfigSection& entry,
+                     absl::btree_map<std::string, std::string>* labels) {
+  ReadLabels(entry, labels);
+  if (!entry.Has("labels") || !labels->empty()) return;
+  entry.Problem("labels", "`labels` has none; leave it out for an entry that fits all robots");
+}
+
 void ReadLabelBundles(const ConfigSection& root, absl::string_view file,
                       std::vector<LabelBundle>* bundles) {
   for (const ConfigSection& section : root.Sections("bundles")) {
     LabelBundle& added = bundles->emplace_back();
-    ReadLabels(section, &added.labels);
-    if (section.Has("labels") && added.labels.empty()) {
-      section.Problem("labels",
-                      "`labels` has none; leave it out for an entry that fits all robots");
-    }
+    ReadEntryLabels(section, &added.labels);
     ReadName(section, "bundle", "bundle name", &added.bundle);
     added.source = absl::StrCat(file, ":", section.LineOf("bundle"));
   }
-  CheckCount(root, "bundles", bundles->size(), kLabelBundlesMax);
+  CheckCount(root, "bundles", bundles->size(), kLabelEntriesMax);
+}
+
+void ReadLabelSettings(const ConfigSection& root, std::vector<LabelSettings>* all) {
+  for (const ConfigSection& section : root.Sections("sensor_settings")) {
+    ReadEntryLabels(section, &all->emplace_back().labels);
+    const ConfigSection set = section.RequiredSection("set");
+    if (set.present() && set.Keys().empty()) {
+      section.Problem("set", absl::StrCat("`set` is empty; it may have `",
+                                          absl::StrJoin(SettableNames(), "`, `"), "`"));
+    }
+    SensorSettings valid;
+    ReadSensorSettings(set, valid);
+  }
+  CheckCount(root, "sensor_settings", all->size(), kLabelEntriesMax);
+}
+
+// `PREFIX[I].PATH` as I and PATH, if I is below `count`.
+std::optional<std::pair<size_t, absl::string_view>> SplitPath(absl::string_view path,
+                                                              absl::string_view prefix,
+                                                              size_t count) {
+  if (!absl::ConsumePrefix(&path, prefix) || !absl::ConsumePrefix(&path, "[")) return std::nullopt;
+  const size_t end = path.find("].");
+  size_t index = 0;
+  if (end == path.npos || !absl::SimpleAtoi(path.substr(0, end), &index) || index >= count) {
+    return std::nullopt;
+  }
+  return std::pair(index, path.substr(end + 2));
+}
+
+// What entries of `sensor_settings` set, as the text has it.
+absl::Status AddLabelSettings(const std::vector<ConfigSetting>& settings,
+                              std::vector<LabelSettings>& all) {
+  for (const ConfigSetting& each : settings) {
+    const auto split = SplitPath(each.path, "sensor_settings", all.size());
+    if (!split.has_value() || each.source.empty()) continue;
+    absl::string_view path = split->second;
+    if (!absl::ConsumePrefix(&path, "set.")) continue;
+    if (each.value.size() > kSettingBytesMax) {
+      return absl::InvalidArgumentError(absl::StrCat(each.source, ": `", path, "` has ",
+                                                     each.value.size(), " bytes; at most ",
+                                                     kSettingBytesMax));
+    }
+    all[split->first].settings.push_back(
+        {.path = std::string(path), .value = each.value, .source = each.source});
+  }
+  return absl::OkStatus();
 }
 
 // Those of `robots[I].PATH` as PATH, by the I-th of `robots`.
 void AddSettings(const std::vector<ConfigSetting>& settings,
                  const std::vector<InventoryRobot>& robots, Inventory& inventory) {
   for (const ConfigSetting& each : settings) {
-    absl::string_view path = each.path;
-    if (!absl::ConsumePrefix(&path, "robots[")) continue;
-    const size_t end = path.find("].");
-    size_t index = 0;
-    if (end == path.npos || !absl::SimpleAtoi(path.substr(0, end), &index)) continue;
-    if (index >= robots.size()) continue;
-    inventory.settings[robots[index].id].push_back(
-        {.path = std::string(path.substr(end + 2)), .value = each.value, .source = each.source});
+    const auto split = SplitPath(each.path, "robots", robots.size());
+    if (!split.has_value()) continue;
+    inventory.settings[robots[split->first].id].push_back(
+        {.path = std::string(split->second), .value = each.value, .source = each.source});
   }
 }
 
-bool Fits(const LabelBundle& entry, const InventoryRobot& robot) {
-  return std::all_of(entry.labels.begin(), entry.labels.end(), [&](const auto& label) {
+bool Fits(const absl::btree_map<std::string, std::string>& labels, const InventoryRobot& robot) {
+  return std::all_of(labels.begin(), labels.end(), [&](const auto& label) {
     const auto found = robot.labels.find(label.first);
     return found != robot.labels.end() && found->second == label.second;
   });
+}
+
+absl::Status AssignBundles(Inventory& inventory) {
+  const auto for_all = std::find_if(inventory.bundles.begin(), inventory.bundles.end(),
+                                    [](const LabelBundle& each) { return each.labels.empty(); });
+  if (for_all != inventory.bundles.end() && for_all + 1 != inventory.bundles.end()) {
+    return absl::InvalidArgumentError(
+        absl::StrCat("of `bundles`, the entry without labels for `", for_all->bundle,
+                     "` is not the last: those after it would never fit a robot"));
+  }
+  std::vector<std::string> without;
+  for (InventoryRobot& robot : inventory.robots) {
+    if (!robot.bundle.empty()) continue;
+    const auto entry =
+        std::find_if(inventory.bundles.begin(), inventory.bundles.end(),
+                     [&](const LabelBundle& each) { return Fits(each.labels, robot); });
+    if (entry == inventory.bundles.end()) {
+      without.push_back(absl::StrCat("`", robot.id, "`"));
+    } else {
+      robot.bundle = entry->bundle;
+      inventory.settings[robot.id].push_back({.path = "bundle",
+                                              .value = absl::StrCat("\"", entry->bundle, "\""),
+                                              .source = entry->source});
+    }
+  }
+  if (without.empty()) return absl::OkStatus();
+  return absl::InvalidArgumentError(
+      absl::StrCat("without `bundle`, and no entry of `bundles` has labels that fit: robot ",
+                   absl::StrJoin(without, ", "), "; give it a `bundle: NAME`, or add an entry"));
+}
+
+absl::Status AssignSensorSettings(Inventory& inventory) {
+  for (InventoryRobot& robot : inventory.robots) {
+    absl::btree_set<absl::string_view> set;
+    size_t bytes = 0;
+    for (const LabelSettings& entry : inventory.sensor_settings) {
+      if (!Fits(entry.labels, robot)) continue;
+      for (const ConfigSetting& each : entry.settings) {
+        if (!set.insert(each.path).second) continue;
+        bytes += each.path.size() + each.value.size() + each.source.size();
+        robot.sensor_settings.push_back(each);
+        inventory.settings[robot.id].push_back({.path = absl::StrCat("sensor_settings.", each.path),
+                                                .value = each.value,
+                                                .source = each.source});
+      }
+    }
+    if (bytes > kSensorSettingsBytesMax) {
+      return absl::InvalidArgumentError(absl::StrCat("`sensor_settings` of robot `", robot.id,
+                                                     "` have ", bytes, " bytes; at most ",
+                                                     kSensorSettingsBytesMax));
+    }
+  }
+  return absl::OkStatus();
 }
 
 }  // namespace
@@ -150,9 +255,11 @@ absl::StatusOr<Inventory> ParseInventory(absl::string_view file, absl::string_vi
   const ConfigSection root = reader.root();
   Inventory inventory;
   absl::btree_set<std::string> ids;
-  const bool has_something = root.Has("robots") || root.Has("bundles");
+  const bool has_something =
+      root.Has("robots") || root.Has("bundles") || root.Has("sensor_settings");
   if (root.present() && !has_something) root.Problem("robots", "missing key `robots`");
   ReadLabelBundles(root, file, &inventory.bundles);
+  ReadLabelSettings(root, &inventory.sensor_settings);
   for (const ConfigSection& section : root.Sections("robots")) {
     InventoryRobot robot;
     ReadName(section, "id", "robot id", &robot.id);
@@ -168,42 +275,23 @@ absl::StatusOr<Inventory> ParseInventory(absl::string_view file, absl::string_vi
   }
   CheckCount(root, "robots", inventory.robots.size(), kRobotsMax);
   RIPS_RETURN_IF_ERROR(reader.Finish());
+  RIPS_RETURN_IF_ERROR(AddLabelSettings(reader.Settings(), inventory.sensor_settings));
   AddSettings(reader.Settings(), inventory.robots, inventory);
   std::sort(inventory.robots.begin(), inventory.robots.end(),
             [](const InventoryRobot& a, const InventoryRobot& b) { return a.id < b.id; });
   return inventory;
 }
 
-absl::Status AssignBundles(Inventory& inventory) {
-  if (inventory.bundles.size() > kLabelBundlesMax) {
+absl::Status AssignByLabels(Inventory& inventory) {
+  for (const auto& [key, count] :
+       {std::pair("bundles", inventory.bundles.size()),
+        std::pair("sensor_settings", inventory.sensor_settings.size())}) {
+    if (count <= kLabelEntriesMax) continue;
     return absl::InvalidArgumentError(
-        absl::StrCat(inventory.bundles.size(), " `bundles` exceed limit ", kLabelBundlesMax));
+        absl::StrCat(count, " `", key, "` exceed limit ", kLabelEntriesMax));
   }
-  const auto for_all = std::find_if(inventory.bundles.begin(), inventory.bundles.end(),
-                                    [](const LabelBundle& each) { return each.labels.empty(); });
-  if (for_all != inventory.bundles.end() && for_all + 1 != inventory.bundles.end()) {
-    return absl::InvalidArgumentError(
-        absl::StrCat("of `bundles`, the entry without labels for `", for_all->bundle,
-                     "` is not the last: those after it would never fit a robot"));
-  }
-  std::vector<std::string> without;
-  for (InventoryRobot& robot : inventory.robots) {
-    if (!robot.bundle.empty()) continue;
-    const auto entry = std::find_if(inventory.bundles.begin(), inventory.bundles.end(),
-                                    [&](const LabelBundle& each) { return Fits(each, robot); });
-    if (entry == inventory.bundles.end()) {
-      without.push_back(absl::StrCat("`", robot.id, "`"));
-    } else {
-      robot.bundle = entry->bundle;
-      inventory.settings[robot.id].push_back({.path = "bundle",
-                                              .value = absl::StrCat("\"", entry->bundle, "\""),
-                                              .source = entry->source});
-    }
-  }
-  if (without.empty()) return absl::OkStatus();
-  return absl::InvalidArgumentError(
-      absl::StrCat("without `bundle`, and no entry of `bundles` has labels that fit: robot ",
-                   absl::StrJoin(without, ", "), "; give it a `bundle: NAME`, or add an entry"));
+  RIPS_RETURN_IF_ERROR(AssignBundles(inventory));
+  return AssignSensorSettings(inventory);
 }
 
 }  // namespace rips::bundle

@@ -20,8 +20,8 @@ inline constexpr size_t kRobotsMax = 2'000;
 inline constexpr size_t kHostsMax = 16;
 // Of one robot.
 inline constexpr size_t kLabelsMax = 16;
-// Entries of `bundles`, in all files.
-inline constexpr size_t kLabelBundlesMax = 256;
+// Entries of `bundles`, and of `sensor_settings`, in all files.
+inline constexpr size_t kLabelEntriesMax = 256;
 // The largest of each limit on a graph: a server holds up to kRobotsMax graphs.
 inline constexpr size_t kGraphLimitMax = 65'536;
 
@@ -35,7 +35,7 @@ struct InventorySensor {
 
 struct InventoryRobot {
   std::string id;
-  // Name of its bundle. Empty until AssignBundles if the robot names none.
+  // Name of its bundle. Empty until AssignByLabels if the robot names none.
   std::string bundle;
   // At least one; hosts are distinct.
   std::vector<InventorySensor> sensors;
@@ -47,6 +47,9 @@ struct InventoryRobot {
   // What groups robots, for example for roll-outs: `ring: canary`. Keys and values are names as in
   // IsValidName.
   absl::btree_map<std::string, std::string> labels;
+  // What its sensors are to follow of their configuration, where their files allow it. Empty until
+  // AssignByLabels.
+  std::vector<ConfigSetting> sensor_settings;
 
   // `label` is `KEY=VALUE`; false for one that ParseLabel refuses.
   bool HasLabel(absl::string_view label) const;
@@ -61,11 +64,19 @@ struct LabelBundle {
   std::string source;  // `FILE:LINE`
 };
 
+// What sensors of robots that have all of these labels are to follow.
+struct LabelSettings {
+  absl::btree_map<std::string, std::string> labels;  // empty = any robot
+  std::vector<ConfigSetting> settings;               // at least one
+};
+
 struct Inventory {
   // Sorted by id; ids are distinct. May be empty.
   std::vector<InventoryRobot> robots;
   // The first that fits a robot decides.
   std::vector<LabelBundle> bundles;
+  // All that fit a robot hold; of those that set the same, the first.
+  std::vector<LabelSettings> sensor_settings;
   // What is in force for each robot, by its id, and which line says it.
   absl::btree_map<std::string, std::vector<ConfigSetting>> settings;
 
@@ -79,8 +90,9 @@ absl::StatusOr<std::pair<std::string, std::string>> ParseLabel(absl::string_view
 // InvalidArgument with every problem and its place.
 absl::StatusOr<Inventory> ParseInventory(absl::string_view file, absl::string_view text);
 
-// Gives a bundle to robots that name none. InvalidArgument with each for which there is none.
-absl::Status AssignBundles(Inventory& inventory);
+// Gives a bundle to robots that name none, and each robot the settings of its sensors.
+// InvalidArgument with each robot for which there is no bundle.
+absl::Status AssignByLabels(Inventory& inventory);
 
 }  // namespace rips::bundle
 

@@ -92,6 +92,8 @@ absl::StatusOr<InventoryFiles> ReadDirectory(const std::string& directory) {
     read.files.emplace_back(path, one->robots.size());
     read.inventory.bundles.insert(read.inventory.bundles.end(), one->bundles.begin(),
                                   one->bundles.end());
+    read.inventory.sensor_settings.insert(read.inventory.sensor_settings.end(),
+                                          one->sensor_settings.begin(), one->sensor_settings.end());
     read.inventory.settings.merge(one->settings);
     for (InventoryRobot& robot : one->robots) {
       const auto [first, fresh] = listed.emplace(robot.id, path);
@@ -110,7 +112,7 @@ absl::StatusOr<InventoryFiles> ReadDirectory(const std::string& directory) {
   if (!problems.empty()) return absl::InvalidArgumentError(absl::StrJoin(problems, "\n"));
   std::sort(robots.begin(), robots.end(),
             [](const InventoryRobot& a, const InventoryRobot& b) { return a.id < b.id; });
-  if (const absl::Status assigned = AssignBundles(read.inventory); !assigned.ok()) {
+  if (const absl::Status assigned = AssignByLabels(read.inventory); !assigned.ok()) {
     return absl::InvalidArgumentError(absl::StrCat("`", directory, "`: ", assigned.message()));
   }
   return read;
@@ -124,7 +126,7 @@ absl::StatusOr<InventoryFiles> ReadInventory(const std::string& path) {
   InventoryFiles read;
   RIPS_ASSIGN_OR_RETURN(read.inventory, ReadOne(path));
   read.files.emplace_back(path, read.inventory.robots.size());
-  if (const absl::Status assigned = AssignBundles(read.inventory); !assigned.ok()) {
+  if (const absl::Status assigned = AssignByLabels(read.inventory); !assigned.ok()) {
     return absl::InvalidArgumentError(absl::StrCat("`", path, "`: ", assigned.message()));
   }
   return read;

@@ -272,7 +272,7 @@ TEST_F(BundlesByLabelTest, EntriesAreCheckedAndBounded) {
               StatusIs(absl::StatusCode::kInvalidArgument,
                        HasSubstr("the entry without labels for `all` is not the last")));
   std::string entries;
-  for (size_t i = 0; i < kLabelBundlesMax; ++i) {
+  for (size_t i = 0; i < kLabelEntriesMax; ++i) {
     absl::StrAppend(&entries, "{labels: {n: n", i, "}, bundle: b},");
   }
   Write("a.yaml", absl::StrCat("bundles: [", entries, "]\n"));

@@ -85,7 +85,7 @@ robots:
   - {id: r1, bundle: warehouse, sensors: [{host: base, primary: true}], graph_limits: {nodes: 8}}
 )");
   ASSERT_THAT(inventory, IsOk());
-  ASSERT_THAT(AssignBundles(*inventory), IsOk());
+  ASSERT_THAT(AssignByLabels(*inventory), IsOk());
   const auto of = [&](const std::string& robot, const std::string& path) {
     for (const ConfigSetting& each : inventory->settings[robot]) {
       if (each.path == path) return each;
@@ -103,6 +103,68 @@ robots:
             (ConfigSetting{"graph_limits.nodes", "8", "robots.yaml:8"}));
   EXPECT_EQ(of("r1", "graph_limits.topics").source, "") << "a default";
   EXPECT_NE(of("r1", "graph_limits.topics").value, "");
+}
+
+constexpr char kSensorSettings[] = R"(sensor_settings:
+  - labels: {site: hall-1}
+    set: {settle: 3s, outbox: {memory: 8MiB}}
+  - labels: {site: hall-1, ring: canary}
+    set: {settle: 4s, unwatched: [/rosout, /camera]}
+  - set: {signals: false}
+robots:
+  - {id: r1, bundle: b, labels: {site: hall-1, ring: canary}, sensors: [{host: h, primary: true}]}
+  - {id: r2, bundle: b, sensors: [{host: h, primary: true}]}
+)";
+
+TEST(InventoryTest, RobotsHaveTheSensorSettingsOfTheirLabels) {
+  auto inventory = ParseInventory("robots.yaml", kSensorSettings);
+  ASSERT_THAT(inventory, IsOk());
+  ASSERT_THAT(AssignByLabels(*inventory), IsOk());
+  EXPECT_THAT(inventory->Find("r1")->sensor_settings,
+              ElementsAre(ConfigSetting{"settle", "3s", "robots.yaml:3"},
+                          ConfigSetting{"outbox.memory", "8MiB", "robots.yaml:3"},
+                          ConfigSetting{"unwatched", R"(["/rosout", "/camera"])", "robots.yaml:5"},
+                          ConfigSetting{"signals", "false", "robots.yaml:6"}))
+      << "of two that set `settle`, the first";
+  EXPECT_THAT(inventory->Find("r2")->sensor_settings,
+              ElementsAre(ConfigSetting{"signals", "false", "robots.yaml:6"}));
+  EXPECT_THAT(inventory->settings["r2"], testing::Contains(ConfigSetting{
+                                             "sensor_settings.signals", "false", "robots.yaml:6"}));
+}
+
+TEST(InventoryTest, SensorSettingsThatASensorWouldRefuseAreRefusedHere) {
+  const std::pair<const char*, const char*> cases[] = {
+      {"settle: 1h", "`settle` is 1h; it must be from 0s to 10s"},
+      {"settel: 3s", "unknown key `settel`; did you mean `settle`"},
+      {"servers: [a:1]", "unknown key `servers`"},
+      {"outbox: {dir: /tmp}", "unknown key `dir`"},
+      {"outbox: {disk: 1MiB}", "a spool needs at least 16MiB"},
+      {"unwatched: [\"not a topic\"]", "not a topic"},
+      {"graph_limits: {topics: 9}", "unknown key `topics`"},
+      {"", "`set` is empty"}};
+  for (const auto& [set, message] : cases) {
+    EXPECT_THAT(
+        ParseInventory("robots.yaml", absl::StrCat("sensor_settings: [{set: {", set, "}}]")),
+        StatusIs(absl::StatusCode::kInvalidArgument, HasSubstr(message)))
+        << set;
+  }
+  EXPECT_THAT(ParseInventory("robots.yaml", "sensor_settings: [{labels: {a: b}}]"),
+              StatusIs(absl::StatusCode::kInvalidArgument, HasSubstr("missing key")));
+}
+
+TEST(InventoryTest, SensorSettingsFitIntoWhatASensorIsSent) {
+  std::string topics;
+  for (int i = 0; i < 200; ++i) absl::StrAppend(&topics, "/topic_", i, ", ");
+  EXPECT_THAT(ParseInventory("robots.yaml",
+                             absl::StrCat("sensor_settings: [{set: {unwatched: [", topics, "]}}]")),
+              StatusIs(absl::StatusCode::kInvalidArgument,
+                       HasSubstr("`unwatched` has 2690 bytes; at most 1024")));
+
+  auto inventory = ParseInventory(std::string(5'000, 'f'), kSensorSettings);
+  ASSERT_THAT(inventory, IsOk());
+  EXPECT_THAT(AssignByLabels(*inventory),
+              StatusIs(absl::StatusCode::kInvalidArgument,
+                       HasSubstr("`sensor_settings` of robot `r1` have")));
 }
 
 TEST(InventoryTest, ALabelIsKeyAndValue) {

@@ -68,6 +68,9 @@ class ShowConfiguration final : public Command {
       }
     }
     table.Print(out, "  ");
+    for (const std::string& refused : configuration.refused()) {
+      out << "  not followed: " << EscapeText(refused) << "\n";
+    }
     if (defaults > 0) {
       out << "  and " << defaults << (defaults == 1 ? " default\n" : " defaults\n");
     }
@@ -90,6 +93,7 @@ class ShowConfiguration final : public Command {
                           {"source", each.source().empty() ? Json(nullptr) : Json(each.source())}});
     }
     return {{"settings", std::move(settings)},
+            {"refused", configuration.refused()},
             {"defaults_left_out", defaults},
             {"left_out", configuration.left_out()}};
   }

@@ -61,13 +61,13 @@ TEST_F(ConfigCommandTest, ShowsWhatIsInForceAndWhatSaysIt) {
   EXPECT_EQ(RunJson({"robot", "config", "r1"}), nlohmann::json::parse(R"({
     "robot": "r1",
     "server": {"settings": [{"path": "labels.ring", "value": "\"canary\"",
-                             "source": "/etc/rips/robots.yaml:7"}], "defaults_left_out": 0,
-               "left_out": 0},
+                             "source": "/etc/rips/robots.yaml:7"}], "refused": [],
+               "defaults_left_out": 0, "left_out": 0},
     "agents": [
       {"role": "sensor", "host": "base", "said": "2026-01-01T00:00:00.000000000Z", "configuration": {
         "settings": [{"path": "settle", "value": "3s", "source": "/etc/rips/sensor.yaml:4"},
                      {"path": "outbox.memory", "value": "64MiB", "source": null}],
-        "defaults_left_out": 0, "left_out": 2}},
+        "refused": [], "defaults_left_out": 0, "left_out": 2}},
       {"role": "actuator", "host": "base", "said": null, "configuration": null}]
   })"));
 }
@@ -94,6 +94,15 @@ TEST_F(ConfigCommandTest, AsksForTheServersOwnOnlyWhenToldTo) {
   EXPECT_EQ(Run({"robot", "config", "no robot"}).code, 2);
   EXPECT_EQ(Run({"robot", "config", "r1", "--policy-server"}).code, 2);
   EXPECT_EQ(fake_.calls().size(), calls);
+}
+
+TEST_F(ConfigCommandTest, SaysWhatAnAgentDoesNotFollow) {
+  v1::Configuration& said = *fake_.configuration.mutable_agents(0)->mutable_configuration();
+  said.add_refused("`settle: 3s` (policy server, robots.yaml:4): not\nlisted");
+  EXPECT_THAT(Run({"robot", "config", "r1"}).out,
+              HasSubstr("  not followed: `settle: 3s` (policy server, robots.yaml:4): "
+                        "not\\x0alisted\n"));
+  EXPECT_EQ(RunJson({"robot", "config", "r1"})["agents"][0]["configuration"]["refused"].size(), 1u);
 }
 
 TEST_F(ConfigCommandTest, WhatAnAgentSaysIsEscaped) {

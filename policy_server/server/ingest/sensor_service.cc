@@ -84,6 +84,7 @@ class Link final : public pipeline::SensorLink {
       config->add_own_participants(guid.ToBytes());
     }
     for (const std::string& part : setup.protected_parts) config->add_protected_parts(part);
+    *config->mutable_settings() = model_proto::Encode(setup.settings);
     outbound_->Send(std::move(reply));
   }
   void Acknowledge(const std::string& incarnation, Lane lane, uint64_t sequence,

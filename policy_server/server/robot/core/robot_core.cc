@@ -398,6 +398,8 @@ void RobotCore::OnSwapPolicy(const input::SwapPolicy& in) {
 }
 
 void RobotCore::OnSetHosts(const input::SetHosts& in) {
+  // Sensors that are to follow other settings begin anew, which disturbs by itself.
+  const bool other_hosts = !SameHosts(in.config, context_.config);
   sensors_.SetHosts(in.config);
   const std::vector<std::string> before = std::exchange(context_.config, in.config).actuator_hosts;
   actuators_.SetHosts(in.config.actuator_hosts);
@@ -409,7 +411,7 @@ void RobotCore::OnSetHosts(const input::SetHosts& in) {
   actuators_.ReportMissingPrograms();
   judge_.Wake();
   // Nothing was seen or held by those who are new.
-  gate_.Disturb("the inventory lists other hosts", context_.now());
+  if (other_hosts) gate_.Disturb("the inventory lists other hosts", context_.now());
 }
 
 void RobotCore::OnDrain() {

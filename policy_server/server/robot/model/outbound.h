@@ -7,6 +7,7 @@
 #include <vector>
 
 #include "policy_server/server/store/generations.h"
+#include "services/base/config_setting.h"
 #include "services/model/command.h"
 #include "services/ros2/guid.h"
 
@@ -20,8 +21,8 @@ using model::SetLevel;
 
 struct SensorSetup {
   uint32_t linger_ms = 20;
-  uint32_t batch_observations = 128;
   uint32_t heartbeat_ms = 500;
+  uint32_t batch_observations = 128;
   uint32_t batch_bytes = 32 * 1024;
   std::vector<ros2::Guid> own_participants;
   // Full names.
@@ -29,6 +30,8 @@ struct SensorSetup {
   bool primary = false;
   // The server holds no graph of this incarnation: send a snapshot.
   bool want_snapshot = true;
+  // See RobotConfig.
+  std::vector<ConfigSetting> settings;
   // What the store holds, for its next hello.
   store::StorePoint store;
 };

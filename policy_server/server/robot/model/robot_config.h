@@ -9,6 +9,7 @@
 
 #include "absl/strings/string_view.h"
 #include "services/base/clock.h"
+#include "services/base/config_setting.h"
 #include "services/ros2/graph_limits.h"
 
 namespace rips::pipeline {
@@ -20,7 +21,15 @@ struct RobotConfig {
   std::string primary_sensor;
   std::vector<std::string> actuator_hosts;
   ros2::GraphLimits graph_limits;
+  // What its sensors are to follow of their configuration.
+  std::vector<ConfigSetting> sensor_settings;
 };
+
+// True if the same agents are listed, with the same parts.
+inline bool SameHosts(const RobotConfig& a, const RobotConfig& b) {
+  return a.sensor_hosts == b.sensor_hosts && a.primary_sensor == b.primary_sensor &&
+         a.actuator_hosts == b.actuator_hosts && a.graph_limits == b.graph_limits;
+}
 
 // Named as the rule of what RIPS says by itself.
 inline constexpr absl::string_view kOwnRule = "(rips)";

@@ -127,6 +127,7 @@ void SensorSide::SendSetup(SensorHost& host) {
           .protected_parts = own_agents_.parts(),
           .primary = primary,
           .want_snapshot = primary && host.graph_incarnation != host.session->incarnation,
+          .settings = context_.config.sensor_settings,
           .store = context_.store}});
   if (primary) SendInterest(host);
 }
