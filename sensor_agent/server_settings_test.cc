@@ -4,9 +4,10 @@
 #include <fstream>
 #include <string>
 
+#include "absl/strings/str_cat.h"
 #include "gmock/gmock.h"
 #include "gtest/gtest.h"
-#include "services/runtime/atomic_file.h"
+#include "services/base/ids.h"
 
 namespace rips::sensor {
 namespace {
@@ -19,8 +20,8 @@ class ServerSettingsTest : public testing::Test {
   ServerSettingsTest() { std::filesystem::create_directories(dir_); }
   ~ServerSettingsTest() override { std::filesystem::remove_all(dir_); }
 
-  const std::filesystem::path dir_ = std::filesystem::path(RIPS_TEST_DIR) /
-                                     testing::UnitTest::GetInstance()->current_test_info()->name();
+  const std::filesystem::path dir_ =
+      std::filesystem::temp_directory_path() / absl::StrCat("rips-server-settings-", NewId());
   const std::string file_ = ServerSettingsFile(dir_.string());
 };
 
