@@ -106,7 +106,8 @@ Agent::Agent(const SensorConfig& config, const Clock* clock, Metrics* metrics)
 absl::StatusOr<std::unique_ptr<Agent>> Agent::Create(const SensorConfig& config,
                                                      rpc::CredentialsSource credentials,
                                                      const Clock* clock, Metrics* metrics,
-                                                     rpc::CertificateMonitor* monitor) {
+                                                     rpc::CertificateMonitor* monitor,
+                                                     OnSettings on_settings) {
   std::unique_ptr<Agent> agent(new Agent(config, clock, metrics));
   Agent* raw = agent.get();
   const auto memory = static_cast<size_t>(config.watch.outbox_memory.bytes);
@@ -170,10 +171,7 @@ absl::StatusOr<std::unique_ptr<Agent>> Agent::Create(const SensorConfig& config,
                 }
                 raw->Wake();
               },
-          .on_settings =
-              [raw](std::vector<ConfigSetting> settings) {
-                if (raw->on_settings_) raw->on_settings_(std::move(settings));
-              }},
+          .on_settings = std::move(on_settings)},
       clock, metrics);
   RIPS_RETURN_IF_ERROR(agent->uplink_->Open());
   RIPS_ASSIGN_OR_RETURN(std::optional<dds::Enclave> enclave,
@@ -257,8 +255,7 @@ void Agent::Announce(int64_t now_ns) {
   LogWarning("this sensor's node was not announced; trying again", {{"error", told.ToString()}});
 }
 
-void Agent::Start(std::function<void()> on_turn, OnSettings on_settings) {
-  on_settings_ = std::move(on_settings);
+void Agent::Start(std::function<void()> on_turn) {
   uplink_->Start();
   observer_ = std::thread([this, on_turn = std::move(on_turn)] { Observe(on_turn); });
   if (ids_ != nullptr) ids_->Start();

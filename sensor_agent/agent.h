@@ -38,19 +38,21 @@ namespace rips::sensor {
 
 class Agent {
  public:
+  // See Uplink::Hooks.
+  using OnSettings = std::function<void(std::vector<ConfigSetting>)>;
+
   // Joins the domain; nothing runs yet. `clock`, `metrics` and `monitor` (may be null) are not
   // owned and outlive this. While `credentials` cannot be used, what is seen is kept as if the
   // server were away. The middleware's errors.
   static absl::StatusOr<std::unique_ptr<Agent>> Create(const SensorConfig& config,
                                                        rpc::CredentialsSource credentials,
                                                        const Clock* clock, Metrics* metrics,
-                                                       rpc::CertificateMonitor* monitor = nullptr);
+                                                       rpc::CertificateMonitor* monitor = nullptr,
+                                                       OnSettings on_settings = nullptr);
   ~Agent();
 
-  using OnSettings = std::function<void(std::vector<ConfigSetting>)>;
   // The observer thread calls `on_turn`, which may be null, at least once a second unless it hangs.
-  // `on_settings`, which may be null: see Uplink::Hooks.
-  void Start(std::function<void()> on_turn = nullptr, OnSettings on_settings = nullptr);
+  void Start(std::function<void()> on_turn = nullptr);
   // Joins all threads. What is unacknowledged is spooled for the next process, or gone if there is
   // no spool.
   void Stop();
@@ -114,7 +116,6 @@ class Agent {
   Gauge graph_left_out_;
   Gauge announced_;
 
-  OnSettings on_settings_;  // set before the uplink starts
   std::atomic<bool> woken_ = false;
   Mutex inbox_mu_;
   CondVar inbox_cond_;

@@ -42,7 +42,7 @@ struct SensorConfig {
   friend bool operator==(const SensorConfig&, const SensorConfig&) = default;
 };
 
-// `file` is the name used in messages. InvalidArgument with every problem of the text and its place.
+// `file` is the name used in messages. InvalidArgument with every problem of the text and where.
 // `from_server` is what the policy server sets: followed as far as the text allows it, and only if
 // all of that is valid.
 absl::StatusOr<SensorConfig> ParseSensorConfig(absl::string_view file, absl::string_view text,

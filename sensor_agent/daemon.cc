@@ -97,9 +97,7 @@ std::optional<int> Watch(const DaemonFlags& flags, const SensorConfig& config, A
                          Following& following) {
   HostMetrics host({.disk = config.state_dir}, &metrics);
   host.Start();
-  sensor.Start(
-      [&manager] { manager.Ping(); },
-      [&following](std::vector<ConfigSetting> settings) { following.Offer(std::move(settings)); });
+  sensor.Start([&manager] { manager.Ping(); });
   LogInfo("watching", {{"robot", config.robot},
                        {"host", config.host},
                        {"domain", config.dds.domain},
@@ -168,7 +166,9 @@ std::optional<int> Serve(const DaemonFlags& flags, const SensorConfig& config,
         return signals.WaitForShutdown(pause);
       });
   if (!awaited.ok()) return 0;  // told to end
-  auto created = Agent::Create(config, std::move(credentials), &clock, &metrics, &monitor);
+  auto created = Agent::Create(
+      config, std::move(credentials), &clock, &metrics, &monitor,
+      [&following](std::vector<ConfigSetting> settings) { following.Offer(std::move(settings)); });
   if (!created.ok()) return Fail(kExitFailed, "cannot begin to watch", created.status());
   agent = *std::move(created);
   running = agent.get();

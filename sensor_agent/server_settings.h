@@ -1,5 +1,5 @@
-// What the policy server sets of the sensor's configuration, kept over restarts: a sensor that starts
-// while the server is away watches as it did.
+// What the policy server sets of the sensor's configuration, kept over restarts: a sensor that
+// starts while the server is away watches as it did.
 #ifndef RIPS_SENSOR_AGENT_SERVER_SETTINGS_H_
 #define RIPS_SENSOR_AGENT_SERVER_SETTINGS_H_
 

@@ -31,13 +31,13 @@ void AddJobs(Backlog& backlog, int64_t now_ns, UplinkActions& actions) {
 
 UplinkCore::UplinkCore(const UplinkCoreOptions& options, std::string incarnation,
                        std::string backlog_incarnation)
-    : look_ns_(absl::ToInt64Nanoseconds(options.heartbeat)),
-      kept_{.outbox = Outbox(options.outbox),
+    : kept_{.outbox = Outbox(options.outbox),
             .backlog = Backlog(options.backlog, std::move(backlog_incarnation)),
             .live_ns = absl::ToInt64Nanoseconds(options.live),
             .backlog_bytes_per_second = options.backlog_bytes_per_second},
       incarnation_(std::move(incarnation)),
-      heartbeat_ns_(look_ns_) {}
+      look_{.length_ns = absl::ToInt64Nanoseconds(options.heartbeat)},
+      heartbeat_(look_) {}
 
 // --- Inputs
 
@@ -53,14 +53,14 @@ struct UplinkCore::Handler {
 
   void operator()(StreamBegan& in) {
     core.BeginStream(std::move(in.incarnation), actions);
-    core.last_heartbeat_ns_ = now_ns;  // the hello says as much
+    core.heartbeat_.last_ns = now_ns;  // the hello says as much
     core.hurry_ = true;
   }
   void operator()(StreamEnded& in) { core.EndStream(in.status, now_ns, actions); }
   void operator()(ConfigReceived& in) {
     if (!core.session_.has_value()) return;
     core.kept_.policy = in.policy;
-    core.heartbeat_ns_ = model::HeartbeatIntervalNs(in.heartbeat_ms, core.look_ns_);
+    core.heartbeat_.length_ns = model::HeartbeatIntervalNs(in.heartbeat_ms, core.look_.length_ns);
     core.kept_.outbox.SetPrimary(in.primary);
     core.resume_.config = true;
     core.resume_.wants_snapshot |= in.want_snapshot;
@@ -85,7 +85,6 @@ struct UplinkCore::Handler {
   void operator()(Turn&) {
     core.hurry_ = false;
     core.set_aside_left_ = kSetAsideAtOnce;
-    core.Look(now_ns, actions);
     core.Heartbeat(now_ns, actions);
     core.Continue(now_ns, actions);
   }
@@ -183,7 +182,7 @@ void UplinkCore::BeginStream(std::string fresh_incarnation, UplinkActions& actio
   kept_.outbox.Rewind();
   session_.emplace(&kept_);
   resume_ = {};
-  heartbeat_ns_ = look_ns_;
+  heartbeat_.length_ns = look_.length_ns;
   phase_ = Phase::kResuming;
   status_.MarkReported();
   actions.list.emplace_back(SendHello{.incarnation = incarnation_,
@@ -278,14 +277,10 @@ void UplinkCore::FinishResume(int64_t now_ns, UplinkActions& actions) {
 // --- Turns
 
 void UplinkCore::Heartbeat(int64_t now_ns, UplinkActions& actions) {
-  if (phase_ == Phase::kDown || now_ns < last_heartbeat_ns_ + heartbeat_ns_) return;
-  last_heartbeat_ns_ = now_ns;
-  actions.list.emplace_back(SendHeartbeat{.echo_boottime_ns = server_boottime_ns_});
-}
-
-void UplinkCore::Look(int64_t now_ns, UplinkActions& actions) {
-  if (now_ns < last_look_ns_ + look_ns_) return;
-  last_look_ns_ = now_ns;
+  if (phase_ != Phase::kDown && heartbeat_.Pass(now_ns)) {
+    actions.list.emplace_back(SendHeartbeat{.echo_boottime_ns = server_boottime_ns_});
+  }
+  if (!look_.Pass(now_ns)) return;
   MergeLosses();
   if (phase_ == Phase::kDown) return;
   if (kept_.backlog.state().announced_too_much) {
@@ -364,8 +359,8 @@ void UplinkCore::SetAsideNext(int64_t now_ns, UplinkActions& actions) {
 }
 
 int64_t UplinkCore::NextWake(int64_t now_ns) const {
-  int64_t wake_ns = last_look_ns_ + look_ns_;
-  if (phase_ != Phase::kDown) wake_ns = std::min(wake_ns, last_heartbeat_ns_ + heartbeat_ns_);
+  int64_t wake_ns = look_.next_ns();
+  if (phase_ != Phase::kDown) wake_ns = std::min(wake_ns, heartbeat_.next_ns());
   if (const auto retry_ns = kept_.backlog.RetryAt()) wake_ns = std::min(wake_ns, *retry_ns);
   return phase_ == Phase::kStreaming ? std::min(wake_ns, session_->NextDue(now_ns)) : wake_ns;
 }

@@ -81,6 +81,18 @@ class UplinkCore {
 
     bool complete() const { return config && credit && ack[0] && ack[1]; }
   };
+  struct Interval {
+    int64_t length_ns = 0;
+    int64_t last_ns = 0;
+
+    int64_t next_ns() const { return last_ns + length_ns; }
+    // True if it has passed; then the next one begins.
+    bool Pass(int64_t now_ns) {
+      if (now_ns < next_ns()) return false;
+      last_ns = now_ns;
+      return true;
+    }
+  };
   struct Handler;
 
   void Append(Observations observations, int64_t now_ns, UplinkActions& actions);
@@ -90,7 +102,6 @@ class UplinkCore {
   void FinishResume(int64_t now_ns, UplinkActions& actions);
   void Close(std::string why, UplinkActions& actions);
   void Heartbeat(int64_t now_ns, UplinkActions& actions);
-  void Look(int64_t now_ns, UplinkActions& actions);
   // The next step of a turn: sending, then setting aside.
   void Continue(int64_t now_ns, UplinkActions& actions);
   void SetAsideNext(int64_t now_ns, UplinkActions& actions);
@@ -100,7 +111,6 @@ class UplinkCore {
   bool OutboxIsFull() const;
   int64_t NextWake(int64_t now_ns) const;
 
-  const int64_t look_ns_;
   Kept kept_;
   SensorStatus status_;
   std::string incarnation_;
@@ -113,10 +123,10 @@ class UplinkCore {
   // The highest that a server has reported durable, of what was announced last.
   std::map<StreamKey, uint64_t> acknowledged_;
   uint64_t server_boottime_ns_ = 0;
-  // How often this stream carries a heartbeat.
-  int64_t heartbeat_ns_;
-  int64_t last_heartbeat_ns_ = 0;
-  int64_t last_look_ns_ = 0;
+  // For losses and for the sensor's own state.
+  Interval look_;
+  // As often as this stream carries one.
+  Interval heartbeat_;
   // Batches that may still be set aside in this turn.
   int set_aside_left_ = 0;
   // Something has come since the last turn that asks for another one at once.

@@ -1,5 +1,5 @@
-// How a sensor watches: the part of sensor.yaml that the policy server may set where the file allows
-// it (`server_may_set`). Both read it here, so that the server refuses what the sensor would.
+// How a sensor watches: the part of sensor.yaml that the policy server may set where the file
+// allows it (`server_may_set`). Both ends read it here: the server refuses what a sensor would.
 #ifndef RIPS_SERVICES_SENSOR_SETTINGS_SENSOR_SETTINGS_H_
 #define RIPS_SERVICES_SENSOR_SETTINGS_SENSOR_SETTINGS_H_
 

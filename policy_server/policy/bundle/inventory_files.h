@@ -6,7 +6,8 @@
 //                        ignored: names that begin with `.` or `#`, `*.bak`, `*~`, `*.yaml.tmp`;
 //                        a name `*.yml` is an error, since its robots would go without guard
 //
-// Entries of `bundles` and of `sensor_settings` hold for the robots of all files, in the order of the files.
+// Entries of `bundles` and of `sensor_settings` hold for the robots of all files, in the order of
+// the files.
 //
 // All or nothing: one file that cannot be read or is malformed refuses the whole inventory. Each
 // file has the form of robots.yaml, and is opened as that is: links are followed.
